@@ -501,7 +501,7 @@ fn wrong_targets_are_one_error_and_the_rest_is_drawn() {
         (attached(&[&fine, &fine], None), "\"fine\" is attached twice: level 0 of layer 0"),
         (attached(&[&Arc::new(huge)], None), "\"huge\""),
         (missing, "\"fine\" has no level 3"),
-        (CameraTarget { samples: 4, ..attached(&[&numbers], None) }, "\"numbers\" holds numbers of 32 bits"),
+        (CameraTarget { samples: 4, ..attached(&[&numbers], None) }, "\"numbers\" holds 32-bit floats"),
     ] {
         let camera = CameraNode { target: Some(Arc::new(target)), ..CameraNode::new(RenderOrder::PreRender(0)) };
         let scene = rig.scene(Node::group(vec![Node::camera(camera, vec![red()]), red()]));

@@ -252,10 +252,10 @@ fn missing_or_mistyped_attributes_are_visible_and_reported_once() {
         let mut errors = rig.renderer.take_errors();
         errors.sort();
         let expected = [
-            "triangles with cold: attribute \"heat\" (f32) is not there",
-            "lines without further attributes: attribute \"heat\" (f32) is not there",
+            "triangles with cold: attribute \"heat\" (f32) is missing",
+            "lines without custom attributes: attribute \"heat\" (f32) is missing",
             "triangles with heat: attribute \"heat\" is Uint32, which the program reads as f32",
-            "triangles without further attributes: attribute \"heat\" (f32) is not there",
+            "triangles without custom attributes: attribute \"heat\" (f32) is missing",
         ];
         let mut expected = expected.map(|what| format!("set of heat: program \"heat\" cannot draw {what}"));
         expected.sort();

@@ -1,16 +1,18 @@
-//! A small table from u64 to u32 that is emptied in no time. Draw thread.
+//! A small hash table from u64 to u32 that is emptied in constant time. Draw thread.
 
 use crate::math::random::fibonacci_hash;
 
-/// Open addressing; entries of before the last [`Self::clear`] are told by their stamp.
+/// Uses open addressing. Entries from before the last [`Self::clear`] have another stamp than the table.
 #[derive(Default)]
 pub(in crate::draw) struct Lookup {
+    /// Stamp, value and key.
     table: Vec<(u32, u32, u64)>,
     stamp: u32,
     len: usize,
 }
 
 impl Lookup {
+    /// Removes all entries.
     pub(in crate::draw) fn clear(&mut self) {
         if self.table.is_empty() || self.stamp == u32::MAX {
             self.table.clear();
@@ -21,25 +23,25 @@ impl Lookup {
         self.len = 0;
     }
 
-    /// The value of a key; the given one from now on when it had none.
+    /// Returns the value of a key; inserts the given value if it has none.
     #[inline]
     pub(in crate::draw) fn get_or_insert(&mut self, key: u64, value: u32) -> u32 {
         let mask = self.table.len() - 1;
-        let mut place = (fibonacci_hash(key) >> 32) as usize & mask;
+        let mut slot = (fibonacci_hash(key) >> 32) as usize & mask;
         loop {
-            let (stamp, found, of) = self.table[place];
+            let (stamp, found, known) = self.table[slot];
             if stamp != self.stamp {
-                self.table[place] = (self.stamp, value, key);
+                self.table[slot] = (self.stamp, value, key);
                 self.len += 1;
                 if self.len * 2 > self.table.len() {
                     self.grow();
                 }
                 return value;
             }
-            if of == key {
+            if known == key {
                 return found;
             }
-            place = (place + 1) & mask;
+            slot = (slot + 1) & mask;
         }
     }
 
@@ -64,7 +66,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn is_a_map(rounds in prop::collection::vec(prop::collection::vec(0u64..400, 0..500), 1..5)) {
+        fn behaves_as_a_hash_map(rounds in prop::collection::vec(prop::collection::vec(0u64..400, 0..500), 1..5)) {
             let mut lookup = Lookup::default();
             for keys in rounds {
                 lookup.clear();

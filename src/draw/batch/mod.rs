@@ -1,163 +1,104 @@
-//! From leaves to runs: which leaves are one instanced draw, in which order.
+//! Groups the leaves of stages into runs, and runs into buckets. Draw thread.
 //!
-//! Draw thread. Leaves are counted into runs and then written to their places in one storage buffer, so that nothing
-//! but runs is ever sorted. Reuses its memory; allocates nothing once as large a stage was drawn before.
+//! A **run** is one instanced draw of leaves with the same geometry. A **bucket** is the pipeline, buffers and bind groups
+//! that runs share. Leaves are counted into runs and then written to their positions in one storage buffer, so that only
+//! runs are sorted. The memory is reused: nothing is allocated once a stage of the same size was drawn.
 
+pub(in crate::draw) mod bucket;
+pub(in crate::draw) mod indirect;
 mod lookup;
+pub(in crate::draw) mod run;
 mod sample_grid;
+pub(in crate::draw) mod state_entry;
 
 use std::collections::HashMap;
+use std::ops::Range;
 
 use glam::{DMat4, Vec3A, Vec4};
 
-use crate::cull::{FadeBand, RenderLeaf, RenderStage};
-use crate::draw::batch::lookup::Lookup;
-use crate::draw::batch::sample_grid::SampleGrid;
-use crate::draw::pipelines::Pipelines;
+use crate::cull::{RenderLeaf, RenderStage};
 use crate::draw::pipelines::key::{PipelineKey, StateKey};
-use crate::draw::uniforms::frame::{BAND_SHIFT, FLAG_UNLIT, FLAG_UNTEXTURED, INDEX_COUNT_SHIFT, LeafUniform};
+use crate::draw::pipelines::{PipelineId, Pipelines};
+use crate::draw::uniforms::frame::{INDEX_COUNT_SHIFT, LeafUniform};
 use crate::gpu::{BindClass, DrawableEntry, GraphicsContext, Shape};
-use crate::scene::{AlphaMode, Topology};
-use crate::state::{ResolvedState, SortMode};
+use crate::scene::AlphaMode;
+use crate::state::SortMode;
+use bucket::{Bucket, BucketKey, BucketRank, Content, VertexFetch};
+use lookup::Lookup;
+use run::Run;
+use sample_grid::SampleGrid;
+use state_entry::StateEntry;
 
-/// What has to be bound for a run: leaves with one bucket differ in geometry alone.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(in crate::draw) struct Bucket {
-    pub(in crate::draw) pipeline: PipelineKey,
-    pub(in crate::draw) is_height: bool,
-    /// Block of group 1.
-    pub(in crate::draw) block: u32,
-    pub(in crate::draw) vertex_chunk: u32,
-    /// Chunk of meshes, side of height tiles.
-    pub(in crate::draw) index_chunk: u32,
-    /// Index of the dynamic state and the uniforms. Last: mostly one call, where other buffers are two.
-    pub(in crate::draw) statics: u32,
-    /// Vertices of each mesh where one call draws many small ones; 0 elsewhere.
-    pub(in crate::draw) stride: u32,
-    /// Index of the stage's state where the application draws; [`NO_STATE`] elsewhere.
-    pub(in crate::draw) custom: u32,
-}
+/// The pixel centres of a viewport, with the projection and the viewport that they follow from.
+type Grid = (SampleGrid, DMat4, [f32; 4]);
 
-/// Of buckets that the renderer draws.
-pub(in crate::draw) const NO_STATE: u32 = u32::MAX;
-
-impl Bucket {
-    /// Sorts so that dear changes are rare.
-    fn order(&self) -> (u64, u64, u32) {
-        // The largest pools have thousands of blocks and chunks; beyond, the order is only less good.
-        let binds = u64::from(self.block) << 40 | u64::from(self.vertex_chunk & 0xf_ffff) << 20;
-        (self.pipeline.order(), binds | u64::from(self.index_chunk & 0xf_ffff), self.statics)
-    }
-}
-
-/// An instanced draw.
-#[derive(Clone, Copy, Debug)]
-pub(in crate::draw) struct Run {
-    pub(in crate::draw) bucket: u32,
-    pub(in crate::draw) base_vertex: i32,
-    pub(in crate::draw) first_index: u32,
-    pub(in crate::draw) index_count: u32,
-    /// Range of instances, which is that of leaves in the buffer.
-    pub(in crate::draw) first_leaf: u32,
-    pub(in crate::draw) leaf_count: u32,
-    /// Indices of all its leaves, of meshes.
-    pub(in crate::draw) all_indices: u64,
-}
-
-/// What a state of the stage comes to.
-#[derive(Clone, Copy, Debug)]
-pub(in crate::draw) struct StateEntry {
-    pub(in crate::draw) key: StateKey,
-    pub(in crate::draw) statics: u32,
-    /// Equal for states that draw alike.
-    class: u32,
-    color: [f32; 4],
-    /// Flags of leaves with a lit and with an unlit material.
-    flags: [u32; 2],
-    /// Not drawn: what cannot fade changes in the middle of the fade.
-    is_hidden: bool,
-    /// Whatever has the state is drawn; mostly so.
-    shows_all: bool,
-    /// Index of the grid of its pixels where what lies between them is left out; [`NO_GRID`] elsewhere.
-    grid: u32,
-}
-
-const NO_GRID: u32 = u32::MAX;
-
-impl StateEntry {
-    pub(in crate::draw) fn new(key: StateKey, statics: u32, state: &ResolvedState, band: FadeBand) -> Self {
-        let is_whole = band.is_full() || !key.can_fade;
-        let hides_customs = !(band.from..band.to).contains(&(u8::MAX / 2));
-        let is_hidden = !key.can_fade && hides_customs;
-        let key = if is_whole { key } else { key.fading() };
-        let shows_all = !is_hidden && !hides_customs && !key.casts;
-        let band = if is_whole { 0 } else { (u32::from(band.from) | u32::from(band.to) << 8) << BAND_SHIFT };
-        let of_all = band | if state.has_own_textures() { 0 } else { FLAG_UNTEXTURED };
-        let flags = [false, true].map(|unlit| if state.is_lit(unlit) { of_all } else { of_all | FLAG_UNLIT });
-        Self { key, statics, class: 0, color: state.color, flags, is_hidden, shows_all, grid: NO_GRID }
-    }
-
-    /// The same where small meshes are left out that lie between the pixels of a grid of [`Batch::grid`].
-    pub(in crate::draw) fn without_unsampled(self, grid: u32) -> Self {
-        Self { grid, ..self }
-    }
-}
-
-/// The draws of a frame's stages, one behind the other.
+/// The leaves, runs and buckets of a frame's stages, one stage after the other.
+///
+/// It has more than 16 fields because its scratch buffers are kept for the next stage.
 #[derive(Default)]
 pub(in crate::draw) struct Batch {
-    /// Longer than what is used of it, so that nothing is written twice.
+    /// Longer than `leaf_count`, so that no element is written twice.
     leaves: Vec<LeafUniform>,
     leaf_count: usize,
-    pub(in crate::draw) runs: Vec<Run>,
-    /// Of all stages, the first run of each bin; behind a stage's last bin, the run behind its last.
-    pub(in crate::draw) bin_starts: Vec<u32>,
-    /// Of all stages, each with the index of its pipeline.
-    pub(in crate::draw) buckets: Vec<(Bucket, u32)>,
-    /// By state of the current stage.
-    pub(in crate::draw) states: Vec<StateEntry>,
-    /// Of all stages, with what they are of.
-    grids: Vec<(SampleGrid, DMat4, [f32; 4])>,
-    /// Leaves left out because they lie between pixels.
-    pub(in crate::draw) unsampled: u32,
+    runs: Vec<Run>,
+    /// The first run of each bin of all stages; after a stage's last bin, the end of its runs.
+    bin_starts: Vec<u32>,
+    /// The buckets of all stages, each with its pipeline; `None` if that could not be created.
+    buckets: Vec<(Bucket, Option<PipelineId>)>,
+    /// The states of the current stage.
+    states: Vec<StateEntry>,
+    grids: Vec<Grid>,
+    /// The number of leaves skipped because they lie between pixel centres.
+    unsampled: u32,
     class_of: HashMap<(StateKey, u32), u32>,
-    /// From state class and bind class to bucket.
+    /// From [`BucketKey`] to the index of the bucket.
     bucket_of: Lookup,
-    /// The key looked up last, and what was found.
+    /// The key that was looked up last, and its bucket.
     last_bucket: (u64, u32),
-    /// The pipeline looked up last in this frame.
-    last_pipeline: Option<(PipelineKey, u32)>,
-    /// From bucket and geometry to run of the current group.
+    /// The pipeline that was looked up last in this frame.
+    last_pipeline: Option<(PipelineKey, Option<PipelineId>)>,
+    /// From bucket and geometry to the run of the current group.
     run_of: Lookup,
     group_runs: Vec<Run>,
-    /// By leaf of the current group.
+    /// The run of each leaf of the current group.
     run_of_leaf: Vec<u32>,
     order: Vec<u32>,
-    /// First bucket of the current stage.
+    /// The first bucket of the current stage.
     first_bucket: usize,
-    ranked: Vec<((u64, u64, u32), u32)>,
-    places: Vec<u32>,
+    ranked: Vec<(BucketRank, u32)>,
+    next_in_bucket: Vec<u32>,
 }
 
-/// How many vertices of a small mesh one call has for each: 0 for meshes that are not small, in strides of 3, 6, 12, 24
-/// and 48, so that meshes of like sizes share a call.
+/// The result of building a stage.
+pub(in crate::draw) struct Built {
+    /// The number of leaves that the buffer had no room for.
+    pub(in crate::draw) dropped: usize,
+    /// The first run that the background shines through; the end of the runs if there is none.
+    pub(in crate::draw) see_through: usize,
+    /// The range of the stage's bins in [`Batch::bin_starts`], with the end of the last one.
+    pub(in crate::draw) bin_starts: Range<usize>,
+}
+
+/// Marks leaves that belong to no run.
+const NO_RUN: u32 = u32::MAX;
+
+/// Returns how the vertices of a drawable get to the shader. Small meshes without an alpha mask are
+/// pulled.
 #[inline]
-fn stride_code(entry: &DrawableEntry, state: &StateEntry) -> u32 {
+fn vertex_fetch(entry: &DrawableEntry, state: &StateEntry) -> VertexFetch {
     match &entry.shape {
         Shape::Mesh { place, is_small: true, .. }
             if state.key.can_pull && !matches!(entry.alpha, AlphaMode::Mask(_)) =>
         {
-            1 + (place.index_count.div_ceil(3).next_power_of_two()).trailing_zeros()
+            let triangles = place.index_count.div_ceil(3).next_power_of_two();
+            VertexFetch::Pulled { log2_triangles: triangles.trailing_zeros() as u8 }
         }
-        Shape::Custom(_) => CUSTOM_CODE,
-        _ => 0,
+        Shape::Custom(_) => VertexFetch::Custom,
+        _ => VertexFetch::Buffers,
     }
 }
 
-/// In the place of a stride's: what the application draws.
-const CUSTOM_CODE: u32 = 7;
-const NO_RUN: u32 = u32::MAX;
-
+/// Returns true if a transform mirrors.
 #[inline]
 fn is_mirrored(rows: &[[f32; 4]; 3]) -> bool {
     let [a, b, c] = rows.map(|row| Vec3A::from_vec4(Vec4::from_array(row)));
@@ -165,6 +106,7 @@ fn is_mirrored(rows: &[[f32; 4]; 3]) -> bool {
 }
 
 impl Batch {
+    /// Removes the leaves and runs of the last frame.
     pub(in crate::draw) fn start_frame(&mut self) {
         self.leaf_count = 0;
         self.last_pipeline = None;
@@ -175,36 +117,75 @@ impl Batch {
         self.unsampled = 0;
     }
 
-    /// The index of the grid of a viewport's pixels: x, y, width, height.
+    /// Returns the index of the grid of a viewport's pixels. The viewport is x, y, width, height in pixels.
     pub(in crate::draw) fn grid(&mut self, clip_from_eye: &DMat4, viewport_px: [f32; 4]) -> u32 {
-        let is_known = |(_, of, px): &(SampleGrid, DMat4, [f32; 4])| of == clip_from_eye && *px == viewport_px;
+        let is_known = |(_, clip, px): &Grid| clip == clip_from_eye && *px == viewport_px;
         if !self.grids.last().is_some_and(is_known) {
             self.grids.push((SampleGrid::new(clip_from_eye, viewport_px), *clip_from_eye, viewport_px));
         }
         self.grids.len() as u32 - 1
     }
 
-    /// A leaf that lies between pixels, and no pixel shows.
+    /// Returns true for a leaf that covers no pixel centre.
     #[inline]
     fn is_unsampled(&self, state: &StateEntry, entry: &DrawableEntry, rows: &[[f32; 4]; 3]) -> bool {
         match &entry.shape {
             Shape::Mesh { extent: Some(extent), .. } if state.key.can_pull => {
-                self.grids.get(state.grid as usize).is_some_and(|(grid, ..)| grid.misses(rows, extent))
+                let grid = state.grid.and_then(|grid| self.grids.get(grid as usize));
+                grid.is_some_and(|(grid, ..)| grid.misses(rows, extent))
             }
             _ => false,
         }
     }
 
-    /// The leaves so far.
+    /// Returns the leaves so far.
     pub(in crate::draw) fn leaves(&self) -> &[LeafUniform] {
         &self.leaves[..self.leaf_count]
     }
 
+    /// Returns the runs of all stages so far.
+    pub(in crate::draw) fn runs(&self) -> &[Run] {
+        &self.runs
+    }
+
+    /// Returns the first run of each bin of all stages so far.
+    pub(in crate::draw) fn bin_starts(&self) -> &[u32] {
+        &self.bin_starts
+    }
+
+    /// Returns a bucket of a run, and its pipeline.
+    pub(in crate::draw) fn bucket(&self, index: u32) -> &(Bucket, Option<PipelineId>) {
+        &self.buckets[index as usize]
+    }
+
+    /// Returns the vertex and index chunks of all pulled meshes.
+    pub(in crate::draw) fn pulled_chunks(&self) -> impl Iterator<Item = (u32, u32)> {
+        let pulled = self.buckets.iter().filter(|(bucket, _)| bucket.stride() > 0);
+        pulled.map(|(bucket, _)| (bucket.vertex_chunk, bucket.index_chunk))
+    }
+
+    /// Returns the number of leaves skipped because they cover no pixel centre.
+    pub(in crate::draw) fn unsampled(&self) -> u32 {
+        self.unsampled
+    }
+
+    /// Lends out the empty list of states, to be filled for the next stage and returned by [`Self::put_states`].
+    pub(in crate::draw) fn take_states(&mut self) -> Vec<StateEntry> {
+        let mut states = std::mem::take(&mut self.states);
+        states.clear();
+        states
+    }
+
+    /// Sets the states of the next stage, by index.
+    pub(in crate::draw) fn put_states(&mut self, states: Vec<StateEntry>) {
+        self.states = states;
+    }
+
     /// Appends a leaf that belongs to no run.
     pub(in crate::draw) fn push_leaf(&mut self, leaf: LeafUniform) {
-        let place = self.leaf_count;
-        self.make_room(place + 1);
-        self.leaves[place] = leaf;
+        let index = self.leaf_count;
+        self.make_room(index + 1);
+        self.leaves[index] = leaf;
     }
 
     fn make_room(&mut self, count: usize) {
@@ -214,30 +195,31 @@ impl Batch {
         }
     }
 
-    /// Appends the runs of a stage, whose states are in [`Self::states`]. Returns how many leaves were more than the
-    /// buffer takes, and before which run the first one comes that what lies behind shines through.
+    /// Appends the runs of a stage, whose states were set by [`Self::put_states`]. Leaves beyond `max_leaves` in the whole
+    /// frame are dropped.
     pub(in crate::draw) fn build(
         &mut self,
         ctx: &GraphicsContext,
         pipelines: &mut Pipelines,
         stage: &RenderStage,
-        most_leaves: usize,
-    ) -> (usize, usize) {
+        max_leaves: usize,
+    ) -> Built {
         self.class_of.clear();
         for state in &mut self.states {
             let next = self.class_of.len() as u32;
-            state.class = *self.class_of.entry((state.key, state.statics)).or_insert(next);
+            state.class = *self.class_of.entry((state.key, state.bound)).or_insert(next);
         }
         self.bucket_of.clear();
         self.first_bucket = self.buckets.len();
         self.last_bucket = (u64::MAX, 0);
+        let first_bin = self.bin_starts.len();
         let (mut dropped, mut see_through) = (0, None);
         for bin in &stage.bins {
             let first_of_bin = self.runs.len();
             self.bin_starts.push(first_of_bin as u32);
             let mut rest = &bin.leaves[..];
             while !rest.is_empty() {
-                let room = most_leaves.saturating_sub(self.leaf_count);
+                let room = max_leaves.saturating_sub(self.leaf_count);
                 let (count, in_any_order) = alike(bin.sort, &self.states, rest);
                 let (group, after) = rest.split_at(count);
                 rest = after;
@@ -249,7 +231,7 @@ impl Batch {
                     self.in_order(ctx, pipelines, stage, group);
                 }
             }
-            // Leaves that blend in any order are rather ground: of those with depth, the sorted ones are not.
+            // Blended leaves that write depth count as ground, unless their bin is sorted from back to front.
             let is_sorted = bin.sort == SortMode::BackToFront;
             let is_see_through = |run: &Run| {
                 let pipeline = self.buckets[run.bucket as usize].0.pipeline;
@@ -259,10 +241,12 @@ impl Batch {
             see_through = see_through.or_else(in_bin);
         }
         self.bin_starts.push(self.runs.len() as u32);
-        (dropped, see_through.unwrap_or(self.runs.len()))
+        let bin_starts = first_bin..self.bin_starts.len();
+        Built { dropped, see_through: see_through.unwrap_or(self.runs.len()), bin_starts }
     }
 
-    /// Leaves that may change places: those with one bucket and geometry become one run, runs are sorted by bucket.
+    /// Appends leaves whose order is free: those with the same bucket and geometry become one run, and runs are sorted by
+    /// bucket.
     fn regroup(
         &mut self,
         ctx: &GraphicsContext,
@@ -276,7 +260,7 @@ impl Batch {
         let mut last = (u64::MAX, NO_RUN);
         for leaf in leaves {
             let state = &self.states[leaf.state as usize];
-            let found = drawable(ctx, stage, leaf).filter(|(entry, _)| is_drawn(state, entry));
+            let found = drawable(ctx, stage, leaf).filter(|(entry, _)| state.draws(entry));
             let Some((entry, rows)) = found else {
                 self.run_of_leaf.push(NO_RUN);
                 continue;
@@ -286,13 +270,13 @@ impl Batch {
                 self.run_of_leaf.push(NO_RUN);
                 continue;
             }
-            let bucket = self.bucket(ctx, pipelines, stage, leaf, entry, rows);
+            let bucket = self.bucket_index(ctx, pipelines, stage, leaf, entry, rows);
             let key = u64::from(bucket) << 32 | u64::from(self.geometry(bucket, entry));
             if key != last.0 {
                 let next = self.group_runs.len() as u32;
                 let run = self.run_of.get_or_insert(key, next);
                 if run == next {
-                    self.group_runs.push(new_run(ctx, bucket, entry));
+                    self.group_runs.push(Run::new(ctx, bucket, entry));
                 }
                 last = (key, run);
             }
@@ -300,14 +284,14 @@ impl Batch {
             self.run_of_leaf.push(last.1);
         }
         self.order_runs();
-        let mut place = self.leaf_count as u32;
+        let mut next_leaf = self.leaf_count as u32;
         for run in &self.order {
             let run = &mut self.group_runs[*run as usize];
-            run.first_leaf = place;
-            place += run.leaf_count;
+            run.first_leaf = next_leaf;
+            next_leaf += run.leaf_count;
             self.runs.push(*run);
         }
-        self.make_room(place as usize);
+        self.make_room(next_leaf as usize);
         let (buckets, states) = (&self.buckets[..], &self.states[..]);
         let (uniforms, runs) = (&mut self.leaves[..], &mut self.group_runs[..]);
         for (leaf, run) in leaves.iter().zip(&self.run_of_leaf) {
@@ -315,41 +299,41 @@ impl Batch {
             if let Some((entry, rows)) = drawable(ctx, stage, leaf) {
                 let state = &states[leaf.state as usize];
                 uniforms[run.first_leaf as usize] =
-                    uniform(entry, rows, state, || buckets[run.bucket as usize].0.stride);
+                    uniform(entry, rows, state, || buckets[run.bucket as usize].0.stride());
                 run.first_leaf += 1;
             }
         }
     }
 
-    /// Leaves in `order` the runs of the group by the order of their buckets; those of one bucket as first met.
+    /// Sets `order` to the runs of the group, sorted by the rank of their buckets. Runs of one bucket keep their order.
     fn order_runs(&mut self) {
         self.order.clear();
         self.order.extend(0..self.group_runs.len() as u32);
         if self.group_runs.windows(2).all(|w| w[0].bucket == w[1].bucket) {
             return;
         }
-        // Buckets are few: they are sorted, runs only counted.
+        // Buckets are few and are sorted; runs are only counted into them.
         let first = self.first_bucket;
         self.ranked.clear();
-        self.ranked.extend(self.buckets[first..].iter().zip(0..).map(|((bucket, _), place)| (bucket.order(), place)));
+        self.ranked.extend(self.buckets[first..].iter().zip(0..).map(|((bucket, _), index)| (bucket.rank(), index)));
         self.ranked.sort_unstable();
-        self.places.clear();
-        self.places.resize(self.ranked.len(), 0);
+        self.next_in_bucket.clear();
+        self.next_in_bucket.resize(self.ranked.len(), 0);
         for run in &self.group_runs {
-            self.places[run.bucket as usize - first] += 1;
+            self.next_in_bucket[run.bucket as usize - first] += 1;
         }
-        let mut place = 0;
+        let mut next = 0;
         for (_, bucket) in &self.ranked {
-            place += std::mem::replace(&mut self.places[*bucket as usize], place);
+            next += std::mem::replace(&mut self.next_in_bucket[*bucket as usize], next);
         }
         for (index, run) in (0..).zip(&self.group_runs) {
-            let place = &mut self.places[run.bucket as usize - first];
-            self.order[*place as usize] = index;
-            *place += 1;
+            let next = &mut self.next_in_bucket[run.bucket as usize - first];
+            self.order[*next as usize] = index;
+            *next += 1;
         }
     }
 
-    /// Leaves that stay in their order: only neighbours become one run.
+    /// Appends leaves that keep their order: only neighbours become one run.
     fn in_order(
         &mut self,
         ctx: &GraphicsContext,
@@ -360,43 +344,43 @@ impl Batch {
         let mut last = u64::MAX;
         for leaf in leaves {
             let state = &self.states[leaf.state as usize];
-            let found = drawable(ctx, stage, leaf).filter(|(entry, _)| is_drawn(state, entry));
+            let found = drawable(ctx, stage, leaf).filter(|(entry, _)| state.draws(entry));
             let Some((entry, rows)) = found else { continue };
             if self.is_unsampled(state, entry, rows) {
                 self.unsampled += 1;
                 continue;
             }
-            let bucket = self.bucket(ctx, pipelines, stage, leaf, entry, rows);
+            let bucket = self.bucket_index(ctx, pipelines, stage, leaf, entry, rows);
             let key = u64::from(bucket) << 32 | u64::from(self.geometry(bucket, entry));
             if key != last {
                 let first_leaf = self.leaf_count as u32;
-                self.runs.push(Run { first_leaf, ..new_run(ctx, bucket, entry) });
+                self.runs.push(Run { first_leaf, ..Run::new(ctx, bucket, entry) });
                 last = key;
             }
             if let Some(run) = self.runs.last_mut() {
                 run.add(entry);
             }
-            let stride = || self.buckets[bucket as usize].0.stride;
+            let stride = || self.buckets[bucket as usize].0.stride();
             self.push_leaf(uniform(entry, rows, &self.states[leaf.state as usize], stride));
         }
     }
 
-    /// Equal for leaves of a bucket that one run draws.
+    /// Returns a number that is equal for leaves of a bucket that one run draws.
     #[inline]
     fn geometry(&self, bucket: u32, entry: &DrawableEntry) -> u32 {
         match &entry.shape {
             Shape::Height(place) => place.side,
-            Shape::Mesh { place, .. } => match self.buckets[bucket as usize].0.stride {
+            Shape::Mesh { place, .. } => match self.buckets[bucket as usize].0.stride() {
                 0 => place.mesh,
                 _ => 0,
             },
-            Shape::Custom(place) => *place,
+            Shape::Custom(shape) => *shape,
         }
     }
 
-    /// The bucket of a leaf; made, with its pipeline, when it is the first.
+    /// Returns the bucket of a leaf. The first leaf of a bucket creates it and its pipeline.
     #[inline(always)]
-    fn bucket(
+    fn bucket_index(
         &mut self,
         ctx: &GraphicsContext,
         pipelines: &mut Pipelines,
@@ -406,15 +390,14 @@ impl Batch {
         rows: &[[f32; 4]; 3],
     ) -> u32 {
         let state = &self.states[leaf.state as usize];
-        let (code, mirrored) = (stride_code(entry, state), is_mirrored(rows));
-        // The application may ask a state for anything: states that draw alike are not one.
-        let class = if code == CUSTOM_CODE { leaf.state } else { state.class };
-        let key = u64::from(class) << 44 | u64::from(entry.class) << 8 | u64::from(code) << 1 | u64::from(mirrored);
-        // Mostly that of the leaf before.
-        if key == self.last_bucket.0 {
+        let fetch = vertex_fetch(entry, state);
+        let state_class = if fetch == VertexFetch::Custom { leaf.state } else { state.class };
+        let key = BucketKey { state_class, bind_class: entry.class, fetch, is_mirrored: is_mirrored(rows) };
+        // Mostly the bucket of the leaf before.
+        if key.packed() == self.last_bucket.0 {
             self.last_bucket.1
         } else {
-            self.find_bucket(ctx, pipelines, stage, key, leaf.state, entry)
+            self.find_bucket(ctx, pipelines, stage, key, leaf.state)
         }
     }
 
@@ -424,65 +407,51 @@ impl Batch {
         ctx: &GraphicsContext,
         pipelines: &mut Pipelines,
         stage: &RenderStage,
-        key: u64,
+        key: BucketKey,
         state_index: u32,
-        entry: &DrawableEntry,
     ) -> u32 {
-        let state = &self.states[state_index as usize];
-        let (code, mirrored) = ((key >> 1) as u32 & 0x7f, key & 1 != 0);
         let next = self.buckets.len() as u32;
-        let bucket = self.bucket_of.get_or_insert(key, next);
-        self.last_bucket = (key, bucket);
-        if bucket == next {
-            let class = ctx.bind_classes()[entry.class as usize];
-            let BindClass { topology, is_masked, double_sided, is_custom, block, vertex_chunk, index_chunk } = class;
-            let pipeline = match topology {
-                None => PipelineKey::height(&state.key, mirrored),
-                Some(topology) => PipelineKey::mesh(&state.key, topology, is_masked, double_sided, mirrored),
+        let index = self.bucket_of.get_or_insert(key.packed(), next);
+        self.last_bucket = (key.packed(), index);
+        if index == next {
+            let bucket = self.new_bucket(ctx, pipelines, key, state_index);
+            let pipeline = match (bucket.content, self.last_pipeline) {
+                // The application has its own pipelines.
+                (Content::Custom { .. }, _) => None,
+                (_, Some((known, pipeline))) if known == bucket.pipeline => pipeline,
+                _ => {
+                    let state = stage.state_sets.get(state_index as usize);
+                    let pipeline = pipelines.ensure(ctx, bucket.pipeline, state.map(|state| &**state));
+                    self.last_pipeline = Some((bucket.pipeline, pipeline));
+                    pipeline
+                }
             };
-            let is_height = topology.is_none();
-            let stride = if code == 0 || is_custom { 0 } else { 3 << (code - 1) };
-            let is_mesh = !is_height && !is_custom;
-            let pipeline = match () {
-                _ if stride > 0 => pipeline.pulled(),
-                _ if is_mesh => pipelines.with_vertices(pipeline, &ctx.pools().meshes, vertex_chunk),
-                _ => pipeline,
-            };
-            let statics = state.statics;
-            let custom = if is_custom { state_index } else { NO_STATE };
-            let new = Bucket { pipeline, statics, is_height, block, vertex_chunk, index_chunk, stride, custom };
-            let index = match self.last_pipeline {
-                // It has its own.
-                _ if is_custom => u32::MAX,
-                Some((known, index)) if known == pipeline => index,
-                _ => match stage.state_sets.get(state_index as usize) {
-                    Some(state) => pipelines.ensure_for(ctx, pipeline, state),
-                    None => pipelines.ensure(ctx, pipeline),
-                },
-            };
-            if !is_custom {
-                self.last_pipeline = Some((pipeline, index));
-            }
-            self.buckets.push((new, index));
+            self.buckets.push((bucket, pipeline));
         }
-        bucket
+        index
+    }
+
+    fn new_bucket(&self, ctx: &GraphicsContext, pipelines: &mut Pipelines, key: BucketKey, state_index: u32) -> Bucket {
+        let state = &self.states[state_index as usize];
+        let class = ctx.bind_classes()[key.bind_class as usize];
+        let BindClass { topology, is_masked, double_sided, is_custom, block, vertex_chunk, index_chunk } = class;
+        let pipeline = match topology {
+            None => PipelineKey::height(&state.key, key.is_mirrored),
+            Some(topology) => PipelineKey::mesh(&state.key, topology, is_masked, double_sided, key.is_mirrored),
+        };
+        let (content, pipeline) = match (key.fetch, topology) {
+            _ if is_custom => (Content::Custom { state: state_index }, pipeline),
+            (VertexFetch::Pulled { log2_triangles }, _) => {
+                (Content::PulledMesh { stride: 3 << log2_triangles }, pipeline.pulled())
+            }
+            (_, None) => (Content::Height, pipeline),
+            (_, Some(_)) => (Content::Mesh, pipelines.with_vertices(pipeline, &ctx.pools().meshes, vertex_chunk)),
+        };
+        Bucket { pipeline, content, block, vertex_chunk, index_chunk, bound: state.bound }
     }
 }
 
-/// False for what its state hides, which may be all, or what the application draws; and where shadows are cast for what
-/// casts none: lines, points, and what the application draws.
-#[inline]
-fn is_drawn(state: &StateEntry, entry: &DrawableEntry) -> bool {
-    if state.shows_all || state.is_hidden {
-        return state.shows_all;
-    }
-    match &entry.shape {
-        Shape::Custom(_) => false,
-        Shape::Mesh { topology: Topology::Lines | Topology::Points, .. } => !state.key.casts,
-        _ => true,
-    }
-}
-
+/// Returns the drawable of a leaf and the rows of its transform to the eye; `None` if its slot was freed.
 #[inline]
 fn drawable<'a>(
     ctx: &'a GraphicsContext,
@@ -492,29 +461,10 @@ fn drawable<'a>(
     Some((ctx.drawable(leaf.slot)?, stage.eye_from_drawable.get(leaf.matrix as usize)?))
 }
 
-fn new_run(ctx: &GraphicsContext, bucket: u32, entry: &DrawableEntry) -> Run {
-    let (base_vertex, first_index, index_count) = match &entry.shape {
-        Shape::Height(place) => (0, 0, ctx.pools().heights.grid(place.side).map_or(0, |g| g.index_count)),
-        Shape::Mesh { place, .. } => (place.base_vertex, place.first_index, place.index_count),
-        Shape::Custom(place) => (0, *place, 0),
-    };
-    Run { bucket, base_vertex, first_index, index_count, first_leaf: 0, leaf_count: 0, all_indices: 0 }
-}
-
-impl Run {
-    #[inline]
-    fn add(&mut self, entry: &DrawableEntry) {
-        self.leaf_count += 1;
-        if let Shape::Mesh { place, .. } = &entry.shape {
-            self.all_indices += u64::from(place.index_count);
-        }
-    }
-}
-
-/// What the shader reads of a leaf; `stride` is that of its bucket, where it is a mesh.
+/// Returns the leaf that shaders read. `stride` returns that of the bucket of a mesh.
 #[inline]
 fn uniform(entry: &DrawableEntry, rows: &[[f32; 4]; 3], state: &StateEntry, stride: impl Fn() -> u32) -> LeafUniform {
-    let mut flags = state.flags[usize::from(entry.unlit)];
+    let mut flags = state.flags(entry.unlit);
     let mut alpha_cutoff = if let AlphaMode::Mask(cutoff) = entry.alpha { cutoff.to_bits() } else { 0 };
     let (layer, side) = match &entry.shape {
         Shape::Height(place) => (place.layer, place.side),
@@ -536,8 +486,8 @@ fn uniform(entry: &DrawableEntry, rows: &[[f32; 4]; 3], state: &StateEntry, stri
     }
 }
 
-/// How many of the next leaves are drawn alike: in any order, in a bin sorted by state, as leaves of which the nearer hides
-/// the farther may be, or else in cull's.
+/// Returns how many of the next leaves are drawn alike, and whether their order is free: in a bin sorted by state, for
+/// leaves of which the nearer one hides the other in any order.
 fn alike(sort: SortMode, states: &[StateEntry], leaves: &[RenderLeaf]) -> (usize, bool) {
     let is_free = |state: u32| states.get(state as usize).is_none_or(|s| s.key.order_is_free);
     let Some(first) = leaves.first().filter(|_| sort == SortMode::ByState) else { return (leaves.len(), false) };

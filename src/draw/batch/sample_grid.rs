@@ -1,24 +1,25 @@
-//! Which small meshes lie wholly between the centres of pixels.
+//! Finds small meshes that lie between the centres of pixels, and so need not be drawn.
 //!
-//! A triangle has a colour where it covers a pixel's centre; one that covers none leaves the picture as it is. Of
-//! meshes that are seen from afar most are such, and what the adapter does for each before it finds that out is most of
-//! the frame. Draw thread; plain values.
+//! A triangle colours the pixels whose centres it covers. Most meshes seen from afar cover none, and the work of the
+//! adapter until it finds that out is most of the frame. Draw thread; plain values.
 
 use glam::{DMat4, DVec4, Vec4};
 
 use crate::gpu::Extent;
 
-/// Pixels by which a mesh may be off: rasterizers snap vertices to a 256th of a pixel, and what is computed in f32
-/// there and here differs by less than that up to 16,384 pixels.
+/// Tolerance in pixels: rasterizers snap vertices to 1/256 pixel, and rounding in f32 here and there differs by less than
+/// that up to 16,384 pixels.
 const MARGIN_PX: f32 = 1.0 / 64.0;
 
-/// Where the pixels of a viewport are, seen from the eye: times a point in eye space, with 1, the columns give its x
-/// and y in pixels from the target's upper left corner, both times z.
+/// The pixels of a viewport as seen from the eye.
+///
+/// The columns times an eye-space point (x, y, z, 1) are its x and y in pixels from the target's upper left corner, both
+/// times the clip-space w, and that w.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct SampleGrid([Vec4; 4]);
 
 impl SampleGrid {
-    /// Of a viewport: x, y, width, height in pixels.
+    /// Returns the grid of a viewport: x, y, width, height in pixels.
     pub(super) fn new(clip_from_eye: &DMat4, [x, y, width, height]: [f32; 4]) -> Self {
         let half = [0.5 * f64::from(width), 0.5 * f64::from(height)];
         let middle = [f64::from(x) + half[0], f64::from(y) + half[1]];
@@ -28,8 +29,8 @@ impl SampleGrid {
         }))
     }
 
-    /// True when no pixel's centre lies in what is seen of a box; the rows are those of the map from its frame to the
-    /// eye. Never where a part of it is behind the eye, or something is no number.
+    /// Returns true if the projection of a box contains no pixel centre. `rows` are those of the transform from the
+    /// box's frame to the eye. Returns false if a part of the box is behind the eye, or a number is not finite.
     #[inline]
     pub(super) fn misses(&self, rows: &[[f32; 4]; 3], extent: &Extent) -> bool {
         let column = |i: usize| self.0[0] * rows[0][i] + self.0[1] * rows[1][i] + self.0[2] * rows[2][i];
@@ -42,8 +43,8 @@ impl SampleGrid {
         if nearest.is_nan() || nearest <= 0.0 {
             return false;
         }
-        // How far a point of the box is from the middle of its picture: (p + q) / (z + w) - p / z, with p and z of the
-        // middle and q and w of the way to the point, is (q - w p / z) / (z + w).
+        // A point of the box is projected away from the box's centre by (p + q) / (z + w) - p / z, with p and z of the
+        // centre and q and w of the vector to the point: that is (q - w p / z) / (z + w).
         let at = center / center.z;
         let off = |axis: Vec4, half: f32| (axis - at * axis.z).abs() * half;
         let spread = off(axes[0], extent.half[0]) + off(axes[1], extent.half[1]) + off(axes[2], extent.half[2]);
@@ -60,7 +61,7 @@ mod tests {
 
     use super::*;
 
-    /// Pixels from the target's upper left corner.
+    /// Projects a point to pixels from the target's upper left corner.
     fn pixel(clip_from_eye: &DMat4, viewport: [f32; 4], eye: DVec3) -> [f64; 2] {
         let clip: DVec4 = *clip_from_eye * eye.extend(1.0);
         let [x, y, width, height] = viewport.map(f64::from);
@@ -70,7 +71,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(4000))]
         #[test]
-        fn boxes_that_are_missed_hold_no_centre_and_small_ones_that_hold_none_are_missed(
+        fn missed_boxes_hold_no_centre_and_small_boxes_without_centre_are_missed(
             center in prop::array::uniform3(-5.0f64..5.0),
             size in -4.0f64..0.0,
             shape in prop::array::uniform3(0.1f64..1.0),
@@ -108,12 +109,12 @@ mod tests {
     }
 
     #[test]
-    fn what_is_around_the_eye_or_no_number_is_not_missed() {
+    fn boxes_around_the_eye_or_not_finite_are_never_missed() {
         let clip = glam::dcamera::rh::proj::directx::perspective_infinite_reverse(1.0, 1.0, 0.1);
         let grid = SampleGrid::new(&clip, [0.0, 0.0, 64.0, 64.0]);
         let at = |z: f32| [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, z]];
         let small = Extent { center: [0.0; 3], half: [1e-3; 3] };
-        // On the line between four pixels.
+        // On the corner of four pixels.
         assert!(grid.misses(&at(-10.0), &small));
         assert!(!grid.misses(&at(10.0), &small));
         assert!(!grid.misses(&at(0.0), &small));

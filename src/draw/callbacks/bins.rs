@@ -1,37 +1,78 @@
-//! The bins of a stage where the application draws some of them itself. Draw thread.
+//! Callbacks of render bins, and the drawing of a stage's bins one by one around them. Draw thread.
 
-use crate::cull::RenderBin;
-use crate::draw::callbacks::{BinCallback, RenderInfo};
-use crate::draw::state::{Sources, State};
+use std::ops::Range;
+use std::sync::Arc;
 
-/// A bin, and those nested in it, that a [`BinCallback`] is to draw.
+use super::info::RenderInfo;
+use crate::cull::{RenderBin, RenderStage};
+use crate::draw::recorder::{DrawSources, PassRecorder};
+use crate::scene::{DataVariance, OpaqueDrawData};
+
+type OnBin = Box<dyn Fn(&RenderInfo<'_>, &mut BinDrawing<'_, '_, '_>) + Send + Sync>;
+
+/// Draws a render bin instead of the renderer, or around it; OSG's `RenderBin::DrawCallback`. It belongs into the state
+/// set that names the bin ([`StateSet::bin_callback`](crate::state::StateSet::bin_callback)).
+///
+/// It is called once for each stage in which the bin has leaves, at the bin's position in the pass. A bin with leaves that
+/// write no depth is drawn after the sky. The callback also draws the bins nested in its bin.
+pub struct BinCallback {
+    /// Draws the bin.
+    pub draw: OnBin,
+    /// [`DataVariance::Dynamic`] if the update phase changes data that the callback reads.
+    pub data_variance: DataVariance,
+}
+
+impl BinCallback {
+    /// Creates a callback that reads no data that the update phase changes.
+    pub fn new(draw: impl Fn(&RenderInfo<'_>, &mut BinDrawing<'_, '_, '_>) + Send + Sync + 'static) -> Self {
+        Self { draw: Box::new(draw), data_variance: DataVariance::Static }
+    }
+
+    /// Packs the callback for a [`StateSet`](crate::state::StateSet).
+    pub fn hook(self) -> OpaqueDrawData {
+        OpaqueDrawData(Arc::new(self))
+    }
+
+    /// Returns true if some callback of a stage's bins reads data that the update phase changes.
+    pub(crate) fn are_dynamic(stage: &RenderStage) -> bool {
+        let mut hooks = stage.bins.iter().flat_map(|bin| bin.callbacks.iter().flatten());
+        hooks.any(|hook| Self::of(hook).is_some_and(|c| c.data_variance == DataVariance::Dynamic))
+    }
+
+    fn of(hook: &OpaqueDrawData) -> Option<&Self> {
+        hook.0.downcast_ref()
+    }
+}
+
+/// A bin and the bins nested in it, which a [`BinCallback`] draws.
 pub struct BinDrawing<'a, 'p, 'e> {
-    state: &'a mut State<'p, 'e>,
-    from: &'a Sources<'a>,
+    recorder: &'a mut PassRecorder<'p, 'e>,
+    sources: &'a DrawSources<'a>,
     info: &'a RenderInfo<'a>,
     bins: Bins<'a>,
     depth: usize,
 }
 
 impl<'e> BinDrawing<'_, '_, 'e> {
-    /// Its own leaves and those of the bins nested in it, in draw order.
+    /// Returns the bin's own leaves and those of the bins nested in it, in draw order.
     pub fn bins(&self) -> &[RenderBin] {
         self.bins.bins
     }
 
-    /// Draws it as it would be drawn without the callback; any number of times, also not at all.
+    /// Draws the bin as it would be drawn without the callback. It may be called any number of times.
     pub fn draw(&mut self) {
-        draw_bins(self.state, self.from, self.info, self.bins, self.depth);
+        draw_bins(self.recorder, self.sources, self.info, self.bins, self.depth);
     }
 
-    /// The pass, to draw and to change its state; what [`Self::draw`] needs it sets again.
+    /// Returns the render pass, for drawing and for changing its state. [`Self::draw`] sets the state that it needs
+    /// again.
     pub fn pass(&mut self) -> &mut wgpu::RenderPass<'e> {
-        self.state.forget();
-        self.state.pass
+        self.recorder.forget();
+        self.recorder.pass
     }
 }
 
-/// Bins in draw order, with where the runs of each begin, and where the last one's end.
+/// Bins in draw order, with the first run of each and the end of the last one's runs.
 #[derive(Clone, Copy)]
 pub(in crate::draw) struct Bins<'a> {
     pub(in crate::draw) bins: &'a [RenderBin],
@@ -39,12 +80,12 @@ pub(in crate::draw) struct Bins<'a> {
 }
 
 impl<'a> Bins<'a> {
-    fn part(self, part: std::ops::Range<usize>) -> Self {
+    fn part(self, part: Range<usize>) -> Self {
         let starts = self.starts.get(part.start..part.end + 1).unwrap_or_default();
         Self { bins: self.bins.get(part).unwrap_or_default(), starts }
     }
 
-    /// How many of the first bins are inside the same one at a depth.
+    /// Returns the number of bins at the front that are nested in the same bin at a depth.
     fn nested(self, depth: usize) -> usize {
         let bin_at = |bin: &RenderBin| bin.path.get(depth).copied();
         match self.bins.first().and_then(bin_at) {
@@ -53,7 +94,7 @@ impl<'a> Bins<'a> {
         }
     }
 
-    /// Apart: those that end before a run, and the others. Bins inside the same one stay together.
+    /// Splits off the bins that end before a run. Bins nested in the same bin stay together.
     pub(in crate::draw) fn split_before(self, run: usize) -> (Self, Self) {
         let mut at = 0;
         while at < self.bins.len() {
@@ -67,10 +108,10 @@ impl<'a> Bins<'a> {
     }
 }
 
-/// Draws bins that are inside the same `depth` bins, or has them drawn.
+/// Draws bins that share their first `depth` enclosing bins, or has their callbacks draw them.
 pub(in crate::draw) fn draw_bins(
-    state: &mut State<'_, '_>,
-    from: &Sources<'_>,
+    recorder: &mut PassRecorder<'_, '_>,
+    sources: &DrawSources<'_>,
     info: &RenderInfo<'_>,
     mut bins: Bins<'_>,
     depth: usize,
@@ -81,12 +122,12 @@ pub(in crate::draw) fn draw_bins(
         bins = bins.part(count..bins.bins.len());
         let hook = group.bins.iter().find_map(|bin| bin.callbacks.get(depth)?.as_ref());
         if let Some(callback) = hook.and_then(BinCallback::of) {
-            let mut drawing = BinDrawing { state: &mut *state, from, info, bins: group, depth: depth + 1 };
+            let mut drawing = BinDrawing { recorder: &mut *recorder, sources, info, bins: group, depth: depth + 1 };
             (callback.draw)(info, &mut drawing);
         } else if group.bins.iter().any(|bin| bin.callbacks.len() > depth + 1) {
-            draw_bins(state, from, info, group, depth + 1);
+            draw_bins(recorder, sources, info, group, depth + 1);
         } else if let [first, .., last] = group.starts {
-            state.draw_runs(from, *first as usize..*last as usize);
+            recorder.draw_runs(sources, *first as usize..*last as usize);
         }
     }
 }

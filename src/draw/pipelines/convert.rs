@@ -1,4 +1,4 @@
-//! From the words of state sets to wgpu's.
+//! Conversions from the enums of state sets to wgpu's. Plain values.
 
 use crate::gpu::compare_function;
 use crate::state::{BlendEquation, BlendFactor, CompareFunction, PolygonOffset, StencilFace, StencilOperation};
@@ -22,7 +22,7 @@ pub(super) fn stencil_face(face: &StencilFace) -> wgpu::StencilFaceState {
     }
 }
 
-/// Depths are stored reversed: nearer is greater.
+/// Converts a depth test. Depths are stored reversed, so that nearer is greater.
 pub(super) fn reversed(function: CompareFunction) -> wgpu::CompareFunction {
     match function {
         CompareFunction::Never => wgpu::CompareFunction::Never,
@@ -36,7 +36,7 @@ pub(super) fn reversed(function: CompareFunction) -> wgpu::CompareFunction {
     }
 }
 
-/// Away from the eye is less, reversed.
+/// Converts a polygon offset. Depths are stored reversed, so that an offset away from the eye is negative.
 pub(super) fn bias(offset: PolygonOffset) -> wgpu::DepthBiasState {
     wgpu::DepthBiasState { constant: (-offset.units) as i32, slope_scale: -offset.factor, clamp: 0.0 }
 }
@@ -69,7 +69,7 @@ pub(super) fn operation(equation: BlendEquation) -> wgpu::BlendOperation {
     }
 }
 
-/// Sets the stencil to 0, where there is one.
+/// Returns a stencil test that sets the stencil to 0; none for formats without stencil.
 pub(super) fn zeroed(format: wgpu::TextureFormat) -> wgpu::StencilState {
     if !format.has_stencil_aspect() {
         return wgpu::StencilState::default();
@@ -85,7 +85,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn offsets_beyond_what_there_is_are_the_most() {
+    fn offsets_out_of_range_are_clamped() {
         let constant = |units| bias(PolygonOffset { factor: 1.0, units }).constant;
         assert_eq!([0.0, 1.0, -2.9].map(constant), [0, -1, 2]);
         assert_eq!([1e30, f32::INFINITY, i32::MAX as f32].map(constant), [i32::MIN; 3]);

@@ -1,21 +1,32 @@
-//! What a pipeline is chosen by: the kind of drawable and the pipeline part of its state, packed.
+//! The key of a pipeline: everything that pipelines differ in, packed into 64 bits. Plain values.
 //!
-//! ```text
-//! bits 0-1 kind   2-3 alpha   4-5 culled faces   6 depth write   7-9 depth compare   10 clockwise front faces
-//! 11-12 polygon mode   13-15 color mask   16-21 blending   22-23 air   24-27 further attributes   28-33 offset   34-39 stencil   40 fixed function   41 alpha to coverage   42-47 target   48-57 program   58-59 vertices   60 texture units   61 fading   62 receives shadows   63 casts
-//! ```
+//! Keys are compared for each bucket and sorted by their number, which is why they are packed. High bits are the
+//! expensive changes.
+//!
+//! | bits | property | bits | property |
+//! |---|---|---|---|
+//! | 0-1 | kind of drawable | 34-39 | stencil test, by index |
+//! | 2-3 | alpha | 40 | fixed function |
+//! | 4-5 | culled faces | 41 | alpha to coverage |
+//! | 6 | depth write | 42-47 | target, by index |
+//! | 7-9 | depth compare | 48-57 | program, by index plus 1 |
+//! | 10 | clockwise front faces | 58-59 | vertex format |
+//! | 11-12 | polygon mode | 60 | texture units |
+//! | 13-15 | colour mask | 61 | fading |
+//! | 16-21 | blending, by index | 62 | receives shadows |
+//! | 22-23 | air | 63 | casts shadows |
+//! | 24-27 | custom attributes, by index | | |
+//! | 28-33 | polygon offset, by index | | |
 
+use super::key_parts::PartIndices;
 use crate::scene::{Environment, Sky, Topology, VertexFormat};
-use crate::state::{
-    BlendEquation, BlendFunc, ColorMask, CompareFunction, CullFace, FrontFace, Mode, PolygonMode, PolygonOffset,
-    ResolvedState, Stencil,
-};
+use crate::state::{ColorMask, CompareFunction, CullFace, FrontFace, Mode, PolygonMode, ResolvedState};
 
-/// Key of a pipeline.
+/// The key of a pipeline.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub(in crate::draw) struct PipelineKey(u64);
 
-/// What the fragment shader does.
+/// The use of alpha by the fragment shader.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in crate::draw) enum Alpha {
     Opaque,
@@ -24,7 +35,7 @@ pub(in crate::draw) enum Alpha {
     MaskedBlended,
 }
 
-/// What the vertices are.
+/// The kind of drawable.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in crate::draw) enum Kind {
     Height,
@@ -34,33 +45,34 @@ pub(in crate::draw) enum Kind {
 }
 
 const CLOCKWISE: u64 = 1 << 10;
-/// What triangles alone have: culled faces, polygon mode, offset.
-const OF_TRIANGLES: u64 = 3 << 4 | 3 << 11 | 0x3f << 28;
+/// The properties of triangles alone: culled faces, polygon mode, polygon offset.
+const TRIANGLES_ONLY: u64 = 3 << 4 | 3 << 11 | 0x3f << 28;
 const AIR_SHIFT: u32 = 22;
 const LAYOUT_SHIFT: u32 = 24;
 const FIXED: u64 = 1 << 40;
 const ALPHA_TO_COVERAGE: u64 = 1 << 41;
 const PROGRAM: u64 = 0x3ff << 48;
 const VERTICES_SHIFT: u32 = 58;
-/// Of [`VERTICES_SHIFT`], where a [`VertexFormat`] may stand.
+/// The vertex format of pulled meshes, beside the numbers of [`VertexFormat`].
 const PULLED: usize = 3;
 const TEXTURED: u64 = 1 << 60;
 const FADING: u64 = 1 << 61;
 const SHADOWED: u64 = 1 << 62;
 const CASTER: u64 = 1 << 63;
 
-/// What is between things and the eye.
+/// The air between the eye and what it sees.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in crate::draw) enum AirKind {
-    /// Whatever the frame says.
+    /// An atmosphere, which the frame's uniforms describe.
     Atmosphere,
-    /// Haze at most.
+    /// Haze, but no atmosphere.
     Haze,
-    /// Nothing.
+    /// Neither.
     Clear,
 }
 
 impl AirKind {
+    /// Returns the kind of air of an environment.
     pub fn of(environment: &Environment) -> Self {
         match environment.sky {
             Sky::Atmosphere => Self::Atmosphere,
@@ -70,47 +82,47 @@ impl AirKind {
     }
 }
 
-/// Who shades.
+/// The shader that a state is drawn with.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in crate::draw) enum Shading {
-    /// Sun, sky and haze: the shaders of height tiles and meshes.
+    /// The renderer's plain shader: sun, sky and haze.
     Plain,
-    /// Lights, materials, fog.
+    /// The fixed function: lights, materials, fog.
     FixedFunction,
-    /// The same with textures of units.
+    /// The fixed function with texture units.
     FixedTextured,
-    /// One of the application's, by its place among them; height tiles cast their shadows without it.
+    /// A program of the application, by index. Height tiles cast their shadows without it.
     Program(u16),
-    /// What cannot be shaded as it should, so that it is seen; height tiles are plain.
+    /// A plain magenta, so that states with an invalid program are noticed. Height tiles are drawn plain instead.
     Fallback,
 }
 
-/// Most programs at once.
-pub(in crate::draw) const MOST_PROGRAMS: usize = 1022;
-/// Most different targets.
-pub(in crate::draw) const MOST_TARGETS: usize = 64;
+/// The number of programs that may be in use at once.
+pub(in crate::draw) const MAX_PROGRAMS: usize = 1022;
+/// The number of different targets.
+pub(in crate::draw) const MAX_TARGETS: usize = 64;
 
-/// The pipeline part of a resolved state, made once a frame for each.
+/// The part of keys that follows from a resolved state, made once a frame for each state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(in crate::draw) struct StateKey {
     common: u64,
     /// Culled faces of single-sided and of double-sided drawables.
     culled: [u64; 2],
     blends: bool,
-    /// Leaves may be drawn in a part of the pixels; those of programs are drawn wholly or not.
+    /// True if leaves may be drawn in a part of the pixels while they fade. Programs draw all pixels or none.
     pub can_fade: bool,
-    /// Meshes may fetch their vertices themselves.
+    /// True if small meshes may be pulled: the shader fetches their vertices.
     pub can_pull: bool,
-    /// Leaves may change places: nearer ones hide farther ones in any order.
+    /// True if leaves may be drawn in any order, since nearer ones hide farther ones.
     pub order_is_free: bool,
-    /// Of a shadow map: casters' states differ in little.
+    /// True for casters in shadow maps, whose states differ in little.
     pub casts: bool,
-    /// The state itself drops parts of what is drawn.
+    /// True if the state's alpha test or clip planes drop parts of what is drawn.
     drops: bool,
 }
 
 impl StateKey {
-    /// `target` is the index of what is drawn into.
+    /// Returns the part of keys for a state. `target` is the index of the target.
     pub fn new(state: &ResolvedState, parts: PartIndices, shading: Shading, target: u8) -> Self {
         let depth = state.depth();
         let (compare, write) = depth.map_or((CompareFunction::Always, false), |d| (d.function, d.write));
@@ -126,15 +138,15 @@ impl StateKey {
             | (compare as u64) << 7
             | (state.polygon_mode() as u64) << 11
             | (0..3).map(|i| u64::from(mask[i]) << (13 + i)).sum::<u64>()
-            | u64::from(parts.blend & 63) << 16
-            | u64::from(parts.offset & 63) << 28
-            | u64::from(parts.stencil & 63) << 34
+            | u64::from(parts.blend() & 63) << 16
+            | u64::from(parts.offset() & 63) << 28
+            | u64::from(parts.stencil() & 63) << 34
             | u64::from(target & 63) << 42;
         match shading {
             Shading::Plain => {}
             Shading::FixedFunction => common |= FIXED,
             Shading::FixedTextured => common |= FIXED | TEXTURED,
-            Shading::Program(place) => common |= (u64::from(place) + 1) << 48 & PROGRAM,
+            Shading::Program(index) => common |= (u64::from(index) + 1) << 48 & PROGRAM,
             Shading::Fallback => common |= PROGRAM,
         }
         if state.mode(Mode::AlphaToCoverage) {
@@ -145,30 +157,30 @@ impl StateKey {
         }
         let nearer_wins = matches!(compare, CompareFunction::Less | CompareFunction::LessOrEqual);
         let is_whole = mask == [true; 3] && !blends;
-        let order_is_free = write && nearer_wins && is_whole && parts.stencil == 0;
+        let order_is_free = write && nearer_wins && is_whole && parts.stencil() == 0;
         let can_pull = !matches!(shading, Shading::Program(_));
         let can_fade = !matches!(shading, Shading::Program(_) | Shading::Fallback);
         let culled = [culled(false), culled(true)];
         Self { common, culled, blends, can_fade, can_pull, order_is_free, casts: false, drops: false }
     }
 
-    /// The same for leaves that are drawn in a part of the pixels.
+    /// Returns the key for leaves that are drawn in a part of the pixels.
     pub fn fading(self) -> Self {
         Self { common: if self.can_fade { self.common | FADING } else { self.common }, ..self }
     }
 
-    /// The same in some air; programs ask the frame themselves.
+    /// Returns the key for some air. Programs read the frame's uniforms instead.
     pub fn in_air(self, air: AirKind) -> Self {
         let air = if self.common & PROGRAM == 0 { (air as u64) << AIR_SHIFT } else { 0 };
         Self { common: self.common | air, ..self }
     }
 
-    /// The same where the sun's shadows fall.
+    /// Returns the key for views with the sun's shadows.
     pub fn shadowed(self) -> Self {
         Self { common: self.common | SHADOWED, ..self }
     }
 
-    /// What casts shadows under a state: both sides, whatever the state's order. `drops` is whether the state has an
+    /// Returns the key for casters under a state: both faces are drawn, in any order. `drops` means that the state has an
     /// alpha test or clip planes.
     pub fn caster(state: &ResolvedState, shading: Shading, drops: bool, target: u8) -> Self {
         let mut key = Self::new(state, PartIndices::default(), shading, target);
@@ -179,8 +191,8 @@ impl StateKey {
 }
 
 impl PipelineKey {
-    /// Height tiles: as of a double-sided material. `mirrored` is whether the transform mirrors; the frame of a tile
-    /// is left-handed, so that its own does.
+    /// Returns the key for height tiles, which count as double-sided. `mirrored` means that the transform mirrors; a tile's
+    /// own frame is left-handed, which mirrors once more.
     pub fn height(state: &StateKey, mirrored: bool) -> Self {
         if state.casts {
             let fixed = if state.drops { 0 } else { FIXED | TEXTURED };
@@ -188,12 +200,12 @@ impl PipelineKey {
         }
         let alpha = if state.blends { 2 << 2 } else { 0 };
         let front = if mirrored { 0 } else { CLOCKWISE };
-        // What cannot be shaded as it should is plain.
+        // A height tile with an invalid program is plain.
         let fallback = if state.common & PROGRAM == PROGRAM { PROGRAM } else { 0 };
         Self(((state.common & !fallback) | state.culled[1] | alpha) ^ front)
     }
 
-    /// Meshes, lines and points.
+    /// Returns the key for meshes, lines and points.
     pub fn mesh(state: &StateKey, topology: Topology, is_masked: bool, double_sided: bool, mirrored: bool) -> Self {
         if state.casts {
             let masked = if is_masked { 1 << 2 } else { 0 };
@@ -214,7 +226,7 @@ impl PipelineKey {
         let common = if kind == 1 {
             state.common | state.culled[usize::from(double_sided)]
         } else {
-            state.common & !OF_TRIANGLES
+            state.common & !TRIANGLES_ONLY
         };
         let front = if mirrored && kind == 1 { CLOCKWISE } else { 0 };
         Self((common | kind | alpha) ^ front)
@@ -228,7 +240,7 @@ impl PipelineKey {
         [Alpha::Opaque, Alpha::Masked, Alpha::Blended, Alpha::MaskedBlended][self.field(2, 2)]
     }
 
-    /// Bit 0: back faces, bit 1: front faces.
+    /// Returns the culled faces: bit 0 for back faces, bit 1 for front faces.
     pub fn culled(self) -> usize {
         self.field(4, 2)
     }
@@ -250,12 +262,12 @@ impl PipelineKey {
         [PolygonMode::Fill, PolygonMode::Line, PolygonMode::Point, PolygonMode::Fill][self.field(11, 2)]
     }
 
-    /// Red, green, blue in bits 0 to 2.
+    /// Returns the written colours: red, green and blue in bits 0 to 2.
     pub fn color_mask(self) -> usize {
         self.field(13, 3)
     }
 
-    /// Index of function and equation; 0 where blending is off.
+    /// Returns the index of blend function and equation; 0 without blending.
     pub fn blend(self) -> u8 {
         self.field(16, 6) as u8
     }
@@ -286,47 +298,47 @@ impl PipelineKey {
             0 if self.0 & FIXED != 0 => Shading::FixedFunction,
             0 => Shading::Plain,
             0x3ff => Shading::Fallback,
-            place => Shading::Program(place as u16 - 1),
+            program => Shading::Program(program as u16 - 1),
         }
     }
 
-    /// The same for meshes that fetch their vertices themselves. Not for programs, which are given theirs.
+    /// Returns the key for pulled meshes. Programs do not pull; their vertices come from vertex buffers.
     pub fn pulled(self) -> Self {
         Self(self.0 | (PULLED as u64) << VERTICES_SHIFT)
     }
 
-    /// The same for meshes whose vertices lie so.
+    /// Returns the key for meshes with a vertex format.
     pub fn with_vertices(self, format: VertexFormat) -> Self {
         Self(self.0 | (format as u64) << VERTICES_SHIFT)
     }
 
-    /// The same for meshes whose vertices have further attributes, full ones then: the place of their layout.
-    pub fn with_layout(self, place: u32) -> Self {
-        Self(self.0 | u64::from(place & 15) << LAYOUT_SHIFT)
+    /// Returns the key for full vertices with custom attributes, by index of their layout from 1 on.
+    pub fn with_layout(self, index: u32) -> Self {
+        Self(self.0 | u64::from(index & 15) << LAYOUT_SHIFT)
     }
 
-    /// The place of the layout of further attributes; 0 where there are none.
+    /// Returns the index of the layout of custom attributes; 0 without any.
     pub fn layout(self) -> u32 {
         self.field(LAYOUT_SHIFT, 4) as u32
     }
 
-    /// `None` for those that fetch them themselves.
+    /// Returns the vertex format; `None` for pulled meshes.
     pub fn vertices(self) -> Option<VertexFormat> {
         use VertexFormat::{Full, Packed, Quantized};
         [Some(Full), Some(Packed), Some(Quantized), None][self.field(VERTICES_SHIFT, 2)]
     }
 
-    /// All vertices have the one color of the pool.
+    /// Returns true if all vertices share the one colour of the pool.
     pub fn is_white(self) -> bool {
         matches!(self.vertices(), Some(VertexFormat::Packed | VertexFormat::Quantized))
     }
 
-    /// The sun's shadows fall on it.
+    /// Returns true if the shader is one with shadow maps: it receives shadows or casts them.
     pub fn has_shadows(self) -> bool {
         self.0 & (SHADOWED | CASTER) != 0
     }
 
-    /// It casts shadows: depth alone.
+    /// Returns true for casters, which draw depth alone.
     pub fn is_caster(self) -> bool {
         self.0 & CASTER != 0
     }
@@ -339,12 +351,12 @@ impl PipelineKey {
         self.0 & FADING != 0
     }
 
-    /// A number in the order of the keys.
+    /// Returns the number by which keys are sorted.
     pub fn order(self) -> u64 {
         self.0
     }
 
-    /// The same, shaded so that a fault is seen.
+    /// Returns the key of the pipeline that stands in if this one cannot be created.
     pub fn fallback(self) -> Self {
         let plain = self.0 & !(PROGRAM | FIXED | TEXTURED | FADING);
         Self(if self.kind() == Kind::Height { plain } else { plain | PROGRAM })
@@ -355,101 +367,13 @@ impl PipelineKey {
     }
 }
 
-/// So many different parts of a kind have room in a key's 6 bits.
-const MOST_PARTS: usize = 63;
-
-/// Parts of states that are met, each kept once, with the frame in which it was last met; 0 is none.
-#[derive(Debug)]
-pub(in crate::draw) struct Interned<T>(Vec<(T, u32)>);
-
-impl<T> Default for Interned<T> {
-    fn default() -> Self {
-        Self(Vec::new())
-    }
-}
-
-impl<T: Copy + PartialEq> Interned<T> {
-    /// The index of a value in a frame, and whether another value had it, that was met neither in this frame nor in the
-    /// last. Beyond 63 different ones, which is said, the last is used for all further.
-    pub fn index_of(&mut self, value: Option<T>, frame: u32, what: &str, errors: &mut Vec<String>) -> (u8, bool) {
-        let Some(value) = value else { return (0, false) };
-        let index = |place: usize| place as u8 + 1;
-        if let Some(place) = self.0.iter().position(|(of, _)| *of == value) {
-            self.0[place].1 = frame;
-            return (index(place), false);
-        }
-        if self.0.len() < MOST_PARTS {
-            self.0.push((value, frame));
-            return (index(self.0.len() - 1), false);
-        }
-        let age = |used: u32| frame.wrapping_sub(used);
-        let oldest = self.0.iter_mut().enumerate().max_by_key(|(_, (_, used))| age(*used));
-        if let Some((place, entry)) = oldest.filter(|(_, (_, used))| age(*used) > 1) {
-            *entry = (value, frame);
-            return (index(place), true);
-        }
-        errors.push(format!(
-            "more than {MOST_PARTS} different {what} at once; further ones are drawn as the last of them"
-        ));
-        (index(self.0.len() - 1), false)
-    }
-
-    pub fn get(&self, index: u8) -> Option<T> {
-        usize::from(index).checked_sub(1).and_then(|i| self.0.get(i)).map(|(value, _)| *value)
-    }
-}
-
-/// The parts of a state's pipeline that have too many values for bits of their own.
-#[derive(Debug, Default)]
-pub(in crate::draw) struct Parts {
-    pub offsets: Interned<PolygonOffset>,
-    /// References apart.
-    pub stencils: Interned<Stencil>,
-    pub blends: Interned<(BlendFunc, BlendEquation)>,
-}
-
-/// Indices of a state's parts in [`Parts`].
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(in crate::draw) struct PartIndices {
-    offset: u8,
-    stencil: u8,
-    blend: u8,
-}
-
-impl PartIndices {
-    /// One of them is a part of the key.
-    pub fn meets(self, key: PipelineKey) -> bool {
-        let pairs = [(self.offset, key.offset()), (self.stencil, key.stencil()), (self.blend, key.blend())];
-        pairs.iter().any(|(own, of)| *own != 0 && own == of)
-    }
-}
-
-impl Parts {
-    /// Those of a state in a frame, and those of them that meant other values before. What there is no room for goes to
-    /// `errors`.
-    pub fn of(&mut self, state: &ResolvedState, frame: u32, errors: &mut Vec<String>) -> (PartIndices, PartIndices) {
-        let usable = |o: &PolygonOffset| o.factor.is_finite() && o.units.is_finite() && *o != PolygonOffset::default();
-        let blend = state.blends().then(|| (state.blend_func(), state.blend_equation()));
-        let stencil = state.stencil().map(|s| Stencil { reference: 0, ..s });
-        let offset = state.polygon_offset().filter(usable);
-        let offset = self.offsets.index_of(offset, frame, "polygon offsets", errors);
-        let stencil = self.stencils.index_of(stencil, frame, "stencils", errors);
-        let blend = self.blends.index_of(blend, frame, "blend functions and equations", errors);
-        let changed = |(index, is_changed): (u8, bool)| if is_changed { index } else { 0 };
-        (
-            PartIndices { offset: offset.0, stencil: stencil.0, blend: blend.0 },
-            PartIndices { offset: changed(offset), stencil: changed(stencil), blend: changed(blend) },
-        )
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::state::{Attribute, BlendFactor, Depth, StateSet, StateValue};
+    use crate::state::{Attribute, BlendEquation, BlendFunc, Depth, StateSet, StateValue};
 
     #[test]
-    fn what_is_packed_comes_out() {
+    fn keys_return_the_properties_they_were_made_of() {
         let set = StateSet::default()
             .with(Attribute::BlendFunc(BlendFunc::ADD))
             .with(Attribute::BlendEquation(BlendEquation::Max))
@@ -458,7 +382,7 @@ mod tests {
             .with(Attribute::FrontFace(FrontFace::Clockwise))
             .with(Attribute::PolygonMode(PolygonMode::Point))
             .with(Attribute::ColorMask(ColorMask([true, false, true])));
-        let parts = PartIndices { offset: 50, stencil: 60, blend: 40 };
+        let parts = PartIndices::new(50, 60, 40);
         let state = StateKey::new(&ResolvedState::default().below(&set), parts, Shading::Program(1000), 33);
         let key = PipelineKey::mesh(&state, Topology::Triangles, false, false, false);
         assert_eq!((key.kind(), key.alpha(), key.culled()), (Kind::Triangles, Alpha::Blended, 2));
@@ -477,14 +401,14 @@ mod tests {
         assert_eq!(PipelineKey::height(&broken, false).shading(), Shading::Plain);
         assert!(!state.order_is_free);
         for format in [VertexFormat::Full, VertexFormat::Packed, VertexFormat::Quantized] {
-            let of_format = key.with_vertices(format);
-            assert_eq!((of_format.vertices(), of_format.is_pulled()), (Some(format), false));
-            assert_eq!(of_format.is_white(), format != VertexFormat::Full);
+            let formatted = key.with_vertices(format);
+            assert_eq!((formatted.vertices(), formatted.is_pulled()), (Some(format), false));
+            assert_eq!(formatted.is_white(), format != VertexFormat::Full);
         }
-        for place in [1, 15] {
-            let further = key.with_layout(place);
-            assert_eq!((further.layout(), further.vertices()), (place, Some(VertexFormat::Full)));
-            assert_eq!((further.fallback().layout(), further.offset(), further.air()), (place, 50, key.air()));
+        for index in [1, 15] {
+            let custom = key.with_layout(index);
+            assert_eq!((custom.layout(), custom.vertices()), (index, Some(VertexFormat::Full)));
+            assert_eq!((custom.fallback().layout(), custom.offset(), custom.air()), (index, 50, key.air()));
         }
         assert_eq!(key.layout(), 0);
         assert!(key.pulled().is_pulled() && key.pulled().vertices().is_none() && !key.pulled().is_white());
@@ -498,7 +422,7 @@ mod tests {
     }
 
     #[test]
-    fn the_defaults_are_plain() {
+    fn default_states_have_plain_keys() {
         let state = StateKey::new(&ResolvedState::default(), PartIndices::default(), Shading::Plain, 0);
         assert!(state.order_is_free);
         let fading = PipelineKey::height(&state.fading(), true);
@@ -515,45 +439,5 @@ mod tests {
             (key.depth_compare(), key.writes_depth(), key.is_clockwise()),
             (CompareFunction::Always, false, true)
         );
-    }
-
-    #[test]
-    fn parts_are_kept_once() {
-        let (mut parts, mut errors) = (Parts::default(), Vec::new());
-        let offset = |factor, units| {
-            let set = StateSet::default().with(Attribute::PolygonOffset(PolygonOffset { factor, units }));
-            ResolvedState::default().below(&set)
-        };
-        let indices = [ResolvedState::default(), offset(1.0, 2.0), offset(1.0, 2.0), offset(f32::NAN, 0.0)];
-        let mut index_in = |frame: u32, state: &ResolvedState| {
-            let (of, changed) = parts.of(state, frame, &mut errors);
-            assert!(changed == PartIndices::default() || changed.offset == of.offset);
-            (of.offset, changed.offset != 0, errors.len())
-        };
-        assert_eq!(indices.map(|state| index_in(0, &state).0), [0, 1, 1, 0]);
-        // As many as there are places at once, and no more.
-        for i in 1..100u8 {
-            let full = usize::from(i.saturating_sub(62));
-            assert_eq!(index_in(1, &offset(0.0, f32::from(i))), (u8::min(i + 1, 63), false, full));
-        }
-        let errors_so_far = 100 - 63;
-        assert_eq!(index_in(2, &offset(0.0, 5.0)), (6, false, errors_so_far));
-        // That of the first frame is the oldest; in the frame after, all but one are old.
-        assert_eq!(index_in(2, &offset(7.0, 1.0)), (1, true, errors_so_far));
-        assert_eq!(index_in(2, &offset(7.0, 2.0)), (63, false, errors_so_far + 1));
-        for i in 0..60 {
-            assert_eq!(index_in(3 + i, &offset(8.0, 1.0 + i as f32)).2, errors_so_far + 1);
-        }
-        assert_eq!(parts.offsets.get(1).map(|o| o.factor), Some(7.0));
-        assert_eq!((parts.offsets.get(0), parts.offsets.get(64)), (None, None));
-        assert!(errors[0].contains("polygon offsets"));
-        let blend = |func| {
-            let set = StateSet::default().with(Attribute::BlendFunc(func)).with_mode(Mode::Blend, StateValue::ON);
-            ResolvedState::default().below(&set)
-        };
-        let apart = BlendFunc::ALPHA.with_alpha(BlendFactor::One, BlendFactor::Zero);
-        let states = [BlendFunc::ALPHA, apart, BlendFunc::ALPHA].map(blend);
-        assert_eq!(states.map(|state| parts.of(&state, 0, &mut errors).0.blend), [1, 2, 1]);
-        assert_eq!(parts.blends.get(2), Some((apart, BlendEquation::Add)));
     }
 }

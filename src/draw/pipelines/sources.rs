@@ -1,7 +1,7 @@
-//! The sources of the shaders, put together from their files. What begins with `SHADOWED` receives the sun's shadows,
-//! or casts them.
+//! The sources of the shaders, concatenated from the files in `shaders/`. Sources named `SHADOWED_` receive the sun's
+//! shadows, or cast them.
 
-/// Files of `shaders/` in order.
+/// Concatenates files of `shaders/` in their order.
 macro_rules! wgsl {
     [$($name:ident),+] => {
         concat!($(include_str!(concat!("../shaders/", stringify!($name), ".wgsl"))),+)
@@ -34,39 +34,23 @@ pub(super) const SKY_WGSL: &str = wgsl![air, frame, sky];
 pub(super) const WATER_WGSL: &str = wgsl![air, frame, no_shadows, sky, water];
 pub(super) const SHADOWED_WATER_WGSL: &str = wgsl![air, frame, shadows, sky, water];
 pub(super) const QUERY_WGSL: &str = wgsl![air, frame, query];
-/// What stands before the source of a program.
-pub(in crate::draw) const PROGRAM_PRELUDE: &str = wgsl![air, frame, shadows, mesh_vertex];
-/// The same for height tiles.
-pub(in crate::draw) const HEIGHT_PROGRAM_PRELUDE: &str = wgsl![air, frame, shadows, height, height_vertex];
-/// What stands before the shaders of a drawable of the application's own
-/// ([`CustomDrawable`](crate::draw::CustomDrawable)): bind group 0 with `frame`, `leaves` (by instance) and `stage`, and
-/// the functions of `src/draw/shaders/frame.wgsl` and `shadows.wgsl`: `point_in_eye`, `direction_in_eye`,
-/// `normal_in_eye`, `above_ground`, `light`, `sun_shadow`, `aerial`, `through_air`, `tone_mapped`.
+/// The prelude of programs on meshes.
+pub(super) const PROGRAM_PRELUDE: &str = wgsl![air, frame, shadows, mesh_vertex];
+/// The prelude of programs on height tiles.
+pub(super) const HEIGHT_PROGRAM_PRELUDE: &str = wgsl![air, frame, shadows, height, height_vertex];
+/// The prelude for the shaders of a [`CustomDrawable`](crate::draw::CustomDrawable).
+///
+/// It declares bind group 0 with `frame`, `leaves` (by instance) and `stage`, and the functions of
+/// `src/draw/shaders/frame.wgsl` and `shadows.wgsl`: `point_in_eye`, `direction_in_eye`, `normal_in_eye`,
+/// `above_ground`, `light`, `sun_shadow`, `aerial`, `through_air`, `tone_mapped`.
 pub const DRAWABLE_PRELUDE: &str = wgsl![air, frame, shadows];
-
-/// The fragment shader that does the same in a part of the pixels. Apart, so that where nothing fades nothing is
-/// discarded, and depth is tested before shading.
-pub(super) fn fading(fragment: &'static str) -> &'static str {
-    match fragment {
-        "fs_height" => "fs_height_fading",
-        "fs_height_shadowed" => "fs_height_shadowed_fading",
-        "fs_mesh" => "fs_mesh_fading",
-        "fs_mesh_masked" => "fs_mesh_masked_fading",
-        "fs_mesh_blended" => "fs_mesh_blended_fading",
-        "fs_mesh_masked_blended" => "fs_mesh_masked_blended_fading",
-        "fs_thin" => "fs_thin_fading",
-        "fs_fixed_height" => "fs_fixed_height_fading",
-        "fs_fixed_mesh" => "fs_fixed_mesh_fading",
-        "fs_fixed_thin" => "fs_fixed_thin_fading",
-        other => other,
-    }
-}
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::draw::uniforms::fixed::{FixedUniform, Reflection, StageLight, StageUniform};
+    use crate::draw::uniforms::fixed::{FixedUniform, Reflection};
     use crate::draw::uniforms::frame::{FrameUniform, LeafUniform};
+    use crate::draw::uniforms::stage::{StageLight, StageUniform};
     use crate::gpu::VertexFormat;
 
     fn parse(name: &str, source: &str) -> naga::Module {
@@ -117,7 +101,7 @@ mod tests {
             ("fixed mesh with textures and shadows", SHADOWED_TEXTURED_MESH_WGSL),
             ("shadowed water", SHADOWED_WATER_WGSL),
         ];
-        parse("atmosphere", crate::draw::atmosphere::ATMOSPHERE_WGSL);
+        parse("atmosphere", crate::draw::passes::air_tables::ATMOSPHERE_WGSL);
         for (name, source) in all {
             let module = parse(name, source);
             let (span, fields) = members(&module, "Frame");
@@ -156,38 +140,18 @@ mod tests {
 
     #[test]
     fn constants_are_mirrored() {
+        use crate::draw::uniforms::frame::{BAND_SHIFT, FLAG_UNLIT, FLAG_UNTEXTURED, INDEX_COUNT_SHIFT};
         let header = crate::gpu::TABLE_HEADER_VECTORS;
         assert!(HEIGHT_WGSL.contains(&format!("const HEADER: u32 = {header}u;")));
         assert!(HEIGHT_WGSL.contains(&format!("n <= {}u", crate::gpu::MORPH_LEVELS)));
-        use crate::draw::uniforms::frame::{BAND_SHIFT, FLAG_UNLIT, FLAG_UNTEXTURED};
-        assert!(MESH_WGSL.contains(&format!("const BAND_SHIFT: u32 = {BAND_SHIFT}u;")));
-        for source in [HEIGHT_WGSL, MESH_WGSL, FIXED_HEIGHT_WGSL, FIXED_MESH_WGSL, SHADOWED_HEIGHT_WGSL] {
-            let entries = parse("fading", source).entry_points;
-            let fragments = entries.iter().filter(|e| e.stage == naga::ShaderStage::Fragment);
-            for name in fragments
-                .map(|e| e.name.as_str())
-                .filter(|n| !n.ends_with("_fading") && !n.contains("_caster") && *n != "fs_fallback")
-            {
-                let name = match name {
-                    "fs_height" => fading("fs_height"),
-                    "fs_height_shadowed" => fading("fs_height_shadowed"),
-                    "fs_mesh" => fading("fs_mesh"),
-                    "fs_mesh_masked" => fading("fs_mesh_masked"),
-                    "fs_mesh_blended" => fading("fs_mesh_blended"),
-                    "fs_mesh_masked_blended" => fading("fs_mesh_masked_blended"),
-                    "fs_thin" => fading("fs_thin"),
-                    "fs_fixed_height" => fading("fs_fixed_height"),
-                    "fs_fixed_mesh" => fading("fs_fixed_mesh"),
-                    "fs_fixed_thin" => fading("fs_fixed_thin"),
-                    other => panic!("{other} does not fade"),
-                };
-                assert!(entries.iter().any(|e| e.name == name), "{name}");
-            }
+        for (name, value) in [
+            ("BAND_SHIFT", BAND_SHIFT),
+            ("FLAG_UNLIT", FLAG_UNLIT),
+            ("FLAG_UNTEXTURED", FLAG_UNTEXTURED),
+            ("INDEX_COUNT_SHIFT", INDEX_COUNT_SHIFT),
+        ] {
+            assert!(MESH_WGSL.contains(&format!("const {name}: u32 = {value}u;")), "{name}");
         }
-        assert!(MESH_WGSL.contains(&format!("const FLAG_UNLIT: u32 = {FLAG_UNLIT}u;")));
-        assert!(MESH_WGSL.contains(&format!("const FLAG_UNTEXTURED: u32 = {FLAG_UNTEXTURED}u;")));
-        let shift = crate::draw::uniforms::frame::INDEX_COUNT_SHIFT;
-        assert!(MESH_WGSL.contains(&format!("const INDEX_COUNT_SHIFT: u32 = {shift}u;")));
         assert_eq!(VertexFormat::Full.stride(), 7 * 4);
     }
 }

@@ -1,120 +1,38 @@
-//! The renderer: executes a stage, and those before and after it, on a context.
-//!
-//! Draw thread only. First everything is prepared (runs, uniforms, pipelines, targets), uploaded at once, then all
-//! passes are recorded into one encoder:
+//! The renderer: executes a stage, and the stages before and after it, on a context. Draw thread only.
 //!
 //! ```text
-//! record(stage)   initial callback, stages before, casters of shadows, pass, copies to be read back, stages after, final callback
-//!         pass    clear, pre callback, opaque runs, occlusion queries, sky, what writes no depth, post callback
+//! draw_pictures   acquire      the image of the window
+//!                 prepare      every pass of every stage: runs, uniforms, pipelines, targets
+//!                 upload       leaves, uniforms, arguments of indirect calls; bind groups
+//!                 record       all passes into one encoder, and submit it
+//!                 throttle     wait while the adapter is two frames behind
+//!                 deliver      results that were read back
 //! ```
 
-pub(super) mod prepare;
+mod frames_in_flight;
+mod pass_plan;
+mod prepare;
 mod prewarm;
 mod record;
-pub(super) mod shadows;
-mod upload;
 mod views;
 
-use std::collections::{HashSet, VecDeque};
 use std::sync::Arc;
-use std::time::Duration;
 
 use crate::cull::RenderStage;
-use crate::draw::answers::{PictureReads, Queries, Read};
-use crate::draw::atmosphere::Atmosphere;
-use crate::draw::batch::Batch;
-use crate::draw::composite::Composite;
-use crate::draw::pipelines::Pipelines;
-use crate::draw::plan::{StagePlan, Targets};
-use crate::draw::resolve::DepthResolve;
-use crate::draw::shadow_maps::ShadowMaps;
-use crate::draw::spread::Spread;
-use crate::draw::state::Statics;
-use crate::draw::uniforms::frame::LeafUniform;
-use crate::draw::uniforms::groups::Groups;
-use crate::draw::uniforms::pulls::Pulls;
-use crate::gpu::{Acquired, FrameTimer, GpuError, GraphicsContext};
+use crate::draw::callbacks::info::FrameClock;
+use crate::draw::passes::Passes;
+use crate::draw::resources::Resources;
+use crate::draw::stats::DrawStats;
+use crate::draw::targets::table::Targets;
+use crate::gpu::{Acquired, GpuError, GraphicsContext};
 use crate::scene::{Environment, Texture};
 use crate::state::TextureObject;
-use prewarm::DrawnInto;
-use shadows::CasterPlan;
-use views::{LitView, ViewFrame};
+use frames_in_flight::FramesInFlight;
+use pass_plan::PassPlan;
+use prewarm::DrawnStages;
+use views::StageViews;
 
-/// Frames the processor may be ahead of the adapter, in each target.
-const FRAMES_IN_FLIGHT: usize = 2;
-/// A frame that takes longer than this has hung.
-const FRAME_TIMEOUT: Duration = Duration::from_secs(60);
-/// Errors kept until somebody asks.
-const MOST_ERRORS: usize = 64;
-
-/// What a draw did.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct DrawStats {
-    /// Leaves drawn; those that cast shadows, boxes of queries and backgrounds are none of them.
-    pub leaves: u32,
-    /// Leaves that no pixel would have shown, and that were not drawn ([`crate::cull::CullingMode::SAMPLES`]).
-    pub unsampled_leaves: u32,
-    /// Leaves drawn into shadow maps, once for each cascade.
-    pub shadow_leaves: u32,
-    /// Leaves that the adapter's largest buffer had no room for, or its memory; those that cast shadows give way first.
-    pub leaves_dropped: u32,
-    /// The same of those that cast shadows, once for each cascade.
-    pub shadow_leaves_dropped: u32,
-    /// Draw calls for shadows, which [`Self::draw_calls`] counts too.
-    pub shadow_draw_calls: u32,
-    /// Draw calls, the sky's among them; several runs drawn by one indirect call count once.
-    pub draw_calls: u32,
-    /// Pipelines, bind groups, buffers, viewports, scissors and references set.
-    pub state_changes: u32,
-    /// Those not set because they were set already.
-    pub state_changes_skipped: u32,
-    /// Triangles submitted.
-    pub triangles: u64,
-    /// Points submitted.
-    pub points: u64,
-    /// Passes: the stages that were drawn, and cascades of their shadows.
-    pub passes: u32,
-    /// Eyes with air of their own beyond the most there may be: they have that of the eye at nearly the same height.
-    pub airs_refused: u32,
-    /// Stages that were not drawn: what they draw into cannot be, or what all of them are drawn from, which
-    /// [`Renderer::take_errors`] says. The picture's own is the whole frame.
-    pub stages_refused: u32,
-    /// Pipelines made in this draw; each takes long at its first use. What a drawable of the application's own makes for
-    /// a target counts as one.
-    pub pipelines_created: u32,
-    /// Time of all passes on the adapter, of the latest frame whose timestamps have arrived; `None` without
-    /// timestamps, and on software adapters, which stop at each of them, unless a timeline is recorded. `None` too where
-    /// not all passes of that frame were measured: of 2,048 at most, and not in the first frame that has many more than
-    /// those before. [`Renderer::pass_ms`] has them one by one.
-    pub gpu_ms: Option<f64>,
-    /// The window showed nothing, so nothing was drawn.
-    pub skipped: bool,
-}
-
-impl DrawStats {
-    fn add(&mut self, other: &Self) {
-        self.draw_calls += other.draw_calls;
-        self.state_changes += other.state_changes;
-        self.state_changes_skipped += other.state_changes_skipped;
-        self.triangles += other.triangles;
-        self.points += other.points;
-        self.pipelines_created += other.pipelines_created;
-        self.passes += 1;
-    }
-}
-
-/// Times of the frame for programs.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct FrameClock {
-    /// Seconds since the first frame.
-    pub reference_time_s: f64,
-    /// Seconds since the frame before.
-    pub delta_s: f64,
-    /// Seconds in the application's time.
-    pub simulation_time_s: f64,
-}
-
-/// A whole picture: what a camera has culled, under its own light and sky.
+/// A picture of a frame: the stage of a camera under its own light and sky.
 #[derive(Clone, Copy, Debug)]
 pub struct Picture<'a> {
     /// The camera's stage.
@@ -125,163 +43,77 @@ pub struct Picture<'a> {
 
 /// Executes render stages on one [`GraphicsContext`].
 pub struct Renderer {
-    pipelines: Pipelines,
-    groups: Groups,
+    resources: Resources,
+    passes: Passes,
     targets: Targets,
-    atmosphere: Atmosphere,
-    /// Made for the first frame, as what binds it.
-    leaf_buffer: Option<wgpu::Buffer>,
-    /// By place of the air's tables.
-    frame_bind_groups: Vec<wgpu::BindGroup>,
-    /// The same for passes that draw into the shadow maps.
-    caster_bind_group: Option<wgpu::BindGroup>,
-    shadow_maps: ShadowMaps,
-    /// Something that the bind groups have is another one.
-    binds_anew: bool,
-    /// Of this frame.
-    shadow_leaves: u32,
-    leaves_dropped: u32,
-    shadow_leaves_dropped: u32,
-    /// Leaves that may still cast shadows in this frame.
-    caster_room: usize,
-    airs_refused: u32,
-    stages_refused: u32,
-    has_indirect: bool,
-    /// Made when there first are runs to be drawn by one call.
-    indirect: Option<wgpu::Buffer>,
-    indirect_bytes: Vec<u8>,
-    /// In the adapter's largest buffer, and in this frame's.
-    most_leaves: usize,
-    leaf_room: usize,
-    batch: Batch,
-    pulls: Pulls,
-    statics: Vec<Statics>,
-    /// Eyes of the views inside a stage, and what is around them; only while it is prepared.
-    views: Vec<LitView>,
-    /// What these are drawn with, alike.
-    view_frames: Vec<ViewFrame>,
-    /// Of the last frame.
-    drawn_into: Vec<DrawnInto>,
-    plans: Vec<StagePlan>,
-    /// Of all plans.
-    casters: Vec<CasterPlan>,
-    /// Leaf, query and statics of boxes to be tested, of all plans.
-    query_boxes: Vec<(u32, u32, u32)>,
-    timer: Option<FrameTimer>,
-    queries: Option<Queries>,
-    pictures: PictureReads,
-    /// Made when there first are two eyes.
-    composite: Option<Composite>,
-    /// Made for the first camera that goes on with multisampled colours.
-    spread: Option<Spread>,
-    /// Made for the first camera that keeps multisampled depth.
-    resolve: Option<DepthResolve>,
-    in_flight: VecDeque<wgpu::SubmissionIndex>,
-    /// Recorded by a compile thread; submitted before the frame.
+    /// The views of the stage that is being prepared.
+    views: StageViews,
+    /// The stages of the frame in the order drawn; `None` for refused ones.
+    plans: Vec<Option<PassPlan>>,
+    drawn_into: DrawnStages,
+    frames_in_flight: FramesInFlight,
+    /// Command buffers of the compile thread, which are submitted before the frame.
     uploads: Vec<wgpu::CommandBuffer>,
-    /// Times that programs see; set by the caller before each draw.
+    /// Times that programs see; the caller sets them before each draw.
     pub clock: FrameClock,
     /// Numbers of the context and of the frame that are drawn next, for the timeline.
     pub(crate) timed: (u32, u32),
-    errors: Vec<String>,
-    /// What was said already.
-    said: HashSet<String>,
 }
 
 impl Renderer {
-    /// A renderer for a context; makes no pipeline yet, and takes no memory but for some texels.
+    /// Creates a renderer for a context. No pipeline is created yet, and no memory is used but for some texels.
     pub fn new(ctx: &mut GraphicsContext) -> Self {
-        let groups = Groups::new(ctx);
+        let resources = Resources::new(ctx);
         let device = ctx.device();
-        let pipelines = Pipelines::new(ctx);
-        let limits = device.limits();
-        let most_bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
         Self {
-            caster_bind_group: None,
-            frame_bind_groups: Vec::new(),
-            shadow_maps: ShadowMaps::new(device),
-            binds_anew: false,
-            shadow_leaves: 0,
-            leaves_dropped: 0,
-            shadow_leaves_dropped: 0,
-            caster_room: 0,
-            airs_refused: 0,
-            stages_refused: 0,
-            atmosphere: Atmosphere::new(device),
-            pipelines,
-            groups,
+            resources,
+            passes: Passes::new(device),
             targets: Targets::new(device),
-            leaf_buffer: None,
-            has_indirect: device.features().contains(wgpu::Features::INDIRECT_FIRST_INSTANCE),
-            indirect: None,
-            indirect_bytes: Vec::new(),
-            leaf_room: 0,
-            most_leaves: usize::try_from(most_bytes / size_of::<LeafUniform>() as u64).unwrap_or(usize::MAX),
-            batch: Batch::default(),
-            pulls: Pulls::default(),
-            statics: Vec::new(),
-            views: Vec::new(),
-            view_frames: Vec::new(),
-            drawn_into: Vec::new(),
+            views: StageViews::default(),
             plans: Vec::new(),
-            casters: Vec::new(),
-            query_boxes: Vec::new(),
-            timer: FrameTimer::new(ctx),
-            queries: None,
-            pictures: PictureReads::default(),
-            composite: None,
-            spread: None,
-            resolve: None,
-            in_flight: VecDeque::with_capacity(FRAMES_IN_FLIGHT + 1),
+            drawn_into: DrawnStages::default(),
+            frames_in_flight: FramesInFlight::default(),
             uploads: Vec::new(),
             clock: FrameClock::default(),
             timed: (0, 0),
-            errors: Vec::new(),
-            said: HashSet::new(),
         }
     }
 
-    /// Writes an image to a texture of state sets, which takes its size: what is drawn from now on shows it.
+    /// Writes an image to a texture of state sets, which takes the image's size. Later draws show it.
     pub(crate) fn show_image(
         &mut self,
         ctx: &GraphicsContext,
         texture: &Arc<TextureObject>,
         image: &Texture,
     ) -> Result<(), String> {
-        self.groups.show(ctx, texture, image)
+        self.resources.state_groups.show(ctx, texture, image)
     }
 
-    /// What could not be drawn as it should since the last call, each said (and logged) once: programs that do not
-    /// compile, textures that do not fit, targets that cannot be drawn into.
+    /// Returns errors of drawing since the last call: programs that do not compile, textures that do not fit, targets that
+    /// cannot be drawn into. Each is reported, and logged, once.
     pub fn take_errors(&mut self) -> Vec<String> {
-        std::mem::take(&mut self.errors)
+        self.resources.errors.take()
     }
 
-    pub(crate) fn complain(&mut self, error: String) {
-        if self.said.len() >= 16 * MOST_ERRORS {
-            // What is wrong from now on is worth saying, if some of it again.
-            self.said.clear();
-        }
-        if !error.is_empty() && self.said.insert(error.clone()) {
-            log::error!("{error}");
-            if self.errors.len() < MOST_ERRORS {
-                self.errors.push(error);
-            }
-        }
+    /// Logs an error and keeps it for [`Self::take_errors`], unless it was reported before.
+    pub(crate) fn report_once(&mut self, error: String) {
+        self.resources.errors.report_once(error);
     }
 
-    /// Milliseconds on the adapter by pass, in the order drawn, of the latest frame that is known.
+    /// Returns the time of each pass on the adapter in milliseconds, in the order drawn, of the latest frame whose
+    /// timestamps have arrived.
     pub fn pass_ms(&mut self) -> &[f64] {
         let context = self.timed.0;
-        self.timer.as_mut().map_or(&[], |timer| {
+        self.resources.timer.as_mut().map_or(&[], |timer| {
             timer.read();
             timer.latest_ms(context)
         })
     }
 
     /// Draws a stage into the context's target, and the stages before and after it into theirs: clears, executes the
-    /// bins in order, puts the sky behind what is opaque. The picture can then be drawn over
-    /// ([`GraphicsContext::color_view`]), read back, or presented. Waits while the adapter is two frames behind.
+    /// bins in order, and puts the sky behind the opaque ones. Afterwards more can be drawn over the image
+    /// ([`GraphicsContext::color_view`]), and it can be read back or presented. Waits while the adapter is two frames
+    /// behind.
     pub fn draw(
         &mut self,
         ctx: &mut GraphicsContext,
@@ -291,8 +123,8 @@ impl Renderer {
         self.draw_pictures(ctx, std::iter::once(Picture { stage, environment }))
     }
 
-    /// As [`Self::draw`], for several pictures in parts of the same target: each in its stage's viewport, one after the
-    /// other, all of them handed to the adapter together.
+    /// Does the same as [`Self::draw`] for several pictures in parts of the same target. Each is drawn into the viewport of
+    /// its stage, one after the other, and all of them are submitted together.
     pub fn draw_pictures<'a>(
         &mut self,
         ctx: &mut GraphicsContext,
@@ -305,79 +137,36 @@ impl Renderer {
         }
         drop(acquire);
         ctx.submitted(&mut self.uploads);
-        for drawn in &self.drawn_into {
-            if let Some(formats) = self.pipelines.target_key(drawn.target) {
+        for target in self.drawn_into.targets() {
+            if let Some(formats) = self.resources.pipelines.target_formats(target) {
                 ctx.draws_into(formats);
             }
         }
         let ctx = &*ctx;
-        let created_before = self.created();
+        let created_before = self.created_pipelines();
         self.prepare(ctx, pictures.clone());
-        if let Err(error) = self.upload(ctx) {
-            self.complain(error);
-            self.leave_out();
-        }
-        let mut stats = self.record(ctx, pictures);
-        let fills = self.plans.iter().filter(|plan| plan.fill.is_some()).count();
-        let others = self.shadow_leaves as usize + self.query_boxes.len() + fills;
-        stats.leaves = self.batch.leaves().len().saturating_sub(others) as u32;
-        stats.unsampled_leaves = self.batch.unsampled;
-        stats.shadow_leaves = self.shadow_leaves;
-        (stats.leaves_dropped, stats.shadow_leaves_dropped) = (self.leaves_dropped, self.shadow_leaves_dropped);
-        (stats.airs_refused, stats.stages_refused) = (self.airs_refused, self.stages_refused);
-        stats.pipelines_created += self.created() - created_before;
+        self.upload(ctx);
+        self.record(ctx, pictures);
+        let mut stats = self.resources.stats;
+        stats.unsampled_leaves = self.resources.batch.unsampled();
+        stats.pipelines_created += self.created_pipelines() - created_before;
         let wait = crate::timeline::span("wait for adapter");
-        self.throttle(ctx)?;
+        self.frames_in_flight.throttle(ctx)?;
         drop(wait);
-        if let Some(timer) = &mut self.timer {
-            timer.read();
-            let passes = timer.latest_ms(self.timed.0);
-            stats.gpu_ms = (!passes.is_empty()).then(|| passes.iter().sum());
-        }
-        if let Some(queries) = &mut self.queries {
-            queries.deliver();
-        }
-        self.pictures.deliver();
+        let passes_ms = self.pass_ms();
+        stats.gpu_ms = (!passes_ms.is_empty()).then(|| passes_ms.iter().sum());
+        self.passes.queries.deliver();
+        self.passes.readback.deliver();
         Ok(stats)
     }
 
-    /// Pipelines made so far.
-    fn created(&self) -> u32 {
-        let of_spread = self.spread.as_ref().map_or(0, Spread::created);
-        self.pipelines.created() + of_spread + self.resolve.as_ref().map_or(0, DepthResolve::created)
+    /// Returns the number of pipelines created so far.
+    fn created_pipelines(&self) -> u32 {
+        self.resources.pipelines.created() + self.passes.created_pipelines()
     }
 
-    /// Copies what a camera has drawn to whoever wants it.
-    fn copy_picture(&mut self, ctx: &GraphicsContext, encoder: &mut wgpu::CommandEncoder, stage: &RenderStage) {
-        let Some(camera) = stage.target.camera.as_ref().filter(|_| !stage.target.is_shared) else { return };
-        for (part, sink) in camera.read_backs() {
-            let read = match Read::of(camera, part) {
-                Ok(read) => read,
-                Err(error) => {
-                    self.complain(error.to_string());
-                    continue;
-                }
-            };
-            // What is wrong with it has been said.
-            let Some(texture) = self.groups.textures.texture(&read.attachment.texture) else { continue };
-            if let Err(error) = self.pictures.copy(ctx.memory(), encoder, texture, read, sink, &stage.camera) {
-                self.complain(error);
-            }
-        }
-    }
-
-    /// Lets callbacks run, and waits while too many frames are under way.
-    fn throttle(&mut self, ctx: &GraphicsContext) -> Result<(), GpuError> {
-        let mut poll = wgpu::PollType::Poll;
-        while self.in_flight.len() > FRAMES_IN_FLIGHT * ctx.face_count() {
-            poll = wgpu::PollType::Wait { submission_index: self.in_flight.pop_front(), timeout: Some(FRAME_TIMEOUT) };
-        }
-        ctx.device().poll(poll).map_err(|e| GpuError::DeviceLost { reason: format!("a frame did not end: {e}") })?;
-        ctx.check_lost()
-    }
-
-    /// The picture last drawn, top row first. Waits for the adapter. A window's picture can be read between draw
-    /// and present, where the platform lets images be copied.
+    /// Returns the image drawn last, top row first. Waits for the adapter. A window's image can be read between draw and
+    /// present if the platform lets images be copied.
     pub fn read_back(&mut self, ctx: &mut GraphicsContext) -> Result<image::RgbaImage, GpuError> {
         let _span = crate::timeline::span("read back");
         ctx.read_back()
@@ -390,30 +179,31 @@ mod tests {
 
     use super::*;
     use crate::cull::{CullCamera, CullVisitor, CullingMode};
+    use crate::draw::batch::bucket::Content;
     use crate::gpu::{AdapterChoice, CompileBudget, CompileOperation, ContextTraits};
     use crate::scene::{AlphaMode, Drawable, Material, Mesh, Node, Page, Scene};
     use crate::state::{Attribute, BinDetails, CullFace, Scissor, SortMode, StateSet, SurfaceMaterial};
     use glam::{DAffine3, DVec3};
 
-    /// How often a thing changes along the runs; the first time counts.
-    fn changes<T: PartialEq>(things: impl Iterator<Item = T>) -> u32 {
+    /// Returns how often a value changes along the runs; the first value counts.
+    fn changes<T: PartialEq>(values: impl Iterator<Item = T>) -> u32 {
         let mut last = None;
         let mut count = 0;
-        for thing in things {
-            if last.as_ref() != Some(&thing) {
+        for value in values {
+            if last.as_ref() != Some(&value) {
                 count += 1;
-                last = Some(thing);
+                last = Some(value);
             }
         }
         count
     }
 
     #[test]
-    fn state_is_set_as_seldom_as_the_order_allows() {
+    fn state_is_set_as_rarely_as_the_order_allows() {
         let traits = ContextTraits { size_px: [64, 64], adapter: AdapterChoice::Noop, ..ContextTraits::default() };
         let mut ctx = GraphicsContext::new_offscreen(&traits).unwrap();
         let mut renderer = Renderer::new(&mut ctx);
-        // Small and large meshes, some blended, under state sets that differ in all sorts of things.
+        // Small and large meshes, some of them blended, under state sets with random differences.
         let mut seed = 12345u32;
         let mut random = |below: u32| {
             seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
@@ -466,27 +256,29 @@ mod tests {
         assert!(stats.unsampled_leaves > 50, "some are small: {stats:?}");
         assert_eq!((stats.leaves + stats.unsampled_leaves) as usize, stage.leaf_count());
 
-        let batch = &renderer.batch;
-        let buckets = || batch.runs.iter().map(|r| batch.buckets[r.bucket as usize]);
-        let statics = || buckets().map(|(b, _)| renderer.statics[b.statics as usize]);
-        let direct = || buckets().filter(|(b, _)| b.stride == 0);
+        let (batch, states) = (&renderer.resources.batch, &renderer.resources.bound_states);
+        let buckets = || batch.runs().iter().map(|run| *batch.bucket(run.bucket));
+        let bound = || buckets().map(|(b, _)| *states.get(b.bound).unwrap());
+        let is_pulled = |content| matches!(content, Content::PulledMesh { .. });
+        let direct = || buckets().filter(|(b, _)| !is_pulled(b.content));
+        let pulled = || buckets().filter(|(b, _)| is_pulled(b.content));
         let initial = std::iter::once([0u32, 0, 64, 64]);
-        let scissors = changes(initial.chain(statics().map(|s| s.dynamics.scissor))) - 1;
-        let least = changes(buckets().map(|(_, pipeline)| pipeline))
-            + changes(buckets().map(|(b, _)| (b.is_height, b.block)))
+        let scissors = changes(initial.chain(bound().map(|s| s.dynamics.scissor))) - 1;
+        let expected = changes(buckets().map(|(_, pipeline)| pipeline))
+            + changes(buckets().map(|(b, _)| (b.content == Content::Height, b.block)))
             + changes(direct().map(|(b, _)| b.vertex_chunk))
             + changes(direct().map(|(b, _)| b.index_chunk))
-            + changes(buckets().filter(|(b, _)| b.stride > 0).map(|(b, _)| (b.vertex_chunk, b.index_chunk)))
-            // The color that packed vertices share is set once.
+            + changes(pulled().map(|(b, _)| (b.vertex_chunk, b.index_chunk)))
+            // The colour that packed vertices share is set once.
             + u32::from(direct().any(|(b, _)| b.pipeline.is_white()))
-            + changes(statics().map(|s| s.frame))
-            + changes(statics().filter_map(|s| s.group))
+            + changes(bound().map(|s| s.frame))
+            + changes(bound().filter_map(|s| s.group))
             + scissors;
-        assert!(least > 40, "a scene that says something: {least}");
-        assert_eq!(stats.state_changes, least);
+        assert!(expected > 40, "the scene has many states: {expected}");
+        assert_eq!(stats.state_changes, expected);
 
-        // What does not fit into the adapter's buffer is dropped and said.
-        renderer.most_leaves = 150;
+        // Leaves that the adapter's buffer has no room for are dropped, which is reported.
+        renderer.resources.leaf_buffer.limit(150);
         let mut camera = CullCamera::default();
         camera.settings.culling = CullingMode::VIEW_FRUSTUM;
         CullVisitor::new().cull(&scene, &camera, &mut stage);
@@ -494,29 +286,29 @@ mod tests {
         assert_eq!((stats.leaves, stats.leaves_dropped as usize), (150, stage.leaf_count() - 150));
         let errors = renderer.take_errors();
         assert!(matches!(&errors[..], [e] if e.contains("more leaves than")), "{errors:?}");
-        // Once, though there are others each time; and what is wrong after very much else is heard.
-        renderer.most_leaves = 149;
+        // It is reported once, although the number of dropped leaves differs. New errors are reported after many others.
+        renderer.resources.leaf_buffer.limit(149);
         renderer.draw(&mut ctx, &stage, &environment).unwrap();
         assert!(renderer.take_errors().is_empty());
-        (0..2000).for_each(|i| renderer.complain(format!("another {i}")));
+        (0..2000).for_each(|i| renderer.report_once(format!("another {i}")));
         renderer.take_errors();
-        renderer.complain("at last".to_owned());
-        assert_eq!(renderer.take_errors(), ["at last"]);
+        renderer.report_once("last".to_owned());
+        assert_eq!(renderer.take_errors(), ["last"]);
 
-        // What casts shadows gives way to what is seen.
+        // Shadow casters are dropped before visible leaves.
         let lit = Environment { shadows: Some(crate::scene::SunShadows::default()), ..environment };
         let mut visitor = CullVisitor::new();
         visitor.environment = Some(lit);
         visitor.cull(&scene, &camera, &mut stage);
         let own = stage.leaf_count();
-        renderer.most_leaves = usize::MAX;
+        renderer.resources.leaf_buffer.limit(usize::MAX);
         let all = renderer.draw(&mut ctx, &stage, &lit).unwrap();
         assert!(all.shadow_leaves > 20 && all.leaves_dropped + all.shadow_leaves_dropped == 0, "{all:?}");
-        renderer.most_leaves = own + 11;
+        renderer.resources.leaf_buffer.limit(own + 11);
         let some = renderer.draw(&mut ctx, &stage, &lit).unwrap();
         assert_eq!((some.leaves, some.leaves_dropped, some.shadow_leaves), (all.leaves, 0, 10));
         assert_eq!(some.shadow_leaves_dropped, all.shadow_leaves - 10);
-        renderer.most_leaves = own;
+        renderer.resources.leaf_buffer.limit(own);
         let few = renderer.draw(&mut ctx, &stage, &lit).unwrap();
         assert_eq!((few.leaves, few.leaves_dropped, few.shadow_leaves), (all.leaves, 0, 0));
         let errors = renderer.take_errors();

@@ -1,73 +1,102 @@
-//! Pipelines made before they are needed: when a page has arrived and its drawables are about to be uploaded.
+//! Prewarms pipelines: creates them when a page has arrived and its drawables are about to be uploaded, so that no draw
+//! has to. Draw thread, between frames.
 
+use crate::draw::passes::shading::{choose_shading, name_of};
+use crate::draw::passes::shadow_casters::caster_key;
+use crate::draw::passes::stage_input::LitStage;
 use crate::draw::pipelines::key::{AirKind, PipelineKey, Shading, StateKey};
 use crate::draw::pipelines::{MOST_COLORS, TargetFormats};
 use crate::draw::renderer::Renderer;
 use crate::gpu::GraphicsContext;
 use crate::scene::{DrawKind, Environment, Topology};
 
-/// What a stage was drawn into, as far as pipelines depend on it.
+/// The properties of a stage that pipelines depend on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct DrawnInto {
-    /// In the pipelines.
-    pub(super) target: u8,
-    /// A light replaces the sun.
-    pub(super) has_own_light: bool,
-    pub(super) air: AirKind,
-    /// The sun's shadows fall there.
-    pub(super) has_shadows: bool,
+struct DrawnStage {
+    /// Index of the target's formats.
+    target: u8,
+    /// True if a light replaces the sun.
+    has_own_light: bool,
+    air: AirKind,
+    has_shadows: bool,
+}
+
+/// The different kinds of stages that the last frame has drawn.
+#[derive(Debug, Default)]
+pub(super) struct DrawnStages(Vec<DrawnStage>);
+
+impl DrawnStages {
+    pub(super) fn clear(&mut self) {
+        self.0.clear();
+    }
+
+    /// Notes a stage that is drawn.
+    pub(super) fn add(&mut self, lit: &LitStage<'_>, has_own_light: bool, has_casters: bool) {
+        // An empty stage has no casters yet.
+        let will_have_casters = lit.around.shadows.is_some() && lit.input.stage.leaf_count() == 0;
+        let drawn = DrawnStage {
+            target: lit.input.target.index,
+            has_own_light,
+            air: lit.view(0).air_kind,
+            has_shadows: has_casters || will_have_casters,
+        };
+        if !self.0.contains(&drawn) {
+            self.0.push(drawn);
+        }
+    }
+
+    /// Returns the indices of the targets.
+    pub(super) fn targets(&self) -> impl Iterator<Item = u8> {
+        self.0.iter().map(|drawn| drawn.target)
+    }
 }
 
 impl Renderer {
-    /// Makes the pipelines, those of fades and of shadows too, that drawables of some kinds will need where the last
-    /// frame drew; before the first frame, in the context's own target. Between frames, so that no draw has to.
+    /// Creates the pipelines that drawables of some kinds will need where the last frame drew, those of fades and shadows
+    /// included. Before the first frame, pipelines are created for the context's own target.
     pub fn prewarm(&mut self, ctx: &mut GraphicsContext, kinds: &[DrawKind]) {
-        if self.drawn_into.is_empty()
+        if self.drawn_into.0.is_empty()
             && let Some(target) = self.own_target(ctx)
         {
             let air = AirKind::of(&Environment::default());
-            self.drawn_into.push(DrawnInto { target, has_own_light: false, air, has_shadows: false });
+            self.drawn_into.0.push(DrawnStage { target, has_own_light: false, air, has_shadows: false });
         }
-        let has_shadows = self.drawn_into.iter().any(|drawn| drawn.has_shadows);
+        let has_shadows = self.drawn_into.0.iter().any(|drawn| drawn.has_shadows);
         for kind in kinds {
-            for place in 0..self.drawn_into.len() {
-                let made = self.prewarm_in(ctx, kind, self.drawn_into[place]);
-                self.report_problem_of(kind, made);
+            for index in 0..self.drawn_into.0.len() {
+                let result = self.prewarm_stage(ctx, kind, self.drawn_into.0[index]);
+                self.report(kind, result);
             }
             if has_shadows {
-                let made = self.prewarm_caster(ctx, kind);
-                self.report_problem_of(kind, made);
+                let result = self.prewarm_caster(ctx, kind);
+                self.report(kind, result);
             }
         }
-        for error in std::mem::take(&mut self.pipelines.errors) {
-            self.complain(error);
+        self.resources.report_pipeline_errors();
+    }
+
+    fn report(&mut self, kind: &DrawKind, result: Result<(), String>) {
+        if let Err(problem) = result {
+            self.resources.errors.report_once(format!("{}: {problem}", name_of(&kind.state)));
         }
     }
 
-    fn report_problem_of(&mut self, kind: &DrawKind, made: Result<(), String>) {
-        if let Err(problem) = made {
-            let name = &kind.state.name;
-            let name = if name.is_empty() { "a state set" } else { name };
-            self.complain(format!("{name}: {problem}"));
-        }
-    }
-
-    fn prewarm_in(&mut self, ctx: &mut GraphicsContext, kind: &DrawKind, drawn: DrawnInto) -> Result<(), String> {
-        let found = self.shading_of(ctx, &kind.state, drawn.has_own_light);
+    fn prewarm_stage(&mut self, ctx: &mut GraphicsContext, kind: &DrawKind, drawn: DrawnStage) -> Result<(), String> {
+        let pipelines = &mut self.resources.pipelines;
+        let found = choose_shading(&mut pipelines.programs, ctx.device(), &kind.state, drawn.has_own_light);
         let shading = *found.as_ref().unwrap_or(&Shading::Fallback);
-        let whole = self.pipelines.state_key(&kind.state, shading, drawn.target);
+        let whole = pipelines.state_key(&kind.state, shading, drawn.target);
         let whole = if drawn.has_shadows { whole.shadowed() } else { whole }.in_air(drawn.air);
         self.prewarm_key(ctx, kind, &whole);
         self.prewarm_key(ctx, kind, &whole.fading());
         found.map(drop)
     }
 
-    /// What it casts its shadow with.
     fn prewarm_caster(&mut self, ctx: &mut GraphicsContext, kind: &DrawKind) -> Result<(), String> {
         if matches!(kind.topology, Some(Topology::Lines | Topology::Points)) {
             return Ok(());
         }
-        if let Some(key) = self.caster_key(ctx, &kind.state)? {
+        if let Some(key) = caster_key(&mut self.resources.pipelines, ctx.device(), &kind.state)? {
             self.prewarm_key(ctx, kind, &key);
         }
         Ok(())
@@ -83,17 +112,18 @@ impl Renderer {
         } else if kind.attributes.is_empty() {
             key.with_vertices(kind.vertex_format)
         } else {
-            // Where there is no place for its layout it is not uploaded either.
-            let Some(place) = ctx.layout_place(&kind.attributes) else { return };
-            self.pipelines.with_layout(key, place, &kind.attributes)
+            // A mesh whose layout finds no index is not uploaded either.
+            let Some(index) = ctx.layout_place(&kind.attributes) else { return };
+            self.resources.pipelines.with_layout(key, index, &kind.attributes)
         };
-        self.pipelines.ensure_for(ctx, key, &kind.state);
+        self.resources.pipelines.ensure(ctx, key, Some(&kind.state));
     }
 
     fn own_target(&mut self, ctx: &GraphicsContext) -> Option<u8> {
         let depth = self.targets.depth_format();
-        let mut key = TargetFormats { colors: [None; MOST_COLORS], depth, samples: ctx.samples(), keeps_alpha: false };
-        key.colors[0] = Some(ctx.color_format());
-        self.pipelines.target(&key)
+        let samples = ctx.samples();
+        let mut formats = TargetFormats { colors: [None; MOST_COLORS], depth, samples, keeps_alpha: false };
+        formats.colors[0] = Some(ctx.color_format());
+        self.resources.pipelines.target(&formats)
     }
 }

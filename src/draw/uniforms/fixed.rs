@@ -1,122 +1,22 @@
-//! The fixed function: lights, material, fog, clip planes, alpha test and texture units as uniforms of
-//! shaders/fixed.wgsl. Mirrors of its structs; a test compares them with naga's layout.
+//! The fixed function as uniforms: material, fog, alpha test and texture units. Mirrors the structs `Fixed` and `Reflection`
+//! of shaders/fixed.wgsl; a test compares them with naga's layout. Lights and clip planes are in [`super::stage`].
 
 use std::sync::Arc;
 
-use glam::DAffine3;
-
-use crate::cull::{RenderStage, move_light, move_plane};
+use super::stage::{eye_from, replaces_sun};
+use crate::cull::RenderStage;
 use crate::state::{
-    CLIP_PLANES, ColorControl, CompareFunction, FogMode, LIGHTS, Light, Mode, ResolvedState, Sampler, SurfaceMaterial,
+    CLIP_PLANES, ColorControl, CompareFunction, FogMode, LIGHTS, Mode, ResolvedState, Sampler, SurfaceMaterial,
     TEXTURE_UNITS, TexGen, TextureBinding, TextureDimension,
 };
 
-/// A light; `StageLight` in frame.wgsl.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, Default, bytemuck::Pod, bytemuck::Zeroable)]
-pub(in crate::draw) struct StageLight {
-    /// Eye space; w 1 for a place, 0 for a direction.
-    pub(in crate::draw) position: [f32; 4],
-    /// Where a spot shines; w: cosine of its half angle.
-    pub(in crate::draw) direction: [f32; 4],
-    /// w: exponent of the spot.
-    pub(in crate::draw) ambient: [f32; 4],
-    /// w: 1 where there is such a light.
-    pub(in crate::draw) diffuse: [f32; 4],
-    pub(in crate::draw) specular: [f32; 4],
-    pub(in crate::draw) attenuation: [f32; 4],
-}
-
-/// What is positioned in a stage; `Stage` in frame.wgsl.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
-pub(in crate::draw) struct StageUniform {
-    pub(in crate::draw) lights: [StageLight; LIGHTS],
-    pub(in crate::draw) clip_planes: [[f32; 4]; CLIP_PLANES],
-}
-
-impl StageUniform {
-    /// In a view: where its lights shine as seen by `light_from`, whose argument is the view that they were met in, and
-    /// its planes cut by the view's own eye.
-    pub(in crate::draw) fn new(stage: &RenderStage, view: u32, light_from: impl Fn(u32) -> DAffine3) -> Self {
-        let mut uniform = Self {
-            lights: [StageLight::default(); LIGHTS],
-            // Planes that nothing is cut by.
-            clip_planes: [[0.0, 0.0, 0.0, 1.0]; CLIP_PLANES],
-        };
-        for positioned in &stage.lights {
-            let light = &move_light(&light_from(positioned.view), &positioned.light);
-            let Some(slot) = uniform.lights.get_mut(usize::from(light.number)) else { continue };
-            let [x, y, z] = light.direction;
-            let direction = glam::DVec3::new(x, y, z).normalize_or(glam::DVec3::NEG_Z).as_vec3();
-            let Ok(position) = position_of(light) else { continue };
-            let is_spot = light.spot_cutoff < std::f32::consts::FRAC_PI_2;
-            *slot = StageLight {
-                position,
-                direction: direction.extend(if is_spot { light.spot_cutoff.cos() } else { -1.0 }).to_array(),
-                ambient: rgb(light.ambient, light.spot_exponent),
-                diffuse: rgb(light.diffuse, 1.0),
-                specular: rgb(light.specular, 0.0),
-                attenuation: rgb(light.attenuation, 0.0),
-            };
-        }
-        for clip in &stage.clip_planes {
-            if let Some(plane) = uniform.clip_planes.get_mut(usize::from(clip.number)) {
-                *plane = move_plane(&eye_from(stage, view, clip.view), clip.plane).as_vec4().to_array();
-            }
-        }
-        uniform
-    }
-}
-
-/// From the eye of one view of a stage to another's; the identity where that cannot be said.
-fn eye_from(stage: &RenderStage, to: u32, from: u32) -> DAffine3 {
-    if to == from {
-        return DAffine3::IDENTITY;
-    }
-    let to_from = stage.camera_of(to).eye_from_world * stage.camera_of(from).eye_from_world.inverse();
-    if to_from.is_finite() { to_from } else { DAffine3::IDENTITY }
-}
-
-/// Why a light does not shine.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("light {number} does not shine: its {what}")]
-pub(in crate::draw) struct DarkLight {
-    number: u8,
-    what: &'static str,
-}
-
-/// Where a light shines from; with anything that is not a number it does not shine.
-pub(in crate::draw) fn position_of(light: &Light) -> Result<[f32; 4], DarkLight> {
-    let dark = |what| Err(DarkLight { number: light.number, what });
-    let position = light.position.map(|p| p as f32);
-    let is_somewhere = position.iter().all(|p| p.is_finite()) && position.iter().any(|p| *p != 0.0);
-    let is_finite = |values: &[f32]| values.iter().all(|v| v.is_finite());
-    if !is_somewhere {
-        dark("position is nowhere")
-    } else if ![light.ambient, light.diffuse, light.specular].iter().all(|color| is_finite(color)) {
-        dark("color is not finite")
-    } else if !is_finite(&light.attenuation) {
-        dark("attenuation is not finite")
-    } else if !is_finite(&[light.spot_cutoff, light.spot_exponent]) || light.direction.iter().any(|d| !d.is_finite()) {
-        dark("spot is not finite")
-    } else {
-        Ok(position)
-    }
-}
-
-/// True when a LightSource has taken the place of the environment's sun.
-pub(in crate::draw) fn replaces_sun(stage: &RenderStage) -> bool {
-    stage.lights.iter().any(|l| l.light.number == 0 && position_of(&l.light).is_ok())
-}
-
-/// How a side of a surface reflects; `Reflection` in fixed.wgsl.
+/// The material of one side of a surface; mirrors `Reflection` in fixed.wgsl.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
 pub(in crate::draw) struct Reflection {
     pub(in crate::draw) ambient: [f32; 4],
     pub(in crate::draw) diffuse: [f32; 4],
-    /// w: shininess.
+    /// Linear colour; w is the shininess.
     pub(in crate::draw) specular: [f32; 4],
     pub(in crate::draw) emission: [f32; 4],
 }
@@ -136,36 +36,37 @@ fn rgb(color: [f32; 3], w: f32) -> [f32; 4] {
     [color[0], color[1], color[2], w]
 }
 
-/// Per state; `Fixed` in fixed.wgsl.
+/// The uniforms of a state; mirrors `Fixed` in fixed.wgsl.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
 pub(in crate::draw) struct FixedUniform {
     pub(in crate::draw) front: Reflection,
     pub(in crate::draw) back: Reflection,
-    /// w: 0 none, 1 the environment's haze, 2 linear, 3 exp, 4 exp2.
+    /// Linear colour; w is 0 without fog, 1 for the environment's haze, 2 for linear, 3 for exp and 4 for exp2.
     pub(in crate::draw) fog_color: [f32; 4],
-    /// Linear: end and 1 / (end - start); else the density.
+    /// Of linear fog, the end in metres and 1 / (end - start); otherwise the density per metre.
     pub(in crate::draw) fog: [f32; 4],
-    /// w: reference of the alpha test.
+    /// Linear ambient colour of the light model; w is the reference of the alpha test.
     pub(in crate::draw) model_ambient: [f32; 4],
-    /// 1 for a local viewer; faces: 0 lit on the side that is seen, 1 on the front, 2 on both; 1 for highlights that are
-    /// added to textures.
+    /// x is 1 for a local viewer. y is the lit side: 0 for the visible one, 1 for the front, 2 for both. z is 1 if highlights
+    /// are added after textures.
     pub(in crate::draw) model: [u32; 4],
-    /// Bits of lights, bits of clip planes, alpha test (7 passes all), 1 where the sun is replaced.
+    /// Bits of lights, bits of clip planes, the alpha test's function (7 passes all), 1 if a light replaces the sun.
     pub(in crate::draw) flags: [u32; 4],
-    /// By unit: 0 off, 1 plane, 2 cube, 3 volume, 4 layers.
+    /// By unit: 0 off, 1 plane, 2 cube, 3 volume, 4 array.
     pub(in crate::draw) units: [u32; 4],
-    /// By unit: 0 the mesh's, 1 object linear, 2 eye linear, 3 sphere, 4 normal, 5 reflection.
+    /// The source of coordinates by unit: 0 the mesh, 1 object linear, 2 eye linear, 3 sphere map, 4 normal map,
+    /// 5 reflection map.
     pub(in crate::draw) texgens: [u32; 4],
-    /// Added to the mip level by unit.
+    /// The bias of the mip level by unit.
     pub(in crate::draw) bias: [f32; 4],
-    /// Planes of s, t, r and q by unit.
+    /// The planes of s, t, r and q by unit.
     pub(in crate::draw) planes: [[f32; 4]; 4 * TEXTURE_UNITS],
 }
 
 const _: () = assert!(TEXTURE_UNITS == 4);
 
-/// The unit before one that has another cube, volume or array: of each there is one binding.
+/// Returns the lower unit that has taken the one binding for cubes, volumes or arrays with another texture.
 pub(in crate::draw) fn taken_by(state: &ResolvedState, unit: usize) -> Option<usize> {
     let binding = state.texture(unit)?;
     if matches!(binding.texture.dimension, TextureDimension::D1 | TextureDimension::D2) {
@@ -173,14 +74,14 @@ pub(in crate::draw) fn taken_by(state: &ResolvedState, unit: usize) -> Option<us
     }
     let is_alike = |b: &TextureBinding| b.texture.dimension == binding.texture.dimension;
     let first = (0..unit).find(|before| state.texture(*before).is_some_and(is_alike))?;
-    // Each unit has a bias of its own.
+    // The bias of the mip level is separate for each unit.
     let sampler = |b: &TextureBinding| Sampler { mip_bias: 0.0, ..b.sampler };
     let is_other = |b: &TextureBinding| !Arc::ptr_eq(&b.texture, &binding.texture) || sampler(b) != sampler(binding);
     state.texture(first).is_some_and(is_other).then_some(first)
 }
 
 impl FixedUniform {
-    /// Of a state in a view of a stage.
+    /// Returns the uniforms of a state in a view of a stage.
     pub(in crate::draw) fn new(state: &ResolvedState, stage: &RenderStage, view: u32) -> Self {
         let [front, back] = state.materials().unwrap_or_default();
         let given = state.light_model();

@@ -1,73 +1,74 @@
-//! Mirrors of the shaders' structs, and how a frame's uniform is filled. A test compares them with naga's layout.
+//! The uniforms of a frame and the leaves: mirrors of the structs `Frame` and `Leaf` of shaders/frame.wgsl. A test compares
+//! them with naga's layout.
 
-use glam::{DMat2, DMat4, DVec3, Mat4, Vec3};
+use glam::{DMat2, DMat4, Mat4, Vec3};
 
+use super::air::{AirParameters, direction_in_eye, eye_height_m, sun_height};
 use crate::cull::{CullCamera, MAX_CASCADES, StageShadows};
-use crate::draw::atmosphere::Air;
 use crate::math::WGS84;
-use crate::math::color::linear_from_srgb8;
-use crate::scene::{Environment, MORPH_START, Sky, has_parallel_rays, is_over_globe};
+use crate::scene::{Environment, MORPH_START, Sky, has_parallel_rays};
 
-/// Height in metres over which air thins to 1/e.
+/// Height in metres over which the density of air falls to 1/e.
 const AIR_SCALE_HEIGHT_M: f64 = 8_000.0;
 
-/// Per frame; `Frame` in frame.wgsl.
+/// The uniforms of a view; mirrors `Frame` in frame.wgsl. Colours are linear.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
 pub(in crate::draw) struct FrameUniform {
     pub(in crate::draw) clip_from_eye: Mat4,
-    /// Eye-space direction to the sun; w: metres of range per metre of error.
+    /// Eye-space direction to the sun; w is the range in metres per metre of geometric error.
     pub(in crate::draw) sun_direction: [f32; 4],
-    /// Linear; w: share of a range where morphing starts.
+    /// w is the share of a range at which morphing starts.
     pub(in crate::draw) sun_color: [f32; 4],
-    /// Linear; w: fog density per metre at height 0, 0 when off.
+    /// w is the density of fog per metre at height 0; 0 without fog.
     pub(in crate::draw) ambient_color: [f32; 4],
-    /// Eye-space up at the eye; w: height of the eye in metres.
+    /// Eye-space direction up at the eye; w is the height of the eye in metres.
     pub(in crate::draw) up: [f32; 4],
-    /// Linear colour of the sky at the horizon; w: 1 / air scale height.
+    /// Colour of the sky at the horizon; w is 1 / scale height of the air in metres.
     pub(in crate::draw) horizon_color: [f32; 4],
-    /// Curvature of the ground, 1 / radius (0 when flat); exposure, 0 without tone mapping; 1 where there is an
-    /// atmosphere; 1 where it is seen in front of things.
+    /// x is the curvature of the ground, 1 / radius in metres, 0 if it is flat. y is the exposure, 0 without tone mapping.
+    /// z is 1 with an atmosphere, w is 1 if the atmosphere is also drawn in front of things.
     pub(in crate::draw) shape: [f32; 4],
-    /// Eye-space ray of a pixel from its clip position, in the plane one metre in front of the eye; where rays are
-    /// parallel, in the eye's own: two columns,
+    /// The two columns of the map from a pixel's clip position to its eye-space ray: a point of the plane one metre in
+    /// front of the eye, or of the eye's own plane if rays are parallel.
     pub(in crate::draw) ray: [f32; 4],
-    /// and the ray of the middle.
+    /// The ray of the clip position (0, 0).
     pub(in crate::draw) middle_ray: [f32; 4],
-    /// Linear colour of deep water; w: its height in metres.
+    /// Colour of deep water; w is its height in metres.
     pub(in crate::draw) water: [f32; 4],
-    /// Of the eye the air's tables were made for: kilometres from the earth's centre, cosines of horizon and limb; w: 1
-    /// where rays are parallel.
+    /// The eye that the air tables were computed for: kilometres from the earth's centre, cosines of horizon and limb. w is
+    /// 1 if rays are parallel.
     pub(in crate::draw) air: [f32; 4],
-    /// Linear irradiance of the sun before any air; w: layer of the first cascade's map.
+    /// Irradiance of the sun outside the air; w is the layer of the first cascade's map.
     pub(in crate::draw) sun_top: [f32; 4],
-    /// Axis across the sun's rays in eye space; w: bias along the normal in texels.
+    /// Eye-space axis across the sun's rays; w is the bias along the normal in texels.
     pub(in crate::draw) shadow_x: [f32; 4],
-    /// The other axis; w: bias towards the sun in texels.
+    /// The other axis; w is the bias towards the sun in texels.
     pub(in crate::draw) shadow_y: [f32; 4],
-    /// How many cascades, 0 without shadows; 1 / texels a side; depths between which they fade out.
+    /// The number of cascades, 0 without shadows; 1 / texels a side; the depths in metres between which shadows fade out.
     pub(in crate::draw) shadow: [f32; 4],
-    /// Of each cascade, metres to the map across and along the rays; greatest depth, depth where the next begins.
+    /// For each cascade: the scales from metres to the map, across and along the rays; its greatest depth in metres; the
+    /// depth at which the next one begins.
     pub(in crate::draw) cascade_scales: [[f32; 4]; MAX_CASCADES],
-    /// Place of the eye in the map; w: width of a texel in metres.
+    /// For each cascade: the eye's position in the map; w is the width of a texel in metres.
     pub(in crate::draw) cascade_offsets: [[f32; 4]; MAX_CASCADES],
 }
 
-/// Per leaf; `Leaf` in frame.wgsl.
+/// The data of a leaf; mirrors `Leaf` in frame.wgsl.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
 pub(in crate::draw) struct LeafUniform {
-    /// Rows of the 3x4 map from the drawable's frame to the eye.
+    /// The rows of the 3x4 transform from the drawable's frame to the eye.
     pub(in crate::draw) eye_from_drawable: [[f32; 4]; 3],
-    /// Linear factor.
+    /// Linear colour factor.
     pub(in crate::draw) color: [f32; 4],
-    /// Layer in the block's texture arrays.
+    /// The layer in the texture arrays of its block.
     pub(in crate::draw) layer: u32,
-    /// `FLAG_*`.
+    /// `FLAG_*`, the index count of pulled meshes, and the band of a fade.
     pub(in crate::draw) flags: u32,
-    /// Bits of the alpha below which fragments are dropped where the pipeline masks; first vertex of pulled meshes.
+    /// The bits of the `f32` alpha below which masked fragments are dropped; the first vertex of pulled meshes.
     pub(in crate::draw) alpha_cutoff: u32,
-    /// Vertices along a side of a height tile; first index of pulled meshes.
+    /// The vertices along a side of a height tile; the first index of pulled meshes.
     pub(in crate::draw) side: u32,
 }
 
@@ -76,15 +77,15 @@ impl LeafUniform {
         Self { eye_from_drawable: [[0.0; 4]; 3], color: [0.0; 4], layer: 0, flags: 0, alpha_cutoff: 0, side: 0 };
 }
 
-/// Where the number of indices of pulled meshes, 8 bits, begins in the flags.
+/// The lowest bit of the index count of pulled meshes in the flags; the count has 8 bits.
 pub(in crate::draw) const INDEX_COUNT_SHIFT: u32 = 8;
 
-/// Where the part of the pixels begins in the flags: its first value, and 8 bits above that behind its last.
+/// The lowest bit of a fade's band in the flags: 8 bits of its first value, then 8 bits of the end behind its last value.
 pub(in crate::draw) const BAND_SHIFT: u32 = 16;
 
-/// Not lit.
+/// Set if the leaf is not lit.
 pub(in crate::draw) const FLAG_UNLIT: u32 = 1;
-/// The drawable's own texture does not count.
+/// Set if the drawable's own texture is not used.
 pub(in crate::draw) const FLAG_UNTEXTURED: u32 = 2;
 
 fn mix(a: [f64; 3], b: [f64; 3], t: f64) -> [f64; 3] {
@@ -95,11 +96,12 @@ fn vec4(v: [f64; 3], w: f64) -> [f32; 4] {
     [v[0] as f32, v[1] as f32, v[2] as f32, w as f32]
 }
 
-fn direction_in_eye(camera: &CullCamera, world: DVec3) -> [f64; 3] {
-    camera.eye_from_world.matrix3.mul_vec3(world).normalize_or(DVec3::Z).to_array()
+fn linear_from_srgb(byte: u8) -> f64 {
+    let s = f64::from(byte) / 255.0;
+    if s <= 0.04045 { s / 12.92 } else { ((s + 0.055) / 1.055).powf(2.4) }
 }
 
-/// The colour targets are cleared with: the background's, or that of the horizon under a sky.
+/// Returns the colour that a picture is cleared with: the background's, or the horizon's under a sky.
 pub(in crate::draw) fn clear_color(environment: &Environment, frame: &FrameUniform) -> wgpu::Color {
     let [r, g, b] = match environment.sky {
         Sky::Background(rgb) => rgb.map(linear_from_srgb8),
@@ -108,28 +110,14 @@ pub(in crate::draw) fn clear_color(environment: &Environment, frame: &FrameUnifo
     wgpu::Color { r, g, b, a: 1.0 }
 }
 
-/// Height of a camera's eye in metres, and whether it is near a globe. Steers air and water only; a local frame counts as
-/// flat, with its ground at 0.
-pub(in crate::draw) fn eye_height_m(camera: &CullCamera, environment: &Environment) -> (f64, bool) {
-    let eye = camera.eye_from_world.inverse().translation;
-    let is_globe = is_over_globe(eye);
-    let height_m = if is_globe { WGS84.geodetic(eye).height_m } else { eye.dot(environment.up_in_world) };
-    (if height_m.is_finite() { height_m.max(0.0) } else { 0.0 }, is_globe)
-}
-
-/// Sine of the sun's height over the level at the eye.
-pub(in crate::draw) fn sun_height(camera: &CullCamera, environment: &Environment) -> f64 {
-    let sun = DVec3::from(direction_in_eye(camera, environment.sun_direction));
-    sun.dot(direction_in_eye(camera, environment.up_in_world).into())
-}
-
 impl FrameUniform {
-    /// For a projection of a camera; in the air as this or another eye sees it.
+    /// Returns the uniforms for a projection of a camera. `air` are the parameters of the tables that the view uses, which
+    /// may be those of another eye.
     pub(in crate::draw) fn new(
         camera: &CullCamera,
         clip_from_eye: &DMat4,
         environment: &Environment,
-        air: &Air,
+        air: &AirParameters,
     ) -> Self {
         let (height_m, is_globe) = eye_height_m(camera, environment);
         let sun = direction_in_eye(camera, environment.sun_direction);
@@ -141,7 +129,7 @@ impl FrameUniform {
         let p = clip_from_eye;
         let is_parallel = has_parallel_rays(p);
         let middle = if is_parallel { -p.w_axis } else { p.z_axis };
-        // A projection may turn the picture.
+        // A projection may rotate the image.
         let eye_from_clip = DMat2::from_cols(p.x_axis.truncate().truncate(), p.y_axis.truncate().truncate()).inverse();
         let sse_scale = camera.px_per_radian() / (camera.settings.max_sse_px * camera.settings.lod_scale).max(1e-9);
         let has_atmosphere = environment.sky == Sky::Atmosphere;
@@ -172,8 +160,8 @@ impl FrameUniform {
         }
     }
 
-    /// The same where shadows fall; the maps have `map_px` texels a side, of which the cascades use the first, and lie
-    /// from a layer on.
+    /// Returns the uniforms for a view with shadows. The maps have `map_px` texels a side, of which the cascades use the
+    /// first ones, and begin at the layer `first_layer`.
     pub(in crate::draw) fn with_shadows(mut self, shadows: &StageShadows, map_px: u32, first_layer: usize) -> Self {
         self.sun_top[3] = first_layer as f32;
         let [x, y] = [0, 1].map(|row| shadows.light_from_eye.row(row).to_array());

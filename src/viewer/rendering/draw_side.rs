@@ -296,7 +296,7 @@ impl DrawSide {
             }
             DrawCommand::Rewrite { slot, mesh } => {
                 if let Err(error) = self.context.rewrite(slot, &mesh) {
-                    self.renderer.complain(error.to_string());
+                    self.renderer.report_once(error.to_string());
                 }
                 return;
             }
@@ -405,7 +405,7 @@ impl DrawSide {
         self.pass_on_compiled();
         for ImageChange { texture, image } in self.images.drain(..) {
             if let Err(problem) = self.renderer.show_image(&self.context, &texture, &image) {
-                self.renderer.complain(problem);
+                self.renderer.report_once(problem);
             }
         }
         let (mut compile_ms, mut draw_ms) = (millis(start.elapsed()), 0.0);

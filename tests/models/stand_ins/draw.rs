@@ -92,7 +92,7 @@ impl Renderer {
         Ok(RgbaImage::new(1, 1))
     }
 
-    pub fn complain(&mut self, problem: String) {
+    pub fn report_once(&mut self, problem: String) {
         panic!("{problem}");
     }
 

@@ -1,0 +1,39 @@
+//! Instanced draws. Draw thread; plain values.
+
+use crate::gpu::{DrawableEntry, GraphicsContext, Shape};
+
+/// One instanced draw: leaves of one bucket with the same geometry.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::draw) struct Run {
+    pub(in crate::draw) bucket: u32,
+    pub(in crate::draw) base_vertex: i32,
+    /// The first index; for custom drawables, the index of the shape.
+    pub(in crate::draw) first_index: u32,
+    pub(in crate::draw) index_count: u32,
+    /// The first instance, which is the index of its first leaf in the leaf buffer.
+    pub(in crate::draw) first_leaf: u32,
+    pub(in crate::draw) leaf_count: u32,
+    /// The number of indices of all its leaves, for meshes.
+    pub(in crate::draw) all_indices: u64,
+}
+
+impl Run {
+    /// Returns a run without leaves for the geometry of a drawable.
+    pub(super) fn new(ctx: &GraphicsContext, bucket: u32, entry: &DrawableEntry) -> Self {
+        let (base_vertex, first_index, index_count) = match &entry.shape {
+            Shape::Height(place) => (0, 0, ctx.pools().heights.grid(place.side).map_or(0, |g| g.index_count)),
+            Shape::Mesh { place, .. } => (place.base_vertex, place.first_index, place.index_count),
+            Shape::Custom(shape) => (0, *shape, 0),
+        };
+        Self { bucket, base_vertex, first_index, index_count, first_leaf: 0, leaf_count: 0, all_indices: 0 }
+    }
+
+    /// Counts one more leaf.
+    #[inline]
+    pub(super) fn add(&mut self, entry: &DrawableEntry) {
+        self.leaf_count += 1;
+        if let Shape::Mesh { place, .. } = &entry.shape {
+            self.all_indices += u64::from(place.index_count);
+        }
+    }
+}

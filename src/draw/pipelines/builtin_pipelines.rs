@@ -1,0 +1,138 @@
+//! Built-in pipelines: those of passes that draw without a state of the scene. Draw thread.
+
+use super::builder::Variant;
+use super::cache::Pipelines;
+use super::convert::zeroed;
+use super::sources::{FILL_WGSL, QUERY_WGSL, SHADOWED_WATER_WGSL, SKY_WGSL, WATER_WGSL};
+use crate::gpu::{GraphicsContext, TargetFormats};
+
+/// The kinds of built-in pipelines.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(in crate::draw) enum Builtin {
+    /// The sky behind opaque runs.
+    Sky,
+    /// The sea.
+    Water,
+    /// The sea with the sun's shadows on it.
+    ShadowedWater,
+    /// Boxes of occlusion queries.
+    Query,
+    /// A triangle that fills a part of a target with a colour and the farthest depth.
+    Fill,
+    /// The same for the colour alone.
+    FillColor,
+    /// The same for the depth alone.
+    FillDepth,
+}
+
+/// The result of creating a pipeline for a target.
+#[derive(Clone, Default)]
+enum Attempt {
+    #[default]
+    NotTried,
+    Created(wgpu::RenderPipeline),
+    /// The device refused it; it is not tried again.
+    Refused,
+}
+
+/// The pipelines of one kind, one for each target.
+pub(in crate::draw) struct BuiltinPipelines {
+    kind: Builtin,
+    /// By index of the target.
+    by_target: Vec<Attempt>,
+}
+
+impl BuiltinPipelines {
+    pub(in crate::draw) fn new(kind: Builtin) -> Self {
+        Self { kind, by_target: Vec::new() }
+    }
+
+    /// Returns the pipeline of a target, if [`Self::ensure`] has created it.
+    pub(in crate::draw) fn get(&self, target: u8) -> Option<&wgpu::RenderPipeline> {
+        match self.by_target.get(usize::from(target))? {
+            Attempt::Created(pipeline) => Some(pipeline),
+            Attempt::NotTried | Attempt::Refused => None,
+        }
+    }
+
+    /// Creates the pipeline of a target at the first call for it.
+    pub(in crate::draw) fn ensure(&mut self, ctx: &GraphicsContext, pipelines: &mut Pipelines, target: u8) {
+        let Some(formats) = pipelines.target_formats(target).copied() else { return };
+        let index = usize::from(target);
+        if self.by_target.len() <= index {
+            self.by_target.resize(index + 1, Attempt::NotTried);
+        }
+        if matches!(self.by_target[index], Attempt::NotTried) {
+            self.by_target[index] = match self.create(ctx, pipelines, formats) {
+                Some(pipeline) => Attempt::Created(pipeline),
+                None => Attempt::Refused,
+            };
+        }
+    }
+
+    fn create(
+        &self,
+        ctx: &GraphicsContext,
+        pipelines: &mut Pipelines,
+        formats: TargetFormats,
+    ) -> Option<wgpu::RenderPipeline> {
+        let (label, source, entries) = match self.kind {
+            Builtin::Sky => ("sky", SKY_WGSL, ["vs_sky", "fs_sky"]),
+            Builtin::Water => ("water", WATER_WGSL, ["vs_sky", "fs_water"]),
+            Builtin::ShadowedWater => ("shadowed water", SHADOWED_WATER_WGSL, ["vs_sky", "fs_water"]),
+            Builtin::Query => ("query", QUERY_WGSL, ["vs_query", "fs_query"]),
+            Builtin::Fill | Builtin::FillColor | Builtin::FillDepth => ("fill", FILL_WGSL, ["vs_fill", "fs_fill"]),
+        };
+        let module = pipelines.builder().module(ctx, label, source);
+        let mut variant = Variant::new(label, &module, entries, formats);
+        match self.kind {
+            Builtin::Sky => {}
+            Builtin::Water | Builtin::ShadowedWater => {
+                (variant.depth_write, variant.blend) = (true, Some(wgpu::BlendState::ALPHA_BLENDING));
+            }
+            Builtin::Query => variant.write_mask = wgpu::ColorWrites::empty(),
+            Builtin::Fill | Builtin::FillColor | Builtin::FillDepth => {
+                variant.depth_compare = wgpu::CompareFunction::Always;
+                variant.outputs = u32::MAX;
+                variant.write_mask.set(wgpu::ColorWrites::ALPHA, formats.keeps_alpha);
+                if self.kind == Builtin::FillDepth {
+                    variant.write_mask = wgpu::ColorWrites::empty();
+                }
+                if self.kind != Builtin::FillColor {
+                    variant.depth_write = true;
+                    variant.stencil = zeroed(formats.depth);
+                }
+            }
+        }
+        let pipeline = pipelines.builder().create(ctx, &variant);
+        pipelines.builder().count();
+        pipeline
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gpu::{AdapterChoice, ContextTraits, DEPTH_FORMAT, MOST_COLORS};
+
+    /// Regression test: it was tried again, and its error logged, in each frame.
+    #[test]
+    fn refused_pipeline_is_tried_once() {
+        let traits = ContextTraits { size_px: [4, 4], adapter: AdapterChoice::Noop, ..ContextTraits::default() };
+        let ctx = GraphicsContext::new_offscreen(&traits).unwrap();
+        let mut pipelines = Pipelines::new(&ctx);
+        let mut sky = BuiltinPipelines::new(Builtin::Sky);
+        let mut ensure = |samples| {
+            let mut colors = [None; MOST_COLORS];
+            colors[0] = Some(wgpu::TextureFormat::Rgba8Unorm);
+            let formats = TargetFormats { colors, depth: DEPTH_FORMAT, samples, keeps_alpha: false };
+            let target = pipelines.target(&formats).unwrap();
+            (0..3).for_each(|_| sky.ensure(&ctx, &mut pipelines, target));
+            (sky.get(target).is_some(), pipelines.created(), pipelines.take_errors())
+        };
+        assert_eq!(ensure(1), (true, 1, Vec::new()));
+        let (is_created, created, errors) = ensure(3);
+        assert!(!is_created && matches!(&errors[..], [e] if e.contains("sky")), "{errors:?}");
+        assert_eq!(created, 2);
+    }
+}

@@ -1,0 +1,333 @@
+//! Creates the pipeline of a key. Draw thread.
+
+use super::builder::{PipelineBuilder, Variant};
+use super::convert::{bias, factor, operation, reversed, stencil_face};
+use super::custom_attributes::{AttributeLayouts, bind_attributes};
+use super::key::{AirKind, Alpha, Kind, MAX_TARGETS, PipelineKey, Shading};
+use super::key_parts::{PartIndices, Parts};
+use super::programs::{HEIGHT_ENTRY, Programs};
+use super::shader_choice::ShaderChoice;
+use crate::gpu::{GraphicsContext, TargetFormats, VertexFormat};
+use crate::scene::added_stride;
+use crate::state::{BlendEquation, BlendFunc, PolygonMode, ResolvedState, TEXTURE_UNITS};
+
+/// The attributes of each vertex format, and of the one colour that packed and quantized vertices share.
+const FULL_ATTRIBUTES: [wgpu::VertexAttribute; 4] =
+    wgpu::vertex_attr_array![0 => Float32x3, 1 => Float32x2, 2 => Snorm8x4, 3 => Unorm8x4];
+const PACKED_ATTRIBUTES: [wgpu::VertexAttribute; 3] =
+    wgpu::vertex_attr_array![0 => Float32x3, 1 => Unorm16x2, 2 => Snorm8x4];
+const QUANTIZED_ATTRIBUTES: [wgpu::VertexAttribute; 3] =
+    wgpu::vertex_attr_array![0 => Unorm16x4, 1 => Unorm16x2, 2 => Snorm8x4];
+const SHARED_COLOR_ATTRIBUTE: [wgpu::VertexAttribute; 1] = wgpu::vertex_attr_array![3 => Unorm8x4];
+
+/// The layouts of bind groups that the renderer itself declares.
+pub(super) struct GroupLayouts {
+    /// Group 2 of the fixed function without texture units.
+    pub(super) fixed: wgpu::BindGroupLayout,
+    /// Group 2 of the fixed function with texture units.
+    pub(super) textured: wgpu::BindGroupLayout,
+    /// Group 3 of pulled meshes: vertices and indices.
+    pub(super) pulled: wgpu::BindGroupLayout,
+}
+
+impl GroupLayouts {
+    fn new(device: &wgpu::Device) -> Self {
+        let layout = |label, entries: &[wgpu::BindGroupLayoutEntry]| {
+            device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(label), entries })
+        };
+        let buffer = |binding, visibility, ty, has_dynamic_offset| wgpu::BindGroupLayoutEntry {
+            binding,
+            visibility,
+            ty: wgpu::BindingType::Buffer { ty, has_dynamic_offset, min_binding_size: None },
+            count: None,
+        };
+        let both = wgpu::ShaderStages::VERTEX_FRAGMENT;
+        let uniforms = buffer(0, both, wgpu::BufferBindingType::Uniform, true);
+        let storage = wgpu::BufferBindingType::Storage { read_only: true };
+        let vertices = [0, 1].map(|binding| buffer(binding, wgpu::ShaderStages::VERTEX, storage, false));
+        let mut textured = vec![uniforms];
+        let planes = [wgpu::TextureViewDimension::D2; TEXTURE_UNITS];
+        let others =
+            [wgpu::TextureViewDimension::Cube, wgpu::TextureViewDimension::D3, wgpu::TextureViewDimension::D2Array];
+        for (unit, view_dimension) in (0u32..).zip(planes.into_iter().chain(others)) {
+            let entry = |binding, ty| wgpu::BindGroupLayoutEntry {
+                binding,
+                visibility: wgpu::ShaderStages::FRAGMENT,
+                ty,
+                count: None,
+            };
+            let sample_type = wgpu::TextureSampleType::Float { filterable: true };
+            let texture = wgpu::BindingType::Texture { sample_type, view_dimension, multisampled: false };
+            textured.push(entry(1 + 2 * unit, texture));
+            textured.push(entry(2 + 2 * unit, wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering)));
+        }
+        Self {
+            textured: layout("fixed function with textures", &textured),
+            fixed: layout("fixed function", &[uniforms]),
+            pulled: layout("pulled meshes", &vertices),
+        }
+    }
+}
+
+/// The shader of a pipeline, with what follows from it.
+struct Shader {
+    module: wgpu::ShaderModule,
+    vertex: &'static str,
+    fragment: &'static str,
+    /// Layout of bind group 2.
+    state_layout: Option<wgpu::BindGroupLayout>,
+    /// Values of overrides.
+    constants: Vec<(String, f64)>,
+    /// Bits of the locations that the fragment shader writes.
+    outputs: u32,
+    discards: bool,
+}
+
+/// Creates pipelines from keys. Owns the tables that the indices in keys refer to.
+pub(super) struct Factory {
+    pub(super) builder: PipelineBuilder,
+    pub(super) layouts: GroupLayouts,
+    pub(super) attribute_layouts: AttributeLayouts,
+    parts: Parts,
+    targets: Vec<TargetFormats>,
+    features: wgpu::Features,
+}
+
+impl Factory {
+    pub(super) fn new(ctx: &GraphicsContext) -> Self {
+        let device = ctx.device();
+        Self {
+            builder: PipelineBuilder::new(ctx.layouts().frame.clone()),
+            layouts: GroupLayouts::new(device),
+            attribute_layouts: AttributeLayouts::default(),
+            parts: Parts::default(),
+            targets: Vec::new(),
+            features: device.features(),
+        }
+    }
+
+    /// Returns the index of a target's formats; `None` if there are too many different ones.
+    pub(super) fn target(&mut self, formats: &TargetFormats) -> Option<u8> {
+        let index = match self.targets.iter().position(|known| known == formats) {
+            Some(index) => index,
+            None if self.targets.len() < MAX_TARGETS => {
+                self.targets.push(*formats);
+                self.targets.len() - 1
+            }
+            None => return None,
+        };
+        Some(index as u8)
+    }
+
+    pub(super) fn target_formats(&self, target: u8) -> Option<&TargetFormats> {
+        self.targets.get(usize::from(target))
+    }
+
+    /// Returns the indices of a state's parts, and those of them that referred to other values before.
+    pub(super) fn intern_parts(&mut self, state: &ResolvedState, frame: u32) -> (PartIndices, PartIndices) {
+        self.parts.intern(state, frame, self.builder.errors())
+    }
+
+    /// Creates the pipeline of a key. Returns `None` and keeps an error, with the name of the state that needs it, if that
+    /// is impossible.
+    pub(super) fn create(
+        &mut self,
+        ctx: &GraphicsContext,
+        programs: &mut Programs,
+        key: PipelineKey,
+        state: Option<&ResolvedState>,
+    ) -> Option<wgpu::RenderPipeline> {
+        let first_error = self.builder.errors().len();
+        let pipeline = self.create_unnamed(ctx, programs, key);
+        self.builder.count();
+        if let Some(state) = state {
+            let name = if state.name.is_empty() { "a state set" } else { state.name.as_str() };
+            for error in &mut self.builder.errors()[first_error..] {
+                *error = format!("{name}: {error}");
+            }
+        }
+        pipeline
+    }
+
+    fn create_unnamed(
+        &mut self,
+        ctx: &GraphicsContext,
+        programs: &mut Programs,
+        key: PipelineKey,
+    ) -> Option<wgpu::RenderPipeline> {
+        let is_height = key.kind() == Kind::Height;
+        let target = self.targets.get(key.target()).copied()?;
+        let layout = self.attribute_layouts.get(key.layout());
+        let custom_attributes = match bind_attributes(programs, key, layout) {
+            Ok(attributes) => attributes,
+            Err(problem) => {
+                self.builder.errors().push(problem);
+                return None;
+            }
+        };
+        let full_stride = (VertexFormat::Full.stride() + added_stride(layout)) as u64;
+        let shader = match key.shading() {
+            Shading::Program(index) => self.program_shader(ctx, programs, index, is_height)?,
+            _ => self.own_shader(ctx, key)?,
+        };
+        let full_attributes = [&FULL_ATTRIBUTES[..], &custom_attributes].concat();
+        let full = [vertex_buffer(full_stride, &full_attributes)];
+        let packed = packed_buffers(VertexFormat::Packed, &PACKED_ATTRIBUTES);
+        let quantized = packed_buffers(VertexFormat::Quantized, &QUANTIZED_ATTRIBUTES);
+        let constants: Vec<(&str, f64)> =
+            shader.constants.iter().map(|(name, value)| (name.as_str(), *value)).collect();
+        let mut label = format!("{} of target {}", shader.fragment, key.target());
+        if let Shading::Program(index) = key.shading() {
+            label = format!("program {:?}, {label}", programs.name(index).unwrap_or_default());
+        }
+        let mut write_mask = wgpu::ColorWrites::from_bits_truncate(key.color_mask() as u32);
+        write_mask.set(wgpu::ColorWrites::ALPHA, target.keeps_alpha);
+        // Both faces are culled by a depth test that never passes. A culled face marks no stencil either.
+        let culls_all = key.culled() == 3;
+        let variant = Variant {
+            block_layout: Some(if is_height { &ctx.layouts().height_block } else { &ctx.layouts().texture_block }),
+            state_layout: shader.state_layout.as_ref(),
+            pull_layout: key.is_pulled().then_some(&self.layouts.pulled),
+            constants: &constants,
+            buffers: match key.vertices() {
+                _ if is_height => &[],
+                None => &[],
+                Some(VertexFormat::Full) => &full,
+                Some(VertexFormat::Packed) => &packed,
+                Some(VertexFormat::Quantized) => &quantized,
+            },
+            topology: match key.kind() {
+                Kind::Height | Kind::Triangles => wgpu::PrimitiveTopology::TriangleList,
+                Kind::Lines => wgpu::PrimitiveTopology::LineList,
+                Kind::Points => wgpu::PrimitiveTopology::PointList,
+            },
+            culled: match key.culled() {
+                1 => Some(wgpu::Face::Back),
+                2 => Some(wgpu::Face::Front),
+                _ => None,
+            },
+            front_face: if key.is_clockwise() { wgpu::FrontFace::Cw } else { wgpu::FrontFace::Ccw },
+            polygon_mode: self.polygon_mode(key.polygon_mode()),
+            depth_write: key.writes_depth(),
+            depth_compare: if culls_all { wgpu::CompareFunction::Never } else { reversed(key.depth_compare()) },
+            stencil: self.stencil_state(if culls_all { 0 } else { key.stencil() }, target.depth),
+            bias: bias(self.parts.offset(key.offset()).unwrap_or_default()),
+            blend: self.parts.blend(key.blend()).map(|(func, equation)| blend_state(func, equation)),
+            write_mask,
+            outputs: shader.outputs,
+            alpha_to_coverage: key.has_alpha_to_coverage() && target.samples > 1,
+            discards: shader.discards,
+            unclipped_depth: key.is_caster() && self.features.contains(wgpu::Features::DEPTH_CLIP_CONTROL),
+            ..Variant::new(&label, &shader.module, [shader.vertex, shader.fragment], target)
+        };
+        self.builder.create(ctx, &variant)
+    }
+
+    /// Returns the shader of one of the application's programs; `None` if it cannot be used.
+    fn program_shader(
+        &mut self,
+        ctx: &GraphicsContext,
+        programs: &mut Programs,
+        index: u16,
+        is_height: bool,
+    ) -> Option<Shader> {
+        if is_height && let Err(problem) = programs.ensure_heights(ctx.device(), index) {
+            self.builder.errors().push(problem);
+        }
+        let program = programs.get(index)?;
+        let (module, vertex) = match is_height {
+            true => (program.heights.clone()?, HEIGHT_ENTRY),
+            false => (program.module.clone(), "vs_main"),
+        };
+        Some(Shader {
+            module,
+            vertex,
+            fragment: "fs_main",
+            state_layout: Some(program.layout.clone()),
+            constants: program.constants.clone(),
+            outputs: program.outputs,
+            discards: program.discards,
+        })
+    }
+
+    /// Returns the renderer's own shader for a key.
+    fn own_shader(&mut self, ctx: &GraphicsContext, key: PipelineKey) -> Option<Shader> {
+        let choice = ShaderChoice::of(key)?;
+        let mut constants = Vec::new();
+        let mut disable = |name: &str| constants.push((name.to_owned(), 0.0));
+        match key.air() {
+            AirKind::Atmosphere => {}
+            AirKind::Haze => disable("HAS_ATMOSPHERE"),
+            AirKind::Clear => ["HAS_ATMOSPHERE", "HAS_HAZE"].into_iter().for_each(&mut disable),
+        }
+        let uses_alpha = key.alpha() == Alpha::Blended || key.has_alpha_to_coverage();
+        if uses_alpha && choice.fragment.has_alpha_override() {
+            constants.push(("HAS_ALPHA".to_owned(), 1.0));
+        }
+        Some(Shader {
+            module: self.builder.module(ctx, choice.label, choice.source),
+            vertex: choice.vertex.name(),
+            fragment: choice.fragment.name(key.is_fading()),
+            state_layout: match key.shading() {
+                Shading::FixedFunction => Some(self.layouts.fixed.clone()),
+                Shading::FixedTextured => Some(self.layouts.textured.clone()),
+                _ => None,
+            },
+            constants,
+            outputs: 1,
+            discards: choice.discards,
+        })
+    }
+
+    /// Returns the polygon mode; triangles are filled if the adapter lacks it.
+    fn polygon_mode(&self, mode: PolygonMode) -> wgpu::PolygonMode {
+        match mode {
+            PolygonMode::Line if self.features.contains(wgpu::Features::POLYGON_MODE_LINE) => wgpu::PolygonMode::Line,
+            PolygonMode::Point if self.features.contains(wgpu::Features::POLYGON_MODE_POINT) => {
+                wgpu::PolygonMode::Point
+            }
+            _ => wgpu::PolygonMode::Fill,
+        }
+    }
+
+    /// Returns the stencil test of an index; none if the depth format has no stencil.
+    fn stencil_state(&self, index: u8, depth: wgpu::TextureFormat) -> wgpu::StencilState {
+        match self.parts.stencil(index).filter(|_| depth.has_stencil_aspect()) {
+            None => wgpu::StencilState::default(),
+            Some(stencil) => wgpu::StencilState {
+                front: stencil_face(&stencil.front),
+                back: stencil_face(&stencil.back),
+                read_mask: u32::from(stencil.read_mask),
+                write_mask: u32::from(stencil.write_mask),
+            },
+        }
+    }
+}
+
+fn vertex_buffer(array_stride: u64, attributes: &[wgpu::VertexAttribute]) -> Option<wgpu::VertexBufferLayout<'_>> {
+    Some(wgpu::VertexBufferLayout { array_stride, step_mode: wgpu::VertexStepMode::Vertex, attributes })
+}
+
+/// Returns the vertex buffers of a format without colours: the vertices, and the one colour that all share.
+fn packed_buffers(
+    format: VertexFormat,
+    attributes: &[wgpu::VertexAttribute],
+) -> [Option<wgpu::VertexBufferLayout<'_>>; 2] {
+    [vertex_buffer(format.stride() as u64, attributes), vertex_buffer(0, &SHARED_COLOR_ATTRIBUTE)]
+}
+
+fn blend_state(func: BlendFunc, equation: BlendEquation) -> wgpu::BlendState {
+    let operation = operation(equation);
+    // OpenGL takes the least and the greatest of the colours without their factors.
+    let ignores_factors = matches!(operation, wgpu::BlendOperation::Min | wgpu::BlendOperation::Max);
+    let factor = |of| if ignores_factors { wgpu::BlendFactor::One } else { factor(of) };
+    let component = |source, destination| wgpu::BlendComponent {
+        src_factor: factor(source),
+        dst_factor: factor(destination),
+        operation,
+    };
+    wgpu::BlendState {
+        color: component(func.source, func.destination),
+        alpha: component(func.source_alpha, func.destination_alpha),
+    }
+}

@@ -1,0 +1,99 @@
+//! The attachments of a camera's target, checked and created. Draw thread.
+
+use std::sync::Arc;
+
+use super::table::TargetError;
+use crate::draw::pipelines::{MOST_COLORS, TargetFormats};
+use crate::gpu::{GraphicsContext, StateTextures, texture_format};
+use crate::scene::{Attachment, CameraTarget};
+use crate::state::TextureFormat;
+
+/// The textures that a camera draws into, as views.
+pub(super) struct CameraAttachments {
+    pub(super) size_px: [u32; 2],
+    pub(super) formats: TargetFormats,
+    pub(super) colors: [Option<wgpu::TextureView>; MOST_COLORS],
+    pub(super) depth: Option<wgpu::TextureView>,
+}
+
+impl CameraAttachments {
+    /// Checks the attachments of a camera and creates their textures. `depth_format` is that of a depth buffer, for cameras
+    /// without a depth texture.
+    pub(super) fn new(
+        ctx: &GraphicsContext,
+        textures: &mut StateTextures,
+        camera: &CameraTarget,
+        samples: u32,
+        depth_format: wgpu::TextureFormat,
+    ) -> Result<Self, TargetError> {
+        if camera.colors.len() > MOST_COLORS {
+            let count = camera.colors.len();
+            return Err(format!("a camera has {count} colour attachments; {MOST_COLORS} are possible").into());
+        }
+        let size_px = common_size(camera)?;
+        let mut formats =
+            TargetFormats { colors: [None; MOST_COLORS], depth: depth_format, samples, keeps_alpha: true };
+        let mut colors = [const { None }; MOST_COLORS];
+        for (location, attachment) in camera.colors.iter().enumerate() {
+            formats.colors[location] = Some(color_format(camera, location, samples)?);
+            colors[location] = Some(view(ctx, textures, attachment)?);
+        }
+        let depth = match &camera.depth {
+            Some(attachment) if !attachment.texture.format.is_depth() => {
+                let name = &attachment.texture.name;
+                return Err(format!("texture {name:?} holds colour and is attached as depth").into());
+            }
+            Some(attachment) => {
+                formats.depth = texture_format(attachment.texture.format);
+                Some(view(ctx, textures, attachment)?)
+            }
+            None => None,
+        };
+        Ok(Self { size_px, formats, colors, depth })
+    }
+}
+
+/// Returns the size of all attachments in pixels, which must be the same.
+fn common_size(camera: &CameraTarget) -> Result<[u32; 2], String> {
+    let mut size_px = None;
+    for Attachment { texture, level, .. } in camera.colors.iter().chain(&camera.depth) {
+        let [width, height, _] = texture.level_size(*level);
+        if *size_px.get_or_insert([width, height]) != [width, height] {
+            return Err(format!("texture {:?} has another size than the camera's other attachments", texture.name));
+        }
+    }
+    size_px.ok_or_else(|| "a camera without attachments".to_owned())
+}
+
+/// Checks a colour attachment and returns its format.
+fn color_format(camera: &CameraTarget, location: usize, samples: u32) -> Result<wgpu::TextureFormat, String> {
+    let Attachment { texture, level, layer } = &camera.colors[location];
+    let (name, format) = (&texture.name, texture.format);
+    let is_same = |a: &Attachment| Arc::ptr_eq(&a.texture, texture) && (a.level, a.layer) == (*level, *layer);
+    if camera.colors[..location].iter().any(is_same) {
+        return Err(format!("texture {name:?} is attached twice: level {level} of layer {layer}"));
+    }
+    if format.is_depth() {
+        return Err(format!("texture {name:?} holds depth and is attached as colour"));
+    }
+    if format == TextureFormat::R32Float && samples > 1 {
+        return Err(format!("texture {name:?} holds 32-bit floats, which cannot be resolved from several samples"));
+    }
+    Ok(texture_format(format))
+}
+
+/// Creates the texture of an attachment if needed, and returns the view of its level and layer.
+fn view(
+    ctx: &GraphicsContext,
+    textures: &mut StateTextures,
+    attachment: &Attachment,
+) -> Result<wgpu::TextureView, TargetError> {
+    let Attachment { texture, level, layer } = attachment;
+    let name = &texture.name;
+    if !texture.texels.is_empty() {
+        return Err(format!("texture {name:?} has contents and cannot be drawn into").into());
+    }
+    textures.ensure(ctx.device(), ctx.queue(), texture)?.ok_or(TargetError::Reported)?;
+    let view = textures.attachment(texture, *level, *layer);
+    Ok(view.ok_or_else(|| format!("texture {name:?} has no level {level} of layer {layer} to draw into"))?)
+}

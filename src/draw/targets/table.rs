@@ -1,0 +1,216 @@
+//! The render targets of a frame: finds or creates the attachments of each stage. Draw thread.
+
+use std::sync::Arc;
+
+use super::camera_target::CameraAttachments;
+use super::owners::Owners;
+use super::pass_target::{PassTarget, depth_of};
+use crate::cull::{RenderStage, StageTarget};
+use crate::draw::pipelines::{MOST_COLORS, Pipelines, TargetFormats};
+use crate::gpu::{GraphicsContext, StateTextures, Transients};
+use crate::scene::CameraTarget;
+
+/// The reason why a stage's target cannot be drawn into.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub(in crate::draw) enum TargetError {
+    #[error("{0}")]
+    Invalid(String),
+    /// A texture that could not be created; the error was reported when it was tried.
+    #[error("a texture could not be created")]
+    Reported,
+}
+
+impl From<String> for TargetError {
+    fn from(reason: String) -> Self {
+        Self::Invalid(reason)
+    }
+}
+
+pub(super) const TOO_MANY_TARGETS: &str = "more kinds of targets than the 64 that pipelines tell apart";
+
+/// The targets of a renderer.
+pub(in crate::draw) struct Targets {
+    transients: Transients,
+    owners: Owners,
+    supports_stencil: bool,
+    /// True if some state of this frame uses the stencil.
+    has_stencil: bool,
+    /// True if stages other than pictures are drawn into the context's target after others, so that its depth is kept.
+    keeps_depth: bool,
+    /// True once a picture was drawn into the context's target in this frame.
+    is_begun: bool,
+}
+
+impl Targets {
+    pub(in crate::draw) fn new(device: &wgpu::Device) -> Self {
+        Self {
+            transients: Transients::default(),
+            owners: Owners::default(),
+            supports_stencil: device.features().contains(wgpu::Features::DEPTH32FLOAT_STENCIL8),
+            has_stencil: false,
+            keeps_depth: false,
+            is_begun: false,
+        }
+    }
+
+    /// Finds out what the stages of a frame's pictures need. Returns an error text if the adapter lacks it.
+    pub(in crate::draw) fn start_frame<'a>(
+        &mut self,
+        ctx: &GraphicsContext,
+        mut stages: impl Iterator<Item = &'a RenderStage> + Clone,
+    ) -> Option<&'static str> {
+        self.transients.start_frame(ctx.face_count());
+        self.owners.start_frame();
+        self.is_begun = false;
+        // A camera's depth texture has a stencil of its own, or none.
+        let uses_stencil = |stage: &RenderStage| {
+            depth_of(stage).is_none() && stage.state_sets.iter().any(|state| state.stencil().is_some())
+        };
+        let needs_stencil = stages.clone().any(|stage| any(stage, &uses_stencil));
+        self.has_stencil = needs_stencil && self.supports_stencil;
+        // A picture itself clears the depth of pictures before it.
+        self.keeps_depth = stages.any(|stage| {
+            let [before, after] =
+                [&stage.pre_render, &stage.post_render].map(|s| s.iter().map(stages_in_context).sum::<usize>());
+            before > 1 || after > 0
+        });
+        (needs_stencil && !self.supports_stencil)
+            .then_some("the adapter has no stencil beside float depth; stencil tests pass everywhere")
+    }
+
+    /// Returns the format of depth buffers of this frame.
+    pub(in crate::draw) fn depth_format(&self) -> wgpu::TextureFormat {
+        if self.has_stencil { wgpu::TextureFormat::Depth32FloatStencil8 } else { crate::gpu::DEPTH_FORMAT }
+    }
+
+    /// Returns the attachments of a stage.
+    pub(in crate::draw) fn find(
+        &mut self,
+        ctx: &GraphicsContext,
+        textures: &mut StateTextures,
+        pipelines: &mut Pipelines,
+        target: &StageTarget,
+        is_outermost: bool,
+    ) -> Result<PassTarget, TargetError> {
+        match &target.camera {
+            Some(camera) => self.of_camera(ctx, textures, pipelines, camera, is_outermost),
+            None => self.of_context(ctx, pipelines, is_outermost),
+        }
+    }
+
+    fn of_context(
+        &mut self,
+        ctx: &GraphicsContext,
+        pipelines: &mut Pipelines,
+        is_outermost: bool,
+    ) -> Result<PassTarget, TargetError> {
+        let is_begun = self.is_begun;
+        self.is_begun |= is_outermost;
+        let view = ctx.color_view().ok_or_else(|| "the window has no image to draw into".to_owned())?.clone();
+        let (size_px, samples, depth) = (ctx.size_px(), ctx.samples(), self.depth_format());
+        let format = ctx.color_format();
+        let mut formats = TargetFormats { colors: [None; MOST_COLORS], depth, samples, keeps_alpha: false };
+        formats.colors[0] = Some(format);
+        let mut colors = [const { None }; MOST_COLORS];
+        let mut resolves = [const { None }; MOST_COLORS];
+        if samples > 1 {
+            colors[0] = Some(self.transients.view(ctx.memory(), size_px, format, samples, 0)?);
+            resolves[0] = Some(view);
+        } else {
+            colors[0] = Some(view);
+        }
+        Ok(PassTarget {
+            colors,
+            resolves,
+            is_stale: [false; MOST_COLORS],
+            depth: self.transients.view(ctx.memory(), size_px, depth, samples, 0)?,
+            depth_resolve: None,
+            depth_is_stale: false,
+            has_stencil: self.has_stencil,
+            keeps_depth: self.keeps_depth,
+            size_px,
+            max_px: ctx.device().limits().max_texture_dimension_2d,
+            samples,
+            index: pipelines.target(&formats).ok_or_else(|| TOO_MANY_TARGETS.to_owned())?,
+            is_outermost,
+            is_begun,
+        })
+    }
+
+    fn of_camera(
+        &mut self,
+        ctx: &GraphicsContext,
+        textures: &mut StateTextures,
+        pipelines: &mut Pipelines,
+        camera: &Arc<CameraTarget>,
+        is_outermost: bool,
+    ) -> Result<PassTarget, TargetError> {
+        let samples = if camera.samples > 1 { 4 } else { 1 };
+        let camera_owner = self.owners.of_camera(camera);
+        let attachments = CameraAttachments::new(ctx, textures, camera, samples, self.depth_format())?;
+        let CameraAttachments { size_px, formats, .. } = attachments;
+        let mut colors = [const { None }; MOST_COLORS];
+        let mut resolves = [const { None }; MOST_COLORS];
+        let mut owners = [None; MOST_COLORS];
+        for (location, attachment) in camera.colors.iter().enumerate() {
+            let (Some(format), Some(view)) = (formats.colors[location], attachments.colors[location].clone()) else {
+                continue;
+            };
+            let owner = self.owners.of_attachment(attachment);
+            owners[location] = Some(owner);
+            if samples > 1 {
+                colors[location] = Some(self.transients.view(ctx.memory(), size_px, format, samples, owner)?);
+                resolves[location] = Some(view);
+            } else {
+                colors[location] = Some(view);
+            }
+        }
+        let mut depth_owner = None;
+        let mut depth_resolve = None;
+        let depth = match (&camera.depth, attachments.depth) {
+            (Some(attachment), Some(view)) => {
+                let owner = self.owners.of_attachment(attachment);
+                depth_owner = Some(owner);
+                if samples > 1 {
+                    depth_resolve = Some(view);
+                    self.transients.readable_view(ctx.memory(), size_px, formats.depth, samples, owner)?
+                } else {
+                    view
+                }
+            }
+            _ => self.transients.view(ctx.memory(), size_px, formats.depth, samples, camera_owner)?,
+        };
+        let index = pipelines.target(&formats).ok_or_else(|| TOO_MANY_TARGETS.to_owned())?;
+        let mut is_stale = [false; MOST_COLORS];
+        for (is_stale, owner) in is_stale.iter_mut().zip(owners) {
+            *is_stale = owner.is_some_and(|owner| self.owners.draw_into(owner, samples));
+        }
+        Ok(PassTarget {
+            colors,
+            resolves,
+            is_stale,
+            depth,
+            depth_resolve,
+            depth_is_stale: depth_owner.is_some_and(|owner| self.owners.draw_into(owner, samples)),
+            has_stencil: formats.depth.has_stencil_aspect(),
+            keeps_depth: true,
+            size_px,
+            max_px: ctx.device().limits().max_texture_dimension_2d,
+            samples,
+            index,
+            is_outermost,
+            is_begun: false,
+        })
+    }
+}
+
+/// Returns true if something holds for a stage or one before or after it.
+fn any(stage: &RenderStage, holds: &impl Fn(&RenderStage) -> bool) -> bool {
+    holds(stage) || stage.pre_render.iter().chain(&stage.post_render).any(|s| any(s, holds))
+}
+
+/// Returns how many of a stage and those before and after it draw into the context's target.
+fn stages_in_context(stage: &RenderStage) -> usize {
+    let around = stage.pre_render.iter().chain(&stage.post_render);
+    usize::from(stage.target.camera.is_none()) + around.map(stages_in_context).sum::<usize>()
+}
