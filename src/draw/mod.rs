@@ -9,7 +9,7 @@
 //!                runs of equal geometry (one instanced draw each) in buckets of equal bindings
 //!             -> a render pass: state is set only where it changes; runs of a bucket are one indirect call
 //! ```
-//! Stages of cameras that are drawn before or after it are render passes of their own, into textures or the same target.
+//! Stages of cameras that are drawn before or after it are separate render passes, into textures or the same target.
 //!
 //! | folder or file | contents |
 //! |---|---|

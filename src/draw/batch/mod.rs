@@ -486,8 +486,8 @@ fn uniform(entry: &DrawableEntry, rows: &[[f32; 4]; 3], state: &StateEntry, stri
     }
 }
 
-/// Returns how many of the next leaves are drawn alike, and whether their order is free: in a bin sorted by state, for
-/// leaves of which the nearer one hides the other in any order.
+/// Returns how many of the next leaves are drawn alike, and whether their order is free. It is free in bins sorted by state,
+/// for leaves that hide each other correctly in any order.
 fn alike(sort: SortMode, states: &[StateEntry], leaves: &[RenderLeaf]) -> (usize, bool) {
     let is_free = |state: u32| states.get(state as usize).is_none_or(|s| s.key.order_is_free);
     let Some(first) = leaves.first().filter(|_| sort == SortMode::ByState) else { return (leaves.len(), false) };

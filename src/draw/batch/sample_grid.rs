@@ -43,8 +43,8 @@ impl SampleGrid {
         if nearest.is_nan() || nearest <= 0.0 {
             return false;
         }
-        // A point of the box is projected away from the box's centre by (p + q) / (z + w) - p / z, with p and z of the
-        // centre and q and w of the vector to the point: that is (q - w p / z) / (z + w).
+        // The centre has the grid coordinates p and depth z; a vector from it to a point of the box adds q and w. On the
+        // grid the point is (p + q) / (z + w) - p / z = (q - w p / z) / (z + w) away from the centre.
         let at = center / center.z;
         let off = |axis: Vec4, half: f32| (axis - at * axis.z).abs() * half;
         let spread = off(axes[0], extent.half[0]) + off(axes[1], extent.half[1]) + off(axes[2], extent.half[2]);

@@ -1,7 +1,7 @@
 //! The air pass: computes the tables of light that the air scatters and absorbs, for each eye of a draw whose air differs
 //! from the others'. Runs before all render passes. Draw thread only.
 //!
-//! Views, and cameras in the graph with air of their own, share up to eight sets of tables. An eye beyond the eighth
+//! Views, and cameras in the graph with separate air, share up to eight sets of tables. An eye beyond the eighth
 //! uses the set of the eye at nearly its height.
 
 use super::air_tables::{AirPipelines, ReadTables, Tables, table};

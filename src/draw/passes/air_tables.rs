@@ -2,9 +2,9 @@
 //! (`shaders/atmosphere.wgsl`; the layout is in `shaders/air.wgsl`). Draw thread.
 //!
 //! Three tables hold for the whole earth and are computed once for a density of aerosols: the share of sunlight that is
-//! left, light scattered more than once, and the sky's light on the ground. The fourth is computed when the eye's height
-//! or the sun's elevation has changed: the light that the air adds and absorbs along every direction from the eye, up to
-//! 24 distances.
+//! left, light scattered more than once, and the sky's light on the ground. The fourth has the light that the air adds and
+//! absorbs along every direction from the eye, up to 24 distances. It is computed when the eye's height or the sun's
+//! elevation has changed.
 //!
 //! After S. Hillaire, A Scalable and Production Ready Sky and Atmosphere Rendering Technique (2020).
 

@@ -11,7 +11,7 @@ use crate::draw::targets::pass_target::PassTarget;
 use crate::gpu::{GraphicsContext, watched};
 use crate::state::TextureObject;
 
-const COMPOSITE_WGSL: &str = include_str!("../shaders/composite.wgsl");
+const COMPOSITE_WGSL: &str = include_str!("../shaders/composition.wgsl");
 
 /// The pipelines that draw two textures over a viewport, one for each kind of target.
 struct Composite {
@@ -25,7 +25,7 @@ struct Composite {
     pipelines: Vec<(TargetFormats, Option<wgpu::RenderPipeline>)>,
 }
 
-/// Returns the number of a mode in composite.wgsl.
+/// Returns the number of a mode in composition.wgsl.
 fn code(mode: StereoMode) -> u32 {
     match mode {
         StereoMode::Anaglyphic => 0,

@@ -34,8 +34,8 @@ pub(in crate::draw) enum Part {
 }
 
 impl Leaves {
-    /// Prepares the states of a stage and builds its runs. `replaces_sun` means that a light of the stage takes the
-    /// place of the environment's sun.
+    /// Prepares the states of a stage and builds its runs. `replaces_sun` means that a light of the stage
+    /// replaces the environment's sun.
     pub(in crate::draw) fn prepare(resources: &mut Resources, lit: &LitStage<'_>, replaces_sun: bool) -> Self {
         let stage = lit.input.stage;
         let mut states = resources.batch.take_states();

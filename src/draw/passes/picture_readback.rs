@@ -1,5 +1,5 @@
-//! Read-back of camera textures: copies them to buffers, and hands the pictures over some frames later. Draw thread;
-//! nothing waits for them.
+//! Read-back of camera textures: copies them to buffers, and hands the images over as [`Picture`] some frames later. Draw
+//! thread; nothing waits for them.
 
 use std::sync::Arc;
 
@@ -12,7 +12,7 @@ use crate::gpu::{GraphicsContext, Memory};
 use crate::scene::{Attachment, CameraTarget, Picture, PictureSink, ReadBack};
 use crate::state::TextureFormat;
 
-/// Pictures that may be in flight.
+/// Copies that may be in flight.
 const MAX_PICTURES: usize = 8;
 /// A sink that has not asked for this many draws, of all targets, loses its turn.
 const WAITING_DRAWS: u32 = 32;
@@ -95,7 +95,7 @@ struct WaitingSink {
     draw: u32,
 }
 
-/// The pictures of a renderer that are read back.
+/// The camera textures of a renderer that are being read back.
 #[derive(Default)]
 pub(in crate::draw) struct PictureReadback {
     slots: Vec<PictureSlot>,
@@ -149,7 +149,7 @@ impl PictureReadback {
         has_turn
     }
 
-    /// Records the copy of a part of a camera's target, unless too many pictures are in flight. Returns an error if
+    /// Records the copy of a part of a camera's target, unless too many copies are in flight. Returns an error if
     /// there is no memory for the buffer.
     fn copy(
         &mut self,
@@ -217,7 +217,7 @@ impl PictureReadback {
         Ok(())
     }
 
-    /// Starts to read the pictures of a submitted draw back, and drops sinks that no longer ask.
+    /// Maps the copies of a submitted draw for reading, and drops sinks that no longer ask.
     pub(in crate::draw) fn submitted(&mut self) {
         self.draw = self.draw.wrapping_add(1);
         self.waiting.retain(|waiting| self.draw.wrapping_sub(waiting.draw) <= WAITING_DRAWS);
@@ -227,7 +227,7 @@ impl PictureReadback {
         }
     }
 
-    /// Hands over the pictures that have arrived.
+    /// Hands over the images that have arrived.
     pub(in crate::draw) fn deliver(&mut self) {
         for slot in &self.slots {
             match slot.mapping.state() {

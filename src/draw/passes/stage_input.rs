@@ -26,7 +26,7 @@ pub(in crate::draw) struct Surroundings {
     pub(in crate::draw) air: EyeAir,
     /// True for a picture of the frame and for the image of an eye; false for cameras inside a picture.
     pub(in crate::draw) is_outermost: bool,
-    /// True if the stage has a background, a sky and water of its own.
+    /// True if the stage has a separate background, sky and water.
     pub(in crate::draw) is_whole: bool,
 }
 
@@ -76,7 +76,7 @@ impl LitStage<'_> {
         self.around.is_whole && self.input.stage.stereo.is_none()
     }
 
-    /// Returns the viewport of a view inside the stage in pixels, where it has one of its own.
+    /// Returns the viewport of a view inside the stage in pixels, if that differs from the stage's.
     pub(in crate::draw) fn viewport_px(&self, view: u32) -> Option<[u32; 4]> {
         let inner = (view as usize).checked_sub(1)?;
         self.input.stage.views.get(inner)?.viewport_px

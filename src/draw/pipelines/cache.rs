@@ -86,7 +86,7 @@ impl Pipelines {
         &self.factory.layouts.pulled
     }
 
-    /// Returns the builder, for passes with pipelines of their own.
+    /// Returns the builder, for the built-in pipelines of passes.
     pub(super) fn builder(&mut self) -> &mut PipelineBuilder {
         &mut self.factory.builder
     }

@@ -145,7 +145,7 @@ mod tests {
             (indices.offset, replaced.offset != 0, errors.len())
         };
         assert_eq!(indices.map(|state| index_in(0, &state).0), [0, 1, 1, 0]);
-        // 63 values at once have indices of their own.
+        // Up to 63 values at once have different indices.
         for i in 1..100u8 {
             let full = usize::from(i.saturating_sub(62));
             assert_eq!(index_in(1, &offset(0.0, f32::from(i))), (u8::min(i + 1, 63), false, full));

@@ -75,7 +75,7 @@ fn surroundings_of_camera(
 }
 
 impl Renderer {
-    /// Returns the surroundings of a camera with a stage of its own.
+    /// Returns the surroundings of a camera that has a separate stage.
     pub(super) fn surroundings_of_stage(
         &mut self,
         ctx: &GraphicsContext,

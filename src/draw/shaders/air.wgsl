@@ -1,16 +1,17 @@
-// How the tables of the air are laid out: for those who write them (atmosphere.wgsl) and those who read them.
+// The layout of the air tables, shared by the shaders that write them (atmosphere.wgsl) and those that read them.
 
 const EARTH_KM: f32 = 6371.0;
 const AIR_KM: f32 = 6471.0;
 const LOWEST_KM: f32 = 6368.0;
 const SUN_RADIUS: f32 = 0.0047;  // radians
 
-// Cosine from the zenith of the horizon at a height.
+// Returns the cosine of the angle from the zenith to the horizon at a height. Heights are in kilometres.
 fn horizon_cosine(height: f32) -> f32 {
     let h = max(height, 0.0);
     return -sqrt(h * (2.0 * EARTH_KM + h)) / (EARTH_KM + h);
 }
 
+// Returns the texture coordinates of a height and a cosine from the zenith in the table of sunlight.
 fn sunlight_place(height: f32, cosine: f32) -> vec2<f32> {
     let h = clamp(height, 0.0, 100.0);
     let horizon = horizon_cosine(h);
@@ -18,20 +19,21 @@ fn sunlight_place(height: f32, cosine: f32) -> vec2<f32> {
     return (at * vec2<f32>(127.0, 63.0) + 0.5) / vec2<f32>(128.0, 64.0);
 }
 
-// Share of the sun's disc above the horizon.
+// Returns the share of the sun's disc above the horizon.
 fn sun_share(height: f32, cosine: f32) -> f32 {
     return smoothstep(-SUN_RADIUS, SUN_RADIUS, cosine - horizon_cosine(height));
 }
 
-// How much aerosols scatter by the angle's cosine: Henyey and Greenstein's with g = 0.8.
+// Returns the phase function of aerosols by the cosine of the scattering angle: Henyey and Greenstein's with g = 0.8.
 fn mie_phase(cosine: f32) -> f32 {
     let g = 0.8;
     let d = 1.0 + g * g - 2.0 * g * cosine;
     return (1.0 - g * g) / (4.0 * 3.14159265 * d * sqrt(d));
 }
 
-// The table's rows lie below and above the horizon (of the lowest ground), closer beside it; columns go from the sun's
-// azimuth to the opposite one. Of a place, from 0 to 1: cosine of the azimuth, cosine from the zenith.
+// Returns the direction of a position in the table of the air, from 0 to 1: the cosine of the azimuth from the sun, and the
+// cosine from the zenith. Rows lie below and above the horizon of the lowest ground, closer together near it. Columns go
+// from the sun's azimuth to the opposite one.
 fn air_direction(place: vec2<f32>, is_above: bool, horizon: f32, limb: f32) -> vec2<f32> {
     // 64 rows: the halves are 0 to 31 / 63 and 32 / 63 to 1.
     let below = 1.0 - place.y * (63.0 / 31.0);
@@ -40,6 +42,7 @@ fn air_direction(place: vec2<f32>, is_above: bool, horizon: f32, limb: f32) -> v
     return vec2<f32>(1.0 - 2.0 * place.x, cosine);
 }
 
+// Returns the row of a cosine from the zenith; the inverse of `air_direction`.
 fn air_row(cosine: f32, horizon: f32, limb: f32) -> f32 {
     if cosine >= horizon {
         return 32.0 + 31.0 * sqrt(clamp((cosine - horizon) / (limb - horizon), 0.0, 1.0));
@@ -47,7 +50,7 @@ fn air_row(cosine: f32, horizon: f32, limb: f32) -> f32 {
     return 31.0 - 31.0 * sqrt(clamp((horizon - cosine) / (1.0 + horizon), 0.0, 1.0));
 }
 
-// Where a ray enters the air, and where it leaves it or meets the lowest ground.
+// Returns the distances in kilometres at which a ray enters the air, and leaves it or meets the lowest ground.
 fn air_range(from_center: f32, cosine: f32, is_above: bool) -> vec2<f32> {
     let b = from_center * cosine;
     let top = (from_center - AIR_KM) * (from_center + AIR_KM);

@@ -1,8 +1,10 @@
-// The air once and for all (sunlight, multiple, sky_light) and as seen from the eye (air): S. Hillaire, A Scalable and
-// Production Ready Sky and Atmosphere Rendering Technique, 2020, with other tables. Kilometres.
+// Computes the tables of the air: those of the whole earth (sunlight, multiple, sky_light) and those of one eye (air). After
+// S. Hillaire, A Scalable and Production Ready Sky and Atmosphere Rendering Technique, 2020, with other tables. Lengths are
+// in kilometres.
 
 struct Air {
-    eye: vec4<f32>,      // from the earth's centre; cosines from the zenith of the lowest ground, of the air's limb, of the sun
+    eye: vec4<f32>,      // distance from the earth's centre; cosines from the zenith of the horizon of the lowest ground,
+                         // of the air's limb and of the sun
     aerosol: vec4<f32>,  // extinction at height 0
 }
 
@@ -21,7 +23,7 @@ const GROUND_ALBEDO: f32 = 0.2;
 @group(0) @binding(5) var out_scattered: texture_storage_3d<rgba16float, write>;
 @group(0) @binding(6) var out_mie: texture_storage_3d<rgba16float, write>;
 
-// Scattering and extinction in a kilometre.
+// Scattering and extinction per kilometre.
 struct Medium {
     rayleigh: vec3<f32>,
     mie: f32,
@@ -36,12 +38,13 @@ fn medium(height: f32) -> Medium {
     return Medium(rayleigh, MIE_ALBEDO * mie, rayleigh + mie + ozone);
 }
 
+// Returns the distance along a ray from inside a sphere around the earth's centre to the sphere.
 fn to_sphere(radius: f32, from_center: f32, cosine: f32) -> f32 {
     let b = from_center * cosine;
     return -b + sqrt(max(b * b - (from_center - radius) * (from_center + radius), 0.0));
 }
 
-// Where a ray from inside the air ends: at the ground, or at the top.
+// Returns the distance at which a ray from inside the air ends: at the ground, or at the top of the air.
 fn ray_end(from_center: f32, cosine: f32, ground: f32) -> f32 {
     let b = from_center * cosine;
     let c = (from_center - ground) * (from_center + ground);
@@ -61,7 +64,7 @@ fn sampled_multiple(height: f32, cosine: f32) -> vec3<f32> {
     return textureSampleLevel(multiple, linear_clamp, (at * (size - 1.0) + 0.5) / size, 0.0).rgb;
 }
 
-// What is left of sunlight at a height, by the sun's place above the horizon there.
+// Computes the share of sunlight that reaches a height, by the sun's elevation above the horizon there.
 @compute @workgroup_size(8, 8)
 fn cs_sunlight(@builtin(global_invocation_id) id: vec3<u32>) {
     let at = vec2<f32>(id.xy) / (vec2<f32>(textureDimensions(out_plane)) - 1.0);
@@ -79,7 +82,7 @@ fn cs_sunlight(@builtin(global_invocation_id) id: vec3<u32>) {
     textureStore(out_plane, id.xy, vec4<f32>(exp(-depth), 1.0));
 }
 
-// Directions spread over the sphere.
+// Returns one of `count` directions that are spread evenly over the sphere.
 fn direction_of(i: u32, count: u32) -> vec3<f32> {
     let z = 1.0 - (2.0 * f32(i) + 1.0) / f32(count);
     let around = f32(i) * 2.3999632;
@@ -87,7 +90,7 @@ fn direction_of(i: u32, count: u32) -> vec3<f32> {
     return vec3<f32>(across * cos(around), across * sin(around), z);
 }
 
-// Light scattered twice and more, as if from all sides alike (section 5.5).
+// Computes light that was scattered twice or more, taken as equal from all directions (section 5.5).
 @compute @workgroup_size(8, 8)
 fn cs_multiple(@builtin(global_invocation_id) id: vec3<u32>) {
     let at = vec2<f32>(id.xy) / (vec2<f32>(textureDimensions(out_plane)) - 1.0);
@@ -127,7 +130,7 @@ fn rayleigh_phase(cosine: f32) -> f32 {
     return 3.0 / (16.0 * PI) * (1.0 + cosine * cosine);
 }
 
-// Light of the whole sky on level ground, by the sun's cosine from -0.3 to 1.
+// Computes the light of the whole sky on level ground, by the sun's cosine from the zenith between -0.3 and 1.
 @compute @workgroup_size(8, 8)
 fn cs_sky_light(@builtin(global_invocation_id) id: vec3<u32>) {
     let size = textureDimensions(out_plane);
@@ -162,8 +165,9 @@ fn cs_sky_light(@builtin(global_invocation_id) id: vec3<u32>) {
     textureStore(out_plane, id.xy, vec4<f32>(light * (2.0 * PI / 64.0), 1.0));
 }
 
-// What the air adds and takes along each direction from the eye, to distances that lie closer near the eye: scattered by
-// air and more than once, with what is left of light from beyond; and what aerosols scatter once, without its phase.
+// Computes the light that the air adds along each direction from the eye, up to distances that lie closer together near the
+// eye. One table has light scattered by air and scattered more than once, and the share of light left from beyond. The
+// other has light scattered once by aerosols, without its phase function.
 @compute @workgroup_size(8, 8)
 fn cs_air(@builtin(global_invocation_id) id: vec3<u32>) {
     let size = textureDimensions(out_scattered);

@@ -1,6 +1,6 @@
-// Facets of what is drawn, from the derivatives of places.
+// Facet normals, from the screen-space derivatives of positions.
 
-// The facet's normal, towards the eye.
+// Returns the normal of the facet at a point, on the side of the eye.
 fn facet_normal(in_eye: vec3<f32>) -> vec3<f32> {
     let across = cross(dpdx(in_eye), dpdy(in_eye));
     let size = length(across);
@@ -12,8 +12,8 @@ fn facet_normal(in_eye: vec3<f32>) -> vec3<f32> {
     return select(normal, -normal, dot(normal, from_eye) > 0.0);
 }
 
-// The normal that a shadow is looked up with: that of the facet, which is what casts; where the sun only grazes a
-// smooth surface's facets from behind, the smooth one.
+// Returns the normal for the look-up of a shadow. It is the facet's, since facets cast; the smooth normal is taken where the
+// sun is behind the facet.
 fn towards_sun(normal: vec3<f32>, facet: vec3<f32>) -> vec3<f32> {
     return select(normal, facet, dot(facet, frame.sun_direction.xyz) > 0.0);
 }

@@ -1,4 +1,4 @@
-// The background of a picture that has a part of a target: one triangle over its viewport, in a leaf's colour.
+// The background of a stage that draws into a part of a target: one triangle over its viewport, in a leaf's colour.
 
 struct FillVertex {
     @builtin(position) position: vec4<f32>,
@@ -12,7 +12,7 @@ fn vs_fill(@builtin(vertex_index) index: u32, @builtin(instance_index) instance:
     return FillVertex(vec4<f32>(xy, 0.0, 1.0), leaves[instance].color);
 }
 
-// To all attachments that there are.
+// The same colour for all attachments; locations without an attachment are ignored.
 struct FillColors {
     @location(0) first: vec4<f32>,
     @location(1) second: vec4<f32>,

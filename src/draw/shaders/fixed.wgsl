@@ -1,6 +1,6 @@
 // The fixed function: lights, material, fog, clip planes, alpha test and texture units, in OpenGL's terms.
 
-// How a side of a surface reflects.
+// The material of one side of a surface.
 struct Reflection {
     ambient: vec4<f32>,
     diffuse: vec4<f32>,
@@ -8,36 +8,37 @@ struct Reflection {
     emission: vec4<f32>,
 }
 
+// The uniforms of a state.
 struct Fixed {
     front: Reflection,
     back: Reflection,
     fog_color: vec4<f32>,      // w: 0 none, 1 the environment's haze, 2 linear, 3 exp, 4 exp2
-    fog: vec4<f32>,            // linear: end and 1 / (end - start); else the density
+    fog: vec4<f32>,            // of linear fog, end and 1 / (end - start); otherwise the density per metre
     model_ambient: vec4<f32>,  // w: reference of the alpha test
-    model: vec4<u32>,          // 1 for a local viewer; faces (below); 1 for highlights that are added to textures
-    flags: vec4<u32>,          // lights, clip planes, alpha test, 1 where the sun is replaced
-    units: vec4<u32>,          // 0 off, 1 plane, 2 cube, 3 volume, 4 layers
-    texgens: vec4<u32>,        // 0 the mesh's, 1 object linear, 2 eye linear, 3 sphere, 4 normal, 5 reflection
+    model: vec4<u32>,          // 1 for a local viewer; the lit side (below); 1 if highlights are added after textures
+    flags: vec4<u32>,          // bits of lights, bits of clip planes, alpha test, 1 if a light replaces the sun
+    units: vec4<u32>,          // 0 off, 1 plane, 2 cube, 3 volume, 4 array
+    texgens: vec4<u32>,        // 0 the mesh's coordinates, 1 object linear, 2 eye linear, 3 sphere, 4 normal, 5 reflection
     bias: vec4<f32>,           // added to the mip level
     planes: array<vec4<f32>, 16>,  // of s, t, r and q, by unit
 }
 
 @group(2) @binding(0) var<uniform> fixed_state: Fixed;
 
-// Faces without a light model are lit on the side that is seen; with one that has one side, on the front; else on both.
+// The lit side: without a light model (0), the visible one; with a one-sided model, the front; with a two-sided one, both.
 const FRONT_ONLY: u32 = 1u;
 const BOTH_SIDES: u32 = 2u;
 
-// True for what is lit on its back.
+// Returns true if the back of a surface is lit.
 fn is_back(is_front: bool) -> bool {
     return fixed_state.model.y == BOTH_SIDES && !is_front;
 }
 
-// A point to be shaded; all but `object` and `uv` in eye space.
+// A point to be shaded. All vectors but `object` and `uv` are in eye space.
 struct Surface {
     in_eye: vec3<f32>,
     normal: vec3<f32>,
-    facing: vec3<f32>,  // the normal that shadows are looked up with
+    facing: vec3<f32>,  // the normal for the look-up of shadows
     up: vec3<f32>,
     object: vec3<f32>,
     uv: vec2<f32>,
@@ -48,13 +49,14 @@ struct Surface {
     alpha_cutoff: f32,
 }
 
-// The direction to the eye: along the axis where rays are parallel, and at the eye itself.
+// Returns the direction to the eye; the axis if rays are parallel, and for a point at the eye itself.
 fn towards_eye(in_eye: vec3<f32>) -> vec3<f32> {
     let square = dot(in_eye, in_eye);
     let is_along = frame.air.w > 0.0 || square <= 0.0;
     return select(-in_eye * inverseSqrt(square), vec3<f32>(0.0, 0.0, 1.0), is_along);
 }
 
+// Returns the colour of a surface under all lights.
 fn lit(s: Surface, textures: vec3<f32>, base: vec3<f32>) -> vec3<f32> {
     var side = fixed_state.front;
     if s.is_back {
@@ -101,6 +103,7 @@ fn lit(s: Surface, textures: vec3<f32>, base: vec3<f32>) -> vec3<f32> {
     return color;
 }
 
+// Returns a colour as seen through fog or haze, tone mapped if it is lit.
 fn fogged(s: Surface, color: vec3<f32>) -> vec3<f32> {
     let distance = -s.in_eye.z;
     var share = 0.0;
@@ -151,7 +154,7 @@ fn is_clipped(in_eye: vec3<f32>) -> bool {
     return false;
 }
 
-// What all textures come to. All samples are taken before anything is dropped: the mip levels need the neighbours.
+// Returns the product of all textures. They are sampled before any discard, since mip levels need the neighbouring pixels.
 fn all_textures(s: Surface) -> vec4<f32> {
     var color = s.texel;
     for (var unit = 0u; unit < 4u; unit++) {
@@ -160,18 +163,19 @@ fn all_textures(s: Surface) -> vec4<f32> {
     return color;
 }
 
-// The colour before light.
+// Returns the colour of a surface before lighting.
 fn fixed_base(s: Surface, textures: vec4<f32>) -> vec4<f32> {
     var base = textures * s.color;
     base.a *= select(fixed_state.front.diffuse.a, fixed_state.back.diffuse.a, s.is_back);
     return base;
 }
 
+// Returns true if clip planes, the alpha mask or the alpha test discard a fragment.
 fn is_dropped(s: Surface, base: vec4<f32>) -> bool {
     return is_clipped(s.in_eye) || base.a < s.alpha_cutoff || !passes_alpha_test(base.a);
 }
 
-// True where it casts no shadow.
+// Returns true where a caster has a hole and casts no shadow.
 fn is_hole(s: Surface) -> bool {
     return is_dropped(s, fixed_base(s, all_textures(s)));
 }

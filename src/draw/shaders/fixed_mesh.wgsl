@@ -36,7 +36,7 @@ fn mesh_surface(in: FixedMeshFragment, normal: vec3<f32>, facing: vec3<f32>, is_
     return Surface(in_eye, normal, facing, up, in.object, uv, texel, in.color, is_lit, is_back(is_front), cutoff);
 }
 
-// The normal of the side that light falls on.
+// Returns the normal of the lit side.
 fn lit_normal(smooth_normal: vec3<f32>, is_front: bool, facet: vec3<f32>) -> vec3<f32> {
     if fixed_state.model.y != FRONT_ONLY {
         return surface_normal(smooth_normal, is_front, facet);
@@ -67,7 +67,7 @@ fn fs_fixed_mesh_fading(in: FixedMeshFragment, @builtin(front_facing) is_front: 
     return color;
 }
 
-// Lines and points have no facets: without a normal they face up.
+// Returns the colour of lines and points. They have no facets; without a normal they face up.
 fn fixed_thin_color(in: FixedMeshFragment) -> vec4<f32> {
     let normal = surface_normal(in.normal_v.xyz, true, frame.up.xyz);
     return fixed_color(mesh_surface(in, normal, towards_sun(normal, frame.up.xyz), true));

@@ -1,4 +1,4 @@
-// Texture units of the fixed function. In a file of their own: states without textures bind none.
+// The texture units of the fixed function. They are in a separate file, since states without textures bind none.
 
 @group(2) @binding(1) var plane_0: texture_2d<f32>;
 @group(2) @binding(2) var plane_0_sampler: sampler;
@@ -15,7 +15,7 @@
 @group(2) @binding(13) var layers: texture_2d_array<f32>;
 @group(2) @binding(14) var layers_sampler: sampler;
 
-// Distances of a point from the planes of a unit.
+// Returns the distances of a point from the planes of a unit.
 fn plane_coordinates(unit: u32, point: vec3<f32>) -> vec4<f32> {
     let p = vec4<f32>(point, 1.0);
     let first = 4u * unit;
@@ -27,7 +27,7 @@ fn plane_coordinates(unit: u32, point: vec3<f32>) -> vec4<f32> {
     );
 }
 
-// s, t, r and q.
+// Returns the texture coordinates s, t, r and q of a unit.
 fn unit_coordinates(unit: u32, s: Surface) -> vec4<f32> {
     let mirrored = reflect(-towards_eye(s.in_eye), s.normal);
     switch fixed_state.texgens[unit] {
@@ -35,7 +35,7 @@ fn unit_coordinates(unit: u32, s: Surface) -> vec4<f32> {
         case 2u: { return plane_coordinates(unit, s.in_eye); }
         case 3u: {
             let m = 2.0 * length(mirrored + vec3<f32>(0.0, 0.0, 1.0));
-            // Rows of a picture go down.
+            // Rows of an image go down.
             return vec4<f32>(vec2<f32>(mirrored.x, -mirrored.y) / max(m, 1e-6) + 0.5, 0.0, 1.0);
         }
         case 4u: { return vec4<f32>(s.normal, 1.0); }
@@ -44,9 +44,10 @@ fn unit_coordinates(unit: u32, s: Surface) -> vec4<f32> {
     }
 }
 
+// Returns the colour of a unit's texture at a point.
 fn unit_color(unit: u32, s: Surface) -> vec4<f32> {
     let c = unit_coordinates(unit, s);
-    // What lies in the projector's own plane is anywhere.
+    // For a point in the projector's own plane the quotient is undefined.
     let p = c.xyz / select(c.w, 1.0, c.w == 0.0);
     let bias = fixed_state.bias[unit];
     switch fixed_state.units[unit] {

@@ -1,27 +1,30 @@
-// Shared by all pipelines: what is known per frame and per leaf, light and haze.
+// Shared by all pipelines: the uniforms of frame and stage, the leaves, light, air and haze.
 
+// The uniforms of a view. Colours are linear.
 struct Frame {
     clip_from_eye: mat4x4<f32>,
     sun_direction: vec4<f32>,  // in eye space; w: metres of range per metre of geometric error
-    sun_color: vec4<f32>,      // linear; w: share of a range where morphing starts
-    ambient_color: vec4<f32>,  // linear; w: fog density per metre at height 0
+    sun_color: vec4<f32>,      // w: share of a range at which morphing starts
+    ambient_color: vec4<f32>,  // w: fog density per metre at height 0
     up: vec4<f32>,             // in eye space, at the eye; w: height of the eye, metres
-    horizon_color: vec4<f32>,  // linear; w: 1 / height over which air thins to 1/e
-    shape: vec4<f32>,          // 1 / radius of the ground, 0 when flat; exposure, 0 without tone mapping; 1 where there is
-                               // an atmosphere; 1 where it is seen in front of things
-    ray: vec4<f32>,            // eye ray from clip position: the columns xy and zw,
-    middle_ray: vec4<f32>,     // and xy of the middle's
-    water: vec4<f32>,          // linear colour of deep water; w: its height, metres
-    air: vec4<f32>,            // of the eye: kilometres from the earth's centre, cosines of horizon and limb (air.wgsl); w: 1
-                               // where rays are parallel
-    sun_top: vec4<f32>,        // linear irradiance of the sun before any air; w: layer of the first cascade's shadow map
+    horizon_color: vec4<f32>,  // w: 1 / height over which the density of air falls to 1/e, metres
+    shape: vec4<f32>,          // 1 / radius of the ground, 0 if flat; exposure, 0 without tone mapping; 1 with an
+                               // atmosphere; 1 if it is also drawn in front of things
+    ray: vec4<f32>,            // columns of the map from clip position to eye-space ray: xy and zw
+    middle_ray: vec4<f32>,     // xy: the ray of clip position 0
+    water: vec4<f32>,          // colour of deep water; w: its height, metres
+    air: vec4<f32>,            // the eye of the air tables: kilometres from the earth's centre, cosines of horizon and limb
+                               // (air.wgsl); w: 1 if rays are parallel
+    sun_top: vec4<f32>,        // irradiance of the sun outside the air; w: layer of the first cascade's shadow map
     shadow_x: vec4<f32>,       // in eye space, across the sun's rays; w: how far points are moved along normals, texels
     shadow_y: vec4<f32>,       // the other axis; w: how far points are moved towards the sun, texels
-    shadow: vec4<f32>,         // how many cascades; 1 / texels a side; depths between which shadows fade out, metres
-    cascade_scales: array<vec4<f32>, 4>,   // metres to the map across and along the rays; depths: its end, start of the next
-    cascade_offsets: array<vec4<f32>, 4>,  // of the eye in the map; w: width of a texel, metres
+    shadow: vec4<f32>,         // number of cascades; 1 / texels a side; depths between which shadows fade out, metres
+    cascade_scales: array<vec4<f32>, 4>,   // scales from metres to the map, across and along the rays; depths of its end and
+                                           // of the start of the next cascade
+    cascade_offsets: array<vec4<f32>, 4>,  // position of the eye in the map; w: width of a texel, metres
 }
 
+// A drawable in a view: the instances of a draw.
 struct Leaf {
     eye_from_drawable_x: vec4<f32>,
     eye_from_drawable_y: vec4<f32>,
@@ -30,25 +33,26 @@ struct Leaf {
     layer: u32,
     flags: u32,
     alpha_cutoff: u32,  // bits of an f32; first vertex of pulled meshes
-    side: u32,          // of height tiles; first index of pulled meshes
+    side: u32,          // vertices along a side of height tiles; first index of pulled meshes
 }
 
-// What is positioned in a stage, in eye space.
+// A light of a stage, in eye space.
 struct StageLight {
-    position: vec4<f32>,     // w: 1 for a place, 0 for a direction
-    direction: vec4<f32>,    // of a spot; w: cosine of its half angle
+    position: vec4<f32>,     // w: 1 for a position, 0 for a direction
+    direction: vec4<f32>,    // axis of a spot; w: cosine of its half angle, -1 without a spot
     ambient: vec4<f32>,      // w: exponent of the spot
-    diffuse: vec4<f32>,      // w: 1 where there is such a light
+    diffuse: vec4<f32>,      // w: 1 if the light exists
     specular: vec4<f32>,
     attenuation: vec4<f32>,  // constant, linear, quadratic
 }
 
+// The lights and clip planes of a stage.
 struct Stage {
     lights: array<StageLight, 8>,
     clip_planes: array<vec4<f32>, 6>,
 }
 
-// What the whole frame is without is left out of the pipeline: software adapters run both sides of a branch.
+// Pipelines of frames without atmosphere or haze leave their code out, since software adapters run both sides of a branch.
 override HAS_ATMOSPHERE: bool = true;
 override HAS_HAZE: bool = true;
 
@@ -66,12 +70,12 @@ const BAND_SHIFT: u32 = 16u;
 @group(0) @binding(6) var air_scattered: texture_3d<f32>;
 @group(0) @binding(7) var air_mie: texture_3d<f32>;
 
-// What a drawable's texture gives; where textures are switched off, its alpha alone.
+// Returns a sample of a drawable's texture; only its alpha if textures are switched off.
 fn texel(sampled: vec4<f32>, flags: u32) -> vec4<f32> {
     return select(sampled, vec4<f32>(1.0, 1.0, 1.0, sampled.a), (flags & FLAG_UNTEXTURED) != 0u);
 }
 
-// True where a leaf that fades leaves a pixel to what takes its place: interleaved gradient noise (J. Jimenez, Next
+// Returns true for the pixels that a fading leaf does not draw: interleaved gradient noise (J. Jimenez, Next
 // Generation Post Processing in Call of Duty: Advanced Warfare, 2014) as a number from 0 to 254, the same in every frame.
 fn is_faded_out(pixel: vec2<f32>, flags: u32) -> bool {
     let noise = fract(52.9829189 * fract(dot(floor(pixel), vec2<f32>(0.06711056, 0.00583715))));
@@ -79,6 +83,7 @@ fn is_faded_out(pixel: vec2<f32>, flags: u32) -> bool {
     return value < (flags >> BAND_SHIFT & 255u) || value >= flags >> (BAND_SHIFT + 8u);
 }
 
+// Transforms a point of a leaf to eye space.
 fn point_in_eye(leaf: Leaf, point: vec3<f32>) -> vec3<f32> {
     let p = vec4<f32>(point, 1.0);
     return vec3<f32>(
@@ -88,14 +93,16 @@ fn point_in_eye(leaf: Leaf, point: vec3<f32>) -> vec3<f32> {
     );
 }
 
-// Where a vertex of a leaf is in the picture. Software adapters run the shader for several vertices at once, and where
-// there are too few of them on leaves of zeros: these must lie inside, or all the vertices are thought to need clipping.
+// Returns the clip position of a vertex of a leaf. Software adapters run the shader for several vertices at once, and fill
+// missing ones with leaves of zeros. Those are put inside the clip volume, since otherwise all the vertices are clipped,
+// which is slow.
 fn clip_of(leaf: Leaf, in_eye: vec3<f32>) -> vec4<f32> {
     let clip = frame.clip_from_eye * vec4<f32>(in_eye, 1.0);
     let is_there = any(leaf.eye_from_drawable_x.xyz != vec3<f32>(0.0));
     return select(vec4<f32>(0.0, 0.0, 0.0, 1.0), clip, is_there);
 }
 
+// Transforms a direction of a leaf to eye space.
 fn direction_in_eye(leaf: Leaf, direction: vec3<f32>) -> vec3<f32> {
     return vec3<f32>(
         dot(leaf.eye_from_drawable_x.xyz, direction),
@@ -104,8 +111,8 @@ fn direction_in_eye(leaf: Leaf, direction: vec3<f32>) -> vec3<f32> {
     );
 }
 
-// A surface's normal in eye space, of length 1; zero stays zero. By cofactors: a transform that scales its axes unlike
-// each other turns normals otherwise than directions, and one that mirrors does not turn surfaces inside out.
+// Transforms a normal of a leaf to eye space and to length 1; zero stays zero. The matrix is that of the cofactors: with
+// unequal scales, normals turn otherwise than directions, and a mirroring transform must not turn surfaces inside out.
 fn normal_in_eye(leaf: Leaf, normal: vec3<f32>) -> vec3<f32> {
     let x = leaf.eye_from_drawable_x.xyz;
     let y = leaf.eye_from_drawable_y.xyz;
@@ -117,7 +124,7 @@ fn normal_in_eye(leaf: Leaf, normal: vec3<f32>) -> vec3<f32> {
     return select(vec3<f32>(0.0), outwards * inverseSqrt(square), square > 0.0);
 }
 
-// The direction away from the ground at a point in eye space, and its height in metres.
+// Returns the direction away from the ground at a point in eye space, and the point's height in metres.
 fn above_ground(point: vec3<f32>) -> vec4<f32> {
     let rise = dot(point, frame.up.xyz);
     let height = frame.up.w + rise;
@@ -127,12 +134,12 @@ fn above_ground(point: vec3<f32>) -> vec4<f32> {
     let across = point - rise * frame.up.xyz;
     let radius = 1.0 / frame.shape.x;
     let from_center = sqrt((radius + height) * (radius + height) + dot(across, across));
-    // The difference of two large numbers, without their noise.
+    // The difference of two large numbers without their rounding errors.
     let over = dot(across, across) / (from_center + radius + height);
     return vec4<f32>(((radius + height) * frame.up.xyz + across) / from_center, height + over);
 }
 
-// What the sun's irradiance is at a place, on a surface that faces it.
+// Returns the sun's irradiance at a height on a surface that faces it.
 fn sun_at(up: vec3<f32>, height_m: f32) -> vec3<f32> {
     let height = height_m * 1e-3;
     let cosine = dot(up, frame.sun_direction.xyz);
@@ -140,12 +147,12 @@ fn sun_at(up: vec3<f32>, height_m: f32) -> vec3<f32> {
     return frame.sun_top.rgb * left * sun_share(height, cosine);
 }
 
-// Sun and sky on a surface, over pi; `up` is the direction away from the ground there.
+// Returns the irradiance of sun and sky on a surface over pi; `up` is the direction away from the ground there.
 fn light(normal: vec3<f32>, up: vec3<f32>, height_m: f32) -> vec3<f32> {
     return light_of_sun(normal, up, height_m) + light_of_sky(normal, up);
 }
 
-// The sun's part of it, without shadows.
+// Returns the sun's part of `light`, without shadows.
 fn light_of_sun(normal: vec3<f32>, up: vec3<f32>, height_m: f32) -> vec3<f32> {
     let facing = max(dot(normal, frame.sun_direction.xyz), 0.0);
     if !HAS_ATMOSPHERE || frame.shape.z <= 0.0 {
@@ -154,12 +161,12 @@ fn light_of_sun(normal: vec3<f32>, up: vec3<f32>, height_m: f32) -> vec3<f32> {
     return sun_at(up, height_m) * (facing / 3.14159265);
 }
 
-// A sun below the local horizon (the night side of a globe) shines on nothing.
+// Returns the share of sunlight by the sun's elevation: none on the night side of a globe, without an atmosphere.
 fn sun_daylight(cosine: f32) -> f32 {
     return clamp(cosine * 5.0 + 0.5, 0.0, 1.0);
 }
 
-// The sky's part.
+// Returns the sky's part of `light`.
 fn light_of_sky(normal: vec3<f32>, up: vec3<f32>) -> vec3<f32> {
     let cosine = dot(up, frame.sun_direction.xyz);
     let ground = frame.ambient_color.rgb * vec3<f32>(0.45, 0.40, 0.34);
@@ -167,16 +174,16 @@ fn light_of_sky(normal: vec3<f32>, up: vec3<f32>) -> vec3<f32> {
     if !HAS_ATMOSPHERE || frame.shape.z <= 0.0 {
         return ambient * (0.15 + 0.85 * sun_daylight(cosine));
     }
-    // The ambient light is that of a high sun; it falls with the sky's, and some is left at night.
+    // The ambient light is that of a high sun. It falls with the sky's light, and some remains at night.
     let last = i32(textureDimensions(sky_light).x) - 1;
     let place = vec2<f32>((clamp((cosine + 0.3) / 1.3, 0.0, 1.0) * f32(last) + 0.5) / f32(last + 1), 0.5);
     let sky = textureSampleLevel(sky_light, air_sampler, place, 0.0).rgb / textureLoad(sky_light, vec2<i32>(last, 0), 0).rgb;
     return ambient * max(sky, vec3<f32>(0.03));
 }
 
-// Lit colours for a display: times the exposure, highlights rolled off towards white, what is below 0.76 as it is.
-// Khronos PBR Neutral (https://github.com/KhronosGroup/ToneMapping) without its offset, which takes back a reflection
-// at normal incidence that there is not here.
+// Maps a lit colour to a display: applies the exposure, keeps values below 0.76, and rolls highlights off towards white.
+// Khronos PBR Neutral (https://github.com/KhronosGroup/ToneMapping) without its offset, which compensates a reflection at
+// normal incidence that these materials do not have.
 fn tone_mapped(lit_color: vec3<f32>) -> vec3<f32> {
     if frame.shape.y <= 0.0 {
         return lit_color;
@@ -194,7 +201,7 @@ fn tone_mapped(lit_color: vec3<f32>) -> vec3<f32> {
     return mix(color, vec3<f32>(new_peak), share);
 }
 
-// Direction to a point, and the way there: from the eye, or, where rays are parallel, from the eye's own plane.
+// Returns the direction to a point and its distance: from the eye, or from the eye's own plane if rays are parallel.
 fn way_to(point: vec3<f32>) -> vec4<f32> {
     if frame.air.w > 0.0 {
         return vec4<f32>(0.0, 0.0, -1.0, max(-point.z, 0.0));
@@ -203,8 +210,8 @@ fn way_to(point: vec3<f32>) -> vec4<f32> {
     return vec4<f32>(point / max(distance, 1e-6), distance);
 }
 
-// What the air between the eye and a point adds to its colour; w: the share of it that is left. Of parallel rays all
-// begin at the eye's height.
+// Returns the light that the air between the eye and a point adds; w is the share of the point's colour that is left.
+// Parallel rays all begin at the eye's height.
 fn aerial(point: vec3<f32>) -> vec4<f32> {
     if HAS_ATMOSPHERE && frame.shape.w > 0.0 {
         let way = way_to(point);
@@ -218,7 +225,7 @@ fn aerial(point: vec3<f32>) -> vec4<f32> {
     return vec4<f32>(frame.horizon_color.rgb * share, 1.0 - share);
 }
 
-// The same along a part of a ray's way through the air, 1 for all of it.
+// Returns the same for a part of a ray's way through the air, from 0 to 1.
 fn air_along(ray: vec3<f32>, cosine: f32, part: f32) -> vec4<f32> {
     let sun = frame.sun_direction.xyz;
     let across = ray - cosine * frame.up.xyz;
@@ -236,17 +243,17 @@ fn air_along(ray: vec3<f32>, cosine: f32, part: f32) -> vec4<f32> {
     return vec4<f32>(frame.sun_top.rgb * (scattered.rgb + mie), scattered.a);
 }
 
-// A lit colour as the display shows it through the air in front of it.
+// Returns a lit colour, tone mapped, through the air in front of it.
 fn through_air(lit_color: vec3<f32>, air: vec4<f32>) -> vec3<f32> {
     return tone_mapped(lit_color * air.w + air.rgb);
 }
 
-// The same for a colour that is not lit and keeps its values.
+// Returns the same for an unlit colour, which is not tone mapped.
 fn unlit_through_air(color: vec3<f32>, air: vec4<f32>) -> vec3<f32> {
     return color * air.w + tone_mapped(air.rgb);
 }
 
-// Share of a point's colour that haze takes where there is no atmosphere, from the mean density of air along the way.
+// Returns the share of a point's colour that haze hides without an atmosphere, from the mean density of air on the way.
 fn haze(point: vec3<f32>) -> f32 {
     if !HAS_HAZE || frame.ambient_color.w <= 0.0 {
         return 0.0;

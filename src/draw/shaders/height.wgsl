@@ -1,15 +1,15 @@
-// Height tiles: one grid, displaced and morphed here.
+// Height tiles: one grid mesh, displaced and morphed by the vertex shader.
 //
-// Vertex v of level L is drawn at p_L(v) = (1 - k) P(v) + k p_{L-1}(snap(v)), where P is the tile's own surface,
-// snap(v) is the coarser level's vertex south-west of v, and k depends on the distance from the eye to P(v) (where rays
-// are parallel, on nothing in its place) and on the level alone. So two tiles that share an edge compute the same points on it: where the finer one ends, its
-// edge has k = 1, which is the coarser one's edge.
+// Vertex v of level L is drawn at p_L(v) = (1 - k) P(v) + k p_{L-1}(snap(v)). P is the tile's own surface, and snap(v) is
+// the coarser level's vertex south-west of v. The weight k depends on the level and the distance from the eye to P(v)
+// alone; if rays are parallel, on the level alone. So two tiles that share an edge compute the same points on it: where a
+// finer tile meets a coarser one, its edge has k = 1, which is the coarser one's edge.
 
-// A vertex with height h, in the row (dp, dz, cos, sin) and the column (sin, 1 - cos), lies at
+// A vertex with height h in the row (dp, dz, cos, sin) and the column (sin', 1 - cos') has the position
 //     east   = (p0 + dp + h cos) * sin'
 //     radial = dp + h cos - (p0 + dp + h cos) * (1 - cos')
 //     polar  = dz + h sin
-// which is the ellipsoid in small differences (see HeightTile).
+// This is the ellipsoid in small differences (see HeightTile).
 
 @group(1) @binding(0) var heights: texture_2d_array<f32>;
 @group(1) @binding(1) var<storage, read> tables: array<vec4<f32>>;
@@ -21,31 +21,32 @@ struct HeightFragment {
     @location(0) uv: vec2<f32>,
     @location(1) light: vec3<f32>,  // times the leaf's color
     @location(2) air: vec4<f32>,
-    // By value, not by leaf: a load from a buffer for each pixel is dear on software adapters.
-    // Layer, two flags from FLAGS_SHIFT on, and the band of a fade where the leaf has it.
+    // The layer, two flags from FLAGS_SHIFT on, and the band of a fade at the same bits as in the leaf. They are passed by
+    // value, since a load from a buffer for each pixel is slow on software adapters.
     @location(3) @interpolate(flat) layer: u32,
 }
 
 const FLAGS_SHIFT: u32 = 14u;
 const HEADER: u32 = 3u;
 
+// Returns the row j of a tile's table.
 fn row_of(table: u32, j: i32) -> vec4<f32> {
     return tables[table + HEADER + u32(j)];
 }
 
-// sin and 1 - cos of a column's longitude from the tile's centre.
+// Returns sin and 1 - cos of a column's longitude from the tile's centre.
 fn column_of(table: u32, side: u32, i: i32) -> vec2<f32> {
     let pair = tables[table + HEADER + side + u32(i >> 1u)];
     return select(pair.xy, pair.zw, (i & 1) == 1);
 }
 
-// Height of a vertex; -1 and `side` are the border.
+// Returns the height of a vertex; coordinates -1 and `side` are the border.
 fn height_at(layer: u32, vertex: vec2<i32>) -> f32 {
     return textureLoad(heights, vertex + 1, layer, 0).r;
 }
 
-// Slopes east and north from the differences over `step` cells each way, fewer towards the edges: the same number
-// both ways, so that the tile beyond the edge comes to the same slopes there.
+// Returns the slopes east and north from the differences over `step` cells to both sides. Towards the edges there are fewer,
+// but as many on both sides, so that the neighbouring tile computes the same slopes on the edge.
 fn slope_at(side: u32, layer: u32, vertex: vec2<i32>, step: i32, cell: vec2<f32>) -> vec2<f32> {
     let inside = min(vertex, i32(side) - 1 - vertex);
     let reach = min(vec2<i32>(step), inside + 1);
@@ -58,6 +59,7 @@ fn slope_at(side: u32, layer: u32, vertex: vec2<i32>, step: i32, cell: vec2<f32>
     return rise / (vec2<f32>(2 * reach) * cell);
 }
 
+// Returns the geometric error of the n-th ancestor's level in metres.
 fn range_error(table: u32, n: u32) -> f32 {
     return tables[table + 1u + n / 4u][n % 4u];
 }
@@ -72,6 +74,7 @@ struct HeightPoint {
     facing: vec3<f32>,  // the normal in the tile's frame, not of unit length
 }
 
+// Returns a vertex of a tile, displaced and morphed.
 fn height_point(index: u32, instance: u32) -> HeightPoint {
     let leaf = leaves[instance];
     let side = leaf.side;
@@ -79,7 +82,7 @@ fn height_point(index: u32, instance: u32) -> HeightPoint {
     let table = layer * (HEADER + side + (side + 1u) / 2u);
     let cells = i32(side) - 1;
 
-    // The vertex in the grid; after the grid comes the skirt's ring, counter-clockwise from the south-west.
+    // The indices after the grid are the ring of the skirt, counter-clockwise from the south-west.
     var vertex = vec2<i32>(i32(index % side), i32(index / side));
     var drop = 0.0;
     if index >= side * side {
@@ -174,7 +177,7 @@ fn vs_height(@builtin(vertex_index) index: u32, @builtin(instance_index) instanc
     return out;
 }
 
-// The picture's alpha counts: something is blended or covered by it.
+// True if the image's alpha is used, for blending or coverage.
 override HAS_ALPHA: bool = false;
 
 fn height_color(in: HeightFragment) -> vec4<f32> {

@@ -1,14 +1,14 @@
-// Height tiles that receive shadows, and that cast them.
+// Height tiles that receive or cast shadows.
 
 struct ShadowedHeightFragment {
     @builtin(position) position: vec4<f32>,
     @location(0) uv: vec2<f32>,
-    @location(1) sun: vec3<f32>,  // both times the leaf's color
+    @location(1) sun: vec3<f32>,  // sun and sky are multiplied by the leaf's color
     @location(2) sky: vec3<f32>,
     @location(3) air: vec4<f32>,
     @location(4) in_eye: vec3<f32>,
     @location(5) normal: vec3<f32>,
-    @location(6) @interpolate(flat) layer: u32,  // and the flags above
+    @location(6) @interpolate(flat) layer: u32,  // packed as in HeightFragment
 }
 
 @vertex
@@ -37,7 +37,7 @@ fn shadowed_height_color(in: ShadowedHeightFragment) -> vec4<f32> {
     let base = texel(textureSample(color_layers, color_sampler, in.uv, layer), in.layer >> FLAGS_SHIFT);
     let facet = facet_normal(in.in_eye);
     var light = in.sky;
-    // Where nothing is to be taken away, nothing is looked up.
+    // Points without sunlight need no look-up.
     if in.sun.r + in.sun.g + in.sun.b > 0.0 {
         light += in.sun * sun_shadow(in.in_eye, towards_sun(normalize(in.normal), facet));
     }

@@ -1,4 +1,4 @@
-// What vertices of height tiles are to the programs of meshes.
+// Makes the vertices of height tiles look like those of meshes, for programs.
 
 struct MeshVertex {
     position: vec3<f32>,

@@ -1,12 +1,12 @@
 // Meshes, lines and points.
 
-// Packed: each location costs software adapters, for every triangle.
+// Packed, since each location costs time for every triangle on software adapters.
 struct MeshFragment {
     @builtin(position) position: vec4<f32>,
     @location(0) in_eye_u: vec4<f32>,
     @location(1) normal_v: vec4<f32>,
     @location(2) color: vec4<f32>,
-    // Layer, flags and bits of the alpha cutoff. By value, not by leaf: a load from a buffer for each pixel is dear.
+    // Layer, flags and bits of the alpha cutoff. They are passed by value, since a load from a buffer for each pixel is slow.
     @location(3) @interpolate(flat) leaf: vec3<u32>,
 }
 
@@ -32,21 +32,22 @@ fn vs_mesh(vertex: MeshVertex, @builtin(instance_index) instance: u32) -> MeshFr
     return mesh_fragment(vertex, leaf, leaf.alpha_cutoff);
 }
 
-// Small meshes are drawn by one call: each has `stride` vertices of it, and fetches them itself. The instance's index
-// is the stride.
+// Many small meshes are drawn by one call: each has `stride` of its vertices, which are fetched here. The call's one instance
+// has the stride as its index.
 @vertex
 fn vs_mesh_pulled(@builtin(vertex_index) index: u32, @builtin(instance_index) stride: u32) -> MeshFragment {
     let leaf = leaves[index / stride];
     return mesh_fragment(pulled_vertex(leaf, index % stride), leaf, 0u);
 }
 
+// Returns the normal of a surface in eye space; the facet's if the mesh has none.
 fn surface_normal(smooth_normal: vec3<f32>, is_front: bool, facet: vec3<f32>) -> vec3<f32> {
     if dot(smooth_normal, smooth_normal) <= 1e-12 {
         return facet;
     }
     let normal = normalize(smooth_normal);
-    // Only pipelines that draw both sides see back faces. A mirroring transform swaps the sides, so the facet
-    // decides: a smooth normal must lie on the side that is seen.
+    // Back faces occur in pipelines without culling only. A mirroring transform swaps the sides, so that the facet decides:
+    // the smooth normal must lie on the visible side.
     return select(normal, -normal, dot(normal, facet) < 0.0 && !is_front);
 }
 
@@ -70,7 +71,7 @@ fn mesh_color(in: MeshFragment, is_front: bool) -> vec4<f32> {
     return vec4<f32>(shade(in, is_front, facet, base), base.a);
 }
 
-// Lines and points have no facets: without a normal they face up.
+// Returns the colour of lines and points. They have no facets; without a normal they face up.
 fn thin_color(in: MeshFragment) -> vec4<f32> {
     let base = base_color(in);
     return vec4<f32>(shade(in, true, frame.up.xyz, base), base.a);
@@ -123,7 +124,7 @@ fn fs_mesh_blended_fading(in: MeshFragment, @builtin(front_facing) is_front: boo
     return color;
 }
 
-// What is masked and blended by its state set.
+// A masked material that its state set blends.
 @fragment
 fn fs_mesh_masked_blended(in: MeshFragment, @builtin(front_facing) is_front: bool) -> @location(0) vec4<f32> {
     let color = mesh_color(in, is_front);
@@ -156,7 +157,7 @@ fn fs_thin_fading(in: MeshFragment) -> @location(0) vec4<f32> {
     return color;
 }
 
-// What cannot be drawn as it should is drawn like this.
+// Marks leaves whose shader is invalid with magenta.
 @fragment
 fn fs_fallback(in: MeshFragment) -> @location(0) vec4<f32> {
     return vec4<f32>(1.0, 0.0, 1.0, 1.0);

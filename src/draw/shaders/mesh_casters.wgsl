@@ -1,4 +1,4 @@
-// Meshes that cast shadows: depth alone.
+// Meshes as casters of shadows: they draw depth alone.
 
 @vertex
 fn vs_mesh_caster(vertex: MeshVertex, @builtin(instance_index) instance: u32) -> @builtin(position) vec4<f32> {

@@ -1,9 +1,9 @@
-// Vertices of meshes fetched by the shader: 7 words each, as MeshVertex in src/scene/geometry.rs.
+// Vertex pulling: the shader fetches the vertices of small meshes. A vertex has 7 words, as MeshVertex in src/scene.
 
 @group(3) @binding(0) var<storage, read> pulled_vertices: array<u32>;
 @group(3) @binding(1) var<storage, read> pulled_indices: array<u32>;
 
-// Beyond the mesh's last index: that index again, a triangle without an area.
+// Returns the k-th vertex of a mesh. Beyond the last index it repeats that vertex, which gives triangles without area.
 fn pulled_vertex(leaf: Leaf, k: u32) -> MeshVertex {
     let count = leaf.flags >> INDEX_COUNT_SHIFT & 255u;
     let at = 7u * (leaf.alpha_cutoff + pulled_indices[leaf.side + min(k, count - 1u)]);

@@ -1,4 +1,4 @@
-// What vertices of meshes, lines and points hold, and the textures of their materials.
+// The vertices of meshes, lines and points, and the textures of their materials.
 
 @group(1) @binding(0) var color_layers: texture_2d_array<f32>;
 @group(1) @binding(1) var color_sampler: sampler;

@@ -1,4 +1,4 @@
-// The box of an occlusion query: depth is tested, nothing is written.
+// The box of an occlusion query. Depth is tested, and nothing is written.
 
 @vertex
 fn vs_query(@builtin(vertex_index) index: u32, @builtin(instance_index) instance: u32) -> @builtin(position) vec4<f32> {

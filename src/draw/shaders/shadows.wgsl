@@ -1,9 +1,9 @@
-// Shadows of the sun: how much of its light reaches a point. Depths are reversed: 1 is nearest to the sun.
+// Shadows of the sun from cascaded shadow maps. Depths are reversed: 1 is nearest to the sun.
 
 @group(0) @binding(8) var sun_shadow_maps: texture_depth_2d_array;
 @group(0) @binding(9) var sun_shadow_sampler: sampler_comparison;
 
-// Share of the sun's light that reaches a point in eye space, of a surface with a normal; programs may call it too.
+// Returns the share of the sun's light that reaches an eye-space point of a surface with a normal. Programs may call it.
 fn sun_shadow(in_eye: vec3<f32>, normal: vec3<f32>) -> f32 {
     let depth = -in_eye.z;
     let last = i32(frame.shadow.x) - 1;
@@ -23,9 +23,9 @@ fn sun_shadow(in_eye: vec3<f32>, normal: vec3<f32>) -> f32 {
     return mix(share, 1.0, clamp((depth - frame.shadow.z) / (frame.shadow.w - frame.shadow.z), 0.0, 1.0));
 }
 
-// A texel of the map is one depth for a piece of surface that lies slantwise to it. A point moved along the normal by
-// what the filter reaches, times the sine of the sun's angle, comes to lie before the piece's nearest end. The filter is
-// a square: towards its corners, as the normal lies across the rays, it reaches farther.
+// Returns the share in one cascade. A texel of the map holds one depth for a piece of surface that may be oblique to it. So
+// the point is moved along the normal by the reach of the filter times the sine of the sun's angle, which puts it in front
+// of the nearest end of that piece. The filter is a square and reaches farther towards its corners.
 fn sun_shadow_in(cascade: i32, in_eye: vec3<f32>, normal: vec3<f32>) -> f32 {
     let sun = frame.sun_direction.xyz;
     let scales = frame.cascade_scales[cascade];
@@ -36,8 +36,8 @@ fn sun_shadow_in(cascade: i32, in_eye: vec3<f32>, normal: vec3<f32>) -> f32 {
     return sun_shadow_filtered(cascade, across * scales.x + offsets.xy, dot(sun, moved) * scales.y + offsets.z);
 }
 
-// A tent over 5 x 5 texels from nine comparisons of 2 x 2 texels each, their places and weights chosen so that the
-// sampler's own weights come out right (I. Castano, Shadow Mapping Summary, 2013).
+// Returns the share by a tent filter over 5 x 5 texels: nine comparisons of 2 x 2 texels each, whose positions and weights
+// account for the sampler's own weights (I. Castano, Shadow Mapping Summary, 2013).
 fn sun_shadow_filtered(cascade: i32, place: vec2<f32>, depth: f32) -> f32 {
     let texel = frame.shadow.y;
     let corner = floor(place / texel + 0.5);

@@ -1,12 +1,13 @@
-// The sky: one triangle behind everything, coloured by the direction each pixel looks in.
+// The sky: one triangle at infinite distance, coloured by the direction of each pixel's ray.
 
 struct SkyVertex {
     @builtin(position) position: vec4<f32>,
-    // Where a pixel's ray meets the plane one metre in front of the eye; where rays are parallel, the eye's own plane.
+    // The point at which a pixel's ray meets the plane one metre in front of the eye; the eye's own plane if rays are
+    // parallel.
     @location(0) ray: vec2<f32>,
 }
 
-// Of a pixel in eye space.
+// The ray of a pixel in eye space.
 struct Ray {
     origin: vec3<f32>,
     direction: vec3<f32>,
@@ -26,7 +27,7 @@ fn vs_sky(@builtin(vertex_index) index: u32) -> SkyVertex {
     return SkyVertex(vec4<f32>(xy, 0.0, 1.0), xy.x * frame.ray.xy + xy.y * frame.ray.zw + frame.middle_ray.xy);
 }
 
-// The sky's light from a direction of eye space, without the sun.
+// Returns the sky's light from a direction of eye space, without the sun's disc.
 fn sky_color(ray: vec3<f32>) -> vec3<f32> {
     return air_along(ray, max(dot(ray, frame.up.xyz), frame.air.y), 1.0).rgb;
 }
@@ -43,7 +44,7 @@ fn fs_sky(in: SkyVertex) -> @location(0) vec4<f32> {
         let disc = smoothstep(cos(1.3 * SUN_RADIUS), cos(0.8 * SUN_RADIUS), dot(ray, frame.sun_direction.xyz));
         beyond = 30.0 * disc * frame.sun_top.rgb * left;
     } else {
-        // Ground that is not there.
+        // Below the horizon, a dark ground at the lowest height stands in for missing terrain.
         let ground = above_ground(ray * (1e3 * air_range(frame.air.x, cosine, false).y));
         beyond = vec3<f32>(0.05, 0.055, 0.06) * light(ground.xyz, ground.xyz, 0.0) * air.w;
     }

@@ -1,11 +1,11 @@
-// A water surface at one height, around the whole ground: where each pixel's ray meets it.
+// A water surface at one height around the whole globe, found at each pixel by intersecting its ray.
 
 struct WaterFragment {
     @location(0) color: vec4<f32>,
     @builtin(frag_depth) depth: f32,
 }
 
-// What comes from a direction of eye space: the sky's light; without air, that of the horizon.
+// Returns the light from a direction of eye space: the sky's, or the horizon's colour without an atmosphere.
 fn mirrored_light(ray: vec3<f32>) -> vec3<f32> {
     if frame.shape.z <= 0.0 {
         return frame.horizon_color.rgb;
@@ -24,7 +24,7 @@ fn fs_water(in: SkyVertex) -> WaterFragment {
     var distance = above / down;
     var normal = frame.up.xyz;
     if frame.shape.x > 0.0 {
-        // The sphere through the water below the eye, in differences from it: t^2 - 2 b t + c = 0.
+        // The ray meets the sphere of the water at t^2 - 2 b t + c = 0, in terms of differences to avoid rounding errors.
         let radius = 1.0 / frame.shape.x;
         let b = down * (radius + frame.up.w) - dot(origin, ray);
         let c = dot(origin, origin) + 2.0 * rise * (radius + frame.up.w)
@@ -37,7 +37,7 @@ fn fs_water(in: SkyVertex) -> WaterFragment {
         distance = c / (b + sqrt(inside));
         normal = normalize(origin + ray * distance + frame.up.xyz * (radius + frame.up.w));
     }
-    // Not above the horizon, and not from below; parallel rays come from behind the eye.
+    // Rays above the horizon, or from below the water, meet none. Parallel rays start behind the eye.
     if !(down > 0.0 && (frame.air.w > 0.0 || distance > 0.0 && above > 0.0)) {
         discard;
     }
@@ -51,7 +51,7 @@ fn fs_water(in: SkyVertex) -> WaterFragment {
     let fresnel = 0.02 + 0.98 * pow(1.0 - facing, 5.0);
     let mirrored = reflect(ray, normal);
     let half_way = normalize(frame.sun_direction.xyz - ray);
-    // Waves too small to be seen spread the sun's image: a lobe of their slopes.
+    // Waves smaller than a pixel spread the sun's reflection by a lobe of their slopes.
     let glitter = 6.0 * pow(max(dot(normal, half_way), 0.0), 400.0) * step(0.0, dot(normal, frame.sun_direction.xyz));
     let lit = sun_shadow(point, normal);
     let deep = frame.water.rgb * (light_of_sun(normal, normal, frame.water.w) * lit + light_of_sky(normal, normal));

@@ -62,7 +62,7 @@ impl Targets {
         self.transients.start_frame(ctx.face_count());
         self.owners.start_frame();
         self.is_begun = false;
-        // A camera's depth texture has a stencil of its own, or none.
+        // A camera's depth texture has its own stencil, or none.
         let uses_stencil = |stage: &RenderStage| {
             depth_of(stage).is_none() && stage.state_sets.iter().any(|state| state.stencil().is_some())
         };

@@ -44,7 +44,7 @@ pub(in crate::draw) struct FixedUniform {
     pub(in crate::draw) back: Reflection,
     /// Linear colour; w is 0 without fog, 1 for the environment's haze, 2 for linear, 3 for exp and 4 for exp2.
     pub(in crate::draw) fog_color: [f32; 4],
-    /// Of linear fog, the end in metres and 1 / (end - start); otherwise the density per metre.
+    /// The end in metres and 1 / (end - start) of linear fog; the density per metre of the others.
     pub(in crate::draw) fog: [f32; 4],
     /// Linear ambient colour of the light model; w is the reference of the alpha test.
     pub(in crate::draw) model_ambient: [f32; 4],

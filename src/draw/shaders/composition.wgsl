@@ -1,8 +1,8 @@
-// The pictures of two eyes in one.
+// Composes the images of two eyes into one.
 
 @group(0) @binding(0) var left: texture_2d<f32>;
 @group(0) @binding(1) var right: texture_2d<f32>;
-// How they are put together, pixels between halves, and where in the target the picture begins.
+// The stereo mode, the pixels between the halves, and the origin of the viewport in the target.
 @group(0) @binding(2) var<uniform> mode: vec4<u32>;
 
 @vertex
@@ -12,7 +12,7 @@ fn vs_composite(@builtin(vertex_index) index: u32) -> @builtin(position) vec4<f3
 
 @fragment
 fn fs_composite(@builtin(position) position: vec4<f32>) -> @location(0) vec4<f32> {
-    // Rows and columns that take turns are the screen's.
+    // Interlaced rows and columns are counted from the target's origin.
     let on_screen = vec2<i32>(position.xy);
     let pixel = on_screen - vec2<i32>(mode.zw);
     let size = vec2<i32>(textureDimensions(left));
@@ -26,7 +26,7 @@ fn fs_composite(@builtin(position) position: vec4<f32>) -> @location(0) vec4<f32
             let r = textureLoad(left, inside, 0).r;
             return vec4<f32>(r, textureLoad(right, inside, 0).gb, 1.0);
         }
-        // The halves; an odd column or row in the middle is the right eye's first.
+        // Two halves: columns or rows from the left eye's size plus the gap on belong to the right eye.
         case 1u: {
             is_right = pixel.x >= size.x + gap;
             is_between = pixel.x >= size.x && !is_right;
