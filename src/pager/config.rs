@@ -1,95 +1,69 @@
-//! What a pager is told, and what it needs of a graphics context.
+//! [`PagerConfig`] and [`PagerError`].
 
 use std::sync::Arc;
 use std::time::Duration;
 
-use crate::gpu::{CompileBudget, CompileOperation, Compiled};
 use crate::io::{IoError, Limits};
-use crate::scene::{DrawKind, DrawSlot, ShareModes};
+use crate::scene::ShareModes;
 
-/// One graphics context's compile queue, as the pager sees it from the main thread.
-pub trait CompileContext {
-    /// Number of the context; pages keep their draw slots by it.
-    fn id(&self) -> u32;
-    /// Told before [`Self::compile`]: what the drawables that come are, so that what draws them can be made before they
-    /// are drawn.
-    fn prewarm(&mut self, _kinds: &Arc<[DrawKind]>) {}
-    /// Queues drawables for upload; done within the context's budget a frame.
-    fn compile(&mut self, operation: CompileOperation);
-    /// Nobody waits for these operations any more: those that have not begun may end with nothing made. All are answered.
-    fn cancel(&mut self, _tickets: &[u64]) {}
-    /// Uploads within a budget, now or on the context's own thread: for the time between two frames. What a frame
-    /// uploads itself is not the pager's to say.
-    fn run_compiles(&mut self, budget: &CompileBudget);
-    /// What has been uploaded since the last call.
-    fn take_compiled(&mut self) -> Vec<Compiled>;
-    /// Gives slots back, after the last frame that may draw them was queued.
-    fn release(&mut self, slots: Vec<DrawSlot>);
-    /// False once whoever compiles has ended before its time, or where it can compile nothing now: what was queued is not
-    /// waited for.
-    fn is_alive(&self) -> bool {
-        true
-    }
-}
-
-/// Sizes and patience of a [`super::DatabasePager`].
+/// Configuration of a [`DatabasePager`](super::DatabasePager): threads, budgets and timeouts. Each field is independent of
+/// the others; that is why there are so many.
 #[derive(Clone, Debug)]
 pub struct PagerConfig {
-    /// Threads that read local files. Two keep a disk busy while one waits.
+    /// Threads that read local files. With two, one keeps the disk busy while the other waits.
     pub file_threads: usize,
-    /// Contents asked of one server at once (of all together four times as many), 4,096 at most; one with imagery of its own is
-    /// two requests.
+    /// Contents requested from one server at once, at most 4,096; all servers together get four times as many. A content
+    /// with separate imagery is two requests.
     pub http_in_flight: usize,
-    /// A server that answers as quickly under more requests gets more, up to so many.
+    /// The maximum of contents requested at once from a server that answers as quickly under more requests.
     pub http_in_flight_max: usize,
-    /// Threads that decode, behind the frame's in priority; the default is one for each core.
+    /// Threads that decode, with a lower priority than the frame's; one per core by default.
     pub decode_threads: usize,
-    /// Contents under way at once that are wanted only later (see [`PageRequest::ahead`](crate::cull::PageRequest::ahead)),
-    /// and of a server as many more as leave a quarter of its places free; 0 loads none.
+    /// Prefetches in flight at once beside other requests (see [`PageRequest::ahead`](crate::cull::PageRequest::ahead)). A
+    /// server gets more of them as long as a quarter of its slots stays free. 0 disables prefetching.
     pub ahead_in_flight: usize,
-    /// CPU bytes of pages that are merged or have arrived, and of tile trees. Besides, each decode thread has the one that
-    /// it decodes and up to twelve that the main thread has not taken up, and up to 8 MiB for each of them are what waits to
-    /// be uploaded.
+    /// Maximum CPU bytes of pages that are merged or have arrived, and of tile trees. Not counted: per decode thread, one
+    /// page that it decodes, up to twelve that the main thread has not taken, and up to 8 MiB that wait for their upload.
     pub max_bytes_cpu: u64,
-    /// GPU bytes of pages that are merged or were uploaded. How much one takes is known once it was uploaded: meanwhile the
-    /// mean of the last pages is reserved for it, and one that is larger than the room is given up at once.
+    /// Maximum GPU bytes of pages that are merged or uploaded. A page's size is known after its upload; until then the mean
+    /// of recent pages is reserved. A page that turns out larger than the free room is declined at once.
     pub max_bytes_gpu: u64,
-    /// Pages that are merged or have arrived.
+    /// Maximum number of pages that are merged or have arrived.
     pub max_tiles: usize,
-    /// A page may expire once it was not wanted for so many frames.
+    /// A page may expire once it was not wanted for this many frames.
     pub expiry_frames: u32,
-    /// And for so long, counted from when it was first found unused; in want of room it is not waited for.
+    /// A page may expire once it was found unused for this long; ignored when room is short.
     pub expiry_time: Duration,
-    /// A request not renewed for so many frames is dropped before it costs I/O.
+    /// A request that was not renewed for this many frames is dropped before it costs I/O.
     pub stale_frames: u32,
-    /// A running HTTP request not renewed for so many frames is aborted.
+    /// A running HTTP request that was not renewed for this many frames is aborted.
     pub abort_frames: u32,
-    /// What has arrived is uploaded as frames leave time for it, before it is merged (OSG's pre-compile). Without it
-    /// uploads wait for no frame: a page is uploaded whole in the update that finds it, however long that takes; for
-    /// pictures that nobody waits for, or applications that load behind a curtain.
+    /// Uploads arrived pages as frames leave time for it, before they are merged (OSG's pre-compile). Without it a page is
+    /// uploaded whole in the update that finds it, however long that takes: for offscreen images, or applications that
+    /// load behind a loading screen.
     pub pre_compile: bool,
-    /// Time for merging per frame; one page always goes through.
+    /// Time for merging per frame; one page is always merged.
     pub merge_time: Duration,
-    /// Wait before a failure that may pass is tried again, while somebody looks; doubled each time, up to five minutes.
+    /// Back-off before a failed load is retried while it is wanted; doubled each time, up to five minutes.
     pub retry_after: Duration,
-    /// Tries of a URI in all; `None` for no end of them: a network that was away for long is found when it comes back. Of
-    /// those that fail with what mostly stays ([`IoError::is_doubtful`](crate::io::IoError::is_doubtful)) there are five.
+    /// Maximum attempts to load a URI; `None` for no limit, so that loads resume after a long network outage. Errors that
+    /// rarely pass ([`IoError::is_doubtful`](crate::io::IoError::is_doubtful)) are tried five times.
     pub max_tries: Option<u32>,
-    /// How much is accepted from outside.
+    /// Bounds on data from outside.
     pub limits: Limits,
-    /// How servers are talked to.
+    /// Timeouts, certificates, credentials and cache of the HTTP client.
     #[cfg(feature = "http")]
     pub http: crate::io::HttpConfig,
-    /// Each update waits until everything that was asked for and finds room is merged or has failed: equal flights give
-    /// equal tiles.
+    /// Each update waits until all requests that have room are merged or have failed, so that equal flights give equal
+    /// tiles.
     pub blocking: bool,
-    /// The decode workers build k-d trees, for intersections with what is paged; see
+    /// The decode threads build k-d trees for intersections with paged geometry; see
     /// [`ReadOptions::build_kd_trees`](crate::io::ReadOptions::build_kd_trees).
     pub build_kd_trees: bool,
-    /// Attributes that meshes of glTFs keep, where a scene's own options name none; see
+    /// Attributes that meshes of glTFs keep if a scene's own options name none; see
     /// [`ReadOptions::vertex_attributes`](crate::io::ReadOptions::vertex_attributes).
     pub vertex_attributes: Arc<[Arc<str>]>,
-    /// What equal contents of different tiles share, see [`SharedStateManager`](crate::scene::SharedStateManager).
+    /// Which equal contents of different tiles are shared; see [`SharedStateManager`](crate::scene::SharedStateManager).
     pub sharing: ShareModes,
 }
 
@@ -124,7 +98,7 @@ impl Default for PagerConfig {
     }
 }
 
-/// Why a pager could not start.
+/// An error that prevents a pager from starting or from serving a scene.
 #[derive(Debug, thiserror::Error)]
 pub enum PagerError {
     /// A thread could not be started.
@@ -132,7 +106,7 @@ pub enum PagerError {
     Thread {
         /// Name of the thread.
         name: String,
-        /// The system's reason.
+        /// The operating system's error.
         source: std::io::Error,
     },
     /// The HTTP client could not be set up.

@@ -1,51 +1,60 @@
-//! The DatabasePager: from cull's requests to merged pages, and out again.
+//! The DatabasePager: from the requests of cull to merged pages, and out of memory again.
 //!
 //! ```text
-//! main     update_scene_graph: results -> compile queues -> merge -> expire -> request list
+//! main     update_scene_graph: accept requests -> answers -> uploads -> merge -> expire -> request list
 //! file n x read local files          |
-//! http 1 x one async runtime, many   | -> decode n x: io::decode -> results (back to main)
+//! http 1 x one async runtime, many   | -> decode n x -> answers (back to main)
 //!          requests in flight        |
 //! reaper   drops expired pages
 //! ```
-//! Cull takes no lock: its requests are data. The threads share one request list behind one mutex, rewritten by
-//! update once a frame; every other hand-over is a bounded channel that cannot fill (see `list.rs`).
+//! Cull takes no lock: its requests are data. The threads share one request list behind one mutex, which update rewrites
+//! once a frame. The other hand-overs are channels. Those of jobs and answers are bounded by the number of jobs that may be
+//! outstanding (`loading/request_list.rs`), so that no answer waits. The reaper's is unbounded, because thousands of pages
+//! may leave in one frame and update must not wait; they count in no budget. The contexts' compile queues belong to `gpu`
+//! and to the viewer; what they hold is bounded by the budgets of arrived pages.
+//!
+//! # Parts
+//! | folder | responsibility |
+//! |---|---|
+//! | `database_pager` | [`DatabasePager`]: owns the parts and calls them in the order of a frame |
+//! | `requests` | table of requests, order of loading, fairness, retries |
+//! | `loading` | request list, file, HTTP and decode threads, limits per server, reaper; generic over the job |
+//! | `residency` | merged pages, memory budgets, expiry, reference counts of shared contents |
+//! | `upload` | arrived pages on their way through the contexts' compile queues to their merge |
+//! | `prefetch` | what coming frames will lack, from announced paths and from the eye's motion |
+//! | `scenes` | the scenes that a pager serves and what each may read |
+//! | `images` | [`ImagePager`]: images of sequences, a second client of `loading` and of the retry policy |
+//!
+//! # Roles around a scene
+//! | type | role |
+//! |---|---|
+//! | [`SceneSet`] | all scenes of a pager, as each call borrows them from their owner |
+//! | `SceneRegistry` | which scenes a pager serves; it knows their numbers and holds no scene |
+//! | `SceneState` | what the registry knows of one scene: its read scope and the ancestors of its roots |
+//! | `ReadScope` | what the contents of a scene may read, and the HTTP client they are requested with |
 
-mod arrivals;
 mod config;
-mod entry;
-mod expiry;
-#[cfg(feature = "http")]
-mod flow;
-mod held;
-#[cfg(feature = "http")]
-mod http;
+mod database_pager;
 mod images;
-mod job;
-mod list;
-mod look_ahead;
-mod motion;
+mod loading;
+mod prefetch;
 mod requests;
-mod residents;
+mod residency;
 mod scenes;
-mod shares;
-mod states;
 mod stats;
-mod threads;
-mod tries;
-mod turns;
-mod update;
+mod upload;
 
-pub use config::{CompileContext, PagerConfig, PagerError};
+pub use config::{PagerConfig, PagerError};
+pub use database_pager::DatabasePager;
 pub use images::{
     ImagePager, ImagePagerConfig, ImagePagerStats, ImageSequence, LoopingMode, SequenceImage, SequenceMode,
     StreamStatus,
 };
-pub use look_ahead::{PathLooks, frames_until};
-pub(crate) use motion::turn_between;
-pub use motion::{EyeMotion, MotionLooks};
-pub use scenes::Scenes;
-pub use states::RequestState;
+pub(crate) use prefetch::turn_between;
+pub use prefetch::{EyeMotion, MotionLooks, PathLooks, frames_until};
+pub use requests::state::RequestState;
+pub use scenes::scene_set::SceneSet;
 pub use stats::{ErrorRecord, PagerStats};
-pub use update::DatabasePager;
+pub use upload::context::CompileContext;
 
 pub(crate) use images::ImageChange;

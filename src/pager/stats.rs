@@ -1,4 +1,4 @@
-//! Counters of the pager, each counted where the thing happens.
+//! Counters and failures of the pager. Each event is counted where it happens.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -6,100 +6,109 @@ use std::sync::Arc;
 use crate::io::{IoError, shown};
 use crate::scene::SharingStats;
 
-/// What the pager did since it started; main thread.
+/// Counters since the pager started; main thread. There is a field for each event and each state, as the report has them.
 ///
 /// Every request ends in one way: after an update `requested + retried` is the sum of `merged`, `failed`, `cancelled`,
 /// `stale`, `declined`, `dropped`, `waiting` and `in_flight`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PagerStats {
-    /// Requests taken up.
+    /// Requests accepted.
     pub requested: u64,
     /// Contents read and decoded.
     pub loaded: u64,
-    /// Pages merged into the scene.
+    /// Pages merged into their scenes.
     pub merged: u64,
-    /// Those of them that were wanted only later.
+    /// Prefetched pages among `merged`.
     pub merged_ahead: u64,
-    /// Pages taken out of the scene.
+    /// Pages detached from their scenes.
     pub expired: u64,
-    /// Contents taken up again that failed, or found no room.
+    /// Contents requested again after a failure or after they had no room.
     pub retried: u64,
-    /// Contents that could not be read or decoded, or that are beyond a whole budget.
+    /// Contents that could not be read or decoded, or that exceed a budget alone.
     pub failed: u64,
-    /// Drawables of merged pages that a context could not make.
+    /// Drawables of loaded pages that a context could not upload.
     pub drawables_failed: u64,
-    /// Running requests that were aborted because nobody wanted them any more.
+    /// Running requests aborted because their contents were no longer wanted.
     pub cancelled: u64,
     /// Requests dropped before they cost I/O.
     pub stale: u64,
-    /// Loads put off because the budget was full of what is visible.
+    /// Loaded pages that had no room because the budgets were full of what is visible.
     pub declined: u64,
-    /// Requests given up under way: their tileset expired, or contexts came or went and what was loaded is to be
-    /// uploaded anew.
+    /// Requests given up while under way: their tileset expired, or contexts were added or closed and the page must be
+    /// uploaded again.
     pub dropped: u64,
     /// Bytes read from files and servers.
     pub bytes_read: u64,
-    /// Those of them from servers.
+    /// Bytes transferred from servers.
     pub bytes_http: u64,
-    /// CPU bytes of what was decoded.
+    /// CPU bytes of decoded pages.
     pub bytes_decoded: u64,
     /// CPU bytes of merged pages.
     pub cpu_bytes: u64,
-    /// Most that `cpu_bytes` was.
+    /// Maximum of `cpu_bytes`.
     pub cpu_bytes_peak: u64,
     /// GPU bytes of merged pages.
     pub gpu_bytes: u64,
-    /// Most that `gpu_bytes` was.
+    /// Maximum of `gpu_bytes`.
     pub gpu_bytes_peak: u64,
-    /// CPU bytes of merged pages and of those that have arrived and wait for their uploads or their merge, without what is
-    /// yet to be uploaded. Never beyond [`PagerConfig::max_bytes_cpu`](super::PagerConfig::max_bytes_cpu).
+    /// CPU bytes of merged pages and of those that wait for their uploads or their merge, without what is yet to be
+    /// uploaded. Never exceeds [`PagerConfig::max_bytes_cpu`](super::PagerConfig::max_bytes_cpu).
     pub cpu_bytes_held: u64,
-    /// Most that `cpu_bytes_held` was once room was made for an arrival.
+    /// Maximum of `cpu_bytes_held`, measured after room was made for an arrival.
     pub cpu_bytes_held_peak: u64,
-    /// GPU bytes of merged pages and of those that are uploaded and wait for their merge. Never beyond
+    /// GPU bytes of merged pages and of those that are uploaded and wait for their merge. Never exceeds
     /// [`PagerConfig::max_bytes_gpu`](super::PagerConfig::max_bytes_gpu).
     pub gpu_bytes_held: u64,
-    /// Most that `gpu_bytes_held` was once room was made for an upload.
+    /// Maximum of `gpu_bytes_held`, measured after room was made for an upload.
     pub gpu_bytes_held_peak: u64,
-    /// Most pages that were merged or had arrived; never beyond
+    /// Maximum number of pages merged or arrived; never exceeds
     /// [`PagerConfig::max_tiles`](super::PagerConfig::max_tiles).
     pub held_peak: u64,
     /// Pages merged now.
     pub resident: u64,
     /// Requests waiting for I/O.
     pub waiting: u64,
-    /// Requests being read, decoded or compiled.
+    /// Requests being read, decoded, uploaded or merged.
     pub in_flight: u64,
-    /// Those of them whose bytes are here and not decoded.
+    /// Requests in flight whose bytes were read and are not decoded.
     pub decoding: u64,
-    /// Those of them that are decoded and not merged.
+    /// Requests in flight that are decoded and not merged.
     pub compiling: u64,
     /// Sum over merged pages of the seconds from request to merge.
     pub latency_sum_s: f64,
-    /// Longest of them.
+    /// Longest time from request to merge, seconds.
     pub latency_max_s: f64,
     /// Equal contents found, by kind.
     pub sharing: SharingStats,
-    /// CPU bytes that merged pages would hold besides if each had its own; counted in no budget.
+    /// Additional CPU bytes that merged pages would hold if each had its own copy; counted in no budget.
     pub shared_cpu_bytes_saved: u64,
-    /// GPU bytes that merged pages would hold besides if each had its own.
+    /// Additional GPU bytes that merged pages would hold if each had its own copy.
     pub shared_gpu_bytes_saved: u64,
-    /// Most that `shared_gpu_bytes_saved` was.
+    /// Maximum of `shared_gpu_bytes_saved`.
     pub shared_gpu_bytes_saved_peak: u64,
 }
 
-/// A failure, however often it happened.
+impl PagerStats {
+    /// Updates the maxima of memory and pages, after room was made.
+    pub(super) fn note_memory(&mut self, cpu_bytes: u64, gpu_bytes: u64, pages: u64) {
+        self.cpu_bytes_held_peak = self.cpu_bytes_held_peak.max(cpu_bytes);
+        self.gpu_bytes_held_peak = self.gpu_bytes_held_peak.max(gpu_bytes);
+        self.held_peak = self.held_peak.max(pages);
+    }
+}
+
+/// A failure by URI and reason, and how often it happened.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ErrorRecord {
-    /// What failed, as [`shown`] has it.
+    /// The URI that failed, without credentials; see [`shown`].
     pub uri: Arc<str>,
-    /// Why.
+    /// The reason.
     pub reason: Arc<str>,
-    /// How often.
+    /// The number of times it happened.
     pub count: u64,
 }
 
-/// Failures by URI and reason; at most [`Self::MAX`] different ones are kept, the rest is counted in one line.
+/// Failures by URI and reason; at most [`Self::MAX`] different ones are kept, further ones are counted together.
 #[derive(Debug, Default)]
 pub(super) struct Errors {
     by_uri: BTreeMap<(Arc<str>, Arc<str>), u64>,
@@ -109,10 +118,12 @@ pub(super) struct Errors {
 impl Errors {
     const MAX: usize = 1000;
 
+    /// Counts an error.
     pub fn add(&mut self, error: &IoError) {
         self.add_text(error.uri(), &error.reason());
     }
 
+    /// Counts an error by its URI and reason.
     pub fn add_text(&mut self, uri: &str, reason: &str) {
         let key = (Arc::from(&*shown(uri)), Arc::from(reason));
         if self.by_uri.len() >= Self::MAX && !self.by_uri.contains_key(&key) {
@@ -122,6 +133,7 @@ impl Errors {
         *self.by_uri.entry(key).or_insert(0) += 1;
     }
 
+    /// Returns all failures, by URI and reason.
     pub fn list(&self) -> Vec<ErrorRecord> {
         let mut list: Vec<ErrorRecord> = self
             .by_uri

@@ -53,7 +53,7 @@ impl Track {
         let rate = (simulation_s - self.simulation_s) / (at_s - self.at_s);
         self.rate = if rate.is_finite() { rate } else { 0.0 };
         (self.at_s, self.simulation_s) = (at_s, simulation_s);
-        self.motion.go_on(at_s, world_from_eye);
+        self.motion.observe(at_s, world_from_eye);
     }
 
     fn frame_s(&self) -> f64 {

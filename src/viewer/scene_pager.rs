@@ -12,7 +12,7 @@ use super::paged_scene::PagedScene;
 use super::rendering::{Rendering, millis};
 use super::view::View;
 use crate::cull::PageRequest;
-use crate::pager::{DatabasePager, Scenes};
+use crate::pager::{DatabasePager, SceneSet};
 use crate::scene::{PageId, Scene};
 
 /// With nothing under way for this many frames, besides those in which the pager looks at all pages for room, requests that
@@ -56,7 +56,7 @@ struct Members<'a> {
     members: &'a [usize],
 }
 
-impl Scenes for Members<'_> {
+impl SceneSet for Members<'_> {
     fn at(&self, place: usize) -> Option<&Scene> {
         self.scenes.get(*self.members.get(place)?).map(PagedScene::scene)
     }
@@ -72,7 +72,7 @@ struct Seen<'a> {
     members: &'a [usize],
 }
 
-impl Scenes for Seen<'_> {
+impl SceneSet for Seen<'_> {
     fn at(&self, place: usize) -> Option<&Scene> {
         self.scenes.get(*self.members.get(place)?).map(PagedScene::scene)
     }

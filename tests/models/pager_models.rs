@@ -1,16 +1,18 @@
-//! The request lists of both pagers under shuttle: the library's own files, between threads that take, read, decode and
-//! answer as the pagers' do. Schedules in which a wake-up is lost, a thread waits for ever or a job is done twice fail.
+//! The request list of both pagers under shuttle: the library's own file, between threads that take, read, decode and
+//! answer as the pagers' do. A schedule in which a wake-up is lost, a thread waits forever or a job is done twice fails.
 
-#[path = "../../src/pager/images/list.rs"]
-mod images;
-#[path = "../../src/pager/list.rs"]
-mod list;
+#[path = "../../src/pager/loading/request_list.rs"]
+mod request_list;
 
-/// The number of requests that a server may have at once.
-mod flow {
-    pub struct Flows(pub usize);
+mod ticket {
+    pub type Ticket = u64;
+}
 
-    impl Flows {
+/// The same limit for each server.
+mod server_limits {
+    pub struct ServerLimits(pub usize);
+
+    impl ServerLimits {
         pub fn limit(&self, _server: &str) -> usize {
             self.0
         }
@@ -19,44 +21,50 @@ mod flow {
             true
         }
     }
-
-    pub struct Range {
-        pub start: usize,
-        pub most: usize,
-    }
 }
 
 mod job {
     use std::sync::Arc;
     use std::sync::atomic::{AtomicUsize, Ordering};
 
-    /// Counts how often it was taken.
-    #[derive(Debug, Default)]
-    pub struct Stage(AtomicUsize);
-
-    impl Stage {
-        pub fn reads(&self) {
-            assert_eq!(self.0.fetch_add(1, Ordering::SeqCst), 0, "taken twice");
-        }
-    }
+    use super::request_list::Request;
+    use super::ticket::Ticket;
 
     #[derive(Clone, Debug)]
     pub struct Job {
-        pub ticket: u64,
+        pub ticket: Ticket,
         pub uri: Arc<str>,
-        pub is_ahead: bool,
-        pub stage: Arc<Stage>,
         servers: Vec<String>,
+        /// How often it was taken.
+        taken: Arc<AtomicUsize>,
     }
 
     impl Job {
-        pub fn new(ticket: u64, uri: &str) -> Self {
+        pub fn new(ticket: Ticket, uri: &str) -> Self {
             let servers = vec![crate::io::server(uri).to_owned()];
-            Self { ticket, uri: uri.into(), is_ahead: false, stage: Arc::default(), servers }
+            Self { ticket, uri: uri.into(), servers, taken: Arc::default() }
+        }
+    }
+
+    impl Request for Job {
+        fn ticket(&self) -> Ticket {
+            self.ticket
         }
 
-        pub fn servers(&self) -> &[String] {
+        fn uri(&self) -> &str {
+            &self.uri
+        }
+
+        fn is_prefetch(&self) -> bool {
+            false
+        }
+
+        fn servers(&self) -> &[String] {
             &self.servers
+        }
+
+        fn mark_reading(&self) {
+            assert_eq!(self.taken.fetch_add(1, Ordering::SeqCst), 0, "taken twice");
         }
     }
 }
@@ -66,51 +74,51 @@ use std::sync::atomic::Ordering;
 
 use crate::schedules::channel::{Receiver, Sender, bounded};
 use crate::schedules::check;
-use flow::Flows;
 use job::Job;
-use list::{RequestList, Taken};
+use request_list::{HttpWork, Limits, RequestList};
+use server_limits::ServerLimits;
 use shuttle::sync::atomic::AtomicUsize;
 use shuttle::sync::{Arc, Barrier, Mutex};
 use shuttle::thread::{self, JoinHandle};
 
-/// An answer as update gets it: the job, and whether there is a page.
+/// An answer as update gets it: the job, and whether it has a content.
 type Answer = (Job, bool);
 
 fn files(count: u64) -> Vec<Job> {
     (0..count).map(|ticket| Job::new(ticket, "/set/a.glb")).collect()
 }
 
-/// Update's part of a frame: the jobs not yet taken, the most urgent last; a thread that can take one is notified.
-fn update(list: &RequestList, jobs: &mut BTreeMap<u64, Job>) {
-    let mut waiting = list.lock();
-    for ticket in std::mem::take(&mut waiting.taken) {
+/// Does update's part of a frame: lists the jobs that no thread has taken, the most urgent last, and rings.
+fn update(list: &RequestList<Job>, jobs: &mut BTreeMap<u64, Job>) {
+    let mut state = list.lock();
+    for ticket in state.drain_taken() {
         jobs.remove(&ticket);
     }
-    let (http, file) = jobs.values().cloned().partition(|job| crate::io::is_remote(&job.uri));
-    (waiting.http, waiting.file) = (http, file);
-    drop(waiting);
+    state.set_jobs(jobs.values().cloned());
+    drop(state);
     list.ring_if_due();
 }
 
 /// Jobs taken and not answered, counted apart from the list.
 type Outstanding = Arc<AtomicUsize>;
 
-/// Takes an answer up, maybe before update knew that the job was taken; room for another one is signalled.
-fn take_up(list: &RequestList, jobs: &mut BTreeMap<u64, Job>, outstanding: &Outstanding, (job, has_page): &Answer) {
+/// Accepts an answer, possibly before update knew that the job was taken, and makes room for another job.
+fn accept(list: &RequestList<Job>, jobs: &mut BTreeMap<u64, Job>, outstanding: &Outstanding, (job, has_page): &Answer) {
     outstanding.fetch_sub(1, Ordering::SeqCst);
     list.lock().answered(job, *has_page);
     jobs.remove(&job.ticket);
-    let mut waiting = list.lock();
-    waiting.allowed = list.capacity;
-    list.ring(waiting);
+    let mut state = list.lock();
+    let outstanding = list.capacity();
+    state.set_limits(Limits { outstanding, prefetch_room: 0, prefetch_beside_others: 0 });
+    list.ring(state);
 }
 
-/// A file thread.
-fn reads(list: &Arc<RequestList>, read: &Sender<Job>, outstanding: &Outstanding) -> JoinHandle<()> {
+/// Starts a file thread.
+fn reads(list: &Arc<RequestList<Job>>, read: &Sender<Job>, outstanding: &Outstanding) -> JoinHandle<()> {
     let (list, read, outstanding) = (list.clone(), read.clone(), outstanding.clone());
     thread::spawn(move || {
         while let Some(job) = list.take_file() {
-            assert!(outstanding.fetch_add(1, Ordering::SeqCst) < list.capacity, "more than the channels hold");
+            assert!(outstanding.fetch_add(1, Ordering::SeqCst) < list.capacity(), "more than the channels hold");
             if read.send(job).is_err() {
                 return;
             }
@@ -118,7 +126,7 @@ fn reads(list: &Arc<RequestList>, read: &Sender<Job>, outstanding: &Outstanding)
     })
 }
 
-/// A decode thread.
+/// Starts a decode thread.
 fn decodes(read: &Receiver<Job>, answers: &Sender<Answer>) -> JoinHandle<()> {
     let (read, answers) = (read.clone(), answers.clone());
     thread::spawn(move || {
@@ -135,7 +143,7 @@ fn join(threads: Vec<JoinHandle<()>>) {
     threads.into_iter().for_each(|thread| thread.join().unwrap());
 }
 
-/// Readers wait for the decoder, which holds one file more, and continue; update takes answers up while it lists what is left.
+/// Readers wait for the decoder, which holds one more file, and continue; update accepts answers while it lists the rest.
 #[test]
 fn files_are_each_read_and_answered_once_through_full_channels() {
     check(|| {
@@ -151,16 +159,16 @@ fn files_are_each_read_and_answered_once_through_full_channels() {
             update(&list, &mut jobs);
             let answer = answered.recv().unwrap();
             assert!(!std::mem::replace(&mut seen[answer.0.ticket as usize], true), "answered twice");
-            take_up(&list, &mut jobs, &outstanding, &answer);
+            accept(&list, &mut jobs, &outstanding, &answer);
         }
         update(&list, &mut jobs);
-        assert!(jobs.is_empty() && list.lock().outstanding == 0 && !list.lock().is_under_way());
+        assert!(jobs.is_empty() && list.lock().outstanding() == 0 && !list.lock().is_under_way());
         list.close();
         join(std::mem::take(&mut threads));
     });
 }
 
-/// A wake-up takes the frame time: update wakes one thread, which wakes the next.
+/// A wake-up costs the frame time: update wakes one thread, which wakes the next.
 #[test]
 fn one_ring_wakes_as_many_threads_as_there_is_work_for() {
     check(|| {
@@ -178,11 +186,11 @@ fn one_ring_wakes_as_many_threads_as_there_is_work_for() {
         let threads: Vec<_> = threads.collect();
         update(&list, &mut files(3).into_iter().map(|job| (job.ticket, job)).collect());
         join(threads);
-        assert_eq!(list.lock().taken.len(), 3);
+        assert_eq!(list.lock().drain_taken().count(), 3);
     });
 }
 
-/// At any time: while threads wait for work, for the decoder, or for cancelled jobs.
+/// The list may close at any time: while threads wait for work or for the decoder, or while answers are not received.
 #[test]
 fn all_threads_end_with_the_list() {
     check(|| {
@@ -201,13 +209,12 @@ fn all_threads_end_with_the_list() {
     });
 }
 
-/// The requests in flight on the HTTP thread. The server answers them in any order, except those that hang.
+/// The requests that the HTTP thread has in flight; a server answers any of them except those that hang.
 type UnderWay = Arc<Mutex<BTreeMap<u64, Job>>>;
 
-/// The HTTP thread: as in `http.rs` it looks, under the list's lock, for what it may begin or is to give up, and waits for
-/// its bell.
+/// Starts the HTTP thread: as in `http.rs` it takes its work under the list's lock, and waits for its bell.
 fn asks(
-    list: &Arc<RequestList>,
+    list: &Arc<RequestList<Job>>,
     answers: &Sender<Answer>,
     outstanding: &Outstanding,
     under_way: UnderWay,
@@ -217,7 +224,8 @@ fn asks(
         shuttle::future::block_on(async {
             loop {
                 let running: Vec<Job> = under_way.lock().unwrap().values().cloned().collect();
-                let Some(Taken { jobs, aborts }) = list.take_of_servers(running.iter(), &Flows(2), 4) else { return };
+                let work = list.take_http(running.iter(), &ServerLimits(2), 4);
+                let Some(HttpWork { jobs, aborts }) = work else { return };
                 for ticket in aborts {
                     let aborted = under_way.lock().unwrap().remove(&ticket);
                     if aborted.is_some_and(|job| answers.send((job, false)).is_err()) {
@@ -225,12 +233,15 @@ fn asks(
                     }
                 }
                 for job in jobs {
-                    assert!(outstanding.fetch_add(1, Ordering::SeqCst) < list.capacity, "more than the channels hold");
+                    assert!(
+                        outstanding.fetch_add(1, Ordering::SeqCst) < list.capacity(),
+                        "more than the channels hold"
+                    );
                     under_way.lock().unwrap().insert(job.ticket, job);
                 }
                 let done = under_way.lock().unwrap().extract_if(.., |_, job| !job.uri.contains("hangs")).next();
                 let Some((_, job)) = done else {
-                    list.http_bell.notified().await;
+                    list.http_rung().await;
                     continue;
                 };
                 if answers.send((job, true)).is_err() {
@@ -241,10 +252,10 @@ fn asks(
     })
 }
 
-/// Two requests hang and take all slots of their server. They are cancelled in turn, the first while others wait, the
-/// second while none does.
+/// Two requests hang and have all slots of their server. They are aborted one after the other: the first while other jobs
+/// wait, the second while none does.
 #[test]
-fn cancelled_requests_make_room_for_waiting_ones() {
+fn aborted_requests_free_their_slots_for_waiting_jobs() {
     check(|| {
         let list = Arc::new(RequestList::new(3, 3));
         let ((answers, answered), under_way) = (bounded(3), UnderWay::default());
@@ -261,20 +272,20 @@ fn cancelled_requests_make_room_for_waiting_ones() {
             update(&list, &mut jobs);
         }
         let give_up = |ticket| {
-            let mut waiting = list.lock();
-            waiting.abort.push(ticket);
-            list.ring(waiting);
+            let mut state = list.lock();
+            state.abort(ticket);
+            list.ring(state);
         };
         let mut came = BTreeMap::new();
         give_up(2);
         for count in [3, 4] {
             while came.len() < count {
                 let answer = answered.recv().unwrap();
-                take_up(&list, &mut jobs, &outstanding, &answer);
+                accept(&list, &mut jobs, &outstanding, &answer);
                 assert_eq!(came.insert(answer.0.ticket, answer.1), None, "answered twice");
                 update(&list, &mut jobs);
             }
-            // Nothing waits any more.
+            // No job waits any more.
             if count == 3 {
                 give_up(3);
             }
@@ -282,89 +293,6 @@ fn cancelled_requests_make_room_for_waiting_ones() {
         assert_eq!(came.into_values().collect::<Vec<_>>(), [true, true, false, false]);
         list.close();
         thread.join().unwrap();
-        assert!(under_way.lock().unwrap().is_empty() && list.lock().outstanding == 0);
-    });
-}
-
-/// The image pager's threads: two decode, of which each reads files too; one asks a server, where `hangs` never comes.
-fn image_threads(list: &Arc<images::List>, loaded: &Sender<(Arc<str>, bool)>) -> Vec<JoinHandle<()>> {
-    let asked = list.clone();
-    let asks = thread::spawn(move || {
-        shuttle::future::block_on(async {
-            while let Some(begun) = asked.take_of_servers() {
-                for uri in begun {
-                    let list = asked.clone();
-                    shuttle::future::spawn(async move {
-                        let bytes = if uri.contains("hangs") {
-                            list.is_given_up(&uri).await;
-                            None
-                        } else {
-                            Some(Ok(Vec::new()))
-                        };
-                        list.has_come(uri, bytes);
-                    });
-                }
-                asked.http_bell.notified().await;
-            }
-        });
-    });
-    let decode = |_| {
-        let (list, loaded) = (list.clone(), loaded.clone());
-        thread::spawn(move || {
-            while let Some(work) = list.take() {
-                let image = match work {
-                    images::Work::Read(uri) => (uri, true),
-                    images::Work::Came(uri, bytes) => (uri, bytes.is_some()),
-                };
-                if loaded.send(image).is_err() {
-                    return;
-                }
-            }
-        })
-    };
-    (0..2).map(decode).chain([asks]).collect()
-}
-
-/// A decoded image waits with its thread until update takes it. A hung request takes its server's only slot until it is
-/// cancelled and the next starts.
-#[test]
-fn images_of_files_and_servers_come_once_and_what_hangs_is_given_up() {
-    check(|| {
-        let list = Arc::new(images::List::new(1));
-        let (loaded, came) = bounded(1);
-        let threads = image_threads(&list, &loaded);
-        drop(loaded);
-        let uris = ["/files/a.png", "http://h/b.png", "http://h/hangs.png", "/files/c.png"];
-        list.lock().uris = uris.map(Arc::from).to_vec();
-        list.ring();
-        let mut left: BTreeMap<Arc<str>, bool> =
-            uris.iter().map(|uri| (Arc::from(*uri), !uri.contains("hangs"))).collect();
-        // Once in flight it is not wanted any more.
-        while !list.lock().taken.iter().any(|uri| uri.contains("hangs")) {
-            thread::yield_now();
-        }
-        list.give_up(|uri| uri.contains("hangs"));
-        for _ in 0..uris.len() {
-            let (uri, is_there) = came.recv().unwrap();
-            assert_eq!(left.remove(&uri), Some(is_there), "{uri}");
-        }
-        list.close();
-        join(threads);
-    });
-}
-
-/// At any time: while results are not taken, a server hangs, or nothing was asked for.
-#[test]
-fn all_image_threads_end_with_their_list() {
-    check(|| {
-        let list = Arc::new(images::List::new(1));
-        let (loaded, came) = bounded(1);
-        let threads = image_threads(&list, &loaded);
-        drop(loaded);
-        list.lock().uris = ["/a.png", "/b.png", "/c.png", "http://h/hangs.png"].map(Arc::from).to_vec();
-        list.ring();
-        list.close();
-        drop(came);
-        join(threads);
+        assert!(under_way.lock().unwrap().is_empty() && list.lock().outstanding() == 0);
     });
 }

@@ -207,7 +207,7 @@ fn unannounced_flight(
     let (mut motion, mut guesses) = (EyeMotion::default(), MotionLooks::default());
     let ahead = |run: &Run, frame: u32| {
         let (now_s, here) = (f64::from(frame) / 60.0, DAffine3::from_translation(eye(frame)));
-        motion.go_on(now_s, &here);
+        motion.observe(now_s, &here);
         guesses.start_frame(now_s, &here, &motion);
         while looks && let Some((then, frames)) = guesses.next(1.0, &motion) {
             guesses.found(&missing_ahead(run, then.translation, frames), &motion);

@@ -6,6 +6,7 @@ use glam::{DMat2, DMat4, Mat4, Vec3};
 use super::air::{AirParameters, direction_in_eye, eye_height_m, sun_height};
 use crate::cull::{CullCamera, MAX_CASCADES, StageShadows};
 use crate::math::WGS84;
+use crate::math::color::linear_from_srgb8;
 use crate::scene::{Environment, MORPH_START, Sky, has_parallel_rays};
 
 /// Height in metres over which the density of air falls to 1/e.
@@ -94,11 +95,6 @@ fn mix(a: [f64; 3], b: [f64; 3], t: f64) -> [f64; 3] {
 
 fn vec4(v: [f64; 3], w: f64) -> [f32; 4] {
     [v[0] as f32, v[1] as f32, v[2] as f32, w as f32]
-}
-
-fn linear_from_srgb(byte: u8) -> f64 {
-    let s = f64::from(byte) / 255.0;
-    if s <= 0.04045 { s / 12.92 } else { ((s + 0.055) / 1.055).powf(2.4) }
 }
 
 /// Returns the colour that a picture is cleared with: the background's, or the horizon's under a sky.

@@ -1,31 +1,31 @@
-//! Sizes and counters of an [`ImagePager`](super::ImagePager).
+//! Configuration and counters of an [`ImagePager`](super::ImagePager).
 
 use std::time::Duration;
 
 use crate::io::Limits;
 
-/// Sizes and patience of an [`ImagePager`](super::ImagePager).
+/// Configuration of an [`ImagePager`](super::ImagePager): threads, budgets and timeouts.
 #[derive(Clone, Debug)]
 pub struct ImagePagerConfig {
-    /// Threads that read files and decode; each server may have as many requests.
+    /// Threads that read files, and as many that decode; each server may have as many requests in flight.
     pub threads: usize,
-    /// Images from files that may be decoded or under way at once.
+    /// Maximum number of images from files that are decoded or loading.
     pub max_images: usize,
-    /// CPU bytes of decoded images.
+    /// Maximum CPU bytes of decoded images.
     pub max_bytes: u64,
-    /// An image that was not wanted for so long goes, though there may be room.
+    /// An image that was not wanted for this long is paged out even if there is room.
     pub expiry: Duration,
-    /// Wait before a failure that may pass is tried again, while somebody looks; doubled each time, up to five minutes.
+    /// Back-off before a failed load is retried while it is wanted; doubled each time, up to five minutes.
     pub retry_after: Duration,
-    /// Tries of a URI in all; `None` for no end of them: a network that was away for long is found when it comes back. Of
-    /// those that fail with what mostly stays ([`IoError::is_doubtful`](crate::io::IoError::is_doubtful)) there are five.
+    /// Maximum attempts to load a URI; `None` for no limit, so that loads resume after a long network outage. Errors that
+    /// rarely pass ([`IoError::is_doubtful`](crate::io::IoError::is_doubtful)) are tried five times.
     pub max_tries: Option<u32>,
-    /// How much is accepted from outside.
+    /// Bounds on data from outside.
     pub limits: Limits,
-    /// How servers are talked to, and the cache on disk.
+    /// Timeouts, certificates, credentials and cache of the HTTP client.
     #[cfg(feature = "http")]
     pub http: crate::io::HttpConfig,
-    /// Each update waits for the images of its moment: equal times give equal pictures. OSG's
+    /// Each update waits for the images of its moment, so that equal times give equal frames. OSG's
     /// `LOAD_AND_RETAIN_IN_UPDATE_TRAVERSAL`.
     pub blocking: bool,
 }
@@ -47,30 +47,30 @@ impl Default for ImagePagerConfig {
     }
 }
 
-/// What an [`ImagePager`](super::ImagePager) did since it started; update thread.
+/// Counters of an [`ImagePager`](super::ImagePager) since it started; update thread.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ImagePagerStats {
     /// Images read and decoded.
     pub loaded: u64,
-    /// Reads that failed.
+    /// Loads that failed.
     pub failed: u64,
-    /// Reads that were given up, because nobody wanted the image any more.
+    /// Loads aborted because the image was no longer wanted.
     pub cancelled: u64,
     /// Images paged out.
     pub paged_out: u64,
-    /// Images that began to be shown.
+    /// Times that a texture began to show another image.
     pub shown: u64,
-    /// Times that a sequence went on showing an earlier image, because the one of the moment was not there.
+    /// Times that a sequence still showed an earlier image because the one of the moment was not loaded.
     pub late: u64,
     /// Bytes read from files and servers.
     pub bytes_read: u64,
-    /// Decoded images now.
+    /// Decoded images in memory now.
     pub images: u64,
-    /// Most that `images` was.
+    /// Maximum of `images`.
     pub images_peak: u64,
     /// CPU bytes of decoded images now.
     pub bytes: u64,
-    /// Most that `bytes` was.
+    /// Maximum of `bytes`.
     pub bytes_peak: u64,
     /// Images waiting for a thread.
     pub waiting: u64,

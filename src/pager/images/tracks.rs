@@ -1,143 +1,195 @@
-//! Which image each sequence is to show, and which it shows. Update thread, once a frame, before cull.
+//! [`Tracks`]: which image each sequence should show, and which it shows. Update thread, once a frame, before cull.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::sequence::{ImageSequence, SequenceImage};
-use super::store::{ImagePager, Slot, State};
+use super::store::ImageStore;
 use crate::scene::Texture;
 use crate::state::TextureObject;
 
-/// Another image for a texture, for every context.
+/// A new image for a texture, for every context.
 #[derive(Clone, Debug)]
 pub(crate) struct ImageChange {
     pub(crate) texture: Arc<TextureObject>,
     pub(crate) image: Arc<Texture>,
 }
 
+/// An overdue image is due before the images of the present moment.
+const OVERDUE_S: f64 = -1.0;
+
+/// How long an overdue image is waited for after one was shown; doubled each time that it does not arrive.
+const PATIENCE: Duration = Duration::from_secs(1);
+
+/// An image of an earlier moment that is still loading. It is shown if the image of the moment is not loaded yet: otherwise
+/// a sequence that is faster than its images load would show none.
+#[derive(Clone, Copy)]
+struct Overdue {
+    index: usize,
+    /// Then another image is waited for, twice as long.
+    until: Instant,
+}
+
 /// A sequence, and which of its images its texture shows.
-pub(super) struct Track {
-    pub(super) sequence: ImageSequence,
-    pub(super) shown: Option<usize>,
-    pub(super) is_playing: bool,
-    /// The image of the moment is not there, and may come.
-    pub(super) is_late: bool,
+struct Track {
+    sequence: ImageSequence,
+    shown: Option<usize>,
+    is_playing: bool,
+    /// True while the image of the moment is not loaded and may still be.
+    is_late: bool,
     overdue: Option<Overdue>,
     /// How long the next overdue image is waited for.
     patience: Duration,
 }
 
-/// An image of an earlier moment that is still to come: shown where that of its moment is not there yet. Without it a
-/// sequence that is faster than its images come would show none.
-#[derive(Clone, Copy)]
-struct Overdue {
-    index: usize,
-    /// Then another is waited for, twice as long.
-    until: Instant,
-}
+/// An image of a sequence by its index.
+type Indexed = (usize, SequenceImage);
 
-/// What is due before the images of this moment.
-const OVERDUE_S: f64 = -1.0;
-
-/// How long an overdue image is waited for after one was shown.
-const PATIENCE: Duration = Duration::from_secs(1);
-
-/// The images that a sequence could show now: that of the moment, and one that is overdue.
-pub(super) struct Present {
+/// The images that a sequence could show now.
+pub(super) struct Candidates {
     track: usize,
-    pub(super) now: (usize, SequenceImage),
-    overdue: Option<(usize, SequenceImage)>,
+    /// The image of the moment.
+    now: Indexed,
+    overdue: Option<Indexed>,
 }
 
 impl Track {
-    /// Nothing of it is shown yet.
-    pub(super) fn new(sequence: ImageSequence) -> Self {
+    /// Creates the track of a sequence that shows nothing yet.
+    fn new(sequence: ImageSequence) -> Self {
         Self { sequence, shown: None, is_playing: false, is_late: true, overdue: None, patience: PATIENCE }
+    }
+
+    /// Moves time on, notes in the store which files the sequence needs, and returns what it could show. Returns `None`
+    /// for a sequence without images or without users.
+    fn advance(&mut self, store: &mut ImageStore, time_s: f64, now: Instant) -> Option<(Indexed, Option<Indexed>)> {
+        let moment = self.sequence.advance(time_s);
+        self.is_playing = moment.is_playing && self.sequence.image_count() > 1;
+        if !self.sequence.is_used() {
+            return None;
+        }
+        let mut want = |index: usize, due_s: f64| {
+            let image = self.sequence.image(index)?;
+            if let SequenceImage::File(uri) = &image {
+                store.want(uri, due_s, moment.discards, now);
+            }
+            Some((index, image))
+        };
+        self.overdue = self.overdue.filter(|_| moment.goes_on);
+        let overdue = self.overdue.and_then(|overdue| want(overdue.index, OVERDUE_S));
+        let mut present = None;
+        for wanted in &moment.wanted {
+            let image = want(wanted.index, wanted.due_s);
+            present = present.or(image);
+        }
+        present.map(|present| (present, overdue))
+    }
+
+    /// Chooses the image to show from now on: that of the moment, or an overdue one that is loaded. Returns `None` if the
+    /// texture does not change, and whether the image of the moment is missing.
+    fn choose(&mut self, candidates: &Candidates, store: &ImageStore, at: Instant) -> (Option<Arc<Texture>>, bool) {
+        let Candidates { now, overdue, .. } = candidates;
+        let shown = self.shown;
+        let differs = |image: &&Indexed| shown != Some(image.0);
+        let load = |image: &Indexed| Some((image.0, loaded(store, image)?));
+        let present = Some(now).filter(differs);
+        let mut shows = present.and_then(load);
+        let is_missing = present.is_some() && shows.is_none();
+        let is_late = is_missing && is_coming(store, now);
+        let mut waits =
+            self.overdue.filter(|_| is_missing && overdue.as_ref().is_some_and(|image| is_coming(store, image)));
+        let mut patience = self.patience;
+        if is_missing && waits.is_none() {
+            shows = overdue.as_ref().filter(differs).and_then(load);
+        }
+        if shows.is_some() {
+            patience = PATIENCE;
+        } else if waits.is_some_and(|overdue| overdue.until <= at) {
+            (waits, patience) = (None, patience.saturating_mul(2));
+        }
+        if is_late && waits.is_none() {
+            waits = at.checked_add(patience).map(|until| Overdue { index: now.0, until });
+        }
+        (self.is_late, self.overdue, self.patience) = (is_late, waits, patience);
+        let image = shows.map(|(index, image)| {
+            self.shown = Some(index);
+            image
+        });
+        (image, is_missing)
     }
 }
 
-impl ImagePager {
-    /// Moves time on and notes which files it needs; what each used sequence could show.
-    pub(super) fn want(&mut self, simulation_time_s: f64, now: Instant) -> Vec<Present> {
-        let mut present = Vec::with_capacity(self.tracks.len());
-        for slot in self.slots.values_mut() {
-            slot.due_s = f64::INFINITY;
-        }
-        for (place, track) in self.tracks.iter_mut().enumerate() {
-            let moment = track.sequence.advance(simulation_time_s);
-            track.is_playing = moment.is_playing && track.sequence.image_count() > 1;
-            if !track.sequence.is_used() {
-                continue;
-            }
-            let mut need = |index: usize, due_s: f64| {
-                let image = track.sequence.image(index)?;
-                if let SequenceImage::File(uri) = &image {
-                    let slot = self.slots.entry(uri.clone()).or_insert_with(|| Slot::new(now));
-                    (slot.wanted, slot.wanted_at) = (self.updates, now);
-                    slot.due_s = slot.due_s.min(due_s);
-                    slot.discards = moment.discards;
-                }
-                Some((index, image))
-            };
-            track.overdue = track.overdue.filter(|_| moment.goes_on);
-            let overdue = track.overdue.and_then(|overdue| need(overdue.index, OVERDUE_S));
-            let mut of_now = None;
-            for wanted in &moment.wanted {
-                let image = need(wanted.index, wanted.due_s);
-                of_now = of_now.or(image);
-            }
-            present.extend(of_now.map(|of_now| Present { track: place, now: of_now, overdue }));
-        }
-        present
+fn loaded(store: &ImageStore, (_, image): &Indexed) -> Option<Arc<Texture>> {
+    match image {
+        SequenceImage::Image(image) => Some(image.clone()),
+        SequenceImage::File(uri) => store.image(uri).cloned(),
     }
+}
 
-    /// The image, where it is there.
-    fn found(&self, (_, image): &(usize, SequenceImage)) -> Option<Arc<Texture>> {
-        match image {
-            SequenceImage::Image(image) => Some(image.clone()),
-            SequenceImage::File(uri) => match &self.slots.get(uri)?.state {
-                State::Loaded(image) => Some(image.clone()),
-                _ => None,
-            },
+fn is_coming(store: &ImageStore, (_, image): &Indexed) -> bool {
+    matches!(image, SequenceImage::File(uri) if store.is_coming(uri))
+}
+
+/// The sequences of a pager.
+#[derive(Default)]
+pub(super) struct Tracks {
+    tracks: Vec<Track>,
+}
+
+impl Tracks {
+    /// Adds a sequence unless it is known.
+    pub fn add(&mut self, sequence: &ImageSequence) {
+        let is_known = |t: &Track| Arc::ptr_eq(t.sequence.shared_texture(), sequence.shared_texture());
+        if !self.tracks.iter().any(is_known) {
+            self.tracks.push(Track::new(sequence.clone()));
         }
     }
 
-    /// What textures show from now on: the image of the moment, or one that was overdue and has come.
-    pub(super) fn changes(&mut self, present: &[Present], at: Instant) -> Vec<ImageChange> {
-        let mut changes = Vec::new();
+    /// Removes the sequences that only the pager refers to.
+    pub fn remove_forgotten(&mut self) {
+        self.tracks.retain(|track| !track.sequence.is_forgotten());
+    }
+
+    /// Shows every image again.
+    pub fn show_again(&mut self) {
+        for track in &mut self.tracks {
+            track.shown = None;
+        }
+    }
+
+    /// Returns true while a sequence plays or an image of the moment is loading.
+    pub fn is_active(&self) -> bool {
+        self.tracks.iter().any(|track| track.sequence.is_used() && (track.is_late || track.is_playing))
+    }
+
+    /// Moves time on and notes in the store which files are needed; returns what each used sequence could show.
+    pub fn advance(&mut self, store: &mut ImageStore, time_s: f64, now: Instant) -> Vec<Candidates> {
+        let mut candidates = Vec::with_capacity(self.tracks.len());
+        for (index, track) in self.tracks.iter_mut().enumerate() {
+            let shows = track.advance(store, time_s, now);
+            candidates.extend(shows.map(|(now, overdue)| Candidates { track: index, now, overdue }));
+        }
+        candidates
+    }
+
+    /// Returns what textures show from now on, and how many sequences lack the image of the moment.
+    pub fn changes(&mut self, candidates: &[Candidates], store: &ImageStore, at: Instant) -> (Vec<ImageChange>, u64) {
+        let (mut changes, mut late) = (Vec::new(), 0);
         for track in &mut self.tracks {
             track.is_late = false;
         }
-        for Present { track: place, now, overdue } in present {
-            let Some(track) = self.tracks.get(*place) else { continue };
-            let differs = |image: &&(usize, SequenceImage)| track.shown != Some(image.0);
-            let found = |image: &(usize, SequenceImage)| Some((image.0, self.found(image)?));
-            let of_now = Some(now).filter(differs);
-            let mut shows = of_now.and_then(found);
-            let lacks = of_now.is_some() && shows.is_none();
-            let is_late = lacks && self.is_coming(now);
-            let mut waits = track.overdue.filter(|_| lacks && overdue.as_ref().is_some_and(|o| self.is_coming(o)));
-            let mut patience = track.patience;
-            if lacks && waits.is_none() {
-                shows = overdue.as_ref().filter(differs).and_then(found);
-            }
-            if shows.is_some() {
-                patience = PATIENCE;
-            } else if waits.is_some_and(|overdue| overdue.until <= at) {
-                (waits, patience) = (None, patience.saturating_mul(2));
-            }
-            if is_late && waits.is_none() {
-                waits = at.checked_add(patience).map(|until| Overdue { index: now.0, until });
-            }
-            self.stats.late += u64::from(lacks);
-            let track = &mut self.tracks[*place];
-            (track.is_late, track.overdue, track.patience) = (is_late, waits, patience);
-            if let Some((index, image)) = shows {
-                track.shown = Some(index);
-                self.stats.shown += 1;
-                changes.push(ImageChange { texture: track.sequence.texture(), image });
-            }
+        for candidates in candidates {
+            let Some(track) = self.tracks.get_mut(candidates.track) else { continue };
+            let (image, is_missing) = track.choose(candidates, store, at);
+            late += u64::from(is_missing);
+            changes.extend(image.map(|image| ImageChange { texture: track.sequence.texture(), image }));
         }
-        changes
+        (changes, late)
+    }
+}
+
+impl Candidates {
+    /// Returns true if the image of the moment is not loaded and will be.
+    pub fn is_loading(&self, store: &ImageStore) -> bool {
+        is_coming(store, &self.now)
     }
 }

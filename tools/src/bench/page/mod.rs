@@ -309,7 +309,7 @@ impl Bench {
     fn look_by_motion(&mut self, frame: f64) {
         let now_s = frame * self.frame_s();
         let here = self.camera(self.pose(frame), 0).eye_from_world.inverse();
-        self.motion.go_on(now_s, &here);
+        self.motion.observe(now_s, &here);
         self.guesses.start_frame(now_s, &here, &self.motion);
         while let Some((then, frames)) = self.guesses.next(self.options.look_ahead_s, &self.motion) {
             let camera = CullCamera {

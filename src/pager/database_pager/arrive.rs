@@ -1,0 +1,183 @@
+//! Answers of the loading threads and of the contexts.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use super::DatabasePager;
+use crate::io::IoError;
+use crate::pager::loading::job::Answer;
+use crate::pager::loading::page_job::PageJob;
+use crate::pager::loading::ticket::{RequestEnd, Ticket};
+use crate::pager::requests::entry::Progress;
+use crate::pager::requests::retry_policy::{RetryPolicy, RetryState, retry_moment};
+use crate::pager::residency::budget::{Budget, MemoryUse};
+use crate::pager::scenes::scene_set::SceneSet;
+use crate::pager::upload::Uploaded;
+use crate::pager::upload::context::CompileContext;
+use crate::scene::{DrawKind, NodeId, Page};
+
+impl DatabasePager {
+    /// Takes all answers of the loading threads.
+    pub(super) fn take_answers(&mut self, scenes: &mut dyn SceneSet, contexts: &mut [&mut dyn CompileContext]) {
+        while let Some(answer) = self.threads.try_answer() {
+            self.answer(scenes, answer, contexts);
+        }
+    }
+
+    /// Waits for one answer of the loading threads, at most for `timeout`.
+    pub(super) fn wait_for_answer(
+        &mut self,
+        scenes: &mut dyn SceneSet,
+        contexts: &mut [&mut dyn CompileContext],
+        timeout: Duration,
+    ) {
+        if let Some(answer) = self.threads.wait_answer(timeout) {
+            self.answer(scenes, answer, contexts);
+        }
+    }
+
+    fn answer(&mut self, scenes: &mut dyn SceneSet, answer: Answer<PageJob>, contexts: &mut [&mut dyn CompileContext]) {
+        let Answer { job, content, bytes_read, bytes_http } = answer;
+        self.threads.list().lock().answered(&job, matches!(content, Some(Ok(_))));
+        self.stats.bytes_read += bytes_read;
+        self.stats.bytes_http += bytes_http;
+        if self.table.of_job(&job).is_none() {
+            // The tree that held the slot is gone.
+            if let Some(Ok(page)) = content {
+                self.reaper.drop_page(Box::new(page));
+            }
+            return;
+        }
+        match content {
+            None => self.aborted(&job),
+            Some(Err(error)) => self.failed(scenes, &job, &error),
+            Some(Ok(page)) => self.arrived(scenes, &job, page, contexts),
+        }
+    }
+
+    fn aborted(&mut self, job: &PageJob) {
+        self.stats.cancelled += 1;
+        job.ticket.trace_end(RequestEnd::Cancelled);
+        if self.table.of_job(job).is_some_and(|entry| !entry.end_unwanted()) {
+            self.table.remove(job.slot);
+        }
+    }
+
+    fn failed(&mut self, scenes: &mut dyn SceneSet, job: &PageJob, error: &IoError) {
+        self.stats.failed += 1;
+        job.ticket.trace_end(RequestEnd::Failed);
+        self.errors.add(error);
+        let policy = RetryPolicy { first_backoff: self.config.retry_after, max_attempts: self.config.max_tries };
+        if let Some(entry) = self.table.of_job(job) {
+            let backoff = entry.retries.fail(error, policy).map(|backoff| backoff.mul_f64(spread(job.ticket)));
+            entry.progress = Progress::Failed { retry_at: retry_moment(backoff) };
+        }
+        scenes.set_failed(job.slot, true);
+    }
+
+    fn arrived(
+        &mut self,
+        scenes: &mut dyn SceneSet,
+        job: &PageJob,
+        page: Page,
+        contexts: &mut [&mut dyn CompileContext],
+    ) {
+        let slot = job.slot;
+        self.stats.loaded += 1;
+        self.stats.bytes_decoded += page.size_bytes();
+        let scene = scenes.numbered(slot.page.scene);
+        let kinds: Arc<[DrawKind]> = scene.map_or(Vec::new(), |s| s.draw_kinds(Some(slot), &page)).into();
+        self.residency.note_arrival(&page);
+        self.arrivals.insert(slot, job.ticket, page, kinds, contexts.len());
+        if let Some(entry) = self.table.of_job(job) {
+            entry.progress = Progress::Arrived;
+        }
+        if !self.refuse_oversized(scenes, slot, contexts) {
+            self.learn_size_if_known(slot);
+            self.keep_budgets(scenes, contexts);
+        }
+        self.begin_uploads(scenes, contexts);
+    }
+
+    /// Takes what the contexts have uploaded.
+    pub(super) fn take_compiled(&mut self, scenes: &mut dyn SceneSet, contexts: &mut [&mut dyn CompileContext]) {
+        let mut complete = Vec::new();
+        for context in contexts.iter_mut() {
+            for mut compiled in context.take_compiled() {
+                let (shared, errors) = (std::mem::take(&mut compiled.shared), std::mem::take(&mut compiled.errors));
+                let slot = match self.arrivals.uploaded(context.id(), compiled) {
+                    Uploaded::Late(slots) => {
+                        context.release(slots);
+                        continue;
+                    }
+                    Uploaded::Partly(slot) => slot,
+                    Uploaded::Completely(slot) => {
+                        complete.push(slot);
+                        slot
+                    }
+                };
+                self.residency.note_upload(context.id(), &shared);
+                let uri = self.table.get(slot).map(|entry| entry.job.uri.clone()).unwrap_or_default();
+                for error in &errors {
+                    self.stats.drawables_failed += 1;
+                    self.errors.add_text(&uri, error);
+                }
+            }
+        }
+        if complete.is_empty() {
+            return;
+        }
+        for slot in complete {
+            if !self.refuse_oversized(scenes, slot, contexts) {
+                self.learn_size_if_known(slot);
+            }
+        }
+        self.keep_budgets(scenes, contexts);
+    }
+
+    /// Learns the size of a page once it is uploaded.
+    fn learn_size_if_known(&mut self, slot: NodeId) {
+        if let Some(arrived) = self.arrivals.get(slot).filter(|arrived| arrived.is_uploaded()) {
+            self.residency.learn_size(arrived.page(), arrived.bytes());
+        }
+    }
+
+    /// Refuses an arrived page that exceeds a budget alone: an error that is not retried. Returns true if it did.
+    fn refuse_oversized(
+        &mut self,
+        scenes: &mut dyn SceneSet,
+        slot: NodeId,
+        contexts: &mut [&mut dyn CompileContext],
+    ) -> bool {
+        let Some(arrived) = self.arrivals.get(slot) else { return false };
+        let size = arrived.bytes() + self.residency.shared_bytes(arrived.page());
+        let budget = Budget::new(&self.config);
+        if !budget.is_exceeded_by(size) {
+            return false;
+        }
+        self.drop_arrived(slot, contexts);
+        let Some(entry) = self.table.get_mut(slot) else { return true };
+        entry.job.ticket.trace_end(RequestEnd::Failed);
+        entry.progress = Progress::Failed { retry_at: None };
+        (entry.retries, entry.known_size) = (RetryState::default(), None);
+        let uri = entry.job.uri.to_string();
+        self.stats.failed += 1;
+        self.errors.add(&too_large(uri, size, budget.bytes));
+        scenes.set_failed(slot, true);
+        true
+    }
+}
+
+fn too_large(uri: String, size: MemoryUse, max: MemoryUse) -> IoError {
+    let (what, got, limit) = if size.cpu > max.cpu {
+        ("memory of the page", size.cpu, max.cpu)
+    } else {
+        ("GPU memory of the page", size.gpu, max.gpu)
+    };
+    IoError::TooLarge { uri, what, got, limit }
+}
+
+/// Returns a factor from 1 to 1.25 by the number of an attempt: contents that failed together are not retried together.
+fn spread(ticket: Ticket) -> f64 {
+    1.0 + (ticket.number().wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 40) as f64 / (1u64 << 26) as f64
+}

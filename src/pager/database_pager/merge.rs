@@ -1,0 +1,107 @@
+//! Merging: uploaded pages are attached to the slots of their scenes.
+
+use std::collections::BTreeMap;
+use std::time::Instant;
+
+use super::DatabasePager;
+use crate::pager::loading::ticket::RequestEnd;
+use crate::pager::requests::entry::Entry;
+use crate::pager::residency::Resident;
+use crate::pager::residency::budget::RESERVED_TENTHS;
+use crate::pager::scenes::scene_set::SceneSet;
+use crate::pager::upload::context::CompileContext;
+use crate::scene::{NodeId, Page, SceneError, SceneNumber};
+use crate::timeline;
+
+impl DatabasePager {
+    /// Merges uploaded pages in order of priority within the time budget of a frame; their room is already counted.
+    pub(super) fn merge(&mut self, scenes: &mut dyn SceneSet, contexts: &mut [&mut dyn CompileContext]) {
+        if !self.arrivals.has_ready() {
+            return;
+        }
+        let _span = timeline::span("merge pages");
+        let start = Instant::now();
+        let has_several = self.scenes.has_several();
+        let ready = self.merge_order.arrange(self.arrivals.ready_to_merge(), &self.table, has_several);
+        let mut merged: BTreeMap<SceneNumber, u32> = BTreeMap::new();
+        let mut left = Vec::new();
+        for slot in ready {
+            let is_over = !self.config.blocking && start.elapsed() >= self.config.merge_time;
+            if is_over && !merged.is_empty() {
+                left.push(slot);
+            } else if self.merge_one(scenes, slot, contexts) {
+                *merged.entry(slot.page.scene).or_default() += 1;
+            }
+        }
+        if has_several {
+            self.merge_order.merged(&merged, &left);
+        }
+    }
+
+    /// Merges the page of a slot. Returns false if that took no time: it was a prefetch without free room.
+    fn merge_one(&mut self, scenes: &mut dyn SceneSet, slot: NodeId, contexts: &mut [&mut dyn CompileContext]) -> bool {
+        let Some(entry) = self.table.remove(slot) else { return false };
+        // A page that waits counts in the budgets: its room is free once it is taken out.
+        let Some(arrived) = self.arrivals.remove(slot) else { return false };
+        let has_free = self.residency.room(self.arrivals.total()).has_free_tenths(RESERVED_TENTHS);
+        let cpu_bytes = arrived.bytes().cpu;
+        let (page, gpu_bytes) = arrived.into_page();
+        if entry.is_prefetch() && !entry.is_soon() && !has_free {
+            self.stats.declined += 1;
+            entry.job.ticket.trace_end(RequestEnd::Declined);
+            self.drop_page(page, contexts);
+            return false;
+        }
+        self.residency.begin_merge(&page);
+        let shared = page.shared_contents().iter().map(|used| used.content.key).collect();
+        let resident = Resident::new(slot, cpu_bytes, gpu_bytes, entry.paging, shared);
+        match self.attach(scenes, slot, page, &entry, resident) {
+            Ok(()) => self.count_merged(&entry),
+            Err(page) => {
+                self.stats.dropped += 1;
+                entry.job.ticket.trace_end(RequestEnd::Dropped);
+                self.residency.abort_merge(&page);
+                self.drop_page(page, contexts);
+            }
+        }
+        true
+    }
+
+    /// Attaches a page to its slot; returns it if the slot is gone.
+    fn attach(
+        &mut self,
+        scenes: &mut dyn SceneSet,
+        slot: NodeId,
+        page: Box<Page>,
+        entry: &Entry,
+        resident: Resident,
+    ) -> Result<(), Box<Page>> {
+        let is_tileset = page.is_tile_tree();
+        let attached = match scenes.numbered_mut(slot.page.scene) {
+            Some(scene) => scene.attach(slot, *page),
+            None => Err(Box::new((SceneError::StaleNode { node: slot }, *page))),
+        };
+        let id = attached.map_err(|refused| Box::new(refused.1))?;
+        if self.forced.contains(slot)
+            && let Some(scene) = scenes.numbered(slot.page.scene)
+        {
+            // No camera has used it yet.
+            scene.note_use(slot, self.control.frame);
+        }
+        self.residency.insert(id, resident);
+        if is_tileset {
+            self.scenes.add_tileset(id, entry.job.ancestors.clone().below(&entry.job.uri));
+        }
+        Ok(())
+    }
+
+    fn count_merged(&mut self, entry: &Entry) {
+        let latency_s = entry.since.elapsed().as_secs_f64();
+        self.stats.merged += 1;
+        self.stats.merged_ahead += u64::from(entry.is_prefetch());
+        self.stats.latency_sum_s += latency_s;
+        self.stats.latency_max_s = self.stats.latency_max_s.max(latency_s);
+        self.scheduler.merged(entry.is_prefetch(), self.control.frame);
+        entry.job.ticket.trace_end(RequestEnd::Merged);
+    }
+}

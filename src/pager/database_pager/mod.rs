@@ -1,0 +1,284 @@
+//! [`DatabasePager`]: the parts of the pager, and its turn in a frame. Everything here runs on the update thread.
+//!
+//! The parts keep their fields private; the methods in this folder pass results from one to the next:
+//! [`accept`] requests into the table, [`arrive`] answers into uploads, [`merge`] into the scenes, [`make_room`] in the
+//! budgets, [`remove`] pages and requests, [`serve`] scenes, and [`status`] for applications.
+
+mod accept;
+mod arrive;
+mod make_room;
+mod merge;
+mod remove;
+mod serve;
+mod status;
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use super::config::{PagerConfig, PagerError};
+use super::loading::config::{LimitRange, LoadConfig};
+use super::loading::page_job::PageJob;
+use super::loading::reaper::Reaper;
+use super::loading::threads::LoadThreads;
+use super::requests::forced::ForcedSlots;
+use super::requests::scheduler::{Conditions, Scheduler};
+use super::requests::table::RequestTable;
+use super::residency::Residency;
+use super::residency::budget::Budget;
+use super::scenes::registry::SceneRegistry;
+use super::scenes::scene_set::SceneSet;
+use super::stats::{Errors, PagerStats};
+use super::upload::Arrivals;
+use super::upload::context::CompileContext;
+use super::upload::merge_order::MergeOrder;
+use crate::cull::PageRequest;
+use crate::gpu::CompileBudget;
+#[cfg(feature = "http")]
+use crate::io;
+use crate::io::ReadOptions;
+use crate::scene::SharedStateManager;
+
+/// How often contexts are polled for finished uploads, between frames.
+const COMPILE_POLL: Duration = Duration::from_micros(200);
+/// Time kept free before a deadline: the longest single step, the upload of one slice or the merge of a page.
+const WORK_MARGIN: Duration = Duration::from_micros(500);
+/// How long the blocking mode waits for an answer before it looks at uploads again.
+const BLOCKING_POLL: Duration = Duration::from_millis(20);
+/// Decoded pages that may wait for the update thread while files are read, per decode thread: as many as are accepted in
+/// a frame of 1/60 s.
+const DECODED_AHEAD: usize = 12;
+
+/// Streams pages in and out of a [`Scene`](crate::scene::Scene), or of several ([`Self::add_scene`]). All scenes share one
+/// request list, one set of threads, one budget and their equal contents.
+pub struct DatabasePager {
+    config: PagerConfig,
+    scenes: SceneRegistry,
+    table: RequestTable,
+    forced: ForcedSlots,
+    scheduler: Scheduler,
+    threads: LoadThreads<PageJob>,
+    reaper: Reaper,
+    arrivals: Arrivals,
+    merge_order: MergeOrder,
+    residency: Residency,
+    stats: PagerStats,
+    errors: Errors,
+    control: Control,
+}
+
+/// What the application and the frame set.
+#[derive(Debug)]
+struct Control {
+    frame: u32,
+    is_paused: bool,
+    takes_requests: bool,
+    /// True if it was resumed since the last update.
+    is_resumed: bool,
+    /// True if the request list is up to date, written after the last cull.
+    is_list_current: bool,
+}
+
+impl DatabasePager {
+    /// Starts the threads. `options` describes the initial read scope: it belongs to the first scene that the pager is
+    /// given and that was not added by [`Self::add_scene`]. Other scenes that were not added get nothing.
+    ///
+    /// # Errors
+    /// [`PagerError`] if a thread or the HTTP client cannot be started.
+    pub fn new(config: PagerConfig, options: ReadOptions) -> Result<Self, PagerError> {
+        let sharing = options.sharing.clone();
+        let sharing =
+            sharing.or_else(|| config.sharing.any().then(|| Arc::new(SharedStateManager::new(config.sharing))));
+        #[cfg(feature = "http")]
+        let client = io::HttpClient::new(&config.http).map_err(PagerError::Http)?;
+        let (readers, decoders) = (config.file_threads.max(1), config.decode_threads.max(1));
+        let threads = LoadThreads::start(&LoadConfig {
+            readers,
+            decoders,
+            max_files: LoadConfig::busy_jobs(readers, decoders) + DECODED_AHEAD * decoders,
+            per_server: LimitRange::new(config.http_in_flight, config.http_in_flight_max),
+            limits: config.limits,
+        })?;
+        let reaper = Reaper::start(sharing.clone())?;
+        #[cfg(feature = "http")]
+        if let Some(http) = threads.http() {
+            http.add_client(client.clone());
+        }
+        let scenes = SceneRegistry::new(
+            &config,
+            options,
+            sharing,
+            #[cfg(feature = "http")]
+            client,
+        );
+        Ok(Self {
+            scenes,
+            table: RequestTable::new(),
+            forced: ForcedSlots::default(),
+            scheduler: Scheduler::default(),
+            threads,
+            reaper,
+            arrivals: Arrivals::default(),
+            merge_order: MergeOrder::default(),
+            residency: Residency::new(Budget::new(&config)),
+            stats: PagerStats::default(),
+            errors: Errors::default(),
+            control: Control {
+                frame: 0,
+                is_paused: false,
+                takes_requests: true,
+                is_resumed: false,
+                is_list_current: false,
+            },
+            config,
+        })
+    }
+
+    /// Issues ticket numbers after those of another pager, whose late answers then match none of this pager's.
+    pub(crate) fn continue_from(&mut self, before: &Self) {
+        self.table.continue_from(&before.table);
+    }
+
+    /// Runs the pager's turn with all its scenes, once a frame. `requests` are the last culls' requests, all cameras and
+    /// scenes together; all scenes count frames alike.
+    pub fn update_scene_graph(
+        &mut self,
+        scenes: &mut dyn SceneSet,
+        frame: u32,
+        requests: &[PageRequest],
+        contexts: &mut [&mut dyn CompileContext],
+    ) {
+        self.begin_frame(frame);
+        self.accept(scenes, requests);
+        self.accept_forced(scenes);
+        self.merge_arrived(scenes, contexts);
+        self.retry_failures(scenes);
+        self.refresh_list();
+        self.threads.list().ring_if_due();
+        while self.config.blocking && self.is_busy() && contexts.iter().all(|context| context.is_alive()) {
+            self.wait_for_answer(scenes, contexts, BLOCKING_POLL);
+            self.merge_arrived(scenes, contexts);
+            self.accept_forced(scenes);
+            self.write_list();
+            self.threads.list().ring_if_due();
+        }
+        self.count();
+    }
+
+    fn begin_frame(&mut self, frame: u32) {
+        self.control.frame = frame;
+        self.control.is_resumed = false;
+    }
+
+    /// Accepts a cull's requests without waiting for the next update. The threads are woken by the next
+    /// [`Self::work_until`] or update, because waking one may take longer than the frame's cull. Optional, after a cull;
+    /// the next [`Self::update_scene_graph`] may get the same requests again.
+    pub fn request(&mut self, scenes: &dyn SceneSet, requests: &[PageRequest]) {
+        if self.accept(scenes, requests) {
+            self.write_list();
+            self.control.is_list_current = true;
+        }
+    }
+
+    /// Takes what was loaded and uploaded, merges and expires. May be called more than once a frame.
+    pub fn merge_arrived(&mut self, scenes: &mut dyn SceneSet, contexts: &mut [&mut dyn CompileContext]) {
+        self.take_answers(scenes, contexts);
+        self.take_compiled(scenes, contexts);
+        self.begin_uploads(scenes, contexts);
+        self.merge(scenes, contexts);
+        self.expire(scenes, contexts);
+        self.update_limits();
+    }
+
+    /// Uploads, merges and expires until shortly before `deadline`, for a main thread that would otherwise wait for the
+    /// next frame. Returns early when nothing is under way.
+    pub fn work_until(
+        &mut self,
+        scenes: &mut dyn SceneSet,
+        contexts: &mut [&mut dyn CompileContext],
+        deadline: Instant,
+    ) {
+        // Requests since the last expiry may need room.
+        self.expire(scenes, contexts);
+        self.update_limits();
+        let left = || deadline.saturating_duration_since(Instant::now()).saturating_sub(WORK_MARGIN);
+        while self.is_under_way() && !left().is_zero() {
+            let timeout = match (self.arrivals.has_ready(), self.arrivals.has_uploads()) {
+                // More pages are ready than one merge may take.
+                (true, _) => Duration::ZERO,
+                (false, true) => left().min(COMPILE_POLL),
+                (false, false) => left(),
+            };
+            self.wait_for_answer(scenes, contexts, timeout);
+            self.take_answers(scenes, contexts);
+            let time = left();
+            for context in contexts.iter_mut() {
+                context.run_compiles(&CompileBudget { time, bytes: u64::MAX });
+            }
+            self.merge_arrived(scenes, contexts);
+        }
+        self.count();
+    }
+
+    /// Returns true if something is being read, decoded, uploaded or merged, or will be once a thread is free.
+    fn is_under_way(&self) -> bool {
+        self.arrivals.has_uploads() || self.arrivals.has_ready() || self.threads.list().lock().is_under_way()
+    }
+
+    /// Stops the threads from beginning anything, from the next update on. What is under way is still merged, and requests
+    /// wait.
+    pub fn set_paused(&mut self, is_paused: bool) {
+        self.control.is_resumed |= self.control.is_paused && !is_paused;
+        self.control.is_paused = is_paused;
+        self.control.is_list_current = false;
+    }
+
+    /// Sets whether requests for contents that were not requested before are accepted; known requests continue.
+    pub fn set_takes_requests(&mut self, takes_requests: bool) {
+        self.control.is_resumed |= takes_requests && !self.control.takes_requests;
+        self.control.takes_requests = takes_requests;
+    }
+
+    /// Writes the request list unless it was written after the last cull and nothing has changed since.
+    fn refresh_list(&mut self) {
+        if !self.control.is_list_current || self.scheduler.shortage().has_blocked_page() {
+            self.write_list();
+        }
+        self.control.is_list_current = false;
+    }
+
+    /// Writes the request list in order of priority; wakes no thread.
+    fn write_list(&mut self) {
+        let conditions =
+            conditions(&self.config, &self.control, &self.scenes, &self.table, &self.arrivals, &self.residency);
+        let list = self.threads.list();
+        self.stats.stale += self.scheduler.write_list(&mut self.table, list, &conditions);
+    }
+
+    /// Lets the threads continue if there is more room than when the list was written.
+    fn update_limits(&self) {
+        let conditions =
+            conditions(&self.config, &self.control, &self.scenes, &self.table, &self.arrivals, &self.residency);
+        self.scheduler.update_limits(self.threads.list(), &conditions);
+    }
+}
+
+/// Collects what the request list depends on.
+fn conditions<'a>(
+    config: &'a PagerConfig,
+    control: &Control,
+    scenes: &SceneRegistry,
+    table: &RequestTable,
+    arrivals: &Arrivals,
+    residency: &Residency,
+) -> Conditions<'a> {
+    let is_prefetch = |slot: &_| table.get(*slot).is_some_and(|entry| entry.is_prefetch());
+    Conditions {
+        config,
+        frame: control.frame,
+        is_paused: control.is_paused,
+        room: residency.room(arrivals.total()),
+        arrived_pages: arrivals.total().pages,
+        arrived_prefetches: arrivals.slots().filter(is_prefetch).count(),
+        has_several_scenes: scenes.has_several(),
+    }
+}

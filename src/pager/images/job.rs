@@ -1,0 +1,101 @@
+//! The job of loading an image.
+
+use std::sync::Arc;
+
+use crate::io::{self, Fetched, IoError, Limits};
+use crate::pager::loading::job::LoadJob;
+use crate::pager::loading::request_list::Request;
+use crate::pager::loading::ticket::Ticket;
+use crate::scene::Texture;
+use crate::timeline::{self, Span};
+
+/// What all images of a pager are read with.
+#[derive(Debug)]
+pub(super) struct ImageReader {
+    pub limits: Limits,
+    #[cfg(feature = "http")]
+    pub client: io::HttpClient,
+}
+
+/// One image to load.
+#[derive(Clone, Debug)]
+pub(super) struct ImageJob {
+    ticket: Ticket,
+    uri: Arc<str>,
+    reader: Arc<ImageReader>,
+    #[cfg(feature = "http")]
+    servers: Arc<[String]>,
+}
+
+impl ImageJob {
+    pub fn new(ticket: Ticket, uri: Arc<str>, reader: Arc<ImageReader>) -> Self {
+        Self {
+            ticket,
+            #[cfg(feature = "http")]
+            servers: Arc::new([io::server(&uri).to_owned()]),
+            uri,
+            reader,
+        }
+    }
+
+    /// Returns the same job as a new attempt.
+    pub fn again(&self, ticket: Ticket) -> Self {
+        Self { ticket, ..self.clone() }
+    }
+}
+
+impl Request for ImageJob {
+    fn ticket(&self) -> Ticket {
+        self.ticket
+    }
+
+    fn uri(&self) -> &str {
+        &self.uri
+    }
+
+    fn is_prefetch(&self) -> bool {
+        false
+    }
+
+    #[cfg(feature = "http")]
+    fn servers(&self) -> &[String] {
+        &self.servers
+    }
+}
+
+impl LoadJob for ImageJob {
+    type Content = Arc<Texture>;
+    const THREAD_PREFIX: &'static str = "pager-image";
+
+    fn address(&self) -> &Arc<str> {
+        &self.uri
+    }
+
+    #[cfg(feature = "http")]
+    fn client(&self) -> &io::HttpClient {
+        &self.reader.client
+    }
+
+    fn read_span(&self) -> Span {
+        timeline::span_of("read image", || self.uri.clone())
+    }
+
+    #[cfg(feature = "http")]
+    fn request_span(&self) -> Span {
+        timeline::span_of("fetch image", || self.uri.clone())
+    }
+
+    fn decode_span(&self) -> Span {
+        timeline::span_of("image", || self.uri.clone())
+    }
+
+    fn decode(&self, bytes: Vec<u8>, _companions: Vec<Fetched>) -> Result<Arc<Texture>, IoError> {
+        io::decode_image(&self.uri, &bytes, &self.reader.limits).inspect_err(|_error| {
+            // The HTTP cache keeps nothing that is no image, such as an error page with status 200.
+            #[cfg(feature = "http")]
+            if _error.is_no_content() && io::is_remote(_error.uri()) {
+                self.reader.client.forget(_error.uri());
+            }
+        })
+    }
+}

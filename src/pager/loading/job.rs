@@ -1,0 +1,64 @@
+//! What the loading threads need of a job, and the messages between them.
+
+use std::sync::Arc;
+
+use super::request_list::Request;
+use crate::io::{Fetched, IoError};
+use crate::timeline::Span;
+
+/// One content to load. The threads read its bytes and call [`Self::decode`]; each job gets exactly one [`Answer`].
+pub(in crate::pager) trait LoadJob: Request + Send + Sync + 'static {
+    /// The decoded content.
+    type Content: Send + 'static;
+    /// Prefix of the names of the threads that load such jobs.
+    const THREAD_PREFIX: &'static str;
+
+    /// Returns the address: a path, or the URL of a remote content.
+    fn address(&self) -> &Arc<str>;
+    /// Returns the addresses of what is loaded together with the content, such as a height tile's imagery.
+    fn companions(&self) -> Vec<Arc<str>> {
+        Vec::new()
+    }
+    /// Returns the client that asks servers for the content.
+    #[cfg(feature = "http")]
+    fn client(&self) -> &crate::io::HttpClient;
+    /// Opens the timeline span of reading a local file.
+    fn read_span(&self) -> Span;
+    /// Opens the timeline span of an HTTP request.
+    #[cfg(feature = "http")]
+    fn request_span(&self) -> Span;
+    /// Opens the timeline span of decoding.
+    fn decode_span(&self) -> Span;
+    /// Records that the bytes were read: the job waits for a decode thread or one has it.
+    fn mark_decoding(&self) {}
+    /// Decodes the bytes; decode threads. If they turn out to be no content, removes them from the HTTP cache.
+    fn decode(&self, bytes: Vec<u8>, companions: Vec<Fetched>) -> Result<Self::Content, IoError>;
+}
+
+/// The bytes of a job on their way to a decode thread.
+pub(in crate::pager) struct LoadedBytes<J> {
+    pub job: J,
+    pub bytes: Result<Vec<u8>, IoError>,
+    pub companions: Vec<Fetched>,
+    /// Bytes of the content and its companions.
+    pub bytes_read: u64,
+    /// Bytes of them that were transferred over the network.
+    pub bytes_http: u64,
+}
+
+/// The answer to a job.
+pub(in crate::pager) struct Answer<J: LoadJob> {
+    pub job: J,
+    /// The content or the error; `None` if the job was aborted.
+    pub content: Option<Result<J::Content, IoError>>,
+    /// Bytes of the content and its companions.
+    pub bytes_read: u64,
+    /// Bytes of them that were transferred over the network.
+    pub bytes_http: u64,
+}
+
+/// Returns the number of bytes of a content and its companions.
+pub(super) fn total_bytes(bytes: &Result<Vec<u8>, IoError>, companions: &[Fetched]) -> u64 {
+    let size = |r: &Result<Vec<u8>, IoError>| r.as_ref().map_or(0, |b| b.len() as u64);
+    size(bytes) + companions.iter().map(|(_, r)| size(r)).sum::<u64>()
+}

@@ -1,0 +1,182 @@
+//! The job of loading a page, and how far the threads are with it.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU8, Ordering};
+
+use super::job::LoadJob;
+use super::request_list::Request;
+use super::ticket::Ticket;
+use crate::io::{self, Content, Fetched, IoError, ReadOptions};
+use crate::pager::scenes::read_scope::{ReadScope, TilesetAncestors};
+use crate::scene::{NodeId, Page};
+use crate::timeline::{self, Span};
+
+/// One page to load.
+#[derive(Clone, Debug)]
+pub(in crate::pager) struct PageJob {
+    /// An answer with another ticket than the slot's current request is late.
+    pub ticket: Ticket,
+    /// The content slot that the page is for.
+    pub slot: NodeId,
+    pub uri: Arc<str>,
+    /// The reader's data from the slot, such as a height tile's region.
+    pub reader_data: Option<Arc<str>>,
+    /// The tilesets above the content.
+    pub ancestors: TilesetAncestors,
+    /// The read scope of the slot's scene.
+    pub scope: Arc<ReadScope>,
+    /// True if the content was wanted in a later frame only when the job was listed.
+    pub is_prefetch: bool,
+    /// Shared by all clones of the job.
+    pub progress: Arc<LoadProgress>,
+}
+
+/// How far the threads are with a job.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub(in crate::pager) enum LoadStage {
+    /// In the list.
+    Waiting,
+    /// A thread reads the content.
+    Reading,
+    /// The bytes were read; the content is decoded or waits for a decode thread.
+    Decoding,
+}
+
+/// The load stage of a job: written by the thread that has the job, read by the update thread.
+#[derive(Debug, Default)]
+pub(in crate::pager) struct LoadProgress {
+    /// A [`LoadStage`]. Relaxed: it is only shown, no other memory depends on it.
+    stage: AtomicU8,
+    /// Used by the HTTP thread alone, which computes it once.
+    #[cfg(feature = "http")]
+    servers: std::sync::OnceLock<Vec<String>>,
+}
+
+impl LoadProgress {
+    /// Records the stage.
+    pub fn set(&self, stage: LoadStage) {
+        self.stage.store(stage as u8, Ordering::Relaxed);
+    }
+
+    /// Returns the stage.
+    pub fn stage(&self) -> LoadStage {
+        match self.stage.load(Ordering::Relaxed) {
+            stage if stage == LoadStage::Waiting as u8 => LoadStage::Waiting,
+            stage if stage == LoadStage::Reading as u8 => LoadStage::Reading,
+            _ => LoadStage::Decoding,
+        }
+    }
+
+    /// Returns true if the HTTP thread has computed the servers.
+    #[cfg(all(test, feature = "http"))]
+    pub fn has_servers(&self) -> bool {
+        self.servers.get().is_some()
+    }
+}
+
+impl Request for PageJob {
+    fn ticket(&self) -> Ticket {
+        self.ticket
+    }
+
+    fn uri(&self) -> &str {
+        &self.uri
+    }
+
+    fn is_prefetch(&self) -> bool {
+        self.is_prefetch
+    }
+
+    #[cfg(feature = "http")]
+    fn servers(&self) -> &[String] {
+        self.progress.servers.get_or_init(|| {
+            let mut servers = vec![io::server(&self.uri).to_owned()];
+            for companion in self.companions() {
+                let server = io::server(&companion);
+                if !servers.iter().any(|known| known == server) {
+                    servers.push(server.to_owned());
+                }
+            }
+            servers
+        })
+    }
+
+    fn mark_reading(&self) {
+        self.progress.set(LoadStage::Reading);
+    }
+}
+
+impl LoadJob for PageJob {
+    type Content = Page;
+    const THREAD_PREFIX: &'static str = "pager";
+
+    fn address(&self) -> &Arc<str> {
+        &self.uri
+    }
+
+    fn companions(&self) -> Vec<Arc<str>> {
+        io::companions(&self.uri, self.reader_data.as_ref())
+    }
+
+    #[cfg(feature = "http")]
+    fn client(&self) -> &io::HttpClient {
+        &self.scope.client
+    }
+
+    fn read_span(&self) -> Span {
+        timeline::span_of("fetch", || self.uri.clone())
+    }
+
+    #[cfg(feature = "http")]
+    fn request_span(&self) -> Span {
+        timeline::request_span("fetch", self.ticket.trace_id())
+    }
+
+    fn decode_span(&self) -> Span {
+        timeline::span_of("decode", || self.uri.clone())
+    }
+
+    fn mark_decoding(&self) {
+        self.progress.set(LoadStage::Decoding);
+    }
+
+    fn decode(&self, bytes: Vec<u8>, companions: Vec<Fetched>) -> Result<Page, IoError> {
+        let content = Content { uri: self.uri.clone(), bytes, reader_data: self.reader_data.clone(), companions };
+        let TilesetAncestors { chain, set_from_page } = self.ancestors.clone();
+        let options = ReadOptions { chain, set_from_content: set_from_page, ..self.scope.options.clone() };
+        io::decode(content, &options).inspect_err(|error| self.scope.forget_no_content(error))
+    }
+}
+
+#[cfg(test)]
+pub(in crate::pager) mod tests {
+    use std::sync::LazyLock;
+
+    use super::*;
+    use crate::scene::{Node, PageId, Scene};
+
+    static PAGE: LazyLock<PageId> =
+        LazyLock::new(|| Scene::new().add_root(Page::from_node(Node::group(Vec::new())).unwrap()));
+    static SCOPE: LazyLock<Arc<ReadScope>> = LazyLock::new(|| {
+        Arc::new(ReadScope {
+            options: ReadOptions::for_root("/set/tileset.json", io::Limits::default()),
+            #[cfg(feature = "http")]
+            client: io::HttpClient::new(&io::HttpConfig::default()).unwrap(),
+        })
+    });
+
+    /// Returns a job whose slot has the ticket's number as index.
+    pub(in crate::pager) fn job(number: u64, uri: &str) -> PageJob {
+        PageJob {
+            ticket: Ticket::for_test(number),
+            slot: NodeId { page: *PAGE, index: number as u32 },
+            scope: SCOPE.clone(),
+            uri: uri.into(),
+            reader_data: None,
+            ancestors: TilesetAncestors::none(),
+            is_prefetch: false,
+            progress: Arc::default(),
+        }
+    }
+}

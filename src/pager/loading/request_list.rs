@@ -1,0 +1,379 @@
+//! The request list: the jobs that the file threads and the HTTP thread take their work from.
+//!
+//! One mutex guards the list; the file threads and the HTTP thread have a bell each. Update rewrites the waiting jobs each
+//! frame in order of priority; a thread takes the last one. At most [`RequestList::capacity`] jobs are outstanding (taken
+//! and not yet answered), and the channels behind the threads hold as many. So no send of an answer blocks; only file
+//! threads wait, for decoders. The budgets allow fewer jobs than that; but each server, and the disk, may always have one:
+//! a server that hangs does not hold up the others.
+//!
+//! `tests/pager_models.rs` runs this very file under thousands of schedules.
+
+use std::sync::PoisonError;
+
+#[cfg(feature = "http")]
+use super::server_limits::ServerLimits;
+use super::ticket::Ticket;
+use crate::io::is_remote;
+#[cfg(feature = "http")]
+use crate::io::{is_at, server};
+use crate::sync::primitives::{Condvar, Mutex, MutexGuard};
+
+/// One in so many of a server's slots is kept free of prefetches.
+const PREFETCH_FREE_SHARE: usize = 4;
+
+/// A job as the list sees it.
+pub(crate) trait Request: Clone {
+    /// Returns the identity of this load attempt.
+    fn ticket(&self) -> Ticket;
+    /// Returns the address: a path, or the URL of a remote content.
+    fn uri(&self) -> &str;
+    /// Returns true if the content is wanted in a later frame only, as it was when the job was listed.
+    fn is_prefetch(&self) -> bool;
+    /// Returns the servers that the content and its companions are requested from: the content's first, each once.
+    #[cfg(feature = "http")]
+    fn servers(&self) -> &[String];
+    /// Records that a thread has taken the job and reads it.
+    fn mark_reading(&self) {}
+}
+
+/// How many jobs may be outstanding; written by update from the budgets.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Limits {
+    /// Jobs in all.
+    pub outstanding: usize,
+    /// Prefetches that the budgets have room for.
+    pub prefetch_room: usize,
+    /// Prefetches that may be outstanding beside other jobs.
+    pub prefetch_beside_others: usize,
+}
+
+/// The state that the mutex guards.
+pub(crate) struct ListState<J> {
+    /// Jobs to read from files, the most urgent last. Written by update, taken from the end by file threads.
+    file: Vec<J>,
+    /// Jobs to request from servers, the most urgent last. Written by update, taken by the HTTP thread.
+    http: Vec<J>,
+    /// Tickets taken since update last looked and not yet answered. Written by the takers, drained by update.
+    taken: Vec<Ticket>,
+    /// Tickets of running HTTP requests to abort. Written by update, drained by the HTTP thread.
+    abort: Vec<Ticket>,
+    /// Jobs taken and not yet answered. Raised by the takers, lowered by update.
+    outstanding: usize,
+    /// Outstanding jobs that read files.
+    files_outstanding: usize,
+    /// Outstanding jobs that are prefetches.
+    prefetch_outstanding: usize,
+    /// The number of outstanding jobs that is never exceeded.
+    capacity: usize,
+    /// Written by update.
+    limits: Limits,
+    /// Set once, when the pager is dropped.
+    is_closed: bool,
+}
+
+impl<J: Request> ListState<J> {
+    fn new(capacity: usize) -> Self {
+        Self {
+            file: Vec::new(),
+            http: Vec::new(),
+            taken: Vec::new(),
+            abort: Vec::new(),
+            outstanding: 0,
+            files_outstanding: 0,
+            prefetch_outstanding: 0,
+            capacity,
+            limits: Limits { outstanding: capacity, prefetch_room: 0, prefetch_beside_others: 0 },
+            is_closed: false,
+        }
+    }
+
+    /// Replaces the waiting jobs; the most urgent come last.
+    pub fn set_jobs(&mut self, jobs: impl IntoIterator<Item = J>) {
+        self.file.clear();
+        self.http.clear();
+        for job in jobs {
+            // Without a client the file threads answer that remote contents are unsupported.
+            let to = if cfg!(feature = "http") && is_remote(job.uri()) { &mut self.http } else { &mut self.file };
+            to.push(job);
+        }
+    }
+
+    /// Replaces the limits.
+    pub fn set_limits(&mut self, limits: Limits) {
+        self.limits = limits;
+    }
+
+    /// Returns the tickets taken since the last call and not yet answered.
+    pub fn drain_taken(&mut self) -> impl Iterator<Item = Ticket> + '_ {
+        self.taken.drain(..)
+    }
+
+    /// Aborts a running HTTP request; its answer has no content. Has no effect on other jobs.
+    pub fn abort(&mut self, ticket: Ticket) {
+        self.abort.push(ticket);
+    }
+
+    /// Returns the number of jobs taken and not yet answered.
+    pub fn outstanding(&self) -> usize {
+        self.outstanding
+    }
+
+    /// Returns the number of outstanding jobs that are not prefetches.
+    pub fn outstanding_now(&self) -> usize {
+        self.outstanding.saturating_sub(self.prefetch_outstanding)
+    }
+
+    /// Returns the number of waiting jobs.
+    pub fn waiting(&self) -> usize {
+        self.file.len() + self.http.len()
+    }
+
+    /// Returns true if a thread could take a job now, or has one that it will answer.
+    pub fn is_under_way(&self) -> bool {
+        let may_take = |jobs: &[J]| jobs.last().is_some_and(|job| self.may_take(job, 0, 0));
+        self.outstanding > 0 || may_take(&self.file) || may_take(&self.http)
+    }
+
+    /// Counts a job as answered. With `has_content` the content takes room in the budgets from now on: one job fewer may
+    /// be outstanding until update calculates the limits again.
+    pub fn answered(&mut self, job: &J, has_content: bool) {
+        let limit = &mut self.limits.outstanding;
+        *limit = limit.saturating_sub(usize::from(has_content));
+        self.outstanding = self.outstanding.saturating_sub(1);
+        self.files_outstanding = self.files_outstanding.saturating_sub(usize::from(!is_remote(job.uri())));
+        self.prefetch_outstanding = self.prefetch_outstanding.saturating_sub(usize::from(job.is_prefetch()));
+        self.taken.retain(|ticket| *ticket != job.ticket());
+    }
+
+    /// Counts a job as taken.
+    fn took(&mut self, job: &J) {
+        self.outstanding += 1;
+        self.files_outstanding += usize::from(!is_remote(job.uri()));
+        self.prefetch_outstanding += usize::from(job.is_prefetch());
+        self.taken.push(job.ticket());
+        job.mark_reading();
+    }
+
+    /// Returns true if a thread may take a job from a server, or from the disk, that has `busy` of its `slots` taken.
+    /// Prefetches leave a quarter of a server's slots free; over a slow network, fewer at once would be late.
+    fn may_take(&self, job: &J, busy: usize, slots: usize) -> bool {
+        let limits = &self.limits;
+        if job.is_prefetch() {
+            let max = if busy < slots - slots.div_ceil(PREFETCH_FREE_SHARE) {
+                limits.prefetch_room
+            } else {
+                limits.prefetch_beside_others.min(limits.prefetch_room)
+            };
+            return self.outstanding < limits.outstanding && self.prefetch_outstanding < max;
+        }
+        let is_first = busy == 0 && limits.outstanding > 0;
+        self.outstanding < if is_first { self.capacity } else { limits.outstanding }
+    }
+
+    /// Takes the most urgent file if fewer than `max_files` are outstanding and the limits allow it.
+    fn take_file(&mut self, max_files: usize) -> Option<J> {
+        let job = if self.has_file(max_files) { self.file.pop() } else { None }?;
+        self.took(&job);
+        Some(job)
+    }
+
+    /// Returns true if [`Self::take_file`] would take one.
+    fn has_file(&self, max_files: usize) -> bool {
+        let files = self.files_outstanding;
+        files < max_files && self.file.last().is_some_and(|job| self.may_take(job, files, 0))
+    }
+}
+
+/// The number of requests in flight at each server; a few servers.
+#[cfg(feature = "http")]
+#[derive(Default)]
+struct InFlight(Vec<(String, usize)>);
+
+#[cfg(feature = "http")]
+impl InFlight {
+    fn count(&self, at: &str) -> usize {
+        self.0.iter().find(|(server, _)| server == at).map_or(0, |(_, count)| *count)
+    }
+
+    fn add(&mut self, job: &impl Request) {
+        for at in job.servers() {
+            match self.0.iter_mut().find(|(server, _)| server == at) {
+                Some((_, count)) => *count += 1,
+                None => self.0.push((at.clone(), 1)),
+            }
+        }
+    }
+}
+
+/// Work for the HTTP thread.
+#[cfg(feature = "http")]
+pub(crate) struct HttpWork<J> {
+    /// Jobs to request.
+    pub jobs: Vec<J>,
+    /// Tickets of running requests to abort.
+    pub aborts: Vec<Ticket>,
+}
+
+/// The list and its bells.
+pub(crate) struct RequestList<J> {
+    state: Mutex<ListState<J>>,
+    file_bell: Condvar,
+    #[cfg(feature = "http")]
+    http_bell: tokio::sync::Notify,
+    capacity: usize,
+    /// The number of files that may be outstanding; more would not keep the threads busier.
+    max_files: usize,
+}
+
+impl<J: Request> RequestList<J> {
+    /// Creates an empty list for at most `capacity` outstanding jobs, of which at most `max_files` read files.
+    pub fn new(capacity: usize, max_files: usize) -> Self {
+        Self {
+            state: Mutex::new(ListState::new(capacity)),
+            file_bell: Condvar::new(),
+            #[cfg(feature = "http")]
+            http_bell: tokio::sync::Notify::new(),
+            capacity,
+            max_files,
+        }
+    }
+
+    /// Returns the number of outstanding jobs that is never exceeded.
+    pub fn capacity(&self) -> usize {
+        self.capacity
+    }
+
+    /// Locks the list. After a panic of another thread the list is still usable: it is plain data.
+    pub fn lock(&self) -> MutexGuard<'_, ListState<J>> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Unlocks the list and wakes the threads that have something to take or to abort. Wakes one file thread, which wakes
+    /// the next: each wake-up costs the calling thread up to 100 microseconds on a virtual machine.
+    pub fn ring(&self, state: MutexGuard<'_, ListState<J>>) {
+        let is_closed = state.is_closed;
+        let has_file = state.has_file(self.max_files);
+        #[cfg(feature = "http")]
+        let has_http = is_closed || !state.http.is_empty() || !state.abort.is_empty();
+        drop(state);
+        if is_closed {
+            self.file_bell.notify_all();
+        } else if has_file {
+            self.file_bell.notify_one();
+        }
+        #[cfg(feature = "http")]
+        if has_http {
+            self.http_bell.notify_one();
+        }
+    }
+
+    /// Wakes the threads as [`Self::ring`] does, for what was written before.
+    pub fn ring_if_due(&self) {
+        self.ring(self.lock());
+    }
+
+    /// Ends all threads that take from the list.
+    pub fn close(&self) {
+        let mut state = self.lock();
+        state.is_closed = true;
+        self.ring(state);
+    }
+
+    /// Takes the next file to read; blocks until there is one. Returns `None` once the list is closed.
+    pub fn take_file(&self) -> Option<J> {
+        let mut state = self.lock();
+        loop {
+            if state.is_closed {
+                return None;
+            }
+            if let Some(job) = state.take_file(self.max_files) {
+                if state.has_file(self.max_files) {
+                    self.file_bell.notify_one();
+                }
+                return Some(job);
+            }
+            state = self.file_bell.wait(state).unwrap_or_else(PoisonError::into_inner);
+        }
+    }
+}
+
+#[cfg(feature = "http")]
+impl<J: Request> RequestList<J> {
+    /// Waits until there may be work for the HTTP thread.
+    pub async fn http_rung(&self) {
+        self.http_bell.notified().await;
+    }
+
+    /// Takes what the HTTP thread should do next while `in_flight` are running: of each server up to its limit, and at
+    /// most `max_in_flight` in all. Returns `None` once the list is closed.
+    ///
+    /// Update waits for the lock meanwhile, so jobs of a server that is at its limit are skipped cheaply.
+    pub fn take_http<'a>(
+        &self,
+        in_flight: impl Iterator<Item = &'a J>,
+        limits: &ServerLimits,
+        max_in_flight: usize,
+    ) -> Option<HttpWork<J>>
+    where
+        J: 'a,
+    {
+        let (mut at_servers, mut running) = (InFlight::default(), 0);
+        for job in in_flight {
+            running += 1;
+            at_servers.add(job);
+        }
+        let mut state = self.lock();
+        if state.is_closed {
+            return None;
+        }
+        let mut jobs: Vec<J> = Vec::new();
+        // Servers from which nothing more can be taken.
+        let mut full: Vec<String> = Vec::new();
+        // The most urgent are last.
+        let mut next = state.http.len();
+        while next > 0 && running + jobs.len() < max_in_flight {
+            next -= 1;
+            let job = &state.http[next];
+            if full.iter().any(|at| is_at(job.uri(), at)) {
+                continue;
+            }
+            let count = |at: &str| at_servers.count(at);
+            let left = max_in_flight - running - jobs.len();
+            let has_slot = |at: &str| count(at) < limits.limit(at) && limits.leaves_enough(count(at), left);
+            let own = server(job.uri());
+            if !state.may_take(job, count(own), limits.limit(own)) || !has_slot(own) {
+                // Free slots only become fewer here. A prefetch that is refused for its class says nothing about jobs
+                // that are wanted now.
+                if !job.is_prefetch() || !has_slot(own) {
+                    full.push(own.to_owned());
+                }
+                continue;
+            }
+            if job.servers().iter().all(|at| has_slot(at)) {
+                let job = state.http.remove(next);
+                state.took(&job);
+                at_servers.add(&job);
+                jobs.push(job);
+            }
+        }
+        Some(HttpWork { jobs, aborts: std::mem::take(&mut state.abort) })
+    }
+}
+
+#[cfg(test)]
+impl<J: Request> ListState<J> {
+    /// Takes a job as the HTTP thread does, for tests.
+    pub fn take_for_test(&mut self, job: &J) {
+        self.took(job);
+    }
+
+    /// Returns the jobs that wait for the HTTP thread, for tests.
+    pub fn http_for_test(&self) -> &[J] {
+        &self.http
+    }
+
+    /// Takes a file, for tests.
+    pub fn take_file_for_test(&mut self, max_files: usize) -> Option<J> {
+        self.take_file(max_files)
+    }
+}

@@ -1,0 +1,93 @@
+//! A request as the update thread knows it: how urgent it is, and how far it is.
+
+use std::cmp::Ordering;
+use std::time::Instant;
+
+use super::retry_policy::RetryState;
+use crate::pager::loading::page_job::PageJob;
+use crate::pager::residency::budget::MemoryUse;
+use crate::scene::PagingOptions;
+
+/// A prefetch wanted within this many frames may replace pages that no frame shows, as a missing page may: making room
+/// takes that long.
+const SOON_FRAMES: u32 = 3;
+
+/// How far a request is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(in crate::pager) enum Progress {
+    /// In the request list.
+    Waiting,
+    /// A thread has it.
+    Loading,
+    /// Decoded: it waits for its upload or its merge; see [`Arrivals`](crate::pager::upload::Arrivals).
+    Arrived,
+    /// The load failed. Not requested again before this moment; `None` for never.
+    Failed { retry_at: Option<Instant> },
+    /// The load failed earlier, or was given up after failures. It is requested again as soon as it is wanted.
+    Retryable,
+}
+
+/// A request and how far it is.
+#[derive(Debug)]
+pub(in crate::pager) struct Entry {
+    pub job: PageJob,
+    pub priority: f32,
+    /// Frame in which it was first requested.
+    pub first_frame: u32,
+    /// Frame in which cull last requested it.
+    pub wanted_frame: u32,
+    /// Frames until the content is needed, as last requested; 0 where a frame lacks it now.
+    pub ahead_frames: u32,
+    /// When it was first requested, for the latency.
+    pub since: Instant,
+    pub retries: RetryState,
+    /// The size of the page if it was loaded and declined: it is not loaded again before this much room is free.
+    pub known_size: Option<MemoryUse>,
+    pub progress: Progress,
+    pub paging: PagingOptions,
+}
+
+impl Entry {
+    /// Returns true if the content is needed in a later frame only.
+    pub fn is_prefetch(&self) -> bool {
+        self.ahead_frames > 0
+    }
+
+    /// Returns true for a prefetch that is needed in one of the next frames.
+    pub fn is_soon(&self) -> bool {
+        (1..=SOON_FRAMES).contains(&self.ahead_frames)
+    }
+
+    /// Returns true if it waits for a thread, or a thread has it.
+    pub fn is_loading(&self) -> bool {
+        matches!(self.progress, Progress::Waiting | Progress::Loading)
+    }
+
+    /// Returns true if the last load failed and nothing is under way.
+    pub fn has_failed(&self) -> bool {
+        matches!(self.progress, Progress::Failed { .. } | Progress::Retryable)
+    }
+
+    /// Returns true if the last load failed and there will be a retry.
+    pub fn will_retry(&self) -> bool {
+        matches!(self.progress, Progress::Failed { retry_at: Some(_) })
+    }
+
+    /// Returns true if the last load failed and its back-off is over.
+    pub fn is_due(&self, now: Instant) -> bool {
+        matches!(self.progress, Progress::Failed { retry_at: Some(at) } if at <= now)
+    }
+
+    /// Ends a request that is no longer wanted. Returns true if the entry must be kept: its count of failures is
+    /// remembered, so that a later request does not repeat them all.
+    pub fn end_unwanted(&mut self) -> bool {
+        self.progress = Progress::Retryable;
+        !self.retries.is_fresh()
+    }
+
+    /// Orders entries with the most urgent first.
+    pub fn by_urgency(a: &Self, b: &Self) -> Ordering {
+        let sooner = a.ahead_frames.cmp(&b.ahead_frames);
+        sooner.then(b.priority.total_cmp(&a.priority)).then(a.job.slot.cmp(&b.job.slot))
+    }
+}

@@ -1,0 +1,183 @@
+//! [`Residency`]: the merged pages, their memory and that of the contents they share.
+
+use super::budget::{ArrivedTotal, Budget, MemoryUse, Room, moving_mean};
+use super::expiry::{ExpirySearch, Unused};
+use super::residents::{RemovedByApplication, Resident, Residents};
+use super::shared_content::SharedContent;
+use crate::pager::scenes::scene_set::SceneSet;
+use crate::scene::{ContentKey, Page, PageId, Scene};
+
+/// The merged pages, what they and arrived pages share, and the sizes of recent pages. Update thread.
+pub(in crate::pager) struct Residency {
+    budget: Budget,
+    residents: Residents,
+    shared: SharedContent,
+    /// Mean size of recent pages, to reserve budget before a size is known; 0 before the first.
+    mean: MemoryUse,
+    search: ExpirySearch,
+}
+
+impl Residency {
+    pub fn new(budget: Budget) -> Self {
+        let (shared, search) = (SharedContent::default(), ExpirySearch::default());
+        Self { budget, residents: Residents::new(), shared, mean: MemoryUse::default(), search }
+    }
+
+    /// Returns the number of merged pages.
+    pub fn len(&self) -> usize {
+        self.residents.len()
+    }
+
+    /// Returns the memory of merged pages, with shared contents once.
+    pub fn merged_bytes(&self) -> MemoryUse {
+        self.residents.bytes() + self.shared.merged()
+    }
+
+    /// Returns the memory that merged pages save by sharing contents.
+    pub fn saved_bytes(&self) -> MemoryUse {
+        self.shared.saved()
+    }
+
+    /// Returns the memory of merged pages and of all shared contents, without the own memory of arrived pages.
+    pub fn bytes_without_arrived(&self) -> MemoryUse {
+        self.residents.bytes() + self.shared.all()
+    }
+
+    /// Returns the memory of merged and arrived pages, with shared contents once.
+    pub fn bytes_in_memory(&self, arrived: &ArrivedTotal) -> MemoryUse {
+        self.bytes_without_arrived() + arrived.bytes
+    }
+
+    /// Returns true if merged and arrived pages exceed a budget.
+    pub fn is_over_budget(&self, arrived: &ArrivedTotal) -> bool {
+        self.budget.is_exceeded(self.bytes_in_memory(arrived), self.len() as u64 + arrived.pages)
+    }
+
+    /// Returns the budgets beside what merged and arrived pages take and what is reserved for uploads.
+    pub fn room(&self, arrived: &ArrivedTotal) -> Room {
+        let reserved = MemoryUse { cpu: 0, gpu: arrived.reserved_gpu };
+        let used = self.bytes_in_memory(arrived) + reserved;
+        Room { budget: self.budget, used, pages: self.len() as u64 + arrived.pages, mean: self.mean }
+    }
+
+    /// Returns the mean size of recent pages; 0 before the first.
+    pub fn mean_size(&self) -> MemoryUse {
+        self.mean
+    }
+
+    /// Learns the size of a page that is known now: `own` is its memory without shared contents.
+    pub fn learn_size(&mut self, page: &Page, own: MemoryUse) {
+        let size = own + self.shared.bytes_only_of(page);
+        let cpu = moving_mean(self.mean.cpu, size.cpu);
+        self.mean = MemoryUse { cpu, gpu: moving_mean(self.mean.gpu, size.gpu) };
+    }
+
+    /// Notes that a page has arrived: it uses its shared contents from now on.
+    pub fn note_arrival(&mut self, page: &Page) {
+        self.shared.add_user(page);
+    }
+
+    /// Notes that a page is dropped, merged or not.
+    pub fn note_drop(&mut self, page: &Page) {
+        self.shared.remove_user(page);
+    }
+
+    /// Notes the sizes of shared contents that a context has uploaded.
+    pub fn note_upload(&mut self, context: u32, shared: &[(ContentKey, u64)]) {
+        self.shared.uploaded(context, shared);
+    }
+
+    /// Returns the memory of a page's shared contents.
+    pub fn shared_bytes(&self, page: &Page) -> MemoryUse {
+        self.shared.bytes_of(page)
+    }
+
+    /// Returns the memory of the contents that only this page uses.
+    pub fn unshared_bytes(&self, page: &Page) -> MemoryUse {
+        self.shared.bytes_only_of(page)
+    }
+
+    /// Counts the contents of a page as merged, before it is attached.
+    pub fn begin_merge(&mut self, page: &Page) {
+        self.shared.merge(page);
+    }
+
+    /// Undoes [`Self::begin_merge`] for a page that could not be attached.
+    pub fn abort_merge(&mut self, page: &Page) {
+        self.shared.unmerge(page);
+    }
+
+    /// Adds a page that was attached.
+    pub fn insert(&mut self, id: PageId, resident: Resident) {
+        self.residents.insert(id, resident);
+    }
+
+    /// Returns how many pages this frame may examine for expiry; the maximum when room is short.
+    pub fn start_search(&mut self, is_short: bool) -> usize {
+        self.search.start(is_short).min(self.len())
+    }
+
+    /// Returns how many pages may be examined to make room for an arrival.
+    pub fn urgent_looks(&self) -> usize {
+        self.len().min(4 * ExpirySearch::max_pages())
+    }
+
+    /// Ends the frame's search; `has_found` is true if pages expired.
+    pub fn end_search(&mut self, has_found: bool) {
+        self.search.end(has_found);
+    }
+
+    /// Returns the next page to expire; see [`Residents::pop_expired`]. The caller detaches it with [`Self::detach`].
+    pub fn pop_expired(
+        &mut self,
+        scenes: &dyn SceneSet,
+        frame: u32,
+        unused: Unused,
+        looks: &mut usize,
+    ) -> Option<PageId> {
+        self.residents.pop_expired(scenes, frame, unused, looks)
+    }
+
+    /// Removes all pages of a scene that can be detached now; the caller detaches them with [`Self::detach`].
+    pub fn pop_expirable(&mut self, scene: &Scene) -> Vec<PageId> {
+        self.residents.take_if(|id| scene.is_expirable(id))
+    }
+
+    /// Detaches a removed page from its scene and returns it. Returns `None`, with a log line, if the scene refuses.
+    pub fn detach(&mut self, scenes: &mut dyn SceneSet, id: PageId) -> Option<Box<Page>> {
+        match scenes.numbered_mut(id.scene)?.detach(id) {
+            Ok(page) => {
+                self.shared.unmerge(&page);
+                Some(Box::new(page))
+            }
+            Err(e) => {
+                log::error!("cannot detach an expired page from its scene: {e}");
+                None
+            }
+        }
+    }
+
+    /// Finds the pages of a scene that the application took out of it.
+    pub fn find_removed(&mut self, scene: &Scene) {
+        let number = scene.number();
+        self.residents.note_removed(|id| id.scene == number && scene.page(id).is_none());
+    }
+
+    /// Forgets the pages that the application took out of their scenes; returns their ids.
+    pub fn forget_removed(&mut self) -> Vec<PageId> {
+        let removed: Vec<RemovedByApplication> = self.residents.take_removed();
+        removed.iter().for_each(|(_, shared)| self.shared.forget_merged(shared));
+        removed.into_iter().map(|(id, _)| id).collect()
+    }
+
+    /// Forgets what pages held in a context that has closed.
+    pub fn forget_context(&mut self, context: u32) {
+        self.residents.forget_context(context);
+        self.shared.forget_context(context);
+    }
+
+    /// Returns the number of frames in which the expiry search examines all pages when room is short.
+    pub fn frames_to_search(&self) -> u32 {
+        self.len().div_ceil(ExpirySearch::max_pages()) as u32
+    }
+}

@@ -1,0 +1,53 @@
+//! What the contents of a scene may read. A scope travels with its jobs to the loading threads.
+
+use std::sync::Arc;
+
+use glam::DAffine3;
+
+#[cfg(feature = "http")]
+use crate::io::HttpClient;
+use crate::io::{IoError, ReadOptions};
+
+/// What the contents of a scene may read, and with which client they ask servers.
+#[derive(Debug)]
+pub(in crate::pager) struct ReadScope {
+    pub options: ReadOptions,
+    #[cfg(feature = "http")]
+    pub client: HttpClient,
+}
+
+impl ReadScope {
+    /// Removes a remote file that could not be decoded from the HTTP cache if it is no content at all, such as an error
+    /// page with status 200.
+    pub fn forget_no_content(&self, error: &IoError) {
+        #[cfg(feature = "http")]
+        if error.is_no_content() && crate::io::is_remote(error.uri()) {
+            self.client.forget(error.uri());
+        }
+        #[cfg(not(feature = "http"))]
+        let _ = error;
+    }
+}
+
+/// The tilesets above the contents of a page.
+#[derive(Clone, Debug)]
+pub(in crate::pager) struct TilesetAncestors {
+    /// Their URIs, to detect cycles; empty if the page is not part of a tileset.
+    pub chain: Arc<[Arc<str>]>,
+    /// The product of the transforms of their tiles.
+    pub set_from_page: DAffine3,
+}
+
+impl TilesetAncestors {
+    /// Returns the ancestors of a page that is not part of a tileset.
+    #[cfg(test)]
+    pub fn none() -> Self {
+        Self { chain: Arc::new([]), set_from_page: DAffine3::IDENTITY }
+    }
+
+    /// Returns the ancestors of the contents inside the tileset `uri`, which has these ancestors itself.
+    pub fn below(self, uri: &Arc<str>) -> Self {
+        let chain = self.chain.iter().cloned().chain([uri.clone()]).collect();
+        Self { chain, ..self }
+    }
+}

@@ -1,0 +1,232 @@
+//! [`SceneRegistry`]: the scenes that a pager serves, and the read scope of each. Update thread.
+
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::sync::Arc;
+
+use super::read_scope::{ReadScope, TilesetAncestors};
+use super::scene_set::SceneSet;
+use crate::io::ReadOptions;
+#[cfg(feature = "http")]
+use crate::io::{HttpClient, HttpConfig};
+use crate::pager::config::PagerConfig;
+use crate::scene::{PageId, Scene, SceneNumber, SharedStateManager, SlotInfo};
+
+/// What the registry knows of a scene.
+#[derive(Debug)]
+struct SceneState {
+    scope: Arc<ReadScope>,
+    /// The ancestors of the contents of its root pages.
+    root_ancestors: TilesetAncestors,
+}
+
+impl SceneState {
+    fn new(scope: ReadScope) -> Self {
+        let chain = scope.options.chain.clone();
+        let root_ancestors = TilesetAncestors { chain, set_from_page: scope.options.set_from_content };
+        Self { scope: Arc::new(scope), root_ancestors }
+    }
+}
+
+/// The options that all scenes of a pager have in common.
+#[derive(Debug)]
+struct CommonOptions {
+    limits: crate::io::Limits,
+    build_kd_trees: bool,
+    vertex_attributes: Arc<[Arc<str>]>,
+    sharing: Option<Arc<SharedStateManager>>,
+}
+
+impl CommonOptions {
+    /// Returns a scene's own options with the limits and the sharing of the pager.
+    fn apply_to(&self, options: ReadOptions) -> ReadOptions {
+        let vertex_attributes = match options.vertex_attributes.is_empty() {
+            true => self.vertex_attributes.clone(),
+            false => options.vertex_attributes.clone(),
+        };
+        let build_kd_trees = self.build_kd_trees || options.build_kd_trees;
+        let sharing = self.sharing.clone();
+        ReadOptions { limits: self.limits, build_kd_trees, vertex_attributes, sharing, ..options }
+    }
+}
+
+/// The scenes that a pager serves. The pager is created with one read scope, the initial one; it belongs to the first scene
+/// that the pager is given and that was not added with a scope of its own.
+#[derive(Debug)]
+pub(in crate::pager) struct SceneRegistry {
+    scenes: BTreeMap<SceneNumber, SceneState>,
+    /// The state with the initial scope, until a scene claims it.
+    unclaimed: Option<SceneState>,
+    /// Scenes that are no longer served; they do not claim the initial scope.
+    removed: BTreeSet<SceneNumber>,
+    /// The scene that has claimed the initial scope.
+    first: Option<SceneNumber>,
+    common: CommonOptions,
+    /// The client of the pager's own configuration.
+    #[cfg(feature = "http")]
+    client: HttpClient,
+    /// The ancestors of the contents of merged pages that are tilesets.
+    ancestors: HashMap<PageId, TilesetAncestors>,
+}
+
+impl SceneRegistry {
+    /// Creates a registry with the initial scope that `options` describes.
+    pub fn new(
+        config: &PagerConfig,
+        options: ReadOptions,
+        sharing: Option<Arc<SharedStateManager>>,
+        #[cfg(feature = "http")] client: HttpClient,
+    ) -> Self {
+        let common = CommonOptions {
+            limits: config.limits,
+            build_kd_trees: config.build_kd_trees,
+            vertex_attributes: config.vertex_attributes.clone(),
+            sharing,
+        };
+        let scope = ReadScope {
+            options: common.apply_to(options),
+            #[cfg(feature = "http")]
+            client: client.clone(),
+        };
+        Self {
+            scenes: BTreeMap::new(),
+            unclaimed: Some(SceneState::new(scope)),
+            removed: BTreeSet::new(),
+            first: None,
+            common,
+            #[cfg(feature = "http")]
+            client,
+            ancestors: HashMap::new(),
+        }
+    }
+
+    /// Returns what equal contents share; `None` if nothing is shared.
+    pub fn sharing(&self) -> Option<&Arc<SharedStateManager>> {
+        self.common.sharing.as_ref()
+    }
+
+    /// Returns the client of the pager's own configuration.
+    #[cfg(feature = "http")]
+    pub fn own_client(&self) -> &HttpClient {
+        &self.client
+    }
+
+    /// Returns the client of the initial scope or of a scene that is configured like `http`.
+    #[cfg(feature = "http")]
+    pub fn client_like(&self, http: &HttpConfig) -> Option<&HttpClient> {
+        self.clients().find(|client| client.config() == http)
+    }
+
+    #[cfg(feature = "http")]
+    fn clients(&self) -> impl Iterator<Item = &HttpClient> {
+        let scenes = self.scenes.values().chain(&self.unclaimed);
+        std::iter::once(&self.client).chain(scenes.map(|state| &state.scope.client))
+    }
+
+    /// Returns the numbers of the scenes that are served, in order.
+    pub fn numbers(&self) -> impl ExactSizeIterator<Item = SceneNumber> + '_ {
+        self.scenes.keys().copied()
+    }
+
+    /// Returns true if more than one scene is served.
+    pub fn has_several(&self) -> bool {
+        self.scenes.len() > 1
+    }
+
+    /// Serves a scene with options of its own. Returns its scope, and the replaced one if the scene was served before.
+    pub fn add(
+        &mut self,
+        scene: SceneNumber,
+        options: ReadOptions,
+        #[cfg(feature = "http")] client: HttpClient,
+    ) -> (Arc<ReadScope>, Option<Arc<ReadScope>>) {
+        let scope = ReadScope {
+            options: self.common.apply_to(options),
+            #[cfg(feature = "http")]
+            client,
+        };
+        self.serve(scene, SceneState::new(scope))
+    }
+
+    fn serve(&mut self, scene: SceneNumber, state: SceneState) -> (Arc<ReadScope>, Option<Arc<ReadScope>>) {
+        self.removed.remove(&scene);
+        let scope = state.scope.clone();
+        let replaced = self.scenes.insert(scene, state);
+        (scope, replaced.map(|state| state.scope))
+    }
+
+    /// Gives the initial scope to a scene, if no other has claimed it. Returns the scope, and the replaced one if the scene
+    /// was served before.
+    pub fn claim(&mut self, scene: SceneNumber) -> Option<(Arc<ReadScope>, Option<Arc<ReadScope>>)> {
+        let state = self.unclaimed.take()?;
+        self.first = Some(scene);
+        Some(self.serve(scene, state))
+    }
+
+    /// Returns the scene that should claim the initial scope: the first that was neither added nor removed.
+    pub fn claimant(&self, scenes: &dyn SceneSet) -> Option<SceneNumber> {
+        self.unclaimed.as_ref()?;
+        let is_new = |number: &SceneNumber| !self.scenes.contains_key(number) && !self.removed.contains(number);
+        scenes.all().map(Scene::number).find(is_new)
+    }
+
+    /// Returns the options of the initial scope, with the root's chain, if no scene has claimed it.
+    pub fn unclaimed_options(&self) -> Option<ReadOptions> {
+        let SceneState { scope, root_ancestors } = self.unclaimed.as_ref()?;
+        Some(ReadOptions { chain: root_ancestors.chain.clone(), ..scope.options.clone() })
+    }
+
+    /// Stops serving a scene; returns its scope.
+    pub fn remove(&mut self, scene: SceneNumber) -> Option<Arc<ReadScope>> {
+        self.removed.insert(scene);
+        self.scenes.remove(&scene).map(|state| state.scope)
+    }
+
+    /// Returns true if neither the pager nor a scene has a client configured like this one.
+    #[cfg(feature = "http")]
+    pub fn is_unused(&self, client: &HttpClient) -> bool {
+        self.client_like(client.config()).is_none()
+    }
+
+    /// Returns the scope of a scene.
+    pub fn scope(&self, scene: SceneNumber) -> Option<Arc<ReadScope>> {
+        self.scenes.get(&scene).map(|state| state.scope.clone())
+    }
+
+    /// Returns the initial scope, claimed or not.
+    pub fn initial_scope(&self) -> Option<Arc<ReadScope>> {
+        let state = self.unclaimed.as_ref().or_else(|| self.scenes.get(&self.first?));
+        state.map(|state| state.scope.clone())
+    }
+
+    /// Notes that `uri` was read as the root of a scene, or of the initial scope if `scene` is `None`.
+    pub fn note_root(&mut self, scene: Option<SceneNumber>, uri: &Arc<str>) {
+        let first = self.first;
+        let state = match scene {
+            Some(scene) => self.scenes.get_mut(&scene),
+            None => self.unclaimed.as_mut().or_else(|| self.scenes.get_mut(&first?)),
+        };
+        if let Some(state) = state {
+            state.root_ancestors.chain = state.scope.options.below(uri).chain;
+        }
+    }
+
+    /// Returns the ancestors and the scope for loading a slot's content; `None` if its scene is not served.
+    pub fn origin(&self, slot: &SlotInfo<'_>) -> Option<(TilesetAncestors, Arc<ReadScope>)> {
+        let state = self.scenes.get(&slot.page.scene)?;
+        let mut ancestors = self.ancestors.get(&slot.page).unwrap_or(&state.root_ancestors).clone();
+        if !ancestors.chain.is_empty() {
+            ancestors.set_from_page *= slot.content_transform;
+        }
+        Some((ancestors, state.scope.clone()))
+    }
+
+    /// Notes that a merged page is a tileset, whose contents have these ancestors.
+    pub fn add_tileset(&mut self, id: PageId, ancestors: TilesetAncestors) {
+        self.ancestors.insert(id, ancestors);
+    }
+
+    /// Forgets a page that left its scene; returns true if it was a tileset.
+    pub fn forget_page(&mut self, id: PageId) -> bool {
+        self.ancestors.remove(&id).is_some()
+    }
+}
