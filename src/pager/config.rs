@@ -6,8 +6,8 @@ use std::time::Duration;
 use crate::io::{IoError, Limits};
 use crate::scene::ShareModes;
 
-/// Configuration of a [`DatabasePager`](super::DatabasePager): threads, budgets and timeouts. Each field is independent of
-/// the others; that is why there are so many.
+/// Configuration of a [`DatabasePager`](super::DatabasePager): threads, budgets and timeouts. It has many fields because
+/// each is an independent setting.
 #[derive(Clone, Debug)]
 pub struct PagerConfig {
     /// Threads that read local files. With two, one keeps the disk busy while the other waits.

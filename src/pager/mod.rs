@@ -10,8 +10,8 @@
 //! Cull takes no lock: its requests are data. The threads share one request list behind one mutex, which update rewrites
 //! once a frame. The other hand-overs are channels. Those of jobs and answers are bounded by the number of jobs that may be
 //! outstanding (`loading/request_list.rs`), so that no answer waits. The reaper's is unbounded, because thousands of pages
-//! may leave in one frame and update must not wait; they count in no budget. The contexts' compile queues belong to `gpu`
-//! and to the viewer; what they hold is bounded by the budgets of arrived pages.
+//! may leave in one frame and update must not wait; they count in no budget. The channels of the contexts' compile queues,
+//! in `gpu` and in the viewer, are unbounded too; they hold only pages that have arrived, which the budgets bound.
 //!
 //! # Parts
 //! | folder | responsibility |

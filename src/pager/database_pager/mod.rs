@@ -1,8 +1,16 @@
 //! [`DatabasePager`]: the parts of the pager, and its turn in a frame. Everything here runs on the update thread.
 //!
-//! The parts keep their fields private; the methods in this folder pass results from one to the next:
-//! [`accept`] requests into the table, [`arrive`] answers into uploads, [`merge`] into the scenes, [`make_room`] in the
-//! budgets, [`remove`] pages and requests, [`serve`] scenes, and [`status`] for applications.
+//! The parts keep their fields private. The methods in this folder pass results from one part to the next:
+//!
+//! | file | step |
+//! |---|---|
+//! | `accept` | requests of culls go into the table |
+//! | `arrive` | answers of threads and contexts go into the arrivals |
+//! | `make_room` | uploads begin, pages expire and arrivals without room are declined |
+//! | `merge` | uploaded pages are attached to their scenes |
+//! | `remove` | pages and requests of a scene or of a context are dropped |
+//! | `serve` | scenes are added and removed, and roots are read |
+//! | `status` | counters, errors, states of requests, and whether there is work |
 
 mod accept;
 mod arrive;
@@ -66,7 +74,7 @@ pub struct DatabasePager {
     control: Control,
 }
 
-/// What the application and the frame set.
+/// Switches that the application sets, and the state of the frame.
 #[derive(Debug)]
 struct Control {
     frame: u32,

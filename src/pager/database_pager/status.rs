@@ -1,4 +1,4 @@
-//! What applications and the viewer see: counters, errors, states of requests, and whether there is work.
+//! Status for applications and the viewer: counters, errors, states of requests, and whether there is work.
 
 use std::sync::Arc;
 

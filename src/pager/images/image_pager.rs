@@ -8,13 +8,13 @@ use super::job::{ImageJob, ImageReader};
 use super::sequence::ImageSequence;
 use super::store::ImageStore;
 use super::tracks::{ImageChange, Tracks};
+use crate::pager::config::PagerError;
 use crate::pager::loading::config::{LimitRange, LoadConfig};
 use crate::pager::loading::job::Answer;
 use crate::pager::loading::request_list::Limits;
 use crate::pager::loading::threads::LoadThreads;
 use crate::pager::loading::ticket::Ticket;
-use crate::pager::stats::Errors;
-use crate::pager::{ErrorRecord, PagerError};
+use crate::pager::stats::{ErrorRecord, Errors};
 
 /// How long the blocking mode waits for an answer before it looks again.
 const BLOCKING_POLL: Duration = Duration::from_millis(20);

@@ -9,7 +9,7 @@ use crate::pager::loading::ticket::Ticket;
 use crate::scene::Texture;
 use crate::timeline::{self, Span};
 
-/// What all images of a pager are read with.
+/// The limits and the client with which all images of a pager are read.
 #[derive(Debug)]
 pub(super) struct ImageReader {
     pub limits: Limits,

@@ -1,74 +1,74 @@
-//! [`ImageSequence`]: images over time as a texture; OSG's ImageSequence. Plain values behind a lock, any thread.
+//! [`ImageSequence`]: images over time as a texture; OSG's ImageSequence. Plain values behind a lock; any thread.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::scene::Texture;
 use crate::state::TextureObject;
 
-/// Images ahead of the present one that are loaded before their time, unless told otherwise.
+/// The default number of images that are loaded ahead of their time.
 const PRE_LOAD_FRAMES: usize = 8;
 
-/// What comes after the last image.
+/// Determines what follows the last image.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum LoopingMode {
-    /// It stays, and the sequence pauses.
+    /// The last image stays, and the sequence pauses.
     NoLooping,
-    /// The first.
+    /// The first image follows.
     #[default]
     Looping,
-    /// The last but one, and so on back to the first; OSG's `Sequence::SWING`.
+    /// The images follow in reverse order, down to the first; OSG's `Sequence::SWING`.
     Swing,
 }
 
-/// What is loaded when, and kept how long.
+/// Determines when images are loaded, and how long they are kept.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum SequenceMode {
-    /// All images as soon as possible, as far as the pager's budgets go.
+    /// Loads all images as soon as possible, within the pager's budgets.
     PreLoadAllImages,
-    /// Some images ahead; what was shown stays while there is room.
+    /// Loads some images ahead; shown images stay while there is room.
     #[default]
     PageAndRetainImages,
-    /// Some images ahead; what was shown goes at once.
+    /// Loads some images ahead; shown images are paged out at once.
     PageAndDiscardUsedImages,
 }
 
-/// Whether time passes in a sequence.
+/// Tells whether time passes in a sequence.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum StreamStatus {
-    /// It was never played.
+    /// The sequence was never played.
     #[default]
     Invalid,
     /// Time passes.
     Playing,
-    /// Time stands, or has reached the end.
+    /// Time is paused, or has reached the end.
     Paused,
 }
 
 /// One image of a sequence.
 #[derive(Clone, Debug)]
 pub enum SequenceImage {
-    /// Read when it is needed: a path or a URL of a PNG or JPEG.
+    /// A path or a URL of a PNG or JPEG, loaded when it is needed.
     File(Arc<str>),
-    /// The application's, which stays.
+    /// An image of the application, which stays in memory.
     Image(Arc<Texture>),
 }
 
-/// What control and update share.
+/// The state that the application controls and update advances.
 #[derive(Debug)]
 struct Control {
     images: Vec<SequenceImage>,
     mode: SequenceMode,
     looping: LoopingMode,
-    /// Of all images once.
+    /// Seconds that all images take at a time multiplier of 1.
     length_s: f64,
     time_multiplier: f64,
     pre_load_frames: usize,
     status: StreamStatus,
-    /// Time in the sequence at `since_s`; runs on without bound where it loops.
+    /// Time in the sequence at `since_s`, seconds; unbounded if it loops.
     position_s: f64,
-    /// Simulation time at which `position_s` held; set by update.
+    /// Simulation time of `position_s`, seconds; set by update.
     since_s: Option<f64>,
-    /// Simulation time between the last two updates.
+    /// Simulation time between the last two updates, seconds.
     frame_s: f64,
 }
 
@@ -78,36 +78,37 @@ struct Inner {
     control: Mutex<Control>,
 }
 
-/// Images over simulation time, shown by one texture. A handle: clones control the same sequence, from any thread.
+/// Images over simulation time, shown by one texture. This is a handle: clones control the same sequence, from any thread.
 ///
-/// The texture goes into a state set with [`TextureBinding`](crate::state::TextureBinding); what it shows changes once
-/// an [`ImagePager`](super::ImagePager) has the sequence (`Viewer::add_image_sequence`). Until the first image is there
-/// it is white. Nothing is loaded while no state set holds the texture.
+/// Bind the texture in a state set with [`TextureBinding`](crate::state::TextureBinding), and add the sequence to an
+/// [`ImagePager`](super::ImagePager) (`Viewer::add_image_sequence`), which then changes what it shows. It is white until
+/// the first image is loaded. Nothing is loaded while no state set refers to the texture.
 #[derive(Clone, Debug)]
 pub struct ImageSequence {
     inner: Arc<Inner>,
 }
 
-/// An image and the seconds until it is to be shown.
+/// An image, and the seconds until it is shown.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Wanted {
     pub index: usize,
     pub due_s: f64,
 }
 
-/// Which images a moment needs.
+/// The images that a moment needs.
 #[derive(Debug, Default)]
 pub(super) struct Moment {
-    /// First the present one, then those ahead; each once. Empty without images.
+    /// The present image, then those ahead; each once. Empty without images.
     pub wanted: Vec<Wanted>,
+    /// True if images are paged out as soon as they are no longer wanted.
     pub discards: bool,
     pub is_playing: bool,
-    /// Time has passed since the moment before, and did not jump.
-    pub goes_on: bool,
+    /// True if time has passed since the last moment without a jump.
+    pub is_continuous: bool,
 }
 
 impl ImageSequence {
-    /// A sequence of images in the order shown, one second long, which loops once it is played.
+    /// Creates a sequence of images in the order shown, one second long. It loops once it is played.
     pub fn new(name: &str, images: Vec<SequenceImage>) -> Self {
         let white = TextureObject::image(name, [1, 1], vec![255; 4]);
         let texture = Arc::new(TextureObject { is_changing: true, ..Arc::unwrap_or_clone(white) });
@@ -126,12 +127,12 @@ impl ImageSequence {
         Self { inner: Arc::new(Inner { texture, control: Mutex::new(control) }) }
     }
 
-    /// A sequence of files or URLs.
+    /// Creates a sequence of files or URLs.
     pub fn from_files<S: Into<Arc<str>>>(name: &str, files: impl IntoIterator<Item = S>) -> Self {
         Self::new(name, files.into_iter().map(|file| SequenceImage::File(file.into())).collect())
     }
 
-    /// What shows the sequence: for a texture unit of a state set.
+    /// Returns the texture that shows the sequence, for a texture unit of a state set.
     pub fn texture(&self) -> Arc<TextureObject> {
         self.inner.texture.clone()
     }
@@ -140,34 +141,34 @@ impl ImageSequence {
         self.inner.control.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Adds an image at the end; the length stays.
+    /// Adds an image at the end; the length in seconds stays.
     pub fn add_image(&self, image: SequenceImage) {
         self.control().images.push(image);
     }
 
-    /// How many images there are.
+    /// Returns the number of images.
     pub fn image_count(&self) -> usize {
         self.control().images.len()
     }
 
-    /// What is loaded when.
+    /// Sets when images are loaded, and how long they are kept.
     pub fn set_mode(&self, mode: SequenceMode) {
         self.control().mode = mode;
     }
 
-    /// How many images ahead are loaded before their time; 8 unless set. Where two or more images pass between frames
-    /// these are the images of coming frames, not all of those between them.
+    /// Sets how many images are loaded ahead of their time; 8 by default. If two or more images pass between frames, these
+    /// are the images of coming frames, without those between.
     pub fn set_pre_load_frames(&self, frames: usize) {
         self.control().pre_load_frames = frames;
     }
 
-    /// What comes after the last image.
+    /// Sets what follows the last image.
     pub fn set_looping_mode(&self, looping: LoopingMode) {
         self.control().looping = looping;
     }
 
-    /// Seconds that all images take at a time multiplier of 1; not finite or not positive changes nothing. The present
-    /// image stays.
+    /// Sets the seconds that all images take at a time multiplier of 1. The present image stays. A value that is not finite
+    /// or not positive is ignored.
     pub fn set_length(&self, length_s: f64) {
         let mut control = self.control();
         if length_s.is_finite() && length_s > 0.0 {
@@ -176,65 +177,65 @@ impl ImageSequence {
         }
     }
 
-    /// Seconds that all images take at a time multiplier of 1.
+    /// Returns the seconds that all images take at a time multiplier of 1.
     pub fn length(&self) -> f64 {
         self.control().length_s
     }
 
-    /// Sets the length so that so many images are shown a second.
+    /// Sets the length so that `images_per_s` images are shown per second.
     pub fn set_frame_rate(&self, images_per_s: f64) {
         self.set_length(self.image_count().max(1) as f64 / images_per_s);
     }
 
-    /// How fast time passes, 1 as the simulation's; below 0 backwards. Not finite changes nothing.
+    /// Sets how fast time passes: 1 as fast as simulation time, below 0 backwards. A value that is not finite is ignored.
     pub fn set_time_multiplier(&self, multiplier: f64) {
         if multiplier.is_finite() {
             self.control().time_multiplier = multiplier;
         }
     }
 
-    /// Lets time pass from the next update on.
+    /// Starts or resumes time from the next update on.
     pub fn play(&self) {
         self.control().status = StreamStatus::Playing;
     }
 
-    /// Lets time stand from the next update on.
+    /// Pauses time from the next update on.
     pub fn pause(&self) {
         self.control().status = StreamStatus::Paused;
     }
 
-    /// Goes to the first image.
+    /// Seeks to the first image.
     pub fn rewind(&self) {
         self.seek(0.0);
     }
 
-    /// Goes to a time in the sequence in seconds, at a time multiplier of 1; playing or not stays. Not finite changes
-    /// nothing.
+    /// Seeks to a time in the sequence, in seconds at a time multiplier of 1; a paused sequence stays paused. A value that
+    /// is not finite is ignored.
     pub fn seek(&self, time_s: f64) {
         let mut control = self.control();
         if time_s.is_finite() {
             control.position_s = time_s;
-            // Counts from the next update: the time it is asked in is no frame's.
+            // Counts from the next update, because the call is not at the time of a frame.
             control.since_s = None;
         }
     }
 
-    /// Whether time passes.
+    /// Returns whether time passes.
     pub fn status(&self) -> StreamStatus {
         self.control().status
     }
 
-    /// The time in the sequence at the last update, seconds; runs on where it loops.
+    /// Returns the time in the sequence at the last update, seconds; unbounded if it loops.
     pub fn position(&self) -> f64 {
         self.control().position_s
     }
 
-    /// Its texture is in some state set.
+    /// Returns true if a state set or the application refers to its texture.
     pub(super) fn is_used(&self) -> bool {
         Arc::strong_count(&self.inner.texture) > 1
     }
 
-    /// Only the pager has it.
+    /// Returns true if only the pager refers to the sequence.
     pub(super) fn is_forgotten(&self) -> bool {
         Arc::strong_count(&self.inner) == 1 && !self.is_used()
     }
@@ -247,7 +248,7 @@ impl ImageSequence {
         self.control().images.get(index).cloned()
     }
 
-    /// Goes on to a simulation time: what is to be shown now and soon.
+    /// Advances to a simulation time; returns the images to show now and soon.
     pub(super) fn advance(&self, simulation_time_s: f64) -> Moment {
         self.control().advance(simulation_time_s)
     }
@@ -260,11 +261,11 @@ impl Control {
             return Moment::default();
         }
         let mut between_frames_s = 0.0;
-        let goes_on = self.status == StreamStatus::Playing && self.since_s.is_some();
+        let is_continuous = self.status == StreamStatus::Playing && self.since_s.is_some();
         if let (StreamStatus::Playing, Some(since_s)) = (self.status, self.since_s) {
             let frame_s = now_s - since_s;
             self.position_s += frame_s * self.time_multiplier;
-            // One long frame says nothing of the next.
+            // A single long frame does not predict the next.
             between_frames_s = frame_s.min(std::mem::replace(&mut self.frame_s, frame_s)) * self.time_multiplier.abs();
         }
         self.since_s = Some(now_s);
@@ -296,10 +297,10 @@ impl Control {
         }
         let is_playing = self.status == StreamStatus::Playing && self.time_multiplier != 0.0;
         let discards = self.mode == SequenceMode::PageAndDiscardUsedImages;
-        Moment { wanted, discards, is_playing, goes_on }
+        Moment { wanted, discards, is_playing, is_continuous }
     }
 
-    /// The image of a time in the sequence; there is one.
+    /// Returns the index of the image at a time in the sequence, which has at least one image.
     fn index_at(&self, position_s: f64) -> usize {
         let (count, length_s) = (self.images.len(), self.length_s);
         let position_s = match self.looping {
@@ -310,7 +311,7 @@ impl Control {
                 there_and_back_s.min(2.0 * length_s - there_and_back_s)
             }
         };
-        // A time that a sum of frames gave may lie a rounding before the image's own.
+        // A time summed up from frames may be a rounding error before the image's own.
         let index = (position_s / length_s * count as f64 + 1e-6).floor() as usize;
         match self.looping {
             LoopingMode::Looping if index >= count => 0,
@@ -336,7 +337,7 @@ mod tests {
     }
 
     #[test]
-    fn images_come_in_the_order_of_the_looping_mode() {
+    fn images_follow_in_the_order_of_the_looping_mode() {
         let times: Vec<f64> = (0..10).map(|k| 100.0 + f64::from(k)).collect();
         assert_eq!(shown(&sequence(LoopingMode::Looping), &times), [0, 1, 2, 3, 0, 1, 2, 3, 0, 1]);
         assert_eq!(shown(&sequence(LoopingMode::NoLooping), &times), [0, 1, 2, 3, 3, 3, 3, 3, 3, 3]);
@@ -352,7 +353,7 @@ mod tests {
     }
 
     #[test]
-    fn time_starts_with_play_stands_when_paused_and_jumps_where_asked() {
+    fn time_starts_with_play_stops_when_paused_and_jumps_with_seek() {
         let sequence = sequence(LoopingMode::Looping);
         sequence.pause();
         assert_eq!(shown(&sequence, &[0.0, 10.0]), [0, 0]);
@@ -377,7 +378,7 @@ mod tests {
     }
 
     #[test]
-    fn the_end_without_looping_is_a_pause() {
+    fn end_without_looping_pauses() {
         let sequence = sequence(LoopingMode::NoLooping);
         assert_eq!(shown(&sequence, &[0.0, 5.0]), [0, 3]);
         assert_eq!(sequence.status(), StreamStatus::Paused);
@@ -394,16 +395,16 @@ mod tests {
         sequence.play();
         let ahead = |time_s| sequence.advance(time_s).wanted.iter().map(|w| w.index).collect::<Vec<_>>();
         assert_eq!(ahead(0.0), [0, 1, 2, 3]);
-        assert_eq!(ahead(3.1), [3, 4, 5, 6], "one long frame");
+        assert_eq!(ahead(3.1), [3, 4, 5, 6], "a single long frame changes nothing");
         assert_eq!(ahead(6.2), [6, 9, 12, 15]);
-        assert_eq!(ahead(8.1), [8, 9, 10, 11], "as slow as images");
+        assert_eq!(ahead(8.1), [8, 9, 10, 11], "no image is skipped");
         sequence.set_mode(SequenceMode::PreLoadAllImages);
         sequence.advance(11.2);
         assert_eq!(sequence.advance(14.3).wanted.len(), 20);
     }
 
     #[test]
-    fn images_ahead_follow_the_way_it_plays() {
+    fn images_ahead_follow_the_direction_of_play() {
         let sequence = sequence(LoopingMode::Swing);
         sequence.set_pre_load_frames(4);
         sequence.advance(0.0);

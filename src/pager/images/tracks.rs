@@ -74,7 +74,7 @@ impl Track {
             }
             Some((index, image))
         };
-        self.overdue = self.overdue.filter(|_| moment.goes_on);
+        self.overdue = self.overdue.filter(|_| moment.is_continuous);
         let overdue = self.overdue.and_then(|overdue| want(overdue.index, OVERDUE_S));
         let mut present = None;
         for wanted in &moment.wanted {

@@ -46,7 +46,7 @@ pub(in crate::pager) struct LoadConfig {
 }
 
 impl LoadConfig {
-    /// Returns the number of jobs that keep so many threads busy.
+    /// Returns the number of jobs that keep this many threads busy.
     pub fn busy_jobs(readers: usize, decoders: usize) -> usize {
         4 * readers + 2 * decoders
     }

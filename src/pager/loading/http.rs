@@ -224,7 +224,7 @@ async fn fetch<J: LoadJob>(job: J, limits: &Limits) -> Fetched<J> {
 mod tests {
     use super::super::page_job::PageJob;
     use super::super::page_job::tests::job;
-    use super::super::request_list;
+    use super::super::request_list::{self, Request as _};
     use super::*;
 
     /// Returns the jobs that the thread takes while nothing is in flight.

@@ -1,4 +1,4 @@
-//! What the loading threads need of a job, and the messages between them.
+//! [`LoadJob`]: the interface of a job for the loading threads, and the messages between them.
 
 use std::sync::Arc;
 

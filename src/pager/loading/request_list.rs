@@ -18,7 +18,7 @@ use crate::io::is_remote;
 use crate::io::{is_at, server};
 use crate::sync::primitives::{Condvar, Mutex, MutexGuard};
 
-/// One in so many of a server's slots is kept free of prefetches.
+/// One in this many slots of a server is kept free of prefetches.
 const PREFETCH_FREE_SHARE: usize = 4;
 
 /// A job as the list sees it.

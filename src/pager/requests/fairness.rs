@@ -77,7 +77,7 @@ impl SceneTurns {
     }
 }
 
-/// One in so many slots goes to the oldest request.
+/// One in this many slots goes to the oldest request.
 const AGED_SHARE: u32 = 8;
 /// A request is old after this many frames.
 const AGED_FRAMES: u32 = 120;

@@ -40,7 +40,7 @@ struct PrefetchShortage {
     count: u64,
 }
 
-/// What waits for room, as of the last list.
+/// Contents that wait for room, as of the last list.
 #[derive(Clone, Copy, Debug, Default)]
 pub(in crate::pager) struct Shortage {
     /// The budgets are full of what is visible; nothing may be loaded.
@@ -138,7 +138,7 @@ pub(in crate::pager) struct Scheduler {
 }
 
 impl Scheduler {
-    /// Returns what waited for room when the list was last written.
+    /// Returns the contents that waited for room when the list was last written.
     pub fn shortage(&self) -> &Shortage {
         &self.shortage
     }
@@ -253,7 +253,7 @@ impl Scheduler {
         if at.is_paused {
             return 0;
         }
-        // What waits for its upload holds memory beyond the budgets.
+        // Pages that wait for their upload hold memory beyond the budgets.
         let per_thread = (MAX_PENDING_BYTES / at.room.mean.gpu.max(1)).max(MIN_PENDING_PAGES);
         let pending = (per_thread * at.config.decode_threads.max(1) as u64).saturating_sub(at.arrived_pages);
         at.room.pages_of_mean_size(0).min(pending).min(capacity as u64) as usize

@@ -3,8 +3,8 @@
 use std::ops::RangeInclusive;
 use std::time::Duration;
 
-/// Pages examined for expiry in one frame while the reserved tenths of the budgets are not free: twice as many as in the
-/// frame before while pages expire, half as many while all are in use.
+/// Pages examined for expiry in one frame while the reserved tenths of the budgets are not free. The number doubles from
+/// frame to frame while pages expire, and halves while all are in use.
 const PAGES_PER_FRAME: RangeInclusive<usize> = 16..=256;
 
 /// How long a page must not have been wanted before it may expire.

@@ -9,7 +9,7 @@ use super::expiry::Unused;
 use crate::pager::scenes::scene_set::SceneSet;
 use crate::scene::{ContentKey, NodeId, PageId, PagingOptions};
 
-/// What a merged page holds.
+/// The memory of a merged page, and when it was last wanted.
 #[derive(Clone, Debug)]
 pub(in crate::pager) struct Resident {
     slot: NodeId,
@@ -135,8 +135,8 @@ impl Residents {
         }
     }
 
-    /// Removes and returns the first page in the order that is unused for long enough and can be detached: no other page
-    /// is attached in it and no finer page is shown instead of it. Examines at most `looks` pages, and lowers `looks`.
+    /// Removes and returns the first page that is unused for long enough and can be detached. A page can be detached if no
+    /// page is attached in it and no finer page is shown instead of it. Examines at most `looks` pages and lowers `looks`.
     pub fn pop_expired(
         &mut self,
         scenes: &dyn SceneSet,

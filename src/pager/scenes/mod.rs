@@ -1,4 +1,4 @@
-//! The scenes that a pager serves: the set that each call gets, and what the contents of each may read.
+//! The scenes that a pager serves: the set that each call borrows, and the read scope of each.
 
 pub(super) mod read_scope;
 pub(super) mod registry;

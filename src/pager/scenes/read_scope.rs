@@ -1,4 +1,4 @@
-//! What the contents of a scene may read. A scope travels with its jobs to the loading threads.
+//! [`ReadScope`]: the files and servers that the contents of a scene may read. It travels with its jobs to the threads.
 
 use std::sync::Arc;
 
@@ -8,7 +8,7 @@ use glam::DAffine3;
 use crate::io::HttpClient;
 use crate::io::{IoError, ReadOptions};
 
-/// What the contents of a scene may read, and with which client they ask servers.
+/// The files and servers that the contents of a scene may read, and the client that asks servers.
 #[derive(Debug)]
 pub(in crate::pager) struct ReadScope {
     pub options: ReadOptions,

@@ -11,7 +11,7 @@ use crate::io::{HttpClient, HttpConfig};
 use crate::pager::config::PagerConfig;
 use crate::scene::{PageId, Scene, SceneNumber, SharedStateManager, SlotInfo};
 
-/// What the registry knows of a scene.
+/// A scene as the registry knows it.
 #[derive(Debug)]
 struct SceneState {
     scope: Arc<ReadScope>,
@@ -49,8 +49,10 @@ impl CommonOptions {
     }
 }
 
-/// The scenes that a pager serves. The pager is created with one read scope, the initial one; it belongs to the first scene
-/// that the pager is given and that was not added with a scope of its own.
+/// The scenes that a pager serves.
+///
+/// The pager is created with one read scope, the initial one. It belongs to the first scene that the pager is given and
+/// that was not added with a separate scope.
 #[derive(Debug)]
 pub(in crate::pager) struct SceneRegistry {
     scenes: BTreeMap<SceneNumber, SceneState>,
@@ -99,7 +101,7 @@ impl SceneRegistry {
         }
     }
 
-    /// Returns what equal contents share; `None` if nothing is shared.
+    /// Returns the manager of shared contents; `None` if nothing is shared.
     pub fn sharing(&self) -> Option<&Arc<SharedStateManager>> {
         self.common.sharing.as_ref()
     }
@@ -132,7 +134,7 @@ impl SceneRegistry {
         self.scenes.len() > 1
     }
 
-    /// Serves a scene with options of its own. Returns its scope, and the replaced one if the scene was served before.
+    /// Serves a scene with separate options. Returns its scope, and the replaced one if the scene was served before.
     pub fn add(
         &mut self,
         scene: SceneNumber,

@@ -12,7 +12,7 @@ use crate::pager::requests::table::RequestTable;
 use crate::pager::residency::budget::{ArrivedTotal, Budget, MemoryUse};
 use crate::scene::{DrawKind, DrawSlot, Drawable, NodeId, Page};
 
-/// What is to be uploaded of a page.
+/// The drawables of a page that are not uploaded yet.
 struct Payload {
     drawables: Vec<Drawable>,
     kinds: Arc<[DrawKind]>,

@@ -1,4 +1,4 @@
-//! [`CompileContext`]: what a pager needs of a graphics context.
+//! [`CompileContext`]: the interface of a graphics context for a pager.
 
 use std::sync::Arc;
 
