@@ -194,7 +194,7 @@ impl ViewerBase {
                 }
                 // Their textures were the old device's.
                 #[cfg(feature = "window")]
-                views.iter_mut().for_each(|view| view.input.overlay = super::overlay::Overlay::default());
+                views.iter_mut().for_each(|view| view.input.reset_overlay());
                 Ok(())
             }
             ended => ended,

@@ -3,27 +3,22 @@
 //! [`Viewer::frame`] is advance, event, update and rendering; see `base.rs` for who may touch the scene when and
 //! `rendering` for who culls and draws. Everything here runs on the main thread, except what `rendering` sends away.
 
-mod arrangement;
-mod arrangement_file;
 mod base;
 mod camera;
 mod camera_path;
 mod composite;
+mod config;
 mod contexts;
 #[cfg(feature = "window")]
 mod display;
-mod display_settings;
 mod events;
 pub mod handlers;
-mod holes;
 mod home;
 mod input;
 mod look_ahead;
 pub mod manipulators;
 #[cfg(feature = "window")]
 mod overlay;
-#[cfg(feature = "window")]
-mod overlay_input;
 #[cfg(feature = "window")]
 mod pace;
 mod paged_scene;
@@ -39,7 +34,6 @@ mod view;
 #[expect(clippy::module_inception, reason = "the viewer's own file; the others are its parts")]
 mod viewer;
 mod viewport;
-mod views_file;
 mod views_setup;
 #[cfg(feature = "window")]
 mod views_window;
@@ -47,43 +41,45 @@ mod views_window;
 mod window;
 #[cfg(feature = "window")]
 mod window_events;
-mod window_matrix;
 #[cfg(feature = "window")]
 mod window_open;
 
-pub use arrangement::{
-    Arrangement, ArrangementError, CONFIG_FILE_VARIABLE, CameraSetup, SCREEN_VARIABLE, WINDOW_VARIABLE, WindowSetup,
-};
 pub use camera::{Camera, FieldOfView, ResizePolicy, world_from_eye};
 pub use camera_path::{AnimationPath, ControlPoint, LoopMode, PathError};
 pub use composite::{CompositeViewer, SceneId, ViewId};
+pub use config::{
+    Arrangement, ArrangementError, CONFIG_FILE_VARIABLE, CameraSetup, DisplaySettingError, DisplaySettings,
+    DisplayType, SCREEN_VARIABLE, SceneSetup, ViewCamera, ViewSetup, ViewsSetup, WINDOW_VARIABLE, WindowSetup,
+};
 #[cfg(feature = "window")]
 pub use display::has_display;
-pub use display_settings::{DisplaySettingError, DisplaySettings, DisplayType};
 pub use events::{
     Bindings, ButtonMask, EventKind, EventMask, EventQueue, GuiEventAdapter, GuiEventHandler, InputState, Key,
     Modifiers, MouseButton, TouchPhase, Usage, UserEvent, UserEvents, YOrientation,
 };
-pub use holes::{HoleCheck, KEY_COLOR, coverage};
 pub use home::{LoadedRoot, LocalFrame, SetBounds, ViewFrom, environment_for};
-pub use input::{GuiActionAdapter, OnPicture, WindowCommand, event_callback};
+pub use input::{
+    GuiActionAdapter, OnPicture, WindowCommand, WindowMatrix, WindowRay, camera_with_focus, event_callback,
+};
 pub use manipulators::{CameraManipulator, GroundHeight, ManipulatorView};
 #[cfg(feature = "window")]
 pub use overlay::{Overlay, OverlayPaint};
 #[cfg(feature = "window")]
 pub use parent::ParentWindow;
 pub use rendering::{THREADING_VARIABLE, ThreadingModel};
-pub use report::{Bytes, DrawMedians, FrameTimes, Images, Phases, Report, ReportError, Settled, Sharing, Tiles, Times};
+pub use report::{
+    Bytes, DrawMedians, FrameTimes, HoleCheck, Images, KEY_COLOR, Phases, Report, ReportError, Settled, Sharing, Tiles,
+    Times, coverage,
+};
 pub use stats::{FrameStats, Samples, StatsHistory};
 pub use view::{ContextId, Eyes, Slave, SlaveId, View};
 pub use viewer::{FrameStamp, UpdateCallback, Viewer, ViewerConfig};
 pub use viewport::Viewport;
-pub use views_setup::{ArrangedViews, SceneSetup, ViewCamera, ViewSetup, ViewsSetup};
+pub use views_setup::ArrangedViews;
 #[cfg(feature = "window")]
 pub use views_window::{EachFrame, OnViewsOpen, ViewsOptions, run_views};
 #[cfg(feature = "window")]
 pub use window::{AfterFrame, BeforeFrame, OnOpen, SlaveWindow, WindowOptions, run_window};
-pub use window_matrix::{WindowMatrix, WindowRay, camera_with_focus};
 
 /// Why a viewer cannot go on.
 #[derive(Debug, thiserror::Error)]

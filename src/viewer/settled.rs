@@ -5,9 +5,8 @@ use std::sync::Arc;
 
 use image::RgbaImage;
 
-use super::holes::{KEY_COLOR, coverage};
 use super::rendering::FrameJob;
-use super::report::Settled;
+use super::report::{KEY_COLOR, Settled, coverage};
 use super::stats::FrameStats;
 use super::{Viewer, ViewerError};
 use crate::draw::Sky;

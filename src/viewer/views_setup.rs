@@ -2,66 +2,16 @@
 //! thread, before the first frame.
 
 use super::ViewerError;
-use super::arrangement::{CameraSetup, WindowSetup};
 use super::composite::{CompositeViewer, SceneId, ViewId};
-use super::home::{LoadedRoot, ViewFrom};
+use super::config::{CameraSetup, ViewCamera, ViewSetup, ViewsSetup, WindowSetup};
+use super::home::LoadedRoot;
 use super::view::{ContextId, Slave};
 use super::viewer::ViewerConfig;
 use crate::draw::Sky;
 use crate::gpu::{ContextTraits, GraphicsContext};
 use crate::pager::PagerConfig;
 
-/// A set that views show.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct SceneSetup {
-    /// By which views name it.
-    pub name: String,
-    /// Folder, file or URL of its root.
-    pub source: String,
-}
-
-/// A camera of a view.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct ViewCamera {
-    /// Place of its window in [`ViewsSetup::windows`].
-    pub window: usize,
-    /// Which part of it, and what it sees.
-    pub camera: CameraSetup,
-}
-
-/// A view.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct ViewSetup {
-    /// Place of its scene in [`ViewsSetup::scenes`]; `None`: the application's, which all views without one share.
-    pub scene: Option<usize>,
-    /// Where it looks from at first; `None`: as a set is seen at first.
-    pub from: Option<ViewFrom>,
-    /// sRGB instead of sky and haze.
-    pub background: Option<[u8; 3]>,
-    /// The master, which has no offsets, and its slaves. Never none.
-    pub cameras: Vec<ViewCamera>,
-}
-
-/// Several views, their scenes and windows.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct ViewsSetup {
-    /// Their own cameras do not count: those of the views are drawn in them. Never none.
-    pub windows: Vec<WindowSetup>,
-    /// What views may show. Each has a pager and budgets of its own, also where two have one source, if
-    /// [`Self::share_pager`] does not say otherwise.
-    pub scenes: Vec<SceneSetup>,
-    /// All scenes, the application's too, have one pager with one budget.
-    pub share_pager: bool,
-    /// In the order drawn. Never none.
-    pub views: Vec<ViewSetup>,
-}
-
 impl ViewsSetup {
-    /// True when a view shows a scene of the application's.
-    pub fn needs_root(&self) -> bool {
-        self.views.iter().any(|view| view.scene.is_none())
-    }
-
     /// Reads the roots of the scenes; blocks until they are there. Any thread.
     pub fn read_roots(&self, config: &PagerConfig) -> Result<Vec<LoadedRoot>, ViewerError> {
         self.scenes.iter().map(|scene| LoadedRoot::read(&scene.source, config)).collect()

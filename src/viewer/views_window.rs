@@ -13,16 +13,17 @@ use winit::window::{Window, WindowId};
 
 use super::ViewerError;
 use super::composite::{CompositeViewer, ViewId};
+use super::config::ViewsSetup;
 use super::display;
 use super::handlers::{self, StatsPage};
 use super::home::LoadedRoot;
 use super::input::WindowCommand;
 use super::manipulators::{self, SceneGround};
-use super::overlay_input::OverlayInput;
+use super::overlay::OverlayInput;
 use super::pace::Pace;
 use super::view::ContextId;
 use super::viewer::ViewerConfig;
-use super::views_setup::{ArrangedViews, ViewsSetup};
+use super::views_setup::ArrangedViews;
 use super::{window_events, window_open};
 use crate::gpu::GraphicsContext;
 

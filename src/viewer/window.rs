@@ -11,13 +11,13 @@ use winit::event_loop::{ActiveEventLoop, ControlFlow};
 use winit::window::{Window, WindowId};
 
 use super::ViewerError;
-use super::arrangement::{Arrangement, ArrangementError};
 use super::camera_path::AnimationPath;
+use super::config::{Arrangement, ArrangementError};
 use super::display;
 use super::handlers::{self, StatsPage};
 use super::input::WindowCommand;
 use super::manipulators::{self, SceneGround};
-use super::overlay_input::OverlayInput;
+use super::overlay::OverlayInput;
 use super::pace::Pace;
 use super::parent::{Followed, ParentChange, ParentWindow};
 use super::view::ContextId;

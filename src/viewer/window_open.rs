@@ -8,7 +8,7 @@ use winit::monitor::MonitorHandle;
 use winit::window::{Fullscreen, Window};
 
 use super::ViewerError;
-use super::arrangement::{Arrangement, CameraSetup, WindowSetup, across, an_eye_each};
+use super::config::{Arrangement, CameraSetup, WindowSetup, across_screens, one_eye_per_screen};
 use super::display::reason_of;
 use super::input::WindowCommand;
 use super::parent::{ParentWindow, child_attributes};
@@ -51,7 +51,7 @@ pub(super) fn windows(
             };
             let screens: Vec<_> = event_loop.available_monitors().map(place).collect();
             let split = stereo.filter(|stereo| stereo.mode == StereoMode::HorizontalSplit);
-            split.and_then(|_| an_eye_each(&screens)).unwrap_or_else(|| across(&screens))
+            split.and_then(|_| one_eye_per_screen(&screens)).unwrap_or_else(|| across_screens(&screens))
         }
     };
     if windows.is_empty() {

@@ -1,20 +1,22 @@
-//! Keys by what is printed on them or what they are called.
+//! [`Key`]: a key of the keyboard.
 
-/// A key. Characters are as typed: shifted letters are capitals. Letters as positions (see
-/// [`super::EventKind::KeyDown`]) are small ones.
+/// A key of the keyboard.
+///
+/// Characters are as typed: letters with Shift are capitals. Letters that name positions (see
+/// [`EventKind::KeyDown`](super::EventKind::KeyDown)) are lower case.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Key {
-    /// A key that types a character; the space bar too.
+    /// A key that types a character, including the space bar.
     Char(char),
-    /// Function keys, counted from 1.
+    /// A function key, counted from 1.
     F(u8),
     /// Escape.
     Escape,
     /// Return and the keypad's Enter.
     Enter,
-    /// Tabulator.
+    /// Tab.
     Tab,
-    /// Deletes to the left.
+    /// Backspace.
     Backspace,
     /// Insert.
     Insert,
@@ -44,7 +46,7 @@ pub enum Key {
     Alt,
     /// Either Windows or Command key.
     Super,
-    /// A key without a name here.
+    /// Any other key.
     Unknown,
 }
 
@@ -73,7 +75,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn keys_have_names_for_people() {
+    fn keys_have_readable_names() {
         let names = [Key::Char('w'), Key::Char('W'), Key::Char('<'), Key::SPACE, Key::F(12), Key::Left, Key::PageUp];
         assert_eq!(names.map(|k| k.to_string()), ["W", "Shift+W", "<", "Space", "F12", "Left", "Page up"]);
     }

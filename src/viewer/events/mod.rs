@@ -1,19 +1,23 @@
-//! Input, free of any window library: what happened since the last frame, and who is told. OSG's `osgGA`.
+//! Input events, independent of any window library; OSG's `osgGA`.
 //!
-//! A window (or a test, or another toolkit) feeds the [`EventQueue`]; the event phase of each frame takes what is
-//! there and hands each [`GuiEventAdapter`] to the [`GuiEventHandler`]s, then to the manipulator. Main thread, but
-//! for [`UserEvents`], through which any thread sends events of its own.
+//! A window, a test or another toolkit feeds the [`EventQueue`]. The event phase of each frame takes the queued events and
+//! passes each [`GuiEventAdapter`] to the [`GuiEventHandler`]s, then to the manipulator. Everything runs on the main thread,
+//! except [`UserEvents`], through which any thread sends events of the application.
 
-mod adapter;
+mod button;
+mod event;
+mod event_mask;
 mod fingers;
 mod handler;
+mod input_state;
 mod key;
 mod queue;
+mod touch;
 
-pub use adapter::{
-    ButtonMask, EventKind, EventMask, GuiEventAdapter, InputState, Modifiers, MouseButton, TouchPhase, UserEvent,
-    YOrientation,
-};
+pub use button::MouseButton;
+pub use event::{EventKind, GuiEventAdapter, TouchPhase, UserEvent};
+pub use event_mask::EventMask;
 pub use handler::{Bindings, GuiEventHandler, Usage};
+pub use input_state::{ButtonMask, InputState, Modifiers, YOrientation};
 pub use key::Key;
 pub use queue::{EventQueue, UserEvents};

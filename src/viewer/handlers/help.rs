@@ -1,11 +1,11 @@
-//! The keys, over the picture.
+//! [`HelpHandler`]: shows the keys over the image.
 
-use super::GuiActionAdapter;
+use crate::viewer::GuiActionAdapter;
 use crate::viewer::events::{Bindings, EventMask, GuiEventAdapter, GuiEventHandler, Key, Usage};
 
 const KEYS: Bindings<()> = Bindings(&[(&[Key::Char('h'), Key::F(1)], (), "help")]);
 
-/// Shows what keys do; OSG's `HelpHandler`.
+/// Shows the keys and their actions; OSG's `HelpHandler`.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct HelpHandler {
     is_shown: bool,
@@ -42,11 +42,11 @@ impl GuiEventHandler for HelpHandler {
                 }
             });
         };
-        let most_high = 0.8 * ui.content_rect().height();
+        let max_height = 0.8 * ui.content_rect().height();
         egui::Window::new("Keys")
             .anchor(egui::Align2::CENTER_CENTER, [0.0, 0.0])
             .resizable(false)
             .collapsible(false)
-            .show(ui, |ui| egui::ScrollArea::vertical().max_height(most_high).show(ui, keys));
+            .show(ui, |ui| egui::ScrollArea::vertical().max_height(max_height).show(ui, keys));
     }
 }

@@ -1,6 +1,6 @@
-//! More or less detail.
+//! [`LodScaleHandler`]: more or less detail.
 
-use super::GuiActionAdapter;
+use crate::viewer::GuiActionAdapter;
 use crate::viewer::events::{Bindings, EventMask, GuiEventAdapter, GuiEventHandler, Key, Usage};
 
 const KEYS: Bindings<f64> = Bindings(&[
@@ -8,10 +8,10 @@ const KEYS: Bindings<f64> = Bindings(&[
     (&[Key::Char('/'), Key::Char('<')], STEP, "less detail"),
 ]);
 
-/// OSG's step.
+/// The factor of one step, as in OSG.
 const STEP: f64 = 1.1;
 
-/// Changes the camera's LOD scale: what a larger one refines, it refines later; OSG's `LODScaleHandler`.
+/// Changes the camera's LOD scale; a larger scale refines later. OSG's `LODScaleHandler`.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct LodScaleHandler;
 

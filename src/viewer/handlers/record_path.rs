@@ -1,8 +1,8 @@
-//! Camera paths, recorded and played.
+//! [`RecordCameraPathHandler`]: records and plays camera paths.
 
 use std::path::PathBuf;
 
-use super::GuiActionAdapter;
+use crate::viewer::GuiActionAdapter;
 use crate::viewer::camera_path::{AnimationPath, ControlPoint, PathError};
 use crate::viewer::events::{Bindings, EventMask, GuiEventAdapter, GuiEventHandler, Key, Usage};
 use crate::viewer::manipulators::{AnimationPathManipulator, CameraManipulator, ManipulatorView};
@@ -18,7 +18,7 @@ const KEYS: Bindings<Action> = Bindings(&[
     (&[Key::Char('Z')], Action::Play, "play the recorded path; again: stop"),
 ]);
 
-/// Records where the camera is each frame, writes it in OSG's text form and plays it back; OSG's
+/// Records the camera's pose each frame, writes the path in OSG's text form and plays it; OSG's
 /// `RecordCameraPathHandler`.
 pub struct RecordCameraPathHandler {
     file: PathBuf,
@@ -28,12 +28,12 @@ pub struct RecordCameraPathHandler {
 }
 
 struct Playing {
-    /// What moved the camera before, and does so again.
+    /// The manipulator before, which is restored at the end.
     before: Option<Box<dyn CameraManipulator>>,
 }
 
 impl RecordCameraPathHandler {
-    /// Writes to a file, and plays it when nothing was recorded yet.
+    /// Creates a handler that writes paths to a file. Until a path is recorded it plays the path in that file.
     pub fn new(file: PathBuf) -> Self {
         Self { file, recording: None, path: None, playing: None }
     }
@@ -75,10 +75,10 @@ impl RecordCameraPathHandler {
         Ok(())
     }
 
-    /// Gives the camera back; false when nothing was playing.
+    /// Stops playing and restores the manipulator; returns false when no path was playing.
     fn stop(&mut self, viewer: &mut GuiActionAdapter<'_>) -> bool {
         let Some(playing) = self.playing.take() else { return false };
-        // It goes on from where the path is.
+        // The manipulator continues from the current pose of the path.
         viewer.set_manipulator(playing.before);
         true
     }
@@ -88,10 +88,10 @@ impl RecordCameraPathHandler {
         if let Some(points) = &mut self.recording {
             points.push(ControlPoint::from_pose(now_s, &viewer.camera.world_from_eye));
         }
-        let is_over = |manipulator: &mut dyn CameraManipulator, _: &ManipulatorView<'_>| manipulator.is_finished();
-        if self.playing.is_some() && viewer.with_manipulator(is_over) == Some(true) {
+        let is_finished = |manipulator: &mut dyn CameraManipulator, _: &ManipulatorView<'_>| manipulator.is_finished();
+        if self.playing.is_some() && viewer.with_manipulator(is_finished) == Some(true) {
             self.stop(viewer);
-            viewer.notify("the end of the path");
+            viewer.notify("end of the path");
         }
     }
 }

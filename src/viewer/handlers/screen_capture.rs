@@ -1,11 +1,13 @@
-//! Pictures of what is seen.
+//! [`ScreenCaptureHandler`]: writes images of the view.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 
-use super::GuiActionAdapter;
+use image::RgbaImage;
+
+use crate::viewer::GuiActionAdapter;
 use crate::viewer::events::{Bindings, EventMask, GuiEventAdapter, GuiEventHandler, Key, Usage};
 
 #[derive(Clone, Copy, Debug)]
@@ -15,15 +17,16 @@ enum Action {
 }
 
 const KEYS: Bindings<Action> = Bindings(&[
-    (&[Key::Char('c'), Key::F(12)], Action::One, "write a picture"),
-    (&[Key::Char('C')], Action::Continuous, "write every picture, or no longer"),
+    (&[Key::Char('c'), Key::F(12)], Action::One, "write an image"),
+    (&[Key::Char('C')], Action::Continuous, "start or stop writing every frame"),
 ]);
 
-/// Pictures that may be waiting to be written; more are left out.
-const MOST_WRITING: usize = 8;
+/// The most images that may be in flight; further ones are skipped.
+const MAX_IN_FLIGHT: usize = 8;
 
-/// Writes pictures as `terrane-001.png` and so on; OSG's `ScreenCaptureHandler`. Encoding and writing happen on
-/// threads of their own, which are joined on drop.
+/// Writes images as `terrane-001.png` and so on; OSG's `ScreenCaptureHandler`.
+///
+/// Each image is encoded and written on a separate thread; drop joins these threads.
 pub struct ScreenCaptureHandler {
     folder: PathBuf,
     taken: u32,
@@ -31,50 +34,50 @@ pub struct ScreenCaptureHandler {
     shared: Arc<Writing>,
 }
 
-/// What the threads that write share with the handler.
+/// The state shared between the handler on the main thread and the threads that write.
 #[derive(Default)]
 struct Writing {
-    /// Pictures asked for and not yet written: [`Asked`].
+    /// The number of images requested and not yet written, counted by [`InFlight`].
     count: AtomicUsize,
-    /// Threads under way; main.
+    /// The threads that write. Added and joined by the main thread, guarded because captures arrive in a callback.
     threads: Mutex<Vec<JoinHandle<()>>>,
-    /// What went wrong or well, to be told to the user; by each thread, taken by main.
-    said: Mutex<Vec<String>>,
+    /// Results for the user. Each thread adds its own; the main thread takes them.
+    messages: Mutex<Vec<String>>,
 }
 
-/// A picture until it is written, or will never come.
-struct Asked(Arc<Writing>);
+/// Counts an image from its request until it is written or given up.
+struct InFlight(Arc<Writing>);
 
-impl Asked {
-    /// `None` where too many are.
+impl InFlight {
+    /// Counts an image; returns `None` when too many are in flight.
     fn new(writing: &Arc<Writing>) -> Option<Self> {
-        let asked = Self(writing.clone());
-        (writing.count.fetch_add(1, Ordering::Relaxed) < MOST_WRITING).then_some(asked)
+        let in_flight = Self(writing.clone());
+        (writing.count.fetch_add(1, Ordering::Relaxed) < MAX_IN_FLIGHT).then_some(in_flight)
     }
 }
 
-impl Drop for Asked {
+impl Drop for InFlight {
     fn drop(&mut self) {
         self.0.count.fetch_sub(1, Ordering::Relaxed);
     }
 }
 
-/// Not straight to the file: what a buffer could not write when it goes is told to nobody.
-fn write_png(picture: &image::RgbaImage, file: &Path) -> image::ImageResult<()> {
+/// Writes a PNG file. It is encoded in memory first, because a buffered file writer loses the errors of its last write.
+fn write_png(image: &RgbaImage, file: &Path) -> image::ImageResult<()> {
     let mut png = std::io::Cursor::new(Vec::new());
-    picture.write_to(&mut png, image::ImageFormat::Png)?;
+    image.write_to(&mut png, image::ImageFormat::Png)?;
     std::fs::write(file, png.into_inner()).map_err(Into::into)
 }
 
 impl ScreenCaptureHandler {
-    /// Writes into a folder.
+    /// Creates a handler that writes into a folder.
     pub fn new(folder: &Path) -> Self {
         Self { folder: folder.to_owned(), taken: 0, is_continuous: false, shared: Arc::default() }
     }
 
-    /// Asks for this frame's picture.
+    /// Captures the image of this frame.
     fn take(&mut self, viewer: &mut GuiActionAdapter<'_>) {
-        let Some(asked) = Asked::new(&self.shared) else { return };
+        let Some(in_flight) = InFlight::new(&self.shared) else { return };
         self.taken += 1;
         let mut file = self.folder.join(format!("terrane-{:03}.png", self.taken));
         while file.exists() {
@@ -82,20 +85,20 @@ impl ScreenCaptureHandler {
             file = self.folder.join(format!("terrane-{:03}.png", self.taken));
         }
         let shared = self.shared.clone();
-        viewer.capture(Box::new(move |_, picture| {
+        viewer.capture(Box::new(move |_, image| {
             let write = move || {
-                // A view's folder may not be there yet; where it cannot be made, saving says so.
+                // If the folder cannot be created, writing the file reports the error.
                 let _ = file.parent().map(std::fs::create_dir_all);
-                let text = match write_png(&picture, &file) {
+                let text = match write_png(&image, &file) {
                     Ok(()) => format!("wrote {}", file.display()),
                     Err(error) => format!("{}: {error}", file.display()),
                 };
-                if let Ok(mut said) = asked.0.said.lock() {
-                    said.push(text);
+                if let Ok(mut messages) = in_flight.0.messages.lock() {
+                    messages.push(text);
                 }
             };
             if let (Ok(mut threads), Ok(thread)) =
-                (shared.threads.lock(), std::thread::Builder::new().name("picture".to_owned()).spawn(write))
+                (shared.threads.lock(), std::thread::Builder::new().name("capture".to_owned()).spawn(write))
             {
                 threads.retain(|t| !t.is_finished());
                 threads.push(thread);
@@ -110,12 +113,17 @@ impl GuiEventHandler for ScreenCaptureHandler {
             Some(Action::One) => self.take(viewer),
             Some(Action::Continuous) => {
                 self.is_continuous = !self.is_continuous;
-                viewer.notify(if self.is_continuous { "writing every picture" } else { "no more pictures" });
+                viewer.notify(if self.is_continuous { "writing every frame" } else { "stopped writing frames" });
             }
             None => {
                 if event.mask() == EventMask::FRAME {
-                    let said = self.shared.said.lock().map(|mut said| std::mem::take(&mut *said)).unwrap_or_default();
-                    said.into_iter().for_each(|text| {
+                    let messages = self
+                        .shared
+                        .messages
+                        .lock()
+                        .map(|mut messages| std::mem::take(&mut *messages))
+                        .unwrap_or_default();
+                    messages.into_iter().for_each(|text| {
                         log::info!("{text}");
                         viewer.notify(text);
                     });
@@ -143,7 +151,7 @@ impl Drop for ScreenCaptureHandler {
         let threads = self.shared.threads.lock().map(|mut threads| std::mem::take(&mut *threads)).unwrap_or_default();
         for thread in threads {
             if thread.join().is_err() {
-                log::error!("a thread that writes a picture panicked");
+                log::error!("a thread that writes captured images panicked");
             }
         }
     }

@@ -1,9 +1,9 @@
-//! Wireframe, light, texture and back faces of everything.
+//! [`StateSetManipulator`]: wireframe, lighting, textures and back-face culling of the whole view.
 
 use std::sync::Arc;
 
-use super::GuiActionAdapter;
 use crate::state::{Attribute, Mode, PolygonMode, StateSet, StateValue, TEXTURE_UNITS};
+use crate::viewer::GuiActionAdapter;
 use crate::viewer::events::{Bindings, EventMask, GuiEventAdapter, GuiEventHandler, Key, Usage};
 
 #[derive(Clone, Copy, Debug)]
@@ -21,36 +21,37 @@ const KEYS: Bindings<Action> = Bindings(&[
     (&[Key::Char('b')], Action::BackFaces, "culling of back faces"),
 ]);
 
-/// Overrides state from above all roots, beside what the application has there; OSG's `StateSetManipulator`.
+/// Overrides state above all roots, in addition to the application's state set there; OSG's `StateSetManipulator`.
 #[derive(Clone, Debug, Default)]
 pub struct StateSetManipulator {
     polygons: PolygonMode,
     is_unlit: bool,
     is_untextured: bool,
     shows_back_faces: bool,
-    /// The application's own, while something is switched.
-    own: Option<Arc<StateSet>>,
-    /// What was put in its place.
-    shown: Option<Arc<StateSet>>,
+    /// The application's state set while an override is active.
+    application: Option<Arc<StateSet>>,
+    /// The state set with overrides that replaces it.
+    overridden: Option<Arc<StateSet>>,
 }
 
 impl StateSetManipulator {
-    fn is_at_rest(&self) -> bool {
+    fn has_no_override(&self) -> bool {
         self.polygons == PolygonMode::Fill && !self.is_unlit && !self.is_untextured && !self.shows_back_faces
     }
 
-    /// The application's state set with what is switched over it; its own one where everything is as it says.
-    fn state_set(&mut self, present: Option<&Arc<StateSet>>) -> Option<Arc<StateSet>> {
-        // The application may have set another meanwhile.
-        if !self.shown.as_ref().zip(present).is_some_and(|(shown, present)| Arc::ptr_eq(shown, present)) {
-            self.own = present.cloned();
+    /// Returns the application's state set with the overrides; the application's own when there is no override.
+    fn state_set(&mut self, current: Option<&Arc<StateSet>>) -> Option<Arc<StateSet>> {
+        // The application may have set another state set meanwhile.
+        if !self.overridden.as_ref().zip(current).is_some_and(|(overridden, current)| Arc::ptr_eq(overridden, current))
+        {
+            self.application = current.cloned();
         }
-        self.shown = None;
-        if self.is_at_rest() {
-            return self.own.take();
+        self.overridden = None;
+        if self.has_no_override() {
+            return self.application.take();
         }
-        let mut set = match &self.own {
-            Some(own) => (**own).clone(),
+        let mut set = match &self.application {
+            Some(application) => (**application).clone(),
             None => StateSet { name: "toggles".to_owned(), ..StateSet::default() },
         };
         let off = StateValue::OFF | StateValue::OVERRIDE;
@@ -68,8 +69,8 @@ impl StateSetManipulator {
         if self.shows_back_faces {
             set.set_mode(Mode::CullFace, off);
         }
-        self.shown = Some(Arc::new(set));
-        self.shown.clone()
+        self.overridden = Some(Arc::new(set));
+        self.overridden.clone()
     }
 }
 

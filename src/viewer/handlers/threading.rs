@@ -1,12 +1,12 @@
-//! Which threads cull and draw.
+//! [`ThreadingHandler`]: changes the threads that cull and draw.
 
-use super::GuiActionAdapter;
+use crate::viewer::GuiActionAdapter;
 use crate::viewer::ThreadingModel;
 use crate::viewer::events::{Bindings, EventMask, GuiEventAdapter, GuiEventHandler, Key, Usage};
 
 const KEYS: Bindings<()> = Bindings(&[(&[Key::Char('m')], (), "next threading model")]);
 
-/// Goes through the threading models; OSG's `ThreadingHandler`.
+/// Switches to the next threading model; OSG's `ThreadingHandler`.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct ThreadingHandler;
 
@@ -16,8 +16,8 @@ impl GuiEventHandler for ThreadingHandler {
             return false;
         }
         let models = ThreadingModel::ALL;
-        let place = models.iter().position(|model| *model == viewer.threading_model()).unwrap_or(0);
-        let next = models[(place + 1) % models.len()];
+        let current = models.iter().position(|model| *model == viewer.threading_model()).unwrap_or(0);
+        let next = models[(current + 1) % models.len()];
         let text = match viewer.set_threading_model(next) {
             Ok(()) => next.to_string(),
             Err(error) => error.to_string(),

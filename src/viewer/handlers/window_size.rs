@@ -1,6 +1,6 @@
-//! Size of the window.
+//! [`WindowSizeHandler`]: full screen and window sizes.
 
-use super::GuiActionAdapter;
+use crate::viewer::GuiActionAdapter;
 use crate::viewer::events::{Bindings, EventMask, GuiEventAdapter, GuiEventHandler, Key, Usage};
 use crate::viewer::input::WindowCommand;
 
@@ -16,7 +16,7 @@ const KEYS: Bindings<Action> = Bindings(&[
     (&[Key::F(3)], Action::Size([1920, 1080]), "window of 1920 x 1080"),
 ]);
 
-/// Full screen and sizes of the window; OSG's `WindowSizeHandler`.
+/// Switches between full screen and fixed window sizes; OSG's `WindowSizeHandler`.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct WindowSizeHandler;
 

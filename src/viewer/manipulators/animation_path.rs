@@ -1,30 +1,30 @@
-//! Along a recorded path.
+//! [`AnimationPathManipulator`]: plays a camera path.
 
 use glam::DAffine3;
 
-use super::{CameraManipulator, ManipulatorView, usage};
+use super::manipulator::{CameraManipulator, ManipulatorView};
 use crate::viewer::camera_path::{AnimationPath, LoopMode};
 use crate::viewer::events::{GuiEventAdapter, Key, Usage};
 
-/// Plays a camera path in its own time; OSG's `AnimationPathManipulator`.
+/// Moves the camera along a path; OSG's `AnimationPathManipulator`.
 #[derive(Clone, Debug)]
 pub struct AnimationPathManipulator {
     path: AnimationPath,
-    /// Seconds since its start.
+    /// Seconds since the start of the path.
     at_s: f64,
-    /// Seconds of the path a second.
+    /// Seconds of the path per second of real time.
     pub time_scale: f64,
-    /// Stands still.
+    /// True while the camera stands still.
     pub is_paused: bool,
 }
 
 impl AnimationPathManipulator {
-    /// Plays a path from its start.
+    /// Creates a manipulator that plays a path from its start.
     pub fn new(path: AnimationPath) -> Self {
         Self { path, at_s: 0.0, time_scale: 1.0, is_paused: false }
     }
 
-    /// The path.
+    /// Returns the path.
     pub fn path(&self) -> &AnimationPath {
         &self.path
     }
@@ -53,14 +53,14 @@ impl CameraManipulator for AnimationPathManipulator {
         self.path.world_from_eye(self.path.first_s() + self.at_s)
     }
 
-    /// The path alone says where the eye is.
+    /// Does nothing, because the pose depends on the path alone.
     fn set_pose(&mut self, _: &DAffine3, _: &ManipulatorView<'_>) {}
 
     fn home(&mut self, _: &ManipulatorView<'_>) {
         self.at_s = 0.0;
     }
 
-    /// At the end of a path that does not loop.
+    /// Returns true at the end of a path that does not loop.
     fn is_finished(&self) -> bool {
         self.path.loop_mode == LoopMode::NoLooping && self.at_s >= self.path.duration_s()
     }
@@ -75,6 +75,6 @@ impl CameraManipulator for AnimationPathManipulator {
     }
 
     fn usage(&self) -> Vec<Usage> {
-        vec![usage("P", "pause the path"), usage("( )", "play it at half or double speed")]
+        vec![Usage::new("P", "pause the path"), Usage::new("( )", "play it at half or double speed")]
     }
 }

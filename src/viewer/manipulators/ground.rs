@@ -1,28 +1,30 @@
-//! The ground as the scene has it, and level ground where it is not asked.
+//! [`SceneGround`]: ground heights from the loaded scene; and the level ground that terrain gestures hold on to.
 
 use std::cell::RefCell;
 
 use glam::DVec3;
 
-use super::{GroundHeight, ManipulatorView};
+use super::manipulator::{GroundHeight, ManipulatorView};
 use crate::math::{Ellipsoid, WGS84};
 use crate::scene::{IntersectionLimit, IntersectionVisitor, LineSegmentIntersector, Scene};
 
-/// Points farther from the origin are taken as earth-centred.
+/// Points farther from the origin than this are in earth-centred coordinates, metres.
 const EARTH_CENTRED_BEYOND_M: f64 = 1.0e6;
-/// Deeper below the ellipsoid there is no ground.
+/// The lowest ground, metres above the ellipsoid.
 const LOWEST_M: f64 = -2.0e4;
 
-/// The highest of what is met below or above a place, at the finest level that is loaded: all that was read with
-/// [`PagerConfig::build_kd_trees`](crate::pager::PagerConfig::build_kd_trees), and nothing without.
+/// Takes the ground from the scene: the highest intersection below or above a point, at the finest loaded level.
+///
+/// It needs tiles read with [`PagerConfig::build_kd_trees`](crate::pager::PagerConfig::build_kd_trees); others are not
+/// found.
 #[derive(Debug, Default)]
 pub struct SceneGround {
-    /// Its memory is used again.
+    /// Kept to reuse its memory.
     visitor: RefCell<IntersectionVisitor>,
 }
 
 impl SceneGround {
-    /// Meets nodes with these bits in their masks alone.
+    /// Ignores nodes whose masks have none of these bits.
     pub fn with_traversal_mask(self, mask: u32) -> Self {
         self.visitor.borrow_mut().traversal_mask = mask;
         self
@@ -34,7 +36,7 @@ impl GroundHeight for SceneGround {
         let all = scene.bounding_sphere();
         let start = point + up * ((all.center - point).dot(up) + all.radius_m);
         let down_m = if point.length() > EARTH_CENTRED_BEYOND_M {
-            // Not to the other side of the earth.
+            // The segment must not reach the other side of the earth.
             (WGS84.geodetic(start).height_m - LOWEST_M).min(2.0 * all.radius_m)
         } else {
             2.0 * all.radius_m
@@ -49,17 +51,17 @@ impl GroundHeight for SceneGround {
     }
 }
 
-/// Where a ray comes down to the level of a point: of the plane, or of the ellipsoid of the same height. Both on the
-/// same side of the earth; `None` where the ray goes above it.
-pub(super) fn level_under(view: &ManipulatorView<'_>, level: DVec3, eye: DVec3, direction: DVec3) -> Option<DVec3> {
-    let metres = if view.frame_at(level).georeferenced {
+/// Returns the point where a ray descends to the level of `level`: to the horizontal plane through it, or to the ellipsoid
+/// at its height. `None` when the ray passes above.
+pub(super) fn intersect_level(view: &ManipulatorView<'_>, level: DVec3, eye: DVec3, direction: DVec3) -> Option<DVec3> {
+    let distance_m = if view.frame_at(level).georeferenced {
         let height_m = WGS84.geodetic(level).height_m;
         let Ellipsoid { semi_major_m, semi_minor_m } = WGS84;
         let (major_m, minor_m) = (semi_major_m + height_m, semi_minor_m + height_m);
         if !(major_m > 0.0 && minor_m > 0.0) {
             return None;
         }
-        // Stretched along the axis it is a sphere.
+        // Stretching along the polar axis turns the ellipsoid into a sphere.
         let stretch = DVec3::new(1.0, 1.0, major_m / minor_m);
         let (eye, direction) = (eye * stretch, direction * stretch);
         let (down, above) = (-eye.dot(direction), eye.length_squared() - major_m * major_m);
@@ -68,6 +70,6 @@ pub(super) fn level_under(view: &ManipulatorView<'_>, level: DVec3, eye: DVec3, 
     } else {
         (level.z - eye.z) / direction.z
     };
-    let met = eye + direction * metres;
-    (metres >= 0.0 && met.is_finite()).then_some(met)
+    let met = eye + direction * distance_m;
+    (distance_m >= 0.0 && met.is_finite()).then_some(met)
 }

@@ -1,46 +1,47 @@
-//! Several manipulators, one at a time.
+//! [`KeySwitchManipulator`]: switches between manipulators by keys.
 
 use glam::DAffine3;
 
-use super::{CameraManipulator, ManipulatorView, usage};
+use super::manipulator::{CameraManipulator, ManipulatorView};
 use crate::viewer::events::{EventKind, GuiEventAdapter, Key, Usage};
 
-/// Chooses among manipulators by keys; the one chosen goes on from where the other was. OSG's
+/// Switches between manipulators by keys; the new one continues from the pose of the old one. OSG's
 /// `KeySwitchMatrixManipulator`.
 #[derive(Default)]
 pub struct KeySwitchManipulator {
     choices: Vec<(Key, &'static str, Box<dyn CameraManipulator>)>,
     current: usize,
     pose: Option<DAffine3>,
-    announced: bool,
+    needs_notice: bool,
 }
 
 impl KeySwitchManipulator {
-    /// None to choose from.
+    /// Creates a switch without manipulators.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// With one more; the first is chosen at the start. A key that is taken already is never reached.
+    /// Adds a manipulator under a key. The first one is active at the start. When two have the same key, the earlier one
+    /// gets it.
     #[must_use]
     pub fn with(mut self, key: Key, name: &'static str, manipulator: impl CameraManipulator + 'static) -> Self {
         self.choices.push((key, name, Box::new(manipulator)));
         self
     }
 
-    /// The same with another one chosen at the start, by name.
+    /// Makes another manipulator active at the start, by name; an unknown name changes nothing.
     #[must_use]
     pub fn starting_with(mut self, name: &str) -> Self {
         self.current = self.choices.iter().position(|(_, n, _)| *n == name).unwrap_or(self.current);
         self
     }
 
-    /// Name of the one that is chosen.
+    /// Returns the name of the active manipulator; empty without one.
     pub fn current_name(&self) -> &'static str {
         self.choices.get(self.current).map_or("", |(_, name, _)| name)
     }
 
-    /// Chooses by name; false when there is none of that name.
+    /// Makes a manipulator active by name; returns false when the name is unknown.
     pub fn choose(&mut self, name: &str, view: &ManipulatorView<'_>) -> bool {
         match self.choices.iter().position(|(_, n, _)| *n == name) {
             Some(index) => {
@@ -52,15 +53,15 @@ impl KeySwitchManipulator {
     }
 
     fn switch(&mut self, index: usize, view: &ManipulatorView<'_>) {
-        self.announced |= self.current != index;
+        self.needs_notice |= self.current != index;
         self.current = index;
-        if let (Some((.., chosen)), Some(pose)) = (self.choices.get_mut(index), &self.pose) {
-            chosen.set_pose(pose, view);
+        if let (Some((.., active)), Some(pose)) = (self.choices.get_mut(index), &self.pose) {
+            active.set_pose(pose, view);
         }
     }
 
-    fn chosen(&mut self) -> Option<&mut Box<dyn CameraManipulator>> {
-        self.choices.get_mut(self.current).map(|(.., chosen)| chosen)
+    fn active(&mut self) -> Option<&mut Box<dyn CameraManipulator>> {
+        self.choices.get_mut(self.current).map(|(.., active)| active)
     }
 }
 
@@ -72,12 +73,12 @@ impl CameraManipulator for KeySwitchManipulator {
             self.switch(index, view);
             return true;
         }
-        self.chosen().is_some_and(|chosen| chosen.handle(event, view))
+        self.active().is_some_and(|active| active.handle(event, view))
     }
 
     fn advance(&mut self, dt_s: f64, view: &ManipulatorView<'_>) -> DAffine3 {
         let last = self.pose.unwrap_or(view.camera.world_from_eye);
-        let pose = self.chosen().map_or(last, |chosen| chosen.advance(dt_s, view));
+        let pose = self.active().map_or(last, |active| active.advance(dt_s, view));
         self.pose = Some(if pose.is_finite() { pose } else { last });
         self.pose.unwrap_or(last)
     }
@@ -85,29 +86,29 @@ impl CameraManipulator for KeySwitchManipulator {
     fn set_pose(&mut self, world_from_eye: &DAffine3, view: &ManipulatorView<'_>) {
         if world_from_eye.is_finite() {
             self.pose = Some(*world_from_eye);
-            self.chosen().into_iter().for_each(|chosen| chosen.set_pose(world_from_eye, view));
+            self.active().into_iter().for_each(|active| active.set_pose(world_from_eye, view));
         }
     }
 
     fn home(&mut self, view: &ManipulatorView<'_>) {
-        self.chosen().into_iter().for_each(|chosen| chosen.home(view));
+        self.active().into_iter().for_each(|active| active.home(view));
     }
 
     fn is_moving(&self) -> bool {
-        self.choices.get(self.current).is_some_and(|(.., chosen)| chosen.is_moving())
+        self.choices.get(self.current).is_some_and(|(.., active)| active.is_moving())
     }
 
     fn pose_after(&self, seconds: f64) -> Option<DAffine3> {
-        self.choices.get(self.current).and_then(|(.., chosen)| chosen.pose_after(seconds))
+        self.choices.get(self.current).and_then(|(.., active)| active.pose_after(seconds))
     }
 
     fn take_notice(&mut self) -> Option<String> {
-        std::mem::take(&mut self.announced).then(|| self.current_name().to_owned())
+        std::mem::take(&mut self.needs_notice).then(|| self.current_name().to_owned())
     }
 
     fn usage(&self) -> Vec<Usage> {
-        let switches = self.choices.iter().map(|(key, name, _)| usage(&key.to_string(), name));
-        let own = self.choices.get(self.current).map(|(.., chosen)| chosen.usage());
+        let switches = self.choices.iter().map(|(key, name, _)| Usage::new(&key.to_string(), name));
+        let own = self.choices.get(self.current).map(|(.., active)| active.usage());
         switches.chain(own.into_iter().flatten()).collect()
     }
 }

@@ -1,0 +1,11 @@
+//! The debug view of the pager: boxes of tiles, coloured by level or state.
+
+#[cfg(feature = "window")]
+mod boxes;
+mod handler;
+mod tile_colors;
+mod tile_state;
+
+pub use handler::PagerDebugHandler;
+pub use tile_colors::TileColors;
+pub use tile_state::TileState;

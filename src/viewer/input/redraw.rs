@@ -1,0 +1,27 @@
+//! Drawing on demand: whether another frame could show another image.
+
+use crate::viewer::base::ViewerBase;
+use crate::viewer::paged_scene::PagedScene;
+use crate::viewer::view::View;
+
+/// Returns false while another frame would show the same image.
+pub(in crate::viewer) fn needs_frame(base: &ViewerBase, view: &View, scenes: &[PagedScene]) -> bool {
+    base.awaits_answers() || changes(base, view, scenes)
+}
+
+/// Returns true when anything but a pending readback may change the next image.
+pub(in crate::viewer) fn changes(base: &ViewerBase, view: &View, scenes: &[PagedScene]) -> bool {
+    let (input, paged) = (&view.input, &scenes[view.scene]);
+    let pager = base.pager_of(paged);
+    input.needs_redraw
+        || !input.queue.is_empty()
+        || view.shows_overlay()
+        || input.camera_motion.is_moving()
+        || base.stamp.frame == 0
+        || base.awaits_picture()
+        || !paged.update_callbacks.is_empty()
+        || paged.scene().has_update_callbacks()
+        || !pager.is_unchanging(scenes)
+        || pager.has_due()
+        || paged.image_pager.as_ref().is_some_and(|images| images.needs_frame())
+}

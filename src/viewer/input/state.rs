@@ -1,0 +1,103 @@
+//! [`Input`]: the input state of a view.
+
+use std::sync::Arc;
+
+use glam::DVec2;
+
+use super::camera_motion::CameraMotion;
+use super::handler_list::HandlerList;
+use crate::state::StateSet;
+use crate::viewer::events::{EventQueue, GuiEventAdapter, Key};
+#[cfg(feature = "window")]
+use crate::viewer::overlay::Overlay;
+
+/// How long a notice is shown, seconds.
+const NOTICE_S: f64 = 2.5;
+
+/// A request to the window, carried out before the next frame by the code that runs the window.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum WindowCommand {
+    /// Switches between full screen and a window.
+    ToggleFullScreen,
+    /// Resizes the window to a width and height in pixels.
+    Resize([u32; 2]),
+}
+
+/// The input state of a view: queue, handlers, manipulator, notice and overlay. Main thread.
+pub(in crate::viewer) struct Input {
+    pub(super) queue: EventQueue,
+    pub(super) handlers: HandlerList,
+    pub(super) camera_motion: CameraMotion,
+    /// The events of the current frame; kept to reuse its memory.
+    pub(super) events: Vec<GuiEventAdapter>,
+    pub(super) quit_keys: Vec<Key>,
+    pub(super) is_done: bool,
+    /// True while the event phase calls handlers.
+    pub(super) is_in_event_phase: bool,
+    pub(super) window_commands: Vec<WindowCommand>,
+    /// The notice and the time of the queue until which it is shown, seconds.
+    notice: Option<(String, f64)>,
+    /// True when something since the last frame may change the image.
+    pub(super) needs_redraw: bool,
+    /// The state set above all roots.
+    pub state_set: Option<Arc<StateSet>>,
+    #[cfg(feature = "window")]
+    pub(super) overlay: Overlay,
+    /// The user's input for the overlay of the next frame, and the pixels per point.
+    #[cfg(feature = "window")]
+    pub(super) overlay_input: Option<(egui::RawInput, f32)>,
+}
+
+impl Input {
+    /// Creates the input state of a view of `size_px` pixels.
+    pub fn new(size_px: [u32; 2]) -> Self {
+        let mut queue = EventQueue::default();
+        queue.set_input_range(DVec2::ZERO, DVec2::new(f64::from(size_px[0].max(1)), f64::from(size_px[1].max(1))));
+        Self {
+            queue,
+            handlers: HandlerList::default(),
+            camera_motion: CameraMotion::default(),
+            events: Vec::new(),
+            quit_keys: vec![Key::Escape],
+            is_done: false,
+            is_in_event_phase: false,
+            window_commands: Vec::new(),
+            notice: None,
+            needs_redraw: true,
+            state_set: None,
+            #[cfg(feature = "window")]
+            overlay: Overlay::default(),
+            #[cfg(feature = "window")]
+            overlay_input: None,
+        }
+    }
+
+    /// Queues a resize event after the view's size has changed.
+    pub fn resized(&mut self, size_px: [u32; 2]) {
+        let time_s = self.queue.time_s();
+        self.queue.window_resize(size_px, time_s);
+    }
+
+    /// Replaces the overlay by an empty one, after its device was lost.
+    #[cfg(feature = "window")]
+    pub fn reset_overlay(&mut self) {
+        self.overlay = Overlay::default();
+    }
+
+    /// Shows a line of text for [`NOTICE_S`].
+    pub(super) fn set_notice(&mut self, text: String) {
+        self.notice = Some((text, self.queue.time_s() + NOTICE_S));
+    }
+
+    pub(super) fn notice(&self) -> Option<&str> {
+        self.notice.as_ref().map(|(text, _)| &**text)
+    }
+
+    /// Removes a notice whose time is over, and requests one more frame without it.
+    pub(super) fn expire_notice(&mut self, time_s: f64) {
+        if self.notice.as_ref().is_some_and(|(_, until_s)| time_s > *until_s) {
+            self.notice = None;
+            self.needs_redraw = true;
+        }
+    }
+}
