@@ -1,38 +1,37 @@
-//! The display that windows open on: whether there is one, the event loop on it, and what is wrong with it in one line.
-//! Main thread.
+//! The display on which windows open: detection, its event loop, and errors that say what is missing. Main thread.
 
 use winit::error::{EventLoopError, OsError};
 use winit::event_loop::EventLoop;
 
 use super::ViewerError;
 
-/// Systems where variables of the environment name the display.
+/// True on systems where environment variables name the display.
 const BY_VARIABLES: bool =
     cfg!(any(target_os = "linux", target_os = "freebsd", target_os = "openbsd", target_os = "netbsd"));
 
-/// Variables that name a display, in the order asked.
+/// The environment variables that name a display, in order of precedence.
 const VARIABLES: [&str; 3] = ["WAYLAND_DISPLAY", "WAYLAND_SOCKET", "DISPLAY"];
 
-/// True when there is a display that a window could open on.
+/// Returns true when there is a display on which a window could open.
 pub fn has_display() -> bool {
-    !BY_VARIABLES || named_display(false, said).is_some()
+    !BY_VARIABLES || named_display(false, value_of).is_some()
 }
 
-fn said(variable: &str) -> Option<String> {
+fn value_of(variable: &str) -> Option<String> {
     std::env::var_os(variable).map(|value| value.to_string_lossy().into_owned()).filter(|value| !value.is_empty())
 }
 
-/// The variable that names the display, and its value; X11's alone where `is_x11`.
-fn named_display(is_x11: bool, said: impl Fn(&str) -> Option<String>) -> Option<(&'static str, String)> {
+/// Returns the variable that names the display, and its value; with `is_x11` only `DISPLAY` counts.
+fn named_display(is_x11: bool, value_of: impl Fn(&str) -> Option<String>) -> Option<(&'static str, String)> {
     let variables = if is_x11 { &VARIABLES[2..] } else { &VARIABLES[..] };
-    variables.iter().find_map(|name| said(name).map(|value| (*name, value)))
+    variables.iter().find_map(|name| value_of(name).map(|value| (*name, value)))
 }
 
-/// The event loop; on X11 alone where the window opens in one of X11's.
+/// Creates the event loop. With `is_x11` it uses X11, because the window opens inside a window of X11.
 pub(super) fn event_loop(is_x11: bool) -> Result<EventLoop<()>, ViewerError> {
-    // winit panics where a library that it loads at run time is missing.
+    // winit panics when a library that it loads at run time is missing.
     #[cfg(target_os = "linux")]
-    if let Some(library) = named_display(is_x11, said).and_then(|(name, _)| missing_library(name == "DISPLAY")) {
+    if let Some(library) = named_display(is_x11, value_of).and_then(|(name, _)| missing_library(name == "DISPLAY")) {
         return Err(unreachable_display(is_x11, &format!("the keyboard library {library} is missing")));
     }
     let event_loop = std::panic::catch_unwind(|| new_event_loop(is_x11))
@@ -43,7 +42,7 @@ pub(super) fn event_loop(is_x11: bool) -> Result<EventLoop<()>, ViewerError> {
     })
 }
 
-/// Of those that winit cannot do without, with the name of Debian's package.
+/// Returns the first missing library that winit requires, with the name of its Debian package.
 #[cfg(target_os = "linux")]
 fn missing_library(is_x11: bool) -> Option<&'static str> {
     if xkbcommon_dl::xkbcommon_option().is_none() {
@@ -66,7 +65,7 @@ fn new_event_loop(is_x11: bool) -> Result<EventLoop<()>, EventLoopError> {
 }
 
 fn unreachable_display(is_x11: bool, reason: &str) -> ViewerError {
-    let display = match named_display(is_x11, said) {
+    let display = match named_display(is_x11, value_of) {
         Some((name, value)) => format!("the display of {name}=`{value}`"),
         None if !BY_VARIABLES => "the display".to_owned(),
         None if is_x11 => "an X11 display, which DISPLAY does not name,".to_owned(),
@@ -75,12 +74,12 @@ fn unreachable_display(is_x11: bool, reason: &str) -> ViewerError {
     ViewerError::Display { display, reason: reason.to_owned() }
 }
 
-/// What the system says, without the place in winit's source that winit puts before it.
+/// Returns the system's error text without the source location that winit prepends.
 pub(super) fn reason_of(error: &OsError) -> String {
-    without_place(&error.to_string()).to_owned()
+    without_source_location(&error.to_string()).to_owned()
 }
 
-fn without_place(text: &str) -> &str {
+fn without_source_location(text: &str) -> &str {
     // `path:line: reason`
     let split = text.strip_prefix("os error at ").and_then(|place| place.split_once(".rs:"));
     match split.and_then(|(_, rest)| rest.split_once(": ")) {
@@ -94,7 +93,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_display_is_that_which_winit_asks_for() {
+    fn display_variable_is_the_one_that_winit_uses() {
         let of = |set: &'static [(&str, &str)]| {
             move |name: &str| set.iter().find(|(n, _)| *n == name).map(|(_, v)| (*v).to_owned())
         };
@@ -108,12 +107,12 @@ mod tests {
     }
 
     #[test]
-    fn the_place_in_a_source_is_left_out_and_nothing_else() {
+    fn only_the_source_location_is_removed() {
         let with_place = "os error at /home/me/winit/src/x11.rs:765: no: connection";
-        assert_eq!(without_place(with_place), "no: connection");
-        assert_eq!(without_place(r"os error at C:\a b\mod.rs:7: gone"), "gone");
+        assert_eq!(without_source_location(with_place), "no: connection");
+        assert_eq!(without_source_location(r"os error at C:\a b\mod.rs:7: gone"), "gone");
         for other in ["Failed to open", "os error at the end", "os error at a.rs:x: y", "os error at a.rs:12"] {
-            assert_eq!(without_place(other), other);
+            assert_eq!(without_source_location(other), other);
         }
     }
 }

@@ -113,7 +113,7 @@ const SETTINGS: [(&str, &str, Setter); 17] = [
     ("TERRANE_DISPLAY_TYPE", "--display-type", |s, v| one_of(v, &DisplayType::ALL).map(|v| s.display_type = v)),
     ("TERRANE_STEREO_MODE", "--stereo-mode", |s, v| v.parse().map(|v| s.stereo_mode = v)),
     ("TERRANE_STEREO", "--stereo", |s, v| {
-        // As in OSG, naming a mode turns stereo on.
+        // Naming a mode turns stereo on, as in OSG.
         match v.parse() {
             Ok(mode) => (s.stereo, s.stereo_mode) = (true, mode),
             Err(_) => s.stereo = parse_switch(v).map_err(|e| format!("{e}, nor a stereo mode"))?,

@@ -20,8 +20,8 @@ const DOUBLE_CLICK_S: f64 = 0.4;
 const DOUBLE_CLICK_PX: f64 = 5.0;
 /// The capacity of the channel for events from other threads.
 const MAX_USER_EVENTS: usize = 1024;
-/// The number of queued events above which a pointer motion replaces the previous one. So many queue up only when no frames
-/// are drawn.
+/// The number of queued events above which a pointer motion replaces the previous one. The queue grows that long only while
+/// no frames are drawn.
 const MERGE_MOTION_ABOVE: usize = 1024;
 
 /// Sends events of the application from any thread.

@@ -123,7 +123,10 @@ fn several_views_open_as_a_file_says_and_each_has_its_events() {
     // An invalid file is one line.
     std::fs::write(&alone, r#"{"views": [{"cameras": [{"window": 2}]}]}"#).unwrap();
     for (command, says) in [
-        (&["view", "--config"][..], "alone.json: views[0].cameras[0].window: there are 1 windows, counted from 0"),
+        (
+            &["view", "--config"][..],
+            "alone.json: views[0].cameras[0].window: there is no window 1: there are 1 windows, counted from 0",
+        ),
         (&["fly", set.to_str().unwrap(), "--config"], "alone.json: views[0].cameras[0].window"),
     ] {
         let mut program = Command::new(env!("CARGO_BIN_EXE_terrane"));

@@ -200,7 +200,7 @@ impl CameraFields {
         })
     }
 
-    /// Returns the name of the first field that places the camera relative to the master.
+    /// Returns the name of the first field that sets an offset from the master.
     fn first_offset(&self) -> Option<&'static str> {
         let offsets = [
             ("turn_deg", self.turn_deg.is_some()),
