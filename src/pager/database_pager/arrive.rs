@@ -179,5 +179,5 @@ fn too_large(uri: String, size: MemoryUse, max: MemoryUse) -> IoError {
 
 /// Returns a factor from 1 to 1.25 by the number of an attempt: contents that failed together are not retried together.
 fn spread(ticket: Ticket) -> f64 {
-    1.0 + (ticket.number().wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 40) as f64 / (1u64 << 26) as f64
+    1.0 + (crate::math::random::fibonacci_hash(ticket.number()) >> 40) as f64 / (1u64 << 26) as f64
 }

@@ -211,7 +211,7 @@ impl Arrivals {
         let mut drawables = Some(drawables);
         for (i, context) in contexts.iter_mut().enumerate() {
             let copy = if i == last { drawables.take() } else { drawables.clone() };
-            context.foresee(&kinds);
+            context.prewarm(&kinds);
             context.compile(CompileOperation { ticket, drawables: copy.unwrap_or_default() });
             if !pre_compile {
                 context.run_compiles(&CompileBudget { time: Duration::MAX, bytes: u64::MAX });

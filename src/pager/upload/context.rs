@@ -10,7 +10,7 @@ pub trait CompileContext {
     /// Returns the id of the context; pages keep their draw slots by it.
     fn id(&self) -> u32;
     /// Announces the kinds of drawables of the next [`Self::compile`], so that their pipelines can be prewarmed.
-    fn foresee(&mut self, _kinds: &Arc<[DrawKind]>) {}
+    fn prewarm(&mut self, _kinds: &Arc<[DrawKind]>) {}
     /// Queues drawables for upload within the context's budget per frame.
     fn compile(&mut self, operation: CompileOperation);
     /// Cancels operations: those that have not begun may end with nothing uploaded. Each is still answered.
