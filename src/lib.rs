@@ -12,12 +12,24 @@
 
 pub mod cull;
 pub mod draw;
+pub mod fetch;
+pub mod formats;
 pub mod gpu;
-pub mod io;
+/// Names of [`fetch`] and [`formats`] under their former common path.
+pub mod io {
+    pub use crate::fetch::*;
+    pub use crate::formats::writers as write;
+    pub use crate::formats::*;
+}
 pub mod math;
 pub mod pager;
 pub mod scene;
 pub mod state;
 pub mod sync;
-pub mod timeline;
+pub mod trace;
+/// Names of [`trace`] under their former path.
+pub mod timeline {
+    pub use crate::trace::*;
+    pub use crate::trace::{TraceError as TimelineError, TraceSummary as TimelineSummary};
+}
 pub mod viewer;

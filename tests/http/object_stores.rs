@@ -356,7 +356,7 @@ fn wrong_store_options_are_reported() {
     let unknown = HttpConfig { store_options: options(&[("aws_colour", SECRET)]), ..HttpConfig::default() };
     let nobody = s3("http://127.0.0.1:1");
     for (config, uri, part) in [
-        (&closed, "s3://b/key", "open connection"),
+        (&closed, "s3://b/key", "unencrypted connection"),
         (&unknown, "s3://b/key", "aws_colour"),
         (&s3(&server.url), "s3://b/a//b", "empty"),
         (&s3(&server.url), "s3://b/%zz", "escape"),

@@ -1,0 +1,191 @@
+//! [`IoError`]: everything that can fail between a URI and a page.
+
+use std::time::Duration;
+
+use super::uri::{is_remote, shown};
+
+/// The reason why a URI could not be read or decoded. Every variant names the URI. The error text omits the user name, the
+/// password and the query values of a URL, since they may be secrets ([`shown`]).
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum IoError {
+    /// The file does not exist or the server answered 404 or 410.
+    #[error("{}: not found", shown(.uri))]
+    NotFound {
+        /// The URI that was requested.
+        uri: String,
+    },
+    /// The operating system reported an error for a file.
+    #[error("{}: {reason}", shown(.uri))]
+    File {
+        /// The URI that was requested.
+        uri: String,
+        /// The message of the operating system.
+        reason: String,
+        /// True if a retry may succeed: too many files were open, or a disk or a mount was missing.
+        may_pass: bool,
+    },
+    /// The server answered with a failure status.
+    #[error("{}: HTTP status {status}", shown(.uri))]
+    Status {
+        /// The URI that was requested.
+        uri: String,
+        /// HTTP status code.
+        status: u16,
+        /// The pause that the server asks for (`Retry-After`).
+        retry_after: Option<Duration>,
+    },
+    /// The connection failed: it was refused or reset, or the name was not found.
+    #[error("{}: {reason}", shown(.uri))]
+    Network {
+        /// The URI that was requested.
+        uri: String,
+        /// The message of the HTTP client.
+        reason: String,
+    },
+    /// TLS failed: the certificate has an unknown issuer, is for another name, or has expired.
+    #[error("{}: {reason}", shown(.uri))]
+    Tls {
+        /// The URI that was requested.
+        uri: String,
+        /// The message of the HTTP client.
+        reason: String,
+    },
+    /// The answer did not arrive completely within a time limit.
+    #[error("{}: timed out after {seconds} s ({phase})", shown(.uri))]
+    Timeout {
+        /// The URI that was requested.
+        uri: String,
+        /// The phase that timed out, such as `connecting`.
+        phase: &'static str,
+        /// The time limit in seconds.
+        seconds: f64,
+    },
+    /// The URI is not in the cache, and the cache is offline, so no server was asked.
+    #[error("{}: not in the cache, and offline", shown(.uri))]
+    Offline {
+        /// The URI that was requested.
+        uri: String,
+    },
+    /// The URI is malformed or not allowed.
+    #[error("{}: {reason}", shown(.uri))]
+    Uri {
+        /// The URI as written.
+        uri: String,
+        /// The rule that it violates.
+        reason: String,
+    },
+    /// The bytes violate their format.
+    #[error("{}: {reason}", shown(.uri))]
+    Invalid {
+        /// The URI of the bytes.
+        uri: String,
+        /// The violated rule.
+        reason: String,
+    },
+    /// An HTML or XML page arrived with status 200 instead of the content. Servers and login portals send such error pages.
+    #[error("{}: markup instead of content (an error page?)", shown(.uri))]
+    Markup {
+        /// The URI that was requested.
+        uri: String,
+    },
+    /// The data is well formed, but uses a feature that this version does not read.
+    #[error("{}: {what} is not supported", shown(.uri))]
+    Unsupported {
+        /// The URI of the bytes.
+        uri: String,
+        /// The format, extension or feature.
+        what: String,
+    },
+    /// The data is larger than [`Limits`](super::Limits) allow.
+    #[error("{}: {what} is {got}, the limit is {limit}", shown(.uri))]
+    TooLarge {
+        /// The URI of the bytes.
+        uri: String,
+        /// The thing that is too large, such as `file`.
+        what: &'static str,
+        /// Its size, or a lower bound of it.
+        got: u64,
+        /// The limit.
+        limit: u64,
+    },
+}
+
+impl IoError {
+    /// Returns the URI that failed, secrets included. Use [`shown`] before printing it.
+    pub fn uri(&self) -> &str {
+        match self {
+            Self::NotFound { uri }
+            | Self::File { uri, .. }
+            | Self::Status { uri, .. }
+            | Self::Network { uri, .. }
+            | Self::Tls { uri, .. }
+            | Self::Timeout { uri, .. }
+            | Self::Offline { uri }
+            | Self::Uri { uri, .. }
+            | Self::Invalid { uri, .. }
+            | Self::Markup { uri }
+            | Self::Unsupported { uri, .. }
+            | Self::TooLarge { uri, .. } => uri,
+        }
+    }
+
+    /// Returns the message without the URI.
+    pub fn reason(&self) -> String {
+        let text = self.to_string();
+        text.strip_prefix(&*shown(self.uri())).and_then(|t| t.strip_prefix(": ")).map_or(text.clone(), str::to_owned)
+    }
+
+    /// Returns true if a later retry may succeed.
+    pub fn is_transient(&self) -> bool {
+        match self {
+            Self::Network { .. } | Self::Timeout { .. } => true,
+            Self::Status { status, .. } => *status >= 500 || *status == 429 || *status == 408,
+            Self::Markup { uri } | Self::Invalid { uri, .. } => is_remote(uri),
+            Self::File { may_pass, .. } => *may_pass,
+            _ => false,
+        }
+    }
+
+    /// Returns true for transient errors that mostly persist: damaged bytes and failing disks. They deserve only a few
+    /// retries.
+    pub fn is_doubtful(&self) -> bool {
+        self.is_transient() && matches!(self, Self::Invalid { .. } | Self::File { .. })
+    }
+
+    /// Returns true if the bytes themselves are wrong. No cache may keep them.
+    pub(crate) fn is_no_content(&self) -> bool {
+        matches!(self, Self::Invalid { .. } | Self::Markup { .. })
+    }
+
+    /// Returns the shortest pause before a retry, if the server named one.
+    pub fn retry_after(&self) -> Option<Duration> {
+        match self {
+            Self::Status { retry_after, .. } => *retry_after,
+            _ => None,
+        }
+    }
+
+    /// Converts an error of the operating system for a file.
+    pub(crate) fn of_file(uri: &str, error: &std::io::Error) -> Self {
+        use std::io::ErrorKind;
+        let uri = uri.to_owned();
+        let may_pass = match error.kind() {
+            ErrorKind::NotFound => return Self::NotFound { uri },
+            ErrorKind::PermissionDenied
+            | ErrorKind::NotADirectory
+            | ErrorKind::IsADirectory
+            | ErrorKind::InvalidInput
+            | ErrorKind::InvalidFilename => false,
+            _ => true,
+        };
+        Self::File { uri, reason: error.to_string(), may_pass }
+    }
+
+    pub(crate) fn invalid(uri: &str, reason: impl Into<String>) -> Self {
+        Self::Invalid { uri: uri.to_owned(), reason: reason.into() }
+    }
+
+    pub(crate) fn unsupported(uri: &str, what: impl Into<String>) -> Self {
+        Self::Unsupported { uri: uri.to_owned(), what: what.into() }
+    }
+}

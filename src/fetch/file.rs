@@ -1,0 +1,104 @@
+//! Reads local files and members of local archives, and decompresses gzip. Blocking; called on the pager's file threads.
+
+use std::io::{ErrorKind, Read};
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use lru::LruCache;
+
+use super::archive::{LocalArchive, MAX_CACHED_ARCHIVES, MAX_CACHED_DIRECTORY_BYTES, evict_lru, split_path};
+use super::encoding::gunzip;
+use super::error::IoError;
+use super::limits::Limits;
+use super::panic_guard::guarded;
+
+/// Reading a file whose name ends like this panics, so that tests can check the handling of decoder panics.
+#[cfg(test)]
+pub(crate) const PANICS: &str = "panics.zip/a";
+
+/// Reads files and members of archives, and caches the directories of the archives. Shared by the file threads.
+#[derive(Debug)]
+pub struct FileReader {
+    limits: Limits,
+    /// Open archives by path. The file threads lock it briefly; directories are read without the lock.
+    archives: Mutex<LruCache<PathBuf, Arc<LocalArchive>>>,
+}
+
+impl FileReader {
+    /// Creates a reader that applies the limits before and after decompression.
+    pub fn new(limits: Limits) -> Self {
+        Self { limits, archives: Mutex::new(LruCache::new(MAX_CACHED_ARCHIVES)) }
+    }
+
+    /// Reads a whole file and decompresses gzip. A path that continues after the name of an archive means a file inside it.
+    pub fn read(&self, uri: &str) -> Result<Vec<u8>, IoError> {
+        guarded(uri, || self.read_unguarded(uri))
+    }
+
+    fn read_unguarded(&self, uri: &str) -> Result<Vec<u8>, IoError> {
+        #[cfg(test)]
+        assert!(!uri.ends_with(PANICS), "a codec has a defect");
+        let limits = &self.limits;
+        let Some(metadata) = self.metadata(uri)? else {
+            let (archive, name) = self.open_archive_of(uri)?;
+            return gunzip(uri, archive.read(uri, &name, limits)?, limits);
+        };
+        let refused = |reason: &str| IoError::File { uri: uri.to_owned(), reason: reason.to_owned(), may_pass: false };
+        if metadata.is_dir() {
+            return Err(refused("is a folder"));
+        }
+        // Reading a pipe or a device may block forever.
+        if !metadata.is_file() {
+            return Err(refused("is not a regular file"));
+        }
+        limits.check_file_bytes(uri, metadata.len())?;
+        let file = std::fs::File::open(uri).map_err(|e| IoError::of_file(uri, &e))?;
+        let mut bytes = Vec::with_capacity(metadata.len() as usize);
+        file.take(limits.max_file_bytes + 1).read_to_end(&mut bytes).map_err(|e| IoError::of_file(uri, &e))?;
+        limits.check_file_bytes(uri, bytes.len() as u64)?;
+        gunzip(uri, bytes, limits)
+    }
+
+    /// Returns the size in bytes of a file, or of a file inside an archive, as stored (gzip not decompressed).
+    pub fn size(&self, uri: &str) -> Result<u64, IoError> {
+        guarded(uri, || match self.metadata(uri)? {
+            Some(metadata) => Ok(metadata.len()),
+            None => {
+                let (archive, name) = self.open_archive_of(uri)?;
+                archive.size(uri, &name, &self.limits)
+            }
+        })
+    }
+
+    /// Returns `None` if the file does not exist.
+    fn metadata(&self, uri: &str) -> Result<Option<std::fs::Metadata>, IoError> {
+        match std::fs::metadata(uri) {
+            Ok(metadata) => Ok(Some(metadata)),
+            Err(e) if matches!(e.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => Ok(None),
+            Err(e) => Err(IoError::of_file(uri, &e)),
+        }
+    }
+
+    /// Returns the archive that contains a path, and the name inside it.
+    fn open_archive_of(&self, uri: &str) -> Result<(Arc<LocalArchive>, String), IoError> {
+        let (path, name) = split_path(uri).ok_or_else(|| IoError::NotFound { uri: uri.to_owned() })?;
+        let cached = self.cached().get(&path).cloned();
+        if let Some(archive) = cached.filter(|archive| archive.is_current()) {
+            return Ok((archive, name));
+        }
+        let archive = Arc::new(LocalArchive::open(&path, &self.limits)?);
+        let mut cached = self.cached();
+        cached.put(path, archive.clone());
+        evict_lru(&mut cached, MAX_CACHED_DIRECTORY_BYTES, |archive| archive.bytes());
+        Ok((archive, name))
+    }
+
+    fn cached(&self) -> MutexGuard<'_, LruCache<PathBuf, Arc<LocalArchive>>> {
+        self.archives.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Reads one file like [`FileReader::read`].
+pub fn read_file(uri: &str, limits: &Limits) -> Result<Vec<u8>, IoError> {
+    FileReader::new(*limits).read(uri)
+}

@@ -1,0 +1,167 @@
+//! [`HttpCache`]: the disk cache as the HTTP thread uses it. Reads run on blocking threads, writes after the answer.
+
+use std::sync::Arc;
+use std::time::{Instant, SystemTime};
+
+use reqwest::header::{ETAG, HeaderMap, HeaderName, LAST_MODIFIED};
+use tokio::sync::Semaphore;
+
+use super::blocking::run_blocking;
+use super::body::HttpBody;
+use crate::fetch::cache::Entry;
+use crate::fetch::{DiskCache, IoError, Limits, encoding};
+
+/// The maximum number of bodies that wait to be written to disk. The next body waits until one is done.
+const MAX_PENDING_WRITES: usize = 64;
+
+/// Decides whether fresh cache entries are used without asking the server.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(in crate::fetch) enum CachePolicy {
+    UseFresh,
+    /// Asks the server about every entry, however fresh.
+    AlwaysRevalidate,
+}
+
+impl CachePolicy {
+    /// Returns true if an entry may be used without asking its server.
+    pub fn allows(self, cache: &DiskCache, entry: &Entry) -> bool {
+        cache.is_offline() || (self == Self::UseFresh && entry.is_fresh(SystemTime::now()))
+    }
+}
+
+/// A cached answer.
+pub(super) enum Lookup {
+    /// An entry that may be used without asking, with its decompressed body.
+    Fresh(Entry, Vec<u8>),
+    /// An entry that the server must confirm. Its body has not been read yet.
+    Stale(Entry),
+    Miss,
+}
+
+/// The disk cache and the queue of writes to it. Cheap to clone.
+#[derive(Clone, Debug)]
+pub(in crate::fetch) struct HttpCache {
+    disk: Arc<DiskCache>,
+    /// Holds one permit for each body on its way to the disk.
+    writes: Arc<Semaphore>,
+}
+
+impl HttpCache {
+    pub fn new(disk: DiskCache) -> Self {
+        Self { disk: Arc::new(disk), writes: Arc::new(Semaphore::new(MAX_PENDING_WRITES)) }
+    }
+
+    pub fn disk(&self) -> &Arc<DiskCache> {
+        &self.disk
+    }
+
+    /// Waits until all pending writes are done.
+    pub async fn flush(&self) {
+        // Fails only for a closed semaphore, and this one is never closed.
+        let _ = self.writes.acquire_many(MAX_PENDING_WRITES as u32).await;
+    }
+
+    /// Counts a cache hit and returns its body.
+    pub fn hit(&self, entry: &Entry, bytes: Vec<u8>, asked: bool) -> HttpBody {
+        self.disk.count_hit(entry.size, asked);
+        HttpBody { bytes, network_bytes: 0, asked }
+    }
+
+    pub(super) async fn look_up(&self, uri: &str, policy: CachePolicy, limits: &Limits) -> Result<Lookup, IoError> {
+        let (disk, of, limits) = (self.disk.clone(), uri.to_owned(), *limits);
+        run_blocking(uri, move || {
+            let Some(entry) = disk.entry(&of) else { return Lookup::Miss };
+            if !policy.allows(&disk, &entry) {
+                return Lookup::Stale(entry);
+            }
+            match read_body(&disk, &of, &entry, &limits) {
+                Some(bytes) => Lookup::Fresh(entry, bytes),
+                None => Lookup::Miss,
+            }
+        })
+        .await
+    }
+
+    /// Reads the entry of a URI and its decompressed body, however old.
+    pub async fn load(&self, uri: &str, limits: &Limits) -> Result<Option<(Entry, Vec<u8>)>, IoError> {
+        let (disk, of, limits) = (self.disk.clone(), uri.to_owned(), *limits);
+        run_blocking(uri, move || {
+            let entry = disk.entry(&of)?;
+            let bytes = read_body(&disk, &of, &entry, &limits)?;
+            Some((entry, bytes))
+        })
+        .await
+    }
+
+    /// Reads the decompressed body of an entry. Returns `None` if it is missing or damaged.
+    pub(super) async fn load_body(
+        &self,
+        uri: &str,
+        entry: &Entry,
+        limits: &Limits,
+    ) -> Result<Option<Vec<u8>>, IoError> {
+        let (disk, of, entry, limits) = (self.disk.clone(), uri.to_owned(), entry.clone(), *limits);
+        run_blocking(uri, move || read_body(&disk, &of, &entry, &limits)).await
+    }
+
+    /// Returns true if the cache has a body for a URI, without reading it.
+    pub async fn contains(&self, uri: &str) -> bool {
+        let (disk, of) = (self.disk.clone(), uri.to_owned());
+        run_blocking(uri, move || disk.has(&of)).await.unwrap_or(false)
+    }
+
+    /// Stores a body. `requested_at` is the time before its request was sent.
+    pub async fn store(&self, uri: &str, entry: Entry, body: Vec<u8>, requested_at: Instant) {
+        let of = uri.to_owned();
+        self.write_behind(move |disk| disk.store(&of, entry, &body, requested_at)).await;
+    }
+
+    /// Replaces the entry of a URI whose body stays.
+    pub(super) async fn renew(&self, uri: &str, entry: Entry) {
+        let of = uri.to_owned();
+        self.write_behind(move |disk| disk.try_renew(&of, &entry)).await;
+    }
+
+    /// Removes the entry and the body of a URI.
+    pub(super) async fn forget(&self, uri: &str) {
+        let of = uri.to_owned();
+        self.write_behind(move |disk| disk.forget(&of)).await;
+    }
+
+    /// Removes the entry of a URI, because its new answer must not be stored.
+    pub async fn remove_entry(&self, uri: &str) {
+        let of = uri.to_owned();
+        self.write_behind(move |disk| disk.remove_entry(&of)).await;
+    }
+
+    /// Writes on a blocking thread without delaying the answer.
+    async fn write_behind(&self, write: impl FnOnce(&DiskCache) + Send + 'static) {
+        let Ok(permit) = self.writes.clone().acquire_owned().await else { return };
+        let disk = self.disk.clone();
+        tokio::task::spawn_blocking(move || {
+            write(&disk);
+            drop(permit);
+        });
+    }
+}
+
+/// Reads the decompressed body of an entry. A body that cannot be decompressed is removed.
+fn read_body(disk: &DiskCache, uri: &str, entry: &Entry, limits: &Limits) -> Option<Vec<u8>> {
+    let body = disk.body(uri, entry, limits)?;
+    let bytes = encoding::decode(uri, body, &entry.encoding, limits);
+    if bytes.is_err() {
+        disk.forget(uri);
+    }
+    bytes.ok()
+}
+
+/// Copies the validators of an answer to its cache entry. Headers that are missing leave the entry's validators unchanged.
+pub(in crate::fetch) fn copy_validators(entry: &mut Entry, headers: &HeaderMap) {
+    let text = |name: HeaderName| headers.get(name).and_then(|v| v.to_str().ok()).map(str::to_owned);
+    if let Some(etag) = text(ETAG) {
+        entry.etag = Some(etag);
+    }
+    if let Some(date) = text(LAST_MODIFIED) {
+        entry.last_modified = Some(date);
+    }
+}

@@ -1,0 +1,166 @@
+//! [`HttpClient`]: the content of URLs, of objects in stores, and of members of remote archives.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use super::body::{HttpBody, accept_all_encodings, content_encodings, decode_body};
+use super::cache_access::{CachePolicy, HttpCache};
+use super::config::HttpConfig;
+use super::retry_policy::retry_after;
+use super::revalidation;
+use super::transport::Transport;
+use crate::fetch::archive::{MemberUri, RemoteArchives, parse_content_range, split_url};
+use crate::fetch::cache::Freshness;
+use crate::fetch::{DiskCache, IoError, Limits};
+
+/// A client with its connection pool. Cheap to clone; used inside a tokio runtime.
+#[derive(Clone, Debug)]
+pub struct HttpClient {
+    inner: Arc<Inner>,
+    cache_policy: CachePolicy,
+}
+
+#[derive(Debug)]
+struct Inner {
+    transport: Transport,
+    archives: RemoteArchives,
+    cache: Option<HttpCache>,
+}
+
+impl HttpClient {
+    /// Creates a client.
+    ///
+    /// # Errors
+    /// Fails if TLS cannot be initialized, a certificate file is invalid, or the cache cannot be opened.
+    pub fn new(config: &HttpConfig) -> Result<Self, IoError> {
+        let transport = Transport::new(config)?;
+        let cache = config.cache.as_ref().map(DiskCache::open).transpose()?;
+        #[cfg(feature = "object-store")]
+        let cache =
+            cache.map(|cache| cache.with_store_locations(crate::fetch::object_store::locations(&config.store_options)));
+        let inner = Inner { transport, archives: RemoteArchives::new(), cache: cache.map(HttpCache::new) };
+        Ok(Self { inner: Arc::new(inner), cache_policy: CachePolicy::UseFresh })
+    }
+
+    /// Returns a client with the same connections and cache that revalidates every cached answer.
+    pub(crate) fn revalidating(&self) -> Self {
+        Self { cache_policy: CachePolicy::AlwaysRevalidate, ..self.clone() }
+    }
+
+    /// Returns the configuration.
+    pub fn config(&self) -> &HttpConfig {
+        self.inner.transport.config()
+    }
+
+    /// Returns the disk cache, if one is configured.
+    pub fn cache(&self) -> Option<&Arc<DiskCache>> {
+        self.inner.cache.as_ref().map(HttpCache::disk)
+    }
+
+    /// Discards what was received for a URI, because its bytes turned out to be invalid. The cache removes it, and the
+    /// directory of an archive that contains it may be read again.
+    pub(crate) fn forget(&self, uri: &str) {
+        if let Some(cache) = self.cache() {
+            cache.forget(uri);
+        }
+        if let Some((url, _)) = split_url(uri) {
+            self.inner.archives.suspect(&url);
+        }
+    }
+
+    /// Waits until everything received is written to the cache.
+    pub async fn flush(&self) {
+        if let Some(cache) = &self.inner.cache {
+            cache.flush().await;
+        }
+    }
+
+    /// Returns the decompressed content of a URL or of an object in a store, from the cache while it is valid. A URL that
+    /// continues after the name of an archive (`.3tz`, `.zip`) means a file inside it. Retries transient failures with
+    /// exponential back-off.
+    pub async fn get(&self, uri: &str, limits: &Limits) -> Result<HttpBody, IoError> {
+        let Inner { transport, archives, cache } = &*self.inner;
+        if let Some((url, name)) = split_url(uri) {
+            let member = MemberUri { uri, archive_url: &url, name: &name };
+            return archives.get(transport, cache.as_ref(), self.cache_policy, member, limits).await;
+        }
+        match cache {
+            Some(cache) => revalidation::get(transport, cache, self.cache_policy, uri, limits).await,
+            None => {
+                let answer = transport.exchange(uri, &accept_all_encodings(), None, limits).await?;
+                if !answer.is_whole() {
+                    return Err(answer.error(uri));
+                }
+                let network_bytes = answer.body.len() as u64;
+                let bytes = decode_body(uri, answer.body, content_encodings(&answer.headers), limits).await?;
+                Ok(HttpBody { bytes, network_bytes, asked: true })
+            }
+        }
+    }
+
+    /// Returns the cached content of a URI, however old, without asking a server.
+    pub(crate) async fn get_cached(&self, uri: &str, limits: &Limits) -> Option<Vec<u8>> {
+        self.inner.cache.as_ref()?.load(uri, limits).await.ok()?.map(|(_, bytes)| bytes)
+    }
+
+    /// Returns true if the cache has the content of a URI.
+    pub(crate) async fn is_cached(&self, uri: &str) -> bool {
+        match &self.inner.cache {
+            Some(cache) => cache.contains(uri).await,
+            None => false,
+        }
+    }
+}
+
+/// Creates the single-threaded runtime that a client is used in.
+pub(crate) fn runtime(name: &str) -> std::io::Result<tokio::runtime::Runtime> {
+    tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .thread_name(format!("{name}-io"))
+        .max_blocking_threads(4)
+        .thread_keep_alive(Duration::from_secs(10))
+        .build()
+}
+
+/// A client that blocks the calling thread and sends one request at a time.
+#[derive(Debug)]
+pub(crate) struct BlockingHttpClient {
+    runtime: tokio::runtime::Runtime,
+    client: HttpClient,
+}
+
+impl BlockingHttpClient {
+    pub fn new(config: &HttpConfig) -> Result<Self, IoError> {
+        let failed = |e: std::io::Error| IoError::Network { uri: String::new(), reason: e.to_string() };
+        Ok(Self { runtime: runtime("http").map_err(failed)?, client: HttpClient::new(config)? })
+    }
+
+    /// Blocks until the content of a URI has arrived and is written to the cache.
+    pub fn get(&self, uri: &str, limits: &Limits) -> Result<Vec<u8>, IoError> {
+        self.runtime.block_on(async {
+            let body = self.client.get(uri, limits).await?;
+            self.client.flush().await;
+            Ok(body.bytes)
+        })
+    }
+}
+
+/// Parses any text as each header that the client reads. Entry point of the fuzz tests.
+#[doc(hidden)]
+pub fn fuzz_headers(text: &str) {
+    use reqwest::header::{AGE, CACHE_CONTROL, DATE, EXPIRES, HeaderMap, HeaderValue, RETRY_AFTER, VARY};
+    let Ok(value) = HeaderValue::from_str(text) else { return };
+    for now in [std::time::SystemTime::now(), std::time::UNIX_EPOCH] {
+        let headers: HeaderMap = [RETRY_AFTER, CACHE_CONTROL, AGE, EXPIRES, DATE, VARY]
+            .map(|name| (name, value.clone()))
+            .into_iter()
+            .collect();
+        let _ = retry_after(&headers, now);
+        for name in [CACHE_CONTROL, AGE, EXPIRES, DATE, VARY] {
+            let alone: HeaderMap = [(name, value.clone())].into_iter().collect();
+            Freshness::of(&alone, now);
+        }
+        Freshness::of(&headers, now);
+    }
+    let _ = parse_content_range(text);
+}

@@ -1,0 +1,195 @@
+//! Configuration of the HTTP client: timeouts, retries, credentials, options of object stores.
+
+use std::fmt;
+use std::path::PathBuf;
+use std::time::Duration;
+
+use reqwest::header::{HeaderName, HeaderValue};
+use url::Url;
+
+use crate::fetch::{CacheConfig, IoError};
+
+/// Configuration of an [`HttpClient`](super::HttpClient). Proxies are taken from the environment variables `http_proxy`,
+/// `https_proxy` and `no_proxy`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct HttpConfig {
+    /// Time limit for establishing a connection.
+    pub connect_timeout: Duration,
+    /// Time limit for receiving status and headers, connecting included.
+    pub first_byte_timeout: Duration,
+    /// Time limit between two pieces of the body.
+    pub read_timeout: Duration,
+    /// Time limit for the whole answer, redirects included. The received bytes extend it by the time that they take at
+    /// [`Self::min_bytes_per_s`].
+    pub total_timeout: Duration,
+    /// The slowest transfer rate of a large answer that is accepted. 0 accepts any rate, as long as no pause exceeds
+    /// [`Self::read_timeout`].
+    pub min_bytes_per_s: u32,
+    /// Number of retries after a transient failure.
+    pub max_retries: u32,
+    /// Delay before the first retry. It doubles with each retry, and half of it is random, so that clients do not retry at the
+    /// same time.
+    pub retry_backoff: Duration,
+    /// Longest delay before a retry. If a server asks for a longer one (`Retry-After`), the request fails with an error that
+    /// contains the delay.
+    pub max_wait: Duration,
+    /// Seed of the random part of delays. Equal seeds and URIs give equal delays.
+    pub seed: u64,
+    /// Uses HTTP/2 on unencrypted connections without negotiation. Encrypted connections always negotiate it.
+    pub http2_only: bool,
+    /// PEM files of certificate authorities to trust besides the system's. On Linux, `SSL_CERT_FILE` and `SSL_CERT_DIR` name
+    /// the system's.
+    pub root_certificates: Vec<PathBuf>,
+    /// Credentials; each is sent to its own server only.
+    pub credentials: Vec<Credential>,
+    /// Options of object stores. They override the environment (`AWS_*`, `GOOGLE_*`, `AZURE_*`). Without keys in either,
+    /// requests are not signed. The metadata service of a cloud is asked for keys only if it is named
+    /// (`AWS_METADATA_ENDPOINT`, `GCE_METADATA_HOST`, `AZURE_MSI_ENDPOINT`) or `*_skip_signature` is set to false.
+    pub store_options: Vec<StoreOption>,
+    /// The disk cache; `None` disables caching.
+    pub cache: Option<CacheConfig>,
+}
+
+impl Default for HttpConfig {
+    fn default() -> Self {
+        Self {
+            connect_timeout: Duration::from_secs(10),
+            first_byte_timeout: Duration::from_secs(15),
+            read_timeout: Duration::from_secs(15),
+            total_timeout: Duration::from_secs(120),
+            min_bytes_per_s: 4 << 10,
+            max_retries: 2,
+            retry_backoff: Duration::from_millis(250),
+            max_wait: Duration::from_secs(10),
+            seed: 1,
+            http2_only: false,
+            root_certificates: Vec::new(),
+            credentials: Vec::new(),
+            store_options: Vec::new(),
+            cache: None,
+        }
+    }
+}
+
+/// A header or query parameter that is sent to one server with every request, also after a redirect to it, and to no other
+/// server. Its value never appears in errors, logs, cache files or debug output.
+#[derive(Clone, PartialEq)]
+pub struct Credential {
+    /// Scheme, host and port.
+    origin: String,
+    kind: Kind,
+}
+
+#[derive(Clone, PartialEq)]
+enum Kind {
+    Header(HeaderName, HeaderValue),
+    Query(String, String),
+}
+
+impl Credential {
+    /// Creates a header for the server of `url`, such as `authorization` with `Bearer …`.
+    pub fn header(url: &str, name: &str, value: &str) -> Result<Self, IoError> {
+        let bad =
+            |what: &str| IoError::Uri { uri: name.to_owned(), reason: format!("is not a valid {what} of a header") };
+        let name = HeaderName::from_bytes(name.as_bytes()).map_err(|_| bad("name"))?;
+        let mut value = HeaderValue::from_str(value).map_err(|_| bad("value"))?;
+        value.set_sensitive(true);
+        Ok(Self { origin: origin(url)?, kind: Kind::Header(name, value) })
+    }
+
+    /// Creates a query parameter for the server of `url`, such as `key` or `access_token`.
+    pub fn query(url: &str, name: &str, value: &str) -> Result<Self, IoError> {
+        Ok(Self { origin: origin(url)?, kind: Kind::Query(name.to_owned(), value.to_owned()) })
+    }
+
+    /// Returns the header if this is one for that server.
+    pub(super) fn header_for(&self, origin: &str) -> Option<(&HeaderName, &HeaderValue)> {
+        match &self.kind {
+            Kind::Header(name, value) if self.origin == origin => Some((name, value)),
+            _ => None,
+        }
+    }
+
+    /// Returns the query parameter if this is one for that server.
+    pub(super) fn query_for(&self, origin: &str) -> Option<(&str, &str)> {
+        match &self.kind {
+            Kind::Query(name, value) if self.origin == origin => Some((name, value)),
+            _ => None,
+        }
+    }
+}
+
+impl fmt::Debug for Credential {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let name = match &self.kind {
+            Kind::Header(name, _) => name.as_str(),
+            Kind::Query(name, _) => name,
+        };
+        f.debug_struct("Credential").field("origin", &self.origin).field("name", &name).finish_non_exhaustive()
+    }
+}
+
+/// An option of object stores under the name that the crate `object_store` gives it: `aws_endpoint`, `aws_access_key_id`,
+/// `google_service_account_path`, `azure_storage_account_name` and so on. Its value never appears in errors, logs or debug
+/// output.
+#[derive(Clone, PartialEq)]
+pub struct StoreOption {
+    name: String,
+    value: String,
+}
+
+impl StoreOption {
+    /// Creates an option for the stores that the name begins with: `aws_`, `google_` or `azure_`. An unknown name makes the
+    /// first request fail.
+    pub fn new(name: &str, value: &str) -> Self {
+        Self { name: name.to_ascii_lowercase(), value: value.to_owned() }
+    }
+
+    /// Returns the name in lower case.
+    #[cfg(feature = "object-store")]
+    pub(in crate::fetch) fn name(&self) -> &str {
+        &self.name
+    }
+
+    #[cfg(feature = "object-store")]
+    pub(in crate::fetch) fn value(&self) -> &str {
+        &self.value
+    }
+}
+
+impl fmt::Debug for StoreOption {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("StoreOption").field("name", &self.name).finish_non_exhaustive()
+    }
+}
+
+fn origin(url: &str) -> Result<String, IoError> {
+    let bad = |reason: String| IoError::Uri { uri: url.to_owned(), reason };
+    let parsed = Url::parse(url).map_err(|e| bad(e.to_string()))?;
+    if !matches!(parsed.scheme(), "http" | "https") {
+        return Err(bad("credentials are for http and https".to_owned()));
+    }
+    Ok(parsed.origin().ascii_serialization())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_are_never_printed() {
+        let config = HttpConfig {
+            credentials: vec![
+                Credential::header("https://h/a", "authorization", "Bearer hidden1").unwrap(),
+                Credential::query("https://h/a", "key", "hidden2").unwrap(),
+            ],
+            store_options: vec![StoreOption::new("aws_secret_access_key", "hidden4")],
+            ..HttpConfig::default()
+        };
+        let text = format!("{config:?}");
+        assert!(text.contains("authorization") && !text.contains("hidden"), "{text}");
+        let error = Credential::header("https://h/", "x-key", "hidden\n3").unwrap_err();
+        assert!(!error.to_string().contains("hidden"), "{error}");
+        assert!(Credential::query("file:///a", "key", "x").is_err());
+    }
+}

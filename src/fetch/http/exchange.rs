@@ -1,0 +1,308 @@
+//! [`Exchange`]: one request and its answer, redirects followed. HTTP thread.
+//!
+//! Redirects are followed here and not by the HTTP library, because each step must send the credentials of its own server only,
+//! and because no redirect may lead from an encrypted connection to an unencrypted one or to another scheme.
+
+use std::future::Future;
+use std::pin::pin;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, SystemTime};
+
+use reqwest::header::{HeaderMap, IF_MODIFIED_SINCE, IF_NONE_MATCH, LOCATION, RANGE, VARY};
+use url::Url;
+
+use super::config::HttpConfig;
+use super::retry_policy::{Pause, Pauses, retry_after};
+use crate::fetch::cache::Freshness;
+use crate::fetch::{IoError, Limits, shown};
+
+/// The maximum memory reserved for a body before its bytes arrive.
+const MAX_RESERVED_BYTES: u64 = 1 << 20;
+/// The maximum size of a whole archive that is accepted as the answer to a range request.
+const MAX_INSTEAD_OF_RANGE_BYTES: u64 = 4 << 20;
+/// The maximum size of a body of a failure or redirect that is read to its end, so that the connection can be reused.
+const MAX_DRAINED_BYTES: u64 = 16 << 10;
+/// The time limit for reading such a body.
+const MAX_DRAIN_TIME: Duration = Duration::from_millis(200);
+/// The maximum number of redirects of one request.
+const MAX_REDIRECTS: usize = 8;
+
+/// The parameters of a request besides its URI.
+pub(in crate::fetch) struct Exchange<'a> {
+    pub client: &'a reqwest::Client,
+    pub config: &'a HttpConfig,
+    pub limits: &'a Limits,
+    pub headers: &'a HeaderMap,
+    /// The URL after redirects that the validators in `headers` belong to. `None` means the requested URL.
+    pub validated_at: Option<&'a str>,
+    /// Bytes of the body received so far. They extend the total timeout.
+    pub received: Arc<AtomicU64>,
+}
+
+/// The answer of a server after all redirects.
+pub(in crate::fetch) struct Answer {
+    pub status: u16,
+    pub headers: HeaderMap,
+    /// The body as received; empty for a failure.
+    pub body: Vec<u8>,
+    /// Whether and for how long it may be cached, redirects included.
+    pub freshness: Freshness,
+    /// The final URL without its query; `None` without redirects.
+    pub redirected_to: Option<String>,
+    /// The server that answered; `None` means the server that was asked.
+    pub origin: Option<String>,
+}
+
+impl Answer {
+    /// Returns true for a whole content, a part, or "not modified".
+    pub fn is_success(&self) -> bool {
+        self.is_whole() || matches!(self.status, 206 | 304)
+    }
+
+    /// Returns true if the body is the whole content.
+    pub fn is_whole(&self) -> bool {
+        matches!(self.status, 200 | 203)
+    }
+
+    /// Returns the error that the status stands for.
+    pub fn error(&self, uri: &str) -> IoError {
+        match self.status {
+            404 | 410 => IoError::NotFound { uri: uri.to_owned() },
+            status => {
+                let retry_after = retry_after(&self.headers, SystemTime::now());
+                IoError::Status { uri: uri.to_owned(), status, retry_after }
+            }
+        }
+    }
+}
+
+impl Exchange<'_> {
+    /// Awaits an answer within the total timeout, which grows with the number of bytes received.
+    pub async fn in_time<T>(&self, uri: &str, answer: impl Future<Output = Result<T, IoError>>) -> Result<T, IoError> {
+        let HttpConfig { total_timeout, min_bytes_per_s, .. } = *self.config;
+        let (begun, mut allowed, mut answer) = (tokio::time::Instant::now(), total_timeout, pin!(answer));
+        while let Some(until) = begun.checked_add(allowed) {
+            if let Ok(answer) = tokio::time::timeout_at(until, &mut answer).await {
+                return answer;
+            }
+            let extra_s = self.received.load(Ordering::Relaxed) as f64 / f64::from(min_bytes_per_s);
+            // 0 bytes at rate 0 is not a number, and a time beyond the range of `Duration` is unlimited.
+            let extra = Duration::try_from_secs_f64(extra_s.max(0.0)).unwrap_or(Duration::MAX);
+            let grown = total_timeout.saturating_add(extra);
+            if grown <= begun.elapsed() {
+                return Err(timed_out(uri, "the whole answer", allowed));
+            }
+            allowed = grown;
+        }
+        answer.await
+    }
+
+    /// Sends the request and follows redirects, except to servers that asked for a pause.
+    pub(super) async fn run(&self, uri: &str, pauses: &Pauses) -> Result<Answer, IoError> {
+        let mut url = parse(uri)?;
+        let mut hops: Vec<(u16, HeaderMap)> = Vec::new();
+        let mut is_shareable = true;
+        for _ in 0..=MAX_REDIRECTS {
+            let with_validators = match self.validated_at {
+                Some(validated) => validated == without_secrets(&url),
+                None => hops.is_empty(),
+            };
+            // The caller has checked the first server.
+            if !hops.is_empty()
+                && let Some(Pause { status, left }) = pauses.of(&url.origin().ascii_serialization())
+            {
+                return Err(IoError::Status { uri: uri.to_owned(), status, retry_after: Some(left) });
+            }
+            let response = self.send(uri, &url, with_validators).await?;
+            let status = response.status().as_u16();
+            is_shareable &= !self.depends_on_credentials(&url, response.headers());
+            let location = response.headers().get(LOCATION).filter(|_| matches!(status, 301 | 302 | 303 | 307 | 308));
+            let Some(location) = location else {
+                let mut answer = self.read(uri, response).await?;
+                answer.freshness.store &= is_shareable;
+                let now = SystemTime::now();
+                let behind =
+                    |own: Freshness, (status, headers): &(u16, HeaderMap)| own.behind_redirect(*status, headers, now);
+                answer.freshness = hops.iter().fold(answer.freshness, behind);
+                answer.redirected_to = (!hops.is_empty()).then(|| without_secrets(&url));
+                answer.origin = Some(url.origin().ascii_serialization());
+                return Ok(answer);
+            };
+            let location = location.to_str().map_err(|_| refused(uri, "redirected to an invalid URL".to_owned()))?;
+            let next = url.join(location).map_err(|e| refused(uri, format!("redirected to an invalid URL: {e}")))?;
+            if !matches!(next.scheme(), "http" | "https") {
+                return Err(refused(uri, format!("redirected to scheme {}", next.scheme())));
+            }
+            if url.scheme() == "https" && next.scheme() != "https" {
+                return Err(refused(uri, format!("redirected from https to {}", shown(next.as_str()))));
+            }
+            url = next;
+            hops.push((status, response.headers().clone()));
+            self.drain(response).await;
+        }
+        Err(refused(uri, format!("more than {MAX_REDIRECTS} redirects")))
+    }
+
+    /// Returns true if the answer depends on a credential (`Vary`). The cache must not store it, since its keys do not contain
+    /// credentials.
+    fn depends_on_credentials(&self, url: &Url, headers: &HeaderMap) -> bool {
+        let origin = url.origin().ascii_serialization();
+        let texts = headers.get_all(VARY).into_iter().filter_map(|v| v.to_str().ok());
+        let mut names = texts.flat_map(|text| text.split(',')).map(str::trim);
+        let is_sent = |name: &str| {
+            let mut sent = self.config.credentials.iter().filter_map(|c| c.header_for(&origin));
+            sent.any(|(header, _)| header.as_str().eq_ignore_ascii_case(name))
+        };
+        names.any(is_sent)
+    }
+
+    /// Sends one request. Validators are sent only to the URL that issued them, since another server may use the same
+    /// validator for another content.
+    async fn send(&self, uri: &str, url: &Url, with_validators: bool) -> Result<reqwest::Response, IoError> {
+        let origin = url.origin().ascii_serialization();
+        let mut url = url.clone();
+        let mut headers = self.headers.clone();
+        if !with_validators {
+            headers.remove(IF_NONE_MATCH);
+            headers.remove(IF_MODIFIED_SINCE);
+        }
+        for credential in &self.config.credentials {
+            if let Some((name, value)) = credential.header_for(&origin) {
+                headers.insert(name.clone(), value.clone());
+            }
+            if let Some((name, value)) = credential.query_for(&origin)
+                && !url.query_pairs().any(|(n, _)| n == name)
+            {
+                url.query_pairs_mut().append_pair(name, value);
+            }
+        }
+        self.first_byte(uri, self.client.get(url).headers(headers)).await
+    }
+
+    /// Sends a request and waits for the status and headers of its answer.
+    pub async fn first_byte(&self, uri: &str, request: reqwest::RequestBuilder) -> Result<reqwest::Response, IoError> {
+        match tokio::time::timeout(self.config.first_byte_timeout, request.send()).await {
+            Ok(Ok(response)) => Ok(response),
+            Ok(Err(e)) if e.is_timeout() && e.is_connect() => {
+                Err(timed_out(uri, "connecting", self.config.connect_timeout))
+            }
+            Ok(Err(e)) if is_tls(&e) => Err(IoError::Tls { uri: uri.to_owned(), reason: error_chain_without_url(e) }),
+            Ok(Err(e)) => Err(IoError::Network { uri: uri.to_owned(), reason: error_chain_without_url(e) }),
+            Err(_) => Err(timed_out(uri, "waiting for the answer", self.config.first_byte_timeout)),
+        }
+    }
+
+    /// Reads the body of a successful answer.
+    pub async fn read(&self, uri: &str, mut response: reqwest::Response) -> Result<Answer, IoError> {
+        let status = response.status().as_u16();
+        let headers = std::mem::take(response.headers_mut());
+        let freshness = Freshness::of(&headers, SystemTime::now());
+        if !matches!(status, 200 | 203 | 206) {
+            self.drain(response).await;
+            return Ok(Answer { status, headers, body: Vec::new(), freshness, redirected_to: None, origin: None });
+        }
+        let mut limit = self.limits.max_file_bytes;
+        let length = response.content_length();
+        // An answer without a length may still be short, such as an error page.
+        let is_instead = status != 206 && self.headers.contains_key(RANGE);
+        if is_instead {
+            limit = limit.min(MAX_INSTEAD_OF_RANGE_BYTES);
+        }
+        let too_large = |got: u64| match is_instead {
+            true => IoError::unsupported(uri, "an archive on a server without range requests"),
+            false => IoError::TooLarge { uri: uri.to_owned(), what: "answer", got, limit },
+        };
+        if let Some(length) = length.filter(|l| *l > limit) {
+            return Err(too_large(length));
+        }
+        // A larger announced length is not trusted until its bytes arrive.
+        let mut body = Vec::with_capacity(length.unwrap_or(0).min(MAX_RESERVED_BYTES) as usize);
+        loop {
+            let piece = match tokio::time::timeout(self.config.read_timeout, response.chunk()).await {
+                Ok(Ok(Some(piece))) => piece,
+                Ok(Ok(None)) => {
+                    return Ok(Answer { status, headers, body, freshness, redirected_to: None, origin: None });
+                }
+                Ok(Err(e)) => return Err(IoError::Network { uri: uri.to_owned(), reason: error_chain_without_url(e) }),
+                Err(_) => return Err(timed_out(uri, "reading the answer", self.config.read_timeout)),
+            };
+            if (body.len() + piece.len()) as u64 > limit {
+                return Err(too_large((body.len() + piece.len()) as u64));
+            }
+            body.extend_from_slice(&piece);
+            self.received.fetch_add(piece.len() as u64, Ordering::Relaxed);
+        }
+    }
+
+    /// Discards a short body, so that the connection can be reused. A long one closes the connection.
+    async fn drain(&self, mut response: reqwest::Response) {
+        if response.content_length().is_none_or(|length| length > MAX_DRAINED_BYTES) {
+            return;
+        }
+        let all = async { while let Ok(Some(_)) = response.chunk().await {} };
+        let _ = tokio::time::timeout(MAX_DRAIN_TIME, all).await;
+    }
+}
+
+fn parse(uri: &str) -> Result<Url, IoError> {
+    Url::parse(uri).map_err(|e| IoError::Uri { uri: uri.to_owned(), reason: e.to_string() })
+}
+
+/// Returns a URL without user name, password, query and fragment. A query may contain a token or change with each request.
+fn without_secrets(url: &Url) -> String {
+    let mut url = url.clone();
+    url.set_query(None);
+    url.set_fragment(None);
+    // Fails only for URLs without a host, which have neither.
+    let _ = url.set_username("");
+    let _ = url.set_password(None);
+    url.into()
+}
+
+/// Returns scheme, host and port of a URL.
+pub(super) fn origin(uri: &str) -> Result<String, IoError> {
+    Ok(parse(uri)?.origin().ascii_serialization())
+}
+
+fn refused(uri: &str, reason: String) -> IoError {
+    IoError::Uri { uri: uri.to_owned(), reason }
+}
+
+fn timed_out(uri: &str, phase: &'static str, limit: Duration) -> IoError {
+    IoError::Timeout { uri: uri.to_owned(), phase, seconds: limit.as_secs_f64() }
+}
+
+/// Returns true if TLS failed while connecting. A failure of an established connection is transient.
+fn is_tls(error: &reqwest::Error) -> bool {
+    let mut next: Option<&(dyn std::error::Error + 'static)> = Some(error);
+    while let Some(e) = next {
+        // `source` of an I/O error skips the error that it wraps.
+        let wrapped = e.downcast_ref::<std::io::Error>().and_then(|e| e.get_ref());
+        if e.is::<rustls::Error>() || wrapped.is_some_and(|w| w.is::<rustls::Error>()) {
+            return error.is_connect();
+        }
+        next = match wrapped {
+            Some(wrapped) => Some(wrapped),
+            None => e.source(),
+        };
+    }
+    false
+}
+
+/// Formats an error with its causes in one line, without the URL, which may contain a token.
+pub(super) fn error_chain_without_url(error: reqwest::Error) -> String {
+    error_chain(&error.without_url())
+}
+
+/// Formats an error with its causes in one line.
+pub(in crate::fetch) fn error_chain(error: &dyn std::error::Error) -> String {
+    let mut text = error.to_string();
+    let mut source = error.source();
+    while let Some(e) = source {
+        text.push_str(": ");
+        text.push_str(&e.to_string());
+        source = e.source();
+    }
+    text
+}

@@ -1,0 +1,29 @@
+//! Bytes over HTTP: one client with many requests in flight, on the pager's HTTP thread (a tokio runtime of one thread).
+//!
+//! ```text
+//! HttpClient      decides: a member of an archive, a cached URI, or a plain request
+//!   revalidation  answers from the disk cache; asks the server whether stale entries still hold
+//!   Transport     retries with back-off, pauses that servers asked for
+//!     Exchange    one request: credentials, redirects, timeouts, size limits
+//! ```
+
+mod blocking;
+mod body;
+mod cache_access;
+mod client;
+mod config;
+mod dns;
+mod exchange;
+mod retry_policy;
+mod revalidation;
+mod tls;
+mod transport;
+
+pub(in crate::fetch) use blocking::{MAX_INLINE_BYTES, run_blocking};
+pub use body::HttpBody;
+pub(in crate::fetch) use cache_access::{CachePolicy, HttpCache, copy_validators};
+pub(crate) use client::{BlockingHttpClient, runtime};
+pub use client::{HttpClient, fuzz_headers};
+pub use config::{Credential, HttpConfig, StoreOption};
+pub(in crate::fetch) use exchange::{Answer, Exchange, error_chain};
+pub(in crate::fetch) use transport::Transport;

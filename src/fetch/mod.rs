@@ -1,0 +1,57 @@
+//! Bytes by URI: local files, archives, HTTP servers and object stores, with a disk cache.
+//!
+//! Called by the pager's file and HTTP threads, never by the threads of the frame. This folder knows URIs and bytes; it
+//! knows neither formats nor the scene. No input is trusted: every failure is one [`IoError`] that names the URI and the
+//! reason.
+
+mod archive;
+mod cache;
+pub(crate) mod encoding;
+mod error;
+mod file;
+#[cfg(feature = "http")]
+mod http;
+mod limits;
+pub(crate) mod markup;
+#[cfg(feature = "object-store")]
+mod object_store;
+mod panic_guard;
+mod percent;
+mod scope;
+mod source;
+mod uri;
+
+#[doc(hidden)]
+pub use archive::{fuzz_index, fuzz_pmtiles};
+pub use cache::CacheStats;
+#[cfg(feature = "http")]
+#[doc(hidden)]
+pub use cache::fuzz_cache_entry;
+#[cfg(feature = "http")]
+pub use cache::{CacheConfig, CacheInfo, CacheVerified, DiskCache};
+#[cfg(feature = "http")]
+#[doc(hidden)]
+pub use encoding::fuzz_encoding;
+pub use error::IoError;
+#[cfg(test)]
+pub(crate) use file::PANICS;
+pub use file::{FileReader, read_file};
+#[cfg(feature = "http")]
+#[doc(hidden)]
+pub use http::fuzz_headers;
+#[cfg(feature = "http")]
+pub(crate) use http::runtime;
+#[cfg(feature = "http")]
+pub use http::{Credential, HttpBody, HttpClient, HttpConfig, StoreOption};
+pub use limits::Limits;
+pub use panic_guard::DECODER_PANICKED;
+pub(crate) use panic_guard::guarded;
+pub use scope::{RootScope, resolve, root_uri};
+pub(crate) use source::Source;
+#[cfg(feature = "http")]
+#[doc(hidden)]
+pub use uri::fuzz_url;
+pub(crate) use uri::path_of;
+#[cfg(feature = "http")]
+pub(crate) use uri::{is_at, server};
+pub use uri::{is_http, is_remote, is_store, shown};

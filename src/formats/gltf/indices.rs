@@ -1,0 +1,110 @@
+//! [`IndexLists`]: index accessors as lists of `u32`. Equal lists of different tiles share their memory.
+
+use std::collections::HashMap;
+use std::num::NonZeroUsize;
+use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak};
+
+use gltf::accessor::{DataType, Dimensions};
+use lru::LruCache;
+
+use super::budget::Budget;
+use super::buffers::Buffers;
+use super::elements::Elements;
+use crate::fetch::{IoError, Limits};
+use crate::scene::ContentKey;
+
+/// A list of indices, and the largest one.
+#[derive(Clone)]
+pub(super) struct IndexList {
+    pub list: Arc<[u32]>,
+    pub largest: Option<u32>,
+}
+
+/// Returns the list that was read before from equal bytes, or reads it. Tiles of a terrain often have the same grid, and a shared
+/// `Arc` is uploaded once. The decode threads share a few recently used lists.
+fn read_shared(key: ContentKey, read: impl FnOnce() -> Option<Arc<[u32]>>) -> Option<IndexList> {
+    type Known = (Weak<[u32]>, Option<u32>);
+    static LISTS: OnceLock<Mutex<LruCache<ContentKey, Known>>> = OnceLock::new();
+    const MAX_LISTS: NonZeroUsize = NonZeroUsize::MIN.saturating_add(63);
+    let lists = LISTS.get_or_init(|| Mutex::new(LruCache::new(MAX_LISTS)));
+    let lock = || lists.lock().unwrap_or_else(PoisonError::into_inner);
+    let known = |(list, largest): &Known| list.upgrade().map(|list| IndexList { list, largest: *largest });
+    if let Some(list) = lock().get(&key).and_then(known) {
+        return Some(list);
+    }
+    let list = read()?;
+    let largest = list.iter().copied().max();
+    let mut lists = lock();
+    // Another thread may have read it meanwhile.
+    if let Some(list) = lists.get(&key).and_then(known) {
+        return Some(list);
+    }
+    lists.put(key, (Arc::downgrade(&list), largest));
+    Some(IndexList { list, largest })
+}
+
+/// Returns the key of a list that was not read from one accessor.
+pub(super) fn list_key_of(list: &[u32]) -> ContentKey {
+    ContentKey::of(&[bytemuck::cast_slice(list)])
+}
+
+/// The index lists of a glTF read so far. Primitives share them.
+pub(super) struct IndexLists<'a> {
+    uri: &'a str,
+    limits: &'a Limits,
+    /// By the index of the accessor.
+    read: HashMap<usize, (IndexList, ContentKey)>,
+}
+
+impl<'a> IndexLists<'a> {
+    pub fn new(uri: &'a str, limits: &'a Limits) -> Self {
+        Self { uri, limits, read: HashMap::new() }
+    }
+
+    /// Returns the list of an accessor and its key. Fails if an index is out of range for `vertices` vertices.
+    pub fn get(
+        &mut self,
+        accessor: &gltf::Accessor<'_>,
+        vertices: usize,
+        buffers: &Buffers<'_>,
+        budget: &mut Budget<'_>,
+    ) -> Result<(IndexList, ContentKey), IoError> {
+        let indices = match self.read.get(&accessor.index()).cloned() {
+            Some(indices) => indices,
+            None => {
+                let elements = buffers.elements(accessor, Dimensions::Scalar)?;
+                if elements.count > self.limits.max_elements {
+                    return Err(self.bad(format!("{} indices", elements.count)));
+                }
+                budget.add_indices(elements.count)?;
+                let layout = [elements.stride, elements.count, elements.data_type.size()].map(|n| n as u64);
+                let key = ContentKey::of(&[elements.bytes, bytemuck::cast_slice(&layout)]);
+                let list = read_shared(key, || unsigned(&elements));
+                let list = list.ok_or_else(|| self.bad("indices of a signed or float type".to_owned()))?;
+                self.read.insert(accessor.index(), (list.clone(), key));
+                (list, key)
+            }
+        };
+        match indices.0.largest {
+            Some(largest) if largest as usize >= vertices => {
+                Err(self.bad(format!("index {largest} of {vertices} vertices")))
+            }
+            _ => Ok(indices),
+        }
+    }
+
+    fn bad(&self, reason: String) -> IoError {
+        IoError::invalid(self.uri, format!("glTF: {reason}"))
+    }
+}
+
+/// Reads elements as unsigned integers. Returns `None` for other component types.
+fn unsigned(e: &Elements<'_>) -> Option<Arc<[u32]>> {
+    let at = |i: usize, n: usize| e.bytes.get(i * e.stride + n).copied().unwrap_or(0);
+    Some(match e.data_type {
+        DataType::U8 => (0..e.count).map(|i| u32::from(at(i, 0))).collect(),
+        DataType::U16 => (0..e.count).map(|i| u32::from(u16::from_le_bytes([at(i, 0), at(i, 1)]))).collect(),
+        DataType::U32 => (0..e.count).map(|i| u32::from_le_bytes([at(i, 0), at(i, 1), at(i, 2), at(i, 3)])).collect(),
+        _ => return None,
+    })
+}

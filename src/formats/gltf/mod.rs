@@ -1,0 +1,18 @@
+//! glTF 2.0 and glb to nodes: the crate `gltf` parses and validates the JSON, and this module reads accessors as slices.
+//!
+//! The readers of the crate take 151 us for a tile of 65 x 65 vertices, slices about 10 us. glTF is y-up and pages are z-up,
+//! so the root node of the result rotates its content, as 3D Tiles requires. Decode threads.
+
+mod budget;
+mod buffers;
+mod double_precision;
+mod elements;
+mod glb;
+mod indices;
+mod mesh;
+mod occluder;
+mod reader;
+mod textures;
+
+pub(super) use glb::read_glb;
+pub(super) use reader::read_gltf;

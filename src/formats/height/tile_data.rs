@@ -1,0 +1,147 @@
+//! The properties of height tiles in a tileset, and their transport to the decoder of the content.
+//!
+//! `asset.extras.terrane` of the tileset has the properties that all tiles share. Each tile has a region (or
+//! `extras.terrane.plane`: smallest x and y, largest x and y in metres, for sets that are not on the earth) and
+//! `extras.terrane.imagery`. The reader of the tileset passes both to the decoder as `reader_data`, JSON of [`TileData`].
+
+use std::f64::consts::TAU;
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+
+use super::layout::Placement;
+use crate::fetch::{IoError, RootScope, resolve};
+use crate::math::BoundingVolume;
+
+/// The JSON of `asset.extras.terrane`.
+#[derive(Debug, Deserialize)]
+pub(in crate::formats) struct SetExtras {
+    content: Option<String>,
+    side: Option<u32>,
+    border: Option<u32>,
+    level_errors_m: Option<Vec<f64>>,
+}
+
+impl SetExtras {
+    /// Returns true if the contents are height tiles.
+    pub fn is_height(&self) -> bool {
+        self.content.as_deref() == Some("height")
+    }
+}
+
+/// The JSON of `extras.terrane` of a tile.
+#[derive(Debug, Deserialize)]
+pub(in crate::formats) struct TileExtras {
+    plane: Option<[f64; 4]>,
+    /// A reference to the image that covers the tile.
+    pub imagery: Option<String>,
+}
+
+/// The checked properties that all tiles of a height tile set share.
+pub(in crate::formats) struct HeightSet {
+    /// Samples along a side.
+    side: u32,
+    /// Additional samples beyond each edge.
+    border: u32,
+    /// Geometric errors by level, in metres.
+    level_errors_m: Vec<f64>,
+}
+
+/// The properties of one height tile that its decoder needs beside the EXR.
+#[derive(Serialize, Deserialize)]
+pub(super) struct TileData {
+    #[serde(flatten)]
+    pub placement: Placement,
+    /// Samples along a side.
+    pub side: u32,
+    /// Additional samples beyond each edge.
+    pub border: u32,
+    pub level: u32,
+    /// Geometric errors in metres: of the tile's own level, then of the coarser levels, nearest first.
+    pub errors_m: Vec<f64>,
+    /// URI of the image that covers the tile.
+    pub imagery: Option<Arc<str>>,
+}
+
+impl TileData {
+    /// Returns the name of the first invalid property as an error. Data from tilesets is valid; data that an application wrote
+    /// may not be.
+    pub fn check(&self) -> Result<(), &'static str> {
+        let parts = [
+            (self.placement.is_valid(), "region or plane"),
+            (is_side(self.side), "side"),
+            (self.border == 1, "border"),
+            (are_errors(&self.errors_m), "errors_m"),
+        ];
+        parts.into_iter().find(|(is_valid, _)| !is_valid).map_or(Ok(()), |(_, part)| Err(part))
+    }
+}
+
+/// Returns true for a valid number of samples along a side: a power of two plus one.
+fn is_side(side: u32) -> bool {
+    (3..=257).contains(&side) && (side - 1).is_power_of_two()
+}
+
+fn are_errors(errors_m: &[f64]) -> bool {
+    errors_m.len() <= 64 && errors_m.iter().all(|e| e.is_finite() && *e >= 0.0)
+}
+
+impl HeightSet {
+    #[cfg(test)]
+    pub(super) fn for_tests(side: u32, error_m: f64) -> Self {
+        Self { side, border: 1, level_errors_m: vec![error_m] }
+    }
+
+    /// Checks the extras of a tileset. Returns `None` if its contents are not height tiles.
+    pub fn from_extras(uri: &str, extras: Option<SetExtras>) -> Result<Option<Self>, IoError> {
+        let Some(extras) = extras.filter(SetExtras::is_height) else { return Ok(None) };
+        let bad = |what: &str| IoError::invalid(uri, format!("asset.extras.terrane.{what}"));
+        Ok(Some(Self {
+            side: extras.side.filter(|side| is_side(*side)).ok_or_else(|| bad("side"))?,
+            border: extras.border.filter(|border| *border == 1).ok_or_else(|| bad("border"))?,
+            level_errors_m: extras.level_errors_m.filter(|e| are_errors(e)).ok_or_else(|| bad("level_errors_m"))?,
+        }))
+    }
+
+    /// Returns the geometric error in metres of all tiles of a level. It is the same for all, so that neighbours morph alike.
+    pub fn level_error_m(&self, level: u32) -> Option<f64> {
+        self.level_errors_m.get(level as usize).copied()
+    }
+
+    /// Returns the `reader_data` of a tile.
+    pub fn tile_data(
+        &self,
+        tileset_uri: &str,
+        level: u32,
+        bounds: &BoundingVolume,
+        extras: Option<&TileExtras>,
+        scope: &RootScope,
+    ) -> Result<Option<Arc<str>>, IoError> {
+        let plane = extras.and_then(|own| own.plane);
+        let placement = match (bounds, plane) {
+            (BoundingVolume::Region(r), None) => {
+                let east = if r.east < r.west { r.east + TAU } else { r.east };
+                Placement::Region([r.west, r.south, east, r.north])
+            }
+            (_, Some(p)) if Placement::Plane(p).is_valid() => Placement::Plane(p),
+            _ => return Err(IoError::invalid(tileset_uri, "a height tile needs a region, or a plane in its extras")),
+        };
+        let imagery = extras.and_then(|own| own.imagery.as_deref());
+        let data = TileData {
+            placement,
+            side: self.side,
+            border: self.border,
+            level,
+            errors_m: (0..=level).rev().take(7).filter_map(|l| self.level_error_m(l)).collect(),
+            imagery: imagery.map(|reference| resolve(tileset_uri, reference, scope)).transpose()?,
+        };
+        let json = serde_json::to_string(&data).map_err(|e| IoError::invalid(tileset_uri, e.to_string()))?;
+        Ok(Some(json.into()))
+    }
+}
+
+/// Returns the URI of the imagery of a height tile.
+pub(in crate::formats) fn companions(_uri: &Arc<str>, reader_data: Option<&Arc<str>>) -> Vec<Arc<str>> {
+    let data = reader_data.and_then(|d| serde_json::from_str::<TileData>(d).ok());
+    data.and_then(|d| d.imagery).into_iter().collect()
+}

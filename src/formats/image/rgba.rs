@@ -1,0 +1,58 @@
+//! Expansion of RGB to RGBA with a reused buffer.
+
+use std::cell::RefCell;
+
+/// The maximum size of the buffer that a thread keeps for its next image.
+const MAX_KEPT_BYTES: usize = 4 << 20;
+
+/// Decodes an image of three bytes per pixel, `bytes` long, and returns it with an opaque alpha channel.
+pub(super) fn decode_rgb<E>(bytes: usize, read: impl FnOnce(&mut [u8]) -> Result<(), E>) -> Result<Vec<u8>, E> {
+    thread_local! {
+        static READ: RefCell<Vec<u8>> = const { RefCell::new(Vec::new()) };
+    }
+    READ.with_borrow_mut(|rgb| {
+        if rgb.len() < bytes {
+            rgb.resize(bytes, 0);
+        }
+        let pixels = read(&mut rgb[..bytes]).map(|()| with_alpha(&rgb[..bytes]));
+        if rgb.len() > MAX_KEPT_BYTES {
+            *rgb = Vec::new();
+        }
+        pixels
+    })
+}
+
+/// Converts RGB to RGBA, four pixels at a time.
+fn with_alpha(rgb: &[u8]) -> Vec<u8> {
+    const ALPHA: u32 = 0xff00_0000;
+    let (threes, rest) = rgb.as_chunks::<12>();
+    let mut fours: Vec<[[u8; 4]; 4]> = Vec::with_capacity(rgb.len().div_ceil(12));
+    fours.extend(threes.iter().map(|three| {
+        let word = |k: usize| u32::from_le_bytes([three[k], three[k + 1], three[k + 2], three[k + 3]]);
+        let [a, b, c] = [word(0), word(4), word(8)];
+        [a, a >> 24 | b << 8, b >> 16 | c << 16, c >> 8].map(|pixel| (pixel | ALPHA).to_le_bytes())
+    }));
+    let mut out = fours.into_flattened();
+    out.extend(rest.as_chunks::<3>().0.iter().map(|&[r, g, b]| [r, g, b, 255]));
+    out.into_flattened()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rgb_becomes_opaque_rgba() {
+        for pixels in [0usize, 1, 3, 4, 5, 8, 11] {
+            let rgb: Vec<u8> = (0..3 * pixels).map(|i| i as u8).collect();
+            let expected: Vec<u8> = rgb.chunks_exact(3).flat_map(|p| [p[0], p[1], p[2], 255]).collect();
+            assert_eq!(with_alpha(&rgb), expected);
+            let read = |into: &mut [u8]| {
+                into.copy_from_slice(&rgb);
+                Ok::<_, ()>(())
+            };
+            assert_eq!(decode_rgb(rgb.len(), |_| Err("cut")), Err("cut"));
+            assert_eq!(decode_rgb(rgb.len(), read), Ok(expected));
+        }
+    }
+}

@@ -1,0 +1,26 @@
+//! Bytes to pages and back: 3D Tiles, glTF, EXR height tiles, point clouds, images.
+//!
+//! Called by the pager's decode threads, never by the threads of the frame. The decoders do no I/O; only the functions
+//! about whole tile sets ([`inspect`], [`verify`], `fill`) ask [`fetch`](crate::fetch) for bytes. No input is trusted:
+//! every failure is one [`IoError`](crate::fetch::IoError) that names the URI and the reason.
+
+mod b3dm;
+mod database_path;
+mod feature_table;
+mod gltf;
+mod height;
+mod image;
+mod options;
+mod point_cloud;
+mod read;
+mod tileset;
+mod whole_set;
+pub mod writers;
+
+pub use database_path::set_database_path;
+pub(crate) use image::decode_file as decode_image;
+pub use options::{Content, Fetched, ReadOptions};
+pub use read::{companions, decode, decode_node};
+pub use whole_set::{BoundsInfo, Info, InfoError, LevelInfo, Verified, inspect, verify};
+#[cfg(feature = "http")]
+pub use whole_set::{FillOptions, Filled, fill, inspect_with, verify_with};

@@ -1,0 +1,68 @@
+//! [`ReadOptions`] and [`Content`]: the input of all decoders.
+
+use std::sync::Arc;
+
+use glam::DAffine3;
+
+use crate::fetch::{IoError, Limits, RootScope};
+use crate::scene::SharedStateManager;
+
+/// Options that all reads of a tile set share.
+#[derive(Clone, Debug)]
+pub struct ReadOptions {
+    /// The URIs that references may lead to.
+    pub root: RootScope,
+    /// Upper limits on the data.
+    pub limits: Limits,
+    /// URIs of the tilesets above, root first. A tileset that refers to one of them would be a cycle.
+    pub chain: Arc<[Arc<str>]>,
+    /// Maps the content to the frame of the whole set: the product of the transforms of all tiles above. It is needed for
+    /// regions, which transforms do not move.
+    pub set_from_content: DAffine3,
+    /// Builds a [`KdTree`](crate::scene::KdTree) for each drawable, so that lines and volumes can be intersected with it after
+    /// its payload has moved to the GPU. Off by default, since it costs memory and time of the decode workers.
+    pub build_kd_trees: bool,
+    /// Names of additional glTF attributes that meshes keep for [`Program`](crate::state::Program)s, such as `TANGENT`,
+    /// `TEXCOORD_1`, `_HEAT`. None by default, since they take memory. The columns of a matrix `_BASIS` are kept as `_BASIS_0`,
+    /// `_BASIS_1` and so on. A glTF with a mesh of more than [`MAX_ATTRIBUTES`](crate::scene::MAX_ATTRIBUTES) fails.
+    pub vertex_attributes: Arc<[Arc<str>]>,
+    /// Shares equal images, meshes and states between contents; `None` by default. A pager sets its own.
+    pub sharing: Option<Arc<SharedStateManager>>,
+}
+
+impl ReadOptions {
+    /// Returns options for a tile set whose root is `root_uri`, as [`root_uri`](crate::fetch::root_uri) returned it.
+    pub fn for_root(root_uri: &str, limits: Limits) -> Self {
+        Self {
+            root: RootScope::of(root_uri),
+            limits,
+            chain: Arc::new([]),
+            set_from_content: DAffine3::IDENTITY,
+            build_kd_trees: false,
+            vertex_attributes: Arc::default(),
+            sharing: None,
+        }
+    }
+
+    /// Returns the options for the files that a tileset refers to.
+    pub fn below(&self, tileset_uri: &Arc<str>) -> Self {
+        let chain: Vec<Arc<str>> = self.chain.iter().cloned().chain([tileset_uri.clone()]).collect();
+        Self { chain: chain.into(), ..self.clone() }
+    }
+}
+
+/// A URI and its bytes, or the reason why they could not be read.
+pub type Fetched = (Arc<str>, Result<Vec<u8>, IoError>);
+
+/// The bytes of one content and of its companions.
+#[derive(Clone, Debug)]
+pub struct Content {
+    /// The URI of the bytes.
+    pub uri: Arc<str>,
+    /// The bytes as read. The decoder decompresses gzip.
+    pub bytes: Vec<u8>,
+    /// Data that the reader of the tileset attached to the tile for the decoder of its content.
+    pub reader_data: Option<Arc<str>>,
+    /// The files that [`companions`](super::companions) returned.
+    pub companions: Vec<Fetched>,
+}

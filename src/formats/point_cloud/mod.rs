@@ -1,0 +1,5 @@
+//! Point clouds.
+
+mod pnts;
+
+pub(super) use pnts::read;

@@ -1,0 +1,260 @@
+//! Point Cloud (3D Tiles 1.0, `pnts`): a header, and a feature table of positions, colours and normals. The batch table is
+//! ignored. Positions are z-up in the tile's frame.
+
+use std::sync::Arc;
+
+use glam::{DAffine3, DVec3, Vec2, Vec3};
+use serde::Deserialize;
+use serde::de::IgnoredAny;
+
+use crate::fetch::{IoError, Limits};
+use crate::formats::feature_table::{self, BinaryOffset, Global};
+use crate::math::Aabb;
+use crate::math::color::linear_from_srgb8;
+use crate::scene::{AlphaMode, Drawable, Geometry, Material, Mesh, MeshVertex, Node, Topology};
+
+const HEADER_BYTES: usize = 28;
+
+#[derive(Deserialize)]
+#[serde(rename_all = "SCREAMING_SNAKE_CASE")]
+struct FeatureTable {
+    points_length: Global<usize>,
+    position: Option<BinaryOffset>,
+    position_quantized: Option<BinaryOffset>,
+    quantized_volume_offset: Option<Global<[f64; 3]>>,
+    quantized_volume_scale: Option<Global<[f64; 3]>>,
+    rtc_center: Option<Global<[f64; 3]>>,
+    rgba: Option<BinaryOffset>,
+    rgb: Option<BinaryOffset>,
+    rgb565: Option<BinaryOffset>,
+    constant_rgba: Option<Global<[u8; 4]>>,
+    normal: Option<BinaryOffset>,
+    normal_oct16p: Option<BinaryOffset>,
+    #[serde(rename = "extensions")]
+    extensions: Option<Extensions>,
+}
+
+#[derive(Deserialize)]
+struct Extensions {
+    #[serde(rename = "3DTILES_draco_point_compression", default)]
+    draco: Option<IgnoredAny>,
+}
+
+/// Reads a point cloud as one drawable.
+pub(in crate::formats) fn read(uri: &str, bytes: &[u8], limits: &Limits) -> Result<Node, IoError> {
+    let bad = |reason: &str| IoError::invalid(uri, format!("pnts: {reason}"));
+    let word =
+        |at: usize| -> Option<usize> { Some(u32::from_le_bytes(bytes.get(at..at + 4)?.try_into().ok()?) as usize) };
+    if word(4) != Some(1) {
+        return Err(IoError::unsupported(uri, "pnts of another version than 1"));
+    }
+    let (json_bytes, binary_bytes) = word(12).zip(word(16)).ok_or_else(|| bad("truncated header"))?;
+    let json_end = HEADER_BYTES.checked_add(json_bytes).ok_or_else(|| bad("lengths"))?;
+    let json = bytes.get(HEADER_BYTES..json_end).ok_or_else(|| bad("truncated feature table"))?;
+    let end = json_end.checked_add(binary_bytes).ok_or_else(|| bad("lengths"))?;
+    let binary = bytes.get(json_end..end).ok_or_else(|| bad("truncated feature table"))?;
+    let table: FeatureTable =
+        feature_table::parse(json).map_err(|e| IoError::invalid(uri, format!("pnts feature table: {e}")))?;
+    if table.extensions.as_ref().is_some_and(|e| e.draco.is_some()) {
+        return Err(IoError::unsupported(uri, "extension 3DTILES_draco_point_compression"));
+    }
+    let count = table.points_length.count(binary).ok_or_else(|| bad("POINTS_LENGTH"))?;
+    if count > limits.max_elements {
+        return Err(bad(&format!("{count} points")));
+    }
+    let column = |place: &Option<BinaryOffset>, size: usize| -> Result<Option<&[u8]>, IoError> {
+        let Some(place) = place else { return Ok(None) };
+        let end = count.checked_mul(size).and_then(|n| n.checked_add(place.byte_offset));
+        end.and_then(|end| binary.get(place.byte_offset..end)).map(Some).ok_or_else(|| bad("reaches beyond its table"))
+    };
+    let vector = |global: &Option<Global<[f64; 3]>>, name: &str| -> Result<Option<DVec3>, IoError> {
+        let Some(global) = global else { return Ok(None) };
+        global.vector(binary).map(|v| Some(DVec3::from_array(v))).ok_or_else(|| bad(name))
+    };
+    let (mut positions, origin) = positions(&table, &column, &vector, &bad)?;
+    let normals = match (column(&table.normal, 12)?, column(&table.normal_oct16p, 2)?) {
+        (Some(data), _) => Some(data.chunks_exact(12).map(vec3).collect::<Vec<_>>()),
+        (None, Some(data)) => Some(data.chunks_exact(2).map(|b| oct16p(b[0], b[1])).collect()),
+        (None, None) => None,
+    };
+    let constant = match table.constant_rgba {
+        Some(global) => global.bytes(binary).ok_or_else(|| bad("CONSTANT_RGBA"))?,
+        None => [255; 4],
+    };
+    let colors: Vec<[u8; 4]> = match (column(&table.rgba, 4)?, column(&table.rgb, 3)?, column(&table.rgb565, 2)?) {
+        (Some(data), _, _) => data.chunks_exact(4).map(|c| [c[0], c[1], c[2], c[3]]).collect(),
+        (_, Some(data), _) => data.chunks_exact(3).map(|c| [c[0], c[1], c[2], 255]).collect(),
+        (_, _, Some(data)) => data.chunks_exact(2).map(|c| rgb565(u16::from_le_bytes([c[0], c[1]]))).collect(),
+        _ => vec![constant; count],
+    };
+    let mut bounds = Aabb::EMPTY;
+    let mut vertices = Vec::with_capacity(count);
+    for (i, (position, color)) in positions.drain(..).zip(colors).enumerate() {
+        if !position.is_finite() {
+            return Err(bad(&format!("position {i} is not finite")));
+        }
+        bounds = bounds.union(&Aabb { min: position.as_dvec3(), max: position.as_dvec3() });
+        let normal = normals.as_ref().and_then(|n| n.get(i)).copied().unwrap_or(Vec3::ZERO);
+        let normal = (normal.clamp(Vec3::NEG_ONE, Vec3::ONE) * 127.0).round();
+        let [red, green, blue, alpha] = color;
+        vertices.push(MeshVertex {
+            position: position.to_array(),
+            normal: [normal.x as i8, normal.y as i8, normal.z as i8, 0],
+            // Colours of points are sRGB, colours of vertices linear.
+            color: [linear(red), linear(green), linear(blue), alpha],
+            ..MeshVertex::default()
+        });
+    }
+    let indices: Arc<[u32]> = (0..count as u32).collect();
+    let mesh = Mesh { vertices, indices, topology: Topology::Points, bounds, ..Mesh::default() };
+    let alpha = match mesh.vertices.iter().all(|vertex| vertex.color[3] == u8::MAX) {
+        true => AlphaMode::Opaque,
+        false => AlphaMode::Blend,
+    };
+    let material = Material { unlit: normals.is_none(), alpha, ..Material::default() };
+    let geode = Node::geode(vec![Drawable::new(Geometry::Mesh(Arc::new(mesh)), material)]);
+    Ok(Node::transform(DAffine3::from_translation(origin), vec![geode]))
+}
+
+/// Returns positions relative to an origin, and the origin.
+fn positions<'a>(
+    table: &FeatureTable,
+    column: &impl Fn(&Option<BinaryOffset>, usize) -> Result<Option<&'a [u8]>, IoError>,
+    vector: &impl Fn(&Option<Global<[f64; 3]>>, &str) -> Result<Option<DVec3>, IoError>,
+    bad: &impl Fn(&str) -> IoError,
+) -> Result<(Vec<Vec3>, DVec3), IoError> {
+    let center = vector(&table.rtc_center, "RTC_CENTER")?.unwrap_or_default();
+    let (points, origin) = if let Some(data) = column(&table.position, 12)? {
+        (data.chunks_exact(12).map(vec3).collect(), center)
+    } else if let Some(data) = column(&table.position_quantized, 6)? {
+        let offset = vector(&table.quantized_volume_offset, "QUANTIZED_VOLUME_OFFSET")?;
+        let scale = vector(&table.quantized_volume_scale, "QUANTIZED_VOLUME_SCALE")?;
+        let (Some(offset), Some(scale)) = (offset, scale) else {
+            return Err(bad("quantized positions without their volume"));
+        };
+        let step = scale / 65535.0;
+        let point = |b: &[u8]| {
+            let [x, y, z] = [0, 2, 4].map(|k| f64::from(u16::from_le_bytes([b[k], b[k + 1]])));
+            (DVec3::new(x, y, z) * step).as_vec3()
+        };
+        (data.chunks_exact(6).map(point).collect(), center + offset)
+    } else {
+        return Err(bad("no positions"));
+    };
+    if origin.is_finite() { Ok((points, origin)) } else { Err(bad("the origin is not finite")) }
+}
+
+/// Reads three little-endian floats from a slice of 12 bytes.
+fn vec3(bytes: &[u8]) -> Vec3 {
+    let at = |k: usize| f32::from_le_bytes([bytes[k], bytes[k + 1], bytes[k + 2], bytes[k + 3]]);
+    Vec3::new(at(0), at(4), at(8))
+}
+
+/// Decodes a unit vector that is folded onto an octahedron (Meyer et al., "On Floating-Point Normal Vectors", 2010), one byte
+/// per coordinate.
+fn oct16p(x: u8, y: u8) -> Vec3 {
+    let p = Vec2::new(f32::from(x), f32::from(y)) / 255.0 * 2.0 - 1.0;
+    let z = 1.0 - p.x.abs() - p.y.abs();
+    let fold = |a: f32, b: f32| (1.0 - b.abs()) * if a < 0.0 { -1.0 } else { 1.0 };
+    let xy = if z < 0.0 { Vec2::new(fold(p.x, p.y), fold(p.y, p.x)) } else { p };
+    xy.extend(z).normalize_or_zero()
+}
+
+fn rgb565(c: u16) -> [u8; 4] {
+    let part = |value: u16, max: u16| (u32::from(value) * 255 / u32::from(max)) as u8;
+    [part(c >> 11, 31), part(c >> 5 & 63, 63), part(c & 31, 31), 255]
+}
+
+fn linear(srgb: u8) -> u8 {
+    (linear_from_srgb8(srgb) * 255.0).round() as u8
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::NodeKind;
+
+    fn pnts(json: &str, binary: &[u8]) -> Vec<u8> {
+        let mut json = json.as_bytes().to_vec();
+        json.resize(json.len().next_multiple_of(8), b' ');
+        let mut out = b"pnts".to_vec();
+        for word in [1, 28 + json.len() + binary.len(), json.len(), binary.len(), 0, 0] {
+            out.extend((word as u32).to_le_bytes());
+        }
+        [out, json, binary.to_vec()].concat()
+    }
+
+    fn cloud(bytes: &[u8]) -> (DVec3, Arc<Mesh>, Material) {
+        let node = read("t.pnts", bytes, &Limits::default()).unwrap();
+        let NodeKind::Transform(place) = node.kind else { panic!("a transform") };
+        let NodeKind::Geode(drawables) = &node.children[0].kind else { panic!("a geode") };
+        let Geometry::Mesh(mesh) = &drawables[0].geometry else { panic!("points") };
+        (place.translation, mesh.clone(), drawables[0].material.clone())
+    }
+
+    #[test]
+    fn positions_colors_and_normals() {
+        let mut binary: Vec<u8> = [1.0f32, 2.0, 3.0, -1.0, 0.0, 5.0].iter().flat_map(|x| x.to_le_bytes()).collect();
+        binary.extend([255, 0, 128, 0, 255, 0]);
+        binary.extend([127, 127, 255, 128]);
+        let json = r#"{"POINTS_LENGTH":2,"RTC_CENTER":[10,20,30],"POSITION":{"byteOffset":0},"RGB":{"byteOffset":24},"NORMAL_OCT16P":{"byteOffset":30}}"#;
+        let (origin, mesh, material) = cloud(&pnts(json, &binary));
+        assert_eq!((origin, mesh.topology, mesh.indices.len()), (DVec3::new(10.0, 20.0, 30.0), Topology::Points, 2));
+        assert_eq!((mesh.vertices[0].position, mesh.vertices[0].color), ([1.0, 2.0, 3.0], [255, 0, 55, 255]));
+        assert_eq!((mesh.bounds.min, mesh.bounds.max), (DVec3::new(-1.0, 0.0, 3.0), DVec3::new(1.0, 2.0, 5.0)));
+        let [up, east] = [0, 1].map(|i| mesh.vertices[i].normal);
+        assert!(up[2] > 125 && east[0] > 125, "{up:?} {east:?}");
+        assert!(!material.unlit);
+    }
+
+    #[test]
+    fn quantized_positions_and_one_color() {
+        let binary: Vec<u8> = [0u16, 65535, 32768].iter().flat_map(|x| x.to_le_bytes()).collect();
+        let json = r#"{"POINTS_LENGTH":1,"POSITION_QUANTIZED":{"byteOffset":0},"QUANTIZED_VOLUME_OFFSET":[1,2,3],"QUANTIZED_VOLUME_SCALE":[10,10,10],"CONSTANT_RGBA":[255,255,0,255]}"#;
+        let (origin, mesh, material) = cloud(&pnts(json, &binary));
+        assert_eq!(origin, DVec3::new(1.0, 2.0, 3.0));
+        let [x, y, z] = mesh.vertices[0].position;
+        assert!(x == 0.0 && y == 10.0 && (z - 5.0).abs() < 1e-3);
+        assert_eq!((mesh.vertices[0].color, material.unlit), ([255, 255, 0, 255], true));
+        assert_eq!(material.alpha, AlphaMode::Opaque);
+        let (_, _, glass) = cloud(&pnts(&json.replace("255,255,0,255", "255,255,0,128"), &binary));
+        assert_eq!(glass.alpha, AlphaMode::Blend);
+    }
+
+    #[test]
+    fn global_values_may_be_in_the_binary_part() {
+        let mut binary: Vec<u8> = [65535u16, 0, 32768, 0].iter().flat_map(|x| x.to_le_bytes()).collect();
+        let numbers = [1.0f32, 2.0, 3.0, 10.0, 10.0, 10.0, 100.0, 200.0, 300.0];
+        binary.extend(numbers.iter().flat_map(|x| x.to_le_bytes()));
+        binary.extend([1, 0, 0, 0, 255, 0, 0, 255]);
+        let json = r#"{"POINTS_LENGTH":{"byteOffset":44},"POSITION_QUANTIZED":{"byteOffset":0},"QUANTIZED_VOLUME_OFFSET":{"byteOffset":8},"QUANTIZED_VOLUME_SCALE":{"byteOffset":20},"RTC_CENTER":{"byteOffset":32},"CONSTANT_RGBA":{"byteOffset":48}}"#;
+        let (origin, mesh, _) = cloud(&pnts(json, &binary));
+        assert_eq!((origin, mesh.vertices.len()), (DVec3::new(101.0, 202.0, 303.0), 1));
+        assert_eq!((mesh.vertices[0].position[0], mesh.vertices[0].color), (10.0, [255, 0, 0, 255]));
+        for at in [8, 20, 32, 44, 48] {
+            let beyond = json.replace(&format!("Offset\":{at}}}"), "Offset\":50}");
+            assert!(read("t", &pnts(&beyond, &binary), &Limits::default()).is_err(), "{beyond}");
+        }
+    }
+
+    #[test]
+    fn truncated_and_invalid_clouds_are_refused() {
+        let binary: Vec<u8> = [1.0f32, 2.0, 3.0].iter().flat_map(|x| x.to_le_bytes()).collect();
+        let whole = pnts(r#"{"POINTS_LENGTH":1,"POSITION":{"byteOffset":0}}"#, &binary);
+        assert!(read("t", &whole, &Limits::default()).is_ok());
+        for length in 0..whole.len() {
+            assert!(read("t", &whole[..length], &Limits::default()).is_err(), "{length} bytes");
+        }
+        for json in [
+            r#"{"POINTS_LENGTH":2,"POSITION":{"byteOffset":0}}"#,
+            r#"{"POINTS_LENGTH":1,"POSITION":{"byteOffset":18446744073709551615}}"#,
+            r#"{"POINTS_LENGTH":18446744073709551615,"POSITION":{"byteOffset":0}}"#,
+            r#"{"POINTS_LENGTH":1}"#,
+            r#"{"POINTS_LENGTH":1,"POSITION_QUANTIZED":{"byteOffset":0}}"#,
+            r#"{"POINTS_LENGTH":1,"POSITION":{"byteOffset":0},"extensions":{"3DTILES_draco_point_compression":{}}}"#,
+        ] {
+            let error = read("t", &pnts(json, &binary), &Limits::default()).err().map(|e| e.reason());
+            assert!(error.is_some_and(|e| !e.is_empty()), "{json}");
+        }
+    }
+}

@@ -1,0 +1,397 @@
+//! Downloads a part of a tile set into the disk cache; the counterpart of OSG's `osgfilecache`.
+//!
+//! Files that are already cached are not requested again, so an interrupted run continues where it stopped.
+
+use std::collections::{HashMap, HashSet};
+use std::ops::{ControlFlow, RangeInclusive};
+use std::sync::Arc;
+use std::time::Duration;
+
+use glam::DAffine3;
+use tokio::task::JoinSet;
+
+use super::region;
+use crate::fetch::markup::refuse_markup;
+use crate::fetch::{
+    CacheStats, HttpClient, HttpConfig, IoError, Limits, RootScope, encoding, guarded, is_remote, root_uri, runtime,
+    shown,
+};
+use crate::formats::options::{Content, ReadOptions};
+use crate::formats::read::{companions, decode_node};
+use crate::formats::tileset::{Tile, is_tileset, may_be_tileset, read_tiles};
+use crate::math::{BoundingVolume, Region};
+
+/// The maximum number of failures that are listed.
+const MAX_LISTED: usize = 100;
+
+/// The part of a tile set to download, and how.
+#[derive(Clone, Debug)]
+pub struct FillOptions {
+    /// Only tiles over this region of the earth, whatever their height. `None` means all tiles.
+    pub region: Option<Region>,
+    /// Only contents on these levels of the tree; the root has level 0. The root of an external tileset is one level below the
+    /// tile that refers to it.
+    pub levels: RangeInclusive<u32>,
+    /// The maximum number of requests in flight.
+    pub in_flight: usize,
+    /// Revalidates files that are already cached.
+    pub refresh: bool,
+    /// Upper limits on the data.
+    pub limits: Limits,
+}
+
+impl Default for FillOptions {
+    fn default() -> Self {
+        Self { region: None, levels: 0..=u32::MAX, in_flight: 16, refresh: false, limits: Limits::default() }
+    }
+}
+
+/// Progress of [`fill`], and its result at the end.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Filled {
+    /// Number of wanted files found so far: contents, imagery, tilesets.
+    pub found: u64,
+    /// Number of files that were already cached.
+    pub kept: u64,
+    /// Number of files downloaded.
+    pub fetched: u64,
+    /// Number of files that failed.
+    pub failed: u64,
+    /// Bytes received over the network.
+    pub bytes: u64,
+    /// The first failures: URI, as [`shown`] returns it, and reason.
+    pub errors: Vec<(String, String)>,
+    /// True if `progress` stopped the download.
+    pub stopped: bool,
+    /// Statistics of the cache, set at the end.
+    pub cache: CacheStats,
+}
+
+/// The position of a tileset in the tree.
+#[derive(Clone)]
+struct Position {
+    /// Level of its root tile.
+    level: u32,
+    /// Maps the tileset's frame to the frame of the whole set.
+    world: DAffine3,
+    /// URIs of the tilesets above, root first.
+    chain: Arc<[Arc<str>]>,
+}
+
+/// A file to fetch.
+struct Job {
+    uri: Arc<str>,
+    /// The position of a known tileset.
+    tileset: Option<Position>,
+    /// The position of a file that may turn out to be a tileset, since its file extension does not rule it out.
+    possible_tileset: Option<Box<Position>>,
+    /// True for a tileset that was counted before and is read once more for another position.
+    is_again: bool,
+}
+
+/// URI, level and bits of the transform of a tileset.
+type PositionKey = (Arc<str>, u32, [u64; 12]);
+
+struct Done {
+    job: Job,
+    /// The bytes of a known or possible tileset; empty for other files.
+    result: Result<Vec<u8>, IoError>,
+    was_cached: bool,
+    network_bytes: u64,
+}
+
+struct Fill<'a> {
+    options: &'a FillOptions,
+    scope: RootScope,
+    filled: Filled,
+    /// Last in, first out: the files below a tile precede its siblings, which keeps the list short.
+    jobs: Vec<Job>,
+    /// URIs found so far. A file that the tree refers to several times is fetched once.
+    seen: HashSet<Arc<str>>,
+    /// Positions of tilesets so far. Used only with levels or a region, which may select other files in each position.
+    positions: HashSet<PositionKey>,
+    /// Tilesets in flight, with their additional positions.
+    in_flight: HashMap<Arc<str>, Vec<Position>>,
+    /// Number of tiles and contents visited in additional positions of tilesets.
+    revisited: u64,
+}
+
+/// The longest pause that a server may ask for.
+const MAX_SERVER_PAUSE: Duration = Duration::from_secs(600);
+/// The longest time between two calls of `progress`.
+const PROGRESS_INTERVAL: Duration = Duration::from_millis(100);
+
+/// Downloads a part of the tile set at a URL into the cache of the configuration. Blocking.
+///
+/// `progress` is called on this thread after each file, and at least ten times a second. If it returns `Break`, requests in
+/// flight are cancelled; downloaded files stay in the cache.
+///
+/// # Errors
+/// Fails if the root cannot be read, or if no cache is configured. Other failures are listed in the result.
+pub fn fill(
+    source: &str,
+    config: &HttpConfig,
+    options: &FillOptions,
+    progress: &mut dyn FnMut(&Filled) -> ControlFlow<()>,
+) -> Result<Filled, IoError> {
+    let root = root_uri(source)?;
+    if !is_remote(&root) {
+        return Err(IoError::Uri { uri: root.to_string(), reason: "only tile sets on servers are cached".to_owned() });
+    }
+    // No frame waits for the files, so long pauses are acceptable.
+    let client = HttpClient::new(&HttpConfig { max_wait: config.max_wait.max(MAX_SERVER_PAUSE), ..config.clone() })?;
+    let client = if options.refresh { client.revalidating() } else { client };
+    if client.cache().is_none() {
+        return Err(IoError::Uri { uri: root.to_string(), reason: "there is no cache to fill".to_owned() });
+    }
+    let runtime = runtime("fill");
+    let runtime = runtime.map_err(|e| IoError::Network { uri: root.to_string(), reason: e.to_string() })?;
+    let position = Position { level: 0, world: DAffine3::IDENTITY, chain: Arc::new([]) };
+    let mut fill = Fill {
+        options,
+        scope: RootScope::of(&root),
+        filled: Filled::default(),
+        jobs: Vec::new(),
+        seen: HashSet::new(),
+        positions: HashSet::new(),
+        in_flight: HashMap::new(),
+        revisited: 0,
+    };
+    fill.add_position(root.clone(), position);
+    let end = runtime.block_on(async {
+        let end = fill.run(&client, &root, progress).await;
+        client.flush().await;
+        end
+    });
+    end?;
+    fill.filled.cache = client.cache().map(|cache| cache.stats()).unwrap_or_default();
+    Ok(fill.filled)
+}
+
+impl Fill<'_> {
+    async fn run(
+        &mut self,
+        client: &HttpClient,
+        root: &Arc<str>,
+        progress: &mut dyn FnMut(&Filled) -> ControlFlow<()>,
+    ) -> Result<(), IoError> {
+        let mut tasks: JoinSet<Done> = JoinSet::new();
+        let mut uris = HashMap::new();
+        loop {
+            while !self.filled.stopped
+                && tasks.len() < self.options.in_flight.max(1)
+                && let Some(job) = self.jobs.pop()
+            {
+                let (client, limits, refresh) = (client.clone(), self.options.limits, self.options.refresh);
+                let of = (job.uri.clone(), job.is_again);
+                let task = tasks.spawn(async move { fetch(&client, job, &limits, refresh).await });
+                uris.insert(task.id(), of);
+            }
+            match tokio::time::timeout(PROGRESS_INTERVAL, tasks.join_next_with_id()).await {
+                Ok(None) => return Ok(()),
+                Ok(Some(Ok((id, done)))) => {
+                    uris.remove(&id);
+                    self.take(client, done, root)?;
+                }
+                // A task that was cancelled.
+                Ok(Some(Err(e))) if e.is_cancelled() => continue,
+                // A task that panicked.
+                Ok(Some(Err(e))) => {
+                    let (uri, is_again) = uris.remove(&e.id()).unwrap_or_else(|| (root.clone(), false));
+                    let error =
+                        IoError::Network { uri: uri.to_string(), reason: "its worker thread panicked".to_owned() };
+                    self.failed((&uri, is_again), error, root)?;
+                }
+                Err(_) => {}
+            }
+            let is_over = self.jobs.is_empty() && tasks.is_empty();
+            if !self.filled.stopped && progress(&self.filled).is_break() && !is_over {
+                self.filled.stopped = true;
+                tasks.abort_all();
+            }
+        }
+    }
+
+    fn take(&mut self, client: &HttpClient, done: Done, root: &Arc<str>) -> Result<(), IoError> {
+        self.filled.bytes += done.network_bytes;
+        let result = done.result.and_then(|bytes| match &done.job.tileset {
+            Some(position) => self.add_tileset_in_all_positions(&done.job, bytes, position),
+            None => self.check_content(&done.job, bytes),
+        });
+        if result.as_ref().is_err_and(IoError::is_no_content) {
+            // The bytes are invalid, such as an error page: the next run requests the file again.
+            client.forget(&done.job.uri);
+        }
+        match result {
+            Ok(()) if done.job.is_again => {}
+            Ok(()) if done.was_cached => self.filled.kept += 1,
+            Ok(()) => self.filled.fetched += 1,
+            Err(error) => self.failed((&done.job.uri, done.job.is_again), error, root)?,
+        }
+        Ok(())
+    }
+
+    /// Records a failed file. Fails if it is the root.
+    fn failed(&mut self, of: (&Arc<str>, bool), error: IoError, root: &Arc<str>) -> Result<(), IoError> {
+        let (uri, is_again) = of;
+        if uri == root {
+            return Err(error);
+        }
+        self.filled.found += u64::from(is_again);
+        self.fail(&error);
+        Ok(())
+    }
+
+    fn fail(&mut self, error: &IoError) {
+        self.filled.failed += 1;
+        if self.filled.errors.len() < MAX_LISTED {
+            self.filled.errors.push((shown(error.uri()).into_owned(), error.reason()));
+        }
+    }
+
+    fn add_file(&mut self, uri: Arc<str>, possible_tileset: Option<Box<Position>>) {
+        if self.seen.insert(uri.clone()) {
+            self.filled.found += 1;
+            self.jobs.push(Job { uri, tileset: None, possible_tileset, is_again: false });
+        }
+    }
+
+    /// Checks a content, and reads it if it is a tileset. If it has several positions, only the first one counts.
+    fn check_content(&mut self, job: &Job, bytes: Vec<u8>) -> Result<(), IoError> {
+        refuse_markup(&job.uri, &bytes)?;
+        match &job.possible_tileset {
+            Some(position)
+                if !position.chain.contains(&job.uri) && is_tileset(&job.uri, &bytes, &self.options.limits) =>
+            {
+                self.add_tileset(&job.uri, bytes, position).map(drop)
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Adds a position of a tileset. In each position other files below it may be wanted.
+    fn add_position(&mut self, uri: Arc<str>, position: Position) {
+        let is_new = self.seen.insert(uri.clone());
+        let takes_all = self.options.region.is_none() && self.options.levels == (0..=u32::MAX);
+        let key = || (uri.clone(), position.level, position.world.to_cols_array().map(f64::to_bits));
+        // A tileset that contains itself is an error only for the pager.
+        if takes_all && !is_new || position.chain.contains(&uri) || !takes_all && !self.positions.insert(key()) {
+            return;
+        }
+        if is_new {
+            self.filled.found += 1;
+            self.in_flight.insert(uri.clone(), Vec::new());
+        } else if let Some(positions) = self.in_flight.get_mut(&uri) {
+            positions.push(position);
+            return;
+        }
+        self.jobs.push(Job { uri, tileset: Some(position), possible_tileset: None, is_again: !is_new });
+    }
+
+    fn add_tileset_in_all_positions(&mut self, job: &Job, bytes: Vec<u8>, first: &Position) -> Result<(), IoError> {
+        let others = self.in_flight.remove(&job.uri).unwrap_or_default();
+        self.revisited += self.add_tileset(&job.uri, bytes.clone(), first)? * u64::from(job.is_again);
+        for position in &others {
+            self.revisited += self.add_tileset(&job.uri, bytes.clone(), position)?;
+        }
+        Ok(())
+    }
+
+    /// Queues the files that a tileset in one position refers to. Returns its number of tiles and contents.
+    fn add_tileset(&mut self, uri: &Arc<str>, bytes: Vec<u8>, position: &Position) -> Result<u64, IoError> {
+        let limit = self.options.limits.max_elements as u64;
+        if self.revisited > limit {
+            // A few files that refer to each other often enough form an almost endless tree.
+            let what = "tiles of tilesets in several places";
+            return Err(IoError::TooLarge { uri: uri.to_string(), what, got: self.revisited, limit });
+        }
+        let options = ReadOptions {
+            root: self.scope.clone(),
+            limits: self.options.limits,
+            chain: position.chain.clone(),
+            // Regions must stay regions to be compared with the wanted one.
+            set_from_content: DAffine3::IDENTITY,
+            build_kd_trees: false,
+            vertex_attributes: Arc::default(),
+            sharing: None,
+        };
+        let Some(tile) = read_root_tile(uri, bytes, &options)? else { return Ok(1) };
+        let is_root = position.chain.is_empty();
+        if is_root && self.options.region.is_some() && !region::is_on_earth(&tile.bounds, &position.world) {
+            return Err(IoError::unsupported(uri, "a region of a set that is not on the earth"));
+        }
+        let below = Position { chain: options.below(uri).chain, ..position.clone() };
+        Ok(self.add_tile(&tile, &below))
+    }
+
+    /// Queues the wanted files of a tile and its descendants. `position.level` is the level of the tile. Returns the number
+    /// of tiles and contents visited.
+    fn add_tile(&mut self, tile: &Tile, position: &Position) -> u64 {
+        if !self.is_wanted(&tile.bounds, position) {
+            return 1;
+        }
+        let mut visited = 1 + tile.contents.len() as u64;
+        for (i, uri) in tile.contents.iter().enumerate() {
+            let possible_tileset = may_be_tileset(uri).then(|| {
+                let (level, world) = (position.level + 1, position.world * tile.content_transform);
+                Box::new(Position { level, world, chain: position.chain.clone() })
+            });
+            // A content above the wanted levels is fetched only if it may be a tileset that leads to them.
+            if possible_tileset.is_some() || self.options.levels.contains(&position.level) {
+                let reader_data = tile.reader_data.as_ref().filter(|_| i == 0);
+                for companion in companions(uri, reader_data) {
+                    self.add_file(companion, None);
+                }
+                self.add_file(uri.clone(), possible_tileset);
+            }
+        }
+        let below = Position { level: position.level + 1, ..position.clone() };
+        for uri in &tile.external_tilesets {
+            visited += 1;
+            if self.is_wanted(&BoundingVolume::Sphere(tile.bounds.bounding_sphere()), &below) {
+                let world = below.world * tile.content_transform;
+                self.add_position(uri.clone(), Position { world, ..below.clone() });
+            }
+        }
+        visited + tile.children.iter().map(|child| self.add_tile(child, &below)).sum::<u64>()
+    }
+
+    fn is_wanted(&self, bounds: &BoundingVolume, position: &Position) -> bool {
+        position.level <= *self.options.levels.end()
+            && self.options.region.as_ref().is_none_or(|region| region::overlaps(bounds, &position.world, region))
+    }
+}
+
+/// Parses the root tile of a tileset. Returns `None` for another content, such as a glTF that a tile refers to as `.json`.
+fn read_root_tile(uri: &Arc<str>, bytes: Vec<u8>, options: &ReadOptions) -> Result<Option<Tile>, IoError> {
+    guarded(uri, || {
+        let bytes = encoding::gunzip(uri, bytes, &options.limits)?;
+        if is_tileset(uri, &bytes, &options.limits) {
+            return read_tiles(uri, &bytes, options).map(Some);
+        }
+        let content = Content { uri: uri.clone(), bytes, reader_data: None, companions: Vec::new() };
+        decode_node(content, options).map(|_| None)
+    })
+}
+
+async fn fetch(client: &HttpClient, job: Job, limits: &Limits, refresh: bool) -> Done {
+    if !refresh {
+        // Tilesets must be read; for other files it is enough that they are cached.
+        let cached = match (&job.tileset, &job.possible_tileset) {
+            (None, None) => client.is_cached(&job.uri).await.then(Vec::new),
+            _ => client.get_cached(&job.uri, limits).await,
+        };
+        if let Some(bytes) = cached {
+            return Done { job, result: Ok(bytes), was_cached: true, network_bytes: 0 };
+        }
+    }
+    match client.get(&job.uri, limits).await {
+        Ok(body) => Done {
+            job,
+            result: Ok(body.bytes),
+            was_cached: refresh && body.network_bytes == 0,
+            network_bytes: body.network_bytes,
+        },
+        Err(error) => Done { job, result: Err(error), was_cached: false, network_bytes: 0 },
+    }
+}

@@ -1,0 +1,277 @@
+//! Summary of a tile set, for `terrane info`. Reads every tileset and the sizes of local contents. Blocking.
+
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+use serde::Serialize;
+
+use super::report::{InfoError, record, too_many};
+#[cfg(feature = "http")]
+use crate::fetch::HttpConfig;
+use crate::fetch::{IoError, Limits, Source, is_remote, path_of, resolve, root_uri};
+use crate::formats::height::SetExtras;
+use crate::formats::options::ReadOptions;
+use crate::formats::tileset::{self, TileJson};
+use crate::scene::Page;
+
+/// Summary of a tile set.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Info {
+    /// "3D Tiles", or "3D Tiles with heights".
+    pub format: String,
+    /// The version of the asset.
+    pub version: String,
+    /// Number of tiles, those of external tilesets included.
+    pub tiles: u64,
+    /// Number of contents, external tilesets excluded.
+    pub contents: u64,
+    /// Statistics by level, root first.
+    pub levels: Vec<LevelInfo>,
+    /// Bytes of tilesets, local contents and local imagery. Contents on servers are not fetched and count 0.
+    pub bytes: u64,
+    /// Extensions that the tilesets declare as used.
+    pub extensions: BTreeSet<String>,
+    /// The bounds of the whole set.
+    pub bounds: BoundsInfo,
+    /// Number of failures.
+    pub failed: u64,
+    /// The first thousand failures.
+    pub errors: Vec<InfoError>,
+}
+
+/// Statistics of one level of the tree.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct LevelInfo {
+    /// The level: 0 for the root. The root of an external tileset is one level below the tile that refers to it.
+    pub level: u32,
+    /// Number of tiles.
+    pub tiles: u64,
+    /// Number of contents.
+    pub contents: u64,
+    /// Bytes of local contents and imagery.
+    pub bytes: u64,
+}
+
+/// Bounds of a tile set: a sphere, and the region of the root if it has one.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct BoundsInfo {
+    /// Centre in metres in the frame of the set.
+    pub center: [f64; 3],
+    /// Radius in metres.
+    pub radius_m: f64,
+    /// West, south, east and north in radians, lowest and highest height in metres.
+    pub region: Option<Vec<f64>>,
+}
+
+/// Summarizes a tile set. Fails only if the root cannot be read; other failures are listed in [`Info::errors`].
+pub fn inspect(source: &str, limits: &Limits) -> Result<Info, IoError> {
+    inspect_from(source, limits, Source::new(*limits))
+}
+
+/// Like [`inspect`], with a configuration for servers.
+#[cfg(feature = "http")]
+pub fn inspect_with(source: &str, limits: &Limits, http: HttpConfig) -> Result<Info, IoError> {
+    inspect_from(source, limits, Source::with_http(*limits, http))
+}
+
+fn inspect_from(source: &str, limits: &Limits, from: Source) -> Result<Info, IoError> {
+    let root = root_uri(source)?;
+    let options = ReadOptions::for_root(&root, *limits);
+    let mut info = Info { format: "3D Tiles".to_owned(), ..Info::default() };
+    let bytes = from.read(&root)?;
+    let json = tileset::parse(&root, &bytes)?;
+    info.version.clone_from(&json.asset.version);
+    if json.asset.extras.0.as_ref().is_some_and(SetExtras::is_height) {
+        info.format = "3D Tiles with heights".to_owned();
+    }
+    info.bounds.region.clone_from(&json.root.bounding_volume.region);
+    info.bytes += bytes.len() as u64;
+    info.extensions.extend(json.extensions_used.iter().cloned());
+    match tileset::read(&root, &bytes, &options)
+        .and_then(|node| Page::from_node(node).map_err(|e| IoError::invalid(&root, e.to_string())))
+    {
+        Ok(page) => {
+            let sphere = page.bounding_sphere();
+            info.bounds.center = sphere.center.to_array();
+            info.bounds.radius_m = sphere.radius_m;
+        }
+        Err(e) => info.fail(&e),
+    }
+    let limit = limits.max_elements as u64;
+    let mut walk = Walk { info, from: &from, visited: 0, limit };
+    if !walk.tile(&root, &json.root, (0, 0), &options) {
+        walk.info.fail(&too_many(&root, limit));
+    }
+    Ok(walk.info)
+}
+
+impl Info {
+    fn fail(&mut self, error: &IoError) {
+        record(error, &mut self.failed, &mut self.errors);
+    }
+
+    fn level(&mut self, level: u32) -> &mut LevelInfo {
+        while self.levels.len() <= level as usize {
+            self.levels.push(LevelInfo { level: self.levels.len() as u32, ..LevelInfo::default() });
+        }
+        &mut self.levels[level as usize]
+    }
+}
+
+/// The state of a walk over a tile set.
+struct Walk<'a> {
+    info: Info,
+    from: &'a Source,
+    /// Number of tiles and tilesets so far.
+    visited: u64,
+    /// The maximum of `visited`.
+    limit: u64,
+}
+
+impl Walk<'_> {
+    /// Counts a tile or tileset. Returns false if the limit is exceeded.
+    fn visit(&mut self) -> bool {
+        self.visited += 1;
+        self.visited <= self.limit
+    }
+
+    /// Adds a tile and its descendants. `depth` is its depth inside its file. Returns false if the limit is exceeded.
+    fn tile(&mut self, base: &Arc<str>, tile: &TileJson, (level, depth): (u32, u32), options: &ReadOptions) -> bool {
+        if depth > options.limits.max_depth {
+            // The reader of the same file has already reported this.
+            return true;
+        }
+        if !self.visit() {
+            return false;
+        }
+        self.info.tiles += 1;
+        self.info.level(level).tiles += 1;
+        let imagery = tile.extras.0.as_ref().and_then(|own| own.imagery.as_deref());
+        let contents = tile.content.iter().chain(&tile.contents).filter_map(|content| content.uri());
+        for (reference, is_content) in contents.map(|uri| (uri, true)).chain(imagery.map(|uri| (uri, false))) {
+            let uri = match resolve(base, reference, &options.root) {
+                Ok(uri) => uri,
+                Err(e) => {
+                    self.info.fail(&e);
+                    continue;
+                }
+            };
+            if path_of(&uri).ends_with(".json") {
+                if !self.visit() {
+                    return false;
+                }
+                match self.external(base, &uri, level, options) {
+                    Ok(false) => return false,
+                    Ok(true) => {}
+                    Err(e) => self.info.fail(&e),
+                }
+                continue;
+            }
+            self.info.contents += u64::from(is_content);
+            self.info.level(level).contents += u64::from(is_content);
+            if is_remote(&uri) {
+                continue;
+            }
+            match self.from.size(&uri) {
+                Ok(bytes) => {
+                    self.info.bytes += bytes;
+                    self.info.level(level).bytes += bytes;
+                }
+                Err(e) => self.info.fail(&e),
+            }
+        }
+        tile.children.iter().all(|child| self.tile(base, child, (level + 1, depth + 1), options))
+    }
+
+    /// Adds an external tileset that a tile in the file `base` refers to. Returns false if the limit is exceeded.
+    fn external(
+        &mut self,
+        base: &Arc<str>,
+        uri: &Arc<str>,
+        level: u32,
+        options: &ReadOptions,
+    ) -> Result<bool, IoError> {
+        if uri == base || options.chain.contains(uri) {
+            return Err(IoError::unsupported(uri, "the tileset contains itself"));
+        }
+        if options.chain.len() >= options.limits.max_external_depth {
+            return Err(IoError::invalid(uri, "external tilesets are nested too deep"));
+        }
+        let bytes = self.from.read(uri)?;
+        let json = tileset::parse(uri, &bytes)?;
+        self.info.bytes += bytes.len() as u64;
+        self.info.extensions.extend(json.extensions_used.iter().cloned());
+        let below = options.below(base);
+        if let Err(e) = tileset::read(uri, &bytes, &below) {
+            self.info.fail(&e);
+        }
+        Ok(self.tile(uri, &json.root, (level + 1, 0), &below))
+    }
+}
+
+impl std::fmt::Display for Info {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let mb = |b: u64| b as f64 / 1e6;
+        writeln!(
+            f,
+            "{} {}: {} tiles, {} contents, {:.2} MB",
+            self.format,
+            self.version,
+            self.tiles,
+            self.contents,
+            mb(self.bytes)
+        )?;
+        let [x, y, z] = self.bounds.center;
+        writeln!(f, "bounds: centre {x:.1} {y:.1} {z:.1}, radius {:.1} m", self.bounds.radius_m)?;
+        if let Some([west, south, east, north, low, high]) = self.bounds.region.as_deref() {
+            let d = |a: &f64| a.to_degrees();
+            let (w, s, e, n) = (d(west), d(south), d(east), d(north));
+            writeln!(f, "region: {w:.5} {s:.5} to {e:.5} {n:.5} degrees, {low:.1} to {high:.1} m")?;
+        }
+        for l in &self.levels {
+            writeln!(
+                f,
+                "level {:2}: {:6} tiles, {:6} contents, {:10.2} MB",
+                l.level,
+                l.tiles,
+                l.contents,
+                mb(l.bytes)
+            )?;
+        }
+        if !self.extensions.is_empty() {
+            let list: Vec<&str> = self.extensions.iter().map(String::as_str).collect();
+            writeln!(f, "extensions: {}", list.join(", "))?;
+        }
+        write!(f, "errors: {}", self.failed)?;
+        for e in &self.errors {
+            write!(f, "\n  {}: {}", e.uri, e.reason)?;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The path used to be cut at the character, so that external tilesets counted as contents.
+    #[test]
+    fn folders_may_contain_question_marks_and_hashes() {
+        let tile = |uri: &str| {
+            format!(
+                r#"{{"asset":{{"version":"1.1"}},"geometricError":1,"root":{{"geometricError":0,
+                "boundingVolume":{{"sphere":[0,0,0,1]}},"content":{{"uri":"{uri}"}}}}}}"#
+            )
+        };
+        for name in ["c#", "what?"] {
+            let folder = tempfile::tempdir().unwrap();
+            let set = folder.path().join(name);
+            std::fs::create_dir(&set).unwrap();
+            for (file, content) in [("tileset.json", "below.json"), ("below.json", "a.glb"), ("a.glb", "")] {
+                std::fs::write(set.join(file), tile(content)).unwrap();
+            }
+            let info = inspect(set.to_str().unwrap(), &Limits::default()).unwrap();
+            assert_eq!((info.tiles, info.contents, info.failed), (2, 1, 0), "{name}: {:?}", info.errors);
+        }
+    }
+}

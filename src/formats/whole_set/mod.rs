@@ -1,0 +1,19 @@
+//! Jobs that walk a whole tile set: summary, verification, filling the cache. Blocking; for tools, not for frames.
+
+#[cfg(feature = "http")]
+mod fill;
+mod info;
+#[cfg(feature = "http")]
+mod region;
+mod report;
+mod verify;
+
+#[cfg(feature = "http")]
+pub use fill::{FillOptions, Filled, fill};
+#[cfg(feature = "http")]
+pub use info::inspect_with;
+pub use info::{BoundsInfo, Info, LevelInfo, inspect};
+pub use report::InfoError;
+#[cfg(feature = "http")]
+pub use verify::verify_with;
+pub use verify::{Verified, verify};

@@ -1,0 +1,124 @@
+//! Reads and decodes a whole tile set as the pager would, for `terrane info --verify`. One content at a time; blocking.
+
+use std::sync::Arc;
+
+use serde::Serialize;
+
+use super::report::{InfoError, record, too_many};
+#[cfg(feature = "http")]
+use crate::fetch::HttpConfig;
+use crate::fetch::{IoError, Limits, Source, root_uri};
+use crate::formats::options::{Content, ReadOptions};
+use crate::formats::read::{companions, decode, decode_node};
+use crate::formats::tileset;
+use crate::scene::{Node, NodeKind};
+
+/// The result of [`verify`].
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Verified {
+    /// Number of contents, decoded or failed.
+    pub contents: u64,
+    /// Bytes read: contents, their companions, and tilesets.
+    pub bytes: u64,
+    /// Number of failed contents, companions and tilesets.
+    pub failed: u64,
+    /// The first thousand failures.
+    pub errors: Vec<InfoError>,
+}
+
+/// A file that must still be read.
+struct Job {
+    uri: Arc<str>,
+    reader_data: Option<Arc<str>>,
+    options: ReadOptions,
+    is_tileset: bool,
+}
+
+/// Reads and decodes every content of a tile set, and calls `progress` after each. Fails only if the root cannot be read.
+pub fn verify(source: &str, limits: &Limits, progress: &mut dyn FnMut(&Verified)) -> Result<Verified, IoError> {
+    verify_from(source, limits, &Source::new(*limits), progress)
+}
+
+/// Like [`verify`], with a configuration for servers.
+#[cfg(feature = "http")]
+pub fn verify_with(
+    source: &str,
+    limits: &Limits,
+    http: HttpConfig,
+    progress: &mut dyn FnMut(&Verified),
+) -> Result<Verified, IoError> {
+    verify_from(source, limits, &Source::with_http(*limits, http), progress)
+}
+
+fn verify_from(
+    source: &str,
+    limits: &Limits,
+    from: &Source,
+    progress: &mut dyn FnMut(&Verified),
+) -> Result<Verified, IoError> {
+    let root = root_uri(source)?;
+    let options = ReadOptions::for_root(&root, *limits);
+    let (mut verified, mut jobs) = (Verified::default(), Vec::new());
+    let bytes = from.read(&root)?;
+    verified.bytes += bytes.len() as u64;
+    let content = Content { uri: root.clone(), bytes, reader_data: None, companions: Vec::new() };
+    let limit = limits.max_elements as u64;
+    let mut nodes = collect(&decode_node(content, &options)?, &root, &options, &mut jobs);
+    while let Some(job) = jobs.pop() {
+        if nodes > limit {
+            verified.fail(&too_many(&root, limit));
+            break;
+        }
+        match verified.read(from, job, &mut jobs) {
+            Ok(more) => nodes += more,
+            Err(error) => verified.fail(&error),
+        }
+        progress(&verified);
+    }
+    Ok(verified)
+}
+
+impl Verified {
+    fn fail(&mut self, error: &IoError) {
+        record(error, &mut self.failed, &mut self.errors);
+    }
+
+    /// Reads a file. Returns the number of nodes if it is a tileset, and 0 otherwise.
+    fn read(&mut self, from: &Source, job: Job, jobs: &mut Vec<Job>) -> Result<u64, IoError> {
+        let Job { uri, reader_data, options, is_tileset } = job;
+        let mut fetch = |uri: &Arc<str>| {
+            let bytes = from.read(uri)?;
+            self.bytes += bytes.len() as u64;
+            Ok(bytes)
+        };
+        let companions = if is_tileset { Vec::new() } else { companions(&uri, reader_data.as_ref()) };
+        let companions = companions.into_iter().map(|of| (of.clone(), fetch(&of))).collect();
+        let bytes = fetch(&uri);
+        // The name of a tileset may have any file extension.
+        let is_one = |bytes: &Vec<u8>| tileset::is_tileset(&uri, bytes, &options.limits);
+        let is_tileset = is_tileset || bytes.as_ref().is_ok_and(is_one);
+        self.contents += u64::from(!is_tileset);
+        let content = Content { bytes: bytes?, uri: uri.clone(), reader_data, companions };
+        if is_tileset {
+            return Ok(collect(&decode_node(content, &options)?, &uri, &options, jobs));
+        }
+        decode(content, &options).map(|_| 0)
+    }
+}
+
+/// Adds a job for each file that the nodes of a tileset refer to. Returns the number of nodes.
+fn collect(node: &Node, tileset: &Arc<str>, options: &ReadOptions, jobs: &mut Vec<Job>) -> u64 {
+    let mut push = |uri: &Arc<str>, reader_data: Option<Arc<str>>, is_tileset: bool| {
+        jobs.push(Job { uri: uri.clone(), reader_data, options: options.below(tileset), is_tileset });
+    };
+    match &node.kind {
+        NodeKind::PagedLod(tile) => {
+            if let Some(uri) = &tile.content {
+                push(uri, tile.reader_data.clone(), false);
+            }
+        }
+        NodeKind::ProxyNode(proxy) => push(&proxy.uri, None, true),
+        _ => {}
+    }
+    1 + node.children.iter().map(|child| collect(child, tileset, options, jobs)).sum::<u64>()
+}
