@@ -51,7 +51,7 @@ pub(crate) fn unwrap<'a>(uri: &str, bytes: &'a [u8]) -> Result<(&'a [u8], Option
     };
     let rtc = match table.rtc_center {
         Some(center) => {
-            let center = center.vector(binary).ok_or_else(|| IoError::invalid(uri, "b3dm: RTC_CENTER"))?;
+            let center = center.vector(binary).ok_or_else(|| IoError::invalid(uri, "b3dm: RTC_CENTER is invalid"))?;
             Some(DVec3::from_array(center))
         }
         None => None,

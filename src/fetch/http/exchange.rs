@@ -1,7 +1,7 @@
 //! [`Exchange`]: one request and its answer, redirects followed. HTTP thread.
 //!
-//! Redirects are followed here and not by the HTTP library, because each step must send the credentials of its own server only,
-//! and because no redirect may lead from an encrypted connection to an unencrypted one or to another scheme.
+//! Redirects are followed here and not by the HTTP library. Each step sends only the credentials of the server it asks. No
+//! redirect may lead from an encrypted connection to an unencrypted one, or to another scheme.
 
 use std::future::Future;
 use std::pin::pin;

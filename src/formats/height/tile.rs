@@ -28,7 +28,7 @@ pub(in crate::formats) fn read(
         Some(text) => serde_json::from_str(text).map_err(|e| IoError::invalid(uri, format!("tile data: {e}")))?,
         None => return Err(IoError::unsupported(uri, "EXR outside a height tile set")),
     };
-    data.check().map_err(|part| IoError::invalid(uri, format!("tile data: {part}")))?;
+    data.check().map_err(|part| IoError::invalid(uri, format!("tile data: {part} is invalid")))?;
     let stride = data.side as usize + 2 * data.border as usize;
     let heights = decode_heights(uri, bytes, stride, limits)?;
     let (mut texture, mut shared): (Option<Arc<Texture>>, _) = (None, None);

@@ -95,7 +95,7 @@ impl HeightSet {
     /// Checks the extras of a tileset. Returns `None` if its contents are not height tiles.
     pub fn from_extras(uri: &str, extras: Option<SetExtras>) -> Result<Option<Self>, IoError> {
         let Some(extras) = extras.filter(SetExtras::is_height) else { return Ok(None) };
-        let bad = |what: &str| IoError::invalid(uri, format!("asset.extras.terrane.{what}"));
+        let bad = |what: &str| IoError::invalid(uri, format!("asset.extras.terrane.{what} is missing or invalid"));
         Ok(Some(Self {
             side: extras.side.filter(|side| is_side(*side)).ok_or_else(|| bad("side"))?,
             border: extras.border.filter(|border| *border == 1).ok_or_else(|| bad("border"))?,

@@ -49,27 +49,29 @@ pub(in crate::formats) fn read(uri: &str, bytes: &[u8], limits: &Limits) -> Resu
         return Err(IoError::unsupported(uri, "pnts of another version than 1"));
     }
     let (json_bytes, binary_bytes) = word(12).zip(word(16)).ok_or_else(|| bad("truncated header"))?;
-    let json_end = HEADER_BYTES.checked_add(json_bytes).ok_or_else(|| bad("lengths"))?;
+    let json_end = HEADER_BYTES.checked_add(json_bytes).ok_or_else(|| bad("the lengths in the header overflow"))?;
     let json = bytes.get(HEADER_BYTES..json_end).ok_or_else(|| bad("truncated feature table"))?;
-    let end = json_end.checked_add(binary_bytes).ok_or_else(|| bad("lengths"))?;
+    let end = json_end.checked_add(binary_bytes).ok_or_else(|| bad("the lengths in the header overflow"))?;
     let binary = bytes.get(json_end..end).ok_or_else(|| bad("truncated feature table"))?;
     let table: FeatureTable =
         feature_table::parse(json).map_err(|e| IoError::invalid(uri, format!("pnts feature table: {e}")))?;
     if table.extensions.as_ref().is_some_and(|e| e.draco.is_some()) {
         return Err(IoError::unsupported(uri, "extension 3DTILES_draco_point_compression"));
     }
-    let count = table.points_length.count(binary).ok_or_else(|| bad("POINTS_LENGTH"))?;
+    let count = table.points_length.count(binary).ok_or_else(|| bad("POINTS_LENGTH is invalid"))?;
     if count > limits.max_elements {
         return Err(bad(&format!("{count} points")));
     }
     let column = |place: &Option<BinaryOffset>, size: usize| -> Result<Option<&[u8]>, IoError> {
         let Some(place) = place else { return Ok(None) };
         let end = count.checked_mul(size).and_then(|n| n.checked_add(place.byte_offset));
-        end.and_then(|end| binary.get(place.byte_offset..end)).map(Some).ok_or_else(|| bad("reaches beyond its table"))
+        end.and_then(|end| binary.get(place.byte_offset..end))
+            .map(Some)
+            .ok_or_else(|| bad("a column reaches beyond the binary part of the feature table"))
     };
     let vector = |global: &Option<Global<[f64; 3]>>, name: &str| -> Result<Option<DVec3>, IoError> {
         let Some(global) = global else { return Ok(None) };
-        global.vector(binary).map(|v| Some(DVec3::from_array(v))).ok_or_else(|| bad(name))
+        global.vector(binary).map(|v| Some(DVec3::from_array(v))).ok_or_else(|| bad(&format!("{name} is invalid")))
     };
     let (mut positions, origin) = positions(&table, &column, &vector, &bad)?;
     let normals = match (column(&table.normal, 12)?, column(&table.normal_oct16p, 2)?) {
@@ -78,7 +80,7 @@ pub(in crate::formats) fn read(uri: &str, bytes: &[u8], limits: &Limits) -> Resu
         (None, None) => None,
     };
     let constant = match table.constant_rgba {
-        Some(global) => global.bytes(binary).ok_or_else(|| bad("CONSTANT_RGBA"))?,
+        Some(global) => global.bytes(binary).ok_or_else(|| bad("CONSTANT_RGBA is invalid"))?,
         None => [255; 4],
     };
     let colors: Vec<[u8; 4]> = match (column(&table.rgba, 4)?, column(&table.rgb, 3)?, column(&table.rgb565, 2)?) {
@@ -130,7 +132,7 @@ fn positions<'a>(
         let offset = vector(&table.quantized_volume_offset, "QUANTIZED_VOLUME_OFFSET")?;
         let scale = vector(&table.quantized_volume_scale, "QUANTIZED_VOLUME_SCALE")?;
         let (Some(offset), Some(scale)) = (offset, scale) else {
-            return Err(bad("quantized positions without their volume"));
+            return Err(bad("POSITION_QUANTIZED without QUANTIZED_VOLUME_OFFSET and QUANTIZED_VOLUME_SCALE"));
         };
         let step = scale / 65535.0;
         let point = |b: &[u8]| {
@@ -139,7 +141,7 @@ fn positions<'a>(
         };
         (data.chunks_exact(6).map(point).collect(), center + offset)
     } else {
-        return Err(bad("no positions"));
+        return Err(bad("neither POSITION nor POSITION_QUANTIZED"));
     };
     if origin.is_finite() { Ok((points, origin)) } else { Err(bad("the origin is not finite")) }
 }

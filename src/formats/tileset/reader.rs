@@ -1,7 +1,7 @@
 //! Converts the JSON of a tileset to [`Tile`]s.
 //!
-//! Transforms are multiplied from the root down: the volume and the content transform of each tile are in the tileset's
-//! frame, and the scale of the transform scales the geometric error, as the specification requires.
+//! Transforms are multiplied from the root down, so the volume and the content transform of each tile are in the tileset's
+//! frame. The scale of the transform scales the geometric error, as the specification requires.
 
 use std::sync::Arc;
 
@@ -71,7 +71,10 @@ impl Reader<'_> {
         let bounds = volume(&json.bounding_volume)?;
         let request_volume = json.viewer_request_volume.as_ref().map(volume).transpose()?;
         if !(json.geometric_error.is_finite() && json.geometric_error >= 0.0) {
-            return Err(IoError::invalid(self.uri, format!("geometricError {} of a tile", json.geometric_error)));
+            return Err(IoError::invalid(
+                self.uri,
+                format!("geometricError {} of a tile is negative or not finite", json.geometric_error),
+            ));
         }
         let mut geometric_error_m = json.geometric_error * crate::math::max_scale(&content_transform.matrix3);
         let mut reader_data = None;

@@ -8,7 +8,8 @@ use crate::math::{BoundingSphere, BoundingVolume, OrientedBox, Region};
 
 /// Parses the transform of a tile.
 pub(super) fn affine(uri: &str, m: &[f64]) -> Result<DAffine3, IoError> {
-    let m: [f64; 16] = m.try_into().map_err(|_| IoError::invalid(uri, format!("transform of {} numbers", m.len())))?;
+    let m: [f64; 16] =
+        m.try_into().map_err(|_| IoError::invalid(uri, format!("transform of {} numbers, 16 expected", m.len())))?;
     let m = DMat4::from_cols_array(&m);
     if !m.is_finite() || m.row(3) != DVec4::W {
         return Err(IoError::invalid(uri, "transform of a tile is not affine and finite"));
@@ -24,7 +25,7 @@ pub(super) fn bounding_volume(
     world: &DAffine3,
     set_from_content: &DAffine3,
 ) -> Result<BoundingVolume, IoError> {
-    let bad = |what: &str, v: &[f64]| IoError::invalid(uri, format!("bounding {what} {v:?}"));
+    let bad = |what: &str, v: &[f64]| IoError::invalid(uri, format!("bounding {what} {v:?} is invalid"));
     if let Some(v) = &json.oriented_box {
         let &[cx, cy, cz, ax, ay, az, bx, by, bz, gx, gy, gz] = v.as_slice() else { return Err(bad("box", v)) };
         let b = OrientedBox {

@@ -138,7 +138,7 @@ pub fn fill(
     if !is_remote(&root) {
         return Err(IoError::Uri { uri: root.to_string(), reason: "only tile sets on servers are cached".to_owned() });
     }
-    // No frame waits for the files, so long pauses are acceptable.
+    // No frame waits for the files. The client may therefore wait for a pause of minutes.
     let client = HttpClient::new(&HttpConfig { max_wait: config.max_wait.max(MAX_SERVER_PAUSE), ..config.clone() })?;
     let client = if options.refresh { client.revalidating() } else { client };
     if client.cache().is_none() {
