@@ -165,6 +165,7 @@ mod tests {
     use tracing::{Event, Subscriber, subscriber};
 
     use super::super::{request_begins, request_ends, request_span, span, span_of};
+    use super::*;
 
     /// Writes one line for everything that happens to a span.
     #[derive(Clone, Default)]
@@ -172,8 +173,6 @@ mod tests {
         lines: Arc<Mutex<Vec<String>>>,
         last_id: Arc<AtomicU64>,
     }
-
-    use super::*;
 
     impl Log {
         fn push(&self, line: String) {

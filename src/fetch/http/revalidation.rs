@@ -58,7 +58,7 @@ pub(super) async fn get(
 enum Response {
     New(HttpBody),
     /// The server confirmed the cached body (status 304).
-    NotModified(Answer),
+    NotModified(Box<Answer>),
 }
 
 /// Requests a URI unconditionally and stores the answer.
@@ -85,7 +85,7 @@ async fn request(
     let answer = transport.exchange(uri, &headers, validated_at, limits).await?;
     let is_conditional = headers.contains_key(IF_NONE_MATCH) || headers.contains_key(IF_MODIFIED_SINCE);
     if answer.status == 304 && is_conditional {
-        return Ok(Response::NotModified(answer));
+        return Ok(Response::NotModified(Box::new(answer)));
     }
     if !answer.is_whole() {
         return Err(answer.error(uri));

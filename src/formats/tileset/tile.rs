@@ -31,8 +31,8 @@ pub(in crate::formats) struct Tile {
 impl Tile {
     /// Converts the tile and its descendants to nodes.
     ///
-    /// A tile with several contents becomes a `MultiContentTile`: an empty, always refined ADD tile above one tile per content. So its
-    /// contents are loaded and drawn together.
+    /// A tile with several contents becomes a `MultiContentTile`: an empty, always refined ADD tile above one tile per
+    /// content. So its contents are loaded and drawn together.
     pub fn into_node(self) -> Node {
         let Self { bounds, request_volume, refine, content_transform, .. } = self;
         let external = |uri| {

@@ -324,13 +324,13 @@ impl Fill<'_> {
         Ok(self.add_tile(&tile, &below))
     }
 
-    /// Queues the wanted files of a tile and its descendants. `position.level` is the level of the tile. Returns the number
-    /// of tiles and contents visited.
+    /// Queues the wanted files of a tile and its descendants. `position.level` is the level of the tile. Returns the number of
+    /// tiles visited; each further content of a tile counts as one, too.
     fn add_tile(&mut self, tile: &Tile, position: &Position) -> u64 {
         if !self.is_wanted(&tile.bounds, position) {
             return 1;
         }
-        let mut visited = 1 + tile.contents.len() as u64;
+        let mut visited = tile.contents.len().max(1) as u64;
         for (i, uri) in tile.contents.iter().enumerate() {
             let possible_tileset = may_be_tileset(uri).then(|| {
                 let (level, world) = (position.level + 1, position.world * tile.content_transform);

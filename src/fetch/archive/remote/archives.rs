@@ -6,11 +6,11 @@ use std::time::{Instant, SystemTime};
 use lru::LruCache;
 
 use super::identity::ArchiveIdentity;
-use super::part::{Part, PartReader};
+use super::part::{MemberName, Part, PartReader};
 use super::pmtiles::RemotePmtiles;
 use super::reread_limit::RereadLimit;
 use super::shared_read::SharedRead;
-use super::zip::{MemberName, RemoteZip};
+use super::zip::RemoteZip;
 use crate::fetch::archive::{MAX_CACHED_ARCHIVES, MAX_CACHED_DIRECTORY_BYTES, evict_lru, is_pmtiles};
 use crate::fetch::cache::Entry;
 use crate::fetch::http::{CachePolicy, HttpBody, HttpCache, Transport, copy_validators};
@@ -28,14 +28,14 @@ pub(crate) struct MemberUri<'a> {
 #[derive(Debug)]
 enum RemoteArchive {
     Zip(Box<RemoteZip>),
-    Pmtiles(RemotePmtiles),
+    Pmtiles(Box<RemotePmtiles>),
 }
 
 impl RemoteArchive {
     async fn open(reader: &PartReader<'_>) -> Result<Arc<Self>, IoError> {
         let path = reader.url.split('?').next().unwrap_or(reader.url);
         Ok(Arc::new(match is_pmtiles(path) {
-            true => Self::Pmtiles(RemotePmtiles::open(reader).await?),
+            true => Self::Pmtiles(Box::new(RemotePmtiles::open(reader).await?)),
             false => Self::Zip(Box::new(RemoteZip::open(reader).await?)),
         }))
     }

@@ -1,4 +1,4 @@
-//! [`PartReader`]: requests ranges of bytes of an archive.
+//! [`PartReader`]: requests ranges of bytes of an archive. Also the types that its users share.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
@@ -28,6 +28,13 @@ impl Part {
     pub fn etag(&self) -> Option<String> {
         self.headers.get(ETAG).and_then(|v| v.to_str().ok()).map(str::to_owned)
     }
+}
+
+/// A member to read: the URI for errors, and the name inside the archive.
+#[derive(Clone, Copy)]
+pub(super) struct MemberName<'a> {
+    pub uri: &'a str,
+    pub name: &'a str,
 }
 
 /// Requests parts of one archive and counts the bytes received.

@@ -3,9 +3,8 @@
 use std::sync::Arc;
 
 use super::identity::ArchiveIdentity;
-use super::part::{Part, PartReader, range_of};
+use super::part::{MemberName, Part, PartReader, range_of};
 use super::shared_read::SharedRead;
-use super::zip::MemberName;
 use crate::fetch::archive::pmtiles::{
     DirectoryCache, HEAD_BYTES, Lookup, MAX_DIRECTORY_DEPTH, TileDirectory, TileHeader, check_span_size, tile_id,
     too_deep,

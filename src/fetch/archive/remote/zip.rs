@@ -1,7 +1,7 @@
 //! A zip archive or 3D Tiles archive on a server.
 
 use super::identity::ArchiveIdentity;
-use super::part::{Part, PartReader, range_of};
+use super::part::{MemberName, Part, PartReader, range_of};
 use super::shared_read::SharedRead;
 use crate::fetch::archive::span::Span;
 use crate::fetch::archive::zip::{
@@ -22,13 +22,6 @@ pub(super) struct RemoteZip {
     directory: SharedRead<ZipDirectory>,
     /// Completed once the directory was received twice with the same bytes.
     confirmation: SharedRead<()>,
-}
-
-/// A member to read: the URI for errors, and the name inside the archive.
-#[derive(Clone, Copy)]
-pub(super) struct MemberName<'a> {
-    pub uri: &'a str,
-    pub name: &'a str,
 }
 
 impl RemoteZip {

@@ -4,11 +4,7 @@ mod directory;
 mod index;
 mod member;
 
-#[cfg(feature = "http")]
-pub(super) use directory::DAMAGED_NAMES;
-#[cfg(not(feature = "http"))]
-pub(super) use directory::DAMAGED_NAMES;
-pub(super) use directory::{DirectoryEnd, Member, TAIL_BYTES, ZipDirectory};
+pub(super) use directory::{DAMAGED_NAMES, DirectoryEnd, Member, TAIL_BYTES, ZipDirectory};
 pub use index::fuzz_index;
 pub(super) use index::{ZipIndex, local_header};
 pub(super) use member::{MAX_HEADER_BYTES, check_member, content_range, member_span, unpack};
