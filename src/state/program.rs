@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 /// WGSL that replaces the shading of meshes and height tiles.
 ///
-/// The source is appended to `src/draw/shaders/frame.wgsl` and `mesh_vertex.wgsl`, which declare `frame`, `leaves`,
+/// The source is appended to `shared/frame.wgsl` and `meshes/mesh_vertex.wgsl` in `src/draw/shaders`, which declare `frame`, `leaves`,
 /// `MeshVertex` and `point_in_eye`. It has a vertex entry point `vs_main(vertex: MeshVertex, @builtin(instance_index)
 /// instance: u32)` and a fragment entry point `fs_main`. It may declare
 /// ```text

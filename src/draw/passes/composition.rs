@@ -11,7 +11,7 @@ use crate::draw::targets::pass_target::PassTarget;
 use crate::gpu::{GraphicsContext, watched};
 use crate::state::TextureObject;
 
-const COMPOSITE_WGSL: &str = include_str!("../shaders/composition.wgsl");
+const COMPOSITE_WGSL: &str = include_str!("../shaders/passes/composition.wgsl");
 
 /// The pipelines that draw two textures over a viewport, one for each kind of target.
 struct Composite {

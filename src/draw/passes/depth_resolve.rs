@@ -12,7 +12,7 @@ use crate::draw::resources::Resources;
 use crate::draw::targets::pass_target::{DepthSamples, PassTarget};
 use crate::gpu::{FrameTimer, GraphicsContext, watched};
 
-const DEPTH_RESOLVE_WGSL: &str = include_str!("../shaders/depth_resolve.wgsl");
+const DEPTH_RESOLVE_WGSL: &str = include_str!("../shaders/passes/depth_resolve.wgsl");
 
 const STENCIL_BITS: u32 = 8;
 

@@ -4,7 +4,7 @@
 //! | pass | records | when |
 //! |---|---|---|
 //! | [`air`] | compute pass: tables of scattered light for each eye | once, before all stages |
-//! | [`shadow_casters`] | one render pass for each cascade, into [`shadow_maps`] | before the stage |
+//! | [`shadows`] | one render pass for each cascade, into the shadow maps | before the stage |
 //! | [`msaa_restore`] | one render pass for each multisampled colour that the stage does not clear | before the stage |
 //! | [`background`] | fills a part of a target instead of clearing all of it | in the stage's render pass, in this order |
 //! | [`leaves`] | the opaque runs | same |
@@ -20,7 +20,6 @@
 //! a stage, in the order above.
 
 pub(in crate::draw) mod air;
-pub(in crate::draw) mod air_tables;
 pub(in crate::draw) mod background;
 pub(in crate::draw) mod composition;
 pub(in crate::draw) mod depth_resolve;
@@ -29,8 +28,7 @@ pub(in crate::draw) mod msaa_restore;
 pub(in crate::draw) mod picture_readback;
 pub(in crate::draw) mod queries;
 pub(in crate::draw) mod shading;
-pub(in crate::draw) mod shadow_casters;
-pub(in crate::draw) mod shadow_maps;
+pub(in crate::draw) mod shadows;
 pub(in crate::draw) mod sky;
 pub(in crate::draw) mod stage_input;
 pub(in crate::draw) mod water;
@@ -42,7 +40,7 @@ use depth_resolve::DepthResolve;
 use msaa_restore::MsaaRestore;
 use picture_readback::PictureReadback;
 use queries::QueryPass;
-use shadow_casters::ShadowPass;
+use shadows::casters::ShadowPass;
 use sky::SkyPass;
 use water::WaterPass;
 

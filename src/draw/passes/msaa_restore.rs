@@ -6,7 +6,7 @@ use crate::draw::resources::Resources;
 use crate::draw::targets::pass_target::{ColorSamples, PassTarget};
 use crate::gpu::{FrameTimer, GraphicsContext, watched};
 
-const MSAA_RESTORE_WGSL: &str = include_str!("../shaders/msaa_restore.wgsl");
+const MSAA_RESTORE_WGSL: &str = include_str!("../shaders/passes/msaa_restore.wgsl");
 
 /// Format and samples a pixel of a buffer.
 type Kind = (wgpu::TextureFormat, u32);

@@ -100,7 +100,7 @@ impl Pipelines {
     pub(in crate::draw) fn state_key(&mut self, state: &ResolvedState, shading: Shading, target: u8) -> StateKey {
         let (parts, replaced) = self.factory.intern_parts(state, self.frame);
         if replaced != PartIndices::default() {
-            self.evict(|key| replaced.meets(*key));
+            self.evict(|key| key.has_any(replaced));
         }
         StateKey::new(state, parts, shading, target)
     }

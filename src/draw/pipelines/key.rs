@@ -258,6 +258,12 @@ impl PipelineKey {
         self.0 & CLOCKWISE != 0
     }
 
+    /// Returns true if the key has one of some parts.
+    pub fn has_any(self, parts: PartIndices) -> bool {
+        let pairs = [(parts.offset(), self.offset()), (parts.stencil(), self.stencil()), (parts.blend(), self.blend())];
+        pairs.iter().any(|(part, own)| *part != 0 && part == own)
+    }
+
     pub fn polygon_mode(self) -> PolygonMode {
         [PolygonMode::Fill, PolygonMode::Line, PolygonMode::Point, PolygonMode::Fill][self.field(11, 2)]
     }

@@ -1,7 +1,6 @@
 //! Parts of states with too many values for bits of a key: polygon offsets, stencil tests and blending, numbered by use.
 //! Draw thread.
 
-use super::key::PipelineKey;
 use crate::state::{BlendEquation, BlendFunc, PolygonOffset, ResolvedState, Stencil};
 
 /// The number of different parts of a kind that a key's 6 bits tell apart; 0 is none.
@@ -81,12 +80,6 @@ impl PartIndices {
 
     pub fn blend(self) -> u8 {
         self.blend
-    }
-
-    /// Returns true if a key has one of the parts.
-    pub fn meets(self, key: PipelineKey) -> bool {
-        let pairs = [(self.offset, key.offset()), (self.stencil, key.stencil()), (self.blend, key.blend())];
-        pairs.iter().any(|(own, other)| *own != 0 && own == other)
     }
 }
 

@@ -3,47 +3,140 @@
 
 /// Concatenates files of `shaders/` in their order.
 macro_rules! wgsl {
-    [$($name:ident),+] => {
-        concat!($(include_str!(concat!("../shaders/", stringify!($name), ".wgsl"))),+)
+    [$($folder:ident / $name:ident),+] => {
+        concat!($(include_str!(concat!("../shaders/", stringify!($folder), "/", stringify!($name), ".wgsl"))),+)
     };
 }
 
-pub(super) const HEIGHT_WGSL: &str = wgsl![air, frame, no_shadows, facets, height];
-pub(super) const SHADOWED_HEIGHT_WGSL: &str = wgsl![air, frame, shadows, facets, height, height_shadowed];
-pub(super) const MESH_WGSL: &str = wgsl![air, frame, no_shadows, facets, mesh_vertex, mesh_pull, mesh];
-pub(super) const SHADOWED_MESH_WGSL: &str =
-    wgsl![air, frame, shadows, facets, mesh_vertex, mesh_pull, mesh, mesh_casters];
-pub(super) const FIXED_HEIGHT_WGSL: &str =
-    wgsl![air, frame, no_shadows, facets, height, fixed, fixed_no_units, fixed_height];
-pub(super) const SHADOWED_FIXED_HEIGHT_WGSL: &str =
-    wgsl![air, frame, shadows, facets, height, fixed, fixed_no_units, fixed_height];
-pub(super) const TEXTURED_HEIGHT_WGSL: &str =
-    wgsl![air, frame, no_shadows, facets, height, fixed, fixed_units, fixed_height];
-pub(super) const SHADOWED_TEXTURED_HEIGHT_WGSL: &str =
-    wgsl![air, frame, shadows, facets, height, fixed, fixed_units, fixed_height];
-pub(super) const FIXED_MESH_WGSL: &str =
-    wgsl![air, frame, no_shadows, facets, mesh_vertex, mesh_pull, mesh, fixed, fixed_no_units, fixed_mesh];
-pub(super) const SHADOWED_FIXED_MESH_WGSL: &str =
-    wgsl![air, frame, shadows, facets, mesh_vertex, mesh_pull, mesh, fixed, fixed_no_units, fixed_mesh];
-pub(super) const TEXTURED_MESH_WGSL: &str =
-    wgsl![air, frame, no_shadows, facets, mesh_vertex, mesh_pull, mesh, fixed, fixed_units, fixed_mesh];
-pub(super) const SHADOWED_TEXTURED_MESH_WGSL: &str =
-    wgsl![air, frame, shadows, facets, mesh_vertex, mesh_pull, mesh, fixed, fixed_units, fixed_mesh];
-pub(super) const FILL_WGSL: &str = wgsl![air, frame, fill];
-pub(super) const SKY_WGSL: &str = wgsl![air, frame, sky];
-pub(super) const WATER_WGSL: &str = wgsl![air, frame, no_shadows, sky, water];
-pub(super) const SHADOWED_WATER_WGSL: &str = wgsl![air, frame, shadows, sky, water];
-pub(super) const QUERY_WGSL: &str = wgsl![air, frame, query];
+pub(super) const HEIGHT_WGSL: &str =
+    wgsl![shared / air, shared / frame, shared / no_shadows, shared / facets, heights / height];
+pub(super) const SHADOWED_HEIGHT_WGSL: &str =
+    wgsl![shared / air, shared / frame, shared / shadows, shared / facets, heights / height, heights / height_shadowed];
+pub(super) const MESH_WGSL: &str = wgsl![
+    shared / air,
+    shared / frame,
+    shared / no_shadows,
+    shared / facets,
+    meshes / mesh_vertex,
+    meshes / mesh_pull,
+    meshes / mesh
+];
+pub(super) const SHADOWED_MESH_WGSL: &str = wgsl![
+    shared / air,
+    shared / frame,
+    shared / shadows,
+    shared / facets,
+    meshes / mesh_vertex,
+    meshes / mesh_pull,
+    meshes / mesh,
+    meshes / mesh_casters
+];
+pub(super) const FIXED_HEIGHT_WGSL: &str = wgsl![
+    shared / air,
+    shared / frame,
+    shared / no_shadows,
+    shared / facets,
+    heights / height,
+    fixed_function / fixed,
+    fixed_function / fixed_no_units,
+    fixed_function / fixed_height
+];
+pub(super) const SHADOWED_FIXED_HEIGHT_WGSL: &str = wgsl![
+    shared / air,
+    shared / frame,
+    shared / shadows,
+    shared / facets,
+    heights / height,
+    fixed_function / fixed,
+    fixed_function / fixed_no_units,
+    fixed_function / fixed_height
+];
+pub(super) const TEXTURED_HEIGHT_WGSL: &str = wgsl![
+    shared / air,
+    shared / frame,
+    shared / no_shadows,
+    shared / facets,
+    heights / height,
+    fixed_function / fixed,
+    fixed_function / fixed_units,
+    fixed_function / fixed_height
+];
+pub(super) const SHADOWED_TEXTURED_HEIGHT_WGSL: &str = wgsl![
+    shared / air,
+    shared / frame,
+    shared / shadows,
+    shared / facets,
+    heights / height,
+    fixed_function / fixed,
+    fixed_function / fixed_units,
+    fixed_function / fixed_height
+];
+pub(super) const FIXED_MESH_WGSL: &str = wgsl![
+    shared / air,
+    shared / frame,
+    shared / no_shadows,
+    shared / facets,
+    meshes / mesh_vertex,
+    meshes / mesh_pull,
+    meshes / mesh,
+    fixed_function / fixed,
+    fixed_function / fixed_no_units,
+    fixed_function / fixed_mesh
+];
+pub(super) const SHADOWED_FIXED_MESH_WGSL: &str = wgsl![
+    shared / air,
+    shared / frame,
+    shared / shadows,
+    shared / facets,
+    meshes / mesh_vertex,
+    meshes / mesh_pull,
+    meshes / mesh,
+    fixed_function / fixed,
+    fixed_function / fixed_no_units,
+    fixed_function / fixed_mesh
+];
+pub(super) const TEXTURED_MESH_WGSL: &str = wgsl![
+    shared / air,
+    shared / frame,
+    shared / no_shadows,
+    shared / facets,
+    meshes / mesh_vertex,
+    meshes / mesh_pull,
+    meshes / mesh,
+    fixed_function / fixed,
+    fixed_function / fixed_units,
+    fixed_function / fixed_mesh
+];
+pub(super) const SHADOWED_TEXTURED_MESH_WGSL: &str = wgsl![
+    shared / air,
+    shared / frame,
+    shared / shadows,
+    shared / facets,
+    meshes / mesh_vertex,
+    meshes / mesh_pull,
+    meshes / mesh,
+    fixed_function / fixed,
+    fixed_function / fixed_units,
+    fixed_function / fixed_mesh
+];
+pub(super) const FILL_WGSL: &str = wgsl![shared / air, shared / frame, passes / fill];
+pub(super) const SKY_WGSL: &str = wgsl![shared / air, shared / frame, passes / sky];
+pub(super) const WATER_WGSL: &str =
+    wgsl![shared / air, shared / frame, shared / no_shadows, passes / sky, passes / water];
+pub(super) const SHADOWED_WATER_WGSL: &str =
+    wgsl![shared / air, shared / frame, shared / shadows, passes / sky, passes / water];
+pub(super) const QUERY_WGSL: &str = wgsl![shared / air, shared / frame, passes / query];
 /// The prelude of programs on meshes.
-pub(super) const PROGRAM_PRELUDE: &str = wgsl![air, frame, shadows, mesh_vertex];
+pub(super) const PROGRAM_PRELUDE: &str = wgsl![shared / air, shared / frame, shared / shadows, meshes / mesh_vertex];
 /// The prelude of programs on height tiles.
-pub(super) const HEIGHT_PROGRAM_PRELUDE: &str = wgsl![air, frame, shadows, height, height_vertex];
+pub(super) const HEIGHT_PROGRAM_PRELUDE: &str =
+    wgsl![shared / air, shared / frame, shared / shadows, heights / height, heights / height_vertex];
 /// The prelude for the shaders of a [`CustomDrawable`](crate::draw::CustomDrawable).
 ///
 /// It declares bind group 0 with `frame`, `leaves` (by instance) and `stage`, and the functions of
-/// `src/draw/shaders/frame.wgsl` and `shadows.wgsl`: `point_in_eye`, `direction_in_eye`, `normal_in_eye`,
+/// `frame.wgsl` and `shadows.wgsl` in `src/draw/shaders/shared`: `point_in_eye`, `direction_in_eye`, `normal_in_eye`,
 /// `above_ground`, `light`, `sun_shadow`, `aerial`, `through_air`, `tone_mapped`.
-pub const DRAWABLE_PRELUDE: &str = wgsl![air, frame, shadows];
+pub const DRAWABLE_PRELUDE: &str = wgsl![shared / air, shared / frame, shared / shadows];
 
 #[cfg(test)]
 mod tests {
@@ -101,7 +194,7 @@ mod tests {
             ("fixed mesh with textures and shadows", SHADOWED_TEXTURED_MESH_WGSL),
             ("shadowed water", SHADOWED_WATER_WGSL),
         ];
-        parse("atmosphere", crate::draw::passes::air_tables::ATMOSPHERE_WGSL);
+        parse("atmosphere", crate::draw::passes::air::tables::ATMOSPHERE_WGSL);
         for (name, source) in all {
             let module = parse(name, source);
             let (span, fields) = members(&module, "Frame");

@@ -9,6 +9,7 @@
 //!                 deliver      results that were read back
 //! ```
 
+mod drawn_stages;
 mod frames_in_flight;
 mod pass_plan;
 mod prepare;
@@ -27,9 +28,9 @@ use crate::draw::targets::table::Targets;
 use crate::gpu::{Acquired, GpuError, GraphicsContext};
 use crate::scene::{Environment, Texture};
 use crate::state::TextureObject;
+use drawn_stages::DrawnStages;
 use frames_in_flight::FramesInFlight;
 use pass_plan::PassPlan;
-use prewarm::DrawnStages;
 use views::StageViews;
 
 /// A picture of a frame: the stage of a camera under its own light and sky.

@@ -2,13 +2,14 @@
 //! nothing waits for the adapter. Draw thread.
 
 use super::pass_plan::PassPlan;
+use super::views::surroundings_of_stage;
 use super::{Picture, Renderer};
 use crate::cull::RenderStage;
 use crate::draw::bound_state::BoundState;
 use crate::draw::passes::leaves::Leaves;
 use crate::draw::passes::stage_input::{LitStage, StageInput, Surroundings};
+use crate::draw::targets::error::TargetError;
 use crate::draw::targets::pass_target::PassTarget;
-use crate::draw::targets::table::TargetError;
 use crate::draw::uniforms::frame_groups::FrameResources;
 use crate::draw::uniforms::stage::{position_of, replaces_sun};
 use crate::gpu::GraphicsContext;
@@ -89,7 +90,7 @@ impl Renderer {
         for before in &stage.pre_render {
             // The image of an eye is a whole picture with its own sky.
             let is_eye = stage.stereo.is_some() && around.is_outermost;
-            let around = if is_eye { *around } else { self.surroundings_of_stage(ctx, before, around) };
+            let around = if is_eye { *around } else { self.surroundings(ctx, before, around) };
             self.prepare_stages(ctx, before, &around);
         }
         let plan = match self.find_target(ctx, stage, around) {
@@ -104,9 +105,14 @@ impl Renderer {
         };
         self.plans.push(plan);
         for after in &stage.post_render {
-            let around = self.surroundings_of_stage(ctx, after, around);
+            let around = self.surroundings(ctx, after, around);
             self.prepare_stages(ctx, after, &around);
         }
+    }
+
+    /// Returns the surroundings of a stage before or after another one.
+    fn surroundings(&mut self, ctx: &GraphicsContext, stage: &RenderStage, above: &Surroundings) -> Surroundings {
+        surroundings_of_stage(ctx, &mut self.passes, &mut self.resources, stage, above)
     }
 
     fn find_target(
@@ -129,9 +135,9 @@ impl Renderer {
     ) -> PassPlan {
         let input = StageInput { ctx, stage, target: &target, clock: self.clock };
         let first_shadow = self.passes.shadows.view_count();
-        let sky_color = self.prepare_views(&input, around);
-        let shadows = first_shadow..self.passes.shadows.view_count();
         let (passes, resources) = (&mut self.passes, &mut self.resources);
+        let sky_color = self.views.prepare(passes, resources, &input, around);
+        let shadows = first_shadow..passes.shadows.view_count();
         let views = self.views.frames();
         let base = BoundState {
             dynamics: target.dynamics(stage.target.viewport_px),

@@ -1,70 +1,29 @@
 //! Prewarms pipelines: creates them when a page has arrived and its drawables are about to be uploaded, so that no draw
 //! has to. Draw thread, between frames.
 
+use super::Renderer;
+use super::drawn_stages::DrawnStage;
 use crate::draw::passes::shading::{choose_shading, name_of};
-use crate::draw::passes::shadow_casters::caster_key;
-use crate::draw::passes::stage_input::LitStage;
+use crate::draw::passes::shadows::casters::caster_key;
 use crate::draw::pipelines::key::{AirKind, PipelineKey, Shading, StateKey};
 use crate::draw::pipelines::{MOST_COLORS, TargetFormats};
-use crate::draw::renderer::Renderer;
 use crate::gpu::GraphicsContext;
 use crate::scene::{DrawKind, Environment, Topology};
-
-/// The properties of a stage that pipelines depend on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct DrawnStage {
-    /// Index of the target's formats.
-    target: u8,
-    /// True if a light replaces the sun.
-    has_own_light: bool,
-    air: AirKind,
-    has_shadows: bool,
-}
-
-/// The different kinds of stages that the last frame has drawn.
-#[derive(Debug, Default)]
-pub(super) struct DrawnStages(Vec<DrawnStage>);
-
-impl DrawnStages {
-    pub(super) fn clear(&mut self) {
-        self.0.clear();
-    }
-
-    /// Notes a stage that is drawn.
-    pub(super) fn add(&mut self, lit: &LitStage<'_>, has_own_light: bool, has_casters: bool) {
-        // An empty stage has no casters yet.
-        let will_have_casters = lit.around.shadows.is_some() && lit.input.stage.leaf_count() == 0;
-        let drawn = DrawnStage {
-            target: lit.input.target.index,
-            has_own_light,
-            air: lit.view(0).air_kind,
-            has_shadows: has_casters || will_have_casters,
-        };
-        if !self.0.contains(&drawn) {
-            self.0.push(drawn);
-        }
-    }
-
-    /// Returns the indices of the targets.
-    pub(super) fn targets(&self) -> impl Iterator<Item = u8> {
-        self.0.iter().map(|drawn| drawn.target)
-    }
-}
 
 impl Renderer {
     /// Creates the pipelines that drawables of some kinds will need where the last frame drew, those of fades and shadows
     /// included. Before the first frame, pipelines are created for the context's own target.
     pub fn prewarm(&mut self, ctx: &mut GraphicsContext, kinds: &[DrawKind]) {
-        if self.drawn_into.0.is_empty()
+        if self.drawn_into.len() == 0
             && let Some(target) = self.own_target(ctx)
         {
             let air = AirKind::of(&Environment::default());
-            self.drawn_into.0.push(DrawnStage { target, has_own_light: false, air, has_shadows: false });
+            self.drawn_into.add_expected(target, air);
         }
-        let has_shadows = self.drawn_into.0.iter().any(|drawn| drawn.has_shadows);
+        let has_shadows = self.drawn_into.iter().any(|drawn| drawn.has_shadows);
         for kind in kinds {
-            for index in 0..self.drawn_into.0.len() {
-                let result = self.prewarm_stage(ctx, kind, self.drawn_into.0[index]);
+            for index in 0..self.drawn_into.len() {
+                let result = self.prewarm_stage(ctx, kind, self.drawn_into.get(index));
                 self.report(kind, result);
             }
             if has_shadows {

@@ -2,10 +2,9 @@
 
 use glam::DAffine3;
 
-use super::Renderer;
 use crate::cull::{CullCamera, RenderStage};
 use crate::draw::passes::Passes;
-use crate::draw::passes::shadow_casters::{LayerAllocator, ShadowedView};
+use crate::draw::passes::shadows::casters::{LayerAllocator, ShadowedView};
 use crate::draw::passes::stage_input::{LitView, StageInput, Surroundings, ViewFrame};
 use crate::draw::pipelines::key::AirKind;
 use crate::draw::resources::Resources;
@@ -57,47 +56,19 @@ impl StageViews {
             self.lit.push(LitView { camera, around, first_layer });
         }
     }
-}
-
-/// Returns the surroundings of a camera in the graph below a picture.
-fn surroundings_of_camera(
-    ctx: &GraphicsContext,
-    passes: &mut Passes,
-    resources: &mut Resources,
-    own: &CameraEnvironment,
-    camera: &CullCamera,
-    above: &Surroundings,
-) -> Surroundings {
-    let eye_in_world = camera.eye_from_world.inverse().translation;
-    let mut environment = own.of_camera(Some(&above.environment), eye_in_world).unwrap_or(above.environment);
-    let air = if own.is_whole() { passes.air.prepare(ctx, resources, camera, &mut environment) } else { above.air };
-    Surroundings { shadows: None, air, environment, is_outermost: false, is_whole: false }
-}
-
-impl Renderer {
-    /// Returns the surroundings of a camera that has a separate stage.
-    pub(super) fn surroundings_of_stage(
-        &mut self,
-        ctx: &GraphicsContext,
-        stage: &RenderStage,
-        above: &Surroundings,
-    ) -> Surroundings {
-        let own = &stage.target.environment;
-        let around = surroundings_of_camera(ctx, &mut self.passes, &mut self.resources, own, &stage.camera, above);
-        Surroundings {
-            shadows: stage.target.shadows.under(&around.environment),
-            is_whole: own.is_whole() && stage.target.clear_color.is_some(),
-            ..around
-        }
-    }
 
     /// Prepares the views inside a stage and the shadows that fall into them. Returns the clear colour of the stage's own
     /// view.
-    pub(super) fn prepare_views(&mut self, input: &StageInput<'_>, around: &Surroundings) -> wgpu::Color {
-        let (passes, resources) = (&mut self.passes, &mut self.resources);
+    pub(super) fn prepare(
+        &mut self,
+        passes: &mut Passes,
+        resources: &mut Resources,
+        input: &StageInput<'_>,
+        around: &Surroundings,
+    ) -> wgpu::Color {
         let stage = input.stage;
-        self.views.light(input.ctx, passes, resources, stage, around);
-        let StageViews { lit, frames } = &mut self.views;
+        self.light(input.ctx, passes, resources, stage, around);
+        let Self { lit, frames } = self;
         frames.clear();
         let mut background = wgpu::Color::BLACK;
         for (number, view) in (0u32..).zip(lit.iter()) {
@@ -134,5 +105,37 @@ impl Renderer {
             });
         }
         background
+    }
+}
+
+/// Returns the surroundings of a camera in the graph below a picture.
+fn surroundings_of_camera(
+    ctx: &GraphicsContext,
+    passes: &mut Passes,
+    resources: &mut Resources,
+    own: &CameraEnvironment,
+    camera: &CullCamera,
+    above: &Surroundings,
+) -> Surroundings {
+    let eye_in_world = camera.eye_from_world.inverse().translation;
+    let mut environment = own.of_camera(Some(&above.environment), eye_in_world).unwrap_or(above.environment);
+    let air = if own.is_whole() { passes.air.prepare(ctx, resources, camera, &mut environment) } else { above.air };
+    Surroundings { shadows: None, air, environment, is_outermost: false, is_whole: false }
+}
+
+/// Returns the surroundings of a camera that has a separate stage.
+pub(super) fn surroundings_of_stage(
+    ctx: &GraphicsContext,
+    passes: &mut Passes,
+    resources: &mut Resources,
+    stage: &RenderStage,
+    above: &Surroundings,
+) -> Surroundings {
+    let own = &stage.target.environment;
+    let around = surroundings_of_camera(ctx, passes, resources, own, &stage.camera, above);
+    Surroundings {
+        shadows: stage.target.shadows.under(&around.environment),
+        is_whole: own.is_whole() && stage.target.clear_color.is_some(),
+        ..around
     }
 }

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::table::TargetError;
+use super::error::TargetError;
 use crate::draw::pipelines::{MOST_COLORS, TargetFormats};
 use crate::gpu::{GraphicsContext, StateTextures, texture_format};
 use crate::scene::{Attachment, CameraTarget};

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use super::camera_target::CameraAttachments;
+use super::error::TargetError;
 use super::owners::Owners;
 use super::pass_target::{PassTarget, depth_of};
 use crate::cull::{RenderStage, StageTarget};
@@ -10,23 +11,7 @@ use crate::draw::pipelines::{MOST_COLORS, Pipelines, TargetFormats};
 use crate::gpu::{GraphicsContext, StateTextures, Transients};
 use crate::scene::CameraTarget;
 
-/// The reason why a stage's target cannot be drawn into.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub(in crate::draw) enum TargetError {
-    #[error("{0}")]
-    Invalid(String),
-    /// A texture that could not be created; the error was reported when it was tried.
-    #[error("a texture could not be created")]
-    Reported,
-}
-
-impl From<String> for TargetError {
-    fn from(reason: String) -> Self {
-        Self::Invalid(reason)
-    }
-}
-
-pub(super) const TOO_MANY_TARGETS: &str = "more kinds of targets than the 64 that pipelines tell apart";
+const TOO_MANY_TARGETS: &str = "more kinds of targets than the 64 that pipelines tell apart";
 
 /// The targets of a renderer.
 pub(in crate::draw) struct Targets {

@@ -12,7 +12,7 @@ use crate::scene::{Environment, MORPH_START, Sky, has_parallel_rays};
 /// Height in metres over which the density of air falls to 1/e.
 const AIR_SCALE_HEIGHT_M: f64 = 8_000.0;
 
-/// The uniforms of a view; mirrors `Frame` in frame.wgsl. Colours are linear.
+/// The uniforms of a view; mirrors `Frame` in frame.wgsl field by field. Colours are linear.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
 pub(in crate::draw) struct FrameUniform {

@@ -109,18 +109,8 @@ pub(super) fn compile(device: &wgpu::Device, program: &Program) -> Result<Compil
             (GROUP, b, naga::TypeInner::Image { dim, arrayed, class })
                 if b % 2 == 1 && b < 2 * TEXTURE_UNITS as u32 =>
             {
-                let (is_depth, is_filtered) = match class {
-                    naga::ImageClass::Sampled { kind: naga::ScalarKind::Float, multi: false } => (false, true),
-                    naga::ImageClass::Depth { multi: false } => (true, false),
-                    _ => return Err(format!("binding {b} is not a texture that can be sampled")),
-                };
-                let dimension = match (dim, arrayed) {
-                    (naga::ImageDimension::D2, false) => wgpu::TextureViewDimension::D2,
-                    (naga::ImageDimension::D2, true) => wgpu::TextureViewDimension::D2Array,
-                    (naga::ImageDimension::D3, _) => wgpu::TextureViewDimension::D3,
-                    (naga::ImageDimension::Cube, false) => wgpu::TextureViewDimension::Cube,
-                    _ => return Err(format!("binding {b}: one-dimensional textures are texture_2d, of height 1")),
-                };
+                let (dimension, is_depth) = sampled_texture(b, *dim, *arrayed, *class)?;
+                let is_filtered = !is_depth;
                 let unit: &mut Option<UnitLayout> = &mut units[(b / 2) as usize];
                 let (has_sampler, compares) = unit.map_or((false, false), |u| (u.has_sampler, u.compares));
                 *unit = Some(UnitLayout { dimension, is_depth, is_filtered, has_sampler, compares });
@@ -164,6 +154,28 @@ pub(super) fn compile(device: &wgpu::Device, program: &Program) -> Result<Compil
     // A word in a comment only makes the pipeline a little slower.
     let discards = ["discard", "frag_depth"].iter().any(|word| program.wgsl.contains(word));
     Ok(Compiled { module, heights: None, layout, members, inputs, uniform_bytes, units, constants, outputs, discards })
+}
+
+/// Returns the dimension of a declared texture, and whether it is a depth texture.
+fn sampled_texture(
+    binding: u32,
+    dimension: naga::ImageDimension,
+    is_array: bool,
+    class: naga::ImageClass,
+) -> Result<(wgpu::TextureViewDimension, bool), String> {
+    let is_depth = match class {
+        naga::ImageClass::Sampled { kind: naga::ScalarKind::Float, multi: false } => false,
+        naga::ImageClass::Depth { multi: false } => true,
+        _ => return Err(format!("binding {binding} is not a texture that can be sampled")),
+    };
+    let dimension = match (dimension, is_array) {
+        (naga::ImageDimension::D2, false) => wgpu::TextureViewDimension::D2,
+        (naga::ImageDimension::D2, true) => wgpu::TextureViewDimension::D2Array,
+        (naga::ImageDimension::D3, _) => wgpu::TextureViewDimension::D3,
+        (naga::ImageDimension::Cube, false) => wgpu::TextureViewDimension::Cube,
+        _ => return Err(format!("binding {binding}: one-dimensional textures are texture_2d, of height 1")),
+    };
+    Ok((dimension, is_depth))
 }
 
 /// Returns the bits of the locations that a fragment shader writes.

@@ -3,16 +3,17 @@
 
 use std::ops::Range;
 
-use super::shading::{choose_shading, shade};
-use super::shadow_maps::{FORMAT, MapSize, ShadowMaps};
-use super::stage_input::{LitView, StageInput};
+use super::maps::{FORMAT, MapSize, ShadowMaps};
 use crate::cull::{CullCamera, FadeBand, MAX_CASCADES, RenderStage, StageShadows};
 use crate::draw::batch::state_entry::StateEntry;
 use crate::draw::bound_state::{BoundState, DynamicState};
+use crate::draw::passes::shading::{choose_shading, shade};
+use crate::draw::passes::stage_input::{LitView, StageInput};
 use crate::draw::pipelines::key::{Shading, StateKey};
 use crate::draw::pipelines::{MOST_COLORS, Pipelines, TargetFormats};
 use crate::draw::recorder::{DrawSources, PassRecorder};
 use crate::draw::resources::Resources;
+use crate::draw::uniforms::air::AirParameters;
 use crate::draw::uniforms::frame::FrameUniform;
 use crate::draw::uniforms::frame_groups::ShadowEntries;
 use crate::gpu::GraphicsContext;
@@ -216,7 +217,7 @@ fn caster_uniform(
     camera: &CullCamera,
     clip_from_eye: &glam::DMat4,
     environment: &Environment,
-    air: &crate::draw::uniforms::air::AirParameters,
+    air: &AirParameters,
 ) -> FrameUniform {
     let mut uniform = FrameUniform::new(camera, clip_from_eye, environment, air);
     // Heights morph as they do in the picture, although the sun's own rays are parallel.

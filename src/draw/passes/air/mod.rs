@@ -4,12 +4,14 @@
 //! Views, and cameras in the graph with separate air, share up to eight sets of tables. An eye beyond the eighth
 //! uses the set of the eye at nearly its height.
 
-use super::air_tables::{AirPipelines, ReadTables, Tables, table};
+pub(in crate::draw) mod tables;
+
 use crate::cull::CullCamera;
 use crate::draw::resources::Resources;
 use crate::draw::uniforms::air::AirParameters;
 use crate::gpu::{FrameTimer, GraphicsContext, watched};
 use crate::scene::{Environment, Sky};
+use tables::{AirPipelines, ReadTables, Tables, table};
 
 /// The sky of a clear day, shown where the tables cannot be computed.
 const PLAIN_SKY: Sky = Sky::Background([0x87, 0xae, 0xd6]);

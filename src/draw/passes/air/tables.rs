@@ -1,5 +1,5 @@
 //! The tables of light scattered and absorbed by the air for one eye, and the compute pipelines that fill them
-//! (`shaders/atmosphere.wgsl`; the layout is in `shaders/air.wgsl`). Draw thread.
+//! (`shaders/passes/atmosphere.wgsl`; the layout is in `shaders/shared/air.wgsl`). Draw thread.
 //!
 //! Three tables hold for the whole earth and are computed once for a density of aerosols: the share of sunlight that is
 //! left, light scattered more than once, and the sky's light on the ground. The fourth has the light that the air adds and
@@ -13,7 +13,7 @@ use crate::gpu::GraphicsContext;
 
 /// The source of the compute shaders.
 pub(in crate::draw) const ATMOSPHERE_WGSL: &str =
-    concat!(include_str!("../shaders/air.wgsl"), include_str!("../shaders/atmosphere.wgsl"));
+    concat!(include_str!("../../shaders/shared/air.wgsl"), include_str!("../../shaders/passes/atmosphere.wgsl"));
 
 const FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba16Float;
 /// Sizes of the tables in texels.
