@@ -66,6 +66,6 @@ fn build(viewer: &mut Viewer) -> Result<(), ViewerError> {
         Traverse::Below
     }));
     viewer.add_root(Page::from_node(Node::group(vec![Node::geode(vec![tower]), wheel])).expect("a shallow graph"))?;
-    viewer.camera.look_at(DVec3::new(8.0, -16.0, 7.0), DVec3::new(0.0, 0.0, 4.5), DVec3::Z);
+    viewer.view_mut().camera.look_at(DVec3::new(8.0, -16.0, 7.0), DVec3::new(0.0, 0.0, 4.5), DVec3::Z);
     Ok(())
 }

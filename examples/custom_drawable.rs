@@ -194,11 +194,11 @@ fn build(viewer: &mut Viewer) -> Result<(), terrane::viewer::ViewerError> {
         Drawable::new(custom_geometry(Grass), Material::default()),
     ];
     viewer.add_root(Page::from_node(Node::group(vec![Node::geode(drawables)])).expect("a shallow graph"))?;
-    viewer.environment = Environment {
+    viewer.view_mut().environment = Environment {
         sun_direction: DVec3::new(-0.8, 0.3, 0.5).normalize(),
         shadows: Some(SunShadows::default()),
-        ..viewer.environment
+        ..viewer.view().environment
     };
-    viewer.camera.look_at(DVec3::new(2.0, -15.0, 5.0), DVec3::new(0.0, 0.0, 0.5), DVec3::Z);
+    viewer.view_mut().camera.look_at(DVec3::new(2.0, -15.0, 5.0), DVec3::new(0.0, 0.0, 0.5), DVec3::Z);
     Ok(())
 }

@@ -42,7 +42,7 @@ impl ApplicationHandler for Host {
 
     fn window_event(&mut self, event_loop: &ActiveEventLoop, _: WindowId, event: WindowEvent) {
         let Some((viewer, _)) = &mut self.0 else { return };
-        let queue = viewer.event_queue();
+        let queue = viewer.view_mut().event_queue();
         let now_s = queue.time_s();
         match event {
             WindowEvent::CloseRequested => event_loop.exit(),
@@ -77,7 +77,7 @@ fn main() -> Result<()> {
     }
     let mut viewer = Viewer::new_offscreen(&ViewerConfig::default())?;
     fill(&mut viewer)?;
-    viewer.home();
+    viewer.actions().home();
     for _ in 0..value("--frames").map_or(Ok(30), |n| n.parse::<u32>())? {
         viewer.frame()?;
     }

@@ -28,12 +28,12 @@ fn main() -> Result<()> {
 
     let mut viewer = Viewer::new_offscreen(&config)?;
     viewer.load(&source)?;
-    let first = viewer.camera.world_from_eye;
+    let first = viewer.view().camera.world_from_eye;
     let path = viewer.bounds().map(|bounds| bounds.default_path(&first));
     for frame in 0..frames {
         if let Some(path) = &path {
             let share = f64::from(frame) / f64::from(frames.saturating_sub(1).max(1));
-            viewer.camera.world_from_eye = path.world_from_eye(share * path.duration_s());
+            viewer.view_mut().camera.world_from_eye = path.world_from_eye(share * path.duration_s());
         }
         viewer.frame()?;
     }

@@ -79,6 +79,6 @@ fn build(viewer: &mut Viewer, files: &[PathBuf]) -> Result<(), ViewerError> {
     let ground = Node::geode(vec![Drawable::new(ground.into(), grey)]);
     let [a, b] = screens;
     viewer.add_root(Page::from_node(Node::group(vec![ground, a, b])).expect("a shallow graph"))?;
-    viewer.camera.look_at(DVec3::new(0.0, -11.0, 3.5), DVec3::new(0.0, 0.0, 2.3), DVec3::Z);
+    viewer.view_mut().camera.look_at(DVec3::new(0.0, -11.0, 3.5), DVec3::new(0.0, 0.0, 2.3), DVec3::Z);
     Ok(())
 }

@@ -65,8 +65,8 @@ fn build(viewer: &mut Viewer) -> Result<(), terrane::viewer::ViewerError> {
     let all = [wall, occluder].into_iter().chain(rows).collect();
     viewer.add_root(Page::from_node(Node::group(all)).expect("a shallow graph"))?;
     if std::env::args().any(|a| a == "--no-occluders") {
-        viewer.camera.settings.culling = CullingMode::VIEW_FRUSTUM_SIDES;
+        viewer.view_mut().camera.settings.culling = CullingMode::VIEW_FRUSTUM_SIDES;
     }
-    viewer.camera.look_at(DVec3::new(0.0, -14.0, 4.5), DVec3::new(0.0, 10.0, 1.5), DVec3::Z);
+    viewer.view_mut().camera.look_at(DVec3::new(0.0, -14.0, 4.5), DVec3::new(0.0, 10.0, 1.5), DVec3::Z);
     Ok(())
 }

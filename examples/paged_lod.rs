@@ -36,7 +36,7 @@ fn main() -> Result<()> {
         let balls = (0..12).map(|i| tile(&folder, 0, DVec3::new(f64::from(i % 3 - 1) * 5.0, 8.0 * f64::from(i), 0.0)));
         let page = Page::from_node(Node::group(balls.collect())).expect("groups and PagedLods can be culled");
         viewer.add_root(page)?;
-        viewer.camera.look_at(DVec3::new(-3.0, -14.0, 9.0), DVec3::new(0.0, 20.0, 0.0), DVec3::Z);
+        viewer.view_mut().camera.look_at(DVec3::new(-3.0, -14.0, 9.0), DVec3::new(0.0, 20.0, 0.0), DVec3::Z);
         Ok(())
     };
     if has_display() && !args.iter().any(|a| a == "--offscreen") {

@@ -26,7 +26,7 @@ fn main() -> Result<()> {
         viewer.load(&source)?;
         let bounds = *viewer.bounds().expect("a set was loaded");
         let view = ViewFrom { heading: 0.4, pitch: -0.25, range_m: Some(0.5 * bounds.sphere.radius_m) };
-        viewer.camera.world_from_eye = bounds.first_camera(&view);
+        viewer.view_mut().camera.world_from_eye = bounds.first_camera(&view);
         Ok(())
     };
     // The decode workers build what is intersected.
@@ -63,7 +63,7 @@ fn mark(viewer: &mut Viewer) -> Result<(), ViewerError> {
     let ball = Node::geode(vec![colored(Mesh::sphere(DVec3::ZERO, 1.0, 24), [0.1, 0.3, 0.9, 1.0])]);
 
     let mut marks = Vec::new();
-    let [width, height] = viewer.size_px().map(f64::from);
+    let [width, height] = viewer.view().size_px().map(f64::from);
     for (i, j) in (0..9).flat_map(|i| (0..6).map(move |j| (f64::from(i) + 0.5, f64::from(j) + 0.5))) {
         let hits = viewer.compute_intersections(i * width / 9.0, j * height / 6.0, IntersectionLimit::Nearest);
         let Some(hit) = hits.first() else { continue };

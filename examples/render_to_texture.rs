@@ -46,7 +46,7 @@ fn build(viewer: &mut Viewer) -> Result<(), terrane::viewer::ViewerError> {
     let screen = Node::geode(vec![Drawable::new(screen.into(), Material::default())]).with_state_set(Arc::new(shows));
     let seen = Node::transform(DAffine3::from_translation(DVec3::new(-4.0, 0.0, 0.0)), vec![house()]);
     let root = viewer.add_root(Page::from_node(Node::group(vec![behind, screen, seen])).expect("a shallow graph"))?;
-    viewer.camera.look_at(DVec3::new(0.0, -18.0, 5.0), DVec3::new(0.0, 0.0, 2.5), DVec3::Z);
+    viewer.view_mut().camera.look_at(DVec3::new(0.0, -18.0, 5.0), DVec3::new(0.0, 0.0, 2.5), DVec3::Z);
     let houses: Vec<_> = viewer.scene().nodes_named(root, "house").collect();
     viewer.on_update(Box::new(move |scene, stamp| {
         let turn = DAffine3::from_rotation_z(stamp.simulation_time_s);

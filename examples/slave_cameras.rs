@@ -45,13 +45,13 @@ fn build(viewer: &mut Viewer) -> Result<(), ViewerError> {
         Node::group(balls.collect())
     });
     viewer.add_root(Page::from_node(Node::group(columns.collect())).expect("a shallow graph"))?;
-    viewer.camera.look_at(DVec3::ZERO, DVec3::Y, DVec3::Z);
+    viewer.view_mut().camera.look_at(DVec3::ZERO, DVec3::Y, DVec3::Z);
 
     // The master has the middle of the picture, its slaves what is beside it.
     let panel = |column: u32| Viewport::Shares([f64::from(column) / 3.0 + 0.003, 0.0, 1.0 / 3.0 - 0.006, 1.0]);
-    viewer.camera.field_of_view = FieldOfView::Horizontal(PANEL);
-    viewer.set_viewport(panel(1));
-    let Some(context) = viewer.context() else { return Ok(()) };
+    viewer.view_mut().camera.field_of_view = FieldOfView::Horizontal(PANEL);
+    viewer.view_mut().set_viewport(panel(1));
+    let context = viewer.context();
     for (column, turn) in [(0, -PANEL), (2, PANEL)] {
         let view_offset = DAffine3::from_rotation_y(turn);
         viewer.add_slave(Slave { viewport: panel(column), view_offset, ..Slave::new(context) })?;

@@ -57,6 +57,6 @@ fn build(viewer: &mut Viewer) -> Result<(), terrane::viewer::ViewerError> {
     let mark = Node::geode(vec![Drawable::new(outline.into(), orange)]).with_state_set(Arc::new(last));
     let all = [Node::geode(vec![ball]), mark].into_iter().chain(panes).collect();
     viewer.add_root(Page::from_node(Node::group(all)).expect("a shallow graph"))?;
-    viewer.camera.look_at(DVec3::new(4.0, -9.0, 4.5), DVec3::ZERO, DVec3::Z);
+    viewer.view_mut().camera.look_at(DVec3::new(4.0, -9.0, 4.5), DVec3::ZERO, DVec3::Z);
     Ok(())
 }

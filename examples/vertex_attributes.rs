@@ -199,7 +199,7 @@ fn build(viewer: &mut Viewer) -> Result<(), terrane::viewer::ViewerError> {
     let frame = Drawable::new(Mesh::from_arrays(PrimitiveMode::LineLoop, corners).into(), white);
     let all = vec![land, shown_by("wind", WIND_WGSL, bands), Node::geode(vec![frame])];
     viewer.add_root(Page::from_node(Node::group(all)).expect("a shallow graph"))?;
-    viewer.environment.sun_direction = DVec3::new(-0.6, -0.5, 0.6).normalize();
-    viewer.camera.look_at(DVec3::new(-700.0, -3600.0, 2300.0), DVec3::new(50.0, -250.0, 0.0), DVec3::Z);
+    viewer.view_mut().environment.sun_direction = DVec3::new(-0.6, -0.5, 0.6).normalize();
+    viewer.view_mut().camera.look_at(DVec3::new(-700.0, -3600.0, 2300.0), DVec3::new(50.0, -250.0, 0.0), DVec3::Z);
     Ok(())
 }

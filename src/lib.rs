@@ -9,6 +9,8 @@
 //! To follow a tile from its URI to pixels, read [`io`] (bytes to [`scene::Page`]), [`pager`], [`scene`], [`cull`],
 //! [`gpu`] and [`draw`] in this order. World positions are metres in `f64`, z up (ECEF where a set is georeferenced);
 //! what reaches the GPU is `f32` relative to the eye.
+//!
+//! An application starts with `use terrane::prelude::*`; see [`prelude`] and [`viewer::Viewer`].
 
 pub mod cull;
 pub mod draw;
@@ -23,6 +25,7 @@ pub mod io {
 }
 pub mod math;
 pub mod pager;
+pub mod prelude;
 pub mod scene;
 pub mod state;
 pub mod sync;
@@ -33,3 +36,8 @@ pub mod timeline {
     pub use crate::trace::{TraceError as TimelineError, TraceSummary as TimelineSummary};
 }
 pub mod viewer;
+
+// The crates whose types are in public signatures, so that an application uses the same versions.
+#[cfg(feature = "window")]
+pub use egui;
+pub use {glam, image, wgpu};

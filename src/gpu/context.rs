@@ -298,8 +298,8 @@ impl GraphicsContext {
         self.pipeline_cache.as_ref().map(PipelineCache::cache)
     }
 
-    /// Loses the device, for tests of what comes after.
-    #[doc(hidden)]
+    /// Loses the device as if the driver had lost it.
+    #[cfg(feature = "testing")]
     pub fn lose_device(&self) {
         if let Ok(mut lost) = self.lost.lock() {
             lost.get_or_insert_with(|| "destroyed".to_owned());
@@ -307,15 +307,14 @@ impl GraphicsContext {
         self.device.destroy();
     }
 
-    /// Lets pools grow by no more than so many bytes from now on, `None` by as many as there are, for tests of what comes
-    /// after.
-    #[doc(hidden)]
+    /// Limits the further growth of the pools to a number of bytes; `None` removes the limit.
+    #[cfg(feature = "testing")]
     pub fn pretend_memory(&mut self, left_bytes: Option<u64>) {
         self.pools.memory.pretend(left_bytes);
     }
 
-    /// The same for what frames need besides: targets, staging buffers, tables of the air.
-    #[doc(hidden)]
+    /// Limits the memory for what frames need besides the pools: targets, staging buffers, tables of the air.
+    #[cfg(feature = "testing")]
     pub fn pretend_frame_memory(&self, left_bytes: Option<u64>) {
         self.memory.pretend(left_bytes);
     }
@@ -325,8 +324,8 @@ impl GraphicsContext {
         &self.memory
     }
 
-    /// Lets the window's surface answer so when it is asked for its next images, for tests of what comes after.
-    #[doc(hidden)]
+    /// Sets the next answers of the window's surface.
+    #[cfg(feature = "testing")]
     pub fn pretend_surface(&mut self, answers: &[super::SurfaceAnswer]) {
         self.faces[self.face].target.pretend(answers);
     }

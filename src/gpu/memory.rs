@@ -68,6 +68,7 @@ impl Memory {
     }
 
     /// Lets no more than so many further bytes be made; `None`: as many as there are.
+    #[cfg(feature = "testing")]
     pub(super) fn pretend(&self, left_bytes: Option<u64>) {
         self.left_bytes.store(left_bytes.unwrap_or(u64::MAX), Ordering::Relaxed);
     }

@@ -44,7 +44,7 @@ pub use compile::{CompileOperation, CompileStats, Compiled};
 pub use context::{AdapterChoice, ContextTraits, GraphicsContext};
 pub use custom::{CompileInfo, CustomError, TargetFormats};
 pub use error::GpuError;
-#[doc(hidden)]
+#[cfg(feature = "testing")]
 pub use surface::SurfaceAnswer;
 pub use target::Acquired;
 

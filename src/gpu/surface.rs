@@ -8,7 +8,6 @@ use super::GpuError;
 const MOST_LOST: u32 = 8;
 
 /// An answer, without its image.
-#[doc(hidden)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SurfaceAnswer {
     /// An image.

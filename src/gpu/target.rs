@@ -247,6 +247,7 @@ impl Target {
     }
 
     /// What a window's surface answers next, instead of being asked.
+    #[cfg(feature = "testing")]
     pub(super) fn pretend(&mut self, answers: &[SurfaceAnswer]) {
         if matches!(self.color, Color::Window { .. }) {
             self.health.pretended.extend(answers);

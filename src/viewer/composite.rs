@@ -1,4 +1,5 @@
-//! [`CompositeViewer`]: several views, each of a scene of its own or of one that they share. Main thread.
+//! [`CompositeViewer`]: several views, each of its own scene or of a shared one, and the contexts that they are drawn in.
+//! [`Viewer`](super::Viewer) is one with a single view. Main thread.
 
 use std::path::Path;
 use std::time::Instant;
@@ -7,461 +8,560 @@ use glam::DVec2;
 use image::RgbaImage;
 
 use super::ViewerError;
-use super::base::ViewerBase;
-use super::home::{LoadedRoot, SetBounds};
+use super::frame::{FrameLoop, FrameStamp, StatsHistory, ViewList, ViewerConfig};
+use super::ids::{ContextId, KeyedList, SceneId, SlaveId, ViewId};
 use super::input::{GuiActionAdapter, WindowMatrix, camera_with_focus, changes, needs_frame};
-use super::paged_scene::PagedScene;
+use super::paging::{LoadedRoot, MAX_SCENES, PagedScene, SceneList, UpdateCallback, free_owner};
 use super::rendering::ThreadingModel;
-use super::scene_pager::{MOST_SCENES, free_owner};
-use super::stats::StatsHistory;
-use super::view::{ContextId, Slave, SlaveId, View};
-use super::viewer::{FrameStamp, UpdateCallback, ViewerConfig};
-use super::viewport::Viewport;
-use crate::gpu::{ContextTraits, GraphicsContext};
+use super::view::set_bounds::SetBounds;
+use super::view::viewport::Viewport;
+use super::view::{Slave, View};
+
+use crate::gpu::{CompileBudget, ContextTraits, GraphicsContext};
 use crate::pager::{DatabasePager, ImagePager, ImageSequence};
 use crate::scene::{Page, PageId, Scene};
 
-/// A scene of a [`CompositeViewer`]; never the same again once it was removed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub struct SceneId(u32);
-
-/// A view of a [`CompositeViewer`]; never the same again once it was removed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub struct ViewId(u32);
-
-/// Views, their scenes and their contexts: one frame for all of them.
+/// Views, their scenes and their contexts, with one frame for all of them; osgViewer's `CompositeViewer`.
+///
+/// A context is one target, a window or an offscreen texture, on a device. Contexts may have a device each
+/// ([`Self::open_window`], [`Self::open_context`]) or share one ([`Self::open_window_on`], [`Self::open_offscreen_on`]).
+///
+/// ```text
+/// frame()   advance    frame stamp
+///           event      for each view: queue -> handlers -> manipulator -> event callbacks of nodes
+///           update     &mut Scene: callbacks, cameras from manipulators, pagers (expire, merge, request)
+///           rendering  cull: &Scene -> render stage; draw: the stage moves to the thread of the context;
+///                      the ThreadingModel decides which threads run them
+/// ```
 pub struct CompositeViewer {
-    config: ViewerConfig,
-    base: ViewerBase,
-    scenes: Vec<PagedScene>,
-    /// By place in `scenes`.
-    scene_ids: Vec<SceneId>,
-    next_scene: u32,
-    views: Vec<View>,
-    /// By place in `views`.
-    view_ids: Vec<ViewId>,
-    next_view: u32,
+    frame: FrameLoop,
+    scenes: SceneList,
+    views: ViewList,
+    /// The view of a [`Viewer`](super::Viewer), which cannot be removed.
+    own_view: Option<ViewId>,
 }
 
+/// Contexts: the windows and textures that views are drawn in.
 impl CompositeViewer {
-    /// A viewer without contexts, scenes and views.
+    /// Creates a viewer without contexts, scenes and views.
     pub fn new(config: &ViewerConfig) -> Result<Self, ViewerError> {
-        let base = ViewerBase::new(config)?;
-        Ok(Self {
-            config: config.clone(),
-            base,
-            scenes: Vec::new(),
-            scene_ids: Vec::new(),
-            next_scene: 0,
-            views: Vec::new(),
-            view_ids: Vec::new(),
-            next_view: 0,
-        })
+        let frame = FrameLoop::new(config)?;
+        Ok(Self { frame, scenes: KeyedList::new(), views: KeyedList::new(), own_view: None })
     }
 
-    /// Takes a context to draw views in; at most [`ViewerConfig::max_contexts`]. What scenes have is uploaded to it.
+    /// Adds a context with its own device; at most [`ViewerConfig::max_contexts`]. The application's pages are
+    /// uploaded to it, and all paged contents are loaded again, for every context ([`Self::open_offscreen_on`] avoids
+    /// both). Stops the threads; the next frame starts them again.
     pub fn open_context(&mut self, context: GraphicsContext) -> Result<ContextId, ViewerError> {
-        self.base.open_context(context, &mut self.scenes)
+        self.frame.open_context(context, &mut self.scenes)
     }
 
-    /// Opens an offscreen context on the device of another one; see [`Viewer::open_offscreen_on`](super::Viewer::open_offscreen_on).
+    /// Adds a window as a context with its own device; see [`Self::open_context`]. Call it on the thread of the event
+    /// loop, then add a view or a [`Slave`] in it.
+    pub fn open_window(
+        &mut self,
+        target: impl Into<wgpu::SurfaceTarget<'static>> + Clone + Send + Sync + 'static,
+        traits: &ContextTraits,
+    ) -> Result<ContextId, ViewerError> {
+        self.open_context(GraphicsContext::new_window(target, traits)?)
+    }
+
+    /// Adds an offscreen context on the device of another one. They share pools, textures and pipelines: nothing is
+    /// uploaded or loaded again, and bytes count once. One thread draws all contexts of a device, one after the other, in
+    /// every threading model. Only size, samples and vsync of the traits are used.
     pub fn open_offscreen_on(&mut self, other: ContextId, traits: &ContextTraits) -> Result<ContextId, ViewerError> {
-        self.base.open_context_on(other, traits, GraphicsContext::add_offscreen)
+        self.frame.open_context_on(other, traits, GraphicsContext::add_offscreen)
     }
 
-    /// As [`Self::open_offscreen_on`], a window; called on the thread of the event loop.
+    /// Adds a window on the device of another context; see [`Self::open_offscreen_on`]. Call it on the thread of the event
+    /// loop. Fails when the device's adapter cannot present to the window.
     pub fn open_window_on(
         &mut self,
         other: ContextId,
         target: impl Into<wgpu::SurfaceTarget<'static>> + Clone + Send + Sync + 'static,
         traits: &ContextTraits,
     ) -> Result<ContextId, ViewerError> {
-        self.base.open_context_on(other, traits, |context, traits| context.add_window(target, traits))
+        self.frame.open_context_on(other, traits, |context, traits| context.add_window(target, traits))
     }
 
-    /// Closes a context, and with it the cameras that are drawn in it; the rest goes on. False when there is none.
+    /// Closes a context and removes the cameras in it; other contexts are unaffected. Returns false when there is no such
+    /// context.
     pub fn close_context(&mut self, id: ContextId) -> Result<bool, ViewerError> {
-        self.base.close_context(id, &mut self.views, &mut self.scenes)
+        self.frame.close_context(id, &mut self.views, &mut self.scenes)
     }
 
     /// The open contexts, in the order opened.
     pub fn contexts(&self) -> impl Iterator<Item = ContextId> {
-        self.base.rendering.context_ids().map(ContextId)
+        self.frame.rendering.context_ids().map(ContextId)
     }
 
-    /// An empty scene with a pager and budgets of its own.
+    /// Sets the size of a context in pixels, for example after its window was resized.
+    pub fn resize_context(&mut self, context: ContextId, size_px: [u32; 2]) -> Result<(), ViewerError> {
+        self.frame.resize(context, size_px)?;
+        self.views.values_mut().for_each(|view| view.redraw_in(context));
+        Ok(())
+    }
+
+    /// Sets whether a context's window waits for the vertical blank; see [`ContextTraits::vsync`].
+    pub fn set_vsync(&mut self, context: ContextId, vsync: bool) -> Result<(), ViewerError> {
+        self.frame.set_vsync(context, vsync)
+    }
+
+    /// Returns the name of the first context's adapter.
+    pub fn adapter_name(&self) -> &str {
+        self.frame.rendering.adapter_name()
+    }
+
+    /// Loses the device of a context, as if the driver had lost it.
+    #[cfg(feature = "testing")]
+    pub fn lose_device(&mut self, context: ContextId) -> Result<(), ViewerError> {
+        self.frame.lose_device(context)
+    }
+
+    /// Sets the next answers of a window's surface.
+    #[cfg(feature = "testing")]
+    pub fn pretend_surface(
+        &mut self,
+        context: ContextId,
+        answers: &[crate::gpu::SurfaceAnswer],
+    ) -> Result<(), ViewerError> {
+        self.frame.pretend_surface(context, answers)
+    }
+}
+
+/// Scenes and what they contain.
+impl CompositeViewer {
+    /// Adds an empty scene with its own pager and budgets.
     pub fn add_scene(&mut self) -> Result<SceneId, ViewerError> {
         self.push_scene(None)
     }
 
-    /// An empty scene with the pager of another one (OSG: `osgViewer::Scene::setDatabasePager` with another scene's): one
-    /// list of requests, one set of threads and one budget for both, and what is equal in both is there once. What each
-    /// of them may read, and as whom it asks servers, stays its own.
+    /// Adds an empty scene that shares the pager of another one (OSG: `osgViewer::Scene::setDatabasePager` with another
+    /// scene's pager). Both have one list of requests, one set of threads and one budget; contents that are equal in both
+    /// are loaded once. The files that each may read, and its credentials for servers, stay separate.
     pub fn add_scene_with_pager_of(&mut self, other: SceneId) -> Result<SceneId, ViewerError> {
-        let pager = self.paged(other)?.pager;
+        let pager = self.paged(other)?.pager();
         self.push_scene(Some(pager))
     }
 
-    fn push_scene(&mut self, shared: Option<usize>) -> Result<SceneId, ViewerError> {
-        let place = self.scenes.len();
-        let owner = free_owner(self.scenes.iter().map(PagedScene::owner));
-        let owner = owner.ok_or(ViewerError::TooManyScenes { limit: MOST_SCENES })?;
-        let pager = self.base.add_pager(place, shared);
-        self.scenes.push(PagedScene::new(owner, pager, self.config.pager.clone(), self.config.keep_drawables));
-        let id = SceneId(self.next_scene);
-        self.next_scene += 1;
-        self.scene_ids.push(id);
-        Ok(id)
+    fn push_scene(&mut self, shared: Option<super::ids::PagerId>) -> Result<SceneId, ViewerError> {
+        let owner = free_owner(self.scenes.values().map(PagedScene::owner));
+        let owner = owner.ok_or(ViewerError::TooManyScenes { limit: MAX_SCENES })?;
+        let pager = self.frame.pagers.assign(self.scenes.next_key(), shared);
+        let config = self.frame.config();
+        Ok(self.scenes.push(PagedScene::new(owner, pager, config.pager.clone(), config.keep_drawables)))
     }
 
-    /// Takes a scene out, with all that it has on devices, its image pager, and its pager with the threads of both; a pager
-    /// that others share goes on with their pages alone. As in OSG a view keeps its scene: while some show it, that is
-    /// [`ViewerError::SceneInUse`], and nothing happens. Blocks until all frames are drawn and all uploads under way are
-    /// done; memory of adapters is free when the frames that may still read it are over.
+    /// Removes a scene with everything that it has on devices, its image pager, and its pager unless other scenes share it.
+    /// Fails with [`ViewerError::SceneInUse`] while a view shows the scene. Blocks until all frames are drawn and all
+    /// uploads in flight are done; GPU memory is free after the frames that may still read it.
     pub fn remove_scene(&mut self, id: SceneId) -> Result<(), ViewerError> {
-        let place = self.scene_place(id)?;
-        let views = self.views.iter().filter(|view| view.scene == place).count();
+        self.check_scene(id)?;
+        let views = self.views.values().filter(|view| view.scene() == id).count();
         if views > 0 {
             return Err(ViewerError::SceneInUse { scene: id, views });
         }
-        self.base.absorb_all()?;
-        self.base.remove_scene(&mut self.scenes, place);
-        self.scene_ids.remove(place);
-        for view in self.views.iter_mut().filter(|view| view.scene > place) {
-            view.scene -= 1;
-        }
+        self.frame.finish()?;
+        self.frame.pagers.remove_scene(&mut self.scenes, id, &mut self.frame.rendering);
         Ok(())
     }
 
     /// The scenes, in the order added.
     pub fn scenes(&self) -> impl Iterator<Item = SceneId> {
-        self.scene_ids.iter().copied()
+        self.scenes.iter().map(|(id, _)| id)
     }
 
-    fn scene_place(&self, id: SceneId) -> Result<usize, ViewerError> {
-        self.scene_ids.iter().position(|of| *of == id).ok_or(ViewerError::NoScene(id))
+    fn check_scene(&self, id: SceneId) -> Result<(), ViewerError> {
+        if self.scenes.contains(id) { Ok(()) } else { Err(ViewerError::NoScene(id)) }
     }
 
     fn paged(&self, id: SceneId) -> Result<&PagedScene, ViewerError> {
-        Ok(&self.scenes[self.scene_place(id)?])
+        self.scenes.get(id).ok_or(ViewerError::NoScene(id))
     }
 
     fn paged_mut(&mut self, id: SceneId) -> Result<&mut PagedScene, ViewerError> {
-        let place = self.scene_place(id)?;
-        Ok(&mut self.scenes[place])
+        self.scenes.get_mut(id).ok_or(ViewerError::NoScene(id))
     }
 
-    /// Loads a root tile set into a scene that shows none, and places the cameras of its views at the first view of it.
+    /// Loads a root tile set (folder, file or URL) into a scene without one, and moves the cameras of its views to the
+    /// first view of it. Blocks until the root is read.
     pub fn load(&mut self, scene: SceneId, source: &str) -> Result<PageId, ViewerError> {
-        self.set_root(scene, LoadedRoot::read(source, &self.config.pager)?)
+        let root = self.paged(scene)?.read_root(source)?;
+        self.set_root(scene, root)
     }
 
-    /// As [`Self::load`], with a root that was read before there was a viewer.
+    /// Like [`Self::load`], with a root that was read earlier.
     pub fn set_root(&mut self, scene: SceneId, root: LoadedRoot) -> Result<PageId, ViewerError> {
-        let place = self.scene_place(scene)?;
-        let root = self.base.set_root(&mut self.scenes, place, root)?;
-        self.first_sight(place);
+        self.check_scene(scene)?;
+        let root = self.frame.pagers.set_root(&mut self.scenes, scene, root, &mut self.frame.rendering)?;
+        self.first_sight(scene);
         Ok(root)
     }
 
-    /// Adds a page made by the application as a root of a scene. The first root places the cameras of its views.
+    /// Adds a page of the application as a root of a scene. Paged contents in it are read by the pager of
+    /// [`Self::page_files_in`] or [`Self::set_pager`]. The first root positions the cameras of the scene's views.
     pub fn add_root(&mut self, scene: SceneId, page: Page) -> Result<PageId, ViewerError> {
-        let place = self.scene_place(scene)?;
-        let paged = &mut self.scenes[place];
-        let is_first = paged.bounds.is_none();
-        let root = paged.add_root(page, &mut self.base.rendering)?;
+        let paged = self.scenes.get_mut(scene).ok_or(ViewerError::NoScene(scene))?;
+        let is_first = paged.bounds().is_none();
+        let root = paged.add_root(page, &mut self.frame.rendering)?;
         if is_first {
-            self.first_sight(place);
+            self.first_sight(scene);
         }
         Ok(root)
     }
 
-    fn first_sight(&mut self, place: usize) {
+    /// Moves the cameras of a scene's views to the first view of it.
+    fn first_sight(&mut self, scene: SceneId) {
         self.for_each_view(|mut view| {
-            if view.view.scene == place {
+            if view.view.scene() == scene {
                 view.first_sight();
             }
         });
     }
 
-    /// Takes a root out of a scene; `None` when it is not a root, or while pages hang in it. What comes back is as
-    /// [`Viewer::remove_root`](super::Viewer::remove_root) has it.
+    /// Removes a root from a scene and frees its GPU memory; `None` when it is not a root, or while pages are attached to
+    /// it. Added again, the page is drawn as before; without [`ViewerConfig::keep_drawables`] it is returned without its
+    /// drawables and draws nothing.
     pub fn remove_root(&mut self, scene: SceneId, id: PageId) -> Result<Option<Page>, ViewerError> {
-        let place = self.scene_place(scene)?;
-        Ok(self.scenes[place].remove_root(id, &mut self.base.rendering))
+        let paged = self.scenes.get_mut(scene).ok_or(ViewerError::NoScene(scene))?;
+        Ok(paged.remove_root(id, &mut self.frame.rendering))
     }
 
-    /// Pages files in a folder and below, for a scene made by hand.
+    /// Gives a scene built by the application a pager that may read the files in a folder and below.
     pub fn page_files_in(&mut self, scene: SceneId, folder: &Path) -> Result<(), ViewerError> {
-        let place = self.scene_place(scene)?;
-        let pager = self.scenes[place].pager_of_files(folder)?;
-        self.base.set_pager(&mut self.scenes, place, pager)
+        let pager = self.paged(scene)?.new_folder_pager(folder)?;
+        self.set_pager(scene, pager)
     }
 
-    /// A scene; pages may be added and transforms set between frames.
+    /// Replaces the pager of a scene and removes the pages that the old one merged. A pager that other scenes share is
+    /// kept, and takes over the scope of the new one for this scene.
+    pub fn set_pager(&mut self, scene: SceneId, pager: DatabasePager) -> Result<(), ViewerError> {
+        self.check_scene(scene)?;
+        self.frame.pagers.set_pager(&mut self.scenes, scene, pager, &mut self.frame.rendering)
+    }
+
+    /// Returns a scene for changes. Pages may be added and transforms set between frames.
     pub fn scene_mut(&mut self, scene: SceneId) -> Result<&mut Scene, ViewerError> {
         Ok(self.paged_mut(scene)?.scene_mut())
     }
 
-    /// A scene.
+    /// Returns a scene.
     pub fn scene(&self, scene: SceneId) -> Result<&Scene, ViewerError> {
         Ok(self.paged(scene)?.scene())
     }
 
-    /// The pager that serves a scene, once a set is loaded into it or into one that shares its pager.
+    /// Returns the pager of a scene; `None` until a set was loaded into it, or into a scene that shares its pager.
     pub fn pager(&self, scene: SceneId) -> Result<Option<&DatabasePager>, ViewerError> {
-        Ok(self.base.pager_of(self.paged(scene)?).pager())
+        Ok(self.frame.pager_of(self.paged(scene)?).pager())
     }
 
-    /// The pager that serves a scene, to pause it or to have it take no new requests; for all scenes that share it.
+    /// Returns the pager of a scene, to pause it or to stop new requests. That affects all scenes that share it.
     pub fn pager_mut(&mut self, scene: SceneId) -> Result<Option<&mut DatabasePager>, ViewerError> {
-        let of = self.paged(scene)?.pager;
-        Ok(self.base.pagers[of].pager_mut())
+        let paged = self.scenes.get(scene).ok_or(ViewerError::NoScene(scene))?;
+        Ok(self.frame.pagers.of_mut(paged).pager_mut())
     }
 
-    /// True when one pager serves both scenes.
+    /// Returns true when one pager serves both scenes.
     pub fn shares_pager(&self, scene: SceneId, other: SceneId) -> Result<bool, ViewerError> {
-        Ok(self.paged(scene)?.pager == self.paged(other)?.pager)
+        Ok(self.paged(scene)?.pager() == self.paged(other)?.pager())
     }
 
-    /// Takes every page that the pager of a scene merged out of it and forgets what was asked for; what is wanted is
-    /// loaded anew from the next frame on. Scenes that share its pager keep theirs.
+    /// Removes every page that the pager merged into a scene, and forgets its requests; the next frames load what they need
+    /// again. Scenes that share the pager keep their pages.
     pub fn clear_pages(&mut self, scene: SceneId) -> Result<(), ViewerError> {
-        let place = self.scene_place(scene)?;
-        self.base.clear_pages(&mut self.scenes, place);
+        self.check_scene(scene)?;
+        self.frame.pagers.clear_pages(&mut self.scenes, scene, &mut self.frame.rendering);
         Ok(())
     }
 
-    /// What could not be drawn as it should so far, each once: what the device complained of, too.
-    pub fn draw_errors(&self) -> &[String] {
-        &self.base.draw_errors
-    }
-
-    /// Lets a sequence's texture show its images in a scene; see [`ImageSequence`].
+    /// Shows the images of a sequence in its texture, over simulation time; see [`ImageSequence`].
     pub fn add_image_sequence(&mut self, scene: SceneId, sequence: &ImageSequence) -> Result<(), ViewerError> {
         self.paged_mut(scene)?.add_image_sequence(sequence)
     }
 
-    /// The image pager of a scene, once a sequence was added.
-    pub fn image_pager(&self, scene: SceneId) -> Result<Option<&ImagePager>, ViewerError> {
-        Ok(self.paged(scene)?.image_pager.as_ref())
+    /// Replaces the image pager of a scene; sequences of the old one must be added again.
+    pub fn set_image_pager(&mut self, scene: SceneId, pager: ImagePager) -> Result<(), ViewerError> {
+        self.paged_mut(scene)?.set_image_pager(pager);
+        Ok(())
     }
 
-    /// True when the tiles of a scene's tile set are height tiles, or where none was loaded those of its first root.
+    /// Returns the image pager of a scene; `None` until a sequence was added.
+    pub fn image_pager(&self, scene: SceneId) -> Result<Option<&ImagePager>, ViewerError> {
+        Ok(self.paged(scene)?.image_pager())
+    }
+
+    /// Returns the URI of a scene's root tile set; `None` without one or after it was removed.
+    pub fn root_uri(&self, scene: SceneId) -> Result<Option<&str>, ViewerError> {
+        Ok(self.paged(scene)?.root_uri())
+    }
+
+    /// Returns true when the tiles of a scene's tile set, or of its first root, are height tiles on a shared grid, whose
+    /// error is in the height alone.
     pub fn is_height_set(&self, scene: SceneId) -> Result<bool, ViewerError> {
         Ok(self.paged(scene)?.is_height_set())
     }
 
-    /// Extent of the tile set that was loaded into a scene; without one, of its first root.
+    /// Returns the extent of a scene's tile set, or of its first root.
     pub fn bounds(&self, scene: SceneId) -> Result<Option<&SetBounds>, ViewerError> {
-        Ok(self.paged(scene)?.bounds.as_ref())
+        Ok(self.paged(scene)?.bounds())
     }
 
-    /// Adds something to do to a scene in each update phase.
+    /// Adds a callback for each update phase of a scene.
     pub fn on_update(&mut self, scene: SceneId, callback: UpdateCallback) -> Result<(), ViewerError> {
-        self.paged_mut(scene)?.update_callbacks.push(callback);
+        self.paged_mut(scene)?.on_update(callback);
         Ok(())
     }
+}
 
-    /// True when the last frame showed everything its views wanted and no pager has anything to do.
-    pub fn is_settled(&self) -> bool {
-        self.base.pagers.iter().all(|pager| pager.is_at_rest(&self.scenes))
-    }
-
-    /// Adds a view of a scene, drawn in a part of a context after those that are there.
+/// Views and their cameras.
+impl CompositeViewer {
+    /// Adds a view of a scene in a part of a context, drawn after the cameras that the context has.
     pub fn add_view(
         &mut self,
         scene: SceneId,
         context: ContextId,
         viewport: impl Into<Viewport>,
     ) -> Result<ViewId, ViewerError> {
-        let of = self.scene_place(scene)?;
-        let bounds = self.scenes[of].bounds;
-        let place = self.base.add_camera(context, viewport.into())?;
-        let ViewerConfig { size_px, samples, .. } = self.config;
-        let mut view = View::new(of, self.config.cull_settings(), size_px, samples);
-        view.master = Some(place);
-        view.set_stereo(self.config.stereo);
-        view.prepare(&self.base.rendering, bounds.as_ref());
+        let bounds = self.paged(scene)?.bounds().copied();
+        let slot = self.frame.add_camera(context, viewport.into())?;
+        let config = self.frame.config();
+        let mut view = View::new(scene, config.cull_settings(), config.size_px, config.samples, slot);
+        view.set_stereo(config.stereo);
+        view.prepare(&self.frame.rendering, bounds.as_ref());
         if let Some(bounds) = &bounds {
             view.first_sight(bounds);
         }
-        let id = ViewId(self.next_view);
-        self.next_view += 1;
-        self.views.push(view);
-        self.view_ids.push(id);
-        Ok(id)
+        Ok(self.views.push(view))
     }
 
-    /// The scene of a view.
+    /// Adds the view of a [`Viewer`](super::Viewer), which cannot be removed.
+    pub(super) fn add_own_view(&mut self, scene: SceneId, context: ContextId) -> Result<ViewId, ViewerError> {
+        let view = self.add_view(scene, context, Viewport::Whole)?;
+        self.own_view = Some(view);
+        Ok(view)
+    }
+
+    /// Returns the scene of a view.
     pub fn scene_of(&self, view: ViewId) -> Result<SceneId, ViewerError> {
-        Ok(self.scene_ids[self.views[self.place_of(view)?].scene])
+        Ok(self.view(view)?.scene())
     }
 
-    fn place_of(&self, id: ViewId) -> Result<usize, ViewerError> {
-        self.view_ids.iter().position(|of| *of == id).ok_or(ViewerError::NoView(id))
-    }
-
-    /// Takes a view with all its cameras out; its scene stays.
+    /// Removes a view with all its cameras; its scene stays.
     pub fn remove_view(&mut self, id: ViewId) -> Result<(), ViewerError> {
-        let place = self.place_of(id)?;
-        self.base.absorb_all()?;
-        for camera in self.views[place].cameras() {
-            self.base.rendering.remove_camera(camera);
+        if self.own_view == Some(id) {
+            return Err(ViewerError::OwnView(id));
         }
-        let gone = self.views.remove(place);
-        self.view_ids.remove(place);
-        // What it covered is seen, or nothing any more.
-        for context in gone.contexts() {
-            self.views.iter_mut().for_each(|view| view.redraw_in(context));
+        let view = self.views.get(id).ok_or(ViewerError::NoView(id))?;
+        self.frame.remove_cameras_of(view)?;
+        self.frame.look_aheads.forget(id);
+        let Some(removed) = self.views.remove(id) else { return Ok(()) };
+        // The area that it covered must be drawn again.
+        for context in removed.contexts() {
+            self.views.values_mut().for_each(|view| view.redraw_in(context));
         }
         Ok(())
     }
 
     /// The views, in the order added.
     pub fn views(&self) -> impl Iterator<Item = (ViewId, &View)> {
-        self.view_ids.iter().copied().zip(&self.views)
+        self.views.iter()
     }
 
-    /// A view, to move its camera.
+    /// Returns a view.
+    pub fn view(&self, id: ViewId) -> Result<&View, ViewerError> {
+        self.views.get(id).ok_or(ViewerError::NoView(id))
+    }
+
+    /// Returns a view, for example to move its camera.
     pub fn view_mut(&mut self, id: ViewId) -> Result<&mut View, ViewerError> {
-        let place = self.place_of(id)?;
-        Ok(&mut self.views[place])
+        self.views.get_mut(id).ok_or(ViewerError::NoView(id))
     }
 
-    /// What the handlers of a view are given: its queue, handlers and manipulator are set by it.
+    /// Returns a view together with its scene and the viewer, as its event handlers get them.
     pub fn actions(&mut self, view: ViewId) -> Result<GuiActionAdapter<'_>, ViewerError> {
-        let place = self.place_of(view)?;
-        let view = &mut self.views[place];
-        let paged = &mut self.scenes[view.scene];
-        Ok(GuiActionAdapter { base: &mut self.base, view, paged })
+        let view = self.views.get_mut(view).ok_or(ViewerError::NoView(view))?;
+        let paged = &mut self.scenes[view.scene()];
+        Ok(GuiActionAdapter { base: &mut self.frame, view, paged })
     }
 
-    /// The view that has the focus at a place of a context, pixels from its upper left corner: of those there, the one
-    /// drawn last; with the place in the view's own picture, which is what goes into its event queue.
+    /// Returns the view at a position of a context, in pixels from its upper left corner, and the position inside the view.
+    /// Of overlapping views it is the one drawn last. Events of the pointer go to its event queue.
     pub fn view_at(&self, context: ContextId, position_px: DVec2) -> Option<(ViewId, DVec2)> {
         let here = self.views().filter(|(_, view)| view.context() == Some(context));
         let (ids, cameras): (Vec<ViewId>, Vec<WindowMatrix>) =
             here.map(|(id, view)| (id, view.window_matrix())).unzip();
-        let place = camera_with_focus(&cameras, position_px)?;
-        Some((*ids.get(place)?, position_px - cameras.get(place)?.origin_px))
+        let index = camera_with_focus(&cameras, position_px)?;
+        Some((*ids.get(index)?, position_px - cameras.get(index)?.origin_px))
     }
 
-    /// True once the user of a view or the application wants an end.
-    pub fn is_done(&self) -> bool {
-        self.views.iter().any(View::is_done)
-    }
-
-    /// For drawing on demand: false while another frame would show the same pictures; see
-    /// [`Viewer::check_need_to_do_frame`](super::Viewer::check_need_to_do_frame).
-    pub fn check_need_to_do_frame(&self) -> bool {
-        self.views.iter().any(|view| needs_frame(&self.base, view, &self.scenes))
-    }
-
-    /// Adds a camera that goes with the master camera of a view.
+    /// Adds a camera that follows the master camera of a view. It may be drawn in any context, for example another window.
     pub fn add_slave(&mut self, view: ViewId, slave: Slave) -> Result<SlaveId, ViewerError> {
-        let place = self.place_of(view)?;
-        self.base.add_slave(&mut self.views[place], slave)
+        let view = self.views.get_mut(view).ok_or(ViewerError::NoView(view))?;
+        self.frame.add_slave(view, slave)
     }
 
-    /// Takes a slave out; false when there is none.
+    /// Removes a slave; returns false when the view has no such slave.
     pub fn remove_slave(&mut self, view: ViewId, id: SlaveId) -> Result<bool, ViewerError> {
-        let place = self.place_of(view)?;
-        self.base.remove_slave(&mut self.views[place], id)
+        let view = self.views.get_mut(view).ok_or(ViewerError::NoView(view))?;
+        self.frame.remove_slave(view, id)
     }
 
-    /// Renders one frame of all views; the simulation time is the wall's.
+    /// Paints an overlay over the next frame of a context.
+    #[cfg(feature = "window")]
+    pub fn set_overlay(&mut self, context: ContextId, paint: super::overlay::OverlayPaint) {
+        self.frame.set_overlay(context.0, paint);
+    }
+}
+
+/// Frames, the threads that run them, and their results.
+impl CompositeViewer {
+    /// Renders one frame of all views; simulation time follows the wall clock.
     pub fn frame(&mut self) -> Result<(), ViewerError> {
-        self.frame_at(self.base.seconds())
+        self.frame_at(self.frame.timer().seconds())
     }
 
-    /// Renders one frame of all views at a simulation time.
+    /// Renders one frame of all views at a simulation time in seconds.
     pub fn frame_at(&mut self, simulation_time_s: f64) -> Result<(), ViewerError> {
-        let changes = self.views.iter().any(|view| changes(&self.base, view, &self.scenes));
-        let mut frame = self.base.begin_frame(simulation_time_s, changes)?;
+        let has_changes = self.views.values().any(|view| changes(&self.frame, view, &self.scenes));
+        let mut frame = self.frame.begin_frame(simulation_time_s, has_changes);
         self.for_each_view(|mut view| view.event_traversal());
         #[cfg(feature = "window")]
         self.for_each_view(|mut view| view.lay_out_overlay());
         frame.end_events();
-        for scene in &mut self.scenes {
-            scene.update(&self.base.stamp);
-        }
-        // After the callbacks: what cameras follow may have moved.
+        let stamp = self.frame.stamp();
+        self.scenes.values_mut().for_each(|scene| scene.update(&stamp));
+        // Cameras move after the update callbacks, because manipulators may follow what these moved.
         self.for_each_view(|mut view| view.update_camera(frame.dt_s));
-        self.base.end_frame(frame, &mut self.views, &mut self.scenes)
+        self.frame.end_frame(frame, &mut self.views, &mut self.scenes)
     }
 
     fn for_each_view(&mut self, act: impl Fn(GuiActionAdapter<'_>)) {
-        for view in &mut self.views {
-            let paged = &mut self.scenes[view.scene];
-            act(GuiActionAdapter { base: &mut self.base, view, paged });
+        for view in self.views.values_mut() {
+            let paged = &mut self.scenes[view.scene()];
+            act(GuiActionAdapter { base: &mut self.frame, view, paged });
         }
     }
 
-    /// Uploads, merges and expires what arrives, instead of sleeping until the next frame is due. Returns at
-    /// `deadline`.
+    /// For applications that draw on demand: returns false while another frame would show the same images. True for
+    /// waiting events, moving manipulators, tiles in flight, missing results of occlusion queries and read-backs, playing
+    /// image sequences, update callbacks, overlays, and [`View::request_redraw`]. Tiles that find no memory, or wait for a
+    /// paused pager, ask for no frame. A failed request asks for one after its back-off, so an idle loop should call this
+    /// now and then.
+    pub fn check_need_to_do_frame(&self) -> bool {
+        self.views.values().any(|view| needs_frame(&self.frame, view, &self.scenes))
+    }
+
+    /// Returns true once the user of a view or the application has asked to end.
+    pub fn is_done(&self) -> bool {
+        self.views.values().any(View::is_done)
+    }
+
+    /// Returns true when the last frame showed everything that its views wanted, no transition between levels of detail is
+    /// under way, and every pager is idle.
+    pub fn is_settled(&self) -> bool {
+        self.frame.pagers.iter().all(|group| group.is_at_rest(&self.scenes))
+    }
+
+    /// Merges and uploads arrived pages until `deadline`, instead of sleeping until the next frame is due, so that frames
+    /// have less to do. For loops with a frame rate.
     pub fn work_until(&mut self, deadline: Instant) {
-        self.base.work_until(&mut self.scenes, deadline);
+        self.frame.work_until(&mut self.scenes, deadline);
     }
 
-    /// Waits until every frame has been drawn, so that statistics and pictures are complete. One that was lost with its
-    /// device is no error here: the next [`Self::frame`] replaces the device, or says that it cannot.
+    /// Waits until all frames are drawn, so that statistics and images are complete. A frame that was lost with its device
+    /// is no error here: the next [`Self::frame`] replaces the device, or reports that it cannot.
     pub fn finish(&mut self) -> Result<(), ViewerError> {
-        self.base.absorb_all()
+        self.frame.finish()
     }
 
-    /// The new size of a context in pixels.
-    pub fn resize_context(&mut self, context: ContextId, size_px: [u32; 2]) -> Result<(), ViewerError> {
-        self.base.resize(context, size_px)?;
-        self.views.iter_mut().for_each(|view| view.redraw_in(context));
-        Ok(())
-    }
-
-    /// The next frame's picture in a context is read back; see [`Self::take_pictures`].
+    /// Has the next frame of a context read back; see [`Self::take_pictures`].
     pub fn want_picture(&mut self, context: ContextId) {
-        self.base.want_picture(context);
+        self.frame.pictures_mut().want(context.0);
     }
 
-    /// Pictures of a context that were read back, with their frame numbers, in order.
+    /// Returns the images of a context that have arrived, with their frame numbers, in order.
     pub fn take_pictures(&mut self, context: ContextId) -> Vec<(u32, RgbaImage)> {
-        self.base.take_pictures(context)
+        self.frame.pictures_mut().take(context.0)
     }
 
-    /// The last frame's picture in a context, offscreen.
+    /// Waits until all frames are drawn, and reads back the last image of an offscreen context. Fails with
+    /// [`GpuError::DeviceLost`](crate::gpu::GpuError::DeviceLost) while the device is lost: the next frames replace it,
+    /// upload everything again, and draw.
     pub fn read_back(&mut self, context: ContextId) -> Result<RgbaImage, ViewerError> {
-        self.base.read_back(context)
+        self.frame.read_back(context)
     }
 
-    /// Number and times of the last frame.
+    /// Returns the number and the times of the last frame.
     pub fn frame_stamp(&self) -> FrameStamp {
-        self.base.stamp
+        self.frame.stamp()
     }
 
-    /// Statistics of the frames so far, all views together.
+    /// Returns the statistics of the frames so far, over all views.
     pub fn stats(&self) -> &StatsHistory {
-        &self.base.history
+        self.frame.results().history()
     }
 
-    /// The threading model that runs, or will from the first frame on.
+    /// Returns the problems while drawing so far, each once, including errors that the device reported.
+    pub fn draw_errors(&self) -> &[String] {
+        self.frame.results().errors()
+    }
+
+    /// Returns the largest number of bytes that the GPU pools held so far.
+    pub(super) fn gpu_bytes_peak(&self) -> u64 {
+        self.frame.results().gpu_bytes_peak()
+    }
+
+    /// Sets [`ViewerConfig::compile_budget`] from the next frame on.
+    pub fn set_compile_budget(&mut self, budget: CompileBudget) {
+        self.frame.set_compile_budget(budget);
+    }
+
+    /// Returns the threading model that runs, or will run from the first frame on.
     pub fn threading_model(&self) -> ThreadingModel {
-        self.base.rendering.model()
+        self.frame.threading_model()
     }
 
-    /// Changes the threading model at run time, after all frames are drawn.
+    /// Changes the threading model. Waits until all frames are drawn and ends the threads; the next frame starts those of
+    /// the new model.
     pub fn set_threading_model(&mut self, model: ThreadingModel) -> Result<(), ViewerError> {
-        self.base.absorb_all()?;
-        self.base.rendering.set_model(model)
+        self.frame.set_threading_model(model)
     }
 
-    /// Starts the model's threads; the first frame does otherwise.
+    /// Starts the threads of the model; otherwise the first frame does.
     pub fn start_threading(&mut self) -> Result<(), ViewerError> {
-        self.base.rendering.start_threads()
+        self.frame.rendering.start_threads()
     }
 
-    /// Ends the threads until the next frame starts them again; all frames are drawn before.
+    /// Waits until all frames are drawn and ends the threads; the next frame starts them again.
     pub fn stop_threading(&mut self) -> Result<(), ViewerError> {
-        self.base.absorb_all()?;
-        self.base.rendering.stop_threads();
+        self.frame.finish()?;
+        self.frame.rendering.stop_threads();
         Ok(())
+    }
+}
+
+/// Access for [`Viewer`](super::Viewer), whose view and scene always exist.
+impl CompositeViewer {
+    pub(super) fn own_parts(&self, view: ViewId) -> (&FrameLoop, &View, &PagedScene) {
+        let view = &self.views[view];
+        (&self.frame, view, &self.scenes[view.scene()])
+    }
+
+    pub(super) fn own_parts_mut(&mut self, view: ViewId) -> (&mut FrameLoop, &mut View, &mut PagedScene) {
+        let view = &mut self.views[view];
+        let scene = &mut self.scenes[view.scene()];
+        (&mut self.frame, view, scene)
+    }
+
+    /// Prepares a view for its context's size at once instead of in the next frame.
+    pub(super) fn prepare_view(&mut self, view: ViewId) {
+        let view = &mut self.views[view];
+        view.prepare(&self.frame.rendering, self.scenes[view.scene()].bounds());
+    }
+
+    /// True when the pager of a view's scene is idle and the last frame showed everything.
+    pub(super) fn has_loaded_all(&self, view: ViewId) -> bool {
+        let scene = &self.scenes[self.views[view].scene()];
+        self.frame.pager_of(scene).is_settled(&self.scenes)
     }
 }

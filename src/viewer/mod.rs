@@ -1,170 +1,96 @@
-//! The viewer: runs the frame and owns what it needs. The only room that knows winit and egui.
+//! The viewer: runs the frame and owns what it needs. The only folder that knows winit and egui.
 //!
-//! [`Viewer::frame`] is advance, event, update and rendering; see `base.rs` for who may touch the scene when and
-//! `rendering` for who culls and draws. Everything here runs on the main thread, except what `rendering` sends away.
+//! [`Viewer`] shows one view of one scene; [`CompositeViewer`] shows several and does the work of both. A frame is event,
+//! update, cull and draw (`frame/`). Everything here runs on the main thread, except cull and draw: `rendering/` runs them
+//! on the threads of a [`ThreadingModel`].
+//!
+//! | folder | contents |
+//! |---|---|
+//! | `frame/` | the frame loop and its parts: clock, contexts, images read back, statistics, lost devices |
+//! | `view/` | [`View`]: camera, lens, viewport, stereo eyes, slaves, picking, the extent of a set |
+//! | `paging/` | joins scenes with their pagers; prefetching; the blocking mode |
+//! | `rendering/` | threading models: who culls and who draws, and what they wait for |
+//! | `window/` | event loops of winit, parent windows, the pace of frames |
+//! | `events/`, `input/`, `handlers/`, `manipulators/` | events, the event phase, actions of keys, camera motion |
+//! | `config/` | display settings, and arrangements of windows and views from files and the environment |
+//! | `overlay/`, `report/`, `camera_path/` | egui over a view; the report of a flight; recorded camera paths |
+//!
+//! # Devices, contexts and windows
+//!
+//! A [`GraphicsContext`](crate::gpu::GraphicsContext) is a GPU device with its first target; a target is a window or an
+//! offscreen texture. A viewer knows each target as a *context*, by [`ContextId`]: OSG's `GraphicsContext`. Further contexts
+//! have their own device or share one.
+//!
+//! # A second window on a view
+//!
+//! - With the viewer's own event loop: [`run_window`] with [`WindowOptions::slaves`], one [`SlaveWindow`] per window.
+//! - In a loop of the application: create the window, then
+//!
+//! ```ignore
+//! let context = viewer.open_window(window, &traits)?; // or composite_mut().open_window_on(...) to share the device
+//! viewer.add_slave(Slave { view_offset, ..Slave::new(context) })?;
+//! ```
+//! [`ViewerConfig::max_contexts`] must allow it. Several views in several windows: [`run_views`] with a [`ViewsSetup`].
 
-mod base;
-mod camera;
+mod arranged_views;
 mod camera_path;
 mod composite;
 mod config;
-mod contexts;
 #[cfg(feature = "window")]
 mod display;
+mod error;
 mod events;
+mod frame;
 pub mod handlers;
-mod home;
+mod ids;
 mod input;
-mod look_ahead;
 pub mod manipulators;
 #[cfg(feature = "window")]
 mod overlay;
-#[cfg(feature = "window")]
-mod pace;
-mod paged_scene;
-#[cfg(feature = "window")]
-mod parent;
-mod pick;
+mod paging;
 mod rendering;
 mod report;
-mod scene_pager;
-mod settled;
-mod stats;
 mod view;
 #[expect(clippy::module_inception, reason = "the viewer's own file; the others are its parts")]
 mod viewer;
-mod viewport;
-mod views_setup;
-#[cfg(feature = "window")]
-mod views_window;
 #[cfg(feature = "window")]
 mod window;
-#[cfg(feature = "window")]
-mod window_events;
-#[cfg(feature = "window")]
-mod window_open;
 
-pub use camera::{Camera, FieldOfView, ResizePolicy, world_from_eye};
+pub use arranged_views::ArrangedViews;
 pub use camera_path::{AnimationPath, ControlPoint, LoopMode, PathError};
-pub use composite::{CompositeViewer, SceneId, ViewId};
+pub use composite::CompositeViewer;
 pub use config::{
     Arrangement, ArrangementError, CONFIG_FILE_VARIABLE, CameraSetup, DisplaySettingError, DisplaySettings,
     DisplayType, SCREEN_VARIABLE, SceneSetup, ViewCamera, ViewSetup, ViewsSetup, WINDOW_VARIABLE, WindowSetup,
 };
 #[cfg(feature = "window")]
 pub use display::has_display;
+pub use error::ViewerError;
 pub use events::{
     Bindings, ButtonMask, EventKind, EventMask, EventQueue, GuiEventAdapter, GuiEventHandler, InputState, Key,
     Modifiers, MouseButton, TouchPhase, Usage, UserEvent, UserEvents, YOrientation,
 };
-pub use home::{LoadedRoot, LocalFrame, SetBounds, ViewFrom, environment_for};
+pub use frame::{FrameStamp, FrameStats, Samples, StatsHistory, ViewerConfig};
+pub use ids::{ContextId, SceneId, SlaveId, ViewId};
 pub use input::{
     GuiActionAdapter, OnPicture, WindowCommand, WindowMatrix, WindowRay, camera_with_focus, event_callback,
 };
 pub use manipulators::{CameraManipulator, GroundHeight, ManipulatorView};
 #[cfg(feature = "window")]
 pub use overlay::{Overlay, OverlayPaint};
-#[cfg(feature = "window")]
-pub use parent::ParentWindow;
+pub use paging::{LoadedRoot, UpdateCallback};
 pub use rendering::{THREADING_VARIABLE, ThreadingModel};
 pub use report::{
     Bytes, DrawMedians, FrameTimes, HoleCheck, Images, KEY_COLOR, Phases, Report, ReportError, Settled, Sharing, Tiles,
     Times, coverage,
 };
-pub use stats::{FrameStats, Samples, StatsHistory};
-pub use view::{ContextId, Eyes, Slave, SlaveId, View};
-pub use viewer::{FrameStamp, UpdateCallback, Viewer, ViewerConfig};
-pub use viewport::Viewport;
-pub use views_setup::ArrangedViews;
+pub use view::camera::{Camera, FieldOfView, ResizePolicy, world_from_eye};
+pub use view::set_bounds::{LocalFrame, SetBounds, ViewFrom, environment_for};
+pub use view::viewport::Viewport;
+pub use view::{Eyes, Slave, View};
+pub use viewer::Viewer;
 #[cfg(feature = "window")]
-pub use views_window::{EachFrame, OnViewsOpen, ViewsOptions, run_views};
-#[cfg(feature = "window")]
-pub use window::{AfterFrame, BeforeFrame, OnOpen, SlaveWindow, WindowOptions, run_window};
-
-/// Why a viewer cannot go on.
-#[derive(Debug, thiserror::Error)]
-pub enum ViewerError {
-    /// The graphics context or a draw failed.
-    #[error(transparent)]
-    Gpu(#[from] crate::gpu::GpuError),
-    /// The root could not be read.
-    #[error(transparent)]
-    Io(#[from] crate::io::IoError),
-    /// The pager could not start.
-    #[error(transparent)]
-    Pager(#[from] crate::pager::PagerError),
-    /// A thread could not be started.
-    #[error("cannot start a thread: {0}")]
-    Thread(std::io::Error),
-    /// A variable of the environment says what it cannot.
-    #[error("{0}")]
-    Setting(String),
-    /// The windows are not arranged so.
-    #[error(transparent)]
-    Arrangement(#[from] ArrangementError),
-    /// The viewer has as many contexts as it may have.
-    #[error("{limit} contexts are open, and ViewerConfig::max_contexts allows no more")]
-    TooManyContexts {
-        /// [`ViewerConfig::max_contexts`].
-        limit: usize,
-    },
-    /// The viewer has no such context, or not any more.
-    #[error("the viewer has no context {}", .0.0)]
-    NoContext(ContextId),
-    /// A viewer has as many scenes as there can be.
-    #[error("a viewer has {limit} scenes at most")]
-    TooManyScenes {
-        /// How many.
-        limit: usize,
-    },
-    /// The viewer has no such scene, or not any more.
-    #[error("the viewer has no such scene: {0:?}")]
-    NoScene(SceneId),
-    /// A scene that is to go is shown.
-    #[error("{scene:?} is shown by {views} views; remove them first")]
-    SceneInUse {
-        /// Which.
-        scene: SceneId,
-        /// How many show it.
-        views: usize,
-    },
-    /// The viewer has no such view, or not any more.
-    #[error("the viewer has no such view: {0:?}")]
-    NoView(ViewId),
-    /// The scene shows a tile set, whose pager would not know another's files.
-    #[error("the scene shows {uri} already; remove its root first, or load into another scene")]
-    HasTileset {
-        /// The root that was loaded.
-        uri: String,
-    },
-    /// A thread that draws or culls ended before it was told to.
-    #[error("the draw thread has stopped")]
-    DrawThreadStopped,
-    /// The window system gave no image to draw a picture of a window into.
-    #[error("there is no picture of the window: it is hidden, or its window system is late")]
-    HiddenWindow,
-    /// A callback of the application failed.
-    #[error(transparent)]
-    Application(Box<dyn std::error::Error + Send + Sync>),
-    /// There is no display, or it cannot be reached.
-    #[error(
-        "{display} cannot be opened: {reason}; start it, name another, or draw offscreen (`terrane fly --offscreen`)"
-    )]
-    Display {
-        /// Which, with the variable that names it.
-        display: String,
-        /// The window system's reason.
-        reason: String,
-    },
-    /// A window cannot open in another one.
-    #[error("no window opens in a window of {system}: {reason}")]
-    ParentWindow {
-        /// The window system of the other one.
-        system: &'static str,
-        /// Why not.
-        reason: String,
-    },
-    /// The window system refused.
-    #[error("window: {0}")]
-    Window(String),
-}
+pub use window::{
+    AfterFrame, BeforeFrame, EachFrame, OnOpen, OnViewsOpen, ParentWindow, SlaveWindow, ViewsOptions, WindowOptions,
+    run_views, run_window,
+};

@@ -498,14 +498,14 @@ fn fly(set: &str, threading: ThreadingModel, shadows: Option<SunShadows>) -> Opt
     };
     let mut viewer = Viewer::new_offscreen(&config).ok()?;
     viewer.load(set).unwrap();
-    viewer.environment.shadows = shadows;
-    let up = viewer.environment.up_in_world;
+    viewer.view_mut().environment.shadows = shadows;
+    let up = viewer.view().environment.up_in_world;
     let side = up.any_orthonormal_vector();
-    viewer.environment.sun_direction = (0.15 * up - side).normalize();
-    let path = viewer.bounds().unwrap().default_path(&viewer.camera.world_from_eye);
+    viewer.view_mut().environment.sun_direction = (0.15 * up - side).normalize();
+    let path = viewer.bounds().unwrap().default_path(&viewer.view().camera.world_from_eye);
     for frame in 0..30u32 {
         let time_s = path.duration_s() * f64::from(frame) / 29.0;
-        viewer.camera.world_from_eye = path.world_from_eye(time_s);
+        viewer.view_mut().camera.world_from_eye = path.world_from_eye(time_s);
         if frame % 10 == 0 {
             viewer.want_picture();
         }

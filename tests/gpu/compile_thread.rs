@@ -145,17 +145,17 @@ fn every_model_shows_what_it_shows_without_the_thread() {
             let context = viewer.contexts().next().unwrap();
             viewer.clear_pages();
             (0..2).for_each(|_| viewer.frame().unwrap());
-            viewer.lose_device(context).unwrap();
+            viewer.composite_mut().lose_device(context).unwrap();
             assert!(picture(&mut viewer) == expected, "{threading}: after the device was lost");
             // A context opened later, with and without a separate device.
-            let shared = viewer.open_offscreen_on(context, &config(threading, true).traits()).unwrap();
+            let shared = viewer.composite_mut().open_offscreen_on(context, &config(threading, true).traits()).unwrap();
             let own = viewer.open_context(self::context(true).unwrap()).unwrap();
             for of in [shared, own] {
                 viewer.add_slave(Slave::new(of)).unwrap();
             }
             settle(&mut viewer);
             for of in [context, shared, own] {
-                assert!(viewer.read_back_of(of).unwrap() == expected, "{threading}: {of:?}");
+                assert!(viewer.composite_mut().read_back(of).unwrap() == expected, "{threading}: {of:?}");
             }
         }
     }
@@ -187,7 +187,7 @@ fn a_mesh_written_anew_is_there_though_it_is_still_on_its_way() {
     let sphere = |at| Arc::new(Mesh::sphere(at, 1.0, 24));
     let small = Drawable::new(Geometry::Mesh(sphere(DVec3::new(0.0, 0.0, 1e6))), material([1.0, 0.0, 0.0, 1.0]));
     let root = viewer.add_root(Page::from_node(Node::geode(vec![small])).unwrap()).unwrap();
-    viewer.camera.look_at(DVec3::new(0.0, -6.0, 0.0), DVec3::ZERO, DVec3::Z);
+    viewer.view_mut().camera.look_at(DVec3::new(0.0, -6.0, 0.0), DVec3::ZERO, DVec3::Z);
     settle(&mut viewer);
     // Another page brings the same mesh, behind 32 MiB of others, and the first one takes it before it has arrived.
     let mesh = sphere(DVec3::ZERO);
@@ -278,7 +278,7 @@ fn the_blocking_mode_waits_for_nothing_that_cannot_come() {
             let expected = picture(&mut viewer);
             let context = viewer.contexts().next().unwrap();
             viewer.clear_pages();
-            viewer.lose_device(context).unwrap();
+            viewer.composite_mut().lose_device(context).unwrap();
             viewer.frame().unwrap();
             assert!(picture(&mut viewer) == expected, "{threading} {compile_contexts}: after the device was lost");
         }

@@ -23,7 +23,7 @@ fn viewer(folder: &std::path::Path) -> Viewer {
     };
     let mut viewer = Viewer::new_offscreen(&config).unwrap();
     viewer.load(set.to_str().unwrap()).unwrap();
-    viewer.set_ground(Some(Box::new(SceneGround::default())));
+    viewer.view_mut().set_ground(Some(Box::new(SceneGround::default())));
     viewer.frame().unwrap();
     viewer
 }
@@ -65,22 +65,23 @@ fn the_ground_of_the_scene_is_that_of_the_height_query() {
 fn manipulators_stay_above_the_loaded_ground() {
     let folder = tempfile::tempdir().unwrap();
     let mut viewer = viewer(folder.path());
-    let above_m = |viewer: &Viewer| viewer.manipulator_view().height_above_ground_m(viewer.camera.eye()).unwrap();
+    let above_m =
+        |viewer: &Viewer| viewer.manipulator_view().height_above_ground_m(viewer.view().camera.eye()).unwrap();
     viewer.set_manipulator(Some(Box::new(TerrainManipulator::default())));
-    viewer.home();
+    viewer.actions().home();
     frames(&mut viewer, 2);
     // Down to the ground, and along it.
     for _ in 0..60 {
-        viewer.event_queue().mouse_scroll(DVec2::new(0.0, 1.0), 0.0);
+        viewer.view_mut().event_queue().mouse_scroll(DVec2::new(0.0, 1.0), 0.0);
     }
     frames(&mut viewer, 40);
     assert!(above_m(&viewer) >= 2.0 - 1e-6 && above_m(&viewer) < 10.0, "{}", above_m(&viewer));
     for _ in 0..6 {
-        viewer.event_queue().mouse_scroll(DVec2::new(0.0, -3.0), 0.0);
-        viewer.event_queue().mouse_motion(DVec2::new(160.0, 20.0), 0.0);
-        viewer.event_queue().mouse_button_press(MouseButton::Middle, 0.0);
-        viewer.event_queue().mouse_motion(DVec2::new(150.0, 230.0), 0.1);
-        viewer.event_queue().mouse_button_release(MouseButton::Middle, 0.5);
+        viewer.view_mut().event_queue().mouse_scroll(DVec2::new(0.0, -3.0), 0.0);
+        viewer.view_mut().event_queue().mouse_motion(DVec2::new(160.0, 20.0), 0.0);
+        viewer.view_mut().event_queue().mouse_button_press(MouseButton::Middle, 0.0);
+        viewer.view_mut().event_queue().mouse_motion(DVec2::new(150.0, 230.0), 0.1);
+        viewer.view_mut().event_queue().mouse_button_release(MouseButton::Middle, 0.5);
         for _ in 0..10 {
             frames(&mut viewer, 1);
             assert!(above_m(&viewer) >= 2.0 - 1e-6, "{}", above_m(&viewer));

@@ -32,14 +32,14 @@ fn add_square(viewer: &mut Viewer) -> PageId {
     let material = Material { base_color: [0.1, 0.8, 0.2, 1.0], unlit: true, ..Material::default() };
     let square = Node::transform(DAffine3::IDENTITY, vec![Node::geode(vec![Drawable::new(mesh.into(), material)])]);
     let root = viewer.add_root(Page::from_node(square).unwrap()).unwrap();
-    viewer.environment.sky = Sky::Background(KEY_COLOR);
-    viewer.environment.fog.enabled = false;
-    viewer.camera.look_at(DVec3::new(0.0, -5.0, 0.0), DVec3::ZERO, DVec3::Z);
+    viewer.view_mut().environment.sky = Sky::Background(KEY_COLOR);
+    viewer.view_mut().environment.fog.enabled = false;
+    viewer.view_mut().camera.look_at(DVec3::new(0.0, -5.0, 0.0), DVec3::ZERO, DVec3::Z);
     root
 }
 
 fn press(viewer: &mut Viewer, key: Key) {
-    let queue = viewer.event_queue();
+    let queue = viewer.view_mut().event_queue();
     let time_s = queue.time_s();
     queue.key_press(key, key, time_s);
     queue.key_release(key, key, time_s);
@@ -77,13 +77,13 @@ fn handlers_are_asked_in_order_by_their_masks() {
     let Some(mut viewer) = viewer(AdapterChoice::Noop) else { return };
     let log = Rc::new(RefCell::new(Vec::new()));
     let notes = |name, mask, ignores, answers| Notes { log: log.clone(), name, mask, ignores, answers };
-    viewer.add_event_handler(notes("moves", EventMask::MOVE, EventMask::ALL, false));
-    viewer.add_event_handler(notes("answers", EventMask::ALL, EventMask::ALL, true));
-    viewer.add_event_handler(notes("late", EventMask::ALL, EventMask::ALL, false));
-    viewer.add_event_handler(notes("curious", EventMask::ALL, EventMask::NONE, false));
-    viewer.add_event_handler(notes("half", EventMask::ALL, EventMask::MOVE, false));
-    viewer.event_queue().mouse_motion(DVec2::new(10.0, 10.0), 0.0);
-    viewer.event_queue().mouse_scroll(DVec2::new(0.0, 1.0), 0.0);
+    viewer.view_mut().add_event_handler(notes("moves", EventMask::MOVE, EventMask::ALL, false));
+    viewer.view_mut().add_event_handler(notes("answers", EventMask::ALL, EventMask::ALL, true));
+    viewer.view_mut().add_event_handler(notes("late", EventMask::ALL, EventMask::ALL, false));
+    viewer.view_mut().add_event_handler(notes("curious", EventMask::ALL, EventMask::NONE, false));
+    viewer.view_mut().add_event_handler(notes("half", EventMask::ALL, EventMask::MOVE, false));
+    viewer.view_mut().event_queue().mouse_motion(DVec2::new(10.0, 10.0), 0.0);
+    viewer.view_mut().event_queue().mouse_scroll(DVec2::new(0.0, 1.0), 0.0);
     viewer.frame().unwrap();
     let (moved, scrolled) = (EventMask::MOVE, EventMask::SCROLL);
     let expected: Vec<String> = [
@@ -119,14 +119,14 @@ impl GuiEventHandler for Changes {
 fn a_handler_may_change_the_list_it_is_in() {
     let Some(mut viewer) = viewer(AdapterChoice::Noop) else { return };
     let log = Rc::new(RefCell::new(Vec::new()));
-    viewer.add_event_handler(Changes(log.clone(), false));
-    viewer.event_queue().mouse_motion(DVec2::ZERO, 0.0);
-    viewer.event_queue().mouse_motion(DVec2::ONE, 0.0);
+    viewer.view_mut().add_event_handler(Changes(log.clone(), false));
+    viewer.view_mut().event_queue().mouse_motion(DVec2::ZERO, 0.0);
+    viewer.view_mut().event_queue().mouse_motion(DVec2::ONE, 0.0);
     viewer.frame().unwrap();
     assert_eq!(log.borrow().len(), 1, "from the next event on");
     press(&mut viewer, Key::Char('x'));
     log.borrow_mut().clear();
-    viewer.event_queue().mouse_motion(DVec2::ZERO, 0.0);
+    viewer.view_mut().event_queue().mouse_motion(DVec2::ZERO, 0.0);
     viewer.frame().unwrap();
     assert!(log.borrow().is_empty());
 }
@@ -135,31 +135,31 @@ fn a_handler_may_change_the_list_it_is_in() {
 fn quit_keys_closing_and_asking_end_the_loop() {
     let Some(mut viewer) = viewer(AdapterChoice::Noop) else { return };
     press(&mut viewer, Key::Char('q'));
-    assert!(!viewer.is_done());
+    assert!(!viewer.view().is_done());
     press(&mut viewer, Key::Escape);
-    assert!(viewer.is_done());
-    viewer.set_done(false);
-    viewer.set_quit_keys(&[Key::Char('q')]);
+    assert!(viewer.view().is_done());
+    viewer.view_mut().set_done(false);
+    viewer.view_mut().set_quit_keys(&[Key::Char('q')]);
     press(&mut viewer, Key::Escape);
-    assert!(!viewer.is_done());
-    viewer.event_queue().set_modifiers(Modifiers { control: true, ..Modifiers::default() });
+    assert!(!viewer.view().is_done());
+    viewer.view_mut().event_queue().set_modifiers(Modifiers { control: true, ..Modifiers::default() });
     press(&mut viewer, Key::Char('q'));
-    assert!(!viewer.is_done(), "Control+Q is another key");
-    viewer.event_queue().set_modifiers(Modifiers::default());
+    assert!(!viewer.view().is_done(), "Control+Q is another key");
+    viewer.view_mut().event_queue().set_modifiers(Modifiers::default());
     press(&mut viewer, Key::Char('q'));
-    assert!(viewer.is_done());
-    viewer.set_done(false);
-    viewer.event_queue().close_window(0.0);
+    assert!(viewer.view().is_done());
+    viewer.view_mut().set_done(false);
+    viewer.view_mut().event_queue().close_window(0.0);
     viewer.frame().unwrap();
-    assert!(viewer.is_done());
+    assert!(viewer.view().is_done());
     // A handler that takes the close event keeps the window open ("save first?").
-    viewer.set_done(false);
+    viewer.view_mut().set_done(false);
     let log = Rc::default();
     let (mask, ignores) = (EventMask::CLOSE_WINDOW, EventMask::ALL);
-    viewer.add_event_handler(Notes { log, name: "", mask, ignores, answers: true });
-    viewer.event_queue().close_window(0.0);
+    viewer.view_mut().add_event_handler(Notes { log, name: "", mask, ignores, answers: true });
+    viewer.view_mut().event_queue().close_window(0.0);
     viewer.frame().unwrap();
-    assert!(!viewer.is_done());
+    assert!(!viewer.view().is_done());
 }
 
 #[test]
@@ -179,8 +179,8 @@ fn nodes_get_each_event_once_and_each_frame_once() {
     viewer.add_root(Page::from_node(node).unwrap()).unwrap();
     viewer.frame().unwrap();
     events.lock().unwrap().clear();
-    viewer.event_queue().mouse_scroll(DVec2::new(0.0, 1.0), 0.0);
-    viewer.event_queue().key_press(Key::Char('a'), Key::Char('a'), 0.0);
+    viewer.view_mut().event_queue().mouse_scroll(DVec2::new(0.0, 1.0), 0.0);
+    viewer.view_mut().event_queue().key_press(Key::Char('a'), Key::Char('a'), 0.0);
     viewer.frame().unwrap();
     let expected = [(0, EventMask::SCROLL), (0, EventMask::KEY_DOWN), (0, EventMask::FRAME)];
     assert_eq!(*events.lock().unwrap(), expected);
@@ -202,8 +202,8 @@ fn the_camera_follows_what_the_update_has_moved() {
     viewer.set_manipulator(Some(Box::new(NodeTrackerManipulator::new(node, TrackerMode::NodeCenter))));
     for frame in 1..4 {
         viewer.frame().unwrap();
-        let to = DVec3::X * 100.0 * f64::from(frame) - viewer.camera.eye();
-        assert!(to.normalize().dot(viewer.camera.direction()) > 1.0 - 1e-9, "a frame late");
+        let to = DVec3::X * 100.0 * f64::from(frame) - viewer.view().camera.eye();
+        assert!(to.normalize().dot(viewer.view().camera.direction()) > 1.0 - 1e-9, "a frame late");
     }
 }
 
@@ -213,13 +213,13 @@ fn space_goes_home_and_the_pointer_is_a_ray() {
     add_square(&mut viewer);
     viewer.set_manipulator(Some(Box::new(OrbitManipulator::default())));
     viewer.frame().unwrap();
-    assert!(viewer.camera.eye().distance(DVec3::new(0.0, -5.0, 0.0)) < 1e-9, "it starts where the camera is");
+    assert!(viewer.view().camera.eye().distance(DVec3::new(0.0, -5.0, 0.0)) < 1e-9, "it starts where the camera is");
     press(&mut viewer, Key::SPACE);
     let home = viewer.manipulator_view().home_pose();
-    assert!(viewer.camera.eye().distance(home.translation) < 1e-9);
+    assert!(viewer.view().camera.eye().distance(home.translation) < 1e-9);
 
     viewer.set_manipulator(None);
-    viewer.camera.look_at(DVec3::new(0.0, -5.0, 0.0), DVec3::ZERO, DVec3::Z);
+    viewer.view_mut().camera.look_at(DVec3::new(0.0, -5.0, 0.0), DVec3::ZERO, DVec3::Z);
     let hit = Rc::new(RefCell::new(None));
     struct Points(Rc<RefCell<Option<DVec3>>>);
     impl GuiEventHandler for Points {
@@ -232,10 +232,10 @@ fn space_goes_home_and_the_pointer_is_a_ray() {
             EventMask::PUSH
         }
     }
-    viewer.add_event_handler(Points(hit.clone()));
-    let corner = viewer.window_matrix().window_from_world(DVec3::new(1.0, 0.0, 1.0)).unwrap();
-    viewer.event_queue().mouse_motion(corner.truncate(), 0.0);
-    viewer.event_queue().mouse_button_press(MouseButton::Left, 0.0);
+    viewer.view_mut().add_event_handler(Points(hit.clone()));
+    let corner = viewer.view().window_matrix().window_from_world(DVec3::new(1.0, 0.0, 1.0)).unwrap();
+    viewer.view_mut().event_queue().mouse_motion(corner.truncate(), 0.0);
+    viewer.view_mut().event_queue().mouse_button_press(MouseButton::Left, 0.0);
     viewer.frame().unwrap();
     assert!(hit.borrow().unwrap().distance(DVec3::new(1.0, 0.0, 1.0)) < 1e-9);
 }
@@ -246,48 +246,51 @@ fn the_usual_handlers_answer_their_keys_and_say_so() {
     add_square(&mut viewer);
     let folder = tempfile::tempdir().unwrap();
     viewer.set_manipulator(Some(Box::new(usual(None))));
-    handlers::add_usual(&mut viewer, folder.path(), StatsPage::None);
-    viewer.set_threading_model(ThreadingModel::SingleThreaded).unwrap();
+    handlers::add_usual(viewer.view_mut(), folder.path(), StatsPage::None);
+    viewer.composite_mut().set_threading_model(ThreadingModel::SingleThreaded).unwrap();
     // One key does one thing.
-    let usage = viewer.usage();
+    let usage = viewer.view().usage();
     let mut keys: Vec<&str> = usage.iter().flat_map(|line| line.keys.split(", ")).filter(|k| k.len() == 1).collect();
     keys.sort_unstable();
     let all = keys.len();
     keys.dedup();
     assert!(all > 12 && keys.len() == all, "{keys:?}");
 
-    let scale = viewer.camera.settings.lod_scale;
+    let scale = viewer.view().camera.settings.lod_scale;
     press(&mut viewer, Key::Char('*'));
-    assert!((viewer.camera.settings.lod_scale * 1.1 - scale).abs() < 1e-12);
-    assert!(viewer.notice().unwrap().contains("0.91"));
+    assert!((viewer.view().camera.settings.lod_scale * 1.1 - scale).abs() < 1e-12);
+    assert!(viewer.view().notice().unwrap().contains("0.91"));
     press(&mut viewer, Key::Char('m'));
-    assert_eq!(viewer.threading_model(), ThreadingModel::CullDrawThreadPerContext);
-    assert_eq!(viewer.notice(), Some("CullDrawThreadPerContext"));
+    assert_eq!(viewer.composite().threading_model(), ThreadingModel::CullDrawThreadPerContext);
+    assert_eq!(viewer.view().notice(), Some("CullDrawThreadPerContext"));
     for _ in 0..3 {
         press(&mut viewer, Key::Char('m'));
     }
-    assert_eq!(viewer.threading_model(), ThreadingModel::SingleThreaded);
+    assert_eq!(viewer.composite().threading_model(), ThreadingModel::SingleThreaded);
     press(&mut viewer, Key::Char('f'));
     press(&mut viewer, Key::F(2));
-    assert_eq!(viewer.take_window_commands(), [WindowCommand::ToggleFullScreen, WindowCommand::Resize([1280, 720])]);
-    assert!(viewer.state_set().is_none());
+    assert_eq!(
+        viewer.view_mut().take_window_commands(),
+        [WindowCommand::ToggleFullScreen, WindowCommand::Resize([1280, 720])]
+    );
+    assert!(viewer.view().state_set().is_none());
     for key in ['w', 'l', 'b', 't'] {
         press(&mut viewer, Key::Char(key));
-        assert!(viewer.state_set().is_some());
+        assert!(viewer.view().state_set().is_some());
     }
     for key in ['w', 'w', 'l', 'b', 't'] {
         press(&mut viewer, Key::Char(key));
     }
-    assert!(viewer.state_set().is_none());
+    assert!(viewer.view().state_set().is_none());
     viewer.frame().unwrap();
     for key in ['s', 's', 's', 's', 'g', 'g', 'h'] {
         press(&mut viewer, Key::Char(key));
-        assert!(viewer.shows_overlay());
+        assert!(viewer.view().shows_overlay());
     }
     // With a button held the keys are the manipulator's.
-    viewer.event_queue().mouse_button_press(MouseButton::Right, 0.0);
+    viewer.view_mut().event_queue().mouse_button_press(MouseButton::Right, 0.0);
     press(&mut viewer, Key::Char('w'));
-    assert!(viewer.state_set().is_none());
+    assert!(viewer.view().state_set().is_none());
 }
 
 /// It was gone with the first key.
@@ -295,31 +298,31 @@ fn the_usual_handlers_answer_their_keys_and_say_so() {
 fn key_switches_overlay_the_applications_state_set_and_restore_it() {
     let Some(mut viewer) = viewer(AdapterChoice::Noop) else { return };
     add_square(&mut viewer);
-    viewer.add_event_handler(StateSetManipulator::default());
+    viewer.view_mut().add_event_handler(StateSetManipulator::default());
     let off = StateValue::OFF | StateValue::OVERRIDE;
     let own = |name: &str| {
         let set = StateSet { name: name.to_owned(), color: Some([1.0, 0.0, 0.0, 1.0]), ..StateSet::default() };
         Arc::new(set.with_mode(Mode::Blend, StateValue::ON).with_mode(Mode::Lighting, StateValue::ON))
     };
     let [first, second] = ["first", "second"].map(own);
-    viewer.set_state_set(Some(first.clone()));
+    viewer.view_mut().set_state_set(Some(first.clone()));
     press(&mut viewer, Key::Char('l'));
     let expected = (*first).clone().with_mode(Mode::Lighting, off);
-    assert_eq!(**viewer.state_set().unwrap(), expected);
+    assert_eq!(**viewer.view().state_set().unwrap(), expected);
     press(&mut viewer, Key::Char('b'));
-    assert_eq!(**viewer.state_set().unwrap(), expected.with_mode(Mode::CullFace, off));
+    assert_eq!(**viewer.view().state_set().unwrap(), expected.with_mode(Mode::CullFace, off));
     // Another one, while something is switched: it is that which counts from the next key on.
-    viewer.set_state_set(Some(second.clone()));
+    viewer.view_mut().set_state_set(Some(second.clone()));
     press(&mut viewer, Key::Char('l'));
-    assert_eq!(**viewer.state_set().unwrap(), (*second).clone().with_mode(Mode::CullFace, off));
+    assert_eq!(**viewer.view().state_set().unwrap(), (*second).clone().with_mode(Mode::CullFace, off));
     press(&mut viewer, Key::Char('b'));
-    assert!(viewer.state_set().is_some_and(|set| Arc::ptr_eq(set, &second)));
+    assert!(viewer.view().state_set().is_some_and(|set| Arc::ptr_eq(set, &second)));
     for own in [Some(first), None] {
-        viewer.set_state_set(own.clone());
+        viewer.view_mut().set_state_set(own.clone());
         for key in ['l', 'l', 'w', 'w', 'w'] {
             press(&mut viewer, Key::Char(key));
         }
-        assert_eq!(viewer.state_set().map(Arc::as_ptr), own.as_ref().map(Arc::as_ptr));
+        assert_eq!(viewer.view().state_set().map(Arc::as_ptr), own.as_ref().map(Arc::as_ptr));
     }
 }
 
@@ -328,18 +331,18 @@ fn a_path_is_recorded_written_and_played_back() {
     let Some(mut viewer) = viewer(AdapterChoice::Noop) else { return };
     add_square(&mut viewer);
     let folder = tempfile::tempdir().unwrap();
-    viewer.add_event_handler(handlers::RecordCameraPathHandler::new(folder.path().join("a.path")));
+    viewer.view_mut().add_event_handler(handlers::RecordCameraPathHandler::new(folder.path().join("a.path")));
     viewer.set_manipulator(Some(Box::new(OrbitManipulator::default())));
     press(&mut viewer, Key::Char('Z'));
-    assert!(viewer.notice().unwrap().contains("a.path"), "there is none yet: {:?}", viewer.notice());
+    assert!(viewer.view().notice().unwrap().contains("a.path"), "there is none yet: {:?}", viewer.view().notice());
     press(&mut viewer, Key::Char('z'));
     let places: Vec<DAffine3> = (0..5)
         .map(|i| {
             let pose = DAffine3::from_translation(DVec3::new(f64::from(i), -5.0, 0.0));
-            viewer.set_pose(&pose);
+            viewer.actions().set_pose(&pose);
             std::thread::sleep(std::time::Duration::from_millis(5));
             viewer.frame().unwrap();
-            viewer.camera.world_from_eye
+            viewer.view().camera.world_from_eye
         })
         .collect();
     press(&mut viewer, Key::Char('z'));
@@ -349,7 +352,7 @@ fn a_path_is_recorded_written_and_played_back() {
     assert!(places.iter().all(|p| path.points().iter().any(|c| c.position.distance(p.translation) < 1e-9)));
 
     press(&mut viewer, Key::Char('Z'));
-    let during = viewer.camera.eye();
+    let during = viewer.view().camera.eye();
     assert!(during.distance(path.points()[0].position) < 2.0, "{during}");
     // A pause is no part of it.
     let longer = std::time::Duration::from_secs_f64(path.duration_s() + 0.05);
@@ -357,18 +360,18 @@ fn a_path_is_recorded_written_and_played_back() {
     std::thread::sleep(longer);
     viewer.frame().unwrap();
     viewer.frame().unwrap();
-    assert!(viewer.notice().is_none_or(|notice| !notice.contains("end of the path")));
+    assert!(viewer.view().notice().is_none_or(|notice| !notice.contains("end of the path")));
     press(&mut viewer, Key::Char('p'));
     std::thread::sleep(longer);
     viewer.frame().unwrap();
     viewer.frame().unwrap();
-    assert!(viewer.notice().unwrap().contains("end of the path"));
+    assert!(viewer.view().notice().unwrap().contains("end of the path"));
     // The orbit is back, and continues from there.
-    viewer.event_queue().mouse_scroll(DVec2::new(0.0, -3.0), 0.0);
+    viewer.view_mut().event_queue().mouse_scroll(DVec2::new(0.0, -3.0), 0.0);
     viewer.frame().unwrap();
     std::thread::sleep(std::time::Duration::from_millis(300));
     viewer.frame().unwrap();
-    assert!(viewer.camera.eye().distance(path.world_from_eye(path.last_s()).translation) > 1.0);
+    assert!(viewer.view().camera.eye().distance(path.world_from_eye(path.last_s()).translation) > 1.0);
 }
 
 #[test]
@@ -381,7 +384,7 @@ fn drawing_on_demand_rests_when_nothing_happens() {
         viewer.frame().unwrap();
     }
     assert!(!viewer.check_need_to_do_frame());
-    viewer.event_queue().mouse_scroll(DVec2::new(0.0, 2.0), 0.0);
+    viewer.view_mut().event_queue().mouse_scroll(DVec2::new(0.0, 2.0), 0.0);
     assert!(viewer.check_need_to_do_frame());
     viewer.frame().unwrap();
     assert!(viewer.check_need_to_do_frame(), "the zoom eases");
@@ -389,11 +392,11 @@ fn drawing_on_demand_rests_when_nothing_happens() {
         std::thread::sleep(std::time::Duration::from_millis(20));
         viewer.frame().unwrap();
     }
-    let sender = viewer.user_events();
+    let sender = viewer.view().user_events();
     std::thread::spawn(move || sender.send(Arc::new(()))).join().unwrap().unwrap();
     assert!(viewer.check_need_to_do_frame());
     viewer.frame().unwrap();
-    viewer.request_redraw();
+    viewer.view_mut().request_redraw();
     assert!(viewer.check_need_to_do_frame());
 }
 
@@ -402,7 +405,7 @@ fn toggles_change_the_picture_and_overlays_lie_over_it() {
     let Some(mut viewer) = viewer(AdapterChoice::Software) else { return };
     add_square(&mut viewer);
     let folder = tempfile::tempdir().unwrap();
-    handlers::add_usual(&mut viewer, folder.path(), StatsPage::None);
+    handlers::add_usual(viewer.view_mut(), folder.path(), StatsPage::None);
     let settle = |viewer: &mut Viewer| {
         viewer.settle(4);
         viewer.read_back().unwrap()

@@ -1,4 +1,4 @@
-//! The main thread's side: the frame as `src/viewer/base.rs` goes through it, around the library's own rendering stage.
+//! The main thread's side: the frame as `src/viewer/frame/` runs it, around the library's own rendering stage.
 
 #[path = "../../src/viewer/rendering/mod.rs"]
 mod rendering;
@@ -19,7 +19,7 @@ use crate::gpu::{ContextTraits, GpuError, GraphicsContext};
 use crate::scene::OpaqueDrawData;
 use crate::stand_ins::{Reads, Scene, Seen};
 
-pub mod view {
+pub mod ids {
     #[derive(Clone, Copy, Debug)]
     pub struct ContextId(pub u32);
 }
@@ -33,7 +33,7 @@ pub enum ViewerError {
     #[error("{0}")]
     Setting(String),
     #[error("no context {0:?}")]
-    NoContext(view::ContextId),
+    NoContext(ids::ContextId),
     #[error("the draw thread has stopped")]
     DrawThreadStopped,
 }

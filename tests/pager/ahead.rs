@@ -315,11 +315,11 @@ fn the_viewer_loads_ahead_on_an_announced_path_and_by_the_eyes_motion() {
         };
         let mut viewer = Viewer::new_offscreen(&config).unwrap();
         viewer.load(folder.path().to_str().unwrap()).unwrap();
-        viewer.camera.world_from_eye = pose(HERE);
+        viewer.view_mut().camera.world_from_eye = pose(HERE);
         if announced {
             let points =
                 [HERE, THERE].map(|eye| ControlPoint::from_pose(if eye == HERE { 0.0 } else { 0.5 }, &pose(eye)));
-            viewer.announced = Some(AnimationPath::new(points.to_vec()).unwrap());
+            viewer.view_mut().announced = Some(AnimationPath::new(points.to_vec()).unwrap());
         }
         let end = Instant::now() + Duration::from_secs(60);
         let ahead = |viewer: &Viewer| viewer.pager().unwrap().stats().merged_ahead;
@@ -328,14 +328,14 @@ fn the_viewer_loads_ahead_on_an_announced_path_and_by_the_eyes_motion() {
             if !announced {
                 // A crawl: in the long run it is far.
                 let crawled_m = 1.5e-3 * viewer.frame_stamp().reference_time_s;
-                viewer.camera.world_from_eye = pose(HERE + DVec3::X * crawled_m);
+                viewer.view_mut().camera.world_from_eye = pose(HERE + DVec3::X * crawled_m);
             }
             // The path's time goes as the wall's, and is as good as at its start.
             let time_s = 1e-3 * viewer.frame_stamp().reference_time_s;
             viewer.frame_at(time_s).unwrap();
         }
         // It stands still: nothing more is asked for, and it comes to rest.
-        viewer.announced = None;
+        viewer.view_mut().announced = None;
         while !viewer.is_settled() {
             assert!(Instant::now() < end);
             viewer.frame_at(0.0).unwrap();
@@ -345,7 +345,7 @@ fn the_viewer_loads_ahead_on_an_announced_path_and_by_the_eyes_motion() {
         ViewerConfig { size_px: [64, 64], adapter: AdapterChoice::Noop, validation: false, ..ViewerConfig::default() };
     let mut viewer = Viewer::new_offscreen(&still).unwrap();
     viewer.load(folder.path().to_str().unwrap()).unwrap();
-    viewer.camera.world_from_eye = pose(HERE);
+    viewer.view_mut().camera.world_from_eye = pose(HERE);
     while !viewer.is_settled() {
         viewer.frame_at(0.0).unwrap();
     }
@@ -369,7 +369,7 @@ fn another_path_is_looked_along_at_once() {
     };
     let mut viewer = Viewer::new_offscreen(&config).unwrap();
     viewer.load(folder.path().to_str().unwrap()).unwrap();
-    viewer.camera.world_from_eye = DAffine3::from_translation(HERE);
+    viewer.view_mut().camera.world_from_eye = DAffine3::from_translation(HERE);
     let path = |end: DVec3| {
         let point = |at_s: f64, eye| ControlPoint::from_pose(at_s, &DAffine3::from_translation(eye));
         AnimationPath::new(vec![point(0.0, HERE), point(500.0, end)]).unwrap()
@@ -381,7 +381,7 @@ fn another_path_is_looked_along_at_once() {
         let time_s = 1e-3 * viewer.frame_stamp().reference_time_s;
         viewer.frame_at(time_s).unwrap();
     };
-    viewer.announced = Some(path(HERE + DVec3::X));
+    viewer.view_mut().announced = Some(path(HERE + DVec3::X));
     for _ in 0..20 {
         frame(&mut viewer);
     }
@@ -389,7 +389,7 @@ fn another_path_is_looked_along_at_once() {
         frame(&mut viewer);
     }
     assert_eq!(ahead(&viewer), 0);
-    viewer.announced = Some(path(THERE));
+    viewer.view_mut().announced = Some(path(THERE));
     while ahead(&viewer) == 0 {
         frame(&mut viewer);
     }

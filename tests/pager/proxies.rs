@@ -52,7 +52,7 @@ fn proxies(folder: &Path, blocking: bool, max_tiles: usize) -> (Viewer, PageId) 
     viewer.page_files_in(folder).unwrap();
     let root = viewer.add_root(Page::from_node(Node::group(nodes(folder))).unwrap()).unwrap();
     // It looks down, away from them.
-    viewer.camera.world_from_eye = DAffine3::IDENTITY;
+    viewer.view_mut().camera.world_from_eye = DAffine3::IDENTITY;
     (viewer, root)
 }
 

@@ -166,7 +166,7 @@ fn a_viewer_draws_for_two_eyes() {
     viewer
         .add_root(Page::from_node(Node::geode(vec![quad([0.0; 3], [0.5; 2], [1.0, 0.0, 0.0, 1.0])])).unwrap())
         .unwrap();
-    viewer.camera.look_at(DVec3::new(0.0, 0.0, 3.0), DVec3::ZERO, DVec3::Y);
+    viewer.view_mut().camera.look_at(DVec3::new(0.0, 0.0, 3.0), DVec3::ZERO, DVec3::Y);
     let red = |viewer: &mut Viewer, from: u32, to: u32| {
         for _ in 0..10 {
             viewer.frame().unwrap();
@@ -175,11 +175,11 @@ fn a_viewer_draws_for_two_eyes() {
         picture.enumerate_pixels().filter(|(x, _, p)| (from..to).contains(x) && p.0[0] > 200 && p.0[1] < 90).count()
     };
     let whole = red(&mut viewer, 0, 96);
-    viewer.set_stereo(Some(Stereo::new(StereoMode::HorizontalSplit)));
+    viewer.view_mut().set_stereo(Some(Stereo::new(StereoMode::HorizontalSplit)));
     let halves = [red(&mut viewer, 0, 48), red(&mut viewer, 48, 96)];
     assert!(whole > 200 && halves.iter().all(|h| h.abs_diff(whole / 2) < whole / 8), "{whole} {halves:?}");
     viewer.resize([64, 64]).unwrap();
     assert!(red(&mut viewer, 0, 32) > 50);
-    viewer.set_stereo(None);
+    viewer.view_mut().set_stereo(None);
     assert!(red(&mut viewer, 0, 64) > 200);
 }

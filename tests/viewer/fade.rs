@@ -34,10 +34,10 @@ fn open(viewer: &mut Viewer) {
     let mut lod = Node::new(NodeKind::Lod { center: DVec3::ZERO, ranges_m: vec![[0.0, 6.0], [6.0, 1e9]] });
     lod.children = vec![ball([0.0, 1.0, 0.0, 1.0], 16), ball([1.0, 0.0, 0.0, 1.0], 9)];
     viewer.add_root(Page::from_node(Node::group(vec![lod])).unwrap()).unwrap();
-    viewer.camera.look_at(DVec3::new(0.0, 0.0, 10.0), DVec3::ZERO, DVec3::Y);
-    viewer.environment.sky = Sky::Background([0, 0, 255]);
-    viewer.environment.fog.enabled = false;
-    viewer.environment.exposure = None;
+    viewer.view_mut().camera.look_at(DVec3::new(0.0, 0.0, 10.0), DVec3::ZERO, DVec3::Y);
+    viewer.view_mut().environment.sky = Sky::Background([0, 0, 255]);
+    viewer.view_mut().environment.fog.enabled = false;
+    viewer.view_mut().environment.exposure = None;
 }
 
 fn greens(picture: &RgbaImage) -> usize {
@@ -54,8 +54,8 @@ fn all_models_draw_the_same_fade() {
         let context = viewer.contexts().next().unwrap();
         let slave = Slave { viewport: Viewport::Pixels([64, 0, 32, 32]), ..Slave::new(context) };
         let slave = viewer.add_slave(slave).unwrap();
-        viewer.slave_mut(slave).unwrap().inherit = terrane::scene::Inherit::NONE;
-        viewer.slave_mut(slave).unwrap().settings.lod_scale = 0.5;
+        viewer.view_mut().slave_mut(slave).unwrap().inherit = terrane::scene::Inherit::NONE;
+        viewer.view_mut().slave_mut(slave).unwrap().settings.lod_scale = 0.5;
         // Until the balls are uploaded, whoever does it.
         for _ in 0..4 {
             viewer.frame_at(4.99).unwrap();
@@ -63,8 +63,8 @@ fn all_models_draw_the_same_fade() {
         }
         for frame in 0..12 {
             let time_s = 5.0 + 0.04 * f64::from(frame);
-            viewer.camera.settings.lod_scale = if frame < 3 { 1.0 } else { 0.5 };
-            viewer.slave_mut(slave).unwrap().settings.lod_scale = if frame < 5 { 0.5 } else { 1.0 };
+            viewer.view_mut().camera.settings.lod_scale = if frame < 3 { 1.0 } else { 0.5 };
+            viewer.view_mut().slave_mut(slave).unwrap().settings.lod_scale = if frame < 5 { 0.5 } else { 1.0 };
             if frame > 0 {
                 viewer.want_picture();
             }
@@ -95,7 +95,7 @@ fn a_fade_ends_where_time_stands_still_and_pictures_are_of_its_end() {
         viewer.frame_at(0.01 * f64::from(frame)).unwrap();
     }
     let old = viewer.picture().unwrap();
-    viewer.camera.settings.lod_scale = 0.5;
+    viewer.view_mut().camera.settings.lod_scale = 0.5;
     viewer.frame_at(0.1).unwrap();
     assert!(!viewer.is_settled() && viewer.check_need_to_do_frame());
     let fading = viewer.read_back().unwrap();
@@ -106,8 +106,8 @@ fn a_fade_ends_where_time_stands_still_and_pictures_are_of_its_end() {
     assert!(viewer.is_settled() && !viewer.check_need_to_do_frame());
     assert!(viewer.read_back().unwrap() == new);
     // Switched off there is none.
-    viewer.camera.settings.lod_fade_s = 0.0;
-    viewer.camera.settings.lod_scale = 1.0;
+    viewer.view_mut().camera.settings.lod_fade_s = 0.0;
+    viewer.view_mut().camera.settings.lod_scale = 1.0;
     viewer.frame_at(0.11).unwrap();
     assert!(viewer.is_settled());
     assert!(viewer.read_back().unwrap() == old);

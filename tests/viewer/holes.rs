@@ -31,8 +31,8 @@ fn fly_low(set: &str, blocking: bool) -> Option<(u64, u64)> {
     };
     let mut viewer = offscreen(&config)?;
     viewer.load(set).unwrap();
-    viewer.environment.sky = Sky::Background(KEY_COLOR);
-    viewer.environment.fog.enabled = false;
+    viewer.view_mut().environment.sky = Sky::Background(KEY_COLOR);
+    viewer.view_mut().environment.fog.enabled = false;
     let bounds = *viewer.bounds().unwrap();
     let check = HoleCheck::new(&bounds).expect("a height set says where its terrain is");
     // From rim to rim just above the highest top, looking a little down.
@@ -42,17 +42,17 @@ fn fly_low(set: &str, blocking: bool) -> Option<(u64, u64)> {
         glam::DVec3::new(bounds.middle_m.x + 0.1 * half.x, bounds.middle_m.y + half.y * (1.6 * share - 0.9), z)
     };
     // The root is there before the first frame that is judged.
-    viewer.camera.world_from_eye = pose(&bounds, eye_at(0.0), 0.0);
+    viewer.view_mut().camera.world_from_eye = pose(&bounds, eye_at(0.0), 0.0);
     while viewer.stats().last().is_none_or(|s| s.tiles_drawn == 0) {
         viewer.frame().unwrap();
     }
     let (mut holes, mut judged) = (0, 0);
     for frame in 0..FRAMES {
         let share = f64::from(frame) / f64::from(FRAMES - 1);
-        viewer.camera.world_from_eye = pose(&bounds, eye_at(share), 0.6 * (share * 12.0).sin());
+        viewer.view_mut().camera.world_from_eye = pose(&bounds, eye_at(share), 0.6 * (share * 12.0).sin());
         viewer.want_picture();
         viewer.frame().unwrap();
-        let camera = viewer.camera;
+        let camera = viewer.view().camera;
         viewer.finish().unwrap();
         for (number, picture) in viewer.take_pictures() {
             let found = check.count(&picture, &camera, KEY_COLOR);

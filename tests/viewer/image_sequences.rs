@@ -50,7 +50,8 @@ impl Theatre {
             ..ViewerConfig::default()
         };
         let mut viewer = offscreen(&config)?;
-        viewer.set_image_pager(ImagePager::new(pager).unwrap());
+        let scene = viewer.scene_id();
+        viewer.composite_mut().set_image_pager(scene, ImagePager::new(pager).unwrap()).unwrap();
         let mut screens = Vec::new();
         for (place, sequence) in sequences.iter().enumerate() {
             viewer.add_image_sequence(sequence).unwrap();
@@ -65,8 +66,9 @@ impl Theatre {
         }
         let root = viewer.add_root(Page::from_node(Node::group(screens)).unwrap()).unwrap();
         // The angle of view is that of the width.
-        viewer.camera.look_at(DVec3::new(0.0, -1.5 * f64::from(count), 0.0), DVec3::ZERO, DVec3::Z);
-        viewer.environment = Environment { sky: Sky::Background([0, 0, 0]), exposure: None, ..Environment::default() };
+        viewer.view_mut().camera.look_at(DVec3::new(0.0, -1.5 * f64::from(count), 0.0), DVec3::ZERO, DVec3::Z);
+        viewer.view_mut().environment =
+            Environment { sky: Sky::Background([0, 0, 0]), exposure: None, ..Environment::default() };
         // The screens are uploaded with the first frames, in as many as the budget of time asks for.
         let is_drawn = (0..500).any(|_| {
             viewer.frame_at(0.0).unwrap();
@@ -479,7 +481,8 @@ fn a_context_opened_later_shows_what_the_others_do() {
     let Some(theatre) = Theatre::open(&[&sequence], blocking(), ThreadingModel::default()) else { return };
     drop(theatre);
     let mut viewer = Viewer::new_offscreen(&config).unwrap();
-    viewer.set_image_pager(ImagePager::new(blocking()).unwrap());
+    let scene = viewer.scene_id();
+    viewer.composite_mut().set_image_pager(scene, ImagePager::new(blocking()).unwrap()).unwrap();
     viewer.add_image_sequence(&sequence).unwrap();
     let shows = StateSet::default()
         .with_mode(Mode::Lighting, StateValue::OFF)
@@ -487,8 +490,9 @@ fn a_context_opened_later_shows_what_the_others_do() {
     let mesh = Mesh::rectangle(DVec3::new(-1.0, 0.0, -1.0), DVec3::new(2.0, 0.0, 0.0), DVec3::new(0.0, 0.0, 2.0));
     let screen = Node::geode(vec![Drawable::new(mesh.into(), Material { unlit: true, ..Material::default() })]);
     viewer.add_root(Page::from_node(screen.with_state_set(Arc::new(shows))).unwrap()).unwrap();
-    viewer.camera.look_at(DVec3::new(0.0, -1.5, 0.0), DVec3::ZERO, DVec3::Z);
-    viewer.environment = Environment { sky: Sky::Background([0, 0, 0]), exposure: None, ..Environment::default() };
+    viewer.view_mut().camera.look_at(DVec3::new(0.0, -1.5, 0.0), DVec3::ZERO, DVec3::Z);
+    viewer.view_mut().environment =
+        Environment { sky: Sky::Background([0, 0, 0]), exposure: None, ..Environment::default() };
     sequence.rewind();
     for time_s in [0.0, 1.5] {
         viewer.frame_at(time_s).unwrap();
@@ -502,7 +506,8 @@ fn a_context_opened_later_shows_what_the_others_do() {
         viewer.finish().unwrap();
     }
     let middle = |picture: image::RgbaImage| picture.get_pixel(SIDE_PX / 2, SIDE_PX / 2).0;
-    let (first, other) = (middle(viewer.read_back().unwrap()), middle(viewer.read_back_of(second).unwrap()));
+    let (first, other) =
+        (middle(viewer.read_back().unwrap()), middle(viewer.composite_mut().read_back(second).unwrap()));
     assert_eq!(first, other);
     let [r, g, b] = shade(1);
     assert!([r, g, b].iter().zip(first).all(|(a, b)| a.abs_diff(b) <= 2), "{first:?}");

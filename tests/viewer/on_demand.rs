@@ -51,7 +51,7 @@ fn rest(viewer: &mut Viewer) {
 fn rested(manipulator: impl CameraManipulator + 'static) -> Viewer {
     let mut viewer = offscreen(&config(AdapterChoice::Noop)).unwrap();
     viewer.add_root(Page::from_node(ball(DVec3::ZERO, 1.0, [1.0; 4])).unwrap()).unwrap();
-    viewer.camera.look_at(DVec3::new(0.0, -10.0, 0.0), DVec3::ZERO, DVec3::Z);
+    viewer.view_mut().camera.look_at(DVec3::new(0.0, -10.0, 0.0), DVec3::ZERO, DVec3::Z);
     viewer.set_manipulator(Some(Box::new(manipulator)));
     rest(&mut viewer);
     std::thread::sleep(Duration::from_millis(600));
@@ -60,14 +60,14 @@ fn rested(manipulator: impl CameraManipulator + 'static) -> Viewer {
 
 /// An event now and the frame after it; the eye's way, and the seconds that all took.
 fn moved(viewer: &mut Viewer, act: impl FnOnce(&mut Viewer)) -> (f64, f64) {
-    let (start, from) = (Instant::now(), viewer.camera.eye());
+    let (start, from) = (Instant::now(), viewer.view().camera.eye());
     act(viewer);
     viewer.frame().unwrap();
-    (viewer.camera.eye().distance(from), start.elapsed().as_secs_f64())
+    (viewer.view().camera.eye().distance(from), start.elapsed().as_secs_f64())
 }
 
 fn press(viewer: &mut Viewer, key: Key) {
-    let queue = viewer.event_queue();
+    let queue = viewer.view_mut().event_queue();
     let time_s = queue.time_s();
     queue.key_press(key, key, time_s);
     queue.key_release(key, key, time_s);
@@ -78,8 +78,8 @@ fn press(viewer: &mut Viewer, key: Key) {
 fn motion_resumes_at_the_event() {
     let mut viewer = rested(OrbitManipulator::default());
     let (way_m, seconds) = moved(&mut viewer, |viewer| {
-        let time_s = viewer.event_queue().time_s();
-        viewer.event_queue().mouse_scroll(DVec2::new(0.0, 1.0), time_s);
+        let time_s = viewer.view_mut().event_queue().time_s();
+        viewer.view_mut().event_queue().mouse_scroll(DVec2::new(0.0, 1.0), time_s);
     });
     // From 10 m to 8 m, by factors, 63 % in each tenth of a second.
     let eased_m = |seconds: f64| 10.0 - 8.0 * 1.25f64.powf((-10.0 * seconds).exp());
@@ -108,7 +108,7 @@ fn a_path_resumes_where_it_was_paused() {
     let (_, seconds) = moved(&mut viewer, |viewer| {
         viewer.set_manipulator(Some(Box::new(AnimationPathManipulator::new(path))));
     });
-    assert!(viewer.camera.eye().x <= 0.01 + seconds.min(0.1), "{} m", viewer.camera.eye().x);
+    assert!(viewer.view().camera.eye().x <= 0.01 + seconds.min(0.1), "{} m", viewer.view().camera.eye().x);
     press(&mut viewer, Key::Char('p'));
     viewer.frame().unwrap();
     rest(&mut viewer);
@@ -126,40 +126,40 @@ fn a_resting_camera_rises_with_the_ground() {
     let of_view = ground_mm.clone();
     let mut viewer = offscreen(&config(AdapterChoice::Noop)).unwrap();
     viewer.add_root(Page::from_node(ball(DVec3::ZERO, 1.0, [1.0; 4])).unwrap()).unwrap();
-    viewer.set_ground(Some(Box::new(move |_: &Scene, point: DVec3, _: DVec3| {
+    viewer.view_mut().set_ground(Some(Box::new(move |_: &Scene, point: DVec3, _: DVec3| {
         Some(point.with_z(1e-3 * of_view.load(Ordering::Relaxed) as f64))
     })));
-    viewer.camera.look_at(DVec3::new(0.0, -5.0, 1.7), DVec3::new(0.0, 0.0, 1.7), DVec3::Z);
+    viewer.view_mut().camera.look_at(DVec3::new(0.0, -5.0, 1.7), DVec3::new(0.0, 0.0, 1.7), DVec3::Z);
     viewer.set_manipulator(Some(Box::new(FirstPersonManipulator::default())));
     rest(&mut viewer);
-    assert!((viewer.camera.eye().z - 1.7).abs() < 1e-3);
+    assert!((viewer.view().camera.eye().z - 1.7).abs() < 1e-3);
     ground_mm.store(3000, Ordering::Relaxed);
-    viewer.request_redraw();
+    viewer.view_mut().request_redraw();
     rest(&mut viewer);
-    assert!((viewer.camera.eye().z - 4.7).abs() < 1e-3, "{}", viewer.camera.eye());
+    assert!((viewer.view().camera.eye().z - 4.7).abs() < 1e-3, "{}", viewer.view().camera.eye());
 }
 
 /// They were awaited, and frames drawn for them, for ever.
 #[test]
 fn pictures_of_a_closed_context_are_not_awaited() {
     let mut viewer = offscreen(&config(AdapterChoice::Noop)).unwrap();
-    let first = viewer.context().unwrap();
+    let first = viewer.context();
     let second = GraphicsContext::new_offscreen(&config(AdapterChoice::Noop).traits()).unwrap();
     let second = viewer.open_context(second).unwrap();
     viewer.add_slave(Slave::new(second)).unwrap();
     viewer.settle(2);
-    viewer.want_picture_of(second);
+    viewer.composite_mut().want_picture(second);
     assert!(viewer.check_need_to_do_frame());
-    assert!(viewer.close_context(second).unwrap());
+    assert!(viewer.composite_mut().close_context(second).unwrap());
     viewer.settle(4);
     viewer.finish().unwrap();
-    assert!(!viewer.check_need_to_do_frame() && viewer.take_pictures_of(second).is_empty());
+    assert!(!viewer.check_need_to_do_frame() && viewer.composite_mut().take_pictures(second).is_empty());
     // Its pending work is dropped.
     let held = Rc::new(());
     let of_capture = held.clone();
-    viewer.capture(Box::new(move |_, _| drop(of_capture)));
+    viewer.actions().capture(Box::new(move |_, _| drop(of_capture)));
     assert_eq!(Rc::strong_count(&held), 2);
-    assert!(viewer.close_context(first).unwrap());
+    assert!(viewer.composite_mut().close_context(first).unwrap());
     assert_eq!(Rc::strong_count(&held), 1);
     viewer.settle(4);
     assert!(!viewer.check_need_to_do_frame());
@@ -202,7 +202,7 @@ fn frames_are_drawn_until_pictures_of_cameras_have_come() {
     let camera = CameraNode::to_texture(
         texture.clone(),
         DAffine3::IDENTITY,
-        viewer.camera.cull_camera([16, 16], 0, 0).clip_from_eye,
+        viewer.view().camera.cull_camera([16, 16], 0, 0).clip_from_eye,
     );
     let target = CameraTarget { read_back: Some(sink.clone()), ..CameraTarget::clone(camera.target.as_ref().unwrap()) };
     let camera = CameraNode { target: Some(Arc::new(target)), ..camera };
@@ -211,7 +211,7 @@ fn frames_are_drawn_until_pictures_of_cameras_have_come() {
     viewer.add_root(Page::from_node(node).unwrap()).unwrap();
     for _ in 0..3 {
         let changed = viewer.frame_stamp().frame + 1;
-        viewer.request_redraw();
+        viewer.view_mut().request_redraw();
         rest(&mut viewer);
         let came = sink.take().map(|picture| picture.frame);
         assert!(came >= Some(changed), "{came:?} of a change in {changed}");
@@ -223,21 +223,21 @@ fn frames_are_drawn_until_pictures_of_cameras_have_come() {
 fn changed_settings_are_drawn() {
     let mut viewer = rested(OrbitManipulator::default());
     let changes: [fn(&mut Viewer); 6] = [
-        |viewer| viewer.set_viewport([0, 0, 80, 60]),
-        |viewer| viewer.set_stereo(Some(Stereo::new(StereoMode::Anaglyphic))),
-        |viewer| viewer.set_eyes(Eyes::Left),
-        |viewer| viewer.set_state_set(Some(Arc::default())),
+        |viewer| viewer.view_mut().set_viewport([0, 0, 80, 60]),
+        |viewer| viewer.view_mut().set_stereo(Some(Stereo::new(StereoMode::Anaglyphic))),
+        |viewer| viewer.view_mut().set_eyes(Eyes::Left),
+        |viewer| viewer.view_mut().set_state_set(Some(Arc::default())),
         |viewer| {
-            let context = viewer.context().unwrap();
+            let context = viewer.context();
             let slave = viewer.add_slave(Slave::new(context)).unwrap();
             rest(viewer);
-            viewer.slave_mut(slave).unwrap().viewport = [0, 0, 9, 9].into();
+            viewer.view_mut().slave_mut(slave).unwrap().viewport = [0, 0, 9, 9].into();
             assert!(viewer.check_need_to_do_frame());
             rest(viewer);
             viewer.remove_slave(slave).unwrap();
         },
         |viewer| {
-            let context = viewer.context().unwrap();
+            let context = viewer.context();
             viewer.add_slave(Slave::new(context)).unwrap();
         },
     ];
@@ -279,18 +279,18 @@ fn frames_are_drawn_until_occlusion_queries_have_shown_visible_nodes() {
         asked.children = vec![ball(DVec3::new(0.0, 20.0, 0.0), 2.0, [0.0, 1.0, 0.0, 1.0])];
         let wall = ball(DVec3::ZERO, 4.0, [1.0, 0.0, 0.0, 1.0]);
         viewer.add_root(Page::from_node(Node::group(vec![wall, asked])).unwrap()).unwrap();
-        viewer.environment.sky = Sky::Background(KEY_COLOR);
-        viewer.environment.fog.enabled = false;
-        viewer.camera.look_at(DVec3::new(0.0, -10.0, 0.0), DVec3::ZERO, DVec3::Z);
+        viewer.view_mut().environment.sky = Sky::Background(KEY_COLOR);
+        viewer.view_mut().environment.fog.enabled = false;
+        viewer.view_mut().camera.look_at(DVec3::new(0.0, -10.0, 0.0), DVec3::ZERO, DVec3::Z);
         rest(&mut viewer);
         assert!(results.failures() >= 2, "{threading}: it rests before what is behind is known to be");
         let behind = picture(&mut viewer);
         for _ in 0..3 {
-            let mut beside = viewer.camera;
+            let mut beside = viewer.view().camera;
             beside.look_at(DVec3::new(30.0, 0.0, 0.0), DVec3::new(0.0, 20.0, 0.0), DVec3::Z);
-            for (pose, is_seen) in [(beside.world_from_eye, true), (viewer.camera.world_from_eye, false)] {
-                viewer.set_pose(&pose);
-                viewer.request_redraw();
+            for (pose, is_seen) in [(beside.world_from_eye, true), (viewer.view().camera.world_from_eye, false)] {
+                viewer.actions().set_pose(&pose);
+                viewer.view_mut().request_redraw();
                 rest(&mut viewer);
                 assert_eq!(results.samples() > 0, is_seen, "{threading}");
                 let at_rest = picture(&mut viewer);
@@ -329,7 +329,7 @@ fn write_row(folder: &Path) {
 fn row_viewer(source: &str, pager: PagerConfig) -> Viewer {
     let mut viewer = offscreen(&ViewerConfig { pager, ..config(AdapterChoice::Noop) }).unwrap();
     viewer.load(source).unwrap();
-    viewer.camera.look_at(DVec3::new(0.0, -100.0, 0.0), DVec3::ZERO, DVec3::Z);
+    viewer.view_mut().camera.look_at(DVec3::new(0.0, -100.0, 0.0), DVec3::ZERO, DVec3::Z);
     viewer
 }
 
@@ -349,8 +349,8 @@ fn pages_without_room_request_no_frame() {
     assert_eq!(tiles(&viewer), (4, 16));
     assert!(!viewer.is_settled(), "some of the tiles are not there");
     // Tiles that come into view take the slots of those that leave it.
-    viewer.camera.look_at(DVec3::new(-38.0, -5.0, 0.0), DVec3::new(-38.0, 0.0, 0.0), DVec3::Z);
-    viewer.request_redraw();
+    viewer.view_mut().camera.look_at(DVec3::new(-38.0, -5.0, 0.0), DVec3::new(-38.0, 0.0, 0.0), DVec3::Z);
+    viewer.view_mut().request_redraw();
     rest(&mut viewer);
     assert!(viewer.is_settled(), "{:?}", viewer.pager().unwrap().stats());
     let drawn = viewer.stats().last().unwrap().tiles_drawn;

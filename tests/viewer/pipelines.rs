@@ -86,7 +86,7 @@ fn tile(folder: &Path, file: &str, range_m: f64, transform: DAffine3, children: 
 }
 
 fn frames(viewer: &mut Viewer, time_s: &mut f64, lod_scale: f64) {
-    viewer.camera.settings.lod_scale = lod_scale;
+    viewer.view_mut().camera.settings.lod_scale = lod_scale;
     let before = viewer.frame_stamp().frame;
     loop {
         *time_s += 0.05;
@@ -139,8 +139,8 @@ fn the_first_draw_of_a_merged_tile_makes_no_pipeline() {
         let medium = under(material, tile(&folder, "medium.glb", 5.0, whole, vec![mirrored]));
         let root = tile(&folder, "coarse.glb", 8.0, whole, vec![medium]);
         viewer.add_root(Page::from_node(Node::group(vec![root])).unwrap()).unwrap();
-        viewer.camera.look_at(DVec3::new(0.0, 0.0, 10.0), DVec3::ZERO, DVec3::Y);
-        viewer.environment.shadows = shadows.then(SunShadows::default);
+        viewer.view_mut().camera.look_at(DVec3::new(0.0, 0.0, 10.0), DVec3::ZERO, DVec3::Y);
+        viewer.view_mut().environment.shadows = shadows.then(SunShadows::default);
         let mut time_s = 0.0;
         frames(&mut viewer, &mut time_s, 1.0);
         let created = |viewer: &Viewer, from: u32| -> u32 {

@@ -32,10 +32,10 @@ fn config(threading: ThreadingModel) -> ViewerConfig {
 fn fly(set: &str, threading: ThreadingModel) -> Option<Vec<RgbaImage>> {
     let mut viewer = offscreen(&config(threading))?;
     viewer.load(set).unwrap();
-    let path = viewer.bounds().unwrap().default_path(&viewer.camera.world_from_eye);
+    let path = viewer.bounds().unwrap().default_path(&viewer.view().camera.world_from_eye);
     for frame in 0..60u32 {
         let time_s = path.duration_s() * f64::from(frame) / 59.0;
-        viewer.camera.world_from_eye = path.world_from_eye(time_s);
+        viewer.view_mut().camera.world_from_eye = path.world_from_eye(time_s);
         if frame % 10 == 0 {
             viewer.want_picture();
         }
@@ -71,15 +71,15 @@ fn the_model_is_changed_at_run_time() {
     let Some(expected) = fly(&set, ThreadingModel::SingleThreaded) else { return };
     let mut viewer = offscreen(&config(ThreadingModel::SingleThreaded)).unwrap();
     viewer.load(&set).unwrap();
-    let path = viewer.bounds().unwrap().default_path(&viewer.camera.world_from_eye);
+    let path = viewer.bounds().unwrap().default_path(&viewer.view().camera.world_from_eye);
     let models = ThreadingModel::ALL;
     for frame in 0..60u32 {
         // Each after each other one, in the middle of the flight.
         let model = models[(frame as usize * (1 + frame as usize / 20)) % 4];
-        viewer.set_threading_model(model).unwrap();
-        assert_eq!(viewer.threading_model(), model);
+        viewer.composite_mut().set_threading_model(model).unwrap();
+        assert_eq!(viewer.composite().threading_model(), model);
         let time_s = path.duration_s() * f64::from(frame) / 59.0;
-        viewer.camera.world_from_eye = path.world_from_eye(time_s);
+        viewer.view_mut().camera.world_from_eye = path.world_from_eye(time_s);
         if frame % 10 == 0 {
             viewer.want_picture();
         }

@@ -52,9 +52,9 @@ fn a_square_is_drawn_moved_and_removed() {
         let Some(mut viewer) = viewer(threading, AdapterChoice::Software) else { return };
         let square = Node::transform(DAffine3::IDENTITY, vec![Node::geode(vec![square()])]);
         let root = viewer.add_root(Page::from_node(square).unwrap()).unwrap();
-        viewer.environment.sky = Sky::Background(KEY_COLOR);
-        viewer.environment.fog.enabled = false;
-        viewer.camera.look_at(DVec3::new(0.0, -5.0, 0.0), DVec3::ZERO, DVec3::Z);
+        viewer.view_mut().environment.sky = Sky::Background(KEY_COLOR);
+        viewer.view_mut().environment.fog.enabled = false;
+        viewer.view_mut().camera.look_at(DVec3::new(0.0, -5.0, 0.0), DVec3::ZERO, DVec3::Z);
         frames(&mut viewer, 4);
         let picture = viewer.read_back().unwrap();
         // 2 m of the 5.77 m that 60 degrees see at 5 m, both ways.
@@ -90,11 +90,11 @@ fn a_square_is_drawn_moved_and_removed() {
 fn the_near_plane_follows_the_nearest_geometry() {
     let Some(mut viewer) = viewer(ThreadingModel::SingleThreaded, AdapterChoice::Software) else { return };
     viewer.add_root(Page::from_node(Node::geode(vec![square()])).unwrap()).unwrap();
-    viewer.environment.sky = Sky::Background(KEY_COLOR);
-    viewer.environment.fog.enabled = false;
+    viewer.view_mut().environment.sky = Sky::Background(KEY_COLOR);
+    viewer.view_mut().environment.fog.enabled = false;
     // From far to almost touching, in leaps: the square must never be cut.
     for distance_m in [4000.0, 1.0, 500.0, 0.01, 0.001] {
-        viewer.camera.look_at(DVec3::new(0.0, -distance_m, 0.0), DVec3::ZERO, DVec3::Z);
+        viewer.view_mut().camera.look_at(DVec3::new(0.0, -distance_m, 0.0), DVec3::ZERO, DVec3::Z);
         frames(&mut viewer, 1);
         let first = coverage(&viewer.read_back().unwrap(), KEY_COLOR);
         frames(&mut viewer, 1);
@@ -133,9 +133,9 @@ fn a_page_that_was_removed_is_shown_again() {
         let page = Page::from_node(Node::geode(vec![square(), square()])).unwrap();
         let size_bytes = page.size_bytes();
         let root = viewer.add_root(page).unwrap();
-        viewer.environment.sky = Sky::Background(KEY_COLOR);
-        viewer.environment.fog.enabled = false;
-        viewer.camera.look_at(DVec3::new(0.0, -5.0, 0.0), DVec3::ZERO, DVec3::Z);
+        viewer.view_mut().environment.sky = Sky::Background(KEY_COLOR);
+        viewer.view_mut().environment.fog.enabled = false;
+        viewer.view_mut().camera.look_at(DVec3::new(0.0, -5.0, 0.0), DVec3::ZERO, DVec3::Z);
         viewer.settle(4);
         let before = coverage(&viewer.read_back().unwrap(), KEY_COLOR);
         let page = viewer.remove_root(root).unwrap();
@@ -171,13 +171,13 @@ fn a_set_in_the_place_of_another_is_seen_as_the_first_one_was() {
     let root = used.load(&small).unwrap();
     let size = |viewer: &Viewer| viewer.bounds().unwrap().sphere;
     assert_eq!((size(&used).center, size(&used).radius_m), (size(&fresh).center, size(&fresh).radius_m));
-    assert_eq!(used.camera.world_from_eye, fresh.camera.world_from_eye);
+    assert_eq!(used.view().camera.world_from_eye, fresh.view().camera.world_from_eye);
     assert!(used.is_height_set());
     // An application that changes its pages keeps its camera.
     assert!(used.root_uri().is_some_and(|uri| uri.starts_with(&small)));
     assert!(used.remove_root(root).is_some() && !used.is_height_set() && used.root_uri().is_none());
     used.add_root(Page::from_node(Node::geode(vec![square()])).unwrap()).unwrap();
-    assert_eq!(used.camera.world_from_eye, fresh.camera.world_from_eye);
+    assert_eq!(used.view().camera.world_from_eye, fresh.view().camera.world_from_eye);
 }
 
 fn assert_same_pose(found: &DAffine3, expected: &DAffine3) {
@@ -208,10 +208,10 @@ fn a_manipulator_continues_from_the_first_view_of_a_set() {
     for set in sets {
         let mut fresh = made().unwrap();
         fresh.load(&set).unwrap();
-        let expected = fresh.camera.world_from_eye;
+        let expected = fresh.view().camera.world_from_eye;
         let root = used.load(&set).unwrap();
         frames(&mut used, 1);
-        assert_same_pose(&used.camera.world_from_eye, &expected);
+        assert_same_pose(&used.view().camera.world_from_eye, &expected);
         assert!(used.remove_root(root).is_some());
         let root = composite.load(scene, &set).unwrap();
         composite.frame().unwrap();
@@ -239,28 +239,28 @@ fn a_set_is_seen_as_ever_beside_what_the_application_has() {
     let page = || Page::from_node(Node::geode(vec![square()])).unwrap();
     used.add_root(page()).unwrap();
     composite.add_root(scene, page()).unwrap();
-    assert_ne!(used.camera.world_from_eye, fresh.camera.world_from_eye);
+    assert_ne!(used.view().camera.world_from_eye, fresh.view().camera.world_from_eye);
     let root = used.load(&set).unwrap();
     composite.load(scene, &set).unwrap();
     assert_eq!(used.bounds(), fresh.bounds());
     assert_eq!(composite.bounds(scene).unwrap(), fresh.bounds());
-    for seen in [&used, composite.view_mut(view).unwrap()] as [&View; 2] {
-        assert_eq!(seen.camera.world_from_eye, fresh.camera.world_from_eye);
-        assert_eq!(seen.environment, fresh.environment);
+    for seen in [used.view(), composite.view_mut(view).unwrap()] as [&View; 2] {
+        assert_eq!(seen.camera.world_from_eye, fresh.view().camera.world_from_eye);
+        assert_eq!(seen.environment, fresh.view().environment);
     }
     assert!(used.is_height_set() && composite.is_height_set(scene).unwrap());
     // A second set changes nothing.
-    used.camera.look_at(DVec3::new(0.0, -5.0, 0.0), DVec3::ZERO, DVec3::Z);
-    let (camera, environment) = (used.camera, used.environment);
+    used.view_mut().camera.look_at(DVec3::new(0.0, -5.0, 0.0), DVec3::ZERO, DVec3::Z);
+    let (camera, environment) = (used.view().camera, used.view().environment);
     used.add_root(page()).unwrap();
-    assert_eq!((used.bounds(), used.camera.world_from_eye), (fresh.bounds(), camera.world_from_eye));
-    assert_eq!(used.environment, environment);
+    assert_eq!((used.bounds(), used.view().camera.world_from_eye), (fresh.bounds(), camera.world_from_eye));
+    assert_eq!(used.view().environment, environment);
     // Nor does one that is refused, and another in its place is seen anew.
     assert!(used.load(&set).is_err());
-    assert_eq!(used.camera.world_from_eye, camera.world_from_eye);
+    assert_eq!(used.view().camera.world_from_eye, camera.world_from_eye);
     assert!(used.remove_root(root).is_some());
     used.load(&set).unwrap();
-    assert_eq!(used.camera.world_from_eye, fresh.camera.world_from_eye);
+    assert_eq!(used.view().camera.world_from_eye, fresh.view().camera.world_from_eye);
 }
 
 /// The first root put light and air back to what they are at first.
@@ -281,10 +281,10 @@ fn the_first_sight_of_a_set_keeps_what_does_not_go_by_its_size() {
         exposure: None,
         ..Environment::default()
     };
-    own.environment = asked;
+    own.view_mut().environment = asked;
     own.load(&set).unwrap();
-    let Environment { sun_direction, up_in_world, fog: Fog { density_per_m, .. }, .. } = fresh.environment;
+    let Environment { sun_direction, up_in_world, fog: Fog { density_per_m, .. }, .. } = fresh.view().environment;
     let fog = Fog { density_per_m, ..asked.fog };
-    assert_eq!(own.environment, Environment { sun_direction, up_in_world, fog, ..asked });
+    assert_eq!(own.view().environment, Environment { sun_direction, up_in_world, fog, ..asked });
     assert!(density_per_m < 1e-3 && sun_direction != asked.sun_direction);
 }

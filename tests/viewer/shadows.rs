@@ -149,8 +149,9 @@ fn viewer(size_px: [u32; 2], threading: ThreadingModel) -> Viewer {
 fn open(viewer: &mut Viewer) {
     let root = Node::geode(vec![ground(200.0), cuboid(tower().min, tower().max)]);
     viewer.add_root(Page::from_node(root).unwrap()).unwrap();
-    viewer.camera.look_at(DVec3::new(-40.0, -50.0, 45.0), DVec3::ZERO, DVec3::Z);
-    viewer.environment = Environment { shadows: Some(SunShadows::default()), ..sunny(DVec3::new(1.0, 0.5, 1.0)) };
+    viewer.view_mut().camera.look_at(DVec3::new(-40.0, -50.0, 45.0), DVec3::ZERO, DVec3::Z);
+    viewer.view_mut().environment =
+        Environment { shadows: Some(SunShadows::default()), ..sunny(DVec3::new(1.0, 0.5, 1.0)) };
 }
 
 fn settled(viewer: &mut Viewer) -> RgbaImage {
@@ -172,15 +173,15 @@ fn slaves_have_shadows_of_their_own() {
     let mut alone = viewer(SIZE, ThreadingModel::SingleThreaded);
     open(&mut alone);
     let master = settled(&mut alone);
-    alone.camera.world_from_eye *= turned.inverse();
+    alone.view_mut().camera.world_from_eye *= turned.inverse();
     let beside = settled(&mut alone);
     assert!(master != beside);
-    alone.environment.shadows = None;
+    alone.view_mut().environment.shadows = None;
     assert!(darker(&beside, &settled(&mut alone)) > 500);
     for model in ThreadingModel::ALL {
         let mut both = viewer([2 * width, height], model);
         open(&mut both);
-        both.set_viewport([0, 0, width, height]);
+        both.view_mut().set_viewport([0, 0, width, height]);
         let context = both.contexts().next().unwrap();
         let viewport = Viewport::Pixels([width, 0, width, height]);
         both.add_slave(Slave { viewport, view_offset: turned, ..Slave::new(context) }).unwrap();
@@ -215,11 +216,11 @@ fn tiles_of_gltf_throw_shadows() {
         }
         let mut viewer = viewer([320, 240], ThreadingModel::default());
         viewer.load(file.to_str().unwrap()).unwrap();
-        let up = viewer.environment.up_in_world;
+        let up = viewer.view().environment.up_in_world;
         let side = up.any_orthonormal_vector();
-        viewer.environment.sun_direction = (0.5 * up + side).normalize();
+        viewer.view_mut().environment.sun_direction = (0.5 * up + side).normalize();
         let without = settled(&mut viewer);
-        viewer.environment.shadows = Some(SunShadows::default());
+        viewer.view_mut().environment.shadows = Some(SunShadows::default());
         let with = settled(&mut viewer);
         let name = set.split('/').next().unwrap();
         keep(&format!("{name}-without"), &without);

@@ -44,10 +44,10 @@ fn viewer(url: &str, pager: PagerConfig) -> Option<Viewer> {
     };
     let mut viewer = offscreen(&config)?;
     viewer.load(&format!("{url}/set/")).unwrap();
-    viewer.environment.sky = Sky::Background([20, 24, 30]);
-    viewer.environment.fog.enabled = false;
-    viewer.camera.look_at(DVec3::new(0.0, -1.0, 330.0), DVec3::ZERO, DVec3::Y);
-    viewer.add_event_handler(PagerDebugHandler::default());
+    viewer.view_mut().environment.sky = Sky::Background([20, 24, 30]);
+    viewer.view_mut().environment.fog.enabled = false;
+    viewer.view_mut().camera.look_at(DVec3::new(0.0, -1.0, 330.0), DVec3::ZERO, DVec3::Y);
+    viewer.view_mut().add_event_handler(PagerDebugHandler::default());
     Some(viewer)
 }
 
@@ -67,7 +67,7 @@ fn glb() -> Vec<u8> {
 }
 
 fn press(viewer: &mut Viewer, key: Key) {
-    let queue = viewer.event_queue();
+    let queue = viewer.view_mut().event_queue();
     let time_s = queue.time_s();
     queue.key_press(key, key, time_s);
     queue.key_release(key, key, time_s);
@@ -124,7 +124,7 @@ fn each_state_of_a_tile_is_reported_and_shown_in_its_colour() {
     viewer.frame().unwrap();
     press(&mut viewer, Key::Char('g'));
     press(&mut viewer, Key::Char('g'));
-    assert!(viewer.shows_overlay());
+    assert!(viewer.view().shows_overlay());
     let expected = [
         (TileState::InUse, 6),
         (TileState::Requested(ReadingHttp), 2),
@@ -154,8 +154,8 @@ fn each_state_of_a_tile_is_reported_and_shown_in_its_colour() {
     keep(&picture, "tile-levels.png");
     assert!(pixels_of(&picture, TileState::Requested(Failed)) < 20);
 
-    // The camera looks away: requests are cancelled, resident tiles stay.
-    viewer.camera.look_at(DVec3::new(0.0, 0.0, 330.0), DVec3::new(0.0, 0.0, 1e6), DVec3::Y);
+    // Looked away from: what was asked for is given up, what is there stays.
+    viewer.view_mut().camera.look_at(DVec3::new(0.0, 0.0, 330.0), DVec3::new(0.0, 0.0, 1e6), DVec3::Y);
     until(&mut viewer, &[(TileState::Unused, 6), (TileState::Requested(Failed), 1), (TileState::Unwanted, 2)]);
 }
 
@@ -194,10 +194,10 @@ fn the_stats_page_lies_inside_a_small_picture() {
         _ => Reply::ok(glb()),
     });
     let Some(mut viewer) = viewer(&server.url, patient()) else { return };
-    viewer.add_event_handler(StatsHandler { page: StatsPage::Pager });
+    viewer.view_mut().add_event_handler(StatsHandler { page: StatsPage::Pager });
     let sky = [250, 0, 250];
-    viewer.environment.sky = Sky::Background(sky);
-    viewer.camera.look_at(DVec3::new(0.0, 0.0, 330.0), DVec3::new(0.0, 0.0, 1e6), DVec3::Y);
+    viewer.view_mut().environment.sky = Sky::Background(sky);
+    viewer.view_mut().camera.look_at(DVec3::new(0.0, 0.0, 330.0), DVec3::new(0.0, 0.0, 1e6), DVec3::Y);
     for size_px in [[320, 240], [480, 300], [800, 600], [240, 320]] {
         viewer.resize(size_px).unwrap();
         // It is laid out from its second frame on.

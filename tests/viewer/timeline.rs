@@ -61,11 +61,11 @@ fn a_flight_is_recorded_whole() {
         let Some(mut viewer) = or_skip(Viewer::new_offscreen(&config)) else { return };
         viewer.load(set.to_str().unwrap()).unwrap();
         let first = viewer.contexts().next().unwrap();
-        let second = viewer.open_offscreen_on(first, &config.traits()).unwrap();
+        let second = viewer.composite_mut().open_offscreen_on(first, &config.traits()).unwrap();
         viewer.add_slave(Slave::new(second)).unwrap();
-        let path = viewer.bounds().unwrap().default_path(&viewer.camera.world_from_eye);
+        let path = viewer.bounds().unwrap().default_path(&viewer.view().camera.world_from_eye);
         for frame in 0..40 {
-            viewer.camera.world_from_eye = path.world_from_eye(f64::from(frame) * 0.5);
+            viewer.view_mut().camera.world_from_eye = path.world_from_eye(f64::from(frame) * 0.5);
             viewer.frame().unwrap();
         }
         viewer.settle(1);

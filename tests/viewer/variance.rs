@@ -72,9 +72,9 @@ fn root(viewer: &mut Viewer, mesh: &Arc<Mesh>, set: &Arc<StateSet>) -> PageId {
         vec![Node::geode(vec![drawable(&Arc::new(sheet()))])],
     );
     let root = viewer.add_root(Page::from_node(Node::group(vec![waving, still])).unwrap()).unwrap();
-    viewer.environment.sky = Sky::Background(KEY_COLOR);
-    viewer.environment.fog.enabled = false;
-    viewer.camera.look_at(DVec3::new(0.0, -6.0, 1.0), DVec3::ZERO, DVec3::Z);
+    viewer.view_mut().environment.sky = Sky::Background(KEY_COLOR);
+    viewer.view_mut().environment.fog.enabled = false;
+    viewer.view_mut().camera.look_at(DVec3::new(0.0, -6.0, 1.0), DVec3::ZERO, DVec3::Z);
     root
 }
 
@@ -189,22 +189,22 @@ fn a_view_has_callbacks_and_says_near_and_far() {
             }
         };
         let (initial, pre, post, last) = (log("initial"), log("pre"), log("post"), log("final"));
-        viewer.set_draw_callbacks(Some(CameraCallbacks {
+        viewer.view_mut().set_draw_callbacks(Some(CameraCallbacks {
             initial: Some(Box::new(move |info, _| initial(info))),
             pre_draw: Some(Box::new(move |info, _| pre(info))),
             post_draw: Some(Box::new(move |info, _| post(info))),
             final_draw: Some(Box::new(move |info, _| last(info))),
             ..CameraCallbacks::default()
         }));
-        viewer.camera.settings.compute_near_far = ComputeNearFar::BoundingVolumes;
-        viewer.set_clamp_projection(Some(|near_m, far_m| {
+        viewer.view_mut().camera.settings.compute_near_far = ComputeNearFar::BoundingVolumes;
+        viewer.view_mut().set_clamp_projection(Some(|near_m, far_m| {
             assert!(near_m > 0.125, "{near_m}");
             (0.125, far_m)
         }));
         let mesh = Drawable::new(Geometry::Mesh(Arc::new(sheet())), Material::default());
         viewer.add_root(Page::from_node(Node::geode(vec![mesh])).unwrap()).unwrap();
         (0..3).for_each(|_| viewer.frame().unwrap());
-        viewer.set_draw_callbacks(None);
+        viewer.view_mut().set_draw_callbacks(None);
         viewer.frame().unwrap();
         viewer.finish().unwrap();
         let said = std::mem::take(&mut *said.lock().unwrap());

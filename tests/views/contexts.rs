@@ -66,7 +66,7 @@ fn halves_of_a_context_are_the_whole() {
             let Some(context) = context(size) else { return };
             let mut viewer = Viewer::new(context, &config(threading, size, true)).unwrap();
             viewer.load(&set).unwrap();
-            viewer.environment.sky = sky;
+            viewer.view_mut().environment.sky = sky;
             viewer.frame().unwrap();
             let whole = viewer.read_back().unwrap();
             // The master keeps the left half of its own part; the right one is a slave's, in the same context.
@@ -85,7 +85,7 @@ fn halves_of_a_context_are_the_whole() {
             assert!(differing(&whole, &halves) < 60, "{threading}: {} pixels differ", differing(&whole, &halves));
             assert!(*expected.get_or_insert(halves.clone()) == halves, "{threading} draws otherwise");
             // A slave may be moved, and goes.
-            viewer.slave_mut(on_the_right).unwrap().projection_offset = part(-1.0, 0.0);
+            viewer.view_mut().slave_mut(on_the_right).unwrap().projection_offset = part(-1.0, 0.0);
             viewer.frame().unwrap();
             assert!(differing(&halves, &viewer.read_back().unwrap()) > 1000);
             assert!(viewer.remove_slave(on_the_right).unwrap() && !viewer.remove_slave(on_the_right).unwrap());
@@ -102,17 +102,17 @@ fn a_wall_of_three_contexts_is_one_wide_picture() {
     let Some(of_wide) = context(wide) else { return };
     let mut one = Viewer::new(of_wide, &config(ThreadingModel::SingleThreaded, wide, true)).unwrap();
     one.load(&set).unwrap();
-    let pose = one.camera.world_from_eye;
+    let pose = one.view().camera.world_from_eye;
     // The middle third has a third of the wide image's width, in tangents.
-    let fovy = one.camera.fovy(wide);
+    let fovy = one.view().camera.fovy(wide);
     one.frame().unwrap();
     let expected = one.read_back().unwrap();
     let mut first: Option<Vec<RgbaImage>> = None;
     for threading in ThreadingModel::ALL {
         let mut viewer = Viewer::new(context(size).unwrap(), &config(threading, size, true)).unwrap();
         viewer.load(&set).unwrap();
-        viewer.camera.world_from_eye = pose;
-        viewer.camera.field_of_view = terrane::viewer::FieldOfView::Vertical(fovy);
+        viewer.view_mut().camera.world_from_eye = pose;
+        viewer.view_mut().camera.field_of_view = terrane::viewer::FieldOfView::Vertical(fovy);
         let shift = |x: f64| DMat4::from_translation(DVec3::new(x, 0.0, 0.0));
         let mut contexts: Vec<ContextId> = viewer.contexts().collect();
         for x in [2.0, -2.0] {
@@ -123,7 +123,7 @@ fn a_wall_of_three_contexts_is_one_wide_picture() {
         let too_many = (0..2).map(|_| viewer.open_context(context(size).unwrap())).last().unwrap();
         assert!(matches!(too_many, Err(ViewerError::TooManyContexts { limit: 4 })));
         viewer.settle(3);
-        let pictures: Vec<_> = contexts.iter().map(|c| viewer.read_back_of(*c).unwrap()).collect();
+        let pictures: Vec<_> = contexts.iter().map(|c| viewer.composite_mut().read_back(*c).unwrap()).collect();
         let [middle, left, right] = &pictures[..] else { panic!() };
         let mut wall = RgbaImage::new(wide[0], wide[1]);
         for (x, picture) in [left, middle, right].into_iter().enumerate() {
@@ -132,11 +132,17 @@ fn a_wall_of_three_contexts_is_one_wide_picture() {
         assert!(differing(&wall, &expected) < 60, "{threading}: {} pixels differ", differing(&wall, &expected));
         assert!(*first.get_or_insert_with(|| pictures.clone()) == pictures, "{threading} draws otherwise");
         // The window in the middle is closed: the others continue.
-        assert!(viewer.close_context(contexts[0]).unwrap() && !viewer.close_context(contexts[0]).unwrap());
+        assert!(
+            viewer.composite_mut().close_context(contexts[0]).unwrap()
+                && !viewer.composite_mut().close_context(contexts[0]).unwrap()
+        );
         assert!(matches!(viewer.read_back(), Err(ViewerError::NoContext(_))));
         viewer.frame().unwrap();
         viewer.frame().unwrap();
-        assert!(viewer.read_back_of(contexts[1]).unwrap() == pictures[1], "{threading}: the wall has changed");
+        assert!(
+            viewer.composite_mut().read_back(contexts[1]).unwrap() == pictures[1],
+            "{threading}: the wall has changed"
+        );
     }
 }
 
@@ -164,11 +170,11 @@ fn a_context_added_later_shows_everything() {
         viewer.frame().unwrap();
         settle(&mut viewer);
         assert!(viewer.read_back().unwrap() == before, "{threading}: the first context shows something else");
-        assert!(viewer.read_back_of(later).unwrap() == before, "{threading}: the second one does");
-        let first = viewer.context().unwrap();
-        viewer.close_context(first).unwrap();
+        assert!(viewer.composite_mut().read_back(later).unwrap() == before, "{threading}: the second one does");
+        let first = viewer.context();
+        viewer.composite_mut().close_context(first).unwrap();
         settle(&mut viewer);
-        assert!(viewer.read_back_of(later).unwrap() == before);
+        assert!(viewer.composite_mut().read_back(later).unwrap() == before);
     }
 }
 
@@ -194,8 +200,8 @@ fn memory_of_a_closed_context_is_not_counted() {
         let both = settle(&mut viewer);
         assert!(one.gpu_bytes > 0 && one.resident == both.resident, "{one:?} {both:?}");
         assert_eq!(both.gpu_bytes, 2 * one.gpu_bytes);
-        let first = viewer.context().unwrap();
-        viewer.close_context(first).unwrap();
+        let first = viewer.context();
+        viewer.composite_mut().close_context(first).unwrap();
         // At once, and after frames with what is left.
         assert_eq!(viewer.pager().unwrap().stats().gpu_bytes, one.gpu_bytes);
         let left = settle(&mut viewer);
@@ -215,8 +221,8 @@ fn slaves_have_settings_of_their_own() {
     let mut viewer = Viewer::new(of_first, &config(ThreadingModel::DrawThreadPerContext, size, false)).unwrap();
     let masked = Node { mask: 1, ..ball(DVec3::ZERO, 1.0, [1.0, 0.0, 0.0, 1.0]) };
     viewer.add_root(Page::from_node(masked).unwrap()).unwrap();
-    viewer.environment.sky = Sky::Background(KEY_COLOR);
-    viewer.environment.fog.enabled = false;
+    viewer.view_mut().environment.sky = Sky::Background(KEY_COLOR);
+    viewer.view_mut().environment.fog.enabled = false;
     let (a, b) = (context(size).unwrap(), context(size).unwrap());
     let (a, b) = (viewer.open_context(a).unwrap(), viewer.open_context(b).unwrap());
     let mut blind = Slave::new(a);
@@ -225,15 +231,20 @@ fn slaves_have_settings_of_their_own() {
     viewer.add_slave(Slave { context: b, inherit: Inherit::NONE, ..blind }).unwrap();
     viewer.settle(4);
     let master = viewer.read_back().unwrap();
-    assert!(viewer.read_back_of(a).unwrap() == master, "settings inherited are the master's");
-    assert_eq!(coverage(&viewer.read_back_of(b).unwrap(), KEY_COLOR), 0.0, "a mask of its own hides everything");
+    assert!(viewer.composite_mut().read_back(a).unwrap() == master, "settings inherited are the master's");
+    assert_eq!(
+        coverage(&viewer.composite_mut().read_back(b).unwrap(), KEY_COLOR),
+        0.0,
+        "a mask of its own hides everything"
+    );
     // Another eye: 10 km beside the master's.
-    viewer.slave_mut(of_master).unwrap().view_offset = DAffine3::from_translation(DVec3::new(10_000.0, 0.0, 0.0));
+    viewer.view_mut().slave_mut(of_master).unwrap().view_offset =
+        DAffine3::from_translation(DVec3::new(10_000.0, 0.0, 0.0));
     viewer.frame().unwrap();
-    assert_eq!(coverage(&viewer.read_back_of(a).unwrap(), KEY_COLOR), 0.0);
-    viewer.slave_mut(of_master).unwrap().view_offset = DAffine3::from_translation(DVec3::splat(f64::NAN));
+    assert_eq!(coverage(&viewer.composite_mut().read_back(a).unwrap(), KEY_COLOR), 0.0);
+    viewer.view_mut().slave_mut(of_master).unwrap().view_offset = DAffine3::from_translation(DVec3::splat(f64::NAN));
     viewer.frame().unwrap();
-    assert!(viewer.read_back_of(a).unwrap() == master, "an offset that is none counts as none");
+    assert!(viewer.composite_mut().read_back(a).unwrap() == master, "an offset that is none counts as none");
 }
 
 #[test]
@@ -307,7 +318,7 @@ fn a_lost_device_is_replaced_and_everything_is_shown_again() {
         let mut viewer = Viewer::new(context, &config(threading, size, false)).unwrap();
         viewer.load(&set).unwrap();
         let own = Node::transform(
-            viewer.camera.world_from_eye,
+            viewer.view().camera.world_from_eye,
             vec![ball(DVec3::new(0.0, 0.0, -9.0), 2.0, [1.0, 0.0, 0.0, 1.0])],
         );
         viewer.add_root(Page::from_node(own).unwrap()).unwrap();
@@ -321,11 +332,11 @@ fn a_lost_device_is_replaced_and_everything_is_shown_again() {
         let before = settle(&mut viewer);
         assert_eq!(before.get_pixel(60, 45).0, [255, 0, 0, 255], "the application's own");
         let context = viewer.contexts().next().unwrap();
-        viewer.lose_device(context).unwrap();
+        viewer.composite_mut().lose_device(context).unwrap();
         let after = settle(&mut viewer);
         assert_eq!(differing(&before, &after), 0, "{threading}");
         // Again at once: that one is an error, and no panic.
-        viewer.lose_device(context).unwrap();
+        viewer.composite_mut().lose_device(context).unwrap();
         let failed = (0..4).find_map(|_| viewer.frame().err()).or_else(|| viewer.finish().err());
         assert!(viewer.frame_stamp().frame > 60 || failed.is_some(), "{threading}");
     }
@@ -342,11 +353,11 @@ fn pictures_that_were_asked_for_come_though_a_device_is_lost() {
         let came = Arc::new(AtomicU32::new(0));
         for frame in 0..20 {
             if frame == 5 {
-                let context = viewer.context().unwrap();
-                viewer.lose_device(context).unwrap();
+                let context = viewer.context();
+                viewer.composite_mut().lose_device(context).unwrap();
             }
             let came = came.clone();
-            viewer.capture(Box::new(move |_, _| {
+            viewer.actions().capture(Box::new(move |_, _| {
                 came.fetch_add(1, Ordering::Relaxed);
             }));
             viewer.frame().unwrap();
@@ -378,7 +389,7 @@ fn a_picture_that_was_asked_for_needs_a_frame() {
         frames_needed(&mut viewer);
         let came = Arc::new(AtomicU32::new(0));
         let told = came.clone();
-        viewer.capture(Box::new(move |_, _| {
+        viewer.actions().capture(Box::new(move |_, _| {
             told.fetch_add(1, Ordering::Relaxed);
         }));
         assert!(frames_needed(&mut viewer) > 0 && came.load(Ordering::Relaxed) == 1, "{threading}");
@@ -440,12 +451,12 @@ fn a_device_that_is_lost_between_frames_is_no_error_of_what_waits_for_them() {
             viewer.read_back().unwrap()
         };
         let before = drawn(&mut viewer);
-        let main = viewer.context().unwrap();
+        let main = viewer.context();
         let is_lost = |got: Result<RgbaImage, ViewerError>| {
             matches!(got, Err(ViewerError::Gpu(terrane::gpu::GpuError::DeviceLost { .. })))
         };
         // With nothing under way: no image, again and again, and none of the waits fails.
-        viewer.lose_device(main).unwrap();
+        viewer.composite_mut().lose_device(main).unwrap();
         for _ in 0..2 {
             viewer.finish().unwrap();
             assert!(is_lost(viewer.read_back()), "{threading}");
@@ -453,17 +464,20 @@ fn a_device_that_is_lost_between_frames_is_no_error_of_what_waits_for_them() {
         assert!(drawn(&mut viewer) == before, "{threading}");
         (0..70).for_each(|_| viewer.frame().unwrap());
         // With a frame under way, which waits, other contexts and other models take along.
-        viewer.lose_device(main).unwrap();
+        viewer.composite_mut().lose_device(main).unwrap();
         viewer.frame().unwrap();
         viewer.finish().unwrap();
         viewer.finish().unwrap();
         let _ = viewer.read_back();
         let other = viewer.open_context(context(size).unwrap()).unwrap();
         viewer.add_slave(Slave::new(other)).unwrap();
-        viewer.set_threading_model(ThreadingModel::SingleThreaded).unwrap();
-        assert!(drawn(&mut viewer) == before && viewer.read_back_of(other).unwrap() == before, "{threading}");
+        viewer.composite_mut().set_threading_model(ThreadingModel::SingleThreaded).unwrap();
+        assert!(
+            drawn(&mut viewer) == before && viewer.composite_mut().read_back(other).unwrap() == before,
+            "{threading}"
+        );
         // Too soon after the last one: an error of the frame, each time, until it has been long enough.
-        viewer.lose_device(main).unwrap();
+        viewer.composite_mut().lose_device(main).unwrap();
         let failed = (0..3).filter(|_| viewer.frame().is_err()).count();
         assert_eq!(failed, 3, "{threading}");
         viewer.finish().unwrap();

@@ -104,10 +104,10 @@ fn each_view_has_its_own_over_its_part_of_its_context() {
 fn it_lies_over_a_new_device_too() {
     for threading in ThreadingModel::ALL {
         let Some(mut viewer) = offscreen(&config(threading, [240, 120])) else { return };
-        viewer.environment.sky = Sky::Background(BACKGROUND);
-        viewer.environment.fog.enabled = false;
-        viewer.add_event_handler(stats());
-        let context = viewer.context().unwrap();
+        viewer.view_mut().environment.sky = Sky::Background(BACKGROUND);
+        viewer.view_mut().environment.fog.enabled = false;
+        viewer.view_mut().add_event_handler(stats());
+        let context = viewer.context();
         let shown = |viewer: &mut Viewer, name: &str| {
             viewer.settle(16);
             viewer.finish().unwrap();
@@ -117,7 +117,7 @@ fn it_lies_over_a_new_device_too() {
         };
         let before = shown(&mut viewer, "before");
         assert!(before[0] > 1000 && before[1] > 30, "{threading}: {before:?}");
-        viewer.lose_device(context).unwrap();
+        viewer.composite_mut().lose_device(context).unwrap();
         viewer.settle(16);
         let after = shown(&mut viewer, "after");
         assert!(after[0] > 1000 && after[1] > 30, "{threading}: {after:?} after the loss, {before:?} before");

@@ -442,7 +442,7 @@ fn pictures_are_the_same_with_and_without_sharing() {
         for frame in 0..24u32 {
             let eye = over(0.1 + 0.8 * f64::from(frame) / 23.0, 900.0) - DVec3::Y * 1500.0;
             let view = glam::dcamera::rh::view::look_at_mat4(eye, over(0.5, 0.0), DVec3::Z);
-            viewer.camera.world_from_eye = DAffine3::from_mat4(view).inverse();
+            viewer.view_mut().camera.world_from_eye = DAffine3::from_mat4(view).inverse();
             if frame % 4 == 0 {
                 viewer.want_picture();
             }

@@ -32,8 +32,8 @@ fn is_ground(picture: &RgbaImage, x: u32, y: u32) -> bool {
 
 /// Small balls that cover about 5 x 5 pixels, at distances beyond the places in their radii.
 fn balls(viewer: &Viewer, places: &[DVec3], beyond: f64) -> Page {
-    let eye = viewer.camera.eye();
-    let px_per_m = viewer.camera.eye_point(SIZE_PX).px_per_radian;
+    let eye = viewer.view().camera.eye();
+    let px_per_m = viewer.view().camera.eye_point(SIZE_PX).px_per_radian;
     let ball = |place: &DVec3| {
         let radius_m = 2.5 * place.distance(eye) / px_per_m;
         let at = *place + (*place - eye).normalize() * radius_m * beyond;
@@ -63,9 +63,9 @@ fn picks_lie_on_what_the_picture_shows() {
         // From inside, so that no outer skirt is seen.
         let bounds = *viewer.bounds().unwrap();
         let view = ViewFrom { heading: 0.3, pitch: -0.2, range_m: Some(0.25 * bounds.sphere.radius_m) };
-        viewer.camera.world_from_eye = bounds.first_camera(&view);
-        viewer.environment.sky = Sky::Background(KEY_COLOR);
-        viewer.environment.fog.enabled = false;
+        viewer.view_mut().camera.world_from_eye = bounds.first_camera(&view);
+        viewer.view_mut().environment.sky = Sky::Background(KEY_COLOR);
+        viewer.view_mut().environment.fog.enabled = false;
         viewer.frame().unwrap();
         let picture = viewer.read_back().unwrap();
 
@@ -86,8 +86,8 @@ fn picks_lie_on_what_the_picture_shows() {
                 }
                 if let (Some(hit), true) = (hits.first(), x % 16 == 3 && y % 12 == 3) {
                     // The point is behind its pixel.
-                    let in_eye = viewer.camera.world_from_eye.inverse().transform_point3(hit.world_point());
-                    let clip = viewer.camera.clip_from_eye(SIZE_PX, 0.1) * in_eye.extend(1.0);
+                    let in_eye = viewer.view().camera.world_from_eye.inverse().transform_point3(hit.world_point());
+                    let clip = viewer.view().camera.clip_from_eye(SIZE_PX, 0.1) * in_eye.extend(1.0);
                     let at = (160.0 * (1.0 + clip.x / clip.w), 90.0 * (1.0 - clip.y / clip.w));
                     assert!((at.0 - f64::from(x) - 0.5).abs() < 1e-3 && (at.1 - f64::from(y) - 0.5).abs() < 1e-3);
                     assert!((hit.ratio - in_eye.length()).abs() < 1e-6 * hit.ratio);
@@ -159,12 +159,12 @@ fn picks_below_other_projections_lie_on_what_the_picture_shows() {
             vec![square(DVec3::new(0.5, 0.0, -5.0), 1.0)],
         ),
     ]);
-    viewer.camera.world_from_eye = DAffine3::IDENTITY;
-    viewer.environment.sky = Sky::Background([0, 0, 0]);
-    viewer.environment.fog.enabled = false;
+    viewer.view_mut().camera.world_from_eye = DAffine3::IDENTITY;
+    viewer.view_mut().environment.sky = Sky::Background([0, 0, 0]);
+    viewer.view_mut().environment.fog.enabled = false;
     let page = Page::from_node(root).unwrap();
     viewer.add_root(page).unwrap();
-    viewer.camera.world_from_eye = DAffine3::IDENTITY;
+    viewer.view_mut().camera.world_from_eye = DAffine3::IDENTITY;
     viewer.settle(3);
     let picture = viewer.read_back().unwrap();
     if let Some(folder) = std::env::var_os("KEEP_IMAGES") {

@@ -39,7 +39,7 @@ fn pose(viewer: &Viewer, heading: f64, pitch: f64, range: f64) -> DAffine3 {
 
 /// Returns the viewer's camera at a pose.
 fn camera_at(viewer: &Viewer, world_from_eye: DAffine3, size_px: [u32; 2]) -> CullCamera {
-    let clip_from_eye = viewer.camera.clip_from_eye(size_px, 1.0);
+    let clip_from_eye = viewer.view().camera.clip_from_eye(size_px, 1.0);
     CullCamera {
         eye_from_world: world_from_eye.inverse(),
         clip_from_eye,
@@ -67,9 +67,9 @@ fn a_camera_to_a_texture_shows_the_scene_with_the_tiles_that_it_asks_for() {
     let set = small_set(folder.path());
     let Some(mut expects) = viewer() else { return };
     expects.load(&set).unwrap();
-    expects.environment.shadows = Some(Default::default());
+    expects.view_mut().environment.shadows = Some(Default::default());
     let near = pose(&expects, 0.4, -0.3, 0.25);
-    expects.camera.world_from_eye = near;
+    expects.view_mut().camera.world_from_eye = near;
     settle(&mut expects);
     let expected = expects.read_back().unwrap();
     keep("scene-camera-expected", &expected);
@@ -77,8 +77,8 @@ fn a_camera_to_a_texture_shows_the_scene_with_the_tiles_that_it_asks_for() {
     // The main camera is far away, where all the set is a tile or two.
     let mut viewer = viewer().unwrap();
     viewer.load(&set).unwrap();
-    viewer.environment.shadows = Some(Default::default());
-    viewer.camera.world_from_eye = pose(&viewer, 2.0, -0.6, 30.0);
+    viewer.view_mut().environment.shadows = Some(Default::default());
+    viewer.view_mut().camera.world_from_eye = pose(&viewer, 2.0, -0.6, 30.0);
     settle(&mut viewer);
     let before = viewer.stats().last().unwrap().gpu_bytes;
     let alone = viewer.read_back().unwrap();
@@ -116,10 +116,10 @@ fn a_part_of_the_window_shows_the_scene_and_is_picked_in() {
     let (main, other) = (pose(&viewer, 0.4, -0.3, 0.4), pose(&viewer, 2.4, -0.7, 0.5));
     let inset = [130, 10, 100, 70];
     // From where the inset sees, an image of its size.
-    viewer.camera.world_from_eye = other;
+    viewer.view_mut().camera.world_from_eye = other;
     settle(&mut viewer);
     let expected = viewer.compute_intersections(120.0, 80.0, IntersectionLimit::Nearest)[0].world_point();
-    viewer.camera.world_from_eye = main;
+    viewer.view_mut().camera.world_from_eye = main;
     let as_seen = camera_at(&viewer, other, [inset[2], inset[3]]);
     let node = CameraNode {
         frame: ReferenceFrame::Absolute,
@@ -173,7 +173,7 @@ fn a_nested_camera_shows_the_scene_in_the_picture_that_it_is_met_in() {
     // All ground from there.
     let near = pose(&viewer, 0.4, -0.9, 0.25);
     let seen = camera_at(&viewer, near, [inset[2], inset[3]]);
-    viewer.camera.world_from_eye = pose(&viewer, 2.0, -0.6, 30.0);
+    viewer.view_mut().camera.world_from_eye = pose(&viewer, 2.0, -0.6, 30.0);
     settle(&mut viewer);
     let (before, alone) = (viewer.stats().last().unwrap().gpu_bytes, viewer.read_back().unwrap());
     let node = CameraNode {
@@ -233,7 +233,7 @@ fn below_a_camera_over_cleared_depths_a_nested_one_makes_the_same_picture() {
     let set = small_set(folder.path());
     let Some(mut viewer) = viewer() else { return };
     viewer.load(&set).unwrap();
-    viewer.environment.shadows = Some(Default::default());
+    viewer.view_mut().environment.shadows = Some(Default::default());
     let near = pose(&viewer, 0.4, -0.3, 0.25);
     let mut picture_of = |nested: bool| {
         let seen = camera_at(&viewer, near, SIZE_PX);
@@ -252,7 +252,7 @@ fn below_a_camera_over_cleared_depths_a_nested_one_makes_the_same_picture() {
         };
         let children = if nested { vec![Node::camera(inner, vec![])] } else { vec![] };
         let id = viewer.add_root(Page::from_node(Node::camera(node, children)).unwrap()).unwrap();
-        viewer.camera.world_from_eye = pose(&viewer, 2.0, -0.6, 30.0);
+        viewer.view_mut().camera.world_from_eye = pose(&viewer, 2.0, -0.6, 30.0);
         settle(&mut viewer);
         sink.take();
         let found = (0..200).find_map(|_| {

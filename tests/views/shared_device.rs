@@ -51,7 +51,7 @@ fn settle(viewer: &mut Viewer) {
 }
 
 fn pictures(viewer: &mut Viewer, contexts: &[ContextId]) -> Vec<RgbaImage> {
-    contexts.iter().map(|context| viewer.read_back_of(*context).unwrap()).collect()
+    contexts.iter().map(|context| viewer.composite_mut().read_back(*context).unwrap()).collect()
 }
 
 fn gpu_bytes(viewer: &Viewer) -> u64 {
@@ -87,7 +87,7 @@ fn a_wall_on_one_device_is_the_wall_on_three_and_uploaded_once() {
         let mut shared = viewer(context().unwrap(), &set, threading);
         let mut contexts: Vec<ContextId> = shared.contexts().collect();
         for x in [2.0, -2.0] {
-            let other = shared.open_offscreen_on(contexts[0], &traits(SIZE)).unwrap();
+            let other = shared.composite_mut().open_offscreen_on(contexts[0], &traits(SIZE)).unwrap();
             shared.add_slave(beside(other, x)).unwrap();
             contexts.push(other);
         }
@@ -101,26 +101,29 @@ fn a_wall_on_one_device_is_the_wall_on_three_and_uploaded_once() {
         let drawn = |viewer: &Viewer| viewer.stats().last().unwrap().triangles;
         assert_eq!(drawn(&shared), drawn(&own), "{threading}");
         // Images on the way come from where they were asked for.
-        contexts.iter().for_each(|context| shared.want_picture_of(*context));
+        contexts.iter().for_each(|context| shared.composite_mut().want_picture(*context));
         shared.frame().unwrap();
         shared.finish().unwrap();
         for (context, expected) in contexts.iter().zip(&expected) {
-            let taken = shared.take_pictures_of(*context);
+            let taken = shared.composite_mut().take_pictures(*context);
             assert!(taken.len() == 1 && taken[0].1 == *expected, "{threading}: {context:?}");
         }
         // Each is closed in turn, the first one first; the rest continues, with nothing loaded anew.
         let merged = shared.pager().unwrap().stats().merged;
-        assert!(shared.close_context(contexts[0]).unwrap() && !shared.close_context(contexts[0]).unwrap());
+        assert!(
+            shared.composite_mut().close_context(contexts[0]).unwrap()
+                && !shared.composite_mut().close_context(contexts[0]).unwrap()
+        );
         assert!(matches!(shared.read_back(), Err(ViewerError::NoContext(_))));
         (0..2).for_each(|_| shared.frame().unwrap());
         assert!(pictures(&mut shared, &contexts[1..]) == expected[1..], "{threading}");
-        assert!(shared.close_context(contexts[2]).unwrap());
+        assert!(shared.composite_mut().close_context(contexts[2]).unwrap());
         (0..2).for_each(|_| shared.frame().unwrap());
         assert!(pictures(&mut shared, &contexts[1..2]) == expected[1..2], "{threading}");
         assert_eq!(shared.pager().unwrap().stats().merged, merged, "{threading}");
-        assert!(shared.close_context(contexts[1]).unwrap());
+        assert!(shared.composite_mut().close_context(contexts[1]).unwrap());
         shared.frame().unwrap();
-        let gone = shared.open_offscreen_on(contexts[1], &traits(SIZE));
+        let gone = shared.composite_mut().open_offscreen_on(contexts[1], &traits(SIZE));
         assert!(matches!(gone, Err(ViewerError::NoContext(_))), "{threading}");
     }
 }
@@ -136,18 +139,21 @@ fn a_context_added_to_the_device_shows_everything_at_once() {
         let before = viewer.read_back().unwrap();
         let (requested, bytes) = (viewer.pager().unwrap().stats().requested, gpu_bytes(&viewer));
         let contexts: Vec<_> = viewer.contexts().collect();
-        let later = viewer.open_offscreen_on(contexts[0], &traits(SIZE)).unwrap();
+        let later = viewer.composite_mut().open_offscreen_on(contexts[0], &traits(SIZE)).unwrap();
         viewer.add_slave(Slave::new(later)).unwrap();
         viewer.frame().unwrap();
-        assert!(viewer.read_back_of(later).unwrap() == before, "{threading}: its first frame lacks something");
+        assert!(
+            viewer.composite_mut().read_back(later).unwrap() == before,
+            "{threading}: its first frame lacks something"
+        );
         assert!(viewer.read_back().unwrap() == before, "{threading}");
         assert_eq!((viewer.pager().unwrap().stats().requested, gpu_bytes(&viewer)), (requested, bytes));
         // Sizes are each context's own, and an image that cannot be is an error of that one's.
         viewer.resize_context(later, [48, 100]).unwrap();
         viewer.frame().unwrap();
-        assert_eq!(viewer.read_back_of(later).unwrap().dimensions(), (48, 100));
+        assert_eq!(viewer.composite_mut().read_back(later).unwrap().dimensions(), (48, 100));
         assert!(viewer.read_back().unwrap() == before, "{threading}");
-        let huge = viewer.open_offscreen_on(later, &traits([1 << 20, 8]));
+        let huge = viewer.composite_mut().open_offscreen_on(later, &traits([1 << 20, 8]));
         assert!(matches!(huge, Err(ViewerError::Gpu(GpuError::TargetSize { .. }))), "{threading}");
         viewer.frame().unwrap();
         assert!(viewer.read_back().unwrap() == before, "{threading}");
@@ -162,13 +168,13 @@ fn a_lost_device_is_reopened_with_all_its_contexts() {
         let Some(first) = context() else { return };
         let mut viewer = viewer(first, &set, threading);
         let mut contexts: Vec<_> = viewer.contexts().collect();
-        contexts.push(viewer.open_offscreen_on(contexts[0], &traits(SIZE)).unwrap());
+        contexts.push(viewer.composite_mut().open_offscreen_on(contexts[0], &traits(SIZE)).unwrap());
         contexts.push(viewer.open_context(context().unwrap()).unwrap());
         viewer.add_slave(beside(contexts[1], 2.0)).unwrap();
         viewer.add_slave(beside(contexts[2], -2.0)).unwrap();
         settle(&mut viewer);
         let before = pictures(&mut viewer, &contexts);
-        viewer.lose_device(contexts[1]).unwrap();
+        viewer.composite_mut().lose_device(contexts[1]).unwrap();
         // The frames in flight when the device is lost, and the one that reports it.
         (0..4).for_each(|_| viewer.frame().unwrap());
         settle(&mut viewer);
@@ -239,7 +245,7 @@ fn contexts_come_and_go_in_any_order_under_any_model() {
         match below(5) {
             0 if open.len() < 4 => {
                 let on = open[below(open.len())];
-                let context = viewer.open_offscreen_on(on, &traits(SIZE)).unwrap();
+                let context = viewer.composite_mut().open_offscreen_on(on, &traits(SIZE)).unwrap();
                 viewer.add_slave(Slave::new(context)).unwrap();
             }
             1 if open.len() < 4 && step % 3 == 0 => {
@@ -249,15 +255,18 @@ fn contexts_come_and_go_in_any_order_under_any_model() {
             2 => {
                 let context = open[below(open.len())];
                 if context != first {
-                    assert!(viewer.close_context(context).unwrap());
+                    assert!(viewer.composite_mut().close_context(context).unwrap());
                 }
             }
-            _ => viewer.set_threading_model(ThreadingModel::ALL[below(4)]).unwrap(),
+            _ => viewer.composite_mut().set_threading_model(ThreadingModel::ALL[below(4)]).unwrap(),
         }
         // Also for features that a separate device lacks.
         viewer.settle(3);
         for context in viewer.contexts().collect::<Vec<_>>() {
-            assert!(viewer.read_back_of(context).unwrap() == expected, "step {step}: {context:?} shows something else");
+            assert!(
+                viewer.composite_mut().read_back(context).unwrap() == expected,
+                "step {step}: {context:?} shows something else"
+            );
         }
     }
 }

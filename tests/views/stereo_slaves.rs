@@ -35,20 +35,20 @@ fn viewer(size_px: [u32; 2], stereo: Option<Stereo>, threading: ThreadingModel) 
         ball([0.6, -2.0], 0.4, [0.2, 0.3, 1.0, 1.0]),
     ];
     viewer.add_root(Page::from_node(Node::group(balls)).unwrap()).unwrap();
-    viewer.camera.world_from_eye = DAffine3::IDENTITY;
-    viewer.environment.sky = Sky::Background([90, 80, 70]);
-    viewer.environment.fog.enabled = false;
+    viewer.view_mut().camera.world_from_eye = DAffine3::IDENTITY;
+    viewer.view_mut().environment.sky = Sky::Background([90, 80, 70]);
+    viewer.view_mut().environment.fog.enabled = false;
     Some(viewer)
 }
 
 fn pictures(viewer: &mut Viewer, contexts: &[ContextId]) -> Vec<RgbaImage> {
     viewer.settle(4);
-    contexts.iter().map(|context| viewer.read_back_of(*context).unwrap()).collect()
+    contexts.iter().map(|context| viewer.composite_mut().read_back(*context).unwrap()).collect()
 }
 
 fn alone(stereo: Option<Stereo>) -> Option<RgbaImage> {
     let mut viewer = viewer(SIZE, stereo, ThreadingModel::SingleThreaded)?;
-    let context = viewer.context().unwrap();
+    let context = viewer.context();
     pictures(&mut viewer, &[context]).pop()
 }
 
@@ -69,9 +69,9 @@ fn a_slave_has_both_eyes_in_its_own_picture() {
         for threading in ThreadingModel::ALL {
             // In a part of the master's context, which has a part itself; in one of its device; in one of its own.
             let mut viewer = viewer([200, SIZE[1]], Some(stereo), threading).unwrap();
-            viewer.set_viewport([0, 0, SIZE[0], SIZE[1]]);
-            let first = viewer.context().unwrap();
-            let shared = viewer.open_offscreen_on(first, &traits(SIZE)).unwrap();
+            viewer.view_mut().set_viewport([0, 0, SIZE[0], SIZE[1]]);
+            let first = viewer.context();
+            let shared = viewer.composite_mut().open_offscreen_on(first, &traits(SIZE)).unwrap();
             let own = viewer.open_context(GraphicsContext::new_offscreen(&traits(SIZE)).unwrap()).unwrap();
             viewer
                 .add_slave(Slave { viewport: Viewport::Pixels([100, 0, SIZE[0], SIZE[1]]), ..Slave::new(first) })
@@ -103,8 +103,8 @@ fn rows_and_columns_take_turns_on_the_screen_not_in_the_picture() {
     assert!(differing(&left, &right) > 300);
     for mode in [StereoMode::VerticalInterlace, StereoMode::Checkerboard] {
         let mut viewer = viewer([200, SIZE[1]], Some(Stereo::new(mode)), ThreadingModel::DrawThreadPerContext).unwrap();
-        viewer.set_viewport([0, 0, SIZE[0], SIZE[1]]);
-        let first = viewer.context().unwrap();
+        viewer.view_mut().set_viewport([0, 0, SIZE[0], SIZE[1]]);
+        let first = viewer.context();
         viewer
             .add_slave(Slave { viewport: Viewport::Pixels([101, 0, SIZE[0], SIZE[1]]), ..Slave::new(first) })
             .unwrap();
@@ -128,20 +128,20 @@ fn an_eye_may_have_a_separate_window() {
         // However the eyes would be put together elsewhere.
         let stereo = Stereo { keeps_aspect: true, ..Stereo::new(StereoMode::HorizontalSplit) };
         let mut viewer = viewer(SIZE, Some(stereo), threading).unwrap();
-        viewer.set_eyes(Eyes::Left);
-        let first = viewer.context().unwrap();
-        let second = viewer.open_offscreen_on(first, &traits(SIZE)).unwrap();
+        viewer.view_mut().set_eyes(Eyes::Left);
+        let first = viewer.context();
+        let second = viewer.composite_mut().open_offscreen_on(first, &traits(SIZE)).unwrap();
         let third = viewer.open_context(GraphicsContext::new_offscreen(&traits(SIZE)).unwrap()).unwrap();
         let slave = viewer.add_slave(Slave { eyes: Eyes::Right, ..Slave::new(second) }).unwrap();
         viewer.add_slave(Slave { eyes: Eyes::Middle, ..Slave::new(third) }).unwrap();
         let found = pictures(&mut viewer, &[first, second, third]);
         assert!(found[0] == left && found[1] == right && found[2] == middle, "{threading}");
-        // Changed between frames, and with eyes that are swapped.
-        viewer.slave_mut(slave).unwrap().eyes = Eyes::Left;
+        // Changed between frames, and with eyes that change places.
+        viewer.view_mut().slave_mut(slave).unwrap().eyes = Eyes::Left;
         assert!(pictures(&mut viewer, &[second])[0] == left, "{threading}");
-        viewer.set_stereo(Some(Stereo { swaps_eyes: true, ..stereo }));
+        viewer.view_mut().set_stereo(Some(Stereo { swaps_eyes: true, ..stereo }));
         assert!(pictures(&mut viewer, &[first, second]) == [right.clone(), right.clone()], "{threading}");
-        viewer.set_stereo(None);
+        viewer.view_mut().set_stereo(None);
         assert!(pictures(&mut viewer, &[first, second]) == [middle.clone(), middle.clone()], "{threading}");
     }
 }
@@ -153,13 +153,13 @@ fn offsets_of_a_slave_come_before_its_eyes() {
     let wide = [2 * SIZE[0], SIZE[1]];
     for (mode, eyes) in [(StereoMode::LeftEye, Eyes::Left), (StereoMode::RightEye, Eyes::Right)] {
         let Some(mut master) = viewer(wide, Some(Stereo::new(mode)), ThreadingModel::SingleThreaded) else { return };
-        let context = master.context().unwrap();
-        let slave = master.open_offscreen_on(context, &traits(SIZE)).unwrap();
+        let context = master.context();
+        let slave = master.composite_mut().open_offscreen_on(context, &traits(SIZE)).unwrap();
         let id = master.add_slave(Slave { projection_offset: half, ..Slave::new(slave) }).unwrap();
         let found = pictures(&mut master, &[context, slave]);
         let expected = part(&found[0], SIZE[0]);
         assert!(differing(&found[1], &expected) < 40, "{mode:?}: {} differ", differing(&found[1], &expected));
-        master.slave_mut(id).unwrap().eyes = eyes;
+        master.view_mut().slave_mut(id).unwrap().eyes = eyes;
         let single = pictures(&mut master, &[slave]);
         assert!(single[0] == found[1], "{mode:?}: one eye alone is another");
     }
@@ -170,8 +170,8 @@ fn offsets_of_a_slave_come_before_its_eyes() {
 fn an_eye_that_is_not_shown_is_not_drawn() {
     let leaves = |stereo: Option<Stereo>, threading| {
         let mut viewer = viewer(SIZE, stereo, threading)?;
-        let context = viewer.context().unwrap();
-        let second = viewer.open_offscreen_on(context, &traits(SIZE)).unwrap();
+        let context = viewer.context();
+        let second = viewer.composite_mut().open_offscreen_on(context, &traits(SIZE)).unwrap();
         let both = |viewer: &mut Viewer| {
             viewer.settle(4);
             viewer.finish().unwrap();

@@ -115,10 +115,10 @@ fn churn_viewer(seed: u64, switches: u64, step: &AtomicU64) -> Vec<Duration> {
         let model = ThreadingModel::ALL[random.below(4)];
         viewer.finish().unwrap();
         let start = Instant::now();
-        viewer.set_threading_model(model).unwrap();
-        viewer.start_threading().unwrap();
+        viewer.composite_mut().set_threading_model(model).unwrap();
+        viewer.composite_mut().start_threading().unwrap();
         times.push(start.elapsed());
-        assert_eq!(viewer.threading_model(), model);
+        assert_eq!(viewer.composite().threading_model(), model);
         for _ in 0..random.below(4) {
             change(&mut random, &mut viewer, root, &mut contexts, &mut slaves);
             viewer.frame().unwrap();
@@ -147,7 +147,7 @@ fn change(
         }
         1 if !contexts.is_empty() => {
             let closed = contexts.swap_remove(random.below(contexts.len()));
-            assert!(viewer.close_context(closed).unwrap());
+            assert!(viewer.composite_mut().close_context(closed).unwrap());
             slaves.retain(|(_, of)| *of != closed);
         }
         2 if slaves.len() < 6 => {
@@ -159,14 +159,14 @@ fn change(
             let (slave, _) = slaves.swap_remove(random.below(slaves.len()));
             assert!(viewer.remove_slave(slave).unwrap());
         }
-        4 => viewer.stop_threading().unwrap(),
+        4 => viewer.composite_mut().stop_threading().unwrap(),
         5 => viewer.resize([16 + random.below(32) as u32, 16 + random.below(32) as u32]).unwrap(),
         6 => {
             let variance = [DataVariance::Static, DataVariance::Dynamic][random.below(2)];
             let mesh = Arc::new(Mesh::sphere(DVec3::ZERO, 1.0, 4 + random.below(8) as u32));
             viewer.scene_mut().set_mesh(NodeId { page: root, index: 2 }, 0, mesh, variance).unwrap();
         }
-        7 => viewer.set_threading_model(ThreadingModel::ALL[random.below(4)]).unwrap(),
+        7 => viewer.composite_mut().set_threading_model(ThreadingModel::ALL[random.below(4)]).unwrap(),
         _ => {}
     }
 }
@@ -310,10 +310,10 @@ fn a_scene_can_be_changed_after_a_thread_has_died() {
                 // A wait for a frame in flight returns an error instead of hanging; without the dead thread the rest
                 // continues.
                 let _ = viewer.open_context(context());
-                let _ = viewer.set_threading_model(ThreadingModel::SingleThreaded);
+                let _ = viewer.composite_mut().set_threading_model(ThreadingModel::SingleThreaded);
                 assert!(viewer.frame().is_err());
                 for id in viewer.contexts().collect::<Vec<_>>() {
-                    viewer.close_context(id).unwrap();
+                    viewer.composite_mut().close_context(id).unwrap();
                 }
                 viewer.frame().unwrap();
                 viewer.scene_mut();
@@ -362,16 +362,22 @@ fn contexts_of_a_device_that_has_died_are_closed_one_by_one() {
         watched(move |_| {
             let mut viewer = Viewer::new(context(), &config(*threading)).unwrap();
             let main = viewer.contexts().next().unwrap();
-            let second = viewer.open_offscreen_on(main, &config(*threading).traits()).unwrap();
+            let second = viewer.composite_mut().open_offscreen_on(main, &config(*threading).traits()).unwrap();
             viewer.add_slave(Slave::new(second)).unwrap();
             viewer.add_root(page(Some(panic_after(9)))).unwrap();
             let error = (0..200).find_map(|_| viewer.frame().err()).expect("the panic is seen");
             assert!(matches!(error, ViewerError::DrawThreadStopped), "{error}");
-            assert!(viewer.close_context(main).unwrap() && !viewer.close_context(main).unwrap());
+            assert!(
+                viewer.composite_mut().close_context(main).unwrap()
+                    && !viewer.composite_mut().close_context(main).unwrap()
+            );
             assert!(viewer.frame().is_err(), "{threading}: the other one is still there");
-            assert!(viewer.close_context(second).unwrap() && !viewer.close_context(second).unwrap());
+            assert!(
+                viewer.composite_mut().close_context(second).unwrap()
+                    && !viewer.composite_mut().close_context(second).unwrap()
+            );
             viewer.frame().unwrap();
-            assert_eq!(viewer.contexts().count() + viewer.slaves().count(), 0);
+            assert_eq!(viewer.contexts().count() + viewer.view().slaves().count(), 0);
         });
     }
 }
@@ -417,9 +423,9 @@ fn automatic_selection_depends_on_contexts_and_cores() {
         let best = ThreadingModel::suggest_best(contexts, cameras, cores);
         from_environment.filter(|m| *m != ThreadingModel::AutomaticSelection).unwrap_or(best)
     };
-    assert_eq!(viewer.threading_model(), expected(1, 1));
+    assert_eq!(viewer.composite().threading_model(), expected(1, 1));
     let other = viewer.open_context(context()).unwrap();
     viewer.add_slave(Slave::new(other)).unwrap();
     viewer.frame().unwrap();
-    assert_eq!(viewer.threading_model(), expected(2, 2));
+    assert_eq!(viewer.composite().threading_model(), expected(2, 2));
 }

@@ -83,10 +83,10 @@ impl ApplicationHandler for Surfaces {
 }
 
 fn picture(viewer: &mut Viewer, context: ContextId) -> RgbaImage {
-    viewer.want_picture_of(context);
+    viewer.composite_mut().want_picture(context);
     viewer.frame().unwrap();
     viewer.finish().unwrap();
-    viewer.take_pictures_of(context).pop().unwrap().1
+    viewer.composite_mut().take_pictures(context).pop().unwrap().1
 }
 
 /// False where nothing can draw.
@@ -107,26 +107,26 @@ fn check(window: &Arc<Window>, model: ThreadingModel) -> bool {
         }
     };
     viewer.add_root(Page::from_node(Node::group(vec![ball(DVec3::ZERO, 1.0, [1.0; 4])])).unwrap()).unwrap();
-    viewer.environment.sky = Sky::Background([200, 0, 0]);
-    viewer.camera.look_at(DVec3::new(0.0, -4.0, 0.0), DVec3::ZERO, DVec3::Z);
-    let context = viewer.context().unwrap();
+    viewer.view_mut().environment.sky = Sky::Background([200, 0, 0]);
+    viewer.view_mut().camera.look_at(DVec3::new(0.0, -4.0, 0.0), DVec3::ZERO, DVec3::Z);
+    let context = viewer.context();
     viewer.settle(3);
     let before = picture(&mut viewer, context);
     let white = before.pixels().filter(|p| p.0 == [255; 4]).count();
     assert!(white > 200, "the ball is seen: {white}");
 
     // A frame that the window skips has no image, which is no error.
-    viewer.pretend_surface(context, &[Timeout]).unwrap();
-    viewer.want_picture_of(context);
+    viewer.composite_mut().pretend_surface(context, &[Timeout]).unwrap();
+    viewer.composite_mut().want_picture(context);
     viewer.frame().unwrap();
     viewer.finish().unwrap();
-    assert!(viewer.take_pictures_of(context).is_empty());
+    assert!(viewer.composite_mut().take_pictures(context).is_empty());
     // Nor has one that is drawn once more, and it says so.
     for answer in [Occluded, Timeout] {
-        viewer.pretend_surface(context, &[answer]).unwrap();
+        viewer.composite_mut().pretend_surface(context, &[answer]).unwrap();
         let error = viewer.picture().unwrap_err();
         assert!(matches!(error, ViewerError::HiddenWindow), "{model:?} {answer:?}: {error}");
-        viewer.pretend_surface(context, &[answer]).unwrap();
+        viewer.composite_mut().pretend_surface(context, &[answer]).unwrap();
         let error = viewer.settled().err().unwrap();
         assert!(matches!(error, ViewerError::HiddenWindow), "{model:?} {answer:?}: {error}");
         assert!(viewer.picture().unwrap() == before, "{model:?} {answer:?}: it is seen again");
@@ -146,7 +146,7 @@ fn check(window: &Arc<Window>, model: ThreadingModel) -> bool {
         (&[Lost, Outdated, Outdated, Timeout], 2),
         (&[Suboptimal, Suboptimal, Suboptimal], 0),
     ] {
-        viewer.pretend_surface(context, answers).unwrap();
+        viewer.composite_mut().pretend_surface(context, answers).unwrap();
         let first = viewer.frame_stamp().frame + 1;
         (0..5).for_each(|_| viewer.frame().unwrap());
         viewer.finish().unwrap();
@@ -156,10 +156,10 @@ fn check(window: &Arc<Window>, model: ThreadingModel) -> bool {
         let empty = frames.iter().filter(|s| s.leaves == 0).count();
         assert_eq!((of_skipped, empty), (skipped, skipped as usize), "{model:?} {answers:?}");
         assert!(picture(&mut viewer, context) == before, "{model:?} {answers:?}");
-        assert_eq!(viewer.context(), Some(context), "its device is the same, and what is uploaded to it");
+        assert_eq!(viewer.view().context(), Some(context), "its device is the same, and what is uploaded to it");
     }
     // One that never comes back is an error after some frames, and no panic and no hang.
-    viewer.pretend_surface(context, &[Lost; 64]).unwrap();
+    viewer.composite_mut().pretend_surface(context, &[Lost; 64]).unwrap();
     let error = (0..40).find_map(|_| viewer.frame().and_then(|()| viewer.finish()).err()).unwrap();
     assert!(error.to_string().contains("still lost"), "{model:?}: {error}");
     println!("{model:?}: checked");

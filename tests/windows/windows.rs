@@ -191,7 +191,7 @@ impl Churn {
                 if self.random.below(2) == 0 {
                     self.orphans.extend(window);
                 }
-                assert!(self.viewer.close_context(context).unwrap());
+                assert!(self.viewer.composite_mut().close_context(context).unwrap());
             }
             // Only the context holds the window now.
             8..11 if !self.windows.is_empty() => {
@@ -216,7 +216,7 @@ impl Churn {
                 self.orphans.extend(windows.into_iter().filter_map(|(window, _)| window));
             }
             19..22 => self.orphans.clear(),
-            22 => self.viewer.stop_threading().unwrap(),
+            22 => self.viewer.composite_mut().stop_threading().unwrap(),
             _ => {}
         }
     }
@@ -238,10 +238,10 @@ impl ApplicationHandler for Churn {
         let model = ThreadingModel::ALL[self.random.below(4)];
         self.viewer.finish().unwrap();
         let start = Instant::now();
-        self.viewer.set_threading_model(model).unwrap();
-        self.viewer.start_threading().unwrap();
+        self.viewer.composite_mut().set_threading_model(model).unwrap();
+        self.viewer.composite_mut().start_threading().unwrap();
         self.times.push(start.elapsed());
-        assert_eq!(self.viewer.threading_model(), model);
+        assert_eq!(self.viewer.composite().threading_model(), model);
         for _ in 0..self.random.below(4) {
             self.change(event_loop);
             self.viewer.frame().unwrap();

@@ -106,7 +106,7 @@ fn fly(args: Box<FlyArgs>, mut settings: DisplaySettings) -> Result<()> {
         let mut viewer = Viewer::new_offscreen(&config)?;
         flight.open(&mut viewer, root)?;
         // Frames have the path's time.
-        viewer.announced = flight.path.clone();
+        viewer.view_mut().announced = flight.path.clone();
         while flight.before_frame(&mut viewer)? {
             viewer.frame_at(flight.time_s())?;
             flight.after_frame(&mut viewer)?;
@@ -289,36 +289,36 @@ impl Flight {
     /// Takes the set and places the first camera.
     fn open(&mut self, viewer: &mut Viewer, root: LoadedRoot) -> Result<()> {
         viewer.set_root(root)?;
-        viewer.camera.settings.max_sse_px = match self.args.sse {
+        viewer.view_mut().camera.settings.max_sse_px = match self.args.sse {
             Some(limit) => limit.0,
             None if viewer.is_height_set() => HEIGHT_SSE_PX,
             None => FOREIGN_SSE_PX,
         };
-        viewer.camera.settings.skip_sse_factor = self.args.skip_sse.map_or(1.0, |factor| factor.0);
-        viewer.camera.settings.lod_fade_s = self.args.lod_fade.0;
+        viewer.view_mut().camera.settings.skip_sse_factor = self.args.skip_sse.map_or(1.0, |factor| factor.0);
+        viewer.view_mut().camera.settings.lod_fade_s = self.args.lod_fade.0;
         if let Some(color) = self.args.background {
-            viewer.environment.sky = Sky::Background(color.0);
-            viewer.environment.fog.enabled = false;
+            viewer.view_mut().environment.sky = Sky::Background(color.0);
+            viewer.view_mut().environment.fog.enabled = false;
         }
         let bounds = *viewer.bounds().context("the set has no bounds")?;
         if self.args.check_holes {
-            viewer.environment.sky = Sky::Background(KEY_COLOR);
-            viewer.environment.fog.enabled = false;
+            viewer.view_mut().environment.sky = Sky::Background(KEY_COLOR);
+            viewer.view_mut().environment.fog.enabled = false;
             self.hole_check = HoleCheck::new(&bounds);
         }
         let first = match (&self.args.view, &self.path) {
             (None, Some(path)) => path.world_from_eye(path.first_s()),
             (view, _) => bounds.first_camera(&view.map_or(ViewFrom::default(), |v| v.0)),
         };
-        viewer.camera.world_from_eye = first;
+        viewer.view_mut().camera.world_from_eye = first;
         if let Some(sun) = self.args.sun {
-            viewer.environment.sun_direction = bounds.frame.direction(sun.azimuth, sun.height);
+            viewer.view_mut().environment.sun_direction = bounds.frame.direction(sun.azimuth, sun.height);
         }
-        viewer.environment.shadows = self.args.shadows.then(SunShadows::default);
-        viewer.environment.water = self.args.water.filter(|h| h.is_finite()).map(Water::at);
+        viewer.view_mut().environment.shadows = self.args.shadows.then(SunShadows::default);
+        viewer.view_mut().environment.water = self.args.water.filter(|h| h.is_finite()).map(Water::at);
         if let Some(stereo) = self.eyes {
             let fusion_distance_m = first.translation.distance(bounds.sphere.center);
-            viewer.set_stereo(Some(Stereo { fusion_distance_m, ..stereo }));
+            viewer.view_mut().set_stereo(Some(Stereo { fusion_distance_m, ..stereo }));
         }
         if self.path.is_none() {
             self.path = Some(bounds.default_path(&first));
@@ -378,12 +378,12 @@ impl Flight {
             last = next + 1 == self.frames;
             let time_s = self.time_s();
             if let Some(path) = &self.path {
-                viewer.camera.world_from_eye = path.world_from_eye(time_s);
+                viewer.view_mut().camera.world_from_eye = path.world_from_eye(time_s);
             }
         }
         if self.args.frames_dir.is_some() || self.hole_check.is_some() || (last && self.args.screenshot.is_some()) {
             viewer.want_picture();
-            self.cameras.push_back((viewer.frame_stamp().frame + 1, viewer.camera));
+            self.cameras.push_back((viewer.frame_stamp().frame + 1, viewer.view().camera));
         }
         Ok(true)
     }

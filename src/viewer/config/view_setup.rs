@@ -1,7 +1,7 @@
 //! [`ViewsSetup`]: several views in several windows, as a configuration file describes them.
 
 use super::window_setup::{CameraSetup, WindowSetup};
-use crate::viewer::home::ViewFrom;
+use crate::viewer::view::set_bounds::ViewFrom;
 
 /// A tile set that views show.
 #[derive(Clone, Debug, PartialEq, Eq)]

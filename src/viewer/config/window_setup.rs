@@ -2,9 +2,9 @@
 
 use glam::{DAffine3, DMat4};
 
-use crate::viewer::camera::ResizePolicy;
+use crate::viewer::view::camera::ResizePolicy;
 use crate::viewer::view::Eyes;
-use crate::viewer::viewport::Viewport;
+use crate::viewer::view::viewport::Viewport;
 
 /// The longest side that a window or a viewport may have, pixels.
 pub(super) const MAX_SIDE_PX: u32 = 16_384;

@@ -9,14 +9,14 @@ use crate::math::BoundingSphere;
 use crate::pager::{DatabasePager, ImagePager};
 use crate::scene::Scene;
 use crate::viewer::ViewerError;
-use crate::viewer::base::ViewerBase;
-use crate::viewer::home::SetBounds;
+use crate::viewer::frame::FrameLoop;
+use crate::viewer::view::set_bounds::SetBounds;
 use crate::viewer::manipulators::{CameraManipulator, ManipulatorView};
-use crate::viewer::paged_scene::PagedScene;
+use crate::viewer::paging::PagedScene;
 use crate::viewer::rendering::ThreadingModel;
-use crate::viewer::stats::StatsHistory;
+use crate::viewer::frame::StatsHistory;
 use crate::viewer::view::View;
-use crate::viewer::viewer::FrameStamp;
+use crate::viewer::frame::FrameStamp;
 
 /// Receives a captured image and the number of its frame.
 pub type OnPicture = Box<dyn FnOnce(u32, RgbaImage)>;
@@ -28,14 +28,14 @@ pub(in crate::viewer) fn manipulator_view<'a>(view: &'a View, paged: &'a PagedSc
         scene: paged.scene(),
         camera: &view.camera,
         size_px: view.size_px(),
-        bounds: paged.bounds.unwrap_or_else(|| SetBounds::from_sphere(unit)),
+        bounds: paged.bounds().copied().unwrap_or_else(|| SetBounds::from_sphere(unit)),
         ground: view.input.camera_motion.ground().map(|ground| ground as _),
     }
 }
 
 /// A view with its scene and its viewer, as event handlers see them. It dereferences to the [`View`].
 pub struct GuiActionAdapter<'a> {
-    pub(in crate::viewer) base: &'a mut ViewerBase,
+    pub(in crate::viewer) base: &'a mut FrameLoop,
     pub(in crate::viewer) view: &'a mut View,
     pub(in crate::viewer) paged: &'a mut PagedScene,
 }
@@ -67,7 +67,7 @@ impl GuiActionAdapter<'_> {
 
     /// Returns the image pager; `None` until an image sequence is added.
     pub fn image_pager(&self) -> Option<&ImagePager> {
-        self.paged.image_pager.as_ref()
+        self.paged.image_pager()
     }
 
     /// Returns the pager; `None` until a tile set is loaded.
@@ -77,17 +77,17 @@ impl GuiActionAdapter<'_> {
 
     /// Returns the bounds of the loaded tile set, or of the first root when there is no tile set.
     pub fn bounds(&self) -> Option<&SetBounds> {
-        self.paged.bounds.as_ref()
+        self.paged.bounds()
     }
 
     /// Returns the number and times of the current frame.
     pub fn frame_stamp(&self) -> FrameStamp {
-        self.base.stamp
+        self.base.stamp()
     }
 
     /// Returns the statistics of the frames so far.
     pub fn stats(&self) -> &StatsHistory {
-        &self.base.history
+        self.base.results().history()
     }
 
     /// Returns the threading model in use.
@@ -97,8 +97,7 @@ impl GuiActionAdapter<'_> {
 
     /// Changes the threading model; waits until all frames in flight are drawn.
     pub fn set_threading_model(&mut self, model: ThreadingModel) -> Result<(), ViewerError> {
-        self.base.absorb_all()?;
-        self.base.rendering.set_model(model)
+        self.base.set_threading_model(model)
     }
 
     /// Returns what manipulators may look at.
@@ -141,7 +140,7 @@ impl GuiActionAdapter<'_> {
 
     /// Moves the camera to the view's starting pose in the scene, from which the manipulator continues.
     pub(in crate::viewer) fn first_sight(&mut self) {
-        if let Some(bounds) = self.paged.bounds {
+        if let Some(bounds) = self.paged.bounds().copied() {
             self.view.first_sight(&bounds);
             let pose = self.view.camera.world_from_eye;
             self.with_manipulator(|manipulator, view| manipulator.set_pose(&pose, view));
@@ -151,7 +150,7 @@ impl GuiActionAdapter<'_> {
     /// Captures the image of the next frame (in the event phase: of this frame) and calls `then` with it. Does nothing
     /// while the master camera has no graphics context.
     pub fn capture(&mut self, then: OnPicture) {
-        let frame = self.base.stamp.frame + u32::from(!self.view.input.is_in_event_phase);
+        let frame = self.base.stamp().frame + u32::from(!self.view.input.is_in_event_phase);
         if let Some(context) = self.view.context() {
             self.base.capture(context, frame, then);
         }

@@ -2,7 +2,7 @@
 
 use glam::{DAffine3, DMat3, DQuat, DVec3};
 
-use crate::viewer::home::LocalFrame;
+use crate::viewer::view::set_bounds::LocalFrame;
 
 /// Returns the pose of an eye that looks `heading` radians clockwise from north and `pitch` radians above the horizon. Its up
 /// direction is defined even when it looks straight down.

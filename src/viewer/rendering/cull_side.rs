@@ -1,15 +1,15 @@
-//! [`CullSide`]: what culls one camera, on whatever thread the model gives it to.
+//! [`CullSide`]: culls one camera, on the thread that the threading model assigns.
 //!
-//! It owns the camera's visitor. The scene comes with each task as an `Arc` and is dropped before anybody is told that
-//! the cull is over, so that the main thread, once told, is again the only one to have it. Each camera has two render
-//! stages (the reference's two scene views): one is culled into while the other is drawn.
+//! It owns the camera's visitor. The scene arrives with each task as an `Arc` and is dropped before the outcome is sent, so
+//! that the main thread then has the only reference again. Each camera has two render stages (OSG's two scene views): one is
+//! culled into while the other is drawn.
 
 use std::sync::Arc;
 use std::time::Instant;
 
 use glam::DMat4;
 
-use super::millis;
+use super::millis::millis;
 use crate::cull::{CullCamera, CullCounters, CullVisitor, PageRequest, RenderStage, Stereo, StereoMode};
 use crate::draw::{BinCallback, CameraCallbacks, Environment};
 use crate::scene::{CameraTarget, ClampProjection, ComputeNearFar, DataVariance, OpaqueDrawData, Scene};
@@ -19,7 +19,7 @@ use crate::sync::primitives::channel::{Receiver, Sender, TryRecvError};
 use crate::timeline;
 use crate::viewer::Camera;
 
-/// Stages of a camera: one for cull, one for draw.
+/// The number of a camera's stages: one for cull, one for draw.
 pub(super) const SCENE_VIEWS: usize = 2;
 
 /// One cull of one camera.
@@ -27,42 +27,42 @@ pub(super) const SCENE_VIEWS: usize = 2;
 pub(in crate::viewer) struct CullTask {
     pub(in crate::viewer) scene: Arc<Scene>,
     pub(in crate::viewer) camera: CullCamera,
-    /// Gives the projection again once the nearest thing is known.
+    /// Computes the projection once the nearest object is known.
     pub(in crate::viewer) lens: Lens,
     pub(in crate::viewer) sight: Sight,
-    /// Sun, sky and fog of its picture.
+    /// Sun, sky and fog.
     pub(in crate::viewer) environment: Environment,
-    /// State above all roots.
+    /// The state set above all roots.
     pub(in crate::viewer) state_set: Option<Arc<StateSet>>,
-    /// What is called while its picture is drawn.
+    /// Callbacks while the camera is drawn.
     pub(in crate::viewer) callbacks: Option<OpaqueDrawData>,
-    /// Changes near and far where its settings have them computed.
+    /// Adjusts near and far where the settings compute them.
     pub(in crate::viewer) clamp_projection: Option<ClampProjection>,
-    /// Part of the context's target: x, y, width and height; `None`: all of it.
+    /// The part of the context's target as x, y, width and height in pixels; `None` is all of it.
     pub(in crate::viewer) viewport_px: Option<[u32; 4]>,
-    /// What draw does for the frame besides reads what update changes.
+    /// Draw reads data of this frame that update overwrites.
     pub(in crate::viewer) is_dynamic: bool,
-    /// Memory for the requests.
+    /// An empty vector for the requests, to use its memory again.
     pub(in crate::viewer) requests: Vec<PageRequest>,
 }
 
-/// With which eyes a camera sees.
+/// The eyes with which a camera is culled.
 #[derive(Clone)]
 pub(in crate::viewer) enum Sight {
-    /// One, its own.
+    /// A single eye in the middle.
     Middle,
-    /// One of two: 0 is the left one.
+    /// One eye of a pair; index 0 is the left one.
     One(Stereo, usize),
-    /// Two, whose pictures are drawn into targets and put together.
+    /// Both eyes, drawn into separate targets and then composed.
     Both(Stereo, [Arc<CameraTarget>; 2]),
 }
 
-/// What a camera sees through.
+/// The projection of a camera.
 #[derive(Clone, Copy)]
 pub(in crate::viewer) struct Lens {
     pub(in crate::viewer) camera: Camera,
     pub(in crate::viewer) size_px: [u32; 2],
-    /// Applied to clip space.
+    /// A transform of clip space.
     pub(in crate::viewer) offset: DMat4,
 }
 
@@ -72,28 +72,28 @@ impl Lens {
     }
 }
 
-/// What the main thread needs to know of a cull.
+/// The result of a cull, for the main thread.
 #[derive(Default)]
 pub(in crate::viewer) struct CullOutcome {
     pub(in crate::viewer) requests: Vec<PageRequest>,
     pub(in crate::viewer) counters: CullCounters,
     pub(in crate::viewer) cull_ms: f64,
-    /// Where the near plane is, metres.
+    /// Distance of the near plane in metres.
     pub(in crate::viewer) near_m: f64,
 }
 
-/// A stage on its way to draw.
+/// A culled stage for draw.
 pub(super) struct Culled {
-    /// Number of the camera that it goes back to; `None`: it came with its frame.
+    /// The camera that the stage is returned to; `None` for a stage that arrived with its frame.
     pub(super) camera: Option<u32>,
     pub(super) stage: RenderStage,
     pub(super) environment: Environment,
-    /// Draw completes the end of dynamic draws for it; cull has otherwise.
+    /// Draw signals the end of dynamic draws for it; otherwise cull has done so.
     pub(super) completes: bool,
 }
 
 impl CullTask {
-    /// Culls into a stage; the scene is dropped.
+    /// Culls into a stage and drops the scene.
     pub(in crate::viewer) fn run(self, visitor: &mut CullVisitor, stage: &mut RenderStage) -> CullOutcome {
         let start = Instant::now();
         let Self { scene, camera, lens, sight, environment, viewport_px, mut requests, .. } = self;
@@ -107,18 +107,18 @@ impl CullTask {
             Sight::Middle => {
                 visitor.cull(&scene, &camera, stage);
                 if !fits_itself {
-                    // The near plane of this very frame, from what cull has just found.
+                    // The near plane of this frame, from what cull has just found.
                     stage.set_projection(lens.clip_from_eye(lens.camera.near_for(stage.near_m)));
                 }
             }
-            Sight::One(stereo, place) => {
-                // In a picture of its own, whatever both would share.
+            Sight::One(stereo, index) => {
+                // An eye alone has a separate image, whatever the mode does with both.
                 let stereo = Stereo { mode: StereoMode::LeftEye, ..*stereo };
-                visitor.cull(&scene, &stereo.eyes(&camera)[*place], stage);
+                visitor.cull(&scene, &stereo.eyes(&camera)[*index], stage);
                 if !fits_itself {
                     let near_m = lens.camera.near_for(stage.near_m);
                     let camera = CullCamera { clip_from_eye: lens.clip_from_eye(near_m), ..camera };
-                    stage.set_projection(stereo.eyes(&camera)[*place].clip_from_eye);
+                    stage.set_projection(stereo.eyes(&camera)[*index].clip_from_eye);
                 }
             }
             Sight::Both(stereo, targets) => {
@@ -134,39 +134,39 @@ impl CullTask {
         }
         drop(scene);
         requests.clear();
-        // The stage goes to the draw thread; its requests stay for the next update.
+        // The stage goes to the draw thread; the requests stay here for the next update.
         std::mem::swap(&mut requests, &mut stage.requests);
         let near_m = stage.camera.clip_from_eye.w_axis.z;
         CullOutcome { requests, counters: stage.counters, cull_ms: millis(start.elapsed()), near_m }
     }
 }
 
-/// What culls one camera. Owned by the main thread, by the camera's thread or by its context's thread.
+/// Culls one camera. Owned by the main thread, by the camera's thread or by its device's thread.
 pub(super) struct CullSide {
     /// Number of the camera.
     pub(super) camera: u32,
     pub(super) visitor: CullVisitor,
-    /// From the main thread; holds one at most. Dropped before `outcomes`: who finds that gone has the scene back once
-    /// it drops its own end of this.
+    /// From the main thread; holds one task at most. The field is dropped before `outcomes`: once the main thread finds that
+    /// closed, dropping its own end of this channel releases the scene.
     pub(super) tasks: Receiver<CullTask>,
-    /// To the main thread, which takes each before it sends another task.
+    /// To the main thread, which takes each outcome before it sends another task.
     pub(super) outcomes: Sender<CullOutcome>,
-    /// Stages that draw has done with; never more than there are.
+    /// Stages that draw has returned.
     pub(super) available: Receiver<RenderStage>,
     /// To the thread that draws.
     pub(super) culled: Sender<Culled>,
-    /// The main thread waits at it at the end of the frame, in models that overlap frames.
+    /// The main thread waits here at the end of the frame, in models that overlap frames.
     pub(super) end_of_dynamic: Option<Arc<BlockCount>>,
 }
 
 impl CullSide {
-    /// Culls what there is to be culled; nothing where there is no task.
+    /// Culls the waiting task; does nothing without one.
     pub(super) fn cull(&mut self) {
         let task = match self.tasks.try_recv() {
             Ok(task) => task,
             Err(TryRecvError::Empty | TryRecvError::Disconnected) => return,
         };
-        // The main thread starts no frame before a stage is free; none comes where the thread that draws is gone.
+        // The main thread starts no frame before a stage is free. The channel is closed when the draw thread has died.
         let span = timeline::span("wait for stage");
         let available = self.available.recv();
         drop(span);
@@ -179,11 +179,11 @@ impl CullSide {
         let (is_dynamic, environment) = (task.is_dynamic, task.environment);
         let outcome = task.run(&mut self.visitor, &mut stage);
         let waits = self.end_of_dynamic.is_some() && (is_dynamic || has_dynamic_callbacks(&stage));
-        // Each fails only where the other end is gone, which shows there.
+        // Fails only when the receiving thread has died, which is reported there.
         let _ = self.outcomes.send(outcome);
-        let lost =
+        let is_lost =
             self.culled.send(Culled { camera: Some(self.camera), stage, environment, completes: waits }).is_err();
-        if !waits || lost {
+        if !waits || is_lost {
             self.completed();
         }
     }
@@ -195,7 +195,7 @@ impl CullSide {
     }
 }
 
-/// True when callbacks of the stage or of one around it read what update changes.
+/// True when callbacks of the stage, or of its pre- and post-render stages, read data that update overwrites.
 fn has_dynamic_callbacks(stage: &RenderStage) -> bool {
     CameraCallbacks::variance_of(&stage.target.callbacks) == DataVariance::Dynamic
         || BinCallback::are_dynamic(stage)

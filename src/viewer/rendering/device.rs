@@ -1,4 +1,4 @@
-//! [`DeviceHandle`]: the main thread's end of a device and its contexts, whatever thread owns them.
+//! [`DeviceHandle`]: the main thread's end of a device and its contexts, which a draw thread may own.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -6,42 +6,32 @@ use std::time::Duration;
 
 use image::RgbaImage;
 
-use super::draw_side::{DrawCommand, DrawSide, DrawSideEnds, FrameDone, FrameJob, Reply};
-use crate::gpu::{CompileBudget, CompileOperation, Compiled, ContextTraits, GpuError, GraphicsContext, SurfaceAnswer};
+use super::draw_side::{DrawSide, DrawSideEnds};
+use super::frame_job::{DrawCommand, FrameDone, FrameJob, Reply};
+use super::upload_ticket::UploadOwner;
+use crate::gpu::{CompileBudget, CompileOperation, Compiled, ContextTraits, GpuError, GraphicsContext};
 use crate::pager::{CompileContext, ImageChange};
 use crate::scene::{DrawKind, DrawSlot, Drawable, Mesh};
 use crate::sync::primitives::channel::{self, Receiver, RecvTimeoutError, Sender};
 use crate::sync::{Operation, OperationThread};
 use crate::viewer::ViewerError;
 
-/// Commands that may wait before the sender does; many small uploads fit between two frames.
+/// The length of the command queue; many small uploads fit between two frames.
 const COMMAND_QUEUE: usize = 1024;
 
-/// Most time for uploads between two frames at once, so that a frame sent after them does not wait longer.
-const MOST_COMPILING: Duration = Duration::from_millis(2);
+/// The time limit of uploads between two frames; a frame sent after them waits no longer than this.
+const MAX_UPLOAD_SLICE: Duration = Duration::from_millis(2);
 
-/// A frame that takes longer does not come.
-const MOST_WAIT: Duration = Duration::from_secs(5);
+/// Waiting for a frame in flight gives up after this time.
+const FRAME_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// Set in the tickets of pages that the application made; the rest are the pagers'.
-const OWN_TICKET: u64 = 1 << 63;
-
-/// Where in a ticket its scene is told; what the pager chose lies below.
-const OWNER_SHIFT: u32 = 48;
-const TICKET_MASK: u64 = (1 << OWNER_SHIFT) - 1;
-
-/// What tells the uploads of a scene from others.
-fn owner_bits(owner: u16, is_own: bool) -> u64 {
-    (u64::from(owner & 0x7fff) << OWNER_SHIFT) | if is_own { OWN_TICKET } else { 0 }
-}
-
-/// Who owns the device now.
+/// The owner of the device.
 enum Side {
     /// The main thread.
     Here(Box<DrawSide>),
-    /// A thread of its own.
+    /// The device's draw thread.
     Thread(OperationThread<DrawSide>),
-    /// Nobody any more: its thread panicked, or could not be started.
+    /// Lost: its thread panicked or could not be started.
     Lost,
 }
 
@@ -49,41 +39,42 @@ enum Side {
 struct ContextOnDevice {
     id: u32,
     size_px: [u32; 2],
-    /// Last frame that came back.
+    /// The last frame whose result has arrived.
     done_frame: u32,
 }
 
-/// Sends commands, takes answers, and is what the pager compiles through.
+/// Sends commands to a device, takes its answers, and gives pagers access to its upload queue. It has a field for each
+/// channel and for the state of each kind of answer.
 pub(in crate::viewer) struct DeviceHandle {
-    /// Of its first context, even once that was closed.
+    /// The number of its first context, even after that was closed.
     id: u32,
     /// In the order opened.
     contexts: Vec<ContextOnDevice>,
     side: Side,
-    /// It has failed to take a command, or to answer.
+    /// True once a command or an answer has failed.
     is_dead: bool,
-    /// It could not upload what it was to finish.
+    /// True when it could not finish its uploads.
     is_stuck: bool,
     commands: Sender<DrawCommand>,
     replies: Receiver<Reply>,
-    /// Read by the context's thread where it waits for a frame.
+    /// Read by the draw thread while it waits for a frame.
     stopping: Arc<AtomicBool>,
     compiled: Receiver<Compiled>,
-    /// Operations sent whose answers were not taken.
+    /// The number of uploads in flight.
     compiling: usize,
-    /// An upload between frames was sent and has not been done.
+    /// True while an upload between frames is queued; cleared by the draw thread.
     running_compiles: Arc<AtomicBool>,
-    /// Compiled and not asked for yet by those whose they are.
+    /// Finished uploads that their owners have not taken.
     arrived: Vec<Compiled>,
-    /// Pictures sent for and not yet back: one for each context of a frame.
+    /// Frame jobs in flight, one for each context of a frame.
     in_flight: usize,
-    /// Wait for every upload when the pager asks what is compiled: the blocking mode.
+    /// Waits for all uploads when results are taken, in the blocking mode.
     finish_compiles: bool,
     adapter_name: String,
 }
 
 impl DeviceHandle {
-    /// Takes a device with one context of a number; it is the main thread's until threads are started.
+    /// Takes a device with one context. The main thread owns it until threads are started.
     pub(super) fn new(id: u32, context: GraphicsContext, blocking: bool, frame: u32) -> Self {
         let contexts = vec![ContextOnDevice { id, size_px: context.size_px(), done_frame: frame }];
         let adapter_name = context.adapter_name();
@@ -118,22 +109,22 @@ impl DeviceHandle {
         }
     }
 
-    /// Never the same again; what uploads are known by.
+    /// The number of the device, which is never used again; draw slots of pages are kept under it.
     pub(in crate::viewer) fn number(&self) -> u32 {
         self.id
     }
 
-    /// Numbers of its contexts, in the order opened.
+    /// The numbers of its contexts, in the order opened.
     pub(super) fn context_ids(&self) -> impl Iterator<Item = u32> {
         self.contexts.iter().map(|context| context.id)
     }
 
-    /// Size of a context's target, or what it will be; `None` where it is another device's.
+    /// The size of a context's target after all commands; `None` when the context is another device's.
     pub(super) fn size_px(&self, context: u32) -> Option<[u32; 2]> {
         self.contexts.iter().find(|c| c.id == context).map(|c| c.size_px)
     }
 
-    /// Takes a context on the device, with no thread; `add` gives the device its target.
+    /// Adds a context while no thread runs; `add` adds its target to the device.
     pub(super) fn add_context(
         &mut self,
         id: u32,
@@ -148,7 +139,7 @@ impl DeviceHandle {
         Ok(())
     }
 
-    /// Closes a context with no thread, on a device that has died too; true where others are left.
+    /// Closes a context while no thread runs, also on a lost device. Returns false when it is the last one.
     pub(super) fn remove_context(&mut self, id: u32) -> bool {
         if self.contexts.len() <= 1 {
             return false;
@@ -160,22 +151,22 @@ impl DeviceHandle {
         true
     }
 
-    /// All of its contexts have drawn a frame.
+    /// True when all its contexts have drawn a frame.
     pub(super) fn is_done(&self, frame: u32) -> bool {
         self.contexts.iter().all(|context| context.done_frame >= frame)
     }
 
-    /// Name of the adapter that draws.
+    /// The name of the adapter.
     pub(super) fn adapter_name(&self) -> &str {
         &self.adapter_name
     }
 
-    /// Frames sent and not yet back.
+    /// The number of frames in flight.
     pub(in crate::viewer) fn in_flight(&self) -> usize {
         self.in_flight.div_ceil(self.contexts.len().max(1))
     }
 
-    /// What the main thread owns; `None` while a thread does.
+    /// Returns the draw side while the main thread owns it; `None` while a draw thread does.
     pub(super) fn here(&mut self) -> Option<&mut DrawSide> {
         match &mut self.side {
             Side::Here(side) => Some(side),
@@ -183,7 +174,7 @@ impl DeviceHandle {
         }
     }
 
-    /// Gives the context to a thread with operations to do again and again.
+    /// Starts the draw thread with the operations of its loop.
     pub(super) fn start(&mut self, operations: Vec<Arc<dyn Operation<DrawSide>>>) -> Result<(), ViewerError> {
         match std::mem::replace(&mut self.side, Side::Lost) {
             Side::Here(side) => {
@@ -200,31 +191,31 @@ impl DeviceHandle {
         }
     }
 
-    /// The thread takes no further operation.
+    /// Makes the thread end before its next operation.
     pub(super) fn end(&self) {
         if let Side::Thread(thread) = &self.side {
             thread.end();
         }
     }
 
-    /// Tells the thread to end; does not wait.
+    /// Ends and wakes the thread, without waiting for it.
     pub(super) fn cancel(&self) {
         if let Side::Thread(thread) = &self.side {
             self.stopping.store(true, Ordering::Release);
             thread.cancel();
-            // With a full queue the thread is awake, and looks at the flag.
+            // With a full queue the thread is awake and checks the flag.
             let _ = self.commands.try_send(DrawCommand::Wake);
         }
     }
 
-    /// Takes the context back from its thread, with what was left to do done.
+    /// Joins the thread, takes the device back and executes the commands that were left.
     pub(super) fn stop(&mut self) {
         self.cancel();
         self.side = match std::mem::replace(&mut self.side, Side::Lost) {
             Side::Thread(thread) => match thread.join() {
                 Ok(mut side) => {
                     side.catch_up();
-                    // What its thread did not draw never comes back.
+                    // Frames that the thread did not draw are never answered.
                     self.in_flight = self.in_flight.min(self.replies.len());
                     Side::Here(Box::new(side))
                 }
@@ -237,14 +228,14 @@ impl DeviceHandle {
         };
     }
 
-    /// Sends a frame's work in one of the contexts. Where the main thread owns the device, it draws once it has all.
+    /// Sends the job of one context. A device that the main thread owns draws once it has the jobs of all contexts.
     pub(in crate::viewer) fn frame(&mut self, job: FrameJob) -> Result<(), ViewerError> {
         self.send(DrawCommand::Frame(Box::new(job)))?;
         self.in_flight += 1;
         Ok(())
     }
 
-    /// Draws one frame that is not one of all contexts, with no other on its way.
+    /// Draws a frame of a single context, with no other frame in flight.
     pub(in crate::viewer) fn draw_alone(&mut self, job: FrameJob) -> Result<Box<FrameDone>, ViewerError> {
         debug_assert_eq!(self.in_flight, 0, "frames in flight would answer first");
         self.frame(job)?;
@@ -255,7 +246,7 @@ impl DeviceHandle {
         self.wait_done()?.ok_or(ViewerError::DrawThreadStopped)
     }
 
-    fn came(&mut self, reply: Reply) -> Option<Box<FrameDone>> {
+    fn take_reply(&mut self, reply: Reply) -> Option<Box<FrameDone>> {
         match reply {
             Reply::Frame(done) => {
                 self.in_flight = self.in_flight.saturating_sub(1);
@@ -264,84 +255,83 @@ impl DeviceHandle {
                 }
                 Some(done)
             }
-            // Images and finished compiles are taken by those who asked, once no frame is in flight before them.
+            // Requests for these replies are sent while no frame is in flight, and their senders wait for them.
             Reply::Image(_) | Reply::CompilesFinished { .. } => None,
         }
     }
 
-    /// A frame that came back, if one has.
+    /// Takes the result of a frame if one has arrived.
     pub(in crate::viewer) fn try_done(&mut self) -> Option<Box<FrameDone>> {
         let reply = self.replies.try_recv().ok()?;
-        self.came(reply)
+        self.take_reply(reply)
     }
 
-    /// Waits a while for the next frame to come back.
+    /// Waits for the result of the next frame for a limited time.
     pub(in crate::viewer) fn wait_done_for(
         &mut self,
-        patience: Duration,
+        timeout: Duration,
     ) -> Result<Option<Box<FrameDone>>, ViewerError> {
-        match self.replies.recv_timeout(patience) {
-            Ok(reply) => Ok(self.came(reply)),
+        match self.replies.recv_timeout(timeout) {
+            Ok(reply) => Ok(self.take_reply(reply)),
             Err(RecvTimeoutError::Timeout) => Ok(None),
             Err(RecvTimeoutError::Disconnected) => Err(ViewerError::DrawThreadStopped),
         }
     }
 
-    /// Waits for the next frame to come back; `None` when none is on its way.
+    /// Waits for the result of the next frame; `None` when none is in flight.
     pub(in crate::viewer) fn wait_done(&mut self) -> Result<Option<Box<FrameDone>>, ViewerError> {
         if self.in_flight == 0 {
             return Ok(None);
         }
         match self.replies.recv() {
-            Ok(reply) => Ok(self.came(reply)),
+            Ok(reply) => Ok(self.take_reply(reply)),
             Err(_) => Err(ViewerError::DrawThreadStopped),
         }
     }
 
-    /// Uploads what the application made itself, under a number of its scene's.
+    /// Uploads a page of the application. `owner` stands for its scene, `number` for the page.
     pub(super) fn compile_own(&mut self, owner: u16, number: u32, drawables: Vec<Drawable>) -> Result<(), ViewerError> {
-        let ticket = owner_bits(owner, true) | u64::from(number);
+        let ticket = UploadOwner::Pages(owner).mark(u64::from(number));
         self.compiling += 1;
         self.send(DrawCommand::Compile(CompileOperation { ticket, drawables }))
     }
 
-    /// Makes what drawables that come need to be drawn, before the frames that draw them.
+    /// Creates the pipelines for kinds of drawables before the frames that draw them.
     pub(in crate::viewer) fn prewarm(&mut self, kinds: &Arc<[DrawKind]>) {
         if !kinds.is_empty() {
-            // A draw thread that has ended shows at the next frame.
+            // An error of the draw thread is reported by the next frame.
             let _ = self.send(DrawCommand::Prewarm(kinds.clone()));
         }
     }
 
-    /// Uploads what a scene's pager asks for.
+    /// Uploads drawables for a pager.
     pub(super) fn compile(&mut self, owner: u16, operation: CompileOperation) {
-        let ticket = owner_bits(owner, false) | (operation.ticket & TICKET_MASK);
+        let ticket = UploadOwner::Pager(owner).mark(operation.ticket);
         self.compiling += 1;
-        // A draw thread that has ended shows at the next frame.
+        // An error of the draw thread is reported by the next frame.
         let _ = self.send(DrawCommand::Compile(CompileOperation { ticket, ..operation }));
     }
 
-    /// Ends what a scene's pager does not want any more and is not begun; it is answered all the same.
+    /// Cancels uploads of a pager that have not begun. They are answered all the same.
     pub(super) fn cancel_compiles(&mut self, owner: u16, tickets: &[u64]) {
-        let bits = owner_bits(owner, false);
-        let tickets = tickets.iter().map(|ticket| bits | (ticket & TICKET_MASK)).collect();
-        // A draw thread that has ended shows at the next frame.
+        let tickets = tickets.iter().map(|ticket| UploadOwner::Pager(owner).mark(*ticket)).collect();
+        // An error of the draw thread is reported by the next frame.
         let _ = self.send(DrawCommand::CancelCompiles(tickets));
     }
 
-    /// Uploads between two frames. On a draw thread this waits behind the frames sent before.
+    /// Uploads between two frames. A draw thread first draws the frames that were sent before.
     pub(super) fn run_compiles(&mut self, budget: &CompileBudget) {
         if self.compiling > 0 && !self.running_compiles.swap(true, Ordering::AcqRel) {
-            let budget = CompileBudget { time: budget.time.min(MOST_COMPILING), ..*budget };
-            // A draw thread that has ended shows at the next frame.
+            let budget = CompileBudget { time: budget.time.min(MAX_UPLOAD_SLICE), ..*budget };
+            // An error of the draw thread is reported by the next frame.
             let _ = self.send(DrawCommand::RunCompiles(budget));
         }
     }
 
-    /// Waits until all that was sent to be uploaded is, unless a frame is in flight, or the device is lost.
+    /// Waits for all uploads, unless a frame is in flight or the device is lost.
     pub(super) fn end_compiles(&mut self, waits_for_memory: bool) {
         self.is_stuck = false;
-        // Answers come in order, so frames in flight would have to be taken first; the blocking mode has none.
+        // Answers arrive in order, so frames in flight would be answered first; the blocking mode has none.
         let finish = DrawCommand::FinishCompiles { waits_for_memory };
         if self.compiling > 0 && self.in_flight == 0 && self.send(finish).is_ok() {
             match self.replies.recv() {
@@ -351,38 +341,37 @@ impl DeviceHandle {
         }
     }
 
-    /// What was uploaded for a scene: for its own pages, with their numbers, or for its pager.
-    pub(super) fn take_compiled(&mut self, owner: u16, is_own: bool) -> Vec<Compiled> {
+    /// Takes the finished uploads of an owner, with its own tickets.
+    pub(super) fn take_compiled(&mut self, owner: UploadOwner) -> Vec<Compiled> {
         if self.finish_compiles {
             self.end_compiles(false);
         }
         let before = self.arrived.len();
         self.arrived.extend(self.compiled.try_iter());
         self.compiling = self.compiling.saturating_sub(self.arrived.len() - before);
-        let bits = owner_bits(owner, is_own);
-        let of_owner = self.arrived.extract_if(.., |c| c.ticket & !TICKET_MASK == bits);
-        of_owner.map(|c| Compiled { ticket: c.ticket & TICKET_MASK, ..c }).collect()
+        let of_owner = self.arrived.extract_if(.., |compiled| owner.owns(compiled.ticket));
+        of_owner.map(|c| Compiled { ticket: UploadOwner::ticket(c.ticket), ..c }).collect()
     }
 
     /// Frees slots after the last frame that draws them.
     pub(super) fn release(&mut self, slots: Vec<DrawSlot>) {
         if !slots.is_empty() {
-            // As above.
+            // An error of the draw thread is reported by the next frame.
             let _ = self.send(DrawCommand::Release(slots));
         }
     }
 
-    /// Puts another mesh in the place of a drawable's, from the next frame on.
+    /// Replaces the mesh of a drawable from the next frame on.
     pub(in crate::viewer) fn rewrite(&mut self, slot: DrawSlot, mesh: Arc<Mesh>) -> Result<(), ViewerError> {
         self.send(DrawCommand::Rewrite { slot, mesh })
     }
 
-    /// Another image for a texture, from the next frame on.
+    /// Shows an image in a texture from the next frame on.
     pub(in crate::viewer) fn show(&mut self, change: ImageChange) -> Result<(), ViewerError> {
         self.send(DrawCommand::Show(change))
     }
 
-    /// The target of a context has a new size.
+    /// Resizes the target of a context.
     pub(in crate::viewer) fn resize(&mut self, context: u32, size_px: [u32; 2]) -> Result<(), ViewerError> {
         if let Some(of) = self.contexts.iter_mut().find(|c| c.id == context) {
             of.size_px = size_px;
@@ -390,30 +379,33 @@ impl DeviceHandle {
         self.send(DrawCommand::Resize { context, size_px })
     }
 
-    /// Frames of a context wait for the screen, or not.
+    /// Sets whether a context waits for the vertical blank.
     pub(in crate::viewer) fn set_vsync(&mut self, context: u32, vsync: bool) -> Result<(), ViewerError> {
         self.send(DrawCommand::SetVsync { context, vsync })
     }
 
-    /// The device goes.
+    /// Loses the device as if the driver had lost it.
+    #[cfg(feature = "testing")]
     pub(in crate::viewer) fn lose_device(&mut self) -> Result<(), ViewerError> {
         self.send(DrawCommand::LoseDevice)
     }
 
-    /// What a window's surface answers next.
+    /// Sets the next answers of a window's surface.
+    #[cfg(feature = "testing")]
     pub(in crate::viewer) fn pretend_surface(
         &mut self,
         context: u32,
-        answers: &[SurfaceAnswer],
+        answers: &[crate::gpu::SurfaceAnswer],
     ) -> Result<(), ViewerError> {
         self.send(DrawCommand::PretendSurface { context, answers: answers.to_vec() })
     }
 
-    /// Waits for the frames under way, whatever became of them. One whose threads have ended never comes.
+    /// Waits for all frames in flight, drawn or lost. Gives up after a timeout, since a frame whose thread died is never
+    /// answered.
     pub(super) fn end_frames(&mut self) -> Result<Vec<FrameDone>, ViewerError> {
         let mut done = Vec::new();
         while self.in_flight > 0
-            && let Some(frame) = self.wait_done_for(MOST_WAIT)?
+            && let Some(frame) = self.wait_done_for(FRAME_TIMEOUT)?
         {
             done.push(*frame);
         }
@@ -421,11 +413,11 @@ impl DeviceHandle {
         Ok(done)
     }
 
-    /// Takes a new device where the old one is lost, with no thread and no frame under way; false where it is not.
+    /// Replaces the device if it is lost, with no thread and no frame in flight. Returns false if it is not lost.
     pub(super) fn renew(&mut self) -> Result<bool, ViewerError> {
         let renewed = self.here().ok_or(ViewerError::DrawThreadStopped)?.renew()?;
         if renewed {
-            // What was uploaded to the old one is of no use.
+            // Uploads to the old device are void.
             while self.compiled.try_recv().is_ok() {}
             self.arrived.clear();
             self.compiling = 0;
@@ -433,7 +425,7 @@ impl DeviceHandle {
         Ok(renewed)
     }
 
-    /// The picture of a context's last frame; the caller has taken all frames in flight before.
+    /// Reads back the last frame of a context; no frame may be in flight.
     pub(in crate::viewer) fn read_back(&mut self, context: u32) -> Result<RgbaImage, ViewerError> {
         debug_assert_eq!(self.in_flight, 0, "frames in flight would answer first");
         self.send(DrawCommand::ReadBack { context })?;
@@ -457,10 +449,10 @@ impl DeviceHandle {
     }
 }
 
-/// A device as the pager of one scene sees it.
+/// A device as one pager sees it.
 pub(super) struct DeviceOfScene<'a> {
     pub(super) handle: &'a mut DeviceHandle,
-    /// Tells the scene's uploads from others.
+    /// The owner number of the pager.
     pub(super) owner: u16,
 }
 
@@ -486,7 +478,7 @@ impl CompileContext for DeviceOfScene<'_> {
     }
 
     fn take_compiled(&mut self) -> Vec<Compiled> {
-        self.handle.take_compiled(self.owner, false)
+        self.handle.take_compiled(UploadOwner::Pager(self.owner))
     }
 
     fn release(&mut self, slots: Vec<DrawSlot>) {

@@ -1,11 +1,11 @@
-//! [`ThreadingModel`]: which thread culls and which draws.
+//! [`ThreadingModel`]: the threads that cull and draw.
 
 /// The environment variable that names a model for [`ThreadingModel::AutomaticSelection`].
 pub const THREADING_VARIABLE: &str = "TERRANE_THREADING";
 
-/// Which thread culls and which draws; the reference's four models.
+/// The threads that cull and draw; OSG's four models.
 ///
-/// Two contexts with one camera each; `=` is a barrier that all threads across it meet at, `#` the end of dynamic draws
+/// The diagrams show two contexts with one camera each; `=` is a barrier of all threads that it crosses, `#` the end of dynamic draws
 /// (see [`DataVariance`](crate::scene::DataVariance)), `s` the swap-ready barrier of the contexts' threads, `p` present.
 ///
 /// ```text
@@ -29,24 +29,24 @@ pub const THREADING_VARIABLE: &str = "TERRANE_THREADING";
 ///   draw 0                       | draw 0   |s|p|   | draw 0   |s|p|
 ///   draw 1                      | draw 1    |s|p|  | draw 1    |s|p|
 /// ```
-/// In all of them one frame draws the same picture.
+/// All models draw the same images.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum ThreadingModel {
     /// Everything on the main thread, in order: the easiest to debug.
     SingleThreaded,
-    /// One thread a context culls its cameras and draws them; the main thread waits until all have shown the frame.
+    /// One thread per context culls and draws its cameras; the main thread waits until all have presented the frame.
     CullDrawThreadPerContext,
-    /// The main thread culls, one thread a context draws: drawing a frame overlaps update and cull of the next.
+    /// The main thread culls, one thread per context draws. Drawing a frame overlaps update and cull of the next.
     DrawThreadPerContext,
-    /// One thread a camera culls, one thread a context draws: cameras are culled at the same time, and drawing overlaps.
+    /// One thread per camera culls, one thread per context draws. Cameras are culled in parallel, and drawing overlaps.
     CullThreadPerCameraDrawThreadPerContext,
-    /// What [`THREADING_VARIABLE`] names, or else [`Self::suggest_best`].
+    /// The model that [`THREADING_VARIABLE`] names, or the result of [`Self::suggest_best`].
     #[default]
     AutomaticSelection,
 }
 
 impl ThreadingModel {
-    /// The four that can run.
+    /// The four models that can run.
     pub const ALL: [Self; 4] = [
         Self::SingleThreaded,
         Self::CullDrawThreadPerContext,
@@ -54,7 +54,7 @@ impl ThreadingModel {
         Self::CullThreadPerCameraDrawThreadPerContext,
     ];
 
-    /// The reference's name of it.
+    /// Returns OSG's name of the model.
     pub const fn name(self) -> &'static str {
         match self {
             Self::SingleThreaded => "SingleThreaded",
@@ -65,7 +65,7 @@ impl ThreadingModel {
         }
     }
 
-    /// The model for so many contexts, cameras and processor cores, as the reference chooses it.
+    /// Returns the best model for a number of contexts, cameras and processor cores, by OSG's rule.
     pub fn suggest_best(contexts: usize, cameras: usize, cores: usize) -> Self {
         match contexts {
             0 => Self::SingleThreaded,
@@ -76,7 +76,7 @@ impl ThreadingModel {
         }
     }
 
-    /// What the environment asks for; `None` where it says nothing.
+    /// Reads [`THREADING_VARIABLE`]; `None` when it is not set or empty.
     pub fn from_environment() -> Result<Option<Self>, String> {
         match std::env::var(THREADING_VARIABLE) {
             Ok(name) if name.trim().is_empty() => Ok(None),
@@ -86,7 +86,7 @@ impl ThreadingModel {
         }
     }
 
-    /// The model that runs when this one is asked for.
+    /// Resolves [`Self::AutomaticSelection`] to a model that can run.
     pub(in crate::viewer) fn resolved(self, contexts: usize, cameras: usize) -> Result<Self, String> {
         if self != Self::AutomaticSelection {
             return Ok(self);
@@ -134,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn the_best_model_depends_on_contexts_cameras_and_cores() {
+    fn best_model_depends_on_contexts_cameras_and_cores() {
         use ThreadingModel as M;
         assert_eq!(M::suggest_best(0, 0, 8), M::SingleThreaded);
         assert_eq!(M::suggest_best(1, 1, 1), M::SingleThreaded);

@@ -1,4 +1,4 @@
-//! What the threads of cameras and contexts do again and again, as operations in their queues.
+//! The loops of the threads of cameras and contexts, as operations in their queues.
 //!
 //! ```text
 //! CullDrawThreadPerContext                   context: await frame, start barrier, render, swap ready, swap, end barrier
@@ -6,8 +6,7 @@
 //! CullThreadPerCameraDrawThreadPerContext    context: await frame, render, swap ready, swap
 //!                                            camera:  start barrier, cull
 //! ```
-//! A context's thread waits for its frame where it can upload meanwhile, so that between two frames it is not the start
-//! barrier that it waits at.
+//! Between two frames a context's thread waits in "await frame", where it can upload, and not at the start barrier.
 
 use std::sync::Arc;
 
@@ -16,11 +15,11 @@ use super::draw_side::DrawSide;
 use crate::sync::{Barrier, BlockCount, Operation};
 use crate::timeline;
 
-/// A step of a context's thread.
+/// A step in the loop of a context's thread.
 pub(super) struct Step {
     pub(super) name: &'static str,
     pub(super) run: fn(&mut DrawSide),
-    /// Opened when the thread ends, as nobody completes it then.
+    /// Released when the thread ends, since it is not completed then.
     pub(super) end_of_dynamic: Option<Arc<BlockCount>>,
 }
 
@@ -45,7 +44,7 @@ impl Operation<DrawSide> for Step {
     }
 }
 
-/// Keeps a thread on a core, once, as its first operation.
+/// Pins a thread to a core, as its first operation.
 pub(super) struct Pin(pub(super) core_affinity::CoreId);
 
 impl<T> Operation<T> for Pin {
@@ -55,19 +54,20 @@ impl<T> Operation<T> for Pin {
 
     fn run(&self, _: &mut T) {
         if !core_affinity::set_for_current(self.0) {
-            log::warn!("the system does not keep a thread on core {}", self.0.id);
+            log::warn!("cannot pin a thread to core {}", self.0.id);
         }
     }
 }
 
-/// The cores for the threads of a model in turn, leaving the first to the main thread; none where there is but one.
+/// Returns the cores for the threads of a model, in turn, without the first core, which the main thread uses. Empty on a
+/// single core.
 pub(super) fn pins() -> impl Iterator<Item = core_affinity::CoreId> {
     let cores = core_affinity::get_core_ids().unwrap_or_default();
     let spare: Vec<_> = cores.into_iter().skip(1).collect();
     (0..).map_while(move |i: usize| spare.get(i % spare.len().max(1)).copied())
 }
 
-/// A barrier that threads meet at.
+/// A barrier in the loop of the contexts' threads.
 pub(super) struct BarrierOperation {
     pub(super) name: &'static str,
     pub(super) barrier: Arc<Barrier>,
@@ -83,7 +83,7 @@ impl Operation<DrawSide> for BarrierOperation {
     }
 
     fn run(&self, side: &mut DrawSide) {
-        // Woken without a frame there is nobody to meet.
+        // A thread that was woken without a frame would wait for the others forever.
         if side.meets_others {
             let _span = timeline::span(self.name);
             self.barrier.block();
@@ -95,7 +95,7 @@ impl Operation<DrawSide> for BarrierOperation {
     }
 }
 
-/// Where the threads of cameras wait for the frame.
+/// The barrier at which the threads of cameras wait for the frame.
 pub(super) struct StartOfCull(pub(super) Arc<Barrier>);
 
 impl Operation<CullSide> for StartOfCull {
@@ -117,7 +117,7 @@ impl Operation<CullSide> for StartOfCull {
     }
 }
 
-/// One cull of a camera's thread.
+/// The cull in the loop of a camera's thread.
 pub(super) struct Cull(pub(super) Option<Arc<BlockCount>>);
 
 impl Operation<CullSide> for Cull {

@@ -1,11 +1,13 @@
-//! Starting and stopping the threads of a model. Main thread, between frames, with no frame on its way.
+//! Starts and stops the threads of a model. Main thread, between frames, with no frame in flight.
 
 use std::sync::Arc;
 
 use super::cull_side::CullSide;
+use super::device::DeviceHandle;
 use super::draw_side::DrawSide;
+use super::model::ThreadingModel;
 use super::operations::{BarrierOperation, Cull, Pin, StartOfCull, Step, pins};
-use super::{CameraSide, DeviceHandle, Rendering, Running, ThreadingModel};
+use super::stage::{CameraSide, Rendering, Running};
 use crate::sync::{Barrier, BlockCount, Operation, OperationThread};
 use crate::viewer::ViewerError;
 
@@ -15,18 +17,18 @@ fn overlaps(model: ThreadingModel) -> bool {
 }
 
 impl Rendering {
-    /// The model that runs, or would.
+    /// The model that runs, or would run.
     pub(in crate::viewer) fn model(&self) -> ThreadingModel {
         match &self.running {
             Some(running) => running.model,
-            // What the environment says was looked at when the model was set.
+            // `set_model` has checked the environment variable.
             None => {
                 self.model.resolved(self.devices.len(), self.cameras.len()).unwrap_or(ThreadingModel::SingleThreaded)
             }
         }
     }
 
-    /// Has another model from the next frame on; no frame may be on its way.
+    /// Sets the model from the next frame on; no frame may be in flight.
     pub(in crate::viewer) fn set_model(&mut self, model: ThreadingModel) -> Result<(), ViewerError> {
         model.resolved(self.devices.len(), self.cameras.len()).map_err(ViewerError::Setting)?;
         self.stop_threads();
@@ -34,12 +36,12 @@ impl Rendering {
         Ok(())
     }
 
-    /// True while update may run beside draw.
+    /// True when update may run in parallel with draw.
     pub(in crate::viewer) fn overlaps(&self) -> bool {
         overlaps(self.model())
     }
 
-    /// Starts the model's threads where they do not run.
+    /// Starts the model's threads unless they run.
     pub(in crate::viewer) fn start_threads(&mut self) -> Result<(), ViewerError> {
         if self.running.is_some() {
             return Ok(());
@@ -81,7 +83,7 @@ impl Rendering {
         started
     }
 
-    /// A context's thread culls its cameras itself.
+    /// Moves the cameras to the threads of their contexts, which cull them.
     fn give_cameras_to_contexts(&mut self) {
         for camera in &mut self.cameras {
             let context = self.devices.iter_mut().find(|c| c.size_px(camera.context).is_some());
@@ -100,7 +102,7 @@ impl Rendering {
         end_of_dynamic: Option<&Arc<BlockCount>>,
     ) -> Result<(), ViewerError> {
         let swap_ready = Arc::new(Barrier::new(self.devices.len()));
-        let mut cores = self.keeps_cores.then(pins).into_iter().flatten();
+        let mut cores = self.pins_threads.then(pins).into_iter().flatten();
         for context in &mut self.devices {
             let step = |name, run: fn(&mut DrawSide)| -> Arc<dyn Operation<DrawSide>> {
                 Arc::new(Step { name, run, end_of_dynamic: end_of_dynamic.cloned() })
@@ -126,8 +128,8 @@ impl Rendering {
         start: Option<&Arc<Barrier>>,
         end_of_dynamic: Option<&Arc<BlockCount>>,
     ) -> Result<(), ViewerError> {
-        // After the contexts' cores.
-        let mut cores = self.keeps_cores.then(pins).into_iter().flatten().skip(self.devices.len());
+        // The first cores are those of the contexts.
+        let mut cores = self.pins_threads.then(pins).into_iter().flatten().skip(self.devices.len());
         for camera in &mut self.cameras {
             camera.side = match std::mem::replace(&mut camera.side, CameraSide::Lost) {
                 CameraSide::Here(side) => {
@@ -146,8 +148,7 @@ impl Rendering {
         Ok(())
     }
 
-    /// Ends all threads and takes back what they owned. Waits for what they are doing; frames still on their way are
-    /// not drawn.
+    /// Ends all threads and takes back what they owned. Waits for their current operations; frames in flight are dropped.
     pub(in crate::viewer) fn stop_threads(&mut self) {
         if self.running.take().is_none() {
             return;
@@ -158,12 +159,12 @@ impl Rendering {
                 _ => None,
             })
         };
-        // All of them before any: a barrier that is let go for one is let go for all that meet at it.
+        // All threads get the signal before any is woken: a barrier that is released for one is released for all.
         camera_threads().for_each(OperationThread::end);
         self.devices.iter().for_each(DeviceHandle::end);
         camera_threads().for_each(OperationThread::cancel);
         self.devices.iter().for_each(DeviceHandle::cancel);
-        // What culls first: a context's thread may wait for its stages.
+        // Culling threads are joined first, because a context's thread may wait for their stages.
         for camera in &mut self.cameras {
             camera.side = match std::mem::replace(&mut camera.side, CameraSide::Lost) {
                 CameraSide::Thread(thread) => match thread.join() {
@@ -197,7 +198,7 @@ impl Rendering {
 }
 
 impl Drop for Rendering {
-    /// The context is dropped on the main thread, as its window is there.
+    /// Ends the threads, so that contexts are dropped on the main thread, where their windows are.
     fn drop(&mut self) {
         self.stop_threads();
     }

@@ -1,7 +1,7 @@
 //! Fills a [`Report`] from the statistics of its frames.
 
 use super::schema::{Bytes, DrawMedians, FrameTimes, Phases, Report, Tiles, Times};
-use crate::viewer::stats::{FrameStats, Samples};
+use crate::viewer::frame::{FrameStats, Samples};
 
 impl Times {
     fn of(values: impl IntoIterator<Item = f64>) -> Self {

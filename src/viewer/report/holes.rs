@@ -8,8 +8,8 @@ use glam::{DMat3, DVec3};
 use image::RgbaImage;
 
 use crate::math::{BoundingVolume, OrientedBox, Region, WGS84};
-use crate::viewer::camera::Camera;
-use crate::viewer::home::SetBounds;
+use crate::viewer::view::camera::Camera;
+use crate::viewer::view::set_bounds::SetBounds;
 
 /// The background colour while holes or coverage are counted, sRGB.
 pub const KEY_COLOR: [u8; 3] = [255, 0, 255];
@@ -133,7 +133,7 @@ fn ellipsoid_hit(eye: DVec3, direction: DVec3, height_m: f64) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::viewer::home::ViewFrom;
+    use crate::viewer::ViewFrom;
 
     fn check(bounds: &SetBounds) {
         let check = HoleCheck::new(bounds).unwrap();

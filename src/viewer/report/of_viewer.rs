@@ -41,14 +41,14 @@ impl Images {
 impl Viewer {
     /// Returns the report on all frames so far; waits for the frames in flight.
     pub fn report(&mut self) -> Result<Report, ViewerError> {
-        self.base.absorb_all()?;
-        let mut report = Report::from_frames(self.base.history.iter());
-        report.frames = self.base.history.count();
-        report.adapter = self.adapter_name().to_owned();
-        report.threading = self.threading_model().to_string();
-        report.size = self.size_px();
-        report.converge_s = self.converge_s;
-        report.bytes.gpu_peak = self.base.gpu_bytes_peak;
+        self.finish()?;
+        let mut report = Report::from_frames(self.stats().iter());
+        report.frames = self.stats().count();
+        report.adapter = self.composite().adapter_name().to_owned();
+        report.threading = self.composite().threading_model().to_string();
+        report.size = self.view().size_px();
+        report.converge_s = self.converge_s();
+        report.bytes.gpu_peak = self.composite().gpu_bytes_peak();
         if let Some(pager) = self.pager() {
             let s = pager.stats();
             report.tiles = Tiles {
@@ -82,7 +82,7 @@ impl Viewer {
             report.errors.extend(images.errors().into_iter().map(record));
         }
         let draw_error = |reason: &String| ReportError { uri: "draw".into(), reason: reason.clone(), count: 1 };
-        report.errors.extend(self.base.draw_errors.iter().map(draw_error));
+        report.errors.extend(self.composite().draw_errors().iter().map(draw_error));
         Ok(report)
     }
 }

@@ -55,15 +55,15 @@ fn measure(
         })
         .collect();
     viewer.add_root(Page::from_node(grid.build(&sets))?)?;
-    viewer.environment.sky = Sky::Background([51, 51, 102]);
-    viewer.environment.fog = Fog { enabled: false, density_per_m: 0.0 };
+    viewer.view_mut().environment.sky = Sky::Background([51, 51, 102]);
+    viewer.view_mut().environment.fog = Fog { enabled: false, density_per_m: 0.0 };
     let camera = grid.camera(view);
-    viewer.camera.world_from_eye = camera.eye_from_world.inverse();
+    viewer.view_mut().camera.world_from_eye = camera.eye_from_world.inverse();
     if every_leaf {
-        let CullingMode(culling) = viewer.camera.settings.culling;
-        viewer.camera.settings.culling = CullingMode(culling & !CullingMode::SAMPLES.0);
+        let CullingMode(culling) = viewer.view().camera.settings.culling;
+        viewer.view_mut().camera.settings.culling = CullingMode(culling & !CullingMode::SAMPLES.0);
     }
-    viewer.camera.field_of_view = FieldOfView::Vertical(std::f64::consts::FRAC_PI_3);
+    viewer.view_mut().camera.field_of_view = FieldOfView::Vertical(std::f64::consts::FRAC_PI_3);
     // Until everything is uploaded and the driver has compiled its shaders.
     let expected = if matches!(view, View::All) { cells } else { 1 };
     let patience = Instant::now() + Duration::from_secs(120);
@@ -93,7 +93,7 @@ fn measure(
         "bench": "terrane_frame", "n": cells, "statesets": state_sets,
         "view": match view { View::Tenth => "tenth", View::All => "all", View::Tilted => "tilted" },
         "geometry": "pooled", "threading": threading.to_string(), "frames": times.len(), "leaves": leaves, "unsampled_leaves": unsampled,
-        "adapter": viewer.adapter_name(),
+        "adapter": viewer.composite().adapter_name(),
         "frame_mean_ms": round(mean * 1e3), "frame_p50_ms": round(percentile(&mut times, 0.5) * 1e3),
         "frame_p95_ms": round(percentile(&mut times, 0.95) * 1e3),
         "frame_max_ms": round(percentile(&mut times, 1.0) * 1e3),

@@ -66,10 +66,10 @@ fn viewer(moved: u32, threading: ThreadingModel) -> Result<Viewer> {
     let root = viewer.add_root(root()?)?;
     let center = DVec3::new(f64::from(SIDE), f64::from(LEAVES / SIDE), 0.0) * 0.5;
     let height = 1.2 * f64::from(SIDE.max(LEAVES / SIDE));
-    viewer.camera.look_at(center + DVec3::new(0.0, 0.0, height), center, DVec3::Y);
+    viewer.view_mut().camera.look_at(center + DVec3::new(0.0, 0.0, height), center, DVec3::Y);
     // Sample culling would leave most of these small triangles out of the draw that is measured.
-    let culling = viewer.camera.settings.culling.0;
-    viewer.camera.settings.culling = CullingMode(culling & !CullingMode::SAMPLES.0);
+    let culling = viewer.view().camera.settings.culling.0;
+    viewer.view_mut().camera.settings.culling = CullingMode(culling & !CullingMode::SAMPLES.0);
     let mut refused = false;
     viewer.on_update(Box::new(move |scene, stamp| {
         let lift = DVec3::new(0.0, 0.0, f64::from(stamp.frame % 8));
@@ -144,9 +144,9 @@ fn switches(viewer: &mut Viewer) -> Result<[Vec<f64>; 2]> {
         viewer.frame()?;
         viewer.finish()?;
         let before = Instant::now();
-        viewer.stop_threading()?;
+        viewer.composite_mut().stop_threading()?;
         let stopped = Instant::now();
-        viewer.start_threading()?;
+        viewer.composite_mut().start_threading()?;
         stop_ms.push((stopped - before).as_secs_f64() * 1e3);
         start_ms.push(stopped.elapsed().as_secs_f64() * 1e3);
     }

@@ -35,7 +35,7 @@ pub fn picture(
     viewer.load(source)?;
     let mut frames_left = LAST_FRAMES;
     for frame in 0..MOST_FRAMES {
-        (viewer.camera, viewer.environment) = (*camera, *environment);
+        (viewer.view_mut().camera, viewer.view_mut().environment) = (*camera, *environment);
         viewer.frame_at(f64::from(frame) / 60.0)?;
         viewer.work_until(Instant::now() + SETTLING_FRAME);
         frames_left = if viewer.is_settled() { frames_left - 1 } else { LAST_FRAMES };

@@ -11,7 +11,7 @@ use super::values::{Entries, Invalid, MAX_ENTRIES, Number, Numbers, Object, limi
 use super::windows::CameraFields;
 use crate::io;
 use crate::viewer::config::view_setup::{SceneSetup, ViewCamera, ViewSetup};
-use crate::viewer::home::ViewFrom;
+use crate::viewer::view::set_bounds::ViewFrom;
 
 limits! {
     /// A heading, degrees clockwise from north.
@@ -162,7 +162,7 @@ mod tests {
 
     use super::*;
     use crate::viewer::config::{Arrangement, ArrangementError, CameraSetup, ViewsSetup, WindowSetup};
-    use crate::viewer::viewport::Viewport;
+    use crate::viewer::view::viewport::Viewport;
 
     fn read(text: &str) -> Result<ViewsSetup, ArrangementError> {
         let folder = tempfile::tempdir().unwrap();

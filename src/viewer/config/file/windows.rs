@@ -4,10 +4,10 @@ use glam::{DAffine3, DMat4, DQuat, DVec3, EulerRot};
 use serde::Deserialize;
 
 use super::values::{Entries, Invalid, Number, Numbers, Object, limits, present};
-use crate::viewer::camera::ResizePolicy;
+use crate::viewer::view::camera::ResizePolicy;
 use crate::viewer::config::window_setup::{CameraSetup, MAX_SIDE_PX, WindowSetup};
 use crate::viewer::view::Eyes;
-use crate::viewer::viewport::Viewport;
+use crate::viewer::view::viewport::Viewport;
 
 /// How far the fractions of a viewport may exceed the window: room for rounded thirds.
 const FRACTION_TOLERANCE: f64 = 1e-3;

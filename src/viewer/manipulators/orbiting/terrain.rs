@@ -6,7 +6,7 @@ use glam::{DAffine3, DQuat, DVec2, DVec3};
 
 use super::orbit_state::{OrbitState, PointMotion, distance_to_center};
 use crate::math::WGS84;
-use crate::viewer::camera::world_from_eye;
+use crate::viewer::view::camera::world_from_eye;
 use crate::viewer::events::{EventKind, GuiEventAdapter, Usage};
 use crate::viewer::manipulators::ground::intersect_level;
 use crate::viewer::manipulators::manipulator::{CameraManipulator, ManipulatorView};

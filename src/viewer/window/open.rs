@@ -1,4 +1,4 @@
-//! Opening the windows of an [`Arrangement`], each with its context and cameras. Main thread, in the event loop.
+//! Opens the windows of an [`Arrangement`], with their contexts and cameras. Main thread, in the event loop.
 
 use std::sync::Arc;
 
@@ -7,19 +7,21 @@ use winit::event_loop::ActiveEventLoop;
 use winit::monitor::MonitorHandle;
 use winit::window::{Fullscreen, Window};
 
-use super::ViewerError;
-use super::config::{Arrangement, CameraSetup, WindowSetup, across_screens, one_eye_per_screen};
-use super::display::reason_of;
-use super::input::WindowCommand;
 use super::parent::{ParentWindow, child_attributes};
-use super::view::{ContextId, Slave, View};
-use super::viewer::{Viewer, ViewerConfig};
-use super::window::SlaveWindow;
+use super::slave_window::SlaveWindow;
 use crate::cull::{Stereo, StereoMode};
-use crate::gpu::{ContextTraits, GraphicsContext};
+use crate::gpu::ContextTraits;
+use crate::viewer::ViewerError;
+use crate::viewer::config::{Arrangement, CameraSetup, WindowSetup, across_screens, one_eye_per_screen};
+use crate::viewer::display::reason_of;
+use crate::viewer::frame::ViewerConfig;
+use crate::viewer::ids::ContextId;
+use crate::viewer::input::WindowCommand;
+use crate::viewer::view::{Slave, View};
+use crate::viewer::viewer::Viewer;
 
-/// Does to a window what a view wants of it; its size where that changed at once, of which there is no event.
-pub(super) fn obey(window: &Window, command: WindowCommand) -> Option<[u32; 2]> {
+/// Executes a command on a window. Returns the new size when it changed at once, for which winit sends no event.
+pub(in crate::viewer) fn obey(window: &Window, command: WindowCommand) -> Option<[u32; 2]> {
     match command {
         WindowCommand::ToggleFullScreen => {
             window.set_fullscreen(window.fullscreen().is_none().then_some(Fullscreen::Borderless(None)));
@@ -33,8 +35,8 @@ pub(super) fn obey(window: &Window, command: WindowCommand) -> Option<[u32; 2]> 
     }
 }
 
-/// The windows that an arrangement comes to here; the application's own slaves come before what the environment says.
-pub(super) fn windows(
+/// Returns the windows of an arrangement on this display, followed by those of the application's slaves.
+pub(in crate::viewer) fn windows(
     event_loop: &ActiveEventLoop,
     arrangement: &Arrangement,
     slaves: Vec<SlaveWindow>,
@@ -42,7 +44,7 @@ pub(super) fn windows(
 ) -> Vec<WindowSetup> {
     let mut windows = match arrangement {
         Arrangement::Windows(windows) => windows.clone(),
-        // Several views were refused before.
+        // `run_window` has refused several views before.
         Arrangement::Usual | Arrangement::Views(_) => Vec::new(),
         Arrangement::AllScreens => {
             let place = |monitor: MonitorHandle| {
@@ -61,22 +63,8 @@ pub(super) fn windows(
     windows
 }
 
-impl From<SlaveWindow> for WindowSetup {
-    fn from(slave: SlaveWindow) -> Self {
-        let SlaveWindow { title, size_px, position_px, shares_device, projection_offset, view_offset } = slave;
-        Self {
-            title: Some(title),
-            position_px,
-            size_px: Some(size_px),
-            shares_device,
-            cameras: vec![CameraSetup { projection_offset, view_offset, ..CameraSetup::default() }],
-            ..Self::default()
-        }
-    }
-}
-
-/// Opens a window that fills a window of another toolkit.
-pub(super) fn create_in(
+/// Opens a window inside a window of another toolkit.
+pub(in crate::viewer) fn create_in(
     event_loop: &ActiveEventLoop,
     parent: &ParentWindow,
     title: &str,
@@ -92,11 +80,11 @@ pub(super) fn create_in(
     Ok(Arc::new(window))
 }
 
-/// Opens a window; `place` counts from 0.
-pub(super) fn create(
+/// Opens a window. `index` counts the windows from 0.
+pub(in crate::viewer) fn create(
     event_loop: &ActiveEventLoop,
     setup: &WindowSetup,
-    place: usize,
+    index: usize,
     title: &str,
     size_px: [u32; 2],
 ) -> Result<Arc<Window>, ViewerError> {
@@ -104,7 +92,8 @@ pub(super) fn create(
         Some(number) => {
             let monitor = event_loop.available_monitors().nth(number);
             let count = event_loop.available_monitors().count();
-            let none = || ViewerError::Window(format!("there is no screen {number}; the display has {count}"));
+            let none =
+                || ViewerError::Window(format!("there is no screen {number}; the display has {count}, counted from 0"));
             Some(monitor.ok_or_else(none)?)
         }
         None => event_loop.primary_monitor().or_else(|| event_loop.available_monitors().next()),
@@ -113,14 +102,14 @@ pub(super) fn create(
     let [mut width, mut height] = setup.size_px.unwrap_or(size_px);
     let mut position = setup.position_px.or(setup.screen.map(|_| [0, 0]));
     if let (true, Some(monitor)) = (setup.full_screen, &monitor) {
-        // Where there is no window manager that would fill the screen.
+        // For displays without a window manager that would fill the screen.
         (width, height) = monitor.size().into();
         position = Some([0, 0]);
     }
-    let title = match (&setup.title, place) {
+    let title = match (&setup.title, index) {
         (Some(title), _) => title.clone(),
         (None, 0) => title.to_owned(),
-        (None, place) => format!("{title} {}", place + 1),
+        (None, index) => format!("{title} {}", index + 1),
     };
     let mut attributes = Window::default_attributes()
         .with_title(title)
@@ -136,14 +125,14 @@ pub(super) fn create(
     Ok(Arc::new(window))
 }
 
-/// Size of what is drawn into a window.
-pub(super) fn size_of(window: &Window) -> [u32; 2] {
+/// Returns the size of the area that is drawn into, in pixels.
+pub(in crate::viewer) fn size_of(window: &Window) -> [u32; 2] {
     let size = window.inner_size();
     [size.width.max(1), size.height.max(1)]
 }
 
-/// Gives a window beside the first one a context with its cameras.
-pub(super) fn add_beside(
+/// Adds a context with its cameras for a window beside the first one.
+pub(in crate::viewer) fn add_beside(
     viewer: &mut Viewer,
     config: &ViewerConfig,
     setup: &WindowSetup,
@@ -157,24 +146,28 @@ pub(super) fn add_beside(
     };
     let first = viewer.contexts().next().filter(|_| setup.shares_device);
     let context = match first {
-        Some(first) => viewer.open_window_on(first, Arc::clone(window), &traits)?,
-        None => viewer.open_context(GraphicsContext::new_window(Arc::clone(window), &traits)?)?,
+        Some(first) => viewer.composite_mut().open_window_on(first, Arc::clone(window), &traits)?,
+        None => viewer.open_window(Arc::clone(window), &traits)?,
     };
     add_slaves(viewer, context, &setup.cameras)?;
     Ok(context)
 }
 
-/// Gives the master camera its part of a window of a size.
-pub(super) fn set_master(view: &mut View, camera: &CameraSetup, window_px: [u32; 2]) {
+/// Gives the master camera its part of a window of the given size.
+pub(in crate::viewer) fn set_master(view: &mut View, camera: &CameraSetup, window_px: [u32; 2]) {
     view.set_viewport(camera.viewport);
     view.set_eyes(camera.eyes);
     if let Some(policy) = camera.resize {
-        view.camera.set_resize_policy(policy, camera.viewport.picture_px(window_px));
+        view.camera.set_resize_policy(policy, camera.viewport.image_px(window_px));
     }
 }
 
-/// Cameras that go with the master.
-pub(super) fn add_slaves(viewer: &mut Viewer, context: ContextId, cameras: &[CameraSetup]) -> Result<(), ViewerError> {
+/// Adds slave cameras in a context.
+pub(in crate::viewer) fn add_slaves(
+    viewer: &mut Viewer,
+    context: ContextId,
+    cameras: &[CameraSetup],
+) -> Result<(), ViewerError> {
     for camera in cameras {
         let CameraSetup { viewport, projection_offset, view_offset, eyes, .. } = *camera;
         viewer.add_slave(Slave { viewport, projection_offset, view_offset, eyes, ..Slave::new(context) })?;

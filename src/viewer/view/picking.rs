@@ -1,21 +1,21 @@
-//! From window coordinates to intersections, with the camera's lens and levels of detail. Main thread, between frames.
+//! Picking: intersections at window coordinates, with the camera's lens and levels of detail. Main thread, between frames.
 
 use glam::DVec2;
 
-use super::Viewer;
 use super::camera::Camera;
 use crate::scene::{
     ComputeNearFar, EyePoint, Intersection, IntersectionLimit, IntersectionVisitor, PolytopeIntersector,
     RayIntersector, WindowView,
 };
+use crate::viewer::Viewer;
 
 impl Camera {
-    /// The eye for an [`IntersectionVisitor`], in a picture of a size.
+    /// Returns the eye for an [`IntersectionVisitor`], for an image of a size.
     pub fn eye_point(&self, size_px: [u32; 2]) -> EyePoint {
         self.cull_camera(size_px, 0, 0).eye_point()
     }
 
-    /// This camera's picture of a size, for intersectors at places of it: all of its target. Its near plane is at
+    /// Returns the camera's view of a whole target of a size, for intersectors at positions of it. The near plane is at
     /// [`Self::min_near_m`].
     pub fn window_view(&self, size_px: [u32; 2]) -> WindowView {
         let [width, height] = size_px.map(|side| side.max(1));
@@ -27,43 +27,44 @@ impl Camera {
         }
     }
 
-    /// A visitor that meets what this camera draws.
+    /// Returns a visitor that intersects what this camera draws.
     pub fn intersection_visitor(&self, size_px: [u32; 2]) -> IntersectionVisitor {
         let mut visitor = IntersectionVisitor::as_seen_from(self.eye_point(size_px));
         visitor.traversal_mask = self.settings.cull_mask;
         visitor
     }
 
-    /// The ray of a place in the picture: pixels from its upper left corner, the middle of the first one at 0.5, 0.5.
+    /// Returns the ray through an image position, in pixels from the upper left corner. The middle of the first pixel is at
+    /// 0.5, 0.5.
     pub fn ray_at(&self, size_px: [u32; 2], x_px: f64, y_px: f64) -> RayIntersector {
         RayIntersector::at_window(&self.window_view(size_px), DVec2::new(x_px, y_px))
     }
 
-    /// What is seen in a rectangle of the picture, ordered by the distance in front of the eye; pixels from the upper
-    /// left corner, any two corners. A rectangle without area meets nothing.
+    /// Returns an intersector for everything in a rectangle of the image, ordered by the distance in front of the eye. The
+    /// arguments are any two opposite corners, in pixels from the upper left. A rectangle without area intersects nothing.
     pub fn polytope_in(&self, size_px: [u32; 2], from_px: [f64; 2], to_px: [f64; 2]) -> PolytopeIntersector {
         PolytopeIntersector::at_window(&self.window_view(size_px), DVec2::from(from_px), DVec2::from(to_px))
     }
 }
 
 impl Viewer {
-    /// What is drawn at a place of the window, nearest first; OSG's `View::computeIntersections`. Pixels from the upper
-    /// left corner, the middle of the first one at 0.5, 0.5.
+    /// Returns what is drawn at a position of the window, nearest first; OSG's `View::computeIntersections`. The position is
+    /// in pixels from the upper left corner; the middle of the first pixel is at 0.5, 0.5.
     ///
-    /// Meets what was loaded with trees ([`PagerConfig::build_kd_trees`](crate::pager::PagerConfig::build_kd_trees)), at
-    /// the level that the camera draws. Height tiles are met as their own level is: while the picture morphs between two
-    /// levels it lies off by a share of the error that the camera allows.
+    /// Only contents with k-d trees are found ([`PagerConfig::build_kd_trees`](crate::pager::PagerConfig::build_kd_trees)),
+    /// at the level that the camera draws. Height tiles are intersected at their own level: while the image morphs between
+    /// two levels, the result is off by a fraction of the error that the camera allows.
     ///
-    /// What Projection nodes and cameras in the graph draw into the same picture is met where it shows: what is drawn over
-    /// others before those, and within one picture by its depth in the last frame.
+    /// Objects below Projection nodes and cameras in the graph are found where they are visible. Overlays are first, and
+    /// within one image the order is that of the depths in the last frame.
     pub fn compute_intersections(&self, x_px: f64, y_px: f64, limit: IntersectionLimit) -> Vec<Intersection> {
         let mut ray = RayIntersector::at_window(&self.drawn_view(), DVec2::new(x_px, y_px)).with_limit(limit);
-        self.camera.intersection_visitor(self.size_px()).traverse(self.scene(), &mut ray);
+        self.view().camera.intersection_visitor(self.view().size_px()).traverse(self.scene(), &mut ray);
         ray.take_intersections()
     }
 
-    /// What is drawn in a rectangle of the window, whether or not something is before it; see
-    /// [`Self::compute_intersections`] and [`Camera::polytope_in`].
+    /// Returns everything that is drawn in a rectangle of the window, hidden or not; see [`Self::compute_intersections`] and
+    /// [`Camera::polytope_in`].
     pub fn compute_intersections_in(
         &self,
         from_px: [f64; 2],
@@ -72,17 +73,18 @@ impl Viewer {
     ) -> Vec<Intersection> {
         let (from_px, to_px) = (DVec2::from(from_px), DVec2::from(to_px));
         let mut polytope = PolytopeIntersector::at_window(&self.drawn_view(), from_px, to_px).with_limit(limit);
-        self.camera.intersection_visitor(self.size_px()).traverse(self.scene(), &mut polytope);
+        self.view().camera.intersection_visitor(self.view().size_px()).traverse(self.scene(), &mut polytope);
         polytope.take_intersections()
     }
 
-    /// The master camera's picture with the depths of the last frame: its near plane follows what is drawn.
+    /// The master camera's view with the near plane of the last frame, which follows what is drawn.
     fn drawn_view(&self) -> WindowView {
-        let master = self.view.master.map(|place| place.camera);
-        let outcome = self.base.rendering.outcomes().find(|(camera, _)| Some(*camera) == master);
-        let near_m = outcome.map_or(self.camera.min_near_m, |(_, outcome)| outcome.near_m);
-        let clip_from_eye = self.camera.clip_from_eye(self.size_px(), near_m);
-        WindowView { clip_from_eye, ..self.camera.window_view(self.size_px()) }
+        let (frame, view, _) = self.parts();
+        let master = view.master.map(|slot| slot.camera);
+        let outcome = frame.rendering.outcomes().find(|(camera, _)| Some(*camera) == master);
+        let near_m = outcome.map_or(view.camera.min_near_m, |(_, outcome)| outcome.near_m);
+        let clip_from_eye = view.camera.clip_from_eye(view.size_px(), near_m);
+        WindowView { clip_from_eye, ..view.camera.window_view(view.size_px()) }
     }
 }
 
@@ -96,7 +98,7 @@ mod tests {
     use crate::scene::{Drawable, Geometry, Material, Mesh, Node, Page, Scene};
 
     #[test]
-    fn rectangles_of_the_picture_hold_what_is_drawn_in_them() {
+    fn rectangles_find_what_is_drawn_in_them() {
         let size_px = [640, 360];
         let mut camera = Camera::default();
         camera.look_at(DVec3::new(3.0, -50.0, 20.0), DVec3::ZERO, DVec3::Z);
@@ -131,7 +133,7 @@ mod tests {
                 .map(|(_, root)| *root)
                 .collect();
             assert!(expected.len() > 20, "{}", expected.len());
-            // Those at the rectangle's edge may be either.
+            // Dots at the edge of the rectangle may be in or out.
             let differing = found.iter().filter(|f| !expected.contains(f)).count()
                 + expected.iter().filter(|e| !found.contains(e)).count();
             assert!(differing <= 2, "{differing}");

@@ -1,82 +1,68 @@
-//! A window to move in: winit's event loop feeds the viewer's event queue and calls its frames. Runs on the main
-//! thread.
+//! [`run_window`]: one view in a window, and slaves in further ones. winit's event loop feeds the viewer's event queue and
+//! calls its frames. Main thread.
 
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use glam::{DAffine3, DMat4, DVec2};
+use glam::DVec2;
 use winit::application::ApplicationHandler;
 use winit::event::{StartCause, WindowEvent};
 use winit::event_loop::{ActiveEventLoop, ControlFlow};
 use winit::window::{Window, WindowId};
 
-use super::ViewerError;
-use super::camera_path::AnimationPath;
-use super::config::{Arrangement, ArrangementError};
-use super::display;
-use super::handlers::{self, StatsPage};
-use super::input::WindowCommand;
-use super::manipulators::{self, SceneGround};
-use super::overlay::OverlayInput;
-use super::pace::Pace;
+use super::pacing::Pacing;
 use super::parent::{Followed, ParentChange, ParentWindow};
-use super::view::ContextId;
-use super::viewer::{Viewer, ViewerConfig};
-use super::{window_events, window_open};
+use super::slave_window::SlaveWindow;
+use super::{events as window_events, open as window_open};
+use crate::viewer::ViewerError;
+use crate::viewer::config::{Arrangement, ArrangementError};
+use crate::viewer::camera_path::AnimationPath;
+use crate::viewer::display;
+use crate::viewer::frame::ViewerConfig;
+use crate::viewer::handlers::{self, StatsPage};
+use crate::viewer::ids::ContextId;
+use crate::viewer::input::WindowCommand;
+use crate::viewer::manipulators::{self, SceneGround};
+use crate::viewer::overlay::OverlayInput;
+use crate::viewer::viewer::Viewer;
 
-/// Called once, when the window is there.
+/// A callback that runs once, after the first window has opened.
 pub type OnOpen = Box<dyn FnOnce(&mut Viewer) -> Result<(), ViewerError>>;
-/// Called before each frame; false closes the window.
+/// A callback before each frame; returning false closes the window.
 pub type BeforeFrame = Box<dyn FnMut(&mut Viewer) -> Result<bool, ViewerError>>;
-/// Called after each frame.
+/// A callback after each frame.
 pub type AfterFrame = Box<dyn FnMut(&mut Viewer) -> Result<(), ViewerError>>;
 
-/// Another window, all of which a slave camera has. Closed, it takes its camera along and the rest goes on.
-#[derive(Clone, Debug, PartialEq)]
-pub struct SlaveWindow {
-    /// Its title.
-    pub title: String,
-    /// Width and height.
-    pub size_px: [u32; 2],
-    /// Its upper left corner on the screen; `None`: where the system puts it.
-    pub position_px: Option<[i32; 2]>,
-    /// It has the first window's device: see [`Viewer::open_window_on`].
-    pub shares_device: bool,
-    /// Of its camera; see [`Slave::projection_offset`](super::Slave::projection_offset).
-    pub projection_offset: DMat4,
-    /// Of its camera; see [`Slave::view_offset`](super::Slave::view_offset).
-    pub view_offset: DAffine3,
-}
-
-/// What a window shows and when it closes.
+/// Settings of [`run_window`]: what the window shows, and callbacks around its frames.
 pub struct WindowOptions {
-    /// Title of the window.
+    /// The title of the window.
     pub title: String,
-    /// Key 7 plays it.
+    /// A camera path that key 7 plays.
     pub path: Option<AnimationPath>,
-    /// Show the stats from the start.
+    /// Shows the statistics from the start.
     pub overlay: bool,
-    /// Where pictures and recorded paths go.
+    /// The folder for screenshots and recorded camera paths.
     pub output_dir: PathBuf,
-    /// Which windows open. Where the application has slaves of its own, what the environment says does not count.
+    /// The windows to open. If [`Self::slaves`] has entries, the environment variables are ignored.
     pub arrangement: Arrangement,
-    /// The window opens in one of another toolkit or program and ends with it, whatever is arranged. Under X11 it fills it.
+    /// A window of another toolkit or program in which the first window opens and with which it closes; the arrangement is
+    /// ignored. Under X11 the window fills it.
     pub parent: Option<ParentWindow>,
-    /// More windows, each with a context of its own.
+    /// Further windows with slave cameras, each a context of the viewer.
     pub slaves: Vec<SlaveWindow>,
-    /// Called once the viewer exists, to load a set and to add handlers; the viewer has no root before.
+    /// Runs once the viewer exists, to load a set and to add handlers. The viewer has no root before.
     pub on_open: OnOpen,
-    /// The user moves the camera, by what [`Self::on_open`] has set or the [usual](manipulators::usual) manipulators;
-    /// otherwise [`Self::before_frame`] places it.
+    /// Lets the user move the camera, with the manipulator that [`Self::on_open`] has set or the
+    /// [usual](manipulators::usual) ones. Otherwise [`Self::before_frame`] moves it.
     pub manipulated: bool,
-    /// Draw only what [`Viewer::check_need_to_do_frame`] asks for.
+    /// Draws only frames that [`Viewer::check_need_to_do_frame`] asks for.
     pub on_demand: bool,
-    /// Frames a second at most; the time that is left goes to what the pager has.
+    /// The largest frame rate, per second; the pager uses the remaining time.
     pub max_frame_rate: Option<f64>,
-    /// Called before each frame; returning false closes the window. Where nobody moves the camera, a hidden window has a
-    /// frame a second too, also where its window system asks for none.
+    /// Runs before each frame; returning false closes the window. Unless the user moves the camera, a hidden window draws
+    /// one frame per second, even if its window system requests none.
     pub before_frame: BeforeFrame,
-    /// Called after each frame.
+    /// Runs after each frame.
     pub after_frame: AfterFrame,
 }
 
@@ -101,13 +87,15 @@ impl Default for WindowOptions {
 }
 
 /// Opens a window and runs it until it is closed; returns the viewer for its report. Main thread only.
+///
+/// More than one window on the view: [`WindowOptions::slaves`], or an [`Arrangement`].
 pub fn run_window(config: ViewerConfig, mut options: WindowOptions) -> Result<Option<Viewer>, ViewerError> {
     if options.arrangement == Arrangement::Usual
         && options.parent.is_none()
         && options.slaves.is_empty()
-        && let Some(said) = Arrangement::from_environment()?
+        && let Some(arrangement) = Arrangement::from_environment()?
     {
-        options.arrangement = said;
+        options.arrangement = arrangement;
     }
     if let Arrangement::Views(_) = options.arrangement {
         return Err(ViewerError::Arrangement(ArrangementError {
@@ -134,14 +122,14 @@ struct App {
     error: Option<ViewerError>,
 }
 
-/// Everything that exists while the window does. The viewer is dropped before the window.
+/// The objects that exist while the window is open. Fields are dropped in order: the viewer before its window.
 struct Open {
     viewer: Viewer,
     overlay: OverlayInput,
-    pace: Pace,
+    pacing: Pacing,
     window: Arc<Window>,
     slaves: Vec<(Arc<Window>, ContextId)>,
-    /// The window that the first one fills.
+    /// The window of another toolkit that contains the first one.
     parent: Option<Followed>,
 }
 
@@ -150,7 +138,7 @@ impl App {
         let slaves = std::mem::take(&mut self.options.slaves);
         let setups = window_open::windows(event_loop, &self.options.arrangement, slaves, self.config.stereo.as_ref());
         let Some((first, beside)) = setups.split_first() else {
-            return Err(ViewerError::Window("an arrangement without windows".to_owned()));
+            return Err(ViewerError::Window("the arrangement has no windows".to_owned()));
         };
         let (title, size_px) = (self.options.title.clone(), self.config.size_px);
         let title = &title;
@@ -169,9 +157,9 @@ impl App {
         on_open(&mut viewer)?;
         let (master, others) = first.cameras.split_first().map_or((None, &[][..]), |(m, o)| (Some(m), o));
         if let Some(master) = master {
-            window_open::set_master(&mut viewer, master, self.config.size_px);
+            window_open::set_master(viewer.view_mut(), master, self.config.size_px);
         }
-        if let Some(context) = viewer.context() {
+        if let Some(context) = viewer.view().context() {
             window_open::add_slaves(&mut viewer, context, others)?;
         }
         let mut slaves = Vec::new();
@@ -181,31 +169,31 @@ impl App {
             slaves.push((window, context));
         }
         let stats = if self.options.overlay { StatsPage::Pager } else { StatsPage::None };
-        handlers::add_usual(&mut viewer, &self.options.output_dir, stats);
-        if self.config.pager.build_kd_trees && !viewer.has_ground() {
-            viewer.set_ground(Some(Box::new(SceneGround::default())));
+        handlers::add_usual(viewer.view_mut(), &self.options.output_dir, stats);
+        if self.config.pager.build_kd_trees && !viewer.view().has_ground() {
+            viewer.view_mut().set_ground(Some(Box::new(SceneGround::default())));
         }
-        if self.options.manipulated && viewer.manipulator().is_none() {
+        if self.options.manipulated && viewer.view().manipulator().is_none() {
             viewer.set_manipulator(Some(Box::new(manipulators::usual(self.options.path.take()))));
-            viewer.notify("H shows the keys");
+            viewer.view_mut().notify("H shows the keys");
         }
         let parent = parent.map(|(_, followed)| followed);
-        let pace = Pace::new(self.options.on_demand, self.options.max_frame_rate);
-        Ok(Open { viewer, overlay: OverlayInput::default(), pace, window, slaves, parent })
+        let pacing = Pacing::new(self.options.on_demand, self.options.max_frame_rate);
+        Ok(Open { viewer, overlay: OverlayInput::default(), pacing, window, slaves, parent })
     }
 
     fn fail(&mut self, event_loop: &ActiveEventLoop, error: ViewerError) {
-        // What goes wrong because the window went with its parent is the end, and no error.
+        // An error after the parent window was closed is the regular end.
         let is_end = self.open.as_ref().and_then(|open| open.parent.as_ref()).is_some_and(Followed::is_gone);
         if is_end {
-            log::info!("the window that it was in is gone: {error}");
+            log::info!("the parent window was closed: {error}");
         } else {
             self.error.get_or_insert(error);
         }
         event_loop.exit();
     }
 
-    /// A frame, and what comes after it.
+    /// Draws a frame and plans the next one.
     fn draw(&mut self, event_loop: &ActiveEventLoop) -> Result<(), ViewerError> {
         let Some(open) = &mut self.open else { return Ok(()) };
         if open.frame(&mut self.options)? {
@@ -227,7 +215,7 @@ impl App {
             return open.handle_slave(place, event);
         }
         if window != open.window.id() {
-            return Ok(()); // the last events of one that was closed
+            return Ok(()); // events of a window that was closed
         }
         match event {
             WindowEvent::RedrawRequested => return self.draw(event_loop),
@@ -243,13 +231,13 @@ impl App {
             }
             _ => {}
         }
-        let taken = open.overlay.feed(&open.viewer, &open.window, event);
-        // What the overlay takes does not reach the scene; what comes up does, since it may have gone down there.
+        let taken = open.overlay.feed(open.viewer.view(), &open.window, event);
+        // Presses that the overlay takes do not reach the scene. Releases always do, since the press may have been there.
         if !(taken && window_events::is_press(event)) {
-            let origin_px = open.viewer.window_matrix().origin_px;
-            window_events::feed(open.viewer.event_queue(), event, origin_px);
+            let origin_px = open.viewer.view().window_matrix().origin_px;
+            window_events::feed(open.viewer.view_mut().event_queue(), event, origin_px);
         }
-        if open.pace.is_on_demand() {
+        if open.pacing.is_on_demand() {
             open.window.request_redraw();
         }
         Ok(())
@@ -272,7 +260,7 @@ impl ApplicationHandler for App {
 
     fn new_events(&mut self, _: &ActiveEventLoop, cause: StartCause) {
         if let Some(open) = &self.open
-            && open.pace.wakes_for_frame(cause, || open.viewer.check_need_to_do_frame())
+            && open.pacing.wakes_for_frame(cause, || open.viewer.check_need_to_do_frame())
         {
             open.window.request_redraw();
         }
@@ -285,9 +273,9 @@ impl ApplicationHandler for App {
                 Some(ParentChange::Gone) => event_loop.exit(),
                 None => {}
             }
-            open.pace.rest(event_loop);
-            // A flight comes to its end in a hidden window too.
-            let is_overdue = !self.options.manipulated && open.pace.is_overdue() && !event_loop.exiting();
+            open.pacing.rest(event_loop);
+            // A flight must end in a hidden window too.
+            let is_overdue = !self.options.manipulated && open.pacing.is_overdue() && !event_loop.exiting();
             if is_overdue && let Err(error) = self.draw(event_loop) {
                 self.fail(event_loop, error);
             }
@@ -302,7 +290,7 @@ impl ApplicationHandler for App {
 
     fn exiting(&mut self, _: &ActiveEventLoop) {
         if let Some(mut open) = self.open.take() {
-            // Pictures of the last frames may still be on their way.
+            // Images of the last frames may still be in flight.
             let is_gone = open.parent.as_ref().is_some_and(Followed::is_gone);
             let ended = open.viewer.finish().and_then(|()| (self.options.after_frame)(&mut open.viewer));
             if let Some(error) = ended.err().filter(|_| !is_gone) {
@@ -314,18 +302,18 @@ impl ApplicationHandler for App {
 }
 
 impl Open {
-    /// Keys of all windows are the viewer's; the pointer is the first window's.
+    /// Handles events of a slave window. Keys of all windows go to the viewer; the pointer counts in the first window only.
     fn handle_slave(&mut self, place: usize, event: &WindowEvent) -> Result<(), ViewerError> {
         let (_, context) = self.slaves[place];
         match event {
             WindowEvent::CloseRequested => {
-                self.viewer.close_context(context)?;
+                self.viewer.composite_mut().close_context(context)?;
                 self.slaves.remove(place);
             }
             WindowEvent::Resized(size) => self.viewer.resize_context(context, [size.width, size.height])?,
-            // Keys that are down when the focus goes come up.
+            // Keys are released when the window loses the focus.
             WindowEvent::KeyboardInput { .. } | WindowEvent::ModifiersChanged(_) | WindowEvent::Focused(false) => {
-                window_events::feed(self.viewer.event_queue(), event, DVec2::ZERO);
+                window_events::feed(self.viewer.view_mut().event_queue(), event, DVec2::ZERO);
             }
             _ => {}
         }
@@ -333,19 +321,19 @@ impl Open {
         Ok(())
     }
 
-    /// One frame; false when it was the last.
+    /// Draws one frame; returns false when it was the last.
     fn frame(&mut self, options: &mut WindowOptions) -> Result<bool, ViewerError> {
-        self.pace.begin_frame();
+        self.pacing.begin_frame();
         if !(options.before_frame)(&mut self.viewer)? {
             return Ok(false);
         }
-        self.overlay.hand_over(&mut self.viewer, &self.window);
+        self.overlay.hand_over(self.viewer.view_mut(), &self.window);
         self.viewer.frame()?;
         (options.after_frame)(&mut self.viewer)?;
-        for command in self.viewer.take_window_commands() {
+        for command in self.viewer.view_mut().take_window_commands() {
             self.obey(command);
         }
-        Ok(!self.viewer.is_done())
+        Ok(!self.viewer.view().is_done())
     }
 
     fn obey(&mut self, command: WindowCommand) {
@@ -356,12 +344,12 @@ impl Open {
         }
     }
 
-    /// When the next frame comes.
+    /// Works for the pager until the next frame is due, and requests it.
     fn plan_next(&mut self, event_loop: &ActiveEventLoop) {
-        if let Some(due) = self.pace.next_frame_at() {
+        if let Some(due) = self.pacing.next_frame_at() {
             self.viewer.work_until(due);
         }
-        if self.pace.plan_next(event_loop, self.viewer.check_need_to_do_frame()) {
+        if self.pacing.plan_next(event_loop, self.viewer.check_need_to_do_frame()) {
             self.window.request_redraw();
         }
     }

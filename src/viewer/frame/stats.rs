@@ -1,23 +1,23 @@
-//! What a frame cost: times of its phases and counters, kept per frame. Written on the main thread; the draw
-//! thread's share arrives with the stage that comes back, up to two frames later.
+//! [`FrameStats`]: times and counters of each frame. Written on the main thread; the figures of the draw thread arrive with
+//! its answer, up to two frames later.
 
 use std::collections::VecDeque;
 use std::time::Duration;
 
-use super::ThreadingModel;
+use crate::viewer::rendering::ThreadingModel;
 
 /// Times in milliseconds and counters of one frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FrameStats {
-    /// Number of the frame, first 1.
+    /// The number of the frame; the first is 1.
     pub frame: u32,
-    /// The whole frame on the main thread, waiting for a free stage included, reading pictures back excluded.
+    /// The whole frame on the main thread, including the wait for a free render stage, without reading images back.
     pub frame_ms: f64,
     /// Handlers and manipulator.
     pub event_ms: f64,
     /// Everything that has `&mut Scene`, the merge included.
     pub update_ms: f64,
-    /// The pager's share of update: take results, merge, expire, sort requests.
+    /// The pager's part of update: takes results, merges, expires, sorts requests.
     pub merge_ms: f64,
     /// Scene to render stage.
     pub cull_ms: f64,
@@ -27,23 +27,23 @@ pub struct FrameStats {
     pub compile_ms: f64,
     /// GPU time where the adapter has timestamps; on software adapters only while a timeline is recorded.
     pub gpu_ms: Option<f64>,
-    /// Windows that had no image to draw into: hidden, late, or with a surface that was lost or out of date.
+    /// Windows that had no image to draw into: hidden, late, or with a lost or outdated surface.
     pub skipped: u32,
     /// Leaves drawn.
     pub leaves: u32,
-    /// Leaves that were not drawn because no pixel would have shown them.
+    /// Leaves that were skipped because they cover no sample.
     pub unsampled_leaves: u32,
     /// Draw calls recorded.
     pub draw_calls: u32,
     /// Leaves drawn into shadow maps.
     pub shadow_leaves: u32,
-    /// Draw calls for them; `draw_calls` counts them too.
+    /// Draw calls into shadow maps; they are part of `draw_calls`.
     pub shadow_draw_calls: u32,
-    /// Pipelines that had to be made while it was drawn: of what was not prewarmn when it was loaded.
+    /// Pipelines that were created while the frame was drawn, because they had not been prewarmed when contents were loaded.
     pub pipelines_created: u32,
     /// State changes recorded.
     pub state_changes: u32,
-    /// State changes found to be set already.
+    /// State changes that were redundant and skipped.
     pub state_changes_skipped: u32,
     /// Triangles drawn.
     pub triangles: u64,
@@ -57,26 +57,26 @@ pub struct FrameStats {
     pub occluded: u32,
     /// Tiles wanted but not drawn at the wanted level.
     pub wanted_missing: u32,
-    /// GPU bytes that are taken in the pools of all contexts, after the frame was drawn.
+    /// GPU bytes in use in the pools of all contexts, after the frame was drawn.
     pub gpu_bytes: u64,
-    /// False until the draw thread has answered.
+    /// True once all draw threads have answered.
     pub drawn: bool,
 }
 
-/// Frames that say how long the next one may take.
+/// The number of past frames from which the next frame time is estimated.
 const BUSY_FRAMES: usize = 4;
 
-/// All frames of a run, newest last; forgets the oldest beyond a limit.
+/// The frames of a run, newest last; drops the oldest beyond a limit.
 #[derive(Debug)]
 pub struct StatsHistory {
     frames: VecDeque<FrameStats>,
     limit: usize,
-    /// With those that were dropped.
+    /// The number of frames, including dropped ones.
     count: u32,
 }
 
 impl StatsHistory {
-    /// Keeps at most `limit` frames; memory for the first thousands is taken at once.
+    /// Creates a history of at most `limit` frames; memory for the first 4,096 is allocated at once.
     pub fn new(limit: usize) -> Self {
         Self { frames: VecDeque::with_capacity(limit.clamp(1, 4096)), limit: limit.max(1), count: 0 }
     }
@@ -90,33 +90,33 @@ impl StatsHistory {
         self.count += 1;
     }
 
-    /// The record of a frame, to be filled in by the draw thread's answer.
+    /// Returns the record of a frame, to add the draw thread's figures.
     pub fn frame_mut(&mut self, frame: u32) -> Option<&mut FrameStats> {
         self.frames.iter_mut().rev().find(|s| s.frame == frame)
     }
 
-    /// Newest last.
+    /// The frames, newest last.
     pub fn iter(&self) -> impl DoubleEndedIterator<Item = &FrameStats> + ExactSizeIterator + Clone {
         self.frames.iter()
     }
 
-    /// Frames since the last clear, those too that it keeps no longer.
+    /// Returns the number of frames since the last clear, including dropped ones.
     pub fn count(&self) -> u32 {
         self.count
     }
 
-    /// The newest frame.
+    /// Returns the newest frame.
     pub fn last(&self) -> Option<&FrameStats> {
         self.frames.back()
     }
 
-    /// The newest frame that the draw thread has answered.
+    /// Returns the newest frame that is drawn.
     pub fn last_drawn(&self) -> Option<&FrameStats> {
         self.frames.iter().rev().find(|s| s.drawn)
     }
 
-    /// How long one of the last frames kept the thread that draws, or the adapter, at most, uploads apart.
-    pub(super) fn busy(&self, model: ThreadingModel) -> Duration {
+    /// Returns the longest time for which one of the last frames kept the drawing thread or the adapter busy, without uploads.
+    pub(in crate::viewer) fn busy(&self, model: ThreadingModel) -> Duration {
         let before_draw = |s: &FrameStats| match model {
             ThreadingModel::SingleThreaded => s.event_ms + s.update_ms + s.cull_ms,
             ThreadingModel::CullDrawThreadPerContext => s.cull_ms,
@@ -127,52 +127,52 @@ impl StatsHistory {
         Duration::try_from_secs_f64(1e-3 * busy_ms.fold(0.0, f64::max)).unwrap_or_default()
     }
 
-    /// Forgets everything, as after a warm-up.
+    /// Removes all frames, for example after a warm-up.
     pub fn clear(&mut self) {
         self.count = 0;
         self.frames.clear();
     }
 }
 
-/// Sorted samples to read percentiles from.
+/// Sorted samples, for percentiles.
 #[derive(Clone, Debug, Default)]
 pub struct Samples(Vec<f64>);
 
 impl Samples {
-    /// Sorts what is given; values that are not finite are left out.
+    /// Sorts the values; those that are not finite are left out.
     pub fn new(values: impl IntoIterator<Item = f64>) -> Self {
         let mut values: Vec<f64> = values.into_iter().filter(|v| v.is_finite()).collect();
         values.sort_by(f64::total_cmp);
         Self(values)
     }
 
-    /// How many there are.
+    /// Returns the number of samples.
     pub fn len(&self) -> usize {
         self.0.len()
     }
 
-    /// True when there is none.
+    /// Returns true when there are no samples.
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
 
-    /// Nearest-rank percentile, `share` in 0..=1; 0 without samples.
+    /// Returns the nearest-rank percentile for a `share` in 0..=1; 0 without samples.
     pub fn percentile(&self, share: f64) -> f64 {
         let rank = (share.clamp(0.0, 1.0) * self.0.len() as f64).ceil() as usize;
         self.0.get(rank.saturating_sub(1)).copied().unwrap_or(0.0)
     }
 
-    /// The 50th percentile.
+    /// Returns the 50th percentile.
     pub fn median(&self) -> f64 {
         self.percentile(0.5)
     }
 
-    /// The largest; 0 without samples.
+    /// Returns the largest sample; 0 without samples.
     pub fn max(&self) -> f64 {
         self.0.last().copied().unwrap_or(0.0)
     }
 
-    /// How many are above a limit.
+    /// Returns the number of samples above a limit.
     pub fn above(&self, limit: f64) -> usize {
         self.0.len() - self.0.partition_point(|v| *v <= limit)
     }
@@ -183,10 +183,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_keeps_the_thread_that_draws_is_the_longest_of_the_last_frames() {
+    fn busy_time_is_the_longest_of_the_last_frames() {
         let mut history = StatsHistory::new(100);
         let ms = |history: &StatsHistory, model| (1e3 * history.busy(model).as_secs_f64()).round();
-        assert_eq!(ms(&history, ThreadingModel::SingleThreaded), 0.0, "nothing is known");
+        assert_eq!(ms(&history, ThreadingModel::SingleThreaded), 0.0, "no frame yet");
         let frame = |draw_ms: f64, drawn| FrameStats {
             event_ms: 1.0,
             update_ms: 2.0,
@@ -216,7 +216,7 @@ mod tests {
     }
 
     #[test]
-    fn history_forgets_the_oldest() {
+    fn history_drops_the_oldest() {
         let mut history = StatsHistory::new(3);
         for frame in 1..=5 {
             history.push(FrameStats { frame, ..FrameStats::default() });

@@ -1,5 +1,5 @@
-//! [`run_views`]: several views in windows. winit's event loop feeds the event queue of the view that an event is for,
-//! and calls the frames of them all. Runs on the main thread.
+//! [`run_views`]: several views in several windows. winit's event loop feeds the event queue of the view that an event belongs
+//! to, and calls the frames of the viewer. Main thread.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -11,48 +11,49 @@ use winit::event_loop::{ActiveEventLoop, ControlFlow};
 use winit::keyboard::PhysicalKey;
 use winit::window::{Window, WindowId};
 
-use super::ViewerError;
-use super::composite::{CompositeViewer, ViewId};
-use super::config::ViewsSetup;
-use super::display;
-use super::handlers::{self, StatsPage};
-use super::home::LoadedRoot;
-use super::input::WindowCommand;
-use super::manipulators::{self, SceneGround};
-use super::overlay::OverlayInput;
-use super::pace::Pace;
-use super::view::ContextId;
-use super::viewer::ViewerConfig;
-use super::views_setup::ArrangedViews;
-use super::{window_events, window_open};
+use super::pacing::Pacing;
+use super::{events as window_events, open as window_open};
 use crate::gpu::GraphicsContext;
+use crate::viewer::ViewerError;
+use crate::viewer::arranged_views::ArrangedViews;
+use crate::viewer::config::ViewsSetup;
+use crate::viewer::composite::CompositeViewer;
+use crate::viewer::display;
+use crate::viewer::frame::ViewerConfig;
+use crate::viewer::handlers::{self, StatsPage};
+use crate::viewer::ids::{ContextId, ViewId};
+use crate::viewer::input::WindowCommand;
+use crate::viewer::manipulators::{self, SceneGround};
+use crate::viewer::overlay::OverlayInput;
+use crate::viewer::paging::LoadedRoot;
 
-/// Called once, when windows and views are there.
+/// A callback that runs once, after windows and views were created.
 pub type OnViewsOpen = Box<dyn FnOnce(&mut ArrangedViews) -> Result<(), ViewerError>>;
-/// Called before and after each frame; false closes the windows.
+/// A callback before or after each frame; returning false closes the windows.
 pub type EachFrame = Box<dyn FnMut(&mut CompositeViewer) -> Result<bool, ViewerError>>;
 
-/// What the windows of several views show and when they close.
+/// Settings of [`run_views`]: what the views show, and callbacks around their frames.
 pub struct ViewsOptions {
-    /// Title of the windows that have none of their own.
+    /// The title of windows whose setup names none.
     pub title: String,
-    /// Show the stats from the start.
+    /// Shows the statistics from the start.
     pub overlay: bool,
-    /// Where pictures and recorded paths go.
+    /// The folder for screenshots and recorded camera paths.
     pub output_dir: PathBuf,
-    /// The root of the scene of views that name none; without one, [`Self::on_open`] fills it.
+    /// The root of the scene of views that name none; without it, [`Self::on_open`] fills the scene.
     pub root: Option<LoadedRoot>,
-    /// Called once the views exist.
+    /// Runs once the views exist.
     pub on_open: OnViewsOpen,
-    /// The user moves the cameras, by what [`Self::on_open`] has set or the [usual](manipulators::usual) manipulators.
+    /// Lets the user move the cameras, with the manipulators that [`Self::on_open`] has set or the
+    /// [usual](manipulators::usual) ones.
     pub manipulated: bool,
-    /// Draw only what [`CompositeViewer::check_need_to_do_frame`] asks for.
+    /// Draws only frames that [`CompositeViewer::check_need_to_do_frame`] asks for.
     pub on_demand: bool,
-    /// Frames a second at most; the time that is left goes to what the pagers have.
+    /// The largest frame rate, per second; the pagers use the remaining time.
     pub max_frame_rate: Option<f64>,
-    /// Called before each frame; returning false closes the windows.
+    /// Runs before each frame; returning false closes the windows.
     pub before_frame: EachFrame,
-    /// Called after each frame; returning false closes the windows.
+    /// Runs after each frame; returning false closes the windows.
     pub after_frame: EachFrame,
 }
 
@@ -73,17 +74,18 @@ impl Default for ViewsOptions {
     }
 }
 
-/// Opens the windows of several views and runs them until the first is closed or a view wants an end; another that is
-/// closed takes its cameras along. Returns the viewer. Main thread only.
+/// Opens the windows of several views and runs them until the first window is closed or a view asks to end. Closing another
+/// window removes its cameras. Returns the viewer. Main thread only.
 ///
-/// Events of the pointer go to the view under it, also when a button is held and it leaves; so do keys. What a view's
-/// handlers show lies over that view, in whichever window its master camera is.
+/// Pointer events go to the view under the pointer; while a button is held, to the view in which it was pressed. Keys go to
+/// the view under the pointer too. Overlays of a view's handlers are drawn over that view, in the window of its master
+/// camera.
 pub fn run_views(
     config: ViewerConfig,
     setup: ViewsSetup,
     options: ViewsOptions,
 ) -> Result<Option<CompositeViewer>, ViewerError> {
-    // Before a window opens.
+    // Errors in the roots show before a window opens.
     let roots = setup.read_roots(&config.pager)?;
     let event_loop = display::event_loop(false)?;
     event_loop.set_control_flow(ControlFlow::Poll);
@@ -105,26 +107,26 @@ struct App {
     error: Option<ViewerError>,
 }
 
-/// A window, and where the user is in it.
+/// A window, and the state of the input devices in it.
 struct OpenWindow {
     window: Arc<Window>,
     context: ContextId,
     pointer_px: DVec2,
-    /// The view that has the pointer while buttons are down, and how many are.
+    /// The view that gets the pointer while buttons are pressed, and the number of pressed buttons.
     grabbed: Option<(ViewId, u32)>,
-    /// Fingers that are down, and their views.
+    /// The touching fingers, with the views in which they were put down.
     fingers: Vec<(u64, ViewId)>,
-    /// Keys that are down, and the views that they went down over.
+    /// The pressed keys, with the views in which they were pressed.
     keys: Vec<(PhysicalKey, ViewId)>,
-    /// Of its views.
+    /// The overlay input of its views.
     overlays: Vec<(ViewId, OverlayInput)>,
 }
 
-/// Everything that exists while the windows do. The viewer is dropped before them.
+/// The objects that exist while the windows are open. Fields are dropped in order: the viewer before its windows.
 struct Open {
     viewer: CompositeViewer,
-    pace: Pace,
-    /// The first runs the frames.
+    pacing: Pacing,
+    /// The windows; redraws of the first one run the frames.
     windows: Vec<OpenWindow>,
 }
 
@@ -172,10 +174,10 @@ impl App {
             }
         }
         if windows.is_empty() {
-            return Err(ViewerError::Window("an arrangement without windows".to_owned()));
+            return Err(ViewerError::Window("the arrangement has no windows".to_owned()));
         }
-        let pace = Pace::new(self.options.on_demand, self.options.max_frame_rate);
-        Ok(Open { viewer, pace, windows })
+        let pacing = Pacing::new(self.options.on_demand, self.options.max_frame_rate);
+        Ok(Open { viewer, pacing, windows })
     }
 
     fn handle(
@@ -186,7 +188,7 @@ impl App {
     ) -> Result<(), ViewerError> {
         let Some(open) = &mut self.open else { return Ok(()) };
         let Some(place) = open.windows.iter().position(|of| of.window.id() == window) else {
-            return Ok(()); // the last events of one that was closed
+            return Ok(()); // events of a window that was closed
         };
         match event {
             WindowEvent::RedrawRequested if place == 0 => {
@@ -205,11 +207,11 @@ impl App {
                 open.viewer.resize_context(open.windows[place].context, [size.width, size.height])?;
             }
             WindowEvent::CloseRequested if place > 0 => open.close(place)?,
-            // Nobody else hears of it where no view's master camera is in it.
+            // Without a master camera in the first window, no view would get the event.
             WindowEvent::CloseRequested if !open.has_view(place) => event_loop.exit(),
             event => open.feed(place, event)?,
         }
-        if open.pace.is_on_demand() {
+        if open.pacing.is_on_demand() {
             open.windows[0].window.request_redraw();
         }
         Ok(())
@@ -235,7 +237,7 @@ impl ApplicationHandler for App {
 
     fn new_events(&mut self, _: &ActiveEventLoop, cause: StartCause) {
         if let Some(open) = &self.open
-            && open.pace.wakes_for_frame(cause, || open.viewer.check_need_to_do_frame())
+            && open.pacing.wakes_for_frame(cause, || open.viewer.check_need_to_do_frame())
         {
             open.windows[0].window.request_redraw();
         }
@@ -243,7 +245,7 @@ impl ApplicationHandler for App {
 
     fn about_to_wait(&mut self, event_loop: &ActiveEventLoop) {
         if let Some(open) = &self.open {
-            open.pace.rest(event_loop);
+            open.pacing.rest(event_loop);
         }
     }
 
@@ -275,12 +277,12 @@ fn overlay_of(overlays: &mut Vec<(ViewId, OverlayInput)>, view: ViewId) -> &mut 
 }
 
 impl Open {
-    /// Some view's master camera is in a window.
+    /// True when the master camera of some view is in a window.
     fn has_view(&self, place: usize) -> bool {
         self.viewer.views().any(|(_, view)| view.context() == Some(self.windows[place].context))
     }
 
-    /// Closes a window that is not the first, with the views whose master cameras are in it.
+    /// Closes a window other than the first, and removes the views whose master cameras are in it.
     fn close(&mut self, place: usize) -> Result<(), ViewerError> {
         let OpenWindow { context, .. } = self.windows.remove(place);
         let gone: Vec<ViewId> =
@@ -289,7 +291,7 @@ impl Open {
         for view in gone {
             self.viewer.remove_view(view)?;
         }
-        // No event is for one that is gone.
+        // Removed views get no more events.
         let is_there = |view: &ViewId, viewer: &CompositeViewer| viewer.views().any(|(id, _)| id == *view);
         for window in &mut self.windows {
             window.grabbed = window.grabbed.filter(|(view, _)| is_there(view, &self.viewer));
@@ -300,19 +302,19 @@ impl Open {
         Ok(())
     }
 
-    /// Gives an event to the view that it is for.
+    /// Gives an event to the view that it belongs to.
     fn feed(&mut self, place: usize, event: &WindowEvent) -> Result<(), ViewerError> {
         let Open { viewer, windows, .. } = self;
         let window = &mut windows[place];
         let here = || viewer.views().filter(|(_, view)| view.context() == Some(window.context));
         let at = |position_px: DVec2| viewer.view_at(window.context, position_px).map(|(view, _)| view);
-        // Where the pointer is in none, a window still has a view for its keys.
+        // With the pointer outside of all views, keys go to the first view of the window.
         let first_here = || here().next().map(|(id, _)| id);
         let for_view = match event {
             WindowEvent::CloseRequested | WindowEvent::Focused(_) | WindowEvent::ModifiersChanged(_) => {
                 let ids: Vec<ViewId> = here().map(|(id, _)| id).collect();
                 if let WindowEvent::Focused(false) = event {
-                    // What is down comes up for the views, and its release may go elsewhere.
+                    // Views treat everything as released when the focus is lost; the releases may go to another window.
                     window.grabbed = None;
                     window.fingers.clear();
                     window.keys.clear();
@@ -337,7 +339,7 @@ impl Open {
             }
             WindowEvent::Touch(touch) => {
                 let position_px = DVec2::new(touch.location.x, touch.location.y);
-                // One that comes again was lost.
+                // A finger that is put down again had lost its release.
                 let is_same = |id: u64| id == touch.id && touch.phase != TouchPhase::Started;
                 let known = window.fingers.iter().find(|(id, _)| is_same(*id)).map(|(_, view)| *view);
                 let view = known.or_else(|| at(position_px));
@@ -361,7 +363,7 @@ impl Open {
         let Some(id) = for_view else { return Ok(()) };
         let view = viewer.view_mut(id)?;
         let is_taken = overlay_of(&mut window.overlays, id).feed(view, &window.window, event);
-        // What lies over a view keeps presses from it; what comes up reaches it, since it may have gone down there.
+        // Presses that the overlay takes do not reach the view. Releases always do, since the press may have been there.
         if !(is_taken && window_events::is_press(event)) {
             let origin_px = view.window_matrix().origin_px;
             window_events::feed(view.event_queue(), event, origin_px);
@@ -369,9 +371,9 @@ impl Open {
         Ok(())
     }
 
-    /// One frame; false when it was the last.
+    /// Draws one frame; returns false when it was the last.
     fn frame(&mut self, options: &mut ViewsOptions) -> Result<bool, ViewerError> {
-        self.pace.begin_frame();
+        self.pacing.begin_frame();
         if self.viewer.views().next().is_none() || !(options.before_frame)(&mut self.viewer)? {
             return Ok(false);
         }
@@ -399,12 +401,12 @@ impl Open {
         Ok(!self.viewer.is_done())
     }
 
-    /// When the next frame comes.
+    /// Works for the pagers until the next frame is due, and requests it.
     fn plan_next(&mut self, event_loop: &ActiveEventLoop) {
-        if let Some(due) = self.pace.next_frame_at() {
+        if let Some(due) = self.pacing.next_frame_at() {
             self.viewer.work_until(due);
         }
-        if self.pace.plan_next(event_loop, self.viewer.check_need_to_do_frame()) {
+        if self.pacing.plan_next(event_loop, self.viewer.check_need_to_do_frame()) {
             self.windows[0].window.request_redraw();
         }
     }

@@ -1,4 +1,4 @@
-//! winit's events in the queue's words. Main thread.
+//! Translates winit's events into those of the event queue. Main thread.
 
 use std::path::PathBuf;
 
@@ -6,13 +6,13 @@ use glam::DVec2;
 use winit::event::{ElementState, KeyEvent, MouseScrollDelta, Touch, WindowEvent};
 use winit::keyboard::{Key as WinitKey, KeyCode, ModifiersState, NamedKey, PhysicalKey};
 
-use super::events::{EventQueue, Key, Modifiers, MouseButton, TouchPhase};
+use crate::viewer::events::{EventQueue, Key, Modifiers, MouseButton, TouchPhase};
 
-/// Pixels of a touch pad that count as a notch of the wheel.
+/// Pixels of scrolling on a touch pad that count as one notch of the wheel.
 const PX_PER_NOTCH: f64 = 50.0;
 
-/// Puts an event into the queue of a view whose picture begins at `origin_px` of the window; false when it is none of the
-/// queue's. Sizes are left to `Viewer::resize`.
+/// Puts an event into the queue of a view whose upper left corner is at `origin_px` of the window. Returns false for events
+/// that the queue has no counterpart for. Changes of size go through `Viewer::resize` instead.
 pub fn feed(queue: &mut EventQueue, event: &WindowEvent, origin_px: DVec2) -> bool {
     let time_s = queue.time_s();
     match event {
@@ -20,7 +20,7 @@ pub fn feed(queue: &mut EventQueue, event: &WindowEvent, origin_px: DVec2) -> bo
         WindowEvent::Focused(has_focus) => queue.focus(*has_focus, time_s),
         WindowEvent::ModifiersChanged(modifiers) => queue.set_modifiers(of_modifiers(modifiers.state())),
         WindowEvent::KeyboardInput { event, is_synthetic, .. } => {
-            // Keys that were down when the focus came are not presses.
+            // Keys that were already down when the window got the focus are no presses.
             if *is_synthetic && event.state == ElementState::Pressed {
                 return false;
             }
@@ -69,7 +69,7 @@ pub fn feed(queue: &mut EventQueue, event: &WindowEvent, origin_px: DVec2) -> bo
     true
 }
 
-/// True for what begins something: a button or a finger that goes down, the wheel.
+/// True for presses: a button or a finger that goes down, the wheel.
 pub fn is_press(event: &WindowEvent) -> bool {
     match event {
         WindowEvent::MouseInput { state, .. } => state.is_pressed(),
@@ -83,20 +83,20 @@ fn of_modifiers(state: ModifiersState) -> Modifiers {
     Modifiers { shift: state.shift_key(), control: state.control_key(), alt: state.alt_key(), logo: state.super_key() }
 }
 
-/// As the layout has it, and by its place on a US keyboard.
+/// Returns the key in the current layout, and the key at the same position of a US keyboard.
 fn keys(event: &KeyEvent) -> (Key, Key) {
     let logical = match &event.logical_key {
         WinitKey::Character(text) => text.chars().next().map_or(Key::Unknown, Key::Char),
         WinitKey::Named(named) => of_named(*named),
         _ => Key::Unknown,
     };
-    let place = match event.physical_key {
+    let unmodified = match event.physical_key {
         PhysicalKey::Code(code) => of_code(code),
         PhysicalKey::Unidentified(_) => Key::Unknown,
     };
-    match place {
+    match unmodified {
         Key::Unknown => (logical, logical),
-        place => (logical, place),
+        unmodified => (logical, unmodified),
     }
 }
 
@@ -226,11 +226,11 @@ fn of_code(code: KeyCode) -> Key {
 
 #[cfg(test)]
 mod tests {
-    use super::super::events::EventKind;
     use super::*;
+    use crate::viewer::events::EventKind;
 
     #[test]
-    fn fingers_keep_their_numbers_and_places_and_what_is_cancelled_is_no_click() {
+    fn fingers_keep_ids_and_positions_and_cancelled_touches_are_no_clicks() {
         use winit::event::TouchPhase as Phase;
         let mut queue = EventQueue::default();
         let phases = [Phase::Started, Phase::Moved, Phase::Cancelled, Phase::Started, Phase::Ended];

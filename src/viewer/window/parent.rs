@@ -1,43 +1,43 @@
-//! [`ParentWindow`]: a window of another toolkit, or of another program, in which a viewer's window opens. Under X11,
-//! Windows and macOS; Wayland knows no such thing.
+//! [`ParentWindow`]: a window of another toolkit, or of another program, in which a viewer's window opens. Supported under X11,
+//! Windows and macOS; Wayland has no such mechanism.
 //!
-//! The viewer's window is the other one's child: it moves, is hidden and closed with it. Under X11 (where XEmbed names it so
-//! to hosts that know it) it fills the host too: X tells whoever asks when a window changes its size or goes, so the viewer
-//! asks over a connection of its own, without a word from the host. Elsewhere it has
-//! [`ViewerConfig::size_px`](super::ViewerConfig::size_px) until the host says otherwise
-//! ([`WindowCommand::Resize`](super::WindowCommand::Resize)). Main thread.
+//! The viewer's window is a child of the other window: it is moved, hidden and closed with it. Under X11 (by XEmbed, for
+//! hosts that support it) it also fills the host. The viewer opens a second connection to the X server and listens for changes
+//! of the host's size, so the host need not cooperate. On other systems the window has
+//! [`ViewerConfig::size_px`](crate::viewer::ViewerConfig::size_px) until the host sends
+//! ([`WindowCommand::Resize`](crate::viewer::WindowCommand::Resize)). Main thread.
 
 use std::sync::Arc;
 
 use winit::raw_window_handle::{HasWindowHandle, RawWindowHandle};
 
-use super::ViewerError;
+use crate::viewer::ViewerError;
 
-/// A window to open in.
+/// A window of another toolkit or program, to open a viewer's window in.
 #[derive(Clone)]
 pub struct ParentWindow {
-    pub(super) handle: Handle,
+    pub(in crate::viewer) handle: Handle,
 }
 
-/// How this system knows the window.
-#[cfg_attr(not(target_os = "linux"), allow(dead_code, reason = "numbers of X11 are refused there"))]
+/// The window system's handle of the window.
+#[cfg_attr(not(target_os = "linux"), allow(dead_code, reason = "X11 window ids are refused on other systems"))]
 #[derive(Clone)]
-pub(super) enum Handle {
-    /// By its number in the X server.
+pub(in crate::viewer) enum Handle {
+    /// The id of the window in the X server.
     X11(u32),
-    /// By what is alive as long as this is.
+    /// The host, which stays alive as long as this handle.
     #[cfg(any(target_os = "windows", target_os = "macos"))]
     Host(Arc<dyn HasWindowHandle>),
 }
 
 impl ParentWindow {
-    /// The window of a number in the X server of `DISPLAY`: what GTK's socket, Qt's `winId` and Tk's `winfo id` give.
+    /// Takes the id of a window in the X server of `DISPLAY`, as returned by GTK's socket, Qt's `winId` and Tk's `winfo id`.
     pub fn x11(window: u32) -> Self {
         Self { handle: Handle::X11(window) }
     }
 
-    /// The window of a host in this process, which lives as long as this. [`ViewerError::ParentWindow`] where windows of
-    /// its window system have no children.
+    /// Takes the window of a host in this process, and keeps the host alive. Fails with [`ViewerError::ParentWindow`] when
+    /// the window system does not support child windows of other toolkits.
     pub fn of(host: Arc<impl HasWindowHandle + 'static>) -> Result<Self, ViewerError> {
         let handle = host.window_handle().map_err(|e| {
             let reason = format!("the host's window has no handle: {e}");
@@ -46,7 +46,7 @@ impl ParentWindow {
         match handle.as_raw() {
             #[cfg(target_os = "linux")]
             RawWindowHandle::Xlib(handle) => u32::try_from(handle.window).map(Self::x11).map_err(|_| {
-                let reason = format!("it has none of the number {}", handle.window);
+                let reason = format!("there is no window {}", handle.window);
                 ViewerError::ParentWindow { system: "X11", reason }
             }),
             #[cfg(target_os = "linux")]
@@ -73,7 +73,7 @@ fn system_of(handle: &RawWindowHandle) -> &'static str {
     }
 }
 
-/// A window's attributes, as a child of its host.
+/// Makes window attributes those of a child of its host.
 #[cfg(any(target_os = "windows", target_os = "macos"))]
 mod child {
     use winit::window::WindowAttributes;
@@ -94,7 +94,7 @@ mod child {
             let reason = format!("the host's window has no handle: {e}");
             ViewerError::ParentWindow { system: "the host", reason }
         })?;
-        // SAFETY: the handle is borrowed from the host's window, which is alive: `parent` shares it with whoever opens.
+        // SAFETY: the handle is borrowed from the host's window, which `parent` keeps alive while the child opens.
         Ok(unsafe { attributes.with_parent_window(Some(handle.as_raw())) })
     }
 }
@@ -129,15 +129,15 @@ mod child {
     }
 }
 
-pub(super) use child::attributes as child_attributes;
+pub(in crate::viewer) use child::attributes as child_attributes;
 
-/// What became of a window that is followed.
-#[cfg_attr(not(target_os = "linux"), allow(dead_code, reason = "nothing is followed there"))]
+/// A change of the parent window.
+#[cfg_attr(not(target_os = "linux"), allow(dead_code, reason = "parent windows are followed under X11 only"))]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum ParentChange {
-    /// It has another size.
+pub(in crate::viewer) enum ParentChange {
+    /// Its size has changed.
     Resized([u32; 2]),
-    /// It is gone.
+    /// It was closed.
     Gone,
 }
 
@@ -151,7 +151,7 @@ mod followed {
     use super::{Handle, ParentChange, ParentWindow};
     use crate::viewer::ViewerError;
 
-    /// A window whose size is followed.
+    /// A parent window whose size and end are followed over a connection of our own.
     pub(in crate::viewer) struct Followed {
         connection: RustConnection,
         window: u32,
@@ -159,20 +159,20 @@ mod followed {
     }
 
     impl Followed {
-        /// An error where there is no such window.
+        /// Fails when there is no such window.
         pub(in crate::viewer) fn new(parent: &ParentWindow, _: [u32; 2]) -> Result<Self, ViewerError> {
             let Handle::X11(window) = parent.handle;
-            let wrong = |what: String| ViewerError::Window(format!("the window {window:#x} to open in: {what}"));
+            let wrong = |what: String| ViewerError::Window(format!("cannot open in the window {window:#x}: {what}"));
             let (connection, _) = x11rb::connect(None).map_err(|e| wrong(e.to_string()))?;
             let events = ChangeWindowAttributesAux::new().event_mask(EventMask::STRUCTURE_NOTIFY);
             let asked = connection.change_window_attributes(window, &events).map_err(|e| wrong(e.to_string()))?;
-            asked.check().map_err(|e| wrong(format!("there is none: {e}")))?;
+            asked.check().map_err(|e| wrong(format!("there is no such window: {e}")))?;
             let size = connection.get_geometry(window).map_err(|e| wrong(e.to_string()))?;
             let size = size.reply().map_err(|e| wrong(e.to_string()))?;
             Ok(Self { connection, window, size_px: [size.width.into(), size.height.into()] })
         }
 
-        /// What has become of it since the last call; does not wait.
+        /// Returns the change since the last call, without waiting.
         pub(in crate::viewer) fn look(&mut self) -> Option<ParentChange> {
             let mut size_px = self.size_px;
             loop {
@@ -185,7 +185,7 @@ mod followed {
                     }
                     Ok(Some(_)) => {}
                     Ok(None) => break,
-                    // The server is gone, and every window with it.
+                    // The connection to the server broke, so every window is gone.
                     Err(_) => return Some(ParentChange::Gone),
                 }
             }
@@ -194,16 +194,16 @@ mod followed {
             is_new.then_some(ParentChange::Resized(size_px))
         }
 
-        /// Has keys go to the window inside: no window manager gives them to what is in another window.
+        /// Gives the keyboard focus to the child window; window managers do not do that for windows inside others.
         pub(in crate::viewer) fn focus(&self, inside: &ParentWindow) {
             let Handle::X11(inside) = inside.handle;
             let asked = self.connection.set_input_focus(InputFocus::PARENT, inside, x11rb::CURRENT_TIME);
             if let Err(error) = asked.and_then(|_| self.connection.flush()) {
-                log::warn!("the keys cannot be asked for: {error}");
+                log::warn!("cannot set the keyboard focus: {error}");
             }
         }
 
-        /// True where the server does not know it any more.
+        /// True when the server does not know the window any more.
         pub(in crate::viewer) fn is_gone(&self) -> bool {
             self.connection.get_geometry(self.window).map_or(true, |asked| asked.reply().is_err())
         }
@@ -215,7 +215,7 @@ mod followed {
     use super::{ParentChange, ParentWindow};
     use crate::viewer::ViewerError;
 
-    /// A window that is not followed: its size is what the host says, and what is in it is closed with it.
+    /// A parent window that is not followed: the host sends its size, and closing it closes the child.
     pub(in crate::viewer) struct Followed {
         pub(in crate::viewer) size_px: [u32; 2],
     }
@@ -237,10 +237,10 @@ mod followed {
     }
 }
 
-pub(super) use followed::Followed;
+pub(in crate::viewer) use followed::Followed;
 
 #[cfg(all(test, target_os = "linux"))]
-#[allow(clippy::arc_with_non_send_sync, reason = "handles of other systems are of one thread")]
+#[allow(clippy::arc_with_non_send_sync, reason = "window handles of other systems are bound to one thread")]
 mod tests {
     use std::num::NonZeroU32;
     use std::ptr::NonNull;
@@ -255,9 +255,9 @@ mod tests {
     struct Host(Result<RawWindowHandle, HandleError>);
 
     impl HasWindowHandle for Host {
-        #[allow(unsafe_code, reason = "a handle is made of thin air, and nothing is done with it")]
+        #[allow(unsafe_code, reason = "the handle is made up, and never used")]
         fn window_handle(&self) -> Result<WindowHandle<'_>, HandleError> {
-            // SAFETY: nobody opens anything in it.
+            // SAFETY: no window is opened in it.
             self.0.clone().map(|raw| unsafe { WindowHandle::borrow_raw(raw) })
         }
     }
@@ -267,17 +267,17 @@ mod tests {
     }
 
     #[test]
-    fn windows_of_x11_are_known_by_their_number_and_others_are_refused_by_name() {
+    fn x11_windows_are_accepted_by_id_and_others_refused_by_name() {
         let xcb = of(XcbWindowHandle::new(NonZeroU32::new(77).unwrap())).unwrap();
         assert!(matches!(xcb.handle, Handle::X11(77)));
         let xlib = of(XlibWindowHandle::new(78)).unwrap();
         assert!(matches!(xlib.handle, Handle::X11(78)));
-        let thin_air = NonNull::dangling();
+        let dangling = NonNull::dangling();
         for (host, says) in [
-            (of(WaylandWindowHandle::new(thin_air)), "window of Wayland"),
-            (of(AppKitWindowHandle::new(thin_air)), "window of macOS"),
+            (of(WaylandWindowHandle::new(dangling)), "window of Wayland"),
+            (of(AppKitWindowHandle::new(dangling)), "window of macOS"),
             (of(WebWindowHandle::new(1)), "window of this kind"),
-            (of(XlibWindowHandle::new(u64::MAX)), "none of the number 18446744073709551615"),
+            (of(XlibWindowHandle::new(u64::MAX)), "there is no window 18446744073709551615"),
             (ParentWindow::of(Arc::new(Host(Err(HandleError::Unavailable)))), "has no handle"),
         ] {
             let error = host.err().unwrap();

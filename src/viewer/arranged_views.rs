@@ -1,23 +1,24 @@
-//! [`ViewsSetup`]: several views in windows, as a file names them, and how a [`CompositeViewer`] is made of them. Main
-//! thread, before the first frame.
+//! [`ArrangedViews`]: creates a [`CompositeViewer`] with the windows, scenes and views of a [`ViewsSetup`]. Main thread, before
+//! the first frame.
 
 use super::ViewerError;
-use super::composite::{CompositeViewer, SceneId, ViewId};
+use super::composite::CompositeViewer;
 use super::config::{CameraSetup, ViewCamera, ViewSetup, ViewsSetup, WindowSetup};
-use super::home::LoadedRoot;
-use super::view::{ContextId, Slave};
-use super::viewer::ViewerConfig;
+use super::frame::ViewerConfig;
+use super::ids::{ContextId, SceneId, ViewId};
+use super::paging::LoadedRoot;
+use super::view::Slave;
 use crate::draw::Sky;
 use crate::gpu::{ContextTraits, GraphicsContext};
 use crate::pager::PagerConfig;
 
 impl ViewsSetup {
-    /// Reads the roots of the scenes; blocks until they are there. Any thread.
+    /// Reads the roots of all scenes; blocks until they are read. Any thread.
     pub fn read_roots(&self, config: &PagerConfig) -> Result<Vec<LoadedRoot>, ViewerError> {
         self.scenes.iter().map(|scene| LoadedRoot::read(&scene.source, config)).collect()
     }
 
-    /// What the context of a window shall be.
+    /// Returns the traits of the context of a window.
     pub(super) fn traits(&self, config: &ViewerConfig, window: &WindowSetup, size_px: [u32; 2]) -> ContextTraits {
         ContextTraits {
             size_px,
@@ -28,21 +29,21 @@ impl ViewsSetup {
     }
 }
 
-/// A [`CompositeViewer`] as a [`ViewsSetup`] has it.
+/// A [`CompositeViewer`] with the windows, scenes and views of a [`ViewsSetup`].
 pub struct ArrangedViews {
     /// The viewer.
     pub viewer: CompositeViewer,
-    /// By place of the window.
+    /// The contexts, in the order of [`ViewsSetup::windows`].
     pub contexts: Vec<ContextId>,
-    /// By place of the view.
+    /// The views, in the order of [`ViewsSetup::views`].
     pub views: Vec<ViewId>,
-    /// That of the views without one; `None` where all have one.
+    /// The scene of the views that name none; `None` when all name one.
     pub own_scene: Option<SceneId>,
 }
 
 impl ArrangedViews {
-    /// With an offscreen context for each window. `roots` are the scenes' as [`ViewsSetup::read_roots`] gives them,
-    /// `own` is the root of the application's scene where it has one already.
+    /// Creates an offscreen context for each window. `roots` are the result of [`ViewsSetup::read_roots`], `own` is the root
+    /// of the application's scene if it has one already.
     pub fn new_offscreen(
         setup: &ViewsSetup,
         config: &ViewerConfig,
@@ -59,7 +60,7 @@ impl ArrangedViews {
         })
     }
 
-    /// `open` makes the context of each window.
+    /// Creates the viewer; `open` creates the context of each window.
     pub(super) fn new(
         setup: &ViewsSetup,
         config: &ViewerConfig,
@@ -113,7 +114,7 @@ fn add_view(
     if let Some(policy) = master.camera.resize {
         view.camera.set_resize_policy(policy, view.size_px());
     }
-    // Also where the scene is filled later.
+    // Kept for scenes that are filled later.
     view.from = setup.from.unwrap_or_default();
     if let Some(bounds) = &bounds {
         view.first_sight(bounds);

@@ -1,20 +1,20 @@
-//! [`Viewport`]: the part of a window or picture that a camera draws in. Resolved to pixels on the main thread, before cull.
+//! [`Viewport`]: the part of a window or texture that a camera draws in. Resolved to pixels on the main thread, before cull.
 
-/// Part of a window that a camera draws in.
+/// The part of a window, or of another target, that a camera draws in.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Viewport {
-    /// All of it.
+    /// The whole target.
     #[default]
     Whole,
-    /// x, y, width and height in pixels from its upper left corner, whatever its size.
+    /// x, y, width and height in pixels from the upper left corner, independent of the size of the target.
     Pixels([u32; 4]),
-    /// x, y, width and height as shares of it from its upper left corner: 0 to 1. Parts that meet have no pixel between
-    /// them and none in common. What is not finite, or outside, is the nearest that is possible.
+    /// x, y, width and height as shares of the target, 0 to 1, from its upper left corner. Adjacent parts neither
+    /// overlap nor leave a gap. Values that are out of range or not finite are clamped.
     Shares([f64; 4]),
 }
 
 impl Viewport {
-    /// x, y, width and height in pixels of a window of a size; `None`: all of it.
+    /// Returns x, y, width and height in pixels for a target of a size; `None` stands for the whole target.
     pub fn part_px(&self, size_px: [u32; 2]) -> Option<[u32; 4]> {
         match *self {
             Self::Whole => None,
@@ -26,14 +26,14 @@ impl Viewport {
         }
     }
 
-    /// Width and height in pixels in a window of a size, never 0.
-    pub(super) fn picture_px(&self, size_px: [u32; 2]) -> [u32; 2] {
+    /// Returns width and height of the part in pixels for a target of a size; never 0.
+    pub(in crate::viewer) fn image_px(&self, size_px: [u32; 2]) -> [u32; 2] {
         let of_part = self.part_px(size_px).map_or(size_px, |[_, _, width, height]| [width, height]);
         of_part.map(|side| side.max(1))
     }
 }
 
-/// Where a share of a side begins, and how many pixels it has: one at least.
+/// Returns the first pixel of a share of a side, and its length, at least one pixel.
 fn along((from, length, side_px): (f64, f64, u32)) -> (u32, u32) {
     let side_px = side_px.max(1);
     let edge = |at: f64| (at.clamp(0.0, 1.0) * f64::from(side_px)).round() as u32;
@@ -61,7 +61,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn shares_are_parts_of_any_size() {
+    fn shares_scale_with_the_target() {
         let right = Viewport::Shares([0.5, 0.25, 0.5, 0.5]);
         assert_eq!(right.part_px([640, 400]), Some([320, 100, 320, 200]));
         assert_eq!(right.part_px([641, 401]), Some([321, 100, 320, 201]));
@@ -69,7 +69,7 @@ mod tests {
         assert_eq!(right.part_px([0, 0]), Some([0, 0, 1, 1]));
         assert_eq!(Viewport::Whole.part_px([640, 400]), None);
         assert_eq!(Viewport::from([1, 2, 3, 4]).part_px([640, 400]), Some([1, 2, 3, 4]));
-        assert_eq!(Viewport::from([1, 2, 0, 4]).picture_px([640, 400]), [1, 4]);
+        assert_eq!(Viewport::from([1, 2, 0, 4]).image_px([640, 400]), [1, 4]);
         for nonsense in [[f64::NAN; 4], [-3.0, 7.0, f64::INFINITY, -1.0], [f64::NEG_INFINITY; 4]] {
             let [x, y, width, height] = Viewport::Shares(nonsense).part_px([64, 32]).unwrap();
             assert!(x + width <= 64 && y + height <= 32 && width > 0 && height > 0, "{nonsense:?}");
@@ -78,7 +78,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn parts_that_meet_cover_every_pixel_once(
+        fn adjacent_parts_cover_every_pixel_once(
             cuts in proptest::collection::vec(0.02..0.98f64, 1..5),
             side_px in 200..5000u32,
         ) {

@@ -1,52 +1,52 @@
-//! The camera: where the eye is and how wide it sees. Written in update, read by cull, on the main thread.
+//! [`Camera`]: the pose and the lens of a view. Written in update, read by cull, on the main thread.
 //!
-//! Eye space looks down -z with y up. The projection is reversed-Z with an infinite far plane; only its near
-//! distance depends on the scene and is set after cull, from the nearest thing that cull kept, so that neither
-//! a fast approach nor a near model is ever clipped.
+//! Eye space looks down -z with y up. The projection is reversed-Z with an infinite far plane. Only its near distance depends
+//! on the scene. It is set after cull, from the nearest object that cull kept: neither a fast approach nor a near model is
+//! ever clipped.
 
 use glam::{DAffine3, DMat3, DMat4, DVec3};
 
 use crate::cull::{CullCamera, CullSettings};
 
-/// An angle of view and the side of the picture it spans.
+/// An angle of view, and the side of the image that it spans.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum FieldOfView {
     /// Radians from the bottom to the top edge.
     Vertical(f64),
     /// Radians from the left to the right edge.
     Horizontal(f64),
-    /// Radians along the longer side of the picture, as CesiumJS measures it.
+    /// Radians along the longer side of the image, as in CesiumJS.
     LongerSide(f64),
-    /// The same in a picture of any shape, which stretches it.
+    /// Shows the same in an image of any aspect ratio, by stretching it.
     Fixed {
         /// Radians from the bottom to the top edge.
         vertical: f64,
-        /// Width by height, where nothing is stretched.
+        /// Width by height of the image in which nothing is stretched.
         aspect: f64,
     },
 }
 
-/// What changes with the shape of a picture; OSG's `ProjectionResizePolicy`.
+/// The part of the projection that follows the aspect ratio of the image; OSG's `ProjectionResizePolicy`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum ResizePolicy {
-    /// Nothing: what is seen is stretched.
+    /// The projection stays, and the image is stretched.
     Fixed,
-    /// The angle from left to right: a wider picture shows more to the sides.
+    /// The horizontal angle follows: a wider image shows more at the sides.
     Horizontal,
-    /// The angle from bottom to top: a higher picture shows more above and below.
+    /// The vertical angle follows: a higher image shows more at the top and bottom.
     Vertical,
 }
 
 /// Pose and lens of one view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Camera {
-    /// Maps eye space to the world; a rotation and a position, no scale.
+    /// The pose: a rotation and a translation from eye space to the world, without scale.
     pub world_from_eye: DAffine3,
     /// The angle of view.
     pub field_of_view: FieldOfView,
-    /// What is culled and how.
+    /// The settings of cull.
     pub settings: CullSettings,
-    /// The near plane never comes closer to the eye than this, in metres.
+    /// The smallest distance of the near plane, in metres.
     pub min_near_m: f64,
 }
 
@@ -62,26 +62,26 @@ impl Default for Camera {
 }
 
 impl Camera {
-    /// Position of the eye in the world, metres.
+    /// Returns the position of the eye in the world, in metres.
     pub fn eye(&self) -> DVec3 {
         self.world_from_eye.translation
     }
 
-    /// Direction of view in the world, unit length.
+    /// Returns the direction of view in the world, of unit length.
     pub fn direction(&self) -> DVec3 {
         -self.world_from_eye.matrix3.z_axis
     }
 
-    /// Places the eye and turns it towards a point.
+    /// Moves the eye and turns it towards a point.
     pub fn look_at(&mut self, eye: DVec3, target: DVec3, up: DVec3) {
         self.world_from_eye = world_from_eye(eye, target - eye, up);
     }
 
-    /// Vertical angle of view in radians for a picture of a size.
+    /// Returns the vertical angle of view in radians for an image of a size.
     pub fn fovy(&self, size_px: [u32; 2]) -> f64 {
         let aspect = shape(size_px);
         let within = |angle: f64| angle.clamp(1e-4, 179f64.to_radians());
-        // Of more than half a circle the tangent is negative.
+        // Beyond half a circle the tangent would be negative.
         let from_width = |angle: f64| 2.0 * ((0.5 * within(angle)).tan() / aspect).atan();
         let angle = match self.field_of_view {
             FieldOfView::Vertical(fovy) | FieldOfView::Fixed { vertical: fovy, .. } => fovy,
@@ -92,7 +92,7 @@ impl Camera {
         within(angle)
     }
 
-    /// Width by height, in tangents, of what is seen in a picture of a size.
+    /// Returns width by height of the field of view, in tangents, for an image of a size.
     pub fn aspect(&self, size_px: [u32; 2]) -> f64 {
         match self.field_of_view {
             FieldOfView::Fixed { aspect, .. } if aspect.is_finite() => aspect.clamp(1e-4, 1e4),
@@ -100,7 +100,7 @@ impl Camera {
         }
     }
 
-    /// From now on sees in a picture of a size what it sees there now, and in others what a policy says.
+    /// Keeps the field of view for an image of the given size, and applies a policy to images of other sizes.
     pub fn set_resize_policy(&mut self, policy: ResizePolicy, size_px: [u32; 2]) {
         let (vertical, aspect) = (self.fovy(size_px), self.aspect(size_px));
         self.field_of_view = match policy {
@@ -110,7 +110,7 @@ impl Camera {
         };
     }
 
-    /// Reversed-Z infinite projection with a near distance in metres.
+    /// Returns the reversed-Z infinite projection for a near distance in metres.
     pub fn clip_from_eye(&self, size_px: [u32; 2], near_m: f64) -> DMat4 {
         glam::dcamera::rh::proj::directx::perspective_infinite_reverse(
             self.fovy(size_px),
@@ -119,13 +119,13 @@ impl Camera {
         )
     }
 
-    /// The near distance for a frame whose nearest drawn thing is `nearest_m` away; half of it, because the
-    /// bound is along the view direction's radius and the picture's corners see farther.
+    /// Returns the near distance for a frame whose nearest object is `nearest_m` away. It is half of that, because the
+    /// bound is measured along the direction of view and the corners of the image see farther.
     pub fn near_for(&self, nearest_m: f64) -> f64 {
         if nearest_m.is_finite() { (0.5 * nearest_m).max(self.min_near_m) } else { self.min_near_m }
     }
 
-    /// What cull needs to know of this camera.
+    /// Returns this camera as cull takes it. `context` is the number of the device.
     pub fn cull_camera(&self, size_px: [u32; 2], frame: u32, context: u32) -> CullCamera {
         CullCamera {
             eye_from_world: self.world_from_eye.inverse(),
@@ -140,7 +140,7 @@ impl Camera {
         }
     }
 
-    /// Direction in the world of the ray through a picture position (pixels, origin upper left), unit length.
+    /// Returns the direction in the world of the ray through an image position (pixels, origin upper left), of unit length.
     pub fn ray_direction(&self, size_px: [u32; 2], x_px: f64, y_px: f64) -> DVec3 {
         let (width, height) = (f64::from(size_px[0].max(1)), f64::from(size_px[1].max(1)));
         let half_height = (0.5 * self.fovy(size_px)).tan();
@@ -153,20 +153,20 @@ impl Camera {
     }
 }
 
-/// Width by height of a picture.
+/// Width by height of an image.
 fn shape(size_px: [u32; 2]) -> f64 {
     f64::from(size_px[0].max(1)) / f64::from(size_px[1].max(1))
 }
 
-/// The pose of an eye that looks along `direction` with `up` upwards in the picture; when the two are parallel
-/// any upright is taken.
+/// Returns the pose of an eye that looks along `direction` with `up` upwards in the image. When the two are parallel, some
+/// perpendicular direction becomes up.
 pub fn world_from_eye(eye: DVec3, direction: DVec3, up: DVec3) -> DAffine3 {
     let back = -direction.normalize_or(DVec3::NEG_Z);
     let mut right = up.cross(back);
     if right.length_squared() < 1e-20 {
         right = back.any_orthogonal_vector();
     }
-    // Of nearly parallel vectors the cross product is hardly exact: once more at right angles to `back`.
+    // The cross product of nearly parallel vectors is inexact, so it is made perpendicular to `back` once more.
     let right = right.normalize();
     let right = (right - back * back.dot(right)).normalize();
     DAffine3 { matrix3: DMat3::from_cols(right, back.cross(right), back), translation: eye }
@@ -177,7 +177,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_pose_is_a_rotation_where_direction_and_up_are_nearly_parallel() {
+    fn pose_is_a_rotation_for_nearly_parallel_direction_and_up() {
         let up = DVec3::new(0.6758678476252854, 0.09079264767835152, 0.7314091520304615).normalize();
         for exponent in 1..16 {
             let aside = up.any_orthonormal_vector() * 10f64.powi(-exponent);
@@ -189,9 +189,9 @@ mod tests {
         }
     }
 
-    /// Half a circle and more was the narrowest.
+    /// Regression: angles beyond half a circle gave the narrowest view.
     #[test]
-    fn too_wide_a_view_is_the_widest() {
+    fn angles_out_of_range_give_the_widest_view() {
         for angle in [3.2, 10.0, f64::INFINITY] {
             for field_of_view in
                 [FieldOfView::Horizontal(angle), FieldOfView::LongerSide(angle), FieldOfView::Vertical(angle)]
@@ -211,8 +211,8 @@ mod tests {
     }
 
     #[test]
-    fn a_policy_says_what_another_shape_shows() {
-        // Tangents of half the angles, across and upwards.
+    fn resize_policy_decides_the_field_of_view_for_other_aspect_ratios() {
+        // Tangents of half the angles, horizontal and vertical.
         let seen = |camera: &Camera, size_px: [u32; 2]| {
             let clip = camera.clip_from_eye(size_px, 1.0);
             [1.0 / clip.x_axis.x, 1.0 / clip.y_axis.y]
@@ -236,14 +236,14 @@ mod tests {
                 let ray = camera.ray_direction(size_px, f64::from(size_px[0]), 0.0);
                 assert!((ray.x / -ray.z - now_x).abs() < 1e-9 && (ray.y / -ray.z - now_y).abs() < 1e-9, "{ray}");
             }
-            // One policy after another keeps what is seen.
+            // A change of policy keeps the present field of view.
             camera.set_resize_policy(ResizePolicy::Vertical, [1200, 300]);
             assert!((seen(&camera, [1200, 300])[0] - wider[0] * across).abs() < 1e-9);
         }
     }
 
     #[test]
-    fn the_middle_ray_is_the_direction_of_view() {
+    fn middle_ray_is_the_direction_of_view() {
         let mut camera = Camera::default();
         camera.look_at(DVec3::new(1.0, 2.0, 3.0), DVec3::new(-4.0, 6.0, 0.5), DVec3::Z);
         assert!(camera.ray_direction([640, 360], 320.0, 180.0).distance(camera.direction()) < 1e-12);

@@ -1,33 +1,28 @@
-//! Where a set is and from where to look at it first: local frame, first camera, default path, haze to its size.
-//! Computed once when a root is loaded, on the main thread.
-
-use std::sync::Arc;
+//! [`SetBounds`]: position and size of a tile set, and what follows from them: the local frame, the first camera, the default
+//! path, the density of the haze. Computed once when a root is loaded, on the main thread.
 
 use glam::{DAffine3, DMat3, DVec3, Vec3};
 
-use super::ViewerError;
 use super::camera::{Camera, world_from_eye};
-use super::camera_path::{AnimationPath, ControlPoint};
 use crate::draw::{Environment, Fog};
-use crate::io;
 use crate::math::{BoundingSphere, BoundingVolume, Ellipsoid, OrientedBox, WGS84};
-use crate::pager::{DatabasePager, PagerConfig};
-use crate::scene::{NodeKind, Page};
+use crate::scene::Page;
+use crate::viewer::camera_path::{AnimationPath, ControlPoint};
 
-/// A set whose bounding sphere's centre lies farther than this from the origin is taken as earth-centred.
+/// A set counts as earth-centred when the centre of its bounding sphere is farther than this from the origin.
 const GEOREFERENCED_BEYOND_M: f64 = 1.0e6;
 
-/// East (x), north (y), up (z) at a point.
+/// The axes east (x), north (y) and up (z) at a point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LocalFrame {
-    /// A rotation and the point.
+    /// A rotation and a translation to the point.
     pub world_from_local: DAffine3,
     /// True when the world is earth-centred, earth-fixed.
     pub georeferenced: bool,
 }
 
 impl LocalFrame {
-    /// The frame at a point: east, north, up on the ellipsoid, or the world's own axes.
+    /// Returns the frame at a point: east, north and up on the ellipsoid, or the axes of the world.
     pub fn at(point: DVec3, georeferenced: bool) -> Self {
         let matrix3 = if georeferenced && point.length() > 1.0 {
             WGS84.ecef_from_enu(&WGS84.geodetic(point)).matrix3
@@ -37,12 +32,13 @@ impl LocalFrame {
         Self { world_from_local: DAffine3 { matrix3, translation: point }, georeferenced }
     }
 
-    /// Unit up in the world.
+    /// Returns the unit up vector in the world.
     pub fn up(&self) -> DVec3 {
         self.world_from_local.matrix3.z_axis
     }
 
-    /// Unit direction in the world: radians clockwise from north, radians above the horizon.
+    /// Returns a unit direction in the world. `heading` is in radians clockwise from north, `pitch` in radians above the
+    /// horizon.
     pub fn direction(&self, heading: f64, pitch: f64) -> DVec3 {
         let (sin_h, cos_h) = heading.sin_cos();
         let (sin_p, cos_p) = pitch.sin_cos();
@@ -50,29 +46,29 @@ impl LocalFrame {
     }
 }
 
-/// Extent of a tile set, in the world.
+/// The extent of a tile set in the world.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SetBounds {
-    /// Around everything.
+    /// The bounding sphere.
     pub sphere: BoundingSphere,
-    /// The root's declared volume where there is one.
+    /// The volume that the root declares, if any.
     pub volume: Option<BoundingVolume>,
     /// The frame at the sphere's centre.
     pub frame: LocalFrame,
-    /// Half the extent east, north and up in the local frame, metres.
+    /// Half the extent east, north and up in the local frame, in metres.
     pub half_size_m: DVec3,
-    /// Middle of that box in the local frame (the volume's box need not be centred on the sphere).
+    /// The middle of that box in the local frame; the box of the volume need not be centred on the sphere.
     pub middle_m: DVec3,
 }
 
-/// A place to look from: radians and metres.
+/// A pose relative to a set, from which its centre is looked at.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ViewFrom {
-    /// Radians clockwise from north: where the camera looks.
+    /// The direction of view, in radians clockwise from north.
     pub heading: f64,
-    /// Radians above the horizon; negative looks down.
+    /// Radians above the horizon; negative values look down.
     pub pitch: f64,
-    /// Distance to the centre in metres; `None` is 2.2 radii.
+    /// The distance to the centre in metres; `None` is 2.2 radii of the bounding sphere.
     pub range_m: Option<f64>,
 }
 
@@ -82,16 +78,16 @@ impl Default for ViewFrom {
     }
 }
 
-/// The deepest trench.
-pub(super) const LOWEST_GROUND_M: f64 = -12_000.0;
+/// A height below the deepest ocean trench, metres above the ellipsoid.
+pub(in crate::viewer) const LOWEST_GROUND_M: f64 = -12_000.0;
 
 impl SetBounds {
-    /// Bounds from a sphere alone.
+    /// Creates bounds from a sphere alone.
     pub fn from_sphere(sphere: BoundingSphere) -> Self {
         Self::new(sphere, None)
     }
 
-    /// Bounds from a sphere and the root's declared volume.
+    /// Creates bounds from a sphere and the volume that the root declares.
     pub fn new(sphere: BoundingSphere, volume: Option<BoundingVolume>) -> Self {
         let usable = sphere.center.is_finite() && sphere.radius_m.is_finite() && sphere.radius_m > 0.0;
         let sphere = if usable { sphere } else { BoundingSphere::new(DVec3::ZERO, 1.0) };
@@ -105,29 +101,29 @@ impl SetBounds {
         Self { sphere, volume, frame, half_size_m, middle_m }
     }
 
-    /// The earth below the set's lowest ground, which hides what lies behind the horizon; `None` for a set that is not
-    /// on the earth.
+    /// Returns an ellipsoid below the set's lowest ground, which hides what lies behind the horizon; `None` for a set that is
+    /// not on the earth.
     pub fn body(&self) -> Option<Ellipsoid> {
         self.body_below(self.lowest_ground_m())
     }
 
-    /// As [`Self::body`], below ground that may be another set's; metres above the ellipsoid.
-    pub(super) fn body_below(&self, lowest_m: f64) -> Option<Ellipsoid> {
+    /// Like [`Self::body`], for a given lowest ground in metres above the ellipsoid.
+    pub(in crate::viewer) fn body_below(&self, lowest_m: f64) -> Option<Ellipsoid> {
         let shrunk = |radius_m: f64| radius_m + lowest_m.max(LOWEST_GROUND_M);
         self.frame
             .georeferenced
             .then(|| Ellipsoid { semi_major_m: shrunk(WGS84.semi_major_m), semi_minor_m: shrunk(WGS84.semi_minor_m) })
     }
 
-    /// Metres above the ellipsoid that the set's ground has at least; never above 0.
-    pub(super) fn lowest_ground_m(&self) -> f64 {
+    /// Returns a lower bound of the ground's height in metres above the ellipsoid; at most 0.
+    pub(in crate::viewer) fn lowest_ground_m(&self) -> f64 {
         match self.volume {
             Some(BoundingVolume::Region(region)) => region.min_height_m.min(0.0),
             _ => LOWEST_GROUND_M,
         }
     }
 
-    /// Metres above the highest thing the set can hold; negative below.
+    /// Returns the height of a point in metres above the top of the bounds; negative below it.
     pub fn height_above_top_m(&self, point: DVec3) -> f64 {
         if let (Some(BoundingVolume::Region(region)), true) = (self.volume, self.frame.georeferenced) {
             return WGS84.geodetic(point).height_m - region.max_height_m;
@@ -136,14 +132,14 @@ impl SetBounds {
         local.z - (self.middle_m.z + self.half_size_m.z)
     }
 
-    /// The eye that looks at the centre of the sphere.
+    /// Returns the pose of an eye that looks at the centre of the sphere.
     pub fn first_camera(&self, view: &ViewFrom) -> DAffine3 {
         let range_m = view.range_m.unwrap_or(2.2 * self.sphere.radius_m);
         let direction = self.frame.direction(view.heading, view.pitch);
         world_from_eye(self.sphere.center - direction * range_m, direction, self.frame.up())
     }
 
-    /// The eye that sees all of the bounds, as large as they fit: from the south, 35 degrees above the horizon.
+    /// Returns the closest pose that shows all of the bounds, from the south and 35 degrees above the horizon.
     pub fn home_camera(&self, camera: &Camera, size_px: [u32; 2]) -> DAffine3 {
         let tan_y = (0.5 * camera.fovy(size_px)).tan();
         let tan_x = tan_y * camera.aspect(size_px);
@@ -165,12 +161,12 @@ impl SetBounds {
         world_from_eye(target - direction * (1.02 * range_m).max(1e-3), direction, self.frame.up())
     }
 
-    /// Thirty seconds over the set, from a first pose: approaches from the south, flies low over the middle,
-    /// climbs and orbits it once.
+    /// Returns a path of thirty seconds that starts at a given pose, approaches from the south, flies low over the
+    /// middle, climbs and orbits the set once.
     pub fn default_path(&self, first: &DAffine3) -> AnimationPath {
         let half = self.half_size_m.truncate().min_element().max(1e-6);
         let top = self.middle_m.z + self.half_size_m.z;
-        // Low, yet above everything the bounds allow; the earth's curve is inside the bounds' height.
+        // Low, but above the top of the bounds, whose height includes the curvature of the earth.
         let low = top + 0.04 * half;
         let at = |x: f64, y: f64, z: f64| DVec3::new(self.middle_m.x + half * x, self.middle_m.y + half * y, z);
         let mut points = vec![ControlPoint::from_pose(0.0, first)];
@@ -191,22 +187,22 @@ impl SetBounds {
             let eye = at(0.9 * angle.cos(), 0.9 * angle.sin(), low + half * (0.25 + 0.45 * rise));
             add(18.0 + 0.5 * f64::from(step), eye, at(0.0, 0.0, self.middle_m.z));
         }
-        AnimationPath::new(points).expect("the first pose is a point")
+        AnimationPath::new(points).expect("the path has at least one point")
     }
 
-    /// Fog density per metre that leaves a set visible as a whole from the first camera: optical depth 0.35 at that
-    /// distance, and never thicker than a hazy day's, so that what is small is clear.
+    /// Returns a fog density per metre that leaves the whole set visible from the first camera: an optical depth of 0.35 at
+    /// that distance. It is limited to 5e-5, a hazy day's, so that small sets stay clear.
     pub fn fog_density_per_m(&self) -> f64 {
         (0.35 / (2.2 * self.sphere.radius_m)).min(5e-5)
     }
 
-    /// Direction towards the sun in the world: from the south-east, 40 degrees up.
+    /// Returns the direction towards the sun in the world: south-east, 40 degrees above the horizon.
     pub fn sun_direction(&self) -> DVec3 {
         self.frame.direction(135f64.to_radians(), 40f64.to_radians())
     }
 }
 
-/// Sun, sky and haze fit to a set.
+/// Returns an environment whose sun, sky and haze fit a set.
 pub fn environment_for(bounds: &SetBounds) -> Environment {
     let base = Environment::default();
     Environment {
@@ -217,43 +213,8 @@ pub fn environment_for(bounds: &SetBounds) -> Environment {
     }
 }
 
-/// A root tile set that was read, and the pager for the rest of it.
-pub struct LoadedRoot {
-    pub(super) pager: DatabasePager,
-    pub(super) page: Page,
-    pub(super) uri: Arc<str>,
-    pub(super) region: Option<BoundingVolume>,
-}
-
-impl LoadedRoot {
-    /// Reads a folder's, file's or URL's root; blocks until it is there. Any thread.
-    pub fn read(source: &str, config: &PagerConfig) -> Result<Self, ViewerError> {
-        let uri = io::root_uri(source)?;
-        let options = io::ReadOptions::for_root(&uri, config.limits);
-        let mut pager = DatabasePager::new(config.clone(), options.clone())?;
-        let page = pager.read_root(&uri)?;
-        let region = declared_region(&uri, &options);
-        Ok(Self { pager, page, uri, region })
-    }
-}
-
-/// The region that a local root tileset declares; a page keeps only the box around it. Reads the file once more.
-fn declared_region(uri: &Arc<str>, options: &io::ReadOptions) -> Option<BoundingVolume> {
-    if io::is_remote(uri) {
-        return None;
-    }
-    let bytes = io::read_file(uri, &options.limits).ok()?;
-    let content = io::Content { uri: Arc::clone(uri), bytes, reader_data: None, companions: Vec::new() };
-    match io::decode_node(content, options).ok()?.kind {
-        NodeKind::PagedLod(tile) | NodeKind::MultiContentTile(tile) => {
-            Some(tile.bounds).filter(|b| matches!(b, BoundingVolume::Region(_)))
-        }
-        _ => None,
-    }
-}
-
-/// The declared volume of a page's root tile.
-pub(super) fn root_volume(page: &Page) -> Option<BoundingVolume> {
+/// Returns the volume that a page's root tile declares.
+pub(in crate::viewer) fn root_volume(page: &Page) -> Option<BoundingVolume> {
     let root = page.tiles().roots().first()?;
     let bounds = page.tiles().bounds().get(root.tile as usize)?;
     let page_from_tile = page.transforms().page_from_node(root.transform);
@@ -281,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_camera_looks_north_and_down_at_the_centre() {
+    fn first_camera_looks_north_and_down_at_the_centre() {
         for bounds in [alps(), SetBounds::from_sphere(BoundingSphere::new(DVec3::new(5.0, 6.0, 7.0), 10.0))] {
             let pose = bounds.first_camera(&ViewFrom::default());
             let local = bounds.frame.world_from_local.inverse().transform_point3(pose.translation);
@@ -293,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn the_default_path_stays_above_the_bounds() {
+    fn default_path_stays_above_the_bounds() {
         let bounds = alps();
         let path = bounds.default_path(&bounds.first_camera(&ViewFrom::default()));
         for step in 0..=300 {
@@ -304,7 +265,7 @@ mod tests {
     }
 
     #[test]
-    fn senseless_bounds_still_give_a_camera() {
+    fn invalid_bounds_still_give_a_finite_camera() {
         for sphere in [BoundingSphere::EMPTY, BoundingSphere::new(DVec3::NAN, 1.0)] {
             let bounds = SetBounds::from_sphere(sphere);
             assert!(bounds.first_camera(&ViewFrom::default()).is_finite());

@@ -1,0 +1,48 @@
+//! [`LoadedRoot`]: a root tile set that was read, with the pager that loads the rest of it. Any thread.
+
+use std::sync::Arc;
+
+use crate::io;
+use crate::math::BoundingVolume;
+use crate::pager::{DatabasePager, PagerConfig};
+use crate::scene::{NodeKind, Page};
+use crate::viewer::ViewerError;
+
+/// A root tile set that was read, and the pager that loads the rest of it. It can be read before a viewer exists, for
+/// example while a window opens; see [`Viewer::set_root`](crate::viewer::Viewer::set_root).
+pub struct LoadedRoot {
+    pub(super) pager: DatabasePager,
+    pub(super) page: Page,
+    pub(super) uri: Arc<str>,
+    /// The geographic region that a local root declares; a page keeps only the box around it.
+    pub(super) region: Option<BoundingVolume>,
+}
+
+impl LoadedRoot {
+    /// Starts a pager, with its threads and caches, and reads the root of a folder, file or URL with it. Blocks until the
+    /// root is read. The pager is kept: the viewer loads the tiles below the root with it, over the same connections and
+    /// with the same limits and credentials.
+    pub fn read(source: &str, config: &PagerConfig) -> Result<Self, ViewerError> {
+        let uri = io::root_uri(source)?;
+        let options = io::ReadOptions::for_root(&uri, config.limits);
+        let mut pager = DatabasePager::new(config.clone(), options.clone())?;
+        let page = pager.read_root(&uri)?;
+        let region = declared_region(&uri, &options);
+        Ok(Self { pager, page, uri, region })
+    }
+}
+
+/// Reads a local root once more for the region that it declares. `None` for remote roots and those without a region.
+fn declared_region(uri: &Arc<str>, options: &io::ReadOptions) -> Option<BoundingVolume> {
+    if io::is_remote(uri) {
+        return None;
+    }
+    let bytes = io::read_file(uri, &options.limits).ok()?;
+    let content = io::Content { uri: Arc::clone(uri), bytes, reader_data: None, companions: Vec::new() };
+    match io::decode_node(content, options).ok()?.kind {
+        NodeKind::PagedLod(tile) | NodeKind::MultiContentTile(tile) => {
+            Some(tile.bounds).filter(|b| matches!(b, BoundingVolume::Region(_)))
+        }
+        _ => None,
+    }
+}

@@ -1,0 +1,18 @@
+//! A view: the master camera with its lens and viewport, the slave cameras beside it, and the extent of the scene that
+//! it shows. Main thread.
+
+pub(super) mod camera;
+mod eyes;
+mod picking;
+mod probe;
+pub(super) mod set_bounds;
+mod slaves;
+#[expect(clippy::module_inception, reason = "the view's own file; the others are its parts")]
+mod view;
+pub(super) mod viewport;
+
+pub use eyes::Eyes;
+pub(super) use probe::Probe;
+pub(super) use slaves::CameraSlot;
+pub use slaves::Slave;
+pub use view::View;
