@@ -6,8 +6,9 @@ use std::io::Cursor;
 use std::sync::Arc;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use terrane::io::write::{GlbMesh, write_glb, write_height_exr};
-use terrane::io::{Content, Fetched, Limits, ReadOptions, decode};
+use terrane::fetch::Limits;
+use terrane::formats::writers::{GlbMesh, write_glb, write_height_exr};
+use terrane::formats::{Content, Fetched, ReadOptions, decode};
 use terrane::scene::{ShareModes, SharedStateManager};
 
 /// Vertices along a side, texels along a side.

@@ -10,7 +10,7 @@ use std::{fs, path::Path, sync::Arc};
 
 use anyhow::Result;
 use glam::{DAffine3, DVec3};
-use terrane::io::write::{GlbMesh, write_glb};
+use terrane::formats::writers::{GlbMesh, write_glb};
 use terrane::math::{BoundingSphere, BoundingVolume};
 use terrane::scene::{Node, NodeKind, Page, PagedLod, PagingOptions, RangeMode, Refine};
 use terrane::viewer::{Viewer, ViewerConfig, WindowOptions, has_display, run_window};

@@ -9,7 +9,7 @@ use std::{fs, sync::Arc};
 
 use anyhow::Result;
 use glam::{DAffine3, DVec3};
-use terrane::io::write::{GlbMesh, write_glb};
+use terrane::formats::writers::{GlbMesh, write_glb};
 use terrane::math::BoundingSphere;
 use terrane::scene::{Node, NodeKind, Page, ProxyLoading, ProxyNode};
 use terrane::viewer::{Viewer, ViewerConfig, WindowOptions, has_display, run_window};

@@ -6,23 +6,17 @@
 //! [`cull::PageRequest`]s for what is missing. [`draw::Renderer`] executes the stage on a [`gpu::GraphicsContext`],
 //! perhaps on a thread of its own, while the next frame is already being updated.
 //!
-//! To follow a tile from its URI to pixels, read [`io`] (bytes to [`scene::Page`]), [`pager`], [`scene`], [`cull`],
-//! [`gpu`] and [`draw`] in this order. World positions are metres in `f64`, z up (ECEF where a set is georeferenced);
-//! what reaches the GPU is `f32` relative to the eye.
-//!
-//! An application starts with `use terrane::prelude::*`; see [`prelude`] and [`viewer::Viewer`].
+//! To follow a tile from its URI to pixels, read [`fetch`] (bytes by URI), [`formats`] (bytes to [`scene::Page`]),
+//! [`pager`], [`scene`], [`cull`], [`gpu`] and [`draw`] in this order. World positions are metres in `f64`, z up
+//! (ECEF where a set is georeferenced); what reaches the GPU is `f32` relative to the eye.
+//! An application starts
+//! with `use terrane::prelude::*`; see [`prelude`] and [`viewer::Viewer`].
 
 pub mod cull;
 pub mod draw;
 pub mod fetch;
 pub mod formats;
 pub mod gpu;
-/// Names of [`fetch`] and [`formats`] under their former common path.
-pub mod io {
-    pub use crate::fetch::*;
-    pub use crate::formats::writers as write;
-    pub use crate::formats::*;
-}
 pub mod math;
 pub mod pager;
 pub mod prelude;
@@ -30,11 +24,6 @@ pub mod scene;
 pub mod state;
 pub mod sync;
 pub mod trace;
-/// Names of [`trace`] under their former path.
-pub mod timeline {
-    pub use crate::trace::*;
-    pub use crate::trace::{TraceError as TimelineError, TraceSummary as TimelineSummary};
-}
 pub mod viewer;
 
 // The crates whose types are in public signatures, so that an application uses the same versions.

@@ -9,7 +9,7 @@ use glam::{DAffine3, DMat4};
 use image::codecs::jpeg::JpegEncoder;
 use rayon::prelude::*;
 use serde_json::{Value, json};
-use terrane::io::write::{write_glb, write_height_exr};
+use terrane::formats::writers::{write_glb, write_height_exr};
 
 use crate::args::{JOBS, MAX_LEVELS, SIZES_M};
 use crate::color::{Painter, TEXELS};

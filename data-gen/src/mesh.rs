@@ -1,7 +1,7 @@
 //! Mesh content: a tile's grid with skirts as glb, in the east-north-up frame at the tile's centre.
 
 use glam::{DAffine3, DVec3};
-use terrane::io::write::GlbMesh;
+use terrane::formats::writers::GlbMesh;
 use terrane::math::{Geodetic, WGS84};
 
 use crate::pyramid::{CELLS, Pyramid, TileKey};

@@ -101,7 +101,7 @@ impl ElevationSource for Mosaic {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use terrane::io::write::write_height_exr;
+    use terrane::formats::writers::write_height_exr;
 
     /// Rasters of heights by longitude and latitude in degrees: west and north edge and pixel of each, `side` pixels.
     fn mosaic(height: impl Fn(f64, f64) -> f64, places: &[([f64; 2], f64, usize)]) -> Mosaic {

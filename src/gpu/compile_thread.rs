@@ -19,7 +19,7 @@ use super::staging::{self, Buffer, CommandBuffer, Filling, Mapping};
 use super::uploads::Upload;
 use crate::sync::primitives::channel::{self, Receiver, RecvTimeoutError, Sender, TryRecvError};
 use crate::sync::primitives::{Builder, JoinHandle};
-use crate::timeline;
+use crate::trace;
 
 /// Bytes of a staging buffer.
 const STAGING_BYTES: u64 = 2 << 20;
@@ -199,7 +199,7 @@ impl Worker {
                     }
                 }
             };
-            let _span = timeline::span("upload");
+            let _span = trace::span("upload");
             match work {
                 Work::Finish(compiled) => finished.push(compiled),
                 Work::Upload(mut upload) => {
@@ -238,7 +238,7 @@ impl Worker {
             Some(staging) => staging,
             None if self.made < MOST_STAGINGS => self.another()?,
             None => {
-                let _span = timeline::span("wait for staging");
+                let _span = trace::span("wait for staging");
                 self.free.recv().ok()?
             }
         };
@@ -259,7 +259,7 @@ impl Worker {
                     self.batches.send(batch).ok()?;
                 }
             }
-            let _span = timeline::span("wait for staging");
+            let _span = trace::span("wait for staging");
             match self.free.recv_timeout(RETRY) {
                 Ok(staging) => return Some(staging),
                 Err(RecvTimeoutError::Timeout) => {}

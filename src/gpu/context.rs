@@ -400,7 +400,7 @@ impl GraphicsContext {
 
     /// Shows the window's image. Nothing to do offscreen.
     pub fn present(&mut self) {
-        let _span = crate::timeline::span("present");
+        let _span = crate::trace::span("present");
         self.faces[self.face].target.present(&self.queue);
     }
 
@@ -416,7 +416,7 @@ impl GraphicsContext {
 
     /// Uploads within a budget, at least one slice; what is too big is split over calls.
     pub fn run_compiles(&mut self, budget: &CompileBudget) -> CompileStats {
-        let _span = crate::timeline::span("compile");
+        let _span = crate::trace::span("compile");
         if self.compiles.pending() > 0 {
             self.retire(usize::MAX);
         }

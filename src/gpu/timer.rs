@@ -14,7 +14,7 @@ use std::sync::atomic::{AtomicU8, Ordering};
 use std::time::{Duration, Instant};
 
 use super::GraphicsContext;
-use crate::timeline::{self, Track};
+use crate::trace::{self, Track};
 
 const IDLE: u8 = 0;
 const IN_FLIGHT: u8 = 1;
@@ -152,7 +152,7 @@ impl FrameTimer {
     /// Starts a context's frame of a number; it goes unmeasured while every read-back buffer is outstanding.
     pub(crate) fn start_frame(&mut self, device: &wgpu::Device, context: u32, frame: u32) {
         self.current = None;
-        if self.is_software && !timeline::is_recording() {
+        if self.is_software && !trace::is_recording() {
             self.last_ms.clear();
             return;
         }
@@ -239,7 +239,7 @@ impl FrameTimer {
                         self.ticks.extend(passes.map(bytemuck::pod_read_unaligned::<[u64; 2]>));
                         let ticks = &self.ticks;
                         note(&mut self.last_ms, slot, ticks, self.period_ns);
-                        if timeline::is_recording() {
+                        if trace::is_recording() {
                             let began_ns = ticks[0][0] as f64 * self.period_ns;
                             let epoch = *self.epoch.get_or_insert(slot.submitted);
                             self.clock.observe(began_ns, signed_ns(epoch, slot.submitted));

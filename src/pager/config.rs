@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use crate::io::{IoError, Limits};
+use crate::fetch::{IoError, Limits};
 use crate::scene::ShareModes;
 
 /// Configuration of a [`DatabasePager`](super::DatabasePager): threads, budgets and timeouts. It has many fields because
@@ -47,21 +47,21 @@ pub struct PagerConfig {
     /// Back-off before a failed load is retried while it is wanted; doubled each time, up to five minutes.
     pub retry_after: Duration,
     /// Maximum attempts to load a URI; `None` for no limit, so that loads resume after a long network outage. Errors that
-    /// rarely pass ([`IoError::is_doubtful`](crate::io::IoError::is_doubtful)) are tried five times.
+    /// rarely pass ([`IoError::is_doubtful`](crate::fetch::IoError::is_doubtful)) are tried five times.
     pub max_tries: Option<u32>,
     /// Bounds on data from outside.
     pub limits: Limits,
     /// Timeouts, certificates, credentials and cache of the HTTP client.
     #[cfg(feature = "http")]
-    pub http: crate::io::HttpConfig,
+    pub http: crate::fetch::HttpConfig,
     /// Each update waits until all requests that have room are merged or have failed, so that equal flights give equal
     /// tiles.
     pub blocking: bool,
     /// The decode threads build k-d trees for intersections with paged geometry; see
-    /// [`ReadOptions::build_kd_trees`](crate::io::ReadOptions::build_kd_trees).
+    /// [`ReadOptions::build_kd_trees`](crate::formats::ReadOptions::build_kd_trees).
     pub build_kd_trees: bool,
     /// Attributes that meshes of glTFs keep if a scene's own options name none; see
-    /// [`ReadOptions::vertex_attributes`](crate::io::ReadOptions::vertex_attributes).
+    /// [`ReadOptions::vertex_attributes`](crate::formats::ReadOptions::vertex_attributes).
     pub vertex_attributes: Arc<[Arc<str>]>,
     /// Which equal contents of different tiles are shared; see [`SharedStateManager`](crate::scene::SharedStateManager).
     pub sharing: ShareModes,
@@ -89,7 +89,7 @@ impl Default for PagerConfig {
             max_tries: None,
             limits: Limits::default(),
             #[cfg(feature = "http")]
-            http: crate::io::HttpConfig::default(),
+            http: crate::fetch::HttpConfig::default(),
             blocking: false,
             build_kd_trees: false,
             vertex_attributes: Arc::default(),

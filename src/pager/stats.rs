@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use crate::io::{IoError, shown};
+use crate::fetch::{IoError, shown};
 use crate::scene::SharingStats;
 
 /// Counters since the pager started; main thread. There is a field for each event and each state, as the report has them.

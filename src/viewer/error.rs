@@ -11,7 +11,7 @@ pub enum ViewerError {
     Gpu(#[from] crate::gpu::GpuError),
     /// The root could not be read.
     #[error(transparent)]
-    Io(#[from] crate::io::IoError),
+    Io(#[from] crate::fetch::IoError),
     /// The pager could not start.
     #[error(transparent)]
     Pager(#[from] crate::pager::PagerError),

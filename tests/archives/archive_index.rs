@@ -5,7 +5,7 @@ use std::io::{Cursor, Write as _};
 
 use md5::{Digest as _, Md5};
 use proptest::prelude::*;
-use terrane::io::{FileReader, IoError, Limits};
+use terrane::fetch::{FileReader, IoError, Limits};
 use zip::CompressionMethod::{Deflated, Stored};
 use zip::write::{SimpleFileOptions, ZipWriter};
 use zip::{CompressionMethod, ZipArchive};
@@ -255,7 +255,7 @@ mod over_http {
 
     use super::*;
     use kit::server::{Reply, Server};
-    use terrane::io::{HttpClient, HttpConfig};
+    use terrane::fetch::{HttpClient, HttpConfig};
 
     fn server(bytes: Vec<u8>) -> Server {
         Server::start(move |r| Reply::ok(bytes.clone()).with("ETag", "\"1\"").ranged(r))

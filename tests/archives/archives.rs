@@ -6,7 +6,8 @@ use std::path::Path;
 
 use kit::pager::{Run, above};
 use proptest::prelude::*;
-use terrane::io::{FileReader, IoError, Limits, inspect};
+use terrane::fetch::{FileReader, IoError, Limits};
+use terrane::formats::inspect;
 use terrane::pager::PagerConfig;
 use zip::CompressionMethod::{Deflated, Stored};
 use zip::write::{SimpleFileOptions, ZipWriter};
@@ -249,7 +250,7 @@ mod over_http {
 
     use super::*;
     use kit::server::{How, Reply, Server};
-    use terrane::io::{CacheConfig, HttpClient, HttpConfig};
+    use terrane::fetch::{CacheConfig, HttpClient, HttpConfig};
 
     fn client(cache: Option<&Path>) -> HttpClient {
         let cache = cache.map(CacheConfig::new);
@@ -480,7 +481,7 @@ mod over_http {
     /// All tiles that waited for the directory failed with it, for good.
     #[test]
     fn tiles_come_though_directories_came_wrong() {
-        let glb = terrane::io::write::write_glb(&terrane::io::write::GlbMesh {
+        let glb = terrane::formats::writers::write_glb(&terrane::formats::writers::GlbMesh {
             positions: vec![[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
             indices: vec![0, 1, 2],
             base_color: [1.0; 4],

@@ -4,7 +4,8 @@ use std::io::Cursor;
 
 use pmtiles::{Compression, PmTilesWriter, TileCoord, TileId, TileType};
 use proptest::prelude::*;
-use terrane::io::{FileReader, IoError, Limits, inspect};
+use terrane::fetch::{FileReader, IoError, Limits};
+use terrane::formats::inspect;
 
 /// Tiles of eight levels but for a few; those that are one in a hundred are equal to their neighbours.
 fn content(z: u8, x: u32, y: u32) -> Option<Vec<u8>> {
@@ -176,7 +177,7 @@ proptest! {
 mod over_http {
     use super::*;
     use kit::server::{Reply, Server};
-    use terrane::io::{CacheConfig, HttpClient, HttpConfig};
+    use terrane::fetch::{CacheConfig, HttpClient, HttpConfig};
 
     fn server(bytes: Vec<u8>) -> Server {
         Server::start(move |r| Reply::ok(bytes.clone()).with("ETag", format!("\"{}\"", bytes.len())).ranged(r))

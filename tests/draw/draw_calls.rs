@@ -485,7 +485,7 @@ fn quantized_meshes_take_16_bytes_a_vertex_and_look_the_same() {
     let count = ball.vertices.len();
     let drawn = [true, false].map(|quantized| {
         let floats = |of: [i8; 4]| [0, 1, 2].map(|k| f32::from(of[k]) / 127.0);
-        let glb = terrane::io::write::GlbMesh {
+        let glb = terrane::formats::writers::GlbMesh {
             positions: ball.vertices.iter().map(|v| v.position).collect(),
             normals: ball.vertices.iter().map(|v| floats(v.normal)).collect(),
             uvs: vec![[0.25, 0.75]; count],
@@ -494,14 +494,14 @@ fn quantized_meshes_take_16_bytes_a_vertex_and_look_the_same() {
             base_color: [0.8, 0.6, 0.4, 1.0],
             quantized,
         };
-        let content = terrane::io::Content {
+        let content = terrane::formats::Content {
             uri: "/ball.glb".into(),
-            bytes: terrane::io::write::write_glb(&glb),
+            bytes: terrane::formats::writers::write_glb(&glb),
             reader_data: None,
             companions: Vec::new(),
         };
-        let options = terrane::io::ReadOptions::for_root("/t.json", terrane::io::Limits::default());
-        let node = terrane::io::decode_node(content, &options).unwrap();
+        let options = terrane::formats::ReadOptions::for_root("/t.json", terrane::fetch::Limits::default());
+        let node = terrane::formats::decode_node(content, &options).unwrap();
         let before = rig.ctx.bytes_in_use();
         let scene = rig.scene(node);
         let bytes = rig.ctx.bytes_in_use() - before;

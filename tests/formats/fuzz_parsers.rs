@@ -5,10 +5,11 @@
 use std::sync::Arc;
 
 use kit::fuzz::Parser;
-use terrane::io::write::{GlbMesh, write_glb, write_height_exr};
-use terrane::io::{Content, DECODER_PANICKED, Fetched, FileReader, IoError, Limits, ReadOptions, decode, inspect};
-use terrane::io::{RootScope, is_http, resolve, root_uri};
-use terrane::io::{fuzz_cache_entry, fuzz_encoding, fuzz_headers, fuzz_index, fuzz_pmtiles, fuzz_url};
+use terrane::fetch::{DECODER_PANICKED, FileReader, IoError, Limits};
+use terrane::fetch::{RootScope, is_http, resolve, root_uri};
+use terrane::fetch::{fuzz_cache_entry, fuzz_encoding, fuzz_headers, fuzz_index, fuzz_pmtiles, fuzz_url};
+use terrane::formats::writers::{GlbMesh, write_glb, write_height_exr};
+use terrane::formats::{Content, Fetched, ReadOptions, decode, inspect};
 use terrane::viewer::{AnimationPath, Arrangement, DisplaySettings};
 
 fn limits() -> Limits {

@@ -3,7 +3,8 @@
 use std::sync::Arc;
 
 use base64::Engine as _;
-use terrane::io::{Content, IoError, Limits, ReadOptions, decode};
+use terrane::fetch::{IoError, Limits};
+use terrane::formats::{Content, ReadOptions, decode};
 use terrane::scene::{AttributeFormat, Drawable, Geometry, Mesh, Page, ShareModes, SharedStateManager};
 
 /// An attribute's name, component type, normalized or not, type of its elements, and bytes for three vertices.

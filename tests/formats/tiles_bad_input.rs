@@ -3,8 +3,9 @@
 use std::sync::Arc;
 
 use proptest::prelude::*;
-use terrane::io::write::{GlbMesh, write_glb, write_height_exr};
-use terrane::io::{Content, DECODER_PANICKED, IoError, Limits, ReadOptions, decode, inspect, verify};
+use terrane::fetch::{DECODER_PANICKED, IoError, Limits};
+use terrane::formats::writers::{GlbMesh, write_glb, write_height_exr};
+use terrane::formats::{Content, ReadOptions, decode, inspect, verify};
 use terrane::scene::Page;
 
 const ROOT: &str = "/set/tileset.json";

@@ -4,8 +4,9 @@ use std::io::Write as _;
 use std::sync::Arc;
 
 use glam::{DAffine3, DVec3};
-use terrane::io::write::{GlbMesh, write_glb};
-use terrane::io::{Content, Limits, ReadOptions, decode, decode_node, inspect};
+use terrane::fetch::Limits;
+use terrane::formats::writers::{GlbMesh, write_glb};
+use terrane::formats::{Content, ReadOptions, decode, decode_node, inspect};
 use terrane::math::BoundingVolume;
 use terrane::scene::{AlphaMode, Drawable, Geometry, Node, NodeKind, PagedLod, RangeMode, Refine, Topology};
 use terrane::state::WrapMode;

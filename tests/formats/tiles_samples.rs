@@ -6,7 +6,8 @@ use std::sync::Arc;
 
 use kit::skip::skipped;
 use serde_json::Value;
-use terrane::io::{Content, IoError, Limits, ReadOptions, decode_node, inspect, read_file, root_uri};
+use terrane::fetch::{IoError, Limits, read_file, root_uri};
+use terrane::formats::{Content, ReadOptions, decode_node, inspect};
 use terrane::scene::{Geometry, Node, NodeKind, Topology};
 
 /// Tile sets that need what is not read, and the word that the error has.

@@ -12,7 +12,7 @@ use terrane::cull::CullCamera;
 use terrane::draw::{Environment, Sky};
 use terrane::scene::{Attachment, CameraNode, CameraTarget, Node};
 use terrane::state::{TextureFormat, TextureObject};
-use terrane::timeline::Recording;
+use terrane::trace::Recording;
 
 /// Covers passes beyond 32, the atmosphere's tables, and passes that load their color; these were once left out.
 #[test]

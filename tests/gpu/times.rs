@@ -11,7 +11,7 @@ use kit::skip::skipped;
 use serde_json::Value;
 use terrane::scene::{CameraNode, Node, ReferenceFrame, RenderOrder};
 use terrane::state::{TextureFormat, TextureObject};
-use terrane::timeline::Recording;
+use terrane::trace::Recording;
 
 /// Longer than a frame takes to come back.
 const PATIENCE: Duration = Duration::from_secs(60);

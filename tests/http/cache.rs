@@ -7,10 +7,10 @@ use std::time::{Duration, Instant};
 
 use kit::process::test_name;
 use kit::server::{Reply, Server};
-use terrane::io::{
+use terrane::fetch::{
     CacheConfig, CacheInfo, CacheStats, CacheVerified, Credential, DiskCache, HttpClient, HttpConfig, IoError, Limits,
-    ReadOptions,
 };
+use terrane::formats::ReadOptions;
 use terrane::pager::{DatabasePager, PagerConfig};
 
 fn config(cache: CacheConfig) -> HttpConfig {
@@ -416,7 +416,7 @@ fn a_cache_that_cannot_be_written_is_none() {
 #[test]
 fn no_secret_is_on_disk() {
     let (server, folder) = (server(), tempfile::tempdir().unwrap());
-    let credential = terrane::io::Credential::query(&server.url, "key", "hidden1").unwrap();
+    let credential = terrane::fetch::Credential::query(&server.url, "key", "hidden1").unwrap();
     let config = HttpConfig { credentials: vec![credential], ..config(CacheConfig::new(folder.path())) };
     let client = HttpClient::new(&config).unwrap();
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
@@ -516,11 +516,11 @@ fn a_killed_process_leaves_nothing_broken() {
 
 /// A set of one tile, and how often it was asked for.
 fn one_tile(first_is_a_page: bool) -> Server {
-    let glb = terrane::io::write::write_glb(&terrane::io::write::GlbMesh {
+    let glb = terrane::formats::writers::write_glb(&terrane::formats::writers::GlbMesh {
         positions: vec![[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
         indices: vec![0, 1, 2],
         base_color: [1.0; 4],
-        ..terrane::io::write::GlbMesh::default()
+        ..terrane::formats::writers::GlbMesh::default()
     });
     Server::start(move |r| {
         let kept = |body: Vec<u8>| Reply::ok(body).with("Cache-Control", "max-age=1000");

@@ -4,7 +4,8 @@ use std::ops::ControlFlow;
 use std::path::Path;
 
 use kit::server::{Reply, Server};
-use terrane::io::{CacheConfig, Credential, FillOptions, HttpClient, HttpConfig, Limits, fill};
+use terrane::fetch::{CacheConfig, Credential, HttpClient, HttpConfig, Limits};
+use terrane::formats::{FillOptions, fill};
 
 const DATE: &str = "Sun, 09 Sep 2001 01:46:40 GMT";
 

@@ -12,7 +12,7 @@ use kit::process::test_name;
 use kit::server::{Reply, Server};
 use kit::skip::skipped;
 use kit::tile_sets::{WORLD_M, write_quadtree};
-use terrane::io::{CacheConfig, CacheStats, HttpClient, HttpConfig, Limits};
+use terrane::fetch::{CacheConfig, CacheStats, HttpClient, HttpConfig, Limits};
 use terrane::pager::PagerConfig;
 
 /// Log lines of warnings and errors.

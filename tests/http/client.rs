@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant, SystemTime};
 
 use kit::server::{How, Reply, Server};
-use terrane::io::{Credential, HttpBody, HttpClient, HttpConfig, IoError, Limits};
+use terrane::fetch::{Credential, HttpBody, HttpClient, HttpConfig, IoError, Limits};
 
 const MS: Duration = Duration::from_millis(1);
 

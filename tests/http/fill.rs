@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant, SystemTime};
 
 use kit::server::{Reply, Server};
-use terrane::io::{CacheConfig, DiskCache, FillOptions, Filled, HttpConfig, IoError, fill};
+use terrane::fetch::{CacheConfig, DiskCache, HttpConfig, IoError};
+use terrane::formats::{FillOptions, Filled, fill};
 use terrane::math::Region;
 
 /// A tree of four levels over 8 x 8 degrees from 0 N 0 E; each tile has four children. The eastern half of level 1 lies

@@ -9,7 +9,8 @@ use kit::pager::{Run, above};
 use kit::server::{How, Reply, Request, Server};
 use kit::skip::skipped;
 use kit::tile_sets::{WORLD_M, write_quadtree};
-use terrane::io::{CacheConfig, HttpClient, HttpConfig, IoError, Limits, StoreOption, inspect_with};
+use terrane::fetch::{CacheConfig, HttpClient, HttpConfig, IoError, Limits, StoreOption};
+use terrane::formats::inspect_with;
 use terrane::pager::PagerConfig;
 
 const SECRET: &str = "wJalrXUtnFEMI-a-key-nobody-may-see";

@@ -11,7 +11,7 @@ use kit::process::test_name;
 use kit::tile_sets::{WORLD_M, write_quadtree};
 use rcgen::{BasicConstraints, CertificateParams, IsCa, Issuer, KeyPair, KeyUsagePurpose, date_time_ymd};
 use rustls::pki_types::PrivateKeyDer;
-use terrane::io::{HttpClient, HttpConfig, IoError, Limits};
+use terrane::fetch::{HttpClient, HttpConfig, IoError, Limits};
 use terrane::pager::PagerConfig;
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 

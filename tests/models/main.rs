@@ -36,13 +36,13 @@ mod state {
     pub use terrane::state::StateSet;
 }
 
-mod timeline {
-    pub use terrane::timeline::{span, ticket_source};
+mod trace {
+    pub use terrane::trace::{span, ticket_source};
 }
 
 #[cfg(feature = "http")]
-mod io {
-    pub use terrane::io::{HttpClient, IoError, is_remote};
+mod fetch {
+    pub use terrane::fetch::{HttpClient, IoError, is_remote};
 
     pub fn server(uri: &str) -> &str {
         let end = uri.match_indices('/').nth(2).map_or(uri.len(), |(end, _)| end);

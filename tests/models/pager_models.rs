@@ -41,7 +41,7 @@ mod job {
 
     impl Job {
         pub fn new(ticket: Ticket, uri: &str) -> Self {
-            let servers = vec![crate::io::server(uri).to_owned()];
+            let servers = vec![crate::fetch::server(uri).to_owned()];
             Self { ticket, uri: uri.into(), servers, taken: Arc::default() }
         }
     }

@@ -12,9 +12,9 @@ use kit::pager::{Run, above};
 use kit::process::runs_alone;
 use kit::server::{Reply, Server};
 use kit::skip::skipped;
+use terrane::fetch::{CacheConfig, HttpConfig, IoError, Limits};
+use terrane::formats::writers::{GlbMesh, write_glb};
 use terrane::gpu::AdapterChoice;
-use terrane::io::write::{GlbMesh, write_glb};
-use terrane::io::{CacheConfig, HttpConfig, IoError, Limits};
 use terrane::pager::PagerConfig;
 use terrane::viewer::{Viewer, ViewerConfig};
 

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use glam::{DAffine3, DVec3};
 use kit::pager::{PAGE_GPU_BYTES, Run, above};
 use kit::tile_sets::{WORLD_M, write_quadtree};
-use terrane::io::write::{GlbMesh, write_glb};
+use terrane::formats::writers::{GlbMesh, write_glb};
 use terrane::math::{BoundingSphere, BoundingVolume};
 use terrane::pager::{CompileContext, PagerConfig};
 use terrane::scene::{Node, NodeKind, Page, PagedLod, PagingOptions, RangeMode, Refine, SlotState};

@@ -8,8 +8,9 @@ use std::time::{Duration, Instant};
 
 use glam::DVec3;
 use kit::pager::Run;
-use terrane::io::write::{GlbMesh, write_glb};
-use terrane::io::{HttpConfig, IoError, Limits, ReadOptions, root_uri};
+use terrane::fetch::{HttpConfig, IoError, Limits, root_uri};
+use terrane::formats::ReadOptions;
+use terrane::formats::writers::{GlbMesh, write_glb};
 use terrane::pager::{DatabasePager, ErrorRecord, PagerConfig, PagerStats};
 use terrane::scene::{NodeId, SlotState};
 

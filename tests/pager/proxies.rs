@@ -6,8 +6,8 @@ use std::time::{Duration, Instant};
 
 use glam::{DAffine3, DVec3};
 use kit::pager::Run;
+use terrane::formats::writers::{GlbMesh, write_glb};
 use terrane::gpu::AdapterChoice;
-use terrane::io::write::{GlbMesh, write_glb};
 use terrane::math::BoundingSphere;
 use terrane::pager::PagerConfig;
 use terrane::scene::{Node, NodeId, NodeKind, Page, PageId, ProxyLoading, ProxyNode, Scene, SceneError, SlotState};

@@ -8,7 +8,8 @@ use glam::{DAffine3, DVec3};
 use kit::pager::{Context, PAGE_GPU_BYTES, above};
 use kit::tile_sets::{WORLD_M, write_quadtree};
 use terrane::cull::{CullCamera, CullVisitor, PageRequest, RenderStage};
-use terrane::io::{Limits, ReadOptions, root_uri};
+use terrane::fetch::{Limits, root_uri};
+use terrane::formats::ReadOptions;
 use terrane::math::{BoundingSphere, BoundingVolume};
 use terrane::pager::{CompileContext, DatabasePager, PagerConfig, PagerStats};
 use terrane::scene::{
@@ -390,7 +391,7 @@ fn the_blocking_mode_waits_for_all_scenes() {
 #[test]
 fn each_scene_asks_as_itself() {
     use kit::server::{Reply, Server};
-    use terrane::io::{Credential, HttpConfig};
+    use terrane::fetch::{Credential, HttpConfig};
 
     let folder = tempfile::tempdir().unwrap();
     write_quadtree(folder.path());
@@ -436,7 +437,7 @@ fn each_scene_asks_as_itself() {
 #[test]
 fn clearing_one_asks_for_nothing_of_the_others() {
     use kit::server::{Reply, Server};
-    use terrane::io::HttpConfig;
+    use terrane::fetch::HttpConfig;
 
     let folder = tempfile::tempdir().unwrap();
     write_quadtree(folder.path());

@@ -6,8 +6,8 @@ use std::time::Duration;
 
 use kit::pager::{Run, above};
 use kit::server::{How, Reply, Request, Server};
-use terrane::io::HttpConfig;
-use terrane::io::write::{GlbMesh, write_glb};
+use terrane::fetch::HttpConfig;
+use terrane::formats::writers::{GlbMesh, write_glb};
 use terrane::pager::{PagerConfig, RequestState};
 
 const CHILDREN: usize = 8;

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use glam::{DAffine3, DVec3};
 use kit::pager::{Run, above};
 use terrane::cull::PageRequest;
-use terrane::io::write::{GlbMesh, write_glb};
+use terrane::formats::writers::{GlbMesh, write_glb};
 use terrane::math::{BoundingSphere, BoundingVolume};
 use terrane::pager::PagerConfig;
 use terrane::scene::{Node, NodeId, NodeKind, Page, PagedLod, PagingOptions, RangeMode, Refine, SlotState};

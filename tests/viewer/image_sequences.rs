@@ -336,7 +336,7 @@ fn without_blocking_frames_continue_and_images_arrive() {
 #[test]
 fn images_load_over_http_and_a_hung_server_delays_no_other() {
     use kit::server::{How, Reply, Request, Server};
-    use terrane::io::HttpConfig;
+    use terrane::fetch::HttpConfig;
     let folder = tempfile::tempdir().unwrap();
     let bodies: Vec<Vec<u8>> = write_images(folder.path(), 4, 8).iter().map(|f| std::fs::read(f).unwrap()).collect();
     let server = Server::start(move |request: &Request| {
@@ -406,7 +406,7 @@ fn the_threads_share_a_client() {
 #[cfg(feature = "http")]
 fn with_a_silent_server(check: impl FnOnce(&mut Theatre, &ImageSequence, &dyn Fn(usize) -> bool)) {
     use kit::server::{How, Reply, Server};
-    use terrane::io::HttpConfig;
+    use terrane::fetch::HttpConfig;
     let folder = tempfile::tempdir().unwrap();
     let bodies: Vec<Vec<u8>> = write_images(folder.path(), 3, 8).iter().map(|f| std::fs::read(f).unwrap()).collect();
     let server = Server::start(move |request| match request.path() {

@@ -14,10 +14,10 @@ use kit::skip::or_skip;
 use kit::viewer::{Settle, offscreen};
 use terrane::cull::{Stereo, StereoMode};
 use terrane::draw::Sky;
-use terrane::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
 #[cfg(feature = "http")]
-use terrane::io::HttpConfig;
-use terrane::io::write::{GlbMesh, write_glb};
+use terrane::fetch::HttpConfig;
+use terrane::formats::writers::{GlbMesh, write_glb};
+use terrane::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
 #[cfg(feature = "http")]
 use terrane::pager::ImageSequence;
 use terrane::pager::PagerConfig;

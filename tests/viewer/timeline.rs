@@ -8,7 +8,7 @@ use kit::skip::or_skip;
 use kit::viewer::Settle;
 use serde_json::Value;
 use terrane::gpu::AdapterChoice;
-use terrane::timeline::{Recording, TimelineError, span};
+use terrane::trace::{Recording, TraceError, span};
 use terrane::viewer::{Slave, ThreadingModel, Viewer, ViewerConfig};
 
 fn text<'a>(event: &'a Value, key: &str) -> &'a str {
@@ -57,7 +57,7 @@ fn a_flight_is_recorded_whole() {
             ..ViewerConfig::default()
         };
         let recording = Recording::start().unwrap();
-        assert!(matches!(Recording::start(), Err(TimelineError::AlreadyRecording)));
+        assert!(matches!(Recording::start(), Err(TraceError::AlreadyRecording)));
         let Some(mut viewer) = or_skip(Viewer::new_offscreen(&config)) else { return };
         viewer.load(set.to_str().unwrap()).unwrap();
         let first = viewer.contexts().next().unwrap();

@@ -12,9 +12,10 @@ use kit::shapes::{quad, with_mips};
 use kit::viewer::offscreen;
 use proptest::prelude::*;
 use terrane::cull::{CullCamera, CullVisitor, RenderStage};
+use terrane::fetch::{Limits, root_uri};
+use terrane::formats::writers::{GlbMesh, write_glb};
+use terrane::formats::{Content, ReadOptions, decode};
 use terrane::gpu::{AdapterChoice, CompileBudget, CompileOperation, Compiled, ContextTraits, GraphicsContext};
-use terrane::io::write::{GlbMesh, write_glb};
-use terrane::io::{Content, Limits, ReadOptions, decode, root_uri};
 use terrane::pager::{CompileContext, DatabasePager, PagerConfig, PagerStats};
 use terrane::scene::{
     DataVariance, DrawSlot, Drawable, Geometry, Mesh, Node, Page, Scene, ShareModes, SharedStateManager, Texture,

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Args as ClapArgs, Parser, Subcommand};
 use terrane::cull::StereoMode;
-use terrane::io::is_remote;
+use terrane::fetch::is_remote;
 use terrane::viewer::ThreadingModel;
 
 use crate::net::NetArgs;

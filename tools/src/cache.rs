@@ -9,7 +9,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context as _, Result, bail, ensure};
 use clap::{Args as ClapArgs, Subcommand};
-use terrane::io::{self, CacheConfig, CacheInfo, DiskCache, FillOptions};
+use terrane::fetch::{CacheConfig, CacheInfo, DiskCache};
+use terrane::formats::{self, FillOptions};
 use terrane::math::Region;
 use terrane_data_gen::Progress;
 
@@ -131,7 +132,7 @@ fn fill(args: &FillArgs) -> Result<()> {
     // A second handler in one process (tests) is no reason not to fill.
     let _ = ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed));
     let mut progress = Progress::new("filling the cache", 0, "files");
-    let done = io::fill(&args.source, &config, &options, &mut |filled| {
+    let done = formats::fill(&args.source, &config, &options, &mut |filled| {
         progress.set_total(filled.found);
         progress.set_done(filled.kept + filled.fetched + filled.failed);
         if stop.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }

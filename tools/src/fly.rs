@@ -12,8 +12,8 @@ use glam::{DAffine3, DMat4, DVec3};
 use image::RgbaImage;
 use terrane::cull::{Stereo, SunShadows};
 use terrane::draw::{Sky, Water};
-use terrane::io::shown;
-use terrane::timeline::Recording;
+use terrane::fetch::shown;
+use terrane::trace::Recording;
 use terrane::viewer::{
     AnimationPath, Arrangement, Camera, DisplaySettingError, DisplaySettings, HoleCheck, KEY_COLOR, LoadedRoot,
     ParentWindow, PathError, Report, Settled, SlaveWindow, ViewFrom, Viewer, ViewerConfig, ViewerError, WindowOptions,

@@ -4,13 +4,14 @@ use std::fmt::Write as _;
 use std::io::Write as _;
 
 use anyhow::{Context as _, Result, ensure};
-use terrane::io::{self, Info, Limits, Verified};
+use terrane::fetch::{self, Limits};
+use terrane::formats::{self, Info, Verified};
 use terrane_data_gen::Progress;
 
 use crate::args::InfoArgs;
 
 pub fn run(args: &InfoArgs) -> Result<()> {
-    let info = io::inspect_with(&args.source, &Limits::default(), args.net.http(&args.source)?)?;
+    let info = formats::inspect_with(&args.source, &Limits::default(), args.net.http(&args.source)?)?;
     let verified = if args.verify { Some(verify(args, info.contents)?) } else { None };
     let text = if args.json {
         let mut json = serde_json::to_value(&info)?;
@@ -23,15 +24,16 @@ pub fn run(args: &InfoArgs) -> Result<()> {
     };
     std::io::stdout().write_all(text.as_bytes()).context("stdout")?;
     let failed = verified.map_or(0, |verified| verified.failed);
-    ensure!(failed == 0, "{}: {failed} could not be read", io::shown(&args.source));
+    ensure!(failed == 0, "{}: {failed} could not be read", fetch::shown(&args.source));
     Ok(())
 }
 
 fn verify(args: &InfoArgs, contents: u64) -> Result<Verified> {
     let progress = Progress::new("verifying", contents, "contents");
     let net = args.net.http(&args.source)?;
-    let verified =
-        io::verify_with(&args.source, &Limits::default(), net, &mut |verified| progress.set_done(verified.contents));
+    let verified = formats::verify_with(&args.source, &Limits::default(), net, &mut |verified| {
+        progress.set_done(verified.contents)
+    });
     Ok(verified?)
 }
 

@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use anyhow::{Context as _, Result, ensure};
 use clap::Args as ClapArgs;
-use terrane::io::{CacheConfig, Credential, HttpConfig, is_http};
+use terrane::fetch::{CacheConfig, Credential, HttpConfig, is_http};
 
 use crate::default_set;
 

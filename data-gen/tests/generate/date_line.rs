@@ -4,7 +4,7 @@ use std::f64::consts::PI;
 use std::path::Path;
 
 use crate::files::{SIDE, each_tile, heights, region, tile_heights, tileset};
-use terrane::io::write::write_height_exr;
+use terrane::formats::writers::write_height_exr;
 use terrane::math::Region;
 use terrane_data_gen::{ContentKind, GenArgs, GenError, run};
 

@@ -7,7 +7,7 @@ use crate::files::{
     PLACE, Place, SIDE, from_dem, heights, region, set_tag, tiff_float32, tiff_int16, tiff_int16_keyed,
     tiff_int16_told, tiff_uint16, tile_heights, tileset,
 };
-use terrane::io::write::write_height_exr;
+use terrane::formats::writers::write_height_exr;
 use terrane_data_gen::{GenArgs, GenError, Summary, run};
 
 /// Runs, checks the root's region against `bounds` and the corner heights against the input's.

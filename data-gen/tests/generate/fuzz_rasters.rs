@@ -5,7 +5,7 @@ use std::path::Path;
 
 use crate::files::{PLACE, heights, tiff_float32, tiff_int16};
 use kit::fuzz::Parser;
-use terrane::io::write::write_height_exr;
+use terrane::formats::writers::write_height_exr;
 use terrane_data_gen::Raster;
 
 fn read(path: &Path) {

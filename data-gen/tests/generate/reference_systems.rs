@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use crate::files::{PLACE, SIDE, from_dem, heights, tiff_int16, tiff_int16_keyed};
-use terrane::io::write::write_height_exr;
+use terrane::formats::writers::write_height_exr;
 use terrane_data_gen::{Crs, GenArgs, GenError, Raster, run, utm_to_geodetic};
 
 /// Easting and northing of the north-western sample, and the pixel, in metres: in the Alps in zone 32.

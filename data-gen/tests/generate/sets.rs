@@ -188,7 +188,7 @@ fn bad_files_are_one_clear_error_and_leave_nothing() {
     std::fs::write(file("text.tif"), b"elevation, honestly").unwrap();
     std::fs::write(file("N00E000.hgt"), b"short").unwrap();
     std::fs::write(file("nowhere.hgt"), vec![0; 1201 * 1201 * 2]).unwrap();
-    let nan = terrane::io::write::write_height_exr("t", 4, vec![f32::NAN; 16]).unwrap();
+    let nan = terrane::formats::writers::write_height_exr("t", 4, vec![f32::NAN; 16]).unwrap();
     std::fs::write(file("nan.exr"), nan).unwrap();
     image::RgbImage::new(4, 4).save(file("photo.jpg")).unwrap();
     image::RgbImage::new(4, 4).save(file("far.png")).unwrap();

@@ -60,7 +60,7 @@ impl CullVisitor {
         mut into: StageShadows,
         stage: &mut RenderStage,
     ) -> StageShadows {
-        let _span = crate::timeline::span("cull shadows");
+        let _span = crate::trace::span("cull shadows");
         let Some(fit) = Fit::new(camera, light, near_m, far_m) else { return into };
         (into.settings, into.fade_m, into.light_from_eye) = (light.shadows, fit.fade_m, fit.light_from_eye);
         let to_sun = fit.light_from_eye.row(2);

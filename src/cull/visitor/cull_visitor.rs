@@ -11,7 +11,7 @@ use crate::cull::sorting::Sorter;
 use crate::cull::stage::{CullCounters, RenderStage};
 use crate::cull::views::View;
 use crate::cull::{CullCamera, CullingMode, Stereo};
-use crate::scene::{CameraTarget, ClampProjection, OpaqueDrawData, Environment, Scene};
+use crate::scene::{CameraTarget, ClampProjection, Environment, OpaqueDrawData, Scene};
 use crate::state::StateSet;
 
 /// Culls scenes and owns the memory that is reused from frame to frame.
@@ -75,7 +75,7 @@ impl CullVisitor {
     /// Culls a scene for a camera: clears and refills the stage, and adds the stages of the cameras that were met.
     /// Allocates nothing once the visitor and the stage have handled a frame of the same size.
     pub fn cull(&mut self, scene: &Scene, camera: &CullCamera, stage: &mut RenderStage) {
-        let _span = crate::timeline::span("cull");
+        let _span = crate::trace::span("cull");
         self.traverse(scene, camera, stage);
         self.sort(stage);
         let environment = self.environment;
@@ -124,7 +124,7 @@ impl CullVisitor {
     /// the halves separately.
     #[doc(hidden)]
     pub fn traverse(&mut self, scene: &Scene, camera: &CullCamera, stage: &mut RenderStage) {
-        let _span = crate::timeline::span("traverse");
+        let _span = crate::trace::span("traverse");
         self.memory.states.start_frame();
         self.eyes.fades[self.eyes.current].start(camera.simulation_time_s);
         self.memory.cameras.start_frame();
@@ -138,7 +138,7 @@ impl CullVisitor {
     /// Runs the second half of [`Self::cull`]: fills and sorts the bins.
     #[doc(hidden)]
     pub fn sort(&mut self, stage: &mut RenderStage) {
-        let _span = crate::timeline::span("sort");
+        let _span = crate::trace::span("sort");
         self.sorter.fill_bins(&mut self.memory.leaves, stage);
     }
 

@@ -131,8 +131,8 @@ impl Renderer {
         ctx: &mut GraphicsContext,
         pictures: impl Iterator<Item = Picture<'a>> + Clone,
     ) -> Result<DrawStats, GpuError> {
-        let _span = crate::timeline::span("draw");
-        let acquire = crate::timeline::span("acquire");
+        let _span = crate::trace::span("draw");
+        let acquire = crate::trace::span("acquire");
         if ctx.acquire()? == Acquired::Skip {
             return Ok(DrawStats { skipped: true, ..Default::default() });
         }
@@ -151,7 +151,7 @@ impl Renderer {
         let mut stats = self.resources.stats;
         stats.unsampled_leaves = self.resources.batch.unsampled();
         stats.pipelines_created += self.created_pipelines() - created_before;
-        let wait = crate::timeline::span("wait for adapter");
+        let wait = crate::trace::span("wait for adapter");
         self.frames_in_flight.throttle(ctx)?;
         drop(wait);
         let passes_ms = self.pass_ms();
@@ -169,7 +169,7 @@ impl Renderer {
     /// Returns the image drawn last, top row first. Waits for the adapter. A window's image can be read between draw and
     /// present if the platform lets images be copied.
     pub fn read_back(&mut self, ctx: &mut GraphicsContext) -> Result<image::RgbaImage, GpuError> {
-        let _span = crate::timeline::span("read back");
+        let _span = crate::trace::span("read back");
         ctx.read_back()
     }
 }

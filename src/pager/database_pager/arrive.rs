@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::DatabasePager;
-use crate::io::IoError;
+use crate::fetch::IoError;
 use crate::pager::loading::job::Answer;
 use crate::pager::loading::page_job::PageJob;
 use crate::pager::loading::ticket::{RequestEnd, Ticket};

@@ -11,7 +11,7 @@ use crate::pager::residency::budget::RESERVED_TENTHS;
 use crate::pager::scenes::scene_set::SceneSet;
 use crate::pager::upload::context::CompileContext;
 use crate::scene::{NodeId, Page, SceneError, SceneNumber};
-use crate::timeline;
+use crate::trace;
 
 impl DatabasePager {
     /// Merges uploaded pages in order of priority within the time budget of a frame; their room is already counted.
@@ -19,7 +19,7 @@ impl DatabasePager {
         if !self.arrivals.has_ready() {
             return;
         }
-        let _span = timeline::span("merge pages");
+        let _span = trace::span("merge pages");
         let start = Instant::now();
         let has_several = self.scenes.has_several();
         let ready = self.merge_order.arrange(self.arrivals.ready_to_merge(), &self.table, has_several);

@@ -40,10 +40,10 @@ use super::upload::Arrivals;
 use super::upload::context::CompileContext;
 use super::upload::merge_order::MergeOrder;
 use crate::cull::PageRequest;
-use crate::gpu::CompileBudget;
 #[cfg(feature = "http")]
-use crate::io;
-use crate::io::ReadOptions;
+use crate::fetch;
+use crate::formats::ReadOptions;
+use crate::gpu::CompileBudget;
 use crate::scene::SharedStateManager;
 
 /// How often contexts are polled for finished uploads, between frames.
@@ -97,7 +97,7 @@ impl DatabasePager {
         let sharing =
             sharing.or_else(|| config.sharing.any().then(|| Arc::new(SharedStateManager::new(config.sharing))));
         #[cfg(feature = "http")]
-        let client = io::HttpClient::new(&config.http).map_err(PagerError::Http)?;
+        let client = fetch::HttpClient::new(&config.http).map_err(PagerError::Http)?;
         let (readers, decoders) = (config.file_threads.max(1), config.decode_threads.max(1));
         let threads = LoadThreads::start(&LoadConfig {
             readers,

@@ -4,9 +4,10 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::DatabasePager;
-use crate::io::{self, Content, IoError, ReadOptions};
+use crate::fetch::{self, IoError};
 #[cfg(feature = "http")]
-use crate::io::{HttpClient, HttpConfig};
+use crate::fetch::{HttpClient, HttpConfig};
+use crate::formats::{self, Content, ReadOptions};
 use crate::pager::config::PagerError;
 #[cfg(feature = "http")]
 use crate::pager::requests::retry_policy::RetryPolicy;
@@ -135,7 +136,7 @@ impl DatabasePager {
             self.stats.bytes_read += bytes.len() as u64;
             let content = Content { uri: uri.clone(), bytes, reader_data: None, companions: Vec::new() };
             // A root belongs to the application and shares nothing.
-            let error = match io::decode(content, &ReadOptions { sharing: None, ..scope.options.clone() }) {
+            let error = match formats::decode(content, &ReadOptions { sharing: None, ..scope.options.clone() }) {
                 Ok(page) => return Ok(page),
                 Err(error) => error,
             };
@@ -163,21 +164,21 @@ impl DatabasePager {
 
     fn fetch(&mut self, scope: &ReadScope, uri: &str) -> Result<Vec<u8>, IoError> {
         #[cfg(feature = "http")]
-        if let Some(http) = self.threads.http().filter(|_| io::is_remote(uri)) {
+        if let Some(http) = self.threads.http().filter(|_| fetch::is_remote(uri)) {
             let body = http.get(&scope.client, uri, &self.config.limits)?;
             self.stats.bytes_http += body.network_bytes;
             return Ok(body.bytes);
         }
         #[cfg(not(feature = "http"))]
         let _ = scope;
-        io::Source::new(self.config.limits).read(uri)
+        fetch::Source::new(self.config.limits).read(uri)
     }
 }
 
 #[cfg(all(test, feature = "http"))]
 mod tests {
     use super::*;
-    use crate::io::Limits;
+    use crate::fetch::Limits;
     use crate::pager::PagerConfig;
 
     /// Regression: clients were kept until the pager ended, with their connections and caches.

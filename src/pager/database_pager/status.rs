@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::DatabasePager;
 use crate::cull::PageRequest;
-use crate::io;
+use crate::fetch;
 use crate::pager::requests::entry::{Entry, Progress};
 use crate::pager::requests::state::RequestState;
 use crate::pager::scenes::scene_set::SceneSet;
@@ -18,7 +18,7 @@ impl DatabasePager {
     }
 
     /// Returns the counters of the cache on disk that the configuration names, if it names one.
-    pub fn cache_stats(&self) -> Option<io::CacheStats> {
+    pub fn cache_stats(&self) -> Option<fetch::CacheStats> {
         #[cfg(feature = "http")]
         return self.scenes.own_client().cache().map(|cache| cache.stats());
         #[cfg(not(feature = "http"))]

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use crate::io::Limits;
+use crate::fetch::Limits;
 
 /// Configuration of an [`ImagePager`](super::ImagePager): threads, budgets and timeouts.
 #[derive(Clone, Debug)]
@@ -18,13 +18,13 @@ pub struct ImagePagerConfig {
     /// Back-off before a failed load is retried while it is wanted; doubled each time, up to five minutes.
     pub retry_after: Duration,
     /// Maximum attempts to load a URI; `None` for no limit, so that loads resume after a long network outage. Errors that
-    /// rarely pass ([`IoError::is_doubtful`](crate::io::IoError::is_doubtful)) are tried five times.
+    /// rarely pass ([`IoError::is_doubtful`](crate::fetch::IoError::is_doubtful)) are tried five times.
     pub max_tries: Option<u32>,
     /// Bounds on data from outside.
     pub limits: Limits,
     /// Timeouts, certificates, credentials and cache of the HTTP client.
     #[cfg(feature = "http")]
-    pub http: crate::io::HttpConfig,
+    pub http: crate::fetch::HttpConfig,
     /// Each update waits for the images of its moment, so that equal times give equal frames. OSG's
     /// `LOAD_AND_RETAIN_IN_UPDATE_TRAVERSAL`.
     pub blocking: bool,
@@ -41,7 +41,7 @@ impl Default for ImagePagerConfig {
             max_tries: None,
             limits: Limits::default(),
             #[cfg(feature = "http")]
-            http: crate::io::HttpConfig::default(),
+            http: crate::fetch::HttpConfig::default(),
             blocking: false,
         }
     }

@@ -39,7 +39,7 @@ impl ImagePager {
         let reader = ImageReader {
             limits: config.limits,
             #[cfg(feature = "http")]
-            client: crate::io::HttpClient::new(&config.http).map_err(PagerError::Http)?,
+            client: crate::fetch::HttpClient::new(&config.http).map_err(PagerError::Http)?,
         };
         let threads = LoadThreads::start(&LoadConfig {
             readers: count,
@@ -192,7 +192,7 @@ mod tests {
         let well = listen();
         let url = |server: &std::net::TcpListener, k: u32| format!("http://{}/{k}.png", server.local_addr().unwrap());
         let long = Duration::from_secs(1000);
-        let http = crate::io::HttpConfig { first_byte_timeout: long, total_timeout: long, ..Default::default() };
+        let http = crate::fetch::HttpConfig { first_byte_timeout: long, total_timeout: long, ..Default::default() };
         let mut pager = ImagePager::new(ImagePagerConfig { http, ..ImagePagerConfig::default() }).unwrap();
         let files = hung.iter().map(|server| (0..9).map(|k| url(server, k)).collect());
         let files: Vec<Vec<String>> = files.chain([vec![file.display().to_string()], vec![url(&well, 0)]]).collect();
@@ -270,7 +270,7 @@ mod tests {
     #[test]
     fn panic_while_reading_is_an_error_of_that_image() {
         let mut pager = ImagePager::new(ImagePagerConfig { threads: 1, ..ImagePagerConfig::default() }).unwrap();
-        let sequence = ImageSequence::from_files("test", (0..2).map(|k| format!("/{k}/{}", crate::io::PANICS)));
+        let sequence = ImageSequence::from_files("test", (0..2).map(|k| format!("/{k}/{}", crate::fetch::PANICS)));
         let _used = sequence.texture();
         pager.add(&sequence);
         let until = Instant::now() + Duration::from_secs(60);
@@ -280,6 +280,6 @@ mod tests {
             std::thread::sleep(Duration::from_millis(1));
         }
         let errors = pager.errors();
-        assert!(errors.iter().all(|error| &*error.reason == crate::io::DECODER_PANICKED), "{errors:?}");
+        assert!(errors.iter().all(|error| &*error.reason == crate::fetch::DECODER_PANICKED), "{errors:?}");
     }
 }

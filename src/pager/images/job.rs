@@ -2,19 +2,20 @@
 
 use std::sync::Arc;
 
-use crate::io::{self, Fetched, IoError, Limits};
+use crate::fetch::{self, IoError, Limits};
+use crate::formats::{self, Fetched};
 use crate::pager::loading::job::LoadJob;
 use crate::pager::loading::request_list::Request;
 use crate::pager::loading::ticket::Ticket;
 use crate::scene::Texture;
-use crate::timeline::{self, Span};
+use crate::trace::{self, Span};
 
 /// The limits and the client with which all images of a pager are read.
 #[derive(Debug)]
 pub(super) struct ImageReader {
     pub limits: Limits,
     #[cfg(feature = "http")]
-    pub client: io::HttpClient,
+    pub client: fetch::HttpClient,
 }
 
 /// One image to load.
@@ -32,7 +33,7 @@ impl ImageJob {
         Self {
             ticket,
             #[cfg(feature = "http")]
-            servers: Arc::new([io::server(&uri).to_owned()]),
+            servers: Arc::new([fetch::server(&uri).to_owned()]),
             uri,
             reader,
         }
@@ -72,28 +73,28 @@ impl LoadJob for ImageJob {
     }
 
     #[cfg(feature = "http")]
-    fn client(&self) -> &io::HttpClient {
+    fn client(&self) -> &fetch::HttpClient {
         &self.reader.client
     }
 
     fn read_span(&self) -> Span {
-        timeline::span_of("read image", || self.uri.clone())
+        trace::span_of("read image", || self.uri.clone())
     }
 
     #[cfg(feature = "http")]
     fn request_span(&self) -> Span {
-        timeline::span_of("fetch image", || self.uri.clone())
+        trace::span_of("fetch image", || self.uri.clone())
     }
 
     fn decode_span(&self) -> Span {
-        timeline::span_of("image", || self.uri.clone())
+        trace::span_of("image", || self.uri.clone())
     }
 
     fn decode(&self, bytes: Vec<u8>, _companions: Vec<Fetched>) -> Result<Arc<Texture>, IoError> {
-        io::decode_image(&self.uri, &bytes, &self.reader.limits).inspect_err(|_error| {
+        formats::decode_image(&self.uri, &bytes, &self.reader.limits).inspect_err(|_error| {
             // The HTTP cache keeps nothing that is no image, such as an error page with status 200.
             #[cfg(feature = "http")]
-            if _error.is_no_content() && io::is_remote(_error.uri()) {
+            if _error.is_no_content() && fetch::is_remote(_error.uri()) {
                 self.reader.client.forget(_error.uri());
             }
         })

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use super::config::{ImagePagerConfig, ImagePagerStats};
 use super::job::{ImageJob, ImageReader};
-use crate::io::IoError;
+use crate::fetch::IoError;
 use crate::pager::loading::request_list::Request as _;
 use crate::pager::loading::ticket::{Ticket, TicketIssuer};
 use crate::pager::requests::retry_policy::{RetryPolicy, RetryState, retry_moment};
@@ -363,7 +363,7 @@ mod tests {
         let reader = ImageReader {
             limits: config.limits,
             #[cfg(feature = "http")]
-            client: crate::io::HttpClient::new(&config.http).unwrap(),
+            client: crate::fetch::HttpClient::new(&config.http).unwrap(),
         };
         ImageStore::new(&config, reader)
     }

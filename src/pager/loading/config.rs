@@ -1,6 +1,6 @@
 //! Numbers of threads and of jobs under way, and what follows from them.
 
-use crate::io::Limits;
+use crate::fetch::Limits;
 
 /// This many servers may each have the start limit of requests in flight at once.
 const SERVERS_AT_ONCE: usize = 4;

@@ -13,7 +13,8 @@ use super::job::{Answer, LoadJob, LoadedBytes, total_bytes};
 use super::request_list::{HttpWork, RequestList};
 use super::server_limits::{Outcome, ServerLimits};
 use super::ticket::Ticket;
-use crate::io::{self, HttpBody, HttpClient, IoError, Limits, server};
+use crate::fetch::{HttpBody, HttpClient, IoError, Limits, server};
+use crate::formats;
 
 /// How long the thread waits at its end for received bodies to be written to the cache.
 const FINAL_FLUSH_TIMEOUT: Duration = Duration::from_secs(2);
@@ -212,7 +213,7 @@ async fn fetch<J: LoadJob>(job: J, limits: &Limits) -> Fetched<J> {
         })
     };
     let bytes = bytes_of(body);
-    let companions: Vec<io::Fetched> = companions.into_iter().map(|(uri, body)| (uri, bytes_of(body))).collect();
+    let companions: Vec<formats::Fetched> = companions.into_iter().map(|(uri, body)| (uri, bytes_of(body))).collect();
     let bytes_read = total_bytes(&bytes, &companions);
     job.mark_decoding();
     let outcome = (own, Outcome::new(&bytes, asked, own_s.max(companions_s)));

@@ -3,8 +3,9 @@
 use std::sync::Arc;
 
 use super::request_list::Request;
-use crate::io::{Fetched, IoError};
-use crate::timeline::Span;
+use crate::fetch::IoError;
+use crate::formats::Fetched;
+use crate::trace::Span;
 
 /// One content to load. The threads read its bytes and call [`Self::decode`]; each job gets exactly one [`Answer`].
 pub(in crate::pager) trait LoadJob: Request + Send + Sync + 'static {
@@ -21,7 +22,7 @@ pub(in crate::pager) trait LoadJob: Request + Send + Sync + 'static {
     }
     /// Returns the client that asks servers for the content.
     #[cfg(feature = "http")]
-    fn client(&self) -> &crate::io::HttpClient;
+    fn client(&self) -> &crate::fetch::HttpClient;
     /// Opens the timeline span of reading a local file.
     fn read_span(&self) -> Span;
     /// Opens the timeline span of an HTTP request.

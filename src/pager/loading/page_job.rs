@@ -6,10 +6,11 @@ use std::sync::atomic::{AtomicU8, Ordering};
 use super::job::LoadJob;
 use super::request_list::Request;
 use super::ticket::Ticket;
-use crate::io::{self, Content, Fetched, IoError, ReadOptions};
+use crate::fetch::{self, IoError};
+use crate::formats::{self, Content, Fetched, ReadOptions};
 use crate::pager::scenes::read_scope::{ReadScope, TilesetAncestors};
 use crate::scene::{NodeId, Page};
-use crate::timeline::{self, Span};
+use crate::trace::{self, Span};
 
 /// One page to load.
 #[derive(Clone, Debug)]
@@ -91,9 +92,9 @@ impl Request for PageJob {
     #[cfg(feature = "http")]
     fn servers(&self) -> &[String] {
         self.progress.servers.get_or_init(|| {
-            let mut servers = vec![io::server(&self.uri).to_owned()];
+            let mut servers = vec![fetch::server(&self.uri).to_owned()];
             for companion in self.companions() {
-                let server = io::server(&companion);
+                let server = fetch::server(&companion);
                 if !servers.iter().any(|known| known == server) {
                     servers.push(server.to_owned());
                 }
@@ -116,25 +117,25 @@ impl LoadJob for PageJob {
     }
 
     fn companions(&self) -> Vec<Arc<str>> {
-        io::companions(&self.uri, self.reader_data.as_ref())
+        formats::companions(&self.uri, self.reader_data.as_ref())
     }
 
     #[cfg(feature = "http")]
-    fn client(&self) -> &io::HttpClient {
+    fn client(&self) -> &fetch::HttpClient {
         &self.scope.client
     }
 
     fn read_span(&self) -> Span {
-        timeline::span_of("fetch", || self.uri.clone())
+        trace::span_of("fetch", || self.uri.clone())
     }
 
     #[cfg(feature = "http")]
     fn request_span(&self) -> Span {
-        timeline::request_span("fetch", self.ticket.trace_id())
+        trace::request_span("fetch", self.ticket.trace_id())
     }
 
     fn decode_span(&self) -> Span {
-        timeline::span_of("decode", || self.uri.clone())
+        trace::span_of("decode", || self.uri.clone())
     }
 
     fn mark_decoding(&self) {
@@ -145,7 +146,7 @@ impl LoadJob for PageJob {
         let content = Content { uri: self.uri.clone(), bytes, reader_data: self.reader_data.clone(), companions };
         let TilesetAncestors { chain, set_from_page } = self.ancestors.clone();
         let options = ReadOptions { chain, set_from_content: set_from_page, ..self.scope.options.clone() };
-        io::decode(content, &options).inspect_err(|error| self.scope.forget_no_content(error))
+        formats::decode(content, &options).inspect_err(|error| self.scope.forget_no_content(error))
     }
 }
 
@@ -160,9 +161,9 @@ pub(in crate::pager) mod tests {
         LazyLock::new(|| Scene::new().add_root(Page::from_node(Node::group(Vec::new())).unwrap()));
     static SCOPE: LazyLock<Arc<ReadScope>> = LazyLock::new(|| {
         Arc::new(ReadScope {
-            options: ReadOptions::for_root("/set/tileset.json", io::Limits::default()),
+            options: ReadOptions::for_root("/set/tileset.json", fetch::Limits::default()),
             #[cfg(feature = "http")]
-            client: io::HttpClient::new(&io::HttpConfig::default()).unwrap(),
+            client: fetch::HttpClient::new(&fetch::HttpConfig::default()).unwrap(),
         })
     });
 

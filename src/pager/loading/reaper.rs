@@ -7,7 +7,7 @@ use crossbeam_channel::{Sender, unbounded};
 use super::thread_set::ThreadSet;
 use crate::pager::config::PagerError;
 use crate::scene::{Page, SharedStateManager};
-use crate::timeline;
+use crate::trace;
 
 /// After this many dropped pages the reaper prunes a part of the shared contents that nothing uses.
 const PAGES_BETWEEN_PRUNES: usize = 16;
@@ -27,7 +27,7 @@ impl Reaper {
         let mut thread = ThreadSet::default();
         thread.spawn("pager-reaper".to_owned(), move || {
             for (count, page) in dropped.into_iter().enumerate() {
-                let _span = timeline::span("drop page");
+                let _span = trace::span("drop page");
                 drop(page);
                 if let Some(sharing) = sharing.as_ref().filter(|_| count % PAGES_BETWEEN_PRUNES == 0) {
                     sharing.prune();

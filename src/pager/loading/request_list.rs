@@ -13,9 +13,9 @@ use std::sync::PoisonError;
 #[cfg(feature = "http")]
 use super::server_limits::ServerLimits;
 use super::ticket::Ticket;
-use crate::io::is_remote;
+use crate::fetch::is_remote;
 #[cfg(feature = "http")]
-use crate::io::{is_at, server};
+use crate::fetch::{is_at, server};
 use crate::sync::primitives::{Condvar, Mutex, MutexGuard};
 
 /// One in this many slots of a server is kept free of prefetches.

@@ -8,7 +8,7 @@
 use std::collections::HashMap;
 
 use super::config::LimitRange;
-use crate::io::IoError;
+use crate::fetch::IoError;
 
 /// Answers up to this factor longer than the quickest are in time.
 const IN_TIME_FACTOR: f64 = 1.5;

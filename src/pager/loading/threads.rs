@@ -11,7 +11,7 @@ use super::http::{self, HttpAccess};
 use super::job::{Answer, LoadJob, LoadedBytes, total_bytes};
 use super::request_list::RequestList;
 use super::thread_set::ThreadSet;
-use crate::io;
+use crate::fetch;
 use crate::pager::config::PagerError;
 
 /// Files that may be read and not yet decoded, per decode thread: waiting bytes are memory, and disks are quick.
@@ -50,7 +50,7 @@ impl<J: LoadJob> LoadThreads<J> {
         let received = never::<LoadedBytes<J>>();
         let (answer_sender, answers) = bounded::<Answer<J>>(capacity);
         threads.answers = Some(answers);
-        let files = Arc::new(io::FileReader::new(config.limits));
+        let files = Arc::new(fetch::FileReader::new(config.limits));
         for i in 0..config.readers {
             let (list, sender, files) = (list.clone(), read_sender.clone(), files.clone());
             threads.spawn(&format!("file-{i}"), move || read_files(&list, &sender, &files))?;
@@ -59,7 +59,7 @@ impl<J: LoadJob> LoadThreads<J> {
         {
             let (list, answers, limits) = (list.clone(), answer_sender.clone(), config.limits);
             let name = format!("{}-http", J::THREAD_PREFIX);
-            let runtime = io::runtime(&name).map_err(|source| PagerError::Thread { name, source })?;
+            let runtime = fetch::runtime(&name).map_err(|source| PagerError::Thread { name, source })?;
             let access = HttpAccess::new(&runtime);
             let (clients, range) = (access.clients(), config.per_server);
             threads.http = Some(access);
@@ -110,11 +110,11 @@ impl<J: LoadJob> Drop for LoadThreads<J> {
     }
 }
 
-fn read_files<J: LoadJob>(list: &RequestList<J>, sender: &Sender<LoadedBytes<J>>, files: &io::FileReader) {
+fn read_files<J: LoadJob>(list: &RequestList<J>, sender: &Sender<LoadedBytes<J>>, files: &fetch::FileReader) {
     while let Some(job) = list.take_file() {
         let span = job.read_span();
-        let bytes = match io::is_remote(job.uri()) {
-            true => Err(io::IoError::unsupported(job.uri(), "a server (built without the feature)")),
+        let bytes = match fetch::is_remote(job.uri()) {
+            true => Err(fetch::IoError::unsupported(job.uri(), "a server (built without the feature)")),
             false => files.read(job.address()),
         };
         let companions: Vec<_> = match &bytes {
@@ -184,12 +184,12 @@ mod tests {
     #[test]
     fn panic_while_reading_is_an_error_of_that_file() {
         let (list, (sender, read)) = (RequestList::new(4, 4), bounded(4));
-        list.lock().set_jobs([1, 2].map(|number| job(number, &format!("/{number}/{}", io::PANICS))));
+        list.lock().set_jobs([1, 2].map(|number| job(number, &format!("/{number}/{}", fetch::PANICS))));
         std::thread::scope(|scope| {
-            scope.spawn(|| read_files(&list, &sender, &io::FileReader::new(io::Limits::default())));
+            scope.spawn(|| read_files(&list, &sender, &fetch::FileReader::new(fetch::Limits::default())));
             for _ in 0..2 {
                 let loaded = read.recv_timeout(Duration::from_secs(60)).expect("the thread continues");
-                assert_eq!(loaded.bytes.unwrap_err().reason(), io::DECODER_PANICKED);
+                assert_eq!(loaded.bytes.unwrap_err().reason(), fetch::DECODER_PANICKED);
             }
             list.close();
         });

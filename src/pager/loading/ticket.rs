@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use crate::timeline;
+use crate::trace;
 
 /// Identifies one attempt to load a content. A retry has a new ticket, so that an answer to an earlier attempt is
 /// recognised as late.
@@ -27,12 +27,12 @@ impl Ticket {
 
     /// Records on the timeline that the attempt begins.
     pub fn trace_begin(self, uri: &Arc<str>) {
-        timeline::request_begins(self.trace_id(), uri);
+        trace::request_begins(self.trace_id(), uri);
     }
 
     /// Records on the timeline how the attempt ended.
     pub fn trace_end(self, end: RequestEnd) {
-        timeline::request_ends(self.trace_id(), end.name());
+        trace::request_ends(self.trace_id(), end.name());
     }
 }
 
@@ -76,7 +76,7 @@ pub(in crate::pager) struct TicketIssuer {
 impl TicketIssuer {
     /// Creates an issuer whose tickets differ on the timeline from those of all other issuers.
     pub fn new() -> Self {
-        Self { source: timeline::ticket_source(), next: 1 }
+        Self { source: trace::ticket_source(), next: 1 }
     }
 
     /// Returns a ticket that was not issued before.

@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use crate::io::IoError;
+use crate::fetch::IoError;
 
 /// No back-off exceeds this, unless the first one does or a server asks for it: a network that returns is noticed.
 const MAX_BACKOFF: Duration = Duration::from_secs(300);

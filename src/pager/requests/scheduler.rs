@@ -7,7 +7,7 @@ use std::ops::RangeInclusive;
 use super::entry::{Entry, Progress};
 use super::fairness::{Aging, SceneTurns};
 use super::table::RequestTable;
-use crate::io;
+use crate::fetch;
 use crate::pager::config::PagerConfig;
 use crate::pager::loading::page_job::PageJob;
 use crate::pager::loading::request_list::{Limits, ListState, RequestList};
@@ -291,7 +291,7 @@ fn abort_unwanted(table: &RequestTable, state: &mut ListState<PageJob>, at: &Con
     }
     for (_, entry) in table.iter().filter(|(_, entry)| entry.progress == Progress::Loading) {
         let age = at.frame.saturating_sub(entry.wanted_frame);
-        if age > at.config.abort_frames && io::is_remote(&entry.job.uri) {
+        if age > at.config.abort_frames && fetch::is_remote(&entry.job.uri) {
             state.abort(entry.job.ticket);
         }
     }

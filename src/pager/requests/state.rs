@@ -1,7 +1,7 @@
 //! [`RequestState`]: how far each request is, for displays.
 
 use super::entry::{Entry, Progress};
-use crate::io;
+use crate::fetch;
 use crate::pager::loading::page_job::LoadStage;
 
 /// How far a request for a content is. Merged contents have no request; see [`SlotState`](crate::scene::SlotState).
@@ -32,7 +32,7 @@ impl Entry {
             // A thread may have taken it since update last looked.
             Progress::Waiting | Progress::Loading => match self.job.progress.stage() {
                 LoadStage::Waiting => RequestState::Waiting,
-                LoadStage::Reading if io::is_remote(&self.job.uri) => RequestState::ReadingHttp,
+                LoadStage::Reading if fetch::is_remote(&self.job.uri) => RequestState::ReadingHttp,
                 LoadStage::Reading => RequestState::ReadingFile,
                 LoadStage::Decoding => RequestState::Decoding,
             },

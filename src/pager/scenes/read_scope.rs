@@ -5,8 +5,9 @@ use std::sync::Arc;
 use glam::DAffine3;
 
 #[cfg(feature = "http")]
-use crate::io::HttpClient;
-use crate::io::{IoError, ReadOptions};
+use crate::fetch::HttpClient;
+use crate::fetch::IoError;
+use crate::formats::ReadOptions;
 
 /// The files and servers that the contents of a scene may read, and the client that asks servers.
 #[derive(Debug)]
@@ -21,7 +22,7 @@ impl ReadScope {
     /// page with status 200.
     pub fn forget_no_content(&self, error: &IoError) {
         #[cfg(feature = "http")]
-        if error.is_no_content() && crate::io::is_remote(error.uri()) {
+        if error.is_no_content() && crate::fetch::is_remote(error.uri()) {
             self.client.forget(error.uri());
         }
         #[cfg(not(feature = "http"))]

@@ -5,9 +5,9 @@ use std::sync::Arc;
 
 use super::read_scope::{ReadScope, TilesetAncestors};
 use super::scene_set::SceneSet;
-use crate::io::ReadOptions;
 #[cfg(feature = "http")]
-use crate::io::{HttpClient, HttpConfig};
+use crate::fetch::{HttpClient, HttpConfig};
+use crate::formats::ReadOptions;
 use crate::pager::config::PagerConfig;
 use crate::scene::{PageId, Scene, SceneNumber, SharedStateManager, SlotInfo};
 
@@ -30,7 +30,7 @@ impl SceneState {
 /// The options that all scenes of a pager have in common.
 #[derive(Debug)]
 struct CommonOptions {
-    limits: crate::io::Limits,
+    limits: crate::fetch::Limits,
     build_kd_trees: bool,
     vertex_attributes: Arc<[Arc<str>]>,
     sharing: Option<Arc<SharedStateManager>>,

@@ -1,7 +1,7 @@
 //! Intersections of lines and volumes with everything the scene shows, after osgUtil's intersectors.
 //!
 //! Everything takes `&Scene`, so any thread that may read the scene can intersect it. Pages keep a [`KdTree`] for each
-//! drawable if [`ReadOptions::build_kd_trees`](crate::io::ReadOptions::build_kd_trees) is set; decode workers build them.
+//! drawable if [`ReadOptions::build_kd_trees`](crate::formats::ReadOptions::build_kd_trees) is set; decode workers build them.
 //!
 //! ```text
 //! IntersectionVisitor   the nodes, tiles and drawables whose bounds the shape meets, nearest first    walk

@@ -56,7 +56,7 @@ pub struct PagedLod {
     pub range_mode: RangeMode,
     /// Whether children replace the content or are added to it.
     pub refine: Refine,
-    /// The absolute URI of the content ([`set_database_path`](crate::io::set_database_path) makes URIs absolute).
+    /// The absolute URI of the content ([`set_database_path`](crate::formats::set_database_path) makes URIs absolute).
     ///
     /// `None` for an empty tile, which shows its children while it is refined, and nothing otherwise. Below content that is
     /// replaced, an empty tile needs a range that is always met, or there are holes.

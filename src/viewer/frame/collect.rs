@@ -5,7 +5,7 @@ use std::time::Instant;
 use super::draw_results::ContextFigures;
 use super::frame_loop::{ARRIVAL_POLL, FrameLoop, ViewList};
 use crate::gpu::GpuError;
-use crate::timeline;
+use crate::trace;
 use crate::viewer::ViewerError;
 use crate::viewer::paging::{PagerGroup, SceneList};
 use crate::viewer::rendering::{FRAMES_IN_FLIGHT, FrameDone, millis};
@@ -25,7 +25,7 @@ impl FrameLoop {
     fn collect_next(&mut self, device: usize) -> Result<(), ViewerError> {
         let start = Instant::now();
         let Some(device) = self.rendering.device_at(device) else { return Ok(()) };
-        let span = timeline::span("wait for draw");
+        let span = trace::span("wait for draw");
         let done = device.wait_done()?;
         drop(span);
         if let Some(done) = done {
@@ -42,7 +42,7 @@ impl FrameLoop {
 
     /// Waits until each camera has a free render stage, and merges arrived pages meanwhile.
     pub(super) fn wait_for_stage(&mut self, scenes: &mut SceneList) -> Result<(), ViewerError> {
-        let _span = timeline::span("wait for stage");
+        let _span = trace::span("wait for stage");
         for device in 0..self.rendering.device_count() {
             while self.rendering.in_flight(device) >= FRAMES_IN_FLIGHT {
                 if !self.pagers.iter().any(PagerGroup::is_paging) {

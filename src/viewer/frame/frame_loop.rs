@@ -21,7 +21,7 @@ use super::query_answers::QueryAnswers;
 use super::stats::FrameStats;
 use crate::cull::CullCamera;
 use crate::gpu::{CompileBudget, GpuError};
-use crate::timeline::{self, Span};
+use crate::trace::{self, Span};
 use crate::viewer::ViewerError;
 use crate::viewer::ids::{ContextId, KeyedList, ViewId};
 use crate::viewer::paging::{LookAheads, LookFrom, PagedScene, PagerGroup, Pagers, SceneList, load_all};
@@ -69,7 +69,7 @@ impl FrameInProgress {
     pub(in crate::viewer) fn end_events(&mut self) {
         self.stats.event_ms = millis(self.start.elapsed());
         self.phase = None;
-        self.phase = Some(timeline::span("update"));
+        self.phase = Some(trace::span("update"));
     }
 }
 
@@ -158,9 +158,9 @@ impl FrameLoop {
         self.results.begin_frame();
         let dt_s = self.timer.advance(start, simulation_time_s);
         let number = self.stamp().frame;
-        let _frame = timeline::span_of("frame", || number.to_string().into());
+        let _frame = trace::span_of("frame", || number.to_string().into());
         let stats = FrameStats { frame: number, ..FrameStats::default() };
-        FrameInProgress { start, dt_s, stats, phase: Some(timeline::span("event")), _frame }
+        FrameInProgress { start, dt_s, stats, phase: Some(trace::span("event")), _frame }
     }
 
     /// Finishes update after the application's callbacks, and renders. When a device was lost, the frame is not drawn, and
@@ -251,7 +251,7 @@ impl FrameLoop {
         if self.is_blocking() || self.config.look_ahead_s == 0.0 {
             return;
         }
-        let _span = timeline::span("look ahead");
+        let _span = trace::span("look ahead");
         let FrameStamp { frame, reference_time_s, simulation_time_s } = self.stamp();
         let from = LookFrom { frame, reference_time_s, simulation_time_s, ahead_s: self.config.look_ahead_s };
         for (id, view) in views.iter() {
@@ -327,7 +327,7 @@ impl FrameLoop {
 
     /// Merges and uploads arrived pages until shortly before `deadline`, then sleeps until it.
     pub(in crate::viewer) fn work_until(&mut self, scenes: &mut SceneList, deadline: Instant) {
-        let _span = timeline::span("between frames");
+        let _span = trace::span("between frames");
         // A pager that waits for its server leaves its time to the others.
         while self.pagers.iter().filter(|group| group.is_paging()).count() > 1 && Instant::now() < deadline {
             let begun = Instant::now();

@@ -10,13 +10,13 @@ use crate::pager::{DatabasePager, ImagePager};
 use crate::scene::Scene;
 use crate::viewer::ViewerError;
 use crate::viewer::frame::FrameLoop;
-use crate::viewer::view::set_bounds::SetBounds;
+use crate::viewer::frame::FrameStamp;
+use crate::viewer::frame::StatsHistory;
 use crate::viewer::manipulators::{CameraManipulator, ManipulatorView};
 use crate::viewer::paging::PagedScene;
 use crate::viewer::rendering::ThreadingModel;
-use crate::viewer::frame::StatsHistory;
 use crate::viewer::view::View;
-use crate::viewer::frame::FrameStamp;
+use crate::viewer::view::set_bounds::SetBounds;
 
 /// Receives a captured image and the number of its frame.
 pub type OnPicture = Box<dyn FnOnce(u32, RgbaImage)>;

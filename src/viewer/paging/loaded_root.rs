@@ -2,7 +2,8 @@
 
 use std::sync::Arc;
 
-use crate::io;
+use crate::fetch;
+use crate::formats;
 use crate::math::BoundingVolume;
 use crate::pager::{DatabasePager, PagerConfig};
 use crate::scene::{NodeKind, Page};
@@ -23,8 +24,8 @@ impl LoadedRoot {
     /// root is read. The pager is kept: the viewer loads the tiles below the root with it, over the same connections and
     /// with the same limits and credentials.
     pub fn read(source: &str, config: &PagerConfig) -> Result<Self, ViewerError> {
-        let uri = io::root_uri(source)?;
-        let options = io::ReadOptions::for_root(&uri, config.limits);
+        let uri = fetch::root_uri(source)?;
+        let options = formats::ReadOptions::for_root(&uri, config.limits);
         let mut pager = DatabasePager::new(config.clone(), options.clone())?;
         let page = pager.read_root(&uri)?;
         let region = declared_region(&uri, &options);
@@ -33,13 +34,13 @@ impl LoadedRoot {
 }
 
 /// Reads a local root once more for the region that it declares. `None` for remote roots and those without a region.
-fn declared_region(uri: &Arc<str>, options: &io::ReadOptions) -> Option<BoundingVolume> {
-    if io::is_remote(uri) {
+fn declared_region(uri: &Arc<str>, options: &formats::ReadOptions) -> Option<BoundingVolume> {
+    if fetch::is_remote(uri) {
         return None;
     }
-    let bytes = io::read_file(uri, &options.limits).ok()?;
-    let content = io::Content { uri: Arc::clone(uri), bytes, reader_data: None, companions: Vec::new() };
-    match io::decode_node(content, options).ok()?.kind {
+    let bytes = fetch::read_file(uri, &options.limits).ok()?;
+    let content = formats::Content { uri: Arc::clone(uri), bytes, reader_data: None, companions: Vec::new() };
+    match formats::decode_node(content, options).ok()?.kind {
         NodeKind::PagedLod(tile) | NodeKind::MultiContentTile(tile) => {
             Some(tile.bounds).filter(|b| matches!(b, BoundingVolume::Region(_)))
         }

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use super::loaded_root::LoadedRoot;
 use super::own_pages::OwnPages;
 use crate::cull::{CullCounters, PageRequest};
-use crate::io::ReadOptions;
+use crate::formats::ReadOptions;
 use crate::math::{BoundingVolume, Ellipsoid};
 use crate::pager::{DatabasePager, ImagePager, ImagePagerConfig, ImageSequence, PagerConfig};
 use crate::scene::{DataVariance, DrawSlot, Page, PageId, Scene, UpdateInfo};
@@ -195,7 +195,7 @@ impl PagedScene {
     /// Fails when the scene has a loaded tile set already.
     pub(in crate::viewer) fn check_has_no_set(&self) -> Result<(), ViewerError> {
         match self.root_uri() {
-            Some(uri) => Err(ViewerError::HasTileset { uri: crate::io::shown(uri).into_owned() }),
+            Some(uri) => Err(ViewerError::HasTileset { uri: crate::fetch::shown(uri).into_owned() }),
             None => Ok(()),
         }
     }
@@ -354,7 +354,7 @@ impl PagedScene {
         simulation_time_s: f64,
     ) -> Result<(), ViewerError> {
         let Some(pager) = &mut self.image_pager else { return Ok(()) };
-        let _span = crate::timeline::span("images");
+        let _span = crate::trace::span("images");
         for change in pager.update(simulation_time_s) {
             for device in rendering.devices_mut() {
                 device.show(change.clone())?;

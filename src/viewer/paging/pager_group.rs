@@ -187,7 +187,7 @@ impl PagerGroup {
     /// The pager's turn in update: merges, expires, uploads and requests. Returns its milliseconds.
     pub(in crate::viewer) fn page(&mut self, scenes: &mut SceneList, rendering: &mut Rendering, frame: u32) -> f64 {
         let start = Instant::now();
-        let _span = crate::timeline::span("merge");
+        let _span = crate::trace::span("merge");
         for id in &self.members {
             scenes[*id].merge_own(rendering);
         }

@@ -16,7 +16,7 @@ use crate::scene::{CameraTarget, ClampProjection, ComputeNearFar, DataVariance, 
 use crate::state::StateSet;
 use crate::sync::BlockCount;
 use crate::sync::primitives::channel::{Receiver, Sender, TryRecvError};
-use crate::timeline;
+use crate::trace;
 use crate::viewer::Camera;
 
 /// The number of a camera's stages: one for cull, one for draw.
@@ -167,7 +167,7 @@ impl CullSide {
             Err(TryRecvError::Empty | TryRecvError::Disconnected) => return,
         };
         // The main thread starts no frame before a stage is free. The channel is closed when the draw thread has died.
-        let span = timeline::span("wait for stage");
+        let span = trace::span("wait for stage");
         let available = self.available.recv();
         drop(span);
         let Ok(mut stage) = available else {

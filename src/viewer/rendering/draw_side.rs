@@ -17,7 +17,7 @@ use crate::gpu::{CompileBudget, Compiled, GpuError, GraphicsContext};
 use crate::pager::ImageChange;
 use crate::sync::BlockCount;
 use crate::sync::primitives::channel::{Receiver, Sender};
-use crate::timeline;
+use crate::trace;
 
 /// The draw end of a camera's channels: stages arrive culled and are returned empty.
 pub(super) struct DrawEnd {
@@ -332,7 +332,7 @@ impl DrawSide {
             }
             None => {
                 // Each cull ends by sending its stage, unless its thread has died.
-                let _span = timeline::span("wait for cull");
+                let _span = trace::span("wait for cull");
                 context.stages.extend(context.cameras.iter().filter_map(|camera| camera.culled.recv().ok()));
             }
         }

@@ -13,7 +13,7 @@ use std::sync::Arc;
 use super::cull_side::CullSide;
 use super::draw_side::DrawSide;
 use crate::sync::{Barrier, BlockCount, Operation};
-use crate::timeline;
+use crate::trace;
 
 /// A step in the loop of a context's thread.
 pub(super) struct Step {
@@ -33,7 +33,7 @@ impl Operation<DrawSide> for Step {
     }
 
     fn run(&self, side: &mut DrawSide) {
-        let _span = timeline::span(self.name);
+        let _span = trace::span(self.name);
         (self.run)(side);
     }
 
@@ -85,7 +85,7 @@ impl Operation<DrawSide> for BarrierOperation {
     fn run(&self, side: &mut DrawSide) {
         // A thread that was woken without a frame would wait for the others forever.
         if side.meets_others {
-            let _span = timeline::span(self.name);
+            let _span = trace::span(self.name);
             self.barrier.block();
         }
     }
@@ -108,7 +108,7 @@ impl Operation<CullSide> for StartOfCull {
     }
 
     fn run(&self, _: &mut CullSide) {
-        let _span = timeline::span("start barrier");
+        let _span = trace::span("start barrier");
         self.0.block();
     }
 

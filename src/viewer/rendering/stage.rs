@@ -16,7 +16,7 @@ use crate::pager::CompileContext;
 use crate::scene::{DrawSlot, Drawable};
 use crate::sync::primitives::channel::{self, Receiver, Sender};
 use crate::sync::{Barrier, BlockCount, OperationThread};
-use crate::timeline;
+use crate::trace;
 
 /// The number of frames that may be in flight to a context's thread; a camera has a render stage for each.
 pub(in crate::viewer) const FRAMES_IN_FLIGHT: usize = SCENE_VIEWS;
@@ -384,7 +384,7 @@ impl Rendering {
             }
         }
         if let Some(barrier) = &running.start {
-            let _span = timeline::span("start barrier");
+            let _span = trace::span("start barrier");
             result = result.and(unless_dead(barrier.block()));
         }
         for camera in &mut self.cameras {
@@ -403,14 +403,14 @@ impl Rendering {
             }
         }
         if let Some(barrier) = &running.end {
-            let _span = timeline::span("end barrier");
+            let _span = trace::span("end barrier");
             result = result.and(unless_dead(barrier.block()));
         }
         if let Some(block) = &running.end_of_dynamic {
-            let _span = timeline::span("end of dynamic draws");
+            let _span = trace::span("end of dynamic draws");
             result = result.and(unless_dead(block.block()));
         }
-        let _span = timeline::span("wait for culls");
+        let _span = trace::span("wait for culls");
         for camera in &mut self.cameras {
             match camera.outcomes.recv() {
                 Ok(outcome) => camera.outcome = outcome,

@@ -4,7 +4,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::io::CacheStats;
+use crate::fetch::CacheStats;
 
 /// The report on a flight.
 ///

@@ -4,8 +4,9 @@ use std::time::{Duration, Instant};
 
 use glam::{DAffine3, DVec3};
 use terrane::cull::{CullCamera, CullVisitor, PageRequest, RenderStage};
+use terrane::fetch::{Limits, root_uri};
+use terrane::formats::ReadOptions;
 use terrane::gpu::{CompileBudget, CompileOperation, Compiled};
-use terrane::io::{Limits, ReadOptions, root_uri};
 use terrane::pager::{CompileContext, DatabasePager, PagerConfig};
 use terrane::scene::{DrawSlot, Drawable, Geometry, Page, Scene};
 

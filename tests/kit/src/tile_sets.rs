@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use terrane::io::write::{GlbMesh, write_glb};
+use terrane::formats::writers::{GlbMesh, write_glb};
 
 /// Generates three levels of height tiles, 20 km wide, in `folder/set`; returns that path.
 pub fn small_set(folder: &Path) -> String {

@@ -59,7 +59,7 @@ fn index(zip: &mut ZipArchive<Cursor<Vec<u8>>>) -> Result<Vec<u8>> {
 
 #[cfg(test)]
 mod tests {
-    use terrane::io::{FileReader, Limits};
+    use terrane::fetch::{FileReader, Limits};
 
     use super::*;
 

@@ -8,8 +8,8 @@ use anyhow::{Context as _, Result};
 use glam::{DAffine3, DVec3};
 use serde::{Deserialize, Serialize};
 use terrane::draw::Sky;
+use terrane::fetch::{CacheConfig, is_remote};
 use terrane::gpu::{AdapterChoice, GpuError, GraphicsContext};
-use terrane::io::{CacheConfig, is_remote};
 use terrane::pager::{PagerConfig, PagerStats};
 use terrane::viewer::{
     self, CompositeViewer, ContextId, HoleCheck, KEY_COLOR, SceneId, SetBounds, SlaveId, ViewId, ViewerConfig,

@@ -35,7 +35,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context as _, Result, bail, ensure};
 use clap::Args as ClapArgs;
 use serde::{Deserialize, Serialize};
-use terrane::io::{is_remote, shown};
+use terrane::fetch::{is_remote, shown};
 
 use self::flight::Outcome;
 use self::plan::{Plan, Way};

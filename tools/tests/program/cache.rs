@@ -170,7 +170,7 @@ fn a_filled_cache_needs_no_server() {
     assert_eq!((&of_cache["contents"], &of_cache["tiles"]), (&of_folder["contents"], &of_folder["tiles"]));
     let kept: Value = serde_json::from_str(&said(&["cache", "info", "--cache", &cache, "--json"])).unwrap();
     assert!(kept["entries"].as_u64() > of_folder["contents"].as_u64(), "imagery and tilesets too: {kept}");
-    assert!(refused(&["cache", "fill", &set, "--cache", &cache]).contains("on a server"));
+    assert!(refused(&["cache", "fill", &set, "--cache", &cache]).contains("only tile sets on servers"));
     assert!(refused(&["cache", "fill", &url, "--cache", &cache, "--offline"]).contains("offline"));
 }
 

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use crate::served::Server;
 use kit::skip::no_adapter;
 use serde_json::Value;
-use terrane::io::IoError;
+use terrane::fetch::IoError;
 
 /// The last byte comes no sooner than the bandwidth lets it, of a small file too.
 #[test]
@@ -169,10 +169,10 @@ fn a_reset_is_one() {
     }
     assert_eq!(lengths.into_iter().collect::<Vec<_>>(), [0, 500], "before the first byte, and half way");
     // The bytes as the client received them.
-    let uri = terrane::io::root_uri(&format!("http://{}/f", server.address)).unwrap();
+    let uri = terrane::fetch::root_uri(&format!("http://{}/f", server.address)).unwrap();
     let mut config = terrane::pager::PagerConfig::default();
     config.http.max_retries = 0;
-    let options = terrane::io::ReadOptions::for_root(&uri, terrane::io::Limits::default());
+    let options = terrane::formats::ReadOptions::for_root(&uri, terrane::fetch::Limits::default());
     let mut pager = terrane::pager::DatabasePager::new(config, options).unwrap();
     for _ in 0..20 {
         let error = pager.read_root(&uri).err().unwrap();

@@ -10,7 +10,7 @@ use crate::served::Server;
 use h2::client::{Builder, SendRequest};
 use h2::{Reason, RecvStream};
 use http::{HeaderMap, Request};
-use terrane::io::{HttpClient, HttpConfig, IoError, Limits};
+use terrane::fetch::{HttpClient, HttpConfig, IoError, Limits};
 use tokio::net::TcpStream;
 use tokio_rustls::TlsConnector;
 use tokio_rustls::rustls::pki_types::pem::PemObject as _;

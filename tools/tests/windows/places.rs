@@ -200,7 +200,7 @@ fn windows_open_where_variables_say() {
     let config = folder.path().join("wrong.json");
     std::fs::write(&config, r#"{"windows": [{"size_px": [640, "x"]}]}"#).unwrap();
     for (name, value, says) in [
-        ("TERRANE_CONFIG_FILE", config.to_str().unwrap(), "wrong.json: windows[0].size_px[1]: invalid value"),
+        ("TERRANE_CONFIG_FILE", config.to_str().unwrap(), "wrong.json: windows[0].size_px[1]: invalid type"),
         ("TERRANE_WINDOW", "1 2 3", "TERRANE_WINDOW: `1 2 3` is not `x y width height`"),
         ("TERRANE_SCREEN", "3", "there is no screen 3; the display has 1"),
     ] {

@@ -125,7 +125,7 @@ fn several_views_open_as_a_file_says_and_each_has_its_events() {
     for (command, says) in [
         (
             &["view", "--config"][..],
-            "alone.json: views[0].cameras[0].window: there is no window 1: there are 1 windows, counted from 0",
+            "alone.json: views[0].cameras[0].window: there is no window 2: there are 1 windows, counted from 0",
         ),
         (&["fly", set.to_str().unwrap(), "--config"], "alone.json: views[0].cameras[0].window"),
     ] {

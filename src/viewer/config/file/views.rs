@@ -9,7 +9,7 @@ use serde::de::{Deserializer, Error, MapAccess, Visitor};
 
 use super::values::{Entries, Invalid, MAX_ENTRIES, Number, Numbers, Object, limits, present};
 use super::windows::CameraFields;
-use crate::io;
+use crate::fetch;
 use crate::viewer::config::view_setup::{SceneSetup, ViewCamera, ViewSetup};
 use crate::viewer::view::set_bounds::ViewFrom;
 
@@ -91,7 +91,7 @@ impl ScenesField {
     pub fn into_setups(self, folder: &Path) -> Vec<SceneSetup> {
         let setup = |(name, Source(source)): (String, Source)| SceneSetup {
             name,
-            source: if io::is_remote(&source) { source } else { folder.join(source).display().to_string() },
+            source: if fetch::is_remote(&source) { source } else { folder.join(source).display().to_string() },
         };
         self.0.into_iter().map(setup).collect()
     }

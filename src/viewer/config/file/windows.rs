@@ -4,9 +4,9 @@ use glam::{DAffine3, DMat4, DQuat, DVec3, EulerRot};
 use serde::Deserialize;
 
 use super::values::{Entries, Invalid, Number, Numbers, Object, limits, present};
-use crate::viewer::view::camera::ResizePolicy;
 use crate::viewer::config::window_setup::{CameraSetup, MAX_SIDE_PX, WindowSetup};
 use crate::viewer::view::Eyes;
+use crate::viewer::view::camera::ResizePolicy;
 use crate::viewer::view::viewport::Viewport;
 
 /// How far the fractions of a viewport may exceed the window: room for rounded thirds.

@@ -5,10 +5,10 @@ use glam::{DAffine3, DVec3};
 use super::look::Look;
 use super::move_keys::{MoveKeys, scaled_by_wheel};
 use crate::viewer::events::{EventKind, GuiEventAdapter, Usage};
-use crate::viewer::view::set_bounds::LocalFrame;
 use crate::viewer::manipulators::manipulator::{CameraManipulator, ManipulatorView};
 use crate::viewer::manipulators::motion::{Pinch, PinchTracker, TouchResult, remaining_after, steps};
 use crate::viewer::manipulators::pose::{heading_change, transport_heading};
+use crate::viewer::view::set_bounds::LocalFrame;
 
 /// The time constant with which the eye approaches its height above the ground, seconds.
 const RISE_S: f64 = 0.1;

@@ -13,8 +13,9 @@ use clap::ValueEnum as _;
 use glam::{DAffine3, DVec3};
 use serde_json::{Value, json};
 use terrane::cull::{CullCamera, CullVisitor, RenderStage};
+use terrane::fetch::Limits;
+use terrane::formats::ReadOptions;
 use terrane::gpu::{AdapterChoice, CompileBudget, ContextTraits, GraphicsContext};
-use terrane::io::{Limits, ReadOptions};
 use terrane::pager::{
     CompileContext, DatabasePager, EyeMotion, MotionLooks, PagerConfig, PagerStats, PathLooks, frames_until,
 };

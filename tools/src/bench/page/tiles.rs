@@ -6,7 +6,7 @@ use std::sync::Arc;
 use anyhow::{Context as _, Result};
 use glam::{DAffine3, DMat3, DVec3};
 use serde_json::json;
-use terrane::io::write::{GlbMesh, write_glb, write_height_exr};
+use terrane::formats::writers::{GlbMesh, write_glb, write_height_exr};
 use terrane::math::{BoundingSphere, BoundingVolume, OrientedBox};
 use terrane::scene::{Node, NodeKind, PagedLod, PagingOptions, RangeMode, Refine};
 
