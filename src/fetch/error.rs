@@ -83,7 +83,7 @@ pub enum IoError {
         reason: String,
     },
     /// An HTML or XML page arrived with status 200 instead of the content. Servers and login portals send such error pages.
-    #[error("{}: markup instead of content (an error page?)", shown(.uri))]
+    #[error("{}: a web page instead of content (an error page, or the URL of a folder without its final slash?)", shown(.uri))]
     Markup {
         /// The URI that was requested.
         uri: String,

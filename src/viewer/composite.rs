@@ -112,6 +112,11 @@ impl CompositeViewer {
         self.frame.rendering.adapter_name()
     }
 
+    /// Returns true if the first context's adapter is a software driver, which draws far slower than a GPU.
+    pub fn is_software_adapter(&self) -> bool {
+        self.frame.rendering.is_software()
+    }
+
     /// Loses the device of a context, as if the driver had lost it.
     #[cfg(feature = "testing")]
     pub fn lose_device(&mut self, context: ContextId) -> Result<(), ViewerError> {

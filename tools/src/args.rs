@@ -71,7 +71,7 @@ pub struct FlyArgs {
     /// Camera path in OpenSceneGraph's text form, `t px py pz qx qy qz qw` a line [default: approach, fly low, orbit]
     #[arg(long, value_name = "FILE")]
     pub path: Option<PathBuf>,
-    /// Frames to fly, the path spread over them [default: 300; with --settle none after the picture]
+    /// Frames to fly, the path spread over them [default: 300, 100 on a software driver; none after --settle]
     #[arg(long, value_name = "N")]
     pub frames: Option<u32>,
     /// Size of the picture in pixels

@@ -27,6 +27,8 @@ use crate::{default_set, summary};
 
 /// Frames of a flight when none are asked for.
 const DEFAULT_FRAMES: u32 = 300;
+/// The same on a software driver, which takes some 30 ms a frame.
+const DEFAULT_SOFTWARE_FRAMES: u32 = 100;
 /// Limit in pixels for height tiles: their error is the height's alone, and at CesiumJS's 16 ridges visibly
 /// change shape as they morph; at 3 the picture hardly changes any more and costs about four times the triangles.
 pub const HEIGHT_SSE_PX: f64 = 3.0;
@@ -288,6 +290,13 @@ impl Flight {
 
     /// Takes the set and places the first camera.
     fn open(&mut self, viewer: &mut Viewer, root: LoadedRoot) -> Result<()> {
+        let is_default = self.args.frames.is_none() && !self.args.settle && !self.args.interactive;
+        if is_default && viewer.composite().is_software_adapter() {
+            self.frames = DEFAULT_SOFTWARE_FRAMES;
+            eprintln!(
+                "software driver: flying {DEFAULT_SOFTWARE_FRAMES} frames instead of {DEFAULT_FRAMES} (--frames N)"
+            );
+        }
         viewer.set_root(root)?;
         viewer.view_mut().camera.settings.max_sse_px = match self.args.sse {
             Some(limit) => limit.0,

@@ -5,6 +5,7 @@ use serde::de::IgnoredAny;
 
 use super::extras::Extras;
 use crate::fetch::IoError;
+use crate::fetch::markup::refuse_markup;
 use crate::formats::height::{SetExtras, TileExtras};
 
 /// Supported extensions that a tileset may require, including those that do not affect drawing.
@@ -92,11 +93,30 @@ impl ContentJson {
     }
 }
 
+/// Returns the error for text that is no tileset JSON. Names NaN and Infinity, which other languages write and JSON does
+/// not have.
+fn invalid_json(uri: &str, bytes: &[u8], error: &serde_json::Error) -> IoError {
+    let line = bytes.split(|b| *b == b'\n').nth(error.line().saturating_sub(1)).unwrap_or_default();
+    let rest = line.get(error.column().saturating_sub(1)..).unwrap_or_default();
+    let rest = rest.strip_prefix(b"-").unwrap_or(rest);
+    let word = ["NaN", "Infinity"].into_iter().find(|word| rest.starts_with(word.as_bytes()));
+    IoError::invalid(
+        uri,
+        match word {
+            Some(word) => {
+                let (line, column) = (error.line(), error.column());
+                format!("tileset JSON: {word} at line {line} column {column} is not a number in JSON")
+            }
+            None => format!("tileset JSON: {error}"),
+        },
+    )
+}
+
 /// Parses the JSON of a tileset, with or without a UTF-8 byte order mark. The depth is limited by serde_json (128).
 pub(crate) fn parse(uri: &str, bytes: &[u8]) -> Result<TilesetJson, IoError> {
     let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
-    let tileset: TilesetJson =
-        serde_json::from_slice(bytes).map_err(|e| IoError::invalid(uri, format!("tileset JSON: {e}")))?;
+    refuse_markup(uri, bytes)?;
+    let tileset: TilesetJson = serde_json::from_slice(bytes).map_err(|error| invalid_json(uri, bytes, &error))?;
     if !matches!(tileset.asset.version.as_str(), "0.0" | "1.0" | "1.1") {
         return Err(IoError::unsupported(uri, format!("3D Tiles version {}", tileset.asset.version)));
     }
@@ -106,4 +126,24 @@ pub(crate) fn parse(uri: &str, bytes: &[u8]) -> Result<TilesetJson, IoError> {
         }
     }
     Ok(tileset)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn error(text: &str) -> String {
+        parse("set/tileset.json", text.as_bytes()).err().expect("not a tileset").to_string()
+    }
+
+    #[test]
+    fn what_is_no_tileset_is_named() {
+        let nan = error("{\"asset\": {\"version\": \"1.1\"},\n\"geometricError\": NaN}");
+        assert!(nan.contains("NaN at line 2 column 19 is not a number in JSON"), "{nan}");
+        let infinity = error("{\"geometricError\": -Infinity}");
+        assert!(infinity.contains("Infinity at line 1"), "{infinity}");
+        let page = error("<html><body>Index of /set</body></html>");
+        assert!(page.contains("a web page instead of content"), "{page}");
+        assert!(error("[").contains("tileset JSON: "));
+    }
 }

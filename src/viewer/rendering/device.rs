@@ -71,13 +71,14 @@ pub(in crate::viewer) struct DeviceHandle {
     /// Waits for all uploads when results are taken, in the blocking mode.
     finish_compiles: bool,
     adapter_name: String,
+    is_software: bool,
 }
 
 impl DeviceHandle {
     /// Takes a device with one context. The main thread owns it until threads are started.
     pub(super) fn new(id: u32, context: GraphicsContext, blocking: bool, frame: u32) -> Self {
         let contexts = vec![ContextOnDevice { id, size_px: context.size_px(), done_frame: frame }];
-        let adapter_name = context.adapter_name();
+        let (adapter_name, is_software) = (context.adapter_name(), context.is_software());
         let (commands, to_do) = channel::bounded(COMMAND_QUEUE);
         let (compiled_sender, compiled) = channel::unbounded();
         let (reply_sender, replies) = channel::unbounded();
@@ -106,6 +107,7 @@ impl DeviceHandle {
             in_flight: 0,
             finish_compiles: blocking,
             adapter_name,
+            is_software,
         }
     }
 
@@ -159,6 +161,11 @@ impl DeviceHandle {
     /// The name of the adapter.
     pub(super) fn adapter_name(&self) -> &str {
         &self.adapter_name
+    }
+
+    /// Returns true if the adapter is a software driver.
+    pub(super) fn is_software(&self) -> bool {
+        self.is_software
     }
 
     /// The number of frames in flight.

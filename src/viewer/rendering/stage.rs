@@ -141,6 +141,11 @@ impl Rendering {
         self.devices.first().map_or("", DeviceHandle::adapter_name)
     }
 
+    /// Returns true if the first context's adapter is a software driver.
+    pub(in crate::viewer) fn is_software(&self) -> bool {
+        self.devices.first().is_some_and(DeviceHandle::is_software)
+    }
+
     /// The number of frames in flight on the device of an index; 0 without such a device.
     pub(in crate::viewer) fn in_flight(&self, index: usize) -> usize {
         self.devices.get(index).map_or(0, DeviceHandle::in_flight)

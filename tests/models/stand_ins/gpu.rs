@@ -55,6 +55,10 @@ impl GraphicsContext {
         [1, 1]
     }
 
+    pub fn is_software(&self) -> bool {
+        true
+    }
+
     pub fn adapter_name(&self) -> String {
         "none".to_owned()
     }
