@@ -1,20 +1,22 @@
-//! A manipulator of one's own: a satellite that circles a ball by itself; the arrows tilt its orbit, the wheel lifts it.
+//! A custom manipulator: a satellite that circles a ball. The arrow keys tilt its orbit, the wheel changes its height.
 //!
 //! ```text
 //! cargo run --release --example custom_manipulator -- [--offscreen] [--frames N] [--screenshot FILE]
 //! ```
-//! Expected: a blue ball with seven brown blocks on it, seen from a circling eye that always looks down on it.
+//! Expected: a blue ball with seven brown blocks on it, seen from an eye that circles it and looks down on it.
+
+mod shared;
 
 use anyhow::Result;
 use glam::{DAffine3, DQuat, DVec3};
 use terrane::math::Aabb;
 use terrane::scene::{Drawable, Material, Mesh, Node, Page};
 use terrane::viewer::{
-    CameraManipulator, EventKind, GuiEventAdapter, Key, ManipulatorView, Usage, Viewer, ViewerConfig, ViewerError,
-    WindowOptions, has_display, run_window, world_from_eye,
+    CameraManipulator, EventKind, GuiEventAdapter, Key, ManipulatorView, Usage, Viewer, ViewerError, WindowOptions,
+    world_from_eye,
 };
 
-/// Angles in radians, the distance in radii of what it circles.
+/// A satellite; angles in radians, the distance in radii of the ball.
 struct Satellite {
     angle: f64,
     tilt: f64,
@@ -32,7 +34,7 @@ impl CameraManipulator for Satellite {
         true
     }
 
-    /// A function of time alone, so that the frame rate does not matter; slower the farther out, as Kepler has it.
+    /// Moves as a function of time, independent of the frame rate; slower at a greater distance, by Kepler's third law.
     fn advance(&mut self, dt_s: f64, view: &ManipulatorView<'_>) -> DAffine3 {
         self.angle += dt_s * 1.5 / self.distance.powf(1.5);
         let around = DQuat::from_rotation_x(self.tilt) * DQuat::from_rotation_z(self.angle);
@@ -41,7 +43,7 @@ impl CameraManipulator for Satellite {
         world_from_eye(sphere.center + out * self.distance * sphere.radius_m, -out, around * DVec3::Y)
     }
 
-    /// It knows where it goes; others would start from here.
+    /// Ignores the pose, because the orbit determines it; other manipulators would continue from it.
     fn set_pose(&mut self, _: &DAffine3, _: &ManipulatorView<'_>) {}
 
     fn usage(&self) -> Vec<Usage> {
@@ -50,19 +52,7 @@ impl CameraManipulator for Satellite {
 }
 
 fn main() -> Result<()> {
-    let args: Vec<String> = std::env::args().skip(1).collect();
-    let value = |name: &str| args.iter().position(|a| a == name).and_then(|i| args.get(i + 1));
-    let frames: u32 = value("--frames").map_or(Ok(30), |n| n.parse())?;
-    if has_display() && !args.iter().any(|a| a == "--offscreen") {
-        let options = WindowOptions { on_open: Box::new(build), ..WindowOptions::default() };
-        return Ok(run_window(ViewerConfig::default(), options).map(drop)?);
-    }
-    let mut viewer = Viewer::new_offscreen(&ViewerConfig { samples: 4, ..ViewerConfig::default() })?;
-    build(&mut viewer)?;
-    for _ in 0..frames {
-        viewer.frame()?;
-    }
-    value("--screenshot").map_or(Ok(()), |file| Ok(viewer.read_back()?.save(file)?))
+    shared::show(&shared::Args::parse()?, WindowOptions::default(), build)
 }
 
 fn build(viewer: &mut Viewer) -> Result<(), ViewerError> {

@@ -1,28 +1,29 @@
-//! Terrane inside another toolkit: the host owns the window, the event loop and the decision when to draw; the viewer
-//! gets the window's handle, and the host's events in its queue. The host is winit here; with any other it is the same.
+//! Terrane inside another toolkit: the host owns the window and the event loop, and decides when to draw. The viewer gets
+//! the window's handle, and the host's events in its queue. The host here is winit; others work the same way.
 //!
 //! ```text
 //! cargo run --release --example embedding -- [--offscreen] [--frames N] [--screenshot FILE]
 //! ```
-//! Expected: a ball that drags turn and the wheel zooms. Offscreen the host gets a picture to show where it likes.
+//! Expected: a ball; drags turn it and the wheel zooms. Offscreen the host gets an image.
 
-use std::sync::Arc;
-use std::time::Duration;
+mod shared;
+
+use std::{sync::Arc, time::Duration};
 
 use anyhow::Result;
 use glam::{DVec2, DVec3};
 use terrane::scene::{Drawable, Material, Mesh, Node, Page};
 use terrane::viewer::manipulators::TrackballManipulator;
-use terrane::viewer::{MouseButton, Viewer, ViewerConfig, has_display};
+use terrane::viewer::{MouseButton::Left, Viewer, ViewerConfig};
 use winit::application::ApplicationHandler;
-use winit::event::{MouseScrollDelta, WindowEvent};
+use winit::event::{MouseScrollDelta::LineDelta, WindowEvent};
 use winit::event_loop::{ActiveEventLoop, ControlFlow, EventLoop};
 use winit::window::{Window, WindowId};
 
 fn fill(viewer: &mut Viewer) -> Result<()> {
-    let ball = Mesh::sphere(DVec3::ZERO, 1.0, 12);
     let material = Material { base_color: [0.8, 0.5, 0.1, 1.0], ..Material::default() };
-    viewer.add_root(Page::from_node(Node::geode(vec![Drawable::new(ball.into(), material)]))?)?;
+    let ball = Drawable::new(Mesh::sphere(DVec3::ZERO, 1.0, 12).into(), material);
+    viewer.add_root(Page::from_node(Node::geode(vec![ball]))?)?;
     viewer.set_manipulator(Some(Box::new(TrackballManipulator::default())));
     Ok(())
 }
@@ -33,7 +34,7 @@ struct Host(Option<(Viewer, Arc<Window>)>);
 impl ApplicationHandler for Host {
     fn resumed(&mut self, event_loop: &ActiveEventLoop) {
         let window = Arc::new(event_loop.create_window(Window::default_attributes()).expect("a window"));
-        // Anything with a window handle and a display handle will do.
+        // Any type with a window handle and a display handle works.
         let mut viewer = Viewer::new_window(window.clone(), &ViewerConfig::default()).expect("an adapter");
         viewer.resize(window.inner_size().into()).expect("a size");
         fill(&mut viewer).expect("a scene");
@@ -48,38 +49,34 @@ impl ApplicationHandler for Host {
             WindowEvent::CloseRequested => event_loop.exit(),
             WindowEvent::Resized(size) => viewer.resize(size.into()).expect("a size"),
             WindowEvent::CursorMoved { position: p, .. } => queue.mouse_motion(DVec2::new(p.x, p.y), now_s),
-            WindowEvent::MouseInput { state, .. } if state.is_pressed() => {
-                queue.mouse_button_press(MouseButton::Left, now_s)
-            }
-            WindowEvent::MouseInput { .. } => queue.mouse_button_release(MouseButton::Left, now_s),
-            WindowEvent::MouseWheel { delta: MouseScrollDelta::LineDelta(_, y), .. } => {
-                queue.mouse_scroll(DVec2::new(0.0, y.into()), now_s);
+            WindowEvent::MouseInput { state, .. } if state.is_pressed() => queue.mouse_button_press(Left, now_s),
+            WindowEvent::MouseInput { .. } => queue.mouse_button_release(Left, now_s),
+            WindowEvent::MouseWheel { delta: LineDelta(_, y), .. } => {
+                queue.mouse_scroll(DVec2::Y * f64::from(y), now_s)
             }
             WindowEvent::RedrawRequested => viewer.frame().expect("a frame"),
             _ => {}
         }
     }
 
-    /// The host asks whether there is anything new to draw, and sleeps otherwise; what failed may be tried again later.
+    /// Draws when there is something new; otherwise sleeps, and asks again for retries of failed requests.
     fn about_to_wait(&mut self, event_loop: &ActiveEventLoop) {
-        let busy = self.0.as_ref().filter(|(viewer, _)| viewer.check_need_to_do_frame());
-        busy.into_iter().for_each(|(_, window)| window.request_redraw());
-        let again = ControlFlow::wait_duration(Duration::from_millis(250));
-        event_loop.set_control_flow(if busy.is_some() { ControlFlow::Poll } else { again });
+        let Some((viewer, window)) = &self.0 else { return };
+        event_loop.set_control_flow(ControlFlow::wait_duration(Duration::from_millis(250)));
+        if viewer.check_need_to_do_frame() {
+            window.request_redraw();
+        }
     }
 }
 
 fn main() -> Result<()> {
-    let args: Vec<String> = std::env::args().skip(1).collect();
-    let value = |name: &str| args.iter().position(|a| a == name).and_then(|i| args.get(i + 1));
-    if has_display() && !args.iter().any(|a| a == "--offscreen") {
+    let args = shared::Args::parse()?;
+    if args.opens_window() {
         return Ok(EventLoop::new()?.run_app(&mut Host::default())?);
     }
     let mut viewer = Viewer::new_offscreen(&ViewerConfig::default())?;
     fill(&mut viewer)?;
     viewer.actions().home();
-    for _ in 0..value("--frames").map_or(Ok(30), |n| n.parse::<u32>())? {
-        viewer.frame()?;
-    }
-    value("--screenshot").map_or(Ok(()), |file| Ok(viewer.read_back()?.save(file)?))
+    shared::draw(&args, &mut viewer)?;
+    args.save(&mut viewer)
 }

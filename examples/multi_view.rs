@@ -1,12 +1,14 @@
-//! Several views: two of one scene from different sides, and one of a scene of its own, in one context.
+//! Several views in one graphics context: two of one scene from different sides, and one of a second scene.
 //!
 //! ```text
 //! cargo run --release --example multi_view -- [--offscreen] [--frames N] [--screenshot FILE]
 //! ```
-//! It draws offscreen wherever it runs. Expected: on the left a ring of balls from above and from the side, one over the
-//! other, each before a sky of its own; on the right a single red ball before dark blue.
+//! It always draws offscreen. Expected: on the left a ring of balls from above and from the side, each view with its own
+//! sky; on the right a single red ball on dark blue.
 
-use anyhow::{Context as _, Result};
+mod shared;
+
+use anyhow::Result;
 use glam::{DAffine3, DVec3};
 use terrane::draw::Sky;
 use terrane::gpu::GraphicsContext;
@@ -14,9 +16,7 @@ use terrane::scene::{Drawable, Material, Mesh, Node, Page};
 use terrane::viewer::{CompositeViewer, ViewerConfig, Viewport};
 
 fn main() -> Result<()> {
-    let args: Vec<String> = std::env::args().skip(1).collect();
-    let value = |name: &str| args.iter().position(|a| a == name).and_then(|i| args.get(i + 1));
-    let frames: u32 = value("--frames").map_or(Ok(30), |n| n.parse())?;
+    let args = shared::Args::parse()?;
     let config = ViewerConfig { samples: 4, ..ViewerConfig::default() };
     let mut viewer = CompositeViewer::new(&config)?;
     let context = viewer.open_context(GraphicsContext::new_offscreen(&config.traits())?)?;
@@ -41,17 +41,15 @@ fn main() -> Result<()> {
         view.environment.sky = Sky::Background(background);
         view.environment.fog.enabled = false;
     }
-    for _ in 0..frames {
+    for _ in 0..args.frames_or(60) {
         viewer.frame()?;
     }
-    match value("--screenshot") {
-        Some(file) => viewer.read_back(context)?.save(file).with_context(|| file.clone()),
-        None => Ok(viewer.finish()?),
-    }
+    viewer.finish()?;
+    args.save_image(|| Ok(viewer.read_back(context)?))
 }
 
-fn ball(place: DVec3, color: [f32; 4]) -> Node {
+fn ball(center: DVec3, color: [f32; 4]) -> Node {
     let material = Material { base_color: color, ..Material::default() };
     let ball = Drawable::new(Mesh::sphere(DVec3::ZERO, 0.9, 32).into(), material);
-    Node::transform(DAffine3::from_translation(place), vec![Node::geode(vec![ball])])
+    Node::transform(DAffine3::from_translation(center), vec![Node::geode(vec![ball])])
 }

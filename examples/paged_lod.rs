@@ -1,9 +1,11 @@
-//! PagedLods made by hand: balls in a row, each in three files that are paged in and out by distance.
+//! Paged levels of detail without a tile set: balls in a row, each in three files that are paged by distance.
 //!
 //! ```text
 //! cargo run --release --example paged_lod -- [--offscreen] [--frames N] [--screenshot FILE]
 //! ```
-//! Expected: a row of balls leading away; near ones round and red, then coarser and yellow, far ones blue and angular.
+//! Expected: a row of balls that leads away: near ones round and red, then coarser and yellow, far ones angular and blue.
+
+mod shared;
 
 use std::f32::consts::{PI, TAU};
 use std::{fs, path::Path, sync::Arc};
@@ -13,9 +15,9 @@ use glam::{DAffine3, DVec3};
 use terrane::formats::writers::{GlbMesh, write_glb};
 use terrane::math::{BoundingSphere, BoundingVolume};
 use terrane::scene::{Node, NodeKind, Page, PagedLod, PagingOptions, RangeMode, Refine};
-use terrane::viewer::{Viewer, ViewerConfig, WindowOptions, has_display, run_window};
+use terrane::viewer::{Viewer, WindowOptions};
 
-/// File, segments, colour, and the distance in metres below which the next finer file takes over.
+/// File, segments, colour, and the distance in metres below which the next finer file replaces it.
 const LEVELS: [(&str, u16, [f32; 4], f64); 3] = [
     ("coarse.glb", 5, [0.1, 0.25, 0.9, 1.0], 45.0),
     ("medium.glb", 10, [0.9, 0.7, 0.1, 1.0], 22.0),
@@ -23,9 +25,6 @@ const LEVELS: [(&str, u16, [f32; 4], f64); 3] = [
 ];
 
 fn main() -> Result<()> {
-    let args: Vec<String> = std::env::args().skip(1).collect();
-    let value = |name: &str| args.iter().position(|a| a == name).and_then(|i| args.get(i + 1));
-    let frames: u32 = value("--frames").map_or(Ok(60), |n| n.parse())?;
     let folder = std::env::temp_dir().join("terrane-paged-lod");
     fs::create_dir_all(&folder)?;
     for (file, segments, color, _) in LEVELS {
@@ -39,19 +38,10 @@ fn main() -> Result<()> {
         viewer.view_mut().camera.look_at(DVec3::new(-3.0, -14.0, 9.0), DVec3::new(0.0, 20.0, 0.0), DVec3::Z);
         Ok(())
     };
-    if has_display() && !args.iter().any(|a| a == "--offscreen") {
-        let options = WindowOptions { on_open: Box::new(build), ..WindowOptions::default() };
-        return Ok(run_window(ViewerConfig::default(), options).map(drop)?);
-    }
-    let mut viewer = Viewer::new_offscreen(&ViewerConfig::default())?;
-    build(&mut viewer)?;
-    while viewer.frame_stamp().frame < frames || !viewer.is_settled() {
-        viewer.frame()?;
-    }
-    value("--screenshot").map_or(Ok(()), |file| Ok(viewer.read_back()?.save(file)?))
+    shared::show(&shared::Args::parse()?, WindowOptions::default(), build)
 }
 
-/// A ball's file at a level, and the next finer one below it.
+/// Returns a ball at a level, with the next finer level as its child.
 fn tile(folder: &Path, level: usize, center: DVec3) -> Node {
     let (file, _, _, range_m) = LEVELS[level];
     let children = if level + 1 < LEVELS.len() { vec![tile(folder, level + 1, center)] } else { Vec::new() };

@@ -1,9 +1,11 @@
-//! ProxyNodes: the application's own graph names tile sets that are loaded when they first come into view.
+//! Proxy nodes: the application's graph refers to tile sets that are loaded when they first become visible.
 //!
 //! ```text
 //! cargo run --release --example proxy_node -- [--offscreen] [--frames N] [--screenshot FILE]
 //! ```
-//! Expected: nine orange houses (one tile set, placed nine times, each turned a little more) on nothing at all.
+//! Expected: nine orange houses (one tile set nine times, each turned a little more) without any ground.
+
+mod shared;
 
 use std::{fs, sync::Arc};
 
@@ -12,16 +14,13 @@ use glam::{DAffine3, DVec3};
 use terrane::formats::writers::{GlbMesh, write_glb};
 use terrane::math::BoundingSphere;
 use terrane::scene::{Node, NodeKind, Page, ProxyLoading, ProxyNode};
-use terrane::viewer::{Viewer, ViewerConfig, WindowOptions, has_display, run_window};
+use terrane::viewer::{Viewer, WindowOptions};
 
 const TILESET: &str = r#"{ "asset": { "version": "1.1" }, "geometricError": 10, "root": {
     "boundingVolume": { "box": [0, 0, 3, 4, 0, 0, 0, 4, 0, 0, 0, 3] }, "geometricError": 0, "refine": "REPLACE",
     "content": { "uri": "house.glb" } } }"#;
 
 fn main() -> Result<()> {
-    let args: Vec<String> = std::env::args().skip(1).collect();
-    let value = |name: &str| args.iter().position(|a| a == name).and_then(|i| args.get(i + 1));
-    let frames: u32 = value("--frames").map_or(Ok(60), |n| n.parse())?;
     let folder = std::env::temp_dir().join("terrane-proxy-node");
     fs::create_dir_all(&folder)?;
     fs::write(folder.join("house.glb"), write_glb(&house()))?;
@@ -31,11 +30,11 @@ fn main() -> Result<()> {
     let build = move |viewer: &mut Viewer| {
         viewer.page_files_in(&folder)?;
         let proxies = (0..9).map(|i| {
-            let place = DVec3::new(f64::from(i % 3) * 14.0, f64::from(i / 3) * 14.0, 0.0);
+            let corner = DVec3::new(f64::from(i % 3) * 14.0, f64::from(i / 3) * 14.0, 0.0);
             Node::new(NodeKind::ProxyNode(Box::new(ProxyNode {
                 uri: Arc::from(tileset.as_str()),
-                bounds: BoundingSphere::new(place + DVec3::Z * 3.0, 7.0),
-                content_transform: DAffine3::from_translation(place) * DAffine3::from_rotation_z(0.2 * f64::from(i)),
+                bounds: BoundingSphere::new(corner + DVec3::Z * 3.0, 7.0),
+                content_transform: DAffine3::from_translation(corner) * DAffine3::from_rotation_z(0.2 * f64::from(i)),
                 loading: ProxyLoading::DeferToPager,
             })))
         });
@@ -43,16 +42,7 @@ fn main() -> Result<()> {
         viewer.add_root(page)?;
         Ok(())
     };
-    if has_display() && !args.iter().any(|a| a == "--offscreen") {
-        run_window(ViewerConfig::default(), WindowOptions { on_open: Box::new(build), ..WindowOptions::default() })?;
-        return Ok(());
-    }
-    let mut viewer = Viewer::new_offscreen(&ViewerConfig::default())?;
-    build(&mut viewer)?;
-    while viewer.frame_stamp().frame < frames || !viewer.is_settled() {
-        viewer.frame()?;
-    }
-    value("--screenshot").map_or(Ok(()), |file| Ok(viewer.read_back()?.save(file)?))
+    shared::show(&shared::Args::parse()?, WindowOptions::default(), build)
 }
 
 /// Four walls and a roof, in glTF's axes: y up.

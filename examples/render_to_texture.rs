@@ -3,7 +3,9 @@
 //! ```text
 //! cargo run --release --example render_to_texture -- [--offscreen] [--frames N] [--screenshot FILE]
 //! ```
-//! Expected: a red house with a yellow roof on the left; on the right a screen that shows it from the other side, on blue.
+//! Expected: a red house with a yellow roof on the left; on the right a screen that shows its other side on blue.
+
+mod shared;
 
 use std::sync::Arc;
 
@@ -12,40 +14,30 @@ use glam::{DAffine3, DVec3, dcamera::rh::proj::directx::perspective_infinite_rev
 use terrane::math::Aabb;
 use terrane::scene::{CameraNode, Drawable, Material, Mesh, Node, Page};
 use terrane::state::{Attribute, Mode, StateSet, StateValue, TextureBinding, TextureFormat, TextureObject};
-use terrane::viewer::{Viewer, ViewerConfig, WindowOptions, has_display, run_window, world_from_eye};
+use terrane::viewer::{Viewer, WindowOptions, world_from_eye};
 
 fn main() -> Result<()> {
-    let args: Vec<String> = std::env::args().skip(1).collect();
-    let value = |name: &str| args.iter().position(|a| a == name).and_then(|i| args.get(i + 1));
-    let frames: u32 = value("--frames").map_or(Ok(60), |n| n.parse())?;
-    if has_display() && !args.iter().any(|a| a == "--offscreen") {
-        let options = WindowOptions { on_open: Box::new(build), ..WindowOptions::default() };
-        return Ok(run_window(ViewerConfig::default(), options).map(drop)?);
-    }
-    let mut viewer = Viewer::new_offscreen(&ViewerConfig { samples: 4, ..ViewerConfig::default() })?;
-    build(&mut viewer)?;
-    for frame in 0..frames {
-        viewer.frame_at(f64::from(frame) / 60.0)?;
-    }
-    value("--screenshot").map_or(Ok(()), |file| Ok(viewer.read_back()?.save(file)?))
+    shared::show(&shared::Args::parse()?, WindowOptions::default(), build)
 }
 
 fn build(viewer: &mut Viewer) -> Result<(), terrane::viewer::ViewerError> {
-    // The same nodes twice: once to be seen, once below the camera, which looks from behind.
-    let picture = TextureObject::target("behind the house", [512, 512], TextureFormat::Rgba8Srgb);
+    // The house is in the scene twice: once visible, and once below the camera, which looks from behind.
+    let texture = TextureObject::target("behind the house", [512, 512], TextureFormat::Rgba8Srgb);
     let eye = world_from_eye(DVec3::new(-9.0, 7.0, 5.0), DVec3::new(9.0, -7.0, -3.5), DVec3::Z);
     let mut camera =
-        CameraNode::to_texture(picture.clone(), eye.inverse(), perspective_infinite_reverse(0.7, 1.0, 0.1));
+        CameraNode::to_texture(texture.clone(), eye.inverse(), perspective_infinite_reverse(0.7, 1.0, 0.1));
     camera.clear_color = Some([0.1, 0.2, 0.5, 1.0]);
     let behind = Node::camera(camera, vec![house()]);
 
     let screen = Mesh::rectangle(DVec3::new(1.5, -1.0, 0.0), DVec3::new(6.0, 0.0, 0.0), DVec3::new(0.0, 0.0, 6.0));
-    let shows = StateSet::default()
+    let material = StateSet::default()
         .with_mode(Mode::Lighting, StateValue::OFF)
-        .with(Attribute::Texture(0, TextureBinding::new(picture)));
-    let screen = Node::geode(vec![Drawable::new(screen.into(), Material::default())]).with_state_set(Arc::new(shows));
-    let seen = Node::transform(DAffine3::from_translation(DVec3::new(-4.0, 0.0, 0.0)), vec![house()]);
-    let root = viewer.add_root(Page::from_node(Node::group(vec![behind, screen, seen])).expect("a shallow graph"))?;
+        .with(Attribute::Texture(0, TextureBinding::new(texture)));
+    let screen =
+        Node::geode(vec![Drawable::new(screen.into(), Material::default())]).with_state_set(Arc::new(material));
+    let visible = Node::transform(DAffine3::from_translation(DVec3::new(-4.0, 0.0, 0.0)), vec![house()]);
+    let root =
+        viewer.add_root(Page::from_node(Node::group(vec![behind, screen, visible])).expect("a shallow graph"))?;
     viewer.view_mut().camera.look_at(DVec3::new(0.0, -18.0, 5.0), DVec3::new(0.0, 0.0, 2.5), DVec3::Z);
     let houses: Vec<_> = viewer.scene().nodes_named(root, "house").collect();
     viewer.on_update(Box::new(move |scene, stamp| {

@@ -1,35 +1,23 @@
-//! Slave cameras: a wall of three panels, the outer ones turned by 40 degrees, all of them led by one master camera.
+//! Slave cameras: a wall of three panels. The outer ones are slaves of the middle one, turned by 40 degrees.
 //!
 //! ```text
 //! cargo run --release --example slave_cameras -- [--offscreen] [--frames N] [--screenshot FILE]
 //! ```
-//! Expected: three upright pictures side by side, black lines between them; columns of all colours stand around the eye
-//! and go on from one panel to the next.
+//! Expected: three upright images side by side with black lines between them. Columns of all colours surround the eye and
+//! continue from one panel to the next.
+
+mod shared;
 
 use anyhow::Result;
 use glam::{DAffine3, DVec3};
 use terrane::scene::{Drawable, Material, Mesh, Node, Page};
-use terrane::viewer::{
-    FieldOfView, Slave, Viewer, ViewerConfig, ViewerError, Viewport, WindowOptions, has_display, run_window,
-};
+use terrane::viewer::{FieldOfView, Slave, Viewer, ViewerError, Viewport, WindowOptions};
 
-/// What each panel spans.
+/// The horizontal angle of each panel, radians.
 const PANEL: f64 = 40.0 * std::f64::consts::PI / 180.0;
 
 fn main() -> Result<()> {
-    let args: Vec<String> = std::env::args().skip(1).collect();
-    let value = |name: &str| args.iter().position(|a| a == name).and_then(|i| args.get(i + 1));
-    let frames: u32 = value("--frames").map_or(Ok(30), |n| n.parse())?;
-    if has_display() && !args.iter().any(|a| a == "--offscreen") {
-        let options = WindowOptions { on_open: Box::new(build), ..WindowOptions::default() };
-        return Ok(run_window(ViewerConfig::default(), options).map(drop)?);
-    }
-    let mut viewer = Viewer::new_offscreen(&ViewerConfig { samples: 4, ..ViewerConfig::default() })?;
-    build(&mut viewer)?;
-    for _ in 0..frames {
-        viewer.frame()?;
-    }
-    value("--screenshot").map_or(Ok(()), |file| Ok(viewer.read_back()?.save(file)?))
+    shared::show(&shared::Args::parse()?, WindowOptions::default(), build)
 }
 
 fn build(viewer: &mut Viewer) -> Result<(), ViewerError> {
@@ -38,16 +26,16 @@ fn build(viewer: &mut Viewer) -> Result<(), ViewerError> {
         let [r, g, b] = [0.0, 2.1, 4.2].map(|phase: f64| (0.5 + 0.5 * (3.0 * around + phase).cos()) as f32);
         let material = Material { base_color: [r, g, b, 1.0], ..Material::default() };
         let balls = (-3..=3).map(|k| {
-            let place = DVec3::new(12.0 * around.sin(), 12.0 * around.cos(), 1.1 * f64::from(k));
+            let center = DVec3::new(12.0 * around.sin(), 12.0 * around.cos(), 1.1 * f64::from(k));
             let ball = Drawable::new(Mesh::sphere(DVec3::ZERO, 0.55, 24).into(), material.clone());
-            Node::transform(DAffine3::from_translation(place), vec![Node::geode(vec![ball])])
+            Node::transform(DAffine3::from_translation(center), vec![Node::geode(vec![ball])])
         });
         Node::group(balls.collect())
     });
     viewer.add_root(Page::from_node(Node::group(columns.collect())).expect("a shallow graph"))?;
     viewer.view_mut().camera.look_at(DVec3::ZERO, DVec3::Y, DVec3::Z);
 
-    // The master has the middle of the picture, its slaves what is beside it.
+    // The master draws the middle panel, its slaves the outer ones.
     let panel = |column: u32| Viewport::Shares([f64::from(column) / 3.0 + 0.003, 0.0, 1.0 / 3.0 - 0.006, 1.0]);
     viewer.view_mut().camera.field_of_view = FieldOfView::Horizontal(PANEL);
     viewer.view_mut().set_viewport(panel(1));

@@ -1,4 +1,4 @@
-//! Render bins: glass sorted back to front after everything opaque, and a mark that is drawn last, over all.
+//! Render bins: glass is sorted back to front after everything opaque, and an outline is drawn last, over everything.
 //!
 //! ```text
 //! cargo run --release --example transparency_and_bins -- [--offscreen] [--frames N] [--screenshot FILE]
@@ -6,33 +6,23 @@
 //! Expected: seven panes of glass in a ring around a white ball, the nearer tinting the farther, and an orange frame
 //! around the ball that shows through all of them.
 
+mod shared;
+
 use std::sync::Arc;
 
 use anyhow::Result;
 use glam::{DAffine3, DVec3};
 use terrane::scene::{AlphaMode, Drawable, Material, Mesh, Node, Page};
 use terrane::state::{BinDetails, Mode, SortMode, StateSet, StateValue};
-use terrane::viewer::{Viewer, ViewerConfig, WindowOptions, has_display, run_window};
+use terrane::viewer::{Viewer, WindowOptions};
 
 fn main() -> Result<()> {
-    let args: Vec<String> = std::env::args().skip(1).collect();
-    let value = |name: &str| args.iter().position(|a| a == name).and_then(|i| args.get(i + 1));
-    let frames: u32 = value("--frames").map_or(Ok(30), |n| n.parse())?;
-    if has_display() && !args.iter().any(|a| a == "--offscreen") {
-        let options = WindowOptions { on_open: Box::new(build), ..WindowOptions::default() };
-        return Ok(run_window(ViewerConfig::default(), options).map(drop)?);
-    }
-    let mut viewer = Viewer::new_offscreen(&ViewerConfig { samples: 4, ..ViewerConfig::default() })?;
-    build(&mut viewer)?;
-    for _ in 0..frames {
-        viewer.frame()?;
-    }
-    value("--screenshot").map_or(Ok(()), |file| Ok(viewer.read_back()?.save(file)?))
+    shared::show(&shared::Args::parse()?, WindowOptions::default(), build)
 }
 
 fn build(viewer: &mut Viewer) -> Result<(), terrane::viewer::ViewerError> {
     let ball = Drawable::new(Mesh::sphere(DVec3::ZERO, 1.2, 48).into(), Material::default());
-    // Materials that blend go to the transparent bin (number 10, back to front) by themselves.
+    // Blended materials go to the transparent bin (number 10, sorted back to front) automatically.
     let panes = (0..7).map(|i| {
         let hue = f64::from(i) / 7.0 * std::f64::consts::TAU;
         let [r, g, b] = [0.0, 2.1, 4.2].map(|phase: f64| (0.5 + 0.5 * (hue + phase).cos()) as f32);
@@ -46,7 +36,7 @@ fn build(viewer: &mut Viewer) -> Result<(), terrane::viewer::ViewerError> {
         let pane = Mesh::rectangle(DVec3::new(-1.1, 3.0, -1.5), DVec3::new(2.2, 0.0, 0.0), DVec3::new(0.0, 0.0, 3.0));
         Node::transform(DAffine3::from_rotation_z(hue), vec![Node::geode(vec![Drawable::new(pane.into(), glass)])])
     });
-    // Bin 20 comes after 10; without the depth test its lines are over everything.
+    // Bin 20 is drawn after bin 10; without the depth test its lines cover everything.
     let corners = [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0)];
     let outline = Mesh::polyline(&corners.map(|(x, z)| DVec3::new(1.5 * x, 0.0, 1.5 * z)));
     let orange = Material { base_color: [1.0, 0.35, 0.0, 1.0], unlit: true, ..Material::default() };

@@ -220,6 +220,17 @@ fn slave_cameras() {
 }
 
 #[test]
+fn two_windows() {
+    let Some(image) = run("two_windows", &[], 100) else { return };
+    let colours_in = |x: std::ops::Range<u32>| {
+        let colours: BTreeSet<_> =
+            x.flat_map(|x| (0..720).map(move |y| (x, y))).map(|(x, y)| image.get_pixel(x, y).0).collect();
+        colours.len()
+    };
+    assert!(colours_in(0..640) > 50 && colours_in(640..1280) > 50, "both windows show balls");
+}
+
+#[test]
 fn multi_view() {
     run("multi_view", &[], 100);
 }
