@@ -15,10 +15,9 @@ use glam::{DVec2, DVec3};
 use terrane::scene::{Drawable, Material, Mesh, Node, Page};
 use terrane::viewer::manipulators::TrackballManipulator;
 use terrane::viewer::{MouseButton::Left, Viewer, ViewerConfig};
-use winit::application::ApplicationHandler;
 use winit::event::{MouseScrollDelta::LineDelta, WindowEvent};
 use winit::event_loop::{ActiveEventLoop, ControlFlow, EventLoop};
-use winit::window::{Window, WindowId};
+use winit::{application::ApplicationHandler, window::Window, window::WindowId};
 
 fn fill(viewer: &mut Viewer) -> Result<()> {
     let material = Material { base_color: [0.8, 0.5, 0.1, 1.0], ..Material::default() };
@@ -28,7 +27,6 @@ fn fill(viewer: &mut Viewer) -> Result<()> {
     Ok(())
 }
 
-#[derive(Default)]
 struct Host(Option<(Viewer, Arc<Window>)>);
 
 impl ApplicationHandler for Host {
@@ -72,7 +70,7 @@ impl ApplicationHandler for Host {
 fn main() -> Result<()> {
     let args = shared::Args::parse()?;
     if args.opens_window() {
-        return Ok(EventLoop::new()?.run_app(&mut Host::default())?);
+        return Ok(EventLoop::new()?.run_app(&mut Host(None))?);
     }
     let mut viewer = Viewer::new_offscreen(&ViewerConfig::default())?;
     fill(&mut viewer)?;
