@@ -239,7 +239,7 @@ fn each_fault_is_one_error_and_costs_nothing_else() {
         ("child1.glb", "HTTP status 500"),
         ("child2.glb", ""),
         ("child3.glb", "timed out"),
-        ("child4.glb", "markup"),
+        ("child4.glb", "web page"),
     ] {
         let error = error_of(&run, name);
         assert!(error.uri.starts_with("http://127.0.0.1") && !error.reason.is_empty(), "{error:?}");
@@ -314,7 +314,7 @@ fn a_page_instead_of_a_tile_is_asked_for_again() {
         run_of(&server, PagerConfig { max_tries: None, retry_after: Duration::from_millis(2), ..impatient() });
     run.until(NEAR, "does not recover", |r| r.stage.counters.tiles_drawn == CHILDREN as u32);
     let error = error_of(&run, "child2.glb");
-    assert!(error.reason.contains("markup") && error.count == 1, "{error:?}");
+    assert!(error.reason.contains("web page") && error.count == 1, "{error:?}");
     assert_eq!(server.requests("/set/child2.glb"), 2);
 }
 
