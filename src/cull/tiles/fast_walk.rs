@@ -29,7 +29,7 @@ impl Traversal<'_> {
         marks: &mut [TileMark],
     ) -> u32 {
         // Slices of equal length let the compiler check the index once per tile.
-        let records = &walk.tiles.records()[..];
+        let records = walk.tiles.records();
         let bounds = &walk.tiles.bounds()[..records.len()];
         let last_used = &walk.tiles.last_used()[..records.len()];
         let needs_all_tests = walk.needs_all_tests();
@@ -185,7 +185,7 @@ impl Traversal<'_> {
         mut tile: u32,
         base: usize,
     ) -> u32 {
-        let records = &walk.tiles.records()[..];
+        let records = walk.tiles.records();
         let bounds = &walk.tiles.bounds()[..records.len()];
         let last_used = &walk.tiles.last_used()[..records.len()];
         let needs_all_tests = walk.needs_all_tests();

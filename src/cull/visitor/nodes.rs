@@ -45,7 +45,7 @@ impl Traversal<'_> {
         let has_masks = !page.masks().is_empty();
         // One test per node for what few pages and cameras need.
         let looks_closer = small_feature > 0.0 || has_occluders;
-        let (nodes, spheres) = (&page.nodes()[..], &page.spheres()[..]);
+        let (nodes, spheres) = (page.nodes(), page.spheres());
         loop {
             while node >= above.end {
                 let ours = self.stacks.nodes.len() > base;

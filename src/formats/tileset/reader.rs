@@ -82,7 +82,7 @@ impl Reader<'_> {
             geometric_error_m = heights.level_error_m(level).unwrap_or(geometric_error_m);
             reader_data = heights.tile_data(self.uri, level, &bounds, json.extras.0.as_ref(), &self.options.root)?;
         }
-        let (contents, external_tilesets) = self.references(&json)?;
+        let References { contents, external_tilesets } = self.references(&json)?;
         // A tile without content draws nothing where its error is small. That would be a hole below a replaced content, and
         // would hide external tilesets.
         if contents.is_empty() && (inherited.is_replaced || !external_tilesets.is_empty()) {
@@ -130,14 +130,21 @@ impl Reader<'_> {
     }
 
     /// Returns the absolute URIs of a tile's contents and of its external tilesets.
-    fn references(&self, json: &TileJson) -> Result<(Vec<Arc<str>>, Vec<Arc<str>>), IoError> {
-        let (mut contents, mut external_tilesets) = (Vec::new(), Vec::new());
+    fn references(&self, json: &TileJson) -> Result<References, IoError> {
+        let References { mut contents, mut external_tilesets } = References::default();
         for content in json.content.iter().chain(&json.contents) {
             let reference = content.uri().ok_or_else(|| IoError::invalid(self.uri, "content without a uri"))?;
             let uri = resolve(self.uri, reference, &self.options.root)?;
             let list = if path_of(&uri).ends_with(".json") { &mut external_tilesets } else { &mut contents };
             list.push(uri);
         }
-        Ok((contents, external_tilesets))
+        Ok(References { contents, external_tilesets })
     }
+}
+
+/// The absolute URIs that a tile refers to.
+#[derive(Default)]
+struct References {
+    contents: Vec<Arc<str>>,
+    external_tilesets: Vec<Arc<str>>,
 }

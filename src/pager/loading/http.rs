@@ -99,7 +99,9 @@ pub(super) fn run<J: LoadJob>(
             let in_flight = running.values().map(|running| &running.job);
             let Some(HttpWork { jobs, aborts }) = list.take_http(in_flight, &server_limits, range.max_in_flight())
             else {
-                flush(std::mem::take(&mut *clients.lock())).await;
+                // The lock is released before the wait.
+                let clients = std::mem::take(&mut *clients.lock());
+                flush(clients).await;
                 return;
             };
             for ticket in aborts {

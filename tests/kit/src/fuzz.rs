@@ -16,7 +16,7 @@ pub struct Random(pub u64);
 
 impl Random {
     /// Returns the next number.
-    pub fn next(&mut self) -> u64 {
+    pub fn next_u64(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mut z = self.0;
         z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -26,7 +26,7 @@ impl Random {
 
     /// Returns a number from 0, below `n`; 0 if `n` is 0.
     pub fn below(&mut self, n: usize) -> usize {
-        (self.next() % n.max(1) as u64) as usize
+        (self.next_u64() % n.max(1) as u64) as usize
     }
 }
 
@@ -64,7 +64,7 @@ fn change(random: &mut Random, out: &mut Vec<u8>, other: &[u8]) {
     let at = random.below(length);
     match random.below(11) {
         0 | 1 if length > 0 => out[at] ^= 1 << random.below(8),
-        2 if length > 0 => out[at] = random.next() as u8,
+        2 if length > 0 => out[at] = random.next_u64() as u8,
         3 if length > 0 => {
             // Replaces a binary number.
             let size = [1, 2, 4, 8][random.below(4)];
@@ -101,7 +101,7 @@ fn change(random: &mut Random, out: &mut Vec<u8>, other: &[u8]) {
             out.splice(at..at, std::iter::repeat_n(bracket, 1 + random.below(300)));
         }
         _ => {
-            let bytes: Vec<u8> = (0..1 + random.below(8)).map(|_| random.next() as u8).collect();
+            let bytes: Vec<u8> = (0..1 + random.below(8)).map(|_| random.next_u64() as u8).collect();
             out.splice(at..at, bytes);
         }
     }
