@@ -18,7 +18,7 @@ use super::texture::TextureBinding;
 pub enum Attribute {
     BlendFunc(BlendFunc),
     BlendEquation(BlendEquation),
-    /// Linear colour for [`BlendFactor::ConstantColor`].
+    /// Linear colour for `BlendFactor::ConstantColor`.
     BlendColor([f32; 4]),
     Depth(Depth),
     CullFace(CullFace),

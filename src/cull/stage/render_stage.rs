@@ -94,7 +94,7 @@ pub struct RenderStage {
     pub camera: CullCamera,
     /// Affine maps as three rows, which leaves share by index.
     pub eye_from_drawable: Vec<[[f32; 4]; 3]>,
-    /// States with leaves, in the order in which they were first met; indexed by [`RenderLeaf::state`].
+    /// States with leaves, in the order in which they were first met; indexed by `RenderLeaf::state`.
     pub state_sets: Vec<Arc<ResolvedState>>,
     /// By state: the view. 0 is the stage's own, others are one more than their index in `views`.
     pub view_of_state: Vec<u32>,

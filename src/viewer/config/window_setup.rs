@@ -56,7 +56,7 @@ pub struct WindowSetup {
     /// True when the window has a frame and a title bar.
     pub decorated: bool,
     /// True when the window uses the first window's device, so that everything is uploaded once; see
-    /// [`Viewer::open_window_on`](crate::viewer::Viewer::open_window_on).
+    /// `Viewer::open_window_on`.
     pub shares_device: bool,
     /// Samples per pixel, 1 or 4; `None` takes the configuration's.
     pub samples: Option<u32>,
