@@ -261,5 +261,5 @@ fn a_window_opens_in_one_of_another_program_fills_it_and_ends_with_it() {
     command.args(args).current_dir(folder.path()).env("DISPLAY", &display.name);
     let output = command.output().unwrap();
     let error = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.code() == Some(1) && error.contains("to open in: there is none"), "{error}");
+    assert!(output.status.code() == Some(1) && error.contains("there is no such window"), "{error}");
 }
