@@ -202,6 +202,16 @@ fn custom_manipulator() {
 }
 
 #[test]
+fn bring_your_own_device() {
+    let Some(picture) = run("bring_your_own_device", &[], 1000) else { return };
+    let is_grey = |x: u32| {
+        (0..picture.height())
+            .all(|y| picture.get_pixel(x, y).0.iter().all(|c| c.abs_diff(picture.get_pixel(x, y).0[0]) <= 1))
+    };
+    assert!(is_grey(641) && is_grey(1000) && !is_grey(300), "the right half is not the grey copy");
+}
+
+#[test]
 fn embedding() {
     run("embedding", &[], 40);
 }

@@ -3,6 +3,8 @@
 
 #![allow(dead_code, reason = "each example uses a part of it")]
 
+pub mod host;
+
 use std::path::PathBuf;
 
 use anyhow::{Context as _, Result};

@@ -10,6 +10,7 @@ use super::budget::CompileBudget;
 use super::compile::{self, CompileOperation, CompileQueue, CompileStats, Compiled};
 use super::drawable::{DrawableTable, Pools};
 use super::faces::{Face, surface_maker};
+use super::host_device::HostDevice;
 use super::layouts::Layouts;
 use super::memory::Memory;
 use super::pipeline_cache::PipelineCache;
@@ -93,14 +94,14 @@ pub struct GraphicsContext {
     bytes_peak: u64,
     /// Written when it is dropped.
     pipeline_cache: Option<PipelineCache>,
+    /// True if the device is the application's, which alone can replace it.
+    is_host_device: bool,
 }
 
 pub(super) type MakeSurface = Arc<dyn Fn(&wgpu::Instance) -> Result<wgpu::Surface<'static>, GpuError> + Send + Sync>;
 
 struct Opened {
-    adapter: wgpu::Adapter,
-    device: wgpu::Device,
-    queue: wgpu::Queue,
+    host: HostDevice,
     lost: Arc<Mutex<Option<String>>>,
     errors: Arc<Mutex<Vec<String>>>,
 }
@@ -111,6 +112,16 @@ const MOST_RETIRED: usize = 1024;
 
 /// Errors of the device that are kept until somebody asks.
 const MOST_ERRORS: usize = 16;
+
+/// The features that are used where an adapter has them.
+pub(super) const OPTIONAL_FEATURES: wgpu::Features = wgpu::Features::TIMESTAMP_QUERY
+    .union(wgpu::Features::POLYGON_MODE_LINE)
+    .union(wgpu::Features::POLYGON_MODE_POINT)
+    .union(wgpu::Features::DEPTH32FLOAT_STENCIL8)
+    .union(wgpu::Features::FLOAT32_FILTERABLE)
+    .union(wgpu::Features::DEPTH_CLIP_CONTROL)
+    .union(wgpu::Features::PIPELINE_CACHE)
+    .union(wgpu::Features::INDIRECT_FIRST_INSTANCE);
 
 fn instance(traits: &ContextTraits) -> wgpu::Instance {
     let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
@@ -153,17 +164,9 @@ fn open(
         return Err(GpuError::NoAdapter { reason });
     };
     let info = adapter.get_info();
-    let wanted = wgpu::Features::TIMESTAMP_QUERY
-        | wgpu::Features::POLYGON_MODE_LINE
-        | wgpu::Features::POLYGON_MODE_POINT
-        | wgpu::Features::DEPTH32FLOAT_STENCIL8
-        | wgpu::Features::FLOAT32_FILTERABLE
-        | wgpu::Features::DEPTH_CLIP_CONTROL
-        | wgpu::Features::PIPELINE_CACHE
-        | wgpu::Features::INDIRECT_FIRST_INSTANCE;
     let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
         label: Some("terrane"),
-        required_features: adapter.features() & wanted,
+        required_features: HostDevice::features(&adapter),
         required_limits: adapter.limits(),
         memory_hints: wgpu::MemoryHints::Performance,
         ..Default::default()
@@ -189,7 +192,8 @@ fn open(
             errors.push(error.to_string());
         }
     }));
-    Ok(Opened { adapter, device, queue, lost, errors })
+    let host = HostDevice { instance: instance.clone(), adapter, device, queue };
+    Ok(Opened { host, lost, errors })
 }
 
 impl GraphicsContext {
@@ -207,13 +211,33 @@ impl GraphicsContext {
         Self::open(vec![(*traits, Some(surface_maker(target)))])
     }
 
+    /// Creates a context on a device of the application, which draws into a texture that it can sample; see
+    /// [`HostDevice`] for what that demands. Of the traits only size, samples and `compile_thread` are used. Fails with
+    /// [`GpuError::NoDevice`] if the limits of the device are too small.
+    pub fn new_on_device(host: HostDevice, traits: &ContextTraits) -> Result<Self, GpuError> {
+        host.check()?;
+        let opened = Opened { host, lost: Arc::default(), errors: Arc::default() };
+        let context = Self::with_device(opened, vec![(*traits, None)], vec![None])?;
+        Ok(Self { is_host_device: true, ..context })
+    }
+
     /// The first of the targets decides on the adapter.
     fn open(wanted: Vec<(ContextTraits, Option<MakeSurface>)>) -> Result<Self, GpuError> {
         let traits = wanted.first().map_or_else(ContextTraits::default, |(traits, _)| *traits);
         let instance = instance(&traits);
         let surfaces = wanted.iter().map(|(_, make)| make.as_ref().map(|make| make(&instance)).transpose());
         let surfaces = surfaces.collect::<Result<Vec<_>, _>>()?;
-        let Opened { adapter, device, queue, lost, errors } = open(&instance, &traits, &surfaces)?;
+        let opened = open(&instance, &traits, &surfaces)?;
+        Self::with_device(opened, wanted, surfaces)
+    }
+
+    fn with_device(
+        opened: Opened,
+        wanted: Vec<(ContextTraits, Option<MakeSurface>)>,
+        surfaces: Vec<Option<wgpu::Surface<'static>>>,
+    ) -> Result<Self, GpuError> {
+        let Opened { host: HostDevice { instance, adapter, device, queue }, lost, errors } = opened;
+        let uses_thread = wanted.first().is_some_and(|(traits, _)| traits.compile_thread);
         let mut faces = Vec::with_capacity(wanted.len());
         for ((traits, make_surface), surface) in wanted.into_iter().zip(surfaces) {
             faces.push(Face { target: Target::new(&adapter, &device, surface, &traits)?, traits, make_surface });
@@ -226,7 +250,7 @@ impl GraphicsContext {
                 pools.customs.targets.push(target);
             }
         }
-        let compiles = match traits.compile_thread {
+        let compiles = match uses_thread {
             true => CompileQueue::threaded(&memory).map_err(|e| GpuError::Thread { reason: e.to_string() })?,
             false => CompileQueue::default(),
         };
@@ -246,6 +270,7 @@ impl GraphicsContext {
             memory,
             bytes_peak: 0,
             pipeline_cache: None,
+            is_host_device: false,
             device,
             queue,
         })
@@ -259,6 +284,10 @@ impl GraphicsContext {
     /// Takes a new device in the place of a lost one, of the same traits. What was uploaded is gone, and no slot is
     /// valid any more; uploads that waited are dropped. After an error it can be tried again.
     pub fn reopen(&mut self) -> Result<(), GpuError> {
+        if self.is_host_device {
+            let reason = "it is the application's; make a new one, and a new viewer on it".to_owned();
+            return Err(GpuError::DeviceLost { reason });
+        }
         let wanted = self.faces.iter().map(|face| {
             let traits = ContextTraits { size_px: face.target.size_px(), ..face.traits };
             (traits, face.make_surface.clone())
@@ -345,6 +374,11 @@ impl GraphicsContext {
     /// It draws with the processor.
     pub(crate) fn is_software(&self) -> bool {
         self.adapter_info.device_type == wgpu::DeviceType::Cpu
+    }
+
+    /// Returns true if the device is the application's; see [`Self::new_on_device`].
+    pub fn is_host_device(&self) -> bool {
+        self.is_host_device
     }
 
     /// The device, for overlays that draw on top.

@@ -21,6 +21,7 @@ mod drawable;
 mod error;
 mod faces;
 mod height_pool;
+mod host_device;
 mod layouts;
 mod memory;
 mod mesh_pool;
@@ -44,6 +45,7 @@ pub use compile::{CompileOperation, CompileStats, Compiled};
 pub use context::{AdapterChoice, ContextTraits, GraphicsContext};
 pub use custom::{CompileInfo, CustomError, TargetFormats};
 pub use error::GpuError;
+pub use host_device::HostDevice;
 #[cfg(feature = "testing")]
 pub use surface::SurfaceAnswer;
 pub use target::Acquired;

@@ -15,7 +15,7 @@ use super::manipulators::{CameraManipulator, ManipulatorView};
 use super::paging::{LoadedRoot, PagedScene, UpdateCallback};
 use super::view::set_bounds::SetBounds;
 use super::view::{Slave, View};
-use crate::gpu::{ContextTraits, GraphicsContext};
+use crate::gpu::{ContextTraits, GraphicsContext, HostDevice};
 use crate::pager::{DatabasePager, ImagePager, ImageSequence};
 use crate::scene::{Page, PageId, Scene};
 
@@ -60,6 +60,12 @@ impl Viewer {
         config: &ViewerConfig,
     ) -> Result<Self, ViewerError> {
         Self::new(GraphicsContext::new_window(target, &config.traits())?, config)
+    }
+
+    /// Creates a viewer on a device of the application, which gets each frame as a texture by [`Self::color_view`]. It
+    /// draws on the calling thread: another threading model is an error. See [`HostDevice`].
+    pub fn new_on_device(host: HostDevice, config: &ViewerConfig) -> Result<Self, ViewerError> {
+        Self::new(GraphicsContext::new_on_device(host, &config.traits())?, config)
     }
 
     /// Creates a viewer on a context of the caller's.
@@ -343,5 +349,10 @@ impl Viewer {
     /// Reads back the last image, offscreen; see [`CompositeViewer::read_back`].
     pub fn read_back(&mut self) -> Result<RgbaImage, ViewerError> {
         self.composite.read_back(self.context)
+    }
+
+    /// Returns a view of the texture that holds the last frame, offscreen; see [`CompositeViewer::color_view`].
+    pub fn color_view(&mut self) -> Result<Option<wgpu::TextureView>, ViewerError> {
+        self.composite.color_view(self.context)
     }
 }

@@ -3,6 +3,7 @@
 
 mod fade;
 mod holes;
+mod host_device;
 mod image_sequences;
 mod on_demand;
 mod pipelines;

@@ -44,6 +44,10 @@ impl FrameLoop {
         }
         self.finish()?;
         let number = self.rendering.add_context(context, self.stamp().frame);
+        if let Err(error) = self.rendering.check_model() {
+            self.rendering.remove_context(number);
+            return Err(error);
+        }
         self.pagers.device_opened(scenes, number, &mut self.rendering)?;
         Ok(ContextId(number))
     }
@@ -127,6 +131,15 @@ impl FrameLoop {
             return Err(GpuError::DeviceLost { reason: reason.clone() }.into());
         }
         self.device_of(context)?.read_back(context.0)
+    }
+
+    /// Returns a view of the texture that an offscreen context draws into.
+    pub(in crate::viewer) fn color_view(
+        &mut self,
+        context: ContextId,
+    ) -> Result<Option<wgpu::TextureView>, ViewerError> {
+        self.finish()?;
+        self.device_of(context)?.color_view(context.0)
     }
 
     pub(in crate::viewer) fn set_vsync(&mut self, context: ContextId, vsync: bool) -> Result<(), ViewerError> {

@@ -72,6 +72,7 @@ pub(in crate::viewer) struct DeviceHandle {
     finish_compiles: bool,
     adapter_name: String,
     is_software: bool,
+    is_host_device: bool,
 }
 
 impl DeviceHandle {
@@ -79,6 +80,7 @@ impl DeviceHandle {
     pub(super) fn new(id: u32, context: GraphicsContext, blocking: bool, frame: u32) -> Self {
         let contexts = vec![ContextOnDevice { id, size_px: context.size_px(), done_frame: frame }];
         let (adapter_name, is_software) = (context.adapter_name(), context.is_software());
+        let is_host_device = context.is_host_device();
         let (commands, to_do) = channel::bounded(COMMAND_QUEUE);
         let (compiled_sender, compiled) = channel::unbounded();
         let (reply_sender, replies) = channel::unbounded();
@@ -108,6 +110,7 @@ impl DeviceHandle {
             finish_compiles: blocking,
             adapter_name,
             is_software,
+            is_host_device,
         }
     }
 
@@ -166,6 +169,11 @@ impl DeviceHandle {
     /// Returns true if the adapter is a software driver.
     pub(super) fn is_software(&self) -> bool {
         self.is_software
+    }
+
+    /// Returns true if the application made the device and uses it too.
+    pub(super) fn is_host_device(&self) -> bool {
+        self.is_host_device
     }
 
     /// The number of frames in flight.
@@ -263,7 +271,7 @@ impl DeviceHandle {
                 Some(done)
             }
             // Requests for these replies are sent while no frame is in flight, and their senders wait for them.
-            Reply::Image(_) | Reply::CompilesFinished { .. } => None,
+            Reply::Image(_) | Reply::ColorView(_) | Reply::CompilesFinished { .. } => None,
         }
     }
 
@@ -438,6 +446,16 @@ impl DeviceHandle {
         self.send(DrawCommand::ReadBack { context })?;
         match self.replies.recv() {
             Ok(Reply::Image(image)) => Ok(image?),
+            _ => Err(ViewerError::DrawThreadStopped),
+        }
+    }
+
+    /// Returns a view of the texture that an offscreen context draws into; no frame may be in flight. `None` for a window.
+    pub(in crate::viewer) fn color_view(&mut self, context: u32) -> Result<Option<wgpu::TextureView>, ViewerError> {
+        debug_assert_eq!(self.in_flight, 0, "frames in flight would answer first");
+        self.send(DrawCommand::ColorView { context })?;
+        match self.replies.recv() {
+            Ok(Reply::ColorView(view)) => Ok(view),
             _ => Err(ViewerError::DrawThreadStopped),
         }
     }

@@ -237,6 +237,10 @@ impl DrawSide {
                 self.select(context);
                 Reply::Image(self.renderer.read_back(&mut self.context))
             }
+            DrawCommand::ColorView { context } => {
+                self.select(context);
+                Reply::ColorView(self.context.color_view().cloned())
+            }
             DrawCommand::Wake => return,
         };
         // Fails only while the viewer is dropped.

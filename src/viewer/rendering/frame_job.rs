@@ -93,6 +93,8 @@ pub(super) enum DrawCommand {
     Resize { context: u32, size_px: [u32; 2] },
     /// Reads the last image of an offscreen context; answered by [`Reply::Image`].
     ReadBack { context: u32 },
+    /// Gets a view of the texture that an offscreen context draws into; answered by [`Reply::ColorView`].
+    ColorView { context: u32 },
     /// Sets whether a context waits for the vertical blank.
     SetVsync { context: u32, vsync: bool },
     /// Loses the device as if the driver had lost it.
@@ -109,6 +111,7 @@ pub(super) enum DrawCommand {
 pub(super) enum Reply {
     Frame(Box<FrameDone>),
     Image(Result<RgbaImage, GpuError>),
+    ColorView(Option<wgpu::TextureView>),
     CompilesFinished {
         /// False when the device was lost or there was no memory.
         all: bool,

@@ -22,18 +22,34 @@ impl Rendering {
         match &self.running {
             Some(running) => running.model,
             // `set_model` has checked the environment variable.
-            None => {
-                self.model.resolved(self.devices.len(), self.cameras.len()).unwrap_or(ThreadingModel::SingleThreaded)
-            }
+            None => self.resolved(self.model).unwrap_or(ThreadingModel::SingleThreaded),
         }
     }
 
     /// Sets the model from the next frame on; no frame may be in flight.
     pub(in crate::viewer) fn set_model(&mut self, model: ThreadingModel) -> Result<(), ViewerError> {
-        model.resolved(self.devices.len(), self.cameras.len()).map_err(ViewerError::Setting)?;
+        self.resolved(model)?;
         self.stop_threads();
         self.model = model;
         Ok(())
+    }
+
+    /// Fails if the model that was asked for cannot run with the devices there are.
+    pub(in crate::viewer) fn check_model(&self) -> Result<(), ViewerError> {
+        self.resolved(self.model).map(drop)
+    }
+
+    /// Resolves a model to one that can run. The application's own device is used by the main thread alone.
+    fn resolved(&self, model: ThreadingModel) -> Result<ThreadingModel, ViewerError> {
+        let has_host_device = self.devices.iter().any(DeviceHandle::is_host_device);
+        match model {
+            ThreadingModel::AutomaticSelection if has_host_device => Ok(ThreadingModel::SingleThreaded),
+            _ if has_host_device && model != ThreadingModel::SingleThreaded => Err(ViewerError::Setting(format!(
+                "{model} draws on other threads, but the application's own device must be used by one thread; choose \
+                 SingleThreaded"
+            ))),
+            _ => model.resolved(self.devices.len(), self.cameras.len()).map_err(ViewerError::Setting),
+        }
     }
 
     /// True when update may run in parallel with draw.
@@ -47,7 +63,7 @@ impl Rendering {
             return Ok(());
         }
         let (contexts, cameras) = (self.devices.len(), self.cameras.len());
-        let model = self.model.resolved(contexts, cameras).map_err(ViewerError::Setting)?;
+        let model = self.resolved(self.model)?;
         let barrier = |threads| Some(Arc::new(Barrier::new(threads)));
         let (start, end) = match model {
             ThreadingModel::CullDrawThreadPerContext => (barrier(contexts + 1), barrier(contexts + 1)),
