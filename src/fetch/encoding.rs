@@ -36,8 +36,7 @@ pub(crate) fn decode(uri: &str, mut bytes: Vec<u8>, encodings: &str, limits: &Li
 }
 
 /// Decodes any bytes with any list of encodings and checks the limit. Entry point of the fuzz tests.
-#[cfg(feature = "http")]
-#[doc(hidden)]
+#[cfg(all(feature = "http", feature = "testing"))]
 pub fn fuzz_encoding(encodings: &str, bytes: &[u8], limits: &Limits) {
     match decode("fuzz", bytes.to_vec(), encodings, limits) {
         Ok(plain) => assert!(plain.len() as u64 <= limits.max_file_bytes.max(bytes.len() as u64)),

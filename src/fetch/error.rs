@@ -153,6 +153,7 @@ impl IoError {
     }
 
     /// Returns true if the bytes themselves are wrong. No cache may keep them.
+    #[cfg(feature = "http")]
     pub(crate) fn is_no_content(&self) -> bool {
         matches!(self, Self::Invalid { .. } | Self::Markup { .. })
     }

@@ -21,23 +21,20 @@ mod scope;
 mod source;
 mod uri;
 
-#[doc(hidden)]
+#[cfg(feature = "testing")]
 pub use archive::{fuzz_index, fuzz_pmtiles};
 pub use cache::CacheStats;
-#[cfg(feature = "http")]
-#[doc(hidden)]
+#[cfg(all(feature = "http", feature = "testing"))]
 pub use cache::fuzz_cache_entry;
 #[cfg(feature = "http")]
 pub use cache::{CacheConfig, CacheInfo, CacheVerified, DiskCache};
-#[cfg(feature = "http")]
-#[doc(hidden)]
+#[cfg(all(feature = "http", feature = "testing"))]
 pub use encoding::fuzz_encoding;
 pub use error::IoError;
 #[cfg(test)]
 pub(crate) use file::PANICS;
 pub use file::{FileReader, read_file};
-#[cfg(feature = "http")]
-#[doc(hidden)]
+#[cfg(all(feature = "http", feature = "testing"))]
 pub use http::fuzz_headers;
 #[cfg(feature = "http")]
 pub(crate) use http::runtime;
@@ -48,8 +45,7 @@ pub use panic_guard::DECODER_PANICKED;
 pub(crate) use panic_guard::guarded;
 pub use scope::{RootScope, resolve, root_uri};
 pub(crate) use source::Source;
-#[cfg(feature = "http")]
-#[doc(hidden)]
+#[cfg(all(feature = "http", feature = "testing"))]
 pub use uri::fuzz_url;
 pub(crate) use uri::path_of;
 #[cfg(feature = "http")]

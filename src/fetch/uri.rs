@@ -75,8 +75,7 @@ pub(crate) fn path_of(uri: &str) -> &str {
 }
 
 /// Runs the functions of this module on any text and checks their guarantees. Entry point of the fuzz tests.
-#[cfg(feature = "http")]
-#[doc(hidden)]
+#[cfg(all(feature = "http", feature = "testing"))]
 pub fn fuzz_url(uri: &str) {
     let (shown, split) = (shown(uri), split_url(uri));
     if !is_remote(uri) {

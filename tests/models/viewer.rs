@@ -57,7 +57,14 @@ pub mod overlay {
             painters.last_mut().unwrap()
         }
 
-        pub fn paint(&mut self, _device: &Device, _queue: Handle, _view: Handle, _paint: &mut OverlayPaint) {}
+        pub fn paint(
+            &mut self,
+            _device: &Device,
+            _queue: Handle,
+            _view: Option<&wgpu::TextureView>,
+            _paint: &mut OverlayPaint,
+        ) {
+        }
     }
 }
 

@@ -55,7 +55,6 @@ impl CullVisitor {
 
     /// Creates a visitor that visits the nodes of subtrees wholly inside the frustum too, so that its counters can be
     /// compared with another engine's.
-    #[doc(hidden)]
     pub fn visiting_all() -> Self {
         Self { options: TraversalOptions { visits_all: true, ..TraversalOptions::default() }, ..Self::default() }
     }
@@ -67,7 +66,6 @@ impl CullVisitor {
     }
 
     /// Creates a visitor that skips the content of tiles, so that the walk of a tile tree can be timed alone.
-    #[doc(hidden)]
     pub fn walking_tiles() -> Self {
         Self { options: TraversalOptions { roots_only: true, ..TraversalOptions::default() }, ..Self::default() }
     }

@@ -19,7 +19,9 @@ pub(crate) use lru::{MAX_CACHED_ARCHIVES, MAX_CACHED_DIRECTORY_BYTES, evict_lru}
 #[cfg(feature = "http")]
 pub(crate) use names::split_url;
 pub(crate) use names::{is_archive, is_pmtiles, split_path};
+#[cfg(feature = "testing")]
 pub use pmtiles::fuzz_pmtiles;
 #[cfg(feature = "http")]
 pub(crate) use remote::{MemberUri, RemoteArchives, parse_content_range};
+#[cfg(feature = "testing")]
 pub use zip::fuzz_index;

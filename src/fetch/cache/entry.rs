@@ -72,7 +72,7 @@ impl Entry {
 }
 
 /// Parses any bytes as an entry with the right hash, and writes and parses the result again. Entry point of the fuzz tests.
-#[doc(hidden)]
+#[cfg(feature = "testing")]
 pub fn fuzz_cache_entry(json: &[u8]) {
     let mut bytes = files::hex(&files::hash(json)).into_bytes();
     bytes.push(b'\n');

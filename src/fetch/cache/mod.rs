@@ -30,8 +30,7 @@ mod store;
 
 #[cfg(feature = "http")]
 pub(crate) use entry::Entry;
-#[cfg(feature = "http")]
-#[doc(hidden)]
+#[cfg(all(feature = "http", feature = "testing"))]
 pub use entry::fuzz_cache_entry;
 #[cfg(feature = "http")]
 pub(crate) use freshness::Freshness;

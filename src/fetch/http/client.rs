@@ -146,7 +146,7 @@ impl BlockingHttpClient {
 }
 
 /// Parses any text as each header that the client reads. Entry point of the fuzz tests.
-#[doc(hidden)]
+#[cfg(feature = "testing")]
 pub fn fuzz_headers(text: &str) {
     use reqwest::header::{AGE, CACHE_CONTROL, DATE, EXPIRES, HeaderMap, HeaderValue, RETRY_AFTER, VARY};
     let Ok(value) = HeaderValue::from_str(text) else { return };

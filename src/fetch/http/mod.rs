@@ -22,8 +22,10 @@ mod transport;
 pub(in crate::fetch) use blocking::{MAX_INLINE_BYTES, run_blocking};
 pub use body::HttpBody;
 pub(in crate::fetch) use cache_access::{CachePolicy, HttpCache, copy_validators};
+pub use client::HttpClient;
+#[cfg(feature = "testing")]
+pub use client::fuzz_headers;
 pub(crate) use client::{BlockingHttpClient, runtime};
-pub use client::{HttpClient, fuzz_headers};
 pub use config::{Credential, HttpConfig, StoreOption};
 pub(in crate::fetch) use exchange::{Answer, Exchange, error_chain};
 pub(in crate::fetch) use transport::Transport;

@@ -2,7 +2,9 @@
 
 use std::sync::Arc;
 
-use crate::fetch::{self, IoError, Limits};
+#[cfg(feature = "http")]
+use crate::fetch;
+use crate::fetch::{IoError, Limits};
 use crate::formats::{self, Fetched};
 use crate::pager::loading::job::LoadJob;
 use crate::pager::loading::request_list::Request;

@@ -6,7 +6,9 @@ use std::sync::atomic::{AtomicU8, Ordering};
 use super::job::LoadJob;
 use super::request_list::Request;
 use super::ticket::Ticket;
-use crate::fetch::{self, IoError};
+#[cfg(feature = "http")]
+use crate::fetch;
+use crate::fetch::IoError;
 use crate::formats::{self, Content, Fetched, ReadOptions};
 use crate::pager::scenes::read_scope::{ReadScope, TilesetAncestors};
 use crate::scene::{NodeId, Page};

@@ -55,6 +55,10 @@ impl GraphicsContext {
         [1, 1]
     }
 
+    pub fn is_host_device(&self) -> bool {
+        false
+    }
+
     pub fn is_software(&self) -> bool {
         true
     }
@@ -123,8 +127,8 @@ impl GraphicsContext {
         Handle
     }
 
-    pub fn color_view(&self) -> Handle {
-        Handle
+    pub fn color_view(&self) -> Option<&wgpu::TextureView> {
+        None
     }
 
     pub fn color_format(&self) -> Handle {

@@ -103,7 +103,7 @@ impl TileHeader {
 }
 
 /// Parses any bytes as a file and looks up some tiles. Entry point of the fuzz tests.
-#[doc(hidden)]
+#[cfg(feature = "testing")]
 pub fn fuzz_pmtiles(bytes: &[u8], limits: &Limits) {
     let Ok(header) = TileHeader::read("fuzz", bytes) else { return };
     for from in [bytes.get(127..).unwrap_or_default(), header.root.slice_of(bytes, 0).unwrap_or_default()] {

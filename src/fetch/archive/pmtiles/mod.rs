@@ -8,6 +8,7 @@ mod tile_id;
 
 pub(super) use directory::{Lookup, TileDirectory, check_span_size, too_deep};
 pub(super) use directory_cache::DirectoryCache;
+#[cfg(feature = "testing")]
 pub use header::fuzz_pmtiles;
 pub(super) use header::{HEAD_BYTES, MAX_DIRECTORY_DEPTH, TileHeader};
 pub(super) use tile_id::tile_id;

@@ -135,7 +135,7 @@ pub(in crate::fetch::archive) fn local_header(piece: &[u8], offset: u64, wanted:
 
 /// Parses a whole archive with a corrected checksum of its index, and checks what the index promises. Returns true if it has
 /// one. Entry point of the fuzz tests.
-#[doc(hidden)]
+#[cfg(feature = "testing")]
 pub fn fuzz_index(bytes: &[u8]) -> bool {
     let Ok(DirectoryEnd::Directory(directory, files)) = DirectoryEnd::find("fuzz", bytes, 0) else { return false };
     let Some(mut own) = ZipIndex::find_header(bytes, 0, directory) else { return false };
