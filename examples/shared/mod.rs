@@ -68,7 +68,9 @@ impl Args {
     /// Writes an image if `--screenshot` is given.
     pub fn save_image(&self, image: impl FnOnce() -> Result<image::RgbaImage>) -> Result<()> {
         let Some(file) = &self.screenshot else { return Ok(()) };
-        image()?.save(file).with_context(|| file.display().to_string())
+        // Without alpha, so that FILE may be a JPEG too.
+        let image = image::DynamicImage::ImageRgba8(image()?).into_rgb8();
+        image.save(file).with_context(|| file.display().to_string())
     }
 }
 
