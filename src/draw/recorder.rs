@@ -210,13 +210,13 @@ impl<'p, 'e> PassRecorder<'p, 'e> {
         let pools = sources.ctx.pools();
         let (pool, block, vertices, indices) = match bucket.content {
             Content::Height => {
-                let grid = pools.heights.grid(bucket.index_chunk).map(|g| (&g.indices, wgpu::IndexFormat::Uint32));
-                (Pool::Heights, pools.heights.bind_group(bucket.block), None, grid)
+                let grid = pools.heights().grid(bucket.index_chunk).map(|g| (&g.indices, wgpu::IndexFormat::Uint32));
+                (Pool::Heights, pools.heights().bind_group(bucket.block), None, grid)
             }
             _ => {
-                let vertices = pools.meshes.vertex_buffer(bucket.vertex_chunk);
-                let indices = pools.meshes.index_buffer(bucket.index_chunk);
-                (Pool::Meshes, pools.textures.bind_group(bucket.block), vertices, indices)
+                let vertices = pools.meshes().vertex_buffer(bucket.vertex_chunk);
+                let indices = pools.meshes().index_buffer(bucket.index_chunk);
+                (Pool::Meshes, pools.textures().bind_group(bucket.block), vertices, indices)
             }
         };
         let pipeline = pipeline_id.and_then(|id| Some((id, sources.resources.pipelines.pipeline(id)?)));
@@ -237,7 +237,7 @@ impl<'p, 'e> PassRecorder<'p, 'e> {
         }
         if bucket.pipeline.is_white()
             && !self.known.has_white
-            && let Some(white) = pools.meshes.white()
+            && let Some(white) = pools.meshes().white()
         {
             self.pass.set_vertex_buffer(1, white.slice(..));
             self.known.has_white = true;
@@ -253,7 +253,7 @@ impl<'p, 'e> PassRecorder<'p, 'e> {
     fn bind_pulled(&mut self, sources: &DrawSources<'_>, bucket: &Bucket, pipeline_id: Option<PipelineId>) -> bool {
         let resources = sources.resources;
         let chunks = (bucket.vertex_chunk, bucket.index_chunk);
-        let block = sources.ctx.pools().textures.bind_group(bucket.block);
+        let block = sources.ctx.pools().textures().bind_group(bucket.block);
         let pipeline = pipeline_id.and_then(|id| Some((id, resources.pipelines.pipeline(id)?)));
         let (Some((id, pipeline)), Some(block), Some(pulled)) = (pipeline, block, resources.vertex_pulling.get(chunks))
         else {
@@ -291,7 +291,7 @@ impl<'p, 'e> PassRecorder<'p, 'e> {
         let Some((info, target)) = sources.pass else { return };
         let resources = sources.resources;
         // A custom run holds the index of its shape there.
-        let Some(mut shape) = sources.ctx.pools().customs.get(run.first_index) else { return };
+        let Some(mut shape) = sources.ctx.pools().customs().borrow(run.first_index) else { return };
         let compile = CompileInfo {
             device: info.device,
             queue: info.queue,

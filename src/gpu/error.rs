@@ -1,84 +1,85 @@
-//! What can go wrong between us and the graphics adapter.
+//! [`GpuError`]: the reasons for which a call to the graphics adapter fails.
 
-/// Why a graphics call failed.
+/// The reason for which a graphics call failed.
 #[derive(Debug, thiserror::Error)]
 pub enum GpuError {
-    /// No adapter answers the wanted choice; a test may then be skipped.
+    /// No adapter matches the wanted choice. Tests may be skipped then.
     #[error("no graphics adapter: {reason}")]
     NoAdapter {
-        /// What was asked for and found.
+        /// The wanted choice and the number of adapters found.
         reason: String,
     },
-    /// The adapter refused to make a device.
+    /// The adapter refused to create a device.
     #[error("adapter {adapter} made no device: {reason}")]
     NoDevice {
         /// Name of the adapter.
         adapter: String,
-        /// What it said.
+        /// The driver's message.
         reason: String,
     },
     /// The window cannot be drawn to.
     #[error("window surface: {reason}")]
     Surface {
-        /// What was wrong.
+        /// The cause of the failure.
         reason: String,
     },
-    /// A target larger than the adapter allows, or without pixels.
+    /// A render target is larger than the adapter allows, or has no pixels.
     #[error("a target of {width}x{height} pixels is not possible (1 to {limit} a side)")]
     TargetSize {
-        /// Wanted width.
+        /// The wanted width.
         width: u32,
-        /// Wanted height.
+        /// The wanted height.
         height: u32,
-        /// Largest side.
+        /// The longest side that the adapter allows.
         limit: u32,
     },
-    /// The adapter has no memory for what a drawable needs.
+    /// The adapter lacks the memory for a buffer or a texture.
     #[error("out of graphics memory: {what} of {bytes} bytes cannot be made: {reason}")]
     OutOfMemory {
-        /// What was to be made.
+        /// The use of the buffer or texture.
         what: &'static str,
         /// Its size.
         bytes: u64,
-        /// What the driver said.
+        /// The driver's message.
         reason: String,
     },
-    /// A mesh could not take the place of another.
+    /// The mesh of a drawable could not be replaced.
     #[error("rewriting a mesh: {reason}")]
     Rewrite {
-        /// What was wrong.
+        /// The cause of the failure.
         reason: String,
     },
-    /// The adapter's driver gives away nothing that it compiled.
+    /// The adapter's driver does not export compiled pipelines.
     #[error("adapter {adapter} cannot keep its pipelines")]
     NoPipelineCache {
         /// Name of the adapter.
         adapter: String,
     },
-    /// Kept pipelines were not used, or could not be written; they are made anew.
+    /// The pipeline cache on disk was not usable or could not be written. Pipelines are compiled again.
     #[error("pipelines in {file}: {reason}", file = file.display())]
     PipelineCache {
-        /// Where they are kept.
+        /// The file of the cache.
         file: std::path::PathBuf,
-        /// What was wrong.
+        /// The cause of the failure.
         reason: String,
     },
-    /// The picture could not be read back.
-    #[error("reading the picture back: {reason}")]
+    /// The image of a target could not be read back.
+    #[error("reading the image back: {reason}")]
     ReadBack {
-        /// What was wrong.
+        /// The cause of the failure.
         reason: String,
     },
     /// The compile thread could not be started.
     #[error("cannot start a compile thread: {reason}")]
     Thread {
-        /// What the system said.
+        /// The system's message.
         reason: String,
     },
-    /// The device is gone (driver reset, unplugged); the context must be made anew.
+    /// The device is lost (driver reset, adapter unplugged). [`GraphicsContext::reopen`](super::GraphicsContext::reopen)
+    /// opens another.
     #[error("graphics device lost: {reason}")]
     DeviceLost {
-        /// What the driver said.
+        /// The driver's message.
         reason: String,
     },
 }

@@ -1,19 +1,21 @@
-//! The adapter's memory. Asked for under an error scope: where there is none, what needed it cannot be made, and all else
-//! goes on. The draw thread asks while a pool grows or a frame needs another target or a larger buffer, the compile
-//! thread for its staging buffers.
+//! [`Memory`]: creation of buffers and textures under an error scope, so that a failed allocation is an error of its caller
+//! and everything else continues.
+//!
+//! The draw thread allocates while a pool grows or a frame needs another target or a larger buffer. The compile thread
+//! allocates its staging buffers.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::GpuError;
 
-/// The device, as those know it that ask for memory. Clones have the same.
+/// The device as an allocator. Clones share the device and the limit of tests.
 #[derive(Clone)]
 pub(crate) struct Memory {
     device: wgpu::Device,
-    pub(super) limits: wgpu::Limits,
-    /// Bytes that may still be made; without end but in tests of what comes after. Written by the draw thread, taken from
-    /// by whoever asks.
+    limits: wgpu::Limits,
+    /// Bytes that may still be allocated; unlimited outside of tests. Written by the draw thread, reduced by each thread that
+    /// allocates.
     left_bytes: Arc<AtomicU64>,
 }
 
@@ -26,32 +28,36 @@ impl Memory {
         &self.device
     }
 
-    /// Makes what takes so many bytes; else says what could not be made.
-    pub(crate) fn make<T>(
+    pub(super) fn limits(&self) -> &wgpu::Limits {
+        &self.limits
+    }
+
+    /// Creates a buffer or texture of a size; `what` names its use in the error text.
+    pub(crate) fn allocate<T>(
         &self,
         what: &'static str,
         bytes: u64,
-        make: impl FnOnce(&wgpu::Device) -> T,
+        create: impl FnOnce(&wgpu::Device) -> T,
     ) -> Result<T, String> {
         let refused = |reason: String| GpuError::OutOfMemory { what, bytes, reason }.to_string();
         let left_bytes = self.left_bytes.load(Ordering::Relaxed);
         if bytes > left_bytes {
-            return Err(refused("as a test has it".to_owned()));
+            return Err(refused("the limit of a test is reached".to_owned()));
         }
         let scope = self.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
-        let made = make(&self.device);
-        // Known at once: wgpu's own backends do not wait for the adapter here.
+        let created = create(&self.device);
+        // The future is ready at once: wgpu's own backends do not wait for the adapter here.
         if let Some(error) = pollster::block_on(scope.pop()) {
             return Err(refused(error.to_string()));
         }
         if left_bytes < u64::MAX {
             self.left_bytes.store(left_bytes - bytes, Ordering::Relaxed);
         }
-        Ok(made)
+        Ok(created)
     }
 
-    /// Makes a buffer that holds something.
-    pub(super) fn make_filled(
+    /// Creates a buffer with contents, padded to a multiple of 4 bytes.
+    pub(super) fn allocate_filled(
         &self,
         what: &'static str,
         usage: wgpu::BufferUsages,
@@ -59,7 +65,7 @@ impl Memory {
     ) -> Result<wgpu::Buffer, String> {
         let size = (contents.len() as u64).next_multiple_of(wgpu::COPY_BUFFER_ALIGNMENT);
         let descriptor = wgpu::BufferDescriptor { label: Some(what), size, usage, mapped_at_creation: true };
-        let buffer = self.make(what, size, |device| device.create_buffer(&descriptor))?;
+        let buffer = self.allocate(what, size, |device| device.create_buffer(&descriptor))?;
         let mut view = buffer.get_mapped_range_mut(..).map_err(|error| format!("{what}: {error}"))?;
         view.slice(..contents.len()).copy_from_slice(contents);
         drop(view);
@@ -67,7 +73,7 @@ impl Memory {
         Ok(buffer)
     }
 
-    /// Lets no more than so many further bytes be made; `None`: as many as there are.
+    /// Limits the further allocations to a number of bytes; `None` removes the limit.
     #[cfg(feature = "testing")]
     pub(super) fn pretend(&self, left_bytes: Option<u64>) {
         self.left_bytes.store(left_bytes.unwrap_or(u64::MAX), Ordering::Relaxed);

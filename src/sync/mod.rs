@@ -5,9 +5,9 @@
 //! each state lies behind one mutex and is changed under it, and a waiting thread checks it again under it, so that no
 //! wake-up is lost. No lock is held while an operation runs, and no two locks of this module are held at once.
 //!
-//! `tests/sync_models.rs` compiles these files against shuttle's mutexes and runs them under thousands of schedules, which
+//! `tests/models/sync_models.rs` compiles these files against shuttle's mutexes and runs them under thousands of schedules, which
 //! is why they import theirs from `primitives`. So do the pagers' request lists, the compile thread and the viewer's
-//! rendering stage (`tests/pager_models.rs`, `tests/compile_models.rs`, `tests/stage_models.rs`).
+//! rendering stage (`pager_models.rs`, `compile_models.rs` and `stage_models.rs` beside it).
 
 mod barrier;
 mod block;

@@ -70,7 +70,7 @@ impl CompositeViewer {
     /// uploaded or loaded again, and bytes count once. One thread draws all contexts of a device, one after the other, in
     /// every threading model. Only size, samples and vsync of the traits are used.
     pub fn open_offscreen_on(&mut self, other: ContextId, traits: &ContextTraits) -> Result<ContextId, ViewerError> {
-        self.frame.open_context_on(other, traits, GraphicsContext::add_offscreen)
+        self.frame.open_context_on(other, traits, GraphicsContext::add_offscreen_target)
     }
 
     /// Adds a window on the device of another context; see [`Self::open_offscreen_on`]. Call it on the thread of the event
@@ -81,7 +81,7 @@ impl CompositeViewer {
         target: impl Into<wgpu::SurfaceTarget<'static>> + Clone + Send + Sync + 'static,
         traits: &ContextTraits,
     ) -> Result<ContextId, ViewerError> {
-        self.frame.open_context_on(other, traits, |context, traits| context.add_window(target, traits))
+        self.frame.open_context_on(other, traits, |context, traits| context.add_window_target(target, traits))
     }
 
     /// Closes a context and removes the cameras in it; other contexts are unaffected. Returns false when there is no such

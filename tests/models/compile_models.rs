@@ -2,7 +2,7 @@
 //! for the adapter's. Schedules in which an upload is lost, an operation ends before its bytes, or a thread waits for ever
 //! fail.
 
-#[path = "../../src/gpu/compile_thread.rs"]
+#[path = "../../src/gpu/upload/compile_thread.rs"]
 mod compile_thread;
 
 /// An operation whose slots are allocated.
@@ -11,8 +11,13 @@ pub struct Compiled {
 }
 
 /// Units of one byte of an operation.
-mod uploads {
-    use super::staging::Filling;
+mod resource_upload {
+    use super::staging::StagingWriter;
+
+    pub struct Units {
+        pub count: usize,
+        pub unit_bytes: usize,
+    }
 
     pub struct Upload {
         pub ticket: u64,
@@ -20,8 +25,8 @@ mod uploads {
     }
 
     impl Upload {
-        pub fn left(&self) -> Option<(usize, usize)> {
-            (self.units > 0).then_some((self.units, 1))
+        pub fn remaining(&self) -> Option<Units> {
+            (self.units > 0).then_some(Units { count: self.units, unit_bytes: 1 })
         }
 
         pub fn bytes(&self) -> u64 {
@@ -32,7 +37,7 @@ mod uploads {
             false
         }
 
-        pub fn write(&mut self, into: &mut Filling, _scratch: &mut Vec<u8>, count: usize) -> u64 {
+        pub fn write(&mut self, into: &mut StagingWriter, _scratch: &mut Vec<u8>, count: usize) -> u64 {
             into.write(self.ticket, count);
             self.units -= count;
             count as u64
@@ -85,7 +90,7 @@ mod staging {
     #[derive(Default)]
     pub struct CommandBuffer(pub Vec<u64>);
 
-    pub fn make(memory: &Memory, _bytes: u64) -> Result<Buffer, String> {
+    pub fn create_buffer(memory: &Memory, _bytes: u64) -> Result<Buffer, String> {
         let is_refused = |left: usize| left.checked_sub(1);
         if memory.refusals.fetch_update(Ordering::SeqCst, Ordering::SeqCst, is_refused).is_ok() {
             return Err("no memory".to_owned());
@@ -95,24 +100,24 @@ mod staging {
         Ok(Buffer(there.clone()))
     }
 
-    pub struct Filling {
+    pub struct StagingWriter {
         staging: Buffer,
         commands: CommandBuffer,
     }
 
-    impl Filling {
+    impl StagingWriter {
         pub fn new(device: &Device, staging: Buffer) -> Option<Self> {
             let is_writable = |left: usize| left.checked_sub(1);
             device.writable.fetch_update(Ordering::SeqCst, Ordering::SeqCst, is_writable).ok()?;
             Some(Self { staging, commands: CommandBuffer::default() })
         }
 
-        pub fn room(&self, _unit_bytes: usize, _has_rows: bool) -> usize {
+        pub fn free_units(&self, _unit_bytes: usize, _has_rows: bool) -> usize {
             2 - self.commands.0.len()
         }
 
         pub fn write(&mut self, ticket: u64, count: usize) {
-            assert!(count <= self.room(1, false));
+            assert!(count <= self.free_units(1, false));
             self.commands.0.extend((0..count).map(|_| ticket));
         }
 
@@ -123,14 +128,14 @@ mod staging {
 
     /// Submitted buffers are mapped by the next poll.
     #[derive(Default)]
-    pub struct Mapping(Vec<Buffer>);
+    pub struct MapRequests(Vec<Buffer>);
 
-    impl Mapping {
-        pub fn ask(&mut self, staging: Buffer) {
+    impl MapRequests {
+        pub fn request(&mut self, staging: Buffer) {
             self.0.push(staging);
         }
 
-        pub fn mapped(&mut self) -> impl Iterator<Item = Buffer> + '_ {
+        pub fn take_mapped(&mut self) -> impl Iterator<Item = Buffer> + '_ {
             self.0.drain(..)
         }
     }
@@ -141,10 +146,10 @@ use std::time::Duration;
 use crate::schedules::check;
 use compile_thread::{Batch, CompileThread};
 use memory::Memory;
+use resource_upload::Upload;
 use shuttle::sync::Arc;
 use shuttle::thread;
 use staging::{Buffer, Device};
-use uploads::Upload;
 
 /// Units of the operations, in order: the first needs more buffers than there may be.
 const UNITS: [usize; 4] = [19, 0, 1, 4];
@@ -157,12 +162,12 @@ fn memory(writable: usize, refusals: usize) -> Memory {
     Memory { device, refusals: Arc::new(refusals.into()) }
 }
 
-/// Sends an operation as `compile.rs` does: its uploads, then its end.
+/// Sends an operation as `compile_thread_uploads.rs` does: its uploads, then its end.
 fn send(thread: &mut CompileThread, ticket: usize) {
     if UNITS[ticket] > 0 {
-        thread.upload(Upload { ticket: ticket as u64, units: UNITS[ticket] });
+        thread.send_upload(Upload { ticket: ticket as u64, units: UNITS[ticket] });
     }
-    thread.finish(Compiled { ticket: ticket as u64 });
+    thread.send_end(Compiled { ticket: ticket as u64 });
 }
 
 /// The draw thread's side.
@@ -180,7 +185,7 @@ impl Drawn {
     fn take(&mut self, batch: Batch) {
         self.copied.extend(batch.commands.into_iter().flat_map(|commands| commands.0));
         self.recorded.extend(batch.staging);
-        self.refusals += usize::from(batch.refusal.is_some());
+        self.refusals += usize::from(batch.allocation_error.is_some());
         for Compiled { ticket } in batch.finished {
             let there = self.copied.iter().filter(|of| **of == ticket).count();
             assert_eq!(there, UNITS[ticket as usize], "all of operation {ticket} is there");
@@ -190,7 +195,7 @@ impl Drawn {
 
     /// Submits the recorded commands to the adapter.
     fn submit(&mut self, thread: &mut CompileThread) {
-        self.recorded.drain(..).for_each(|staging| thread.submitted(staging));
+        self.recorded.drain(..).for_each(|staging| thread.request_map(staging));
     }
 }
 
@@ -203,20 +208,20 @@ fn all_operations_end_in_order_after_their_bytes() {
         let mut drawn = Drawn::default();
         let mut sent = 0;
         while drawn.finished.len() < UNITS.len() {
-            thread.give_back();
+            thread.return_mapped();
             if sent < UNITS.len() {
                 send(&mut thread, sent);
                 sent += 1;
             }
             let mut patience = Duration::from_millis(1);
-            while let Some(batch) = thread.batch(patience) {
+            while let Some(batch) = thread.receive_batch(patience) {
                 drawn.take(batch);
                 patience = Duration::ZERO;
             }
-            assert!(!thread.has_died);
+            assert!(!thread.has_stopped());
             drawn.submit(&mut thread);
         }
-        assert_eq!((drawn.finished, thread.bytes_in_flight(), thread.operations), (vec![0, 1, 2, 3], 0, 0));
+        assert_eq!((drawn.finished, thread.bytes_in_flight(), thread.operations_in_flight()), (vec![0, 1, 2, 3], 0, 0));
         assert_eq!((drawn.copied.len(), drawn.refusals), (UNITS.iter().sum::<usize>(), 2));
     });
 }
@@ -240,15 +245,15 @@ fn a_thread_that_has_ended_is_seen() {
         let mut thread = CompileThread::start(&memory(3, 0)).unwrap();
         let mut drawn = Drawn::default();
         send(&mut thread, 0);
-        while !thread.has_died {
-            thread.give_back();
-            if let Some(batch) = thread.batch(Duration::from_millis(1)) {
+        while !thread.has_stopped() {
+            thread.return_mapped();
+            if let Some(batch) = thread.receive_batch(Duration::from_millis(1)) {
                 drawn.take(batch);
             }
             drawn.submit(&mut thread);
         }
         assert!(drawn.finished.is_empty() && drawn.copied.len() <= 6);
         send(&mut thread, 3);
-        assert!(thread.batch(Duration::ZERO).is_none_or(|batch| batch.finished.is_empty()));
+        assert!(thread.receive_batch(Duration::ZERO).is_none_or(|batch| batch.finished.is_empty()));
     });
 }

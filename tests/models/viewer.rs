@@ -90,7 +90,7 @@ impl Viewer {
                     None => rendering.add_context(GraphicsContext::new(&seen), 0),
                     Some(first) => {
                         let add = |device: &mut GraphicsContext, _: &ContextTraits| {
-                            device.faces += 1;
+                            device.targets += 1;
                             Ok(())
                         };
                         rendering.add_context_on(first, &ContextTraits::default(), 0, add).unwrap()

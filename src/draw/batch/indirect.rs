@@ -52,7 +52,7 @@ impl IndirectBuffer {
         if self.buffer.as_ref().is_none_or(|buffer| buffer.size() < self.bytes.len() as u64) {
             let size = INDIRECT_BYTES * runs.len().next_power_of_two().max(MIN_RUNS) as u64;
             self.buffer = None;
-            self.buffer = Some(ctx.memory().make("arguments of draws", size, |device| {
+            self.buffer = Some(ctx.memory().allocate("arguments of draws", size, |device| {
                 device.create_buffer(&wgpu::BufferDescriptor {
                     label: Some("runs"),
                     size,

@@ -21,7 +21,7 @@ use crate::draw::pipelines::key::{PipelineKey, StateKey};
 use crate::draw::pipelines::{PipelineId, Pipelines};
 use crate::draw::uniforms::frame::{INDEX_COUNT_SHIFT, LeafUniform};
 use crate::gpu::{BindClass, DrawableEntry, GraphicsContext, Shape};
-use crate::scene::AlphaMode;
+use crate::scene::{AlphaMode, Topology};
 use crate::state::SortMode;
 use bucket::{Bucket, BucketKey, BucketRank, Content, VertexFetch};
 use lookup::Lookup;
@@ -87,10 +87,10 @@ const NO_RUN: u32 = u32::MAX;
 #[inline]
 fn vertex_fetch(entry: &DrawableEntry, state: &StateEntry) -> VertexFetch {
     match &entry.shape {
-        Shape::Mesh { place, is_small: true, .. }
+        Shape::Mesh { slot, is_small: true, .. }
             if state.key.can_pull && !matches!(entry.alpha, AlphaMode::Mask(_)) =>
         {
-            let triangles = place.index_count.div_ceil(3).next_power_of_two();
+            let triangles = slot.index_count.div_ceil(3).next_power_of_two();
             VertexFetch::Pulled { log2_triangles: triangles.trailing_zeros() as u8 }
         }
         Shape::Custom(_) => VertexFetch::Custom,
@@ -369,9 +369,9 @@ impl Batch {
     #[inline]
     fn geometry(&self, bucket: u32, entry: &DrawableEntry) -> u32 {
         match &entry.shape {
-            Shape::Height(place) => place.side,
-            Shape::Mesh { place, .. } => match self.buckets[bucket as usize].0.stride() {
-                0 => place.mesh,
+            Shape::Height(slot) => slot.side,
+            Shape::Mesh { slot, .. } => match self.buckets[bucket as usize].0.stride() {
+                0 => slot.mesh,
                 _ => 0,
             },
             Shape::Custom(shape) => *shape,
@@ -433,21 +433,28 @@ impl Batch {
 
     fn new_bucket(&self, ctx: &GraphicsContext, pipelines: &mut Pipelines, key: BucketKey, state_index: u32) -> Bucket {
         let state = &self.states[state_index as usize];
-        let class = ctx.bind_classes()[key.bind_class as usize];
-        let BindClass { topology, is_masked, double_sided, is_custom, block, vertex_chunk, index_chunk } = class;
-        let pipeline = match topology {
-            None => PipelineKey::height(&state.key, key.is_mirrored),
-            Some(topology) => PipelineKey::mesh(&state.key, topology, is_masked, double_sided, key.is_mirrored),
-        };
-        let (content, pipeline) = match (key.fetch, topology) {
-            _ if is_custom => (Content::Custom { state: state_index }, pipeline),
-            (VertexFetch::Pulled { log2_triangles }, _) => {
-                (Content::PulledMesh { stride: 3 << log2_triangles }, pipeline.pulled())
+        let bound = state.bound;
+        match ctx.bind_classes()[key.bind_class as usize] {
+            BindClass::Height { block, side } => {
+                let pipeline = PipelineKey::height(&state.key, key.is_mirrored);
+                Bucket { pipeline, content: Content::Height, block, vertex_chunk: 0, index_chunk: side, bound }
             }
-            (_, None) => (Content::Height, pipeline),
-            (_, Some(_)) => (Content::Mesh, pipelines.with_vertices(pipeline, &ctx.pools().meshes, vertex_chunk)),
-        };
-        Bucket { pipeline, content, block, vertex_chunk, index_chunk, bound: state.bound }
+            BindClass::Mesh { topology, is_masked, double_sided, block, vertex_chunk, index_chunk } => {
+                let pipeline = PipelineKey::mesh(&state.key, topology, is_masked, double_sided, key.is_mirrored);
+                let (content, pipeline) = match key.fetch {
+                    VertexFetch::Pulled { log2_triangles } => {
+                        (Content::PulledMesh { stride: 3 << log2_triangles }, pipeline.pulled())
+                    }
+                    _ => (Content::Mesh, pipelines.with_vertices(pipeline, ctx.pools().meshes(), vertex_chunk)),
+                };
+                Bucket { pipeline, content, block, vertex_chunk, index_chunk, bound }
+            }
+            BindClass::Custom => {
+                let pipeline = PipelineKey::mesh(&state.key, Topology::Triangles, false, false, key.is_mirrored);
+                let content = Content::Custom { state: state_index };
+                Bucket { pipeline, content, block: 0, vertex_chunk: 0, index_chunk: 0, bound }
+            }
+        }
     }
 }
 
@@ -467,11 +474,11 @@ fn uniform(entry: &DrawableEntry, rows: &[[f32; 4]; 3], state: &StateEntry, stri
     let mut flags = state.flags(entry.unlit);
     let mut alpha_cutoff = if let AlphaMode::Mask(cutoff) = entry.alpha { cutoff.to_bits() } else { 0 };
     let (layer, side) = match &entry.shape {
-        Shape::Height(place) => (place.layer, place.side),
-        Shape::Mesh { texture, place, .. } if stride() > 0 => {
-            flags |= place.index_count << INDEX_COUNT_SHIFT;
-            alpha_cutoff = place.base_vertex as u32;
-            (texture.layer, place.first_index)
+        Shape::Height(slot) => (slot.layer, slot.side),
+        Shape::Mesh { texture, slot, .. } if stride() > 0 => {
+            flags |= slot.index_count << INDEX_COUNT_SHIFT;
+            alpha_cutoff = slot.base_vertex as u32;
+            (texture.layer, slot.first_index)
         }
         Shape::Mesh { texture, .. } => (texture.layer, 0),
         Shape::Custom(_) => (0, 0),

@@ -21,8 +21,8 @@ impl Run {
     /// Returns a run without leaves for the geometry of a drawable.
     pub(super) fn new(ctx: &GraphicsContext, bucket: u32, entry: &DrawableEntry) -> Self {
         let (base_vertex, first_index, index_count) = match &entry.shape {
-            Shape::Height(place) => (0, 0, ctx.pools().heights.grid(place.side).map_or(0, |g| g.index_count)),
-            Shape::Mesh { place, .. } => (place.base_vertex, place.first_index, place.index_count),
+            Shape::Height(slot) => (0, 0, ctx.pools().heights().grid(slot.side).map_or(0, |g| g.index_count)),
+            Shape::Mesh { slot, .. } => (slot.base_vertex, slot.first_index, slot.index_count),
             Shape::Custom(shape) => (0, *shape, 0),
         };
         Self { bucket, base_vertex, first_index, index_count, first_leaf: 0, leaf_count: 0, all_indices: 0 }
@@ -32,8 +32,8 @@ impl Run {
     #[inline]
     pub(super) fn add(&mut self, entry: &DrawableEntry) {
         self.leaf_count += 1;
-        if let Shape::Mesh { place, .. } = &entry.shape {
-            self.all_indices += u64::from(place.index_count);
+        if let Shape::Mesh { slot, .. } = &entry.shape {
+            self.all_indices += u64::from(slot.index_count);
         }
     }
 }

@@ -14,7 +14,7 @@ use glam::{DMat4, Mat4, Vec4};
 use super::info::RenderInfo;
 use crate::cull::CullCamera;
 use crate::draw::uniforms::frame::LeafUniform;
-use crate::gpu::{CompileInfo, CustomCompile, CustomError, CustomShape, TargetFormats, watched};
+use crate::gpu::{CompileInfo, CustomCompile, CustomError, CustomShape, TargetFormats, catch_errors};
 use crate::math::Aabb;
 use crate::scene::{CustomGeometry, Geometry};
 use crate::state::{OpaqueDrawData, ResolvedState};
@@ -139,16 +139,16 @@ pub fn custom_geometry(drawable: impl CustomDrawable) -> Geometry {
             }
         }
         let bytes = prepared.drawable.size_bytes();
-        Ok(CustomShape { made: Box::new(prepared), bytes })
+        Ok(CustomShape { drawable: Box::new(prepared), bytes })
     }));
     Geometry::Custom(CustomGeometry { bounds, size_bytes, hook: OpaqueDrawData(Arc::new(compile)) })
 }
 
 /// Calls a function and returns an error of the device in the meantime as its error.
-fn guarded<T>(device: &wgpu::Device, make: impl FnOnce() -> Result<T, CustomError>) -> Result<T, CustomError> {
-    let (made, error) = watched(device, make);
-    let made = made?;
-    error.map_or(Ok(made), |error| Err(error.into()))
+fn guarded<T>(device: &wgpu::Device, create: impl FnOnce() -> Result<T, CustomError>) -> Result<T, CustomError> {
+    let (created, error) = catch_errors(device, create);
+    let created = created?;
+    error.map_or(Ok(created), |error| Err(error.into()))
 }
 
 /// Returns true if a compiled shape can be drawn into a target. Prepares it at the first call for the target, which also

@@ -8,7 +8,7 @@ use crate::draw::pipelines::TargetFormats;
 use crate::draw::recorder::{DrawSources, PassRecorder};
 use crate::draw::resources::Resources;
 use crate::draw::targets::pass_target::PassTarget;
-use crate::gpu::{GraphicsContext, watched};
+use crate::gpu::{GraphicsContext, catch_errors};
 use crate::state::TextureObject;
 
 const COMPOSITE_WGSL: &str = include_str!("../shaders/passes/composition.wgsl");
@@ -94,7 +94,8 @@ impl Composite {
                 usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
                 mapped_at_creation: false,
             };
-            let buffer = ctx.memory().make("composite", descriptor.size, |device| device.create_buffer(&descriptor))?;
+            let buffer =
+                ctx.memory().allocate("composite", descriptor.size, |device| device.create_buffer(&descriptor))?;
             self.uniforms.push(buffer);
         }
         self.used += 1;
@@ -102,7 +103,7 @@ impl Composite {
         if self.pipelines.iter().any(|(key, _)| key == target) {
             return Ok(index);
         }
-        let (pipeline, error) = watched(ctx.device(), || self.pipeline(ctx, target));
+        let (pipeline, error) = catch_errors(ctx.device(), || self.pipeline(ctx, target));
         self.pipelines.push((*target, error.is_none().then_some(pipeline)));
         error.map_or(Ok(index), |error| Err(format!("the images of two eyes cannot be composed: {error}")))
     }
@@ -200,7 +201,8 @@ impl StereoComposition {
         let mode = stage.stereo?;
         let formats = *resources.pipelines.target_formats(lit.input.target.index)?;
         // Errors of its module come up again when its pipelines are created.
-        let composite = self.composite.get_or_insert_with(|| watched(ctx.device(), || Composite::new(ctx.device())).0);
+        let composite =
+            self.composite.get_or_insert_with(|| catch_errors(ctx.device(), || Composite::new(ctx.device())).0);
         let [x, y, ..] = lit.base.dynamics.viewport;
         let prepared = composite.prepare(ctx, &formats, mode, stage.stereo_gap_px, [x as u32, y as u32]);
         let uniforms = prepared.map_err(|error| resources.errors.report_once(error)).ok()?;
@@ -235,14 +237,14 @@ impl StereoComposition {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gpu::{AdapterChoice, ContextTraits, DEPTH_FORMAT, MOST_COLORS};
+    use crate::gpu::{AdapterChoice, ContextTraits, DEPTH_FORMAT, MAX_COLOR_ATTACHMENTS};
 
     /// Regression test: the device's own error handler got the failure, and the frame was lost.
     #[test]
     fn refused_pipeline_is_reported_once() {
         let traits = ContextTraits { size_px: [4, 4], adapter: AdapterChoice::Noop, ..ContextTraits::default() };
         let mut ctx = GraphicsContext::new_offscreen(&traits).unwrap();
-        let mut colors = [None; MOST_COLORS];
+        let mut colors = [None; MAX_COLOR_ATTACHMENTS];
         colors[0] = Some(wgpu::TextureFormat::Rgba8Unorm);
         let good = TargetFormats { colors, depth: DEPTH_FORMAT, samples: 1, keeps_alpha: false };
         // No adapter supports 7 samples a pixel.

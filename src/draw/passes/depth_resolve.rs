@@ -10,7 +10,7 @@ use super::stage_input::StageInput;
 use crate::cull::RenderStage;
 use crate::draw::resources::Resources;
 use crate::draw::targets::pass_target::{DepthSamples, PassTarget};
-use crate::gpu::{FrameTimer, GraphicsContext, watched};
+use crate::gpu::{FrameTimer, GraphicsContext, catch_errors};
 
 const DEPTH_RESOLVE_WGSL: &str = include_str!("../shaders/passes/depth_resolve.wgsl");
 
@@ -55,7 +55,7 @@ impl Resolver {
         if self.by_kind.iter().any(|(known, _)| *known == kind) {
             return Ok(());
         }
-        let (pipelines, error) = watched(ctx.device(), || self.pipelines(ctx, kind.0));
+        let (pipelines, error) = catch_errors(ctx.device(), || self.pipelines(ctx, kind.0));
         self.by_kind.push((kind, error.is_none().then_some(pipelines)));
         error.map_or(Ok(()), |error| Err(format!("multisampled depth cannot be resolved into textures: {error}")))
     }
@@ -197,7 +197,7 @@ impl DepthResolve {
             && let Some(formats) = resources.pipelines.target_formats(input.target.index)
         {
             let device = input.ctx.device();
-            let resolver = self.resolver.get_or_insert_with(|| watched(device, || Resolver::new(device)).0);
+            let resolver = self.resolver.get_or_insert_with(|| catch_errors(device, || Resolver::new(device)).0);
             if let Err(error) = resolver.ensure(input.ctx, (formats.depth, formats.samples)) {
                 resources.errors.report_once(error);
             }

@@ -4,7 +4,7 @@
 use super::stage_input::StageInput;
 use crate::draw::resources::Resources;
 use crate::draw::targets::pass_target::{ColorSamples, PassTarget};
-use crate::gpu::{FrameTimer, GraphicsContext, watched};
+use crate::gpu::{FrameTimer, GraphicsContext, catch_errors};
 
 const MSAA_RESTORE_WGSL: &str = include_str!("../shaders/passes/msaa_restore.wgsl");
 
@@ -48,7 +48,7 @@ impl RestorePipelines {
         if self.pipelines.iter().any(|(known, _)| *known == kind) {
             return Ok(());
         }
-        let (pipeline, error) = watched(ctx.device(), || self.pipeline(ctx, kind));
+        let (pipeline, error) = catch_errors(ctx.device(), || self.pipeline(ctx, kind));
         self.pipelines.push((kind, error.is_none().then_some(pipeline)));
         error.map_or(Ok(()), |error| {
             Err(format!("multisampled colours that a camera does not clear cannot be restored: {error}"))
@@ -153,7 +153,8 @@ impl MsaaRestore {
         let device = input.ctx.device();
         let mut restores = false;
         for ColorSamples { format, sample_count, .. } in input.target.stale_colors(formats) {
-            let pipelines = self.pipelines.get_or_insert_with(|| watched(device, || RestorePipelines::new(device)).0);
+            let pipelines =
+                self.pipelines.get_or_insert_with(|| catch_errors(device, || RestorePipelines::new(device)).0);
             if let Err(error) = pipelines.ensure(input.ctx, (format, sample_count)) {
                 resources.errors.report_once(error);
             }

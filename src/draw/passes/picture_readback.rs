@@ -183,7 +183,7 @@ impl PictureReadback {
                 mapped_at_creation: false,
             };
             let slot = PictureSlot {
-                buffer: memory.make("picture to be read back", size, |device| device.create_buffer(&descriptor))?,
+                buffer: memory.allocate("picture to be read back", size, |device| device.create_buffer(&descriptor))?,
                 sink: sink.clone(),
                 size_px,
                 format,

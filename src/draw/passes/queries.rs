@@ -51,7 +51,7 @@ impl Queries {
 
     /// Creates the query set and its buffers; returns an error if there is no memory for them.
     fn new(memory: &Memory) -> Result<Self, String> {
-        memory.make("occlusion queries", Self::DRAW_BYTES * (1 + MAX_DRAWS_IN_FLIGHT as u64), Self::of_device)
+        memory.allocate("occlusion queries", Self::DRAW_BYTES * (1 + MAX_DRAWS_IN_FLIGHT as u64), Self::of_device)
     }
 
     fn of_device(device: &wgpu::Device) -> Self {

@@ -64,7 +64,7 @@ pub(in crate::draw) fn shade(
     let group = match shading {
         Shading::Plain | Shading::Fallback => None,
         _ => {
-            let is_target = |binding: &TextureBinding| target.draws_into(stage, &binding.texture);
+            let is_target = |binding: &TextureBinding| target.has_attachment(stage, &binding.texture);
             let found = resources
                 .state_groups
                 .group(ctx, &resources.pipelines, shading, state, is_target, |problem| problems.push(problem));

@@ -1,6 +1,6 @@
 //! Creates shader modules and render pipelines on the device, and catches its errors. Draw thread.
 
-use crate::gpu::{GraphicsContext, MOST_COLORS, TargetFormats, watched};
+use crate::gpu::{GraphicsContext, MAX_COLOR_ATTACHMENTS, TargetFormats, catch_errors};
 
 /// The properties in which pipelines differ, in wgpu's terms. It has as many fields as wgpu's descriptors need.
 pub(super) struct Variant<'a> {
@@ -130,7 +130,7 @@ impl PipelineBuilder {
 
     /// Creates a pipeline. Returns `None` and keeps an error if the device refuses it.
     pub(super) fn create(&mut self, ctx: &GraphicsContext, variant: &Variant<'_>) -> Option<wgpu::RenderPipeline> {
-        let (pipeline, error) = watched(ctx.device(), || self.create_unchecked(ctx, variant));
+        let (pipeline, error) = catch_errors(ctx.device(), || self.create_unchecked(ctx, variant));
         let Some(error) = error else { return Some(pipeline) };
         self.errors.push(format!("pipeline {}: {error}", variant.label));
         None
@@ -148,7 +148,7 @@ impl PipelineBuilder {
         });
         let target = &variant.target;
         let colors = target.colors.iter().rposition(Option::is_some).map_or(0, |last| last + 1);
-        let mut states = [const { None }; MOST_COLORS];
+        let mut states = [const { None }; MAX_COLOR_ATTACHMENTS];
         for (location, (state, format)) in states.iter_mut().zip(target.colors).enumerate() {
             let is_written = variant.outputs >> location & 1 == 1;
             *state = format.map(|format| wgpu::ColorTargetState {

@@ -113,7 +113,7 @@ impl BuiltinPipelines {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gpu::{AdapterChoice, ContextTraits, DEPTH_FORMAT, MOST_COLORS};
+    use crate::gpu::{AdapterChoice, ContextTraits, DEPTH_FORMAT, MAX_COLOR_ATTACHMENTS};
 
     /// Regression test: it was tried again, and its error logged, in each frame.
     #[test]
@@ -123,7 +123,7 @@ mod tests {
         let mut pipelines = Pipelines::new(&ctx);
         let mut sky = BuiltinPipelines::new(Builtin::Sky);
         let mut ensure = |samples| {
-            let mut colors = [None; MOST_COLORS];
+            let mut colors = [None; MAX_COLOR_ATTACHMENTS];
             colors[0] = Some(wgpu::TextureFormat::Rgba8Unorm);
             let formats = TargetFormats { colors, depth: DEPTH_FORMAT, samples, keeps_alpha: false };
             let target = pipelines.target(&formats).unwrap();

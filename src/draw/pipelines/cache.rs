@@ -117,7 +117,7 @@ impl Pipelines {
 
     /// Returns the key with the vertex format of a chunk of the mesh pool.
     pub(in crate::draw) fn with_vertices(&mut self, key: PipelineKey, meshes: &MeshPool, chunk: u32) -> PipelineKey {
-        match meshes.layout_of(chunk) {
+        match meshes.attribute_layout_of(chunk) {
             None => key.with_vertices(meshes.format_of(chunk)),
             Some((index, layout)) => self.with_layout(key, index, layout),
         }
@@ -221,7 +221,7 @@ impl Pipelines {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gpu::{AdapterChoice, ContextTraits, MOST_COLORS};
+    use crate::gpu::{AdapterChoice, ContextTraits, MAX_COLOR_ATTACHMENTS};
     use crate::state::{Attribute, PolygonOffset, StateSet};
 
     fn context() -> GraphicsContext {
@@ -230,7 +230,7 @@ mod tests {
     }
 
     fn target(pipelines: &mut Pipelines) -> u8 {
-        let mut colors = [None; MOST_COLORS];
+        let mut colors = [None; MAX_COLOR_ATTACHMENTS];
         colors[0] = Some(wgpu::TextureFormat::Rgba8Unorm);
         let formats = TargetFormats { colors, depth: crate::gpu::DEPTH_FORMAT, samples: 1, keeps_alpha: false };
         pipelines.target(&formats).unwrap()

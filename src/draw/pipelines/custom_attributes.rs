@@ -5,12 +5,12 @@ use std::sync::Arc;
 use super::key::{Kind, PipelineKey, Shading};
 use super::programs::Programs;
 use super::programs::inputs::Input;
-use crate::gpu::{MOST_LAYOUTS, VertexFormat};
+use crate::gpu::{MAX_ATTRIBUTE_LAYOUTS, VertexFormat};
 use crate::scene::{AttributeFormat, AttributeLayout};
 
 /// The layouts of custom attributes by index, as the context numbers them from 1 on.
 #[derive(Default)]
-pub(super) struct AttributeLayouts([Option<Arc<AttributeLayout>>; MOST_LAYOUTS]);
+pub(super) struct AttributeLayouts([Option<Arc<AttributeLayout>>; MAX_ATTRIBUTE_LAYOUTS]);
 
 impl AttributeLayouts {
     /// Returns the layout of an index; an empty one for 0.

@@ -25,4 +25,4 @@ mod sources;
 pub(in crate::draw) use cache::{PipelineId, Pipelines};
 pub use sources::DRAWABLE_PRELUDE;
 
-pub(in crate::draw) use crate::gpu::{MOST_COLORS, TargetFormats};
+pub(in crate::draw) use crate::gpu::{MAX_COLOR_ATTACHMENTS, TargetFormats};

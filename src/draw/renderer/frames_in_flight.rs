@@ -22,7 +22,7 @@ impl FramesInFlight {
     /// Lets wgpu's callbacks run, and waits while too many frames are in flight. Returns an error if the device was lost.
     pub(super) fn throttle(&mut self, ctx: &GraphicsContext) -> Result<(), GpuError> {
         let mut poll = wgpu::PollType::Poll;
-        while self.0.len() > MAX_FRAMES * ctx.face_count() {
+        while self.0.len() > MAX_FRAMES * ctx.target_count() {
             poll = wgpu::PollType::Wait { submission_index: self.0.pop_front(), timeout: Some(TIMEOUT) };
         }
         ctx.device().poll(poll).map_err(|e| GpuError::DeviceLost { reason: format!("a frame did not end: {e}") })?;

@@ -137,10 +137,10 @@ impl Renderer {
             return Ok(DrawStats { skipped: true, ..Default::default() });
         }
         drop(acquire);
-        ctx.submitted(&mut self.uploads);
+        ctx.before_submit(&mut self.uploads);
         for target in self.drawn_into.targets() {
             if let Some(formats) = self.resources.pipelines.target_formats(target) {
-                ctx.draws_into(formats);
+                ctx.add_target_formats(formats);
             }
         }
         let ctx = &*ctx;

@@ -48,7 +48,7 @@ impl Renderer {
     /// Forgets the last frame.
     fn start_frame<'a>(&mut self, ctx: &GraphicsContext, stages: impl Iterator<Item = &'a RenderStage> + Clone) {
         self.resources.start_frame();
-        if ctx.is_first_face() {
+        if ctx.is_first_target_selected() {
             self.drawn_into.clear();
         }
         self.plans.clear();
@@ -61,7 +61,7 @@ impl Renderer {
         self.passes.shadows.start_frame();
         self.passes.queries.start_frame();
         self.passes.composition.start_frame();
-        if self.passes.air.start_draw(ctx.face_count()) {
+        if self.passes.air.start_draw(ctx.target_count()) {
             self.resources.frame_groups.invalidate();
         }
     }

@@ -6,7 +6,7 @@ use super::drawn_stages::DrawnStage;
 use crate::draw::passes::shading::{choose_shading, name_of};
 use crate::draw::passes::shadows::casters::caster_key;
 use crate::draw::pipelines::key::{AirKind, PipelineKey, Shading, StateKey};
-use crate::draw::pipelines::{MOST_COLORS, TargetFormats};
+use crate::draw::pipelines::{MAX_COLOR_ATTACHMENTS, TargetFormats};
 use crate::gpu::GraphicsContext;
 use crate::scene::{DrawKind, Environment, Topology};
 
@@ -72,7 +72,7 @@ impl Renderer {
             key.with_vertices(kind.vertex_format)
         } else {
             // A mesh whose layout finds no index is not uploaded either.
-            let Some(index) = ctx.layout_place(&kind.attributes) else { return };
+            let Some(index) = ctx.attribute_layout_index(&kind.attributes) else { return };
             self.resources.pipelines.with_layout(key, index, &kind.attributes)
         };
         self.resources.pipelines.ensure(ctx, key, Some(&kind.state));
@@ -81,7 +81,7 @@ impl Renderer {
     fn own_target(&mut self, ctx: &GraphicsContext) -> Option<u8> {
         let depth = self.targets.depth_format();
         let samples = ctx.samples();
-        let mut formats = TargetFormats { colors: [None; MOST_COLORS], depth, samples, keeps_alpha: false };
+        let mut formats = TargetFormats { colors: [None; MAX_COLOR_ATTACHMENTS], depth, samples, keeps_alpha: false };
         formats.colors[0] = Some(ctx.color_format());
         self.resources.pipelines.target(&formats)
     }

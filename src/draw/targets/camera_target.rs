@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::error::TargetError;
-use crate::draw::pipelines::{MOST_COLORS, TargetFormats};
+use crate::draw::pipelines::{MAX_COLOR_ATTACHMENTS, TargetFormats};
 use crate::gpu::{GraphicsContext, StateTextures, texture_format};
 use crate::scene::{Attachment, CameraTarget};
 use crate::state::TextureFormat;
@@ -12,7 +12,7 @@ use crate::state::TextureFormat;
 pub(super) struct CameraAttachments {
     pub(super) size_px: [u32; 2],
     pub(super) formats: TargetFormats,
-    pub(super) colors: [Option<wgpu::TextureView>; MOST_COLORS],
+    pub(super) colors: [Option<wgpu::TextureView>; MAX_COLOR_ATTACHMENTS],
     pub(super) depth: Option<wgpu::TextureView>,
 }
 
@@ -26,14 +26,14 @@ impl CameraAttachments {
         samples: u32,
         depth_format: wgpu::TextureFormat,
     ) -> Result<Self, TargetError> {
-        if camera.colors.len() > MOST_COLORS {
+        if camera.colors.len() > MAX_COLOR_ATTACHMENTS {
             let count = camera.colors.len();
-            return Err(format!("a camera has {count} colour attachments; {MOST_COLORS} are possible").into());
+            return Err(format!("a camera has {count} colour attachments; {MAX_COLOR_ATTACHMENTS} are possible").into());
         }
         let size_px = common_size(camera)?;
         let mut formats =
-            TargetFormats { colors: [None; MOST_COLORS], depth: depth_format, samples, keeps_alpha: true };
-        let mut colors = [const { None }; MOST_COLORS];
+            TargetFormats { colors: [None; MAX_COLOR_ATTACHMENTS], depth: depth_format, samples, keeps_alpha: true };
+        let mut colors = [const { None }; MAX_COLOR_ATTACHMENTS];
         for (location, attachment) in camera.colors.iter().enumerate() {
             formats.colors[location] = Some(color_format(camera, location, samples)?);
             colors[location] = Some(view(ctx, textures, attachment)?);

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use crate::cull::RenderStage;
 use crate::draw::bound_state::DynamicState;
-use crate::draw::pipelines::{MOST_COLORS, TargetFormats};
+use crate::draw::pipelines::{MAX_COLOR_ATTACHMENTS, TargetFormats};
 use crate::state::TextureObject;
 
 /// A multisampled colour buffer and the texture that it is resolved into.
@@ -28,11 +28,11 @@ pub(in crate::draw) struct DepthSamples<'a> {
 /// The attachments of a stage's render pass.
 #[derive(Clone)]
 pub(in crate::draw) struct PassTarget {
-    pub(super) colors: [Option<wgpu::TextureView>; MOST_COLORS],
+    pub(super) colors: [Option<wgpu::TextureView>; MAX_COLOR_ATTACHMENTS],
     /// The textures that multisampled colours are resolved into.
-    pub(super) resolves: [Option<wgpu::TextureView>; MOST_COLORS],
+    pub(super) resolves: [Option<wgpu::TextureView>; MAX_COLOR_ATTACHMENTS],
     /// For each of them, true if the multisampled buffer lacks the texture's contents.
-    pub(super) is_stale: [bool; MOST_COLORS],
+    pub(super) is_stale: [bool; MAX_COLOR_ATTACHMENTS],
     pub(super) depth: wgpu::TextureView,
     /// The texture that multisampled depth is resolved into.
     pub(super) depth_resolve: Option<wgpu::TextureView>,
@@ -84,7 +84,7 @@ impl PassTarget {
     }
 
     /// Returns true for textures that the stage itself draws into.
-    pub(in crate::draw) fn draws_into(&self, stage: &RenderStage, texture: &Arc<TextureObject>) -> bool {
+    pub(in crate::draw) fn has_attachment(&self, stage: &RenderStage, texture: &Arc<TextureObject>) -> bool {
         let attachments = stage.target.camera.iter().flat_map(|c| c.colors.iter().chain(&c.depth));
         attachments.into_iter().any(|a| Arc::ptr_eq(&a.texture, texture))
     }
@@ -135,9 +135,9 @@ impl PassTarget {
     pub(in crate::draw) fn color_attachments(
         &self,
         clear_color: Option<wgpu::Color>,
-    ) -> [Option<wgpu::RenderPassColorAttachment<'_>>; MOST_COLORS] {
+    ) -> [Option<wgpu::RenderPassColorAttachment<'_>>; MAX_COLOR_ATTACHMENTS] {
         let load = clear_color.map_or(wgpu::LoadOp::Load, wgpu::LoadOp::Clear);
-        let mut attachments = [const { None }; MOST_COLORS];
+        let mut attachments = [const { None }; MAX_COLOR_ATTACHMENTS];
         for ((attachment, view), resolve) in attachments.iter_mut().zip(&self.colors).zip(&self.resolves) {
             *attachment = view.as_ref().map(|view| wgpu::RenderPassColorAttachment {
                 view,

@@ -7,15 +7,15 @@ use super::error::TargetError;
 use super::owners::Owners;
 use super::pass_target::{PassTarget, depth_of};
 use crate::cull::{RenderStage, StageTarget};
-use crate::draw::pipelines::{MOST_COLORS, Pipelines, TargetFormats};
-use crate::gpu::{GraphicsContext, StateTextures, Transients};
+use crate::draw::pipelines::{MAX_COLOR_ATTACHMENTS, Pipelines, TargetFormats};
+use crate::gpu::{GraphicsContext, StateTextures, TransientAttachments};
 use crate::scene::CameraTarget;
 
 const TOO_MANY_TARGETS: &str = "more kinds of targets than the 64 that pipelines tell apart";
 
 /// The targets of a renderer.
 pub(in crate::draw) struct Targets {
-    transients: Transients,
+    transients: TransientAttachments,
     owners: Owners,
     supports_stencil: bool,
     /// True if some state of this frame uses the stencil.
@@ -29,7 +29,7 @@ pub(in crate::draw) struct Targets {
 impl Targets {
     pub(in crate::draw) fn new(device: &wgpu::Device) -> Self {
         Self {
-            transients: Transients::default(),
+            transients: TransientAttachments::default(),
             owners: Owners::default(),
             supports_stencil: device.features().contains(wgpu::Features::DEPTH32FLOAT_STENCIL8),
             has_stencil: false,
@@ -44,7 +44,7 @@ impl Targets {
         ctx: &GraphicsContext,
         mut stages: impl Iterator<Item = &'a RenderStage> + Clone,
     ) -> Option<&'static str> {
-        self.transients.start_frame(ctx.face_count());
+        self.transients.start_frame(ctx.target_count());
         self.owners.start_frame();
         self.is_begun = false;
         // A camera's depth texture has its own stencil, or none.
@@ -94,10 +94,10 @@ impl Targets {
         let view = ctx.color_view().ok_or_else(|| "the window has no image to draw into".to_owned())?.clone();
         let (size_px, samples, depth) = (ctx.size_px(), ctx.samples(), self.depth_format());
         let format = ctx.color_format();
-        let mut formats = TargetFormats { colors: [None; MOST_COLORS], depth, samples, keeps_alpha: false };
+        let mut formats = TargetFormats { colors: [None; MAX_COLOR_ATTACHMENTS], depth, samples, keeps_alpha: false };
         formats.colors[0] = Some(format);
-        let mut colors = [const { None }; MOST_COLORS];
-        let mut resolves = [const { None }; MOST_COLORS];
+        let mut colors = [const { None }; MAX_COLOR_ATTACHMENTS];
+        let mut resolves = [const { None }; MAX_COLOR_ATTACHMENTS];
         if samples > 1 {
             colors[0] = Some(self.transients.view(ctx.memory(), size_px, format, samples, 0)?);
             resolves[0] = Some(view);
@@ -107,7 +107,7 @@ impl Targets {
         Ok(PassTarget {
             colors,
             resolves,
-            is_stale: [false; MOST_COLORS],
+            is_stale: [false; MAX_COLOR_ATTACHMENTS],
             depth: self.transients.view(ctx.memory(), size_px, depth, samples, 0)?,
             depth_resolve: None,
             depth_is_stale: false,
@@ -134,9 +134,9 @@ impl Targets {
         let camera_owner = self.owners.of_camera(camera);
         let attachments = CameraAttachments::new(ctx, textures, camera, samples, self.depth_format())?;
         let CameraAttachments { size_px, formats, .. } = attachments;
-        let mut colors = [const { None }; MOST_COLORS];
-        let mut resolves = [const { None }; MOST_COLORS];
-        let mut owners = [None; MOST_COLORS];
+        let mut colors = [const { None }; MAX_COLOR_ATTACHMENTS];
+        let mut resolves = [const { None }; MAX_COLOR_ATTACHMENTS];
+        let mut owners = [None; MAX_COLOR_ATTACHMENTS];
         for (location, attachment) in camera.colors.iter().enumerate() {
             let (Some(format), Some(view)) = (formats.colors[location], attachments.colors[location].clone()) else {
                 continue;
@@ -166,7 +166,7 @@ impl Targets {
             _ => self.transients.view(ctx.memory(), size_px, formats.depth, samples, camera_owner)?,
         };
         let index = pipelines.target(&formats).ok_or_else(|| TOO_MANY_TARGETS.to_owned())?;
-        let mut is_stale = [false; MOST_COLORS];
+        let mut is_stale = [false; MAX_COLOR_ATTACHMENTS];
         for (is_stale, owner) in is_stale.iter_mut().zip(owners) {
             *is_stale = owner.is_some_and(|owner| self.owners.draw_into(owner, samples));
         }

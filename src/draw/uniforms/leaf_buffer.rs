@@ -62,7 +62,7 @@ impl LeafBuffer {
     fn grow(&mut self, ctx: &GraphicsContext, wanted: usize) -> Result<bool, String> {
         let leaves = wanted.next_power_of_two().max(MIN_LEAVES).min(self.max_leaves);
         let size = leaves as u64 * LEAF_BYTES;
-        let buffer = ctx.memory().make("leaves", size, |device| {
+        let buffer = ctx.memory().allocate("leaves", size, |device| {
             device.create_buffer(&wgpu::BufferDescriptor {
                 label: Some("leaves"),
                 size,

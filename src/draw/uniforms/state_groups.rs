@@ -6,7 +6,7 @@ use std::sync::Arc;
 use super::fixed::{FixedUniform, taken_by};
 use crate::draw::pipelines::Pipelines;
 use crate::draw::pipelines::key::Shading;
-use crate::gpu::{GraphicsContext, StateTextures, White, view_dimension};
+use crate::gpu::{FallbackTextures, GraphicsContext, StateTextures, view_dimension};
 use crate::scene::Texture;
 use crate::state::{ResolvedState, Sampler, TEXTURE_UNITS, TextureBinding, TextureDimension, TextureObject};
 
@@ -49,8 +49,8 @@ struct Group {
 /// The uniforms and the bind groups 2 of a renderer.
 pub(in crate::draw) struct StateGroups {
     pub(in crate::draw) textures: StateTextures,
-    white: White,
-    white_sampler: u32,
+    fallback_textures: FallbackTextures,
+    fallback_sampler: u32,
     /// Created for the first frame.
     buffer: Option<wgpu::Buffer>,
     bytes: Vec<u8>,
@@ -79,11 +79,11 @@ impl StateGroups {
     pub(in crate::draw) fn new(ctx: &GraphicsContext) -> Self {
         let device = ctx.device();
         let mut textures = StateTextures::new(device);
-        let white_sampler = textures.ensure_sampler(device, &Sampler::default());
+        let fallback_sampler = textures.ensure_sampler(device, &Sampler::default());
         Self {
             textures,
-            white: White::new(device, ctx.queue()),
-            white_sampler,
+            fallback_textures: FallbackTextures::new(device, ctx.queue()),
+            fallback_sampler,
             buffer: None,
             bytes: Vec::new(),
             align: device.limits().min_uniform_buffer_offset_alignment.max(16) as usize,
@@ -220,7 +220,7 @@ impl StateGroups {
         let grows = self.buffer.as_ref().is_none_or(|buffer| buffer.size() < needed as u64);
         if grows {
             let size = (needed as u64).next_power_of_two().max(MIN_BYTES);
-            self.buffer = Some(ctx.memory().make("uniforms", size, |device| buffer(device, size))?);
+            self.buffer = Some(ctx.memory().allocate("uniforms", size, |device| buffer(device, size))?);
             self.groups.iter_mut().for_each(|group| group.bind_group = None);
         }
         if let Some(buffer) = &self.buffer {
@@ -250,7 +250,7 @@ impl StateGroups {
             let (key, binding) = (key.units[unit]?, state.texture(unit)?);
             Some((self.textures.view(&binding.texture)?, self.textures.sampler(key.sampler)?, binding))
         };
-        let white_sampler = self.textures.sampler(self.white_sampler)?;
+        let fallback_sampler = self.textures.sampler(self.fallback_sampler)?;
         let mut entries = Vec::new();
         let fixed_bytes = size_of::<FixedUniform>();
         let (layout, uniform_bytes) = match key.layout {
@@ -260,17 +260,18 @@ impl StateGroups {
                     let is_plane =
                         |b: &TextureBinding| matches!(b.texture.dimension, TextureDimension::D1 | TextureDimension::D2);
                     let found = view(unit).filter(|(.., b)| is_plane(b));
-                    let (view, sampler) = found.map_or((&self.white.plane, white_sampler), |(v, s, _)| (v, s));
+                    let (view, sampler) =
+                        found.map_or((&self.fallback_textures.plane, fallback_sampler), |(v, s, _)| (v, s));
                     push(&mut entries, unit, view, Some(sampler));
                 }
                 let others = [
-                    (TextureDimension::Cube, &self.white.cube),
-                    (TextureDimension::D3, &self.white.volume),
-                    (TextureDimension::D2Array, &self.white.layers),
+                    (TextureDimension::Cube, &self.fallback_textures.cube),
+                    (TextureDimension::D3, &self.fallback_textures.volume),
+                    (TextureDimension::D2Array, &self.fallback_textures.layers),
                 ];
-                for (binding, (dimension, white)) in (TEXTURE_UNITS..).zip(others) {
+                for (binding, (dimension, fallback)) in (TEXTURE_UNITS..).zip(others) {
                     let found = (0..TEXTURE_UNITS).filter_map(view).find(|(.., b)| b.texture.dimension == dimension);
-                    let (view, sampler) = found.map_or((white, white_sampler), |(v, s, _)| (v, s));
+                    let (view, sampler) = found.map_or((fallback, fallback_sampler), |(v, s, _)| (v, s));
                     push(&mut entries, binding, view, Some(sampler));
                 }
                 (pipelines.textured_layout(), fixed_bytes)
@@ -279,9 +280,9 @@ impl StateGroups {
                 let program = pipelines.programs.get(index)?;
                 for (unit, layout) in program.units.iter().enumerate() {
                     let Some(layout) = layout else { continue };
-                    let white = self.white.of(layout.dimension, layout.is_depth);
-                    let own_sampler = self.textures.known_sampler(&layout.own_sampler())?;
-                    let (view, sampler) = view(unit).map_or((white, own_sampler), |(v, s, _)| (v, s));
+                    let fallback = self.fallback_textures.of(layout.dimension, layout.is_depth);
+                    let own_sampler = self.textures.existing_sampler(&layout.own_sampler())?;
+                    let (view, sampler) = view(unit).map_or((fallback, own_sampler), |(v, s, _)| (v, s));
                     push(&mut entries, unit, view, layout.has_sampler().then_some(sampler));
                 }
                 (&program.layout, program.uniform_bytes)

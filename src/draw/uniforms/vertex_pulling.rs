@@ -37,7 +37,7 @@ impl VertexPulling {
         layout: &wgpu::BindGroupLayout,
         chunks: (u32, u32),
     ) {
-        let meshes = &ctx.pools().meshes;
+        let meshes = &ctx.pools().meshes();
         let (Some(vertices), Some((indices, _))) = (meshes.vertex_buffer(chunks.0), meshes.index_buffer(chunks.1))
         else {
             return;

@@ -138,14 +138,14 @@ impl DrawSide {
     /// Adds a context for the target that was added to the device last.
     pub(super) fn push_context(&mut self, id: u32) {
         self.contexts.push(DrawnContext::new(id));
-        debug_assert_eq!(self.contexts.len(), self.context.face_count());
+        debug_assert_eq!(self.contexts.len(), self.context.target_count());
     }
 
     /// Closes a context; the device keeps at least one.
     pub(super) fn remove_context(&mut self, id: u32) {
         if let Some(index) = self.index_of(id) {
             self.contexts.remove(index);
-            self.context.remove_face(index);
+            self.context.remove_target(index);
         }
     }
 
@@ -250,7 +250,7 @@ impl DrawSide {
     /// Selects the target of a context, and returns its index.
     fn select(&mut self, context: u32) -> Option<usize> {
         let index = self.index_of(context)?;
-        self.context.select_face(index);
+        self.context.select_target(index);
         Some(index)
     }
 

@@ -13,7 +13,7 @@
 //! end of dynamic draws      DrawThreadPerContext and CullThreadPerCamera...
 //! ```
 //! By its end all culls have dropped the scene, so that between two frames the main thread has the only reference.
-//! `tests/stage_models.rs` runs these files under thousands of thread schedules.
+//! `tests/models/stage_models.rs` runs these files under thousands of thread schedules.
 
 mod cull_side;
 mod device;

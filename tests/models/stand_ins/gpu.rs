@@ -25,12 +25,12 @@ pub struct GraphicsContext {
     pub seen: Arc<Seen>,
     /// Drawn last.
     pub frame: u32,
-    pub faces: usize,
+    pub targets: usize,
 }
 
 impl GraphicsContext {
     pub fn new(seen: &Arc<Seen>) -> Self {
-        Self { seen: seen.clone(), frame: 0, faces: 1 }
+        Self { seen: seen.clone(), frame: 0, targets: 1 }
     }
 
     /// Contexts show a frame together: each has drawn it.
@@ -39,16 +39,16 @@ impl GraphicsContext {
         assert!(!is_torn || self.seen.is_ending.load(Ordering::SeqCst), "shown before others have drawn");
     }
 
-    pub fn face_count(&self) -> usize {
-        self.faces
+    pub fn target_count(&self) -> usize {
+        self.targets
     }
 
-    pub fn select_face(&mut self, place: usize) {
-        assert!(place < self.faces);
+    pub fn select_target(&mut self, index: usize) {
+        assert!(index < self.targets);
     }
 
-    pub fn remove_face(&mut self, _place: usize) {
-        self.faces -= 1;
+    pub fn remove_target(&mut self, _index: usize) {
+        self.targets -= 1;
     }
 
     pub fn size_px(&self) -> [u32; 2] {

@@ -9,7 +9,7 @@ pub(in crate::draw) mod tables;
 use crate::cull::CullCamera;
 use crate::draw::resources::Resources;
 use crate::draw::uniforms::air::AirParameters;
-use crate::gpu::{FrameTimer, GraphicsContext, watched};
+use crate::gpu::{FrameTimer, GraphicsContext, catch_errors};
 use crate::scene::{Environment, Sky};
 use tables::{AirPipelines, ReadTables, Tables, table};
 
@@ -135,7 +135,7 @@ impl AirPass {
     /// Creates the compute pipelines at the first call; returns true if the device has them.
     fn ensure_pipelines(&mut self, ctx: &GraphicsContext, report: &mut impl FnMut(String)) -> bool {
         if matches!(self.pipelines, Lazy::NotCreated) {
-            let (created, error) = watched(ctx.device(), || AirPipelines::new(ctx.device(), ctx.pipeline_cache()));
+            let (created, error) = catch_errors(ctx.device(), || AirPipelines::new(ctx.device(), ctx.pipeline_cache()));
             self.pipelines = match error {
                 None => Lazy::Ready(created),
                 Some(error) => {
@@ -162,7 +162,7 @@ impl AirPass {
         let index = match same.or_else(free) {
             Some(index) => index,
             None if self.sets.len() < MAX_SETS => {
-                match ctx.memory().make("air", Tables::bytes(), Tables::new) {
+                match ctx.memory().allocate("air", Tables::bytes(), Tables::new) {
                     Ok(tables) => self.sets.push(TableSet { tables, wanted: None, used: 0 }),
                     Err(error) => {
                         report(error);

@@ -10,7 +10,7 @@ use crate::draw::bound_state::{BoundState, DynamicState};
 use crate::draw::passes::shading::{choose_shading, shade};
 use crate::draw::passes::stage_input::{LitView, StageInput};
 use crate::draw::pipelines::key::{Shading, StateKey};
-use crate::draw::pipelines::{MOST_COLORS, Pipelines, TargetFormats};
+use crate::draw::pipelines::{MAX_COLOR_ATTACHMENTS, Pipelines, TargetFormats};
 use crate::draw::recorder::{DrawSources, PassRecorder};
 use crate::draw::resources::Resources;
 use crate::draw::uniforms::air::AirParameters;
@@ -227,7 +227,12 @@ fn caster_uniform(
 
 /// Returns the pipelines' index of the shadow maps as a target; `None` if there are too many targets.
 fn map_target(pipelines: &mut Pipelines) -> Option<u8> {
-    pipelines.target(&TargetFormats { colors: [None; MOST_COLORS], depth: FORMAT, samples: 1, keeps_alpha: false })
+    pipelines.target(&TargetFormats {
+        colors: [None; MAX_COLOR_ATTACHMENTS],
+        depth: FORMAT,
+        samples: 1,
+        keeps_alpha: false,
+    })
 }
 
 /// Returns the pipeline part of what casts shadows under a state, for prewarming; `None` if it casts none.

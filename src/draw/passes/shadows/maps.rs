@@ -126,7 +126,7 @@ impl ShadowMaps {
             return Ok(false);
         }
         let size = std::mem::replace(&mut self.sizing.current, before);
-        let make = || memory.make("shadow maps", size.bytes(), |device| maps(device, size));
+        let make = || memory.allocate("shadow maps", size.bytes(), |device| maps(device, size));
         self.maps = (size.size_px > 0).then(make).transpose()?;
         self.sizing.current = size;
         Ok(true)

@@ -6,7 +6,7 @@ use std::sync::{Arc, Weak};
 use super::compile::{Compiled, compile};
 use super::heights::heights_source;
 use crate::draw::pipelines::key::MAX_PROGRAMS;
-use crate::gpu::watched;
+use crate::gpu::catch_errors;
 use crate::state::Program;
 
 struct Entry {
@@ -42,7 +42,7 @@ impl Programs {
             let name = &program.name;
             return Err(format!("program {name:?} is one more than the {MAX_PROGRAMS} programs that may be in use"));
         }
-        let (compiled, error) = watched(device, || compile(device, program));
+        let (compiled, error) = catch_errors(device, || compile(device, program));
         let compiled = compiled.and_then(|compiled| error.map_or(Ok(compiled), |error| Err(error.to_string())));
         let (compiled, result) = match compiled {
             Ok(compiled) => (Some(compiled), Ok(Some(index as u16))),
@@ -81,7 +81,7 @@ impl Programs {
             .map_err(|reason| format!("program {:?} on height tiles: {reason}", program.name))?;
         let source = wgpu::ShaderSource::Wgsl(source.into());
         let descriptor = wgpu::ShaderModuleDescriptor { label: Some(&program.name), source };
-        let (module, error) = watched(device, || device.create_shader_module(descriptor));
+        let (module, error) = catch_errors(device, || device.create_shader_module(descriptor));
         compiled.heights = error.is_none().then_some(module);
         error.map_or(Ok(()), |error| Err(format!("program {:?} on height tiles: {error}", program.name)))
     }

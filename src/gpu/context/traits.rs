@@ -1,0 +1,45 @@
+//! [`ContextTraits`]: the wanted properties of a context; OpenSceneGraph's `Traits`. Plain values.
+
+/// The adapter to draw with.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum AdapterChoice {
+    /// The fastest one; a software adapter if there is no other.
+    #[default]
+    Any,
+    /// A CPU adapter (lavapipe, WARP), whose images do not depend on the machine.
+    Software,
+    /// wgpu's backend that executes nothing: measures the cost of recording alone, and serves tests without a GPU.
+    Noop,
+}
+
+/// The wanted properties of a context; OpenSceneGraph's `Traits`.
+#[derive(Clone, Copy, Debug)]
+pub struct ContextTraits {
+    /// Width and height of the target in pixels.
+    pub size_px: [u32; 2],
+    /// The adapter to draw with.
+    pub adapter: AdapterChoice,
+    /// Samples per pixel of the target, 1 or 4.
+    pub samples: u32,
+    /// Window images wait for the vertical blank. Without it they do not, if the platform can, and may tear.
+    pub vsync: bool,
+    /// Starts a compile thread for the device, which copies uploads and records their commands, while the draw thread only
+    /// allocates slots and submits: OpenSceneGraph's compile contexts. It is faster if cores are idle and much is uploaded
+    /// at once; otherwise uploads take the same time within [`CompileBudget`](crate::gpu::CompileBudget).
+    pub compile_thread: bool,
+    /// Enables the driver's validation layers, which check every call. Ten times slower; never measure time with it.
+    pub validation: bool,
+}
+
+impl Default for ContextTraits {
+    fn default() -> Self {
+        Self {
+            size_px: [1280, 720],
+            adapter: AdapterChoice::Any,
+            samples: 1,
+            vsync: true,
+            compile_thread: false,
+            validation: false,
+        }
+    }
+}

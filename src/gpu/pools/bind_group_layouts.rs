@@ -1,0 +1,152 @@
+//! [`BindGroupLayouts`]: the layouts of bind group 0 (frame) and bind group 1 (blocks of the pools) of all pipelines, and
+//! the samplers of the blocks. Created with the device; read on the draw thread.
+
+use super::textures::address_mode;
+use crate::state::WrapMode;
+
+/// The layouts of a device, shared by all blocks and pipelines.
+pub(crate) struct BindGroupLayouts {
+    /// Group 0: uniforms of the frame, leaves, tables of the air, shadow maps.
+    pub(crate) frame: wgpu::BindGroupLayout,
+    /// Group 1 of height tiles: heights, tables, colour, sampler.
+    pub(crate) height_block: wgpu::BindGroupLayout,
+    /// Group 1 of meshes: colour, sampler.
+    pub(crate) texture_block: wgpu::BindGroupLayout,
+    /// The samplers of mesh textures by wrap mode along u and along v.
+    samplers: [[wgpu::Sampler; WRAP_MODES.len()]; WRAP_MODES.len()],
+}
+
+/// In the order of their discriminants, by which samplers are indexed.
+const WRAP_MODES: [WrapMode; 3] = [WrapMode::ClampToEdge, WrapMode::Repeat, WrapMode::Mirror];
+
+fn array_texture(binding: u32, visibility: wgpu::ShaderStages, filterable: bool) -> wgpu::BindGroupLayoutEntry {
+    wgpu::BindGroupLayoutEntry {
+        binding,
+        visibility,
+        ty: wgpu::BindingType::Texture {
+            sample_type: wgpu::TextureSampleType::Float { filterable },
+            view_dimension: wgpu::TextureViewDimension::D2Array,
+            multisampled: false,
+        },
+        count: None,
+    }
+}
+
+fn sampler(binding: u32) -> wgpu::BindGroupLayoutEntry {
+    wgpu::BindGroupLayoutEntry {
+        binding,
+        visibility: wgpu::ShaderStages::FRAGMENT,
+        ty: wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering),
+        count: None,
+    }
+}
+
+/// Creates the layout of group 0, which everything drawn has: uniforms of the frame and of the leaves, the tables of the
+/// air and the shadow maps.
+fn frame_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
+    let uniform = wgpu::BufferBindingType::Uniform;
+    let buffer = |binding, visibility, ty, has_dynamic_offset| wgpu::BindGroupLayoutEntry {
+        binding,
+        visibility,
+        ty: wgpu::BindingType::Buffer { ty, has_dynamic_offset, min_binding_size: None },
+        count: None,
+    };
+    let both = wgpu::ShaderStages::VERTEX_FRAGMENT;
+    let air_texture = |binding, view_dimension| wgpu::BindGroupLayoutEntry {
+        binding,
+        visibility: both,
+        ty: wgpu::BindingType::Texture {
+            sample_type: wgpu::TextureSampleType::Float { filterable: true },
+            view_dimension,
+            multisampled: false,
+        },
+        count: None,
+    };
+    let air_sampler = wgpu::BindGroupLayoutEntry {
+        binding: 3,
+        visibility: both,
+        ty: wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering),
+        count: None,
+    };
+    let shadow_maps = wgpu::BindGroupLayoutEntry {
+        binding: 8,
+        visibility: both,
+        ty: wgpu::BindingType::Texture {
+            sample_type: wgpu::TextureSampleType::Depth,
+            view_dimension: wgpu::TextureViewDimension::D2Array,
+            multisampled: false,
+        },
+        count: None,
+    };
+    let shadow_sampler = wgpu::BindGroupLayoutEntry {
+        binding: 9,
+        visibility: both,
+        ty: wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Comparison),
+        count: None,
+    };
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some("frame"),
+        entries: &[
+            buffer(0, both, uniform, true),
+            buffer(1, both, wgpu::BufferBindingType::Storage { read_only: true }, false),
+            buffer(2, both, uniform, true),
+            air_sampler,
+            air_texture(4, wgpu::TextureViewDimension::D2),
+            air_texture(5, wgpu::TextureViewDimension::D2),
+            air_texture(6, wgpu::TextureViewDimension::D3),
+            air_texture(7, wgpu::TextureViewDimension::D3),
+            shadow_maps,
+            shadow_sampler,
+        ],
+    })
+}
+
+impl BindGroupLayouts {
+    pub(in crate::gpu) fn new(device: &wgpu::Device) -> Self {
+        let tables = wgpu::BindGroupLayoutEntry {
+            binding: 1,
+            visibility: wgpu::ShaderStages::VERTEX,
+            ty: wgpu::BindingType::Buffer {
+                ty: wgpu::BufferBindingType::Storage { read_only: true },
+                has_dynamic_offset: false,
+                min_binding_size: None,
+            },
+            count: None,
+        };
+        let height_block = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+            label: Some("height block"),
+            entries: &[
+                array_texture(0, wgpu::ShaderStages::VERTEX, false),
+                tables,
+                array_texture(2, wgpu::ShaderStages::FRAGMENT, true),
+                sampler(3),
+            ],
+        });
+        let texture_block = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+            label: Some("texture block"),
+            entries: &[array_texture(0, wgpu::ShaderStages::FRAGMENT, true), sampler(1)],
+        });
+        let block_sampler = |u, v| {
+            device.create_sampler(&wgpu::SamplerDescriptor {
+                label: Some("texture block"),
+                address_mode_u: address_mode(u),
+                address_mode_v: address_mode(v),
+                mag_filter: wgpu::FilterMode::Linear,
+                min_filter: wgpu::FilterMode::Linear,
+                mipmap_filter: wgpu::MipmapFilterMode::Linear,
+                ..Default::default()
+            })
+        };
+        Self {
+            frame: frame_layout(device),
+            height_block,
+            texture_block,
+            samplers: WRAP_MODES.map(|u| WRAP_MODES.map(|v| block_sampler(u, v))),
+        }
+    }
+
+    /// Returns the sampler of mesh textures with these wrap modes along u and v.
+    pub(super) fn sampler(&self, [u, v]: [WrapMode; 2]) -> &wgpu::Sampler {
+        &self.samplers[u as usize][v as usize]
+    }
+}

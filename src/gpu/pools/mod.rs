@@ -1,0 +1,185 @@
+//! The pools that geometry and textures are uploaded to, and the table of uploaded drawables. Draw thread.
+//!
+//! Height tiles and mesh textures have slots in blocks of array textures; meshes have slots in buffers of one size class
+//! each. Equal content shares a slot by reference count. A released slot is free at once: uploads run on the same queue,
+//! after the draws that used it.
+
+mod allocation;
+mod bind_group_layouts;
+mod custom_drawables;
+mod drawable_entry;
+mod drawable_table;
+mod heights;
+mod identity;
+mod meshes;
+mod retire_queue;
+mod slot_allocator;
+mod slot_table;
+mod textures;
+
+use std::sync::Arc;
+
+use super::memory::Memory;
+use crate::scene::{AttributeLayout, ContentKey, DrawSlot, HeightTile, Mesh, SharedParts, Texture};
+use drawable_table::DrawableTable;
+use heights::HeightPool;
+use textures::TexturePool;
+
+pub(super) use allocation::{Allocation, BufferDestination, LayerDestination};
+pub(super) use bind_group_layouts::BindGroupLayouts;
+pub use custom_drawables::{CompileInfo, CustomError, TargetFormats};
+pub(crate) use custom_drawables::{CustomCompile, CustomDrawables, CustomShape, MAX_COLOR_ATTACHMENTS};
+pub(crate) use drawable_entry::{BindClass, DrawableEntry, Extent, Shape};
+#[cfg(test)]
+pub(crate) use heights::{HEADER_VECTORS, MORPH_LEVELS};
+pub(super) use heights::{HeightSlot, table_bytes, table_words};
+pub(crate) use meshes::{MAX_ATTRIBUTE_LAYOUTS, MeshPool, VertexFormat};
+pub(super) use meshes::{MeshAllocation, MeshSlot, interleaved_bytes, short_index_bytes};
+pub(super) use retire_queue::RetireQueue;
+pub(crate) use textures::{FallbackTextures, StateTextures, compare_function, texture_format, view_dimension};
+pub(super) use textures::{TextureLayer, TextureRows, write_rows};
+
+/// All pools of a device, and the drawables whose data lies in them.
+pub(crate) struct Pools {
+    heights: HeightPool,
+    meshes: MeshPool,
+    textures: TexturePool,
+    customs: CustomDrawables,
+    drawables: DrawableTable,
+    layouts: BindGroupLayouts,
+    /// Allocates blocks and chunks. Separate from the memory for frames, so that tests can limit each alone.
+    memory: Memory,
+}
+
+impl Pools {
+    pub(super) fn new(device: &wgpu::Device) -> Self {
+        Self {
+            heights: HeightPool::default(),
+            meshes: MeshPool::default(),
+            textures: TexturePool::default(),
+            customs: CustomDrawables::default(),
+            drawables: DrawableTable::default(),
+            layouts: BindGroupLayouts::new(device),
+            memory: Memory::new(device),
+        }
+    }
+
+    pub(crate) fn heights(&self) -> &HeightPool {
+        &self.heights
+    }
+
+    pub(crate) fn meshes(&self) -> &MeshPool {
+        &self.meshes
+    }
+
+    pub(crate) fn textures(&self) -> &TexturePool {
+        &self.textures
+    }
+
+    pub(crate) fn customs(&self) -> &CustomDrawables {
+        &self.customs
+    }
+
+    pub(super) fn customs_mut(&mut self) -> &mut CustomDrawables {
+        &mut self.customs
+    }
+
+    pub(super) fn layouts(&self) -> &BindGroupLayouts {
+        &self.layouts
+    }
+
+    /// Returns an uploaded drawable.
+    pub(super) fn drawable(&self, slot: DrawSlot) -> Option<&DrawableEntry> {
+        self.drawables.entry(slot)
+    }
+
+    /// Returns the bind classes by [`DrawableEntry::class`].
+    pub(super) fn bind_classes(&self) -> &[BindClass] {
+        self.drawables.classes()
+    }
+
+    /// Allocates a slot for a height tile; `content` is the key under which equal tiles share it.
+    pub(super) fn allocate_height_tile(
+        &mut self,
+        tile: &HeightTile,
+        content: Option<&ContentKey>,
+    ) -> Result<Allocation<HeightSlot>, String> {
+        self.heights.allocate(&self.memory, &self.layouts, tile, content)
+    }
+
+    /// Allocates slots for the vertices and the indices of a mesh.
+    pub(super) fn allocate_mesh(
+        &mut self,
+        mesh: &Arc<Mesh>,
+        shared: &SharedParts,
+        format: VertexFormat,
+    ) -> Result<MeshAllocation, String> {
+        self.meshes.allocate(&self.memory, mesh, shared, format)
+    }
+
+    /// Releases a mesh that has no drawable.
+    pub(super) fn release_mesh(&mut self, slot: &MeshSlot) {
+        self.meshes.release(slot);
+    }
+
+    /// Allocates a layer for a mesh's texture; `content` is the key under which equal images share it.
+    pub(super) fn allocate_texture(
+        &mut self,
+        image: &Arc<Texture>,
+        content: Option<&ContentKey>,
+    ) -> Result<Allocation<TextureLayer>, String> {
+        self.textures.allocate(&self.memory, &self.layouts, image, content)
+    }
+
+    /// Returns the white texel of meshes without a texture.
+    pub(super) fn white_texture(&mut self, queue: &wgpu::Queue) -> Result<TextureLayer, String> {
+        self.textures.white(&self.memory, queue, &self.layouts)
+    }
+
+    /// Returns the index of an attribute layout, see [`MeshPool::attribute_layout_index`].
+    pub(super) fn attribute_layout_index(&mut self, layout: &Arc<AttributeLayout>) -> Option<u32> {
+        self.meshes.attribute_layout_index(layout)
+    }
+
+    /// Adds a drawable whose slots are allocated.
+    pub(super) fn insert(&mut self, entry: DrawableEntry) -> DrawSlot {
+        self.drawables.insert(entry)
+    }
+
+    /// Replaces the drawable of a slot. The pools' slots of the old one are not released.
+    pub(super) fn replace(&mut self, slot: DrawSlot, entry: DrawableEntry) {
+        self.drawables.replace(slot, entry);
+    }
+
+    /// Removes a drawable and releases its slots.
+    pub(super) fn release(&mut self, slot: DrawSlot) {
+        let Some(entry) = self.drawables.remove(slot) else { return };
+        match &entry.shape {
+            Shape::Height(slot) => self.heights.release(*slot),
+            Shape::Mesh { slot, texture, .. } => {
+                self.meshes.release(slot);
+                self.textures.release(*texture);
+            }
+            Shape::Custom(index) => self.customs.release(*index),
+        }
+    }
+
+    /// Returns the size of all slots in use.
+    pub(super) fn bytes_in_use(&self) -> u64 {
+        self.heights.bytes_in_use() + self.meshes.bytes_in_use() + self.textures.bytes_in_use() + self.customs.bytes()
+    }
+
+    /// Returns the size of all blocks and chunks, free slots included.
+    pub(super) fn bytes_allocated(&self) -> u64 {
+        self.heights.bytes_allocated()
+            + self.meshes.bytes_allocated()
+            + self.textures.bytes_allocated()
+            + self.customs.bytes()
+    }
+
+    /// Limits the further growth of the pools to a number of bytes; `None` removes the limit.
+    #[cfg(feature = "testing")]
+    pub(super) fn pretend_memory(&self, left_bytes: Option<u64>) {
+        self.memory.pretend(left_bytes);
+    }
+}

@@ -1,0 +1,96 @@
+//! [`CompileBudget`] and [`CompilePace`]: the part of a frame that uploads may take. Plain values.
+
+use std::time::Duration;
+
+/// The maximum time and bytes of uploads in a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct CompileBudget {
+    /// The time limit, checked after each slice of at most 256 KiB.
+    pub time: Duration,
+    /// The limit in bytes. A call may always upload 16 KiB, or one row of an image.
+    pub bytes: u64,
+}
+
+impl Default for CompileBudget {
+    /// 2 ms and 4 MiB: about ten height tiles with colour per frame.
+    fn default() -> Self {
+        Self { time: Duration::from_millis(2), bytes: 4 << 20 }
+    }
+}
+
+impl CompileBudget {
+    /// No limit: a call uploads everything that waits.
+    pub const UNLIMITED: Self = Self { time: Duration::MAX, bytes: u64::MAX };
+
+    /// Returns the budget for a frame that takes `busy` without its uploads. The time is the share of the remaining frame
+    /// that `pace` allows, at least [`CompilePace::minimum_time_available`] and at most this budget's; the bytes are reduced
+    /// in proportion.
+    pub fn beside(&self, busy: Duration, pace: &CompilePace) -> Self {
+        let left_s = (1.0 / pace.target_frame_rate - busy.as_secs_f64()) * pace.conservative_ratio;
+        // A rate of 0 leaves infinite time, which no duration holds. NaN leaves none.
+        let left = Duration::try_from_secs_f64(left_s.max(0.0)).unwrap_or(Duration::MAX);
+        let time = left.max(pace.minimum_time_available).min(self.time);
+        if time == self.time {
+            return *self;
+        }
+        let share = time.as_secs_f64() / self.time.as_secs_f64();
+        Self { time, bytes: (self.bytes as f64 * share) as u64 }
+    }
+}
+
+/// The share of frames that uploads may take. The fields are those of OpenSceneGraph's `IncrementalCompileOperation`, whose
+/// default frame rate is 100.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CompilePace {
+    /// The frame rate in Hz that uploads must not endanger; 0 lets them use the whole budget.
+    pub target_frame_rate: f64,
+    /// The time that uploads get in each frame however long the frame takes otherwise, within the budget.
+    pub minimum_time_available: Duration,
+    /// The share of a frame's free time that uploads may take, 0 to 1. Less than 1, since frames differ in length.
+    pub conservative_ratio: f64,
+}
+
+impl Default for CompilePace {
+    /// 60 frames a second, 1 ms, one half.
+    fn default() -> Self {
+        Self { target_frame_rate: 60.0, minimum_time_available: Duration::from_millis(1), conservative_ratio: 0.5 }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: Duration = Duration::from_millis(1);
+
+    #[test]
+    fn uploads_get_a_share_of_the_free_time() {
+        let budget = CompileBudget { time: 4 * MS, bytes: 4000 };
+        let pace = CompilePace { target_frame_rate: 50.0, minimum_time_available: MS, conservative_ratio: 0.5 };
+        let of = |busy_ms: u32| budget.beside(busy_ms * MS, &pace);
+        assert_eq!([0, 5, 12].map(of), [budget; 3], "half of the time that is free of 20 ms, at most the budget");
+        let near = |a: Duration, b: Duration| a.abs_diff(b) < Duration::from_nanos(100);
+        assert!(near(of(14).time, 3 * MS) && (2999..=3000).contains(&of(14).bytes), "{:?}", of(14));
+        assert!(near(of(16).time, 2 * MS) && (1999..=2000).contains(&of(16).bytes), "{:?}", of(16));
+        assert_eq!([18, 20, 1000].map(of), [CompileBudget { time: MS, bytes: 1000 }; 3], "the minimum");
+    }
+
+    #[test]
+    fn invalid_numbers_give_a_valid_budget() {
+        let budget = CompileBudget::default();
+        let of = |target_frame_rate: f64, conservative_ratio: f64, minimum_ms: u32| {
+            let minimum_time_available = minimum_ms * MS;
+            let pace = CompilePace { target_frame_rate, minimum_time_available, conservative_ratio };
+            budget.beside(5 * MS, &pace).time
+        };
+        assert_eq!(of(0.0, 0.5, 1), budget.time, "no frame rate to keep");
+        for (rate, ratio) in [(-1.0, 0.5), (f64::NAN, 0.5), (60.0, f64::NAN), (60.0, -1.0), (f64::INFINITY, 0.5)] {
+            assert_eq!(of(rate, ratio, 1), MS, "{rate} {ratio}");
+        }
+        assert_eq!(of(60.0, 1e300, 1), budget.time);
+        assert_eq!((of(1000.0, 0.5, 0), of(1000.0, 0.5, 100)), (Duration::ZERO, budget.time));
+        let none = CompileBudget { time: Duration::ZERO, bytes: 0 };
+        assert_eq!(none.beside(MS, &CompilePace::default()), none);
+        assert_eq!(CompileBudget::UNLIMITED.beside(Duration::ZERO, &CompilePace::default()).time, MS * 25 / 3);
+    }
+}

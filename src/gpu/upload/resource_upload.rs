@@ -1,0 +1,203 @@
+//! [`Upload`]: one resource to upload, with its progress, whichever thread uploads it. Draw thread, or the compile thread
+//! of a context that has one.
+
+use std::sync::Arc;
+
+use crate::gpu::pools::{
+    BufferDestination, LayerDestination, TextureRows, VertexFormat, interleaved_bytes, short_index_bytes, table_bytes,
+    table_words, write_rows,
+};
+use crate::scene::{HeightTile, Mesh, Texture, added_stride};
+
+/// The means by which bytes reach the adapter.
+pub(super) trait Sink {
+    /// Writes whole rows of a texture of four bytes per texel; `data` holds exactly these rows.
+    fn write_rows(&mut self, texture: &wgpu::Texture, rows: &TextureRows, data: &[u8]);
+
+    /// Writes a part of a buffer. `data` is a multiple of four bytes.
+    fn write_bytes(&mut self, buffer: &wgpu::Buffer, offset: u64, data: &[u8]);
+}
+
+/// Writes by the queue. Only the thread that submits may use it.
+pub(super) struct QueueSink<'a>(pub(super) &'a wgpu::Queue);
+
+impl Sink for QueueSink<'_> {
+    fn write_rows(&mut self, texture: &wgpu::Texture, rows: &TextureRows, data: &[u8]) {
+        write_rows(self.0, texture, rows, data);
+    }
+
+    fn write_bytes(&mut self, buffer: &wgpu::Buffer, offset: u64, data: &[u8]) {
+        self.0.write_buffer(buffer, offset, data);
+    }
+}
+
+/// The texels of a texture's layer.
+pub(super) enum ImageSource {
+    Heights(Arc<HeightTile>),
+    Image(Arc<Texture>),
+    /// A single white texel.
+    White,
+}
+
+/// The contents of a part of a buffer.
+pub(super) enum BufferSource {
+    HeightTable(Arc<HeightTile>),
+    Vertices(Arc<Mesh>, VertexFormat),
+    /// Indices of 32 bits.
+    Indices(Arc<Mesh>),
+    /// Indices of 16 bits, two per unit.
+    ShortIndices(Arc<Mesh>),
+}
+
+enum Resource {
+    Layer(ImageSource, LayerDestination),
+    Buffer(BufferSource, BufferDestination),
+}
+
+/// A number of rows, vertices or indices.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Units {
+    pub(super) count: usize,
+    /// The size of one in bytes.
+    pub(super) unit_bytes: usize,
+}
+
+/// A resource to upload, with its progress.
+pub(super) struct Upload {
+    resource: Resource,
+    /// The current level of an image; 0 for buffers.
+    level: u32,
+    /// The number of uploaded units of the current level.
+    done: usize,
+}
+
+impl Upload {
+    pub(super) fn to_layer(source: ImageSource, destination: LayerDestination) -> Self {
+        Self { resource: Resource::Layer(source, destination), level: 0, done: 0 }
+    }
+
+    pub(super) fn to_buffer(source: BufferSource, destination: BufferDestination) -> Self {
+        Self { resource: Resource::Buffer(source, destination), level: 0, done: 0 }
+    }
+
+    /// Returns the units of a level; `None` beyond the last one. A level has at least one unit, since the pools refuse empty
+    /// meshes and images.
+    fn units(&self, level: u32) -> Option<Units> {
+        match &self.resource {
+            Resource::Layer(source, _) => source.rows(level),
+            Resource::Buffer(source, _) => (level == 0).then(|| source.units()),
+        }
+    }
+
+    /// Returns the remaining units of the current level; `None` when the upload is complete.
+    pub(super) fn remaining(&self) -> Option<Units> {
+        let Units { count, unit_bytes } = self.units(self.level)?;
+        Some(Units { count: count - self.done, unit_bytes })
+    }
+
+    /// Returns the size of the whole resource in bytes.
+    pub(super) fn bytes(&self) -> u64 {
+        let levels = (0..).map_while(|level| self.units(level));
+        levels.map(|units| (units.count * units.unit_bytes) as u64).sum()
+    }
+
+    /// Returns true if the units are rows of a texture.
+    pub(super) fn has_rows(&self) -> bool {
+        matches!(self.resource, Resource::Layer(..))
+    }
+
+    /// Uploads the next `count` units, at most those that remain in the level, and returns their size in bytes. `scratch` is
+    /// reused memory for converted bytes.
+    pub(super) fn write(&mut self, sink: &mut impl Sink, scratch: &mut Vec<u8>, count: usize) -> u64 {
+        let Some(Units { count: all, unit_bytes }) = self.units(self.level) else { return 0 };
+        let part = self.done..all.min(self.done + count);
+        match &self.resource {
+            Resource::Layer(source, LayerDestination { texture, layer }) => {
+                let rows = TextureRows {
+                    layer: *layer,
+                    level: self.level,
+                    first: part.start as u32,
+                    count: part.len() as u32,
+                    width: (unit_bytes / 4) as u32,
+                };
+                let range = part.start * unit_bytes..part.end * unit_bytes;
+                sink.write_rows(texture, &rows, &source.texels(self.level)[range]);
+            }
+            Resource::Buffer(source, BufferDestination { buffer, offset }) => {
+                let offset = offset + (part.start * unit_bytes) as u64;
+                match source {
+                    BufferSource::HeightTable(tile) => {
+                        sink.write_bytes(buffer, offset, bytemuck::cast_slice(&table_words(tile)));
+                    }
+                    BufferSource::Vertices(mesh, _) if !mesh.attributes.is_empty() => {
+                        sink.write_bytes(buffer, offset, interleaved_bytes(mesh, part.clone(), scratch));
+                    }
+                    BufferSource::Vertices(mesh, format) => {
+                        sink.write_bytes(buffer, offset, format.bytes(&mesh.vertices[part.clone()], scratch));
+                    }
+                    BufferSource::Indices(mesh) => {
+                        sink.write_bytes(buffer, offset, bytemuck::cast_slice(&mesh.indices[part.clone()]));
+                    }
+                    BufferSource::ShortIndices(mesh) => {
+                        let indices = 2 * part.start..mesh.indices.len().min(2 * part.end);
+                        sink.write_bytes(buffer, offset, short_index_bytes(&mesh.indices[indices], scratch));
+                    }
+                }
+            }
+        }
+        self.done = part.end;
+        if self.done >= all {
+            (self.level, self.done) = (self.level + 1, 0);
+        }
+        (part.len() * unit_bytes) as u64
+    }
+
+    /// Uploads everything that remains by the queue.
+    pub(super) fn write_all(mut self, queue: &wgpu::Queue, scratch: &mut Vec<u8>) {
+        while let Some(remaining) = self.remaining() {
+            self.write(&mut QueueSink(queue), scratch, remaining.count);
+        }
+    }
+}
+
+impl ImageSource {
+    /// Returns the rows of a level; `None` beyond the last level.
+    fn rows(&self, level: u32) -> Option<Units> {
+        match self {
+            Self::Image(image) => {
+                image.mips.get(level as usize)?;
+                let [width, height] = [image.width, image.height].map(|side| (side >> level).max(1) as usize);
+                Some(Units { count: height, unit_bytes: width * 4 })
+            }
+            _ if level > 0 => None,
+            Self::Heights(tile) => {
+                let padded = tile.side as usize + 2;
+                Some(Units { count: padded, unit_bytes: padded * 4 })
+            }
+            Self::White => Some(Units { count: 1, unit_bytes: 4 }),
+        }
+    }
+
+    /// Returns the bytes of an existing level.
+    fn texels(&self, level: u32) -> &[u8] {
+        match self {
+            Self::Heights(tile) => bytemuck::cast_slice(&tile.heights),
+            Self::Image(image) => &image.mips[level as usize],
+            Self::White => &[255; 4],
+        }
+    }
+}
+
+impl BufferSource {
+    fn units(&self) -> Units {
+        match self {
+            Self::HeightTable(tile) => Units { count: 1, unit_bytes: table_bytes(tile.side) as usize },
+            Self::Vertices(mesh, format) => Units {
+                count: mesh.vertices.len(),
+                unit_bytes: format.stride() + added_stride(mesh.attributes.layout()),
+            },
+            Self::Indices(mesh) => Units { count: mesh.indices.len(), unit_bytes: 4 },
+            Self::ShortIndices(mesh) => Units { count: mesh.indices.len().div_ceil(2), unit_bytes: 4 },
+        }
+    }
+}
