@@ -17,8 +17,6 @@ const LEVELS: [&[&str]; 6] = [
 
 /// Rust files only: the shaders are one list of programs in one folder.
 const MAX_FILES_PER_FOLDER: usize = 14;
-/// Folders that are still flat, with the number of files that they may have until they are split.
-const FLAT_FOLDERS: [(&str, usize); 1] = [("gpu", 27)];
 const MAX_LINES_PER_FILE: usize = 600;
 
 #[test]
@@ -46,12 +44,9 @@ fn folders_and_files_are_small() {
     let mut folders = vec![src()];
     while let Some(folder) = folders.pop() {
         let files: Vec<PathBuf> = files_in(&folder).into_iter().filter(|path| is_rust(path)).collect();
-        let name = file_name(&folder);
-        let flat = FLAT_FOLDERS.iter().find(|(flat, _)| *flat == name);
-        let max = flat.map_or(MAX_FILES_PER_FOLDER, |(_, max)| *max);
-        if files.len() > max {
+        if files.len() > MAX_FILES_PER_FOLDER {
             let (folder, count) = (folder.display(), files.len());
-            writeln!(violations, "{folder}: {count} files, at most {max} are allowed").unwrap();
+            writeln!(violations, "{folder}: {count} files, at most {MAX_FILES_PER_FOLDER} are allowed").unwrap();
         }
         for file in &files {
             let lines = fs::read_to_string(file).unwrap().lines().count();

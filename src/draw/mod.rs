@@ -43,7 +43,7 @@ pub use callbacks::camera::CameraCallbacks;
 pub use callbacks::drawables::{CompiledDrawable, CustomDrawable, DrawableInfo, custom_geometry};
 pub use callbacks::info::{FrameClock, RenderInfo};
 pub use pipelines::DRAWABLE_PRELUDE;
-pub use renderer::{Picture, Renderer};
+pub use renderer::{CameraView, Renderer};
 pub use stats::DrawStats;
 
 pub use crate::scene::{Environment, Fog, Sky, Water};

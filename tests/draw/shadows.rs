@@ -9,7 +9,7 @@ use kit::rig::{Rig, camera, rig};
 use kit::shadows::{check, cuboid, ground, meets, ray, solid, srgb, sunny, tower};
 use kit::terrain::Terrain;
 use terrane::cull::{CullCamera, RenderStage, SunShadows};
-use terrane::draw::{Environment, Picture, Water};
+use terrane::draw::{CameraView, Environment, Water};
 use terrane::gpu::AdapterChoice;
 use terrane::math::{Aabb, Geodetic, WGS84};
 use terrane::pager::PagerConfig;
@@ -328,8 +328,8 @@ fn pictures_of_one_target_have_shadows_of_their_own() {
         stage.target.viewport_px = Some([i as u32 * half[0], 0, half[0], half[1]]);
     }
     let Rig { renderer, ctx, .. } = &mut *rig;
-    let pictures = stages.iter().zip(&environments).map(|(stage, environment)| Picture { stage, environment });
-    renderer.draw_pictures(ctx, pictures).unwrap();
+    let views = stages.iter().zip(&environments).map(|(stage, environment)| CameraView { stage, environment });
+    renderer.draw_views(ctx, views).unwrap();
     let both = rig.read_back();
     for (i, alone) in alone.iter().enumerate() {
         let of_one = image::imageops::crop_imm(&both, i as u32 * half[0], 0, half[0], half[1]).to_image();

@@ -8,7 +8,7 @@ use kit::frames::{MAGENTA, count};
 use kit::rig::{camera, rig, unit_camera};
 use kit::shapes::quad;
 use terrane::cull::{CullCamera, RenderStage};
-use terrane::draw::{Environment, Fog, Picture, Sky, Water};
+use terrane::draw::{CameraView, Environment, Fog, Sky, Water};
 use terrane::scene::{AlphaMode, Node};
 use terrane::state::{Attribute, BinDetails, BlendFactor, BlendFunc, SortMode, StateSet};
 
@@ -187,8 +187,8 @@ fn a_sea_under_a_background_mirrors_no_other_air() {
         rig.visitor.cull(&scene, &view, stage);
         stage.target.viewport_px = Some([256 * place, 0, 256, 256]);
     }
-    let pictures = stages.iter().zip(&environments).map(|(stage, environment)| Picture { stage, environment });
-    rig.renderer.draw_pictures(&mut rig.ctx, pictures).unwrap();
+    let views = stages.iter().zip(&environments).map(|(stage, environment)| CameraView { stage, environment });
+    rig.renderer.draw_views(&mut rig.ctx, views).unwrap();
     let beside = image::imageops::crop_imm(&rig.read_back(), 256, 0, 256, 256).to_image();
     // At another position, rays differ by rounding.
     let differs = |(a, b): &(&image::Rgba<u8>, &image::Rgba<u8>)| (0..3).any(|c| a.0[c].abs_diff(b.0[c]) > 2);

@@ -205,7 +205,7 @@ fn a_picture_without_memory_to_be_read_back_is_read_back_later() {
     rig.ctx.pretend_frame_memory(Some(0));
     let stats = draw_thrice(&mut rig, &read, &camera, &plain());
     assert_eq!((stats.stages_refused, stats.passes), (0, 2));
-    assert!(only_error(&mut rig).starts_with("out of graphics memory: picture to be read back of "));
+    assert!(only_error(&mut rig).starts_with("out of graphics memory: image to be read back of "));
     assert!(sink.take().is_none());
     rig.ctx.pretend_frame_memory(None);
     let came = (0..20).find_map(|_| {

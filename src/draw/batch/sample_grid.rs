@@ -76,15 +76,15 @@ mod tests {
             size in -4.0f64..0.0,
             shape in prop::array::uniform3(0.1f64..1.0),
             turn in prop::array::uniform3(0.0f64..6.3),
-            place in (-30.0f64..30.0, -30.0f64..30.0, -100.0f64..-8.0),
+            origin in (-30.0f64..30.0, -30.0f64..30.0, -100.0f64..-8.0),
             viewport in prop::array::uniform2(0.0f32..300.0),
         ) {
             let viewport = [viewport[0], viewport[1], 320.0, 200.0];
             let clip = glam::dcamera::rh::proj::directx::perspective_infinite_reverse(1.0, 1.6, 0.1);
             let turn = glam::DQuat::from_euler(glam::EulerRot::XYZ, turn[0], turn[1], turn[2]);
             let center = DVec3::from_array(center);
-            let place = DVec3::new(place.0, place.1, place.2) - turn * center;
-            let map = DAffine3::from_rotation_translation(turn, place);
+            let origin = DVec3::new(origin.0, origin.1, origin.2) - turn * center;
+            let map = DAffine3::from_rotation_translation(turn, origin);
             let half = DVec3::from_array(shape) * 10f64.powf(size);
             let m = map.matrix3.transpose();
             let rows = [m.x_axis, m.y_axis, m.z_axis].map(|r| r.as_vec3());

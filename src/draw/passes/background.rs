@@ -50,7 +50,7 @@ impl BackgroundPass {
     }
 
     /// Decides how the background is drawn, and appends the leaf of its triangle. `sky_color` is the clear colour of a
-    /// whole picture; `has_sky` means that the sky covers all of the background.
+    /// whole view; `has_sky` means that the sky covers all of the background.
     pub(in crate::draw) fn prepare(
         &mut self,
         resources: &mut Resources,
@@ -61,9 +61,9 @@ impl BackgroundPass {
         let (stage, target, around) = (lit.input.stage, lit.input.target, lit.around);
         let own_color = if around.is_whole { Some(sky_color) } else { stage.target.clear_color.map(wgpu_color) };
         let has_part = target.is_part(stage);
-        // Pictures after the first in the same target must not clear the others.
-        let is_later_picture = around.is_whole && around.is_outermost && target.is_begun;
-        let is_part = own_color.is_some() && (has_part || is_later_picture);
+        // Views after the first in the same target must not clear the others.
+        let is_later_view = around.is_whole && around.is_outermost && target.is_begun;
+        let is_part = own_color.is_some() && (has_part || is_later_view);
         let clear_color = match stage.clear_node {
             _ if is_part => (around.is_outermost && !target.is_begun).then_some(wgpu::Color::BLACK),
             Some(color) => color.map(wgpu_color),

@@ -14,7 +14,7 @@
 //! | [`leaves`] | the runs that the background shines through | same |
 //! | [`composition`] | the images of two eyes as one | same |
 //! | [`depth_resolve`] | multisampled depth into the camera's texture | after the stage |
-//! | [`picture_readback`] | copies of camera textures to buffers that the processor reads | after the stages around it |
+//! | [`texture_readback`] | copies of camera textures to buffers that the processor reads | after the stages around it |
 //!
 //! There is no trait for passes: their prepared parts have different types, and the renderer calls each of them once for
 //! a stage, in the order above.
@@ -25,12 +25,12 @@ pub(in crate::draw) mod composition;
 pub(in crate::draw) mod depth_resolve;
 pub(in crate::draw) mod leaves;
 pub(in crate::draw) mod msaa_restore;
-pub(in crate::draw) mod picture_readback;
 pub(in crate::draw) mod queries;
 pub(in crate::draw) mod shading;
 pub(in crate::draw) mod shadows;
 pub(in crate::draw) mod sky;
 pub(in crate::draw) mod stage_input;
+pub(in crate::draw) mod texture_readback;
 pub(in crate::draw) mod water;
 
 use air::AirPass;
@@ -38,10 +38,10 @@ use background::BackgroundPass;
 use composition::StereoComposition;
 use depth_resolve::DepthResolve;
 use msaa_restore::MsaaRestore;
-use picture_readback::PictureReadback;
 use queries::QueryPass;
 use shadows::casters::ShadowPass;
 use sky::SkyPass;
+use texture_readback::TextureReadback;
 use water::WaterPass;
 
 /// The passes of a renderer. The leaves themselves need no type: their runs are in the
@@ -56,7 +56,7 @@ pub(in crate::draw) struct Passes {
     pub(in crate::draw) water: WaterPass,
     pub(in crate::draw) composition: StereoComposition,
     pub(in crate::draw) depth_resolve: DepthResolve,
-    pub(in crate::draw) readback: PictureReadback,
+    pub(in crate::draw) readback: TextureReadback,
 }
 
 impl Passes {
@@ -72,7 +72,7 @@ impl Passes {
             water: WaterPass::default(),
             composition: StereoComposition::default(),
             depth_resolve: DepthResolve::default(),
-            readback: PictureReadback::default(),
+            readback: TextureReadback::default(),
         }
     }
 

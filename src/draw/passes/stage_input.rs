@@ -24,7 +24,7 @@ pub(in crate::draw) struct Surroundings {
     pub(in crate::draw) environment: Environment,
     pub(in crate::draw) shadows: Option<SunShadows>,
     pub(in crate::draw) air: EyeAir,
-    /// True for a picture of the frame and for the image of an eye; false for cameras inside a picture.
+    /// True for a view of the frame and for the image of an eye; false for cameras inside a view.
     pub(in crate::draw) is_outermost: bool,
     /// True if the stage has a separate background, sky and water.
     pub(in crate::draw) is_whole: bool,

@@ -1,7 +1,7 @@
 //! The renderer: executes a stage, and the stages before and after it, on a context. Draw thread only.
 //!
 //! ```text
-//! draw_pictures   acquire      the image of the window
+//! draw_views      acquire      the image of the window
 //!                 prepare      every pass of every stage: runs, uniforms, pipelines, targets
 //!                 upload       leaves, uniforms, arguments of indirect calls; bind groups
 //!                 record       all passes into one encoder, and submit it
@@ -33,9 +33,9 @@ use frames_in_flight::FramesInFlight;
 use pass_plan::PassPlan;
 use views::StageViews;
 
-/// A picture of a frame: the stage of a camera under its own light and sky.
+/// A camera's view in a frame: its stage under its own light and sky.
 #[derive(Clone, Copy, Debug)]
-pub struct Picture<'a> {
+pub struct CameraView<'a> {
     /// The camera's stage.
     pub stage: &'a RenderStage,
     /// Sun, sky and fog.
@@ -121,15 +121,15 @@ impl Renderer {
         stage: &RenderStage,
         environment: &Environment,
     ) -> Result<DrawStats, GpuError> {
-        self.draw_pictures(ctx, std::iter::once(Picture { stage, environment }))
+        self.draw_views(ctx, std::iter::once(CameraView { stage, environment }))
     }
 
-    /// Does the same as [`Self::draw`] for several pictures in parts of the same target. Each is drawn into the viewport of
+    /// Does the same as [`Self::draw`] for several views in parts of the same target. Each is drawn into the viewport of
     /// its stage, one after the other, and all of them are submitted together.
-    pub fn draw_pictures<'a>(
+    pub fn draw_views<'a>(
         &mut self,
         ctx: &mut GraphicsContext,
-        pictures: impl Iterator<Item = Picture<'a>> + Clone,
+        views: impl Iterator<Item = CameraView<'a>> + Clone,
     ) -> Result<DrawStats, GpuError> {
         let _span = crate::trace::span("draw");
         let acquire = crate::trace::span("acquire");
@@ -145,9 +145,9 @@ impl Renderer {
         }
         let ctx = &*ctx;
         let created_before = self.created_pipelines();
-        self.prepare(ctx, pictures.clone());
+        self.prepare(ctx, views.clone());
         self.upload(ctx);
-        self.record(ctx, pictures);
+        self.record(ctx, views);
         let mut stats = self.resources.stats;
         stats.unsampled_leaves = self.resources.batch.unsampled();
         stats.pipelines_created += self.created_pipelines() - created_before;
@@ -235,11 +235,11 @@ mod tests {
                 let mesh = Mesh::sphere(DVec3::ZERO, 0.1, 3 + 4 * random(6));
                 let alpha = if random(5) == 0 { AlphaMode::Blend } else { AlphaMode::Opaque };
                 let material = Material { alpha, double_sided: random(2) == 0, ..Material::default() };
-                let place =
+                let position =
                     DVec3::new(f64::from(random(9)) - 4.0, f64::from(random(9)) - 4.0, -12.0 - f64::from(random(40)));
                 let geode = Node::geode(vec![Drawable::new(mesh.into(), material)]);
                 let geode = geode.with_state_set(sets[random(24) as usize].clone());
-                Node::transform(DAffine3::from_translation(place), vec![geode])
+                Node::transform(DAffine3::from_translation(position), vec![geode])
             })
             .collect();
         let mut page = Page::from_node(Node::group(nodes)).unwrap();

@@ -3,7 +3,7 @@
 
 use super::pass_plan::PassPlan;
 use super::views::surroundings_of_stage;
-use super::{Picture, Renderer};
+use super::{CameraView, Renderer};
 use crate::cull::RenderStage;
 use crate::draw::bound_state::BoundState;
 use crate::draw::passes::leaves::Leaves;
@@ -16,21 +16,21 @@ use crate::gpu::GraphicsContext;
 use crate::state::{Mode, NumberError};
 
 impl Renderer {
-    /// Prepares all passes of a frame's pictures.
-    pub(super) fn prepare<'a>(&mut self, ctx: &GraphicsContext, pictures: impl Iterator<Item = Picture<'a>> + Clone) {
-        self.start_frame(ctx, pictures.clone().map(|picture| picture.stage));
-        let own: usize = pictures.clone().map(|picture| sum_stages(picture.stage, &own_leaves)).sum();
-        let casters: usize = pictures.clone().map(|picture| sum_stages(picture.stage, &caster_leaves)).sum();
+    /// Prepares all passes of a frame's views.
+    pub(super) fn prepare<'a>(&mut self, ctx: &GraphicsContext, views: impl Iterator<Item = CameraView<'a>> + Clone) {
+        self.start_frame(ctx, views.clone().map(|view| view.stage));
+        let own: usize = views.clone().map(|view| sum_stages(view.stage, &own_leaves)).sum();
+        let casters: usize = views.clone().map(|view| sum_stages(view.stage, &caster_leaves)).sum();
         match self.resources.leaf_buffer.reserve(ctx, own, casters) {
             Ok(true) => self.resources.frame_groups.invalidate(),
             Ok(false) => {}
             Err(error) => self.resources.errors.report_once(error),
         }
-        let settings = pictures.clone().map(|picture| (picture.stage, picture.environment));
+        let settings = views.clone().map(|view| (view.stage, view.environment));
         if self.passes.shadows.prepare_maps(ctx, &mut self.resources, settings) {
             self.resources.frame_groups.invalidate();
         }
-        for Picture { stage, environment } in pictures {
+        for CameraView { stage, environment } in views {
             let mut environment = *environment;
             let air = self.passes.air.prepare(ctx, &mut self.resources, &stage.camera, &mut environment);
             let shadows = environment.shadows;
@@ -88,7 +88,7 @@ impl Renderer {
     /// Prepares a stage and the stages before and after it, in the order drawn.
     fn prepare_stages(&mut self, ctx: &GraphicsContext, stage: &RenderStage, around: &Surroundings) {
         for before in &stage.pre_render {
-            // The image of an eye is a whole picture with its own sky.
+            // The image of an eye is a whole view with its own sky.
             let is_eye = stage.stereo.is_some() && around.is_outermost;
             let around = if is_eye { *around } else { self.surroundings(ctx, before, around) };
             self.prepare_stages(ctx, before, &around);

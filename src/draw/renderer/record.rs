@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! air tables
-//! for each picture, record_stages(stage):
+//! for each view, record_stages(stage):
 //!     initial callback
 //!     record_stages of the stages before it
 //!     shadow maps, MSAA restore, the stage's render pass, depth resolve
@@ -14,7 +14,7 @@
 use std::time::Instant;
 
 use super::pass_plan::PassPlan;
-use super::{Picture, Renderer};
+use super::{CameraView, Renderer};
 use crate::cull::RenderStage;
 use crate::draw::callbacks::camera::CameraCallbacks;
 use crate::draw::callbacks::info::RenderInfo;
@@ -42,14 +42,14 @@ struct Recording<'a> {
 }
 
 impl Renderer {
-    /// Records the prepared pictures and submits them after the uploads of the compile thread.
-    pub(super) fn record<'a>(&mut self, ctx: &GraphicsContext, pictures: impl Iterator<Item = Picture<'a>>) {
+    /// Records the prepared views and submits them after the uploads of the compile thread.
+    pub(super) fn record<'a>(&mut self, ctx: &GraphicsContext, views: impl Iterator<Item = CameraView<'a>>) {
         let plans = std::mem::take(&mut self.plans);
         let encoder = ctx.device().create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("frame") });
         let mut recording = Recording { ctx, encoder, plans: plans.iter() };
         self.passes.air.record(ctx, &mut recording.encoder, self.resources.timer.as_mut());
-        for picture in pictures {
-            self.record_stages(&mut recording, picture.stage);
+        for view in views {
+            self.record_stages(&mut recording, view.stage);
         }
         let mut encoder = recording.encoder;
         self.plans = plans;

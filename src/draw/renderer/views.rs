@@ -108,7 +108,7 @@ impl StageViews {
     }
 }
 
-/// Returns the surroundings of a camera in the graph below a picture.
+/// Returns the surroundings of a camera in the graph below the camera of a view.
 fn surroundings_of_camera(
     ctx: &GraphicsContext,
     passes: &mut Passes,

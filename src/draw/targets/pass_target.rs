@@ -49,7 +49,7 @@ pub(in crate::draw) struct PassTarget {
     /// Index of its formats in [`Pipelines`](crate::draw::pipelines::Pipelines).
     pub(in crate::draw) index: u8,
     pub(super) is_outermost: bool,
-    /// True if an earlier picture of this frame was drawn into the same target.
+    /// True if an earlier view of this frame was drawn into the same target.
     pub(in crate::draw) is_begun: bool,
 }
 
@@ -94,7 +94,7 @@ impl PassTarget {
         depth_of(stage).filter(|_| !self.has_stencil)
     }
 
-    /// Returns true for a picture of the frame and for the image of an eye.
+    /// Returns true for a view of the frame and for the image of an eye.
     pub(in crate::draw) fn is_outermost(&self) -> bool {
         self.is_outermost
     }

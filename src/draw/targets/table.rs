@@ -20,9 +20,9 @@ pub(in crate::draw) struct Targets {
     supports_stencil: bool,
     /// True if some state of this frame uses the stencil.
     has_stencil: bool,
-    /// True if stages other than pictures are drawn into the context's target after others, so that its depth is kept.
+    /// True if stages other than those of views are drawn into the context's target after others, so that its depth is kept.
     keeps_depth: bool,
-    /// True once a picture was drawn into the context's target in this frame.
+    /// True once a view was drawn into the context's target in this frame.
     is_begun: bool,
 }
 
@@ -38,7 +38,7 @@ impl Targets {
         }
     }
 
-    /// Finds out what the stages of a frame's pictures need. Returns an error text if the adapter lacks it.
+    /// Finds out what the stages of a frame's views need. Returns an error text if the adapter lacks it.
     pub(in crate::draw) fn start_frame<'a>(
         &mut self,
         ctx: &GraphicsContext,
@@ -53,7 +53,7 @@ impl Targets {
         };
         let needs_stencil = stages.clone().any(|stage| any(stage, &uses_stencil));
         self.has_stencil = needs_stencil && self.supports_stencil;
-        // A picture itself clears the depth of pictures before it.
+        // A view itself clears the depth of views before it.
         self.keeps_depth = stages.any(|stage| {
             let [before, after] =
                 [&stage.pre_render, &stage.post_render].map(|s| s.iter().map(stages_in_context).sum::<usize>());

@@ -30,8 +30,8 @@ pub(in crate::draw) struct FrameUniform {
     /// x is the curvature of the ground, 1 / radius in metres, 0 if it is flat. y is the exposure, 0 without tone mapping.
     /// z is 1 with an atmosphere, w is 1 if the atmosphere is also drawn in front of things.
     pub(in crate::draw) shape: [f32; 4],
-    /// The two columns of the map from a pixel's clip position to its eye-space ray: a point of the plane one metre in
-    /// front of the eye, or of the eye's own plane if rays are parallel.
+    /// The two columns of the map from a pixel's clip position to its eye-space ray. The ray is a point of the plane one
+    /// metre in front of the eye, or of the eye's own plane if rays are parallel.
     pub(in crate::draw) ray: [f32; 4],
     /// The ray of the clip position (0, 0).
     pub(in crate::draw) middle_ray: [f32; 4],
@@ -97,7 +97,7 @@ fn vec4(v: [f64; 3], w: f64) -> [f32; 4] {
     [v[0] as f32, v[1] as f32, v[2] as f32, w as f32]
 }
 
-/// Returns the colour that a picture is cleared with: the background's, or the horizon's under a sky.
+/// Returns the colour that a view is cleared with: the background's, or the horizon's under a sky.
 pub(in crate::draw) fn clear_color(environment: &Environment, frame: &FrameUniform) -> wgpu::Color {
     let [r, g, b] = match environment.sky {
         Sky::Background(rgb) => rgb.map(linear_from_srgb8),
@@ -169,9 +169,9 @@ impl FrameUniform {
         self.shadow = [count as f32, 1.0 / map_px as f32, fade_start, fade_end];
         let used = f64::from(settings.resolution_px) / f64::from(map_px);
         let uniforms = self.cascade_scales.iter_mut().zip(&mut self.cascade_offsets);
-        for (place, (cascade, (scales, offsets))) in shadows.cascades.iter().zip(uniforms).enumerate() {
+        for (index, (cascade, (scales, offsets))) in shadows.cascades.iter().zip(uniforms).enumerate() {
             let [across, down, along] = [0, 1, 2].map(|row| cascade.clip_from_eye.row(row));
-            let next = shadows.cascades.get(place + 1).map_or(cascade.depths_m[1], |c| c.depths_m[0]);
+            let next = shadows.cascades.get(index + 1).map_or(cascade.depths_m[1], |c| c.depths_m[0]);
             let scale = 0.5 * used * across.truncate().length();
             *scales = [scale, along.truncate().length(), cascade.depths_m[1], next].map(|v| v as f32);
             let [u, v] = [used * (0.5 + 0.5 * across.w), used * (0.5 - 0.5 * down.w)];

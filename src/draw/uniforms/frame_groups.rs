@@ -26,7 +26,7 @@ pub(in crate::draw) struct FrameGroups {
 }
 
 impl FrameGroups {
-    /// Has the groups created anew before the next draw, since a resource in them was replaced.
+    /// Has the groups created again before the next draw, since a resource in them was replaced.
     pub(in crate::draw) fn invalidate(&mut self) {
         self.is_stale = true;
     }

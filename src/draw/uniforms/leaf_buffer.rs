@@ -9,7 +9,7 @@ const LEAF_BYTES: u64 = size_of::<LeafUniform>() as u64;
 
 /// The buffer that shaders read leaves from.
 ///
-/// The leaves of pictures have their room reserved before those of shadow casters, which use what remains.
+/// The leaves of views have their room reserved before those of shadow casters, which use what remains.
 pub(in crate::draw) struct LeafBuffer {
     /// Created for the first frame.
     buffer: Option<wgpu::Buffer>,

@@ -204,7 +204,7 @@ impl StateGroups {
         if group == next {
             self.groups.push(Group { key, bind_group: None, is_pending: false });
         }
-        // In each frame, since all groups are created anew when the buffer grows.
+        // In each frame, since all groups are created again when the buffer grows.
         if !std::mem::replace(&mut self.groups[group as usize].is_pending, true) {
             self.pending.push((group, state.clone()));
         }

@@ -71,7 +71,7 @@ mod tests {
     fn nothing_begins_before_it_was_submitted() {
         let mut clock = AdapterClock::default();
         let ours_ns = |clock: &AdapterClock, adapter_ns: f64| adapter_ns + clock.difference_ns();
-        let mut observe =
+        let observe =
             |clock: &mut AdapterClock, adapter_ns: f64, submitted_ns: f64| clock.add_bound(submitted_ns - adapter_ns);
         assert_eq!(ours_ns(&clock, 5.0), 5.0);
         // The adapter's clock is 1,000 behind. Submissions wait for 70, 20 and 300 before they begin.

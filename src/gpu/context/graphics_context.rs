@@ -134,7 +134,7 @@ impl GraphicsContext {
     /// Keeps compiled pipelines in a folder, and uses those of earlier runs. Must be called before the first draw. There is one
     /// file per adapter, of at most 64 MiB, written when the context is dropped.
     ///
-    /// Returns the number of bytes found. After an error with the file, pipelines are compiled and kept anew; after
+    /// Returns the number of bytes found. After an error with the file, pipelines are compiled and kept again; after
     /// [`GpuError::NoPipelineCache`] they are not kept.
     pub fn keep_pipelines(&mut self, folder: &Path) -> Result<u64, GpuError> {
         let (cache, found) = PipelineCache::open(&self.gpu.device, &self.gpu.adapter_info, folder)?;

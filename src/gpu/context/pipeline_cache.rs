@@ -29,7 +29,7 @@ pub(super) struct PipelineCache {
 
 impl PipelineCache {
     /// Opens the cache of an adapter in a folder. Returns it with the number of bytes found. If the file is not usable, the
-    /// cache begins empty, and the reason is returned in the place of that number.
+    /// cache begins empty, and the reason is returned instead.
     pub(super) fn open(
         device: &wgpu::Device,
         adapter: &wgpu::AdapterInfo,
@@ -95,7 +95,7 @@ impl Drop for PipelineCache {
 #[allow(unsafe_code, reason = "wgpu cannot check the origin of the data")]
 fn create_cache(device: &wgpu::Device, data: Option<&[u8]>) -> wgpu::PipelineCache {
     let descriptor = wgpu::PipelineCacheDescriptor { label: Some("pipelines"), data, fallback: true };
-    // SAFETY: `data` was returned by `PipelineCache::get_data` for an adapter with the same `pipeline_cache_key`: it is the
+    // SAFETY: `data` was returned by `PipelineCache::get_data` for an adapter with the same `pipeline_cache_key`. It is the
     // result of `read`, which accepts only data that `write` has written, with its hash, to the file named by that key.
     unsafe { device.create_pipeline_cache(&descriptor) }
 }

@@ -1,4 +1,4 @@
-//! [`DrawableEntry`]: what a draw reads about an uploaded drawable. Draw thread; plain values.
+//! [`DrawableEntry`]: the properties of an uploaded drawable that a draw reads. Draw thread; plain values.
 
 use super::heights::HeightSlot;
 use super::meshes::MeshSlot;
@@ -70,7 +70,7 @@ pub(crate) enum BindClass {
     Custom,
 }
 
-/// What a draw reads about a drawable.
+/// The properties of an uploaded drawable that a draw reads.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct DrawableEntry {
     pub(crate) shape: Shape,

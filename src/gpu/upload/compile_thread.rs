@@ -6,8 +6,8 @@
 //! compile thread                     bytes into staging, copies recorded -> batch
 //! ```
 //! Pools, tables and the queue belong to the draw thread. The compile thread gets textures and buffers whose slots no frame
-//! reads yet, and never calls the queue: a write by one thread while another submits deadlocks in wgpu 30.0.1 (upstream
-//! issue 9460). All uploads go through one FIFO, so that an operation that shares an earlier one's slot is reported as
+//! reads yet, and never calls the queue. (A write by one thread while another submits deadlocks in wgpu 30.0.1, upstream
+//! issue 9460.) All uploads go through one FIFO, so that an operation that shares an earlier one's slot is reported as
 //! finished after it.
 //!
 //! | channel | length |

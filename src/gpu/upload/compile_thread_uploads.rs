@@ -6,8 +6,8 @@ use std::time::{Duration, Instant};
 
 use super::Memory;
 use super::budget::CompileBudget;
+use super::compile_operation::CompileStats;
 use super::compile_thread::{Batch, CompileThread};
-use super::operation::CompileStats;
 use super::operations::Placed;
 use super::recorded_uploads::RecordedUploads;
 use super::resource_upload::Upload;
@@ -45,7 +45,7 @@ impl CompileThreadUploads {
         self.thread.operations_in_flight()
     }
 
-    /// Places drawables and takes finished batches, both within the budget. Waits for the thread only if the budget is
+    /// Gives drawables their slots and takes finished batches, both within the budget. Waits for the thread only if the budget is
     /// unlimited.
     pub(super) fn run(
         &mut self,

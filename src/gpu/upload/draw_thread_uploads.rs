@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use super::Memory;
 use super::budget::CompileBudget;
-use super::operation::CompileStats;
+use super::compile_operation::CompileStats;
 use super::operations::Placed;
 use super::recorded_uploads::RecordedUploads;
 use super::resource_upload::{QueueSink, Units, Upload};
@@ -41,7 +41,7 @@ fn slice_units(remaining: Units, left_bytes: u64, is_first: bool) -> usize {
 }
 
 impl DrawThreadUploads {
-    /// Places drawables and uploads them until the budget is spent.
+    /// Gives drawables their slots and uploads them until the budget is spent.
     pub(super) fn run(
         &mut self,
         progress: &mut UploadProgress,

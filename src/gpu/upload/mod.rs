@@ -14,11 +14,11 @@
 //! ```
 
 mod budget;
+mod compile_operation;
 mod compile_thread;
 mod compile_thread_uploads;
 mod draw_thread_uploads;
 mod memory_shortage;
-mod operation;
 mod operations;
 mod placement;
 mod recorded_uploads;
@@ -31,6 +31,6 @@ mod upload_queue;
 use super::memory::Memory;
 
 pub use budget::{CompileBudget, CompilePace};
-pub use operation::{CompileOperation, CompileStats, Compiled};
+pub use compile_operation::{CompileOperation, CompileStats, Compiled};
 pub(super) use placement::rewrite_mesh;
 pub(super) use upload_queue::UploadQueue;

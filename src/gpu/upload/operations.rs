@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use super::operation::{CompileOperation, Compiled};
+use super::compile_operation::{CompileOperation, Compiled};
 use super::placement::place_drawable;
 use super::resource_upload::Upload;
 use crate::gpu::pools::{CompileInfo, Pools};

@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use super::operation::Compiled;
+use super::compile_operation::Compiled;
 use super::resource_upload::{BufferSource, ImageSource, Upload};
 use crate::gpu::pools::{CompileInfo, CustomCompile, DrawableEntry, MeshAllocation, Pools, Shape, VertexFormat};
 use crate::scene::{CustomGeometry, DrawSlot, Drawable, Geometry, HeightTile, Mesh, SharedParts};

@@ -4,9 +4,9 @@ use std::time::Instant;
 
 use super::Memory;
 use super::budget::CompileBudget;
+use super::compile_operation::{CompileOperation, CompileStats, Compiled};
 use super::compile_thread_uploads::CompileThreadUploads;
 use super::draw_thread_uploads::DrawThreadUploads;
-use super::operation::{CompileOperation, CompileStats, Compiled};
 use super::upload_progress::UploadProgress;
 use crate::gpu::pools::{CompileInfo, Pools};
 

@@ -82,6 +82,8 @@ impl DeviceHandle {
         let (adapter_name, is_software) = (context.adapter_name(), context.is_software());
         let is_host_device = context.is_host_device();
         let (commands, to_do) = channel::bounded(COMMAND_QUEUE);
+        // Unbounded, since a device that the main thread owns sends to itself and must not block. Uploads are at most as many
+        // as the pagers and scenes have in flight; replies at most one per context and frame in flight, and one more.
         let (compiled_sender, compiled) = channel::unbounded();
         let (reply_sender, replies) = channel::unbounded();
         let running_compiles = Arc::new(AtomicBool::new(false));

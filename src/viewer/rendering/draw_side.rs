@@ -12,7 +12,7 @@ use super::cull_side::{CullSide, Culled};
 use super::frame_job::{DrawCommand, FrameDone, FrameJob, Reply};
 use super::millis::millis;
 use crate::cull::RenderStage;
-use crate::draw::{DrawStats, FrameClock, Picture, Renderer};
+use crate::draw::{CameraView, DrawStats, FrameClock, Renderer};
 use crate::gpu::{CompileBudget, Compiled, GpuError, GraphicsContext};
 use crate::pager::ImageChange;
 use crate::sync::BlockCount;
@@ -392,8 +392,8 @@ impl DrawSide {
         if context.stages.is_empty() {
             return Ok(DrawStats::default());
         }
-        let pictures = context.stages.iter().map(|c| Picture { stage: &c.stage, environment: &c.environment });
-        self.renderer.draw_pictures(&mut self.context, pictures)
+        let views = context.stages.iter().map(|c| CameraView { stage: &c.stage, environment: &c.environment });
+        self.renderer.draw_views(&mut self.context, views)
     }
 
     /// Signals that dynamic data was read.

@@ -35,7 +35,7 @@ impl BinCallback {
     }
 }
 
-pub struct Picture<'a> {
+pub struct CameraView<'a> {
     pub stage: &'a RenderStage,
     pub environment: &'a Environment,
 }
@@ -51,13 +51,13 @@ impl Renderer {
         Self { timed: (0, 0), clock: FrameClock::default() }
     }
 
-    pub fn draw_pictures<'a>(
+    pub fn draw_views<'a>(
         &mut self,
         context: &mut GraphicsContext,
-        pictures: impl IntoIterator<Item = Picture<'a>>,
+        views: impl IntoIterator<Item = CameraView<'a>>,
     ) -> Result<DrawStats, GpuError> {
         let ((_, frame), seen) = (self.timed, &context.seen);
-        for Picture { stage, .. } in pictures {
+        for CameraView { stage, .. } in views {
             assert_eq!(stage.camera.frame, frame, "the stage of this frame");
             let camera = stage.camera.context;
             seen.draws(camera, frame);

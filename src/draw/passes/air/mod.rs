@@ -89,7 +89,7 @@ impl AirPass {
     }
 
     /// Starts a draw and frees sets that were not used for long. Returns true if sets were freed, so that the bind groups
-    /// that hold them must be created anew.
+    /// that hold them must be created again.
     pub(in crate::draw) fn start_draw(&mut self, draws_per_frame: usize) -> bool {
         self.draw = self.draw.wrapping_add(1);
         self.draws_per_frame = draws_per_frame.clamp(1, KEPT_DRAWS as usize) as u32;

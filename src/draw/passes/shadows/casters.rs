@@ -69,11 +69,11 @@ impl ShadowPass {
         &mut self,
         ctx: &GraphicsContext,
         resources: &mut Resources,
-        pictures: impl Iterator<Item = (&'a RenderStage, &'a Environment)>,
+        views: impl Iterator<Item = (&'a RenderStage, &'a Environment)>,
     ) -> bool {
         let max_px = self.maps.max_px();
         let mut wanted = MapSize::default();
-        for (stage, environment) in pictures {
+        for (stage, environment) in views {
             let mut add = |stage: &RenderStage, settings: Option<SunShadows>| match settings
                 .map_or(Ok(()), |settings| settings.check())
             {
@@ -123,7 +123,7 @@ impl ShadowPass {
         self.maps.entries(is_target)
     }
 
-    /// Builds the runs of the casters of a view, in the room that the pictures' own leaves leave.
+    /// Builds the runs of the casters of a view, in the room that the views' own leaves leave.
     pub(in crate::draw) fn prepare(
         &mut self,
         resources: &mut Resources,
@@ -212,7 +212,7 @@ impl ShadowPass {
     }
 }
 
-/// Returns the frame uniform of a cascade: the picture's own eye and levels of detail, seen along the sun's rays.
+/// Returns the frame uniform of a cascade: the view's own eye and levels of detail, seen along the sun's rays.
 fn caster_uniform(
     camera: &CullCamera,
     clip_from_eye: &glam::DMat4,
@@ -220,7 +220,7 @@ fn caster_uniform(
     air: &AirParameters,
 ) -> FrameUniform {
     let mut uniform = FrameUniform::new(camera, clip_from_eye, environment, air);
-    // Heights morph as they do in the picture, although the sun's own rays are parallel.
+    // Heights morph as they do in the view, although the sun's own rays are parallel.
     uniform.air[3] = if has_parallel_rays(&camera.clip_from_eye) { 1.0 } else { 0.0 };
     uniform
 }

@@ -1,8 +1,8 @@
 //! The array texture of the sun's shadow maps: one layer for each cascade. Draw thread.
 //!
-//! All pictures of a device's contexts share it, since the casters of a picture are drawn right before the picture. It is
-//! created when a picture first has shadows, as large as the largest picture wants it; others use a part of it. It is
-//! freed or made smaller when no picture wanted as much for a while.
+//! All views of a device's contexts share it, since the casters of a view are drawn right before the view. It is created
+//! when a view first has shadows, as large as the largest view wants it; others use a part of it. It is freed or made
+//! smaller when no view wanted as much for a while.
 
 use crate::cull::{MAX_CASCADES, RenderStage, StageShadows};
 use crate::gpu::Memory;
@@ -118,7 +118,7 @@ impl ShadowMaps {
         self.max_px
     }
 
-    /// Makes the texture large enough for the shadows of a draw's pictures. Returns true if it was replaced. Without
+    /// Makes the texture large enough for the shadows of a draw's views. Returns true if it was replaced. Without
     /// memory for a larger one it stays as it is, and shadows that it has no room for are not drawn.
     pub(super) fn ensure(&mut self, memory: &Memory, wanted: MapSize) -> Result<bool, String> {
         let before = self.sizing.current;

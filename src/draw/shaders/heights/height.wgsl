@@ -2,7 +2,7 @@
 //
 // Vertex v of level L is drawn at p_L(v) = (1 - k) P(v) + k p_{L-1}(snap(v)). P is the tile's own surface, and snap(v) is
 // the coarser level's vertex south-west of v. The weight k depends on the level and the distance from the eye to P(v)
-// alone; if rays are parallel, on the level alone. So two tiles that share an edge compute the same points on it: where a
+// alone; if rays are parallel, on the level alone. So two tiles that share an edge compute the same points on it. Where a
 // finer tile meets a coarser one, its edge has k = 1, which is the coarser one's edge.
 
 // A vertex with height h in the row (dp, dz, cos, sin) and the column (sin', 1 - cos') has the position

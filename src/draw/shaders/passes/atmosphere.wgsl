@@ -171,11 +171,11 @@ fn cs_sky_light(@builtin(global_invocation_id) id: vec3<u32>) {
 @compute @workgroup_size(8, 8)
 fn cs_air(@builtin(global_invocation_id) id: vec3<u32>) {
     let size = textureDimensions(out_scattered);
-    let place = air_direction(vec2<f32>(id.xy) / (vec2<f32>(size.xy) - 1.0), id.y * 2u >= size.y, air.eye.y, air.eye.z);
+    let direction = air_direction(vec2<f32>(id.xy) / (vec2<f32>(size.xy) - 1.0), id.y * 2u >= size.y, air.eye.y, air.eye.z);
     let sun_cosine = air.eye.w;
     let sun = vec3<f32>(sqrt(max(1.0 - sun_cosine * sun_cosine, 0.0)), 0.0, sun_cosine);
-    let across = sqrt(max(1.0 - place.y * place.y, 0.0));
-    let ray = vec3<f32>(across * place.x, across * sqrt(max(1.0 - place.x * place.x, 0.0)), place.y);
+    let across = sqrt(max(1.0 - direction.y * direction.y, 0.0));
+    let ray = vec3<f32>(across * direction.x, across * sqrt(max(1.0 - direction.x * direction.x, 0.0)), direction.y);
     let range = air_range(air.eye.x, ray.z, id.y * 2u >= size.y);
     let cosine = dot(ray, sun);
     var through = vec3<f32>(1.0);

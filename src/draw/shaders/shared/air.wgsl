@@ -34,12 +34,12 @@ fn mie_phase(cosine: f32) -> f32 {
 // Returns the direction of a position in the table of the air, from 0 to 1: the cosine of the azimuth from the sun, and the
 // cosine from the zenith. Rows lie below and above the horizon of the lowest ground, closer together near it. Columns go
 // from the sun's azimuth to the opposite one.
-fn air_direction(place: vec2<f32>, is_above: bool, horizon: f32, limb: f32) -> vec2<f32> {
+fn air_direction(uv: vec2<f32>, is_above: bool, horizon: f32, limb: f32) -> vec2<f32> {
     // 64 rows: the halves are 0 to 31 / 63 and 32 / 63 to 1.
-    let below = 1.0 - place.y * (63.0 / 31.0);
-    let above = (place.y * 63.0 - 32.0) / 31.0;
+    let below = 1.0 - uv.y * (63.0 / 31.0);
+    let above = (uv.y * 63.0 - 32.0) / 31.0;
     let cosine = select(horizon - (1.0 + horizon) * below * below, horizon + (limb - horizon) * above * above, is_above);
-    return vec2<f32>(1.0 - 2.0 * place.x, cosine);
+    return vec2<f32>(1.0 - 2.0 * uv.x, cosine);
 }
 
 // Returns the row of a cosine from the zenith; the inverse of `air_direction`.

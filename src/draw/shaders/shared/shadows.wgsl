@@ -24,7 +24,7 @@ fn sun_shadow(in_eye: vec3<f32>, normal: vec3<f32>) -> f32 {
 }
 
 // Returns the share in one cascade. A texel of the map holds one depth for a piece of surface that may be oblique to it. So
-// the point is moved along the normal by the reach of the filter times the sine of the sun's angle, which puts it in front
+// the point is moved along the normal by the reach of the filter times the sine of the sun's angle. That puts it in front
 // of the nearest end of that piece. The filter is a square and reaches farther towards its corners.
 fn sun_shadow_in(cascade: i32, in_eye: vec3<f32>, normal: vec3<f32>) -> f32 {
     let sun = frame.sun_direction.xyz;
@@ -38,10 +38,10 @@ fn sun_shadow_in(cascade: i32, in_eye: vec3<f32>, normal: vec3<f32>) -> f32 {
 
 // Returns the share by a tent filter over 5 x 5 texels: nine comparisons of 2 x 2 texels each, whose positions and weights
 // account for the sampler's own weights (I. Castano, Shadow Mapping Summary, 2013).
-fn sun_shadow_filtered(cascade: i32, place: vec2<f32>, depth: f32) -> f32 {
+fn sun_shadow_filtered(cascade: i32, uv: vec2<f32>, depth: f32) -> f32 {
     let texel = frame.shadow.y;
-    let corner = floor(place / texel + 0.5);
-    let part = place / texel + 0.5 - corner;
+    let corner = floor(uv / texel + 0.5);
+    let part = uv / texel + 0.5 - corner;
     let base = (corner - 0.5) * texel;
     let weights_x = vec3<f32>(4.0 - 3.0 * part.x, 7.0, 1.0 + 3.0 * part.x);
     let weights_y = vec3<f32>(4.0 - 3.0 * part.y, 7.0, 1.0 + 3.0 * part.y);

@@ -1,7 +1,7 @@
 //! [`Arena`]: buffers cut into slots of one size class each, and [`Arenas`]: one arena per element format. Draw thread.
 //!
-//! A buffer (a chunk) has slots of a single size, so that it cannot fragment, and meshes of similar size, such as all tiles
-//! of a set, are drawn from one buffer without a change of state.
+//! A buffer (a chunk) has slots of a single size, so that it cannot fragment. Meshes of similar size, such as all tiles of a
+//! set, are drawn from one buffer without a change of state.
 
 use crate::gpu::memory::Memory;
 use crate::gpu::pools::allocation::BufferDestination;

@@ -97,7 +97,7 @@ struct WaitingSink {
 
 /// The camera textures of a renderer that are being read back.
 #[derive(Default)]
-pub(in crate::draw) struct PictureReadback {
+pub(in crate::draw) struct TextureReadback {
     slots: Vec<PictureSlot>,
     /// In the order in which they first asked.
     waiting: Vec<WaitingSink>,
@@ -105,7 +105,7 @@ pub(in crate::draw) struct PictureReadback {
     draw: u32,
 }
 
-impl PictureReadback {
+impl TextureReadback {
     /// Records the copies that the sinks of a stage's camera ask for, once the stage and all that draws into the same
     /// target is recorded.
     pub(in crate::draw) fn record(
@@ -183,7 +183,7 @@ impl PictureReadback {
                 mapped_at_creation: false,
             };
             let slot = PictureSlot {
-                buffer: memory.allocate("picture to be read back", size, |device| device.create_buffer(&descriptor))?,
+                buffer: memory.allocate("image to be read back", size, |device| device.create_buffer(&descriptor))?,
                 sink: sink.clone(),
                 size_px,
                 format,
@@ -275,7 +275,7 @@ mod tests {
             view_formats: &[],
         });
         let attachment = Attachment::new(TextureObject::target("any", [4, 4], TextureFormat::Rgba8));
-        let mut readback = PictureReadback::default();
+        let mut readback = TextureReadback::default();
         let sinks: Vec<Arc<PictureSink>> = (0..20).map(|_| Arc::default()).collect();
         let mut received = [0; 20];
         for frame in 0..20 {
