@@ -1,4 +1,4 @@
-//! Making a tile set from noise: sampling, the pyramid, colouring, encoding, writing; all cores and one.
+//! Benchmarks the noise, and the generation of a tile set from noise on one thread and on all.
 #![allow(missing_docs, reason = "criterion's macros make undocumented items")]
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
@@ -26,13 +26,13 @@ fn generate(criterion: &mut Criterion) {
         for jobs in [Some(1), None] {
             let out = folder.path().join(format!("{name}-{}", jobs.unwrap_or(0)));
             let args = GenArgs { content, jobs, levels: Some(4), size: 20_000.0, overwrite: true, ..GenArgs::new(out) };
-            // 1 + 4 + 16 + 64
+            // Four levels have 1 + 4 + 16 + 64 tiles.
             group.throughput(Throughput::Elements(85));
             let threads = if jobs.is_some() { "one thread" } else { "all threads" };
             group.bench_function(BenchmarkId::new(name, threads), |b| {
                 b.iter(|| {
                     let summary = run(&args);
-                    assert!(summary.as_ref().is_ok_and(|s| s.tiles == 85), "a bench of something that fails");
+                    assert!(summary.as_ref().is_ok_and(|s| s.tiles == 85), "generation failed");
                     summary
                 });
             });

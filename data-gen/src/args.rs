@@ -1,4 +1,4 @@
-//! The options of `terrane gen`, and what it reports.
+//! The options of `terrane gen`, and the summary that it prints.
 
 use std::io::Write as _;
 use std::ops::RangeInclusive;
@@ -6,63 +6,63 @@ use std::path::PathBuf;
 
 use crate::Crs;
 
-/// Most levels of a pyramid.
+/// Largest number of levels of a pyramid.
 pub(crate) const MAX_LEVELS: u32 = 9;
-/// Threads that may be asked for.
+/// Valid numbers of threads.
 pub(crate) const JOBS: RangeInclusive<usize> = 1..=256;
-/// Sides of procedural terrain that can be made, metres.
+/// Valid sides of procedural terrain in metres.
 pub(crate) const SIZES_M: RangeInclusive<f64> = 100.0..=2_000_000.0;
 
-/// What the tiles hold.
+/// The form of the tiles' content.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum ContentKind {
-    /// EXR heights and JPEG colour, drawn from one shared grid.
+    /// EXR heights and JPEG colour. The renderer draws all tiles with one shared grid.
     #[default]
     Height,
-    /// glb meshes with skirts, for any 3D Tiles client that knows KHR_mesh_quantization.
+    /// glb meshes with skirts, for any 3D Tiles client that supports KHR_mesh_quantization.
     Mesh,
 }
 
-/// Makes a tile set from elevation data, or from noise where none is given.
+/// Makes a tile set from elevation files, or from noise if none are given.
 #[derive(Clone, Debug, clap::Args)]
 pub struct GenArgs {
     /// Folder to write
     pub out: PathBuf,
-    /// Elevation: GeoTIFF, HGT, terrain-RGB PNG or EXR; several are put together, the first that knows a place wins
+    /// Elevation: GeoTIFF, HGT, terrain-RGB PNG or EXR; where several overlap, the first with data wins
     #[arg(long, value_name = "FILE")]
     pub dem: Vec<PathBuf>,
     /// Colour: GeoTIFF, or PNG or JPEG with a world file
     #[arg(long, value_name = "FILE")]
     pub imagery: Option<PathBuf>,
-    /// Reference system of rasters that name none, as those with a world file: 4326, 3857, or a UTM zone's 326zz,
-    /// 327zz, 258zz or 269zz
+    /// EPSG code of the reference system of rasters that do not name one, such as those with a world file: 4326, 3857,
+    /// or 326zz, 327zz, 258zz or 269zz for UTM zones
     #[arg(long, value_name = "CODE", value_parser = reference_system)]
     pub epsg: Option<Crs>,
-    /// What the tiles hold
+    /// Content of the tiles
     #[arg(long, value_enum, default_value_t)]
     pub content: ContentKind,
-    /// Vertices of meshes in floats, twice the bytes: for clients without KHR_mesh_quantization
+    /// Write mesh vertices as floats, for clients without KHR_mesh_quantization; vertices take twice the bytes
     #[arg(long)]
     pub float_vertices: bool,
-    /// Levels of the pyramid; by default as many as the elevation has detail for
+    /// Levels of the pyramid; by default enough for all detail of the elevation
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=i64::from(MAX_LEVELS)))]
     pub levels: Option<u32>,
-    /// Side of procedural terrain in metres; not with --dem
+    /// Side of procedural terrain in metres, 100 to 2,000,000; not with --dem
     #[arg(long, value_name = "M", default_value_t = 60_000.0, conflicts_with = "dem", value_parser = size_m)]
     pub size: f64,
     /// Seed of procedural terrain; not with --dem
     #[arg(long, default_value_t = 1, conflicts_with = "dem")]
     pub seed: u64,
-    /// Threads; all cores by default
+    /// Number of threads; by default one per core
     #[arg(long, value_parser = jobs)]
     pub jobs: Option<usize>,
-    /// Replace the tile set that OUT holds
+    /// Replace the tile set in OUT
     #[arg(long)]
     pub overwrite: bool,
 }
 
 impl GenArgs {
-    /// The defaults for a folder.
+    /// Returns the default options for a folder.
     pub fn new(out: impl Into<PathBuf>) -> Self {
         Self {
             out: out.into(),
@@ -78,9 +78,7 @@ impl GenArgs {
             overwrite: false,
         }
     }
-}
 
-impl GenArgs {
     /// Checks options that have no effect together; the error names both. The command line also refuses `--size` and
     /// `--seed` beside `--dem`.
     pub(crate) fn check(&self) -> Result<(), String> {
@@ -106,34 +104,35 @@ fn jobs(text: &str) -> Result<usize, String> {
 
 fn reference_system(code: &str) -> Result<Crs, String> {
     let known = code.parse().ok().and_then(Crs::from_epsg);
-    known.ok_or_else(|| "unknown code; known are 4326, 3857 and the UTM zones' 326zz, 327zz, 258zz, 269zz".to_owned())
+    known
+        .ok_or_else(|| "unknown code; supported are 4326, 3857 and 326zz, 327zz, 258zz, 269zz for UTM zones".to_owned())
 }
 
-/// What was made.
+/// The summary of a run, printed at its end.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Summary {
-    /// Folder.
+    /// The folder of the tile set.
     pub out: PathBuf,
-    /// Tiles written.
+    /// The number of tiles written.
     pub tiles: u64,
-    /// Levels.
+    /// The number of levels.
     pub levels: u32,
-    /// Bytes written.
+    /// The number of bytes written.
     pub bytes: u64,
     /// Lowest height in metres.
     pub min_height_m: f64,
     /// Highest height in metres.
     pub max_height_m: f64,
-    /// Samples of the finest level that no source knew and that were filled from around.
+    /// The number of samples of the finest level without data; they were filled from their surroundings.
     pub filled_samples: u64,
     /// Measured errors by level, root first, metres.
     pub level_errors_m: Vec<f64>,
-    /// Seconds it took.
+    /// The duration of the run in seconds.
     pub seconds: f64,
 }
 
 impl Summary {
-    /// Writes its line to standard output. That nobody reads it any more is no error.
+    /// Writes the summary as one line to standard output. A closed pipe is not an error.
     pub fn print(&self) -> std::io::Result<()> {
         let mut out = std::io::stdout().lock();
         match writeln!(out, "{self}").and_then(|()| out.flush()) {

@@ -1,8 +1,8 @@
-//! What can go wrong; each names the file.
+//! The errors of generation. Errors about files name the file.
 
 use std::path::{Path, PathBuf};
 
-/// Why a tile set could not be made.
+/// The reason why a tile set could not be made.
 #[derive(Debug, thiserror::Error)]
 pub enum GenError {
     /// A file could not be read or written.
@@ -10,21 +10,21 @@ pub enum GenError {
     File {
         /// The file.
         path: PathBuf,
-        /// The system's reason.
+        /// The reason given by the operating system.
         reason: std::io::Error,
     },
-    /// A file is not what it should be.
+    /// The content of a file is invalid or not supported.
     #[error("{}: {reason}", path.display())]
     Invalid {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// The reason.
         reason: String,
     },
     /// The output folder is not empty.
     #[error("{}: already exists; --overwrite replaces it", .0.display())]
     Exists(PathBuf),
-    /// An option that cannot be met.
+    /// An option is invalid.
     #[error("{0}")]
     Argument(String),
     /// A tile could not be encoded.
@@ -38,7 +38,7 @@ impl GenError {
         move |reason| Self::File { path, reason }
     }
 
-    /// A pipe or a device may never end, or never begin.
+    /// Refuses pipes and devices: opening or reading one may block forever.
     pub(crate) fn if_not_regular(path: &Path) -> Result<(), Self> {
         match std::fs::metadata(path).map_err(Self::file(path))?.is_file() {
             true => Ok(()),
@@ -47,7 +47,7 @@ impl GenError {
     }
 
     pub(crate) fn invalid(path: impl Into<PathBuf>, reason: impl Into<String>) -> Self {
-        // Decoders' messages may have several lines; an error here is one.
+        // Messages of decoders may have several lines; errors are printed on one line.
         let reason = reason.into().split_whitespace().collect::<Vec<_>>().join(" ");
         Self::Invalid { path: path.into(), reason }
     }

@@ -1,4 +1,4 @@
-//! `terrane-gen`: the tile generator alone; `terrane gen` is the same.
+//! The program `terrane-gen`: the tile generator alone, the same as `terrane gen`.
 
 use std::io::Write as _;
 use std::process::ExitCode;
@@ -14,13 +14,13 @@ struct Args {
 }
 
 fn main() -> ExitCode {
-    // Wrong arguments end here, with exit code 2 and clap's own words.
+    // Invalid arguments end the program here, with clap's message and exit code 2.
     let args = Args::parse();
     let done = terrane_data_gen::run(&args.gen_args).map_err(|e| e.to_string());
     match done.and_then(|summary| summary.print().map_err(|e| format!("standard output: {e}"))) {
         Ok(()) => ExitCode::SUCCESS,
         Err(e) => {
-            // Where even this cannot be written the exit code says it.
+            // If standard error cannot be written either, only the exit code reports the failure.
             let _ = writeln!(std::io::stderr(), "terrane-gen: {e}");
             ExitCode::from(1)
         }

@@ -1,5 +1,7 @@
-//! Gradient noise in 2D from a hash: any place alone, the same bits on every machine (no fused multiply-add, no
-//! transcendental functions). Perlin's improved noise (2002) with eight gradients.
+//! Gradient noise in 2D from a hash: Perlin's improved noise (2002) with eight gradients.
+//!
+//! Each position is computed independently of others. The bits are the same on every machine, because neither fused
+//! multiply-add nor transcendental functions are used.
 
 use terrane::math::random::{SplitMix64, mix64};
 
@@ -21,13 +23,13 @@ const GRADIENTS: [[f64; 2]; 8] = [
     [DIAGONAL, -DIAGONAL],
 ];
 
-/// The next lower integer. Without SSE4.1 `f64::floor` is a call; this is not.
+/// Rounds down. Without SSE4.1 `f64::floor` is a function call; this is not.
 fn floor(x: f64) -> i64 {
     let towards_zero = x as i64;
     towards_zero - i64::from(x < towards_zero as f64)
 }
 
-/// About -1..1, zero at lattice points, lattice spacing 1.
+/// Returns noise of about -1..1 that is zero at lattice points. The lattice spacing is 1.
 pub(crate) fn gradient(x: f64, y: f64, seed: u64) -> f64 {
     let (ix, iy) = (floor(x), floor(y));
     let (fx, fy) = (x - ix as f64, y - iy as f64);
@@ -42,13 +44,13 @@ pub(crate) fn gradient(x: f64, y: f64, seed: u64) -> f64 {
     1.5 * (bottom + v * (top - bottom))
 }
 
-/// Adds `amplitude` times gradient noise along a row of places `x + k * step` to `out`; `step` is above 0. A lattice
-/// cell's corners are hashed once for all places in it, and those are then done several at once.
+/// Adds `amplitude` times gradient noise to `out`, along a row of positions `x + k * step` with `step` above 0. The
+/// corners of a lattice cell are hashed once for all positions in it, and the inner loop can be vectorised.
 pub(crate) fn add_gradient_row(out: &mut [f32], amplitude: f64, x: f64, step: f64, y: f64, seed: u64) {
     let iy = floor(y);
     let fy = y - iy as f64;
     let v = fy * fy * fy * (fy * (fy * 6.0 - 15.0) + 10.0);
-    // Both corners of a lattice column, blended over y: linear in x, as offset and slope.
+    // The two corners of a lattice column blended over y: a linear function of x, as offset and slope.
     let column = |ix: i64| {
         let [ax, ay] = GRADIENTS[(hash(ix, iy, seed) >> 61) as usize];
         let [bx, by] = GRADIENTS[(hash(ix, iy + 1, seed) >> 61) as usize];
@@ -63,7 +65,7 @@ pub(crate) fn add_gradient_row(out: &mut [f32], amplitude: f64, x: f64, step: f6
         right = column(ix + 1);
         cell = ix;
         let fx = at - ix as f64;
-        // At the cell's far end both cells say the same: one place too many does no harm.
+        // At the boundary of two cells both give the same value, so one position too many is harmless.
         let inside = (((1.0 - fx) / step) as usize + 1).min(out.len() - done);
         let (fx, step) = (fx as f32, step as f32);
         for (k, value) in out[done..done + inside].iter_mut().enumerate() {
@@ -76,7 +78,7 @@ pub(crate) fn add_gradient_row(out: &mut [f32], amplitude: f64, x: f64, step: f6
     }
 }
 
-/// [`fbm`] along a row, without the octaves that are finer than two steps: those would only flicker.
+/// Computes [`fbm`] along a row. Octaves finer than two steps are left out, because they would alias.
 pub(crate) fn fbm_row(out: &mut [f32], x: f64, step: f64, y: f64, octaves: u32, seed: u64) {
     out.fill(0.0);
     let (mut amplitude, mut frequency) = (0.5, 1.0);
@@ -91,7 +93,7 @@ pub(crate) fn fbm_row(out: &mut [f32], x: f64, step: f64, y: f64, octaves: u32, 
     }
 }
 
-/// Sum of octaves, each at twice the frequency and half the amplitude; about -1..1.
+/// Returns fractal noise of about -1..1: a sum of octaves, each at twice the frequency and half the amplitude.
 pub(crate) fn fbm(x: f64, y: f64, octaves: u32, seed: u64) -> f64 {
     let (mut sum, mut amplitude, mut frequency) = (0.0, 0.5, 1.0);
     for octave in 0..octaves {
@@ -102,7 +104,7 @@ pub(crate) fn fbm(x: f64, y: f64, octaves: u32, seed: u64) -> f64 {
     sum
 }
 
-/// Ridged multifractal, 0..1 (Musgrave, Texturing and Modeling): detail gathers on ridges, valleys stay smooth.
+/// Returns ridged multifractal noise, 0..1 (Musgrave, Texturing and Modeling): ridges are detailed, valleys smooth.
 pub(crate) fn ridged(x: f64, y: f64, octaves: u32, seed: u64) -> f64 {
     let (mut sum, mut amplitude, mut frequency, mut weight, mut total) = (0.0, 1.0, 1.0, 1.0, 0.0);
     for octave in 0..octaves {
@@ -122,7 +124,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_row_is_its_points() {
+    fn row_equals_single_points() {
         for (x, step, y) in [(-3.7, 0.031, 2.3), (812.4, 0.37, -55.9), (0.0, 1.9, 0.0), (9.0, 0.25, 4.0)] {
             let mut row = [1.0f32; 300];
             add_gradient_row(&mut row, 0.7, x, step, y, 42);
@@ -134,14 +136,14 @@ mod tests {
     }
 
     #[test]
-    fn a_row_of_octaves_leaves_out_what_flickers() {
+    fn row_leaves_out_octaves_that_would_alias() {
         let (x, y) = (17.3, 5.9);
         let mut row = [9.0f32; 64];
         fbm_row(&mut row, x, 0.01, y, 6, 7);
         for (k, value) in row.iter().enumerate() {
             assert!((f64::from(*value) - fbm(x + 0.01 * k as f64, y, 6, 7)).abs() < 1e-5);
         }
-        // 0.2, 0.406 and then 0.82 cells a step: two octaves are left.
+        // 0.2, 0.406 and 0.82 cells per step: only the first two octaves are used.
         fbm_row(&mut row, x, 0.2, y, 6, 7);
         for (k, value) in row.iter().enumerate() {
             assert!((f64::from(*value) - fbm(x + 0.2 * k as f64, y, 2, 7)).abs() < 1e-5);

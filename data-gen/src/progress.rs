@@ -1,4 +1,5 @@
-//! Progress of a long job on standard error: a bar on a terminal, elsewhere a line every few seconds. Any thread may report.
+//! Progress of a long job on standard error: a bar on a terminal, otherwise a line every few seconds. Any thread may
+//! report progress.
 
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -21,8 +22,7 @@ pub struct Progress {
 }
 
 impl Progress {
-    /// Starts a job of `total` steps; with `total` 0 the number of steps is not known. `unit` names a step in the
-    /// plural ("tiles").
+    /// Starts a job of `total` steps; 0 if the number is unknown. `unit` names the steps in the plural ("tiles").
     pub fn new(name: &'static str, total: u64, unit: &'static str) -> Self {
         let bar = if total == 0 { ProgressBar::new_spinner() } else { ProgressBar::new(total) };
         let bar = bar.with_style(Self::style(total)).with_message(name);
@@ -70,7 +70,7 @@ impl Progress {
         eprintln!("{}", self.line(now - self.started));
     }
 
-    /// One line, such as `tiles: 1200 of 5461 tiles, 22 %, 31 s left`.
+    /// Returns one line, such as `tiles: 1200 of 5461 tiles, 22 %, 31 s left`.
     fn line(&self, elapsed: Duration) -> String {
         let (done, name, unit) = (self.bar.position(), self.name, self.unit);
         match self.bar.length() {
@@ -100,7 +100,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn lines_tell_count_share_and_time_left() {
+    fn lines_contain_count_percentage_and_remaining_time() {
         let progress = Progress::new("writing", 200, "tiles");
         progress.set_done(50);
         assert_eq!(progress.line(Duration::from_secs(10)), "writing: 50 of 200 tiles, 25 %, 30 s left");

@@ -1,4 +1,4 @@
-//! The program `terrane-gen`: exit codes, and an output that takes nothing.
+//! The program `terrane-gen`: exit codes, killed runs, and a standard output that cannot be written.
 
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
@@ -10,7 +10,7 @@ fn terrane_gen(out: &Path, args: &[&str], stdout: Stdio) -> Output {
 }
 
 #[test]
-fn wrong_values_are_wrong_usage() {
+fn invalid_values_are_usage_errors() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("set");
     for args in [
@@ -31,42 +31,45 @@ fn wrong_values_are_wrong_usage() {
         assert!(text.contains(args[0]) && text.contains(args[1]), "{args:?}: {text}");
     }
     let output = terrane_gen(&out, &["--dem", "none.tif"], Stdio::piped());
-    assert_eq!(output.status.code(), Some(1), "what is asked for well and fails");
+    assert_eq!(output.status.code(), Some(1), "valid arguments, but the file is missing");
     assert!(!out.exists());
     let output = terrane_gen(&out, &["--size", "100", "--levels", "1"], Stdio::piped());
     assert_eq!(output.status.code(), Some(0));
     assert!(String::from_utf8(output.stdout).unwrap().starts_with("1 tiles on 1 levels"));
 }
 
-/// It stayed for ever.
+/// Regression: the temporary folder of a killed run was never removed.
 #[test]
-fn leftovers_of_a_killed_run_are_removed() {
+fn folder_of_a_killed_run_is_removed_by_the_next() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("set");
     let mut command = Command::new(env!("CARGO_BIN_EXE_terrane-gen"));
     let mut run = command.arg(&out).args(["--levels", "9"]).spawn().unwrap();
     let names = || -> Vec<_> { folder.path().read_dir().unwrap().map(|e| e.unwrap().path()).collect() };
     let start = Instant::now();
-    // The mark has its text as soon as the run's own folder is there.
-    while !names().iter().any(|path| path.join(".terrane-gen").metadata().is_ok_and(|mark| mark.len() > 0)) {
-        assert!(start.elapsed() < Duration::from_secs(120) && run.try_wait().unwrap().is_none(), "it does not begin");
+    // The run has begun once the marker file has its text.
+    while !names().iter().any(|path| path.join(".terrane-gen").metadata().is_ok_and(|marker| marker.len() > 0)) {
+        assert!(
+            start.elapsed() < Duration::from_secs(120) && run.try_wait().unwrap().is_none(),
+            "the run did not begin within 120 s"
+        );
         std::thread::sleep(Duration::from_millis(5));
     }
     run.kill().unwrap();
     run.wait().unwrap();
-    assert_eq!(names().len(), 1, "what it has made");
+    assert_eq!(names().len(), 1, "only the temporary folder is left");
     let output = terrane_gen(&out, &["--levels", "1"], Stdio::piped());
     assert_eq!((output.status.code(), names()), (Some(0), vec![out]));
 }
 
-/// Both were a panic.
+/// Regression: a closed pipe and a full device both caused a panic.
 #[test]
-fn an_output_that_takes_nothing_is_no_panic() {
+fn closed_or_full_standard_output_does_not_panic() {
     let folder = tempfile::tempdir().unwrap();
     let (reader, writer) = std::io::pipe().unwrap();
     drop(reader);
     let output = terrane_gen(&folder.path().join("a"), &["--levels", "1"], writer.into());
-    assert_eq!((output.status.code(), output.stderr), (Some(0), Vec::new()), "nobody reads it: a quiet end");
+    assert_eq!((output.status.code(), output.stderr), (Some(0), Vec::new()), "a closed pipe is not an error");
     #[cfg(target_os = "linux")]
     {
         let full = std::fs::File::options().write(true).open("/dev/full").unwrap();

@@ -1,4 +1,5 @@
-//! Elevation on both sides of the date line is one set; it was refused, or a set around the earth the other way.
+//! Elevation on both sides of the date line becomes one set. Regression: it was refused, or it became a set around the
+//! earth through longitude 0.
 
 use std::f64::consts::PI;
 use std::path::Path;
@@ -8,14 +9,14 @@ use terrane::formats::writers::write_height_exr;
 use terrane::math::Region;
 use terrane_data_gen::{ContentKind, GenArgs, GenError, run};
 
-/// Degrees between samples, and the latitude of the northernmost.
+/// The distance between samples in degrees.
 const PIXEL: f64 = 0.001;
+/// The latitude of the northernmost samples in degrees.
 const NORTH: f64 = 46.5;
 
-/// A file of the columns from `first` on, its westernmost samples at a longitude.
+/// Writes a square part of the heights, from column `first` on, with its westernmost samples at the longitude `west`.
 fn file(folder: &Path, name: &str, west: f64, first: usize, columns: usize) -> std::path::PathBuf {
     let (path, side) = (folder.join(name), SIDE as usize);
-    // Square, so that the rows below are cut off as well.
     let of = |k: usize| heights()[k / columns * side + first + k % columns];
     let exr = write_height_exr("test", columns, (0..columns * columns).map(of).collect()).unwrap();
     std::fs::write(&path, exr).unwrap();
@@ -27,8 +28,8 @@ fn args(dem: Vec<std::path::PathBuf>, out: std::path::PathBuf) -> GenArgs {
     GenArgs { dem, levels: Some(3), jobs: Some(1), ..GenArgs::new(out) }
 }
 
-/// Each tile's region is within 180 degrees and as wide as it should be, and each lies where its parent is.
-fn is_connected(out: &Path, [west, wide]: [f64; 2]) {
+/// Checks that each tile's region is within 180 degrees, has the expected width, and lies inside its parent's.
+fn check_regions(out: &Path, [west, wide]: [f64; 2]) {
     let set = tileset(out);
     let root = region(&set["root"]);
     assert!((root[0] - west.to_radians()).abs() < 1e-9, "{root:?}");
@@ -57,15 +58,15 @@ fn terrain_across_the_date_line_is_one_set() {
     let (wide, part) = (PIXEL * (side - 1) as f64, PIXEL * half as f64);
     let elsewhere = args(vec![file(folder.path(), "elsewhere.exr", 7.0, 0, side)], folder.path().join("elsewhere"));
     run(&elsewhere).unwrap();
-    // The same file, said from both sides, its half before the date line.
+    // The same file with longitudes counted from either side, half of it west of the date line.
     for (name, west) in [("east.exr", 180.0 - part), ("west.exr", -180.0 - part)] {
         let across =
             args(vec![file(folder.path(), name, west, 0, side)], folder.path().join(name).with_extension("set"));
         assert_eq!(run(&across).unwrap().filled_samples, 0);
-        is_connected(&across.out, [180.0 - part, wide]);
+        check_regions(&across.out, [180.0 - part, wide]);
         for (x, y) in [(0, 0), (1, 2), (2, 2), (3, 3)] {
             let pairs = tile_heights(&elsewhere.out, 2, x, y).into_iter().zip(tile_heights(&across.out, 2, x, y));
-            // A quantum apart by rounding.
+            // Rounding may differ by one quantum.
             let apart = pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
             assert!(apart < 0.01, "{apart} m");
         }
@@ -75,7 +76,7 @@ fn terrain_across_the_date_line_is_one_set() {
         ..args(vec![folder.path().join("east.exr")], folder.path().join("meshes"))
     };
     run(&meshes).unwrap();
-    is_connected(&meshes.out, [180.0 - part, wide]);
+    check_regions(&meshes.out, [180.0 - part, wide]);
 }
 
 #[test]
@@ -84,29 +85,29 @@ fn files_on_both_sides_are_one_set() {
     let half = SIDE as usize / 2;
     let part = PIXEL * half as f64;
     let at = |name: &str, west: f64, first: usize| file(folder.path(), name, west, first, half);
-    // Beside each other, in either order; and with a gap between them, which is filled.
+    // The files touch, in either order; then there is a gap between them, which is filled.
     let (before, after) = (at("before.exr", 180.0 - part, 0), at("after.exr", -180.0, half));
     for (name, dem) in [("a", vec![before.clone(), after.clone()]), ("b", vec![after.clone(), before.clone()])] {
         let both = args(dem, folder.path().join(name));
         assert_eq!(run(&both).unwrap().filled_samples, 0);
-        is_connected(&both.out, [180.0 - part, 2.0 * part - PIXEL]);
+        check_regions(&both.out, [180.0 - part, 2.0 * part - PIXEL]);
     }
     let later = at("later.exr", -180.0 + part, half);
     let apart = args(vec![before, later], folder.path().join("c"));
     let filled = run(&apart).unwrap().filled_samples;
-    assert!((20_000..25_000).contains(&filled), "a third of 257 x 257, not {filled}");
-    is_connected(&apart.out, [180.0 - part, 3.0 * part - PIXEL]);
+    assert!((20_000..25_000).contains(&filled), "expected a third of 257 x 257, found {filled}");
+    check_regions(&apart.out, [180.0 - part, 3.0 * part - PIXEL]);
 }
 
 #[test]
-fn imagery_across_it_is_found() {
+fn imagery_beyond_the_date_line_is_used() {
     let folder = tempfile::tempdir().unwrap();
     let dem = vec![file(folder.path(), "a.exr", 180.0 - 0.02, 0, SIDE as usize)];
-    let picture = folder.path().join("colour.png");
-    image::RgbImage::from_pixel(8, 8, image::Rgb([250, 10, 10])).save(&picture).unwrap();
-    // Over what lies beyond it alone.
-    std::fs::write(picture.with_extension("pgw"), "0.002\n0\n0\n-0.006\n-179.999\n46.5\n").unwrap();
-    let set = GenArgs { imagery: Some(picture), ..args(dem, folder.path().join("set")) };
+    let image_path = folder.path().join("colour.png");
+    image::RgbImage::from_pixel(8, 8, image::Rgb([250, 10, 10])).save(&image_path).unwrap();
+    // The image covers only the part beyond the date line.
+    std::fs::write(image_path.with_extension("pgw"), "0.002\n0\n0\n-0.006\n-179.999\n46.5\n").unwrap();
+    let set = GenArgs { imagery: Some(image_path), ..args(dem, folder.path().join("set")) };
     run(&set).unwrap();
     let red = |x: u32| {
         let tile = image::open(set.out.join(format!("2/{x}/2.jpg"))).unwrap().into_rgb8();

@@ -1,17 +1,17 @@
-//! Elevation in each format lands where its georeference says; what is broken is one error that names the file.
+//! Elevation files of each format are placed by their georeference; a broken file is one error that names the file.
 
 use std::fs;
 use std::path::Path;
 
 use crate::files::{
     PLACE, Place, SIDE, from_dem, heights, region, set_tag, tiff_float32, tiff_int16, tiff_int16_keyed,
-    tiff_int16_told, tiff_uint16, tile_heights, tileset,
+    tiff_int16_with_metadata, tiff_uint16, tile_heights, tileset,
 };
 use terrane::formats::writers::write_height_exr;
 use terrane_data_gen::{GenArgs, GenError, Summary, run};
 
-/// Runs, checks the root's region against `bounds` and the corner heights against the input's.
-fn lands(args: &GenArgs, bounds: [f64; 4], corners_m: Option<[f32; 4]>) -> Summary {
+/// Generates a set, and checks the root's region against `bounds` and its corner heights against `corners_m`.
+fn check_placement(args: &GenArgs, bounds: [f64; 4], corners_m: Option<[f32; 4]>) -> Summary {
     let summary = run(args).unwrap();
     let found = region(&tileset(&args.out)["root"]);
     for k in 0..4 {
@@ -29,13 +29,13 @@ fn lands(args: &GenArgs, bounds: [f64; 4], corners_m: Option<[f32; 4]>) -> Summa
     summary
 }
 
-/// North-west, north-east, south-west, south-east.
+/// Returns the heights of the corners: north-west, north-east, south-west, south-east.
 fn corners(heights: &[f32], side: usize) -> [f32; 4] {
     [heights[0], heights[side - 1], heights[side * (side - 1)], heights[side * side - 1]]
 }
 
 #[test]
-fn geotiffs_land_where_their_tags_say() {
+fn geotiffs_are_placed_by_their_tags() {
     let folder = tempfile::tempdir().unwrap();
     let h = heights();
     let expected = corners(&h, SIDE as usize);
@@ -48,7 +48,7 @@ fn geotiffs_land_where_their_tags_say() {
             ("float32", tiff_float32(&h, Some(place), None)),
         ] {
             let args = from_dem(folder.path(), &format!("{name}-{k}.tif"), &bytes);
-            let summary = lands(&args, place.bounds(), Some(expected));
+            let summary = check_placement(&args, place.bounds(), Some(expected));
             assert_eq!(summary.filled_samples, 0);
             assert_eq!(summary.tiles, 5);
         }
@@ -56,7 +56,7 @@ fn geotiffs_land_where_their_tags_say() {
 }
 
 #[test]
-fn voids_are_filled_from_around_and_counted() {
+fn voids_are_filled_from_surroundings_and_counted() {
     let folder = tempfile::tempdir().unwrap();
     let n = SIDE as usize;
     let with = |void: f32| -> Vec<f32> {
@@ -85,7 +85,7 @@ fn voids_are_filled_from_around_and_counted() {
             fs::write(folder.path().join("lowest.wld"), world).unwrap();
         }
         let args = from_dem(folder.path(), name, &bytes);
-        let summary = lands(&args, PLACE.bounds(), Some(corners(&heights(), n)));
+        let summary = check_placement(&args, PLACE.bounds(), Some(corners(&heights(), n)));
         assert!(summary.min_height_m >= 195.0 && summary.max_height_m <= 820.0, "{name}: {summary}");
         assert!(summary.filled_samples > 1000, "{name}: {summary}");
         filled.push(summary.filled_samples);
@@ -93,14 +93,14 @@ fn voids_are_filled_from_around_and_counted() {
     assert!(filled.iter().all(|f| *f == filled[0]), "{filled:?}");
 }
 
-/// Feet were read as metres.
+/// Regression: feet were read as metres.
 #[test]
-fn heights_in_feet_become_metres() {
+fn heights_in_feet_are_converted_to_metres() {
     let folder = tempfile::tempdir().unwrap();
     let mut h = heights();
     h[500] = -32768.0;
     let (foot, us_foot) = (0.3048, 1200.0 / 3937.0);
-    // VerticalUnits 4099, Vertical 4096; ProjLinearUnits 3076 is of the plane.
+    // Keys: VerticalUnits 4099 and Vertical 4096. ProjLinearUnits 3076 applies to the plane only.
     for (k, (more, metres)) in [
         (vec![[4099, 9001]], 1.0),
         (vec![[4099, 9002]], foot),
@@ -118,8 +118,8 @@ fn heights_in_feet_become_metres() {
     {
         let args = from_dem(folder.path(), &format!("{k}.tif"), &tiff_int16_keyed(&h, Some(PLACE), &more));
         let expected = corners(&h, SIDE as usize).map(|h| (f64::from(h) * metres) as f32);
-        let summary = lands(&args, PLACE.bounds(), Some(expected));
-        assert!(summary.min_height_m > 190.0 * metres, "{more:?}: a void is no depth, {summary}");
+        let summary = check_placement(&args, PLACE.bounds(), Some(expected));
+        assert!(summary.min_height_m > 190.0 * metres, "{more:?}: a void became a depth, {summary}");
     }
     for (more, why) in [
         (vec![[4099, 9014]], "EPSG:9014"),
@@ -133,21 +133,21 @@ fn heights_in_feet_become_metres() {
     }
 }
 
-/// Depths in metres were read as heights, the sea as mountains.
+/// Regression: depths were read as heights, so that the sea became mountains.
 #[test]
 fn depths_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     for system in [5336, 5612, 5614, 5706, 5715, 5831, 5861, 5867, 5873, 6357, 6359, 8051, 8053, 9287, 10379, 10678] {
         for more in [vec![[4096, system]], vec![[4096, system], [4099, 9001]]] {
             let args = from_dem(folder.path(), "depths.tif", &tiff_int16_keyed(&heights(), Some(PLACE), &more));
-            refused(&args, &args.dem[0], &format!("depths in EPSG:{system}, where heights"));
+            refused(&args, &args.dem[0], &format!("depths in EPSG:{system}; only heights"));
         }
     }
 }
 
-/// Samples were heights in metres whatever GDAL's metadata said of them.
+/// Regression: the scale, offset and unit in GDAL's metadata were ignored.
 #[test]
-fn scaled_samples_become_metres() {
+fn scaled_samples_are_converted_to_metres() {
     let folder = tempfile::tempdir().unwrap();
     let mut h = heights();
     h[500] = -9999.0;
@@ -159,7 +159,7 @@ fn scaled_samples_become_metres() {
         (vec![of_other.to_owned(), item("scale", "2"), item("unittype", "m")], vec![], [2.0, 0.0]),
         (vec![item("offset", "100"), item("unittype", "ft")], vec![], [foot, 100.0 * foot]),
         (vec![item("unittype", "US survey foot")], vec![], [1200.0 / 3937.0, 0.0]),
-        // The keys have the last word of the unit.
+        // The unit in the GeoKeys takes precedence.
         (vec![item("unittype", "ft")], vec![[4099, 9001]], [1.0, 0.0]),
         (vec![item("scale", "0.5")], vec![[4096, 5703], [4099, 9002]], [0.5 * foot, 0.0]),
         (vec![of_other.to_owned()], vec![], [1.0, 0.0]),
@@ -168,19 +168,20 @@ fn scaled_samples_become_metres() {
     .enumerate()
     {
         let metadata = format!("<GDALMetadata>{}</GDALMetadata>", items.concat());
-        let args = from_dem(folder.path(), &format!("{k}.tif"), &tiff_int16_told(&h, &metadata, "-9999", &keys));
+        let args =
+            from_dem(folder.path(), &format!("{k}.tif"), &tiff_int16_with_metadata(&h, &metadata, "-9999", &keys));
         let expected = corners(&h, SIDE as usize).map(|h| (f64::from(h) * factor + offset) as f32);
-        let summary = lands(&args, PLACE.bounds(), Some(expected));
-        assert!(summary.min_height_m > 190.0 * factor + offset, "{metadata}: a void is no depth, {summary}");
+        let summary = check_placement(&args, PLACE.bounds(), Some(expected));
+        assert!(summary.min_height_m > 190.0 * factor + offset, "{metadata}: a void became a depth, {summary}");
     }
     for (role, value) in [("scale", "big"), ("offset", "inf"), ("unittype", "degC")] {
-        let tiff = tiff_int16_told(&h, &item(role, value), "-9999", &[]);
+        let tiff = tiff_int16_with_metadata(&h, &item(role, value), "-9999", &[]);
         let args = from_dem(folder.path(), "other.tif", &tiff);
-        refused(&args, &args.dem[0], &format!("`{value}`, which is not understood"));
+        refused(&args, &args.dem[0], &format!("`{value}`, which is not supported"));
     }
 }
 
-/// Other bodies were taken for the earth.
+/// Regression: files of other bodies were taken for the earth.
 #[test]
 fn positions_off_the_earth_are_refused() {
     let folder = tempfile::tempdir().unwrap();
@@ -188,25 +189,25 @@ fn positions_off_the_earth_are_refused() {
         let keys = [[2056, 32767], [2057, axis]];
         from_dem(folder.path(), name, &tiff_int16_keyed(&heights(), Some(PLACE), &keys))
     };
-    lands(&on("earth.tif", 0), PLACE.bounds(), None);
+    check_placement(&on("earth.tif", 0), PLACE.bounds(), None);
     let moon = on("moon.tif", 1);
     refused(&moon, &moon.dem[0], "an ellipsoid of 1737400 m is not the earth's");
 }
 
 #[test]
-fn srtm_hgt_lands_by_its_name() {
+fn srtm_hgt_is_placed_by_its_name() {
     let folder = tempfile::tempdir().unwrap();
     let height = |i: i16, j: i16| if (i, j) == (600, 600) { i16::MIN } else { 100 + i / 2 + j / 3 };
     let bytes: Vec<u8> = (0..1201).flat_map(|j| (0..1201).flat_map(move |i| height(i, j).to_be_bytes())).collect();
     let expected = [height(0, 0), height(1200, 0), height(0, 1200), height(1200, 1200)].map(f32::from);
     for (name, [west, south]) in [("N42E001.hgt", [1.0, 42.0f64]), ("s09w070.HGT", [-70.0, -9.0])] {
         let args = from_dem(folder.path(), name, &bytes);
-        lands(&args, [west, south, west + 1.0, south + 1.0].map(f64::to_radians), Some(expected));
+        check_placement(&args, [west, south, west + 1.0, south + 1.0].map(f64::to_radians), Some(expected));
     }
 }
 
 #[test]
-fn pictures_of_heights_land_by_their_world_file() {
+fn height_images_are_placed_by_their_world_file() {
     let folder = tempfile::tempdir().unwrap();
     let h = heights();
     let rgb = image::RgbImage::from_fn(SIDE, SIDE, |x, y| {
@@ -223,16 +224,16 @@ fn pictures_of_heights_land_by_their_world_file() {
     for (name, world_name, bytes) in [("rgb.png", "rgb.pgw", png.into_inner()), ("heights.exr", "heights.wld", exr)] {
         fs::write(folder.path().join(world_name), &world).unwrap();
         let args = from_dem(folder.path(), name, &bytes);
-        lands(&args, bounds, Some(corners(&h, SIDE as usize)));
+        check_placement(&args, bounds, Some(corners(&h, SIDE as usize)));
         // Without it the set lies at the default position, and the heights are the same.
         let args = from_dem(folder.path(), &format!("free-{name}"), &bytes);
         assert!((run(&args).unwrap().min_height_m - 200.0).abs() < 0.1);
     }
 }
 
-/// Any PNG was read as terrain-RGB: a 16-bit grey one became heights around 100 km below the ground.
+/// Regression: any PNG was read as terrain-RGB; a 16-bit grey one became heights around 100 km below the ground.
 #[test]
-fn pictures_that_are_no_terrain_rgb_are_refused() {
+fn pngs_other_than_terrain_rgb_are_refused() {
     use image::ExtendedColorType as Color;
     let folder = tempfile::tempdir().unwrap();
     let png = |color: Color, bytes: usize| {
@@ -261,9 +262,9 @@ fn pictures_that_are_no_terrain_rgb_are_refused() {
     }
 }
 
-/// Files that lie wholly beyond 180 degrees are moved onto the earth; they once covered nothing.
+/// Files that lie wholly beyond 180 degrees are moved onto the earth. Regression: they covered nothing.
 #[test]
-fn longitudes_beyond_the_date_line_are_those_of_the_other_side() {
+fn longitudes_beyond_180_degrees_wrap_around() {
     let folder = tempfile::tempdir().unwrap();
     let h = heights();
     let (wide, [_, dy]) = (0.001 * f64::from(SIDE - 1), PLACE.pixel_deg);
@@ -278,7 +279,7 @@ fn longitudes_beyond_the_date_line_are_those_of_the_other_side() {
         let place = Place { tie_deg: [west, 46.5], point: true, ..PLACE };
         let bounds = [expected, low, expected + wide, 46.5].map(f64::to_radians);
         let args = from_dem(folder.path(), name, &tiff_int16(&h, Some(place), None));
-        lands(&args, bounds, Some(corners(&h, SIDE as usize)));
+        check_placement(&args, bounds, Some(corners(&h, SIDE as usize)));
         // An image of the whole world may span 0 to 360 degrees.
         let imagery = folder.path().join("world.png");
         image::RgbImage::from_pixel(8, 4, image::Rgb([250, 10, 10])).save(&imagery).unwrap();
@@ -301,7 +302,7 @@ fn several_files_are_one_set() {
     let mut args = from_dem(folder.path(), "west.tif", &tiff_int16(&low, Some(PLACE), None));
     args.dem.extend(from_dem(folder.path(), "east.tif", &tiff_int16(&high, Some(east), None)).dem);
     let [west, south, _, north] = PLACE.bounds();
-    let summary = lands(&args, [west, south, east.bounds()[2], north], Some([100.0, 700.0, 100.0, 700.0]));
+    let summary = check_placement(&args, [west, south, east.bounds()[2], north], Some([100.0, 700.0, 100.0, 700.0]));
     assert_eq!((summary.min_height_m, summary.max_height_m), (100.0, 700.0));
     // The first file wins where both have samples: 0.04 of 0.069 degrees are the western file's.
     let tile = tile_heights(&args.out, 0, 0, 0);
@@ -310,9 +311,9 @@ fn several_files_are_one_set() {
     assert!((36..=38).contains(&low), "{low}");
 }
 
-/// Between the outermost samples of neighbours each file's own went on for half a pixel.
+/// Regression: between the outermost samples of neighbours, each file's sample was repeated for half a pixel.
 #[test]
-fn files_cut_from_one_are_the_same_set() {
+fn files_cut_from_one_file_give_the_same_set() {
     let folder = tempfile::tempdir().unwrap();
     let (n, pixel, h) = (SIDE as usize, 0.001, heights());
     let part = |name: &str, first: [usize; 2], side: usize| {
@@ -334,13 +335,13 @@ fn files_cut_from_one_are_the_same_set() {
     assert_eq!(run(&parts).unwrap().filled_samples, 0);
     for (x, y) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
         let pairs = tile_heights(&whole.out, 1, x, y).into_iter().zip(tile_heights(&parts.out, 1, x, y));
-        // A quantum apart by rounding.
+        // Rounding may differ by one quantum.
         let apart = pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
         assert!(apart < 0.01, "{apart} m");
     }
 }
 
-/// The one error of a run, which must name `file` and say `why` in one line; no output may be left.
+/// Checks that a run fails with one line that names `file` and contains `why`, and leaves no output. Returns the error.
 fn refused(args: &GenArgs, file: &Path, why: &str) -> GenError {
     let error = run(args).unwrap_err();
     let line = error.to_string();
@@ -394,7 +395,7 @@ fn broken_elevation_is_one_error_that_names_the_file() {
     assert!(matches!(error, GenError::File { .. }), "{error:?}");
 }
 
-/// A named pipe is refused; reading one without a writer once hung.
+/// Regression: reading a named pipe without a writer blocked forever.
 #[cfg(target_os = "linux")]
 #[test]
 fn paths_that_are_not_regular_files_are_refused() {
@@ -410,7 +411,7 @@ fn paths_that_are_not_regular_files_are_refused() {
     // The error comes before anything is generated.
     let link = folder.path().join("link");
     std::os::unix::fs::symlink("nowhere", &link).unwrap();
-    refused(&GenArgs { out: link.clone(), ..good }, &link, "a link to what is not there");
+    refused(&GenArgs { out: link.clone(), ..good }, &link, "is a link whose target does not exist");
 }
 
 #[test]
@@ -423,7 +424,7 @@ fn a_file_cut_anywhere_is_refused() {
         .write_to(&mut png, image::ImageFormat::Png)
         .unwrap();
     let png = png.into_inner();
-    // PNG's last chunk says only that it is the last; decoders take the image without it.
+    // PNG's last chunk only marks the end; decoders accept an image without it.
     let picture_end = png.len() - 12;
     for (name, whole, end) in [
         ("cut.tif", &tiff_float32(&h, Some(PLACE), None), None),
@@ -439,14 +440,14 @@ fn a_file_cut_anywhere_is_refused() {
     }
 }
 
-/// 2 x 2 pixels, red, green and blue each in a separate plane.
+/// Returns a TIFF of 2 x 2 pixels with red, green and blue in separate planes.
 fn planar_tiff() -> Vec<u8> {
     let mut bytes = b"II*\0".to_vec();
     bytes.extend(50u32.to_le_bytes());
     bytes.extend([200u8; 12]);
     bytes.extend([8u16; 3].iter().flat_map(|bits| bits.to_le_bytes()));
     bytes.extend([8u32, 12, 16, 4, 4, 4].iter().flat_map(|strip| strip.to_le_bytes()));
-    // Tag, type (3 is of 16, 4 of 32 bits), count, value or its offset.
+    // Tag, type (3 has 16 bits, 4 has 32), count, and the value or its offset.
     let entries: [[u32; 4]; 10] = [
         [256, 3, 1, 2],
         [257, 3, 1, 2],
@@ -485,7 +486,7 @@ fn bad_imagery_and_arguments_are_refused() {
     let world = |west: f64| fs::write(path.with_extension("pgw"), format!("0.0001\n0\n0\n-0.0001\n{west}\n46.48\n"));
     world(9.0).unwrap();
     refused(&GenArgs { imagery: Some(path.clone()), ..args.clone() }, &path, "covers none of the elevation");
-    // An image far smaller than a tile is used where it lies.
+    // An image far smaller than a tile is used.
     world(7.52).unwrap();
     run(&GenArgs { imagery: Some(path.clone()), overwrite: true, ..args.clone() }).unwrap();
     fs::remove_dir_all(&args.out).unwrap();
@@ -502,7 +503,7 @@ fn bad_imagery_and_arguments_are_refused() {
 }
 
 #[test]
-fn levels_are_as_many_as_the_elevation_has_detail_for() {
+fn default_levels_follow_the_detail_of_the_elevation() {
     let folder = tempfile::tempdir().unwrap();
     let levels = |side: usize, stretch: f64| {
         let exr = write_height_exr("test", side, (0..side * side).map(|k| (k % 97) as f32).collect()).unwrap();
@@ -511,7 +512,7 @@ fn levels_are_as_many_as_the_elevation_has_detail_for() {
         let args = GenArgs { levels: None, overwrite: true, ..from_dem(folder.path(), "detail.exr", &exr) };
         run(&args).unwrap().levels
     };
-    // 64 cells a tile: a level more begins at one sample more. The shape of the samples does not matter.
+    // A tile has 64 cells, so one sample more than a level holds adds a level. The shape of the samples does not matter.
     for stretch in [1.0, 1.5, 0.6] {
         assert_eq!([40, 65, 66, 129, 130].map(|side| levels(side, stretch)), [1, 1, 2, 2, 3], "{stretch}");
     }

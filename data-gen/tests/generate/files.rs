@@ -1,4 +1,4 @@
-//! Small input files that the tests write, and what a finished set holds.
+//! Writes small input files for the tests, and reads finished sets.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -11,25 +11,25 @@ use tiff::encoder::TiffEncoder;
 use tiff::encoder::colortype::{ColorType, Gray16, Gray32Float, GrayI16};
 use tiff::tags::Tag;
 
-/// Samples along a side of the written elevations.
+/// The number of samples along a side of the elevation files.
 pub const SIDE: u32 = 40;
 
-/// GeoTIFF's georeference, EPSG:4326, degrees.
+/// The georeference of a GeoTIFF in EPSG:4326, in degrees.
 #[derive(Clone, Copy)]
 pub struct Place {
-    /// Column and row of the tie point.
+    /// The column and row of the tie point.
     pub tie_px: [f64; 2],
-    /// Longitude and latitude of the tie point.
+    /// The longitude and latitude of the tie point.
     pub tie_deg: [f64; 2],
     pub pixel_deg: [f64; 2],
-    /// Samples stand at pixel centres (area) or at the tie point itself (point).
+    /// False if samples are areas around pixel centres, true if they are points, the first at the tie point.
     pub point: bool,
 }
 
 pub const PLACE: Place = Place { tie_px: [0.0; 2], tie_deg: [7.5, 46.5], pixel_deg: [0.001, 0.0008], point: false };
 
 impl Place {
-    /// West, south, east, north in radians of the outermost samples.
+    /// Returns west, south, east and north of the outermost samples in radians.
     pub fn bounds(&self) -> [f64; 4] {
         let half = if self.point { 0.0 } else { 0.5 };
         let last = f64::from(SIDE - 1);
@@ -46,7 +46,7 @@ where
     encode_keyed::<C>(samples, place, &[(42113, nodata.unwrap_or_default())], &[])
 }
 
-/// With texts by their tags, and GeoKeys besides, each an id and its value.
+/// Encodes a TIFF with text tags and additional GeoKeys, each an id and its value.
 fn encode_keyed<C: ColorType>(
     samples: &[C::Inner],
     place: Option<Place>,
@@ -78,17 +78,18 @@ where
     bytes.into_inner()
 }
 
-/// Semi-major axes in metres, of the earth after Clarke and of the moon; Paris, Greenwich.
+/// Values of GeoDoubleParams: semi-major axes of Clarke's earth and of the moon in metres, and the longitudes of Paris
+/// and Greenwich in degrees.
 pub const DOUBLES: [f64; 4] = [6_378_206.4, 1_737_400.0, 2.337, 0.0];
 
-/// GeoTIFF's GeoKeyDirectory of ids and their values; a semi-major axis and a meridian's longitude are [`DOUBLES`].
+/// Returns a GeoKeyDirectory of ids and values. Semi-major axes and meridian longitudes are indices into [`DOUBLES`].
 pub fn geo_keys(keys: &[[u16; 2]]) -> Vec<u16> {
     let entries =
         keys.iter().flat_map(|[id, value]| [*id, if matches!(id, 2057 | 2061) { 34736 } else { 0 }, 1, *value]);
     [1, 1, 0, keys.len() as u16].into_iter().chain(entries).collect()
 }
 
-/// Heights of a slope with a bump: whole metres, 200 to about 900.
+/// Returns the heights of a slope with a bump, in whole metres from 200 to about 900.
 pub fn heights() -> Vec<f32> {
     let n = SIDE as i32;
     (0..n * n)
@@ -104,14 +105,14 @@ pub fn tiff_int16(heights: &[f32], place: Option<Place>, nodata: Option<&str>) -
     encode::<GrayI16>(&samples, place, nodata)
 }
 
-/// Adds GeoKeys to those of the georeference, each an id and its value.
+/// Like [`tiff_int16`], with additional GeoKeys, each an id and its value.
 pub fn tiff_int16_keyed(heights: &[f32], place: Option<Place>, more: &[[u16; 2]]) -> Vec<u8> {
     let samples: Vec<i16> = heights.iter().map(|h| *h as i16).collect();
     encode_keyed::<GrayI16>(&samples, place, &[], more)
 }
 
-/// With GDAL's metadata of the samples and a value for what is not there.
-pub fn tiff_int16_told(heights: &[f32], metadata: &str, nodata: &str, more: &[[u16; 2]]) -> Vec<u8> {
+/// Like [`tiff_int16_keyed`], with GDAL's metadata about the samples and a value for missing data.
+pub fn tiff_int16_with_metadata(heights: &[f32], metadata: &str, nodata: &str, more: &[[u16; 2]]) -> Vec<u8> {
     let samples: Vec<i16> = heights.iter().map(|h| *h as i16).collect();
     encode_keyed::<GrayI16>(&samples, Some(PLACE), &[(42112, metadata), (42113, nodata)], more)
 }
@@ -134,14 +135,14 @@ pub fn set_tag(tiff: &mut [u8], tag: u16, value: u32) {
     tiff[entry + 8..entry + 12].copy_from_slice(&value.to_le_bytes());
 }
 
-/// Arguments for one elevation file written into `folder`.
+/// Writes an elevation file into `folder` and returns the options to generate a set from it.
 pub fn from_dem(folder: &Path, name: &str, bytes: &[u8]) -> GenArgs {
     let path = folder.join(name);
     fs::write(&path, bytes).unwrap();
     GenArgs { dem: vec![path], levels: Some(2), jobs: Some(1), ..GenArgs::new(folder.join(format!("{name}.set"))) }
 }
 
-/// Every file below a folder by its path.
+/// Returns the content of all files below a folder by their paths.
 pub fn files_below(folder: &Path) -> BTreeMap<String, Vec<u8>> {
     let mut found = BTreeMap::new();
     let mut folders = vec![folder.to_path_buf()];
@@ -163,7 +164,7 @@ pub fn tileset(folder: &Path) -> Value {
     serde_json::from_slice(&fs::read(folder.join("tileset.json")).unwrap()).unwrap()
 }
 
-/// The region of a tile: west, south, east, north in radians, lowest and highest in metres.
+/// Returns the region of a tile: west, south, east and north in radians, the lowest and highest height in metres.
 pub fn region(tile: &Value) -> Vec<f64> {
     let region = tile["boundingVolume"]["region"].as_array().unwrap();
     region.iter().map(|v| v.as_f64().unwrap()).collect()
@@ -177,10 +178,10 @@ pub fn each_tile<'a>(tile: &'a Value, parent: Option<&'a Value>, call: &mut impl
     }
 }
 
-/// Samples along a side of a height tile's file: 65 and a border.
+/// The number of samples along a side of a height tile's file: 65 and a border on both sides.
 pub const TILE_SIDE: usize = 67;
 
-/// Heights of one tile's EXR, north row first.
+/// Reads the heights of a tile's EXR, north row first.
 pub fn tile_heights(folder: &Path, level: u32, x: u32, y: u32) -> Vec<f32> {
     let path = folder.join(format!("{level}/{x}/{y}.exr"));
     let image = exr::prelude::read_first_flat_layer_from_file(&path).unwrap();

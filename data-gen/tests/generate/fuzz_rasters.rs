@@ -1,5 +1,5 @@
-//! Elevation and colour files, fed with what is nearly well: a raster or an error that names the file, never a panic.
-//! As `fuzz_parsers` of the library; `tools/fuzz` feeds these too.
+//! Fuzzes the readers of elevation and colour files: each input gives a raster or an error that names the file, never a
+//! panic. `tools/fuzz` runs these parsers as well.
 
 use std::path::Path;
 
@@ -75,9 +75,9 @@ kit::parsers! {
     world_file,
 }
 
-/// Took 48 GB of memory and ended the process.
+/// Regression: the reader allocated 48 GB and the process was killed.
 #[test]
-fn an_exr_that_says_it_is_huge_is_refused() {
+fn exr_with_a_huge_size_in_its_header_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.exr");
     let mut exr = write_height_exr("t", 16, vec![1.0; 256]).unwrap();
@@ -89,7 +89,7 @@ fn an_exr_that_says_it_is_huge_is_refused() {
     std::fs::write(&path, &exr).unwrap();
     let error = Raster::read(&path).err().unwrap().to_string();
     assert!(error.contains("a.exr: EXR: "), "{error}");
-    // Also where its blocks of 16 rows are as many.
+    // The same with as many blocks of 16 rows as the size needs.
     let at = after(&exr, b"chunkCount\0int\0");
     exr[at..at + 4].copy_from_slice(&8192u32.to_le_bytes());
     std::fs::write(&path, exr).unwrap();

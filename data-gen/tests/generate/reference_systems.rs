@@ -1,4 +1,4 @@
-//! The reference system is the file's own, else the one that is asked for, else degrees where they can be.
+//! The reference system is that of the file, or that of `--epsg`, or degrees if the coordinates can be degrees.
 
 use std::fs;
 use std::path::Path;
@@ -7,7 +7,7 @@ use crate::files::{PLACE, SIDE, from_dem, heights, tiff_int16, tiff_int16_keyed}
 use terrane::formats::writers::write_height_exr;
 use terrane_data_gen::{Crs, GenArgs, GenError, Raster, run, utm_to_geodetic};
 
-/// Easting and northing of the north-western sample, and the pixel, in metres: in the Alps in zone 32.
+/// Easting and northing of the north-western sample, and the pixel size, in metres; a point of the Alps in zone 32.
 const PLANE: ([f64; 2], f64) = ([499_000.0, 5_150_000.0], 30.0);
 const UTM_32: Crs = Crs::Utm { zone: 32, north: true };
 
@@ -15,7 +15,7 @@ fn world(path: &Path, ([west, north], pixel): ([f64; 2], f64)) {
     fs::write(path.with_extension("wld"), format!("{pixel}\n0\n0\n-{pixel}\n{west}\n{north}\n")).unwrap();
 }
 
-/// Bounds of `PLANE` in a zone.
+/// Returns the bounds of `PLANE` in a zone.
 fn bounds(zone: u32) -> [f64; 4] {
     let ([west, north], pixel) = PLANE;
     let last = pixel * f64::from(SIDE - 1);
@@ -38,9 +38,9 @@ fn refused(args: &GenArgs, why: &str) {
     assert!(!args.out.exists());
 }
 
-/// They were taken for Web Mercator.
+/// Regression: such files were taken for Web Mercator.
 #[test]
-fn a_plane_without_a_name_is_refused_until_it_has_one() {
+fn projected_file_without_a_named_system_needs_an_argument() {
     let folder = tempfile::tempdir().unwrap();
     let mut png = std::io::Cursor::new(Vec::new());
     let picture = image::RgbImage::from_pixel(SIDE, SIDE, image::Rgb([1, 140, 160]));
@@ -52,7 +52,7 @@ fn a_plane_without_a_name_is_refused_until_it_has_one() {
         world(&args.dem[0], PLANE);
         refused(&args, "--epsg CODE names it");
         lies(&GenArgs { epsg: Some(UTM_32), ..args.clone() }, bounds(32));
-        // Coordinates in degrees need no name.
+        // Coordinates in degrees need no named system.
         world(&args.dem[0], ([7.0, 46.0], 0.001));
         let last = 0.001 * f64::from(SIDE - 1);
         lies(&GenArgs { overwrite: true, ..args }, [7.0, 46.0 - last, 7.0 + last, 46.0].map(f64::to_radians));
@@ -74,20 +74,20 @@ fn geo_keys_name_the_system_of_a_world_file() {
     lies(&GenArgs { epsg: Some(UTM_32), overwrite: true, ..utm_33 }, bounds(33));
     for (name, keys) in [
         ("own.tif", &[[1024, 1], [3072, 32767]][..]),
-        // The geodetic system is what an unnamed projection is of.
+        // The geodetic system of a projection without a code does not name the projection.
         ("of-4326.tif", &[[1024, 1], [2048, 4326]][..]),
     ] {
         let own = keyed(name, keys);
         refused(&own, "a projection without a code; --epsg CODE");
         lies(&GenArgs { epsg: Some(UTM_32), ..own }, bounds(32));
     }
-    refused(&keyed("swiss.tif", &[[1024, 1], [3072, 2056]]), "EPSG:2056 is not understood");
-    refused(&keyed("geocentric.tif", &[[1024, 3], [2048, 4978]]), "EPSG:4978 is not understood");
+    refused(&keyed("swiss.tif", &[[1024, 1], [3072, 2056]]), "EPSG:2056 is not supported");
+    refused(&keyed("geocentric.tif", &[[1024, 3], [2048, 4978]]), "EPSG:4978 is not supported");
 }
 
-/// ETRS89's zones were refused; the units of the plane were not looked at.
+/// Regression: ETRS89's zones were refused, and the unit of the coordinates was ignored.
 #[test]
-fn zones_of_each_datum_are_understood_in_metres_alone() {
+fn utm_zones_of_each_datum_are_supported_in_metres_only() {
     let folder = tempfile::tempdir().unwrap();
     let keyed = |keys: &[[u16; 2]]| {
         let args = from_dem(folder.path(), "zone.tif", &tiff_int16_keyed(&heights(), None, keys));
@@ -118,9 +118,9 @@ fn zones_of_each_datum_are_understood_in_metres_alone() {
     }
 }
 
-/// They were taken for degrees from Greenwich.
+/// Regression: other units and meridians were read as degrees from Greenwich.
 #[test]
-fn geographic_systems_are_understood_in_degrees_from_greenwich_alone() {
+fn geographic_systems_are_supported_in_degrees_from_greenwich_only() {
     let folder = tempfile::tempdir().unwrap();
     let keyed = |keys: &[[u16; 2]]| {
         let args = from_dem(folder.path(), "degrees.tif", &tiff_int16_keyed(&heights(), None, keys));
@@ -128,7 +128,7 @@ fn geographic_systems_are_understood_in_degrees_from_greenwich_alone() {
         GenArgs { overwrite: true, ..args }
     };
     for (keys, why) in [
-        (&[[1024, 2], [2048, 4807]][..], "EPSG:4807 is not understood"),
+        (&[[1024, 2], [2048, 4807]][..], "EPSG:4807 is not supported"),
         (&[[1024, 2], [2048, 4326], [2054, 9101]], "angles in units of EPSG:9101"),
         (&[[1024, 2], [2048, 32767], [2054, 9105]], "angles in units of EPSG:9105"),
         (&[[1024, 2], [2048, 32767], [2051, 8903]], "longitudes from the meridian EPSG:8903"),
@@ -148,7 +148,7 @@ fn geographic_systems_are_understood_in_degrees_from_greenwich_alone() {
 }
 
 #[test]
-fn pictures_in_a_plane_need_its_name_too() {
+fn projected_images_need_a_named_system_as_well() {
     let folder = tempfile::tempdir().unwrap();
     let args = from_dem(folder.path(), "a.tif", &tiff_int16(&heights(), Some(PLACE), None));
     let path = folder.path().join("colour.png");

@@ -1,4 +1,4 @@
-//! Real elevation files beside the repository; skipped with a line where they are not.
+//! Reads real elevation files beside the repository. Without them the tests are skipped with a message.
 
 use std::path::PathBuf;
 
@@ -15,11 +15,11 @@ fn samples() -> Option<PathBuf> {
     Some(folder)
 }
 
-/// An elevation file and what is known of it.
+/// An elevation file with its known properties.
 struct Truth {
     name: &'static str,
     size: [usize; 2],
-    /// Lowest and highest as GDAL says.
+    /// The lowest and the highest sample according to GDAL.
     range_m: [f32; 2],
     /// A point inside the file, longitude and latitude in degrees.
     inside: [f64; 2],
@@ -40,7 +40,7 @@ const TRUTHS: [Truth; 7] = [
 ];
 
 #[test]
-fn rasters_read_as_gdal_says() {
+fn rasters_have_the_properties_that_gdal_reports() {
     let Some(folder) = samples() else { return };
     for Truth { name, size, range_m, inside: [longitude, latitude] } in TRUTHS {
         let raster = Raster::read(&folder.join(name)).unwrap();
@@ -57,7 +57,7 @@ fn rasters_read_as_gdal_says() {
 }
 
 #[test]
-fn each_sample_becomes_a_set_of_its_heights() {
+fn each_sample_file_becomes_a_set_with_its_heights() {
     let Some(folder) = samples() else { return };
     let out = tempfile::tempdir().unwrap();
     let imagery = folder.join("imagery_world_rgb.tif");

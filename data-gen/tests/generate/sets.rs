@@ -1,4 +1,4 @@
-//! Whole tile sets: equal bytes with any number of threads, equal bits where tiles meet, their contents, bad files.
+//! Tests whole tile sets: equal bytes with any number of threads, equal bits where tiles meet, content, and bad files.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -8,7 +8,7 @@ use terrane_data_gen::{ContentKind, GenArgs, GenError, Raster, run};
 use tiff::encoder::{TiffEncoder, colortype};
 use tiff::tags::Tag;
 
-/// A file's bytes by its path below a folder.
+/// Returns the content of all files below a folder by their paths.
 fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let (mut found, mut open) = (BTreeMap::new(), vec![folder.to_path_buf()]);
     while let Some(at) = open.pop() {
@@ -29,7 +29,7 @@ fn small(out: impl Into<PathBuf>) -> GenArgs {
 }
 
 #[test]
-fn the_bytes_do_not_depend_on_the_threads() {
+fn bytes_do_not_depend_on_the_number_of_threads() {
     let folder = tempfile::tempdir().unwrap();
     for content in [ContentKind::Height, ContentKind::Mesh] {
         let sets = [1, 4].map(|jobs| {
@@ -37,18 +37,22 @@ fn the_bytes_do_not_depend_on_the_threads() {
             let summary = run(&GenArgs { jobs: Some(jobs), content, ..small(&out) }).unwrap();
             assert_eq!((summary.tiles, summary.levels), (21, 3));
             let files = files(&out);
-            assert_eq!(summary.bytes, files.values().map(|f| f.len() as u64).sum::<u64>(), "bytes are counted");
+            assert_eq!(
+                summary.bytes,
+                files.values().map(|f| f.len() as u64).sum::<u64>(),
+                "the summary counts the bytes of all files"
+            );
             files
         });
         assert!(sets[0] == sets[1], "{content:?}");
     }
     let other = folder.path().join("other");
     run(&GenArgs { seed: 2, ..small(&other) }).unwrap();
-    assert!(files(&other) != files(&folder.path().join("Height-1")), "another seed is another world");
+    assert!(files(&other) != files(&folder.path().join("Height-1")), "another seed gives another set");
 }
 
 #[test]
-fn float_vertices_are_for_those_who_ask() {
+fn float_vertices_are_written_only_with_the_option() {
     let folder = tempfile::tempdir().unwrap();
     let sets = [false, true].map(|float_vertices| {
         let out = folder.path().join(float_vertices.to_string());
@@ -62,7 +66,7 @@ fn float_vertices_are_for_those_who_ask() {
             assert_eq!(is_there, quantized, "{}", path.display());
         }
     }
-    // 33 x 33 vertices and those of the skirts, 16 bytes less each.
+    // Quantized vertices save 16 bytes each: 33 x 33 vertices and those of the skirts.
     let saved = sets[1].1 - sets[0].1;
     assert!(saved > 21 * (1_217 * 16 - 400), "{saved}");
 }
@@ -76,13 +80,13 @@ fn an_existing_set_is_replaced_only_with_the_option() {
     std::fs::write(out.join("tileset.json"), "{}").unwrap();
     let args = GenArgs { levels: Some(1), ..small(&out) };
     assert!(matches!(run(&args), Err(GenError::Exists(path)) if path == out));
-    assert_eq!(files(&out).len(), 2, "nothing was touched");
+    assert_eq!(files(&out).len(), 2, "nothing was changed");
     run(&GenArgs { overwrite: true, ..args }).unwrap();
     assert!(out.join("tileset.json").is_file() && !out.join("precious.txt").exists());
-    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "no partial folder is left");
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "no temporary folder is left");
 }
 
-/// Every tile of a tileset, parents first, with its parent's error.
+/// Visits every tile of a tileset with its parent's error, parents first.
 fn tiles(tile: &Value, parent_error: f64, visit: &mut impl FnMut(&Value, f64)) {
     visit(tile, parent_error);
     for child in tile["children"].as_array().into_iter().flatten() {
@@ -94,7 +98,7 @@ fn tileset(folder: &Path) -> Value {
     serde_json::from_slice(&std::fs::read(folder.join("tileset.json")).unwrap()).unwrap()
 }
 
-/// Heights of a tile with their border, north row first.
+/// Reads the heights of a tile with their border, north row first.
 fn heights(path: &Path) -> (usize, Vec<f32>) {
     let image = exr::prelude::read_first_flat_layer_from_file(path).unwrap();
     let side = image.layer_data.size.width();
@@ -104,7 +108,7 @@ fn heights(path: &Path) -> (usize, Vec<f32>) {
 }
 
 #[test]
-fn errors_fall_and_edges_are_equal_bits() {
+fn errors_decrease_and_shared_edges_have_equal_bits() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("set");
     run(&small(&out)).unwrap();
@@ -113,7 +117,7 @@ fn errors_fall_and_edges_are_equal_bits() {
     tiles(&json["root"], json["geometricError"].as_f64().unwrap(), &mut |tile, parent_error| {
         let error = tile["geometricError"].as_f64().unwrap();
         assert!(error <= parent_error, "{error} below {parent_error}");
-        assert!((error == 0.0) == tile["children"].is_null(), "leaves alone are exact");
+        assert!((error == 0.0) == tile["children"].is_null(), "only leaves have the error 0");
         seen += 1;
     });
     assert_eq!(seen, 21);
@@ -121,7 +125,7 @@ fn errors_fall_and_edges_are_equal_bits() {
     for y in 0..4 {
         for x in 0..3 {
             let ((side, west), (_, east)) = (tile(x, y), tile(x + 1, y));
-            // One border sample around: the last column of one is the first of the other.
+            // Around each tile is a border of one sample. The last inner column of one tile is the first of the next.
             let column = |h: &[f32], c: usize| (1..side - 1).map(|r| h[r * side + c].to_bits()).collect::<Vec<_>>();
             assert_eq!(column(&west, side - 2), column(&east, 1));
             assert_eq!(column(&west, side - 1), column(&east, 2), "the border is the neighbour's second column");
@@ -129,7 +133,7 @@ fn errors_fall_and_edges_are_equal_bits() {
             let row = |h: &[f32], r: usize| {
                 h[r * side + 1..(r + 1) * side - 1].iter().map(|v| v.to_bits()).collect::<Vec<_>>()
             };
-            assert_eq!(row(&a, 1), row(&b, side - 2), "north edge of one, south edge of the next");
+            assert_eq!(row(&a, 1), row(&b, side - 2), "north edge of one tile and south edge of the next");
         }
     }
     // A coarse tile is an exact subset of the finer ones.
@@ -142,11 +146,11 @@ fn errors_fall_and_edges_are_equal_bits() {
     }
 }
 
-/// West and north edge in degrees, pixel in degrees, of every GeoTIFF below.
+/// West and north edge and pixel size of the GeoTIFFs of these tests, in degrees.
 const PLACE: ([f64; 2], f64) = ([7.0, 46.5], 0.001);
 const SIDE: usize = 100;
 
-/// A height that every format below can hold.
+/// Returns a height that all sample formats can represent.
 fn height(column: usize, row: usize) -> f64 {
     (100 + 10 * column + row) as f64
 }
@@ -169,7 +173,7 @@ where
     let tags = image.encoder();
     tags.write_tag(Tag::ModelPixelScaleTag, &[pixel, pixel, 0.0][..]).unwrap();
     tags.write_tag(Tag::ModelTiepointTag, &[0.0, 0.0, 0.0, west, north, 0.0][..]).unwrap();
-    // Version 1.1.0, three keys: geographic, pixels are areas, EPSG:4326.
+    // Version 1.1.0 and three keys: geographic coordinates, pixels are areas, EPSG:4326.
     let keys: [u16; 16] = [1, 1, 0, 3, 1024, 0, 1, 2, 1025, 0, 1, 1, 2048, 0, 1, 4326];
     tags.write_tag(Tag::GeoKeyDirectoryTag, &keys[..]).unwrap();
     tags.write_tag(Tag::GdalNodata, "1000").unwrap();
@@ -178,7 +182,7 @@ where
 }
 
 #[test]
-fn bad_files_are_one_clear_error_and_leave_nothing() {
+fn bad_files_give_one_error_and_leave_no_output() {
     let folder = tempfile::tempdir().unwrap();
     let file = |name: &str| folder.path().join(name);
     write_tiff::<colortype::GrayI16>(&file("good.tif"), |h| h as i16);
@@ -201,7 +205,7 @@ fn bad_files_are_one_clear_error_and_leave_nothing() {
         assert!(matches!(&error, GenError::File { path, .. } | GenError::Invalid { path, .. } if *path == file(name)));
         let text = error.to_string();
         assert!(text.contains(name) && text.len() > name.len() + 4 && text.lines().count() == 1, "{text}");
-        assert!(!out.exists(), "{name} leaves nothing");
+        assert!(!out.exists(), "{name} left an output");
     }
     for (args, what) in [
         (GenArgs { levels: Some(0), ..small(file("a")) }, "--levels"),
@@ -214,7 +218,7 @@ fn bad_files_are_one_clear_error_and_leave_nothing() {
     }
 }
 
-/// Bytes changed at random offsets of a GeoTIFF: an error or a raster, never a panic.
+/// Changes bytes at random offsets of a GeoTIFF. Reading gives an error or a raster, never a panic.
 #[test]
 fn changed_tiffs_do_not_panic() {
     let folder = tempfile::tempdir().unwrap();
@@ -230,7 +234,7 @@ fn changed_tiffs_do_not_panic() {
     for _ in 0..400 {
         let mut bytes = good.clone();
         for _ in 0..1 + next(4) {
-            // The header and the directory, which lie at the two ends.
+            // Half of the changes hit the header, half the directory at the end.
             let at = if next(2) == 0 { next(64) } else { good.len() - 1 - next(400) };
             bytes[at] = next(256) as u8;
         }

@@ -1,4 +1,4 @@
-//! A generated tree: errors shrink and volumes nest; a failed run leaves what was there.
+//! Tests the generated tree and what `--overwrite` replaces.
 
 use std::fs;
 
@@ -21,9 +21,9 @@ fn a_failed_run_keeps_the_existing_set() {
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
 }
 
-/// Only tile sets are replaced, and none with what the new one is made of.
+/// Only tile sets are replaced, and only if they contain none of the source files.
 #[test]
-fn nothing_but_a_tile_set_is_replaced() {
+fn only_tile_sets_without_sources_are_replaced() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("notes");
     fs::create_dir_all(out.join("below")).unwrap();
@@ -43,7 +43,7 @@ fn nothing_but_a_tile_set_is_replaced() {
 }
 
 #[test]
-fn errors_shrink_and_volumes_nest() {
+fn errors_decrease_and_volumes_are_nested() {
     let folder = tempfile::tempdir().unwrap();
     for content in [ContentKind::Height, ContentKind::Mesh] {
         let args = GenArgs { content, overwrite: true, ..small(folder.path().join("set")) };

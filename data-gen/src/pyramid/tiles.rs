@@ -1,37 +1,37 @@
-//! The quadtree over a grid: level L is every `2^(levels-1-L)`-th sample, so coarse samples are fine samples, bit for
-//! bit.
+//! The quadtree over a grid. Level L takes every `2^(levels-1-L)`-th sample, so that coarse samples equal fine samples
+//! bit for bit.
 //!
 //! The error of a tile is measured: the largest height difference between its triangles (diagonal south-west to
-//! north-east) and every sample of the finest level inside it. Triangles are flat and the earth is not: over their
-//! edges it bulges, by metres where samples lie kilometres apart.
+//! north-east) and all samples of the finest level inside it. The difference includes the bulge of the earth above flat
+//! triangles, which is metres where samples lie kilometres apart.
 
 use rayon::prelude::*;
 use terrane::math::WGS84;
 
-use crate::grid::{Extent, Grid};
+use super::grid::{Extent, Grid, QUANTUM_M};
 
-/// Cells along a tile's side.
+/// The number of cells along a tile's side.
 pub const CELLS: usize = 64;
 
-/// A tile: level 0 is the root; x counts east, y north.
+/// The position of a tile in the quadtree.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct TileKey {
-    /// Level, root 0.
+    /// The level; the root has level 0.
     pub level: u32,
-    /// Column from the west.
+    /// The column, counted from the west.
     pub x: u32,
-    /// Row from the south.
+    /// The row, counted from the south.
     pub y: u32,
 }
 
-/// What is known of a tile.
+/// The measured error and height range of a tile.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TileFacts {
-    /// Measured error in metres, never below a child's.
+    /// The measured error in metres, at least that of each child.
     pub error_m: f64,
-    /// Lowest height of the finest samples inside.
+    /// The lowest height of the finest samples inside the tile.
     pub min_height_m: f32,
-    /// Highest height of the finest samples inside.
+    /// The highest height of the finest samples inside the tile.
     pub max_height_m: f32,
 }
 
@@ -39,14 +39,14 @@ pub struct TileFacts {
 pub struct Pyramid {
     /// The finest level's samples.
     pub grid: Grid,
-    /// Number of levels.
+    /// The number of levels.
     pub levels: u32,
     /// Facts by level, row-major from the south-west.
     facts: Vec<Vec<TileFacts>>,
 }
 
 impl Pyramid {
-    /// Measures every tile. The grid's side must be `64 * 2^(levels-1) + 1`.
+    /// Measures every tile on all threads. Panics unless the grid's side is `64 * 2^(levels-1) + 1`.
     pub fn new(grid: Grid, levels: u32) -> Self {
         assert_eq!(grid.side, (CELLS << (levels - 1)) + 1, "the grid was sampled for this pyramid");
         let mut facts: Vec<Vec<TileFacts>> = Vec::new();
@@ -63,8 +63,8 @@ impl Pyramid {
                             let child = finer[(2 * y + cy) * 2 * tiles + 2 * x + cx];
                             f.error_m = f.error_m.max(child.error_m);
                         }
-                        // A flat parent of flat children still has to give way to them.
-                        f.error_m = f.error_m.max(crate::grid::QUANTUM_M);
+                        // With an error of 0 a flat parent would never be refined.
+                        f.error_m = f.error_m.max(QUANTUM_M);
                     }
                     f
                 })
@@ -75,24 +75,24 @@ impl Pyramid {
         Self { grid, levels, facts }
     }
 
-    /// Samples between neighbouring vertices of a level.
+    /// Returns the distance between neighbouring vertices of a level, in samples of the finest level.
     pub fn stride(&self, level: u32) -> usize {
         1 << (self.levels - 1 - level)
     }
 
-    /// Facts of a tile.
+    /// Returns the error and the height range of a tile.
     pub fn facts(&self, key: TileKey) -> TileFacts {
         self.facts[key.level as usize][((key.y << key.level) + key.x) as usize]
     }
 
-    /// All tiles, coarse first.
+    /// Returns the keys of all tiles, coarse levels first.
     pub fn keys(&self) -> impl Iterator<Item = TileKey> {
         (0..self.levels).flat_map(|level| {
             (0..1u32 << level).flat_map(move |y| (0..1 << level).map(move |x| TileKey { level, x, y }))
         })
     }
 
-    /// Where a tile lies.
+    /// Returns the rectangle of a tile.
     pub fn extent(&self, key: TileKey) -> Extent {
         let e = self.grid.extent;
         let n = f64::from(1u32 << key.level);
@@ -102,7 +102,8 @@ impl Pyramid {
         Extent { west: lon(x), south: lat(y), east: lon(x + 1.0), north: lat(y + 1.0) }
     }
 
-    /// Height of vertex (i, j) of a tile, i east and j north; outside the set the nearest vertex inside.
+    /// Returns the height of the vertex (i, j) of a tile, with i counted eastwards and j northwards. Outside of the set it
+    /// is the height of the nearest vertex inside.
     pub fn height_m(&self, key: TileKey, i: i64, j: i64) -> f32 {
         let stride = self.stride(key.level) as i64;
         let last = self.grid.side as i64 - 1;
@@ -110,18 +111,19 @@ impl Pyramid {
         self.grid.heights[at(key.y, j) * self.grid.side + at(key.x, i)]
     }
 
-    /// Errors by level, root first, for switching whole levels: the largest of the level, each at least 1.5 times the
-    /// next finer (so that the ranges in which neighbouring levels morph follow each other), the finest 0.
+    /// Returns an error for each level in metres, root first: the largest of its tiles, at least 1.5 times that of the
+    /// next finer level, and 0 for the finest. The factor keeps the ranges in which neighbouring levels morph apart.
     pub fn level_errors_m(&self) -> Vec<f64> {
         let mut errors = vec![0.0f64; self.levels as usize];
         for level in (0..self.levels as usize - 1).rev() {
             let largest = self.facts[level].iter().map(|f| f.error_m).fold(0.0, f64::max);
-            errors[level] = largest.max(1.5 * errors[level + 1]).max(crate::grid::QUANTUM_M);
+            errors[level] = largest.max(1.5 * errors[level + 1]).max(QUANTUM_M);
         }
         errors
     }
 }
 
+/// Measures a tile without regard to its children.
 fn measure(grid: &Grid, levels: u32, level: u32, x: usize, y: usize) -> TileFacts {
     let stride = 1usize << (levels - 1 - level);
     let (x0, y0) = (x * CELLS * stride, y * CELLS * stride);
@@ -160,14 +162,14 @@ fn measure(grid: &Grid, levels: u32, level: u32, x: usize, y: usize) -> TileFact
     TileFacts { error_m: error, min_height_m: low, max_height_m: high }
 }
 
-/// How far the earth rises over chords through cells of `stride` samples from row `j` on, as the factors of t (1 - t)
-/// from west to east and from south to north. Between the corners of a triangle both add up, at the middle of its
-/// longest side to its length squared by eight radii.
+/// Returns how far the earth rises above chords through cells of `stride` samples from row `j` on. The two values are
+/// the factors of t (1 - t) from west to east and from south to north. Inside a triangle both terms add up; at the
+/// middle of its longest side the sum is the length squared divided by eight radii.
 fn bulges_m(grid: &Grid, j: usize, stride: usize, height_m: f64) -> [f64; 2] {
     let (e, cells) = (grid.extent, (grid.side - 1) as f64);
     let (d_lon, d_lat) = ((e.east - e.west) / cells * stride as f64, (e.north - e.south) / cells * stride as f64);
     let south = e.south + (e.north - e.south) * (j as f64 / cells);
-    // Where the cells are widest.
+    // The latitude at which the cells are widest.
     let latitude = 0f64.clamp(south.min(south + d_lat), south.max(south + d_lat));
     let east_radius = WGS84.prime_vertical_radius_m(latitude);
     let flatter = 1.0 - WGS84.eccentricity_squared() * latitude.sin().powi(2);
@@ -190,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn shared_vertices_are_equal_bits() {
+    fn shared_vertices_have_equal_bits() {
         let p = pyramid();
         for key in p.keys() {
             for t in 0..=64 {
@@ -209,7 +211,7 @@ mod tests {
         }
     }
 
-    /// The farthest that a tile's triangles, flat between places on the earth, are above or below the finest samples.
+    /// Returns the largest distance between a tile's triangles, flat in space, and the finest samples, in metres.
     fn farthest_m(p: &Pyramid, key: TileKey) -> f64 {
         let s = p.stride(key.level);
         let (first, e) = ([key.x, key.y].map(|t| t as usize * CELLS * s), p.grid.extent);
@@ -225,16 +227,16 @@ mod tests {
                 let (i, j) = ((fi / s).min(CELLS - 1) * s, (fj / s).min(CELLS - 1) * s);
                 let other = if fi - i >= fj - j { at(i + s, j) } else { at(i, j + s) };
                 let [a, b, c] = [at(i, j), other, at(i + s, j + s)].map(|g| WGS84.ecef(&g));
-                let (place, normal) = (at(fi, fj), (b - a).cross(c - a));
-                let up = WGS84.ecef_from_enu(&place).matrix3.z_axis;
-                worst = worst.max((normal.dot(a - WGS84.ecef(&place)) / normal.dot(up)).abs());
+                let (sample, normal) = (at(fi, fj), (b - a).cross(c - a));
+                let up = WGS84.ecef_from_enu(&sample).matrix3.z_axis;
+                worst = worst.max((normal.dot(a - WGS84.ecef(&sample)) / normal.dot(up)).abs());
             }
         }
         worst
     }
 
     #[test]
-    fn errors_are_what_brute_force_finds_and_never_below_a_child() {
+    fn errors_equal_brute_force_and_are_at_least_those_of_children() {
         let p = pyramid();
         for key in p.keys().filter(|k| k.level + 1 < p.levels) {
             let mut expected = farthest_m(&p, key);
@@ -243,7 +245,7 @@ mod tests {
                 assert!(p.facts(key).error_m >= p.facts(child).error_m);
                 expected = expected.max(p.facts(child).error_m);
             }
-            // Triangles of places on the earth are not quite triangles in longitude and latitude.
+            // Flat triangles in space are not exactly triangles in longitude and latitude.
             assert!((p.facts(key).error_m - expected).abs() < 0.005, "{key:?} {} {expected}", p.facts(key).error_m);
         }
         let errors = p.level_errors_m();
@@ -258,9 +260,9 @@ mod tests {
         }
     }
 
-    /// Sets of several degrees had no error where the land is flat, and bent by metres from level to level.
+    /// Regression: flat land of several degrees had no error, and moved by metres between levels.
     #[test]
-    fn errors_hold_the_bulge_of_the_earth() {
+    fn errors_include_the_bulge_of_the_earth() {
         for (south, wide) in [(-2.0f64, 5.0f64), (44.0, 6.0), (70.0, 10.0)] {
             let [west, south, east, north] = [10.0, south, 10.0 + wide, south + 4.0].map(f64::to_radians);
             let p = Pyramid::new(Grid::sample(&Flat, Extent { west, south, east, north }, 257), 3);

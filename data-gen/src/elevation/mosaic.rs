@@ -1,22 +1,24 @@
-//! Several rasters as one elevation: the first that knows a place wins, and between neighbours there is no step.
+//! Several rasters as one elevation source. Where they overlap, the first with data wins; between neighbours heights
+//! are interpolated, so that there is no step.
 
-use crate::{ElevationSource, Raster};
+use super::raster::Raster;
+use super::source::ElevationSource;
 
-/// Rasters in the order in which they are asked.
+/// Rasters in the order of their priority.
 pub(crate) struct Mosaic {
     rasters: Vec<Raster>,
-    /// A column's step east and a row's step north in radians, of each; `None` for rasters that lie on their side.
+    /// [`Raster::steps`] of each raster.
     steps: Vec<Option<[f64; 2]>>,
 }
 
-/// A raster beside a place that lies between rasters.
+/// A raster near a position that lies between rasters.
 #[derive(Clone, Copy)]
 struct Neighbor {
-    /// At the nearest place between its outermost sample centres, metres.
+    /// The height in metres at the nearest point inside the rectangle of its sample centres.
     height_m: f64,
-    /// From there to the place asked for, east and north, radians.
+    /// The offset from that point to the position, east and north, in radians.
     beyond: [f64; 2],
-    /// Of a pixel.
+    /// The size of a pixel, east and north, in radians.
     step: [f64; 2],
 }
 
@@ -26,12 +28,13 @@ impl Mosaic {
         Self { rasters, steps }
     }
 
-    /// A place between the outermost sample centres of neighbours: what is nearest in each of the four quarters around
-    /// it counts by its distance along both axes. Between files of one grid that is what a single file of it gives.
-    fn between(&self, longitude: f64, latitude: f64) -> Option<f64> {
-        let owns = |r: &&Raster| r.among(longitude, latitude).is_some_and(|p| p.is_owned());
+    /// Interpolates at a position between the outermost sample centres of neighbours. The nearest raster in each of the
+    /// four quadrants around the position is weighted by its distance along both axes. Between files cut from one grid
+    /// the result is that of the uncut file.
+    fn interpolate_between(&self, longitude: f64, latitude: f64) -> Option<f64> {
+        let covers = |r: &&Raster| r.locate(longitude, latitude).is_some_and(|p| p.is_covered());
         let mut owner = None;
-        for (k, raster) in self.rasters.iter().enumerate().filter(|(_, r)| owns(r)) {
+        for (k, raster) in self.rasters.iter().enumerate().filter(|(_, r)| covers(r)) {
             let Some(neighbor) = self.neighbor(k, longitude, latitude) else {
                 match raster.height_m(longitude, latitude) {
                     Some(height_m) => return Some(height_m),
@@ -42,30 +45,30 @@ impl Mosaic {
             break;
         }
         let owner = owner?;
-        // South-west, south-east, north-west, north-east of the place.
-        let mut quarters: [Option<Neighbor>; 4] = [None; 4];
+        // South-west, south-east, north-west and north-east of the position.
+        let mut quadrants: [Option<Neighbor>; 4] = [None; 4];
         for n in (0..self.rasters.len()).filter_map(|k| self.neighbor(k, longitude, latitude)) {
-            // What lies between the centres of files that touch: half a pixel of each, and a hair.
+            // Between the sample centres of files that touch lies half a pixel of each; 0.505 allows for rounding.
             let touches = (0..2).all(|axis| {
                 let gap = (n.beyond[axis] - owner.beyond[axis]).abs();
                 n.beyond[axis] == 0.0 || gap <= 0.505 * (n.step[axis].abs() + owner.step[axis].abs())
             });
-            for (q, quarter) in quarters.iter_mut().enumerate().filter(|_| touches) {
-                // The place lies east of what is west of it.
+            for (q, quadrant) in quadrants.iter_mut().enumerate().filter(|_| touches) {
+                // The position lies east of its western neighbours, so their offsets are positive.
                 let signs = [if q & 1 == 0 { 1.0 } else { -1.0 }, if q & 2 == 0 { 1.0 } else { -1.0 }];
-                let is_there = (0..2).all(|axis| n.beyond[axis] * signs[axis] >= 0.0);
+                let is_in_quadrant = (0..2).all(|axis| n.beyond[axis] * signs[axis] >= 0.0);
                 let far = |n: &Neighbor| n.beyond[0].abs() + n.beyond[1].abs();
-                if is_there && quarter.is_none_or(|other| far(&n) < far(&other)) {
-                    *quarter = Some(n);
+                if is_in_quadrant && quadrant.is_none_or(|other| far(&n) < far(&other)) {
+                    *quadrant = Some(n);
                 }
             }
         }
         let (mut sum, mut weights) = (0.0, 0.0);
-        for (q, quarter) in quarters.iter().enumerate() {
-            let Some(n) = quarter else { continue };
+        for (q, quadrant) in quadrants.iter().enumerate() {
+            let Some(n) = quadrant else { continue };
             let share = |axis: usize| {
-                // The quarter opposite along the axis, else the one across the corner.
-                let Some(opposite) = quarters[q ^ (1 << axis)].or(quarters[q ^ 3]) else { return 1.0 };
+                // The opposite quadrant along the axis; if it is empty, the diagonal one.
+                let Some(opposite) = quadrants[q ^ (1 << axis)].or(quadrants[q ^ 3]) else { return 1.0 };
                 let (own, other) = (n.beyond[axis].abs(), opposite.beyond[axis].abs());
                 if own + other > 0.0 { other / (own + other) } else { 0.5 }
             };
@@ -76,12 +79,12 @@ impl Mosaic {
         (weights > 1e-6).then(|| sum / weights)
     }
 
-    /// A raster beside a place; `None` where it knows nothing or lies on its side.
+    /// Returns a raster's height and offset near a position. `None` if it has no data there or is rotated.
     fn neighbor(&self, k: usize, longitude: f64, latitude: f64) -> Option<Neighbor> {
         let step = self.steps[k]?;
-        let among = self.rasters[k].among(longitude, latitude)?;
-        let height_m = self.rasters[k].bilinear_m(among.nearest_px)?;
-        Some(Neighbor { height_m, beyond: [0, 1].map(|axis| among.beyond_px[axis] * step[axis]), step })
+        let position = self.rasters[k].locate(longitude, latitude)?;
+        let height_m = self.rasters[k].bilinear_m(position.nearest_px)?;
+        Some(Neighbor { height_m, beyond: [0, 1].map(|axis| position.beyond_px[axis] * step[axis]), step })
     }
 }
 
@@ -91,10 +94,10 @@ impl ElevationSource for Mosaic {
             return one.height_m(longitude, latitude);
         }
         let inside = self.rasters.iter().find_map(|raster| {
-            let among = raster.among(longitude, latitude).filter(|p| p.beyond_px == [0.0; 2])?;
-            raster.bilinear_m(among.nearest_px)
+            let position = raster.locate(longitude, latitude).filter(|p| p.beyond_px == [0.0; 2])?;
+            raster.bilinear_m(position.nearest_px)
         });
-        inside.or_else(|| self.between(longitude, latitude))
+        inside.or_else(|| self.interpolate_between(longitude, latitude))
     }
 }
 
@@ -103,7 +106,8 @@ mod tests {
     use super::*;
     use terrane::formats::writers::write_height_exr;
 
-    /// Rasters of heights by longitude and latitude in degrees: west and north edge and pixel of each, `side` pixels.
+    /// Creates rasters from a function of longitude and latitude in degrees. Each has a north-west corner and a pixel
+    /// size in degrees, and a side in pixels.
     fn mosaic(height: impl Fn(f64, f64) -> f64, places: &[([f64; 2], f64, usize)]) -> Mosaic {
         let folder = tempfile::tempdir().unwrap();
         let read = |&([west, north], pixel, side): &([f64; 2], f64, usize)| {
@@ -127,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn files_of_one_grid_are_one_file() {
+    fn files_cut_from_one_grid_equal_the_uncut_file() {
         let whole = mosaic(bumps, &[([8.0, 44.0], 0.25, 16)]);
         let mut quarters = [[8.0, 44.0], [10.0, 44.0], [8.0, 42.0], [10.0, 42.0]].map(|corner| (corner, 0.25, 8));
         for _ in 0..4 {
@@ -143,7 +147,7 @@ mod tests {
         }
     }
 
-    /// The steepest way between places a thousandth of a degree apart.
+    /// Returns the largest height difference between points 0.001 degrees apart on a line.
     fn steepest(source: &Mosaic, from: [f64; 2], to: [f64; 2]) -> f64 {
         let steps = ((to[0] - from[0]).hypot(to[1] - from[1]) / 0.001).ceil();
         let line = (0..=steps as usize).map(|k| {
@@ -156,7 +160,7 @@ mod tests {
 
     #[test]
     fn coarse_and_fine_files_meet_without_a_step() {
-        // One tall coarse file, two fine ones beside it, and a plane, which stays one.
+        // One tall coarse file and two fine ones beside it. A plane must stay a plane.
         let places = [([8.0, 44.0], 0.25, 16), ([12.0, 44.0], 0.1, 20), ([12.0, 42.0], 0.1, 20)];
         for order in [[0, 1, 2], [2, 0, 1], [1, 2, 0]] {
             let places = order.map(|k| places[k]);
@@ -176,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn files_that_meet_at_a_corner_or_not_at_all_end_at_their_own_edges() {
+    fn files_that_do_not_share_an_edge_end_at_their_own_edges() {
         let corner =
             mosaic(|x, _| if x < 10.0 { 100.0 } else { 300.0 }, &[([8.0, 44.0], 0.25, 8), ([10.0, 42.0], 0.25, 8)]);
         assert!(at(&corner, 10.01, 42.5).is_none() && at(&corner, 9.99, 41.5).is_none());
@@ -189,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_wins_where_files_overlap() {
+    fn first_file_wins_where_files_overlap() {
         let mut first = mosaic(|_, _| 100.0, &[([8.0, 44.0], 0.25, 8)]);
         let second = mosaic(|_, _| 300.0, &[([9.0, 44.0], 0.25, 8)]);
         first.rasters.extend(second.rasters);

@@ -1,21 +1,21 @@
-//! Colour of a tile: natural by height, slope and noise with baked ambient shading, or from given imagery.
+//! Paints the colour of a tile: from imagery, and elsewhere by height, slope and noise with baked ambient shading.
 //!
-//! Every texel depends on its place in the world alone, so the edges of neighbouring tiles agree. The sun's light is
-//! the renderer's; baked is only how much sky a place sees.
+//! A texel depends on its position in the world only, so the edges of neighbouring tiles agree. The renderer adds
+//! sunlight; the baked shading is the share of the sky that is visible from a point.
 
-use crate::imagery::Imagery;
+use super::imagery::Imagery;
 use crate::noise::{add_gradient_row, fbm_row};
 use crate::pyramid::{Pyramid, TileKey};
 
-/// Texels along a tile's side.
+/// The number of texels along a tile's side.
 pub(crate) const TEXELS: u32 = 256;
 const N: usize = TEXELS as usize;
 
-/// What colours tiles.
+/// Paints tiles. Threads share one painter.
 pub(crate) struct Painter<'a> {
     pub pyramid: &'a Pyramid,
     pub imagery: Option<&'a Imagery>,
-    /// Smoothed heights: level 0 the grid itself, each next half as fine, with their sides.
+    /// The grid and smoothed copies of it, each half as fine as the one before, with the samples along a side.
     smoothed: Vec<(usize, Vec<f32>)>,
     low_m: f64,
     high_m: f64,
@@ -36,7 +36,7 @@ impl<'a> Painter<'a> {
         Self { pyramid, imagery, smoothed, low_m, high_m }
     }
 
-    /// RGB, north row first.
+    /// Returns the RGB texels of a tile, north row first.
     pub fn paint(&self, key: TileKey) -> Vec<u8> {
         let e = self.pyramid.extent(key);
         let mut rgb = Vec::with_capacity(N * N * 3);
@@ -47,16 +47,16 @@ impl<'a> Painter<'a> {
         for row in 0..N {
             let v = (f64::from(key.y) + 1.0 - (row as f64 + 0.5) / N as f64) / tiles;
             let latitude = e.north - (e.north - e.south) * (row as f64 + 0.5) / N as f64;
-            let mut natural = false;
+            let mut has_terrain = false;
             for column in 0..N {
                 let longitude = e.west + (e.east - e.west) * (column as f64 + 0.5) / N as f64;
                 let color = match self.imagery.and_then(|i| i.at(longitude, latitude)) {
                     Some(color) => color.map(|c| c as f32),
                     None => {
-                        if !natural {
+                        if !has_terrain {
                             terrain.sample(self, v);
                             terrain.color(self.low_m as f32, self.high_m as f32, &mut colors);
-                            natural = true;
+                            has_terrain = true;
                         }
                         [colors[0][column], colors[1][column], colors[2][column]]
                     }
@@ -68,15 +68,15 @@ impl<'a> Painter<'a> {
     }
 }
 
-/// What one row of texels is coloured by; every buffer has one value a texel.
+/// The heights, slopes and noise of one row of texels. Each buffer has one value per texel.
 struct TerrainRow {
-    /// Smoothed levels: the one whose cells are texels, and three coarser for the ambient shading.
+    /// The smoothed level whose cells are texels, and three coarser ones for the ambient shading.
     levels: [LevelRow; 4],
-    /// Metres from the set's western edge to the first texel, and between texels.
+    /// The distance from the set's western edge to the first texel, and that between texels, in metres.
     x_m: [f64; 2],
-    /// Sides of the set in metres.
+    /// The sides of the set in metres.
     sides_m: [f64; 2],
-    /// Metres between samples of the first level, east and north.
+    /// The distance between samples of the first level in metres, east and north.
     step_m: [f64; 2],
     height: [f32; N],
     east: [f32; N],
@@ -87,13 +87,13 @@ struct TerrainRow {
 }
 
 impl TerrainRow {
-    /// `u`: of the first texel and of the last, 0..1 over the set.
+    /// Creates the row. `u` is the position of the first and the last texel, 0..1 over the set.
     fn new(painter: &Painter<'_>, level: u32, u: [f64; 2]) -> Self {
         let extent = painter.pyramid.grid.extent;
         let mean_lat = 0.5 * (extent.south + extent.north);
         let sides_m =
             [6_371_000.0 * mean_lat.cos() * (extent.east - extent.west), 6_371_000.0 * (extent.north - extent.south)];
-        // Two levels finer than the tile: one texel is one cell there.
+        // One texel is one cell two levels below the tile.
         let depth = (painter.pyramid.levels - 1 - level).saturating_sub(2) as usize;
         let levels = [0, 2, 4, 6].map(|coarser| LevelRow::new(painter, depth + coarser, u));
         let cells = (painter.smoothed[levels[0].depth].0 - 1) as f64;
@@ -111,7 +111,7 @@ impl TerrainRow {
         }
     }
 
-    /// Takes heights, slopes and noise at `v`, 0..1 over the set.
+    /// Computes heights, slopes and noise at the row `v`, 0..1 over the set.
     fn sample(&mut self, painter: &Painter<'_>, v: f64) {
         let [fine, coarser @ ..] = &mut self.levels;
         fine.slopes(painter, v, &mut self.height, &mut self.east, &mut self.north);
@@ -129,10 +129,10 @@ impl TerrainRow {
         }
     }
 
-    /// sRGB 0..255 of terrain in a temperate climate between the set's lowest and highest point. One branchless loop
-    /// over separate arrays, for the compiler to do several texels at once.
+    /// Computes the sRGB colour, 0..255, of terrain in a temperate climate. `low_m` and `high_m` are the lowest and the
+    /// highest point of the set. The loop has no branches and separate arrays, so that the compiler can vectorise it.
     fn color(&self, low_m: f32, high_m: f32, out: &mut [[f32; N]; 3]) {
-        // Heights relative to the set, so that any mountains have meadows below and snow above.
+        // Heights are relative to the set, so that all mountains have meadows at the foot and rock above.
         let span = (high_m - low_m).max(1.0);
         let tall = smooth(300.0, 1800.0, span);
         let hilly = smooth(100.0, 700.0, span);
@@ -141,7 +141,7 @@ impl TerrainRow {
         for k in 0..N {
             let (h, patch, grain) = (self.height[k], self.patch[k], self.grain[k]);
             let slope = (self.east[k] * self.east[k] + self.north[k] * self.north[k]).sqrt();
-            // Snow lies by height above the sea, not by height in the set.
+            // Snow depends on the height above the sea, not on the relative height.
             let snow_line = smooth(2300.0, 2900.0, h + 260.0 * patch + 60.0 * grain);
             let t = (h - low_m) / span + 0.05 * patch;
             let wood = smooth(-0.10, 0.42, patch + 0.30 * smooth(0.1, 0.4, slope) + 0.06 * grain);
@@ -149,7 +149,7 @@ impl TerrainRow {
             let loose = 0.7 * tall * smooth(0.60, 0.74, t);
             let steep = smooth(0.45, 0.85, slope + 0.08 * grain);
             let snowy = snow_line * (1.0 - smooth(0.75, 1.25, slope));
-            // Ambient: how far the place lies below its surroundings at three scales.
+            // Ambient shading: the depth of the point below its surroundings at three scales.
             let mut open = 0.0;
             for (around, scale_m) in self.around.iter().zip(scales_m) {
                 open += (h - around[k]) / scale_m;
@@ -184,14 +184,14 @@ const ROCK: [[f32; 3]; 2] = [[112.0, 106.0, 98.0], [140.0, 132.0, 120.0]];
 const SCREE: [f32; 3] = [148.0, 142.0, 132.0];
 const SNOW: [f32; 3] = [240.0, 244.0, 250.0];
 
-/// A row of texels in one smoothed level: first blended between two rows of samples, then along them.
+/// Interpolates one smoothed level along a row of texels: first between two rows of samples, then along them.
 struct LevelRow {
     depth: usize,
-    /// Column of the first sample in the lines, one left of the first needed.
+    /// The column of the first sample in `lines`, one left of the first that is needed.
     first: usize,
-    /// For each texel the place in the lines of the sample left of it, and how far it is to the next, 0..1.
+    /// For each texel the index in `lines` of the sample left of it, and its distance from there to the next, 0..1.
     columns: Vec<(usize, f32)>,
-    /// Samples at the texels' latitude, and one sample south and north of it.
+    /// Samples at the latitude of the texels, and those one row south and one row north of it.
     lines: [Vec<f32>; 3],
 }
 
@@ -199,19 +199,20 @@ impl LevelRow {
     fn new(painter: &Painter<'_>, depth: usize, u: [f64; 2]) -> Self {
         let depth = depth.min(painter.smoothed.len() - 1);
         let side = painter.smoothed[depth].0;
-        let place = |k: usize| {
+        let column = |k: usize| {
             let u = u[0] + (u[1] - u[0]) * (k as f64 / (N - 1) as f64);
             let x = (u * (side - 1) as f64).max(0.0);
             let left = (x as usize).min(side - 2);
             (left, (x - left as f64).min(1.0) as f32)
         };
-        let (first, last) = (place(0).0, place(N - 1).0);
-        let columns = (0..N).map(place).map(|(left, f)| (left - first + 1, f)).collect();
-        // From one left of the first to one right of the sample that the last texel blends to.
+        let (first, last) = (column(0).0, column(N - 1).0);
+        let columns = (0..N).map(column).map(|(left, f)| (left - first + 1, f)).collect();
+        // One more sample on the left, and two on the right: the last texel's neighbour and one for its slope.
         Self { depth, first, columns, lines: [0; 3].map(|_| vec![0.0; last - first + 4]) }
     }
 
-    /// Blends rows of samples at `v` moved by `rows`, columns outside the set repeated.
+    /// Interpolates between the two rows of samples around `v` shifted by `rows`. Outside of the set the nearest column
+    /// is repeated.
     fn line(&mut self, painter: &Painter<'_>, v: f64, which: usize, rows: f64) {
         let (side, heights) = &painter.smoothed[self.depth];
         let last = (side - 1) as f64;
@@ -225,6 +226,7 @@ impl LevelRow {
         }
     }
 
+    /// Computes the heights of the texels in the row `v`.
     fn heights(&mut self, painter: &Painter<'_>, v: f64, out: &mut [f32; N]) {
         self.line(painter, v, 0, 0.0);
         let line = &self.lines[0];
@@ -233,7 +235,7 @@ impl LevelRow {
         }
     }
 
-    /// Heights, and their differences over two samples eastwards and northwards.
+    /// Computes the heights, and their differences over two samples eastwards and northwards.
     fn slopes(&mut self, painter: &Painter<'_>, v: f64, out: &mut [f32; N], east: &mut [f32; N], north: &mut [f32; N]) {
         self.heights(painter, v, out);
         self.line(painter, v, 1, -1.0);
@@ -249,12 +251,13 @@ impl LevelRow {
     }
 }
 
+/// Returns 0 below `low`, 1 above `high`, and a smooth step between them.
 fn smooth(low: f32, high: f32, x: f32) -> f32 {
     let t = ((x - low) / (high - low)).clamp(0.0, 1.0);
     t * t * (3.0 - 2.0 * t)
 }
 
-/// Every second sample of a `[1 2 1]` blur.
+/// Blurs with the kernel `[1 2 1]` and keeps every second sample.
 fn halve(side: usize, fine: &[f32]) -> (usize, Vec<f32>) {
     let half = (side - 1) / 2 + 1;
     let at = |x: i64, y: i64| {

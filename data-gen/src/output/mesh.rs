@@ -1,4 +1,4 @@
-//! Mesh content: a tile's grid with skirts as glb, in the east-north-up frame at the tile's centre.
+//! Builds mesh content: a tile's grid with skirts, in the east-north-up frame at the tile's centre.
 
 use glam::{DAffine3, DVec3};
 use terrane::formats::writers::GlbMesh;
@@ -6,7 +6,7 @@ use terrane::math::{Geodetic, WGS84};
 
 use crate::pyramid::{CELLS, Pyramid, TileKey};
 
-/// ECEF from the frame that the tile's mesh is in.
+/// Returns the transform from the frame of a tile's mesh to ECEF.
 pub(crate) fn ecef_from_tile(pyramid: &Pyramid, key: TileKey) -> DAffine3 {
     let e = pyramid.extent(key);
     let f = pyramid.facts(key);
@@ -14,12 +14,12 @@ pub(crate) fn ecef_from_tile(pyramid: &Pyramid, key: TileKey) -> DAffine3 {
     WGS84.ecef_from_enu(&Geodetic { longitude: 0.5 * (e.west + e.east), latitude: 0.5 * (e.south + e.north), height_m })
 }
 
-/// The mesh; skirts hang `skirt_m` down from the edges.
+/// Builds the mesh of a tile. Skirts hang `skirt_m` down from its edges; `image` is its JPEG texture.
 pub(crate) fn build(pyramid: &Pyramid, key: TileKey, skirt_m: f64, image: Vec<u8>, quantized: bool) -> GlbMesh {
     let e = pyramid.extent(key);
     let tile_from_ecef = ecef_from_tile(pyramid, key).inverse();
     let side = CELLS + 1;
-    let place = |i: i64, j: i64, drop_m: f64| -> DVec3 {
+    let vertex = |i: i64, j: i64, drop_m: f64| -> DVec3 {
         let g = Geodetic {
             longitude: e.west + (e.east - e.west) * (i as f64 / CELLS as f64),
             latitude: e.south + (e.north - e.south) * (j as f64 / CELLS as f64),
@@ -27,15 +27,15 @@ pub(crate) fn build(pyramid: &Pyramid, key: TileKey, skirt_m: f64, image: Vec<u8
         };
         tile_from_ecef.transform_point3(WGS84.ecef(&g))
     };
-    // East, north, up to glTF's y-up: x = east, y = up, z = -north.
+    // glTF's y axis points up: x = east, y = up, z = -north.
     let y_up = |v: DVec3| [v.x as f32, v.z as f32, -v.y as f32];
     let mut mesh = GlbMesh { base_color: [1.0; 4], image: Some(image), quantized, ..GlbMesh::default() };
     let last = CELLS as i64;
     for j in 0..=last {
         for i in 0..=last {
-            let east = place(i + 1, j, 0.0) - place(i - 1, j, 0.0);
-            let north = place(i, j + 1, 0.0) - place(i, j - 1, 0.0);
-            mesh.positions.push(y_up(place(i, j, 0.0)));
+            let east = vertex(i + 1, j, 0.0) - vertex(i - 1, j, 0.0);
+            let north = vertex(i, j + 1, 0.0) - vertex(i, j - 1, 0.0);
+            mesh.positions.push(y_up(vertex(i, j, 0.0)));
             mesh.normals.push(y_up(east.cross(north).normalize_or(DVec3::Z)));
             mesh.uvs.push([i as f32 / CELLS as f32, 1.0 - j as f32 / CELLS as f32]);
         }
@@ -47,7 +47,7 @@ pub(crate) fn build(pyramid: &Pyramid, key: TileKey, skirt_m: f64, image: Vec<u8
             mesh.indices.extend([sw, se, ne, sw, ne, nw]);
         }
     }
-    // Around the edge counter-clockwise seen from above: the skirt's outside faces outwards.
+    // The edge runs counter-clockwise seen from above, so that the front of the skirt faces outwards.
     let mut ring: Vec<(usize, usize)> = Vec::with_capacity(4 * CELLS);
     ring.extend((0..CELLS).map(|i| (i, 0)));
     ring.extend((0..CELLS).map(|j| (CELLS, j)));
@@ -56,7 +56,7 @@ pub(crate) fn build(pyramid: &Pyramid, key: TileKey, skirt_m: f64, image: Vec<u8
     let first = mesh.positions.len();
     for &(i, j) in &ring {
         let top = at(i, j) as usize;
-        mesh.positions.push(y_up(place(i as i64, j as i64, skirt_m)));
+        mesh.positions.push(y_up(vertex(i as i64, j as i64, skirt_m)));
         mesh.normals.push(mesh.normals[top]);
         mesh.uvs.push(mesh.uvs[top]);
     }

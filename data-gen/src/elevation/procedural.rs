@@ -1,17 +1,17 @@
 //! Procedural terrain: domain-warped ridged mountains that rise out of plains with hills and lakes.
 
-use crate::ElevationSource;
+use super::source::ElevationSource;
 use crate::noise::{fbm, ridged};
 
-/// Mean radius for turning angles into metres; the shape of noise needs no ellipsoid.
+/// Mean radius of the earth, to convert angles to metres. Noise does not need an ellipsoid.
 const RADIUS_M: f64 = 6_371_000.0;
 
-/// Terrain from a seed. Any place can be asked alone.
+/// Procedural terrain. The height of a position depends on the seed and the position only.
 #[derive(Clone, Copy, Debug)]
 pub struct Procedural {
-    /// Chooses the terrain.
+    /// The seed of the noise.
     pub seed: u64,
-    /// Cosine of the latitude in the middle: keeps features round.
+    /// The cosine of the latitude in the middle of the terrain; it keeps features round.
     pub cos_latitude: f64,
 }
 
@@ -20,7 +20,7 @@ impl ElevationSource for Procedural {
         let x = longitude * RADIUS_M * self.cos_latitude;
         let y = latitude * RADIUS_M;
         let s = self.seed.wrapping_mul(0x0100_0000_01b3);
-        // Warp the plane so that ridges bend and valleys wind.
+        // The plane is warped so that ridges bend and valleys wind.
         let wx = x + 3800.0 * fbm(x / 11_000.0, y / 11_000.0, 4, s ^ 0x11);
         let wy = y + 3800.0 * fbm(x / 11_000.0, y / 11_000.0, 4, s ^ 0x22);
         let range = fbm(wx / 34_000.0, wy / 34_000.0, 3, s ^ 0x33);
@@ -36,7 +36,8 @@ impl ElevationSource for Procedural {
     }
 }
 
-pub(crate) fn smooth(low: f64, high: f64, x: f64) -> f64 {
+/// Returns 0 below `low`, 1 above `high`, and a smooth step between them.
+fn smooth(low: f64, high: f64, x: f64) -> f64 {
     let t = ((x - low) / (high - low)).clamp(0.0, 1.0);
     t * t * (3.0 - 2.0 * t)
 }

@@ -1,10 +1,10 @@
-//! The finest level: a square grid of samples over a rectangle of longitude and latitude, all on one quantum.
+//! The finest level: a square grid of samples over a rectangle of longitude and latitude, rounded to a common quantum.
 
 use rayon::prelude::*;
 
 use crate::ElevationSource;
 
-/// West, south, east, north in radians.
+/// A rectangle of longitude and latitude in radians.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Extent {
     /// Western edge.
@@ -17,20 +17,20 @@ pub struct Extent {
     pub north: f64,
 }
 
-/// `side * side` heights in metres, south-west first, east fastest; every height a multiple of the quantum.
+/// A square grid of heights. Each height is a multiple of 1/128 m.
 #[derive(Clone, Debug)]
 pub struct Grid {
-    /// Where the outermost samples lie.
+    /// The rectangle of the outermost samples.
     pub extent: Extent,
-    /// Samples along a side, `64 * 2^n + 1`.
+    /// The number of samples along a side, `64 * 2^n + 1`.
     pub side: usize,
-    /// Heights in metres.
+    /// `side * side` heights in metres, rows from south to north, each from west to east.
     pub heights: Vec<f32>,
-    /// Samples that no source knew.
+    /// The number of samples for which the source had no data.
     pub filled: u64,
 }
 
-/// Heights are rounded to 1/128 m, so that equal world samples are equal bits in every tile and level.
+/// Heights are rounded to 1/128 m, so that a shared sample has the same bits in every tile and level.
 pub const QUANTUM_M: f64 = 1.0 / 128.0;
 
 impl Grid {
@@ -65,8 +65,8 @@ impl Grid {
     }
 }
 
-/// Fills NaN by push and pull: means of what is known on ever coarser grids, brought back bilinearly, so that a
-/// gap continues its surroundings smoothly. All unknown gives 0.
+/// Replaces NaN by the push-pull method: known samples are averaged on coarser and coarser grids, then interpolated
+/// bilinearly back, so that gaps continue their surroundings smoothly. If all samples are unknown, they become 0.
 fn fill(heights: &mut [f32], width: usize, height: usize) {
     if !heights.iter().any(|h| !h.is_finite()) {
         return;
@@ -127,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn gaps_are_filled_from_around_and_counted() {
+    fn gaps_are_filled_from_surroundings_and_counted() {
         let extent = Extent { west: -1.0, south: -1.0, east: 1.0, north: 1.0 };
         let g = Grid::sample(&Gap, extent, 65);
         assert!(g.filled > 100);

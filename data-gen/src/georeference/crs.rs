@@ -1,28 +1,30 @@
 //! Coordinate reference systems of elevation files, to and from longitude and latitude on WGS84.
 //!
-//! Transverse Mercator by Krüger's series to the fourth order in n: below a millimetre within a UTM zone
+//! Transverse Mercator uses Krüger's series to the fourth order in n, with errors below a millimetre within a UTM zone
 //! (C. F. F. Karney, Transverse Mercator with an accuracy of a few nanometers, 2011, equations 7 to 11, 35, 36).
 
 use terrane::math::WGS84;
 
-/// A reference system that is understood.
+/// A supported coordinate reference system.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Crs {
-    /// Degrees, EPSG:4326 (and NAD83's 4269 and ETRS89's 4258, which differ by less than two metres).
+    /// Longitude and latitude in degrees, EPSG:4326. NAD83's 4269 and ETRS89's 4258 differ by less than two metres and
+    /// are read as the same.
     Geographic,
-    /// EPSG:3857.
+    /// Web Mercator, EPSG:3857, in metres.
     WebMercator,
-    /// EPSG:326zz, 327zz, and 269zz (NAD83) and 258zz (ETRS89), as near.
+    /// UTM in metres: EPSG:326zz and 327zz. 269zz (NAD83) and 258zz (ETRS89) differ by less than two metres and are read
+    /// as the same.
     Utm {
-        /// 1 to 60.
+        /// The zone, 1 to 60.
         zone: u32,
-        /// Northern hemisphere: no false northing.
+        /// True for the northern hemisphere, which has no false northing.
         north: bool,
     },
 }
 
 impl Crs {
-    /// By EPSG code.
+    /// Returns the reference system of an EPSG code, `None` if it is not supported.
     pub fn from_epsg(code: u32) -> Option<Self> {
         match code {
             4326 | 4258 | 4269 | 4979 => Some(Self::Geographic),
@@ -35,7 +37,7 @@ impl Crs {
         }
     }
 
-    /// Coordinates in the system (degrees or metres) of a place in radians.
+    /// Converts a longitude and latitude in radians to coordinates in the system, in degrees or metres.
     pub fn project(&self, longitude: f64, latitude: f64) -> [f64; 2] {
         match *self {
             Self::Geographic => [longitude.to_degrees(), latitude.to_degrees()],
@@ -47,7 +49,7 @@ impl Crs {
         }
     }
 
-    /// Longitude and latitude in radians of coordinates in the system.
+    /// Converts coordinates in the system to a longitude and latitude in radians.
     pub fn unproject(&self, x: f64, y: f64) -> [f64; 2] {
         match *self {
             Self::Geographic => [x.to_radians(), y.to_radians()],
@@ -60,8 +62,9 @@ impl Crs {
     }
 }
 
+/// The coefficients of Krüger's series.
 struct Series {
-    /// k0 times the rectifying radius.
+    /// The scale factor k0 times the rectifying radius.
     scale_m: f64,
     eccentricity: f64,
     alpha: [f64; 4],
@@ -94,7 +97,7 @@ fn central_meridian(zone: u32) -> f64 {
     (f64::from(zone) * 6.0 - 183.0).to_radians()
 }
 
-/// Easting and northing in metres of a place in radians.
+/// Converts a longitude and latitude in radians to UTM easting and northing in metres.
 pub fn utm_from_geodetic(zone: u32, north: bool, longitude: f64, latitude: f64) -> [f64; 2] {
     let s = series();
     let lambda = longitude - central_meridian(zone);
@@ -111,7 +114,7 @@ pub fn utm_from_geodetic(zone: u32, north: bool, longitude: f64, latitude: f64) 
     [500_000.0 + s.scale_m * eta, s.scale_m * xi + if north { 0.0 } else { 10_000_000.0 }]
 }
 
-/// Longitude and latitude in radians of easting and northing in metres.
+/// Converts UTM easting and northing in metres to a longitude and latitude in radians.
 pub fn utm_to_geodetic(zone: u32, north: bool, easting_m: f64, northing_m: f64) -> [f64; 2] {
     let s = series();
     let xi = (northing_m - if north { 0.0 } else { 10_000_000.0 }) / s.scale_m;
@@ -125,7 +128,7 @@ pub fn utm_to_geodetic(zone: u32, north: bool, easting_m: f64, northing_m: f64) 
     let lambda = eta_0.sinh().atan2(xi_0.cos());
     let sin_conformal = xi_0.sin() / eta_0.cosh();
     let mut sin = sin_conformal;
-    // Contracts by e^2 a step.
+    // Each step of the fixed-point iteration reduces the error by the factor e^2.
     for _ in 0..12 {
         sin = (sin_conformal.atanh() + s.eccentricity * (s.eccentricity * sin).atanh()).tanh();
     }
@@ -137,8 +140,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn utm_known_point() {
-        // The CN Tower: 43 38 33.24 N 79 23 13.7 W is 630084 E 4833438 N in zone 17 (Wikipedia's worked example).
+    fn utm_of_known_point() {
+        // The CN Tower, Wikipedia's worked example: 43 38 33.24 N 79 23 13.7 W is 630084 E 4833438 N in zone 17.
         let lat = (43.0 + 38.0 / 60.0 + 33.24 / 3600.0f64).to_radians();
         let lon = -(79.0 + 23.0 / 60.0 + 13.7 / 3600.0f64).to_radians();
         let [e, n] = utm_from_geodetic(17, true, lon, lat);
@@ -146,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn round_trips() {
+    fn project_and_unproject_are_inverse() {
         for crs in
             [Crs::Geographic, Crs::WebMercator, Crs::Utm { zone: 32, north: true }, Crs::Utm { zone: 5, north: false }]
         {

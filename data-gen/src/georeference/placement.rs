@@ -1,0 +1,120 @@
+//! The placement of a raster on the earth: from its pixels to a reference system, and from there to longitude and
+//! latitude.
+
+use std::f64::consts::{PI, TAU};
+use std::path::Path;
+
+use super::crs::Crs;
+use super::geotiff::Tiff;
+use super::transform::GeoTransform;
+use crate::GenError;
+
+/// The placement of files without a georeference: longitude and latitude of the north-west corner, and the pixel size,
+/// in degrees.
+const DEFAULT_PLACEMENT: ([f64; 2], f64) = ([8.0, 47.0], 1.0 / 3600.0);
+
+/// Longitudes beyond 180 degrees by at most this, in radians, count as 180 degrees: files round their pixel sizes.
+pub(crate) const ROUNDING: f64 = 1e-6;
+
+/// Converts between the pixels of a raster and longitude and latitude.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Placement {
+    transform: GeoTransform,
+    crs: Crs,
+    /// Added to the longitudes of the system, in radians: 0 or a whole turn, for rasters beyond the date line.
+    turn: f64,
+}
+
+impl Placement {
+    pub fn new(transform: GeoTransform, crs: Crs) -> Self {
+        Self { transform, crs, turn: 0.0 }
+    }
+
+    /// Moves a raster that lies beyond 180 degrees as a whole back by a turn, so that 190 becomes -170. A raster across
+    /// 180 degrees, or more than one turn away, stays. `bounds` are its west, south, east and north in radians.
+    pub fn wrapped(self, bounds: [f64; 4]) -> Self {
+        let [west, _, east, _] = bounds;
+        let within = |turn: f64| west + turn >= -PI - ROUNDING && east + turn <= PI + ROUNDING;
+        let turn = [0.0, -TAU, TAU].into_iter().find(|turn| within(*turn));
+        Self { turn: self.turn + turn.unwrap_or(0.0), ..self }
+    }
+
+    /// Adds a whole turn to the longitudes.
+    pub fn turned_east(self) -> Self {
+        Self { turn: self.turn + TAU, ..self }
+    }
+
+    /// Returns the longitude and latitude in radians of a column and row. Whole numbers are pixel corners.
+    pub fn longitude_latitude(&self, column: f64, row: f64) -> [f64; 2] {
+        let [x, y] = self.transform.at(column, row);
+        let [longitude, latitude] = self.crs.unproject(x, y);
+        [longitude + self.turn, latitude]
+    }
+
+    /// Returns the column and row of a longitude and latitude in radians. Whole numbers are pixel corners.
+    pub fn pixel(&self, longitude: f64, latitude: f64) -> Option<[f64; 2]> {
+        self.transform.pixel(self.crs.project(longitude - self.turn, latitude))
+    }
+
+    /// Places a TIFF by its tags, or by the world file beside it if it has none; `None` without both. `given` is the
+    /// reference system of files that do not name one.
+    pub fn of_tiff(path: &Path, tiff: &Tiff, given: Option<Crs>) -> Result<Option<Self>, GenError> {
+        let Some(transform) = tiff.transform.or_else(|| world_file(path)) else { return Ok(None) };
+        let named = tiff.keys.crs(given).map_err(|reason| GenError::invalid(path, reason))?;
+        let crs = named.map_or_else(|| unnamed_crs(path, &transform, [tiff.width, tiff.height], given), Ok)?;
+        Ok(Some(Self::new(transform, crs)))
+    }
+
+    /// Places an image by the world file beside it, in the reference system `given`. Without a world file it lies at the
+    /// default position.
+    pub fn of_image(path: &Path, size: [usize; 2], given: Option<Crs>) -> Result<Self, GenError> {
+        match world_file(path) {
+            Some(transform) => Ok(Self::new(transform, unnamed_crs(path, &transform, size, given)?)),
+            None => Ok(Self::default()),
+        }
+    }
+}
+
+impl Default for Placement {
+    fn default() -> Self {
+        let (origin, pixel) = DEFAULT_PLACEMENT;
+        Self::new(GeoTransform { origin, dx: [pixel, 0.0], dy: [0.0, -pixel] }, Crs::Geographic)
+    }
+}
+
+/// Returns the reference system of a raster that does not name one: `given`, or degrees if its coordinates can be
+/// degrees.
+fn unnamed_crs(
+    path: &Path,
+    transform: &GeoTransform,
+    [width, height]: [usize; 2],
+    given: Option<Crs>,
+) -> Result<Crs, GenError> {
+    if let Some(crs) = given {
+        return Ok(crs);
+    }
+    // The corners of the rectangle of sample centres. Longitudes may range from 0 to 360.
+    let (right, bottom) = (width as f64 - 0.5, height as f64 - 0.5);
+    for (column, row) in [(0.5, 0.5), (right, 0.5), (0.5, bottom), (right, bottom)] {
+        let [x, y] = transform.at(column, row);
+        let is_in_degrees = x.abs() <= 360.0 && y.abs() <= 90.0 + 1e-6;
+        if !is_in_degrees {
+            let reason = format!("names no reference system, and {x}, {y} are not degrees; --epsg CODE names it");
+            return Err(GenError::invalid(path, reason));
+        }
+    }
+    Ok(Crs::Geographic)
+}
+
+/// Reads the world file beside an image, with the extension pgw, jgw, tfw, wld or exw. `None` if there is no valid one.
+fn world_file(path: &Path) -> Option<GeoTransform> {
+    for extension in ["pgw", "jgw", "tfw", "wld", "exw"] {
+        let Ok(text) = std::fs::read_to_string(path.with_extension(extension)) else { continue };
+        let n: Vec<f64> = text.split_whitespace().filter_map(|t| t.parse().ok()).collect();
+        if let [a, d, b, e, x, y] = n[..] {
+            let origin = [x - 0.5 * (a + b), y - 0.5 * (d + e)];
+            return Some(GeoTransform { origin, dx: [a, d], dy: [b, e] });
+        }
+    }
+    None
+}

@@ -1,0 +1,9 @@
+//! The samples of the finest level, and the quadtree of tiles over them with measured errors.
+
+mod grid;
+mod tiles;
+
+pub(crate) use grid::QUANTUM_M;
+pub use grid::{Extent, Grid};
+pub(crate) use tiles::CELLS;
+pub use tiles::{Pyramid, TileKey};
