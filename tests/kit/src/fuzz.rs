@@ -8,7 +8,7 @@ pub fn seconds() -> f64 {
     std::env::var("FUZZ_SECS").ok().and_then(|s| s.parse().ok()).unwrap_or(usual)
 }
 
-/// A parser that takes longer for one input hangs.
+/// The time for one input after which a parser counts as hanging.
 const MAX_TIME: Duration = Duration::from_secs(10);
 
 /// Random numbers (SplitMix64) from a seed.
@@ -49,7 +49,7 @@ const NUMBERS: [&str; 14] = [
 const WORDS: [u64; 12] =
     [0, 1, 0x7f, 0x80, 0xff, 0x7fff, 0xffff, 0x7fff_ffff, 0x8000_0000, 0xffff_ffff, 0x7fff_ffff_ffff_ffff, u64::MAX];
 
-/// Returns the bytes with one to six changes, of which some copy pieces of `other`; at most 1 MiB.
+/// Returns the bytes with one to six changes, cut to at most 1 MiB. Some changes copy pieces of `other`.
 pub fn changed(random: &mut Random, bytes: &[u8], other: &[u8]) -> Vec<u8> {
     let mut out = bytes.to_vec();
     for _ in 0..1 + random.below(6) {
@@ -59,6 +59,7 @@ pub fn changed(random: &mut Random, bytes: &[u8], other: &[u8]) -> Vec<u8> {
     out
 }
 
+/// Makes one random change.
 fn change(random: &mut Random, out: &mut Vec<u8>, other: &[u8]) {
     let length = out.len();
     let at = random.below(length);
@@ -69,8 +70,8 @@ fn change(random: &mut Random, out: &mut Vec<u8>, other: &[u8]) {
             // Replaces a binary number.
             let size = [1, 2, 4, 8][random.below(4)];
             let word = WORDS[random.below(WORDS.len())].to_le_bytes();
-            for (place, byte) in out[at..].iter_mut().zip(&word[..size]) {
-                *place = *byte;
+            for (target, byte) in out[at..].iter_mut().zip(&word[..size]) {
+                *target = *byte;
             }
         }
         4 if length > 0 => {
@@ -112,9 +113,9 @@ pub type Parse = Box<dyn FnMut(&[u8])>;
 
 /// A parser of outside data with valid inputs.
 pub struct Parser {
-    /// Name for messages and for `FUZZ_PARSER`.
+    /// The name for messages and for `FUZZ_PARSER`.
     pub name: &'static str,
-    /// Valid inputs, which are changed.
+    /// Valid inputs to be changed.
     pub seeds: Vec<Vec<u8>>,
     /// Parses one input.
     pub parse: Parse,
@@ -167,9 +168,9 @@ pub fn run(Parser { name, seeds, mut parse }: Parser) {
     let mut kept: Vec<Vec<u8>> = Vec::new();
     while start.elapsed() < until {
         let all = seeds.len() + kept.len();
-        let of = |place: usize| if place < seeds.len() { &seeds[place] } else { &kept[place - seeds.len()] };
-        let places = [random.below(all), random.below(all)];
-        let input = changed(&mut random, of(places[0]), of(places[1]));
+        let bytes = |index: usize| if index < seeds.len() { &seeds[index] } else { &kept[index - seeds.len()] };
+        let indices = [random.below(all), random.below(all)];
+        let input = changed(&mut random, bytes(indices[0]), bytes(indices[1]));
         let begin = Instant::now();
         let parsed = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| parse(&input)));
         let took = begin.elapsed();
@@ -184,8 +185,8 @@ pub fn run(Parser { name, seeds, mut parse }: Parser) {
             if kept.len() < 200 {
                 kept.push(input);
             } else {
-                let place = random.below(kept.len());
-                kept[place] = input;
+                let index = random.below(kept.len());
+                kept[index] = input;
             }
         }
     }

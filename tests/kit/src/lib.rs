@@ -4,21 +4,17 @@
 //! [`skip`], so that it is printed and counted.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
-pub mod cameras;
-pub mod cull_scenes;
-pub mod display;
-pub mod frames;
 pub mod fuzz;
 pub mod pager;
-pub mod process;
-pub mod rig;
 pub mod server;
-pub mod shadows;
-pub mod shapes;
-pub mod skip;
-pub mod terrain;
-pub mod tile_sets;
-pub mod viewer;
+
+mod drawing;
+mod host;
+mod scenes;
+
+pub use drawing::{cameras, frames, rig, viewer};
+pub use host::{display, process, skip};
+pub use scenes::{cull_scenes, shadows, shapes, terrain, tile_sets};
 
 /// Returns true with `TERRANE_LONG_TESTS=1`: tests of random inputs run all of them instead of a sample.
 pub fn long_tests() -> bool {

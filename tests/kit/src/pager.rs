@@ -17,9 +17,9 @@ pub const PAGE_GPU_BYTES: u64 = 1000;
 #[derive(Default)]
 pub struct Context {
     done: Vec<Compiled>,
-    /// Slots that were handed out and not released.
+    /// The number of slots that were handed out and not released.
     pub slots_out: u64,
-    /// Number of operations that the pager has cancelled.
+    /// The number of operations that the pager has cancelled.
     pub cancelled: usize,
     /// Reports a byte per vertex of a page's meshes instead of [`PAGE_GPU_BYTES`].
     pub counts_vertices: bool,
@@ -78,13 +78,13 @@ pub struct Run {
     pub pager: DatabasePager,
     /// The only context.
     pub context: Context,
-    /// Result of the last cull.
+    /// The result of the last cull.
     pub stage: RenderStage,
-    /// Number of the last frame.
+    /// The number of the last frame.
     pub frame: u32,
-    /// Bytes read for the root tileset.
+    /// The number of bytes read for the root tileset.
     pub root_bytes: u64,
-    /// Largest screen-space error of a drawn tile, in pixels.
+    /// The largest screen-space error of a drawn tile, in pixels.
     pub max_sse_px: f64,
     visitor: CullVisitor,
 }
@@ -98,7 +98,7 @@ impl Run {
         Self::with(pager, root)
     }
 
-    /// Starts from a page that the test has made, with contents below a folder.
+    /// Starts from a page that the test has made. The contents are below a folder.
     pub fn of_page(root: Page, folder: &str, config: PagerConfig) -> Self {
         let options = ReadOptions::for_root(&root_uri(folder).unwrap(), Limits::default());
         Self::with(DatabasePager::new(config, options).unwrap(), root)
@@ -118,7 +118,7 @@ impl Run {
         self.frame_with(eye, &[]);
     }
 
-    /// Does the same as [`Self::frame`], with requests besides the cull's.
+    /// Does the same as [`Self::frame`], with additional requests.
     pub fn frame_with(&mut self, eye: DVec3, others: &[PageRequest]) {
         self.cull(eye);
         let contexts: &mut [&mut dyn CompileContext] = &mut [&mut self.context];
@@ -142,8 +142,8 @@ impl Run {
         let ended = s.merged + s.failed + s.cancelled + s.stale + s.declined + s.dropped;
         assert_eq!(s.requested + s.retried, ended + s.waiting + s.in_flight, "{s:?}");
         assert_eq!(s.merged, s.expired + s.resident, "{s:?}");
-        let told: u64 = self.pager.errors().iter().map(|e| e.count).sum();
-        assert_eq!(told, s.failed + s.drawables_failed, "{s:?}");
+        let reported: u64 = self.pager.errors().iter().map(|e| e.count).sum();
+        assert_eq!(reported, s.failed + s.drawables_failed, "{s:?}");
     }
 
     /// Runs frames until `done` returns true; panics with `what` after a minute.

@@ -1,4 +1,4 @@
-//! An HTTP/1.1 server on this machine whose replies, and their faults, a test decides. It keeps connections alive and
+//! An HTTP/1.1 server on this machine. The test decides its replies and their faults. It keeps connections alive and
 //! starts a thread for each.
 
 use std::io::{BufRead as _, BufReader, Read as _, Write as _};
@@ -12,11 +12,11 @@ use std::time::Duration;
 pub struct Request {
     /// The target of the request line, with the query; an absolute URL if the client uses the server as its proxy.
     pub target: String,
-    /// Names, in lower case, and values.
+    /// Header names, in lower case, and values.
     pub headers: Vec<(String, String)>,
-    /// Number of the connection, from 0.
+    /// The number of the connection, from 0.
     pub connection: usize,
-    /// Number of earlier requests for the same target.
+    /// The number of earlier requests for the same target.
     pub nth: usize,
 }
 
@@ -35,34 +35,34 @@ impl Request {
 /// How a reply is sent: whole, or with a fault.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum How {
-    /// With `Content-Length`.
+    /// The whole body, with `Content-Length`.
     Whole,
-    /// In chunks of 1,000 bytes.
+    /// The whole body in chunks of 1,000 bytes.
     Chunked,
-    /// A byte every 20 ms.
+    /// The whole body, one byte every 20 ms.
     Slowly,
-    /// Half of the announced bytes, then the connection is closed.
+    /// Half of the announced bytes; then the server closes the connection.
     Cut,
-    /// Half of the announced bytes, then nothing until the client closes the connection.
+    /// Half of the announced bytes; then nothing until the client closes the connection.
     Stall,
-    /// Nothing, not even a head, until the client closes the connection.
+    /// Nothing at all until the client closes the connection.
     Silent,
-    /// The connection is closed instead of a reply.
+    /// No reply: the server closes the connection.
     Reset,
 }
 
-/// A reply, sent whole and at once unless changed.
+/// A reply. By default it is sent whole and without delay.
 #[derive(Clone, Debug)]
 pub struct Reply {
-    /// Status code.
+    /// The status code.
     pub status: u16,
-    /// Names and values besides those that say how the body is sent.
+    /// Header names and values, without those that describe how the body is sent.
     pub headers: Vec<(String, String)>,
     /// The body.
     pub body: Vec<u8>,
     /// How the reply is sent.
     pub how: How,
-    /// Time before the reply is sent.
+    /// The delay before the reply is sent.
     pub delay: Duration,
 }
 
@@ -143,6 +143,7 @@ impl Server {
     }
 }
 
+/// Serves the requests of one connection until the client or a fault closes it.
 fn serve(
     stream: TcpStream,
     connection: usize,
@@ -176,12 +177,12 @@ fn serve(
         if reply.how == How::Reset {
             return stream.shutdown(Shutdown::Both);
         }
-        let wait_for_the_end = |stream: &mut TcpStream| while stream.read(&mut [0; 64]).is_ok_and(|n| n > 0) {};
+        let wait_until_closed = |stream: &mut TcpStream| while stream.read(&mut [0; 64]).is_ok_and(|n| n > 0) {};
         if reply.how == How::Silent {
-            wait_for_the_end(&mut stream);
+            wait_until_closed(&mut stream);
             return Ok(());
         }
-        let mut head = format!("HTTP/1.1 {} Said\r\n", reply.status);
+        let mut head = format!("HTTP/1.1 {} Test\r\n", reply.status);
         for (name, value) in &reply.headers {
             head.push_str(&format!("{name}: {value}\r\n"));
         }
@@ -205,7 +206,7 @@ fn serve(
             How::Cut | How::Stall => {
                 stream.write_all(&reply.body[..reply.body.len() / 2])?;
                 if reply.how == How::Stall {
-                    wait_for_the_end(&mut stream);
+                    wait_until_closed(&mut stream);
                 }
                 return stream.shutdown(Shutdown::Both);
             }

@@ -11,10 +11,10 @@ pub fn offscreen(config: &ViewerConfig) -> Option<Viewer> {
     or_skip(Viewer::new_offscreen(config))
 }
 
-/// A viewer that takes longer to settle never does.
-const PATIENCE: Duration = Duration::from_secs(120);
+/// The time after which a viewer that has not settled fails its test.
+const SETTLE_TIMEOUT: Duration = Duration::from_secs(120);
 
-/// Viewers that draw until everything is loaded. How many frames that takes depends on the machine.
+/// Viewers that draw until everything is loaded. The number of frames depends on the machine.
 pub trait Settle {
     /// Draws a frame; returns true if nothing is missing after it.
     fn draw(&mut self) -> bool;
@@ -25,7 +25,7 @@ pub trait Settle {
         let mut frames = 1;
         while !self.draw() || frames < min_frames {
             frames += 1;
-            assert!(start.elapsed() < PATIENCE, "does not settle");
+            assert!(start.elapsed() < SETTLE_TIMEOUT, "the viewer does not settle within two minutes");
         }
     }
 }

@@ -56,7 +56,7 @@ pub fn ray(camera: &CullCamera, x: u32, y: u32) -> (DVec3, DVec3) {
 
 /// Compares the shadow on the ground with rays towards the sun, pixel by pixel.
 ///
-/// Pixels within the reach of filter and bias around an edge are not compared. `hiders` hide pixels and cast no shadow.
+/// Pixels within the reach of filter and bias around an edge are not compared. `hiders` cover pixels and cast no shadow.
 /// Returns the numbers of pixels compared in shadow and in sunlight.
 pub fn check(
     picture: &RgbaImage,

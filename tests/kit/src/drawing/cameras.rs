@@ -12,7 +12,7 @@ use crate::rig::Rig;
 
 /// Returns a camera node with the pose, projection and size of `camera` that draws to a texture.
 pub fn like(camera: &CullCamera) -> CameraNode {
-    let texture = TextureObject::target("picture", camera.viewport_px, TextureFormat::Rgba8Srgb);
+    let texture = TextureObject::target("image", camera.viewport_px, TextureFormat::Rgba8Srgb);
     CameraNode::to_texture(texture, camera.eye_from_world, camera.clip_from_eye)
 }
 

@@ -1,7 +1,7 @@
-//! Skips: a test that cannot run here says why on stderr, and the skip is counted.
+//! Skips of tests that cannot run on this machine. Each is reported on stderr and counted.
 //!
-//! The line `skipped: REASON` appears although the harness captures the output of tests that pass. Where the variable
-//! `TERRANE_SKIPPED` names a file, the reason is appended there too: `tools/run test` counts its lines at the end.
+//! The line `skipped: REASON` appears although the harness captures the output of tests that pass. If the variable
+//! `TERRANE_SKIPPED` names a file, the reason is appended to it; `tools/run test` counts its lines at the end.
 
 use std::fs::OpenOptions;
 use std::io::Write as _;
@@ -12,7 +12,7 @@ use terrane::viewer::ViewerError;
 /// Prints and counts the skip of a test, or of a part of it.
 pub fn skipped(reason: impl std::fmt::Display) {
     let line = format!("skipped: {reason}\n");
-    // Straight to stderr, since the harness captures what the printing macros write. Nothing can be done if it fails.
+    // The harness captures the printing macros, so the line is written to stderr directly. A failure is ignored.
     let _ = std::io::stderr().write_all(line.as_bytes());
     if let Some(path) = std::env::var_os("TERRANE_SKIPPED") {
         // One write per line, so that lines of several processes do not mix.
@@ -21,7 +21,7 @@ pub fn skipped(reason: impl std::fmt::Display) {
     }
 }
 
-/// Skips a test for want of an adapter or a display; panics with `REQUIRE_GPU=1`, as CI sets it.
+/// Skips a test that has no adapter or display. Panics with `REQUIRE_GPU=1`, which CI sets.
 pub fn skipped_unless_required(reason: impl std::fmt::Display) {
     assert!(std::env::var_os("REQUIRE_GPU").is_none_or(|v| v != "1"), "REQUIRE_GPU=1: {reason}");
     skipped(reason);

@@ -7,7 +7,7 @@ const ALONE: &str = "TERRANE_TEST_ALONE";
 
 /// Runs a test of the calling module alone in a new process, and panics with the output if it fails there.
 ///
-/// Returns true in the calling process, where the test is done then, and false in the new one, where it shall run.
+/// Returns true in the calling process, where the test is then done, and false in the new process, which must run it.
 /// `module` is the caller's `module_path!()`.
 pub fn runs_alone(module: &str, test: &str) -> bool {
     let name = test_name(module, test);
@@ -20,7 +20,7 @@ pub fn runs_alone(module: &str, test: &str) -> bool {
         .output()
         .unwrap();
     let [stdout, stderr] = [&output.stdout, &output.stderr].map(|bytes| String::from_utf8_lossy(bytes));
-    assert!(output.status.success(), "{name} in a process of its own: {}\n{stdout}{stderr}", output.status);
+    assert!(output.status.success(), "{name} in a separate process: {}\n{stdout}{stderr}", output.status);
     assert!(stdout.contains("1 passed"), "no test is called {name}: {stdout}");
     true
 }
