@@ -3,10 +3,11 @@
 
 mod bins;
 mod leaves;
+mod near_far_planes;
+mod nested_cameras;
+mod node_kinds;
 mod occluders;
 mod pixel_size;
-mod request_volumes;
 mod scene_cameras;
-mod special;
-mod tile_rules;
+mod single_page;
 mod tiles;

@@ -7,5 +7,7 @@ mod camera_parts;
 mod camera_shadows;
 mod camera_targets;
 mod near_far;
-mod render_stages;
+mod small_targets;
+mod stage_order;
 mod stereo;
+mod target_attachments;
