@@ -3,7 +3,7 @@
 use crate::single_page::{camera, cube, cull, scene, slots};
 use glam::dcamera::rh::proj::directx as proj;
 use glam::{DAffine3, DMat4, DVec3, DVec4};
-use kit::cull_scenes::{drawable, page};
+use kit::cull_scenes::drawable;
 use terrane::cull::{CullCamera, CullVisitor, CullingMode, RenderStage};
 use terrane::math::Aabb;
 use terrane::scene::{CameraNode, ComputeNearFar, Node, RenderOrder};

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use glam::DAffine3;
 use image::RgbaImage;
-use kit::rig::{Rig, plain, rig, unit_camera};
+use kit::rig::{Rig, plain, unit_camera};
 use kit::shapes::quad;
 use terrane::cull::CullCamera;
 use terrane::scene::{CameraNode, CameraTarget, Drawable, Node, PictureSink, Scene};

@@ -3,7 +3,7 @@
 use std::sync::{Arc, Mutex};
 
 use crate::small_targets::{
-    BLUE, GREEN, RED, SIDE, draw, drawn_until, no_errors, read, red, screen, square, target, to_texture, view,
+    BLUE, GREEN, RED, SIDE, draw, drawn_until, no_errors, red, screen, square, target, to_texture, view,
 };
 use glam::dcamera::rh::proj::directx as proj;
 use glam::{DAffine3, DVec4};

@@ -19,11 +19,11 @@ pub struct Args {
 }
 
 impl Args {
-    /// What no single argument says is wrong; exit code 2, as of the others.
+    /// Checks combinations of arguments. The error ends the program with exit code 2, as other invalid arguments do.
     pub fn check(&self) -> Result<(), String> {
         match &self.command {
             Command::Fly(args) if args.frames == Some(0) && !args.settle => {
-                Err("--frames 0 draws nothing; --settle draws the picture of the first camera".to_owned())
+                Err("--frames 0 draws nothing; --settle draws the image of the first camera".to_owned())
             }
             Command::Bench(BenchArgs { bench: Bench::Page { url: Some(url), .. } }) if !is_remote(url) => {
                 Err(format!("--url {url}: neither an http(s) URL nor an s3://, gs:// or az:// URI"))
@@ -35,8 +35,8 @@ impl Args {
     }
 }
 
-/// What [`terrane::viewer::DisplaySettings`] takes out of the command line before the rest is read.
-const DISPLAY_HELP: &str = "Of the display, each with its value, or as TERRANE_DISPLAY_TYPE and so on in the environment: \
+/// Lists the options that [`terrane::viewer::DisplaySettings`] removes from the command line before clap reads it.
+const DISPLAY_HELP: &str = "Options of the display, each with a value; also as environment variables such as TERRANE_DISPLAY_TYPE: \
     --display-type --stereo --stereo-mode --eye-separation --screen-width --screen-height --screen-distance \
     --split-horizontal-eye-mapping --split-horizontal-separation --split-vertical-eye-mapping \
     --split-vertical-separation --split-auto-adjust-aspect-ratio --max-contexts --multi-samples --min-alpha-bits \
@@ -44,70 +44,72 @@ const DISPLAY_HELP: &str = "Of the display, each with its value, or as TERRANE_D
 
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Fly along a path over a tile set and report what the frames cost
+    /// Fly along a path over a tile set and report the times of frames
     #[command(after_help = DISPLAY_HELP)]
     Fly(Box<FlyArgs>),
-    /// Open a window on a tile set and move in it
+    /// Open a window on a tile set and navigate in it
     #[command(after_help = DISPLAY_HELP)]
     View(ViewArgs),
-    /// Make a tile set from noise or from elevation models
+    /// Generate a tile set from noise or from elevation files
     Gen(Box<terrane_data_gen::GenArgs>),
-    /// Say what is in a tile set
+    /// Describe the content of a tile set
     Info(InfoArgs),
-    /// Serve a folder over HTTP, as well or as badly as asked
+    /// Serve a folder over HTTP, with a chosen latency, bandwidth and rate of faults
     Serve(crate::serve::ServeArgs),
-    /// Fly at random over a set that comes badly, and check what must hold in each frame
+    /// Fly random flights over a set from a faulty server and check invariants in each frame
     Stress(crate::stress::StressArgs),
-    /// Look after the cache on disk
+    /// Inspect, clear, verify or fill the cache on disk
     Cache(crate::cache::CacheArgs),
-    /// Measure one layer; JSON lines on stdout
+    /// Measure one layer; prints JSON lines
     Bench(BenchArgs),
 }
 
 #[derive(Clone, Debug, Default, ClapArgs)]
 pub struct FlyArgs {
-    /// Folder, tileset.json, archive (.3tz, .zip), http(s) URL or s3://, gs://, az:// URI; without it a small set is made in the user's cache folder
+    /// Folder, tileset.json, archive (.3tz, .zip), http(s) URL or s3://, gs://, az:// URI; without it a small set is generated in the user's cache folder
     pub source: Option<String>,
-    /// Camera path in OpenSceneGraph's text form, `t px py pz qx qy qz qw` a line [default: approach, fly low, orbit]
+    /// Camera path in OpenSceneGraph's text format, a line `t px py pz qx qy qz qw` per point [default: approach, fly low,
+    /// orbit]
     #[arg(long, value_name = "FILE")]
     pub path: Option<PathBuf>,
-    /// Frames to fly, the path spread over them [default: 300, 100 on a software driver; none after --settle]
+    /// Number of frames for the whole path [default: 300, 100 on a software driver, 0 with --settle]
     #[arg(long, value_name = "N")]
     pub frames: Option<u32>,
-    /// Size of the picture in pixels
+    /// Size of the image in pixels
     #[arg(long, value_name = "WxH", default_value = "1280x720")]
     pub size: Size,
-    /// Draw into memory even where there is a display
+    /// Draw to memory even if there is a display
     #[arg(long)]
     pub offscreen: bool,
-    /// Hold the first camera until everything wanted is drawn, then take the picture
+    /// Keep the first camera until all wanted tiles are drawn, then take the image
     #[arg(long)]
     pub settle: bool,
-    /// First camera: heading and pitch in degrees and distance in metres to the centre of the set
+    /// First camera: heading and pitch in degrees, and distance in metres to the centre of the set
     /// [default: 0,-35,2.2 radii]
     #[arg(long, value_name = "HEADING_DEG,PITCH_DEG,RANGE_M", allow_hyphen_values = true)]
     pub view: Option<View>,
-    /// Refine tiles whose error shows as more pixels [default: 3 for height tiles, else 16 as CesiumJS]
+    /// Refine tiles whose error projects to more pixels [default: 3 for height tiles, otherwise 16 as in CesiumJS]
     #[arg(long, value_name = "PX")]
     pub sse: Option<Positive>,
-    /// On the way to finer tiles load only those that are so many times finer than what is there: at 16 of four levels
-    /// of a quadtree one [default: 1, every level]
+    /// While refining, load only tiles whose error is smaller by this factor than that of the visible tile: with 16, one
+    /// in four levels of a quadtree [default: 1, every level]
     #[arg(long, value_name = "FACTOR")]
     pub skip_sse: Option<Positive>,
-    /// Seconds in which levels of detail fade into one another; 0 changes them at once
+    /// Duration of the fade between levels of detail in seconds; 0 switches without a fade
     #[arg(long, value_name = "SECONDS", default_value = "0.25")]
     pub lod_fade: NotNegative,
-    /// Which threads cull and draw: SingleThreaded, CullDrawThreadPerContext, DrawThreadPerContext,
-    /// CullThreadPerCameraDrawThreadPerContext, or AutomaticSelection: what TERRANE_THREADING names, else the best
+    /// Threading model: SingleThreaded, CullDrawThreadPerContext, DrawThreadPerContext,
+    /// CullThreadPerCameraDrawThreadPerContext, or AutomaticSelection (that of TERRANE_THREADING, or the best)
     #[arg(long, value_name = "MODEL", default_value = "AutomaticSelection")]
     pub threading: ThreadingModel,
-    /// Load what the camera will lack in so many seconds, after all that it lacks now; 0: nothing [default: 1]
+    /// Prefetch tiles that the camera will need within this many seconds, after those it needs now; 0 turns prefetch off
+    /// [default: 1]
     #[arg(long, value_name = "SECONDS", value_parser = not_negative)]
     pub look_ahead: Option<f64>,
     /// Do not wait for the screen's refresh (window only); frames may tear
     #[arg(long, conflicts_with = "offscreen")]
     pub no_vsync: bool,
-    /// Load everything a frame wants before drawing it, so that equal paths give equal pictures
+    /// Load all tiles that a frame wants before drawing it, so that equal paths give equal images
     #[arg(long)]
     pub blocking: bool,
     /// Count background pixels where terrain must be; draws on magenta
@@ -116,62 +118,62 @@ pub struct FlyArgs {
     /// Write the report as JSON
     #[arg(long, value_name = "FILE")]
     pub report: Option<PathBuf>,
-    /// Write what every thread did when, for ui.perfetto.dev or chrome://tracing
+    /// Write a trace of all threads, for ui.perfetto.dev or chrome://tracing
     #[arg(long, value_name = "FILE")]
     pub trace: Option<PathBuf>,
     /// Write every frame as PNG
     #[arg(long, value_name = "DIR")]
     pub frames_dir: Option<PathBuf>,
-    /// Write the last frame (with --settle the settled one) as PNG
+    /// Write the last frame (with --settle, the settled one) as PNG
     #[arg(long, value_name = "FILE")]
     pub screenshot: Option<PathBuf>,
-    /// Write the URIs of the contents drawn in that picture as JSON
+    /// Write the URIs of the contents that are visible in that frame as JSON
     #[arg(long, value_name = "FILE")]
     pub selection: Option<PathBuf>,
     /// Plain background instead of sky and haze
     #[arg(long, value_name = "RRGGBB", conflicts_with = "check_holes")]
     pub background: Option<Rgb>,
-    /// A sea at this height above the ellipsoid, metres
+    /// Height of a sea above the ellipsoid in metres [default: no sea]
     #[arg(long, value_name = "M", allow_hyphen_values = true, value_parser = finite)]
     pub water: Option<f32>,
-    /// Shadows of the sun
+    /// Draw shadows of the sun
     #[arg(long)]
     pub shadows: bool,
-    /// Where the sun stands: degrees clockwise from north, and above the horizon
+    /// Position of the sun: degrees clockwise from north, and degrees above the horizon
     #[arg(long, value_name = "AZIMUTH,HEIGHT", allow_hyphen_values = true)]
     pub sun: Option<SunFrom>,
-    /// Draw for two eyes: ANAGLYPHIC, HORIZONTAL_SPLIT, VERTICAL_SPLIT, LEFT_EYE, RIGHT_EYE, HORIZONTAL_INTERLACE,
-    /// VERTICAL_INTERLACE or CHECKERBOARD; things as far as the middle of the set seem to lie in the screen
+    /// Draw in stereo: ANAGLYPHIC, HORIZONTAL_SPLIT, VERTICAL_SPLIT, LEFT_EYE, RIGHT_EYE, HORIZONTAL_INTERLACE,
+    /// VERTICAL_INTERLACE or CHECKERBOARD; objects as far as the middle of the set appear at the depth of the screen
     #[arg(long, value_name = "MODE")]
     pub stereo: Option<StereoMode>,
-    /// Samples a pixel, 1 or 4: smooth edges
+    /// Samples per pixel, 1 or 4; 4 draws smooth edges
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = samples)]
     pub samples: u32,
     /// Show the stats overlay from the start (window only)
     #[arg(long, conflicts_with = "offscreen")]
     pub stats: bool,
-    /// Neither use nor keep what the driver compiles (terrane/pipelines in the user's cache folder)
+    /// Do not use the cache of compiled pipelines (terrane/pipelines in the user's cache folder)
     #[arg(long)]
     pub no_pipeline_cache: bool,
     #[command(flatten)]
     pub net: NetArgs,
-    /// A window to move in, without a path.
+    /// True for `terrane view`: the user moves the camera.
     #[arg(skip)]
     pub interactive: bool,
-    /// Draw only when something changes.
+    /// True to draw only when something changes.
     #[arg(skip)]
     pub on_demand: bool,
     /// Maximum frames per second (window only)
     #[arg(long, value_name = "FPS", conflicts_with = "offscreen")]
     pub max_fps: Option<Positive>,
-    /// Windows beside the first, alternately on its right and left, each with its part of one wide picture
+    /// Number of additional windows, alternately right and left of the first, that show parts of one wide image
     #[arg(long, value_name = "N", default_value_t = 0, conflicts_with = "offscreen",
         value_parser = clap::value_parser!(u32).range(0..=8))]
     pub beside: u32,
-    /// Open the windows that a JSON file names, whatever TERRANE_CONFIG_FILE, TERRANE_WINDOW and TERRANE_SCREEN say
+    /// Open the windows of a JSON file instead of those of TERRANE_CONFIG_FILE, TERRANE_WINDOW and TERRANE_SCREEN
     #[arg(long, value_name = "FILE", conflicts_with_all = ["beside", "offscreen"])]
     pub config: Option<PathBuf>,
-    /// The X11 window to open in.
+    /// The X11 window to open a child window in.
     #[arg(skip)]
     pub parent: Option<u32>,
 }
@@ -184,24 +186,24 @@ pub struct ViewArgs {
     /// Size of the window in pixels
     #[arg(long, value_name = "WxH", default_value = "1280x720")]
     pub size: Size,
-    /// First camera: heading and pitch in degrees and distance in metres to the centre of the set
+    /// First camera: heading and pitch in degrees, and distance in metres to the centre of the set
     #[arg(long, value_name = "HEADING_DEG,PITCH_DEG,RANGE_M", allow_hyphen_values = true)]
     pub view: Option<View>,
     /// Camera path that key 7 plays
     #[arg(long, value_name = "FILE")]
     pub path: Option<PathBuf>,
-    /// Refine tiles whose error shows as more pixels [default: 3 for height tiles, else 16 as CesiumJS]
+    /// Refine tiles whose error projects to more pixels [default: 3 for height tiles, otherwise 16 as in CesiumJS]
     #[arg(long, value_name = "PX")]
     pub sse: Option<Positive>,
-    /// On the way to finer tiles load only those that are so many times finer than what is there: at 16 of four levels
-    /// of a quadtree one [default: 1, every level]
+    /// While refining, load only tiles whose error is smaller by this factor than that of the visible tile: with 16, one
+    /// in four levels of a quadtree [default: 1, every level]
     #[arg(long, value_name = "FACTOR")]
     pub skip_sse: Option<Positive>,
-    /// Seconds in which levels of detail fade into one another; 0 changes them at once
+    /// Duration of the fade between levels of detail in seconds; 0 switches without a fade
     #[arg(long, value_name = "SECONDS", default_value = "0.25")]
     pub lod_fade: NotNegative,
-    /// Which threads cull and draw: SingleThreaded, CullDrawThreadPerContext, DrawThreadPerContext,
-    /// CullThreadPerCameraDrawThreadPerContext, or AutomaticSelection: what TERRANE_THREADING names, else the best
+    /// Threading model: SingleThreaded, CullDrawThreadPerContext, DrawThreadPerContext,
+    /// CullThreadPerCameraDrawThreadPerContext, or AutomaticSelection (that of TERRANE_THREADING, or the best)
     #[arg(long, value_name = "MODEL", default_value = "AutomaticSelection")]
     pub threading: ThreadingModel,
     /// Show the stats overlay from the start
@@ -210,20 +212,20 @@ pub struct ViewArgs {
     /// Draw only when something changes
     #[arg(long)]
     pub on_demand: bool,
-    /// Frames a second at most
+    /// Maximum frames per second
     #[arg(long, value_name = "FPS")]
     pub max_fps: Option<Positive>,
-    /// Windows beside the first, alternately on its right and left, each with its part of one wide picture
+    /// Number of additional windows, alternately right and left of the first, that show parts of one wide image
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=8))]
     pub beside: u32,
-    /// Open the windows, or the several views, that a JSON file names, whatever TERRANE_CONFIG_FILE, TERRANE_WINDOW and
-    /// TERRANE_SCREEN say
+    /// Open the windows or views of a JSON file instead of those of TERRANE_CONFIG_FILE, TERRANE_WINDOW and
+    /// TERRANE_SCREEN
     #[arg(long, value_name = "FILE", conflicts_with_all = ["beside", "parent"])]
     pub config: Option<PathBuf>,
-    /// Neither use nor keep what the driver compiles (terrane/pipelines in the user's cache folder)
+    /// Do not use the cache of compiled pipelines (terrane/pipelines in the user's cache folder)
     #[arg(long)]
     pub no_pipeline_cache: bool,
-    /// Open in the X11 window of this number, as other toolkits have it (decimal)
+    /// Open inside the X11 window with this number (decimal), for example a window of another toolkit
     #[arg(long, value_name = "WINDOW")]
     pub parent: Option<u32>,
     #[command(flatten)]
@@ -277,10 +279,10 @@ impl From<ViewArgs> for Box<FlyArgs> {
 pub struct InfoArgs {
     /// Folder, tileset.json, archive (.3tz, .zip), http(s) URL or s3://, gs://, az:// URI
     pub source: String,
-    /// One JSON document instead of text
+    /// Print one JSON document instead of text
     #[arg(long)]
     pub json: bool,
-    /// Read and decode every content too; exit code 1 where one fails
+    /// Read and decode all contents as well; exit code 1 if one fails
     #[arg(long)]
     pub verify: bool,
     #[command(flatten)]
@@ -295,106 +297,107 @@ pub struct BenchArgs {
 
 #[derive(Clone, Debug, Subcommand)]
 pub enum Bench {
-    /// Every bench below, one after the other; takes about ten minutes
+    /// All benches below, one after the other; takes about ten minutes
     All {
         /// Print a Markdown document with machine, date and commit instead of JSON lines
         #[arg(long)]
         markdown: bool,
-        /// Shortest time to measure each case, seconds [default: that of each bench]
+        /// Minimum time to measure each case, seconds [default: that of each bench]
         #[arg(long, value_parser = secs)]
         secs: Option<f64>,
     },
-    /// Scene to render stages, without a GPU
+    /// Cull: from the scene to render stages, without a GPU
     Cull {
-        /// Shortest time to measure each case, seconds
+        /// Minimum time to measure each case, seconds
         #[arg(long, default_value_t = 1.0, value_parser = secs)]
         secs: f64,
-        /// Drawables of the scenes
+        /// Number of drawables of each scene
         #[arg(long, value_name = "N", value_delimiter = ',', default_values_t = [1_000, 10_000, 100_000],
             value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
         drawables: Vec<u32>,
     },
-    /// The walk of a tile tree, without a GPU
+    /// Traversal of a tile tree, without a GPU
     Tiles {
-        /// Shortest time to measure each case, seconds
+        /// Minimum time to measure each case, seconds
         #[arg(long, default_value_t = 1.0, value_parser = secs)]
         secs: f64,
     },
-    /// Lines through a terrain of a million triangles, without a GPU
+    /// Intersections of lines with a terrain of a million triangles, without a GPU
     Pick {
-        /// Shortest time to measure each case, seconds
+        /// Minimum time to measure each case, seconds
         #[arg(long, default_value_t = 1.0, value_parser = secs)]
         secs: f64,
     },
-    /// Render stages to the adapter that does nothing: the processor's time per leaf
+    /// Submission of render stages to wgpu's noop adapter: processor time per leaf
     Submit {
-        /// Shortest time to measure each case, seconds
+        /// Minimum time to measure each case, seconds
         #[arg(long, default_value_t = 1.0, value_parser = secs)]
         secs: f64,
     },
     /// Whole frames of 64 x 64 pixels with the software driver
     Frame {
-        /// Shortest time to measure each case, seconds
+        /// Minimum time to measure each case, seconds
         #[arg(long, default_value_t = 1.0, value_parser = secs)]
         secs: f64,
-        /// Hand the adapter what lies between pixels too
+        /// Draw leaves that lie between pixel centres as well
         #[arg(long)]
         every_leaf: bool,
     },
-    /// What each threading model makes of update, cull and draw
+    /// Frame times with each threading model
     Threading {
-        /// Shortest time to measure each case, seconds
+        /// Minimum time to measure each case, seconds
         #[arg(long, default_value_t = 1.0, value_parser = secs)]
         secs: f64,
     },
-    /// What equal contents share, and what looking for them costs
+    /// Savings by sharing equal contents, and the cost of finding them
     Share {
-        /// Shortest time to decode each set, seconds
+        /// Minimum time to decode each set, seconds
         #[arg(long, default_value_t = 10.0, value_parser = secs)]
         secs: f64,
     },
-    /// A pager with many pages while nothing changes
+    /// Update of a pager with many resident pages while nothing changes
     Resident {
-        /// Pages that are merged
+        /// Number of resident pages
         #[arg(long, default_value_t = 100_000, value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
         tiles: u32,
-        /// Shortest time to measure each case, seconds
+        /// Minimum time to measure each case, seconds
         #[arg(long, default_value_t = 1.0, value_parser = secs)]
         secs: f64,
     },
-    /// Files to merged pages
+    /// Paging: from files to merged pages
     Page {
-        /// Frames of the flight
+        /// Number of frames of the flight
         #[arg(long, default_value_t = 1200, value_parser = clap::value_parser!(u32).range(2..))]
         frames: u32,
-        /// Frames a second; 0 for as many as go
+        /// Frames per second; 0 for no limit
         #[arg(long, default_value_t = 60.0, value_parser = pace)]
         pace: f64,
-        /// Draw each frame too
+        /// Draw each frame as well
         #[arg(long)]
         draw: bool,
-        /// Most tiles that are kept; of 540 a tenth is left free, which keeps as many as the peer (121 files of four)
+        /// Maximum number of resident tiles; of 540 a tenth stays free, so that as many are kept as by the peer (121 files
+        /// of four tiles)
         #[arg(long, default_value_t = 540, value_parser = clap::value_parser!(u32).range(1..))]
         tiles: u32,
-        /// What the tiles hold
+        /// Content of the tiles
         #[arg(long, value_enum, default_value_t = PageContent::Mesh)]
         content: PageContent,
-        /// So many terrains along each side, all from the same files
+        /// Number of copies of the terrain along each side, all from the same files
         #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=16))]
         world: u32,
-        /// Fly straight on at so many metres a second, instead of along the peer's path
+        /// Fly a straight line at this speed instead of the peer's path
         #[arg(long, value_name = "M_PER_S")]
         speed: Option<Positive>,
-        /// Load what the announced path will want in so many seconds; the peers cannot
+        /// Prefetch tiles that the announced path will need within this many seconds; the peers cannot do this
         #[arg(long, value_name = "SECONDS", default_value = "0", value_parser = not_negative)]
         look_ahead: f64,
-        /// Load only tiles that are so many times finer than what is there, on the way to those that are wanted
+        /// While refining, load only tiles whose error is smaller by this factor than that of the visible tile
         #[arg(long, value_name = "FACTOR", default_value = "1")]
         skip_sse: Positive,
-        /// Nothing is announced: look ahead where the eye's motion goes on to
+        /// Do not announce the path: prefetch by extrapolating the motion of the eye
         #[arg(long)]
         by_motion: bool,
-        /// Where the tiles' folder is served, instead of reading files; the folder is named on stderr
+        /// Read the tiles from this server instead of files; the folder to serve is printed on stderr
         #[arg(long, value_name = "URL")]
         url: Option<String>,
         #[command(flatten)]
@@ -402,14 +405,14 @@ pub enum Bench {
     },
 }
 
-/// What the tiles of `bench page` hold.
+/// The content of the tiles of `bench page`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum PageContent {
-    /// Binary glTF with positions, normals, texture coordinates and an image, as the peer's tiles
+    /// Binary glTF with positions, normals, texture coordinates and an image, like the peer's tiles
     Mesh,
-    /// The same in 16 bytes a vertex, as KHR_mesh_quantization and `terrane gen` have them
+    /// The same with 16 bytes per vertex (KHR_mesh_quantization), like the meshes of `terrane gen`
     Quantized,
-    /// EXR heights on a shared grid and an image
+    /// EXR heights on a shared grid, and an image
     Height,
 }
 
@@ -420,7 +423,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_arguments_are_consistent() {
+    fn arguments_are_consistent() {
         Args::command().debug_assert();
     }
 }

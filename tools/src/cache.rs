@@ -1,4 +1,4 @@
-//! `terrane cache`: what is in the cache on disk, emptying, checking and filling it.
+//! `terrane cache`: inspects, clears, verifies and fills the cache on disk.
 
 use std::io::Write as _;
 use std::ops::ControlFlow;
@@ -24,13 +24,13 @@ pub struct CacheArgs {
 
 #[derive(Clone, Debug, Subcommand)]
 pub enum CacheCommand {
-    /// Say how much is in it
+    /// Print the number of entries and their size
     Info(FolderArgs),
-    /// Remove everything
+    /// Remove all entries
     Clear(FolderArgs),
-    /// Read everything and remove what is not as it was written
+    /// Read all entries and remove corrupt ones
     Verify(FolderArgs),
-    /// Fetch a part of a tile set before anybody flies there; goes on where it was stopped
+    /// Fetch a part of a tile set for offline use; a stopped run continues where it ended
     Fill(FillArgs),
 }
 
@@ -38,23 +38,23 @@ pub enum CacheCommand {
 pub struct FillArgs {
     /// http(s) URL or s3://, gs://, az:// URI of a folder, tileset.json or archive
     pub source: String,
-    /// Only tiles over this region of the earth, degrees
+    /// Only tiles that overlap this region, in degrees
     #[arg(long, value_name = "WEST,SOUTH,EAST,NORTH", allow_hyphen_values = true)]
     pub region: Option<RegionArg>,
-    /// Only these levels of the tree, as 0-5 or 7; root 0
+    /// Only these levels of the tree, such as 0-5 or 7; the root has level 0
     #[arg(long, value_name = "FIRST-LAST")]
     pub level: Option<Levels>,
-    /// Requests at once
+    /// Maximum number of requests in flight
     #[arg(long, value_name = "N", default_value_t = 16, value_parser = clap::value_parser!(u32).range(1..=256))]
     pub jobs: u32,
-    /// Ask the server again about what is there
+    /// Revalidate cached entries with the server
     #[arg(long)]
     pub refresh: bool,
     #[command(flatten)]
     pub net: NetArgs,
 }
 
-/// West, south, east and north in degrees.
+/// A region: west, south, east and north in degrees.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RegionArg(pub [f64; 4]);
 
@@ -72,12 +72,12 @@ impl FromStr for RegionArg {
             {
                 Ok(Self([west, south, east, north]))
             }
-            _ => Err("expected WEST,SOUTH,EAST,NORTH in degrees, as 7.5,46.2,8,46.6".to_owned()),
+            _ => Err("expected WEST,SOUTH,EAST,NORTH in degrees, such as 7.5,46.2,8,46.6".to_owned()),
         }
     }
 }
 
-/// First and last level.
+/// The first and the last level.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Levels(pub u32, pub u32);
 
@@ -88,17 +88,17 @@ impl FromStr for Levels {
         let (first, last) = text.split_once('-').unwrap_or((text, text));
         match (first.trim().parse(), last.trim().parse()) {
             (Ok(first), Ok(last)) if first <= last => Ok(Self(first, last)),
-            _ => Err("expected levels, as 0-5 or 7".to_owned()),
+            _ => Err("expected levels, such as 0-5 or 7".to_owned()),
         }
     }
 }
 
 #[derive(Clone, Debug, ClapArgs)]
 pub struct FolderArgs {
-    /// The cache's folder [default: terrane/http in the user's cache folder]
+    /// Folder of the cache [default: terrane/http in the user's cache folder]
     #[arg(long, value_name = "DIR")]
     pub cache: Option<PathBuf>,
-    /// One JSON document instead of text
+    /// Print one JSON document instead of text
     #[arg(long)]
     pub json: bool,
 }
@@ -106,9 +106,9 @@ pub struct FolderArgs {
 impl FolderArgs {
     fn open(&self) -> Result<DiskCache> {
         let folder = net::folder(self.cache.clone())?;
-        // Looking is no reason to make one.
+        // `DiskCache::open` would create a missing folder.
         if !folder.is_dir() {
-            bail!("{}: there is no cache", folder.display());
+            bail!("{}: no cache in this folder", folder.display());
         }
         Ok(DiskCache::open(&CacheConfig::new(folder))?)
     }
@@ -116,7 +116,7 @@ impl FolderArgs {
 
 fn fill(args: &FillArgs) -> Result<()> {
     let mut net = args.net.clone();
-    ensure!(!net.offline, "--offline asks no server");
+    ensure!(!net.offline, "--offline sends no requests, so it cannot fill the cache");
     net.cache = Some(net::folder(net.cache)?);
     let config = net.http(&args.source)?;
     let mut options = FillOptions { in_flight: args.jobs as usize, refresh: args.refresh, ..FillOptions::default() };
@@ -129,7 +129,7 @@ fn fill(args: &FillArgs) -> Result<()> {
     }
     let stop = Arc::new(AtomicBool::new(false));
     let flag = Arc::clone(&stop);
-    // A second handler in one process (tests) is no reason not to fill.
+    // Setting a second handler in one process fails, which only happens in tests.
     let _ = ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed));
     let mut progress = Progress::new("filling the cache", 0, "files");
     let done = formats::fill(&args.source, &config, &options, &mut |filled| {
@@ -140,7 +140,7 @@ fn fill(args: &FillArgs) -> Result<()> {
     drop(progress);
     let done = done?;
     let mut text = format!(
-        "{} files: {} were kept, {} came ({:.1} MiB), {} failed",
+        "{} files: {} already cached, {} fetched ({:.1} MiB), {} failed",
         done.kept + done.fetched + done.failed,
         done.kept,
         done.fetched,
@@ -148,14 +148,14 @@ fn fill(args: &FillArgs) -> Result<()> {
         done.failed
     );
     if done.stopped {
-        text.push_str("; stopped, the same command goes on from here");
+        text.push_str("; stopped, the same command continues from here");
     }
     let cache = &done.cache;
     let lost = done.fetched.saturating_sub(cache.stored + cache.too_large);
     for (count, what) in [
-        (cache.evicted, "{} bodies that were used longest ago made room (--cache-size)"),
-        (cache.too_large, "{} are too large to be kept, each more than an eighth of --cache-size"),
-        (lost, "{} could not be kept, as the server forbids it or the disk is full"),
+        (cache.evicted, "{} least recently used bodies were evicted (--cache-size)"),
+        (cache.too_large, "{} are too large for the cache, each more than an eighth of --cache-size"),
+        (lost, "{} could not be cached, because the server forbids it or the disk is full"),
     ] {
         if count > 0 {
             text.push_str("; ");
@@ -167,7 +167,7 @@ fn fill(args: &FillArgs) -> Result<()> {
         let more = done.failed - 1;
         bail!("{uri}: {reason}{}", if more > 0 { format!(" and {more} more") } else { String::new() });
     }
-    ensure!(!done.stopped, "stopped before all of it was there");
+    ensure!(!done.stopped, "stopped before all files were fetched");
     Ok(())
 }
 
@@ -186,8 +186,8 @@ pub fn run(args: &CacheArgs) -> Result<()> {
             } else {
                 let folder = cache.folder().display();
                 let CacheInfo { entries, fresh, bodies, bytes, max_bytes } = info;
-                let (used, most) = (mebibytes(bytes), mebibytes(max_bytes));
-                format!("{folder}: {entries} entries ({fresh} fresh), {bodies} bodies, {used:.1} of {most:.0} MiB")
+                let (used, max) = (mebibytes(bytes), mebibytes(max_bytes));
+                format!("{folder}: {entries} entries ({fresh} fresh), {bodies} bodies, {used:.1} of {max:.0} MiB")
             }
         }
         CacheCommand::Clear(folder) => {
@@ -206,7 +206,7 @@ pub fn run(args: &CacheArgs) -> Result<()> {
                 serde_json::to_string_pretty(&found)?
             } else {
                 format!(
-                    "{}: {} files whole, {} broken and {} without their other half removed",
+                    "{}: {} valid files; removed {} corrupt ones and {} without their other half",
                     cache.folder().display(),
                     found.whole,
                     found.broken,
@@ -223,7 +223,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn values() {
+    fn regions_and_levels_are_parsed() {
         assert_eq!("-1.5,46, 8,46.6".parse(), Ok(RegionArg([-1.5, 46.0, 8.0, 46.6])));
         for bad in ["", "1,2,3", "0,50,1,40", "0,0,200,1", "0,-91,1,1", "0,nan,1,1", "a,b,c,d"] {
             assert!(bad.parse::<RegionArg>().is_err(), "{bad}");

@@ -1,17 +1,17 @@
-//! The small set that `terrane fly` makes for itself when it is given none.
+//! The small set that `terrane fly` generates if no source is given, and the user's cache folder.
 
 use std::path::PathBuf;
 
 use anyhow::{Context as _, Result};
 
-/// The set's folder in the user's cache; makes it, with progress, when it is not there yet.
+/// Returns the folder of the default set in the user's cache. The first call generates the set and shows progress.
 pub fn ensure() -> Result<String> {
     let folder = cache_folder().context("no cache folder: set XDG_CACHE_HOME or HOME")?.join("terrane");
     let set = terrane_data_gen::default_set(&folder)?;
     Ok(set.display().to_string())
 }
 
-/// The user's cache folder as the platform has it.
+/// Returns the platform's cache folder of the user, `None` if the environment does not name one.
 pub fn cache_folder() -> Option<PathBuf> {
     let from = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|p| p.is_absolute());
     from("XDG_CACHE_HOME").or_else(|| {

@@ -1,4 +1,4 @@
-//! `terrane info`: what a tile set holds, as text or JSON.
+//! `terrane info`: describes the content of a tile set, as text or JSON.
 
 use std::fmt::Write as _;
 use std::io::Write as _;
@@ -61,7 +61,7 @@ fn text(info: &Info, verified: Option<&Verified>) -> String {
     if let Some(Verified { contents, bytes, failed, .. }) = verified {
         let _ = writeln!(out, "verified {contents} contents, {:.1} MiB, {failed} failures", mebibytes(*bytes));
     }
-    // What is missing was found twice.
+    // Missing files are found both by the inspection and by the verification, but printed once.
     let broken = verified.iter().flat_map(|verified| &verified.errors);
     let broken = broken.filter(|e| !info.errors.iter().any(|known| known.uri == e.uri));
     for e in info.errors.iter().chain(broken) {

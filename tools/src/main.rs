@@ -1,4 +1,4 @@
-//! `terrane`: flies, shows, makes and inspects tile sets from the command line.
+//! `terrane`: the command line to fly over, view, generate, inspect and serve tile sets.
 
 mod args;
 mod bench;
@@ -7,12 +7,9 @@ mod default_set;
 mod fly;
 mod info;
 mod net;
-mod pictures;
 mod serve;
 mod stress;
-mod summary;
 mod values;
-mod views;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -26,7 +23,7 @@ fn main() -> ExitCode {
     let mut line: Vec<OsString> = std::env::args_os().collect();
     let mut display = DisplaySettings::from_environment();
     if line.get(1).is_some_and(|command| command == "fly" || command == "view") {
-        // Arguments of the display are the library's; what is not UTF-8 is none of them.
+        // The library reads the options of the display. They are all UTF-8, so other arguments are left alone.
         let words: Result<Vec<String>, _> = line.iter().cloned().map(OsString::into_string).collect();
         if let Ok(mut words) = words {
             let mut unused = DisplaySettings::default();
@@ -37,7 +34,7 @@ fn main() -> ExitCode {
             line = words.into_iter().map(OsString::from).collect();
         }
     }
-    // Other wrong arguments end here, with exit code 2 and clap's own words.
+    // Other invalid arguments end the program here, with clap's message and exit code 2.
     let args = args::Args::parse_from(line);
     if let Err(what) = args.check() {
         args::Args::command().error(ErrorKind::ValueValidation, what).exit();
@@ -58,7 +55,7 @@ fn main() -> ExitCode {
     match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            // One line, whatever the causes look like.
+            // The error is printed on one line, although its causes may have several.
             let line = format!("{error:#}").split_whitespace().collect::<Vec<_>>().join(" ");
             eprintln!("terrane {name}: {line}");
             ExitCode::from(1)

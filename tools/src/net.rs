@@ -1,4 +1,4 @@
-//! Arguments for sources on servers: the cache on disk, and what is shown to the server.
+//! Arguments for sources on servers: the cache on disk, credentials, certificates and the HTTP version.
 
 use std::path::PathBuf;
 use std::str::FromStr;
@@ -11,31 +11,31 @@ use crate::default_set;
 
 #[derive(Clone, Debug, Default, ClapArgs)]
 pub struct NetArgs {
-    /// Keep what comes from servers in this folder
+    /// Cache responses of servers in this folder
     #[arg(long, value_name = "DIR")]
     pub cache: Option<PathBuf>,
-    /// Size of that folder, as 500MB or 2GiB; it remembers [default: 2GiB]
+    /// Maximum size of the cache, such as 500MB or 2GiB; the folder remembers it [default: 2GiB]
     #[arg(long, value_name = "SIZE")]
     pub cache_size: Option<ByteSize>,
-    /// Ask no server: only what is in the cache [default folder: as `terrane cache`]
+    /// Send no requests and use only the cache [default folder: that of `terrane cache`]
     #[arg(long)]
     pub offline: bool,
-    /// Header for the source's server, as `Authorization: Bearer ...`; never printed
+    /// Header for the source's server, such as `Authorization: Bearer ...`; never printed
     #[arg(long, value_name = "NAME: VALUE")]
     pub header: Vec<Secret>,
-    /// Query parameter for the source's server, as `key=...`; never printed
+    /// Query parameter for the source's server, such as `key=...`; never printed
     #[arg(long, value_name = "NAME=VALUE")]
     pub query: Vec<Secret>,
-    /// PEM file of an authority to trust besides the system's
+    /// PEM file of a certificate authority to trust in addition to those of the system
     #[arg(long, value_name = "FILE")]
     pub ca_file: Vec<PathBuf>,
-    /// Speak HTTP/2 to servers whose connections are not encrypted, without asking; encrypted ones agree on it
+    /// Use HTTP/2 without negotiation on unencrypted connections; encrypted ones negotiate the version
     #[arg(long)]
     pub http2: bool,
 }
 
 impl NetArgs {
-    /// How servers are talked to for a source.
+    /// Returns the HTTP configuration for a source.
     pub fn http(&self, source: &str) -> Result<HttpConfig> {
         let mut credentials = Vec::new();
         let has_credentials = !self.header.is_empty() || !self.query.is_empty();
@@ -57,7 +57,7 @@ impl NetArgs {
         })
     }
 
-    /// The cache, where one is asked for.
+    /// Returns the configuration of the cache, `None` if no option asks for one.
     fn cache(&self) -> Result<Option<CacheConfig>> {
         if self.cache.is_none() && self.cache_size.is_none() && !self.offline {
             return Ok(None);
@@ -69,7 +69,7 @@ impl NetArgs {
     }
 }
 
-/// The cache's folder: the given one, or the user's.
+/// Returns the folder of the cache: the given one, or the default in the user's cache folder.
 pub fn folder(given: Option<PathBuf>) -> Result<PathBuf> {
     match given {
         Some(folder) => Ok(folder),
@@ -80,7 +80,7 @@ pub fn folder(given: Option<PathBuf>) -> Result<PathBuf> {
     }
 }
 
-/// A text that no debug output shows.
+/// A text that is left out of debug output.
 #[derive(Clone, PartialEq, Eq)]
 pub struct Secret(String);
 
@@ -98,7 +98,7 @@ impl std::fmt::Debug for Secret {
     }
 }
 
-/// Bytes, as 500MB or 2GiB.
+/// A number of bytes, written such as 500MB or 2GiB.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ByteSize(pub u64);
 
@@ -108,7 +108,7 @@ impl FromStr for ByteSize {
     fn from_str(text: &str) -> Result<Self, String> {
         let end = text.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(text.len());
         let (number, unit) = text.split_at(end);
-        let of: f64 = match unit.trim().to_ascii_lowercase().as_str() {
+        let factor: f64 = match unit.trim().to_ascii_lowercase().as_str() {
             "" | "b" => 1.0,
             "kb" => 1e3,
             "mb" => 1e6,
@@ -118,11 +118,11 @@ impl FromStr for ByteSize {
             "mib" | "m" => 1_048_576.0,
             "gib" | "g" => 1_073_741_824.0,
             "tib" | "t" => 1_099_511_627_776.0,
-            _ => return Err("expected a size, as 500MB or 2GiB".to_owned()),
+            _ => return Err("expected a size, such as 500MB or 2GiB".to_owned()),
         };
         match number.parse::<f64>() {
-            Ok(n) if n * of >= 1.0 && n * of < 1e18 => Ok(Self((n * of) as u64)),
-            _ => Err("expected a size, as 500MB or 2GiB".to_owned()),
+            Ok(n) if n * factor >= 1.0 && n * factor < 1e18 => Ok(Self((n * factor) as u64)),
+            _ => Err("expected a size, such as 500MB or 2GiB".to_owned()),
         }
     }
 }
@@ -132,7 +132,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn sizes() {
+    fn sizes_with_units_are_parsed() {
         for (text, bytes) in [("1", 1), ("500MB", 500_000_000), ("2GiB", 2 << 30), ("1.5 kib", 1536), ("64k", 65536)] {
             assert_eq!(text.parse(), Ok(ByteSize(bytes)), "{text}");
         }
@@ -142,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn credentials_are_for_servers_and_not_shown() {
+    fn credentials_are_for_servers_and_never_printed() {
         let args = NetArgs { header: vec![Secret("X-Key: hidden".to_owned())], ..NetArgs::default() };
         let config = args.http("https://h/tileset.json").unwrap();
         assert_eq!(config.credentials.len(), 1);

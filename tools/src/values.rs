@@ -1,4 +1,4 @@
-//! The values of arguments: what is read from their text, and what is wrong with it.
+//! The values of arguments: types that are parsed from text, and parsers with valid ranges.
 
 use std::str::FromStr;
 
@@ -27,8 +27,8 @@ impl FromStr for Size {
             Some([w, h]) if w.max(h) > MAX_SIDE_PX => {
                 Err(format!("{} px, the limit is {MAX_SIDE_PX} px a side", w.max(h)))
             }
-            Some(_) => Err("a side of 0 px has nothing to draw".to_owned()),
-            None => Err("expected WIDTHxHEIGHT, as 1280x720".to_owned()),
+            Some(_) => Err("a side of 0 px, the minimum is 1 px".to_owned()),
+            None => Err("expected WIDTHxHEIGHT, such as 1280x720".to_owned()),
         }
     }
 }
@@ -53,7 +53,7 @@ impl FromStr for Positive {
 pub struct NotNegative(pub f64);
 
 impl Default for NotNegative {
-    /// As the command line's.
+    /// Returns the default of `--lod-fade`.
     fn default() -> Self {
         Self(0.25)
     }
@@ -70,50 +70,52 @@ impl FromStr for NotNegative {
     }
 }
 
-/// Longest time that a case may be measured.
-const MOST_SECS: f64 = 3600.0;
+/// The longest time to measure a case, in seconds.
+const MAX_SECS: f64 = 3600.0;
 
-/// A number from 0 on.
+/// Parses a number of at least 0.
 pub fn not_negative(text: &str) -> Result<f64, String> {
     let number = text.parse().ok().filter(|n: &f64| n.is_finite() && *n >= 0.0);
-    number.ok_or_else(|| "no number from 0 on".to_owned())
+    number.ok_or_else(|| "expected a number of at least 0".to_owned())
 }
 
-/// A part of all: 0 to 1.
+/// Parses a share, 0 to 1.
 pub fn share(text: &str) -> Result<f64, String> {
-    not_negative(text).ok().filter(|n| *n <= 1.0).ok_or_else(|| "no number from 0 to 1".to_owned())
+    not_negative(text).ok().filter(|n| *n <= 1.0).ok_or_else(|| "expected a number from 0 to 1".to_owned())
 }
 
-/// Milliseconds, or bytes a second: 0, or a number that makes sense.
+/// Parses milliseconds or bytes per second: 0, or a number from 0.001 to 1e12.
 pub fn amount(text: &str) -> Result<f64, String> {
     let number = not_negative(text).ok().filter(|n| *n == 0.0 || (1e-3..=1e12).contains(n));
-    number.ok_or_else(|| "neither 0 nor a number from 0.001 to 1e12".to_owned())
+    number.ok_or_else(|| "expected 0 or a number from 0.001 to 1e12".to_owned())
 }
 
-/// Minutes to go on for.
+/// Parses a duration in minutes.
 pub fn minutes(text: &str) -> Result<f64, String> {
     let number = not_negative(text).ok().filter(|n| *n > 0.0 && *n <= 1e6);
-    number.ok_or_else(|| "no number above 0, up to 1000000".to_owned())
+    number.ok_or_else(|| "expected a number above 0, up to 1000000".to_owned())
 }
 
-/// Time to measure for.
+/// Parses the time to measure a case, in seconds.
 pub fn secs(text: &str) -> Result<f64, String> {
-    let secs = not_negative(text).ok().filter(|n| *n <= MOST_SECS);
-    secs.ok_or_else(|| format!("no number of seconds from 0 to {MOST_SECS}"))
+    let secs = not_negative(text).ok().filter(|n| *n <= MAX_SECS);
+    secs.ok_or_else(|| format!("expected a number of seconds from 0 to {MAX_SECS}"))
 }
 
-/// Frames a second; 0 for no pace.
+/// Parses frames per second; 0 for no limit.
 pub fn pace(text: &str) -> Result<f64, String> {
     let pace = not_negative(text).ok().filter(|n| *n == 0.0 || (0.01..=100_000.0).contains(n));
-    pace.ok_or_else(|| "neither 0 nor a number from 0.01 to 100000".to_owned())
+    pace.ok_or_else(|| "expected 0 or a number from 0.01 to 100000".to_owned())
 }
 
+/// Parses a finite number.
 pub fn finite(text: &str) -> Result<f32, String> {
-    text.parse().ok().filter(|n: &f32| n.is_finite()).ok_or_else(|| "no number".to_owned())
+    text.parse().ok().filter(|n: &f32| n.is_finite()).ok_or_else(|| "expected a number".to_owned())
 }
 
+/// Parses the number of samples per pixel.
 pub fn samples(text: &str) -> Result<u32, String> {
-    text.parse().ok().filter(|n| matches!(n, 1 | 4)).ok_or_else(|| "neither 1 nor 4".to_owned())
+    text.parse().ok().filter(|n| matches!(n, 1 | 4)).ok_or_else(|| "expected 1 or 4".to_owned())
 }
 
 /// The first camera.
@@ -137,12 +139,12 @@ impl FromStr for View {
     }
 }
 
-/// Where the sun stands, radians.
+/// The position of the sun in radians.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SunFrom {
-    /// Clockwise from north.
+    /// The angle clockwise from north.
     pub azimuth: f64,
-    /// Above the horizon.
+    /// The angle above the horizon.
     pub height: f64,
 }
 
@@ -174,7 +176,7 @@ impl FromStr for Rgb {
                 let [_, r, g, b] = value.to_be_bytes();
                 Ok(Self([r, g, b]))
             }
-            _ => Err("expected six hexadecimal digits, as 1a334d".to_owned()),
+            _ => Err("expected six hexadecimal digits, such as 1a334d".to_owned()),
         }
     }
 }
@@ -184,7 +186,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn values() {
+    fn values_are_parsed() {
         assert_eq!("640x360".parse(), Ok(Size([640, 360])));
         for bad in ["", "640", "0x5", "9999x5", "axb", "-1x5"] {
             assert!(bad.parse::<Size>().is_err(), "{bad}");

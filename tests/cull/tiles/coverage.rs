@@ -3,7 +3,7 @@
 use std::collections::{BTreeSet, HashMap};
 
 use super::model::{Kind, Tile, World, ancestors, assert_covered, camera, error_m, eye, replaces, skip, tile};
-use kit::cull_scenes::{content, page, square_box};
+use kit::cull_scenes::square_box;
 use proptest::prelude::*;
 use terrane::cull::{CullCamera, RenderStage};
 use terrane::math::Frustum;

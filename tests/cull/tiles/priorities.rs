@@ -2,7 +2,6 @@
 
 use glam::{DAffine3, DVec3};
 use kit::cull_scenes::{content, look_at, page, quadtree};
-use proptest::prelude::*;
 use terrane::cull::{CullVisitor, RenderStage};
 use terrane::math::{BoundingSphere, BoundingVolume};
 use terrane::scene::{Node, NodeKind, PagedLod, PagingOptions, RangeMode, Refine, Scene, SlotState};

@@ -1,4 +1,5 @@
-//! `terrane bench all`: runs every layer's bench in a process of its own, one after the other, and collects the lines.
+//! `terrane bench all`: runs the benches of all layers one after the other, each in a separate process, and collects
+//! their lines.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -8,8 +9,8 @@ use std::process::{Command, Stdio};
 use anyhow::{Context as _, Result, ensure};
 use serde_json::{Map, Value};
 
-/// The benches in the order of the document: title, arguments, and the columns of the table beside those that tell the
-/// cases apart.
+/// The benches in the order of the document: title, arguments, and columns of the table in addition to those that
+/// distinguish the cases.
 const BENCHES: [(&str, &[&str], &[&str]); 11] = [
     ("Cull: scene to render stages", &["cull"], &["ns_per_node", "traverse_us", "sort_us", "leaves"]),
     ("Tile trees", &["tiles"], &["walk_ns_per_tile", "ns_per_tile", "tiles_visited"]),
@@ -31,7 +32,7 @@ const BENCHES: [(&str, &[&str], &[&str]); 11] = [
 const PAGE_COLUMNS: &[&str] =
     &["time_s", "frame_p50_ms", "frame_p99_ms", "missing_mean", "missing_longest_ms", "rss_mb"];
 
-/// Runs all benches. `secs` is the shortest time of each case of those that take one; `None` leaves their defaults.
+/// Runs all benches. `secs` is the minimum time of each case for benches with that option; `None` leaves their defaults.
 pub fn run(markdown: bool, secs: Option<f64>) -> Result<()> {
     let program = std::env::current_exe().context("path of this program")?;
     let mut document = if markdown { head()? } else { String::new() };
@@ -56,7 +57,7 @@ pub fn run(markdown: bool, secs: Option<f64>) -> Result<()> {
     std::io::stdout().write_all(document.as_bytes()).context("stdout")
 }
 
-/// The title, and what was measured where and when.
+/// Returns the title with the machine, date and commit of the measurement.
 fn head() -> Result<String> {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let seconds = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).context("clock")?.as_secs();
@@ -68,8 +69,8 @@ fn head() -> Result<String> {
     Ok(format!(
         "# Benchmarks\n\nWritten by `terrane bench all --markdown > docs/benchmarks.md`; do not edit.\n\n\
          - Machine: {}, {cores} cores, {}\n- Date: {}\n- Commit: {commit}\n- Version: {}\n\n\
-         Figures of different machines or days do not compare. Times are per case as the column says; \"-\" means that the \
-         case has no such figure.\n",
+         Figures of different machines or days do not compare. The header of a column names its unit; \"-\" means that the case \
+         has no such figure.\n",
         processor(),
         std::env::consts::OS,
         date(seconds),
@@ -77,21 +78,21 @@ fn head() -> Result<String> {
     ))
 }
 
-/// The trimmed output of a git command in the working folder; `None` if it fails or prints nothing.
+/// Returns the trimmed output of a git command in the working folder, `None` if it fails or prints nothing.
 fn git(args: &[&str]) -> Option<String> {
     let out = Command::new("git").args(args).stderr(Stdio::null()).output().ok()?;
     let text = String::from_utf8(out.stdout).ok()?.trim().to_owned();
     (out.status.success() && !text.is_empty()).then_some(text)
 }
 
-/// The processor's name where the system tells it.
+/// Returns the name of the processor, or the architecture if the system does not name it.
 fn processor() -> String {
     let text = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let name = text.lines().find_map(|line| line.strip_prefix("model name")?.split_once(':'));
     name.map_or_else(|| std::env::consts::ARCH.to_owned(), |(_, name)| name.trim().to_owned())
 }
 
-/// The UTC date of a Unix time as YYYY-MM-DD. Days to civil date after Howard Hinnant, "chrono-Compatible Low-Level Date
+/// Returns the UTC date of a Unix time as YYYY-MM-DD. The algorithm is by Howard Hinnant, "chrono-Compatible Low-Level Date
 /// Algorithms".
 fn date(unix_s: u64) -> String {
     let days = unix_s / 86_400 + 719_468;
@@ -105,8 +106,8 @@ fn date(unix_s: u64) -> String {
     format!("{year:04}-{month:02}-{day:02}")
 }
 
-/// A table of one row per case. Columns are the members that tell the rows apart (text, and numbers that are settings),
-/// then `columns`; without any, every member that is a number.
+/// Returns a table with one row per case. The first columns are the members that distinguish the rows: text, and numbers
+/// that are settings. Then follow `columns`, or all numbers if `columns` is empty.
 fn table(rows: &[Map<String, Value>], columns: &[&str]) -> String {
     let mut texts: BTreeMap<&str, Vec<&Value>> = BTreeMap::new();
     for (name, value) in rows.iter().flatten() {
@@ -148,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn a_table_has_the_members_that_tell_rows_apart_first() {
+    fn table_starts_with_the_members_that_distinguish_rows() {
         let rows: Vec<Map<String, Value>> = [
             json!({ "bench": "x", "view": "all", "n": 10, "ns": 1.5, "noise": 7 }),
             json!({ "bench": "x", "view": "side", "n": 20 }),

@@ -1,7 +1,7 @@
-//! Cull cost on the scene of the `osg_cull` peer: a grid of N cells cut recursively in four; even depths are
-//! groups, odd depths transforms, a cell is a geode with one triangle and one of S state sets.
+//! Measures cull on the scene of the `osg_cull` peer: a grid of N cells, divided recursively in four. Even depths are
+//! groups, odd depths are transforms, and a cell is a geode with one triangle and one of S state sets.
 //!
-//! No GPU. One JSON object per line with the peer's field names, so that the two can be compared line by line.
+//! Needs no GPU. Prints one JSON object per line with the peer's field names, so that both can be compared line by line.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -16,16 +16,16 @@ use terrane::state::{BinDetails, SortMode, StateSet};
 
 use glam::{DAffine3, DVec3};
 
-use super::{percentile, say};
+use super::{percentile, print_line};
 
-/// Measures every case of scenes of so many drawables for about `seconds` each and prints a line for it.
+/// Measures each case for about `seconds` and prints a line for it. `drawables` are the sizes of the scenes.
 pub fn run(seconds: f64, drawables: &[u32]) {
     let seconds = if seconds.is_finite() { seconds.clamp(0.0, 3600.0) } else { 1.0 };
     for &cells in drawables {
         for state_sets in [1, 64] {
             for view in [View::Tilted, View::All, View::Tenth] {
                 for (name, sort) in SORTS {
-                    say(measure(cells, state_sets, view, name, sort, Duration::from_secs_f64(seconds)));
+                    print_line(measure(cells, state_sets, view, name, sort, Duration::from_secs_f64(seconds)));
                 }
             }
         }
@@ -38,21 +38,25 @@ const SORTS: [(&str, SortMode); 3] = [
     ("back_to_front", SortMode::BackToFront),
 ];
 
-/// Where the camera looks from.
+/// The position of the camera, which decides how many cells are visible.
 #[derive(Clone, Copy)]
 pub enum View {
+    /// From above, a tenth of the cells is visible.
     Tenth,
+    /// From above, all cells are visible.
     All,
+    /// At an angle, all cells are visible.
     Tilted,
 }
 
-/// The grid, `gx` cells by `gy`.
+/// A grid of `gx` by `gy` cells.
 pub struct Grid {
     gx: u32,
     gy: u32,
 }
 
 impl Grid {
+    /// Creates a grid of exactly this number of cells, as square as possible.
     pub fn new(cells: u32) -> Self {
         let mut gx = f64::from(cells).sqrt() as u32;
         while !cells.is_multiple_of(gx) {
@@ -61,6 +65,7 @@ impl Grid {
         Self { gx, gy: cells / gx }
     }
 
+    /// Returns the root node. The state sets are spread over the cells by a hash of their numbers.
     pub fn build(&self, sets: &[Arc<StateSet>]) -> Node {
         self.rect([0, 0, self.gx, self.gy], 0, DVec3::ZERO, sets)
     }
@@ -92,6 +97,7 @@ impl Grid {
         node
     }
 
+    /// Returns the camera of a view.
     pub fn camera(&self, view: View) -> CullCamera {
         let (gx, gy) = (f64::from(self.gx), f64::from(self.gy));
         let side = match view {
@@ -113,6 +119,7 @@ impl Grid {
     }
 }
 
+/// Returns a drawable of one triangle.
 pub fn triangle(center: DVec3) -> Drawable {
     let corners = [DVec3::new(-0.25, -0.25, 0.0), DVec3::new(0.25, -0.25, 0.1), DVec3::new(0.0, 0.25, 0.0)];
     let vertex = |p: DVec3| MeshVertex { position: p.as_vec3().to_array(), ..MeshVertex::default() };

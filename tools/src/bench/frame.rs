@@ -1,5 +1,5 @@
-//! The whole frame on the scene of the `osg_frame` peer: 64 x 64 pixels, the software driver. One JSON object per
-//! line with the peer's field names.
+//! Measures whole frames of 64 x 64 pixels on the software driver, on the scene of the `osg_frame` peer. Prints one JSON
+//! object per line with the peer's field names.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -14,17 +14,17 @@ use terrane::state::StateSet;
 use terrane::viewer::{FieldOfView, ThreadingModel, Viewer, ViewerConfig};
 
 use super::cull::{Grid, View};
-use super::{percentile, say};
+use super::{percentile, print_line};
 
-/// Measures every case for about `seconds` each and prints a line for it. `every_leaf` is drawn, or those that a pixel
-/// shows.
+/// Measures each case for about `seconds` and prints a line for it. Without `every_leaf`, leaves between pixel centres are
+/// culled.
 pub fn run(seconds: f64, every_leaf: bool) -> Result<()> {
     let time = Duration::from_secs_f64(if seconds.is_finite() { seconds.clamp(0.0, 3600.0) } else { 1.0 });
     for cells in [1_000, 10_000, 100_000] {
         for state_sets in [1, 64] {
             for view in [View::All, View::Tenth] {
                 for threading in [ThreadingModel::SingleThreaded, ThreadingModel::DrawThreadPerContext] {
-                    say(measure((cells, state_sets, view), every_leaf, threading, time)?);
+                    print_line(measure((cells, state_sets, view), every_leaf, threading, time)?);
                 }
             }
         }
@@ -47,7 +47,7 @@ fn measure(
     };
     let mut viewer = Viewer::new_offscreen(&config)?;
     let grid = Grid::new(cells);
-    // As the peer's: materials that differ in their colour.
+    // The materials differ in colour, as in the peer.
     let sets: Vec<_> = (0..state_sets)
         .map(|i| {
             let color = [f64::from(i % 8) as f32 / 8.0, f64::from(i / 8) as f32 / 8.0, 0.5, 1.0];
@@ -64,7 +64,7 @@ fn measure(
         viewer.view_mut().camera.settings.culling = CullingMode(culling & !CullingMode::SAMPLES.0);
     }
     viewer.view_mut().camera.field_of_view = FieldOfView::Vertical(std::f64::consts::FRAC_PI_3);
-    // Until everything is uploaded and the driver has compiled its shaders.
+    // The first frames upload everything and compile the shaders; they are not measured.
     let expected = if matches!(view, View::All) { cells } else { 1 };
     let patience = Instant::now() + Duration::from_secs(120);
     let mut settled = 0;

@@ -1,4 +1,4 @@
-//! `terrane bench`: one layer at a time, JSON lines on stdout with the peer programs' field names.
+//! `terrane bench`: measures one layer at a time. Prints JSON lines with the field names of the peer programs.
 
 pub mod all;
 pub mod cull;
@@ -18,6 +18,7 @@ use terrane::scene::DrawSlot;
 
 use crate::args::{Bench, BenchArgs};
 
+/// Runs one bench.
 pub fn run(args: &BenchArgs) -> Result<()> {
     match &args.bench {
         Bench::All { markdown, secs } => all::run(*markdown, *secs),
@@ -57,10 +58,10 @@ pub fn run(args: &BenchArgs) -> Result<()> {
     }
 }
 
-/// A graphics context that uploads on the thread that updates: a viewer without a draw thread.
-struct Uploads(GraphicsContext);
+/// A graphics context that uploads on the thread that updates the pager, as in a viewer without a draw thread.
+struct UploadContext(GraphicsContext);
 
-impl CompileContext for Uploads {
+impl CompileContext for UploadContext {
     fn id(&self) -> u32 {
         0
     }
@@ -82,21 +83,21 @@ impl CompileContext for Uploads {
     }
 }
 
-/// Prints a line; whoever reads them may have enough of them, which ends the program.
-fn say(line: serde_json::Value) {
+/// Prints a line. If standard output is closed, the program ends.
+fn print_line(line: serde_json::Value) {
     use std::io::Write as _;
     if writeln!(std::io::stdout(), "{line}").is_err() {
         std::process::exit(0);
     }
 }
 
-/// The value at a share `p` of the sorted values, between neighbours linearly.
+/// Returns the value at a share `p`, 0..1, of the sorted values, interpolated between neighbours. Sorts the values.
 fn percentile(values: &mut [f64], p: f64) -> f64 {
     values.sort_unstable_by(f64::total_cmp);
-    let place = p * (values.len().max(1) - 1) as f64;
-    let (low, high) = (place.floor() as usize, place.ceil() as usize);
+    let position = p * (values.len().max(1) - 1) as f64;
+    let (low, high) = (position.floor() as usize, position.ceil() as usize);
     match (values.get(low), values.get(high)) {
-        (Some(a), Some(b)) => a + (b - a) * (place - low as f64),
+        (Some(a), Some(b)) => a + (b - a) * (position - low as f64),
         _ => 0.0,
     }
 }

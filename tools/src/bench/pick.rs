@@ -1,5 +1,5 @@
-//! Intersections with a terrain of a million triangles: as one mesh, as a tile tree of meshes, as a tile tree of heights.
-//! One JSON object per line. No GPU.
+//! Measures intersections with a terrain of a million triangles: one mesh, a tile tree of meshes, a tile tree of heights.
+//! Needs no GPU. Prints one JSON object per line.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -13,19 +13,19 @@ use terrane::scene::{
     Vertical,
 };
 
-use super::{percentile, say};
+use super::{percentile, print_line};
 
-/// Half the side of the terrain, metres.
+/// Half the side of the terrain in metres.
 const HALF_M: f64 = 10_000.0;
-/// Cells along a tile's side.
+/// The number of cells along a tile's side.
 const TILE_CELLS: u32 = 64;
-/// Levels of the tile trees: 4^4 leaves of 8,192 triangles.
+/// The number of levels of the tile trees, which have 4^4 leaves of 8,192 triangles.
 const LEVELS: u32 = 5;
 
-/// Measures every case for about `seconds` each and prints a line for it.
+/// Measures each case for about `seconds` and prints a line for it.
 pub fn run(seconds: f64) {
     let time = Duration::from_secs_f64(if seconds.is_finite() { seconds.clamp(0.0, 3600.0) } else { 1.0 });
-    // 2 * 708^2 = 1,002,528 triangles.
+    // The mesh has 2 * 708^2 = 1,002,528 triangles.
     for (name, scene, build) in [one_mesh(708), tiles("mesh_tiles", false), tiles("height_tiles", true)] {
         let memory = memory(&scene);
         let made = json!({
@@ -33,24 +33,24 @@ pub fn run(seconds: f64) {
             "build_ms": round(build * 1e3, 1), "build_ns_per_triangle": round(build * 1e9 / memory.0 as f64, 1),
             "bytes_per_triangle": round(memory.1 as f64 / memory.0 as f64, 2),
         });
-        say(made);
+        print_line(made);
         for lines in [Lines::Down, Lines::Slanted, Lines::Grazing] {
             for limit in [IntersectionLimit::Nearest, IntersectionLimit::NoLimit] {
-                say(pick(name, &scene, lines, limit, time));
+                print_line(pick(name, &scene, lines, limit, time));
             }
         }
-        say(heights(name, &scene, time));
+        print_line(heights(name, &scene, time));
     }
 }
 
-/// What is asked for.
+/// The kinds of lines.
 #[derive(Clone, Copy, Debug)]
 enum Lines {
-    /// As a manipulator that keeps above the ground.
+    /// Vertical lines, like those of a manipulator that stays above the ground.
     Down,
-    /// As a pointer in a window: from 200 m to 5 km above the ground to somewhere on it.
+    /// Lines like those of a pointer in a window: from 200 m to 5 km above the ground to a point on it.
     Slanted,
-    /// A few metres above the ground, across the whole terrain.
+    /// Lines a few metres above the ground, across the whole terrain.
     Grazing,
 }
 
@@ -59,7 +59,7 @@ fn height_m(x: f64, y: f64) -> f64 {
     600.0 * wave(0.0005, 0.3) + 120.0 * wave(0.003, -0.4) + 15.0 * wave(0.02, 0.9) + 2.0 * wave(0.11, -0.2)
 }
 
-/// A square of ground of `cells` squared, around a place, in its frame.
+/// Returns a square of ground with `cells` squared cells around a point, in the frame of that point.
 fn ground(cells: u32, center: DVec3, half_m: f64) -> Geometry {
     let at = |k: u32| -half_m + 2.0 * half_m * f64::from(k) / f64::from(cells);
     let side = cells + 1;
@@ -86,7 +86,7 @@ fn ground(cells: u32, center: DVec3, half_m: f64) -> Geometry {
     }))
 }
 
-/// The same as heights, in steps of 1/128 m: x east, "polar" up.
+/// Returns the same square as a height tile, with heights in steps of 1/128 m: x is east, "polar" is up.
 fn height_tile(cells: u32, center: DVec3, half_m: f64) -> Geometry {
     let side = cells + 1;
     let cell_m = 2.0 * half_m / f64::from(cells);
@@ -115,7 +115,7 @@ fn height_tile(cells: u32, center: DVec3, half_m: f64) -> Geometry {
     }))
 }
 
-/// Scene, and seconds that building its trees took.
+/// Returns the scene of one mesh, and the seconds to build its trees.
 fn one_mesh(cells: u32) -> (&'static str, Scene, f64) {
     let mut scene = Scene::new();
     let build = content(ground(cells, DVec3::ZERO, HALF_M), false).map_or(0.0, |(page, seconds)| {
@@ -127,7 +127,7 @@ fn one_mesh(cells: u32) -> (&'static str, Scene, f64) {
 
 fn content(geometry: Geometry, is_height: bool) -> Option<(Page, f64)> {
     let geode = Node::geode(vec![Drawable::new(geometry, Material::default())]);
-    // "radial" is south.
+    // The "radial" axis of height tiles is south here.
     let rows = glam::DMat3::from_cols(DVec3::X, DVec3::NEG_Y, DVec3::Z);
     let map = if is_height { DAffine3 { matrix3: rows, translation: DVec3::ZERO } } else { DAffine3::IDENTITY };
     let mut page = Page::from_node(Node::transform(map, vec![geode])).ok()?;
@@ -152,7 +152,8 @@ fn tiles(name: &'static str, is_height: bool) -> (&'static str, Scene, f64) {
         let Some((page, seconds)) = content(make(TILE_CELLS, center, half_m), is_height) else { continue };
         build += seconds;
         if scene.attach(slot, page).is_err() {
-            break; // each slot is empty
+            // Slots are empty, so attaching does not fail.
+            break;
         }
     }
     (name, scene, build)
@@ -177,7 +178,7 @@ fn tile(levels: u32, center: DVec3, half_m: f64) -> Node {
     node
 }
 
-/// Triangles, bytes and number of the trees of what is drawn: the highest level.
+/// Returns the triangles, bytes and number of the k-d trees of the finest level, which is drawn.
 fn memory(scene: &Scene) -> (u64, u64, u64) {
     let mut sum = (0, 0, 0);
     let mut add = |page: &Page| {
@@ -196,7 +197,7 @@ fn memory(scene: &Scene) -> (u64, u64, u64) {
     sum
 }
 
-/// Small and repeatable: places and directions.
+/// Repeatable random points and directions.
 struct Random(u64);
 
 impl Random {
@@ -269,7 +270,7 @@ fn heights(name: &str, scene: &Scene, time: Duration) -> serde_json::Value {
         let before = Instant::now();
         let found = query.height_above_terrain_m(at.with_z(2000.0));
         times.push(before.elapsed().as_secs_f64());
-        // Between the samples lies a plane.
+        // The ground between samples is flat, so the height may differ.
         wrong += usize::from(found.is_none_or(|h| (h - (2000.0 - at.z)).abs() > 5.0));
     }
     json!({

@@ -1,7 +1,7 @@
-//! What the pager's turn in a frame costs while many pages are merged and nothing changes.
+//! Measures the pager's update of a frame with many resident pages, while nothing changes.
 //!
-//! All pages are one small file, a slot each, and stay wanted. With room to spare nothing is looked at; with the budget
-//! full a part of them is looked through for what may go, each frame.
+//! All pages are the same small file and stay wanted. With a budget that is not exhausted no page is examined. With a full
+//! budget a part of them is examined for eviction in each frame.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -18,12 +18,12 @@ use terrane::math::{BoundingSphere, BoundingVolume};
 use terrane::pager::{DatabasePager, PagerConfig};
 use terrane::scene::{Node, NodeKind, Page, PagedLod, RangeMode, Refine, Scene};
 
-use super::{Uploads, percentile, say};
+use super::{UploadContext, percentile, print_line};
 
-/// Contents asked for at once while the scene is filled.
-const ASKED_AT_ONCE: usize = 2_000;
+/// The number of contents that are requested at the same time while the scene is filled.
+const REQUESTS_AT_ONCE: usize = 2_000;
 const TIMEOUT: Duration = Duration::from_secs(300);
-/// Metres between two tiles.
+/// The distance between two tiles in metres.
 const SPACING_M: f64 = 10.0;
 
 fn grid(uri: &Arc<str>, tiles: usize) -> Result<Page> {
@@ -44,10 +44,10 @@ fn grid(uri: &Arc<str>, tiles: usize) -> Result<Page> {
     Ok(Page::from_node(Node::group((0..tiles).map(tile).collect()))?)
 }
 
-/// Merges all tiles and measures the updates that come after, microseconds.
+/// Loads and merges all tiles, and measures the updates after that in microseconds.
 fn updates(uri: &Arc<str>, tiles: usize, max_tiles: usize, secs: f64) -> Result<(Vec<f64>, u64)> {
     let traits = ContextTraits { adapter: AdapterChoice::Noop, validation: false, ..ContextTraits::default() };
-    let mut context = Uploads(GraphicsContext::new_offscreen(&traits)?);
+    let mut context = UploadContext(GraphicsContext::new_offscreen(&traits)?);
     let config = PagerConfig { max_tiles, ..PagerConfig::default() };
     let mut pager = DatabasePager::new(config, ReadOptions::for_root(uri, Limits::default()))?;
     let mut scene = Scene::new();
@@ -57,13 +57,13 @@ fn updates(uri: &Arc<str>, tiles: usize, max_tiles: usize, secs: f64) -> Result<
     let middle = DVec3::new(0.5, 0.5, 0.0) * (tiles as f64).sqrt() * SPACING_M;
     let eye_from_world = DAffine3::from_translation(-(middle + DVec3::Z * 2.0 * middle.x));
     let (start, mut frame) = (Instant::now(), 0);
-    // All that is there is seen in each frame, and so wanted.
+    // All tiles are visible in each frame, so they stay wanted.
     let mut see = |scene: &Scene, frame: u32| {
         let camera = CullCamera { eye_from_world, frame, ..CullCamera::default() };
         visitor.cull(scene, &camera, &mut stage);
         stage.requests.len()
     };
-    for some in slots.chunks(ASKED_AT_ONCE) {
+    for some in slots.chunks(REQUESTS_AT_ONCE) {
         let requests: Vec<_> =
             some.iter().map(|&slot| PageRequest { slot, priority: 1.0, error_px: 1.0, ahead_frames: 0 }).collect();
         let until = pager.stats().merged + some.len() as u64;
@@ -78,16 +78,16 @@ fn updates(uri: &Arc<str>, tiles: usize, max_tiles: usize, secs: f64) -> Result<
     let (mut times_us, until) = (Vec::new(), Instant::now() + Duration::from_secs_f64(secs.max(0.0)));
     while times_us.len() < 30 || Instant::now() < until {
         frame += 1;
-        ensure!(see(&scene, frame) == 0, "something is missing");
+        ensure!(see(&scene, frame) == 0, "a tile is missing");
         let start = Instant::now();
         pager.update_scene_graph(&mut scene, frame, &[], &mut [&mut context]);
         times_us.push(start.elapsed().as_secs_f64() * 1e6);
     }
-    ensure!(pager.stats().resident as usize == tiles, "pages went: {:?}", pager.stats());
+    ensure!(pager.stats().resident as usize == tiles, "pages were evicted: {:?}", pager.stats());
     Ok((times_us, pager.stats().resident))
 }
 
-/// Prints a line for room to spare and one for a full budget.
+/// Prints a line for a budget with spare room and one for a full budget.
 pub fn run(tiles: usize, secs: f64) -> Result<()> {
     let folder = std::env::temp_dir().join(format!("terrane-bench-resident-{}", std::process::id()));
     std::fs::create_dir_all(&folder)?;
@@ -99,7 +99,7 @@ pub fn run(tiles: usize, secs: f64) -> Result<()> {
     for (budget, max_tiles) in [("room to spare", tiles * 2), ("full", tiles)] {
         let (mut times_us, resident) = updates(&uri, tiles, max_tiles, secs)?;
         let round = |v: f64| (v * 100.0).round() / 100.0;
-        say(json!({
+        print_line(json!({
             "bench": "resident", "budget": budget, "resident": resident, "frames": times_us.len(),
             "update_p50_us": round(percentile(&mut times_us, 0.5)),
             "update_p99_us": round(percentile(&mut times_us, 0.99)),

@@ -1,9 +1,9 @@
-//! What sharing equal contents saves, and what looking for them costs where there are none.
+//! Measures what sharing of equal contents saves, and what the search for them costs if there are none.
 //!
-//! Two sets of 1,024 tiles beside each other: in one all differ, the other repeats 32 of them. First the decoders
-//! alone, on all cores, without and with sharing in turn; then a pager that loads everything from files and uploads to
-//! the adapter that does nothing: first with pools that have to grow (`load_first_s`), which that adapter zeroes and
-//! copies, then as in a flight, where 1,024 others take the places of those (`load_all_s`).
+//! There are two sets of 1,024 tiles: in one all differ, the other repeats 32 of them. First the decoders run alone on all
+//! cores, alternating without and with sharing. Then a pager loads everything from files and uploads to the noop adapter.
+//! At first memory pools have to grow, which that adapter zeroes and copies (`load_first_s`). Then 1,024 other tiles
+//! replace the first ones, as in a flight (`load_all_s`).
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -21,17 +21,17 @@ use terrane::math::{BoundingVolume, OrientedBox};
 use terrane::pager::{DatabasePager, PagerConfig, PagerStats};
 use terrane::scene::{Node, NodeKind, Page, PagedLod, RangeMode, Refine, Scene, ShareModes, SharedStateManager};
 
-use super::{Uploads, percentile, say};
+use super::{UploadContext, percentile, print_line};
 
 const TILES: usize = 1024;
-/// Contents of the set that repeats.
+/// The number of different contents in the set that repeats them.
 const REPEATED: usize = 32;
-/// Metres, vertices and texels along a tile's side.
+/// The side of a tile in metres.
 const TILE_M: f64 = 100.0;
 const SIDE: usize = 65;
 const TEXELS: u32 = 256;
 const TIMEOUT: Duration = Duration::from_secs(120);
-/// Of 60 a second.
+/// The duration of a frame at 60 frames per second.
 const FRAME: Duration = Duration::from_micros(16_667);
 
 fn glb(seed: usize) -> Result<Vec<u8>> {
@@ -66,9 +66,9 @@ fn sharing(modes: ShareModes) -> Option<Arc<SharedStateManager>> {
     modes.any().then(|| Arc::new(SharedStateManager::new(modes)))
 }
 
-/// Tiles a second that the decoders make of contents in memory, without and with sharing: each worker decodes each of
-/// its tiles in both ways, so that what else the machine does weighs on both alike. It keeps the last 32 payloads, as
-/// of tiles that wait for their upload, and what pages share of all.
+/// Returns the tiles per second that are decoded from memory, without and with sharing. Each worker decodes each of its
+/// tiles in both ways, so that other load on the machine affects both alike. It keeps the last 32 payloads, like tiles that
+/// wait for their upload, and the shared content of all pages.
 fn decode_rates(contents: &[Vec<u8>]) -> [f64; 2] {
     let options =
         |modes| ReadOptions { sharing: sharing(modes), ..ReadOptions::for_root("/set/t.json", Limits::default()) };
@@ -105,7 +105,7 @@ fn decode_rates(contents: &[Vec<u8>]) -> [f64; 2] {
     spent.map(|spent| (contents.len() * cores) as f64 / spent.as_secs_f64())
 }
 
-/// A folder for this run alone, which goes with it.
+/// A temporary folder of this run. Dropping it removes the folder.
 struct Folder(std::path::PathBuf);
 
 impl Folder {
@@ -118,19 +118,19 @@ impl Folder {
 
 impl Drop for Folder {
     fn drop(&mut self) {
-        // What is left in a folder for what is temporary harms nobody.
+        // Files that cannot be removed from the temporary folder are harmless.
         let _ = std::fs::remove_dir_all(&self.0);
     }
 }
 
-/// Metres along the side of a square of tiles, and between the places of two.
+/// Returns the side of a square of tiles, and the distance between the two squares, in metres.
 fn reach_m() -> f64 {
     TILES.isqrt() as f64 * TILE_M
 }
 
 const APART_M: f64 = 1e6;
 
-/// Two squares of tiles, so far from each other that a camera sees one.
+/// Returns a page with two squares of tiles that are too far apart for one camera to see both.
 fn root(folder: &str) -> Result<Page> {
     let across = TILES.isqrt();
     let tile = |n: usize| {
@@ -153,19 +153,19 @@ fn root(folder: &str) -> Result<Page> {
     Ok(Page::from_node(Node::group(vec![square(0), square(TILES)]))?)
 }
 
-/// What loading cost.
+/// The cost of loading.
 struct Loads {
-    /// The first square, and the second in its place; seconds.
+    /// Seconds to load the first square, and then the second instead of it.
     seconds: [f64; 2],
-    /// GPU bytes that were taken by the first.
+    /// GPU memory of the first square in bytes.
     gpu_bytes: u64,
     stats: PagerStats,
 }
 
-/// Loads and uploads one square, and then the other where there is room for little more than one.
+/// Loads and uploads one square, and then the other. The budget has room for little more than one.
 fn load_all(folder: &str, modes: ShareModes) -> Result<Loads> {
     let traits = ContextTraits { adapter: AdapterChoice::Noop, validation: false, ..ContextTraits::default() };
-    let mut context = Uploads(GraphicsContext::new_offscreen(&traits)?);
+    let mut context = UploadContext(GraphicsContext::new_offscreen(&traits)?);
     let config = PagerConfig { sharing: modes, max_tiles: TILES + TILES / 8, ..PagerConfig::default() };
     let options = ReadOptions::for_root(&format!("{folder}/tileset.json"), Limits::default());
     let mut pager = DatabasePager::new(config, options)?;
@@ -201,7 +201,7 @@ fn load_all(folder: &str, modes: ShareModes) -> Result<Loads> {
 /// Prints a line for each set, without and with sharing.
 pub fn run(secs: f64) -> Result<()> {
     for (set, different) in [("unique", TILES), ("repeated", REPEATED)] {
-        // Of both squares.
+        // Contents of both squares.
         let distinct: Vec<Vec<u8>> = (0..2 * different).map(glb).collect::<Result<_>>()?;
         let of = |n: usize| distinct[n / TILES * different + n % different].clone();
         let contents: Vec<Vec<u8>> = (0..TILES).map(of).collect();
@@ -228,7 +228,7 @@ pub fn run(secs: f64) -> Result<()> {
             let (rate, load_rate) = (percentile(rates, 0.5), TILES as f64 / all_s);
             let Some(Loads { gpu_bytes, stats, .. }) = loads.last() else { continue };
             let mb = |bytes: u64| (bytes as f64 / f64::from(1 << 20) * 10.0).round() / 10.0;
-            say(json!({
+            print_line(json!({
                 "bench": "share", "set": set, "sharing": name, "tiles": TILES, "different": different,
                 "decode_tiles_per_s": rate.round(), "load_tiles_per_s": load_rate.round(),
                 "load_to_decode": (load_rate / rate * 1e3).round() / 1e3,

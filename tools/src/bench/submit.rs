@@ -1,5 +1,5 @@
-//! What it costs to hand a stage to the adapter: the processor's time of `Renderer::draw` per visible leaf, on wgpu's
-//! adapter that does nothing. One JSON object per line.
+//! Measures the submission of a stage: the processor time of `Renderer::draw` per visible leaf on wgpu's noop adapter.
+//! Prints one JSON object per line.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -15,25 +15,25 @@ use terrane::scene::{Drawable, Geometry, HeightTile, Material, Mesh, Node, Page,
 use terrane::state::{Attribute, StateSet, SurfaceMaterial};
 
 use super::cull::triangle;
-use super::{percentile, say};
+use super::{percentile, print_line};
 
-/// What is drawn.
+/// The content of the stage.
 #[derive(Clone, Copy, PartialEq)]
 enum Content {
     /// Height tiles, instances of one grid.
     Height,
-    /// Meshes, each with vertices of its own, under so many state sets.
+    /// Meshes with separate vertices, under this number of state sets.
     Mesh(u32),
-    /// Meshes so small that one call draws many of them.
+    /// Meshes that are so small that one draw call draws many of them, under this number of state sets.
     Small(u32),
 }
 
-/// Measures every case for about `seconds` each and prints a line for it.
+/// Measures each case for about `seconds` and prints a line for it.
 pub fn run(seconds: f64) -> Result<()> {
     let time = Duration::from_secs_f64(if seconds.is_finite() { seconds.clamp(0.0, 3600.0) } else { 1.0 });
     for leaves in [1_000, 10_000] {
         for content in [Content::Height, Content::Mesh(1), Content::Mesh(64), Content::Small(1), Content::Small(64)] {
-            say(measure(content, leaves, time)?);
+            print_line(measure(content, leaves, time)?);
         }
     }
     Ok(())
@@ -59,7 +59,7 @@ fn height_tile() -> Drawable {
 }
 
 fn measure(content: Content, leaves: u32, time: Duration) -> Result<serde_json::Value> {
-    // Each leaf is several pixels large.
+    // Each leaf covers several pixels.
     let traits = ContextTraits { size_px: [2048, 2048], adapter: AdapterChoice::Noop, ..ContextTraits::default() };
     let mut ctx = GraphicsContext::new_offscreen(&traits)?;
     let mut renderer = Renderer::new(&mut ctx);
@@ -67,7 +67,7 @@ fn measure(content: Content, leaves: u32, time: Duration) -> Result<serde_json::
         Content::Height => 1,
         Content::Mesh(sets) | Content::Small(sets) => sets,
     };
-    // More than one set differs in what is bound: a material each.
+    // Each state set has a different material, so the bindings change between them.
     let sets: Vec<_> = (0..sets)
         .map(|i| {
             let set = StateSet { color: Some([1.0, 0.5, 0.25, 1.0]), ..StateSet::default() };

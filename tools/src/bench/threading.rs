@@ -1,6 +1,6 @@
-//! What the threading models make of update, cull and draw: the frame's time beside the longest of what may run at the
-//! same time, and what it takes to stop and start a model's threads. The adapter that does nothing draws, so that no
-//! driver's threads take the cores. One JSON object per line.
+//! Measures frames with each threading model: the time of a frame and that of the longest of the steps that can run in
+//! parallel, and the time to stop and start the threads of a model. The noop adapter draws, so that no threads of a driver
+//! occupy the cores. Prints one JSON object per line.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -14,25 +14,25 @@ use terrane::state::{Attribute, StateSet, SurfaceMaterial};
 use terrane::viewer::{FrameStats, ThreadingModel, Viewer, ViewerConfig};
 
 use super::cull::triangle;
-use super::{percentile, say};
+use super::{percentile, print_line};
 
-/// Drawables, each under a transform of its own.
+/// The number of drawables, each below a separate transform.
 const LEAVES: u32 = 60_000;
-/// Materials that they have in turns.
+/// The number of materials, which are assigned in turn.
 const STATE_SETS: u32 = 64;
-/// Transforms under one group: what moving one of them costs update.
+/// The number of transforms below one group, which determines the cost of moving one of them.
 const SIDE: u32 = 100;
-/// Stops and starts that are timed.
+/// The number of measured stops and starts.
 const SWITCHES: usize = 200;
 
-/// Measures every case for about `seconds` each and prints a line for it.
+/// Measures each case for about `seconds` and prints a line for it.
 pub fn run(seconds: f64) -> Result<()> {
     let time = Duration::from_secs_f64(if seconds.is_finite() { seconds.clamp(0.0, 3600.0) } else { 1.0 });
     for moved in [0, LEAVES / 192, LEAVES / 64] {
-        // Update, cull and draw of the model that runs them one after the other.
+        // The times of update, cull and draw in the model that runs them one after the other.
         let mut alone = None;
         for threading in ThreadingModel::ALL {
-            say(measure(moved, threading, time, &mut alone)?);
+            print_line(measure(moved, threading, time, &mut alone)?);
         }
     }
     Ok(())
@@ -67,20 +67,20 @@ fn viewer(moved: u32, threading: ThreadingModel) -> Result<Viewer> {
     let center = DVec3::new(f64::from(SIDE), f64::from(LEAVES / SIDE), 0.0) * 0.5;
     let height = 1.2 * f64::from(SIDE.max(LEAVES / SIDE));
     viewer.view_mut().camera.look_at(center + DVec3::new(0.0, 0.0, height), center, DVec3::Y);
-    // Sample culling would leave most of these small triangles out of the draw that is measured.
+    // Sample culling would skip most of these small triangles, whose draw is measured.
     let culling = viewer.view().camera.settings.culling.0;
     viewer.view_mut().camera.settings.culling = CullingMode(culling & !CullingMode::SAMPLES.0);
     let mut refused = false;
     viewer.on_update(Box::new(move |scene, stamp| {
         let lift = DVec3::new(0.0, 0.0, f64::from(stamp.frame % 8));
         for i in 0..moved {
-            // A row is its group and two nodes for each leaf.
+            // A row has one node for its group and two for each leaf.
             let (row, column) = (i / SIDE, i % SIDE);
             let node = NodeId { page: root, index: 1 + row * (1 + 2 * SIDE) + 1 + 2 * column };
             let place = DVec3::new(f64::from(column), f64::from(row), 0.0) + lift;
             refused |= scene.set_transform(node, DAffine3::from_translation(place)).is_err();
         }
-        debug_assert!(!refused, "the nodes are where the scene was built");
+        debug_assert!(!refused, "the nodes have the indices of the scene");
     }));
     Ok(viewer)
 }
@@ -112,7 +112,7 @@ fn measure(
     let frames = times.len();
     let frame_ms = percentile(&mut times, 0.5);
     viewer.finish()?;
-    // Medians: what else the machine does comes and goes.
+    // Medians are robust against other load on the machine.
     let median = |value: fn(&FrameStats) -> f64| {
         let drawn = viewer.stats().iter().filter(|f| f.frame >= first && f.drawn);
         percentile(&mut drawn.map(value).collect::<Vec<_>>(), 0.5)
@@ -137,7 +137,7 @@ fn measure(
     }))
 }
 
-/// Milliseconds of stopping and starting the threads, a frame between two.
+/// Returns the milliseconds to stop and to start the threads, with one frame between measurements.
 fn switches(viewer: &mut Viewer) -> Result<[Vec<f64>; 2]> {
     let (mut stop_ms, mut start_ms) = (Vec::new(), Vec::new());
     for _ in 0..SWITCHES {

@@ -1,7 +1,7 @@
-//! Cost of the walk of a tile tree: a quadtree of height `levels`, seen so that all of it refines, or from a low eye.
+//! Measures the traversal of a tile tree: a quadtree of `levels` levels, refined everywhere or seen from a low eye.
 //!
-//! No GPU. One JSON object per line: `ns_per_tile` of the whole cull, `walk_ns_per_tile` of the walk alone, without the
-//! visits of the content that is drawn.
+//! Needs no GPU. Prints one JSON object per line. `ns_per_tile` is the time of the whole cull, `walk_ns_per_tile` that of
+//! the traversal without visits of visible content.
 
 use std::time::{Duration, Instant};
 
@@ -14,23 +14,23 @@ use terrane::scene::{
     Scene, SceneError, Topology,
 };
 
-use super::{percentile, say};
+use super::{percentile, print_line};
 
-/// Half the side of the terrain, metres.
+/// Half the side of the terrain in metres.
 const HALF_M: f64 = 20_000.0;
 
-/// What is there of the tiles' contents.
+/// The share of the tiles' contents that is loaded.
 #[derive(Clone, Copy, PartialEq)]
 enum Content {
-    /// Everything: tiles are drawn.
+    /// All contents are loaded, and tiles are drawn.
     All,
-    /// One tile in sixteen of the last level is missing.
+    /// One in sixteen tiles of the last level is missing.
     Most,
-    /// Nothing: every tile is asked for.
+    /// No content is loaded, and every tile is requested.
     None,
 }
 
-/// Measures every case for about `seconds` each and prints a line for it.
+/// Measures each case for about `seconds` and prints a line for it.
 pub fn run(seconds: f64) {
     let time = Duration::from_secs_f64(if seconds.is_finite() { seconds.clamp(0.0, 3600.0) } else { 1.0 });
     for levels in [6, 8, 10] {
@@ -38,10 +38,10 @@ pub fn run(seconds: f64) {
             match scene(levels, content) {
                 Ok(scene) => {
                     for view in ["above", "low"] {
-                        say(measure(&scene, levels, content, view, time));
+                        print_line(measure(&scene, levels, content, view, time));
                     }
                 }
-                Err(error) => say(json!({"bench": "terrane_tiles", "error": error.to_string()})),
+                Err(error) => print_line(json!({"bench": "terrane_tiles", "error": error.to_string()})),
             }
         }
     }
@@ -67,7 +67,7 @@ fn quad(levels: u32, center: DVec3, half_m: f64, error_m: f64) -> Node {
     node
 }
 
-/// Content of a tile: a drawable without vertices, in whose place a context would have something.
+/// Returns the content of a tile: a drawable without vertices with a draw slot, as if it were uploaded.
 fn content(slot: u32) -> Result<Page, SceneError> {
     let bounds = Aabb { min: DVec3::splat(-50.0), max: DVec3::splat(50.0) };
     let mesh =
@@ -79,17 +79,17 @@ fn content(slot: u32) -> Result<Page, SceneError> {
     Ok(page)
 }
 
-fn scene(levels: u32, there: Content) -> anyhow::Result<Scene> {
+fn scene(levels: u32, loaded: Content) -> anyhow::Result<Scene> {
     let mut scene = Scene::new();
     let root = scene.add_root(Page::from_node(quad(levels, DVec3::ZERO, HALF_M, 2_000.0))?);
-    if there == Content::None {
+    if loaded == Content::None {
         return Ok(scene);
     }
     let slots: Vec<_> = scene.slots_of_page(root).collect();
     for (slot, place) in slots.into_iter().zip(0..) {
         let is_last = scene.slot(slot).is_some_and(|s| s.depth + 1 == levels);
-        if there == Content::All || !is_last || place % 16 != 0 {
-            scene.attach(slot, content(place)?).map_err(|_| anyhow::anyhow!("the slot is taken"))?;
+        if loaded == Content::All || !is_last || place % 16 != 0 {
+            scene.attach(slot, content(place)?).map_err(|_| anyhow::anyhow!("the slot is occupied"))?;
         }
     }
     Ok(scene)

@@ -1,5 +1,5 @@
-//! What is answered, whatever the version of HTTP: a request, the file or part of it that is there, and what chance has
-//! for the answer. Called on the connections' threads.
+//! Requests and their answers, independent of the version of HTTP: a file or a part of it, with its fault. All functions
+//! are called on the threads of connections.
 
 use std::fs::File;
 use std::io::{ErrorKind, Read, Result, Seek as _, SeekFrom};
@@ -10,12 +10,12 @@ use std::time::{Duration, UNIX_EPOCH};
 use http::{Method, StatusCode};
 
 use super::Server;
-use super::chance::{Chance, Fate};
+use super::faults::{Fault, FaultRandom};
 
-/// Instead of a tile.
+/// The web page that is sent instead of a file by [`Fault::Page`].
 const PAGE: &[u8] = b"<!doctype html><title>Sorry</title><p>The page that you are looking for is not here.</p>\n";
 
-/// The parts of a request that count.
+/// The parts of a request that affect its answer.
 pub(super) struct Request {
     is_head: bool,
     path: String,
@@ -27,8 +27,8 @@ pub(super) struct Request {
 }
 
 impl Request {
-    /// From a method, a target without scheme and server, and headers by their names in lower case; or the status that
-    /// is the answer.
+    /// Creates a request from a method, a target without scheme and server, and headers by their names in lower case. The
+    /// error is the status of the answer.
     pub(super) fn new(
         method: &str,
         target: &str,
@@ -52,14 +52,14 @@ impl Request {
         })
     }
 
-    /// What chance knows it by: all that says which bytes are wanted.
-    fn wanted(&self) -> String {
+    /// Returns the key for faults: everything that selects the requested bytes.
+    pub(super) fn key(&self) -> String {
         let method = if self.is_head { "HEAD " } else { "" };
         format!("{method}{} {}", self.path, self.range.as_deref().unwrap_or_default())
     }
 
-    /// What the client has is what there is (RFC 9110, 13.2.2): the tag counts, and the date where no tag is given.
-    fn holds(&self, tag: &str, date: &str) -> bool {
+    /// Returns true if the client's copy is current (RFC 9110, 13.2.2). A tag takes precedence over a date.
+    fn is_current(&self, tag: &str, date: &str) -> bool {
         match &self.if_none_match {
             Some(tags) => tags.split(',').map(str::trim).any(|t| t == "*" || t.trim_start_matches("W/") == tag),
             None => self.if_modified_since.as_deref() == Some(date),
@@ -67,28 +67,30 @@ impl Request {
     }
 }
 
-/// What chance has for an answer.
-pub(super) struct Lot {
-    /// Before anything is answered.
+/// The delay and the fault of an answer.
+pub(super) struct Decision {
+    /// The delay before the answer.
     pub(super) wait: Duration,
-    fate: Fate,
-    chance: Chance,
+    fault: Fault,
+    random: FaultRandom,
 }
 
-/// What is lost by a reset. Before HTTP/2 it is the connection in any case.
+/// The scope of a reset. With HTTP/1.1 it is always the connection.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Loss {
     Stream,
     Connection,
 }
 
+/// The reaction to a request.
 pub(super) enum Outcome {
-    /// Nothing, until the client goes.
+    /// No answer until the client closes the connection.
     Silence,
     Reset(Loss),
     Answer(Answer),
 }
 
+/// An answer: its head and its content.
 pub(super) struct Answer {
     pub(super) status: StatusCode,
     pub(super) headers: Vec<(&'static str, String)>,
@@ -96,25 +98,25 @@ pub(super) struct Answer {
     pub(super) end: End,
 }
 
-/// What comes after the content, or after the half of it.
+/// The end of an answer, after its content or the first half of it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum End {
     Whole,
-    /// Nothing, though more was announced.
+    /// The answer ends before its announced length.
     Early,
-    /// Nothing, until the client goes.
+    /// Nothing is sent until the client closes the connection.
     Stall,
     Reset(Loss),
 }
 
 impl Answer {
     fn new(status: StatusCode, length: u64) -> Self {
-        // Other pages may fetch from here, as a viewer in a browser does.
+        // Scripts of other web pages may fetch files, for example a viewer in a browser.
         let headers = vec![("Content-Length", length.to_string()), ("Access-Control-Allow-Origin", "*".to_owned())];
         Self { status, headers, content: None, end: End::Whole }
     }
 
-    /// Without a content.
+    /// Creates an answer without content.
     pub(super) fn empty(status: StatusCode) -> Self {
         Self::new(status, 0)
     }
@@ -125,18 +127,18 @@ impl Answer {
     }
 }
 
-/// The bytes of a content that are sent.
+/// The bytes to send, read from a file piece by piece.
 pub(super) struct Content {
     bytes: Box<dyn Read + Send>,
     at: u64,
     length: u64,
-    /// The byte that is changed on its way.
+    /// The offset of the byte to corrupt.
     corrupt_at: Option<u64>,
 }
 
 impl Content {
-    /// All of it was read.
-    pub(super) fn is_over(&self) -> bool {
+    /// Returns true if all bytes have been read.
+    pub(super) fn is_done(&self) -> bool {
         self.at == self.length
     }
 }
@@ -148,8 +150,8 @@ impl Read for Content {
         if got == 0 && wanted > 0 {
             return Err(ErrorKind::UnexpectedEof.into());
         }
-        if let Some(place) = self.corrupt_at.and_then(|c| c.checked_sub(self.at)).filter(|p| *p < got as u64) {
-            piece[place as usize] ^= 0xff;
+        if let Some(offset) = self.corrupt_at.and_then(|c| c.checked_sub(self.at)).filter(|p| *p < got as u64) {
+            piece[offset as usize] ^= 0xff;
         }
         self.at += got as u64;
         Ok(got)
@@ -157,61 +159,61 @@ impl Read for Content {
 }
 
 impl Server {
-    /// Draws what happens to the answer of a request.
-    pub(super) fn lot(&self, request: &Request) -> Lot {
+    /// Draws the delay and the fault of an answer.
+    pub(super) fn decide(&self, request: &Request) -> Decision {
         let is_faulty = self.is_faulty.load(Ordering::Acquire);
-        let wanted = request.wanted();
-        // What is asked for before the faults begin, or after they end, shifts nothing.
-        // Nor is it remembered where nothing depends on it.
+        let key = request.key();
+        // Requests are counted only while faults are on, so that others do not shift the numbers. Without random faults or
+        // jitter the counts have no effect and are not stored.
         let rates = self.args.rates();
         let is_drawn = self.args.jitter_ms > 0.0 || rates.iter().any(|(rate, _)| *rate > 0.0);
-        let number = if is_faulty && is_drawn { self.turns.next(&wanted) } else { 0 };
-        let mut chance = Chance::new(self.args.seed, &wanted, number);
-        let fate = if is_faulty { chance.fate(&rates) } else { Fate::Whole };
-        let wait_ms = self.args.latency_ms + self.args.jitter_ms * chance.share();
-        Lot { wait: Duration::from_secs_f64(wait_ms / 1e3), fate, chance }
+        let number = if is_faulty && is_drawn { self.counts.next(&key) } else { 0 };
+        let mut random = FaultRandom::new(self.args.seed, &key, number);
+        let fault = if is_faulty { random.fault(&rates) } else { Fault::None };
+        let wait_ms = self.args.latency_ms + self.args.jitter_ms * random.share();
+        Decision { wait: Duration::from_secs_f64(wait_ms / 1e3), fault, random }
     }
 
-    /// The answer, after its wait.
-    pub(super) fn answer(&self, request: &Request, lot: Lot) -> Result<Outcome> {
-        let Lot { fate, mut chance, .. } = lot;
-        let answer = match fate {
-            Fate::Silent => return Ok(Outcome::Silence),
-            Fate::Reset if chance.share() < 0.5 => return Ok(Outcome::Reset(loss(&mut chance))),
-            Fate::Error => {
-                let status = match chance.share() {
+    /// Returns the answer to a request. The caller has waited for the delay.
+    pub(super) fn answer(&self, request: &Request, decision: Decision) -> Result<Outcome> {
+        let Decision { fault, mut random, .. } = decision;
+        let answer = match fault {
+            Fault::Silent => return Ok(Outcome::Silence),
+            Fault::Reset if random.share() < 0.5 => return Ok(Outcome::Reset(loss(&mut random))),
+            Fault::Error => {
+                let status = match random.share() {
                     share if share < 0.4 => StatusCode::INTERNAL_SERVER_ERROR,
                     share if share < 0.8 => StatusCode::SERVICE_UNAVAILABLE,
                     _ => StatusCode::TOO_MANY_REQUESTS,
                 };
                 Answer::empty(status).with("Retry-After", self.args.retry_after.to_string())
             }
-            Fate::Page => {
+            Fault::Page => {
                 let length = PAGE.len() as u64;
                 let page = Content { bytes: Box::new(PAGE), at: 0, length, corrupt_at: None };
                 let content = (!request.is_head).then_some(page);
                 Answer { content, ..Answer::new(StatusCode::OK, length).with("Content-Type", "text/html") }
             }
-            fate => self.of_file(request, fate, &mut chance)?,
+            fault => self.file_answer(request, fault, &mut random)?,
         };
         Ok(Outcome::Answer(answer))
     }
 
-    /// The file that is asked for, or a part of it.
-    fn of_file(&self, request: &Request, fate: Fate, chance: &mut Chance) -> Result<Answer> {
+    /// Returns the requested file or a part of it.
+    fn file_answer(&self, request: &Request, fault: Fault, random: &mut FaultRandom) -> Result<Answer> {
         let Some((mut file, is_gzip)) = self.open(request) else { return Ok(Answer::empty(StatusCode::NOT_FOUND)) };
         let metadata = file.metadata()?;
         let length = metadata.len();
         let modified = metadata.modified().ok().filter(|t| *t > UNIX_EPOCH).unwrap_or(UNIX_EPOCH);
         let nanoseconds = modified.duration_since(UNIX_EPOCH).map_or(0, |d| d.as_nanos());
         let (tag, date) = (format!("\"{length:x}-{nanoseconds:x}\""), httpdate::fmt_http_date(modified));
-        // A part of something else than the client has is of no use to it.
+        // With If-Range, a part is sent only if the client's copy is current.
         let wanted =
             request.range.as_deref().filter(|_| request.if_range.as_ref().is_none_or(|i| *i == tag || *i == date));
         let part = wanted.and_then(|r| range(r, length));
         let (status, first, count) = match part {
-            _ if request.holds(&tag, &date) => (StatusCode::NOT_MODIFIED, 0, length),
-            // None, or one that is not understood: the whole.
+            _ if request.is_current(&tag, &date) => (StatusCode::NOT_MODIFIED, 0, length),
+            // Without a valid range the whole file is sent.
             None => (StatusCode::OK, 0, length),
             Some(Some((first, last))) => (StatusCode::PARTIAL_CONTENT, first, last - first + 1),
             Some(None) => (StatusCode::RANGE_NOT_SATISFIABLE, 0, 0),
@@ -219,7 +221,7 @@ impl Server {
         let mut answer = Answer::new(status, count)
             .with("ETag", tag)
             .with("Accept-Ranges", "bytes")
-            .with("Content-Type", kind(&request.path))
+            .with("Content-Type", media_type(&request.path))
             .with("Vary", "Accept-Encoding")
             .with("Last-Modified", date);
         if let Some(seconds) = self.args.max_age {
@@ -244,11 +246,11 @@ impl Server {
         if first > 0 {
             file.seek(SeekFrom::Start(first))?;
         }
-        let corrupt_at = (fate == Fate::Corrupted).then(|| (chance.share() * count as f64) as u64);
-        answer.end = match fate {
-            Fate::Truncated => End::Early,
-            Fate::Stalled => End::Stall,
-            Fate::Reset => End::Reset(loss(chance)),
+        let corrupt_at = (fault == Fault::Corrupted).then(|| (random.share() * count as f64) as u64);
+        answer.end = match fault {
+            Fault::Truncated => End::Early,
+            Fault::Stalled => End::Stall,
+            Fault::Reset => End::Reset(loss(random)),
             _ => End::Whole,
         };
         let sent = if answer.end == End::Whole { count } else { count / 2 };
@@ -256,13 +258,14 @@ impl Server {
         Ok(answer)
     }
 
-    /// The file, and whether it is gzip of what was asked for. Nothing outside the folder, links included.
+    /// Opens the requested file, or its `.gz` (then with true) if the client accepts that. Files outside of the folder are
+    /// refused, also through links.
     fn open(&self, request: &Request) -> Option<(File, bool)> {
         let relative = Path::new(request.path.trim_start_matches('/'));
         if !relative.components().all(|c| matches!(c, Component::Normal(_))) {
             return None;
         }
-        // Most have no packed one: asking where a path leads takes longer than opening it.
+        // Most files have no `.gz`, so that is checked first: `canonicalize` takes longer than opening a file.
         let open = |path: PathBuf| {
             path.is_file().then_some(())?;
             let path = path.canonicalize().ok().filter(|path| path.starts_with(&self.folder))?;
@@ -279,12 +282,12 @@ impl Server {
     }
 }
 
-/// As often the one as the other.
-fn loss(chance: &mut Chance) -> Loss {
-    if chance.share() < 0.5 { Loss::Stream } else { Loss::Connection }
+/// Draws the scope of a reset, each with the same probability.
+fn loss(random: &mut FaultRandom) -> Loss {
+    if random.share() < 0.5 { Loss::Stream } else { Loss::Connection }
 }
 
-/// First and last byte of a single range: `None` when it is not one, `Some(None)` when it lies outside.
+/// Parses a single range to its first and last byte. `None` if it is invalid, `Some(None)` if it lies outside of the file.
 fn range(text: &str, length: u64) -> Option<Option<(u64, u64)>> {
     let (first, last) = text.strip_prefix("bytes=")?.split_once('-')?;
     let number = |text: &str| text.trim().parse::<u64>().ok();
@@ -301,7 +304,8 @@ fn range(text: &str, length: u64) -> Option<Option<(u64, u64)>> {
     Some(last.filter(|last| first <= *last).map(|last| (first, last)))
 }
 
-fn kind(path: &str) -> &'static str {
+/// Returns the media type of a path by its extension.
+fn media_type(path: &str) -> &'static str {
     match path.rsplit('.').next().unwrap_or("") {
         "json" => "application/json",
         "glb" => "model/gltf-binary",

@@ -1,7 +1,7 @@
-//! HTTP/2 on a connection, open or encrypted: many requests at once, each a task on the connection's thread.
+//! HTTP/2 on a connection, encrypted or not. Each request is a task on the connection's thread.
 //!
-//! Files are read there too, as they are in memory by the second time. What stalls or is silent holds none of the
-//! connection's flow control window: a body reserves of it what it is about to send, and no more.
+//! Files are read on that thread as well, because the system caches them after the first read. Stalled and silent
+//! requests hold none of the connection's flow control window: a body reserves only the piece that it sends next.
 
 use std::future::{pending, poll_fn};
 use std::io::{Error, Read as _, Result};
@@ -17,56 +17,59 @@ use tokio::sync::Notify;
 use tokio::task::JoinSet;
 
 use super::answer::{Answer, Content, End, Loss, Outcome, Request};
-use super::line::Line;
-use super::{BEFORE_RESET, IDLE, Server};
+use super::bandwidth::BandwidthLimit;
+use super::{IDLE_TIMEOUT, RESET_DELAY, Server};
 
-/// Requests of a connection at once, as common servers have it.
-const MOST_STREAMS: u32 = 128;
+/// Maximum number of concurrent requests of a connection, as in common servers.
+const MAX_STREAMS: u32 = 128;
 
-/// Bytes of a body.
+/// A piece of a body.
 type Piece = std::io::Cursor<Vec<u8>>;
 
-/// What the requests of a connection share.
+/// The state that the requests of a connection share.
 struct Shared {
-    /// Taken for each piece of a body.
-    line: Mutex<Line>,
-    /// Told by a request that takes the connection with it.
-    is_lost: Notify,
+    /// Locked for each piece of a body.
+    bandwidth: Mutex<BandwidthLimit>,
+    /// Notified by a request whose fault resets the connection.
+    reset_requested: Notify,
 }
 
 impl Shared {
-    /// The connection is lost. The request stays until then: its end is a reset of its stream, which would come before.
+    /// Requests a reset of the connection, and waits for it. Ending the request would reset its stream before that.
     async fn lose(&self) -> Result<()> {
-        self.is_lost.notify_one();
+        self.reset_requested.notify_one();
         pending().await
     }
 }
 
-/// The runtime of a connection.
+/// Creates the runtime of a connection, on its thread.
 pub(super) fn runtime() -> Result<tokio::runtime::Runtime> {
     tokio::runtime::Builder::new_current_thread().enable_all().build()
 }
 
-/// Serves a connection that is not encrypted, and whose client knows the version beforehand.
+/// Serves an unencrypted connection whose client uses HTTP/2 without negotiation.
 pub(super) fn serve_open(server: &Arc<Server>, stream: TcpStream) -> Result<()> {
     let socket = stream.try_clone()?;
     stream.set_nonblocking(true)?;
     runtime()?.block_on(async { serve(server, &socket, tokio::net::TcpStream::from_std(stream)?).await })
 }
 
-/// Answers until one of both ends goes. The socket is the one below the stream.
+/// Answers requests until either side closes the connection. `socket` is the one below the stream.
 pub(super) async fn serve<S>(server: &Arc<Server>, socket: &TcpStream, stream: S) -> Result<()>
 where
     S: AsyncRead + AsyncWrite + Unpin,
 {
-    let handshake = Builder::new().max_concurrent_streams(MOST_STREAMS).handshake(stream);
-    let mut connection = tokio::time::timeout(IDLE, handshake).await?.map_err(Error::other)?;
-    let shared = Arc::new(Shared { line: Mutex::new(Line::new(server.args.bandwidth)), is_lost: Notify::new() });
-    // Those that are under way end with the connection.
+    let handshake = Builder::new().max_concurrent_streams(MAX_STREAMS).handshake(stream);
+    let mut connection = tokio::time::timeout(IDLE_TIMEOUT, handshake).await?.map_err(Error::other)?;
+    let shared = Arc::new(Shared {
+        bandwidth: Mutex::new(BandwidthLimit::new(server.args.bandwidth)),
+        reset_requested: Notify::new(),
+    });
+    // Dropping the set cancels requests in flight when the connection ends.
     let mut streams = JoinSet::new();
     loop {
         tokio::select! {
-            // Drives all that is under way besides.
+            // Accepting also drives the requests in flight.
             accepted = connection.accept() => match accepted {
                 Some(Ok((request, respond))) => {
                     let (server, shared) = (server.clone(), shared.clone());
@@ -75,17 +78,17 @@ where
                 Some(Err(error)) => return Err(Error::other(error)),
                 None => return Ok(()),
             },
-            // A client that goes is not an error.
+            // A client that closes its connection is not an error.
             Some(_) = streams.join_next() => {}
-            () = shared.is_lost.notified() => {
+            () = shared.reset_requested.notified() => {
                 return socket2::SockRef::from(socket).set_linger(Some(Duration::ZERO));
             }
-            () = tokio::time::sleep(IDLE), if streams.is_empty() => return Ok(()),
+            () = tokio::time::sleep(IDLE_TIMEOUT), if streams.is_empty() => return Ok(()),
         }
     }
 }
 
-/// Answers a request, as far as chance lets it.
+/// Answers a request with its fault.
 async fn answer(
     server: &Server,
     request: &http::Request<RecvStream>,
@@ -96,11 +99,11 @@ async fn answer(
     let request = Request::new(request.method().as_str(), request.uri().path(), header);
     let outcome = match request {
         Ok(request) => {
-            let lot = server.lot(&request);
-            if !lot.wait.is_zero() {
-                tokio::time::sleep(lot.wait).await;
+            let decision = server.decide(&request);
+            if !decision.wait.is_zero() {
+                tokio::time::sleep(decision.wait).await;
             }
-            server.answer(&request, lot)?
+            server.answer(&request, decision)?
         }
         Err(status) => Outcome::Answer(Answer::empty(status)),
     };
@@ -118,14 +121,14 @@ async fn answer(
     let content = answer.content.take();
     let mut stream = respond.send_response(head_of(&answer)?, content.is_none()).map_err(Error::other)?;
     let Some(content) = content else { return Ok(()) };
-    send(&mut stream, content, &shared.line).await?;
+    send(&mut stream, content, &shared.bandwidth).await?;
     match answer.end {
-        // Short of what was announced, where it is early.
+        // A truncated body ends before its announced length.
         End::Whole | End::Early => stream.send_data(Piece::default(), true).map_err(Error::other),
         End::Stall => poll_fn(|cx| stream.poll_reset(cx)).await.map(drop).map_err(Error::other),
         End::Reset(loss) => {
-            // What was written is to be there before.
-            tokio::time::sleep(BEFORE_RESET).await;
+            // The client must receive the first half before the reset.
+            tokio::time::sleep(RESET_DELAY).await;
             if loss == Loss::Connection {
                 return shared.lose().await;
             }
@@ -135,22 +138,24 @@ async fn answer(
     }
 }
 
+/// Returns the head of an answer.
 fn head_of(answer: &Answer) -> Result<Response<()>> {
     let named = answer.headers.iter();
     let head = named.fold(Response::builder().status(answer.status), |head, (name, value)| head.header(*name, value));
     head.body(()).map_err(Error::other)
 }
 
-async fn send(stream: &mut SendStream<Piece>, mut content: Content, line: &Mutex<Line>) -> Result<()> {
-    let line = || line.lock().unwrap_or_else(PoisonError::into_inner);
-    let mut piece = vec![0; line().piece()];
-    line().begin();
+/// Sends a body in pieces, within the limits of bandwidth and flow control.
+async fn send(stream: &mut SendStream<Piece>, mut content: Content, bandwidth: &Mutex<BandwidthLimit>) -> Result<()> {
+    let bandwidth = || bandwidth.lock().unwrap_or_else(PoisonError::into_inner);
+    let mut piece = vec![0; bandwidth().max_piece_bytes()];
+    bandwidth().start_body();
     loop {
         let got = content.read(&mut piece)?;
         if got == 0 {
             return Ok(());
         }
-        let wait = line().carry(got);
+        let wait = bandwidth().delay_for(got);
         if !wait.is_zero() {
             tokio::time::sleep(wait).await;
         }
@@ -163,7 +168,7 @@ async fn send(stream: &mut SendStream<Piece>, mut content: Content, line: &Mutex
     }
 }
 
-/// So many bytes of these the client takes now; waits until it takes any.
+/// Waits until the flow control window has room, and returns how many of the wanted bytes fit.
 async fn room(stream: &mut SendStream<Piece>, wanted: usize) -> Result<usize> {
     stream.reserve_capacity(wanted);
     while stream.capacity() == 0 {

@@ -1,19 +1,19 @@
-//! `terrane serve`: a folder over HTTP/1.1 and HTTP/2, open or encrypted, as well or as badly as asked: latency,
-//! bandwidth, errors, truncation, corruption, stalls, silence and resets, the same for the same seed.
+//! `terrane serve`: serves a folder over HTTP/1.1 and HTTP/2, encrypted or not, with a chosen latency, bandwidth and rate
+//! of faults: errors, truncation, corruption, stalls, missing answers and resets. The faults are the same for the same seed.
 //!
 //! ```text
 //! connection -> http1 (blocking) --\
-//!            -> http2 (async) ------+-> answer (what there is, and its fate by chance) -> line (bandwidth)
+//!            -> http2 (async) ------+-> answer (the file or a part of it, and its fault) -> bandwidth
 //!            -> tls -> either one -/
 //! ```
-//! A thread a connection, which is enough for one client; for many use a real web server. HTTP/1.1 blocks its thread and
-//! needs no runtime, whose timers count whole milliseconds: what is measured against it is not to pay for either.
+//! Each connection has a thread, which is enough for one client; a real web server suits many. HTTP/1.1 blocks its thread
+//! and uses no async runtime, whose timers have a resolution of one millisecond and would distort measurements.
 
 mod answer;
-mod chance;
+mod bandwidth;
+mod faults;
 mod http1;
 mod http2;
-mod line;
 mod tls;
 
 use std::io::Write as _;
@@ -26,44 +26,44 @@ use std::time::Duration;
 use anyhow::{Context as _, Error, Result, ensure};
 use clap::Args as ClapArgs;
 
-use self::chance::{Fate, Turns};
+use self::faults::{Fault, RequestCounts};
 use self::tls::Tls;
 use crate::values::{amount, share};
 
-/// A connection without a request ends.
-const IDLE: Duration = Duration::from_secs(60);
-/// From the half of an answer to the reset.
-const BEFORE_RESET: Duration = Duration::from_millis(20);
+/// The time after which a connection without requests is closed.
+const IDLE_TIMEOUT: Duration = Duration::from_secs(60);
+/// The time between the first half of an answer and a reset, so that the client receives that half.
+const RESET_DELAY: Duration = Duration::from_millis(20);
 
 #[derive(Clone, Debug, ClapArgs)]
 pub struct ServeArgs {
     /// Folder to serve
     pub folder: PathBuf,
-    /// Port; 0 takes a free one
+    /// Port; 0 selects a free one
     #[arg(long, default_value_t = 8080)]
     pub port: u16,
     /// Address to listen on
     #[arg(long, default_value = "127.0.0.1")]
     pub bind: String,
-    /// Speak HTTP/2 alone; without --tls to clients that know it beforehand
+    /// Speak only HTTP/2; without --tls for clients that use it without negotiation
     #[arg(long)]
     pub http2: bool,
-    /// Speak HTTP/1.1 alone, with --tls too, which else has both
+    /// Speak only HTTP/1.1; --tls alone offers both versions
     #[arg(long, conflicts_with = "http2")]
     pub http1: bool,
-    /// Encrypt; FILE becomes the PEM of a certificate made at each start, for clients to trust (--ca-file)
+    /// Encrypt with a new certificate, which is written to FILE as PEM for clients to trust (--ca-file)
     #[arg(long, value_name = "FILE")]
     pub tls: Option<PathBuf>,
-    /// Wait before every answer, milliseconds
+    /// Latency of every answer in milliseconds
     #[arg(long, default_value_t = 0.0, value_parser = amount)]
     pub latency_ms: f64,
-    /// Up to so much more, by chance
+    /// Maximum random addition to the latency in milliseconds
     #[arg(long, default_value_t = 0.0, value_parser = amount)]
     pub jitter_ms: f64,
-    /// Bytes a second of each connection; 0 for as many as go
+    /// Bytes per second of each connection; 0 for no limit
     #[arg(long, default_value_t = 0.0, value_parser = amount)]
     pub bandwidth: f64,
-    /// Share of answers that are status 429, 500 or 503
+    /// Share of answers with status 429, 500 or 503
     #[arg(long, default_value_t = 0.0, value_parser = share)]
     pub error_rate: f64,
     /// Share of answers whose body ends early
@@ -72,52 +72,53 @@ pub struct ServeArgs {
     /// Share of answers with changed bytes
     #[arg(long, default_value_t = 0.0, value_parser = share)]
     pub corrupt_rate: f64,
-    /// Share of answers that stop half way until the client goes
+    /// Share of answers that stop half way until the client closes the connection
     #[arg(long, default_value_t = 0.0, value_parser = share)]
     pub stall_rate: f64,
-    /// Share of connections reset instead of an answer, or half way through it; of HTTP/2 as often the stream alone
+    /// Share of answers replaced or cut half way by a reset of the connection; with HTTP/2 in half of the cases only the
+    /// stream is reset
     #[arg(long, default_value_t = 0.0, value_parser = share)]
     pub reset_rate: f64,
-    /// Share of requests that get no answer at all until the client goes
+    /// Share of requests without any answer until the client closes the connection
     #[arg(long, default_value_t = 0.0, value_parser = share)]
     pub silent_rate: f64,
     /// Share of answers that are a web page with status 200 instead
     #[arg(long, default_value_t = 0.0, value_parser = share)]
     pub page_rate: f64,
-    /// Seconds that failures ask the client to wait (`Retry-After`)
+    /// Seconds in the header `Retry-After` of failures
     #[arg(long, default_value_t = 0)]
     pub retry_after: u32,
-    /// Seconds for which clients may take answers without asking again (`Cache-Control`); without it they have to ask
+    /// Seconds for which answers are fresh (`Cache-Control: max-age`) [default: no such header]
     #[arg(long, value_name = "SECONDS")]
     pub max_age: Option<u32>,
-    /// Chance is the same for the same seed, path, range and number of the request for these
+    /// Seed of the faults, which are a function of seed, path, range and number of the request for them
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
 }
 
 impl ServeArgs {
-    /// What no single argument says is wrong.
+    /// Checks combinations of arguments.
     pub fn check(&self) -> Result<(), String> {
         let all: f64 = self.rates().iter().map(|(rate, _)| rate).sum();
         if all <= 1.0 { Ok(()) } else { Err(format!("the rates are {all} together, more than 1")) }
     }
 
-    /// Shares of answers, and what happens to them.
-    fn rates(&self) -> [(f64, Fate); 7] {
+    /// Returns the share of answers for each fault.
+    fn rates(&self) -> [(f64, Fault); 7] {
         [
-            (self.error_rate, Fate::Error),
-            (self.truncate_rate, Fate::Truncated),
-            (self.corrupt_rate, Fate::Corrupted),
-            (self.stall_rate, Fate::Stalled),
-            (self.reset_rate, Fate::Reset),
-            (self.silent_rate, Fate::Silent),
-            (self.page_rate, Fate::Page),
+            (self.error_rate, Fault::Error),
+            (self.truncate_rate, Fault::Truncated),
+            (self.corrupt_rate, Fault::Corrupted),
+            (self.stall_rate, Fault::Stalled),
+            (self.reset_rate, Fault::Reset),
+            (self.silent_rate, Fault::Silent),
+            (self.page_rate, Fault::Page),
         ]
     }
 }
 
 impl ServeArgs {
-    /// The defaults for a folder, on any free port of this machine alone.
+    /// Returns the defaults for a folder, on a free port of the loopback address.
     pub fn new(folder: impl Into<PathBuf>) -> Self {
         Self {
             folder: folder.into(),
@@ -143,18 +144,19 @@ impl ServeArgs {
     }
 }
 
+/// The state that all connections share.
 struct Server {
     args: ServeArgs,
     folder: PathBuf,
     tls: Option<Tls>,
-    turns: Turns,
-    /// Answers meet what chance has for them; set by whoever runs the server, read by its connections.
+    counts: RequestCounts,
+    /// Faults are on. Set through [`Background::set_faulty`], read by the connections.
     is_faulty: AtomicBool,
-    /// Set when the server is dropped, read where connections are taken.
-    is_over: AtomicBool,
+    /// Set when the server is dropped, read by the thread that accepts connections.
+    is_stopped: AtomicBool,
 }
 
-/// A server whose address is known and whose connections are not taken yet.
+/// A server that listens and does not accept connections yet.
 struct Listening {
     server: Arc<Server>,
     listener: TcpListener,
@@ -162,6 +164,7 @@ struct Listening {
 }
 
 impl Listening {
+    /// Opens the port.
     fn new(args: ServeArgs) -> Result<Self> {
         args.check().map_err(Error::msg)?;
         let folder = args.folder.canonicalize().with_context(|| args.folder.display().to_string())?;
@@ -170,30 +173,31 @@ impl Listening {
         let listener = TcpListener::bind(&address).with_context(|| format!("cannot listen on {address}"))?;
         let address = listener.local_addr()?;
         let tls = args.tls.as_deref().map(|file| Tls::new(file, &args)).transpose()?;
-        let (is_faulty, is_over) = (AtomicBool::new(true), AtomicBool::new(false));
-        let server = Arc::new(Server { args, folder, tls, turns: Turns::default(), is_faulty, is_over });
+        let (is_faulty, is_stopped) = (AtomicBool::new(true), AtomicBool::new(false));
+        let server = Arc::new(Server { args, folder, tls, counts: RequestCounts::default(), is_faulty, is_stopped });
         Ok(Self { server, listener, address })
     }
 
-    /// With a slash at the end.
+    /// Returns the URL, with a slash at the end.
     fn url(&self) -> String {
         let scheme = if self.server.tls.is_some() { "https" } else { "http" };
         format!("{scheme}://{}/", self.address)
     }
 
+    /// Accepts connections until the server is stopped, each on a new thread.
     fn run(self) {
         for stream in self.listener.incoming() {
-            if self.server.is_over.load(Ordering::Acquire) {
+            if self.server.is_stopped.load(Ordering::Acquire) {
                 return;
             }
             let Ok(stream) = stream else {
-                // Out of descriptors, for example: others may end meanwhile.
+                // For example, no file descriptor is free. Other connections may end meanwhile.
                 std::thread::sleep(Duration::from_millis(20));
                 continue;
             };
             let server = self.server.clone();
             let spawned = std::thread::Builder::new().name("connection".to_owned()).spawn(move || {
-                // A client that goes is not an error.
+                // A client that closes its connection is not an error.
                 let _ = connection(&server, stream);
             });
             if let Err(error) = spawned {
@@ -203,7 +207,7 @@ impl Listening {
     }
 }
 
-/// A connection's thread.
+/// Serves one connection, on its thread.
 fn connection(server: &Arc<Server>, stream: TcpStream) -> std::io::Result<()> {
     stream.set_nodelay(true)?;
     match &server.tls {
@@ -213,16 +217,17 @@ fn connection(server: &Arc<Server>, stream: TcpStream) -> std::io::Result<()> {
     }
 }
 
+/// Runs `terrane serve`, until the process ends.
 pub fn run(args: ServeArgs) -> Result<()> {
     let listening = Listening::new(args)?;
     let line = format!("serving {} at {}", listening.server.folder.display(), listening.url());
-    // Nobody has to read it.
+    // The line is for information only; standard output may be closed.
     let _ = writeln!(std::io::stdout(), "{line}");
     listening.run();
     Ok(())
 }
 
-/// A server on a thread of this process; takes no more connections once dropped.
+/// A server on a thread of this process. Dropping it ends that thread.
 pub struct Background {
     server: Arc<Server>,
     address: SocketAddr,
@@ -231,6 +236,7 @@ pub struct Background {
 }
 
 impl Background {
+    /// Starts the server.
     pub fn start(args: ServeArgs) -> Result<Self> {
         let listening = Listening::new(args)?;
         let (server, address, url) = (listening.server.clone(), listening.address, listening.url());
@@ -238,12 +244,12 @@ impl Background {
         Ok(Self { server, address, url, thread: Some(thread) })
     }
 
-    /// Where it listens, with a slash at the end.
+    /// Returns the URL of the server, with a slash at the end.
     pub fn url(&self) -> &str {
         &self.url
     }
 
-    /// Whether answers meet what chance has for them; latency and bandwidth stay.
+    /// RequestCounts faults on or off. Latency and bandwidth stay.
     pub fn set_faulty(&self, is_faulty: bool) {
         self.server.is_faulty.store(is_faulty, Ordering::Release);
     }
@@ -251,8 +257,8 @@ impl Background {
 
 impl Drop for Background {
     fn drop(&mut self) {
-        self.server.is_over.store(true, Ordering::Release);
-        // It looks when somebody comes; where nobody can, its thread is left to the end of the process.
+        self.server.is_stopped.store(true, Ordering::Release);
+        // The thread checks the flag when a connection arrives, so one is opened. If that fails, the thread is left behind.
         if let (Ok(_), Some(thread)) = (TcpStream::connect(self.address), self.thread.take()) {
             let _ = thread.join();
         }

@@ -1,4 +1,4 @@
-//! Encrypted connections, by a certificate that is made at the start for whoever is given it.
+//! Encrypted connections, with a certificate that is generated at the start. Clients trust it by its file.
 
 use std::net::TcpStream;
 use std::path::Path;
@@ -11,16 +11,16 @@ use tokio_rustls::rustls::crypto::ring;
 use tokio_rustls::rustls::pki_types::PrivateKeyDer;
 use tokio_rustls::rustls::{self, StreamOwned};
 
-use super::{IDLE, ServeArgs, Server, http1, http2};
+use super::{IDLE_TIMEOUT, ServeArgs, Server, http1, http2};
 
 const HTTP_2: &[u8] = b"h2";
 const HTTP_1: &[u8] = b"http/1.1";
 
-/// What encrypted connections begin with.
+/// The acceptor of encrypted connections.
 pub(super) struct Tls(TlsAcceptor);
 
 impl Tls {
-    /// Makes a certificate for the address that is listened on and this machine, and writes it to a file.
+    /// Generates a certificate for the listening address and this machine, and writes it to a file.
     pub(super) fn new(file: &Path, args: &ServeArgs) -> Result<Self> {
         let key = KeyPair::generate()?;
         let mut names = ["localhost", "127.0.0.1", "::1"].map(str::to_owned).to_vec();
@@ -46,14 +46,14 @@ impl Tls {
         Ok(Self(TlsAcceptor::from(Arc::new(config))))
     }
 
-    /// Serves a connection by the version that both ends agree on.
+    /// Serves a connection with the version of HTTP that was negotiated.
     pub(super) fn serve(&self, server: &Arc<Server>, stream: TcpStream) -> std::io::Result<()> {
         let socket = stream.try_clone()?;
         stream.set_nonblocking(true)?;
         let runtime = http2::runtime()?;
         let stream = runtime.block_on(async {
             let stream = tokio::net::TcpStream::from_std(stream)?;
-            tokio::time::timeout(IDLE, self.0.accept(stream)).await?
+            tokio::time::timeout(IDLE_TIMEOUT, self.0.accept(stream)).await?
         })?;
         if stream.get_ref().1.alpn_protocol() == Some(HTTP_2) {
             return runtime.block_on(http2::serve(server, &socket, stream));

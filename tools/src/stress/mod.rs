@@ -1,31 +1,33 @@
-//! `terrane stress`: flights at random over a tile set that comes badly, and every invariant in each frame.
+//! `terrane stress`: random flights over a tile set from a faulty server, with a check of invariants in each frame.
 //!
 //! ```text
 //! seed -> plan (settings, faults, poses, events) -> flight -> checks in each frame
-//!                                                          -> faults cease: it comes to rest
-//!                                                          -> its picture is that of a new viewer
-//!                                                          -> cleared: nothing is left
-//!                                                          -> closed: in time
+//!                                                          -> faults end: everything is loaded
+//!                                                          -> the image equals that of a new viewer
+//!                                                          -> pages are cleared: nothing is left
+//!                                                          -> the viewer is closed within 10 s
 //! ```
-//! A seed is a process: what panics, hangs or leaks takes no other seed with it. The plan is drawn before anything
-//! begins, so that a seed's flight, events and settings are the same each time, and so is what the server does to the
-//! first, second and third request for each file and each part of an archive, in whatever order they come. What depends
-//! on how quick threads and network are is how many requests there are by some frame: what is stale, aborted or found no
-//! room is not asked for, or once more. Two scenes with a pager each that ask for the same tile at the same moment are
-//! told apart by who comes first.
+//! Each seed runs in a separate process, so that a panic, a hang or a leak does not affect other seeds.
+//!
+//! The plan is drawn before the flight begins. A seed has the same flight, events and settings each time, and the server
+//! has the same fault for the n-th request for each file and each part of an archive, in any order of requests. The
+//! number of requests by some frame still depends on the timing of threads and network, because stale, aborted and
+//! declined requests are dropped or repeated. If two pagers request the same tile at the same moment, the order of arrival
+//! decides which one meets a fault.
 
-mod archive;
-mod check;
-mod extras;
-mod faults;
+mod archive_writer;
+mod events;
+mod extra_roots;
+mod fault_spec;
 mod flight;
-mod fresh;
-mod happen;
+mod invariants;
 mod plan;
+mod processes;
 mod random;
-mod runner;
-mod set;
-mod watch;
+mod reference;
+mod servers;
+mod tile_sets;
+mod watchdog;
 
 use std::borrow::Cow;
 use std::io::Write as _;
@@ -38,61 +40,61 @@ use serde::{Deserialize, Serialize};
 use terrane::fetch::{is_remote, shown};
 
 use self::flight::Outcome;
-use self::plan::{Plan, Way};
+use self::plan::{Plan, Transport};
 use crate::values::minutes;
 
 #[derive(Clone, Debug, ClapArgs)]
 pub struct StressArgs {
-    /// Folder, tileset.json, archive, http(s) URL or s3://, gs://, az:// URI; without it small sets are made in a temporary folder
+    /// Folder, tileset.json, archive, http(s) URL or s3://, gs://, az:// URI; without it small sets are generated in a temporary folder
     pub source: Option<String>,
-    /// How many seeds
+    /// Number of seeds
     #[arg(long, default_value_t = 200, value_parser = clap::value_parser!(u64).range(1..))]
     pub seeds: u64,
-    /// The first of them
+    /// First seed
     #[arg(long, default_value_t = 1)]
     pub first_seed: u64,
-    /// Seeds for so many minutes, instead of a number of them
+    /// Run seeds for this many minutes instead of a number of seeds
     #[arg(long, value_parser = minutes)]
     pub minutes: Option<f64>,
-    /// This seed alone, in this process: the flight of a seed that failed, once more
+    /// Run only this seed, in this process, to repeat a failure
     #[arg(long, conflicts_with_all = ["seeds", "first_seed", "minutes"])]
     pub seed: Option<u64>,
-    /// Seeds at once [default: as many as there are cores]
+    /// Number of seeds at the same time [default: one per core]
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=256))]
     pub jobs: Option<u16>,
-    /// Frames of each flight [default: 40 to 120, by seed]
+    /// Number of frames of each flight [default: 40 to 120, by seed]
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..1_000_000))]
     pub frames: Option<u32>,
-    /// Seeds of a hundred that are drawn by an adapter and looked at; the rest is drawn by a backend that does nothing
+    /// Percentage of seeds that are drawn by an adapter and whose images are checked; the others use wgpu's noop backend
     #[arg(long, value_name = "PERCENT", default_value_t = 20, value_parser = clap::value_parser!(u64).range(..=100))]
     pub drawn: u64,
-    /// Faults of the server for all seeds, as error=0.1,latency-ms=20, or none [default: by seed]; a SOURCE on a server
-    /// has those of that server alone
+    /// Faults of the server for all seeds, such as error=0.1,latency-ms=20, or none [default: by seed]; not with a SOURCE
+    /// on a server
     #[arg(long, value_name = "SPEC")]
-    pub faults: Option<faults::FaultSpec>,
-    /// A frame that takes so many seconds hangs
+    pub faults: Option<fault_spec::FaultSpec>,
+    /// Seconds after which a frame counts as hanging
     #[arg(long, value_name = "SECONDS", default_value_t = 60, value_parser = clap::value_parser!(u64).range(1..))]
     pub patience: u64,
-    /// Write what each seed came to, as JSON
+    /// Write the results of all seeds as JSON
     #[arg(long, value_name = "FILE")]
     pub report: Option<PathBuf>,
-    /// One line of JSON instead of text
+    /// Print one line of JSON instead of text
     #[arg(long, hide = true)]
     pub as_json: bool,
 }
 
 impl StressArgs {
-    /// What no single argument says is wrong.
+    /// Checks combinations of arguments.
     pub fn check(&self) -> Result<(), String> {
         match &self.source {
             Some(source) if self.faults.is_some() && is_remote(source) => {
-                Err("--faults are those of a server of our own; SOURCE has its own".to_owned())
+                Err("--faults apply to the local server only, and SOURCE is on another server".to_owned())
             }
             _ => Ok(()),
         }
     }
 
-    /// What a seed does.
+    /// Returns the plan of a seed.
     fn plan(&self, seed: u64) -> Plan {
         let mut plan = Plan::new(seed, self.frames, self.drawn);
         if let Some(spec) = &self.faults {
@@ -102,13 +104,13 @@ impl StressArgs {
     }
 }
 
-/// What a seed came to.
+/// The result of a seed.
 #[derive(Clone, Debug, Deserialize, Serialize)]
 pub struct SeedReport {
     pub seed: u64,
-    /// From disk, from the server that was named, or by what our own one speaks.
+    /// "disk", "server" for a remote source, or the protocol of the local server.
     pub way: String,
-    /// Names the plan: the same plan, the same number.
+    /// A hash of the plan.
     pub plan: String,
     pub drawing: String,
     #[serde(flatten)]
@@ -117,11 +119,11 @@ pub struct SeedReport {
 }
 
 impl SeedReport {
-    /// One line.
+    /// Returns the result as one line.
     fn line(&self) -> String {
         let verdict = if self.outcome.failures.is_empty() { "ok    " } else { "FAILED" };
         format!(
-            "seed {:<5} {verdict} {:<8} {:<5} {:>4} frames, at rest after {:>4}, {:>3} pictures, {:>5} requests: {} merged, \
+            "seed {:<5} {verdict} {:<8} {:<5} {:>4} frames, settled after {:>4}, {:>3} images, {:>5} requests: {} merged, \
              {} failed, {} cancelled, {} expired; {:.1} s",
             self.seed,
             self.way,
@@ -139,7 +141,7 @@ impl SeedReport {
     }
 }
 
-/// All of a run.
+/// The report of a run.
 #[derive(Serialize)]
 struct Report<'a> {
     tool: &'static str,
@@ -151,8 +153,9 @@ struct Report<'a> {
     seconds: f64,
 }
 
+/// Runs `terrane stress`.
 pub fn run(args: StressArgs) -> Result<()> {
-    // Told before the flights, not after them.
+    // A file that cannot be written is reported before the flights, not after them.
     if let Some(file) = &args.report {
         std::fs::File::create(file).with_context(|| file.display().to_string())?;
     }
@@ -165,9 +168,9 @@ pub fn run(args: StressArgs) -> Result<()> {
 /// Flies a seed in this process.
 fn one(args: &StressArgs, seed: u64) -> Result<()> {
     let start = Instant::now();
-    watch::start(Duration::from_secs(args.patience))?;
+    watchdog::start(Duration::from_secs(args.patience))?;
     let plan = args.plan(seed);
-    let made = if args.source.is_none() { Some(set::Sets::make()?) } else { None };
+    let made = if args.source.is_none() { Some(tile_sets::TileSets::generate()?) } else { None };
     let source = match (&args.source, &made) {
         (Some(source), _) => source.clone(),
         (None, Some(sets)) => sets.of(seed),
@@ -178,11 +181,11 @@ fn one(args: &StressArgs, seed: u64) -> Result<()> {
         Ok(outcome) => outcome,
         Err(error) => Outcome { failures: vec![format!("{error:#}")], ..Outcome::default() },
     };
-    outcome.failures.extend(watch::take_said());
-    let way = match plan.way {
+    outcome.failures.extend(watchdog::take_errors());
+    let way = match plan.transport {
         _ if is_remote(&source) => "server",
-        Way::Disk => "disk",
-        Way::Http => plan.wire.name(),
+        Transport::Disk => "disk",
+        Transport::Server => plan.protocol.name(),
     };
     let report = SeedReport {
         seed,
@@ -196,19 +199,19 @@ fn one(args: &StressArgs, seed: u64) -> Result<()> {
         writeln!(std::io::stdout(), "{}", serde_json::to_string(&report)?).context("stdout")?;
         return Ok(());
     }
-    tell(&report, None)?;
+    print(&report, None)?;
     write_report(args, &source, std::slice::from_ref(&report), start)?;
     ensure!(report.outcome.failures.is_empty(), "seed {seed} failed");
     Ok(())
 }
 
-/// Flies seeds in processes of their own.
+/// Flies seeds in separate processes.
 fn many(args: &StressArgs) -> Result<()> {
     let start = Instant::now();
-    let made = if args.source.is_none() { Some(set::Sets::make()?) } else { None };
+    let made = if args.source.is_none() { Some(tile_sets::TileSets::generate()?) } else { None };
     let mut reports: Vec<SeedReport> = Vec::new();
-    runner::run(args, made.as_ref(), |report| {
-        tell(&report, Some(&again(args, report.seed)))?;
+    processes::run(args, made.as_ref(), |report| {
+        print(&report, Some(&repeat_command(args, report.seed)))?;
         reports.push(report);
         Ok(())
     })?;
@@ -228,10 +231,10 @@ fn many(args: &StressArgs) -> Result<()> {
     Ok(())
 }
 
-/// The line that flies a seed again, as a shell takes it. Keys in a URL are not in it.
-fn again(args: &StressArgs, seed: u64) -> String {
+/// Returns the shell command that flies a seed again. Keys in a URL are left out.
+fn repeat_command(args: &StressArgs, seed: u64) -> String {
     let source = args.source.as_deref().map(|source| shown(source).into_owned());
-    let words = runner::of_seed(args, source, seed);
+    let words = processes::arguments(args, source, seed);
     let is_plain = |c: char| c.is_ascii_alphanumeric() || "-_./:=,+@%".contains(c);
     let quoted = words.into_iter().map(|word| match word.is_empty() || !word.chars().all(is_plain) {
         true => format!("'{}'", word.replace('\'', r"'\''")),
@@ -240,15 +243,15 @@ fn again(args: &StressArgs, seed: u64) -> String {
     format!("terrane {}", quoted.collect::<Vec<_>>().join(" "))
 }
 
-/// A seed's line, what failed, and how it is flown again.
-fn tell(report: &SeedReport, again: Option<&str>) -> Result<()> {
+/// Prints the result of a seed with its failures, and the command that repeats it if given.
+fn print(report: &SeedReport, repeat: Option<&str>) -> Result<()> {
     let mut out = std::io::stdout().lock();
     writeln!(out, "{}", report.line()).context("stdout")?;
     for failure in &report.outcome.failures {
         writeln!(out, "    {failure}").context("stdout")?;
     }
-    if let (Some(again), false) = (again, report.outcome.failures.is_empty()) {
-        writeln!(out, "    again: {again}\n    plan {}", report.plan).context("stdout")?;
+    if let (Some(repeat), false) = (repeat, report.outcome.failures.is_empty()) {
+        writeln!(out, "    repeat: {repeat}\n    plan {}", report.plan).context("stdout")?;
     }
     Ok(())
 }

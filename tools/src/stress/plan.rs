@@ -1,5 +1,5 @@
-//! What a seed does: settings, faults, the flight and everything that happens on it, drawn before anything begins, so
-//! that no thread's timing has a say in it.
+//! The plan of a seed: settings, faults, camera paths and events. It is drawn before the flight begins, so that the timing
+//! of threads does not affect it.
 
 use std::time::Duration;
 
@@ -9,32 +9,34 @@ use terrane::viewer::ThreadingModel;
 
 use super::random::Random;
 
-/// Views that may be there at once.
-pub const MOST_VIEWS: usize = 4;
-/// Contexts that may be open at once.
-pub const MOST_CONTEXTS: usize = 3;
-/// Scenes of a flight.
-pub const MOST_SCENES: usize = 2;
+/// Maximum number of views.
+pub const MAX_VIEWS: usize = 4;
+/// Maximum number of open contexts.
+pub const MAX_CONTEXTS: usize = 3;
+/// Maximum number of scenes.
+pub const MAX_SCENES: usize = 2;
 
-/// How tiles come.
+/// The source of tiles.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Way {
+pub enum Transport {
     Disk,
-    /// From our own server.
-    Http,
+    /// The local server.
+    Server,
 }
 
-/// What our own server speaks.
+/// The protocol of the local server.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Wire {
+pub enum Protocol {
     Http1,
     Http2,
-    /// Encrypted.
+    /// Encrypted HTTP/1.1.
     Tls1,
+    /// Encrypted HTTP/2.
     Tls2,
 }
 
-impl Wire {
+impl Protocol {
+    /// Returns the name in reports.
     pub fn name(self) -> &'static str {
         match self {
             Self::Http1 => "http/1.1",
@@ -49,23 +51,23 @@ impl Wire {
     }
 }
 
-/// What is drawn.
+/// The kind of drawing of a flight.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Drawing {
-    /// Nothing: wgpu's backend that does nothing.
+    /// wgpu's noop backend draws nothing.
     None,
-    /// On a key colour, to look for holes.
+    /// The background has a key colour, to detect holes.
     Holes,
-    /// Under the sky, to look for pictures that are none.
+    /// The background is the sky. Images are checked for black or transparent pixels.
     Sky,
 }
 
-/// What the server does wrong.
+/// The latency, bandwidth and shares of faults of the server.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Faults {
     pub latency_ms: f64,
     pub jitter_ms: f64,
-    /// Bytes a second of a connection; 0 for as many as go.
+    /// Bytes per second of a connection; 0 for no limit.
     pub bandwidth: f64,
     pub error: f64,
     pub truncate: f64,
@@ -77,7 +79,7 @@ pub struct Faults {
 }
 
 impl Faults {
-    /// The share of answers that something happens to.
+    /// Returns the share of answers with a fault.
     pub fn shares(&self) -> f64 {
         self.error + self.truncate + self.corrupt + self.stall + self.reset + self.silent + self.page
     }
@@ -103,15 +105,15 @@ impl Faults {
     }
 }
 
-/// Where a camera is and looks, relative to the set.
+/// The pose of a camera relative to the set.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose {
-    /// From the middle, in half extents.
+    /// Offset from the middle in half extents.
     pub east: f64,
     pub north: f64,
-    /// Above the highest ground, in radii of the set.
+    /// Height above the highest ground in radii of the set.
     pub height: f64,
-    /// Radians clockwise from north, and above the horizon.
+    /// Radians clockwise from north; `pitch` is in radians above the horizon.
     pub heading: f64,
     pub pitch: f64,
 }
@@ -121,15 +123,15 @@ impl Pose {
         Self {
             east: random.between(-1.0, 1.0),
             north: random.between(-1.0, 1.0),
-            // As often low as high.
+            // The logarithm is uniform, so low and high poses are equally frequent.
             height: 10f64.powf(random.between(-2.5, 0.6)),
             heading: random.between(0.0, std::f64::consts::TAU),
             pitch: if random.percent(90) { random.between(-1.5, -0.1) } else { random.between(0.0, 1.5) },
         }
     }
 
-    /// Where there is something to see.
-    fn over_it(random: &mut Random) -> Self {
+    /// Draws a pose that sees the ground.
+    fn above_ground(random: &mut Random) -> Self {
         Self {
             east: random.between(-0.8, 0.8),
             north: random.between(-0.8, 0.8),
@@ -139,12 +141,13 @@ impl Pose {
         }
     }
 
+    /// Interpolates between two poses.
     fn towards(&self, other: &Self, share: f64) -> Self {
         let mix = |a: f64, b: f64| a + (b - a) * share;
         Self {
             east: mix(self.east, other.east),
             north: mix(self.north, other.north),
-            // A dive is as quick at each height.
+            // The height changes by the same factor in each step.
             height: self.height.powf(1.0 - share) * other.height.powf(share),
             heading: mix(self.heading, other.heading),
             pitch: mix(self.pitch, other.pitch),
@@ -152,7 +155,7 @@ impl Pose {
     }
 }
 
-/// Something that happens before a frame. Numbers choose among what there is by then.
+/// An event before a frame. Its numbers choose among the objects that exist then, modulo their count.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Event {
     Model(ThreadingModel),
@@ -188,19 +191,19 @@ pub enum Event {
         view: usize,
         px: f64,
     },
-    /// Tells the pager the way that a view goes, or another view's, which it does not go.
+    /// Announces the path of a view to the pager. A wrong announcement is the path of another view.
     Announce {
         view: usize,
-        way_of: usize,
+        path_of: usize,
     },
-    /// Nobody knows where it goes.
-    Conceal(usize),
-    /// One of the proxies is to be loaded.
+    /// Withdraws the announcement of a view.
+    Withdraw(usize),
+    /// Requests one of the proxies.
     LoadProxy(usize),
-    /// Milliseconds without a frame.
+    /// Waits for this many milliseconds.
     Sleep(u64),
     Finish,
-    /// The second scene goes, with its views.
+    /// Removes the second scene with its views.
     RemoveScene,
     AddScene,
 }
@@ -212,9 +215,9 @@ pub struct Slides {
     pub length_s: f64,
     pub looping: LoopingMode,
     pub mode: SequenceMode,
-    /// Images loaded ahead.
+    /// The number of images that are loaded ahead.
     pub ahead: usize,
-    /// How fast time passes, 1 as the simulation's.
+    /// The speed of time relative to the simulation.
     pub multiplier: f64,
 }
 
@@ -235,15 +238,15 @@ impl Slides {
     }
 }
 
-/// All of a seed.
+/// Everything that a seed determines. Each field is one decision.
 #[derive(Clone, Debug)]
 pub struct Plan {
     pub seed: u64,
-    pub way: Way,
+    pub transport: Transport,
     pub drawing: Drawing,
     pub faults: Faults,
     pub pager: PagerConfig,
-    /// Budgets are smaller than what the views want.
+    /// True if budgets are smaller than what the views want.
     pub is_tiny: bool,
     pub has_cache: bool,
     pub model: ThreadingModel,
@@ -252,36 +255,37 @@ pub struct Plan {
     pub scenes: usize,
     pub sse_px: f64,
     pub frames: u32,
-    /// By view, by frame.
+    /// The poses by view and frame.
     pub poses: Vec<Vec<Pose>>,
-    /// By view, where cameras stay in the end.
+    /// The final pose of each view.
     pub last_poses: Vec<Pose>,
-    /// With the frame that they come before.
+    /// Events with the number of the frame that follows them.
     pub events: Vec<(u32, Event)>,
-    /// Microseconds until the next frame.
+    /// Microseconds between frames.
     pub between_us: u64,
-    /// Pictures are looked at every so many frames.
-    pub picture_every: u32,
-    /// All scenes have one pager.
+    /// The interval of image checks in frames.
+    pub image_interval: u32,
+    /// True if all scenes share one pager.
     pub share_pager: bool,
-    /// Levels are skipped whose error is so many times that of what is wanted; 1: none.
+    /// The factor of `CullSettings::skip_sse_factor`; 1 skips no level.
     pub skip_sse_factor: f64,
-    /// Contexts have a thread that fills staging memory.
+    /// True if contexts have a compile thread, which fills staging memory.
     pub compile_contexts: bool,
     pub look_ahead_s: f64,
-    /// The first scene has proxies beside its set.
+    /// True if the first scene has proxies beside its set.
     pub has_proxies: bool,
-    /// The first scene has a sequence of images.
+    /// The image sequence of the first scene, if it has one.
     pub slides: Option<Slides>,
-    pub wire: Wire,
+    pub protocol: Protocol,
 }
 
 impl Plan {
-    /// `draws` in so many of a hundred seeds something is drawn.
+    /// Draws the plan of a seed. `frames` replaces the random number of frames; `draws` is the percentage of seeds that are
+    /// drawn by an adapter.
     pub fn new(seed: u64, frames: Option<u32>, draws: u64) -> Self {
         let mut random = Random::new(seed);
         let r = &mut random;
-        let way = if r.percent(70) { Way::Http } else { Way::Disk };
+        let transport = if r.percent(70) { Transport::Server } else { Transport::Disk };
         let faults = Faults::random(r);
         let drawing = match (r.percent(draws), r.percent(70)) {
             (false, _) => Drawing::None,
@@ -298,12 +302,12 @@ impl Plan {
             CompileBudget { time: Duration::ZERO, bytes: 0 },
             CompileBudget { time: Duration::from_micros(200), bytes: 64 << 10 },
         ]);
-        let poses = (0..MOST_VIEWS).map(|_| flight(r, frames)).collect();
-        let last_poses = (0..MOST_VIEWS).map(|_| Pose::over_it(r)).collect();
+        let poses = (0..MAX_VIEWS).map(|_| flight(r, frames)).collect();
+        let last_poses = (0..MAX_VIEWS).map(|_| Pose::above_ground(r)).collect();
         let events = events(r, frames);
         let mut plan = Self {
             seed,
-            way,
+            transport,
             drawing,
             faults,
             pager,
@@ -319,15 +323,15 @@ impl Plan {
             last_poses,
             events,
             between_us: r.one_of(&[0, 300, 2000, 5000]),
-            picture_every: r.whole(1, 6) as u32,
+            image_interval: r.whole(1, 6) as u32,
             share_pager: r.percent(60),
             skip_sse_factor: r.one_of(&[1.0, 1.0, 2.0, 4.0, 16.0]),
             compile_contexts: r.percent(40),
             look_ahead_s: r.one_of(&[0.0, 1.0, 3.0]),
             has_proxies: r.percent(60),
             slides: if r.percent(40) { Some(Slides::random(r)) } else { None },
-            // What is new is drawn last: seeds keep all else that they had.
-            wire: r.one_of(&[Wire::Http1, Wire::Http2, Wire::Tls1, Wire::Tls2]),
+            // New decisions are drawn last, so that seeds keep the others.
+            protocol: r.one_of(&[Protocol::Http1, Protocol::Http2, Protocol::Tls1, Protocol::Tls2]),
         };
         if r.percent(40) {
             let event = |r: &mut Random| (r.whole(2, 120) as u32, r.one_of(&[Event::RemoveScene, Event::AddScene]));
@@ -336,12 +340,13 @@ impl Plan {
         plan
     }
 
-    /// A number that is the same where the plan is.
+    /// Returns a hash of the plan.
     pub fn digest(&self) -> u64 {
         terrane::math::random::fnv1a(format!("{self:?}").as_bytes())
     }
 }
 
+/// Draws the configuration of pagers, with short timeouts.
 fn pager(r: &mut Random, is_tiny: bool, blocking: bool) -> PagerConfig {
     let mut config = PagerConfig {
         file_threads: r.whole(1, 3) as usize,
@@ -376,16 +381,16 @@ fn pager(r: &mut Random, is_tiny: bool, blocking: bool) -> PagerConfig {
     config
 }
 
-/// Legs of a flight: stays, leaps, spins, dives, and ways straight over it.
+/// Draws a path of poses: stays, jumps, spins, dives, and straight lines.
 fn flight(r: &mut Random, frames: u32) -> Vec<Pose> {
     let mut poses: Vec<Pose> = Vec::new();
     let mut at = Pose::random(r);
     while poses.len() < frames as usize {
         let length = r.whole(1, 30) as usize;
         let to = match r.whole(0, 9) {
-            // Stays.
+            // The camera stays.
             0 | 1 => at,
-            // Leaps, each frame elsewhere.
+            // The camera jumps in each frame.
             2 => {
                 for _ in 0..length.min(6) {
                     poses.push(Pose::random(r));
@@ -395,7 +400,7 @@ fn flight(r: &mut Random, frames: u32) -> Vec<Pose> {
             }
             3 => Pose { heading: at.heading + r.between(-12.0, 12.0), ..at },
             4 | 5 => Pose { height: 10f64.powf(r.between(-3.0, 0.6)), pitch: r.between(-1.5, -0.3), ..at },
-            // Off and away, and back later.
+            // The camera moves far away.
             6 => Pose { height: 60.0, ..at },
             _ => Pose::random(r),
         };
@@ -407,6 +412,7 @@ fn flight(r: &mut Random, frames: u32) -> Vec<Pose> {
     poses
 }
 
+/// Draws the events of a flight. Their frequency is random.
 fn events(r: &mut Random, frames: u32) -> Vec<(u32, Event)> {
     let mut events = Vec::new();
     let often = r.one_of(&[2, 8, 25]);
@@ -431,10 +437,10 @@ fn events(r: &mut Random, frames: u32) -> Vec<(u32, Event)> {
             18 => Event::Sse { view: any, px: 10f64.powf(r.between(-0.7, 1.5)) },
             19 | 20 => Event::Sleep(r.whole(1, 30)),
             21 | 22 => {
-                let way_of = if r.percent(70) { any } else { r.whole(0, 99) as usize };
-                Event::Announce { view: any, way_of }
+                let path_of = if r.percent(70) { any } else { r.whole(0, 99) as usize };
+                Event::Announce { view: any, path_of }
             }
-            23 => Event::Conceal(any),
+            23 => Event::Withdraw(any),
             24 | 25 => Event::LoadProxy(any),
             _ => Event::Finish,
         };
@@ -448,7 +454,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_seed_is_one_plan() {
+    fn seed_determines_the_plan() {
         for seed in 0..50 {
             let (a, b) = (Plan::new(seed, None, 30), Plan::new(seed, None, 30));
             assert_eq!(a.digest(), b.digest());
@@ -459,10 +465,10 @@ mod tests {
     }
 
     #[test]
-    fn seeds_are_of_all_kinds() {
+    fn seeds_cover_all_kinds_of_plans() {
         let plans: Vec<Plan> = (0..200).map(|seed| Plan::new(seed, None, 25)).collect();
         let count = |holds: &dyn Fn(&Plan) -> bool| plans.iter().filter(|p| holds(p)).count();
-        assert!(count(&|p| p.way == Way::Http && p.faults.shares() > 0.0) > 60);
+        assert!(count(&|p| p.transport == Transport::Server && p.faults.shares() > 0.0) > 60);
         assert!(count(&|p| p.is_tiny) > 40 && count(&|p| p.pager.blocking) > 4 && count(&|p| p.scenes == 2) > 60);
         assert!(count(&|p| p.scenes == 2 && p.share_pager) > 30 && count(&|p| p.scenes == 2 && !p.share_pager) > 20);
         assert!(count(&|p| p.drawing == Drawing::Holes) > 15 && count(&|p| p.drawing == Drawing::Sky) > 5);
@@ -475,8 +481,8 @@ mod tests {
         assert!(events.iter().filter(|e| matches!(e, Event::AddScene)).count() > 50);
         assert!(count(&|p| p.skip_sse_factor > 1.0) > 60 && count(&|p| p.compile_contexts) > 50);
         assert!(count(&|p| p.has_proxies) > 80 && count(&|p| p.slides.is_some()) > 50);
-        for wire in [Wire::Http1, Wire::Http2, Wire::Tls1, Wire::Tls2] {
-            assert!(count(&|p| p.way == Way::Http && p.wire == wire) > 20, "{wire:?}");
+        for protocol in [Protocol::Http1, Protocol::Http2, Protocol::Tls1, Protocol::Tls2] {
+            assert!(count(&|p| p.transport == Transport::Server && p.protocol == protocol) > 20, "{protocol:?}");
         }
     }
 }

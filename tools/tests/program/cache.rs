@@ -161,7 +161,7 @@ fn a_filled_cache_needs_no_server() {
     assert!(!text.starts_with("1 files"), "{text}");
     until_whole(&[]);
     let (_, text, _) = fill(&[]);
-    assert!(text.contains(" 0 came (0.0 MiB), 0 failed"), "{text}");
+    assert!(text.contains(" 0 fetched (0.0 MiB), 0 failed"), "{text}");
     server.stop();
     let info = |source: &str, more: &[&str]| -> Value {
         serde_json::from_str(&said(&[&["info", source, "--json"], more].concat())).unwrap()
@@ -197,7 +197,7 @@ fn an_interrupt_waits_for_no_server() {
     };
     let out = interrupted(&["cache", "fill", &url]);
     let said = String::from_utf8_lossy(&out.stdout).into_owned() + &String::from_utf8_lossy(&out.stderr);
-    assert!(out.status.code() == Some(1) && said.contains("stopped, the same command goes on"), "{said}");
+    assert!(out.status.code() == Some(1) && said.contains("stopped, the same command continues"), "{said}");
     let out = interrupted(&["fly", &url, "--offscreen"]);
     assert_eq!(out.status.code(), Some(130), "{out:?}");
     // Nor where the windows' views have separate sets.

@@ -95,13 +95,13 @@ fn failures_are_reported() {
     let out = stress(&[&set, "--seeds", "12", "--frames", "20", "--drawn", "0", "--faults", "none"]);
     let said = String::from_utf8_lossy(&out.stdout).into_owned();
     assert_eq!(out.status.code(), Some(1), "{said}");
-    assert!(said.contains("FAILED disk") && said.contains("a good file that failed"), "{said}");
+    assert!(said.contains("FAILED disk") && said.contains("a valid file failed to load"), "{said}");
     // The failed seed fails again, with the same requests.
     let line = said.lines().find_map(|line| line.trim().strip_prefix("again: terrane stress ")).unwrap();
     let again: Vec<&str> = line.split(' ').collect();
     let (out, plan) = (stress(&again), said.split("    plan ").nth(1).unwrap());
     let once_more = String::from_utf8_lossy(&out.stdout);
-    assert!(out.status.code() == Some(1) && once_more.contains("a good file that failed"), "{line}: {once_more}");
+    assert!(out.status.code() == Some(1) && once_more.contains("a valid file failed to load"), "{line}: {once_more}");
     let out = stress(&[&again[..], &["--as-json"]].concat());
     let report: Value = serde_json::from_slice(&out.stdout).unwrap();
     assert_eq!(report["plan"].as_str(), plan.lines().next(), "{line}");

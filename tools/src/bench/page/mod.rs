@@ -1,8 +1,8 @@
-//! Paging cost on the terrain of the `osg_page` peer: 5461 tiles in seven levels, flown over on the same path.
+//! Measures paging on the terrain of the `osg_page` peer: 5461 tiles in seven levels, with a flight on the same path.
 //!
-//! One JSON object per phase with the peer's field names. A file is one tile here (four in the peer). The times of
-//! frames are without the uploads and merges between them (`between`), the peer's with its merges; what goes on there
-//! for too long makes the next frame `late`.
+//! Prints one JSON object per phase with the peer's field names. A file is one tile here and four in the peer. The times
+//! of frames exclude the uploads and merges between frames (`between`); the peer's include its merges. If that work takes
+//! too long, the next frame is `late`.
 
 mod tiles;
 
@@ -21,47 +21,47 @@ use terrane::pager::{
 };
 use terrane::scene::{Node, Page, Scene};
 
-use super::{Uploads, percentile, say};
+use super::{UploadContext, percentile, print_line};
 use crate::args::PageContent;
 use crate::net::NetArgs;
 use tiles::{ROOT, WORLD_M, height_m};
 
-/// What is measured, from the command line.
+/// The options of `terrane bench page`.
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Frames of the flight.
+    /// The number of frames of the flight.
     pub frames: u32,
-    /// Frames a second; 0 for as many as go.
+    /// Frames per second; 0 for no limit.
     pub pace_hz: f64,
-    /// Draw each frame too.
+    /// True to draw each frame.
     pub draw: bool,
-    /// Most tiles that are kept.
+    /// Maximum number of resident tiles.
     pub tiles: usize,
-    /// What the tiles hold.
+    /// The content of the tiles.
     pub content: PageContent,
-    /// So many terrains along each side, all from the same files.
+    /// The number of copies of the terrain along each side, all from the same files.
     pub world: u32,
-    /// A straight flight at so many metres a second instead of the peer's path.
+    /// The speed of a straight flight, in metres per second, instead of the peer's path.
     pub speed_m_s: Option<f64>,
-    /// Seconds of the flight for which to load ahead.
+    /// The time to prefetch for, in seconds.
     pub look_ahead_s: f64,
     /// See [`terrane::cull::CullSettings::skip_sse_factor`].
     pub skip_sse_factor: f64,
-    /// The path is not announced, but guessed.
+    /// True if the path is not announced, but extrapolated from the motion of the eye.
     pub by_motion: bool,
-    /// Where the folder of the tiles is served; `None` reads the files.
+    /// The URL that serves the folder of the tiles; `None` reads files.
     pub url: Option<String>,
-    /// How that server is talked to.
+    /// The network options for that server.
     pub net: NetArgs,
 }
 
-/// A phase that does not come to rest ends.
+/// The maximum duration of a phase that waits until everything is loaded.
 const TIMEOUT: Duration = Duration::from_secs(60);
 
-/// Frames of the rest after the flight.
+/// The number of frames of the phase `rest` after the flight.
 const REST_FRAMES: u32 = 600;
 
-/// Where the eye is on the peer's path, and the way it looks, level.
+/// Returns the position of the eye on the peer's path, and its horizontal direction. `u` is 0..1 over the path.
 fn on_path(u: f64) -> (DVec3, DVec3) {
     use std::f64::consts::{PI, TAU};
     let (x, y) = (8192.0 + 49152.0 * u, 32768.0 + 20000.0 * (TAU * u).sin());
@@ -69,13 +69,13 @@ fn on_path(u: f64) -> (DVec3, DVec3) {
     (eye, DVec3::new(49152.0, 40000.0 * PI * (TAU * u).cos(), 0.0).normalize())
 }
 
-/// The same so many metres along a straight line, from the first terrain's middle towards the last.
+/// Returns the position and direction after `metres` on a straight line from the middle of the first terrain.
 fn on_line(metres: f64) -> (DVec3, DVec3) {
-    // Not along a diagonal of tiles.
+    // The direction is not a diagonal of tiles.
     let ahead = DVec3::new(0.8, 0.6, 0.0);
-    let place = DVec3::new(0.5, 0.5, 0.0) * WORLD_M + ahead * metres;
-    let ground = height_m(place.x.rem_euclid(WORLD_M), place.y.rem_euclid(WORLD_M));
-    (place.with_z(ground + 1200.0), ahead)
+    let position = DVec3::new(0.5, 0.5, 0.0) * WORLD_M + ahead * metres;
+    let ground = height_m(position.x.rem_euclid(WORLD_M), position.y.rem_euclid(WORLD_M));
+    (position.with_z(ground + 1200.0), ahead)
 }
 
 fn camera((eye, ahead): (DVec3, DVec3), frame: u32) -> CullCamera {
@@ -85,7 +85,7 @@ fn camera((eye, ahead): (DVec3, DVec3), frame: u32) -> CullCamera {
     CullCamera { eye_from_world: DAffine3::from_mat4(view), viewport_px: [64, 64], frame, ..CullCamera::default() }
 }
 
-/// A figure of this process from the system, in MB; 0 where there is none.
+/// Returns a value of `/proc/self/status` in MB, 0 if the system does not have it.
 fn status_mb(name: &str) -> f64 {
     let text = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = text.lines().find_map(|l| l.strip_prefix(name));
@@ -93,7 +93,7 @@ fn status_mb(name: &str) -> f64 {
     kb.unwrap_or(0.0) / 1024.0
 }
 
-/// Processor time of this process, seconds; 0 where the system does not say.
+/// Returns the processor time of this process in seconds, 0 if the system does not report it.
 fn cpu_s() -> f64 {
     let text = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
     let fields: Vec<&str> = text.rsplit_once(')').map_or(Vec::new(), |(_, rest)| rest.split_whitespace().collect());
@@ -101,25 +101,25 @@ fn cpu_s() -> f64 {
     (ticks(11) + ticks(12)) / 100.0
 }
 
-/// Everything that lives through the phases.
+/// The state of all phases.
 struct Bench {
     options: Options,
     scene: Scene,
     pager: DatabasePager,
-    context: Uploads,
+    context: UploadContext,
     renderer: Option<terrane::draw::Renderer>,
     visitor: CullVisitor,
     stage: RenderStage,
     looks: PathLooks,
     motion: EyeMotion,
     guesses: MotionLooks,
-    /// Culls what will be seen, and is asked of the pager.
+    /// The result of prefetch culls, whose requests go to the pager.
     ahead: RenderStage,
     frame: u32,
     rss_start_mb: f64,
 }
 
-/// Times of one phase, seconds.
+/// The times of one phase in seconds.
 #[derive(Default)]
 struct Times {
     work: Vec<f64>,
@@ -127,17 +127,18 @@ struct Times {
     cull: Vec<f64>,
     compile: Vec<f64>,
     missing: Vec<f64>,
-    /// Uploads and merges between two frames, waiting for them included.
+    /// The time between two frames for uploads and merges, including waiting for them.
     between: Vec<f64>,
-    /// How much later than due the next frame began.
+    /// The delay of the next frame.
     late: Vec<f64>,
-    /// Since when something visible is missing, and what had been read by then.
+    /// The time since when a visible tile is missing, and the bytes that had been read by then.
     missing_since: Option<(Instant, u64)>,
-    /// The longest such time, and what was read in it.
+    /// The longest such duration, and the bytes that were read in it.
     longest_gap: (Duration, u64),
 }
 
 impl Times {
+    /// Records whether a visible tile is missing in this frame.
     fn gap(&mut self, is_missing: bool, bytes_read: u64) {
         let Some((since, bytes_before)) = self.missing_since else {
             self.missing_since = is_missing.then(|| (Instant::now(), bytes_read));
@@ -182,7 +183,7 @@ pub fn run(options: Options) -> Result<()> {
         options,
         scene,
         pager,
-        context: Uploads(graphics),
+        context: UploadContext(graphics),
         renderer,
         visitor: CullVisitor::new(),
         stage: RenderStage::new(),
@@ -198,11 +199,11 @@ pub fn run(options: Options) -> Result<()> {
         if bench.pager.stats().loaded == 0 {
             let first = bench.pager.errors().into_iter().next();
             bail!(
-                "no tile came; {}",
-                first.map_or("nothing failed".to_owned(), |e| format!("{}: {}", e.uri, e.reason))
+                "no tile was loaded; {}",
+                first.map_or("no request failed".to_owned(), |e| format!("{}: {}", e.uri, e.reason))
             );
         }
-        say(line);
+        print_line(line);
     }
     Ok(())
 }
@@ -210,10 +211,10 @@ pub fn run(options: Options) -> Result<()> {
 impl Bench {
     fn phase(&mut self, name: &str) -> Result<Value> {
         let fly = name == "fly";
-        // The others end when nothing is missing.
+        // The other phases end when no tile is missing.
         let frames = match name {
             "fly" => Some(self.options.frames),
-            // What the machine makes of frames in which nothing changes: no flight's are steadier.
+            // Frames in which nothing changes show the noise of the machine.
             "rest" => Some(self.options.frames.min(REST_FRAMES)),
             _ => None,
         };
@@ -239,7 +240,7 @@ impl Bench {
             let stats = self.pager.stats();
             tiles_peak = tiles_peak.max(stats.resident);
             if frames.is_none() {
-                // What was merged between the frames counts until the end of the frame that shows it.
+                // A page that was merged between frames counts until the end of the frame that shows it.
                 let merged_now = stats.merged;
                 if std::mem::replace(&mut merged, merged_now) != merged_now
                     || !self.stage.requests.is_empty()
@@ -271,7 +272,7 @@ impl Bench {
         Ok(self.line(name, &before, time_s, converged, cpu_s() - cpu, tiles_peak, times))
     }
 
-    /// Seconds that a frame stands for.
+    /// Returns the duration of a frame on the path in seconds.
     fn frame_s(&self) -> f64 {
         1.0 / if self.options.pace_hz > 0.0 { self.options.pace_hz } else { 60.0 }
     }
@@ -282,7 +283,7 @@ impl Bench {
         camera
     }
 
-    /// Where the eye is in a frame of the flight, or between two.
+    /// Returns the position and direction of the eye in a frame of the flight; `frame` may lie between two.
     fn pose(&self, frame: f64) -> (DVec3, DVec3) {
         match self.options.speed_m_s {
             Some(speed) => on_line(speed * frame * self.frame_s()),
@@ -290,7 +291,7 @@ impl Bench {
         }
     }
 
-    /// Asks for what the flight will want, as a viewer does on an announced path.
+    /// Requests the tiles that the flight will want, as a viewer does with an announced path.
     fn look_ahead(&mut self, frame: f64) {
         if self.options.by_motion {
             return self.look_by_motion(frame);
@@ -306,7 +307,7 @@ impl Bench {
         self.stage.requests.extend(self.looks.requests(frame_s));
     }
 
-    /// The same, as a viewer does where none is.
+    /// Requests the tiles that the flight will want, as a viewer does without an announced path.
     fn look_by_motion(&mut self, frame: f64) {
         let now_s = frame * self.frame_s();
         let here = self.camera(self.pose(frame), 0).eye_from_world.inverse();
@@ -324,7 +325,7 @@ impl Bench {
         self.stage.requests.extend(self.guesses.requests(&self.motion));
     }
 
-    /// Update, cull, upload and, if asked for, draw.
+    /// Runs update, cull, upload and, if the options ask for it, draw.
     fn one_frame(&mut self, frame: f64, is_flying: bool, times: &mut Times) -> Result<()> {
         self.frame += 1;
         let t0 = Instant::now();
@@ -366,7 +367,8 @@ impl Bench {
         let (frames, missing_sum) = (times.work.len(), times.missing.iter().sum::<f64>());
         let round = |v: f64| (v * 1e3).round() / 1e3;
         let ms = |v: &mut Vec<f64>, p: f64| round(percentile(v, p) * 1e3);
-        // Before the times are sorted: frames beyond twice the median that would not be without their paging.
+        // Hitches are frames over twice the median that would not be so without paging. `percentile` sorts the times, so they
+        // are counted first.
         let mut sorted = times.work.clone();
         let median = percentile(&mut sorted, 0.5);
         let hitches = (times.work.iter().zip(&times.update).zip(&times.compile))

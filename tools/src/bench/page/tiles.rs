@@ -1,4 +1,4 @@
-//! The terrain of the `osg_page` peer: 5461 tiles in seven levels, as files and as the tree that names them.
+//! The terrain of the `osg_page` peer: 5461 tiles in seven levels, as files and as a tile tree that names them.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -12,20 +12,22 @@ use terrane::scene::{Node, NodeKind, PagedLod, PagingOptions, RangeMode, Refine}
 
 use crate::args::PageContent;
 
-/// Side of the terrain in metres, corner at the origin.
+/// The side of the terrain in metres. One corner is at the origin.
 pub const WORLD_M: f64 = 65536.0;
-/// Deepest level.
+/// The finest level.
 const LEVELS: u32 = 6;
-/// Tiles of the terrain.
+/// The number of tiles of the terrain.
 pub const COUNT: f64 = 5461.0;
-/// Vertices and texels along a tile's side.
+/// The number of vertices along a tile's side.
 const SIDE: usize = 33;
+/// The number of texels along a tile's side.
 const TEXELS: usize = 64;
-/// A tile gives way to its children nearer than so many radii.
+/// A tile is refined if the eye is nearer than this number of its radii.
 const RATIO: f64 = 7.0;
-/// Changes when the tiles' form does: other folders are not read.
+/// The folder of the tiles. It changes with their format, so that old tiles are not used.
 const VERSION: &str = "bench-page-3";
-/// The ground above a place.
+
+/// Returns the height of the ground in metres.
 pub fn height_m(x: f64, y: f64) -> f64 {
     800.0 * (x / 5000.0).sin() * (y / 7000.0).cos()
         + 200.0 * (x / 900.0 + 1.0).sin() * (y / 1100.0).sin()
@@ -54,11 +56,12 @@ impl Tile {
         DVec3::new(x, y, height_m(x, y))
     }
 
+    /// Returns the name of the tile's file.
     pub fn file(self, extension: &str) -> String {
         format!("t_{}_{}_{}.{extension}", self.level, self.x, self.y)
     }
 
-    /// The content's URI, and what its reader needs beside it.
+    /// Returns the URI of the content, and the additional data for its reader.
     fn content(self, base: &str, content: PageContent) -> (Arc<str>, Option<Arc<str>>) {
         let uri = |extension| format!("{base}{}", self.file(extension));
         match content {
@@ -80,14 +83,14 @@ impl Tile {
         (0..if inner { 4 } else { 0 }).map(child)
     }
 
-    /// The tile and everything below it.
+    /// Returns the node of the tile with everything below it.
     pub fn node(self, base: &str, content: PageContent) -> Node {
         let center = self.center();
         let radius_m = self.side_m() * 0.5f64.sqrt();
         let bounds = if self.level < LEVELS {
             BoundingVolume::Sphere(BoundingSphere { center, radius_m })
         } else {
-            // A leaf of the peer is its mesh, with the mesh's own box.
+            // The bound of a leaf is the box of its mesh, as in the peer.
             let [x0, y0] = self.corner();
             let step = self.side_m() / (SIDE - 1) as f64;
             let heights =
@@ -112,7 +115,7 @@ impl Tile {
         Node { children, ..Node::new(NodeKind::PagedLod(Box::new(lod))) }
     }
 
-    /// The tile as binary glTF: y-up, east and north relative to its centre; a stored (not deflated) PNG.
+    /// Returns the tile as binary glTF with y up, relative to the centre of the tile. Its PNG is stored without compression.
     fn glb(self, png: &[u8], quantized: bool) -> Result<Vec<u8>> {
         let ([x0, y0], center, side_m) = (self.corner(), self.center(), self.side_m());
         let step = side_m / (SIDE - 1) as f64;
@@ -141,7 +144,7 @@ impl Tile {
         Ok(write_glb(&mesh))
     }
 
-    /// The tile's heights as EXR, first row in the north, one sample around.
+    /// Returns the heights of the tile as EXR, north row first, with a border of one sample.
     fn exr(self) -> Result<Vec<u8>> {
         let ([x0, y0], step) = (self.corner(), self.side_m() / (SIDE - 1) as f64);
         let stride = SIDE + 2;
@@ -152,7 +155,7 @@ impl Tile {
         Ok(write_height_exr("tile", stride, (0..stride * stride).map(height).collect())?)
     }
 
-    /// The peer's texels, its first row in the south.
+    /// Returns the image of the tile as PNG, with the texels of the peer, whose first row is in the south.
     fn png(self) -> Result<Vec<u8>> {
         use image::ImageEncoder as _;
         use image::codecs::png::{CompressionType, FilterType, PngEncoder};
@@ -182,7 +185,7 @@ impl Tile {
 /// The whole terrain.
 pub const ROOT: Tile = Tile { level: 0, x: 0, y: 0 };
 
-/// The folder of the tiles; writes them, once.
+/// Returns the folder of the tiles. The first call writes them, 640 MB in the user's cache folder.
 pub fn tiles() -> Result<PathBuf> {
     let cache = crate::default_set::cache_folder().unwrap_or_else(std::env::temp_dir);
     let folder = cache.join("terrane").join(VERSION);
@@ -203,7 +206,7 @@ pub fn tiles() -> Result<PathBuf> {
         }
         std::fs::write(&complete, "").with_context(made)?;
     }
-    // Into the page cache: both sides are measured warm.
+    // All files are read once, so that the system has them in its cache: the peer is measured warm as well.
     for entry in std::fs::read_dir(&folder)? {
         std::io::copy(&mut std::fs::File::open(entry?.path())?, &mut std::io::sink())?;
     }

@@ -1,4 +1,4 @@
-//! What happens before a frame, by the plan.
+//! Applies the events of the plan before a frame.
 
 use std::time::Duration;
 
@@ -7,13 +7,14 @@ use glam::{DMat4, DVec3};
 use terrane::viewer::{AnimationPath, ControlPoint, Slave};
 
 use super::flight::{Flight, time_s, world_from_eye};
-use super::plan::{Event, MOST_CONTEXTS, MOST_SCENES, MOST_VIEWS};
+use super::plan::{Event, MAX_CONTEXTS, MAX_SCENES, MAX_VIEWS};
 
-/// Frames from one point of an announced way to the next.
-const FRAMES_OF_POINT: usize = 4;
+/// The number of frames between points of an announced path.
+const FRAMES_PER_POINT: usize = 4;
 
 impl Flight<'_> {
-    pub(super) fn happen(&mut self, event: Event) -> Result<()> {
+    /// Applies one event. Its numbers choose among the objects that exist now.
+    pub(super) fn apply(&mut self, event: Event) -> Result<()> {
         let (scenes, scene_count) = (self.scenes.clone(), self.scenes.len());
         let at = |list: usize, any: usize| any % list.max(1);
         match event {
@@ -23,16 +24,15 @@ impl Flight<'_> {
                 let context = self.contexts[at(self.contexts.len(), context)];
                 self.viewer()?.resize_context(context, size_px)?;
             }
-            Event::OpenContext if self.contexts.len() < MOST_CONTEXTS => {
+            Event::OpenContext if self.contexts.len() < MAX_CONTEXTS => {
                 let context = self.context()?;
                 let opened = self.viewer()?.open_context(context)?;
                 self.contexts.push(opened);
             }
-            // The first one stays, for the pictures.
+            // The first context stays open, because its images are checked.
             Event::CloseContext(any) if self.contexts.len() > 1 => {
-                let place = 1 + at(self.contexts.len() - 1, any);
-                let closed = self.contexts.remove(place);
-                ensure!(self.viewer()?.close_context(closed)?, "an open context is not there");
+                let closed = self.contexts.remove(1 + at(self.contexts.len() - 1, any));
+                ensure!(self.viewer()?.close_context(closed)?, "an open context was not found");
                 self.slaves.retain(|(_, _, context)| *context != closed);
                 for (view, context) in self.views.clone() {
                     if context == closed {
@@ -42,7 +42,7 @@ impl Flight<'_> {
                     }
                 }
             }
-            Event::AddView { context, scene, part } if self.views.len() < MOST_VIEWS => {
+            Event::AddView { context, scene, part } if self.views.len() < MAX_VIEWS => {
                 self.add_view(scene, context, part)?;
             }
             Event::RemoveView(any) if self.views.len() > 1 => {
@@ -50,7 +50,7 @@ impl Flight<'_> {
                 self.slaves.retain(|(of, _, _)| *of != view);
                 self.viewer()?.remove_view(view)?;
             }
-            Event::AddSlave { view, context, shift } if self.slaves.len() < MOST_VIEWS => {
+            Event::AddSlave { view, context, shift } if self.slaves.len() < MAX_VIEWS => {
                 let view = self.views[at(self.views.len(), view)].0;
                 let context = self.contexts[at(self.contexts.len(), context)];
                 let offset = DMat4::from_translation(DVec3::new(shift, 0.0, 0.0));
@@ -60,7 +60,7 @@ impl Flight<'_> {
             }
             Event::RemoveSlave(any) if !self.slaves.is_empty() => {
                 let (view, slave, _) = self.slaves.remove(at(self.slaves.len(), any));
-                ensure!(self.viewer()?.remove_slave(view, slave)?, "a slave is not there");
+                ensure!(self.viewer()?.remove_slave(view, slave)?, "a slave camera was not found");
             }
             Event::Pause { scene, is_paused } => {
                 if let Some(pager) = self.viewer()?.pager_mut(scenes[at(scene_count, scene)])? {
@@ -73,23 +73,23 @@ impl Flight<'_> {
                 }
             }
             Event::Clear(scene) => {
-                let place = at(scene_count, scene);
+                let number = at(scene_count, scene);
                 let mut left = self.pages_in_each()?;
-                left[place] = 0;
-                self.viewer()?.clear_pages(scenes[place])?;
-                let there = self.pages_in_each()?;
-                let says = || format!("{there:?} instead of {left:?}");
-                self.failures.check(there == left, "a clear took what is another scene's", self.frame, says);
+                left[number] = 0;
+                self.viewer()?.clear_pages(scenes[number])?;
+                let found = self.pages_in_each()?;
+                let says = || format!("{found:?} instead of {left:?}");
+                self.failures.check(found == left, "a clear removed pages of another scene", self.frame, says);
             }
             Event::Sse { view, px } => {
                 let view = self.views[at(self.views.len(), view)].0;
                 self.viewer()?.view_mut(view)?.camera.settings.max_sse_px = px;
             }
-            Event::Announce { view, way_of } => {
-                let place = at(self.views.len(), view);
-                self.announce(place, way_of)?;
+            Event::Announce { view, path_of } => {
+                let number = at(self.views.len(), view);
+                self.announce(number, path_of)?;
             }
-            Event::Conceal(view) => {
+            Event::Withdraw(view) => {
                 let view = self.views[at(self.views.len(), view)].0;
                 self.viewer()?.view_mut(view)?.announced = None;
             }
@@ -98,9 +98,9 @@ impl Flight<'_> {
                     proxies.load(viewer, any)?;
                 }
             }
-            // The first one has the proxies, the sign, and the view of the pictures.
+            // The first scene stays, because it has the proxies, the sign, and the view whose images are checked.
             Event::RemoveScene if self.scenes.len() > 1 => self.remove_scene(1)?,
-            Event::AddScene if self.scenes.len() < MOST_SCENES => {
+            Event::AddScene if self.scenes.len() < MAX_SCENES => {
                 self.set_faulty(false);
                 let mut viewer = self.viewer.take().context("the viewer is gone")?;
                 let added = self.add_scene(&mut viewer);
@@ -122,8 +122,8 @@ impl Flight<'_> {
         Ok(())
     }
 
-    fn remove_scene(&mut self, place: usize) -> Result<()> {
-        let scene = self.scenes.remove(place);
+    fn remove_scene(&mut self, number: usize) -> Result<()> {
+        let scene = self.scenes.remove(number);
         for (view, _) in self.views.clone() {
             if self.viewer()?.scene_of(view)? == scene {
                 self.viewer()?.remove_view(view)?;
@@ -142,10 +142,10 @@ impl Flight<'_> {
         Ok(self.viewer()?.remove_scene(scene)?)
     }
 
-    /// The rest of a way, from the next frame on.
-    fn announce(&mut self, view: usize, way_of: usize) -> Result<()> {
-        let poses = &self.plan.poses[way_of % self.plan.poses.len()];
-        let rest = poses.iter().enumerate().skip(self.frame as usize).step_by(FRAMES_OF_POINT);
+    /// Announces the path of a view from the next frame on.
+    fn announce(&mut self, view: usize, path_of: usize) -> Result<()> {
+        let poses = &self.plan.poses[path_of % self.plan.poses.len()];
+        let rest = poses.iter().enumerate().skip(self.frame as usize).step_by(FRAMES_PER_POINT);
         let point = |(frame, pose)| ControlPoint::from_pose(time_s(frame as u32), &world_from_eye(&self.bounds, pose));
         let path = AnimationPath::new(rest.map(point).collect())?;
         let view = self.views[view].0;

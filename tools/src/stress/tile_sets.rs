@@ -1,5 +1,5 @@
-//! The sets that are flown over where none is given: heights, meshes, meshes in tilesets within tilesets, meshes that are
-//! only wanted from near, and archives, in a temporary folder.
+//! The sets that are flown over by default, in a temporary folder: heights, meshes, nested tilesets, tiles with request
+//! volumes, and archives.
 
 use std::path::{Path, PathBuf};
 
@@ -7,28 +7,30 @@ use anyhow::{Context as _, Result};
 use serde_json::{Value, json};
 use terrane_data_gen::{ContentKind, GenArgs};
 
-use super::archive;
+use super::archive_writer;
 
-/// Every so many levels a tileset of its own begins.
+/// The number of levels in each nested tileset.
 const NESTED_LEVELS: u32 = 2;
 
-/// From this level on tiles have a volume from within which they are wanted: as many of their own sides around them.
+/// The first level whose tiles have a request volume.
 const VOLUMES_FROM_LEVEL: u32 = 2;
+/// The size of a request volume beyond its tile, in sides of the tile.
 const VOLUME_SIDES: f64 = 1.5;
 
-/// Metres of a radian on the ground.
+/// The length of a radian on the ground in metres.
 const RADIAN_M: f64 = 6.4e6;
 
-/// The sets by seed, and what they come as.
+/// The set of each seed, modulo their count, as folder, tileset or archive.
 const SETS: [&str; 7] = ["mesh", "height", "mesh/nested.json", "height.3tz", "mesh/volumes.json", "height", "mesh.3tz"];
 
-/// Small sets; their folder goes with them.
-pub struct Sets {
+/// Small sets. Dropping them removes their folder.
+pub struct TileSets {
     folder: PathBuf,
 }
 
-impl Sets {
-    pub fn make() -> Result<Self> {
+impl TileSets {
+    /// Generates the sets.
+    pub fn generate() -> Result<Self> {
         let folder = std::env::temp_dir().join(format!("terrane-stress-sets-{}", std::process::id()));
         std::fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
         let sets = Self { folder };
@@ -43,28 +45,28 @@ impl Sets {
             })?;
         }
         let mesh = sets.folder.join("mesh");
-        nest(&mesh).context("tilesets within tilesets")?;
-        bound(&mesh).context("volumes of requests")?;
+        write_nested(&mesh).context("nested tilesets")?;
+        write_with_volumes(&mesh).context("request volumes")?;
         for name in ["height", "mesh"] {
-            archive::write(&sets.folder.join(name), &sets.folder.join(format!("{name}.3tz")))?;
+            archive_writer::write(&sets.folder.join(name), &sets.folder.join(format!("{name}.3tz")))?;
         }
         Ok(sets)
     }
 
-    /// The set of a seed.
+    /// Returns the path of the set for a seed.
     pub fn of(&self, seed: u64) -> String {
         self.folder.join(SETS[(seed % SETS.len() as u64) as usize]).display().to_string()
     }
 }
 
-impl Drop for Sets {
+impl Drop for TileSets {
     fn drop(&mut self) {
         let _ = std::fs::remove_dir_all(&self.folder);
     }
 }
 
-/// Writes the set in a folder once more as `nested.json`, its lower levels as tilesets of their own.
-fn nest(folder: &Path) -> Result<()> {
+/// Writes a copy of the tileset as `nested.json`, with its lower levels as nested tilesets.
+fn write_nested(folder: &Path) -> Result<()> {
     let mut whole: Value = serde_json::from_slice(&std::fs::read(folder.join("tileset.json"))?)?;
     let asset = whole["asset"].clone();
     let mut written = 0;
@@ -75,6 +77,7 @@ fn nest(folder: &Path) -> Result<()> {
     Ok(())
 }
 
+/// Moves the levels below a tile to nested tilesets.
 fn nest_below(tile: &mut Value, level: u32, folder: &Path, asset: &Value, written: &mut u32) -> Result<()> {
     let Some(children) = tile.get_mut("children").and_then(Value::as_array_mut) else { return Ok(()) };
     for child in children {
@@ -94,20 +97,21 @@ fn nest_below(tile: &mut Value, level: u32, folder: &Path, asset: &Value, writte
     Ok(())
 }
 
-/// Writes the set in a folder once more as `volumes.json`, its lower levels wanted only from near, and the lowest of them
-/// added to what is above.
-fn bound(folder: &Path) -> Result<()> {
+/// Writes a copy of the tileset as `volumes.json`. Its lower levels have request volumes, and the lowest of them are added
+/// to their parents instead of replacing them.
+fn write_with_volumes(folder: &Path) -> Result<()> {
     let mut whole: Value = serde_json::from_slice(&std::fs::read(folder.join("tileset.json"))?)?;
     bound_below(&mut whole["root"], 0)?;
     std::fs::write(folder.join("volumes.json"), whole.to_string())?;
     Ok(())
 }
 
+/// Adds request volumes to a tile and the tiles below it.
 fn bound_below(tile: &mut Value, level: u32) -> Result<()> {
     tile["refine"] = if level > VOLUMES_FROM_LEVEL { "ADD" } else { "REPLACE" }.into();
     if level >= VOLUMES_FROM_LEVEL {
-        let of = tile["boundingVolume"]["region"].as_array().context("a region")?;
-        let [west, south, east, north, low, high] = numbers(of).context("a region of six numbers")?;
+        let region = tile["boundingVolume"]["region"].as_array().context("no region")?;
+        let [west, south, east, north, low, high] = numbers(region).context("a region without six numbers")?;
         let (across, along) = (VOLUME_SIDES * (east - west), VOLUME_SIDES * (north - south));
         let up_m = RADIAN_M * across.max(along);
         tile["viewerRequestVolume"] = json!({

@@ -1,11 +1,11 @@
-//! `--faults`: what the server does wrong, from the command line.
+//! The option `--faults`: the faults of the server.
 
 use std::str::FromStr;
 
 use super::plan::Faults;
 use crate::values::{amount, share};
 
-/// As `error=0.1,latency-ms=20`, or `none`.
+/// Faults that are written such as `error=0.1,latency-ms=20`, or `none`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FaultSpec(pub Faults);
 
@@ -19,7 +19,7 @@ impl FromStr for FaultSpec {
             let is_share = !matches!(name, "latency-ms" | "jitter-ms" | "bandwidth");
             let value = if is_share { share(value) } else { amount(value) };
             let value = value.map_err(|what| format!("{name}: {what}"))?;
-            let place = match name {
+            let field = match name {
                 "latency-ms" => &mut faults.latency_ms,
                 "jitter-ms" => &mut faults.jitter_ms,
                 "bandwidth" => &mut faults.bandwidth,
@@ -30,12 +30,12 @@ impl FromStr for FaultSpec {
                 "reset" => &mut faults.reset,
                 "silent" => &mut faults.silent,
                 "page" => &mut faults.page,
-                _ => return Err(format!("{name} is no fault")),
+                _ => return Err(format!("unknown fault {name}")),
             };
-            *place = value;
+            *field = value;
         }
         let all = faults.shares();
-        if all <= 1.0 { Ok(Self(faults)) } else { Err(format!("the shares are {all} together, more than 1")) }
+        if all <= 1.0 { Ok(Self(faults)) } else { Err(format!("the sum of the shares is {all}, more than 1")) }
     }
 }
 
@@ -52,7 +52,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn specs() {
+    fn fault_specs_are_parsed() {
         let spec: FaultSpec = "error=0.25,latency-ms=20".parse().unwrap();
         assert_eq!((spec.0.error, spec.0.latency_ms, spec.0.shares()), (0.25, 20.0, 0.25));
         assert_eq!(spec.to_string().parse(), Ok(spec));

@@ -1,4 +1,4 @@
-//! PNG files written on a thread of their own, so that encoding does not count as frame time.
+//! Writes PNG files on a separate thread, so that encoding does not count as frame time.
 
 use std::path::PathBuf;
 use std::thread::JoinHandle;
@@ -7,18 +7,19 @@ use anyhow::{Context as _, Result, anyhow};
 use crossbeam_channel::Sender;
 use image::RgbaImage;
 
-/// Pictures that may wait for the encoder before the flight does.
-const WAITING: usize = 8;
+/// Maximum number of images that wait for the encoder. The flight waits when the queue is full.
+const MAX_QUEUED: usize = 8;
 
-/// Encodes and writes in the order given; [`Self::finish`] waits and tells the first failure.
-pub struct PictureWriter {
+/// Encodes and writes images in the given order. [`Self::finish`] waits and returns the first error.
+pub struct ImageWriter {
     sender: Option<Sender<(PathBuf, RgbaImage)>>,
     join: Option<JoinHandle<Result<usize>>>,
 }
 
-impl PictureWriter {
+impl ImageWriter {
+    /// Starts the thread.
     pub fn new() -> Result<Self> {
-        let (sender, receiver) = crossbeam_channel::bounded::<(PathBuf, RgbaImage)>(WAITING);
+        let (sender, receiver) = crossbeam_channel::bounded::<(PathBuf, RgbaImage)>(MAX_QUEUED);
         let work = move || {
             let mut written = 0;
             for (path, image) in receiver {
@@ -27,21 +28,21 @@ impl PictureWriter {
             }
             Ok(written)
         };
-        let join = std::thread::Builder::new().name("pictures".into()).spawn(work).context("pictures thread")?;
+        let join = std::thread::Builder::new().name("images".into()).spawn(work).context("images thread")?;
         Ok(Self { sender: Some(sender), join: Some(join) })
     }
 
-    /// Hands a picture over; fails when an earlier one could not be written.
+    /// Queues an image. Returns the error of an earlier image that could not be written.
     pub fn write(&mut self, path: PathBuf, image: RgbaImage) -> Result<()> {
         let sender = self.sender.as_ref().ok_or_else(|| anyhow!("the writer is finished"))?;
         match sender.send((path, image)) {
             Ok(()) => Ok(()),
-            // The thread ended: it says why.
-            Err(_) => self.end().and(Err(anyhow!("the pictures thread stopped"))),
+            // The thread has ended, so its result is the error.
+            Err(_) => self.end().and(Err(anyhow!("the images thread stopped"))),
         }
     }
 
-    /// Waits for all pictures and counts them.
+    /// Waits until all images are written and returns their number.
     pub fn finish(mut self) -> Result<usize> {
         self.end()
     }
@@ -50,28 +51,28 @@ impl PictureWriter {
         self.sender = None;
         match self.join.take().map(JoinHandle::join) {
             Some(Ok(result)) => result,
-            _ => Err(anyhow!("the pictures thread stopped")),
+            _ => Err(anyhow!("the images thread stopped")),
         }
     }
 }
 
-impl Drop for PictureWriter {
+impl Drop for ImageWriter {
     fn drop(&mut self) {
         self.sender = None;
         if let Some(join) = self.join.take() {
-            // Only on the way out of a failure that is told already.
+            // The writer is dropped without `finish` only after another error, which is reported already.
             let _ = join.join();
         }
     }
 }
 
-/// Writes one picture; alpha is left out, pictures have no transparency.
+/// Writes one image as RGB. Frames are opaque, so alpha is left out.
 pub fn write(path: &std::path::Path, image: &RgbaImage) -> Result<()> {
     if let Some(folder) = path.parent() {
         std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
     }
     let rgb = image::DynamicImage::ImageRgba8(image.clone()).into_rgb8();
-    // Not straight to a file: what a buffer could not write when it goes is told to nobody.
+    // The file is written from memory, because a buffered writer would ignore errors when it is dropped.
     let mut png = std::io::Cursor::new(Vec::new());
     rgb.write_to(&mut png, image::ImageFormat::Png).with_context(|| path.display().to_string())?;
     std::fs::write(path, png.into_inner()).with_context(|| path.display().to_string())

@@ -1,4 +1,4 @@
-//! Seeds in processes of their own, several at once.
+//! Runs seeds in separate processes, several at the same time.
 
 use std::process::{Command, Output, Stdio};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -7,15 +7,15 @@ use std::time::{Duration, Instant};
 use anyhow::{Context as _, Result};
 
 use super::flight::Outcome;
-use super::set::Sets;
-use super::{SeedReport, StressArgs, watch};
+use super::tile_sets::TileSets;
+use super::{SeedReport, StressArgs, watchdog};
 
-/// Lines of what a process said that died.
+/// The number of lines of standard error that are reported of a process that died.
 const LAST_LINES: usize = 12;
 
-/// Calls `done` for each seed as it ends.
-pub fn run(args: &StressArgs, made: Option<&Sets>, mut done: impl FnMut(SeedReport) -> Result<()>) -> Result<()> {
-    let program = std::env::current_exe().context("the program's own file")?;
+/// Runs all seeds and calls `done` with each result on this thread. An error of `done` ends the run.
+pub fn run(args: &StressArgs, sets: Option<&TileSets>, mut done: impl FnMut(SeedReport) -> Result<()>) -> Result<()> {
+    let program = std::env::current_exe().context("path of this program")?;
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let jobs = args.jobs.map_or(cores, usize::from);
     let end = args.minutes.map(|minutes| Instant::now() + Duration::from_secs_f64(60.0 * minutes));
@@ -26,19 +26,19 @@ pub fn run(args: &StressArgs, made: Option<&Sets>, mut done: impl FnMut(SeedRepo
             let (sender, next, stop, program) = (sender.clone(), &next, &stop, &program);
             scope.spawn(move || {
                 loop {
-                    let place = next.fetch_add(1, Ordering::Relaxed);
-                    let is_over = match end {
+                    let number = next.fetch_add(1, Ordering::Relaxed);
+                    let is_last = match end {
                         Some(end) => Instant::now() >= end,
-                        None => place >= args.seeds,
+                        None => number >= args.seeds,
                     };
-                    if is_over || stop.load(Ordering::Relaxed) {
+                    if is_last || stop.load(Ordering::Relaxed) {
                         return;
                     }
-                    let seed = args.first_seed.wrapping_add(place);
+                    let seed = args.first_seed.wrapping_add(number);
                     let mut command = Command::new(program);
-                    let source = args.source.clone().or_else(|| made.map(|sets| sets.of(seed)));
-                    command.args(of_seed(args, source, seed)).arg("--as-json").stdin(Stdio::null());
-                    let output = command.output().context("a seed's process");
+                    let source = args.source.clone().or_else(|| sets.map(|sets| sets.of(seed)));
+                    command.args(arguments(args, source, seed)).arg("--as-json").stdin(Stdio::null());
+                    let output = command.output().context("start of a process for a seed");
                     if sender.send(output.map(|output| report(args, seed, &output))).is_err() {
                         return;
                     }
@@ -47,20 +47,20 @@ pub fn run(args: &StressArgs, made: Option<&Sets>, mut done: impl FnMut(SeedRepo
         }
         drop(sender);
         for report in &reports {
-            let told = report.and_then(&mut done);
-            if told.is_err() {
+            let result = report.and_then(&mut done);
+            if result.is_err() {
                 stop.store(true, Ordering::Relaxed);
-                // Whoever still sends is not kept waiting.
+                // Threads that still send get an error instead of waiting.
                 drop(reports);
-                return told;
+                return result;
             }
         }
         Ok(())
     })
 }
 
-/// The arguments that fly a seed over a source in a process of its own.
-pub fn of_seed(args: &StressArgs, source: Option<String>, seed: u64) -> Vec<String> {
+/// Returns the arguments to fly a seed over a source in a separate process.
+pub fn arguments(args: &StressArgs, source: Option<String>, seed: u64) -> Vec<String> {
     let mut line = vec!["stress".to_owned()];
     line.extend(source);
     let mut add = |name: &str, value: String| line.extend([name.to_owned(), value]);
@@ -76,17 +76,16 @@ pub fn of_seed(args: &StressArgs, source: Option<String>, seed: u64) -> Vec<Stri
     line
 }
 
-/// What a process said, or how it died.
+/// Returns the report that a process printed, or one that describes how it died.
 fn report(args: &StressArgs, seed: u64, output: &Output) -> SeedReport {
-    let said = String::from_utf8_lossy(&output.stdout);
-    let read = said.lines().last().and_then(|line| serde_json::from_str::<SeedReport>(line).ok());
-    let is_well = output.status.success();
-    if let (Some(report), true) = (read, is_well) {
+    let stdout = String::from_utf8_lossy(&output.stdout);
+    let read = stdout.lines().last().and_then(|line| serde_json::from_str::<SeedReport>(line).ok());
+    if let (Some(report), true) = (read, output.status.success()) {
         return report;
     }
     let errors = String::from_utf8_lossy(&output.stderr);
     let lines: Vec<&str> = errors.lines().filter(|line| !line.trim().is_empty()).collect();
-    let how = if output.status.code() == Some(watch::HUNG) { "hangs" } else { "died" };
+    let how = if output.status.code() == Some(watchdog::HUNG) { "hung" } else { "died" };
     let last = lines[lines.len().saturating_sub(LAST_LINES)..].join("\n    ");
     let failures = vec![format!("the process {how} ({}): {last}", output.status)];
     SeedReport {

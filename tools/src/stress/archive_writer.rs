@@ -1,4 +1,4 @@
-//! A folder as a 3D Tiles archive (3tz): a zip whose last file is an index of the others, by the MD5 of their names.
+//! Writes a folder as a 3D Tiles archive (3tz): a zip whose last file is an index of the others by the MD5 of their names.
 
 use std::fs::File;
 use std::io::{BufWriter, Cursor, Write as _};
@@ -27,13 +27,13 @@ pub fn write(folder: &Path, archive: &Path) -> Result<()> {
     out.write_all(&bytes).and_then(|()| out.flush()).with_context(|| archive.display().to_string())
 }
 
-/// Adds what is in a folder under a name that ends with a slash, or none.
+/// Adds the content of a folder. `below` is the prefix of the names, empty or ending with a slash.
 fn add(writer: &mut ZipWriter<Cursor<Vec<u8>>>, folder: &Path, below: &str, options: SimpleFileOptions) -> Result<()> {
     let entries = std::fs::read_dir(folder).with_context(|| folder.display().to_string())?;
     let mut paths = entries.map(|entry| Ok(entry?.path())).collect::<Result<Vec<_>>>()?;
     paths.sort();
     for path in paths {
-        let name = path.file_name().and_then(|name| name.to_str()).context("a file's name")?;
+        let name = path.file_name().and_then(|name| name.to_str()).context("a file name that is not UTF-8")?;
         if path.is_dir() {
             add(writer, &path, &format!("{below}{name}/"), options)?;
         } else {
@@ -44,13 +44,13 @@ fn add(writer: &mut ZipWriter<Cursor<Vec<u8>>>, folder: &Path, below: &str, opti
     Ok(())
 }
 
-/// Hashes of names with the places of their files, in order of the hashes as two numbers.
+/// Returns the index: hashes of names with the offsets of their files, sorted by the hashes as two 64-bit numbers.
 fn index(zip: &mut ZipArchive<Cursor<Vec<u8>>>) -> Result<Vec<u8>> {
     let mut entries = Vec::new();
-    for place in 0..zip.len() {
-        let file = zip.by_index_raw(place)?;
+    for number in 0..zip.len() {
+        let file = zip.by_index_raw(number)?;
         let hash: [u8; 16] = Md5::digest(file.name()?.as_bytes()).into();
-        // The low half counts first.
+        // The first eight bytes are the more significant number.
         entries.push((u128::from_le_bytes(hash).rotate_left(64), hash, file.header_start()));
     }
     entries.sort_unstable_by_key(|(order, ..)| *order);
@@ -64,7 +64,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_archive_is_read_as_its_folder() {
+    fn archive_has_the_content_of_its_folder() {
         let folder = tempfile::tempdir().unwrap();
         let set = folder.path().join("set");
         std::fs::create_dir_all(set.join("1/0")).unwrap();
@@ -77,7 +77,7 @@ mod tests {
         assert_eq!(read("tileset.json").unwrap(), b"{}");
         assert_eq!(read("1/0/0.glb").unwrap(), b"mesh");
         assert!(read("1/0/1.glb").is_err());
-        // Its index is the last file, and in order.
+        // The index is the last file, and sorted.
         let bytes = std::fs::read(&archive).unwrap();
         let at = bytes.windows(INDEX.len()).position(|w| w == INDEX.as_bytes()).unwrap() + INDEX.len();
         let order = |entry: &[u8]| u128::from_le_bytes(entry[..16].try_into().unwrap()).rotate_left(64);

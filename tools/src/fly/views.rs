@@ -1,4 +1,4 @@
-//! `terrane view` with a file of several views: windows to move in.
+//! `terrane view` with a file of several views in one or more windows.
 
 use std::io::Write as _;
 use std::sync::atomic::Ordering;
@@ -8,10 +8,13 @@ use terrane::cull::SunShadows;
 use terrane::draw::Water;
 use terrane::viewer::{ArrangedViews, LoadedRoot, Samples, ViewerConfig, ViewsOptions, ViewsSetup, run_views};
 
-use crate::args::FlyArgs;
-use crate::fly::{FOREIGN_SSE_PX, HEIGHT_SSE_PX, Interrupt, application};
+use super::defaults::{HEIGHT_SSE_PX, MESH_SSE_PX};
+use super::errors::into_viewer_error;
+use super::interrupt::Interrupt;
 
-/// `root` is that of the views that name no scene.
+use crate::args::FlyArgs;
+
+/// Opens the windows and runs until they are closed. `root` is the scene of views that do not name one.
 pub fn run(
     args: FlyArgs,
     config: ViewerConfig,
@@ -39,9 +42,9 @@ pub fn run(
         max_frame_rate: args.max_fps.map(|rate| rate.0),
         before_frame: Box::new(move |_| Ok(!stop.load(Ordering::Relaxed))),
         on_open: Box::new(move |arranged| {
-            // Until here the scenes' roots are read.
-            interrupt.asks_for_the_end();
-            open(arranged, &args).map_err(application)
+            // The roots of all scenes have been read.
+            interrupt.stop_in_order();
+            open(arranged, &args).map_err(into_viewer_error)
         }),
         ..ViewsOptions::default()
     };
@@ -58,15 +61,15 @@ pub fn run(
     writeln!(std::io::stdout(), "{line}").context("stdout")
 }
 
-/// What the command line says of all views.
+/// Applies the options of the command line to all views.
 fn open(arranged: &mut ArrangedViews, args: &FlyArgs) -> Result<()> {
     let ArrangedViews { viewer, views, .. } = arranged;
     for id in views.iter().copied() {
         let scene = viewer.scene_of(id)?;
-        let usual_sse_px = if viewer.is_height_set(scene)? { HEIGHT_SSE_PX } else { FOREIGN_SSE_PX };
+        let default_sse_px = if viewer.is_height_set(scene)? { HEIGHT_SSE_PX } else { MESH_SSE_PX };
         let bounds = viewer.bounds(scene)?.copied();
         let view = viewer.view_mut(id)?;
-        view.camera.settings.max_sse_px = args.sse.map_or(usual_sse_px, |limit| limit.0);
+        view.camera.settings.max_sse_px = args.sse.map_or(default_sse_px, |limit| limit.0);
         view.camera.settings.skip_sse_factor = args.skip_sse.map_or(1.0, |factor| factor.0);
         view.camera.settings.lod_fade_s = args.lod_fade.0;
         if let (Some(sun), Some(bounds)) = (args.sun, bounds) {

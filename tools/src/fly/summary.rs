@@ -7,7 +7,7 @@ use terrane::viewer::Report;
 
 /// Facts about a flight that are not in its report.
 pub struct Notes<'a> {
-    /// "offscreen" or "in a window", with the reason where one is due.
+    /// "offscreen" or "in a window", with the reason if it is not the expected one.
     pub where_drawn: &'a str,
     /// True if the user ended the flight before its last frame.
     pub stopped: bool,

@@ -1,5 +1,5 @@
-//! What a flight has beside its set, as roots of the application: proxies for the set's coarsest content, one of each way
-//! to be loaded, and a sign that shows a sequence of images. Cameras without their mask see the set alone.
+//! Additional roots of a flight: proxies for the set's coarsest content, one for each kind of loading, and a sign with a
+//! sequence of images. Cameras whose mask excludes [`MASK`] draw only the set.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -14,33 +14,34 @@ use terrane::scene::{
 use terrane::state::{Attribute, StateSet, TextureBinding};
 use terrane::viewer::{CompositeViewer, SceneId, SetBounds};
 
-use super::check::Failures;
+use super::invariants::Failures;
 use super::plan::Slides;
 use crate::serve::Background;
 
-/// Bits of nodes that are no set's.
+/// The mask of nodes that do not belong to the set.
 pub const MASK: u32 = 1 << 20;
-/// Pixels of an image's side.
+/// The side of an image in pixels.
 const SIDE_PX: u32 = 32;
 
-/// Adds nodes as a root, in the mask.
-fn hang(viewer: &mut CompositeViewer, scene: SceneId, nodes: Vec<Node>) -> Result<PageId> {
+/// Adds nodes as a root with the mask.
+fn add_root(viewer: &mut CompositeViewer, scene: SceneId, nodes: Vec<Node>) -> Result<PageId> {
     let group = Node { mask: MASK, ..Node::group(nodes) };
     Ok(viewer.add_root(scene, Page::from_node(group)?)?)
 }
 
-/// Proxies beside a set, in the order of their slots: loaded at once, when they are seen, and when they are asked for.
+/// Three proxies beside a set, in the order of their slots: loaded immediately, when visible, and on request.
 pub struct Proxies {
     scene: SceneId,
     root: PageId,
-    was_asked: bool,
+    was_requested: bool,
 }
 
 impl Proxies {
-    /// For what the set has on top; none where that is no mesh, which needs nothing else to be read.
-    pub fn hang(viewer: &mut CompositeViewer, scene: SceneId, bounds: &SetBounds) -> Result<Option<Self>> {
-        let of = viewer.scene(scene)?;
-        let top = of.roots().first().and_then(|root| of.slots_of_page(*root).next()).and_then(|slot| of.slot(slot));
+    /// Adds proxies for the top content of the set. `None` if it is not a mesh: other contents need additional data to be
+    /// read.
+    pub fn add(viewer: &mut CompositeViewer, scene: SceneId, bounds: &SetBounds) -> Result<Option<Self>> {
+        let set = viewer.scene(scene)?;
+        let top = set.roots().first().and_then(|root| set.slots_of_page(*root).next()).and_then(|slot| set.slot(slot));
         let Some(top) = top.filter(|top| top.reader_data.is_none() && top.uri.ends_with(".glb")) else {
             return Ok(None);
         };
@@ -54,38 +55,40 @@ impl Proxies {
             proxy(ProxyLoading::DeferToPager, BoundingSphere::EVERYTHING),
             proxy(ProxyLoading::Never, bounds.sphere),
         ];
-        Ok(Some(Self { scene, root: hang(viewer, scene, nodes)?, was_asked: false }))
+        Ok(Some(Self { scene, root: add_root(viewer, scene, nodes)?, was_requested: false }))
     }
 
     fn slots(&self, scene: &Scene) -> Vec<NodeId> {
         scene.slots_of_page(self.root).collect()
     }
 
-    /// One of them is to be loaded, whatever it says; refused where it is there.
+    /// Requests one of the proxies, whatever its kind of loading. The request must be refused exactly if it is loaded.
     pub fn load(&mut self, viewer: &mut CompositeViewer, any: usize) -> Result<()> {
         let scene = viewer.scene_mut(self.scene)?;
         let slots = self.slots(scene);
-        let slot = *slots.get(any % slots.len().max(1)).context("a root without its slots")?;
+        let slot = *slots.get(any % slots.len().max(1)).context("a root without slots")?;
         let is_free = scene.slot(slot).is_some_and(|s| !matches!(s.state, SlotState::Resident(_)));
-        let asked = scene.load_proxy(slot);
-        ensure!(asked.is_ok() == is_free, "a free place: {is_free}, asked: {asked:?}");
-        self.was_asked = true;
+        let requested = scene.load_proxy(slot);
+        ensure!(requested.is_ok() == is_free, "the slot is free: {is_free}, the request: {requested:?}");
+        self.was_requested = true;
         Ok(())
     }
 
-    /// What is only loaded when asked for is not there before.
+    /// Checks that the proxy for loading on request is not loaded before a request.
     pub fn check(&self, failures: &mut Failures, frame: u32, viewer: &CompositeViewer) -> Result<()> {
         let states = self.states(viewer)?;
-        let is_right = self.was_asked || states.last() == Some(&SlotState::Empty);
-        failures.check(states.len() == 3 && is_right, "a proxy that nobody asked for", frame, || format!("{states:?}"));
+        let is_right = self.was_requested || states.last() == Some(&SlotState::Empty);
+        failures.check(states.len() == 3 && is_right, "a proxy was loaded without a request", frame, || {
+            format!("{states:?}")
+        });
         Ok(())
     }
 
-    /// What is loaded at once is there, unless it failed for good.
+    /// Checks that the immediate proxy is loaded or failed once everything is loaded.
     pub fn check_at_rest(&self, failures: &mut Failures, frame: u32, viewer: &CompositeViewer) -> Result<()> {
         let states = self.states(viewer)?;
-        let is_there = states.first().is_some_and(|state| *state != SlotState::Empty);
-        failures.check(is_there, "a proxy that is not loaded at once", frame, || format!("{states:?}"));
+        let is_loaded = states.first().is_some_and(|state| *state != SlotState::Empty);
+        failures.check(is_loaded, "an immediate proxy is not loaded", frame, || format!("{states:?}"));
         Ok(())
     }
 
@@ -95,16 +98,16 @@ impl Proxies {
     }
 }
 
-/// A sign over the middle of a set, and the server that its images come from.
+/// A sign above the middle of a set, and the server of its images.
 pub struct Sign {
     scene: SceneId,
     root: PageId,
     images: u64,
-    /// None where they come from the disk.
+    /// `None` if the images are on disk.
     server: Option<Background>,
 }
 
-/// Writes the images of a sequence into a folder; their names.
+/// Writes the images of a sequence into a folder and returns their names.
 pub fn write_images(slides: &Slides, folder: &Path) -> Result<Vec<String>> {
     let write = |k: u32| {
         let (name, color) = (format!("{k}.png"), image::Rgb([(20 * k) as u8, 120, 220]));
@@ -116,7 +119,8 @@ pub fn write_images(slides: &Slides, folder: &Path) -> Result<Vec<String>> {
 }
 
 impl Sign {
-    pub fn hang(
+    /// Adds the sign to a scene and plays the sequence.
+    pub fn add(
         viewer: &mut CompositeViewer,
         scene: SceneId,
         bounds: &SetBounds,
@@ -139,39 +143,40 @@ impl Sign {
         let shows = StateSet::default().with(Attribute::Texture(0, texture));
         let sign = Node::geode(vec![Drawable::new(mesh.into(), Material { unlit: true, ..Material::default() })]);
         let placed = Node::transform(bounds.frame.world_from_local, vec![sign.with_state_set(Arc::new(shows))]);
-        let root = hang(viewer, scene, vec![placed])?;
+        let root = add_root(viewer, scene, vec![placed])?;
         Ok(Self { scene, root, images: u64::from(slides.images), server })
     }
 
+    /// Turns faults of the images' server on or off.
     pub fn set_faulty(&self, is_faulty: bool) {
         if let Some(server) = &self.server {
             server.set_faulty(is_faulty);
         }
     }
 
-    /// Every image is counted, none is there twice, and none of the disk fails.
+    /// Checks that each image is counted once, and that no image on disk fails.
     pub fn check(&self, failures: &mut Failures, frame: u32, viewer: &CompositeViewer) -> Result<()> {
-        let pager = viewer.image_pager(self.scene)?.context("an image pager")?;
+        let pager = viewer.image_pager(self.scene)?.context("no image pager")?;
         let s = *pager.stats();
-        let told = || format!("{s:?}, {:?}", pager.errors());
-        failures.check(s.images_peak <= self.images, "more images than there are", frame, told);
-        failures.check(s.waiting + s.in_flight + s.images <= self.images, "images asked for twice", frame, told);
-        failures.check(s.loaded == s.images + s.paged_out, "images lost", frame, told);
-        failures.check(s.failed == 0 || self.server.is_some(), "a good image that failed", frame, told);
+        let stats = || format!("{s:?}, {:?}", pager.errors());
+        failures.check(s.images_peak <= self.images, "more images than the sequence has", frame, stats);
+        failures.check(s.waiting + s.in_flight + s.images <= self.images, "images requested twice", frame, stats);
+        failures.check(s.loaded == s.images + s.paged_out, "images lost", frame, stats);
+        failures.check(s.failed == 0 || self.server.is_some(), "a valid image failed to load", frame, stats);
         let reported: u64 = pager.errors().iter().map(|error| error.count).sum();
-        failures.check(reported == s.failed, "failures of images not reported", frame, told);
+        failures.check(reported == s.failed, "errors of images not reported", frame, stats);
         Ok(())
     }
 
-    /// It shows one of its images, or lost some.
+    /// Returns true once an image has been shown or has failed.
     pub fn has_shown(&self, viewer: &CompositeViewer) -> Result<bool> {
-        let s = *viewer.image_pager(self.scene)?.context("an image pager")?.stats();
+        let s = *viewer.image_pager(self.scene)?.context("no image pager")?.stats();
         Ok(s.shown > 0 || s.failed > 0)
     }
 
-    /// Takes it out of its scene.
-    pub fn take_down(self, viewer: &mut CompositeViewer) -> Result<()> {
-        ensure!(viewer.remove_root(self.scene, self.root)?.is_some(), "a root that does not go");
+    /// Removes the sign from its scene.
+    pub fn remove(self, viewer: &mut CompositeViewer) -> Result<()> {
+        ensure!(viewer.remove_root(self.scene, self.root)?.is_some(), "the root of the sign could not be removed");
         Ok(())
     }
 }

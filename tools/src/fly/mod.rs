@@ -1,0 +1,183 @@
+//! `terrane fly` and `terrane view`: a flight over a tile set, offscreen or in a window, and its report.
+
+mod defaults;
+mod errors;
+mod flight;
+mod image_writer;
+mod interrupt;
+mod summary;
+mod views;
+
+use std::io::Write as _;
+
+use anyhow::{Context as _, Result, anyhow, bail};
+use glam::{DAffine3, DMat4, DVec3};
+use terrane::fetch::shown;
+use terrane::trace::Recording;
+use terrane::viewer::{
+    AnimationPath, Arrangement, DisplaySettingError, DisplaySettings, LoadedRoot, ParentWindow, PathError, SlaveWindow,
+    Viewer, ViewerConfig, WindowOptions, has_display, run_window,
+};
+
+use self::errors::into_viewer_error;
+use self::flight::Flight;
+use self::interrupt::Interrupt;
+use crate::args::FlyArgs;
+use crate::default_set;
+
+/// Runs `terrane fly` or `terrane view`. `settings` come from the environment and the command line.
+pub fn run(args: Box<FlyArgs>, settings: Result<DisplaySettings, DisplaySettingError>) -> Result<()> {
+    let settings = settings?;
+    let Some(file) = args.trace.clone() else { return fly(args, settings) };
+    // A file that cannot be written is reported before the flight, not after it.
+    std::fs::File::create(&file).with_context(|| file.display().to_string())?;
+    let recording = Recording::start()?;
+    // All threads have ended when `fly` returns, so the recording is complete.
+    fly(args, settings).and(recording.write(&file).map(drop).map_err(Into::into))
+}
+
+fn fly(args: Box<FlyArgs>, mut settings: DisplaySettings) -> Result<()> {
+    let display = has_display();
+    if args.interactive && !display {
+        bail!("there is no display to open a window on; `terrane fly` renders without one");
+    }
+    // Paths that cannot be written are reported before the flight, not after it.
+    let files = [&args.report, &args.selection, &args.screenshot];
+    if let Some(folder) = files.into_iter().flatten().find(|file| file.is_dir()) {
+        bail!("{}: is a folder", folder.display());
+    }
+    let path = args.path.as_deref().map(|file| {
+        AnimationPath::read(file).map_err(|error| match error {
+            PathError::Io { .. } => anyhow!("{error}"),
+            error => anyhow!("{}: {error}", file.display()),
+        })
+    });
+    let path = path.transpose()?;
+    let offscreen = args.offscreen || !display;
+    let mut arrangement = arrangement(&args, offscreen)?;
+    let views = match &mut arrangement {
+        Arrangement::Views(views) => Some(std::mem::take(views)),
+        _ => None,
+    };
+    let source = match &args.source {
+        Some(source) => source.clone(),
+        None if views.as_ref().is_some_and(|views| !views.needs_root()) => String::new(),
+        None => default_set::ensure()?,
+    };
+    settings.samples = settings.samples.max(args.samples);
+    if let Some(mode) = args.stereo {
+        (settings.stereo, settings.stereo_mode) = (true, mode);
+    }
+    let mut config =
+        ViewerConfig { size_px: args.size.0, threading: args.threading, validation: false, ..ViewerConfig::default() };
+    settings.configure(&mut config);
+    config.pager.blocking = args.blocking;
+    config.vsync = !args.no_vsync;
+    if !args.no_pipeline_cache {
+        config.pipeline_cache = default_set::cache_folder().map(|folder| folder.join("terrane").join("pipelines"));
+    }
+    config.look_ahead_s = args.look_ahead.unwrap_or(config.look_ahead_s);
+    // Manipulators need the k-d trees to stay above the ground.
+    config.pager.build_kd_trees = args.interactive;
+    config.pager.http = args.net.http(&source)?;
+    let interrupt = Interrupt::new();
+    // The root is read before a window opens or an adapter is requested, so that an invalid source ends the program here.
+    if let Some(views) = views {
+        let root = if views.needs_root() { Some(LoadedRoot::read(&source, &config.pager)?) } else { None };
+        return views::run(*args, config, views, root, interrupt);
+    }
+    let root = LoadedRoot::read(&source, &config.pager)?;
+    interrupt.stop_in_order();
+    let mut flight = Flight::new(*args, path, interrupt.stop)?;
+    flight.eyes = config.stereo;
+    let mut viewer = if offscreen {
+        let mut viewer = Viewer::new_offscreen(&config)?;
+        flight.open(&mut viewer, root)?;
+        // The simulation time of frames is the time on the path, so the path can be announced.
+        viewer.view_mut().announced = flight.path.clone();
+        while flight.before_frame(&mut viewer)? {
+            viewer.frame_at(flight.time_s())?;
+            flight.after_frame(&mut viewer)?;
+        }
+        viewer
+    } else {
+        let (viewer, back) = in_window(flight, config, root, &source, arrangement)?;
+        flight = back;
+        viewer
+    };
+    let where_drawn = match (offscreen, display) {
+        (true, true) => "offscreen",
+        (true, false) => "offscreen, as there is no display",
+        (false, _) => "in a window",
+    };
+    flight.finish(&mut viewer, where_drawn)
+}
+
+/// Returns the windows to open: those of the command line, or those of the environment if the options leave the choice.
+fn arrangement(args: &FlyArgs, offscreen: bool) -> Result<Arrangement> {
+    let arrangement = match &args.config {
+        Some(_) if offscreen => bail!("there is no display to open the windows of --config on"),
+        Some(file) => Arrangement::read(file)?,
+        None if offscreen || args.parent.is_some() || args.beside > 0 => Arrangement::Usual,
+        None => Arrangement::from_environment()?.unwrap_or_default(),
+    };
+    match arrangement {
+        Arrangement::Views(_) if !args.interactive => bail!("a flight has one view; `terrane view` shows several"),
+        arrangement => Ok(arrangement),
+    }
+}
+
+/// Returns additional windows of the same size: the first on the right of the main window, the second on its left, and
+/// so on outwards.
+fn beside(count: u32, size_px: [u32; 2]) -> Vec<SlaveWindow> {
+    let window = |i: u32| {
+        let offset = f64::from(i / 2 + 1) * if i.is_multiple_of(2) { 1.0 } else { -1.0 };
+        SlaveWindow {
+            title: format!("Terrane {}", i + 2),
+            size_px,
+            position_px: None,
+            shares_device: false,
+            projection_offset: DMat4::from_translation(DVec3::new(-2.0 * offset, 0.0, 0.0)),
+            view_offset: DAffine3::IDENTITY,
+        }
+    };
+    (0..count).map(window).collect()
+}
+
+/// Runs the flight in a window, with one frame each time the window draws.
+fn in_window(
+    flight: Flight,
+    config: ViewerConfig,
+    root: LoadedRoot,
+    source: &str,
+    arrangement: Arrangement,
+) -> Result<(Viewer, Flight)> {
+    let interactive = flight.args.interactive;
+    if interactive {
+        writeln!(std::io::stdout(), "H shows the keys, Esc ends").context("stdout")?;
+    }
+    let options = WindowOptions {
+        title: format!("Terrane - {}", shown(source)),
+        path: flight.path.clone(),
+        overlay: flight.args.stats,
+        manipulated: interactive,
+        on_demand: flight.args.on_demand,
+        arrangement,
+        parent: flight.args.parent.map(ParentWindow::x11),
+        slaves: beside(flight.args.beside, flight.args.size.0),
+        max_frame_rate: flight.args.max_fps.map(|rate| rate.0),
+        ..WindowOptions::default()
+    };
+    // The callbacks of the event loop share the flight. They all run on this thread, one after the other.
+    let flight = std::rc::Rc::new(std::cell::RefCell::new(flight));
+    let (on_open, before, after) = (flight.clone(), flight.clone(), flight.clone());
+    let options = WindowOptions {
+        on_open: Box::new(move |viewer| on_open.borrow_mut().open(viewer, root).map_err(into_viewer_error)),
+        before_frame: Box::new(move |viewer| before.borrow_mut().before_frame(viewer).map_err(into_viewer_error)),
+        after_frame: Box::new(move |viewer| after.borrow_mut().after_frame(viewer).map_err(into_viewer_error)),
+        ..options
+    };
+    let viewer = run_window(config, options)?.ok_or_else(|| anyhow!("the window closed before it opened"))?;
+    let flight = std::rc::Rc::try_unwrap(flight).map_err(|_| anyhow!("the window still holds the flight"))?;
+    Ok((viewer, flight.into_inner()))
+}
