@@ -1,5 +1,5 @@
-//! Cost of a cull: the peer's grid (goal: at most 5.5 ns per node and drawable visited to 1e5 cells) and tile trees
-//! (goal: at most 6 ns per tile visited). One thread, no GPU.
+//! Measures cull: the peer's grid (goal: at most 5.5 ns per visited node and drawable up to 1e5 cells) and tile trees
+//! (goal: at most 6 ns per visited tile). One thread, no GPU.
 #![allow(missing_docs, reason = "criterion's macros make undocumented items")]
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
@@ -42,7 +42,7 @@ fn tiles(criterion: &mut Criterion) {
             let mut scene = Scene::new();
             let root = scene.add_root(page(quadtree(levels, 20_000.0, 2_000.0, Refine::Replace), 0));
             for (i, slot) in scene.slots_of_page(root).collect::<Vec<_>>().into_iter().enumerate() {
-                // Without content only the walk and its requests are measured.
+                // Without content, only the traversal and its requests are measured.
                 if resident && scene.attach(slot, content(50.0, i as u32)).is_err() {
                     return;
                 }

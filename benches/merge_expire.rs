@@ -1,4 +1,4 @@
-//! Cost of attaching and detaching a page, over three decades of page size and of scene size: it must not grow.
+//! Measures attaching and detaching a page, over three decades of page size and of scene size: the time must not grow.
 //! The physical limit is a handful of cache misses (about 100 ns each when the scene is large).
 #![allow(missing_docs, reason = "criterion's macros make undocumented items")]
 
@@ -9,7 +9,7 @@ use terrane::state::StateSet;
 
 fn merge_expire(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("merge_expire");
-    // 21, 341, 5461, 21845 tiles, all but one resident.
+    // The sets have 21, 341, 5461 and 21845 tiles, all but one resident.
     for levels in [3, 5, 7, 8] {
         let mut scene = Scene::new();
         let root = scene.add_root(page(quadtree(levels, 20_000.0, 2_000.0, Refine::Replace), 0));

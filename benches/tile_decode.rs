@@ -1,4 +1,4 @@
-//! From the bytes of one content to a page: what a decode worker does for each tile.
+//! Measures decoding, from the bytes of one content to a page: the work of a decode thread for each tile.
 #![allow(missing_docs, reason = "criterion's macros make undocumented items")]
 
 use std::hint::black_box;
@@ -11,7 +11,7 @@ use terrane::formats::writers::{GlbMesh, write_glb, write_height_exr};
 use terrane::formats::{Content, Fetched, ReadOptions, decode};
 use terrane::scene::{ShareModes, SharedStateManager};
 
-/// Vertices along a side, texels along a side.
+/// The number of vertices along a side, and that of texels.
 const SIDE: usize = 65;
 const TEXELS: u32 = 256;
 
@@ -45,7 +45,7 @@ fn glb() -> Vec<u8> {
     write_glb(&mesh)
 }
 
-/// 1,365 tiles on six levels.
+/// Returns the JSON of 1,365 tiles on six levels.
 fn tileset() -> Vec<u8> {
     fn tile(level: u32, x: f64, y: f64) -> String {
         let half = 10_000.0 / f64::from(1u32 << level);
@@ -91,7 +91,7 @@ fn tile_decode(criterion: &mut Criterion) {
                     || content.clone(),
                     |content| {
                         let page = decode(black_box(content), options);
-                        assert!(page.is_ok(), "a bench of something that is refused");
+                        assert!(page.is_ok(), "decoding failed");
                         black_box(page)
                     },
                     criterion::BatchSize::PerIteration,
@@ -99,8 +99,9 @@ fn tile_decode(criterion: &mut Criterion) {
             });
         };
         bench(name.to_owned(), &plain);
-        // Each page is dropped before the next comes: what looking for equal contents costs where there are none.
-        bench(format!("{name}, shared with nothing"), &sharing(ShareModes::default()));
+        // Each page is dropped before the next is decoded, which measures the search for equal contents if there are
+        // none.
+        bench(format!("{name}, without equal contents"), &sharing(ShareModes::default()));
         let options = sharing(ShareModes::default());
         let kept = decode(content.clone(), &options);
         bench(format!("{name}, shared"), &options);

@@ -11,7 +11,7 @@ fn example(name: &str) -> PathBuf {
     let me = std::env::current_exe().unwrap();
     let profile = me.parent().and_then(|deps| deps.parent()).unwrap();
     let program = profile.join("examples").join(format!("{name}{}", std::env::consts::EXE_SUFFIX));
-    // `cargo test` has built it; `cargo test --test examples_run` has not.
+    // `cargo test` builds it, but `cargo test --test examples_run` does not.
     if !program.is_file() {
         let release = if profile.ends_with("release") { &["--release"][..] } else { &[] };
         let built = Command::new(env!("CARGO"))
@@ -24,7 +24,7 @@ fn example(name: &str) -> PathBuf {
     program
 }
 
-/// Returns the number of frames to draw: fewer of the examples that take over a second a frame on a software adapter.
+/// Returns the number of frames to draw. Examples that take over a second per frame on a software adapter draw fewer.
 fn frames(name: &str) -> u32 {
     match name {
         "custom_drawable" | "occluders" if !kit::long_tests() => 8,
@@ -57,7 +57,7 @@ fn run_and_listen(name: &str, arguments: &[&str], colours_at_least: usize) -> Op
     Some((picture, String::from_utf8(out.stdout).unwrap()))
 }
 
-/// A pixel, 0 to 1, linear.
+/// Returns a pixel as linear values, 0 to 1.
 fn linear(picture: &image::RgbImage, [x, y]: [u32; 2]) -> [f64; 3] {
     picture.get_pixel(x, y).0.map(|s| {
         let s = f64::from(s) / 255.0;
@@ -94,9 +94,9 @@ fn render_to_texture() {
         })
     };
     let is_yellow = |r, g, b| r > b + 60 && g > b + 60;
-    assert!(all(&[(420, 450)], |r, g, b| r > 200 && g < 130 && b < 130), "the house's wall in the sun");
+    assert!(all(&[(420, 450)], |r, g, b| r > 200 && g < 130 && b < 130), "the wall of the house in the sun");
     assert!(all(&[(400, 350), (500, 360)], is_yellow), "its roof");
-    // On the screen's edges the blue behind the house, in its middle the house: the walls from their dark side.
+    // At the edges of the screen is the blue behind the house, in its middle the dark side of the walls.
     let rim = [(755, 155), (930, 155), (1120, 155), (750, 330), (1110, 330), (750, 510), (930, 510), (1100, 510)];
     assert!(all(&rim, |r, g, b| b > r + 70 && b > g + 40), "blue around");
     assert!(all(&[(880, 370), (970, 390)], |r, g, b| (60..130).contains(&r) && r > 2 * g && r > 2 * b), "walls");
@@ -118,20 +118,20 @@ fn vertex_attributes() {
     };
     let is_green = |r, g, b| g > r + 40 && g > b;
     assert!(count([370, 320], [470, 400], is_green) > 4000, "rain on a hill");
-    assert_eq!(count([900, 400], [1250, 640], is_green), 0, "and none behind it");
+    assert_eq!(count([900, 400], [1250, 640], is_green), 0, "no rain behind it");
     let is_red: fn(i32, i32, i32) -> bool = |r, g, b| r > g + 100 && r > b + 100;
     let is_blue: fn(i32, i32, i32) -> bool = |r, g, b| b > r + 80 && b > g + 60;
     assert!(count([440, 250], [570, 310], is_red) > 150, "wind between hills");
-    assert!(count([320, 360], [450, 430], is_blue) > 40, "and in front of one");
+    assert!(count([320, 360], [450, 430], is_blue) > 40, "wind in front of one");
     let [red, blue] = [is_red, is_blue].map(|is| count([600, 560], [1250, 700], is));
-    assert_eq!((red, blue), (0, 0), "and far from them");
+    assert_eq!((red, blue), (0, 0), "wind far from them");
 }
 
 #[test]
 fn transparency_and_bins() {
     let Some(picture) = run("transparency_and_bins", &[], 100) else { return };
-    // Beside the panes the background, then each alone, then one over the other: the nearer comes last. A pane keeps the
-    // same part of all that is behind it.
+    // Beside the panes is the background, then each pane alone, then one over the other, the nearer last. A pane keeps
+    // the same share of everything behind it.
     const KEPT: f64 = 0.55;
     for (near, far, both) in [
         ([[240, 560], [360, 560]], [[260, 210], [330, 220]], [360, 340]),
@@ -148,10 +148,10 @@ fn transparency_and_bins() {
         };
         assert!(off(far, near) < 0.03 && off(near, far) > 0.12, "{} {}", off(far, near), off(near, far));
     }
-    // The ball: white above the pane before it, green behind it.
+    // The ball is white above the pane in front of it, and green behind it.
     let [above, behind] = [[640, 290], [640, 420]].map(|[x, y]| picture.get_pixel(x, y).0.map(i32::from));
     assert!(above.iter().all(|c| *c > 220) && behind[1] > behind[0] + 30, "{above:?} {behind:?}");
-    // Each side of the mark, over whatever lies there.
+    // Each side of the mark is checked, over any background.
     for [x, y] in [[648u32, 213], [506, 328], [788, 378], [646, 493]] {
         let mut around = (y - 4..=y + 4).flat_map(|y| (x - 4..=x + 4).map(move |x| (x, y)));
         let is_orange = |[r, g, b]: [u8; 3]| r > 200 && (110..200).contains(&g) && b < 120;
@@ -174,11 +174,11 @@ fn occluders() {
     assert!((30..200).contains(&drawn) && hidden > 200, "{said}");
     let (all, said) = run_and_listen("occluders", &["--no-occluders"], 100).unwrap();
     let [all_drawn, 400, 4, 0] = numbers(&said)[..] else { panic!("{said}") };
-    // Groups of balls count once.
+    // Each group of balls counts once.
     assert!(all_drawn > drawn + 200, "{said}");
     let differing = picture.pixels().zip(all.pixels()).filter(|(a, b)| a != b).count();
-    assert_eq!(differing, 0, "what is hidden changes nothing");
-    // Balls behind the window, wall around it.
+    assert_eq!(differing, 0, "hidden balls change nothing");
+    // The balls are behind the window, and the wall is around it.
     let is_wall = |x, y| picture.get_pixel(x, y).0.iter().all(|c| (140..180).contains(c));
     assert!(is_wall(640, 200) && is_wall(300, 340) && is_wall(980, 340) && is_wall(640, 500));
     let [r, _, b] = picture.get_pixel(600, 400).0;
@@ -187,7 +187,7 @@ fn occluders() {
 
 #[test]
 fn proxy_node() {
-    // Nine houses of at least three flat faces each, before a sky.
+    // Nine houses with at least three flat faces each stand before a sky.
     run("proxy_node", &[], 40);
 }
 

@@ -1,4 +1,4 @@
-//! A steady cull allocates nothing: counted by the allocator of this test binary.
+//! A steady cull allocates nothing. The allocator of this test binary counts.
 
 use std::sync::Arc;
 
@@ -12,7 +12,7 @@ use terrane::scene::{
 };
 use terrane::state::{BinDetails, SortMode, StateSet};
 
-/// Flies a circle twice and counts the allocations of the second time around.
+/// Flies a circle twice and counts the allocations of the second round.
 fn allocations_of_second_round(scene: &Scene, camera_at: impl Fn(u32) -> CullCamera) -> (u64, u32) {
     let (mut visitor, mut stage) = (CullVisitor::new(), RenderStage::new());
     let to_sun = DVec3::new(0.6, 0.0, 0.8);
@@ -40,7 +40,7 @@ fn allocations_of_second_round(scene: &Scene, camera_at: impl Fn(u32) -> CullCam
     (allocations, fading)
 }
 
-/// Content with an occluder across.
+/// Returns content with an occluder across it.
 fn walled(slot: u32) -> Page {
     let corners = [(-30.0, 0.0), (30.0, 0.0), (30.0, 20.0), (-30.0, 20.0)].map(|(x, z)| DVec3::new(x, x, z));
     let occluder = ConvexPlanarOccluder { corners: corners.to_vec(), holes: vec![corners[..3].to_vec()] };
@@ -50,7 +50,7 @@ fn walled(slot: u32) -> Page {
 }
 
 #[test]
-fn a_steady_cull_allocates_nothing() {
+fn steady_cull_allocates_nothing() {
     for sort in [
         SortMode::ByState,
         SortMode::ByStateThenFrontToBack,
@@ -73,7 +73,7 @@ fn a_steady_cull_allocates_nothing() {
     }
     assert!(!state_sets(1, &StateSet::default()).is_empty());
 
-    // Half the tiles are there, so that there are requests, fallbacks and pages of content.
+    // Half of the tiles are loaded, so that there are requests, fallbacks and pages of content.
     let mut scene = Scene::new();
     let root = scene.add_root(page(quadtree(6, 2000.0, 200.0, Refine::Replace), 0));
     for (i, slot) in scene.slots_of_page(root).collect::<Vec<_>>().into_iter().enumerate() {
@@ -90,7 +90,7 @@ fn a_steady_cull_allocates_nothing() {
     assert_eq!(round, 0);
     assert!(fading > 200, "{fading}");
 
-    // Cameras in the graph, one of them nested, each with its own shadows and environment.
+    // The scene has cameras, one of them nested, each with separate shadows and a separate environment.
     let own = CameraEnvironment::Own(Arc::new(Environment::default()));
     let cameras = [RenderOrder::PreRender(0), RenderOrder::Nested, RenderOrder::PostRender(0)].map(|order| {
         let shadows = CameraShadows::Own(SunShadows::default());

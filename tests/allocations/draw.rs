@@ -1,5 +1,5 @@
-//! A steady frame allocates nothing in draw's own code: counted by the allocator of this test binary, each allocation
-//! laid to the innermost crate of its call stack, wgpu or Terrane. The noop adapter draws.
+//! A steady frame allocates nothing in draw's own code. Each allocation of this test binary is attributed to the
+//! innermost crate of its call stack, wgpu or Terrane. The noop adapter draws.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -17,7 +17,7 @@ use terrane::state::{BinDetails, SortMode, StateSet};
 /// Returns the call stacks of the allocations that Terrane made in `work`, and the number that wgpu made.
 fn allocations(work: impl FnOnce()) -> (Vec<String>, usize) {
     let traces = crate::recorded(work);
-    // Finding names takes milliseconds: each address once.
+    // Resolving names takes milliseconds, so each address is resolved once.
     let mut names: HashMap<usize, Vec<String>> = HashMap::new();
     let (mut own, mut wgpu) = (Vec::new(), 0);
     for trace in traces {
@@ -33,7 +33,7 @@ fn allocations(work: impl FnOnce()) -> (Vec<String>, usize) {
             });
             calls.extend_from_slice(of_address);
         }
-        // Crates without debug information have whole names, Terrane's own code has file names.
+        // Without debug information only whole names are known; Terrane's own code has file names.
         let own_sources = concat!(env!("CARGO_MANIFEST_DIR"), "/src/");
         let is_own = |c: &str| c.contains(own_sources) || c.contains(" at src/") || c.contains(" at ./src/");
         let innermost = calls.iter().find(|c| c.contains("wgpu") || is_own(c));
@@ -47,7 +47,7 @@ fn allocations(work: impl FnOnce()) -> (Vec<String>, usize) {
 }
 
 #[test]
-fn a_steady_draw_allocates_nothing() {
+fn steady_draw_allocates_nothing() {
     let traits = ContextTraits {
         size_px: [64, 64],
         adapter: AdapterChoice::Noop,
@@ -60,7 +60,7 @@ fn a_steady_draw_allocates_nothing() {
     let terrain =
         Terrain { west: 0.13, south: 0.8, width: 0.006, relief_m: 2600.0, root_error_m: 250.0, textured: true };
     let mut nodes: Vec<Node> = (0..16).map(|i| terrain.tile(2, i % 4, i / 4)).collect();
-    // Meshes under state sets of three bins, some of them blended, near the terrain's middle.
+    // The scene has meshes under state sets of three bins near the terrain's middle, some of them blended.
     let up = terrain.world(0.5, 0.5, 1_000.0);
     nodes.extend((0..200u32).map(|i| {
         let bin = Some(BinDetails::new(i as i32 % 3 - 1, SortMode::ByState));
@@ -99,15 +99,15 @@ fn a_steady_draw_allocates_nothing() {
     for _ in 0..3 {
         fly(&mut rig, 0..20);
     }
-    // Two frames: finding the names of a call stack takes milliseconds.
+    // Only two frames are recorded, because resolving the names of a call stack takes milliseconds.
     let (own, wgpu) = allocations(|| fly(&mut rig, 7..9));
     eprintln!("wgpu itself allocated {} times a frame", wgpu / 2);
-    assert!(wgpu > 0, "the call stacks say nothing: are there symbols?");
+    assert!(wgpu > 0, "the call stacks have no names: are there symbols?");
     assert!(own.is_empty(), "{} allocations, the first:\n{}", own.len(), own[0]);
     assert!(leaves > 1_000);
     assert_eq!(rig.stage.queries.len(), 8);
     assert_eq!(rig.stage.shadows.cascades.len(), 4);
     assert!(rig.stage.counters.shadow_leaves > 100);
     let (own, _) = allocations(|| drop((CullVisitor::new(), Box::new(RenderStage::new()))));
-    assert!(!own.is_empty(), "a box is an allocation that is seen");
+    assert!(!own.is_empty(), "the allocation of a box is counted");
 }

@@ -1,6 +1,6 @@
-//! Steady frames allocate nothing: counted by this program's allocator, separately for each thread.
+//! Steady frames allocate nothing. The allocator of this program counts, separately for each thread.
 //!
-//! A separate program, since a program has one global allocator.
+//! The tests are a separate program, because a program has one global allocator.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 mod cull;
@@ -33,7 +33,7 @@ fn recorded(work: impl FnOnce()) -> Vec<Vec<usize>> {
 }
 
 fn count_and_record() {
-    // The thread's variables are gone while it ends.
+    // The variables of a thread are already destroyed while it ends.
     let _ = COUNT.try_with(|count| count.set(count.get() + 1));
     // Recording itself allocates.
     if RECORDING.try_with(|r| r.replace(false)).unwrap_or(false) {
@@ -50,7 +50,7 @@ fn count_and_record() {
 struct Counting;
 
 #[allow(unsafe_code, reason = "GlobalAlloc is an unsafe trait; the only way to see allocations")]
-// SAFETY: forwards every call unchanged to the system allocator.
+// SAFETY: forwards all calls unchanged to the system allocator.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         count_and_record();

@@ -1,4 +1,4 @@
-//! The index of 3D Tiles archives: used where it is there and right, and never needed.
+//! The index of 3D Tiles archives is used if it is valid, and is never required.
 
 use std::collections::BTreeMap;
 use std::io::{Cursor, Write as _};
@@ -10,11 +10,11 @@ use zip::CompressionMethod::{Deflated, Stored};
 use zip::write::{SimpleFileOptions, ZipWriter};
 use zip::{CompressionMethod, ZipArchive};
 
-/// The names in the index: hash and offset of each.
+/// The names in the index, as hash and offset.
 type Entries = Vec<([u8; 16], u64)>;
 type Change = fn(&mut Entries);
 
-/// How an archive's index is made.
+/// The content of an archive's index.
 struct Making {
     change: Change,
     method: CompressionMethod,
@@ -38,7 +38,7 @@ fn archive(files: &BTreeMap<String, Vec<u8>>, making: &Making) -> Vec<u8> {
     archive_named(files, making, str::to_owned)
 }
 
-/// One whose index has files by other names than the directory.
+/// An index whose names differ from those of the directory.
 fn archive_named(files: &BTreeMap<String, Vec<u8>>, making: &Making, in_index: impl Fn(&str) -> String) -> Vec<u8> {
     let mut writer = ZipWriter::new(Cursor::new(Vec::new()));
     for (name, bytes) in files {
@@ -67,7 +67,7 @@ fn archive_named(files: &BTreeMap<String, Vec<u8>>, making: &Making, in_index: i
     writer.finish().unwrap().into_inner()
 }
 
-/// Enough files that the directory is larger than the part of the archive's end that is read first.
+/// Enough files that the directory is larger than the end of the archive that is read first.
 fn many() -> BTreeMap<String, Vec<u8>> {
     (0..3000u32)
         .map(|i| (format!("a/rather/long/name/of/a/tile/é {i}.glb"), i.to_le_bytes().repeat(100 + i as usize % 7)))
@@ -75,7 +75,7 @@ fn many() -> BTreeMap<String, Vec<u8>> {
         .collect()
 }
 
-/// Few, with names that make the directory as large.
+/// Few files, whose long names make the directory as large.
 fn few() -> BTreeMap<String, Vec<u8>> {
     let name = |i: u32| format!("{}{i}", "d/".repeat(1500));
     (0..60u32).map(|i| (name(i), vec![i as u8; 50 + i as usize])).collect()
@@ -91,7 +91,7 @@ fn written(bytes: &[u8]) -> (tempfile::TempDir, FileReader) {
     (folder, FileReader::new(Limits::default()))
 }
 
-/// The first headers of the directory are no longer any.
+/// The first headers of the directory are invalid.
 fn without_directory(mut bytes: Vec<u8>) -> Vec<u8> {
     let end = bytes.len() - 22;
     let start = u32::from_le_bytes(bytes[end + 16..end + 20].try_into().unwrap()) as usize;
@@ -99,7 +99,7 @@ fn without_directory(mut bytes: Vec<u8>) -> Vec<u8> {
     bytes
 }
 
-/// A bit of a file's name in the directory is another.
+/// One bit of a file's name in the directory differs.
 fn with_changed_name(mut bytes: Vec<u8>, name: &str) -> Vec<u8> {
     let at = bytes.windows(name.len()).rposition(|w| w == name.as_bytes()).unwrap();
     bytes[at] ^= 2;
@@ -110,16 +110,16 @@ fn is_damaged(error: &IoError) -> bool {
     matches!(error, IoError::Invalid { reason, .. } if reason.contains("damaged archive"))
 }
 
-/// It was said not to be there.
+/// Regression: the file was reported as missing.
 #[test]
-fn a_file_whose_name_was_changed_is_not_missing() {
+fn file_whose_name_was_corrupted_is_found() {
     let files = BTreeMap::from(["a.glb", "b.glb", "tileset.json"].map(|name| (name.to_owned(), b"content".to_vec())));
     let (folder, reader) = written(&with_changed_name(archive(&files, &Making::default()), "b.glb"));
     let error = read(&folder, &reader, "b.glb").unwrap_err();
     assert!(is_damaged(&error) && !error.is_transient(), "{error:?}");
     assert_eq!(read(&folder, &reader, "a.glb").unwrap(), b"content");
     assert!(matches!(read(&folder, &reader, "none.glb"), Err(IoError::NotFound { .. })));
-    // It does not matter for files that are found through the index.
+    // Files that are found through the index are not affected.
     let files = many();
     let (name, content) = files.first_key_value().unwrap();
     let (folder, reader) = written(&with_changed_name(archive(&files, &Making::default()), name));
@@ -127,11 +127,11 @@ fn a_file_whose_name_was_changed_is_not_missing() {
     assert!(matches!(read(&folder, &reader, "none.glb"), Err(IoError::NotFound { .. })));
 }
 
-/// Some programs write names with backslashes, or from the root: those files were said not to be there.
+/// Some programs write names with backslashes or a leading slash. Regression: those files were reported as missing.
 #[test]
-fn names_of_other_systems_are_found() {
+fn names_in_the_style_of_other_systems_are_found() {
     let plain = |name: &str| name.replace('\\', "/").trim_start_matches('/').to_owned();
-    // A directory at the end that is read first, and one that is larger than that.
+    // The directory is within the end of the archive that is read first, or larger than that.
     for further in [0, 4000] {
         let names = ["a\\b.glb", "/c/d.glb", "\\e.glb", "f.glb"].map(str::to_owned);
         let further = (0..further).map(|i| format!("z/one of many files/{i}"));
@@ -149,16 +149,17 @@ fn names_of_other_systems_are_found() {
     let files = BTreeMap::from(["g/h.glb", "g\\h.glb"].map(|name| (name.to_owned(), name.as_bytes().to_vec())));
     let (folder, reader) = written(&archive(&files, &Making { is_last: false, ..Making::default() }));
     for (name, content) in &files {
-        assert_eq!(read(&folder, &reader, name).as_ref(), Ok(content), "a name as it is goes first");
+        assert_eq!(read(&folder, &reader, name).as_ref(), Ok(content), "an exact name takes precedence");
     }
 }
 
-/// If two files share a name, index and directory agree; the index once held the first and the directory the last.
+/// If two files share a name, index and directory agree. Regression: the index had the first and the directory the
+/// last.
 #[test]
-fn an_index_with_one_name_twice_is_not_needed() {
+fn index_with_a_duplicate_name_is_ignored() {
     let files = many();
     let twice = |entries: &mut Entries| {
-        // An index entry with another file's offset: the directory says which file is meant.
+        // An index entry has another file's offset. The directory decides.
         let hash: [u8; 16] = Md5::digest("a/rather/long/name/of/a/tile/é 7.glb".as_bytes()).into();
         let at = entries.iter().position(|e| e.0 == hash).unwrap();
         entries[if at == 0 { 1 } else { at - 1 }].0 = hash;
@@ -168,7 +169,7 @@ fn an_index_with_one_name_twice_is_not_needed() {
     std::fs::write(folder.path().join("set.3tz"), bytes).unwrap();
     let reader = FileReader::new(Limits::default());
     let error = read(&folder, &reader, "tileset.json").unwrap_err();
-    assert!(error.to_string().contains("directory"), "the directory, which is broken, was asked: {error}");
+    assert!(error.to_string().contains("directory"), "the invalid directory was read: {error}");
 }
 
 #[test]
@@ -191,12 +192,12 @@ fn files_are_found_without_the_directory() {
 }
 
 #[test]
-fn an_index_that_is_wrong_is_not_needed() {
+fn wrong_index_is_not_needed() {
     let files = few();
     let wrong: [(&str, Change); 6] = [
         ("another order", |entries| entries.reverse()),
         ("one missing", |entries| entries.truncate(entries.len() - 1)),
-        ("one too many", |entries| entries.push(([255; 16], 0))),
+        ("one entry too many", |entries| entries.push(([255; 16], 0))),
         ("other places", |entries| {
             let offset = entries[0].1;
             entries.iter_mut().for_each(|e| e.1 = offset);
@@ -223,16 +224,16 @@ fn an_index_that_is_wrong_is_not_needed() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
 
-    /// Whatever is broken, a file is as it was or an error.
+    /// With any corruption, a file has its content or reading fails.
     #[test]
-    fn broken_archives_are_errors(
+    fn corrupt_archives_are_errors(
         cut in prop::option::of(0.0f64..1.0),
         changes in prop::collection::vec((0.0f64..1.0, any::<u8>()), 0..40),
     ) {
         let files = few();
         let mut bytes = archive(&files, &Making::default());
         let length = bytes.len();
-        // Most of the file is names: the last quarter has index and directory.
+        // Most of the archive is names; the last quarter has index and directory.
         for (at, value) in changes {
             let at = (length as f64 * (0.4 + 0.6 * at)) as usize;
             bytes[at.min(length - 1)] = value;
@@ -261,7 +262,7 @@ mod over_http {
         Server::start(move |r| Reply::ok(bytes.clone()).with("ETag", "\"1\"").ranged(r))
     }
 
-    /// The files' contents, and the bytes that came.
+    /// Returns the contents of the files, and the number of bytes read.
     fn get(server: &Server, names: &[&String]) -> (Vec<Result<Vec<u8>, IoError>>, u64) {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
         let client = HttpClient::new(&HttpConfig { max_retries: 0, ..HttpConfig::default() }).unwrap();
@@ -278,14 +279,14 @@ mod over_http {
     }
 
     #[test]
-    fn the_index_replaces_the_directory() {
+    fn index_replaces_the_directory() {
         let files = many();
-        // The last file is followed by what was the directory before the index came.
+        // The last file is followed by the former directory.
         let names: Vec<&String> = files.keys().step_by(500).take(6).collect();
         let expected: Vec<Result<Vec<u8>, IoError>> = names.iter().map(|n| Ok(files[*n].clone())).collect();
         let indexed = archive(&files, &Making::default());
         let mut bytes_that_came = Vec::new();
-        // Without the index the last file is another.
+        // Without the index, another file is the last.
         for bytes in [without_directory(indexed), archive(&files, &Making { is_last: false, ..Making::default() })] {
             let server = server(bytes);
             let (read, bytes) = get(&server, &names);
@@ -299,7 +300,7 @@ mod over_http {
     }
 
     #[test]
-    fn an_index_that_lies_costs_a_directory() {
+    fn wrong_index_costs_one_read_of_the_directory() {
         let files = many();
         let lie = |entries: &mut Entries| {
             let offset = entries[0].1;
@@ -311,18 +312,18 @@ mod over_http {
         for (name, read) in names.iter().zip(read) {
             assert!(read.as_ref() == Ok(&files[*name]), "{name}");
         }
-        // End, index, what the index says, the directory once, each file.
+        // Requests: the end, the index, the file it points at, the directory once, each file once.
         assert!(server.count() <= 4 + names.len(), "{}", server.count());
         let missing = "none.glb".to_owned();
         assert!(matches!(get(&server, &[&missing]).0[0], Err(IoError::NotFound { .. })));
     }
 
-    /// It was remembered as missing for as long as the directory was kept.
+    /// Regression: the name counted as missing for as long as the directory was cached.
     #[test]
-    fn a_name_that_was_changed_on_its_way_is_read_anew() {
+    fn corrupted_name_is_read_again() {
         let files = BTreeMap::from(["a.glb", "b.glb", "c.glb"].map(|name| (name.to_owned(), b"content".to_vec())));
         let (name, none) = ("b.glb".to_owned(), "none.glb".to_owned());
-        // With an index, and without one as a plain zip is.
+        // With an index, and without one like a plain zip.
         for is_last in [true, false] {
             let good = archive(&files, &Making { is_last, ..Making::default() });
             let bent = with_changed_name(good.clone(), &name);
@@ -336,7 +337,8 @@ mod over_http {
             assert!(is_damaged(error) && error.is_doubtful(), "{error:?}");
             assert_eq!(got[1].as_deref(), Ok(&b"content"[..]));
             assert!(got[2..].iter().all(|got| matches!(got, Err(IoError::NotFound { .. }))), "{got:?}");
-            // End, anew, and the file. Without an index directories are read twice before a file is missing.
+            // Requests: the end, the same again, and the file. Without an index, directories are read twice before a
+            // file is missing.
             let requests = if is_last { 3 } else { 5 };
             assert_eq!(server.count(), requests, "{:?}", server.seen());
         }

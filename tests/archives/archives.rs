@@ -1,4 +1,4 @@
-//! Archives as folders: from disk and from servers, of every shape that zip allows, broken ones too.
+//! Archives as folders: from disk and from servers, in all variants of zip, and with errors.
 
 use std::collections::BTreeMap;
 use std::io::{Cursor, Write as _};
@@ -16,7 +16,7 @@ fn options() -> SimpleFileOptions {
     SimpleFileOptions::default()
 }
 
-/// Some bytes of each kind: text that packs well, bytes that do not, nothing.
+/// Returns contents of each kind: text that compresses well, bytes that do not, an empty file.
 fn contents() -> BTreeMap<String, Vec<u8>> {
     let noise: Vec<u8> = (0..20_000u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 13) as u8).collect();
     BTreeMap::from([
@@ -37,7 +37,7 @@ fn zipped(files: &BTreeMap<String, Vec<u8>>, options: SimpleFileOptions) -> Vec<
     writer.finish().unwrap().into_inner()
 }
 
-/// Reads files of an archive that is made of these bytes.
+/// Reads files of an archive with these bytes.
 struct Archive(tempfile::TempDir);
 
 impl Archive {
@@ -57,25 +57,25 @@ impl Archive {
 }
 
 #[test]
-fn every_shape_of_zip_is_read() {
+fn all_variants_of_zip_are_read() {
     let files = contents();
     let mut shapes = vec![
         ("stored", zipped(&files, options().compression_method(Stored))),
         ("deflated", zipped(&files, options().compression_method(Deflated))),
         ("with 64-bit sizes", zipped(&files, options().large_file(true).compression_method(Deflated))),
     ];
-    // Sizes behind the contents, as a stream is written.
+    // The sizes follow the contents, as in a zip that was written as a stream.
     let mut writer = ZipWriter::new_stream(Vec::new());
     for (name, bytes) in &files {
         writer.start_file(name, options()).unwrap();
         writer.write_all(bytes).unwrap();
     }
     shapes.push(("streamed", writer.finish().unwrap().into_inner()));
-    // A comment that is as long as one may be and holds the mark of the end.
+    // The comment has the maximum length and contains the signature of the end.
     let mut writer = ZipWriter::new_append(Cursor::new(shapes[1].1.clone())).unwrap();
     writer.set_raw_comment([&b"PK\x05\x06"[..], &[b'.'; 65_000]].concat().into()).unwrap();
     shapes.push(("commented", writer.finish().unwrap().into_inner()));
-    // More files than 16 bits count, and a directory that is longer than the end that is read first.
+    // There are more files than 16 bits can count, and the directory is longer than the end that is read first.
     let mut writer = ZipWriter::new(Cursor::new(Vec::new()));
     for i in 0..70_000 {
         writer.start_file(format!("tiles/{i}"), options().compression_method(Stored)).unwrap();
@@ -99,7 +99,7 @@ fn every_shape_of_zip_is_read() {
     }
 }
 
-/// Changes all headers of an archive, local and central, by the offset of the method in them.
+/// Changes all local and central headers of an archive, by the offset of the method in them.
 fn change_headers(mut bytes: Vec<u8>, change: impl Fn(&mut [u8])) -> Vec<u8> {
     for at in 0..bytes.len() - 30 {
         let method = match &bytes[at..at + 4] {
@@ -113,7 +113,7 @@ fn change_headers(mut bytes: Vec<u8>, change: impl Fn(&mut [u8])) -> Vec<u8> {
 }
 
 #[test]
-fn zstd_is_read_and_other_methods_are_reported() {
+fn zstd_is_read_and_other_methods_are_errors() {
     let plain = b"heights".repeat(2000);
     let packed = ruzstd::encoding::compress_to_vec(plain.as_slice(), ruzstd::encoding::CompressionLevel::Fastest);
     let one = BTreeMap::from([("f".to_owned(), packed)]);
@@ -136,11 +136,11 @@ fn zstd_is_read_and_other_methods_are_reported() {
 }
 
 #[test]
-fn bombs_are_refused() {
+fn decompression_bombs_are_refused() {
     let zeros = BTreeMap::from([("f".to_owned(), vec![0; 9 << 20])]);
     let archive = Archive::new(&zipped(&zeros, options().compression_method(Deflated)));
     assert!(matches!(archive.read("f"), Err(IoError::TooLarge { .. })));
-    // One that says less than it holds.
+    // The header gives less than the actual size.
     let liar = change_headers(zipped(&zeros, options()), |h| h[16..20].copy_from_slice(&100u32.to_le_bytes()));
     assert!(matches!(Archive::new(&liar).read("f"), Err(IoError::TooLarge { limit: 100, .. })));
     let many: BTreeMap<String, Vec<u8>> = (0..100).map(|i| (i.to_string(), Vec::new())).collect();
@@ -150,7 +150,7 @@ fn bombs_are_refused() {
 }
 
 #[test]
-fn an_archive_that_is_replaced_is_read_anew() {
+fn replaced_archive_is_read_again() {
     let of = |text: &str| zipped(&BTreeMap::from([("f".to_owned(), text.as_bytes().to_vec())]), options());
     let archive = Archive::new(&of("first"));
     let reader = FileReader::new(Limits::default());
@@ -165,12 +165,12 @@ fn an_archive_that_is_replaced_is_read_anew() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(400))]
 
-    /// Whatever happens to the bytes: the content, or an error, and no panic.
+    /// With any change of bytes, reading gives the content or an error, and never panics.
     #[test]
-    fn broken_archives_are_errors(cut in 0usize..30_000, changes in prop::collection::vec((any::<u32>(), any::<u8>()), 0..6)) {
+    fn corrupt_archives_are_errors(cut in 0usize..30_000, changes in prop::collection::vec((any::<u32>(), any::<u8>()), 0..6)) {
         let files = contents();
         let mut bytes = zipped(&files, options().compression_method(Deflated));
-        // Mostly near the directory.
+        // Most changes hit the directory.
         for (at, value) in &changes {
             let from_end = *at as usize % 700.min(bytes.len());
             let at = bytes.len() - 1 - from_end;
@@ -188,7 +188,7 @@ proptest! {
     }
 }
 
-/// A set of tiles as `terrane gen` makes them, as a folder and as an archive beside it.
+/// Generates a set of tiles with `terrane gen`, as a folder and as an archive beside it.
 fn generated(folder: &Path, archive: &str) {
     let set = folder.join("set");
     let args =
@@ -211,7 +211,7 @@ fn collect(root: &Path, folder: &Path, files: &mut BTreeMap<String, Vec<u8>>) {
     }
 }
 
-/// Everything of a set, from above, finely.
+/// Loads the whole set from above at full detail.
 fn flown(source: &str, config: PagerConfig) -> Run {
     let mut run = Run::new(source, config);
     // The camera looks along the earth's axis.
@@ -222,7 +222,7 @@ fn flown(source: &str, config: PagerConfig) -> Run {
 }
 
 #[test]
-fn a_generated_set_is_the_same_in_an_archive() {
+fn generated_set_is_the_same_in_an_archive() {
     for archive in ["set.3tz", "set.zip"] {
         let folder = tempfile::tempdir().unwrap();
         generated(folder.path(), archive);
@@ -267,7 +267,7 @@ mod over_http {
         })
     }
 
-    /// An archive at every path, in parts, that can be replaced; its tag is its length.
+    /// Serves an archive, which can be replaced, at every path and with ranges. Its tag is its length.
     fn server(bytes: Vec<u8>, headers: &'static [(&str, &str)]) -> (Server, Arc<Mutex<Vec<u8>>>) {
         let bytes = Arc::new(Mutex::new(bytes));
         let of = bytes.clone();
@@ -291,7 +291,7 @@ mod over_http {
     }
 
     #[test]
-    fn members_come_by_ranges() {
+    fn members_are_fetched_by_ranges() {
         let files = contents();
         let (small, _) = server(zipped(&files, options()), &[]);
         let reader = client(None);
@@ -312,8 +312,8 @@ mod over_http {
             let name = format!("a/rather/long/name/of/a/tile/{i}.glb");
             assert!(get(&reader, &url(&name)).as_ref() == Ok(&files[&name]), "{i}");
         }
-        assert_eq!(large.count(), 2 + 3, "a directory of two parts");
-        // The directory once more, to be sure of it.
+        assert_eq!(large.count(), 2 + 3, "a directory in two parts");
+        // A missing file reads the directory once more.
         for name in ["none", "none", "none.glb"] {
             assert!(matches!(get(&reader, &url(name)), Err(IoError::NotFound { .. })));
             assert_eq!(large.count(), 6);
@@ -321,7 +321,7 @@ mod over_http {
     }
 
     #[test]
-    fn many_at_once_read_the_directory_once() {
+    fn concurrent_readers_share_one_read_of_the_directory() {
         let files = many();
         let (server, _) = server(zipped(&files, options()), &[]);
         let reader = client(None);
@@ -362,7 +362,7 @@ mod over_http {
             let server = Server::start(move |r| match r.header("range").unwrap() {
                 range if range.starts_with("bytes=-") && answer == "refused" => Reply::new(400, ""),
                 range if range.starts_with("bytes=-") && answer == "whole" => Reply::ok(bytes.clone()),
-                // It takes the number for that of the last byte, counted from the first.
+                // The server takes the length of the suffix for the offset of the last byte.
                 range if range.starts_with("bytes=-") => {
                     let part = bytes[..=range[7..].parse().unwrap()].to_vec();
                     let range = format!("bytes 0-{}/{}", part.len() - 1, bytes.len());
@@ -372,14 +372,14 @@ mod over_http {
             });
             let url = format!("{}/set.3tz/tileset.json", server.url);
             assert!(get(&client(None), &url).as_ref() == Ok(&large["tileset.json"]), "{answer}");
-            // One less to learn the length.
+            // One request less is needed for the length.
             let requests = if answer == "another part" { 3 } else { 4 };
             assert_eq!(server.count(), requests, "{answer}");
         }
     }
 
     #[test]
-    fn an_archive_that_changes_is_an_error_that_passes() {
+    fn changed_archive_is_a_transient_error() {
         let of = |n: usize| {
             let files = BTreeMap::from([("a".to_owned(), vec![1; 100]), ("b".to_owned(), vec![n as u8; 1000 * n])]);
             zipped(&files, options().compression_method(Stored))
@@ -392,15 +392,15 @@ mod over_http {
         let error = get(&reader, &url("b")).unwrap_err();
         assert!(error.is_transient() && error.to_string().contains("changed"), "{error}");
         assert_eq!(get(&reader, &url("b")).unwrap(), vec![3; 3000]);
-        *bytes.lock().unwrap() = b"no archive any more".to_vec();
+        *bytes.lock().unwrap() = b"the archive is gone".to_vec();
         assert!(get(&reader, &url("a")).is_err());
         assert!(matches!(get(&reader, &url("a")), Err(IoError::Invalid { .. })));
     }
 
-    /// A page instead of the archive passes, whether it comes instead of a member, of the directory or in pieces: the
-    /// members were lost for good.
+    /// A web page instead of the archive is a transient failure, whether it replaces a member, the directory or parts
+    /// of it. Regression: the members were lost permanently.
     #[test]
-    fn a_page_for_people_in_the_place_of_an_archive_passes() {
+    fn web_page_instead_of_an_archive_is_a_transient_error() {
         for how in [How::Whole, How::Chunked] {
             let bytes = zipped(&contents(), options());
             let is_down = Arc::new(AtomicBool::new(false));
@@ -424,7 +424,7 @@ mod over_http {
         }
     }
 
-    /// An archive of which an answer is changed on its way: `change` gets the number of the request and what goes out.
+    /// Serves an archive and changes some answers: `change` gets the number of the request and the bytes to send.
     fn changing(bytes: Vec<u8>, change: impl Fn(usize, &mut Vec<u8>) + Send + Sync + 'static) -> Server {
         Server::start(move |r| {
             let mut reply = Reply::ok(bytes.clone()).with("ETag", "\"1\"").ranged(r);
@@ -440,12 +440,13 @@ mod over_http {
         (46..bytes.len()).rev().find(is_name).unwrap() - 46 + 16
     }
 
-    /// A bit was changed on the way and the directory is one all the same: what it says wrongly of was lost for good.
+    /// A bit was changed in transfer, and the directory is still valid. Regression: the affected files were lost
+    /// permanently.
     #[test]
-    fn a_directory_that_came_wrong_is_read_anew() {
+    fn corrupted_directory_is_read_again() {
         for files in [contents(), many()] {
             let flip = |nth: usize, body: &mut Vec<u8>| {
-                // The directory is at the end of the first answer, or is all of the second one but for its end.
+                // The directory is at the end of the first answer, or it is the second one without its end.
                 if nth < 2 && body.ends_with(&[0; 2]) || nth == 1 && body.starts_with(b"PK\x01\x02") {
                     let has_it = body.windows(12).any(|w| w == b"tileset.json");
                     if has_it && body.windows(4).any(|w| w == b"PK\x01\x02") {
@@ -463,9 +464,9 @@ mod over_http {
         }
     }
 
-    /// A file that is broken in the archive itself: its directory is not read again for each try.
+    /// A file that is corrupt in the archive itself does not cause a read of the directory for each retry.
     #[test]
-    fn a_broken_file_costs_its_directory_seldom() {
+    fn corrupt_file_rarely_rereads_the_directory() {
         let mut bytes = zipped(&contents(), options().compression_method(Stored));
         let at = bytes.windows(10).position(|w| w == [7; 10]).unwrap();
         bytes[at] = 8;
@@ -478,9 +479,9 @@ mod over_http {
         assert_eq!(server.count(), 5 + directories);
     }
 
-    /// All tiles that waited for the directory failed with it, for good.
+    /// Regression: all tiles that waited for the directory failed with it permanently.
     #[test]
-    fn tiles_come_though_directories_came_wrong() {
+    fn tiles_load_although_directories_were_corrupted() {
         let glb = terrane::formats::writers::write_glb(&terrane::formats::writers::GlbMesh {
             positions: vec![[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
             indices: vec![0, 1, 2],
@@ -507,7 +508,7 @@ mod over_http {
             let mut reply = Reply::ok(bytes.clone()).ranged(r);
             let length = reply.body.len();
             match r.nth {
-                // The end is missing, then the last header, then sizes are other ones.
+                // First the end is missing, then the last header, then sizes differ.
                 0 => reply.body[length - 22] ^= 1,
                 1 => reply.body[length - 22 - 46 - 5] ^= 1,
                 2 => reply.body = change_headers(reply.body, |header| header[12] ^= 1),
@@ -519,12 +520,12 @@ mod over_http {
             &format!("{}/set/", server.url),
             PagerConfig { retry_after: Duration::from_millis(2), ..PagerConfig::default() },
         );
-        run.until(above(10.0), "tiles are lost", |r| r.stage.counters.tiles_drawn == 8);
+        run.until(above(10.0), "tiles were lost", |r| r.stage.counters.tiles_drawn == 8);
         assert!(run.pager.stats().failed >= 16, "{:?}", run.pager.stats());
     }
 
     #[test]
-    fn the_cache_keeps_members() {
+    fn cache_stores_members() {
         let folder = tempfile::tempdir().unwrap();
         let files = contents();
         for (headers, requests) in [(&[][..], 1), (&[("Cache-Control", "max-age=1000")][..], 0)] {
@@ -539,7 +540,7 @@ mod over_http {
             assert_eq!(server.count(), 1 + files.len());
             let second = client(Some(folder.path()));
             all(&second);
-            assert_eq!(server.count(), 1 + files.len() + requests, "the directory says that all of it holds");
+            assert_eq!(server.count(), 1 + files.len() + requests, "the directory counts as valid");
             let stats = second.cache().unwrap().stats();
             assert_eq!(stats.hits + stats.revalidated, files.len() as u64);
             if requests > 0 {
@@ -551,7 +552,7 @@ mod over_http {
     }
 
     #[test]
-    fn a_generated_set_streams_out_of_an_archive() {
+    fn generated_set_is_streamed_from_an_archive() {
         let folder = tempfile::tempdir().unwrap();
         generated(folder.path(), "set.3tz");
         let (server, _) = server(std::fs::read(folder.path().join("set.3tz")).unwrap(), &[]);

@@ -1,4 +1,4 @@
-//! PMTiles: tiles of a pyramid in one file, as the `pmtiles` crate writes them, from disk and from servers.
+//! PMTiles: a pyramid of tiles in one file, written by the `pmtiles` crate, from disk and from servers.
 
 use std::io::Cursor;
 
@@ -7,7 +7,7 @@ use proptest::prelude::*;
 use terrane::fetch::{FileReader, IoError, Limits};
 use terrane::formats::inspect;
 
-/// Tiles of eight levels but for a few; those that are one in a hundred are equal to their neighbours.
+/// Returns the tiles of eight levels with a few gaps. One in a hundred equals its neighbours.
 fn content(z: u8, x: u32, y: u32) -> Option<Vec<u8>> {
     let id = TileId::from(TileCoord::new(z, x, y).unwrap()).value();
     match id / 50 % 10 {
@@ -17,7 +17,7 @@ fn content(z: u8, x: u32, y: u32) -> Option<Vec<u8>> {
     }
 }
 
-/// Enough levels for directories below the root, and too few for any.
+/// Enough levels for directories below the root, and few enough for none.
 const MANY: u32 = 8;
 const FEW: u32 = 4;
 
@@ -62,7 +62,7 @@ impl OnDisk {
 }
 
 #[test]
-fn every_tile_is_found() {
+fn all_tiles_are_found() {
     for (levels, directories, contents) in [
         (FEW, Compression::Gzip, Compression::None),
         (MANY, Compression::Gzip, Compression::Gzip),
@@ -89,7 +89,7 @@ fn every_tile_is_found() {
 }
 
 #[test]
-fn a_file_that_is_replaced_is_read_anew() {
+fn replaced_file_is_read_again() {
     let disk = OnDisk::new(&written(FEW, Compression::Gzip, Compression::None));
     assert!(disk.read("0/0/0").is_ok());
     let mut bytes = Vec::new();
@@ -101,7 +101,7 @@ fn a_file_that_is_replaced_is_read_anew() {
     assert!(matches!(disk.read("1/0/0"), Err(IoError::NotFound { .. })));
 }
 
-/// A file of one directory, which is root and leaf.
+/// Returns a file with one directory, which is both root and leaf.
 fn of_directory(version: u8, packing: u8, directory: &[u8], tiles: u64) -> Vec<u8> {
     let mut bytes = vec![0u8; 127];
     bytes[..7].copy_from_slice(b"PMTiles");
@@ -116,7 +116,7 @@ fn of_directory(version: u8, packing: u8, directory: &[u8], tiles: u64) -> Vec<u
 }
 
 #[test]
-fn what_is_wrong_is_said() {
+fn errors_name_the_problem() {
     let bomb = {
         let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::best());
         std::io::Write::write_all(&mut encoder, &vec![0; 2 << 20]).unwrap();
@@ -149,9 +149,9 @@ fn what_is_wrong_is_said() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// Whatever is broken, there are bytes or an error.
+    /// With any corruption, reading gives bytes or an error.
     #[test]
-    fn broken_files_are_errors(
+    fn corrupt_files_are_errors(
         cut in prop::option::of(0usize..40_000),
         changes in prop::collection::vec((0usize..40_000, any::<u8>()), 1..30),
     ) {
@@ -159,7 +159,7 @@ proptest! {
             std::sync::LazyLock::new(|| written(MANY, Compression::None, Compression::None));
         let mut bytes = WHOLE.clone();
         for (at, value) in changes {
-            // Half of them in the header.
+            // Half of the changes hit the header.
             let at = if at % 2 == 0 { at % 127 } else { at };
             bytes[at] = value;
         }
@@ -199,7 +199,7 @@ mod over_http {
     }
 
     #[test]
-    fn a_request_for_each_directory_and_each_tile() {
+    fn each_directory_and_each_tile_is_one_request() {
         let server = server(written(MANY, Compression::None, Compression::Gzip));
         let near: Vec<(u8, u32, u32)> = (0..256).map(|i| (7, i % 16, i / 16)).collect();
         let urls: Vec<String> =
@@ -212,12 +212,13 @@ mod over_http {
         }
         let seen = server.seen();
         assert!(seen.iter().all(|r| r.target == "/map.pmtiles?key=1" && r.header("range").is_some()));
-        // Side by side on the curve: of one directory, or of two.
+        // Neighbours on the Hilbert curve are in one directory or in two.
         let directories = seen.len() - 1 - there;
         assert!((1..=2).contains(&directories), "{directories}");
     }
 
-    /// Returns the offset of the first tile's size in a directory that is not packed: ids, runs, sizes and offsets follow its length.
+    /// Returns the offset of the first tile's size in an uncompressed directory. Ids, runs, sizes and offsets follow
+    /// its length.
     fn first_size(directory: &[u8]) -> usize {
         let mut ends = (0..directory.len()).filter(|at| directory[*at] < 0x80);
         let end = ends.next().unwrap();
@@ -225,9 +226,9 @@ mod over_http {
         ends.nth(2 * count - 1).unwrap() + 1
     }
 
-    /// One below the root that cannot be read, and one that can.
+    /// One directory below the root cannot be read, another one can.
     #[test]
-    fn a_directory_that_came_wrong_is_read_anew() {
+    fn corrupted_directory_is_read_again() {
         for packing in [Compression::Gzip, Compression::None] {
             let bytes = written(MANY, packing, Compression::Gzip);
             let leaves = u64::from_le_bytes(bytes[40..48].try_into().unwrap());
@@ -249,7 +250,7 @@ mod over_http {
     }
 
     #[test]
-    fn the_cache_keeps_tiles() {
+    fn cache_stores_tiles() {
         let folder = tempfile::tempdir().unwrap();
         let server = server(written(FEW, Compression::Gzip, Compression::None));
         let urls: Vec<String> = (0..4).map(|i| format!("{}/map.pmtiles/2/{i}/1", server.url)).collect();
@@ -260,7 +261,7 @@ mod over_http {
         let first = get(&client(false), &urls);
         assert!(first.iter().all(Result::is_ok) && server.count() == 1 + 4);
         assert!(get(&client(false), &urls) == first);
-        assert_eq!(server.count(), 5 + 1, "the head says that all of it holds");
+        assert_eq!(server.count(), 5 + 1, "the header counts as valid");
         assert!(get(&client(true), &urls) == first && server.count() == 6);
     }
 }

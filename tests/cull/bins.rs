@@ -1,4 +1,4 @@
-//! Which bins leaves go to, and the order of the bins.
+//! The bins of leaves, and the order of bins.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -15,7 +15,7 @@ fn cube(center: DVec3) -> Node {
     Node::geode(vec![drawable(Aabb { min: center - 0.5, max: center + 0.5 })])
 }
 
-/// A camera 10 m before the origin that looks along +y.
+/// Returns a camera 10 m in front of the origin that looks along +y.
 fn cull(root: Node) -> RenderStage {
     let mut scene = Scene::new();
     scene.add_root(page(root, 0));
@@ -28,7 +28,7 @@ fn cull(root: Node) -> RenderStage {
 }
 
 #[test]
-fn bins_nest_and_give_way_to_overrides() {
+fn bins_nest_and_can_be_overridden() {
     let with = |number, nest_bins, bin_value, child: Node| {
         let bin = Some(BinDetails::new(number, SortMode::ByState));
         Node::group(vec![child]).with_state_set(Arc::new(StateSet { bin, nest_bins, bin_value, ..StateSet::default() }))
@@ -62,7 +62,7 @@ fn bins_nest_and_give_way_to_overrides() {
     assert_eq!(bins, expected);
 }
 
-/// In the order in which they are drawn where the number is the same.
+/// Names in the order of drawing for equal numbers.
 const NAMES: [&str; 4] = ["RenderBin", "DepthSortedBin", "cull_bins: by key", "cull_bins: plain"];
 
 fn named(number: i32, name: &str, callback_of: &mut StateSet) -> BinDetails {
@@ -74,9 +74,9 @@ fn named(number: i32, name: &str, callback_of: &mut StateSet) -> BinDetails {
 type Bin = (i32, usize);
 
 proptest! {
-    /// They went into the first bin of their number, and had its order.
+    /// Regression: all went into the first bin of their number, with its order.
     #[test]
-    fn each_number_and_name_is_a_bin(leaves in prop::collection::vec(
+    fn each_number_and_name_is_a_separate_bin(leaves in prop::collection::vec(
         prop::collection::vec((-2..3i32, 0..NAMES.len()), 0..3), 1..40,
     )) {
         let backwards = SortKey(|leaf| u64::MAX - u64::from(leaf.order));
@@ -85,7 +85,7 @@ proptest! {
         let mut expected: BTreeMap<Vec<Bin>, Vec<u32>> = BTreeMap::new();
         let mut nodes = Vec::new();
         for (slot, path) in (0u32..).zip(&leaves) {
-            // Each farther than the one before.
+            // Each drawable is farther away than the previous one.
             let inside = cube(DVec3::new(0.0, f64::from(slot), 0.0));
             nodes.push(path.iter().rev().fold(inside, |child, (number, name)| {
                 let mut set = StateSet::default();
@@ -95,7 +95,7 @@ proptest! {
             expected.entry(path.clone()).or_default().push(slot);
         }
         for (path, slots) in &mut expected {
-            // Farthest first, and by a key that turns the order round.
+            // One bin is sorted by distance, farthest first, another by a key that reverses the order.
             if path.last().is_some_and(|(_, name)| (1..3).contains(name)) {
                 slots.reverse();
             }
@@ -110,7 +110,7 @@ proptest! {
             };
             found.push((bin.path.iter().map(place).collect(), bin.leaves.iter().map(|leaf| leaf.slot.0).collect()));
         }
-        // Around a bin's own leaves the bins in it: those with negative numbers before, the others after.
+        // Nested bins with negative numbers come before the leaves of their bin, the others after them.
         let drawn = |path: &Vec<Bin>| {
             let mut key: Vec<_> = path.iter().map(|(number, name)| (*number, 1, *name)).collect();
             key.push((0, 0, 0));

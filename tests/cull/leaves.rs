@@ -1,4 +1,4 @@
-//! Which drawables become leaves: against a brute-force oracle in f64, and against the peer's counts.
+//! The drawables that become leaves, compared with a brute-force oracle in f64 and with the counts of the peer.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -20,11 +20,11 @@ fn cull(scene: &Scene, camera: &CullCamera) -> RenderStage {
 fn slots(stage: &RenderStage) -> BTreeSet<u32> {
     let all: Vec<u32> = stage.bins.iter().flat_map(|b| &b.leaves).map(|l| l.slot.0).collect();
     let set: BTreeSet<u32> = all.iter().copied().collect();
-    assert_eq!(set.len(), all.len(), "a leaf twice");
+    assert_eq!(set.len(), all.len(), "a duplicate leaf");
     set
 }
 
-/// A description of a random node; sizes and positions in metres.
+/// A random node; sizes and positions in metres.
 #[derive(Clone, Debug)]
 enum Shape {
     Group(Vec<Shape>),
@@ -80,14 +80,14 @@ fn aabb((center, half): &([f64; 3], [f64; 3])) -> Aabb {
     Aabb { min: c - h, max: c + h }
 }
 
-/// The oracle's answer for each drawable: how far inside the closest plane its box reaches, metres; `None` when
-/// switched off.
+/// The result of the oracle for each drawable: the distance in metres that its box reaches inside the closest plane;
+/// `None` if it is switched off.
 struct Oracle {
     planes: Vec<DVec4>,
     eye: DVec3,
     camera: CullCamera,
     reach_m: Vec<Option<f64>>,
-    /// A LOD distance too close to a range's end to tell.
+    /// True if a LOD distance is too close to the end of a range to decide.
     unsure: bool,
 }
 
@@ -127,7 +127,7 @@ impl Oracle {
             }
             Shape::Geode(boxes) => {
                 for b in boxes {
-                    // The engine keeps axis-aligned boxes in the page's frame, here the world's.
+                    // The engine keeps axis-aligned boxes in the frame of the page, which is the world here.
                     let b = aabb(b).transformed(&world_from_node);
                     let reach = self.planes.iter().map(|p| {
                         let normal = self.camera.eye_from_world.matrix3.transpose() * p.truncate();
@@ -152,7 +152,7 @@ proptest! {
         mask in 1u32..4,
         mode in 0u32..4,
     ) {
-        // Far from the world's origin the page's own origin must carry the precision.
+        // Far from the world's origin, the origin of the page must preserve the precision.
         let shift = DAffine3::from_translation(DVec3::splat(offset));
         let mut scene = Scene::new();
         scene.add_root(page(Node::transform(shift, vec![node(&shape)]), 0));
@@ -168,7 +168,7 @@ proptest! {
         oracle.visit(&shape, shift, true);
         prop_assume!(!oracle.unsure);
         let seen = slots(&cull(&scene, &camera));
-        // f32 at the page's size (about 300 m) and the f64 rounding of the offset.
+        // The tolerance covers f32 at the size of the page (about 300 m) and the f64 rounding of the offset.
         let tolerance_m = 3e-4;
         for (i, reach_m) in oracle.reach_m.iter().enumerate() {
             match reach_m {
@@ -180,14 +180,14 @@ proptest! {
         }
     }
 
-    /// Boxes that reach into the frustum by less than an f32 step.
+    /// Boxes that reach into the frustum by less than an f32 step are not culled.
     #[test]
-    fn nothing_is_lost_to_rounding(
+    fn rounding_culls_no_visible_box(
         columns in prop::collection::vec((-500.0..500.0f64, 0.0..20.0f64), 8),
         inside_m in 1e-7..1e-5f64,
         height in 100.0..400.0f64,
     ) {
-        // Boxes of a column have the same edge towards the left plane, whose normal has no y.
+        // The boxes of a column have the same edge towards the left plane, whose normal has no y.
         let boxes: Vec<_> = columns
             .iter()
             .flat_map(|(x, z)| (-20..20).map(|i| ([*x, f64::from(i) * 1.7, *z], [0.3, 0.21, 0.4])).collect::<Vec<_>>())
@@ -196,7 +196,7 @@ proptest! {
         let mut scene = Scene::new();
         scene.add_root(page(node(&shape), 0));
         for (x, z) in &columns {
-            // The left plane, 30 degrees off the axis, through the column's lower right edge.
+            // The left plane is 30 degrees off the axis and runs through the column's lower right edge.
             let eye_x = x + 0.3 + (height - z + 0.4) * 30f64.to_radians().tan() - inside_m;
             let eye = DVec3::new(eye_x, 0.0, height);
             let camera = look_at(eye, DVec3::new(eye_x, 0.0, 0.0), DVec3::Y);
@@ -210,7 +210,7 @@ proptest! {
     }
 
     #[test]
-    fn near_and_far_hold_every_leaf(shape in shape(), eye in prop::array::uniform3(-90.0..90.0f64)) {
+    fn near_and_far_planes_enclose_all_leaves(shape in shape(), eye in prop::array::uniform3(-90.0..90.0f64)) {
         let mut scene = Scene::new();
         scene.add_root(page(node(&shape), 0));
         let camera = look_at(DVec3::from_array(eye), DVec3::new(0.0, 0.0, 1e-3), DVec3::new(0.1, 0.2, 1.0));
@@ -222,9 +222,9 @@ proptest! {
         }
     }
 
-    /// The quick way is taken while nothing may have changed the page.
+    /// The fast path for single drawables is used only while nothing may have changed the page.
     #[test]
-    fn a_page_that_is_one_drawable_is_culled_as_its_nodes_are(
+    fn page_with_one_drawable_is_culled_like_its_nodes(
         above in prop::collection::vec(prop::option::of(prop::array::uniform7(-1.0..1.0f64)), 0..4),
         set_at in 0usize..6,
         bounds in (prop::array::uniform3(-40.0..40.0f64), prop::array::uniform3(0.0..4.0f64)),
@@ -251,7 +251,7 @@ proptest! {
         visitor.cull(&scene, &camera, &mut quick);
         prop_assert!(scene.page_mut(id).is_some());
         visitor.cull(&scene, &camera, &mut slow);
-        // Both may decide otherwise where the box ends at the frustum's edge.
+        // Both paths may decide differently if the box ends at the edge of the frustum.
         let mut oracle = Oracle::new(&camera);
         let world_from_drawable = above.iter().flatten().fold(DAffine3::IDENTITY, |below, t| affine(t) * below);
         oracle.visit(&Shape::Geode(vec![bounds]), world_from_drawable, true);
@@ -274,7 +274,7 @@ proptest! {
     }
 
     #[test]
-    fn moving_a_transform_equals_building_it_there(
+    fn moved_transform_equals_one_built_at_the_new_position(
         shape in shape(),
         from in prop::array::uniform7(-1.0..1.0f64),
         to in prop::array::uniform7(-1.0..1.0f64),
@@ -290,13 +290,13 @@ proptest! {
         built.add_root(build(&to));
         let camera = look_at(DVec3::from_array(eye), DVec3::new(0.0, 0.0, 1e-3), DVec3::new(0.1, 0.2, 1.0));
         let (a, b) = (cull(&moved, &camera), cull(&built, &camera));
-        // The page's origin differs, so rounding may decide otherwise at the frustum's edge.
+        // The origins of the pages differ, so rounding may decide differently at the edge of the frustum.
         let odd = slots(&a).symmetric_difference(&slots(&b)).count();
         prop_assert!(odd <= 1, "{odd} differ");
     }
 }
 
-/// Nodes visited, drawables tested and leaves as OpenSceneGraph 3.6.5 counts them (`osg_cull`).
+/// The numbers of visited nodes, tested drawables and leaves equal those of OpenSceneGraph 3.6.5 (`osg_cull`).
 #[test]
 fn counts_equal_the_peer() {
     let table = [
@@ -329,7 +329,7 @@ fn counts_equal_the_peer() {
 }
 
 #[test]
-fn matrices_are_shared_and_right() {
+fn matrices_are_shared_and_correct() {
     let rotation = DAffine3::from_rotation_translation(DQuat::from_rotation_z(0.7), DVec3::new(5.0, 1.0, 0.0));
     let unit = Aabb { min: -DVec3::ONE, max: DVec3::ONE };
     let scale = DAffine3::from_scale_rotation_translation(DVec3::splat(2.0), DQuat::from_rotation_x(0.2), DVec3::Y);
@@ -365,7 +365,7 @@ fn matrices_are_shared_and_right() {
 }
 
 #[test]
-fn unusable_bounds_are_drawn_and_poison_nothing() {
+fn drawables_with_invalid_bounds_are_drawn_and_affect_no_others() {
     let odd = [
         Aabb::EMPTY,
         Aabb { min: DVec3::splat(f64::NAN), max: DVec3::ONE },
@@ -391,7 +391,7 @@ fn unusable_bounds_are_drawn_and_poison_nothing() {
 }
 
 #[test]
-fn a_camera_of_nan_does_not_panic() {
+fn camera_with_nan_does_not_panic() {
     let grid = Grid::new(1_000);
     let mut scene = Scene::new();
     scene.add_root(page(grid.build(&state_sets(3, &StateSet::default())), 0));
@@ -400,7 +400,7 @@ fn a_camera_of_nan_does_not_panic() {
     assert!(stage.near_m.is_finite() && stage.far_m.is_finite());
 }
 
-/// Leaves of a scene with depths and states spread, for one sort mode.
+/// Returns the leaves of a scene with various depths and states, for one sort mode.
 fn sorted(sort: SortMode, cells: u32) -> RenderStage {
     let set = StateSet { bin: Some(BinDetails::new(0, sort)), ..StateSet::default() };
     let grid = Grid::new(cells);
@@ -410,7 +410,7 @@ fn sorted(sort: SortMode, cells: u32) -> RenderStage {
 }
 
 #[test]
-fn bins_are_in_the_order_asked_for() {
+fn bins_are_sorted_by_their_mode() {
     for cells in [100, 1_000, 10_000] {
         let traversal = sorted(SortMode::TraversalOrder, cells);
         let place = |slot: u32| traversal.bins[0].leaves.iter().position(|l| l.slot.0 == slot).unwrap();
@@ -449,7 +449,7 @@ fn bins_are_in_the_order_asked_for() {
                 }
             }
             if let SortMode::ByKey(_) = sort {
-                // Threes from behind, as traversed inside.
+                // Groups of three in the order of traversal, from back to front.
                 let expected = (0..all).rev().map(|i| i / 3).collect::<Vec<_>>();
                 assert_eq!(leaves.iter().map(|l| place(l.slot.0) / 3).collect::<Vec<_>>(), expected);
                 assert!(leaves.windows(2).all(|p| {
@@ -473,7 +473,7 @@ fn bins_are_in_the_order_asked_for() {
 }
 
 #[test]
-fn blended_drawables_go_to_the_transparent_bin() {
+fn blended_drawables_are_in_the_transparent_bin() {
     let near = Aabb { min: -DVec3::ONE, max: DVec3::ONE };
     let far = Aabb { min: DVec3::new(-1.0, 9.0, -1.0), max: DVec3::new(1.0, 11.0, 1.0) };
     let blended = |bounds| {
@@ -503,9 +503,9 @@ fn blended_drawables_go_to_the_transparent_bin() {
     }
 }
 
-/// A state set is one state wherever it hangs under the same parent, in whichever page.
+/// A state set below the same parent is one state, in all pages.
 #[test]
-fn state_is_by_identity_under_its_parent() {
+fn states_are_identified_by_state_set_and_parent() {
     let unit = Aabb { min: -DVec3::ONE, max: DVec3::ONE };
     let (a, b) = (Arc::new(StateSet::default()), Arc::new(StateSet::default()));
     let leaf = |set: &Arc<StateSet>| Node::geode(vec![drawable(unit)]).with_state_set(set.clone());
@@ -522,12 +522,12 @@ fn state_is_by_identity_under_its_parent() {
     assert_ne!(states[0], states[1]);
     assert_ne!(states[5], states[0]);
     assert_ne!(states[5], states[1]);
-    assert_eq!(stage.state_sets.len(), 3, "those that have leaves");
+    assert_eq!(stage.state_sets.len(), 3, "only states with leaves");
 }
 
-/// Nodes with masks, callbacks or switches are culled like others; they were once never culled.
+/// Nodes with masks, callbacks or switches are culled like others. Regression: they were never culled.
 #[test]
-fn small_features_are_dropped_where_asked() {
+fn small_features_are_culled_if_enabled() {
     let small = Aabb { min: -DVec3::splat(0.001), max: DVec3::splat(0.001) };
     let geode = || Node::geode(vec![drawable(small)]);
     let asked = CullCallback(Arc::new(|_| CullAction::Traverse));
@@ -537,7 +537,7 @@ fn small_features_are_dropped_where_asked() {
         ("group of one of a layer", Node::group(vec![Node { mask: 1, ..geode() }])),
         ("with a callback", Node { cull_callback: Some(asked), ..geode() }),
         ("switch", Node { children: vec![geode()], ..Node::new(NodeKind::Switch(vec![true])) }),
-        ("not to be culled", Node { culling_active: false, ..geode() }),
+        ("culling is off", Node { culling_active: false, ..geode() }),
     ];
     for (name, node) in kinds {
         let mut scene = Scene::new();
@@ -545,7 +545,7 @@ fn small_features_are_dropped_where_asked() {
         let mut camera = look_at(DVec3::new(0.0, -100.0, 0.0), DVec3::ZERO, DVec3::Z);
         assert_eq!(cull(&scene, &camera).counters.leaves, 1, "{name}");
         camera.settings.culling = CullingMode::DEFAULT | CullingMode::SMALL_FEATURE;
-        assert_eq!(cull(&scene, &camera).counters.leaves, u32::from(name == "not to be culled"), "{name}");
+        assert_eq!(cull(&scene, &camera).counters.leaves, u32::from(name == "culling is off"), "{name}");
     }
 }
 

@@ -1,4 +1,4 @@
-//! Cull without a GPU: what a visitor takes from a scene, tile selection, bins and occluders.
+//! Cull without a GPU: leaves, cameras, tile selection, bins and occluders.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 mod bins;

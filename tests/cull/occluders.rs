@@ -1,4 +1,4 @@
-//! Occluders in pages that come and go, and whose view they are in.
+//! Occluders in pages that are merged and expire, and the views that they apply to.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -18,14 +18,14 @@ fn cube(center: DVec3) -> Node {
     Node::geode(vec![drawable(Aabb { min: center - 0.5, max: center + 0.5 })])
 }
 
-/// A wall across the view of [`camera`], of 4 x 4 m around a point.
+/// Returns a wall of 4 x 4 m around a point, across the view of [`camera`].
 fn wall_at(center: DVec3) -> Node {
     let corner = |(x, z): (f64, f64)| center + DVec3::new(x, 0.0, z);
     let corners = [(-2.0, -2.0), (2.0, -2.0), (2.0, 2.0), (-2.0, 2.0)].map(corner).to_vec();
     Node::new(NodeKind::OccluderNode(Box::new(ConvexPlanarOccluder { corners, holes: vec![] })))
 }
 
-/// Looking along +y from 10 m before the origin, z up.
+/// Returns a camera that looks along +y from 10 m in front of the origin, with z up.
 fn camera() -> CullCamera {
     look_at(DVec3::new(0.0, -10.0, 0.0), DVec3::ZERO, DVec3::Z)
 }
@@ -44,7 +44,7 @@ fn seen(scene: &Scene, camera: &CullCamera) -> Vec<u32> {
     slots(&stage)
 }
 
-/// A tile of 200 m around a point whose content is moved there; refined when nearer than so many metres.
+/// Returns a tile of 200 m around a point, to which its content is moved. It is refined below a distance in metres.
 fn tile_at(center: DVec3, refined_within_m: f64, refine: Refine, children: Vec<Node>) -> Node {
     let lod = PagedLod {
         bounds: BoundingVolume::Box(OrientedBox { center, half_axes: DMat3::from_diagonal(DVec3::splat(100.0)) }),
@@ -64,7 +64,7 @@ fn slot_of(scene: &Scene, page: PageId, which: usize) -> NodeId {
 }
 
 #[test]
-fn an_occluder_lives_as_long_as_its_page() {
+fn occluder_lives_as_long_as_its_page() {
     let mut scene = Scene::new();
     let root = Node::transform(
         DAffine3::from_translation(DVec3::new(0.0, -6.0, 0.0)),
@@ -75,12 +75,12 @@ fn an_occluder_lives_as_long_as_its_page() {
     assert_eq!(seen(&scene, &camera()), [7]);
     let slot = slot_of(&scene, tiles, 0);
     for _ in 0..3 {
-        // In its page the wall is a metre to the left: by the transforms of tile and content right before the cube.
+        // In its page the wall is 1 m to the left. The transforms of tile and content move it in front of the cube.
         let merged = scene.attach(slot, page(wall_at(DVec3::NEG_X), 0)).unwrap();
         assert_eq!(seen(&scene, &camera()), [0; 0]);
         let beside = look_at(DVec3::new(30.0, 0.0, 0.0), DVec3::ZERO, DVec3::Z);
         std::thread::scope(|threads| {
-            // Both at once, of the same scene.
+            // Two visitors cull the same scene.
             let views = [camera(), beside].map(|c| {
                 threads.spawn({
                     let scene = &scene;
@@ -95,14 +95,14 @@ fn an_occluder_lives_as_long_as_its_page() {
 }
 
 #[test]
-fn a_moved_occluder_hides_leaves_behind_its_new_position() {
+fn moved_occluder_hides_leaves_behind_its_new_position() {
     let mut scene = Scene::new();
     let tiles = scene.add_root(page(tile_at(DVec3::ZERO, 0.0, Refine::Replace, vec![]), 0));
     scene.add_root(page(cube(DVec3::ZERO), 7));
     let at = |z: f64| DAffine3::from_translation(DVec3::new(0.0, -4.0, z));
     let moving = Node::transform(at(1e6), vec![wall_at(DVec3::ZERO)]);
     let merged = scene.attach(slot_of(&scene, tiles, 0), page(moving, 0)).unwrap();
-    // Another page with a wall, which the list is not to take for it.
+    // Another page has a wall, which must not be confused with the first.
     scene.add_root(page(wall_at(DVec3::new(0.0, 1e6, 0.0)), 0));
     for (z, expected) in [(1e6, &[7][..]), (0.0, &[]), (-1e6, &[7]), (0.5, &[])] {
         scene.set_transform(NodeId { page: merged, index: 0 }, at(z)).unwrap();
@@ -110,12 +110,12 @@ fn a_moved_occluder_hides_leaves_behind_its_new_position() {
     }
 }
 
-/// Each change went over all occluders of its page.
+/// Regression: each change updated all occluders of its page.
 #[test]
-fn occluders_are_fitted_once_for_all_changes_of_a_frame() {
+fn occluders_are_updated_once_for_all_changes_of_a_frame() {
     let mut scene = Scene::new();
     let still = |nodes| Node::transform(DAffine3::IDENTITY, nodes);
-    // The page's second and third transforms have walls.
+    // The second and third transform of the page have walls.
     let far = DVec3::new(0.0, 0.0, 100.0);
     let hung = vec![still(vec![]), still(vec![wall_at(far)]), still(vec![still(vec![wall_at(far)])]), still(vec![])];
     let root = scene.add_root(page(Node::group(hung), 0));
@@ -131,12 +131,12 @@ fn occluders_are_fitted_once_for_all_changes_of_a_frame() {
             scene.set_transform(transforms[*which], DAffine3::from_translation(to)).unwrap();
         }
     };
-    // Nodes without occluders below them are not affected.
+    // Changes of nodes without occluders below them have no effect.
     set(&mut scene, &[0, 3], here);
     scene.compute_bounds();
     assert_eq!((scene.fitted_occluders(), seen(&scene, &camera())), (0, vec![7]));
     for (round, which) in [&[1][..], &[2], &[1, 2]].into_iter().enumerate() {
-        // It holds at once, and as well when it is fitted.
+        // The change applies at once, and after the update as well.
         set(&mut scene, which, here);
         assert_eq!(seen(&scene, &camera()), [0; 0], "{which:?}");
         scene.compute_bounds();
@@ -147,7 +147,7 @@ fn occluders_are_fitted_once_for_all_changes_of_a_frame() {
         scene.compute_bounds();
         assert_eq!((scene.fitted_occluders(), seen(&scene, &camera())), (4 * round as u64 + 4, vec![7]), "{which:?}");
     }
-    // A page that goes while it waits takes its occluders along, and another may replace it.
+    // A page that expires while its update is pending takes its occluders along, and another page may use its slot.
     set(&mut scene, &[1], here);
     scene.remove_root(root).unwrap();
     scene.add_root(page(Node::group(vec![wall_at(DVec3::new(0.0, -6.0, 0.0))]), 0));
@@ -156,13 +156,13 @@ fn occluders_are_fitted_once_for_all_changes_of_a_frame() {
 }
 
 #[test]
-fn an_occluder_holds_while_its_level_is_shown() {
+fn occluder_applies_while_its_level_is_drawn() {
     let shown = |refine, range_m, child_is_there: bool| {
         let mut scene = Scene::new();
         let child = tile_at(DVec3::ZERO, 0.0, Refine::Replace, vec![]);
         let tiles = scene.add_root(page(tile_at(DVec3::ZERO, range_m, refine, vec![child]), 0));
         scene.add_root(page(Node::group(vec![cube(DVec3::Z * 40.0), cube(DVec3::Z * -40.0)]), 7));
-        // The coarse tile has a wall before the upper cube, the fine one before the lower.
+        // The coarse tile has a wall in front of the upper cube, the fine one in front of the lower.
         let wall = |z: f64| page(wall_at(DVec3::new(0.0, -5.0, 0.5 * z)), 0);
         scene.attach(slot_of(&scene, tiles, 0), wall(40.0)).unwrap();
         if child_is_there {
@@ -174,8 +174,8 @@ fn an_occluder_holds_while_its_level_is_shown() {
     };
     let (near, far) = (5.0, 50.0);
     assert_eq!(shown(Refine::Replace, near, true), [8], "too far to be refined");
-    assert_eq!(shown(Refine::Replace, far, true), [7], "the fine one instead");
-    assert_eq!(shown(Refine::Replace, far, false), [8], "the coarse one still");
+    assert_eq!(shown(Refine::Replace, far, true), [7], "the fine one is drawn instead");
+    assert_eq!(shown(Refine::Replace, far, false), [8], "the coarse one is still drawn");
     assert_eq!(shown(Refine::Add, far, true), [0; 0], "both");
     assert_eq!(shown(Refine::Add, near, true), [8]);
 }
@@ -197,17 +197,17 @@ fn fading_occluders_hide_nothing() {
         slots(&stage).contains(&7)
     };
     assert!(cull(10.0, -11.0) && cull(10.1, -11.0), "the coarse tile has no wall");
-    assert!(cull(10.2, -10.0) && cull(10.3, -10.0) && cull(10.4, -10.0), "the fine one comes in");
+    assert!(cull(10.2, -10.0) && cull(10.3, -10.0) && cull(10.4, -10.0), "the fine one fades in");
     cull(10.6, -10.0);
     cull(10.8, -10.0);
-    assert!(!cull(10.9, -10.0), "it is there");
+    assert!(!cull(10.9, -10.0), "its fade has ended");
     assert!(cull(11.0, -11.0), "it goes");
     cull(20.0, -10.0);
-    assert!(!cull(20.1, -10.0), "at once after a leap");
+    assert!(!cull(20.1, -10.0), "immediately after a jump in time");
 }
 
 #[test]
-fn masks_switches_levels_and_callbacks_above_an_occluder_are_heard() {
+fn masks_switches_levels_and_callbacks_apply_to_occluders() {
     let (front, behind) = (DVec3::new(0.0, -4.0, 0.0), DVec3::ZERO);
     let is_seen = |root: Node| {
         let mut scene = Scene::new();
@@ -235,14 +235,14 @@ fn masks_switches_levels_and_callbacks_above_an_occluder_are_heard() {
         Node { cull_callback: Some(callback), ..Node::group(vec![wall_at(front)]) }
     };
     assert!(!is_seen(asked(false)) && is_seen(asked(true)));
-    // Ten metres before the eye, wherever that is: an absolute transform.
+    // An absolute transform keeps the wall ten metres in front of the eye.
     let absolute = NodeKind::AbsoluteTransform(DAffine3::from_rotation_x(-std::f64::consts::FRAC_PI_2));
     let absolute = Node { children: vec![wall_at(DVec3::new(0.0, 6.0, 0.0))], ..Node::new(absolute) };
     assert!(!is_seen(Node::transform(DAffine3::from_translation(DVec3::splat(500.0)), vec![absolute])));
 }
 
 #[test]
-fn views_have_their_own_occluders() {
+fn views_have_separate_occluders() {
     let (front, behind) = (DVec3::new(0.0, -4.0, 0.0), DVec3::ZERO);
     let camera_node = |order, children: Vec<Node>| {
         let camera = CameraNode { frame: ReferenceFrame::Relative, ..CameraNode::new(order) };
@@ -264,14 +264,14 @@ fn views_have_their_own_occluders() {
     };
     let (nested, before) = (RenderOrder::Nested, RenderOrder::PreRender(0));
     let group = |nodes: &[DVec3]| nodes.iter().map(|c| cube(*c)).collect::<Vec<_>>();
-    // A wall beside the camera hides nothing of its image, one in it nothing of the other.
+    // A wall beside the nested camera hides nothing in its image, and a wall inside it nothing in the other image.
     let outer_wall = |order| cull(with(order, group(&[behind]), vec![wall_at(front), cube(behind)]), None);
     assert_eq!(outer_wall(nested).0, [10]);
     assert_eq!(outer_wall(before), (vec![], vec![10]));
     let inner_wall = |order| cull(with(order, vec![wall_at(front), cube(behind)], group(&[behind])), None);
     assert_eq!(inner_wall(nested).0, [10, 11]);
     assert_eq!(inner_wall(before), (vec![11], vec![]));
-    // The same where they are in tiles.
+    // The same with both in tiles.
     let tile = || tile_at(behind, 0.0, Refine::Replace, vec![]);
     let tile_inside = |order, beside| cull(with(order, vec![tile(), cube(behind)], beside), Some(wall_at(front)));
     assert_eq!(tile_inside(before, group(&[behind])), (vec![11], vec![]));
@@ -279,14 +279,14 @@ fn views_have_their_own_occluders() {
     let content = |order| cull(with(order, vec![tile()], vec![wall_at(front), cube(behind)]), Some(cube(behind)));
     assert_eq!(content(nested).0, [20]);
     assert_eq!(content(before), (vec![], vec![20]));
-    // Below a projection that has parallel rays, nothing is looked for.
+    // Below a projection with parallel rays, no occluders are used.
     let projection = NodeKind::Projection(proj::orthographic(-10.0, 10.0, -10.0, 10.0, 100.0, 0.1));
     let projection = Node { children: vec![tile(), cube(behind)], ..Node::new(projection) };
     let root = Node::group(vec![projection, wall_at(front), cube(behind)]);
     assert_eq!(cull(root, Some(cube(behind))).0, [10, 20]);
 }
 
-/// A random tile: its wall, in tenths of its size, and where its cube is.
+/// A random tile: its wall, in tenths of its size, and the position of its cube.
 #[derive(Clone, Debug)]
 struct Tile {
     refine: Refine,
@@ -315,7 +315,7 @@ fn tiles() -> impl Strategy<Value = Tile> {
     })
 }
 
-/// The oracle's record of a tile: its cube's box and the corners of its wall, in the world.
+/// The oracle's record of a tile: the box of its cube and the corners of its wall, in world coordinates.
 struct Known {
     cube: Aabb,
     wall: Option<[DVec3; 4]>,
@@ -332,7 +332,7 @@ impl World {
         let mut scene = Scene::new();
         let mut tiles = BTreeMap::new();
         let node = Self::build(root, DVec3::ZERO, 512.0, "r", &mut tiles);
-        // The whole lies elsewhere in the world than in its page.
+        // The position in the world differs from that in the page.
         let root = scene.add_root(page(Node::transform(Self::world_from_tiles(), vec![node]), 0));
         Self { scene, root, tiles }
     }
@@ -391,7 +391,7 @@ impl World {
         children.map(child).collect()
     }
 
-    /// Wall and cube around the tile's centre; the wall is upright and within the tile's bounds.
+    /// Returns the wall and the cube around the tile's centre. The wall is upright and within the tile's bounds.
     fn parts(tile: &Tile, half_m: f64) -> (DVec3, f64, Option<[DVec3; 4]>) {
         let (x, y, z) = tile.cube;
         let cube = half_m * DVec3::new(x, y, z);
@@ -403,7 +403,8 @@ impl World {
         (cube, 0.05 * half_m, wall)
     }
 
-    /// Two drawables at slots `2 * n` and `2 * n + 1`: the cube, and one without a bound that is always drawn.
+    /// Returns two drawables at the slots `2 * n` and `2 * n + 1`: the cube, and one without a bound, which is always
+    /// drawn.
     fn content(&self, name: &str) -> Page {
         let (tile, center, half_m) = &self.tiles[name];
         if tile.is_external {
@@ -430,7 +431,7 @@ impl World {
         let world = |center: &DVec3, p: DVec3| Self::world_from_tiles().transform_point3(*center + p);
         let known = |(tile, center, half_m): &(Tile, DVec3, f64)| {
             let (cube, half, wall) = Self::parts(tile, *half_m);
-            // The rotated box's own corners are what is tested; its box in the world holds them.
+            // The corners of the rotated box are tested; its box in the world contains them.
             let corners = Aabb { min: cube - half, max: cube + half }.corners();
             let cube = Aabb::from_points(corners.map(|c| world(center, c)));
             Known { cube, wall: wall.map(|w| w.map(|c| world(center, c))) }
@@ -453,7 +454,7 @@ impl World {
     }
 }
 
-/// How far inside a wall's shadow a point is, relative to its distance; below 0 outside.
+/// Returns how far inside the shadow of a wall a point is, relative to its distance. Negative values are outside.
 fn depth_in_shadow(eye: DVec3, wall: &[DVec3; 4], point: DVec3) -> f64 {
     let middle = wall.iter().sum::<DVec3>() / 4.0;
     let normal = (wall[1] - wall[0]).cross(wall[3] - wall[0]).normalize();
@@ -471,7 +472,7 @@ fn depth_in_shadow(eye: DVec3, wall: &[DVec3; 4], point: DVec3) -> f64 {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 400, ..ProptestConfig::default() })]
 
-    /// Leaves left out are behind an occluder whose page is drawn, and leaves well behind one are left out.
+    /// Culled leaves are behind an occluder whose page is drawn, and leaves well behind one are culled.
     #[test]
     fn leaves_behind_occluders_of_drawn_pages_are_hidden(
         tree in tiles(),
@@ -528,11 +529,11 @@ proptest! {
                 if with.contains(cube) {
                     let is_ahead = corners.iter().all(|c| camera.eye_from_world.transform_point3(*c).z < -0.1);
                     let deepest = walls.iter().map(|w| least(&corners, w)).fold(f64::NEG_INFINITY, f64::max);
-                    // Sixteen are used, and those that the frustum meets.
+                    // At most sixteen occluders that intersect the frustum are used.
                     prop_assert!(deepest < slack || walls.len() > 16 || !is_ahead, "{cube} is behind a wall by {deepest}");
                 } else {
                     let deepest = walls.iter().map(|w| least(&own_corners, w)).fold(f64::NEG_INFINITY, f64::max);
-                    prop_assert!(deepest > -slack, "{cube} is seen by {deepest}");
+                    prop_assert!(deepest > -slack, "{cube} is visible by {deepest}");
                 }
             }
         }

@@ -1,4 +1,4 @@
-//! Levels of detail by the pixels that a sphere covers: Lods, and PagedLods whose content is replaced by their children.
+//! Levels of detail by the pixels that a sphere covers: `Lod`, and `PagedLod` whose content its children replace.
 
 use glam::dcamera::rh::proj::directx as proj;
 use glam::{DAffine3, DQuat, DVec3};
@@ -12,7 +12,7 @@ use terrane::scene::{
 };
 
 const RADIUS_M: f64 = 2.0;
-/// The last is shown at any size: something is.
+/// The last level has no minimum size, so that one is always drawn.
 const RANGES_PX: [[f64; 2]; 4] = [[0.0, 40.0], [40.0, 160.0], [160.0, f64::INFINITY], [0.0, f64::INFINITY]];
 
 fn cube(half_m: f64) -> Node {
@@ -27,14 +27,14 @@ fn lod() -> Node {
 
 fn cull(scene: &Scene, camera: &CullCamera) -> RenderStage {
     let (mut visitor, mut stage) = (CullVisitor::new(), RenderStage::new());
-    // However small things are.
+    // The last level is drawn at any size.
     let mut camera = *camera;
     camera.settings.culling = CullingMode::NONE;
     visitor.cull(scene, &camera, &mut stage);
     stage
 }
 
-/// Which children are drawn.
+/// Returns the children that are drawn.
 fn shown(root: Node, camera: &CullCamera) -> Vec<u32> {
     let mut scene = Scene::new();
     scene.add_root(page(root, 0));
@@ -51,19 +51,19 @@ fn expected(size_px: f64) -> Vec<u32> {
 }
 
 proptest! {
-    /// The level shown follows from the sphere's size in pixels, under any rotation and scale.
+    /// The visible level follows from the sphere's size in pixels, with any rotation and scale.
     #[test]
-    fn lods_are_shown_by_their_size_in_the_picture(
+    fn lods_are_selected_by_their_size_in_pixels(
         (distance_m, scale, height_px) in (6.0..2000.0f64, 0.2..5.0f64, 100u32..2000),
         (fovy, lod_scale, turn) in (0.2..2.0f64, 0.3..3.0f64, -3.0..3.0f64),
         is_parallel in any::<bool>(),
     ) {
-        // An orthographic projection keeps metres of the node's frame.
+        // An orthographic projection uses metres of the node's frame.
         let scale = if is_parallel { 1.0 } else { scale };
         let mut camera = look_at(DVec3::new(0.0, -distance_m * scale, 0.0), DVec3::ZERO, DVec3::Z);
         camera.viewport_px = [height_px, height_px];
         camera.settings.lod_scale = lod_scale;
-        // Half of the view's height in metres at the sphere's distance.
+        // Half of the view's height in metres, at the sphere's distance.
         let half_m = if is_parallel { 50.0 * fovy * scale } else { (0.5 * fovy).tan() * distance_m * scale };
         camera.clip_from_eye = match is_parallel {
             true => proj::orthographic(-half_m, half_m, -half_m, half_m, 10.0 * distance_m * scale, 0.01),
@@ -77,9 +77,9 @@ proptest! {
         prop_assert_eq!(shown(Node::transform(above, vec![lod()]), &camera), expected(size_px), "{} px", size_px);
     }
 
-    /// A tile is replaced by its child if the sphere covers more pixels, whatever error the camera allows.
+    /// A child replaces a tile if the sphere covers more pixels, independent of the camera's error limit.
     #[test]
-    fn tiles_give_way_by_the_size_of_a_sphere(
+    fn tiles_are_refined_by_the_size_of_a_sphere(
         (distance_m, size_px, lod_scale) in (6.0..2000.0f64, 5.0..500.0f64, 0.3..3.0f64),
         max_sse_px in 0.01..100.0f64,
     ) {
@@ -114,7 +114,7 @@ fn tile(size_px: f64, children: Vec<Node>) -> Node {
 }
 
 #[test]
-fn around_the_eye_and_without_a_size_the_finest_is_shown() {
+fn finest_level_is_drawn_around_the_eye_and_without_a_size() {
     let inside = look_at(DVec3::new(0.0, -1.5, 0.0), DVec3::ZERO, DVec3::Z);
     assert_eq!(shown(lod(), &inside), [2, 3]);
     let far = look_at(DVec3::new(0.0, -1e6, 0.0), DVec3::ZERO, DVec3::Z);
@@ -129,9 +129,9 @@ fn around_the_eye_and_without_a_size_the_finest_is_shown() {
     }
 }
 
-/// Lines meet what is drawn: the child of that size, or where no eye decides the one for what is nearest.
+/// Lines intersect what is drawn: the child of that size, or without an eye the child for the nearest distance.
 #[test]
-fn lines_meet_the_child_that_is_shown() {
+fn lines_intersect_the_visible_child() {
     let ball = |radius_m: f64| {
         let mesh = Mesh::sphere(DVec3::ZERO, radius_m, 32);
         Node::geode(vec![Drawable::new(mesh.into(), Material::default())])

@@ -1,4 +1,4 @@
-//! Nested cameras that show the scene, in cull: what they draw, ask for and leave out.
+//! Cull of nested cameras that show the scene: their leaves, requests and exclusions.
 
 use glam::dcamera::rh::proj::directx as proj;
 use glam::{DAffine3, DVec3};
@@ -9,7 +9,7 @@ use terrane::scene::{CameraNode, Node, PageId, ReferenceFrame, Refine, RenderOrd
 
 const HALF_M: f64 = 1000.0;
 
-/// A camera that looks at the tiles from near the ground.
+/// Returns a camera that looks at the tiles from near the ground.
 fn near() -> CullCamera {
     CullCamera {
         clip_from_eye: proj::perspective_infinite_reverse(0.8, 1.5, 0.1),
@@ -18,7 +18,7 @@ fn near() -> CullCamera {
     }
 }
 
-/// Looks away from all there is.
+/// Returns a camera that looks away from the scene.
 fn away() -> CullCamera {
     look_at(DVec3::new(0.0, 0.0, 5000.0), DVec3::new(0.0, 10.0, 9000.0), DVec3::Z)
 }
@@ -35,7 +35,7 @@ fn like(camera: &CullCamera) -> CameraNode {
     }
 }
 
-/// Tiles, of which the coarsest ones are loaded, and what hangs beside them.
+/// Returns tiles, of which the coarsest are loaded, with nodes attached to them.
 fn world(beside: Vec<Node>) -> Scene {
     let mut scene = Scene::new();
     let tiles = scene.add_root(page(quadtree(6, HALF_M, 64.0, Refine::Replace), 0));
@@ -62,7 +62,7 @@ fn cull(scene: &Scene, camera: &CullCamera) -> RenderStage {
     stage
 }
 
-/// Slot, position in eye space and view of each drawn leaf.
+/// Returns the slot, the position in eye space and the view of each leaf.
 fn drawn(stage: &RenderStage) -> Vec<(u32, [u32; 12], u32)> {
     let leaves = stage.bins.iter().flat_map(|bin| &bin.leaves);
     let mut drawn: Vec<_> = leaves
@@ -76,7 +76,7 @@ fn drawn(stage: &RenderStage) -> Vec<(u32, [u32; 12], u32)> {
     drawn
 }
 
-/// The requests, independent of the scene's number: node, priority, error and frames until then.
+/// Returns the requests independent of the scene's id: node, priority, error and frames until needed.
 fn wanted(stage: &RenderStage) -> Vec<(u32, f32, f32, u32)> {
     let of = |r: &PageRequest| (r.slot.index, r.priority, r.error_px, r.ahead_frames);
     let mut wanted: Vec<_> = stage.requests.iter().map(of).collect();
@@ -85,7 +85,7 @@ fn wanted(stage: &RenderStage) -> Vec<(u32, f32, f32, u32)> {
 }
 
 #[test]
-fn it_draws_and_asks_for_what_a_view_from_there_would() {
+fn camera_draws_and_requests_like_a_view_at_its_pose() {
     let alone = cull(&world(vec![]), &near());
     assert!(alone.leaf_count() > 5 && !alone.requests.is_empty());
     let scene = world(vec![Node::camera(like(&near()), vec![])]);
@@ -101,8 +101,8 @@ fn it_draws_and_asks_for_what_a_view_from_there_would() {
 }
 
 #[test]
-fn a_relative_one_moves_the_eye() {
-    // Raised by 700 m, turned about its own node: as if the eye were elsewhere.
+fn relative_camera_moves_the_eye() {
+    // The camera is raised by 700 m and turned about its node, as if the eye were elsewhere.
     let turn = DAffine3::from_rotation_z(0.3);
     let node = CameraNode { view: turn, shows_scene: true, ..CameraNode::new(RenderOrder::Nested) };
     let stage = cull(&world(vec![Node::camera(node, vec![])]), &near());
@@ -121,7 +121,7 @@ fn a_relative_one_moves_the_eye() {
 }
 
 #[test]
-fn none_is_in_anothers_picture_nor_in_its_own() {
+fn scene_cameras_are_not_drawn_in_images_of_scene_cameras() {
     let mark = |number: f64| {
         let middle = DVec3::new(-400.0, -300.0, -650.0 + number);
         Node::geode(vec![drawable(Aabb { min: middle - 5.0, max: middle + 5.0 })])
@@ -139,13 +139,13 @@ fn none_is_in_anothers_picture_nor_in_its_own() {
     };
     let nested = RenderOrder::Nested;
     let stage = cull(&world(vec![below(nested, 0.0), below(nested, 1.0)]), &away());
-    assert_eq!(marks(&stage), [(5000, 1), (5001, 2)], "each shows its own");
+    assert_eq!(marks(&stage), [(5000, 1), (5001, 2)], "each camera shows its view");
     assert_eq!(stage.views.len(), 2);
     let stage = cull(&world(vec![below(nested, 0.0), below(RenderOrder::PostRender(0), 1.0)]), &away());
     assert_eq!((marks(&stage), stage.post_render.len()), (vec![(5000, 1)], 1));
     let [after] = &stage.post_render[..] else { panic!("one") };
-    assert_eq!((marks(after), after.views.len()), (vec![(5001, 0)], 0), "nor is a nested one in one that comes after");
-    // A plain camera that hangs in the scene is in its image, and what is in that one shows no scene.
+    assert_eq!((marks(after), after.views.len()), (vec![(5001, 0)], 0), "a nested camera is not drawn in a later one");
+    // A plain camera in the scene is drawn in the image, but scene cameras below it are not.
     let inner = CameraNode { shows_scene: true, ..CameraNode::new(nested) };
     let plain = CameraNode { clear_color: None, ..CameraNode::new(RenderOrder::PostRender(0)) };
     let post = Node::camera(plain, vec![Node::camera(inner, vec![])]);

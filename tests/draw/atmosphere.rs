@@ -1,5 +1,5 @@
-//! Properties of the sky's light under any model: images of air alone, from the ground to orbit, by day and
-//! night.
+//! Properties of the light of the sky that hold for any model, checked on images of air alone: from the ground to
+//! orbit, by day and by night.
 
 use glam::DVec3;
 use image::RgbaImage;
@@ -7,10 +7,11 @@ use kit::rig::{Rig, camera, rig};
 use terrane::draw::{Environment, Fog};
 use terrane::scene::Node;
 
-/// From the earth's centre to the north pole (WGS 84).
+/// The distance from the earth's centre to the north pole in metres (WGS 84).
 const POLE_M: f64 = 6_356_752.3;
 
-/// Over the north pole, `height_m` up, looking down by `pitch` (radians), the sun `sun` above the horizon.
+/// Draws from `height_m` above the north pole, looking down by `pitch` radians, with the sun `sun` radians above the
+/// horizon.
 fn sky(rig: &mut Rig, height_m: f64, pitch: f64, sun: f64, turn: f64) -> RgbaImage {
     let scene = rig.scene(Node::group(vec![]));
     let eye = DVec3::new(0.0, 0.0, POLE_M + height_m);
@@ -36,19 +37,19 @@ fn brightness(c: [f32; 3]) -> f32 {
     c[0] + c[1] + c[2]
 }
 
-/// How blue, from -1 to 1.
+/// Returns how blue a colour is, -1 to 1.
 fn blueness(c: [f32; 3]) -> f32 {
     (c[2] - c[0]) / (c[0] + c[2]).max(1.0)
 }
 
 #[test]
-fn by_day_the_zenith_is_a_deep_blue_and_the_horizon_pale() {
-    let Some(mut rig) = rig("by_day_the_zenith_is_a_deep_blue_and_the_horizon_pale") else { return };
+fn daytime_sky_is_deep_blue_at_the_zenith_and_pale_at_the_horizon() {
+    let Some(mut rig) = rig("daytime_sky_is_deep_blue_at_the_zenith_and_pale_at_the_horizon") else { return };
     let picture = sky(&mut rig, 200.0, -0.3, 0.8, 1.0);
     let [top, horizon] = [at(&picture, 128, 0), at(&picture, 128, 200)];
     assert!(blueness(top) > 0.25 && blueness(horizon) < 0.5 * blueness(top), "{top:?} {horizon:?}");
     assert!(brightness(horizon) > 1.5 * brightness(top), "{top:?} {horizon:?}");
-    // No rings or steps: from row to row little changes.
+    // Colours change gradually from row to row: there are no rings or steps.
     for y in 1..256 {
         let step = brightness(at(&picture, 128, y)) - brightness(at(&picture, 128, y - 1));
         assert!(step.abs() < 24.0, "{step} at row {y}");
@@ -56,8 +57,8 @@ fn by_day_the_zenith_is_a_deep_blue_and_the_horizon_pale() {
 }
 
 #[test]
-fn a_low_sun_reddens_its_side_of_the_sky() {
-    let Some(mut rig) = rig("a_low_sun_reddens_its_side_of_the_sky") else { return };
+fn low_sun_reddens_its_side_of_the_sky() {
+    let Some(mut rig) = rig("low_sun_reddens_its_side_of_the_sky") else { return };
     let towards = at(&sky(&mut rig, 200.0, -0.1, 0.02, 0.0), 128, 136);
     let away = at(&sky(&mut rig, 200.0, -0.1, 0.02, std::f64::consts::PI), 128, 136);
     let noon = at(&sky(&mut rig, 200.0, -0.1, 0.8, 0.0), 128, 136);
@@ -67,8 +68,8 @@ fn a_low_sun_reddens_its_side_of_the_sky() {
 }
 
 #[test]
-fn the_sky_darkens_when_the_sun_is_down() {
-    let Some(mut rig) = rig("the_sky_darkens_when_the_sun_is_down") else { return };
+fn sky_darkens_after_sunset() {
+    let Some(mut rig) = rig("sky_darkens_after_sunset") else { return };
     let of = |rig: &mut Rig, sun| brightness(at(&sky(rig, 200.0, -0.3, sun, 0.0), 128, 100));
     let sunk = [0.8, 0.02, -0.06, -0.5].map(|sun| of(&mut rig, sun));
     assert!(sunk.windows(2).all(|s| s[1] < 0.75 * s[0]), "{sunk:?}");
@@ -86,12 +87,12 @@ fn from_orbit_the_air_is_a_thin_line_before_black_space() {
     for y in 0..edge as u32 - 8 {
         assert!(brightness(at(&day, 128, y)) < 2.0, "space is black, row {y}");
     }
-    // Through the whole of the air the earth is blue.
+    // Seen through the whole atmosphere, the earth is blue.
     assert!(blueness(at(&day, 128, 250)) > 0.1);
-    // On the night side nothing shines.
+    // The night side is dark.
     let night = sky(&mut rig, 400_000.0, 0.35, -0.9, 1.0);
     assert!((0..256).all(|y| brightness(at(&night, 128, y)) < 9.0));
-    // Behind the limb the sun lights a ring of air, red below and blue above.
+    // Behind the limb the sun lights a ring of air, red at the bottom and blue at the top.
     let rising = sky(&mut rig, 400_000.0, 0.35, -0.3, 0.0);
     let column: Vec<_> = (0..256).map(|y| at(&rising, 128, y)).collect();
     let reddest = column.iter().rposition(|c| brightness(*c) > 60.0 && blueness(*c) < -0.2).unwrap();
@@ -100,9 +101,9 @@ fn from_orbit_the_air_is_a_thin_line_before_black_space() {
 }
 
 #[test]
-fn the_picture_does_not_jump_where_the_eye_leaves_the_air() {
-    let Some(mut rig) = rig("the_picture_does_not_jump_where_the_eye_leaves_the_air") else { return };
-    // The air ends a little over 100 km up.
+fn image_is_continuous_where_the_eye_leaves_the_air() {
+    let Some(mut rig) = rig("image_is_continuous_where_the_eye_leaves_the_air") else { return };
+    // The air ends a little above 100 km.
     let heights = [96_000.0, 99_000.0, 102_000.0, 105_000.0, 120_000.0, 130_000.0, 150_000.0];
     let pictures: Vec<_> = heights.iter().map(|&height| sky(&mut rig, height, 0.5, 0.8, 1.0)).collect();
     for pair in pictures.windows(2) {

@@ -1,4 +1,4 @@
-//! Bins that the application draws itself: the order of the calls, and the pixels.
+//! Bins with draw callbacks of the application: the order of calls, and the pixels.
 
 use std::sync::{Arc, Mutex};
 
@@ -42,7 +42,7 @@ fn hook(
     .hook()
 }
 
-/// A square of the view at a depth: the left or the right half, or all.
+/// Returns a square at a depth that covers the left half, the right half, or the whole view.
 fn square(left: bool, right: bool, depth: f32, color: [f32; 4]) -> Node {
     let (center, half) = match (left, right) {
         (true, true) => (0.0, 1.2),
@@ -61,8 +61,8 @@ fn draw(rig: &mut Rig, nodes: Vec<Node>) -> RgbaImage {
 }
 
 #[test]
-fn a_bin_is_drawn_when_and_as_often_as_its_callback_likes() {
-    let Some(mut rig) = rig("a_bin_is_drawn_when_and_as_often_as_its_callback_likes") else { return };
+fn callback_decides_whether_and_how_often_a_bin_is_drawn() {
+    let Some(mut rig) = rig("callback_decides_whether_and_how_often_a_bin_is_drawn") else { return };
     let rig = &mut *rig;
     let said = Said::default();
     let scissored = |x: u32| {
@@ -91,8 +91,8 @@ fn a_bin_is_drawn_when_and_as_often_as_its_callback_likes() {
 }
 
 #[test]
-fn bins_are_called_in_their_order_with_those_nested_in_them() {
-    let Some(mut rig) = rig("bins_are_called_in_their_order_with_those_nested_in_them") else { return };
+fn bins_are_called_in_order_with_nested_ones() {
+    let Some(mut rig) = rig("bins_are_called_in_order_with_nested_ones") else { return };
     let rig = &mut *rig;
     let said = Said::default();
     let usual = |name| hook(&said, name, |_, bin| bin.draw());
@@ -123,7 +123,7 @@ fn bins_are_called_in_their_order_with_those_nested_in_them() {
     ];
     assert_eq!(*said.lock().unwrap(), expected);
 
-    // The outer bin left out takes the nested ones with it; the one in front of all too.
+    // Leaving out the outer bin leaves out the nested ones as well, even the one in front of them.
     said.lock().unwrap().clear();
     let nothing = |name| hook(&said, name, |_, _| {});
     let picture = draw(
@@ -142,8 +142,8 @@ fn bins_are_called_in_their_order_with_those_nested_in_them() {
 }
 
 #[test]
-fn blended_bins_are_called_after_opaque_leaves() {
-    let Some(mut rig) = rig("blended_bins_are_called_after_opaque_leaves") else { return };
+fn blended_bins_are_drawn_after_opaque_leaves() {
+    let Some(mut rig) = rig("blended_bins_are_drawn_after_opaque_leaves") else { return };
     let rig = &mut *rig;
     let said = Said::default();
     let glass = |callback| {
@@ -154,14 +154,14 @@ fn blended_bins_are_called_after_opaque_leaves() {
     };
     let nodes = |callback| vec![glass(callback), square(true, false, 0.0, RED)];
     let usual = draw(rig, nodes(None));
-    assert_eq!(count(&usual, [255, 0, 0]) + count(&usual, MAGENTA), 0, "all under glass");
+    assert_eq!(count(&usual, [255, 0, 0]) + count(&usual, MAGENTA), 0, "everything is behind the glass");
     assert_eq!(draw(rig, nodes(Some(hook(&said, "glass", |_, bin| bin.draw())))), usual);
     let without = draw(rig, nodes(Some(hook(&said, "none", |_, _| {}))));
     assert_eq!((count(&without, [255, 0, 0]), count(&without, MAGENTA)), (ALL / 2, ALL / 2));
     assert_eq!(said.lock().unwrap().len(), 4);
 }
 
-/// A bin takes its settings from the prototype of its name; two bins with one number are separate.
+/// A bin has the settings of the prototype of its name. Two bins with one number are separate.
 #[test]
 fn bins_are_drawn_by_the_prototype_of_their_name() {
     let Some(mut rig) = rig("bins_are_drawn_by_the_prototype_of_their_name") else { return };
@@ -189,7 +189,7 @@ fn bins_are_drawn_by_the_prototype_of_their_name() {
             square(true, true, 0.3, RED).with_state_set(bin(5, None)),
         ],
     );
-    assert_eq!(count(&picture, [0, 255, 0]), ALL, "the second is drawn last, whatever was met first");
+    assert_eq!(count(&picture, [0, 255, 0]), ALL, "the second is drawn last in any order of traversal");
     let expected = [
         "gpu_bins: first begins [-1, 5] with 3",
         "gpu_bins: first ends",
@@ -199,7 +199,7 @@ fn bins_are_drawn_by_the_prototype_of_their_name() {
     assert_eq!(*said.lock().unwrap(), expected);
 }
 
-/// Returns a mesh of many or few indices, which different draw calls draw.
+/// Returns a mesh with many or few indices. Different draw calls draw them.
 fn sized(mut drawable: Drawable, is_large: bool) -> Drawable {
     if let (Geometry::Mesh(mesh), true) = (&mut drawable.geometry, is_large) {
         let mesh = Arc::make_mut(mesh);
@@ -208,10 +208,10 @@ fn sized(mut drawable: Drawable, is_large: bool) -> Drawable {
     drawable
 }
 
-/// Leaves whose state depends on order are drawn as traversed, batched in one call or one by one.
+/// Leaves whose state depends on the order are drawn in the order of traversal, in one batch or one by one.
 #[test]
-fn a_state_whose_order_counts_keeps_it() {
-    let Some(mut rig) = rig("a_state_whose_order_counts_keeps_it") else { return };
+fn order_dependent_states_keep_the_order() {
+    let Some(mut rig) = rig("order_dependent_states_keep_the_order") else { return };
     let rig = &mut *rig;
     let picture_of = |rig: &mut Rig, enlarged: [bool; 3]| {
         let colors = [[1.0, 0.0, 0.0, 0.5], [0.0, 1.0, 0.0, 0.5], [0.0, 0.0, 1.0, 0.5]];
@@ -222,14 +222,14 @@ fn a_state_whose_order_counts_keeps_it() {
         draw(rig, vec![Node::group(nodes.collect()).with_state_set(Arc::new(blended))])
     };
     let small = picture_of(rig, [false; 3]);
-    // Blue over green over red over magenta: a quarter, a quarter and five eighths, in sRGB.
+    // Blue over green over red over magenta has shares of a quarter, a quarter and five eighths, in sRGB.
     assert_eq!(pixel(&small, 32, 32), [136, 136, 207]);
     for enlarged in [[true, false, true], [false, true, false], [true; 3]] {
         assert!(picture_of(rig, enlarged) == small, "{enlarged:?}");
     }
 }
 
-/// Colours that a nearer leaf leaves are those of what was drawn before it, however near that is.
+/// Channels that a near leaf does not write keep the colours that were drawn before, however near those leaves are.
 #[test]
 fn leaves_with_a_color_mask_follow_earlier_leaves() {
     let Some(mut rig) = rig("leaves_with_a_color_mask_follow_earlier_leaves") else { return };
@@ -242,7 +242,7 @@ fn leaves_with_a_color_mask_follow_earlier_leaves() {
         let [black, yellow] = [quad(0.0, [0.0, 0.0, 0.0, 1.0], far), quad(0.1, [1.0, 1.0, 0.0, 1.0], near)];
         let masked = yellow.with_state_set(Arc::new(mask));
         assert_eq!(pixel(&draw(rig, vec![black.clone(), masked.clone()]), 32, 32), [255, 255, 0], "{far} {near}");
-        // The other way round blue is what was there before: that of the background.
+        // In the reverse order, blue is that of the background.
         assert_eq!(pixel(&draw(rig, vec![masked, black]), 32, 32), [255; 3], "{far} {near}");
     }
 }

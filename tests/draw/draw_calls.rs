@@ -18,9 +18,9 @@ const RED: [f32; 4] = [1.0, 0.0, 0.0, 1.0];
 const GREEN: [f32; 4] = [0.0, 1.0, 0.0, 1.0];
 
 #[test]
-fn a_quad_covers_exactly_its_pixels() {
-    let Some(mut rig) = rig("a_quad_covers_exactly_its_pixels") else { return };
-    // A quarter of the image's width and half its height; edges fall between pixel centres.
+fn quad_covers_exactly_its_pixels() {
+    let Some(mut rig) = rig("quad_covers_exactly_its_pixels") else { return };
+    // The quad has a quarter of the image's width and half its height. Its edges lie between pixel centres.
     let scene = rig.scene(Node::geode(vec![quad([0.0, 0.0, 0.0], [0.25, 0.5], RED)]));
     let picture = rig.picture(&scene, &unit_camera(256), &plain());
     assert_eq!(count(&picture, [255, 0, 0]), 64 * 128);
@@ -29,8 +29,8 @@ fn a_quad_covers_exactly_its_pixels() {
 }
 
 #[test]
-fn the_nearer_quad_hides_the_farther_in_either_order() {
-    let Some(mut rig) = rig("the_nearer_quad_hides_the_farther_in_either_order") else { return };
+fn nearer_quad_hides_the_farther_in_either_order() {
+    let Some(mut rig) = rig("nearer_quad_hides_the_farther_in_either_order") else { return };
     for flip in [false, true] {
         let mut drawables = vec![quad([0.0, 0.0, 0.5], [0.4, 0.4], RED), quad([0.0, 0.0, -0.5], [0.4, 0.4], GREEN)];
         if flip {
@@ -45,9 +45,10 @@ fn the_nearer_quad_hides_the_farther_in_either_order() {
 }
 
 #[test]
-fn depth_still_tells_metres_apart_ten_thousand_kilometres_away() {
-    let Some(mut rig) = rig("depth_still_tells_metres_apart_ten_thousand_kilometres_away") else { return };
-    // Reversed-Z float depth with the near plane at 0.1 m: relative steps of 6e-8 and rounding of the projection.
+fn depth_separates_metres_at_ten_thousand_kilometres() {
+    let Some(mut rig) = rig("depth_separates_metres_at_ten_thousand_kilometres") else { return };
+    // Reversed-Z float depth with the near plane at 0.1 m has relative steps of 6e-8, plus the rounding of the
+    // projection.
     let far = -1.0e7f32;
     let half = 1.0e6;
     let drawables = vec![quad([0.0, 0.0, far + 20.0], [half, half], RED), quad([0.0, 0.0, far], [half, half], GREEN)];
@@ -66,14 +67,14 @@ fn blended_quads_are_drawn_far_to_near_over_opaque_ones() {
         drawable.material.alpha = AlphaMode::Blend;
         drawable
     };
-    // Given near to far, each in a separate node so that cull sorts them.
+    // The quads are given near to far, each in a separate node, so that cull sorts them.
     let scene = rig.scene(Node::group(vec![
         Node::geode(vec![blended(0.5, [1.0, 0.0, 0.0, 0.5])]),
         Node::geode(vec![blended(-0.5, [0.0, 0.0, 1.0, 0.5])]),
         Node::geode(vec![quad([0.0, 0.0, -1.0], [0.9, 0.9], GREEN)]),
     ]));
     let picture = rig.picture(&scene, &unit_camera(256), &plain());
-    // Linear: ((green / 2 + blue / 2) / 2 + red / 2), then encoded.
+    // The blended value is linear, ((green / 2 + blue / 2) / 2 + red / 2), and then encoded.
     let encode = |l: f64| (255.0 * (1.055 * l.powf(1.0 / 2.4) - 0.055)).round() as i32;
     let got = picture.get_pixel(128, 128).0.map(i32::from);
     for (channel, expected) in [encode(0.5), encode(0.25), encode(0.25)].into_iter().enumerate() {
@@ -86,7 +87,7 @@ fn blended_quads_are_drawn_far_to_near_over_opaque_ones() {
 #[test]
 fn masked_textures_are_cut_at_their_cutoff() {
     let Some(mut rig) = rig("masked_textures_are_cut_at_their_cutoff") else { return };
-    // Left half opaque red, right half nearly transparent.
+    // The left half is opaque red, the right half nearly transparent.
     let pixels = (0..64 * 64).flat_map(|i| [255, 0, 0, if i % 64 < 32 { 255 } else { 20 }]).collect();
     let texture = Texture { width: 64, height: 64, mips: vec![pixels], wrap: Default::default() };
     let mut drawable = quad([0.0, 0.0, 0.0], [0.5, 0.5], [1.0; 4]);
@@ -101,10 +102,10 @@ fn masked_textures_are_cut_at_their_cutoff() {
 }
 
 #[test]
-fn textures_wrap_along_each_axis_as_they_say() {
-    let Some(mut rig) = rig("textures_wrap_along_each_axis_as_they_say") else { return };
+fn textures_wrap_by_the_mode_of_each_axis() {
+    let Some(mut rig) = rig("textures_wrap_by_the_mode_of_each_axis") else { return };
     let (clamped, red, blue) = (WrapMode::ClampToEdge, [255, 0, 0, 255], [0, 0, 255, 255]);
-    // The first half red along one axis, and twice the image along each.
+    // The first half along one axis is red, and the image is repeated twice along each axis.
     for along in [0, 1] {
         let is_red = |i: usize| [i % 64, i / 64][along] < 32;
         let pixels: Vec<u8> = (0..64 * 64).flat_map(|i| if is_red(i) { red } else { blue }).collect();
@@ -119,7 +120,7 @@ fn textures_wrap_along_each_axis_as_they_say() {
             drawable.material.texture = Some(Arc::new(texture));
             let scene = rig.scene(Node::geode(vec![drawable]));
             let picture = rig.picture(&scene, &unit_camera(256), &plain());
-            // At 1.25 and 1.75 along it, and at 0.75 along the other.
+            // The samples are at 1.25 and 1.75 along the tested axis, and at 0.75 along the other.
             let at = |place: u32| picture.get_pixel([place, 112][along], [112, place][along]).0;
             assert_eq!([at(144), at(176)], expected, "{wrap:?}");
             rig.release(scene);
@@ -165,15 +166,15 @@ fn lines_and_points_are_drawn() {
 }
 
 #[test]
-fn equal_meshes_are_one_draw_and_states_are_set_once() {
-    let Some(mut rig) = rig("equal_meshes_are_one_draw_and_states_are_set_once") else { return };
+fn equal_meshes_are_one_draw_call_and_states_are_set_once() {
+    let Some(mut rig) = rig("equal_meshes_are_one_draw_call_and_states_are_set_once") else { return };
     let one = quad([0.0; 3], [0.01, 0.01], RED);
     let other = quad([0.0; 3], [0.02, 0.01], GREEN);
     let place = |i: u32, drawable: &Drawable| {
         let offset = DVec3::new(f64::from(i % 10) * 0.1 - 0.5, f64::from(i / 10) * 0.1 - 0.5, 0.0);
         Node::transform(DAffine3::from_translation(offset), vec![Node::geode(vec![drawable.clone()])])
     };
-    // Interleaved, and under two state sets that differ in color only.
+    // The drawables are interleaved, and below two state sets that differ only in color.
     let tinted = |i: u32, node: Node| {
         let color = if i.is_multiple_of(3) { [1.0; 4] } else { [0.5, 0.5, 0.5, 1.0] };
         node.with_state_set(Arc::new(StateSet { color: Some(color), ..StateSet::default() }))
@@ -183,9 +184,9 @@ fn equal_meshes_are_one_draw_and_states_are_set_once() {
     let stats = rig.draw(&scene, &unit_camera(256), &plain());
     assert_eq!(stats.leaves, 100);
     assert_eq!(stats.triangles, 200);
-    assert_eq!(stats.draw_calls, 1, "small meshes fetch their vertices themselves");
-    assert_eq!(stats.state_changes, 4, "frame, pipeline, textures and meshes once");
-    assert_eq!(stats.state_changes_skipped, 0, "both meshes are bound alike");
+    assert_eq!(stats.draw_calls, 1, "small meshes use vertex pulling");
+    assert_eq!(stats.state_changes, 4, "frame, pipeline, textures and meshes are bound once");
+    assert_eq!(stats.state_changes_skipped, 0, "both meshes have the same bindings");
     rig.release(scene);
 }
 
@@ -197,13 +198,13 @@ fn large_meshes_are_instanced_or_drawn_by_one_indirect_call() {
         let center = DVec3::new(f64::from(i % 4) * 0.5 - 0.75, f64::from(i / 4) * 0.5 - 0.75, 0.0);
         Drawable::new(Mesh::sphere(center, 0.2, 12).into(), material)
     };
-    // One mesh a hundred times at one position.
+    // One mesh is drawn a hundred times at one position.
     let one = ball(5);
     let scene = rig.scene(Node::group((0..100).map(|_| Node::geode(vec![one.clone()])).collect()));
     let stats = rig.draw(&scene, &unit_camera(256), &plain());
     assert_eq!((stats.leaves, stats.draw_calls, stats.state_changes), (100, 1, 6));
     rig.release(scene);
-    // Sixteen meshes, each seen where it belongs.
+    // Sixteen meshes are drawn, each at its own position.
     let scene = rig.scene(Node::group((0..16).map(|i| Node::geode(vec![ball(i)])).collect()));
     let picture = rig.picture(&scene, &unit_camera(256), &plain());
     for i in 0..16 {
@@ -217,9 +218,10 @@ fn large_meshes_are_instanced_or_drawn_by_one_indirect_call() {
 }
 
 #[test]
-fn one_frame_reaches_from_a_decimetre_to_forty_thousand_kilometres() {
-    let Some(mut rig) = rig("one_frame_reaches_from_a_decimetre_to_forty_thousand_kilometres") else { return };
-    // Squares behind each other, each a strip lower than the one before; painted from near to far and back.
+fn one_frame_spans_a_decimetre_to_forty_thousand_kilometres() {
+    let Some(mut rig) = rig("one_frame_spans_a_decimetre_to_forty_thousand_kilometres") else { return };
+    // Squares lie behind each other, each a strip lower than the one before, drawn from near to far and from far to
+    // near.
     let at = |distance: f64, row: f64, color| {
         let half = [0.4 * distance as f32, 0.04 * distance as f32];
         let square = quad([0.0, (distance * (0.3 - 0.1 * row)) as f32, 0.0], half, color);
@@ -227,7 +229,7 @@ fn one_frame_reaches_from_a_decimetre_to_forty_thousand_kilometres() {
     };
     let distances = [0.12, 1.0, 50.0, 4.0e4, 4.0e7];
     let rows: Vec<Node> = distances.iter().enumerate().map(|(i, d)| at(*d, i as f64, RED)).collect();
-    // A thousandth farther, over all rows: must be hidden by the red ones at each distance.
+    // Squares that are farther by a thousandth, over all rows, must be hidden by the red ones at each distance.
     let behind = distances.iter().enumerate().map(|(i, d)| at(d * 1.001, i as f64, GREEN));
     for nodes in [rows.iter().cloned().chain(behind.clone()).collect::<Vec<_>>(), behind.chain(rows.clone()).collect()]
     {
@@ -236,7 +238,7 @@ fn one_frame_reaches_from_a_decimetre_to_forty_thousand_kilometres() {
         let picture = rig.picture(&scene, &view, &plain());
         rig.release(scene);
         for row in 0..5 {
-            // 1 radian over 256 pixels: tan(0.5) is 128 pixels.
+            // With 1 radian over 256 pixels, tan(0.5) corresponds to 128 pixels.
             let y = 128.0 - (0.3 - 0.1 * f64::from(row)) / 0.5f64.tan() * 128.0;
             assert_eq!(picture.get_pixel(128, y as u32).0[..3], [255, 0, 0], "row {row}");
         }
@@ -245,8 +247,8 @@ fn one_frame_reaches_from_a_decimetre_to_forty_thousand_kilometres() {
 }
 
 #[test]
-fn height_tiles_of_a_block_are_one_draw() {
-    let Some(mut rig) = rig("height_tiles_of_a_block_are_one_draw") else { return };
+fn height_tiles_of_a_block_are_one_draw_call() {
+    let Some(mut rig) = rig("height_tiles_of_a_block_are_one_draw_call") else { return };
     let terrain = terrain(false);
     let tiles = (0..16).map(|i| terrain.tile(2, i % 4, i / 4)).collect();
     let scene = rig.scene(Node::group(tiles));
@@ -261,17 +263,17 @@ fn terrain(textured: bool) -> Terrain {
     Terrain { west: 0.13, south: 0.8, width: 0.006, relief_m: 2600.0, root_error_m: 250.0, textured }
 }
 
-/// A tile of level 1 stands beside tiles of level 2, at many distances of the eye. No background shows between them
-/// if the finer level is drawn only within the coarser one's range, as cull does.
+/// A tile of level 1 is beside tiles of level 2, at many distances from the eye. No background is visible between them
+/// if the finer level is drawn only within the range of the coarser one, as cull does.
 #[test]
-fn no_background_shows_between_levels() {
-    let Some(mut rig) = rig("no_background_shows_between_levels") else { return };
+fn no_background_is_visible_between_levels() {
+    let Some(mut rig) = rig("no_background_is_visible_between_levels") else { return };
     let terrain = terrain(false);
     for skirts in [true, false] {
         let mut leaks = 0;
         for step in 0..24 {
-            // Low over the western edge, looking east across the terrain, farther and farther away: the finer
-            // tiles go through every stage of their morph.
+            // The eye is low over the western edge and looks east across the terrain, from farther and farther away.
+            // The finer tiles pass through all stages of their morph.
             let eye_u = 0.3 - 0.02 * f64::from(step);
             let eye = terrain.world(eye_u, 0.5, 4_500.0 + 700.0 * f64::from(step));
             let up = terrain.up(eye_u, 0.5);
@@ -284,17 +286,17 @@ fn no_background_shows_between_levels() {
             let scene = rig.scene(root);
             let picture = rig.picture(&scene, &camera, &plain());
             rig.release(scene);
-            // Background that has terrain on both sides of it along the row or the column.
+            // Counted background has terrain on both sides of it along the row or the column.
             leaks += enclosed(&picture);
         }
         println!("{leaks} enclosed pixels of background, skirts {skirts}");
-        // Without skirts, a pixel may fall between two edges that are equal but for rounding.
+        // Without skirts, a pixel may fall between two edges that differ by rounding.
         let allowed = if skirts { 0 } else { 2 };
         assert!(leaks <= allowed, "{leaks} pixels of background, skirts {skirts}");
     }
 }
 
-/// The heights of a tile and those below it that morph into coarser levels no longer.
+/// Returns the heights of a tile and those below it, without morphing into coarser levels.
 fn without_morph(node: &mut Node) {
     if let terrane::scene::NodeKind::Geode(drawables) = &mut node.kind {
         for drawable in drawables {
@@ -307,12 +309,12 @@ fn without_morph(node: &mut Node) {
 }
 
 #[test]
-fn in_orthographic_views_heights_morph_by_their_error_alone() {
-    let Some(mut rig) = rig("in_orthographic_views_heights_morph_by_their_error_alone") else { return };
+fn orthographic_views_morph_heights_by_their_error() {
+    let Some(mut rig) = rig("orthographic_views_morph_heights_by_their_error") else { return };
     let terrain = terrain(true);
     let mut seen = |above_m: f64, max_sse_px: f64, morphs: bool| {
         let mut camera = camera([256, 256], terrain.world(0.5, 0.5, above_m), terrain.world(0.5, 0.5, 0.0), DVec3::Z);
-        // A pixel is 60 m wide: the root's error of 250 m takes 4.2 of them.
+        // A pixel is 60 m wide, so the root's error of 250 m projects to 4.2 pixels.
         camera.clip_from_eye = proj::orthographic(-7_680.0, 7_680.0, -7_680.0, 7_680.0, 1e6, 1.0);
         camera.settings.max_sse_px = max_sse_px;
         let mut root = terrain.tile(1, 0, 0);
@@ -342,7 +344,7 @@ fn without_skirts(node: &mut Node) {
     node.children.iter_mut().for_each(without_skirts);
 }
 
-/// Background pixels that are no part of the background connected with the image's border.
+/// Counts background pixels that are not connected with the border of the image.
 fn enclosed(picture: &image::RgbaImage) -> usize {
     let (w, h) = picture.dimensions();
     let is_background = |x: u32, y: u32| picture.get_pixel(x, y).0[..3] == MAGENTA;
@@ -363,7 +365,7 @@ fn enclosed(picture: &image::RgbaImage) -> usize {
     let mut enclosed = 0;
     for y in 0..h {
         for x in 0..w {
-            // The bottom rows may show the ground's near end.
+            // The bottom rows may show the near end of the ground.
             if is_background(x, y) && !outside[(y * w + x) as usize] {
                 enclosed += 1;
             }
@@ -373,9 +375,9 @@ fn enclosed(picture: &image::RgbaImage) -> usize {
 }
 
 #[test]
-fn textures_have_their_north_at_the_top() {
-    let Some(mut rig) = rig("textures_have_their_north_at_the_top") else { return };
-    // Red northern half, green southern half.
+fn north_of_textures_is_at_the_top() {
+    let Some(mut rig) = rig("north_of_textures_is_at_the_top") else { return };
+    // The northern half is red, the southern half green.
     let pixels: Vec<u8> =
         (0..64 * 64).flat_map(|i| if i < 32 * 64 { [255, 0, 0, 255] } else { [0, 255, 0, 255] }).collect();
     let terrain = terrain(false);
@@ -390,7 +392,7 @@ fn textures_have_their_north_at_the_top() {
     };
     root.children.iter_mut().for_each(&mut paint);
     let scene = rig.scene(root);
-    // From above, north up.
+    // The camera looks down from above, with north up.
     let eye = terrain.world(0.5, 0.5, 60_000.0);
     let camera = camera([256, 256], eye, terrain.world(0.5, 0.5, 0.0), DVec3::Z);
     let picture = rig.picture(&scene, &camera, &plain());
@@ -400,8 +402,8 @@ fn textures_have_their_north_at_the_top() {
 }
 
 #[test]
-fn billboards_show_their_whole_face() {
-    let Some(mut rig) = rig("billboards_show_their_whole_face") else { return };
+fn billboards_show_their_full_face() {
+    let Some(mut rig) = rig("billboards_show_their_full_face") else { return };
     let rig = &mut *rig;
     let flat = || {
         let mesh = Mesh::rectangle(DVec3::new(-0.5, 0.0, -0.5), DVec3::X, DVec3::Z);
@@ -409,7 +411,7 @@ fn billboards_show_their_whole_face() {
         drawable.geometry = mesh.into();
         drawable
     };
-    // From aside and above, 8 m away: a metre is 256 / (2 * 8 * tan(0.5)) pixels.
+    // The eye is above and to the side, 8 m away, where a metre covers 256 / (2 * 8 * tan(0.5)) pixels.
     let eye = DVec3::new(1.0, -1.0, 0.9).normalize() * 8.0;
     let view = camera([256, 256], eye, DVec3::ZERO, DVec3::Z);
     let metre_px = 128.0 / (8.0 * 0.5f64.tan());
@@ -429,20 +431,20 @@ fn billboards_show_their_whole_face() {
         let whole = covered(turned(mode));
         assert!((0.95..1.05).contains(&whole), "{mode:?}: {whole}");
     }
-    // About the upright axis alone: foreshortened by the height of the eye only.
+    // Rotation about the upright axis only leaves a foreshortening by the height of the eye.
     let upright = covered(turned(BillboardMode::AxialRot { axis: DVec3::Z }));
     let expected = (1.0f64 - (0.9 * 0.9) / (2.0 + 0.9 * 0.9)).sqrt();
     assert!((upright - expected).abs() < 0.06, "{upright} instead of {expected}");
 }
 
-/// Pixels whose colors differ by more than a few steps.
+/// Returns the number of pixels whose colors differ by more than a few steps.
 fn differing(a: &image::RgbaImage, b: &image::RgbaImage) -> usize {
     a.pixels().zip(b.pixels()).filter(|(a, b)| (0..3).any(|c| a.0[c].abs_diff(b.0[c]) > 4)).count()
 }
 
 #[test]
-fn uneven_scales_and_mirrors_light_surfaces_as_they_lie() {
-    let Some(mut rig) = rig("uneven_scales_and_mirrors_light_surfaces_as_they_lie") else { return };
+fn uneven_scales_and_mirrors_are_lit_correctly() {
+    let Some(mut rig) = rig("uneven_scales_and_mirrors_are_lit_correctly") else { return };
     let ball = Mesh::sphere(DVec3::ZERO, 0.6, 48);
     let mut picture = |stretch: DVec3, transform: DAffine3| {
         let mut mesh = ball.clone();
@@ -468,10 +470,10 @@ fn uneven_scales_and_mirrors_light_surfaces_as_they_lie() {
     assert!(covered > 5_000, "{covered}");
     for scale in [flat, flat * DVec3::new(-1.0, 1.0, 1.0)] {
         let scaled = picture(DVec3::ONE, DAffine3::from_scale(scale));
-        // Normals of 8 bits are rounded before they are turned, and again.
+        // Normals of 8 bits are rounded before and after the rotation.
         assert!(differing(&itself, &scaled) < covered / 50, "{scale}: {} of {covered}", differing(&itself, &scaled));
     }
-    // And at scales far from 1 of the same shape.
+    // The same with scales far from 1 and the same shape.
     for size in [1e-4, 1e4] {
         let scaled = picture(flat / size, DAffine3::from_scale(DVec3::splat(size)));
         assert!(differing(&itself, &scaled) < covered / 50, "{size}: {} of {covered}", differing(&itself, &scaled));
@@ -479,8 +481,8 @@ fn uneven_scales_and_mirrors_light_surfaces_as_they_lie() {
 }
 
 #[test]
-fn quantized_meshes_take_16_bytes_a_vertex_and_look_the_same() {
-    let Some(mut rig) = rig("quantized_meshes_take_16_bytes_a_vertex_and_look_the_same") else { return };
+fn quantized_meshes_take_16_bytes_per_vertex_and_look_the_same() {
+    let Some(mut rig) = rig("quantized_meshes_take_16_bytes_per_vertex_and_look_the_same") else { return };
     let ball = Mesh::sphere(DVec3::ZERO, 0.8, 96);
     let count = ball.vertices.len();
     let drawn = [true, false].map(|quantized| {
@@ -513,7 +515,7 @@ fn quantized_meshes_take_16_bytes_a_vertex_and_look_the_same() {
         (bytes, picture)
     });
     let [(few, quantized), (more, plain)] = &drawn;
-    // Slots of vertices are up to an eighth larger than what is in them.
+    // Slots of vertices are up to an eighth larger than their content.
     assert!(*more - *few >= 4 * count as u64, "{more} {few} bytes of {count} vertices");
     let covered = plain.pixels().filter(|p| p.0[..3] != MAGENTA).count();
     assert!(

@@ -1,4 +1,4 @@
-//! Drawables that the application draws itself: where they are drawn, what they are passed, errors of them.
+//! Drawables of the application: their order, the data passed to them, and their errors.
 
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 use std::sync::{Arc, Mutex};
@@ -24,7 +24,7 @@ const RED: [u8; 3] = [255, 0, 0];
 const GREEN: [u8; 3] = [0, 255, 0];
 const BLUE: [u8; 3] = [0, 0, 255];
 
-/// A square of half a metre around its origin in the colour of its leaf.
+/// A drawable that draws a square of half a metre around its origin in the colour of its leaf.
 const SQUARE: &str = "
 struct Varying { @builtin(position) clip: vec4<f32>, @location(0) color: vec4<f32> }
 
@@ -44,7 +44,7 @@ fn fs_square(in: Varying) -> @location(0) vec4<f32> {
 
 /// The calls that a square has received, in order.
 type Said = Arc<Mutex<Vec<String>>>;
-/// Something said while it is drawn.
+/// True to report an error while drawing.
 type Tell = Arc<dyn Fn(&DrawableInfo<'_>) -> String + Send + Sync>;
 
 #[derive(Clone)]
@@ -52,7 +52,7 @@ struct Square {
     said: Said,
     wgsl: String,
     tell: Tell,
-    /// The faults that a square has.
+    /// The faults of the square.
     fails: &'static str,
     compile_time: Duration,
     alive: Arc<AtomicU32>,
@@ -204,8 +204,8 @@ fn in_bin(number: i32, set: StateSet) -> Arc<StateSet> {
 }
 
 #[test]
-fn it_is_drawn_at_its_place_like_any_other_drawable() {
-    let Some(mut rig) = rig("it_is_drawn_at_its_place_like_any_other_drawable") else { return };
+fn custom_drawables_are_drawn_like_others() {
+    let Some(mut rig) = rig("custom_drawables_are_drawn_like_others") else { return };
     let rig = &mut *rig;
     let square = Square::new();
     let usual = |[r, g, b]: [u8; 3]| quad([0.0; 3], [0.5, 0.5], [r, g, b, 255].map(|c| f32::from(c) / 255.0));
@@ -217,13 +217,13 @@ fn it_is_drawn_at_its_place_like_any_other_drawable() {
         ]
     };
     let picture = draw(rig, scene(square.drawable(GREEN)));
-    assert_eq!(picture, draw(rig, scene(usual(GREEN))), "hidden and hiding as a mesh would be");
+    assert_eq!(picture, draw(rig, scene(usual(GREEN))), "hidden and hiding like a mesh");
     assert!([RED, GREEN, BLUE].iter().all(|c| count(&picture, *c) > 200));
-    // Ready for the context's own target before its first frame.
+    // It is compiled for the context's target before its first frame.
     assert_eq!(square.heard(), ["compile", "prepare", "draw 1"]);
     assert_eq!(square.alive.load(Relaxed), 0, "released");
 
-    // Outside of the frustum: not asked.
+    // Outside of the frustum it is not called.
     draw(rig, vec![at(9.0, 0.0, 0.0, vec![square.drawable(GREEN)])]);
     assert_eq!(square.heard(), ["compile", "prepare"]);
     assert!(rig.renderer.take_errors().is_empty());
@@ -246,7 +246,7 @@ fn state_set_by_a_drawable_is_restored_for_the_next_leaf() {
             at(0.0, 0.0, -1.0, vec![quad([0.0; 3], [1.2, 1.2], [1.0, 0.0, 0.0, 1.0])])
                 .with_state_set(in_bin(0, marked(0))),
             at(0.5, 0.5, 0.0, vec![square.drawable(GREEN)]).with_state_set(in_bin(1, StateSet::default())),
-            // Drawn where the stencil is 0: everywhere, had the reference been set again.
+            // It is drawn where the stencil is 0, which is everywhere if the reference is set again.
             at(-0.5, -0.5, 0.0, vec![quad([0.0; 3], [0.4, 0.4], [0.0, 0.0, 1.0, 1.0])])
                 .with_state_set(in_bin(2, StateSet::default().with(Attribute::Stencil(where_0)))),
         ];
@@ -264,10 +264,10 @@ fn state_set_by_a_drawable_is_restored_for_the_next_leaf() {
 }
 
 #[test]
-fn a_drawable_gets_its_transform_and_state() {
-    let Some(mut rig) = rig("a_drawable_gets_its_transform_and_state") else { return };
+fn drawable_receives_its_transform_and_state() {
+    let Some(mut rig) = rig("drawable_receives_its_transform_and_state") else { return };
     let rig = &mut *rig;
-    // The corner of the square on the screen, by the matrices; the number that its state set gives.
+    // The position of the square's corner on the screen by the matrices, and the number from its state set.
     let square = Square::telling(|info| {
         let camera = &info.render.stage.camera;
         assert_eq!(camera.viewport_px, [SIDE, SIDE]);
@@ -313,7 +313,7 @@ fn a_drawable_gets_its_transform_and_state() {
     );
     rig.release(scene);
 
-    // Two leaves of one drawable are two instances of one draw.
+    // Two leaves of one drawable are two instances in one draw call.
     let places = [[0.5, 0.0], [0.0, -0.5]].map(|[x, y]| at(x, y, 0.0, vec![square.drawable(GREEN)]));
     let mut page = Page::from_node(Node::group(places.to_vec())).unwrap();
     let compiled = rig.compile(page.take_drawables().drain(..1).collect());
@@ -349,7 +349,7 @@ fn errors_are_reported_once_and_the_rest_is_drawn() {
         scene.add_root(page);
         let mut errors = compiled.errors;
         for _ in 0..3 {
-            // The rig's `draw` fails where the device complained.
+            // `draw` of the rig fails if the device reports an error.
             let picture = rig.picture(&scene, &unit_camera(SIDE), &plain());
             assert!(count(&picture, RED) > 400, "{wanted}");
             assert_eq!(count(&picture, GREEN), 0, "{wanted}");
@@ -362,7 +362,7 @@ fn errors_are_reported_once_and_the_rest_is_drawn() {
 }
 
 #[test]
-fn it_is_compiled_within_the_budget() {
+fn drawable_is_compiled_within_the_budget() {
     let Some(mut rig) = new_rig([SIDE, SIDE]) else { return };
     let before = rig.ctx.bytes_in_use();
     let square = Square { compile_time: Duration::from_millis(3), ..Square::new() };
@@ -381,7 +381,7 @@ fn it_is_compiled_within_the_budget() {
 }
 
 #[test]
-fn it_is_made_ready_for_every_kind_of_target() {
+fn drawable_is_compiled_for_all_kinds_of_targets() {
     let Some(mut rig) = new_rig([SIDE, SIDE]) else { return };
     let square = Square::new();
     let texture = TextureObject::target("picture", [SIDE, SIDE], TextureFormat::Rgba16Float);
@@ -395,11 +395,11 @@ fn it_is_made_ready_for_every_kind_of_target() {
     let scene = rig.scene(Node::group(vec![rtt, screen]));
     let stats = [(); 2].map(|()| rig.draw(&scene, &camera, &plain()));
     assert_eq!(square.heard(), ["compile", "prepare", "prepare", "draw 1", "draw 1"]);
-    // The square's for the texture, and that of the screen.
+    // One for the texture, and one for the screen.
     assert_eq!(stats.map(|s| s.pipelines_created), [2, 0]);
     assert_eq!(count(&rig.read_back(), GREEN), 32 * 32);
     rig.release(scene);
-    // Later uploads are ready for both.
+    // Later uploads are compiled for both targets.
     let compiled = rig.compile(vec![square.drawable(RED)]);
     assert_eq!(square.heard(), ["compile", "prepare", "prepare"]);
     rig.ctx.release(&compiled.slots);
@@ -407,14 +407,14 @@ fn it_is_made_ready_for_every_kind_of_target() {
 }
 
 #[test]
-fn it_casts_no_shadow_blends_behind_opaque_leaves_and_does_not_fade() {
-    let test = "it_casts_no_shadow_blends_behind_opaque_leaves_and_does_not_fade";
+fn drawable_casts_no_shadow_is_blended_late_and_does_not_fade() {
+    let test = "drawable_casts_no_shadow_is_blended_late_and_does_not_fade";
     let Some(mut rig) = rig(test) else { return };
     let rig = &mut *rig;
     let square = Square::new();
     let mut glass = square.drawable(GREEN);
     glass.material.alpha = AlphaMode::Blend;
-    // In the transparent bin.
+    // It is in the transparent bin.
     let scene = rig.scene(Node::group(vec![
         at(0.0, 0.0, 1.0, vec![glass]),
         at(0.0, 0.0, 0.0, vec![quad([0.0; 3], [1.0, 1.0], [0.0, 0.0, 1.0, 1.0])]),
@@ -431,7 +431,7 @@ fn it_casts_no_shadow_blends_behind_opaque_leaves_and_does_not_fade() {
     assert!(count(&rig.read_back(), GREEN) > 900);
     rig.release(scene);
 
-    // Between two levels it is there in the first half of the fade and wholly gone in the second.
+    // Between two levels it is fully visible in the first half of the fade and invisible in the second.
     let lod = NodeKind::Lod { center: DVec3::ZERO, ranges_m: vec![[0.0, 15.0], [15.0, 1e9]] };
     let level = |color| Node::geode(vec![square.drawable(color)]);
     let scene = rig.scene(Node::new(lod).with_child(level(RED)).with_child(level(BLUE)));

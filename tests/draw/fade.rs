@@ -1,5 +1,5 @@
-//! Levels of detail replace one another: in the middle of a fade each pixel shows one of the two, never both and
-//! never what is behind them.
+//! Fades between levels of detail: in the middle of a fade each pixel shows one of the two levels, never both and never
+//! the background behind them.
 
 use std::sync::Arc;
 
@@ -22,7 +22,7 @@ const RED: [f32; 4] = [1.0, 0.0, 0.0, 1.0];
 const GREEN: [f32; 4] = [0.0, 1.0, 0.0, 1.0];
 const BLUE: [f32; 4] = [0.0, 0.0, 1.0, 1.0];
 
-/// A tile that wants its children where the LOD scale is less than a tenth of its range: the eye is 10 m away.
+/// Returns a tile that is refined if the LOD scale is below a tenth of its range. The eye is 10 m away.
 fn tile(range_m: f64, refine: Refine, children: Vec<Node>) -> Node {
     let lod = PagedLod {
         bounds: BoundingVolume::Sphere(BoundingSphere::new(DVec3::ZERO, 3.0)),
@@ -37,7 +37,7 @@ fn tile(range_m: f64, refine: Refine, children: Vec<Node>) -> Node {
     Node { children, ..Node::new(NodeKind::PagedLod(Box::new(lod))) }
 }
 
-/// Uploads a content and hangs it into the nth slot.
+/// Uploads a content and attaches it to the nth slot.
 fn attach(rig: &mut Rig, scene: &mut Scene, slot: usize, content: Node) -> PageId {
     let mut page = Page::from_node(content).unwrap();
     let compiled = rig.compile(page.take_drawables());
@@ -52,14 +52,14 @@ fn detach(rig: &mut Rig, scene: &mut Scene, page: PageId) {
     }
 }
 
-/// Seen at a time with a LOD scale: 1 shows what is coarse, less what is finer.
+/// Draws at a time with a LOD scale: 1 shows the coarse level, less the finer.
 fn seen(time_s: f64, lod_scale: f64) -> CullCamera {
     let mut camera = CullCamera { simulation_time_s: time_s, ..unit_camera(SIZE) };
     camera.settings.lod_scale = lod_scale;
     camera
 }
 
-/// A square of many triangles, too many to be pulled.
+/// Returns a square with too many triangles for vertex pulling.
 fn large(half: f32, depth: f32, material: Material) -> Drawable {
     let n = 6u32;
     let at = |i: u32| half * (2.0 * i as f32 / n as f32 - 1.0);
@@ -84,7 +84,7 @@ fn assert_each_is_one_of(picture: &RgbaImage, old: &RgbaImage, new: &RgbaImage, 
     are_new
 }
 
-/// Fades there and back: shares of new pixels in the frames of the way there.
+/// Fades to the new level and back. Returns the shares of new pixels in the frames of the first fade.
 fn assert_fades(rig: &mut Rig, scene: &Scene, at: &dyn Fn(f64, f64) -> CullCamera, what: &str) -> Vec<usize> {
     let environment = plain();
     let without = |rig: &mut Rig, lod_scale: f64| {
@@ -111,19 +111,19 @@ fn assert_fades(rig: &mut Rig, scene: &Scene, at: &dyn Fn(f64, f64) -> CullCamer
     let picture = rig.picture(scene, &at(100.41, 1.0), &environment);
     let are_new = assert_each_is_one_of(&picture, &old, &new, what);
     assert!(are_new > 0 && are_new < differing, "{what}, back: {are_new} of {differing}");
-    assert_eq!(rig.picture(scene, &at(101.0, 1.0), &environment), old, "{what}: a leap of time");
-    // Time stands still: at once.
+    assert_eq!(rig.picture(scene, &at(101.0, 1.0), &environment), old, "{what}: a jump in time");
+    // Without simulation time the level changes at once.
     assert_eq!(rig.picture(scene, &at(101.0, 0.5), &environment), new);
     assert_eq!(rig.picture(scene, &at(101.0, 1.0), &environment), old);
     shares
 }
 
-/// A node of a colour, at a depth in metres.
+/// Returns a node of a colour at a depth in metres.
 type Kind<'a> = dyn Fn([f32; 4], f32) -> Node + 'a;
 
 #[test]
-fn a_tile_fades_into_its_children_pixel_by_pixel() {
-    let Some(mut rig) = rig("a_tile_fades_into_its_children_pixel_by_pixel") else { return };
+fn tile_fades_into_its_children_pixel_by_pixel() {
+    let Some(mut rig) = rig("tile_fades_into_its_children_pixel_by_pixel") else { return };
     let rig = &mut *rig;
     let unlit = |color| Material { base_color: color, unlit: true, double_sided: true, ..Material::default() };
     let fixed = || {
@@ -145,10 +145,10 @@ fn a_tile_fades_into_its_children_pixel_by_pixel() {
     ];
     for (what, content) in kinds {
         let mut scene = rig.scene(tile(6.0, Refine::Replace, vec![tile(0.0, Refine::Replace, Vec::new())]));
-        // The finer one behind the coarser: both at once would show.
+        // The finer level is behind the coarse one. If both were drawn, pixels would show it.
         let pages = [attach(rig, &mut scene, 0, content(RED, 0.0)), attach(rig, &mut scene, 1, content(GREEN, -0.3))];
         let shares = assert_fades(rig, &scene, &seen, what);
-        // Four of twenty-five parts of the pixels come in each frame.
+        // Four of twenty-five parts of the pixels change in each frame.
         for (step, share) in shares[..6].iter().enumerate() {
             let expected = 0.16 * (step + 1) as f64 * f64::from(SIZE * SIZE);
             assert!((*share as f64 - expected).abs() < 0.02 * f64::from(SIZE * SIZE), "{what}: {shares:?}");
@@ -160,8 +160,8 @@ fn a_tile_fades_into_its_children_pixel_by_pixel() {
 }
 
 #[test]
-fn height_tiles_fade_too() {
-    let Some(mut rig) = rig("height_tiles_fade_too") else { return };
+fn height_tiles_fade_as_well() {
+    let Some(mut rig) = rig("height_tiles_fade_as_well") else { return };
     let rig = &mut *rig;
     let terrain =
         Terrain { west: 0.13, south: 0.8, width: 0.006, relief_m: 900.0, root_error_m: 250.0, textured: true };
@@ -202,14 +202,14 @@ fn height_tiles_fade_too() {
 }
 
 #[test]
-fn children_of_a_lod_fade_and_programs_change_in_the_middle() {
-    let Some(mut rig) = rig("children_of_a_lod_fade_and_programs_change_in_the_middle") else { return };
+fn children_of_a_lod_fade_and_programs_switch_in_the_middle() {
+    let Some(mut rig) = rig("children_of_a_lod_fade_and_programs_switch_in_the_middle") else { return };
     let rig = &mut *rig;
     let lod = |state_set: Option<Arc<StateSet>>| {
         let geode = |color, depth| Node::geode(vec![large(1.2, depth, unlit_material(color))]);
         let mut lod = Node::new(NodeKind::Lod { center: DVec3::ZERO, ranges_m: vec![[0.0, 6.0], [6.0, 1e9]] });
         lod.children = vec![geode(GREEN, -0.3), geode(RED, 0.0)];
-        // Its neighbour is drawn whole during the fade.
+        // The neighbour is drawn whole during the fade.
         let beside = Node::geode(vec![quad([0.0, -0.9, 0.5], [1.2, 0.1], BLUE)]);
         let lod = match state_set {
             Some(set) => lod.with_state_set(set),
@@ -251,8 +251,8 @@ fn unlit_material(color: [f32; 4]) -> Material {
 }
 
 #[test]
-fn fades_inside_fades_leave_no_hole_and_end() {
-    let Some(mut rig) = rig("fades_inside_fades_leave_no_hole_and_end") else { return };
+fn nested_fades_leave_no_hole_and_end() {
+    let Some(mut rig) = rig("nested_fades_leave_no_hole_and_end") else { return };
     let rig = &mut *rig;
     let grandchild = tile(0.0, Refine::Replace, Vec::new());
     let mut scene = rig.scene(tile(8.0, Refine::Replace, vec![tile(4.0, Refine::Replace, vec![grandchild])]));
@@ -284,8 +284,8 @@ fn fades_inside_fades_leave_no_hole_and_end() {
 }
 
 #[test]
-fn expiry_during_a_fade_ends_it() {
-    let Some(mut rig) = rig("expiry_during_a_fade_ends_it") else { return };
+fn expiry_during_a_fade_ends_the_fade() {
+    let Some(mut rig) = rig("expiry_during_a_fade_ends_the_fade") else { return };
     let rig = &mut *rig;
     let environment = plain();
     let content = |color, depth| Node::geode(vec![quad([0.0, 0.0, depth], [1.2, 1.2], color)]);
@@ -304,12 +304,12 @@ fn expiry_during_a_fade_ends_it() {
         let half = greens(rig, &scene, 1.12, 0.5);
         assert!(half > 1000 && half < all - 1000, "{half}");
         detach(rig, &mut scene, if is_parent { parent } else { child });
-        // Another page takes its slots.
+        // Another page uses its slots.
         let other = rig.compile(vec![quad([0.0, 0.0, 0.6], [1.2, 1.2], BLUE)]);
         assert_eq!(greens(rig, &scene, 1.14, 0.5), if is_parent { all } else { 0 });
         assert_eq!(rig.stage.counters.fading, 0);
         rig.ctx.release(&other.slots);
-        // It comes again, is shown at once where nothing was, and the tree continues as ever.
+        // It is loaded again and drawn at once, because nothing was drawn there. The tree works as before.
         if is_parent {
             attach(rig, &mut scene, 0, content(RED, 0.0));
         } else {
@@ -360,14 +360,14 @@ fn added_content_fades_in_over_the_parent() {
     for time in [1.0, 1.02, 1.2, 1.4] {
         assert_eq!(greens(rig, &scene, time, 0.5).0, 0);
     }
-    // Wanted for long, it arrives.
+    // It was wanted for a long time and is loaded now.
     let child = attach(rig, &mut scene, 1, content(GREEN, 0.3));
     let (first, fading) = greens(rig, &scene, 1.45, 0.5);
     assert!(first > 500 && first < 1200 && fading == 1, "{first} {fading}");
     let (second, _) = greens(rig, &scene, 1.55, 0.5);
     assert!(second > first && second < all);
     assert_eq!(greens(rig, &scene, 1.7, 0.5), (all, 0));
-    // Nothing is asked for while it goes.
+    // No request is made while it fades out.
     let (gone, fading) = greens(rig, &scene, 1.8, 1.0);
     assert!(gone > 1000 && gone < all - 1000 && fading == 1);
     detach(rig, &mut scene, child);
@@ -376,8 +376,8 @@ fn added_content_fades_in_over_the_parent() {
 }
 
 #[test]
-fn cameras_in_the_graph_fade_their_own_way() {
-    let Some(mut rig) = rig("cameras_in_the_graph_fade_their_own_way") else { return };
+fn cameras_in_the_graph_fade_independently() {
+    let Some(mut rig) = rig("cameras_in_the_graph_fade_independently") else { return };
     let rig = &mut *rig;
     let lod = || {
         let geode = |color, depth| Node::geode(vec![large(1.2, depth, unlit_material(color))]);
@@ -401,6 +401,6 @@ fn cameras_in_the_graph_fade_their_own_way() {
     let all = (SIZE * SIZE) as usize;
     assert_eq!((greens[1], greens[4]), ((0, 0, 0), (all, 0, 0)));
     assert!(greens[2].0 > 1000 && greens[3].0 > greens[2].0 && greens[3].0 < all, "{greens:?}");
-    assert_eq!((greens[2].1, greens[2].2), (2, 2), "one fades in each stage");
+    assert_eq!((greens[2].1, greens[2].2), (2, 2), "one level fades in each stage");
     rig.release(scene);
 }

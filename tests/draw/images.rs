@@ -70,7 +70,7 @@ fn meshes_lit_textured_masked_and_blended() {
     assert_picture("meshes", &picture);
 }
 
-/// A ball of radius 1, with smooth normals or none.
+/// Returns a ball of radius 1, with smooth normals or without normals.
 fn sphere(normals: bool) -> terrane::scene::Mesh {
     let (columns, rows) = (24u32, 12u32);
     let mut vertices = Vec::new();
@@ -94,12 +94,12 @@ fn sphere(normals: bool) -> terrane::scene::Mesh {
     kit::shapes::mesh(vertices, indices)
 }
 
-/// A label in the scene and a line of text over it, by a camera that is drawn after.
+/// Draws a label in the scene, and a line of text over the image by a post-render camera.
 #[cfg(feature = "text")]
 #[test]
-fn text_in_the_scene_and_over_it() {
+fn text_in_the_scene_and_over_the_image() {
     use terrane::scene::{CameraNode, Font, Mesh, NodeKind, ReferenceFrame, RenderOrder};
-    let Some(mut rig) = rig("text_in_the_scene_and_over_it") else { return };
+    let Some(mut rig) = rig("text_in_the_scene_and_over_the_image") else { return };
     let font = Font::default();
     let label = Drawable::text(&font, "Mount Terrane\n2,917 m", 0.16, [1.0, 0.9, 0.3, 1.0]);
     let label = Node::transform(
@@ -129,9 +129,9 @@ fn text_in_the_scene_and_over_it() {
 }
 
 #[test]
-fn a_sea_fills_the_valleys_up_to_the_horizon() {
+fn sea_fills_the_valleys_up_to_the_horizon() {
     use terrane::draw::Water;
-    let Some(mut rig) = rig("a_sea_fills_the_valleys_up_to_the_horizon") else { return };
+    let Some(mut rig) = rig("sea_fills_the_valleys_up_to_the_horizon") else { return };
     let terrain = alps();
     let (eye, up) = (terrain.world(0.5, 0.05, 2_500.0), terrain.up(0.5, 0.05));
     let target = terrain.world(0.5, 0.55, 0.0);
@@ -152,6 +152,6 @@ fn a_sea_fills_the_valleys_up_to_the_horizon() {
     let changed =
         |a: &image::RgbaImage, b: &image::RgbaImage| a.pixels().zip(b.pixels()).filter(|(a, b)| a != b).count();
     assert!((2_000..50_000).contains(&changed(&dry, &wet)), "{}", changed(&dry, &wet));
-    assert_eq!(changed(&dry, &deep), 0, "from below it is not seen");
+    assert_eq!(changed(&dry, &deep), 0, "the sea is invisible from below");
     rig.release(scene);
 }

@@ -1,4 +1,4 @@
-//! Occlusion queries: what the adapter says is hidden is not drawn, and comes back.
+//! Occlusion queries: nodes that the adapter reports as hidden are not drawn, and are drawn again when visible.
 
 use kit::rig::{Rig, plain, rig, unit_camera};
 use kit::shapes::quad;
@@ -30,28 +30,28 @@ fn queries_hide_occluded_nodes_and_show_them_again() {
         rig.draw(scene, &CullCamera { frame, ..unit_camera(SIDE) }, &plain());
         rig.stage.leaf_count()
     };
-    assert_eq!(leaves(rig, &scene, 1), 2, "drawn until the adapter has answered");
+    assert_eq!(leaves(rig, &scene, 1), 2, "drawn until the query has a result");
     let mut frame = 1;
     while leaves(rig, &scene, frame) == 2 {
         frame += 1;
         assert!(frame < 200, "never hidden: {} failures", results.failures());
     }
     assert!(results.failures() >= 2 && results.samples() == 0);
-    // The wall goes: what is behind it comes back.
+    // Without the wall, the hidden node is drawn again.
     scene.set_switch(NodeId { page: root, index: 3 }, 0, false).unwrap();
     while leaves(rig, &scene, frame) == 0 {
         frame += 1;
-        assert!(frame < 400, "never shown again");
+        assert!(frame < 400, "the node was not drawn again");
     }
     assert!(results.samples() > 0 && results.failures() == 0);
     rig.release(scene);
     no_errors(rig);
 }
 
-/// More than fit into a frame: those left out are drawn, whatever was known of them.
+/// There are more queries than fit into a frame. Nodes without a query are drawn, whatever their last result.
 #[test]
-fn queries_that_find_no_room_hide_nothing() {
-    let Some(mut rig) = rig("queries_that_find_no_room_hide_nothing") else { return };
+fn nodes_without_a_free_query_are_drawn() {
+    let Some(mut rig) = rig("nodes_without_a_free_query_are_drawn") else { return };
     let rig = &mut *rig;
     const NODES: usize = 1200;
     let mut all = Vec::new();
@@ -65,7 +65,7 @@ fn queries_that_find_no_room_hide_nothing() {
         children: vec![Node::geode(vec![quad([0.0; 3], [0.9; 2], [1.0, 0.0, 0.0, 1.0])])],
         ..Node::new(NodeKind::Switch(vec![true]))
     };
-    // The wall first: its number is known.
+    // The result of the wall, which is drawn first, is known.
     all.insert(0, wall);
     let mut scene = rig.scene(Node::group(all));
     let root = scene.roots()[0];
@@ -83,10 +83,10 @@ fn queries_that_find_no_room_hide_nothing() {
     no_errors(rig);
 }
 
-/// A camera with a part of the view queries against the depth of that part.
+/// A nested camera with a viewport compares with the depth inside that viewport.
 #[test]
-fn queries_below_a_nested_camera_look_at_its_part() {
-    let Some(mut rig) = rig("queries_below_a_nested_camera_look_at_its_part") else { return };
+fn queries_below_a_nested_camera_use_its_viewport() {
+    let Some(mut rig) = rig("queries_below_a_nested_camera_use_its_viewport") else { return };
     let rig = &mut *rig;
     for (wall_x, is_seen) in [(-0.5, true), (0.5, false)] {
         let query = OcclusionQueryNode { query_frames: 1, failures_to_hide: 2, ..OcclusionQueryNode::default() };
@@ -101,14 +101,14 @@ fn queries_below_a_nested_camera_look_at_its_part() {
             viewport_px: Some([SIDE / 2, 0, SIDE / 2, SIDE]),
             ..CameraNode::new(RenderOrder::Nested)
         };
-        // In the whole image it covers the left or the right half.
+        // In the whole image it would cover the left or the right half.
         let wall = Node::geode(vec![quad([wall_x, 0.0, 0.0], [0.5, 1.0], [1.0, 0.0, 0.0, 1.0])]);
         let scene = rig.scene(Node::group(vec![wall, Node::camera(right_half, vec![asked])]));
         let mut frame = 0;
         while results.failures() < 2 && results.samples() == 0 {
             frame += 1;
             rig.draw(&scene, &CullCamera { frame, ..unit_camera(SIDE) }, &plain());
-            assert!(frame < 400, "no answer came");
+            assert!(frame < 400, "the query had no result");
         }
         assert_eq!(results.samples() > 0, is_seen, "{} samples", results.samples());
         rig.release(scene);

@@ -1,4 +1,4 @@
-//! Small meshes that lie between the centres of pixels are left out, and no pixel is another one for it.
+//! Small meshes between pixel centres are culled, and no pixel changes by that.
 
 use std::sync::Arc;
 
@@ -11,7 +11,7 @@ use terrane::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
 use terrane::scene::{AlphaMode, Drawable, Geometry, Material, Mesh, MeshVertex, Node, Scene, Topology};
 use terrane::state::{Attribute, BinDetails, PolygonMode, SortMode, StateSet, Viewport};
 
-/// A thousand meshes of one to four triangles, half a millimetre to half a metre large, within ten metres.
+/// Returns a thousand meshes of one to four triangles, half a millimetre to half a metre large, within ten metres.
 fn dust(topology: Topology) -> Node {
     let mut runner = TestRunner::deterministic();
     let mut number = |low: f64, high: f64| (low..high).new_tree(&mut runner).unwrap().current();
@@ -40,7 +40,7 @@ fn dust(topology: Topology) -> Node {
     Node::group(nodes)
 }
 
-/// How many leaves were left out; fails where the image is not that of all of them.
+/// Returns the number of culled leaves. Fails if the image differs from that of all leaves.
 fn left_out(rig: &mut Rig, scene: &Scene, camera: &CullCamera) -> u32 {
     let mut every = *camera;
     every.settings.culling = CullingMode(camera.settings.culling.0 & !CullingMode::SAMPLES.0);
@@ -54,8 +54,8 @@ fn left_out(rig: &mut Rig, scene: &Scene, camera: &CullCamera) -> u32 {
 }
 
 #[test]
-fn only_leaves_that_cover_no_sample_are_left_out() {
-    let Some(mut rig) = rig("only_leaves_that_cover_no_sample_are_left_out") else { return };
+fn only_leaves_that_cover_no_sample_are_culled() {
+    let Some(mut rig) = rig("only_leaves_that_cover_no_sample_are_culled") else { return };
     for bin in [None, Some(BinDetails::new(0, SortMode::BackToFront))] {
         let scene =
             rig.scene(dust(Topology::Triangles).with_state_set(Arc::new(StateSet { bin, ..StateSet::default() })));
@@ -63,14 +63,14 @@ fn only_leaves_that_cover_no_sample_are_left_out() {
             for size_px in [[256, 256], [61, 40]] {
                 let camera = camera(size_px, eye, DVec3::ZERO, DVec3::Z);
                 let few = left_out(&mut rig, &scene, &camera);
-                // From within, the nearest are many pixels wide.
+                // The eye is among the meshes, of which the nearest are many pixels wide.
                 assert!(few > if eye.length() > 20.0 { 200 } else { 20 }, "{few} from {eye}");
             }
         }
         let mut parallel = camera([128, 128], DVec3::new(0.0, 30.0, 20.0), DVec3::ZERO, DVec3::Z);
         parallel.clip_from_eye = glam::dcamera::rh::proj::directx::orthographic(-12.0, 12.0, -12.0, 12.0, 100.0, 0.1);
         assert!(left_out(&mut rig, &scene, &parallel) > 200);
-        // Off its axis, as an eye of two or a tile of a wall has it.
+        // The projection is off its axis, like that of one eye in stereo or of a tile of a wall of screens.
         let mut shifted = camera([128, 128], DVec3::new(0.0, 30.0, 20.0), DVec3::ZERO, DVec3::Z);
         shifted.clip_from_eye = DMat4::from_translation(DVec3::new(0.7, -0.4, 0.0)) * shifted.clip_from_eye;
         assert!(left_out(&mut rig, &scene, &shifted) > 100);
@@ -79,8 +79,8 @@ fn only_leaves_that_cover_no_sample_are_left_out() {
 }
 
 #[test]
-fn pixels_are_those_of_the_state_sets_viewport() {
-    let Some(mut rig) = rig("pixels_are_those_of_the_state_sets_viewport") else { return };
+fn samples_are_those_of_the_state_sets_viewport() {
+    let Some(mut rig) = rig("samples_are_those_of_the_state_sets_viewport") else { return };
     let camera = camera([200, 200], DVec3::new(30.0, 5.0, 40.0), DVec3::ZERO, DVec3::Z);
     let mut counts = Vec::new();
     for [x, y, width, height] in [[0.0, 0.0, 200.0, 200.0], [33.5, 20.25, 41.0, 77.5], [150.0, 190.0, 50.0, 10.0]] {
@@ -93,8 +93,8 @@ fn pixels_are_those_of_the_state_sets_viewport() {
 }
 
 #[test]
-fn lines_points_and_outlines_are_drawn_wherever_they_lie() {
-    let Some(mut rig) = rig("lines_points_and_outlines_are_drawn_wherever_they_lie") else { return };
+fn lines_points_and_wireframes_are_never_culled() {
+    let Some(mut rig) = rig("lines_points_and_wireframes_are_never_culled") else { return };
     let camera = camera([64, 64], DVec3::new(30.0, 5.0, 40.0), DVec3::ZERO, DVec3::Z);
     let outlines = StateSet::default().with(Attribute::PolygonMode(PolygonMode::Line));
     for root in
@@ -107,7 +107,7 @@ fn lines_points_and_outlines_are_drawn_wherever_they_lie() {
 }
 
 #[test]
-fn with_several_samples_a_pixel_nothing_is_left_out() {
+fn nothing_is_culled_with_several_samples_per_pixel() {
     let Some(plain_rig) = new_rig([64, 64]) else { return };
     drop(plain_rig);
     let traits =

@@ -1,4 +1,4 @@
-//! Shadows of the sun lie exactly where the geometry casts them. Needs a GPU; a software adapter suffices.
+//! Shadows of the sun cover exactly the pixels that rays predict. Needs a GPU; a software adapter suffices.
 
 use std::sync::Arc;
 
@@ -19,7 +19,7 @@ use terrane::viewer::{ThreadingModel, Viewer, ViewerConfig};
 
 const SIZE: [u32; 2] = [256, 192];
 
-/// Compares what was drawn last with what rays say.
+/// Compares the last image with rays.
 fn check_rig(rig: &mut Rig, camera: &CullCamera, boxes: [&[Aabb]; 2], to_sun: DVec3) -> (u32, u32) {
     let picture = rig.read_back();
     check(&picture, &rig.stage.shadows, camera, boxes, to_sun)
@@ -34,8 +34,8 @@ fn draw_tower(rig: &mut Rig, to_sun: DVec3, camera: &CullCamera) {
 }
 
 #[test]
-fn a_tower_throws_its_shadow_where_geometry_says() {
-    let Some(mut rig) = rig("a_tower_throws_its_shadow_where_geometry_says") else { return };
+fn shadow_of_a_tower_matches_its_geometry() {
+    let Some(mut rig) = rig("shadow_of_a_tower_matches_its_geometry") else { return };
     let mut all = 0;
     for to_sun in [DVec3::new(1.0, 0.5, 1.0), DVec3::new(-1.0, 0.2, 0.3), DVec3::new(0.1, -1.0, 2.0)] {
         for eye in [DVec3::new(-40.0, -50.0, 45.0), DVec3::new(5.0, 60.0, 25.0), DVec3::new(0.5, 0.2, 90.0)] {
@@ -46,13 +46,13 @@ fn a_tower_throws_its_shadow_where_geometry_says() {
             all += dark;
         }
     }
-    assert!(all > 2_000, "{all} dark pixels in all");
+    assert!(all > 2_000, "{all} dark pixels in total");
 }
 
 #[test]
-fn casters_outside_the_view_cast_into_it() {
-    let Some(mut rig) = rig("casters_outside_the_view_cast_into_it") else { return };
-    // The tower stands behind the eye, which looks along its shadow.
+fn casters_outside_of_the_view_cast_shadows_into_it() {
+    let Some(mut rig) = rig("casters_outside_of_the_view_cast_shadows_into_it") else { return };
+    // The tower is behind the eye, which looks along its shadow.
     let to_sun = DVec3::new(1.0, 0.0, 0.35);
     let camera = camera(SIZE, DVec3::new(-10.0, 0.0, 12.0), DVec3::new(-40.0, 0.0, 0.0), DVec3::Z);
     draw_tower(&mut rig, to_sun, &camera);
@@ -78,12 +78,12 @@ fn flat_ground_without_casters_has_no_shadows() {
     }
 }
 
-/// Depths with shadows began at the eye: what parallel rays show behind it had none.
+/// Regression: shadows began at the eye, so that parallel rays had none behind it.
 #[test]
-fn parallel_rays_have_shadows_behind_the_eye_too() {
-    let Some(mut rig) = rig("parallel_rays_have_shadows_behind_the_eye_too") else { return };
+fn orthographic_views_have_shadows_behind_the_eye() {
+    let Some(mut rig) = rig("orthographic_views_have_shadows_behind_the_eye") else { return };
     let scene = rig.scene(Node::geode(vec![ground(200.0), cuboid(tower().min, tower().max)]));
-    // From 60 m above the ground to 20 m below it, wherever the eye is.
+    // The depth range is from 60 m above the ground to 20 m below it, at any height of the eye.
     let pictures = [100.0, 5.0, -10.0, -30.0].map(|eye_m: f64| {
         let clip_from_eye = proj::orthographic(-40.0, 40.0, -30.0, 30.0, eye_m + 20.0, eye_m - 60.0);
         let below = DVec3::new(0.0, 0.0, eye_m - 1.0);
@@ -92,7 +92,7 @@ fn parallel_rays_have_shadows_behind_the_eye_too() {
     });
     let is_dark = |p: &&image::Rgba<u8>| p.0[0].abs_diff(srgb(0.2)) <= 2;
     let dark = pictures[0].pixels().filter(is_dark).count();
-    assert!(dark > 1_000, "{dark} pixels are in the shadow");
+    assert!(dark > 1_000, "{dark} pixels are in shadow");
     for (place, picture) in pictures.iter().enumerate() {
         let differs = picture.pixels().zip(pictures[0].pixels()).filter(|(a, b)| a.0[0].abs_diff(b.0[0]) > 20).count();
         assert!(differs < 100, "picture {place}: {differs} pixels");
@@ -100,15 +100,15 @@ fn parallel_rays_have_shadows_behind_the_eye_too() {
     rig.release(scene);
 }
 
-/// Whatever way the texels of a map lie on a surface, it casts no stripes on itself.
+/// A surface casts no stripes on itself at any angle to the texels of the map.
 #[test]
-fn tilted_plates_throw_no_shadows_on_themselves() {
-    let Some(mut rig) = rig("tilted_plates_throw_no_shadows_on_themselves") else { return };
+fn tilted_plates_cast_no_shadows_on_themselves() {
+    let Some(mut rig) = rig("tilted_plates_cast_no_shadows_on_themselves") else { return };
     let to_sun = DVec3::new(0.2, 0.3, 0.9).normalize();
     let side = to_sun.any_orthonormal_vector();
     let mut worst = 0;
     for turn in 0..12 {
-        // The sun's angle over the plate: 4 to 60 degrees; where it lies in the map: all around.
+        // The sun is 4 to 60 degrees above the plate, from all directions in the map.
         for over in [0.07, 0.21, 0.5, 1.05f64] {
             let across = DQuat::from_axis_angle(to_sun, f64::from(turn) * std::f64::consts::FRAC_PI_6) * side;
             let normal = to_sun * over.sin() + across * over.cos();
@@ -116,7 +116,7 @@ fn tilted_plates_throw_no_shadows_on_themselves() {
             let plate = Mesh::rectangle((x + y) * -40.0, x * 80.0, y * 80.0);
             let scene = rig.scene(Node::geode(vec![solid(plate)]));
             let camera = camera(SIZE, normal * 30.0 + x * 25.0, DVec3::ZERO, normal);
-            // The ground is equally bright under each.
+            // The ground is equally bright below each plate.
             let environment = Environment { sun_color: [0.7 / over.sin() as f32; 3], ..sunny(to_sun) };
             let with = rig.picture(&scene, &camera, &environment);
             let without = rig.picture(&scene, &camera, &Environment { shadows: None, ..environment });
@@ -133,7 +133,7 @@ fn half_transparent() -> Arc<Texture> {
     Arc::new(Texture { width: 8, height: 8, mips: vec![texels], wrap: Default::default() })
 }
 
-/// A plate over the ground whose half towards +x is opaque.
+/// Returns a plate above the ground whose half towards +x is opaque.
 fn plate(alpha: AlphaMode) -> Drawable {
     let mesh = Mesh::rectangle(DVec3::new(-10.0, -10.0, 10.0), DVec3::X * 20.0, DVec3::Y * 20.0);
     let material = Material { texture: Some(half_transparent()), alpha, double_sided: true, ..Material::default() };
@@ -151,8 +151,8 @@ fn tested() -> StateSet {
 }
 
 #[test]
-fn masks_cast_their_holes_and_glass_casts_nothing() {
-    let Some(mut rig) = rig("masks_cast_their_holes_and_glass_casts_nothing") else { return };
+fn masked_textures_cast_their_holes_and_glass_casts_nothing() {
+    let Some(mut rig) = rig("masked_textures_cast_their_holes_and_glass_casts_nothing") else { return };
     let to_sun = DVec3::new(0.6, 0.4, 1.0);
     let camera = camera(SIZE, DVec3::new(-25.0, -45.0, 20.0), DVec3::new(-6.0, -4.0, 0.0), DVec3::Z);
     let fixed = StateSet::default().with(Attribute::SurfaceMaterial(SurfaceMaterial::default()));
@@ -171,7 +171,7 @@ fn masks_cast_their_holes_and_glass_casts_nothing() {
     let cases = [
         ("masked", plate(AlphaMode::Mask(0.5)), None, vec![opaque_half()]),
         ("alpha tested", plate(AlphaMode::Opaque), Some(tested()), vec![opaque_half()]),
-        ("masked under the fixed function", plate(AlphaMode::Mask(0.5)), Some(fixed), vec![opaque_half()]),
+        ("masked with the fixed-function state", plate(AlphaMode::Mask(0.5)), Some(fixed), vec![opaque_half()]),
         ("a program", plate(AlphaMode::Opaque), Some(programmed), vec![opaque_half()]),
         ("blended", plate(AlphaMode::Blend), None, vec![]),
     ];
@@ -189,12 +189,12 @@ fn masks_cast_their_holes_and_glass_casts_nothing() {
 }
 
 #[test]
-fn shadows_fall_on_everything_the_sun_lights() {
-    let Some(mut rig) = rig("shadows_fall_on_everything_the_sun_lights") else { return };
+fn shadows_fall_on_all_lit_surfaces() {
+    let Some(mut rig) = rig("shadows_fall_on_all_lit_surfaces") else { return };
     let to_sun = DVec3::new(1.0, 0.5, 1.0);
     let camera = camera(SIZE, DVec3::new(-40.0, -50.0, 45.0), DVec3::ZERO, DVec3::Z);
     let many = |half_m: f64| {
-        // More indices than are pulled.
+        // The mesh has too many indices for vertex pulling.
         let step = half_m / 10.0;
         let tiles = (0..400).map(|i| {
             let corner = DVec3::new(f64::from(i % 20) * step - half_m, f64::from(i / 20) * step - half_m, 0.0);
@@ -218,7 +218,7 @@ fn shadows_fall_on_everything_the_sun_lights() {
     for (name, ground, state) in grounds {
         let ground = Node::geode(vec![ground]);
         let ground = if let Some(state) = state { ground.with_state_set(Arc::new(state)) } else { ground };
-        // Towers: instances of one mesh of many indices, and a box that is pulled.
+        // The towers are instances of a mesh with many indices, and a box with vertex pulling.
         let ball = Mesh::sphere(DVec3::new(0.0, 0.0, 8.0), 3.0, 24);
         let ball = Node::geode(vec![solid(ball)]);
         let at =
@@ -242,18 +242,19 @@ fn shadows_fall_on_everything_the_sun_lights() {
         let lit = brightness(DVec3::new(-30.0, 25.0, 0.0));
         for foot in [DVec3::new(-20.0, 5.0, 8.0), DVec3::new(10.0, -15.0, 8.0), DVec3::new(0.0, 0.0, 12.0)] {
             let dark = brightness(foot + along(foot.z));
-            assert!(dark < lit - 60, "{name}: below {foot} {dark}, in the sun {lit}");
+            assert!(dark < lit - 60, "{name}: {dark} below {foot}, {lit} in the sun");
         }
         rig.release(scene);
     }
 }
 
 #[test]
-fn edges_stand_still_while_the_camera_moves() {
-    let Some(mut rig) = rig("edges_stand_still_while_the_camera_moves") else { return };
+fn shadow_edges_stay_still_while_the_camera_moves() {
+    let Some(mut rig) = rig("shadow_edges_stay_still_while_the_camera_moves") else { return };
     let scene = rig.scene(Node::geode(vec![ground(200.0), cuboid(tower().min, tower().max)]));
     let to_sun = DVec3::new(1.0, 0.35, 0.8);
-    // Straight down: the ground's image moves by whole pixels, a part of a texel each.
+    // The camera looks straight down. The image of the ground moves by whole pixels, which are a fraction of a texel
+    // each.
     let height = 60.0;
     let pixel_m = 2.0 * (0.5f64).tan() * height / f64::from(SIZE[1]);
     let at = |pixels: u32| {
@@ -270,7 +271,7 @@ fn edges_stand_still_while_the_camera_moves() {
         assert_eq!(of_stage, texels);
         for (x, y, pixel) in moved.enumerate_pixels() {
             let (eye, along) = ray(&at(pixels), x, y);
-            // The tower is seen from elsewhere.
+            // The tower is seen from another position.
             let wide = Aabb { min: tower().min - 2.0, max: tower().max + 2.0 };
             if x + pixels >= SIZE[0] || meets(eye, along, &wide).is_some() {
                 continue;
@@ -280,13 +281,13 @@ fn edges_stand_still_while_the_camera_moves() {
             assert!(before.abs_diff(pixel.0[0]) <= 4, "({x}, {y}) moved by {pixels}: {before} {:?}", pixel.0);
         }
     }
-    assert!(edge > 200, "soft edges to look at: {edge}");
+    assert!(edge > 200, "pixels at soft edges: {edge}");
     rig.release(scene);
 }
 
 #[test]
-fn off_is_as_if_it_had_never_been_on() {
-    let Some(mut rig) = rig("off_is_as_if_it_had_never_been_on") else { return };
+fn shadows_that_are_off_change_nothing() {
+    let Some(mut rig) = rig("shadows_that_are_off_change_nothing") else { return };
     let scene = rig.scene(Node::geode(vec![ground(200.0), cuboid(tower().min, tower().max)]));
     let camera = camera(SIZE, DVec3::new(-40.0, -50.0, 45.0), DVec3::ZERO, DVec3::Z);
     let on = sunny(DVec3::new(1.0, 0.5, 1.0));
@@ -311,8 +312,8 @@ fn off_is_as_if_it_had_never_been_on() {
 }
 
 #[test]
-fn pictures_of_one_target_have_shadows_of_their_own() {
-    let Some(mut rig) = rig("pictures_of_one_target_have_shadows_of_their_own") else { return };
+fn images_of_one_target_have_separate_shadows() {
+    let Some(mut rig) = rig("images_of_one_target_have_separate_shadows") else { return };
     let scene = rig.scene(Node::geode(vec![ground(200.0), cuboid(tower().min, tower().max)]));
     let half = [SIZE[0] / 2, SIZE[1]];
     let cameras = [DVec3::new(-40.0, -50.0, 45.0), DVec3::new(5.0, 60.0, 25.0)]
@@ -333,16 +334,17 @@ fn pictures_of_one_target_have_shadows_of_their_own() {
     let both = rig.read_back();
     for (i, alone) in alone.iter().enumerate() {
         let of_one = image::imageops::crop_imm(&both, i as u32 * half[0], 0, half[0], half[1]).to_image();
-        // The second one's map is a part of the shared one: its texels differ by rounding.
+        // The map of the second image is a part of the shared map, so its texels differ by rounding.
         let differs = of_one.pixels().zip(alone.pixels()).filter(|(a, b)| a.0[0].abs_diff(b.0[0]) > 2).count();
         assert_eq!(differs, 0, "picture {i}");
     }
     rig.release(scene);
 }
 
-/// Alternates between sizes, as contexts of one device do: the larger ones stay, and smaller images use a part.
+/// Images alternate between sizes, like contexts of one device. The larger maps are kept, and smaller images use a
+/// part.
 #[test]
-fn pictures_that_take_turns_with_other_maps_are_as_alone() {
+fn images_that_share_maps_equal_those_with_separate_maps() {
     let Some(mut alone) = kit::rig::new_rig(SIZE) else { return };
     let Some(mut turns) = kit::rig::new_rig(SIZE) else { return };
     let root = || Node::geode(vec![ground(200.0), cuboid(tower().min, tower().max)]);
@@ -359,15 +361,15 @@ fn pictures_that_take_turns_with_other_maps_are_as_alone() {
     for _ in 0..3 {
         let found = turns.picture(&scene, &camera, &of(300, 2));
         let differs = found.pixels().zip(small.pixels()).filter(|(a, b)| a.0[0].abs_diff(b.0[0]) > 2).count();
-        assert_eq!(differs, 0, "but for rounding");
+        assert_eq!(differs, 0, "equal up to rounding");
         assert!(turns.picture(&scene, &camera, &of(1024, 4)) == large);
     }
     turns.release(scene);
 }
 
 #[test]
-fn cameras_in_the_graph_have_none_and_eyes_have_their_own() {
-    let Some(mut rig) = rig("cameras_in_the_graph_have_none_and_eyes_have_their_own") else { return };
+fn cameras_in_the_graph_have_no_shadows_and_eyes_have_separate_ones() {
+    let Some(mut rig) = rig("cameras_in_the_graph_have_no_shadows_and_eyes_have_separate_ones") else { return };
     let inside = Node::camera(CameraNode::new(RenderOrder::PostRender(0)), vec![Node::geode(vec![ground(1.0)])]);
     let scene =
         rig.scene(Node::group(vec![Node::geode(vec![ground(200.0), cuboid(tower().min, tower().max)]), inside]));
@@ -377,16 +379,16 @@ fn cameras_in_the_graph_have_none_and_eyes_have_their_own() {
     visitor.cull(&scene, &camera, stage);
     assert_eq!(stage.shadows.cascades.len(), 4);
     let leaves: Vec<_> = stage.shadows.cascades.iter().map(|c| c.stage.leaf_count()).collect();
-    assert!(leaves[3] == 2 && leaves.iter().all(|l| *l <= 2), "what is below the camera is not there: {leaves:?}");
+    assert!(leaves[3] == 2 && leaves.iter().all(|l| *l <= 2), "leaves below the camera were included: {leaves:?}");
     assert_eq!(stage.post_render.len(), 1);
     assert!(stage.post_render[0].shadows.cascades.is_empty());
     rig.release(scene);
 }
 
-/// Checks shadows computed from the ground's own heights, from above, at real coordinates.
+/// Checks shadows against rays through the heights of the ground, from above, at planetary coordinates.
 #[test]
-fn mountains_of_a_globe_throw_their_shadows() {
-    let Some(mut rig) = rig("mountains_of_a_globe_throw_their_shadows") else { return };
+fn mountains_of_a_globe_cast_shadows() {
+    let Some(mut rig) = rig("mountains_of_a_globe_cast_shadows") else { return };
     let terrain =
         Terrain { west: 0.2, south: 0.75, width: 0.004, relief_m: 2500.0, root_error_m: 200.0, textured: false };
     let up = terrain.up(0.5, 0.5);
@@ -399,7 +401,7 @@ fn mountains_of_a_globe_throw_their_shadows() {
     let off = |to_sun| Environment { shadows: None, ..on(to_sun) };
 
     let (noon, bare_noon) = (rig.picture(&scene, &camera, &on(up)), rig.picture(&scene, &camera, &off(up)));
-    // Texels as wide as the ground's cells darken the sharpest folds a little.
+    // Texels as wide as the cells of the ground darken the sharpest folds a little.
     let darker = |by| noon.pixels().zip(bare_noon.pixels()).filter(|(a, b)| a.0[0].abs_diff(b.0[0]) > by).count();
     let (a_little, much) = (darker(8), darker(40));
     assert!(a_little < 256 * 192 / 100 && much == 0, "under a sun overhead: {a_little} pixels, {much} much");
@@ -410,7 +412,7 @@ fn mountains_of_a_globe_throw_their_shadows() {
         let (u, v) = ((longitude - terrain.west) / terrain.width, (latitude - terrain.south) / terrain.width);
         ((0.0..=1.0).contains(&u) && (0.0..=1.0).contains(&v)).then(|| height_m - terrain.height_m(u, v))
     };
-    // Whether the ground is in the way of a ray that begins a little above it.
+    // Returns true if the ground blocks a ray that starts a little above it.
     let is_met = |u: f64, v: f64, towards: DVec3| {
         let from = terrain.world(u, v, 30.0);
         (1..700).map_while(|i| height_over(from + towards * f64::from(i) * 12.0)).any(|height_m| height_m < 0.0)
@@ -427,7 +429,7 @@ fn mountains_of_a_globe_throw_their_shadows() {
                 continue;
             }
             let (with, without) = (low.get_pixel(x as u32, y as u32).0[0], bare.get_pixel(x as u32, y as u32).0[0]);
-            // Neither near the edge nor where the sun's light itself is nearly gone.
+            // Pixels near an edge, and those that the sun hardly lights, are not compared.
             let expected = is_met(u, v, higher);
             if without < srgb(0.5) || is_met(u, v, lower) != expected {
                 continue;
@@ -443,14 +445,14 @@ fn mountains_of_a_globe_throw_their_shadows() {
         }
     }
     assert!(dark > 150 && lit > 2_000, "{dark} dark, {lit} lit");
-    assert!(wrong * 25 <= dark + lit, "{wrong} of {} lie otherwise than the heights say", dark + lit);
+    assert!(wrong * 25 <= dark + lit, "{wrong} of {} differ from the rays", dark + lit);
     rig.release(scene);
 }
 
 #[test]
 fn water_is_darker_in_the_shadow() {
     let Some(mut rig) = rig("water_is_darker_in_the_shadow") else { return };
-    // The ground lies below the water, the tower stands out of it.
+    // The ground is below the water, and the tower rises out of it.
     let scene = rig.scene(Node::geode(vec![cuboid(tower().min - 10.0 * DVec3::Z, tower().max), ground(200.0)]));
     let camera = camera(SIZE, DVec3::new(-10.0, -40.0, 60.0), DVec3::new(-8.0, -4.0, 0.0), DVec3::Z);
     let water = Some(Water { height_m: 1.0, color: [0.5; 3] });
@@ -464,8 +466,8 @@ fn water_is_darker_in_the_shadow() {
 }
 
 #[test]
-fn shadows_ask_for_nothing_and_keep_nothing() {
-    let Some(mut rig) = rig("shadows_ask_for_nothing_and_keep_nothing") else { return };
+fn shadow_culls_make_no_requests_and_keep_no_pages() {
+    let Some(mut rig) = rig("shadow_culls_make_no_requests_and_keep_no_pages") else { return };
     let scene: Scene = rig.scene(Node::geode(vec![ground(200.0)]));
     let environment = sunny(DVec3::Z);
     let camera = camera(SIZE, DVec3::new(0.0, 0.0, 50.0), DVec3::ZERO, DVec3::Y);
@@ -478,7 +480,7 @@ fn shadows_ask_for_nothing_and_keep_nothing() {
     let with = stage.counters;
     assert_eq!(terrane::cull::CullCounters { shadow_leaves: 0, ..with }, without);
     assert!((1..=4).contains(&with.shadow_leaves), "{}", with.shadow_leaves);
-    // A mask of casters leaves them out.
+    // A mask of casters excludes them.
     let shadows = Some(SunShadows { caster_mask: 0, ..SunShadows::default() });
     visitor.environment = Some(Environment { shadows, ..environment });
     visitor.cull(&scene, &camera, stage);
@@ -486,7 +488,7 @@ fn shadows_ask_for_nothing_and_keep_nothing() {
     rig.release(scene);
 }
 
-/// Every tenth image of a short flight, with what was asked for.
+/// Returns every tenth image of a short flight, with the requests.
 fn fly(set: &str, threading: ThreadingModel, shadows: Option<SunShadows>) -> Option<(Vec<RgbaImage>, u64)> {
     let config = ViewerConfig {
         size_px: [320, 180],
@@ -531,7 +533,7 @@ fn all_threading_models_draw_the_same_shadows() {
     let shadows = Some(SunShadows { resolution_px: 512, ..SunShadows::default() });
     let (first, requested) = fly(&set, ThreadingModel::SingleThreaded, shadows).unwrap();
     let (without, requested_without) = fly(&set, ThreadingModel::SingleThreaded, None).unwrap();
-    assert_eq!(requested, requested_without, "shadows ask for no tiles");
+    assert_eq!(requested, requested_without, "shadows request no tiles");
     let darker = |a: &RgbaImage, b: &RgbaImage| {
         a.pixels().zip(b.pixels()).filter(|(a, b)| a.0[0] < b.0[0].saturating_sub(4)).count()
     };
@@ -548,8 +550,8 @@ fn all_threading_models_draw_the_same_shadows() {
     }
 }
 
-/// Distant tiles are drawn morphed towards the level above, and so are shadow casters: the finer surface stood above the ground and
-/// left it in blotches.
+/// Distant tiles are drawn morphed towards the coarser level, and so are shadow casters. Regression: the finer surface
+/// was above the drawn ground and left blotches in it.
 #[test]
 fn shadow_casters_morph_like_drawn_tiles() {
     let Some(mut rig) = rig("shadow_casters_morph_like_drawn_tiles") else { return };
@@ -558,7 +560,7 @@ fn shadow_casters_morph_like_drawn_tiles() {
     let up = terrain.up(0.5, 0.5);
     let north = up.cross(DVec3::Z.cross(up).normalize());
     let camera = camera(SIZE, terrain.world(0.5, 0.5, 14_000.0), terrain.world(0.5, 0.5, 0.0), north);
-    // Beyond the range of their level, where they are the level above.
+    // The tiles are beyond the range of their level, where their surface is that of the coarser level.
     let scene = rig.scene(Node::group([(0, 0), (1, 0), (0, 1), (1, 1)].map(|(x, y)| terrain.tile(1, x, y)).to_vec()));
     let on = Environment { up_in_world: up, ..sunny(up) };
     let off = Environment { shadows: None, ..on };

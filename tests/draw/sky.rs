@@ -1,4 +1,4 @@
-//! Sky, sea and haze: what is behind them, in front of them, and where rays are parallel.
+//! Sky, sea and haze: their order with other drawables, and orthographic views.
 
 use std::sync::Arc;
 
@@ -15,11 +15,11 @@ use terrane::state::{Attribute, BinDetails, BlendFactor, BlendFunc, SortMode, St
 const RED: [f32; 4] = [1.0, 0.0, 0.0, 1.0];
 
 #[test]
-fn the_sky_is_behind_everything_opaque_and_under_what_blends() {
-    let Some(mut rig) = rig("the_sky_is_behind_everything_opaque_and_under_what_blends") else { return };
+fn sky_is_behind_opaque_leaves_and_in_front_of_none_that_blend() {
+    let Some(mut rig) = rig("sky_is_behind_opaque_leaves_and_in_front_of_none_that_blend") else { return };
     let mut glass = quad([0.5, 0.0, 0.0], [0.25, 0.25], [1.0, 0.0, 0.0, 0.5]);
     glass.material.alpha = AlphaMode::Blend;
-    // Sorted and blended by its state set alone, which leaves it its depth.
+    // Only its state set makes it sorted and blended, so it keeps writing depth.
     let sorted = quad([0.5, 0.6, 0.0], [0.25, 0.25], [1.0, 0.0, 0.0, 0.5]);
     let blends = BlendFunc::new(BlendFactor::SrcAlpha, BlendFactor::OneMinusSrcAlpha);
     let bin = Some(BinDetails::new(10, SortMode::BackToFront));
@@ -41,14 +41,14 @@ fn the_sky_is_behind_everything_opaque_and_under_what_blends() {
     let [above, through] = [picture.get_pixel(128, 51).0, picture.get_pixel(192, 51).0];
     assert!(through[0] > above[0] && through[2] < above[2] && through[2] > 60, "{through:?} over {above:?}");
     let top = picture.get_pixel(128, 4).0;
-    assert!(top[0] < sky[0], "towards the zenith it is a deeper blue: {top:?} {sky:?}");
+    assert!(top[0] < sky[0], "the zenith is deeper blue: {top:?} {sky:?}");
     rig.release(scene);
 }
 
-/// The sky is right in a view turned by a quarter, whose rays once had infinite length.
+/// The sky is correct in a view that is rotated by a quarter. Regression: its rays had infinite length.
 #[test]
-fn a_turned_picture_shows_the_same_sky() {
-    let Some(mut rig) = rig("a_turned_picture_shows_the_same_sky") else { return };
+fn rotated_view_shows_the_same_sky() {
+    let Some(mut rig) = rig("rotated_view_shows_the_same_sky") else { return };
     let sun_direction = DVec3::new(0.6, 0.2, -0.7).normalize();
     let environment = Environment { up_in_world: DVec3::Y, sun_direction, ..Environment::default() };
     let mut sky = |camera: &CullCamera| {
@@ -67,7 +67,8 @@ fn a_turned_picture_shows_the_same_sky() {
     assert!(most <= Some(2), "{most:?}");
 }
 
-/// From an eye to the origin, so wide to each side and from a metre on so far.
+/// Returns an orthographic camera from an eye to the origin, with half its width, whose depth range starts 1 m in front
+/// of it.
 fn parallel(eye: DVec3, up: DVec3, half_m: f64, far_m: f64) -> CullCamera {
     let depth = far_m - 1.0;
     let mut clip_from_eye = DMat4::from_diagonal(DVec4::new(1.0 / half_m, 1.0 / half_m, 1.0 / depth, 1.0));
@@ -75,16 +76,16 @@ fn parallel(eye: DVec3, up: DVec3, half_m: f64, far_m: f64) -> CullCamera {
     CullCamera { clip_from_eye, ..camera([256, 256], eye, DVec3::ZERO, up) }
 }
 
-/// They were drawn as if all rays began in the eye.
+/// Regression: all rays started at the eye.
 #[test]
-fn sky_and_sea_of_parallel_rays() {
-    let Some(mut rig) = rig("sky_and_sea_of_parallel_rays") else { return };
+fn orthographic_views_have_sky_and_sea() {
+    let Some(mut rig) = rig("orthographic_views_have_sky_and_sea") else { return };
     let parallel = |eye: DVec3, up: DVec3| parallel(eye, up, 50.0, 1000.0);
     let fog = Fog { enabled: false, density_per_m: 0.0 };
     let sun_direction = DVec3::new(0.3, -0.2, 0.8).normalize();
     let lit = Environment { up_in_world: DVec3::Z, sun_direction, fog, ..Environment::default() };
 
-    // Flat quads below and above the water, from above and from aside.
+    // Flat quads lie below and above the water, seen from above and from the side.
     let scene = rig.scene(Node::geode(vec![
         quad([-25.0, 0.0, 2.0], [5.0, 5.0], RED),
         quad([25.0, 0.0, 8.0], [5.0, 5.0], RED),
@@ -119,8 +120,8 @@ fn sky_and_sea_of_parallel_rays() {
 }
 
 #[test]
-fn haze_takes_far_things_to_the_horizons_color() {
-    let Some(mut rig) = rig("haze_takes_far_things_to_the_horizons_color") else { return };
+fn haze_blends_distant_objects_with_the_horizon() {
+    let Some(mut rig) = rig("haze_blends_distant_objects_with_the_horizon") else { return };
     let near = quad([-50.0, 0.0, -100.0], [20.0, 20.0], RED);
     let far = quad([250_000.0, 0.0, -500_000.0], [100_000.0, 100_000.0], RED);
     let scene = rig.scene(Node::geode(vec![near, far]));
@@ -138,10 +139,10 @@ fn haze_takes_far_things_to_the_horizons_color() {
     rig.release(scene);
 }
 
-/// Haze depends on height and distance, not on the angle: a map from above grew pale towards its corners.
+/// Haze depends on height and distance, not on the angle. Regression: a map from above became pale towards its corners.
 #[test]
-fn parallel_rays_go_through_as_much_air_everywhere() {
-    let Some(mut rig) = rig("parallel_rays_go_through_as_much_air_everywhere") else { return };
+fn orthographic_rays_pass_through_equal_amounts_of_air() {
+    let Some(mut rig) = rig("orthographic_rays_pass_through_equal_amounts_of_air") else { return };
     let plain = Node::geode(vec![quad([0.0, 0.0, 0.0], [200_000.0, 200_000.0], [0.05, 0.05, 0.05, 1.0])]);
     let scene = rig.scene(plain);
     let lit = Environment { up_in_world: DVec3::Z, sun_direction: DVec3::Z, ..Environment::default() };
@@ -153,15 +154,15 @@ fn parallel_rays_go_through_as_much_air_everywhere() {
         let colors = [(128, 128), (2, 2), (253, 128)].map(|(x, y)| picture.get_pixel(x, y).0);
         assert!(colors.iter().all(|c| (0..3).all(|k| c[k].abs_diff(colors[0][k]) <= 2)), "{colors:?}");
         let clear = lower.get_pixel(128, 128).0;
-        assert!(colors[0][2] > clear[2] + 8, "there is air: {clear:?} {colors:?}");
+        assert!(colors[0][2] > clear[2] + 8, "haze is on: {clear:?} {colors:?}");
     }
     rig.release(scene);
 }
 
-/// The water mirrored the air of another image or frame where its own had none.
+/// Regression: without an atmosphere, the water reflected that of another image or frame.
 #[test]
-fn a_sea_under_a_background_mirrors_no_other_air() {
-    let Some(mut rig) = rig("a_sea_under_a_background_mirrors_no_other_air") else { return };
+fn sea_below_a_plain_background_reflects_no_other_sky() {
+    let Some(mut rig) = rig("sea_below_a_plain_background_reflects_no_other_sky") else { return };
     let rig = &mut *rig;
     let scene = rig.scene(Node::group(Vec::new()));
     let fog = Fog { enabled: false, density_per_m: 0.0 };
@@ -175,9 +176,9 @@ fn a_sea_under_a_background_mirrors_no_other_air() {
         rig.picture(&scene, &view, &air);
         rig.picture(&scene, &view, &sea)
     });
-    assert!(alone[0] == alone[1], "whatever was drawn before");
+    assert!(alone[0] == alone[1], "independent of earlier images");
     let far = alone[0].pixels().filter(|p| p.0[..3] != MAGENTA).map(|p| p.0[0]).max().unwrap();
-    assert!(far > 100, "it mirrors what is bright at the horizon: {far}");
+    assert!(far > 100, "it reflects the bright horizon: {far}");
 
     rig.ctx.resize([512, 256]).unwrap();
     let environments = [low, sea];
@@ -192,6 +193,6 @@ fn a_sea_under_a_background_mirrors_no_other_air() {
     let beside = image::imageops::crop_imm(&rig.read_back(), 256, 0, 256, 256).to_image();
     // At another position, rays differ by rounding.
     let differs = |(a, b): &(&image::Rgba<u8>, &image::Rgba<u8>)| (0..3).any(|c| a.0[c].abs_diff(b.0[c]) > 2);
-    assert_eq!(beside.pixels().zip(alone[0].pixels()).filter(differs).count(), 0, "beside a picture with air");
+    assert_eq!(beside.pixels().zip(alone[0].pixels()).filter(differs).count(), 0, "beside an image with an atmosphere");
     rig.release(scene);
 }

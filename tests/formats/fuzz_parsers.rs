@@ -1,6 +1,6 @@
-//! Every parser of outside data, fed with what is nearly well: it answers with a value or an error that names what and
-//! why, never with a panic, and soon. A moment each here, with random changes; `tools/fuzz` feeds the same
-//! parsers guided by what code each input reaches. `FUZZ_SECS`, `FUZZ_SEED`: longer here, and from elsewhere.
+//! Fuzzes all parsers of outside data with almost valid inputs. Each returns a value or an error that names the input
+//! and the reason, never panics, and ends soon. This test makes random changes for a short time; `tools/fuzz` feeds the
+//! same parsers with inputs guided by code coverage. `FUZZ_SECS` sets the duration, `FUZZ_SEED` the random seed.
 
 use std::sync::Arc;
 
@@ -88,7 +88,7 @@ fn tileset() -> Parser {
     Parser::new("tileset", seeds, move |bytes| content(bytes, None, Vec::new()))
 }
 
-/// `inspect` reads the JSON of tiles by itself.
+/// `inspect` has a separate reader for the JSON of tiles.
 fn inspection() -> Parser {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("tileset.json");
@@ -103,7 +103,7 @@ fn inspection() -> Parser {
 }
 
 fn subtree() -> Parser {
-    // Refused by name as yet; whatever it holds.
+    // Such files are refused by name, independent of their content.
     let json = padded(r#"{"buffers":[{"byteLength":8}],"tileAvailability":{"constant":1}}"#);
     let mut subtree = b"subt".to_vec();
     subtree.extend(1u32.to_le_bytes());
@@ -130,7 +130,7 @@ fn gltf_json() -> Parser {
     let gltf = format!(
         r#"{{"asset":{{"version":"2.0"}},"scene":0,"scenes":[{{"nodes":[0]}}],"nodes":[{{"children":[1],"translation":[1,2,3],"rotation":[0,0,0,1],"scale":[1,2,1]}},{{"mesh":0,"matrix":[1,0,0,0,0,1,0,0,0,0,1,0,0,0,0,1]}}],"meshes":[{{"primitives":[{{"attributes":{{"POSITION":0}},"indices":1,"mode":4,"material":0}}]}}],"materials":[{{"doubleSided":true,"alphaMode":"MASK","alphaCutoff":0.3,"pbrMetallicRoughness":{{"baseColorFactor":[1,0.5,0,1]}}}}],"accessors":[{{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3","min":[0,0,0],"max":[1,1,0]}},{{"bufferView":1,"componentType":5121,"count":3,"type":"SCALAR"}}],"bufferViews":[{{"buffer":0,"byteLength":36}},{{"buffer":0,"byteOffset":36,"byteLength":3}}],"buffers":[{{"byteLength":40,"uri":"data:application/octet-stream;base64,{uri}"}}]}}"#
     );
-    // A node that says what it hides.
+    // A node with an occluder.
     let occluder = r#""extras":{"terrane":{"occluder":{"corners":[[0,0,0],[4,0,0],[4,4,0],[0,4,0]],"holes":[[[1,1,0],[2,1,0],[2,2,0]]]}}},"mesh":0,"#;
     let occluding = gltf.replacen(r#""mesh":0,"#, occluder, 1);
     assert_ne!(occluding, gltf);
@@ -214,7 +214,7 @@ fn archive() -> Parser {
     let folder = tempfile::tempdir().unwrap();
     let mut number = 0u64;
     Parser::new("archive", [archive_bytes()], move |bytes| {
-        // A new name each time, since facts about a file are cached.
+        // The name is new each time, because facts about files are cached.
         number += 1;
         let path = folder.path().join(format!("{number}.3tz"));
         std::fs::write(&path, bytes).unwrap();
@@ -229,7 +229,7 @@ fn archive() -> Parser {
     })
 }
 
-/// Small archives have their directory at hand, and need no index.
+/// Small archives contain their directory in the part that is read first, and need no index.
 fn archive_index() -> Parser {
     use std::io::Write as _;
     let options = zip::write::SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored);
@@ -261,7 +261,7 @@ const TILESET_HASH: [u8; 16] =
 const GLB_HASH: [u8; 16] =
     [0xc0, 0xfd, 0x87, 0xfb, 0xad, 0x28, 0x7f, 0x84, 0xf1, 0x1f, 0x29, 0x70, 0xdf, 0x90, 0x55, 0x41];
 
-/// A base and a reference, a line each.
+/// A base and a reference, one per line.
 fn uris() -> Parser {
     let seeds = [
         "http://h/set/tileset.json?key=1&b=2\n../a%20b.glb?key=3#f",
@@ -309,7 +309,7 @@ fn uris() -> Parser {
 }
 
 fn pmtiles() -> Parser {
-    // Two tiles, one of them twice, and a directory below.
+    // The archive has two tiles, one of them twice, and a directory below the root.
     let directory = [3, 0, 1, 2, 1, 2, 0, 9, 9, 5, 1, 10, 1];
     let mut bytes = vec![0u8; 127];
     bytes[..8].copy_from_slice(b"PMTiles\x03");
@@ -336,7 +336,7 @@ fn camera_path() -> Parser {
     })
 }
 
-/// Files of windows, and of windows and views.
+/// Configuration files of windows, and of windows and views.
 fn arrangements() -> Parser {
     let seeds = [
         r#"{"windows":[{"title":"ahead","position_px":[640,0],"size_px":[640,480],"screen":0,"full_screen":false,"decorated":true,"samples":4,"vsync":true},{"position_px":[0,0],"shares_device":true,"cameras":[{"viewport_px":[0,0,640,480],"turn_deg":[-40,0,0],"move_m":[1,2,3]},{"viewport":[0,0,0.5,1],"shift":[1,0],"zoom":[2,2],"eyes":"LEFT"}]}]}"#,
@@ -403,7 +403,7 @@ fn encodings() -> Parser {
     let text = TILESET.as_bytes();
     let mut gzip = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
     std::io::Write::write_all(&mut gzip, text).unwrap();
-    // A brotli stream of one uncompressed block, and a zstd frame of one raw block.
+    // A brotli stream with one uncompressed block, and a zstd frame with one raw block.
     let brotli = [&[0x21, 0x14, 0x00, 0x04][..], b"hello", &[0x03]].concat();
     let zstd = [&[0x28, 0xb5, 0x2f, 0xfd, 0x20, 0x05, 0x29, 0x00, 0x00][..], b"hello"].concat();
     let limits = Limits { max_file_bytes: 1 << 16, ..Limits::default() };

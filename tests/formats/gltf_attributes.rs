@@ -1,4 +1,4 @@
-//! Attributes that meshes of glTFs keep where they are asked to.
+//! Attributes of glTF meshes that the application asks to keep.
 
 use std::sync::Arc;
 
@@ -92,7 +92,7 @@ fn requested_attributes_are_kept_under_their_names() {
     ];
     for gap in [0, 4] {
         let bytes = triangle(&given, gap);
-        // By default nothing is.
+        // By default no attributes are kept.
         let plain = read(bytes.clone(), &options(&[])).unwrap();
         let plain_bytes = plain.size_bytes();
         assert!(mesh(&drawable(&mut { plain })).attributes.is_empty());
@@ -118,7 +118,7 @@ fn requested_attributes_are_kept_under_their_names() {
     }
 }
 
-/// Covers a view without a stride, and one that ends with the last element's bytes.
+/// A view without a stride, and one that ends with the bytes of the last element, are valid.
 fn tight(gltf: Vec<u8>, stride: usize, spare: usize) -> Vec<u8> {
     let text = String::from_utf8(gltf).unwrap();
     let whole = 3 * stride;
@@ -129,9 +129,9 @@ fn tight(gltf: Vec<u8>, stride: usize, spare: usize) -> Vec<u8> {
 }
 
 #[test]
-fn matrices_are_kept_as_their_columns() {
+fn matrices_are_kept_as_columns() {
     use AttributeFormat::*;
-    // A type, its bytes in an element with what fills its columns up, columns and rows.
+    // A type, the bytes of an element with padding between columns, columns and rows.
     let cases = [
         (FLOAT, false, "MAT2", 2, 2, 4, Float32x2),
         (FLOAT, false, "MAT3", 3, 3, 4, Float32x3),
@@ -144,7 +144,7 @@ fn matrices_are_kept_as_their_columns() {
     ];
     for (component, normalized, ty, columns, rows, size, format) in cases {
         let column = usize::next_multiple_of(rows * size, 4);
-        // Each column has its own numbers; padding is noise.
+        // Each column has different numbers; the padding is noise.
         let byte = |element: usize, c: usize, at: usize| (100 * element + 16 * c + at) as u8;
         let element = |e| {
             (0..columns)
@@ -165,7 +165,7 @@ fn matrices_are_kept_as_their_columns() {
                 assert_eq!(elements, (0..3).flat_map(own).collect::<Vec<u8>>(), "{ty} {component} column {c}");
             }
         }
-        // A view that ends within the last column.
+        // The view ends within the last column.
         let error = read(tight(given(0), columns * column, spare + 1), &options(&["_BASIS"])).unwrap_err().to_string();
         assert!(error.contains("accessor reaches beyond its buffer"), "{ty}: {error}");
         let error = read(
@@ -177,7 +177,7 @@ fn matrices_are_kept_as_their_columns() {
         );
         assert!(error.unwrap_err().to_string().contains("\"_A_1\""), "{ty}");
     }
-    // Sixteen columns are more than there can be.
+    // Sixteen columns exceed the limit.
     let four: Vec<_> = ["_A", "_B", "_C", "_D"].map(|name| (name, FLOAT, false, "MAT4", floats(&[0.0; 48]))).into();
     let error = read(triangle(&four, 0), &options(&["_A", "_B", "_C", "_D"])).unwrap_err().to_string();
     assert!(error.contains("\"_D_0\"") && error.contains("one more than the 12"), "{error}");
@@ -198,7 +198,7 @@ fn equal_meshes_with_different_attributes_are_not_shared() {
     ];
     let mut pages: Vec<Page> = contents.iter().map(|given| read(triangle(given, 0), &options).unwrap()).collect();
     let drawables: Vec<Drawable> = pages.iter_mut().map(drawable).collect();
-    // The fifth's cold is not asked for.
+    // The attribute `cold` of the fifth mesh is not requested.
     let equal = [0, 0, 2, 3, 0, 5];
     for (i, first) in equal.into_iter().enumerate() {
         for (j, other) in equal.into_iter().enumerate() {
@@ -206,7 +206,7 @@ fn equal_meshes_with_different_attributes_are_not_shared() {
             assert_eq!(is_one, first == other, "{i} and {j}");
         }
     }
-    // An application's own, as the manager finds them.
+    // An application finds the attributes through the manager.
     let sharing = SharedStateManager::new(ShareModes::default());
     let own = |heat: f32| {
         let corners =
@@ -225,11 +225,11 @@ fn equal_meshes_with_different_attributes_are_not_shared() {
 
 #[test]
 fn attributes_that_cannot_be_kept_are_errors() {
-    // Two elements for three vertices.
+    // Two elements for three vertices are an error.
     let short = String::from_utf8(triangle(&[tangents(1.0)], 0)).unwrap();
     let at = short.rfind(r#""count":3"#).unwrap();
     let short = format!("{}{}{}", &short[..at], r#""count":2"#, &short[at + 9..]).into_bytes();
-    assert!(read(short.clone(), &options(&[])).is_ok(), "what is not asked for is not judged");
+    assert!(read(short.clone(), &options(&[])).is_ok(), "attributes that are not requested are not checked");
     let error = read(short, &options(&["TANGENT"])).unwrap_err().to_string();
     assert!(error.contains("/set/tile.gltf") && error.contains("TANGENT has 2 elements for 3 vertices"), "{error}");
     let heat = |i: usize| -> (String, Vec<u8>) { (format!("_{i}"), floats(&[0.0; 12])) };
@@ -240,7 +240,7 @@ fn attributes_that_cannot_be_kept_are_errors() {
     assert!(read(triangle(&given, 0), &options(&names[1..])).is_ok());
     let error = read(triangle(&given, 0), &options(&names)).unwrap_err().to_string();
     assert!(error.contains("one more than the 12"), "{error}");
-    // They count as the vertices that take as much memory.
+    // Attributes count as the number of vertices that takes as much memory.
     let limits = Limits { max_elements: 16, ..Limits::default() };
     let limited = |names: &[&str]| read(triangle(&given, 0), &ReadOptions { limits, ..options(names) });
     assert!(limited(&names[..6]).is_ok());

@@ -1,4 +1,4 @@
-//! No input panics, hangs or exhausts memory: every failure is one typed error with URI and reason. No GPU.
+//! No input panics, hangs or exhausts memory. Every failure is one typed error with URI and reason. No GPU.
 
 use std::sync::Arc;
 
@@ -21,7 +21,7 @@ fn read(bytes: &[u8], reader_data: Option<&str>) -> Result<Page, IoError> {
     decode(content, &ReadOptions::for_root(ROOT, limits))
 }
 
-/// The error, which must say what failed and why.
+/// Returns the error, which must contain the problem and its reason.
 fn refused(bytes: &[u8]) -> String {
     let error = read(bytes, None).unwrap_err();
     assert!(!error.uri().is_empty() && !error.reason().is_empty(), "{error:?}");
@@ -57,7 +57,7 @@ fn tileset(volume: &str, error: &str, content: &str) -> Vec<u8> {
 }
 
 #[test]
-fn occluders_that_are_none_are_refused() {
+fn invalid_occluders_are_refused() {
     let gltf = |occluder: &str| {
         format!(
             r#"{{"asset":{{"version":"2.0"}},"scene":0,"scenes":[{{"nodes":[0]}}],"nodes":[{{"children":[1]}},{{"extras":{{"terrane":{{"occluder":{occluder}}}}}}}]}}"#
@@ -82,13 +82,13 @@ fn occluders_that_are_none_are_refused() {
     }
 }
 
-/// Small files whose parts are each within the limits, and all of them together would take gigabytes.
+/// The parts of these small files are within the limits, but all of them together would need gigabytes.
 #[test]
 fn totals_of_a_gltf_are_limited() {
     use base64::Engine as _;
     let data = |bytes: &[u8]| format!("data:;base64,{}", base64::engine::general_purpose::STANDARD.encode(bytes));
     let limits = Limits { max_elements: 1000, max_image_bytes: 64 * 64 * 4, ..Limits::default() };
-    // 900 indices, all 0; the given number of positions; an image for each primitive.
+    // The file has 900 indices, all 0, the given number of positions, and an image for each primitive.
     let gltf = |primitives: usize, mode: u32, indices: usize, image: Option<&[u8]>| {
         let list = |of: &dyn Fn(usize) -> String| (0..primitives).map(of).collect::<Vec<_>>().join(",");
         let material = |i: usize| if image.is_some() { format!(r#","material":{i}"#) } else { String::new() };
@@ -129,7 +129,7 @@ fn totals_of_a_gltf_are_limited() {
     let nodes = |nodes: &str| {
         format!(r#"{{"asset":{{"version":"2.0"}},"scene":0,"scenes":[{{"nodes":[0]}}],"nodes":[{nodes}]}}"#)
     };
-    // Many drawables without vertices, at many positions.
+    // The file has many drawables without vertices at many positions.
     let instanced = |primitives: usize, places: usize| {
         let all = |what: &str, count: usize| vec![what; count].join(",");
         let roots: Vec<String> = (0..places).map(|i| i.to_string()).collect();
@@ -171,7 +171,7 @@ fn valid_input_is_read() {
 }
 
 #[test]
-fn a_glb_cut_anywhere_is_refused() {
+fn glb_cut_anywhere_is_refused() {
     let whole = triangle(png(4));
     for length in 0..whole.len() {
         refused(&whole[..length]);
@@ -179,21 +179,21 @@ fn a_glb_cut_anywhere_is_refused() {
 }
 
 #[test]
-fn wrong_magic_error_pages_and_foreign_formats_are_named() {
+fn wrong_magic_web_pages_and_foreign_formats_are_named() {
     assert!(refused(b"\x01\x02\x03\x04rubbish").contains("magic"));
     assert!(refused(b"<html>404</html>").contains("error page"));
     for (magic, name) in [("i3dm", "i3dm"), ("cmpt", "cmpt"), ("subt", "implicit")] {
         assert!(refused(magic.as_bytes()).contains(name));
     }
-    // Textures have no image then.
+    // The textures have no image then.
     let basis = r#"{"asset":{"version":"2.0"},"extensionsUsed":["KHR_texture_basisu"],"extensionsRequired":["KHR_texture_basisu"],
         "images":[{"uri":"data:image/ktx2;base64,"}],"textures":[{"extensions":{"KHR_texture_basisu":{"source":0}}}]}"#;
     assert!(refused(basis.as_bytes()).contains("required glTF extension KHR_texture_basisu"));
 }
 
-/// Faults that the gltf crate's validation does not check.
+/// These faults pass the validation of the gltf crate.
 #[test]
-fn a_glb_with_a_bad_reference_is_refused() {
+fn glb_with_an_invalid_reference_is_refused() {
     let whole = triangle(png(4));
     for (was, now, why) in [
         ("\"mimeType\"", "\"nimeType\"", "mimeType"),
@@ -211,7 +211,7 @@ fn a_glb_with_a_bad_reference_is_refused() {
 }
 
 #[test]
-fn images_are_measured_before_they_are_decoded() {
+fn size_of_images_is_checked_before_they_are_decoded() {
     assert!(refused(&triangle(png(65))).contains("limit"));
     let mut empty = png(4);
     empty[16..24].fill(0);
@@ -219,7 +219,7 @@ fn images_are_measured_before_they_are_decoded() {
 }
 
 #[test]
-fn bounds_and_errors_must_be_sane() {
+fn invalid_bounds_and_errors_are_refused() {
     for volume in [
         r#""sphere":[0,0,0,-1]"#,
         r#""sphere":[0,0,1e300,1]"#,
@@ -238,15 +238,15 @@ fn bounds_and_errors_must_be_sane() {
 }
 
 #[test]
-fn references_stay_in_the_sets_folder() {
+fn references_stay_in_the_folder_of_the_set() {
     for escape in ["../../etc/passwd", "/etc/passwd", "file:///etc/passwd", "%2e%2e/x.glb", "http://other/x.glb"] {
         refused(&tileset(SPHERE, "1", escape));
     }
 }
 
-/// Few small files whose tree has a hundred thousand tiles, or any number with more files.
+/// A few small files have a tree of a hundred thousand tiles, or any number with more files.
 #[test]
-fn tilesets_that_name_each_other_often_end() {
+fn tilesets_with_many_references_to_each_other_are_limited() {
     let folder = tempfile::tempdir().unwrap();
     for file in 0..5 {
         let name = if file == 0 { "tileset.json".to_owned() } else { format!("{file}.json") };
@@ -266,15 +266,15 @@ fn tilesets_that_name_each_other_often_end() {
     let verified = verify(source, &limits, &mut |_| {}).unwrap();
     let [error] = &verified.errors[..] else { panic!("{verified:?}") };
     assert!(error.reason.contains("tiles and tilesets") && verified.bytes < 200_000, "{verified:?}");
-    // The list of errors is bounded; their count is not.
+    // The list of errors is limited, their count is not.
     std::fs::write(folder.path().join("4.json"), "broken").unwrap();
     let info = inspect(source, &Limits::default()).unwrap();
     assert_eq!((info.failed, info.errors.len()), (10_000, 1000));
 }
 
-/// One was read as a content: what is below it was not.
+/// Regression: a tileset with another extension was read as content, and its children were not verified.
 #[test]
-fn all_of_a_set_is_verified_whatever_its_tilesets_are_called() {
+fn tilesets_with_any_name_are_verified() {
     let folder = tempfile::tempdir().unwrap();
     for (name, content) in [("tileset.json", "inner"), ("inner", "deeper.v1"), ("deeper.v1", "missing.glb")] {
         std::fs::write(folder.path().join(name), tileset(SPHERE, "1", content)).unwrap();
@@ -285,7 +285,7 @@ fn all_of_a_set_is_verified_whatever_its_tilesets_are_called() {
 }
 
 #[test]
-fn tilesets_that_contain_themselves_end() {
+fn tilesets_that_contain_themselves_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let root = folder.path().join("tileset.json");
     std::fs::write(&root, tileset(SPHERE, "1", "other.json")).unwrap();
@@ -323,7 +323,7 @@ fn height_tiles_are_checked() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(400))]
 
-    /// Whatever bytes are turned, the answer is a page or an error, never a panic.
+    /// With any change of bytes, reading gives a page or an error, and never panics.
     #[test]
     fn flipped_bytes_never_panic(
         flips in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),

@@ -1,4 +1,4 @@
-//! Well-formed 3D Tiles and glTF as read: volumes, refinement, transforms, external tilesets. No GPU.
+//! Valid 3D Tiles and glTF: volumes, refinement, transforms, external tilesets. No GPU.
 
 use std::io::Write as _;
 use std::sync::Arc;
@@ -38,7 +38,7 @@ fn error_m(lod: &PagedLod) -> f64 {
 }
 
 #[test]
-fn volumes_are_what_they_say() {
+fn volumes_have_their_position_and_size() {
     let tile = |volume: &str| tileset("1.1", &format!(r#"{{"boundingVolume":{{{volume}}},"geometricError":7}}"#));
     let node = tile(r#""box":[1,2,3, 4,0,0, 0,5,0, 0,0,6]"#);
     let BoundingVolume::Box(b) = lod(&node).bounds else { panic!("a box") };
@@ -60,7 +60,7 @@ fn refinement_is_inherited_and_contents_are_resolved() {
         child(r#","content":{"uri":"../set/c.glb"}"#),
         child(r#","refine":"REPLACE""#),
     );
-    // 1.0 says url, some 1.0 files write the keyword in lower case.
+    // Version 1.0 uses `url`, and some of its files have the keyword in lower case.
     for (version, root) in [("1.0", root.clone()), ("1.1", root.replace("\"ADD\"", "\"add\""))] {
         let node = tileset(version, &root);
         assert_eq!(lod(&node).content.as_deref(), Some("/data/set/a/b.b3dm"), "the query is not part of a file's name");
@@ -72,8 +72,8 @@ fn refinement_is_inherited_and_contents_are_resolved() {
 }
 
 #[test]
-fn transforms_multiply_down_and_scale_errors() {
-    // Twice as large and 10 east; then turned a quarter around z.
+fn transforms_are_multiplied_and_scale_errors() {
+    // The first transform doubles the size and moves 10 east; the second turns a quarter around z.
     let outer = "[2,0,0,0, 0,2,0,0, 0,0,2,0, 10,0,0,1]";
     let inner = "[0,1,0,0, -1,0,0,0, 0,0,1,0, 0,0,0,1]";
     let node = tileset(
@@ -90,7 +90,7 @@ fn transforms_multiply_down_and_scale_errors() {
     assert_eq!(error_m(child), 4.0);
     let moved = child.content_transform.transform_point3(DVec3::new(0.0, 1.0, 1.0));
     assert!(moved.distance(DVec3::new(8.0, 0.0, 2.0)) < 1e-12, "{moved}");
-    // Regions are on the globe whatever the transform.
+    // Regions are on the globe with any transform.
     let node = tileset(
         "1.1",
         &format!(r#"{{"transform":{outer},"boundingVolume":{{"region":[0,0,0.1,0.1,0,1]}},"geometricError":5}}"#),
@@ -99,7 +99,7 @@ fn transforms_multiply_down_and_scale_errors() {
 }
 
 #[test]
-fn an_external_tileset_is_a_proxy() {
+fn external_tileset_is_a_proxy() {
     let node = tileset(
         "1.1",
         r#"{"transform":[1,0,0,0,0,1,0,0,0,0,1,0,7,0,0,1],"boundingVolume":{"sphere":[0,0,0,5]},"geometricError":9,"content":{"uri":"sub/tileset.json"}}"#,
@@ -119,7 +119,7 @@ fn several_contents_are_drawn_together() {
     assert_eq!(lod(&node).refine, Refine::Add);
     let contents: Vec<_> = node.children.iter().map(|c| lod(c).content.as_deref().unwrap()).collect();
     assert_eq!(contents, ["/data/set/a.glb", "/data/set/b.glb"]);
-    // ADD refinement keeps the parent; REPLACE needs all contents of a tile together.
+    // ADD refinement keeps the parent. REPLACE needs all contents of a tile together.
     let with_children = |refine: &str| {
         format!(
             r#"{{"boundingVolume":{{"sphere":[0,0,0,5]}},"geometricError":9,"refine":"{refine}",
@@ -137,9 +137,10 @@ fn several_contents_are_drawn_together() {
     assert!(error.to_string().contains("several contents"), "{error}");
 }
 
-/// They were parsed, and not read: what the reader refuses was not said, and deep ones were left out without a word.
+/// Regression: they were parsed but not read, so that errors of the reader were not reported and deep tilesets were
+/// ignored.
 #[test]
-fn info_reads_external_tilesets_as_the_reader_does() {
+fn info_reads_external_tilesets_like_the_reader() {
     let folder = tempfile::tempdir().unwrap();
     let set = |below: &str| {
         format!(
@@ -148,7 +149,7 @@ fn info_reads_external_tilesets_as_the_reader_does() {
         )
     };
     let limits = Limits { max_depth: 3, ..Limits::default() };
-    // Three levels in each of two files: no file is too deep.
+    // Each of two files has three levels, so that no file is too deep.
     let tile = r#""boundingVolume":{"sphere":[0,0,0,5]},"geometricError":1"#;
     let nested = |last: &str| format!(r#","children":[{{{tile},"children":[{{{tile}{last}}}]}}]"#);
     let write = |name: &str, json: String| std::fs::write(folder.path().join(name), json).unwrap();
@@ -163,7 +164,7 @@ fn info_reads_external_tilesets_as_the_reader_does() {
 }
 
 #[test]
-fn gzip_and_byte_order_marks_are_undone() {
+fn gzip_and_byte_order_marks_are_removed() {
     let plain = br#"{"asset":{"version":"1.1"},"geometricError":1,"root":{"boundingVolume":{"sphere":[0,0,0,5]},"geometricError":3}}"#;
     let mut gzip = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::default());
     gzip.write_all(plain).unwrap();
@@ -172,7 +173,7 @@ fn gzip_and_byte_order_marks_are_undone() {
     }
 }
 
-/// The drawables of a tree with the transforms above them.
+/// Returns the drawables of a tree with the transforms above them.
 fn drawables(node: &Node, above: DAffine3, out: &mut Vec<(DAffine3, Drawable)>) {
     let here = if let NodeKind::Transform(m) = node.kind { above * m } else { above };
     if let NodeKind::Geode(list) = &node.kind {
@@ -199,9 +200,9 @@ fn triangle() -> Vec<u8> {
     })
 }
 
-/// 65,535 in 16 bits begins a strip anew.
+/// The 16-bit index 65,535 restarts a strip.
 #[test]
-fn the_last_of_65_536_vertices_is_written_in_32_bits() {
+fn index_65535_is_written_in_32_bits() {
     let wide = |vertices: usize| {
         let last = (vertices - 1) as u16;
         let indices = vec![0, 1, last];
@@ -216,22 +217,22 @@ fn the_last_of_65_536_vertices_is_written_in_32_bits() {
     }
 }
 
-/// World positions of a drawable's vertices.
+/// Returns the world positions of a drawable's vertices.
 fn positions((world, drawable): &(DAffine3, Drawable)) -> Vec<DVec3> {
     let Geometry::Mesh(mesh) = &drawable.geometry else { panic!("a mesh") };
     mesh.vertices.iter().map(|v| world.transform_point3(glam::Vec3::from(v.position).as_dvec3())).collect()
 }
 
 #[test]
-fn gltf_is_turned_z_up() {
+fn gltf_is_rotated_to_z_up() {
     let drawable = only_drawable(&read(triangle()));
-    assert_eq!(positions(&drawable)[2], DVec3::new(0.0, -3.0, 2.0), "glTF's y is up");
+    assert_eq!(positions(&drawable)[2], DVec3::new(0.0, -3.0, 2.0), "y is up in glTF");
     assert_eq!(drawable.1.material.base_color, [0.5, 1.0, 1.0, 1.0]);
     let page = decode(content(triangle()), &ReadOptions::for_root(SET, Limits::default())).unwrap();
     assert_eq!(page.drawable_count(), 1);
 }
 
-/// The triangle under nodes, from the scene's on down; each is the only child of the one before.
+/// Returns the triangle below nested nodes, from the root down; each is the only child of the previous one.
 fn under(nodes: &[&str]) -> String {
     use base64::Engine as _;
     let bytes: Vec<u8> =
@@ -253,12 +254,12 @@ fn under(nodes: &[&str]) -> String {
 }
 
 #[test]
-fn transforms_of_nodes_keep_their_digits() {
+fn transforms_of_nodes_keep_their_precision() {
     let turn = r#""rotation":[0.7071067811865476,0,0,0.7071067811865476],"#;
     let back = r#""rotation":[-0.7071068,0,0,0.7071068],"#;
     let there = r#""translation":[1215013.8,4081603.6,-4736302.2],"#;
     let matrix = r#""matrix":[1,0,0,0,0,1,0,0,0,0,1,0,1215013.8,4081603.6,-4736302.2,1],"#;
-    // y and z are swapped by the rotation to z up: x, -z, y.
+    // The rotation to z up swaps y and z: x, -z, y.
     for nodes in [&[there][..], &[matrix], &[turn, back, there]] {
         let drawable = only_drawable(&read(under(nodes)));
         let [origin, along_x, ..] = positions(&drawable)[..] else { panic!("a triangle") };
@@ -268,7 +269,7 @@ fn transforms_of_nodes_keep_their_digits() {
 }
 
 #[test]
-fn b3dm_is_moved_by_its_center() {
+fn b3dm_is_moved_to_its_center() {
     let table = br#"{"BATCH_LENGTH":0,"RTC_CENTER":[100.0,200.0,300.0]}   "#;
     let glb = triangle();
     let mut b3dm = b"b3dm".to_vec();
@@ -309,9 +310,9 @@ fn gltf_samplers_wrap_each_axis() {
 }
 
 #[test]
-fn gltf_in_json_with_data_uris_strips_and_materials() {
+fn gltf_json_with_data_uris_strips_and_materials_is_read() {
     use base64::Engine as _;
-    // Four corners, drawn as a strip with 8-bit indices.
+    // Four corners are drawn as a strip with 8-bit indices.
     let mut buffer = Vec::new();
     for p in [[0.0f32, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 1.0, 0.0]] {
         buffer.extend(p.iter().flat_map(|x| x.to_le_bytes()));
@@ -333,14 +334,14 @@ fn gltf_in_json_with_data_uris_strips_and_materials() {
     assert_eq!(
         (mesh.topology, &*mesh.indices),
         (Topology::Triangles, &[0, 1, 2, 2, 1, 3][..]),
-        "the strip keeps its winding"
+        "the strip keeps its winding order"
     );
     assert_eq!((drawable.1.material.alpha, drawable.1.material.double_sided), (AlphaMode::Mask(0.25), true));
     assert_eq!(positions(&drawable)[3], DVec3::new(6.0, 0.0, 1.0));
 }
 
 #[test]
-fn gltf_nodes_bring_their_occluders() {
+fn gltf_nodes_keep_their_occluders() {
     let gltf = r#"{"asset":{"version":"2.0"},"scene":0,"scenes":[{"nodes":[0]}],"nodes":[{"translation":[0,0,7],
         "children":[1,2,3,4],"extras":{"terrane":{"occluder":{"corners":[[0,0,0],[4,0,0],[4,3,0],[0,3,0]],
         "holes":[[[1,1,0],[2,1,0],[1,2,0]]]}}}},{"name":"occluder","extras":"of another kind"},
@@ -358,17 +359,17 @@ fn gltf_nodes_bring_their_occluders() {
         };
         open.extend(node.children.into_iter().map(|child| (world, child)));
     }
-    assert_eq!(found, [(DVec3::new(4.0, -7.0, 3.0), 3)], "z is up, and the node's transform holds");
+    assert_eq!(found, [(DVec3::new(4.0, -7.0, 3.0), 3)], "z is up, and the node's transform applies");
 }
 
 #[test]
 fn tiles_of_one_file_share_their_indices() {
     let [a, b] = [0, 1].map(|_| only_drawable(&read(triangle())).1);
     let [Geometry::Mesh(a), Geometry::Mesh(b)] = [&a.geometry, &b.geometry] else { panic!("meshes") };
-    assert!(Arc::ptr_eq(&a.indices, &b.indices), "equal lists are one, and uploaded once");
+    assert!(Arc::ptr_eq(&a.indices, &b.indices), "equal lists are stored once");
 }
 
-/// A wavy square, 40 m by 10 m, far from its origin.
+/// Returns a wavy square, 40 m by 10 m, far from its origin.
 fn wavy(quantized: bool) -> GlbMesh {
     let mut mesh = GlbMesh { base_color: [1.0; 4], quantized, ..GlbMesh::default() };
     for j in 0..9u16 {
@@ -388,12 +389,12 @@ fn wavy(quantized: bool) -> GlbMesh {
 }
 
 #[test]
-fn quantized_meshes_are_half_as_large_and_say_the_same() {
+fn quantized_meshes_are_half_as_large_and_equal() {
     let files = [false, true].map(|quantized| write_glb(&wavy(quantized)));
-    // 16 bytes a vertex less, and what the file says of it.
+    // A vertex takes 16 bytes less, minus the additional description in the file.
     assert!(files[0].len() - files[1].len() > 81 * 16 - 400, "{} {}", files[0].len(), files[1].len());
     let [plain, quantized] = [0, 1].map(|i| only_drawable(&read(files[i].clone())));
-    // Half a step of the longest side, and floats far from their origin.
+    // The tolerance is half a step of the longest side, plus the rounding of floats far from their origin.
     for (a, b) in positions(&plain).into_iter().zip(positions(&quantized)) {
         assert!((a - b).abs().max_element() <= 0.5 * 40.0 / 65535.0 + 1e-4, "{a} {b}");
     }
@@ -402,9 +403,9 @@ fn quantized_meshes_are_half_as_large_and_say_the_same() {
     for (a, b) in a.vertices.iter().zip(&b.vertices) {
         assert_eq!((a.normal, a.color), (b.normal, b.color));
         assert!((0..2).all(|k| (a.uv[k] - b.uv[k]).abs() <= 0.51 / 65535.0));
-        assert!(b.position.iter().all(|x| (0.0..=1.0).contains(x)), "a transform makes them metres");
+        assert!(b.position.iter().all(|x| (0.0..=1.0).contains(x)), "a transform scales them to metres");
     }
-    // Values that do not fit are written unchanged.
+    // Values out of range are written unchanged.
     let mut beyond = wavy(true);
     beyond.uvs[3] = [1.5, -0.25];
     let (_, beyond) = only_drawable(&read(write_glb(&beyond)));

@@ -1,5 +1,5 @@
-//! Real 3D Tiles read whole, without a GPU: tiles, contents and triangles are those that a validator counted. The files
-//! lie beside a developer's checkout; elsewhere this says so.
+//! Reads real 3D Tiles without a GPU. The numbers of tiles, contents and triangles equal those of a validator. The
+//! files are beside a developer's checkout; without them the test is skipped with a message.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -10,7 +10,7 @@ use terrane::fetch::{IoError, Limits, read_file, root_uri};
 use terrane::formats::{Content, ReadOptions, decode_node, inspect};
 use terrane::scene::{Geometry, Node, NodeKind, Topology};
 
-/// Tile sets that need what is not read, and the word that the error has.
+/// Tile sets with unsupported features, and the word that their error contains.
 const REFUSED: &[(&str, &str)] = &[
     ("Compressed/balloon_ktx2.json", "KHR_texture_basisu"),
     ("Compressed/box_draco.json", "KHR_draco_mesh_compression"),
@@ -70,7 +70,7 @@ impl Found {
 }
 
 #[test]
-fn sample_tile_sets_hold_what_a_validator_counts() {
+fn sample_tile_sets_match_the_counts_of_a_validator() {
     let samples = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/samples/3d-tiles");
     let Ok(text) = std::fs::read(samples.join("expected.json")) else {
         return skipped(format!("no sample tile sets at {}", samples.display()));
@@ -91,13 +91,13 @@ fn sample_tile_sets_hold_what_a_validator_counts() {
         }
         let count = |key: &str| case["validate"][key].as_u64().unwrap();
         let info = inspect(&root, &limits).unwrap();
-        // One set names a file that is not there.
+        // One set refers to a file that does not exist.
         let missing = found.errors.iter().filter(|e| matches!(e, IoError::NotFound { .. })).count() as u64;
         assert_eq!(reasons.len() as u64, missing, "{file}: {reasons:?}");
         assert_eq!(missing, u64::from(file.contains("DiscreteLOD")), "{file}: {reasons:?}");
         assert_eq!(info.tiles, count("tiles"), "{file}: tiles");
         assert_eq!(found.contents, info.contents, "{file}: contents");
-        // To the validator an external tileset is a content, and a missing file is none.
+        // The validator counts an external tileset as a content, and ignores a missing file.
         assert_eq!(found.contents + found.externals - missing, count("contents"), "{file}: contents");
         assert_eq!(found.triangles, count("tri"), "{file}: triangles");
         compared += 1;

@@ -1,5 +1,5 @@
-//! Buffers of frames that there is no memory for: one error, what fits is drawn, and all of it once there is room. Needs
-//! a GPU (a software one will do).
+//! Buffers of frames without memory: one error is reported, the rest is drawn, and everything is drawn once there is
+//! memory. Needs a GPU; a software adapter suffices.
 
 use std::sync::Arc;
 
@@ -20,7 +20,7 @@ use terrane::state::{Attribute, StateSet, SurfaceMaterial, TextureFormat, Textur
 const SIDE: u32 = 64;
 const RED: [u8; 3] = [255, 0, 0];
 
-/// A grid of squares, `side` of them along each side.
+/// Returns a grid with `side` squares along each side.
 fn squares(side: usize) -> Vec<Drawable> {
     let half = 1.0 / side as f32;
     let at = |place: usize| (2 * place + 1) as f32 * half - 1.0;
@@ -28,7 +28,7 @@ fn squares(side: usize) -> Vec<Drawable> {
     places.map(|place| quad(place, [half; 2], [1.0, 0.0, 0.0, 1.0])).collect()
 }
 
-/// The only thing that was said.
+/// Returns the only error.
 fn only_error(rig: &mut Rig) -> String {
     let errors = rig.renderer.take_errors();
     assert_eq!(errors.len(), 1, "{errors:?}");
@@ -40,7 +40,7 @@ fn draw_thrice(rig: &mut Rig, scene: &Scene, camera: &CullCamera, environment: &
 }
 
 #[test]
-fn a_renderer_starts_without_memory_and_draws_once_there_is_some() {
+fn renderer_starts_without_memory_and_draws_once_there_is_some() {
     let Some(mut rig) = new_rig([SIDE; 2]) else { return };
     let scene = rig.scene(Node::geode(squares(1)));
     let camera = unit_camera(SIDE);
@@ -62,7 +62,7 @@ fn a_renderer_starts_without_memory_and_draws_once_there_is_some() {
 }
 
 #[test]
-fn leaves_that_there_is_no_memory_for_are_dropped() {
+fn leaves_without_memory_are_dropped() {
     let Some(mut rig) = new_rig([SIDE; 2]) else { return };
     let (few, many) = (rig.scene(Node::geode(squares(2))), rig.scene(Node::geode(squares(20))));
     let camera = unit_camera(SIDE);
@@ -83,7 +83,7 @@ fn leaves_that_there_is_no_memory_for_are_dropped() {
 }
 
 #[test]
-fn a_frame_without_memory_for_its_uniforms_is_left_out() {
+fn frame_without_memory_for_its_uniforms_is_left_out() {
     let Some(mut rig) = new_rig([SIDE; 2]) else { return };
     let plain_ones = rig.scene(Node::geode(squares(20)));
     let with_states = squares(20).into_iter().enumerate().map(|(i, square)| {
@@ -96,13 +96,13 @@ fn a_frame_without_memory_for_its_uniforms_is_left_out() {
     asking.children = with_states.collect();
     let scene = rig.scene(asking);
     let camera = unit_camera(SIDE);
-    // Their leaves and queries have room.
+    // There is memory for leaves and queries.
     rig.draw(&plain_ones, &camera, &plain());
     rig.ctx.pretend_frame_memory(Some(80 << 10));
     let stats = draw_thrice(&mut rig, &scene, &camera, &plain());
     assert_eq!((stats.stages_refused, stats.passes, stats.leaves, stats.draw_calls), (1, 0, 0, 0));
     assert!(only_error(&mut rig).starts_with("out of graphics memory: uniforms of "));
-    // Other frames are as before.
+    // Later frames are complete.
     assert_eq!(count(&rig.picture(&plain_ones, &camera, &plain()), RED), (SIDE * SIDE) as usize);
     rig.ctx.pretend_frame_memory(None);
     let stats = rig.draw(&scene, &camera, &plain());
@@ -114,7 +114,7 @@ fn a_frame_without_memory_for_its_uniforms_is_left_out() {
 }
 
 #[test]
-fn runs_without_memory_for_their_arguments_are_drawn_one_by_one() {
+fn draw_calls_without_memory_for_their_arguments_are_issued_one_by_one() {
     let Some(mut rig) = new_rig([SIDE; 2]) else { return };
     if !rig.ctx.device().features().contains(wgpu::Features::INDIRECT_FIRST_INSTANCE) {
         return skipped("the adapter draws runs one by one");
@@ -142,7 +142,7 @@ fn runs_without_memory_for_their_arguments_are_drawn_one_by_one() {
 }
 
 #[test]
-fn shadows_without_memory_for_their_maps_are_none() {
+fn shadows_without_memory_for_their_maps_are_left_out() {
     let Some(mut rig) = new_rig([SIDE; 2]) else { return };
     let tower = tower();
     let scene = rig.scene(Node::geode(vec![ground(100.0), cuboid(tower.min, tower.max)]));
@@ -158,7 +158,7 @@ fn shadows_without_memory_for_their_maps_are_none() {
     rig.ctx.pretend_frame_memory(None);
     let shadowed = rig.picture(&scene, &camera, &with_shadows);
     assert!(shadowed != unshadowed && rig.renderer.take_errors().is_empty());
-    // Larger ones that there is no room for leave those that there are.
+    // Without memory for larger maps, the existing ones stay in use.
     let mut larger = with_shadows;
     larger.shadows.as_mut().unwrap().resolution_px *= 2;
     rig.ctx.pretend_frame_memory(Some(0));
@@ -189,7 +189,7 @@ fn nodes_without_memory_for_their_query_are_drawn() {
 }
 
 #[test]
-fn a_picture_without_memory_to_be_read_back_is_read_back_later() {
+fn image_without_memory_for_its_read_back_is_read_back_later() {
     let Some(mut rig) = new_rig([SIDE; 2]) else { return };
     let camera = unit_camera(SIDE);
     let sink: Arc<PictureSink> = Arc::default();

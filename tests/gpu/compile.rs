@@ -21,9 +21,9 @@ fn textured(texture: &Arc<Texture>) -> Drawable {
 }
 
 #[test]
-fn a_huge_texture_is_split_over_calls_and_arrives_whole() {
+fn huge_texture_is_split_over_calls_and_complete_at_the_end() {
     let Some(mut rig) = fresh() else { return };
-    // 64 quadrants in two colors, so that a missing or misplaced slice shows.
+    // The texture has 64 quadrants in two colors, so that a missing or misplaced slice is visible.
     let side = 2048u32;
     let pixels = (0..side * side)
         .flat_map(
@@ -62,9 +62,9 @@ fn a_huge_texture_is_split_over_calls_and_arrives_whole() {
 }
 
 #[test]
-fn images_whose_rows_take_more_than_they_are_go_through_staging_memory() {
+fn images_with_padded_rows_use_staging_memory() {
     let Some(mut rig) = fresh() else { return };
-    // Rows of 4 bytes take 256: the first is larger than a staging buffer, and they do not fit beside each other.
+    // Rows of 4 bytes take 256. The first image is larger than a staging buffer, and two do not fit into one.
     for (ticket, [width, height]) in [[1, 4096], [3, 1500], [256, 256], [65, 1000], [1, 1]].into_iter().enumerate() {
         let texture = Arc::new(with_mips(width, height, vec![7; (width * height * 4) as usize]));
         rig.ctx.compile(CompileOperation { ticket: ticket as u64, drawables: vec![textured(&texture)] });
@@ -79,7 +79,7 @@ fn images_whose_rows_take_more_than_they_are_go_through_staging_memory() {
 }
 
 #[test]
-fn a_call_always_uploads_something_and_an_empty_queue_nothing() {
+fn call_always_uploads_something_and_nothing_from_an_empty_queue() {
     let Some(mut rig) = fresh() else { return };
     let nothing = CompileBudget { time: Duration::ZERO, bytes: 0 };
     assert_eq!(rig.ctx.run_compiles(&nothing).slices, 0);
@@ -120,18 +120,18 @@ fn equal_images_meshes_and_indices_are_uploaded_once() {
     let other = rig.compile(vec![with_indices(1.0)]);
     assert!(other.bytes + 2 * 3000 <= one.bytes, "{} then {}", one.bytes, other.bytes);
 
-    // Given back one by one, in the end nothing but the white texel is left.
+    // After all drawables are released one by one, only the white texel is left.
     for compiled in [first, again, one, other] {
         rig.ctx.release(&compiled.slots);
     }
     rig.ctx.release(&[DrawSlot::NONE, DrawSlot(99_999)]);
 }
 
-/// A mesh is drawn only when uploaded whole; half of one once showed the slot's earlier content.
+/// A mesh is drawn only once it is uploaded completely. Regression: half of one showed the earlier content of its slot.
 #[test]
-fn a_mesh_on_its_way_is_whole_where_another_drawable_takes_it() {
+fn mesh_in_upload_is_complete_for_another_drawable_that_shares_it() {
     let Some(mut rig) = fresh() else { return };
-    // Enough squares to fill the view.
+    // There are enough squares to fill the view.
     let side = 100;
     let corner = |i: usize| MeshVertex {
         position: [i % (side + 1), i / (side + 1), side / 2].map(|x| x as f32 / side as f32 * 2.0 - 1.0),
@@ -163,9 +163,9 @@ fn a_mesh_on_its_way_is_whole_where_another_drawable_takes_it() {
     assert!(count(&picture, [0, 255, 0]) > 64 * 64 - 64, "{}", count(&picture, [0, 255, 0]));
 }
 
-/// One frame freed all of them.
+/// Regression: one frame freed all of them.
 #[test]
-fn thousands_that_go_at_once_retire_over_frames() {
+fn thousands_of_released_drawables_are_freed_over_several_frames() {
     let Some(mut rig) = fresh() else { return };
     rig.compile(vec![quad([0.0; 3], [1.0, 1.0], [1.0; 4])]);
     let base = rig.ctx.bytes_in_use();
@@ -185,7 +185,7 @@ fn thousands_that_go_at_once_retire_over_frames() {
     assert!((0.6..0.7).contains(&shares[0]) && retired[..2].iter().all(|share| *share < 0.35), "{shares:?}");
     assert_eq!(shares[3], 0.0);
 
-    // Uploads take their slots before later ones.
+    // Uploads use released slots before new ones.
     let again = rig.compile((0..3000).map(one).collect());
     let allocated = rig.ctx.bytes_allocated();
     rig.ctx.release(&again.slots);
@@ -195,7 +195,7 @@ fn thousands_that_go_at_once_retire_over_frames() {
 }
 
 #[test]
-fn released_places_are_used_again() {
+fn released_slots_are_reused() {
     let Some(mut rig) = fresh() else { return };
     let terrain = Terrain { west: 0.1, south: 0.7, width: 0.01, relief_m: 1000.0, root_error_m: 100.0, textured: true };
     let drawables = |x: u32| {
@@ -218,7 +218,7 @@ fn released_places_are_used_again() {
     }
     let peak = rig.ctx.bytes_peak();
     rig.ctx.release(&first.slots);
-    // Twice: the second release has no owner.
+    // The second release of a slot has no owner.
     rig.ctx.release(&first.slots);
     assert_eq!(rig.ctx.bytes_in_use(), base.0);
     assert_eq!(rig.ctx.bytes_allocated(), base.1, "empty blocks are given back");
@@ -227,9 +227,9 @@ fn released_places_are_used_again() {
     assert!(again.slots.iter().all(|s| first.slots.contains(s)), "{:?} {:?}", again.slots, first.slots);
 }
 
-/// Cancelled operations stop; they were once uploaded to the end.
+/// Cancelled operations stop. Regression: they were uploaded to the end.
 #[test]
-fn an_operation_cancelled_before_its_start_is_not_uploaded() {
+fn operation_cancelled_before_its_start_is_not_uploaded() {
     let Some(mut rig) = fresh() else { return };
     rig.compile(vec![quad([0.0; 3], [1.0, 1.0], [1.0; 4])]);
     let base = rig.ctx.bytes_in_use();
@@ -253,7 +253,7 @@ fn an_operation_cancelled_before_its_start_is_not_uploaded() {
 }
 
 #[test]
-fn a_drawable_that_cannot_be_uploaded_is_one_error() {
+fn drawable_that_cannot_be_uploaded_is_one_error() {
     let Some(mut rig) = fresh() else { return };
     let good = quad([0.0; 3], [1.0, 1.0], [1.0; 4]);
     let bad_texture = |width: u32, height: u32, mips: Vec<Vec<u8>>| {
@@ -289,12 +289,12 @@ fn a_drawable_that_cannot_be_uploaded_is_one_error() {
     assert_eq!(compiled.errors.len(), 8, "{:?}", compiled.errors);
     rig.ctx.release(&compiled.slots);
     let white_texel = 4;
-    assert_eq!(rig.ctx.bytes_in_use(), before + white_texel, "what was half made is given back");
+    assert_eq!(rig.ctx.bytes_in_use(), before + white_texel, "partial allocations are released");
     assert!(rig.ctx.take_device_errors().is_empty());
 }
 
 #[test]
-fn the_noop_backend_compiles_and_draws() {
+fn noop_backend_compiles_and_draws() {
     let traits = ContextTraits {
         size_px: [64, 64],
         adapter: AdapterChoice::Noop,
@@ -314,9 +314,10 @@ fn the_noop_backend_compiles_and_draws() {
     assert_eq!(renderer.read_back(&mut ctx).unwrap().dimensions(), (128, 32));
 }
 
-/// It was a device error, and spoiled what was uploaded with it; the buffer of indices that a grid has panicked.
+/// Regression: it was a device error that invalidated other uploads of the frame; a height grid without an index buffer
+/// panicked.
 #[test]
-fn out_of_memory_fails_one_drawable_and_no_other() {
+fn out_of_memory_fails_one_drawable_only() {
     let Some(mut rig) = fresh() else { return };
     let image = |side: u32, shade: u8| Arc::new(with_mips(side, side, vec![shade; (side * side * 4) as usize]));
     let tile = || {
@@ -330,7 +331,7 @@ fn out_of_memory_fails_one_drawable_and_no_other() {
     let first = rig.compile(vec![good.clone(), textured(&image(4, 1))]);
     assert!(first.errors.is_empty());
     let (in_use, allocated) = (rig.ctx.bytes_in_use(), rig.ctx.bytes_allocated());
-    // Existing pools have free slots; no new pool can be allocated.
+    // Existing pools have free slots, but no new pool can be allocated.
     rig.ctx.pretend_memory(Some(0));
     let large = mesh(vec![MeshVertex::default(); 5000], (0..5000).map(|i| i % 3).collect());
     let large = Drawable::new(Geometry::Mesh(Arc::new(large)), Material::default());
@@ -344,8 +345,12 @@ fn out_of_memory_fails_one_drawable_and_no_other() {
         assert!(error.starts_with(&format!("out of graphics memory: {what} of ")), "{error}");
     }
     rig.ctx.release(&compiled.slots);
-    assert_eq!((rig.ctx.bytes_in_use(), rig.ctx.bytes_allocated()), (in_use, allocated), "nothing is half made");
-    // Each part of a height block may be the one that fails to allocate.
+    assert_eq!(
+        (rig.ctx.bytes_in_use(), rig.ctx.bytes_allocated()),
+        (in_use, allocated),
+        "no partial allocation is left"
+    );
+    // Any part of a height block may be the one whose allocation fails.
     let mut seen = Vec::new();
     for left_bytes in (0..).map(|step| step * 2048) {
         rig.ctx.pretend_memory(Some(left_bytes));
@@ -359,7 +364,7 @@ fn out_of_memory_fails_one_drawable_and_no_other() {
         assert_eq!(rig.ctx.bytes_in_use(), in_use);
     }
     assert!(seen.len() >= 2, "{seen:?}");
-    // And with memory again all of it is there.
+    // With memory everything is uploaded.
     rig.ctx.pretend_memory(None);
     let compiled = rig.compile(drawables);
     assert!(compiled.errors.is_empty() && !compiled.slots.contains(&DrawSlot::NONE), "{:?}", compiled.errors);

@@ -1,5 +1,5 @@
-//! Contexts with a compile thread: what it uploads is what the draw thread would have, whatever comes between. Needs a GPU
-//! (a software one will do).
+//! Contexts with a compile thread upload the same as the draw thread would, under all circumstances. Needs a GPU; a
+//! software adapter suffices.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -65,10 +65,10 @@ fn until(ctx: &mut GraphicsContext, budget: &CompileBudget) -> u64 {
 }
 
 #[test]
-fn more_than_all_staging_memory_goes_through_it() {
+fn uploads_larger_than_the_staging_memory_complete() {
     for budget in [CompileBudget::default(), CompileBudget::UNLIMITED] {
         let Some(mut ctx) = context(true) else { return };
-        // 64 MiB in images and meshes of all sizes, one of them larger than a staging buffer.
+        // The scene has 64 MiB in images and meshes of all sizes, one of them larger than a staging buffer.
         let mut drawables = Vec::new();
         let mut bytes = 0;
         for (place, side) in [2048u32, 1, 3, 513, 1024, 64, 2048, 7, 1000, 256].into_iter().enumerate() {
@@ -92,7 +92,7 @@ fn more_than_all_staging_memory_goes_through_it() {
 }
 
 #[test]
-fn operations_that_are_dropped_under_way_hold_up_nothing() {
+fn operations_dropped_in_flight_do_not_block_others() {
     for calls in [0, 1, 3] {
         let Some(mut ctx) = context(true) else { return };
         for ticket in 0..40 {
@@ -125,7 +125,7 @@ fn picture(viewer: &mut Viewer) -> RgbaImage {
 }
 
 #[test]
-fn every_model_shows_what_it_shows_without_the_thread() {
+fn all_threading_models_draw_the_same_with_and_without_the_thread() {
     for content in [terrane_data_gen::ContentKind::Height, terrane_data_gen::ContentKind::Mesh] {
         let folder = tempfile::tempdir().unwrap();
         let set = small_set(folder.path(), content);
@@ -138,7 +138,7 @@ fn every_model_shows_what_it_shows_without_the_thread() {
             viewer.load(&set).unwrap();
             assert!(picture(&mut viewer) == expected, "{threading}");
             assert_eq!(viewer.stats().last().unwrap().gpu_bytes, here.stats().last().unwrap().gpu_bytes);
-            // Everything goes and comes again, with frames all the while; then the device does.
+            // All pages are removed and loaded again while frames are drawn. Then the device is lost.
             viewer.clear_pages();
             (0..3).for_each(|_| viewer.frame().unwrap());
             assert!(picture(&mut viewer) == expected, "{threading}: once more");
@@ -147,7 +147,7 @@ fn every_model_shows_what_it_shows_without_the_thread() {
             (0..2).for_each(|_| viewer.frame().unwrap());
             viewer.composite_mut().lose_device(context).unwrap();
             assert!(picture(&mut viewer) == expected, "{threading}: after the device was lost");
-            // A context opened later, with and without a separate device.
+            // A context is opened later, with and without a separate device.
             let shared = viewer.composite_mut().open_offscreen_on(context, &config(threading, true).traits()).unwrap();
             let own = viewer.open_context(self::context(true).unwrap()).unwrap();
             for of in [shared, own] {
@@ -162,7 +162,7 @@ fn every_model_shows_what_it_shows_without_the_thread() {
 }
 
 #[test]
-fn the_blocking_mode_waits_for_the_thread() {
+fn blocking_mode_waits_for_the_thread() {
     let folder = tempfile::tempdir().unwrap();
     let set = small_set(folder.path(), terrane_data_gen::ContentKind::Height);
     let mut pictures = Vec::new();
@@ -172,7 +172,7 @@ fn the_blocking_mode_waits_for_the_thread() {
         config.pager.blocking = true;
         let mut viewer = Viewer::new(context, &config).unwrap();
         viewer.load(&set).unwrap();
-        // The first frame has all.
+        // The first frame shows everything.
         viewer.frame().unwrap();
         pictures.push(viewer.read_back().unwrap());
     }
@@ -180,7 +180,7 @@ fn the_blocking_mode_waits_for_the_thread() {
 }
 
 #[test]
-fn a_mesh_written_anew_is_there_though_it_is_still_on_its_way() {
+fn mesh_that_is_replaced_during_its_upload_is_complete() {
     let Some(context) = context(true) else { return };
     let mut viewer = Viewer::new(context, &config(ThreadingModel::SingleThreaded, true)).unwrap();
     let material = |color| Material { base_color: color, unlit: true, ..Material::default() };
@@ -189,7 +189,7 @@ fn a_mesh_written_anew_is_there_though_it_is_still_on_its_way() {
     let root = viewer.add_root(Page::from_node(Node::geode(vec![small])).unwrap()).unwrap();
     viewer.view_mut().camera.look_at(DVec3::new(0.0, -6.0, 0.0), DVec3::ZERO, DVec3::Z);
     settle(&mut viewer);
-    // Another page brings the same mesh, behind 32 MiB of others, and the first one takes it before it has arrived.
+    // Another page has the same mesh, behind 32 MiB of others. The first page takes it before its upload ends.
     let mesh = sphere(DVec3::ZERO);
     let big = (0..2u8).map(|i| textured(&Arc::new(with_mips(2048, 2048, vec![i; 2048 * 2048 * 4]))));
     let far = DAffine3::from_translation(DVec3::new(0.0, 0.0, 1e6));
@@ -256,9 +256,9 @@ fn upload_cost() {
     }
 }
 
-/// The update waited for uploads that could not continue, for ever.
+/// Regression: the update waited forever for uploads that could not continue.
 #[test]
-fn the_blocking_mode_waits_for_nothing_that_cannot_come() {
+fn blocking_mode_does_not_wait_for_uploads_that_cannot_complete() {
     let folder = tempfile::tempdir().unwrap();
     let set = small_set(folder.path(), terrane_data_gen::ContentKind::Mesh);
     for threading in [ThreadingModel::SingleThreaded, ThreadingModel::DrawThreadPerContext] {

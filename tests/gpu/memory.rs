@@ -1,5 +1,5 @@
-//! Frames whose resources the adapter has no memory for: one error, and the rest is drawn. Needs a GPU (a
-//! software one will do).
+//! Frames whose resources do not fit into memory: one error is reported, and the rest is drawn. Needs a GPU; a software
+//! adapter suffices.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -19,13 +19,14 @@ fn square(color: [f32; 4]) -> Node {
     Node::geode(vec![quad([0.0; 3], [0.5; 2], color)])
 }
 
-/// The device's own handler had it, with all that followed, and the frame was lost without a word.
+/// Regression: only the device's error handler received the error and its consequences, and the frame was lost
+/// silently.
 #[test]
-fn a_frame_without_memory_for_its_target_is_left_out_and_said() {
+fn frame_without_memory_for_its_target_is_left_out_and_reported() {
     let Some(mut rig) = new_rig([SIDE; 2]) else { return };
     let scene = rig.scene(square([1.0, 0.0, 0.0, 1.0]));
     let camera = unit_camera(SIDE);
-    // All else is there, of a smaller one.
+    // All other resources exist already, from a smaller frame.
     rig.draw(&scene, &unit_camera(SIDE / 2), &plain());
     rig.ctx.pretend_frame_memory(Some(0));
     for _ in 0..3 {
@@ -35,7 +36,7 @@ fn a_frame_without_memory_for_its_target_is_left_out_and_said() {
     let errors = rig.renderer.take_errors();
     let what = "out of graphics memory: depth and samples of a target of ";
     assert!(matches!(&errors[..], [error] if error.starts_with(what)), "{errors:?}");
-    // With memory it is there again, and needs no more.
+    // With memory the frame is drawn again, and no further allocation is needed.
     rig.ctx.pretend_frame_memory(None);
     assert_eq!(pixel(&rig.picture(&scene, &camera, &plain()), 32, 32), RED);
     rig.ctx.pretend_frame_memory(Some(0));
@@ -45,13 +46,13 @@ fn a_frame_without_memory_for_its_target_is_left_out_and_said() {
 }
 
 #[test]
-fn a_camera_without_memory_for_its_target_leaves_the_others() {
+fn camera_without_memory_for_its_target_does_not_affect_others() {
     let Some(mut rig) = new_rig([SIDE; 2]) else { return };
     let camera = unit_camera(SIDE);
     let beside = || Node::geode(vec![quad([0.75, 0.0, 0.0], [0.2; 2], [1.0, 0.0, 0.0, 1.0])]);
     let first = rig.scene(beside());
     rig.draw(&first, &camera, &plain());
-    // A size other than the window's, whose depth buffer it could share otherwise.
+    // The size differs from that of the window, whose depth buffer it could share otherwise.
     let texture = TextureObject::target("seen", [SIDE / 2; 2], TextureFormat::Rgba8Srgb);
     let of_texture = StateSet::default()
         .with_mode(Mode::Lighting, StateValue::OFF)
@@ -79,17 +80,17 @@ fn a_camera_without_memory_for_its_target_leaves_the_others() {
     rig.release(scene);
 }
 
-/// Its tables were made whether there was memory for them or not. A clear day's sky replaces them, and all that is lit
-/// is as under one.
+/// Regression: the tables were created without regard to memory. Without them a clear sky is drawn, and lighting is
+/// that of such a sky.
 #[test]
-fn air_without_memory_is_a_plain_sky_and_computed_once_there_is_room() {
+fn without_memory_for_air_a_plain_sky_is_drawn() {
     let Some(mut rig) = new_rig([SIDE; 2]) else { return };
     let mut lit = quad([0.0; 3], [0.5; 2], [1.0; 4]);
     lit.material = Material::default();
     let scene = rig.scene(Node::geode(vec![lit]));
     let sky = Environment::default();
     let clear = Environment { sky: Sky::Background([0x87, 0xae, 0xd6]), ..sky };
-    // The target is there, and the air's tables are not.
+    // The target exists, the tables of the air do not.
     let under_clear = rig.picture(&scene, &unit_camera(SIDE), &clear);
     rig.ctx.pretend_frame_memory(Some(0));
     for _ in 0..3 {
@@ -107,7 +108,7 @@ fn air_without_memory_is_a_plain_sky_and_computed_once_there_is_room() {
     rig.release(scene);
 }
 
-/// They were written to buffers that were none.
+/// Regression: they were written to invalid buffers.
 #[test]
 fn uploads_wait_for_memory_and_report_it_once() {
     for compile_thread in [false, true] {
@@ -136,7 +137,7 @@ fn uploads_wait_for_memory_and_report_it_once() {
         while errors.is_empty() || start.elapsed() < Duration::from_millis(300) {
             ctx.run_compiles(&CompileBudget::UNLIMITED);
             errors.extend(ctx.take_device_errors());
-            assert!(start.elapsed() < Duration::from_secs(20), "nothing is said");
+            assert!(start.elapsed() < Duration::from_secs(20), "no error is reported");
         }
         let what = "out of graphics memory: staging buffer of ";
         assert!(matches!(&errors[..], [error] if error.starts_with(what)), "{compile_thread}: {errors:?}");
@@ -145,7 +146,7 @@ fn uploads_wait_for_memory_and_report_it_once() {
         run_until(&mut ctx, &|ctx| ctx.pending_compiles() == 0);
         let compiled = ctx.take_compiled();
         assert!(matches!(&compiled[..], [one] if one.errors.is_empty()), "{compile_thread}");
-        // Said anew when it is wrong anew.
+        // A new failure is reported again.
         ctx.release(&compiled[0].slots);
         assert!(ctx.take_device_errors().is_empty(), "{compile_thread}");
     }

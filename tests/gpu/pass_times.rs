@@ -1,5 +1,5 @@
-//! The adapter's time of a draw is that of all its passes. Needs a GPU; a software adapter suffices. One test: a process has
-//! one recording, without which a software adapter is not asked for times.
+//! The adapter's time of a draw is the sum of all its passes. Needs a GPU; a software adapter suffices. There is one
+//! test, because a process has one recording, and software adapters are only asked for times while recording.
 
 use std::sync::Arc;
 
@@ -14,7 +14,8 @@ use terrane::scene::{Attachment, CameraNode, CameraTarget, Node};
 use terrane::state::{TextureFormat, TextureObject};
 use terrane::trace::Recording;
 
-/// Covers passes beyond 32, the atmosphere's tables, and passes that load their color; these were once left out.
+/// Passes beyond the 32nd, the atmosphere's tables, and passes that load their color are included. Regression: they
+/// were not.
 #[test]
 fn all_passes_of_a_draw_are_measured() {
     if runs_alone(module_path!(), "all_passes_of_a_draw_are_measured") {
@@ -42,7 +43,7 @@ fn all_passes_of_a_draw_are_measured() {
         let sky = Environment { sky: Sky::Atmosphere, ..Environment::default() };
         let mut measured = Vec::new();
         for frame in 0..20 {
-            // The air of another height each time.
+            // Another height of the eye needs new tables of the air each time.
             let eye = DVec3::new(0.0, 0.0, 10.0 + 500.0 * f64::from(frame));
             let above = CullCamera { frame, ..camera([16, 16], eye, DVec3::ZERO, DVec3::Y) };
             let stats = rig.draw(&scene, &above, &sky);
@@ -54,11 +55,11 @@ fn all_passes_of_a_draw_are_measured() {
         rig.release(scene);
         measured
     };
-    // The image and the camera with samples are passes too, and what these begin with, and the air.
+    // Passes are the image, the camera with samples, their resolves, and the tables of the air.
     let few = draw(3);
     assert_eq!(few.last(), Some(&7), "{few:?}");
     let many = draw(100);
     assert_eq!(many.last(), Some(&104), "{many:?}");
-    // Never a part of them: 7 of the frames before, none of the first one that has more, then all.
+    // The count is never partial: 7 passes in earlier frames, none in the first frame with more, then all of them.
     assert!(many.iter().all(|passes| [7, 0, 104].contains(passes)), "{many:?}");
 }

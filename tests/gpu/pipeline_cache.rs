@@ -1,5 +1,5 @@
-//! The driver's compiled pipelines are kept on disk, and only valid files are used again. Needs a GPU whose driver gives it
-//! away (Vulkan).
+//! The driver's compiled pipelines are stored on disk, and only valid files are used again. Needs a GPU whose driver
+//! provides them (Vulkan).
 
 use std::path::{Path, PathBuf};
 
@@ -14,7 +14,8 @@ use terrane::viewer::{Viewer, ViewerConfig};
 
 const SIDE: u32 = 32;
 
-/// Returns a context that keeps its pipelines in a folder, and its answer; `None`, and the test skipped, if it cannot.
+/// Returns a context with a pipeline cache in a folder, and the state of its cache. Skips the test if that is not
+/// possible.
 fn keeping(test: &str, folder: &Path) -> Option<(GraphicsContext, Result<u64, GpuError>)> {
     let traits = ContextTraits { size_px: [SIDE, SIDE], adapter: AdapterChoice::Software, ..ContextTraits::default() };
     let mut ctx = or_skip(GraphicsContext::new_offscreen(&traits))?;
@@ -48,7 +49,7 @@ fn compiled_pipelines_are_reused_unless_the_file_changed() {
     let kept = folder.path().join("pipelines");
     let Some((mut ctx, told)) = keeping(test, &kept) else { return };
     assert!(matches!(told, Ok(0)), "{told:?}");
-    assert!(ctx.save_pipelines().unwrap() > 0, "at any time");
+    assert!(ctx.save_pipelines().unwrap() > 0, "a valid file is used");
     draw(ctx);
     let [file] = &files(&kept)[..] else { panic!("one file") };
     let name = file.file_name().unwrap().to_str().unwrap();
@@ -56,10 +57,10 @@ fn compiled_pipelines_are_reused_unless_the_file_changed() {
     let bytes = std::fs::read(file).unwrap();
 
     let (ctx, told) = keeping(test, &kept).unwrap();
-    assert_eq!(told.unwrap(), bytes.len() as u64 - 40, "all but mark and hash");
+    assert_eq!(told.unwrap(), bytes.len() as u64 - 40, "all but signature and hash");
     draw(ctx);
 
-    // One wrong bit suffices; the error names the file, and the next context finds it replaced.
+    // One wrong bit suffices. The error names the file, and the next context replaces it.
     for (at, reason) in [(bytes.len() - 1, "hash"), (9, "hash"), (0, "no file of pipelines")] {
         let mut changed = std::fs::read(file).unwrap();
         changed[at] ^= 1;
@@ -73,15 +74,15 @@ fn compiled_pipelines_are_reused_unless_the_file_changed() {
     }
     assert_eq!(files(&kept).len(), 1, "nothing beside it");
 
-    // A folder that cannot be made costs nothing but the cache.
+    // If the folder cannot be created, only the cache is missing.
     let (ctx, told) = keeping(test, &file.join("below")).unwrap();
     assert!(told.is_err() || told.is_ok_and(|bytes| bytes == 0));
     draw(ctx);
 }
 
 #[test]
-fn a_viewer_keeps_pipelines_in_the_configured_folder() {
-    let test = "a_viewer_keeps_pipelines_in_the_configured_folder";
+fn viewer_stores_pipelines_in_the_configured_folder() {
+    let test = "viewer_stores_pipelines_in_the_configured_folder";
     let folder = tempfile::tempdir().unwrap();
     if keeping(test, &folder.path().join("asked")).is_none() {
         return;

@@ -1,5 +1,5 @@
-//! How long passes take on the adapter: a time for each of them, under its name. Needs a GPU; a software adapter suffices. One
-//! test: a process has one recording.
+//! The adapter's time of each pass is reported under its name. Needs a GPU; a software adapter suffices. There is one
+//! test, because a process has one recording.
 
 use std::time::{Duration, Instant};
 
@@ -13,15 +13,15 @@ use terrane::scene::{CameraNode, Node, ReferenceFrame, RenderOrder};
 use terrane::state::{TextureFormat, TextureObject};
 use terrane::trace::Recording;
 
-/// Longer than a frame takes to come back.
+/// The number of frames after which the times have certainly been read back.
 const PATIENCE: Duration = Duration::from_secs(60);
 
 #[test]
-fn each_pass_has_a_time_under_its_name() {
-    if runs_alone(module_path!(), "each_pass_has_a_time_under_its_name") {
+fn each_pass_has_a_time_with_its_name() {
+    if runs_alone(module_path!(), "each_pass_has_a_time_with_its_name") {
         return;
     }
-    // Software adapters are asked while a timeline is recorded only.
+    // Software adapters are asked for times only while recording.
     let recording = Recording::start().unwrap();
     let Some(mut rig) = new_rig([96, 64]) else { return };
     let view = camera([96, 64], DVec3::new(0.0, -30.0, 20.0), DVec3::ZERO, DVec3::Z);
@@ -53,7 +53,7 @@ fn each_pass_has_a_time_under_its_name() {
         if !times.is_empty() && stats.gpu_ms.is_some() {
             break (stats, times);
         }
-        assert!(start.elapsed() < PATIENCE, "no times come");
+        assert!(start.elapsed() < PATIENCE, "no times were reported");
     };
     rig.release(scene);
     assert_eq!(times.len(), stats.passes as usize, "{times:?}");
@@ -66,9 +66,9 @@ fn each_pass_has_a_time_under_its_name() {
     let json: Value = serde_json::from_slice(&std::fs::read(&file).unwrap()).unwrap();
     let events = json["traceEvents"].as_array().unwrap();
     let line = events.iter().find(|e| e["args"]["name"].as_str().is_some_and(|name| name.starts_with("gpu ")));
-    let line = line.expect("a line for the adapter")["tid"].clone();
+    let line = line.expect("a track for the adapter")["tid"].clone();
     let spans = events.iter().filter(|e| e["ph"] == "X" && e["tid"] == line && e["name"] != "frame");
-    // The times of the frame that was read last.
+    // The times are those of the last frame that was read back.
     let spans: Vec<(&str, f64)> =
         spans.map(|e| (e["name"].as_str().unwrap(), e["dur"].as_f64().unwrap() / 1e3)).collect();
     let last = &spans[spans.len() - times.len()..];
@@ -80,6 +80,6 @@ fn each_pass_has_a_time_under_its_name() {
     expected.extend(["picture", "nested picture"]);
     assert_eq!(names, expected);
     for ((name, on_line), ms) in last.iter().zip(&times) {
-        assert!((on_line - ms).abs() < 1e-5, "{name}: {on_line} ms on the line, {ms} ms told");
+        assert!((on_line - ms).abs() < 1e-5, "{name}: {on_line} ms in the trace, {ms} ms reported");
     }
 }

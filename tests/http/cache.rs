@@ -1,4 +1,4 @@
-//! The cache on disk: what is asked again and what is not, broken files, several processes, a killed one, size.
+//! The cache on disk: fresh and stale entries, corrupt files, several processes, a killed process, and its size.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -17,7 +17,7 @@ fn config(cache: CacheConfig) -> HttpConfig {
     HttpConfig { cache: Some(cache), max_retries: 0, ..HttpConfig::default() }
 }
 
-/// A client as a new process would have one.
+/// Returns a client like that of a new process.
 struct Client(HttpClient, tokio::runtime::Runtime);
 
 impl Client {
@@ -55,7 +55,7 @@ fn cache_at(folder: &Path) -> DiskCache {
     DiskCache::open(&CacheConfig::new(folder)).unwrap()
 }
 
-/// All files below a folder.
+/// Returns all files below a folder.
 fn files(folder: &Path) -> Vec<PathBuf> {
     let mut found = Vec::new();
     for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
@@ -71,7 +71,7 @@ fn files(folder: &Path) -> Vec<PathBuf> {
 
 const DATE: &str = "Sun, 09 Sep 2001 01:46:40 GMT";
 
-/// Answers with the path; the first word says how it may be kept.
+/// Answers with the path. The first word of the path gives its caching headers.
 fn server() -> Server {
     Server::start(|r| {
         let body = Reply::ok(r.path().repeat(100));
@@ -100,7 +100,7 @@ fn server() -> Server {
 fn fresh_entries_need_no_request_and_stale_ones_are_revalidated() {
     let (server, folder) = (server(), tempfile::tempdir().unwrap());
     for (path, asked, stats) in [
-        // (first, hits, revalidated, misses) of the second and third client.
+        // Expected (first, hits, revalidated, misses) of the second and third client.
         ("fresh/a", [1, 0, 0], [(1, 0, 0), (1, 0, 0)]),
         ("tagged/a", [1, 1, 1], [(0, 1, 0), (0, 1, 0)]),
         ("dated/a", [1, 1, 1], [(0, 1, 0), (0, 1, 0)]),
@@ -121,13 +121,13 @@ fn fresh_entries_need_no_request_and_stale_ones_are_revalidated() {
     let url = format!("{}/changing/a", server.url);
     let bodies: Vec<_> = (0..3).map(|_| Client::at(folder.path()).get(&url)).collect();
     assert_eq!(bodies, [b"body 0", b"body 1", b"body 2"]);
-    // Five are kept, two of them under separate names with one body.
+    // Five entries are stored, two of them under different names with one body.
     assert_eq!(cache_at(folder.path()).info().unwrap().entries, 6);
 }
 
-/// The answer's own lifetime alone counted: what "latest" led to once was shown for a year.
+/// Regression: only the lifetime of the final answer counted, so that an old target of "latest" was shown for a year.
 #[test]
-fn an_answer_holds_no_longer_than_the_way_to_it() {
+fn answer_is_fresh_only_as_long_as_its_redirects() {
     let folder = tempfile::tempdir().unwrap();
     let server = Server::start(|r| {
         let to = |status: u16| Reply::new(status, "").with("Location", if r.nth == 0 { "/v1" } else { "/v2" });
@@ -147,7 +147,7 @@ fn an_answer_holds_no_longer_than_the_way_to_it() {
 }
 
 #[test]
-fn answers_that_vary_by_client_are_not_kept() {
+fn answers_that_vary_by_client_are_not_cached() {
     let folder = tempfile::tempdir().unwrap();
     let server = Server::start(|r| {
         let who = r.header("authorization").unwrap_or("nobody").to_owned();
@@ -161,7 +161,11 @@ fn answers_that_vary_by_client_are_not_kept() {
         String::from_utf8(client.get(&format!("{}/{path}", server.url))).unwrap()
     };
     assert_eq!([as_user("a", "private"), as_user("b", "private")], ["a", "b"]);
-    assert_eq!([as_user("a", "public"), as_user("b", "public")], ["a", "a"], "the server says that it is the same");
+    assert_eq!(
+        [as_user("a", "public"), as_user("b", "public")],
+        ["a", "a"],
+        "the server answers that it is not modified"
+    );
 }
 
 #[test]
@@ -172,7 +176,7 @@ fn offline_sends_no_request() {
     for path in ["tagged/a", "plain/a", "fresh/a", "failing/a", "never/a"] {
         online.get(&url(path));
     }
-    assert!(online.try_get(&url("failing/a")).is_err(), "a failure is not hidden");
+    assert!(online.try_get(&url("failing/a")).is_err(), "the failure is reported");
     let (before, offline) = (server.count(), Client::offline(folder.path()));
     for path in ["tagged/a", "plain/a", "fresh/a", "failing/a"] {
         assert_eq!(offline.get(&url(path)), format!("/{path}").repeat(100).into_bytes());
@@ -186,7 +190,7 @@ fn offline_sends_no_request() {
 }
 
 #[test]
-fn equal_bodies_are_kept_once_and_as_they_came() {
+fn equal_bodies_are_stored_once_and_unchanged() {
     use std::io::Write as _;
     let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::default());
     encoder.write_all(&vec![9; 50_000]).unwrap();
@@ -207,7 +211,7 @@ fn equal_bodies_are_kept_once_and_as_they_came() {
 }
 
 #[test]
-fn broken_files_are_found_and_asked_for_again() {
+fn corrupt_files_are_found_and_requested_again() {
     let (server, folder) = (server(), tempfile::tempdir().unwrap());
     let url = format!("{}/fresh/a", server.url);
     let body = Client::at(folder.path()).get(&url);
@@ -229,7 +233,7 @@ fn broken_files_are_found_and_asked_for_again() {
             assert_eq!(client.get(&url), body);
             assert_eq!((client.stats().corrupt, server.count() - before), (1, 1), "{part}");
             assert_eq!(Client::at(folder.path()).get(&url), body);
-            assert_eq!(server.count() - before, 1, "it is kept again");
+            assert_eq!(server.count() - before, 1, "it is cached again");
         }
         std::fs::remove_file(files(&folder.path().join(part)).remove(0)).unwrap();
         assert_eq!(Client::at(folder.path()).get(&url), body);
@@ -237,7 +241,7 @@ fn broken_files_are_found_and_asked_for_again() {
 }
 
 #[test]
-fn verify_and_clear() {
+fn verify_and_clear_remove_entries() {
     let (server, folder) = (server(), tempfile::tempdir().unwrap());
     let client = Client::at(folder.path());
     for i in 0..6 {
@@ -248,15 +252,15 @@ fn verify_and_clear() {
     let (keys, blobs) = (files(&folder.path().join("keys")), files(&folder.path().join("blobs")));
     std::fs::write(&keys[0], "odd").unwrap();
     std::fs::write(&blobs[0], "odd").unwrap();
-    std::fs::write(folder.path().join("blobs/notes.txt"), "not of the cache").unwrap();
+    std::fs::write(folder.path().join("blobs/notes.txt"), "not a file of the cache").unwrap();
     let verified = cache.verify().unwrap();
     assert_eq!(verified.broken, 2, "{verified:?}");
     assert!(
         verified.orphans == 1 + 1 || verified.orphans == 0,
-        "the body of one, the entry of the other: {verified:?}"
+        "one body and one entry without its other half: {verified:?}"
     );
     assert_eq!(cache.verify().unwrap().broken, 0);
-    // Folders instead of files cannot be read; the rest is still checked.
+    // Folders instead of files cannot be read. The other entries are still checked.
     let in_place_of = |path: &std::path::Path| {
         std::fs::remove_file(path).unwrap();
         std::fs::create_dir_all(path.join("inside")).unwrap();
@@ -290,7 +294,7 @@ fn least_recently_used_entries_are_evicted_first() {
     for i in 0..10 {
         client.get(&url(i));
     }
-    // Used again, though written first.
+    // This entry was used again, although it was written first.
     std::thread::sleep(Duration::from_millis(20));
     assert_eq!(client.get(&url(0)).len(), 10_000);
     assert_eq!(server.count(), 10);
@@ -305,17 +309,17 @@ fn least_recently_used_entries_are_evicted_first() {
         (0..30).filter(|i| Client::new(CacheConfig { offline: true, ..small() }).try_get(&url(*i)).is_ok()).collect();
     assert!(kept.len() >= 10 && kept.contains(&29) && !kept.contains(&1), "{kept:?}");
     let newest: Vec<usize> = (30 - kept.len()..30).collect();
-    assert_eq!(kept, newest, "the last ones");
-    // One that is large beside the cache is not worth all others.
+    assert_eq!(kept, newest, "the most recently used ones");
+    // An entry that is large relative to the cache does not evict all others.
     let large = Server::start(|_| Reply::ok(vec![1; 30_000]).with("Cache-Control", "max-age=1000"));
     client.get(&large.url);
     assert_eq!(client.get(&large.url).len(), 30_000);
     assert_eq!((large.count(), client.stats().too_large), (2, 2));
 }
 
-/// A program without a size limit keeps the larger cache of an earlier one; it once evicted it.
+/// A program without a size limit keeps the larger cache of an earlier one. Regression: it evicted entries.
 #[test]
-fn the_size_is_remembered() {
+fn size_of_the_cache_is_remembered() {
     let folder = tempfile::tempdir().unwrap();
     let size =
         |max_bytes| DiskCache::open(&CacheConfig { max_bytes, ..CacheConfig::new(folder.path()) }).unwrap().max_bytes();
@@ -325,14 +329,14 @@ fn the_size_is_remembered() {
     std::fs::write(folder.path().join("limit"), "much").unwrap();
     assert_eq!([None, Some(77), None].map(size), [usual, 77, 77]);
     assert_eq!(cache_at(folder.path()).info().unwrap().max_bytes, 77);
-    // A folder with nothing but that is a cache that was not finished.
+    // A folder with only that file is a cache whose creation was interrupted.
     std::fs::remove_file(folder.path().join("terrane-cache")).unwrap();
     assert_eq!(size(None), 77);
 }
 
-/// Another server's tag is another's, though it is the same text.
+/// Tags of different servers are different, even if their text is equal.
 #[test]
-fn validators_go_to_what_they_are_of() {
+fn validators_are_sent_only_to_their_server() {
     let place = |name: &'static str| {
         Server::start(move |r| match r.header("if-none-match") {
             Some("\"1\"") => Reply::new(304, ""),
@@ -341,7 +345,7 @@ fn validators_go_to_what_they_are_of() {
     };
     let (old, new, folder) = (place("old"), place("new"), tempfile::tempdir().unwrap());
     let urls = [&old, &old, &new, &new].map(|server| server.url.clone());
-    // Signed anew each time.
+    // The URL is signed anew each time.
     let redirecting = Server::start(move |r| {
         Reply::new(302, "").with("Location", format!("{}/tile?signature={}", urls[r.nth], r.nth))
     });
@@ -355,9 +359,9 @@ fn validators_go_to_what_they_are_of() {
     assert!(asked_with(&redirecting).iter().all(Option::is_none));
 }
 
-/// Answers "not modified" count for a server's concurrency limit, which once stayed at eight.
+/// "Not modified" counts for a server's concurrency limit. Regression: the limit stayed at eight.
 #[test]
-fn a_server_that_said_that_it_holds_was_asked() {
+fn not_modified_answers_raise_the_concurrency_limit() {
     let (server, folder) = (server(), tempfile::tempdir().unwrap());
     let client = Client::at(folder.path());
     let asked = |path: &str| {
@@ -370,7 +374,7 @@ fn a_server_that_said_that_it_holds_was_asked() {
 }
 
 #[test]
-fn uses_are_remembered() {
+fn uses_of_entries_are_remembered() {
     let server = Server::start(|r| {
         let mut body = vec![0; 10_000];
         body[..r.target.len()].copy_from_slice(r.target.as_bytes());
@@ -394,19 +398,19 @@ fn uses_are_remembered() {
 }
 
 #[test]
-fn a_cache_that_cannot_be_written_is_none() {
+fn cache_that_cannot_be_written_is_not_used() {
     let (server, folder) = (server(), tempfile::tempdir().unwrap());
     let cache = folder.path().join("cache");
     let url = format!("{}/fresh/a", server.url);
     let body = Client::at(&cache).get(&url);
     std::fs::remove_dir_all(cache.join("tmp")).unwrap();
-    // Nothing can be made below a file.
+    // Nothing can be created below a file.
     std::fs::write(cache.join("tmp"), "").unwrap();
     let client = Client::at(&cache);
-    assert_eq!(client.get(&url), body, "what is there can be read");
+    assert_eq!(client.get(&url), body, "existing entries can be read");
     assert_eq!(client.get(&format!("{}/fresh/b", server.url)), b"/fresh/b".repeat(100));
     assert_eq!((client.stats().hits, client.stats().write_errors), (1, 1));
-    // A folder with other things in it is not touched.
+    // A folder with other files is not changed.
     let home = tempfile::tempdir().unwrap();
     std::fs::write(home.path().join("letter"), "dear").unwrap();
     let error = HttpClient::new(&config(CacheConfig::new(home.path()))).unwrap_err();
@@ -414,7 +418,7 @@ fn a_cache_that_cannot_be_written_is_none() {
 }
 
 #[test]
-fn no_secret_is_on_disk() {
+fn secrets_are_not_written_to_disk() {
     let (server, folder) = (server(), tempfile::tempdir().unwrap());
     let credential = terrane::fetch::Credential::query(&server.url, "key", "hidden1").unwrap();
     let config = HttpConfig { credentials: vec![credential], ..config(CacheConfig::new(folder.path())) };
@@ -433,7 +437,7 @@ fn no_secret_is_on_disk() {
     }
 }
 
-/// The body of the two tests below, which run it in other processes.
+/// The body of the two tests below, which run it in separate processes.
 #[test]
 fn another_process() {
     let Some(folder) = std::env::var_os("CACHE_FOLDER") else { return };
@@ -481,7 +485,7 @@ fn several_processes_share_one_cache() {
     }
     let cache = cache_at(folder.path());
     let info = cache.info().unwrap();
-    // The limit, and a sixteenth and a body more for each process.
+    // The size may exceed the limit by a sixteenth and one body for each process.
     assert!(info.bytes < 400_000 + 4 * (25_000 + 11_000), "{info:?}");
     let verified = cache.verify().unwrap();
     assert_eq!(verified.broken, 0, "{verified:?}");
@@ -489,10 +493,10 @@ fn several_processes_share_one_cache() {
 }
 
 #[test]
-fn a_killed_process_leaves_nothing_broken() {
+fn killed_process_leaves_no_corrupt_entries() {
     let (server, folder) = (content_server(), tempfile::tempdir().unwrap());
     for round in 0..6 {
-        // Enough bodies that requests never end, even if each round is killed before the first eviction.
+        // There are enough bodies that requests never end, even if each round is killed before the first eviction.
         let mut children = processes(folder.path(), &server.url, 2, [1_000_000, 600]);
         let before = server.count();
         while server.count() < before + 20 {
@@ -514,7 +518,7 @@ fn a_killed_process_leaves_nothing_broken() {
     assert_eq!(cache_at(folder.path()).verify().unwrap().broken, 0);
 }
 
-/// A set of one tile, and how often it was asked for.
+/// Serves a set of one tile, and counts its requests.
 fn one_tile(first_is_a_page: bool) -> Server {
     let glb = terrane::formats::writers::write_glb(&terrane::formats::writers::GlbMesh {
         positions: vec![[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
@@ -545,7 +549,7 @@ fn fly(server: &Server, folder: &Path) -> kit::pager::Run {
 }
 
 #[test]
-fn a_second_flight_needs_no_server() {
+fn second_flight_sends_no_requests() {
     let (server, folder) = (one_tile(false), tempfile::tempdir().unwrap());
     let first = fly(&server, folder.path());
     assert_eq!((first.stage.counters.tiles_drawn, server.count()), (1, 2));
@@ -558,7 +562,7 @@ fn a_second_flight_needs_no_server() {
 }
 
 #[test]
-fn html_pages_with_status_200_are_not_kept() {
+fn html_pages_with_status_200_are_not_cached() {
     let (server, folder) = (one_tile(true), tempfile::tempdir().unwrap());
     let first = fly(&server, folder.path());
     assert_eq!((first.pager.stats().failed, first.stage.counters.tiles_drawn), (1, 0));
@@ -567,9 +571,9 @@ fn html_pages_with_status_200_are_not_kept() {
     assert_eq!((second.pager.stats().failed, second.stage.counters.tiles_drawn), (0, 1));
 }
 
-/// Every start failed from the cache, until the page had gone stale.
+/// Regression: every start failed from the cache until the page became stale.
 #[test]
-fn a_root_that_is_no_tileset_is_not_kept() {
+fn root_that_is_no_tileset_is_not_cached() {
     let folder = tempfile::tempdir().unwrap();
     let server = Server::start(|r| {
         let set = r#"{"asset":{"version":"1.1"},"geometricError":9,"root":{"boundingVolume":{"sphere":[0,0,0,2]},

@@ -1,4 +1,4 @@
-//! Which answers the cache on disk keeps, and which entries they replace.
+//! The answers that the cache on disk stores, and the entries that they replace.
 
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -24,13 +24,14 @@ fn get(config: &HttpConfig, url: &str) -> String {
     })
 }
 
-/// The old body was taken, and kept with the validator of the new one: it would have stayed for good.
+/// Regression: the old body was used and stored with the validator of the new one, so that it would have stayed
+/// forever.
 #[test]
-fn not_modified_of_another_body_is_asked_again() {
+fn not_modified_with_another_validator_is_requested_again() {
     for (first, second, answers) in [
         ("\"a\"", "\"b\"", ["v1", "v2", "v2"]),
         ("W/\"a\"", "W/\"b\"", ["v1", "v2", "v2"]),
-        // The same one, by the weak comparison.
+        // The tag is equal by weak comparison.
         ("\"a\"", "W/\"a\"", ["v1", "v1", "v1"]),
     ] {
         let folder = tempfile::tempdir().unwrap();
@@ -44,14 +45,14 @@ fn not_modified_of_another_body_is_asked_again() {
         assert_eq!(got, answers[..2], "{first} {second}");
         let requests = if answers[1] == "v2" { 3 } else { 2 };
         assert_eq!(server.count(), requests, "{first} {second}");
-        // The kept entry has its own body's validator.
+        // The stored entry has the validator of its body.
         assert_eq!(get(&config, &format!("{}/a", server.url)), answers[2], "{first} {second}");
     }
 }
 
-/// A new answer that is not kept invalidates the old one, which once stayed in use while fresh.
+/// A new answer that must not be stored invalidates the old one. Regression: the old one was used while fresh.
 #[test]
-fn a_new_answer_that_is_not_kept_ends_the_old_one() {
+fn answer_that_is_not_stored_invalidates_the_old_one() {
     let large = "2".repeat(200_000);
     for (new, how) in [("v2", "no-store"), (large.as_str(), "max-age=1000")] {
         let folder = tempfile::tempdir().unwrap();
@@ -64,7 +65,7 @@ fn a_new_answer_that_is_not_kept_ends_the_old_one() {
             .with("Cache-Control", "max-age=1000"),
             ("/a.glb", 0) => Reply::ok("v1").with("Cache-Control", "max-age=1000"),
             ("/a.glb", _) => Reply::ok(answer.clone()).with("Cache-Control", how),
-            // With the body that the old one had.
+            // The body is that of the old answer.
             _ => Reply::ok("v1").with("Cache-Control", "max-age=1000"),
         });
         let cache = CacheConfig { max_bytes: Some(1_000_000), ..CacheConfig::new(folder.path()) };
@@ -76,13 +77,14 @@ fn a_new_answer_that_is_not_kept_ends_the_old_one() {
         assert!(of("a.glb") == new, "{how}");
         let asked = server.count();
         assert_eq!(of("other"), "v1");
-        assert_eq!(server.count(), asked, "who shares the old body has it still");
+        assert_eq!(server.count(), asked, "an entry that shares the old body keeps it");
     }
 }
 
-/// Only the last answer was looked at: who had another credential was led where the first one was.
+/// Regression: only the final answer was checked, so that requests with another credential were redirected like the
+/// first.
 #[test]
-fn a_redirect_that_depends_on_who_asks_is_not_kept() {
+fn redirect_that_varies_by_credentials_is_not_cached() {
     let folder = tempfile::tempdir().unwrap();
     let server = Server::start(|r| match r.path() {
         "/mine" => {

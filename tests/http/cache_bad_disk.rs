@@ -1,4 +1,4 @@
-//! The cache on a disk that is full, read-only or breaks while in use, or under a clock that jumps. The flight continues,
+//! The cache on a disk that is full, read-only or fails while in use, or with a clock that jumps. The flight continues,
 //! and the failure is counted and reported once.
 
 use std::collections::HashMap;
@@ -34,7 +34,7 @@ impl log::Log for Listen {
     fn flush(&self) {}
 }
 
-/// A set of 341 tiles; answers are kept for a while.
+/// Serves a set of 341 tiles that may be cached for a while.
 fn server() -> Server {
     let folder = tempfile::tempdir().unwrap();
     write_quadtree(folder.path());
@@ -43,12 +43,12 @@ fn server() -> Server {
     let files: HashMap<String, Vec<u8>> =
         std::fs::read_dir(folder.path()).unwrap().map(|e| read(e.unwrap().path())).collect();
     Server::start(move |r| match files.get(r.path()) {
-        // Each tile differs, so that each needs its own room.
+        // All tiles differ, so that each needs separate space.
         Some(bytes) if r.path().ends_with(".glb") => {
             let padding = r.path().as_bytes().repeat(400);
             let mut body = bytes.clone();
             let length = (body.len() + padding.len()).next_multiple_of(4);
-            // A chunk of an unknown kind behind the others, which readers leave out.
+            // The bytes differ in a chunk of an unknown type at the end, which readers ignore.
             body.extend_from_slice(&((length - bytes.len()) as u32).to_le_bytes());
             body.extend_from_slice(b"PADD");
             body.extend_from_slice(&padding);
@@ -62,17 +62,17 @@ fn server() -> Server {
     })
 }
 
-/// All tiles, through a cache; how many were drawn.
+/// Loads all tiles through a cache and returns the number of drawn tiles.
 fn fly(url: &str, folder: &Path) -> (u32, CacheStats) {
     let http = HttpConfig { cache: Some(CacheConfig::new(folder)), ..HttpConfig::default() };
     let mut run = Run::new(&format!("{url}/"), PagerConfig { http, ..PagerConfig::default() });
-    // Each level once: what is on its way when all that replaces it is there need not come.
+    // Each level is loaded separately. Tiles in flight need not arrive once all their replacements are loaded.
     for halvings in 0..20 {
         run.max_sse_px = 0.1 * f64::from(1 << (19 - halvings));
         run.settle(above(WORLD_M) + glam::DVec3::new(WORLD_M / 2.0, WORLD_M / 2.0, 0.0));
     }
     assert_eq!(run.pager.stats().failed, 0, "{:?}", run.pager.errors());
-    // Pending writes are completed, and counted, before the pager ends.
+    // Pending writes complete and are counted before the pager ends.
     let end = std::time::Instant::now() + Duration::from_secs(10);
     let mut stats = run.pager.cache_stats().unwrap();
     while stats.hits + stats.stored + stats.write_errors < 342 && std::time::Instant::now() < end {
@@ -96,13 +96,13 @@ fn flies_as_another_process() {
     }
 }
 
-/// Privileges of the process that flies.
+/// The privileges of the process that flies.
 #[derive(Clone, Copy)]
 enum Privileges {
     Own,
-    /// It may mount what only it sees.
+    /// The process may mount a disk that only it sees.
     Mounts,
-    /// File permissions hold for it, even if root runs the tests.
+    /// File permissions apply to the process, even if root runs the tests.
     None,
 }
 
@@ -114,7 +114,7 @@ struct Flown {
     said: Vec<String>,
 }
 
-/// Flies in a separate process after a shell has made its disk; `None` if this user may not mount one.
+/// Flies in a separate process for which a shell has mounted a disk; `None` if this user may not mount one.
 fn flown(privileges: Privileges, make: &str, url: &str, disk: &Path, cache: &Path) -> Option<Flown> {
     let exe = std::env::current_exe().unwrap();
     let script = format!(
@@ -154,7 +154,7 @@ fn flown(privileges: Privileges, make: &str, url: &str, disk: &Path, cache: &Pat
 }
 
 #[test]
-fn a_full_disk_stops_no_flight() {
+fn full_disk_does_not_stop_a_flight() {
     let (server, disk) = (server(), tempfile::tempdir().unwrap());
     let whole = tempfile::tempdir().unwrap();
     let (tiles, stats) = fly(&server.url, whole.path());
@@ -188,23 +188,23 @@ fn a_full_disk_stops_no_flight() {
     }
 }
 
-/// Eviction once followed a write, which a full disk refuses, so that old entries stayed forever.
+/// Regression: eviction followed a write, which a full disk refuses, so that old entries stayed forever.
 #[test]
-fn on_a_full_disk_the_cache_makes_room() {
+fn cache_evicts_entries_on_a_full_disk() {
     let (server, disk) = (server(), tempfile::tempdir().unwrap());
     let cache = disk.path().join("cache");
-    // Bodies that are used no more, and nothing else free.
+    // The disk holds unused bodies and has no free space.
     let old = "mount -t tmpfs -o size=1m none $D && mkdir -p $D/cache/blobs/aa $D/cache/tmp && \
         printf 'terrane cache 1\\n' > $D/cache/terrane-cache && \
         for i in $(seq 300); do head -c 4096 /dev/zero > $D/cache/blobs/aa/$(printf 'aa%062d' $i) || break; done \
         2>/dev/null; true";
     let Some(flown) = flown(Privileges::Mounts, old, &server.url, disk.path(), &cache) else { return };
-    // A tenth of the disk at once.
+    // A tenth of the disk is freed at once.
     assert!(flown.stored >= 5, "{} {}", flown.stored, flown.write_errors);
 }
 
 #[test]
-fn a_cache_that_may_only_be_read_is_read() {
+fn read_only_cache_is_read() {
     let server = server();
     for (privileges, make, restore, why) in [
         (Privileges::Mounts, "mount --bind $D $D && mount -o remount,ro,bind $D", "true", "Read-only"),
@@ -221,8 +221,8 @@ fn a_cache_that_may_only_be_read_is_read() {
         };
         let Some(flown) = fly() else { continue };
         assert_eq!((flown.tiles, flown.hits, flown.write_errors), (tiles, 342, 0), "{why}: {:?}", flown.said);
-        assert_eq!((server.count(), flown.said.len()), (asked, 0), "what is fresh is not asked for");
-        // The entries are gone: everything is fetched, nothing can be kept, and that is reported once.
+        assert_eq!((server.count(), flown.said.len()), (asked, 0), "fresh entries are not requested");
+        // Without entries everything is fetched, nothing can be stored, and that is reported once.
         for part in ["keys", "blobs"] {
             std::fs::remove_dir_all(disk.path().join(part)).unwrap();
         }
@@ -232,7 +232,7 @@ fn a_cache_that_may_only_be_read_is_read() {
     }
 }
 
-/// Run by the test below in a process for which permissions hold.
+/// Run by the test below in a process to which permissions apply.
 #[test]
 fn opens_as_another_process() {
     let Some(cache) = std::env::var_os("TERRANE_TEST_CLOSED_FOLDER").map(PathBuf::from) else { return };
@@ -276,7 +276,7 @@ fn get(client: &HttpClient, runtime: &tokio::runtime::Runtime, url: &str) -> Vec
 }
 
 #[test]
-fn entries_that_break_while_in_use_are_requested_again() {
+fn entries_that_become_corrupt_in_use_are_requested_again() {
     let server = Server::start(|r| Reply::ok(r.path().repeat(300)).with("Cache-Control", "max-age=1000"));
     let folder = tempfile::tempdir().unwrap();
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
@@ -286,7 +286,7 @@ fn entries_that_break_while_in_use_are_requested_again() {
     for turn in 0..30usize {
         for (i, name) in names.iter().enumerate() {
             assert_eq!(get(&client, &runtime, &format!("{}{name}", server.url)), name.repeat(300).as_bytes());
-            // Something else after each answer, never the marker.
+            // After each answer another file is damaged, never the marker.
             let found: Vec<PathBuf> =
                 ["keys", "blobs"].iter().flat_map(|part| files(&folder.path().join(part))).collect();
             let Some(path) = found.get((turn * 7 + i * 13) % found.len().max(1)) else { continue };
@@ -314,7 +314,7 @@ fn entries_that_break_while_in_use_are_requested_again() {
 }
 
 #[test]
-fn file_times_of_any_clock_are_borne() {
+fn any_file_times_are_accepted() {
     let server = Server::start(|r| Reply::ok(r.path().repeat(2000)).with("Cache-Control", "max-age=1000"));
     let folder = tempfile::tempdir().unwrap();
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
@@ -332,13 +332,13 @@ fn file_times_of_any_clock_are_borne() {
         let last = format!("{}/tile-{turn}-39", server.url);
         let asked = server.count();
         get(&client, &runtime, &last);
-        assert_eq!(server.count(), asked, "what came last is there");
+        assert_eq!(server.count(), asked, "the last entry is found");
         let bytes: u64 = files(folder.path()).iter().map(|p| p.metadata().unwrap().len()).sum();
         assert!(bytes <= 220_000, "{bytes}");
         for path in files(folder.path()) {
             std::fs::File::options().write(true).open(path).unwrap().set_modified(time).unwrap();
         }
         get(&client, &runtime, &last);
-        assert_eq!(server.count(), asked, "and under any time");
+        assert_eq!(server.count(), asked, "and with any file time");
     }
 }

@@ -1,4 +1,4 @@
-//! The HTTP client against servers on this machine: retries, pauses, redirects, credentials, proxies, HTTP/2.
+//! The HTTP client with local servers: retries, pauses, redirects, credentials, proxies, HTTP/2.
 
 use std::time::{Duration, Instant, SystemTime};
 
@@ -31,7 +31,7 @@ fn get(url: &str) -> Result<HttpBody, IoError> {
 }
 
 #[test]
-fn a_connection_is_used_again() {
+fn connections_are_reused() {
     let server = Server::start(|r| Reply::ok(r.target.clone()).how(if r.nth == 0 { How::Whole } else { How::Chunked }));
     let client = HttpClient::new(&quick()).unwrap();
     runtime().block_on(async {
@@ -62,7 +62,7 @@ fn failures_and_redirects_keep_the_connection() {
 }
 
 #[test]
-fn many_requests_share_few_connections_over_http2() {
+fn many_requests_share_few_http2_connections() {
     let (address, connections) = http2_server();
     let client = HttpClient::new(&HttpConfig { http2_only: true, ..quick() }).unwrap();
     runtime().block_on(async {
@@ -79,7 +79,7 @@ fn many_requests_share_few_connections_over_http2() {
     assert_eq!(connections.load(std::sync::atomic::Ordering::Relaxed), 1);
 }
 
-/// Says version and path of each request; counts connections.
+/// Answers with the version and path of each request, and counts connections.
 fn http2_server() -> (std::net::SocketAddr, std::sync::Arc<std::sync::atomic::AtomicUsize>) {
     let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     listener.set_nonblocking(true).unwrap();
@@ -125,13 +125,13 @@ fn only_transient_failures_are_retried() {
         let (result, count) = asked(Reply::new(status, ""));
         assert!(result.is_err() && count == 1, "{status}: {result:?} {count}");
     }
-    // No server listens: retried, and reported.
+    // Without a listening server the request is retried and then reported.
     let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
     assert!(matches!(get(&format!("http://127.0.0.1:{port}/")), Err(IoError::Network { .. })));
 }
 
 #[test]
-fn tries_end() {
+fn retries_are_limited() {
     let server = Server::start(|_| Reply::new(500, ""));
     let result = get_with(&HttpConfig { max_retries: 3, ..quick() }, &format!("{}/x", server.url));
     assert!(matches!(result, Err(IoError::Status { status: 500, .. })), "{result:?}");
@@ -153,10 +153,10 @@ fn each_timeout_names_its_phase() {
     assert_eq!(phase(&whole, "/stall"), "the whole answer");
 }
 
-/// The queue of those who wait to be taken is full: nothing answers.
+/// The backlog of the listening socket is full, so that the server does not answer.
 #[cfg(target_os = "linux")]
 #[test]
-fn a_connection_that_does_not_come_names_its_phase() {
+fn connection_timeout_names_its_phase() {
     let listener = runtime().block_on(async {
         let socket = tokio::net::TcpSocket::new_v4().unwrap();
         socket.bind("127.0.0.1:0".parse().unwrap()).unwrap();
@@ -173,7 +173,7 @@ fn a_connection_that_does_not_come_names_its_phase() {
     }
 }
 
-/// Large bodies arrive over a slow connection: the timeout covers silence, not the whole transfer.
+/// Large bodies arrive over a slow connection: the timeout limits silence, not the whole transfer.
 #[test]
 fn steady_transfers_may_exceed_the_timeout() {
     let server = Server::start(|_| Reply::ok([7; 40]).how(How::Slowly));
@@ -189,7 +189,7 @@ fn steady_transfers_may_exceed_the_timeout() {
 }
 
 #[test]
-fn a_server_that_asks_for_time_gets_it() {
+fn retry_after_is_respected() {
     let times = std::sync::Mutex::new(Vec::new());
     let server = Server::start(move |r| {
         times.lock().unwrap().push(Instant::now());
@@ -205,18 +205,18 @@ fn a_server_that_asks_for_time_gets_it() {
     });
     for path in ["seconds", "date"] {
         let start = Instant::now();
-        // A date has whole seconds: of two, more than one is left.
+        // A date has whole seconds, so of two seconds more than one is left.
         get_with(&HttpConfig { max_wait: 5000 * MS, ..quick() }, &format!("{}/{path}", server.url)).unwrap();
         assert!(start.elapsed() >= 950 * MS, "{path}: {:?}", start.elapsed());
     }
     let before = server.count();
     let error = get(&format!("{}/never", server.url)).unwrap_err();
     assert_eq!(error.retry_after(), Some(Duration::from_secs(3600)));
-    assert_eq!(server.count() - before, 1, "longer than anybody waits: not asked again");
+    assert_eq!(server.count() - before, 1, "a pause above the limit: not requested again");
 }
 
 #[test]
-fn a_pause_holds_for_all_requests_to_the_server() {
+fn pause_applies_to_all_requests_to_the_server() {
     let server = Server::start(|r| match (r.target.as_str(), r.nth) {
         ("/first", 0) => Reply::new(429, "").with("Retry-After", "1"),
         _ => Reply::ok("body"),
@@ -231,9 +231,9 @@ fn a_pause_holds_for_all_requests_to_the_server() {
     });
 }
 
-/// The server that redirects was held to have asked for it, and the one that had asked was asked on.
+/// Regression: the pause was applied to the redirecting server instead of the one that asked for it.
 #[test]
-fn a_pause_is_for_the_server_that_asked_for_it() {
+fn pause_applies_to_the_server_that_asked_for_it() {
     let other = Server::start(|_| Reply::new(503, "").with("Retry-After", "600"));
     let to_other = format!("{}/there", other.url);
     let server = Server::start(move |r| match r.path() {
@@ -252,12 +252,13 @@ fn a_pause_is_for_the_server_that_asked_for_it() {
             assert!(error.retry_after().is_some_and(|left| left > Duration::from_secs(500)), "{error:?}");
         }
     });
-    assert_eq!((other.count(), server.count()), (1, 3), "the pause holds wherever the way there begins");
+    assert_eq!((other.count(), server.count()), (1, 3), "the pause applies to all redirects to that server");
 }
 
-/// The pause was cut to what one request waits: then all that waited came at once, and so on.
+/// Regression: a pause was cut to the maximum wait of a request. Then all waiting requests were sent at once,
+/// repeatedly.
 #[test]
-fn a_long_pause_is_kept_without_asking() {
+fn long_pause_is_respected_without_requests() {
     let server = Server::start(|r| match r.target.as_str() {
         "/first" => Reply::new(503, "").with("Retry-After", "600"),
         _ => Reply::ok("body"),
@@ -277,7 +278,7 @@ fn a_long_pause_is_kept_without_asking() {
 }
 
 #[test]
-fn redirects_are_followed_on_http_only() {
+fn redirects_are_followed_to_http_only() {
     let other = Server::start(|r| Reply::ok(format!("other {}", r.target)));
     let to_other = format!("{}/there?a=b", other.url);
     let server = Server::start(move |r| match r.target.as_str() {
@@ -301,7 +302,7 @@ fn redirects_are_followed_on_http_only() {
 }
 
 #[test]
-fn credentials_go_to_their_server_alone_and_into_no_error() {
+fn credentials_are_sent_to_their_server_only_and_never_printed() {
     let other = Server::start(|r| Reply::ok(r.target.clone()));
     let to_other = format!("{}/there", other.url);
     let server = Server::start(move |r| match r.path() {
@@ -321,7 +322,7 @@ fn credentials_go_to_their_server_alone_and_into_no_error() {
     assert_eq!(at("/tile").unwrap().bytes, b"/tile?token=hidden+2");
     assert_eq!(at("/tile?v=1").unwrap().bytes, b"/tile?v=1&token=hidden+2");
     assert_eq!(at("/tile?token=own").unwrap().bytes, b"/tile?token=own", "the set's own");
-    assert_eq!(at("/again").unwrap().bytes, b"/tile?token=hidden+2", "after a redirect too");
+    assert_eq!(at("/again").unwrap().bytes, b"/tile?token=hidden+2", "after a redirect as well");
     assert_eq!(at("/away").unwrap().bytes, b"/there");
     assert!(other.seen().iter().all(|r| r.header("x-api-key").is_none()), "{:?}", other.seen());
     let refused = at("/none?session=hidden3").unwrap_err();

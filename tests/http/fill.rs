@@ -1,4 +1,4 @@
-//! Filling the cache: what belongs to a region and to levels, going on after a stop, failures.
+//! Filling the cache: selection by region and levels, continuing after a stop, and failures.
 
 use std::collections::BTreeSet;
 use std::ops::ControlFlow;
@@ -10,7 +10,7 @@ use terrane::fetch::{CacheConfig, DiskCache, HttpConfig, IoError};
 use terrane::formats::{FillOptions, Filled, fill};
 use terrane::math::Region;
 
-/// A tree of four levels over 8 x 8 degrees from 0 N 0 E; each tile has four children. The eastern half of level 1 lies
+/// A tree of four levels over 8 x 8 degrees from 0 N 0 E. Each tile has four children. The eastern half of level 1 is
 /// in external tilesets.
 fn tile(level: u32, x: u32, y: u32, of_its_own: bool) -> String {
     let degrees = 8.0 / f64::from(1 << level);
@@ -29,7 +29,7 @@ fn set() -> Server {
     set_called(".json")
 }
 
-/// A set whose inner tilesets have names with this ending.
+/// Writes a set whose inner tilesets have names with this extension.
 fn set_called(extension: &'static str) -> Server {
     Server::start(move |r| {
         let tileset = |root: String| {
@@ -68,7 +68,7 @@ const CONTENTS: u64 = 1 + 4 + 16 + 64;
 const TILESETS: u64 = 3;
 
 #[test]
-fn all_of_a_set_and_again() {
+fn whole_set_is_filled_and_kept() {
     let (server, folder) = (set(), tempfile::tempdir().unwrap());
     let all = FillOptions::default();
     let first = filled(&server, folder.path(), &all);
@@ -76,17 +76,17 @@ fn all_of_a_set_and_again() {
     assert_eq!((first.cache.stored, server.count() as u64), (CONTENTS + TILESETS, CONTENTS + TILESETS));
     let again = filled(&server, folder.path(), &all);
     assert_eq!((again.kept, again.fetched, again.bytes), (CONTENTS + TILESETS, 0, 0));
-    assert_eq!(server.count() as u64, CONTENTS + TILESETS, "nothing is asked for");
+    assert_eq!(server.count() as u64, CONTENTS + TILESETS, "no requests are sent");
     let refreshed = filled(&server, folder.path(), &FillOptions { refresh: true, ..all });
-    assert_eq!((refreshed.kept, refreshed.bytes), (CONTENTS + TILESETS, 0), "all of it still holds");
+    assert_eq!((refreshed.kept, refreshed.bytes), (CONTENTS + TILESETS, 0), "all entries are still valid");
     assert_eq!(server.count() as u64, 2 * (CONTENTS + TILESETS));
     let verified = DiskCache::open(&CacheConfig::new(folder.path())).unwrap().verify().unwrap();
     assert_eq!((verified.broken, verified.orphans), (0, 0));
 }
 
-/// The fill ended at them, as at contents.
+/// Regression: the fill stopped at such tilesets and treated them as contents.
 #[test]
-fn tilesets_are_filled_whatever_they_are_called() {
+fn tilesets_with_any_name_are_filled() {
     for extension in ["", ".tileset", ".v2"] {
         let (server, folder) = (set_called(extension), tempfile::tempdir().unwrap());
         let all = FillOptions::default();
@@ -94,7 +94,7 @@ fn tilesets_are_filled_whatever_they_are_called() {
         assert_eq!((first.fetched, first.failed), (CONTENTS + TILESETS, 0), "{extension}");
         let again = filled(&server, folder.path(), &all);
         assert_eq!((again.kept, again.bytes), (CONTENTS + TILESETS, 0), "{extension}");
-        // Tilesets above the levels lead to them.
+        // Tilesets above the selected levels are fetched to find them.
         let (server, folder) = (set_called(extension), tempfile::tempdir().unwrap());
         filled(&server, folder.path(), &FillOptions { levels: 3..=3, ..FillOptions::default() });
         let east =
@@ -106,9 +106,9 @@ fn tilesets_are_filled_whatever_they_are_called() {
     }
 }
 
-/// It once counted as unused since its arrival, and was evicted before entries that were never requested.
+/// Regression: a kept entry counted as unused since its arrival, and was evicted before entries that were never used.
 #[test]
-fn kept_entries_are_used() {
+fn kept_entries_count_as_used() {
     let (server, folder) = (set(), tempfile::tempdir().unwrap());
     filled(&server, folder.path(), &FillOptions::default());
     let long_ago = SystemTime::now() - Duration::from_secs(24 * 3600);
@@ -128,7 +128,7 @@ fn kept_entries_are_used() {
 }
 
 #[test]
-fn levels_and_regions() {
+fn levels_and_regions_select_tiles() {
     let degrees = |west: f64, south: f64, east: f64, north: f64| {
         let [west, south, east, north] = [west, south, east, north].map(f64::to_radians);
         Some(Region { west, south, east, north, min_height_m: 0.0, max_height_m: 0.0 })
@@ -138,7 +138,7 @@ fn levels_and_regions() {
         (1..=1, None, vec!["1/0/0.glb", "1/0/1.glb"]),
         (0..=9, degrees(0.1, 0.1, 0.9, 0.9), vec!["0/0/0.glb", "1/0/0.glb", "2/0/0.glb", "3/0/0.glb"]),
         (3..=3, degrees(0.5, 0.5, 1.5, 0.9), vec!["3/0/0.glb", "3/1/0.glb"]),
-        // The root of an external tileset is one below the tile that names it.
+        // The root of an external tileset is one level below the tile that refers to it.
         (2..=3, degrees(7.5, 7.5, 30.0, 30.0), vec!["1/1/1.glb", "2/3/3.glb", "east1.json"]),
         (0..=9, degrees(50.0, 0.0, 51.0, 1.0), vec![]),
     ] {
@@ -153,7 +153,7 @@ fn levels_and_regions() {
 }
 
 #[test]
-fn a_stop_loses_nothing() {
+fn stopped_fill_loses_nothing() {
     let (server, folder) = (set(), tempfile::tempdir().unwrap());
     let url = format!("{}/set/", server.url);
     let options = FillOptions { in_flight: 4, ..FillOptions::default() };
@@ -167,11 +167,11 @@ fn a_stop_loses_nothing() {
     assert!(rest.kept >= stopped.fetched, "{rest:?}");
     assert_eq!(rest.kept + rest.fetched, CONTENTS + TILESETS);
     let asked = server.count() as u64;
-    assert!(asked <= CONTENTS + TILESETS + 4, "each file once, but for those that were given up: {asked}");
+    assert!(asked <= CONTENTS + TILESETS + 4, "each file once, except for cancelled ones: {asked}");
 }
 
 #[test]
-fn a_stop_waits_for_no_server() {
+fn stop_does_not_wait_for_the_server() {
     let server = Server::start(|r| match r.path() {
         "/set/tileset.json" => Reply::ok(format!(
             r#"{{"asset":{{"version":"1.1"}},"geometricError":99,"root":{}}}"#,
@@ -190,9 +190,9 @@ fn a_stop_waits_for_no_server() {
     assert_eq!((stopped.stopped, stopped.fetched, stopped.failed), (true, 1, 0), "{stopped:?}");
 }
 
-/// A tile of several contents is one tile: its level is that of all of them, and what is below it is one deeper.
+/// A tile with several contents is one tile. Its contents have the same level, and its children are one level deeper.
 #[test]
-fn several_contents_are_of_one_level() {
+fn several_contents_have_one_level() {
     let tile = |names: [&str; 2], children: &str| {
         let [a, b] = names.map(|name| format!(r#"{{"uri":"{name}.glb"}}"#));
         format!(
@@ -231,9 +231,9 @@ fn failures_are_reported_and_retried() {
     assert_eq!(again.kept, first.fetched);
 }
 
-/// A tileset referenced twice is filled for the levels of both references. One that contains itself ends.
+/// A tileset that is referenced twice is filled for the levels of both references. One that contains itself ends.
 #[test]
-fn a_tileset_in_several_places_is_looked_at_in_each() {
+fn tileset_with_several_references_is_filled_for_each() {
     let tile = |below: &str| format!(r#"{{"boundingVolume":{{"sphere":[0,0,0,1]}},"geometricError":9,{below}}}"#);
     let content = |uri: &str| format!(r#""content":{{"uri":"{uri}"}}"#);
     let tileset = |root: String| format!(r#"{{"asset":{{"version":"1.1"}},"geometricError":99,"root":{root}}}"#);
@@ -246,7 +246,7 @@ fn a_tileset_in_several_places_is_looked_at_in_each() {
         "/set/part.json" => Reply::ok(part.clone()),
         _ => Reply::ok("a content"),
     });
-    // The part's root is of level 1 in one reference and of level 2 in the other.
+    // The root of the part has level 1 in one reference and level 2 in the other.
     for (levels, contents) in [(1..=1, &["a.glb"][..]), (2..=2, &["a.glb", "b.glb"]), (3..=3, &["b.glb"])] {
         let (folder, before) = (tempfile::tempdir().unwrap(), server.count());
         let done = filled(&server, folder.path(), &FillOptions { levels: levels.clone(), ..FillOptions::default() });
@@ -258,9 +258,9 @@ fn a_tileset_in_several_places_is_looked_at_in_each() {
     }
 }
 
-/// An entry behind a redirect stays fresh only as long as the redirect; it once outlived it.
+/// Regression: an entry behind a redirect outlived the redirect.
 #[test]
-fn freshness_is_limited_by_that_of_the_redirect() {
+fn freshness_is_limited_by_redirects() {
     for (status, control, expected) in
         [(301, "", (1, 1)), (302, "", (1, 0)), (301, "no-cache", (1, 0)), (301, "no-store", (0, 0))]
     {
@@ -286,7 +286,7 @@ fn freshness_is_limited_by_that_of_the_redirect() {
         filled(&server, folder.path(), &FillOptions::default());
         assert_eq!(kept(), (1, 1));
         let again = filled(&server, folder.path(), &FillOptions { refresh: true, ..FillOptions::default() });
-        assert_eq!((again.kept, again.bytes), (1, 0), "it still holds");
+        assert_eq!((again.kept, again.bytes), (1, 0), "it is still fresh");
         assert_eq!(kept(), expected, "{status} {control}");
     }
 }

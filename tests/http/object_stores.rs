@@ -1,4 +1,4 @@
-//! Tile sets in object stores: a server on this machine speaks as S3, Google's and Azure's do, with faults.
+//! Tile sets in object stores: a local server that acts like S3, Google's or Azure's, with faults.
 
 use std::collections::BTreeMap;
 use std::io::{Cursor, Write as _};
@@ -19,7 +19,7 @@ fn options(of: &[(&str, &str)]) -> Vec<StoreOption> {
     of.iter().map(|(name, value)| StoreOption::new(name, value)).collect()
 }
 
-/// S3 with fixed keys at a server's address.
+/// Returns an S3 store with fixed keys at the address of a server.
 fn s3(url: &str) -> HttpConfig {
     HttpConfig {
         store_options: options(&[
@@ -44,7 +44,7 @@ fn get_with(config: &HttpConfig, uri: &str) -> Result<Vec<u8>, IoError> {
     })
 }
 
-/// Objects by `/bucket/key`, with tags and ranges, as S3 gives them.
+/// Serves objects by `/bucket/key`, with tags and ranges, like S3.
 fn bucket(objects: BTreeMap<String, Vec<u8>>) -> Server {
     Server::start(move |r| match objects.get(r.path()) {
         Some(bytes) => {
@@ -84,7 +84,7 @@ fn flown(source: &str, http: HttpConfig) -> Run {
 }
 
 #[test]
-fn a_set_streams_from_a_bucket_and_from_an_archive_in_it() {
+fn set_is_streamed_from_a_bucket_and_from_an_archive_in_it() {
     let folder = tempfile::tempdir().unwrap();
     write_quadtree(folder.path());
     let whole = flown(folder.path().to_str().unwrap(), HttpConfig::default());
@@ -116,7 +116,7 @@ fn a_set_streams_from_a_bucket_and_from_an_archive_in_it() {
 }
 
 #[test]
-fn without_keys_nothing_is_signed() {
+fn requests_without_keys_are_not_signed() {
     let server = bucket(BTreeMap::from([("/open/a.glb".to_owned(), vec![5; 9])]));
     let of = [("aws_endpoint", server.url.as_str()), ("aws_allow_http", "true"), ("aws_skip_signature", "true")];
     let config = HttpConfig { store_options: options(&of), ..HttpConfig::default() };
@@ -124,20 +124,20 @@ fn without_keys_nothing_is_signed() {
     assert_eq!(server.seen()[0].header("authorization"), None);
 }
 
-/// Returns true, and skips the test, if the environment holds keys.
+/// Returns true, and skips the test, if the environment has keys.
 fn has_keys_in_environment() -> bool {
     let found = std::env::vars_os().find(|(name, _)| {
         let name = name.to_string_lossy().to_uppercase();
         ["AWS_", "GOOGLE_", "AZURE_", "GCE_METADATA", "SERVICE_ACCOUNT"].iter().any(|p| name.starts_with(p))
     });
     if let Some((name, _)) = &found {
-        skipped(format!("the environment has keys of its own: {} is set", name.to_string_lossy()));
+        skipped(format!("the environment has keys: {} is set", name.to_string_lossy()));
     }
     found.is_some()
 }
 
 #[test]
-fn without_keys_no_metadata_service_is_asked() {
+fn without_keys_no_metadata_service_is_contacted() {
     if has_keys_in_environment() {
         return;
     }
@@ -152,7 +152,7 @@ fn without_keys_no_metadata_service_is_asked() {
         ),
     ] {
         let before = server.count();
-        // A request to any other server would wait for an unreachable one.
+        // A request to any other server would wait for an unreachable address.
         let config = HttpConfig { store_options: options(&of), ..HttpConfig::default() };
         let start = std::time::Instant::now();
         assert_eq!(get_with(&config, &format!("{scheme}://open/a.glb")).unwrap(), [5; 9]);
@@ -164,7 +164,7 @@ fn without_keys_no_metadata_service_is_asked() {
 }
 
 #[test]
-fn a_metadata_service_that_is_named_is_asked_and_not_waited_for_long() {
+fn named_metadata_service_is_contacted_with_a_short_timeout() {
     if has_keys_in_environment() {
         return;
     }
@@ -199,14 +199,14 @@ fn a_metadata_service_that_is_named_is_asked_and_not_waited_for_long() {
             let error = client.get("s3://b/a.glb", &Limits::default()).await.unwrap_err();
             assert!(matches!(error, IoError::Network { .. }) && error.to_string().contains("metadata"), "{error}");
         }
-        // Once, not for each object.
+        // The keys are requested once, not for each object.
         assert!(start.elapsed() < Duration::from_secs(6), "{:?}", start.elapsed());
     });
     assert_eq!((silent.count(), store.count()), (1, 1));
 }
 
 #[test]
-fn caches_tell_stores_apart() {
+fn caches_separate_stores() {
     let folder = tempfile::tempdir().unwrap();
     let stores = [1u8, 2].map(|n| {
         bucket(BTreeMap::from([("/b/tile.glb".to_owned(), vec![n; 500]), ("/tiles/tile.glb".to_owned(), vec![n; 500])]))
@@ -236,7 +236,7 @@ fn caches_tell_stores_apart() {
 }
 
 #[test]
-fn google_and_azure_are_asked_in_their_ways() {
+fn google_and_azure_have_their_request_formats() {
     let set = zipped(&BTreeMap::from([("tileset.json".to_owned(), vec![b' '; 300_000])]));
     let google = {
         let set = set.clone();
@@ -253,7 +253,7 @@ fn google_and_azure_are_asked_in_their_ways() {
     assert!(seen.iter().all(|r| r.path().starts_with("/tiles/a")), "{seen:?}");
     assert!(seen.iter().all(|r| r.header("authorization") == Some("Bearer ya29.token")), "{seen:?}");
 
-    // Azure knows no ranges from the end; it is not asked for one.
+    // Azure does not support suffix ranges, so they are not requested.
     let azure = Server::start(move |r| Reply::ok(set.clone()).with("ETag", "\"1\"").ranged(r));
     let of = [
         ("azure_storage_endpoint", azure.url.as_str()),
@@ -271,7 +271,7 @@ fn google_and_azure_are_asked_in_their_ways() {
 }
 
 #[test]
-fn the_cache_holds_objects() {
+fn cache_stores_objects() {
     let folder = tempfile::tempdir().unwrap();
     let server = bucket(BTreeMap::from([("/b/tile.glb".to_owned(), vec![1; 5000])]));
     let config = |offline| HttpConfig {
@@ -286,7 +286,7 @@ fn the_cache_holds_objects() {
     assert_eq!(conditions, [false, true, true]);
     assert!(seen[1].header("if-modified-since").is_some());
     let signed = seen[1].header("authorization").unwrap();
-    assert!(signed.contains("if-none-match"), "what is asked is signed: {signed}");
+    assert!(signed.contains("if-none-match"), "the request is signed: {signed}");
     assert_eq!(get_with(&config(true), "s3://b/tile.glb").unwrap(), [1; 5000]);
     assert!(matches!(get_with(&config(true), "s3://b/other.glb"), Err(IoError::Offline { .. })));
     assert_eq!(server.count(), 3);
@@ -299,7 +299,7 @@ fn walk(folder: &Path) -> Vec<std::path::PathBuf> {
     paths.flat_map(|p| if p.is_dir() { walk(&p) } else { vec![p] }).collect()
 }
 
-/// Checks the error of each fault, and the number of requests.
+/// Checks the error and the number of requests of each fault.
 fn fault(answer: impl Fn(&Request) -> Reply + Send + Sync + 'static) -> (Result<Vec<u8>, IoError>, usize) {
     let server = Server::start(answer);
     let config = HttpConfig {
@@ -316,7 +316,7 @@ fn fault(answer: impl Fn(&Request) -> Reply + Send + Sync + 'static) -> (Result<
 }
 
 #[test]
-fn faults_are_typed_and_what_passes_is_tried_again() {
+fn faults_are_typed_and_transient_ones_are_retried() {
     let good = || Reply::ok(vec![3; 4000]).with("ETag", "\"1\"");
     let (result, count) = fault(|_| Reply::new(404, "<Error/>"));
     assert!(matches!(result, Err(IoError::NotFound { .. })) && count == 1, "{result:?}");
@@ -337,7 +337,7 @@ fn faults_are_typed_and_what_passes_is_tried_again() {
         let (result, _) = fault(move |_| good().how(how));
         assert!(matches!(result, Err(IoError::Timeout { .. })), "{result:?}");
     }
-    // A redirect to another host is not followed, since the keys are not for it.
+    // A redirect to another host is not followed, because the keys are not for it.
     let (result, count) = fault(|_| Reply::new(301, "").with("Location", "http://127.0.0.1:1/elsewhere"));
     assert!(matches!(result, Err(IoError::Status { status: 301, .. })) && count == 1, "{result:?}");
 }
@@ -372,7 +372,7 @@ fn wrong_store_options_are_reported() {
 }
 
 #[test]
-fn a_set_in_a_bucket_reaches_nothing_else() {
+fn set_in_a_bucket_cannot_refer_to_other_buckets() {
     let secret = tempfile::NamedTempFile::new().unwrap();
     let local = secret.path().to_str().unwrap();
     let elsewhere = Server::start(|_| Reply::ok("x"));
@@ -392,7 +392,7 @@ fn a_set_in_a_bucket_reaches_nothing_else() {
         assert!(text.contains("leaves the tile set's bucket s3://b"), "{reference}: {text}");
         assert_eq!((server.count(), elsewhere.count()), (1, 0));
     }
-    // An absolute path is one in the bucket.
+    // An absolute path is a path in the bucket.
     let set = r#"{"asset":{"version":"1.1"},"geometricError":9,"root":{"refine":"ADD","geometricError":1,
         "boundingVolume":{"sphere":[0,0,0,9]},"content":{"uri":"/etc/passwd"}}}"#;
     let server = bucket(BTreeMap::from([("/b/tileset.json".to_owned(), set.as_bytes().to_vec())]));

@@ -1,4 +1,4 @@
-//! Encrypted connections: authorities of one's own, certificates that do not hold, HTTP/2 by agreement.
+//! Encrypted connections: private certificate authorities, invalid certificates, negotiation of HTTP/2.
 
 use std::collections::HashMap;
 use std::path::PathBuf;
@@ -19,7 +19,7 @@ fn runtime() -> tokio::runtime::Runtime {
     tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap()
 }
 
-/// An unknown certificate authority, and the file with its certificate.
+/// A new certificate authority, and the file with its certificate.
 struct Authority {
     issuer: Issuer<'static, KeyPair>,
     folder: tempfile::TempDir,
@@ -29,7 +29,7 @@ impl Authority {
     fn new() -> Self {
         let key = KeyPair::generate().unwrap();
         let mut params = CertificateParams::new(Vec::new()).unwrap();
-        // Each its own: of two with one name, it is the signature that does not hold.
+        // Each authority has a different name. With equal names, the signature would be the error.
         static COUNT: AtomicUsize = AtomicUsize::new(0);
         let name = format!("test authority {}", COUNT.fetch_add(1, Ordering::Relaxed));
         params.distinguished_name.push(rcgen::DnType::CommonName, name);
@@ -44,7 +44,7 @@ impl Authority {
         self.folder.path().join("ca.pem")
     }
 
-    /// A server whose certificate is for a name, changed as one likes.
+    /// A server with a certificate for a name, with optional changes.
     fn server(&self, name: &str, protocols: &[&str], change: impl FnOnce(&mut CertificateParams)) -> Server {
         let key = KeyPair::generate().unwrap();
         let mut params = CertificateParams::new(vec![name.to_owned()]).unwrap();
@@ -60,7 +60,7 @@ impl Authority {
     }
 }
 
-/// Answers with the file of that path, or with version and path.
+/// Answers with the file of the path, or with version and path.
 struct Server {
     url: String,
     connections: Arc<AtomicUsize>,
@@ -78,7 +78,7 @@ impl Server {
         let files = Arc::new(std::sync::Mutex::new(files));
         let (count, of) = (connections.clone(), files.clone());
         let acceptor = tokio_rustls::TlsAcceptor::from(Arc::new(config));
-        // Ends with the process.
+        // The thread ends with the process.
         std::thread::spawn(move || {
             runtime().block_on(async move {
                 let listener = tokio::net::TcpListener::from_std(listener).unwrap();
@@ -87,7 +87,7 @@ impl Server {
                     count.fetch_add(1, Ordering::Relaxed);
                     let (acceptor, files) = (acceptor.clone(), of.clone());
                     tokio::spawn(async move {
-                        // A client that does not trust it hangs up.
+                        // A client that does not trust the certificate closes the connection.
                         let Ok(stream) = acceptor.accept(stream).await else { return };
                         let answer = move |version: &str, path: &str| {
                             let file = files.lock().unwrap().get(path).cloned();
@@ -146,7 +146,7 @@ fn get(config: &HttpConfig, url: &str) -> Result<String, IoError> {
 }
 
 #[test]
-fn both_ends_agree_on_a_version() {
+fn version_of_http_is_negotiated() {
     let authority = Authority::new();
     for (protocols, version) in
         [(&["h2", "http/1.1"][..], "HTTP/2.0"), (&["http/1.1"], "HTTP/1.1"), (&[], "HTTP/1.1"), (&["h2"], "HTTP/2.0")]
@@ -162,7 +162,7 @@ fn many_requests_share_an_encrypted_connection() {
     let server = authority.server("127.0.0.1", &["h2", "http/1.1"], |_| {});
     let client = HttpClient::new(&trusting(&authority)).unwrap();
     runtime().block_on(async {
-        // Until an agreement stands each request may open one of its own.
+        // Until the version is negotiated, each request may open a connection.
         client.get(&format!("{}/first", server.url), &Limits::default()).await.unwrap();
         let mut tasks = tokio::task::JoinSet::new();
         for i in 0..50 {
@@ -177,12 +177,12 @@ fn many_requests_share_an_encrypted_connection() {
     assert_eq!(server.connections.load(Ordering::Relaxed), 1);
 }
 
-/// The error of a server that is not to be trusted; asked once.
+/// Returns the error of a server that must not be trusted. It is requested once.
 fn refused(config: &HttpConfig, server: &Server) -> String {
     let url = format!("{}/tile.glb?token=hidden", server.url);
     let error = get(config, &url).unwrap_err();
     assert!(matches!(&error, IoError::Tls { uri, .. } if *uri == url), "{error:?}");
-    assert!(!error.is_transient(), "asking again changes nothing");
+    assert!(!error.is_transient(), "a retry changes nothing");
     assert_eq!(server.connections.load(Ordering::Relaxed), 1, "{error}");
     let text = error.to_string();
     assert!(text.starts_with(&server.url) && !text.contains("hidden"), "{text}");
@@ -212,7 +212,7 @@ fn invalid_certificates_are_reported_once() {
 
 /// A redirect from https to http is refused: an open connection has no authenticated peer.
 #[test]
-fn nothing_leads_from_an_encrypted_connection_to_an_open_one() {
+fn redirects_from_https_to_http_are_refused() {
     let authority = Authority::new();
     let server = authority.server("127.0.0.1", &[], |_| {});
     let open = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
@@ -239,7 +239,7 @@ fn servers_without_tls_are_reported() {
 }
 
 #[test]
-fn a_flight_over_an_encrypted_connection() {
+fn flight_uses_an_encrypted_connection() {
     let folder = tempfile::tempdir().unwrap();
     write_quadtree(folder.path());
     let authority = Authority::new();
@@ -262,7 +262,7 @@ fn a_flight_over_an_encrypted_connection() {
     assert_eq!((run.stage.counters.tiles_drawn, stats.failed), (tiles, 0), "{:?}", run.pager.errors());
     assert_eq!(server.connections.load(Ordering::Relaxed), 1, "the root's connection is used for the tiles");
 
-    // A server that is trusted names one that is not: one error for each tile, and the rest is drawn.
+    // A trusted server refers to an untrusted one. Each such tile is one error, and the rest is drawn.
     let stranger = Authority::new().server("127.0.0.1", &[], |_| {});
     let set = String::from_utf8(std::fs::read(folder.path().join("tileset.json")).unwrap()).unwrap();
     let set = set.replacen("4_0_0.glb", &format!("{}/4_0_0.glb", stranger.url), 1);
@@ -275,7 +275,7 @@ fn a_flight_over_an_encrypted_connection() {
 }
 
 #[test]
-fn files_of_certificates_that_are_none() {
+fn invalid_certificate_files_are_errors() {
     let folder = tempfile::tempdir().unwrap();
     let file = |name: &str, text: &str| {
         std::fs::write(folder.path().join(name), text).unwrap();

@@ -1,4 +1,5 @@
-//! The event queue: accumulated state, orientations, double clicks, focus, touch, events of other threads. No GPU.
+//! The event queue: accumulated state, orientations, double clicks, focus, touch, and events from other threads. No
+//! GPU.
 
 use std::sync::Arc;
 
@@ -19,7 +20,7 @@ fn kinds(queue: &mut EventQueue) -> Vec<String> {
 }
 
 #[test]
-fn a_key_event_knows_where_the_pointer_is() {
+fn key_event_contains_the_position_of_the_pointer() {
     let mut queue = EventQueue::default();
     queue.window_resize([200, 100], 0.0);
     queue.mouse_motion(DVec2::new(150.0, 25.0), 0.1);
@@ -31,17 +32,17 @@ fn a_key_event_knows_where_the_pointer_is() {
     assert_eq!((key.mask(), key.time_s), (EventMask::KEY_DOWN, 0.3));
     assert_eq!(key.state.position, DVec2::new(150.0, 25.0));
     assert!(key.state.buttons.contains(MouseButton::Right) && !key.state.buttons.contains(MouseButton::Left));
-    assert_eq!(key.key_pressed(), None, "with a button held keys are the manipulator's");
+    assert_eq!(key.key_pressed(), None, "while a button is held, keys belong to the manipulator");
     let mut free = key.clone();
     free.state.buttons = terrane::viewer::ButtonMask::default();
     assert_eq!(free.key_pressed(), Some(Key::Char('S')));
-    assert!(events[1].state.buttons.is_empty(), "an event has the state of its own moment");
+    assert!(events[1].state.buttons.is_empty(), "an event has the state of its time");
     assert_eq!(events.last().unwrap().mask(), EventMask::FRAME);
     assert_eq!(taken(&mut queue).len(), 1, "events are taken once");
 }
 
 #[test]
-fn both_orientations_name_the_same_place() {
+fn both_orientations_give_the_same_position() {
     let mut queue = EventQueue::default();
     queue.window_resize([200, 100], 0.0);
     queue.mouse_motion(DVec2::new(150.0, 25.0), 0.0);
@@ -55,7 +56,7 @@ fn both_orientations_name_the_same_place() {
 }
 
 #[test]
-fn a_range_that_is_kept_clamps_the_pointer() {
+fn given_range_clamps_the_pointer() {
     let mut queue = EventQueue::default();
     queue.set_input_range(DVec2::new(-1.0, -1.0), DVec2::new(1.0, 1.0));
     queue.mouse_motion(DVec2::new(5.0, -7.0), 0.0);
@@ -78,7 +79,7 @@ fn motion_with_a_button_down_is_a_drag() {
 }
 
 #[test]
-fn a_double_click_is_quick_near_and_of_one_button() {
+fn double_click_is_quick_near_and_with_one_button() {
     let click = |queue: &mut EventQueue, button, time_s| {
         queue.mouse_button_press(button, time_s);
         queue.mouse_button_release(button, time_s);
@@ -97,7 +98,7 @@ fn a_double_click_is_quick_near_and_of_one_button() {
         click(&mut queue, second, at_s);
         let count = |queue: &mut EventQueue, mask| taken(queue).iter().filter(|e| e.mask() == mask).count();
         assert_eq!(count(&mut queue, EventMask::DOUBLE_CLICK), usize::from(doubled), "{second:?} {place} {at_s}");
-        // A third click begins anew.
+        // A third click starts a new sequence.
         click(&mut queue, second, at_s + 0.1);
         assert_eq!(count(&mut queue, EventMask::DOUBLE_CLICK), usize::from(!doubled));
     }
@@ -120,7 +121,7 @@ fn pressed_keys_are_released_when_focus_is_lost() {
     assert_eq!(kinds(&mut queue), expected);
 }
 
-/// Plays touches; the events but those of fingers, as text, and the queue.
+/// Plays touches. Returns all events except those of fingers as text, and the queue.
 fn touched(acts: &[(u64, TouchPhase, f64, f64)]) -> (Vec<String>, EventQueue) {
     let mut queue = EventQueue::default();
     queue.window_resize([1000, 1000], 0.0);
@@ -134,7 +135,7 @@ fn touched(acts: &[(u64, TouchPhase, f64, f64)]) -> (Vec<String>, EventQueue) {
 }
 
 #[test]
-fn a_single_finger_is_the_pointer() {
+fn single_finger_is_the_pointer() {
     use TouchPhase::{Began, Cancelled, Ended, Moved};
     const NAN: f64 = f64::NAN;
     type Case = (&'static str, &'static [(u64, TouchPhase, f64, f64)], &'static [&'static str]);
@@ -150,12 +151,12 @@ fn a_single_finger_is_the_pointer() {
             &["Push(Left)@1", "Release(Left)@1", "DoubleClick(Left)@21", "Release(Left)@21"],
         ),
         (
-            "a second one ends the drag, and its own moves are a gesture",
+            "a second finger ends the drag, and its moves are a gesture",
             &[(7, Began, 1.0, 0.0), (8, Began, 50.0, 0.1), (7, Moved, 9.0, 0.2), (8, Moved, 90.0, 0.2)],
             &["Push(Left)@1", "Release(Left)@1"],
         ),
         (
-            "lifted one after the other they do not click",
+            "fingers that are lifted one after the other do not click",
             &[
                 (7, Began, 1.0, 0.0),
                 (8, Began, 50.0, 0.1),
@@ -167,7 +168,7 @@ fn a_single_finger_is_the_pointer() {
             &["Push(Left)@1", "Release(Left)@1", "Push(Left)@1"],
         ),
         (
-            "the last one drags once it moves on, from where it is",
+            "the last finger drags from its position once it moves",
             &[
                 (7, Began, 1.0, 0.0),
                 (8, Began, 50.0, 0.1),
@@ -179,22 +180,22 @@ fn a_single_finger_is_the_pointer() {
             &["Push(Left)@1", "Release(Left)@1", "Push(Left)@70", "Drag@80", "Release(Left)@80"],
         ),
         (
-            "taken away it comes up where it was",
+            "a cancelled finger is released at its last position",
             &[(7, Began, 1.0, 0.0), (7, Moved, 5.0, 0.1), (7, Cancelled, 300.0, 0.2), (8, Began, 5.0, 0.3)],
             &["Push(Left)@1", "Drag@5", "Release(Left)@5", "Push(Left)@5"],
         ),
         (
-            "nowhere it still comes up",
+            "a finger without a position is still released",
             &[(7, Began, 1.0, 0.0), (7, Moved, NAN, 0.1), (7, Ended, NAN, 0.2)],
             &["Push(Left)@1", "Release(Left)@1"],
         ),
         (
-            "strangers are nobody",
+            "unknown fingers are ignored",
             &[(7, Moved, 1.0, 0.0), (7, Ended, 1.0, 0.1), (8, Began, NAN, 0.2), (8, Moved, 2.0, 0.3)],
             &[],
         ),
         (
-            "one that comes again was lost",
+            "a finger that is pressed twice replaces the first",
             &[(7, Began, 1.0, 0.0), (7, Began, 9.0, 0.1), (7, Ended, 9.0, 0.2)],
             &["Push(Left)@1", "Release(Left)@1", "Push(Left)@9", "Release(Left)@9"],
         ),
@@ -208,7 +209,7 @@ fn a_single_finger_is_the_pointer() {
 }
 
 #[test]
-fn fingers_are_counted_and_bounded() {
+fn number_of_fingers_is_limited() {
     let mut queue = EventQueue::default();
     queue.window_resize([1000, 1000], 0.0);
     (0..100u32).for_each(|id| queue.touch(id.into(), TouchPhase::Began, DVec2::splat(f64::from(id)), 0.0));
@@ -218,7 +219,7 @@ fn fingers_are_counted_and_bounded() {
     }
     let events = taken(&mut queue);
     assert!(events.len() < 1200, "{} events wait", events.len());
-    // The last event of each finger replaces earlier ones.
+    // The last event of each finger replaces its earlier ones.
     for id in 0..32u32 {
         let last = events.iter().rev().find_map(|e| match e.kind {
             EventKind::Touch { id: finger, position_px, .. } if finger == u64::from(id) => Some(position_px.x),
@@ -235,13 +236,13 @@ fn fingers_are_counted_and_bounded() {
 }
 
 #[test]
-fn other_threads_send_events_of_their_own() {
+fn other_threads_can_send_events() {
     let mut queue = EventQueue::default();
     let sender = queue.user_events();
     std::thread::spawn(move || sender.send(Arc::new(42u32)).unwrap()).join().unwrap();
     let events = taken(&mut queue);
     assert_eq!((events[0].user::<u32>(), events[0].user::<String>()), (Some(&42), None));
-    // A viewer that draws no frames does not fill memory.
+    // A viewer that draws no frames must not fill memory.
     let sender = queue.user_events();
     assert_eq!((0..5000).filter(|n| sender.send(Arc::new(*n)).is_ok()).count(), 1024);
     for step in 0..100_000 {
@@ -252,7 +253,7 @@ fn other_threads_send_events_of_their_own() {
 
 proptest! {
     #[test]
-    fn no_input_poisons_the_state(
+    fn no_input_corrupts_the_state(
         raw in prop::collection::vec((0u8..8, prop::num::f64::ANY, prop::num::f64::ANY), 0..50),
         size in prop::array::uniform2(0u32..3),
     ) {

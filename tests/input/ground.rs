@@ -1,4 +1,4 @@
-//! Manipulators over ground that was loaded: the terrain manipulator above it, who walks on it. No GPU.
+//! Manipulators over loaded ground: the terrain manipulator stays above it, and walking follows it. No GPU.
 
 use glam::{DVec2, DVec3};
 use terrane::gpu::AdapterChoice;
@@ -36,7 +36,7 @@ fn frames(viewer: &mut Viewer, count: u32) {
 }
 
 #[test]
-fn the_ground_of_the_scene_is_that_of_the_height_query() {
+fn ground_of_the_scene_equals_the_height_query() {
     let folder = tempfile::tempdir().unwrap();
     let viewer = viewer(folder.path());
     let bounds = *viewer.bounds().unwrap();
@@ -70,7 +70,7 @@ fn manipulators_stay_above_the_loaded_ground() {
     viewer.set_manipulator(Some(Box::new(TerrainManipulator::default())));
     viewer.actions().home();
     frames(&mut viewer, 2);
-    // Down to the ground, and along it.
+    // The camera moves down to the ground, and along it.
     for _ in 0..60 {
         viewer.view_mut().event_queue().mouse_scroll(DVec2::new(0.0, 1.0), 0.0);
     }

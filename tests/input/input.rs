@@ -1,5 +1,5 @@
-//! The viewer's event phase: handlers, masks, quit keys, callbacks of nodes, and what the usual handlers do. Images
-//! need a GPU; a software adapter suffices.
+//! The viewer's event phase: handlers, masks, quit keys, callbacks of nodes, and the usual handlers. Images need a GPU;
+//! a software adapter suffices.
 
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -26,7 +26,7 @@ fn viewer(adapter: AdapterChoice) -> Option<Viewer> {
     offscreen(&config)
 }
 
-/// A square of 2 m in the x, z plane around the origin, facing -y.
+/// Returns a square of 2 m in the x, z plane around the origin that faces -y.
 fn add_square(viewer: &mut Viewer) -> PageId {
     let mesh = Mesh::rectangle(DVec3::new(-1.0, 0.0, -1.0), 2.0 * DVec3::X, 2.0 * DVec3::Z);
     let material = Material { base_color: [0.1, 0.8, 0.2, 1.0], unlit: true, ..Material::default() };
@@ -46,7 +46,7 @@ fn press(viewer: &mut Viewer, key: Key) {
     viewer.frame().unwrap();
 }
 
-/// Notes the kinds of what it gets.
+/// A handler that records the kinds of its events.
 struct Notes {
     log: Rc<RefCell<Vec<String>>>,
     name: &'static str,
@@ -73,7 +73,7 @@ impl GuiEventHandler for Notes {
 }
 
 #[test]
-fn handlers_are_asked_in_order_by_their_masks() {
+fn handlers_are_called_in_order_by_their_masks() {
     let Some(mut viewer) = viewer(AdapterChoice::Noop) else { return };
     let log = Rc::new(RefCell::new(Vec::new()));
     let notes = |name, mask, ignores, answers| Notes { log: log.clone(), name, mask, ignores, answers };
@@ -99,7 +99,7 @@ fn handlers_are_asked_in_order_by_their_masks() {
     assert_eq!(*log.borrow(), expected);
 }
 
-/// Adds another handler once, and clears all on a key.
+/// A handler that adds another handler once, and removes all on a key.
 struct Changes(Rc<RefCell<Vec<String>>>, bool);
 
 impl GuiEventHandler for Changes {
@@ -116,7 +116,7 @@ impl GuiEventHandler for Changes {
 }
 
 #[test]
-fn a_handler_may_change_the_list_it_is_in() {
+fn handler_may_change_the_list_of_handlers() {
     let Some(mut viewer) = viewer(AdapterChoice::Noop) else { return };
     let log = Rc::new(RefCell::new(Vec::new()));
     viewer.view_mut().add_event_handler(Changes(log.clone(), false));
@@ -132,7 +132,7 @@ fn a_handler_may_change_the_list_it_is_in() {
 }
 
 #[test]
-fn quit_keys_closing_and_asking_end_the_loop() {
+fn quit_keys_closing_and_requests_end_the_loop() {
     let Some(mut viewer) = viewer(AdapterChoice::Noop) else { return };
     press(&mut viewer, Key::Char('q'));
     assert!(!viewer.view().is_done());
@@ -152,7 +152,7 @@ fn quit_keys_closing_and_asking_end_the_loop() {
     viewer.view_mut().event_queue().close_window(0.0);
     viewer.frame().unwrap();
     assert!(viewer.view().is_done());
-    // A handler that takes the close event keeps the window open ("save first?").
+    // A handler that consumes the close event keeps the window open ("save first?").
     viewer.view_mut().set_done(false);
     let log = Rc::default();
     let (mask, ignores) = (EventMask::CLOSE_WINDOW, EventMask::ALL);
@@ -163,7 +163,7 @@ fn quit_keys_closing_and_asking_end_the_loop() {
 }
 
 #[test]
-fn nodes_get_each_event_once_and_each_frame_once() {
+fn nodes_receive_each_event_and_each_frame_once() {
     let Some(mut viewer) = viewer(AdapterChoice::Noop) else { return };
     let (frames, events) = (Arc::new(AtomicU32::new(0)), Arc::new(Mutex::new(Vec::new())));
     let mut node = Node::group(vec![Node::group(Vec::new()); 1000]);
@@ -188,7 +188,7 @@ fn nodes_get_each_event_once_and_each_frame_once() {
 }
 
 #[test]
-fn the_camera_follows_what_the_update_has_moved() {
+fn camera_follows_a_node_that_update_has_moved() {
     use terrane::viewer::manipulators::{NodeTrackerManipulator, TrackerMode};
     let Some(mut viewer) = viewer(AdapterChoice::Noop) else { return };
     let root = add_square(&mut viewer);
@@ -203,17 +203,17 @@ fn the_camera_follows_what_the_update_has_moved() {
     for frame in 1..4 {
         viewer.frame().unwrap();
         let to = DVec3::X * 100.0 * f64::from(frame) - viewer.view().camera.eye();
-        assert!(to.normalize().dot(viewer.view().camera.direction()) > 1.0 - 1e-9, "a frame late");
+        assert!(to.normalize().dot(viewer.view().camera.direction()) > 1.0 - 1e-9, "one frame late");
     }
 }
 
 #[test]
-fn space_goes_home_and_the_pointer_is_a_ray() {
+fn space_returns_home_and_the_pointer_is_a_ray() {
     let Some(mut viewer) = viewer(AdapterChoice::Noop) else { return };
     add_square(&mut viewer);
     viewer.set_manipulator(Some(Box::new(OrbitManipulator::default())));
     viewer.frame().unwrap();
-    assert!(viewer.view().camera.eye().distance(DVec3::new(0.0, -5.0, 0.0)) < 1e-9, "it starts where the camera is");
+    assert!(viewer.view().camera.eye().distance(DVec3::new(0.0, -5.0, 0.0)) < 1e-9, "it starts at the camera");
     press(&mut viewer, Key::SPACE);
     let home = viewer.manipulator_view().home_pose();
     assert!(viewer.view().camera.eye().distance(home.translation) < 1e-9);
@@ -241,14 +241,14 @@ fn space_goes_home_and_the_pointer_is_a_ray() {
 }
 
 #[test]
-fn the_usual_handlers_answer_their_keys_and_say_so() {
+fn usual_handlers_react_to_their_keys_and_show_messages() {
     let Some(mut viewer) = viewer(AdapterChoice::Noop) else { return };
     add_square(&mut viewer);
     let folder = tempfile::tempdir().unwrap();
     viewer.set_manipulator(Some(Box::new(usual(None))));
     handlers::add_usual(viewer.view_mut(), folder.path(), StatsPage::None);
     viewer.composite_mut().set_threading_model(ThreadingModel::SingleThreaded).unwrap();
-    // One key does one thing.
+    // A key has one effect.
     let usage = viewer.view().usage();
     let mut keys: Vec<&str> = usage.iter().flat_map(|line| line.keys.split(", ")).filter(|k| k.len() == 1).collect();
     keys.sort_unstable();
@@ -287,15 +287,15 @@ fn the_usual_handlers_answer_their_keys_and_say_so() {
         press(&mut viewer, Key::Char(key));
         assert!(viewer.view().shows_overlay());
     }
-    // With a button held the keys are the manipulator's.
+    // While a button is held, keys belong to the manipulator.
     viewer.view_mut().event_queue().mouse_button_press(MouseButton::Right, 0.0);
     press(&mut viewer, Key::Char('w'));
     assert!(viewer.view().state_set().is_none());
 }
 
-/// It was gone with the first key.
+/// Regression: the application's state set was lost with the first key.
 #[test]
-fn key_switches_overlay_the_applications_state_set_and_restore_it() {
+fn key_switches_overlay_and_restore_the_applications_state_set() {
     let Some(mut viewer) = viewer(AdapterChoice::Noop) else { return };
     add_square(&mut viewer);
     viewer.view_mut().add_event_handler(StateSetManipulator::default());
@@ -311,7 +311,7 @@ fn key_switches_overlay_the_applications_state_set_and_restore_it() {
     assert_eq!(**viewer.view().state_set().unwrap(), expected);
     press(&mut viewer, Key::Char('b'));
     assert_eq!(**viewer.view().state_set().unwrap(), expected.with_mode(Mode::CullFace, off));
-    // Another one, while something is switched: it is that which counts from the next key on.
+    // The application sets another state set while a switch is on. From the next key on, that one is the base.
     viewer.view_mut().set_state_set(Some(second.clone()));
     press(&mut viewer, Key::Char('l'));
     assert_eq!(**viewer.view().state_set().unwrap(), (*second).clone().with_mode(Mode::CullFace, off));
@@ -327,14 +327,18 @@ fn key_switches_overlay_the_applications_state_set_and_restore_it() {
 }
 
 #[test]
-fn a_path_is_recorded_written_and_played_back() {
+fn path_is_recorded_written_and_played_back() {
     let Some(mut viewer) = viewer(AdapterChoice::Noop) else { return };
     add_square(&mut viewer);
     let folder = tempfile::tempdir().unwrap();
     viewer.view_mut().add_event_handler(handlers::RecordCameraPathHandler::new(folder.path().join("a.path")));
     viewer.set_manipulator(Some(Box::new(OrbitManipulator::default())));
     press(&mut viewer, Key::Char('Z'));
-    assert!(viewer.view().notice().unwrap().contains("a.path"), "there is none yet: {:?}", viewer.view().notice());
+    assert!(
+        viewer.view().notice().unwrap().contains("a.path"),
+        "nothing is recorded yet: {:?}",
+        viewer.view().notice()
+    );
     press(&mut viewer, Key::Char('z'));
     let places: Vec<DAffine3> = (0..5)
         .map(|i| {
@@ -347,14 +351,14 @@ fn a_path_is_recorded_written_and_played_back() {
         .collect();
     press(&mut viewer, Key::Char('z'));
     let path = AnimationPath::read(&folder.path().join("a.path")).unwrap();
-    // Each frame sees the camera of the frame before.
+    // Each frame sees the camera of the previous frame.
     assert!(path.points().len() >= 5);
     assert!(places.iter().all(|p| path.points().iter().any(|c| c.position.distance(p.translation) < 1e-9)));
 
     press(&mut viewer, Key::Char('Z'));
     let during = viewer.view().camera.eye();
     assert!(during.distance(path.points()[0].position) < 2.0, "{during}");
-    // A pause is no part of it.
+    // A pause is not part of the path.
     let longer = std::time::Duration::from_secs_f64(path.duration_s() + 0.05);
     press(&mut viewer, Key::Char('p'));
     std::thread::sleep(longer);
@@ -366,7 +370,7 @@ fn a_path_is_recorded_written_and_played_back() {
     viewer.frame().unwrap();
     viewer.frame().unwrap();
     assert!(viewer.view().notice().unwrap().contains("end of the path"));
-    // The orbit is back, and continues from there.
+    // The orbit manipulator continues from the pose of the path.
     viewer.view_mut().event_queue().mouse_scroll(DVec2::new(0.0, -3.0), 0.0);
     viewer.frame().unwrap();
     std::thread::sleep(std::time::Duration::from_millis(300));
@@ -375,7 +379,7 @@ fn a_path_is_recorded_written_and_played_back() {
 }
 
 #[test]
-fn drawing_on_demand_rests_when_nothing_happens() {
+fn on_demand_drawing_stops_when_nothing_changes() {
     let Some(mut viewer) = viewer(AdapterChoice::Noop) else { return };
     add_square(&mut viewer);
     viewer.set_manipulator(Some(Box::new(OrbitManipulator::default())));
@@ -387,7 +391,7 @@ fn drawing_on_demand_rests_when_nothing_happens() {
     viewer.view_mut().event_queue().mouse_scroll(DVec2::new(0.0, 2.0), 0.0);
     assert!(viewer.check_need_to_do_frame());
     viewer.frame().unwrap();
-    assert!(viewer.check_need_to_do_frame(), "the zoom eases");
+    assert!(viewer.check_need_to_do_frame(), "the zoom is animated");
     while viewer.check_need_to_do_frame() {
         std::thread::sleep(std::time::Duration::from_millis(20));
         viewer.frame().unwrap();
@@ -401,7 +405,7 @@ fn drawing_on_demand_rests_when_nothing_happens() {
 }
 
 #[test]
-fn toggles_change_the_picture_and_overlays_lie_over_it() {
+fn toggles_change_the_image_and_overlays_cover_it() {
     let Some(mut viewer) = viewer(AdapterChoice::Software) else { return };
     add_square(&mut viewer);
     let folder = tempfile::tempdir().unwrap();
@@ -414,14 +418,14 @@ fn toggles_change_the_picture_and_overlays_lie_over_it() {
     let full = coverage(&filled, KEY_COLOR);
     assert!(full > 0.05);
     press(&mut viewer, Key::Char('w'));
-    // The notice goes after a while; meanwhile it covers the lower edge.
+    // The message disappears after a while. Until then it covers the lower edge.
     let (notice_from, height) = (160, 240);
     let upper = |picture: &image::RgbaImage| image::imageops::crop_imm(picture, 0, 0, 320, notice_from).to_image();
     let lines = settle(&mut viewer);
     let upper_lines = coverage(&upper(&lines), KEY_COLOR);
     assert!(upper_lines > 0.001 && upper_lines < 0.3 * coverage(&upper(&filled), KEY_COLOR), "{upper_lines}");
     let lower = image::imageops::crop_imm(&lines, 0, notice_from, 320, height - notice_from).to_image();
-    assert!(coverage(&lower, KEY_COLOR) > 0.02, "the notice is seen");
+    assert!(coverage(&lower, KEY_COLOR) > 0.02, "the message is visible");
     press(&mut viewer, Key::Char('w'));
     press(&mut viewer, Key::Char('w'));
     assert!(upper(&settle(&mut viewer)) == upper(&filled), "as before");
@@ -447,7 +451,7 @@ fn toggles_change_the_picture_and_overlays_lie_over_it() {
 }
 
 #[test]
-fn each_view_of_a_composite_viewer_has_its_own_input() {
+fn each_view_of_a_composite_viewer_has_separate_input() {
     let config = ViewerConfig {
         size_px: [320, 240],
         adapter: AdapterChoice::Noop,
@@ -475,7 +479,7 @@ fn each_view_of_a_composite_viewer_has_its_own_input() {
     let eye = |composite: &CompositeViewer, id| composite.views().find(|(v, _)| *v == id).unwrap().1.camera.eye();
     let (left_eye, right_eye) = (eye(&composite, left), eye(&composite, right));
 
-    // The wheel turns over the right one.
+    // The wheel turns while the pointer is over the right view.
     assert_eq!(composite.view_at(context, DVec2::new(10.0, 10.0)).unwrap().0, left);
     let (view, at) = composite.view_at(context, DVec2::new(200.0, 10.0)).unwrap();
     assert_eq!((view, at), (right, DVec2::new(40.0, 10.0)));
@@ -489,7 +493,7 @@ fn each_view_of_a_composite_viewer_has_its_own_input() {
     }
     assert_eq!(eye(&composite, left), left_eye);
     assert!(eye(&composite, right).distance(right_eye) > 0.1);
-    assert_eq!(counted.load(Ordering::Relaxed), 6, "once a frame, however many views there are");
+    assert_eq!(counted.load(Ordering::Relaxed), 6, "once per frame, with any number of views");
 
     let queue = composite.view_mut(left).unwrap().event_queue();
     queue.key_press(Key::Escape, Key::Escape, 0.0);

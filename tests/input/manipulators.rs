@@ -1,4 +1,4 @@
-//! Manipulators: where they put the eye, that frame rates do not matter, that nothing senseless comes out. No GPU.
+//! Manipulators: their poses, independence of the frame rate, and finite results. No GPU.
 
 use crate::world::{Act, SIZE_PX, World, all, home, play};
 use glam::{DAffine3, DVec2, DVec3};
@@ -14,7 +14,7 @@ use terrane::viewer::{
     SetBounds,
 };
 
-/// A drag that ends in a throw, a turn of the wheel, keys held for a while.
+/// A drag that ends in a throw, a turn of the wheel, and keys that are held for a while.
 fn a_little_of_everything() -> Vec<(f64, Act)> {
     let mut acts = vec![(0.1, Act::Move(600.0, 400.0)), (0.1, Act::Press(MouseButton::Left))];
     acts.extend((1..=10).map(|i| (0.1, Act::Move(600.0 + 8.0 * f64::from(i), 400.0 - 2.0 * f64::from(i)))));
@@ -28,7 +28,7 @@ fn a_little_of_everything() -> Vec<(f64, Act)> {
 }
 
 #[test]
-fn the_frame_rate_does_not_matter() {
+fn motion_does_not_depend_on_the_frame_rate() {
     for world in [World::plane(), World::alps(), World::globe()] {
         for number in 0..all().len() {
             let run = |rate: u32| {
@@ -49,7 +49,7 @@ fn the_frame_rate_does_not_matter() {
 }
 
 #[test]
-fn home_shows_the_bounds_and_fills_the_picture_with_them() {
+fn home_pose_fills_the_view_with_the_bounds() {
     let narrow = Camera { field_of_view: FieldOfView::Vertical(0.4), ..Camera::default() };
     for camera in [Camera::default(), narrow] {
         for world in [World::plane(), World::alps()] {
@@ -74,7 +74,7 @@ fn home_shows_the_bounds_and_fills_the_picture_with_them() {
 }
 
 #[test]
-fn a_pose_survives_being_handed_over() {
+fn pose_is_kept_when_manipulators_change() {
     for (no_ground, world) in
         [(true, World::plane()), (true, World { ground: None, ..World::alps() }), (false, World::alps())]
     {
@@ -82,14 +82,14 @@ fn a_pose_survives_being_handed_over() {
         let eye = frame.world_from_local.transform_point3(DVec3::new(-300.0, 200.0, 3000.0));
         let up = world.view().frame_at(eye).up();
         let pose = terrane::viewer::world_from_eye(eye, frame.direction(1.2, -0.7), up);
-        // A manipulator that stands on the ground goes there.
+        // A manipulator that stands on the ground moves there.
         let keeps = |name: &str| name != "path" && (no_ground || !matches!(name, "first person" | "drive"));
         for (name, mut manipulator) in all().into_iter().filter(|(name, _)| keeps(name)) {
             manipulator.set_pose(&pose, &world.view());
             let back = manipulator.advance(0.0, &world.view());
             assert!(back.translation.distance(eye) < 1e-6, "{name}: {}", back.translation.distance(eye));
             assert!(back.matrix3.z_axis.distance(pose.matrix3.z_axis) < 1e-9, "{name}");
-            // At rest it stays there.
+            // Once at rest, it stays there.
             let later = play(manipulator.as_mut(), &world, &[], 1.0, 30);
             assert!(later.translation.distance(eye) < 1e-6 * 3000.0, "{name}");
         }
@@ -97,7 +97,7 @@ fn a_pose_survives_being_handed_over() {
 }
 
 #[test]
-fn an_orbit_keeps_its_distance_and_the_vertical() {
+fn orbit_keeps_its_distance_and_the_vertical() {
     for world in [World::plane(), World::globe()] {
         let mut orbit = OrbitManipulator::default();
         home(&mut orbit, &world);
@@ -115,8 +115,8 @@ fn an_orbit_keeps_its_distance_and_the_vertical() {
 }
 
 #[test]
-fn a_drag_keeps_the_ground_under_the_pointer() {
-    // Pan by a tenth of the image: the point in the middle is a tenth further on.
+fn drag_keeps_the_ground_below_the_pointer() {
+    // Pan by a tenth of the image: the point in the middle moves by a tenth.
     let world = World::plane();
     for (name, mut manipulator) in all().into_iter().take(2) {
         home(&mut *manipulator, &world);
@@ -128,7 +128,7 @@ fn a_drag_keeps_the_ground_under_the_pointer() {
         let at = terrane::viewer::WindowMatrix::new(&camera, SIZE_PX).window_from_world(center).unwrap();
         assert!(at.truncate().distance(DVec2::new(712.0, 432.0)) < 0.01, "{name}: {at}");
     }
-    // Turn: the near side goes where the pointer goes.
+    // Rotate: the near side moves with the pointer.
     for (name, mut manipulator) in all().into_iter().take(3) {
         let start = home(&mut *manipulator, &world);
         let near = start.translation.lerp(world.bounds.sphere.center, 0.7);
@@ -141,7 +141,7 @@ fn a_drag_keeps_the_ground_under_the_pointer() {
 }
 
 #[test]
-fn a_throw_continues_and_stops() {
+fn throw_continues_and_stops() {
     let world = World::plane();
     for (name, mut manipulator) in all().into_iter().take(3) {
         home(&mut *manipulator, &world);
@@ -150,16 +150,16 @@ fn a_throw_continues_and_stops() {
         acts.push((0.13, Act::Release(MouseButton::Left)));
         let thrown = play(&mut *manipulator, &world, &acts, 0.2, 60);
         let on = play(&mut *manipulator, &world, &[], 0.2, 60);
-        assert!(on.translation.distance(thrown.translation) > 10.0, "{name} stops at once");
+        assert!(on.translation.distance(thrown.translation) > 10.0, "{name} stops immediately");
         let rest = play(&mut *manipulator, &world, &[], 6.0, 60);
         let later = play(&mut *manipulator, &world, &[], 1.0, 60);
-        assert_eq!(rest, later, "{name} goes on for ever");
+        assert_eq!(rest, later, "{name} never stops");
         assert!(!manipulator.is_moving(), "{name}");
     }
 }
 
 #[test]
-fn from_a_metre_to_forty_thousand_kilometres() {
+fn manipulators_work_from_a_metre_to_forty_thousand_kilometres() {
     let mut world = World::globe();
     world.bounds = SetBounds::from_sphere(BoundingSphere::new(DVec3::new(4.2e6, 1.0e6, 4.6e6), 100.0));
     for name in ["orbit", "terrain", "trackball"] {
@@ -171,7 +171,7 @@ fn from_a_metre_to_forty_thousand_kilometres() {
             world.bounds.sphere.radius_m = 100.0;
             let pose = terrane::viewer::world_from_eye(target - direction * distance_m, direction, up);
             manipulator.set_pose(&pose, &world.view());
-            // A small turn moves the eye by its angle times the distance, exactly enough at both ends.
+            // A small rotation moves the eye by its angle times the distance, with enough precision at both ends.
             let acts =
                 [(0.0, Act::Move(640.0, 360.0)), (0.0, Act::Press(MouseButton::Left)), (0.0, Act::Move(641.0, 360.0))];
             let turned = play(manipulator.as_mut(), &world, &acts, 0.1, 10);
@@ -181,7 +181,7 @@ fn from_a_metre_to_forty_thousand_kilometres() {
             assert!((1e-4..0.02).contains(&moved), "{name} at {distance_m} m: {moved}");
             play(manipulator.as_mut(), &world, &[(0.0, Act::Release(MouseButton::Left))], 0.1, 10);
         }
-        // The wheel goes all the way, and not beyond sense.
+        // The wheel zooms over the whole range, and stops at its limits.
         manipulator
             .set_pose(&terrane::viewer::world_from_eye(target + DVec3::X, DVec3::NEG_X, DVec3::Z), &world.view());
         let acts: Vec<_> = (0..500).map(|i| (0.01 * f64::from(i), Act::Scroll(-1.0))).collect();
@@ -194,11 +194,11 @@ fn from_a_metre_to_forty_thousand_kilometres() {
 }
 
 #[test]
-fn terrain_stays_above_the_ground() {
+fn terrain_manipulator_stays_above_the_ground() {
     let world = World::alps();
     let mut manipulator = TerrainManipulator::default();
     home(&mut manipulator, &world);
-    // Down to the ground, flat, then over the hills for a long way.
+    // The camera moves down to the ground, looks level, and then moves far over the hills.
     let mut acts: Vec<_> = (0..40).map(|i| (0.02 * f64::from(i), Act::Scroll(1.0))).collect();
     acts.push((1.0, Act::Move(600.0, 100.0)));
     acts.push((1.0, Act::Press(MouseButton::Left)));
@@ -234,7 +234,7 @@ fn walking_and_driving_follow_the_ground() {
     let mut walker = FirstPersonManipulator::default();
     walker.set_pose(&pose, &world.view());
     let stood = play(&mut walker, &world, &[], 2.0, 60);
-    assert!((world.height_m(stood.translation) - 1.7).abs() < 1e-3, "falls onto its feet");
+    assert!((world.height_m(stood.translation) - 1.7).abs() < 1e-3, "it falls to the ground");
     let walked = play(&mut walker, &world, &[(0.0, Act::Down(Key::Up))], 5.0, 60);
     assert!((world.height_m(walked.translation) - 1.7).abs() < 1.0, "{}", world.height_m(walked.translation));
     let way_m = walked.translation.distance(stood.translation);
@@ -253,7 +253,7 @@ fn walking_and_driving_follow_the_ground() {
 }
 
 #[test]
-fn a_key_pressed_and_released_within_a_frame_moves_for_that_frame() {
+fn key_tapped_within_a_frame_moves_for_that_frame() {
     let world = World::alps();
     let start = world.bounds.frame.world_from_local.transform_point3(DVec3::new(0.0, 0.0, 1000.0));
     let pose = terrane::viewer::world_from_eye(start, world.bounds.frame.direction(0.4, 0.0), world.bounds.frame.up());
@@ -267,14 +267,14 @@ fn a_key_pressed_and_released_within_a_frame_moves_for_that_frame() {
         let stood = play(&mut *mover, &world, &[], 4.0, 5);
         let tap = [(0.05, Act::Down(Key::Up)), (0.08, Act::Up(Key::Up))];
         let tapped = play(&mut *mover, &world, &tap, 20.0, 5);
-        assert!(tapped.translation.distance(stood.translation) > 0.05, "{name} loses the tap");
+        assert!(tapped.translation.distance(stood.translation) > 0.05, "{name} ignores the tap");
         let rest = play(&mut *mover, &world, &[], 1.0, 5);
         assert!(rest.translation.distance(tapped.translation) < 1e-3, "{name} goes on");
     }
 }
 
 #[test]
-fn letters_move_while_a_button_is_held_and_are_free_otherwise() {
+fn letters_move_only_while_a_button_is_held() {
     let world = World::plane();
     let mut fly = FlyManipulator::default();
     let start = home(&mut fly, &world);
@@ -288,7 +288,7 @@ fn letters_move_while_a_button_is_held_and_are_free_otherwise() {
 }
 
 #[test]
-fn a_tracker_stays_with_its_node() {
+fn node_tracker_follows_its_node() {
     let mut world = World::plane();
     let child = Node::geode(vec![terrane::scene::Drawable::new(
         terrane::scene::Mesh::rectangle(DVec3::ZERO, DVec3::X, DVec3::Y).into(),
@@ -316,7 +316,7 @@ fn a_tracker_stays_with_its_node() {
             assert!(followed.matrix3.x_axis.z.abs() < 1e-12, "{mode:?}: the horizon is level");
         }
     }
-    // A node that is gone: where it was.
+    // A removed node keeps its last position.
     let mut tracker = NodeTrackerManipulator::new(node, TrackerMode::NodeCenter);
     let before = home(&mut tracker, &world);
     world.scene.remove_root(node.page).unwrap();
@@ -324,7 +324,7 @@ fn a_tracker_stays_with_its_node() {
 }
 
 #[test]
-fn a_path_is_played_paused_and_sped_up() {
+fn path_is_played_paused_and_sped_up() {
     let world = World::plane();
     let point = |t: f64| ControlPoint::from_pose(t, &DAffine3::from_translation(DVec3::X * 10.0 * t));
     let path = AnimationPath::new(vec![point(2.0), point(6.0)]).unwrap();
@@ -343,7 +343,7 @@ fn a_path_is_played_paused_and_sped_up() {
 }
 
 #[test]
-fn a_switch_hands_the_pose_over() {
+fn switch_passes_the_pose_on() {
     let world = World::plane();
     let mut switch: KeySwitchManipulator = usual(None);
     assert_eq!(switch.current_name(), "terrain");
@@ -414,7 +414,7 @@ proptest! {
             let pose = manipulator.advance(dt_s, &world.view());
             prop_assert!(pose.is_finite(), "{name} {pose} after {dt_s}");
             let unit = (pose.matrix3.transpose() * pose.matrix3 - glam::DMat3::IDENTITY).to_cols_array();
-            prop_assert!(unit.iter().all(|v| v.abs() < 1e-9), "{name}: no rotation {unit:?} {pose}");
+            prop_assert!(unit.iter().all(|v| v.abs() < 1e-9), "{name}: not a rotation {unit:?} {pose}");
         }
         manipulator.home(&world.view());
         prop_assert!(manipulator.advance(0.1, &world.view()).is_finite());

@@ -1,4 +1,4 @@
-//! Camera paths: the text form survives a round trip and bad lines are named. No GPU.
+//! Camera paths: the text format survives a round trip, and errors name the line. No GPU.
 
 use glam::{DQuat, DVec3};
 use proptest::prelude::*;
@@ -10,13 +10,13 @@ fn osg_example_lines_are_read() {
     let path = AnimationPath::parse(text).unwrap();
     assert_eq!(path.points().len(), 2);
     assert_eq!(path.duration_s(), 2.5);
-    // Eye axes to world axes: a camera turned 90 degrees about x looks along +y.
+    // The rotation maps eye axes to world axes: a camera turned 90 degrees about x looks along +y.
     let direction = -path.world_from_eye(0.0).matrix3.z_axis;
     assert!(direction.distance(DVec3::Y) < 1e-12);
 }
 
 #[test]
-fn bad_lines_are_named() {
+fn invalid_lines_are_named() {
     let good = "0 0 0 0 0 0 0 1\n";
     for (bad, says) in [
         ("1 2 3", "3 numbers instead of 8"),
@@ -36,7 +36,7 @@ fn bad_lines_are_named() {
     assert!(missing.to_string().contains("no/such.path"));
 }
 
-/// They sorted to the ends, and the first look at the path panicked.
+/// Regression: such times sorted to the ends, and the first use of the path panicked.
 #[test]
 fn times_that_are_not_finite_are_an_error() {
     let point = |time_s| ControlPoint { time_s, position: DVec3::ZERO, rotation: DQuat::IDENTITY };
@@ -44,7 +44,7 @@ fn times_that_are_not_finite_are_an_error() {
         let error = AnimationPath::new(vec![point(0.0), point(time_s), point(1.0)]).unwrap_err();
         assert!(error.to_string().contains("not finite"), "{error}");
     }
-    // Nor is the time between two that are.
+    // The time between two points must be finite as well.
     let mut path = AnimationPath::new(vec![point(-f64::MAX), point(f64::MAX)]).unwrap();
     for mode in [LoopMode::NoLooping, LoopMode::Loop, LoopMode::Swing] {
         path.loop_mode = mode;
@@ -73,7 +73,7 @@ proptest! {
     }
 
     #[test]
-    fn every_time_gives_a_pose(time_s in prop::num::f64::ANY) {
+    fn any_time_gives_a_pose(time_s in prop::num::f64::ANY) {
         let path = AnimationPath::parse("0 0 0 0 0 0 0 1\n1 5 0 0 0 0 1 0\n1 6 0 0 1 0 0 0").unwrap();
         prop_assert!(path.world_from_eye(time_s).is_finite());
     }

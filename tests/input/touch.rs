@@ -1,5 +1,5 @@
-//! Several fingers on a touch screen: what each manipulator makes of them, that frame rates do not matter, that
-//! fingers come and go as they like. No GPU.
+//! Several fingers on a touch screen: the effect on each manipulator, independence of the frame rate, and fingers that
+//! are pressed and lifted in any order. No GPU.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -17,13 +17,13 @@ use terrane::viewer::{
 
 use TouchPhase::{Began, Cancelled, Ended, Moved};
 
-/// Two fingers move from a middle, distance in pixels and angle to another.
+/// Two fingers around a middle, with their distance in pixels and their angle, move to another state.
 #[derive(Clone, Copy)]
 struct Gesture {
     from: DVec2,
     to: DVec2,
     apart: [f64; 2],
-    /// Radians counterclockwise, as seen.
+    /// The angle in radians, counterclockwise on the screen.
     angle: [f64; 2],
 }
 
@@ -39,7 +39,7 @@ impl Gesture {
         [middle - half, middle + half]
     }
 
-    /// Down at `at_s`, moving for `seconds`, and still down.
+    /// Presses the fingers at `at_s` and moves them for `seconds`. They stay pressed.
     fn acts(&self, at_s: f64, seconds: f64, pieces: u32) -> Vec<(f64, Act)> {
         let touch = |phase, share, at_s| {
             let fingers = self.fingers(share);
@@ -53,7 +53,7 @@ impl Gesture {
         acts
     }
 
-    /// The same, lifted at the end.
+    /// The same, and lifts the fingers at the end.
     fn thrown(&self, at_s: f64, seconds: f64, pieces: u32) -> Vec<(f64, Act)> {
         let mut acts = self.acts(at_s, seconds, pieces);
         let fingers = self.fingers(1.0);
@@ -69,7 +69,7 @@ fn seen(pose: &DAffine3, world: &World, point: DVec3) -> DVec2 {
     WindowMatrix::new(&camera, SIZE_PX).window_from_world(point).unwrap().truncate()
 }
 
-/// The point of a plane that is seen at a pixel.
+/// Returns the point of a plane that is visible at a pixel.
 fn point_at(pose: &DAffine3, world: &World, at: DVec2, plane: DVec3, normal: DVec3) -> DVec3 {
     let camera = Camera { world_from_eye: *pose, ..world.camera };
     let ray = WindowMatrix::new(&camera, SIZE_PX).ray(at, camera.eye()).unwrap();
@@ -87,9 +87,9 @@ fn gestures() -> [(&'static str, Gesture); 5] {
 }
 
 #[test]
-fn the_ground_stays_under_the_fingers() {
-    // The trackball keeps both fingers' points in the plane before the eye; upright ones keep the middle's, terrain on
-    // level ground. However the way is cut, it is the same.
+fn ground_stays_below_the_fingers() {
+    // The trackball keeps the points of both fingers in the plane before the eye. Upright manipulators keep that of the
+    // middle, the terrain manipulator on level ground. Splitting the motion into pieces does not change the result.
     for (gesture_name, gesture) in gestures() {
         for (world_name, world) in [("plane", World::plane()), ("alps", World { ground: None, ..World::alps() })] {
             for pieces in [1, 7] {
@@ -119,7 +119,7 @@ fn the_ground_stays_under_the_fingers() {
                 let held = point_at(&start, &world, gesture.from, center, world.view().frame_at(center).up());
                 let pose = play(&mut terrain, &world, &acts, 0.1, 60);
                 let off = seen(&pose, &world, held).distance(gesture.to);
-                // The plane through the point is not quite the ellipsoid.
+                // The plane through the point differs a little from the ellipsoid.
                 let most = if world_name == "plane" { 0.01 } else { 4.0 };
                 assert!(off < most, "terrain, {context}: {off} px");
             }
@@ -127,7 +127,7 @@ fn the_ground_stays_under_the_fingers() {
     }
 }
 
-/// A node of the world that a tracker follows.
+/// The node that a tracker follows.
 fn tracker(world: &mut World) -> NodeTrackerManipulator {
     let child = Node::geode(vec![terrane::scene::Drawable::new(
         terrane::scene::Mesh::rectangle(DVec3::ZERO, DVec3::X * 50.0, DVec3::Y * 50.0).into(),
@@ -138,7 +138,7 @@ fn tracker(world: &mut World) -> NodeTrackerManipulator {
 }
 
 #[test]
-fn pinching_zooms_by_the_ratio_of_the_fingers() {
+fn pinch_zooms_by_the_ratio_of_distances() {
     for (name, gesture) in gestures() {
         let ratio = gesture.apart[1] / gesture.apart[0];
         let mut world = World::plane();
@@ -167,8 +167,8 @@ fn pinching_zooms_by_the_ratio_of_the_fingers() {
 }
 
 #[test]
-fn twisting_turns_the_picture_with_the_fingers() {
-    // A camera that looks straight down sees the ground turn as the fingers do.
+fn twist_rotates_the_view_with_the_fingers() {
+    // A camera that looks straight down sees the ground rotate like the fingers.
     let turn = 0.7;
     let gesture =
         Gesture { from: DVec2::new(640.0, 360.0), to: DVec2::new(640.0, 360.0), angle: [0.2, 0.2 + turn], ..STILL };
@@ -182,14 +182,14 @@ fn twisting_turns_the_picture_with_the_fingers() {
         manipulator.set_pose(&down, &world.view());
         let before = manipulator.advance(0.0, &world.view());
         let after = play(&mut *manipulator, &world, &gesture.acts(0.0, 0.05, 6), 0.1, 60);
-        // Points right of the middle go up in a counterclockwise turn.
+        // Points on the right of the middle move up in a counterclockwise rotation.
         let point = point_at(&before, &world, DVec2::new(740.0, 360.0), DVec3::ZERO, DVec3::Z);
         let middle = point_at(&before, &world, DVec2::new(640.0, 360.0), DVec3::ZERO, DVec3::Z);
         let at = seen(&after, &world, point) - seen(&after, &world, middle);
         let angle = (-at.y).atan2(at.x);
         assert!((angle - turn).abs() < 0.06, "{name}: {angle}");
     }
-    // From below the sky turns with them too.
+    // Seen from below, the sky rotates with the fingers as well.
     let up = world_from_eye(eye, DVec3::new(0.0, 0.02, 1.0), DVec3::Z);
     let mut fly = FlyManipulator::default();
     fly.set_pose(&up, &world.view());
@@ -222,8 +222,8 @@ fn flying_walking_and_driving_follow_the_fingers() {
     };
     let mut fly = FlyManipulator::default();
     let (ahead, aside, up) = (go(&mut fly, &world, &apart), go(&mut fly, &world, &right), go(&mut fly, &world, &down));
-    assert!(ahead.y > 1.0 && ahead.x > 0.0, "towards what is between the fingers: {ahead}");
-    assert!(aside.x < -1.0 && aside.y.abs() < 0.1, "the picture follows: {aside}");
+    assert!(ahead.y > 1.0 && ahead.x > 0.0, "towards the point between the fingers: {ahead}");
+    assert!(aside.x < -1.0 && aside.y.abs() < 0.1, "the image follows: {aside}");
     assert!(up.z > 1.0, "{up}");
 
     let mut walk = FirstPersonManipulator::default();
@@ -239,10 +239,10 @@ fn flying_walking_and_driving_follow_the_fingers() {
     let mut input = queue();
     play_on(&mut input, &mut drive, &level, &up.acts(0.0, 0.05, 6), 3.0, 60);
     let speed = drive.speed_m_per_s();
-    assert!(speed > 10.0, "held as a lever it goes on: {speed}");
+    assert!(speed > 10.0, "held like a lever, it keeps its speed: {speed}");
     let lift = [0, 1].map(|id| (0.0, Act::Touch(id, Ended, f64::NAN, f64::NAN)));
     play_on(&mut input, &mut drive, &level, &lift, 14.0, 60);
-    assert_eq!(drive.speed_m_per_s(), 0.0, "let go it rolls out");
+    assert_eq!(drive.speed_m_per_s(), 0.0, "released, it slows down");
     let steer = Gesture { to: STILL.from + DVec2::new(150.0, -150.0), ..STILL };
     let wheel = Gesture { to: up.to, angle: [0.3, -0.7], ..STILL };
     for gesture in [steer, wheel] {
@@ -253,7 +253,7 @@ fn flying_walking_and_driving_follow_the_fingers() {
 }
 
 #[test]
-fn one_finger_is_the_left_button() {
+fn one_finger_acts_as_the_left_button() {
     for world in [World::plane(), World::alps()] {
         for number in 0..all().len() {
             let run = |touched: bool| {
@@ -280,14 +280,14 @@ fn one_finger_is_the_left_button() {
 }
 
 #[test]
-fn the_frame_rate_does_not_matter() {
+fn gestures_do_not_depend_on_the_frame_rate() {
     for (gesture_name, gesture) in gestures() {
         for world in [World::plane(), World::alps()] {
             for number in 0..all().len() {
                 let run = |rate: u32| {
                     let (name, mut manipulator) = all().remove(number);
                     let start = home(&mut *manipulator, &world);
-                    // A lever is held from frame to frame, as keys are.
+                    // A lever stays held from frame to frame, like a key.
                     let (seconds, pieces) = if name == "drive" { (1.0, 10) } else { (0.2, 6) };
                     let acts = gesture.thrown(0.1, seconds, pieces);
                     (name, start, play(&mut *manipulator, &world, &acts, 2.5, rate))
@@ -305,7 +305,7 @@ fn the_frame_rate_does_not_matter() {
 }
 
 #[test]
-fn a_throw_continues_and_stops() {
+fn throw_of_fingers_continues_and_stops() {
     for (gesture_name, gesture) in gestures() {
         let world = World::plane();
         for (name, mut manipulator) in all() {
@@ -318,17 +318,17 @@ fn a_throw_continues_and_stops() {
                 |acts: &[(f64, Act)], seconds: f64| play_on(&mut input, &mut *manipulator, &world, acts, seconds, 60);
             let thrown = run(&gesture.thrown(0.0, 0.1, 10), 0.15);
             let on = run(&[], 0.3);
-            assert!(!thrown.abs_diff_eq(on, 1e-6), "{name}, {gesture_name}: stops at once");
+            assert!(!thrown.abs_diff_eq(on, 1e-6), "{name}, {gesture_name}: stops immediately");
             run(&[], 6.0);
             let rest = run(&[], 1.0);
-            assert_eq!(rest, run(&[], 1.0), "{name}, {gesture_name}: goes on for ever");
+            assert_eq!(rest, run(&[], 1.0), "{name}, {gesture_name}: never stops");
             assert!(!manipulator.is_moving(), "{name}, {gesture_name}");
         }
     }
 }
 
 #[test]
-fn fingers_that_rest_or_are_taken_away_throw_nothing() {
+fn resting_or_cancelled_fingers_throw_nothing() {
     let gesture = gestures()[4].1;
     let world = World::plane();
     let cancelled = || [0, 1].map(|id| (0.11, Act::Touch(id, Cancelled, 0.0, 0.0))).to_vec();
@@ -354,7 +354,7 @@ fn fingers_that_rest_or_are_taken_away_throw_nothing() {
 }
 
 #[test]
-fn fingers_come_and_go_without_a_jump() {
+fn pressing_and_lifting_fingers_causes_no_jump() {
     let world = World::plane();
     let gesture = gestures()[4].1;
     let [a, b] = gesture.fingers(1.0);
@@ -363,7 +363,7 @@ fn fingers_come_and_go_without_a_jump() {
         let mut input = queue();
         let mut run =
             |acts: &[(f64, Act)], seconds: f64| play_on(&mut input, &mut *manipulator, &world, acts, seconds, 60);
-        // Rested, so that nothing is thrown.
+        // The fingers rest first, so that nothing is thrown.
         let held = run(&gesture.acts(0.0, 0.1, 8), 1.0);
         if name == "drive" {
             continue;
@@ -371,19 +371,19 @@ fn fingers_come_and_go_without_a_jump() {
         let same = |pose: DAffine3| pose.abs_diff_eq(held, 1e-7);
         let third = [(0.5, Act::Touch(2, Began, 100.0, 100.0)), (0.6, Act::Touch(2, Ended, 100.0, 100.0))];
         assert!(same(run(&third, 1.0)), "{name}: a third finger taps");
-        assert!(same(run(&[(0.5, Act::Touch(0, Ended, a.x, a.y))], 1.0)), "{name}: the first one goes");
-        assert!(same(run(&[(0.5, Act::Touch(1, Moved, b.x + 3.0, b.y))], 1.0)), "{name}: the last one trembles");
+        assert!(same(run(&[(0.5, Act::Touch(0, Ended, a.x, a.y))], 1.0)), "{name}: the first finger is lifted");
+        assert!(same(run(&[(0.5, Act::Touch(1, Moved, b.x + 3.0, b.y))], 1.0)), "{name}: the last finger trembles");
         assert!(same(run(&[(0.5, Act::Touch(1, Moved, b.x + 40.0, b.y))], 1.0)), "{name}: it becomes the pointer");
         let dragged = run(&[(0.5, Act::Touch(1, Moved, b.x + 90.0, b.y))], 1.0);
         assert!(name == "path" || !same(dragged), "{name}: and drags");
         let again = run(&[(0.5, Act::Touch(3, Began, 100.0, 100.0)), (0.5, Act::Touch(3, Moved, 150.0, 100.0))], 0.6);
-        assert!(name == "path" || !again.abs_diff_eq(dragged, 1e-7), "{name}: and pinches again");
+        assert!(name == "path" || !again.abs_diff_eq(dragged, 1e-7), "{name}: a second pinch");
     }
 }
 
-/// The one that was left never heard that its fingers went.
+/// Regression: the old manipulator was not told that its fingers were lifted.
 #[test]
-fn a_manipulator_selected_again_forgets_earlier_fingers() {
+fn manipulator_selected_again_forgets_earlier_fingers() {
     let world = World::plane();
     let mut poses = Vec::new();
     for was_left in [false, true] {
@@ -419,7 +419,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(200))]
 
     #[test]
-    fn no_fingers_do_harm(
+    fn empty_gestures_have_no_effect(
         acts in prop::collection::vec((0.0..2.0f64, touch()), 0..120),
         which in 0usize..9,
         world in 0usize..3,
@@ -436,8 +436,8 @@ proptest! {
         let pose = play_on(&mut input, &mut *manipulator, &world, &acts, 2.0, 30);
         prop_assert!(pose.is_finite(), "{name} {pose}");
         let unit = (pose.matrix3.transpose() * pose.matrix3 - glam::DMat3::IDENTITY).to_cols_array();
-        prop_assert!(unit.iter().all(|v| v.abs() < 1e-9), "{name}: no rotation {unit:?} {pose}");
-        // All gone, one finger is the pointer again, and only that.
+        prop_assert!(unit.iter().all(|v| v.abs() < 1e-9), "{name}: not a rotation {unit:?} {pose}");
+        // After all fingers are lifted, one finger is the pointer again.
         input.focus(false, 2.0);
         prop_assert_eq!(input.finger_count(), 0);
         play_on(&mut input, &mut *manipulator, &world, &[], 12.0, 30);
@@ -450,7 +450,7 @@ proptest! {
 }
 
 #[test]
-fn a_quarter_turn_of_many_fingers_is_a_quarter_turn() {
+fn quarter_turn_of_many_fingers_is_a_quarter_turn() {
     let world = World::plane();
     let mut trackball = TrackballManipulator::default();
     let start = home(&mut trackball, &world);
@@ -469,7 +469,7 @@ fn a_quarter_turn_of_many_fingers_is_a_quarter_turn() {
         acts.extend((0..count).map(|id| touch(id, Moved, FRAC_PI_2 * share, 0.5 * share)));
     }
     let pose = play(&mut trackball, &world, &acts, 0.6, 60);
-    // The eye turns clockwise, so that the image turns counterclockwise.
+    // The eye rotates clockwise, so that the image rotates counterclockwise.
     assert!(pose.matrix3.x_axis.dot(-start.matrix3.y_axis) > 0.999, "{}", pose.matrix3);
     assert!(pose.translation.distance(start.translation) < 0.01 * trackball.distance_m());
 }

@@ -32,7 +32,7 @@ impl World {
         }
     }
 
-    /// 2 km of a plane at the origin, without ground.
+    /// Returns 2 km of a plane at the origin, without ground.
     pub fn plane() -> Self {
         let around = Aabb { min: DVec3::new(-1e3, -1e3, 0.0), max: DVec3::new(1e3, 1e3, 200.0) };
         let volume = OrientedBox { center: around.center(), half_axes: glam::DMat3::from_diagonal(around.half_size()) };
@@ -40,7 +40,7 @@ impl World {
         Self::new(SetBounds::new(sphere, Some(BoundingVolume::Box(volume))))
     }
 
-    /// Half a degree of the Alps on the ellipsoid, with hills for a ground.
+    /// Returns half a degree of the Alps on the ellipsoid, with hills as ground.
     pub fn alps() -> Self {
         let region =
             Region { west: 0.139, south: 0.81, east: 0.147, north: 0.818, min_height_m: 300.0, max_height_m: 4000.0 };
@@ -54,7 +54,7 @@ impl World {
         world
     }
 
-    /// The whole earth.
+    /// Returns the whole earth.
     pub fn globe() -> Self {
         Self::new(SetBounds::from_sphere(BoundingSphere::new(DVec3::new(0.0, 0.0, 1.1e6), 6.4e6)))
     }
@@ -98,7 +98,7 @@ pub enum Act {
     Touch(u64, TouchPhase, f64, f64),
 }
 
-/// Plays inputs at their times in seconds, with `rate` frames a second; returns the last pose.
+/// Plays inputs at their times in seconds, with `rate` frames per second, and returns the last pose.
 pub fn play(
     manipulator: &mut dyn CameraManipulator,
     world: &World,
@@ -116,7 +116,7 @@ pub fn queue() -> EventQueue {
     queue
 }
 
-/// Plays inputs like [`play`], on a given queue.
+/// Plays inputs like [`play`] on a given queue.
 pub fn play_on(
     queue: &mut EventQueue,
     manipulator: &mut dyn CameraManipulator,
@@ -131,7 +131,7 @@ pub fn play_on(
     let frames = (end_s * f64::from(rate)).round() as u32;
     let dt_s = end_s / f64::from(frames);
     for frame in 1..=frames {
-        // Like the viewer: events before the frame are handled, then its time passes.
+        // The order is that of the viewer: first the events before the frame, then the time of the frame.
         let now_s = f64::from(frame - 1) * dt_s;
         while let Some((at_s, act)) = acts.next_if(|(at_s, _)| *at_s <= now_s + 1e-9) {
             match act {

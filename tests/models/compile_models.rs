@@ -1,6 +1,6 @@
-//! The compile thread under shuttle: the library's own file, between a thread that draws and staging memory that stands in
-//! for the adapter's. Schedules in which an upload is lost, an operation ends before its bytes, or a thread waits for ever
-//! fail.
+//! The compile thread under shuttle: the library's own file, between a thread that draws and a stand-in for the
+//! adapter's staging memory. A schedule fails if an upload is lost, an operation ends before its bytes, or a thread
+//! waits forever.
 
 #[path = "../../src/gpu/upload/compile_thread.rs"]
 mod compile_thread;
@@ -10,7 +10,7 @@ pub struct Compiled {
     ticket: u64,
 }
 
-/// Units of one byte of an operation.
+/// The units of one byte of an operation.
 mod resource_upload {
     use super::staging::StagingWriter;
 
@@ -65,14 +65,14 @@ mod memory {
     }
 }
 
-/// Buffers for two units each; commands that say whose units they copy.
+/// Buffers for two units each, and commands that list the operations of the copied units.
 mod staging {
     use shuttle::sync::Arc;
     use shuttle::sync::atomic::{AtomicUsize, Ordering};
 
     use super::memory::Memory;
 
-    /// Counts the buffers that there are; lost, it has some more that can be written.
+    /// Counts the existing buffers. After it is lost, some more can be written.
     #[derive(Clone)]
     pub struct Device {
         pub there: Arc<AtomicUsize>,
@@ -151,9 +151,9 @@ use shuttle::sync::Arc;
 use shuttle::thread;
 use staging::{Buffer, Device};
 
-/// Units of the operations, in order: the first needs more buffers than there may be.
+/// The units of the operations, in order. The first needs more buffers than the limit.
 const UNITS: [usize; 4] = [19, 0, 1, 4];
-/// Staging buffers that there may be.
+/// The limit of staging buffers.
 const MAX_STAGINGS: usize = 8;
 
 /// Creates a device with this many writable buffers, whose memory is refused this many times.
@@ -176,7 +176,7 @@ struct Drawn {
     /// Tickets of the copied units.
     copied: Vec<u64>,
     finished: Vec<u64>,
-    /// Recorded and not submitted.
+    /// The commands that are recorded and not submitted.
     recorded: Vec<Buffer>,
     refusals: usize,
 }
@@ -188,7 +188,7 @@ impl Drawn {
         self.refusals += usize::from(batch.allocation_error.is_some());
         for Compiled { ticket } in batch.finished {
             let there = self.copied.iter().filter(|of| **of == ticket).count();
-            assert_eq!(there, UNITS[ticket as usize], "all of operation {ticket} is there");
+            assert_eq!(there, UNITS[ticket as usize], "operation {ticket} is complete");
             self.finished.push(ticket);
         }
     }
@@ -226,9 +226,9 @@ fn all_operations_end_in_order_after_their_bytes() {
     });
 }
 
-/// At any time: while it waits for work, or for staging memory that is never returned.
+/// The thread may be ended at any time: while it waits for work, or for staging memory that is never returned.
 #[test]
-fn the_thread_ends_whatever_it_waits_for() {
+fn thread_ends_in_any_wait() {
     check(|| {
         let mut thread = CompileThread::start(&memory(usize::MAX, 0)).unwrap();
         send(&mut thread, 0);
@@ -238,9 +238,9 @@ fn the_thread_ends_whatever_it_waits_for() {
     });
 }
 
-/// Its device is lost after some buffers: who draws finds out and waits for nothing.
+/// The device is lost after some buffers. The draw thread notices it and does not wait.
 #[test]
-fn a_thread_that_has_ended_is_seen() {
+fn ended_thread_is_noticed() {
     check(|| {
         let mut thread = CompileThread::start(&memory(3, 0)).unwrap();
         let mut drawn = Drawn::default();

@@ -1,8 +1,8 @@
-//! Models of threads under shuttle: the library's own files with shuttle's locks, threads and channels, in schedules that
-//! switch threads at every step.
+//! Models of threads under shuttle: the library's own files with shuttle's locks, threads and channels, in schedules
+//! that switch threads at every step.
 //!
-//! Files of the library are included by path. What they import as `crate::...` are the modules of this file: the
-//! library's own types where they are only passed on, and stand-ins that check the hand-over elsewhere.
+//! Files of the library are included by path. Their imports `crate::...` are the modules of this file: types of the
+//! library that are only passed on, and stand-ins that check the hand-over otherwise.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 #![allow(
     dead_code,

@@ -1,5 +1,6 @@
 //! The request list of both pagers under shuttle: the library's own file, between threads that take, read, decode and
-//! answer as the pagers' do. A schedule in which a wake-up is lost, a thread waits forever or a job is done twice fails.
+//! answer like those of the pagers. A schedule fails if a wake-up is lost, a thread waits forever, or a job is done
+//! twice.
 
 #[path = "../../src/pager/loading/request_list.rs"]
 mod request_list;
@@ -8,7 +9,7 @@ mod ticket {
     pub type Ticket = u64;
 }
 
-/// The same limit for each server.
+/// A limit that is the same for each server.
 mod server_limits {
     pub struct ServerLimits(pub usize);
 
@@ -35,7 +36,7 @@ mod job {
         pub ticket: Ticket,
         pub uri: Arc<str>,
         servers: Vec<String>,
-        /// How often it was taken.
+        /// The number of times that it was taken.
         taken: Arc<AtomicUsize>,
     }
 
@@ -81,14 +82,14 @@ use shuttle::sync::atomic::AtomicUsize;
 use shuttle::sync::{Arc, Barrier, Mutex};
 use shuttle::thread::{self, JoinHandle};
 
-/// An answer as update gets it: the job, and whether it has a content.
+/// An answer for the update: the job, and whether it has a content.
 type Answer = (Job, bool);
 
 fn files(count: u64) -> Vec<Job> {
     (0..count).map(|ticket| Job::new(ticket, "/set/a.glb")).collect()
 }
 
-/// Does update's part of a frame: lists the jobs that no thread has taken, the most urgent last, and rings.
+/// Does the update's part of a frame: lists the jobs that no thread has taken, the most urgent last, and wakes threads.
 fn update(list: &RequestList<Job>, jobs: &mut BTreeMap<u64, Job>) {
     let mut state = list.lock();
     for ticket in state.drain_taken() {
@@ -99,10 +100,10 @@ fn update(list: &RequestList<Job>, jobs: &mut BTreeMap<u64, Job>) {
     list.ring_if_due();
 }
 
-/// Jobs taken and not answered, counted apart from the list.
+/// The number of jobs that are taken and not answered, counted independently of the list.
 type Outstanding = Arc<AtomicUsize>;
 
-/// Accepts an answer, possibly before update knew that the job was taken, and makes room for another job.
+/// Accepts an answer, possibly before the update knows that the job was taken, and makes room for another job.
 fn accept(list: &RequestList<Job>, jobs: &mut BTreeMap<u64, Job>, outstanding: &Outstanding, (job, has_page): &Answer) {
     outstanding.fetch_sub(1, Ordering::SeqCst);
     list.lock().answered(job, *has_page);
@@ -118,7 +119,10 @@ fn reads(list: &Arc<RequestList<Job>>, read: &Sender<Job>, outstanding: &Outstan
     let (list, read, outstanding) = (list.clone(), read.clone(), outstanding.clone());
     thread::spawn(move || {
         while let Some(job) = list.take_file() {
-            assert!(outstanding.fetch_add(1, Ordering::SeqCst) < list.capacity(), "more than the channels hold");
+            assert!(
+                outstanding.fetch_add(1, Ordering::SeqCst) < list.capacity(),
+                "more answers than the channels hold"
+            );
             if read.send(job).is_err() {
                 return;
             }
@@ -131,7 +135,7 @@ fn decodes(read: &Receiver<Job>, answers: &Sender<Answer>) -> JoinHandle<()> {
     let (read, answers) = (read.clone(), answers.clone());
     thread::spawn(move || {
         while let Ok(job) = read.recv() {
-            assert!(!answers.is_full(), "no answer waits for update");
+            assert!(!answers.is_full(), "no answer waits for the update");
             if answers.send((job, true)).is_err() {
                 return;
             }
@@ -143,9 +147,10 @@ fn join(threads: Vec<JoinHandle<()>>) {
     threads.into_iter().for_each(|thread| thread.join().unwrap());
 }
 
-/// Readers wait for the decoder, which holds one more file, and continue; update accepts answers while it lists the rest.
+/// Readers wait for the decoder, which holds one more file, and continue; update accepts answers while it lists the
+/// rest.
 #[test]
-fn files_are_each_read_and_answered_once_through_full_channels() {
+fn files_are_read_and_answered_once_through_full_channels() {
     check(|| {
         let list = Arc::new(RequestList::new(3, 3));
         let ((read, intake), (answers, answered)) = (bounded(1), bounded(3));
@@ -168,12 +173,12 @@ fn files_are_each_read_and_answered_once_through_full_channels() {
     });
 }
 
-/// A wake-up costs the frame time: update wakes one thread, which wakes the next.
+/// Waking a thread costs frame time, so the update wakes one thread, which wakes the next.
 #[test]
-fn one_ring_wakes_as_many_threads_as_there_is_work_for() {
+fn one_wake_up_wakes_as_many_threads_as_there_are_jobs() {
     check(|| {
         let list = Arc::new(RequestList::new(3, 3));
-        // A file ends once all three are being read.
+        // A file ends only when all three are being read.
         let all = Arc::new(Barrier::new(3));
         let threads = (0..3).map(|_| {
             let (list, all) = (list.clone(), all.clone());
@@ -192,7 +197,7 @@ fn one_ring_wakes_as_many_threads_as_there_is_work_for() {
 
 /// The list may close at any time: while threads wait for work or for the decoder, or while answers are not received.
 #[test]
-fn all_threads_end_with_the_list() {
+fn threads_end_when_the_list_closes() {
     check(|| {
         let list = Arc::new(RequestList::new(4, 4));
         let ((read, intake), (answers, answered)) = (bounded(1), bounded(4));
@@ -209,10 +214,10 @@ fn all_threads_end_with_the_list() {
     });
 }
 
-/// The requests that the HTTP thread has in flight; a server answers any of them except those that hang.
+/// The requests in flight of the HTTP thread. A server answers any of them except those that hang.
 type UnderWay = Arc<Mutex<BTreeMap<u64, Job>>>;
 
-/// Starts the HTTP thread: as in `http.rs` it takes its work under the list's lock, and waits for its bell.
+/// Starts the HTTP thread. Like `http.rs` it takes work under the list's lock, and waits to be woken.
 fn asks(
     list: &Arc<RequestList<Job>>,
     answers: &Sender<Answer>,
@@ -235,7 +240,7 @@ fn asks(
                 for job in jobs {
                     assert!(
                         outstanding.fetch_add(1, Ordering::SeqCst) < list.capacity(),
-                        "more than the channels hold"
+                        "more answers than the channels hold"
                     );
                     under_way.lock().unwrap().insert(job.ticket, job);
                 }
@@ -252,8 +257,8 @@ fn asks(
     })
 }
 
-/// Two requests hang and have all slots of their server. They are aborted one after the other: the first while other jobs
-/// wait, the second while none does.
+/// Two requests hang and occupy all slots of their server. They are aborted one after the other: the first while other
+/// jobs wait, the second while no job waits.
 #[test]
 fn aborted_requests_free_their_slots_for_waiting_jobs() {
     check(|| {
@@ -262,7 +267,7 @@ fn aborted_requests_free_their_slots_for_waiting_jobs() {
         let outstanding = Outstanding::default();
         let thread = asks(&list, &answers, &outstanding, under_way.clone());
         drop(answers);
-        // Taken from the end.
+        // Jobs are taken from the end of the list.
         let uris = ["http://h/0", "http://h/1", "http://h/hangs/2", "http://h/hangs/3"];
         let mut jobs: BTreeMap<u64, Job> =
             uris.iter().zip(0..).map(|(uri, ticket)| (ticket, Job::new(ticket, uri))).collect();

@@ -11,22 +11,22 @@ pub mod primitives {
     pub use shuttle::sync::{Arc, Condvar, Mutex, MutexGuard};
 }
 
-/// Random schedules per model, and as many with few, well placed switches.
+/// The number of random schedules per model, and that of schedules with few, well placed switches.
 const SCHEDULES: usize = 500;
-/// The same with TERRANE_LONG_TESTS=1.
+/// The same with `TERRANE_LONG_TESTS=1`.
 const LONG_SCHEDULES: usize = 1500;
 
 fn schedules() -> usize {
     if kit::long_tests() { LONG_SCHEDULES } else { SCHEDULES }
 }
 
-/// A deadlock, a lost wake-up or a failed assertion in any schedule fails.
+/// Runs a model. A deadlock, a lost wake-up or a failed assertion in any schedule is a failure.
 pub fn check(model: impl Fn() + Send + Sync + Clone + 'static) {
     shuttle::check_random(model.clone(), schedules());
     shuttle::check_pct(model, schedules(), 3);
 }
 
-/// Checks threads that may loop until another stops them, in schedules that give each thread its turns.
+/// Runs a model with threads that may loop until another stops them, in schedules that give each thread its turns.
 pub fn check_fairly(model: impl Fn() + Send + Sync + 'static) {
     shuttle::check_random(model, 2 * schedules());
 }

@@ -1,7 +1,7 @@
 //! The hand-over of render stages between update, cull and draw under shuttle.
 //!
-//! The library's own rendering stage runs with its threads, queues and barriers around stand-ins that check their input.
-//! A schedule fails if a frame is not drawn, is drawn from data under change, or if a thread waits forever.
+//! The library's own rendering stage runs with its threads, queues and barriers, around stand-ins that check their
+//! input. A schedule fails if a frame is not drawn, is drawn from data under change, or if a thread waits forever.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -12,16 +12,16 @@ use crate::viewer::{Devices, ThreadingModel, Viewer, ViewerError};
 
 use ThreadingModel::{CullDrawThreadPerContext, CullThreadPerCameraDrawThreadPerContext, DrawThreadPerContext};
 
-/// A device for each of two contexts, which one camera each is drawn in.
+/// Two contexts with separate devices, each with one camera.
 const TWO_DEVICES: Devices = &[&[1], &[1]];
-/// A device with two contexts, of two cameras and of one.
+/// A device with two contexts, one with two cameras and one with one.
 const TWO_CONTEXTS: Devices = &[&[2, 1]];
 
 fn cameras(devices: Devices) -> usize {
     devices.iter().copied().flatten().sum()
 }
 
-/// More frames than a camera has stages.
+/// The number of frames is greater than the number of stages of a camera.
 const FRAMES: u32 = 4;
 
 /// Checks that each camera is drawn in each frame, in order, and that all contexts show it together. The main thread is
@@ -44,15 +44,15 @@ fn draws_each_frame_once(model: ThreadingModel, devices: Devices, reads: Reads) 
 }
 
 #[test]
-fn the_model_that_does_not_overlap_draws_each_frame_once_before_the_next_update() {
+fn model_without_overlap_draws_each_frame_before_the_next_update() {
     for devices in [TWO_DEVICES, TWO_CONTEXTS] {
-        // Whatever draw reads.
+        // This holds for any data that draw reads.
         assert!(!draws_each_frame_once(CullDrawThreadPerContext, devices, Reads::InTheFrame));
     }
 }
 
 #[test]
-fn models_that_overlap_draw_each_frame_once_while_the_next_is_culled() {
+fn models_with_overlap_draw_each_frame_once_during_the_next_cull() {
     for model in [DrawThreadPerContext, CullThreadPerCameraDrawThreadPerContext] {
         for devices in [TWO_DEVICES, TWO_CONTEXTS] {
             assert!(draws_each_frame_once(model, devices, Reads::Nothing), "{model}");
@@ -61,7 +61,7 @@ fn models_that_overlap_draw_each_frame_once_while_the_next_is_culled() {
 }
 
 #[test]
-fn no_update_changes_what_draw_still_reads() {
+fn update_does_not_change_data_that_draw_still_reads() {
     for model in [DrawThreadPerContext, CullThreadPerCameraDrawThreadPerContext] {
         for reads in [Reads::InTheFrame, Reads::InCallbacks] {
             assert!(!draws_each_frame_once(model, TWO_DEVICES, reads), "{model}");
@@ -69,9 +69,9 @@ fn no_update_changes_what_draw_still_reads() {
     }
 }
 
-/// Whatever threads wait for: with no frame on its way, with one, and with as many as there may be.
+/// Threads end in any wait: without a frame in flight, with one, and with the maximum number.
 #[test]
-fn all_threads_end_with_the_viewer_at_any_time() {
+fn threads_end_with_the_viewer_at_any_time() {
     for model in &ThreadingModel::ALL[1..] {
         for frames in 1..=3 {
             check(move || {
@@ -83,7 +83,7 @@ fn all_threads_end_with_the_viewer_at_any_time() {
     }
 }
 
-/// Stages that ended threads have not drawn are dropped and can be culled into again.
+/// Stages that ended threads have not drawn are dropped, and can be culled into again.
 #[test]
 fn frames_continue_in_another_model() {
     for model in &ThreadingModel::ALL {
@@ -104,10 +104,10 @@ fn frames_continue_in_another_model() {
     }
 }
 
-/// It is an error of a frame soon after, and of all that follow; the scene can be changed, which no draw reads any more, and
-/// what is left ends.
+/// The panic is an error of a frame soon after, and of all later frames. The scene can be changed, because no draw
+/// reads it, and the remaining threads end.
 #[test]
-fn a_thread_that_panics_is_seen_and_nothing_waits_for_it() {
+fn panic_of_a_thread_is_reported_and_nothing_waits_for_it() {
     let in_draw = Panics::InDraw { camera: 1, frame: 2 };
     let in_cull = Panics::InCull { camera: 1, frame: 2 };
     let models = [
@@ -119,14 +119,14 @@ fn a_thread_that_panics_is_seen_and_nothing_waits_for_it() {
     ];
     for (model, panics) in models {
         for reads in [Reads::Nothing, Reads::InTheFrame] {
-            // A barrier that one has left holds the other cull back no more.
+            // A barrier that one thread has left does not block the other cull.
             check_fairly(move || {
                 let seen = Seen::new(reads, panics, 2, &Arc::default());
                 let mut viewer = Viewer::new(model, TWO_DEVICES, seen);
-                let error = (0..FRAMES + 2).find_map(|_| viewer.frame().err()).expect("the panic is seen");
+                let error = (0..FRAMES + 2).find_map(|_| viewer.frame().err()).expect("the panic is reported");
                 assert!(matches!(error, ViewerError::DrawThreadStopped), "{error}");
                 assert!(viewer.is_alone());
-                assert!(viewer.frame().is_err(), "it stays one");
+                assert!(viewer.frame().is_err(), "the error stays");
                 assert!(viewer.is_alone());
             });
         }

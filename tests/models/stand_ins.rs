@@ -1,5 +1,5 @@
 //! Stand-ins for the scene, cull, renderer and device around the library's own hand-over of stages. Each checks that it
-//! has the frame that it should have at that moment.
+//! has the expected frame.
 
 pub mod cull;
 pub mod draw;
@@ -13,22 +13,22 @@ use std::sync::{Arc, Mutex, PoisonError};
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Reads {
     Nothing,
-    /// In all stages of a frame.
+    /// Draw reads it in all stages of a frame.
     InTheFrame,
-    /// In callbacks of the stage.
+    /// Draw reads it in callbacks of the stage.
     InCallbacks,
 }
 
-/// A thread that panics.
+/// The thread that panics.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Panics {
     Never,
-    /// While it culls a camera in a frame.
+    /// The thread panics while it culls a camera in a frame.
     InCull {
         camera: u32,
         frame: u32,
     },
-    /// While it draws a camera in a frame.
+    /// The thread panics while it draws a camera in a frame.
     InDraw {
         camera: u32,
         frame: u32,
@@ -39,17 +39,17 @@ pub enum Panics {
 pub struct Seen {
     pub reads: Reads,
     pub panics: Panics,
-    /// Cameras of all contexts.
+    /// The number of cameras of all contexts.
     pub cameras: usize,
-    /// The data that update changes: its frame number.
+    /// The data that update changes: the number of its frame.
     pub changed: AtomicU32,
-    /// Cameras and frames, in the order drawn.
+    /// Cameras and frames in the order of drawing.
     drawn: Mutex<Vec<(u32, u32)>>,
     /// Cameras and frames that are being drawn.
     drawing: Mutex<Vec<(u32, u32)>>,
-    /// In some schedule a camera was culled while an earlier frame of it was drawn.
+    /// True if a camera was culled in some schedule while an earlier frame of it was drawn.
     pub overlapped: Arc<AtomicBool>,
-    /// Threads end, and let others continue, which do not show their frame together.
+    /// True if threads are ending. Then others that do not show their frame together may continue.
     pub is_ending: AtomicBool,
 }
 
@@ -67,13 +67,13 @@ impl Seen {
         }
     }
 
-    /// Frames of a camera in the order drawn.
+    /// Returns the frames of a camera in the order of drawing.
     pub fn drawn(&self, camera: u32) -> Vec<u32> {
         let drawn = self.drawn.lock().unwrap_or_else(PoisonError::into_inner);
         drawn.iter().filter(|(of, _)| *of == camera).map(|(_, frame)| *frame).collect()
     }
 
-    /// Cameras that were drawn in a frame.
+    /// Returns the cameras that were drawn in a frame.
     fn drawn_in(&self, frame: u32) -> usize {
         self.drawn.lock().unwrap_or_else(PoisonError::into_inner).iter().filter(|(_, f)| *f == frame).count()
     }
@@ -95,7 +95,7 @@ impl Seen {
     }
 }
 
-/// Changed by update, which is alone with it then.
+/// Update changes it, while no other thread has access.
 pub struct Scene {
     pub frame: u32,
     pub seen: Arc<Seen>,

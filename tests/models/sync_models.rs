@@ -1,4 +1,5 @@
-//! The files of `src/sync` on shuttle's mutexes, in schedules that switch threads at every step. A deadlock, a lost wake-up or a wrong count in any of them is a failure.
+//! The files of `src/sync` on shuttle's mutexes, in schedules that switch threads at every step. A deadlock, a lost
+//! wake-up or a wrong count in any schedule is a failure.
 
 use std::sync::atomic::Ordering;
 
@@ -9,7 +10,7 @@ use shuttle::sync::atomic::{AtomicBool, AtomicUsize};
 use shuttle::thread;
 
 #[test]
-fn a_block_holds_until_released_and_again_after_a_reset() {
+fn block_holds_until_released_and_again_after_a_reset() {
     check(|| {
         let block = Arc::new(Block::new());
         let released = Arc::new(AtomicBool::new(false));
@@ -36,7 +37,7 @@ fn a_block_holds_until_released_and_again_after_a_reset() {
 }
 
 #[test]
-fn a_block_count_opens_with_the_last_completion_in_every_frame() {
+fn block_count_opens_with_the_last_completion_in_every_frame() {
     check(|| {
         let done = Arc::new(AtomicUsize::new(0));
         let block = Arc::new(BlockCount::new(2));
@@ -57,7 +58,7 @@ fn a_block_count_opens_with_the_last_completion_in_every_frame() {
                 worker.join().unwrap();
             }
         }
-        // A release instead of completions that never arrive.
+        // A release replaces completions that never arrive.
         block.reset();
         let waits = block.clone();
         let waiter = thread::spawn(move || waits.block());
@@ -67,7 +68,7 @@ fn a_block_count_opens_with_the_last_completion_in_every_frame() {
 }
 
 #[test]
-fn threads_meet_at_a_barrier_again_and_again() {
+fn threads_meet_at_a_barrier_repeatedly() {
     check(|| {
         let barrier = Arc::new(Barrier::new(3));
         let came = Arc::new(AtomicUsize::new(0));
@@ -91,7 +92,7 @@ fn threads_meet_at_a_barrier_again_and_again() {
 }
 
 #[test]
-fn a_released_barrier_holds_no_thread() {
+fn released_barrier_blocks_no_thread() {
     check(|| {
         let barrier = Arc::new(Barrier::new(3));
         let threads: Vec<_> = (0..2)
@@ -100,7 +101,7 @@ fn a_released_barrier_holds_no_thread() {
                 thread::spawn(move || while barrier.block() {})
             })
             .collect();
-        // One meeting or none has been held when it ends.
+        // It ends after one meeting or none.
         barrier.block();
         barrier.release();
         for thread in threads {
@@ -111,7 +112,7 @@ fn a_released_barrier_holds_no_thread() {
 }
 
 #[test]
-fn operations_run_in_order_and_kept_ones_again() {
+fn operations_run_in_order_and_kept_ones_repeatedly() {
     check(|| {
         let thread = OperationThread::start("t", Vec::new(), []).unwrap();
         let done = Arc::new(BlockCount::new(3));
@@ -137,7 +138,7 @@ fn operations_run_in_order_and_kept_ones_again() {
     });
 }
 
-/// An operation that removes another runs once; it once ran twice.
+/// Regression: an operation that removes another one ran twice.
 #[test]
 fn operations_run_once_while_others_are_added_and_removed() {
     check(|| {
@@ -157,14 +158,15 @@ fn operations_run_once_while_others_are_added_and_removed() {
         other.join().unwrap();
         let of_other = ran.iter().filter(|n| **n == 5).count();
         ran.retain(|n| *n != 5);
-        // The two that stay, what the first added, and what the other thread added too late.
+        // The queue keeps the two that stay, the one that the first added, and the one that the other thread added too
+        // late.
         assert_eq!((&ran[..], queue.len()), (&[1, 3][..], 4 - of_other));
-        // The closures hold the queue.
+        // The closures hold references to the queue.
         queue.remove_all();
     });
 }
 
-/// A barrier as an operation, as the viewer's are.
+/// A barrier as an operation, like those of the viewer.
 struct Meet(Arc<Barrier>);
 
 impl Operation<usize> for Meet {
@@ -179,7 +181,7 @@ impl Operation<usize> for Meet {
     fn run(&self, met: &mut usize) {
         match self.0.block() {
             true => *met += 1,
-            // Another thread was stopped; this one will be.
+            // Another thread was stopped; this one is stopped next.
             false => thread::yield_now(),
         }
     }
@@ -190,7 +192,7 @@ impl Operation<usize> for Meet {
 }
 
 #[test]
-fn threads_that_wait_for_each_other_stop_in_any_order_at_any_time() {
+fn threads_that_wait_for_each_other_stop_in_any_order() {
     check(|| {
         let start = Arc::new(Barrier::new(3));
         let swap = Arc::new(Barrier::new(2));
@@ -198,7 +200,7 @@ fn threads_that_wait_for_each_other_stop_in_any_order_at_any_time() {
         let a = OperationThread::start("a", 0, operations()).unwrap();
         let b = OperationThread::start("b", 0, operations()).unwrap();
         assert!(start.block());
-        // Wherever they are now: between, at the second barrier, or back at the first.
+        // The threads may be between the barriers, at the second one, or back at the first.
         let (met_a, met_b) = (a.join().unwrap(), b.join().unwrap());
         assert!((1..=2).contains(&met_a) && (1..=2).contains(&met_b), "{met_a} {met_b}");
     });
@@ -226,7 +228,7 @@ impl Operation<usize> for Refused {
 }
 
 #[test]
-fn threads_that_were_ended_do_not_go_round_when_their_barrier_is_released() {
+fn ended_threads_do_not_continue_when_their_barrier_is_released() {
     check(|| {
         let start = Arc::new(Barrier::new(3));
         let operations = || [Arc::new(Refused(start.clone())) as Arc<dyn Operation<usize>>];
@@ -241,7 +243,7 @@ fn threads_that_were_ended_do_not_go_round_when_their_barrier_is_released() {
 }
 
 #[test]
-fn an_operation_added_while_the_thread_falls_asleep_is_not_lost() {
+fn operation_added_while_the_thread_falls_asleep_is_not_lost() {
     check(|| {
         let queue = Arc::new(OperationQueue::<usize>::new());
         let taker = queue.clone();

@@ -38,7 +38,7 @@ pub enum ViewerError {
     DrawThreadStopped,
 }
 
-/// Nothing is painted over an image.
+/// A stand-in that paints nothing over an image.
 pub mod overlay {
     use crate::gpu::{Device, Handle};
 
@@ -68,7 +68,7 @@ pub mod overlay {
     }
 }
 
-/// Devices, and of each the cameras of its contexts.
+/// The devices, and the cameras of the contexts of each.
 pub type Devices = &'static [&'static [usize]];
 
 pub struct Viewer {
@@ -104,7 +104,7 @@ impl Viewer {
         Self { rendering, scene, seen, frame: 0 }
     }
 
-    /// No cull has the scene.
+    /// No cull has access to the scene.
     pub fn is_alone(&mut self) -> bool {
         Arc::get_mut(&mut self.scene).is_some()
     }
@@ -117,7 +117,7 @@ impl Viewer {
         self.rendering.start_threads()?;
         self.frame += 1;
         let frame = self.frame;
-        Arc::get_mut(&mut self.scene).expect("alone with the scene").frame = frame;
+        Arc::get_mut(&mut self.scene).expect("exclusive access to the scene").frame = frame;
         self.seen.changed.store(frame, Ordering::SeqCst);
         for place in 0..self.rendering.device_count() {
             while self.rendering.in_flight(place) >= FRAMES_IN_FLIGHT {
@@ -146,7 +146,7 @@ impl Viewer {
             },
         )?;
         for (camera, outcome) in self.rendering.outcomes() {
-            assert_eq!(outcome.counters.leaves, frame, "what camera {camera} culled in this frame");
+            assert_eq!(outcome.counters.leaves, frame, "the stage of camera {camera} in this frame");
         }
         for place in 0..self.rendering.device_count() {
             while let Some(done) = self.rendering.device_at(place).and_then(|device| device.try_done()) {
@@ -164,7 +164,7 @@ impl Viewer {
         Ok(())
     }
 
-    /// Waits for all frames under way.
+    /// Waits for all frames in flight.
     pub fn finish(&mut self) -> Result<(), ViewerError> {
         for place in 0..self.rendering.device_count() {
             while self.rendering.in_flight(place) > 0 {

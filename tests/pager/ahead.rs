@@ -14,10 +14,10 @@ use terrane::viewer::{AnimationPath, ControlPoint, Viewer, ViewerConfig};
 const HERE: DVec3 = DVec3::new(0.2 * WORLD_M, 0.2 * WORLD_M, 150.0);
 const THERE: DVec3 = DVec3::new(0.8 * WORLD_M, 0.8 * WORLD_M, 150.0);
 const ASIDE: DVec3 = DVec3::new(0.2 * WORLD_M, 0.8 * WORLD_M, 150.0);
-/// For many tiles in an image.
+/// A screen-space error that gives many tiles in an image.
 const FINE_PX: f64 = 4.0;
 
-/// The tiles that an eye will miss in some frames.
+/// Returns the tiles that an eye will miss in a number of frames.
 fn missing_ahead(run: &Run, eye: DVec3, frames: u32) -> Vec<PageRequest> {
     let eye_from_world = DAffine3::from_translation(-eye);
     let mut camera = CullCamera { eye_from_world, frame: run.frame, ahead_frames: frames, ..CullCamera::default() };
@@ -27,19 +27,19 @@ fn missing_ahead(run: &Run, eye: DVec3, frames: u32) -> Vec<PageRequest> {
     stage.requests
 }
 
-/// The same, as it is asked for.
+/// Returns the same tiles as prefetch requests.
 fn ahead(run: &Run, eye: DVec3, frames: u32) -> Vec<PageRequest> {
     missing_ahead(run, eye, frames).iter().map(|request| request.ahead(frames)).collect()
 }
 
-/// A frame here that looks ahead to there.
+/// Runs a frame at one position that prefetches for another.
 fn frame(run: &mut Run) {
     let requests = ahead(run, THERE, 10);
     run.frame_with(HERE, &requests);
 }
 
 #[test]
-fn later_is_below_now_in_the_same_order() {
+fn prefetch_requests_follow_current_ones_in_the_same_order() {
     let page = Scene::new().add_root(Page::from_node(Node::group(Vec::new())).unwrap());
     let slot = NodeId { page, index: 0 };
     let request = |priority| PageRequest { slot, priority, error_px: 0.0, ahead_frames: 0 }.ahead(1).priority;
@@ -49,7 +49,7 @@ fn later_is_below_now_in_the_same_order() {
 }
 
 #[test]
-fn nothing_is_missing_along_an_announced_path() {
+fn no_tile_is_missing_along_an_announced_path() {
     let folder = tempfile::tempdir().unwrap();
     write_quadtree(folder.path());
     let mut run = Run::new(folder.path().to_str().unwrap(), PagerConfig::default());
@@ -60,7 +60,7 @@ fn nothing_is_missing_along_an_announced_path() {
     while !ahead(&run, THERE, 10).is_empty() {
         assert!(Instant::now() < end, "{:?}", run.pager.stats());
         frame(&mut run);
-        assert!(run.pager.is_idle(), "no picture lacks anything");
+        assert!(run.pager.is_idle(), "no image lacks a tile");
         assert_eq!((run.stage.counters.wanted_missing, run.stage.counters.tiles_drawn), (0, drawn));
         std::thread::sleep(Duration::from_micros(200));
     }
@@ -73,10 +73,10 @@ fn nothing_is_missing_along_an_announced_path() {
 }
 
 #[test]
-fn current_requests_precede_prefetch_which_takes_no_room() {
+fn current_requests_precede_prefetch_which_evicts_no_visible_page() {
     let folder = tempfile::tempdir().unwrap();
     write_quadtree(folder.path());
-    // Room for this position and little more.
+    // The budget has room for this position and little more.
     let mut free = Run::new(folder.path().to_str().unwrap(), PagerConfig::default());
     free.settle(HERE);
     let needed = free.pager.stats().resident as usize;
@@ -86,29 +86,29 @@ fn current_requests_precede_prefetch_which_takes_no_room() {
     run.settle(HERE);
     for _ in 0..300 {
         frame(&mut run);
-        assert_eq!(run.stage.counters.wanted_missing, 0, "what is seen stays");
+        assert_eq!(run.stage.counters.wanted_missing, 0, "visible pages stay");
         assert!(run.pager.stats().resident <= max_tiles);
         std::thread::sleep(Duration::from_micros(200));
     }
     let stats = *run.pager.stats();
-    assert!(stats.loaded < 3 * max_tiles, "loads go round in a circle: {stats:?}");
+    assert!(stats.loaded < 3 * max_tiles, "pages are loaded and evicted in turns: {stats:?}");
     for _ in 0..100 {
         frame(&mut run);
         std::thread::sleep(Duration::from_micros(200));
     }
-    assert_eq!(run.pager.stats().loaded, stats.loaded, "it comes to rest");
-    // The same position, wanted now, gets the room at once.
+    assert_eq!(run.pager.stats().loaded, stats.loaded, "the pager settles");
+    // Wanted now, the same position gets room at once.
     run.settle(THERE);
     assert_eq!(run.stage.counters.wanted_missing, 0);
 }
 
-/// It waited until the frame that lacked it, which had the room at once.
+/// Regression: prefetch waited until the frame that needed the page, which then got room at once.
 #[test]
 fn prefetch_for_the_next_frames_may_use_the_last_tenth() {
     let folder = tempfile::tempdir().unwrap();
     write_quadtree(folder.path());
     let set = folder.path().to_str().unwrap();
-    // High enough for many tiles in an image.
+    // The eye is high enough for many tiles in an image.
     let [here, there] = [HERE, THERE].map(|eye| eye + 500.0 * DVec3::Z);
     let mut free = Run::new(set, PagerConfig::default());
     free.max_sse_px = 0.25 * FINE_PX;
@@ -124,7 +124,7 @@ fn prefetch_for_the_next_frames_may_use_the_last_tenth() {
             let requests = ahead(&run, there, frames);
             run.frame_with(here, &requests);
             run.work_until_idle();
-            assert_eq!(run.stage.counters.wanted_missing, 0, "what is seen stays");
+            assert_eq!(run.stage.counters.wanted_missing, 0, "visible pages stay");
             assert!(run.pager.stats().resident <= max_tiles as u64);
         }
         let stats = *run.pager.stats();
@@ -133,7 +133,7 @@ fn prefetch_for_the_next_frames_may_use_the_last_tenth() {
     }
 }
 
-/// So few tiles that on a flight what was seen goes all the time.
+/// A budget of so few tiles that pages are evicted all the time during a flight.
 fn little_room(set: &str) -> usize {
     let mut here = Run::new(set, PagerConfig::default());
     here.max_sse_px = FINE_PX;
@@ -141,8 +141,8 @@ fn little_room(set: &str) -> usize {
     4 * here.pager.stats().resident as usize
 }
 
-/// Flies with a fast disk and given prefetch requests in each frame; returns the tiles missing in its frames and those
-/// loaded.
+/// Flies with a fast disk and given prefetch requests in each frame. Returns the number of tiles missing in its frames
+/// and that of loaded tiles.
 fn flown(
     set: &str,
     max_tiles: usize,
@@ -164,7 +164,7 @@ fn flown(
     (missing, run.pager.stats().loaded - loaded)
 }
 
-/// From here to there along a known path.
+/// Prefetches along a known path.
 fn flight(set: &str, max_tiles: usize, frames: u32, ahead_frames: f64) -> (u32, u64) {
     let eye = |at: f64| HERE.lerp(THERE, (at / f64::from(frames)).min(1.0));
     let mut looks = PathLooks::default();
@@ -181,7 +181,7 @@ fn flight(set: &str, max_tiles: usize, frames: u32, ahead_frames: f64) -> (u32, 
 }
 
 #[test]
-fn along_a_known_path_the_page_wanted_last_is_evicted() {
+fn on_a_known_path_the_page_needed_last_is_evicted() {
     let folder = tempfile::tempdir().unwrap();
     write_quadtree(folder.path());
     let set = folder.path().to_str().unwrap();
@@ -195,7 +195,7 @@ fn along_a_known_path_the_page_wanted_last_is_evicted() {
     }
 }
 
-/// Along a path that is not announced.
+/// Prefetches along a path that is not announced.
 fn unannounced_flight(
     set: &str,
     max_tiles: usize,
@@ -246,7 +246,7 @@ fn room_for_a_prefetch_is_made_in_the_frame_that_requests_it() {
     let folder = tempfile::tempdir().unwrap();
     write_quadtree(folder.path());
     let set = folder.path().to_str().unwrap();
-    // Full of what was seen before, which goes for nothing but want of room.
+    // The budget is full of pages that were visible before; they are evicted only for lack of room.
     let seen = |config| {
         let mut run = Run::new(set, PagerConfig { expiry_frames: 1_000_000, ..config });
         for eye in [ASIDE, 0.5 * (ASIDE + THERE), 0.5 * (HERE + ASIDE), HERE] {
@@ -269,7 +269,7 @@ fn room_for_a_prefetch_is_made_in_the_frame_that_requests_it() {
 }
 
 #[test]
-fn no_more_are_under_way_than_allowed() {
+fn prefetch_keeps_the_limit_of_requests_in_flight() {
     let folder = tempfile::tempdir().unwrap();
     write_quadtree(folder.path());
     let mut run =
@@ -279,10 +279,10 @@ fn no_more_are_under_way_than_allowed() {
         frame(&mut run);
         assert!(run.pager.stats().in_flight <= 2, "{:?}", run.pager.stats());
     }
-    // None, then: neither is anything loaded, nor does anything go for it, however little room there is.
+    // With a limit of 0 nothing is prefetched, and nothing is evicted for it, with any free room.
     run.settle(THERE);
     let max_tiles = run.pager.stats().resident as usize;
-    // Nothing goes for its age.
+    // No page expires by its age.
     let off = PagerConfig { ahead_in_flight: 0, max_tiles, expiry_frames: 1_000_000, ..PagerConfig::default() };
     let mut run = Run::new(folder.path().to_str().unwrap(), off);
     run.settle(HERE);
@@ -300,7 +300,7 @@ fn no_more_are_under_way_than_allowed() {
 }
 
 #[test]
-fn the_viewer_loads_ahead_on_an_announced_path_and_by_the_eyes_motion() {
+fn viewer_prefetches_on_an_announced_path_and_by_the_eyes_motion() {
     let folder = tempfile::tempdir().unwrap();
     write_quadtree(folder.path());
     let pose = DAffine3::from_translation;
@@ -309,7 +309,7 @@ fn the_viewer_loads_ahead_on_an_announced_path_and_by_the_eyes_motion() {
             size_px: [64, 64],
             adapter: AdapterChoice::Noop,
             validation: false,
-            // Far enough for the motion below.
+            // The set is large enough for the motion below.
             look_ahead_s: if announced { 1e3 } else { 1e6 },
             ..ViewerConfig::default()
         };
@@ -324,17 +324,17 @@ fn the_viewer_loads_ahead_on_an_announced_path_and_by_the_eyes_motion() {
         let end = Instant::now() + Duration::from_secs(60);
         let ahead = |viewer: &Viewer| viewer.pager().unwrap().stats().merged_ahead;
         while ahead(&viewer) == 0 {
-            assert!(Instant::now() < end, "nothing is loaded ahead: {:?}", viewer.pager().unwrap().stats());
+            assert!(Instant::now() < end, "nothing was prefetched: {:?}", viewer.pager().unwrap().stats());
             if !announced {
-                // A crawl: in the long run it is far.
+                // The motion is slow, and long enough for a great distance.
                 let crawled_m = 1.5e-3 * viewer.frame_stamp().reference_time_s;
                 viewer.view_mut().camera.world_from_eye = pose(HERE + DVec3::X * crawled_m);
             }
-            // The path's time goes as the wall's, and is as good as at its start.
+            // Time on the path is the wall clock's, and its start is as good as any.
             let time_s = 1e-3 * viewer.frame_stamp().reference_time_s;
             viewer.frame_at(time_s).unwrap();
         }
-        // It stands still: nothing more is asked for, and it comes to rest.
+        // A resting camera requests nothing more, and the pager settles.
         viewer.view_mut().announced = None;
         while !viewer.is_settled() {
             assert!(Instant::now() < end);
@@ -355,9 +355,9 @@ fn the_viewer_loads_ahead_on_an_announced_path_and_by_the_eyes_motion() {
     assert_eq!(viewer.pager().unwrap().stats().merged_ahead, 0);
 }
 
-/// It was looked along once all moments of the path before it were over.
+/// Regression: a new path was used only after all moments of the old one had been looked at.
 #[test]
-fn another_path_is_looked_along_at_once() {
+fn new_path_is_used_at_once() {
     let folder = tempfile::tempdir().unwrap();
     write_quadtree(folder.path());
     let config = ViewerConfig {

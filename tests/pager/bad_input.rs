@@ -1,5 +1,5 @@
-//! Bad input and bad connections in a flight: each is reported as one error, its parent stays, and nothing
-//! is asked for again and again. No GPU.
+//! Bad input and bad connections in a flight: each is reported as one error, its parent stays visible, and requests are
+//! not repeated endlessly. No GPU.
 
 use std::collections::HashMap;
 use std::io::Write as _;
@@ -27,7 +27,7 @@ fn glb() -> Vec<u8> {
     })
 }
 
-/// A root with children of these names.
+/// Returns a root with children of these names.
 fn tileset(children: &[&str]) -> String {
     let tile = |name: &str, error: f64, children: &str| {
         format!(
@@ -53,7 +53,7 @@ fn gzip(bytes: impl Iterator<Item = Vec<u8>>) -> Vec<u8> {
     packed.finish().unwrap()
 }
 
-/// Returns the only child's error; the root is drawn instead of it.
+/// Returns the error of the only child. The root is drawn instead of it.
 fn refused(child: Vec<u8>, limits: Limits) -> String {
     let folder = tempfile::tempdir().unwrap();
     write_set(folder.path(), &[("child.glb", child)]);
@@ -69,15 +69,15 @@ fn refused(child: Vec<u8>, limits: Limits) -> String {
 }
 
 #[test]
-fn bombs_are_refused_before_they_go_off() {
+fn decompression_bombs_are_refused() {
     let limits = Limits { max_file_bytes: 4 << 20, max_image_bytes: 4 << 20, ..Limits::default() };
-    // 64 MiB of zeros in 64 KiB, and once more around it.
+    // 64 MiB of zeros become 64 KiB, compressed once more.
     let zeros = gzip((0..64).map(|_| vec![0; 1 << 20]));
     assert!(zeros.len() < 1 << 17);
     let start = Instant::now();
     assert!(refused(zeros.clone(), limits).contains("limit"));
     refused(gzip([zeros].into_iter()), limits);
-    // An image that says that it is 60,000 pixels wide.
+    // The header of the image gives a width of 60,000 pixels.
     let mut png = std::io::Cursor::new(Vec::new());
     image::RgbImage::new(4, 4).write_to(&mut png, image::ImageFormat::Png).unwrap();
     let mut png = png.into_inner();
@@ -125,7 +125,7 @@ fn over_http(answer: impl Fn() -> Reply + Send + Sync + 'static) -> (Run, Server
     let http = HttpConfig { max_retries: 0, ..HttpConfig::default() };
     let config = PagerConfig { http, max_tries: Some(1), ..PagerConfig::default() };
     let mut run = Run::new(&format!("{}/tileset.json", server.url.trim_end_matches('/')), config);
-    // The root by itself: it need not come where the child is there before it.
+    // The root is waited for separately, because it need not load if the child is loaded before it.
     let fine_px = std::mem::replace(&mut run.max_sse_px, 1e9);
     run.settle(above(10.0));
     run.max_sse_px = fine_px;
@@ -134,13 +134,13 @@ fn over_http(answer: impl Fn() -> Reply + Send + Sync + 'static) -> (Run, Server
 }
 
 #[test]
-fn types_that_servers_tell_are_not_believed() {
+fn content_types_of_servers_are_not_trusted() {
     for kind in ["text/html", "image/png", "application/json; charset=x", "", "///"] {
         let (run, _server) = over_http(move || Reply::ok(glb()).with("content-type", kind));
         assert_eq!((run.pager.stats().failed, run.stage.counters.tiles_drawn), (0, 1), "{kind}");
         assert_eq!(run.pager.stats().merged, 2, "{kind}");
     }
-    // A page that says it is well, and that it is a tile.
+    // A web page with status 200 and the content type of a tile.
     let page = "<!DOCTYPE html><html><body>Sign in</body></html>";
     for kind in ["text/html", "model/gltf-binary"] {
         let (mut run, server) = over_http(move || Reply::ok(page).with("content-type", kind));
@@ -155,7 +155,7 @@ fn types_that_servers_tell_are_not_believed() {
 }
 
 #[test]
-fn contents_that_change_between_requests() {
+fn contents_may_change_between_requests() {
     let folder = tempfile::tempdir().unwrap();
     write_set(folder.path(), &[("child.glb", glb())]);
     let mut run = Run::new(folder.path().to_str().unwrap(), PagerConfig::default());
@@ -166,7 +166,7 @@ fn contents_that_change_between_requests() {
     };
     run.settle(above(10.0));
     assert_eq!(run.pager.stats().merged, 2);
-    // A tile that becomes a tileset, a broken file, nothing, and itself again.
+    // A tile becomes a tileset, a corrupt file, an empty one, and itself again.
     let of_one = tileset(&[]).replace("root.glb", "other.glb");
     std::fs::write(folder.path().join("other.glb"), glb()).unwrap();
     std::fs::write(folder.path().join("child.glb"), of_one).unwrap();
@@ -181,7 +181,7 @@ fn contents_that_change_between_requests() {
     std::fs::write(folder.path().join("child.glb"), glb()).unwrap();
     clear(&mut run);
     assert_eq!((run.pager.stats().failed, run.pager.stats().resident), (2, 2));
-    // A body that changes on the server, with a cache in between.
+    // A body changes on the server while the cache has the old one.
     let (cache, bodies) = (tempfile::tempdir().unwrap(), Arc::new(AtomicU64::new(0)));
     let of_server = bodies.clone();
     let server = Server::start(move |request| match request.path() {
@@ -207,7 +207,7 @@ fn contents_that_change_between_requests() {
 }
 
 #[test]
-fn clocks_that_jump_change_no_picture() {
+fn clock_jumps_do_not_change_images() {
     let folder = tempfile::tempdir().unwrap();
     write_set(folder.path(), &[("child.glb", glb())]);
     let config = ViewerConfig {
@@ -250,7 +250,7 @@ fn unreadable_files_are_reported() {
     assert!(expected.iter().all(|why| errors.iter().any(|e| e.reason.contains(why))), "{errors:?}");
 }
 
-/// Lines that were logged, warnings and errors.
+/// Recorded log lines of warnings and errors.
 static LINES: AtomicU64 = AtomicU64::new(0);
 
 struct Count;
@@ -268,8 +268,8 @@ impl log::Log for Count {
 }
 
 #[test]
-fn thousands_of_failing_uris_are_one_list_and_no_storm() {
-    if runs_alone(module_path!(), "thousands_of_failing_uris_are_one_list_and_no_storm") {
+fn thousands_of_failing_uris_cause_no_flood_of_requests_or_log_lines() {
+    if runs_alone(module_path!(), "thousands_of_failing_uris_cause_no_flood_of_requests_or_log_lines") {
         return;
     }
     const CHILDREN: usize = 5000;
@@ -277,7 +277,7 @@ fn thousands_of_failing_uris_are_one_list_and_no_storm() {
     log::set_max_level(log::LevelFilter::Warn);
     let names: Vec<String> = (0..CHILDREN).map(|i| format!("none-{i}.glb")).collect();
     let names: Vec<&str> = names.iter().map(String::as_str).collect();
-    // From disk: none is there, and none is looked for twice.
+    // No file exists on disk, and none is looked for twice.
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("tileset.json"), tileset(&names)).unwrap();
     std::fs::write(folder.path().join("root.glb"), glb()).unwrap();
@@ -295,7 +295,7 @@ fn thousands_of_failing_uris_are_one_list_and_no_storm() {
     assert_eq!(run.stage.counters.tiles_drawn, 1, "the root stays");
     assert!(per_frame < Duration::from_millis(50), "{per_frame:?} a frame");
 
-    // From a server that is out of order: each is asked for as often as the configuration has it, with growing pauses.
+    // A failing server gets the configured number of requests for each URI, with growing pauses.
     let asked: Arc<Mutex<HashMap<String, u64>>> = Arc::default();
     let of_server = asked.clone();
     let set = tileset(&names[..400]);
@@ -312,7 +312,7 @@ fn thousands_of_failing_uris_are_one_list_and_no_storm() {
     let config = PagerConfig { http, max_tries: Some(max_tries), retry_after, ..PagerConfig::default() };
     let mut run = Run::new(&format!("{}/tileset.json", server.url.trim_end_matches('/')), config);
     let all = 400 * u64::from(max_tries);
-    run.until(above(10.0), "not all tries are made", |r| r.pager.stats().failed == all);
+    run.until(above(10.0), "not all retries were made", |r| r.pager.stats().failed == all);
     for _ in 0..200 {
         run.frame(above(10.0));
         std::thread::sleep(Duration::from_millis(1));
@@ -324,9 +324,9 @@ fn thousands_of_failing_uris_are_one_list_and_no_storm() {
     assert!(LINES.load(Ordering::Relaxed) < 20, "{} lines in the log", LINES.load(Ordering::Relaxed));
 }
 
-/// Each frame looked through all that ever failed.
+/// Regression: each frame examined all URIs that had ever failed.
 #[test]
-fn failures_out_of_view_are_forgotten_when_there_are_thousands() {
+fn failures_out_of_view_are_forgotten_if_there_are_thousands() {
     let folder = tempfile::tempdir().unwrap();
     for (children, remembered) in [(4_000, 4_000), (5_000, 0)] {
         let names: Vec<String> = (0..children).map(|k| format!("missing {k}.glb")).collect();
@@ -338,16 +338,16 @@ fn failures_out_of_view_are_forgotten_when_there_are_thousands() {
         run.settle(near);
         assert_eq!((run.pager.stats().failed, run.pager.request_states().len()), (children, children as usize));
         (0..100).for_each(|_| run.frame(near));
-        assert_eq!(run.pager.request_states().len(), children as usize, "in sight they are not asked for again");
+        assert_eq!(run.pager.request_states().len(), children as usize, "visible ones are not requested again");
         (0..100).for_each(|_| run.frame(far));
         assert_eq!(run.pager.request_states().len(), remembered);
         run.settle(near);
         let again = children - remembered as u64;
-        assert_eq!(run.pager.stats().failed, children + again, "once more by who comes back");
+        assert_eq!(run.pager.stats().failed, children + again, "one more request when the camera returns");
     }
 }
 
-/// A disk that did not answer once lost a tile until the program was started again.
+/// Regression: a disk that failed once lost a tile until the program was restarted.
 #[cfg(target_os = "linux")]
 #[test]
 fn transient_file_errors_are_retried() {
@@ -356,33 +356,33 @@ fn transient_file_errors_are_retried() {
     for name in ["root.glb", "a.glb"] {
         std::fs::write(folder.path().join(name), glb()).unwrap();
     }
-    // It has no page at 0: an I/O error.
+    // Address 0 of the process's memory is not mapped, so reading it is an I/O error.
     let (broken, well) = (folder.path().join("b.glb"), folder.path().join("a.glb"));
     std::os::unix::fs::symlink("/proc/self/mem", &broken).unwrap();
     std::fs::create_dir(folder.path().join("c.glb")).unwrap();
     let config = PagerConfig { retry_after: std::time::Duration::from_millis(20), ..PagerConfig::default() };
     let mut run = Run::new(folder.path().to_str().unwrap(), config.clone());
     let near = above(5.0);
-    run.until(near, "does not fail", |r| r.pager.stats().failed >= 2);
+    run.until(near, "no failure was reported", |r| r.pager.stats().failed >= 2);
     std::fs::remove_file(&broken).unwrap();
     std::fs::copy(&well, &broken).unwrap();
-    run.until(near, "is not tried again", |r| r.pager.stats().merged == 3);
+    run.until(near, "no retry was made", |r| r.pager.stats().merged == 3);
     let errors = run.pager.errors();
     let of = |name: &str| errors.iter().find(|e| e.uri.ends_with(name)).unwrap();
     assert!(of("b.glb").reason.contains("os error 5"), "{errors:?}");
-    assert_eq!(of("c.glb").count, 1, "folders stay folders");
-    // And not for ever.
+    assert_eq!(of("c.glb").count, 1, "a folder is a permanent error");
+    // The number of retries is limited.
     std::fs::remove_file(&broken).unwrap();
     std::os::unix::fs::symlink("/proc/self/mem", &broken).unwrap();
     let wait = std::time::Duration::from_millis(1);
     let mut run = Run::new(folder.path().to_str().unwrap(), PagerConfig { retry_after: wait, ..config });
     let end = std::time::Instant::now() + 200 * wait;
-    run.until(near, "is tried for ever", |r| r.pager.stats().failed >= 6 && std::time::Instant::now() > end);
+    run.until(near, "it is retried forever", |r| r.pager.stats().failed >= 6 && std::time::Instant::now() > end);
     assert_eq!(run.pager.stats().failed, 5 + 1);
 }
 
 #[test]
-fn errors_of_all_kinds_say_what_and_why() {
+fn errors_of_all_kinds_name_the_problem_and_the_reason() {
     let uri = || "http://h/t.glb".to_owned();
     for error in [
         IoError::NotFound { uri: uri() },

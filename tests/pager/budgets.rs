@@ -1,5 +1,4 @@
-//! Budgets of the pager: bytes and tiles over a flight, and requests that are no longer wanted.
-//! Real files, no GPU.
+//! Budgets of the pager: bytes and tiles during a flight, and requests that are no longer wanted. Real files, no GPU.
 
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -17,7 +16,7 @@ fn over_the_world(u: f64, height_m: f64) -> DVec3 {
 }
 
 #[test]
-fn budgets_hold_in_every_frame_and_visible_tiles_come_first() {
+fn budgets_hold_in_every_frame_and_visible_tiles_load_first() {
     let folder = tempfile::tempdir().unwrap();
     write_quadtree(folder.path());
     let config = PagerConfig {
@@ -29,14 +28,14 @@ fn budgets_hold_in_every_frame_and_visible_tiles_come_first() {
     };
     let mut run = Run::new(folder.path().to_str().unwrap(), config.clone());
     let end = Instant::now() + Duration::from_secs(60);
-    // Until the budgets were pressed on, however slow the machine reads.
+    // The flight is repeated until the budgets were exhausted, independent of the speed of the machine.
     for i in 0u32.. {
         if i >= 1500 && run.pager.stats().expired > 50 {
             break;
         }
         assert!(Instant::now() < end, "nothing expires: {:?}", run.pager.stats());
         let u = f64::from(i % 1500) / 1499.0;
-        // Low enough for the finest level below the camera, now and then high enough to see all.
+        // The path is low enough for the finest level, and sometimes high enough to see everything.
         let height_m = if i % 300 < 250 { 150.0 } else { 3000.0 };
         run.frame(over_the_world(u, height_m));
         let s = *run.pager.stats();
@@ -52,17 +51,17 @@ fn budgets_hold_in_every_frame_and_visible_tiles_come_first() {
             std::thread::sleep(Duration::from_micros(200));
         }
     }
-    // The last view fits, so it is shown whole in spite of what was there before.
+    // The last view fits into the budget, so it is complete whatever was loaded before.
     let eye = over_the_world(0.5, 150.0);
     run.frame(eye);
-    run.until(eye, "the last view does not arrive", |r| r.stage.counters.wanted_missing == 0);
+    run.until(eye, "the last view was not loaded", |r| r.stage.counters.wanted_missing == 0);
     assert!(run.stage.counters.tiles_drawn > 1);
     assert!(run.pager.errors().is_empty());
-    assert!(run.context.slots_out >= run.pager.stats().resident, "what is drawn keeps its slots");
+    assert!(run.context.slots_out >= run.pager.stats().resident, "drawn pages keep their slots");
 }
 
 #[test]
-fn a_page_beyond_the_whole_budget_is_one_error() {
+fn page_beyond_the_whole_budget_is_one_error() {
     let folder = tempfile::tempdir().unwrap();
     write_quadtree(folder.path());
     let config = PagerConfig { max_bytes_gpu: PAGE_GPU_BYTES - 1, ..PagerConfig::default() };
@@ -78,7 +77,7 @@ fn a_page_beyond_the_whole_budget_is_one_error() {
     assert!(errors[0].uri.ends_with("0_0_0.glb") && errors[0].reason.contains("999"), "{errors:?}");
 }
 
-/// Two files beside each other, seen by turns, with room for one.
+/// Two files side by side are visible in turns, and there is room for one.
 fn two_tiles(folder: &Path, first: PagingOptions, config: PagerConfig) -> Run {
     write_quadtree(folder);
     let lod = |name: &str, x: f64, paging| {
@@ -101,14 +100,14 @@ fn two_tiles(folder: &Path, first: PagingOptions, config: PagerConfig) -> Run {
 const FAR_M: f64 = 1e5;
 
 #[test]
-fn a_page_stays_as_long_as_its_options_say() {
+fn page_stays_for_the_time_of_its_options() {
     let folder = tempfile::tempdir().unwrap();
     let config = PagerConfig { max_tiles: 1, expiry_frames: 2, ..PagerConfig::default() };
     let (first, second) = (above(30.0), above(30.0) + DVec3::X * FAR_M);
     let merged = |run: &Run| run.pager.stats().merged;
     let frames_until_second = |options| {
         let mut run = two_tiles(folder.path(), options, config.clone());
-        run.until(first, "the first does not come", |r| merged(r) == 1);
+        run.until(first, "the first page was not loaded", |r| merged(r) == 1);
         run.frame(first);
         let (frame, start) = (run.frame, Instant::now());
         while merged(&run) == 1 && run.frame - frame < 3000 && start.elapsed() < Duration::from_secs(2) {
@@ -126,23 +125,23 @@ fn a_page_stays_as_long_as_its_options_say() {
     assert!(merged == 2 && took > Duration::from_millis(300), "{took:?}");
     for stays in [
         PagingOptions { cannot_expire: true, ..Default::default() },
-        // It went at once.
+        // Without the options it is evicted at once.
         PagingOptions { min_expiry_s: f32::INFINITY, ..Default::default() },
     ] {
         let (merged, ..) = frames_until_second(stays);
-        assert_eq!(merged, 1, "it stays, and the other has no room");
+        assert_eq!(merged, 1, "the first page stays, and the second has no room");
     }
 }
 
 #[test]
-fn invisible_pages_are_evicted_when_less_than_a_page_is_free() {
+fn invisible_pages_are_evicted_if_less_than_a_page_is_free() {
     let folder = tempfile::tempdir().unwrap();
     let (first, second) = (above(30.0), above(30.0) + DVec3::X * FAR_M);
-    // A third of the budget stays free, in which no page has room.
+    // A third of the budget stays free, which is less than a page.
     let config = PagerConfig { max_bytes_gpu: PAGE_GPU_BYTES * 3 / 2, ..PagerConfig::default() };
     let mut run = two_tiles(folder.path(), PagingOptions::default(), config);
-    run.until(first, "the first does not come", |r| r.pager.stats().merged == 1);
-    run.until(second, "the second does not come", |r| r.pager.stats().merged == 2);
+    run.until(first, "the first page was not loaded", |r| r.pager.stats().merged == 1);
+    run.until(second, "the second page was not loaded", |r| r.pager.stats().merged == 2);
     let s = run.pager.stats();
     assert!(s.expired == 1 && s.gpu_bytes_peak <= PAGE_GPU_BYTES * 3 / 2, "{s:?}");
 }
@@ -151,14 +150,14 @@ fn invisible_pages_are_evicted_when_less_than_a_page_is_free() {
 fn options_change_the_order_of_loads() {
     let own = |priority_scale, priority_offset| PagingOptions { priority_scale, priority_offset, ..Default::default() };
     assert_eq!(own(2.0, 5.0).priority(10.0), 25.0);
-    assert_eq!(own(1.0, -50.0).priority(10.0), 0.0, "not below what is wanted later");
+    assert_eq!(own(1.0, -50.0).priority(10.0), 0.0, "not below prefetch requests");
     assert_eq!(own(9.0, 9.0).priority(-0.5), -0.5);
     assert_eq!(own(f32::NAN, 0.0).priority(3.0), 3.0);
-    // Which of two that one image lacks comes where there is room for one.
+    // Of two missing pages of one image, the room for one decides which is loaded.
     for (options, expected, other) in [(own(1.0, 1e6), 0.0, FAR_M), (own(0.0, 0.0), FAR_M, 0.0)] {
         let folder = tempfile::tempdir().unwrap();
         let mut run = two_tiles(folder.path(), options, PagerConfig { max_tiles: 1, ..PagerConfig::default() });
-        // High enough to see both.
+        // The eye is high enough to see both.
         let eye = DVec3::new(0.5 * FAR_M, 0.0, 2.0 * FAR_M);
         run.frame(eye);
         assert_eq!(run.stage.counters.wanted_missing, 2);
@@ -172,14 +171,14 @@ fn options_change_the_order_of_loads() {
 }
 
 #[test]
-fn a_stale_request_reads_nothing() {
+fn stale_request_reads_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let content_bytes = write_quadtree(folder.path());
-    // Room for the root alone: whatever else is asked for waits.
+    // There is room for the root only, so that other requests wait.
     let config = PagerConfig { max_tiles: 1, stale_frames: 3, ..PagerConfig::default() };
     let mut run = Run::new(folder.path().to_str().unwrap(), config);
     let far = DVec3::new(0.5 * WORLD_M, 0.5 * WORLD_M, 500_000.0);
-    run.until(far, "the root does not arrive", |r| r.pager.stats().merged == 1);
+    run.until(far, "the root was not loaded", |r| r.pager.stats().merged == 1);
     for _ in 0..20 {
         run.frame(over_the_world(0.5, 150.0));
     }
@@ -195,10 +194,10 @@ fn a_stale_request_reads_nothing() {
 }
 
 #[test]
-fn work_between_frames_loads_everything_the_last_cull_asked_for() {
+fn work_between_frames_loads_all_requests_of_the_last_cull() {
     let folder = tempfile::tempdir().unwrap();
     write_quadtree(folder.path());
-    // One page a merge: what is left over must not wait for another answer.
+    // One page is merged at a time. The remaining ones must not wait for another answer.
     let config = PagerConfig { merge_time: Duration::ZERO, ..PagerConfig::default() };
     let mut run = Run::new(folder.path().to_str().unwrap(), config);
     let eye = over_the_world(0.5, 150.0);
@@ -206,17 +205,17 @@ fn work_between_frames_loads_everything_the_last_cull_asked_for() {
     let contexts: &mut [&mut dyn CompileContext] = &mut [&mut run.context];
     let start = Instant::now();
     run.pager.work_until(&mut run.scene, contexts, start + Duration::from_secs(60));
-    assert!(start.elapsed() < Duration::from_secs(50), "returns when nothing is under way");
+    assert!(start.elapsed() < Duration::from_secs(50), "it returns when nothing is in flight");
     assert!(run.pager.is_idle());
     run.frame(eye);
     assert_eq!((run.stage.counters.wanted_missing, run.stage.requests.len()), (0, 0), "{:?}", run.pager.stats());
     assert!(run.stage.counters.tiles_drawn > 1);
-    // Nothing to do: it does not wait for the deadline.
+    // Without work it does not wait for the deadline.
     let contexts: &mut [&mut dyn CompileContext] = &mut [&mut run.context];
     run.pager.work_until(&mut run.scene, contexts, Instant::now() + Duration::from_secs(60));
 }
 
-/// A root with a content, and below it an external tileset with one content.
+/// Returns a root with a content, and below it an external tileset with one content.
 fn write_nested(folder: &Path) {
     let glb = write_glb(&GlbMesh {
         positions: vec![[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]],
@@ -237,7 +236,7 @@ fn write_nested(folder: &Path) {
     std::fs::write(folder.join("tileset.json"), set(&tile(10.0, "outer.glb", &tile(5.0, "inner.json", "")))).unwrap();
 }
 
-/// It stayed in the list of uploads for ever, took room from what was wanted, and kept its slots.
+/// Regression: the upload stayed in the list forever, used room in the budget, and kept its slots.
 #[test]
 fn uploads_of_an_expired_tileset_are_released() {
     let folder = tempfile::tempdir().unwrap();
@@ -245,23 +244,23 @@ fn uploads_of_an_expired_tileset_are_released() {
     let config = PagerConfig { max_tiles: 3, expiry_frames: 2, ..PagerConfig::default() };
     let mut run = Run::new(folder.path().to_str().unwrap(), config);
     let (near, far) = (DVec3::new(0.0, 0.0, 40.0), DVec3::new(0.0, 0.0, 100_000.0));
-    run.until(near, "the inner tileset does not arrive", |r| r.pager.stats().merged == 2);
+    run.until(near, "the inner tileset was not loaded", |r| r.pager.stats().merged == 2);
     run.context.holds = true;
     run.until(near, "the inner content is not uploaded", |r| r.pager.stats().loaded == 3);
-    run.until(far, "the inner tileset does not expire", |r| r.pager.stats().expired >= 1);
+    run.until(far, "the inner tileset did not expire", |r| r.pager.stats().expired >= 1);
     run.context.holds = false;
     run.frame(far);
     let stats = *run.pager.stats();
     assert_eq!((stats.dropped, stats.resident, stats.in_flight), (1, 1, 0), "{stats:?}");
-    assert_eq!(run.context.cancelled, 1, "nobody waits for it");
-    assert_eq!(run.context.slots_out, 1, "the outer content's");
+    assert_eq!(run.context.cancelled, 1, "no upload is pending");
+    assert_eq!(run.context.slots_out, 1, "only the slots of the outer content");
     run.settle(near);
     assert_eq!((run.pager.stats().resident, run.context.slots_out), (3, 2), "{:?}", run.pager.stats());
 }
 
-/// It was loaded in each frame, and what would have fitted waited behind it.
+/// Regression: it was loaded in each frame, and smaller pages waited behind it.
 #[test]
-fn a_page_without_room_is_loaded_once_and_blocks_no_smaller_page() {
+fn page_without_room_is_loaded_once_and_blocks_no_smaller_page() {
     let folder = tempfile::tempdir().unwrap();
     let write = |name: &str, points: u16, at: f32| {
         let positions = (0..points).map(|k| [at + f32::from(k % 3), f32::from(k % 7), f32::from(k % 5)]).collect();
@@ -278,7 +277,7 @@ fn a_page_without_room_is_loaded_once_and_blocks_no_smaller_page() {
             "content":{{"uri":"{name}"}}{more}}}"#
         )
     };
-    // The larger one is in the middle of the view.
+    // The larger one is in the middle of the view, so it is requested first.
     let smallest = tile("smallest.glb", 12.0, 1.0, 0.0, "");
     let small = tile("small.glb", 12.0, 2.0, 500.0, &format!(r#","children":[{smallest}]"#));
     let below = [tile("large.glb", 0.0, 9.0, 0.0, ""), small].join(",");
@@ -286,11 +285,13 @@ fn a_page_without_room_is_loaded_once_and_blocks_no_smaller_page() {
     let set = format!(r#"{{"asset":{{"version":"1.1"}},"geometricError":1000,"root":{root}}}"#);
     std::fs::write(folder.path().join("tileset.json"), set).unwrap();
     let (source, eye) = (folder.path().to_str().unwrap(), above(60.0));
-    // The large one does not fit beside the first, several of the mean size do.
+    // The large page does not fit beside the first one, but several of the mean size do.
     let config = PagerConfig { max_bytes_gpu: 3420, decode_threads: 1, ..PagerConfig::default() };
     let mut run = Run::new(source, config.clone());
     run.context.counts_vertices = true;
-    run.until(eye, "the small ones do not come", |r| r.pager.stats().resident == 3 && r.pager.stats().declined >= 1);
+    run.until(eye, "the small pages were not loaded", |r| {
+        r.pager.stats().resident == 3 && r.pager.stats().declined >= 1
+    });
     for _ in 0..300 {
         run.frame(eye);
         std::thread::sleep(Duration::from_micros(100));
@@ -301,15 +302,15 @@ fn a_page_without_room_is_loaded_once_and_blocks_no_smaller_page() {
 }
 
 #[test]
-fn a_pager_pauses_takes_no_requests_and_is_cleared() {
+fn pager_can_be_paused_stopped_and_cleared() {
     let folder = tempfile::tempdir().unwrap();
     write_quadtree(folder.path());
     let mut run = Run::new(folder.path().to_str().unwrap(), PagerConfig::default());
     let eye = over_the_world(0.5, 150.0);
     run.pager.set_paused(true);
-    // The first update tells the threads.
+    // The first update passes the setting to the threads.
     run.frame(over_the_world(0.5, 500_000.0));
-    run.until(eye, "what was begun does not end", |r| r.pager.stats().in_flight == 0);
+    run.until(eye, "the loads in flight did not end", |r| r.pager.stats().in_flight == 0);
     let before = *run.pager.stats();
     for _ in 0..50 {
         run.frame(eye);
@@ -336,7 +337,7 @@ fn a_pager_pauses_takes_no_requests_and_is_cleared() {
     assert_eq!(run.pager.stats().resident, settled.resident);
 }
 
-/// In flight when the pager is cleared: late answers are dropped.
+/// Answers in flight when the pager is cleared are dropped.
 #[test]
 fn pages_that_arrive_after_a_clear_are_not_merged() {
     let folder = tempfile::tempdir().unwrap();
@@ -361,7 +362,7 @@ fn pages_that_arrive_after_a_clear_are_not_merged() {
     }
 }
 
-/// Pages loaded and uploaded count against the budgets before their merge; they once did not.
+/// Loaded and uploaded pages count against the budgets before their merge. Regression: they did not.
 #[test]
 fn pages_waiting_for_upload_or_merge_count() {
     let folder = tempfile::tempdir().unwrap();
@@ -373,7 +374,7 @@ fn pages_waiting_for_upload_or_merge_count() {
     let start = Instant::now();
     let mut most = 0;
     for frame in 0u32.. {
-        // Uploads come in bursts.
+        // Uploads complete in bursts.
         run.context.holds = frame % 8 != 7;
         run.frame(eye);
         let s = *run.pager.stats();
@@ -390,9 +391,9 @@ fn pages_waiting_for_upload_or_merge_count() {
     }
 }
 
-/// Pages of the mean size had no room any more, and nothing smaller was looked at for as long as the view stayed.
+/// Regression: if a page of the mean size had no room, smaller ones were not considered as long as the view stayed.
 #[test]
-fn a_small_page_has_room_where_none_of_the_mean_size_has() {
+fn small_page_is_loaded_although_none_of_the_mean_size_fits() {
     let folder = tempfile::tempdir().unwrap();
     write_quadtree(folder.path());
     let write = |name: &str, points: u16| {
@@ -402,19 +403,19 @@ fn a_small_page_has_room_where_none_of_the_mean_size_has() {
     };
     write("0_0_0.glb", 3000);
     write("1_0_0.glb", 30);
-    // The large one is more urgent.
+    // The large page has the higher priority.
     let options = PagingOptions { priority_offset: 1e6, ..PagingOptions::default() };
     let config = PagerConfig { max_bytes_gpu: 4000, ..PagerConfig::default() };
     let mut run = two_tiles(folder.path(), options, config);
     run.context.counts_vertices = true;
     let eye = DVec3::new(0.5 * FAR_M, 0.0, 2.0 * FAR_M);
-    run.until(above(30.0), "the large one does not come", |r| r.pager.stats().merged == 1);
-    run.until(eye, "the small one does not come", |r| r.pager.stats().merged == 2);
+    run.until(above(30.0), "the large page was not loaded", |r| r.pager.stats().merged == 1);
+    run.until(eye, "the small page was not loaded", |r| r.pager.stats().merged == 2);
     assert!(run.pager.stats().gpu_bytes_held_peak <= 4000);
 }
 
 #[test]
-fn uploads_wait_for_time_or_for_none() {
+fn uploads_wait_for_time_between_frames() {
     let folder = tempfile::tempdir().unwrap();
     write_quadtree(folder.path());
     for pre_compile in [true, false] {
@@ -425,8 +426,8 @@ fn uploads_wait_for_time_or_for_none() {
         if pre_compile {
             run.until(eye, "nothing is loaded", |r| r.pager.stats().loaded > 0);
             (0..20).for_each(|_| run.frame(eye));
-            assert_eq!(run.pager.stats().merged, 0, "frames leave it no time");
-            // Between two frames there is some.
+            assert_eq!(run.pager.stats().merged, 0, "frames leave no time for uploads");
+            // Between two frames there is some time.
             run.work_until_idle();
             assert!(run.pager.stats().merged > 0);
         } else {
@@ -436,7 +437,7 @@ fn uploads_wait_for_time_or_for_none() {
     }
 }
 
-/// Sizes are not what the mean had them be.
+/// The sizes of pages differ from their mean.
 #[test]
 fn pages_of_all_sizes_keep_the_budgets_and_all_that_fit_are_loaded() {
     let folder = tempfile::tempdir().unwrap();
@@ -469,7 +470,7 @@ fn pages_of_all_sizes_keep_the_budgets_and_all_that_fit_are_loaded() {
         })
         .collect();
     let vertices: u64 = (0..40).map(|i| 3 * sizes[i % sizes.len()] as u64).sum();
-    // By the name that a slot has.
+    // The size follows from the name of a slot.
     let size_of = |uri: &str| {
         let number = uri.rsplit_once("size_").and_then(|(_, name)| name.strip_suffix(".glb")?.parse::<usize>().ok());
         3 * sizes[number.unwrap() % sizes.len()] as u64
@@ -480,7 +481,7 @@ fn pages_of_all_sizes_keep_the_budgets_and_all_that_fit_are_loaded() {
         let mut run = Run::of_page(root, folder.path().to_str().unwrap(), config);
         run.context.counts_vertices = true;
         let mut frame = 0u32;
-        run.until(above(30.0), "does not fill the budget", |run| {
+        run.until(above(30.0), "the budget was not filled", |run| {
             let s = run.pager.stats();
             assert!(s.gpu_bytes_held <= max_bytes_gpu && s.gpu_bytes_held_peak <= max_bytes_gpu, "{s:?}");
             let enough = if max_bytes_gpu == vertices { vertices } else { max_bytes_gpu / 2 };
@@ -491,12 +492,12 @@ fn pages_of_all_sizes_keep_the_budgets_and_all_that_fit_are_loaded() {
             run.frame(above(30.0));
             std::thread::sleep(Duration::from_micros(300));
         }
-        // Nothing is left out that has room.
+        // No page that fits is left out.
         let smallest_missing = |run: &Run| {
             let slots = run.scene.slots_of_page(run.scene.roots()[0]).filter_map(|slot| run.scene.slot(slot));
             slots.filter(|slot| slot.state == SlotState::Empty).map(|slot| size_of(slot.uri)).min()
         };
-        run.until(above(30.0), "something that has room does not come", |run| {
+        run.until(above(30.0), "a page that fits was not loaded", |run| {
             let free = max_bytes_gpu - run.pager.stats().gpu_bytes;
             smallest_missing(run).is_none_or(|size| size > free)
         });

@@ -1,4 +1,4 @@
-//! The pager over HTTP: a real server on this machine that answers, fails, stalls and breaks off. No GPU.
+//! The pager over HTTP: a local server that answers, fails, stalls and closes connections. No GPU.
 
 use std::collections::HashMap;
 use std::io::{Read as _, Write as _};
@@ -14,26 +14,26 @@ use terrane::formats::writers::{GlbMesh, write_glb};
 use terrane::pager::{DatabasePager, ErrorRecord, PagerConfig, PagerStats};
 use terrane::scene::{NodeId, SlotState};
 
-/// The server's behaviour for a request.
+/// The server's reaction to a request.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Answer {
     Whole,
     Status(u16),
-    /// The head promises all, the body ends half way.
+    /// The head announces the whole body, which ends half way.
     Truncated,
-    /// Half the body, then nothing until the client goes.
+    /// Half of the body, then nothing until the client closes the connection.
     Stalled,
-    /// Nothing at all until the client goes.
+    /// No answer until the client closes the connection.
     Silent,
-    /// The connection is closed at once.
+    /// The connection is closed immediately.
     Broken,
     /// An error page with status 200.
     Page,
     /// A body that is not content, with status 200.
     Rubbish,
-    /// The whole after 20 ms.
+    /// The whole body after 20 ms.
     Slow,
-    /// To another address.
+    /// A redirect to another address.
     Moved(&'static str),
 }
 
@@ -41,7 +41,7 @@ enum Answer {
 #[derive(Default)]
 struct Seen {
     requests: Vec<String>,
-    /// Paths of requests that the client gave up.
+    /// Paths of requests that the client cancelled.
     given_up: Vec<String>,
 }
 
@@ -51,13 +51,13 @@ struct Server {
 }
 
 impl Server {
-    /// Serves `files`; `plan` says what happens at the n-th request (from 0) of a path.
+    /// Serves `files`. `plan` decides about the n-th request (from 0) for a path.
     fn start(files: HashMap<String, Vec<u8>>, plan: impl Fn(&str, usize) -> Answer + Send + Sync + 'static) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let url = format!("http://{}", listener.local_addr().unwrap());
         let seen = Arc::new(Mutex::new(Seen::default()));
         let (files, plan, log) = (Arc::new(files), Arc::new(plan), seen.clone());
-        // Ends with the process.
+        // The thread ends with the process.
         std::thread::spawn(move || {
             for stream in listener.incoming().flatten() {
                 let (files, plan, log) = (files.clone(), plan.clone(), log.clone());
@@ -101,7 +101,7 @@ fn serve(
         format!("HTTP/1.1 {status}\r\nContent-Length: {length}\r\nConnection: close\r\n\r\n")
     };
     let until_given_up = |stream: &mut TcpStream| {
-        // Nothing comes but the end.
+        // The client can only close the connection.
         while matches!(stream.read(&mut [0; 64]), Ok(n) if n > 0) {}
         log.lock().unwrap().given_up.push(path.clone());
     };
@@ -142,7 +142,7 @@ fn serve(
 
 const CHILDREN: usize = 6;
 
-/// A root and its children around the origin, one glb each, by path.
+/// Returns a root and its children around the origin, one glb each, by path.
 fn set() -> HashMap<String, Vec<u8>> {
     let glb = write_glb(&GlbMesh {
         positions: vec![[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
@@ -164,7 +164,7 @@ fn set() -> HashMap<String, Vec<u8>> {
     files
 }
 
-/// Short waits; generous enough for a busy machine where an answer does come.
+/// The timeouts are short, but long enough for a busy machine when there is an answer.
 fn impatient() -> PagerConfig {
     PagerConfig {
         http: HttpConfig {
@@ -181,7 +181,7 @@ fn impatient() -> PagerConfig {
     }
 }
 
-/// Waits for answers as long as a test runs.
+/// The timeouts are longer than a test.
 fn patient() -> PagerConfig {
     let long = Duration::from_secs(100);
     let mut config = impatient();
@@ -206,7 +206,7 @@ fn error_of(run: &Run, name: &str) -> ErrorRecord {
 }
 
 #[test]
-fn a_set_streams_whole() {
+fn set_is_streamed_completely() {
     let files = set();
     let bytes: u64 = files.values().map(|f| f.len() as u64).sum();
     for answer in [Answer::Whole, Answer::Slow] {
@@ -215,14 +215,14 @@ fn a_set_streams_whole() {
         run.settle(NEAR);
         let stats = *run.pager.stats();
         assert_eq!((stats.merged, stats.failed), (CHILDREN as u64 + 1, 0), "{:?}", run.pager.errors());
-        assert_eq!((stats.bytes_http, stats.bytes_read), (bytes, bytes), "every byte once");
+        assert_eq!((stats.bytes_http, stats.bytes_read), (bytes, bytes), "all bytes are loaded once");
         assert_eq!(run.stage.counters.tiles_drawn, CHILDREN as u32);
-        assert_eq!(server.seen.lock().unwrap().requests.len(), CHILDREN + 2, "every file once");
+        assert_eq!(server.seen.lock().unwrap().requests.len(), CHILDREN + 2, "all files are requested once");
     }
 }
 
 #[test]
-fn each_fault_is_one_error_and_costs_nothing_else() {
+fn each_fault_is_one_error_and_affects_no_other_tile() {
     let plan = |path: &str, _: usize| match path {
         "/set/child0.glb" => Answer::Status(404),
         "/set/child1.glb" => Answer::Status(500),
@@ -247,15 +247,15 @@ fn each_fault_is_one_error_and_costs_nothing_else() {
         assert_eq!(error.count, 1, "{error:?}");
     }
     let stats = *run.pager.stats();
-    assert_eq!((stats.failed, stats.merged), (5, 2), "the root and the whole child are there: {stats:?}");
+    assert_eq!((stats.failed, stats.merged), (5, 2), "the root and the valid child are resident: {stats:?}");
     assert_eq!(run.stage.counters.tiles_drawn, 1, "the parent stays");
-    // Permanent failures were requested once, transient ones were retried.
+    // Permanent failures are requested once, transient ones are retried.
     assert_eq!(["0", "1", "3"].map(|i| server.requests(&format!("/set/child{i}.glb"))), [1, 2, 2]);
     let before = server.seen.lock().unwrap().requests.len();
     for _ in 0..50 {
         run.frame(NEAR);
     }
-    assert_eq!(server.seen.lock().unwrap().requests.len(), before, "failures are not hammered");
+    assert_eq!(server.seen.lock().unwrap().requests.len(), before, "failures are not requested repeatedly");
 }
 
 #[test]
@@ -272,7 +272,7 @@ fn transient_failures_are_retried() {
         assert_eq!(run.stage.counters.tiles_drawn, CHILDREN as u32, "{fault:?}: {:?}", run.pager.errors());
         assert_eq!((server.requests("/set/child2.glb"), run.pager.stats().failed), (2, 0), "{fault:?}");
     }
-    // Beyond the client's own retries, the pager's.
+    // After the retries of the client come those of the pager.
     let server =
         Server::start(
             set(),
@@ -282,13 +282,14 @@ fn transient_failures_are_retried() {
         );
     let mut run =
         run_of(&server, PagerConfig { max_tries: Some(3), retry_after: Duration::from_millis(20), ..impatient() });
-    run.until(NEAR, "does not recover", |r| r.stage.counters.tiles_drawn == CHILDREN as u32);
+    run.until(NEAR, "it did not recover", |r| r.stage.counters.tiles_drawn == CHILDREN as u32);
     assert_eq!((error_of(&run, "child2.glb").count, server.requests("/set/child2.glb")), (1, 3));
 }
 
-/// After four tries, that is a minute without a network, tiles were missing until the program was started again.
+/// Regression: after four attempts, which is a minute without a network, tiles were missing until the program was
+/// restarted.
 #[test]
-fn an_outage_of_many_tries_is_got_over() {
+fn tiles_load_after_a_long_outage() {
     let server =
         Server::start(
             set(),
@@ -298,29 +299,30 @@ fn an_outage_of_many_tries_is_got_over() {
         );
     let max_tries = PagerConfig::default().max_tries;
     let mut run = run_of(&server, PagerConfig { max_tries, retry_after: Duration::from_millis(2), ..impatient() });
-    run.until(NEAR, "does not recover", |r| r.stage.counters.tiles_drawn == CHILDREN as u32);
-    // Each try is two requests.
+    run.until(NEAR, "it did not recover", |r| r.stage.counters.tiles_drawn == CHILDREN as u32);
+    // Each attempt is two requests.
     assert_eq!((error_of(&run, "child2.glb").count, server.requests("/set/child2.glb")), (6, 13));
 }
 
-/// A network wants a login first and answers for everybody: what it sent was missing until the program was started again.
+/// A network wants a login first and answers every request. Regression: tiles were missing until the program was
+/// restarted.
 #[test]
-fn a_page_instead_of_a_tile_is_asked_for_again() {
+fn web_page_instead_of_a_tile_is_retried() {
     let server = Server::start(set(), |path, nth| match nth {
         0 if path == "/set/child2.glb" => Answer::Page,
         _ => Answer::Whole,
     });
     let mut run =
         run_of(&server, PagerConfig { max_tries: None, retry_after: Duration::from_millis(2), ..impatient() });
-    run.until(NEAR, "does not recover", |r| r.stage.counters.tiles_drawn == CHILDREN as u32);
+    run.until(NEAR, "it did not recover", |r| r.stage.counters.tiles_drawn == CHILDREN as u32);
     let error = error_of(&run, "child2.glb");
     assert!(error.reason.contains("web page") && error.count == 1, "{error:?}");
     assert_eq!(server.requests("/set/child2.glb"), 2);
 }
 
-/// One answer that was changed on its way was missing until the program was started again.
+/// Regression: one corrupted answer made a tile missing until the program was restarted.
 #[test]
-fn html_pages_with_status_200_are_retried_a_few_times() {
+fn corrupted_content_is_retried_a_few_times() {
     let url = "/set/child2.glb";
     for (broken, requests) in [(2, 3), (usize::MAX, 5)] {
         let is_broken = move |path: &str, nth| path == url && nth < broken;
@@ -328,7 +330,7 @@ fn html_pages_with_status_200_are_retried_a_few_times() {
             Server::start(set(), move |path, nth| if is_broken(path, nth) { Answer::Rubbish } else { Answer::Whole });
         let wait = Duration::from_millis(2);
         let mut run = run_of(&server, PagerConfig { max_tries: None, retry_after: wait, ..impatient() });
-        run.until(NEAR, "is not tried again", |r| server.requests(url) == requests && r.pager.is_idle());
+        run.until(NEAR, "no retry was made", |r| server.requests(url) == requests && r.pager.is_idle());
         let end = Instant::now() + 100 * wait;
         run.until(NEAR, "", |_| Instant::now() > end);
         let is_whole = run.stage.counters.tiles_drawn == CHILDREN as u32;
@@ -337,9 +339,9 @@ fn html_pages_with_status_200_are_retried_a_few_times() {
     }
 }
 
-/// A tile out of view keeps its number of tries until it is visible again.
+/// A tile out of view keeps its number of attempts until it is visible again.
 #[test]
-fn tries_are_remembered_out_of_view() {
+fn attempts_are_remembered_out_of_view() {
     let server =
         Server::start(set(), |path, _| if path == "/set/child2.glb" { Answer::Status(503) } else { Answer::Whole });
     let wait = Duration::from_millis(20);
@@ -348,18 +350,18 @@ fn tries_are_remembered_out_of_view() {
         let end = Instant::now() + 10 * wait;
         run.until(eye, "", |_| Instant::now() > end);
     };
-    run.until(NEAR, "does not fail", |r| r.pager.stats().failed == 1);
+    run.until(NEAR, "no failure was reported", |r| r.pager.stats().failed == 1);
     rest(&mut run, FAR);
     assert_eq!((run.pager.stats().failed, run.pager.stats().stale), (1, 0));
-    run.until(NEAR, "is not tried again", |r| r.pager.stats().failed == 2);
+    run.until(NEAR, "no retry was made", |r| r.pager.stats().failed == 2);
     rest(&mut run, FAR);
     rest(&mut run, NEAR);
     assert_eq!((run.pager.stats().failed, run.pager.stats().retried), (2, 1));
 }
 
-/// A retry that is no longer wanted keeps its number of tries, whether it waited or was in flight.
+/// A retry that is no longer wanted keeps its number of attempts, whether it waits or is in flight.
 #[test]
-fn tries_are_not_forgotten_where_a_request_goes_stale() {
+fn attempts_are_remembered_when_a_request_becomes_stale() {
     let url = "/set/child2.glb";
     let server = Server::start(set(), move |path, n| match n {
         0 | 2.. if path == url => Answer::Status(503),
@@ -369,20 +371,20 @@ fn tries_are_not_forgotten_where_a_request_goes_stale() {
     let wait = Duration::from_millis(20);
     let http = HttpConfig { max_retries: 0, ..patient().http };
     let mut run = run_of(&server, PagerConfig { max_tries: Some(2), retry_after: wait, http, ..impatient() });
-    run.until(NEAR, "does not fail", |r| r.pager.stats().failed == 1);
+    run.until(NEAR, "no failure was reported", |r| r.pager.stats().failed == 1);
     run.pager.set_paused(true);
-    run.until(NEAR, "does not wait again", |r| r.pager.stats().retried == 1);
-    run.until(FAR, "does not go stale", |r| r.pager.stats().stale == 1);
+    run.until(NEAR, "the retry does not wait", |r| r.pager.stats().retried == 1);
+    run.until(FAR, "the retry did not become stale", |r| r.pager.stats().stale == 1);
     run.pager.set_paused(false);
-    run.until(NEAR, "is not read again", |_| server.requests(url) == 2);
-    run.until(FAR, "is not given up", |r| r.pager.stats().cancelled == 1);
-    run.until(NEAR, "does not fail again", |r| r.pager.stats().failed == 2);
+    run.until(NEAR, "it was not read again", |_| server.requests(url) == 2);
+    run.until(FAR, "it was not cancelled", |r| r.pager.stats().cancelled == 1);
+    run.until(NEAR, "the second failure was not reported", |r| r.pager.stats().failed == 2);
     let end = Instant::now() + 10 * wait;
     run.until(NEAR, "", |_| Instant::now() > end);
     assert_eq!((run.pager.stats().failed, server.requests(url)), (2, 3));
 }
 
-/// Failed tiles that no frame wants are not requested; they were once requested and cancelled forever.
+/// Failed tiles that no frame wants are not requested. Regression: they were requested and cancelled forever.
 #[test]
 fn failed_tiles_are_retried_by_the_view_that_wants_them() {
     let url = "/set/root.glb";
@@ -395,27 +397,27 @@ fn failed_tiles_are_retried_by_the_view_that_wants_them() {
     let http = HttpConfig { max_retries: 0, ..patient().http };
     let mut run = run_of(&server, PagerConfig { max_tries: None, retry_after: wait, http, ..patient() });
     let has_children = |s: &PagerStats| (s.merged, s.failed, s.in_flight) == (CHILDREN as u64, 1, 0);
-    run.until(NEAR, "the children are not there", |r| has_children(r.pager.stats()));
+    run.until(NEAR, "the children were not loaded", |r| has_children(r.pager.stats()));
     let (asked, end) = (server.requests(url), Instant::now() + 10 * wait);
     run.until(NEAR, "", |_| Instant::now() > end);
     assert_eq!((run.stage.counters.tiles_drawn, server.requests(url)), (CHILDREN as u32, asked));
-    run.until(FAR, "is not asked for", |_| server.requests(url) == asked + 1);
+    run.until(FAR, "it was not requested", |_| server.requests(url) == asked + 1);
 }
 
 #[test]
-fn a_hung_request_blocks_no_other() {
+fn hung_request_blocks_no_other() {
     let server = Server::start(set(), |path, _| if path == "/set/child0.glb" { Answer::Silent } else { Answer::Whole });
     let mut run = run_of(&server, patient());
-    run.until(NEAR, "the others wait", |r| r.pager.stats().merged == CHILDREN as u64);
+    run.until(NEAR, "the other requests wait", |r| r.pager.stats().merged == CHILDREN as u64);
     assert_eq!(server.requests("/set/child0.glb"), 1);
     assert_eq!(run.pager.stats().in_flight, 1);
 }
 
 #[test]
-fn a_hung_server_blocks_no_other() {
+fn hung_server_blocks_no_other() {
     let hung = Server::start(HashMap::new(), |_, _| Answer::Silent);
     let mut files = set();
-    // Twenty more children on a server that never answers; four requests at a time at each.
+    // Twenty more children are on a server that never answers. Each server has a limit of four requests.
     let json = String::from_utf8(files["/set/tileset.json"].clone()).unwrap();
     let elsewhere: String = (0..20)
         .map(|i| {
@@ -429,71 +431,71 @@ fn a_hung_server_blocks_no_other() {
     files.insert("/set/tileset.json".to_owned(), json.into_bytes());
     let server = Server::start(files, |_, _| Answer::Whole);
     let mut run = run_of(&server, PagerConfig { http_in_flight: 4, http_in_flight_max: 4, ..patient() });
-    run.until(NEAR, "the others wait", |r| r.pager.stats().merged == CHILDREN as u64 + 1);
-    // It may be slower than the others to read what it was sent.
-    run.until(NEAR, "less than it may have", |_| hung.seen.lock().unwrap().requests.len() >= 4);
-    assert_eq!(hung.seen.lock().unwrap().requests.len(), 4, "no more than it may have");
+    run.until(NEAR, "the other requests wait", |r| r.pager.stats().merged == CHILDREN as u64 + 1);
+    // The server may read its requests more slowly than the others.
+    run.until(NEAR, "fewer requests than the limit", |_| hung.seen.lock().unwrap().requests.len() >= 4);
+    assert_eq!(hung.seen.lock().unwrap().requests.len(), 4, "no more requests than the limit");
     assert_eq!(run.pager.stats().in_flight, 4);
 }
 
 #[test]
-fn an_unwanted_request_is_aborted() {
+fn unwanted_request_is_aborted() {
     let server = Server::start(set(), |path, _| if path == "/set/child0.glb" { Answer::Silent } else { Answer::Whole });
     let mut run = run_of(&server, PagerConfig { abort_frames: 5, ..patient() });
-    // All others are there: the root and the other children.
+    // The root and the other children are loaded.
     let is_left_alone = |r: &Run| server.requests("/set/child0.glb") == 1 && r.pager.stats().merged == CHILDREN as u64;
-    run.until(NEAR, "not asked for", is_left_alone);
+    run.until(NEAR, "it was not requested", is_left_alone);
     run.until(FAR, "not aborted", |r| r.pager.stats().cancelled == 1 && server.given_up() == ["/set/child0.glb"]);
-    run.until(FAR, "does not rest", |r| r.pager.is_idle());
-    assert!(run.pager.errors().is_empty(), "nobody is told of what nobody wants: {:?}", run.pager.errors());
-    // Wanted again, it is asked for again.
-    run.until(NEAR, "not asked for again", |_| server.requests("/set/child0.glb") == 2);
+    run.until(FAR, "the pager does not settle", |r| r.pager.is_idle());
+    assert!(run.pager.errors().is_empty(), "unwanted requests are not reported: {:?}", run.pager.errors());
+    // When it is wanted again, it is requested again.
+    run.until(NEAR, "it was not requested again", |_| server.requests("/set/child0.glb") == 2);
 }
 
-/// Requests started since the last list are aborted too; they once held their server's slots until it answered.
+/// Requests that started after the last list are aborted too. Regression: they occupied the server until it answered.
 #[test]
-fn requests_that_were_just_begun_are_aborted_by_clear() {
+fn requests_that_just_started_are_aborted_by_clear() {
     let server = Server::start(set(), |path, _| if path.contains("child") { Answer::Silent } else { Answer::Whole });
     let mut run = run_of(&server, PagerConfig { http_in_flight: 3, http_in_flight_max: 3, ..patient() });
     let children = || server.seen.lock().unwrap().requests.iter().filter(|path| path.contains("child")).count();
     let mut asked = 0;
     for round in 1..=20 {
-        run.until(NEAR, "not asked for", |_| children() >= asked + 3);
+        run.until(NEAR, "it was not requested", |_| children() >= asked + 3);
         asked = children();
         let contexts: &mut [&mut dyn terrane::pager::CompileContext] = &mut [&mut run.context];
         run.pager.clear(&mut run.scene, contexts);
-        run.until(FAR, "not given up", |_| server.given_up().len() == 3 * round);
+        run.until(FAR, "it was not cancelled", |_| server.given_up().len() == 3 * round);
     }
 }
 
 #[test]
-fn a_stale_request_never_reaches_the_server() {
+fn stale_request_never_reaches_the_server() {
     let server = Server::start(set(), |path, _| if path.contains("child") { Answer::Silent } else { Answer::Whole });
     let mut run = run_of(
         &server,
         PagerConfig { http_in_flight: 1, http_in_flight_max: 1, stale_frames: 2, abort_frames: 1000, ..patient() },
     );
-    run.until(NEAR, "none is under way", |r| {
+    run.until(NEAR, "no request is in flight", |r| {
         r.pager.stats().merged == 1 && server.seen.lock().unwrap().requests.len() == 3
     });
     let waiting = run.pager.stats().waiting;
     assert_eq!(waiting, CHILDREN as u64 - 1);
-    run.until(FAR, "nothing gets stale", |r| r.pager.stats().stale == waiting);
+    run.until(FAR, "no request became stale", |r| r.pager.stats().stale == waiting);
     assert_eq!(server.seen.lock().unwrap().requests.len(), 3, "the set, the root and one child");
 }
 
 #[test]
-fn a_pager_ends_with_requests_under_way() {
+fn pager_ends_with_requests_in_flight() {
     let server = Server::start(set(), |path, _| if path.ends_with("glb") { Answer::Silent } else { Answer::Whole });
     let mut run = run_of(&server, patient());
-    run.until(NEAR, "none is under way", |_| server.seen.lock().unwrap().requests.len() == CHILDREN + 2);
+    run.until(NEAR, "no request is in flight", |_| server.seen.lock().unwrap().requests.len() == CHILDREN + 2);
     let start = Instant::now();
     drop(run);
-    assert!(start.elapsed() < Duration::from_secs(30), "does not wait for the server");
+    assert!(start.elapsed() < Duration::from_secs(30), "it does not wait for the server");
 }
 
 #[test]
-fn a_far_server_gets_more_requests_at_once() {
+fn distant_server_gets_more_concurrent_requests() {
     use std::sync::atomic::{AtomicUsize, Ordering};
     const MANY: usize = 300;
     let files = set();
@@ -525,7 +527,7 @@ fn a_far_server_gets_more_requests_at_once() {
     }
 }
 
-/// The error of a root that cannot be read.
+/// Returns the error of a root that cannot be read.
 fn root_error(url: &str) -> IoError {
     let uri = root_uri(url).unwrap();
     let mut pager = DatabasePager::new(impatient(), ReadOptions::for_root(&uri, Limits::default())).unwrap();
@@ -535,7 +537,7 @@ fn root_error(url: &str) -> IoError {
 }
 
 #[test]
-fn a_root_that_cannot_be_read_says_why() {
+fn root_that_cannot_be_read_names_the_reason() {
     let server = Server::start(set(), |path, _| match path {
         "/gone/tileset.json" => Answer::Status(410),
         "/file/tileset.json" => Answer::Moved("file:///etc/passwd"),
@@ -544,15 +546,15 @@ fn a_root_that_cannot_be_read_says_why() {
     assert!(matches!(root_error(&format!("{}/none/", server.url)), IoError::NotFound { .. }));
     assert!(matches!(root_error(&format!("{}/gone/", server.url)), IoError::NotFound { .. }));
     let to_file = root_error(&format!("{}/file/", server.url));
-    assert!(matches!(to_file, IoError::Uri { .. }), "no way to files: {to_file:?}");
-    // A port that was free a moment ago.
+    assert!(matches!(to_file, IoError::Uri { .. }), "a remote set cannot refer to files: {to_file:?}");
+    // The port was free a moment ago, so no server listens.
     let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
     assert!(matches!(root_error(&format!("http://127.0.0.1:{port}/set/")), IoError::Network { .. }));
 }
 
-/// It ended the program's start, or one scene of it.
+/// Regression: the error ended the start of the program, or of one scene.
 #[test]
-fn a_root_that_was_changed_on_its_way_is_asked_for_again() {
+fn corrupted_root_is_requested_again() {
     let url = "/set/tileset.json";
     for answer in [Answer::Rubbish, Answer::Page] {
         let server =
@@ -564,12 +566,12 @@ fn a_root_that_was_changed_on_its_way_is_asked_for_again() {
     }
     let server = Server::start(set(), |_, _| Answer::Rubbish);
     assert!(matches!(root_error(&format!("{}/set/", server.url)), IoError::Invalid { .. }));
-    assert_eq!(server.requests(url), 2, "as often as what does not come at all");
+    assert_eq!(server.requests(url), 2, "as often as a missing answer");
 }
 
-/// Nothing came of it: the request rested with the tries that were made, and no camera met it.
+/// Regression: the request stayed with its earlier attempts, and no camera wanted it.
 #[test]
-fn cancelled_pages_load_for_the_application() {
+fn cancelled_pages_are_loaded_for_the_application() {
     let url = "/set/child2.glb";
     let server = Server::start(set(), move |path, nth| match nth {
         0 if path == url => Answer::Status(503),
@@ -579,14 +581,14 @@ fn cancelled_pages_load_for_the_application() {
     let http = HttpConfig { max_retries: 0, ..patient().http };
     let retry_after = Duration::from_millis(20);
     let mut run = run_of(&server, PagerConfig { max_tries: None, retry_after, http, ..impatient() });
-    run.until(NEAR, "is not read again", |_| server.requests(url) == 2);
-    run.until(FAR, "is not given up", |r| r.pager.stats().cancelled == 1);
+    run.until(NEAR, "it was not read again", |_| server.requests(url) == 2);
+    run.until(FAR, "it was not cancelled", |r| r.pager.stats().cancelled == 1);
     let root = run.scene.roots()[0];
     let is_it = |slot: &NodeId| run.scene.slot(*slot).is_some_and(|slot| slot.uri.ends_with(url));
     let slot = run.scene.slots_of_page(root).find(is_it).unwrap();
     assert_eq!(run.scene.slot(slot).unwrap().state, SlotState::Empty);
     run.scene.load_proxy(slot).unwrap();
     let is_there = |r: &Run| matches!(r.scene.slot(slot).unwrap().state, SlotState::Resident(_));
-    run.until(FAR, "does not come", is_there);
+    run.until(FAR, "it was not loaded", is_there);
     assert_eq!((server.requests(url), run.pager.stats().failed), (3, 1));
 }

@@ -1,4 +1,4 @@
-//! When ProxyNodes are loaded: where a camera sees them, at once, when the application asks. Real files; no GPU.
+//! The times at which ProxyNodes are loaded: visible to a camera, immediately, or on request. Real files; no GPU.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -13,7 +13,7 @@ use terrane::pager::PagerConfig;
 use terrane::scene::{Node, NodeId, NodeKind, Page, PageId, ProxyLoading, ProxyNode, Scene, SceneError, SlotState};
 use terrane::viewer::{Viewer, ViewerConfig};
 
-/// A triangle, and one proxy for it of each kind, behind the camera; another's file is not there.
+/// Returns a triangle, and one proxy for it of each kind behind the camera. The file of another proxy does not exist.
 fn nodes(folder: &Path) -> Vec<Node> {
     let mesh = GlbMesh {
         positions: vec![[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
@@ -39,7 +39,7 @@ fn nodes(folder: &Path) -> Vec<Node> {
     ]
 }
 
-/// The same in a viewer.
+/// Opens the same scene in a viewer.
 fn proxies(folder: &Path, blocking: bool, max_tiles: usize) -> (Viewer, PageId) {
     let config = ViewerConfig {
         size_px: [64, 64],
@@ -51,7 +51,7 @@ fn proxies(folder: &Path, blocking: bool, max_tiles: usize) -> (Viewer, PageId) 
     let mut viewer = Viewer::new_offscreen(&config).unwrap();
     viewer.page_files_in(folder).unwrap();
     let root = viewer.add_root(Page::from_node(Node::group(nodes(folder))).unwrap()).unwrap();
-    // It looks down, away from them.
+    // The camera looks down, away from the proxies.
     viewer.view_mut().camera.world_from_eye = DAffine3::IDENTITY;
     (viewer, root)
 }
@@ -78,17 +78,17 @@ fn states_in(scene: &Scene, root: PageId) -> Vec<&'static str> {
     scene.slots_of_page(root).map(of).collect()
 }
 
-/// Proxies to be loaded at once need no camera, and deferred ones load on request.
+/// Immediate proxies need no camera, and deferred ones load on request.
 #[test]
-fn proxies_are_loaded_when_they_say() {
+fn proxies_are_loaded_at_the_time_of_their_kind() {
     for blocking in [false, true] {
         let folder = tempfile::tempdir().unwrap();
         let (mut viewer, root) = proxies(folder.path(), blocking, 2);
         settle(&mut viewer);
         assert_eq!(states(&viewer, root), ["there", "empty", "empty", "failed"], "blocking {blocking}");
         let stats = *viewer.pager().unwrap().stats();
-        assert_eq!((stats.requested, stats.failed), (2, 1), "the missing one is not hammered");
-        // The budget is short, and the proxy is not visible.
+        assert_eq!((stats.requested, stats.failed), (2, 1), "the missing one is not requested repeatedly");
+        // The budget is exhausted, and the proxy is not visible.
         (0..20).for_each(|_| viewer.frame().unwrap());
         assert_eq!(states(&viewer, root)[0], "there");
         let never = viewer.scene().slots_of_page(root).nth(1).unwrap();
@@ -96,19 +96,19 @@ fn proxies_are_loaded_when_they_say() {
         settle(&mut viewer);
         assert_eq!(viewer.pager().unwrap().stats().loaded, 2);
         (0..20).for_each(|_| viewer.frame().unwrap());
-        assert_eq!(states(&viewer, root), ["there", "empty", "empty", "failed"], "it goes as others do");
+        assert_eq!(states(&viewer, root), ["there", "empty", "empty", "failed"], "it expires like others");
     }
 }
 
 #[test]
-fn a_proxy_without_bounds_has_those_of_what_it_loads() {
+fn proxy_without_bounds_has_those_of_its_content() {
     let folder = tempfile::tempdir().unwrap();
     let mut node = nodes(folder.path()).swap_remove(2);
     let NodeKind::ProxyNode(proxy) = &mut node.kind else { panic!("a proxy") };
     proxy.bounds = BoundingSphere::EVERYTHING;
     let page = Page::from_node(Node::group(vec![node])).unwrap();
     let mut run = Run::of_page(page, folder.path().to_str().unwrap(), PagerConfig::default());
-    // It looks down, and the page to load is above it.
+    // The camera looks down, and the content is above it.
     run.settle(DVec3::ZERO);
     assert_eq!(states_in(&run.scene, run.scene.roots()[0]), ["there"]);
     assert_eq!(run.stage.leaf_count(), 0);
@@ -119,9 +119,9 @@ fn a_proxy_without_bounds_has_those_of_what_it_loads() {
     assert_eq!(run.pager.stats().expired, 0, "it is in use");
 }
 
-/// Nothing asked for them again: no camera sees them.
+/// Regression: they were not requested again, because no camera sees them.
 #[test]
-fn a_proxy_that_no_camera_requests_is_loaded_again() {
+fn immediate_proxy_is_loaded_again_after_expiry() {
     let folder = tempfile::tempdir().unwrap();
     let page = Page::from_node(Node::group(nodes(folder.path()))).unwrap();
     let mut run = Run::of_page(page, folder.path().to_str().unwrap(), PagerConfig::default());
@@ -131,20 +131,20 @@ fn a_proxy_that_no_camera_requests_is_loaded_again() {
     run.scene.load_proxy(never).unwrap();
     run.settle(away);
     assert_eq!(states_in(&run.scene, root), ["there", "there", "empty", "failed"]);
-    // Like a new context, which has nothing uploaded.
+    // The scene is like one in a new context, which has nothing uploaded.
     run.pager.page_anew(&mut run.scene, &mut [&mut run.context]);
     assert_eq!(states_in(&run.scene, root), ["empty", "empty", "empty", "failed"]);
     run.settle(away);
     assert_eq!(states_in(&run.scene, root), ["there", "there", "empty", "failed"]);
-    // The state before the first frame.
+    // The state is that before the first frame.
     run.pager.clear(&mut run.scene, &mut [&mut run.context]);
     assert_eq!(states_in(&run.scene, root), ["empty", "empty", "empty", "empty"]);
     run.settle(away);
     assert_eq!(states_in(&run.scene, root), ["there", "empty", "empty", "failed"]);
-    assert_eq!(run.pager.stats().failed, 2, "the missing one is asked for once more");
+    assert_eq!(run.pager.stats().failed, 2, "the missing one is requested once more");
 }
 
-/// An explicit load request is honoured; it once had no effect.
+/// An explicit request to load is honoured. Regression: it had no effect.
 #[test]
 fn failed_proxies_are_retried_for_the_application() {
     let folder = tempfile::tempdir().unwrap();

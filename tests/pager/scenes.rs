@@ -1,4 +1,4 @@
-//! One pager for several scenes: one list, one budget, and each scene with its own pages, failures and scope. Real files,
+//! One pager for several scenes: one request list and one budget, but separate pages, failures and scopes. Real files,
 //! no GPU.
 
 use std::path::Path;
@@ -31,7 +31,7 @@ struct Several {
 }
 
 impl Several {
-    /// Scenes with the sets of these folders.
+    /// Opens scenes with the sets in these folders.
     fn of_sets(folders: &[&Path], config: PagerConfig) -> Self {
         let mut pager = DatabasePager::new(config, options(folders[0])).unwrap();
         let mut scenes = Vec::new();
@@ -55,7 +55,7 @@ impl Several {
         Self { scenes, pager, context: Context::default(), stages, frame: 0, visitor: CullVisitor::new() }
     }
 
-    /// Each scene is looked at straight down from its eye, or not at all; then the pager has its turn.
+    /// Culls each scene straight down from its eye, or not at all, and then updates the pager.
     fn frame(&mut self, eyes: &[Option<DVec3>]) -> PagerStats {
         self.frame += 1;
         let mut requests: Vec<PageRequest> = Vec::new();
@@ -92,10 +92,10 @@ impl Several {
         *self.pager.stats()
     }
 
-    /// Until nothing is missing and nothing under way.
+    /// Runs frames until nothing is missing or in flight.
     fn settle(&mut self, eyes: &[Option<DVec3>]) -> PagerStats {
         self.frame(eyes);
-        self.until(eyes, "does not settle", |r| {
+        self.until(eyes, "the scenes did not settle", |r| {
             r.pager.is_idle() && r.stages.iter().all(|stage| stage.requests.is_empty())
         });
         self.frame(eyes)
@@ -106,7 +106,7 @@ impl Several {
     }
 }
 
-/// Pages that hang in a scene's slots.
+/// Returns the pages in the slots of a scene.
 fn pages_in(scene: &Scene) -> usize {
     let mut open: Vec<PageId> = scene.roots().to_vec();
     let mut count = 0;
@@ -128,7 +128,7 @@ fn over_the_world(u: f64, height_m: f64) -> DVec3 {
 const FAR: DVec3 = DVec3::new(0.5 * WORLD_M, 0.5 * WORLD_M, 500_000.0);
 
 #[test]
-fn handles_are_their_scenes_own() {
+fn handles_belong_to_their_scene() {
     let page = || Page::from_node(Node::group(vec![])).unwrap();
     let (mut one, mut other) = (Scene::new(), Scene::new());
     let (a, b) = (one.add_root(page()), other.add_root(page()));
@@ -139,7 +139,7 @@ fn handles_are_their_scenes_own() {
 }
 
 #[test]
-fn all_scenes_settle_and_each_has_what_it_would_have_alone() {
+fn each_scene_loads_what_it_would_load_alone() {
     let folder = tempfile::tempdir().unwrap();
     write_quadtree(folder.path());
     let eyes = [Some(over_the_world(0.2, 200.0)), Some(over_the_world(0.8, 900.0)), Some(FAR)];
@@ -183,7 +183,7 @@ fn one_budget_covers_all_scenes_and_evicts_the_least_recently_wanted() {
         assert!(Instant::now() < end, "nothing expires: {s:?}");
         std::thread::sleep(Duration::from_micros(100));
     }
-    // The second scene is looked at no more: its pages make room for the first one's, and the other way round.
+    // Without a view, the pages of the second scene make room for those of the first, and vice versa.
     let eyes =
         |first: bool, u: f64| [first.then(|| over_the_world(u, 150.0)), (!first).then(|| over_the_world(u, 150.0))];
     for looked_at in [0, 1, 0] {
@@ -200,14 +200,14 @@ fn one_budget_covers_all_scenes_and_evicts_the_least_recently_wanted() {
 }
 
 #[test]
-fn clearing_or_removing_one_leaves_the_others() {
+fn clearing_or_removing_a_scene_does_not_affect_others() {
     let folder = tempfile::tempdir().unwrap();
     write_quadtree(folder.path());
     let eyes = [Some(over_the_world(0.3, 300.0)), Some(over_the_world(0.6, 300.0))];
     let mut run = Several::of_sets(&[folder.path(); 2], PagerConfig::default());
     run.settle(&eyes);
     let before = run.pages();
-    // At rest, and then on the way.
+    // First everything is loaded, then requests are in flight.
     for is_on_the_way in [false, true] {
         if is_on_the_way {
             run.frame(&[Some(over_the_world(0.7, 100.0)), Some(over_the_world(0.1, 100.0))]);
@@ -231,7 +231,7 @@ fn clearing_or_removing_one_leaves_the_others() {
     run.pager.remove_scene(&mut gone, &mut [&mut run.context]);
     assert_eq!((pages_in(&gone), run.pages(), run.pager.scenes().len()), (0, vec![kept], 1));
     run.settle(&eyes[1..]);
-    // It may come again, and is not served before it is added.
+    // It may be added again. Before that it is not served.
     run.scenes.push(gone);
     run.stages.push(RenderStage::new());
     let eyes = [eyes[1], eyes[0]];
@@ -245,9 +245,9 @@ fn clearing_or_removing_one_leaves_the_others() {
     assert_eq!(run.pages()[1], before[0]);
 }
 
-/// Slots of the same pages and indices, and the same frames.
+/// The scenes have slots with the same pages and indices in the same frames.
 #[test]
-fn a_failure_in_one_scene_does_not_fail_the_other() {
+fn failure_in_one_scene_does_not_affect_the_other() {
     let folders = [(); 2].map(|()| tempfile::tempdir().unwrap());
     folders.iter().for_each(|folder| _ = write_quadtree(folder.path()));
     let broken = folders[0].path().join("1_0_0.glb");
@@ -255,7 +255,7 @@ fn a_failure_in_one_scene_does_not_fail_the_other() {
     let config = PagerConfig { retry_after: Duration::from_secs(3600), ..PagerConfig::default() };
     let mut run = Several::of_sets(&[folders[0].path(), folders[1].path()], config);
     let eye = Some(over_the_world(0.5, 200.0));
-    run.until(&[eye, eye], "does not come", |r| {
+    run.until(&[eye, eye], "it was not loaded", |r| {
         r.pager.is_idle() && r.stages[1].requests.is_empty() && r.pager.stats().failed == 1
     });
     let errors = run.pager.errors();
@@ -265,7 +265,7 @@ fn a_failure_in_one_scene_does_not_fail_the_other() {
         scene.slots_of_page(root).filter(|slot| scene.slot(*slot).unwrap().state == SlotState::Failed).count()
     };
     assert_eq!((failed(&run.scenes[0]), failed(&run.scenes[1])), (1, 0));
-    // Cleared, the failure is forgotten in its scene.
+    // Clearing a scene forgets its failures.
     run.pager.clear(&mut run.scenes[1], &mut [&mut run.context]);
     assert_eq!(failed(&run.scenes[0]), 1);
     write_quadtree(folders[0].path());
@@ -274,7 +274,7 @@ fn a_failure_in_one_scene_does_not_fail_the_other() {
     assert_eq!((failed(&run.scenes[0]), run.pages()[0]), (0, run.pages()[1]));
 }
 
-/// A tileset in a tileset, whose content is at `reference`.
+/// Returns a tileset in a tileset, whose content is at `reference`.
 fn write_nested(folder: &Path, reference: &str) {
     write_quadtree(folder);
     let bounds = r#""boundingVolume":{"sphere":[0,0,0,100]},"geometricError":0"#;
@@ -288,7 +288,7 @@ fn write_nested(folder: &Path, reference: &str) {
 }
 
 #[test]
-fn each_set_reaches_only_its_own_scope() {
+fn sets_can_only_refer_to_their_own_scope() {
     let both = tempfile::tempdir().unwrap();
     let [open, sly] = ["open", "sly"].map(|name| both.path().join(name));
     for folder in [&open, &sly] {
@@ -297,11 +297,11 @@ fn each_set_reaches_only_its_own_scope() {
     write_nested(&open, "0_0_0.glb");
     write_nested(&sly, "../open/0_0_0.glb");
     let eye = Some(above(300.0));
-    // Whichever comes first, and whether the pager was made for it.
+    // This holds in any order of loading, and for pagers of either scene.
     for folders in [[&open, &sly], [&sly, &open]] {
         let folders = folders.map(|folder| &**folder);
         let mut run = Several::of_sets(&folders, PagerConfig::default());
-        run.until(&[eye, eye], "does not come", |r| r.pager.is_idle() && r.pager.stats().loaded >= 2);
+        run.until(&[eye, eye], "it was not loaded", |r| r.pager.is_idle() && r.pager.stats().loaded >= 2);
         run.frame(&[eye, eye]);
         let pages_of = |name: &Path| run.pages()[folders.iter().position(|of| *of == name).unwrap()];
         let errors = run.pager.errors();
@@ -310,7 +310,7 @@ fn each_set_reaches_only_its_own_scope() {
     }
 }
 
-/// Tiles beside each other, all with the same file.
+/// Returns tiles side by side, all with the same file.
 fn many(folder: &Path, count: usize) -> Page {
     let tile = |_| {
         let node = PagedLod {
@@ -328,9 +328,9 @@ fn many(folder: &Path, count: usize) -> Page {
     Page::from_node(Node::group((0..count).map(tile).collect())).unwrap()
 }
 
-/// Everything that a camera saw on its way was more urgent than anything in the other scene.
+/// Regression: all requests of a moving camera had a higher priority than any of the other scene.
 #[test]
-fn a_scene_that_wants_ever_more_takes_not_all_places() {
+fn busy_scene_leaves_requests_to_the_other() {
     let folder = tempfile::tempdir().unwrap();
     write_quadtree(folder.path());
     const MANY: usize = 3000;
@@ -364,12 +364,12 @@ fn a_scene_that_wants_ever_more_takes_not_all_places() {
         assert!(start.elapsed() < Duration::from_secs(60), "{:?}", run.pages());
     }
     let busy = run.pages()[0];
-    assert!(busy < MANY / 3, "{busy} of the other scene came first");
-    assert!(busy >= FEW, "the more urgent have the more places: {busy}");
+    assert!(busy < MANY / 3, "{busy} of the other scene were loaded first");
+    assert!(busy >= FEW, "requests with higher priority get more slots: {busy}");
 }
 
 #[test]
-fn the_blocking_mode_waits_for_all_scenes() {
+fn blocking_mode_waits_for_all_scenes() {
     let folder = tempfile::tempdir().unwrap();
     write_quadtree(folder.path());
     let config = PagerConfig { blocking: true, ..PagerConfig::default() };
@@ -383,13 +383,13 @@ fn the_blocking_mode_waits_for_all_scenes() {
             return;
         }
     }
-    panic!("levels come one after the other: {:?}", run.pages());
+    panic!("levels are loaded one after the other: {:?}", run.pages());
 }
 
-/// Two sets of one server, each with its own key, and one that may see neither.
+/// Two sets are on one server, each with a separate key, and a third one has no key.
 #[cfg(feature = "http")]
 #[test]
-fn each_scene_asks_as_itself() {
+fn each_scene_sends_its_own_credentials() {
     use kit::server::{Reply, Server};
     use terrane::fetch::{Credential, HttpConfig};
 
@@ -397,7 +397,7 @@ fn each_scene_asks_as_itself() {
     write_quadtree(folder.path());
     let root = folder.path().to_owned();
     let server = Server::start(move |request| {
-        // Paths are /SET/FILE.
+        // Paths have the form /SET/FILE.
         let name = request.path().rsplit('/').next().unwrap().to_owned();
         std::fs::read(root.join(name)).map_or_else(|_| Reply::new(404, ""), Reply::ok)
     });
@@ -432,10 +432,10 @@ fn each_scene_asks_as_itself() {
     }
 }
 
-/// Each frame asked again for what had failed in the other scene, wherever that one's cameras looked.
+/// Regression: each frame requested the failed tiles of the other scene again, whatever its cameras saw.
 #[cfg(feature = "http")]
 #[test]
-fn clearing_one_asks_for_nothing_of_the_others() {
+fn clearing_a_scene_requests_nothing_of_others() {
     use kit::server::{Reply, Server};
     use terrane::fetch::HttpConfig;
 
@@ -466,7 +466,7 @@ fn clearing_one_asks_for_nothing_of_the_others() {
     let mut run = Several::with(scenes, pager);
     let eye = Some(over_the_world(0.3, 900.0));
     run.until(&[eye, eye], "nothing fails", |r| r.pager.stats().failed > 0 && r.pages()[0] > 4);
-    run.until(&[eye, None], "the others are not given up", |r| r.pager.is_idle());
+    run.until(&[eye, None], "the other requests are not cancelled", |r| r.pager.is_idle());
     run.pager.clear(&mut run.scenes[0], &mut [&mut run.context]);
     let before = run.frame(&[None, None]);
     for _ in 0..300 {
@@ -477,9 +477,9 @@ fn clearing_one_asks_for_nothing_of_the_others() {
     assert_eq!((after.retried, after.requested), (before.retried, before.requested));
 }
 
-/// Pages that the application removes are not counted any more; they once were until the pager's end.
+/// Pages that the application removes are not counted. Regression: they were counted until the pager ended.
 #[test]
-fn pages_taken_out_are_not_counted() {
+fn removed_pages_are_not_counted() {
     let folder = tempfile::tempdir().unwrap();
     write_quadtree(folder.path());
     let eyes = [Some(over_the_world(0.3, 300.0))];
@@ -502,9 +502,9 @@ fn pages_taken_out_are_not_counted() {
     run.settle(&eyes);
 }
 
-/// Their sums once overflowed, and channels of that capacity were allocated.
+/// Regression: sums of such limits overflowed, and channels of that capacity were allocated.
 #[test]
-fn no_limit_is_a_limit() {
+fn maximum_values_mean_no_limit() {
     let folder = tempfile::tempdir().unwrap();
     write_quadtree(folder.path());
     let config = PagerConfig {

@@ -1,4 +1,4 @@
-//! How far requests are, as the pager tells it: each state is held and looked at. No GPU.
+//! The states of requests that the pager reports. Each state is held and checked. No GPU.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -12,7 +12,7 @@ use terrane::pager::{PagerConfig, RequestState};
 
 const CHILDREN: usize = 8;
 
-/// A square of `side` x `side` vertices.
+/// Returns a square of `side` x `side` vertices.
 fn glb(side: u16) -> Vec<u8> {
     let corners = |row: u16| (0..side).map(move |column| [f32::from(column), 0.0, f32::from(row)]);
     let cell = |at: u16| [at, at + 1, at + side, at + 1, at + side + 1, at + side];
@@ -25,7 +25,7 @@ fn glb(side: u16) -> Vec<u8> {
     })
 }
 
-/// A root that needs its eight children.
+/// Returns a root that needs its eight children.
 fn set() -> String {
     let tile = |name: &str, error: f64, children: &str| {
         format!(
@@ -49,7 +49,7 @@ fn config() -> PagerConfig {
     }
 }
 
-/// `answer` is given what is not the set itself.
+/// Serves a set. `answer` decides about requests for its contents.
 fn start(config: PagerConfig, answer: impl Fn(&Request) -> Reply + Send + Sync + 'static) -> Run {
     let server = Server::start(move |request| match request.path() {
         "/set/tileset.json" => Reply::ok(set()),
@@ -90,8 +90,8 @@ fn waiting_requested_and_failed_tiles_have_distinct_states() {
     run.frame(above(NEAR));
     assert_eq!(in_state(&run, RequestState::Waiting), CHILDREN + 1);
     run.pager.set_paused(false);
-    // Three unanswered requests take all of the server's slots.
-    run.until(above(NEAR), "three are asked for", |run| in_state(run, RequestState::ReadingHttp) == 3);
+    // Three unanswered requests occupy all slots of the server.
+    run.until(above(NEAR), "three are requested", |run| in_state(run, RequestState::ReadingHttp) == 3);
     run.frame(above(NEAR));
     assert_eq!((in_state(&run, RequestState::ReadingHttp), in_state(&run, RequestState::Waiting)), (3, CHILDREN - 2));
     let stats = *run.pager.stats();
@@ -100,23 +100,23 @@ fn waiting_requested_and_failed_tiles_have_distinct_states() {
     run.pager.clear(&mut run.scene, &mut [&mut run.context]);
     run.until(above(NEAR), "the rest is merged", |run| run.pager.stats().resident == CHILDREN as u64 - 2);
     run.until(above(NEAR), "three have failed", |run| failed(run) == 3);
-    // A body that is not content may have been changed in transit.
+    // A body that is not a valid content may have been corrupted in transfer.
     assert_eq!((in_state(&run, RequestState::Failed), in_state(&run, RequestState::Retrying)), (1, 2));
-    assert_eq!(run.pager.request_states().len(), 3, "what is merged is no request");
+    assert_eq!(run.pager.request_states().len(), 3, "merged tiles are not requests");
 }
 
 #[test]
-fn arrived_content_is_decoded_then_uploaded_then_merged() {
-    // One thread decodes them all, and makes trees of them.
+fn loaded_content_is_decoded_then_uploaded_then_merged() {
+    // One thread decodes all of them and builds their k-d trees.
     let config = PagerConfig { build_kd_trees: true, ..config() };
     let mut run = start(config, |_| Reply::ok(glb(250)));
     run.context.holds = true;
-    run.until(above(NEAR), "decoding is seen", |run| in_state(run, RequestState::Decoding) > 0);
+    run.until(above(NEAR), "decoding is visible", |run| in_state(run, RequestState::Decoding) > 0);
     run.until(above(NEAR), "all are compiled", |run| in_state(run, RequestState::Compiling) == CHILDREN + 1);
     let stats = run.pager.stats();
     assert_eq!((stats.decoding, stats.compiling, stats.in_flight), (0, 9, 9));
     run.context.holds = false;
-    // A frame has time to merge one.
+    // A frame has time to merge one page.
     run.frame(above(NEAR));
     assert_eq!((in_state(&run, RequestState::Merging), run.pager.stats().compiling), (CHILDREN, 8));
     run.settle(above(NEAR));

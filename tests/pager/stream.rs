@@ -1,4 +1,4 @@
-//! The pager over real files: what can be loaded is, what fails is one error and leaves its parent. No GPU.
+//! The pager with real files: all valid tiles are loaded, and a failed one is one error and leaves its parent. No GPU.
 
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -11,7 +11,7 @@ use terrane::math::{BoundingSphere, BoundingVolume};
 use terrane::pager::PagerConfig;
 use terrane::scene::{Node, NodeId, NodeKind, Page, PagedLod, PagingOptions, RangeMode, Refine, SlotState};
 
-/// A root and four children around the origin, one glb each.
+/// Returns a root and four children around the origin, one glb each.
 fn write_set(folder: &Path) {
     let glb = write_glb(&GlbMesh {
         positions: vec![[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
@@ -32,7 +32,7 @@ fn write_set(folder: &Path) {
 }
 
 #[test]
-fn everything_wanted_arrives_and_is_drawn() {
+fn all_wanted_tiles_are_loaded_and_drawn() {
     let folder = tempfile::tempdir().unwrap();
     write_set(folder.path());
     let mut run = Run::new(folder.path().to_str().unwrap(), PagerConfig::default());
@@ -43,7 +43,7 @@ fn everything_wanted_arrives_and_is_drawn() {
 }
 
 #[test]
-fn a_broken_child_leaves_its_parent_and_is_one_error() {
+fn corrupt_child_leaves_its_parent_and_is_one_error() {
     let folder = tempfile::tempdir().unwrap();
     write_set(folder.path());
     std::fs::remove_file(folder.path().join("child2.glb")).unwrap();
@@ -54,7 +54,7 @@ fn a_broken_child_leaves_its_parent_and_is_one_error() {
     for _ in 0..50 {
         run.frame(above(10.0));
     }
-    assert_eq!(run.pager.stats().failed, read, "failures are not tried again each frame");
+    assert_eq!(run.pager.stats().failed, read, "failures are not retried in each frame");
     assert_eq!(run.stage.counters.tiles_drawn, 1, "the parent stays");
     let errors = run.pager.errors();
     assert_eq!(errors.iter().map(|e| e.count).sum::<u64>(), 2, "{errors:?}");
@@ -71,15 +71,15 @@ fn unwanted_tiles_expire_within_the_tile_budget() {
     run.settle(above(10.0));
     assert_eq!(run.pager.stats().resident, 5);
     for _ in 0..20 {
-        // Far away the root alone is wanted.
+        // From far away only the root is wanted.
         run.frame(above(100_000.0));
     }
     assert!(run.pager.stats().expired >= 1 && run.stage.counters.tiles_drawn == 1, "{:?}", run.pager.stats());
-    assert_eq!(run.context.slots_out, run.pager.stats().resident, "slots go back with their pages");
+    assert_eq!(run.context.slots_out, run.pager.stats().resident, "slots are released with their pages");
 }
 
-/// Regions are where they are on the earth, whatever transforms the tiles above have: what is below was taken to be
-/// elsewhere, culled, and left a hole.
+/// Regions have fixed positions on the earth with any transform of the tiles above. Regression: tiles below were culled
+/// at a wrong position and left a hole.
 #[test]
 fn regions_in_a_tileset_below_a_transform_are_not_moved() {
     let folder = tempfile::tempdir().unwrap();
@@ -89,7 +89,7 @@ fn regions_in_a_tileset_below_a_transform_are_not_moved() {
         base_color: [1.0; 4],
         ..GlbMesh::default()
     });
-    // The pole: up is z.
+    // The eye is at the pole, where up is z.
     let top = 6_356_752.314_245;
     let region = r#""boundingVolume":{"region":[-3.14,1.57,3.14,1.5707963,-100,100]}"#;
     let set = |root: &str| format!(r#"{{"asset":{{"version":"1.1"}},"geometricError":9000,"root":{root}}}"#);
@@ -111,7 +111,7 @@ fn regions_in_a_tileset_below_a_transform_are_not_moved() {
 }
 
 #[test]
-fn blocking_loads_the_same_each_time_and_pagers_stop() {
+fn blocking_mode_loads_the_same_each_time_and_pagers_stop() {
     let folder = tempfile::tempdir().unwrap();
     write_set(folder.path());
     for _ in 0..10 {
@@ -123,13 +123,13 @@ fn blocking_loads_the_same_each_time_and_pagers_stop() {
                 run.pager.stats().merged
             })
             .collect();
-        assert_eq!(merged, [5, 5, 5, 5], "all wanted levels are asked for at once");
+        assert_eq!(merged, [5, 5, 5, 5], "all wanted levels are requested together");
     }
 }
 
 #[test]
-fn an_occluder_in_a_content_hides_while_it_is_resident() {
-    // Two tiles one above the other, seen from above; y is up in glTF.
+fn occluder_in_a_content_hides_while_it_is_resident() {
+    // Two tiles lie above each other, seen from above. In glTF y is up.
     let write = |folder: &Path, occluder: &str| {
         let gltf = |extras: &str| {
             format!(
@@ -137,7 +137,7 @@ fn an_occluder_in_a_content_hides_while_it_is_resident() {
                 "meshes":[{{"primitives":[{{"attributes":{{"POSITION":0}}}}]}}],"buffers":[{{"byteLength":36,
                 "uri":"data:application/octet-stream;base64,{}"}}],"bufferViews":[{{"buffer":0,"byteLength":36}}],
                 "accessors":[{{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3","min":[-1,0,-1],"max":[1,0,1]}}]}}"#,
-                // (-1, 0, -1), (1, 0, -1), (0, 0, 1)
+                // Corners at (-1, 0, -1), (1, 0, -1) and (0, 0, 1).
                 "AACAvwAAAAAAAIC/AACAPwAAAAAAAIC/AAAAAAAAAAAAAIA/",
             )
         };
@@ -167,12 +167,12 @@ fn an_occluder_in_a_content_hides_while_it_is_resident() {
         assert!(run.pager.errors().is_empty(), "{:?}", run.pager.errors());
         let counters = run.stage.counters;
         assert_eq!((counters.tiles_drawn, counters.occluded > 0), (drawn, drawn == 1), "{counters:?}");
-        // From below the plate, the tile below it.
+        // From below the plate, the lower tile is visible.
         run.settle(above(10.0));
         assert_eq!(run.stage.counters.tiles_drawn, 1);
         run.settle(above(40.0));
         assert_eq!(run.stage.counters.tiles_drawn, drawn);
-        // The plate's page goes: what it hid is seen in the same frame.
+        // After the page of the plate is removed, the hidden tile is drawn in the same frame.
         let upper = run.scene.slots_of_page(run.scene.roots()[0]).next().unwrap();
         let SlotState::Resident(page) = run.scene.slot(upper).unwrap().state else { panic!("merged") };
         run.scene.detach(page).unwrap();
@@ -181,9 +181,10 @@ fn an_occluder_in_a_content_hides_while_it_is_resident() {
     }
 }
 
-/// One view's requests are served while another view keeps requesting more urgent ones; they once starved.
+/// Requests of one view are served while another view keeps requesting tiles of higher priority. Regression: they
+/// starved.
 #[test]
-fn long_waiting_requests_are_served_before_all_more_urgent_ones() {
+fn long_waiting_requests_are_served_before_newer_urgent_ones() {
     let folder = tempfile::tempdir().unwrap();
     write_set(folder.path());
     const MANY: usize = 4000;
@@ -208,7 +209,7 @@ fn long_waiting_requests_are_served_before_all_more_urgent_ones() {
         let priority = if i == MANY / 2 { 1.0 } else { 1000.0 };
         PageRequest { slot: *slot, priority, error_px: priority, ahead_frames: 0 }
     };
-    // The one, and few others before it.
+    // The old request is loaded, with few others before it.
     let requests: Vec<PageRequest> = slots.iter().enumerate().map(request).collect();
     let end = Instant::now() + Duration::from_secs(60);
     for round in 0.. {

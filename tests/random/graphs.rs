@@ -21,8 +21,8 @@ use kit::rig::Rig;
 use kit::shapes::with_mips;
 use kit::terrain::Terrain;
 
-/// Returns the seeds of RANDOM_SCENES=FIRST..END, or those from `first` on: `all` of them with TERRANE_LONG_TESTS=1,
-/// otherwise a `sample`.
+/// Returns the seeds of RANDOM_SCENES=FIRST..END, or those from `first` on: `all` with TERRANE_LONG_TESTS=1, otherwise
+/// a `sample`.
 pub fn seeds(first: u64, sample: u64, all: u64) -> std::ops::Range<u64> {
     let Ok(asked) = std::env::var("RANDOM_SCENES") else {
         return first..first + if kit::long_tests() { all } else { sample };
@@ -51,7 +51,7 @@ impl Random {
         low + (high - low) * ((self.next() >> 11) as f64 / (1u64 << 53) as f64)
     }
 
-    /// From 0, below `end`.
+    /// Returns a number from 0 to below `end`.
     pub fn below(&mut self, end: u64) -> u64 {
         self.next() % end
     }
@@ -76,7 +76,7 @@ impl Random {
         DQuat::from_euler(EulerRot::XYZ, self.between(0.0, 6.3), self.between(0.0, 6.3), self.between(0.0, 6.3))
     }
 
-    /// Now and then mirrored, or uneven.
+    /// Returns a scale that is sometimes mirrored or uneven.
     pub fn place(&mut self, reach: f64) -> DAffine3 {
         let scale = match self.below(4) {
             0 => DVec3::new(self.between(0.4, 1.6), -self.between(0.4, 1.6), self.between(0.4, 1.6)),
@@ -87,15 +87,15 @@ impl Random {
     }
 }
 
-/// The maker of a random scene.
+/// The generator of a random scene.
 pub struct Maker {
     pub random: Random,
-    /// Everything hides what is behind it, in whatever order it is drawn.
+    /// True if leaves hide what is behind them in any order of drawing.
     is_opaque: bool,
     sets: Vec<Arc<StateSet>>,
     shapes: Vec<Drawable>,
     lights: u8,
-    /// Drawn by a camera of the scene.
+    /// True for content that a camera of the scene draws.
     drawn: Arc<TextureObject>,
 }
 
@@ -117,7 +117,7 @@ impl Maker {
         maker
     }
 
-    /// The whole scene, within 20 metres of the origin.
+    /// Returns the whole scene, within 20 metres of the origin.
     pub fn scene(&mut self) -> Node {
         let mut children: Vec<Node> = (0..4 + self.random.below(8)).map(|_| self.node(3)).collect();
         if self.random.percent(50) {
@@ -178,7 +178,7 @@ impl Maker {
         Node { children, ..Node::new(kind) }
     }
 
-    /// Shapes that others have too are moved: which of two in one place is seen is a matter of their order.
+    /// Equal shapes are moved apart, because the order decides which of two at one position is visible.
     fn geode(&mut self) -> Node {
         if self.random.percent(60) {
             let geode = Node::geode(vec![self.random.one_of(&self.shapes)]);
@@ -203,7 +203,7 @@ impl Maker {
     fn light(&mut self, depth: u32) -> Node {
         let place = self.random.point(10.0);
         let random = &mut self.random;
-        // Which of two lights of a number counts is a matter of their order.
+        // The order decides which of two lights with a number wins, so numbers are unique.
         let number = if self.is_opaque { self.lights } else { random.below(3) as u8 };
         self.lights = (self.lights + 1).min(7);
         let light = Light {
@@ -226,7 +226,7 @@ impl Maker {
         self.group(depth, NodeKind::ClipNode(Box::new(ClipNode { planes, frame: ReferenceFrame::Relative })))
     }
 
-    /// Another view of what is below it, in a part of the image.
+    /// Returns a camera with another view of its children, in a part of the image.
     fn camera(&mut self, depth: u32) -> Node {
         let random = &mut self.random;
         let order = random.one_of(&[RenderOrder::Nested, RenderOrder::PostRender(0), RenderOrder::PostRender(-1)]);
@@ -247,7 +247,7 @@ impl Maker {
         Node::camera(camera, children)
     }
 
-    /// Draws what some of the state sets have as their texture.
+    /// Returns cameras that draw the textures of some state sets.
     fn camera_to_texture(&mut self) -> Node {
         let view = looking_at(self.random.point(10.0));
         let mut camera = CameraNode::to_texture(self.drawn.clone(), view, projection(1.0));
@@ -316,7 +316,7 @@ impl Maker {
         ])
     }
 
-    /// Attributes under which the nearest is seen, whatever was drawn first.
+    /// Returns attributes with which the nearest leaf is visible in any order of drawing.
     fn of_opaque(&mut self) -> Vec<Attribute> {
         let texture = TextureBinding::new(if self.random.percent(50) { self.drawn.clone() } else { checkers() });
         let texgen = self.texgen();
@@ -349,7 +349,7 @@ impl Maker {
         ]
     }
 
-    /// Attributes for which the order counts.
+    /// Returns attributes whose result depends on the order.
     fn of_others(&mut self) -> Vec<Attribute> {
         let random = &mut self.random;
         let factors = [BlendFactor::One, BlendFactor::SrcAlpha, BlendFactor::OneMinusSrcAlpha, BlendFactor::DstColor];
@@ -378,7 +378,7 @@ impl Maker {
     }
 }
 
-/// From 15 to 35 metres away.
+/// Returns an eye 15 to 35 metres away.
 pub fn eye(random: &mut Random) -> DVec3 {
     random.point(1.0).normalize_or(DVec3::X) * random.between(15.0, 35.0)
 }
@@ -455,7 +455,7 @@ pub fn named(node: &mut Node, number: &mut u32) {
     node.children.iter_mut().for_each(|child| named(child, number));
 }
 
-/// The node of a number in depth-first order.
+/// Returns the node of a number in depth-first order.
 fn nth<'a>(node: &'a mut Node, left: &mut u64) -> Option<&'a mut Node> {
     if *left == 0 {
         return Some(node);
@@ -469,7 +469,7 @@ fn count_nodes(node: &Node) -> u64 {
 }
 
 /// Changes a node of the scene and its counterpart in the graph in the same random way. Meshes change only with
-/// `with_meshes`, since a viewer must send them to its devices.
+/// `with_meshes`, because a viewer must upload them to its devices.
 pub fn change(scene: &mut Scene, root: &mut Node, maker: &mut Maker, with_meshes: bool) {
     let mut left = maker.random.below(count_nodes(root));
     let Some(node) = nth(root, &mut left) else { return };
@@ -518,7 +518,7 @@ fn replace_set(node: &mut Node, old: &Arc<StateSet>, new: &Arc<StateSet>) {
     node.children.iter_mut().for_each(|child| replace_set(child, old, new));
 }
 
-/// The frame of a graph by itself.
+/// Returns the frame of a graph in a separate scene.
 pub fn picture(rig: &mut Rig, node: &Node, camera: &CullCamera, environment: &Environment) -> RgbaImage {
     let scene = rig.scene(node.clone());
     let picture = rig.picture(&scene, camera, environment);
@@ -526,12 +526,12 @@ pub fn picture(rig: &mut Rig, node: &Node, camera: &CullCamera, environment: &En
     picture
 }
 
-/// The comparisons that differed.
+/// The comparisons that found a difference.
 #[derive(Default)]
 pub struct Differences(Vec<String>);
 
 impl Differences {
-    /// Notes where more than `few` pixels are others.
+    /// Records a comparison if more than `few` pixels differ.
     pub fn compare(&mut self, what: &str, seed: u64, [a, b]: [&RgbaImage; 2], few: usize) {
         let is_other = |(a, b): &(&Rgba<u8>, &Rgba<u8>)| a.0.iter().zip(&b.0).take(3).any(|(a, b)| a.abs_diff(*b) > 3);
         let others = a.pixels().zip(b.pixels()).filter(is_other).count();

@@ -1,5 +1,5 @@
-//! Random scenes: leaves that occluders or queries leave out would not be seen. Needs a GPU; a software adapter suffices.
-//! `RANDOM_SCENES=FIRST..END` draws those seeds.
+//! Random scenes: leaves that are culled by occluders or queries would not be visible. Needs a GPU; a software adapter
+//! suffices. `RANDOM_SCENES=FIRST..END` draws those seeds.
 
 use std::sync::Arc;
 
@@ -11,7 +11,7 @@ use terrane::scene::{ConvexPlanarOccluder, Drawable, Geometry, Material, Mesh, N
 
 const SIDE: u32 = 96;
 
-/// A wall somewhere that hides what is behind it, and its occluder.
+/// Returns a wall at a random position that hides leaves, and its occluder.
 fn wall(maker: &mut Maker) -> [Node; 2] {
     let [along, up] = [0; 2].map(|_| eye(&mut maker.random) * 0.2);
     let corners = [along + up, up - along, -along - up, along - up].to_vec();
@@ -47,7 +47,7 @@ fn leaves_hidden_by_occluders_are_not_visible() {
     assert!(hidden > 0, "nothing was hidden");
 }
 
-/// The same graph with queries above some of its nodes.
+/// Returns the same graph with queries above some of its nodes.
 fn queried(node: &Node, maker: &mut Maker) -> Node {
     let copy = Node { children: node.children.iter().map(|child| queried(child, maker)).collect(), ..node.clone() };
     if !maker.random.percent(40) {

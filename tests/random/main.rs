@@ -1,6 +1,6 @@
-//! Random scene graphs under random state: culled or not, sorted or not, on one thread or many, the frames are equal.
-//! Each test has its own GPU rig, since the pipelines of all random states together fill gigabytes.
-//! A bounded sample runs by default; `TERRANE_LONG_TESTS=1` runs all of them, `RANDOM_SCENES=FIRST..END` those seeds.
+//! Random scene graphs with random states: culled or not, sorted or not, on one thread or many, the frames are equal.
+//! Each test has a separate GPU rig, because the pipelines of all random states together fill gigabytes. A bounded
+//! sample runs by default; `TERRANE_LONG_TESTS=1` runs all of them, `RANDOM_SCENES=FIRST..END` those seeds.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 mod graphs;

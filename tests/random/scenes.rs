@@ -20,7 +20,7 @@ use terrane::state::{BinDetails, SortMode, StateSet, TextureFormat, TextureObjec
 
 const SIDE: u32 = 96;
 
-/// The same graph with nodes between that change nothing.
+/// Returns the same graph with additional nodes that have no effect.
 fn padded(node: &Node, random: &mut Random) -> Node {
     let mut copy = Node { children: node.children.iter().map(|child| padded(child, random)).collect(), ..node.clone() };
     match random.below(9) {
@@ -44,7 +44,7 @@ fn padded(node: &Node, random: &mut Random) -> Node {
     }
 }
 
-/// The same graph, with state sets at their nodes' children instead.
+/// Returns the same graph with state sets moved to the children of their nodes.
 fn pushed_down(node: &Node) -> Node {
     let mut copy = Node { children: node.children.iter().map(pushed_down).collect(), ..node.clone() };
     let is_plain = matches!(copy.kind, NodeKind::Group | NodeKind::Transform(_) | NodeKind::Lod { .. });
@@ -55,7 +55,7 @@ fn pushed_down(node: &Node) -> Node {
     copy
 }
 
-/// The same graph with other drawables.
+/// Returns the same graph with other drawables.
 fn with_drawables(node: &Node, change: &dyn Fn(&mut Drawable)) -> Node {
     let children = node.children.iter().map(|child| with_drawables(child, change)).collect();
     let mut copy = Node { children, ..node.clone() };
@@ -67,7 +67,7 @@ fn with_drawables(node: &Node, change: &dyn Fn(&mut Drawable)) -> Node {
     copy
 }
 
-/// Makes small meshes large, by triangles without extent.
+/// Makes small meshes large with triangles without area.
 fn enlarge(drawable: &mut Drawable) {
     if let Geometry::Mesh(mesh) = &mut drawable.geometry
         && mesh.topology == Topology::Triangles
@@ -78,7 +78,7 @@ fn enlarge(drawable: &mut Drawable) {
     }
 }
 
-/// Leaves nothing that is shared with others.
+/// Replaces shared objects by copies.
 fn own(drawable: &mut Drawable) {
     match &mut drawable.geometry {
         Geometry::Mesh(mesh) => *mesh = Arc::new(Mesh { indices: mesh.indices.to_vec().into(), ..Mesh::clone(mesh) }),
@@ -88,7 +88,7 @@ fn own(drawable: &mut Drawable) {
     drawable.material.texture = drawable.material.texture.take().map(|image| Arc::new(Texture::clone(&image)));
 }
 
-/// Graphs under every kind of state; the order of drawing counts.
+/// Graphs with all kinds of state, for which the order of drawing counts.
 #[test]
 fn equivalent_scenes_draw_the_same_image() {
     let Some(mut rig) = new_rig([256, 256]) else { return };
@@ -114,7 +114,7 @@ fn equivalent_scenes_draw_the_same_image() {
             same(&format!("{culling:?}"), &node, &other, 0);
         }
         for _ in 0..2 {
-            same("with nodes between", &padded(&node, &mut maker.random), &camera, 0);
+            same("with additional nodes", &padded(&node, &mut maker.random), &camera, 0);
         }
         same("state sets at the children", &pushed_down(&node), &camera, 0);
         same("large meshes", &with_drawables(&node, &enlarge), &camera, 30);
@@ -128,10 +128,10 @@ fn equivalent_scenes_draw_the_same_image() {
         let absolute = NodeKind::AbsoluteTransform(camera.eye_from_world);
         let absolute = Node { children: vec![node.clone()], ..Node::new(absolute) };
         same("below an AbsoluteTransform", &absolute, &camera, 4);
-        // A position on the earth, where an f32 has steps of half a metre.
+        // At planetary coordinates, an f32 has steps of half a metre.
         let far = DAffine3::from_translation(DVec3::new(4.1e6, -1.2e6, 4.7e6));
         let seen = CullCamera { eye_from_world: camera.eye_from_world * far.inverse(), ..camera };
-        // Nodes below an absolute camera are in world coordinates, wherever the camera hangs.
+        // Nodes below an absolute camera are in world coordinates at any position in the graph.
         if !has_absolute_camera(&node) {
             same("far from the origin", &Node::transform(far, vec![node.clone()]), &seen, 30);
         }
@@ -148,7 +148,7 @@ fn equivalent_scenes_draw_the_same_image() {
     assert!(2 * shown > scenes, "{shown} of {scenes} scenes show something");
 }
 
-/// Under a sky, with shadows and a sea below.
+/// The same with a sky, shadows and a sea.
 #[test]
 fn equivalent_scenes_have_the_same_light_and_air() {
     let Some(mut rig) = new_rig([256, 256]) else { return };
@@ -175,7 +175,7 @@ fn equivalent_scenes_have_the_same_light_and_air() {
         other.settings.culling = CullingMode(other.settings.culling.0 & !CullingMode::SAMPLES.0);
         same("every leaf", &node, &other, 0);
         for _ in 0..2 {
-            same("with nodes between", &padded(&node, &mut maker.random), &camera, 0);
+            same("with additional nodes", &padded(&node, &mut maker.random), &camera, 0);
         }
         same("state sets at the children", &pushed_down(&node), &camera, 0);
         same("large meshes", &with_drawables(&node, &enlarge), &camera, 30);
@@ -191,7 +191,7 @@ fn has_absolute_camera(node: &Node) -> bool {
     matches!(&node.kind, NodeKind::Camera(camera) if is_one(camera)) || node.children.iter().any(has_absolute_camera)
 }
 
-/// The scene beside a nested camera that shows it, for a camera that sees nothing else.
+/// Returns the scene beside a nested camera that shows it, for a camera that sees nothing else.
 fn through_nested(node: &Node, camera: &CullCamera) -> (Node, CullCamera) {
     let (alone, scene) = (1, 2);
     let mut nested = CameraNode { shows_scene: true, ..CameraNode::new(RenderOrder::Nested) };
@@ -204,7 +204,7 @@ fn through_nested(node: &Node, camera: &CullCamera) -> (Node, CullCamera) {
     (Node::group(vec![node, nested]), seen)
 }
 
-/// Read back from the texture of a camera above the whole scene.
+/// Returns the image of a camera above the whole scene, read back from its texture.
 fn to_texture(rig: &mut Rig, node: &Node, camera: &CullCamera) -> RgbaImage {
     let sink = Arc::new(PictureSink::default());
     let texture = TextureObject::target("whole", [SIDE, SIDE], TextureFormat::Rgba8Srgb);
@@ -225,7 +225,7 @@ fn to_texture(rig: &mut Rig, node: &Node, camera: &CullCamera) -> RgbaImage {
     RgbaImage::from_raw(SIDE, SIDE, picture.unwrap().texels).unwrap()
 }
 
-/// The children of the root as separate pages, each with the root's state set.
+/// Returns the children of the root as separate pages, each with the root's state set.
 fn several_roots(rig: &mut Rig, node: &Node, camera: &CullCamera, environment: &Environment) -> RgbaImage {
     let mut scene = rig.scene(Node::group(Vec::new()));
     for child in &node.children {
@@ -240,12 +240,12 @@ fn several_roots(rig: &mut Rig, node: &Node, camera: &CullCamera, environment: &
     picture
 }
 
-/// The same graph with some nodes in separate pages, attached to tiles.
+/// Returns the same graph with some nodes in separate pages, attached to tiles.
 fn below_tiles(rig: &mut Rig, node: &Node, camera: &CullCamera, random: &mut Random) -> RgbaImage {
     let mut cut = Vec::new();
     let mut scene = rig.scene(with_tiles(node, random, &mut cut));
     let mut pages = vec![scene.roots()[0]];
-    // A part follows the graph that it was cut from.
+    // A part comes after the graph that it was cut from.
     for (number, content) in cut.into_iter().enumerate().rev() {
         let name = tile_name(number);
         let slot = pages.iter().find_map(|page| scene.nodes_named(*page, &name).next()).unwrap();
@@ -268,7 +268,7 @@ fn tile_name(number: usize) -> String {
     format!("tile {number}")
 }
 
-/// The graph with tiles instead of some nodes, and those nodes, each after what was cut out of it.
+/// Returns the graph with tiles instead of some nodes, and those nodes, each after the one that it was cut from.
 fn with_tiles(node: &Node, random: &mut Random, cut: &mut Vec<Node>) -> Node {
     let children = node.children.iter().map(|child| with_tiles(child, random, cut)).collect();
     let copy = Node { children, ..node.clone() };
@@ -290,7 +290,7 @@ fn with_tiles(node: &Node, random: &mut Random, cut: &mut Vec<Node>) -> Node {
     Node::new(NodeKind::PagedLod(Box::new(lod))).named(&tile_name(cut.len() - 1))
 }
 
-/// Graphs where the nearest is seen, whatever was drawn before it.
+/// Graphs in which the nearest leaf is visible in any order of drawing.
 #[test]
 fn opaque_leaves_may_be_drawn_in_any_order() {
     let Some(mut rig) = new_rig([256, 256]) else { return };
@@ -305,8 +305,8 @@ fn opaque_leaves_may_be_drawn_in_any_order() {
             let other = picture(rig, node, camera, &plain());
             differences.compare(what, seed, [&whole, &other], few);
         };
-        same("children the other way round", &reversed(&node), &camera, 8);
-        same("state sets of their own", &with_sets(&node, &|set| set.clone()), &camera, 8);
+        same("children in reverse order", &reversed(&node), &camera, 8);
+        same("separate state sets", &with_sets(&node, &|set| set.clone()), &camera, 8);
         for sort in [SortMode::BackToFront, SortMode::FrontToBack, SortMode::TraversalOrder] {
             let sorted =
                 with_sets(&node, &|set| StateSet { bin: set.bin.map(|bin| BinDetails { sort, ..bin }), ..set.clone() });
@@ -346,9 +346,9 @@ fn with_sets(node: &Node, change: &dyn Fn(&StateSet) -> StateSet) -> Node {
     }
 }
 
-/// A changed scene looks like one made that way.
+/// A changed scene equals one that was built like that.
 #[test]
-fn changed_scenes_equal_scenes_made_that_way() {
+fn changed_scenes_equal_scenes_built_that_way() {
     let Some(mut rig) = new_rig([256, 256]) else { return };
     let rig = &mut rig;
     let mut differences = Differences::default();

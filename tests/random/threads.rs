@@ -1,5 +1,5 @@
-//! Random scenes, changed from frame to frame, in several views: every threading model draws the same images. Needs a
-//! GPU (a software one will do). `RANDOM_SCENES=FIRST..END` draws those seeds.
+//! Random scenes that change from frame to frame, in several views: every threading model draws the same images. Needs
+//! a GPU; a software adapter suffices. `RANDOM_SCENES=FIRST..END` draws those seeds.
 
 use crate::graphs::{Maker, Random, change, eye, named, seeds};
 use glam::DVec3;
@@ -13,7 +13,7 @@ use terrane::viewer::{CompositeViewer, ThreadingModel, View, ViewerConfig};
 
 const FRAMES: u32 = 6;
 
-/// A graph, and the scene that is to look like it.
+/// A graph, and the scene that must look like it.
 struct Graph {
     maker: Maker,
     node: Node,
@@ -34,7 +34,7 @@ impl Graph {
     }
 }
 
-/// Some have a sky, shadows or a sea, some no more than their background.
+/// Returns an environment. Some have a sky, shadows or a sea, some only a background.
 fn environment(random: &mut Random) -> Environment {
     if random.percent(60) {
         return plain();
@@ -52,7 +52,8 @@ fn moved(view: &mut View, random: &mut Random) {
     view.environment = environment(random);
 }
 
-/// Every picture of a seed: two scenes in three views, two of them in one of the two contexts; `None` without an adapter.
+/// Returns all images of a seed: two scenes in three views, two of them in one of two contexts. `None` without an
+/// adapter.
 fn flown(seed: u64, threading: ThreadingModel, compile_contexts: bool) -> Option<Vec<RgbaImage>> {
     let config = ViewerConfig {
         max_contexts: 2,
@@ -99,13 +100,13 @@ fn flown(seed: u64, threading: ThreadingModel, compile_contexts: bool) -> Option
         if random.percent(20) {
             viewer.resize_context(second, [40 + random.below(60) as u32, 48]).unwrap();
         }
-        // Meshes come when they are there: in as many frames as the machine makes of them.
+        // Meshes are drawn once they are uploaded, whose number of frames depends on the machine.
         viewer.settle(2);
         for context in [first, second] {
             viewer.want_picture(context);
         }
         viewer.frame().unwrap();
-        // Else the next frames are culled while this one is drawn.
+        // Otherwise the next frames would be culled while this one is drawn.
         if random.percent(30) {
             viewer.finish().unwrap();
         }
@@ -122,7 +123,7 @@ fn all_threading_models_draw_the_same() {
     for seed in seeds(0, 1, 2) {
         let Some(wanted) = flown(seed, ThreadingModel::SingleThreaded, false) else { return };
         assert_eq!(wanted.len(), 2 * FRAMES as usize);
-        // Half of the models for a seed, one of them with a compile thread: four seeds have all with and without one.
+        // A seed runs half of the models, one of them with a compile thread. Four seeds run all with and without one.
         for (place, model) in (0..).zip(ThreadingModel::ALL).filter(|(place, _)| place % 2 == seed % 2) {
             let compiles = (place / 2 + seed / 2) % 2 == 0;
             let pictures = flown(seed, model, compiles).unwrap();

@@ -1,4 +1,5 @@
-//! Bounds of what changes: those of a scene made so, and fitted once for all changes of a frame.
+//! Bounds of changed scenes: they equal those of a scene built like that, and are updated once for all changes of a
+//! frame.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -22,7 +23,7 @@ fn place(numbers: [f64; 4]) -> DAffine3 {
     DAffine3::from_rotation_translation(DQuat::from_rotation_z(turn), DVec3::new(x, y, z))
 }
 
-/// Transforms in groups in transforms, cubes, and cameras.
+/// Returns transforms in groups in transforms, with cubes and cameras.
 fn graph() -> impl Strategy<Value = Node> {
     let leaf = (-9.0..9.0f64, 0.1..4.0f64).prop_map(|(x, half_m)| Node::geode(vec![cube(DVec3::splat(x), half_m)]));
     leaf.prop_recursive(5, 60, 5, |inner| {
@@ -47,7 +48,7 @@ enum Change {
 }
 
 fn change() -> impl Strategy<Value = Change> {
-    // Far away and back again.
+    // The transform moves far away and back.
     let range = prop_oneof![4 => Just(1.0), 1 => Just(100.0)];
     let numbers = (range, prop::array::uniform4(-30.0..30.0f64)).prop_map(|(far, numbers)| numbers.map(|n| n * far));
     prop_oneof![
@@ -75,7 +76,7 @@ fn count(node: &Node) -> usize {
     1 + node.children.iter().map(count).sum::<usize>()
 }
 
-/// Changes a node of the graph and of the scene made of it.
+/// Changes a node of the graph, and of the scene that was built from it.
 fn apply(scene: &mut Scene, root: &mut Node, index: usize, numbers: [f64; 4]) {
     let id = NodeId { page: scene.roots()[0], index: index as u32 };
     match &mut nth(root, index).unwrap().kind {
@@ -112,7 +113,7 @@ fn assert_same(a: Option<BoundingSphere>, b: Option<BoundingSphere>) {
     }
 }
 
-/// The part drawn of a view that is this many times as wide and high.
+/// Returns the drawn leaves of a view that is this many times as wide and high.
 fn drawn(scene: &Scene, times: f64) -> BTreeSet<u32> {
     let mut stage = RenderStage::new();
     let mut camera = look_at(DVec3::new(0.0, -40.0, 0.0), DVec3::ZERO, DVec3::Z);
@@ -121,8 +122,8 @@ fn drawn(scene: &Scene, times: f64) -> BTreeSet<u32> {
     stage.bins.iter().flat_map(|b| b.leaves.iter().map(|l| l.slot.0)).collect()
 }
 
-/// The same is drawn of both, but for what touches the image's edge: bounds are rounded to what their page's frame lets
-/// them be.
+/// Checks that both draw the same, except for leaves at the edge of the image: bounds are rounded by the precision of
+/// their page's frame.
 fn assert_drawn_alike(a: &Scene, b: &Scene) {
     for (some, other) in [(a, b), (b, a)] {
         let (inner, outer) = (drawn(some, 1.0 - 1e-3), drawn(other, 1.0 + 1e-3));
@@ -134,7 +135,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(200))]
 
     #[test]
-    fn they_are_those_of_a_scene_made_so(graph in graph(), changes in prop::collection::vec(change(), 1..40)) {
+    fn changed_bounds_equal_those_of_a_new_scene(graph in graph(), changes in prop::collection::vec(change(), 1..40)) {
         let mut root = Node::group(vec![graph]);
         let mut scene = Scene::new();
         scene.add_root(page(root.clone(), 0));
@@ -146,7 +147,7 @@ proptest! {
                 Change::Query => {
                     let mut anew = Scene::new();
                     anew.add_root(page(root.clone(), 0));
-                    // Queries before the fit return the fitted values.
+                    // Queries before the update return the new values.
                     let before: Vec<_> = (0..nodes).map(|node| sphere(&scene, node)).collect();
                     let whole = scene.bounding_sphere();
                     assert_drawn_alike(&scene, &anew);
@@ -165,12 +166,12 @@ proptest! {
 }
 
 #[test]
-fn moving_siblings_refits_their_ancestors_once() {
+fn moving_siblings_updates_their_ancestors_once() {
     let siblings = |count: u32| {
         let child = || Node::transform(DAffine3::IDENTITY, vec![Node::geode(vec![cube(DVec3::ZERO, 1.0)])]);
         let group = Node::group((0..count).map(|_| child()).collect());
         let mut scene = Scene::new();
-        // A group in two groups; each child is two nodes.
+        // The group is in two groups, and each child is two nodes.
         let root = scene.add_root(page(Node::group(vec![Node::group(vec![group])]), 0));
         let fitted = |scene: &Scene| scene.page(root).unwrap().fitted_spheres();
         (0..3)
@@ -192,7 +193,7 @@ fn moving_siblings_refits_their_ancestors_once() {
 }
 
 #[test]
-fn a_page_that_is_taken_out_takes_fitted_bounds_along() {
+fn removed_page_takes_its_pending_bounds_along() {
     let mut scene = Scene::new();
     let moved = Node::transform(DAffine3::IDENTITY, vec![Node::geode(vec![cube(DVec3::ZERO, 1.0)])]);
     let id = scene.add_root(page(Node::group(vec![moved]), 0));
@@ -210,7 +211,7 @@ fn a_page_that_is_taken_out_takes_fitted_bounds_along() {
 }
 
 #[test]
-fn levels_of_detail_are_around_what_they_hold() {
+fn levels_of_detail_enclose_their_content() {
     let place = DAffine3::from_translation(DVec3::new(100.0, 20.0, 0.0));
     let children = vec![Node::transform(place, vec![Node::geode(vec![cube(DVec3::new(0.0, 0.0, 5.0), 1.0)])])];
     let lod = Node::lod(vec![[0.0, 50.0]], children);

@@ -1,4 +1,4 @@
-//! Update and event callbacks of nodes: who is called, in which order, and how little is visited. No GPU.
+//! Update and event callbacks of nodes: the calls, their order, and the number of visited nodes. No GPU.
 
 use std::sync::{Arc, Mutex};
 
@@ -46,7 +46,7 @@ fn tile(content: &str) -> Node {
 }
 
 #[test]
-fn a_traversal_visits_callbacks_and_not_nodes() {
+fn traversal_visits_only_nodes_with_callbacks() {
     let log = Log::default();
     let leaves = |count| Node::group((0..count).map(|_| Node::group(Vec::new())).collect());
     let with = with_callback(leaves(300), logs(&log, "a", Traverse::Below))
@@ -92,7 +92,7 @@ fn removed_pages_do_not_skip_callbacks_of_others() {
 }
 
 #[test]
-fn a_page_is_updated_before_pages_attached_to_it() {
+fn page_is_updated_before_pages_attached_to_it() {
     let log = Log::default();
     let mut scene = Scene::new();
     let root = scene.add_root(Page::from_node(Node::group(vec![tile("x")])).unwrap());
@@ -130,14 +130,14 @@ fn skipping_a_node_skips_the_pages_below() {
 }
 
 #[test]
-fn a_callback_changes_the_scene_it_is_called_for() {
+fn callback_may_change_its_scene() {
     let mut scene = Scene::new();
     let mut turning = Node::transform(DAffine3::IDENTITY, vec![Node::group(Vec::new())]);
     turning.update_callback = Some(UpdateCallback::new(|scene, node, info| {
         scene.set_transform(node, DAffine3::from_translation(DVec3::X * f64::from(info.frame))).unwrap();
         Traverse::Below
     }));
-    // One that takes its own page away, before another's turn.
+    // The callback removes its page before another one is called.
     let mut leaving = Node::group(Vec::new());
     leaving.update_callback = Some(UpdateCallback::new(|scene: &mut Scene, node, _| {
         scene.remove_root(node.page).unwrap();
@@ -150,9 +150,9 @@ fn a_callback_changes_the_scene_it_is_called_for() {
     assert_eq!(scene.world_from_node(inner).unwrap().translation, DVec3::new(5.0, 0.0, 0.0));
 }
 
-/// With a callback of the other kind left in its page, a page was listed for both.
+/// Regression: a page with a remaining callback of the other kind stayed in both lists.
 #[test]
-fn a_page_whose_last_callback_of_a_kind_goes_is_listed_for_the_other_only() {
+fn page_leaves_the_list_of_a_kind_with_its_last_callback() {
     let update = || Some(UpdateCallback::new(|_, _, _| Traverse::Below));
     let event = || Some(EventCallback::new(|_, _, _| Traverse::Below));
     let both = Node { update_callback: update(), event_callback: event(), ..Node::group(Vec::new()) };
@@ -184,7 +184,7 @@ fn events_of_any_type_reach_event_callbacks() {
 }
 
 #[test]
-fn tiles_are_listed_with_their_place_and_state() {
+fn tiles_are_listed_with_their_position_and_state() {
     let mut scene = Scene::new();
     let root = Node::transform(DAffine3::from_scale(DVec3::splat(2.0)), vec![tile("x")]);
     let root = scene.add_root(Page::from_node(root).unwrap());

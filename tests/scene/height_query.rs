@@ -1,4 +1,5 @@
-//! Height above the terrain: what lines through the scene say, on a plane and on the earth, while other threads ask.
+//! Heights above the terrain: comparison with intersections of lines, on a plane and on the earth, with concurrent
+//! queries.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
@@ -42,9 +43,9 @@ fn ground_below_is_preferred_to_ground_above() {
     assert_eq!(query.terrain_height_m(DVec3::ZERO).map(f64::round), Some(3.0));
 }
 
-/// Both had been changed as often.
+/// Regression: both scenes had the same number of changes and were taken for the same ground.
 #[test]
-fn another_scene_is_another_ground() {
+fn another_scene_has_another_ground() {
     let query = HeightQuery::new(Vertical::Flat);
     let ground = |z: f64| {
         let mut scene = Scene::new();
@@ -77,7 +78,7 @@ fn masks_select_the_ground() {
     }
 }
 
-/// Every drawable of a set, loaded without a GPU, its trees built by the decode workers.
+/// Loads all drawables of a set without a GPU. The decode workers build the k-d trees.
 fn load(folder: &std::path::Path, eye: DVec3, config: PagerConfig) -> Run {
     let config = PagerConfig { build_kd_trees: true, ..config };
     let mut run = Run::new(folder.to_str().unwrap(), config);
@@ -85,7 +86,7 @@ fn load(folder: &std::path::Path, eye: DVec3, config: PagerConfig) -> Run {
     run
 }
 
-/// A point of the ellipsoid at shares of a region's extent.
+/// Returns a point of the ellipsoid at shares of a region's extent.
 fn place(region: [f64; 4], east: f64, north: f64, height_m: f64) -> DVec3 {
     let [west, south, e, n] = region;
     WGS84.ecef(&Geodetic { longitude: west + (e - west) * east, latitude: south + (n - south) * north, height_m })
@@ -115,13 +116,13 @@ fn heights_and_meshes_of_the_same_ground_agree_on_the_earth() {
         terrane_data_gen::run(&args).unwrap();
         region = region_of(&set);
         let eye = place(region, 0.5, 0.5, 500.0);
-        // From inside everything is wanted.
+        // From inside, all levels are wanted.
         let run = load(&set, eye, PagerConfig::default());
         assert!(run.pager.stats().merged > 5, "{:?}", run.pager.stats());
         let query = HeightQuery::new(Vertical::Ellipsoid(WGS84));
         query.publish(&run.scene);
 
-        // Against lines through the scene.
+        // The heights are compared with lines through the scene.
         let mut visitor = IntersectionVisitor::new();
         for i in 0..200 {
             let (east, north) = (f64::from(i % 20) / 20.0 + 0.013, f64::from(i / 20) / 10.0 + 0.027);
@@ -134,7 +135,7 @@ fn heights_and_meshes_of_the_same_ground_agree_on_the_earth() {
             assert!((ground.height_m - WGS84.geodetic(hit).height_m).abs() < 1e-3);
             assert!((ground.above_m - (9000.0 - ground.height_m)).abs() < 1e-3, "{ground:?}");
             assert!(ground.normal.dot(high.normalize()) > 0.2);
-            // The same from below and from beside.
+            // The same from below and from the side.
             let below = query.highest_ground_at(low).unwrap();
             assert!(below.point.distance(hit) < 1e-3 && (below.above_m + 9000.0 + below.height_m).abs() < 1e-3);
             let under = query.height_above_terrain_m(low).unwrap();
@@ -144,7 +145,7 @@ fn heights_and_meshes_of_the_same_ground_agree_on_the_earth() {
         assert_eq!(query.height_above_terrain_m(-place(region, 0.5, 0.5, 100.0)), None, "on the other side");
         queries.push(query);
     }
-    // The finest level of both samples the same ground.
+    // The finest level of both has the same samples.
     for i in 0..100 {
         let at = place(region, f64::from(i) / 100.0 + 0.005, f64::from(i * 37 % 100) / 100.0 + 0.005, 5000.0);
         let [a, b] = [0, 1].map(|k: usize| queries[k].terrain_height_m(at).unwrap());
@@ -153,7 +154,7 @@ fn heights_and_meshes_of_the_same_ground_agree_on_the_earth() {
 }
 
 #[test]
-fn threads_ask_while_the_scene_changes() {
+fn threads_query_while_the_scene_changes() {
     let query = HeightQuery::new(Vertical::Flat);
     let stop = Arc::new(AtomicBool::new(false));
     let answered = Arc::new(AtomicU32::new(0));
@@ -163,7 +164,7 @@ fn threads_ask_while_the_scene_changes() {
             std::thread::spawn(move || {
                 while !stop.load(Ordering::Relaxed) {
                     let ground = query.snapshot();
-                    // One snapshot has one answer.
+                    // One snapshot has one height.
                     let heights = [0.0, 3.0, -4.0].map(|x| ground.terrain_height_m(DVec3::new(x, x, 0.0)));
                     assert!(heights.iter().all(|h| h.map(f64::round) == heights[0].map(f64::round)));
                     if let Some(height) = heights[0] {

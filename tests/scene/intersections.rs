@@ -1,4 +1,4 @@
-//! Intersectors find the same as a test of every triangle of the scene: brute force is the oracle.
+//! Intersectors find the same as a test of every triangle of the scene. Brute force is the oracle.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -14,7 +14,7 @@ use terrane::scene::{
     NodeId, NodeKind, Page, PolytopeIntersector, RayIntersector, Refine, Scene, Topology,
 };
 
-/// Small and repeatable.
+/// Repeatable random numbers.
 struct Random(u64);
 
 impl Random {
@@ -81,13 +81,13 @@ fn graph(random: &mut Random, depth: usize) -> Node {
     node
 }
 
-/// A triangle of the world: drawable, number, corners.
+/// A triangle in the world: drawable, number and corners.
 type Triangle = (u32, u32, [DVec3; 3]);
 
 struct Oracle {
     mask: u32,
     eye: Option<EyePoint>,
-    /// The eye decides levels.
+    /// The eye selects levels.
     sees: bool,
     drawables: u32,
     triangles: Vec<Triangle>,
@@ -105,7 +105,7 @@ impl Oracle {
         }
     }
 
-    /// Goes through a graph; `world` is `None` where nothing is met.
+    /// Visits a graph. `world` is `None` where intersections are off.
     fn visit(&mut self, node: &Node, world: Option<DAffine3>) {
         let world = world.filter(|_| node.mask & self.mask != 0);
         let mut below = world;
@@ -140,7 +140,7 @@ impl Oracle {
     }
 }
 
-/// World from a billboard's drawable: x right, -y to the viewer, z up.
+/// Returns the transform from a billboard's drawable to the world: x right, -y towards the viewer, z up.
 fn turned(mode: &BillboardMode, position: DVec3, world_from_node: DAffine3, eye: &EyePoint) -> DAffine3 {
     let m = world_from_node.matrix3;
     let place = world_from_node.transform_point3(position);
@@ -159,7 +159,8 @@ fn turned(mode: &BillboardMode, position: DVec3, world_from_node: DAffine3, eye:
     DAffine3 { matrix3, translation: place }
 }
 
-/// Ratio, and how far inside the triangle's edges, in shares; `None` for what is (nearly) seen from the side.
+/// Returns the ratio along the line, and how far inside the triangle's edges it is, in shares. `None` for a triangle
+/// that is nearly seen from the side.
 fn meet(start: DVec3, direction: DVec3, [a, b, c]: [DVec3; 3]) -> Option<(f64, f64)> {
     let normal = (b - a).cross(c - a);
     let across = normal.dot(direction);
@@ -174,7 +175,7 @@ fn meet(start: DVec3, direction: DVec3, [a, b, c]: [DVec3; 3]) -> Option<(f64, f
 
 const UNSURE: f64 = 1e-4;
 
-/// Compares what was found with all triangles; what is near an edge may be either.
+/// Compares the hits with all triangles. Near an edge both results are accepted.
 fn compare(triangles: &[Triangle], found: &[Intersection], start: DVec3, direction: DVec3, max: f64) {
     let keys: BTreeMap<(u32, u32), &Intersection> = found.iter().map(|h| ((h.drawable, h.primitive), h)).collect();
     assert_eq!(keys.len(), found.len(), "each once");
@@ -192,13 +193,13 @@ fn compare(triangles: &[Triangle], found: &[Intersection], start: DVec3, directi
         assert!(hit.world_point().distance(start + direction * hit.ratio) < 1e-6 * scale);
         let [a, b, c] = corners;
         let normal = (b - a).cross(c - a).normalize();
-        // A mirrored drawable's corners run the other way round in the world.
+        // The corners of a mirrored drawable have the reverse order in the world.
         assert!(hit.world_normal().dot(normal).abs() > 1.0 - 1e-6, "{} {normal}", hit.world_normal());
         let [u, v, w] = hit.weights;
         assert!((*a * u + *b * v + *c * w).distance(hit.world_point()) < 1e-6 * scale, "weights");
     }
     let of_scene: BTreeSet<_> = triangles.iter().map(|t| (t.0, t.1)).collect();
-    assert!(keys.keys().all(|k| of_scene.contains(k)), "only what is shown is met");
+    assert!(keys.keys().all(|k| of_scene.contains(k)), "only visible drawables are hit");
 }
 
 fn eye_at(random: &mut Random) -> EyePoint {
@@ -218,7 +219,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 200, ..ProptestConfig::default() })]
 
     #[test]
-    fn lines_through_a_graph_meet_what_every_triangle_meets(seed in any::<u64>()) {
+    fn lines_through_a_graph_hit_the_same_as_brute_force(seed in any::<u64>()) {
         let mut random = Random(seed);
         let node = graph(&mut random, 4);
         let mut page = Page::from_node(node.clone()).unwrap();
@@ -252,7 +253,7 @@ proptest! {
             visitor.traverse(&scene, &mut ray);
             compare(&oracle.triangles, ray.intersections(), start, direction, f64::INFINITY);
 
-            // The other limits choose from the same.
+            // The other limits select from the same hits.
             let all = ray.intersections().to_vec();
             let mut nearest = RayIntersector::new(start, direction).with_limit(IntersectionLimit::Nearest);
             visitor.traverse(&scene, &mut nearest);
@@ -321,7 +322,7 @@ proptest! {
             }
             for (primitive, corners) in world.iter().enumerate() {
                 let is_found = found.contains(&(primitive as u32));
-                // Many points of the primitive: one inside must be found; found ones are checked above.
+                // If many points of the primitive are inside, it must be found. Hits are checked above.
                 let inside = (0..300).any(|_| {
                     let (u, v) = (random.next(), random.next());
                     let (u, v) = if u + v > 1.0 { (1.0 - u, 1.0 - v) } else { (u, v) };
@@ -338,7 +339,7 @@ proptest! {
     }
 
     #[test]
-    fn tiles_are_met_as_they_are_drawn(seed in any::<u64>(), add in any::<bool>()) {
+    fn tiles_are_hit_as_they_are_drawn(seed in any::<u64>(), add in any::<bool>()) {
         let mut random = Random(seed);
         let refine = if add { Refine::Add } else { Refine::Replace };
         let mut scene = Scene::new();
@@ -372,25 +373,25 @@ proptest! {
         let mut visitor = IntersectionVisitor::as_seen_from(camera.eye_point());
         let mut everything = PolytopeIntersector::in_box(DVec3::splat(-5000.0), DVec3::splat(5000.0))
             .with_limit(IntersectionLimit::OnePerDrawable);
-        // Squares lie above or below the eye.
+        // Squares are above or below the eye.
         visitor.traverse(&scene, &mut everything);
         let met: BTreeSet<u32> =
             everything.intersections().iter().map(|h| names[&h.node().unwrap().page].1).collect();
         prop_assert_eq!(&met, &drawn);
 
-        // Paths run from the root page into the tile's.
+        // Paths lead from the root page into that of the tile.
         for hit in everything.intersections() {
             prop_assert_eq!(hit.node_path[0], NodeId { page: root, index: 0 });
             let page = hit.node().unwrap().page;
             let above = scene.slot_of(page).unwrap();
             let place = hit.node_path.iter().position(|n| *n == above).unwrap();
             prop_assert_eq!(hit.node_path[place + 1], NodeId { page, index: 0 });
-            prop_assert_eq!(place + 1, names[&page].0.len(), "one node a level");
+            prop_assert_eq!(place + 1, names[&page].0.len(), "one node per level");
         }
 
-        // The highest and a wanted level, straight down: what a walk by names says.
+        // The highest and a wanted level, straight down. The expected level follows from a walk by names.
         let is_in = |name: &str| names.values().any(|(n, _)| n == name);
-        // There, or with all there that takes its place.
+        // The tile is resident, or all tiles that replace it are.
         fn stands(name: &str, is_in: &impl Fn(&str) -> bool) -> bool {
             is_in(name) || (name.len() < 4 && (0..4).all(|i| stands(&format!("{name}{i}"), is_in)))
         }
@@ -429,7 +430,7 @@ proptest! {
     }
 
     #[test]
-    fn height_tiles_are_met_by_the_formula_that_draws_them(seed in any::<u64>(), smooth in any::<bool>()) {
+    fn height_tiles_are_hit_by_the_formula_that_draws_them(seed in any::<u64>(), smooth in any::<bool>()) {
         let mut random = Random(seed);
         let side = [3u32, 9, 33][random.below(3)];
         let (tile, corners) = height_tile(&mut random, side, smooth);
@@ -462,10 +463,10 @@ proptest! {
             prop_assert!(!line.intersections().is_empty());
             compare(&triangles, line.intersections(), start, 2.0 * (target - start), 1.0);
             for hit in line.intersections() {
-                // From the middle of the ball.
+                // The direction is from the middle of the ball.
                 let corner = corners[hit.vertices[0] as usize];
                 let up = corner - DVec3::new(0.0, -BALL_M * LAT.cos(), -BALL_M * LAT.sin());
-                prop_assert!(hit.local_normal.dot(up) > 0.0, "normals look up");
+                prop_assert!(hit.local_normal.dot(up) > 0.0, "normals point up");
             }
         }
     }
@@ -474,7 +475,7 @@ proptest! {
 const BALL_M: f64 = 6.0e6;
 const LAT: f64 = 0.7;
 
-/// A tile on a ball, rough or smooth, and its vertices by the documented formula.
+/// Returns a tile on a ball, rough or smooth, with its vertices by the documented formula.
 fn height_tile(random: &mut Random, side: u32, smooth: bool) -> (HeightTile, Vec<DVec3>) {
     let step = 100.0 / BALL_M;
     let p0_m = (BALL_M * LAT.cos()) as f32;
@@ -563,7 +564,7 @@ fn drawables_without_tree_and_payload_are_counted() {
 }
 
 #[test]
-fn a_mesh_written_anew_is_met_where_it_is() {
+fn replaced_mesh_is_hit_at_its_new_position() {
     for (with_tree, with_payload) in [(true, true), (true, false), (false, true)] {
         let square = Mesh::rectangle(DVec3::ZERO, DVec3::X, DVec3::Y);
         let mut page = Page::from_node(Node::geode(vec![drawable(square)])).unwrap();

@@ -1,4 +1,4 @@
-//! Pages in a scene: handles, attach and detach, what they cost.
+//! Pages of a scene: handles, attaching and detaching, and their cost.
 
 use glam::{DAffine3, DVec3};
 use kit::cull_scenes::{Grid, content, page, quadtree, state_sets};
@@ -17,7 +17,7 @@ fn tree(levels: u32) -> (Scene, PageId, Vec<NodeId>) {
 }
 
 #[test]
-fn slots_tell_what_they_hold() {
+fn slots_return_their_content() {
     let (mut scene, root, slots) = tree(3);
     assert_eq!(slots.len(), 21);
     let info = scene.slot(slots[2]).unwrap();
@@ -33,16 +33,16 @@ fn slots_tell_what_they_hold() {
 }
 
 #[test]
-fn handles_go_stale() {
+fn handles_become_stale() {
     let (mut scene, root, slots) = tree(2);
     let first = scene.attach(slots[0], content(1.0, 0)).unwrap();
     let refused = scene.attach(slots[0], content(1.0, 7)).unwrap_err();
     assert_eq!(refused.0, SceneError::SlotTaken { node: slots[0] });
-    assert_eq!(refused.1.drawable_count(), 1, "the page comes back");
+    assert_eq!(refused.1.drawable_count(), 1, "the page is returned");
     assert_eq!(scene.detach(first).unwrap().drawable_count(), 1);
     assert!(matches!(scene.detach(first), Err(SceneError::StalePage { .. })));
     let second = scene.attach(slots[0], content(1.0, 0)).unwrap();
-    assert_eq!(second.slot, first.slot, "the place is reused");
+    assert_eq!(second.slot, first.slot, "the slot is reused");
     assert_ne!(second, first);
     assert!(scene.page(first).is_none() && scene.slot_of(first).is_none());
     let stale = NodeId { page: first, index: 0 };
@@ -52,14 +52,14 @@ fn handles_go_stale() {
     let beyond = NodeId { page: root, index: 999 };
     assert!(matches!(scene.attach(beyond, content(1.0, 0)).unwrap_err().0, SceneError::NotASlot { .. }));
     assert!(matches!(scene.detach(root), Err(SceneError::IsRoot { .. })));
-    assert!(scene.remove_root(root).is_none(), "a page hangs in it");
+    assert!(scene.remove_root(root).is_none(), "a page is attached to it");
     scene.detach(second).unwrap();
     assert!(scene.remove_root(root).is_some());
     assert_eq!(scene.page_count(), 0);
 }
 
 #[test]
-fn detach_is_refused_while_pages_hang_below() {
+fn detach_is_refused_while_pages_are_attached_below() {
     let mut scene = Scene::new();
     let proxy = Node::new(NodeKind::ProxyNode(Box::new(ProxyNode {
         uri: "x".into(),
@@ -81,9 +81,9 @@ fn detach_is_refused_while_pages_hang_below() {
 }
 
 #[test]
-fn expiry_goes_from_the_leaves_up() {
+fn expiry_starts_at_the_leaves() {
     let (mut scene, _, slots) = tree(3);
-    // 0: root, 1: its first child, 2: the first grandchild.
+    // Page 0 is the root, 1 its first child, 2 the first grandchild.
     let pages: Vec<_> = [0, 1, 2].map(|i| scene.attach(slots[i], content(1.0, 0)).unwrap()).to_vec();
     let expirable = |scene: &Scene| pages.iter().map(|p| scene.is_expirable(*p)).collect::<Vec<_>>();
     assert_eq!(expirable(&scene), [false, false, true]);
@@ -93,14 +93,14 @@ fn expiry_goes_from_the_leaves_up() {
     assert_eq!(expirable(&scene), [true, false, false]);
 }
 
-/// The cost of merging and expiring, counted in records written, is the same whatever the sizes.
+/// The cost of merging and expiring, counted in written records, is independent of all sizes.
 #[test]
 fn merge_and_expire_do_not_grow_with_page_or_scene() {
     let mut costs = Vec::new();
     for cells in [100u32, 1_000, 10_000, 100_000] {
         for levels in [2u32, 4, 6] {
             let (mut scene, _, slots) = tree(levels);
-            // Coarse first, as the pager loads; then the last subtree is the one measured.
+            // Coarse pages are attached first, as by the pager; the last subtree is measured.
             let last = slots.len() - 1;
             let parent = slots.len() - 5;
             for slot in &slots[..last] {
@@ -121,7 +121,7 @@ fn merge_and_expire_do_not_grow_with_page_or_scene() {
 
 #[test]
 fn readiness_follows_attach_and_detach_in_any_order() {
-    // Against a count from scratch: a scene in which the same pages were attached in another order.
+    // The expected count is that of a scene in which the same pages were attached in another order.
     let mut seed = 12_345u64;
     let mut random = move |below: usize| {
         seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -151,7 +151,7 @@ fn readiness_follows_attach_and_detach_in_any_order() {
 }
 
 #[test]
-fn a_page_is_shared_between_threads() {
+fn page_can_be_shared_between_threads() {
     fn shared<T: Send + Sync>() {}
     shared::<Scene>();
     shared::<terrane::scene::Page>();
@@ -172,9 +172,10 @@ fn transforms_can_only_be_set_on_transforms() {
     assert_eq!(scene.set_transform(at(1), DAffine3::from_translation(DVec3::X)), Ok(()));
 }
 
-/// Their boxes were those of the first transform: what grew along the image's up was culled while it was in sight.
+/// Regression: the boxes were those of the first transform. Billboards that extended along the image's up axis were
+/// culled while visible.
 #[test]
-fn billboards_reach_as_far_as_transforms_set_later_let_them() {
+fn bounds_of_billboards_follow_later_transforms() {
     let scene_of = |map: DAffine3| {
         let mesh = Mesh::cuboid(&Aabb { min: DVec3::new(-5.0, 0.0, 0.0), max: DVec3::new(5.0, 0.1, 10.0) });
         let drawables = vec![(DVec3::X, Drawable::new(mesh.into(), Material::default()))];

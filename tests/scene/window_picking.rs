@@ -1,5 +1,5 @@
-//! A pick hits the triangle drawn at its pixel under every projection. The oracle takes each triangle's corners to clip
-//! space one by one. No GPU.
+//! A pick hits the triangle that is drawn at its pixel with any projection. The oracle transforms the corners of all
+//! triangles to clip space. No GPU.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -17,7 +17,7 @@ use terrane::state::{TextureFormat, TextureObject};
 
 const SIZE_PX: [u32; 2] = [640, 360];
 
-/// Small and repeatable.
+/// Repeatable random numbers.
 struct Random(u64);
 
 impl Random {
@@ -51,15 +51,15 @@ fn projection(random: &mut Random) -> DMat4 {
     let (narrow, wide) = (0.6 + random.next(), 10.0 + 20.0 * random.next());
     match random.below(4) {
         0 => proj::perspective_infinite_reverse(narrow, 1.0, 0.5),
-        // Reversed: near and far are swapped.
+        // In reversed depth, near and far are swapped.
         1 => proj::perspective(narrow, 1.5, 60.0, 1.0),
         2 => proj::orthographic(-wide, wide, -wide, wide, 40.0, 5.0),
-        // Off to one side.
+        // The projection is off its axis.
         _ => DMat4::from_translation(DVec3::new(0.4, -0.3, 0.0)) * proj::perspective(narrow, 1.0, 80.0, 2.0),
     }
 }
 
-/// A texture, or nothing, which is the target of the stage around.
+/// Returns a texture, or `None` for the target of the parent stage.
 fn target(random: &mut Random) -> CameraTarget {
     let texture = || Attachment::new(TextureObject::target("elsewhere", [8, 8], TextureFormat::Rgba8Srgb));
     let colors = if random.next() < 0.5 { vec![texture()] } else { Vec::new() };
@@ -100,7 +100,7 @@ fn graph(random: &mut Random, depth: usize) -> Node {
     node
 }
 
-/// A drawable's triangle in clip space.
+/// A triangle of a drawable in clip space.
 struct Triangle {
     key: (u32, u32),
     local: [DVec3; 3],
@@ -108,16 +108,17 @@ struct Triangle {
     view: Drawn,
 }
 
-/// How it is drawn.
+/// The stage in which it is drawn.
 #[derive(Clone, Debug)]
 struct Drawn {
     clip_from_eye: DMat4,
     viewport_px: [u32; 4],
     mask: u32,
-    /// Nothing is cut off by near and far: the image itself, and where depths are fitted.
+    /// True if near and far planes cut nothing off: in texture images, and with fitted depths.
     is_whole: bool,
     fits: bool,
-    /// The position in the order of drawing: at each stage above before (-1) or after (1) it, its number, which one.
+    /// The position in the order of drawing: for each stage above, before (-1) or after (1) it, its number, and its
+    /// index.
     path: Vec<(i32, i32, u32)>,
 }
 
@@ -152,7 +153,7 @@ impl Oracle {
                     how.clip_from_eye = camera.projection.unwrap_or(how.clip_from_eye);
                     how.viewport_px = camera.viewport_px.unwrap_or(how.viewport_px);
                 } else {
-                    // It has the image of the one above, and its depths.
+                    // It has the image of the parent stage, and its depths.
                     how.fits = drawn.fits;
                 }
                 self.cameras += 1;
@@ -202,7 +203,7 @@ impl Drawn {
         DVec2::new(x + 0.5 * w * (1.0 + clip.x / clip.w), y + 0.5 * h * (1.0 - clip.y / clip.w))
     }
 
-    /// Drawn where near and far leave it, or in front of the eye where they are fitted.
+    /// Returns the part between near and far, or in front of the eye if those are fitted.
     fn keeps(&self, clip: DVec4, margin: f64) -> bool {
         let by_depth = clip.z > margin * clip.w && clip.z < (1.0 - margin) * clip.w;
         let in_front = -(self.clip_from_eye.inverse() * clip).z > margin;
@@ -211,7 +212,7 @@ impl Drawn {
 }
 
 impl Triangle {
-    /// Shares of the corners that show at a pixel, and the point in clip space; `None` where it is seen from the side.
+    /// Returns the shares of the corners at a pixel, and the point in clip space. `None` if it is seen from the side.
     fn at(&self, at: DVec2) -> Option<(DVec3, DVec4)> {
         let ndc = self.view.ndc(at);
         let corners = self.local.map(|p| self.clip_from_local * p.extend(1.0));
@@ -222,7 +223,7 @@ impl Triangle {
         Some((shares, corners[0] * shares.x + corners[1] * shares.y + corners[2] * shares.z))
     }
 
-    /// Is it surely, or never, drawn at a pixel?
+    /// Returns whether it is certainly drawn at a pixel, certainly not, or neither.
     fn shows(&self, at: DVec2) -> Option<(bool, bool)> {
         let (shares, clip) = self.at(at)?;
         let inside = shares.min_element();
@@ -232,7 +233,7 @@ impl Triangle {
     }
 }
 
-/// Over each other: what is drawn later is over what is drawn before.
+/// Compares by order: a later stage covers an earlier one.
 fn is_over(a: &Drawn, b: &Drawn) -> bool {
     let path = |d: &Drawn| d.path.iter().copied().chain([(0, 0, 0)]).collect::<Vec<_>>();
     path(a) > path(b)
@@ -276,7 +277,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 60, ..ProptestConfig::default() })]
 
     #[test]
-    fn picks_hit_the_pixel_that_is_drawn(seed: u64, fits: bool) {
+    fn picks_hit_the_triangle_drawn_at_the_pixel(seed: u64, fits: bool) {
         let mut random = Random(seed);
         let Setup { scene, mut visitor, view, oracle } = setup(&mut random, fits);
         for _ in 0..15 {
@@ -298,7 +299,7 @@ proptest! {
             let of_scene: BTreeSet<_> = oracle.triangles.iter().map(|t| t.key).collect();
             prop_assert!(found.keys().all(|key| of_scene.contains(key)));
 
-            // Stages drawn over others come first, and nearer hits within a stage.
+            // Stages drawn over others come first, then nearer hits within a stage.
             let triangle = |hit: &Intersection| oracle.triangles.iter().find(|t| t.key == key(hit)).unwrap();
             for pair in ray.intersections().windows(2) {
                 let [a, b] = [triangle(&pair[0]), triangle(&pair[1])];
@@ -313,7 +314,7 @@ proptest! {
                     prop_assert!(near >= far - 1e-9, "{near} {far}");
                 }
             }
-            // The other limits choose from the same.
+            // The other limits select from the same hits.
             for limit in [IntersectionLimit::Nearest, IntersectionLimit::One, IntersectionLimit::OnePerDrawable] {
                 let mut ray = RayIntersector::at_window(&view, at).with_limit(limit);
                 visitor.traverse(&scene, &mut ray);
@@ -332,7 +333,7 @@ proptest! {
                 prop_assert_eq!(&triangle(a).view.path, &triangle(b).view.path);
             }
 
-            // A segment is a piece of the ray: what lies between its depths.
+            // A segment is a piece of the ray between its depths.
             let depths = [0.9 * random.next() + 0.05, 0.04 * random.next() + 1e-4];
             let mut segment =
                 LineSegmentIntersector::at_window(&view, at.extend(depths[0]), at.extend(depths[1]));
@@ -374,7 +375,7 @@ proptest! {
                 let hit = found.get(&triangle.key);
                 prop_assert!(!inside || hit.is_some(), "{:?} is missed in {min} to {max} {:?}", triangle.key, triangle.view);
                 if let Some(hit) = hit {
-                    // The middle of a convex piece is inside too.
+                    // The middle of a convex piece is inside as well.
                     let clip = triangle.clip_from_local * hit.local_point.extend(1.0);
                     let at = triangle.view.window(clip);
                     prop_assert!(triangle.view.keeps(clip, -1e-6) && triangle.view.contains(at, -1e-3), "{at}");
@@ -386,9 +387,9 @@ proptest! {
     }
 }
 
-/// An image without perspective begins at its near plane, also behind the eye, as what it draws.
+/// A pick in an orthographic view starts at the near plane, also behind the eye, like its image.
 #[test]
-fn parallel_pictures_are_met_from_their_near_plane_on() {
+fn orthographic_picks_start_at_the_near_plane() {
     let mesh = Mesh::rectangle(DVec3::new(-1.0, -1.0, 5.0), DVec3::X * 2.0, DVec3::Y * 2.0);
     let mut scene = Scene::new();
     let square = Node::geode(vec![Drawable::new(Geometry::Mesh(Arc::new(mesh)), Material::default())]);
@@ -407,7 +408,7 @@ fn parallel_pictures_are_met_from_their_near_plane_on() {
 }
 
 #[test]
-fn shapes_of_the_world_and_places_outside_meet_no_other_projection() {
+fn world_shapes_and_points_outside_hit_no_other_projection() {
     let square = |x: f64| {
         let mesh = Mesh::rectangle(DVec3::new(x, -1.0, -3.0), DVec3::X * 2.0, DVec3::Y * 2.0);
         Node::geode(vec![Drawable::new(Geometry::Mesh(Arc::new(mesh)), Material::default())])
@@ -433,13 +434,13 @@ fn shapes_of_the_world_and_places_outside_meet_no_other_projection() {
     for (x, y, count) in [(620.0, 20.0, 2), (590.0, 20.0, 0), (620.0, 50.0, 0), (f64::NAN, 20.0, 0), (-5.0, 20.0, 0)] {
         let mut ray = RayIntersector::at_window(&view, DVec2::new(x, y));
         visitor.traverse(&scene, &mut ray);
-        // The middle of a square of two triangles, on their common edge.
+        // The middle of a square of two triangles is on their common edge.
         assert!(ray.intersections().len() <= count && (count == 0) == ray.intersections().is_empty(), "{x} {y}");
         for hit in ray.intersections() {
             assert!(hit.world_point().distance(DVec3::new(0.0, 0.0, -3.0)) < 1e-9, "in the world of the camera");
         }
     }
-    // A projection that cannot be undone shows nothing, and an image without area neither.
+    // A projection without an inverse shows nothing, and neither does an image without area.
     for clip_from_eye in [DMat4::ZERO, DMat4::NAN] {
         let mut scene = Scene::new();
         scene.add_root(

@@ -1,4 +1,5 @@
-//! Air around cameras in the graph: each sees it from its own eye, where it asks. Needs a GPU; a software adapter suffices.
+//! Air for cameras in the graph: each sees it from its own eye, if it asks for it. Needs a GPU; a software adapter
+//! suffices.
 
 use std::sync::Arc;
 
@@ -19,13 +20,13 @@ const SIZE: [u32; 2] = [256, 192];
 const TERRAIN: Terrain =
     Terrain { west: 0.2, south: 0.75, width: 0.02, relief_m: 2500.0, root_error_m: 400.0, textured: true };
 
-/// A camera at one point of the terrain that looks towards another.
+/// Returns a camera at one point of the terrain that looks towards another.
 fn looking(size_px: [u32; 2], from: [f64; 2], above_m: f64, to: [f64; 2]) -> CullCamera {
     let [eye, target] = [TERRAIN.world(from[0], from[1], above_m), TERRAIN.world(to[0], to[1], 600.0)];
     camera(size_px, eye, target, TERRAIN.up(from[0], from[1]))
 }
 
-/// The world's own, as the eye of a camera has it.
+/// Returns the world's environment for the eye of a camera.
 fn around(camera: &CullCamera) -> Environment {
     let up = TERRAIN.up(0.5, 0.5);
     let east = DVec3::Z.cross(up).normalize();
@@ -45,32 +46,32 @@ fn terrain(camera: &CullCamera) -> Node {
     TERRAIN.tiles_for(camera, eye(camera), 4)
 }
 
-/// A camera to a texture that sees what another one does.
+/// Returns a camera to a texture with the view of another camera.
 fn like(camera: &CullCamera, environment: CameraEnvironment) -> CameraNode {
     CameraNode { environment, ..kit::cameras::like(camera) }
 }
 
-/// The main image's camera where the other one is all that counts: far away, high up, looking elsewhere.
+/// Returns a main camera for tests of another one: far away, high up, with another direction.
 fn elsewhere() -> CullCamera {
     looking([64, 64], [0.1, 0.9], 40_000.0, [0.1, 0.1])
 }
 
-/// Returns the image of a camera to a texture while the main one is elsewhere.
+/// Returns the image of a camera to a texture while the main camera is elsewhere.
 fn drawn(rig: &mut Rig, node: CameraNode, children: Vec<Node>, main: &Environment) -> (RgbaImage, DrawStats) {
     kit::cameras::drawn(rig, node, children, &elsewhere(), main)
 }
 
-/// The main image of the terrain from a camera.
+/// Returns the main image of the terrain from a camera.
 fn picture(rig: &mut Rig, camera: &CullCamera, environment: &Environment) -> RgbaImage {
     kit::cameras::picture(rig, terrain(camera), camera, environment)
 }
 
 #[test]
-fn a_camera_to_a_texture_shows_what_a_picture_from_there_shows() {
-    let Some(mut rig) = rig("a_camera_to_a_texture_shows_what_a_picture_from_there_shows") else { return };
+fn camera_to_a_texture_shows_the_same_air_as_a_main_camera_there() {
+    let Some(mut rig) = rig("camera_to_a_texture_shows_the_same_air_as_a_main_camera_there") else { return };
     let rig = &mut *rig;
     let main = around(&elsewhere());
-    // Between mountains, high above them, and nearly in orbit with another lens.
+    // The eyes are between mountains, high above them, and nearly in orbit with another lens.
     let wide = looking(SIZE, [0.5, 0.2], 300_000.0, [0.5, 0.8]);
     let lens = glam::dcamera::rh::proj::directx::perspective_infinite_reverse(1.6, 4.0 / 3.0, 0.1);
     for (name, camera) in [
@@ -84,7 +85,7 @@ fn a_camera_to_a_texture_shows_what_a_picture_from_there_shows() {
         keep(&format!("air-{name}-picture"), &expected);
         keep(&format!("air-{name}-texture"), &found);
         assert_eq!(differ(&found, &expected, 1), 0, "{name}");
-        // Unasked there is no sky, and the air is that of another eye.
+        // By default there is no sky, and the air is that of another eye.
         let (plain, _) = drawn(rig, like(&camera, CameraEnvironment::Light), vec![terrain(&camera)], &main);
         keep(&format!("air-{name}-unasked"), &plain);
         assert!(differ(&plain, &expected, 8) > 10_000, "{name}");
@@ -93,8 +94,8 @@ fn a_camera_to_a_texture_shows_what_a_picture_from_there_shows() {
 }
 
 #[test]
-fn a_camera_may_have_its_own_environment() {
-    let Some(mut rig) = rig("a_camera_may_have_its_own_environment") else { return };
+fn camera_may_have_its_own_environment() {
+    let Some(mut rig) = rig("camera_may_have_its_own_environment") else { return };
     let rig = &mut *rig;
     let camera = looking(SIZE, [0.3, 0.3], 900.0, [0.6, 0.7]);
     let main = around(&elsewhere());
@@ -112,7 +113,7 @@ fn a_camera_may_have_its_own_environment() {
     keep("air-own", &found);
     assert_eq!(differ(&found, &expected, 1), 0);
     assert!(differ(&found, &picture(rig, &camera, &around(&camera)), 8) > 20_000);
-    // A camera's own background under a main image with a sky.
+    // A camera has a plain background below a main image with a sky.
     let plain = Environment { sky: Sky::Background([200, 30, 120]), ..evening };
     let expected = picture(rig, &camera, &plain);
     let own = CameraEnvironment::Own(Arc::new(plain));
@@ -123,8 +124,8 @@ fn a_camera_may_have_its_own_environment() {
 }
 
 #[test]
-fn unasked_a_texture_has_no_sky() {
-    let Some(mut rig) = rig("unasked_a_texture_has_no_sky") else { return };
+fn camera_to_a_texture_has_no_sky_by_default() {
+    let Some(mut rig) = rig("camera_to_a_texture_has_no_sky_by_default") else { return };
     let rig = &mut *rig;
     let camera = looking(SIZE, [0.3, 0.3], 900.0, [0.6, 0.7]);
     let main = Environment { water: Some(Water::at(900.0)), ..around(&elsewhere()) };
@@ -132,12 +133,12 @@ fn unasked_a_texture_has_no_sky() {
     let node = CameraNode { clear_color, ..like(&camera, CameraEnvironment::default()) };
     let (empty, stats) = drawn(rig, node.clone(), vec![], &main);
     assert!(empty.pixels().all(|p| p.0 == [0, 255, 0, 64]));
-    // The main image's sky and water are all that is drawn.
+    // Only the sky and water of the main image are drawn.
     assert_eq!((stats.passes, stats.draw_calls), (2, 2));
     let (found, _) = drawn(rig, node.clone(), vec![terrain(&camera)], &main);
     let cleared = found.pixels().filter(|p| p.0 == [0, 255, 0, 64]).count();
     assert!((2_000..45_000).contains(&cleared), "{cleared}");
-    // Asked, but not to clear: what is there stays, and no sky hides it.
+    // With air but without a clear, the old content stays and no sky covers it.
     let asks = CameraNode { environment: CameraEnvironment::Inherited, clear_color: None, ..node };
     let (_, stats) = drawn(rig, asks, vec![], &main);
     assert_eq!((stats.passes, stats.draw_calls), (2, 2));
@@ -145,8 +146,8 @@ fn unasked_a_texture_has_no_sky() {
 }
 
 #[test]
-fn a_mirror_in_a_corner_shows_its_own_air() {
-    let Some(mut rig) = rig("a_mirror_in_a_corner_shows_its_own_air") else { return };
+fn mirror_in_a_corner_shows_its_own_air() {
+    let Some(mut rig) = rig("mirror_in_a_corner_shows_its_own_air") else { return };
     let rig = &mut *rig;
     let main = looking(SIZE, [0.3, 0.3], 6_000.0, [0.6, 0.7]);
     let corner = [90, 60];
@@ -178,22 +179,22 @@ fn a_mirror_in_a_corner_shows_its_own_air() {
     let same = |a: &RgbaImage, b: &RgbaImage| {
         a.enumerate_pixels().filter(|(x, y, _)| outside(*x, *y)).all(|(x, y, p)| p == b.get_pixel(x, y))
     };
-    assert!(same(&with, &without), "the rest of the picture is as without");
-    // A background is filled into its part alone.
+    assert!(same(&with, &without), "the rest of the image does not change");
+    // A background fills only its part.
     let with = draw(CameraEnvironment::Inherited, Sky::Background([1, 2, 250]));
     assert_eq!(with.get_pixel(152, 12).0, [1, 2, 250, 255]);
     assert_ne!(with.get_pixel(128, 180).0, [1, 2, 250, 255]);
-    // So is the colour that a camera clears with, where it asks for no air.
+    // So does the clear colour of a camera without air.
     let with = draw(CameraEnvironment::Light, Sky::Atmosphere);
     keep("light-mirror", &with);
-    assert!(same(&with, &without), "the rest of the picture is as without");
+    assert!(same(&with, &without), "the rest of the image does not change");
     assert_eq!(with.get_pixel(152, 12).0, [0, 0, 0, 255]);
     no_errors(rig);
 }
 
 #[test]
-fn nested_cameras_see_light_and_air_by_their_own_eye() {
-    let Some(mut rig) = rig("nested_cameras_see_light_and_air_by_their_own_eye") else { return };
+fn nested_cameras_have_light_and_air_of_their_own_eye() {
+    let Some(mut rig) = rig("nested_cameras_have_light_and_air_of_their_own_eye") else { return };
     let rig = &mut *rig;
     let camera = looking(SIZE, [0.3, 0.3], 900.0, [0.6, 0.7]);
     let expected = picture(rig, &camera, &around(&camera));
@@ -206,7 +207,7 @@ fn nested_cameras_see_light_and_air_by_their_own_eye() {
         let mut nested = CameraNode { environment, order, target: None, ..node.clone() };
         let mut children = vec![terrain(&camera)];
         if is_below_projection {
-            // A projection has the light and air of the camera above it.
+            // A projection has the light and air of its camera.
             let mut projection = Node::new(NodeKind::Projection(camera.clip_from_eye));
             projection.children = children;
             children = vec![projection];
@@ -217,7 +218,7 @@ fn nested_cameras_see_light_and_air_by_their_own_eye() {
         rig.release(scene);
         picture
     };
-    // Pixels of ground; the sky is the main view's.
+    // Only pixels of ground are compared, because the sky is that of the main view.
     let apart = |found: &RgbaImage, by: u8| {
         let pixels = found.pixels().zip(expected.pixels()).zip(bare.pixels()).filter(|(_, b)| b.0 != [0, 0, 0, 255]);
         let far = |a: [u8; 4], b: [u8; 4]| (0..3).any(|i| a[i].abs_diff(b[i]) > by);
@@ -284,14 +285,14 @@ fn cameras_move_and_change_their_air() {
 }
 
 #[test]
-fn air_for_more_eyes_than_there_may_be_is_counted() {
-    let Some(mut rig) = rig("air_for_more_eyes_than_there_may_be_is_counted") else { return };
+fn eyes_beyond_the_limit_of_air_are_counted() {
+    let Some(mut rig) = rig("eyes_beyond_the_limit_of_air_are_counted") else { return };
     let rig = &mut *rig;
     let cameras: Vec<_> = (0..10).map(|i| looking([32, 32], [0.3, 0.3], 500.0 * 1.7f64.powi(i), [0.6, 0.7])).collect();
     let nodes = cameras.iter().map(|c| Node::camera(like(c, CameraEnvironment::Inherited), vec![]));
     let scene = rig.scene(Node::group(nodes.collect()));
     let main = elsewhere();
-    // Eleven eyes with the main one.
+    // There are eleven eyes with the main one.
     for _ in 0..3 {
         assert_eq!(rig.draw(&scene, &main, &around(&main)).airs_refused, 3);
     }

@@ -1,5 +1,5 @@
-//! Lights, clip planes, texture planes and the uniforms of programs below nested cameras: as the camera's own eye sees
-//! them. Needs a GPU; a software adapter suffices.
+//! Lights, clip planes, texture planes and uniforms of programs below nested cameras, relative to the camera's own eye.
+//! Needs a GPU; a software adapter suffices.
 
 use std::sync::Arc;
 
@@ -21,12 +21,12 @@ use terrane::state::{
 
 const SIZE: [u32; 2] = [96, 96];
 
-/// A camera that sees the things below.
+/// Returns a camera that sees its children.
 fn own() -> CullCamera {
     camera(SIZE, DVec3::new(1.5, -1.0, 4.0), DVec3::new(0.2, 0.1, 0.0), DVec3::Y)
 }
 
-/// The image's camera, which looks elsewhere.
+/// Returns the main camera, which looks elsewhere.
 fn outer() -> CullCamera {
     camera(SIZE, DVec3::new(-30.0, 4.0, 20.0), DVec3::new(-40.0, 0.0, 10.0), DVec3::Z)
 }
@@ -49,13 +49,13 @@ fn drawn(rig: &mut Rig, nodes: Vec<Node>, from: &CullCamera) -> RgbaImage {
     picture
 }
 
-/// A position with a red highlight, near the middle.
+/// Returns a square with a red highlight near the middle.
 fn lamp() -> Node {
     let light = Light { number: 1, position: [0.6, 0.5, 0.7, 1.0], diffuse: [1.0, 0.2, 0.1], ..Light::default() };
     Node::new(NodeKind::LightSource(Box::new(LightSource { light, frame: ReferenceFrame::Relative })))
 }
 
-/// Four lit squares around the origin.
+/// Returns four lit squares around the origin.
 fn lit_squares() -> Node {
     let squares = [[-0.5, -0.5], [0.5, -0.5], [-0.5, 0.5], [0.5, 0.5]].map(|[x, y]| {
         let mut square = quad([x, y, 0.0], [0.45, 0.45], [1.0; 4]);
@@ -71,8 +71,8 @@ fn brightest(picture: &RgbaImage) -> u8 {
 }
 
 #[test]
-fn lights_shine_from_where_they_are() {
-    let Some(mut rig) = rig("lights_shine_from_where_they_are") else { return };
+fn lights_have_their_positions_for_all_cameras() {
+    let Some(mut rig) = rig("lights_have_their_positions_for_all_cameras") else { return };
     let rig = &mut *rig;
     let expected = drawn(rig, vec![lamp(), lit_squares()], &own());
     keep("nested-light-expected", &expected);
@@ -84,7 +84,7 @@ fn lights_shine_from_where_they_are() {
     keep("nested-light-outside", &outside);
     assert_eq!(differ(&outside, &expected, 1), 0, "a light beside the camera");
     let beside = drawn(rig, vec![nested(inherited(), vec![lamp()]), lit_squares()], &own());
-    assert_eq!(differ(&beside, &expected, 1), 0, "a light below a camera, on what is beside it");
+    assert_eq!(differ(&beside, &expected, 1), 0, "a light below a camera, on nodes beside it");
     // A nested camera without its own light keeps the lights relative to the main eye.
     let light = || CameraEnvironment::Light;
     let inside = drawn(rig, vec![nested(light(), vec![lamp(), lit_squares()])], &outer());
@@ -94,8 +94,8 @@ fn lights_shine_from_where_they_are() {
 }
 
 #[test]
-fn planes_lie_where_they_are() {
-    let Some(mut rig) = rig("planes_lie_where_they_are") else { return };
+fn planes_have_their_positions_for_all_cameras() {
+    let Some(mut rig) = rig("planes_have_their_positions_for_all_cameras") else { return };
     let rig = &mut *rig;
     let clip = || {
         let planes = vec![(2, DVec4::new(0.8, 0.6, 0.0, 0.1))];
@@ -123,7 +123,7 @@ fn planes_lie_where_they_are() {
     let expected = drawn(rig, vec![clip(), turned(texgen()), square()], &own());
     keep("nested-planes-expected", &expected);
     let colours: std::collections::BTreeSet<_> = expected.pixels().map(|p| p.0).collect();
-    assert!(colours.len() >= 5, "four colours and what is cut away: {colours:?}");
+    assert!(colours.len() >= 5, "four colours and the cut area: {colours:?}");
     for environment in [CameraEnvironment::Inherited, CameraEnvironment::Light] {
         let inside = drawn(rig, vec![nested(environment.clone(), vec![clip(), turned(texgen()), square()])], &outer());
         assert_eq!(differ(&inside, &expected, 1), 0, "{environment:?}: below the camera");
@@ -134,10 +134,10 @@ fn planes_lie_where_they_are() {
 }
 
 #[test]
-fn programs_have_the_matrices_of_their_camera() {
-    let Some(mut rig) = rig("programs_have_the_matrices_of_their_camera") else { return };
+fn programs_receive_the_matrices_of_their_camera() {
+    let Some(mut rig) = rig("programs_receive_the_matrices_of_their_camera") else { return };
     let rig = &mut *rig;
-    // Colours by positions in the world, which only the right inverse finds.
+    // The colours show positions in the world, for which the correct inverse is needed.
     let wgsl = "
         struct Uniforms { osg_ViewMatrix: mat4x4<f32>, osg_ViewMatrixInverse: mat4x4<f32> }
         @group(2) @binding(0) var<uniform> uniforms: Uniforms;

@@ -1,5 +1,4 @@
-//! Cameras in the graph that have a part of their target: what they clear is that part. Needs a GPU (a software one will
-//! do).
+//! Cameras in the graph with a part of their target clear only that part. Needs a GPU; a software adapter suffices.
 
 use std::sync::Arc;
 
@@ -22,13 +21,13 @@ const RED: [u8; 3] = [255, 0, 0];
 const GREEN: [u8; 3] = [0, 255, 0];
 const BLUE: [u8; 3] = [0, 0, 255];
 
-/// Over the middle half of the image.
+/// The middle half of the image.
 fn square(z: f32, color: [u8; 3]) -> Node {
     let [r, g, b] = color.map(|c| f32::from(c) / 255.0);
     Node::geode(vec![quad([0.0, 0.0, z], [0.5, 0.5], [r, g, b, 1.0])])
 }
 
-/// A camera that sees what the image's own sees, and clears nothing.
+/// Returns a camera with the view of the main one that clears nothing.
 fn over(order: i32) -> CameraNode {
     let own = unit_camera(SIDE);
     CameraNode {
@@ -50,13 +49,13 @@ fn draw(rig: &mut Rig, nodes: Vec<Node>) -> RgbaImage {
 }
 
 #[test]
-fn depth_is_cleared_in_its_part() {
-    let Some(mut rig) = rig("depth_is_cleared_in_its_part") else { return };
+fn depth_is_cleared_in_the_part_only() {
+    let Some(mut rig) = rig("depth_is_cleared_in_the_part_only") else { return };
     let rig = &mut *rig;
-    // With and without a colour of the part.
+    // With and without a colour for the part.
     for (clear_color, beside) in [(None, RED), (Some([0.0, 1.0, 0.0, 1.0]), GREEN)] {
         let clears = CameraNode { viewport_px: Some(LEFT), clear_depth: true, clear_color, ..over(1) };
-        // Behind the red square, and narrower: seen only where depth is cleared.
+        // It is behind the red square and narrower, so it is visible only where depth is cleared.
         let behind = Node::geode(vec![quad([0.0, 0.0, -0.5], [0.3, 0.3], [0.0, 0.0, 1.0, 1.0])]);
         let picture =
             draw(rig, vec![square(0.0, RED), Node::camera(clears, vec![]), Node::camera(over(2), vec![behind])]);
@@ -65,10 +64,10 @@ fn depth_is_cleared_in_its_part() {
     }
 }
 
-/// The first one's depth was thrown away where nothing comes after the image.
+/// Regression: the depth of the first camera was discarded if nothing followed the image.
 #[test]
-fn cameras_before_the_picture_share_its_depth() {
-    let Some(mut rig) = rig("cameras_before_the_picture_share_its_depth") else { return };
+fn pre_render_cameras_share_the_depth_of_their_target() {
+    let Some(mut rig) = rig("pre_render_cameras_share_the_depth_of_their_target") else { return };
     let before = |order| CameraNode { order: RenderOrder::PreRender(order), ..over(0) };
     let first = CameraNode { clear_color: Some([0.0, 0.0, 1.0, 1.0]), clear_depth: true, ..before(0) };
     let behind = Node::geode(vec![quad([0.0, 0.0, -0.5], [0.9, 0.9], [0.0, 1.0, 0.0, 1.0])]);
@@ -79,8 +78,8 @@ fn cameras_before_the_picture_share_its_depth() {
 }
 
 #[test]
-fn stencil_is_cleared_in_its_part() {
-    let Some(mut rig) = rig("stencil_is_cleared_in_its_part") else { return };
+fn stencil_is_cleared_in_the_part_only() {
+    let Some(mut rig) = rig("stencil_is_cleared_in_the_part_only") else { return };
     let rig = &mut *rig;
     if !rig.ctx.device().features().contains(wgpu::Features::DEPTH32FLOAT_STENCIL8) {
         skipped("the adapter has no stencil beside float depth");
@@ -100,8 +99,8 @@ fn stencil_is_cleared_in_its_part() {
 }
 
 #[test]
-fn all_colours_are_cleared_in_their_part_with_their_alpha() {
-    let Some(mut rig) = rig("all_colours_are_cleared_in_their_part_with_their_alpha") else { return };
+fn all_colours_are_cleared_in_the_part_with_their_alpha() {
+    let Some(mut rig) = rig("all_colours_are_cleared_in_the_part_with_their_alpha") else { return };
     let rig = &mut *rig;
     let [a, b] = ["a", "b"].map(|name| TextureObject::target(name, [SIDE, SIDE], TextureFormat::Rgba8Srgb));
     let sink = Arc::new(PictureSink::default());
@@ -128,7 +127,7 @@ fn all_colours_are_cleared_in_their_part_with_their_alpha() {
         square(0.0, [255; 3]).with_state_set(Arc::new(shows)),
     ];
     let scene = rig.scene(Node::group(nodes));
-    // The second camera's image comes last.
+    // The image of the second camera is read last.
     let (mut first, mut shown) = (None, None);
     for _ in 0..20 {
         shown = Some(rig.picture(&scene, &unit_camera(SIDE), &plain()));

@@ -30,7 +30,7 @@ fn near() -> CullCamera {
     camera(SIZE, DVec3::new(-40.0, -50.0, 45.0), DVec3::new(0.0, 0.0, 2.0), DVec3::Z)
 }
 
-/// The main image's camera.
+/// Returns the main camera.
 fn elsewhere() -> CullCamera {
     camera([64, 64], DVec3::new(150.0, 20.0, 300.0), DVec3::new(140.0, 100.0, 0.0), DVec3::Z)
 }
@@ -39,7 +39,7 @@ fn like(camera: &CullCamera, environment: CameraEnvironment, shadows: CameraShad
     CameraNode { environment, shadows, ..kit::cameras::like(camera) }
 }
 
-/// Returns the image of a camera to a texture; the main one draws nothing.
+/// Returns the image of a camera to a texture. The main camera draws nothing.
 fn drawn(rig: &mut Rig, node: CameraNode, children: Vec<Node>, main: &Environment) -> (RgbaImage, DrawStats) {
     kit::cameras::drawn(rig, node, children, &elsewhere(), main)
 }
@@ -49,25 +49,25 @@ fn picture(rig: &mut Rig, camera: &CullCamera, environment: &Environment) -> Rgb
 }
 
 #[test]
-fn a_camera_to_a_texture_has_the_shadows_of_a_picture_from_there() {
-    let Some(mut rig) = rig("a_camera_to_a_texture_has_the_shadows_of_a_picture_from_there") else { return };
+fn camera_to_a_texture_has_the_shadows_of_a_main_camera_there() {
+    let Some(mut rig) = rig("camera_to_a_texture_has_the_shadows_of_a_main_camera_there") else { return };
     let rig = &mut *rig;
     let main = sunny(to_sun());
     let expected = picture(rig, &near(), &main);
     let bare = picture(rig, &near(), &Environment { shadows: None, ..main });
-    // Under the main image's light, unasked with black behind; and with all of its environment.
+    // With the light of the main image and black behind it by default, and with its whole environment.
     for environment in [CameraEnvironment::Light, CameraEnvironment::Inherited] {
         let is_plain = environment == CameraEnvironment::Light;
         let node = like(&near(), environment, CameraShadows::Environment);
         let (found, stats) = drawn(rig, node, vec![things()], &main);
         keep(&format!("shadows-texture-{is_plain}"), &found);
-        // The ground fills the image but for its upper edge.
+        // The ground fills the image except for its upper edge.
         let (dark, lit) = check(&found, &rig.stage.pre_render[0].shadows, &near(), [&[tower()], &[]], to_sun());
         assert!(dark > 100 && lit > 5_000, "{dark} {lit}");
         if !is_plain {
             assert_eq!(differ(&found, &expected, 1), 0);
         }
-        // The main image's own cascades are there too, with nothing in them: what is below a camera casts there only.
+        // The main image has cascades as well, but they are empty: nodes below a camera cast shadows only in its image.
         assert_eq!(rig.stage.shadows.cascades.iter().map(|c| c.stage.leaf_count()).sum::<usize>(), 0);
         assert_eq!(stats.shadow_leaves, rig.stage.counters.shadow_leaves);
         assert!(stats.shadow_leaves >= 4 && stats.passes >= 6, "{stats:?}");
@@ -79,10 +79,10 @@ fn a_camera_to_a_texture_has_the_shadows_of_a_picture_from_there() {
 }
 
 #[test]
-fn shadows_are_a_camera_s_own() {
-    let Some(mut rig) = rig("shadows_are_a_camera_s_own") else { return };
+fn cameras_have_separate_shadow_settings() {
+    let Some(mut rig) = rig("cameras_have_separate_shadow_settings") else { return };
     let rig = &mut *rig;
-    // None in the main image; in the texture some of another resolution, and from another sun.
+    // The main image has none; the texture has some with another resolution, and from another sun.
     let main = Environment { shadows: None, ..sunny(to_sun()) };
     let small = SunShadows { resolution_px: 512, cascades: 2, ..SunShadows::default() };
     let expected = picture(rig, &near(), &Environment { shadows: Some(small), ..main });
@@ -105,10 +105,10 @@ fn shadows_are_a_camera_s_own() {
     assert!(matches!(&errors[..], [e] if e.contains("1 to 4 cascades, not 9")), "{errors:?}");
 }
 
-/// Mountains of a globe under a low sun, with air and shadows, and the main eye far above another place.
+/// The mountains of a globe have a low sun with air and shadows, and the main eye is far above another place.
 #[test]
-fn terrain_has_air_and_shadows_in_a_texture() {
-    let Some(mut rig) = rig("terrain_has_air_and_shadows_in_a_texture") else { return };
+fn terrain_in_a_texture_has_air_and_shadows() {
+    let Some(mut rig) = rig("terrain_in_a_texture_has_air_and_shadows") else { return };
     let rig = &mut *rig;
     let terrain =
         Terrain { west: 0.2, south: 0.75, width: 0.01, relief_m: 2500.0, root_error_m: 200.0, textured: true };
@@ -143,14 +143,14 @@ fn terrain_has_air_and_shadows_in_a_texture() {
     no_errors(rig);
 }
 
-/// A mirror below the ground's level: a view that mirrors, with shadows as in the world.
+/// A mirror below the ground: a mirrored view has the shadows of the world.
 #[test]
-fn reflections_have_the_shadows_of_what_they_reflect() {
-    let Some(mut rig) = rig("reflections_have_the_shadows_of_what_they_reflect") else { return };
+fn reflections_have_the_shadows_of_the_reflected_scene() {
+    let Some(mut rig) = rig("reflections_have_the_shadows_of_the_reflected_scene") else { return };
     let rig = &mut *rig;
     let main = sunny(to_sun());
     let expected = picture(rig, &near(), &main);
-    // Left and right are swapped, in the world and in the image: the same image, mirrored.
+    // Left and right are swapped in the world and in the image, which gives the same image, mirrored.
     let flip = DAffine3::from_mat3(DMat3::from_diagonal(DVec3::new(-1.0, 1.0, 1.0)));
     let mut node = like(&near(), CameraEnvironment::Inherited, CameraShadows::Environment);
     node.view = flip * node.view;
@@ -158,13 +158,13 @@ fn reflections_have_the_shadows_of_what_they_reflect() {
     let found = image::imageops::flip_horizontal(&found);
     keep("shadows-mirrored", &found);
     let apart = differ(&found, &expected, 16);
-    assert!(apart < 60, "{apart} pixels lie otherwise");
+    assert!(apart < 60, "{apart} pixels differ");
     no_errors(rig);
 }
 
 #[test]
-fn no_more_cameras_than_may_have_shadows() {
-    let Some(mut rig) = rig("no_more_cameras_than_may_have_shadows") else { return };
+fn number_of_cameras_with_shadows_is_limited() {
+    let Some(mut rig) = rig("number_of_cameras_with_shadows_is_limited") else { return };
     let rig = &mut *rig;
     let asks = |order| CameraNode {
         frame: ReferenceFrame::Absolute,
@@ -188,7 +188,7 @@ fn no_more_cameras_than_may_have_shadows() {
         assert_eq!(with(&rig.stage), 3 - refused as usize);
     }
     rig.release(scene);
-    // Nested ones count like others, and come first.
+    // Nested cameras count like others, and are served first.
     let nested = Node::camera(asks(RenderOrder::Nested), vec![things()]);
     let scene = rig.scene(Node::group(vec![Node::camera(asks(orders[0]), vec![things()]), nested]));
     main.settings.shadowed_cameras = 1;
@@ -200,12 +200,12 @@ fn no_more_cameras_than_may_have_shadows() {
 }
 
 #[test]
-fn nested_cameras_have_shadows_beside_those_of_their_picture() {
-    let Some(mut rig) = rig("nested_cameras_have_shadows_beside_those_of_their_picture") else { return };
+fn nested_cameras_have_shadows_beside_those_of_the_main_image() {
+    let Some(mut rig) = rig("nested_cameras_have_shadows_beside_those_of_the_main_image") else { return };
     let rig = &mut *rig;
     let main = sunny(to_sun());
     let expected = picture(rig, &near(), &main);
-    // Another eye with another lens, in the image of an eye that sees nothing else.
+    // A nested camera has another eye and lens, in an image whose main eye sees nothing else.
     let node = |environment: CameraEnvironment, shadows: CameraShadows| CameraNode {
         frame: ReferenceFrame::Absolute,
         view: near().eye_from_world,
@@ -225,7 +225,7 @@ fn nested_cameras_have_shadows_beside_those_of_their_picture() {
         assert!(dark > 100 && lit > 5_000, "{dark} {lit}");
         rig.release(scene);
     }
-    // The same eye as its image's: each of the towers stands on ground of its own and casts its shadow there.
+    // Both have the same eye. Each tower stands on separate ground and casts its shadow there.
     let patch = |x: f64| {
         let mesh = Mesh::rectangle(DVec3::new(x, -80.0, 0.0), DVec3::X * 79.0, DVec3::Y * 160.0);
         let tower_x = DVec3::X * (x + 60.0);
@@ -245,7 +245,7 @@ fn nested_cameras_have_shadows_beside_those_of_their_picture() {
         keep("shadows-beside", &found);
         (differ(&found, &expected, 70), stats.passes)
     };
-    // Edges are those of other texels.
+    // Edges belong to other texels.
     let (with, passes) = apart(CameraShadows::Environment);
     assert!(with < 10 && passes == 9, "{with} pixels, {passes} passes");
     let small = SunShadows { resolution_px: 512, cascades: 2, ..SunShadows::default() };

@@ -1,4 +1,4 @@
-//! Targets of cameras in the graph: depth alone, and one texture by several cameras; depth and stencil read back.
+//! Targets of cameras in the graph: depth only, one texture for several cameras, and reading back depth and stencil.
 //! Needs a GPU; a software adapter suffices.
 
 use std::sync::Arc;
@@ -42,7 +42,7 @@ fn to(target: CameraTarget, order: i32) -> CameraNode {
     CameraNode { target: Some(Arc::new(target)), order: RenderOrder::PreRender(order), ..node }
 }
 
-/// A square that is green where a depth texture has something.
+/// Returns a square that is green where a depth texture has a value.
 fn shown(depth: &Arc<TextureObject>) -> Node {
     let source = format!(
         "@group(2) @binding(3) var shadow: texture_depth_2d;
@@ -59,10 +59,10 @@ fn shown(depth: &Arc<TextureObject>) -> Node {
     Node::geode(vec![quad([0.0; 3], [1.0; 2], [1.0; 4])]).with_state_set(Arc::new(set))
 }
 
-/// Alpha tests discard pixels in cameras without color; they once did not.
+/// Alpha tests discard pixels in cameras without color. Regression: they did not.
 #[test]
-fn cameras_without_colors_drop_what_others_drop() {
-    let Some(mut rig) = rig("cameras_without_colors_drop_what_others_drop") else { return };
+fn cameras_without_colors_discard_like_others() {
+    let Some(mut rig) = rig("cameras_without_colors_discard_like_others") else { return };
     let rig = &mut *rig;
     let square = |alpha: AlphaMode| -> Drawable {
         let mut square = quad([0.0; 3], [0.5; 2], [1.0, 1.0, 1.0, 0.2]);
@@ -107,7 +107,7 @@ fn cameras_without_colors_drop_what_others_drop() {
     }
 }
 
-/// Each camera once had its own samples, and resolved them all into the texture.
+/// Regression: each camera had separate samples, and resolved all of them into the texture.
 #[test]
 fn cameras_with_several_samples_share_a_texture() {
     let Some(mut rig) = rig("cameras_with_several_samples_share_a_texture") else { return };
@@ -120,7 +120,7 @@ fn cameras_with_several_samples_share_a_texture() {
             let viewport_px = Some([x, 0, SIDE / 2, SIDE]);
             Node::camera(CameraNode { viewport_px, clear_color: Some(color), ..to(target, order) }, vec![])
         };
-        // One that clears nothing.
+        // One camera clears nothing.
         let colors = vec![Attachment::new(texture.clone())];
         let over =
             CameraNode { clear_color: None, ..to(CameraTarget { colors, samples, ..CameraTarget::default() }, 2) };
@@ -137,10 +137,10 @@ fn cameras_with_several_samples_share_a_texture() {
     }
 }
 
-/// It began with what its samples held: another camera's of the last frame.
+/// Regression: it started with the old content of its samples, which was that of another camera in the last frame.
 #[test]
-fn a_multisampled_camera_continues_from_its_texture() {
-    let Some(mut rig) = rig("a_multisampled_camera_continues_from_its_texture") else { return };
+fn multisampled_camera_continues_from_its_texture() {
+    let Some(mut rig) = rig("multisampled_camera_continues_from_its_texture") else { return };
     let rig = &mut *rig;
     for format in [TextureFormat::Rgba8Srgb, TextureFormat::Rgba8, TextureFormat::Rgba16Float] {
         let [texture, second, other] =
@@ -160,7 +160,7 @@ fn a_multisampled_camera_continues_from_its_texture() {
             Node::camera(CameraNode { clear_color, ..to(target, order) }, children)
         };
         let begins = |samples| camera(target(&texture, samples), 0, Some([0.2, 0.5, 0.7, 1.0]), vec![]);
-        // One that leaves something else in the samples.
+        // Another camera leaves other content in the samples.
         let blue = |order| {
             let alone =
                 CameraTarget { colors: vec![Attachment::new(other.clone())], samples: 4, ..CameraTarget::default() };
@@ -178,9 +178,9 @@ fn a_multisampled_camera_continues_from_its_texture() {
         let ground = draw(rig, vec![begins(1), shows(&texture)]);
         let plain = pixel(&ground, 32, 32);
         let at = |picture: &RgbaImage| [12, 32, 52].map(|x| pixel(picture, x, 32));
-        // Draws go into the first color alone.
+        // Draws write only the first color.
         for (texture, seen) in [(&texture, [255; 3]), (&second, plain)] {
-            // In the frame after, in one frame after a camera without samples, and after one with some.
+            // In the next frame, in one frame after a camera without samples, and after one with samples.
             draw(rig, vec![blue(0), begins(4), blue(2), shows(texture)]);
             let next = draw(rig, vec![blue(0), blue(4), goes_on(0.0), shows(texture)]);
             assert_eq!((at(&next), pixel(&next, 2, 2)), ([plain, seen, plain], plain), "{format:?}");
@@ -191,7 +191,7 @@ fn a_multisampled_camera_continues_from_its_texture() {
                 assert_eq!(at(&same), [plain, plain, seen], "{format:?} after {samples} samples");
             }
         }
-        // However often, it is the same.
+        // Any number of repetitions gives the same.
         let scene = rig.scene(Node::group(vec![blue(0), goes_on(0.0), shows(&texture)]));
         for _ in 0..40 {
             let picture = rig.picture(&scene, &unit_camera(SIDE), &kit::rig::plain());
@@ -203,8 +203,8 @@ fn a_multisampled_camera_continues_from_its_texture() {
 
 /// A target without memory is left out, and the rest of the frame is drawn.
 #[test]
-fn textures_that_there_is_no_memory_for_are_said_and_lose_no_frame() {
-    let Some(mut rig) = rig("textures_that_there_is_no_memory_for_are_said_and_lose_no_frame") else { return };
+fn textures_without_memory_are_reported_and_the_frame_is_drawn() {
+    let Some(mut rig) = rig("textures_without_memory_are_reported_and_the_frame_is_drawn") else { return };
     let rig = &mut *rig;
     let limits = rig.ctx.device().limits();
     let side = limits.max_texture_dimension_2d;
@@ -224,7 +224,7 @@ fn textures_that_there_is_no_memory_for_are_said_and_lose_no_frame() {
     assert!(matches!(&errors[..], [e] if e.contains("texture \"huge\" cannot be made")), "{errors:?}");
 }
 
-/// Stencil tests in cameras with a depth texture work or are reported; they once passed silently.
+/// Stencil tests in cameras with a depth texture work or are reported. Regression: they always passed.
 #[test]
 fn depth_textures_may_have_a_stencil() {
     let Some(mut rig) = rig("depth_textures_may_have_a_stencil") else { return };
@@ -236,7 +236,7 @@ fn depth_textures_may_have_a_stencil() {
         let set = StateSet { bin, name: name.into(), ..StateSet::default() };
         set.with(Attribute::Stencil(Stencil::both(face, 3)))
     };
-    // Marked in the middle, without colour and depth; then green where it is marked.
+    // The middle is marked, without colour and depth. Then green is drawn where it is marked.
     let mut mark = in_bin(1, "mark", face(CompareFunction::Always, StencilOperation::Replace))
         .with(Attribute::ColorMask(ColorMask([false; 3])));
     mark.set_attribute(Attribute::Depth(Depth { write: false, ..Depth::default() }), StateValue::ON);
@@ -265,7 +265,7 @@ fn depth_textures_may_have_a_stencil() {
         let screen = || node(1.0, [1.0; 4], &set);
         let has_stencil = format != TextureFormat::Depth32;
         let mut said = Vec::new();
-        // In one camera; and where a second one continues with what the first has left.
+        // In one camera, and in a second one that continues with the stencil of the first.
         let one = vec![camera(0, true, vec![node(0.5, [1.0; 4], &mark), green()])];
         let two = vec![camera(0, true, vec![node(0.5, [1.0; 4], &mark)]), camera(1, false, vec![green()])];
         for cameras in [one, two] {
@@ -283,7 +283,7 @@ fn depth_textures_may_have_a_stencil() {
             |(error, set): (&String, &&str)| error.starts_with(*set) && error.contains("\"depth\" has no stencil");
         let wanted: &[&str] = if has_stencil { &[] } else { &["mark: ", "test: "] };
         assert!(said.len() == wanted.len() && said.iter().zip(wanted).all(is_of), "{format:?}: {said:?}");
-        // Its depth is sampled as ever.
+        // The depth can be sampled as before.
         let picture = draw(
             rig,
             vec![camera(0, true, vec![Node::geode(vec![quad([0.0; 3], [0.5; 2], [1.0; 4])])]), shown(&depth)],
@@ -292,7 +292,7 @@ fn depth_textures_may_have_a_stencil() {
     }
 }
 
-/// The images of a scene in the order of the sinks, and the errors reported meanwhile.
+/// Returns the images of a scene in the order of the sinks, and the errors reported meanwhile.
 fn read<const N: usize>(
     rig: &mut Rig,
     node: Node,
@@ -313,14 +313,14 @@ fn read<const N: usize>(
 }
 
 #[test]
-fn depth_and_stencil_come_back() {
-    let Some(mut rig) = rig("depth_and_stencil_come_back") else { return };
+fn depth_and_stencil_are_read_back() {
+    let Some(mut rig) = rig("depth_and_stencil_are_read_back") else { return };
     let rig = &mut *rig;
     let has_float = rig.ctx.device().features().contains(wgpu::Features::DEPTH32FLOAT_STENCIL8);
     let own = unit_camera(SIDE);
     let perspective = proj::perspective(2.0 * 0.1f64.atan(), 1.0, 1000.0, 0.5);
     let parallel = proj::orthographic(-1.0, 1.0, -1.0, 1.0, 1000.0, 0.5);
-    // Rows are not as long as those of copies.
+    // The rows are shorter than the alignment of copies.
     let size = [SIDE - 2, SIDE];
     for (projection, far) in [(own.clip_from_eye, f64::INFINITY), (perspective, 1000.0), (parallel, 1000.0)] {
         let formats = [TextureFormat::Depth32, TextureFormat::Depth32Stencil8, TextureFormat::Depth24Stencil8];
@@ -344,7 +344,7 @@ fn depth_and_stencil_come_back() {
                 ..StencilFace::default()
             };
             let set = StateSet::default().with(Attribute::Stencil(Stencil::both(face, 77)));
-            // The eye is 10 m before the origin.
+            // The eye is 10 m in front of the origin.
             let square = Node::geode(vec![quad([0.0, 0.0, -2.5], [0.5; 2], [1.0; 4])]).with_state_set(Arc::new(set));
             let ([depth, stencil], said) = read(rig, Node::camera(camera, vec![square]), [&depth_sink, &stencil_sink]);
             let mut wanted = Vec::new();
@@ -361,7 +361,7 @@ fn depth_and_stencil_come_back() {
                 assert_eq!(depth.depth(0, 0), Some(0.0));
                 let nearer = (0..size[1]).flat_map(|y| (0..size[0]).map(move |x| (x, y)));
                 let seen = nearer.filter(|(x, y)| depth.depth(*x, *y).unwrap() > 0.0).count();
-                // Less by perspective: 12.5 m instead of 10.
+                // Perspective makes it smaller: 12.5 m instead of 10.
                 let side = if projection == parallel { 31 * 32 } else { 25 * 26 };
                 assert!(seen.abs_diff(side) <= 60, "{seen}");
                 assert_eq!((depth.depth(size[0], 0), depth.depth(0, size[1])), (None, None));
@@ -378,7 +378,7 @@ fn depth_and_stencil_come_back() {
             }
             let is_of = |(error, wanted): (&String, &&str)| error.contains(*wanted);
             assert!(said.len() == wanted.len() && said.iter().zip(&wanted).all(is_of), "{format:?}: {said:?}");
-            // The next one is another texture of the same name.
+            // The next target is another texture with the same name.
             rig.renderer = terrane::draw::Renderer::new(&mut rig.ctx);
         }
     }
@@ -397,11 +397,11 @@ fn unreadable_depth_is_reported_once() {
         ..CameraTarget::default()
     };
     let (came, said) = read(rig, Node::camera(to(without, 0), vec![]), [&color_sink, &depth_sink]);
-    assert!(matches!(came, [Some(_), None]), "the colour comes: {came:?}");
+    assert!(matches!(came, [Some(_), None]), "the colour is read back: {came:?}");
     assert!(matches!(&said[..], [error] if error.contains("without a depth texture")), "{said:?}");
 }
 
-/// They could not be kept: the camera was not drawn.
+/// Regression: they could not be stored, and the camera was not drawn.
 #[test]
 fn depth_of_several_samples_is_that_of_the_first() {
     let Some(mut rig) = rig("depth_of_several_samples_is_that_of_the_first") else { return };
@@ -416,7 +416,7 @@ fn depth_of_several_samples_is_that_of_the_first() {
         };
         CameraNode { viewport_px, ..to(target, order) }
     };
-    // Edges go through pixels; each of these is of one square, at 10, 10.5 or 12 m, or of none.
+    // Edges pass through pixels. Each value is that of one square, at 10, 10.5 or 12 m, or of none.
     let squares =
         [(0.0, 0.433), (-0.5, 0.667), (-2.0, 0.933)].map(|(z, half)| quad([0.0, 0.0, z], [half; 2], [1.0; 4]));
     let over = |z: f32| vec![Node::geode(vec![quad([0.0, 0.0, z], [0.9; 2], [1.0; 4])])];
@@ -432,10 +432,10 @@ fn depth_of_several_samples_is_that_of_the_first() {
         seen[which.unwrap_or_else(|| panic!("({x}, {y}) is {distance} m away"))] += 1;
     }
     assert!(seen.iter().all(|count| *count > 500), "{seen:?}");
-    // Later cameras sample it.
+    // Later cameras sample the depth.
     let picture = draw(rig, vec![shown(&texture)]);
     assert_eq!((pixel(&picture, 32, 32), pixel(&picture, 1, 1)), (GREEN, BLACK));
-    // Cameras with a part each leave the other's.
+    // Cameras with separate parts do not affect each other.
     let (left, right) = ([0, 0, SIDE / 2, SIDE], [SIDE / 2, 0, SIDE / 2, SIDE]);
     let [nearer, farther] = [(0, left, 1.0), (1, right, -5.0)].map(|(order, part, z)| {
         let camera = camera(order, Some(part));
@@ -485,7 +485,7 @@ fn cameras_with_several_samples_share_a_depth_texture() {
     let depth = depth.unwrap();
     let at = |x, y| depth.distance_m(x, y).unwrap();
     assert!((at(32, 32) - 10.0).abs() < 1e-3 && (at(12, 32) - 11.0).abs() < 1e-3, "{} {}", at(32, 32), at(12, 32));
-    // Alone it finds nothing there.
+    // Without the first camera it finds no depth.
     let ([depth], _) = read(rig, camera(1, -1.0, 0.9), [&sink]);
     assert!((depth.unwrap().distance_m(32, 32).unwrap() - 11.0).abs() < 1e-3);
 }

@@ -1,4 +1,4 @@
-//! Near and far by primitives: compared with all triangles one by one, and with the pixels.
+//! Near and far planes by primitives, compared with all triangles one by one, and with the pixels.
 
 use std::sync::Arc;
 
@@ -31,14 +31,14 @@ fn by(mode: ComputeNearFar, camera: &CullCamera) -> CullCamera {
     camera
 }
 
-/// A point's distance inside each side of what is seen, and in front of the eye, eye space.
+/// Returns the distances of a point inside each side of the frustum, and in front of the eye, in eye space.
 fn insides(clip_from_eye: &DMat4, p: DVec3) -> [f64; 5] {
     let clip = *clip_from_eye * p.extend(1.0);
     [clip.w + clip.x, clip.w - clip.x, clip.w + clip.y, clip.w - clip.y, -p.z]
 }
 
-/// Returns the depths of the visible part of a triangle, from points alone: corners inside, where edges pass the sides, and where
-/// the frustum's edges pass the triangle.
+/// Returns the depths of the visible part of a triangle: corners inside, and points where edges pass the sides or the
+/// edges of the frustum pass the triangle.
 fn seen_depths(clip_from_eye: &DMat4, triangle: [DVec3; 3]) -> Vec<f64> {
     let size = triangle.iter().map(|p| p.length()).fold(1.0, f64::max);
     let is_inside = |p: &DVec3| insides(clip_from_eye, *p).iter().all(|d| *d >= -1e-9 * size);
@@ -56,7 +56,7 @@ fn seen_depths(clip_from_eye: &DMat4, triangle: [DVec3; 3]) -> Vec<f64> {
         p.truncate() / p.w
     };
     let corners = [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)];
-    // An orthographic frustum begins at the eye's plane, which cuts triangles too.
+    // An orthographic frustum starts at the plane of the eye, which cuts triangles as well.
     let eyes_plane = |(x, y): (f64, f64)| on_plane(x, y, 1.0) * DVec3::new(1.0, 1.0, 0.0);
     let along = corners.map(|c| (on_plane(c.0, c.1, 1.0), on_plane(c.0, c.1, 0.5), f64::INFINITY));
     let across = [0, 1, 2, 3].map(|i| (eyes_plane(corners[i]), eyes_plane(corners[(i + 1) % 4]), 1.0));
@@ -94,7 +94,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 1000, ..ProptestConfig::default() })]
 
     #[test]
-    fn near_and_far_equal_those_of_all_triangles(
+    fn near_and_far_planes_equal_those_of_all_triangles(
         soups in prop::collection::vec((soup(), any::<bool>()), 1..12),
         eye in prop::array::uniform3(-25.0f64..25.0),
         turn in prop::array::uniform4(-1.0f64..1.0),
@@ -131,7 +131,7 @@ proptest! {
         }
         let stage = cull(node(), true, &by(ComputeNearFar::Primitives, &camera));
         let bounds = cull(node(), true, &by(ComputeNearFar::BoundingVolumes, &camera));
-        // Trees are not looked at where bounds are enough.
+        // K-d trees are not used where bounds suffice.
         let without = cull(node(), false, &by(ComputeNearFar::Primitives, &camera));
         prop_assert_eq!([without.near_m, without.far_m], [bounds.near_m, bounds.far_m]);
         prop_assert_eq!(stage.leaf_count(), bounds.leaf_count());
@@ -148,7 +148,7 @@ proptest! {
 }
 
 #[test]
-fn lines_and_points_count_and_what_has_no_tree_has_bounds() {
+fn lines_and_points_count_and_drawables_without_a_tree_use_bounds() {
     let camera = by(ComputeNearFar::Primitives, &camera([100, 100], DVec3::ZERO, DVec3::Y, DVec3::Z));
     let thin = |topology: Topology, corners: &[[f32; 3]]| {
         let vertices: Vec<_> = corners.iter().map(|p| MeshVertex { position: *p, ..MeshVertex::default() }).collect();
@@ -157,7 +157,7 @@ fn lines_and_points_count_and_what_has_no_tree_has_bounds() {
         let mesh = Mesh { vertices, indices: indices.into(), topology, bounds, ..Mesh::default() };
         Node::geode(vec![Drawable::new(Geometry::Mesh(Arc::new(mesh)), Material::default())])
     };
-    // A line from far on the left, nearer than where it is seen; points of which the nearest is outside.
+    // A line from far on the left is nearer outside of the view than inside. Of the points, the nearest is outside.
     let line = thin(Topology::Lines, &[[-100.0, 1.0, 0.0], [0.0, 30.0, 0.0]]);
     let points = thin(Topology::Points, &[[-50.0, 2.0, 0.0], [0.0, 40.0, 0.0], [90.0, 60.0, 0.0]]);
     let stage = cull(Node::group(vec![line, points]), true, &camera);
@@ -166,7 +166,7 @@ fn lines_and_points_count_and_what_has_no_tree_has_bounds() {
     assert!((stage.near_m - met).abs() < 0.2 && (stage.far_m - 40.0).abs() < 1e-3, "{} {met}", stage.near_m);
     let near_m = cull(thin(Topology::Points, &[[-50.0, 2.0, 0.0], [0.0, 40.0, 0.0]]), false, &camera).near_m;
     assert!((near_m - 2.0).abs() < 1e-4, "{near_m}");
-    // Below a Projection the projection's own sides count.
+    // Below a projection, the sides are those of the projection.
     let narrow = proj::perspective_infinite_reverse(0.01, 1.0, 0.1);
     let mut scene = Node::new(NodeKind::Projection(narrow));
     scene.children =
@@ -177,7 +177,7 @@ fn lines_and_points_count_and_what_has_no_tree_has_bounds() {
 }
 
 #[test]
-fn nothing_of_a_height_tile_lies_before_near() {
+fn height_tiles_are_never_cut_by_the_near_plane() {
     let terrain =
         Terrain { west: 0.13, south: 0.8, width: 0.006, relief_m: 2600.0, root_error_m: 250.0, textured: false };
     let mut nearer_than_bounds = 0;
@@ -188,7 +188,7 @@ fn nothing_of_a_height_tile_lies_before_near() {
         let tiles = || terrain.tiles_for(&seen, eye, 3);
         let stage = cull(tiles(), true, &by(ComputeNearFar::Primitives, &seen));
         let bounds = cull(tiles(), true, &by(ComputeNearFar::BoundingVolumes, &seen));
-        // Points of the ground that is seen.
+        // Points of the visible ground are checked.
         let mut nearest = f64::INFINITY;
         for j in 0..=400 {
             for i in 0..=400 {

@@ -1,4 +1,4 @@
-//! Each stereo mode's pixels: two eyes that see a different color.
+//! The pixels of each stereo mode, with two eyes that see different colors.
 
 use std::sync::Arc;
 
@@ -17,7 +17,7 @@ const SIDE: u32 = 64;
 const YELLOW: [u8; 3] = [255, 255, 0];
 const CYAN: [u8; 3] = [0, 255, 255];
 
-/// Everything the left eye sees is yellow, everything the right one sees is cyan.
+/// Everything that the left eye sees is yellow, everything that the right eye sees is cyan.
 fn picture(rig: &mut Rig, stereo: &Stereo) -> RgbaImage {
     let wall = |mask, color| {
         let mut node = Node::geode(vec![quad([0.0, 0.0, 0.0], [4.0, 4.0], color)]);
@@ -34,7 +34,7 @@ fn picture(rig: &mut Rig, stereo: &Stereo) -> RgbaImage {
     });
     rig.ctx.resize([SIDE, SIDE]).unwrap();
     rig.visitor.cull_stereo(&scene, &camera, stereo, &targets, &mut rig.stage);
-    assert_eq!(rig.stage.counters.leaves, 2, "one an eye");
+    assert_eq!(rig.stage.counters.leaves, 2, "one stage per eye");
     rig.renderer.draw(&mut rig.ctx, &rig.stage, &plain()).unwrap();
     let errors = (rig.ctx.take_device_errors(), rig.renderer.take_errors());
     assert!(errors.0.is_empty() && errors.1.is_empty(), "{errors:?}");
@@ -44,8 +44,8 @@ fn picture(rig: &mut Rig, stereo: &Stereo) -> RgbaImage {
 }
 
 #[test]
-fn each_mode_puts_the_eyes_where_it_should() {
-    let Some(mut rig) = rig("each_mode_puts_the_eyes_where_it_should") else { return };
+fn each_mode_puts_the_eyes_at_their_pixels() {
+    let Some(mut rig) = rig("each_mode_puts_the_eyes_at_their_pixels") else { return };
     let rig = &mut *rig;
     for mode in StereoMode::ALL {
         let picture = picture(rig, &Stereo::new(mode));
@@ -68,10 +68,10 @@ fn each_mode_puts_the_eyes_where_it_should() {
     }
 }
 
-/// Each eye's part is cleared of the other eye's image.
+/// The part of each eye is cleared of the image of the other one.
 #[test]
-fn eyes_that_change_places_take_their_masks_along() {
-    let Some(mut rig) = rig("eyes_that_change_places_take_their_masks_along") else { return };
+fn masks_follow_the_eyes_when_they_are_swapped() {
+    let Some(mut rig) = rig("masks_follow_the_eyes_when_they_are_swapped") else { return };
     let stereo = Stereo { swaps_eyes: true, ..Stereo::new(StereoMode::HorizontalSplit) };
     let picture = picture(&mut rig, &stereo);
     assert_eq!([pixel(&picture, 2, 2), pixel(&picture, SIDE - 2, 2)], [CYAN, YELLOW]);
@@ -113,8 +113,8 @@ fn overlays_are_in_both_eyes() {
 }
 
 #[test]
-fn split_pictures_have_a_gap_where_asked_for() {
-    let Some(mut rig) = rig("split_pictures_have_a_gap_where_asked_for") else { return };
+fn split_images_have_a_gap_if_configured() {
+    let Some(mut rig) = rig("split_images_have_a_gap_if_configured") else { return };
     let rig = &mut *rig;
     for mode in [StereoMode::HorizontalSplit, StereoMode::VerticalSplit] {
         let picture = picture(rig, &Stereo { separation_px: 10, ..Stereo::new(mode) });
@@ -131,10 +131,10 @@ fn split_pictures_have_a_gap_where_asked_for() {
 }
 
 #[test]
-fn eyes_see_near_things_in_different_places() {
-    let Some(mut rig) = rig("eyes_see_near_things_in_different_places") else { return };
+fn near_objects_have_a_disparity() {
+    let Some(mut rig) = rig("near_objects_have_a_disparity") else { return };
     let rig = &mut *rig;
-    // 10 m away, with the fusion at 20 m: the left eye sees it farther to the right.
+    // At 10 m with the fusion distance at 20 m, the left eye sees the object farther to the right.
     let stereo = Stereo { eye_separation_m: 0.05, fusion_distance_m: 20.0, ..Stereo::new(StereoMode::LeftEye) };
     let middle = |rig: &mut Rig, mode| {
         let scene = rig.scene(Node::geode(vec![quad([0.0; 3], [0.25, 0.25], [1.0, 0.0, 0.0, 1.0])]));
@@ -153,13 +153,14 @@ fn eyes_see_near_things_in_different_places() {
         f64::from(red.iter().sum::<u32>()) / red.len() as f64 + 0.5
     };
     let (left, right) = (middle(rig, StereoMode::LeftEye), middle(rig, StereoMode::RightEye));
-    // Each eye is 1 m aside (2.5 cm times 20 m over 0.5 m); half of that is sheared away at 10 m: 16 pixels.
+    // Each eye is 1 m off (2.5 cm times 20 m / 0.5 m). Half of that is removed by the shear at 10 m, which leaves 16
+    // pixels.
     assert!((left - 48.0).abs() < 1.0 && (right - 16.0).abs() < 1.0, "{left} {right}");
 }
 
 #[test]
-fn a_viewer_draws_for_two_eyes() {
-    let Some(rig) = rig("a_viewer_draws_for_two_eyes") else { return };
+fn viewer_draws_for_two_eyes() {
+    let Some(rig) = rig("viewer_draws_for_two_eyes") else { return };
     drop(rig);
     let config = ViewerConfig { size_px: [96, 64], validation: false, ..ViewerConfig::default() };
     let mut viewer = Viewer::new_offscreen(&config).unwrap();

@@ -1,5 +1,5 @@
-//! Further attributes of vertices: what programs read of them, what is seen and said of those that are not there, and
-//! that other shading takes no notice. Needs a GPU; a software adapter suffices.
+//! Custom vertex attributes: the values that programs read, the errors of missing ones, and other shading that ignores
+//! them. Needs a GPU; a software adapter suffices.
 
 use std::sync::Arc;
 
@@ -18,7 +18,7 @@ const SIDE: u32 = 64;
 const GREEN: [u8; 3] = [0, 255, 0];
 const BLACK: [u8; 3] = [0, 0, 0];
 
-/// A program that shows a color, made of what it reads for each vertex.
+/// Returns a program that shows a color, computed from the attributes of each vertex.
 fn program(name: &str, inputs: &str, color: &str) -> Attribute {
     let wgsl = format!(
         "struct V {{ @builtin(position) position: vec4<f32>, @location(0) color: vec3<f32> }}
@@ -30,7 +30,7 @@ fn program(name: &str, inputs: &str, color: &str) -> Attribute {
     Attribute::Program(Program::new(name, &wgsl))
 }
 
-/// Green where the attribute `heat` is 1, black where it is 0.
+/// Returns a set that shows green where the attribute `heat` is 1, black where it is 0.
 fn heat_program() -> StateSet {
     let set = StateSet { name: "set of heat".into(), ..StateSet::default() };
     set.with(program("heat", "@location(4) heat: f32", "vec3<f32>(0.0, heat, 0.0)"))
@@ -41,13 +41,13 @@ fn mesh_of(drawable: Drawable) -> Mesh {
     Mesh::clone(&mesh)
 }
 
-/// The same with its mesh changed.
+/// Returns the same drawable with its mesh changed.
 fn with(drawable: Drawable, change: impl FnOnce(Mesh) -> Mesh) -> Drawable {
     let material = drawable.material.clone();
     Drawable::new(Geometry::Mesh(Arc::new(change(mesh_of(drawable)))), material)
 }
 
-/// The same with some attributes, zero but for the last, which is `heat`, 1.
+/// Returns the same drawable with attributes that are zero, except for the last one, `heat`, which is 1.
 fn heated(drawable: Drawable, before: &[(&str, AttributeFormat)]) -> Drawable {
     with(drawable, |mesh| {
         let count = mesh.vertices.len();
@@ -66,18 +66,18 @@ fn assert_no_errors(rig: &mut Rig) {
     assert_eq!(rig.renderer.take_errors(), Vec::<String>::new());
 }
 
-/// The number that component `c` of vertex `n` holds, before it is normalized.
+/// Returns the number that component `c` of vertex `n` holds, before normalization.
 fn number(n: u32, c: u32) -> u32 {
     3 * n + 30 * c + 1
 }
 
-/// Little numbers as binary16.
+/// Converts small numbers to binary16.
 fn half(of: u32) -> u16 {
     let exponent = of.ilog2();
     ((exponent + 15) << 10 | (of << (10 - exponent) & 0x3ff)) as u16
 }
 
-/// A format, its components, how many bits each has, and what makes the numbers of what a program reads.
+/// A format, its number of components, their bits, and the conversion to the value that a program reads.
 const FORMATS: [(AttributeFormat, u32, u32, &str); 26] = [
     (Uint8x4, 4, 8, "u32"),
     (Sint8x4, 4, 8, "i32"),
@@ -132,7 +132,7 @@ fn elements(format: AttributeFormat, components: u32, bits: u32, kind: &str) -> 
 fn attributes_of_every_format_reach_programs() {
     let Some(mut rig) = rig("attributes_of_every_format_reach_programs") else { return };
     let rig = &mut *rig;
-    // At most fifteen layouts; the second half takes the slots of the first.
+    // There are at most fifteen layouts, so the second half uses the slots of the first.
     for half in FORMATS.chunks(13) {
         let across = half.len() as f32;
         let nodes = half.iter().zip(0u8..).map(|(&(format, components, bits, kind), place)| {
@@ -148,7 +148,7 @@ fn attributes_of_every_format_reach_programs() {
                 )
             });
             let off = off.collect::<Vec<_>>().join(" + ");
-            // An order that no mesh has: the first attribute at the later location.
+            // The order is one that no mesh has: the first attribute is at the later location.
             let inputs = format!("@location(6) number: u32, @location(4) value: {ty}");
             let color = format!("select(vec3(1.0, 0.0, 0.0), vec3(0.0, 1.0, 0.0), {off} < 0.01)");
             let set = StateSet::default().with(program(&format!("{format:?}"), &inputs, &color));
@@ -174,7 +174,7 @@ fn attributes_of_every_format_reach_programs() {
 fn programs_read_struct_members_and_defaults_of_missing_components() {
     let Some(mut rig) = rig("programs_read_struct_members_and_defaults_of_missing_components") else { return };
     let rig = &mut *rig;
-    // Two components given and four read; four given and one read.
+    // Two components are given and four read; four are given and one read.
     let set = StateSet::default().with(Attribute::Program(Program::new(
         "struct",
         "struct Further { @location(9) TEXCOORD_1: vec4<f32>, @location(5) _HEAT: f32 }
@@ -197,10 +197,10 @@ fn programs_read_struct_members_and_defaults_of_missing_components() {
     assert_eq!(pixel(&picture, 32, 32), GREEN);
 }
 
-/// An attribute in the format of glTF's `_BASIS`.
+/// Returns an attribute in the format of glTF's `_BASIS`.
 #[test]
-fn programs_put_matrices_together_from_their_columns() {
-    let Some(mut rig) = rig("programs_put_matrices_together_from_their_columns") else { return };
+fn programs_assemble_matrices_from_their_columns() {
+    let Some(mut rig) = rig("programs_assemble_matrices_from_their_columns") else { return };
     let square = with(quad([0.0; 3], [0.5; 2], [1.0; 4]), |mesh| {
         let columns = [[0.0f32, 0.0], [1.0, 0.0]].into_iter().zip(["_BASIS_0", "_BASIS_1"]);
         columns.fold(mesh, |mesh, (column, name)| mesh.with_attribute(name, Float32x2, &[column; 4]).unwrap())
@@ -226,7 +226,7 @@ fn missing_or_mistyped_attributes_are_visible_and_reported_once() {
     };
     let line = |i: u16| MeshVertex { position: [-1.0 + f32::from(i), -0.51, 0.0], ..MeshVertex::default() };
     let lines = Mesh::from_arrays(PrimitiveMode::LineStrip, (0..3).map(line).collect());
-    // Enough vertices that they are packed.
+    // There are enough vertices to be packed.
     let ball = Mesh::sphere(DVec3::new(0.75, 0.5, 0.0), 0.2, 32);
     let scene = rig.scene(
         Node::geode(vec![
@@ -240,7 +240,7 @@ fn missing_or_mistyped_attributes_are_visible_and_reported_once() {
         .with_state_set(set),
     );
     for frame in 0..3 {
-        // Into another target the second time, and with shadows.
+        // The second time it is drawn to another target, and with shadows.
         let seen = unit_camera(if frame == 1 { 2 * SIDE } else { SIDE });
         let shadows = sunny(DVec3::Z).shadows.filter(|_| frame > 0);
         let picture = rig.picture(&scene, &seen, &Environment { shadows, ..black() });
@@ -264,7 +264,7 @@ fn missing_or_mistyped_attributes_are_visible_and_reported_once() {
     rig.release(scene);
 }
 
-/// A slope of a grid of squares, with normals; no program reads its attributes.
+/// Returns a slope of a grid of squares with normals. No program reads its attributes.
 fn slope(squares: u32, attributes: bool) -> Mesh {
     let side = squares + 1;
     let vertex = |k: u32| {
@@ -284,14 +284,14 @@ fn slope(squares: u32, attributes: bool) -> Mesh {
 }
 
 #[test]
-fn other_shading_takes_no_notice_of_attributes() {
-    let Some(mut rig) = rig("other_shading_takes_no_notice_of_attributes") else { return };
+fn other_shading_ignores_attributes() {
+    let Some(mut rig) = rig("other_shading_ignores_attributes") else { return };
     let rig = &mut *rig;
     let fixed = StateSet::default().with(Attribute::SurfaceMaterial(SurfaceMaterial::default()));
     let to_sun = DVec3::new(0.6, -0.4, 0.9);
     let seen = camera([160, 120], DVec3::new(-9.0, -16.0, 12.0), DVec3::new(0.0, 0.0, 1.0), DVec3::Z);
     let mut draw = |attributes: bool, set: Option<&StateSet>, shadows: bool| {
-        // Two triangles, and many, which would be packed if they were white.
+        // Two triangles, and many that would be packed if they were white.
         let raised = |mut mesh: Mesh, x: f32, z: f32| {
             for vertex in &mut mesh.vertices {
                 let [a, b, c] = vertex.position;
@@ -321,7 +321,7 @@ fn other_shading_takes_no_notice_of_attributes() {
     for (set, shadows) in [(None, false), (None, true), (Some(&fixed), false), (Some(&fixed), true)] {
         let [without, with] = [false, true].map(|attributes| draw(attributes, set, shadows));
         assert_eq!(differing(&without, &with), 0, "{set:?} {shadows}");
-        // Shadow casters still cast.
+        // It still casts shadows.
         match lit.take().filter(|_| shadows) {
             Some(lit) => assert!(differing(&lit, &with) > 300, "{set:?}: {}", differing(&lit, &with)),
             None => lit = Some(with),
@@ -329,7 +329,7 @@ fn other_shading_takes_no_notice_of_attributes() {
     }
 }
 
-/// A roof above the ground, which stands where an attribute says, throws its shadow there.
+/// A roof above the ground is moved by an attribute, and casts its shadow at the new position.
 #[test]
 fn vertices_moved_by_a_program_cast_shadows_at_their_new_position() {
     let Some(mut rig) = rig("vertices_moved_by_a_program_cast_shadows_at_their_new_position") else { return };
@@ -358,17 +358,17 @@ fn vertices_moved_by_a_program_cast_shadows_at_their_new_position() {
     assert!(dark > 20 && lit > 5_000, "{dark} dark, {lit} lit");
 }
 
-/// Their pipelines are those of the layout, not of its place.
+/// The pipelines belong to the layout, not to its slot.
 #[test]
-fn places_of_layouts_are_used_again() {
-    let Some(mut rig) = rig("places_of_layouts_are_used_again") else { return };
+fn slots_of_layouts_are_reused() {
+    let Some(mut rig) = rig("slots_of_layouts_are_reused") else { return };
     let rig = &mut *rig;
     let set = Arc::new(heat_program());
     for round in 0..40 {
         let before: Vec<_> = FORMATS[round % 26..].iter().map(|(format, ..)| ("pad", *format)).take(1).collect();
         let square =
             |x: f32, before: &[(&str, AttributeFormat)]| heated(quad([x, 0.0, 0.0], [0.3; 2], [1.0; 4]), before);
-        // Another layout beside it, the same in all rounds.
+        // Another layout is used in all rounds.
         let scene = rig.scene(Node::geode(vec![square(-0.5, &before), square(0.5, &[])]).with_state_set(set.clone()));
         let picture = rig.picture(&scene, &unit_camera(SIDE), &black());
         rig.release(scene);
@@ -378,8 +378,8 @@ fn places_of_layouts_are_used_again() {
 }
 
 #[test]
-fn more_layouts_than_there_can_be_are_said_and_the_rest_is_drawn() {
-    let Some(mut rig) = rig("more_layouts_than_there_can_be_are_said_and_the_rest_is_drawn") else { return };
+fn layouts_beyond_the_limit_are_reported_and_the_rest_is_drawn() {
+    let Some(mut rig) = rig("layouts_beyond_the_limit_are_reported_and_the_rest_is_drawn") else { return };
     let rig = &mut *rig;
     let named = |i: usize| heated(quad([0.0; 3], [0.5; 2], [1.0; 4]), &[(&format!("pad{i}"), Float32)]);
     let compiled = rig.compile((0..16).map(named).collect());
@@ -391,7 +391,7 @@ fn more_layouts_than_there_can_be_are_said_and_the_rest_is_drawn() {
     // A known layout still has its slot.
     let known = rig.compile(vec![named(3)]);
     assert_eq!(known.errors, Vec::<String>::new());
-    // Two more floats for each of four vertices, and six indices.
+    // Four vertices have two more floats each, and there are six indices.
     assert_eq!(known.bytes, 4 * (28 + 8) + 6 * 4);
     rig.ctx.release(&compiled.slots);
     rig.ctx.release(&known.slots);
@@ -402,8 +402,8 @@ fn more_layouts_than_there_can_be_are_said_and_the_rest_is_drawn() {
 
 /// A mesh may have changed since its attribute was checked.
 #[test]
-fn meshes_with_other_vertices_than_attributes_fail_to_upload() {
-    let Some(mut rig) = rig("meshes_with_other_vertices_than_attributes_fail_to_upload") else { return };
+fn meshes_with_another_number_of_vertices_than_attributes_fail_to_upload() {
+    let Some(mut rig) = rig("meshes_with_another_number_of_vertices_than_attributes_fail_to_upload") else { return };
     let longer = with(heated(quad([0.0; 3], [0.5; 2], [1.0; 4]), &[]), |mut mesh| {
         mesh.vertices.push(MeshVertex::default());
         mesh
@@ -413,10 +413,10 @@ fn meshes_with_other_vertices_than_attributes_fail_to_upload() {
     assert_eq!(compiled.errors, [expected]);
 }
 
-/// A mesh that goes to the adapter in several slices, and one that takes the place of a drawable's with other attributes.
+/// One mesh is uploaded in several slices, another one replaces that of a drawable with other attributes.
 #[test]
-fn large_and_changed_meshes_have_their_attributes_at_the_right_vertices() {
-    let Some(mut rig) = rig("large_and_changed_meshes_have_their_attributes_at_the_right_vertices") else { return };
+fn large_and_changed_meshes_have_their_attributes_at_the_correct_vertices() {
+    let Some(mut rig) = rig("large_and_changed_meshes_have_their_attributes_at_the_correct_vertices") else { return };
     let rig = &mut *rig;
     let inputs = "@location(4) place: vec2<f32>";
     let color = "select(vec3(1.0, 0.0, 0.0), vec3(0.0, 1.0, 0.0), all(place == vertex.position.xy))";
@@ -453,7 +453,7 @@ fn large_and_changed_meshes_have_their_attributes_at_the_right_vertices() {
     rig.release(scene);
 }
 
-/// A mode, where its corners are, and pixels near which something is drawn and is not.
+/// A primitive mode, its corners, and pixels near which something is drawn and pixels that stay empty.
 type Case<'a> = (PrimitiveMode, &'a [[f32; 2]], &'a [[u32; 2]], &'a [[u32; 2]]);
 
 #[test]
@@ -482,7 +482,7 @@ fn primitives_of_every_mode_are_drawn() {
         let vertices: Vec<MeshVertex> = corners.iter().map(vertex).collect();
         let elements = Mesh::from_elements(mode, vertices.clone(), &[0u8, 1, 2, 3]).unwrap();
         assert_eq!(elements, Mesh::from_arrays(mode, vertices));
-        // Single-sided: what looks the other way is not seen.
+        // Materials are single-sided, so back faces are invisible.
         let material = Material { base_color: [0.0, 1.0, 0.0, 1.0], unlit: true, ..Material::default() };
         let scene = rig.scene(Node::geode(vec![Drawable::new(elements.into(), material)]));
         let picture = rig.picture(&scene, &unit_camera(SIDE), &black());

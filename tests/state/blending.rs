@@ -1,5 +1,5 @@
-//! Every factor and equation of blending, for color and alpha, against OpenGL's formulas. Needs a GPU (a software one will
-//! do).
+//! Every factor and equation of blending, for color and alpha, compared with OpenGL's formulas. Needs a GPU; a software
+//! adapter suffices.
 
 use std::sync::Arc;
 
@@ -26,16 +26,17 @@ const FACTORS: [BlendFactor; 13] = [
     BlendFactor::ConstantColor,
     BlendFactor::OneMinusConstantColor,
 ];
-/// Drawn over [`BELOW`], with [`CONSTANT`]. Values of a factor are at least 0.02 apart in one component each.
+/// The color that is drawn over [`BELOW`], with [`CONSTANT`]. The values of factors differ by at least 0.02 in one
+/// component.
 const ABOVE: [f32; 4] = [0.9, 0.35, 0.15, 0.7];
 const BELOW: [f32; 4] = [0.2, 0.8, 0.4, 0.45];
 const CONSTANT: [f32; 4] = [0.6, 0.05, 0.75, 0.22];
 
 const SIDE: u32 = 64;
-/// Squares along a side of the image, each with its own function.
+/// The number of squares along a side of the image, each with a separate function.
 const ACROSS: usize = 5;
 
-/// The value of a component; alpha is the last.
+/// Returns the value of a component; alpha is the last.
 fn factor(of: BlendFactor, component: usize) -> f32 {
     let (s, d, c) = (ABOVE[component], BELOW[component], CONSTANT[component]);
     match of {
@@ -72,7 +73,7 @@ fn blended(func: BlendFunc, equation: BlendEquation) -> [f32; 4] {
     })
 }
 
-/// An image in which each square is blended as one of the cases says, read with its alpha.
+/// Returns an image in which each square is blended by one of the cases, read with its alpha.
 fn drawn(rig: &mut Rig, cases: &[(BlendFunc, BlendEquation)]) -> Vec<[u8; 4]> {
     let texture = TextureObject::target("blended", [SIDE; 2], TextureFormat::Rgba8);
     let sink = Arc::new(PictureSink::default());
@@ -101,15 +102,15 @@ fn drawn(rig: &mut Rig, cases: &[(BlendFunc, BlendEquation)]) -> Vec<[u8; 4]> {
     rig.release(scene);
     let errors = rig.renderer.take_errors();
     assert!(errors.is_empty(), "{errors:?}");
-    let picture = picture.expect("a picture comes back").texels;
+    let picture = picture.expect("an image is read back").texels;
     let px = |place: f32| (0.5 * (place + 1.0) * SIDE as f32) as usize;
     let at = |at: usize| (px(-center(at / ACROSS)) * SIDE as usize + px(center(at % ACROSS))) * 4;
     (0..cases.len()).map(|case| std::array::from_fn(|i| picture[at(case) + i])).collect()
 }
 
 #[test]
-fn every_factor_and_equation_is_opengls() {
-    let Some(mut rig) = rig("every_factor_and_equation_is_opengls") else { return };
+fn all_factors_and_equations_equal_opengl() {
+    let Some(mut rig) = rig("all_factors_and_equations_equal_opengl") else { return };
     let of = |i: usize| FACTORS[i % FACTORS.len()];
     let shifts = [
         (BlendEquation::Add, 0),

@@ -1,4 +1,4 @@
-//! The fixed function's pixels: fog, clip planes, alpha test, texture units and their coordinates.
+//! Pixels of the fixed function: fog, clip planes, alpha test, texture units and their coordinates.
 
 use std::sync::Arc;
 
@@ -16,10 +16,10 @@ use terrane::state::{
 };
 
 #[test]
-fn fog_thickens_with_distance() {
-    let Some(mut rig) = rig("fog_thickens_with_distance") else { return };
+fn fog_increases_with_distance() {
+    let Some(mut rig) = rig("fog_increases_with_distance") else { return };
     let rig = &mut *rig;
-    // The square is 10 m before the eye.
+    // The square is 10 m in front of the eye.
     let mut with = |mode: FogMode, on: StateValue| {
         let mut set = StateSet::default().with_mode(Mode::Lighting, StateValue::OFF);
         set.set_attribute_and_modes(Attribute::Fog(Fog { mode, color: [0.0, 0.0, 1.0] }), on);
@@ -46,7 +46,7 @@ fn clip_planes_cut_their_children() {
         ..Node::new(NodeKind::ClipNode(Box::new(ClipNode { planes, frame: ReferenceFrame::Relative })))
     };
     let red = || Node::geode(vec![quad([0.0; 3], [0.5; 2], [1.0, 0.0, 0.0, 1.0])]);
-    // x >= 0, and y <= 0.25.
+    // The planes are x >= 0 and y <= 0.25.
     let planes = || vec![(0, DVec4::new(1.0, 0.0, 0.0, 0.0)), (3, DVec4::new(0.0, -1.0, 0.0, 0.25))];
     let picture = draw(rig, vec![clip(planes(), vec![red()])]);
     assert_eq!(count(&picture, RED), 16 * 24);
@@ -55,11 +55,11 @@ fn clip_planes_cut_their_children() {
         (RED.to_vec(), MAGENTA.to_vec())
     );
     let beside = draw(rig, vec![clip(planes(), vec![]), red()]);
-    assert_eq!(count(&beside, RED), 32 * 32, "what is not below it is whole");
+    assert_eq!(count(&beside, RED), 32 * 32, "nodes outside of it are whole");
     let moved = Node::transform(DAffine3::from_translation(DVec3::new(0.25, 0.0, 0.0)), vec![clip(planes(), vec![])]);
     let all = StateSet::default().with_mode(Mode::ClipPlane(0), StateValue::ON);
     let picture = draw(rig, vec![moved, red().with_state_set(Arc::new(all))]);
-    assert_eq!(count(&picture, RED), 8 * 32, "on by a state set, for a plane elsewhere in the graph");
+    assert_eq!(count(&picture, RED), 8 * 32, "enabled by a state set, for a plane elsewhere in the graph");
 }
 
 #[test]
@@ -89,19 +89,19 @@ fn alpha_tests_discard_pixels() {
 }
 
 #[test]
-fn units_multiply_planes_rows_cubes_volumes_and_layers() {
-    let Some(mut rig) = rig("units_multiply_planes_rows_cubes_volumes_and_layers") else { return };
+fn texture_units_multiply_all_dimensions_of_textures() {
+    let Some(mut rig) = rig("texture_units_multiply_all_dimensions_of_textures") else { return };
     let rig = &mut *rig;
     let white = || square(WHITE);
     let picture = draw(rig, vec![node(white(), unlit().with(Attribute::Texture(0, nearest(quarters()))))]);
     let corners = [(20, 20), (44, 20), (20, 44), (44, 44)].map(|(x, y)| pixel(&picture, x, y));
     assert_eq!(corners, [RED, GREEN, BLUE, [255; 3]]);
-    // Two units: yellow times the quarters.
+    // Two units give yellow times the quarters.
     let yellow = TextureObject::image("yellow", [1, 1], vec![255, 255, 0, 255]);
     let set = unlit().with(Attribute::Texture(0, nearest(quarters()))).with(Attribute::Texture(3, nearest(yellow)));
     let picture = draw(rig, vec![node(white(), set)]);
     assert_eq!([(20, 44), (44, 44)].map(|(x, y)| pixel(&picture, x, y)), [[0; 3], [255, 255, 0]]);
-    // Off.
+    // A unit that is off.
     let mut off = unlit().with(Attribute::Texture(0, nearest(quarters())));
     off.set_mode(Mode::Texture(0), StateValue::OFF);
     assert_eq!(middle(rig, vec![node(square([0.0, 1.0, 0.0, 1.0]), off)]), GREEN);
@@ -120,12 +120,12 @@ fn units_multiply_planes_rows_cubes_volumes_and_layers() {
     let row = object(TextureDimension::D1, [2, 1, 1], [[255, 0, 0, 255], [0, 255, 0, 255]].concat());
     let picture = draw(rig, vec![node(white(), unlit().with(Attribute::Texture(1, nearest(row))))]);
     assert_eq!([(20, 40), (44, 20)].map(|(x, y)| pixel(&picture, x, y)), [RED, GREEN]);
-    // A cube by the normal, which looks to +z: its fifth face.
+    // A cube sampled by the normal towards +z, which is its fifth face.
     let face = |i: u8| if i == 4 { [0, 255, 0, 255] } else { [255, 0, 0, 255] };
     let cube = object(TextureDimension::Cube, [1, 1, 6], (0..6).flat_map(face).collect());
     let set = unlit().with(Attribute::Texture(0, nearest(cube))).with(Attribute::TexGen(0, TexGen::NormalMap));
     assert_eq!(middle(rig, vec![node(white(), set)]), GREEN);
-    // A volume's first slice, and the first of two layers: generated coordinates have r = 0.
+    // The first slice of a volume, and the first of two layers: generated coordinates have r = 0.
     for dimension in [TextureDimension::D3, TextureDimension::D2Array] {
         let two = object(dimension, [1, 1, 2], [[0, 0, 255, 255], [255, 0, 0, 255]].concat());
         let set = unlit().with(Attribute::Texture(2, nearest(two)));
@@ -137,7 +137,7 @@ fn units_multiply_planes_rows_cubes_volumes_and_layers() {
 fn samplers_wrap_filter_and_bias() {
     let Some(mut rig) = rig("samplers_wrap_filter_and_bias") else { return };
     let rig = &mut *rig;
-    // s and t run over three copies: x + 1.5 copies of 0.5 m each.
+    // s and t run over three copies: x + 1.5 with 0.5 m for each.
     let planes = TexGen::planes([2.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.25]);
     let two = TextureObject::image("two", [2, 1], [[255, 0, 0, 255], [0, 255, 0, 255]].concat());
     let mut rows = |wrap| {
@@ -157,7 +157,7 @@ fn samplers_wrap_filter_and_bias() {
     assert_eq!(rows(WrapMode::ClampToEdge), [RED, RED, RED, GREEN]);
     assert_eq!(rows(WrapMode::Repeat), [RED, GREEN, RED, GREEN]);
     assert_eq!(rows(WrapMode::Mirror), [GREEN, RED, RED, GREEN]);
-    // Levels: 0 is red, 1 green; the image magnifies, so that a bias of 1 takes level 1.
+    // Level 0 is red, level 1 green. The image is magnified, so that a bias of 1 selects level 1.
     let levels = Arc::new(TextureObject {
         levels: 2,
         texels: vec![[255, 0, 0, 255].repeat(64 * 64), [0, 255, 0, 255].repeat(32 * 32)],
@@ -173,13 +173,13 @@ fn samplers_wrap_filter_and_bias() {
 }
 
 #[test]
-fn coordinates_come_from_planes_and_mirrors() {
-    let Some(mut rig) = rig("coordinates_come_from_planes_and_mirrors") else { return };
+fn coordinates_are_generated_by_planes_and_reflections() {
+    let Some(mut rig) = rig("coordinates_are_generated_by_planes_and_reflections") else { return };
     let rig = &mut *rig;
     let planes = TexGen::planes([0.5, 0.0, 0.0, 0.5], [0.0, -0.5, 0.0, 0.5]);
     let with = |texgen| unlit().with(Attribute::Texture(1, nearest(quarters()))).with(Attribute::TexGen(1, texgen));
     let aside = |n: Node| Node::transform(DAffine3::from_translation(DVec3::new(0.3, 0.0, 0.0)), vec![n]);
-    // In the object's frame the middle of the texture moves along; in the eye's it stays.
+    // In the object's frame the middle of the texture moves along; in the eye's frame it stays.
     let edge = |picture: &RgbaImage| (0..SIDE).find(|x| pixel(picture, *x, 20) == GREEN);
     let object = draw(rig, vec![aside(node(square(WHITE), with(TexGen::ObjectLinear(planes))))]);
     let eye = draw(rig, vec![aside(node(square(WHITE), with(TexGen::EyeLinear(planes))))]);
@@ -192,7 +192,7 @@ fn coordinates_come_from_planes_and_mirrors() {
         node(square(WHITE), with(TexGen::EyeLinear([[0.0; 4]; 4]))),
     ];
     assert!(edge(&draw(rig, nodes)).unwrap().abs_diff(32 + 10) <= 1);
-    // A mirror that faces the eye shows what is behind the eye: the middle of a sphere map.
+    // A mirror that faces the eye shows the area behind the eye: the middle of a sphere map.
     let dot = |rgb: [u8; 3], x: usize, y: usize| {
         let mut texels = [0u8, 0, 0, 255].repeat(64);
         let at = (y * 8 + x) * 4;
@@ -203,7 +203,7 @@ fn coordinates_come_from_planes_and_mirrors() {
         unlit().with(Attribute::Texture(0, nearest(dot(RED, 4, 4)))).with(Attribute::TexGen(0, TexGen::SphereMap));
     let picture = draw(rig, vec![node(square(WHITE), map)]);
     assert!(count(&picture, RED) > 0);
-    // One that leans back, or aside, shows what is above, or aside: upper rows, columns on that side.
+    // A mirror that leans back or sideways shows the area above or beside: upper rows, or columns on that side.
     let red_above = [[255, 0, 0, 255], [0, 255, 0, 255]].concat();
     let halves = |size: [u32; 2]| TextureObject::image("halves", size, red_above.clone());
     for (size, turn, seen) in [
@@ -216,7 +216,7 @@ fn coordinates_come_from_planes_and_mirrors() {
             unlit().with(Attribute::Texture(0, nearest(halves(size)))).with(Attribute::TexGen(0, TexGen::SphereMap));
         assert_eq!(middle(rig, vec![Node::transform(turn, vec![node(square(WHITE), map)])]), seen, "{size:?} {turn}");
     }
-    // Reflected straight back: +z again, the fifth face of a cube.
+    // Straight back, the reflection is +z again, the fifth face of a cube.
     let face = |i: u8| if i == 4 { [0, 255, 0, 255] } else { [255, 0, 0, 255] };
     let cube = Arc::new(TextureObject {
         name: "cube".into(),
@@ -232,8 +232,8 @@ fn coordinates_come_from_planes_and_mirrors() {
 }
 
 #[test]
-fn planes_of_r_and_q_choose_slices_and_project() {
-    let Some(mut rig) = rig("planes_of_r_and_q_choose_slices_and_project") else { return };
+fn planes_of_r_and_q_select_slices_and_project() {
+    let Some(mut rig) = rig("planes_of_r_and_q_select_slices_and_project") else { return };
     let rig = &mut *rig;
     let [along_s, along_t] = [[1.0, 0.0, 0.0, 0.5], [0.0, 1.0, 0.0, 0.5]];
     let constant = |value: f32| [0.0, 0.0, 0.0, value];
@@ -244,7 +244,7 @@ fn planes_of_r_and_q_choose_slices_and_project() {
             unlit().with(Attribute::Texture(1, binding)).with(Attribute::TexGen(1, TexGen::ObjectLinear(planes))),
         )
     };
-    // Slices and layers by r, from below: q divides what is in a volume, and s and t alone of layers.
+    // r selects slices and layers from below. q divides all coordinates of a volume, and only s and t of layers.
     for (dimension, q) in [(TextureDimension::D3, 1.0), (TextureDimension::D3, 2.0), (TextureDimension::D2Array, 2.0)] {
         let two = Arc::new(TextureObject {
             dimension,
@@ -253,13 +253,13 @@ fn planes_of_r_and_q_choose_slices_and_project() {
             texels: vec![[[0, 0, 255, 255], [255, 0, 0, 255]].concat()],
             ..(*quarters()).clone()
         });
-        // Half a slice higher per 0.5 m of a volume; from layer 0 to layer 1 in the middle.
+        // In a volume, half a slice higher per 0.5 m; in an array, from layer 0 to layer 1 in the middle.
         let r = if dimension == TextureDimension::D3 { [0.0, q, 0.0, 0.5 * q] } else { [0.0, 1.0, 0.0, 0.5] };
         let picture = draw(rig, vec![with(&two, [along_s, along_t, r, constant(q)])]);
         let at = [20, 30, 34, 44].map(|y| pixel(&picture, 32, y));
         assert_eq!(at, [RED, RED, BLUE, BLUE], "{dimension:?} {q}");
     }
-    // An image from a projector: s / q is 0.5 where x = y / 2.
+    // An image from a projector has s / q = 0.5 where x = y / 2.
     let two = TextureObject::image("two", [2, 1], [[255, 0, 0, 255], [0, 255, 0, 255]].concat());
     let q = [0.0, 1.0, 0.0, 1.0];
     let picture = draw(rig, vec![with(&two, [along_s, constant(0.0), constant(0.0), q])]);
@@ -269,7 +269,7 @@ fn planes_of_r_and_q_choose_slices_and_project() {
         let expected = 32.0 + 16.0 * y_m;
         assert!((f64::from(edge(&picture, y)) - expected).abs() <= 1.0, "{} instead of {expected}", edge(&picture, y));
     }
-    // In the eye's frame, 10 m before it, q is made of depth: the same as without it, by tenths.
+    // In the eye's frame, at 10 m, q comes from the depth. The result is the same as without it, in tenths.
     let eye = [[1.0, 0.0, 0.0, 5.0], constant(0.0), constant(0.0), [0.0, 0.0, -1.0, 0.0]];
     let set = unlit().with(Attribute::Texture(0, nearest(two))).with(Attribute::TexGen(0, TexGen::EyeLinear(eye)));
     let picture = draw(rig, vec![node(square(WHITE), set)]);
@@ -277,8 +277,8 @@ fn planes_of_r_and_q_choose_slices_and_project() {
 }
 
 #[test]
-fn wrong_textures_are_white_and_one_error() {
-    let Some(mut rig) = rig("wrong_textures_are_white_and_one_error") else { return };
+fn invalid_textures_are_white_and_one_error() {
+    let Some(mut rig) = rig("invalid_textures_are_white_and_one_error") else { return };
     let rig = &mut *rig;
     let short = TextureObject::image("short", [4, 4], vec![0; 12]);
     let set = StateSet { name: "broken".into(), ..unlit().with(Attribute::Texture(0, nearest(short))) };
@@ -293,10 +293,10 @@ fn wrong_textures_are_white_and_one_error() {
     rig.release(scene);
 }
 
-/// The second one showed the first.
+/// Regression: the second one showed the first.
 #[test]
-fn one_cube_one_volume_and_one_layered_texture_may_be_bound() {
-    let Some(mut rig) = rig("one_cube_one_volume_and_one_layered_texture_may_be_bound") else { return };
+fn one_cube_one_volume_and_one_array_texture_may_be_bound() {
+    let Some(mut rig) = rig("one_cube_one_volume_and_one_array_texture_may_be_bound") else { return };
     let rig = &mut *rig;
     let kinds = [(TextureDimension::Cube, 6), (TextureDimension::D3, 2), (TextureDimension::D2Array, 2)];
     for (dimension, layers) in kinds {
@@ -326,15 +326,15 @@ fn one_cube_one_volume_and_one_layered_texture_may_be_bound() {
             );
         }
         rig.release(scene);
-        // The same one twice is no fault.
+        // The same texture twice is no error.
         let twice = unlit().with(Attribute::Texture(0, yellow.clone())).with(Attribute::Texture(2, yellow));
         assert_eq!(middle(rig, vec![node(square(WHITE), twice)]), [255, 255, 0], "{dimension:?}");
     }
 }
 
 #[test]
-fn height_tiles_have_lights_and_fog_too() {
-    let Some(mut rig) = rig("height_tiles_have_lights_and_fog_too") else { return };
+fn height_tiles_have_lights_and_fog() {
+    let Some(mut rig) = rig("height_tiles_have_lights_and_fog") else { return };
     let rig = &mut *rig;
     let terrain =
         Terrain { west: 0.13, south: 0.8, width: 0.006, relief_m: 2600.0, root_error_m: 250.0, textured: true };
@@ -352,7 +352,7 @@ fn height_tiles_have_lights_and_fog_too() {
         sum as f64 / ground(p) as f64
     };
     let sunny = with(StateSet::default());
-    // The same through the fixed function: white light, no change.
+    // The same with the fixed function and white light changes nothing.
     let same = with(StateSet::default().with(Attribute::SurfaceMaterial(SurfaceMaterial::default())));
     assert_eq!(ground(&sunny), ground(&same));
     let differing = sunny.pixels().zip(same.pixels()).filter(|(a, b)| (0..3).any(|c| a.0[c].abs_diff(b.0[c]) > 24));
@@ -364,10 +364,10 @@ fn height_tiles_have_lights_and_fog_too() {
     assert!(mean(&foggy, 2) > mean(&sunny, 2) + 20.0);
 }
 
-/// They counted as the last ones.
+/// Regression: such numbers were taken for the last valid ones.
 #[test]
-fn numbers_beyond_the_last_are_said_and_touch_no_others() {
-    let Some(mut rig) = rig("numbers_beyond_the_last_are_said_and_touch_no_others") else { return };
+fn numbers_out_of_range_are_reported_and_affect_no_others() {
+    let Some(mut rig) = rig("numbers_out_of_range_are_reported_and_affect_no_others") else { return };
     let rig = &mut *rig;
     let named = |name: &str, set: StateSet| StateSet { name: name.into(), ..set };
     let color = |texel: [u8; 4]| nearest(TextureObject::image("color", [1, 1], texel.to_vec()));
@@ -388,7 +388,7 @@ fn numbers_beyond_the_last_are_said_and_touch_no_others() {
         "lights",
         StateSet::default().with_mode(Mode::Light(0), StateValue::OFF).with_mode(Mode::Light(8), StateValue::ON),
     );
-    // Switched off is what they are.
+    // Their modes stay off.
     let off = unlit().with_mode(Mode::Texture(7), StateValue::OFF).with_mode(Mode::Light(200), StateValue::OFF);
     let generator = Node::new(NodeKind::TexGenNode(Box::new(TexGenNode { unit: 4, texgen: TexGen::SphereMap })));
     for (nodes, seen, wanted) in [

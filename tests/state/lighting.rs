@@ -1,4 +1,4 @@
-//! Parts of the tests of the fixed function: a lit square before the eye, a light, colours, textures.
+//! Shared parts of the lighting tests: a lit square in front of the eye, a light, colours and textures.
 
 use std::sync::Arc;
 
@@ -14,7 +14,7 @@ pub const RED: [u8; 3] = [255, 0, 0];
 pub const GREEN: [u8; 3] = [0, 255, 0];
 pub const BLUE: [u8; 3] = [0, 0, 255];
 
-/// A square over the middle half, facing the eye, lit.
+/// Returns a lit square over the middle half of the image that faces the eye.
 pub fn square(color: [f32; 4]) -> Drawable {
     let mut drawable = quad([0.0, 0.0, 0.0], [0.5, 0.5], color);
     drawable.material.unlit = false;
@@ -39,7 +39,7 @@ pub fn middle(rig: &mut Rig, nodes: Vec<Node>) -> [u8; 3] {
     [r, g, b]
 }
 
-/// sRGB of a linear value.
+/// Returns the sRGB value of a linear one.
 pub fn srgb(linear: f32) -> u8 {
     let s = if linear <= 0.003_130_8 { 12.92 * linear } else { 1.055 * linear.powf(1.0 / 2.4) - 0.055 };
     (s * 255.0).round() as u8
@@ -50,7 +50,7 @@ pub fn assert_near(got: [u8; 3], linear: [f32; 3], what: &str) {
     assert!(got.iter().zip(want).all(|(g, w)| g.abs_diff(w) <= 2), "{what}: {got:?} instead of {want:?}");
 }
 
-/// No sun: only light 1, and what a test adds.
+/// Returns an environment without the sun, in which only light 1 and those of the test shine.
 pub fn only_light_1() -> StateSet {
     StateSet::default().with_mode(Mode::Light(0), StateValue::OFF).with_mode(Mode::Light(1), StateValue::ON)
 }
@@ -62,7 +62,7 @@ pub fn light(light: Light) -> Node {
 
 pub const WHITE: [f32; 4] = [1.0; 4];
 
-/// Texels in four quarters: red, green, blue, white; rows from the top.
+/// Returns texels in four quarters: red, green, blue, white; rows from the top.
 pub fn quarters() -> Arc<TextureObject> {
     let texels = [[255, 0, 0, 255], [0, 255, 0, 255], [0, 0, 255, 255], [255; 4]].concat();
     TextureObject::image("quarters", [2, 2], texels)

@@ -1,4 +1,4 @@
-//! Light of the fixed function, in pixels: lights, materials, the light model.
+//! Light of the fixed function in pixels: lights, materials, the light model.
 
 use std::sync::Arc;
 
@@ -17,7 +17,7 @@ use terrane::state::{
     Attribute, ColorControl, Light, LightModel, Mode, StateSet, StateValue, SurfaceMaterial, TexGen, TextureObject,
 };
 
-/// A camera of parallel rays, 1 m before what is drawn, that sees the same as the tests' own.
+/// Returns an orthographic camera, 1 m in front of the drawables, with the same image as the camera of other tests.
 fn parallel_camera() -> CullCamera {
     CullCamera {
         eye_from_world: DAffine3::from_translation(DVec3::new(0.0, 0.0, -1.0)),
@@ -27,8 +27,8 @@ fn parallel_camera() -> CullCamera {
 }
 
 #[test]
-fn lights_shine_from_their_side() {
-    let Some(mut rig) = rig("lights_shine_from_their_side") else { return };
+fn lights_shine_from_their_position() {
+    let Some(mut rig) = rig("lights_shine_from_their_position") else { return };
     let rig = &mut *rig;
     let mut lit = |l: Light| middle(rig, vec![light(l), node(square(WHITE), only_light_1())]);
     let toward = |x: f64, z: f64| Light { position: [x, 0.0, z, 0.0], ..Light::default() };
@@ -39,7 +39,7 @@ fn lights_shine_from_their_side() {
     let lamp = Light { position: [0.0, 0.0, 2.0, 1.0], attenuation: [0.0, 1.0, 0.0], ..Light::default() };
     assert_near(lit(lamp), [0.5; 3], "2 m away, falling off linearly");
     let quadratic = Light { attenuation: [0.0, 0.0, 1.0], ..lamp };
-    assert_near(lit(quadratic), [0.25; 3], "and with the square");
+    assert_near(lit(quadratic), [0.25; 3], "and with the square of the distance");
     let spot = |direction, exponent| Light {
         position: [0.0, 0.0, 2.0, 1.0],
         direction,
@@ -50,24 +50,24 @@ fn lights_shine_from_their_side() {
     assert_near(lit(spot([0.0, 0.0, -1.0], 0.0)), [1.0; 3], "in the cone");
     assert_near(lit(spot([0.5, 0.0, -1.0], 0.0)), [0.0; 3], "beside the cone");
     let cosine = 1.0 / (1.0f32 + 0.04).sqrt();
-    assert_near(lit(spot([0.2, 0.0, -1.0], 8.0)), [cosine.powi(8); 3], "falling off to the rim");
+    assert_near(lit(spot([0.2, 0.0, -1.0], 8.0)), [cosine.powi(8); 3], "falling off towards the rim");
 }
 
 #[test]
-fn lights_move_with_what_they_hang_in_and_can_be_switched() {
-    let Some(mut rig) = rig("lights_move_with_what_they_hang_in_and_can_be_switched") else { return };
+fn lights_move_with_their_parent_and_can_be_switched() {
+    let Some(mut rig) = rig("lights_move_with_their_parent_and_can_be_switched") else { return };
     let rig = &mut *rig;
     let from_x = Light { position: [1.0, 0.0, 0.0, 0.0], ..Light::default() };
     let turned = Node::transform(DAffine3::from_rotation_y(-std::f64::consts::FRAC_PI_2), vec![light(from_x)]);
-    assert_near(middle(rig, vec![turned, node(square(WHITE), only_light_1())]), [1.0; 3], "turned to z");
-    // Without lighting a surface has its own colour; unlit materials give way to an override only.
+    assert_near(middle(rig, vec![turned, node(square(WHITE), only_light_1())]), [1.0; 3], "rotated to z");
+    // Without lighting a surface has its plain colour. Unlit materials follow only an override.
     let unlit = quad([0.0; 3], [0.5; 2], WHITE);
     let off = only_light_1().with_mode(Mode::Lighting, StateValue::OFF);
     assert_eq!(middle(rig, vec![node(square([0.0, 1.0, 0.0, 1.0]), off)]), GREEN);
     assert_eq!(middle(rig, vec![node(unlit.clone(), only_light_1())]), [255; 3]);
     let forced = only_light_1().with_mode(Mode::Lighting, StateValue::ON | StateValue::OVERRIDE);
     assert_eq!(middle(rig, vec![node(unlit, forced)]), [0; 3]);
-    // A light 0 in the graph is instead of the sun, for everybody.
+    // A light with the number 0 in the graph replaces the sun for all leaves.
     let blue = Light { number: 0, position: [0.0, 0.0, 1.0, 0.0], diffuse: [0.0, 0.0, 1.0], ..Light::default() };
     let source = LightSource { light: blue, frame: ReferenceFrame::Relative };
     let nodes = vec![Node::new(NodeKind::LightSource(Box::new(source))), Node::geode(vec![square(WHITE)])];
@@ -75,8 +75,8 @@ fn lights_move_with_what_they_hang_in_and_can_be_switched() {
 }
 
 #[test]
-fn materials_reflect() {
-    let Some(mut rig) = rig("materials_reflect") else { return };
+fn materials_reflect_light() {
+    let Some(mut rig) = rig("materials_reflect_light") else { return };
     let rig = &mut *rig;
     let front = Light { position: [0.0, 0.0, 1.0, 0.0], ambient: [0.5; 3], ..Light::default() };
     let mut with = |material: SurfaceMaterial, model: [f32; 3]| {
@@ -91,11 +91,11 @@ fn materials_reflect() {
     assert_near(with(SurfaceMaterial { diffuse: [1.0, 0.0, 0.0, 1.0], ..dark }, [0.0; 3]), [0.5, 0.0, 0.0], "diffuse");
     assert_near(with(SurfaceMaterial { emission: [0.1, 0.0, 0.3], ..dark }, [0.0; 3]), [0.1, 0.0, 0.3], "emission");
     let shiny = SurfaceMaterial { specular: [0.5, 0.25, 0.0], shininess: 20.0, ..dark };
-    // Seen along the normal: the highlight itself (the middle pixel's ray is off by a fraction of a degree).
+    // Along the normal the highlight has its full value. The ray of the middle pixel is off by a fraction of a degree.
     assert_near(with(shiny, [0.0; 3]), [0.5, 0.25, 0.0], "specular");
 }
 
-/// They had the normal of level ground.
+/// Regression: lines had the normal of level ground.
 #[test]
 fn lines_are_lit_by_their_normals() {
     let Some(mut rig) = rig("lines_are_lit_by_their_normals") else { return };
@@ -121,10 +121,10 @@ fn lines_are_lit_by_their_normals() {
     assert_eq!(white([0; 4], [0.0, 0.0, 1.0]), [true, false], "without a normal they face up");
 }
 
-/// An invalid light leaves the sun on, and non-finite colours do not spoil the surface.
+/// An invalid light keeps the sun on, and colours that are not finite do not affect the surface.
 #[test]
-fn a_light_that_says_no_number_leaves_the_sun_on() {
-    let Some(mut rig) = rig("a_light_that_says_no_number_leaves_the_sun_on") else { return };
+fn invalid_light_leaves_the_sun_on() {
+    let Some(mut rig) = rig("invalid_light_leaves_the_sun_on") else { return };
     let rig = &mut *rig;
     let source =
         |light| Node::new(NodeKind::LightSource(Box::new(LightSource { light, frame: ReferenceFrame::Relative })));
@@ -159,7 +159,7 @@ fn a_light_that_says_no_number_leaves_the_sun_on() {
                 let nodes = vec![source(Light { number, ..light }), node(square(WHITE), set.clone())];
                 let (pixels, errors) = seen(rig, nodes);
                 assert_eq!(pixels, [sunlit; 2], "{light:?}");
-                // Each is reported once, for all that is drawn with it.
+                // Each is reported once for all its leaves.
                 let error = format!("a LightSource: light {number} does not shine: its {what}");
                 assert!(errors.is_empty() || errors == [error], "{errors:?}");
             }
@@ -169,11 +169,11 @@ fn a_light_that_says_no_number_leaves_the_sun_on() {
     assert_eq!(seen(rig, lit), ([[255; 3]; 2], vec![]), "as a light that shines");
 }
 
-/// A plane seen obliquely from nearby has a different highlight in each pixel for a local viewer, and the same
+/// On a plane seen obliquely from nearby, the highlight differs in each pixel for a local viewer, and is the same
 /// everywhere for a distant one.
 #[test]
-fn highlights_are_seen_from_the_eye_or_from_far_away() {
-    let Some(mut rig) = rig("highlights_are_seen_from_the_eye_or_from_far_away") else { return };
+fn highlights_use_a_local_or_a_distant_viewer() {
+    let Some(mut rig) = rig("highlights_use_a_local_or_a_distant_viewer") else { return };
     let rig = &mut *rig;
     let dark = SurfaceMaterial { ambient: [0.0; 3], diffuse: [0.0, 0.0, 0.0, 1.0], ..SurfaceMaterial::default() };
     let shiny = SurfaceMaterial { specular: [1.0; 3], shininess: 200.0, ..dark };
@@ -190,17 +190,17 @@ fn highlights_are_seen_from_the_eye_or_from_far_away() {
     assert_eq!(with(None), far);
     assert_eq!(with(Some(LightModel::default())), far);
     let [middle, corner] = with(Some(LightModel { local_viewer: true, ..LightModel::default() }));
-    // The corner's ray leans by what the pixel's centre is aside, 10 m before the eye; the half angle is half of it.
+    // The ray of the corner is tilted by the offset of the pixel's centre at 10 m; the half angle is half of that.
     let aside = 2f32.sqrt() * (32.0 - 17.5) / 32.0;
     let cosine = ((aside / 10.0).atan() / 2.0).cos();
     assert_eq!(middle, [255; 3]);
     assert_near(corner, [cosine.powi(200); 3], "aside");
 }
 
-/// Seen from behind, a surface is lit as its front is, or on its own side and by a material of its own.
+/// Seen from behind, a surface is lit like its front, or on its own side with a separate material.
 #[test]
-fn back_faces_are_lit_as_the_light_model_says() {
-    let Some(mut rig) = rig("back_faces_are_lit_as_the_light_model_says") else { return };
+fn back_faces_are_lit_by_the_light_model() {
+    let Some(mut rig) = rig("back_faces_are_lit_by_the_light_model") else { return };
     let rig = &mut *rig;
     let color = |diffuse: [f32; 3]| SurfaceMaterial {
         diffuse: [diffuse[0], diffuse[1], diffuse[2], 1.0],
@@ -228,13 +228,13 @@ fn back_faces_are_lit_as_the_light_model_says() {
             assert_eq!(seen(model, DAffine3::IDENTITY, 1.0), RED, "{model:?} {is_bare}");
             assert_eq!(seen(model, DAffine3::IDENTITY, -1.0), [0; 3], "{model:?} {is_bare}");
         }
-        // From behind: light from the eye, and from beyond, where the front looks to.
+        // From behind: light from the eye, and light from the far side, towards which the front faces.
         let got = [None, Some(false), Some(true)].map(|model| [1.0, -1.0].map(|z| seen(model, behind, z)));
         assert_eq!(got, [[RED, [0; 3]], [[0; 3], RED], [GREEN, [0; 3]]], "{is_bare}");
     }
 }
 
-/// Textures darken highlights, but for those that are added to them.
+/// Textures darken highlights unless these are added after them.
 #[test]
 fn highlights_are_textured_or_added() {
     let Some(mut rig) = rig("highlights_are_textured_or_added") else { return };
@@ -256,10 +256,10 @@ fn highlights_are_textured_or_added() {
     }
 }
 
-/// The highlight and what is mirrored lay where rays from one point would have put them.
+/// Regression: highlights and reflections were placed as if rays came from one point.
 #[test]
-fn parallel_rays_see_the_same_highlight_all_over_a_plane() {
-    let Some(mut rig) = rig("parallel_rays_see_the_same_highlight_all_over_a_plane") else { return };
+fn orthographic_views_have_uniform_highlights_on_a_plane() {
+    let Some(mut rig) = rig("orthographic_views_have_uniform_highlights_on_a_plane") else { return };
     let rig = &mut *rig;
     let dark = SurfaceMaterial { ambient: [0.0; 3], diffuse: [0.0, 0.0, 0.0, 1.0], ..SurfaceMaterial::default() };
     let shiny = SurfaceMaterial { specular: [0.5, 0.25, 0.0], shininess: 20.0, ..dark };
@@ -275,12 +275,12 @@ fn parallel_rays_see_the_same_highlight_all_over_a_plane() {
     for got in seen(vec![front.clone(), shines()]) {
         assert_near(got, [0.5, 0.25, 0.0], "a highlight");
     }
-    // The same at the eye's position.
+    // The same at the position of the eye.
     let near = Node::transform(DAffine3::from_translation(DVec3::Z), vec![shines()]);
     for got in seen(vec![front, near]) {
-        assert_near(got, [0.5, 0.25, 0.0], "in the eye's own plane");
+        assert_near(got, [0.5, 0.25, 0.0], "in the plane of the eye");
     }
-    // Red where what is behind the eye is mirrored, the middle of a sphere map.
+    // Red is where the area behind the eye is reflected, the middle of a sphere map.
     let mut texels = [0u8, 0, 255, 255].repeat(81);
     texels[40 * 4..41 * 4].copy_from_slice(&[255, 0, 0, 255]);
     let map = unlit()
@@ -311,7 +311,7 @@ fn height_tiles_have_two_sides() {
         let picture = rig.picture(&scene, &view, &plain());
         rig.release(scene);
         assert!(rig.renderer.take_errors().is_empty());
-        // Nearly level, nearly straight light: without what the hills take.
+        // The ground is nearly level and the light nearly perpendicular; the tolerance covers the hills.
         pixel(&picture, 32, 32).map(|channel| channel > 230)
     };
     let (dark, white, green) = ([false; 3], [true; 3], [false, true, false]);

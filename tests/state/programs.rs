@@ -1,5 +1,5 @@
-//! Programs of the application: their uniforms and defines, and what is seen and said of broken ones. Needs a GPU (a
-//! software one will do).
+//! Programs of the application: uniforms and defines, and the errors and appearance of invalid ones. Needs a GPU; a
+//! software adapter suffices.
 
 use std::sync::Arc;
 
@@ -23,8 +23,8 @@ const BLACK: [u8; 3] = [0, 0, 0];
 
 /// Pipelines of a dropped program are freed, and a program that reuses its slot gets none of them.
 #[test]
-fn programs_take_the_places_of_others() {
-    let Some(mut rig) = rig("programs_take_the_places_of_others") else { return };
+fn programs_reuse_slots_of_others() {
+    let Some(mut rig) = rig("programs_reuse_slots_of_others") else { return };
     let rig = &mut *rig;
     let set = |color: [u8; 3], has_uniforms: bool| {
         let [r, g, b] = color.map(|c| f32::from(c) / 255.0);
@@ -57,9 +57,9 @@ fn programs_take_the_places_of_others() {
     }
 }
 
-/// Each of two renderers that had drawn with a program kept it for the other.
+/// Regression: each of two renderers that had drawn with a program kept it alive for the other.
 #[test]
-fn programs_are_let_go_by_all_renderers() {
+fn programs_are_released_by_all_renderers() {
     let (Some(first), Some(second)) = (kit::rig::new_rig([SIDE; 2]), kit::rig::new_rig([SIDE; 2])) else {
         return;
     };
@@ -83,14 +83,14 @@ fn programs_are_let_go_by_all_renderers() {
     drop(set);
     for rig in &mut rigs {
         let scene = rig.scene(square());
-        // Cull looks for state sets that are gone in every sixteenth frame.
+        // Cull looks for dropped state sets in every sixteenth frame.
         for _ in 0..20 {
             rig.draw(&scene, &unit_camera(SIDE), &plain());
         }
         rig.release(scene);
         assert!(rig.renderer.take_errors().is_empty());
     }
-    assert_eq!(kept.strong_count(), 0, "nobody draws with it any more");
+    assert_eq!(kept.strong_count(), 0, "no renderer uses it any more");
 }
 
 #[test]
@@ -157,7 +157,7 @@ fn uniforms_of_every_type_reach_programs() {
     let of_three = [[1.5, 2.5, 3.5], [4.5, 5.5, 6.5], [7.5, 8.5, 9.5]];
     let of_two = [[1.0, 2.0], [3.0, 4.0], [5.0, 6.0], [7.0, 8.0]];
     let in_three = [[1.0, 2.0, 3.0], [5.0, 6.0, 7.0], [9.0, 10.0, 11.0], [13.0, 14.0, 15.0]];
-    // Types that are smaller than the place of the next, so that each begins where WGSL says.
+    // Types are smaller than the alignment of the next one, so that each offset is checked against WGSL.
     let given = [
         ("f32", Float(-0.25), "all(V == -0.25)"),
         ("vec2<f32>", Vec2([0.5, -1.5]), "all(V == vec2(0.5, -1.5))"),
@@ -204,7 +204,7 @@ fn uniforms_of_every_type_reach_programs() {
         ),
         ("mat4x2<f32>", Mat4x2(of_two), "all(V[1] == vec2(3.0, 4.0)) && all(V[3] == vec2(7.0, 8.0))"),
         ("mat4x3<f32>", Mat4x3(in_three), "all(V[1] == vec3(5.0, 6.0, 7.0)) && all(V[3] == vec3(13.0, 14.0, 15.0))"),
-        // A column for each of three, of which the last is 0.
+        // Each of the three has a column, of which the last component is 0.
         ("array<vec3<f32>, 3>", Vec3Array(in_three[..2].into()), "V[1].z == 7.0 && all(V[2] == vec3(0.0))"),
         ("array<vec3<i32>, 2>", IVec3Array([[1, 2, 3], [-4, -5, -6]].into()), "all(V[1] == vec3(-4, -5, -6))"),
         ("array<vec4<i32>, 2>", IVec4Array([[1, 2, 3, 4], [5, 6, 7, -8]].into()), "all(V[1] == vec4(5, 6, 7, -8))"),
@@ -299,10 +299,10 @@ fn uniforms_of_every_type_reach_programs() {
     }
 }
 
-/// More uniforms than the adapter takes: the program is reported, and the rest of the frame is drawn.
+/// With more uniforms than the adapter supports, the program is reported and the rest of the frame is drawn.
 #[test]
-fn programs_with_too_many_uniforms_are_said_and_lose_no_frame() {
-    let Some(mut rig) = rig("programs_with_too_many_uniforms_are_said_and_lose_no_frame") else { return };
+fn programs_with_too_many_uniforms_are_reported_and_lose_no_frame() {
+    let Some(mut rig) = rig("programs_with_too_many_uniforms_are_reported_and_lose_no_frame") else { return };
     let rig = &mut *rig;
     let count = rig.ctx.device().limits().max_uniform_buffer_binding_size / 16 + 1;
     let wgsl = format!(
@@ -329,8 +329,8 @@ fn programs_with_too_many_uniforms_are_said_and_lose_no_frame() {
 }
 
 #[test]
-fn broken_programs_are_visible_and_reported_once() {
-    let Some(mut rig) = rig("broken_programs_are_visible_and_reported_once") else { return };
+fn invalid_programs_are_visible_and_reported_once() {
+    let Some(mut rig) = rig("invalid_programs_are_visible_and_reported_once") else { return };
     let rig = &mut *rig;
     let vertex =
         "@vertex fn vs_main(vertex: MeshVertex, @builtin(instance_index) i: u32) -> @builtin(position) vec4<f32> {
@@ -339,7 +339,7 @@ fn broken_programs_are_visible_and_reported_once() {
         ("syntax", "this is no WGSL".to_string(), "expected"),
         ("types", format!("{vertex} @fragment fn fs_main() -> @location(0) vec4<f32> {{ return 1; }}"), "types"),
         ("half", vertex.to_string(), "no fragment entry point"),
-        // An error that only the device finds, when it creates the pipeline.
+        // The device finds this error only when it creates the pipeline.
         (
             "inputs",
             format!(
@@ -379,8 +379,8 @@ fn broken_programs_are_visible_and_reported_once() {
 }
 
 #[test]
-fn programs_shade_height_tiles_too() {
-    let Some(mut rig) = rig("programs_shade_height_tiles_too") else { return };
+fn programs_shade_height_tiles() {
+    let Some(mut rig) = rig("programs_shade_height_tiles") else { return };
     let rig = &mut *rig;
     let terrain =
         Terrain { west: 0.13, south: 0.8, width: 0.006, relief_m: 900.0, root_error_m: 250.0, textured: true };
@@ -399,7 +399,7 @@ fn programs_shade_height_tiles_too() {
     let (usual, _) = draw(rig, None);
     let covered = |picture: &RgbaImage| -> Vec<bool> { picture.pixels().map(|p| p.0[..3] != MAGENTA).collect() };
     assert!(covered(&usual).iter().filter(|c| **c).count() > 3_000);
-    // Lights the tile like the built-in shader, with its position, its normal and its image.
+    // The program lights the tile like the built-in shader, with its position, normal and image.
     let as_usual = "
         struct V { @builtin(position) p: vec4<f32>, @location(0) light: vec3<f32>, @location(1) uv: vec2<f32>,
             @location(2) @interpolate(flat) layer: u32 }
@@ -425,13 +425,13 @@ fn programs_shade_height_tiles_too() {
     assert!(errors.is_empty(), "{errors:?}");
     let differing = same.pixels().zip(usual.pixels()).filter(|(a, b)| (0..3).any(|c| a.0[c].abs_diff(b.0[c]) > 3));
     let differing = differing.count();
-    // Up is that of the place under the eye here, and that of the tile's own vertices there.
+    // Up is that of the point below the eye in one, and that of the tile's vertices in the other.
     assert!(differing < 100, "{differing}");
     let (green, errors) = draw(rig, Some(tinted([0.0, 1.0, 0.0, 1.0])));
     assert!(errors.is_empty() && covered(&green) == covered(&usual));
     assert!(green.pixels().all(|p| p.0[..3] == MAGENTA || (p.0[0] == 0 && p.0[2] == 0)));
 
-    // A tile and a mesh under one program; parts for meshes alone leave the tile plain and are reported once.
+    // A tile and a mesh have one program. Parts for meshes only leave the tile plain and are reported once.
     let for_meshes = "
         fn height_at() {}
         @vertex fn vs_main(vertex: MeshVertex, @builtin(instance_index) i: u32) -> @builtin(position) vec4<f32> {
@@ -447,10 +447,10 @@ fn programs_shade_height_tiles_too() {
     );
 }
 
-/// Whatever is bound: a frame that an adapter refuses would lose everything in it.
+/// Any binding is tested, because a frame that the adapter refuses would lose everything.
 #[test]
-fn depth_textures_are_read_with_samplers_that_fit_or_stood_in_for() {
-    let Some(mut rig) = rig("depth_textures_are_read_with_samplers_that_fit_or_stood_in_for") else { return };
+fn depth_textures_have_fitting_samplers_or_are_replaced() {
+    let Some(mut rig) = rig("depth_textures_have_fitting_samplers_or_are_replaced") else { return };
     let rig = &mut *rig;
     let program = |dimension: &str, read: &str, sampler: &str| {
         let wgsl = format!(
@@ -469,7 +469,7 @@ fn depth_textures_are_read_with_samplers_that_fit_or_stood_in_for() {
     let compared = program("2d", "textureSampleCompareLevel(depths, way, vec2<f32>(0.5), 0.5)", "sampler_comparison");
     let cube = program("cube", "textureSample(depths, way, vec3<f32>(1.0, 0.0, 0.0))", "sampler");
     let layers = program("2d_array", "textureSample(depths, way, vec2<f32>(0.5), 0)", "sampler");
-    // Each has its own name; an error is reported once.
+    // Each has a separate name, because an error is reported once.
     let names = std::cell::Cell::new(0);
     let bound = |is_depth: bool, compare| {
         names.set(names.get() + 1);
@@ -505,7 +505,7 @@ fn depth_textures_are_read_with_samplers_that_fit_or_stood_in_for() {
         let scene = rig.scene(Node::group(vec![reads, other]));
         let picture = rig.picture(&scene, &unit_camera(SIDE), &plain());
         rig.release(scene);
-        assert_eq!(pixel(&picture, 48, 32), BLUE, "the frame goes on: {binding:?}");
+        assert_eq!(pixel(&picture, 48, 32), BLUE, "the rest of the frame is drawn: {binding:?}");
         assert_eq!(pixel(&picture, 16, 32)[1..], GREEN[1..], "{binding:?}");
         let errors = rig.renderer.take_errors();
         assert_eq!(errors.iter().any(|e| e.contains("does not fit unit 0")), is_wrong, "{binding:?}: {errors:?}");

@@ -1,5 +1,5 @@
-//! How textures of state sets are sampled: filters, anisotropy, wrapping along each axis, biases; and what images of
-//! floats hold. Needs a GPU; a software adapter suffices.
+//! Sampling of textures in state sets: filters, anisotropy, wrapping along each axis, biases, and the content of images
+//! of floats. Needs a GPU; a software adapter suffices.
 
 use std::sync::Arc;
 
@@ -30,7 +30,7 @@ const NEAREST: Sampler = Sampler {
     compare: None,
 };
 
-/// Levels of an image, each a pattern.
+/// Returns the levels of an image, each with another pattern.
 fn levels(size: [u32; 2], texel: impl Fn(u32, u32, u32) -> [u8; 4], levels: u32) -> Arc<TextureObject> {
     let of_level = |level: u32| {
         let [w, h] = size.map(|side| (side >> level).max(1));
@@ -46,7 +46,7 @@ fn unlit(texture: &Arc<TextureObject>, sampler: Sampler) -> StateSet {
         .with(Attribute::Texture(0, TextureBinding { texture: texture.clone(), sampler }))
 }
 
-/// A square over the middle half, which a texture covers.
+/// Returns a square over the middle half of the image, covered by a texture.
 fn draw(rig: &mut Rig, set: StateSet) -> RgbaImage {
     let square = Node::geode(vec![quad([0.0; 3], [0.5; 2], [1.0; 4])]).with_state_set(Arc::new(set));
     let scene = rig.scene(square);
@@ -57,17 +57,17 @@ fn draw(rig: &mut Rig, set: StateSet) -> RgbaImage {
     picture
 }
 
-/// Whether some of the square is neither red nor green but a mixture.
+/// Returns true if some of the square is a mixture of red and green.
 fn has_mixtures(picture: &RgbaImage) -> bool {
     picture.pixels().any(|p| ![RED, GREEN].contains(&p.0) && p.0[..3] != MAGENTA)
 }
 
 #[test]
-fn each_filter_smooths_its_own() {
-    let Some(mut rig) = rig("each_filter_smooths_its_own") else { return };
+fn each_filter_smooths_its_kind() {
+    let Some(mut rig) = rig("each_filter_smooths_its_kind") else { return };
     let stripes = |_: u32, x: u32, _: u32| if x.is_multiple_of(2) { RED } else { GREEN };
     let (few, many) = (levels([4, 1], stripes, 1), levels([128, 1], stripes, 1));
-    // The square's 32 pixels show a level between the first and the second: 0.36.
+    // The square's 32 pixels need a level between the first and the second: 0.36.
     let two = levels([41, 41], |level, _, _| if level == 0 { RED } else { GREEN }, 2);
     for (min_filter, mag_filter, mip_filter) in
         FILTERS.into_iter().flat_map(|a| FILTERS.into_iter().flat_map(move |b| FILTERS.map(|c| (a, b, c))))
@@ -81,9 +81,9 @@ fn each_filter_smooths_its_own() {
 }
 
 #[test]
-fn anisotropy_keeps_detail_squeezed_in_one_direction() {
-    let Some(mut rig) = rig("anisotropy_keeps_detail_squeezed_in_one_direction") else { return };
-    // Eight texels a pixel along s, one along t: level 3, or level 0 by eight samples.
+fn anisotropy_keeps_detail_along_the_stretched_axis() {
+    let Some(mut rig) = rig("anisotropy_keeps_detail_along_the_stretched_axis") else { return };
+    // Each pixel has eight texels along s and one along t: level 3, or level 0 with eight samples.
     let texture = levels([256, 32], |level, _, _| [RED, BLUE, BLUE, GREEN, GREEN, GREEN][level.min(5) as usize], 9);
     let mut middle = |filter, max_anisotropy| {
         let sampler = Sampler {
@@ -97,8 +97,8 @@ fn anisotropy_keeps_detail_squeezed_in_one_direction() {
         (r > 200, g > 200)
     };
     assert_eq!(middle(FilterMode::Linear, 1), (false, true), "without it");
-    assert_eq!(middle(FilterMode::Nearest, 16), (false, true), "of linear filters alone");
-    assert_eq!(middle(FilterMode::Linear, 0), (false, true), "none is one");
+    assert_eq!(middle(FilterMode::Nearest, 16), (false, true), "only with linear filters");
+    assert_eq!(middle(FilterMode::Linear, 0), (false, true), "0 counts as 1");
     let sharp = middle(FilterMode::Linear, 16);
     // An adapter without it takes one sample.
     if sharp == (false, true) && !rig.ctx.adapter_name().contains("llvmpipe") {
@@ -116,17 +116,17 @@ fn wrapped(mode: WrapMode, texel: i32) -> i32 {
     }
 }
 
-/// All of it by a program: what the fixed function makes of coordinates has no third one.
+/// All axes are tested by a program, because the fixed function has no third coordinate.
 #[test]
-fn each_axis_wraps_its_own_way() {
-    let Some(mut rig) = rig("each_axis_wraps_its_own_way") else { return };
+fn each_axis_has_its_wrap_mode() {
+    let Some(mut rig) = rig("each_axis_has_its_wrap_mode") else { return };
     let volume = Arc::new(TextureObject {
         name: "volume".into(),
         dimension: TextureDimension::D3,
         size: [2, 2, 2],
         format: TextureFormat::Rgba8,
         levels: 1,
-        // Red, green and blue encode the texel's position along s, t and r.
+        // Red, green and blue encode the position of the texel along s, t and r.
         texels: vec![(0..8u8).flat_map(|i| [255 * (i & 1), 255 * (i >> 1 & 1), 255 * (i >> 2), 255]).collect()],
         is_changing: false,
     });
@@ -160,7 +160,7 @@ fn planes_wrap_each_axis_in_the_fixed_function() {
     let Some(mut rig) = rig("planes_wrap_each_axis_in_the_fixed_function") else { return };
     let texels = [RED, GREEN, BLUE, [255; 4]].concat();
     let texture = TextureObject::image("quarters", [2, 2], texels.clone());
-    // Three copies each way, in the middle of the image the texture itself.
+    // There are three copies in each direction, with the texture itself in the middle of the image.
     let coordinates = TexGen::ObjectLinear(TexGen::planes([3.0, 0.0, 0.0, 0.5], [0.0, -3.0, 0.0, 0.5]));
     let modes = [WrapMode::ClampToEdge, WrapMode::Repeat, WrapMode::Mirror];
     for (s, t) in modes.into_iter().flat_map(|s| modes.map(|t| (s, t))) {
@@ -176,8 +176,8 @@ fn planes_wrap_each_axis_in_the_fixed_function() {
 }
 
 #[test]
-fn biases_are_the_fixed_functions_and_programs_add_their_own() {
-    let Some(mut rig) = rig("biases_are_the_fixed_functions_and_programs_add_their_own") else { return };
+fn biases_apply_to_the_fixed_function_and_programs_add_their_own() {
+    let Some(mut rig) = rig("biases_apply_to_the_fixed_function_and_programs_add_their_own") else { return };
     let texture = levels([32, 32], |level, _, _| [RED, GREEN, BLUE][level as usize], 3);
     let by_program = |sample: &str| {
         let wgsl = format!(
@@ -197,25 +197,25 @@ fn biases_are_the_fixed_functions_and_programs_add_their_own() {
         let set = || unlit(&texture, Sampler { mip_bias, ..NEAREST });
         let mut middle = |set| pixel(&draw(&mut rig, set), 32, 32);
         assert_eq!(middle(set()), seen[..3], "{mip_bias}");
-        assert_eq!(middle(set().with(plain.clone())), RED[..3], "{mip_bias}: programs have none");
-        assert_eq!(middle(set().with(biased.clone())), GREEN[..3], "{mip_bias}: but what they add");
+        assert_eq!(middle(set().with(plain.clone())), RED[..3], "{mip_bias}: programs ignore it");
+        assert_eq!(middle(set().with(biased.clone())), GREEN[..3], "{mip_bias}: programs add their own bias");
     }
 }
 
-/// sRGB of a linear value.
+/// Returns the sRGB value of a linear one.
 fn srgb(linear: f32) -> u8 {
     let s = if linear <= 0.003_130_8 { 12.92 * linear } else { 1.055 * linear.powf(1.0 / 2.4) - 0.055 };
     (s * 255.0).round() as u8
 }
 
 #[test]
-fn images_of_floats_hold_what_they_were_given() {
-    let Some(mut rig) = rig("images_of_floats_hold_what_they_were_given") else { return };
+fn images_of_floats_keep_their_values() {
+    let Some(mut rig) = rig("images_of_floats_keep_their_values") else { return };
     let object = |format, texels: Vec<u8>| {
         let image = TextureObject::image("floats", [2, 1], Vec::new());
         Arc::new(TextureObject { format, texels: vec![texels], ..(*image).clone() })
     };
-    // Halves: 0.25, 0.5, 1 and 1; then 4, -2, 0.125 and 1.
+    // 16-bit floats: 0.25, 0.5, 1 and 1; then 4, -2, 0.125 and 1.
     let halves: [u16; 8] = [0x3400, 0x3800, 0x3c00, 0x3c00, 0x4400, 0xc000, 0x3000, 0x3c00];
     let halves = object(TextureFormat::Rgba16Float, halves.iter().flat_map(|h| h.to_le_bytes()).collect());
     let singles = object(TextureFormat::R32Float, [0.3f32, -5.0e6].iter().flat_map(|f| f.to_le_bytes()).collect());
@@ -245,7 +245,7 @@ fn images_of_floats_hold_what_they_were_given() {
         let picture = draw(&mut rig, unlit(texture, NEAREST).with(Attribute::Program(program)));
         assert_eq!(pixel(&picture, 32, 32), RED[..3], "{:?}", texture.format);
     }
-    // Between two texels of 0 and 1.
+    // The sample is between two texels of 0 and 1.
     let ramp = object(TextureFormat::R32Float, [0.0f32, 1.0].iter().flat_map(|f| f.to_le_bytes()).collect());
     if can_filter {
         let picture = draw(&mut rig, unlit(&ramp, Sampler::default()));

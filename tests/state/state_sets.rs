@@ -24,7 +24,7 @@ const YELLOW: [u8; 3] = [255, 255, 0];
 const CYAN: [u8; 3] = [0, 255, 255];
 const WHITE: [u8; 3] = [255, 255, 255];
 
-/// A quad over the middle of the image at a height above z = 0, towards the eye.
+/// Returns a quad over the middle of the image, at a height above z = 0.
 fn square(z: f32, color: [u8; 3]) -> Drawable {
     let [r, g, b] = color.map(|c| f32::from(c) / 255.0);
     quad([0.0, 0.0, z], [0.5, 0.5], [r, g, b, 1.0])
@@ -34,16 +34,16 @@ fn node(drawable: Drawable, set: StateSet) -> Node {
     Node::geode(vec![drawable]).with_state_set(Arc::new(set))
 }
 
-/// A state set whose leaves are drawn after those of bin 0.
+/// Returns a state set whose leaves are drawn after those of bin 0.
 fn later() -> StateSet {
     StateSet { bin: Some(BinDetails::new(1, SortMode::ByState)), ..StateSet::default() }
 }
 
-/// The color in the middle.
+/// Returns the color in the middle.
 fn middle(rig: &mut Rig, nodes: Vec<Node>) -> [u8; 3] {
     let picture = draw(rig, nodes);
     let [r, g, b, alpha] = picture.get_pixel(SIDE / 2, SIDE / 2).0;
-    assert_eq!(alpha, 255, "pictures stay opaque");
+    assert_eq!(alpha, 255, "images stay opaque");
     [r, g, b]
 }
 
@@ -54,7 +54,7 @@ fn draw(rig: &mut Rig, nodes: Vec<Node>) -> image::RgbaImage {
     picture
 }
 
-/// One color, and over it another with a state.
+/// Returns the color of one quad with another one with a state over it.
 fn over(rig: &mut Rig, below: [u8; 3], above: [u8; 3], set: StateSet) -> [u8; 3] {
     middle(rig, vec![node(square(0.0, below), StateSet::default()), node(square(0.1, above), set)])
 }
@@ -64,30 +64,30 @@ fn func(source: BlendFactor, destination: BlendFactor) -> Attribute {
 }
 
 #[test]
-fn blending_weighs_and_adds() {
+fn blending_weights_and_adds() {
     use BlendFactor::{DstColor, One, OneMinusSrcColor, SrcColor, Zero};
-    let Some(mut rig) = rig("blending_weighs_and_adds") else { return };
+    let Some(mut rig) = rig("blending_weights_and_adds") else { return };
     let rig = &mut *rig;
-    assert_eq!(over(rig, RED, GREEN, later()), GREEN, "opaque without a word");
+    assert_eq!(over(rig, RED, GREEN, later()), GREEN, "opaque by default");
     assert_eq!(over(rig, RED, GREEN, later().with(Attribute::BlendFunc(BlendFunc::ADD))), YELLOW);
     assert_eq!(over(rig, MAGENTA, YELLOW, later().with(func(DstColor, Zero))), RED, "multiplied");
-    assert_eq!(over(rig, MAGENTA, YELLOW, later().with(func(Zero, SrcColor))), RED, "the other way round");
+    assert_eq!(over(rig, MAGENTA, YELLOW, later().with(func(Zero, SrcColor))), RED, "in the reverse order");
     assert_eq!(over(rig, WHITE, RED, later().with(func(Zero, OneMinusSrcColor))), CYAN);
     let equation = |e| later().with(func(One, One)).with(Attribute::BlendEquation(e));
     assert_eq!(over(rig, RED, WHITE, equation(BlendEquation::Subtract)), CYAN);
     assert_eq!(over(rig, WHITE, RED, equation(BlendEquation::ReverseSubtract)), CYAN);
     assert_eq!(over(rig, YELLOW, MAGENTA, equation(BlendEquation::Min)), RED);
     assert_eq!(over(rig, YELLOW, BLUE, equation(BlendEquation::Max)), WHITE);
-    // Without factors too: those of the function, whatever they are, do not count.
+    // Factors without the mode have no effect, whatever they are.
     assert_eq!(over(rig, YELLOW, BLUE, later().with(Attribute::BlendEquation(BlendEquation::Max))), WHITE);
     assert_eq!(over(rig, YELLOW, MAGENTA, later().with(Attribute::BlendEquation(BlendEquation::Min))), RED);
-    // The function without the mode is no blending.
+    // The function without the mode does not blend.
     let mut set = later();
     set.set_attribute(Attribute::BlendFunc(BlendFunc::ADD), StateValue::ON);
     assert_eq!(over(rig, RED, GREEN, set), GREEN);
 }
 
-/// Materials with a mask were drawn whole, height tiles opaque.
+/// Regression: materials with a mask were drawn whole, and height tiles opaque.
 #[test]
 fn blended_leaves_keep_their_mask_and_alpha() {
     let Some(mut rig) = rig("blended_leaves_keep_their_mask_and_alpha") else { return };
@@ -123,11 +123,11 @@ fn blended_leaves_keep_their_mask_and_alpha() {
 }
 
 #[test]
-fn depth_compares_and_writes() {
-    let Some(mut rig) = rig("depth_compares_and_writes") else { return };
+fn depth_is_compared_and_written() {
+    let Some(mut rig) = rig("depth_is_compared_and_written") else { return };
     let rig = &mut *rig;
     let depth = |function, write| Attribute::Depth(Depth { function, write, ..Depth::default() });
-    // Red at 0, then green behind it with the function.
+    // Red is at depth 0; green is drawn behind it with the function.
     let mut behind =
         |set: StateSet| middle(rig, vec![node(square(0.0, RED), StateSet::default()), node(square(-0.5, GREEN), set)]);
     assert_eq!(behind(later()), RED);
@@ -147,14 +147,14 @@ fn depth_compares_and_writes() {
         let same = vec![node(square(0.0, RED), StateSet::default()), second];
         assert_eq!(middle(rig, same), wins, "{function:?} at the same depth");
     }
-    // Leaves that write no depth hide nothing drawn later.
+    // Leaves that write no depth hide no later ones.
     let near = StateSet::default().with(depth(CompareFunction::Less, false));
     assert_eq!(middle(rig, vec![node(square(0.5, RED), near), node(square(0.0, GREEN), later())]), GREEN);
 }
 
 #[test]
-fn faces_are_culled_as_set() {
-    let Some(mut rig) = rig("faces_are_culled_as_set") else { return };
+fn face_culling_follows_the_state() {
+    let Some(mut rig) = rig("face_culling_follows_the_state") else { return };
     let rig = &mut *rig;
     let turned = |set: StateSet| {
         let half_turn = DAffine3::from_rotation_y(std::f64::consts::PI);
@@ -183,8 +183,8 @@ fn faces_are_culled_as_set() {
 }
 
 #[test]
-fn double_sided_materials_give_way_to_an_override_only() {
-    let Some(mut rig) = rig("double_sided_materials_give_way_to_an_override_only") else { return };
+fn double_sided_materials_follow_only_an_override() {
+    let Some(mut rig) = rig("double_sided_materials_follow_only_an_override") else { return };
     let rig = &mut *rig;
     let turned = |value: StateValue| {
         let mut drawable = square(0.0, RED);
@@ -197,13 +197,13 @@ fn double_sided_materials_give_way_to_an_override_only() {
 }
 
 #[test]
-fn polygons_are_lines_where_the_adapter_can() {
-    let Some(mut rig) = rig("polygons_are_lines_where_the_adapter_can") else { return };
+fn polygons_are_drawn_as_lines_if_supported() {
+    let Some(mut rig) = rig("polygons_are_drawn_as_lines_if_supported") else { return };
     let lines = StateSet::default().with(Attribute::PolygonMode(PolygonMode::Line));
     let picture = draw(&mut rig, vec![node(square(0.0, RED), lines)]);
     let red = count(&picture, RED);
     if rig.ctx.device().features().contains(wgpu::Features::POLYGON_MODE_LINE) {
-        // Four sides of 32 pixels and a diagonal.
+        // There are four sides of 32 pixels and a diagonal.
         assert!((100..250).contains(&red), "{red} pixels");
     } else {
         assert_eq!(red, 32 * 32, "filled instead");
@@ -214,7 +214,7 @@ fn polygons_are_lines_where_the_adapter_can() {
 fn polygons_are_points_where_the_adapter_can() {
     let Some(mut rig) = rig("polygons_are_points_where_the_adapter_can") else { return };
     let points = StateSet::default().with(Attribute::PolygonMode(PolygonMode::Point));
-    // Corners lie in the middle of pixels.
+    // The corners are in the middle of pixels.
     let at_middles = quad([0.0; 3], [31.0 / 64.0; 2], [1.0, 0.0, 0.0, 1.0]);
     let picture = draw(&mut rig, vec![node(at_middles, points)]);
     let red = count(&picture, RED);
@@ -228,8 +228,8 @@ fn polygons_are_points_where_the_adapter_can() {
 }
 
 #[test]
-fn an_offset_decides_between_equal_depths() {
-    let Some(mut rig) = rig("an_offset_decides_between_equal_depths") else { return };
+fn offset_decides_between_equal_depths() {
+    let Some(mut rig) = rig("offset_decides_between_equal_depths") else { return };
     let rig = &mut *rig;
     let second = |units: f32| {
         let set = later().with(Attribute::PolygonOffset(PolygonOffset { factor: 0.0, units }));
@@ -237,15 +237,15 @@ fn an_offset_decides_between_equal_depths() {
     };
     assert_eq!(middle(rig, second(-16.0)), GREEN, "nearer");
     assert_eq!(middle(rig, second(16.0)), RED, "farther");
-    // Off, the attribute does nothing.
+    // Without the mode the attribute has no effect.
     let mut set = later();
     set.set_attribute(Attribute::PolygonOffset(PolygonOffset { factor: 0.0, units: -16.0 }), StateValue::ON);
     assert_eq!(middle(rig, vec![node(square(0.0, RED), StateSet::default()), node(square(0.0, GREEN), set)]), RED);
 }
 
 #[test]
-fn a_slope_offset_moves_oblique_surfaces() {
-    let Some(mut rig) = rig("a_slope_offset_moves_oblique_surfaces") else { return };
+fn slope_offset_moves_oblique_surfaces() {
+    let Some(mut rig) = rig("slope_offset_moves_oblique_surfaces") else { return };
     let rig = &mut *rig;
     let second = |factor: f32, turn: DAffine3| {
         let set = later().with(Attribute::PolygonOffset(PolygonOffset { factor, units: 0.0 }));
@@ -259,8 +259,8 @@ fn a_slope_offset_moves_oblique_surfaces() {
 }
 
 #[test]
-fn masked_components_stay() {
-    let Some(mut rig) = rig("masked_components_stay") else { return };
+fn masked_components_are_not_written() {
+    let Some(mut rig) = rig("masked_components_are_not_written") else { return };
     let rig = &mut *rig;
     let mask = |r, g, b| StateSet::default().with(Attribute::ColorMask(ColorMask([r, g, b])));
     assert_eq!(middle(rig, vec![node(square(0.0, BLACK), mask(true, false, false))]), BLUE, "magenta without red");
@@ -269,8 +269,8 @@ fn masked_components_stay() {
 }
 
 #[test]
-fn overrides_hold_below_and_protection_holds_against_them() {
-    let Some(mut rig) = rig("overrides_hold_below_and_protection_holds_against_them") else { return };
+fn overrides_apply_below_and_protection_resists_them() {
+    let Some(mut rig) = rig("overrides_apply_below_and_protection_resists_them") else { return };
     let rig = &mut *rig;
     let with = |mask: [bool; 3], how: StateValue| {
         let mut set = StateSet::default();
@@ -287,13 +287,13 @@ fn overrides_hold_below_and_protection_holds_against_them() {
     assert_eq!(black(on | over, on), RED, "the parent's");
     assert_eq!(black(on | over, on | over), RED, "an override below an override");
     assert_eq!(black(on | over, on | protect), BLUE, "protected");
-    assert_eq!(black(on, on | StateValue::INHERIT), RED, "as if the child said nothing");
+    assert_eq!(black(on, on | StateValue::INHERIT), RED, "as if the child had no state");
 }
 
 #[test]
-fn states_differ_only_where_they_do() {
-    let Some(mut rig) = rig("states_differ_only_where_they_do") else { return };
-    // Ten equal sets under ten identities are one pipeline; an eleventh is another.
+fn equal_states_share_pipelines() {
+    let Some(mut rig) = rig("equal_states_share_pipelines") else { return };
+    // Ten equal sets with ten identities have one pipeline; an eleventh has another one.
     let one = square(0.0, RED);
     let nodes = (0..11u32).map(|i| {
         let cull = if i == 10 { CullFace::Front } else { CullFace::Back };
@@ -303,29 +303,29 @@ fn states_differ_only_where_they_do() {
     let scene = rig.scene(Node::group(nodes.collect()));
     let stats = rig.draw(&scene, &unit_camera(SIDE), &plain());
     rig.release(scene);
-    // Pipeline twice; frame, textures and meshes once.
+    // The pipeline is set twice; frame, textures and meshes once.
     assert_eq!((stats.leaves, stats.draw_calls, stats.state_changes), (11, 2, 5), "{stats:?}");
 }
 
 #[test]
-fn the_constant_of_blending_weighs() {
-    let Some(mut rig) = rig("the_constant_of_blending_weighs") else { return };
+fn blending_uses_the_constant_color() {
+    let Some(mut rig) = rig("blending_uses_the_constant_color") else { return };
     let rig = &mut *rig;
     let set = later()
         .with(func(BlendFactor::ConstantColor, BlendFactor::OneMinusConstantColor))
         .with(Attribute::BlendColor([1.0, 0.0, 0.0, 1.0]));
-    // Red of what is drawn, green and blue of what is there.
+    // Red is that of the drawn leaf, green and blue are those of the background.
     assert_eq!(over(rig, CYAN, YELLOW, set), WHITE);
     let none = later().with(func(BlendFactor::ConstantColor, BlendFactor::OneMinusConstantColor));
-    assert_eq!(over(rig, CYAN, YELLOW, none), CYAN, "zero without a word");
+    assert_eq!(over(rig, CYAN, YELLOW, none), CYAN, "zero by default");
 }
 
 #[test]
-fn depth_ranges_are_layers() {
-    let Some(mut rig) = rig("depth_ranges_are_layers") else { return };
+fn depth_ranges_act_as_layers() {
+    let Some(mut rig) = rig("depth_ranges_act_as_layers") else { return };
     let rig = &mut *rig;
     let ranged = |range| Attribute::Depth(Depth { range, ..Depth::default() });
-    // Green lies behind, in a nearer range.
+    // Green is behind, in a nearer range.
     let nodes = |near, far| {
         vec![
             node(square(0.0, RED), StateSet::default().with(ranged(far))),
@@ -334,14 +334,14 @@ fn depth_ranges_are_layers() {
     };
     assert_eq!(middle(rig, nodes([0.0, 0.1], [0.1, 1.0])), GREEN);
     assert_eq!(middle(rig, nodes([0.0, 1.0], [0.0, 1.0])), RED);
-    assert_eq!(middle(rig, nodes([0.0, 1.0], [1.0, 1.0])), GREEN, "all of it at the far end");
-    assert_eq!(middle(rig, nodes([0.0, 0.0], [0.0, 1.0])), GREEN, "and at the near one");
-    assert_eq!(middle(rig, nodes([f32::NAN, 2.0], [0.0, 1.0])), RED, "nonsense is the whole range");
+    assert_eq!(middle(rig, nodes([0.0, 1.0], [1.0, 1.0])), GREEN, "everything at the far end");
+    assert_eq!(middle(rig, nodes([0.0, 0.0], [0.0, 1.0])), GREEN, "all of it at the near end");
+    assert_eq!(middle(rig, nodes([f32::NAN, 2.0], [0.0, 1.0])), RED, "an invalid range is the whole range");
 }
 
 #[test]
-fn scissors_and_viewports_bound_the_drawn_pixels() {
-    let Some(mut rig) = rig("scissors_and_viewports_bound_the_drawn_pixels") else { return };
+fn scissors_and_viewports_limit_the_drawn_pixels() {
+    let Some(mut rig) = rig("scissors_and_viewports_limit_the_drawn_pixels") else { return };
     let rig = &mut *rig;
     let red = |picture: &image::RgbaImage| {
         let mut box_px = [u32::MAX, u32::MAX, 0, 0];
@@ -353,17 +353,17 @@ fn scissors_and_viewports_bound_the_drawn_pixels() {
     let scissor = |x, y, width, height| StateSet::default().with(Attribute::Scissor(Scissor { x, y, width, height }));
     let picture = draw(rig, vec![node(square(0.0, RED), scissor(20, 18, 9, 5))]);
     assert_eq!(red(&picture), ([20, 18, 29, 23], 45));
-    // Beyond the target is cut; empty draws nothing; off does nothing.
+    // A rectangle beyond the target is cut, an empty one draws nothing, and without the mode it has no effect.
     assert_eq!(red(&draw(rig, vec![node(square(0.0, RED), scissor(40, 40, 999, 999))])), ([40, 40, 48, 48], 64));
     assert_eq!(red(&draw(rig, vec![node(square(0.0, RED), scissor(999, 0, 5, 5))])).1, 0);
     let mut off = scissor(20, 18, 9, 5);
     off.set_mode(Mode::ScissorTest, StateValue::OFF);
     assert_eq!(red(&draw(rig, vec![node(square(0.0, RED), off)])).1, 32 * 32);
-    // The whole image in the upper left quarter: the square is there, half as large.
+    // With the whole image in the upper left quarter, the square is half as large there.
     let quarter = Viewport { x: 0.0, y: 0.0, width: 32.0, height: 32.0 };
     let picture = draw(rig, vec![node(square(0.0, RED), StateSet::default().with(Attribute::Viewport(quarter)))]);
     assert_eq!(red(&picture), ([8, 8, 24, 24], 256));
-    // Beyond the target is cut, not squeezed into it: a quarter of an image of twice the size, from each corner.
+    // A viewport beyond the target is cut, not scaled: a quarter of an image of twice the size, from each corner.
     for (x, y, expected) in
         [(0.0, 0.0, [32, 32, 64, 64]), (-64.0, 0.0, [0, 32, 32, 64]), (-64.0, -64.0, [0, 0, 32, 32])]
     {
@@ -393,7 +393,7 @@ fn stencils_mark_and_test() {
     let stencil = |set: StateSet, s: Stencil| set.with(Attribute::Stencil(s));
     let mark = Stencil::both(face(CompareFunction::Always, StencilOperation::Replace), 3);
     let bin = |number| StateSet { bin: Some(BinDetails::new(number, SortMode::ByState)), ..StateSet::default() };
-    // A small mark without color, then a square that is drawn where the mark is (or is not).
+    // A small mark without color, then a square that is drawn where the mark is, or where it is not.
     let mut drawn = |test: Stencil, mark: Stencil| {
         let mut invisible = stencil(bin(1), mark).with(Attribute::ColorMask(ColorMask([false; 3])));
         invisible.set_attribute(Attribute::Depth(Depth { write: false, ..Depth::default() }), StateValue::ON);
@@ -406,11 +406,11 @@ fn stencils_mark_and_test() {
     assert_eq!(drawn(test(CompareFunction::NotEqual, 3), mark), 32 * 32 - 16 * 16);
     assert_eq!(drawn(test(CompareFunction::Equal, 4), mark), 0);
     assert_eq!(drawn(test(CompareFunction::Less, 2), mark), 16 * 16, "2 < 3 where it is marked");
-    // Masks: only bit 0 is compared, or written.
+    // Masks select bit 0 for comparing, or for writing.
     let masked = Stencil { read_mask: 1, ..test(CompareFunction::Equal, 1) };
     assert_eq!(drawn(masked, mark), 16 * 16);
     assert_eq!(drawn(test(CompareFunction::Equal, 2), Stencil { write_mask: 2, ..mark }), 16 * 16);
-    // Incremented from 0, inverted, and only back faces marked (there are none).
+    // Incremented from 0, inverted, and marked by back faces only, of which there are none.
     let does = |pass| Stencil::both(face(CompareFunction::Always, pass), 0);
     assert_eq!(drawn(test(CompareFunction::Equal, 1), does(StencilOperation::Increment)), 16 * 16);
     assert_eq!(drawn(test(CompareFunction::Equal, 255), does(StencilOperation::Invert)), 16 * 16);
@@ -418,7 +418,7 @@ fn stencils_mark_and_test() {
     assert_eq!(drawn(test(CompareFunction::Equal, 0), does(StencilOperation::Decrement)), 32 * 32, "stays at 0");
     let back_only = Stencil { front: StencilFace::default(), ..mark };
     assert_eq!(drawn(test(CompareFunction::Equal, 3), back_only), 0);
-    // The depth test fails: behind what is there.
+    // The depth test fails behind the existing surface.
     let depth_fail =
         StencilFace { depth_fail: StencilOperation::Replace, ..face(CompareFunction::Always, StencilOperation::Keep) };
     let behind = stencil(bin(1), Stencil::both(depth_fail, 3));
@@ -429,6 +429,6 @@ fn stencils_mark_and_test() {
     ];
     let green = count(&draw(rig, nodes), GREEN);
     assert!((200..260).contains(&green), "{green}");
-    // Images without stencils are drawn as ever.
+    // Images without stencils are drawn as before.
     assert_eq!(middle(rig, vec![node(square(0.0, RED), StateSet::default())]), RED);
 }

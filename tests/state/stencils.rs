@@ -1,5 +1,5 @@
-//! The effect of stencils on values and pixels, against OpenGL's rules: every operation in each case, every comparison, masks
-//! and sides. Needs a GPU; a software adapter suffices.
+//! The effect of stencils on values and pixels, compared with OpenGL's rules: all operations in all cases, all
+//! comparisons, masks and sides. Needs a GPU; a software adapter suffices.
 
 use std::sync::Arc;
 
@@ -36,19 +36,19 @@ const FUNCTIONS: [CompareFunction; 8] = [
     CompareFunction::Always,
 ];
 
-/// Cases along a side of the image, and pixels of each.
+/// The number of cases along a side of the image, and the pixels of each.
 const ACROSS: usize = 16;
 const CELL_PX: u32 = 8;
 const SIDE: u32 = ACROSS as u32 * CELL_PX;
 
-/// A value that is there, and what is drawn over it.
+/// An existing value, and the leaf that is drawn over it.
 #[derive(Clone, Copy, Debug)]
 struct Case {
     before: u8,
     stencil: Stencil,
-    /// Its back faces the eye.
+    /// True if its back faces the eye.
     is_turned: bool,
-    /// Behind what is there.
+    /// True if it is behind the existing surface.
     is_behind: bool,
     culls_both: bool,
 }
@@ -67,7 +67,7 @@ fn compares(function: CompareFunction, reference: u8, value: u8) -> bool {
 }
 
 impl Case {
-    /// The value after it, and whether it is seen.
+    /// Returns the resulting value, and whether the leaf is visible.
     fn outcome(&self) -> (u8, bool) {
         if self.culls_both {
             return (self.before, false);
@@ -94,8 +94,8 @@ impl Case {
     }
 }
 
-/// Draws each case in a separate cell and compares with the rules: red is where it was seen, green where its value is
-/// the one that they make.
+/// Draws each case in a separate cell and compares with the rules: red where the leaf is visible, green where the value
+/// is the expected one.
 fn check(rig: &mut Rig, cases: &[Case]) {
     assert!(cases.len() <= ACROSS * ACROSS);
     let center = |place: usize| f64::from(2 * place as u32 + 1) / ACROSS as f64 - 1.0;
@@ -144,7 +144,7 @@ fn check(rig: &mut Rig, cases: &[Case]) {
     }
 }
 
-/// Whether the adapter has stencils; said aloud where not.
+/// Returns true if the adapter has stencils. Otherwise the test is skipped with a message.
 fn has_stencils(rig: &Rig, test: &str) -> bool {
     let has = rig.ctx.device().features().contains(wgpu::Features::DEPTH32FLOAT_STENCIL8);
     if !has {
@@ -153,7 +153,7 @@ fn has_stencils(rig: &Rig, test: &str) -> bool {
     has
 }
 
-/// Three operations, those of the back others than those of the front.
+/// Three operations; those of the back face differ from those of the front.
 fn turned_through(function: CompareFunction, first: usize) -> Stencil {
     let face = |first: usize| {
         let [fail, depth_fail, pass] = [0, 1, 2].map(|place| OPERATIONS[(first + place) % OPERATIONS.len()]);
@@ -170,7 +170,7 @@ fn operations_change_values_where_tests_fail_and_pass() {
     }
     let mut cases = Vec::new();
     for first in 0..OPERATIONS.len() {
-        // The stencil test fails, the depth test fails, both pass.
+        // The stencil test fails, the depth test fails, or both pass.
         for (function, is_behind) in
             [(CompareFunction::Never, false), (CompareFunction::Always, true), (CompareFunction::Always, false)]
         {
@@ -184,15 +184,15 @@ fn operations_change_values_where_tests_fail_and_pass() {
 }
 
 #[test]
-fn comparisons_are_of_the_reference_with_the_value_below_the_mask() {
-    let Some(mut rig) = rig("comparisons_are_of_the_reference_with_the_value_below_the_mask") else { return };
-    if !has_stencils(&rig, "comparisons_are_of_the_reference_with_the_value_below_the_mask") {
+fn comparisons_use_the_reference_and_the_value_below_the_mask() {
+    let Some(mut rig) = rig("comparisons_use_the_reference_and_the_value_below_the_mask") else { return };
+    if !has_stencils(&rig, "comparisons_use_the_reference_and_the_value_below_the_mask") {
         return;
     }
     let mut cases = Vec::new();
     for (place, function) in FUNCTIONS.into_iter().enumerate() {
         for read_mask in [0xff, 0x0f] {
-            // Less, equal and greater than the reference; in the lower half alone in another order.
+            // Less, equal and greater than the reference; in the lower half in another order.
             for (before, is_turned) in [0x19, 0x55, 0xf0, 0x05].into_iter().flat_map(|v| [(v, false), (v, true)]) {
                 let face = |function| StencilFace {
                     function,
@@ -228,7 +228,7 @@ fn only_bits_of_the_write_mask_change() {
     check(&mut rig, &cases);
 }
 
-/// They failed the depth test instead, and marked.
+/// Regression: such faces failed the depth test instead, and marked.
 #[test]
 fn faces_culled_on_both_sides_leave_stencil_values() {
     let Some(mut rig) = rig("faces_culled_on_both_sides_leave_stencil_values") else { return };

@@ -1,5 +1,5 @@
-//! Fades of levels of detail in a viewer: the same in all threading models, by the application's time, and frames continue
-//! until they are over.
+//! Fades of levels of detail in a viewer: the same in all threading models, by the application's time, and frames
+//! continue until they have ended.
 
 use std::sync::Arc;
 
@@ -24,7 +24,7 @@ fn viewer(threading: ThreadingModel) -> Option<Viewer> {
     offscreen(&config)
 }
 
-/// A red ball far away, a green one near.
+/// Returns a red ball far away and a green one near.
 fn open(viewer: &mut Viewer) {
     let ball = |color, segments| {
         let material = Material { base_color: color, unlit: true, ..Material::default() };
@@ -50,13 +50,13 @@ fn all_models_draw_the_same_fade() {
     for model in ThreadingModel::ALL {
         let Some(mut viewer) = viewer(model) else { return };
         open(&mut viewer);
-        // A slave in a part of the image has a level of detail and a fade of its own.
+        // A slave in a part of the image has a separate level of detail and fade.
         let context = viewer.contexts().next().unwrap();
         let slave = Slave { viewport: Viewport::Pixels([64, 0, 32, 32]), ..Slave::new(context) };
         let slave = viewer.add_slave(slave).unwrap();
         viewer.view_mut().slave_mut(slave).unwrap().inherit = terrane::scene::Inherit::NONE;
         viewer.view_mut().slave_mut(slave).unwrap().settings.lod_scale = 0.5;
-        // Until the balls are uploaded, whoever does it.
+        // Frames are drawn until the balls are uploaded, by any thread.
         for _ in 0..4 {
             viewer.frame_at(4.99).unwrap();
             viewer.finish().unwrap();
@@ -69,7 +69,7 @@ fn all_models_draw_the_same_fade() {
                 viewer.want_picture();
             }
             viewer.frame_at(time_s).unwrap();
-            // An image may be under way besides.
+            // An additional image may be in flight.
             assert!(viewer.check_need_to_do_frame() || viewer.is_settled());
             let is_fading = (3..11).contains(&frame);
             assert_eq!(viewer.is_settled(), !is_fading, "{model} {frame}");
@@ -88,7 +88,7 @@ fn all_models_draw_the_same_fade() {
 }
 
 #[test]
-fn a_fade_ends_where_time_stands_still_and_pictures_are_of_its_end() {
+fn fade_ends_while_time_stands_still_and_images_show_its_end() {
     let Some(mut viewer) = viewer(ThreadingModel::SingleThreaded) else { return };
     open(&mut viewer);
     for frame in 0..6 {
@@ -105,7 +105,7 @@ fn a_fade_ends_where_time_stands_still_and_pictures_are_of_its_end() {
     viewer.frame_at(0.1).unwrap();
     assert!(viewer.is_settled() && !viewer.check_need_to_do_frame());
     assert!(viewer.read_back().unwrap() == new);
-    // Switched off there is none.
+    // With fades off there is none.
     viewer.view_mut().camera.settings.lod_fade_s = 0.0;
     viewer.view_mut().camera.settings.lod_scale = 1.0;
     viewer.frame_at(0.11).unwrap();

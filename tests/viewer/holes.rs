@@ -1,5 +1,5 @@
-//! No hole and no crack: low flights over a generated height set show no background below the horizon, while tiles
-//! are loading and when all are there. Needs a GPU; a software adapter suffices.
+//! No hole and no crack: low flights over a generated height set show no background below the horizon, while tiles load
+//! and when all are loaded. Needs a GPU; a software adapter suffices.
 
 use std::path::Path;
 
@@ -19,7 +19,7 @@ fn height_set(folder: &Path) -> String {
     set.display().to_string()
 }
 
-/// Hole pixels over a low flight, and how many pixels were judged.
+/// Returns the number of hole pixels in a low flight, and that of checked pixels.
 fn fly_low(set: &str, blocking: bool) -> Option<(u64, u64)> {
     let config = ViewerConfig {
         size_px: [320, 180],
@@ -34,14 +34,14 @@ fn fly_low(set: &str, blocking: bool) -> Option<(u64, u64)> {
     viewer.view_mut().environment.sky = Sky::Background(KEY_COLOR);
     viewer.view_mut().environment.fog.enabled = false;
     let bounds = *viewer.bounds().unwrap();
-    let check = HoleCheck::new(&bounds).expect("a height set says where its terrain is");
-    // From rim to rim just above the highest top, looking a little down.
+    let check = HoleCheck::new(&bounds).expect("a height set has known bounds");
+    // The path leads from edge to edge just above the highest point, looking down a little.
     let half = bounds.half_size_m;
     let eye_at = |share: f64| {
         let z = bounds.middle_m.z + half.z + 0.02 * half.y;
         glam::DVec3::new(bounds.middle_m.x + 0.1 * half.x, bounds.middle_m.y + half.y * (1.6 * share - 0.9), z)
     };
-    // The root is there before the first frame that is judged.
+    // The root is loaded before the first frame that is checked.
     viewer.view_mut().camera.world_from_eye = pose(&bounds, eye_at(0.0), 0.0);
     while viewer.stats().last().is_none_or(|s| s.tiles_drawn == 0) {
         viewer.frame().unwrap();
@@ -80,7 +80,7 @@ fn no_holes_while_loading_nor_when_settled() {
     let set = height_set(folder.path());
     for blocking in [false, true] {
         let Some((holes, judged)) = fly_low(&set, blocking) else { return };
-        assert!(judged > u64::from(FRAMES) * 320 * 180 / 10, "hardly anything was judged: {judged}");
+        assert!(judged > u64::from(FRAMES) * 320 * 180 / 10, "hardly any pixel was checked: {judged}");
         assert_eq!(holes, 0, "blocking: {blocking}");
     }
 }

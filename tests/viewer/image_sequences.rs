@@ -1,5 +1,5 @@
-//! Image sequences: the right image at the right time, whatever loads slowly, fails or is paged out. Needs a GPU (a
-//! software one will do).
+//! Image sequences show the correct image at each time, even if images load slowly, fail or are paged out. Needs a GPU;
+//! a software adapter suffices.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -30,7 +30,7 @@ fn write_images(folder: &Path, count: usize, side: u32) -> Vec<String> {
     (0..count).map(write).collect()
 }
 
-/// Sequences beside each other, each on a square of the image.
+/// Opens a viewer with sequences side by side, each on a square of the image.
 struct Theatre {
     viewer: Viewer,
     root: PageId,
@@ -40,7 +40,7 @@ struct Theatre {
 const SIDE_PX: u32 = 64;
 
 impl Theatre {
-    /// `None`, said aloud, where nothing can draw; with REQUIRE_GPU=1 that is a failure.
+    /// Returns `None`, and skips the test with a message, without an adapter; with REQUIRE_GPU=1 that is a failure.
     fn open(sequences: &[&ImageSequence], pager: ImagePagerConfig, threading: ThreadingModel) -> Option<Self> {
         let count = sequences.len() as u32;
         let config = ViewerConfig {
@@ -69,7 +69,7 @@ impl Theatre {
         viewer.view_mut().camera.look_at(DVec3::new(0.0, -1.5 * f64::from(count), 0.0), DVec3::ZERO, DVec3::Z);
         viewer.view_mut().environment =
             Environment { sky: Sky::Background([0, 0, 0]), exposure: None, ..Environment::default() };
-        // The screens are uploaded with the first frames, in as many as the budget of time asks for.
+        // The screens are uploaded in the first frames, whose number depends on the time budget.
         let is_drawn = (0..500).any(|_| {
             viewer.frame_at(0.0).unwrap();
             viewer.finish().unwrap();
@@ -91,7 +91,7 @@ impl Theatre {
             .collect()
     }
 
-    /// Which image the first square shows, of `count`.
+    /// Returns which of `count` images the first square shows.
     fn shown(&mut self, time_s: f64, count: usize) -> Option<usize> {
         let seen = self.look(time_s)[0];
         (0..count).find(|k| shade(*k).iter().zip(seen).all(|(a, b)| a.abs_diff(b) <= 2))
@@ -115,7 +115,7 @@ fn playing(files: Vec<String>, looping: LoopingMode, length_s: f64) -> ImageSequ
 }
 
 #[test]
-fn each_looping_mode_shows_the_right_image_at_the_right_time_in_all_threading_models() {
+fn looping_modes_show_the_correct_images_in_all_threading_models() {
     let folder = tempfile::tempdir().unwrap();
     let files = write_images(folder.path(), 4, 8);
     let expected: [(LoopingMode, [usize; 10]); 3] = [
@@ -135,16 +135,16 @@ fn each_looping_mode_shows_the_right_image_at_the_right_time_in_all_threading_mo
 }
 
 #[test]
-fn pause_seek_and_the_multiplier_of_time() {
+fn pause_seek_and_time_multiplier_work() {
     let folder = tempfile::tempdir().unwrap();
     let sequence = playing(write_images(folder.path(), 10, 8), LoopingMode::Looping, 10.0);
     let Some(mut theatre) = Theatre::open(&[&sequence], blocking(), ThreadingModel::default()) else { return };
     sequence.seek(0.5);
     assert_eq!([0.0, 2.0].map(|t| theatre.shown(t, 10)), [Some(0), Some(2)]);
-    assert!(theatre.viewer.check_need_to_do_frame(), "a sequence that plays asks for frames");
+    assert!(theatre.viewer.check_need_to_do_frame(), "a playing sequence requests frames");
     sequence.pause();
     assert_eq!([3.0, 60.0].map(|t| theatre.shown(t, 10)), [Some(2), Some(2)]);
-    assert!(!theatre.viewer.check_need_to_do_frame(), "one that stands does not");
+    assert!(!theatre.viewer.check_need_to_do_frame(), "a paused one does not");
     sequence.seek(7.5);
     assert_eq!(theatre.shown(61.0, 10), Some(7));
     sequence.play();
@@ -156,7 +156,7 @@ fn pause_seek_and_the_multiplier_of_time() {
 }
 
 #[test]
-fn a_missing_file_leaves_the_last_image_and_is_one_error() {
+fn missing_file_keeps_the_last_image_and_is_one_error() {
     let folder = tempfile::tempdir().unwrap();
     let mut files = write_images(folder.path(), 4, 8);
     files[2] = folder.path().join("missing.png").display().to_string();
@@ -167,7 +167,7 @@ fn a_missing_file_leaves_the_last_image_and_is_one_error() {
     let seen: Vec<_> = (0..9).map(|k| theatre.shown(f64::from(k), 4)).collect();
     assert_eq!(seen, [0, 1, 1, 1, 0, 1, 1, 1, 0].map(Some));
     let (stats, errors) = (*theatre.pager().stats(), theatre.pager().errors());
-    assert_eq!((stats.failed, stats.loaded, errors.len()), (2, 2, 2), "read once each: {stats:?} {errors:?}");
+    assert_eq!((stats.failed, stats.loaded, errors.len()), (2, 2, 2), "each file is read once: {stats:?} {errors:?}");
     assert!(errors.iter().any(|e| e.uri.ends_with("missing.png") && e.count == 1), "{errors:?}");
     let report = theatre.viewer.report().unwrap();
     assert_eq!(report.images.map(|i| (i.loaded, i.failed)), Some((2, 2)));
@@ -175,7 +175,7 @@ fn a_missing_file_leaves_the_last_image_and_is_one_error() {
 }
 
 #[test]
-fn a_thousand_images_stay_within_a_budget_of_eight() {
+fn thousand_images_stay_within_a_budget_of_eight() {
     let folder = tempfile::tempdir().unwrap();
     let sequence = playing(write_images(folder.path(), 1000, 16), LoopingMode::NoLooping, 1000.0);
     sequence.set_pre_load_frames(5);
@@ -193,11 +193,11 @@ fn a_thousand_images_stay_within_a_budget_of_eight() {
         assert!(stats.images + stats.in_flight <= 8 && stats.bytes <= 8 * one, "image {k}: {stats:?}");
     }
     let stats = *theatre.pager().stats();
-    assert!(stats.loaded >= 1000 && stats.loaded <= 1100, "hardly any is read twice: {stats:?}");
+    assert!(stats.loaded >= 1000 && stats.loaded <= 1100, "too many images were read twice: {stats:?}");
     assert!(stats.images_peak <= 8 && stats.bytes_peak <= 8 * one && stats.paged_out >= 992, "{stats:?}");
     assert_eq!((stats.shown, stats.late, stats.failed), (1000, 0, 0));
 
-    // Bytes bound as well as numbers do, and what preloads all is bound too.
+    // Bytes are limited like the number, and preloaded images as well.
     let sequence = playing(write_images(folder.path(), 100, 16), LoopingMode::Looping, 100.0);
     sequence.set_mode(SequenceMode::PreLoadAllImages);
     let config = ImagePagerConfig { max_bytes: 10 * one, ..blocking() };
@@ -210,16 +210,16 @@ fn a_thousand_images_stay_within_a_budget_of_eight() {
     assert_eq!(theatre.shown(250.5, 100), Some(50));
 }
 
-/// They made room for each other, and the frame that waited for both never ended.
+/// Regression: the images evicted each other, and the frame that waited for both never ended.
 #[test]
-fn images_that_do_not_fit_beside_each_other_end_the_frame() {
+fn images_that_do_not_fit_together_do_not_block_the_frame() {
     let folder = tempfile::tempdir().unwrap();
     let files = write_images(folder.path(), 2, 64);
     let sequences = [0, 1].map(|k| playing(vec![files[k].clone()], LoopingMode::Looping, 1.0));
     let (done, ended) = std::sync::mpsc::channel();
     std::thread::spawn(move || {
         let all: Vec<_> = sequences.iter().collect();
-        // Some mips more than the image alone; two are too many.
+        // The budget holds an image with its mips, but not two.
         let config = ImagePagerConfig { max_bytes: 64 * 64 * 4 * 3 / 2, ..blocking() };
         let seen = Theatre::open(&all, config, ThreadingModel::SingleThreaded).map(|mut theatre| {
             let shown = theatre.look(1.0);
@@ -233,12 +233,12 @@ fn images_that_do_not_fit_beside_each_other_end_the_frame() {
     assert!(stats.bytes_peak <= 64 * 64 * 4 * 3 / 2 && stats.failed == 0, "{stats:?}");
 }
 
-/// The one that had come let the other go, which was asked for again, and so on for ever.
+/// Regression: each loaded image evicted the other, which was requested again, endlessly.
 #[test]
-fn images_of_unequal_sizes_that_do_not_fit_beside_each_other_end_the_frame() {
+fn images_of_unequal_sizes_that_do_not_fit_together_do_not_block() {
     let folder = tempfile::tempdir().unwrap();
     let (done, ended) = std::sync::mpsc::channel();
-    // All levels of both together are 79,488 bytes.
+    // All levels of both together have 79,488 bytes.
     let max_bytes = 79_000;
     let sequences = [("0000.png", 64), ("0001.png", 104)].map(|(name, side)| {
         let file = folder.path().join(name);
@@ -261,7 +261,7 @@ fn images_of_unequal_sizes_that_do_not_fit_beside_each_other_end_the_frame() {
 }
 
 #[test]
-fn sequences_run_in_step_share_files_and_stop_loading_when_not_visible() {
+fn synchronous_sequences_share_files_and_stop_loading_when_invisible() {
     let folder = tempfile::tempdir().unwrap();
     let files = write_images(folder.path(), 6, 8);
     let sequences = [(); 3].map(|()| playing(files.clone(), LoopingMode::Looping, 6.0));
@@ -272,14 +272,14 @@ fn sequences_run_in_step_share_files_and_stop_loading_when_not_visible() {
         let seen = theatre.look(f64::from(k));
         assert!(seen[0] == seen[1] && seen[1] == seen[2], "at {k}: {seen:?}");
     }
-    assert_eq!(theatre.pager().stats().loaded, 6, "a file is read once for all");
+    assert_eq!(theatre.pager().stats().loaded, 6, "a file is read once for all sequences");
     theatre.viewer.remove_root(theatre.root);
     for k in 12..16 {
         theatre.viewer.frame_at(f64::from(k)).unwrap();
     }
     let until = Instant::now() + Duration::from_secs(10);
     while theatre.viewer.check_need_to_do_frame() {
-        assert!(Instant::now() < until, "what nobody sees asks for frames");
+        assert!(Instant::now() < until, "invisible sequences request frames");
         theatre.viewer.frame_at(20.0).unwrap();
     }
 }
@@ -301,7 +301,7 @@ fn images_of_the_application_and_of_other_sizes_are_shown() {
     sequence.play();
     let Some(mut theatre) = Theatre::open(&[&sequence], blocking(), ThreadingModel::default()) else { return };
     assert_eq!([0.0, 1.0, 2.0, 3.0].map(|t| theatre.shown(t, 3)), [Some(0), Some(1), Some(2), Some(0)]);
-    // Not what the adapter can take: an error, and the last image stays.
+    // An unsupported image is an error, and the last image stays.
     let broken = Texture { width: 4, height: 4, mips: vec![vec![0; 3]], wrap: Default::default() };
     sequence.add_image(SequenceImage::Image(Arc::new(broken)));
     sequence.set_frame_rate(1.0);
@@ -311,7 +311,7 @@ fn images_of_the_application_and_of_other_sizes_are_shown() {
 }
 
 #[test]
-fn without_blocking_frames_continue_and_images_arrive() {
+fn without_blocking_frames_continue_and_images_are_shown_when_loaded() {
     let folder = tempfile::tempdir().unwrap();
     let sequence = playing(write_images(folder.path(), 30, 8), LoopingMode::Looping, 30.0);
     let config = ImagePagerConfig::default();
@@ -342,7 +342,7 @@ fn images_load_over_http_and_a_hung_server_delays_no_other() {
     let server = Server::start(move |request: &Request| {
         let number = request.path().trim_matches(|c: char| !c.is_ascii_digit()).parse::<usize>().unwrap_or(9);
         match bodies.get(number) {
-            // The third never answers.
+            // The third server never answers.
             Some(_) if number == 2 => Reply::ok("").how(How::Silent),
             Some(body) => Reply::ok(body.clone()),
             None => Reply::new(404, ""),
@@ -369,13 +369,13 @@ fn images_load_over_http_and_a_hung_server_delays_no_other() {
     let stats = *theatre.pager().stats();
     assert!(stats.late >= 20 && stats.in_flight == 1 && stats.loaded == 3, "{stats:?}");
     drop(theatre);
-    assert!(start.elapsed() < Duration::from_secs(20), "dropping waits for nobody: {:?}", start.elapsed());
+    assert!(start.elapsed() < Duration::from_secs(20), "dropping does not wait for the server: {:?}", start.elapsed());
 }
 
-/// Threads share one client and an archive's directory; each once had its own.
+/// Threads share one client and the directory of an archive. Regression: each had separate ones.
 #[cfg(feature = "http")]
 #[test]
-fn the_threads_share_a_client() {
+fn threads_share_a_client() {
     use std::io::Write as _;
     let folder = tempfile::tempdir().unwrap();
     let mut archive = zip::write::ZipWriter::new(std::io::Cursor::new(Vec::new()));
@@ -402,7 +402,8 @@ fn the_threads_share_a_client() {
     assert_eq!((directories, server.count()), (1, 9));
 }
 
-/// Three images that come discarded, one thread, and a server that says nothing to the first who asks for the second.
+/// Three images of a discarding sequence, one thread, and a server that does not answer the first request for the
+/// second one.
 #[cfg(feature = "http")]
 fn with_a_silent_server(check: impl FnOnce(&mut Theatre, &ImageSequence, &dyn Fn(usize) -> bool)) {
     use kit::server::{How, Reply, Server};
@@ -418,14 +419,14 @@ fn with_a_silent_server(check: impl FnOnce(&mut Theatre, &ImageSequence, &dyn Fn
     sequence.set_pre_load_frames(0);
     let long = Duration::from_secs(600);
     let http = HttpConfig { first_byte_timeout: long, total_timeout: long, ..HttpConfig::default() };
-    // The only one.
+    // There is one thread.
     let config = ImagePagerConfig { threads: 1, http, ..ImagePagerConfig::default() };
     let Some(mut theatre) = Theatre::open(&[&sequence], config, ThreadingModel::default()) else { return };
     let asked = |nth: usize| server.seen().iter().filter(|r| r.path() == "/1.png").count() == nth;
     check(&mut theatre, &sequence, &asked);
 }
 
-/// Draws frames at a time until something is so.
+/// Draws frames at given times until a condition holds.
 #[cfg(feature = "http")]
 fn frames_until(theatre: &mut Theatre, time_s: f64, is_so: impl Fn(Option<usize>) -> bool) {
     let end = Instant::now() + Duration::from_secs(30);
@@ -435,10 +436,10 @@ fn frames_until(theatre: &mut Theatre, time_s: f64, is_so: impl Fn(Option<usize>
     }
 }
 
-/// It held a thread until the server's time was over.
+/// Regression: it occupied a thread until the timeout of the server.
 #[cfg(feature = "http")]
 #[test]
-fn an_unwanted_image_is_cancelled() {
+fn unwanted_image_is_cancelled() {
     with_a_silent_server(|theatre, sequence, asked| {
         let mut until = |position_s: f64, is_so: &dyn Fn(Option<usize>) -> bool| {
             sequence.seek(position_s);
@@ -454,10 +455,10 @@ fn an_unwanted_image_is_cancelled() {
     });
 }
 
-/// A sequence waits for an image that comes late, but not for ever.
+/// A sequence waits for a late image, for a limited time.
 #[cfg(feature = "http")]
 #[test]
-fn an_image_that_is_overdue_for_long_is_given_up() {
+fn image_that_is_late_for_long_is_given_up() {
     with_a_silent_server(|theatre, _, asked| {
         frames_until(theatre, 0.5, |shown| shown == Some(0));
         frames_until(theatre, 1.5, |shown| shown == Some(0) && asked(1));
@@ -469,7 +470,7 @@ fn an_image_that_is_overdue_for_long_is_given_up() {
 }
 
 #[test]
-fn a_context_opened_later_shows_what_the_others_do() {
+fn context_opened_later_shows_the_same() {
     let folder = tempfile::tempdir().unwrap();
     let sequence = playing(write_images(folder.path(), 4, 8), LoopingMode::Looping, 4.0);
     let config = ViewerConfig {

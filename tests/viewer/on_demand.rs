@@ -1,5 +1,5 @@
-//! Drawing on demand: events that request a frame, when drawing pauses, and how it resumes. Images need a GPU (a
-//! software one will do).
+//! Drawing on demand: events that request a frame, when drawing pauses, and how it resumes. Images need a GPU; a
+//! software adapter suffices.
 
 use std::path::Path;
 use std::rc::Rc;
@@ -38,16 +38,16 @@ fn config(adapter: AdapterChoice) -> ViewerConfig {
     ViewerConfig { size_px: [160, 120], adapter, validation, max_contexts: 2, ..ViewerConfig::default() }
 }
 
-/// Draws until nothing asks for a frame.
+/// Draws until no frame is requested.
 fn rest(viewer: &mut Viewer) {
     let start = Instant::now();
     while viewer.check_need_to_do_frame() {
         viewer.frame().unwrap();
-        assert!(start.elapsed() < Duration::from_secs(60), "it never rests");
+        assert!(start.elapsed() < Duration::from_secs(60), "it never pauses");
     }
 }
 
-/// A viewer on a ball, at rest with a manipulator, which has rested longer than what eases takes.
+/// Returns a viewer on a ball with a manipulator, which has rested for longer than any animation.
 fn rested(manipulator: impl CameraManipulator + 'static) -> Viewer {
     let mut viewer = offscreen(&config(AdapterChoice::Noop)).unwrap();
     viewer.add_root(Page::from_node(ball(DVec3::ZERO, 1.0, [1.0; 4])).unwrap()).unwrap();
@@ -58,7 +58,7 @@ fn rested(manipulator: impl CameraManipulator + 'static) -> Viewer {
     viewer
 }
 
-/// An event now and the frame after it; the eye's way, and the seconds that all took.
+/// Sends an event and draws a frame. Returns the way of the eye, and the elapsed seconds.
 fn moved(viewer: &mut Viewer, act: impl FnOnce(&mut Viewer)) -> (f64, f64) {
     let (start, from) = (Instant::now(), viewer.view().camera.eye());
     act(viewer);
@@ -73,18 +73,18 @@ fn press(viewer: &mut Viewer, key: Key) {
     queue.key_release(key, key, time_s);
 }
 
-/// All of the rest counted as time in which the camera had moved.
+/// Regression: the whole pause counted as time in which the camera moved.
 #[test]
-fn motion_resumes_at_the_event() {
+fn motion_starts_at_the_event() {
     let mut viewer = rested(OrbitManipulator::default());
     let (way_m, seconds) = moved(&mut viewer, |viewer| {
         let time_s = viewer.view_mut().event_queue().time_s();
         viewer.view_mut().event_queue().mouse_scroll(DVec2::new(0.0, 1.0), time_s);
     });
-    // From 10 m to 8 m, by factors, 63 % in each tenth of a second.
+    // From 10 m to 8 m by factors, 63 % in each tenth of a second.
     let eased_m = |seconds: f64| 10.0 - 8.0 * 1.25f64.powf((-10.0 * seconds).exp());
     assert!(way_m > 0.0 && way_m <= eased_m(seconds) + 1e-9, "{way_m} m in {seconds} s");
-    assert!(viewer.check_need_to_do_frame(), "it eases on");
+    assert!(viewer.check_need_to_do_frame(), "the animation continues");
     // From then on all time counts.
     std::thread::sleep(Duration::from_millis(600));
     let (way_m, _) = moved(&mut viewer, |_| {});
@@ -92,19 +92,19 @@ fn motion_resumes_at_the_event() {
 
     let mut viewer = rested(FlyManipulator::default());
     let (way_m, seconds) = moved(&mut viewer, |viewer| press(viewer, Key::Up));
-    // Outside the ball by half the distance in a second.
+    // Outside of the ball, half of the distance in a second.
     assert!(way_m > 0.0 && way_m <= 5.0 * seconds, "{way_m} m in {seconds} s");
 }
 
 #[test]
-fn a_path_resumes_where_it_was_paused() {
+fn path_resumes_where_it_was_paused() {
     let points = [0.0, 1e3].map(|time_s| {
         let pose = DAffine3::from_translation(DVec3::new(time_s, -10.0, 0.0));
         ControlPoint::from_pose(time_s, &pose)
     });
     let path = AnimationPath::new(points.into()).unwrap();
     let mut viewer = rested(OrbitManipulator::default());
-    // One that is given the camera between two frames, too.
+    // The same for a path that gets the camera between two frames.
     let (_, seconds) = moved(&mut viewer, |viewer| {
         viewer.set_manipulator(Some(Box::new(AnimationPathManipulator::new(path))));
     });
@@ -121,7 +121,7 @@ fn a_path_resumes_where_it_was_paused() {
 
 /// Without a wake-up time the pause would never end.
 #[test]
-fn a_resting_camera_rises_with_the_ground() {
+fn resting_camera_rises_with_the_ground() {
     let ground_mm = Arc::new(AtomicU64::new(0));
     let of_view = ground_mm.clone();
     let mut viewer = offscreen(&config(AdapterChoice::Noop)).unwrap();
@@ -139,9 +139,9 @@ fn a_resting_camera_rises_with_the_ground() {
     assert!((viewer.view().camera.eye().z - 4.7).abs() < 1e-3, "{}", viewer.view().camera.eye());
 }
 
-/// They were awaited, and frames drawn for them, for ever.
+/// Regression: they were awaited, and frames were drawn for them forever.
 #[test]
-fn pictures_of_a_closed_context_are_not_awaited() {
+fn images_of_a_closed_context_are_not_awaited() {
     let mut viewer = offscreen(&config(AdapterChoice::Noop)).unwrap();
     let first = viewer.context();
     let second = GraphicsContext::new_offscreen(&config(AdapterChoice::Noop).traits()).unwrap();
@@ -165,9 +165,9 @@ fn pictures_of_a_closed_context_are_not_awaited() {
     assert!(!viewer.check_need_to_do_frame());
 }
 
-/// Only the one context of a viewer's own view did.
+/// Regression: only the context of a viewer's main view requested one.
 #[test]
-fn a_context_of_another_size_asks_for_a_frame() {
+fn resized_context_requests_a_frame() {
     let traits = |size_px| ContextTraits { size_px, ..config(AdapterChoice::Noop).traits() };
     let context = || GraphicsContext::new_offscreen(&traits([160, 90])).unwrap();
     let mut viewer = offscreen(&config(AdapterChoice::Noop)).unwrap();
@@ -193,9 +193,9 @@ fn a_context_of_another_size_asks_for_a_frame() {
     }
 }
 
-/// The last one came when something else asked for a frame.
+/// Regression: the last image arrived only when another frame was requested.
 #[test]
-fn frames_are_drawn_until_pictures_of_cameras_have_come() {
+fn frames_are_drawn_until_images_of_cameras_are_read_back() {
     let mut viewer = offscreen(&config(AdapterChoice::Noop)).unwrap();
     let sink = Arc::new(PictureSink::default());
     let texture = TextureObject::target("seen", [16, 16], TextureFormat::Rgba8Srgb);
@@ -218,7 +218,7 @@ fn frames_are_drawn_until_pictures_of_cameras_have_come() {
     }
 }
 
-/// The change was seen when something else asked for a frame.
+/// Regression: the change was visible only when another frame was requested.
 #[test]
 fn changed_settings_are_drawn() {
     let mut viewer = rested(OrbitManipulator::default());
@@ -255,7 +255,7 @@ fn changed_settings_are_drawn() {
         viewer.frame().unwrap();
     }
     viewer.remove_view(second).unwrap();
-    assert!(viewer.check_need_to_do_frame(), "what it covered");
+    assert!(viewer.check_need_to_do_frame(), "the covered area");
 }
 
 fn picture(viewer: &mut Viewer) -> RgbaImage {
@@ -263,10 +263,10 @@ fn picture(viewer: &mut Viewer) -> RgbaImage {
     viewer.read_back().unwrap()
 }
 
-/// The last frames were those before the adapter had answered: what came into sight stayed hidden.
+/// Regression: drawing paused before the queries had results, so that visible nodes stayed hidden.
 #[test]
 fn frames_are_drawn_until_occlusion_queries_have_shown_visible_nodes() {
-    // A blocking frame looks at what it would want first, and did so with the eye that asks.
+    // Regression: a blocking frame culled first with the eye that issues queries.
     for (threading, blocking) in
         ThreadingModel::ALL.map(|t| (t, false)).into_iter().chain([(ThreadingModel::ALL[0], true)])
     {
@@ -283,7 +283,7 @@ fn frames_are_drawn_until_occlusion_queries_have_shown_visible_nodes() {
         viewer.view_mut().environment.fog.enabled = false;
         viewer.view_mut().camera.look_at(DVec3::new(0.0, -10.0, 0.0), DVec3::ZERO, DVec3::Z);
         rest(&mut viewer);
-        assert!(results.failures() >= 2, "{threading}: it rests before what is behind is known to be");
+        assert!(results.failures() >= 2, "{threading}: it pauses before the query has a result");
         let behind = picture(&mut viewer);
         for _ in 0..3 {
             let mut beside = viewer.view().camera;
@@ -302,7 +302,7 @@ fn frames_are_drawn_until_occlusion_queries_have_shown_visible_nodes() {
     }
 }
 
-/// Twenty tiles beside each other, with an eye that has all in sight.
+/// Returns twenty tiles side by side, with an eye that sees all.
 fn write_row(folder: &Path) {
     let glb = write_glb(&GlbMesh {
         positions: vec![[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
@@ -338,7 +338,7 @@ fn tiles(viewer: &Viewer) -> (u64, u64) {
     (stats.resident, stats.waiting + stats.in_flight)
 }
 
-/// Frames were drawn for ever for what waited.
+/// Regression: frames were drawn forever for pages that waited for room.
 #[test]
 fn pages_without_room_request_no_frame() {
     let folder = tempfile::tempdir().unwrap();
@@ -347,8 +347,8 @@ fn pages_without_room_request_no_frame() {
     let mut viewer = row_viewer(folder.path().to_str().unwrap(), pager);
     rest(&mut viewer);
     assert_eq!(tiles(&viewer), (4, 16));
-    assert!(!viewer.is_settled(), "some of the tiles are not there");
-    // Tiles that come into view take the slots of those that leave it.
+    assert!(!viewer.is_settled(), "some tiles are not loaded");
+    // Tiles that become visible take the slots of those that leave the view.
     viewer.view_mut().camera.look_at(DVec3::new(-38.0, -5.0, 0.0), DVec3::new(-38.0, 0.0, 0.0), DVec3::Z);
     viewer.view_mut().request_redraw();
     rest(&mut viewer);
@@ -357,9 +357,9 @@ fn pages_without_room_request_no_frame() {
     assert!((2..=4).contains(&drawn), "{drawn}");
 }
 
-/// They waited for what was not to come.
+/// Regression: frames waited for requests that the pause prevented.
 #[test]
-fn a_paused_pager_requests_no_frame_until_it_resumes() {
+fn paused_pager_requests_no_frame_until_it_resumes() {
     let folder = tempfile::tempdir().unwrap();
     write_row(folder.path());
     let stand: [fn(&mut Viewer, bool); 2] = [
@@ -380,9 +380,9 @@ fn a_paused_pager_requests_no_frame_until_it_resumes() {
     }
 }
 
-/// It went through all the rounds of the deepest tree in each frame.
+/// Regression: each frame culled as often as the deepest tree has levels.
 #[test]
-fn the_blocking_mode_looks_a_few_times_for_what_finds_no_room() {
+fn blocking_mode_retries_a_few_times_for_pages_without_room() {
     let folder = tempfile::tempdir().unwrap();
     write_row(folder.path());
     let pager = PagerConfig { max_tiles: 4, blocking: true, ..PagerConfig::default() };
@@ -405,10 +405,10 @@ fn the_blocking_mode_looks_a_few_times_for_what_finds_no_room() {
     rest(&mut viewer);
 }
 
-/// A loop that rests drew no frame for it.
+/// Regression: a loop that paused drew no frame for it.
 #[cfg(feature = "http")]
 #[test]
-fn a_failed_tile_requests_a_frame_after_its_back_off() {
+fn failed_tile_requests_a_frame_after_its_back_off() {
     use kit::server::{Reply, Server};
     let folder = tempfile::tempdir().unwrap();
     write_row(folder.path());

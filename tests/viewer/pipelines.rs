@@ -1,4 +1,4 @@
-//! Pipelines are made when content is loaded, not when it is first drawn.
+//! Pipelines are created when content is loaded, not when it is first drawn.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -26,7 +26,7 @@ fn viewer(threading: ThreadingModel, blocking: bool) -> Option<Viewer> {
     offscreen(&config)
 }
 
-/// A fan of some triangles around the origin, facing +z after glTF's axes are turned.
+/// Returns a fan of triangles around the origin that faces +z after the rotation of glTF's axes.
 fn fan(triangles: u16, base_color: [f32; 4]) -> GlbMesh {
     let at = |i: u16| {
         let angle = std::f32::consts::TAU * f32::from(i) / f32::from(triangles);
@@ -44,7 +44,7 @@ fn fan(triangles: u16, base_color: [f32; 4]) -> GlbMesh {
     }
 }
 
-/// The same with an attribute `_HEAT`, 1 at each vertex, as a glTF in JSON.
+/// Returns the same with an attribute `_HEAT`, 1 at each vertex, as a glTF in JSON.
 fn heated(triangles: u16) -> String {
     use base64::Engine as _;
     let fan = fan(triangles, [1.0; 4]);
@@ -102,7 +102,7 @@ fn frames(viewer: &mut Viewer, time_s: &mut f64, lod_scale: f64) {
 }
 
 #[test]
-fn the_first_draw_of_a_merged_tile_makes_no_pipeline() {
+fn first_draw_of_a_merged_tile_creates_no_pipeline() {
     let folder = std::env::temp_dir().join(format!("terrane-pipelines-{}", std::process::id()));
     std::fs::create_dir_all(&folder).unwrap();
     for (file, triangles) in [("coarse.glb", 6), ("medium.glb", 8), ("mirrored.glb", 9), ("fine.glb", 200)] {
@@ -131,8 +131,8 @@ fn the_first_draw_of_a_merged_tile_makes_no_pipeline() {
         let whole = DAffine3::IDENTITY;
         let back = Attribute::CullFace(CullFace::Back);
         let heat = StateSet::default().with(Attribute::Program(program.clone())).with(back);
-        // Each with another pipeline: small, small under the fixed function, mirrored, large and quantized under both, a
-        // program's with an attribute of its own.
+        // Each has another pipeline: small, small with the fixed function, mirrored, large and quantized with both, and
+        // that of a program with an attribute.
         let heated = under(heat, tile(&folder, "heated.gltf", 0.0, whole, vec![]));
         let fine = under(material.clone(), tile(&folder, "fine.glb", 1.5, whole, vec![heated]));
         let mirrored = under(front, tile(&folder, "mirrored.glb", 3.0, mirror, vec![fine]));
@@ -146,7 +146,7 @@ fn the_first_draw_of_a_merged_tile_makes_no_pipeline() {
         let created = |viewer: &Viewer, from: u32| -> u32 {
             viewer.stats().iter().filter(|s| s.frame > from).map(|s| s.pipelines_created).sum()
         };
-        assert!(created(&viewer, 0) > 0, "the sky's comes with the first frame");
+        assert!(created(&viewer, 0) > 0, "that of the sky is created with the first frame");
         let mut triangles = viewer.stats().last().unwrap().triangles;
         assert!(triangles > 0);
         assert_eq!(viewer.stats().last().unwrap().shadow_leaves > 0, shadows);

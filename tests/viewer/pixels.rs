@@ -1,5 +1,5 @@
-//! Equal paths give equal images in blocking mode in every threading model; stages and contexts end cleanly. Needs a
-//! GPU; a software adapter suffices.
+//! Equal paths give equal images in blocking mode with every threading model, and stages and contexts end in order.
+//! Needs a GPU; a software adapter suffices.
 
 use std::path::Path;
 
@@ -28,7 +28,7 @@ fn config(threading: ThreadingModel) -> ViewerConfig {
     }
 }
 
-/// Every tenth image of the default path.
+/// Returns every tenth image of the default path.
 fn fly(set: &str, threading: ThreadingModel) -> Option<Vec<RgbaImage>> {
     let mut viewer = offscreen(&config(threading))?;
     viewer.load(set).unwrap();
@@ -48,24 +48,24 @@ fn fly(set: &str, threading: ThreadingModel) -> Option<Vec<RgbaImage>> {
 }
 
 #[test]
-fn the_same_path_gives_the_same_pixels_in_every_threading_model() {
+fn same_path_gives_the_same_pixels_in_every_threading_model() {
     let folder = tempfile::tempdir().unwrap();
     let set = small_set(folder.path());
     let Some(first) = fly(&set, ThreadingModel::SingleThreaded) else { return };
     assert_eq!(first.len(), 6);
     let colours: std::collections::BTreeSet<_> = first[2].pixels().map(|p| p.0).collect();
-    assert!(colours.len() > 50, "the picture is empty: {} colours", colours.len());
+    assert!(colours.len() > 50, "the image is empty: {} colours", colours.len());
     for threading in ThreadingModel::ALL {
         let again = fly(&set, threading).unwrap();
         for (index, (a, b)) in first.iter().zip(&again).enumerate() {
             let differing = a.pixels().zip(b.pixels()).filter(|(a, b)| a != b).count();
-            assert_eq!(differing, 0, "{threading}: picture {index} differs in {differing} pixels");
+            assert_eq!(differing, 0, "{threading}: image {index} differs in {differing} pixels");
         }
     }
 }
 
 #[test]
-fn the_model_is_changed_at_run_time() {
+fn threading_model_changes_at_run_time() {
     let folder = tempfile::tempdir().unwrap();
     let set = small_set(folder.path());
     let Some(expected) = fly(&set, ThreadingModel::SingleThreaded) else { return };
@@ -74,7 +74,7 @@ fn the_model_is_changed_at_run_time() {
     let path = viewer.bounds().unwrap().default_path(&viewer.view().camera.world_from_eye);
     let models = ThreadingModel::ALL;
     for frame in 0..60u32 {
-        // Each after each other one, in the middle of the flight.
+        // Each model follows each other one, in the middle of the flight.
         let model = models[(frame as usize * (1 + frame as usize / 20)) % 4];
         viewer.composite_mut().set_threading_model(model).unwrap();
         assert_eq!(viewer.composite().threading_model(), model);
@@ -95,7 +95,7 @@ fn the_model_is_changed_at_run_time() {
 }
 
 #[test]
-fn a_settled_view_stays_as_it_is() {
+fn settled_view_does_not_change() {
     let folder = tempfile::tempdir().unwrap();
     let set = small_set(folder.path());
     let Some(mut viewer) = offscreen(&config(ThreadingModel::DrawThreadPerContext)) else { return };
@@ -108,12 +108,12 @@ fn a_settled_view_stays_as_it_is() {
     for _ in 0..5 {
         viewer.frame().unwrap();
     }
-    assert!(viewer.read_back().unwrap() == before, "measuring the picture has changed it");
+    assert!(viewer.read_back().unwrap() == before, "reading the image has changed it");
     assert!(viewer.converge_s().is_some());
 }
 
 #[test]
-fn a_viewer_is_resized_and_dropped_at_any_time() {
+fn viewer_is_resized_and_dropped_at_any_time() {
     let folder = tempfile::tempdir().unwrap();
     let set = small_set(folder.path());
     for threading in ThreadingModel::ALL {
@@ -129,7 +129,7 @@ fn a_viewer_is_resized_and_dropped_at_any_time() {
         for _ in 0..3 {
             viewer.frame().unwrap();
         }
-        // Dropped with frames and loads under way.
+        // It is dropped with frames and loads in flight.
     }
 }
 
@@ -153,11 +153,11 @@ fn frames_run_without_a_gpu() {
 }
 
 #[test]
-fn a_root_that_is_not_there_is_an_error() {
+fn missing_root_is_an_error() {
     let config = ViewerConfig { adapter: AdapterChoice::Noop, validation: false, ..ViewerConfig::default() };
     let mut viewer = Viewer::new_offscreen(&config).unwrap();
     let error = viewer.load("no/such/set").unwrap_err();
     assert!(matches!(error, ViewerError::Io(_)) && error.to_string().contains("no/such/set"), "{error}");
-    // Without a root there is nothing to see, and that is no reason to fail.
+    // Without a root nothing is drawn, which is no error.
     viewer.frame().unwrap();
 }

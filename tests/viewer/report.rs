@@ -1,4 +1,4 @@
-//! The report's schema is stable: names and kinds of every field. No GPU.
+//! The schema of the report is stable: names and kinds of all fields. No GPU.
 
 use serde_json::Value;
 use terrane::viewer::{FrameStats, Report, ReportError, Settled};
@@ -27,7 +27,7 @@ fn sample() -> Report {
 }
 
 #[test]
-fn every_field_of_the_schema_is_there() {
+fn all_fields_of_the_schema_are_present() {
     let json: Value = serde_json::from_str(&sample().to_json()).unwrap();
     let expect = |value: &Value, names: &[&str]| {
         let mut names = names.to_vec();
@@ -84,7 +84,7 @@ fn every_field_of_the_schema_is_there() {
 }
 
 #[test]
-fn percentiles_and_medians() {
+fn percentiles_and_medians_are_interpolated() {
     let report = sample();
     let f = report.frame_ms;
     assert_eq!((f.median, f.p95, f.p99, f.max), (50.0, 95.0, 99.0, 100.0));
@@ -94,10 +94,10 @@ fn percentiles_and_medians() {
 }
 
 #[test]
-fn a_report_reads_back() {
+fn report_can_be_read_back() {
     let report = sample();
     assert_eq!(serde_json::from_str::<Report>(&report.to_json()).unwrap(), report);
-    // Nothing measured at all is a report too.
+    // A report without any measurement is valid.
     let empty = Report::from_frames([].iter());
     assert_eq!(serde_json::from_str::<Report>(&empty.to_json()).unwrap(), empty);
 }

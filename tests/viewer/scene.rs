@@ -1,5 +1,5 @@
-//! Scenes that the application makes itself: drawn, moved, resized, removed, shown again; a tile set instead of
-//! another. Needs a GPU; a software adapter suffices.
+//! Scenes of the application: drawn, moved, resized, removed and added again, and tile sets that replace others. Needs
+//! a GPU; a software adapter suffices.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -14,7 +14,7 @@ use terrane::scene::{Drawable, Geometry, Material, Mesh, MeshVertex, Node, NodeI
 use terrane::viewer::manipulators::OrbitManipulator;
 use terrane::viewer::{CompositeViewer, KEY_COLOR, ThreadingModel, View, Viewer, ViewerConfig, coverage};
 
-/// A square of 2 m in the x, z plane, facing -y.
+/// Returns a square of 2 m in the x, z plane that faces -y.
 fn square() -> Drawable {
     let corner = |x: f32, z: f32| MeshVertex {
         position: [x, 0.0, z],
@@ -46,7 +46,7 @@ fn frames(viewer: &mut Viewer, count: u32) {
 }
 
 #[test]
-fn a_square_is_drawn_moved_and_removed() {
+fn square_is_drawn_moved_and_removed() {
     let mut pictures = Vec::new();
     for threading in ThreadingModel::ALL {
         let Some(mut viewer) = viewer(threading, AdapterChoice::Software) else { return };
@@ -57,7 +57,7 @@ fn a_square_is_drawn_moved_and_removed() {
         viewer.view_mut().camera.look_at(DVec3::new(0.0, -5.0, 0.0), DVec3::ZERO, DVec3::Z);
         frames(&mut viewer, 4);
         let picture = viewer.read_back().unwrap();
-        // 2 m of the 5.77 m that 60 degrees see at 5 m, both ways.
+        // The square covers 2 m of the 5.77 m that 60 degrees show at 5 m, in both directions.
         let side = 2.0 / (2.0 * 5.0 * 30f64.to_radians().tan()) * 160.0;
         let expected = side * side / (160.0 * 90.0);
         assert!((coverage(&picture, KEY_COLOR) - expected).abs() < 0.01, "{}", coverage(&picture, KEY_COLOR));
@@ -83,16 +83,16 @@ fn a_square_is_drawn_moved_and_removed() {
         assert_eq!(coverage(&viewer.read_back().unwrap(), KEY_COLOR), 0.0);
         pictures.push((picture, smaller, turned));
     }
-    assert!(pictures[0] == pictures[1], "who draws makes a difference");
+    assert!(pictures[0] == pictures[1], "the threading model changes the image");
 }
 
 #[test]
-fn the_near_plane_follows_the_nearest_geometry() {
+fn near_plane_follows_the_nearest_geometry() {
     let Some(mut viewer) = viewer(ThreadingModel::SingleThreaded, AdapterChoice::Software) else { return };
     viewer.add_root(Page::from_node(Node::geode(vec![square()])).unwrap()).unwrap();
     viewer.view_mut().environment.sky = Sky::Background(KEY_COLOR);
     viewer.view_mut().environment.fog.enabled = false;
-    // From far to almost touching, in leaps: the square must never be cut.
+    // The eye jumps from far away to almost touching. The square must never be cut.
     for distance_m in [4000.0, 1.0, 500.0, 0.01, 0.001] {
         viewer.view_mut().camera.look_at(DVec3::new(0.0, -distance_m, 0.0), DVec3::ZERO, DVec3::Z);
         frames(&mut viewer, 1);
@@ -119,9 +119,9 @@ fn frames_run_without_a_gpu_and_stats_are_kept() {
     assert!(viewer.is_settled() && viewer.converge_s().is_some());
 }
 
-/// It came back without its drawables: nothing was drawn, and nothing said.
+/// Regression: it was added again without its drawables, and nothing was drawn or reported.
 #[test]
-fn a_page_that_was_removed_is_shown_again() {
+fn removed_page_is_drawn_when_added_again() {
     for keep_drawables in [true, false] {
         let config = ViewerConfig {
             size_px: [160, 90],
@@ -157,9 +157,9 @@ fn small_and_large(folder: &Path) -> [String; 2] {
     [small, small_set(folder)]
 }
 
-/// The camera and all settings that depend on the set's size follow the new set; they once kept the old one's.
+/// The camera and all settings that depend on the size follow the new set. Regression: those of the old set stayed.
 #[test]
-fn a_set_in_the_place_of_another_is_seen_as_the_first_one_was() {
+fn set_that_replaces_another_is_seen_like_a_first_one() {
     let folder = tempfile::tempdir().unwrap();
     let [small, large] = small_and_large(folder.path());
     let made = || viewer(ThreadingModel::SingleThreaded, AdapterChoice::Noop);
@@ -186,9 +186,9 @@ fn assert_same_pose(found: &DAffine3, expected: &DAffine3) {
     assert!(apart_m < 0.01 && turned < 1e-6, "{found:?} is not {expected:?}");
 }
 
-/// The manipulator had the camera back where it was, in the same frame.
+/// Regression: the manipulator moved the camera back in the same frame.
 #[test]
-fn a_manipulator_continues_from_the_first_view_of_a_set() {
+fn manipulator_continues_from_the_first_view_of_a_set() {
     let folder = tempfile::tempdir().unwrap();
     let sets = small_and_large(folder.path());
     let made = || viewer(ThreadingModel::SingleThreaded, AdapterChoice::Noop);
@@ -223,9 +223,9 @@ fn a_manipulator_continues_from_the_first_view_of_a_set() {
     }
 }
 
-/// Camera, light and atmosphere follow the set's size, not that of the page that was first.
+/// Camera, light and atmosphere follow the size of the set, not that of a page that was added first.
 #[test]
-fn a_set_is_seen_as_ever_beside_what_the_application_has() {
+fn set_is_seen_the_same_beside_pages_of_the_application() {
     let folder = tempfile::tempdir().unwrap();
     let set = small_set(folder.path());
     let config = ViewerConfig { adapter: AdapterChoice::Noop, validation: false, ..ViewerConfig::default() };
@@ -255,7 +255,7 @@ fn a_set_is_seen_as_ever_beside_what_the_application_has() {
     used.add_root(page()).unwrap();
     assert_eq!((used.bounds(), used.view().camera.world_from_eye), (fresh.bounds(), camera.world_from_eye));
     assert_eq!(used.view().environment, environment);
-    // Nor does one that is refused, and another in its place is seen anew.
+    // A refused set changes nothing either, and another one instead of it is seen like a first one.
     assert!(used.load(&set).is_err());
     assert_eq!(used.view().camera.world_from_eye, camera.world_from_eye);
     assert!(used.remove_root(root).is_some());
@@ -263,9 +263,9 @@ fn a_set_is_seen_as_ever_beside_what_the_application_has() {
     assert_eq!(used.view().camera.world_from_eye, fresh.view().camera.world_from_eye);
 }
 
-/// The first root put light and air back to what they are at first.
+/// Regression: the first root reset light and air to their defaults.
 #[test]
-fn the_first_sight_of_a_set_keeps_what_does_not_go_by_its_size() {
+fn first_set_keeps_settings_that_do_not_depend_on_its_size() {
     let folder = tempfile::tempdir().unwrap();
     let set = small_set(folder.path());
     let made = || viewer(ThreadingModel::SingleThreaded, AdapterChoice::Noop);

@@ -1,4 +1,4 @@
-//! Shadows where there is more than one image of a scene, or more than one level of it: fades, eyes, slaves, tiles.
+//! Shadows with several images or several levels of a scene: fades, eyes, slaves, tiles.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -36,8 +36,8 @@ fn brighter(with: &RgbaImage, without: &RgbaImage) -> usize {
 }
 
 #[test]
-fn arriving_content_casts_while_levels_fade() {
-    let Some(mut rig) = rig("arriving_content_casts_while_levels_fade") else { return };
+fn fading_content_casts_shadows() {
+    let Some(mut rig) = rig("fading_content_casts_shadows") else { return };
     let rig = &mut *rig;
     let low = Aabb { max: tower().max.with_z(8.0), ..tower() };
     let of = |bounds: &Aabb, color: [f32; 4]| {
@@ -55,7 +55,7 @@ fn arriving_content_casts_while_levels_fade() {
         (camera.settings.lod_scale, camera.settings.lod_fade_s) = (lod_scale, 1.0);
         camera
     };
-    // From the low one, which is there from 60 m on, to the high one and back again.
+    // From the low level, which is drawn from 60 m on, to the high one and back.
     for (from, to, coming) in [(1.0, 0.5, tower()), (0.5, 1.0, low)] {
         let start_s = if from == 1.0 { 0.0 } else { 100.0 };
         let old = rig.picture(&scene, &at(start_s, from), &environment);
@@ -64,13 +64,13 @@ fn arriving_content_casts_while_levels_fade() {
         let pictures: Vec<_> = (1..=11)
             .map(|i| {
                 let picture = rig.picture(&scene, &at(start_s + 0.1 * f64::from(i), to), &environment);
-                assert_eq!(count(&picture, MAGENTA), count(&old, MAGENTA), "nothing behind shows");
+                assert_eq!(count(&picture, MAGENTA), count(&old, MAGENTA), "nothing behind is visible");
                 picture
             })
             .collect();
         keep(&format!("fade-{from}"), &pictures[4]);
         let new = &pictures[10];
-        // Pixels of ground: the shadow of what comes, at once and whole.
+        // Pixels of ground are checked: the new level casts its whole shadow at once.
         for picture in &pictures {
             let mut of_old = 0;
             for (x, y, pixel) in picture.enumerate_pixels() {
@@ -97,8 +97,8 @@ fn arriving_content_casts_while_levels_fade() {
 }
 
 #[test]
-fn each_eye_has_its_own_shadows() {
-    let Some(mut rig) = rig("each_eye_has_its_own_shadows") else { return };
+fn each_eye_has_separate_shadows() {
+    let Some(mut rig) = rig("each_eye_has_separate_shadows") else { return };
     let rig = &mut *rig;
     let to_sun = DVec3::new(1.0, 0.5, 1.0);
     let scene = rig.scene(Node::geode(vec![ground(200.0), cuboid(tower().min, tower().max)]));
@@ -118,7 +118,7 @@ fn each_eye_has_its_own_shadows() {
         rig.visitor.cull_stereo(&scene, &whole, &stereo, &targets, &mut rig.stage);
         let stats = rig.renderer.draw(&mut rig.ctx, &rig.stage, &environment).unwrap();
         assert!(rig.ctx.take_device_errors().is_empty() && rig.renderer.take_errors().is_empty());
-        // Two images of four cascades each, put together.
+        // Two images with four cascades each are combined.
         assert_eq!(stats.passes, 11);
         let picture = rig.read_back();
         keep(&format!("eye-{eye}"), &picture);
@@ -128,7 +128,7 @@ fn each_eye_has_its_own_shadows() {
         assert!(dark > 100 && lit > 5_000, "{eye}: {dark} {lit}");
         pictures.push(picture);
     }
-    assert!(darker(&pictures[0], &pictures[1]) > 500, "the eyes are apart");
+    assert!(darker(&pictures[0], &pictures[1]) > 500, "the eyes differ");
     rig.visitor.environment = None;
     rig.release(scene);
 }
@@ -145,7 +145,7 @@ fn viewer(size_px: [u32; 2], threading: ThreadingModel) -> Viewer {
     Viewer::new_offscreen(&config).unwrap()
 }
 
-/// The tower and the ground; the image after some frames.
+/// Adds the tower and the ground, and returns the image after some frames.
 fn open(viewer: &mut Viewer) {
     let root = Node::geode(vec![ground(200.0), cuboid(tower().min, tower().max)]);
     viewer.add_root(Page::from_node(root).unwrap()).unwrap();
@@ -163,13 +163,13 @@ fn settled(viewer: &mut Viewer) -> RgbaImage {
 }
 
 #[test]
-fn slaves_have_shadows_of_their_own() {
-    if rig("slaves_have_shadows_of_their_own").is_none() {
+fn slaves_have_separate_shadows() {
+    if rig("slaves_have_separate_shadows").is_none() {
         return;
     }
     let turned = DAffine3::from_rotation_y(0.2) * DAffine3::from_translation(DVec3::new(3.0, 0.0, 0.0));
     let [width, height] = SIZE;
-    // The same view as the slave's, alone.
+    // The view of the slave is drawn alone.
     let mut alone = viewer(SIZE, ThreadingModel::SingleThreaded);
     open(&mut alone);
     let master = settled(&mut alone);
@@ -190,7 +190,7 @@ fn slaves_have_shadows_of_their_own() {
         for (x, wanted) in [(0, &master), (width, &beside)] {
             let part = image::imageops::crop_imm(&picture, x, 0, width, height).to_image();
             let differ = part.pixels().zip(wanted.pixels()).filter(|(a, b)| a.0[0].abs_diff(b.0[0]) > 2).count();
-            // Each has maps of its own; where two triangles meet, another part of a target may round otherwise.
+            // Each has separate maps. At the edge of two triangles, another part of a target may round differently.
             assert!(differ <= 4, "{model} at {x}: {differ}");
         }
         let report = both.report().unwrap();
@@ -199,19 +199,19 @@ fn slaves_have_shadows_of_their_own() {
 }
 
 #[test]
-fn tiles_of_gltf_throw_shadows() {
+fn gltf_tiles_cast_shadows() {
     let samples = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/samples/3d-tiles");
     if !samples.is_dir() {
         return skipped(format!("no sample tile sets at {}", samples.display()));
     }
-    if rig("tiles_of_gltf_throw_shadows").is_none() {
+    if rig("gltf_tiles_cast_shadows").is_none() {
         return;
     }
     let mut seen = 0;
     for set in ["TilesetWithDiscreteLOD/tileset.json", "ReplaceTileset/tileset.json", "MultipleContents/tileset.json"] {
         let file = samples.join(set);
         if !file.is_file() {
-            eprintln!("tiles_of_gltf_throw_shadows: no {}", file.display());
+            eprintln!("gltf_tiles_cast_shadows: no {}", file.display());
             continue;
         }
         let mut viewer = viewer([320, 240], ThreadingModel::default());

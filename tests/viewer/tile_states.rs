@@ -15,10 +15,10 @@ use terrane::pager::{PagerConfig, RequestState};
 use terrane::viewer::handlers::{PagerDebugHandler, StatsHandler, StatsPage, TileState};
 use terrane::viewer::{Key, Viewer, ViewerConfig};
 
-/// Tiles in a row and in a column.
+/// The number of tiles in a row and in a column.
 const SIDE: usize = 3;
 
-/// Nine tiles of 100 m under one that is never good enough.
+/// Writes nine tiles of 100 m below one that is never fine enough.
 fn set() -> String {
     let tile = |name: &str, at: [f64; 2], half: f64, error: f64, children: &str| {
         let [x, y] = at;
@@ -36,7 +36,7 @@ fn viewer(url: &str, pager: PagerConfig) -> Option<Viewer> {
     let config = ViewerConfig {
         size_px: [800, 600],
         adapter: AdapterChoice::Software,
-        // Something is uploaded all the same: a slice a frame.
+        // Uploads still progress by one slice per frame.
         compile_budget: CompileBudget { time: Duration::ZERO, bytes: 0 },
         pager,
         look_ahead_s: 0.0,
@@ -80,7 +80,7 @@ fn states(viewer: &Viewer) -> Vec<TileState> {
     viewer.scene().tiles().filter_map(|tile| TileState::of(&tile, viewer.pager(), frame)).collect()
 }
 
-/// Frames until tiles are in these states, in any order; all states that were met until then.
+/// Draws frames until tiles have these states, in any order. Returns all states that occurred.
 fn until(viewer: &mut Viewer, expected: &[(TileState, usize)]) -> BTreeSet<&'static str> {
     let end = Instant::now() + Duration::from_secs(60);
     let mut met = BTreeSet::new();
@@ -97,7 +97,7 @@ fn until(viewer: &mut Viewer, expected: &[(TileState, usize)]) -> BTreeSet<&'sta
     }
 }
 
-/// Pixels of the colour that a state has, and those that its outlines blend with what is under them left out.
+/// Returns the pixels with the colour of a state, without those that outlines blend with the background.
 fn pixels_of(picture: &image::RgbaImage, state: TileState) -> usize {
     let [r, g, b] = state.color();
     picture.pixels().filter(|p| [p.0[0], p.0[1], p.0[2]].iter().zip([r, g, b]).all(|(a, b)| a.abs_diff(b) <= 3)).count()
@@ -110,7 +110,7 @@ fn keep(picture: &image::RgbaImage, name: &str) {
 }
 
 #[test]
-fn each_state_of_a_tile_is_reported_and_shown_in_its_colour() {
+fn each_state_of_a_tile_is_reported_and_drawn_in_its_colour() {
     use RequestState::{Failed, ReadingHttp, Retrying};
     let server = Server::start(|request| match request.path() {
         "/set/tileset.json" => Reply::ok(set()),
@@ -132,12 +132,12 @@ fn each_state_of_a_tile_is_reported_and_shown_in_its_colour() {
         (TileState::Requested(Retrying), 1),
     ];
     let met = until(&mut viewer, &expected);
-    // An upload takes a frame at least.
+    // An upload takes at least a frame.
     assert!(met.contains("uploading"), "{met:?}");
     viewer.frame().unwrap();
     let picture = viewer.read_back().unwrap();
     keep(&picture, "tile-states.png");
-    // A tile has four edges of some 100 pixels, of which slanted ones are blended; a line of the legend has few.
+    // A tile has four edges of about 100 pixels, some of which are blended. A line of the legend has few.
     for (state, count) in expected {
         let pixels = pixels_of(&picture, state);
         assert!(pixels > 120 * count, "{state:?}: {pixels}");
@@ -146,7 +146,7 @@ fn each_state_of_a_tile_is_reported_and_shown_in_its_colour() {
         let pixels = pixels_of(&picture, absent);
         assert!(pixels < 120, "{absent:?}: {pixels}");
     }
-    // By level, the colours say nothing of states.
+    // In the view by level, the colours do not depend on states.
     press(&mut viewer, Key::Char('g'));
     press(&mut viewer, Key::Char('g'));
     viewer.frame().unwrap();
@@ -154,7 +154,7 @@ fn each_state_of_a_tile_is_reported_and_shown_in_its_colour() {
     keep(&picture, "tile-levels.png");
     assert!(pixels_of(&picture, TileState::Requested(Failed)) < 20);
 
-    // Looked away from: what was asked for is given up, what is there stays.
+    // When the camera looks away, requests are cancelled and resident tiles stay.
     viewer.view_mut().camera.look_at(DVec3::new(0.0, 0.0, 330.0), DVec3::new(0.0, 0.0, 1e6), DVec3::Y);
     until(&mut viewer, &[(TileState::Unused, 6), (TileState::Requested(Failed), 1), (TileState::Unwanted, 2)]);
 }
@@ -178,7 +178,7 @@ fn tiles_of_a_stalled_server_stay_waiting() {
 }
 
 #[test]
-fn names_and_colours_tell_states_apart() {
+fn names_and_colours_distinguish_states() {
     for (i, a) in TileState::ALL.iter().enumerate() {
         for b in &TileState::ALL[..i] {
             let far = a.color().iter().zip(b.color()).map(|(a, b)| u32::from(a.abs_diff(b))).sum::<u32>();
@@ -188,7 +188,7 @@ fn names_and_colours_tell_states_apart() {
 }
 
 #[test]
-fn the_stats_page_lies_inside_a_small_picture() {
+fn stats_page_fits_into_a_small_image() {
     let server = Server::start(|request| match request.path() {
         "/set/tileset.json" => Reply::ok(set()),
         _ => Reply::ok(glb()),
@@ -200,14 +200,14 @@ fn the_stats_page_lies_inside_a_small_picture() {
     viewer.view_mut().camera.look_at(DVec3::new(0.0, 0.0, 330.0), DVec3::new(0.0, 0.0, 1e6), DVec3::Y);
     for size_px in [[320, 240], [480, 300], [800, 600], [240, 320]] {
         viewer.resize(size_px).unwrap();
-        // It is laid out from its second frame on.
+        // The page is laid out in its second frame.
         (0..30).for_each(|_| viewer.frame().unwrap());
         let picture = viewer.read_back().unwrap();
         keep(&picture, &format!("stats-{}x{}.png", size_px[0], size_px[1]));
         let [width, height] = size_px;
         let is_sky = |x: u32, y: u32| picture.get_pixel(x, y).0[..3] == sky;
         let edge = (0..width).all(|x| is_sky(x, height - 1)) && (0..height).all(|y| is_sky(width - 1, y));
-        assert!(edge, "{size_px:?}: the page goes beyond the picture");
+        assert!(edge, "{size_px:?}: the page is larger than the image");
         let covered = picture.pixels().filter(|p| p.0[..3] != sky).count();
         assert!(covered > 30_000, "{size_px:?}: {covered} pixels of the page");
     }

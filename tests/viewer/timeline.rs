@@ -1,5 +1,5 @@
-//! A recorded flight: the file parses, spans of a thread lie inside each other, every thread has a name, every request
-//! ends. Needs a GPU; a software adapter suffices. A separate process, since a process has one recording.
+//! A recorded flight: the file can be parsed, spans of a thread are nested, all threads have names, and all requests
+//! end. Needs a GPU; a software adapter suffices. It runs in a separate process, because a process has one recording.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -19,7 +19,7 @@ fn number(event: &Value, key: &str) -> f64 {
     event[key].as_f64().unwrap_or_else(|| panic!("{key} of {event}"))
 }
 
-/// Each span that begins inside another ends inside it. A nanosecond is what the file's microseconds keep.
+/// Checks that each span that starts inside another one ends inside it. The file's microseconds keep nanoseconds.
 fn assert_nested(spans: &mut [(f64, f64, String)]) {
     const ROUNDING_US: f64 = 0.002;
     spans.sort_by(|a, b| a.0.total_cmp(&b.0).then(b.1.total_cmp(&a.1)));
@@ -29,15 +29,15 @@ fn assert_nested(spans: &mut [(f64, f64, String)]) {
             open.pop();
         }
         if let Some(above) = open.last() {
-            assert!(span.1 <= above.1 + ROUNDING_US, "{span:?} reaches out of {above:?}");
+            assert!(span.1 <= above.1 + ROUNDING_US, "{span:?} ends after {above:?}");
         }
         open.push(span);
     }
 }
 
 #[test]
-fn a_flight_is_recorded_whole() {
-    if runs_alone(module_path!(), "a_flight_is_recorded_whole") {
+fn flight_is_recorded_completely() {
+    if runs_alone(module_path!(), "flight_is_recorded_completely") {
         return;
     }
     let this_thread = std::thread::current().name().unwrap().to_owned();
@@ -73,7 +73,7 @@ fn a_flight_is_recorded_whole() {
         let stats = *viewer.pager().unwrap().stats();
         let has_timestamps = viewer.stats().iter().any(|frame| frame.gpu_ms.is_some());
         drop(viewer);
-        let never_ends = span("open when the recording ends");
+        let never_ends = span("still open when the recording ends");
         let summary = recording.write(&file).unwrap();
         drop(never_ends);
 
@@ -81,7 +81,7 @@ fn a_flight_is_recorded_whole() {
         let events = json["traceEvents"].as_array().unwrap();
         assert_eq!(summary.lost, 0);
 
-        // Names of threads.
+        // The names of threads.
         let mut names = BTreeMap::new();
         for event in events.iter().filter(|e| text(e, "name") == "thread_name") {
             let before = names.insert(number(event, "tid") as u64, text(&event["args"], "name").to_owned());
@@ -100,7 +100,7 @@ fn a_flight_is_recorded_whole() {
         }
         assert!(!all.iter().any(|n| n.starts_with("thread ")), "without a name: {all:?}");
 
-        // Spans.
+        // The spans.
         let mut spans: BTreeMap<u64, Vec<(f64, f64, String)>> = BTreeMap::new();
         let mut stages: BTreeMap<(&str, &str), u32> = BTreeMap::new();
         for event in events.iter().filter(|e| text(e, "ph") == "X") {
@@ -153,10 +153,10 @@ fn a_flight_is_recorded_whole() {
         }
         let of = |stage: &str| stages.iter().filter(|((_, s), _)| *s == stage).map(|(_, n)| u64::from(*n)).sum::<u64>();
         assert!(of("fetch") >= stats.loaded && of("decode") >= stats.loaded && stats.loaded > 5, "{stages:?}");
-        assert_eq!(of("open when the recording ends"), 0);
+        assert_eq!(of("still open when the recording ends"), 0);
 
-        // The adapter's work, on a line for each context: after the frame began that it belongs to, and before the
-        // frame that waited for it.
+        // The adapter's work has a track for each context. It starts after its frame began, and ends before the frame
+        // that waited for it.
         let frames_of = |line: &str| -> BTreeMap<u32, (f64, f64)> {
             let is_frame = |e: &&Value| text(e, "ph") == "X" && text(e, "name") == "frame";
             let on_line = |e: &&Value| names[&(number(e, "tid") as u64)] == line;
@@ -177,7 +177,7 @@ fn a_flight_is_recorded_whole() {
             }
         }
 
-        // Requests.
+        // The requests.
         let mut requests: BTreeMap<&str, Vec<(&str, f64, &Value)>> = BTreeMap::new();
         for event in events.iter().filter(|e| ["b", "e"].contains(&text(e, "ph"))) {
             assert!(names.contains_key(&(number(event, "tid") as u64)));
@@ -185,7 +185,7 @@ fn a_flight_is_recorded_whole() {
             request.push((text(event, "ph"), number(event, "ts"), &event["args"]));
         }
         assert_eq!(requests.len() as u64, summary.requests);
-        assert_eq!(summary.requests, stats.requested, "each request is there, from its beginning");
+        assert_eq!(summary.requests, stats.requested, "all requests are recorded from their start");
         let mut outcomes: BTreeMap<&str, u64> = BTreeMap::new();
         for (id, events) in &requests {
             let [(begin, from, args), .., (end, to, ended)] = events[..] else { panic!("{id}: {events:?}") };

@@ -1,5 +1,5 @@
-//! Update rewrites geometry, state and transforms in every frame, with draws of earlier frames still under way: each
-//! image shows its own frame in every threading model. Needs a GPU; a software adapter suffices.
+//! Update changes geometry, state and transforms in every frame while earlier frames are still drawn. Each image shows
+//! its frame in every threading model. Needs a GPU; a software adapter suffices.
 
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
@@ -17,11 +17,11 @@ use terrane::scene::{
 use terrane::state::{Attribute, StateSet, SurfaceMaterial};
 use terrane::viewer::{KEY_COLOR, ThreadingModel, Viewer, ViewerConfig};
 
-/// Vertices along a side: enough that uploading and drawing take as long as update.
+/// The number of vertices along a side. Uploading and drawing take as long as update.
 const SIDE: u32 = 48;
 const FRAMES: u32 = 80;
 
-/// A sheet of 4 m facing -y, waves going through it.
+/// Returns a sheet of 4 m that faces -y, with moving waves.
 fn write_waves(mesh: &mut Mesh, frame: u32) {
     for (i, vertex) in mesh.vertices.iter_mut().enumerate() {
         let (x, z) = (i as u32 % SIDE, i as u32 / SIDE);
@@ -62,7 +62,7 @@ fn viewer(threading: ThreadingModel) -> Option<Viewer> {
     offscreen(&config)
 }
 
-/// A root with one waving sheet under a transform (node 1) and a state set, and one drawn by state alone.
+/// Returns a root with a waving sheet below a transform (node 1) and a state set, and one drawn by state only.
 fn root(viewer: &mut Viewer, mesh: &Arc<Mesh>, set: &Arc<StateSet>) -> PageId {
     let drawable = |mesh: &Arc<Mesh>| Drawable::new(Geometry::Mesh(mesh.clone()), Material::default());
     let waving =
@@ -78,7 +78,7 @@ fn root(viewer: &mut Viewer, mesh: &Arc<Mesh>, set: &Arc<StateSet>) -> PageId {
     root
 }
 
-/// The result of a run: an image per frame, and how often update found its mesh shared.
+/// The result of a run: an image per frame, and the number of times that update found its mesh shared.
 type Run = (Vec<(u32, RgbaImage)>, u32);
 
 fn run(threading: ThreadingModel, variance: DataVariance) -> Option<Run> {
@@ -86,7 +86,7 @@ fn run(threading: ThreadingModel, variance: DataVariance) -> Option<Run> {
     let mesh = Arc::new(sheet());
     let set = state(0);
     let root = root(&mut viewer, &mesh, &set);
-    // Until both sheets are uploaded.
+    // Frames are drawn until both sheets are uploaded.
     while viewer.stats().last_drawn().is_none_or(|s| s.leaves < 2) {
         viewer.frame().unwrap();
     }
@@ -118,11 +118,11 @@ fn run(threading: ThreadingModel, variance: DataVariance) -> Option<Run> {
 }
 
 #[test]
-fn rewritten_scenes_are_the_same_frame_for_frame() {
+fn changing_scenes_are_the_same_frame_for_frame() {
     let Some((expected, _)) = run(ThreadingModel::SingleThreaded, DataVariance::Static) else { return };
     assert_eq!(expected.len() as u32, FRAMES);
     let different = expected.windows(2).filter(|w| w[0].1 != w[1].1).count() as u32;
-    assert_eq!(different, FRAMES - 1, "each frame must look otherwise");
+    assert_eq!(different, FRAMES - 1, "each frame must be different");
     for variance in [DataVariance::Static, DataVariance::Dynamic] {
         for threading in ThreadingModel::ALL {
             let (pictures, shared) = run(threading, variance).unwrap();
@@ -132,7 +132,7 @@ fn rewritten_scenes_are_the_same_frame_for_frame() {
                 assert!(picture == expected, "{threading}, {variance:?}: frame {frame} differs");
             }
             if variance == DataVariance::Dynamic {
-                // The first update still finds what was compiled, or a mesh of its own.
+                // The first update may find the compiled mesh, or a separate one.
                 assert!(shared <= 1, "{threading}: {shared} updates found their mesh still read");
             }
         }
@@ -140,10 +140,10 @@ fn rewritten_scenes_are_the_same_frame_for_frame() {
 }
 
 #[test]
-fn dynamic_callbacks_have_read_what_the_next_update_writes() {
+fn dynamic_callbacks_have_read_the_data_before_the_next_update() {
     for threading in ThreadingModel::ALL {
         let Some(mut viewer) = viewer(threading) else { return };
-        // Written by update, read by draw: the number of the frame.
+        // Update writes the number of the frame, and draw reads it.
         let shared = Arc::new(AtomicU32::new(0));
         let seen: Arc<Mutex<Vec<(u32, u32)>>> = Arc::default();
         let (of_draw, read) = (shared.clone(), seen.clone());
@@ -170,12 +170,12 @@ fn dynamic_callbacks_have_read_what_the_next_update_writes() {
     }
 }
 
-/// Moment, frame, and where the near plane is, metres.
+/// The moment, the frame, and the distance of the near plane in metres.
 type Said = (&'static str, u32, f64);
 
-/// Only cameras in the graph had any.
+/// Regression: only cameras in the graph had callbacks.
 #[test]
-fn a_view_has_callbacks_and_says_near_and_far() {
+fn view_has_callbacks_that_report_near_and_far() {
     for threading in ThreadingModel::ALL {
         let Some(mut viewer) = viewer(threading) else { return };
         let said: Arc<Mutex<Vec<Said>>> = Arc::default();
@@ -213,7 +213,7 @@ fn a_view_has_callbacks_and_says_near_and_far() {
         let of_frame = |frame| ["initial", "pre", "post", "final"].map(|moment| (moment, frame));
         let expected: Vec<_> = (first..first + 3).flat_map(of_frame).collect();
         assert_eq!(moments, expected, "{threading}");
-        // A little room is left.
+        // A small margin is left.
         assert!(said.iter().all(|(_, _, near_m)| (0.12..=0.125).contains(near_m)), "{threading}: {said:?}");
     }
 }

@@ -1,5 +1,5 @@
-//! Slave cameras, several contexts and several views: the parts together equal the whole in every
-//! threading model. Needs a GPU; a software adapter suffices.
+//! Slave cameras, several contexts and several views: the parts together equal the whole in every threading model.
+//! Needs a GPU; a software adapter suffices.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -41,14 +41,14 @@ fn page(color: [f32; 4]) -> Page {
     Page::from_node(Node::group(balls)).unwrap()
 }
 
-/// Pixels that differ by more than rounding.
+/// Returns the number of pixels that differ by more than rounding.
 fn differing(a: &RgbaImage, b: &RgbaImage) -> usize {
     assert_eq!(a.dimensions(), b.dimensions());
     let far = |a: &image::Rgba<u8>, b: &image::Rgba<u8>| a.0.iter().zip(b.0).any(|(a, b)| a.abs_diff(b) > 2);
     a.pixels().zip(b.pixels()).filter(|(a, b)| far(a, b)).count()
 }
 
-/// Shows `[from, to]` of the master's image (-1 to 1, left to right) in a whole one.
+/// Returns the projection that shows `[from, to]` of the master's image (-1 to 1, left to right) in a whole image.
 fn part(from: f64, to: f64) -> DMat4 {
     let scale = 2.0 / (to - from);
     DMat4::from_translation(DVec3::new(-scale * 0.5 * (from + to), 0.0, 0.0))
@@ -56,7 +56,7 @@ fn part(from: f64, to: f64) -> DMat4 {
 }
 
 #[test]
-fn halves_of_a_context_are_the_whole() {
+fn halves_of_a_context_equal_the_whole() {
     let folder = tempfile::tempdir().unwrap();
     let set = small_set(folder.path());
     let size = [240, 90];
@@ -69,7 +69,7 @@ fn halves_of_a_context_are_the_whole() {
             viewer.view_mut().environment.sky = sky;
             viewer.frame().unwrap();
             let whole = viewer.read_back().unwrap();
-            // The master keeps the left half of its own part; the right one is a slave's, in the same context.
+            // The master keeps the left half of its part. The right half is drawn by a slave in the same context.
             let context = viewer.contexts().next().unwrap();
             let [left, right] = [[0, 0, 120, 90], [120, 0, 120, 90]];
             let slave = |rect, offset| Slave {
@@ -84,7 +84,7 @@ fn halves_of_a_context_are_the_whole() {
             let halves = viewer.read_back().unwrap();
             assert!(differing(&whole, &halves) < 60, "{threading}: {} pixels differ", differing(&whole, &halves));
             assert!(*expected.get_or_insert(halves.clone()) == halves, "{threading} draws otherwise");
-            // A slave may be moved, and goes.
+            // A slave can be moved and removed.
             viewer.view_mut().slave_mut(on_the_right).unwrap().projection_offset = part(-1.0, 0.0);
             viewer.frame().unwrap();
             assert!(differing(&halves, &viewer.read_back().unwrap()) > 1000);
@@ -95,7 +95,7 @@ fn halves_of_a_context_are_the_whole() {
 }
 
 #[test]
-fn a_wall_of_three_contexts_is_one_wide_picture() {
+fn wall_of_three_contexts_is_one_wide_image() {
     let folder = tempfile::tempdir().unwrap();
     let set = small_set(folder.path());
     let (size, wide) = ([96, 72], [288, 72]);
@@ -131,7 +131,7 @@ fn a_wall_of_three_contexts_is_one_wide_picture() {
         }
         assert!(differing(&wall, &expected) < 60, "{threading}: {} pixels differ", differing(&wall, &expected));
         assert!(*first.get_or_insert_with(|| pictures.clone()) == pictures, "{threading} draws otherwise");
-        // The window in the middle is closed: the others continue.
+        // The window in the middle is closed, and the others continue.
         assert!(
             viewer.composite_mut().close_context(contexts[0]).unwrap()
                 && !viewer.composite_mut().close_context(contexts[0]).unwrap()
@@ -147,7 +147,7 @@ fn a_wall_of_three_contexts_is_one_wide_picture() {
 }
 
 #[test]
-fn a_context_added_later_shows_everything() {
+fn context_added_later_shows_everything() {
     let folder = tempfile::tempdir().unwrap();
     let set = small_set(folder.path());
     let size = [120, 90];
@@ -170,7 +170,10 @@ fn a_context_added_later_shows_everything() {
         viewer.frame().unwrap();
         settle(&mut viewer);
         assert!(viewer.read_back().unwrap() == before, "{threading}: the first context shows something else");
-        assert!(viewer.composite_mut().read_back(later).unwrap() == before, "{threading}: the second one does");
+        assert!(
+            viewer.composite_mut().read_back(later).unwrap() == before,
+            "{threading}: the second context shows something else"
+        );
         let first = viewer.context();
         viewer.composite_mut().close_context(first).unwrap();
         settle(&mut viewer);
@@ -183,7 +186,7 @@ fn memory_of_a_closed_context_is_not_counted() {
     let folder = tempfile::tempdir().unwrap();
     let set = small_set(folder.path());
     let size = [120, 90];
-    // Tiles that share, and tiles that do not.
+    // Some tiles share contents, others do not.
     for sharing in [ShareModes::STATIC, ShareModes::NONE] {
         let Some(of_first) = context(size) else { return };
         let mut config = config(ThreadingModel::DrawThreadPerContext, size, false);
@@ -202,12 +205,12 @@ fn memory_of_a_closed_context_is_not_counted() {
         assert_eq!(both.gpu_bytes, 2 * one.gpu_bytes);
         let first = viewer.context();
         viewer.composite_mut().close_context(first).unwrap();
-        // At once, and after frames with what is left.
+        // The context is closed at once, and after some frames.
         assert_eq!(viewer.pager().unwrap().stats().gpu_bytes, one.gpu_bytes);
         let left = settle(&mut viewer);
         assert_eq!((left.gpu_bytes, left.resident, left.expired), (one.gpu_bytes, one.resident, both.expired));
         assert_eq!(left.shared_gpu_bytes_saved, one.shared_gpu_bytes_saved);
-        // Nothing is left over when the pages go.
+        // Nothing is left when the pages are removed.
         viewer.clear_pages();
         let none = *viewer.pager().unwrap().stats();
         assert_eq!((none.gpu_bytes, none.shared_gpu_bytes_saved), (0, 0));
@@ -215,7 +218,7 @@ fn memory_of_a_closed_context_is_not_counted() {
 }
 
 #[test]
-fn slaves_have_settings_of_their_own() {
+fn slaves_have_separate_settings() {
     let size = [120, 90];
     let Some(of_first) = context(size) else { return };
     let mut viewer = Viewer::new(of_first, &config(ThreadingModel::DrawThreadPerContext, size, false)).unwrap();
@@ -235,20 +238,20 @@ fn slaves_have_settings_of_their_own() {
     assert_eq!(
         coverage(&viewer.composite_mut().read_back(b).unwrap(), KEY_COLOR),
         0.0,
-        "a mask of its own hides everything"
+        "a separate mask hides everything"
     );
-    // Another eye: 10 km beside the master's.
+    // The slave has another eye, 10 km beside the master.
     viewer.view_mut().slave_mut(of_master).unwrap().view_offset =
         DAffine3::from_translation(DVec3::new(10_000.0, 0.0, 0.0));
     viewer.frame().unwrap();
     assert_eq!(coverage(&viewer.composite_mut().read_back(a).unwrap(), KEY_COLOR), 0.0);
     viewer.view_mut().slave_mut(of_master).unwrap().view_offset = DAffine3::from_translation(DVec3::splat(f64::NAN));
     viewer.frame().unwrap();
-    assert!(viewer.composite_mut().read_back(a).unwrap() == master, "an offset that is none counts as none");
+    assert!(viewer.composite_mut().read_back(a).unwrap() == master, "an invalid offset is ignored");
 }
 
 #[test]
-fn views_have_scenes_of_their_own_or_share_one() {
+fn views_have_separate_scenes_or_share_one() {
     let size = [200, 80];
     let mut first: Option<(RgbaImage, RgbaImage)> = None;
     for threading in ThreadingModel::ALL {
@@ -280,7 +283,7 @@ fn views_have_scenes_of_their_own_or_share_one() {
         let pictures = (both.clone(), alone);
         assert!(*first.get_or_insert_with(|| pictures.clone()) == pictures, "{threading} draws otherwise");
 
-        // A change of a scene is seen by all its views and by no others.
+        // A change of a scene is visible in all its views and in no others.
         let far = DAffine3::from_translation(DVec3::new(0.0, 0.0, 1e6));
         for index in [1, 3] {
             viewer.scene_mut(red).unwrap().set_transform(NodeId { page: root, index }, far).unwrap();
@@ -301,7 +304,7 @@ fn views_have_scenes_of_their_own_or_share_one() {
         assert!(matches!(viewer.view_mut(right), Err(ViewerError::NoView(_))));
         viewer.frame().unwrap();
         let without = viewer.read_back(main).unwrap();
-        assert_eq!(without.get_pixel(150, 40).0, [0, 0, 0, 255], "nobody draws there any more");
+        assert_eq!(without.get_pixel(150, 40).0, [0, 0, 0, 255], "no view draws there any more");
         viewer.close_context(main).unwrap();
         viewer.frame().unwrap();
         assert_eq!(viewer.read_back(other).unwrap().get_pixel(100, 40).0, [255, 0, 0, 255]);
@@ -309,7 +312,7 @@ fn views_have_scenes_of_their_own_or_share_one() {
 }
 
 #[test]
-fn a_lost_device_is_replaced_and_everything_is_shown_again() {
+fn lost_device_is_replaced_and_everything_is_drawn_again() {
     let folder = tempfile::tempdir().unwrap();
     let set = small_set(folder.path());
     let size = [120, 90];
@@ -335,7 +338,7 @@ fn a_lost_device_is_replaced_and_everything_is_shown_again() {
         viewer.composite_mut().lose_device(context).unwrap();
         let after = settle(&mut viewer);
         assert_eq!(differing(&before, &after), 0, "{threading}");
-        // Again at once: that one is an error, and no panic.
+        // A second loss immediately after is an error, and no panic.
         viewer.composite_mut().lose_device(context).unwrap();
         let failed = (0..4).find_map(|_| viewer.frame().err()).or_else(|| viewer.finish().err());
         assert!(viewer.frame_stamp().frame > 60 || failed.is_some(), "{threading}");
@@ -343,7 +346,7 @@ fn a_lost_device_is_replaced_and_everything_is_shown_again() {
 }
 
 #[test]
-fn pictures_that_were_asked_for_come_though_a_device_is_lost() {
+fn requested_images_are_read_back_though_a_device_is_lost() {
     let size = [64, 48];
     for threading in ThreadingModel::ALL {
         let Some(of_first) = context(size) else { return };
@@ -368,9 +371,9 @@ fn pictures_that_were_asked_for_come_though_a_device_is_lost() {
     }
 }
 
-/// Nothing moves, and yet who asked for an image needs frames until it has come.
+/// Nothing moves, but a requested image needs frames until it is read back.
 #[test]
-fn a_picture_that_was_asked_for_needs_a_frame() {
+fn requested_image_needs_a_frame() {
     let size = [64, 48];
     for threading in ThreadingModel::ALL {
         let Some(of_first) = context(size) else { return };
@@ -419,7 +422,7 @@ fn errors_of_a_redrawn_frame_are_reported_and_frames_are_counted() {
 }
 
 #[test]
-fn meshes_that_were_not_kept_change_where_they_are() {
+fn meshes_that_were_not_kept_change_in_place() {
     let size = [64, 48];
     let Some(of_first) = context(size) else { return };
     let base = config(ThreadingModel::SingleThreaded, size, false);
@@ -434,11 +437,11 @@ fn meshes_that_were_not_kept_change_where_they_are() {
     let away = Arc::new(Mesh::sphere(DVec3::new(0.0, 0.0, -1e6), 1.0, 24));
     viewer.scene_mut().set_mesh(geode, 0, away, DataVariance::Static).unwrap();
     viewer.frame().unwrap();
-    assert!(differing(&before, &viewer.read_back().unwrap()) > 100, "the first context has it");
+    assert!(differing(&before, &viewer.read_back().unwrap()) > 100, "the first context has the mesh");
 }
 
 #[test]
-fn a_device_that_is_lost_between_frames_is_no_error_of_what_waits_for_them() {
+fn device_lost_between_frames_is_no_error_for_waits() {
     let size = [120, 90];
     for threading in ThreadingModel::ALL {
         let Some(of_first) = context(size) else { return };
@@ -455,7 +458,7 @@ fn a_device_that_is_lost_between_frames_is_no_error_of_what_waits_for_them() {
         let is_lost = |got: Result<RgbaImage, ViewerError>| {
             matches!(got, Err(ViewerError::Gpu(terrane::gpu::GpuError::DeviceLost { .. })))
         };
-        // With nothing under way: no image, again and again, and none of the waits fails.
+        // With nothing in flight there is no image, repeatedly, and no wait fails.
         viewer.composite_mut().lose_device(main).unwrap();
         for _ in 0..2 {
             viewer.finish().unwrap();
@@ -463,7 +466,7 @@ fn a_device_that_is_lost_between_frames_is_no_error_of_what_waits_for_them() {
         }
         assert!(drawn(&mut viewer) == before, "{threading}");
         (0..70).for_each(|_| viewer.frame().unwrap());
-        // With a frame under way, which waits, other contexts and other models take along.
+        // A frame in flight is waited for; another context and another model notice the loss too.
         viewer.composite_mut().lose_device(main).unwrap();
         viewer.frame().unwrap();
         viewer.finish().unwrap();
@@ -476,7 +479,7 @@ fn a_device_that_is_lost_between_frames_is_no_error_of_what_waits_for_them() {
             drawn(&mut viewer) == before && viewer.composite_mut().read_back(other).unwrap() == before,
             "{threading}"
         );
-        // Too soon after the last one: an error of the frame, each time, until it has been long enough.
+        // A loss too soon after the last one is an error of each frame until enough time has passed.
         viewer.composite_mut().lose_device(main).unwrap();
         let failed = (0..3).filter(|_| viewer.frame().is_err()).count();
         assert_eq!(failed, 3, "{threading}");
@@ -489,7 +492,7 @@ fn a_device_that_is_lost_between_frames_is_no_error_of_what_waits_for_them() {
 }
 
 #[test]
-fn threads_that_keep_their_cores_draw_the_same() {
+fn threads_bound_to_cores_draw_the_same() {
     let mut pictures = Vec::new();
     for cpu_affinity in [false, true] {
         let size = [96, 72];

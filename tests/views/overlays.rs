@@ -1,4 +1,5 @@
-//! Overlays of handlers: over each view, in any context, and over a device that replaces a lost one. Images need a GPU; a software adapter suffices.
+//! Overlays of handlers: over each view, in any context, and on a device that replaces a lost one. Images need a GPU; a
+//! software adapter suffices.
 
 use std::path::Path;
 
@@ -26,7 +27,7 @@ fn keep(name: &str, picture: &RgbaImage) {
     }
 }
 
-/// Pixels of a part that are not the background, and how many of them are as bright as text is.
+/// Returns the pixels of a part that are not background, and how many of them are as bright as text.
 fn over(picture: &RgbaImage, [x, y, width, height]: [u32; 4]) -> [usize; 2] {
     let part = image::imageops::crop_imm(picture, x, y, width, height).to_image();
     let is_over = part.pixels().filter(|p| p.0[..3] != BACKGROUND);
@@ -41,14 +42,14 @@ fn picture(viewer: &mut CompositeViewer, context: ContextId) -> RgbaImage {
 }
 
 #[test]
-fn each_view_has_its_own_over_its_part_of_its_context() {
+fn each_view_has_an_overlay_over_its_part() {
     for threading in ThreadingModel::ALL {
         let config = config(threading, [400, 160]);
         let Some(context) = or_skip(GraphicsContext::new_offscreen(&config.traits())) else { return };
         let mut viewer = CompositeViewer::new(&config).unwrap();
         let first = viewer.open_context(context).unwrap();
         let traits = ContextTraits { size_px: [240, 120], ..config.traits() };
-        // One on the same device, and one with its own.
+        // One context is on the same device, and one has a separate device.
         let second = viewer.open_offscreen_on(first, &traits).unwrap();
         let third = viewer.open_context(GraphicsContext::new_offscreen(&traits).unwrap()).unwrap();
         let scene = viewer.add_scene().unwrap();
@@ -62,7 +63,7 @@ fn each_view_has_its_own_over_its_part_of_its_context() {
         }
         let [left, right, all] = [[0, 0, 200, 160], [200, 0, 200, 160], [0, 0, 240, 120]];
         let places = [(first, left), (first, right), (second, all), (third, all)];
-        // One after the other asks for it.
+        // The views switch their overlay on one after the other.
         for shown in 0..=views.len() {
             let pictures = [first, second, third].map(|context| (context, picture(&mut viewer, context)));
             for (place, (context, part)) in places.into_iter().enumerate() {
@@ -75,7 +76,7 @@ fn each_view_has_its_own_over_its_part_of_its_context() {
                         pixels > 1000 && pixels < most && text > 30,
                         "{threading}: {place} of {shown}: {pixels}, {text}"
                     );
-                    // At the upper left of its own part.
+                    // The overlay is at the upper left of its part.
                     assert!(over(picture, [part[0], part[1], 60, 30])[0] > 1000, "{threading}: {place} of {shown}");
                 } else {
                     assert_eq!(pixels, 0, "{threading}: {place} of {shown}");
@@ -85,23 +86,23 @@ fn each_view_has_its_own_over_its_part_of_its_context() {
                 viewer.view_mut(*id).unwrap().add_event_handler(stats());
             }
         }
-        // A view goes with what lay over it; a smaller window leaves no room, and comes back.
+        // The overlay is removed with its view. A smaller window has no room for it, and later it is drawn again.
         viewer.remove_view(views[0]).unwrap();
         let without = picture(&mut viewer, first);
-        assert_eq!(over(&without, left)[1], 0, "{threading}: a view that is gone");
-        assert!(over(&without, right)[1] > 30, "{threading}: the other view keeps its own");
+        assert_eq!(over(&without, left)[1], 0, "{threading}: a removed view");
+        assert!(over(&without, right)[1] > 30, "{threading}: the other view keeps its overlay");
         viewer.resize_context(second, [1, 1]).unwrap();
         viewer.frame().unwrap();
         viewer.resize_context(second, [240, 120]).unwrap();
-        assert!(over(&picture(&mut viewer, second), all)[1] > 30, "{threading}: back in size");
-        // Closed, a context takes its views' along; the others stay.
+        assert!(over(&picture(&mut viewer, second), all)[1] > 30, "{threading}: the old size again");
+        // Closing a context removes the overlays of its views; the others stay.
         viewer.close_context(third).unwrap();
         assert!(over(&picture(&mut viewer, second), all)[1] > 30, "{threading}: after another closed");
     }
 }
 
 #[test]
-fn it_lies_over_a_new_device_too() {
+fn overlay_is_drawn_on_a_new_device() {
     for threading in ThreadingModel::ALL {
         let Some(mut viewer) = offscreen(&config(threading, [240, 120])) else { return };
         viewer.view_mut().environment.sky = Sky::Background(BACKGROUND);

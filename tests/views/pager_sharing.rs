@@ -1,5 +1,5 @@
-//! Equal contents of tiles are one: in the decode workers, on the GPU, in the budgets; and only until they change.
-//! Contexts without a GPU; images where there is one.
+//! Equal contents of tiles are shared in the decode threads, on the GPU and in the budgets, until they change. Runs
+//! without a GPU, except for images.
 
 use std::path::Path;
 use std::sync::{Arc, Barrier};
@@ -23,7 +23,7 @@ use terrane::scene::{
 
 const WORLD_M: f64 = 4096.0;
 
-/// A square of some cells, higher in the middle by `rise_m`, with a picture of one colour.
+/// Returns a square of some cells, higher in the middle by `rise_m`, with an image of one colour.
 fn glb(rise_m: u8, shade: u8) -> Vec<u8> {
     let side = 9usize;
     let mut mesh = GlbMesh { base_color: [1.0; 4], ..GlbMesh::default() };
@@ -68,7 +68,7 @@ fn parts(drawable: &Drawable) -> (&Arc<Mesh>, &Arc<Texture>) {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 48, ..ProptestConfig::default() })]
 
-    /// Whatever order equal and unequal contents come in, and whatever of them is dropped meanwhile.
+    /// Equal and unequal contents arrive in any order, and some are dropped meanwhile.
     #[test]
     fn sharing_changes_no_content(tiles in prop::collection::vec((0u8..4, 0u8..4, any::<bool>()), 1..24)) {
         let (naive, _) = options(ShareModes::NONE);
@@ -96,7 +96,7 @@ proptest! {
         let distinct = |key: fn(&(u8, u8, Page, Drawable)) -> u8| {
             kept.iter().map(key).collect::<std::collections::BTreeSet<_>>().len() as u64
         };
-        // Meshes, images, and the one index list.
+        // The number of meshes, images, and the one index list.
         prop_assert_eq!(manager.stats().entries, distinct(|k| k.0) + distinct(|k| k.1) + 1);
         drop(kept);
         manager.prune_all();
@@ -105,7 +105,7 @@ proptest! {
 }
 
 #[test]
-fn workers_that_bring_the_same_at_the_same_time_get_one() {
+fn workers_that_decode_the_same_concurrently_share_it() {
     let (options, manager) = options(ShareModes::default());
     let bytes = glb(3, 99);
     for round in 0..20u64 {
@@ -125,13 +125,13 @@ fn workers_that_bring_the_same_at_the_same_time_get_one() {
             assert!(Arc::ptr_eq(parts(drawable).0, first.0) && Arc::ptr_eq(parts(drawable).1, first.1));
         }
         let stats = manager.as_ref().unwrap().stats();
-        assert_eq!(stats.geometry_hits, 7 * (round + 1), "all but the first of a round");
+        assert_eq!(stats.geometry_hits, 7 * (round + 1), "all except the first of a round");
         assert_eq!((stats.texture_hits, stats.entries), (7 * (round + 1), 3));
     }
 }
 
 #[test]
-fn equal_geometry_has_one_tree() {
+fn equal_geometry_has_one_kd_tree() {
     let (options, _) = options(ShareModes::default());
     let options = ReadOptions { build_kd_trees: true, ..options };
     let [a, b, other] = [glb(3, 1), glb(3, 2), glb(4, 1)].map(|bytes| read(&bytes, &options));
@@ -139,7 +139,7 @@ fn equal_geometry_has_one_tree() {
     assert!(!Arc::ptr_eq(a.kd_tree(0).unwrap(), other.kd_tree(0).unwrap()));
 }
 
-/// A context of wgpu's that draws nothing; what it holds is counted as on any other.
+/// A context of wgpu's noop adapter. Its memory is counted as with any other.
 struct Noop {
     id: u32,
     gpu: GraphicsContext,
@@ -175,8 +175,8 @@ impl CompileContext for Noop {
     }
 }
 
-/// A quadtree of `levels` levels whose contents repeat: as many different ones as `content` gives. Each tile's frame
-/// is a square from -1 to 1.
+/// Returns a quadtree of `levels` levels with repeating contents, as many different ones as `content` gives. The frame
+/// of a tile is a square from -1 to 1.
 fn write_quadtree(folder: &Path, levels: u32, content: impl Fn(u32) -> Vec<u8>) {
     fn tile(folder: &Path, content: &dyn Fn(u32) -> Vec<u8>, n: &mut u32, levels: u32, transform: String) -> String {
         let name = format!("{n}.glb");
@@ -239,7 +239,7 @@ impl Run {
         }
         let stats = self.frame(eye);
         let held: u64 = self.contexts.iter().map(|c| c.gpu.bytes_in_use()).sum();
-        assert_eq!(stats.gpu_bytes, held, "what the pager counts is what the contexts hold: {stats:?}");
+        assert_eq!(stats.gpu_bytes, held, "the pager's counts equal those of the contexts: {stats:?}");
         stats
     }
 }
@@ -255,14 +255,14 @@ fn memory_of_a_closed_context_is_not_counted() {
     for sharing in [ShareModes::STATIC, ShareModes::NONE] {
         let mut run = Run::new(folder.path(), PagerConfig { sharing, ..PagerConfig::default() }, 3);
         let all = run.settle(over(0.5, 600_000.0));
-        // The second goes, on the way to more tiles; the first, at rest.
+        // The second context is closed while tiles load, the first one when nothing is in flight.
         run.frame(over(0.3, 200.0));
         for (left, goes) in [(2, 1), (1, 0)] {
             let gone = run.contexts.remove(goes);
             let mut contexts: Vec<_> = run.contexts.iter_mut().map(|c| c as &mut dyn CompileContext).collect();
             run.pager.forget_context(gone.id, &mut contexts);
             let held: u64 = run.contexts.iter().map(|c| c.gpu.bytes_in_use()).sum();
-            assert!(held > 0 && run.pager.stats().gpu_bytes <= held, "what is not merged does not count");
+            assert!(held > 0 && run.pager.stats().gpu_bytes <= held, "pages that are not merged do not count");
             let stats = run.settle(over(0.3, 200.0));
             assert!(stats.resident > all.resident && stats.expired == 0, "{left} left: {stats:?}");
         }
@@ -274,9 +274,9 @@ fn memory_of_a_closed_context_is_not_counted() {
 }
 
 #[test]
-fn each_content_is_uploaded_once_a_context_and_counted_once() {
+fn each_content_is_uploaded_and_counted_once_per_context() {
     let folder = tempfile::tempdir().unwrap();
-    // Three meshes and two images.
+    // There are three meshes and two images.
     write_quadtree(folder.path(), 4, |n| glb((n % 3) as u8, (n % 2) as u8));
     let near = over(0.5, 1500.0);
     let settled = |modes: ShareModes, contexts: u32| {
@@ -289,9 +289,9 @@ fn each_content_is_uploaded_once_a_context_and_counted_once() {
     let (naive, naive_bytes, _) = settled(ShareModes::NONE, 1);
     let (shared, shared_bytes, _) = settled(ShareModes::default(), 1);
     assert!(naive.resident == shared.resident && naive.resident >= 40, "{naive:?} {shared:?}");
-    // Five of everything, instead of one for each tile; the grid's index list was one before.
+    // Five objects are stored instead of one for each tile. The grid's index list was shared before.
     assert!(shared_bytes * 10 < naive_bytes, "{shared_bytes} instead of {naive_bytes}");
-    // With an index list each, which the naive tiles share by address.
+    // With an index list for each tile; the naive tiles share them by address.
     assert!(shared.shared_gpu_bytes_saved >= naive_bytes - shared_bytes, "{shared:?} {naive_bytes}");
     assert_eq!(shared.sharing.geometry_hits, shared.loaded - 3);
     assert_eq!(shared.sharing.texture_hits, shared.loaded - 2);
@@ -304,10 +304,10 @@ fn each_content_is_uploaded_once_a_context_and_counted_once() {
 }
 
 #[test]
-fn budgets_hold_and_shared_places_live_as_long_as_their_last_page() {
+fn budgets_hold_and_shared_slots_live_as_long_as_their_last_page() {
     let folder = tempfile::tempdir().unwrap();
     write_quadtree(folder.path(), 5, |n| glb((n % 200) as u8, (n % 7) as u8));
-    // About a third of what 200 meshes and 7 images take.
+    // The budget is about a third of the size of 200 meshes and 7 images.
     let mut all = Run::new(folder.path(), PagerConfig::default(), 1);
     let everything = all.settle(over(0.5, 1500.0));
     let max_bytes_gpu = everything.gpu_bytes / 3;
@@ -320,7 +320,7 @@ fn budgets_hold_and_shared_places_live_as_long_as_their_last_page() {
     }
     let stats = *run.pager.stats();
     assert!(stats.expired > 20 && stats.sharing.geometry_hits > 0, "{stats:?}");
-    // Everything goes: nothing is left on the GPU but what the roots' white texel needs.
+    // After everything expires, only the white texel of the roots is left on the GPU.
     let mut contexts: Vec<_> = run.contexts.iter_mut().map(|c| c as &mut dyn CompileContext).collect();
     run.pager.page_anew(&mut run.scene, &mut contexts);
     run.pager.drop_uploads(&mut contexts);
@@ -328,7 +328,7 @@ fn budgets_hold_and_shared_places_live_as_long_as_their_last_page() {
     let end = Instant::now() + Duration::from_secs(20);
     let sharing = run.pager.sharing().unwrap().clone();
     loop {
-        // Pages that were being read then are merged still, and go too.
+        // Pages that were being read are still merged, and expire too.
         let far = DVec3::new(0.0, 0.0, -1e9);
         let stats = run.frame(far);
         let mut contexts: Vec<_> = run.contexts.iter_mut().map(|c| c as &mut dyn CompileContext).collect();
@@ -345,27 +345,27 @@ fn budgets_hold_and_shared_places_live_as_long_as_their_last_page() {
 }
 
 #[test]
-fn pages_shared_by_hand_have_one_tree_and_keep_what_they_share() {
+fn pages_shared_by_the_application_have_one_tree_and_keep_shared_objects() {
     let manager = SharedStateManager::new(ShareModes::default());
     let [mut a, mut b] = [0, 1].map(|_| read(&glb(3, 1), &options(ShareModes::NONE).0));
-    // Trees that were built before anybody knew of the other.
+    // Both k-d trees were built before the pages were shared.
     for page in [&mut a, &mut b] {
         page.build_kd_trees();
         manager.share(page);
     }
     assert!(Arc::ptr_eq(a.kd_tree(0).unwrap(), b.kd_tree(0).unwrap()));
     assert!(Arc::ptr_eq(parts(&a.take_drawables()[0]).0, parts(&b.take_drawables()[0]).0));
-    // Again, without payloads: the page holds what it held.
+    // The same without payloads: the page keeps its objects.
     let before = manager.stats();
     manager.share(&mut a);
     manager.prune_all();
     assert_eq!(manager.stats(), before);
     drop(b);
     manager.prune_all();
-    assert_eq!(manager.stats().entries, before.entries, "the first page has it all still");
+    assert_eq!(manager.stats().entries, before.entries, "the first page still has everything");
 }
 
-/// A page of one square at `x` with a picture of one colour, shared by hand as a paged one is by its worker.
+/// Returns a page of one square at `x` with an image of one colour, shared like a paged one by its worker.
 fn square_page(manager: &SharedStateManager, x: f64, shade: u8) -> Page {
     let mut drawable = quad([0.0; 3], [0.3, 0.3], [1.0; 4]);
     drawable.material.texture = Some(Arc::new(with_mips(4, 4, [shade, 0, 0, 255].repeat(16))));
@@ -383,7 +383,7 @@ fn add(rig: &mut Rig, scene: &mut Scene, mut page: Page) -> (terrane::scene::Pag
 }
 
 #[test]
-fn removing_or_changing_a_page_keeps_the_one_it_shares_with() {
+fn removing_or_changing_a_page_keeps_shared_objects_of_others() {
     let Some(mut rig) = new_rig([128, 128]) else { return };
     let manager = SharedStateManager::new(ShareModes::default());
     let mut scene = Scene::new();
@@ -391,7 +391,7 @@ fn removing_or_changing_a_page_keeps_the_one_it_shares_with() {
     let (a, first) = add(&mut rig, &mut scene, square_page(&manager, -0.5, 200));
     let held = rig.ctx.bytes_in_use();
     let (b, second) = add(&mut rig, &mut scene, square_page(&manager, 0.5, 200));
-    assert_eq!(rig.ctx.bytes_in_use(), held, "the second of equal pages takes nothing");
+    assert_eq!(rig.ctx.bytes_in_use(), held, "the second of equal pages takes no memory");
     assert_eq!((first.bytes, second.bytes, first.shared.len()), (0, 0, 3));
     assert_eq!(first.shared, second.shared);
     let halves = |rig: &mut Rig, scene: &Scene| {
@@ -402,7 +402,7 @@ fn removing_or_changing_a_page_keeps_the_one_it_shares_with() {
     let [left, right] = halves(&mut rig, &scene);
     assert!(left > 1200 && left == right, "{left} {right}");
 
-    // A smaller mesh in one: the other's stays as it is.
+    // One page gets a smaller mesh; that of the other stays.
     let node = terrane::scene::NodeId { page: a, index: 1 };
     let Geometry::Mesh(small) = quad([0.0; 3], [0.1, 0.1], [1.0; 4]).geometry else { panic!("a mesh") };
     scene.set_mesh(node, 0, small.clone(), DataVariance::Static).unwrap();
@@ -410,7 +410,7 @@ fn removing_or_changing_a_page_keeps_the_one_it_shares_with() {
     let [changed, kept] = halves(&mut rig, &scene);
     assert!(changed > 50 && changed < left / 4 && kept == right, "{changed} {kept}");
 
-    // One is removed: its slots stay as long as the other needs them.
+    // One page is removed. Shared slots stay as long as the other needs them.
     scene.remove_root(a).unwrap();
     rig.ctx.release(&first.slots);
     assert_eq!(halves(&mut rig, &scene), [0, right]);
@@ -418,14 +418,14 @@ fn removing_or_changing_a_page_keeps_the_one_it_shares_with() {
     rig.ctx.release(&second.slots);
     assert_eq!(rig.ctx.bytes_in_use(), before);
 
-    // Later pages are uploaded anew, though their key is known.
+    // Later pages are uploaded again, although their key is known.
     let (_, third) = add(&mut rig, &mut scene, square_page(&manager, 0.5, 200));
     assert_eq!(halves(&mut rig, &scene), [0, right]);
     assert_eq!(third.shared, first.shared);
 }
 
 #[test]
-fn pictures_are_the_same_with_and_without_sharing() {
+fn images_are_the_same_with_and_without_sharing() {
     use terrane::viewer::{ThreadingModel, ViewerConfig};
     let folder = tempfile::tempdir().unwrap();
     write_quadtree(folder.path(), 4, |n| glb((40 * (n % 3)) as u8, (60 * (n % 4)) as u8));
@@ -459,8 +459,8 @@ fn pictures_are_the_same_with_and_without_sharing() {
     assert!(some.is_some_and(|s| s.geometry_hits > 0 && s.texture_hits > 0 && s.gpu_bytes_saved_peak > 0), "{some:?}");
     for ((_, a), (_, b)) in naive.iter().zip(&shared) {
         let colours: std::collections::BTreeSet<_> = a.pixels().map(|p| p.0).collect();
-        assert!(colours.len() > 20, "an empty picture");
+        assert!(colours.len() > 20, "an empty image");
         let differing = a.pixels().zip(b.pixels()).filter(|(a, b)| a != b).count();
-        assert_eq!(differing, 0, "pixels of a picture");
+        assert_eq!(differing, 0, "pixels of an image");
     }
 }

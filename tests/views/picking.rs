@@ -1,5 +1,5 @@
-//! A pick meets the ground exactly where the image shows it, at the depth at which it is drawn. Needs a GPU (a
-//! software one will do).
+//! A pick hits the ground exactly where the image shows it, at the depth at which it is drawn. Needs a GPU; a software
+//! adapter suffices.
 
 use std::sync::Arc;
 
@@ -30,7 +30,7 @@ fn is_ground(picture: &RgbaImage, x: u32, y: u32) -> bool {
     picture.get_pixel(x, y).0[..3] != KEY_COLOR
 }
 
-/// Small balls that cover about 5 x 5 pixels, at distances beyond the places in their radii.
+/// Returns small balls of about 5 x 5 pixels at given positions.
 fn balls(viewer: &Viewer, places: &[DVec3], beyond: f64) -> Page {
     let eye = viewer.view().camera.eye();
     let px_per_m = viewer.view().camera.eye_point(SIZE_PX).px_per_radian;
@@ -46,7 +46,7 @@ fn balls(viewer: &Viewer, places: &[DVec3], beyond: f64) -> Page {
 }
 
 #[test]
-fn picks_lie_on_what_the_picture_shows() {
+fn picks_hit_the_visible_ground() {
     let folder = tempfile::tempdir().unwrap();
     for content in [terrane_data_gen::ContentKind::Height, terrane_data_gen::ContentKind::Mesh] {
         let set = folder.path().join(format!("{content:?}"));
@@ -60,7 +60,7 @@ fn picks_lie_on_what_the_picture_shows() {
         terrane_data_gen::run(&args).unwrap();
         let Some(mut viewer) = viewer() else { return };
         viewer.load(set.to_str().unwrap()).unwrap();
-        // From inside, so that no outer skirt is seen.
+        // The eye is inside of the set, so that no outer skirt is visible.
         let bounds = *viewer.bounds().unwrap();
         let view = ViewFrom { heading: 0.3, pitch: -0.2, range_m: Some(0.25 * bounds.sphere.radius_m) };
         viewer.view_mut().camera.world_from_eye = bounds.first_camera(&view);
@@ -78,14 +78,14 @@ fn picks_lie_on_what_the_picture_shows() {
                 let around = [(-1, 0), (1, 0), (0, -1), (0, 1), (-1, -1), (1, 1), (-1, 1), (1, -1)];
                 let near = |(i, j): (i32, i32)| is_ground(&picture, (x as i32 + i) as u32, (y as i32 + j) as u32);
                 let shown = is_ground(&picture, x, y);
-                // Edges of hills may be either.
+                // At edges of hills either side is accepted.
                 if around.into_iter().all(|n| near(n) == shown) {
                     judged += 1;
                     sky += u32::from(!shown);
                     assert_eq!(!hits.is_empty(), shown, "{content:?} {x} {y}");
                 }
                 if let (Some(hit), true) = (hits.first(), x % 16 == 3 && y % 12 == 3) {
-                    // The point is behind its pixel.
+                    // The point lies behind its pixel.
                     let in_eye = viewer.view().camera.world_from_eye.inverse().transform_point3(hit.world_point());
                     let clip = viewer.view().camera.clip_from_eye(SIZE_PX, 0.1) * in_eye.extend(1.0);
                     let at = (160.0 * (1.0 + clip.x / clip.w), 90.0 * (1.0 - clip.y / clip.w));
@@ -97,8 +97,8 @@ fn picks_lie_on_what_the_picture_shows() {
         }
         assert!(judged > 3000 && sky > 200 && places.len() > 100, "{judged} {sky} {}", places.len());
 
-        // Balls on the picked places are half in the ground: seen. Behind it they are not, but where the ground is seen
-        // along its slope.
+        // Balls at picked points are half in the ground and visible. Balls behind them are hidden, except where the
+        // ground is seen along its slope.
         let points: Vec<DVec3> = places.iter().map(|p| p.2).collect();
         for (beyond, least, most) in [(-0.2, 0.99, 1.0), (3.0, 0.0, 0.15)] {
             let root = viewer.add_root(balls(&viewer, &points, beyond)).unwrap();
@@ -116,11 +116,11 @@ fn picks_lie_on_what_the_picture_shows() {
 }
 
 #[test]
-fn picks_below_other_projections_lie_on_what_the_picture_shows() {
+fn picks_below_other_projections_hit_visible_drawables() {
     use glam::dcamera::rh::proj::directx as proj;
     use terrane::scene::{CameraNode, NodeKind, ReferenceFrame, RenderOrder};
     let Some(mut viewer) = viewer() else { return };
-    // Each its own colour, in the order of the page's drawables.
+    // Each has another colour, in the order of the page's drawables.
     let colors = [[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [0, 1, 1], [1, 0, 1], [1, 1, 1]];
     let mut next = colors.iter();
     let mut square = |center: DVec3, half: f64| {
@@ -139,10 +139,10 @@ fn picks_below_other_projections_lie_on_what_the_picture_shows() {
         clear_color: None,
         ..CameraNode::new(order)
     };
-    // In the eye's own frame, ten units before it, so that the eye may stay at the origin.
+    // The square is in the eye's frame, ten units in front of it, so that the eye may stay at the origin.
     let root = Node::group(vec![
         square(DVec3::new(0.0, 0.0, -10.0), 2.5),
-        // Seen through a longer lens, behind and before the first.
+        // Seen through a longer lens, behind and in front of the first square.
         below(
             NodeKind::Projection(proj::perspective_infinite_reverse(0.4, 320.0 / 180.0, 0.1)),
             vec![square(DVec3::new(1.5, 0.5, -12.0), 1.0), square(DVec3::new(-1.0, -0.5, -8.0), 0.6)],
@@ -151,7 +151,7 @@ fn picks_below_other_projections_lie_on_what_the_picture_shows() {
             overlay(RenderOrder::Nested, Some([10, 100, 100, 70])),
             vec![square(DVec3::new(0.0, 0.0, -1.0), 0.8)],
         ),
-        // Over everything, the one with the higher number over the other.
+        // Two cameras draw over everything, the one with the higher number over the other.
         Node::camera(overlay(RenderOrder::PostRender(2), None), vec![square(DVec3::new(0.7, 0.7, -9.0), 0.2)]),
         Node::camera(overlay(RenderOrder::PostRender(1), None), vec![square(DVec3::new(0.6, 0.6, -0.5), 0.25)]),
         Node::camera(

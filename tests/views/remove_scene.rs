@@ -1,4 +1,4 @@
-//! Scenes of a composite viewer that go while others stay. An adapter that draws nothing will do.
+//! Scenes of a composite viewer that are removed while others stay. The noop adapter suffices.
 
 use std::time::Duration;
 
@@ -12,11 +12,11 @@ use terrane::pager::{ImageSequence, SequenceImage};
 use terrane::scene::Page;
 use terrane::viewer::{CompositeViewer, ContextId, SceneId, ThreadingModel, ViewId, ViewerConfig, ViewerError};
 
-/// Bytes that a device keeps for drawables without a texture.
+/// The bytes that a device keeps for drawables without a texture.
 const WHITE_TEXEL_BYTES: u64 = 4;
 
-/// Waits up to 5 seconds until the process has pager threads, or has none; returns false if it times out. A thread gets
-/// its name shortly after its start, and leaves the system's list shortly after it was joined.
+/// Waits up to 5 seconds until the process has pager threads, or has none. Returns false on timeout. A thread gets its
+/// name shortly after its start, and leaves the system's list shortly after it was joined.
 fn comes_to(has_threads: bool) -> bool {
     let is_pagers = |task: std::fs::DirEntry| {
         std::fs::read_to_string(task.path().join("comm")).is_ok_and(|name| name.starts_with("pager"))
@@ -31,7 +31,7 @@ fn comes_to(has_threads: bool) -> bool {
     })
 }
 
-/// Scenes of one set, each with a view; and where wished one pager for all.
+/// Opens scenes of one set, each with a view, with one pager for all if `share` is true.
 struct Scenes {
     viewer: CompositeViewer,
     context: ContextId,
@@ -64,7 +64,7 @@ impl Scenes {
         all
     }
 
-    /// Loads a set into a scene that is there, with a ball of the application's, and looks at it.
+    /// Loads a set into an existing scene with a ball of the application, and adds a view.
     fn show(&mut self, scene: SceneId, set: &str) {
         self.viewer.load(scene, set).unwrap();
         let ball = Page::from_node(ball(DVec3::ZERO, 10.0, [1.0; 4])).unwrap();
@@ -77,14 +77,14 @@ impl Scenes {
         self.viewer.scene(self.scenes[scene]).unwrap().page_count()
     }
 
-    /// Bytes in the pools of the device, once what was released is.
+    /// Returns the bytes in the memory pools of the device, after releases have been processed.
     fn gpu_bytes(&mut self) -> u64 {
         (0..8).for_each(|_| self.viewer.frame().unwrap());
         self.viewer.finish().unwrap();
         self.viewer.stats().last().unwrap().gpu_bytes
     }
 
-    /// Takes a scene out with its view.
+    /// Removes a scene with its view.
     fn remove(&mut self, place: usize) {
         self.viewer.remove_view(self.views.remove(place)).unwrap();
         self.viewer.remove_scene(self.scenes.remove(place)).unwrap();
@@ -92,8 +92,8 @@ impl Scenes {
 }
 
 #[test]
-fn a_removed_scene_frees_only_its_own_resources() {
-    if runs_alone(module_path!(), "a_removed_scene_frees_only_its_own_resources") {
+fn removed_scene_frees_only_its_own_resources() {
+    if runs_alone(module_path!(), "removed_scene_frees_only_its_own_resources") {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
@@ -108,7 +108,7 @@ fn a_removed_scene_frees_only_its_own_resources() {
             let mut three = Scenes::new(&set, 3, shared, model);
             three.viewer.settle(3);
             let (first, pages) = (three.scenes[0], three.pages(1));
-            // While it is shown it stays, and nothing has happened.
+            // A scene with a view cannot be removed, and nothing changes.
             let refused = three.viewer.remove_scene(first);
             assert!(matches!(refused, Err(ViewerError::SceneInUse { scene, views: 1 }) if scene == first));
             assert_eq!([three.pages(0), three.pages(2)], [pages, pages]);
@@ -121,14 +121,14 @@ fn a_removed_scene_frees_only_its_own_resources() {
                 assert_eq!(three.viewer.scene_of(*view).unwrap(), three.scenes[place]);
                 assert_eq!(three.pages(place), pages);
             }
-            // The last but one, so that every index changes.
+            // The last scene but one is removed, so that every index changes.
             three.remove(0);
             three.viewer.settle(1);
             let stats = *three.viewer.pager(three.scenes[0]).unwrap().unwrap().stats();
             assert_eq!((three.pages(0), stats.resident as usize), (pages, pages - 2), "{model} {shared}");
             assert_eq!((three.gpu_bytes(), stats.gpu_bytes), (bytes, of_pager), "{model} {shared}");
             assert_eq!(stats.failed, 0, "{model} {shared}");
-            // One that comes is none of those that went, and has what it wants.
+            // A new scene has an id that was never used, and loads its tiles.
             let scene = three.viewer.add_scene().unwrap();
             assert!(scene > three.scenes[0]);
             three.show(scene, &set);
@@ -143,10 +143,10 @@ fn a_removed_scene_frees_only_its_own_resources() {
     }
 }
 
-/// Its pending uploads are dropped: neither kept, nor taken for those of a later scene with its number.
+/// Pending uploads of a removed scene are dropped: neither kept, nor used for a later scene with its number.
 #[test]
-fn a_scene_is_removed_while_it_loads() {
-    if runs_alone(module_path!(), "a_scene_is_removed_while_it_loads") {
+fn scene_is_removed_while_it_loads() {
+    if runs_alone(module_path!(), "scene_is_removed_while_it_loads") {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
@@ -174,8 +174,8 @@ fn a_scene_is_removed_while_it_loads() {
 }
 
 #[test]
-fn the_image_pager_of_a_scene_ends_with_it() {
-    if runs_alone(module_path!(), "the_image_pager_of_a_scene_ends_with_it") {
+fn image_pager_of_a_scene_ends_with_it() {
+    if runs_alone(module_path!(), "image_pager_of_a_scene_ends_with_it") {
         return;
     }
     let folder = tempfile::tempdir().unwrap();

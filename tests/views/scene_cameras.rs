@@ -1,5 +1,5 @@
-//! Cameras in the graph that show the scene: its roots and its paged content, from where they are. Images need a GPU (a
-//! software one will do).
+//! Cameras in the graph that show the scene: its roots and its paged content, from their pose. Images need a GPU; a
+//! software adapter suffices.
 
 use std::sync::Arc;
 
@@ -48,7 +48,7 @@ fn camera_at(viewer: &Viewer, world_from_eye: DAffine3, size_px: [u32; 2]) -> Cu
     }
 }
 
-/// Frames until all is there, and a few more for fades.
+/// Draws frames until everything is loaded, and a few more for fades.
 fn settle(viewer: &mut Viewer) {
     viewer.settle(1);
     for frame in 0..8 {
@@ -62,7 +62,7 @@ fn add(viewer: &mut Viewer, node: CameraNode, children: Vec<Node>) {
 }
 
 #[test]
-fn a_camera_to_a_texture_shows_the_scene_with_the_tiles_that_it_asks_for() {
+fn camera_to_a_texture_shows_the_scene_with_the_tiles_it_requests() {
     let folder = tempfile::tempdir().unwrap();
     let set = small_set(folder.path());
     let Some(mut expects) = viewer() else { return };
@@ -74,7 +74,7 @@ fn a_camera_to_a_texture_shows_the_scene_with_the_tiles_that_it_asks_for() {
     let expected = expects.read_back().unwrap();
     keep("scene-camera-expected", &expected);
 
-    // The main camera is far away, where all the set is a tile or two.
+    // The main camera is far away, where the whole set needs one or two tiles.
     let mut viewer = viewer().unwrap();
     viewer.load(&set).unwrap();
     viewer.view_mut().environment.shadows = Some(Default::default());
@@ -89,11 +89,11 @@ fn a_camera_to_a_texture_shows_the_scene_with_the_tiles_that_it_asks_for() {
     node.environment = CameraEnvironment::Inherited;
     node.shadows = CameraShadows::Environment;
     node.shows_scene = true;
-    // Two mirrors: neither shows the other, nor itself.
+    // There are two mirrors. Neither shows the other, nor itself.
     add(&mut viewer, CameraNode { target: like(&camera_at(&expects, near, [32, 32])).target, ..node.clone() }, vec![]);
     add(&mut viewer, node, vec![]);
     settle(&mut viewer);
-    assert!(viewer.stats().last().unwrap().gpu_bytes > before, "it asks for tiles");
+    assert!(viewer.stats().last().unwrap().gpu_bytes > before, "it requests tiles");
     sink.take();
     let found = (0..200).find_map(|_| {
         viewer.frame().unwrap();
@@ -103,19 +103,19 @@ fn a_camera_to_a_texture_shows_the_scene_with_the_tiles_that_it_asks_for() {
     keep("scene-camera-found", &found);
     let apart = differ(&found, &expected, 2);
     assert!(apart < 40, "{apart} pixels differ");
-    // The main image is as without.
+    // The main image does not change.
     assert!(differ(&viewer.read_back().unwrap(), &alone, 2) < 40);
 }
 
 #[test]
-fn a_part_of_the_window_shows_the_scene_and_is_picked_in() {
+fn part_of_the_window_shows_the_scene_and_can_be_picked() {
     let folder = tempfile::tempdir().unwrap();
     let set = small_set(folder.path());
     let Some(mut viewer) = viewer() else { return };
     viewer.load(&set).unwrap();
     let (main, other) = (pose(&viewer, 0.4, -0.3, 0.4), pose(&viewer, 2.4, -0.7, 0.5));
     let inset = [130, 10, 100, 70];
-    // From where the inset sees, an image of its size.
+    // The reference is an image from the pose of the inset with its size.
     viewer.view_mut().camera.world_from_eye = other;
     settle(&mut viewer);
     let expected = viewer.compute_intersections(120.0, 80.0, IntersectionLimit::Nearest)[0].world_point();
@@ -130,7 +130,7 @@ fn a_part_of_the_window_shows_the_scene_and_is_picked_in() {
         shows_scene: true,
         ..CameraNode::new(RenderOrder::PostRender(0))
     };
-    // A mark that only the inset shows.
+    // Only the inset shows the mark.
     let mark = ball(expected, 150.0, [1.0, 0.0, 1.0, 1.0]);
     settle(&mut viewer);
     let alone = viewer.read_back().unwrap();
@@ -143,34 +143,34 @@ fn a_part_of_the_window_shows_the_scene_and_is_picked_in() {
         |a: &RgbaImage| a.enumerate_pixels().filter(|(x, y, _)| !is_inset(*x, *y)).map(|(_, _, p)| *p).collect();
     let [a, b]: [Vec<image::Rgba<u8>>; 2] = [&with, &alone].map(outside);
     let changed = a.iter().zip(&b).filter(|(a, b)| a != b).count();
-    assert_eq!(changed, 0, "the rest is as without");
+    assert_eq!(changed, 0, "the rest does not change");
     let inside = image::imageops::crop_imm(&with, inset[0], inset[1], inset[2], inset[3]).to_image();
     let colours = inside.pixels().map(|p| p.0.map(|c| c / 8)).collect::<std::collections::HashSet<_>>();
     assert!(colours.len() > 40, "{}", colours.len());
     let [r, g, b, _] = inside.get_pixel(50, 35).0;
     assert!(r > 180 && b > 180 && g < 90, "the mark");
-    // The middle of the inset is where the middle of an image from there is.
+    // The middle of the inset corresponds to the middle of an image from there.
     let hit = &viewer.compute_intersections(180.0, 45.0, IntersectionLimit::Nearest)[0];
-    assert!((hit.world_point().distance(expected) - 150.0).abs() < 20.0, "the mark is met first");
+    assert!((hit.world_point().distance(expected) - 150.0).abs() < 20.0, "the mark is hit first");
     let hits = viewer.compute_intersections(180.0, 45.0, IntersectionLimit::NoLimit);
     let ground = hits.iter().map(|hit| hit.world_point().distance(expected)).fold(f64::INFINITY, f64::min);
     assert!(ground < 20.0, "{ground}");
 }
 
-/// In the window, before what is there: depths from a half on, where the main image has less.
+/// The inset is in front of the window's content: it has depths from 0.5 on, the main image less.
 fn in_front(camera: &CullCamera) -> DMat4 {
     let nearer = DMat4::from_cols(DVec4::X, DVec4::Y, DVec4::new(0.0, 0.0, 0.5, 0.0), DVec4::new(0.0, 0.0, 0.5, 1.0));
     nearer * camera.clip_from_eye
 }
 
 #[test]
-fn a_nested_camera_shows_the_scene_in_the_picture_that_it_is_met_in() {
+fn nested_camera_shows_the_scene_in_its_image() {
     let folder = tempfile::tempdir().unwrap();
     let set = small_set(folder.path());
     let Some(mut viewer) = viewer() else { return };
     viewer.load(&set).unwrap();
     let inset = [130, 10, 100, 70];
-    // All ground from there.
+    // Only ground is visible from there.
     let near = pose(&viewer, 0.4, -0.9, 0.25);
     let seen = camera_at(&viewer, near, [inset[2], inset[3]]);
     viewer.view_mut().camera.world_from_eye = pose(&viewer, 2.0, -0.6, 30.0);
@@ -185,7 +185,7 @@ fn a_nested_camera_shows_the_scene_in_the_picture_that_it_is_met_in() {
     };
     let crop =
         |picture: &RgbaImage| image::imageops::crop_imm(picture, inset[0], inset[1], inset[2], inset[3]).to_image();
-    // The image of a camera with its own target there.
+    // The reference is the image of a camera with a separate target at the pose.
     let after = CameraNode { projection: Some(seen.clip_from_eye), viewport_px: Some(inset), ..node.clone() };
     let mut drawn = |node: CameraNode| {
         let id = viewer.add_root(Page::from_node(Node::camera(node, vec![])).unwrap()).unwrap();
@@ -201,18 +201,18 @@ fn a_nested_camera_shows_the_scene_in_the_picture_that_it_is_met_in() {
     let nested = CameraNode { order: RenderOrder::Nested, projection: Some(in_front(&seen)), ..after.clone() };
     let (found, bytes, hit) = drawn(nested.clone());
     keep("scene-nested-found", &found);
-    assert!(bytes > before, "it asks for tiles");
+    assert!(bytes > before, "it requests tiles");
     assert_eq!(differ(&crop(&found), &crop(&expected), 2), 0);
     assert!(differ(&crop(&found), &crop(&alone), 8) > 5000);
     assert!(hit.distance(expected_hit) < 1.0, "{hit} {expected_hit}");
-    // The rest of the image is as without: neither shows the other, nor itself.
+    // The rest of the image does not change: neither camera shows the other, nor itself.
     let other = CameraNode { viewport_px: Some([10, 80, 100, 70]), ..nested.clone() };
     let mut without = found.clone();
     image::imageops::replace(&mut without, &crop(&alone), inset[0].into(), inset[1].into());
     assert_eq!(differ(&without, &alone, 0), 0);
     let (second, ..) = drawn(other);
     assert_eq!(differ(&image::imageops::crop_imm(&second, 10, 80, 100, 70).to_image(), &crop(&found), 2), 0);
-    // Without a viewport of its own, a projection puts it into the corner.
+    // Without a viewport, a projection moves the image into the corner.
     let corner = DMat4::from_cols(
         DVec4::new(100.0 / 240.0, 0.0, 0.0, 0.0),
         DVec4::new(0.0, 70.0 / 160.0, 0.0, 0.0),
@@ -228,7 +228,7 @@ fn a_nested_camera_shows_the_scene_in_the_picture_that_it_is_met_in() {
 }
 
 #[test]
-fn below_a_camera_over_cleared_depths_a_nested_one_makes_the_same_picture() {
+fn nested_camera_below_one_with_cleared_depth_gives_the_same_image() {
     let folder = tempfile::tempdir().unwrap();
     let set = small_set(folder.path());
     let Some(mut viewer) = viewer() else { return };

@@ -1,5 +1,5 @@
-//! Contexts that share a device: images as with separate devices, everything on the GPU once. Needs a GPU (a
-//! software one will do).
+//! Contexts that share a device: images equal those with separate devices, and everything is on the GPU once. Needs a
+//! GPU; a software adapter suffices.
 
 use std::sync::Arc;
 
@@ -38,12 +38,12 @@ fn context() -> Option<GraphicsContext> {
     or_skip(GraphicsContext::new_offscreen(&traits(SIZE)))
 }
 
-/// The camera that sees what is beside the master's image.
+/// Returns the projection that shows the area beside the master's image.
 fn beside(context: ContextId, x: f64) -> Slave {
     Slave { projection_offset: DMat4::from_translation(DVec3::new(x, 0.0, 0.0)), ..Slave::new(context) }
 }
 
-/// Frames until nothing is wanted any more, and a few after.
+/// Draws frames until nothing is wanted any more, and a few after that.
 fn settle(viewer: &mut Viewer) {
     viewer.settle(3);
     (0..3).for_each(|_| viewer.frame().unwrap());
@@ -58,7 +58,7 @@ fn gpu_bytes(viewer: &Viewer) -> u64 {
     viewer.stats().last().unwrap().gpu_bytes
 }
 
-/// A viewer on a set with a ball before it.
+/// Opens a viewer on a set with a ball in front of it.
 fn viewer(context: GraphicsContext, set: &str, threading: ThreadingModel) -> Viewer {
     let mut viewer = Viewer::new(context, &config(threading)).unwrap();
     viewer.load(set).unwrap();
@@ -69,7 +69,7 @@ fn viewer(context: GraphicsContext, set: &str, threading: ThreadingModel) -> Vie
 }
 
 #[test]
-fn a_wall_on_one_device_is_the_wall_on_three_and_uploaded_once() {
+fn wall_on_one_device_equals_one_on_three_and_is_uploaded_once() {
     let folder = tempfile::tempdir().unwrap();
     let set = small_set(folder.path());
     let Some(first) = context() else { return };
@@ -100,7 +100,7 @@ fn a_wall_on_one_device_is_the_wall_on_three_and_uploaded_once() {
         assert_eq!(3 * gpu_bytes(&shared), gpu_bytes(&own), "{threading}");
         let drawn = |viewer: &Viewer| viewer.stats().last().unwrap().triangles;
         assert_eq!(drawn(&shared), drawn(&own), "{threading}");
-        // Images on the way come from where they were asked for.
+        // Images in flight belong to the context that requested them.
         contexts.iter().for_each(|context| shared.composite_mut().want_picture(*context));
         shared.frame().unwrap();
         shared.finish().unwrap();
@@ -108,7 +108,7 @@ fn a_wall_on_one_device_is_the_wall_on_three_and_uploaded_once() {
             let taken = shared.composite_mut().take_pictures(*context);
             assert!(taken.len() == 1 && taken[0].1 == *expected, "{threading}: {context:?}");
         }
-        // Each is closed in turn, the first one first; the rest continues, with nothing loaded anew.
+        // Each context is closed in turn, starting with the first. The others continue, and nothing is loaded again.
         let merged = shared.pager().unwrap().stats().merged;
         assert!(
             shared.composite_mut().close_context(contexts[0]).unwrap()
@@ -129,7 +129,7 @@ fn a_wall_on_one_device_is_the_wall_on_three_and_uploaded_once() {
 }
 
 #[test]
-fn a_context_added_to_the_device_shows_everything_at_once() {
+fn context_added_to_the_device_shows_everything_at_once() {
     let folder = tempfile::tempdir().unwrap();
     let set = small_set(folder.path());
     for threading in ThreadingModel::ALL {
@@ -148,7 +148,7 @@ fn a_context_added_to_the_device_shows_everything_at_once() {
         );
         assert!(viewer.read_back().unwrap() == before, "{threading}");
         assert_eq!((viewer.pager().unwrap().stats().requested, gpu_bytes(&viewer)), (requested, bytes));
-        // Sizes are each context's own, and an image that cannot be is an error of that one's.
+        // Sizes belong to each context. An image that is too large is an error of its context.
         viewer.resize_context(later, [48, 100]).unwrap();
         viewer.frame().unwrap();
         assert_eq!(viewer.composite_mut().read_back(later).unwrap().dimensions(), (48, 100));
@@ -161,7 +161,7 @@ fn a_context_added_to_the_device_shows_everything_at_once() {
 }
 
 #[test]
-fn a_lost_device_is_reopened_with_all_its_contexts() {
+fn lost_device_is_reopened_with_all_its_contexts() {
     let folder = tempfile::tempdir().unwrap();
     let set = small_set(folder.path());
     for threading in ThreadingModel::ALL {
@@ -186,7 +186,7 @@ fn a_lost_device_is_reopened_with_all_its_contexts() {
 }
 
 #[test]
-fn views_of_a_composite_viewer_share_a_device_too() {
+fn views_of_a_composite_viewer_share_a_device() {
     for threading in ThreadingModel::ALL {
         let Some(first) = context() else { return };
         let mut viewer = CompositeViewer::new(&config(threading)).unwrap();
@@ -209,7 +209,7 @@ fn views_of_a_composite_viewer_share_a_device_too() {
         assert_eq!(both[0].dimensions(), (SIZE[0], SIZE[1]));
         assert_eq!((both[0].get_pixel(48, 36).0, both[0].get_pixel(1, 1).0), ([255, 0, 0, 255], [255, 255, 0, 255]));
         assert_eq!((both[1].get_pixel(30, 25).0, both[1].get_pixel(1, 1).0), ([0, 255, 0, 255], [0, 255, 255, 255]));
-        // Shared data is read by draw before the next update, in each of them.
+        // In each context, draw reads shared data before the next update.
         for step in 0..6 {
             let mesh = Arc::new(Mesh::sphere(DVec3::new(0.0, 0.0, f64::from(step % 2) * 1e6), 1.0, 24));
             let geode = NodeId { page: root, index: 2 };
@@ -226,7 +226,7 @@ fn views_of_a_composite_viewer_share_a_device_too() {
 }
 
 #[test]
-fn contexts_come_and_go_in_any_order_under_any_model() {
+fn contexts_open_and_close_in_any_order_with_any_model() {
     let Some(first) = context() else { return };
     let mut viewer = Viewer::new(first, &config(ThreadingModel::SingleThreaded)).unwrap();
     viewer.add_root(Page::from_node(ball(DVec3::ZERO, 1.0, [1.0, 0.0, 0.0, 1.0])).unwrap()).unwrap();

@@ -1,4 +1,4 @@
-//! Scenes of a composite viewer that share a pager. An adapter that draws nothing will do.
+//! Scenes of a composite viewer that share a pager. The noop adapter suffices.
 
 use std::time::{Duration, Instant};
 
@@ -23,7 +23,7 @@ fn config(blocking: bool) -> ViewerConfig {
     config
 }
 
-/// Heights of cameras at first, and from which they want more tiles, metres.
+/// The initial heights of cameras, and those from which they want more tiles, in metres.
 const FAR_M: f64 = 25_000.0;
 const NEAR_M: f64 = 9000.0;
 
@@ -34,7 +34,7 @@ struct Two {
     views: [ViewId; 2],
 }
 
-/// Two scenes of a set with a view each, which look alike.
+/// Opens two scenes of a set with equal views.
 fn two(set: &str, shared: bool, config: &ViewerConfig) -> Two {
     let mut viewer = CompositeViewer::new(config).unwrap();
     let context = viewer.open_context(GraphicsContext::new_offscreen(&config.traits()).unwrap()).unwrap();
@@ -59,7 +59,7 @@ impl Two {
         self.viewer.scene(self.scenes[scene]).unwrap().page_count() - 1
     }
 
-    /// Bytes in the pools of the devices, once everything was drawn.
+    /// Returns the bytes in the memory pools of the devices, after everything was drawn.
     fn gpu_bytes(&mut self) -> u64 {
         self.viewer.frame().unwrap();
         self.viewer.finish().unwrap();
@@ -91,9 +91,9 @@ fn two_views_of_two_scenes_settle_with_one_pager() {
     }
 }
 
-/// Each of two pagers counts what is in the pools once.
+/// With two pagers, each counts the content of the memory pools once.
 #[test]
-fn equal_contents_of_two_scenes_are_one_and_count_once() {
+fn equal_contents_of_two_scenes_are_shared_and_count_once() {
     let folder = tempfile::tempdir().unwrap();
     let set = small_set(folder.path());
     let mut one = two(&set, true, &config(false));
@@ -106,7 +106,7 @@ fn equal_contents_of_two_scenes_are_one_and_count_once() {
     assert!(of_one > 0 && s.resident == 2 * one.pager(0).stats().resident);
     assert_eq!((s.gpu_bytes, in_both), (of_one, in_one), "{s:?}");
     assert!(s.shared_gpu_bytes_saved >= of_one, "{s:?}");
-    // A tile that one scene gives up stays in the other.
+    // A tile that expires in one scene stays in the other.
     both.viewer.clear_pages(both.scenes[0]).unwrap();
     both.viewer.view_mut(both.views[0]).unwrap().camera.settings.cull_mask = 0;
     both.viewer.settle(4);
@@ -115,7 +115,7 @@ fn equal_contents_of_two_scenes_are_one_and_count_once() {
 }
 
 #[test]
-fn a_cleared_scene_loads_again_and_the_other_stays() {
+fn cleared_scene_loads_again_and_the_other_stays() {
     let folder = tempfile::tempdir().unwrap();
     let set = small_set(folder.path());
     let mut both = two(&set, true, &config(false));
@@ -126,7 +126,7 @@ fn a_cleared_scene_loads_again_and_the_other_stays() {
     assert!(!both.viewer.is_settled());
     both.viewer.settle(1);
     assert_eq!([both.pages(0), both.pages(1)], before);
-    // Another set replaces one: the pager continues, with the other's pages.
+    // Another set replaces that of one scene. The pager continues with the pages of the other.
     let merged = both.pager(0).stats().merged;
     both.viewer.clear_pages(both.scenes[1]).unwrap();
     let root = both.viewer.scene(both.scenes[1]).unwrap().roots()[0];
@@ -140,7 +140,7 @@ fn a_cleared_scene_loads_again_and_the_other_stays() {
 }
 
 #[test]
-fn the_budget_is_for_both_together() {
+fn budget_is_shared_by_both_scenes() {
     let folder = tempfile::tempdir().unwrap();
     let set = small_set(folder.path());
     let mut config = config(false);
@@ -156,17 +156,17 @@ fn the_budget_is_for_both_together() {
         both.viewer.work_until(Instant::now() + Duration::from_millis(2));
         let s = both.pager(0).stats();
         assert!(s.resident <= config.pager.max_tiles as u64, "{s:?}");
-        assert!(start.elapsed() < Duration::from_secs(60), "it never rests: {s:?}");
+        assert!(start.elapsed() < Duration::from_secs(60), "it never pauses: {s:?}");
     }
-    assert!(!both.viewer.is_settled(), "something has no room");
-    // When one looks away there is room for the other.
+    assert!(!both.viewer.is_settled(), "some pages have no room");
+    // When one view looks away, there is room for the other.
     both.look(1, 1e7);
     both.viewer.settle(1);
     assert!(both.pages(0) >= free.pages(0), "{}", both.pages(0));
 }
 
 #[test]
-fn the_blocking_mode_has_all_scenes_in_the_first_frame() {
+fn blocking_mode_has_all_scenes_in_the_first_frame() {
     let folder = tempfile::tempdir().unwrap();
     let set = small_set(folder.path());
     let mut free = two(&set, true, &config(false));
@@ -182,7 +182,7 @@ fn the_blocking_mode_has_all_scenes_in_the_first_frame() {
 }
 
 #[test]
-fn drawing_on_demand_rests_and_wakes_with_a_shared_pager() {
+fn drawing_on_demand_pauses_and_wakes_with_a_shared_pager() {
     let folder = tempfile::tempdir().unwrap();
     let set = small_set(folder.path());
     let mut both = two(&set, true, &config(false));
@@ -191,13 +191,13 @@ fn drawing_on_demand_rests_and_wakes_with_a_shared_pager() {
         while both.viewer.check_need_to_do_frame() {
             both.viewer.frame().unwrap();
             both.viewer.work_until(Instant::now() + Duration::from_millis(2));
-            assert!(start.elapsed() < Duration::from_secs(60), "it never rests");
+            assert!(start.elapsed() < Duration::from_secs(60), "it never pauses");
         }
     };
     rest(&mut both);
     assert!(both.viewer.is_settled());
     let before = both.pages(1);
-    // Paused, missing tiles do not load and drawing stops; resuming wakes it.
+    // While paused, missing tiles do not load and drawing stops. Resuming wakes it.
     both.viewer.pager_mut(both.scenes[0]).unwrap().unwrap().set_paused(true);
     both.look(1, NEAR_M);
     both.viewer.frame().unwrap();
@@ -210,7 +210,7 @@ fn drawing_on_demand_rests_and_wakes_with_a_shared_pager() {
 }
 
 #[test]
-fn contexts_come_and_go_under_a_shared_pager() {
+fn contexts_open_and_close_with_a_shared_pager() {
     let folder = tempfile::tempdir().unwrap();
     let set = small_set(folder.path());
     let config = config(false);
@@ -231,7 +231,7 @@ fn contexts_come_and_go_under_a_shared_pager() {
 }
 
 #[test]
-fn a_file_of_views_says_that_scenes_share_a_pager() {
+fn file_of_views_configures_a_shared_pager() {
     let folder = tempfile::tempdir().unwrap();
     small_set(folder.path());
     let file = folder.path().join("views.json");
@@ -247,7 +247,7 @@ fn a_file_of_views_says_that_scenes_share_a_pager() {
         for other in &scenes[1..] {
             assert_eq!(arranged.viewer.shares_pager(scenes[0], *other).unwrap(), shares);
         }
-        // The application's own pages load their own files, in their own scope.
+        // The application's pages load their files in their own scope.
         arranged.viewer.page_files_in(scenes[2], folder.path()).unwrap();
         let pagers = if shares { 3 } else { 1 };
         assert_eq!(arranged.viewer.pager(scenes[2]).unwrap().unwrap().scenes().len(), pagers);

@@ -1,5 +1,5 @@
-//! Slave cameras in stereo: each has both eyes in its own image, or one of them in a separate window. Needs a GPU;
-//! a software adapter suffices.
+//! Slave cameras in stereo: each has both eyes in its image, or one of them in a separate window. Needs a GPU; a
+//! software adapter suffices.
 
 use std::sync::Arc;
 
@@ -19,7 +19,7 @@ fn traits(size_px: [u32; 2]) -> ContextTraits {
     ContextTraits { size_px, adapter: AdapterChoice::Software, validation: true, ..ContextTraits::default() }
 }
 
-/// Balls near and far before the eye; `None`, said aloud, where nothing can draw.
+/// Opens a viewer with balls near and far in front of the eye. `None`, and the test skipped, without an adapter.
 fn viewer(size_px: [u32; 2], stereo: Option<Stereo>, threading: ThreadingModel) -> Option<Viewer> {
     let context = or_skip(GraphicsContext::new_offscreen(&traits(size_px)))?;
     let config = ViewerConfig { size_px, threading, stereo, max_contexts: 3, ..ViewerConfig::default() };
@@ -61,13 +61,14 @@ fn differing(a: &RgbaImage, b: &RgbaImage) -> usize {
 }
 
 #[test]
-fn a_slave_has_both_eyes_in_its_own_picture() {
+fn slave_has_both_eyes_in_its_image() {
     for mode in StereoMode::ALL {
         let separation_px = if mode == StereoMode::HorizontalSplit { 6 } else { 0 };
         let stereo = Stereo { separation_px, ..Stereo::new(mode) };
         let Some(expected) = alone(Some(stereo)) else { return };
         for threading in ThreadingModel::ALL {
-            // In a part of the master's context, which has a part itself; in one of its device; in one of its own.
+            // In a part of the master's part of its context, in a context of the same device, and in one with a
+            // separate device.
             let mut viewer = viewer([200, SIZE[1]], Some(stereo), threading).unwrap();
             viewer.view_mut().set_viewport([0, 0, SIZE[0], SIZE[1]]);
             let first = viewer.context();
@@ -91,13 +92,13 @@ fn a_slave_has_both_eyes_in_its_own_picture() {
                     differing(&picture, &expected)
                 );
             }
-            assert!(found[0].get_pixel(98, 30).0 == [0, 0, 0, 255], "between the parts nothing is drawn");
+            assert!(found[0].get_pixel(98, 30).0 == [0, 0, 0, 255], "nothing is drawn between the parts");
         }
     }
 }
 
 #[test]
-fn rows_and_columns_take_turns_on_the_screen_not_in_the_picture() {
+fn interlaced_rows_and_columns_are_those_of_the_screen() {
     let of = |mode| alone(Some(Stereo::new(mode)));
     let (Some(left), Some(right)) = (of(StereoMode::LeftEye), of(StereoMode::RightEye)) else { return };
     assert!(differing(&left, &right) > 300);
@@ -118,14 +119,14 @@ fn rows_and_columns_take_turns_on_the_screen_not_in_the_picture() {
 }
 
 #[test]
-fn an_eye_may_have_a_separate_window() {
+fn eye_may_have_a_separate_window() {
     let of = |mode| alone(Some(Stereo::new(mode)));
     let (Some(left), Some(right), Some(middle)) = (of(StereoMode::LeftEye), of(StereoMode::RightEye), alone(None))
     else {
         return;
     };
     for threading in ThreadingModel::ALL {
-        // However the eyes would be put together elsewhere.
+        // The stereo mode of other windows has no effect.
         let stereo = Stereo { keeps_aspect: true, ..Stereo::new(StereoMode::HorizontalSplit) };
         let mut viewer = viewer(SIZE, Some(stereo), threading).unwrap();
         viewer.view_mut().set_eyes(Eyes::Left);
@@ -136,7 +137,7 @@ fn an_eye_may_have_a_separate_window() {
         viewer.add_slave(Slave { eyes: Eyes::Middle, ..Slave::new(third) }).unwrap();
         let found = pictures(&mut viewer, &[first, second, third]);
         assert!(found[0] == left && found[1] == right && found[2] == middle, "{threading}");
-        // Changed between frames, and with eyes that change places.
+        // It changes between frames, also with swapped eyes.
         viewer.view_mut().slave_mut(slave).unwrap().eyes = Eyes::Left;
         assert!(pictures(&mut viewer, &[second])[0] == left, "{threading}");
         viewer.view_mut().set_stereo(Some(Stereo { swaps_eyes: true, ..stereo }));
@@ -147,8 +148,8 @@ fn an_eye_may_have_a_separate_window() {
 }
 
 #[test]
-fn offsets_of_a_slave_come_before_its_eyes() {
-    // A slave that sees the right half of the master's image: its eyes are the halves of the master's eyes.
+fn offsets_of_a_slave_apply_before_its_eyes() {
+    // The slave shows the right half of the master's image, so its eyes show the halves of the master's eyes.
     let half = DMat4::from_scale(DVec3::new(2.0, 1.0, 1.0)) * DMat4::from_translation(DVec3::new(-0.5, 0.0, 0.0));
     let wide = [2 * SIZE[0], SIZE[1]];
     for (mode, eyes) in [(StereoMode::LeftEye, Eyes::Left), (StereoMode::RightEye, Eyes::Right)] {
@@ -161,13 +162,13 @@ fn offsets_of_a_slave_come_before_its_eyes() {
         assert!(differing(&found[1], &expected) < 40, "{mode:?}: {} differ", differing(&found[1], &expected));
         master.view_mut().slave_mut(id).unwrap().eyes = eyes;
         let single = pictures(&mut master, &[slave]);
-        assert!(single[0] == found[1], "{mode:?}: one eye alone is another");
+        assert!(single[0] == found[1], "{mode:?}: a single eye differs");
     }
 }
 
-/// Both were culled and drawn, and one thrown away.
+/// Regression: both were culled and drawn, and one was discarded.
 #[test]
-fn an_eye_that_is_not_shown_is_not_drawn() {
+fn eye_that_is_not_shown_is_not_drawn() {
     let leaves = |stereo: Option<Stereo>, threading| {
         let mut viewer = viewer(SIZE, stereo, threading)?;
         let context = viewer.context();

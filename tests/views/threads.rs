@@ -1,5 +1,5 @@
-//! Threads are started and stopped, contexts opened and closed, at random: nothing ever waits for ever. wgpu's noop
-//! adapter draws, so that the threads are all that takes time.
+//! Threads are started and stopped, and contexts opened and closed, at random. No thread may wait forever. wgpu's noop
+//! adapter draws, so that only the threads take time.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -20,7 +20,7 @@ use terrane::viewer::{
     CompositeViewer, ContextId, Slave, SlaveId, ThreadingModel, ViewId, Viewer, ViewerConfig, ViewerError,
 };
 
-/// Most contexts besides the first.
+/// The maximum number of contexts besides the first.
 const MORE: usize = 3;
 
 fn config(threading: ThreadingModel) -> ViewerConfig {
@@ -82,7 +82,7 @@ fn watched(work: impl FnOnce(&AtomicU64) + Send + 'static) {
     let of_work = step.clone();
     let worker = std::thread::spawn(move || {
         work(&of_work);
-        // The other end waits for it, or has given up.
+        // The other end waits for it, or has timed out.
         let _ = done.send(());
     });
     let mut before = 0;
@@ -92,7 +92,7 @@ fn watched(work: impl FnOnce(&AtomicU64) + Send + 'static) {
             Err(RecvTimeoutError::Disconnected) => break,
             Err(RecvTimeoutError::Timeout) => {
                 let now = step.load(Ordering::Relaxed);
-                assert!(now != before, "step {now} waits for ever");
+                assert!(now != before, "step {now} waits forever");
                 before = now;
             }
         }
@@ -102,7 +102,7 @@ fn watched(work: impl FnOnce(&AtomicU64) + Send + 'static) {
     }
 }
 
-/// A viewer with one view, its contexts and slaves changed at random; how long each stop and start took, sorted.
+/// Changes a viewer with one view, its contexts and slaves at random. Returns the sorted durations of stops and starts.
 fn churn_viewer(seed: u64, switches: u64, step: &AtomicU64) -> Vec<Duration> {
     let mut random = Random(seed);
     let mut viewer = Viewer::new(context(), &config(ThreadingModel::SingleThreaded)).unwrap();
@@ -171,7 +171,7 @@ fn change(
     }
 }
 
-/// Views come and go in contexts that come and go; now and then the whole viewer goes, with frames under way.
+/// Views and contexts are added and removed. Sometimes the whole viewer is dropped with frames in flight.
 fn churn_views(seed: u64, rounds: u64, step: &AtomicU64) {
     let mut random = Random(seed);
     while step.load(Ordering::Relaxed) < rounds {
@@ -208,7 +208,7 @@ fn churn_views(seed: u64, rounds: u64, step: &AtomicU64) {
 }
 
 #[test]
-fn models_are_switched_and_contexts_come_and_go_without_end() {
+fn models_are_switched_and_contexts_opened_and_closed() {
     watched(|step| {
         let times = churn_viewer(1, 600, step);
         println!("stop and start: median {:?}, slowest {:?}", times[300], times[599]);
@@ -216,11 +216,11 @@ fn models_are_switched_and_contexts_come_and_go_without_end() {
 }
 
 #[test]
-fn views_come_and_go_without_end() {
+fn views_are_added_and_removed() {
     watched(|step| churn_views(2, 600, step));
 }
 
-/// `cargo test --release --test viewer_threads -- --ignored --nocapture`; `SEED` starts elsewhere.
+/// Run by `cargo test --release --test views -- --ignored --nocapture ten_thousand`. `SEED` sets the first seed.
 #[test]
 #[ignore = "takes a minute"]
 fn ten_thousand_switches() {
@@ -238,7 +238,7 @@ fn ten_thousand_switches() {
 }
 
 #[test]
-fn a_thread_that_panics_is_an_error_and_nothing_waits_for_it() {
+fn thread_that_panics_is_an_error_and_nothing_waits_for_it() {
     for threading in &ThreadingModel::ALL[1..] {
         watched(move |_| {
             let mut viewer = Viewer::new(context(), &config(*threading)).unwrap();
@@ -246,17 +246,17 @@ fn a_thread_that_panics_is_an_error_and_nothing_waits_for_it() {
             viewer.add_slave(Slave::new(other)).unwrap();
             // Some frames after the start.
             viewer.add_root(page(Some(panic_after(9)))).unwrap();
-            let error = (0..200).find_map(|_| viewer.frame().err()).expect("the panic is seen");
+            let error = (0..200).find_map(|_| viewer.frame().err()).expect("the panic is reported");
             assert!(matches!(error, ViewerError::DrawThreadStopped), "{error}");
-            assert!(viewer.frame().is_err(), "it stays one");
-            // Dropped with one context gone.
+            assert!(viewer.frame().is_err(), "the error stays");
+            // The viewer is dropped after one context was closed.
         });
     }
 }
 
-/// A thread released while the object still existed could send it a value that was never received.
+/// Regression: a thread that was released while the object still existed could send it a value that was never received.
 #[test]
-fn waiting_for_a_panicked_thread_finds_its_object_dropped() {
+fn wait_for_a_panicked_thread_drops_its_object_first() {
     struct Owned(Arc<AtomicU64>);
     impl Drop for Owned {
         fn drop(&mut self) {
@@ -286,9 +286,9 @@ fn waiting_for_a_panicked_thread_finds_its_object_dropped() {
     assert!(thread.join().is_err());
 }
 
-/// Changing the scene, or paging it, after a thread's panic does not panic too.
+/// Changing or paging the scene after a thread's panic does not panic.
 #[test]
-fn a_scene_can_be_changed_after_a_thread_has_died() {
+fn scene_can_be_changed_after_a_thread_has_panicked() {
     let folder = tempfile::tempdir().unwrap();
     for round in 0..20 {
         for threading in &ThreadingModel::ALL[1..] {
@@ -300,15 +300,15 @@ fn a_scene_can_be_changed_after_a_thread_has_died() {
                 viewer.page_files_in(&folder).unwrap();
                 viewer.on_update(Box::new(|_, _| {}));
                 let root = viewer.add_root(page(Some(panic_after(2 + round % 7)))).unwrap();
-                let error = (0..200).find_map(|_| viewer.frame().err()).expect("the panic is seen");
+                let error = (0..200).find_map(|_| viewer.frame().err()).expect("the panic is reported");
                 assert!(matches!(error, ViewerError::DrawThreadStopped), "{error}");
                 viewer.scene_mut();
                 viewer.work_until(Instant::now() + Duration::from_millis(1));
                 let _ = viewer.add_root(page(None));
                 viewer.remove_root(root);
                 assert!(viewer.frame().is_err());
-                // A wait for a frame in flight returns an error instead of hanging; without the dead thread the rest
-                // continues.
+                // A wait for a frame in flight returns an error instead of hanging. Without the panicked thread the
+                // others continue.
                 let _ = viewer.open_context(context());
                 let _ = viewer.composite_mut().set_threading_model(ThreadingModel::SingleThreaded);
                 assert!(viewer.frame().is_err());
@@ -322,9 +322,9 @@ fn a_scene_can_be_changed_after_a_thread_has_died() {
     }
 }
 
-/// Its update waited for the uploads of its tiles for ever.
+/// Regression: its update waited forever for the uploads of its tiles.
 #[test]
-fn the_blocking_mode_waits_for_no_thread_that_dies_in_an_upload() {
+fn blocking_mode_does_not_wait_for_a_thread_that_panics_in_an_upload() {
     struct Panics;
     impl CustomDrawable for Panics {
         fn name(&self) -> &str {
@@ -349,15 +349,16 @@ fn the_blocking_mode_waits_for_no_thread_that_dies_in_an_upload() {
             viewer.load(&set).unwrap();
             let drawable = Drawable::new(custom_geometry(Panics), Material::default());
             viewer.add_root(Page::from_node(Node::geode(vec![drawable])).unwrap()).unwrap();
-            let error = viewer.frame().expect_err("the panic is seen");
+            let error = viewer.frame().expect_err("the panic is reported");
             assert!(matches!(error, ViewerError::DrawThreadStopped), "{error}");
         });
     }
 }
 
-/// With the first context of a dead device all of them were forgotten, but for their cameras: no frame was drawn again.
+/// Regression: closing the first context of a dead device closed all of them except for their cameras, and no frame was
+/// drawn again.
 #[test]
-fn contexts_of_a_device_that_has_died_are_closed_one_by_one() {
+fn contexts_of_a_dead_device_are_closed_one_by_one() {
     for threading in &ThreadingModel::ALL[1..] {
         watched(move |_| {
             let mut viewer = Viewer::new(context(), &config(*threading)).unwrap();
@@ -365,13 +366,13 @@ fn contexts_of_a_device_that_has_died_are_closed_one_by_one() {
             let second = viewer.composite_mut().open_offscreen_on(main, &config(*threading).traits()).unwrap();
             viewer.add_slave(Slave::new(second)).unwrap();
             viewer.add_root(page(Some(panic_after(9)))).unwrap();
-            let error = (0..200).find_map(|_| viewer.frame().err()).expect("the panic is seen");
+            let error = (0..200).find_map(|_| viewer.frame().err()).expect("the panic is reported");
             assert!(matches!(error, ViewerError::DrawThreadStopped), "{error}");
             assert!(
                 viewer.composite_mut().close_context(main).unwrap()
                     && !viewer.composite_mut().close_context(main).unwrap()
             );
-            assert!(viewer.frame().is_err(), "{threading}: the other one is still there");
+            assert!(viewer.frame().is_err(), "{threading}: the other context is still open");
             assert!(
                 viewer.composite_mut().close_context(second).unwrap()
                     && !viewer.composite_mut().close_context(second).unwrap()
@@ -382,9 +383,10 @@ fn contexts_of_a_device_that_has_died_are_closed_one_by_one() {
     }
 }
 
-/// The stages of those left went to cameras that were gone; with the second death the last one waited for ever.
+/// Regression: the remaining stages were sent to removed cameras, and with the second panic the last one waited
+/// forever.
 #[test]
-fn a_view_survives_a_panic_in_the_cameras_of_others() {
+fn view_survives_a_panic_in_the_cameras_of_others() {
     watched(|_| {
         let mut viewer =
             CompositeViewer::new(&config(ThreadingModel::CullThreadPerCameraDrawThreadPerContext)).unwrap();
@@ -401,7 +403,7 @@ fn a_view_survives_a_panic_in_the_cameras_of_others() {
             viewer.add_view(scene, shared, Some([0, 0, 16, 16])).unwrap()
         });
         for dead in &views[..2] {
-            let error = (0..200).find_map(|_| viewer.frame().err()).expect("the panic is seen");
+            let error = (0..200).find_map(|_| viewer.frame().err()).expect("the panic is reported");
             assert!(matches!(error, ViewerError::DrawThreadStopped), "{error}");
             viewer.remove_view(*dead).unwrap();
         }

@@ -1,5 +1,5 @@
-//! Views as a file names them: their windows, parts, scenes and cameras, offscreen. Images need a GPU (a software one
-//! will do).
+//! Views of a configuration file: their windows, parts, scenes and cameras, offscreen. Images need a GPU; a software
+//! adapter suffices.
 
 use std::path::Path;
 
@@ -35,7 +35,7 @@ fn part(picture: &RgbaImage, [x, y, width, height]: [u32; 4]) -> RgbaImage {
     image::imageops::crop_imm(picture, x, y, width, height).to_image()
 }
 
-/// Share of pixels of about a colour.
+/// Returns the share of pixels with approximately a colour.
 fn share(picture: &RgbaImage, color: [u8; 3]) -> f64 {
     let is_near = |p: &&image::Rgba<u8>| p.0.iter().zip(color).all(|(a, b)| a.abs_diff(b) < 8);
     picture.pixels().filter(is_near).count() as f64 / f64::from(picture.width() * picture.height())
@@ -65,10 +65,10 @@ fn views_have_their_parts_scenes_and_slaves() {
     let own = own_scene.unwrap();
     assert!(viewer.scene_of(views[1]).unwrap() == own && viewer.scene_of(views[2]).unwrap() == own);
     assert!(viewer.scene_of(views[0]).unwrap() != own);
-    // The application's scene: both views show it, each from its own eye.
+    // Both views show the application's scene, each from a separate eye.
     let white = ball(DVec3::ZERO, 1.0, [1.0; 4]);
     viewer.add_root(own, Page::from_node(Node::group(vec![white])).unwrap()).unwrap();
-    // The file's view, though nothing was loaded when it was read.
+    // The view is that of the file, although nothing was loaded when it was read.
     let bounds = *viewer.bounds(own).unwrap().unwrap();
     let as_said = ViewFrom { pitch: (-80f64).to_radians(), range_m: Some(7.0), ..ViewFrom::default() };
     for (view, from) in views[1..].iter().zip([as_said, ViewFrom::default()]) {
@@ -87,11 +87,11 @@ fn views_have_their_parts_scenes_and_slaves() {
     assert_eq!((first.dimensions(), second.dimensions()), ((300, 100), (120, 80)));
     let [hills, near, far] = [0, 100, 200].map(|x| part(&first, [x, 0, 100, 100]));
     assert!(colours(&hills) > 200 && share(&hills, [0, 0, 250]) == 0.0, "terrain on the left");
-    assert!(colours(&second) > 200, "and in the other window");
+    assert!(colours(&second) > 200, "terrain in the other window");
     let (large, small) = (share(&near, [255; 3]), share(&far, [255; 3]));
     assert!(large > 4.0 * small && small > 0.005, "{large} and {small} of white");
     assert!(share(&near, [0, 0, 250]) > 0.2 && share(&far, [0, 250, 0]) > 0.5);
-    // A view goes, the others stay.
+    // One view is removed, and the others stay.
     viewer.remove_view(views[1]).unwrap();
     viewer.frame().unwrap();
     let first = viewer.read_back(contexts[0]).unwrap();
@@ -100,7 +100,7 @@ fn views_have_their_parts_scenes_and_slaves() {
 }
 
 #[test]
-fn a_scene_shows_one_tile_set() {
+fn scene_shows_one_tile_set() {
     let folder = tempfile::tempdir().unwrap();
     let set = small_set(folder.path());
     let config = ViewerConfig { adapter: AdapterChoice::Noop, validation: false, ..ViewerConfig::default() };
@@ -114,7 +114,7 @@ fn a_scene_shows_one_tile_set() {
     viewer.load(first, &set).unwrap();
 }
 
-/// Together they hide a view that draws nothing.
+/// Regression: a view that draws nothing was hidden by the sum over all views.
 #[test]
 fn tiles_are_counted_for_each_view() {
     let folder = tempfile::tempdir().unwrap();
@@ -138,9 +138,9 @@ fn tiles_are_counted_for_each_view() {
 }
 
 #[test]
-fn parts_follow_their_window_or_stay_and_pictures_change_their_shape_as_asked() {
+fn parts_follow_their_window_by_their_policy() {
     let folder = tempfile::tempdir().unwrap();
-    // Side by side: what follows the window, with each policy, and what stays in a corner.
+    // Side by side: parts that follow the window with each policy, and one that stays in a corner.
     let setup = setup(
         folder.path(),
         r#"{"windows": [{"size_px": [300, 100]}],
@@ -158,7 +158,7 @@ fn parts_follow_their_window_or_stay_and_pictures_change_their_shape_as_asked() 
         let view = viewer.view_mut(*view).unwrap();
         view.camera.look_at(DVec3::new(0.0, -distance, 0.0), DVec3::new(0.0, -distance + 1.0, 0.0), DVec3::Z);
     }
-    // Width and height of the ball, pixels, in parts of an image that hold nothing else.
+    // Returns the width and height of the ball in pixels, in parts of an image that show nothing else.
     let mut balls = |size_px: [u32; 2]| {
         viewer.resize_context(contexts[0], size_px).unwrap();
         viewer.settle(3);
@@ -167,7 +167,7 @@ fn parts_follow_their_window_or_stay_and_pictures_change_their_shape_as_asked() 
             picture.save(Path::new(&folder).join(format!("views-{}x{}.png", size_px[0], size_px[1]))).unwrap();
         }
         assert_eq!(picture.dimensions(), (size_px[0], size_px[1]));
-        assert_eq!(share(&part(&picture, [5, 7, 10, 20]), backgrounds[3]), 1.0, "the corner stays");
+        assert_eq!(share(&part(&picture, [5, 7, 10, 20]), backgrounds[3]), 1.0, "the corner does not change");
         let third = size_px[0] / 3;
         [0, 1, 2].map(|place| {
             let of = part(&picture, [place as u32 * third, 0, third, size_px[1]]);
@@ -182,7 +182,7 @@ fn parts_follow_their_window_or_stay_and_pictures_change_their_shape_as_asked() 
     let same = |a: f64, b: f64| (a - b).abs() < 3.0;
     let [before, others @ ..] = balls([300, 100]);
     assert!(before[0] > 20.0 && others == [before; 2], "{before:?} {others:?}");
-    // Twice as wide: stretched; more to the sides; less above and below.
+    // Twice as wide: stretched, more at the sides, or less at the top and bottom.
     let [fixed, horizontal, vertical] = balls([600, 100]);
     assert!(same(fixed[0], 2.0 * before[0]) && same(fixed[1], before[1]), "{fixed:?} of {before:?}");
     assert!(same(horizontal[0], before[0]) && same(horizontal[1], before[1]), "{horizontal:?} of {before:?}");
@@ -192,12 +192,12 @@ fn parts_follow_their_window_or_stay_and_pictures_change_their_shape_as_asked() 
     assert!(same(fixed[0], before[0]) && same(fixed[1], 2.0 * before[1]), "{fixed:?} of {before:?}");
     assert!(same(horizontal[0], 2.0 * before[0]) && same(horizontal[1], 2.0 * before[1]), "{horizontal:?}");
     assert!(same(vertical[0], before[0]) && same(vertical[1], before[1]), "{vertical:?} of {before:?}");
-    // And back.
+    // The original size again.
     assert_eq!(balls([300, 100]), [before; 3]);
 }
 
 #[test]
-fn a_source_that_cannot_be_read_is_one_error_with_its_place() {
+fn source_that_cannot_be_read_is_one_error_with_its_position() {
     let folder = tempfile::tempdir().unwrap();
     let setup = setup(folder.path(), r#"{"scenes": {"a": "no/set"}, "views": [{"scene": "a"}]}"#);
     let error = setup.read_roots(&ViewerConfig::default().pager).err().unwrap().to_string();

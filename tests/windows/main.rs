@@ -1,4 +1,4 @@
-//! Real windows on virtual displays. Each test starts this program again, since a process has one event loop.
+//! Real windows on virtual displays. Each test starts this program again, because a process has one event loop.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 #[cfg(all(target_os = "linux", feature = "window"))]

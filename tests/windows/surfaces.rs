@@ -1,6 +1,6 @@
-//! A window's surface that is late, outdated, lost or suboptimal while its device works. Frames are skipped and counted,
-//! the surface is configured or created again, and the window shows the same as before. Needs Xvfb and a GPU (a software
-//! adapter suffices); skipped without.
+//! A window's surface that is late, outdated, lost or suboptimal while its device works. Frames are skipped and
+//! counted, the surface is configured or created again, and the window shows the same as before. Needs Xvfb and a GPU;
+//! a software adapter suffices. Skipped without them.
 
 use std::process::Command;
 use std::sync::Arc;
@@ -26,12 +26,12 @@ use winit::window::{Window, WindowId};
 
 use SurfaceAnswer::{Lost, Occluded, Outdated, Suboptimal, Timeout};
 
-/// A frame that takes longer hangs.
+/// The time after which a frame counts as hanging.
 const PATIENCE: Duration = Duration::from_secs(120);
 
 /// Runs [`on_a_display`] in a separate process, which has a display.
 #[test]
-fn a_surface_recovers_without_losing_its_device() {
+fn surface_recovers_without_losing_its_device() {
     let Some(display) = Display::start([640, 480]) else { return };
     let output = Command::new(std::env::current_exe().unwrap())
         .args(["--exact", &test_name(module_path!(), "on_a_display"), "--ignored", "--nocapture"])
@@ -52,7 +52,7 @@ fn a_surface_recovers_without_losing_its_device() {
 fn on_a_display() {
     std::thread::spawn(|| {
         std::thread::sleep(PATIENCE);
-        eprintln!("a frame waits for ever");
+        eprintln!("a frame waits forever");
         std::process::exit(3);
     });
     let event_loop = EventLoop::builder().with_any_thread(true).build().unwrap();
@@ -89,7 +89,7 @@ fn picture(viewer: &mut Viewer, context: ContextId) -> RgbaImage {
     viewer.composite_mut().take_pictures(context).pop().unwrap().1
 }
 
-/// False where nothing can draw.
+/// Returns false without an adapter.
 fn check(window: &Arc<Window>, model: ThreadingModel) -> bool {
     let size = window.inner_size();
     let config = ViewerConfig {
@@ -113,7 +113,7 @@ fn check(window: &Arc<Window>, model: ThreadingModel) -> bool {
     viewer.settle(3);
     let before = picture(&mut viewer, context);
     let white = before.pixels().filter(|p| p.0 == [255; 4]).count();
-    assert!(white > 200, "the ball is seen: {white}");
+    assert!(white > 200, "the ball is visible: {white}");
 
     // A frame that the window skips has no image, which is no error.
     viewer.composite_mut().pretend_surface(context, &[Timeout]).unwrap();
@@ -121,7 +121,7 @@ fn check(window: &Arc<Window>, model: ThreadingModel) -> bool {
     viewer.frame().unwrap();
     viewer.finish().unwrap();
     assert!(viewer.composite_mut().take_pictures(context).is_empty());
-    // Nor has one that is drawn once more, and it says so.
+    // A frame that is drawn again has none either, and that is reported.
     for answer in [Occluded, Timeout] {
         viewer.composite_mut().pretend_surface(context, &[answer]).unwrap();
         let error = viewer.picture().unwrap_err();
@@ -129,18 +129,18 @@ fn check(window: &Arc<Window>, model: ThreadingModel) -> bool {
         viewer.composite_mut().pretend_surface(context, &[answer]).unwrap();
         let error = viewer.settled().err().unwrap();
         assert!(matches!(error, ViewerError::HiddenWindow), "{model:?} {answer:?}: {error}");
-        assert!(viewer.picture().unwrap() == before, "{model:?} {answer:?}: it is seen again");
-        // Which shows the image that was drawn into.
+        assert!(viewer.picture().unwrap() == before, "{model:?} {answer:?}: it is visible again");
+        // The window shows the image that was drawn.
         assert!(picture(&mut viewer, context) == before, "{model:?} {answer:?}");
     }
 
     for (answers, skipped) in [
         (&[Timeout][..], 1),
         (&[Occluded, Timeout, Occluded], 3),
-        // Configured anew, and asked again in the same frame.
+        // The surface is configured and acquired again in the same frame.
         (&[Outdated], 0),
         (&[Outdated, Outdated], 1),
-        // Made anew.
+        // The surface is created again.
         (&[Lost], 0),
         (&[Lost, Lost, Lost, Lost], 2),
         (&[Lost, Outdated, Outdated, Timeout], 2),
@@ -156,9 +156,9 @@ fn check(window: &Arc<Window>, model: ThreadingModel) -> bool {
         let empty = frames.iter().filter(|s| s.leaves == 0).count();
         assert_eq!((of_skipped, empty), (skipped, skipped as usize), "{model:?} {answers:?}");
         assert!(picture(&mut viewer, context) == before, "{model:?} {answers:?}");
-        assert_eq!(viewer.view().context(), Some(context), "its device is the same, and what is uploaded to it");
+        assert_eq!(viewer.view().context(), Some(context), "the device and its uploads are the same");
     }
-    // One that never comes back is an error after some frames, and no panic and no hang.
+    // A surface that stays lost is an error after some frames, without a panic or a hang.
     viewer.composite_mut().pretend_surface(context, &[Lost; 64]).unwrap();
     let error = (0..40).find_map(|_| viewer.frame().and_then(|()| viewer.finish()).err()).unwrap();
     assert!(error.to_string().contains("still lost"), "{model:?}: {error}");

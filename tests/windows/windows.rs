@@ -1,6 +1,6 @@
-//! Real windows open and close at random while threading models change and frames are under way: nothing waits for
-//! ever, and the rest continues. Needs Xvfb and a GPU (a software one will do); says so where there is none. Contexts
-//! without windows: `viewer_threads`.
+//! Real windows open and close at random while threading models change and frames are in flight. No thread may wait
+//! forever, and the other windows continue. Needs Xvfb and a GPU; a software adapter suffices. Skipped without them.
+//! Contexts without windows are tested in `tests/views/threads.rs`.
 
 use std::process::Command;
 use std::sync::Arc;
@@ -21,15 +21,15 @@ use winit::event_loop::{ActiveEventLoop, ControlFlow, EventLoop};
 use winit::platform::x11::EventLoopBuilderExtX11 as _;
 use winit::window::{Window, WindowId};
 
-/// Most contexts besides the first.
+/// The maximum number of contexts besides the first.
 const MORE: usize = 3;
-/// A step that takes longer waits for ever.
+/// The time after which a step counts as hanging.
 const PATIENCE: Duration = Duration::from_secs(90);
-/// Says how many switches the program on the display makes.
+/// Tells the program on the display how many switches to make.
 const SWITCHES: &str = "TERRANE_TEST_SWITCHES";
 
-/// Runs [`on_a_display`] in a separate process, which has a display: a process has one event loop, and its variables are
-/// not changed while it runs.
+/// Runs [`on_a_display`] in a separate process with a display: a process has one event loop, and its environment must
+/// not change while it runs.
 fn churn(switches: u64) {
     let Some(display) = Display::start([640, 480]) else { return };
     let output = Command::new(std::env::current_exe().unwrap())
@@ -47,11 +47,11 @@ fn churn(switches: u64) {
 }
 
 #[test]
-fn windows_come_and_go_while_models_change() {
+fn windows_open_and_close_while_models_change() {
     churn(60);
 }
 
-/// `cargo test --release --test viewer_windows -- --ignored --nocapture ten_thousand`; `SEED` starts elsewhere.
+/// Run by `cargo test --release --test windows -- --ignored --nocapture ten_thousand`. `SEED` sets the first seed.
 #[test]
 #[ignore = "takes many minutes"]
 fn ten_thousand_switches_with_windows() {
@@ -71,7 +71,7 @@ fn on_a_display() {
         loop {
             let now = watched.load(Ordering::Relaxed);
             if now == before {
-                eprintln!("step {now} waits for ever");
+                eprintln!("step {now} waits forever");
                 std::process::exit(3);
             }
             before = now;
@@ -89,7 +89,7 @@ fn on_a_display() {
         windows: Vec::new(),
         orphans: Vec::new(),
         opened: 0,
-        // Short flights open more often.
+        // Short runs open windows more often.
         rarity: if switches > 1000 { 60 } else { 4 },
         times: Vec::new(),
         has_adapter: true,
@@ -132,7 +132,7 @@ fn offscreen() -> GraphicsContext {
     GraphicsContext::new_offscreen(&config(AdapterChoice::Noop).traits()).unwrap()
 }
 
-/// With a context that needs no window, so that all windows may go.
+/// A context without a window, so that all windows may close.
 fn viewer() -> Viewer {
     let mut viewer = Viewer::new(offscreen(), &config(AdapterChoice::Noop)).unwrap();
     let ball = Geometry::Mesh(Arc::new(Mesh::sphere(DVec3::ZERO, 1.0, 8)));
@@ -147,10 +147,10 @@ struct Churn {
     random: Random,
     viewer: Viewer,
     windows: Vec<(Option<Arc<Window>>, ContextId)>,
-    /// Windows whose contexts went first.
+    /// Windows whose contexts were closed first.
     orphans: Vec<Arc<Window>>,
     opened: u32,
-    /// One in so many steps opens a window.
+    /// One in this number of steps opens a window.
     rarity: usize,
     times: Vec<Duration>,
     has_adapter: bool,
@@ -185,7 +185,7 @@ impl Churn {
             return self.open(event_loop);
         }
         match self.random.below(8 * self.rarity) {
-            // The context goes, and its window soon after, or at once.
+            // The context is closed, and its window soon after or at once.
             0..8 if !self.windows.is_empty() => {
                 let (window, context) = self.windows.swap_remove(self.random.below(self.windows.len()));
                 if self.random.below(2) == 0 {
@@ -193,7 +193,7 @@ impl Churn {
                 }
                 assert!(self.viewer.composite_mut().close_context(context).unwrap());
             }
-            // Only the context holds the window now.
+            // Only the context owns the window now.
             8..11 if !self.windows.is_empty() => {
                 let place = self.random.below(self.windows.len());
                 self.windows[place].0 = None;
@@ -210,7 +210,7 @@ impl Churn {
                 }
             }
             18 => {
-                // Everything at once, with frames under way.
+                // Everything is dropped at once with frames in flight.
                 self.viewer = viewer();
                 let windows = std::mem::take(&mut self.windows);
                 self.orphans.extend(windows.into_iter().filter_map(|(window, _)| window));

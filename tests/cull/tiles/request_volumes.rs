@@ -1,4 +1,4 @@
-//! Tiles that are only for eyes inside volumes (`viewerRequestVolume`): what is asked for, drawn and met. No GPU.
+//! Tiles for eyes inside request volumes (`viewerRequestVolume`): requests, drawing and intersections. No GPU.
 
 use std::sync::Arc;
 
@@ -12,7 +12,7 @@ use terrane::scene::{
     SlotState, SunShadows, Topology,
 };
 
-/// A square of a plane, 50 m to each side of a point.
+/// Returns a square of a plane, 50 m to each side of a point.
 fn tile(center: DVec3, content: &str) -> PagedLod {
     PagedLod {
         bounds: BoundingVolume::Box(square_box(center, 50.0)),
@@ -34,7 +34,7 @@ fn within(radius_m: f64, center: DVec3) -> Option<BoundingVolume> {
     Some(BoundingVolume::Sphere(BoundingSphere::new(center, radius_m)))
 }
 
-/// A square of 100 m, drawn and met.
+/// Returns a square of 100 m that is drawn and can be intersected.
 fn square() -> Page {
     let corner = |x: f32, y: f32| MeshVertex { position: [x, y, 0.0], ..MeshVertex::default() };
     let corners = vec![corner(-50.0, -50.0), corner(50.0, -50.0), corner(50.0, 50.0), corner(-50.0, 50.0)];
@@ -52,7 +52,7 @@ fn tileset(root: Node) -> Page {
 const LEFT: DVec3 = DVec3::new(-50.0, 0.0, 0.0);
 const RIGHT: DVec3 = DVec3::new(50.0, 0.0, 0.0);
 
-/// A tile with content that shows as a square in its middle, and two children side by side.
+/// Returns a tile whose content is a square in its middle, with two children side by side.
 fn parent_of(right: PagedLod, refine: Refine) -> Scene {
     let parent = PagedLod {
         bounds: BoundingVolume::Box(square_box(DVec3::ZERO, 100.0)),
@@ -65,22 +65,22 @@ fn parent_of(right: PagedLod, refine: Refine) -> Scene {
     scene
 }
 
-/// A tile with a child whose request volume holds eyes within 500 m.
+/// Returns a tile with a child whose request volume contains eyes within 500 m.
 fn with_a_near_child(refine: Refine) -> Scene {
     parent_of(PagedLod { request_volume: within(500.0, DVec3::ZERO), ..tile(RIGHT, "right") }, refine)
 }
 
-/// A tile with a child that is an external tileset.
+/// Returns a tile with a child that is an external tileset.
 fn with_a_tileset(refine: Refine) -> Scene {
     parent_of(tile(RIGHT, "set"), refine)
 }
 
-/// The external tileset, with its own frame: only for eyes within 500 m of the origin of the world.
+/// Returns the external tileset with its frame. Its request volume contains eyes within 500 m of the world's origin.
 fn near_tileset() -> Page {
     tileset(node(PagedLod { request_volume: within(500.0, -RIGHT), ..tile(DVec3::ZERO, "right") }))
 }
 
-/// The content of most tiles.
+/// Returns the content of most tiles.
 fn plain(uri: &str) -> Page {
     if uri == "set" { near_tileset() } else { square() }
 }
@@ -89,7 +89,7 @@ fn from_above(height_m: f64) -> CullCamera {
     look_at(DVec3::new(0.0, -10.0, height_m), DVec3::ZERO, DVec3::Z)
 }
 
-/// Culls once: what is asked for, and what is drawn, by their URIs.
+/// Culls once and returns the URIs of requested and of drawn tiles.
 fn cull(scene: &Scene, camera: &CullCamera) -> (Vec<String>, Vec<String>) {
     let mut stage = RenderStage::new();
     CullVisitor::new().cull(scene, camera, &mut stage);
@@ -106,7 +106,7 @@ fn cull(scene: &Scene, camera: &CullCamera) -> (Vec<String>, Vec<String>) {
     (asked, drawn)
 }
 
-/// How much of a scene with one cascade casts shadows.
+/// Returns the number of shadow casters of a scene with one cascade.
 fn casters(scene: &Scene, camera: &CullCamera) -> u32 {
     let shadows = Some(SunShadows { cascades: 1, ..SunShadows::default() });
     let (mut visitor, mut stage) = (CullVisitor::new(), RenderStage::new());
@@ -116,7 +116,7 @@ fn casters(scene: &Scene, camera: &CullCamera) -> u32 {
     stage.counters.shadow_leaves
 }
 
-/// Attaches what is asked for until nothing is. What is drawn then.
+/// Attaches requested tiles until there are no requests, and returns the drawn tiles.
 fn settle(scene: &mut Scene, camera: &CullCamera, load: &dyn Fn(&str) -> Page) -> Vec<String> {
     for frame in 1..20 {
         let mut stage = RenderStage::new();
@@ -132,7 +132,7 @@ fn settle(scene: &mut Scene, camera: &CullCamera, load: &dyn Fn(&str) -> Page) -
     panic!("does not settle: {:?}", cull(scene, camera));
 }
 
-/// Which squares are met, where they are seen from: rays straight down through their own middles.
+/// Returns the squares that rays straight down through their middles intersect, as seen from an eye.
 fn met(scene: &Scene, camera: &CullCamera) -> Vec<String> {
     let mut visitor = IntersectionVisitor::as_seen_from(camera.eye_point());
     let mut met = Vec::new();
@@ -148,24 +148,24 @@ fn met(scene: &Scene, camera: &CullCamera) -> Vec<String> {
 }
 
 #[test]
-fn a_tile_is_for_eyes_in_its_request_volume() {
+fn tile_is_wanted_only_inside_its_request_volume() {
     let mut scene = Scene::new();
     scene.add_root(tileset(node(PagedLod {
         request_volume: within(100.0, DVec3::ZERO),
         ..tile(DVec3::ZERO, "parent")
     })));
     let at = |distance_m: f64| look_at(DVec3::new(0.0, 0.0, distance_m), DVec3::ZERO, DVec3::Y);
-    assert_eq!(cull(&scene, &at(101.0)), (vec![], vec![]), "not even asked for");
+    assert_eq!(cull(&scene, &at(101.0)), (vec![], vec![]), "not requested");
     assert_eq!(settle(&mut scene, &at(99.0), &plain), ["parent"]);
     assert_eq!(met(&scene, &at(99.0)), ["parent"]);
-    assert!(settle(&mut scene, &at(101.0), &plain).is_empty(), "nor drawn when it is there");
+    assert!(settle(&mut scene, &at(101.0), &plain).is_empty(), "not drawn although it is loaded");
     assert!(met(&scene, &at(101.0)).is_empty());
 }
 
-/// From outside the volume the parent is drawn, since the near child would leave a hole. That holds after any earlier
-/// view, and for the volume of an external tileset's root.
+/// From outside of the volume the parent is drawn, because the near child would leave a hole. That holds after any
+/// earlier view, and for the request volume of an external tileset's root.
 #[test]
-fn a_tile_is_not_replaced_from_outside_of_a_childs_volume() {
+fn tile_is_not_replaced_outside_of_a_childs_request_volume() {
     let [far, near] = [600.0, 400.0].map(from_above);
     for with_a_near_one in [with_a_near_child, with_a_tileset] {
         for (refine, inside, outside) in [
@@ -184,9 +184,9 @@ fn a_tile_is_not_replaced_from_outside_of_a_childs_volume() {
     }
 }
 
-/// A tileset whose root is another one, whose root has the volume.
+/// The root of a tileset is another tileset, whose root has the volume.
 #[test]
-fn a_volume_is_known_through_tilesets_in_one_another() {
+fn request_volume_is_known_through_nested_tilesets() {
     let load = |uri: &str| match uri {
         "set" => tileset(node(tile(DVec3::ZERO, "inner"))),
         "inner" => near_tileset(),
@@ -197,9 +197,9 @@ fn a_volume_is_known_through_tilesets_in_one_another() {
     assert_eq!(settle(&mut scene, &from_above(600.0), &load), ["parent"]);
 }
 
-/// The volume outlives the tileset's expiry; otherwise it would be loaded again and again from outside.
+/// The volume outlives the expiry of the tileset. Otherwise it would be loaded again and again from outside.
 #[test]
-fn a_volume_stays_known_when_its_tileset_expires() {
+fn request_volume_stays_known_when_its_tileset_expires() {
     let mut scene = with_a_tileset(Refine::Replace);
     settle(&mut scene, &from_above(400.0), &plain);
     let resident = |scene: &Scene, uri: &str| {
@@ -216,15 +216,15 @@ fn a_volume_stays_known_when_its_tileset_expires() {
     let nothing: Vec<String> = Vec::new();
     assert_eq!(cull(&scene, &from_above(600.0)), (nothing, vec!["parent".into()]));
     assert_eq!(cull(&scene, &from_above(400.0)), (vec!["set".into()], vec!["parent".into()]));
-    // The replacement has no volume.
+    // The replacement has no request volume.
     let other = |uri: &str| if uri == "set" { tileset(node(tile(DVec3::ZERO, "right"))) } else { square() };
     assert_eq!(settle(&mut scene, &from_above(400.0), &other), ["left", "right"]);
     assert_eq!(settle(&mut scene, &from_above(600.0), &other), ["left", "right"]);
 }
 
-/// Nor is there a hole while the tile fades in again, or has to be loaded again; what is drawn is met.
+/// There is no hole either while the tile fades in or is loaded again. Drawn tiles can be intersected.
 #[test]
-fn children_stand_in_for_a_tile_from_outside_of_a_volume() {
+fn children_stand_in_for_a_tile_outside_of_a_request_volume() {
     for with_a_near_one in [with_a_near_child, with_a_tileset] {
         let mut scene = with_a_near_one(Refine::Replace);
         settle(&mut scene, &from_above(600.0), &plain);
@@ -238,7 +238,7 @@ fn children_stand_in_for_a_tile_from_outside_of_a_volume() {
         };
         assert_eq!(drawn(&scene, 1, 400.0, 0.0), (2, 0));
         assert_eq!(drawn(&scene, 2, 400.0, 0.02), (2, 0));
-        assert_eq!(drawn(&scene, 3, 600.0, 0.04), (3, 0), "the tile and both children, each in its part");
+        assert_eq!(drawn(&scene, 3, 600.0, 0.04), (3, 0), "the tile and both children, each in its share of pixels");
         assert_eq!(drawn(&scene, 4, 600.0, 0.20), (1, 0));
         let parent = scene.slots_of_page(scene.roots()[0]).next().unwrap();
         let SlotState::Resident(page) = scene.slot(parent).unwrap().state else { panic!() };
@@ -246,6 +246,6 @@ fn children_stand_in_for_a_tile_from_outside_of_a_volume() {
         let standing_in = (vec!["parent".into()], vec!["left".into(), "right".into()]);
         assert_eq!(cull(&scene, &from_above(600.0)), standing_in);
         assert_eq!(met(&scene, &from_above(600.0)), ["left", "right"]);
-        assert_eq!(casters(&scene, &from_above(600.0)), 2, "what is drawn casts shadows");
+        assert_eq!(casters(&scene, &from_above(600.0)), 2, "drawn tiles cast shadows");
     }
 }

@@ -1,4 +1,4 @@
-//! Rules that hide or keep a tile: the earth, a camera's mask, small-feature culling. No GPU.
+//! Rules that cull or keep a tile: the horizon, a camera's mask, small-feature culling. No GPU.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -13,9 +13,9 @@ use terrane::scene::{
 };
 use terrane::state::StateSet;
 
-/// A globe of 6 x 12 tiles of 30 degrees: from 1,000 km up only what is on this side of the horizon is met.
+/// A globe has 6 x 12 tiles of 30 degrees. From 1,000 km up, only tiles on this side of the horizon are visited.
 #[test]
-fn the_earth_hides_tiles_behind_it() {
+fn tiles_behind_the_horizon_are_culled() {
     use terrane::math::{Geodetic, Region, WGS84};
     let tiles = (0..72).map(|k| {
         let (i, j) = (f64::from(k % 12), f64::from(k / 12));
@@ -37,7 +37,7 @@ fn the_earth_hides_tiles_behind_it() {
     let mut scene = Scene::new();
     scene.add_root(page(Node::group(tiles.collect()), 0));
     let eye = WGS84.ecef(&Geodetic { longitude: 0.26, latitude: 0.26, height_m: 1.0e6 });
-    // Towards the earth's centre: half of what is behind lies in the frustum's cone beyond it.
+    // The view is towards the earth's centre: half of the far side lies in the frustum.
     let straight = look_at(eye, DVec3::ZERO, DVec3::Z);
     let wanted = |camera: &CullCamera| {
         let mut stage = RenderStage::new();
@@ -48,12 +48,12 @@ fn the_earth_hides_tiles_behind_it() {
     let through = wanted(&straight);
     let solid = wanted(&CullCamera { horizon: Some(WGS84), ..straight });
     assert!(solid.is_subset(&through) && solid.len() < through.len(), "{solid:?} {through:?}");
-    // The tile below the eye, and no tile of the far hemisphere.
+    // The tile below the eye is visited, and none of the far hemisphere.
     assert!(solid.contains(&(3 * 12 + 6)), "{solid:?}");
     assert!(through.contains(&(2 * 12)) && !solid.contains(&(2 * 12)), "the antipode: {through:?} {solid:?}");
 }
 
-/// A tile of a plane: a square around a point, with a content named after it.
+/// Returns a tile of a plane: a square around a point, with a content named after it.
 fn flat_tile(center: DVec3, half_m: f64, geometric_error_m: f64) -> Node {
     Node::new(NodeKind::PagedLod(Box::new(PagedLod {
         bounds: BoundingVolume::Box(square_box(center, half_m)),
@@ -67,7 +67,7 @@ fn flat_tile(center: DVec3, half_m: f64, geometric_error_m: f64) -> Node {
     })))
 }
 
-/// Culls and attaches what is asked for until nothing is.
+/// Culls and attaches requested tiles until there are no requests.
 fn settle(scene: &mut Scene, camera: &CullCamera) -> RenderStage {
     let (mut visitor, mut stage) = (CullVisitor::new(), RenderStage::new());
     for frame in 1..20 {
@@ -84,7 +84,7 @@ fn settle(scene: &mut Scene, camera: &CullCamera) -> RenderStage {
 }
 
 #[test]
-fn a_hidden_child_does_not_hold_its_parent() {
+fn masked_child_does_not_delay_the_refinement_of_its_parent() {
     let mut parent = flat_tile(DVec3::ZERO, 100.0, 50.0);
     let mut hidden = flat_tile(DVec3::new(50.0, 0.0, 0.0), 50.0, 0.0);
     hidden.mask = 2;
@@ -95,7 +95,7 @@ fn a_hidden_child_does_not_hold_its_parent() {
     camera.settings.cull_mask = 1;
     let stage = settle(&mut scene, &camera);
     assert_eq!(stage.counters.tiles_drawn, 1);
-    // 50 m to the left: the child that is seen, not the parent in the middle.
+    // 50 m to the left the child is visible, not the parent in the middle.
     let x = stage.eye_from_drawable.last().unwrap()[0][3];
     assert!((x + 50.0).abs() < 1.0, "{x}");
     camera.settings.cull_mask = 3;
@@ -103,9 +103,10 @@ fn a_hidden_child_does_not_hold_its_parent() {
     assert_eq!(both.counters.tiles_drawn, 2);
 }
 
-/// They were once evicted as not visible although their parent needs them all: it was drawn again, and requested them.
+/// Regression: such tiles were evicted as invisible, although their parent needs them. It was drawn again and requested
+/// them.
 #[test]
-fn tiles_hidden_by_a_node_are_kept_when_siblings_wait() {
+fn tiles_hidden_by_a_node_are_kept_while_siblings_load() {
     let tile = |x: f64| flat_tile(DVec3::new(x, 0.0, 0.0), 20.0, 0.0);
     let hiding: [fn(Vec<Node>) -> Node; 3] = [
         |children| Node { children, ..Node::new(NodeKind::Switch(vec![false])) },
@@ -142,14 +143,14 @@ fn tiles_hidden_by_a_node_are_kept_when_siblings_wait() {
             }
         }
         assert!(stage.requests.is_empty(), "{kind}: {:?}", stage.requests);
-        let hidden = hidden.unwrap_or_else(|| panic!("{kind}: never asked for"));
+        let hidden = hidden.unwrap_or_else(|| panic!("{kind}: never requested"));
         assert_eq!(scene.slot(hidden).unwrap().last_used_frame, 9, "{kind}");
     }
 }
 
-/// Tiles are refined in a view turned by a quarter, whose up axis once had no pixels.
+/// Tiles are refined in a view that is rotated by a quarter. Regression: its up axis had no pixels.
 #[test]
-fn a_turned_picture_shows_as_much_detail() {
+fn rotated_view_shows_the_same_detail() {
     let mut parent = flat_tile(DVec3::ZERO, 100.0, 10.0);
     parent.children = vec![flat_tile(DVec3::ZERO, 100.0, 0.0)];
     let straight = look_at(DVec3::new(0.0, -10.0, 500.0), DVec3::ZERO, DVec3::Z);
@@ -160,13 +161,13 @@ fn a_turned_picture_shows_as_much_detail() {
         let mut scene = Scene::new();
         scene.add_root(page(parent.clone(), 0));
         settle(&mut scene, &camera);
-        assert_eq!(scene.page_count(), 3, "{turn}: the finer one");
+        assert_eq!(scene.page_count(), 3, "{turn}: the finer tile");
     }
 }
 
-/// With an infinite error limit, tiles without content still open: zero times infinity is not a number.
+/// With an infinite error limit, tiles without content are still refined: zero times infinity is not a number.
 #[test]
-fn unconditional_refinement_ignores_the_allowed_error() {
+fn unconditional_refinement_ignores_the_error_limit() {
     let settings = [(f64::INFINITY, 1.0), (1e300, 1.0), (16.0, f64::INFINITY), (16.0, 1.0)];
     for (max_sse_px, lod_scale) in settings {
         let mut root = flat_tile(DVec3::ZERO, 100.0, f64::MAX / 1e6);
@@ -188,7 +189,7 @@ fn unconditional_refinement_ignores_the_allowed_error() {
 }
 
 #[test]
-fn small_features_spare_tiles() {
+fn small_feature_culling_keeps_tiles() {
     let mut scene = Scene::new();
     scene.add_root(page(flat_tile(DVec3::ZERO, 1.0, 0.0), 0));
     let far = look_at(DVec3::new(0.0, -5000.0, 0.0), DVec3::ZERO, DVec3::Z);
@@ -197,7 +198,7 @@ fn small_features_spare_tiles() {
     assert_eq!(settle(&mut scene, &CullCamera { settings, ..far }).counters.tiles_drawn, 1);
 }
 
-/// The image is 1,024 pixels high: where it shows 200 m without perspective, an error of 3 m takes 15.36 of them.
+/// The image has 1,024 pixels for 200 m without perspective, so that an error of 3 m projects to 15.36 pixels.
 #[test]
 fn orthographic_errors_do_not_depend_on_distance() {
     let eye = DVec3::new(0.0, 0.0, 5000.0);
@@ -217,7 +218,7 @@ fn orthographic_errors_do_not_depend_on_distance() {
 
 /// Pages attached to tiles are visited after all nodes of the page itself.
 #[test]
-fn near_and_far_of_a_nested_view_follow_its_tiles() {
+fn near_and_far_planes_of_a_nested_view_follow_its_tiles() {
     let narrow = proj::perspective(0.5, 1.0, 1e5, 0.1);
     let view = Node { children: vec![flat_tile(DVec3::ZERO, 100.0, 0.0)], ..Node::new(NodeKind::Projection(narrow)) };
     let mut scene = Scene::new();
@@ -234,10 +235,10 @@ fn near_and_far_of_a_nested_view_follow_its_tiles() {
         clip.z / clip.w
     };
     assert!(depth(999.0) < 1.0 && depth(970.0) > 1.0 && depth(1001.0) > 0.0 && depth(1030.0) < 0.0);
-    assert!(stage.near_m > 5000.0, "what another view shows does not count: {}", stage.near_m);
+    assert!(stage.near_m > 5000.0, "leaves of another view were included: {}", stage.near_m);
 }
 
-/// Three levels of tiles, each named by its place depth-first; state sets make some of them grey.
+/// Returns three levels of tiles, each named by its number in depth-first order. State sets make some of them grey.
 fn numbered_tiles(level: u32, center: DVec3, next: &mut u32, greys: &BTreeMap<u32, f32>) -> Node {
     let number = *next;
     *next += 1;
@@ -251,7 +252,7 @@ fn numbered_tiles(level: u32, center: DVec3, next: &mut u32, greys: &BTreeMap<u3
             lod.request_volume = Some(BoundingVolume::Sphere(BoundingSphere::new(DVec3::Z * 1e4, 100.0)));
         }
         if number == 16 {
-            // Never near enough for its children.
+            // The eye is never near enough for its children.
             lod.range_mode = RangeMode::Distance { center: DVec3::Z * -1e6, range_m: 1.0 };
         }
     }
@@ -269,7 +270,7 @@ fn numbered_tiles(level: u32, center: DVec3, next: &mut u32, greys: &BTreeMap<u3
 }
 
 #[test]
-fn nodes_attached_to_a_tile_stay_with_it() {
+fn nodes_attached_to_a_tile_are_drawn_with_it() {
     let greys = BTreeMap::from([(3, 0.5), (11, 0.25), (13, 0.5)]);
     let mut scene = Scene::new();
     let roots = Node::group(vec![
@@ -290,8 +291,8 @@ fn nodes_attached_to_a_tile_stay_with_it() {
     }
     let camera = look_at(DVec3::new(0.0, -10.0, 700.0), DVec3::ZERO, DVec3::Z);
     let stage = settle(&mut scene, &camera);
-    // Tile 9 is not for this eye, so that 6 stays in its place and its siblings'; 16 is too far from its own centre to give
-    // way to its children.
+    // Tile 9 has a request volume without this eye, so that tile 6 stands in for it and its siblings. The centre of
+    // tile 16 is too far away for its refinement.
     let drawn: BTreeMap<u32, f32> =
         stage.bins.iter().flat_map(|bin| &bin.leaves).fold(BTreeMap::new(), |mut all, leaf| {
             all.insert(leaf.slot.0, stage.state_sets[leaf.state as usize].color[0]);

@@ -1,4 +1,4 @@
-//! Channels as crossbeam's, on shuttle's mutex: full and empty ones block, and ends that are gone are errors.
+//! Channels like crossbeam's on shuttle's mutex: full and empty ones block, and ends that are dropped cause errors.
 
 use std::collections::VecDeque;
 use std::sync::PoisonError;
@@ -32,7 +32,7 @@ impl<T> Shared<T> {
         state.queue.push_back(value);
         self.changed.notify_all();
         drop(state);
-        // A receiver may run far before the sender continues.
+        // A receiver may run long before the sender continues.
         drop(self.lock());
     }
 }
@@ -77,7 +77,7 @@ impl<T> Sender<T> {
         Ok(())
     }
 
-    /// A send would block.
+    /// Sending would block.
     pub fn is_full(&self) -> bool {
         self.0.lock().queue.len() >= self.0.capacity
     }
@@ -110,7 +110,7 @@ impl<T> Receiver<T> {
         }
     }
 
-    /// There is no time here: it is over once others had a turn.
+    /// Schedules have no time, so a timeout ends once other threads had a turn.
     pub fn recv_timeout(&self, _patience: Duration) -> Result<T, RecvTimeoutError> {
         if self.0.lock().queue.is_empty() {
             shuttle::thread::yield_now();

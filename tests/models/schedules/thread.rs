@@ -1,5 +1,5 @@
-//! Threads as the standard library's, on shuttle's: one may panic on purpose, which `join` returns. Any other panic
-//! is a failure of the schedule.
+//! Threads like those of the standard library on shuttle's. A thread may panic on purpose, which `join` returns. Any
+//! other panic is a failure of the schedule.
 
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};

@@ -1,4 +1,4 @@
-//! A visitor that takes some turns for its cull, and the stage that it culls into.
+//! A visitor that takes some turns for its cull, and the stage that it fills.
 
 use std::sync::Arc;
 
@@ -20,7 +20,7 @@ pub struct StageTarget {
 
 #[derive(Default)]
 pub struct RenderStage {
-    /// The camera: `frame` is the culled frame and `context` the camera's number.
+    /// The camera. `frame` is the culled frame and `context` the number of the camera.
     pub camera: CullCamera,
     pub counters: CullCounters,
     pub near_m: f64,
@@ -58,7 +58,7 @@ impl CullVisitor {
         scene.seen.culls(camera.context, camera.frame);
         assert!(stage.camera.frame < camera.frame || camera.frame == 1, "a stage of an earlier frame");
         thread::yield_now();
-        assert_eq!(scene.frame, camera.frame, "update is over, and the next has not begun");
+        assert_eq!(scene.frame, camera.frame, "update has ended, and the next has not begun");
         if scene.seen.panics == (Panics::InCull { camera: camera.context, frame: camera.frame }) {
             panic_on_purpose();
         }

@@ -13,15 +13,15 @@ use super::gpu::{GpuError, GraphicsContext};
 use super::{Panics, Reads};
 use crate::schedules::thread::panic_on_purpose;
 
-/// Turns that others may have while an image is drawn.
+/// The number of turns of other threads while an image is drawn.
 const TURNS: usize = 3;
-/// The same where a thread panics: more than it takes to let go of what it has, and to be seen.
+/// The same if a thread panics: enough to release its data and to be noticed.
 const TURNS_BESIDE_A_PANIC: usize = 100;
 
 pub struct CameraCallbacks;
 
 impl CameraCallbacks {
-    /// A model's hooks are all dynamic.
+    /// The hooks of a model are all dynamic.
     pub fn variance_of(hook: &Option<OpaqueDrawData>) -> DataVariance {
         hook.as_ref().map_or(DataVariance::Static, |_| DataVariance::Dynamic)
     }
@@ -41,7 +41,7 @@ pub struct CameraView<'a> {
 }
 
 pub struct Renderer {
-    /// Context and frame.
+    /// The context and the frame.
     pub timed: (u32, u32),
     pub clock: FrameClock,
 }
@@ -65,7 +65,7 @@ impl Renderer {
             for _ in 0..if is_beside_a_panic { TURNS_BESIDE_A_PANIC } else { TURNS } {
                 thread::yield_now();
                 if seen.reads != Reads::Nothing {
-                    assert_eq!(seen.changed.load(Ordering::SeqCst), frame, "what update has changed meanwhile");
+                    assert_eq!(seen.changed.load(Ordering::SeqCst), frame, "data that update has changed meanwhile");
                 }
             }
             if seen.panics == (Panics::InDraw { camera, frame }) {

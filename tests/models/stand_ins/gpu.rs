@@ -23,7 +23,7 @@ impl Device {
 
 pub struct GraphicsContext {
     pub seen: Arc<Seen>,
-    /// Drawn last.
+    /// The frame that was drawn last.
     pub frame: u32,
     pub targets: usize,
 }
@@ -33,10 +33,10 @@ impl GraphicsContext {
         Self { seen: seen.clone(), frame: 0, targets: 1 }
     }
 
-    /// Contexts show a frame together: each has drawn it.
+    /// Contexts show a frame together, after each has drawn it.
     pub fn present(&mut self) {
         let is_torn = self.seen.drawn_in(self.frame) < self.seen.cameras;
-        assert!(!is_torn || self.seen.is_ending.load(Ordering::SeqCst), "shown before others have drawn");
+        assert!(!is_torn || self.seen.is_ending.load(Ordering::SeqCst), "shown before other contexts have drawn");
     }
 
     pub fn target_count(&self) -> usize {

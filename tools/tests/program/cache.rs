@@ -1,4 +1,4 @@
-//! The cache on disk from outside: a flight that fills it, one without a server, `terrane cache`, proxies.
+//! The cache on disk: flights that fill it and that use it, `terrane cache`, and proxies.
 
 use std::io::{BufRead as _, BufReader, Read as _, Write as _};
 use std::path::Path;
@@ -50,7 +50,7 @@ impl Drop for Server {
 }
 
 #[test]
-fn a_flight_without_a_server_draws_from_the_cache() {
+fn flight_without_a_server_draws_from_the_cache() {
     if no_adapter() {
         return;
     }
@@ -77,11 +77,11 @@ fn a_flight_without_a_server_draws_from_the_cache() {
     let (text, second, again) = fly("second", &["--offline"]);
     assert_eq!((&second["errors"], second["bytes"]["http"].as_u64()), (&serde_json::json!([]), Some(0)), "{second}");
     assert_eq!(second["settled"], first["settled"]);
-    assert!(picture == again, "the same picture");
+    assert!(picture == again, "the same image");
     assert!(text.contains("answers from the cache"), "{text}");
 
     let info: Value = serde_json::from_str(&said(&["cache", "info", "--cache", &cache, "--json"])).unwrap();
-    // Bodies in flight when the report was written are kept too.
+    // Bodies in flight when the report was written are stored as well.
     assert!(info["entries"].as_u64() >= first["cache"]["stored"].as_u64(), "{info} {first}");
     assert_eq!(info["fresh"], info["entries"]);
     let verified: Value = serde_json::from_str(&said(&["cache", "verify", "--cache", &cache, "--json"])).unwrap();
@@ -91,7 +91,7 @@ fn a_flight_without_a_server_draws_from_the_cache() {
     assert!(error.contains("offline"), "{error}");
 }
 
-/// Every fault of the server, into a cache: what does not show a tile is not kept, and in the end all of it is there.
+/// With all faults of the server, only valid tiles are cached, and in the end all of them.
 #[test]
 fn faults_do_not_stay_in_the_cache() {
     if no_adapter() {
@@ -106,7 +106,7 @@ fn faults_do_not_stay_in_the_cache() {
         args.extend(["--report", &report]);
         args.extend(more);
         let out = terrane(&args);
-        // The root itself may fail at random.
+        // The root may fail at random as well.
         if !out.status.success() {
             return Value::Null;
         }
@@ -125,14 +125,14 @@ fn faults_do_not_stay_in_the_cache() {
         flights += 1;
         assert!(flights < 30, "{report}");
     }
-    assert!(flights > 0, "the server was no bad one");
+    assert!(flights > 0, "the server had no faults");
     let url = server.1.clone();
     server.stop();
     assert_eq!(fly(&url, &["--cache", &cache, "--offline"])["settled"], whole["settled"]);
 }
 
 #[test]
-fn a_filled_cache_needs_no_server() {
+fn filled_cache_needs_no_server() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
     let (set, cache) = (path("set"), path("cache"));
@@ -144,7 +144,7 @@ fn a_filled_cache_needs_no_server() {
         let out = terrane(&args);
         (out.status.code(), String::from_utf8_lossy(&out.stdout).into_owned(), out.stderr)
     };
-    // All tries of one file may fail at random: again until it is there.
+    // All attempts for a file may fail at random, so the command is repeated until all files are cached.
     let until_whole = |more: &[&str]| {
         for _ in 0..20 {
             let (code, text, stderr) = fill(more);
@@ -153,7 +153,7 @@ fn a_filled_cache_needs_no_server() {
             }
             assert!(text.contains("failed") && !stderr.is_empty(), "{text}");
         }
-        panic!("does not end");
+        panic!("the cache was not filled");
     };
     let text = until_whole(&["--region", "-100,0,-99,1"]);
     assert!(text.starts_with("1 files"), "another part of the earth: {text}");
@@ -174,20 +174,20 @@ fn a_filled_cache_needs_no_server() {
     assert!(refused(&["cache", "fill", &url, "--cache", &cache, "--offline"]).contains("offline"));
 }
 
-/// Ctrl-C while a server says nothing: there is nothing to wait for.
+/// Ctrl-C ends the program while a server does not answer.
 #[cfg(unix)]
 #[test]
-fn an_interrupt_waits_for_no_server() {
+fn interrupt_does_not_wait_for_the_server() {
     let folder = tempfile::tempdir().unwrap();
     let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let url = format!("http://{}/set/", listener.local_addr().unwrap());
     let interrupted = |args: &[&str]| {
         let mut command = Command::new(env!("CARGO_BIN_EXE_terrane"));
         command.args(args).args(["--cache", folder.path().to_str().unwrap()]);
-        // A window opens, if the display is there, once everything is read.
+        // A window opens, if there is a display, once everything is read.
         command.env("DISPLAY", ":999");
         let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
-        // The request is on its way and gets no answer.
+        // The request is in flight and gets no answer.
         let stream = listener.accept().unwrap();
         let id = rustix::process::Pid::from_child(&child);
         rustix::process::kill_process(id, rustix::process::Signal::INT).unwrap();
@@ -200,7 +200,7 @@ fn an_interrupt_waits_for_no_server() {
     assert!(out.status.code() == Some(1) && said.contains("stopped, the same command continues"), "{said}");
     let out = interrupted(&["fly", &url, "--offscreen"]);
     assert_eq!(out.status.code(), Some(130), "{out:?}");
-    // Nor where the windows' views have separate sets.
+    // The same if the views of a window have separate sets.
     let config = folder.path().join("views.json");
     std::fs::write(&config, format!(r#"{{"scenes": {{"far": "{url}"}}, "views": [{{"scene": "far"}}]}}"#)).unwrap();
     let out = interrupted(&["view", "--config", config.to_str().unwrap()]);
@@ -208,7 +208,7 @@ fn an_interrupt_waits_for_no_server() {
 }
 
 #[test]
-fn a_folder_that_is_no_cache_is_left_alone() {
+fn folder_that_is_no_cache_is_not_changed() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("letter"), "dear").unwrap();
     let home = folder.path().to_str().unwrap();
@@ -219,9 +219,9 @@ fn a_folder_that_is_no_cache_is_left_alone() {
     assert!(folder.path().join("letter").exists() && !folder.path().join("none").exists());
 }
 
-/// The environment's proxy is asked with the whole URL, and no secret is printed.
+/// The proxy of the environment gets the whole URL, and no secret is printed.
 #[test]
-fn proxies_come_from_the_environment() {
+fn proxies_are_taken_from_the_environment() {
     let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let proxy = format!("http://{}", listener.local_addr().unwrap());
     let seen = std::thread::spawn(move || {

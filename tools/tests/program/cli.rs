@@ -1,4 +1,4 @@
-//! The `terrane` command from outside: exit codes, lines on stdout and stderr, files.
+//! The `terrane` command: exit codes, lines on stdout and stderr, files.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -16,7 +16,7 @@ fn lines(bytes: &[u8]) -> Vec<String> {
     String::from_utf8_lossy(bytes).lines().map(str::to_owned).collect()
 }
 
-/// A small set of height tiles.
+/// Generates a small set of height tiles.
 fn tile_set(folder: &Path) -> PathBuf {
     let set = folder.join("set");
     let out = terrane(&["gen", set.to_str().unwrap(), "--levels", "3", "--seed", "7"]);
@@ -29,7 +29,7 @@ fn json(file: &Path) -> Value {
 }
 
 #[test]
-fn the_display_is_set_by_arguments_and_by_the_environment() {
+fn display_is_configured_by_arguments_and_by_the_environment() {
     if no_adapter() {
         return;
     }
@@ -51,8 +51,8 @@ fn the_display_is_set_by_arguments_and_by_the_environment() {
     let set_outside = Some(("TERRANE_SPLIT_STEREO_HORIZONTAL_SEPARATION", "20"));
     assert!(without != said && said == picture("c.png", &split, set_outside));
     let last = ["--stereo", "HORIZONTAL_SPLIT", "--split-horizontal-separation", "0"];
-    assert!(without == picture("d.png", &last, set_outside), "the command line has the last word");
-    // Middle columns belong to neither eye.
+    assert!(without == picture("d.png", &last, set_outside), "the command line takes precedence");
+    // The middle columns belong to neither eye.
     assert!((0..90).all(|y| said.get_pixel(80, y).0 == said.get_pixel(80, 0).0));
 
     let wrong = terrane(&["fly", set.to_str().unwrap(), "--eye-separation", "far"]);
@@ -62,7 +62,7 @@ fn the_display_is_set_by_arguments_and_by_the_environment() {
 }
 
 #[test]
-fn wrong_arguments_exit_2() {
+fn invalid_arguments_exit_with_2() {
     for args in [
         &[][..],
         &["fly", "--size", "0x0"],
@@ -107,9 +107,9 @@ fn wrong_arguments_exit_2() {
     assert_eq!(terrane(&["--version"]).status.code(), Some(0));
 }
 
-/// It drew an image of nothing.
+/// Regression: it drew an empty image.
 #[test]
-fn a_flight_of_no_frames_says_what_draws_one() {
+fn flight_without_frames_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let shot = folder.path().join("shot.png");
     let out = terrane(&["fly", "anything", "--offscreen", "--frames", "0", "--screenshot", shot.to_str().unwrap()]);
@@ -118,10 +118,10 @@ fn a_flight_of_no_frames_says_what_draws_one() {
     assert!(!shot.exists());
 }
 
-/// Some were missing.
+/// Regression: some commands were missing.
 #[cfg(unix)]
 #[test]
-fn the_script_names_every_command() {
+fn script_names_every_command() {
     let script = concat!(env!("CARGO_MANIFEST_DIR"), "/run");
     let help = lines(&terrane(&["--help"]).stdout);
     let commands = help.iter().skip_while(|line| *line != "Commands:").skip(1);
@@ -140,7 +140,7 @@ fn the_script_names_every_command() {
 }
 
 #[test]
-fn a_root_that_cannot_be_loaded_exits_1_with_one_line() {
+fn root_that_cannot_be_loaded_exits_with_1_and_one_line() {
     let folder = tempfile::tempdir().unwrap();
     let broken = folder.path().join("tileset.json");
     std::fs::write(&broken, "{\n \"asset\": [\n").unwrap();
@@ -161,9 +161,9 @@ fn a_root_that_cannot_be_loaded_exits_1_with_one_line() {
     }
 }
 
-/// The error names the file and the reason; it once named neither.
+/// The error names the file and the reason. Regression: it named neither.
 #[test]
-fn a_picture_that_cannot_be_written_is_named() {
+fn image_that_cannot_be_written_is_named() {
     if no_adapter() {
         return;
     }
@@ -177,7 +177,7 @@ fn a_picture_that_cannot_be_written_is_named() {
     let stderr = lines(&out.stderr);
     assert_eq!((out.status.code(), stderr.len()), (Some(1), 1), "{stderr:?}");
     assert!(stderr[0].starts_with("terrane fly: ") && stderr[0].contains(inside), "{stderr:?}");
-    // The last bytes were lost without a word.
+    // Regression: the last bytes were lost silently.
     #[cfg(target_os = "linux")]
     {
         let out = terrane(&["fly", set, "--offscreen", "--settle", "--size", "32x32", "--screenshot", "/dev/full"]);
@@ -188,7 +188,7 @@ fn a_picture_that_cannot_be_written_is_named() {
 }
 
 #[test]
-fn a_flight_reports() {
+fn flight_writes_a_report() {
     if no_adapter() {
         return;
     }
@@ -231,7 +231,7 @@ fn a_flight_reports() {
 }
 
 #[test]
-fn a_flight_writes_no_file_unless_asked() {
+fn flight_writes_no_file_unless_asked() {
     if no_adapter() {
         return;
     }
@@ -248,11 +248,11 @@ fn a_flight_writes_no_file_unless_asked() {
     assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
     assert!(lines(&out.stdout)[0].starts_with("flew    11 frames of 64x36 offscreen"), "{:?}", lines(&out.stdout));
     assert!(lines(&out.stdout)[4].contains("no files written"), "{:?}", lines(&out.stdout));
-    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "the tile set alone");
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "only the tile set");
 }
 
 #[test]
-fn a_flight_that_can_draw_nothing_fails() {
+fn flight_that_draws_nothing_fails() {
     if no_adapter() {
         return;
     }
@@ -292,7 +292,7 @@ fn options_without_effect_together_are_errors() {
 }
 
 #[test]
-fn a_settled_picture_is_complete() {
+fn settled_image_is_complete() {
     if no_adapter() {
         return;
     }
@@ -327,12 +327,12 @@ fn a_settled_picture_is_complete() {
     let drawn = drawn["selectedContent"].as_array().unwrap();
     assert_eq!(drawn.len() as u64, settled["contents"].as_u64().unwrap());
     assert!(drawn.iter().all(|uri| set.join(uri.as_str().unwrap()).is_file()), "{drawn:?}");
-    // The corner is sky: exactly the background that was asked for.
+    // The corner is sky, exactly in the given background.
     assert_eq!(image::open(shot).unwrap().into_rgb8().get_pixel(0, 0).0, [0x1a, 0x33, 0x4d]);
 }
 
 #[test]
-fn a_missing_tile_is_reported_and_the_flight_continues() {
+fn missing_tile_is_reported_and_the_flight_continues() {
     if no_adapter() {
         return;
     }
@@ -387,7 +387,7 @@ fn holes_are_counted() {
 }
 
 #[test]
-fn info_as_json() {
+fn info_is_printed_as_json() {
     let folder = tempfile::tempdir().unwrap();
     let set = tile_set(folder.path());
     let out = terrane(&["info", set.to_str().unwrap(), "--json"]);
@@ -414,7 +414,7 @@ fn info_as_json() {
 }
 
 #[test]
-fn info_reads_every_content_where_it_is_asked_to() {
+fn info_verifies_all_contents_with_the_option() {
     let folder = tempfile::tempdir().unwrap();
     let set = tile_set(folder.path());
     let verified = || {
@@ -429,6 +429,6 @@ fn info_reads_every_content_where_it_is_asked_to() {
     let (code, _, broken) = verified();
     assert_eq!((code, &broken["contents"], &broken["failed"]), (Some(1), &contents, &Value::from(1)));
     assert!(broken["errors"][0]["uri"].as_str().unwrap().ends_with("0.exr"), "{broken}");
-    // Without it the contents are not checked.
+    // Without the option the contents are not checked.
     assert!(terrane(&["info", set.to_str().unwrap()]).status.success());
 }

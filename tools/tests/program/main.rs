@@ -1,4 +1,4 @@
-//! The program `terrane` run as its users run it, without windows.
+//! The program `terrane`, without windows.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 mod cache;

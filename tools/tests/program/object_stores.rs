@@ -1,4 +1,4 @@
-//! A set in an object store, with keys and address from the environment.
+//! A set in an object store. Keys and address come from the environment.
 
 use std::process::{Command, Output};
 
@@ -17,7 +17,7 @@ fn info(url: &str, source: &str) -> Output {
 }
 
 #[test]
-fn keys_come_from_the_environment() {
+fn keys_are_taken_from_the_environment() {
     let server = Server::start(|r| match r.path() {
         "/tiles/set/tileset.json" => Reply::ok(SET).with("ETag", "\"1\""),
         _ => Reply::new(404, ""),

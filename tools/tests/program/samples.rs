@@ -1,5 +1,5 @@
-//! Real 3D Tiles, drawn and compared with what CesiumJS draws of them from the same view: triangles, points, and the
-//! share of the image that they cover. The files lie beside a developer's checkout; elsewhere this says so.
+//! Real 3D Tiles, drawn and compared with CesiumJS from the same view: triangles, points, and the covered share of the
+//! image. The files are beside a developer's checkout; without them the test is skipped with a message.
 
 use std::path::Path;
 use std::process::Command;
@@ -7,7 +7,7 @@ use std::process::Command;
 use kit::skip::{no_adapter, skipped};
 use serde_json::Value;
 
-/// Tile sets that need what is not read yet, and the words that the error must have.
+/// Tile sets with unsupported features, and the words that their error must contain.
 const REFUSED: &[(&str, &str)] = &[
     ("Compressed/balloon_ktx2.json", "KHR_texture_basisu"),
     ("Compressed/box_draco.json", "KHR_draco_mesh_compression"),
@@ -19,7 +19,7 @@ const REFUSED: &[(&str, &str)] = &[
 ];
 
 #[test]
-fn sample_tile_sets_draw_as_in_cesium() {
+fn sample_tile_sets_are_drawn_like_in_cesium() {
     let samples = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/samples/3d-tiles");
     let Ok(text) = std::fs::read(samples.join("expected.json")) else {
         return skipped(format!("no sample tile sets at {}", samples.display()));

@@ -1,4 +1,4 @@
-//! `terrane serve` from outside, and a flight over what it serves badly.
+//! `terrane serve`, and a flight over a server with faults.
 
 use std::io::{Read as _, Write as _};
 use std::net::TcpStream;
@@ -10,9 +10,9 @@ use kit::skip::no_adapter;
 use serde_json::Value;
 use terrane::fetch::IoError;
 
-/// The last byte comes no sooner than the bandwidth lets it, of a small file too.
+/// The last byte arrives no sooner than the bandwidth allows, also for a small file.
 #[test]
-fn a_small_file_takes_its_time() {
+fn small_file_takes_the_time_of_its_bandwidth() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("tile"), vec![7; 16_000]).unwrap();
     let server = Server::start(folder.path(), &["--bandwidth", "16000"]);
@@ -60,7 +60,11 @@ fn files_are_served_whole_and_in_parts() {
     assert_eq!([ask("If-None-Match: *\r\n"), ask("If-None-Match: \"other\"\r\n")], [304, 200]);
     let date = head.lines().find_map(|l| l.strip_prefix("Last-Modified: ")).unwrap();
     assert_eq!(ask(&format!("If-Modified-Since: {date}\r\n")), 304);
-    assert_eq!(ask(&format!("If-None-Match: \"other\"\r\nIf-Modified-Since: {date}\r\n")), 200, "the tag counts");
+    assert_eq!(
+        ask(&format!("If-None-Match: \"other\"\r\nIf-Modified-Since: {date}\r\n")),
+        200,
+        "the tag takes precedence"
+    );
     assert_eq!(ask(&format!("Range: bytes=1-2\r\nIf-Range: {tag}\r\n")), 206);
     assert_eq!(ask("Range: bytes=1-2\r\nIf-Range: \"other\"\r\n"), 200);
     assert!(!head.contains("Cache-Control"), "{head}");
@@ -75,7 +79,7 @@ fn files_are_served_whole_and_in_parts() {
 }
 
 #[test]
-fn chance_is_the_same_for_the_same_seed() {
+fn faults_are_the_same_for_the_same_seed() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("f"), vec![b'x'; 1000]).unwrap();
     let rates = ["--error-rate", "0.2", "--truncate-rate", "0.2", "--corrupt-rate", "0.2", "--reset-rate", "0.2"];
@@ -101,9 +105,9 @@ fn chance_is_the_same_for_the_same_seed() {
     }
 }
 
-/// Each range request of a file has its own fault; it once depended on arrival order.
+/// Each range of a file has separate faults. Regression: they depended on the order of arrival.
 #[test]
-fn files_and_parts_meet_the_same_in_any_order() {
+fn faults_of_files_and_ranges_do_not_depend_on_the_order() {
     let folder = tempfile::tempdir().unwrap();
     (0..8).for_each(|k| std::fs::write(folder.path().join(format!("{k}")), vec![b'x'; 1000]).unwrap());
     let whole = (0..8).map(|k| (format!("/{k}"), String::new()));
@@ -126,15 +130,15 @@ fn files_and_parts_meet_the_same_in_any_order() {
     let count = all.len();
     let first = fates(&|_, nth| nth);
     assert_eq!(first, fates(&|_, nth| count - 1 - nth));
-    // 18 and 5 have no divisor in common.
+    // 18 and 5 have no common divisor.
     assert_eq!(first, fates(&|time, nth| (5 * nth + 7 * time) % count));
     let well = |(status, _, body): &(u16, String, Vec<u8>)| *status < 300 && body.iter().all(|b| *b == b'x');
     let again = first.iter().filter(|met| !well(&met[0]) && met[1..].iter().any(well)).count();
-    assert!(again > 4, "what failed comes later: {again}");
+    assert!(again > 4, "later requests for failed ones succeed: {again}");
 }
 
 #[test]
-fn pages_and_silence_and_how_long_answers_hold() {
+fn web_pages_silence_and_caching_headers_are_sent() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("f"), "content").unwrap();
     let page = Server::start(folder.path(), &["--page-rate", "1"]);
@@ -148,12 +152,12 @@ fn pages_and_silence_and_how_long_answers_hold() {
     let mut stream = TcpStream::connect(&silent.address).unwrap();
     stream.write_all(b"GET /f HTTP/1.1\r\nHost: x\r\n\r\n").unwrap();
     stream.set_read_timeout(Some(Duration::from_millis(300))).unwrap();
-    assert!(stream.read(&mut [0; 8]).is_err(), "nothing comes, and the connection stays");
+    assert!(stream.read(&mut [0; 8]).is_err(), "no answer arrives, and the connection stays open");
 }
 
-/// It was the orderly end of a connection, which clients see otherwise.
+/// Regression: the connection was closed in order, which clients see differently.
 #[test]
-fn a_reset_is_one() {
+fn reset_is_a_connection_reset() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("f"), vec![b'x'; 1000]).unwrap();
     let server = Server::start(folder.path(), &["--reset-rate", "1"]);
@@ -168,7 +172,7 @@ fn a_reset_is_one() {
         lengths.insert(answer.iter().filter(|b| **b == b'x').count());
     }
     assert_eq!(lengths.into_iter().collect::<Vec<_>>(), [0, 500], "before the first byte, and half way");
-    // The bytes as the client received them.
+    // The received bytes.
     let uri = terrane::fetch::root_uri(&format!("http://{}/f", server.address)).unwrap();
     let mut config = terrane::pager::PagerConfig::default();
     config.http.max_retries = 0;
@@ -180,9 +184,9 @@ fn a_reset_is_one() {
     }
 }
 
-/// No sooner than asked; how much later is the machine's affair.
+/// Answers are not sent sooner than configured. How much later depends on the machine.
 #[test]
-fn answers_wait_as_long_as_asked() {
+fn answers_have_the_configured_latency() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("f"), "content").unwrap();
     for (options, requests, least_ms) in
@@ -196,7 +200,7 @@ fn answers_wait_as_long_as_asked() {
 }
 
 #[test]
-fn a_stalled_answer_stops_half_way_and_stays() {
+fn stalled_answer_stops_half_way_and_keeps_the_connection() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("f"), vec![b'x'; 1000]).unwrap();
     let server = Server::start(folder.path(), &["--stall-rate", "1"]);
@@ -215,7 +219,7 @@ fn a_stalled_answer_stops_half_way_and_stays() {
 }
 
 #[test]
-fn wrong_arguments_are_said() {
+fn invalid_arguments_are_reported() {
     for (arguments, code, word) in [
         (&["serve", "/no/such/folder"][..], 1, "/no/such/folder"),
         (&["serve", ".", "--error-rate", "0.6", "--reset-rate", "0.6"], 2, "rates are 1.2 together"),
@@ -227,9 +231,9 @@ fn wrong_arguments_are_said() {
     }
 }
 
-/// A flight over a bad server: what loads is drawn, the rest is reported, and the image has no hole.
+/// A flight over a faulty server: tiles that load are drawn, the others are reported, and the image has no hole.
 #[test]
-fn a_flight_over_a_bad_server_ends_whole() {
+fn flight_over_a_faulty_server_has_no_holes() {
     if no_adapter() {
         return;
     }
@@ -271,7 +275,7 @@ fn a_flight_over_a_bad_server_ends_whole() {
 }
 
 #[test]
-fn a_flight_over_http_leaves_a_timeline() {
+fn flight_over_http_writes_a_trace() {
     if no_adapter() {
         return;
     }
@@ -293,7 +297,7 @@ fn a_flight_over_http_leaves_a_timeline() {
     let named = |name: &str| events.iter().filter(|e| e["name"] == name).collect::<Vec<_>>();
     assert!(named("thread_name").iter().any(|e| e["args"]["name"] == "main"));
     assert!(named("frame").len() >= 30 && !named("decode").is_empty());
-    // Several are fetched at a time by one thread: inside their requests, not on the thread.
+    // One thread fetches several files at a time, so their spans are on separate tracks, not on that of the thread.
     let fetches = named("fetch");
     assert!(!fetches.is_empty() && fetches.iter().all(|e| e["ph"] == "b" || e["ph"] == "e"));
     let mut open: std::collections::BTreeMap<&str, i32> = std::collections::BTreeMap::new();
@@ -302,7 +306,7 @@ fn a_flight_over_http_leaves_a_timeline() {
         *depth += if event["ph"] == "b" { 1 } else { -1 };
         assert!((0..=2).contains(depth), "{event}");
     }
-    assert!(!open.is_empty() && open.values().all(|depth| *depth == 0), "every request comes to its end");
+    assert!(!open.is_empty() && open.values().all(|depth| *depth == 0), "all requests end");
     let unwritable = folder.path().join("none/trace.json");
     let out = Command::new(env!("CARGO_BIN_EXE_terrane"))
         .args(["fly", set.to_str().unwrap(), "--offscreen", "--frames", "1", "--size", "16x16"])

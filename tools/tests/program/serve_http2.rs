@@ -19,7 +19,7 @@ use tokio_rustls::rustls::{ClientConfig, RootCertStore, crypto};
 
 type Sender = SendRequest<std::io::Cursor<Vec<u8>>>;
 
-/// Long enough for all that comes; what does not come is a failure.
+/// The timeout of a test, after which an answer counts as missing.
 fn within<T>(future: impl Future<Output = T>) -> T {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
     runtime.block_on(async { tokio::time::timeout(Duration::from_secs(60), future).await.expect("it hangs") })
@@ -28,12 +28,12 @@ fn within<T>(future: impl Future<Output = T>) -> T {
 async fn connect(server: &Server, builder: &Builder) -> Sender {
     let stream = TcpStream::connect(&server.address).await.unwrap();
     let (sender, connection) = builder.handshake(stream).await.unwrap();
-    // Ends with the connection, or with the test.
+    // The task ends with the connection or with the test.
     tokio::spawn(connection);
     sender.ready().await.unwrap()
 }
 
-/// The received part of an answer, and how it ended.
+/// The received part of an answer, and its end.
 #[derive(Debug, Default)]
 struct Got {
     status: u16,
@@ -72,7 +72,7 @@ async fn piece(body: &mut RecvStream) -> Option<Result<Vec<u8>, h2::Error>> {
         Ok(bytes) => bytes,
         Err(error) => return Some(Err(error)),
     };
-    // Fails where the stream has ended.
+    // Fails if the stream has ended.
     let _ = body.flow_control().release_capacity(bytes.len());
     Some(Ok(bytes.to_vec()))
 }
@@ -108,9 +108,9 @@ fn files_are_served_whole_and_in_parts() {
     });
 }
 
-/// The fault of an answer follows from the seed, not from the version; a reset is one of a stream or a connection.
+/// The fault of an answer depends on the seed, not on the version. A reset is that of a stream or of a connection.
 #[test]
-fn chance_is_that_of_the_other_version() {
+fn faults_equal_those_of_http_1() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("f"), vec![b'x'; 1000]).unwrap();
     let rates = [["--error-rate", "0.15"], ["--truncate-rate", "0.15"], ["--corrupt-rate", "0.15"]].concat();
@@ -131,7 +131,7 @@ fn chance_is_that_of_the_other_version() {
             let bent = got.body.iter().filter(|b| **b != b'x').count();
             let half = usize::from(!got.body.is_empty());
             match &got.error {
-                // The client's word: less came than was announced.
+                // The client reports that the body was shorter than announced.
                 Some(e) if e.is_library() && e.reason() == Some(Reason::PROTOCOL_ERROR) => {
                     assert_eq!(got.body.len(), 500)
                 }
@@ -143,7 +143,7 @@ fn chance_is_that_of_the_other_version() {
                 Some(e) => panic!("{place}: {e:?}"),
                 None => {}
             }
-            // A lost connection takes with it what the client has not read of it.
+            // A lost connection loses data that the client has not read.
             let is_lost = got.error.as_ref().is_some_and(h2::Error::is_io) && expected.0 <= 200;
             assert!(
                 is_lost || (got.status, got.body.len(), bent) == *expected,
@@ -160,9 +160,9 @@ fn chance_is_that_of_the_other_version() {
     }
 }
 
-/// Requests that stop half way, or get no answer, hold up no other of their connection.
+/// Requests that stop half way or get no answer do not block others on their connection.
 #[test]
-fn a_stopped_request_leaves_the_connection_to_others() {
+fn stalled_request_does_not_block_others() {
     let folder = tempfile::tempdir().unwrap();
     (0..100).for_each(|k| std::fs::write(folder.path().join(format!("{k}")), vec![b'x'; 50_000]).unwrap());
     let server = Server::start(folder.path(), &["--http2", "--stall-rate", "0.4", "--silent-rate", "0.2"]);
@@ -170,7 +170,8 @@ fn a_stopped_request_leaves_the_connection_to_others() {
         let mut builder = Builder::new();
         builder.initial_window_size(20_000).initial_connection_window_size(65_535);
         let sender = connect(&server, &builder).await;
-        // Cancelled requests make room: a connection has 128 at once, and more than that stop in all.
+        // Cancelled requests free their slots: a connection has 128 at the same time, and more than that stall in
+        // total.
         let mut stopped = 0;
         for _ in 0..3 {
             let mut asked = tokio::task::JoinSet::new();
@@ -191,7 +192,7 @@ fn a_stopped_request_leaves_the_connection_to_others() {
 }
 
 #[test]
-fn a_window_of_one_byte_is_enough() {
+fn flow_control_window_of_one_byte_suffices() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("f"), vec![b'x'; 300]).unwrap();
     let server = Server::start(folder.path(), &["--http2"]);
@@ -204,7 +205,7 @@ fn a_window_of_one_byte_is_enough() {
 
 /// The bandwidth is that of the connection, not of each request.
 #[test]
-fn requests_share_the_line() {
+fn requests_share_the_bandwidth() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("f"), vec![b'x'; 4000]).unwrap();
     let server = Server::start(folder.path(), &["--http2", "--bandwidth", "16000", "--latency-ms", "100"]);
@@ -221,7 +222,7 @@ fn requests_share_the_line() {
     assert!(start.elapsed() > Duration::from_millis(1050), "{:?}", start.elapsed());
 }
 
-/// The version that both ends agree on; `None`: they do not agree.
+/// Returns the negotiated version, `None` if there is none in common.
 async fn agreed(server: &Server, certificate: &Path, offers: &[&str]) -> Option<String> {
     let mut roots = RootCertStore::empty();
     roots.add(CertificateDer::from_pem_file(certificate).unwrap()).unwrap();
@@ -236,7 +237,7 @@ async fn agreed(server: &Server, certificate: &Path, offers: &[&str]) -> Option<
 }
 
 #[test]
-fn encrypted_connections_agree_on_a_version() {
+fn encrypted_connections_negotiate_a_version() {
     let folder = tempfile::tempdir().unwrap();
     let bytes = vec![b'x'; 100_000];
     std::fs::write(folder.path().join("f"), &bytes).unwrap();
@@ -265,9 +266,9 @@ fn encrypted_connections_agree_on_a_version() {
     }
 }
 
-/// By a client of HTTP/1.1 and one of HTTP/2, encrypted: the same faults come to errors of the same kind.
+/// With a client of HTTP/1.1 and one of HTTP/2, both encrypted, the same faults cause errors of the same kind.
 #[test]
-fn faults_come_through_encryption() {
+fn faults_cause_the_same_errors_through_encryption() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("f"), vec![b'x'; 100_000]).unwrap();
     let file = folder.path().join("certificate.pem");
@@ -299,7 +300,7 @@ fn faults_come_through_encryption() {
 }
 
 #[test]
-fn wrong_arguments_are_said() {
+fn invalid_arguments_are_reported() {
     for (arguments, code, word) in [
         (&["--http1", "--http2"][..], 2, "--http2"),
         (&["--tls", "/no/such/folder/certificate.pem"], 1, "/no/such/folder/certificate.pem"),

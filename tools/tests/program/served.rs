@@ -1,4 +1,4 @@
-//! The program's own server, `terrane serve`.
+//! A running `terrane serve`.
 
 use std::io::{BufRead as _, BufReader, Read as _, Write as _};
 use std::net::TcpStream;
@@ -10,7 +10,7 @@ use std::time::Duration;
 pub struct Server {
     child: Child,
     pub address: String,
-    /// With a slash at the end.
+    /// The URL, with a slash at the end.
     pub url: String,
 }
 
@@ -30,13 +30,13 @@ impl Server {
     }
 
     /// Returns status, head and body of one request on a new connection; status 0 without an answer.
-    #[allow(dead_code, reason = "some tests ask by other means")]
+    #[allow(dead_code, reason = "some tests send requests in other ways")]
     pub fn ask(&self, method: &str, path: &str, headers: &str) -> (u16, String, Vec<u8>) {
         let mut stream = TcpStream::connect(&self.address).unwrap();
         stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
         write!(stream, "{method} {path} HTTP/1.1\r\nHost: x\r\nConnection: close\r\n{headers}\r\n").unwrap();
         let mut answer = Vec::new();
-        // A reset is no answer.
+        // A reset is an empty answer.
         let _ = stream.read_to_end(&mut answer);
         let Some(end) = answer.windows(4).position(|w| w == b"\r\n\r\n") else { return (0, String::new(), answer) };
         let head = String::from_utf8(answer[..end].to_vec()).unwrap();

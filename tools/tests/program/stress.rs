@@ -1,4 +1,4 @@
-//! `terrane stress` from outside: some seeds pass, a seed gives the same flight each time, and failures are reported.
+//! `terrane stress`: some seeds pass, a seed gives the same flight each time, and failures are reported.
 
 use std::io::{BufRead as _, BufReader};
 use std::process::{Command, Output, Stdio};
@@ -9,7 +9,7 @@ fn stress(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_terrane")).arg("stress").args(arguments).output().unwrap()
 }
 
-/// A small set; its folder goes with the first.
+/// Generates a small set. Dropping the first value removes its folder.
 fn set() -> (tempfile::TempDir, String) {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("set");
@@ -20,7 +20,7 @@ fn set() -> (tempfile::TempDir, String) {
 }
 
 #[test]
-fn some_seeds_hold() {
+fn some_seeds_pass() {
     let folder = tempfile::tempdir().unwrap();
     let report = folder.path().join("report.json");
     let out = stress(&["--seeds", "12", "--frames", "50", "--report", report.to_str().unwrap()]);
@@ -31,14 +31,14 @@ fn some_seeds_hold() {
     let seeds = report["seeds"].as_array().unwrap();
     assert_eq!((seeds.len(), report["failed"].as_u64()), (12, Some(0)));
     assert!(seeds.iter().all(|s| s["frames"].as_u64().unwrap() > 50), "{report}");
-    // From disk, and over all that a server speaks.
+    // Tiles come from disk, and over all protocols of the server.
     let ways: std::collections::BTreeSet<&str> = seeds.iter().map(|s| s["way"].as_str().unwrap()).collect();
     assert_eq!(ways.into_iter().collect::<Vec<_>>(), ["disk", "h2", "h2c", "http/1.1", "tls/1.1"]);
     assert!(seeds.iter().map(|s| s["merged"].as_u64().unwrap()).sum::<u64>() > 50, "{report}");
 }
 
 #[test]
-fn a_seed_is_the_same_flight_each_time() {
+fn seed_gives_the_same_flight_each_time() {
     let (_folder, set) = set();
     let fly = |seed: &str| -> Value {
         let out = stress(&[&set, "--seed", seed, "--frames", "20", "--drawn", "0", "--as-json"]);
@@ -53,9 +53,9 @@ fn a_seed_is_the_same_flight_each_time() {
     assert_ne!(first["plan"], other["plan"]);
 }
 
-/// A server of somebody else loses what it likes; and what it is asked with is in no report.
+/// Failures of a remote server are no failures of the flight, and credentials are in no report.
 #[test]
-fn losses_of_another_server_are_no_failure() {
+fn failures_of_a_remote_server_are_allowed() {
     let (folder, set) = set();
     std::fs::write(format!("{set}/1/0/0.exr"), "no heights").unwrap();
     let mut server = Command::new(env!("CARGO_BIN_EXE_terrane"))
@@ -77,7 +77,7 @@ fn losses_of_another_server_are_no_failure() {
 
 #[test]
 fn failures_are_reported() {
-    // A set whose contents are broken on disk: each is a failure that no fault explains.
+    // The contents of the set are corrupt on disk, so no fault explains their failures.
     let (_folder, set) = set();
     let tiles = std::fs::read_dir(&set).unwrap().map(|entry| entry.unwrap().path());
     let mut broken = 0;
@@ -97,7 +97,7 @@ fn failures_are_reported() {
     assert_eq!(out.status.code(), Some(1), "{said}");
     assert!(said.contains("FAILED disk") && said.contains("a valid file failed to load"), "{said}");
     // The failed seed fails again, with the same requests.
-    let line = said.lines().find_map(|line| line.trim().strip_prefix("again: terrane stress ")).unwrap();
+    let line = said.lines().find_map(|line| line.trim().strip_prefix("repeat: terrane stress ")).unwrap();
     let again: Vec<&str> = line.split(' ').collect();
     let (out, plan) = (stress(&again), said.split("    plan ").nth(1).unwrap());
     let once_more = String::from_utf8_lossy(&out.stdout);
@@ -106,7 +106,7 @@ fn failures_are_reported() {
     let report: Value = serde_json::from_slice(&out.stdout).unwrap();
     assert_eq!(report["plan"].as_str(), plan.lines().next(), "{line}");
 
-    // A report that cannot be written is no reason to fly first.
+    // A report that cannot be written is an error before the flight.
     let out = stress(&[&set, "--seeds", "2", "--frames", "5", "--report", &set]);
     let said = String::from_utf8_lossy(&out.stderr);
     assert!(out.status.code() == Some(1) && out.stdout.is_empty() && said.contains(&set), "{said}");

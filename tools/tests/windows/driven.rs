@@ -21,10 +21,10 @@ pub const KEY_RELEASE: u8 = 3;
 pub const BUTTON_PRESS: u8 = 4;
 pub const BUTTON_RELEASE: u8 = 5;
 pub const MOTION: u8 = 6;
-/// Longest wait for a frame of a debug build on a software adapter.
+/// The maximum time for a frame of a debug build on a software adapter.
 pub const PATIENCE: Duration = Duration::from_secs(60);
 
-/// A program with a window, seen and driven through the X protocol.
+/// A program with a window, driven through the X protocol.
 pub struct Driven {
     pub program: Child,
     pub x: RustConnection,
@@ -37,7 +37,7 @@ impl Driven {
         Self::start_where(display, args, folder, &[])
     }
 
-    /// With variables of the environment.
+    /// Starts the program with environment variables.
     pub fn start_where(display: &Display, args: &[&str], folder: &Path, variables: &[(&str, &str)]) -> Self {
         let program = Command::new(env!("CARGO_BIN_EXE_terrane"))
             .args(args)
@@ -53,7 +53,7 @@ impl Driven {
         let root = x.setup().roots[screen].root;
         let mut driven = Self { program, x, root, window: 0 };
         driven.window = driven.wait_for("a window", Self::find_window);
-        // There is no window manager that would.
+        // The display has no window manager, so the focus is set here.
         driven.x.set_input_focus(InputFocus::PARENT, driven.window, x11rb::CURRENT_TIME).unwrap();
         driven.x.sync().unwrap();
         driven
@@ -63,7 +63,7 @@ impl Driven {
         self.find_named(b"Terrane - ")
     }
 
-    /// A visible window whose title begins so.
+    /// Returns the visible window whose title starts with a text.
     pub fn find_named(&self, title: &[u8]) -> Option<Window> {
         let tree = self.x.query_tree(self.root).unwrap().reply().unwrap();
         tree.children.into_iter().find(|window| {
@@ -81,7 +81,7 @@ impl Driven {
                 return it;
             }
             assert!(start.elapsed() < PATIENCE, "no {what} after {PATIENCE:?}");
-            assert!(self.program.try_wait().unwrap().is_none(), "the program ended before there was {what}");
+            assert!(self.program.try_wait().unwrap().is_none(), "the program ended before {what}");
             std::thread::sleep(Duration::from_millis(50));
         }
     }
@@ -120,7 +120,7 @@ impl Driven {
             std::thread::sleep(Duration::from_millis(100));
         }
         last.iter().for_each(|picture| keep(name, picture));
-        panic!("{name}: not seen after {PATIENCE:?}");
+        panic!("{name}: not visible after {PATIENCE:?}");
     }
 
     /// Waits for a frame that stays the same for half a second.
@@ -160,7 +160,7 @@ impl Driven {
         self.key(letter as u32);
     }
 
-    /// Drags with a button and holds still before the release, so that nothing is thrown.
+    /// Drags with a button, and holds still before the release, so that nothing is thrown.
     pub fn drag(&self, button: u8, from: [i16; 2], to: [i16; 2]) {
         self.send(MOTION, 0, from[0], from[1]);
         self.send(BUTTON_PRESS, button, 0, 0);
@@ -187,7 +187,7 @@ impl Driven {
         self.x.sync().unwrap();
     }
 
-    /// Clock ticks of all its threads, of which there are 100 a second.
+    /// Returns the clock ticks of all threads; there are 100 per second.
     pub fn ticks(&self) -> u64 {
         let stat = std::fs::read_to_string(format!("/proc/{}/stat", self.program.id())).unwrap();
         let fields: Vec<&str> = stat.rsplit(')').next().unwrap().split_whitespace().collect();
@@ -207,7 +207,7 @@ impl Driven {
             if let Some(status) = self.program.try_wait().unwrap() {
                 return status;
             }
-            assert!(start.elapsed() < PATIENCE, "it hangs on exit");
+            assert!(start.elapsed() < PATIENCE, "the program hangs on exit");
             std::thread::sleep(Duration::from_millis(50));
         }
     }

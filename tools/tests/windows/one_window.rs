@@ -1,5 +1,5 @@
 //! `terrane view` in a real window under a virtual display: keys, pointer, resize, close, and what the window shows.
-//! Needs Xvfb and a GPU (a software one will do); says so where there is none.
+//! Needs Xvfb and a GPU; a software adapter suffices. Skipped with a message without them.
 
 use std::time::Duration;
 
@@ -11,27 +11,27 @@ use image::RgbImage;
 use kit::display::Display;
 
 #[test]
-fn a_user_moves_looks_around_and_closes_the_window() {
+fn user_moves_looks_around_and_closes_the_window() {
     let folder = tempfile::tempdir().unwrap();
     let (Some(display), Some(set)) = (Display::start([1280, 1024]), tile_set(folder.path())) else { return };
     let set = set.to_str().unwrap().to_owned();
     let mut w = Driven::start(&display, &["view", &set, "--size", "640x360"], folder.path());
     w.until("terrain", |picture| picture.dimensions() == (640, 360) && colours(picture) > 200);
-    // Until the line at the lower edge is gone.
+    // Until the message at the lower edge has disappeared.
     std::thread::sleep(Duration::from_secs(3));
     let first = w.at_rest("first");
 
-    // Home is another view than the first; the pointer turns it, and home brings it back.
+    // Home is another view than the first. The pointer rotates the view, and home resets it.
     w.key(SPACE);
     w.until("moved home", |picture| differing(&first, picture) > 0.1);
     let home = w.at_rest("home");
     w.drag(1, [320, 180], [460, 160]);
     let turned = w.at_rest("turned");
-    assert!(differing(&home, &turned) > 0.2, "a drag turns");
+    assert!(differing(&home, &turned) > 0.2, "a drag rotates the view");
     w.key(SPACE);
     w.until("home again", |picture| differing(&home, picture) < 0.002);
 
-    // The wheel: nearer, so that less sky is left above.
+    // The wheel moves the eye nearer, so that less sky is left above.
     for _ in 0..4 {
         w.send(BUTTON_PRESS, 4, 0, 0);
         w.send(BUTTON_RELEASE, 4, 0, 0);
@@ -40,12 +40,12 @@ fn a_user_moves_looks_around_and_closes_the_window() {
     w.key(SPACE);
     w.until("home after the zoom", |picture| differing(&home, picture) < 0.002);
 
-    // The stats lie dark over the upper left; four more times and they are gone.
+    // The stats are dark at the upper left. After four more key presses they are hidden.
     let corner = [10, 6, 120, 14];
     w.letter('s');
     let over = w.until("stats", |picture| differing(&part(picture, corner), &part(&home, corner)) > 0.9);
     let rest = [400, 60, 200, 240];
-    assert!(differing(&part(&over, rest), &part(&home, rest)) < 0.01, "the rest stays");
+    assert!(differing(&part(&over, rest), &part(&home, rest)) < 0.01, "the rest does not change");
     for _ in 0..4 {
         w.letter('s');
         std::thread::sleep(Duration::from_millis(300));
@@ -57,7 +57,7 @@ fn a_user_moves_looks_around_and_closes_the_window() {
     w.letter('h');
     w.until("no help", |picture| differing(&home, picture) < 0.002);
 
-    // Wireframe shows the sky through the ground, and is taken back.
+    // Wireframe shows the sky through the ground. The key switches it off again.
     w.letter('w');
     w.until("wireframe", |picture| differing(&home, picture) > 0.1);
     w.letter('w');
@@ -65,7 +65,7 @@ fn a_user_moves_looks_around_and_closes_the_window() {
     w.letter('w');
     w.until("filled", |picture| differing(&home, picture) < 0.002);
 
-    // Without textures the ground is white, without light it has no shadows.
+    // Without textures the ground is white, and without light it has no shadows.
     let green = |picture: &RgbImage| {
         let is_green = |p: &&image::Rgb<u8>| p.0[1] > p.0[2].saturating_add(3);
         picture.pixels().filter(is_green).count() as f64 / f64::from(picture.width() * picture.height())
@@ -80,7 +80,7 @@ fn a_user_moves_looks_around_and_closes_the_window() {
     w.letter('l');
     w.until("light", |picture| differing(&home, picture) < 0.002);
 
-    // Tile bounds are lines over the ground.
+    // The bounds of tiles are lines over the ground.
     w.letter('g');
     w.until("tiles", |picture| differing(&home, picture) > 0.02);
     w.letter('g');
@@ -88,7 +88,7 @@ fn a_user_moves_looks_around_and_closes_the_window() {
     w.letter('g');
     w.until("no tiles", |picture| differing(&home, picture) < 0.002);
 
-    // Another size: all of it is drawn, and what was in the middle still is.
+    // After a resize everything is drawn, and the middle still shows the same.
     w.resize([800, 500]);
     w.until("resized", |picture| {
         picture.dimensions() == (800, 500) && colours(&part(picture, [640, 200, 160, 300])) > 20
@@ -101,9 +101,9 @@ fn a_user_moves_looks_around_and_closes_the_window() {
     w.letter('c');
     let file = folder.path().join("terrane-001.png");
     let written = w.wait_for("a picture", |_| image::open(&file).ok()).into_rgb8();
-    assert!(differing(&written, &home) < 0.002, "it shows what the window shows");
+    assert!(differing(&written, &home) < 0.002, "it equals the window");
 
-    // Other manipulators by their keys, from where the camera is; the arrows fly.
+    // Keys select other manipulators, which continue from the camera. The arrow keys fly.
     w.letter('2');
     std::thread::sleep(Duration::from_millis(500));
     w.until("the same from the fly manipulator", |picture| differing(&part(&home, rest), &part(picture, rest)) < 0.01);
@@ -117,7 +117,7 @@ fn a_user_moves_looks_around_and_closes_the_window() {
 }
 
 #[test]
-fn a_window_that_draws_on_demand_rests_and_wakes() {
+fn window_that_draws_on_demand_rests_and_wakes() {
     let folder = tempfile::tempdir().unwrap();
     let (Some(display), Some(set)) = (Display::start([1280, 1024]), tile_set(folder.path())) else { return };
     let args = ["view", set.to_str().unwrap(), "--size", "320x180", "--on-demand", "--max-fps", "30"];
@@ -127,7 +127,7 @@ fn a_window_that_draws_on_demand_rests_and_wakes() {
     let rest = w.at_rest("rest on demand");
     let before = w.ticks();
     std::thread::sleep(Duration::from_secs(2));
-    assert!(w.ticks() - before < 60, "it draws all the time");
+    assert!(w.ticks() - before < 60, "it draws continuously");
     w.send(MOTION, 0, 160, 90);
     for _ in 0..4 {
         w.send(BUTTON_PRESS, 4, 0, 0);
@@ -147,7 +147,7 @@ fn escape_ends_a_flight_in_a_window_and_the_report_is_written() {
     let args: Vec<&str> = args.into_iter().chain([report.to_str().unwrap()]).collect();
     let mut w = Driven::start(&display, &args, folder.path());
     let first = w.until("terrain", |picture| colours(picture) > 100);
-    w.until("the flight goes on", |picture| differing(&first, picture) > 0.1);
+    w.until("the flight continues", |picture| differing(&first, picture) > 0.1);
     w.key(ESCAPE);
     assert_eq!(w.ended().code(), Some(0));
     let report: serde_json::Value = serde_json::from_slice(&std::fs::read(report).unwrap()).unwrap();

@@ -1,5 +1,5 @@
-//! Which windows `terrane view` opens, where, and in what: files, variables, other programs' windows, displays. Under a
-//! virtual display. Needs Xvfb and a GPU (a software one will do); says so where there is none.
+//! The windows that `terrane view` opens: by files, variables, inside windows of other programs, and on displays. Runs
+//! on a virtual display. Needs Xvfb and a GPU; a software adapter suffices. Skipped with a message without them.
 
 use std::process::{Command, Stdio};
 use std::time::Duration;
@@ -12,21 +12,21 @@ use x11rb::protocol::xproto::{ConfigureWindowAux, ConnectionExt as _, CreateWind
 use x11rb::wrapper::ConnectionExt as _;
 
 #[test]
-fn a_second_window_continues_beside_the_first_and_may_be_closed() {
+fn second_window_continues_beside_the_first_and_may_be_closed() {
     let folder = tempfile::tempdir().unwrap();
     let (Some(display), Some(set)) = (Display::start([1280, 1024]), tile_set(folder.path())) else { return };
     let set = set.to_str().unwrap().to_owned();
     let mut w = Driven::start(&display, &["view", &set, "--size", "320x240", "--beside", "1"], folder.path());
     let first = w.window;
     let second = w.wait_for("a second window", |w| w.find_named(b"Terrane 2"));
-    // There is no window manager that would; what is covered cannot be read.
+    // The display has no window manager, so the windows are moved here; covered parts cannot be read.
     w.x.configure_window(second, &ConfigureWindowAux::new().x(400)).unwrap();
     w.x.sync().unwrap();
     w.until("beside: first", |picture| colours(picture) > 200);
     std::thread::sleep(Duration::from_secs(3));
     let left = w.at_rest("beside: first at rest");
     w.window = second;
-    // Sky and haze alone lie there.
+    // Only sky and haze are visible there.
     w.until("beside: second", |picture| colours(picture) > 8);
     let right = w.at_rest("beside: second at rest");
     let column = |picture: &RgbImage, x: u32| -> Vec<u8> { (0..240).flat_map(|y| picture.get_pixel(x, y).0).collect() };
@@ -34,7 +34,7 @@ fn a_second_window_continues_beside_the_first_and_may_be_closed() {
         |a: Vec<u8>, b: Vec<u8>| a.iter().zip(&b).map(|(a, b)| f64::from(a.abs_diff(*b))).sum::<f64>() / a.len() as f64;
     let [seam, across] = [apart(column(&left, 319), column(&right, 0)), apart(column(&left, 0), column(&right, 319))];
     assert!(seam < 4.0 && seam < 0.5 * across, "{seam} across the seam, {across} from end to end");
-    // Keys that it gets are the viewer's.
+    // Keys in the second window are handled by the viewer.
     w.x.set_input_focus(InputFocus::PARENT, second, x11rb::CURRENT_TIME).unwrap();
     w.key(SPACE);
     w.window = first;
@@ -42,7 +42,7 @@ fn a_second_window_continues_beside_the_first_and_may_be_closed() {
     w.window = second;
     w.close();
     w.wait_for("one window", |w| w.find_named(b"Terrane 2").is_none().then_some(()));
-    // The first continues.
+    // The first window continues.
     w.window = first;
     let home = w.at_rest("beside: alone");
     assert!(differing(&left, &home) > 0.05);
@@ -84,7 +84,7 @@ fn windows_open_as_a_file_says() {
     let seam = apart(column(&wall, 399), column(&right, 0));
     let across = apart(column(&wall, 0), column(&wall, 399));
     assert!(inside < 4.0 && seam < 4.0 && across > 6.0, "{inside} and {seam} at the seams, {across} from end to end");
-    // The one that shares is closed, and the other continues.
+    // The window that shares the device is closed, and the other continues.
     w.close();
     w.wait_for("one window", |w| w.find_named(b"right").is_none().then_some(()));
     w.window = first;
@@ -95,9 +95,9 @@ fn windows_open_as_a_file_says() {
     assert!(w.ended().success());
 }
 
-/// In a part of a window the pointer's place is that in the part: a double click goes where it goes in a window of its size.
+/// In a part of a window, the pointer is relative to that part: a double click works as in a window of that size.
 #[test]
-fn the_pointer_counts_from_the_picture_it_is_in() {
+fn pointer_is_relative_to_the_part_under_it() {
     let folder = tempfile::tempdir().unwrap();
     let (Some(display), Some(set)) = (Display::start([1280, 1024]), tile_set(folder.path())) else { return };
     let config = folder.path().join("part.json");
@@ -109,7 +109,7 @@ fn the_pointer_counts_from_the_picture_it_is_in() {
         w.until("pointer: first", |picture| colours(&part(picture, picture_px)) > 100);
         std::thread::sleep(Duration::from_secs(3));
         let before = part(&w.at_rest("pointer: at rest"), picture_px);
-        // A double click goes towards what is under the pointer.
+        // A double click moves towards the point under the pointer.
         let [left, upper] = [10 + x + 60, 20 + y + 150].map(|px| px as i16);
         w.send(MOTION, 0, left, upper);
         for _ in 0..2 {
@@ -134,7 +134,7 @@ fn the_pointer_counts_from_the_picture_it_is_in() {
 }
 
 #[test]
-fn a_display_that_cannot_be_reached_is_one_line_that_names_it() {
+fn unreachable_display_is_one_line_that_names_it() {
     let folder = tempfile::tempdir().unwrap();
     let Some(set) = tile_set(folder.path()) else { return };
     for (variable, value) in [("DISPLAY", ":4711"), ("DISPLAY", "nonsense"), ("WAYLAND_DISPLAY", "wayland-4711")] {
@@ -157,11 +157,11 @@ fn a_display_that_cannot_be_reached_is_one_line_that_names_it() {
 }
 
 #[test]
-fn a_keyboard_library_that_is_missing_is_one_line_that_names_it() {
+fn missing_keyboard_library_is_one_line_that_names_it() {
     let folder = tempfile::tempdir().unwrap();
     let (Some(display), Some(set)) = (Display::start([640, 480]), tile_set(folder.path())) else { return };
     for library in ["libxkbcommon-x11", "libxkbcommon"] {
-        // Before that of the system, one that is none.
+        // An invalid library is found before that of the system.
         let broken = folder.path().join(library);
         std::fs::create_dir(&broken).unwrap();
         for name in [format!("{library}.so.0"), format!("{library}.so")] {
@@ -181,7 +181,7 @@ fn a_keyboard_library_that_is_missing_is_one_line_that_names_it() {
 }
 
 #[test]
-fn windows_open_where_variables_say() {
+fn windows_open_as_variables_say() {
     let folder = tempfile::tempdir().unwrap();
     let (Some(display), Some(set)) = (Display::start([1280, 1024]), tile_set(folder.path())) else { return };
     let view = ["view", set.to_str().unwrap(), "--size", "320x240"];
@@ -196,7 +196,7 @@ fn windows_open_where_variables_say() {
         w.key(ESCAPE);
         assert!(w.ended().success());
     }
-    // An invalid arrangement is one line, and no window.
+    // An invalid arrangement is one line, and no window opens.
     let config = folder.path().join("wrong.json");
     std::fs::write(&config, r#"{"windows": [{"size_px": [640, "x"]}]}"#).unwrap();
     for (name, value, says) in [
@@ -213,10 +213,10 @@ fn windows_open_where_variables_say() {
 }
 
 #[test]
-fn a_window_opens_in_one_of_another_program_fills_it_and_ends_with_it() {
+fn window_inside_another_programs_window_fills_it_and_ends_with_it() {
     let folder = tempfile::tempdir().unwrap();
     let (Some(display), Some(set)) = (Display::start([1280, 1024]), tile_set(folder.path())) else { return };
-    // The host is this test, with a plain window.
+    // This test is the host, with a plain window.
     let (x, screen) = x11rb::connect(Some(&display.name)).unwrap();
     let root = x.setup().roots[screen].root;
     let host = x.generate_id().unwrap();
@@ -242,20 +242,20 @@ fn a_window_opens_in_one_of_another_program_fills_it_and_ends_with_it() {
     let rest = w.at_rest("child at rest");
     w.drag(1, [270, 230], [330, 220]);
     let turned = w.at_rest("child turned");
-    assert!(differing(&rest, &turned) > 0.1, "a drag turns");
-    // Keys come once it was clicked.
+    assert!(differing(&rest, &turned) > 0.1, "a drag rotates the view");
+    // Keys are received after a click.
     w.key(SPACE);
     w.until("child at home", |picture| differing(&turned, picture) > 0.1);
-    // It goes where the host goes, and has its size.
+    // It moves with the host and has its size.
     w.x.configure_window(host, &ConfigureWindowAux::new().x(10).y(20).width(600).height(200)).unwrap();
     w.x.sync().unwrap();
     w.wait_for("the host's size", |w| (w.place() == [10, 20, 600, 200]).then_some(()));
-    // The new part is drawn too.
+    // The new part is drawn as well.
     let is_drawn = |picture: &RgbImage| part(picture, [450, 0, 150, 200]).pixels().all(|p| p.0 != [0, 0, 0]);
     w.until("child resized", |picture| picture.dimensions() == (600, 200) && is_drawn(picture));
     w.x.destroy_window(host).unwrap();
     w.x.sync().unwrap();
-    assert_eq!(w.ended().code(), Some(0), "the host's end is its own");
+    assert_eq!(w.ended().code(), Some(0), "the end of the host is no error");
     // An id that is not a window is one error.
     let mut command = Command::new(env!("CARGO_BIN_EXE_terrane"));
     command.args(args).current_dir(folder.path()).env("DISPLAY", &display.name);

@@ -1,5 +1,5 @@
-//! `terrane view` with a file of several views, in real windows under a virtual display. Needs Xvfb and a GPU (a software
-//! one will do); says so where there is none.
+//! `terrane view` with a file of several views, in real windows on a virtual display. Needs Xvfb and a GPU; a software
+//! adapter suffices. Skipped with a message without them.
 
 use std::process::Command;
 use std::time::{Duration, Instant};
@@ -14,12 +14,12 @@ use x11rb::protocol::xproto::{ConnectionExt as _, InputFocus};
 use x11rb::wrapper::ConnectionExt as _;
 
 #[test]
-fn several_views_open_as_a_file_says_and_each_has_its_events() {
+fn several_views_open_as_a_file_says_with_separate_events() {
     let folder = tempfile::tempdir().unwrap();
     let (Some(display), Some(set)) = (Display::start([1280, 1024]), tile_set(folder.path())) else { return };
     let config = folder.path().join("views.json");
     let name = set.file_name().unwrap().to_str().unwrap();
-    // Two views of the program's set beside each other, and one of another set in another window.
+    // Two views of the default set are side by side, and one of another set is in another window.
     let text = format!(
         r#"{{"windows": [
              {{"title": "Terrane - views", "position_px": [10, 20], "size_px": [400, 200]}},
@@ -47,13 +47,13 @@ fn several_views_open_as_a_file_says_and_each_has_its_events() {
     let other = w.at_rest("views: other at rest");
     assert!(differing(&part(&both, left), &other) < 0.02, "the same set from the same eye");
 
-    // A drag in the right view turns that alone, also where it ends outside of it.
+    // A drag in the right view rotates only that one, also if it ends outside of it.
     w.window = first;
     w.drag(1, [310, 120], [150, 110]);
     let turned = w.at_rest("views: right turned");
     assert!(differing(&part(&both, right), &part(&turned, right)) > 0.1);
     assert!(differing(&part(&both, left), &part(&turned, left)) < 0.002);
-    // Keys are those of the view under the pointer: the left one goes home.
+    // Keys go to the view under the pointer, so the left view returns home.
     w.x.set_input_focus(InputFocus::PARENT, first, x11rb::CURRENT_TIME).unwrap();
     w.send(MOTION, 0, 10 + 100, 20 + 190);
     w.key(SPACE);
@@ -61,7 +61,7 @@ fn several_views_open_as_a_file_says_and_each_has_its_events() {
         differing(&part(&both, left), &part(picture, left)) > 0.05
             && differing(&part(&turned, right), &part(picture, right)) < 0.002
     });
-    // The stats of a view lie over that view, and those of several at once.
+    // The stats of a view are drawn over that view, also for several views at the same time.
     w.send(MOTION, 0, 10 + 300, 20 + 100);
     w.letter('s');
     let upper_left = |[x, y, ..]: [u32; 4]| [x + 10, y + 10, 100, 20];
@@ -73,14 +73,14 @@ fn several_views_open_as_a_file_says_and_each_has_its_events() {
     w.letter('s');
     assert!(!is_over(&home, &before, left), "nothing over the other view");
     w.until("views: stats over both", |picture| is_over(&home, picture, left) && is_over(&turned, picture, right));
-    // And in the other window over that.
+    // The same in the other window.
     w.window = w.wait_for("the other window", |w| w.find_named(b"other"));
     w.x.set_input_focus(InputFocus::PARENT, w.window, x11rb::CURRENT_TIME).unwrap();
     w.send(MOTION, 0, 500 + 100, 20 + 150);
     assert!(differing(&other, &w.picture()) < 0.02, "nothing there yet");
     w.letter('s');
     w.until("views: stats in the other window", |picture| is_over(&other, picture, left));
-    // They are moved by the pointer, and what lies below is not.
+    // The pointer scrolls the stats, and not the view below them.
     let below = [0, 150, 200, 50];
     let rest = part(&w.picture(), below);
     w.send(MOTION, 0, 540, 40);
@@ -90,9 +90,9 @@ fn several_views_open_as_a_file_says_and_each_has_its_events() {
     w.send(MOTION, 0, 540, 100);
     let moved = w.until("views: stats moved", |picture| !is_over(&other, picture, left));
     w.send(BUTTON_RELEASE, 1, 0, 0);
-    assert!(differing(&rest, &part(&moved, below)) < 0.02, "the view stays");
+    assert!(differing(&rest, &part(&moved, below)) < 0.02, "the view does not change");
 
-    // The other window closes with its view, and the first continues.
+    // Closing the other window removes its view, and the first window continues.
     w.window = w.wait_for("the other window", |w| w.find_named(b"other"));
     w.close();
     w.wait_for("one window", |w| w.find_named(b"other").is_none().then_some(()));
@@ -107,7 +107,7 @@ fn several_views_open_as_a_file_says_and_each_has_its_events() {
     w.key(ESCAPE);
     assert_eq!(w.ended().code(), Some(0));
 
-    // Said on the command line, the file comes before the variable; and without a set where none is needed.
+    // The file on the command line takes precedence over the variable. No default set is generated if none is needed.
     let alone = folder.path().join("alone.json");
     let text = format!(
         r#"{{"windows": [{{"title": "Terrane - alone", "size_px": [160, 120]}}],
@@ -138,9 +138,9 @@ fn several_views_open_as_a_file_says_and_each_has_its_events() {
     }
 }
 
-/// It held the view that it had gone down over: all that came after went there.
+/// Regression: the view under the pressed button kept it, so that all later events went there.
 #[test]
-fn a_button_that_goes_with_the_focus_holds_no_view() {
+fn button_lost_with_the_focus_leaves_its_view() {
     let folder = tempfile::tempdir().unwrap();
     let (Some(display), Some(set)) = (Display::start([1280, 1024]), tile_set(folder.path())) else { return };
     let config = folder.path().join("halves.json");
@@ -152,7 +152,7 @@ fn a_button_that_goes_with_the_focus_holds_no_view() {
     let (left, right) = ([0, 0, 200, 200], [200, 0, 200, 200]);
     w.until("halves: first", |picture| [left, right].iter().all(|of| colours(&part(picture, *of)) > 100));
     let before = w.at_rest("halves: at rest");
-    // The window goes while the button is down over the left half, and comes back when it is up.
+    // The window loses the focus while the button is pressed over the left half, and gets it back after the release.
     w.send(MOTION, 0, 110, 140);
     w.send(BUTTON_PRESS, 1, 0, 0);
     std::thread::sleep(Duration::from_millis(500));
@@ -166,15 +166,15 @@ fn a_button_that_goes_with_the_focus_holds_no_view() {
     w.until("halves: again", |picture| differing(&before, picture) < 0.002);
     w.drag(1, [310, 120], [150, 110]);
     let turned = w.at_rest("halves: right turned");
-    assert!(differing(&part(&before, right), &part(&turned, right)) > 0.1, "the one that was dragged");
-    assert!(differing(&part(&before, left), &part(&turned, left)) < 0.002, "the one that had the button");
+    assert!(differing(&part(&before, right), &part(&turned, right)) > 0.1, "the view that was dragged");
+    assert!(differing(&part(&before, left), &part(&turned, left)) < 0.002, "the view that had the button");
     w.key(ESCAPE);
     assert_eq!(w.ended().code(), Some(0));
 }
 
-/// Else one view flies on for ever, and another ends what it has not begun.
+/// Otherwise one view would fly forever, and another would end a motion that it did not start.
 #[test]
-fn a_key_release_goes_to_the_view_that_got_the_press() {
+fn key_release_goes_to_the_view_that_got_the_press() {
     let folder = tempfile::tempdir().unwrap();
     let (Some(display), Some(set)) = (Display::start([1280, 1024]), tile_set(folder.path())) else { return };
     let config = folder.path().join("keys.json");
@@ -185,7 +185,7 @@ fn a_key_release_goes_to_the_view_that_got_the_press() {
     let mut w = Driven::start(&display, &args, folder.path());
     let (left, right) = ([0, 0, 200, 200], [200, 0, 200, 200]);
     w.until("keys: first", |picture| [left, right].iter().all(|of| colours(&part(picture, *of)) > 100));
-    // The left view flies by the arrows, the right one does too.
+    // Both views fly with the arrow keys.
     for x in [310, 110] {
         w.send(MOTION, 0, x, 140);
         w.letter('2');
@@ -197,13 +197,13 @@ fn a_key_release_goes_to_the_view_that_got_the_press() {
     w.send(MOTION, 0, 310, 140);
     w.send(KEY_RELEASE, up, 0, 0);
     let after = w.at_rest("keys: at rest again");
-    assert!(differing(&part(&before, right), &part(&after, right)) < 0.002, "the one where it came up");
+    assert!(differing(&part(&before, right), &part(&after, right)) < 0.002, "the view in which it was released");
     w.key(ESCAPE);
     assert_eq!(w.ended().code(), Some(0));
 }
 
 #[test]
-fn views_rest_where_nothing_moves_and_are_drawn_no_more_often_than_asked() {
+fn views_rest_without_changes_and_keep_the_maximum_frame_rate() {
     let folder = tempfile::tempdir().unwrap();
     let (Some(display), Some(set)) = (Display::start([1280, 1024]), tile_set(folder.path())) else { return };
     let config = folder.path().join("two.json");
@@ -225,8 +225,8 @@ fn views_rest_where_nothing_moves_and_are_drawn_no_more_often_than_asked() {
     std::thread::sleep(Duration::from_secs(1));
     let before = w.ticks();
     std::thread::sleep(Duration::from_secs(2));
-    assert!(w.ticks() - before < 60, "they are drawn all the time");
-    // An event in one wakes all; the other shows the same as before.
+    assert!(w.ticks() - before < 60, "they are drawn continuously");
+    // An event in one view wakes all; the other shows the same as before.
     w.window = w.wait_for("the other window", |w| w.find_named(b"two"));
     w.send(MOTION, 0, 400, 100);
     for _ in 0..4 {
@@ -235,7 +235,7 @@ fn views_rest_where_nothing_moves_and_are_drawn_no_more_often_than_asked() {
     }
     w.until("two views: woken", |picture| differing(&two, picture) > 0.2);
     w.window = first;
-    assert!(differing(&one, &w.picture()) < 0.002, "the other view stays");
+    assert!(differing(&one, &w.picture()) < 0.002, "the other view does not change");
     w.x.set_input_focus(InputFocus::PARENT, first, x11rb::CURRENT_TIME).unwrap();
     w.key(ESCAPE);
     assert_eq!(w.ended().code(), Some(0));
@@ -251,5 +251,5 @@ fn views_rest_where_nothing_moves_and_are_drawn_no_more_often_than_asked() {
     let said = w.said();
     let frames = said.split(" frames:").next().and_then(|text| text.split_whitespace().next_back());
     let frames: f64 = frames.unwrap().parse().unwrap();
-    assert!(frames > 5.0 && frames <= most, "{frames} frames, where {most} are the most: {said}");
+    assert!(frames > 5.0 && frames <= most, "{frames} frames, the maximum is {most}: {said}");
 }
