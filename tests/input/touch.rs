@@ -381,7 +381,7 @@ fn pressing_and_lifting_fingers_causes_no_jump() {
     }
 }
 
-/// Regression: the old manipulator was not told that its fingers were lifted.
+/// Regression: the old manipulator was not notified that its fingers were lifted.
 #[test]
 fn manipulator_selected_again_forgets_earlier_fingers() {
     let world = World::plane();

@@ -153,7 +153,7 @@ fn options_change_the_order_of_loads() {
     assert_eq!(own(1.0, -50.0).priority(10.0), 0.0, "not below prefetch requests");
     assert_eq!(own(9.0, 9.0).priority(-0.5), -0.5);
     assert_eq!(own(f32::NAN, 0.0).priority(3.0), 3.0);
-    // Of two missing pages of one image, the room for one decides which is loaded.
+    // Two pages are missing in one image, and there is room for the one with the higher priority.
     for (options, expected, other) in [(own(1.0, 1e6), 0.0, FAR_M), (own(0.0, 0.0), FAR_M, 0.0)] {
         let folder = tempfile::tempdir().unwrap();
         let mut run = two_tiles(folder.path(), options, PagerConfig { max_tiles: 1, ..PagerConfig::default() });

@@ -191,7 +191,7 @@ fn has_absolute_camera(node: &Node) -> bool {
     matches!(&node.kind, NodeKind::Camera(camera) if is_one(camera)) || node.children.iter().any(has_absolute_camera)
 }
 
-/// Returns the scene beside a nested camera that shows it, for a camera that sees nothing else.
+/// Returns the scene beside a nested camera that shows it, for a camera that sees only its image.
 fn through_nested(node: &Node, camera: &CullCamera) -> (Node, CullCamera) {
     let (alone, scene) = (1, 2);
     let mut nested = CameraNode { shows_scene: true, ..CameraNode::new(RenderOrder::Nested) };

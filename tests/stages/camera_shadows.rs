@@ -105,7 +105,7 @@ fn cameras_have_separate_shadow_settings() {
     assert!(matches!(&errors[..], [e] if e.contains("1 to 4 cascades, not 9")), "{errors:?}");
 }
 
-/// The mountains of a globe have a low sun with air and shadows, and the main eye is far above another place.
+/// The mountains of a globe have a low sun with air and shadows, and the main eye is far above another position.
 #[test]
 fn terrain_in_a_texture_has_air_and_shadows() {
     let Some(mut rig) = rig("terrain_in_a_texture_has_air_and_shadows") else { return };
@@ -205,7 +205,7 @@ fn nested_cameras_have_shadows_beside_those_of_the_main_image() {
     let rig = &mut *rig;
     let main = sunny(to_sun());
     let expected = picture(rig, &near(), &main);
-    // A nested camera has another eye and lens, in an image whose main eye sees nothing else.
+    // A nested camera has another eye and lens, in an image whose main eye sees only the nested one.
     let node = |environment: CameraEnvironment, shadows: CameraShadows| CameraNode {
         frame: ReferenceFrame::Absolute,
         view: near().eye_from_world,

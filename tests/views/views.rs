@@ -158,7 +158,7 @@ fn parts_follow_their_window_by_their_policy() {
         let view = viewer.view_mut(*view).unwrap();
         view.camera.look_at(DVec3::new(0.0, -distance, 0.0), DVec3::new(0.0, -distance + 1.0, 0.0), DVec3::Z);
     }
-    // Returns the width and height of the ball in pixels, in parts of an image that show nothing else.
+    // Returns the width and height of the ball in pixels, in parts of an image that show only the ball.
     let mut balls = |size_px: [u32; 2]| {
         viewer.resize_context(contexts[0], size_px).unwrap();
         viewer.settle(3);

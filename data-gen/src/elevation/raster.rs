@@ -3,7 +3,7 @@
 use super::source::ElevationSource;
 use crate::georeference::Placement;
 
-/// Heights above this are taken for missing data; no place on earth is higher or deeper. It includes SRTM's -32768.
+/// Heights above this are taken for missing data, such as SRTM's -32768. The earth has no such heights or depths.
 const MAX_ABS_HEIGHT_M: f32 = 12_000.0;
 
 /// One elevation file in memory.

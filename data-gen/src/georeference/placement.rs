@@ -56,7 +56,7 @@ impl Placement {
         self.transform.pixel(self.crs.project(longitude - self.turn, latitude))
     }
 
-    /// Places a TIFF by its tags, or by the world file beside it if it has none; `None` without both. `given` is the
+    /// Positions a TIFF by its tags, or by the world file beside it if it has none; `None` without both. `given` is the
     /// reference system of files that do not name one.
     pub fn of_tiff(path: &Path, tiff: &Tiff, given: Option<Crs>) -> Result<Option<Self>, GenError> {
         let Some(transform) = tiff.transform.or_else(|| world_file(path)) else { return Ok(None) };
@@ -65,7 +65,7 @@ impl Placement {
         Ok(Some(Self::new(transform, crs)))
     }
 
-    /// Places an image by the world file beside it, in the reference system `given`. Without a world file it lies at the
+    /// Positions an image by the world file beside it, in the reference system `given`. Without a world file it lies at the
     /// default position.
     pub fn of_image(path: &Path, size: [usize; 2], given: Option<Crs>) -> Result<Self, GenError> {
         match world_file(path) {
