@@ -190,7 +190,7 @@ fn camera_with_an_empty_mask_draws_nothing() {
 
 #[test]
 fn clusters_that_face_away_are_culled() {
-    let cone = NormalCone { control_point: DVec3::ZERO, normal: DVec3::Y, least_cosine: -0.5, radius_m: 1.0 };
+    let cone = NormalCone { control_point: DVec3::ZERO, normal: DVec3::Y, min_cosine: -0.5, radius_m: 1.0 };
     let mut away = drawable(Aabb { min: DVec3::splat(-0.5), max: DVec3::splat(0.5) });
     away.cluster = Some(cone);
     let mut toward = away.clone();
@@ -207,7 +207,7 @@ fn clusters_that_face_away_are_culled() {
 /// Regression: the position of the eye was used, which has no meaning in an orthographic view.
 #[test]
 fn clusters_face_away_from_the_direction_of_orthographic_views() {
-    let cone = |normal| NormalCone { control_point: DVec3::ZERO, normal, least_cosine: -0.1, radius_m: 1.0 };
+    let cone = |normal| NormalCone { control_point: DVec3::ZERO, normal, min_cosine: -0.1, radius_m: 1.0 };
     let with = |normal| {
         let mut drawable = drawable(Aabb { min: DVec3::splat(-0.5), max: DVec3::splat(0.5) });
         drawable.cluster = Some(cone(normal));

@@ -121,11 +121,11 @@ impl Traversal<'_> {
             // Parallel rays have the same direction everywhere, also behind the eye.
             let toward_eye = context.eye - context.depth.truncate().as_dvec3();
             let toward_eye = page.transforms().point_in_node(transform, toward_eye) - eye;
-            return toward_eye.dot(cone.normal) < cone.least_cosine * toward_eye.length();
+            return toward_eye.dot(cone.normal) < cone.min_cosine * toward_eye.length();
         }
         let to_eye = eye - cone.control_point;
         let distance_m = to_eye.length();
-        distance_m > cone.radius_m && to_eye.dot(cone.normal) < cone.least_cosine * distance_m
+        distance_m > cone.radius_m && to_eye.dot(cone.normal) < cone.min_cosine * distance_m
     }
 
     /// Tests a range of drawables and emits those that are seen.

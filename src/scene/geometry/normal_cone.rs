@@ -13,7 +13,7 @@ pub struct NormalCone {
     /// The mean direction of the faces, of unit length.
     pub normal: DVec3,
     /// The drawable is culled if the cosine between `normal` and the direction to the eye is smaller.
-    pub least_cosine: f64,
+    pub min_cosine: f64,
     /// The distance below which the drawable is never culled, metres.
     pub radius_m: f64,
 }
@@ -48,7 +48,7 @@ impl Mesh {
         Some(NormalCone {
             control_point,
             normal: mean,
-            least_cosine: (std::f64::consts::FRAC_PI_2 + half_angle + from_middle).min(std::f64::consts::PI).cos(),
+            min_cosine: (std::f64::consts::FRAC_PI_2 + half_angle + from_middle).min(std::f64::consts::PI).cos(),
             radius_m: 2.0 * radius_m,
         })
     }

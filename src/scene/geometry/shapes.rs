@@ -125,7 +125,7 @@ mod tests {
         // Culled from behind, not from the side or the front.
         let culled = |eye: DVec3| {
             let to_eye = eye - cone.control_point;
-            to_eye.length() > cone.radius_m && to_eye.normalize().dot(cone.normal) < cone.least_cosine
+            to_eye.length() > cone.radius_m && to_eye.normalize().dot(cone.normal) < cone.min_cosine
         };
         assert!(culled(DVec3::new(0.0, 0.0, -10.0)));
         assert!(!culled(DVec3::new(0.0, 0.0, 10.0)) && !culled(DVec3::new(10.0, 0.0, -0.1)));

@@ -189,13 +189,13 @@ fn reset_is_a_connection_reset() {
 fn answers_have_the_configured_latency() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("f"), "content").unwrap();
-    for (options, requests, least_ms) in
+    for (options, requests, min_ms) in
         [(&["--latency-ms", "150"][..], 3, 450), (&["--jitter-ms", "100"], 10, 200), (&["--latency-ms", "0"], 1, 0)]
     {
         let server = Server::start(folder.path(), options);
         let start = Instant::now();
         assert!((0..requests).all(|_| server.ask("GET", "/f", "").2 == b"content"));
-        assert!(start.elapsed() >= Duration::from_millis(least_ms), "{options:?}: {:?}", start.elapsed());
+        assert!(start.elapsed() >= Duration::from_millis(min_ms), "{options:?}: {:?}", start.elapsed());
     }
 }
 
