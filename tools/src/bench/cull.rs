@@ -16,7 +16,7 @@ use terrane::state::{BinDetails, SortMode, StateSet};
 
 use glam::{DAffine3, DVec3};
 
-use super::{percentile, print_line};
+use super::measurement::{percentile, print_line};
 
 /// Measures each case for about `seconds` and prints a line for it. `drawables` are the sizes of the scenes.
 pub fn run(seconds: f64, drawables: &[u32]) {

@@ -14,7 +14,7 @@ use terrane::state::StateSet;
 use terrane::viewer::{FieldOfView, ThreadingModel, Viewer, ViewerConfig};
 
 use super::cull::{Grid, View};
-use super::{percentile, print_line};
+use super::measurement::{percentile, print_line};
 
 /// Measures each case for about `seconds` and prints a line for it. Without `every_leaf`, leaves between pixel centres are
 /// culled.

@@ -1,5 +1,7 @@
 //! `terrane bench`: measures one layer at a time. Prints JSON lines with the field names of the peer programs.
 
+mod measurement;
+
 pub mod all;
 pub mod cull;
 pub mod frame;
@@ -12,9 +14,6 @@ pub mod threading;
 pub mod tiles;
 
 use anyhow::Result;
-use terrane::gpu::{CompileBudget, CompileOperation, Compiled, GraphicsContext};
-use terrane::pager::CompileContext;
-use terrane::scene::DrawSlot;
 
 use crate::args::{Bench, BenchArgs};
 
@@ -55,49 +54,5 @@ pub fn run(args: &BenchArgs) -> Result<()> {
                 net: net.clone(),
             })
         }
-    }
-}
-
-/// A graphics context that uploads on the thread that updates the pager, as in a viewer without a draw thread.
-struct UploadContext(GraphicsContext);
-
-impl CompileContext for UploadContext {
-    fn id(&self) -> u32 {
-        0
-    }
-
-    fn compile(&mut self, operation: CompileOperation) {
-        self.0.compile(operation);
-    }
-
-    fn run_compiles(&mut self, budget: &CompileBudget) {
-        self.0.run_compiles(budget);
-    }
-
-    fn take_compiled(&mut self) -> Vec<Compiled> {
-        self.0.take_compiled()
-    }
-
-    fn release(&mut self, slots: Vec<DrawSlot>) {
-        self.0.release(&slots);
-    }
-}
-
-/// Prints a line. If standard output is closed, the program ends.
-fn print_line(line: serde_json::Value) {
-    use std::io::Write as _;
-    if writeln!(std::io::stdout(), "{line}").is_err() {
-        std::process::exit(0);
-    }
-}
-
-/// Returns the value at a share `p`, 0..1, of the sorted values, interpolated between neighbours. Sorts the values.
-fn percentile(values: &mut [f64], p: f64) -> f64 {
-    values.sort_unstable_by(f64::total_cmp);
-    let position = p * (values.len().max(1) - 1) as f64;
-    let (low, high) = (position.floor() as usize, position.ceil() as usize);
-    match (values.get(low), values.get(high)) {
-        (Some(a), Some(b)) => a + (b - a) * (position - low as f64),
-        _ => 0.0,
     }
 }

@@ -13,7 +13,7 @@ use terrane::scene::{
     Vertical,
 };
 
-use super::{percentile, print_line};
+use super::measurement::{percentile, print_line};
 
 /// Half the side of the terrain in metres.
 const HALF_M: f64 = 10_000.0;

@@ -18,7 +18,7 @@ use terrane::math::{BoundingSphere, BoundingVolume};
 use terrane::pager::{DatabasePager, PagerConfig};
 use terrane::scene::{Node, NodeKind, Page, PagedLod, RangeMode, Refine, Scene};
 
-use super::{UploadContext, percentile, print_line};
+use super::measurement::{UploadContext, percentile, print_line};
 
 /// The number of contents that are requested at the same time while the scene is filled.
 const REQUESTS_AT_ONCE: usize = 2_000;

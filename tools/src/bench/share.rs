@@ -21,7 +21,7 @@ use terrane::math::{BoundingVolume, OrientedBox};
 use terrane::pager::{DatabasePager, PagerConfig, PagerStats};
 use terrane::scene::{Node, NodeKind, Page, PagedLod, RangeMode, Refine, Scene, ShareModes, SharedStateManager};
 
-use super::{UploadContext, percentile, print_line};
+use super::measurement::{UploadContext, percentile, print_line};
 
 const TILES: usize = 1024;
 /// The number of different contents in the set that repeats them.

@@ -15,7 +15,7 @@ use terrane::scene::{Drawable, Geometry, HeightTile, Material, Mesh, Node, Page,
 use terrane::state::{Attribute, StateSet, SurfaceMaterial};
 
 use super::cull::triangle;
-use super::{percentile, print_line};
+use super::measurement::{percentile, print_line};
 
 /// The content of the stage.
 #[derive(Clone, Copy, PartialEq)]

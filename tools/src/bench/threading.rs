@@ -14,7 +14,7 @@ use terrane::state::{Attribute, StateSet, SurfaceMaterial};
 use terrane::viewer::{FrameStats, ThreadingModel, Viewer, ViewerConfig};
 
 use super::cull::triangle;
-use super::{percentile, print_line};
+use super::measurement::{percentile, print_line};
 
 /// The number of drawables, each below a separate transform.
 const LEAVES: u32 = 60_000;

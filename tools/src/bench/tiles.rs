@@ -14,7 +14,7 @@ use terrane::scene::{
     Scene, SceneError, Topology,
 };
 
-use super::{percentile, print_line};
+use super::measurement::{percentile, print_line};
 
 /// Half the side of the terrain in metres.
 const HALF_M: f64 = 20_000.0;

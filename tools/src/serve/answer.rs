@@ -9,8 +9,8 @@ use std::time::{Duration, UNIX_EPOCH};
 
 use http::{Method, StatusCode};
 
-use super::Server;
 use super::faults::{Fault, FaultRandom};
+use super::server::Server;
 
 /// The web page that is sent instead of a file by [`Fault::Page`].
 const PAGE: &[u8] = b"<!doctype html><title>Sorry</title><p>The page that you are looking for is not here.</p>\n";

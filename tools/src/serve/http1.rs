@@ -9,7 +9,7 @@ use tokio_rustls::rustls::{ServerConnection, StreamOwned};
 
 use super::answer::{Answer, Content, End, Outcome, Request};
 use super::bandwidth::BandwidthLimit;
-use super::{IDLE_TIMEOUT, RESET_DELAY, Server};
+use super::server::{IDLE_TIMEOUT, RESET_DELAY, Server};
 
 /// Maximum size of the head of a request.
 const MAX_HEAD_BYTES: u64 = 16 << 10;

@@ -18,7 +18,7 @@ use tokio::task::JoinSet;
 
 use super::answer::{Answer, Content, End, Loss, Outcome, Request};
 use super::bandwidth::BandwidthLimit;
-use super::{IDLE_TIMEOUT, RESET_DELAY, Server};
+use super::server::{IDLE_TIMEOUT, RESET_DELAY, Server};
 
 /// Maximum number of concurrent requests of a connection, as in common servers.
 const MAX_STREAMS: u32 = 128;

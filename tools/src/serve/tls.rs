@@ -11,7 +11,9 @@ use tokio_rustls::rustls::crypto::ring;
 use tokio_rustls::rustls::pki_types::PrivateKeyDer;
 use tokio_rustls::rustls::{self, StreamOwned};
 
-use super::{IDLE_TIMEOUT, ServeArgs, Server, http1, http2};
+use super::args::ServeArgs;
+use super::server::{IDLE_TIMEOUT, Server};
+use super::{http1, http2};
 
 const HTTP_2: &[u8] = b"h2";
 const HTTP_1: &[u8] = b"http/1.1";

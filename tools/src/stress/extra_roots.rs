@@ -14,7 +14,7 @@ use terrane::scene::{
 use terrane::state::{Attribute, StateSet, TextureBinding};
 use terrane::viewer::{CompositeViewer, SceneId, SetBounds};
 
-use super::invariants::Failures;
+use super::checks::invariants::Failures;
 use super::plan::Slides;
 use crate::serve::Background;
 

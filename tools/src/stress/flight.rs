@@ -6,7 +6,6 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result};
 use glam::{DAffine3, DVec3};
-use serde::{Deserialize, Serialize};
 use terrane::draw::Sky;
 use terrane::fetch::{CacheConfig, is_remote};
 use terrane::gpu::{AdapterChoice, GpuError, GraphicsContext};
@@ -15,11 +14,12 @@ use terrane::viewer::{
     self, CompositeViewer, ContextId, HoleCheck, KEY_COLOR, SceneId, SetBounds, SlaveId, ViewId, ViewerConfig,
 };
 
-use super::extra_roots::{Proxies, Sign};
-use super::invariants::{Failures, ImageChecks, RequestedImage};
+use super::checks::invariants::{self, Failures, ImageChecks, RequestedImage};
+use super::checks::{reference, watchdog};
+use super::extra_roots::{self, Proxies, Sign};
 use super::plan::{Drawing, MAX_CONTEXTS, Plan, Pose, Protocol, Slides, Transport};
-use super::servers::TempFolder;
-use super::{extra_roots, invariants, reference, servers, watchdog};
+use super::report::Outcome;
+use super::sources::servers::{self, TempFolder};
 use crate::serve::Background;
 
 /// Maximum number of frames until everything is loaded after the faults end. Latency and bandwidth stay limited, and all
@@ -29,33 +29,12 @@ const MAX_SETTLE_FRAMES: u32 = 6000;
 const MIN_CLEAR_FRAMES: u32 = 4;
 /// Maximum number of frames after a clear. The smallest budget needs this many for the upload in flight.
 const MAX_CLEAR_FRAMES: u32 = 100;
-/// The duration of a frame while the flight settles. Requests wait for times, not for a number of frames.
-pub const SETTLING_FRAME: Duration = Duration::from_millis(5);
 /// The number of frames without a change after which a pager with too small budgets counts as settled.
 const QUIET_FRAMES: u32 = 60;
 /// The size of the white texel of drawables without a texture.
 const WHITE_TEXEL_BYTES: u64 = 4;
 /// Maximum duration of closing a viewer with its threads and requests.
 const MAX_CLOSE_TIME: Duration = Duration::from_secs(10);
-
-/// The result of a flight.
-#[derive(Clone, Debug, Default, Deserialize, Serialize)]
-pub struct Outcome {
-    pub failures: Vec<String>,
-    pub frames: u32,
-    /// Frames from the end of the faults until everything is loaded.
-    pub settling: u32,
-    pub pictures: u64,
-    /// Requests of all scenes; so are the counts that follow.
-    pub requested: u64,
-    pub merged: u64,
-    pub failed: u64,
-    pub cancelled: u64,
-    pub expired: u64,
-    pub adapter: String,
-    /// True if the last image was compared with that of a new viewer.
-    pub compared: bool,
-}
 
 /// Flies a seed over a set and returns its result.
 pub fn fly(plan: &Plan, source: &str) -> Result<Outcome> {
@@ -403,7 +382,7 @@ impl<'a> Flight<'a> {
             self.frame = self.plan.frames + settling;
             self.outcome.settling = settling + 1;
             self.one_frame()?;
-            let until = Instant::now() + SETTLING_FRAME;
+            let until = Instant::now() + reference::SETTLING_FRAME;
             self.viewer()?.work_until(until);
             self.check()?;
             let viewer = self.viewer.as_ref().context("the viewer is gone")?;
@@ -508,7 +487,7 @@ impl<'a> Flight<'a> {
         for frames in 1..=MAX_CLEAR_FRAMES {
             self.frame += 1;
             self.one_frame()?;
-            let until = Instant::now() + SETTLING_FRAME;
+            let until = Instant::now() + reference::SETTLING_FRAME;
             self.viewer()?.work_until(until);
             self.check()?;
             self.viewer()?.finish()?;

@@ -15,143 +15,29 @@
 //! declined requests are dropped or repeated. If two pagers request the same tile at the same moment, the order of arrival
 //! decides which one meets a fault.
 
-mod archive_writer;
+mod args;
+mod checks;
 mod events;
 mod extra_roots;
 mod fault_spec;
 mod flight;
-mod invariants;
 mod plan;
 mod processes;
 mod random;
-mod reference;
-mod servers;
-mod tile_sets;
-mod watchdog;
+mod report;
+mod sources;
 
-use std::borrow::Cow;
 use std::io::Write as _;
-use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, bail, ensure};
-use clap::Args as ClapArgs;
-use serde::{Deserialize, Serialize};
 use terrane::fetch::{is_remote, shown};
 
-use self::flight::Outcome;
-use self::plan::{Plan, Transport};
-use crate::values::minutes;
-
-#[derive(Clone, Debug, ClapArgs)]
-pub struct StressArgs {
-    /// Folder, tileset.json, archive, http(s) URL or s3://, gs://, az:// URI; without it small sets are generated in a temporary folder
-    pub source: Option<String>,
-    /// Number of seeds
-    #[arg(long, default_value_t = 200, value_parser = clap::value_parser!(u64).range(1..))]
-    pub seeds: u64,
-    /// First seed
-    #[arg(long, default_value_t = 1)]
-    pub first_seed: u64,
-    /// Run seeds for this many minutes instead of a number of seeds
-    #[arg(long, value_parser = minutes)]
-    pub minutes: Option<f64>,
-    /// Run only this seed, in this process, to repeat a failure
-    #[arg(long, conflicts_with_all = ["seeds", "first_seed", "minutes"])]
-    pub seed: Option<u64>,
-    /// Number of seeds at the same time [default: one per core]
-    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=256))]
-    pub jobs: Option<u16>,
-    /// Number of frames of each flight [default: 40 to 120, by seed]
-    #[arg(long, value_parser = clap::value_parser!(u32).range(1..1_000_000))]
-    pub frames: Option<u32>,
-    /// Percentage of seeds that are drawn by an adapter and whose images are checked; the others use wgpu's noop backend
-    #[arg(long, value_name = "PERCENT", default_value_t = 20, value_parser = clap::value_parser!(u64).range(..=100))]
-    pub drawn: u64,
-    /// Faults of the server for all seeds, such as error=0.1,latency-ms=20, or none [default: by seed]; not with a SOURCE
-    /// on a server
-    #[arg(long, value_name = "SPEC")]
-    pub faults: Option<fault_spec::FaultSpec>,
-    /// Seconds after which a frame counts as hanging
-    #[arg(long, value_name = "SECONDS", default_value_t = 60, value_parser = clap::value_parser!(u64).range(1..))]
-    pub patience: u64,
-    /// Write the results of all seeds as JSON
-    #[arg(long, value_name = "FILE")]
-    pub report: Option<PathBuf>,
-    /// Print one line of JSON instead of text
-    #[arg(long, hide = true)]
-    pub as_json: bool,
-}
-
-impl StressArgs {
-    /// Checks combinations of arguments.
-    pub fn check(&self) -> Result<(), String> {
-        match &self.source {
-            Some(source) if self.faults.is_some() && is_remote(source) => {
-                Err("--faults apply to the local server only, and SOURCE is on another server".to_owned())
-            }
-            _ => Ok(()),
-        }
-    }
-
-    /// Returns the plan of a seed.
-    fn plan(&self, seed: u64) -> Plan {
-        let mut plan = Plan::new(seed, self.frames, self.drawn);
-        if let Some(spec) = &self.faults {
-            plan.faults = spec.0.clone();
-        }
-        plan
-    }
-}
-
-/// The result of a seed.
-#[derive(Clone, Debug, Deserialize, Serialize)]
-pub struct SeedReport {
-    pub seed: u64,
-    /// "disk", "server" for a remote source, or the protocol of the local server.
-    pub way: String,
-    /// A hash of the plan.
-    pub plan: String,
-    pub drawing: String,
-    #[serde(flatten)]
-    pub outcome: Outcome,
-    pub seconds: f64,
-}
-
-impl SeedReport {
-    /// Returns the result as one line.
-    fn line(&self) -> String {
-        let verdict = if self.outcome.failures.is_empty() { "ok    " } else { "FAILED" };
-        format!(
-            "seed {:<5} {verdict} {:<8} {:<5} {:>4} frames, settled after {:>4}, {:>3} images, {:>5} requests: {} merged, \
-             {} failed, {} cancelled, {} expired; {:.1} s",
-            self.seed,
-            self.way,
-            self.drawing,
-            self.outcome.frames,
-            self.outcome.settling,
-            self.outcome.pictures,
-            self.outcome.requested,
-            self.outcome.merged,
-            self.outcome.failed,
-            self.outcome.cancelled,
-            self.outcome.expired,
-            self.seconds
-        )
-    }
-}
-
-/// The report of a run.
-#[derive(Serialize)]
-struct Report<'a> {
-    tool: &'static str,
-    version: &'static str,
-    source: Cow<'a, str>,
-    seeds: &'a [SeedReport],
-    failed: usize,
-    frames: u64,
-    seconds: f64,
-}
+pub use self::args::StressArgs;
+use self::checks::watchdog;
+use self::plan::Transport;
+use self::report::{Outcome, SeedReport};
+use self::sources::tile_sets::TileSets;
 
 /// Runs `terrane stress`.
 pub fn run(args: StressArgs) -> Result<()> {
@@ -170,7 +56,7 @@ fn one(args: &StressArgs, seed: u64) -> Result<()> {
     let start = Instant::now();
     watchdog::start(Duration::from_secs(args.patience))?;
     let plan = args.plan(seed);
-    let made = if args.source.is_none() { Some(tile_sets::TileSets::generate()?) } else { None };
+    let made = if args.source.is_none() { Some(TileSets::generate()?) } else { None };
     let source = match (&args.source, &made) {
         (Some(source), _) => source.clone(),
         (None, Some(sets)) => sets.of(seed),
@@ -200,7 +86,9 @@ fn one(args: &StressArgs, seed: u64) -> Result<()> {
         return Ok(());
     }
     print(&report, None)?;
-    write_report(args, &source, std::slice::from_ref(&report), start)?;
+    if let Some(file) = &args.report {
+        report::write(file, &source, std::slice::from_ref(&report), start)?;
+    }
     ensure!(report.outcome.failures.is_empty(), "seed {seed} failed");
     Ok(())
 }
@@ -208,7 +96,7 @@ fn one(args: &StressArgs, seed: u64) -> Result<()> {
 /// Flies seeds in separate processes.
 fn many(args: &StressArgs) -> Result<()> {
     let start = Instant::now();
-    let made = if args.source.is_none() { Some(tile_sets::TileSets::generate()?) } else { None };
+    let made = if args.source.is_none() { Some(TileSets::generate()?) } else { None };
     let mut reports: Vec<SeedReport> = Vec::new();
     processes::run(args, made.as_ref(), |report| {
         print(&report, Some(&repeat_command(args, report.seed)))?;
@@ -217,7 +105,9 @@ fn many(args: &StressArgs) -> Result<()> {
     })?;
     reports.sort_by_key(|r| r.seed);
     let source = args.source.as_deref().unwrap_or("generated");
-    write_report(args, source, &reports, start)?;
+    if let Some(file) = &args.report {
+        report::write(file, source, &reports, start)?;
+    }
     let failed = reports.iter().filter(|r| !r.outcome.failures.is_empty()).count();
     let frames: u64 = reports.iter().map(|r| u64::from(r.outcome.frames)).sum();
     let requests: u64 = reports.iter().map(|r| r.outcome.requested).sum();
@@ -254,19 +144,4 @@ fn print(report: &SeedReport, repeat: Option<&str>) -> Result<()> {
         writeln!(out, "    repeat: {repeat}\n    plan {}", report.plan).context("stdout")?;
     }
     Ok(())
-}
-
-fn write_report(args: &StressArgs, source: &str, seeds: &[SeedReport], start: Instant) -> Result<()> {
-    let Some(file) = &args.report else { return Ok(()) };
-    let report = Report {
-        tool: "terrane stress",
-        version: env!("CARGO_PKG_VERSION"),
-        source: shown(source),
-        seeds,
-        failed: seeds.iter().filter(|r| !r.outcome.failures.is_empty()).count(),
-        frames: seeds.iter().map(|r| u64::from(r.outcome.frames)).sum(),
-        seconds: start.elapsed().as_secs_f64(),
-    };
-    let text = serde_json::to_string_pretty(&report)? + "\n";
-    std::fs::write(file, text).with_context(|| file.display().to_string())
 }

@@ -6,9 +6,10 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result};
 
-use super::flight::Outcome;
-use super::tile_sets::TileSets;
-use super::{SeedReport, StressArgs, watchdog};
+use super::args::StressArgs;
+use super::checks::watchdog;
+use super::report::{Outcome, SeedReport};
+use super::sources::tile_sets::TileSets;
 
 /// The number of lines of standard error that are reported of a process that died.
 const LAST_LINES: usize = 12;

@@ -21,7 +21,7 @@ use terrane::pager::{
 };
 use terrane::scene::{Node, Page, Scene};
 
-use super::{UploadContext, percentile, print_line};
+use super::measurement::{UploadContext, percentile, print_line};
 use crate::args::PageContent;
 use crate::net::NetArgs;
 use tiles::{ROOT, WORLD_M, height_m};

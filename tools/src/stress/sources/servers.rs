@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result};
 
-use super::plan::{Plan, Protocol};
 use crate::serve::{Background, ServeArgs};
+use crate::stress::plan::{Plan, Protocol};
 
 /// The temporary folder of a seed. Dropping it removes the folder.
 pub struct TempFolder(PathBuf);

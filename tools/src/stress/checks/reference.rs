@@ -1,6 +1,6 @@
 //! The reference image of a flight: a new viewer draws the same camera from files without faults.
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail};
 use image::RgbaImage;
@@ -8,8 +8,8 @@ use terrane::draw::Environment;
 use terrane::pager::PagerConfig;
 use terrane::viewer::{Camera, ThreadingModel, Viewer, ViewerConfig};
 
-use super::flight::SETTLING_FRAME;
-
+/// The duration of a frame while the flight settles. Requests wait for times, not for a number of frames.
+pub const SETTLING_FRAME: Duration = Duration::from_millis(5);
 /// Maximum number of frames until a set on disk is loaded.
 const MAX_FRAMES: u32 = 2000;
 /// Frames after loading, until all levels of detail have faded.
