@@ -122,14 +122,14 @@ fn terrain(args: &GenArgs) -> Result<Terrain, GenError> {
         let own = [(east - west) / (w.max(2) - 1) as f64, (north - south) / (h.max(2) - 1) as f64];
         step = [step[0].min(own[0]), step[1].min(own[1])];
     }
-    const NOWHERE: &str = "the elevation lies nowhere on the earth";
+    const OUT_OF_RANGE: &str = "the elevation lies outside of the earth's coordinates or has no extent";
     let is_on_earth = e.south >= -0.5 * PI - ROUNDING && e.north <= 0.5 * PI + ROUNDING && e.west >= -PI - ROUNDING;
     let (wide, high) = (e.east - e.west, e.north - e.south);
     let problem = match e.east {
-        _ if !(is_on_earth && wide >= 1e-9 && high >= 1e-9) => Some(NOWHERE),
+        _ if !(is_on_earth && wide >= 1e-9 && high >= 1e-9) => Some(OUT_OF_RANGE),
         east if east <= PI + ROUNDING || (e.west < PI && wide < PI) => None,
         _ if e.west < PI => Some("the elevation reaches across the date line and half around the earth"),
-        _ => Some(NOWHERE),
+        _ => Some(OUT_OF_RANGE),
     };
     if let Some(problem) = problem {
         return Err(GenError::invalid(args.dem.first().cloned().unwrap_or_default(), problem));
@@ -170,7 +170,7 @@ fn generate_into(args: &GenArgs, folder: &Path) -> Result<Summary, GenError> {
     if let (Some(image), Some(path)) = (&imagery, &args.imagery)
         && !image.covers(&extent)
     {
-        return Err(GenError::invalid(path, "covers none of the elevation"));
+        return Err(GenError::invalid(path, "does not overlap the elevation"));
     }
     let side = (CELLS << (levels - 1)) + 1;
     let sampling = Progress::new("sampling the elevation", side as u64, "rows");

@@ -1,4 +1,4 @@
-//! Feeds the parser that `FUZZ_PARSER` names with what libFuzzer thinks of. Without a name it lists them; with
+//! Feeds the parser that `FUZZ_PARSER` names with inputs from libFuzzer. Without a name it lists the parsers. With
 //! `FUZZ_SEEDS` set to a folder it first writes the parser's seeds there.
 #![no_main]
 

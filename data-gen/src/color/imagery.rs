@@ -32,7 +32,7 @@ impl Imagery {
             let t = geotiff::read(path)?;
             let placement = Placement::of_tiff(path, &t, given)?.unwrap_or_default();
             let DecodingResult::U8(pixels) = t.samples else {
-                return Err(GenError::invalid(path, "imagery must have 8 bits a channel"));
+                return Err(GenError::invalid(path, "imagery must have 8 bits per channel"));
             };
             let (width, height, channels) = (t.width, t.height, t.channels);
             let has_alpha = t.has_alpha && channels > 1;

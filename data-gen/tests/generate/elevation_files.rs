@@ -289,7 +289,7 @@ fn longitudes_beyond_180_degrees_wrap_around() {
     for (name, west) in [("far.tif", 3600.0), ("far-too.tif", -3600.0)] {
         let place = Place { tie_deg: [west, 46.5], ..PLACE };
         let args = from_dem(folder.path(), name, &tiff_int16(&h, Some(place), None));
-        refused(&args, &args.dem[0], "nowhere on the earth");
+        refused(&args, &args.dem[0], "outside of the earth's coordinates");
     }
 }
 
@@ -377,8 +377,8 @@ fn broken_elevation_is_one_error_that_names_the_file() {
         ("huge.tif", huge, "TIFF"),
         ("nan.tif", tiff_float32(&vec![f32::NAN; n], Some(PLACE), None), "no sample has a height"),
         ("void.tif", tiff_int16(&vec![-32768.0; n], Some(PLACE), None), "no sample has a height"),
-        ("nowhere.tif", tiff_int16(&heights(), Some(nowhere), None), "nowhere on the earth"),
-        ("flat.tif", tiff_int16(&heights(), Some(flat), None), "nowhere on the earth"),
+        ("nowhere.tif", tiff_int16(&heights(), Some(nowhere), None), "outside of the earth's coordinates"),
+        ("flat.tif", tiff_int16(&heights(), Some(flat), None), "outside of the earth's coordinates"),
         ("text.tif", b"ncols 40\nnrows 40\n".to_vec(), "neither GeoTIFF"),
         ("empty.tif", Vec::new(), "neither GeoTIFF"),
         ("N42E001.hgt", vec![0; 1000], "HGT of 1000 bytes"),
@@ -475,7 +475,7 @@ fn bad_imagery_and_arguments_are_refused() {
     let args = from_dem(folder.path(), "good.tif", &tiff_int16(&heights(), Some(PLACE), None));
     let path = folder.path().join("picture.tif");
     fs::write(&path, tiff_int16(&heights(), Some(PLACE), None)).unwrap();
-    refused(&GenArgs { imagery: Some(path.clone()), ..args.clone() }, &path, "8 bits a channel");
+    refused(&GenArgs { imagery: Some(path.clone()), ..args.clone() }, &path, "8 bits per channel");
     fs::write(&path, planar_tiff()).unwrap();
     refused(&GenArgs { imagery: Some(path.clone()), ..args.clone() }, &path, "channels in separate planes");
     let path = folder.path().join("picture.jpg");
@@ -485,7 +485,7 @@ fn bad_imagery_and_arguments_are_refused() {
     image::RgbImage::from_pixel(8, 8, image::Rgb([250, 10, 10])).save(&path).unwrap();
     let world = |west: f64| fs::write(path.with_extension("pgw"), format!("0.0001\n0\n0\n-0.0001\n{west}\n46.48\n"));
     world(9.0).unwrap();
-    refused(&GenArgs { imagery: Some(path.clone()), ..args.clone() }, &path, "covers none of the elevation");
+    refused(&GenArgs { imagery: Some(path.clone()), ..args.clone() }, &path, "does not overlap the elevation");
     // An image far smaller than a tile is used.
     world(7.52).unwrap();
     run(&GenArgs { imagery: Some(path.clone()), overwrite: true, ..args.clone() }).unwrap();

@@ -15,7 +15,7 @@ const BENCHES: [(&str, &[&str], &[&str]); 11] = [
     ("Cull: scene to render stages", &["cull"], &["ns_per_node", "traverse_us", "sort_us", "leaves"]),
     ("Tile trees", &["tiles"], &["walk_ns_per_tile", "ns_per_tile", "tiles_visited"]),
     ("Picking", &["pick"], &["median_us", "p99_us", "build_ms"]),
-    ("Submission to an adapter that does nothing", &["submit"], &["ns_per_leaf", "draw_calls", "state_changes"]),
+    ("Submission to the noop adapter", &["submit"], &["ns_per_leaf", "draw_calls", "state_changes"]),
     ("Whole frames on the software driver", &["frame"], &["frame_p50_ms", "frame_p95_ms", "draw_p50_ms"]),
     ("Threading models", &["threading"], &[]),
     ("Shared content", &["share"], &["decode_tiles_per_s", "load_tiles_per_s", "load_to_decode", "gpu_mb"]),

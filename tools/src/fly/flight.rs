@@ -1,6 +1,5 @@
 //! A flight: sets the camera of each frame, and collects images, hole counts and the report. The caller draws the frames.
 
-use std::collections::VecDeque;
 use std::io::Write as _;
 use std::path::Path;
 use std::sync::Arc;
@@ -13,11 +12,12 @@ use terrane::cull::{Stereo, SunShadows};
 use terrane::draw::{Sky, Water};
 use terrane::fetch::shown;
 use terrane::viewer::{
-    AnimationPath, Camera, HoleCheck, KEY_COLOR, LoadedRoot, Report, Settled, ViewFrom, Viewer, ViewerError,
+    AnimationPath, HoleCheck, KEY_COLOR, LoadedRoot, Report, Settled, ViewFrom, Viewer, ViewerError,
 };
 use terrane_data_gen::Progress;
 
 use super::defaults::{DEFAULT_FRAMES, DEFAULT_SOFTWARE_FRAMES, HEIGHT_SSE_PX, MESH_SSE_PX};
+use super::hole_counter::HoleCounter;
 use super::image_writer::{self, ImageWriter};
 use super::summary;
 use crate::args::FlyArgs;
@@ -38,7 +38,7 @@ enum Phase {
     Free,
 }
 
-/// The state of a flight. It has many fields, because each option of the command line has one and each result another.
+/// The state of a flight.
 pub struct Flight {
     pub args: FlyArgs,
     pub path: Option<AnimationPath>,
@@ -49,12 +49,10 @@ pub struct Flight {
     frames: u32,
     writer: Option<ImageWriter>,
     progress: Option<Progress>,
-    hole_check: Option<HoleCheck>,
-    holes: u64,
+    /// Counts hole pixels; `None` without `--check-holes`, and until the set is added.
+    holes: Option<HoleCounter>,
     settled: Option<Settled>,
     hidden: Hidden,
-    /// The cameras of frames whose images are not read back yet, by number of the frame.
-    cameras: VecDeque<(u32, Camera)>,
     last_image: Option<RgbaImage>,
     screenshot_done: bool,
     stopped: bool,
@@ -77,11 +75,9 @@ impl Flight {
             stop,
             phase,
             eyes: None,
-            hole_check: None,
-            holes: 0,
+            holes: None,
             settled: None,
             hidden: Hidden::default(),
-            cameras: VecDeque::new(),
             last_image: None,
             screenshot_done: false,
             stopped: false,
@@ -113,7 +109,7 @@ impl Flight {
         if self.args.check_holes {
             viewer.view_mut().environment.sky = Sky::Background(KEY_COLOR);
             viewer.view_mut().environment.fog.enabled = false;
-            self.hole_check = HoleCheck::new(&bounds);
+            self.holes = HoleCheck::new(&bounds).map(HoleCounter::new);
         }
         let first = match (&self.args.view, &self.path) {
             (None, Some(path)) => path.world_from_eye(path.first_s()),
@@ -190,9 +186,11 @@ impl Flight {
                 viewer.view_mut().camera.world_from_eye = path.world_from_eye(time_s);
             }
         }
-        if self.args.frames_dir.is_some() || self.hole_check.is_some() || (last && self.args.screenshot.is_some()) {
+        if self.args.frames_dir.is_some() || self.holes.is_some() || (last && self.args.screenshot.is_some()) {
             viewer.want_picture();
-            self.cameras.push_back((viewer.frame_stamp().frame + 1, viewer.view().camera));
+            if let Some(holes) = &mut self.holes {
+                holes.expect_image(viewer.frame_stamp().frame + 1, viewer.view().camera);
+            }
         }
         Ok(true)
     }
@@ -200,13 +198,8 @@ impl Flight {
     /// Takes the images that were read back since the last call.
     pub fn after_frame(&mut self, viewer: &mut Viewer) -> Result<()> {
         for (frame, image) in viewer.take_pictures() {
-            while let Some((of_frame, camera)) = self.cameras.pop_front() {
-                if of_frame == frame {
-                    if let Some(check) = &self.hole_check {
-                        self.holes += check.count(&image, &camera, KEY_COLOR);
-                    }
-                    break;
-                }
+            if let Some(holes) = &mut self.holes {
+                holes.count(frame, &image);
             }
             if let (Some(folder), Some(writer)) = (&self.args.frames_dir, &mut self.writer) {
                 writer.write(folder.join(format!("frame-{frame:05}.png")), image.clone())?;
@@ -255,7 +248,7 @@ impl Flight {
         let mut report: Report = viewer.report()?;
         report.version = env!("CARGO_PKG_VERSION").to_owned();
         report.settled = self.settled;
-        report.holes = self.args.check_holes.then_some(self.holes);
+        report.holes = self.args.check_holes.then(|| self.holes.as_ref().map_or(0, HoleCounter::pixels));
         let images = self.writer.take().map(ImageWriter::finish).transpose()?.unwrap_or(0);
         if let Some(file) = &self.args.report {
             write_text(file, &report.to_json())?;

@@ -3,6 +3,7 @@
 mod defaults;
 mod errors;
 mod flight;
+mod hole_counter;
 mod image_writer;
 mod interrupt;
 mod summary;

@@ -83,7 +83,9 @@ pub fn lines(report: &Report, notes: &Notes) -> String {
         results.push(format!("{hits} shared contents saved {saved:.1} MiB of the GPU"));
     }
     if notes.written.is_empty() && !notes.is_interactive {
-        results.push("no files written (--screenshot FILE keeps the last frame, --report FILE the figures)".to_owned());
+        results.push(
+            "no files written (--screenshot FILE writes the last frame, --report FILE the statistics)".to_owned(),
+        );
     }
     results.extend(notes.written.iter().cloned());
     // Names of files may contain line ends.

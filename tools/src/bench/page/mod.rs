@@ -351,7 +351,7 @@ impl Bench {
         Ok(())
     }
 
-    #[allow(clippy::too_many_arguments, reason = "the figures of one line")]
+    #[allow(clippy::too_many_arguments, reason = "the values of one line")]
     fn line(
         &self,
         phase: &str,
