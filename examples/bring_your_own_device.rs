@@ -1,5 +1,5 @@
-//! Terrane on the application's own wgpu device: the host makes instance, adapter, device and queue, gets each frame as a
-//! texture view, and draws with it as with any other texture.
+//! Terrane on the application's own wgpu device: the host makes instance, adapter, device and queue, gets each frame as
+//! a texture view, and draws with it as with any other texture.
 //!
 //! ```text
 //! cargo run --release --example bring_your_own_device -- [SOURCE] [--frames N] [--screenshot FILE]
@@ -27,7 +27,8 @@ const SHADER: &str = "
 
 fn main() -> Result<()> {
     let args = shared::Args::parse()?;
-    // What any wgpu application does. The features are optional; without them some functions are missing.
+    // The application creates its device as usual. Terrane's features are optional; without them some functions are
+    // missing.
     let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle());
     let adapter = pollster::block_on(instance.request_adapter(&wgpu::RequestAdapterOptions::default()))?;
     let wanted = wgpu::DeviceDescriptor { required_features: HostDevice::features(&adapter), ..Default::default() };

@@ -1,4 +1,4 @@
-//! What a wgpu application has anyway: a pipeline that fills its target, the target, and reading it back.
+//! Parts of a host application on wgpu: a pipeline that fills its target, the target, and reading it back.
 
 use anyhow::{Context as _, Result};
 use terrane::wgpu;
