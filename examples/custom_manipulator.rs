@@ -11,10 +11,8 @@ use anyhow::Result;
 use glam::{DAffine3, DQuat, DVec3};
 use terrane::math::Aabb;
 use terrane::scene::{Drawable, Material, Mesh, Node, Page};
-use terrane::viewer::{
-    CameraManipulator, EventKind, GuiEventAdapter, Key, ManipulatorView, Usage, Viewer, ViewerError, WindowOptions,
-    world_from_eye,
-};
+use terrane::viewer::manipulators::{CameraManipulator, ManipulatorView};
+use terrane::viewer::{EventKind, GuiEventAdapter, Key, Usage, Viewer, ViewerError, WindowOptions, world_from_eye};
 
 /// A satellite; angles in radians, the distance in radii of the ball.
 struct Satellite {

@@ -10,10 +10,10 @@ mod shared;
 
 use anyhow::Result;
 use glam::{DAffine3, DVec3};
-use terrane::draw::Sky;
+
 use terrane::gpu::GraphicsContext;
-use terrane::scene::{Drawable, Material, Mesh, Node, Page};
-use terrane::viewer::{CompositeViewer, ViewerConfig, Viewport};
+use terrane::scene::{Drawable, Material, Mesh, Node, Page, Sky};
+use terrane::viewer::{CompositeViewer, ViewArea, ViewerConfig};
 
 fn main() -> Result<()> {
     let args = shared::Args::parse()?;
@@ -35,7 +35,7 @@ fn main() -> Result<()> {
         (single, [0.5, 0.0, 0.5, 1.0], DVec3::new(0.0, -4.0, 0.0), [10, 15, 60]),
     ];
     for (scene, part, eye, background) in views {
-        let id = viewer.add_view(scene, context, Viewport::Shares(part))?;
+        let id = viewer.add_view(scene, context, ViewArea::Shares(part))?;
         let view = viewer.view_mut(id)?;
         view.camera.look_at(eye, DVec3::ZERO, DVec3::Z);
         view.environment.sky = Sky::Background(background);

@@ -11,7 +11,7 @@ mod shared;
 use anyhow::Result;
 use glam::{DAffine3, DVec3};
 use terrane::scene::{Drawable, Material, Mesh, Node, Page};
-use terrane::viewer::{FieldOfView, Slave, Viewer, ViewerError, Viewport, WindowOptions};
+use terrane::viewer::{FieldOfView, Slave, ViewArea, Viewer, ViewerError, WindowOptions};
 
 /// The horizontal angle of each panel, radians.
 const PANEL: f64 = 40.0 * std::f64::consts::PI / 180.0;
@@ -36,7 +36,7 @@ fn build(viewer: &mut Viewer) -> Result<(), ViewerError> {
     viewer.view_mut().camera.look_at(DVec3::ZERO, DVec3::Y, DVec3::Z);
 
     // The master draws the middle panel, its slaves the outer ones.
-    let panel = |column: u32| Viewport::Shares([f64::from(column) / 3.0 + 0.003, 0.0, 1.0 / 3.0 - 0.006, 1.0]);
+    let panel = |column: u32| ViewArea::Shares([f64::from(column) / 3.0 + 0.003, 0.0, 1.0 / 3.0 - 0.006, 1.0]);
     viewer.view_mut().camera.field_of_view = FieldOfView::Horizontal(PANEL);
     viewer.view_mut().set_viewport(panel(1));
     let context = viewer.context();

@@ -5,15 +5,14 @@
 
 pub use glam::{DAffine3, DMat4, DQuat, DVec2, DVec3};
 
-pub use crate::draw::{Environment, Sky};
 pub use crate::gpu::{ContextTraits, GraphicsContext};
 pub use crate::math::{BoundingSphere, BoundingVolume, WGS84};
 pub use crate::pager::PagerConfig;
-pub use crate::scene::{Drawable, Material, Mesh, Node, NodeId, NodeKind, Page, PageId, Scene};
+pub use crate::scene::{Drawable, Environment, Material, Mesh, Node, NodeId, NodeKind, Page, PageId, Scene, Sky};
 pub use crate::state::{Mode, StateSet, StateValue};
 pub use crate::viewer::{
-    Camera, CompositeViewer, ContextId, FieldOfView, FrameStamp, Slave, ThreadingModel, View, ViewFrom, Viewer,
-    ViewerConfig, ViewerError, Viewport,
+    Camera, CompositeViewer, ContextId, FieldOfView, FrameStamp, Slave, ThreadingModel, View, ViewArea, ViewFrom,
+    Viewer, ViewerConfig, ViewerError,
 };
 #[cfg(feature = "window")]
 pub use crate::viewer::{WindowOptions, has_display, run_window};

@@ -12,9 +12,9 @@ mod shared;
 
 use anyhow::Result;
 use glam::DVec3;
-use terrane::cull::SunShadows;
-use terrane::draw::{Environment, custom_geometry};
-use terrane::scene::{Drawable, Material, Mesh, Node, Page};
+
+use terrane::draw::custom_geometry;
+use terrane::scene::{Drawable, Environment, Material, Mesh, Node, Page, SunShadows};
 use terrane::viewer::{Viewer, WindowOptions};
 
 use self::grass::Grass;

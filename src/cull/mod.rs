@@ -30,7 +30,6 @@ mod visitor;
 
 pub use camera::CullCamera;
 pub use fading::FadeBand;
-pub use shadows::{MAX_CASCADES, ShadowError, SunShadows};
 pub use stage::{
     ClipPlane, CullCounters, OcclusionQuery, PageRequest, PositionedLight, PositionedTexGen, RenderBin, RenderLeaf,
     RenderStage, ShadowCascade, StageShadows, StageTarget, StageView,
@@ -38,5 +37,3 @@ pub use stage::{
 pub(crate) use stage::{move_light, move_plane};
 pub use stereo::{Stereo, StereoMode};
 pub use visitor::CullVisitor;
-
-pub use crate::scene::{CullSettings, CullingMode, SMALL_FEATURE_PX};

@@ -45,5 +45,3 @@ pub use callbacks::info::{FrameClock, RenderInfo};
 pub use pipelines::DRAWABLE_PRELUDE;
 pub use renderer::{CameraView, Renderer};
 pub use stats::DrawStats;
-
-pub use crate::scene::{Environment, Fog, Sky, Water};

@@ -7,7 +7,7 @@ pub struct DrawStats {
     /// The number of leaves drawn, without shadow casters, boxes of occlusion queries and backgrounds.
     pub leaves: u32,
     /// The number of leaves skipped because they cover no pixel centre
-    /// ([`CullingMode::SAMPLES`](crate::cull::CullingMode::SAMPLES)).
+    /// ([`CullingMode::SAMPLES`](crate::scene::CullingMode::SAMPLES)).
     pub unsampled_leaves: u32,
     /// The number of leaves drawn into shadow maps, counted once for each cascade.
     pub shadow_leaves: u32,

@@ -53,13 +53,11 @@ pub use nodes::{
 };
 pub use pages::{DrawSlot, Page};
 pub use settings::{
-    CameraEnvironment, CameraShadows, ComputeNearFar, CullSettings, CullingMode, Environment, Fog, Inherit,
+    CameraEnvironment, CameraShadows, ComputeNearFar, CullSettings, CullingMode, DistanceFog, Environment, Inherit,
     MAX_CASCADES, SMALL_FEATURE_PX, ShadowError, Sky, SunShadows, Water,
 };
 pub use sharing::{ContentKey, ShareModes, SharedStateManager, SharingStats};
 pub use tile_tree::{SlotInfo, SlotState, TileInfo};
-
-pub use crate::state::{DataVariance, OpaqueDrawData};
 
 pub(crate) use geometry::{AttributeLayout, SMALL_MESH_INDICES, added_stride};
 pub(crate) use id::NONE;

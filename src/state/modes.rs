@@ -69,7 +69,7 @@ pub enum Mode {
     /// Derives the coverage of multisampled targets from alpha; off.
     AlphaToCoverage,
     /// A light by its number, 0 to 7; off, except for light 0. That is the sun and the sky of the
-    /// [`Environment`](crate::draw::Environment), unless a LightSource with that number replaces it.
+    /// [`Environment`](crate::scene::Environment), unless a LightSource with that number replaces it.
     Light(u8),
     /// A clip plane by its number, 0 to 5; off.
     ClipPlane(u8),

@@ -8,7 +8,8 @@ use super::frame::ViewerConfig;
 use super::ids::{ContextId, SceneId, ViewId};
 use super::paging::LoadedRoot;
 use super::view::Slave;
-use crate::draw::Sky;
+use crate::scene::Sky;
+
 use crate::gpu::{ContextTraits, GraphicsContext};
 use crate::pager::PagerConfig;
 

@@ -11,10 +11,10 @@ use super::ViewerError;
 use super::frame::{FrameLoop, FrameStamp, StatsHistory, ViewList, ViewerConfig};
 use super::ids::{ContextId, KeyedList, SceneId, SlaveId, ViewId};
 use super::input::{GuiActionAdapter, WindowMatrix, camera_with_focus, changes, needs_frame};
-use super::paging::{LoadedRoot, MAX_SCENES, PagedScene, SceneList, UpdateCallback, free_owner};
+use super::paging::{LoadedRoot, MAX_SCENES, PagedScene, SceneList, SceneUpdate, free_owner};
 use super::rendering::ThreadingModel;
 use super::view::set_bounds::SetBounds;
-use super::view::viewport::Viewport;
+use super::view::viewport::ViewArea;
 use super::view::{Slave, View};
 
 use crate::gpu::{CompileBudget, ContextTraits, GraphicsContext};
@@ -312,7 +312,7 @@ impl CompositeViewer {
     }
 
     /// Adds a callback for each update phase of a scene.
-    pub fn on_update(&mut self, scene: SceneId, callback: UpdateCallback) -> Result<(), ViewerError> {
+    pub fn on_update(&mut self, scene: SceneId, callback: SceneUpdate) -> Result<(), ViewerError> {
         self.paged_mut(scene)?.on_update(callback);
         Ok(())
     }
@@ -325,7 +325,7 @@ impl CompositeViewer {
         &mut self,
         scene: SceneId,
         context: ContextId,
-        viewport: impl Into<Viewport>,
+        viewport: impl Into<ViewArea>,
     ) -> Result<ViewId, ViewerError> {
         let bounds = self.paged(scene)?.bounds().copied();
         let slot = self.frame.add_camera(context, viewport.into())?;
@@ -341,7 +341,7 @@ impl CompositeViewer {
 
     /// Adds the view of a [`Viewer`](super::Viewer), which cannot be removed.
     pub(super) fn add_own_view(&mut self, scene: SceneId, context: ContextId) -> Result<ViewId, ViewerError> {
-        let view = self.add_view(scene, context, Viewport::Whole)?;
+        let view = self.add_view(scene, context, ViewArea::Whole)?;
         self.own_view = Some(view);
         Ok(view)
     }

@@ -75,10 +75,9 @@ pub use ids::{ContextId, SceneId, SlaveId, ViewId};
 pub use input::{
     GuiActionAdapter, OnPicture, WindowCommand, WindowMatrix, WindowRay, camera_with_focus, event_callback,
 };
-pub use manipulators::{CameraManipulator, GroundHeight, ManipulatorView};
 #[cfg(feature = "window")]
 pub use overlay::{Overlay, OverlayPaint};
-pub use paging::{LoadedRoot, UpdateCallback};
+pub use paging::{LoadedRoot, SceneUpdate};
 pub use rendering::{THREADING_VARIABLE, ThreadingModel};
 pub use report::{
     Bytes, DrawMedians, FrameTimes, HoleCheck, Images, KEY_COLOR, Phases, Report, ReportError, Settled, Sharing, Tiles,
@@ -86,7 +85,7 @@ pub use report::{
 };
 pub use view::camera::{Camera, FieldOfView, ResizePolicy, world_from_eye};
 pub use view::set_bounds::{LocalFrame, SetBounds, ViewFrom, environment_for};
-pub use view::viewport::Viewport;
+pub use view::viewport::ViewArea;
 pub use view::{Eyes, Slave, View};
 pub use viewer::Viewer;
 #[cfg(feature = "window")]

@@ -12,7 +12,7 @@ use super::frame::{FrameLoop, FrameStamp, StatsHistory, ViewerConfig};
 use super::ids::{ContextId, SceneId, SlaveId, ViewId};
 use super::input::{GuiActionAdapter, manipulator_view};
 use super::manipulators::{CameraManipulator, ManipulatorView};
-use super::paging::{LoadedRoot, PagedScene, UpdateCallback};
+use super::paging::{LoadedRoot, PagedScene, SceneUpdate};
 use super::view::set_bounds::SetBounds;
 use super::view::{Slave, View};
 use crate::gpu::{ContextTraits, GraphicsContext, HostDevice};
@@ -228,7 +228,7 @@ impl Viewer {
     }
 
     /// Adds a callback for each update phase.
-    pub fn on_update(&mut self, callback: UpdateCallback) {
+    pub fn on_update(&mut self, callback: SceneUpdate) {
         self.parts_mut().2.on_update(callback);
     }
 }

@@ -4,11 +4,11 @@ use std::sync::Arc;
 
 use glam::DVec3;
 use kit::cull_scenes::{Grid, content, drawable, look_at, page, quadtree, state_sets};
-use terrane::cull::{CullCamera, CullVisitor, RenderStage, SunShadows};
+use terrane::cull::{CullCamera, CullVisitor, RenderStage};
 use terrane::math::Aabb;
 use terrane::scene::{
     CameraEnvironment, CameraNode, CameraShadows, ConvexPlanarOccluder, Environment, Node, NodeKind, Page, Refine,
-    RenderOrder, Scene,
+    RenderOrder, Scene, SunShadows,
 };
 use terrane::state::{BinDetails, SortMode, StateSet};
 

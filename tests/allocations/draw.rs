@@ -8,10 +8,10 @@ use glam::{DAffine3, DVec3};
 use kit::rig::{Rig, camera};
 use kit::shapes::quad;
 use kit::terrain::Terrain;
-use terrane::cull::{CullVisitor, RenderStage, SunShadows};
-use terrane::draw::{Environment, Renderer};
+use terrane::cull::{CullVisitor, RenderStage};
+use terrane::draw::Renderer;
 use terrane::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
-use terrane::scene::{AttributeFormat, Geometry, Mesh, Node, NodeKind, OcclusionQueryNode};
+use terrane::scene::{AttributeFormat, Environment, Geometry, Mesh, Node, NodeKind, OcclusionQueryNode, SunShadows};
 use terrane::state::{BinDetails, SortMode, StateSet};
 
 /// Returns the call stacks of the allocations that Terrane made in `work`, and the number that wgpu made.

@@ -6,9 +6,11 @@ use std::sync::Arc;
 use glam::{DAffine3, DQuat, DVec3, DVec4};
 use kit::cull_scenes::{Grid, drawable, look_at, page, state_sets};
 use proptest::prelude::*;
-use terrane::cull::{CullCamera, CullVisitor, CullingMode, RenderStage};
+use terrane::cull::{CullCamera, CullVisitor, RenderStage};
 use terrane::math::Aabb;
-use terrane::scene::{AlphaMode, CullAction, CullCallback, Node, NodeId, NodeKind, Page, Scene, SceneError};
+use terrane::scene::{
+    AlphaMode, CullAction, CullCallback, CullingMode, Node, NodeId, NodeKind, Page, Scene, SceneError,
+};
 use terrane::state::{BinDetails, SortKey, SortMode, StateSet};
 
 fn cull(scene: &Scene, camera: &CullCamera) -> RenderStage {

@@ -4,9 +4,9 @@ use crate::single_page::{camera, cube, cull, scene, slots};
 use glam::dcamera::rh::proj::directx as proj;
 use glam::{DAffine3, DMat4, DVec3, DVec4};
 use kit::cull_scenes::drawable;
-use terrane::cull::{CullCamera, CullVisitor, CullingMode, RenderStage};
+use terrane::cull::{CullCamera, CullVisitor, RenderStage};
 use terrane::math::Aabb;
-use terrane::scene::{CameraNode, ComputeNearFar, Node, RenderOrder};
+use terrane::scene::{CameraNode, ComputeNearFar, CullingMode, Node, RenderOrder};
 
 #[test]
 fn near_and_far_planes_follow_the_visible_leaves() {

@@ -7,11 +7,11 @@ use crate::single_page::{camera, cube, cull, cull_scene, scene, slots};
 use glam::dcamera::rh::proj::directx as proj;
 use glam::{DAffine3, DVec3, DVec4};
 use kit::cull_scenes::{drawable, look_at};
-use terrane::cull::{CullCamera, CullVisitor, CullingMode, PositionedTexGen, RenderStage};
+use terrane::cull::{CullCamera, CullVisitor, PositionedTexGen, RenderStage};
 use terrane::math::Aabb;
 use terrane::scene::{
-    Billboard, BillboardMode, ClearNode, ClipNode, ConvexPlanarOccluder, CullAction, CullCallback, LightSource, Node,
-    NodeKind, NormalCone, OcclusionQueryNode, ReferenceFrame, TexGenNode,
+    Billboard, BillboardMode, ClearNode, ClipNode, ConvexPlanarOccluder, CullAction, CullCallback, CullingMode,
+    LightSource, Node, NodeKind, NormalCone, OcclusionQueryNode, ReferenceFrame, TexGenNode,
 };
 use terrane::state::{Light, Mode, TexGen};
 

@@ -7,11 +7,11 @@ use glam::dcamera::rh::proj::directx as proj;
 use glam::{DAffine3, DMat3, DVec3};
 use kit::cull_scenes::{drawable, look_at, page};
 use proptest::prelude::*;
-use terrane::cull::{CullCamera, CullVisitor, CullingMode, RenderStage};
+use terrane::cull::{CullCamera, CullVisitor, RenderStage};
 use terrane::math::{Aabb, BoundingVolume, OrientedBox};
 use terrane::scene::{
-    CameraNode, ConvexPlanarOccluder, CullAction, CullCallback, Node, NodeId, NodeKind, Page, PageId, PagedLod,
-    PagingOptions, ProxyLoading, ProxyNode, RangeMode, ReferenceFrame, Refine, RenderOrder, Scene, SlotState,
+    CameraNode, ConvexPlanarOccluder, CullAction, CullCallback, CullingMode, Node, NodeId, NodeKind, Page, PageId,
+    PagedLod, PagingOptions, ProxyLoading, ProxyNode, RangeMode, ReferenceFrame, Refine, RenderOrder, Scene, SlotState,
 };
 
 fn cube(center: DVec3) -> Node {

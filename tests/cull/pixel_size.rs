@@ -4,10 +4,10 @@ use glam::dcamera::rh::proj::directx as proj;
 use glam::{DAffine3, DQuat, DVec3};
 use kit::cull_scenes::{content, drawable, look_at, page};
 use proptest::prelude::*;
-use terrane::cull::{CullCamera, CullVisitor, CullingMode, RenderStage};
+use terrane::cull::{CullCamera, CullVisitor, RenderStage};
 use terrane::math::{Aabb, BoundingSphere, BoundingVolume};
 use terrane::scene::{
-    Drawable, IntersectionVisitor, LineSegmentIntersector, Material, Mesh, Node, NodeKind, Page, PagedLod,
+    CullingMode, Drawable, IntersectionVisitor, LineSegmentIntersector, Material, Mesh, Node, NodeKind, Page, PagedLod,
     PagingOptions, RangeMode, Refine, Scene,
 };
 

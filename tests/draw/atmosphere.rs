@@ -4,8 +4,8 @@
 use glam::DVec3;
 use image::RgbaImage;
 use kit::rig::{Rig, camera, rig};
-use terrane::draw::{Environment, Fog};
-use terrane::scene::Node;
+
+use terrane::scene::{DistanceFog, Environment, Node};
 
 /// The distance from the earth's centre to the north pole in metres (WGS 84).
 const POLE_M: f64 = 6_356_752.3;
@@ -20,7 +20,7 @@ fn sky(rig: &mut Rig, height_m: f64, pitch: f64, sun: f64, turn: f64) -> RgbaIma
     let environment = Environment {
         up_in_world: DVec3::Z,
         sun_direction: DVec3::new(sun.cos(), 0.0, sun.sin()),
-        fog: Fog { enabled: true, density_per_m: 1.2e-5 },
+        fog: DistanceFog { enabled: true, density_per_m: 1.2e-5 },
         ..Environment::default()
     };
     let picture = rig.picture(&scene, &camera, &environment);

@@ -9,11 +9,13 @@ use image::RgbaImage;
 use kit::frames::{MAGENTA, count, pixel};
 use kit::rig::{Rig, new_rig, plain, rig, unit_camera};
 use kit::shapes::quad;
-use terrane::cull::SunShadows;
-use terrane::draw::{CompiledDrawable, CustomDrawable, DRAWABLE_PRELUDE, DrawableInfo, Environment, custom_geometry};
+
+use terrane::draw::{CompiledDrawable, CustomDrawable, DRAWABLE_PRELUDE, DrawableInfo, custom_geometry};
 use terrane::gpu::{CompileBudget, CompileInfo, CompileOperation, CustomError, TargetFormats};
 use terrane::math::Aabb;
-use terrane::scene::{AlphaMode, CameraNode, CullSettings, Drawable, Material, Node, NodeKind, Page, Scene};
+use terrane::scene::{
+    AlphaMode, CameraNode, CullSettings, Drawable, Environment, Material, Node, NodeKind, Page, Scene, SunShadows,
+};
 use terrane::state::{
     Attribute, BinDetails, CompareFunction, Mode, Scissor, SortMode, StateSet, StateValue, Stencil, StencilFace,
     StencilOperation, TextureBinding, TextureFormat, TextureObject, UniformValue,

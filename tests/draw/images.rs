@@ -7,8 +7,8 @@ use kit::frames::assert_picture;
 use kit::rig::{camera, rig};
 use kit::shapes::{quad, with_mips};
 use kit::terrain::Terrain;
-use terrane::draw::Environment;
-use terrane::scene::{AlphaMode, Drawable, Geometry, Material, MeshVertex, Node};
+
+use terrane::scene::{AlphaMode, Drawable, Environment, Geometry, Material, MeshVertex, Node};
 
 fn alps() -> Terrain {
     Terrain { west: 0.13, south: 0.8, width: 0.006, relief_m: 2600.0, root_error_m: 250.0, textured: true }
@@ -130,7 +130,7 @@ fn text_in_the_scene_and_over_the_image() {
 
 #[test]
 fn sea_fills_the_valleys_up_to_the_horizon() {
-    use terrane::draw::Water;
+    use terrane::scene::Water;
     let Some(mut rig) = rig("sea_fills_the_valleys_up_to_the_horizon") else { return };
     let terrain = alps();
     let (eye, up) = (terrain.world(0.5, 0.05, 2_500.0), terrain.up(0.5, 0.05));

@@ -6,9 +6,9 @@ use glam::{DAffine3, DMat4, DQuat, DVec3};
 use kit::rig::{Rig, camera, new_rig, plain, rig};
 use proptest::strategy::{Strategy, ValueTree};
 use proptest::test_runner::TestRunner;
-use terrane::cull::{CullCamera, CullingMode};
+use terrane::cull::CullCamera;
 use terrane::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
-use terrane::scene::{AlphaMode, Drawable, Geometry, Material, Mesh, MeshVertex, Node, Scene, Topology};
+use terrane::scene::{AlphaMode, CullingMode, Drawable, Geometry, Material, Mesh, MeshVertex, Node, Scene, Topology};
 use terrane::state::{Attribute, BinDetails, PolygonMode, SortMode, StateSet, Viewport};
 
 /// Returns a thousand meshes of one to four triangles, half a millimetre to half a metre large, within ten metres.

@@ -8,12 +8,15 @@ use image::RgbaImage;
 use kit::rig::{Rig, camera, rig};
 use kit::shadows::{check, cuboid, ground, meets, ray, solid, srgb, sunny, tower};
 use kit::terrain::Terrain;
-use terrane::cull::{CullCamera, RenderStage, SunShadows};
-use terrane::draw::{CameraView, Environment, Water};
+use terrane::cull::{CullCamera, RenderStage};
+use terrane::draw::CameraView;
 use terrane::gpu::AdapterChoice;
 use terrane::math::{Aabb, Geodetic, WGS84};
 use terrane::pager::PagerConfig;
-use terrane::scene::{AlphaMode, CameraNode, Drawable, Geometry, Material, Mesh, Node, RenderOrder, Scene, Texture};
+use terrane::scene::{
+    AlphaMode, CameraNode, Drawable, Environment, Geometry, Material, Mesh, Node, RenderOrder, Scene, SunShadows,
+    Texture, Water,
+};
 use terrane::state::{AlphaFunc, Attribute, CompareFunction, Mode, Program, StateSet, StateValue, SurfaceMaterial};
 use terrane::viewer::{ThreadingModel, Viewer, ViewerConfig};
 

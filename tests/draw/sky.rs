@@ -8,8 +8,8 @@ use kit::frames::{MAGENTA, count};
 use kit::rig::{camera, rig, unit_camera};
 use kit::shapes::quad;
 use terrane::cull::{CullCamera, RenderStage};
-use terrane::draw::{CameraView, Environment, Fog, Sky, Water};
-use terrane::scene::{AlphaMode, Node};
+use terrane::draw::CameraView;
+use terrane::scene::{AlphaMode, DistanceFog, Environment, Node, Sky, Water};
 use terrane::state::{Attribute, BinDetails, BlendFactor, BlendFunc, SortMode, StateSet};
 
 const RED: [f32; 4] = [1.0, 0.0, 0.0, 1.0];
@@ -29,7 +29,7 @@ fn sky_is_behind_opaque_leaves_and_in_front_of_none_that_blend() {
         Node::geode(vec![glass]),
         Node::geode(vec![quad([-0.5, 0.0, 0.0], [0.25, 0.25], RED)]),
     ]));
-    let fog = Fog { enabled: false, density_per_m: 0.0 };
+    let fog = DistanceFog { enabled: false, density_per_m: 0.0 };
     let sun_direction = DVec3::new(0.3, 0.8, 0.5).normalize();
     let environment =
         Environment { up_in_world: DVec3::Y, sun_direction, fog, sky: Sky::Atmosphere, ..Environment::default() };
@@ -81,7 +81,7 @@ fn parallel(eye: DVec3, up: DVec3, half_m: f64, far_m: f64) -> CullCamera {
 fn orthographic_views_have_sky_and_sea() {
     let Some(mut rig) = rig("orthographic_views_have_sky_and_sea") else { return };
     let parallel = |eye: DVec3, up: DVec3| parallel(eye, up, 50.0, 1000.0);
-    let fog = Fog { enabled: false, density_per_m: 0.0 };
+    let fog = DistanceFog { enabled: false, density_per_m: 0.0 };
     let sun_direction = DVec3::new(0.3, -0.2, 0.8).normalize();
     let lit = Environment { up_in_world: DVec3::Z, sun_direction, fog, ..Environment::default() };
 
@@ -127,7 +127,7 @@ fn haze_blends_distant_objects_with_the_horizon() {
     let scene = rig.scene(Node::geode(vec![near, far]));
     let mut camera = unit_camera(256);
     camera.clip_from_eye = proj::perspective_infinite_reverse(1.2, 1.0, 0.1);
-    let fog = Fog { enabled: true, density_per_m: 2e-5 };
+    let fog = DistanceFog { enabled: true, density_per_m: 2e-5 };
     let sun_direction = DVec3::new(0.3, 0.8, 0.5).normalize();
     let environment =
         Environment { up_in_world: DVec3::Y, sun_direction, fog, sky: Sky::Atmosphere, ..Environment::default() };
@@ -146,8 +146,9 @@ fn orthographic_rays_pass_through_equal_amounts_of_air() {
     let plain = Node::geode(vec![quad([0.0, 0.0, 0.0], [200_000.0, 200_000.0], [0.05, 0.05, 0.05, 1.0])]);
     let scene = rig.scene(plain);
     let lit = Environment { up_in_world: DVec3::Z, sun_direction: DVec3::Z, ..Environment::default() };
-    let air = Environment { sky: Sky::Atmosphere, fog: Fog { enabled: true, density_per_m: 1e-5 }, ..lit };
-    let haze = Environment { sky: Sky::Background(MAGENTA), fog: Fog { enabled: true, density_per_m: 1e-4 }, ..lit };
+    let air = Environment { sky: Sky::Atmosphere, fog: DistanceFog { enabled: true, density_per_m: 1e-5 }, ..lit };
+    let haze =
+        Environment { sky: Sky::Background(MAGENTA), fog: DistanceFog { enabled: true, density_per_m: 1e-4 }, ..lit };
     let above = |height_m: f64| parallel(DVec3::new(0.0, 0.0, height_m), DVec3::Y, 100_000.0, 50_000.0);
     for environment in [air, haze] {
         let [picture, lower] = [20_000.0, 100.0].map(|height_m| rig.picture(&scene, &above(height_m), &environment));
@@ -165,7 +166,7 @@ fn sea_below_a_plain_background_reflects_no_other_sky() {
     let Some(mut rig) = rig("sea_below_a_plain_background_reflects_no_other_sky") else { return };
     let rig = &mut *rig;
     let scene = rig.scene(Node::group(Vec::new()));
-    let fog = Fog { enabled: false, density_per_m: 0.0 };
+    let fog = DistanceFog { enabled: false, density_per_m: 0.0 };
     let view = camera([256, 256], DVec3::new(0.0, 0.0, 30.0), DVec3::new(0.0, 100.0, 20.0), DVec3::Z);
     let lit =
         |sun: DVec3| Environment { up_in_world: DVec3::Z, sun_direction: sun.normalize(), fog, ..Default::default() };

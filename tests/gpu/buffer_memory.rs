@@ -10,10 +10,10 @@ use kit::shadows::{cuboid, ground, sunny, tower};
 use kit::shapes::quad;
 use kit::skip::skipped;
 use terrane::cull::CullCamera;
-use terrane::draw::{DrawStats, Environment};
+use terrane::draw::DrawStats;
 use terrane::scene::{
-    Attachment, CameraNode, CameraTarget, Drawable, Geometry, Material, Mesh, Node, NodeKind, OcclusionQueryNode,
-    PictureSink, Scene,
+    Attachment, CameraNode, CameraTarget, Drawable, Environment, Geometry, Material, Mesh, Node, NodeKind,
+    OcclusionQueryNode, PictureSink, Scene,
 };
 use terrane::state::{Attribute, StateSet, SurfaceMaterial, TextureFormat, TextureObject};
 

@@ -4,6 +4,7 @@
 use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
+use terrane::state::DataVariance;
 
 use glam::{DAffine3, DVec3};
 use image::RgbaImage;
@@ -11,7 +12,7 @@ use kit::shapes::with_mips;
 use kit::skip::or_skip;
 use terrane::gpu::{AdapterChoice, CompileBudget, CompileOperation, GraphicsContext};
 use terrane::pager::PagerConfig;
-use terrane::scene::{DataVariance, DrawSlot, Drawable, Geometry, Material, Mesh, Node, NodeId, Page, Texture};
+use terrane::scene::{DrawSlot, Drawable, Geometry, Material, Mesh, Node, NodeId, Page, Texture};
 use terrane::viewer::{Slave, ThreadingModel, Viewer, ViewerConfig};
 
 const SIZE: [u32; 2] = [96, 72];

@@ -7,9 +7,9 @@ use std::time::{Duration, Instant};
 use kit::frames::{MAGENTA, count, pixel};
 use kit::rig::{new_rig, plain, unit_camera};
 use kit::shapes::{quad, with_mips};
-use terrane::draw::{Environment, Sky};
+
 use terrane::gpu::{AdapterChoice, CompileBudget, CompileOperation, ContextTraits, GraphicsContext};
-use terrane::scene::{CameraNode, Drawable, Material, Node};
+use terrane::scene::{CameraNode, Drawable, Environment, Material, Node, Sky};
 use terrane::state::{Attribute, Mode, StateSet, StateValue, TextureBinding, TextureFormat, TextureObject};
 
 const SIDE: u32 = 64;

@@ -9,8 +9,8 @@ use kit::rig::{camera, rig};
 use kit::shapes::quad;
 use kit::skip::skipped;
 use terrane::cull::CullCamera;
-use terrane::draw::{Environment, Sky};
-use terrane::scene::{Attachment, CameraNode, CameraTarget, Node};
+
+use terrane::scene::{Attachment, CameraNode, CameraTarget, Environment, Node, Sky};
 use terrane::state::{TextureFormat, TextureObject};
 use terrane::trace::Recording;
 

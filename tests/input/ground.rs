@@ -5,8 +5,8 @@ use terrane::gpu::AdapterChoice;
 use terrane::math::WGS84;
 use terrane::pager::PagerConfig;
 use terrane::scene::{HeightQuery, Vertical};
-use terrane::viewer::manipulators::{FirstPersonManipulator, SceneGround, TerrainManipulator};
-use terrane::viewer::{GroundHeight as _, MouseButton, Viewer, ViewerConfig};
+use terrane::viewer::manipulators::{FirstPersonManipulator, GroundHeight as _, SceneGround, TerrainManipulator};
+use terrane::viewer::{MouseButton, Viewer, ViewerConfig};
 
 fn viewer(folder: &std::path::Path) -> Viewer {
     let set = folder.join("set");

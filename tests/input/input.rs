@@ -8,9 +8,9 @@ use std::sync::{Arc, Mutex};
 
 use glam::{DAffine3, DVec2, DVec3};
 use kit::viewer::{Settle, offscreen};
-use terrane::draw::Sky;
+
 use terrane::gpu::{AdapterChoice, GraphicsContext};
-use terrane::scene::{Drawable, Material, Mesh, Node, NodeId, Page, PageId, Traverse, UpdateCallback};
+use terrane::scene::{Drawable, Material, Mesh, Node, NodeId, Page, PageId, Sky, Traverse, UpdateCallback};
 use terrane::state::{Mode, StateSet, StateValue};
 use terrane::viewer::handlers::{self, StateSetManipulator, StatsPage};
 use terrane::viewer::manipulators::{OrbitManipulator, usual};

@@ -6,12 +6,11 @@ use proptest::prelude::*;
 use terrane::math::BoundingSphere;
 use terrane::scene::{Node, NodeId, Page, Scene};
 use terrane::viewer::manipulators::{
-    AnimationPathManipulator, DriveManipulator, FirstPersonManipulator, FlyManipulator, KeySwitchManipulator,
-    NodeTrackerManipulator, OrbitManipulator, TerrainManipulator, TrackerMode, usual,
+    AnimationPathManipulator, CameraManipulator, DriveManipulator, FirstPersonManipulator, FlyManipulator,
+    KeySwitchManipulator, NodeTrackerManipulator, OrbitManipulator, TerrainManipulator, TrackerMode, usual,
 };
 use terrane::viewer::{
-    AnimationPath, Camera, CameraManipulator, ControlPoint, EventKind, EventQueue, FieldOfView, Key, MouseButton,
-    SetBounds,
+    AnimationPath, Camera, ControlPoint, EventKind, EventQueue, FieldOfView, Key, MouseButton, SetBounds,
 };
 
 /// A drag that ends in a throw, a turn of the wheel, and keys that are held for a while.

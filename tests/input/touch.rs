@@ -8,12 +8,10 @@ use glam::{DAffine3, DVec2, DVec3};
 use proptest::prelude::*;
 use terrane::scene::{Node, NodeId, Page};
 use terrane::viewer::manipulators::{
-    DriveManipulator, FirstPersonManipulator, FlyManipulator, KeySwitchManipulator, NodeTrackerManipulator,
-    OrbitManipulator, TerrainManipulator, TrackballManipulator, TrackerMode, usual,
+    CameraManipulator, DriveManipulator, FirstPersonManipulator, FlyManipulator, KeySwitchManipulator,
+    NodeTrackerManipulator, OrbitManipulator, TerrainManipulator, TrackballManipulator, TrackerMode, usual,
 };
-use terrane::viewer::{
-    Camera, CameraManipulator, EventQueue, Key, MouseButton, TouchPhase, WindowMatrix, world_from_eye,
-};
+use terrane::viewer::{Camera, EventQueue, Key, MouseButton, TouchPhase, WindowMatrix, world_from_eye};
 
 use TouchPhase::{Began, Cancelled, Ended, Moved};
 

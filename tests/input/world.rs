@@ -4,12 +4,11 @@ use glam::{DAffine3, DVec2, DVec3};
 use terrane::math::{Aabb, BoundingSphere, BoundingVolume, OrientedBox, Region, WGS84};
 use terrane::scene::Scene;
 use terrane::viewer::manipulators::{
-    AnimationPathManipulator, DriveManipulator, FirstPersonManipulator, FlyManipulator, OrbitManipulator,
-    TerrainManipulator, TrackballManipulator, usual,
+    AnimationPathManipulator, CameraManipulator, DriveManipulator, FirstPersonManipulator, FlyManipulator,
+    GroundHeight, ManipulatorView, OrbitManipulator, TerrainManipulator, TrackballManipulator, usual,
 };
 use terrane::viewer::{
-    AnimationPath, Camera, CameraManipulator, ControlPoint, EventQueue, GroundHeight, GuiEventAdapter, Key,
-    ManipulatorView, MouseButton, SetBounds, TouchPhase,
+    AnimationPath, Camera, ControlPoint, EventQueue, GuiEventAdapter, Key, MouseButton, SetBounds, TouchPhase,
 };
 
 pub const SIZE_PX: [u32; 2] = [1280, 720];

@@ -26,14 +26,14 @@ use stand_ins::{cull, draw, gpu, pager};
 
 mod scene {
     pub use terrane::scene::{
-        CameraTarget, ClampProjection, ComputeNearFar, DataVariance, DrawKind, DrawSlot, Drawable, Mesh, OpaqueDrawData,
+        CameraTarget, ClampProjection, ComputeNearFar, DrawKind, DrawSlot, Drawable, Environment, Mesh,
     };
 
     pub use crate::stand_ins::Scene;
 }
 
 mod state {
-    pub use terrane::state::StateSet;
+    pub use terrane::state::{DataVariance, OpaqueDrawData, StateSet};
 }
 
 mod trace {

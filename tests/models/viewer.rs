@@ -14,10 +14,10 @@ pub use terrane::viewer::Camera;
 pub use rendering::ThreadingModel;
 
 use crate::cull::CullCamera;
-use crate::draw::Environment;
 use crate::gpu::{ContextTraits, GpuError, GraphicsContext};
-use crate::scene::OpaqueDrawData;
+use crate::scene::Environment;
 use crate::stand_ins::{Reads, Scene, Seen};
+use crate::state::OpaqueDrawData;
 
 pub mod ids {
     #[derive(Clone, Copy, Debug)]

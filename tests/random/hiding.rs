@@ -6,8 +6,10 @@ use std::sync::Arc;
 use crate::graphs::{Differences, Maker, eye, picture, seeds};
 use glam::DVec3;
 use kit::rig::{camera, new_rig, plain};
-use terrane::cull::{CullCamera, CullingMode};
-use terrane::scene::{ConvexPlanarOccluder, Drawable, Geometry, Material, Mesh, Node, NodeKind, OcclusionQueryNode};
+use terrane::cull::CullCamera;
+use terrane::scene::{
+    ConvexPlanarOccluder, CullingMode, Drawable, Geometry, Material, Mesh, Node, NodeKind, OcclusionQueryNode,
+};
 
 const SIDE: u32 = 96;
 

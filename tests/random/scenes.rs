@@ -9,12 +9,12 @@ use glam::{DAffine3, DVec3};
 use image::RgbaImage;
 use kit::frames::count;
 use kit::rig::{Rig, camera, new_rig, plain};
-use terrane::cull::{CullCamera, CullingMode};
+use terrane::cull::CullCamera;
 use terrane::math::{BoundingSphere, BoundingVolume};
 use terrane::scene::{
-    Attachment, CameraNode, CameraTarget, CullAction, CullCallback, Drawable, Environment, Fog, Geometry, HeightTile,
-    Inherit, Mesh, Node, NodeKind, Page, PagedLod, PagingOptions, PictureSink, RangeMode, ReferenceFrame, Refine,
-    RenderOrder, SunShadows, Texture, Topology, Water,
+    Attachment, CameraNode, CameraTarget, CullAction, CullCallback, CullingMode, DistanceFog, Drawable, Environment,
+    Geometry, HeightTile, Inherit, Mesh, Node, NodeKind, Page, PagedLod, PagingOptions, PictureSink, RangeMode,
+    ReferenceFrame, Refine, RenderOrder, SunShadows, Texture, Topology, Water,
 };
 use terrane::state::{BinDetails, SortMode, StateSet, TextureFormat, TextureObject};
 
@@ -162,7 +162,7 @@ fn equivalent_scenes_have_the_same_light_and_air() {
             sun_direction: eye(&mut maker.random).normalize(),
             shadows: maker.random.percent(80).then(SunShadows::default),
             water: maker.random.percent(50).then(|| Water::at(-6.0)),
-            fog: Fog { enabled: maker.random.percent(50), density_per_m: 1e-3 },
+            fog: DistanceFog { enabled: maker.random.percent(50), density_per_m: 1e-3 },
             ..Environment::default()
         };
         let whole = picture(rig, &node, &camera, &environment);

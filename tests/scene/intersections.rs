@@ -2,14 +2,15 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
+use terrane::state::DataVariance;
 
 use glam::{DAffine3, DMat3, DQuat, DVec3, DVec4};
 use kit::cull_scenes::quadtree;
 use proptest::prelude::*;
-use terrane::cull::{CullCamera, CullVisitor, CullingMode, RenderStage};
+use terrane::cull::{CullCamera, CullVisitor, RenderStage};
 use terrane::math::Aabb;
 use terrane::scene::{
-    Billboard, BillboardMode, DataVariance, DrawSlot, Drawable, EyePoint, Geometry, HeightTile, Intersection,
+    Billboard, BillboardMode, CullingMode, DrawSlot, Drawable, EyePoint, Geometry, HeightTile, Intersection,
     IntersectionLimit, IntersectionVisitor, LineSegmentIntersector, LodSelection, Material, Mesh, MeshVertex, Node,
     NodeId, NodeKind, Page, PolytopeIntersector, RayIntersector, Refine, Scene, Topology,
 };
@@ -364,7 +365,7 @@ proptest! {
         let eye = random.point(900.0);
         let camera = CullCamera {
             eye_from_world: DAffine3::from_translation(-DVec3::new(eye.x, eye.y, eye.z.abs())),
-            settings: terrane::cull::CullSettings { culling: CullingMode(0), ..Default::default() },
+            settings: terrane::scene::CullSettings { culling: CullingMode(0), ..Default::default() },
             ..CullCamera::default()
         };
         let mut stage = RenderStage::default();

@@ -7,11 +7,11 @@ use std::sync::Arc;
 use glam::dcamera::rh::proj::directx as proj;
 use glam::{DAffine3, DMat3, DMat4, DQuat, DVec2, DVec3, DVec4};
 use proptest::prelude::*;
-use terrane::cull::CullSettings;
+
 use terrane::scene::{
-    Attachment, CameraNode, CameraTarget, ComputeNearFar, Drawable, EyePoint, Geometry, Inherit, Intersection,
-    IntersectionLimit, IntersectionVisitor, LineSegmentIntersector, Material, Mesh, MeshVertex, Node, NodeKind, Page,
-    PolytopeIntersector, RayIntersector, ReferenceFrame, RenderOrder, Scene, Topology, WindowView,
+    Attachment, CameraNode, CameraTarget, ComputeNearFar, CullSettings, Drawable, EyePoint, Geometry, Inherit,
+    Intersection, IntersectionLimit, IntersectionVisitor, LineSegmentIntersector, Material, Mesh, MeshVertex, Node,
+    NodeKind, Page, PolytopeIntersector, RayIntersector, ReferenceFrame, RenderOrder, Scene, Topology, WindowView,
 };
 use terrane::state::{TextureFormat, TextureObject};
 

@@ -10,10 +10,10 @@ use kit::frames::{differ, keep};
 use kit::rig::{Rig, camera, rig};
 use kit::terrain::Terrain;
 use terrane::cull::CullCamera;
-use terrane::draw::{DrawStats, Environment, Fog, Sky, Water};
+use terrane::draw::DrawStats;
 use terrane::scene::{
-    CameraEnvironment, CameraNode, CameraTarget, Node, NodeKind, PictureSink, ReferenceFrame, RenderOrder, Scene,
-    SceneError,
+    CameraEnvironment, CameraNode, CameraTarget, DistanceFog, Environment, Node, NodeKind, PictureSink, ReferenceFrame,
+    RenderOrder, Scene, SceneError, Sky, Water,
 };
 
 const SIZE: [u32; 2] = [256, 192];
@@ -32,7 +32,7 @@ fn around(camera: &CullCamera) -> Environment {
     let east = DVec3::Z.cross(up).normalize();
     let environment = Environment {
         sun_direction: (0.5 * up + east).normalize(),
-        fog: Fog { enabled: true, density_per_m: 3e-5 },
+        fog: DistanceFog { enabled: true, density_per_m: 3e-5 },
         ..Environment::default()
     };
     environment.seen_from(camera.eye_from_world.inverse().translation)
@@ -103,7 +103,7 @@ fn camera_may_have_its_own_environment() {
     let ahead = (TERRAIN.world(0.6, 0.7, 0.0) - eye(&camera)).normalize();
     let evening = Environment {
         sun_direction: (ahead + 0.1 * up).normalize(),
-        fog: Fog { enabled: true, density_per_m: 1.5e-4 },
+        fog: DistanceFog { enabled: true, density_per_m: 1.5e-4 },
         water: Some(Water::at(900.0)),
         ..around(&camera)
     };

@@ -10,10 +10,11 @@ use kit::frames::{differ, keep};
 use kit::rig::{Rig, camera, rig};
 use kit::shadows::{check, cuboid, ground, solid, sunny, tower};
 use kit::terrain::Terrain;
-use terrane::cull::{CullCamera, RenderStage, SunShadows};
-use terrane::draw::{DrawStats, Environment};
+use terrane::cull::{CullCamera, RenderStage};
+use terrane::draw::DrawStats;
 use terrane::scene::{
-    CameraEnvironment, CameraNode, CameraShadows, CameraTarget, Mesh, Node, PictureSink, ReferenceFrame, RenderOrder,
+    CameraEnvironment, CameraNode, CameraShadows, CameraTarget, Environment, Mesh, Node, PictureSink, ReferenceFrame,
+    RenderOrder, SunShadows,
 };
 
 const SIZE: [u32; 2] = [256, 192];

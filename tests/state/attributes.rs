@@ -9,9 +9,9 @@ use kit::frames::{MAGENTA, count, pixel};
 use kit::rig::{Rig, camera, plain, rig, unit_camera};
 use kit::shadows::{ground, solid, sunny, tower};
 use kit::shapes::{mesh, quad};
-use terrane::draw::{Environment, Sky};
+
 use terrane::scene::AttributeFormat::{self, *};
-use terrane::scene::{Drawable, Geometry, Material, Mesh, MeshVertex, Node, PrimitiveMode};
+use terrane::scene::{Drawable, Environment, Geometry, Material, Mesh, MeshVertex, Node, PrimitiveMode, Sky};
 use terrane::state::{Attribute, Program, StateSet, SurfaceMaterial};
 
 const SIDE: u32 = 64;

@@ -364,7 +364,7 @@ fn invalid_programs_are_visible_and_reported_once() {
             broken,
             Node::geode(vec![quad([0.5, 0.0, 0.0], [0.25; 2], [0.0, 1.0, 0.0, 1.0])]),
         ]));
-        let black = terrane::draw::Environment { sky: terrane::draw::Sky::Background([0; 3]), ..plain() };
+        let black = terrane::scene::Environment { sky: terrane::scene::Sky::Background([0; 3]), ..plain() };
         for frame in 0..3 {
             let picture = rig.picture(&scene, &unit_camera(SIDE), &black);
             assert_eq!((pixel(&picture, 16, 32), pixel(&picture, 48, 32)), (MAGENTA, GREEN), "{name}");

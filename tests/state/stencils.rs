@@ -8,8 +8,8 @@ use kit::frames::pixel;
 use kit::rig::{Rig, plain, rig, unit_camera};
 use kit::shapes::quad;
 use kit::skip::skipped;
-use terrane::draw::{Environment, Sky};
-use terrane::scene::Node;
+
+use terrane::scene::{Environment, Node, Sky};
 use terrane::state::{
     Attribute, BinDetails, ColorMask, CompareFunction, CullFace, Depth, Mode, SortMode, StateSet, StateValue, Stencil,
     StencilFace, StencilOperation,

@@ -6,10 +6,10 @@ use std::sync::Arc;
 use glam::DVec3;
 use image::RgbaImage;
 use kit::viewer::offscreen;
-use terrane::draw::Sky;
+
 use terrane::gpu::AdapterChoice;
-use terrane::scene::{Drawable, Geometry, Material, Mesh, Node, NodeKind, Page};
-use terrane::viewer::{Slave, ThreadingModel, Viewer, ViewerConfig, Viewport};
+use terrane::scene::{Drawable, Geometry, Material, Mesh, Node, NodeKind, Page, Sky};
+use terrane::viewer::{Slave, ThreadingModel, ViewArea, Viewer, ViewerConfig};
 
 const SIZE: [u32; 2] = [96, 64];
 
@@ -52,7 +52,7 @@ fn all_models_draw_the_same_fade() {
         open(&mut viewer);
         // A slave in a part of the image has a separate level of detail and fade.
         let context = viewer.contexts().next().unwrap();
-        let slave = Slave { viewport: Viewport::Pixels([64, 0, 32, 32]), ..Slave::new(context) };
+        let slave = Slave { viewport: ViewArea::Pixels([64, 0, 32, 32]), ..Slave::new(context) };
         let slave = viewer.add_slave(slave).unwrap();
         viewer.view_mut().slave_mut(slave).unwrap().inherit = terrane::scene::Inherit::NONE;
         viewer.view_mut().slave_mut(slave).unwrap().settings.lod_scale = 0.5;

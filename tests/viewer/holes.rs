@@ -2,9 +2,10 @@
 //! and when all are loaded. Needs a GPU; a software adapter suffices.
 
 use std::path::Path;
+use terrane::scene::Sky;
 
 use kit::viewer::offscreen;
-use terrane::draw::Sky;
+
 use terrane::gpu::AdapterChoice;
 use terrane::pager::PagerConfig;
 use terrane::viewer::{HoleCheck, KEY_COLOR, ThreadingModel, ViewerConfig};

@@ -7,12 +7,12 @@ use std::time::{Duration, Instant};
 
 use glam::DVec3;
 use kit::viewer::offscreen;
-use terrane::draw::{Environment, Sky};
+
 use terrane::gpu::{AdapterChoice, GraphicsContext};
 use terrane::pager::{
     ImagePager, ImagePagerConfig, ImageSequence, LoopingMode, SequenceImage, SequenceMode, StreamStatus,
 };
-use terrane::scene::{Drawable, Material, Mesh, Node, Page, PageId, Texture};
+use terrane::scene::{Drawable, Environment, Material, Mesh, Node, Page, PageId, Sky, Texture};
 use terrane::state::{Attribute, Mode, StateSet, StateValue, TextureBinding};
 use terrane::viewer::{Slave, ThreadingModel, Viewer, ViewerConfig};
 

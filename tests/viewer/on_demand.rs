@@ -13,7 +13,7 @@ use kit::shapes::ball;
 use kit::skip::or_skip;
 use kit::viewer::{Settle, offscreen};
 use terrane::cull::{Stereo, StereoMode};
-use terrane::draw::Sky;
+
 #[cfg(feature = "http")]
 use terrane::fetch::HttpConfig;
 use terrane::formats::writers::{GlbMesh, write_glb};
@@ -23,14 +23,14 @@ use terrane::pager::ImageSequence;
 use terrane::pager::PagerConfig;
 use terrane::scene::{
     CameraNode, CameraTarget, CullAction, CullCallback, Node, NodeKind, OcclusionQueryNode, Page, PictureSink, Scene,
+    Sky,
 };
 use terrane::state::{TextureFormat, TextureObject};
 use terrane::viewer::manipulators::{
-    AnimationPathManipulator, FirstPersonManipulator, FlyManipulator, OrbitManipulator,
+    AnimationPathManipulator, CameraManipulator, FirstPersonManipulator, FlyManipulator, OrbitManipulator,
 };
 use terrane::viewer::{
-    AnimationPath, CameraManipulator, CompositeViewer, ControlPoint, Eyes, KEY_COLOR, Key, Slave, ThreadingModel,
-    Viewer, ViewerConfig,
+    AnimationPath, CompositeViewer, ControlPoint, Eyes, KEY_COLOR, Key, Slave, ThreadingModel, Viewer, ViewerConfig,
 };
 
 fn config(adapter: AdapterChoice) -> ViewerConfig {

@@ -5,12 +5,12 @@ use std::sync::Arc;
 
 use glam::{DAffine3, DVec3};
 use kit::viewer::offscreen;
-use terrane::cull::SunShadows;
+
 use terrane::formats::writers::{GlbMesh, write_glb};
 use terrane::gpu::AdapterChoice;
 use terrane::math::{BoundingSphere, BoundingVolume};
 use terrane::pager::PagerConfig;
-use terrane::scene::{Node, NodeKind, Page, PagedLod, PagingOptions, RangeMode, Refine};
+use terrane::scene::{Node, NodeKind, Page, PagedLod, PagingOptions, RangeMode, Refine, SunShadows};
 use terrane::state::{Attribute, CullFace, Program, StateSet, SurfaceMaterial};
 use terrane::viewer::{ThreadingModel, Viewer, ViewerConfig};
 

@@ -7,10 +7,13 @@ use std::sync::Arc;
 use glam::{DAffine3, DVec3};
 use kit::tile_sets::small_set;
 use kit::viewer::{Settle, offscreen};
-use terrane::draw::{Environment, Fog, Sky, Water};
+
 use terrane::gpu::{AdapterChoice, GraphicsContext};
 use terrane::math::Aabb;
-use terrane::scene::{Drawable, Geometry, Material, Mesh, MeshVertex, Node, NodeId, Page, SunShadows, Topology};
+use terrane::scene::{
+    DistanceFog, Drawable, Environment, Geometry, Material, Mesh, MeshVertex, Node, NodeId, Page, Sky, SunShadows,
+    Topology, Water,
+};
 use terrane::viewer::manipulators::OrbitManipulator;
 use terrane::viewer::{CompositeViewer, KEY_COLOR, ThreadingModel, View, Viewer, ViewerConfig, coverage};
 
@@ -274,7 +277,7 @@ fn first_set_keeps_settings_that_do_not_depend_on_its_size() {
     let asked = Environment {
         sun_color: [1.0, 0.5, 0.25],
         ambient_color: [0.1; 3],
-        fog: Fog { enabled: false, density_per_m: 1.0 },
+        fog: DistanceFog { enabled: false, density_per_m: 1.0 },
         sky: Sky::Background(KEY_COLOR),
         water: Some(Water::at(3.0)),
         shadows: Some(SunShadows::default()),
@@ -283,8 +286,9 @@ fn first_set_keeps_settings_that_do_not_depend_on_its_size() {
     };
     own.view_mut().environment = asked;
     own.load(&set).unwrap();
-    let Environment { sun_direction, up_in_world, fog: Fog { density_per_m, .. }, .. } = fresh.view().environment;
-    let fog = Fog { density_per_m, ..asked.fog };
+    let Environment { sun_direction, up_in_world, fog: DistanceFog { density_per_m, .. }, .. } =
+        fresh.view().environment;
+    let fog = DistanceFog { density_per_m, ..asked.fog };
     assert_eq!(own.view().environment, Environment { sun_direction, up_in_world, fog, ..asked });
     assert!(density_per_m < 1e-3 && sun_direction != asked.sun_direction);
 }

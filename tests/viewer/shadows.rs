@@ -9,14 +9,14 @@ use kit::frames::{MAGENTA, count};
 use kit::rig::{camera, rig};
 use kit::shadows::{check, cuboid, ground, meets, ray, sunny, tower};
 use kit::skip::skipped;
-use terrane::cull::{CullCamera, Stereo, StereoMode, SunShadows};
-use terrane::draw::Environment;
+use terrane::cull::{CullCamera, Stereo, StereoMode};
+
 use terrane::gpu::AdapterChoice;
 use terrane::math::Aabb;
 use terrane::pager::PagerConfig;
-use terrane::scene::{Attachment, CameraTarget, Node, NodeKind, Page};
+use terrane::scene::{Attachment, CameraTarget, Environment, Node, NodeKind, Page, SunShadows};
 use terrane::state::{TextureFormat, TextureObject};
-use terrane::viewer::{Slave, ThreadingModel, Viewer, ViewerConfig, Viewport};
+use terrane::viewer::{Slave, ThreadingModel, ViewArea, Viewer, ViewerConfig};
 
 const SIZE: [u32; 2] = [256, 192];
 
@@ -183,7 +183,7 @@ fn slaves_have_separate_shadows() {
         open(&mut both);
         both.view_mut().set_viewport([0, 0, width, height]);
         let context = both.contexts().next().unwrap();
-        let viewport = Viewport::Pixels([width, 0, width, height]);
+        let viewport = ViewArea::Pixels([width, 0, width, height]);
         both.add_slave(Slave { viewport, view_offset: turned, ..Slave::new(context) }).unwrap();
         let picture = settled(&mut both);
         keep(&format!("slaves-{model}"), &picture);

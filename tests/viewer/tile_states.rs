@@ -3,11 +3,12 @@
 
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
+use terrane::scene::Sky;
 
 use glam::DVec3;
 use kit::server::{How, Reply, Server};
 use kit::viewer::offscreen;
-use terrane::draw::Sky;
+
 use terrane::fetch::HttpConfig;
 use terrane::formats::writers::{GlbMesh, write_glb};
 use terrane::gpu::{AdapterChoice, CompileBudget};

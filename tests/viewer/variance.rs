@@ -7,14 +7,14 @@ use std::sync::{Arc, Mutex};
 use glam::{DAffine3, DVec3};
 use image::RgbaImage;
 use kit::viewer::offscreen;
-use terrane::draw::{CameraCallbacks, RenderInfo, Sky};
+use terrane::draw::{CameraCallbacks, RenderInfo};
 use terrane::gpu::AdapterChoice;
 use terrane::math::Aabb;
 use terrane::scene::{
-    CameraNode, ComputeNearFar, DataVariance, Drawable, Geometry, Material, Mesh, MeshVertex, Node, NodeId, Page,
-    PageId, RenderOrder, SceneError, Topology,
+    CameraNode, ComputeNearFar, Drawable, Geometry, Material, Mesh, MeshVertex, Node, NodeId, Page, PageId,
+    RenderOrder, SceneError, Sky, Topology,
 };
-use terrane::state::{Attribute, StateSet, SurfaceMaterial};
+use terrane::state::{Attribute, DataVariance, StateSet, SurfaceMaterial};
 use terrane::viewer::{KEY_COLOR, ThreadingModel, Viewer, ViewerConfig};
 
 /// The number of vertices along a side. Uploading and drawing take as long as update.

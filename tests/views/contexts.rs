@@ -10,13 +10,13 @@ use kit::shapes::ball;
 use kit::skip::or_skip;
 use kit::tile_sets::small_set;
 use kit::viewer::Settle;
-use terrane::draw::Sky;
+
 use terrane::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
 use terrane::pager::PagerConfig;
-use terrane::scene::{DataVariance, Inherit, Mesh, Node, NodeId, Page, ShareModes};
-use terrane::state::{Attribute, Program, StateSet};
+use terrane::scene::{Inherit, Mesh, Node, NodeId, Page, ShareModes, Sky};
+use terrane::state::{Attribute, DataVariance, Program, StateSet};
 use terrane::viewer::{
-    CompositeViewer, ContextId, KEY_COLOR, Slave, ThreadingModel, Viewer, ViewerConfig, ViewerError, Viewport, coverage,
+    CompositeViewer, ContextId, KEY_COLOR, Slave, ThreadingModel, ViewArea, Viewer, ViewerConfig, ViewerError, coverage,
 };
 
 fn config(threading: ThreadingModel, size_px: [u32; 2], blocking: bool) -> ViewerConfig {
@@ -73,7 +73,7 @@ fn halves_of_a_context_equal_the_whole() {
             let context = viewer.contexts().next().unwrap();
             let [left, right] = [[0, 0, 120, 90], [120, 0, 120, 90]];
             let slave = |rect, offset| Slave {
-                viewport: Viewport::Pixels(rect),
+                viewport: ViewArea::Pixels(rect),
                 projection_offset: offset,
                 ..Slave::new(context)
             };

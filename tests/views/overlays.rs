@@ -2,14 +2,15 @@
 //! software adapter suffices.
 
 use std::path::Path;
+use terrane::scene::Sky;
 
 use image::RgbaImage;
 use kit::skip::or_skip;
 use kit::viewer::{Settle, offscreen};
-use terrane::draw::Sky;
+
 use terrane::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
 use terrane::viewer::handlers::{StatsHandler, StatsPage};
-use terrane::viewer::{CompositeViewer, ContextId, ThreadingModel, Viewer, ViewerConfig, Viewport};
+use terrane::viewer::{CompositeViewer, ContextId, ThreadingModel, ViewArea, Viewer, ViewerConfig};
 
 const BACKGROUND: [u8; 3] = [200, 40, 40];
 
@@ -53,8 +54,8 @@ fn each_view_has_an_overlay_over_its_part() {
         let second = viewer.open_offscreen_on(first, &traits).unwrap();
         let third = viewer.open_context(GraphicsContext::new_offscreen(&traits).unwrap()).unwrap();
         let scene = viewer.add_scene().unwrap();
-        let halves = [Viewport::Shares([0.0, 0.0, 0.5, 1.0]), Viewport::Shares([0.5, 0.0, 0.5, 1.0])];
-        let parts = [(first, halves[0]), (first, halves[1]), (second, Viewport::Whole), (third, Viewport::Whole)];
+        let halves = [ViewArea::Shares([0.0, 0.0, 0.5, 1.0]), ViewArea::Shares([0.5, 0.0, 0.5, 1.0])];
+        let parts = [(first, halves[0]), (first, halves[1]), (second, ViewArea::Whole), (third, ViewArea::Whole)];
         let views = parts.map(|(context, part)| viewer.add_view(scene, context, part).unwrap());
         for id in views {
             let view = viewer.view_mut(id).unwrap();

@@ -4,6 +4,7 @@
 use std::path::Path;
 use std::sync::{Arc, Barrier};
 use std::time::{Duration, Instant};
+use terrane::state::DataVariance;
 
 use glam::{DAffine3, DVec3};
 use kit::frames::count;
@@ -17,9 +18,7 @@ use terrane::formats::writers::{GlbMesh, write_glb};
 use terrane::formats::{Content, ReadOptions, decode};
 use terrane::gpu::{AdapterChoice, CompileBudget, CompileOperation, Compiled, ContextTraits, GraphicsContext};
 use terrane::pager::{CompileContext, DatabasePager, PagerConfig, PagerStats};
-use terrane::scene::{
-    DataVariance, DrawSlot, Drawable, Geometry, Mesh, Node, Page, Scene, ShareModes, SharedStateManager, Texture,
-};
+use terrane::scene::{DrawSlot, Drawable, Geometry, Mesh, Node, Page, Scene, ShareModes, SharedStateManager, Texture};
 
 const WORLD_M: f64 = 4096.0;
 

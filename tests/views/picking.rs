@@ -6,10 +6,10 @@ use std::sync::Arc;
 use glam::{DAffine3, DVec3};
 use image::RgbaImage;
 use kit::viewer::{Settle, offscreen};
-use terrane::draw::Sky;
+
 use terrane::gpu::AdapterChoice;
 use terrane::pager::PagerConfig;
-use terrane::scene::{Drawable, Geometry, IntersectionLimit, Material, Mesh, Node, Page};
+use terrane::scene::{Drawable, Geometry, IntersectionLimit, Material, Mesh, Node, Page, Sky};
 use terrane::viewer::{KEY_COLOR, ThreadingModel, ViewFrom, Viewer, ViewerConfig};
 
 const SIZE_PX: [u32; 2] = [320, 180];

@@ -2,13 +2,14 @@
 //! GPU; a software adapter suffices.
 
 use std::sync::Arc;
+use terrane::state::DataVariance;
 
 use glam::{DMat4, DVec3};
 use image::RgbaImage;
-use terrane::draw::Sky;
+
 use terrane::gpu::{AdapterChoice, ContextTraits, GpuError, GraphicsContext};
 use terrane::pager::PagerConfig;
-use terrane::scene::{DataVariance, Mesh, Node, NodeId, Page};
+use terrane::scene::{Mesh, Node, NodeId, Page, Sky};
 use terrane::viewer::{CompositeViewer, ContextId, Slave, ThreadingModel, Viewer, ViewerConfig, ViewerError};
 
 use kit::shapes::ball;

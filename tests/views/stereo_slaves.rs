@@ -8,10 +8,10 @@ use image::RgbaImage;
 use kit::skip::or_skip;
 use kit::viewer::Settle;
 use terrane::cull::{Stereo, StereoMode};
-use terrane::draw::Sky;
+
 use terrane::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
-use terrane::scene::{Drawable, Geometry, Material, Mesh, Node, Page};
-use terrane::viewer::{ContextId, Eyes, Slave, ThreadingModel, Viewer, ViewerConfig, Viewport};
+use terrane::scene::{Drawable, Geometry, Material, Mesh, Node, Page, Sky};
+use terrane::viewer::{ContextId, Eyes, Slave, ThreadingModel, ViewArea, Viewer, ViewerConfig};
 
 const SIZE: [u32; 2] = [96, 64];
 
@@ -75,7 +75,7 @@ fn slave_has_both_eyes_in_its_image() {
             let shared = viewer.composite_mut().open_offscreen_on(first, &traits(SIZE)).unwrap();
             let own = viewer.open_context(GraphicsContext::new_offscreen(&traits(SIZE)).unwrap()).unwrap();
             viewer
-                .add_slave(Slave { viewport: Viewport::Pixels([100, 0, SIZE[0], SIZE[1]]), ..Slave::new(first) })
+                .add_slave(Slave { viewport: ViewArea::Pixels([100, 0, SIZE[0], SIZE[1]]), ..Slave::new(first) })
                 .unwrap();
             viewer.add_slave(Slave::new(shared)).unwrap();
             viewer.add_slave(Slave::new(own)).unwrap();
@@ -107,7 +107,7 @@ fn interlaced_rows_and_columns_are_those_of_the_screen() {
         viewer.view_mut().set_viewport([0, 0, SIZE[0], SIZE[1]]);
         let first = viewer.context();
         viewer
-            .add_slave(Slave { viewport: Viewport::Pixels([101, 0, SIZE[0], SIZE[1]]), ..Slave::new(first) })
+            .add_slave(Slave { viewport: ViewArea::Pixels([101, 0, SIZE[0], SIZE[1]]), ..Slave::new(first) })
             .unwrap();
         let found = part(&pictures(&mut viewer, &[first])[0], 101);
         for (x, y, pixel) in found.enumerate_pixels() {

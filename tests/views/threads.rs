@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::time::{Duration, Instant};
+use terrane::state::DataVariance;
 
 use glam::{DAffine3, DVec3};
 use terrane::draw::{CameraCallbacks, CompiledDrawable, CustomDrawable, custom_geometry};
@@ -12,8 +13,7 @@ use terrane::gpu::{AdapterChoice, CompileInfo, CustomError, GraphicsContext};
 use terrane::math::Aabb;
 use terrane::pager::PagerConfig;
 use terrane::scene::{
-    CameraNode, CullAction, CullCallback, DataVariance, Drawable, Geometry, Material, Mesh, Node, NodeId, Page, PageId,
-    RenderOrder,
+    CameraNode, CullAction, CullCallback, Drawable, Geometry, Material, Mesh, Node, NodeId, Page, PageId, RenderOrder,
 };
 use terrane::sync::{Operation, OperationThread};
 use terrane::viewer::{

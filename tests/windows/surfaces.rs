@@ -13,9 +13,9 @@ use kit::process::test_name;
 use kit::shapes::ball;
 use kit::skip::skipped_unless_required;
 use kit::viewer::Settle;
-use terrane::draw::Sky;
+
 use terrane::gpu::{AdapterChoice, SurfaceAnswer};
-use terrane::scene::{Node, Page};
+use terrane::scene::{Node, Page, Sky};
 use terrane::viewer::{ContextId, ThreadingModel, Viewer, ViewerConfig, ViewerError};
 use winit::application::ApplicationHandler;
 use winit::dpi::PhysicalSize;

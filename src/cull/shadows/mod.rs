@@ -9,5 +9,4 @@ mod casters;
 mod fit;
 mod light;
 
-pub use crate::scene::{MAX_CASCADES, ShadowError, SunShadows};
 pub(super) use light::ShadowLight;

@@ -3,9 +3,8 @@
 //! Planes are computed in eye space in f64, moved into the frame where bounds are stored and normalised there. Only then
 //! are they rounded, so that bounds near that frame's origin are tested as precisely as f32 allows.
 
+use crate::scene::CullingMode;
 use glam::{DAffine3, DMat3, DMat4, DVec3, DVec4, Vec3, Vec4, Vec4Swizzles as _};
-
-use crate::cull::CullingMode;
 
 /// Bits of the side planes in a mask of the planes that a bound may cross.
 pub(in crate::cull) const SIDES: u8 = 0b00_1111;

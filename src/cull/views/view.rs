@@ -5,8 +5,10 @@
 use glam::{DMat4, DVec3};
 
 use super::planes::EyePlanes;
-use crate::cull::{CullCamera, CullingMode};
-use crate::scene::{ClampProjection, ComputeNearFar, CullSettings, LodRanges, has_parallel_rays, px_per_radian};
+use crate::cull::CullCamera;
+use crate::scene::{
+    ClampProjection, ComputeNearFar, CullSettings, CullingMode, LodRanges, has_parallel_rays, px_per_radian,
+};
 
 /// The nearest and farthest depth met, in metres along the view's depth axis; never NaN.
 #[derive(Clone, Copy, Debug)]

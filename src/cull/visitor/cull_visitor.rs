@@ -10,9 +10,9 @@ use crate::cull::shadows::ShadowLight;
 use crate::cull::sorting::Sorter;
 use crate::cull::stage::{CullCounters, RenderStage};
 use crate::cull::views::View;
-use crate::cull::{CullCamera, CullingMode, Stereo};
-use crate::scene::{CameraTarget, ClampProjection, Environment, OpaqueDrawData, Scene};
-use crate::state::StateSet;
+use crate::cull::{CullCamera, Stereo};
+use crate::scene::{CameraTarget, ClampProjection, CullingMode, Environment, Scene};
+use crate::state::{OpaqueDrawData, StateSet};
 
 /// Culls scenes and owns the memory that is reused from frame to frame.
 ///

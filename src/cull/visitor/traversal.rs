@@ -12,6 +12,7 @@ use super::near_far::PrimitiveCandidates;
 use super::page_context::{OpenNode, PageContext, eye_in};
 use super::page_queue::{AttachmentFrame, PageQueue, PageVisit, Purpose, QueuedPage};
 use super::page_states::PageStates;
+use crate::cull::CullCamera;
 use crate::cull::fading::{Fade, LodFades};
 use crate::cull::occluders::Occlusion;
 use crate::cull::stage::{CullCounters, RenderLeaf, RenderStage};
@@ -19,8 +20,7 @@ use crate::cull::tiles::{MAX_ERROR_PX, OpenTile, TileView};
 use crate::cull::views::ViewStack;
 use crate::cull::views::{DepthRange, View};
 use crate::cull::views::{Planes, depth_row};
-use crate::cull::{CullCamera, CullingMode};
-use crate::scene::{ComputeNearFar, NONE, Page, Scene};
+use crate::scene::{ComputeNearFar, CullingMode, NONE, Page, Scene};
 use crate::state::StateSet;
 
 /// Memory that is reused by the culls of all stages and frames, so that a steady frame allocates nothing.

@@ -179,10 +179,10 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
-    use crate::cull::{CullCamera, CullVisitor, CullingMode};
+    use crate::cull::{CullCamera, CullVisitor};
     use crate::draw::batch::bucket::Content;
     use crate::gpu::{AdapterChoice, CompileBudget, CompileOperation, ContextTraits};
-    use crate::scene::{AlphaMode, Drawable, Material, Mesh, Node, Page, Scene};
+    use crate::scene::{AlphaMode, CullingMode, Drawable, Material, Mesh, Node, Page, Scene};
     use crate::state::{Attribute, BinDetails, CullFace, Scissor, SortMode, StateSet, SurfaceMaterial};
     use glam::{DAffine3, DVec3};
 
@@ -250,7 +250,7 @@ mod tests {
         scene.add_root(page);
         let mut stage = RenderStage::new();
         CullVisitor::new().cull(&scene, &CullCamera::default(), &mut stage);
-        let environment = Environment { sky: crate::draw::Sky::Background([0; 3]), ..Environment::default() };
+        let environment = Environment { sky: crate::scene::Sky::Background([0; 3]), ..Environment::default() };
         renderer.draw(&mut ctx, &stage, &environment).unwrap();
         let stats = renderer.draw(&mut ctx, &stage, &environment).unwrap();
         assert!(renderer.take_errors().is_empty());

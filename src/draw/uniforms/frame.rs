@@ -4,10 +4,10 @@
 use glam::{DMat2, DMat4, Mat4, Vec3};
 
 use super::air::{AirParameters, direction_in_eye, eye_height_m, sun_height};
-use crate::cull::{CullCamera, MAX_CASCADES, StageShadows};
+use crate::cull::{CullCamera, StageShadows};
 use crate::math::WGS84;
 use crate::math::color::linear_from_srgb8;
-use crate::scene::{Environment, MORPH_START, Sky, has_parallel_rays};
+use crate::scene::{Environment, MAX_CASCADES, MORPH_START, Sky, has_parallel_rays};
 
 /// Height in metres over which the density of air falls to 1/e.
 const AIR_SCALE_HEIGHT_M: f64 = 8_000.0;

@@ -25,7 +25,7 @@ pub enum Sky {
 /// Haze in front of objects. Under [`Sky::Atmosphere`] the density is that of aerosols, which decreases by 1/e every 1.2 km
 /// of height. Over a background the haze has the horizon's colour and decreases by 1/e every 8 km.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Fog {
+pub struct DistanceFog {
     /// If false, everything is drawn in its own colour.
     pub enabled: bool,
     /// The fraction of light lost per metre at height 0; 1.5e-5 leaves a third over 70 km.
@@ -59,7 +59,7 @@ pub struct Environment {
     /// atmosphere, with the sun overhead.
     pub ambient_color: [f32; 3],
     /// Haze.
-    pub fog: Fog,
+    pub fog: DistanceFog,
     /// Background.
     pub sky: Sky,
     /// A sea around the ground, drawn after opaque geometry; visible only from above.
@@ -80,7 +80,7 @@ impl Default for Environment {
             sun_direction: DVec3::new(0.45, -0.55, 0.7).normalize(),
             sun_color: [1.12, 1.05, 0.92],
             ambient_color: [0.18, 0.22, 0.30],
-            fog: Fog { enabled: true, density_per_m: 1.2e-5 },
+            fog: DistanceFog { enabled: true, density_per_m: 1.2e-5 },
             sky: Sky::Atmosphere,
             water: None,
             shadows: None,

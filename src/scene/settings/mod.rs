@@ -6,7 +6,7 @@ mod lod_ranges;
 mod sun_shadows;
 
 pub use cull_settings::{ComputeNearFar, CullSettings, CullingMode, Inherit, SMALL_FEATURE_PX};
-pub use environment::{CameraEnvironment, CameraShadows, Environment, Fog, Sky, Water};
+pub use environment::{CameraEnvironment, CameraShadows, DistanceFog, Environment, Sky, Water};
 pub use sun_shadows::{MAX_CASCADES, ShadowError, SunShadows};
 
 pub(crate) use environment::is_over_globe;

@@ -4,7 +4,7 @@ use glam::{DAffine3, DMat4};
 
 use crate::viewer::view::Eyes;
 use crate::viewer::view::camera::ResizePolicy;
-use crate::viewer::view::viewport::Viewport;
+use crate::viewer::view::viewport::ViewArea;
 
 /// The longest side that a window or a viewport may have, pixels.
 pub(super) const MAX_SIDE_PX: u32 = 16_384;
@@ -13,7 +13,7 @@ pub(super) const MAX_SIDE_PX: u32 = 16_384;
 #[derive(Clone, Debug, PartialEq)]
 pub struct CameraSetup {
     /// The part of the window that the camera draws into.
-    pub viewport: Viewport,
+    pub viewport: ViewArea,
     /// How the master's angle of view follows the shape of its viewport; with `None` the angle of the longer side stays
     /// fixed. Slaves ignore it, because their images are parts of the master's.
     pub resize: Option<ResizePolicy>,
@@ -30,7 +30,7 @@ impl Default for CameraSetup {
     /// Creates a camera that shows what the master sees and fills its window.
     fn default() -> Self {
         Self {
-            viewport: Viewport::Whole,
+            viewport: ViewArea::Whole,
             resize: None,
             projection_offset: DMat4::IDENTITY,
             view_offset: DAffine3::IDENTITY,

@@ -1,9 +1,10 @@
 //! [`ViewerConfig`]: the settings with which a viewer is made.
 
+use crate::scene::CullSettings;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use crate::cull::{CullSettings, Stereo};
+use crate::cull::Stereo;
 use crate::gpu::{AdapterChoice, CompileBudget, CompilePace, ContextTraits};
 use crate::pager::PagerConfig;
 use crate::viewer::rendering::ThreadingModel;

@@ -9,7 +9,7 @@ use crate::viewer::ViewerError;
 use crate::viewer::ids::{ContextId, SlaveId};
 use crate::viewer::paging::SceneList;
 use crate::viewer::rendering::{Closed, DeviceHandle};
-use crate::viewer::view::viewport::Viewport;
+use crate::viewer::view::viewport::ViewArea;
 use crate::viewer::view::{CameraSlot, Slave, View};
 
 impl FrameLoop {
@@ -94,7 +94,7 @@ impl FrameLoop {
     pub(in crate::viewer) fn add_camera(
         &mut self,
         context: ContextId,
-        viewport: Viewport,
+        viewport: ViewArea,
     ) -> Result<CameraSlot, ViewerError> {
         self.finish()?;
         let context_px = self.rendering.size_px(context.0).ok_or(ViewerError::NoContext(context))?;

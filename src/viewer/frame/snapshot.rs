@@ -7,8 +7,8 @@ use image::RgbaImage;
 
 use super::frame_loop::FrameLoop;
 use super::stats::FrameStats;
-use crate::draw::Sky;
-use crate::scene::{DrawSlot, SlotState};
+
+use crate::scene::{DrawSlot, Sky, SlotState};
 use crate::viewer::paging::PagedScene;
 use crate::viewer::rendering::FrameJob;
 use crate::viewer::report::Settled;

@@ -21,7 +21,7 @@ pub(super) use self::blocking::load_all;
 pub use self::loaded_root::LoadedRoot;
 pub(super) use self::look_ahead::{LookAheads, LookFrom};
 pub(super) use self::paged_scene::PagedScene;
-pub use self::paged_scene::UpdateCallback;
+pub use self::paged_scene::SceneUpdate;
 pub(super) use self::pager_group::PagerGroup;
 pub(super) use self::pagers::{MAX_SCENES, Pagers, free_owner};
 

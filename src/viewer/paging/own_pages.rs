@@ -3,10 +3,11 @@
 //! The pager uploads only what it loads. Pages of the application are uploaded here, under running numbers that are
 //! never used again, so that a result that arrives after its page was removed is recognised and released.
 
+use crate::state::DataVariance;
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::sync::Arc;
 
-use crate::scene::{DataVariance, Drawable, Geometry, Mesh, Page, PageId, Scene};
+use crate::scene::{Drawable, Geometry, Mesh, Page, PageId, Scene};
 use crate::viewer::ViewerError;
 use crate::viewer::rendering::Rendering;
 

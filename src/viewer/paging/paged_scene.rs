@@ -1,6 +1,7 @@
 //! [`PagedScene`]: a scene with its loaded tile set, the application's own pages and what the last culls lacked;
 //! osgViewer's Scene. Main thread.
 
+use crate::state::DataVariance;
 use std::collections::HashSet;
 use std::path::Path;
 use std::sync::Arc;
@@ -11,7 +12,7 @@ use crate::cull::{CullCounters, PageRequest};
 use crate::formats::ReadOptions;
 use crate::math::{BoundingVolume, Ellipsoid};
 use crate::pager::{DatabasePager, ImagePager, ImagePagerConfig, ImageSequence, PagerConfig};
-use crate::scene::{DataVariance, DrawSlot, Page, PageId, Scene, UpdateInfo};
+use crate::scene::{DrawSlot, Page, PageId, Scene, UpdateInfo};
 use crate::viewer::ViewerError;
 use crate::viewer::frame::FrameStamp;
 use crate::viewer::ids::PagerId;
@@ -19,7 +20,7 @@ use crate::viewer::rendering::{Rendering, UploadOwner};
 use crate::viewer::view::set_bounds::{LOWEST_GROUND_M, SetBounds, root_volume};
 
 /// A callback that changes the scene in the update phase of each frame, on the main thread.
-pub type UpdateCallback = Box<dyn FnMut(&mut Scene, &FrameStamp) + Send>;
+pub type SceneUpdate = Box<dyn FnMut(&mut Scene, &FrameStamp) + Send>;
 
 /// The tile set that was loaded into a scene.
 struct LoadedSet {
@@ -112,7 +113,7 @@ pub(in crate::viewer) struct PagedScene {
     /// The application's roots that have tiles; the height of their ground is unknown.
     roots_with_tiles: HashSet<PageId>,
     own: OwnPages,
-    update_callbacks: Vec<UpdateCallback>,
+    update_callbacks: Vec<SceneUpdate>,
     findings: CullFindings,
 }
 
@@ -294,7 +295,7 @@ impl PagedScene {
     }
 
     /// Adds a callback for each update phase.
-    pub(in crate::viewer) fn on_update(&mut self, callback: UpdateCallback) {
+    pub(in crate::viewer) fn on_update(&mut self, callback: SceneUpdate) {
         self.update_callbacks.push(callback);
     }
 

@@ -11,9 +11,9 @@ use glam::DMat4;
 
 use super::millis::millis;
 use crate::cull::{CullCamera, CullCounters, CullVisitor, PageRequest, RenderStage, Stereo, StereoMode};
-use crate::draw::{BinCallback, CameraCallbacks, Environment};
-use crate::scene::{CameraTarget, ClampProjection, ComputeNearFar, DataVariance, OpaqueDrawData, Scene};
-use crate::state::StateSet;
+use crate::draw::{BinCallback, CameraCallbacks};
+use crate::scene::{CameraTarget, ClampProjection, ComputeNearFar, Environment, Scene};
+use crate::state::{DataVariance, OpaqueDrawData, StateSet};
 use crate::sync::BlockCount;
 use crate::sync::primitives::channel::{Receiver, Sender, TryRecvError};
 use crate::trace;

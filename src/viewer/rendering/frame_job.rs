@@ -8,10 +8,10 @@ use std::sync::Arc;
 use image::RgbaImage;
 
 use crate::cull::RenderStage;
-use crate::draw::{DrawStats, Environment, FrameClock};
+use crate::draw::{DrawStats, FrameClock};
 use crate::gpu::{CompileBudget, CompileOperation, GpuError};
 use crate::pager::ImageChange;
-use crate::scene::{DrawKind, DrawSlot, Mesh};
+use crate::scene::{DrawKind, DrawSlot, Environment, Mesh};
 
 /// The work of one frame in one context.
 #[derive(Default)]

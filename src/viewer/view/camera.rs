@@ -4,9 +4,10 @@
 //! on the scene. It is set after cull, from the nearest object that cull kept: neither a fast approach nor a near model is
 //! ever clipped.
 
+use crate::scene::CullSettings;
 use glam::{DAffine3, DMat3, DMat4, DVec3};
 
-use crate::cull::{CullCamera, CullSettings};
+use crate::cull::CullCamera;
 
 /// An angle of view, and the side of the image that it spans.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -4,9 +4,9 @@
 use glam::{DAffine3, DMat3, DVec3, Vec3};
 
 use super::camera::{Camera, world_from_eye};
-use crate::draw::{Environment, Fog};
+
 use crate::math::{BoundingSphere, BoundingVolume, Ellipsoid, OrientedBox, WGS84};
-use crate::scene::Page;
+use crate::scene::{DistanceFog, Environment, Page};
 use crate::viewer::camera_path::{AnimationPath, ControlPoint};
 
 /// A set counts as earth-centred when the centre of its bounding sphere is farther than this from the origin.
@@ -208,7 +208,7 @@ pub fn environment_for(bounds: &SetBounds) -> Environment {
     Environment {
         sun_direction: bounds.sun_direction(),
         up_in_world: bounds.frame.up(),
-        fog: Fog { density_per_m: bounds.fog_density_per_m() as f32, ..base.fog },
+        fog: DistanceFog { density_per_m: bounds.fog_density_per_m() as f32, ..base.fog },
         ..base
     }
 }

@@ -3,9 +3,9 @@
 use glam::{DAffine3, DMat4};
 
 use super::eyes::{EyeTargets, Eyes};
-use super::viewport::Viewport;
-use crate::cull::{CullCamera, CullSettings};
-use crate::scene::Inherit;
+use super::viewport::ViewArea;
+use crate::cull::CullCamera;
+use crate::scene::{CullSettings, Inherit};
 use crate::viewer::ids::{ContextId, SlaveId};
 
 /// A camera that follows the master camera of its view: another eye, another window or another part of one.
@@ -14,7 +14,7 @@ pub struct Slave {
     /// The context in which the slave is drawn.
     pub context: ContextId,
     /// The part of the context that the slave covers.
-    pub viewport: Viewport,
+    pub viewport: ViewArea,
     /// A transform of the master's clip space. A shift by 2 in x shows the area beside the master's image.
     pub projection_offset: DMat4,
     /// The transform from the master's eye space to the slave's.
@@ -32,7 +32,7 @@ impl Slave {
     pub fn new(context: ContextId) -> Self {
         Self {
             context,
-            viewport: Viewport::Whole,
+            viewport: ViewArea::Whole,
             projection_offset: DMat4::IDENTITY,
             view_offset: DAffine3::IDENTITY,
             eyes: Eyes::Both,
@@ -67,7 +67,7 @@ pub(in crate::viewer) struct CameraSlot {
     pub(in crate::viewer) context: u32,
     /// Number of the context's device; draw slots of pages are kept per device.
     pub(in crate::viewer) device: u32,
-    pub(in crate::viewer) viewport: Viewport,
+    pub(in crate::viewer) viewport: ViewArea,
     /// Size of the context's target when the view was last prepared.
     pub(in crate::viewer) context_px: [u32; 2],
 }

@@ -1,15 +1,16 @@
 //! [`View`]: a master camera on a scene, its light, its input and its slave cameras. Main thread.
 
+use crate::state::OpaqueDrawData;
 use glam::{DAffine3, DMat4};
 
 use super::camera::Camera;
 use super::eyes::{EyeTargets, Eyes};
 use super::set_bounds::{LocalFrame, SetBounds, ViewFrom, environment_for};
 use super::slaves::{CameraSlot, Slave, SlaveCamera};
-use super::viewport::Viewport;
-use crate::cull::{CullCamera, CullSettings, PageRequest, Stereo};
-use crate::draw::{CameraCallbacks, Environment};
-use crate::scene::{ClampProjection, OpaqueDrawData};
+use super::viewport::ViewArea;
+use crate::cull::{CullCamera, PageRequest, Stereo};
+use crate::draw::CameraCallbacks;
+use crate::scene::{ClampProjection, CullSettings, Environment};
 use crate::viewer::AnimationPath;
 use crate::viewer::ids::{ContextId, SceneId, SlaveId};
 use crate::viewer::input::Input;
@@ -100,7 +101,7 @@ impl View {
     }
 
     /// Sets the part of its context that the master camera covers.
-    pub fn set_viewport(&mut self, viewport: impl Into<Viewport>) {
+    pub fn set_viewport(&mut self, viewport: impl Into<ViewArea>) {
         if let Some(slot) = &mut self.master {
             slot.viewport = viewport.into();
         }

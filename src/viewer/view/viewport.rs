@@ -1,8 +1,8 @@
-//! [`Viewport`]: the part of a window or texture that a camera draws in. Resolved to pixels on the main thread, before cull.
+//! [`ViewArea`]: the part of a window or texture that a camera draws in. Resolved to pixels on the main thread, before cull.
 
 /// The part of a window, or of another target, that a camera draws in.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub enum Viewport {
+pub enum ViewArea {
     /// The whole target.
     #[default]
     Whole,
@@ -13,7 +13,7 @@ pub enum Viewport {
     Shares([f64; 4]),
 }
 
-impl Viewport {
+impl ViewArea {
     /// Returns x, y, width and height in pixels for a target of a size; `None` stands for the whole target.
     pub fn part_px(&self, size_px: [u32; 2]) -> Option<[u32; 4]> {
         match *self {
@@ -42,13 +42,13 @@ fn along((from, length, side_px): (f64, f64, u32)) -> (u32, u32) {
     (from_px, to_px - from_px)
 }
 
-impl From<[u32; 4]> for Viewport {
+impl From<[u32; 4]> for ViewArea {
     fn from(part_px: [u32; 4]) -> Self {
         Self::Pixels(part_px)
     }
 }
 
-impl From<Option<[u32; 4]>> for Viewport {
+impl From<Option<[u32; 4]>> for ViewArea {
     fn from(part_px: Option<[u32; 4]>) -> Self {
         part_px.map_or(Self::Whole, Self::Pixels)
     }
@@ -62,16 +62,16 @@ mod tests {
 
     #[test]
     fn shares_scale_with_the_target() {
-        let right = Viewport::Shares([0.5, 0.25, 0.5, 0.5]);
+        let right = ViewArea::Shares([0.5, 0.25, 0.5, 0.5]);
         assert_eq!(right.part_px([640, 400]), Some([320, 100, 320, 200]));
         assert_eq!(right.part_px([641, 401]), Some([321, 100, 320, 201]));
         assert_eq!(right.part_px([1, 1]), Some([0, 0, 1, 1]));
         assert_eq!(right.part_px([0, 0]), Some([0, 0, 1, 1]));
-        assert_eq!(Viewport::Whole.part_px([640, 400]), None);
-        assert_eq!(Viewport::from([1, 2, 3, 4]).part_px([640, 400]), Some([1, 2, 3, 4]));
-        assert_eq!(Viewport::from([1, 2, 0, 4]).image_px([640, 400]), [1, 4]);
+        assert_eq!(ViewArea::Whole.part_px([640, 400]), None);
+        assert_eq!(ViewArea::from([1, 2, 3, 4]).part_px([640, 400]), Some([1, 2, 3, 4]));
+        assert_eq!(ViewArea::from([1, 2, 0, 4]).image_px([640, 400]), [1, 4]);
         for nonsense in [[f64::NAN; 4], [-3.0, 7.0, f64::INFINITY, -1.0], [f64::NEG_INFINITY; 4]] {
-            let [x, y, width, height] = Viewport::Shares(nonsense).part_px([64, 32]).unwrap();
+            let [x, y, width, height] = ViewArea::Shares(nonsense).part_px([64, 32]).unwrap();
             assert!(x + width <= 64 && y + height <= 32 && width > 0 && height > 0, "{nonsense:?}");
         }
     }
@@ -91,7 +91,7 @@ mod tests {
             }
             let mut next_px = 0;
             for pair in edges.windows(2) {
-                let part = Viewport::Shares([pair[0], 0.0, pair[1] - pair[0], 1.0]).part_px([side_px, 9]).unwrap();
+                let part = ViewArea::Shares([pair[0], 0.0, pair[1] - pair[0], 1.0]).part_px([side_px, 9]).unwrap();
                 prop_assert_eq!((part[0], part[1], part[3]), (next_px, 0, 9));
                 next_px += part[2];
             }

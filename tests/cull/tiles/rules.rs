@@ -6,10 +6,11 @@ use std::sync::Arc;
 use glam::dcamera::rh::proj::directx as proj;
 use glam::{DAffine3, DMat4, DVec3};
 use kit::cull_scenes::{content, look_at, page, square_box};
-use terrane::cull::{CullCamera, CullSettings, CullVisitor, CullingMode, RenderStage};
+use terrane::cull::{CullCamera, CullVisitor, RenderStage};
 use terrane::math::{BoundingSphere, BoundingVolume};
 use terrane::scene::{
-    ComputeNearFar, CullAction, CullCallback, Node, NodeId, NodeKind, PagedLod, PagingOptions, RangeMode, Refine, Scene,
+    ComputeNearFar, CullAction, CullCallback, CullSettings, CullingMode, Node, NodeId, NodeKind, PagedLod,
+    PagingOptions, RangeMode, Refine, Scene,
 };
 use terrane::state::StateSet;
 

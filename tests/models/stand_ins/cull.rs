@@ -5,9 +5,8 @@ use std::sync::Arc;
 use glam::DMat4;
 use shuttle::thread;
 pub use terrane::cull::{CullCamera, CullCounters, PageRequest, Stereo, StereoMode};
-use terrane::draw::Environment;
-use terrane::scene::{CameraTarget, ClampProjection, OpaqueDrawData};
-use terrane::state::StateSet;
+use terrane::scene::{CameraTarget, ClampProjection, Environment};
+use terrane::state::{OpaqueDrawData, StateSet};
 
 use super::{Panics, Scene};
 use crate::schedules::thread::panic_on_purpose;

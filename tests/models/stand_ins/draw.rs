@@ -4,9 +4,9 @@ use std::sync::atomic::Ordering;
 
 use image::RgbaImage;
 use shuttle::thread;
-pub use terrane::draw::{DrawStats, Environment, FrameClock};
-use terrane::scene::{DataVariance, DrawKind, OpaqueDrawData, Texture};
-use terrane::state::TextureObject;
+pub use terrane::draw::{DrawStats, FrameClock};
+use terrane::scene::{DrawKind, Environment, Texture};
+use terrane::state::{DataVariance, OpaqueDrawData, TextureObject};
 
 use super::cull::RenderStage;
 use super::gpu::{GpuError, GraphicsContext};

@@ -7,10 +7,11 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use serde_json::json;
-use terrane::cull::{CullCamera, CullSettings, CullVisitor, CullingMode, RenderStage};
+use terrane::cull::{CullCamera, CullVisitor, RenderStage};
 use terrane::math::Aabb;
 use terrane::scene::{
-    DrawSlot, Drawable, Geometry, Material, Mesh, MeshVertex, Node, NodeId, NodeKind, Page, Scene, Topology,
+    CullSettings, CullingMode, DrawSlot, Drawable, Geometry, Material, Mesh, MeshVertex, Node, NodeId, NodeKind, Page,
+    Scene, Topology,
 };
 use terrane::state::{BinDetails, SortMode, StateSet};
 

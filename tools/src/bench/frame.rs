@@ -6,10 +6,9 @@ use std::time::{Duration, Instant};
 
 use anyhow::Result;
 use serde_json::json;
-use terrane::cull::CullingMode;
-use terrane::draw::{Fog, Sky};
+
 use terrane::gpu::AdapterChoice;
-use terrane::scene::Page;
+use terrane::scene::{CullingMode, DistanceFog, Page, Sky};
 use terrane::state::StateSet;
 use terrane::viewer::{FieldOfView, ThreadingModel, Viewer, ViewerConfig};
 
@@ -56,7 +55,7 @@ fn measure(
         .collect();
     viewer.add_root(Page::from_node(grid.build(&sets))?)?;
     viewer.view_mut().environment.sky = Sky::Background([51, 51, 102]);
-    viewer.view_mut().environment.fog = Fog { enabled: false, density_per_m: 0.0 };
+    viewer.view_mut().environment.fog = DistanceFog { enabled: false, density_per_m: 0.0 };
     let camera = grid.camera(view);
     viewer.view_mut().camera.world_from_eye = camera.eye_from_world.inverse();
     if every_leaf {

@@ -8,10 +8,10 @@ use anyhow::Result;
 use glam::{DAffine3, DVec3};
 use serde_json::json;
 use terrane::cull::{CullCamera, CullVisitor, RenderStage};
-use terrane::draw::{Environment, Renderer};
+use terrane::draw::Renderer;
 use terrane::gpu::{AdapterChoice, CompileBudget, CompileOperation, ContextTraits, GraphicsContext};
 use terrane::math::Aabb;
-use terrane::scene::{Drawable, Geometry, HeightTile, Material, Mesh, Node, Page, Scene};
+use terrane::scene::{Drawable, Environment, Geometry, HeightTile, Material, Mesh, Node, Page, Scene};
 use terrane::state::{Attribute, StateSet, SurfaceMaterial};
 
 use super::cull::triangle;

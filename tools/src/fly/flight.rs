@@ -5,11 +5,12 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
+use terrane::scene::{Sky, SunShadows, Water};
 
 use anyhow::{Context as _, Result, bail};
 use image::RgbaImage;
-use terrane::cull::{Stereo, SunShadows};
-use terrane::draw::{Sky, Water};
+use terrane::cull::Stereo;
+
 use terrane::fetch::shown;
 use terrane::viewer::{
     AnimationPath, HoleCheck, KEY_COLOR, LoadedRoot, Report, Settled, ViewFrom, Viewer, ViewerError,

@@ -2,10 +2,10 @@
 
 use std::io::Write as _;
 use std::sync::atomic::Ordering;
+use terrane::scene::{SunShadows, Water};
 
 use anyhow::{Context as _, Result, anyhow, bail};
-use terrane::cull::SunShadows;
-use terrane::draw::Water;
+
 use terrane::viewer::{ArrangedViews, LoadedRoot, Samples, ViewerConfig, ViewsOptions, ViewsSetup, run_views};
 
 use super::defaults::{HEIGHT_SSE_PX, MESH_SSE_PX};

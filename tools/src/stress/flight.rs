@@ -3,10 +3,11 @@
 use std::collections::VecDeque;
 use std::path::Path;
 use std::time::{Duration, Instant};
+use terrane::scene::Sky;
 
 use anyhow::{Context as _, Result};
 use glam::{DAffine3, DVec3};
-use terrane::draw::Sky;
+
 use terrane::fetch::{CacheConfig, is_remote};
 use terrane::gpu::{AdapterChoice, GpuError, GraphicsContext};
 use terrane::pager::{PagerConfig, PagerStats};

@@ -4,7 +4,7 @@
 use std::ops::Range;
 
 use super::maps::{FORMAT, MapSize, ShadowMaps};
-use crate::cull::{CullCamera, FadeBand, MAX_CASCADES, RenderStage, StageShadows};
+use crate::cull::{CullCamera, FadeBand, RenderStage, StageShadows};
 use crate::draw::batch::state_entry::StateEntry;
 use crate::draw::bound_state::{BoundState, DynamicState};
 use crate::draw::passes::shading::{choose_shading, shade};
@@ -17,7 +17,7 @@ use crate::draw::uniforms::air::AirParameters;
 use crate::draw::uniforms::frame::FrameUniform;
 use crate::draw::uniforms::frame_groups::ShadowEntries;
 use crate::gpu::GraphicsContext;
-use crate::scene::{CameraEnvironment, CameraShadows, Environment, SunShadows, has_parallel_rays};
+use crate::scene::{CameraEnvironment, CameraShadows, Environment, MAX_CASCADES, SunShadows, has_parallel_rays};
 use crate::state::{CLIP_PLANES, Mode, ResolvedState, TEXTURE_UNITS};
 
 /// The runs of the cascades of one view, in the frame's batch.

@@ -4,8 +4,9 @@
 //! when a view first has shadows, as large as the largest view wants it; others use a part of it. It is freed or made
 //! smaller when no view wanted as much for a while.
 
-use crate::cull::{MAX_CASCADES, RenderStage, StageShadows};
+use crate::cull::{RenderStage, StageShadows};
 use crate::gpu::Memory;
+use crate::scene::MAX_CASCADES;
 
 /// Draws that want a smaller texture, or none, after which it shrinks or is freed.
 const KEPT_DRAWS: u32 = 120;

@@ -162,7 +162,7 @@ mod tests {
 
     use super::*;
     use crate::viewer::config::{Arrangement, ArrangementError, CameraSetup, ViewsSetup, WindowSetup};
-    use crate::viewer::view::viewport::Viewport;
+    use crate::viewer::view::viewport::ViewArea;
 
     fn read(text: &str) -> Result<ViewsSetup, ArrangementError> {
         let folder = tempfile::tempdir().unwrap();
@@ -203,8 +203,8 @@ mod tests {
         assert_eq!((from.heading, from.pitch), (std::f64::consts::FRAC_PI_2, ViewFrom::default().pitch));
         assert_eq!(third.from.unwrap().range_m, Some(10.0));
         let [master, slave] = &rich.cameras[..] else { panic!("{rich:?}") };
-        assert_eq!((master.window, master.camera.viewport), (1, Viewport::Pixels([1, 2, 3, 4])));
-        assert_eq!((slave.window, slave.camera.viewport), (0, Viewport::Whole));
+        assert_eq!((master.window, master.camera.viewport), (1, ViewArea::Pixels([1, 2, 3, 4])));
+        assert_eq!((slave.window, slave.camera.viewport), (0, ViewArea::Whole));
         assert_ne!(slave.camera.projection_offset, DMat4::IDENTITY);
         assert_eq!(CameraSetup { eyes: master.camera.eyes, ..CameraSetup::default() }.eyes, master.camera.eyes);
     }

@@ -7,7 +7,7 @@ use super::values::{Entries, Invalid, Number, Numbers, Object, limits, present};
 use crate::viewer::config::window_setup::{CameraSetup, MAX_SIDE_PX, WindowSetup};
 use crate::viewer::view::Eyes;
 use crate::viewer::view::camera::ResizePolicy;
-use crate::viewer::view::viewport::Viewport;
+use crate::viewer::view::viewport::ViewArea;
 
 /// How far the fractions of a viewport may exceed the window: room for rounded thirds.
 const FRACTION_TOLERANCE: f64 = 1e-3;
@@ -211,15 +211,15 @@ impl CameraFields {
         offsets.into_iter().find_map(|(name, is_set)| is_set.then_some(name))
     }
 
-    fn viewport(&self, path: &str) -> Result<Viewport, Invalid> {
+    fn viewport(&self, path: &str) -> Result<ViewArea, Invalid> {
         const EMPTY: &str = "width and height must be above 0";
         let name = |field: &str| format!("{path}.{field}");
         match (&self.viewport_px, &self.viewport) {
-            (None, None) => Ok(Viewport::Whole),
+            (None, None) => Ok(ViewArea::Whole),
             (Some(_), Some(_)) => Invalid::err(name("viewport"), "`viewport_px` is given already"),
             (Some(Numbers { values, .. }), None) => match values.map(|v| v as u32) {
                 [_, _, 0, _] | [_, _, _, 0] => Invalid::err(name("viewport_px"), EMPTY),
-                rect => Ok(Viewport::Pixels(rect)),
+                rect => Ok(ViewArea::Pixels(rect)),
             },
             (None, Some(Numbers { values: rect @ [x, y, width, height], .. })) => {
                 if *width == 0.0 || *height == 0.0 {
@@ -228,7 +228,7 @@ impl CameraFields {
                 if x + width > 1.0 + FRACTION_TOLERANCE || y + height > 1.0 + FRACTION_TOLERANCE {
                     return Invalid::err(name("viewport"), "the viewport extends beyond the window");
                 }
-                Ok(Viewport::Shares(*rect))
+                Ok(ViewArea::Shares(*rect))
             }
         }
     }
@@ -273,7 +273,7 @@ mod tests {
             samples: Some(4),
             vsync: Some(false),
             cameras: vec![CameraSetup {
-                viewport: Viewport::Pixels([1, 2, 30, 40]),
+                viewport: ViewArea::Pixels([1, 2, 30, 40]),
                 resize: Some(ResizePolicy::Vertical),
                 ..CameraSetup::default()
             }],
@@ -290,10 +290,10 @@ mod tests {
         let shown = shifted.projection_offset.project_point3(DVec3::new(2.0, -1.0, 0.5));
         assert!((shown - DVec3::new(0.0, 0.0, 0.5)).length() < 1e-12, "{shown}");
         assert_eq!((shifted.projection_offset.x_axis.x, shifted.eyes), (2.0, Eyes::Right));
-        assert_eq!(shifted.viewport, Viewport::Shares([0.25, 0.0, 0.75, 1.0]));
+        assert_eq!(shifted.viewport, ViewArea::Shares([0.25, 0.0, 0.75, 1.0]));
         // Thirds, rounded to four digits.
         let thirds = r#"{"windows": [{"cameras": [{"viewport": [0.6667, 0, 0.3334, 1]}]}]}"#;
-        assert_eq!(read(thirds).unwrap()[0].cameras[0].viewport, Viewport::Shares([0.6667, 0.0, 0.3334, 1.0]));
+        assert_eq!(read(thirds).unwrap()[0].cameras[0].viewport, ViewArea::Shares([0.6667, 0.0, 0.3334, 1.0]));
         assert_eq!(read(r#"{"windows": [{}]}"#).unwrap(), [WindowSetup::default()]);
     }
 

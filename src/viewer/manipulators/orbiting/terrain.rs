@@ -25,7 +25,7 @@ const SETTLES_S: f64 = 0.15;
 /// Moves over terrain: a drag moves along the ground, with the vertical upright and the eye above the ground. OSG's
 /// `TerrainManipulator`.
 ///
-/// The ground comes from the view's [`GroundHeight`](crate::viewer::GroundHeight). Without it the point moves at its own
+/// The ground comes from the view's [`GroundHeight`](crate::viewer::manipulators::GroundHeight). Without it the point moves at its own
 /// height above the ellipsoid or plane.
 #[derive(Clone, Copy, Debug)]
 pub struct TerrainManipulator {

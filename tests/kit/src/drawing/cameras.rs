@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use image::RgbaImage;
 use terrane::cull::CullCamera;
-use terrane::draw::{DrawStats, Environment};
-use terrane::scene::{CameraNode, CameraTarget, Node, PictureSink};
+use terrane::draw::DrawStats;
+use terrane::scene::{CameraNode, CameraTarget, Environment, Node, PictureSink};
 use terrane::state::{TextureFormat, TextureObject};
 
 use crate::rig::Rig;

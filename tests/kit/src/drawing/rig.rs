@@ -5,9 +5,9 @@ use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
 use glam::{DAffine3, DVec3};
 use image::RgbaImage;
 use terrane::cull::{CullCamera, CullVisitor, RenderStage};
-use terrane::draw::{DrawStats, Environment, Fog, Renderer, Sky};
+use terrane::draw::{DrawStats, Renderer};
 use terrane::gpu::{AdapterChoice, CompileBudget, CompileOperation, Compiled, ContextTraits, GraphicsContext};
-use terrane::scene::{Drawable, Node, Page, Scene};
+use terrane::scene::{DistanceFog, Drawable, Environment, Node, Page, Scene, Sky};
 
 use crate::frames::MAGENTA;
 use crate::skip::{or_skip, skipped};
@@ -114,7 +114,7 @@ pub fn new_rig(size_px: [u32; 2]) -> Option<Rig> {
 pub fn plain() -> Environment {
     Environment {
         sky: Sky::Background(MAGENTA),
-        fog: Fog { enabled: false, density_per_m: 0.0 },
+        fog: DistanceFog { enabled: false, density_per_m: 0.0 },
         exposure: None,
         ..Environment::default()
     }

@@ -3,11 +3,11 @@
 use std::sync::Arc;
 
 use glam::{DAffine3, DMat3, DVec3};
-use terrane::cull::{CullCamera, CullingMode};
+use terrane::cull::CullCamera;
 use terrane::math::{Aabb, BoundingVolume, OrientedBox};
 use terrane::scene::{
-    DrawSlot, Drawable, Geometry, Material, Mesh, Node, NodeKind, Page, PagedLod, PagingOptions, RangeMode, Refine,
-    Topology,
+    CullingMode, DrawSlot, Drawable, Geometry, Material, Mesh, Node, NodeKind, Page, PagedLod, PagingOptions,
+    RangeMode, Refine, Topology,
 };
 use terrane::state::StateSet;
 

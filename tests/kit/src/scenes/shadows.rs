@@ -4,10 +4,10 @@ use std::sync::Arc;
 
 use glam::{DVec3, DVec4};
 use image::RgbaImage;
-use terrane::cull::{CullCamera, StageShadows, SunShadows};
-use terrane::draw::Environment;
+use terrane::cull::{CullCamera, StageShadows};
+
 use terrane::math::Aabb;
-use terrane::scene::{Drawable, Geometry, Material, Mesh};
+use terrane::scene::{Drawable, Environment, Geometry, Material, Mesh, SunShadows};
 
 use crate::rig::plain;
 

@@ -45,7 +45,7 @@ pub struct Options {
     pub speed_m_s: Option<f64>,
     /// The time to prefetch for, in seconds.
     pub look_ahead_s: f64,
-    /// See [`terrane::cull::CullSettings::skip_sse_factor`].
+    /// See [`terrane::scene::CullSettings::skip_sse_factor`].
     pub skip_sse_factor: f64,
     /// True if the path is not announced, but extrapolated from the motion of the eye.
     pub by_motion: bool,
@@ -340,7 +340,7 @@ impl Bench {
         self.context.0.run_compiles(&CompileBudget::default());
         let t3 = Instant::now();
         if let Some(renderer) = &mut self.renderer {
-            renderer.draw(&mut self.context.0, &self.stage, &terrane::draw::Environment::default())?;
+            renderer.draw(&mut self.context.0, &self.stage, &terrane::scene::Environment::default())?;
         }
         let t4 = Instant::now();
         times.update.push((t1 - t0).as_secs_f64());

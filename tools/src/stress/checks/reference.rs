@@ -1,10 +1,11 @@
 //! The reference image of a flight: a new viewer draws the same camera from files without faults.
 
 use std::time::{Duration, Instant};
+use terrane::scene::Environment;
 
 use anyhow::{Result, bail};
 use image::RgbaImage;
-use terrane::draw::Environment;
+
 use terrane::pager::PagerConfig;
 use terrane::viewer::{Camera, ThreadingModel, Viewer, ViewerConfig};
 
