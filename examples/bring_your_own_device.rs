@@ -1,5 +1,5 @@
-//! Terrane on the application's own wgpu device: the host makes instance, adapter, device and queue, gets each frame as
-//! a texture view, and draws with it as with any other texture.
+//! Terrane on the application's own wgpu device: the host makes instance, adapter, device and queue, takes the last frame
+//! as a texture view, and draws with it. A host with a loop calls `color_view` after each `frame`.
 //!
 //! ```text
 //! cargo run --release --example bring_your_own_device -- [SOURCE] [--frames N] [--screenshot FILE]

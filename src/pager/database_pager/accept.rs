@@ -1,4 +1,4 @@
-//! Accepting requests of culls and of scenes.
+//! Accepts requests of culls and of scenes, and lets failures be requested again.
 
 use super::DatabasePager;
 use crate::cull::PageRequest;

@@ -67,6 +67,7 @@ impl DatabasePager {
         self.stats.failed += 1;
         job.ticket.trace_end(RequestEnd::Failed);
         self.errors.add(error);
+        // The first back-off is configured; a pause that the server asks for is in the error.
         let policy = RetryPolicy { first_backoff: self.config.retry_after, max_attempts: self.config.max_tries };
         if let Some(entry) = self.table.of_job(job) {
             let backoff = entry.retries.fail(error, policy).map(|backoff| backoff.mul_f64(spread(job.ticket)));

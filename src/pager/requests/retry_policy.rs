@@ -1,4 +1,5 @@
-//! When a failed load is retried, and how often; tiles and images of sequences. Update thread.
+//! When a failed load is requested again, and how often; tiles and images of sequences. The HTTP client has retried
+//! already (`fetch/http/retry_policy.rs`). Update thread.
 
 use std::time::{Duration, Instant};
 

@@ -221,7 +221,8 @@ impl Scheduler {
         shortage
     }
 
-    /// Orders requests with the most urgent first, fairly between views and between scenes.
+    /// Orders requests with the most urgent first. Those that have waited long move up ([`Aging`]), so that no view
+    /// starves, and scenes take turns.
     fn order_fairly<'a>(
         &mut self,
         mut now: Vec<&'a Entry>,

@@ -1,5 +1,5 @@
 //! [`DeviceLoss`]: a lost device is reported by the next frame, which replaces it; a device that is lost again at once is
-//! not replaced. Main thread.
+//! not replaced, and neither is the application's own ([`HostDevice`](crate::gpu::HostDevice)). Main thread.
 
 use crate::gpu::GpuError;
 
