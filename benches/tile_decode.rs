@@ -77,7 +77,7 @@ fn tile_decode(criterion: &mut Criterion) {
     let cases = [
         (
             "65x65 heights (EXR) and a 256x256 JPEG",
-            Content { reader_data: Some(data), companions: vec![imagery], ..content(exr) },
+            Content { reader_data: Some(data.into()), companions: vec![imagery], ..content(exr) },
         ),
         ("65x65 vertices (glb) and a 256x256 PNG", content(glb())),
         ("tileset.json of 1,365 tiles", content(tileset())),

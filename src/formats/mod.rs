@@ -5,14 +5,19 @@
 //! every failure is one [`IoError`](crate::fetch::IoError) that names the URI and the reason.
 
 mod b3dm;
+mod cmpt;
 mod database_path;
+mod embedded;
 mod feature_table;
 mod gltf;
 mod height;
 mod image;
+mod implicit;
+mod lenient;
 mod options;
 mod point_cloud;
 mod read;
+mod tile;
 mod tileset;
 mod whole_set;
 pub mod writers;
@@ -20,7 +25,8 @@ pub mod writers;
 pub use database_path::set_database_path;
 pub(crate) use image::decode_file as decode_image;
 pub use options::{Content, Fetched, ReadOptions};
-pub use read::{companions, decode, decode_node};
+pub use read::{companions, decode, decode_node, dependencies};
+pub use tile::UpAxis;
 pub use whole_set::{BoundsInfo, Info, InfoError, LevelInfo, Verified, inspect, verify};
 #[cfg(feature = "http")]
 pub use whole_set::{FillOptions, Filled, fill, inspect_with, verify_with};

@@ -4,8 +4,9 @@ use std::sync::Arc;
 
 use glam::DAffine3;
 
+use super::tile::UpAxis;
 use crate::fetch::{IoError, Limits, RootScope};
-use crate::scene::SharedStateManager;
+use crate::scene::{ReaderData, SharedStateManager};
 
 /// Options that all reads of a tile set share.
 #[derive(Clone, Debug)]
@@ -26,6 +27,8 @@ pub struct ReadOptions {
     /// `TEXCOORD_1`, `_HEAT`. None by default, since they take memory. The columns of a matrix `_BASIS` are kept as `_BASIS_0`,
     /// `_BASIS_1` and so on. A glTF with a mesh of more than [`MAX_ATTRIBUTES`](crate::scene::MAX_ATTRIBUTES) fails.
     pub vertex_attributes: Arc<[Arc<str>]>,
+    /// The axis of glTF contents that points up. Decoders set it by the tileset that a content belongs to.
+    pub gltf_up_axis: UpAxis,
     /// Shares equal images, meshes and states between contents; `None` by default. A pager sets its own.
     pub sharing: Option<Arc<SharedStateManager>>,
 }
@@ -40,6 +43,7 @@ impl ReadOptions {
             set_from_content: DAffine3::IDENTITY,
             build_kd_trees: false,
             vertex_attributes: Arc::default(),
+            gltf_up_axis: UpAxis::Y,
             sharing: None,
         }
     }
@@ -62,7 +66,8 @@ pub struct Content {
     /// The bytes as read. The decoder decompresses gzip.
     pub bytes: Vec<u8>,
     /// Data that the reader of the tileset attached to the tile for the decoder of its content.
-    pub reader_data: Option<Arc<str>>,
-    /// The files that [`companions`](super::companions) returned.
+    pub reader_data: Option<ReaderData>,
+    /// The files that [`companions`](super::companions) returned, then those that [`dependencies`](super::dependencies)
+    /// returned.
     pub companions: Vec<Fetched>,
 }

@@ -201,6 +201,11 @@ impl OrientedBox {
     }
 }
 
+/// The angle in radians over which the earth's surface bulges by a metre beyond its chord.
+const SAMPLE_STEP: f64 = 1.1e-3;
+/// The maximum number of samples along a side of a region.
+const MAX_SAMPLES: u32 = 8;
+
 /// A geodetic box: 3D Tiles' `region`. Radians and metres above the WGS84 ellipsoid.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Region {
@@ -239,14 +244,16 @@ impl Region {
         let center = self.center();
         let ecef_from_enu = WGS84.ecef_from_enu(&center);
         let enu_from_ecef = ecef_from_enu.inverse();
-        let steps = 8;
-        let mut points = Vec::with_capacity(2 * 81);
+        let extent = self.width().max(self.north - self.south);
+        // As few samples as keep the surface within a metre of their hull.
+        let steps = ((extent / SAMPLE_STEP).ceil() as u32).clamp(1, MAX_SAMPLES);
+        let mut points = Vec::with_capacity(2 * (steps as usize + 1).pow(2));
         for i in 0..=steps {
             for j in 0..=steps {
                 for height_m in [self.min_height_m, self.max_height_m] {
                     let geodetic = Geodetic {
-                        longitude: self.west + self.width() * i as f64 / steps as f64,
-                        latitude: self.south + (self.north - self.south) * j as f64 / steps as f64,
+                        longitude: self.west + self.width() * f64::from(i) / f64::from(steps),
+                        latitude: self.south + (self.north - self.south) * f64::from(j) / f64::from(steps),
                         height_m,
                     };
                     points.push(enu_from_ecef.transform_point3(WGS84.ecef(&geodetic)));
@@ -255,7 +262,7 @@ impl Region {
         }
         let b = Aabb::from_points(points);
         // Between samples the surface bulges beyond the hull by at most the sagitta of one step.
-        let step = (self.width().max(self.north - self.south)) / steps as f64;
+        let step = extent / f64::from(steps);
         let bulge = WGS84.semi_major_m * step * step / 8.0;
         OrientedBox {
             center: ecef_from_enu.transform_point3(b.center()),

@@ -49,7 +49,8 @@ pub use nodes::{
     Attachment, Billboard, BillboardMode, CameraNode, CameraTarget, ClampProjection, ClearNode, ClipNode,
     ConvexPlanarOccluder, CullAction, CullCallback, CullInfo, EventCallback, LightSource, MAX_DEPTH, Node, NodeKind,
     OcclusionQueryNode, OcclusionResults, PagedLod, PagingOptions, Picture, PictureSink, ProxyLoading, ProxyNode,
-    RangeMode, ReferenceFrame, Refine, RenderOrder, TexGenNode, Traverse, UpdateCallback, UpdateInfo,
+    RangeMode, ReaderData, ReaderValue, ReferenceFrame, Refine, RenderOrder, TexGenNode, Traverse, UpdateCallback,
+    UpdateInfo,
 };
 pub use pages::{DrawSlot, Page};
 pub use settings::{

@@ -22,8 +22,12 @@ fn is_told(error: &IoError) {
 }
 
 fn content(bytes: &[u8], reader_data: Option<&str>, companions: Vec<Fetched>) {
-    let content =
-        Content { uri: "/set/tile".into(), bytes: bytes.to_vec(), reader_data: reader_data.map(Arc::from), companions };
+    let content = Content {
+        uri: "/set/tile".into(),
+        bytes: bytes.to_vec(),
+        reader_data: reader_data.map(Into::into),
+        companions,
+    };
     let mut options = ReadOptions::for_root("/set/tileset.json", limits());
     options.build_kd_trees = true;
     options.vertex_attributes = ["POSITION", "TEXCOORD_0", "TANGENT", "_HEAT"].map(Arc::from).into();

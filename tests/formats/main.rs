@@ -3,6 +3,7 @@
 
 mod fuzz_parsers;
 mod gltf_attributes;
+mod implicit;
 mod tiles_bad_input;
 mod tiles_read;
 mod tiles_samples;

@@ -1,12 +1,10 @@
 //! No input panics, hangs or exhausts memory. Every failure is one typed error with URI and reason. No GPU.
 
-use std::sync::Arc;
-
 use proptest::prelude::*;
 use terrane::fetch::{DECODER_PANICKED, IoError, Limits};
 use terrane::formats::writers::{GlbMesh, write_glb, write_height_exr};
-use terrane::formats::{Content, ReadOptions, decode, inspect, verify};
-use terrane::scene::Page;
+use terrane::formats::{Content, ReadOptions, decode, decode_node, inspect, verify};
+use terrane::scene::{NodeKind, Page, ReaderData};
 
 const ROOT: &str = "/set/tileset.json";
 
@@ -15,7 +13,7 @@ fn read(bytes: &[u8], reader_data: Option<&str>) -> Result<Page, IoError> {
     let content = Content {
         uri: "/set/tile".into(),
         bytes: bytes.to_vec(),
-        reader_data: reader_data.map(Arc::from),
+        reader_data: reader_data.map(ReaderData::from),
         companions: Vec::new(),
     };
     decode(content, &ReadOptions::for_root(ROOT, limits))
@@ -240,7 +238,19 @@ fn invalid_bounds_and_errors_are_refused() {
 #[test]
 fn references_stay_in_the_folder_of_the_set() {
     for escape in ["../../etc/passwd", "/etc/passwd", "file:///etc/passwd", "%2e%2e/x.glb", "http://other/x.glb"] {
-        refused(&tileset(SPHERE, "1", escape));
+        // The tile is refused, and not the set.
+        let content = Content {
+            uri: ROOT.into(),
+            bytes: tileset(SPHERE, "1", escape),
+            reader_data: None,
+            companions: Vec::new(),
+        };
+        let options = ReadOptions::for_root(ROOT, Limits::default());
+        let NodeKind::PagedLod(tile) = decode_node(content, &options).unwrap().kind else { panic!("a tile") };
+        let (uri, reader_data) = (tile.content.unwrap(), tile.reader_data);
+        assert!(reader_data.as_ref().is_some_and(ReaderData::is_whole_content), "{escape} would be read");
+        let content = Content { uri, bytes: Vec::new(), reader_data, companions: Vec::new() };
+        assert!(matches!(decode(content, &options), Err(IoError::Uri { .. })), "{escape}");
     }
 }
 

@@ -4,9 +4,9 @@ use std::io::Write as _;
 use std::sync::Arc;
 
 use glam::{DAffine3, DVec3};
-use terrane::fetch::Limits;
+use terrane::fetch::{IoError, Limits};
 use terrane::formats::writers::{GlbMesh, write_glb};
-use terrane::formats::{Content, ReadOptions, decode, decode_node, inspect};
+use terrane::formats::{Content, ReadOptions, companions, decode, decode_node, inspect};
 use terrane::math::BoundingVolume;
 use terrane::scene::{AlphaMode, Drawable, Geometry, Node, NodeKind, PagedLod, RangeMode, Refine, Topology};
 use terrane::state::WrapMode;
@@ -132,9 +132,23 @@ fn several_contents_are_drawn_together() {
     assert_eq!((lod(first).content.as_deref(), error_m(lod(first))), (Some("/data/set/a.glb"), 9.0));
     assert_eq!((lod(second).content.as_deref(), second.children.len()), (Some("/data/set/b.glb"), 0));
     assert_eq!(lod(&first.children[0]).content.as_deref(), Some("/data/set/c.glb"));
-    let json = format!(r#"{{"asset":{{"version":"1.1"}},"geometricError":1,"root":{}}}"#, with_children("REPLACE"));
-    let error = decode_node(content(json), &ReadOptions::for_root(SET, Limits::default())).unwrap_err();
-    assert!(error.to_string().contains("several contents"), "{error}");
+    // Children replace both contents in the same frame: they are one.
+    let node = tileset("1.1", &with_children("REPLACE"));
+    let tile = lod(&node);
+    assert_eq!((tile.content.as_deref(), node.children.len()), (Some("/data/set/a.glb"), 1));
+    let companions = companions(tile.content.as_ref().unwrap(), tile.reader_data.as_ref());
+    assert_eq!(companions, ["/data/set/b.glb".into()]);
+    let both = Content {
+        uri: "/data/set/a.glb".into(),
+        bytes: triangle(),
+        reader_data: tile.reader_data.clone(),
+        companions: vec![("/data/set/b.glb".into(), Ok(triangle()))],
+    };
+    let options = ReadOptions::for_root(SET, Limits::default());
+    assert_eq!(decode(both.clone(), &options).unwrap().drawable_count(), 2);
+    let missing = IoError::NotFound { uri: "/data/set/b.glb".to_owned() };
+    let one = Content { companions: vec![("/data/set/b.glb".into(), Err(missing.clone()))], ..both };
+    assert_eq!(decode(one, &options).unwrap_err(), missing);
 }
 
 /// Regression: they were parsed but not read, so that errors of the reader were not reported and deep tilesets were

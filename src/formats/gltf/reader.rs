@@ -1,6 +1,6 @@
 //! Reads a glTF document: checks its JSON and converts its nodes.
 
-use glam::{DAffine3, DMat3, DVec3};
+use glam::{DAffine3, DVec3};
 
 use super::buffers::Buffers;
 use super::double_precision::{DoublePrecision, extensions_required};
@@ -13,9 +13,6 @@ use crate::scene::{Node, NodeKind};
 /// Supported extensions that a glTF may require.
 const KNOWN_EXTENSIONS: &[&str] =
     &["KHR_mesh_quantization", "KHR_materials_unlit", "KHR_texture_transform", "CESIUM_RTC"];
-
-/// z-up from y-up: (x, y, z) becomes (x, -z, y).
-const Z_UP_FROM_Y_UP: DMat3 = DMat3::from_cols(DVec3::X, DVec3::Z, DVec3::NEG_Y);
 
 /// Reads a glTF in JSON. Its buffers and images must be `data:` URIs.
 pub(in crate::formats) fn read_gltf(uri: &str, json: &[u8], options: &ReadOptions) -> Result<Node, IoError> {
@@ -88,7 +85,7 @@ pub(super) fn read_document(
     }
     let center = rtc_center.unwrap_or(DVec3::ZERO) + cesium_rtc.map_or(DVec3::ZERO, |c| c);
     // CESIUM_RTC is added after the rotation too, since Cesium's exporters write it z-up.
-    let rotation = DAffine3 { matrix3: Z_UP_FROM_Y_UP, translation: center };
+    let rotation = DAffine3 { matrix3: options.gltf_up_axis.z_up(), translation: center };
     Ok(Node::transform(rotation, children))
 }
 

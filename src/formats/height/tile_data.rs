@@ -141,7 +141,7 @@ impl HeightSet {
 }
 
 /// Returns the URI of the imagery of a height tile.
-pub(in crate::formats) fn companions(_uri: &Arc<str>, reader_data: Option<&Arc<str>>) -> Vec<Arc<str>> {
+pub(in crate::formats) fn companions(_uri: &Arc<str>, reader_data: Option<&str>) -> Vec<Arc<str>> {
     let data = reader_data.and_then(|d| serde_json::from_str::<TileData>(d).ok());
     data.and_then(|d| d.imagery).into_iter().collect()
 }

@@ -28,7 +28,6 @@ pub(crate) fn is_tileset(uri: &str, bytes: &[u8], limits: &Limits) -> bool {
 }
 
 /// Returns false only if the file extension rules out a tileset.
-#[cfg(feature = "http")]
 pub(crate) fn may_be_tileset(uri: &str) -> bool {
     const OTHERS: [&str; 16] = [
         "glb", "gltf", "b3dm", "i3dm", "pnts", "cmpt", "subtree", "exr", "png", "jpg", "jpeg", "webp", "tif", "ktx2",

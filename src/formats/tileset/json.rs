@@ -1,98 +1,131 @@
-//! The JSON of a tileset as serde reads it.
+//! The JSON of a tileset as serde reads it: `null` means absent, and unusual members spoil only their tile.
 
 use serde::Deserialize;
-use serde::de::IgnoredAny;
 
 use super::extras::Extras;
 use crate::fetch::IoError;
 use crate::fetch::markup::refuse_markup;
 use crate::formats::height::{SetExtras, TileExtras};
+use crate::formats::implicit::ImplicitTilingJson;
+use crate::formats::lenient::{Number, Numbers, Text, list, or_default};
 
 /// Supported extensions that a tileset may require, including those that do not affect drawing.
-const KNOWN_EXTENSIONS: &[&str] = &["3DTILES_content_gltf"];
+const KNOWN_EXTENSIONS: &[&str] = &[
+    "3DTILES_content_gltf",
+    "3DTILES_implicit_tiling",
+    "3DTILES_multiple_contents",
+    "3DTILES_metadata",
+    "3DTILES_batch_table_hierarchy",
+    "3DTILES_draco_point_compression",
+];
 
 #[derive(Deserialize)]
 pub(crate) struct TilesetJson {
     pub asset: AssetJson,
-    #[serde(rename = "extensionsRequired", default)]
+    /// The error where nothing of the set is drawn.
+    #[serde(rename = "geometricError")]
+    pub geometric_error: Option<Number>,
+    #[serde(rename = "extensionsRequired", default, deserialize_with = "list")]
     pub extensions_required: Vec<String>,
-    #[serde(rename = "extensionsUsed", default)]
+    #[serde(rename = "extensionsUsed", default, deserialize_with = "list")]
     pub extensions_used: Vec<String>,
-
     pub root: TileJson,
 }
 
 #[derive(Deserialize)]
 pub(crate) struct AssetJson {
-    pub version: String,
+    #[serde(default)]
+    version: Text,
+    /// The up axis of glTF contents, in sets of old converters.
+    #[serde(rename = "gltfUpAxis", default)]
+    pub gltf_up_axis: Text,
     #[serde(default)]
     pub extras: Extras<SetExtras>,
+}
+
+impl AssetJson {
+    /// Returns the version; empty if there is none.
+    pub fn version(&self) -> &str {
+        self.version.0.as_deref().unwrap_or_default()
+    }
 }
 
 #[derive(Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub(crate) struct TileJson {
+    #[serde(default, deserialize_with = "or_default")]
     pub bounding_volume: VolumeJson,
-    #[serde(default)]
     pub viewer_request_volume: Option<VolumeJson>,
-    pub geometric_error: f64,
+    /// `None` where it is missing, as for tiles that have their parent's.
+    pub geometric_error: Option<Number>,
     #[serde(default)]
-    pub refine: Option<String>,
-    #[serde(default)]
-    pub transform: Option<Vec<f64>>,
-    #[serde(default)]
+    pub refine: Text,
+    pub transform: Option<Numbers>,
     pub content: Option<ContentJson>,
-    #[serde(default)]
-    pub contents: Vec<ContentJson>,
-    #[serde(default)]
+    #[serde(default, deserialize_with = "list")]
+    contents: Vec<ContentJson>,
+    #[serde(default, deserialize_with = "list")]
     pub children: Vec<TileJson>,
-    #[serde(default)]
-    implicit_tiling: Option<IgnoredAny>,
-    #[serde(default)]
+    implicit_tiling: Option<ImplicitTilingJson>,
     extensions: Option<TileExtensions>,
     #[serde(default)]
     pub extras: Extras<TileExtras>,
 }
 
 impl TileJson {
-    /// Returns true for implicit tiling by the 1.1 property or by the 1.0 extension.
-    pub fn has_implicit_tiling(&self) -> bool {
-        let by_extension = self.extensions.as_ref().is_some_and(|e| e.implicit_tiling.is_some());
-        self.implicit_tiling.is_some() || by_extension
+    /// Returns the implicit tiling by the 1.1 property or by the 1.0 extension.
+    pub fn implicit_tiling(&self) -> Option<&ImplicitTilingJson> {
+        let extension = self.extensions.as_ref().and_then(|extensions| extensions.implicit_tiling.as_ref());
+        self.implicit_tiling.as_ref().or(extension)
+    }
+
+    /// Returns the contents by the 1.1 properties or by the 1.0 extension.
+    pub fn contents(&self) -> impl Iterator<Item = &ContentJson> {
+        let several = self.extensions.as_ref().and_then(|extensions| extensions.multiple_contents.as_ref());
+        let several = several.into_iter().flat_map(|several| several.contents.iter().chain(&several.content));
+        self.content.iter().chain(&self.contents).chain(several)
     }
 }
 
 #[derive(Deserialize)]
 struct TileExtensions {
-    #[serde(rename = "3DTILES_implicit_tiling", default)]
-    implicit_tiling: Option<IgnoredAny>,
+    #[serde(rename = "3DTILES_implicit_tiling")]
+    implicit_tiling: Option<ImplicitTilingJson>,
+    #[serde(rename = "3DTILES_multiple_contents")]
+    multiple_contents: Option<MultipleContentsJson>,
 }
 
 #[derive(Deserialize)]
+struct MultipleContentsJson {
+    #[serde(default, deserialize_with = "list")]
+    contents: Vec<ContentJson>,
+    /// The name of `contents` in drafts.
+    #[serde(default, deserialize_with = "list")]
+    content: Vec<ContentJson>,
+}
+
+#[derive(Default, Deserialize)]
 pub(crate) struct VolumeJson {
-    #[serde(rename = "box", default)]
-    pub oriented_box: Option<Vec<f64>>,
-    #[serde(default)]
-    pub region: Option<Vec<f64>>,
-    #[serde(default)]
-    pub sphere: Option<Vec<f64>>,
+    #[serde(rename = "box")]
+    pub oriented_box: Option<Numbers>,
+    pub region: Option<Numbers>,
+    pub sphere: Option<Numbers>,
 }
 
 #[derive(Deserialize)]
 pub(crate) struct ContentJson {
     #[serde(default)]
-    uri: Option<String>,
+    uri: Text,
     #[serde(default)]
-    url: Option<String>,
+    url: Text,
 }
 
 impl ContentJson {
     /// Returns the reference, under its name in 1.1 or in 1.0.
     pub fn uri(&self) -> Option<&str> {
-        self.uri.as_deref().or(self.url.as_deref())
+        self.uri.0.as_deref().or(self.url.0.as_deref())
     }
 }
-
 /// Returns the error for text that is no tileset JSON. Names NaN and Infinity, which other languages write and JSON does
 /// not have.
 fn invalid_json(uri: &str, bytes: &[u8], error: &serde_json::Error) -> IoError {
@@ -117,8 +150,9 @@ pub(crate) fn parse(uri: &str, bytes: &[u8]) -> Result<TilesetJson, IoError> {
     let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
     refuse_markup(uri, bytes)?;
     let tileset: TilesetJson = serde_json::from_slice(bytes).map_err(|error| invalid_json(uri, bytes, &error))?;
-    if !matches!(tileset.asset.version.as_str(), "0.0" | "1.0" | "1.1") {
-        return Err(IoError::unsupported(uri, format!("3D Tiles version {}", tileset.asset.version)));
+    let version = tileset.asset.version();
+    if !matches!(version, "0.0" | "1.0" | "1.1") {
+        return Err(IoError::unsupported(uri, format!("3D Tiles version {version:?}")));
     }
     for name in &tileset.extensions_required {
         if !KNOWN_EXTENSIONS.contains(&name.as_str()) {

@@ -1,22 +1,19 @@
-//! tileset.json of OGC 3D Tiles 1.0 and 1.1 (explicit tilesets): parsed to [`Tile`]s and converted to nodes.
+//! tileset.json of OGC 3D Tiles 1.0 and 1.1: parsed to tiles and converted to nodes.
 
 mod detect;
 mod extras;
 mod json;
 mod reader;
-mod tile;
 mod volume;
 
-#[cfg(feature = "http")]
-pub(super) use detect::may_be_tileset;
-pub(super) use detect::{is_tileset, is_tileset_text};
-pub(super) use json::{TileJson, parse};
+pub(super) use detect::{is_tileset, is_tileset_text, may_be_tileset};
+pub(super) use json::parse;
 pub(super) use reader::read_tiles;
-pub(super) use tile::Tile;
 
 use std::sync::Arc;
 
 use super::options::ReadOptions;
+use super::tile::Tile;
 use crate::fetch::IoError;
 use crate::scene::Node;
 

@@ -2,18 +2,23 @@
 //!
 //! Transforms are multiplied from the root down, so the volume and the content transform of each tile are in the tileset's
 //! frame. The scale of the transform scales the geometric error, as the specification requires.
+//!
+//! A tile that violates the specification fails alone, as a content that cannot be loaded: where it would replace its
+//! parent, the parent stays. Only the root tile and the limits refuse the tileset.
 
 use std::sync::Arc;
 
 use glam::DAffine3;
 
 use super::json::{self, TileJson};
-use super::tile::{ALWAYS_REFINED_M, Tile};
-use super::volume::{affine, bounding_volume};
+use super::volume::{affine, bounding_volume, root_volume};
 use crate::fetch::{IoError, path_of, resolve};
 use crate::formats::height::HeightSet;
+use crate::formats::implicit::{ImplicitRoot, ImplicitTiling, ImplicitTilingJson, SubtreeSource};
 use crate::formats::options::ReadOptions;
-use crate::scene::Refine;
+use crate::formats::tile::{ALWAYS_REFINED_M, ContentBytes, ContentData, Tile, TileContent, UpAxis};
+use crate::math::BoundingVolume;
+use crate::scene::{ReaderData, Refine};
 
 /// Properties that a tile inherits from its ancestors.
 #[derive(Clone, Copy)]
@@ -23,6 +28,10 @@ struct Inherited {
     /// True if a content above is replaced by the tiles below.
     is_replaced: bool,
     level: u32,
+    /// The geometric error of the parent, metres before its scale.
+    geometric_error: f64,
+    /// The volume of the parent; `None` for the root.
+    bounds: Option<BoundingVolume>,
 }
 
 /// Parses a tileset and returns its root tile.
@@ -39,10 +48,17 @@ pub(in crate::formats) fn read_tiles(uri: &Arc<str>, bytes: &[u8], options: &Rea
         });
     }
     let tileset = json::parse(uri, bytes)?;
+    let up_axis = tileset.asset.gltf_up_axis.0.as_deref().and_then(UpAxis::named).unwrap_or_default();
     let heights = HeightSet::from_extras(uri, tileset.asset.extras.0)?;
-    let mut reader = Reader { uri, options, heights, tiles: 0 };
+    let mut reader = Reader { uri, options, heights, up_axis, tiles: 0, contents: 0 };
     // An external tileset does not know the tiles above it, so it assumes that it replaces a content.
-    let inherited = Inherited { refine: Refine::Replace, is_replaced: !options.chain.is_empty(), level: 0 };
+    let inherited = Inherited {
+        refine: Refine::Replace,
+        is_replaced: !options.chain.is_empty(),
+        level: 0,
+        geometric_error: tileset.geometric_error.map_or(0.0, |error| error.0),
+        bounds: None,
+    };
     reader.tile(tileset.root, DAffine3::IDENTITY, inherited)
 }
 
@@ -50,19 +66,32 @@ struct Reader<'a> {
     uri: &'a Arc<str>,
     options: &'a ReadOptions,
     heights: Option<HeightSet>,
+    up_axis: UpAxis,
     /// Number of tiles so far.
     tiles: usize,
+    /// Number of contents without a URI of their own so far.
+    contents: usize,
 }
 
 impl Reader<'_> {
+    /// Converts a tile and its descendants. A child that is invalid becomes a tile that cannot be loaded.
     fn tile(&mut self, json: TileJson, parent: DAffine3, inherited: Inherited) -> Result<Tile, IoError> {
+        self.check(inherited.level)?;
+        match (self.valid_tile(json, parent, inherited), inherited.bounds) {
+            (Err(error), Some(bounds)) if !matches!(error, IoError::TooLarge { .. }) => {
+                Ok(Tile::refused(bounds, inherited.refine, self.name_content(), error))
+            }
+            (result, _) => result,
+        }
+    }
+
+    fn valid_tile(&mut self, json: TileJson, parent: DAffine3, inherited: Inherited) -> Result<Tile, IoError> {
         let level = inherited.level;
-        self.check(&json, level)?;
         let content_transform = match &json.transform {
-            Some(m) => parent * affine(self.uri, m)?,
+            Some(m) => parent * affine(self.uri, &m.0)?,
             None => parent,
         };
-        let refine = match json.refine.as_deref() {
+        let refine = match json.refine.0.as_deref() {
             Some(r) if r.eq_ignore_ascii_case("add") => Refine::Add,
             Some(r) if r.eq_ignore_ascii_case("replace") => Refine::Replace,
             _ => inherited.refine,
@@ -70,33 +99,54 @@ impl Reader<'_> {
         let volume = |v| bounding_volume(self.uri, v, &content_transform, &self.options.set_from_content);
         let bounds = volume(&json.bounding_volume)?;
         let request_volume = json.viewer_request_volume.as_ref().map(volume).transpose()?;
-        if !(json.geometric_error.is_finite() && json.geometric_error >= 0.0) {
-            return Err(IoError::invalid(
-                self.uri,
-                format!("geometricError {} of a tile is negative or not finite", json.geometric_error),
-            ));
+        let geometric_error = json.geometric_error.map_or(inherited.geometric_error, |error| error.0);
+        if !(geometric_error.is_finite() && geometric_error >= 0.0) {
+            let reason = format!("geometricError {geometric_error} of a tile is negative or not finite");
+            return Err(IoError::invalid(self.uri, reason));
         }
-        let mut geometric_error_m = json.geometric_error * crate::math::max_scale(&content_transform.matrix3);
-        let mut reader_data = None;
+        let mut geometric_error_m = geometric_error * crate::math::max_scale(&content_transform.matrix3);
+        if let Some(tiling) = json.implicit_tiling() {
+            let root = Tile {
+                bounds,
+                request_volume,
+                refine,
+                geometric_error_m,
+                content_transform,
+                contents: Vec::new(),
+                external_tilesets: Vec::new(),
+                continuations: Vec::new(),
+                children: Vec::new(),
+            };
+            return self.implicit_root(tiling, &json, root, inherited);
+        }
+        let mut height_data = None;
         if let Some(heights) = &self.heights {
             geometric_error_m = heights.level_error_m(level).unwrap_or(geometric_error_m);
-            reader_data = heights.tile_data(self.uri, level, &bounds, json.extras.0.as_ref(), &self.options.root)?;
+            let extras = json.extras.0.as_ref();
+            height_data = heights.tile_data(self.uri, level, &bounds, extras, &self.options.root)?;
         }
-        let References { contents, external_tilesets } = self.references(&json)?;
+        let References { mut contents, external_tilesets } = self.references(&json);
+        if let Some(first) = contents.first_mut()
+            && height_data.is_some()
+        {
+            first.reader_data = height_data.map(ReaderData::from);
+        }
         // A tile without content draws nothing where its error is small. That would be a hole below a replaced content, and
         // would hide external tilesets.
         if contents.is_empty() && (inherited.is_replaced || !external_tilesets.is_empty()) {
             geometric_error_m = ALWAYS_REFINED_M;
         }
         let replaces = !contents.is_empty() && refine == Refine::Replace;
-        let below = Inherited { refine, is_replaced: inherited.is_replaced || replaces, level: level + 1 };
+        let below = Inherited {
+            refine,
+            is_replaced: inherited.is_replaced || replaces,
+            level: level + 1,
+            geometric_error,
+            bounds: Some(bounds),
+        };
         let mut children = Vec::with_capacity(json.children.len());
         for child in json.children {
             children.push(self.tile(child, content_transform, below)?);
-        }
-        let is_leaf = children.is_empty() && external_tilesets.is_empty();
-        if contents.len() > 1 && !is_leaf && refine == Refine::Replace {
-            return Err(IoError::unsupported(self.uri, "several contents in a tile that its children replace"));
         }
         Ok(Tile {
             bounds,
@@ -104,15 +154,47 @@ impl Reader<'_> {
             refine,
             geometric_error_m,
             content_transform,
-            reader_data,
             contents,
             external_tilesets,
+            continuations: Vec::new(),
             children,
         })
     }
 
-    /// Counts a tile. Fails beyond the limits, and for implicit tiling.
-    fn check(&mut self, json: &TileJson, level: u32) -> Result<(), IoError> {
+    /// Returns a tile that stands for an implicit tree: its content is the subtree of the root.
+    fn implicit_root(
+        &self,
+        tiling: &ImplicitTilingJson,
+        json: &TileJson,
+        root: Tile,
+        inherited: Inherited,
+    ) -> Result<Tile, IoError> {
+        if self.heights.is_some() {
+            return Err(IoError::unsupported(self.uri, "implicit tiling of height tiles"));
+        }
+        let missing = || IoError::invalid(self.uri, "content without a uri");
+        let contents = json.contents().map(|content| content.uri().ok_or_else(missing));
+        let tiling = ImplicitTiling::new(
+            tiling,
+            ImplicitRoot {
+                uri: self.uri,
+                base: self.uri,
+                scope: &self.options.root,
+                volume: root_volume(self.uri, &root.bounds, &json.bounding_volume, &self.options.set_from_content)?,
+                geometric_error_m: root.geometric_error_m,
+                refine: root.refine,
+                content_transform: root.content_transform,
+                is_replaced: inherited.is_replaced,
+                contents: contents.collect::<Result<Vec<&str>, _>>()?,
+                content_data: self.content_data(ContentBytes::Fetched),
+            },
+        )?;
+        let content = SubtreeSource::root(Arc::new(tiling)).content();
+        Ok(Tile { contents: vec![content], ..root })
+    }
+
+    /// Counts a tile. Fails beyond the limits.
+    fn check(&mut self, level: u32) -> Result<(), IoError> {
         let limits = &self.options.limits;
         self.tiles += 1;
         if self.tiles > limits.max_elements || level > limits.max_depth {
@@ -123,28 +205,56 @@ impl Reader<'_> {
                 limit: limits.max_elements as u64,
             });
         }
-        if json.has_implicit_tiling() {
-            return Err(IoError::unsupported(self.uri, "implicit tiling"));
-        }
         Ok(())
     }
 
-    /// Returns the absolute URIs of a tile's contents and of its external tilesets.
-    fn references(&self, json: &TileJson) -> Result<References, IoError> {
+    /// Returns a tile's contents and the absolute URIs of its external tilesets. A reference that is invalid becomes a
+    /// content that cannot be loaded.
+    fn references(&mut self, json: &TileJson) -> References {
         let References { mut contents, mut external_tilesets } = References::default();
-        for content in json.content.iter().chain(&json.contents) {
-            let reference = content.uri().ok_or_else(|| IoError::invalid(self.uri, "content without a uri"))?;
-            let uri = resolve(self.uri, reference, &self.options.root)?;
-            let list = if path_of(&uri).ends_with(".json") { &mut external_tilesets } else { &mut contents };
-            list.push(uri);
+        for content in json.contents() {
+            let Some(reference) = content.uri() else {
+                let error = IoError::invalid(self.uri, "content without a uri");
+                contents.push(TileContent::refused(self.name_content(), error));
+                continue;
+            };
+            if is_data_uri(reference) {
+                let reader_data = self.content_data(ContentBytes::Embedded(reference.into()));
+                contents.push(TileContent { uri: self.name_content(), reader_data });
+                continue;
+            }
+            match resolve(self.uri, reference, &self.options.root) {
+                Ok(uri) if path_of(&uri).ends_with(".json") => external_tilesets.push(uri),
+                Ok(uri) => contents.push(TileContent { uri, reader_data: self.content_data(ContentBytes::Fetched) }),
+                Err(error) => contents.push(TileContent::refused(self.name_content(), error)),
+            }
         }
-        Ok(References { contents, external_tilesets })
+        References { contents, external_tilesets }
+    }
+
+    /// Returns the reader data of a content; `None` if its URI says everything.
+    fn content_data(&self, bytes: ContentBytes) -> Option<ReaderData> {
+        if matches!(bytes, ContentBytes::Fetched) && self.up_axis == UpAxis::Y {
+            return None;
+        }
+        Some(ReaderData::of(ContentData { bytes, up_axis: self.up_axis }))
+    }
+
+    /// Returns a name for a content that has no URI: the tileset's with a number.
+    fn name_content(&mut self) -> Arc<str> {
+        self.contents += 1;
+        format!("{}#content-{}", self.uri, self.contents).into()
     }
 }
 
-/// The absolute URIs that a tile refers to.
+/// Returns true for a reference that contains its bytes.
+fn is_data_uri(reference: &str) -> bool {
+    reference.get(..5).is_some_and(|scheme| scheme.eq_ignore_ascii_case("data:"))
+}
+
+/// The contents and external tilesets that a tile refers to.
 #[derive(Default)]
 struct References {
-    contents: Vec<Arc<str>>,
+    contents: Vec<TileContent>,
     external_tilesets: Vec<Arc<str>>,
 }

@@ -4,6 +4,7 @@ use glam::{DAffine3, DMat3, DMat4, DVec3, DVec4};
 
 use super::json::VolumeJson;
 use crate::fetch::IoError;
+use crate::formats::implicit::RootVolume;
 use crate::math::{BoundingSphere, BoundingVolume, OrientedBox, Region};
 
 /// Parses the transform of a tile.
@@ -26,8 +27,8 @@ pub(super) fn bounding_volume(
     set_from_content: &DAffine3,
 ) -> Result<BoundingVolume, IoError> {
     let bad = |what: &str, v: &[f64]| IoError::invalid(uri, format!("bounding {what} {v:?} is invalid"));
-    if let Some(v) = &json.oriented_box {
-        let &[cx, cy, cz, ax, ay, az, bx, by, bz, gx, gy, gz] = v.as_slice() else { return Err(bad("box", v)) };
+    if let Some(v) = json.oriented_box.as_ref().map(|v| v.0.as_slice()) {
+        let &[cx, cy, cz, ax, ay, az, bx, by, bz, gx, gy, gz] = v else { return Err(bad("box", v)) };
         let b = OrientedBox {
             center: DVec3::new(cx, cy, cz),
             half_axes: DMat3::from_cols(DVec3::new(ax, ay, az), DVec3::new(bx, by, bz), DVec3::new(gx, gy, gz)),
@@ -37,27 +38,13 @@ pub(super) fn bounding_volume(
         }
         return Ok(BoundingVolume::Box(b.transformed(world)));
     }
-    if let Some(v) = &json.region {
-        let &[west, south, east, north, min_height_m, max_height_m] = v.as_slice() else {
-            return Err(bad("region", v));
-        };
-        let pi = std::f64::consts::PI + 1e-6;
-        let finite = v.iter().all(|x| x.is_finite() && x.abs() < 1e9);
-        let angles = west.abs() <= pi && east.abs() <= pi && south.abs() <= 0.5 * pi && north.abs() <= 0.5 * pi;
-        if !finite || !angles || south > north || min_height_m > max_height_m {
-            return Err(bad("region", v));
-        }
-        let region = BoundingVolume::Region(Region { west, south, east, north, min_height_m, max_height_m });
+    if let Some(region) = region(uri, json)? {
         // The transforms of the tiles above this tileset will move it; the inverse keeps the region in its position.
-        let content_from_set = set_from_content.inverse();
-        if *set_from_content == DAffine3::IDENTITY || !content_from_set.is_finite() {
-            return Ok(region);
-        }
-        let moved = region.oriented_box().map(|b| BoundingVolume::Box(b.transformed(&content_from_set)));
-        return Ok(moved.unwrap_or(BoundingVolume::Sphere(region.bounding_sphere().transformed(&content_from_set))));
+        let Some(content_from_set) = inverse(set_from_content) else { return Ok(BoundingVolume::Region(region)) };
+        return Ok(BoundingVolume::Box(region.oriented_box().transformed(&content_from_set)));
     }
-    if let Some(v) = &json.sphere {
-        let &[x, y, z, radius_m] = v.as_slice() else { return Err(bad("sphere", v)) };
+    if let Some(v) = json.sphere.as_ref().map(|v| v.0.as_slice()) {
+        let &[x, y, z, radius_m] = v else { return Err(bad("sphere", v)) };
         if !v.iter().all(|x| x.is_finite() && x.abs() < 1e15) || radius_m < 0.0 {
             return Err(bad("sphere", v));
         }
@@ -65,4 +52,44 @@ pub(super) fn bounding_volume(
         return Ok(BoundingVolume::Sphere(s.transformed(world)));
     }
     Err(IoError::invalid(uri, "boundingVolume has neither box, region nor sphere"))
+}
+
+/// Returns the volume of the root of an implicit tree, whose parsed volume is `bounds`.
+pub(super) fn root_volume(
+    uri: &str,
+    bounds: &BoundingVolume,
+    json: &VolumeJson,
+    set_from_content: &DAffine3,
+) -> Result<RootVolume, IoError> {
+    if json.oriented_box.is_none()
+        && let Some(region) = region(uri, json)?
+    {
+        return Ok(RootVolume::Region { region, tileset_from_set: inverse(set_from_content) });
+    }
+    match bounds {
+        BoundingVolume::Box(b) => Ok(RootVolume::Box(*b)),
+        _ => {
+            Err(IoError::invalid(uri, "the boundingVolume of an implicit root is a sphere, expected a box or a region"))
+        }
+    }
+}
+
+/// Parses the region of a volume, if it has one.
+fn region(uri: &str, json: &VolumeJson) -> Result<Option<Region>, IoError> {
+    let Some(v) = json.region.as_ref().map(|v| v.0.as_slice()) else { return Ok(None) };
+    let bad = || IoError::invalid(uri, format!("bounding region {v:?} is invalid"));
+    let &[west, south, east, north, min_height_m, max_height_m] = v else { return Err(bad()) };
+    let pi = std::f64::consts::PI + 1e-6;
+    let finite = v.iter().all(|x| x.is_finite() && x.abs() < 1e9);
+    let angles = west.abs() <= pi && east.abs() <= pi && south.abs() <= 0.5 * pi && north.abs() <= 0.5 * pi;
+    if !finite || !angles || south > north || min_height_m > max_height_m {
+        return Err(bad());
+    }
+    Ok(Some(Region { west, south, east, north, min_height_m, max_height_m }))
+}
+
+/// Returns the map from the frame of the whole set to that of a tileset; `None` if they are the same or it has no inverse.
+fn inverse(set_from_content: &DAffine3) -> Option<DAffine3> {
+    let inverse = set_from_content.inverse();
+    (*set_from_content != DAffine3::IDENTITY && inverse.is_finite()).then_some(inverse)
 }

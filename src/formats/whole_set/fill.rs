@@ -11,14 +11,16 @@ use glam::DAffine3;
 use tokio::task::JoinSet;
 
 use super::region;
+use super::tree::Known;
 use crate::fetch::markup::refuse_markup;
 use crate::fetch::{
     CacheStats, HttpClient, HttpConfig, IoError, Limits, RootScope, encoding, guarded, is_remote, root_uri, runtime,
     shown,
 };
-use crate::formats::options::{Content, ReadOptions};
-use crate::formats::read::{companions, decode_node};
-use crate::formats::tileset::{Tile, is_tileset, may_be_tileset, read_tiles};
+use crate::formats::options::{Content, Fetched, ReadOptions};
+use crate::formats::read::{companions, decode_node, dependencies};
+use crate::formats::tile::{Tile, TileContent};
+use crate::formats::tileset::{is_tileset, may_be_tileset, read_tiles};
 use crate::math::{BoundingVolume, Region};
 
 /// The maximum number of failures that are listed.
@@ -85,6 +87,8 @@ struct Job {
     tileset: Option<Position>,
     /// The position of a file that may turn out to be a tileset, since its file extension does not rule it out.
     possible_tileset: Option<Box<Position>>,
+    /// The content that a subtree is, if the file is one.
+    subtree: Option<TileContent>,
     /// True for a tileset that was counted before and is read once more for another position.
     is_again: bool,
 }
@@ -96,8 +100,16 @@ struct Done {
     job: Job,
     /// The bytes of a known or possible tileset; empty for other files.
     result: Result<Vec<u8>, IoError>,
+    /// The files that a subtree refers to.
+    companions: Vec<Fetched>,
     was_cached: bool,
     network_bytes: u64,
+}
+
+impl Done {
+    fn new(job: Job, result: Result<Vec<u8>, IoError>, was_cached: bool) -> Self {
+        Self { job, result, companions: Vec::new(), was_cached, network_bytes: 0 }
+    }
 }
 
 struct Fill<'a> {
@@ -157,7 +169,7 @@ pub fn fill(
         in_flight: HashMap::new(),
         revisited: 0,
     };
-    fill.add_position(root.clone(), position);
+    fill.add_position(root.clone(), position, None);
     let end = runtime.block_on(async {
         let end = fill.run(&client, &root, progress).await;
         client.flush().await;
@@ -215,7 +227,7 @@ impl Fill<'_> {
     fn take(&mut self, client: &HttpClient, done: Done, root: &Arc<str>) -> Result<(), IoError> {
         self.filled.bytes += done.network_bytes;
         let result = done.result.and_then(|bytes| match &done.job.tileset {
-            Some(position) => self.add_tileset_in_all_positions(&done.job, bytes, position),
+            Some(position) => self.add_tileset_in_all_positions(&done.job, bytes, &done.companions, position),
             None => self.check_content(&done.job, bytes),
         });
         if result.as_ref().is_err_and(IoError::is_no_content) {
@@ -252,7 +264,7 @@ impl Fill<'_> {
     fn add_file(&mut self, uri: Arc<str>, possible_tileset: Option<Box<Position>>) {
         if self.seen.insert(uri.clone()) {
             self.filled.found += 1;
-            self.jobs.push(Job { uri, tileset: None, possible_tileset, is_again: false });
+            self.jobs.push(Job { uri, tileset: None, possible_tileset, subtree: None, is_again: false });
         }
     }
 
@@ -269,8 +281,8 @@ impl Fill<'_> {
         }
     }
 
-    /// Adds a position of a tileset. In each position other files below it may be wanted.
-    fn add_position(&mut self, uri: Arc<str>, position: Position) {
+    /// Adds a position of a tileset, or of a subtree. In each position other files below it may be wanted.
+    fn add_position(&mut self, uri: Arc<str>, position: Position, subtree: Option<TileContent>) {
         let is_new = self.seen.insert(uri.clone());
         let takes_all = self.options.region.is_none() && self.options.levels == (0..=u32::MAX);
         let key = || (uri.clone(), position.level, position.world.to_cols_array().map(f64::to_bits));
@@ -285,16 +297,41 @@ impl Fill<'_> {
             positions.push(position);
             return;
         }
-        self.jobs.push(Job { uri, tileset: Some(position), possible_tileset: None, is_again: !is_new });
+        self.jobs.push(Job { uri, tileset: Some(position), possible_tileset: None, subtree, is_again: !is_new });
     }
 
-    fn add_tileset_in_all_positions(&mut self, job: &Job, bytes: Vec<u8>, first: &Position) -> Result<(), IoError> {
+    fn add_tileset_in_all_positions(
+        &mut self,
+        job: &Job,
+        bytes: Vec<u8>,
+        companions: &[Fetched],
+        first: &Position,
+    ) -> Result<(), IoError> {
         let others = self.in_flight.remove(&job.uri).unwrap_or_default();
-        self.revisited += self.add_tileset(&job.uri, bytes.clone(), first)? * u64::from(job.is_again);
+        let mut add = |position: &Position| match &job.subtree {
+            Some(content) => self.add_subtree(content, bytes.clone(), companions, position),
+            None => self.add_tileset(&job.uri, bytes.clone(), position),
+        };
+        let mut revisited = add(first)? * u64::from(job.is_again);
         for position in &others {
-            self.revisited += self.add_tileset(&job.uri, bytes.clone(), position)?;
+            revisited += add(position)?;
         }
+        self.revisited += revisited;
         Ok(())
+    }
+
+    /// Queues the files that a subtree in one position refers to. Returns its number of tiles and contents.
+    fn add_subtree(
+        &mut self,
+        content: &TileContent,
+        bytes: Vec<u8>,
+        companions: &[Fetched],
+        position: &Position,
+    ) -> Result<u64, IoError> {
+        let Known::Subtree(source) = Known::of(content) else { return Ok(0) };
+        let bytes = encoding::gunzip(&content.uri, bytes, &self.options.limits)?;
+        let tiles = guarded(&content.uri, || source.read(&content.uri, bytes, companions.to_vec()))?;
+        Ok(tiles.iter().map(|tile| self.add_tile(tile, position)).sum())
     }
 
     /// Queues the files that a tileset in one position refers to. Returns its number of tiles and contents.
@@ -307,13 +344,9 @@ impl Fill<'_> {
         }
         let options = ReadOptions {
             root: self.scope.clone(),
-            limits: self.options.limits,
             chain: position.chain.clone(),
-            // Regions must stay regions to be compared with the wanted one.
-            set_from_content: DAffine3::IDENTITY,
-            build_kd_trees: false,
-            vertex_attributes: Arc::default(),
-            sharing: None,
+            // Regions must stay regions to be compared with the wanted one: the set's frame is taken for the content's.
+            ..ReadOptions::for_root(uri, self.options.limits)
         };
         let Some(tile) = read_root_tile(uri, bytes, &options)? else { return Ok(1) };
         let is_root = position.chain.is_empty();
@@ -331,15 +364,26 @@ impl Fill<'_> {
             return 1;
         }
         let mut visited = tile.contents.len().max(1) as u64;
-        for (i, uri) in tile.contents.iter().enumerate() {
+        for content in &tile.contents {
+            if content.continues_tileset() {
+                visited += self.add_part(content, position);
+                continue;
+            }
+            let uri = match Known::of(content) {
+                Known::File => &content.uri,
+                Known::Refused(error) => {
+                    self.fail(error);
+                    continue;
+                }
+                _ => continue,
+            };
             let possible_tileset = may_be_tileset(uri).then(|| {
                 let (level, world) = (position.level + 1, position.world * tile.content_transform);
                 Box::new(Position { level, world, chain: position.chain.clone() })
             });
             // A content above the wanted levels is fetched only if it may be a tileset that leads to them.
             if possible_tileset.is_some() || self.options.levels.contains(&position.level) {
-                let reader_data = tile.reader_data.as_ref().filter(|_| i == 0);
-                for companion in companions(uri, reader_data) {
+                for companion in companions(uri, content.reader_data.as_ref()) {
                     self.add_file(companion, None);
                 }
                 self.add_file(uri.clone(), possible_tileset);
@@ -350,10 +394,27 @@ impl Fill<'_> {
             visited += 1;
             if self.is_wanted(&BoundingVolume::Sphere(tile.bounds.bounding_sphere()), &below) {
                 let world = below.world * tile.content_transform;
-                self.add_position(uri.clone(), Position { world, ..below.clone() });
+                self.add_position(uri.clone(), Position { world, ..below.clone() }, None);
+            }
+        }
+        for part in &tile.continuations {
+            if self.is_wanted(&part.bounds, &below) {
+                visited += self.add_part(&part.content, &below);
             }
         }
         visited + tile.children.iter().map(|child| self.add_tile(child, &below)).sum::<u64>()
+    }
+
+    /// Queues the files of a part of a tile tree whose first level is `position.level`. Returns the number of tiles visited.
+    fn add_part(&mut self, content: &TileContent, position: &Position) -> u64 {
+        match Known::of(content) {
+            Known::Part(part) => part.read().iter().map(|tile| self.add_tile(tile, position)).sum(),
+            Known::Subtree(_) => {
+                self.add_position(content.uri.clone(), position.clone(), Some(content.clone()));
+                1
+            }
+            _ => 0,
+        }
     }
 
     fn is_wanted(&self, bounds: &BoundingVolume, position: &Position) -> bool {
@@ -382,16 +443,28 @@ async fn fetch(client: &HttpClient, job: Job, limits: &Limits, refresh: bool) ->
             _ => client.get_cached(&job.uri, limits).await,
         };
         if let Some(bytes) = cached {
-            return Done { job, result: Ok(bytes), was_cached: true, network_bytes: 0 };
+            return with_companions(client, limits, Done::new(job, Ok(bytes), true)).await;
         }
     }
-    match client.get(&job.uri, limits).await {
-        Ok(body) => Done {
-            job,
-            result: Ok(body.bytes),
-            was_cached: refresh && body.network_bytes == 0,
-            network_bytes: body.network_bytes,
-        },
-        Err(error) => Done { job, result: Err(error), was_cached: false, network_bytes: 0 },
+    let done = match client.get(&job.uri, limits).await {
+        Ok(body) => {
+            let was_cached = refresh && body.network_bytes == 0;
+            Done { network_bytes: body.network_bytes, ..Done::new(job, Ok(body.bytes), was_cached) }
+        }
+        Err(error) => Done::new(job, Err(error), false),
+    };
+    with_companions(client, limits, done).await
+}
+
+/// Fetches the external buffers of a subtree.
+async fn with_companions(client: &HttpClient, limits: &Limits, mut done: Done) -> Done {
+    if let (Some(content), Ok(bytes)) = (&done.job.subtree, &done.result) {
+        let options = ReadOptions::for_root(&content.uri, *limits);
+        for uri in dependencies(&content.uri, bytes, content.reader_data.as_ref(), &options) {
+            let body = client.get(&uri, limits).await;
+            done.network_bytes += body.as_ref().map_or(0, |body| body.network_bytes);
+            done.companions.push((uri, body.map(|body| body.bytes)));
+        }
     }
+    done
 }

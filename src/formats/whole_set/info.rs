@@ -6,13 +6,15 @@ use std::sync::Arc;
 use serde::Serialize;
 
 use super::report::{InfoError, record, too_many};
+use super::tree::{Known, read_subtree};
 #[cfg(feature = "http")]
 use crate::fetch::HttpConfig;
-use crate::fetch::{IoError, Limits, Source, is_remote, path_of, resolve, root_uri};
+use crate::fetch::{IoError, Limits, Source, is_remote, root_uri};
 use crate::formats::height::SetExtras;
 use crate::formats::options::ReadOptions;
-use crate::formats::tileset::{self, TileJson};
-use crate::scene::Page;
+use crate::formats::read::companions;
+use crate::formats::tile::{Tile, TileContent};
+use crate::formats::tileset::{self, may_be_tileset, read_tiles};
 
 /// Summary of a tile set.
 #[derive(Clone, Debug, Default, Serialize)]
@@ -25,6 +27,8 @@ pub struct Info {
     pub tiles: u64,
     /// Number of contents, external tilesets excluded.
     pub contents: u64,
+    /// Number of subtrees of implicit tiling.
+    pub subtrees: u64,
     /// Statistics by level, root first.
     pub levels: Vec<LevelInfo>,
     /// Bytes of tilesets, local contents and local imagery. Contents on servers are not fetched and count 0.
@@ -80,26 +84,26 @@ fn inspect_from(source: &str, limits: &Limits, from: Source) -> Result<Info, IoE
     let mut info = Info { format: "3D Tiles".to_owned(), ..Info::default() };
     let bytes = from.read(&root)?;
     let json = tileset::parse(&root, &bytes)?;
-    info.version.clone_from(&json.asset.version);
+    json.asset.version().clone_into(&mut info.version);
     if json.asset.extras.0.as_ref().is_some_and(SetExtras::is_height) {
         info.format = "3D Tiles with heights".to_owned();
     }
-    info.bounds.region.clone_from(&json.root.bounding_volume.region);
+    info.bounds.region = json.root.bounding_volume.region.as_ref().map(|region| region.0.clone());
     info.bytes += bytes.len() as u64;
     info.extensions.extend(json.extensions_used.iter().cloned());
-    match tileset::read(&root, &bytes, &options)
-        .and_then(|node| Page::from_node(node).map_err(|e| IoError::invalid(&root, e.to_string())))
-    {
-        Ok(page) => {
-            let sphere = page.bounding_sphere();
-            info.bounds.center = sphere.center.to_array();
-            info.bounds.radius_m = sphere.radius_m;
+    drop(json);
+    let tile = match read_tiles(&root, &bytes, &options) {
+        Ok(tile) => tile,
+        Err(error) => {
+            info.fail(&error);
+            return Ok(info);
         }
-        Err(e) => info.fail(&e),
-    }
+    };
+    let sphere = tile.bounds.bounding_sphere();
+    (info.bounds.center, info.bounds.radius_m) = (sphere.center.to_array(), sphere.radius_m);
     let limit = limits.max_elements as u64;
     let mut walk = Walk { info, from: &from, visited: 0, limit };
-    if !walk.tile(&root, &json.root, (0, 0), &options) {
+    if !walk.tile(&tile, 0, &At { tileset: &root, options: &options }) {
         walk.info.fail(&too_many(&root, limit));
     }
     Ok(walk.info)
@@ -128,84 +132,119 @@ struct Walk<'a> {
     limit: u64,
 }
 
+/// The tileset that a tile belongs to.
+#[derive(Clone, Copy)]
+struct At<'a> {
+    tileset: &'a Arc<str>,
+    options: &'a ReadOptions,
+}
+
+/// Each method returns false if the limit is exceeded.
 impl Walk<'_> {
-    /// Counts a tile or tileset. Returns false if the limit is exceeded.
+    /// Counts a tile or tileset.
     fn visit(&mut self) -> bool {
         self.visited += 1;
         self.visited <= self.limit
     }
 
-    /// Adds a tile and its descendants. `depth` is its depth inside its file. Returns false if the limit is exceeded.
-    fn tile(&mut self, base: &Arc<str>, tile: &TileJson, (level, depth): (u32, u32), options: &ReadOptions) -> bool {
-        if depth > options.limits.max_depth {
-            // The reader of the same file has already reported this.
-            return true;
+    /// Adds a tile and its descendants.
+    fn tile(&mut self, tile: &Tile, level: u32, at: &At<'_>) -> bool {
+        if let [content] = &tile.contents[..]
+            && content.continues_tileset()
+        {
+            // The tile only stands for the root of an implicit tree.
+            return self.content(content, level, at);
         }
         if !self.visit() {
             return false;
         }
         self.info.tiles += 1;
         self.info.level(level).tiles += 1;
-        let imagery = tile.extras.0.as_ref().and_then(|own| own.imagery.as_deref());
-        let contents = tile.content.iter().chain(&tile.contents).filter_map(|content| content.uri());
-        for (reference, is_content) in contents.map(|uri| (uri, true)).chain(imagery.map(|uri| (uri, false))) {
-            let uri = match resolve(base, reference, &options.root) {
-                Ok(uri) => uri,
-                Err(e) => {
-                    self.info.fail(&e);
-                    continue;
-                }
-            };
-            if path_of(&uri).ends_with(".json") {
-                if !self.visit() {
-                    return false;
-                }
-                match self.external(base, &uri, level, options) {
-                    Ok(false) => return false,
-                    Ok(true) => {}
-                    Err(e) => self.info.fail(&e),
-                }
+        tile.contents.iter().all(|content| self.content(content, level, at))
+            && tile.external_tilesets.iter().all(|uri| self.external_or_fail(uri, level, at))
+            && tile.continuations.iter().all(|below| self.content(&below.content, level + 1, at))
+            && tile.children.iter().all(|child| self.tile(child, level + 1, at))
+    }
+
+    /// Adds a content of a tile, or the tiles of a part of the tree whose first level is `level`.
+    fn content(&mut self, content: &TileContent, level: u32, at: &At<'_>) -> bool {
+        let tiles = match Known::of(content) {
+            Known::Part(part) => part.read(),
+            Known::Subtree(source) => {
+                let (from, mut bytes) = (self.from, 0);
+                let read = |uri: &Arc<str>| from.read(uri).inspect(|read| bytes += read.len() as u64);
+                let tiles = read_subtree(content, source, at.options, read);
+                self.info.bytes += bytes;
+                self.info.subtrees += 1;
+                tiles.unwrap_or_else(|error| {
+                    self.info.fail(&error);
+                    Vec::new()
+                })
+            }
+            Known::Refused(error) => {
+                self.info.fail(error);
+                return true;
+            }
+            Known::Embedded => {
+                self.info.contents += 1;
+                self.info.level(level).contents += 1;
+                return true;
+            }
+            Known::File => return self.file(content, level, at),
+        };
+        tiles.iter().all(|tile| self.tile(tile, level, at))
+    }
+
+    /// Adds a content in a file, with its imagery.
+    fn file(&mut self, content: &TileContent, level: u32, at: &At<'_>) -> bool {
+        // The name of an external tileset may have any file extension.
+        if !is_remote(&content.uri) && may_be_tileset(&content.uri) {
+            let bytes = self.from.read(&content.uri);
+            if bytes.is_ok_and(|bytes| tileset::is_tileset(&content.uri, &bytes, &at.options.limits)) {
+                return self.external_or_fail(&content.uri, level, at);
+            }
+        }
+        self.info.contents += 1;
+        self.info.level(level).contents += 1;
+        for uri in companions(&content.uri, content.reader_data.as_ref()).iter().chain([&content.uri]) {
+            if is_remote(uri) {
                 continue;
             }
-            self.info.contents += u64::from(is_content);
-            self.info.level(level).contents += u64::from(is_content);
-            if is_remote(&uri) {
-                continue;
-            }
-            match self.from.size(&uri) {
+            match self.from.size(uri) {
                 Ok(bytes) => {
                     self.info.bytes += bytes;
                     self.info.level(level).bytes += bytes;
                 }
-                Err(e) => self.info.fail(&e),
+                Err(error) => self.info.fail(&error),
             }
         }
-        tile.children.iter().all(|child| self.tile(base, child, (level + 1, depth + 1), options))
+        true
     }
 
-    /// Adds an external tileset that a tile in the file `base` refers to. Returns false if the limit is exceeded.
-    fn external(
-        &mut self,
-        base: &Arc<str>,
-        uri: &Arc<str>,
-        level: u32,
-        options: &ReadOptions,
-    ) -> Result<bool, IoError> {
-        if uri == base || options.chain.contains(uri) {
+    fn external_or_fail(&mut self, uri: &Arc<str>, level: u32, at: &At<'_>) -> bool {
+        self.visit()
+            && self.external(uri, level, at).unwrap_or_else(|error| {
+                self.info.fail(&error);
+                true
+            })
+    }
+
+    /// Adds an external tileset that a tile of a level refers to.
+    fn external(&mut self, uri: &Arc<str>, level: u32, at: &At<'_>) -> Result<bool, IoError> {
+        if uri == at.tileset || at.options.chain.contains(uri) {
             return Err(IoError::unsupported(uri, "the tileset contains itself"));
         }
-        if options.chain.len() >= options.limits.max_external_depth {
+        if at.options.chain.len() >= at.options.limits.max_external_depth {
             return Err(IoError::invalid(uri, "external tilesets are nested too deep"));
         }
         let bytes = self.from.read(uri)?;
         let json = tileset::parse(uri, &bytes)?;
         self.info.bytes += bytes.len() as u64;
         self.info.extensions.extend(json.extensions_used.iter().cloned());
-        let below = options.below(base);
-        if let Err(e) = tileset::read(uri, &bytes, &below) {
-            self.info.fail(&e);
-        }
-        Ok(self.tile(uri, &json.root, (level + 1, 0), &below))
+        drop(json);
+        let below = at.options.below(at.tileset);
+        let tile = read_tiles(uri, &bytes, &below)?;
+        Ok(self.tile(&tile, level + 1, &At { tileset: uri, options: &below }))
     }
 }
 

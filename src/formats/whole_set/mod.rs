@@ -6,6 +6,7 @@ mod info;
 #[cfg(feature = "http")]
 mod region;
 mod report;
+mod tree;
 mod verify;
 
 #[cfg(feature = "http")]

@@ -9,9 +9,9 @@ use super::report::{InfoError, record, too_many};
 use crate::fetch::HttpConfig;
 use crate::fetch::{IoError, Limits, Source, root_uri};
 use crate::formats::options::{Content, ReadOptions};
-use crate::formats::read::{companions, decode, decode_node};
+use crate::formats::read::{companions, decode, decode_node, dependencies};
 use crate::formats::tileset;
-use crate::scene::{Node, NodeKind};
+use crate::scene::{Node, NodeKind, ReaderData};
 
 /// The result of [`verify`].
 #[derive(Clone, Debug, Default, Serialize)]
@@ -26,10 +26,11 @@ pub struct Verified {
     pub errors: Vec<InfoError>,
 }
 
-/// A file that must still be read.
+/// A content that must still be read.
 struct Job {
     uri: Arc<str>,
-    reader_data: Option<Arc<str>>,
+    reader_data: Option<ReaderData>,
+    /// The options for the contents of its tileset.
     options: ReadOptions,
     is_tileset: bool,
 }
@@ -63,7 +64,7 @@ fn verify_from(
     verified.bytes += bytes.len() as u64;
     let content = Content { uri: root.clone(), bytes, reader_data: None, companions: Vec::new() };
     let limit = limits.max_elements as u64;
-    let mut nodes = collect(&decode_node(content, &options)?, &root, &options, &mut jobs);
+    let mut nodes = collect(&decode_node(content, &options)?, &options.below(&root), &mut jobs);
     while let Some(job) = jobs.pop() {
         if nodes > limit {
             verified.fail(&too_many(&root, limit));
@@ -83,33 +84,42 @@ impl Verified {
         record(error, &mut self.failed, &mut self.errors);
     }
 
-    /// Reads a file. Returns the number of nodes if it is a tileset, and 0 otherwise.
+    /// Reads a content. Returns the number of nodes if it is a part of the tile tree, and 0 otherwise.
     fn read(&mut self, from: &Source, job: Job, jobs: &mut Vec<Job>) -> Result<u64, IoError> {
         let Job { uri, reader_data, options, is_tileset } = job;
+        let data = reader_data.as_ref();
+        let (is_in_memory, continues) =
+            (data.is_some_and(ReaderData::is_whole_content), data.is_some_and(ReaderData::continues_tileset));
         let mut fetch = |uri: &Arc<str>| {
             let bytes = from.read(uri)?;
             self.bytes += bytes.len() as u64;
             Ok(bytes)
         };
-        let companions = if is_tileset { Vec::new() } else { companions(&uri, reader_data.as_ref()) };
-        let companions = companions.into_iter().map(|of| (of.clone(), fetch(&of))).collect();
-        let bytes = fetch(&uri);
+        let bytes = if is_in_memory { Ok(Vec::new()) } else { fetch(&uri) };
+        let mut others = if is_tileset { Vec::new() } else { companions(&uri, data) };
+        if let Ok(bytes) = &bytes {
+            others.extend(dependencies(&uri, bytes, data, &options));
+        }
+        let companions = others.into_iter().map(|of| (of.clone(), fetch(&of))).collect();
         // The name of a tileset may have any file extension.
         let is_one = |bytes: &Vec<u8>| tileset::is_tileset(&uri, bytes, &options.limits);
         let is_tileset = is_tileset || bytes.as_ref().is_ok_and(is_one);
-        self.contents += u64::from(!is_tileset);
+        self.contents += u64::from(!is_tileset && !continues);
         let content = Content { bytes: bytes?, uri: uri.clone(), reader_data, companions };
+        if continues {
+            return Ok(collect(&decode_node(content, &options)?, &options, jobs));
+        }
         if is_tileset {
-            return Ok(collect(&decode_node(content, &options)?, &uri, &options, jobs));
+            return Ok(collect(&decode_node(content, &options)?, &options.below(&uri), jobs));
         }
         decode(content, &options).map(|_| 0)
     }
 }
 
-/// Adds a job for each file that the nodes of a tileset refer to. Returns the number of nodes.
-fn collect(node: &Node, tileset: &Arc<str>, options: &ReadOptions, jobs: &mut Vec<Job>) -> u64 {
-    let mut push = |uri: &Arc<str>, reader_data: Option<Arc<str>>, is_tileset: bool| {
-        jobs.push(Job { uri: uri.clone(), reader_data, options: options.below(tileset), is_tileset });
+/// Adds a job for each content that the nodes of a tile tree refer to. Returns the number of nodes.
+fn collect(node: &Node, options: &ReadOptions, jobs: &mut Vec<Job>) -> u64 {
+    let mut push = |uri: &Arc<str>, reader_data: Option<ReaderData>, is_tileset: bool| {
+        jobs.push(Job { uri: uri.clone(), reader_data, options: options.clone(), is_tileset });
     };
     match &node.kind {
         NodeKind::PagedLod(tile) => {
@@ -120,5 +130,5 @@ fn collect(node: &Node, tileset: &Arc<str>, options: &ReadOptions, jobs: &mut Ve
         NodeKind::ProxyNode(proxy) => push(&proxy.uri, None, true),
         _ => {}
     }
-    1 + node.children.iter().map(|child| collect(child, tileset, options, jobs)).sum::<u64>()
+    1 + node.children.iter().map(|child| collect(child, options, jobs)).sum::<u64>()
 }

@@ -10,7 +10,7 @@ use crate::pager::residency::Resident;
 use crate::pager::residency::budget::RESERVED_TENTHS;
 use crate::pager::scenes::scene_set::SceneSet;
 use crate::pager::upload::context::CompileContext;
-use crate::scene::{NodeId, Page, SceneError, SceneNumber};
+use crate::scene::{NodeId, Page, ReaderData, SceneError, SceneNumber};
 use crate::trace;
 
 impl DatabasePager {
@@ -90,7 +90,10 @@ impl DatabasePager {
         }
         self.residency.insert(id, resident);
         if is_tileset {
-            self.scenes.add_tileset(id, entry.job.ancestors.clone().below(&entry.job.uri));
+            let ancestors = entry.job.ancestors.clone();
+            // A further part of a tileset is no tileset of its own.
+            let continues = entry.job.reader_data.as_ref().is_some_and(ReaderData::continues_tileset);
+            self.scenes.add_tileset(id, if continues { ancestors } else { ancestors.below(&entry.job.uri) });
         }
         Ok(())
     }

@@ -1,7 +1,7 @@
 //! Removing: pages and requests of a scene, of a context, or all.
 
 use super::DatabasePager;
-use crate::fetch;
+use crate::pager::loading::request_list::Request as _;
 use crate::pager::loading::ticket::RequestEnd;
 use crate::pager::requests::entry::{Entry, Progress};
 use crate::pager::upload::context::CompileContext;
@@ -92,7 +92,7 @@ impl DatabasePager {
                     }
                 }
                 // Aborted, unless its answer has arrived.
-                Progress::Loading if cfg!(feature = "http") && fetch::is_remote(&job.uri) => {
+                Progress::Loading if cfg!(feature = "http") && job.is_remote() => {
                     self.threads.list().lock().abort(job.ticket);
                 }
                 _ => {}

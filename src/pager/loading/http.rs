@@ -215,7 +215,12 @@ async fn fetch<J: LoadJob>(job: J, limits: &Limits) -> Fetched<J> {
         })
     };
     let bytes = bytes_of(body);
-    let companions: Vec<formats::Fetched> = companions.into_iter().map(|(uri, body)| (uri, bytes_of(body))).collect();
+    let mut companions: Vec<formats::Fetched> =
+        companions.into_iter().map(|(uri, body)| (uri, bytes_of(body))).collect();
+    for uri in bytes.as_ref().map_or_else(|_| Vec::new(), |bytes| job.dependencies(bytes)) {
+        let body = client.get(&uri, limits).await;
+        companions.push((uri, bytes_of(body)));
+    }
     let bytes_read = total_bytes(&bytes, &companions);
     job.mark_decoding();
     let outcome = (own, Outcome::new(&bytes, asked, own_s.max(companions_s)));

@@ -20,6 +20,15 @@ pub(in crate::pager) trait LoadJob: Request + Send + Sync + 'static {
     fn companions(&self) -> Vec<Arc<str>> {
         Vec::new()
     }
+    /// Returns true if the job has its content in memory, so that nothing is read.
+    fn is_in_memory(&self) -> bool {
+        false
+    }
+    /// Returns the addresses of what the bytes of the content refer to. They are read before the content is decoded, and
+    /// follow the companions.
+    fn dependencies(&self, _bytes: &[u8]) -> Vec<Arc<str>> {
+        Vec::new()
+    }
     /// Returns the client that asks servers for the content.
     #[cfg(feature = "http")]
     fn client(&self) -> &crate::fetch::HttpClient;

@@ -11,7 +11,7 @@ use crate::fetch;
 use crate::fetch::IoError;
 use crate::formats::{self, Content, Fetched, ReadOptions};
 use crate::pager::scenes::read_scope::{ReadScope, TilesetAncestors};
-use crate::scene::{NodeId, Page};
+use crate::scene::{NodeId, Page, ReaderData};
 use crate::trace::{self, Span};
 
 /// One page to load.
@@ -23,7 +23,7 @@ pub(in crate::pager) struct PageJob {
     pub slot: NodeId,
     pub uri: Arc<str>,
     /// The reader's data from the slot, such as a height tile's region.
-    pub reader_data: Option<Arc<str>>,
+    pub reader_data: Option<ReaderData>,
     /// The tilesets above the content.
     pub ancestors: TilesetAncestors,
     /// The read scope of the slot's scene.
@@ -87,6 +87,10 @@ impl Request for PageJob {
         &self.uri
     }
 
+    fn is_remote(&self) -> bool {
+        fetch::is_remote(&self.uri) && !self.is_in_memory()
+    }
+
     fn is_prefetch(&self) -> bool {
         self.is_prefetch
     }
@@ -120,6 +124,14 @@ impl LoadJob for PageJob {
 
     fn companions(&self) -> Vec<Arc<str>> {
         formats::companions(&self.uri, self.reader_data.as_ref())
+    }
+
+    fn is_in_memory(&self) -> bool {
+        self.reader_data.as_ref().is_some_and(ReaderData::is_whole_content)
+    }
+
+    fn dependencies(&self, bytes: &[u8]) -> Vec<Arc<str>> {
+        formats::dependencies(&self.uri, bytes, self.reader_data.as_ref(), &self.scope.options)
     }
 
     #[cfg(feature = "http")]

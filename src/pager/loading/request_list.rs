@@ -27,6 +27,10 @@ pub(crate) trait Request: Clone {
     fn ticket(&self) -> Ticket;
     /// Returns the address: a path, or the URL of a remote content.
     fn uri(&self) -> &str;
+    /// Returns true if a server is asked for the content.
+    fn is_remote(&self) -> bool {
+        is_remote(self.uri())
+    }
     /// Returns true if the content is wanted in a later frame only, as it was when the job was listed.
     fn is_prefetch(&self) -> bool;
     /// Returns the servers that the content and its companions are requested from: the content's first, each once.
@@ -93,7 +97,7 @@ impl<J: Request> ListState<J> {
         self.http.clear();
         for job in jobs {
             // Without a client the file threads answer that remote contents are unsupported.
-            let to = if cfg!(feature = "http") && is_remote(job.uri()) { &mut self.http } else { &mut self.file };
+            let to = if cfg!(feature = "http") && job.is_remote() { &mut self.http } else { &mut self.file };
             to.push(job);
         }
     }
@@ -140,7 +144,7 @@ impl<J: Request> ListState<J> {
         let limit = &mut self.limits.outstanding;
         *limit = limit.saturating_sub(usize::from(has_content));
         self.outstanding = self.outstanding.saturating_sub(1);
-        self.files_outstanding = self.files_outstanding.saturating_sub(usize::from(!is_remote(job.uri())));
+        self.files_outstanding = self.files_outstanding.saturating_sub(usize::from(!job.is_remote()));
         self.prefetch_outstanding = self.prefetch_outstanding.saturating_sub(usize::from(job.is_prefetch()));
         self.taken.retain(|ticket| *ticket != job.ticket());
     }
@@ -148,7 +152,7 @@ impl<J: Request> ListState<J> {
     /// Counts a job as taken.
     fn took(&mut self, job: &J) {
         self.outstanding += 1;
-        self.files_outstanding += usize::from(!is_remote(job.uri()));
+        self.files_outstanding += usize::from(!job.is_remote());
         self.prefetch_outstanding += usize::from(job.is_prefetch());
         self.taken.push(job.ticket());
         job.mark_reading();

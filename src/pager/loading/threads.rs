@@ -113,12 +113,18 @@ impl<J: LoadJob> Drop for LoadThreads<J> {
 fn read_files<J: LoadJob>(list: &RequestList<J>, sender: &Sender<LoadedBytes<J>>, files: &fetch::FileReader) {
     while let Some(job) = list.take_file() {
         let span = job.read_span();
-        let bytes = match fetch::is_remote(job.uri()) {
-            true => Err(fetch::IoError::unsupported(job.uri(), "a server (built without the feature)")),
-            false => files.read(job.address()),
+        let bytes = if job.is_remote() {
+            Err(fetch::IoError::unsupported(job.uri(), "a server (built without the feature)"))
+        } else if job.is_in_memory() {
+            Ok(Vec::new())
+        } else {
+            files.read(job.address())
         };
         let companions: Vec<_> = match &bytes {
-            Ok(_) => job.companions().into_iter().map(|uri| (uri.clone(), files.read(&uri))).collect(),
+            Ok(bytes) => {
+                let others = job.companions().into_iter().chain(job.dependencies(bytes));
+                others.map(|uri| (uri.clone(), files.read(&uri))).collect()
+            }
             Err(_) => Vec::new(),
         };
         let bytes_read = total_bytes(&bytes, &companions);

@@ -11,6 +11,7 @@ mod node_payloads;
 mod occlusion_query;
 mod paged_lod;
 mod readback_image;
+mod reader_data;
 
 pub use billboard::{Billboard, BillboardMode};
 pub use callback::{EventCallback, Traverse, UpdateCallback, UpdateInfo};
@@ -24,5 +25,6 @@ pub use node_payloads::{
 pub use occlusion_query::{OcclusionQueryNode, OcclusionResults};
 pub use paged_lod::{PagedLod, PagingOptions, ProxyLoading, ProxyNode, RangeMode, Refine};
 pub use readback_image::{Picture, PictureSink};
+pub use reader_data::{ReaderData, ReaderValue};
 
 pub(crate) use readback_image::ReadBack;

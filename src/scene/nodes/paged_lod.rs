@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use glam::{DAffine3, DVec3};
 
+use super::reader_data::ReaderData;
 use crate::math::{BoundingSphere, BoundingVolume};
 
 /// How a tile's children relate to it; 3D Tiles' `refine`.
@@ -64,7 +65,7 @@ pub struct PagedLod {
     /// The node-from-content map of the content (the tile's transform).
     pub content_transform: DAffine3,
     /// Data that is handed back to the reader with the content's URI, such as height tile parameters. The scene ignores it.
-    pub reader_data: Option<Arc<str>>,
+    pub reader_data: Option<ReaderData>,
     /// The volume inside which the eye must be for the tile and its descendants to be drawn or requested (3D Tiles'
     /// `viewerRequestVolume`), in the frame of `bounds`; `None` means anywhere. While the eye is outside, the content that
     /// the tile and its siblings would replace stays.

@@ -9,7 +9,7 @@ use super::tile_record::flag;
 use crate::scene::error::SceneError;
 use crate::scene::graph::Scene;
 use crate::scene::id::{NodeId, PageId};
-use crate::scene::nodes::{PagingOptions, ProxyLoading};
+use crate::scene::nodes::{PagingOptions, ProxyLoading, ReaderData};
 
 /// The state of a slot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -34,7 +34,7 @@ pub struct SlotInfo<'a> {
     /// The number of tiles above, over all pages.
     pub depth: u32,
     /// Data that is handed back to the reader with the URI.
-    pub reader_data: Option<&'a Arc<str>>,
+    pub reader_data: Option<&'a ReaderData>,
     /// True for a ProxyNode, false for a PagedLod.
     pub is_proxy: bool,
     /// The page that holds the slot.

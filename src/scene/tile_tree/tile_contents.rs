@@ -5,6 +5,7 @@ use std::sync::Arc;
 use glam::DAffine3;
 
 use crate::scene::id::NONE;
+use crate::scene::nodes::ReaderData;
 
 /// The slot of a tile, as a visit of its content reads it.
 #[derive(Clone, Copy, Debug)]
@@ -24,16 +25,17 @@ pub(super) struct TileContents {
     /// The generation of the resident page's id.
     generations: Vec<u32>,
     uris: Vec<Option<Arc<str>>>,
-    reader_data: Vec<Option<Arc<str>>>,
-    text_bytes: u64,
+    reader_data: Vec<Option<ReaderData>>,
+    referenced_bytes: u64,
 }
 
 impl TileContents {
     /// The bytes of a tile in all arrays but `transforms`.
-    pub const BYTES_PER_TILE: usize = size_of::<TileContent>() + 4 + 2 * size_of::<Option<Arc<str>>>();
+    pub const BYTES_PER_TILE: usize =
+        size_of::<TileContent>() + 4 + size_of::<Option<Arc<str>>>() + size_of::<Option<ReaderData>>();
 
     /// Appends an empty slot. A transform that is not finite becomes the identity.
-    pub fn push(&mut self, transform: DAffine3, uri: Option<Arc<str>>, reader_data: Option<Arc<str>>) {
+    pub fn push(&mut self, transform: DAffine3, uri: Option<Arc<str>>, reader_data: Option<ReaderData>) {
         let transform = if transform.is_finite() { transform } else { DAffine3::IDENTITY };
         if self.transforms.last() != Some(&transform) {
             self.transforms.push(transform);
@@ -41,8 +43,8 @@ impl TileContents {
         let transform = self.transforms.len() as u32 - 1;
         self.contents.push(TileContent { resident: NONE, transform });
         self.generations.push(0);
-        self.text_bytes +=
-            uri.as_ref().map_or(0, |u| u.len() as u64) + reader_data.as_ref().map_or(0, |d| d.len() as u64);
+        self.referenced_bytes +=
+            uri.as_ref().map_or(0, |u| u.len() as u64) + reader_data.as_ref().map_or(0, ReaderData::size_bytes);
         self.uris.push(uri);
         self.reader_data.push(reader_data);
     }
@@ -89,13 +91,13 @@ impl TileContents {
     }
 
     /// Returns what the reader wants handed back with the URI.
-    pub fn reader_data(&self, tile: usize) -> Option<&Arc<str>> {
+    pub fn reader_data(&self, tile: usize) -> Option<&ReaderData> {
         self.reader_data.get(tile)?.as_ref()
     }
 
     /// Returns the bytes that are not proportional to the number of tiles.
     pub fn shared_bytes(&self) -> u64 {
-        (self.transforms.len() * size_of::<DAffine3>()) as u64 + self.text_bytes
+        (self.transforms.len() * size_of::<DAffine3>()) as u64 + self.referenced_bytes
     }
 }
 

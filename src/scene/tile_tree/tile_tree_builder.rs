@@ -10,7 +10,7 @@ use super::tile_record::{TileRecord, flag};
 use super::tiles::{TileRoot, Tiles};
 use crate::math::{BoundingSphere, OrientedBox};
 use crate::scene::id::NONE;
-use crate::scene::nodes::{PagedLod, PagingOptions, ProxyLoading, ProxyNode, RangeMode, Refine};
+use crate::scene::nodes::{PagedLod, PagingOptions, ProxyLoading, ProxyNode, RangeMode, ReaderData, Refine};
 
 /// Tiles in the order in which they were added. Their bounds come onto the page's grid when all are known.
 #[derive(Debug, Default)]
@@ -31,7 +31,7 @@ struct TilePosition {
 /// How the content of a tile is loaded and placed.
 struct Content {
     uri: Option<Arc<str>>,
-    reader_data: Option<Arc<str>>,
+    reader_data: Option<ReaderData>,
     tile_from_content: DAffine3,
 }
 
@@ -66,8 +66,10 @@ impl TileTreeBuilder {
         if tile.paging != PagingOptions::default() {
             self.tiles.rare_mut().paging.push(index, tile.paging);
         }
-        let sphere = tile.bounds.bounding_sphere();
-        self.declare(&sphere, tile.bounds.oriented_box().as_ref(), metric_m);
+        // The box around a region is expensive.
+        let oriented_box = tile.bounds.oriented_box();
+        let sphere = oriented_box.map_or_else(|| tile.bounds.bounding_sphere(), |b| b.bounding_sphere());
+        self.declare(&sphere, oriented_box.as_ref(), metric_m);
         let at = TilePosition { parent, node, transform, state_path };
         let content =
             Content { uri: tile.content, reader_data: tile.reader_data, tile_from_content: tile.content_transform };

@@ -15,7 +15,7 @@ use super::tile_contents::{TileContents, taken};
 use super::tile_record::{TileRecord, flag};
 use crate::math::{BoundingSphere, BoundingVolume};
 use crate::scene::id::{NONE, PageId};
-use crate::scene::nodes::PagingOptions;
+use crate::scene::nodes::{PagingOptions, ReaderData};
 use crate::scene::settings::LodRanges;
 
 /// The tiles of a page.
@@ -186,7 +186,7 @@ impl Tiles {
     }
 
     /// Returns what the reader wants handed back with the URI.
-    pub fn reader_data(&self, tile: usize) -> Option<&Arc<str>> {
+    pub fn reader_data(&self, tile: usize) -> Option<&ReaderData> {
         self.contents.reader_data(tile)
     }
 

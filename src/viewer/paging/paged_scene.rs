@@ -280,7 +280,8 @@ impl PagedScene {
     pub(in crate::viewer) fn is_height_set(&self) -> bool {
         let root = self.loaded().map(|loaded| loaded.root).or_else(|| self.scene.roots().first().copied());
         root.is_some_and(|root| {
-            self.scene.slots_of_page(root).any(|id| self.scene.slot(id).is_some_and(|s| s.reader_data.is_some()))
+            let is_height = |id| self.scene.slot(id).and_then(|slot| slot.reader_data?.text()).is_some();
+            self.scene.slots_of_page(root).any(is_height)
         })
     }
 

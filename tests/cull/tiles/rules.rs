@@ -285,7 +285,7 @@ fn nodes_attached_to_a_tile_are_drawn_with_it() {
         let number = i % 21;
         let info = scene.slot(*slot).unwrap();
         assert_eq!(**info.uri, *number.to_string());
-        assert_eq!(info.reader_data.map(|data| &**data), Some(&*format!("data {number}")));
+        assert_eq!(info.reader_data.and_then(|data| data.text()), Some(&*format!("data {number}")));
         assert_eq!(info.paging.priority_offset, number as f32);
         assert_eq!(info.depth, if number == 0 { 0 } else { 1 + u32::from(number % 5 != 1) });
         scene.attach(*slot, content(50.0, i as u32)).unwrap();

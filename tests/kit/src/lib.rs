@@ -7,6 +7,7 @@
 pub mod fuzz;
 pub mod pager;
 pub mod server;
+pub mod subtrees;
 
 mod drawing;
 mod host;

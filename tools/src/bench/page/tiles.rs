@@ -8,7 +8,7 @@ use glam::{DAffine3, DMat3, DVec3};
 use serde_json::json;
 use terrane::formats::writers::{GlbMesh, write_glb, write_height_exr};
 use terrane::math::{BoundingSphere, BoundingVolume, OrientedBox};
-use terrane::scene::{Node, NodeKind, PagedLod, PagingOptions, RangeMode, Refine};
+use terrane::scene::{Node, NodeKind, PagedLod, PagingOptions, RangeMode, ReaderData, Refine};
 
 use crate::args::PageContent;
 
@@ -62,7 +62,7 @@ impl Tile {
     }
 
     /// Returns the URI of the content, and the additional data for its reader.
-    fn content(self, base: &str, content: PageContent) -> (Arc<str>, Option<Arc<str>>) {
+    fn content(self, base: &str, content: PageContent) -> (Arc<str>, Option<ReaderData>) {
         let uri = |extension| format!("{base}{}", self.file(extension));
         match content {
             PageContent::Mesh => return (uri("glb").into(), None),

@@ -1,0 +1,109 @@
+//! The JSON of implicit tiling and of subtrees as serde reads it, with the names of 1.1 and of the 1.0 extensions.
+
+use serde::Deserialize;
+
+use crate::formats::lenient::{Text, list, or_default};
+
+/// `implicitTiling` of a tile, or its extension `3DTILES_implicit_tiling`.
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(in crate::formats) struct ImplicitTilingJson {
+    #[serde(default)]
+    pub subdivision_scheme: Text,
+    pub subtree_levels: Option<u32>,
+    pub available_levels: Option<u32>,
+    /// The extension's name in older drafts: the number of levels less one.
+    pub maximum_level: Option<u32>,
+    pub subtrees: Option<SubtreesJson>,
+}
+
+#[derive(Debug, Deserialize)]
+pub(in crate::formats) struct SubtreesJson {
+    #[serde(default)]
+    pub uri: Text,
+}
+
+/// The JSON of a subtree.
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct SubtreeJson {
+    #[serde(default, deserialize_with = "or_default")]
+    pub buffers: Vec<BufferJson>,
+    #[serde(default, deserialize_with = "or_default")]
+    pub buffer_views: Vec<BufferViewJson>,
+    pub tile_availability: Option<AvailabilityJson>,
+    pub content_availability: Option<OneOrMany>,
+    pub child_subtree_availability: Option<AvailabilityJson>,
+    pub extensions: Option<SubtreeExtensions>,
+}
+
+impl SubtreeJson {
+    /// Returns the availability of each content of a tile.
+    pub fn content_availability(&self) -> &[AvailabilityJson] {
+        let several = self.extensions.as_ref().and_then(|extensions| extensions.multiple_contents.as_ref());
+        match (several, &self.content_availability) {
+            (Some(several), _) => &several.content_availability,
+            (None, Some(OneOrMany::Many(many))) => many,
+            (None, Some(OneOrMany::One(one))) => std::slice::from_ref(one),
+            (None, None) => &[],
+        }
+    }
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct SubtreeExtensions {
+    #[serde(rename = "3DTILES_multiple_contents")]
+    multiple_contents: Option<MultipleContentsJson>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
+struct MultipleContentsJson {
+    #[serde(default, deserialize_with = "list")]
+    content_availability: Vec<AvailabilityJson>,
+}
+
+/// A list in 1.1, one object in 1.0.
+#[derive(Debug, Deserialize)]
+#[serde(untagged)]
+pub(super) enum OneOrMany {
+    Many(Vec<AvailabilityJson>),
+    One(AvailabilityJson),
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct BufferJson {
+    #[serde(default)]
+    pub uri: Text,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct BufferViewJson {
+    pub buffer: usize,
+    #[serde(default)]
+    pub byte_offset: u64,
+    pub byte_length: u64,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct AvailabilityJson {
+    bitstream: Option<usize>,
+    /// The name of `bitstream` in 1.0.
+    buffer_view: Option<usize>,
+    constant: Option<u32>,
+}
+
+impl AvailabilityJson {
+    /// Returns the buffer view of the bits; `None` for a constant.
+    pub fn view(&self) -> Option<usize> {
+        self.bitstream.or(self.buffer_view)
+    }
+
+    /// Returns the value that all elements have; `None` if they have their own bits.
+    pub fn constant(&self) -> Option<bool> {
+        self.constant.map(|constant| constant != 0)
+    }
+}

@@ -1,0 +1,30 @@
+//! Implicit tiling of 3D Tiles 1.1, and the extension `3DTILES_implicit_tiling` of 1.0: quadtrees and octrees whose tiles
+//! follow from bits in subtree files. Called by the reader of tilesets and by decode threads.
+//!
+//! | file | contents |
+//! |---|---|
+//! | `tiling` | what all tiles of a tree share; volumes and errors by halving |
+//! | `subtree` | a subtree file: availability of tiles, contents and child subtrees |
+//! | `pages` | parts of the tree as tiles of pages, made when they are wanted |
+//! | `coordinates`, `template`, `json` | indices, URIs and the JSON |
+
+mod coordinates;
+mod json;
+mod pages;
+mod subtree;
+mod template;
+mod tiling;
+
+pub(super) use json::ImplicitTilingJson;
+pub(super) use pages::{SubtreePart, SubtreeSource};
+pub(super) use tiling::{ImplicitRoot, ImplicitTiling, RootVolume};
+
+use std::sync::Arc;
+
+use super::options::ReadOptions;
+use crate::fetch::{IoError, resolve};
+
+/// Returns the absolute URIs of the external buffers that hold bits of a subtree file.
+pub(super) fn external_buffers(base: &str, bytes: &[u8], options: &ReadOptions) -> Result<Vec<Arc<str>>, IoError> {
+    subtree::external_buffers(bytes).iter().map(|reference| resolve(base, reference, &options.root)).collect()
+}

@@ -1,0 +1,219 @@
+//! Parts of an implicit tree as tiles of pages. Decode threads.
+//!
+//! A subtree file becomes a page of its first levels. Below its last tiles hang further parts: a [`SubtreePart`] is made
+//! from the same subtree in memory when a cull wants it, without a fetch; a [`SubtreeSource`] is another subtree file. All
+//! are contents with pages of their own, so they expire like others, and memory follows what was looked at.
+
+use std::sync::Arc;
+
+use super::coordinates::{LocalTile, TileCoordinates};
+use super::subtree::Subtree;
+use super::tiling::ImplicitTiling;
+use crate::fetch::IoError;
+use crate::formats::options::Fetched;
+use crate::formats::tile::{ALWAYS_REFINED_M, Continuation, Tile, TileContent};
+use crate::scene::{ReaderData, ReaderValue, Refine};
+
+/// The maximum of tiles of the page that a subtree file becomes: it is small, so that the first tiles are wanted soon.
+const MAX_FIRST_TILES: u64 = 128;
+/// The maximum of tiles of each further page of a subtree. A page has at least one level.
+const MAX_TILES: u64 = 2048;
+
+/// A subtree file that is not read yet. The reader data of a tile whose content it is.
+#[derive(Clone, Debug)]
+pub(in crate::formats) struct SubtreeSource {
+    tiling: Arc<ImplicitTiling>,
+    root: TileCoordinates,
+    is_replaced: bool,
+}
+
+/// The levels of a subtree in memory below one of its tiles. The reader data of a tile that they become the content of.
+#[derive(Clone, Debug)]
+pub(in crate::formats) struct SubtreePart {
+    subtree: Arc<LoadedSubtree>,
+    /// The tile above.
+    parent: LocalTile,
+    is_replaced: bool,
+    /// True for one part of each file, which counts the memory of the subtree.
+    counts_subtree: bool,
+}
+
+/// A subtree in memory, shared by the parts of its tree.
+#[derive(Debug)]
+struct LoadedSubtree {
+    tiling: Arc<ImplicitTiling>,
+    uri: Arc<str>,
+    subtree: Subtree,
+}
+
+impl SubtreeSource {
+    /// Returns the subtree that has the root of an implicit tree.
+    pub fn root(tiling: Arc<ImplicitTiling>) -> Self {
+        let is_replaced = tiling.is_replaced;
+        Self { tiling, root: TileCoordinates::default(), is_replaced }
+    }
+
+    /// Returns the URI of the file.
+    pub fn uri(&self) -> Arc<str> {
+        self.tiling.subtree_uri(self.root)
+    }
+
+    /// Reads the file and returns the root tile of the subtree with its first levels.
+    pub fn read(&self, uri: &Arc<str>, bytes: Vec<u8>, companions: Vec<Fetched>) -> Result<Vec<Tile>, IoError> {
+        let subtree = Subtree::parse(uri, bytes, companions, self.tiling.shape)?;
+        let subtree = LoadedSubtree { tiling: self.tiling.clone(), uri: uri.clone(), subtree };
+        let mut reader = PartReader::new(Arc::new(subtree), true);
+        let root = LocalTile::root(self.root);
+        reader.choose_levels(vec![root], MAX_FIRST_TILES);
+        Ok(vec![reader.tile(root, self.is_replaced)])
+    }
+
+    /// Returns the content of a tile that stands for the subtree.
+    pub fn content(self) -> TileContent {
+        TileContent { uri: self.uri(), reader_data: Some(ReaderData::of(self)) }
+    }
+}
+
+impl SubtreePart {
+    /// Returns the tiles below the parent with some of their levels.
+    pub fn read(&self) -> Vec<Tile> {
+        let mut reader = PartReader::new(self.subtree.clone(), false);
+        let tiles = reader.children(self.parent);
+        reader.choose_levels(tiles.clone(), MAX_TILES);
+        tiles.into_iter().map(|tile| reader.tile(tile, self.is_replaced)).collect()
+    }
+
+    fn content(self) -> TileContent {
+        // The URI is only a name: nothing is fetched.
+        let TileCoordinates { level, x, y, z } = self.parent.coordinates;
+        let uri = format!("{}#{level}/{x}/{y}/{z}", self.subtree.uri);
+        TileContent { uri: uri.into(), reader_data: Some(ReaderData::of(self)) }
+    }
+}
+
+impl ReaderValue for SubtreeSource {
+    fn continues_tileset(&self) -> bool {
+        true
+    }
+
+    fn size_bytes(&self) -> u64 {
+        let is_root = self.root == TileCoordinates::default();
+        size_of::<Self>() as u64 + if is_root { self.tiling.size_bytes() } else { 0 }
+    }
+}
+
+impl ReaderValue for SubtreePart {
+    fn is_whole_content(&self) -> bool {
+        true
+    }
+
+    fn continues_tileset(&self) -> bool {
+        true
+    }
+
+    fn size_bytes(&self) -> u64 {
+        size_of::<Self>() as u64 + if self.counts_subtree { self.subtree.subtree.size_bytes() } else { 0 }
+    }
+}
+
+/// Makes tiles from the bits of a subtree.
+struct PartReader {
+    subtree: Arc<LoadedSubtree>,
+    /// The last level, in the subtree, whose tiles become tiles of the page.
+    last_level: u32,
+    /// The next part counts the memory of the subtree.
+    counts_subtree: bool,
+}
+
+impl PartReader {
+    fn new(subtree: Arc<LoadedSubtree>, counts_subtree: bool) -> Self {
+        Self { subtree, last_level: 0, counts_subtree }
+    }
+
+    /// Returns the tiles of the subtree below one of its tiles.
+    fn children(&self, tile: LocalTile) -> Vec<LocalTile> {
+        let LoadedSubtree { tiling, subtree, .. } = &*self.subtree;
+        let level = tile.coordinates.level + 1;
+        if tile.level + 1 >= tiling.shape.levels || level >= tiling.available_levels {
+            return Vec::new();
+        }
+        let subdivision = tiling.shape.subdivision;
+        let children = (0..subdivision.child_count()).map(|child| tile.child(subdivision, child));
+        children.filter(|child| subtree.has_tile(*child)).collect()
+    }
+
+    /// Returns the roots of the subtrees below one of the last tiles of this subtree.
+    fn child_subtrees(&self, tile: LocalTile) -> Vec<TileCoordinates> {
+        let LoadedSubtree { tiling, subtree, .. } = &*self.subtree;
+        let level = tile.coordinates.level + 1;
+        if tile.level + 1 != tiling.shape.levels || level >= tiling.available_levels {
+            return Vec::new();
+        }
+        let subdivision = tiling.shape.subdivision;
+        let roots = (0..subdivision.child_count()).map(|child| tile.child(subdivision, child));
+        roots.filter(|root| subtree.has_child_subtree(*root)).map(|root| root.coordinates).collect()
+    }
+
+    /// Takes as many levels from that of `tiles` on as have at most `max_tiles` together.
+    fn choose_levels(&mut self, mut tiles: Vec<LocalTile>, max_tiles: u64) {
+        let mut count = tiles.len() as u64;
+        self.last_level = tiles.first().map_or(0, |tile| tile.level);
+        loop {
+            let mut below = Vec::new();
+            for tile in &tiles {
+                below.extend(self.children(*tile));
+                if count + below.len() as u64 > max_tiles {
+                    return;
+                }
+            }
+            if below.is_empty() {
+                return;
+            }
+            count += below.len() as u64;
+            self.last_level += 1;
+            tiles = below;
+        }
+    }
+
+    /// Returns a tile with the levels below it down to the last one.
+    fn tile(&mut self, tile: LocalTile, is_replaced: bool) -> Tile {
+        let tiling = self.subtree.tiling.clone();
+        let coordinates = tile.coordinates;
+        let available = (0..tiling.shape.contents).filter(|content| self.subtree.subtree.has_content(tile, *content));
+        let contents = available.filter_map(|content| {
+            let uri = tiling.content_uri(coordinates, content)?;
+            Some(TileContent { uri, reader_data: tiling.content_data.clone() })
+        });
+        let contents: Vec<TileContent> = contents.collect();
+        // A tile without content draws nothing where its error is small, which would be a hole below a replaced content.
+        let mut geometric_error_m = tiling.geometric_error_m(coordinates.level);
+        if contents.is_empty() && is_replaced {
+            geometric_error_m = ALWAYS_REFINED_M;
+        }
+        let replaces = !contents.is_empty() && tiling.refine == Refine::Replace;
+        let is_replaced = is_replaced || replaces;
+        let (mut children, mut continuations) = (Vec::new(), Vec::new());
+        if tile.level < self.last_level {
+            children = self.children(tile).into_iter().map(|child| self.tile(child, is_replaced)).collect();
+        } else if !self.children(tile).is_empty() {
+            let counts_subtree = std::mem::take(&mut self.counts_subtree);
+            let part = SubtreePart { subtree: self.subtree.clone(), parent: tile, is_replaced, counts_subtree };
+            continuations.push(Continuation { bounds: tiling.bounds(coordinates), content: part.content() });
+        }
+        for root in self.child_subtrees(tile) {
+            let source = SubtreeSource { tiling: tiling.clone(), root, is_replaced };
+            continuations.push(Continuation { bounds: tiling.bounds(root), content: source.content() });
+        }
+        Tile {
+            bounds: tiling.bounds(coordinates),
+            request_volume: None,
+            refine: tiling.refine,
+            geometric_error_m,
+            content_transform: tiling.content_transform,
+            contents,
+            external_tilesets: Vec::new(),
+            continuations,
+            children,
+        }
+    }
+}

@@ -1,0 +1,180 @@
+//! [`ImplicitTiling`]: what all tiles of an implicit tree have in common, and the volumes that follow from it. Immutable.
+
+use std::f64::consts::{PI, TAU};
+use std::sync::Arc;
+
+use glam::DAffine3;
+
+use super::coordinates::{MAX_LEVEL, Subdivision, TileCoordinates};
+use super::json::ImplicitTilingJson;
+use super::subtree::SubtreeShape;
+use super::template::UriTemplate;
+use crate::fetch::{IoError, RootScope};
+use crate::math::{BoundingVolume, OrientedBox, Region};
+use crate::scene::{ReaderData, Refine};
+
+/// The volume of the root of an implicit tree, which is halved for the tiles below.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::formats) enum RootVolume {
+    /// In the frame of the tileset.
+    Box(OrientedBox),
+    /// On the globe. `tileset_from_set` maps from the frame of the whole set; `None` is the identity.
+    Region { region: Region, tileset_from_set: Option<DAffine3> },
+}
+
+/// The root tile of an implicit tree, as the reader of the tileset knows it.
+pub(in crate::formats) struct ImplicitRoot<'a> {
+    /// The file that has the tile, and the base of its references.
+    pub uri: &'a str,
+    pub base: &'a str,
+    pub scope: &'a RootScope,
+    pub volume: RootVolume,
+    /// The geometric error, metres of the tileset's frame.
+    pub geometric_error_m: f64,
+    pub refine: Refine,
+    /// Maps contents to the tileset's frame.
+    pub content_transform: DAffine3,
+    /// True if a content above is replaced by the tiles below.
+    pub is_replaced: bool,
+    /// The references of the contents, with placeholders.
+    pub contents: Vec<&'a str>,
+    /// Data for the decoder of each content.
+    pub content_data: Option<ReaderData>,
+}
+
+/// The properties that all tiles of an implicit tree share.
+#[derive(Debug)]
+pub(in crate::formats) struct ImplicitTiling {
+    pub(super) shape: SubtreeShape,
+    /// Tiles are in levels below this number.
+    pub(super) available_levels: u32,
+    subtrees: UriTemplate,
+    contents: Vec<UriTemplate>,
+    volume: RootVolume,
+    geometric_error_m: f64,
+    pub(super) refine: Refine,
+    pub(super) content_transform: DAffine3,
+    pub(super) is_replaced: bool,
+    pub(super) content_data: Option<ReaderData>,
+}
+
+impl ImplicitTiling {
+    /// Checks the JSON of an implicit root.
+    pub fn new(json: &ImplicitTilingJson, root: ImplicitRoot<'_>) -> Result<Self, IoError> {
+        let bad = |reason: String| IoError::invalid(root.uri, format!("implicitTiling.{reason}"));
+        let scheme = json.subdivision_scheme.0.as_deref().unwrap_or_default();
+        let subdivision = match scheme.to_ascii_uppercase().as_str() {
+            "QUADTREE" => Subdivision::Quadtree,
+            "OCTREE" => Subdivision::Octree,
+            _ => return Err(bad(format!("subdivisionScheme is {scheme:?}, expected QUADTREE or OCTREE"))),
+        };
+        let max_levels = subdivision.max_subtree_levels();
+        let levels = json.subtree_levels.filter(|levels| (1..=max_levels).contains(levels));
+        let levels = levels.ok_or_else(|| {
+            let got = json.subtree_levels.map_or("missing".to_owned(), |levels| levels.to_string());
+            bad(format!("subtreeLevels is {got}, expected 1 to {max_levels}"))
+        })?;
+        let available = json.available_levels.or(json.maximum_level.map(|level| level.saturating_add(1)));
+        let available_levels = available.filter(|levels| *levels > 0);
+        let available_levels =
+            available_levels.ok_or_else(|| bad("availableLevels is missing or 0".to_owned()))?.min(MAX_LEVEL + 1);
+        let subtrees = json.subtrees.as_ref().and_then(|subtrees| subtrees.uri.0.as_deref());
+        let subtrees = subtrees.ok_or_else(|| bad("subtrees.uri is missing".to_owned()))?;
+        let resolve = |template: &str| UriTemplate::resolve(root.base, template, root.scope);
+        let contents = root.contents.iter().map(|template| resolve(template)).collect::<Result<Vec<_>, _>>()?;
+        Ok(Self {
+            shape: SubtreeShape { subdivision, levels, contents: contents.len() },
+            available_levels,
+            subtrees: resolve(subtrees)?,
+            contents,
+            volume: root.volume,
+            geometric_error_m: root.geometric_error_m,
+            refine: root.refine,
+            content_transform: root.content_transform,
+            is_replaced: root.is_replaced,
+            content_data: root.content_data,
+        })
+    }
+
+    /// Returns the URI of the subtree whose root is a tile.
+    pub fn subtree_uri(&self, root: TileCoordinates) -> Arc<str> {
+        self.subtrees.fill(root)
+    }
+
+    /// Returns the URI of a content of a tile.
+    pub(super) fn content_uri(&self, tile: TileCoordinates, content: usize) -> Option<Arc<str>> {
+        Some(self.contents.get(content)?.fill(tile))
+    }
+
+    /// Returns the geometric error of all tiles of a level, metres of the tileset's frame.
+    pub(super) fn geometric_error_m(&self, level: u32) -> f64 {
+        self.geometric_error_m / level_scale(level)
+    }
+
+    /// Returns the volume of a tile.
+    pub(super) fn bounds(&self, tile: TileCoordinates) -> BoundingVolume {
+        match self.volume {
+            RootVolume::Box(root) => BoundingVolume::Box(self.part_of_box(&root, tile)),
+            RootVolume::Region { region, tileset_from_set } => {
+                placed(self.part_of_region(&region, tile), tileset_from_set.as_ref())
+            }
+        }
+    }
+
+    fn part_of_box(&self, root: &OrientedBox, tile: TileCoordinates) -> OrientedBox {
+        let [x, y, z] = self.parts(tile).map(|(from, to)| (from + to - 1.0, to - from));
+        let axes = &root.half_axes;
+        let mut part = *root;
+        part.center += axes.x_axis * x.0 + axes.y_axis * y.0 + axes.z_axis * z.0;
+        part.half_axes.x_axis *= x.1;
+        part.half_axes.y_axis *= y.1;
+        part.half_axes.z_axis *= z.1;
+        part
+    }
+
+    fn part_of_region(&self, root: &Region, tile: TileCoordinates) -> Region {
+        let [x, y, z] = self.parts(tile);
+        let (width, height, rise) = (root.width(), root.north - root.south, root.max_height_m - root.min_height_m);
+        // A part of a region that crosses the antimeridian may lie beyond it.
+        let wrapped = |longitude: f64| if longitude > PI { longitude - TAU } else { longitude };
+        let (west, east) = (wrapped(root.west + width * x.0), wrapped(root.west + width * x.1));
+        Region {
+            west,
+            south: root.south + height * y.0,
+            east,
+            north: root.south + height * y.1,
+            min_height_m: root.min_height_m + rise * z.0,
+            max_height_m: root.min_height_m + rise * z.1,
+        }
+    }
+
+    /// Returns the ends of a tile along x, y and z as shares of the root's length.
+    fn parts(&self, tile: TileCoordinates) -> [(f64, f64); 3] {
+        let count = level_scale(tile.level);
+        let part = |at: u32| (f64::from(at) / count, (f64::from(at) + 1.0) / count);
+        let z = match self.shape.subdivision {
+            Subdivision::Quadtree => (0.0, 1.0),
+            Subdivision::Octree => part(tile.z),
+        };
+        [part(tile.x), part(tile.y), z]
+    }
+
+    /// Returns the bytes of CPU memory.
+    pub(super) fn size_bytes(&self) -> u64 {
+        let texts = self.contents.iter().chain([&self.subtrees]).map(UriTemplate::size_bytes).sum::<u64>();
+        size_of::<Self>() as u64 + texts
+    }
+}
+
+/// Returns the number of tiles along an axis of a level.
+fn level_scale(level: u32) -> f64 {
+    f64::from(level).exp2()
+}
+
+/// Returns the volume of a region for a tileset that transforms above it move. The inverse keeps the region in its position.
+fn placed(region: Region, tileset_from_set: Option<&DAffine3>) -> BoundingVolume {
+    match tileset_from_set {
+        None => BoundingVolume::Region(region),
+        Some(map) => BoundingVolume::Box(region.oriented_box().transformed(map)),
+    }
+}

@@ -1,0 +1,85 @@
+//! [`TileContent`] and its reader data: what the reader of a tileset knows about a content beside its URI. Immutable; decode
+//! threads.
+
+use std::sync::Arc;
+
+use super::up_axis::UpAxis;
+use crate::fetch::IoError;
+use crate::scene::{ReaderData, ReaderValue};
+
+/// A content of a tile.
+#[derive(Clone, Debug)]
+pub(in crate::formats) struct TileContent {
+    /// The absolute URI; only a name if the content is in memory.
+    pub uri: Arc<str>,
+    /// Data for the decoder of the content.
+    pub reader_data: Option<ReaderData>,
+}
+
+impl TileContent {
+    /// Returns true if nothing is fetched for the content.
+    pub fn is_in_memory(&self) -> bool {
+        self.reader_data.as_ref().is_some_and(ReaderData::is_whole_content)
+    }
+
+    /// Returns true if the content is a part of the tile's own tree.
+    pub fn continues_tileset(&self) -> bool {
+        self.reader_data.as_ref().is_some_and(ReaderData::continues_tileset)
+    }
+
+    /// Returns a content that fails with an error.
+    pub fn refused(uri: Arc<str>, error: IoError) -> Self {
+        let data = ContentData { bytes: ContentBytes::Refused(error), ..ContentData::default() };
+        Self { uri, reader_data: Some(ReaderData::of(data)) }
+    }
+}
+
+/// Where the bytes of a content are.
+#[derive(Clone, Debug, Default)]
+pub(in crate::formats) enum ContentBytes {
+    /// At its URI.
+    #[default]
+    Fetched,
+    /// In this `data:` URI.
+    Embedded(Arc<str>),
+    /// Nowhere: the tile was refused for this reason.
+    Refused(IoError),
+    /// At the URIs of several contents, which are drawn and replaced together.
+    Several(Arc<[TileContent]>),
+}
+
+/// Reader data of a content that needs more than its URI.
+#[derive(Clone, Debug, Default)]
+pub(in crate::formats) struct ContentData {
+    pub bytes: ContentBytes,
+    pub up_axis: UpAxis,
+}
+
+impl ReaderValue for ContentData {
+    fn is_whole_content(&self) -> bool {
+        match &self.bytes {
+            ContentBytes::Fetched => false,
+            ContentBytes::Embedded(_) | ContentBytes::Refused(_) => true,
+            ContentBytes::Several(contents) => contents.iter().all(TileContent::is_in_memory),
+        }
+    }
+
+    fn size_bytes(&self) -> u64 {
+        let own = match &self.bytes {
+            ContentBytes::Fetched => 0,
+            ContentBytes::Embedded(text) => text.len() as u64,
+            ContentBytes::Refused(error) => error.uri().len() as u64,
+            ContentBytes::Several(contents) => contents.iter().map(|content| content.uri.len() as u64 + 40).sum(),
+        };
+        size_of::<Self>() as u64 + own
+    }
+}
+
+/// Returns one content that is made of several.
+pub(super) fn joined(contents: Vec<TileContent>) -> TileContent {
+    // The content is fetched at the URI of the first that is not in memory, the others are its companions.
+    let first = contents.iter().find(|content| !content.is_in_memory()).or(contents.first());
+    let uri = first.map(|content| content.uri.clone()).unwrap_or_default();
+    let data = ContentData { bytes: ContentBytes::Several(contents.into()), ..ContentData::default() };
+    TileContent { uri, reader_data: Some(ReaderData::of(data)) }
+}

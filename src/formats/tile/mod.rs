@@ -1,0 +1,10 @@
+//! [`Tile`]: a tile as all readers of tile trees make it, with its contents, and its conversion to nodes. Decode threads.
+
+mod content;
+#[allow(clippy::module_inception, reason = "the file holds the type that the folder is named after")]
+mod tile;
+mod up_axis;
+
+pub(super) use content::{ContentBytes, ContentData, TileContent};
+pub(super) use tile::{ALWAYS_REFINED_M, Continuation, Tile, node_of};
+pub use up_axis::UpAxis;

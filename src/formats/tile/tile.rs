@@ -1,0 +1,133 @@
+//! [`Tile`]: a tile of a tileset with absolute URIs and bounds in the tileset's frame, and its conversion to nodes.
+
+use std::sync::Arc;
+
+use glam::DAffine3;
+
+use super::content::{TileContent, joined};
+use crate::fetch::IoError;
+use crate::math::BoundingVolume;
+use crate::scene::{Node, NodeKind, PagedLod, PagingOptions, ProxyLoading, ProxyNode, RangeMode, Refine};
+
+/// A geometric error in metres that exceeds the threshold from every eye position, so that the tile is always refined.
+pub(in crate::formats) const ALWAYS_REFINED_M: f64 = f64::MAX / 1e6;
+
+/// Parts of a tile tree are requested before contents of this many times their priority: what is below them is unknown
+/// until they are read.
+const TREE_PRIORITY_SCALE: f32 = 4.0;
+
+/// A part of the tree below a tile that becomes a page when it is wanted.
+pub(in crate::formats) struct Continuation {
+    pub bounds: BoundingVolume,
+    pub content: TileContent,
+}
+
+/// A tile of a tileset.
+pub(in crate::formats) struct Tile {
+    pub bounds: BoundingVolume,
+    /// The tile is drawn only while the eye is inside this volume.
+    pub request_volume: Option<BoundingVolume>,
+    pub refine: Refine,
+    pub geometric_error_m: f64,
+    /// Maps contents to the tileset's frame.
+    pub content_transform: DAffine3,
+    /// The contents, known tilesets excluded.
+    pub contents: Vec<TileContent>,
+    /// URIs of the external tilesets.
+    pub external_tilesets: Vec<Arc<str>>,
+    /// Parts of the tree with further children.
+    pub continuations: Vec<Continuation>,
+    pub children: Vec<Self>,
+}
+
+impl Tile {
+    /// Returns a tile whose only content fails with an error.
+    pub fn refused(bounds: BoundingVolume, refine: Refine, uri: Arc<str>, error: IoError) -> Self {
+        Self {
+            bounds,
+            request_volume: None,
+            refine,
+            geometric_error_m: 0.0,
+            content_transform: DAffine3::IDENTITY,
+            contents: vec![TileContent::refused(uri, error)],
+            external_tilesets: Vec::new(),
+            continuations: Vec::new(),
+            children: Vec::new(),
+        }
+    }
+
+    /// Converts the tile and its descendants to nodes.
+    ///
+    /// A tile with several contents that nothing replaces becomes a `MultiContentTile`: an empty, always refined ADD tile
+    /// above one tile per content. So its contents are loaded and drawn together, and fail alone. Contents that children
+    /// replace become one content, since they must leave in the same frame.
+    pub fn into_node(mut self) -> Node {
+        let is_leaf = self.children.is_empty() && self.external_tilesets.is_empty() && self.continuations.is_empty();
+        if self.contents.len() > 1 && !is_leaf && self.refine == Refine::Replace {
+            self.contents = vec![joined(std::mem::take(&mut self.contents))];
+        }
+        let Self { bounds, request_volume, refine, content_transform, geometric_error_m, .. } = self;
+        let external = |uri| {
+            Node::new(NodeKind::ProxyNode(Box::new(ProxyNode {
+                uri,
+                bounds: bounds.bounding_sphere(),
+                content_transform,
+                loading: ProxyLoading::DeferToPager,
+            })))
+        };
+        let children: Vec<Node> = (self.external_tilesets.into_iter().map(external))
+            .chain(self.continuations.into_iter().map(Continuation::into_node))
+            .chain(self.children.into_iter().map(Self::into_node))
+            .collect();
+        let paged_lod = |geometric_error_m, refine, content: Option<TileContent>| {
+            let in_tree = content.as_ref().is_some_and(TileContent::continues_tileset);
+            let (content, reader_data) = content.map_or((None, None), |c| (Some(c.uri), c.reader_data));
+            Box::new(PagedLod {
+                bounds,
+                range_mode: RangeMode::ScreenSpaceError { geometric_error_m },
+                refine,
+                content,
+                // Parts of the tree are in the tileset's frame already.
+                content_transform: if in_tree { DAffine3::IDENTITY } else { content_transform },
+                reader_data,
+                request_volume,
+                paging: paging(in_tree),
+            })
+        };
+        let mut contents = self.contents.into_iter();
+        let first = paged_lod(geometric_error_m, refine, contents.next());
+        let tile = Node { children, ..Node::new(NodeKind::PagedLod(first)) };
+        if contents.len() == 0 {
+            return tile;
+        }
+        let others = contents.map(|content| Node::new(NodeKind::PagedLod(paged_lod(0.0, refine, Some(content)))));
+        let group = paged_lod(ALWAYS_REFINED_M, Refine::Add, None);
+        Node { children: std::iter::once(tile).chain(others).collect(), ..Node::new(NodeKind::MultiContentTile(group)) }
+    }
+}
+
+impl Continuation {
+    fn into_node(self) -> Node {
+        let Self { bounds, content } = self;
+        Node::new(NodeKind::PagedLod(Box::new(PagedLod {
+            bounds,
+            range_mode: RangeMode::ScreenSpaceError { geometric_error_m: 0.0 },
+            refine: Refine::Replace,
+            content: Some(content.uri),
+            content_transform: DAffine3::IDENTITY,
+            reader_data: content.reader_data,
+            request_volume: None,
+            paging: paging(true),
+        })))
+    }
+}
+
+fn paging(in_tree: bool) -> PagingOptions {
+    let priority_scale = if in_tree { TREE_PRIORITY_SCALE } else { 1.0 };
+    PagingOptions { priority_scale, ..PagingOptions::default() }
+}
+
+/// Returns tiles as one node.
+pub(in crate::formats) fn node_of(tiles: Vec<Tile>) -> Node {
+    Node::group(tiles.into_iter().map(Tile::into_node).collect())
+}

@@ -1,0 +1,91 @@
+//! [`ReaderData`]: what the reader of a tile tree attaches to a tile for the decoder of its content. The scene and the pager
+//! pass it on and look only at the methods of [`ReaderValue`]. Immutable; any thread.
+
+use std::any::Any;
+use std::fmt::Debug;
+use std::sync::Arc;
+
+/// A value that a reader attaches to a tile, known to that reader alone.
+pub trait ReaderValue: Any + Debug + Send + Sync {
+    /// Returns true if the content is made of this value alone: nothing is fetched for it, and its URI is only a name.
+    fn is_whole_content(&self) -> bool {
+        false
+    }
+
+    /// Returns true if the content continues the tile tree of the tile's own tileset, as a subtree of implicit tiling does.
+    /// Such a page does not count as a nested tileset.
+    fn continues_tileset(&self) -> bool {
+        false
+    }
+
+    /// Returns the bytes of CPU memory that this value takes, without what it shares with other values.
+    fn size_bytes(&self) -> u64;
+}
+
+/// Data that is handed back to the reader with the URI of a tile's content. Cheap to clone.
+#[derive(Clone, Debug)]
+pub enum ReaderData {
+    /// Text, such as the JSON of a height tile's parameters.
+    Text(Arc<str>),
+    /// A value that only the reader knows.
+    Value(Arc<dyn ReaderValue>),
+}
+
+impl ReaderData {
+    /// Wraps a value of a reader.
+    pub fn of(value: impl ReaderValue) -> Self {
+        Self::Value(Arc::new(value))
+    }
+
+    /// Returns the text; `None` for a value.
+    pub fn text(&self) -> Option<&str> {
+        match self {
+            Self::Text(text) => Some(text),
+            Self::Value(_) => None,
+        }
+    }
+
+    /// Returns the value if it is of type `T`.
+    pub fn value<T: ReaderValue>(&self) -> Option<&T> {
+        match self {
+            Self::Text(_) => None,
+            Self::Value(value) => (&**value as &dyn Any).downcast_ref(),
+        }
+    }
+
+    /// Returns true if the content is made of this data alone: nothing is fetched for it.
+    pub fn is_whole_content(&self) -> bool {
+        matches!(self, Self::Value(value) if value.is_whole_content())
+    }
+
+    /// Returns true if the content continues the tile tree of the tile's own tileset.
+    pub fn continues_tileset(&self) -> bool {
+        matches!(self, Self::Value(value) if value.continues_tileset())
+    }
+
+    /// Returns the bytes of CPU memory of the text or of the value.
+    pub fn size_bytes(&self) -> u64 {
+        match self {
+            Self::Text(text) => text.len() as u64,
+            Self::Value(value) => value.size_bytes(),
+        }
+    }
+}
+
+impl From<Arc<str>> for ReaderData {
+    fn from(text: Arc<str>) -> Self {
+        Self::Text(text)
+    }
+}
+
+impl From<String> for ReaderData {
+    fn from(text: String) -> Self {
+        Self::Text(text.into())
+    }
+}
+
+impl From<&str> for ReaderData {
+    fn from(text: &str) -> Self {
+        Self::Text(text.into())
+    }
+}
