@@ -158,6 +158,11 @@ impl IoError {
         matches!(self, Self::Invalid { .. } | Self::Markup { .. })
     }
 
+    /// Returns true if the file may lie elsewhere: the server does not have it or does not give it away.
+    pub(crate) fn may_be_elsewhere(&self) -> bool {
+        matches!(self, Self::NotFound { .. } | Self::Status { status: 400..=403, .. })
+    }
+
     /// Returns the shortest pause before a retry, if the server named one.
     pub fn retry_after(&self) -> Option<Duration> {
         match self {

@@ -44,7 +44,7 @@ pub use limits::Limits;
 pub use panic_guard::DECODER_PANICKED;
 pub(crate) use panic_guard::guarded;
 pub use scope::{RootScope, resolve, root_uri};
-pub(crate) use source::Source;
+pub(crate) use source::{Loaded, Source};
 #[cfg(all(feature = "http", feature = "testing"))]
 pub use uri::fuzz_url;
 pub(crate) use uri::path_of;

@@ -1,11 +1,37 @@
 //! Reads any URI on the calling thread: for `terrane info` and for the roots of tile sets, never inside a frame.
 
+use std::sync::Arc;
+
 use super::error::IoError;
 use super::file::FileReader;
 #[cfg(feature = "http")]
-use super::http::{BlockingHttpClient, HttpConfig};
+use super::http::{BlockingHttpClient, HttpBody, HttpConfig};
 use super::limits::Limits;
 use super::uri::is_remote;
+
+/// The bytes of a URI, and what the server said about them.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Loaded {
+    pub bytes: Vec<u8>,
+    /// The URL that redirects led to; `None` if there were none. References in the bytes are relative to it.
+    pub location: Option<Arc<str>>,
+    /// True if the server said that there is no content.
+    pub is_no_content: bool,
+}
+
+impl From<Vec<u8>> for Loaded {
+    fn from(bytes: Vec<u8>) -> Self {
+        Self { bytes, ..Self::default() }
+    }
+}
+
+#[cfg(feature = "http")]
+impl From<HttpBody> for Loaded {
+    fn from(body: HttpBody) -> Self {
+        let HttpBody { bytes, location, is_no_content, .. } = body;
+        Self { bytes, location, is_no_content }
+    }
+}
 
 /// Reads files, archives and servers. Keeps its connections open between reads.
 #[derive(Debug)]
@@ -40,8 +66,13 @@ impl Source {
 
     /// Reads a URI; blocks until all bytes have arrived.
     pub fn read(&self, uri: &str) -> Result<Vec<u8>, IoError> {
+        self.load(uri).map(|loaded| loaded.bytes)
+    }
+
+    /// Reads a URI as [`Self::read`] does, and returns what is known about the bytes.
+    pub fn load(&self, uri: &str) -> Result<Loaded, IoError> {
         if !is_remote(uri) {
-            return self.files.read(uri);
+            return self.files.read(uri).map(Loaded::from);
         }
         #[cfg(feature = "http")]
         {
@@ -52,7 +83,7 @@ impl Source {
                     self.http.get_or_init(|| http)
                 }
             };
-            http.get(uri, &self.limits)
+            http.get(uri, &self.limits).map(Loaded::from)
         }
         #[cfg(not(feature = "http"))]
         Err(IoError::unsupported(uri, "http (built without the feature)"))

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::DAffine3;
 
 use super::tile::UpAxis;
-use crate::fetch::{IoError, Limits, RootScope};
+use crate::fetch::{IoError, Limits, RootScope, resolve};
 use crate::scene::{ReaderData, SharedStateManager};
 
 /// Options that all reads of a tile set share.
@@ -27,6 +27,8 @@ pub struct ReadOptions {
     /// `TEXCOORD_1`, `_HEAT`. None by default, since they take memory. The columns of a matrix `_BASIS` are kept as `_BASIS_0`,
     /// `_BASIS_1` and so on. A glTF with a mesh of more than [`MAX_ATTRIBUTES`](crate::scene::MAX_ATTRIBUTES) fails.
     pub vertex_attributes: Arc<[Arc<str>]>,
+    /// The URL that relative references of the content are resolved against: where redirects led. `None` is its own URI.
+    pub base: Option<Arc<str>>,
     /// The axis of glTF contents that points up. Decoders set it by the tileset that a content belongs to.
     pub gltf_up_axis: UpAxis,
     /// Shares equal images, meshes and states between contents; `None` by default. A pager sets its own.
@@ -43,6 +45,7 @@ impl ReadOptions {
             set_from_content: DAffine3::IDENTITY,
             build_kd_trees: false,
             vertex_attributes: Arc::default(),
+            base: None,
             gltf_up_axis: UpAxis::Y,
             sharing: None,
         }
@@ -51,7 +54,23 @@ impl ReadOptions {
     /// Returns the options for the files that a tileset refers to.
     pub fn below(&self, tileset_uri: &Arc<str>) -> Self {
         let chain: Vec<Arc<str>> = self.chain.iter().cloned().chain([tileset_uri.clone()]).collect();
-        Self { chain: chain.into(), ..self.clone() }
+        Self { chain: chain.into(), base: None, ..self.clone() }
+    }
+}
+
+impl ReadOptions {
+    /// Resolves a reference in the file `uri`: against where redirects led, if they did. The second value is what the
+    /// reference means relative to `uri` itself, if that is another file: servers that redirect to signed URLs expect it.
+    pub(crate) fn resolve(&self, uri: &str, reference: &str) -> Result<(Arc<str>, Option<Arc<str>>), IoError> {
+        let plain = resolve(uri, reference, &self.root);
+        match &self.base {
+            None => Ok((plain?, None)),
+            Some(base) => {
+                let moved = resolve(base, reference, &self.root)?;
+                let fallback = plain.ok().filter(|plain| *plain != moved);
+                Ok((moved, fallback))
+            }
+        }
     }
 }
 

@@ -22,16 +22,25 @@ pub fn companions(uri: &Arc<str>, reader_data: Option<&ReaderData>) -> Vec<Arc<s
     height::companions(uri, reader_data.and_then(ReaderData::text))
 }
 
-/// Returns the other URIs that the bytes of a content refer to: external buffers of a subtree. References that are not
-/// allowed are left out; the decoder reports them as missing.
+/// Returns the files that a content refers to and that are not in `known`: external buffers of a subtree. A loader fetches
+/// them after the content, adds them to its companions, and asks again until none is left. References that are not allowed
+/// are left out; the decoder reports them. Any thread.
 pub fn dependencies(
-    uri: &Arc<str>,
+    uri: &str,
     bytes: &[u8],
     reader_data: Option<&ReaderData>,
+    known: &[Fetched],
     options: &ReadOptions,
 ) -> Vec<Arc<str>> {
     let is_subtree = reader_data.and_then(|data| data.value::<SubtreeSource>()).is_some();
-    if is_subtree { implicit::external_buffers(uri, bytes, options).unwrap_or_default() } else { Vec::new() }
+    let needed = if is_subtree { implicit::external_buffers(uri, bytes, options) } else { Vec::new() };
+    let mut unknown: Vec<Arc<str>> = Vec::new();
+    for dependency in needed {
+        if !known.iter().any(|(fetched, _)| *fetched == dependency) && !unknown.contains(&dependency) {
+            unknown.push(dependency);
+        }
+    }
+    unknown
 }
 
 /// Decodes a content to a page. CPU only, no I/O; any thread.
@@ -63,7 +72,7 @@ pub fn decode_node(content: Content, options: &ReadOptions) -> Result<Node, IoEr
     }
     if let Some(source) = reader_data.as_ref().and_then(|data| data.value::<SubtreeSource>()) {
         let bytes = encoding::gunzip(&uri, bytes, &options.limits)?;
-        return source.read(&uri, bytes, companions).map(node_of);
+        return source.read(&uri, bytes, &companions, options).map(node_of);
     }
     let Some(data) = content_data(reader_data.as_ref()) else {
         let text = reader_data.as_ref().and_then(ReaderData::text);
@@ -134,7 +143,7 @@ fn decode_model(uri: &Arc<str>, bytes: &[u8], options: &ReadOptions, depth: u32)
         return gltf::read_glb(uri, glb, center, options);
     }
     if bytes.starts_with(b"pnts") {
-        return point_cloud::read(uri, bytes, &options.limits);
+        return point_cloud::read(uri, bytes, options);
     }
     if bytes.starts_with(b"cmpt") {
         let parts = cmpt::parts(uri, bytes, depth)?;

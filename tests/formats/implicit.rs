@@ -67,7 +67,7 @@ fn node_of(uri: &Arc<str>, reader_data: Option<ReaderData>, options: &ReadOption
         true => Vec::new(),
         false => read_file(uri, &options.limits)?,
     };
-    let others = companions(uri, data).into_iter().chain(dependencies(uri, &bytes, data, options));
+    let others = companions(uri, data).into_iter().chain(dependencies(uri, &bytes, data, &[], options));
     let others = others.map(|uri| (uri.clone(), read_file(&uri, &options.limits))).collect();
     decode_node(Content { uri: uri.clone(), bytes, reader_data, companions: others }, options)
 }

@@ -35,7 +35,7 @@ impl Found {
             false => read_file(uri, &options.limits),
         };
         let read = read.and_then(|bytes| {
-            let others = dependencies(uri, &bytes, data, options).into_iter();
+            let others = dependencies(uri, &bytes, data, &[], options).into_iter();
             let companions = others.map(|uri| (uri.clone(), read_file(&uri, &options.limits))).collect();
             decode_node(Content { uri: uri.clone(), bytes, reader_data: data.cloned(), companions }, options)
         });

@@ -1,12 +1,15 @@
 //! The database pager without a GPU: requests, budgets, failures, servers and several scenes.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
+#[cfg(feature = "http")]
+mod addresses;
 mod ahead;
 #[cfg(feature = "http")]
 mod bad_input;
 mod budgets;
 #[cfg(feature = "http")]
 mod http;
+mod implicit;
 mod proxies;
 mod scenes;
 #[cfg(feature = "http")]

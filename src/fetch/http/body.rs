@@ -1,5 +1,7 @@
 //! Bodies of answers and their content encodings.
 
+use std::sync::Arc;
+
 use reqwest::header::{ACCEPT_ENCODING, CONTENT_ENCODING, HeaderMap, HeaderValue};
 
 use super::blocking::{MAX_INLINE_BYTES, run_blocking};
@@ -14,6 +16,18 @@ pub struct HttpBody {
     pub network_bytes: u64,
     /// True if a server answered, be it with "not modified".
     pub asked: bool,
+    /// The URL, without its query, that redirects led to; `None` without redirects. References in the content are relative
+    /// to it.
+    pub location: Option<Arc<str>>,
+    /// True if the server said that there is no content (status 204); `bytes` are empty then.
+    pub is_no_content: bool,
+}
+
+impl HttpBody {
+    /// Returns the body of an answer without content.
+    pub(super) fn no_content() -> Self {
+        Self { asked: true, is_no_content: true, ..Self::default() }
+    }
 }
 
 /// Returns the headers of a request that accepts every supported encoding.

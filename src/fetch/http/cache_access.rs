@@ -64,7 +64,8 @@ impl HttpCache {
     /// Counts a cache hit and returns its body.
     pub fn hit(&self, entry: &Entry, bytes: Vec<u8>, asked: bool) -> HttpBody {
         self.disk.count_hit(entry.size, asked);
-        HttpBody { bytes, network_bytes: 0, asked }
+        let location = entry.redirected_to.as_deref().map(Arc::from);
+        HttpBody { bytes, network_bytes: 0, asked, location, is_no_content: false }
     }
 
     pub(super) async fn look_up(&self, uri: &str, policy: CachePolicy, limits: &Limits) -> Result<Lookup, IoError> {

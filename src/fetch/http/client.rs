@@ -88,12 +88,16 @@ impl HttpClient {
             Some(cache) => revalidation::get(transport, cache, self.cache_policy, uri, limits).await,
             None => {
                 let answer = transport.exchange(uri, &accept_all_encodings(), None, limits).await?;
+                if answer.is_no_content() {
+                    return Ok(HttpBody::no_content());
+                }
                 if !answer.is_whole() {
                     return Err(answer.error(uri));
                 }
                 let network_bytes = answer.body.len() as u64;
+                let location = answer.redirected_to.map(Arc::from);
                 let bytes = decode_body(uri, answer.body, content_encodings(&answer.headers), limits).await?;
-                Ok(HttpBody { bytes, network_bytes, asked: true })
+                Ok(HttpBody { bytes, network_bytes, asked: true, location, is_no_content: false })
             }
         }
     }
@@ -136,11 +140,11 @@ impl BlockingHttpClient {
     }
 
     /// Blocks until the content of a URI has arrived and is written to the cache.
-    pub fn get(&self, uri: &str, limits: &Limits) -> Result<Vec<u8>, IoError> {
+    pub fn get(&self, uri: &str, limits: &Limits) -> Result<HttpBody, IoError> {
         self.runtime.block_on(async {
             let body = self.client.get(uri, limits).await?;
             self.client.flush().await;
-            Ok(body.bytes)
+            Ok(body)
         })
     }
 }

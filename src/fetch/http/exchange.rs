@@ -57,7 +57,12 @@ pub(in crate::fetch) struct Answer {
 impl Answer {
     /// Returns true for a whole content, a part, or "not modified".
     pub fn is_success(&self) -> bool {
-        self.is_whole() || matches!(self.status, 206 | 304)
+        self.is_whole() || self.is_no_content() || matches!(self.status, 206 | 304)
+    }
+
+    /// Returns true if the server said that there is no content.
+    pub fn is_no_content(&self) -> bool {
+        self.status == 204
     }
 
     /// Returns true if the body is the whole content.

@@ -1,5 +1,6 @@
 //! Requests through the disk cache: fresh entries are used, stale ones are revalidated, new answers are stored.
 
+use std::sync::Arc;
 use std::time::{Instant, SystemTime};
 
 use reqwest::header::{ETAG, HeaderMap, HeaderName, HeaderValue, IF_MODIFIED_SINCE, IF_NONE_MATCH};
@@ -87,6 +88,10 @@ async fn request(
     if answer.status == 304 && is_conditional {
         return Ok(Response::NotModified(Box::new(answer)));
     }
+    if answer.is_no_content() {
+        cache.remove_entry(uri).await;
+        return Ok(Response::New(HttpBody::no_content()));
+    }
     if !answer.is_whole() {
         return Err(answer.error(uri));
     }
@@ -95,6 +100,7 @@ async fn request(
     let network_bytes = answer.body.len() as u64;
     let encodings = content_encodings(&answer.headers);
     let bytes = decode_body(uri, answer.body.clone(), encodings.clone(), limits).await?;
+    let location = answer.redirected_to.as_deref().map(Arc::from);
     if freshness.store {
         let mut entry = Entry { uri: shown(uri).into_owned(), encoding: encodings, ..Entry::default() };
         entry.redirected_to = answer.redirected_to;
@@ -104,7 +110,7 @@ async fn request(
     } else {
         cache.remove_entry(uri).await;
     }
-    Ok(Response::New(HttpBody { bytes, network_bytes, asked: true }))
+    Ok(Response::New(HttpBody { bytes, network_bytes, asked: true, location, is_no_content: false }))
 }
 
 /// Makes a request conditional on the validators of a cached entry.

@@ -22,9 +22,9 @@ pub(super) use tiling::{ImplicitRoot, ImplicitTiling, RootVolume};
 use std::sync::Arc;
 
 use super::options::ReadOptions;
-use crate::fetch::{IoError, resolve};
 
-/// Returns the absolute URIs of the external buffers that hold bits of a subtree file.
-pub(super) fn external_buffers(base: &str, bytes: &[u8], options: &ReadOptions) -> Result<Vec<Arc<str>>, IoError> {
-    subtree::external_buffers(bytes).iter().map(|reference| resolve(base, reference, &options.root)).collect()
+/// Returns the absolute URIs of the external buffers that hold bits of a subtree file, without those that are not allowed.
+pub(super) fn external_buffers(uri: &str, bytes: &[u8], options: &ReadOptions) -> Vec<Arc<str>> {
+    let resolved = |reference: &String| options.resolve(uri, reference).ok().map(|(uri, _)| uri);
+    subtree::external_buffers(bytes).iter().filter_map(resolved).collect()
 }

@@ -10,7 +10,7 @@ use super::coordinates::{LocalTile, TileCoordinates};
 use super::subtree::Subtree;
 use super::tiling::ImplicitTiling;
 use crate::fetch::IoError;
-use crate::formats::options::Fetched;
+use crate::formats::options::{Fetched, ReadOptions};
 use crate::formats::tile::{ALWAYS_REFINED_M, Continuation, Tile, TileContent};
 use crate::scene::{ReaderData, ReaderValue, Refine};
 
@@ -59,8 +59,14 @@ impl SubtreeSource {
     }
 
     /// Reads the file and returns the root tile of the subtree with its first levels.
-    pub fn read(&self, uri: &Arc<str>, bytes: Vec<u8>, companions: Vec<Fetched>) -> Result<Vec<Tile>, IoError> {
-        let subtree = Subtree::parse(uri, bytes, companions, self.tiling.shape)?;
+    pub fn read(
+        &self,
+        uri: &Arc<str>,
+        bytes: Vec<u8>,
+        companions: &[Fetched],
+        options: &ReadOptions,
+    ) -> Result<Vec<Tile>, IoError> {
+        let subtree = Subtree::parse(uri, bytes, companions, self.tiling.shape, options)?;
         let subtree = LoadedSubtree { tiling: self.tiling.clone(), uri: uri.clone(), subtree };
         let mut reader = PartReader::new(Arc::new(subtree), true);
         let root = LocalTile::root(self.root);
@@ -94,6 +100,10 @@ impl SubtreePart {
 impl ReaderValue for SubtreeSource {
     fn continues_tileset(&self) -> bool {
         true
+    }
+
+    fn fallback_uri(&self) -> Option<Arc<str>> {
+        self.tiling.subtree_fallback(self.root)
     }
 
     fn size_bytes(&self) -> u64 {
@@ -180,11 +190,7 @@ impl PartReader {
         let tiling = self.subtree.tiling.clone();
         let coordinates = tile.coordinates;
         let available = (0..tiling.shape.contents).filter(|content| self.subtree.subtree.has_content(tile, *content));
-        let contents = available.filter_map(|content| {
-            let uri = tiling.content_uri(coordinates, content)?;
-            Some(TileContent { uri, reader_data: tiling.content_data.clone() })
-        });
-        let contents: Vec<TileContent> = contents.collect();
+        let contents: Vec<TileContent> = available.filter_map(|content| tiling.content(coordinates, content)).collect();
         // A tile without content draws nothing where its error is small, which would be a hole below a replaced content.
         let mut geometric_error_m = tiling.geometric_error_m(coordinates.level);
         if contents.is_empty() && is_replaced {

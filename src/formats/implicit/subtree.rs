@@ -7,7 +7,7 @@ use super::coordinates::{LocalTile, Subdivision};
 use super::json::{AvailabilityJson, SubtreeJson};
 use crate::fetch::IoError;
 use crate::formats::embedded;
-use crate::formats::options::Fetched;
+use crate::formats::options::{Fetched, ReadOptions};
 
 /// Header of a binary subtree: magic, version, and the lengths of JSON and binary chunk.
 const HEADER_BYTES: usize = 24;
@@ -49,14 +49,19 @@ pub(super) struct Subtree {
 
 impl Subtree {
     /// Parses a subtree file, binary or JSON. `companions` are the external buffers that [`external_buffers`] returned.
-    pub fn parse(uri: &str, bytes: Vec<u8>, companions: Vec<Fetched>, shape: SubtreeShape) -> Result<Self, IoError> {
+    pub fn parse(
+        uri: &str,
+        bytes: Vec<u8>,
+        companions: &[Fetched],
+        shape: SubtreeShape,
+        options: &ReadOptions,
+    ) -> Result<Self, IoError> {
         let bad = |reason: String| IoError::invalid(uri, format!("subtree: {reason}"));
         let chunks = Chunks::of(&bytes).map_err(&bad)?;
         let json: SubtreeJson = parse_json(chunks.json).map_err(&bad)?;
         let binary = chunks.binary.map(|binary| (HEADER_BYTES + chunks.json.len(), binary.len()));
         let needed = needed_buffers(&json);
         let mut buffers = vec![bytes];
-        let mut companions = companions.into_iter();
         // Index into `buffers`, first byte and length of each buffer that is needed.
         let mut places: Vec<Option<(usize, usize, usize)>> = vec![None; json.buffers.len()];
         for (buffer, place) in
@@ -68,10 +73,12 @@ impl Subtree {
                     continue;
                 }
                 Some(reference) if reference.starts_with("data:") => embedded::data_uri(uri, reference)?,
-                Some(reference) => match companions.next() {
-                    Some((_, fetched)) => fetched?,
-                    None => return Err(bad(format!("the external buffer {reference:.60} was not read"))),
-                },
+                Some(reference) => {
+                    let (address, _) = options.resolve(uri, reference)?;
+                    let found = companions.iter().find(|(fetched, _)| *fetched == address);
+                    let missing = || bad(format!("the external buffer {reference:.60} was not read"));
+                    found.ok_or_else(missing)?.1.clone()?
+                }
             };
             *place = Some((buffers.len(), 0, external.len()));
             buffers.push(external);

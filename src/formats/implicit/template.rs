@@ -4,7 +4,8 @@ use std::fmt::Write as _;
 use std::sync::Arc;
 
 use super::coordinates::TileCoordinates;
-use crate::fetch::{IoError, RootScope, resolve};
+use crate::fetch::IoError;
+use crate::formats::options::ReadOptions;
 
 /// A coordinate that stands in a URI.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -30,6 +31,14 @@ const PLACEHOLDERS: [(&str, Variable); 8] = [
 /// An absolute URI with placeholders. It is resolved once, so that the URI of a tile costs only the text.
 #[derive(Clone, Debug)]
 pub(super) struct UriTemplate {
+    uri: Template,
+    /// What the reference means without the redirects that led to the file, if that is another URI.
+    fallback: Option<Template>,
+}
+
+/// Text with placeholders.
+#[derive(Clone, Debug)]
+struct Template {
     /// Text, each part followed by a coordinate.
     parts: Vec<(Box<str>, Variable)>,
     /// The text after the last placeholder.
@@ -37,19 +46,39 @@ pub(super) struct UriTemplate {
 }
 
 impl UriTemplate {
-    /// Resolves a template that stands in the file `base`.
-    pub fn resolve(base: &str, template: &str, scope: &RootScope) -> Result<Self, IoError> {
-        let resolved = resolve(base, template, scope)?;
-        let (mut parts, mut rest) = (Vec::new(), &*resolved);
-        while let Some((at, length, variable)) = first_placeholder(rest) {
-            parts.push((rest[..at].into(), variable));
-            rest = &rest[at + length..];
-        }
-        Ok(Self { parts, end: rest.into() })
+    /// Resolves a template that stands in the file `uri`.
+    pub fn resolve(uri: &str, template: &str, options: &ReadOptions) -> Result<Self, IoError> {
+        let (uri, fallback) = options.resolve(uri, template)?;
+        Ok(Self { uri: Template::of(&uri), fallback: fallback.map(|fallback| Template::of(&fallback)) })
     }
 
     /// Returns the URI of a tile.
     pub fn fill(&self, tile: TileCoordinates) -> Arc<str> {
+        self.uri.fill(tile)
+    }
+
+    /// Returns the URI at which the file of a tile is looked for if its own has none.
+    pub fn fill_fallback(&self, tile: TileCoordinates) -> Option<Arc<str>> {
+        Some(self.fallback.as_ref()?.fill(tile))
+    }
+
+    /// Returns the bytes of the text.
+    pub fn size_bytes(&self) -> u64 {
+        [Some(&self.uri), self.fallback.as_ref()].into_iter().flatten().map(Template::size_bytes).sum()
+    }
+}
+
+impl Template {
+    fn of(resolved: &str) -> Self {
+        let (mut parts, mut rest) = (Vec::new(), resolved);
+        while let Some((at, length, variable)) = first_placeholder(rest) {
+            parts.push((rest[..at].into(), variable));
+            rest = &rest[at + length..];
+        }
+        Self { parts, end: rest.into() }
+    }
+
+    fn fill(&self, tile: TileCoordinates) -> Arc<str> {
         let mut uri = String::with_capacity(self.size_bytes() as usize + 8 * self.parts.len());
         for (text, variable) in &self.parts {
             uri.push_str(text);
@@ -66,8 +95,7 @@ impl UriTemplate {
         uri.into()
     }
 
-    /// Returns the bytes of the text.
-    pub fn size_bytes(&self) -> u64 {
+    fn size_bytes(&self) -> u64 {
         (self.parts.iter().map(|(text, _)| text.len()).sum::<usize>() + self.end.len()) as u64
     }
 }
@@ -81,12 +109,14 @@ fn first_placeholder(text: &str) -> Option<(usize, usize, Variable)> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::fetch::Limits;
 
     #[test]
     fn placeholders_are_filled_in_paths_and_queries() {
         let tile = TileCoordinates { level: 3, x: 10, y: 2, z: 7 };
         let fill = |base: &str, template: &str| {
-            UriTemplate::resolve(base, template, &RootScope::of(base)).map(|template| template.fill(tile).to_string())
+            let options = ReadOptions::for_root(base, Limits::default());
+            UriTemplate::resolve(base, template, &options).map(|template| template.fill(tile).to_string())
         };
         let file = "/set/tileset.json";
         assert_eq!(fill(file, "c/{level}/{x}_{y}.glb").unwrap(), "/set/c/3/10_2.glb");

@@ -9,7 +9,9 @@ use super::coordinates::{MAX_LEVEL, Subdivision, TileCoordinates};
 use super::json::ImplicitTilingJson;
 use super::subtree::SubtreeShape;
 use super::template::UriTemplate;
-use crate::fetch::{IoError, RootScope};
+use crate::fetch::IoError;
+use crate::formats::options::ReadOptions;
+use crate::formats::tile::{ContentData, TileContent, UpAxis};
 use crate::math::{BoundingVolume, OrientedBox, Region};
 use crate::scene::{ReaderData, Refine};
 
@@ -24,10 +26,10 @@ pub(in crate::formats) enum RootVolume {
 
 /// The root tile of an implicit tree, as the reader of the tileset knows it.
 pub(in crate::formats) struct ImplicitRoot<'a> {
-    /// The file that has the tile, and the base of its references.
+    /// The file that has the tile.
     pub uri: &'a str,
-    pub base: &'a str,
-    pub scope: &'a RootScope,
+    /// The options with which references are resolved.
+    pub options: &'a ReadOptions,
     pub volume: RootVolume,
     /// The geometric error, metres of the tileset's frame.
     pub geometric_error_m: f64,
@@ -38,8 +40,8 @@ pub(in crate::formats) struct ImplicitRoot<'a> {
     pub is_replaced: bool,
     /// The references of the contents, with placeholders.
     pub contents: Vec<&'a str>,
-    /// Data for the decoder of each content.
-    pub content_data: Option<ReaderData>,
+    /// The up axis of glTF contents.
+    pub up_axis: UpAxis,
 }
 
 /// The properties that all tiles of an implicit tree share.
@@ -55,7 +57,9 @@ pub(in crate::formats) struct ImplicitTiling {
     pub(super) refine: Refine,
     pub(super) content_transform: DAffine3,
     pub(super) is_replaced: bool,
-    pub(super) content_data: Option<ReaderData>,
+    /// Reader data of all contents that need no other.
+    content_data: Option<ReaderData>,
+    up_axis: UpAxis,
 }
 
 impl ImplicitTiling {
@@ -80,7 +84,9 @@ impl ImplicitTiling {
             available_levels.ok_or_else(|| bad("availableLevels is missing or 0".to_owned()))?.min(MAX_LEVEL + 1);
         let subtrees = json.subtrees.as_ref().and_then(|subtrees| subtrees.uri.0.as_deref());
         let subtrees = subtrees.ok_or_else(|| bad("subtrees.uri is missing".to_owned()))?;
-        let resolve = |template: &str| UriTemplate::resolve(root.base, template, root.scope);
+        let resolve = |template: &str| UriTemplate::resolve(root.uri, template, root.options);
+        let content_data = (root.up_axis != UpAxis::Y)
+            .then(|| ReaderData::of(ContentData { up_axis: root.up_axis, ..ContentData::default() }));
         let contents = root.contents.iter().map(|template| resolve(template)).collect::<Result<Vec<_>, _>>()?;
         Ok(Self {
             shape: SubtreeShape { subdivision, levels, contents: contents.len() },
@@ -92,7 +98,8 @@ impl ImplicitTiling {
             refine: root.refine,
             content_transform: root.content_transform,
             is_replaced: root.is_replaced,
-            content_data: root.content_data,
+            content_data,
+            up_axis: root.up_axis,
         })
     }
 
@@ -101,9 +108,22 @@ impl ImplicitTiling {
         self.subtrees.fill(root)
     }
 
-    /// Returns the URI of a content of a tile.
-    pub(super) fn content_uri(&self, tile: TileCoordinates, content: usize) -> Option<Arc<str>> {
-        Some(self.contents.get(content)?.fill(tile))
+    /// Returns the URI at which a subtree is looked for if its own has none.
+    pub fn subtree_fallback(&self, root: TileCoordinates) -> Option<Arc<str>> {
+        self.subtrees.fill_fallback(root)
+    }
+
+    /// Returns a content of a tile.
+    pub(super) fn content(&self, tile: TileCoordinates, content: usize) -> Option<TileContent> {
+        let template = self.contents.get(content)?;
+        let reader_data = match template.fill_fallback(tile) {
+            None => self.content_data.clone(),
+            fallback => {
+                let data = ContentData { up_axis: self.up_axis, fallback, ..ContentData::default() };
+                Some(ReaderData::of(data))
+            }
+        };
+        Some(TileContent { uri: template.fill(tile), reader_data })
     }
 
     /// Returns the geometric error of all tiles of a level, metres of the tileset's frame.

@@ -1,5 +1,6 @@
 //! Point clouds.
 
+mod draco;
 mod pnts;
 
 pub(super) use pnts::read;

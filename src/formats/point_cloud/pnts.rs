@@ -1,19 +1,22 @@
-//! Point Cloud (3D Tiles 1.0, `pnts`): a header, and a feature table of positions, colours and normals. The batch table is
-//! ignored. Positions are z-up in the tile's frame.
+//! Point Cloud (3D Tiles 1.0, `pnts`): a header, and a feature table of positions, colours, normals and batch ids, plain or
+//! compressed with Draco. The batch table is ignored. Positions are z-up in the tile's frame.
 
 use std::sync::Arc;
 
 use glam::{DAffine3, DVec3, Vec2, Vec3};
 use serde::Deserialize;
-use serde::de::IgnoredAny;
 
-use crate::fetch::{IoError, Limits};
+use super::draco::{DracoJson, DracoPoints};
+use crate::fetch::IoError;
 use crate::formats::feature_table::{self, BinaryOffset, Global};
+use crate::formats::options::ReadOptions;
 use crate::math::Aabb;
 use crate::math::color::linear_from_srgb8;
-use crate::scene::{AlphaMode, Drawable, Geometry, Material, Mesh, MeshVertex, Node, Topology};
+use crate::scene::{AlphaMode, AttributeFormat, Drawable, Geometry, Material, Mesh, MeshVertex, Node, Topology};
 
 const HEADER_BYTES: usize = 28;
+/// The vertex attribute that batch ids become, if the application asks for it.
+const BATCH_ID_ATTRIBUTE: &str = "_BATCHID";
 
 #[derive(Deserialize)]
 #[serde(rename_all = "SCREAMING_SNAKE_CASE")]
@@ -30,18 +33,27 @@ struct FeatureTable {
     constant_rgba: Option<Global<[u8; 4]>>,
     normal: Option<BinaryOffset>,
     normal_oct16p: Option<BinaryOffset>,
+    batch_id: Option<BatchIds>,
     #[serde(rename = "extensions")]
     extensions: Option<Extensions>,
+}
+
+/// The column of batch ids.
+#[derive(Clone, Deserialize)]
+#[serde(rename_all = "camelCase")]
+struct BatchIds {
+    byte_offset: usize,
+    component_type: Option<String>,
 }
 
 #[derive(Deserialize)]
 struct Extensions {
     #[serde(rename = "3DTILES_draco_point_compression", default)]
-    draco: Option<IgnoredAny>,
+    draco: Option<DracoJson>,
 }
 
 /// Reads a point cloud as one drawable.
-pub(in crate::formats) fn read(uri: &str, bytes: &[u8], limits: &Limits) -> Result<Node, IoError> {
+pub(in crate::formats) fn read(uri: &str, bytes: &[u8], options: &ReadOptions) -> Result<Node, IoError> {
     let bad = |reason: &str| IoError::invalid(uri, format!("pnts: {reason}"));
     let word =
         |at: usize| -> Option<usize> { Some(u32::from_le_bytes(bytes.get(at..at + 4)?.try_into().ok()?) as usize) };
@@ -55,13 +67,12 @@ pub(in crate::formats) fn read(uri: &str, bytes: &[u8], limits: &Limits) -> Resu
     let binary = bytes.get(json_end..end).ok_or_else(|| bad("truncated feature table"))?;
     let table: FeatureTable =
         feature_table::parse(json).map_err(|e| IoError::invalid(uri, format!("pnts feature table: {e}")))?;
-    if table.extensions.as_ref().is_some_and(|e| e.draco.is_some()) {
-        return Err(IoError::unsupported(uri, "extension 3DTILES_draco_point_compression"));
-    }
     let count = table.points_length.count(binary).ok_or_else(|| bad("POINTS_LENGTH is invalid"))?;
-    if count > limits.max_elements {
+    if count > options.limits.max_elements {
         return Err(bad(&format!("{count} points")));
     }
+    let draco = table.extensions.as_ref().and_then(|extensions| extensions.draco.as_ref());
+    let draco = draco.map(|json| DracoPoints::decode(uri, json, binary, count)).transpose()?;
     let column = |place: &Option<BinaryOffset>, size: usize| -> Result<Option<&[u8]>, IoError> {
         let Some(place) = place else { return Ok(None) };
         let end = count.checked_mul(size).and_then(|n| n.checked_add(place.byte_offset));
@@ -73,21 +84,32 @@ pub(in crate::formats) fn read(uri: &str, bytes: &[u8], limits: &Limits) -> Resu
         let Some(global) = global else { return Ok(None) };
         global.vector(binary).map(|v| Some(DVec3::from_array(v))).ok_or_else(|| bad(&format!("{name} is invalid")))
     };
-    let (mut positions, origin) = positions(&table, &column, &vector, &bad)?;
-    let normals = match (column(&table.normal, 12)?, column(&table.normal_oct16p, 2)?) {
-        (Some(data), _) => Some(data.chunks_exact(12).map(vec3).collect::<Vec<_>>()),
-        (None, Some(data)) => Some(data.chunks_exact(2).map(|b| oct16p(b[0], b[1])).collect()),
-        (None, None) => None,
+    let (mut positions, origin) = match draco.as_ref().and_then(DracoPoints::positions) {
+        Some(points) => (points, vector(&table.rtc_center, "RTC_CENTER")?.unwrap_or_default()),
+        None => positions(&table, &column, &vector, &bad)?,
+    };
+    let compressed = draco.as_ref().and_then(DracoPoints::normals);
+    let normals = match compressed {
+        Some(normals) => Some(normals),
+        None => match (column(&table.normal, 12)?, column(&table.normal_oct16p, 2)?) {
+            (Some(data), _) => Some(data.chunks_exact(12).map(vec3).collect::<Vec<_>>()),
+            (None, Some(data)) => Some(data.chunks_exact(2).map(|b| oct16p(b[0], b[1])).collect()),
+            (None, None) => None,
+        },
     };
     let constant = match table.constant_rgba {
         Some(global) => global.bytes(binary).ok_or_else(|| bad("CONSTANT_RGBA is invalid"))?,
         None => [255; 4],
     };
-    let colors: Vec<[u8; 4]> = match (column(&table.rgba, 4)?, column(&table.rgb, 3)?, column(&table.rgb565, 2)?) {
-        (Some(data), _, _) => data.chunks_exact(4).map(|c| [c[0], c[1], c[2], c[3]]).collect(),
-        (_, Some(data), _) => data.chunks_exact(3).map(|c| [c[0], c[1], c[2], 255]).collect(),
-        (_, _, Some(data)) => data.chunks_exact(2).map(|c| rgb565(u16::from_le_bytes([c[0], c[1]]))).collect(),
-        _ => vec![constant; count],
+    let compressed = draco.as_ref().and_then(DracoPoints::colors);
+    let colors: Vec<[u8; 4]> = match compressed {
+        Some(colors) => colors,
+        None => match (column(&table.rgba, 4)?, column(&table.rgb, 3)?, column(&table.rgb565, 2)?) {
+            (Some(data), _, _) => data.chunks_exact(4).map(|c| [c[0], c[1], c[2], c[3]]).collect(),
+            (_, Some(data), _) => data.chunks_exact(3).map(|c| [c[0], c[1], c[2], 255]).collect(),
+            (_, _, Some(data)) => data.chunks_exact(2).map(|c| rgb565(u16::from_le_bytes([c[0], c[1]]))).collect(),
+            _ => vec![constant; count],
+        },
     };
     let mut bounds = Aabb::EMPTY;
     let mut vertices = Vec::with_capacity(count);
@@ -108,7 +130,17 @@ pub(in crate::formats) fn read(uri: &str, bytes: &[u8], limits: &Limits) -> Resu
         });
     }
     let indices: Arc<[u32]> = (0..count as u32).collect();
-    let mesh = Mesh { vertices, indices, topology: Topology::Points, bounds, ..Mesh::default() };
+    let mut mesh = Mesh { vertices, indices, topology: Topology::Points, bounds, ..Mesh::default() };
+    if options.vertex_attributes.iter().any(|name| **name == *BATCH_ID_ATTRIBUTE) {
+        let ids = match draco.as_ref().and_then(DracoPoints::batch_ids) {
+            Some(ids) => Some(ids),
+            None => batch_ids(&table, &column, &bad)?,
+        };
+        if let Some(ids) = ids {
+            let added = mesh.with_attribute(BATCH_ID_ATTRIBUTE, AttributeFormat::Uint32, &ids);
+            mesh = added.map_err(|error| bad(&error.to_string()))?;
+        }
+    }
     let alpha = match mesh.vertices.iter().all(|vertex| vertex.color[3] == u8::MAX) {
         true => AlphaMode::Opaque,
         false => AlphaMode::Blend,
@@ -116,6 +148,25 @@ pub(in crate::formats) fn read(uri: &str, bytes: &[u8], limits: &Limits) -> Resu
     let material = Material { unlit: normals.is_none(), alpha, ..Material::default() };
     let geode = Node::geode(vec![Drawable::new(Geometry::Mesh(Arc::new(mesh)), material)]);
     Ok(Node::transform(DAffine3::from_translation(origin), vec![geode]))
+}
+
+/// Returns the batch id of each point, if there are any.
+fn batch_ids<'a>(
+    table: &FeatureTable,
+    column: &impl Fn(&Option<BinaryOffset>, usize) -> Result<Option<&'a [u8]>, IoError>,
+    bad: &impl Fn(&str) -> IoError,
+) -> Result<Option<Vec<u32>>, IoError> {
+    let Some(BatchIds { byte_offset, component_type }) = table.batch_id.clone() else { return Ok(None) };
+    let at = Some(BinaryOffset { byte_offset });
+    let ids = |size: usize, read: &dyn Fn(&[u8]) -> u32| -> Result<Option<Vec<u32>>, IoError> {
+        Ok(column(&at, size)?.map(|data| data.chunks_exact(size).map(read).collect()))
+    };
+    match component_type.as_deref().unwrap_or("UNSIGNED_SHORT") {
+        "UNSIGNED_BYTE" => ids(1, &|b| u32::from(b[0])),
+        "UNSIGNED_SHORT" => ids(2, &|b| u32::from(u16::from_le_bytes([b[0], b[1]]))),
+        "UNSIGNED_INT" => ids(4, &|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])),
+        other => Err(bad(&format!("BATCH_ID has the component type {other:.40}"))),
+    }
 }
 
 /// Returns positions relative to an origin, and the origin.
@@ -174,7 +225,12 @@ fn linear(srgb: u8) -> u8 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::fetch::Limits;
     use crate::scene::NodeKind;
+
+    fn options() -> ReadOptions {
+        ReadOptions::for_root("/set/tileset.json", Limits::default())
+    }
 
     fn pnts(json: &str, binary: &[u8]) -> Vec<u8> {
         let mut json = json.as_bytes().to_vec();
@@ -187,7 +243,7 @@ mod tests {
     }
 
     fn cloud(bytes: &[u8]) -> (DVec3, Arc<Mesh>, Material) {
-        let node = read("t.pnts", bytes, &Limits::default()).unwrap();
+        let node = read("t.pnts", bytes, &options()).unwrap();
         let NodeKind::Transform(place) = node.kind else { panic!("a transform") };
         let NodeKind::Geode(drawables) = &node.children[0].kind else { panic!("a geode") };
         let Geometry::Mesh(mesh) = &drawables[0].geometry else { panic!("points") };
@@ -235,7 +291,117 @@ mod tests {
         assert_eq!((mesh.vertices[0].position[0], mesh.vertices[0].color), (10.0, [255, 0, 0, 255]));
         for at in [8, 20, 32, 44, 48] {
             let beyond = json.replace(&format!("Offset\":{at}}}"), "Offset\":50}");
-            assert!(read("t", &pnts(&beyond, &binary), &Limits::default()).is_err(), "{beyond}");
+            assert!(read("t", &pnts(&beyond, &binary), &options()).is_err(), "{beyond}");
+        }
+    }
+
+    /// Three points with colours, normals and batch ids, as Draco stores them in order.
+    fn draco(positions: &[f32]) -> Vec<u8> {
+        use draco_core::{DataType, EncoderBuffer, EncoderOptions, GeometryAttributeType, PointAttribute, PointCloud};
+        let count = positions.len() / 3;
+        let mut cloud = PointCloud::new();
+        cloud.set_num_points(count);
+        let mut add = |kind, components: u8, data_type, bytes: &[u8]| {
+            let mut attribute = PointAttribute::new();
+            attribute.init(kind, components, data_type, false, count);
+            attribute.buffer_mut().write(0, bytes);
+            cloud.add_attribute(attribute);
+        };
+        let floats = |values: &[f32]| values.iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<u8>>();
+        add(GeometryAttributeType::Position, 3, DataType::Float32, &floats(positions));
+        let colors: Vec<u8> = (0..3 * count).map(|i| 20 * i as u8).collect();
+        add(GeometryAttributeType::Color, 3, DataType::Uint8, &colors);
+        add(GeometryAttributeType::Normal, 3, DataType::Float32, &floats(&[0.0, 0.0, 1.0].repeat(count)));
+        let ids: Vec<u8> = (0..count as u16).flat_map(|id| (7 * id).to_le_bytes()).collect();
+        add(GeometryAttributeType::Generic, 1, DataType::Uint16, &ids);
+        let mut encoder = draco_core::PointCloudEncoder::new();
+        encoder.set_point_cloud(cloud);
+        let mut options = EncoderOptions::new();
+        options.set_encoding_method(0);
+        let mut buffer = EncoderBuffer::new();
+        encoder.encode(&options, &mut buffer).unwrap();
+        buffer.data().to_vec()
+    }
+
+    fn with_draco(count: usize, compressed: &[u8]) -> Vec<u8> {
+        let length = compressed.len();
+        let none = r#"{"byteOffset":0}"#;
+        let json = format!(
+            r#"{{"POINTS_LENGTH":{count},"RTC_CENTER":[10,20,30],"POSITION":{none},"RGB":{none},"NORMAL":{none},
+            "BATCH_ID":{{"byteOffset":0,"componentType":"UNSIGNED_SHORT"}},"BATCH_LENGTH":9,
+            "extensions":{{"3DTILES_draco_point_compression":{{"byteOffset":0,"byteLength":{length},
+            "properties":{{"POSITION":0,"RGB":1,"NORMAL":2,"BATCH_ID":3}}}}}}}}"#
+        );
+        pnts(&json, compressed)
+    }
+
+    #[test]
+    fn draco_columns_are_decompressed() {
+        let positions = [1.0, 2.0, 3.0, -1.0, 0.5, 9.0, 4.0, 4.0, 4.0];
+        let bytes = with_draco(3, &draco(&positions));
+        let (origin, mesh, material) = cloud(&bytes);
+        assert_eq!((origin, mesh.vertices.len(), material.unlit), (DVec3::new(10.0, 20.0, 30.0), 3, false));
+        for (i, vertex) in mesh.vertices.iter().enumerate() {
+            assert_eq!(vertex.position, positions[3 * i..3 * i + 3]);
+            assert_eq!(vertex.normal[2], 127);
+            let [red, green, blue] = [0, 1, 2].map(|k| linear(20 * (3 * i + k) as u8));
+            assert_eq!(vertex.color, [red, green, blue, 255]);
+        }
+        let options = ReadOptions { vertex_attributes: ["_BATCHID"].map(Arc::from).into(), ..options() };
+        let node = read("t.pnts", &bytes, &options).unwrap();
+        let NodeKind::Geode(drawables) = &node.children[0].kind else { panic!("a geode") };
+        let Geometry::Mesh(mesh) = &drawables[0].geometry else { panic!("points") };
+        let (_, ids) = mesh.attributes.get("_BATCHID").unwrap();
+        assert_eq!(bytemuck::cast_slice::<u8, u32>(ids), [0, 7, 14]);
+    }
+
+    #[test]
+    fn broken_draco_clouds_are_refused() {
+        let positions: Vec<f32> = (0..300).map(|i| i as f32 * 0.7).collect();
+        let compressed = draco(&positions);
+        assert!(read("t", &with_draco(100, &compressed), &options()).is_ok());
+        for count in [0, 99, 101, 1_000_000_000] {
+            assert!(read("t", &with_draco(count, &compressed), &options()).is_err(), "{count} points");
+        }
+        for at in 0..compressed.len() {
+            assert!(read("t", &with_draco(100, &compressed[..at]), &options()).is_err(), "{at} bytes");
+            for bit in 0..8 {
+                let mut changed = compressed.clone();
+                changed[at] ^= 1 << bit;
+                // Any answer, but no panic and no large allocation.
+                let _ = read("t", &with_draco(100, &changed), &options());
+            }
+        }
+        let without = |property: &str| {
+            let bytes = with_draco(100, &compressed);
+            let mut changed = bytes;
+            let at = changed.windows(7).position(|window| window == b"\"RGB\":1").unwrap();
+            changed[at..at + 7].copy_from_slice(property.as_bytes());
+            read("t", &changed, &options()).unwrap_err().reason()
+        };
+        assert!(without("\"RGB\":7").contains("no property 7"));
+        assert!(without("\"RGB\":3").contains("components"));
+    }
+
+    #[test]
+    fn batch_ids_of_all_types_are_kept_on_request() {
+        let options = ReadOptions { vertex_attributes: ["_BATCHID"].map(Arc::from).into(), ..options() };
+        for (component, bytes) in [
+            ("UNSIGNED_BYTE", vec![5, 6]),
+            ("UNSIGNED_SHORT", vec![5, 0, 6, 0]),
+            ("UNSIGNED_INT", vec![5, 0, 0, 0, 6, 0, 0, 0]),
+        ] {
+            let mut binary: Vec<u8> = [0.0_f32; 6].iter().flat_map(|x| x.to_le_bytes()).collect();
+            binary.extend(bytes);
+            let json = format!(
+                r#"{{"POINTS_LENGTH":2,"POSITION":{{"byteOffset":0}},"BATCH_ID":{{"byteOffset":24,"componentType":"{component}"}}}}"#
+            );
+            let node = read("t", &pnts(&json, &binary), &options).unwrap();
+            let NodeKind::Geode(drawables) = &node.children[0].kind else { panic!("a geode") };
+            let Geometry::Mesh(mesh) = &drawables[0].geometry else { panic!("points") };
+            assert_eq!(bytemuck::cast_slice::<u8, u32>(mesh.attributes.get("_BATCHID").unwrap().1), [5, 6]);
+            let strange = json.replace(component, "DOUBLE");
+            assert!(read("t", &pnts(&strange, &binary), &options).is_err());
         }
     }
 
@@ -243,9 +409,9 @@ mod tests {
     fn truncated_and_invalid_clouds_are_refused() {
         let binary: Vec<u8> = [1.0f32, 2.0, 3.0].iter().flat_map(|x| x.to_le_bytes()).collect();
         let whole = pnts(r#"{"POINTS_LENGTH":1,"POSITION":{"byteOffset":0}}"#, &binary);
-        assert!(read("t", &whole, &Limits::default()).is_ok());
+        assert!(read("t", &whole, &options()).is_ok());
         for length in 0..whole.len() {
-            assert!(read("t", &whole[..length], &Limits::default()).is_err(), "{length} bytes");
+            assert!(read("t", &whole[..length], &options()).is_err(), "{length} bytes");
         }
         for json in [
             r#"{"POINTS_LENGTH":2,"POSITION":{"byteOffset":0}}"#,
@@ -255,7 +421,7 @@ mod tests {
             r#"{"POINTS_LENGTH":1,"POSITION_QUANTIZED":{"byteOffset":0}}"#,
             r#"{"POINTS_LENGTH":1,"POSITION":{"byteOffset":0},"extensions":{"3DTILES_draco_point_compression":{}}}"#,
         ] {
-            let error = read("t", &pnts(json, &binary), &Limits::default()).err().map(|e| e.reason());
+            let error = read("t", &pnts(json, &binary), &options()).err().map(|e| e.reason());
             assert!(error.is_some_and(|e| !e.is_empty()), "{json}");
         }
     }

@@ -53,6 +53,8 @@ pub(in crate::formats) enum ContentBytes {
 pub(in crate::formats) struct ContentData {
     pub bytes: ContentBytes,
     pub up_axis: UpAxis,
+    /// The URI at which the content is looked for if its own has none.
+    pub fallback: Option<Arc<str>>,
 }
 
 impl ReaderValue for ContentData {
@@ -62,6 +64,10 @@ impl ReaderValue for ContentData {
             ContentBytes::Embedded(_) | ContentBytes::Refused(_) => true,
             ContentBytes::Several(contents) => contents.iter().all(TileContent::is_in_memory),
         }
+    }
+
+    fn fallback_uri(&self) -> Option<Arc<str>> {
+        self.fallback.clone()
     }
 
     fn size_bytes(&self) -> u64 {

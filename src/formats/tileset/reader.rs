@@ -12,7 +12,7 @@ use glam::DAffine3;
 
 use super::json::{self, TileJson};
 use super::volume::{affine, bounding_volume, root_volume};
-use crate::fetch::{IoError, path_of, resolve};
+use crate::fetch::{IoError, path_of};
 use crate::formats::height::HeightSet;
 use crate::formats::implicit::{ImplicitRoot, ImplicitTiling, ImplicitTilingJson, SubtreeSource};
 use crate::formats::options::ReadOptions;
@@ -123,7 +123,8 @@ impl Reader<'_> {
         if let Some(heights) = &self.heights {
             geometric_error_m = heights.level_error_m(level).unwrap_or(geometric_error_m);
             let extras = json.extras.0.as_ref();
-            height_data = heights.tile_data(self.uri, level, &bounds, extras, &self.options.root)?;
+            let base = self.options.base.as_ref().unwrap_or(self.uri);
+            height_data = heights.tile_data(base, level, &bounds, extras, &self.options.root)?;
         }
         let References { mut contents, external_tilesets } = self.references(&json);
         if let Some(first) = contents.first_mut()
@@ -178,15 +179,14 @@ impl Reader<'_> {
             tiling,
             ImplicitRoot {
                 uri: self.uri,
-                base: self.uri,
-                scope: &self.options.root,
+                options: self.options,
                 volume: root_volume(self.uri, &root.bounds, &json.bounding_volume, &self.options.set_from_content)?,
                 geometric_error_m: root.geometric_error_m,
                 refine: root.refine,
                 content_transform: root.content_transform,
                 is_replaced: inherited.is_replaced,
                 contents: contents.collect::<Result<Vec<&str>, _>>()?,
-                content_data: self.content_data(ContentBytes::Fetched),
+                up_axis: self.up_axis,
             },
         )?;
         let content = SubtreeSource::root(Arc::new(tiling)).content();
@@ -219,13 +219,16 @@ impl Reader<'_> {
                 continue;
             };
             if is_data_uri(reference) {
-                let reader_data = self.content_data(ContentBytes::Embedded(reference.into()));
+                let reader_data = self.content_data(ContentBytes::Embedded(reference.into()), None);
                 contents.push(TileContent { uri: self.name_content(), reader_data });
                 continue;
             }
-            match resolve(self.uri, reference, &self.options.root) {
-                Ok(uri) if path_of(&uri).ends_with(".json") => external_tilesets.push(uri),
-                Ok(uri) => contents.push(TileContent { uri, reader_data: self.content_data(ContentBytes::Fetched) }),
+            match self.options.resolve(self.uri, reference) {
+                Ok((uri, None)) if path_of(&uri).ends_with(".json") => external_tilesets.push(uri),
+                Ok((uri, fallback)) => {
+                    let reader_data = self.content_data(ContentBytes::Fetched, fallback);
+                    contents.push(TileContent { uri, reader_data });
+                }
                 Err(error) => contents.push(TileContent::refused(self.name_content(), error)),
             }
         }
@@ -233,11 +236,11 @@ impl Reader<'_> {
     }
 
     /// Returns the reader data of a content; `None` if its URI says everything.
-    fn content_data(&self, bytes: ContentBytes) -> Option<ReaderData> {
-        if matches!(bytes, ContentBytes::Fetched) && self.up_axis == UpAxis::Y {
+    fn content_data(&self, bytes: ContentBytes, fallback: Option<Arc<str>>) -> Option<ReaderData> {
+        if matches!(bytes, ContentBytes::Fetched) && self.up_axis == UpAxis::Y && fallback.is_none() {
             return None;
         }
-        Some(ReaderData::of(ContentData { bytes, up_axis: self.up_axis }))
+        Some(ReaderData::of(ContentData { bytes, up_axis: self.up_axis, fallback }))
     }
 
     /// Returns a name for a content that has no URI: the tileset's with a number.

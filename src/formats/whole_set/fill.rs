@@ -330,7 +330,9 @@ impl Fill<'_> {
     ) -> Result<u64, IoError> {
         let Known::Subtree(source) = Known::of(content) else { return Ok(0) };
         let bytes = encoding::gunzip(&content.uri, bytes, &self.options.limits)?;
-        let tiles = guarded(&content.uri, || source.read(&content.uri, bytes, companions.to_vec()))?;
+        let options =
+            ReadOptions { root: self.scope.clone(), ..ReadOptions::for_root(&content.uri, self.options.limits) };
+        let tiles = guarded(&content.uri, || source.read(&content.uri, bytes, companions, &options))?;
         Ok(tiles.iter().map(|tile| self.add_tile(tile, position)).sum())
     }
 
@@ -460,7 +462,7 @@ async fn fetch(client: &HttpClient, job: Job, limits: &Limits, refresh: bool) ->
 async fn with_companions(client: &HttpClient, limits: &Limits, mut done: Done) -> Done {
     if let (Some(content), Ok(bytes)) = (&done.job.subtree, &done.result) {
         let options = ReadOptions::for_root(&content.uri, *limits);
-        for uri in dependencies(&content.uri, bytes, content.reader_data.as_ref(), &options) {
+        for uri in dependencies(&content.uri, bytes, content.reader_data.as_ref(), &[], &options) {
             let body = client.get(&uri, limits).await;
             done.network_bytes += body.as_ref().map_or(0, |body| body.network_bytes);
             done.companions.push((uri, body.map(|body| body.bytes)));

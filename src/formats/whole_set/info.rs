@@ -6,10 +6,10 @@ use std::sync::Arc;
 use serde::Serialize;
 
 use super::report::{InfoError, record, too_many};
-use super::tree::{Known, read_subtree};
+use super::tree::{Known, load, read_subtree};
 #[cfg(feature = "http")]
 use crate::fetch::HttpConfig;
-use crate::fetch::{IoError, Limits, Source, is_remote, root_uri};
+use crate::fetch::{IoError, Limits, Loaded, Source, is_remote, path_of, root_uri};
 use crate::formats::height::SetExtras;
 use crate::formats::options::ReadOptions;
 use crate::formats::read::companions;
@@ -82,7 +82,8 @@ fn inspect_from(source: &str, limits: &Limits, from: Source) -> Result<Info, IoE
     let root = root_uri(source)?;
     let options = ReadOptions::for_root(&root, *limits);
     let mut info = Info { format: "3D Tiles".to_owned(), ..Info::default() };
-    let bytes = from.read(&root)?;
+    let Loaded { bytes, location, .. } = from.load(&root)?;
+    let options = ReadOptions { base: location, ..options };
     let json = tileset::parse(&root, &bytes)?;
     json.asset.version().clone_into(&mut info.version);
     if json.asset.extras.0.as_ref().is_some_and(SetExtras::is_height) {
@@ -161,7 +162,8 @@ impl Walk<'_> {
         self.info.tiles += 1;
         self.info.level(level).tiles += 1;
         tile.contents.iter().all(|content| self.content(content, level, at))
-            && tile.external_tilesets.iter().all(|uri| self.external_or_fail(uri, level, at))
+            && (tile.external_tilesets.iter())
+                .all(|uri| self.visit() && self.external_or_fail(uri, self.from.load(uri), level, at))
             && tile.continuations.iter().all(|below| self.content(&below.content, level + 1, at))
             && tile.children.iter().all(|child| self.tile(child, level + 1, at))
     }
@@ -171,10 +173,7 @@ impl Walk<'_> {
         let tiles = match Known::of(content) {
             Known::Part(part) => part.read(),
             Known::Subtree(source) => {
-                let (from, mut bytes) = (self.from, 0);
-                let read = |uri: &Arc<str>| from.read(uri).inspect(|read| bytes += read.len() as u64);
-                let tiles = read_subtree(content, source, at.options, read);
-                self.info.bytes += bytes;
+                let tiles = read_subtree(self.from, content, source, at.options, &mut self.info.bytes);
                 self.info.subtrees += 1;
                 tiles.unwrap_or_else(|error| {
                     self.info.fail(&error);
@@ -197,11 +196,18 @@ impl Walk<'_> {
 
     /// Adds a content in a file, with its imagery.
     fn file(&mut self, content: &TileContent, level: u32, at: &At<'_>) -> bool {
-        // The name of an external tileset may have any file extension.
-        if !is_remote(&content.uri) && may_be_tileset(&content.uri) {
-            let bytes = self.from.read(&content.uri);
-            if bytes.is_ok_and(|bytes| tileset::is_tileset(&content.uri, &bytes, &at.options.limits)) {
-                return self.external_or_fail(&content.uri, level, at);
+        // The name of an external tileset may have any file extension. Other contents on servers are not fetched.
+        let may_be_tileset = match is_remote(&content.uri) {
+            true => path_of(&content.uri).ends_with(".json"),
+            false => may_be_tileset(&content.uri),
+        };
+        if may_be_tileset {
+            let loaded = load(self.from, &content.uri, content.reader_data.as_ref());
+            let is_tileset = |loaded: &Loaded| tileset::is_tileset(&content.uri, &loaded.bytes, &at.options.limits);
+            if let Ok(loaded) = loaded
+                && is_tileset(&loaded)
+            {
+                return self.visit() && self.external_or_fail(&content.uri, Ok(loaded), level, at);
             }
         }
         self.info.contents += 1;
@@ -221,28 +227,33 @@ impl Walk<'_> {
         true
     }
 
-    fn external_or_fail(&mut self, uri: &Arc<str>, level: u32, at: &At<'_>) -> bool {
-        self.visit()
-            && self.external(uri, level, at).unwrap_or_else(|error| {
-                self.info.fail(&error);
-                true
-            })
+    fn external_or_fail(&mut self, uri: &Arc<str>, loaded: Result<Loaded, IoError>, level: u32, at: &At<'_>) -> bool {
+        self.external(uri, loaded, level, at).unwrap_or_else(|error| {
+            self.info.fail(&error);
+            true
+        })
     }
 
     /// Adds an external tileset that a tile of a level refers to.
-    fn external(&mut self, uri: &Arc<str>, level: u32, at: &At<'_>) -> Result<bool, IoError> {
+    fn external(
+        &mut self,
+        uri: &Arc<str>,
+        loaded: Result<Loaded, IoError>,
+        level: u32,
+        at: &At<'_>,
+    ) -> Result<bool, IoError> {
         if uri == at.tileset || at.options.chain.contains(uri) {
             return Err(IoError::unsupported(uri, "the tileset contains itself"));
         }
         if at.options.chain.len() >= at.options.limits.max_external_depth {
             return Err(IoError::invalid(uri, "external tilesets are nested too deep"));
         }
-        let bytes = self.from.read(uri)?;
+        let Loaded { bytes, location, .. } = loaded?;
         let json = tileset::parse(uri, &bytes)?;
         self.info.bytes += bytes.len() as u64;
         self.info.extensions.extend(json.extensions_used.iter().cloned());
         drop(json);
-        let below = at.options.below(at.tileset);
+        let below = ReadOptions { base: location, ..at.options.below(at.tileset) };
         let tile = read_tiles(uri, &bytes, &below)?;
         Ok(self.tile(&tile, level + 1, &At { tileset: uri, options: &below }))
     }

@@ -1,8 +1,6 @@
 //! Reading the parts of tile trees one after another, as the pager does for single tiles. Blocking.
 
-use std::sync::Arc;
-
-use crate::fetch::{IoError, encoding};
+use crate::fetch::{IoError, Loaded, Source, encoding};
 use crate::formats::implicit::{SubtreePart, SubtreeSource};
 use crate::formats::options::{Fetched, ReadOptions};
 use crate::formats::read::dependencies;
@@ -40,15 +38,31 @@ impl<'a> Known<'a> {
     }
 }
 
-/// Reads a subtree file with its external buffers. `read` returns the bytes of a URI. Returns the root tile of the subtree.
+/// Reads the file of a content: at its URI, or where else the server may have it.
+pub(super) fn load(from: &Source, uri: &str, reader_data: Option<&ReaderData>) -> Result<Loaded, IoError> {
+    from.load(uri).or_else(|error| match reader_data.and_then(ReaderData::fallback_uri) {
+        Some(fallback) if error.may_be_elsewhere() => from.load(&fallback),
+        _ => Err(error),
+    })
+}
+
+/// Reads a subtree file with its external buffers. Returns the root tile of the subtree, and adds the bytes that were read.
 pub(super) fn read_subtree(
+    from: &Source,
     content: &TileContent,
     source: &SubtreeSource,
     options: &ReadOptions,
-    mut read: impl FnMut(&Arc<str>) -> Result<Vec<u8>, IoError>,
+    bytes_read: &mut u64,
 ) -> Result<Vec<Tile>, IoError> {
-    let bytes = encoding::gunzip(&content.uri, read(&content.uri)?, &options.limits)?;
-    let buffers = dependencies(&content.uri, &bytes, content.reader_data.as_ref(), options);
-    let buffers: Vec<Fetched> = buffers.into_iter().map(|uri| (uri.clone(), read(&uri))).collect();
-    source.read(&content.uri, bytes, buffers)
+    let TileContent { uri, reader_data } = content;
+    let Loaded { bytes, location, .. } = load(from, uri, reader_data.as_ref())?;
+    *bytes_read += bytes.len() as u64;
+    let bytes = encoding::gunzip(uri, bytes, &options.limits)?;
+    let options = ReadOptions { base: location, ..options.clone() };
+    let mut buffers: Vec<Fetched> = Vec::new();
+    for buffer in dependencies(uri, &bytes, reader_data.as_ref(), &[], &options) {
+        let read = from.read(&buffer).inspect(|read| *bytes_read += read.len() as u64);
+        buffers.push((buffer, read));
+    }
+    source.read(uri, bytes, &buffers, &options)
 }

@@ -5,13 +5,17 @@ use std::sync::Arc;
 use serde::Serialize;
 
 use super::report::{InfoError, record, too_many};
+use super::tree::load;
 #[cfg(feature = "http")]
 use crate::fetch::HttpConfig;
-use crate::fetch::{IoError, Limits, Source, root_uri};
-use crate::formats::options::{Content, ReadOptions};
-use crate::formats::read::{companions, decode, decode_node, dependencies};
+use crate::fetch::{IoError, Limits, Loaded, Source, root_uri};
+use crate::formats::options::{Content, Fetched, ReadOptions};
+use crate::formats::read::{self, decode, decode_node, dependencies};
 use crate::formats::tileset;
 use crate::scene::{Node, NodeKind, ReaderData};
+
+/// The maximum number of times that a content is asked for further dependencies.
+const MAX_DEPENDENCY_ROUNDS: usize = 5;
 
 /// The result of [`verify`].
 #[derive(Clone, Debug, Default, Serialize)]
@@ -60,7 +64,8 @@ fn verify_from(
     let root = root_uri(source)?;
     let options = ReadOptions::for_root(&root, *limits);
     let (mut verified, mut jobs) = (Verified::default(), Vec::new());
-    let bytes = from.read(&root)?;
+    let Loaded { bytes, location, .. } = from.load(&root)?;
+    let options = ReadOptions { base: location, ..options };
     verified.bytes += bytes.len() as u64;
     let content = Content { uri: root.clone(), bytes, reader_data: None, companions: Vec::new() };
     let limit = limits.max_elements as u64;
@@ -90,22 +95,30 @@ impl Verified {
         let data = reader_data.as_ref();
         let (is_in_memory, continues) =
             (data.is_some_and(ReaderData::is_whole_content), data.is_some_and(ReaderData::continues_tileset));
-        let mut fetch = |uri: &Arc<str>| {
-            let bytes = from.read(uri)?;
-            self.bytes += bytes.len() as u64;
-            Ok(bytes)
-        };
-        let bytes = if is_in_memory { Ok(Vec::new()) } else { fetch(&uri) };
-        let mut others = if is_tileset { Vec::new() } else { companions(&uri, data) };
-        if let Ok(bytes) = &bytes {
-            others.extend(dependencies(&uri, bytes, data, &options));
-        }
-        let companions = others.into_iter().map(|of| (of.clone(), fetch(&of))).collect();
+        let loaded = if is_in_memory { Ok(Loaded::default()) } else { load(from, &uri, data) };
         // The name of a tileset may have any file extension.
-        let is_one = |bytes: &Vec<u8>| tileset::is_tileset(&uri, bytes, &options.limits);
-        let is_tileset = is_tileset || bytes.as_ref().is_ok_and(is_one);
+        let is_one = |loaded: &Loaded| tileset::is_tileset(&uri, &loaded.bytes, &options.limits);
+        let is_tileset = is_tileset || loaded.as_ref().is_ok_and(is_one);
         self.contents += u64::from(!is_tileset && !continues);
-        let content = Content { bytes: bytes?, uri: uri.clone(), reader_data, companions };
+        let Loaded { bytes, location, is_no_content } = loaded?;
+        self.bytes += bytes.len() as u64;
+        if is_no_content {
+            return Ok(0);
+        }
+        let options = ReadOptions { base: location, ..options };
+        let mut companions: Vec<Fetched> = Vec::new();
+        let mut others = if is_tileset { Vec::new() } else { read::companions(&uri, data) };
+        for _ in 0..MAX_DEPENDENCY_ROUNDS {
+            for other in others {
+                let read = from.read(&other).inspect(|read| self.bytes += read.len() as u64);
+                companions.push((other, read));
+            }
+            others = dependencies(&uri, &bytes, data, &companions, &options);
+            if others.is_empty() {
+                break;
+            }
+        }
+        let content = Content { bytes, uri: uri.clone(), reader_data, companions };
         if continues {
             return Ok(collect(&decode_node(content, &options)?, &options, jobs));
         }

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::DatabasePager;
-use crate::fetch::{self, IoError};
+use crate::fetch::{self, IoError, Loaded};
 #[cfg(feature = "http")]
 use crate::fetch::{HttpClient, HttpConfig};
 use crate::formats::{self, Content, ReadOptions};
@@ -132,11 +132,12 @@ impl DatabasePager {
         let scope = scope.ok_or_else(not_served)?;
         let mut retries = RetryState::default();
         loop {
-            let bytes = self.fetch(&scope, uri)?;
+            let Loaded { bytes, location, .. } = self.fetch(&scope, uri)?;
             self.stats.bytes_read += bytes.len() as u64;
             let content = Content { uri: uri.clone(), bytes, reader_data: None, companions: Vec::new() };
             // A root belongs to the application and shares nothing.
-            let error = match formats::decode(content, &ReadOptions { sharing: None, ..scope.options.clone() }) {
+            let options = ReadOptions { sharing: None, base: location, ..scope.options.clone() };
+            let error = match formats::decode(content, &options) {
                 Ok(page) => return Ok(page),
                 Err(error) => error,
             };
@@ -162,16 +163,16 @@ impl DatabasePager {
         None
     }
 
-    fn fetch(&mut self, scope: &ReadScope, uri: &str) -> Result<Vec<u8>, IoError> {
+    fn fetch(&mut self, scope: &ReadScope, uri: &str) -> Result<Loaded, IoError> {
         #[cfg(feature = "http")]
         if let Some(http) = self.threads.http().filter(|_| fetch::is_remote(uri)) {
             let body = http.get(&scope.client, uri, &self.config.limits)?;
             self.stats.bytes_http += body.network_bytes;
-            return Ok(body.bytes);
+            return Ok(body.into());
         }
         #[cfg(not(feature = "http"))]
         let _ = scope;
-        fetch::Source::new(self.config.limits).read(uri)
+        fetch::Source::new(self.config.limits).load(uri)
     }
 }
 

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 #[cfg(feature = "http")]
 use crate::fetch;
-use crate::fetch::{IoError, Limits};
+use crate::fetch::{IoError, Limits, Loaded};
 use crate::formats::{self, Fetched};
 use crate::pager::loading::job::LoadJob;
 use crate::pager::loading::request_list::Request;
@@ -92,8 +92,8 @@ impl LoadJob for ImageJob {
         trace::span_of("image", || self.uri.clone())
     }
 
-    fn decode(&self, bytes: Vec<u8>, _companions: Vec<Fetched>) -> Result<Arc<Texture>, IoError> {
-        formats::decode_image(&self.uri, &bytes, &self.reader.limits).inspect_err(|_error| {
+    fn decode(&self, loaded: Loaded, _companions: Vec<Fetched>) -> Result<Arc<Texture>, IoError> {
+        formats::decode_image(&self.uri, &loaded.bytes, &self.reader.limits).inspect_err(|_error| {
             // The HTTP cache keeps nothing that is no image, such as an error page with status 200.
             #[cfg(feature = "http")]
             if _error.is_no_content() && fetch::is_remote(_error.uri()) {

@@ -9,11 +9,11 @@ use crossbeam_channel::Sender;
 use tokio::task::{AbortHandle, JoinError, JoinSet};
 
 use super::config::LimitRange;
-use super::job::{Answer, LoadJob, LoadedBytes, total_bytes};
+use super::job::{Answer, LoadJob, LoadedBytes, MAX_DEPENDENCY_ROUNDS, total_bytes};
 use super::request_list::{HttpWork, RequestList};
 use super::server_limits::{Outcome, ServerLimits};
 use super::ticket::Ticket;
-use crate::fetch::{HttpBody, HttpClient, IoError, Limits, server};
+use crate::fetch::{HttpBody, HttpClient, IoError, Limits, Loaded, server};
 use crate::formats;
 
 /// How long the thread waits at its end for received bodies to be written to the cache.
@@ -171,8 +171,8 @@ fn pass_on<J: LoadJob>(
             let ticket = running.iter().find(|(_, r)| r.handle.id() == e.id()).map(|(ticket, _)| *ticket);
             let Some(Running { job, .. }) = ticket.and_then(|t| running.remove(&t)) else { return true };
             let reason = "the request panicked".to_owned();
-            let bytes = Err(IoError::Network { uri: job.uri().to_owned(), reason });
-            let failed = LoadedBytes { job, bytes, companions: Vec::new(), bytes_read: 0, bytes_http: 0 };
+            let error = Err(IoError::Network { uri: job.uri().to_owned(), reason });
+            let failed = LoadedBytes { job, loaded: error, companions: Vec::new(), bytes_read: 0, bytes_http: 0 };
             loaded.send(failed).is_ok()
         }
     }
@@ -205,27 +205,51 @@ async fn fetch<J: LoadJob>(job: J, limits: &Limits) -> Fetched<J> {
         }
         fetched
     };
-    let ((body, own_s), companions) = tokio::join!(timed(job.uri()), companions);
+    let content = async {
+        let (body, seconds) = timed(job.uri()).await;
+        match &body {
+            Err(error) if error.may_be_elsewhere() => match job.fallback() {
+                Some(uri) => timed(&uri).await,
+                None => (body, seconds),
+            },
+            _ => (body, seconds),
+        }
+    };
+    let ((body, own_s), companions) = tokio::join!(content, companions);
     asked |= body.as_ref().is_ok_and(|body| body.asked);
     let mut bytes_http = 0;
-    let mut bytes_of = |body: Result<HttpBody, IoError>| {
+    let mut loaded_of = |body: Result<HttpBody, IoError>| {
         body.map(|body| {
             bytes_http += body.network_bytes;
-            body.bytes
+            Loaded::from(body)
         })
     };
-    let bytes = bytes_of(body);
+    let loaded = loaded_of(body);
+    let mut bytes_of = |body| loaded_of(body).map(|loaded| loaded.bytes);
     let mut companions: Vec<formats::Fetched> =
         companions.into_iter().map(|(uri, body)| (uri, bytes_of(body))).collect();
-    for uri in bytes.as_ref().map_or_else(|_| Vec::new(), |bytes| job.dependencies(bytes)) {
-        let body = client.get(&uri, limits).await;
-        companions.push((uri, bytes_of(body)));
+    if let Ok(loaded) = &loaded {
+        for _ in 0..MAX_DEPENDENCY_ROUNDS {
+            let dependencies = job.dependencies(loaded, &companions);
+            if dependencies.is_empty() {
+                break;
+            }
+            let mut requests = JoinSet::new();
+            for uri in dependencies {
+                let (client, limits) = (client.clone(), *limits);
+                requests.spawn(async move { (uri.clone(), client.get(&uri, &limits).await) });
+            }
+            // A request that panicked is missing from the companions.
+            while let Some(answer) = requests.join_next().await {
+                companions.extend(answer.map(|(uri, body)| (uri, bytes_of(body))));
+            }
+        }
     }
-    let bytes_read = total_bytes(&bytes, &companions);
+    let bytes_read = total_bytes(&loaded, &companions);
     job.mark_decoding();
-    let outcome = (own, Outcome::new(&bytes, asked, own_s.max(companions_s)));
+    let outcome = (own, Outcome::new(&loaded, asked, own_s.max(companions_s)));
     let outcomes = [outcome].into_iter().chain(elsewhere).collect();
-    (LoadedBytes { job, bytes, companions, bytes_read, bytes_http }, outcomes)
+    (LoadedBytes { job, loaded, companions, bytes_read, bytes_http }, outcomes)
 }
 
 #[cfg(test)]

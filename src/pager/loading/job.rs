@@ -3,9 +3,12 @@
 use std::sync::Arc;
 
 use super::request_list::Request;
-use crate::fetch::IoError;
+use crate::fetch::{IoError, Loaded};
 use crate::formats::Fetched;
 use crate::trace::Span;
+
+/// The maximum number of times that a thread asks for further dependencies of a content: a model refers to its buffers.
+pub(super) const MAX_DEPENDENCY_ROUNDS: usize = 4;
 
 /// One content to load. The threads read its bytes and call [`Self::decode`]; each job gets exactly one [`Answer`].
 pub(in crate::pager) trait LoadJob: Request + Send + Sync + 'static {
@@ -24,9 +27,14 @@ pub(in crate::pager) trait LoadJob: Request + Send + Sync + 'static {
     fn is_in_memory(&self) -> bool {
         false
     }
-    /// Returns the addresses of what the bytes of the content refer to. They are read before the content is decoded, and
-    /// follow the companions.
-    fn dependencies(&self, _bytes: &[u8]) -> Vec<Arc<str>> {
+    /// Returns the address at which the content is looked for if its own has none.
+    #[cfg(feature = "http")]
+    fn fallback(&self) -> Option<Arc<str>> {
+        None
+    }
+    /// Returns the addresses of what the content's bytes refer to and that is not in `known`. The threads load it and ask again
+    /// until there is nothing more.
+    fn dependencies(&self, _loaded: &Loaded, _known: &[Fetched]) -> Vec<Arc<str>> {
         Vec::new()
     }
     /// Returns the client that asks servers for the content.
@@ -42,13 +50,13 @@ pub(in crate::pager) trait LoadJob: Request + Send + Sync + 'static {
     /// Records that the bytes were read: the job waits for a decode thread or one has it.
     fn mark_decoding(&self) {}
     /// Decodes the bytes; decode threads. If they turn out to be no content, removes them from the HTTP cache.
-    fn decode(&self, bytes: Vec<u8>, companions: Vec<Fetched>) -> Result<Self::Content, IoError>;
+    fn decode(&self, loaded: Loaded, companions: Vec<Fetched>) -> Result<Self::Content, IoError>;
 }
 
 /// The bytes of a job on their way to a decode thread.
 pub(in crate::pager) struct LoadedBytes<J> {
     pub job: J,
-    pub bytes: Result<Vec<u8>, IoError>,
+    pub loaded: Result<Loaded, IoError>,
     pub companions: Vec<Fetched>,
     /// Bytes of the content and its companions.
     pub bytes_read: u64,
@@ -68,7 +76,8 @@ pub(in crate::pager) struct Answer<J: LoadJob> {
 }
 
 /// Returns the number of bytes of a content and its companions.
-pub(super) fn total_bytes(bytes: &Result<Vec<u8>, IoError>, companions: &[Fetched]) -> u64 {
+pub(super) fn total_bytes(loaded: &Result<Loaded, IoError>, companions: &[Fetched]) -> u64 {
     let size = |r: &Result<Vec<u8>, IoError>| r.as_ref().map_or(0, |b| b.len() as u64);
-    size(bytes) + companions.iter().map(|(_, r)| size(r)).sum::<u64>()
+    let own = loaded.as_ref().map_or(0, |loaded| loaded.bytes.len() as u64);
+    own + companions.iter().map(|(_, r)| size(r)).sum::<u64>()
 }

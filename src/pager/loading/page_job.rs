@@ -8,10 +8,10 @@ use super::request_list::Request;
 use super::ticket::Ticket;
 #[cfg(feature = "http")]
 use crate::fetch;
-use crate::fetch::IoError;
+use crate::fetch::{IoError, Loaded, is_remote};
 use crate::formats::{self, Content, Fetched, ReadOptions};
 use crate::pager::scenes::read_scope::{ReadScope, TilesetAncestors};
-use crate::scene::{NodeId, Page, ReaderData};
+use crate::scene::{Node, NodeId, Page, ReaderData};
 use crate::trace::{self, Span};
 
 /// One page to load.
@@ -78,6 +78,14 @@ impl LoadProgress {
     }
 }
 
+impl PageJob {
+    /// Returns the options for a content that redirects have led to `location`.
+    fn options(&self, location: Option<Arc<str>>) -> ReadOptions {
+        let TilesetAncestors { chain, set_from_page } = self.ancestors.clone();
+        ReadOptions { chain, set_from_content: set_from_page, base: location, ..self.scope.options.clone() }
+    }
+}
+
 impl Request for PageJob {
     fn ticket(&self) -> Ticket {
         self.ticket
@@ -88,7 +96,7 @@ impl Request for PageJob {
     }
 
     fn is_remote(&self) -> bool {
-        fetch::is_remote(&self.uri) && !self.is_in_memory()
+        is_remote(&self.uri) && !self.is_in_memory()
     }
 
     fn is_prefetch(&self) -> bool {
@@ -130,8 +138,14 @@ impl LoadJob for PageJob {
         self.reader_data.as_ref().is_some_and(ReaderData::is_whole_content)
     }
 
-    fn dependencies(&self, bytes: &[u8]) -> Vec<Arc<str>> {
-        formats::dependencies(&self.uri, bytes, self.reader_data.as_ref(), &self.scope.options)
+    #[cfg(feature = "http")]
+    fn fallback(&self) -> Option<Arc<str>> {
+        self.reader_data.as_ref()?.fallback_uri()
+    }
+
+    fn dependencies(&self, loaded: &Loaded, known: &[Fetched]) -> Vec<Arc<str>> {
+        let options = self.options(loaded.location.clone());
+        formats::dependencies(&self.uri, &loaded.bytes, self.reader_data.as_ref(), known, &options)
     }
 
     #[cfg(feature = "http")]
@@ -156,10 +170,14 @@ impl LoadJob for PageJob {
         self.progress.set(LoadStage::Decoding);
     }
 
-    fn decode(&self, bytes: Vec<u8>, companions: Vec<Fetched>) -> Result<Page, IoError> {
+    fn decode(&self, loaded: Loaded, companions: Vec<Fetched>) -> Result<Page, IoError> {
+        let Loaded { bytes, location, is_no_content } = loaded;
+        if is_no_content {
+            let empty = Page::from_node(Node::group(Vec::new()));
+            return empty.map_err(|error| IoError::invalid(&self.uri, error.to_string()));
+        }
+        let options = self.options(location);
         let content = Content { uri: self.uri.clone(), bytes, reader_data: self.reader_data.clone(), companions };
-        let TilesetAncestors { chain, set_from_page } = self.ancestors.clone();
-        let options = ReadOptions { chain, set_from_content: set_from_page, ..self.scope.options.clone() };
         formats::decode(content, &options).inspect_err(|error| self.scope.forget_no_content(error))
     }
 }
@@ -169,7 +187,7 @@ pub(in crate::pager) mod tests {
     use std::sync::LazyLock;
 
     use super::*;
-    use crate::scene::{Node, PageId, Scene};
+    use crate::scene::{PageId, Scene};
 
     static PAGE: LazyLock<PageId> =
         LazyLock::new(|| Scene::new().add_root(Page::from_node(Node::group(Vec::new())).unwrap()));

@@ -8,7 +8,7 @@ use crossbeam_channel::{Receiver, RecvError, Sender, bounded, never, select};
 use super::config::LoadConfig;
 #[cfg(feature = "http")]
 use super::http::{self, HttpAccess};
-use super::job::{Answer, LoadJob, LoadedBytes, total_bytes};
+use super::job::{Answer, LoadJob, LoadedBytes, MAX_DEPENDENCY_ROUNDS, total_bytes};
 use super::request_list::RequestList;
 use super::thread_set::ThreadSet;
 use crate::fetch;
@@ -113,24 +113,29 @@ impl<J: LoadJob> Drop for LoadThreads<J> {
 fn read_files<J: LoadJob>(list: &RequestList<J>, sender: &Sender<LoadedBytes<J>>, files: &fetch::FileReader) {
     while let Some(job) = list.take_file() {
         let span = job.read_span();
-        let bytes = if job.is_remote() {
+        let loaded = if job.is_remote() {
             Err(fetch::IoError::unsupported(job.uri(), "a server (built without the feature)"))
         } else if job.is_in_memory() {
-            Ok(Vec::new())
+            Ok(fetch::Loaded::default())
         } else {
-            files.read(job.address())
+            files.read(job.address()).map(fetch::Loaded::from)
         };
-        let companions: Vec<_> = match &bytes {
-            Ok(bytes) => {
-                let others = job.companions().into_iter().chain(job.dependencies(bytes));
-                others.map(|uri| (uri.clone(), files.read(&uri))).collect()
+        let mut companions = Vec::new();
+        if let Ok(loaded) = &loaded {
+            let read = |uri: Arc<str>| (uri.clone(), files.read(&uri));
+            companions.extend(job.companions().into_iter().map(read));
+            for _ in 0..MAX_DEPENDENCY_ROUNDS {
+                let dependencies = job.dependencies(loaded, &companions);
+                if dependencies.is_empty() {
+                    break;
+                }
+                companions.extend(dependencies.into_iter().map(read));
             }
-            Err(_) => Vec::new(),
-        };
-        let bytes_read = total_bytes(&bytes, &companions);
+        }
+        let bytes_read = total_bytes(&loaded, &companions);
         drop(span);
         job.mark_decoding();
-        if sender.send(LoadedBytes { job, bytes, companions, bytes_read, bytes_http: 0 }).is_err() {
+        if sender.send(LoadedBytes { job, loaded, companions, bytes_read, bytes_http: 0 }).is_err() {
             return;
         }
     }
@@ -165,9 +170,9 @@ impl<J> Intake<J> {
 }
 
 fn decode<J: LoadJob>(mut intake: Intake<J>, sender: &Sender<Answer<J>>) {
-    while let Some(LoadedBytes { job, bytes, companions, bytes_read, bytes_http }) = intake.next() {
+    while let Some(LoadedBytes { job, loaded, companions, bytes_read, bytes_http }) = intake.next() {
         let span = job.decode_span();
-        let content = bytes.and_then(|bytes| job.decode(bytes, companions));
+        let content = loaded.and_then(|loaded| job.decode(loaded, companions));
         drop(span);
         if sender.send(Answer { job, content: Some(content), bytes_read, bytes_http }).is_err() {
             return;
@@ -195,7 +200,7 @@ mod tests {
             scope.spawn(|| read_files(&list, &sender, &fetch::FileReader::new(fetch::Limits::default())));
             for _ in 0..2 {
                 let loaded = read.recv_timeout(Duration::from_secs(60)).expect("the thread continues");
-                assert_eq!(loaded.bytes.unwrap_err().reason(), fetch::DECODER_PANICKED);
+                assert_eq!(loaded.loaded.unwrap_err().reason(), fetch::DECODER_PANICKED);
             }
             list.close();
         });

@@ -18,6 +18,11 @@ pub trait ReaderValue: Any + Debug + Send + Sync {
         false
     }
 
+    /// Returns the URI at which the content is looked for if its own has none.
+    fn fallback_uri(&self) -> Option<Arc<str>> {
+        None
+    }
+
     /// Returns the bytes of CPU memory that this value takes, without what it shares with other values.
     fn size_bytes(&self) -> u64;
 }
@@ -61,6 +66,14 @@ impl ReaderData {
     /// Returns true if the content continues the tile tree of the tile's own tileset.
     pub fn continues_tileset(&self) -> bool {
         matches!(self, Self::Value(value) if value.continues_tileset())
+    }
+
+    /// Returns the URI at which the content is looked for if its own has none.
+    pub fn fallback_uri(&self) -> Option<Arc<str>> {
+        match self {
+            Self::Text(_) => None,
+            Self::Value(value) => value.fallback_uri(),
+        }
     }
 
     /// Returns the bytes of CPU memory of the text or of the value.

@@ -186,7 +186,7 @@ fn serve(
         for (name, value) in &reply.headers {
             head.push_str(&format!("{name}: {value}\r\n"));
         }
-        let bodiless = reply.status == 304;
+        let bodiless = matches!(reply.status, 204 | 304);
         match reply.how {
             How::Chunked => head.push_str("Transfer-Encoding: chunked\r\n"),
             _ if bodiless => {}

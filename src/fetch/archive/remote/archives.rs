@@ -122,7 +122,7 @@ impl RemoteArchives {
             store(cache, uri, &part, &bytes).await;
         }
         let network_bytes = reader.network_bytes();
-        Ok(HttpBody { bytes, network_bytes, asked: network_bytes > 0 })
+        Ok(HttpBody { bytes, network_bytes, asked: network_bytes > 0, ..HttpBody::default() })
     }
 
     /// Reports that a member of the archive at a URL had invalid bytes. The directory may be damaged, since it has no
