@@ -6,10 +6,11 @@ use std::io::Cursor;
 use std::sync::Arc;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
+use kit::subtrees::{Scheme, Subtree};
 use terrane::fetch::Limits;
 use terrane::formats::writers::{GlbMesh, write_glb, write_height_exr};
-use terrane::formats::{Content, Fetched, ReadOptions, decode};
-use terrane::scene::{ShareModes, SharedStateManager};
+use terrane::formats::{Content, Fetched, ReadOptions, decode, decode_node};
+use terrane::scene::{NodeKind, ShareModes, SharedStateManager};
 
 /// The number of vertices along a side, and that of texels.
 const SIDE: usize = 65;
@@ -64,6 +65,26 @@ fn tileset() -> Vec<u8> {
     format!(r#"{{"asset":{{"version":"1.1"}},"geometricError":1000,"root":{}}}"#, tile(0, 0.0, 0.0)).into_bytes()
 }
 
+/// A full subtree of 5.6 million tiles, as the content of the tile that stands for it.
+fn subtree() -> Content {
+    let set = r#"{"asset":{"version":"1.1"},"geometricError":1000,"root":{
+        "boundingVolume":{"region":[0.1,0.8,0.2,0.9,0,100]},"geometricError":500,"content":{"uri":"{level}/{x}/{y}.glb"},
+        "implicitTiling":{"subdivisionScheme":"QUADTREE","subtreeLevels":12,"availableLevels":12,
+        "subtrees":{"uri":"{level}.{x}.{y}.subtree"}}}}"#;
+    let options = ReadOptions::for_root("/set/tileset.json", Limits::default());
+    let content = |bytes: Vec<u8>, reader_data| Content {
+        uri: "/set/0.0.0.subtree".into(),
+        bytes,
+        reader_data,
+        companions: Vec::new(),
+    };
+    let mut subtree = Subtree::new(Scheme::Quadtree, 12, 1);
+    subtree.fill();
+    let root = decode_node(content(set.into(), None), &options).expect("a tileset");
+    let NodeKind::PagedLod(tile) = root.kind else { panic!("a tile") };
+    content(subtree.binary(), tile.reader_data)
+}
+
 fn tile_decode(criterion: &mut Criterion) {
     let plain = ReadOptions::for_root("/set/tileset.json", Limits::default());
     let sharing = |modes| ReadOptions { sharing: Some(Arc::new(SharedStateManager::new(modes))), ..plain.clone() };
@@ -81,6 +102,7 @@ fn tile_decode(criterion: &mut Criterion) {
         ),
         ("65x65 vertices (glb) and a 256x256 PNG", content(glb())),
         ("tileset.json of 1,365 tiles", content(tileset())),
+        ("subtree of 12 levels, 1.4 MB: its first page", subtree()),
     ];
     let mut group = criterion.benchmark_group("tile_decode");
     for (name, content) in cases {

@@ -14,6 +14,7 @@ mod height;
 mod image;
 mod implicit;
 mod lenient;
+mod metadata;
 mod options;
 mod point_cloud;
 mod read;
@@ -27,6 +28,6 @@ pub(crate) use image::decode_file as decode_image;
 pub use options::{Content, Fetched, ReadOptions};
 pub use read::{companions, decode, decode_node, dependencies};
 pub use tile::UpAxis;
-pub use whole_set::{BoundsInfo, Info, InfoError, LevelInfo, Verified, inspect, verify};
+pub use whole_set::{BoundsInfo, Info, InfoError, LevelInfo, MetadataInfo, Verified, inspect, verify};
 #[cfg(feature = "http")]
 pub use whole_set::{FillOptions, Filled, fill, inspect_with, verify_with};

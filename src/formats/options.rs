@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::DAffine3;
 
 use super::tile::UpAxis;
-use crate::fetch::{IoError, Limits, RootScope, resolve};
+use crate::fetch::{IoError, Limits, RootScope, resolve, shown};
 use crate::scene::{ReaderData, SharedStateManager};
 
 /// Options that all reads of a tile set share.
@@ -63,10 +63,15 @@ impl ReadOptions {
     /// reference means relative to `uri` itself, if that is another file: servers that redirect to signed URLs expect it.
     pub(crate) fn resolve(&self, uri: &str, reference: &str) -> Result<(Arc<str>, Option<Arc<str>>), IoError> {
         let plain = resolve(uri, reference, &self.root);
+        // The reference alone does not tell which file has it.
+        let named = |error: IoError| IoError::Uri {
+            uri: error.uri().to_owned(),
+            reason: format!("{} (a reference in {})", error.reason(), shown(uri)),
+        };
         match &self.base {
-            None => Ok((plain?, None)),
+            None => Ok((plain.map_err(named)?, None)),
             Some(base) => {
-                let moved = resolve(base, reference, &self.root)?;
+                let moved = resolve(base, reference, &self.root).map_err(named)?;
                 let fallback = plain.ok().filter(|plain| *plain != moved);
                 Ok((moved, fallback))
             }

@@ -32,8 +32,8 @@ pub fn dependencies(
     known: &[Fetched],
     options: &ReadOptions,
 ) -> Vec<Arc<str>> {
-    let is_subtree = reader_data.and_then(|data| data.value::<SubtreeSource>()).is_some();
-    let needed = if is_subtree { implicit::external_buffers(uri, bytes, options) } else { Vec::new() };
+    let source = reader_data.and_then(|data| data.value::<SubtreeSource>());
+    let needed = source.map_or(Vec::new(), |source| implicit::external_buffers(source, uri, bytes, options));
     let mut unknown: Vec<Arc<str>> = Vec::new();
     for dependency in needed {
         if !known.iter().any(|(fetched, _)| *fetched == dependency) && !unknown.contains(&dependency) {

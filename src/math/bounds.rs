@@ -241,33 +241,31 @@ impl Region {
 
     /// Returns an oriented box (east, north, up at the centre) around the region, in ECEF metres.
     pub fn oriented_box(&self) -> OrientedBox {
-        let center = self.center();
-        let ecef_from_enu = WGS84.ecef_from_enu(&center);
-        let enu_from_ecef = ecef_from_enu.inverse();
         let extent = self.width().max(self.north - self.south);
         // As few samples as keep the surface within a metre of their hull.
         let steps = ((extent / SAMPLE_STEP).ceil() as u32).clamp(1, MAX_SAMPLES);
-        let mut points = Vec::with_capacity(2 * (steps as usize + 1).pow(2));
-        for i in 0..=steps {
-            for j in 0..=steps {
-                for height_m in [self.min_height_m, self.max_height_m] {
-                    let geodetic = Geodetic {
-                        longitude: self.west + self.width() * f64::from(i) / f64::from(steps),
-                        latitude: self.south + (self.north - self.south) * f64::from(j) / f64::from(steps),
-                        height_m,
-                    };
-                    points.push(enu_from_ecef.transform_point3(WGS84.ecef(&geodetic)));
-                }
-            }
-        }
-        let b = Aabb::from_points(points);
-        // Between samples the surface bulges beyond the hull by at most the sagitta of one step.
-        let step = extent / f64::from(steps);
-        let bulge = WGS84.semi_major_m * step * step / 8.0;
-        OrientedBox {
-            center: ecef_from_enu.transform_point3(b.center()),
-            half_axes: ecef_from_enu.matrix3 * DMat3::from_diagonal(b.half_size() + DVec3::splat(bulge)),
-        }
+        let at = |i: u32, j: u32, height_m| Geodetic {
+            longitude: self.west + self.width() * f64::from(i) / f64::from(steps),
+            latitude: self.south + (self.north - self.south) * f64::from(j) / f64::from(steps),
+            height_m,
+        };
+        let samples = (0..=steps).flat_map(|i| (0..=steps).map(move |j| (i, j)));
+        let samples = samples.flat_map(|(i, j)| [self.min_height_m, self.max_height_m].map(|height| at(i, j, height)));
+        surface_box(&self.center(), samples, extent / f64::from(steps))
+    }
+}
+
+/// Returns an oriented box (east, north, up at `center`) around a part of the earth's surface, ECEF metres. `samples` are
+/// points of the part, at most the angle `step`, in radians, apart.
+pub(crate) fn surface_box(center: &Geodetic, samples: impl Iterator<Item = Geodetic>, step: f64) -> OrientedBox {
+    let ecef_from_enu = WGS84.ecef_from_enu(center);
+    let enu_from_ecef = ecef_from_enu.inverse();
+    let b = Aabb::from_points(samples.map(|sample| enu_from_ecef.transform_point3(WGS84.ecef(&sample))));
+    // Between samples the surface bulges beyond the hull by at most the sagitta of one step.
+    let bulge = WGS84.semi_major_m * step * step / 8.0;
+    OrientedBox {
+        center: ecef_from_enu.transform_point3(b.center()),
+        half_axes: ecef_from_enu.matrix3 * DMat3::from_diagonal(b.half_size() + DVec3::splat(bulge)),
     }
 }
 

@@ -11,8 +11,8 @@ mod geodesy;
 pub mod random;
 mod ray;
 
-pub(crate) use bounds::max_scale;
 pub use bounds::{Aabb, BoundingSphere, BoundingVolume, OrientedBox, Region};
+pub(crate) use bounds::{max_scale, surface_box};
 pub use depth::distance_of_depth;
 pub use frustum::Frustum;
 pub use geodesy::{Ellipsoid, Geodetic, WGS84};

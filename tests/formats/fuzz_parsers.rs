@@ -5,11 +5,13 @@
 use std::sync::Arc;
 
 use kit::fuzz::Parser;
+use kit::subtrees::{Scheme, Subtree};
 use terrane::fetch::{DECODER_PANICKED, FileReader, IoError, Limits};
 use terrane::fetch::{RootScope, is_http, resolve, root_uri};
 use terrane::fetch::{fuzz_cache_entry, fuzz_encoding, fuzz_headers, fuzz_index, fuzz_pmtiles, fuzz_url};
 use terrane::formats::writers::{GlbMesh, write_glb, write_height_exr};
-use terrane::formats::{Content, Fetched, ReadOptions, decode, inspect};
+use terrane::formats::{Content, Fetched, ReadOptions, decode, decode_node, dependencies, inspect};
+use terrane::scene::{Node, NodeKind, ReaderData};
 use terrane::viewer::{AnimationPath, Arrangement, DisplaySettings};
 
 fn limits() -> Limits {
@@ -106,15 +108,69 @@ fn inspection() -> Parser {
     })
 }
 
+/// Subtrees of a quadtree with metadata; the tiles that they become are made too.
 fn subtree() -> Parser {
-    // Such files are refused by name, independent of their content.
-    let json = padded(r#"{"buffers":[{"byteLength":8}],"tileAvailability":{"constant":1}}"#);
-    let mut subtree = b"subt".to_vec();
-    subtree.extend(1u32.to_le_bytes());
-    subtree.extend((json.len() as u64).to_le_bytes());
-    subtree.extend(8u64.to_le_bytes());
-    let seeds = [[subtree, json, vec![0xff; 8]].concat()];
-    Parser::new("subtree", seeds, move |bytes| content(bytes, None, Vec::new()))
+    let options = ReadOptions::for_root("/set/tileset.json", limits());
+    let content = |uri: &str, bytes: &[u8], reader_data| Content {
+        uri: uri.into(),
+        bytes: bytes.to_vec(),
+        reader_data,
+        companions: Vec::new(),
+    };
+    let schema = r#""schema":{"id":"s","classes":{"tile":{"properties":{
+        "low":{"type":"SCALAR","componentType":"UINT8","semantic":"TILE_MINIMUM_HEIGHT"},
+        "box":{"type":"SCALAR","array":true,"count":12,"componentType":"INT8","semantic":"TILE_BOUNDING_BOX"}}}}},"#;
+    let set = IMPLICIT.replace(r#""subtreeLevels":2,"availableLevels":3"#, r#""subtreeLevels":6,"availableLevels":20"#);
+    let set = set.replacen('{', &format!("{{{schema}"), 1);
+    let root = decode_node(content("/set/tileset.json", set.as_bytes(), None), &options).unwrap();
+    let NodeKind::PagedLod(tile) = root.kind else { panic!("a tile") };
+    let source = tile.reader_data;
+    assert!(source.as_ref().is_some_and(ReaderData::continues_tileset));
+    let mut full = Subtree::new(Scheme::Quadtree, 6, 1);
+    full.fill();
+    full.add_child([1, 2, 0]);
+    let json = r#"{"buffers":[{"byteLength":8,"uri":"data:;base64,AQIDBAUGBwg="}],"bufferViews":[
+        {"buffer":0,"byteOffset":0,"byteLength":3}],"tileAvailability":{"bitstream":0},
+        "contentAvailability":{"constant":1},"childSubtreeAvailability":{"constant":1},"tileMetadata":0,
+        "propertyTables":[{"class":"tile","count":3,"properties":{"low":{"values":0},"box":{"values":0}}}]}"#;
+    let seeds = [full.binary(), full.binary_of_1_0(), json.as_bytes().to_vec(), full.json("../../a.bin").into_bytes()];
+    Parser::new("subtree", seeds, move |bytes| {
+        dependencies("/set/s", bytes, source.as_ref(), &[], &options);
+        match decode(content("/set/s", bytes, source.clone()), &options) {
+            Ok(page) => assert!(page.size_bytes() < 1 << 28),
+            Err(error) => return is_told(&error),
+        }
+        // Parts are made to the end of one branch.
+        let mut next = decode_node(content("/set/s", bytes, source.clone()), &options).ok();
+        for _ in 0..40 {
+            let Some(part) = next.as_ref().and_then(last_part) else { break };
+            next = decode_node(content("/set/part", &[], Some(part)), &options).ok();
+        }
+    })
+}
+
+/// The last part of a tile tree that is made from what was read.
+fn last_part(node: &Node) -> Option<ReaderData> {
+    let own = match &node.kind {
+        NodeKind::PagedLod(tile) => tile.reader_data.clone().filter(ReaderData::is_whole_content),
+        _ => None,
+    };
+    node.children.iter().rev().find_map(last_part).or(own)
+}
+
+fn cmpt() -> Parser {
+    let cmpt = |tiles: &[Vec<u8>]| {
+        let mut bytes = b"cmpt".to_vec();
+        let length = 16 + tiles.iter().map(Vec::len).sum::<usize>();
+        bytes.extend([1, length as u32, tiles.len() as u32].iter().flat_map(|word| word.to_le_bytes()));
+        bytes.extend(tiles.concat());
+        bytes
+    };
+    let points: Vec<u8> = (0..80).collect();
+    let pnts = pnts_bytes(r#"{"POINTS_LENGTH":2,"POSITION":{"byteOffset":0}}"#, &points);
+    let b3dm = b3dm_bytes(r#"{"BATCH_LENGTH":0}"#, &glb_bytes(None));
+    let nested = cmpt(&[pnts.clone(), cmpt(&[b3dm.clone(), cmpt(&[pnts.clone()])])]);
+    Parser::new("cmpt", [cmpt(&[]), cmpt(&[pnts, b3dm]), nested], move |bytes| content(bytes, None, Vec::new()))
 }
 
 fn glb() -> Parser {
@@ -431,6 +487,7 @@ kit::parsers! {
     glb,
     gltf_json,
     b3dm,
+    cmpt,
     pnts,
     height_tile,
     height_data,

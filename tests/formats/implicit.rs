@@ -377,7 +377,11 @@ fn broken_subtrees_are_refused_by_name() {
     assert!(buffers(r#"{"byteLength":1,"uri":"data:;base64,AA=="}"#, far).contains("beyond its buffer"));
     let short = r#"{"buffer":0,"byteOffset":0,"byteLength":0}"#;
     assert!(buffers(r#"{"byteLength":1,"uri":"data:;base64,AA=="}"#, short).contains("expected 1"));
-    assert!(buffers(r#"{"byteLength":1,"uri":"../../x.bin"}"#, view).contains("was not read"));
+    let outside = format!(
+        r#"{{"buffers":[{{"byteLength":1,"uri":"../../x.bin"}}],"bufferViews":[{view}],"tileAvailability":{{"bitstream":0}},{rest}}}"#
+    );
+    let found = read(outside.into_bytes());
+    assert!(found.errors[0].to_string().contains("all.subtree"), "{:?}", found.errors);
 }
 
 /// The tree ends where the numbers of the tileset say, whatever the bits are.
@@ -417,5 +421,105 @@ fn tiles_beyond_the_available_levels_are_left_out() {
         assert_eq!(found.contents.len(), 2, "the failed tile is one");
         let info = inspect(folder.path().to_str().unwrap(), &Limits::default()).unwrap();
         assert!(info.errors.iter().any(|error| error.reason.contains(reason)), "{info}");
+    }
+}
+
+/// Metadata replaces what follows from the position of a tile; its rows are those of the available tiles.
+#[test]
+fn metadata_of_tiles_replaces_volumes_and_errors() {
+    let folder = tempfile::tempdir().unwrap();
+    let property = |id: &str, kind: &str, semantic: &str| format!(r#""{id}":{{{kind},"semantic":"{semantic}"}}"#);
+    let float = r#""type":"SCALAR","componentType":"FLOAT32""#;
+    let class = [
+        property("low", float, "TILE_MINIMUM_HEIGHT"),
+        property("high", r#""type":"SCALAR","componentType":"INT16""#, "TILE_MAXIMUM_HEIGHT"),
+        property("error", float, "TILE_GEOMETRIC_ERROR"),
+        property("strange", r#""type":"STRING""#, "TILE_BOUNDING_BOX"),
+        property("name", r#""type":"STRING""#, "NAME"),
+    ];
+    let schema = format!(r#"{{"id":"s","classes":{{"tile":{{"properties":{{{}}}}}}}}}"#, class.join(","));
+    let tileset = |volume: &str, schema: &str| {
+        format!(
+            r#"{{"asset":{{"version":"1.1"}},"geometricError":9,"schema":{schema},"root":{{
+            "transform":[2,0,0,0, 0,2,0,0, 0,0,2,0, 0,0,0,1],
+            "boundingVolume":{{{volume}}},"geometricError":8,"content":{{"uri":"c/{{level}}_{{x}}_{{y}}.glb"}},
+            "implicitTiling":{{"subdivisionScheme":"QUADTREE","subtreeLevels":2,"availableLevels":2,
+            "subtrees":{{"uri":"all.subtree"}}}}}}}}"#
+        )
+    };
+    let region = r#""region":[0.1,0.2,0.3,0.4,-1000,9000]"#;
+    std::fs::write(folder.path().join("tileset.json"), tileset(region, &schema)).unwrap();
+    // The root and its first and last child.
+    let mut buffer = vec![0b1_0011, 0, 0, 0, 0, 0, 0, 0];
+    buffer.extend([5.0_f32, 10.0, 15.0].iter().flat_map(|low| low.to_le_bytes()));
+    buffer.extend([100_i16, 200, 300, 0].iter().flat_map(|high| high.to_le_bytes()));
+    buffer.extend([7.0_f32, 3.0, 1.5].iter().flat_map(|error| error.to_le_bytes()));
+    let data = base64::engine::general_purpose::STANDARD.encode(&buffer);
+    let subtree = |table: &str| {
+        format!(
+            r#"{{"buffers":[{{"byteLength":{},"uri":"data:;base64,{data}"}}],"bufferViews":[
+            {{"buffer":0,"byteOffset":0,"byteLength":1}},{{"buffer":0,"byteOffset":8,"byteLength":12}},
+            {{"buffer":0,"byteOffset":20,"byteLength":6}},{{"buffer":0,"byteOffset":28,"byteLength":12}}],
+            "tileAvailability":{{"bitstream":0}},"contentAvailability":[{{"bitstream":0}}],
+            "childSubtreeAvailability":{{"constant":0}},{table}}}"#,
+            buffer.len()
+        )
+    };
+    let table = r#""tileMetadata":0,"propertyTables":[{"class":"tile","count":3,"properties":{
+        "low":{"values":1},"high":{"values":2},"error":{"values":3},"strange":{"values":1},"name":{"values":1}}}]"#;
+    std::fs::write(folder.path().join("all.subtree"), subtree(table)).unwrap();
+    let values = |found: &Found| -> Vec<(String, [f64; 3])> {
+        let of = |(uri, tile): (&String, &PagedLod)| {
+            let BoundingVolume::Region(r) = tile.bounds else { panic!("a region") };
+            (uri.rsplit('/').next().unwrap().to_owned(), [r.min_height_m, r.max_height_m, error_m(tile)])
+        };
+        found.contents.iter().map(of).collect()
+    };
+    let found = Found::of(folder.path());
+    let expected =
+        [("0_0_0.glb", [5.0, 100.0, 14.0]), ("1_0_0.glb", [10.0, 200.0, 6.0]), ("1_1_1.glb", [15.0, 300.0, 3.0])];
+    assert_eq!(values(&found), expected.map(|(name, values)| (name.to_owned(), values)), "{:?}", found.errors);
+    // Tables that are damaged replace nothing.
+    for (was, now) in
+        [("\"values\":3", "\"values\":9"), ("\"class\":\"tile\"", "\"class\":\"no\""), (":0,\"prop", ":7,\"prop")]
+    {
+        let damaged = table.replace(was, now);
+        assert_ne!(damaged, table);
+        std::fs::write(folder.path().join("all.subtree"), subtree(&damaged)).unwrap();
+        let found = Found::of(folder.path());
+        assert_eq!(found.contents.len(), 3, "{:?}", found.errors);
+        assert_eq!(values(&found)[0].1[2], 16.0);
+    }
+}
+
+/// Cells of S2 are volumes, and roots of implicit trees.
+#[test]
+fn s2_cells_are_divided() {
+    let folder = tempfile::tempdir().unwrap();
+    let s2 = r#""extensions":{"3DTILES_bounding_volume_S2":{"token":"3","minimumHeight":-100,"maximumHeight":900}}"#;
+    let set = |volume: &str| {
+        format!(
+            r#"{{"asset":{{"version":"1.1"}},"geometricError":9,"extensionsRequired":["3DTILES_bounding_volume_S2"],
+            "root":{{"boundingVolume":{{{volume}}},"geometricError":8,"content":{{"uri":"c/{{level}}_{{x}}_{{y}}.glb"}},
+            "implicitTiling":{{"subdivisionScheme":"QUADTREE","subtreeLevels":2,"availableLevels":2,
+            "subtrees":{{"uri":"all.subtree"}}}}}}}}"#
+        )
+    };
+    std::fs::write(folder.path().join("tileset.json"), set(s2)).unwrap();
+    let mut subtree = Subtree::new(Scheme::Quadtree, 2, 1);
+    subtree.fill();
+    std::fs::write(folder.path().join("all.subtree"), subtree.binary()).unwrap();
+    let found = Found::of(folder.path());
+    assert_eq!((found.contents.len(), found.errors.len()), (5, 0), "{:?}", found.errors);
+    let boxes: Vec<OrientedBox> = found.contents.values().map(|tile| tile.bounds.oriented_box().unwrap()).collect();
+    // Face 1 is around 90 degrees east on the equator.
+    for (i, b) in boxes.iter().enumerate() {
+        assert!(b.center.y > 3e6 && b.center.x.abs() < 4e6 && b.center.z.abs() < 4e6, "{i}: {}", b.center);
+        assert!(boxes[0].distance_to(b.center) < 1.0, "{i}");
+    }
+    for bad in [s2.replace("\"3\"", "\"X\""), s2.replace("900", "-900"), s2.replace("900", "null")] {
+        std::fs::write(folder.path().join("tileset.json"), set(&bad)).unwrap();
+        let found = Found::of(folder.path());
+        assert!(found.errors.len() == 1 && found.errors[0].reason().contains("S2"), "{:?}", found.errors);
     }
 }

@@ -7,3 +7,4 @@ mod implicit;
 mod tiles_bad_input;
 mod tiles_read;
 mod tiles_samples;
+mod tiles_unusual;

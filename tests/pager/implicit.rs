@@ -84,7 +84,7 @@ fn implicit_trees_settle_on_the_same_tiles_however_they_are_cut() {
 fn subtrees_that_are_not_looked_at_expire() {
     let folder = tempfile::tempdir().unwrap();
     write_set(folder.path(), 2, 3);
-    let config = PagerConfig { expiry_frames: 3, max_tiles: 120, ..PagerConfig::default() };
+    let config = PagerConfig { expiry_frames: 3, max_tiles: 60, ..PagerConfig::default() };
     let mut run = Run::new(folder.path().to_str().unwrap(), config);
     let corners = [(100.0, 100.0), (4000.0, 4000.0), (100.0, 4000.0), (4000.0, 100.0)];
     let mut pages = Vec::new();
@@ -95,7 +95,7 @@ fn subtrees_that_are_not_looked_at_expire() {
             for _ in 0..40 {
                 run.frame(eye);
             }
-            assert!(run.pager.stats().resident <= 120, "{:?}", run.pager.stats());
+            assert!(run.pager.stats().resident <= 60, "{:?}", run.pager.stats());
             pages.push(resident(&run).1);
         }
     }
@@ -125,7 +125,6 @@ fn missing_subtrees_keep_the_tile_above() {
         assert!(errors.len() == 1 && errors[0].uri.ends_with("2.0.0.subtree"), "{errors:?}");
         let (contents, _) = resident(&run);
         assert!(contents.contains(&"1_0_0.glb".to_owned()), "{contents:?}");
-        assert!(run.stage.leaf_count() > 0);
     }
 }
 

@@ -5,7 +5,7 @@ use std::io::Write as _;
 
 use anyhow::{Context as _, Result, ensure};
 use terrane::fetch::{self, Limits};
-use terrane::formats::{self, Info, Verified};
+use terrane::formats::{self, Info, MetadataInfo, Verified};
 use terrane_data_gen::Progress;
 
 use crate::args::InfoArgs;
@@ -43,6 +43,9 @@ fn text(info: &Info, verified: Option<&Verified>) -> String {
     // Writing to a String cannot fail.
     let _ = writeln!(out, "format   {} {}", info.format, info.version);
     let _ = writeln!(out, "tiles    {}, {} contents", info.tiles, info.contents);
+    if info.subtrees > 0 {
+        let _ = writeln!(out, "implicit {} subtrees", info.subtrees);
+    }
     let _ = writeln!(out, "size     {:.1} MiB", mebibytes(info.bytes));
     let [x, y, z] = info.bounds.center;
     let _ = writeln!(out, "bounds   {:.1} m around {x:.1}, {y:.1}, {z:.1}", info.bounds.radius_m);
@@ -53,6 +56,9 @@ fn text(info: &Info, verified: Option<&Verified>) -> String {
     if !info.extensions.is_empty() {
         let names: Vec<&str> = info.extensions.iter().map(String::as_str).collect();
         let _ = writeln!(out, "uses     {}", names.join(", "));
+    }
+    if let Some(metadata) = &info.metadata {
+        out.push_str(&metadata_text(metadata));
     }
     for l in &info.levels {
         let (level, size) = (l.level, mebibytes(l.bytes));
@@ -69,6 +75,23 @@ fn text(info: &Info, verified: Option<&Verified>) -> String {
     }
     if let more @ 1.. = info.failed - info.errors.len() as u64 {
         let _ = writeln!(out, "         and {more} more");
+    }
+    out
+}
+
+/// Returns a line for each kind of metadata of a tileset.
+fn metadata_text(metadata: &MetadataInfo) -> String {
+    let mut out = String::new();
+    let classes = metadata.class_names();
+    if !classes.is_empty() {
+        let _ = writeln!(out, "metadata classes {}", classes.join(", "));
+    }
+    let properties = metadata.tileset.as_ref().and_then(|tileset| tileset.get("properties")?.as_object());
+    for (name, value) in properties.into_iter().flatten() {
+        let _ = writeln!(out, "metadata {name} = {value}");
+    }
+    if metadata.group_count() > 0 {
+        let _ = writeln!(out, "metadata {} groups of contents", metadata.group_count());
     }
     out
 }

@@ -1,5 +1,7 @@
 //! The JSON of implicit tiling and of subtrees as serde reads it, with the names of 1.1 and of the 1.0 extensions.
 
+use std::collections::BTreeMap;
+
 use serde::Deserialize;
 
 use crate::formats::lenient::{Text, list, or_default};
@@ -34,10 +36,34 @@ pub(super) struct SubtreeJson {
     pub tile_availability: Option<AvailabilityJson>,
     pub content_availability: Option<OneOrMany>,
     pub child_subtree_availability: Option<AvailabilityJson>,
+    #[serde(default, deserialize_with = "or_default")]
+    pub property_tables: Vec<PropertyTableJson>,
+    /// The property table of the tiles that are available.
+    tile_metadata: Option<usize>,
     pub extensions: Option<SubtreeExtensions>,
 }
 
+/// A property table: the properties of a class as columns.
+#[derive(Debug, Deserialize)]
+pub(super) struct PropertyTableJson {
+    #[serde(default)]
+    pub class: Text,
+    #[serde(default, deserialize_with = "or_default")]
+    pub properties: BTreeMap<String, ColumnJson>,
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct ColumnJson {
+    /// The buffer view of the values.
+    pub values: Option<usize>,
+}
+
 impl SubtreeJson {
+    /// Returns the property table of the tiles.
+    pub fn tile_table(&self) -> Option<&PropertyTableJson> {
+        self.property_tables.get(self.tile_metadata?)
+    }
+
     /// Returns the availability of each content of a tile.
     pub fn content_availability(&self) -> &[AvailabilityJson] {
         let several = self.extensions.as_ref().and_then(|extensions| extensions.multiple_contents.as_ref());

@@ -5,12 +5,14 @@
 //! |---|---|
 //! | `tiling` | what all tiles of a tree share; volumes and errors by halving |
 //! | `subtree` | a subtree file: availability of tiles, contents and child subtrees |
+//! | `semantics` | metadata of tiles that replaces volumes and errors |
 //! | `pages` | parts of the tree as tiles of pages, made when they are wanted |
 //! | `coordinates`, `template`, `json` | indices, URIs and the JSON |
 
 mod coordinates;
 mod json;
 mod pages;
+mod semantics;
 mod subtree;
 mod template;
 mod tiling;
@@ -24,7 +26,12 @@ use std::sync::Arc;
 use super::options::ReadOptions;
 
 /// Returns the absolute URIs of the external buffers that hold bits of a subtree file, without those that are not allowed.
-pub(super) fn external_buffers(uri: &str, bytes: &[u8], options: &ReadOptions) -> Vec<Arc<str>> {
+pub(super) fn external_buffers(
+    source: &SubtreeSource,
+    uri: &str,
+    bytes: &[u8],
+    options: &ReadOptions,
+) -> Vec<Arc<str>> {
     let resolved = |reference: &String| options.resolve(uri, reference).ok().map(|(uri, _)| uri);
-    subtree::external_buffers(bytes).iter().filter_map(resolved).collect()
+    source.external_buffers(bytes).iter().filter_map(resolved).collect()
 }

@@ -7,7 +7,8 @@
 use std::sync::Arc;
 
 use super::coordinates::{LocalTile, TileCoordinates};
-use super::subtree::Subtree;
+use super::semantics::Overrides;
+use super::subtree::{Subtree, external_buffers};
 use super::tiling::ImplicitTiling;
 use crate::fetch::IoError;
 use crate::formats::options::{Fetched, ReadOptions};
@@ -66,12 +67,17 @@ impl SubtreeSource {
         companions: &[Fetched],
         options: &ReadOptions,
     ) -> Result<Vec<Tile>, IoError> {
-        let subtree = Subtree::parse(uri, bytes, companions, self.tiling.shape, options)?;
+        let subtree = Subtree::parse(uri, bytes, companions, self.tiling.shape, self.tiling.schema(), options)?;
         let subtree = LoadedSubtree { tiling: self.tiling.clone(), uri: uri.clone(), subtree };
         let mut reader = PartReader::new(Arc::new(subtree), true);
         let root = LocalTile::root(self.root);
         reader.choose_levels(vec![root], MAX_FIRST_TILES);
         Ok(vec![reader.tile(root, self.is_replaced)])
+    }
+
+    /// Returns the references of the external buffers that a subtree file needs.
+    pub(super) fn external_buffers(&self, bytes: &[u8]) -> Vec<String> {
+        external_buffers(bytes, self.tiling.schema())
     }
 
     /// Returns the content of a tile that stands for the subtree.
@@ -192,7 +198,9 @@ impl PartReader {
         let available = (0..tiling.shape.contents).filter(|content| self.subtree.subtree.has_content(tile, *content));
         let contents: Vec<TileContent> = available.filter_map(|content| tiling.content(coordinates, content)).collect();
         // A tile without content draws nothing where its error is small, which would be a hole below a replaced content.
-        let mut geometric_error_m = tiling.geometric_error_m(coordinates.level);
+        let overrides = self.subtree.subtree.overrides(tile);
+        let bounds = tiling.bounds(coordinates, &overrides);
+        let mut geometric_error_m = tiling.geometric_error_m(coordinates.level, &overrides);
         if contents.is_empty() && is_replaced {
             geometric_error_m = ALWAYS_REFINED_M;
         }
@@ -204,14 +212,15 @@ impl PartReader {
         } else if !self.children(tile).is_empty() {
             let counts_subtree = std::mem::take(&mut self.counts_subtree);
             let part = SubtreePart { subtree: self.subtree.clone(), parent: tile, is_replaced, counts_subtree };
-            continuations.push(Continuation { bounds: tiling.bounds(coordinates), content: part.content() });
+            continuations.push(Continuation { bounds, content: part.content() });
         }
         for root in self.child_subtrees(tile) {
             let source = SubtreeSource { tiling: tiling.clone(), root, is_replaced };
-            continuations.push(Continuation { bounds: tiling.bounds(root), content: source.content() });
+            continuations
+                .push(Continuation { bounds: tiling.bounds(root, &Overrides::default()), content: source.content() });
         }
         Tile {
-            bounds: tiling.bounds(coordinates),
+            bounds,
             request_volume: None,
             refine: tiling.refine,
             geometric_error_m,

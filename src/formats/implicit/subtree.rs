@@ -5,10 +5,14 @@
 
 use super::coordinates::{LocalTile, Subdivision};
 use super::json::{AvailabilityJson, SubtreeJson};
+use super::semantics::{self, Overrides, Semantic};
 use crate::fetch::IoError;
 use crate::formats::embedded;
+use crate::formats::metadata::{NumberColumn, Schema};
 use crate::formats::options::{Fetched, ReadOptions};
 
+/// The number of tiles of a block whose available ones are counted ahead.
+const RANK_BLOCK_TILES: u64 = 512;
 /// Header of a binary subtree: magic, version, and the lengths of JSON and binary chunk.
 const HEADER_BYTES: usize = 24;
 
@@ -45,6 +49,10 @@ pub(super) struct Subtree {
     tiles: Availability,
     contents: Vec<Availability>,
     children: Availability,
+    /// Columns of the tiles' metadata that replace volumes and errors; usually none.
+    metadata: Vec<(Semantic, NumberColumn)>,
+    /// The number of available tiles before each block of tiles; only with metadata.
+    ranks: Vec<u32>,
 }
 
 impl Subtree {
@@ -54,13 +62,14 @@ impl Subtree {
         bytes: Vec<u8>,
         companions: &[Fetched],
         shape: SubtreeShape,
+        schema: Option<&Schema>,
         options: &ReadOptions,
     ) -> Result<Self, IoError> {
         let bad = |reason: String| IoError::invalid(uri, format!("subtree: {reason}"));
         let chunks = Chunks::of(&bytes).map_err(&bad)?;
         let json: SubtreeJson = parse_json(chunks.json).map_err(&bad)?;
         let binary = chunks.binary.map(|binary| (HEADER_BYTES + chunks.json.len(), binary.len()));
-        let needed = needed_buffers(&json);
+        let needed = needed_buffers(&json, schema);
         let mut buffers = vec![bytes];
         // Index into `buffers`, first byte and length of each buffer that is needed.
         let mut places: Vec<Option<(usize, usize, usize)>> = vec![None; json.buffers.len()];
@@ -109,7 +118,19 @@ impl Subtree {
         let below = subdivision.tiles_in(levels);
         let children = json.child_subtree_availability.as_ref();
         let children = availability(children, "childSubtreeAvailability", below).map_err(&bad)?;
-        let subtree = Self { subdivision, buffers, tiles, contents, children };
+        let table = schema.zip(json.tile_table());
+        let properties = table.into_iter().flat_map(|(schema, table)| semantics::properties(table, schema));
+        let metadata = properties.filter_map(|property| {
+            let view = json.buffer_views.get(property.view)?;
+            let (buffer, start, _) = places.get(view.buffer).copied().flatten()?;
+            let start = start.checked_add(usize::try_from(view.byte_offset).ok()?)?;
+            Some((property.semantic, semantics::column(&property, buffer, start)?))
+        });
+        let metadata: Vec<(Semantic, NumberColumn)> = metadata.collect();
+        let mut subtree = Self { subdivision, buffers, tiles, contents, children, metadata, ranks: Vec::new() };
+        if !subtree.metadata.is_empty() {
+            subtree.ranks = subtree.count_ranks(count);
+        }
         if !subtree.get(subtree.tiles, 0) {
             return Err(bad("its root tile is not available".to_owned()));
         }
@@ -132,9 +153,48 @@ impl Subtree {
         self.get(self.children, root.morton)
     }
 
+    /// Returns the values that an available tile has instead of those that follow from its position.
+    pub fn overrides(&self, tile: LocalTile) -> Overrides {
+        let mut overrides = Overrides::default();
+        if !self.metadata.is_empty() {
+            let row = self.rank(tile.index(self.subdivision));
+            for (semantic, column) in &self.metadata {
+                if let Some(value) = column.value(&self.buffers[column.buffer()], row) {
+                    overrides.set(*semantic, &value);
+                }
+            }
+        }
+        overrides
+    }
+
+    /// Counts the available tiles before each block of [`RANK_BLOCK_TILES`], of `count` tiles in all.
+    fn count_ranks(&self, count: u64) -> Vec<u32> {
+        let Availability::Bits { buffer, start } = self.tiles else { return Vec::new() };
+        let bits = self.buffers[buffer].get(start..).unwrap_or_default();
+        let bits = &bits[..bits.len().min(count.div_ceil(8) as usize)];
+        let mut before = 0;
+        let mut ranks = Vec::with_capacity(bits.len().div_ceil((RANK_BLOCK_TILES / 8) as usize));
+        for block in bits.chunks((RANK_BLOCK_TILES / 8) as usize) {
+            ranks.push(before);
+            before += ones(block);
+        }
+        ranks
+    }
+
+    /// Returns the number of available tiles before a tile: the row of its metadata.
+    fn rank(&self, index: u64) -> u64 {
+        let Availability::Bits { buffer, start } = self.tiles else { return index };
+        let before = self.ranks.get((index / RANK_BLOCK_TILES) as usize).copied().unwrap_or(0);
+        let first = start + (index / RANK_BLOCK_TILES * RANK_BLOCK_TILES / 8) as usize;
+        let last = start + (index >> 3) as usize;
+        let bytes = self.buffers[buffer].get(first..=last).unwrap_or_default();
+        let Some((last, whole)) = bytes.split_last() else { return u64::from(before) };
+        u64::from(before + ones(whole) + (last & ((1_u16 << (index & 7)) - 1) as u8).count_ones())
+    }
+
     /// Returns the bytes of CPU memory.
     pub fn size_bytes(&self) -> u64 {
-        self.buffers.iter().map(|buffer| buffer.capacity() as u64).sum()
+        self.buffers.iter().map(|buffer| buffer.capacity() as u64).sum::<u64>() + 4 * self.ranks.len() as u64
     }
 
     fn get(&self, of: Availability, index: u64) -> bool {
@@ -148,20 +208,29 @@ impl Subtree {
     }
 }
 
-/// Returns the references of the external buffers that hold bits of a subtree, in order. A file that is no subtree has none.
-pub(super) fn external_buffers(bytes: &[u8]) -> Vec<String> {
+/// Returns the number of bits that are set.
+fn ones(bytes: &[u8]) -> u32 {
+    bytes.iter().map(|byte| byte.count_ones()).sum()
+}
+
+/// Returns the references of the external buffers that a subtree needs, in order. A file that is no subtree has none.
+pub(super) fn external_buffers(bytes: &[u8], schema: Option<&Schema>) -> Vec<String> {
     let json = Chunks::of(bytes).and_then(|chunks| parse_json(chunks.json));
     let Ok(json) = json else { return Vec::new() };
-    let needed = needed_buffers(&json);
+    let needed = needed_buffers(&json, schema);
     let references = json.buffers.into_iter().zip(needed).filter(|(_, needed)| *needed);
     references.filter_map(|(buffer, _)| buffer.uri.0.filter(|uri| !uri.starts_with("data:"))).collect()
 }
 
-/// Tells for each buffer whether availability is in it. Other buffers hold metadata.
-fn needed_buffers(json: &SubtreeJson) -> Vec<bool> {
+/// Tells for each buffer whether availability is in it, or metadata that replaces volumes or errors.
+fn needed_buffers(json: &SubtreeJson, schema: Option<&Schema>) -> Vec<bool> {
     let mut needed = vec![false; json.buffers.len()];
+    let table = schema.zip(json.tile_table());
+    let properties = table.into_iter().flat_map(|(schema, table)| semantics::properties(table, schema));
+    let columns = properties.map(|property| property.view);
     let all = json.tile_availability.iter().chain(&json.child_subtree_availability).chain(json.content_availability());
-    for view in all.filter_map(AvailabilityJson::view).filter_map(|view| json.buffer_views.get(view)) {
+    let views = all.filter_map(AvailabilityJson::view).chain(columns);
+    for view in views.filter_map(|view| json.buffer_views.get(view)) {
         if let Some(needed) = needed.get_mut(view.buffer) {
             *needed = true;
         }

@@ -3,16 +3,18 @@
 use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
 
-use glam::DAffine3;
+use glam::{DAffine3, DMat3, DVec3};
 
 use super::coordinates::{MAX_LEVEL, Subdivision, TileCoordinates};
 use super::json::ImplicitTilingJson;
+use super::semantics::Overrides;
 use super::subtree::SubtreeShape;
 use super::template::UriTemplate;
 use crate::fetch::IoError;
+use crate::formats::metadata::Schema;
 use crate::formats::options::ReadOptions;
-use crate::formats::tile::{ContentData, TileContent, UpAxis};
-use crate::math::{BoundingVolume, OrientedBox, Region};
+use crate::formats::tile::{ContentData, S2Cell, TileContent, UpAxis};
+use crate::math::{BoundingSphere, BoundingVolume, OrientedBox, Region, max_scale};
 use crate::scene::{ReaderData, Refine};
 
 /// The volume of the root of an implicit tree, which is halved for the tiles below.
@@ -22,6 +24,8 @@ pub(in crate::formats) enum RootVolume {
     Box(OrientedBox),
     /// On the globe. `tileset_from_set` maps from the frame of the whole set; `None` is the identity.
     Region { region: Region, tileset_from_set: Option<DAffine3> },
+    /// A cell on the globe between two heights, metres.
+    S2 { cell: S2Cell, heights_m: [f64; 2], tileset_from_set: Option<DAffine3> },
 }
 
 /// The root tile of an implicit tree, as the reader of the tileset knows it.
@@ -42,6 +46,8 @@ pub(in crate::formats) struct ImplicitRoot<'a> {
     pub contents: Vec<&'a str>,
     /// The up axis of glTF contents.
     pub up_axis: UpAxis,
+    /// The schema of the tileset's metadata.
+    pub schema: Option<Arc<Schema>>,
 }
 
 /// The properties that all tiles of an implicit tree share.
@@ -60,6 +66,8 @@ pub(in crate::formats) struct ImplicitTiling {
     /// Reader data of all contents that need no other.
     content_data: Option<ReaderData>,
     up_axis: UpAxis,
+    /// The schema of the tiles' metadata.
+    schema: Option<Arc<Schema>>,
 }
 
 impl ImplicitTiling {
@@ -100,6 +108,7 @@ impl ImplicitTiling {
             is_replaced: root.is_replaced,
             content_data,
             up_axis: root.up_axis,
+            schema: root.schema,
         })
     }
 
@@ -126,17 +135,52 @@ impl ImplicitTiling {
         Some(TileContent { uri: template.fill(tile), reader_data })
     }
 
-    /// Returns the geometric error of all tiles of a level, metres of the tileset's frame.
-    pub(super) fn geometric_error_m(&self, level: u32) -> f64 {
-        self.geometric_error_m / level_scale(level)
+    /// Returns the schema of the tiles' metadata.
+    pub(super) fn schema(&self) -> Option<&Schema> {
+        self.schema.as_deref()
     }
 
-    /// Returns the volume of a tile.
-    pub(super) fn bounds(&self, tile: TileCoordinates) -> BoundingVolume {
+    /// Returns the geometric error of a tile of a level, metres of the tileset's frame.
+    pub(super) fn geometric_error_m(&self, level: u32, overrides: &Overrides) -> f64 {
+        match overrides.geometric_error.filter(|error| *error >= 0.0) {
+            Some(error) => error * max_scale(&self.content_transform.matrix3),
+            None => self.geometric_error_m / level_scale(level),
+        }
+    }
+
+    /// Returns the volume of a tile: that of its metadata, or its part of the root's.
+    pub(super) fn bounds(&self, tile: TileCoordinates, overrides: &Overrides) -> BoundingVolume {
+        if let Some([cx, cy, cz, axes @ ..]) = overrides.oriented_box {
+            let [x, y, z] = [0, 3, 6].map(|at| DVec3::from_slice(&axes[at..]));
+            let own = OrientedBox { center: DVec3::new(cx, cy, cz), half_axes: DMat3::from_cols(x, y, z) };
+            return BoundingVolume::Box(own.transformed(&self.content_transform));
+        }
+        let tileset_from_set = match &self.volume {
+            RootVolume::Box(_) => None,
+            RootVolume::Region { tileset_from_set, .. } | RootVolume::S2 { tileset_from_set, .. } => {
+                tileset_from_set.as_ref()
+            }
+        };
+        if let Some([west, south, east, north, min_height_m, max_height_m]) = overrides.region {
+            let own = Region { west, south, east, north, min_height_m, max_height_m };
+            return placed(with_heights(own, overrides), tileset_from_set);
+        }
+        if let Some([x, y, z, radius_m]) = overrides.sphere {
+            let own = BoundingSphere::new(DVec3::new(x, y, z), radius_m.max(0.0));
+            return BoundingVolume::Sphere(own.transformed(&self.content_transform));
+        }
         match self.volume {
             RootVolume::Box(root) => BoundingVolume::Box(self.part_of_box(&root, tile)),
             RootVolume::Region { region, tileset_from_set } => {
-                placed(self.part_of_region(&region, tile), tileset_from_set.as_ref())
+                placed(with_heights(self.part_of_region(&region, tile), overrides), tileset_from_set.as_ref())
+            }
+            RootVolume::S2 { cell, heights_m: [low, high], tileset_from_set } => {
+                let (from, to) = self.parts(tile)[2];
+                let (part_low, part_high) = (low + (high - low) * from, low + (high - low) * to);
+                let low = overrides.min_height_m.unwrap_or(part_low);
+                let high = overrides.max_height_m.unwrap_or(part_high);
+                let b = cell.part(tile.level, tile.x, tile.y).oriented_box(low, high);
+                BoundingVolume::Box(tileset_from_set.map_or(b, |map| b.transformed(&map)))
             }
         }
     }
@@ -189,6 +233,13 @@ impl ImplicitTiling {
 /// Returns the number of tiles along an axis of a level.
 fn level_scale(level: u32) -> f64 {
     f64::from(level).exp2()
+}
+
+/// Returns a region with the heights of a tile's metadata.
+fn with_heights(region: Region, overrides: &Overrides) -> Region {
+    let min_height_m = overrides.min_height_m.unwrap_or(region.min_height_m);
+    let max_height_m = overrides.max_height_m.unwrap_or(region.max_height_m);
+    Region { min_height_m, max_height_m, ..region }
 }
 
 /// Returns the volume of a region for a tileset that transforms above it move. The inverse keeps the region in its position.

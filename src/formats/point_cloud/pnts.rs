@@ -309,7 +309,7 @@ mod tests {
         };
         let floats = |values: &[f32]| values.iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<u8>>();
         add(GeometryAttributeType::Position, 3, DataType::Float32, &floats(positions));
-        let colors: Vec<u8> = (0..3 * count).map(|i| 20 * i as u8).collect();
+        let colors: Vec<u8> = (0..3 * count).map(|i| (20 * i) as u8).collect();
         add(GeometryAttributeType::Color, 3, DataType::Uint8, &colors);
         add(GeometryAttributeType::Normal, 3, DataType::Float32, &floats(&[0.0, 0.0, 1.0].repeat(count)));
         let ids: Vec<u8> = (0..count as u16).flat_map(|id| (7 * id).to_le_bytes()).collect();

@@ -1,10 +1,12 @@
 //! [`Tile`]: a tile as all readers of tile trees make it, with its contents, and its conversion to nodes. Decode threads.
 
 mod content;
+mod s2;
 #[allow(clippy::module_inception, reason = "the file holds the type that the folder is named after")]
 mod tile;
 mod up_axis;
 
 pub(super) use content::{ContentBytes, ContentData, TileContent};
+pub(super) use s2::S2Cell;
 pub(super) use tile::{ALWAYS_REFINED_M, Continuation, Tile, node_of};
 pub use up_axis::UpAxis;

@@ -1,7 +1,7 @@
 //! Recognizes tilesets by their content and by their file extension.
 
 use crate::fetch::markup::text_and_first_byte;
-use crate::fetch::{IoError, Limits, encoding};
+use crate::fetch::{IoError, Limits, encoding, path_of};
 
 /// Returns true for the JSON of a tileset, false for other JSON such as a glTF.
 pub(crate) fn is_tileset_text(uri: &str, text: &[u8]) -> Result<bool, IoError> {
@@ -33,7 +33,7 @@ pub(crate) fn may_be_tileset(uri: &str) -> bool {
         "glb", "gltf", "b3dm", "i3dm", "pnts", "cmpt", "subtree", "exr", "png", "jpg", "jpeg", "webp", "tif", "ktx2",
         "terrain", "bin",
     ];
-    let path = uri.split(['?', '#']).next().unwrap_or(uri);
+    let path = path_of(uri);
     let extension = path.rsplit('/').next().and_then(|name| name.rsplit_once('.')).map(|(_, extension)| extension);
     extension.is_none_or(|extension| !OTHERS.iter().any(|other| extension.eq_ignore_ascii_case(other)))
 }

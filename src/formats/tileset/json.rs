@@ -8,6 +8,7 @@ use crate::fetch::markup::refuse_markup;
 use crate::formats::height::{SetExtras, TileExtras};
 use crate::formats::implicit::ImplicitTilingJson;
 use crate::formats::lenient::{Number, Numbers, Text, list, or_default};
+use crate::formats::metadata::Schema;
 
 /// Supported extensions that a tileset may require, including those that do not affect drawing.
 const KNOWN_EXTENSIONS: &[&str] = &[
@@ -15,6 +16,7 @@ const KNOWN_EXTENSIONS: &[&str] = &[
     "3DTILES_implicit_tiling",
     "3DTILES_multiple_contents",
     "3DTILES_metadata",
+    "3DTILES_bounding_volume_S2",
     "3DTILES_batch_table_hierarchy",
     "3DTILES_draco_point_compression",
 ];
@@ -29,7 +31,28 @@ pub(crate) struct TilesetJson {
     pub extensions_required: Vec<String>,
     #[serde(rename = "extensionsUsed", default, deserialize_with = "list")]
     pub extensions_used: Vec<String>,
+    schema: Option<Schema>,
+    extensions: Option<TilesetExtensions>,
     pub root: TileJson,
+}
+
+impl TilesetJson {
+    /// Takes the schema of the metadata by the 1.1 property or by the 1.0 extension.
+    pub fn take_schema(&mut self) -> Option<Schema> {
+        let by_extension = self.extensions.as_mut().and_then(|extensions| extensions.metadata.as_mut()?.schema.take());
+        self.schema.take().or(by_extension)
+    }
+}
+
+#[derive(Deserialize)]
+struct TilesetExtensions {
+    #[serde(rename = "3DTILES_metadata")]
+    metadata: Option<MetadataExtension>,
+}
+
+#[derive(Deserialize)]
+struct MetadataExtension {
+    schema: Option<Schema>,
 }
 
 #[derive(Deserialize)]
@@ -110,6 +133,29 @@ pub(crate) struct VolumeJson {
     pub oriented_box: Option<Numbers>,
     pub region: Option<Numbers>,
     pub sphere: Option<Numbers>,
+    extensions: Option<VolumeExtensions>,
+}
+
+impl VolumeJson {
+    /// Returns the S2 cell by the extension `3DTILES_bounding_volume_S2`.
+    pub fn s2(&self) -> Option<&S2Json> {
+        self.extensions.as_ref()?.s2.as_ref()
+    }
+}
+
+#[derive(Default, Deserialize)]
+struct VolumeExtensions {
+    #[serde(rename = "3DTILES_bounding_volume_S2")]
+    s2: Option<S2Json>,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(crate) struct S2Json {
+    #[serde(default)]
+    pub token: Text,
+    pub minimum_height: Option<Number>,
+    pub maximum_height: Option<Number>,
 }
 
 #[derive(Deserialize)]

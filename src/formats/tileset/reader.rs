@@ -15,6 +15,7 @@ use super::volume::{affine, bounding_volume, root_volume};
 use crate::fetch::{IoError, path_of};
 use crate::formats::height::HeightSet;
 use crate::formats::implicit::{ImplicitRoot, ImplicitTiling, ImplicitTilingJson, SubtreeSource};
+use crate::formats::metadata::Schema;
 use crate::formats::options::ReadOptions;
 use crate::formats::tile::{ALWAYS_REFINED_M, ContentBytes, ContentData, Tile, TileContent, UpAxis};
 use crate::math::BoundingVolume;
@@ -47,10 +48,11 @@ pub(in crate::formats) fn read_tiles(uri: &Arc<str>, bytes: &[u8], options: &Rea
             limit: options.limits.max_external_depth as u64,
         });
     }
-    let tileset = json::parse(uri, bytes)?;
+    let mut tileset = json::parse(uri, bytes)?;
+    let schema = tileset.take_schema().map(Arc::new);
     let up_axis = tileset.asset.gltf_up_axis.0.as_deref().and_then(UpAxis::named).unwrap_or_default();
     let heights = HeightSet::from_extras(uri, tileset.asset.extras.0)?;
-    let mut reader = Reader { uri, options, heights, up_axis, tiles: 0, contents: 0 };
+    let mut reader = Reader { uri, options, heights, up_axis, schema, tiles: 0, contents: 0 };
     // An external tileset does not know the tiles above it, so it assumes that it replaces a content.
     let inherited = Inherited {
         refine: Refine::Replace,
@@ -67,6 +69,7 @@ struct Reader<'a> {
     options: &'a ReadOptions,
     heights: Option<HeightSet>,
     up_axis: UpAxis,
+    schema: Option<Arc<Schema>>,
     /// Number of tiles so far.
     tiles: usize,
     /// Number of contents without a URI of their own so far.
@@ -187,6 +190,7 @@ impl Reader<'_> {
                 is_replaced: inherited.is_replaced,
                 contents: contents.collect::<Result<Vec<&str>, _>>()?,
                 up_axis: self.up_axis,
+                schema: self.schema.clone(),
             },
         )?;
         let content = SubtreeSource::root(Arc::new(tiling)).content();

@@ -5,6 +5,7 @@ use glam::{DAffine3, DMat3, DMat4, DVec3, DVec4};
 use super::json::VolumeJson;
 use crate::fetch::IoError;
 use crate::formats::implicit::RootVolume;
+use crate::formats::tile::S2Cell;
 use crate::math::{BoundingSphere, BoundingVolume, OrientedBox, Region};
 
 /// Parses the transform of a tile.
@@ -27,6 +28,10 @@ pub(super) fn bounding_volume(
     set_from_content: &DAffine3,
 ) -> Result<BoundingVolume, IoError> {
     let bad = |what: &str, v: &[f64]| IoError::invalid(uri, format!("bounding {what} {v:?} is invalid"));
+    if let Some((cell, heights)) = s2(uri, json)? {
+        let b = cell.oriented_box(heights[0], heights[1]);
+        return Ok(BoundingVolume::Box(inverse(set_from_content).map_or(b, |map| b.transformed(&map))));
+    }
     if let Some(v) = json.oriented_box.as_ref().map(|v| v.0.as_slice()) {
         let &[cx, cy, cz, ax, ay, az, bx, by, bz, gx, gy, gz] = v else { return Err(bad("box", v)) };
         let b = OrientedBox {
@@ -61,6 +66,9 @@ pub(super) fn root_volume(
     json: &VolumeJson,
     set_from_content: &DAffine3,
 ) -> Result<RootVolume, IoError> {
+    if let Some((cell, heights_m)) = s2(uri, json)? {
+        return Ok(RootVolume::S2 { cell, heights_m, tileset_from_set: inverse(set_from_content) });
+    }
     if json.oriented_box.is_none()
         && let Some(region) = region(uri, json)?
     {
@@ -86,6 +94,20 @@ fn region(uri: &str, json: &VolumeJson) -> Result<Option<Region>, IoError> {
         return Err(bad());
     }
     Ok(Some(Region { west, south, east, north, min_height_m, max_height_m }))
+}
+
+/// Parses the S2 cell of a volume, with its lowest and highest height in metres, if it has one.
+fn s2(uri: &str, json: &VolumeJson) -> Result<Option<(S2Cell, [f64; 2])>, IoError> {
+    let Some(s2) = json.s2() else { return Ok(None) };
+    let token = s2.token.0.as_deref().unwrap_or_default();
+    let cell = S2Cell::from_token(token);
+    let cell =
+        cell.ok_or_else(|| IoError::invalid(uri, format!("bounding volume: S2 token {token:.40?} is invalid")))?;
+    let heights = [&s2.minimum_height, &s2.maximum_height].map(|height| height.map_or(f64::NAN, |height| height.0));
+    if !(heights[0] <= heights[1] && heights.iter().all(|height| height.abs() < 1e9)) {
+        return Err(IoError::invalid(uri, format!("bounding volume: heights {heights:?} of an S2 cell are invalid")));
+    }
+    Ok(Some((cell, heights)))
 }
 
 /// Returns the map from the frame of the whole set to that of a tileset; `None` if they are the same or it has no inverse.

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use serde::Serialize;
 
+use super::metadata::MetadataInfo;
 use super::report::{InfoError, record, too_many};
 use super::tree::{Known, load, read_subtree};
 #[cfg(feature = "http")]
@@ -35,6 +36,8 @@ pub struct Info {
     pub bytes: u64,
     /// Extensions that the tilesets declare as used.
     pub extensions: BTreeSet<String>,
+    /// The metadata of the root tileset, if it has any.
+    pub metadata: Option<MetadataInfo>,
     /// The bounds of the whole set.
     pub bounds: BoundsInfo,
     /// Number of failures.
@@ -92,6 +95,7 @@ fn inspect_from(source: &str, limits: &Limits, from: Source) -> Result<Info, IoE
     info.bounds.region = json.root.bounding_volume.region.as_ref().map(|region| region.0.clone());
     info.bytes += bytes.len() as u64;
     info.extensions.extend(json.extensions_used.iter().cloned());
+    info.metadata = MetadataInfo::read(&bytes);
     drop(json);
     let tile = match read_tiles(&root, &bytes, &options) {
         Ok(tile) => tile,

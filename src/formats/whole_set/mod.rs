@@ -3,6 +3,7 @@
 #[cfg(feature = "http")]
 mod fill;
 mod info;
+mod metadata;
 #[cfg(feature = "http")]
 mod region;
 mod report;
@@ -14,6 +15,7 @@ pub use fill::{FillOptions, Filled, fill};
 #[cfg(feature = "http")]
 pub use info::inspect_with;
 pub use info::{BoundsInfo, Info, LevelInfo, inspect};
+pub use metadata::MetadataInfo;
 pub use report::InfoError;
 #[cfg(feature = "http")]
 pub use verify::verify_with;
