@@ -1,19 +1,41 @@
-//! Batched 3D Model (3D Tiles 1.0, `b3dm`): a header, tables and a glb. Only RTC_CENTER of the tables is used.
+//! Batched 3D Model (3D Tiles 1.0, `b3dm`): a header, tables and a glb.
 
 use glam::DVec3;
 use serde::Deserialize;
 
 use super::feature_table::{self, Global};
+use super::ignored::Notes;
+use super::properties;
 use crate::fetch::IoError;
+use crate::scene::PropertyTable;
 
 #[derive(Default, Deserialize)]
+#[serde(rename_all = "SCREAMING_SNAKE_CASE")]
 struct FeatureTable {
-    #[serde(rename = "RTC_CENTER")]
     rtc_center: Option<Global<[f64; 3]>>,
+    batch_length: Option<Global<usize>>,
 }
 
-/// Returns the glb, and the centre that its positions are relative to.
-pub(crate) fn unwrap<'a>(uri: &str, bytes: &'a [u8]) -> Result<(&'a [u8], Option<DVec3>), IoError> {
+/// The parts of a b3dm.
+pub(super) struct B3dm<'a> {
+    pub glb: &'a [u8],
+    /// The centre that the positions of the glb are relative to.
+    pub rtc_center: Option<DVec3>,
+    batch_json: &'a [u8],
+    batch_binary: &'a [u8],
+    /// The number of features.
+    batch_length: usize,
+}
+
+impl B3dm<'_> {
+    /// Returns the properties of the features; `None` if there are none.
+    pub fn batch_table(&self, notes: &Notes) -> Option<PropertyTable> {
+        properties::batch_table(self.batch_json, self.batch_binary, self.batch_length, &|kind| notes.add(kind))
+    }
+}
+
+/// Finds the parts of a b3dm.
+pub(super) fn unwrap<'a>(uri: &str, bytes: &'a [u8]) -> Result<B3dm<'a>, IoError> {
     let u32_at =
         |at: usize| -> Option<usize> { bytes.get(at..at + 4)?.try_into().ok().map(|b| u32::from_le_bytes(b) as usize) };
     let truncated = || IoError::invalid(uri, "b3dm: truncated header");
@@ -29,6 +51,7 @@ pub(crate) fn unwrap<'a>(uri: &str, bytes: &'a [u8]) -> Result<(&'a [u8], Option
         .iter()
         .try_fold(at, |a, &b| a.checked_add(b))
         .ok_or_else(truncated)?;
+    let mut batch = (at.saturating_add(feature_json).saturating_add(feature_binary), batch_json, batch_binary);
     let is_glb = |at: usize| bytes.get(at..).is_some_and(|b| b.starts_with(b"glTF"));
     if is_glb(sum) {
         at = sum;
@@ -40,6 +63,7 @@ pub(crate) fn unwrap<'a>(uri: &str, bytes: &'a [u8]) -> Result<(&'a [u8], Option
     }) {
         at = found;
         feature = (0, 0);
+        batch = (0, 0, 0);
     } else {
         return Err(IoError::invalid(uri, "b3dm: no glb where the header says"));
     }
@@ -56,7 +80,18 @@ pub(crate) fn unwrap<'a>(uri: &str, bytes: &'a [u8]) -> Result<(&'a [u8], Option
         }
         None => None,
     };
-    Ok((bytes.get(at..).unwrap_or(&[]), rtc))
+    let batch_length = match table.batch_length {
+        Some(length) => length.count(binary).ok_or_else(|| IoError::invalid(uri, "b3dm: BATCH_LENGTH is invalid"))?,
+        None => 0,
+    };
+    let part = |begin: usize, length: usize| bytes.get(begin..begin.saturating_add(length)).unwrap_or(&[]);
+    Ok(B3dm {
+        glb: bytes.get(at..).unwrap_or(&[]),
+        rtc_center: rtc,
+        batch_json: part(batch.0, batch.1),
+        batch_binary: part(batch.0.saturating_add(batch.1), batch.2),
+        batch_length,
+    })
 }
 
 #[cfg(test)]
@@ -74,7 +109,7 @@ mod tests {
     #[test]
     fn headers_of_all_versions() {
         let of =
-            |lengths: &[u32], rest: &[&[u8]]| unwrap("a", &with_header(lengths, rest)).map(|(glb, _)| glb.to_vec());
+            |lengths: &[u32], rest: &[&[u8]]| unwrap("a", &with_header(lengths, rest)).map(|b3dm| b3dm.glb.to_vec());
         let table = [b' '; 100];
         assert_eq!(of(&[0, 0, 60, 40], &[&table]).unwrap(), b"glTF");
         // The header has the number of features and the size of their table.
@@ -88,7 +123,7 @@ mod tests {
     fn centres_are_in_the_json_or_in_the_binary_part() {
         let center = |json: &str, binary: &[u8]| {
             let lengths = [json.len() as u32, binary.len() as u32, 0, 0];
-            unwrap("a", &with_header(&lengths, &[json.as_bytes(), binary])).map(|(_, center)| center)
+            unwrap("a", &with_header(&lengths, &[json.as_bytes(), binary])).map(|b3dm| b3dm.rtc_center)
         };
         let binary: Vec<u8> = [9.0f32, 1.0, 2.5, -3.0].iter().flat_map(|x| x.to_le_bytes()).collect();
         let expected = Some(DVec3::new(1.0, 2.5, -3.0));

@@ -11,7 +11,12 @@ pub(super) fn data_uri(uri: &str, reference: &str) -> Result<Vec<u8>, IoError> {
     if !head.to_ascii_lowercase().ends_with(";base64") {
         return percent_decoded(data).ok_or_else(|| bad("bad percent escape"));
     }
-    // Some writers omit the padding, others break lines.
+    // Some writers omit the padding, others escape it or break lines.
+    let unescaped = data.contains('%').then(|| percent_decoded(data).and_then(|bytes| String::from_utf8(bytes).ok()));
+    let data = match &unescaped {
+        Some(unescaped) => unescaped.as_deref().ok_or_else(|| bad("bad percent escape"))?,
+        None => data,
+    };
     let engine = base64::engine::GeneralPurpose::new(
         &base64::alphabet::STANDARD,
         base64::engine::general_purpose::PAD.with_decode_padding_mode(base64::engine::DecodePaddingMode::Indifferent),
@@ -49,9 +54,10 @@ mod tests {
         assert_eq!(read("data:application/octet-stream;base64,Z2xURg==").unwrap(), "glTF");
         assert_eq!(read("data:;BASE64,Z2xURg").unwrap(), "glTF");
         assert_eq!(read("data:;base64,Z2x\n URg==").unwrap(), "glTF");
+        assert_eq!(read("data:;base64,Z2xURg%3D%3D").unwrap(), "glTF");
         assert_eq!(read("data:application/json,%7B%22a%22:1}").unwrap(), "{\"a\":1}");
         assert_eq!(read("data:,").unwrap(), "");
-        for bad in ["data:", "data:;base64,?", "data:,%7", "data:,%xy"] {
+        for bad in ["data:", "data:;base64,?", "data:;base64,Z2xURg%3", "data:;base64,%ff", "data:,%7", "data:,%xy"] {
             assert!(read(bad).is_err(), "{bad}");
         }
     }

@@ -11,12 +11,16 @@ mod embedded;
 mod feature_table;
 mod gltf;
 mod height;
+mod i3dm;
+mod ignored;
 mod image;
 mod implicit;
 mod lenient;
 mod metadata;
+mod model_files;
 mod options;
 mod point_cloud;
+mod properties;
 mod read;
 mod tile;
 mod tileset;
@@ -24,9 +28,10 @@ mod whole_set;
 pub mod writers;
 
 pub use database_path::set_database_path;
+pub use ignored::{Ignored, IgnoredLog};
 pub(crate) use image::decode_file as decode_image;
 pub use options::{Content, Fetched, ReadOptions};
-pub use read::{companions, decode, decode_node, dependencies};
+pub use read::{companions, decode, decode_node, decode_noting, dependencies};
 pub use tile::UpAxis;
 pub use whole_set::{BoundsInfo, Info, InfoError, LevelInfo, MetadataInfo, Verified, inspect, verify};
 #[cfg(feature = "http")]

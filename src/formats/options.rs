@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use glam::DAffine3;
 
+use super::ignored::IgnoredLog;
 use super::tile::UpAxis;
 use crate::fetch::{IoError, Limits, RootScope, resolve, shown};
 use crate::scene::{ReaderData, SharedStateManager};
@@ -31,8 +32,13 @@ pub struct ReadOptions {
     pub base: Option<Arc<str>>,
     /// The axis of glTF contents that points up. Decoders set it by the tileset that a content belongs to.
     pub gltf_up_axis: UpAxis,
+    /// Keeps the feature ids of glTF, b3dm and i3dm with their property tables, for
+    /// [`Page::features`](crate::scene::Page::features). Off by default, since they take memory.
+    pub keep_features: bool,
     /// Shares equal images, meshes and states between contents; `None` by default. A pager sets its own.
     pub sharing: Option<Arc<SharedStateManager>>,
+    /// Collects what contents ask for and their readers leave out. Copies of these options share it.
+    pub ignored: IgnoredLog,
 }
 
 impl ReadOptions {
@@ -47,7 +53,9 @@ impl ReadOptions {
             vertex_attributes: Arc::default(),
             base: None,
             gltf_up_axis: UpAxis::Y,
+            keep_features: false,
             sharing: None,
+            ignored: IgnoredLog::default(),
         }
     }
 

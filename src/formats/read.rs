@@ -2,13 +2,18 @@
 
 use std::sync::Arc;
 
+use super::gltf::GltfSource;
+use super::ignored::{Ignored, Notes};
 use super::implicit::{SubtreePart, SubtreeSource};
 use super::options::{Content, Fetched, ReadOptions};
 use super::tile::{ContentBytes, ContentData, TileContent, node_of};
-use super::{b3dm, cmpt, embedded, gltf, height, image, implicit, point_cloud, tileset};
+use super::{b3dm, cmpt, embedded, gltf, height, i3dm, image, implicit, model_files, point_cloud, tileset};
 use crate::fetch::markup::{refuse_markup, text_and_first_byte};
 use crate::fetch::{IoError, encoding, guarded};
 use crate::scene::{Node, Page, ReaderData};
+
+/// The maximum number of files that one content may refer to.
+const MAX_DEPENDENCIES: usize = 4096;
 
 /// Returns the other URIs that a content needs and that are known before it is read: the imagery of a height tile, or the
 /// other contents of a tile.
@@ -22,9 +27,9 @@ pub fn companions(uri: &Arc<str>, reader_data: Option<&ReaderData>) -> Vec<Arc<s
     height::companions(uri, reader_data.and_then(ReaderData::text))
 }
 
-/// Returns the files that a content refers to and that are not in `known`: external buffers of a subtree. A loader fetches
-/// them after the content, adds them to its companions, and asks again until none is left. References that are not allowed
-/// are left out; the decoder reports them. Any thread.
+/// Returns the files that a content refers to and that are not in `known`: external buffers of a subtree, external buffers
+/// and images of a glTF, and the model of an i3dm. A loader fetches them after the content, adds them to its companions,
+/// and asks again until none is left. References that are not allowed are left out; the decoder reports them. Any thread.
 pub fn dependencies(
     uri: &str,
     bytes: &[u8],
@@ -32,10 +37,25 @@ pub fn dependencies(
     known: &[Fetched],
     options: &ReadOptions,
 ) -> Vec<Arc<str>> {
-    let source = reader_data.and_then(|data| data.value::<SubtreeSource>());
-    let needed = source.map_or(Vec::new(), |source| implicit::external_buffers(source, uri, bytes, options));
+    let base = options.base.as_deref().unwrap_or(uri);
+    let needed = if let Some(source) = reader_data.and_then(|data| data.value::<SubtreeSource>()) {
+        implicit::external_buffers(source, uri, bytes, options)
+    } else if let Some(ContentBytes::Several(contents)) = content_data(reader_data).map(|data| &data.bytes) {
+        let fetched = contents.iter().filter(|content| !content.is_in_memory()).enumerate();
+        let files = fetched.flat_map(|(i, content)| {
+            let other = || Some(&known.iter().find(|(fetched, _)| *fetched == content.uri)?.1);
+            match (i, other()) {
+                (0, _) => model_files::of_model(base, bytes, known, options),
+                (_, Some(Ok(bytes))) => model_files::of_model(&content.uri, bytes, known, options),
+                _ => Vec::new(),
+            }
+        });
+        files.collect()
+    } else {
+        model_files::of_model(base, bytes, known, options)
+    };
     let mut unknown: Vec<Arc<str>> = Vec::new();
-    for dependency in needed {
+    for dependency in needed.into_iter().take(MAX_DEPENDENCIES) {
         if !known.iter().any(|(fetched, _)| *fetched == dependency) && !unknown.contains(&dependency) {
             unknown.push(dependency);
         }
@@ -43,7 +63,8 @@ pub fn dependencies(
     unknown
 }
 
-/// Decodes a content to a page. CPU only, no I/O; any thread.
+/// Decodes a content to a page. CPU only, no I/O; any thread. What the content asks for and the reader leaves out is added
+/// to [`ReadOptions::ignored`].
 ///
 /// If a crate behind a decoder panics, only this content fails, with the reason
 /// [`DECODER_PANICKED`](crate::fetch::DECODER_PANICKED).
@@ -66,6 +87,19 @@ pub fn decode(content: Content, options: &ReadOptions) -> Result<Page, IoError> 
 
 /// Decodes a content to nodes: [`decode`] without building a page.
 pub fn decode_node(content: Content, options: &ReadOptions) -> Result<Node, IoError> {
+    decode_noting(content, options).map(|(node, _)| node)
+}
+
+/// Decodes a content to nodes, and returns what the reader left out.
+pub fn decode_noting(content: Content, options: &ReadOptions) -> Result<(Node, Ignored), IoError> {
+    let notes = Notes::default();
+    let node = read_node(content, options, &notes)?;
+    let ignored = notes.into_ignored();
+    options.ignored.add(&ignored);
+    Ok((node, ignored))
+}
+
+fn read_node(content: Content, options: &ReadOptions, notes: &Notes) -> Result<Node, IoError> {
     let Content { uri, bytes, reader_data, companions } = content;
     if let Some(part) = reader_data.as_ref().and_then(|data| data.value::<SubtreePart>()) {
         return Ok(node_of(part.read()));
@@ -76,17 +110,17 @@ pub fn decode_node(content: Content, options: &ReadOptions) -> Result<Node, IoEr
     }
     let Some(data) = content_data(reader_data.as_ref()) else {
         let text = reader_data.as_ref().and_then(ReaderData::text);
-        return decode_bytes(&uri, bytes, text, companions, options);
+        return read_bytes(&uri, bytes, text, companions, options, notes);
     };
     let options = &ReadOptions { gltf_up_axis: data.up_axis, ..options.clone() };
     match &data.bytes {
-        ContentBytes::Fetched => decode_bytes(&uri, bytes, None, companions, options),
+        ContentBytes::Fetched => read_bytes(&uri, bytes, None, companions, options, notes),
         ContentBytes::Embedded(reference) => {
             let bytes = embedded::data_uri(&uri, reference)?;
-            decode_bytes(&uri, bytes, None, companions, options)
+            read_bytes(&uri, bytes, None, companions, options, notes)
         }
         ContentBytes::Refused(error) => Err(error.clone()),
-        ContentBytes::Several(contents) => decode_several(contents, (uri, Ok(bytes)), companions, options),
+        ContentBytes::Several(contents) => read_several(contents, (uri, Ok(bytes)), companions, options, notes),
     }
 }
 
@@ -94,81 +128,114 @@ fn content_data(reader_data: Option<&ReaderData>) -> Option<&ContentData> {
     reader_data?.value()
 }
 
-/// Decodes all contents of a tile to one node.
-fn decode_several(
+/// Reads all contents of a tile as one node. `companions` are the other contents, then the files that contents refer to.
+fn read_several(
     contents: &[TileContent],
     first: Fetched,
-    companions: Vec<Fetched>,
+    mut companions: Vec<Fetched>,
     options: &ReadOptions,
+    notes: &Notes,
 ) -> Result<Node, IoError> {
+    let fetched_count = contents.iter().filter(|content| !content.is_in_memory()).count();
+    let dependencies = companions.split_off(fetched_count.saturating_sub(1).min(companions.len()));
     let mut fetched = std::iter::once(first).chain(companions);
+    // Where redirects led is known of the first content that is fetched.
+    let mut base = options.base.clone();
     let mut nodes = Vec::with_capacity(contents.len());
     for content in contents {
+        let mut options = ReadOptions { base: None, ..options.clone() };
         let bytes = if content.is_in_memory() {
             Vec::new()
         } else {
+            options.base = base.take();
             let missing = || IoError::NotFound { uri: content.uri.to_string() };
             fetched.next().ok_or_else(missing)?.1?
         };
         let (uri, reader_data) = (content.uri.clone(), content.reader_data.clone());
-        nodes.push(decode_node(Content { uri, bytes, reader_data, companions: Vec::new() }, options)?);
+        let content = Content { uri, bytes, reader_data, companions: dependencies.clone() };
+        nodes.push(read_node(content, &options, notes)?);
     }
     Ok(Node::group(nodes))
 }
 
-/// Decodes the bytes of a content by their magic. `text` is the reader data of a height tile.
-fn decode_bytes(
+/// Reads the bytes of a content by their magic. `text` is the reader data of a height tile.
+fn read_bytes(
     uri: &Arc<str>,
     bytes: Vec<u8>,
     text: Option<&str>,
     companions: Vec<Fetched>,
     options: &ReadOptions,
+    notes: &Notes,
 ) -> Result<Node, IoError> {
     let limits = &options.limits;
     let bytes = encoding::gunzip(uri, bytes, limits)?;
     if bytes.starts_with(&[0x76, 0x2f, 0x31, 0x01]) {
         return height::read(uri, &bytes, text, companions, limits, options.sharing.as_deref());
     }
-    decode_model(uri, &bytes, options, 0)
+    ModelReader { uri, companions: &companions, options, notes }.read(&bytes, 0)
 }
 
-/// Decodes a model, or a composite of models inside `depth` others, by its magic.
-fn decode_model(uri: &Arc<str>, bytes: &[u8], options: &ReadOptions, depth: u32) -> Result<Node, IoError> {
-    let (json, first) = text_and_first_byte(bytes);
-    if bytes.starts_with(b"glTF") {
-        return gltf::read_glb(uri, bytes, None, options);
+/// Reads models by their magic.
+struct ModelReader<'a> {
+    uri: &'a Arc<str>,
+    /// The files that the content refers to.
+    companions: &'a [Fetched],
+    options: &'a ReadOptions,
+    notes: &'a Notes,
+}
+
+impl ModelReader<'_> {
+    /// Returns the address that references are relative to.
+    fn base(&self) -> &str {
+        self.options.base.as_ref().unwrap_or(self.uri)
     }
-    if bytes.starts_with(b"b3dm") {
-        let (glb, center) = b3dm::unwrap(uri, bytes)?;
-        return gltf::read_glb(uri, glb, center, options);
-    }
-    if bytes.starts_with(b"pnts") {
-        return point_cloud::read(uri, bytes, options);
-    }
-    if bytes.starts_with(b"cmpt") {
-        let parts = cmpt::parts(uri, bytes, depth)?;
-        let nodes = parts.into_iter().map(|part| decode_model(uri, part, options, depth + 1));
-        return nodes.collect::<Result<Vec<_>, _>>().map(Node::group);
-    }
-    for (magic, what) in [
-        (&b"i3dm"[..], "instanced model (i3dm)"),
-        (b"subt", "a subtree outside of implicit tiling"),
-        (b"PMTiles", "a whole PMTiles file as the content of a tile"),
-    ] {
-        if bytes.starts_with(magic) {
-            return Err(IoError::unsupported(uri, what));
-        }
-    }
-    if first == Some(b'{') {
-        return if tileset::is_tileset_text(uri, json)? {
-            tileset::read(uri, json, options)
-        } else {
-            gltf::read_gltf(uri, json, options)
+
+    /// Reads a model, or a composite of models inside `depth` others.
+    fn read(&self, bytes: &[u8], depth: u32) -> Result<Node, IoError> {
+        let Self { uri, companions, options, notes } = *self;
+        let (json, first) = text_and_first_byte(bytes);
+        let read_gltf = |bytes: &[u8], rtc_center, batch_table| {
+            let source = GltfSource { uri, base: self.base(), bytes, rtc_center, batch_table, companions };
+            gltf::read(source, options, notes)
         };
+        if bytes.starts_with(b"glTF") {
+            return read_gltf(bytes, None, None);
+        }
+        if bytes.starts_with(b"b3dm") {
+            let b3dm = b3dm::unwrap(uri, bytes)?;
+            let batch_table = options.keep_features.then(|| b3dm.batch_table(notes)).flatten();
+            return read_gltf(b3dm.glb, b3dm.rtc_center, batch_table.map(Arc::new));
+        }
+        if bytes.starts_with(b"i3dm") {
+            return i3dm::read((uri, self.base()), bytes, companions, options, notes);
+        }
+        if bytes.starts_with(b"pnts") {
+            return point_cloud::read(uri, bytes, options);
+        }
+        if bytes.starts_with(b"cmpt") {
+            let parts = cmpt::parts(uri, bytes, depth)?;
+            let nodes = parts.into_iter().map(|part| self.read(part, depth + 1));
+            return nodes.collect::<Result<Vec<_>, _>>().map(Node::group);
+        }
+        for (magic, what) in [
+            (&b"subt"[..], "a subtree outside of implicit tiling"),
+            (b"PMTiles", "a whole PMTiles file as the content of a tile"),
+        ] {
+            if bytes.starts_with(magic) {
+                return Err(IoError::unsupported(uri, what));
+            }
+        }
+        if first == Some(b'{') {
+            return if tileset::is_tileset_text(uri, json)? {
+                tileset::read(uri, json, options)
+            } else {
+                read_gltf(json, None, None)
+            };
+        }
+        refuse_markup(uri, bytes)?;
+        if image::is_image(bytes) {
+            return Err(IoError::unsupported(uri, "an image as the content of a tile"));
+        }
+        Err(IoError::invalid(uri, format!("unknown magic {:02x?}", bytes.get(..4.min(bytes.len())).unwrap_or(&[]))))
     }
-    refuse_markup(uri, bytes)?;
-    if image::is_image(bytes) {
-        return Err(IoError::unsupported(uri, "an image as the content of a tile"));
-    }
-    Err(IoError::invalid(uri, format!("unknown magic {:02x?}", bytes.get(..4.min(bytes.len())).unwrap_or(&[]))))
 }

@@ -63,6 +63,9 @@ pub struct PagerConfig {
     /// Attributes that meshes of glTFs keep if a scene's own options name none; see
     /// [`ReadOptions::vertex_attributes`](crate::formats::ReadOptions::vertex_attributes).
     pub vertex_attributes: Arc<[Arc<str>]>,
+    /// Keeps feature ids and their properties; see
+    /// [`ReadOptions::keep_features`](crate::formats::ReadOptions::keep_features).
+    pub keep_features: bool,
     /// Which equal contents of different tiles are shared; see [`SharedStateManager`](crate::scene::SharedStateManager).
     pub sharing: ShareModes,
 }
@@ -93,6 +96,7 @@ impl Default for PagerConfig {
             blocking: false,
             build_kd_trees: false,
             vertex_attributes: Arc::default(),
+            keep_features: false,
             sharing: ShareModes::default(),
         }
     }

@@ -8,6 +8,7 @@
 //! | `nodes` | node values, callbacks, flattening |
 //! | `pages` | the flat arrays of a page and their bounds |
 //! | `tile_tree` | tiles of a page, content slots, attaching pages, readiness |
+//! | `features` | ids of the parts of a mesh, and tables of their properties |
 //! | `geometry` | meshes, height tiles, materials, text |
 //! | `sharing` | equal contents of several pages stored once |
 //! | `intersect` | intersections with lines and volumes, heights above the terrain |
@@ -16,6 +17,7 @@
 mod callback_pages;
 mod draw_kinds;
 mod error;
+mod features;
 mod geometry;
 mod graph;
 mod id;
@@ -32,6 +34,7 @@ mod tile_tree;
 
 pub use draw_kinds::DrawKind;
 pub use error::{MeshError, SceneError};
+pub use features::{DrawableFeatures, Feature, FeatureIdSet, FeatureIds, PropertyColumn, PropertyTable, PropertyValue};
 #[cfg(feature = "text")]
 pub use geometry::Font;
 pub use geometry::{

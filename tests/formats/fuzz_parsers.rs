@@ -4,6 +4,7 @@
 
 use std::sync::Arc;
 
+use kit::compressed::{Triangles, uastc_ktx2};
 use kit::fuzz::Parser;
 use kit::subtrees::{Scheme, Subtree};
 use terrane::fetch::{DECODER_PANICKED, FileReader, IoError, Limits};
@@ -197,6 +198,102 @@ fn gltf_json() -> Parser {
     Parser::new("gltf", [gltf, occluding], |bytes| content(bytes, None, Vec::new()))
 }
 
+/// Returns a glTF of the grid whose buffer is the input.
+fn wrapped(accessors: &str, view: &str, primitive: &str, buffer: &[u8]) -> Vec<u8> {
+    use base64::Engine as _;
+    let uri = base64::engine::general_purpose::STANDARD.encode(buffer);
+    let length = buffer.len();
+    format!(
+        r#"{{"asset":{{"version":"2.0"}},"scenes":[{{"nodes":[0]}}],"nodes":[{{"mesh":0}}],"meshes":[{{"primitives":[{primitive}]}}],"accessors":[{accessors}],"bufferViews":[{view}],"buffers":[{{"byteLength":{length},"uri":"data:;base64,{uri}"}},{{"byteLength":9999}}]}}"#
+    )
+    .into_bytes()
+}
+
+fn draco() -> Parser {
+    let grid = Triangles::grid(5);
+    let accessors = r#"{"componentType":5126,"count":25,"type":"VEC3"},{"componentType":5121,"normalized":true,"count":25,"type":"VEC4"},{"componentType":5123,"count":96,"type":"SCALAR"}"#;
+    let primitive = r#"{"attributes":{"POSITION":0,"COLOR_0":1},"indices":2,"extensions":{"KHR_draco_mesh_compression":{"bufferView":0,"attributes":{"POSITION":0,"COLOR_0":1}}}}"#;
+    Parser::new("draco", [0, 5, 10].map(|level| grid.draco(level)), move |bytes| {
+        let view = format!(r#"{{"buffer":0,"byteLength":{}}}"#, bytes.len());
+        content(&wrapped(accessors, &view, primitive, bytes), None, Vec::new());
+    })
+}
+
+/// The first byte chooses mode and filter.
+fn meshopt() -> Parser {
+    let grid = Triangles::grid(5);
+    let seed = |kind: u8, data: Vec<u8>| [vec![kind], data].concat();
+    let seeds = [
+        seed(0, grid.meshopt_positions()),
+        seed(1, grid.meshopt_positions()),
+        seed(2, grid.meshopt_indices()),
+        seed(3, grid.meshopt_indices()),
+    ];
+    Parser::new("meshopt", seeds, move |bytes| {
+        let Some((kind, bytes)) = bytes.split_first() else { return };
+        let (mode, filter, count, stride) = [
+            ("ATTRIBUTES", "NONE", 25, 12),
+            ("ATTRIBUTES", "EXPONENTIAL", 25, 12),
+            ("TRIANGLES", "NONE", 96, 2),
+            ("INDICES", "NONE", 96, 2),
+            ("ATTRIBUTES", "OCTAHEDRAL", 36, 8),
+            ("ATTRIBUTES", "QUATERNION", 36, 8),
+            ("ATTRIBUTES", "COLOR", 36, 8),
+        ][usize::from(*kind) % 7];
+        let (length, size) = (bytes.len(), count * stride);
+        let view = format!(
+            r#"{{"buffer":1,"byteLength":{size},"extensions":{{"KHR_meshopt_compression":{{"buffer":0,"byteLength":{length},"count":{count},"byteStride":{stride},"mode":"{mode}","filter":"{filter}"}}}}}}"#
+        );
+        let positions = r#"{"bufferView":0,"componentType":5126,"count":12,"type":"VEC3"}"#;
+        let indices = r#"{"componentType":5126,"count":25,"type":"VEC3"},{"bufferView":0,"componentType":5123,"count":96,"type":"SCALAR"}"#;
+        let (accessors, primitive) = match mode {
+            "ATTRIBUTES" => (positions, r#"{"attributes":{"POSITION":0}}"#),
+            _ => (indices, r#"{"attributes":{"POSITION":0},"indices":1}"#),
+        };
+        content(&wrapped(accessors, &view, primitive, bytes), None, Vec::new());
+    })
+}
+
+fn i3dm() -> Parser {
+    let numbers: Vec<u8> = (0..64u8).flat_map(|i| f32::from(i).to_le_bytes()).collect();
+    let of = |table: &str, format: u32, body: &[u8]| {
+        let table = padded(table);
+        let mut out = b"i3dm".to_vec();
+        let length = 32 + table.len() + numbers.len() + body.len();
+        for word in [1, length as u32, table.len() as u32, numbers.len() as u32, 0, 0, format] {
+            out.extend(word.to_le_bytes());
+        }
+        [out, table, numbers.clone(), body.to_vec()].concat()
+    };
+    let seeds = [
+        of(
+            r#"{"INSTANCES_LENGTH":2,"RTC_CENTER":[1,2,3],"POSITION":{"byteOffset":0},"NORMAL_UP":{"byteOffset":24},"NORMAL_RIGHT":{"byteOffset":48},"SCALE":{"byteOffset":72},"SCALE_NON_UNIFORM":{"byteOffset":80},"BATCH_ID":{"byteOffset":104,"componentType":"UNSIGNED_BYTE"}}"#,
+            1,
+            &glb_bytes(None),
+        ),
+        of(
+            r#"{"INSTANCES_LENGTH":3,"EAST_NORTH_UP":true,"POSITION_QUANTIZED":{"byteOffset":0},"QUANTIZED_VOLUME_OFFSET":[1,2,3],"QUANTIZED_VOLUME_SCALE":[10,10,10]}"#,
+            0,
+            b"model.glb",
+        ),
+    ];
+    let model = glb_bytes(None);
+    Parser::new("i3dm", seeds, move |bytes| content(bytes, None, vec![("/set/model.glb".into(), Ok(model.clone()))]))
+}
+
+/// Features of glTF that plain files lack: sparse accessors, morph targets, skins, instances, external files.
+fn gltf_features() -> Parser {
+    let gltf = r#"{"asset":{"version":"2.0"},"scene":0,"scenes":[{"nodes":[0,1]}],"nodes":[{"mesh":0,"skin":0},{"mesh":0,"weights":[0.5],"translation":[1,0,0],"extensions":{"EXT_mesh_gpu_instancing":{"attributes":{"TRANSLATION":0,"ROTATION":2}}}}],"skins":[{"joints":[1],"inverseBindMatrices":4}],"meshes":[{"weights":[1],"primitives":[{"attributes":{"POSITION":0,"JOINTS_0":3,"WEIGHTS_0":2,"TEXCOORD_1":1},"targets":[{"POSITION":0}],"material":0}]}],"materials":[{"pbrMetallicRoughness":{"baseColorTexture":{"index":0,"texCoord":1,"extensions":{"KHR_texture_transform":{"offset":[1,2],"rotation":1,"scale":[2,3]}}}},"extensions":{"KHR_techniques_webgl":{"technique":0,"values":{"u_diffuse":[1,0,0,1]}}}}],"extensions":{"KHR_techniques_webgl":{"techniques":[{"uniforms":{"u_diffuse":{"value":{"index":0}}}}]}},"textures":[{"source":0,"extensions":{"EXT_texture_webp":{"source":1}}}],"images":[{"uri":"a.png"},{"bufferView":2,"mimeType":"image/webp"}],"accessors":[{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3","sparse":{"count":1,"indices":{"bufferView":1,"componentType":5121},"values":{"bufferView":0}}},{"bufferView":0,"componentType":5123,"normalized":true,"count":3,"type":"VEC2"},{"bufferView":0,"componentType":5126,"count":3,"type":"VEC4"},{"bufferView":1,"componentType":5121,"count":3,"type":"VEC4"},{"bufferView":0,"componentType":5126,"count":1,"type":"MAT4"}],"bufferViews":[{"buffer":0,"byteLength":64},{"buffer":0,"byteOffset":64,"byteLength":16},{"buffer":0,"byteLength":40}],"buffers":[{"byteLength":80,"uri":"a.bin"}]}"#;
+    let buffer: Vec<u8> = (0..20u8).flat_map(|i| f32::from(i % 3).to_le_bytes()).collect();
+    let files =
+        vec![("/set/a.bin".into(), Ok(buffer)), ("/set/a.png".into(), Ok(image_bytes(image::ImageFormat::Png)))];
+    Parser::new("gltf-features", [gltf], move |bytes| {
+        let options = ReadOptions::for_root("/set/tileset.json", limits());
+        assert!(dependencies("/set/tile", bytes, None, &[], &options).len() < 5000);
+        content(bytes, None, files.clone());
+    })
+}
+
 fn b3dm() -> Parser {
     let seeds = [
         b3dm_bytes(r#"{"BATCH_LENGTH":0,"RTC_CENTER":[1,2,3]}"#, &glb_bytes(None)),
@@ -242,7 +339,12 @@ fn height_data() -> Parser {
 
 fn imagery() -> Parser {
     let exr = write_height_exr("t", 7, vec![5.0; 49]).unwrap();
-    let seeds = [image_bytes(image::ImageFormat::Png), image_bytes(image::ImageFormat::Jpeg)];
+    let seeds = [
+        image_bytes(image::ImageFormat::Png),
+        image_bytes(image::ImageFormat::Jpeg),
+        image_bytes(image::ImageFormat::WebP),
+        uastc_ktx2([9, 80, 200, 255], 3),
+    ];
     Parser::new("imagery", seeds, move |bytes| {
         content(&exr, Some(HEIGHT_DATA), vec![("/set/0.png".into(), Ok(bytes.to_vec()))]);
     })
@@ -486,6 +588,10 @@ kit::parsers! {
     subtree,
     glb,
     gltf_json,
+    gltf_features,
+    draco,
+    meshopt,
+    i3dm,
     b3dm,
     cmpt,
     pnts,

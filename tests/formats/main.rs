@@ -1,9 +1,16 @@
 //! Readers of tile contents: glTF attributes, bad input, sample files, and fuzzing of every parser.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
+mod features;
 mod fuzz_parsers;
 mod gltf_attributes;
+mod gltf_builder;
+mod gltf_compression;
+mod gltf_files;
+mod gltf_geometry;
+mod gltf_materials;
 mod implicit;
+mod instances;
 mod tiles_bad_input;
 mod tiles_read;
 mod tiles_samples;

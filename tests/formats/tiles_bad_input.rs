@@ -183,10 +183,10 @@ fn wrong_magic_web_pages_and_foreign_formats_are_named() {
     for (magic, name) in [("i3dm", "i3dm"), ("cmpt", "cmpt"), ("subt", "implicit")] {
         assert!(refused(magic.as_bytes()).contains(name));
     }
-    // The textures have no image then.
-    let basis = r#"{"asset":{"version":"2.0"},"extensionsUsed":["KHR_texture_basisu"],"extensionsRequired":["KHR_texture_basisu"],
-        "images":[{"uri":"data:image/ktx2;base64,"}],"textures":[{"extensions":{"KHR_texture_basisu":{"source":0}}}]}"#;
-    assert!(refused(basis.as_bytes()).contains("required glTF extension KHR_texture_basisu"));
+    // An unknown extension replaces properties that are required.
+    let voxels = r#"{"asset":{"version":"2.0"},"extensionsUsed":["EXT_primitive_voxels"],"extensionsRequired":["EXT_primitive_voxels"],
+        "meshes":[{"extensions":{}}]}"#;
+    assert!(refused(voxels.as_bytes()).contains("required glTF extension EXT_primitive_voxels"));
 }
 
 /// These faults pass the validation of the gltf crate.
@@ -210,10 +210,21 @@ fn glb_with_an_invalid_reference_is_refused() {
 
 #[test]
 fn size_of_images_is_checked_before_they_are_decoded() {
-    assert!(refused(&triangle(png(65))).contains("limit"));
+    let limits = Limits { max_image_bytes: 64 * 64 * 4, ..Limits::default() };
+    let content = |bytes| Content { uri: "/set/tile".into(), bytes, reader_data: None, companions: Vec::new() };
+    let options = ReadOptions::for_root(ROOT, limits);
+    assert!(decode(content(triangle(png(65))), &options).unwrap_err().reason().contains("limit"));
     let mut empty = png(4);
     empty[16..24].fill(0);
     refused(&triangle(empty));
+}
+
+/// A side that is longer than the limit does not refuse the tile.
+#[test]
+fn images_with_long_sides_are_halved() {
+    let mut page = read(&triangle(png(65)), None).unwrap();
+    let texture = page.take_drawables().remove(0).material.texture.unwrap();
+    assert_eq!((texture.width, texture.height, texture.mips.len(), texture.mips[0].len()), (32, 32, 6, 32 * 32 * 4));
 }
 
 #[test]

@@ -67,6 +67,9 @@ fn text(info: &Info, verified: Option<&Verified>) -> String {
     if let Some(Verified { contents, bytes, failed, .. }) = verified {
         let _ = writeln!(out, "verified {contents} contents, {:.1} MiB, {failed} failures", mebibytes(*bytes));
     }
+    for (kind, count) in verified.iter().flat_map(|verified| &verified.ignored) {
+        let _ = writeln!(out, "ignored  {kind}: {count}");
+    }
     // Missing files are found both by the inspection and by the verification, but printed once.
     let broken = verified.iter().flat_map(|verified| &verified.errors);
     let broken = broken.filter(|e| !info.errors.iter().any(|known| known.uri == e.uri));

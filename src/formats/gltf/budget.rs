@@ -1,56 +1,78 @@
 //! [`Budget`]: counts what a glTF would take in memory, before memory is allocated for it.
 
+use std::cell::Cell;
+
 use crate::fetch::{IoError, Limits};
 
 /// A primitive takes about as much memory as this many vertices.
 const VERTICES_PER_PRIMITIVE: usize = 16;
 
-/// Counters of one glTF. Meshes that are drawn several times count each time.
+/// Counters of one glTF, which all parts of its reader share. A mesh that several nodes draw is counted once with its
+/// vertices, and each time with its primitives.
 pub(super) struct Budget<'a> {
     uri: &'a str,
     limits: &'a Limits,
-    primitives: usize,
-    vertices: usize,
+    primitives: Cell<usize>,
+    vertices: Cell<usize>,
     /// Indices of accessors and of lists converted from strips and fans.
-    indices: usize,
+    indices: Cell<usize>,
     /// Bytes of decoded images with their mip levels.
-    image_bytes: u64,
+    image_bytes: Cell<u64>,
+    /// Bytes of accessors and buffer views that were decompressed or assembled.
+    decoded_bytes: Cell<u64>,
 }
 
 impl<'a> Budget<'a> {
     pub fn new(uri: &'a str, limits: &'a Limits) -> Self {
-        Self { uri, limits, primitives: 0, vertices: 0, indices: 0, image_bytes: 0 }
+        Self {
+            uri,
+            limits,
+            primitives: Cell::default(),
+            vertices: Cell::default(),
+            indices: Cell::default(),
+            image_bytes: Cell::default(),
+            decoded_bytes: Cell::default(),
+        }
     }
 
-    pub fn add_primitives(&mut self, count: usize) -> Result<(), IoError> {
-        self.primitives = self.primitives.saturating_add(count);
-        self.check(self.primitives, self.limits.max_elements / VERTICES_PER_PRIMITIVE, "primitives")
+    pub fn add_primitives(&self, count: usize) -> Result<(), IoError> {
+        self.add(&self.primitives, count, self.limits.max_elements / VERTICES_PER_PRIMITIVE, "primitives")
     }
 
-    pub fn add_vertices(&mut self, count: usize) -> Result<(), IoError> {
-        self.vertices = self.vertices.saturating_add(count);
-        self.check(self.vertices, self.limits.max_elements, "vertices")
+    pub fn add_vertices(&self, count: usize) -> Result<(), IoError> {
+        self.add(&self.vertices, count, self.limits.max_elements, "vertices")
     }
 
-    pub fn add_indices(&mut self, count: usize) -> Result<(), IoError> {
-        self.indices = self.indices.saturating_add(count);
-        self.check(self.indices, self.limits.max_elements.saturating_mul(8), "indices")
+    pub fn add_indices(&self, count: usize) -> Result<(), IoError> {
+        self.add(&self.indices, count, self.limits.max_elements.saturating_mul(8), "indices")
+    }
+
+    /// Counts bytes that a decompressor is about to write.
+    pub fn add_decoded(&self, bytes: u64) -> Result<(), IoError> {
+        let (got, limit) = (self.decoded_bytes.get().saturating_add(bytes), self.limits.max_file_bytes);
+        self.decoded_bytes.set(got);
+        if got > limit {
+            return Err(IoError::TooLarge { uri: self.uri.to_owned(), what: "decompressed glTF", got, limit });
+        }
+        Ok(())
     }
 
     /// Fails if the images so far exceed the limit. The size of the next one is known only after decoding it.
     pub fn check_images(&self) -> Result<(), IoError> {
-        let (got, limit) = (self.image_bytes, self.limits.max_image_bytes.saturating_mul(4));
+        let (got, limit) = (self.image_bytes.get(), self.limits.max_image_bytes.saturating_mul(4));
         if got > limit {
             return Err(IoError::TooLarge { uri: self.uri.to_owned(), what: "images of a glTF", got, limit });
         }
         Ok(())
     }
 
-    pub fn add_image(&mut self, bytes: u64) {
-        self.image_bytes = self.image_bytes.saturating_add(bytes);
+    pub fn add_image(&self, bytes: u64) {
+        self.image_bytes.set(self.image_bytes.get().saturating_add(bytes));
     }
 
-    fn check(&self, got: usize, limit: usize, what: &str) -> Result<(), IoError> {
+    fn add(&self, counter: &Cell<usize>, count: usize, limit: usize, what: &str) -> Result<(), IoError> {
+        let got = counter.get().saturating_add(count);
+        counter.set(got);
         if got > limit { Err(IoError::invalid(self.uri, format!("glTF: {got} {what}"))) } else { Ok(()) }
     }
 }

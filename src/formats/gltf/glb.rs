@@ -1,19 +1,15 @@
 //! The binary container of glTF 2.0.
 
-use glam::DVec3;
-
-use super::reader::read_document;
 use crate::fetch::IoError;
-use crate::formats::options::ReadOptions;
-use crate::scene::Node;
 
-/// Reads a binary glTF. `rtc_center` is the z-up RTC_CENTER of a b3dm, added after the rotation.
-pub(in crate::formats) fn read_glb(
-    uri: &str,
-    bytes: &[u8],
-    rtc_center: Option<DVec3>,
-    options: &ReadOptions,
-) -> Result<Node, IoError> {
+/// The chunks of a binary glTF.
+pub(super) struct Chunks<'a> {
+    pub json: &'a [u8],
+    pub binary: Option<&'a [u8]>,
+}
+
+/// Returns the first JSON chunk and the first binary chunk.
+pub(super) fn chunks<'a>(uri: &str, bytes: &'a [u8]) -> Result<Chunks<'a>, IoError> {
     let bad = |reason: &str| IoError::invalid(uri, format!("glb: {reason}"));
     let u32_at = |at: usize| -> Option<u32> { Some(u32::from_le_bytes(bytes.get(at..at + 4)?.try_into().ok()?)) };
     if !bytes.starts_with(b"glTF") {
@@ -41,5 +37,5 @@ pub(in crate::formats) fn read_glb(
         }
         at = end.next_multiple_of(4);
     }
-    read_document(uri, json.ok_or_else(|| bad("no JSON chunk"))?, binary, rtc_center, options)
+    Ok(Chunks { json: json.ok_or_else(|| bad("no JSON chunk"))?, binary })
 }

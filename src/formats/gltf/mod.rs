@@ -3,16 +3,20 @@
 //! The readers of the crate take 151 us for a tile of 65 x 65 vertices, slices about 10 us. glTF is y-up and pages are z-up,
 //! so the root node of the result rotates its content, as 3D Tiles requires. Decode threads.
 
+mod accessors;
 mod budget;
-mod buffers;
+mod context;
+mod document;
 mod double_precision;
-mod elements;
+mod extensions;
+mod external;
+mod features;
 mod glb;
-mod indices;
+mod instances;
+mod materials;
 mod mesh;
+mod node_tree;
 mod occluder;
 mod reader;
-mod textures;
 
-pub(super) use glb::read_glb;
-pub(super) use reader::read_gltf;
+pub(super) use reader::{GltfSource, read, references};

@@ -1,73 +1,75 @@
-//! Reads a glTF document: checks its JSON and converts its nodes.
+//! Reads a glTF document: parses it and converts the nodes of its default scene.
+
+use std::sync::Arc;
 
 use glam::{DAffine3, DVec3};
 
-use super::buffers::Buffers;
-use super::double_precision::{DoublePrecision, extensions_required};
-use super::mesh::MeshReader;
+use super::accessors::Buffers;
+use super::context::Context;
+use super::document;
+use super::double_precision::DoublePrecision;
+use super::external::{self, ExternalFiles};
+use super::features::FeatureTables;
+use super::glb::{self, Chunks};
+use super::instances::Instances;
+use super::mesh::{MeshReader, SkinPose};
+use super::node_tree::NodeTree;
 use super::occluder;
 use crate::fetch::IoError;
-use crate::formats::options::ReadOptions;
-use crate::scene::{Node, NodeKind};
+use crate::formats::ignored::Notes;
+use crate::formats::options::{Fetched, ReadOptions};
+use crate::scene::{Drawable, Node, NodeKind, PropertyTable};
 
-/// Supported extensions that a glTF may require.
-const KNOWN_EXTENSIONS: &[&str] =
-    &["KHR_mesh_quantization", "KHR_materials_unlit", "KHR_texture_transform", "CESIUM_RTC"];
-
-/// Reads a glTF in JSON. Its buffers and images must be `data:` URIs.
-pub(in crate::formats) fn read_gltf(uri: &str, json: &[u8], options: &ReadOptions) -> Result<Node, IoError> {
-    read_document(uri, json, None, None, options)
+/// The bytes of a glTF and what belongs to them.
+pub(in crate::formats) struct GltfSource<'a> {
+    /// The address, for errors.
+    pub uri: &'a str,
+    /// The address that references are relative to.
+    pub base: &'a str,
+    /// A glb, or the JSON of a glTF.
+    pub bytes: &'a [u8],
+    /// The z-up RTC_CENTER of a b3dm, added after the rotation to z-up.
+    pub rtc_center: Option<DVec3>,
+    /// The properties of the features that the attribute `_BATCHID` names.
+    pub batch_table: Option<Arc<PropertyTable>>,
+    /// External buffers and images.
+    pub companions: &'a [Fetched],
 }
 
-/// Reads a glTF from its JSON and its binary chunk.
-pub(super) fn read_document(
-    uri: &str,
-    json: &[u8],
-    binary: Option<&[u8]>,
-    rtc_center: Option<DVec3>,
-    options: &ReadOptions,
-) -> Result<Node, IoError> {
-    let refused = |required: &[String]| {
-        let unknown = required.iter().find(|name| !KNOWN_EXTENSIONS.contains(&name.as_str()));
-        unknown.map(|name| IoError::unsupported(uri, format!("required glTF extension {name}")))
-    };
-    let mut root = gltf::json::Root::from_slice(json).map_err(|e| {
-        // An unsupported extension may replace required properties, such as the source of a texture. It is the better error.
-        let required = extensions_required(json);
-        refused(&required).unwrap_or_else(|| IoError::invalid(uri, format!("glTF JSON: {e}")))
-    })?;
-    if let Some(error) = refused(&root.extensions_required) {
-        return Err(error);
-    }
-    root.extensions_required.clear();
-    // The crate panics or misbehaves unless the next two conditions hold.
-    let accessors = root.accessors.len();
-    for primitive in root.meshes.iter().flat_map(|m| &m.primitives) {
-        if let Some(index) = primitive.attributes.values().map(|a| a.value()).find(|index| *index >= accessors) {
-            return Err(IoError::invalid(uri, format!("glTF: accessor {index} of {accessors}")));
+impl<'a> GltfSource<'a> {
+    fn chunks(&self) -> Result<Chunks<'a>, IoError> {
+        match self.bytes.starts_with(b"glTF") {
+            true => glb::chunks(self.uri, self.bytes),
+            false => Ok(Chunks { json: self.bytes, binary: None }),
         }
     }
-    for (i, image) in root.images.iter().enumerate() {
-        let named = if image.buffer_view.is_some() { image.mime_type.is_some() } else { image.uri.is_some() };
-        if !named {
-            let reason = format!("glTF: image {i} has no source, or no mimeType for its bufferView");
-            return Err(IoError::invalid(uri, reason));
-        }
-    }
-    // Attributes with unknown names are ignored, valid or not.
-    for primitive in root.meshes.iter_mut().flat_map(|m| m.primitives.iter_mut()) {
-        primitive.attributes.retain(|semantic, _| matches!(semantic, gltf::json::validation::Checked::Valid(_)));
-    }
-    let double = DoublePrecision::read(json, &root).map_err(|e| IoError::invalid(uri, format!("glTF JSON: {e}")))?;
-    let cesium_rtc = double.cesium_rtc();
-    let document = gltf::Document::from_json(root).map_err(|e| IoError::invalid(uri, format!("glTF: {e}")))?;
-    let buffers = Buffers::read(uri, &document, binary)?;
+}
+
+/// Returns the references to external buffers and images, relative to the glTF; none if it is invalid.
+pub(in crate::formats) fn references(uri: &str, bytes: &[u8]) -> Vec<String> {
+    let source = GltfSource { uri, base: uri, bytes, rtc_center: None, batch_table: None, companions: &[] };
+    source.chunks().map_or(Vec::new(), |chunks| external::references(chunks.json))
+}
+
+/// Reads a glTF or glb. The root of the result rotates the content to z-up.
+pub(in crate::formats) fn read(source: GltfSource<'_>, options: &ReadOptions, notes: &Notes) -> Result<Node, IoError> {
+    let Chunks { json, binary } = source.chunks()?;
+    let GltfSource { uri, base, rtc_center, companions, batch_table, .. } = source;
+    let files = ExternalFiles::new(base, &options.root, &options.limits, companions);
+    let context = Context::new(uri, options, notes, files);
+    let (document, double) = document::parse(&context, json)?;
+    let buffers = Buffers::read(&context, &document, binary)?;
+    let tables = FeatureTables::new(&context, &document, &buffers, batch_table);
     let mut reader = Reader {
-        uri,
-        max_depth: options.limits.max_depth,
-        meshes: MeshReader::new(uri, options, buffers),
-        double,
+        context: &context,
+        document: &document,
+        buffers: &buffers,
+        meshes: MeshReader::new(&context, &buffers, &document, &tables),
+        tables: &tables,
+        double: &double,
+        tree: None,
         is_visited: vec![false; document.nodes().len()],
+        skinned: Vec::new(),
     };
     let scene = document.default_scene().or_else(|| document.scenes().next());
     let mut children = Vec::new();
@@ -79,11 +81,12 @@ pub(super) fn read_document(
         }
         None => {
             for mesh in document.meshes() {
-                children.push(reader.meshes.mesh(&mesh)?);
+                children.push(Node::geode(reader.meshes.drawables(&mesh, None, None)?));
             }
         }
     }
-    let center = rtc_center.unwrap_or(DVec3::ZERO) + cesium_rtc.map_or(DVec3::ZERO, |c| c);
+    children.append(&mut reader.skinned);
+    let center = rtc_center.unwrap_or(DVec3::ZERO) + double.cesium_rtc().unwrap_or(DVec3::ZERO);
     // CESIUM_RTC is added after the rotation too, since Cesium's exporters write it z-up.
     let rotation = DAffine3 { matrix3: options.gltf_up_axis.z_up(), translation: center };
     Ok(Node::transform(rotation, children))
@@ -91,37 +94,39 @@ pub(super) fn read_document(
 
 /// Converts the nodes of one glTF.
 struct Reader<'a> {
-    uri: &'a str,
-    max_depth: u32,
+    context: &'a Context<'a>,
+    document: &'a gltf::Document,
+    buffers: &'a Buffers<'a>,
     meshes: MeshReader<'a>,
-    double: DoublePrecision,
+    tables: &'a FeatureTables,
+    double: &'a DoublePrecision,
+    /// The tree of nodes, once a skin needs it.
+    tree: Option<NodeTree<'a>>,
     /// By index of the node: true if it already has a parent.
     is_visited: Vec<bool>,
+    /// Skinned meshes. Their vertices are in the frame of the glTF, whatever the transforms above them.
+    skinned: Vec<Node>,
 }
 
 impl Reader<'_> {
-    fn bad(&self, reason: impl Into<String>) -> IoError {
-        IoError::invalid(self.uri, format!("glTF: {}", reason.into()))
-    }
-
     fn node(&mut self, node: &gltf::Node<'_>, depth: u32) -> Result<Node, IoError> {
-        if depth > self.max_depth {
-            return Err(self.bad("node tree too deep"));
+        if depth > self.context.options.limits.max_depth {
+            return Err(self.context.bad("node tree too deep"));
         }
         if self.is_visited.get_mut(node.index()).is_none_or(|is_visited| std::mem::replace(is_visited, true)) {
-            return Err(self.bad(format!("node {} has two parents", node.index())));
-        }
-        if node.extension_value("EXT_mesh_gpu_instancing").is_some() {
-            return Err(IoError::unsupported(self.uri, "glTF extension EXT_mesh_gpu_instancing"));
+            return Err(self.context.bad(format_args!("node {} has two parents", node.index())));
         }
         let transform = self.double.transform(node.index());
-        let transform = transform.ok_or_else(|| self.bad("transform of a node is not affine and finite"))?;
+        let transform = transform.ok_or_else(|| self.context.bad("transform of a node is not affine and finite"))?;
         let mut children = Vec::new();
         if let Some(mesh) = node.mesh() {
-            children.push(self.meshes.mesh(&mesh)?);
+            match node.skin() {
+                Some(skin) => self.skinned_mesh(node, &mesh, &skin)?,
+                None => self.mesh(node, &mesh, &mut children)?,
+            }
         }
         if let Some(extras) = node.extras()
-            && let Some(occluder) = occluder::of_node(self.uri, node.index(), extras.get())?
+            && let Some(occluder) = occluder::of_node(self.context.uri, node.index(), extras.get())?
         {
             children.push(Node::new(NodeKind::OccluderNode(Box::new(occluder))));
         }
@@ -132,5 +137,40 @@ impl Reader<'_> {
             return Ok(if children.len() == 1 { children.swap_remove(0) } else { Node::group(children) });
         }
         Ok(Node::transform(transform, children))
+    }
+
+    /// Adds a mesh to the children of its node: once, or at each of its instances.
+    fn mesh(&mut self, node: &gltf::Node<'_>, mesh: &gltf::Mesh<'_>, children: &mut Vec<Node>) -> Result<(), IoError> {
+        let instances = Instances::new(self.context, self.document, self.buffers, node)?;
+        let drawables = self.meshes.drawables(mesh, node.weights(), None)?;
+        let Some(instances) = instances else {
+            children.push(Node::geode(drawables));
+            return Ok(());
+        };
+        self.context.budget.add_primitives(instances.transforms.len().saturating_mul(drawables.len()))?;
+        for (i, transform) in instances.transforms.iter().enumerate() {
+            let mut drawables = drawables.clone();
+            let sets = instances.feature_sets(i as u32);
+            if !sets.is_empty() {
+                drawables.iter_mut().for_each(|drawable| self.tables.add_instance(drawable, &sets));
+            }
+            children.push(Node::transform(*transform, vec![Node::geode(drawables)]));
+        }
+        Ok(())
+    }
+
+    /// Reads a skinned mesh, and keeps it for the root of the glTF.
+    fn skinned_mesh(
+        &mut self,
+        node: &gltf::Node<'_>,
+        mesh: &gltf::Mesh<'_>,
+        skin: &gltf::Skin<'_>,
+    ) -> Result<(), IoError> {
+        let (document, double) = (self.document, self.double);
+        let tree = self.tree.get_or_insert_with(|| NodeTree::new(document, double));
+        let pose = SkinPose::new(skin, self.buffers, self.context, |joint| tree.root_from_node(joint))?;
+        let drawables: Vec<Drawable> = self.meshes.drawables(mesh, node.weights(), Some(&pose))?;
+        self.skinned.push(Node::transform(DAffine3::from_translation(pose.origin), vec![Node::geode(drawables)]));
+        Ok(())
     }
 }

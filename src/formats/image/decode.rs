@@ -1,10 +1,11 @@
-//! Decodes PNG and JPEG to RGBA8 textures. Sizes are checked before any pixel is decoded.
+//! Decodes image files to RGBA8 textures. Sizes are checked before any pixel is decoded.
 
 use std::io::Cursor;
 use std::sync::Arc;
 
-use image::{ColorType, DynamicImage, ImageDecoder as _, ImageFormat, ImageReader, Limits as ImageLimits};
+use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits as ImageLimits};
 
+use super::ktx2;
 use super::mips::mips;
 use super::rgba::decode_rgb;
 use crate::fetch::markup::refuse_markup;
@@ -12,9 +13,32 @@ use crate::fetch::{IoError, Limits, guarded};
 use crate::scene::{ContentKey, SharedContent, SharedStateManager, Texture};
 use crate::state::{CLAMPED, WrapMode};
 
-/// Returns true for the magic bytes of PNG or JPEG.
+/// Formats of image files, recognized by their magic bytes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum FileFormat {
+    Raster(ImageFormat),
+    Ktx2,
+}
+
+impl FileFormat {
+    fn of(bytes: &[u8]) -> Option<Self> {
+        if bytes.starts_with(b"\x89PNG") {
+            Some(Self::Raster(ImageFormat::Png))
+        } else if bytes.starts_with(&[0xff, 0xd8, 0xff]) {
+            Some(Self::Raster(ImageFormat::Jpeg))
+        } else if bytes.starts_with(b"RIFF") && bytes.get(8..12) == Some(b"WEBP") {
+            Some(Self::Raster(ImageFormat::WebP))
+        } else if bytes.starts_with(ktx2::MAGIC) {
+            Some(Self::Ktx2)
+        } else {
+            None
+        }
+    }
+}
+
+/// Returns true for the magic bytes of an image that is read.
 pub(in crate::formats) fn is_image(bytes: &[u8]) -> bool {
-    bytes.starts_with(b"\x89PNG") || bytes.starts_with(&[0xff, 0xd8, 0xff])
+    FileFormat::of(bytes).is_some()
 }
 
 /// A texture and, if it is shared between contents, its reference count.
@@ -35,16 +59,42 @@ pub(in crate::formats) fn decode_shared(
     }
 }
 
-/// Decodes an image and builds its mip levels.
+/// Decodes an image with its mip levels. An image whose sides are longer than the limit is halved until it fits.
 fn decode(uri: &str, bytes: &[u8], wrap: [WrapMode; 2], limits: &Limits) -> Result<Arc<Texture>, IoError> {
-    let format = if bytes.starts_with(b"\x89PNG") {
-        ImageFormat::Png
-    } else if bytes.starts_with(&[0xff, 0xd8, 0xff]) {
-        ImageFormat::Jpeg
-    } else {
-        refuse_markup(uri, bytes)?;
-        return Err(IoError::unsupported(uri, "image that is neither PNG nor JPEG"));
+    let (width, height, mips) = match FileFormat::of(bytes) {
+        Some(FileFormat::Raster(format)) => decode_raster(uri, bytes, format, limits)?,
+        Some(FileFormat::Ktx2) => ktx2::decode(uri, bytes, limits)?,
+        None => {
+            refuse_markup(uri, bytes)?;
+            return Err(IoError::unsupported(uri, "image that is neither PNG, JPEG, WebP nor KTX2"));
+        }
     };
+    let too_long = |level: usize| width.max(height) >> level > limits.max_image_side_px;
+    let skipped = (0..mips.len().saturating_sub(1)).take_while(|level| too_long(*level)).count();
+    let side = |of: u32| (of >> skipped).max(1);
+    let mips = mips.into_iter().skip(skipped).collect();
+    Ok(Arc::new(Texture { width: side(width), height: side(height), mips, wrap }))
+}
+
+/// Checks the size of an image before its pixels are decoded.
+pub(super) fn check_size(uri: &str, width: u32, height: u32, limits: &Limits) -> Result<(), IoError> {
+    if width == 0 || height == 0 {
+        return Err(IoError::invalid(uri, format!("image of {width} x {height} pixels")));
+    }
+    let (got, limit) = ((u64::from(width) * u64::from(height)).saturating_mul(4), limits.max_image_bytes);
+    if got > limit {
+        return Err(IoError::TooLarge { uri: uri.to_owned(), what: "image", got, limit });
+    }
+    Ok(())
+}
+
+/// Decodes a PNG, JPEG or WebP and builds its mip levels. Returns its width and height with them.
+fn decode_raster(
+    uri: &str,
+    bytes: &[u8],
+    format: ImageFormat,
+    limits: &Limits,
+) -> Result<(u32, u32, Vec<Vec<u8>>), IoError> {
     let bad = |e: image::ImageError| IoError::invalid(uri, format!("image: {e}"));
     let mut image_limits = ImageLimits::default();
     image_limits.max_alloc = Some(limits.max_image_bytes.saturating_mul(2));
@@ -52,18 +102,7 @@ fn decode(uri: &str, bytes: &[u8], wrap: [WrapMode; 2], limits: &Limits) -> Resu
     reader.limits(image_limits.clone());
     let mut decoder = reader.into_decoder().map_err(bad)?;
     let (width, height) = decoder.dimensions();
-    let too_large = |got: u64, limit: u64| IoError::TooLarge { uri: uri.to_owned(), what: "image", got, limit };
-    if width == 0 || height == 0 {
-        return Err(IoError::invalid(uri, format!("image of {width} x {height} pixels")));
-    }
-    let side = width.max(height);
-    if side > limits.max_image_side_px {
-        return Err(too_large(side.into(), limits.max_image_side_px.into()));
-    }
-    let size = u64::from(width) * u64::from(height) * 4;
-    if size > limits.max_image_bytes {
-        return Err(too_large(size, limits.max_image_bytes));
-    }
+    check_size(uri, width, height, limits)?;
     image_limits.reserve(decoder.total_bytes()).map_err(bad)?;
     decoder.set_limits(image_limits).map_err(bad)?;
     let pixels = if decoder.color_type() == ColorType::Rgb8 {
@@ -71,7 +110,7 @@ fn decode(uri: &str, bytes: &[u8], wrap: [WrapMode; 2], limits: &Limits) -> Resu
     } else {
         DynamicImage::from_decoder(decoder).map_err(bad)?.into_rgba8().into_raw()
     };
-    Ok(Arc::new(Texture { width, height, mips: mips(width, height, pixels), wrap }))
+    Ok((width, height, mips(width, height, pixels)))
 }
 
 /// Decodes the bytes of an image file to a clamped texture. If the decoder panics, only this file fails.

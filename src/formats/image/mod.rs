@@ -1,6 +1,7 @@
-//! PNG and JPEG to textures with mip levels. CPU only; any thread.
+//! PNG, JPEG, WebP and KTX2 to textures with mip levels. CPU only; any thread.
 
 mod decode;
+mod ktx2;
 mod mips;
 mod rgba;
 

@@ -268,9 +268,13 @@ impl Fill<'_> {
         }
     }
 
-    /// Checks a content, and reads it if it is a tileset. If it has several positions, only the first one counts.
+    /// Checks a content, queues the files that it refers to, and reads it if it is a tileset. If it has several positions, only the first one counts.
     fn check_content(&mut self, job: &Job, bytes: Vec<u8>) -> Result<(), IoError> {
         refuse_markup(&job.uri, &bytes)?;
+        let options = ReadOptions { root: self.scope.clone(), ..ReadOptions::for_root(&job.uri, self.options.limits) };
+        for dependency in dependencies(&job.uri, &bytes, None, &[], &options) {
+            self.add_file(dependency, None);
+        }
         match &job.possible_tileset {
             Some(position)
                 if !position.chain.contains(&job.uri) && is_tileset(&job.uri, &bytes, &self.options.limits) =>

@@ -1,5 +1,6 @@
 //! Reads and decodes a whole tile set as the pager would, for `terrane info --verify`. One content at a time; blocking.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use serde::Serialize;
@@ -28,6 +29,8 @@ pub struct Verified {
     pub failed: u64,
     /// The first thousand failures.
     pub errors: Vec<InfoError>,
+    /// What contents ask for and their readers leave out, counted by kind.
+    pub ignored: BTreeMap<String, u64>,
 }
 
 /// A content that must still be read.
@@ -81,6 +84,8 @@ fn verify_from(
         }
         progress(&verified);
     }
+    let ignored = options.ignored.snapshot();
+    verified.ignored = ignored.iter().map(|(kind, count)| (kind.to_owned(), count)).collect();
     Ok(verified)
 }
 

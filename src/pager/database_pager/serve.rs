@@ -134,9 +134,15 @@ impl DatabasePager {
         loop {
             let Loaded { bytes, location, .. } = self.fetch(&scope, uri)?;
             self.stats.bytes_read += bytes.len() as u64;
-            let content = Content { uri: uri.clone(), bytes, reader_data: None, companions: Vec::new() };
+            let mut companions = Vec::new();
             // A root belongs to the application and shares nothing.
             let options = ReadOptions { sharing: None, base: location, ..scope.options.clone() };
+            // It may be a single glTF with external buffers and images.
+            for dependency in formats::dependencies(uri, &bytes, None, &companions, &options) {
+                let fetched = self.fetch(&scope, &dependency).map(|loaded| loaded.bytes);
+                companions.push((dependency, fetched));
+            }
+            let content = Content { uri: uri.clone(), bytes, reader_data: None, companions };
             let error = match formats::decode(content, &options) {
                 Ok(page) => return Ok(page),
                 Err(error) => error,

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use super::DatabasePager;
 use crate::cull::PageRequest;
 use crate::fetch;
+use crate::formats::Ignored;
 use crate::pager::requests::entry::{Entry, Progress};
 use crate::pager::requests::state::RequestState;
 use crate::pager::scenes::scene_set::SceneSet;
@@ -15,6 +16,11 @@ impl DatabasePager {
     /// Returns the counters as of the last update.
     pub fn stats(&self) -> &PagerStats {
         &self.stats
+    }
+
+    /// Returns what the contents of all scenes asked for and their readers left out so far, counted by kind.
+    pub fn ignored(&self) -> Ignored {
+        self.scenes.ignored().snapshot()
     }
 
     /// Returns the counters of the cache on disk that the configuration names, if it names one.

@@ -7,7 +7,7 @@ use super::read_scope::{ReadScope, TilesetAncestors};
 use super::scene_set::SceneSet;
 #[cfg(feature = "http")]
 use crate::fetch::{HttpClient, HttpConfig};
-use crate::formats::ReadOptions;
+use crate::formats::{IgnoredLog, ReadOptions};
 use crate::pager::config::PagerConfig;
 use crate::scene::{PageId, Scene, SceneNumber, SharedStateManager, SlotInfo};
 
@@ -33,7 +33,10 @@ struct CommonOptions {
     limits: crate::fetch::Limits,
     build_kd_trees: bool,
     vertex_attributes: Arc<[Arc<str>]>,
+    keep_features: bool,
     sharing: Option<Arc<SharedStateManager>>,
+    /// What the contents of all scenes ask for and their readers leave out.
+    ignored: IgnoredLog,
 }
 
 impl CommonOptions {
@@ -45,7 +48,17 @@ impl CommonOptions {
         };
         let build_kd_trees = self.build_kd_trees || options.build_kd_trees;
         let sharing = self.sharing.clone();
-        ReadOptions { limits: self.limits, build_kd_trees, vertex_attributes, sharing, ..options }
+        let ignored = self.ignored.clone();
+        let keep_features = self.keep_features || options.keep_features;
+        ReadOptions {
+            limits: self.limits,
+            build_kd_trees,
+            vertex_attributes,
+            keep_features,
+            sharing,
+            ignored,
+            ..options
+        }
     }
 }
 
@@ -82,7 +95,9 @@ impl SceneRegistry {
             limits: config.limits,
             build_kd_trees: config.build_kd_trees,
             vertex_attributes: config.vertex_attributes.clone(),
+            keep_features: config.keep_features,
             sharing,
+            ignored: options.ignored.clone(),
         };
         let scope = ReadScope {
             options: common.apply_to(options),
@@ -104,6 +119,11 @@ impl SceneRegistry {
     /// Returns the manager of shared contents; `None` if nothing is shared.
     pub fn sharing(&self) -> Option<&Arc<SharedStateManager>> {
         self.common.sharing.as_ref()
+    }
+
+    /// Returns the list of what contents ask for and their readers leave out.
+    pub fn ignored(&self) -> &IgnoredLog {
+        &self.common.ignored
     }
 
     /// Returns the client of the pager's own configuration.

@@ -1,6 +1,7 @@
 //! Drawables: a shape with a material, as plain CPU data. Filled by decode workers on any thread, read once by the draw
 //! thread when it uploads a page, then dropped unless the application keeps its own `Arc`.
 
+use std::collections::HashSet;
 use std::sync::{Arc, Weak};
 
 use super::material::{Material, Texture};
@@ -8,6 +9,7 @@ use super::mesh::{Mesh, MeshVertex, SMALL_MESH_INDICES, VertexFormat};
 use super::normal_cone::NormalCone;
 use super::shape::Geometry;
 use crate::math::Aabb;
+use crate::scene::features::DrawableFeatures;
 use crate::scene::sharing::SharedParts;
 
 /// A shape with a surface, which is drawn by one draw call or a part of one.
@@ -19,6 +21,8 @@ pub struct Drawable {
     pub material: Material,
     /// The cone of its normals, for [`CullingMode::CLUSTER`](crate::scene::CullingMode::CLUSTER).
     pub cluster: Option<NormalCone>,
+    /// The features that the drawable shows, which stay with the page; usually none.
+    pub features: Option<Arc<DrawableFeatures>>,
     /// Contents shared with other drawables, set by a [`SharedStateManager`](crate::scene::SharedStateManager).
     pub(crate) shared: SharedParts,
     /// The vertex format that the reader found for a mesh.
@@ -28,7 +32,7 @@ pub struct Drawable {
 impl Drawable {
     /// Creates a drawable.
     pub fn new(geometry: Geometry, material: Material) -> Self {
-        Self { geometry, material, cluster: None, shared: SharedParts::default(), vertex_format: None }
+        Self { geometry, material, cluster: None, features: None, shared: SharedParts::default(), vertex_format: None }
     }
 
     /// Stores the vertex format that a reader found for the mesh.
@@ -68,17 +72,32 @@ impl Drawable {
 
     /// Returns the bytes of CPU memory that the payload holds.
     pub fn size_bytes(&self) -> u64 {
-        let texture_bytes =
-            |t: &Option<Arc<Texture>>| -> u64 { t.iter().flat_map(|t| t.mips.iter()).map(|m| m.len() as u64).sum() };
+        self.size_bytes_beside(&mut HashSet::new())
+    }
+
+    /// Returns the bytes of CPU memory that the payload holds beside shapes and images whose addresses are in `counted`. Adds
+    /// those that other drawables may share.
+    pub(crate) fn size_bytes_beside(&self, counted: &mut HashSet<usize>) -> u64 {
+        fn is_new<T>(shared: &Arc<T>, counted: &mut HashSet<usize>) -> bool {
+            Arc::strong_count(shared) == 1 || counted.insert(Arc::as_ptr(shared).addr())
+        }
+        let mut texture_bytes = |t: &Option<Arc<Texture>>| -> u64 {
+            let texture = t.as_ref().filter(|t| is_new(t, counted));
+            texture.iter().flat_map(|t| t.mips.iter()).map(|m| m.len() as u64).sum()
+        };
+        let material = texture_bytes(&self.material.texture);
+        let of_height = match &self.geometry {
+            Geometry::Height(t) => texture_bytes(&t.texture),
+            _ => 0,
+        };
         let shape = match &self.geometry {
-            Geometry::Mesh(m) => {
+            Geometry::Mesh(m) if is_new(m, counted) => {
                 (m.vertices.len() * size_of::<MeshVertex>() + m.indices.len() * 4) as u64 + m.attributes.size_bytes()
             }
-            Geometry::Height(t) => {
-                (t.heights.len() * 4 + t.rows.len() * 16 + t.columns.len() * 8) as u64 + texture_bytes(&t.texture)
-            }
+            Geometry::Mesh(_) => 0,
+            Geometry::Height(t) => (t.heights.len() * 4 + t.rows.len() * 16 + t.columns.len() * 8) as u64,
             Geometry::Custom(custom) => custom.size_bytes,
         };
-        shape + texture_bytes(&self.material.texture)
+        shape + of_height + material
     }
 }

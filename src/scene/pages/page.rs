@@ -16,6 +16,7 @@ use super::payload_tables::{OccluderRecord, PayloadTables, RareNode};
 use super::state_paths::{StatePath, StatePaths};
 use super::stored_bounds::Boxes4;
 use super::transforms::Transforms;
+use crate::scene::features::DrawableFeatures;
 use crate::scene::geometry::{Drawable, Geometry, Mesh, NormalCone};
 use crate::scene::intersect::KdTree;
 use crate::scene::nodes::{CameraNode, CullCallback, EventCallback, UpdateCallback};
@@ -300,6 +301,12 @@ impl Page {
     /// Takes the payloads in drawable order, to be uploaded; their bounds stay in the page.
     pub fn take_drawables(&mut self) -> Vec<Drawable> {
         self.payload.take()
+    }
+
+    /// Returns the features of a drawable; `None` if it has none, or if its content was read without
+    /// [`ReadOptions::keep_features`](crate::formats::ReadOptions::keep_features).
+    pub fn features(&self, drawable: u32) -> Option<&DrawableFeatures> {
+        self.payload.features(drawable).map(|features| &**features)
     }
 
     /// Puts back payloads that were taken, all of them or none.

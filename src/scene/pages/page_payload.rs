@@ -1,8 +1,10 @@
 //! The payload of a page: drawables until a context has uploaded them, afterwards k-d trees and draw slots.
 
+use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
-use crate::scene::geometry::Drawable;
+use crate::scene::features::DrawableFeatures;
+use crate::scene::geometry::{Drawable, Geometry};
 use crate::scene::intersect::KdTree;
 use crate::scene::sharing::SharedContent;
 
@@ -29,6 +31,10 @@ pub(crate) struct PagePayload {
     /// Empty once the payloads were taken.
     drawables: Vec<Drawable>,
     drawable_bytes: u64,
+    /// The addresses of shapes and images that are counted in `drawable_bytes` and may be shared by further drawables.
+    counted: HashSet<usize>,
+    /// The features of drawables that have some, by index. They stay when the payloads are taken.
+    features: Vec<(u32, Arc<DrawableFeatures>)>,
     /// K-d trees by drawable; empty if none were built.
     kd_trees: Vec<Option<Arc<KdTree>>>,
     /// Contents shared with other pages, each listed once.
@@ -42,13 +48,22 @@ pub(crate) struct PagePayload {
 impl PagePayload {
     /// Appends a drawable.
     pub(super) fn push(&mut self, drawable: Drawable) {
-        self.drawable_bytes += drawable.size_bytes();
+        self.drawable_bytes += drawable.size_bytes_beside(&mut self.counted);
+        if let Some(features) = &drawable.features {
+            self.features.push((self.drawables.len() as u32, features.clone()));
+        }
         self.drawables.push(drawable);
     }
 
     /// Returns the drawables that were not taken.
     pub fn drawables(&self) -> &[Drawable] {
         &self.drawables
+    }
+
+    /// Returns the features of a drawable, whether it was taken or not.
+    pub fn features(&self, drawable: u32) -> Option<&Arc<DrawableFeatures>> {
+        let at = self.features.binary_search_by_key(&drawable, |(drawable, _)| *drawable).ok()?;
+        self.features.get(at).map(|(_, features)| features)
     }
 
     /// Returns a drawable that was not taken, to be changed.
@@ -59,12 +74,15 @@ impl PagePayload {
     /// Takes all drawables.
     pub fn take(&mut self) -> Vec<Drawable> {
         self.drawable_bytes = 0;
+        self.counted = HashSet::new();
         std::mem::take(&mut self.drawables)
     }
 
     /// Puts back all drawables that were taken.
     pub fn put(&mut self, drawables: Vec<Drawable>) {
-        self.drawable_bytes = drawables.iter().map(Drawable::size_bytes).sum();
+        let mut counted = HashSet::new();
+        self.drawable_bytes = drawables.iter().map(|drawable| drawable.size_bytes_beside(&mut counted)).sum();
+        self.counted = counted;
         self.drawables = drawables;
     }
 
@@ -79,9 +97,15 @@ impl PagePayload {
 
     /// Builds a k-d tree for each drawable, or takes the one of the shared content.
     pub fn build_kd_trees(&mut self) {
-        let tree = |d: &Drawable| match &d.shared.geometry {
-            Some(shared) => shared.tree(&d.geometry),
-            None => KdTree::build(&d.geometry).map(Arc::new),
+        // Instances of one mesh share its tree.
+        let mut built: HashMap<usize, Option<Arc<KdTree>>> = HashMap::new();
+        let tree = |d: &Drawable| match (&d.shared.geometry, &d.geometry) {
+            (Some(shared), geometry) => shared.tree(geometry),
+            (None, Geometry::Mesh(mesh)) if Arc::strong_count(mesh) > 1 => {
+                let build = || KdTree::build(&d.geometry).map(Arc::new);
+                built.entry(Arc::as_ptr(mesh).addr()).or_insert_with(build).clone()
+            }
+            (None, geometry) => KdTree::build(geometry).map(Arc::new),
         };
         self.kd_trees = self.drawables.iter().map(tree).collect();
         self.hold_shared();
@@ -154,7 +178,18 @@ impl PagePayload {
     /// Returns the bytes of CPU memory of drawables, trees and slots.
     pub fn size_bytes(&self) -> u64 {
         let slots: usize = self.draw_slots.iter().map(|(_, slots)| slots.len() * 4).sum();
-        let trees = self.kd_trees.iter().flatten().map(|tree| tree.size_bytes()).sum::<u64>();
-        self.drawable_bytes + slots as u64 + trees
+        let mut counted = HashSet::new();
+        let is_new = |tree: &&Arc<KdTree>| counted.insert(Arc::as_ptr(tree).addr());
+        let trees = self.kd_trees.iter().flatten().filter(is_new).map(|tree| tree.size_bytes()).sum::<u64>();
+        self.drawable_bytes + slots as u64 + trees + self.feature_bytes()
+    }
+
+    /// Returns the bytes of the feature ids, and of each property table once.
+    fn feature_bytes(&self) -> u64 {
+        let mut counted = HashSet::new();
+        let tables = self.features.iter().flat_map(|(_, features)| features.tables.iter());
+        let tables = tables.filter(|table| counted.insert(Arc::as_ptr(table).addr()));
+        let table_bytes: u64 = tables.map(|table| table.size_bytes() as u64).sum();
+        table_bytes + self.features.iter().map(|(_, features)| features.size_bytes()).sum::<u64>()
     }
 }

@@ -28,6 +28,8 @@ impl LoadedRoot {
         let options = formats::ReadOptions::for_root(&uri, config.limits);
         let mut pager = DatabasePager::new(config.clone(), options.clone())?;
         let page = pager.read_root(&uri)?;
+        // The second read of the root adds nothing to the list of what is left out.
+        let options = formats::ReadOptions { ignored: formats::IgnoredLog::default(), ..options };
         let region = declared_region(&uri, &options);
         Ok(Self { pager, page, uri, region })
     }

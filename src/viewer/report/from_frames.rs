@@ -1,5 +1,7 @@
 //! Fills a [`Report`] from the statistics of its frames.
 
+use std::collections::BTreeMap;
+
 use super::schema::{Bytes, DrawMedians, FrameTimes, Phases, Report, Tiles, Times};
 use crate::viewer::frame::{FrameStats, Samples};
 
@@ -67,6 +69,7 @@ impl Report {
             holes: None,
             settled: None,
             errors: Vec::new(),
+            ignored: BTreeMap::new(),
         }
     }
 }

@@ -67,6 +67,7 @@ impl Viewer {
                 cpu_peak: s.cpu_bytes_peak,
                 ..report.bytes
             };
+            report.ignored = pager.ignored().iter().map(|(kind, count)| (kind.to_owned(), count)).collect();
             report.cache = pager.cache_stats();
             report.sharing = pager.sharing().map(|_| Sharing::from_pager(s));
             report.errors = pager

@@ -2,6 +2,8 @@
 //!
 //! Times are milliseconds unless the name says otherwise.
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 
 use crate::fetch::CacheStats;
@@ -55,6 +57,9 @@ pub struct Report {
     pub settled: Option<Settled>,
     /// The failures, each URI and reason once.
     pub errors: Vec<ReportError>,
+    /// What contents ask for and their readers leave out, counted by kind.
+    #[serde(default)]
+    pub ignored: BTreeMap<String, u64>,
 }
 
 /// The distribution of whole frames, milliseconds.

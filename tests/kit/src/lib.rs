@@ -4,6 +4,7 @@
 //! [`skip`], so that it is printed and counted.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
+pub mod compressed;
 pub mod fuzz;
 pub mod pager;
 pub mod server;

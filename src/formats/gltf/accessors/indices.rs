@@ -7,15 +7,14 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak};
 use gltf::accessor::{DataType, Dimensions};
 use lru::LruCache;
 
-use super::budget::Budget;
-use super::buffers::Buffers;
 use super::elements::Elements;
-use crate::fetch::{IoError, Limits};
+use crate::fetch::IoError;
+use crate::formats::gltf::context::Context;
 use crate::scene::ContentKey;
 
 /// A list of indices, and the largest one.
 #[derive(Clone)]
-pub(super) struct IndexList {
+pub(in super::super) struct IndexList {
     pub list: Arc<[u32]>,
     pub largest: Option<u32>,
 }
@@ -44,57 +43,56 @@ fn read_shared(key: ContentKey, read: impl FnOnce() -> Option<Arc<[u32]>>) -> Op
 }
 
 /// Returns the key of a list that was not read from one accessor.
-pub(super) fn list_key_of(list: &[u32]) -> ContentKey {
+pub(in super::super) fn list_key_of(list: &[u32]) -> ContentKey {
     ContentKey::of(&[bytemuck::cast_slice(list)])
 }
 
 /// The index lists of a glTF read so far. Primitives share them.
-pub(super) struct IndexLists<'a> {
-    uri: &'a str,
-    limits: &'a Limits,
+pub(in super::super) struct IndexLists<'a> {
+    context: &'a Context<'a>,
     /// By the index of the accessor.
     read: HashMap<usize, (IndexList, ContentKey)>,
 }
 
 impl<'a> IndexLists<'a> {
-    pub fn new(uri: &'a str, limits: &'a Limits) -> Self {
-        Self { uri, limits, read: HashMap::new() }
+    pub fn new(context: &'a Context<'a>) -> Self {
+        Self { context, read: HashMap::new() }
     }
 
-    /// Returns the list of an accessor and its key. Fails if an index is out of range for `vertices` vertices.
-    pub fn get(
+    /// Returns the list of an accessor and its key. Calls `elements` for a list that was not read before; returns `None` if
+    /// that has none. Fails if an index is out of range for `vertices` vertices.
+    pub fn get<'e>(
         &mut self,
         accessor: &gltf::Accessor<'_>,
         vertices: usize,
-        buffers: &Buffers<'_>,
-        budget: &mut Budget<'_>,
-    ) -> Result<(IndexList, ContentKey), IoError> {
+        elements: impl FnOnce() -> Result<Option<Elements<'e>>, IoError>,
+    ) -> Result<Option<(IndexList, ContentKey)>, IoError> {
         let indices = match self.read.get(&accessor.index()).cloned() {
             Some(indices) => indices,
             None => {
-                let elements = buffers.elements(accessor, Dimensions::Scalar)?;
-                if elements.count > self.limits.max_elements {
-                    return Err(self.bad(format!("{} indices", elements.count)));
+                let max = self.context.options.limits.max_elements;
+                if accessor.count() > max {
+                    return Err(self.context.bad(format_args!("{} indices", accessor.count())));
                 }
-                budget.add_indices(elements.count)?;
+                self.context.budget.add_indices(accessor.count())?;
+                if accessor.dimensions() != Dimensions::Scalar {
+                    return Err(self.context.bad("accessor of the wrong type"));
+                }
+                let Some(elements) = elements()? else { return Ok(None) };
                 let layout = [elements.stride, elements.count, elements.data_type.size()].map(|n| n as u64);
-                let key = ContentKey::of(&[elements.bytes, bytemuck::cast_slice(&layout)]);
+                let key = ContentKey::of(&[&elements.bytes, bytemuck::cast_slice(&layout)]);
                 let list = read_shared(key, || unsigned(&elements));
-                let list = list.ok_or_else(|| self.bad("indices of a signed or float type".to_owned()))?;
+                let list = list.ok_or_else(|| self.context.bad("indices of a signed or float type"))?;
                 self.read.insert(accessor.index(), (list.clone(), key));
                 (list, key)
             }
         };
         match indices.0.largest {
             Some(largest) if largest as usize >= vertices => {
-                Err(self.bad(format!("index {largest} of {vertices} vertices")))
+                Err(self.context.bad(format_args!("index {largest} of {vertices} vertices")))
             }
-            _ => Ok(indices),
+            _ => Ok(Some(indices)),
         }
-    }
-
-    fn bad(&self, reason: String) -> IoError {
-        IoError::invalid(self.uri, format!("glTF: {reason}"))
     }
 }
 

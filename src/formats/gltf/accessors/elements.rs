@@ -1,34 +1,35 @@
 //! [`Elements`]: the elements of an accessor, converted to numbers or copied as bytes.
 
+use std::borrow::Cow;
 use std::sync::Arc;
 
 use gltf::accessor::{DataType, Dimensions};
 
 use crate::scene::{AttributeFormat, MeshVertex};
 
-/// The elements of an accessor. [`Buffers::elements`](super::buffers::Buffers::elements) has checked offsets and counts.
-pub(super) struct Elements<'a> {
-    pub(super) bytes: &'a [u8],
-    pub(super) stride: usize,
-    pub(super) count: usize,
-    pub(super) components: usize,
-    pub(super) data_type: DataType,
-    pub(super) normalized: bool,
+/// The elements of an accessor. [`Buffers::elements`](super::Buffers::elements) has checked offsets and counts.
+pub(in super::super) struct Elements<'a> {
+    pub bytes: Cow<'a, [u8]>,
+    pub stride: usize,
+    pub count: usize,
+    pub components: usize,
+    pub data_type: DataType,
+    pub normalized: bool,
 }
 
 impl Elements<'_> {
-    pub(super) fn is_unorm16(&self) -> bool {
+    pub fn is_unorm16(&self) -> bool {
         self.data_type == DataType::U16 && self.normalized
     }
 
     /// Returns one column of each matrix, with `rows` rows.
-    pub(super) fn column(&self, column: usize, rows: usize) -> Self {
+    pub fn column(&self, column: usize, rows: usize) -> Elements<'_> {
         let first = column * column_stride(self.data_type, rows);
-        Self { bytes: self.bytes.get(first..).unwrap_or_default(), components: rows, ..*self }
+        Elements { bytes: Cow::Borrowed(self.bytes.get(first..).unwrap_or_default()), components: rows, ..*self }
     }
 
     /// Returns component `c` of element `i`, normalized if the accessor says so. Returns 0 out of range.
-    pub(super) fn value(&self, i: usize, c: usize) -> f32 {
+    pub fn value(&self, i: usize, c: usize) -> f32 {
         let at = i * self.stride + c * self.data_type.size();
         let b = |n: usize| self.bytes.get(at + n).copied().unwrap_or(0);
         let (raw, max) = match self.data_type {
@@ -42,8 +43,28 @@ impl Elements<'_> {
         if self.normalized { (raw / max).max(-1.0) } else { raw }
     }
 
+    /// Returns component `c` of element `i` as an unsigned integer, without normalization. Negative numbers become 0, and
+    /// fractions are cut off.
+    pub fn unsigned(&self, i: usize, c: usize) -> u32 {
+        let at = i * self.stride + c * self.data_type.size();
+        let b = |n: usize| self.bytes.get(at + n).copied().unwrap_or(0);
+        match self.data_type {
+            DataType::U8 => b(0).into(),
+            DataType::U16 => u16::from_le_bytes([b(0), b(1)]).into(),
+            DataType::U32 => u32::from_le_bytes([b(0), b(1), b(2), b(3)]),
+            DataType::I8 => (b(0) as i8).max(0) as u32,
+            DataType::I16 => i16::from_le_bytes([b(0), b(1)]).max(0) as u32,
+            DataType::F32 => f32::from_le_bytes([b(0), b(1), b(2), b(3)]) as u32,
+        }
+    }
+
+    /// Returns element `i` as a vector of `N` components. Components that the elements lack are 0.
+    pub fn vector<const N: usize>(&self, i: usize) -> [f32; N] {
+        std::array::from_fn(|c| if c < self.components { self.value(i, c) } else { 0.0 })
+    }
+
     /// Returns the bytes of all elements without gaps, each padded with zeros to `size` bytes.
-    pub(super) fn padded(&self, size: usize) -> Arc<[u8]> {
+    pub fn padded(&self, size: usize) -> Arc<[u8]> {
         let own = self.components * self.data_type.size();
         let mut all = vec![0; self.count * size];
         for (target, bytes) in all.chunks_exact_mut(size.max(1)).zip(self.bytes.chunks(self.stride.max(1))) {
@@ -54,7 +75,7 @@ impl Elements<'_> {
     }
 
     /// Calls `set` with each vertex and its element of `N` components, up to the shorter of both lists.
-    pub(super) fn read_into<const N: usize>(
+    pub fn read_into<const N: usize>(
         &self,
         vertices: &mut [MeshVertex],
         mut set: impl FnMut(&mut MeshVertex, [f32; N]),
@@ -83,7 +104,7 @@ impl Elements<'_> {
 }
 
 /// Returns the columns and rows of an element. A vector is one column.
-pub(super) fn columns_and_rows(of: Dimensions) -> (usize, usize) {
+pub(in super::super) fn columns_and_rows(of: Dimensions) -> (usize, usize) {
     match of {
         Dimensions::Mat2 => (2, 2),
         Dimensions::Mat3 => (3, 3),
@@ -108,7 +129,7 @@ pub(super) fn element_bytes(of: DataType, dimensions: Dimensions) -> (usize, usi
 }
 
 /// Returns the vertex format of elements with `components` components. Three components of 8 or 16 bits are padded to four.
-pub(super) fn attribute_format(of: DataType, normalized: bool, components: usize) -> Option<AttributeFormat> {
+pub(in super::super) fn attribute_format(of: DataType, normalized: bool, components: usize) -> Option<AttributeFormat> {
     use AttributeFormat::*;
     let short = |two, four| if components <= 2 { two } else { four };
     let long = |of: [AttributeFormat; 4]| of.get(components - 1).copied();

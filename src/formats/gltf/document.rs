@@ -1,0 +1,86 @@
+//! Parses and checks the JSON of a glTF with the crate `gltf`.
+
+use gltf::json;
+use gltf::json::validation::{Checked, Error, Validate as _};
+
+use super::context::Context;
+use super::double_precision::{DoublePrecision, extensions_required};
+use super::extensions;
+use crate::fetch::IoError;
+
+/// Parses a document. Its references between objects are valid afterwards, so that the crate's accessors do not panic.
+pub(super) fn parse(context: &Context<'_>, json: &[u8]) -> Result<(gltf::Document, DoublePrecision), IoError> {
+    let uri = context.uri;
+    let refused = |required: &[String]| {
+        let unknown = required.iter().find(|name| !extensions::may_be_required(name));
+        unknown.map(|name| IoError::unsupported(uri, format!("required glTF extension {name}")))
+    };
+    let mut root = json::Root::from_slice(json).map_err(|e| {
+        // An unsupported extension may replace required properties. It is the better error.
+        let required = extensions_required(json);
+        refused(&required).unwrap_or_else(|| IoError::invalid(uri, format!("glTF JSON: {e}")))
+    })?;
+    if let Some(error) = refused(&root.extensions_required) {
+        return Err(error);
+    }
+    root.extensions_required.clear();
+    for name in root.extensions_used.iter().filter(|name| !extensions::is_supported(name)) {
+        context.notes.add(format!("glTF extension {name}"));
+    }
+    // The crate panics or misbehaves unless the next two conditions hold.
+    let accessors = root.accessors.len();
+    for primitive in root.meshes.iter().flat_map(|m| &m.primitives) {
+        if let Some(index) = primitive.attributes.values().map(|a| a.value()).find(|index| *index >= accessors) {
+            return Err(context.bad(format_args!("accessor {index} of {accessors}")));
+        }
+    }
+    for (i, image) in root.images.iter().enumerate() {
+        let named = if image.buffer_view.is_some() { image.mime_type.is_some() } else { image.uri.is_some() };
+        if !named {
+            return Err(context.bad(format_args!("image {i} has no source, or no mimeType for its bufferView")));
+        }
+    }
+    // Attributes with unknown names are ignored, valid or not.
+    for primitive in root.meshes.iter_mut().flat_map(|m| m.primitives.iter_mut()) {
+        primitive.attributes.retain(|semantic, _| matches!(semantic, Checked::Valid(_)));
+    }
+    let double = DoublePrecision::read(json, &root).map_err(|e| IoError::invalid(uri, format!("glTF JSON: {e}")))?;
+    let mut errors = Vec::new();
+    root.validate(&root, json::Path::new, &mut |path, error| {
+        let path = path();
+        if !is_harmless(path.as_str(), error) {
+            errors.push((path, error));
+        }
+    });
+    if !errors.is_empty() {
+        return Err(context.bad(gltf::Error::Validation(errors)));
+    }
+    let document = gltf::Document::from_json_without_validation(root);
+    note_unused(context, &document);
+    Ok((document, double))
+}
+
+/// Returns true for violations that do not matter to this reader. Old exporters omit bounds; compressed accessors have no
+/// bufferView; a primitive without positions is not drawn.
+fn is_harmless(path: &str, error: Error) -> bool {
+    let is_bound = path.ends_with(".min") || path.ends_with(".max");
+    let is_missing_view = path.starts_with("accessors[") && path.ends_with("].bufferView");
+    match error {
+        Error::Missing => is_bound || is_missing_view || path.ends_with(".attributes[\"POSITION\"]"),
+        Error::Invalid => is_bound,
+        _ => false,
+    }
+}
+
+/// Notes the parts of a document that a still scene does not draw.
+fn note_unused(context: &Context<'_>, document: &gltf::Document) {
+    for (is_used, kind) in [
+        (document.animations().len() > 0, "glTF: animations (drawn at rest)"),
+        (document.cameras().len() > 0, "glTF: cameras"),
+        (document.scenes().len() > 1, "glTF: scenes besides the default one"),
+    ] {
+        if is_used {
+            context.notes.add(kind);
+        }
+    }
+}

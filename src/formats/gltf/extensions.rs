@@ -1,0 +1,48 @@
+//! The glTF extensions that this reader knows.
+
+/// Extensions that are read in full.
+const SUPPORTED: &[&str] = &[
+    "CESIUM_RTC",
+    "EXT_mesh_gpu_instancing",
+    "EXT_meshopt_compression",
+    "EXT_texture_webp",
+    "KHR_draco_mesh_compression",
+    "KHR_materials_emissive_strength",
+    "KHR_materials_unlit",
+    "KHR_mesh_quantization",
+    "KHR_meshopt_compression",
+    "KHR_texture_basisu",
+    "KHR_texture_transform",
+];
+
+/// Extensions without which a glTF is still drawn sensibly, so that it is not refused if it requires them. They are noted.
+const DISPENSABLE: &[&str] = &[
+    "CESIUM_primitive_outline",
+    "KHR_lights_punctual",
+    "KHR_materials_anisotropy",
+    "KHR_materials_clearcoat",
+    "KHR_materials_dispersion",
+    "KHR_materials_ior",
+    "KHR_materials_iridescence",
+    "KHR_materials_pbrSpecularGlossiness",
+    "KHR_materials_sheen",
+    "KHR_materials_specular",
+    "KHR_materials_transmission",
+    "KHR_materials_variants",
+    "KHR_materials_volume",
+    "KHR_techniques_webgl",
+    "KHR_xmp_json_ld",
+];
+
+/// Extensions that are read if features are kept, and need no note otherwise: the application did not ask for them.
+const FEATURES: &[&str] = &["EXT_instance_features", "EXT_mesh_features", "EXT_structural_metadata"];
+
+/// Returns true if the extension is read in full, or needs no note.
+pub(super) fn is_supported(name: &str) -> bool {
+    SUPPORTED.contains(&name) || FEATURES.contains(&name)
+}
+
+/// Returns true if a glTF may require the extension.
+pub(super) fn may_be_required(name: &str) -> bool {
+    is_supported(name) || DISPENSABLE.contains(&name)
+}

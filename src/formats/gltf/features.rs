@@ -1,0 +1,124 @@
+//! EXT_mesh_features, EXT_instance_features, EXT_structural_metadata and `_BATCHID`: the features that drawables show.
+//!
+//! Only read with [`ReadOptions::keep_features`](crate::formats::ReadOptions::keep_features).
+
+use std::sync::Arc;
+
+use serde::Deserialize;
+use serde_json::Value;
+
+use super::accessors::{Buffers, Elements};
+use super::context::Context;
+use crate::fetch::IoError;
+use crate::formats::properties;
+use crate::scene::{Drawable, DrawableFeatures, FeatureIdSet, FeatureIds, PropertyTable};
+
+/// A set of feature ids in the JSON.
+#[derive(Clone, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct FeatureIdJson {
+    pub null_feature_id: Option<u32>,
+    pub label: Option<String>,
+    /// The number of an attribute `_FEATURE_ID_n`.
+    pub attribute: Option<u32>,
+    pub texture: Option<Value>,
+    pub property_table: Option<usize>,
+}
+
+impl FeatureIdJson {
+    /// Reads the list `featureIds` of an extension.
+    pub fn list(extension: Option<&Value>) -> Vec<Self> {
+        let list = extension.and_then(|extension| extension.get("featureIds")?.as_array());
+        list.into_iter().flatten().filter_map(|set| Self::deserialize(set).ok()).collect()
+    }
+
+    /// Returns the set with its ids.
+    pub fn with_ids(&self, ids: FeatureIds) -> FeatureIdSet {
+        let label = self.label.clone().unwrap_or_default();
+        FeatureIdSet { label, null_id: self.null_feature_id, ids, table: self.property_table }
+    }
+}
+
+/// The property tables of a glTF: those of EXT_structural_metadata, then the batch table of its b3dm.
+pub(super) struct FeatureTables {
+    tables: Arc<[Arc<PropertyTable>]>,
+    /// The index of the batch table.
+    batch_table: Option<usize>,
+    is_kept: bool,
+}
+
+impl FeatureTables {
+    pub fn new(
+        context: &Context<'_>,
+        document: &gltf::Document,
+        buffers: &Buffers<'_>,
+        batch_table: Option<Arc<PropertyTable>>,
+    ) -> Self {
+        let is_kept = context.options.keep_features;
+        let mut tables = Vec::new();
+        if let Some(metadata) = document.extension_value("EXT_structural_metadata").filter(|_| is_kept) {
+            let view = |view: usize| {
+                let bytes = buffers.view(&document.views().nth(view)?).ok().flatten()?;
+                context.budget.add_decoded(bytes.len() as u64).ok()?;
+                Some(bytes.to_vec())
+            };
+            let read = properties::property_tables(metadata, &view, &|kind| context.notes.add(kind));
+            tables.extend(read.into_iter().map(Arc::new));
+            for (property, kind) in [
+                ("propertyTextures", "metadata: property textures"),
+                ("propertyAttributes", "metadata: property attributes"),
+            ] {
+                if metadata.get(property).is_some() {
+                    context.notes.add(kind);
+                }
+            }
+        }
+        let batch_index = batch_table.is_some().then_some(tables.len());
+        tables.extend(batch_table);
+        Self { tables: tables.into(), batch_table: batch_index, is_kept }
+    }
+
+    /// Reads the features of a primitive. `attribute` returns the elements of an attribute with a name.
+    pub fn of_primitive<'e>(
+        &self,
+        context: &Context<'_>,
+        primitive: &gltf::Primitive<'_>,
+        attribute: impl Fn(&str) -> Result<Option<Elements<'e>>, IoError>,
+    ) -> Result<Option<Arc<DrawableFeatures>>, IoError> {
+        if !self.is_kept {
+            return Ok(None);
+        }
+        let per_vertex = |elements: &Elements<'_>| -> Result<FeatureIds, IoError> {
+            context.budget.add_decoded(4 * elements.count as u64)?;
+            Ok(FeatureIds::PerVertex((0..elements.count).map(|i| elements.unsigned(i, 0)).collect()))
+        };
+        let mut sets = Vec::new();
+        for set in FeatureIdJson::list(primitive.extension_value("EXT_mesh_features")) {
+            match (set.attribute, &set.texture) {
+                (Some(number), _) => match attribute(&format!("_FEATURE_ID_{number}"))? {
+                    Some(elements) => sets.push(set.with_ids(per_vertex(&elements)?)),
+                    None => context.notes.add("glTF: feature ids whose attribute is missing"),
+                },
+                (None, Some(_)) => context.notes.add("glTF: feature ids in textures"),
+                (None, None) => sets.push(set.with_ids(FeatureIds::VertexIndex)),
+            }
+        }
+        for name in ["_BATCHID", "_BATCH_ID"] {
+            if let Some(elements) = attribute(name)? {
+                let ids = per_vertex(&elements)?;
+                sets.push(FeatureIdSet { label: String::new(), null_id: None, ids, table: self.batch_table });
+            }
+        }
+        Ok((!sets.is_empty()).then(|| Arc::new(DrawableFeatures { sets, tables: self.tables.clone() })))
+    }
+
+    /// Adds the sets of an instance to a drawable.
+    pub fn add_instance(&self, drawable: &mut Drawable, sets: &[FeatureIdSet]) {
+        if !self.is_kept {
+            return;
+        }
+        let own = DrawableFeatures { sets: Vec::new(), tables: self.tables.clone() };
+        let features = drawable.features.as_deref().unwrap_or(&own).with_instance(sets.iter().cloned());
+        drawable.features = Some(Arc::new(features));
+    }
+}

@@ -1,0 +1,35 @@
+//! Additional attributes that meshes keep for programs; see [`ReadOptions::vertex_attributes`].
+//!
+//! [`ReadOptions::vertex_attributes`]: crate::formats::ReadOptions::vertex_attributes
+
+use super::primitive::PrimitiveData;
+use crate::fetch::IoError;
+use crate::formats::gltf::accessors::{attribute_format, columns_and_rows};
+use crate::formats::gltf::context::Context;
+use crate::scene::{MeshVertex, VertexAttributes};
+
+/// Reads the additional attributes in the order of the options. Matrices are split into columns.
+pub(super) fn additional_attributes(
+    context: &Context<'_>,
+    data: &PrimitiveData<'_>,
+) -> Result<VertexAttributes, IoError> {
+    let (mut attributes, vertices) = (VertexAttributes::default(), data.count);
+    for name in context.options.vertex_attributes.iter() {
+        let Some(accessor) = data.accessor(name) else { continue };
+        let (count, dimensions) = (accessor.count(), accessor.dimensions());
+        let (columns, rows) = columns_and_rows(dimensions);
+        let Some(format) = attribute_format(accessor.data_type(), accessor.normalized(), rows) else { continue };
+        if count != vertices {
+            return Err(context.bad(format_args!("{name} has {count} elements for {vertices} vertices")));
+        }
+        let bytes = columns * format.size_bytes();
+        context.budget.add_vertices(vertices.saturating_mul(bytes).div_ceil(size_of::<MeshVertex>()))?;
+        let Some(elements) = data.elements(name, &accessor)? else { continue };
+        for column in 0..columns {
+            let elements = elements.column(column, rows).padded(format.size_bytes());
+            let name = if columns > 1 { format!("{name}_{column}") } else { name.to_string() };
+            attributes.push(vertices, &name, format, elements).map_err(|error| context.bad(error))?;
+        }
+    }
+    Ok(attributes)
+}

@@ -1,0 +1,103 @@
+//! [`PrimitiveData`]: access to the attributes and indices of one primitive.
+
+use std::sync::Arc;
+
+use gltf::accessor::Dimensions;
+use gltf::mesh::Semantic;
+
+use super::draco::{Compressed, DracoMesh};
+use crate::fetch::IoError;
+use crate::formats::gltf::accessors::{Buffers, Elements};
+use crate::formats::gltf::context::Context;
+
+/// The note about a primitive that cannot be drawn without a file that is missing.
+pub(super) const BUFFER_MISSING: &str = "glTF: primitive that is not drawn because its buffer is missing";
+
+/// The attributes and indices of a primitive.
+pub(super) struct PrimitiveData<'a> {
+    context: &'a Context<'a>,
+    buffers: &'a Buffers<'a>,
+    primitive: &'a gltf::Primitive<'a>,
+    /// The decompressed mesh; attributes that it lacks are read from their accessors.
+    draco: Option<Box<DracoMesh<'a>>>,
+    /// The number of vertices.
+    pub count: usize,
+}
+
+impl<'a> PrimitiveData<'a> {
+    /// Counts the vertices of a primitive in the budget, and decompresses it. Returns `None` if it has no positions, or if the
+    /// buffer of its compressed mesh is missing.
+    pub fn new(
+        context: &'a Context<'a>,
+        buffers: &'a Buffers<'a>,
+        document: &gltf::Document,
+        primitive: &'a gltf::Primitive<'a>,
+    ) -> Result<Option<Self>, IoError> {
+        let Some(positions) = primitive.get(&Semantic::Positions) else {
+            context.notes.add("glTF: primitive without positions");
+            return Ok(None);
+        };
+        let count = positions.count();
+        context.budget.add_vertices(count)?;
+        let draco = match Compressed::new(context, buffers, document, primitive, count)? {
+            Compressed::No => None,
+            Compressed::Mesh(mesh) => Some(mesh),
+            Compressed::Missing => {
+                context.notes.add(BUFFER_MISSING);
+                return Ok(None);
+            }
+        };
+        Ok(Some(Self { context, buffers, primitive, draco, count }))
+    }
+
+    /// Returns the elements of an attribute; `None` if the primitive lacks it or if its buffer is missing.
+    pub fn attribute(&self, semantic: &Semantic, dimensions: &[Dimensions]) -> Result<Option<Elements<'_>>, IoError> {
+        let Some(accessor) = self.primitive.get(semantic) else { return Ok(None) };
+        if !dimensions.contains(&accessor.dimensions()) || accessor.count() != self.count {
+            return Err(self.context.bad(format_args!("{} has the wrong type or count", semantic.to_string())));
+        }
+        match &self.draco {
+            Some(_) => self.elements(&semantic.to_string(), &accessor),
+            None => self.buffers.elements(&accessor, accessor.dimensions()),
+        }
+    }
+
+    /// Returns the elements of a displacement of a morph target.
+    pub fn displacement(&self, accessor: &gltf::Accessor<'_>) -> Result<Option<Elements<'_>>, IoError> {
+        if accessor.dimensions() != Dimensions::Vec3 || accessor.count() != self.count {
+            return Err(self.context.bad("a morph target has the wrong type or count"));
+        }
+        self.context.budget.add_vertices(self.count)?;
+        self.buffers.elements(accessor, Dimensions::Vec3)
+    }
+
+    /// Returns the accessor of the attribute with a name as in the file.
+    pub fn accessor(&self, name: &str) -> Option<gltf::Accessor<'a>> {
+        let named = |(semantic, _): &(Semantic, gltf::Accessor<'_>)| semantic.to_string() == name;
+        self.primitive.attributes().find(named).map(|(_, accessor)| accessor)
+    }
+
+    /// Returns the elements of an attribute with a name as in the file.
+    pub fn elements(&self, name: &str, accessor: &gltf::Accessor<'_>) -> Result<Option<Elements<'_>>, IoError> {
+        if let Some(draco) = &self.draco
+            && let Some(elements) = draco.elements(name, accessor)?
+        {
+            return Ok(Some(elements));
+        }
+        self.buffers.elements(accessor, accessor.dimensions())
+    }
+
+    /// Returns the elements of an index accessor.
+    pub fn index_elements(&self, accessor: &gltf::Accessor<'_>) -> Result<Option<Elements<'_>>, IoError> {
+        self.buffers.elements(accessor, Dimensions::Scalar)
+    }
+
+    /// Returns the triangles of a decompressed mesh; `None` if the primitive was not compressed.
+    pub fn triangles(&self) -> Result<Option<Arc<[u32]>>, IoError> {
+        self.draco.as_ref().filter(|draco| draco.has_triangles()).map(|draco| draco.indices()).transpose()
+    }
+
+    pub fn morph_targets(&self) -> impl Iterator<Item = gltf::mesh::MorphTarget<'a>> {
+        self.primitive.morph_targets()
+    }
+}

@@ -1,0 +1,146 @@
+//! [`MeshReader`]: meshes of a glTF as drawables.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use gltf::mesh::Mode;
+
+use super::attributes::additional_attributes;
+use super::deform::Deformation;
+use super::primitive::{BUFFER_MISSING, PrimitiveData};
+use super::skin::SkinPose;
+use super::vertices::Vertices;
+use crate::fetch::IoError;
+use crate::formats::gltf::accessors::{Buffers, IndexLists, list_key_of};
+use crate::formats::gltf::context::Context;
+use crate::formats::gltf::features::FeatureTables;
+use crate::formats::gltf::materials::Surfaces;
+use crate::scene::{ContentKey, Drawable, Geometry, Material, Mesh, PrimitiveMode, SharedParts, Topology};
+
+/// Reads the meshes of one glTF.
+pub(in super::super) struct MeshReader<'a> {
+    context: &'a Context<'a>,
+    buffers: &'a Buffers<'a>,
+    document: &'a gltf::Document,
+    tables: &'a FeatureTables,
+    surfaces: Surfaces<'a>,
+    index_lists: IndexLists<'a>,
+    /// The drawables of meshes that were read without a deformation of their node, by the index of the mesh.
+    meshes: HashMap<usize, Vec<Drawable>>,
+}
+
+impl<'a> MeshReader<'a> {
+    pub fn new(
+        context: &'a Context<'a>,
+        buffers: &'a Buffers<'a>,
+        document: &'a gltf::Document,
+        tables: &'a FeatureTables,
+    ) -> Self {
+        Self {
+            context,
+            buffers,
+            document,
+            tables,
+            surfaces: Surfaces::new(context, document),
+            index_lists: IndexLists::new(context),
+            meshes: HashMap::new(),
+        }
+    }
+
+    /// Reads a mesh. Nodes that draw the same mesh share its vertices. `weights` are those of the node, `skin` its skin.
+    pub fn drawables(
+        &mut self,
+        mesh: &gltf::Mesh<'_>,
+        weights: Option<&[f32]>,
+        skin: Option<&SkinPose>,
+    ) -> Result<Vec<Drawable>, IoError> {
+        self.context.budget.add_primitives(mesh.primitives().len())?;
+        let is_plain = weights.is_none() && skin.is_none();
+        if let Some(known) = self.meshes.get(&mesh.index()).filter(|_| is_plain) {
+            return Ok(known.clone());
+        }
+        let deformation = Deformation { weights: weights.or(mesh.weights()).unwrap_or_default(), skin };
+        let mut drawables = Vec::with_capacity(mesh.primitives().len());
+        for primitive in mesh.primitives() {
+            drawables.extend(self.primitive(&primitive, deformation)?);
+        }
+        if is_plain {
+            self.meshes.insert(mesh.index(), drawables.clone());
+        }
+        Ok(drawables)
+    }
+
+    /// Reads a primitive. Returns `None` if a buffer that it cannot do without is missing.
+    fn primitive(
+        &mut self,
+        primitive: &gltf::Primitive<'_>,
+        deformation: Deformation<'_>,
+    ) -> Result<Option<Drawable>, IoError> {
+        let Self { context, buffers, document, tables, surfaces, index_lists, .. } = self;
+        let Some(data) = PrimitiveData::new(context, buffers, document, primitive)? else { return Ok(None) };
+        let mut surface = surfaces.get(&primitive.material());
+        let not_drawn = || {
+            context.notes.add(BUFFER_MISSING);
+            Ok(None)
+        };
+        let vertices = Vertices::new(context, &data, surface.texture.as_ref(), deformation)?;
+        let Some(vertices) = vertices else { return not_drawn() };
+        let attributes = additional_attributes(context, &data)?;
+        let attribute = |name: &str| match data.accessor(name) {
+            Some(accessor) if accessor.count() == data.count => data.elements(name, &accessor),
+            _ => Ok(None),
+        };
+        let features = tables.of_primitive(context, primitive, attribute)?;
+        let sharing = context.options.sharing.as_deref();
+        // Hashed here, while the vertices are in the CPU cache.
+        let vertices_key = sharing.map(|_| ContentKey::of_vertices(&vertices.list, &attributes));
+        let (mode, read, list_key) = match (data.triangles()?, primitive.indices()) {
+            (Some(triangles), _) => (PrimitiveMode::Triangles, triangles, None),
+            (None, Some(accessor)) => {
+                let list = index_lists.get(&accessor, data.count, || data.index_elements(&accessor))?;
+                let Some((list, key)) = list else { return not_drawn() };
+                (mode(primitive.mode()), list.list, Some(key))
+            }
+            (None, None) => (mode(primitive.mode()), (0..data.count as u32).collect(), None),
+        };
+        context.budget.add_indices(mode.assembled(read.len()))?;
+        let (topology, indices) = mode.assemble(read.clone());
+        let list_key = list_key.filter(|_| Arc::ptr_eq(&read, &indices));
+        // Points and lines without normals are not lit (glTF 2.0, 3.7.2.1).
+        surface.unlit |= topology != Topology::Triangles && !vertices.has_normals;
+        let (texture, shared_texture) = surfaces.texture(&surface, buffers)?.unzip();
+        let material = Material {
+            base_color: surface.base_color,
+            texture,
+            alpha: surface.alpha,
+            double_sided: surface.double_sided,
+            unlit: surface.unlit,
+        };
+        let Vertices { list, bounds, format, .. } = vertices;
+        let mut mesh = Arc::new(Mesh { vertices: list, indices, topology, bounds, attributes });
+        let (geometry, indices) = match (sharing, vertices_key) {
+            (Some(sharing), Some(vertices_key)) => {
+                let list_key = list_key.unwrap_or_else(|| list_key_of(&mesh.indices));
+                sharing.mesh(&mut mesh, &vertices_key, &list_key)
+            }
+            _ => (None, None),
+        };
+        let mut drawable = Drawable::new(Geometry::Mesh(mesh), material);
+        drawable.features = features;
+        drawable.shared = SharedParts { geometry, indices, texture: shared_texture.flatten() };
+        Ok(Some(drawable.with_vertex_format(format)))
+    }
+}
+
+/// Converts the mode of a primitive.
+fn mode(mode: Mode) -> PrimitiveMode {
+    match mode {
+        Mode::Points => PrimitiveMode::Points,
+        Mode::Lines => PrimitiveMode::Lines,
+        Mode::LineStrip => PrimitiveMode::LineStrip,
+        Mode::LineLoop => PrimitiveMode::LineLoop,
+        Mode::Triangles => PrimitiveMode::Triangles,
+        Mode::TriangleStrip => PrimitiveMode::TriangleStrip,
+        Mode::TriangleFan => PrimitiveMode::TriangleFan,
+    }
+}

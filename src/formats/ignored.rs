@@ -1,0 +1,118 @@
+//! [`Ignored`]: counts of the properties of contents that a reader recognizes or lists, but leaves out.
+//!
+//! A content that asks for something that is not done still draws. Its reader adds one entry per kind, such as
+//! `glTF extension KHR_lights_punctual`, so that `terrane info --verify` and reports can name it. Any thread.
+
+use std::borrow::Cow;
+use std::cell::RefCell;
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// The maximum number of kinds: names of extensions are outside data. Further kinds count as [`OTHERS`].
+const MAX_KINDS: usize = 256;
+/// The kind that replaces all kinds beyond [`MAX_KINDS`].
+const OTHERS: &str = "further kinds";
+/// The maximum length of a kind in bytes. Longer names are cut.
+const MAX_KIND_BYTES: usize = 96;
+
+/// Counts by kind of everything that contents asked for and readers left out.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Ignored {
+    counts: BTreeMap<Cow<'static, str>, u64>,
+}
+
+impl Ignored {
+    /// Returns true if nothing was left out.
+    pub fn is_empty(&self) -> bool {
+        self.counts.is_empty()
+    }
+
+    /// Returns the kinds with their counts, in alphabetical order.
+    pub fn iter(&self) -> impl Iterator<Item = (&str, u64)> {
+        self.counts.iter().map(|(kind, count)| (&**kind, *count))
+    }
+
+    /// Returns the count of a kind; 0 if it did not occur.
+    pub fn count(&self, kind: &str) -> u64 {
+        self.counts.get(kind).copied().unwrap_or(0)
+    }
+
+    /// Adds to the counts of another list.
+    pub fn merge(&mut self, other: &Self) {
+        for (kind, count) in &other.counts {
+            self.add(kind.clone(), *count);
+        }
+    }
+
+    pub(super) fn add(&mut self, kind: impl Into<Cow<'static, str>>, count: u64) {
+        let mut kind = kind.into();
+        if kind.len() > MAX_KIND_BYTES {
+            let end = (0..=MAX_KIND_BYTES).rev().find(|end| kind.is_char_boundary(*end)).unwrap_or(0);
+            kind = format!("{}...", &kind[..end]).into();
+        }
+        // Kinds that readers name are few; only names from files are bounded.
+        let is_from_file = matches!(kind, Cow::Owned(_));
+        if is_from_file && self.counts.len() >= MAX_KINDS && !self.counts.contains_key(&kind) {
+            kind = OTHERS.into();
+        }
+        let known = self.counts.entry(kind).or_default();
+        *known = known.saturating_add(count);
+    }
+}
+
+/// The list that all reads of a tile set add to. Clones share it. Written by decode threads, read by any thread.
+#[derive(Clone, Debug, Default)]
+pub struct IgnoredLog(Arc<Mutex<Ignored>>);
+
+impl IgnoredLog {
+    /// Returns a copy of the list so far.
+    pub fn snapshot(&self) -> Ignored {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Adds the list of one content.
+    pub(super) fn add(&self, of_content: &Ignored) {
+        if !of_content.is_empty() {
+            self.0.lock().unwrap_or_else(PoisonError::into_inner).merge(of_content);
+        }
+    }
+}
+
+/// The list of the content that is being read. All parts of its reader share it; one thread.
+#[derive(Debug, Default)]
+pub(super) struct Notes(RefCell<Ignored>);
+
+impl Notes {
+    /// Adds one occurrence of a kind.
+    pub fn add(&self, kind: impl Into<Cow<'static, str>>) {
+        self.0.borrow_mut().add(kind, 1);
+    }
+
+    /// Returns the list.
+    pub fn into_ignored(self) -> Ignored {
+        self.0.into_inner()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn kinds_are_counted_and_bounded() {
+        let log = IgnoredLog::default();
+        for round in 0..2 {
+            let notes = Notes::default();
+            notes.add("sampler");
+            (0..300).for_each(|i| notes.add(format!("extension {i}")));
+            notes.add("x".repeat(1000) + "é");
+            log.clone().add(&notes.into_ignored());
+            let list = log.snapshot();
+            assert_eq!((list.count("sampler"), list.count("nothing")), (round + 1, 0));
+        }
+        let list = log.snapshot();
+        assert_eq!(list.iter().count(), MAX_KINDS + 1);
+        assert!(list.count(OTHERS) > 80 && list.iter().all(|(kind, _)| kind.len() < 100));
+        assert!(Ignored::default().is_empty() && !list.is_empty());
+    }
+}

@@ -1,0 +1,46 @@
+//! The files that models refer to: external buffers and images of a glTF, and the model of an i3dm. CPU only; any thread.
+
+use std::sync::Arc;
+
+use super::options::{Fetched, ReadOptions};
+use super::{b3dm, cmpt, gltf, i3dm};
+use crate::fetch::markup::text_and_first_byte;
+use crate::fetch::{encoding, resolve};
+
+/// Returns the files that a model refers to, known or not. `base` is the address that references are relative to.
+pub(super) fn of_model(base: &str, bytes: &[u8], known: &[Fetched], options: &ReadOptions) -> Vec<Arc<str>> {
+    match bytes.starts_with(&[0x1f, 0x8b]) {
+        true => {
+            let plain = encoding::gunzip(base, bytes.to_vec(), &options.limits);
+            plain.map_or(Vec::new(), |plain| of_part(base, &plain, known, options, 0))
+        }
+        false => of_part(base, bytes, known, options, 0),
+    }
+}
+
+/// Returns the files of a model inside `depth` composites.
+fn of_part(base: &str, bytes: &[u8], known: &[Fetched], options: &ReadOptions, depth: u32) -> Vec<Arc<str>> {
+    let of_gltf = |bytes: &[u8]| -> Vec<Arc<str>> {
+        let references = gltf::references(base, bytes);
+        references.iter().filter_map(|reference| resolve(base, reference, &options.root).ok()).collect()
+    };
+    let (text, first) = text_and_first_byte(bytes);
+    match bytes.get(..4) {
+        Some(b"glTF") => of_gltf(bytes),
+        Some(b"b3dm") => b3dm::unwrap(base, bytes).map_or(Vec::new(), |b3dm| of_gltf(b3dm.glb)),
+        Some(b"i3dm") => i3dm::dependencies(base, bytes, known, options),
+        Some(b"cmpt") => {
+            let parts = cmpt::parts(base, bytes, depth).unwrap_or_default();
+            parts.into_iter().flat_map(|part| of_part(base, part, known, options, depth + 1)).collect()
+        }
+        // Tilesets may be large, and have no buffers.
+        _ if first == Some(b'{') && !begins_like_tileset(text) => of_gltf(text),
+        _ => Vec::new(),
+    }
+}
+
+/// Returns true if a property that only tilesets have is among the first kilobytes.
+fn begins_like_tileset(text: &[u8]) -> bool {
+    const PROPERTY: &[u8] = b"\"geometricError\"";
+    text[..text.len().min(4096)].windows(PROPERTY.len()).any(|window| window == PROPERTY)
+}

@@ -1,0 +1,12 @@
+//! Features of tile contents: ids of the parts of a mesh, and tables of their properties.
+//!
+//! Readers attach [`DrawableFeatures`] to drawables if they are asked to; they stay with the page when the payloads are
+//! uploaded, so that a picked point leads to its feature and the properties of that. Plain CPU data, any thread.
+
+mod drawable_features;
+mod property_table;
+mod property_value;
+
+pub use drawable_features::{DrawableFeatures, Feature, FeatureIdSet, FeatureIds};
+pub use property_table::{PropertyColumn, PropertyTable};
+pub use property_value::PropertyValue;

@@ -1,0 +1,336 @@
+//! Compressed parts of glTF 2.0: Draco meshes, meshopt buffer views, WebP and KTX2 images.
+
+use kit::compressed::{Triangles, uastc_ktx2};
+use meshoptimizer_rs::codec::{ExpMode, IndexEncoding, VertexEncoding};
+use meshoptimizer_rs::{Workspace, codec};
+use serde_json::{Value, json};
+use terrane::fetch::Limits;
+use terrane::formats::{Content, ReadOptions, decode};
+
+use crate::gltf_builder::*;
+
+/// The grid has `SIDE` x `SIDE` vertices.
+const SIDE: u32 = 9;
+
+/// Returns the positions of a triangle list, triangle by triangle, in an order that does not depend on the encoder.
+fn triangles(mesh: &terrane::scene::Mesh) -> Vec<[[i32; 3]; 3]> {
+    let corner = |i: &u32| mesh.vertices[*i as usize].position.map(|x| (x * 100.0).round() as i32);
+    let mut triangles: Vec<[[i32; 3]; 3]> =
+        mesh.indices.chunks_exact(3).map(|t| [&t[0], &t[1], &t[2]].map(corner)).collect();
+    // The first corner of a triangle may differ, its orientation may not.
+    for triangle in &mut triangles {
+        let first = (0..3).min_by_key(|i| triangle[*i]).unwrap();
+        triangle.rotate_left(first);
+    }
+    triangles.sort_unstable();
+    triangles
+}
+
+fn plain_grid() -> GltfBuilder {
+    let mut gltf = GltfBuilder::new();
+    let grid = Triangles::grid(SIDE);
+    let positions = gltf.floats("VEC3", &grid.positions);
+    let bytes: Vec<u8> = grid.indices.iter().flat_map(|i| i.to_le_bytes()).collect();
+    let indices = gltf.accessor(UNSIGNED_INT, "SCALAR", grid.indices.len(), &bytes);
+    gltf.draw(json!({ "attributes": { "POSITION": positions }, "indices": indices }));
+    gltf
+}
+
+fn draco_grid(compression_level: i32) -> GltfBuilder {
+    let grid = Triangles::grid(SIDE);
+    let count = grid.vertex_count();
+    let mut gltf = GltfBuilder::new();
+    let view = gltf.view(&grid.draco(compression_level), None);
+    let accessor = |component: u32, kind: &str, count: usize, normalized: bool| json!({ "componentType": component, "type": kind, "count": count, "normalized": normalized });
+    let positions = gltf.push("accessors", accessor(FLOAT, "VEC3", count, false));
+    let colors = gltf.push("accessors", accessor(UNSIGNED_BYTE, "VEC4", count, true));
+    let indices = gltf.push("accessors", accessor(UNSIGNED_SHORT, "SCALAR", grid.indices.len(), false));
+    gltf.json["extensionsUsed"] = json!(["KHR_draco_mesh_compression"]);
+    gltf.json["extensionsRequired"] = json!(["KHR_draco_mesh_compression"]);
+    let compressed = json!({ "bufferView": view, "attributes": { "POSITION": 0, "COLOR_0": 1 } });
+    gltf.draw(json!({
+        "attributes": { "POSITION": positions, "COLOR_0": colors }, "indices": indices,
+        "extensions": { "KHR_draco_mesh_compression": compressed },
+    }));
+    gltf
+}
+
+#[test]
+fn draco_meshes_equal_plain_ones() {
+    let expected = triangles(&plain_grid().read().mesh().0);
+    // Sequential and edge-breaker connectivity.
+    for level in [0, 5, 10] {
+        let read = draco_grid(level).read();
+        let (mesh, _) = read.mesh();
+        assert_eq!(triangles(&mesh), expected, "level {level}");
+        for vertex in &mesh.vertices {
+            let number = (vertex.position[1].round() * SIDE as f32 + vertex.position[0].round()) as u8;
+            assert_eq!(vertex.color, [number, 0, 255 - number, 255], "level {level}");
+        }
+        assert!(read.ignored.is_empty());
+    }
+}
+
+#[test]
+fn draco_that_disagrees_with_its_accessors_is_refused() {
+    let good = draco_grid(5);
+    let extension = "/meshes/0/primitives/0/extensions/KHR_draco_mesh_compression";
+    let changed = |pointer: &str, value: Value| {
+        let mut gltf = GltfBuilder { json: good.json.clone(), buffer: good.buffer.clone() };
+        *gltf.json.pointer_mut(pointer).unwrap() = value;
+        gltf.error()
+    };
+    for (pointer, value) in [
+        (format!("{extension}/bufferView"), json!(99)),
+        (format!("{extension}/attributes"), json!([])),
+        (format!("{extension}/attributes/POSITION"), json!(7)),
+        (format!("{extension}/attributes/POSITION"), json!("0")),
+        ("/accessors/0/count".to_owned(), json!(82)),
+        ("/accessors/0/count".to_owned(), json!(3)),
+        ("/accessors/1/type".to_owned(), json!("VEC3")),
+    ] {
+        let reason = changed(&pointer, value.clone());
+        assert!(reason.starts_with("glTF"), "{pointer} {value}: {reason}");
+    }
+}
+
+/// Compresses a view with one of the extensions. The plain bytes are in no buffer.
+fn compress(gltf: &mut GltfBuilder, extension: &str, view: usize, object: Value) {
+    let length = object["count"].as_u64().unwrap() * object["byteStride"].as_u64().unwrap();
+    let data = gltf.json["bufferViews"][view].clone();
+    let mut compressed = object;
+    for property in ["byteOffset", "byteLength"] {
+        compressed[property] = data[property].clone();
+    }
+    compressed["buffer"] = 0.into();
+    let mut view_json = json!({ "buffer": 1, "byteLength": length, "extensions": { extension: compressed } });
+    if compressed_stride_matters(&compressed) {
+        view_json["byteStride"] = compressed["byteStride"].clone();
+    }
+    gltf.json["bufferViews"][view] = view_json;
+}
+
+fn compressed_stride_matters(compressed: &Value) -> bool {
+    compressed["mode"] == "ATTRIBUTES"
+}
+
+fn meshopt_grid(extension: &str, index_mode: &str, filter: &str) -> GltfBuilder {
+    let mut workspace = Workspace::default();
+    let mut gltf = GltfBuilder::new();
+    let grid = Triangles::grid(SIDE);
+    let count = grid.vertex_count();
+    let encoded = match filter {
+        "EXPONENTIAL" => {
+            let filtered =
+                codec::encode_filter_exp(count, 12, 15, &grid.positions, ExpMode::Separate, &mut workspace).unwrap();
+            codec::encode_vertex_buffer(&filtered, count, 12, VertexEncoding::default(), &mut workspace).unwrap()
+        }
+        _ => grid.meshopt_positions(),
+    };
+    let view = gltf.view(&encoded, None);
+    compress(
+        &mut gltf,
+        extension,
+        view,
+        json!({ "mode": "ATTRIBUTES", "filter": filter, "count": count, "byteStride": 12 }),
+    );
+    let accessor = json!({ "bufferView": view, "componentType": FLOAT, "type": "VEC3", "count": count });
+    let positions = gltf.push("accessors", accessor);
+    let indices = &grid.indices;
+    let encoded = match index_mode {
+        "TRIANGLES" => grid.meshopt_indices(),
+        _ => codec::encode_index_sequence(indices, IndexEncoding::default(), &mut workspace).unwrap(),
+    };
+    let view = gltf.view(&encoded, None);
+    compress(&mut gltf, extension, view, json!({ "mode": index_mode, "count": indices.len(), "byteStride": 2 }));
+    let accessor =
+        json!({ "bufferView": view, "componentType": UNSIGNED_SHORT, "type": "SCALAR", "count": indices.len() });
+    let indices = gltf.push("accessors", accessor);
+    gltf.json["buffers"] = json!([
+        { "byteLength": gltf.buffer.len(), "uri": data_uri(&gltf.buffer) },
+        { "byteLength": 2000, "extensions": { extension: { "fallback": true } } },
+    ]);
+    gltf.json["extensionsUsed"] = json!([extension]);
+    gltf.json["extensionsRequired"] = json!([extension]);
+    gltf.draw(json!({ "attributes": { "POSITION": positions }, "indices": indices }));
+    gltf
+}
+
+#[test]
+fn meshopt_views_equal_plain_ones() {
+    let expected = triangles(&plain_grid().read().mesh().0);
+    for extension in ["EXT_meshopt_compression", "KHR_meshopt_compression"] {
+        for index_mode in ["TRIANGLES", "INDICES"] {
+            for filter in ["NONE", "EXPONENTIAL"] {
+                let read = meshopt_grid(extension, index_mode, filter).read();
+                assert_eq!(triangles(&read.mesh().0), expected, "{extension} {index_mode} {filter}");
+                assert!(read.ignored.is_empty());
+            }
+        }
+    }
+}
+
+#[test]
+fn meshopt_that_asks_for_too_much_is_refused() {
+    let good = meshopt_grid("EXT_meshopt_compression", "TRIANGLES", "NONE");
+    let extension = "/bufferViews/0/extensions/EXT_meshopt_compression";
+    for (property, value, why) in [
+        ("count", json!(4_000_000_000u64), "bytes for a bufferView"),
+        ("count", json!(80), "bytes for a bufferView"),
+        ("count", json!(-1), "count"),
+        ("byteStride", json!(13), "byteStride"),
+        ("byteStride", json!(1024), "byteStride"),
+        ("mode", json!("VERTICES"), "mode"),
+        ("filter", json!("SHARPEN"), "filter"),
+        ("filter", json!("QUATERNION"), "byteStride"),
+        ("byteLength", json!(1_000_000), "beyond"),
+        ("buffer", json!(1), "no data"),
+        ("buffer", json!(7), "beyond"),
+    ] {
+        let mut gltf = GltfBuilder { json: good.json.clone(), buffer: good.buffer.clone() };
+        gltf.json.pointer_mut(extension).unwrap()[property] = value.clone();
+        assert!(gltf.error().contains(why), "{property} {value}: {}", gltf.error());
+    }
+    // View and extension agree on four gigabytes.
+    let mut gltf = GltfBuilder { json: good.json.clone(), buffer: good.buffer };
+    gltf.json.pointer_mut(extension).unwrap()["count"] = json!(357_913_941u64);
+    gltf.json["bufferViews"][0]["byteLength"] = json!(4_294_967_292u64);
+    assert!(gltf.error().contains("decompressed glTF"), "{}", gltf.error());
+}
+
+fn webp(color: [u8; 3]) -> Vec<u8> {
+    let mut bytes = std::io::Cursor::new(Vec::new());
+    image::RgbImage::from_pixel(4, 4, image::Rgb(color)).write_to(&mut bytes, image::ImageFormat::WebP).unwrap();
+    bytes.into_inner()
+}
+
+/// Returns a textured triangle whose texture has an image of an extension, and a blue PNG if that is not read.
+fn textured(extension: &str, mime: &str, image: &[u8], has_fallback: bool) -> GltfBuilder {
+    let mut gltf = GltfBuilder::new();
+    let positions = gltf.floats("VEC3", &TRIANGLE);
+    let uvs = gltf.floats("VEC2", &[0.0; 6]);
+    let view = gltf.view(image, None);
+    gltf.push("images", json!({ "bufferView": view, "mimeType": mime }));
+    gltf.push("images", json!({ "uri": data_uri(&png(4, [0, 0, 255])) }));
+    let mut texture = json!({ "extensions": { extension: { "source": 0 } } });
+    if has_fallback {
+        texture["source"] = 1.into();
+    }
+    gltf.push("textures", texture);
+    gltf.push(
+        "materials",
+        json!({ "pbrMetallicRoughness": { "baseColorTexture": { "index": 0 }, "metallicFactor": 0 } }),
+    );
+    gltf.json["extensionsUsed"] = json!([extension]);
+    if !has_fallback {
+        gltf.json["extensionsRequired"] = json!([extension]);
+    }
+    gltf.draw(json!({ "attributes": { "POSITION": positions, "TEXCOORD_0": uvs }, "material": 0 }));
+    gltf
+}
+
+#[test]
+fn webp_and_ktx2_images_are_decoded() {
+    let color = [200, 100, 50];
+    let [r, g, b] = color;
+    for (extension, mime, image) in [
+        ("EXT_texture_webp", "image/webp", webp(color)),
+        ("KHR_texture_basisu", "image/ktx2", uastc_ktx2([r, g, b, 255], 1)),
+        ("KHR_texture_basisu", "image/ktx2", uastc_ktx2([r, g, b, 255], 3)),
+    ] {
+        for has_fallback in [false, true] {
+            let read = textured(extension, mime, &image, has_fallback).read();
+            let texture = read.mesh().1.material.texture.unwrap();
+            assert_eq!((texture.width, texture.height, texture.mips.len()), (4, 4, 3), "{extension}");
+            for level in &texture.mips {
+                for pixel in level.chunks_exact(4) {
+                    let near = pixel.iter().zip([r, g, b, 255]).all(|(got, expected)| got.abs_diff(expected) <= 1);
+                    assert!(near, "{extension}: {pixel:?}");
+                }
+            }
+            assert!(read.ignored.is_empty(), "{:?}", read.ignored);
+        }
+    }
+    // An image of another format leaves the fallback.
+    let read = textured("EXT_texture_webp", "image/webp", b"GIF89a", true).read();
+    assert_eq!(read.mesh().1.material.texture.unwrap().mips[0][..4], [0, 0, 255, 255]);
+    assert_eq!(read.ignored.count("glTF: image that is neither PNG, JPEG, WebP nor KTX2"), 1);
+    assert!(textured("EXT_texture_webp", "image/webp", b"GIF89a", false).read().mesh().1.material.texture.is_none());
+}
+
+/// Regression of a decoder: a header of a few bytes allocated 17 GB.
+#[test]
+fn ktx2_headers_are_bounded() {
+    let good = uastc_ktx2([1, 2, 3, 255], 1);
+    let changed = |at: usize, bytes: &[u8]| {
+        let mut image = good.clone();
+        image[at..at + bytes.len()].copy_from_slice(bytes);
+        read(textured("KHR_texture_basisu", "image/ktx2", &image, false).text(), Vec::new())
+    };
+    let huge = u32::MAX.to_le_bytes();
+    // Width and height, depth, layers, faces, levels.
+    assert!(changed(20, &[huge, huge].concat()).unwrap_err().reason().contains("image"));
+    for at in [28, 32, 36] {
+        assert!(changed(at, &huge).unwrap().mesh().1.material.texture.is_none(), "{at}");
+    }
+    assert!(changed(40, &huge).is_err());
+    // zstd with an uncompressed length of 16 GB.
+    let mut zstd = good;
+    zstd[44..48].copy_from_slice(&2u32.to_le_bytes());
+    zstd[96..104].copy_from_slice(&(16u64 << 30).to_le_bytes());
+    let error = read(textured("KHR_texture_basisu", "image/ktx2", &zstd, false).text(), Vec::new()).unwrap_err();
+    assert!(error.reason().contains("limit"), "{error}");
+}
+
+/// Truncated and changed bytes in every decoder: an error or a content, no panic, and no more memory than the limits allow.
+#[test]
+fn damaged_compressed_data_is_an_error() {
+    let limits =
+        Limits { max_elements: 1 << 16, max_image_bytes: 1 << 20, max_file_bytes: 4 << 20, ..Limits::default() };
+    let options = ReadOptions::for_root("/set/tileset.json", limits);
+    let cases = [
+        ("draco", draco_grid(5)),
+        ("draco, sequential", draco_grid(10)),
+        ("meshopt", meshopt_grid("EXT_meshopt_compression", "TRIANGLES", "EXPONENTIAL")),
+        ("meshopt sequence", meshopt_grid("KHR_meshopt_compression", "INDICES", "NONE")),
+        ("webp", textured("EXT_texture_webp", "image/webp", &webp([1, 2, 3]), false)),
+        ("ktx2", textured("KHR_texture_basisu", "image/ktx2", &uastc_ktx2([1, 2, 3, 255], 3), false)),
+    ];
+    for (name, gltf) in cases {
+        let mut state = 88_172_645_463_325_252u64;
+        let mut random = move |below: usize| {
+            state ^= state << 13;
+            state ^= state >> 7;
+            state ^= state << 17;
+            state as usize % below
+        };
+        let (mut read, mut failed) = (0, 0);
+        for round in 0..400 {
+            let mut damaged = GltfBuilder { json: gltf.json.clone(), buffer: gltf.buffer.clone() };
+            for _ in 0..=round % 4 {
+                let at = random(damaged.buffer.len());
+                damaged.buffer[at] = [0, 0xff, damaged.buffer[at] ^ 1 << random(8), random(256) as u8][random(4)];
+            }
+            if round % 3 == 0 {
+                // The end is cut off: zeros follow.
+                let at = random(damaged.buffer.len());
+                damaged.buffer[at..].fill(0);
+            }
+            if let Some(uri) = damaged.json.pointer_mut("/buffers/0/uri") {
+                *uri = data_uri(&damaged.buffer).into();
+            }
+            let content = Content { uri: URI.into(), bytes: damaged.text(), reader_data: None, companions: Vec::new() };
+            match decode(content, &options) {
+                Ok(page) => {
+                    read += 1;
+                    assert!(page.size_bytes() < 16 << 20, "{name}");
+                }
+                Err(error) => {
+                    failed += 1;
+                    assert_ne!(error.reason(), terrane::fetch::DECODER_PANICKED, "{name}");
+                }
+            }
+        }
+        assert!(failed > 20 && read + failed == 400, "{name}: {read} read, {failed} failed");
+    }
+}

@@ -1,0 +1,136 @@
+//! Materials of glTF 2.0: what is drawn, and what is listed because it is not.
+
+use std::path::Path;
+
+use kit::skip::skipped;
+use serde_json::{Value, json};
+use terrane::scene::{AlphaMode, Material};
+
+use crate::gltf_builder::*;
+
+const RED: [f32; 4] = [1.0, 0.0, 0.0, 1.0];
+
+/// Returns a triangle with a material and one texture, whose image is one blue pixel.
+fn with_material(material: Value) -> GltfBuilder {
+    let mut gltf = GltfBuilder::new();
+    let positions = gltf.floats("VEC3", &TRIANGLE);
+    gltf.push("images", json!({ "uri": data_uri(&png(1, [0, 0, 255])) }));
+    gltf.push("textures", json!({ "source": 0 }));
+    gltf.push("materials", material);
+    gltf.draw(json!({ "attributes": { "POSITION": positions }, "material": 0 }));
+    gltf
+}
+
+fn read(material: Value) -> (Material, Vec<String>) {
+    let read = with_material(material).read();
+    let ignored = read.ignored.iter().map(|(kind, _)| kind.to_owned()).collect();
+    (read.mesh().1.material, ignored)
+}
+
+#[test]
+fn a_black_surface_that_emits_light_has_its_colour() {
+    let (material, ignored) = read(json!({
+        "pbrMetallicRoughness": { "baseColorFactor": [0, 0, 0, 1], "metallicFactor": 0 }, "emissiveFactor": [1, 0, 0],
+    }));
+    assert_eq!((material.base_color, material.unlit, ignored.len()), (RED, true, 0));
+    let (material, _) = read(json!({
+        "pbrMetallicRoughness": { "baseColorFactor": [0, 0, 0, 1] }, "emissiveFactor": [1, 0, 0],
+        "emissiveTexture": { "index": 0 }, "extensions": { "KHR_materials_emissive_strength": { "emissiveStrength": 5 } },
+    }));
+    assert!(material.texture.is_some() && material.base_color == RED);
+    let (material, ignored) =
+        read(json!({ "pbrMetallicRoughness": { "metallicFactor": 0 }, "emissiveFactor": [1, 0, 0] }));
+    assert_eq!((material.base_color, material.unlit), ([1.0; 4], false));
+    assert_eq!(ignored, ["glTF material: emitted light"]);
+}
+
+#[test]
+fn specular_glossiness_becomes_its_diffuse_part() {
+    let (material, ignored) =
+        read(json!({ "alphaMode": "BLEND", "extensions": { "KHR_materials_pbrSpecularGlossiness": {
+        "diffuseFactor": RED, "diffuseTexture": { "index": 0 },
+    } } }));
+    assert_eq!((material.base_color, material.alpha), (RED, AlphaMode::Blend));
+    assert_eq!(material.texture.unwrap().mips[0], [0, 0, 255, 255]);
+    assert_eq!(ignored, ["glTF material: specular colour and glossiness"]);
+}
+
+#[test]
+fn diffuse_parts_of_webgl_techniques_are_found() {
+    let with = |values: Value, uniforms: Value| {
+        let mut gltf =
+            with_material(json!({ "extensions": { "KHR_techniques_webgl": { "technique": 0, "values": values } } }));
+        gltf.json["extensions"] = json!({ "KHR_techniques_webgl": { "techniques": [{ "uniforms": uniforms }] } });
+        gltf.json["extensionsRequired"] = json!(["KHR_techniques_webgl"]);
+        gltf.json["extensionsUsed"] = json!(["KHR_techniques_webgl"]);
+        let read = gltf.read();
+        assert_eq!(read.ignored.count("glTF extension KHR_techniques_webgl"), 1);
+        read.mesh().1.material
+    };
+    let material = with(json!({ "u_diffuse": { "index": 0, "texCoord": 0 }, "u_shininess": 9 }), json!({}));
+    assert!(material.texture.is_some() && material.base_color == [1.0; 4]);
+    let material = with(json!({ "u_diffuse": [1, 0, 0, 1], "u_ambient": [0, 1, 0, 1] }), json!({}));
+    assert!(material.texture.is_none() && material.base_color == RED);
+    let material =
+        with(json!({}), json!({ "u_diffuse": { "type": 35665, "value": [1, 0, 0] }, "u_tex": { "value": 7 } }));
+    assert_eq!(material.base_color, RED);
+    assert_eq!(with(json!({ "u_diffuse": { "index": "x" } }), json!(3)).base_color, [1.0; 4]);
+}
+
+#[test]
+fn everything_that_is_not_drawn_is_listed() {
+    let mut gltf = with_material(json!({
+        "pbrMetallicRoughness": { "baseColorTexture": { "index": 0 }, "metallicRoughnessTexture": { "index": 0 } },
+        "normalTexture": { "index": 0 }, "occlusionTexture": { "index": 0 }, "emissiveFactor": [0.1, 0.1, 0.1],
+    }));
+    gltf.json["samplers"] = json!([{ "magFilter": 9728 }]);
+    gltf.json["textures"][0]["sampler"] = 0.into();
+    gltf.json["extensionsUsed"] = json!(["KHR_lights_punctual", "VENDOR_unknown", "KHR_materials_unlit"]);
+    gltf.json["cameras"] = json!([{ "type": "perspective", "perspective": { "yfov": 1, "znear": 1 } }]);
+    gltf.json["animations"] = json!([{ "channels": [], "samplers": [] }]);
+    let ignored = gltf.read().ignored;
+    for kind in [
+        "glTF extension KHR_lights_punctual",
+        "glTF extension VENDOR_unknown",
+        "glTF material: emitted light",
+        "glTF material: metallic and glossy reflections",
+        "glTF material: normal texture",
+        "glTF material: occlusion texture",
+        "glTF sampler: magFilter NEAREST (drawn with linear filtering)",
+        "glTF: animations (drawn at rest)",
+        "glTF: cameras",
+    ] {
+        assert_eq!(ignored.count(kind), 1, "{kind}: {ignored:?}");
+    }
+    assert_eq!(ignored.iter().count(), 9, "{ignored:?}");
+}
+
+#[test]
+fn unknown_required_extensions_are_refused_by_name() {
+    let mut gltf = with_material(json!({}));
+    gltf.json["extensionsRequired"] = json!(["KHR_materials_unlit", "VENDOR_unknown"]);
+    assert!(gltf.error().contains("required glTF extension VENDOR_unknown"));
+    gltf.json["extensionsRequired"] = json!(["CESIUM_primitive_outline", "KHR_materials_clearcoat"]);
+    gltf.json["extensionsUsed"] = gltf.json["extensionsRequired"].clone();
+    let read = gltf.read();
+    assert_eq!(read.ignored.count("glTF extension CESIUM_primitive_outline"), 1);
+    assert_eq!(read.ignored.count("glTF extension KHR_materials_clearcoat"), 1);
+}
+
+/// Files that others' viewers draw, and that were drawn wrongly once.
+#[test]
+fn sample_cases_have_their_colours() {
+    let cases = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/samples/cases");
+    if !cases.exists() {
+        return skipped(format!("no samples at {}", cases.display()));
+    }
+    let read =
+        |case: &str| super::gltf_builder::read(std::fs::read(cases.join(case).join("model.glb")).unwrap(), Vec::new());
+    for case in ["gltf-emissive-only", "gltf-specular-glossiness"] {
+        let read = read(case).unwrap();
+        let colors: Vec<[f32; 4]> = read.drawables().iter().map(|(_, drawable)| drawable.material.base_color).collect();
+        assert_eq!(colors, [RED, RED], "{case}");
+    }
+    let sampled = read("gltf-sampler-nearest").unwrap();
+    assert_eq!(sampled.ignored.count("glTF sampler: magFilter NEAREST (drawn with linear filtering)"), 1);
+}

@@ -1,0 +1,109 @@
+//! Small compressed files: Draco, meshopt and KTX2.
+
+use draco_core::{
+    DataType, EncoderBuffer, EncoderOptions, FaceIndex, GeometryAttributeType, Mesh, MeshEncoder, PointAttribute,
+};
+use meshoptimizer_rs::Workspace;
+use meshoptimizer_rs::codec::{IndexEncoding, VertexEncoding, encode_index_buffer, encode_vertex_buffer};
+
+/// A triangle list with positions and 8-bit RGBA colours.
+pub struct Triangles {
+    /// Positions, three numbers a vertex.
+    pub positions: Vec<f32>,
+    /// Indices, three a triangle.
+    pub indices: Vec<u32>,
+}
+
+impl Triangles {
+    /// Returns a wavy grid of `side` x `side` vertices.
+    pub fn grid(side: u32) -> Self {
+        let positions =
+            (0..side * side).flat_map(|i| [(i % side) as f32, (i / side) as f32, (i % 5) as f32 * 0.25]).collect();
+        let cell = |i: u32| {
+            let at = i / (side - 1) * side + i % (side - 1);
+            [at, at + 1, at + side, at + side, at + 1, at + side + 1]
+        };
+        Self { positions, indices: (0..(side - 1) * (side - 1)).flat_map(cell).collect() }
+    }
+
+    /// Returns the number of vertices.
+    pub fn vertex_count(&self) -> usize {
+        self.positions.len() / 3
+    }
+
+    /// Returns the positions as bytes.
+    pub fn position_bytes(&self) -> Vec<u8> {
+        self.positions.iter().flat_map(|x| x.to_le_bytes()).collect()
+    }
+
+    /// Returns a Draco mesh: attribute 0 are the positions in 14 bits, attribute 1 the colours `[i, 0, 255 - i, 255]`.
+    /// Compression level 0 has sequential connectivity, others are edge-breaker.
+    pub fn draco(&self, compression_level: i32) -> Vec<u8> {
+        let count = self.vertex_count();
+        let attribute = |kind, components: u8, data_type, bytes: &[u8]| {
+            let mut attribute = PointAttribute::new();
+            attribute.init(kind, components, data_type, false, count);
+            attribute.buffer_mut().write(0, bytes);
+            attribute
+        };
+        let mut mesh = Mesh::new();
+        let positions = self.position_bytes();
+        mesh.add_attribute(attribute(GeometryAttributeType::Position, 3, DataType::Float32, &positions));
+        let colors: Vec<u8> = (0..count).flat_map(|i| [i as u8, 0, 255 - i as u8, 255]).collect();
+        mesh.add_attribute(attribute(GeometryAttributeType::Color, 4, DataType::Uint8, &colors));
+        mesh.set_num_faces(self.indices.len() / 3);
+        for (i, t) in self.indices.chunks_exact(3).enumerate() {
+            mesh.set_face(FaceIndex(i as u32), [t[0].into(), t[1].into(), t[2].into()]);
+        }
+        let mut options = EncoderOptions::new();
+        options.set_attribute_quantization(0, 14);
+        options.set_compression_level(compression_level);
+        let mut encoder = MeshEncoder::new();
+        encoder.set_mesh(mesh);
+        let mut buffer = EncoderBuffer::new();
+        encoder.encode(&options, &mut buffer).unwrap();
+        buffer.data().to_vec()
+    }
+
+    /// Returns the positions as a meshopt vertex buffer with a stride of 12 bytes.
+    pub fn meshopt_positions(&self) -> Vec<u8> {
+        let (bytes, count) = (self.position_bytes(), self.vertex_count());
+        // The version of EXT_meshopt_compression.
+        let encoding = VertexEncoding::new(0, 2).unwrap();
+        encode_vertex_buffer(&bytes, count, 12, encoding, &mut Workspace::default()).unwrap()
+    }
+
+    /// Returns the indices as a meshopt index buffer.
+    pub fn meshopt_indices(&self) -> Vec<u8> {
+        encode_index_buffer(&self.indices, IndexEncoding::default(), &mut Workspace::default()).unwrap()
+    }
+}
+
+/// Returns a KTX2 file of blocks of UASTC in one colour: 4 x 4 texels, and 1 to 3 levels.
+pub fn uastc_ktx2(color: [u8; 4], levels: u32) -> Vec<u8> {
+    // Mode 8 of UASTC: five bits of the mode, then the colour; the rest is for other formats.
+    let mut block = u128::from(0x17u8);
+    for (i, part) in color.into_iter().enumerate() {
+        block |= u128::from(part) << (5 + 8 * i);
+    }
+    let mut file = b"\xabKTX 20\xbb\r\n\x1a\n".to_vec();
+    let dfd_bytes = 4 + 24 + 16;
+    let dfd_at = 80 + 24 * levels;
+    for word in [0, 1, 4, 4, 0, 0, 1, levels, 0, dfd_at, dfd_bytes, 0, 0, 0, 0, 0, 0] {
+        file.extend(word.to_le_bytes());
+    }
+    let data_at = u64::from((dfd_at + dfd_bytes).next_multiple_of(16));
+    for level in 0..levels {
+        for word in [data_at + 16 * u64::from(level), 16, 16] {
+            file.extend(word.to_le_bytes());
+        }
+    }
+    // A basic data format descriptor: UASTC (166), BT.709, sRGB; blocks of 4 x 4 in 16 bytes; one sample, RGBA.
+    file.extend(dfd_bytes.to_le_bytes());
+    for word in [0u32, 2 | 40 << 16, 166 | 1 << 8 | 2 << 16, 3 | 3 << 8, 16, 0, 127 << 16 | 3 << 24, 0, 0, u32::MAX] {
+        file.extend(word.to_le_bytes());
+    }
+    file.resize(data_at as usize, 0);
+    (0..levels).for_each(|_| file.extend(block.to_le_bytes()));
+    file
+}
