@@ -59,6 +59,7 @@ fn all_fields_of_the_schema_are_present() {
             "holes",
             "settled",
             "errors",
+            "ignored",
         ],
     );
     expect(&json["frame_ms"], &["median", "p95", "p99", "max"]);
