@@ -7,6 +7,7 @@ mod ahead;
 #[cfg(feature = "http")]
 mod bad_input;
 mod budgets;
+mod externals;
 #[cfg(feature = "http")]
 mod http;
 mod implicit;

@@ -103,8 +103,9 @@ impl HttpClient {
     }
 
     /// Returns the cached content of a URI, however old, without asking a server.
-    pub(crate) async fn get_cached(&self, uri: &str, limits: &Limits) -> Option<Vec<u8>> {
-        self.inner.cache.as_ref()?.load(uri, limits).await.ok()?.map(|(_, bytes)| bytes)
+    pub(crate) async fn get_cached(&self, uri: &str, limits: &Limits) -> Option<HttpBody> {
+        let (entry, bytes) = self.inner.cache.as_ref()?.load(uri, limits).await.ok()??;
+        Some(HttpBody { bytes, location: entry.redirected_to.map(Arc::from), ..HttpBody::default() })
     }
 
     /// Returns true if the cache has the content of a URI.

@@ -14,14 +14,15 @@ use super::region;
 use super::tree::Known;
 use crate::fetch::markup::refuse_markup;
 use crate::fetch::{
-    CacheStats, HttpClient, HttpConfig, IoError, Limits, RootScope, encoding, guarded, is_remote, root_uri, runtime,
-    shown,
+    CacheStats, HttpBody, HttpClient, HttpConfig, IoError, Limits, RootScope, encoding, guarded, is_remote, root_uri,
+    runtime, shown,
 };
 use crate::formats::options::{Content, Fetched, ReadOptions};
 use crate::formats::read::{companions, decode_node, dependencies};
 use crate::formats::tile::{Tile, TileContent};
 use crate::formats::tileset::{is_tileset, may_be_tileset, read_tiles};
 use crate::math::{BoundingVolume, Region};
+use crate::scene::ReaderData;
 
 /// The maximum number of failures that are listed.
 const MAX_LISTED: usize = 100;
@@ -89,6 +90,8 @@ struct Job {
     possible_tileset: Option<Box<Position>>,
     /// The content that a subtree is, if the file is one.
     subtree: Option<TileContent>,
+    /// The URI at which the file is looked for if its own has none.
+    fallback: Option<Arc<str>>,
     /// True for a tileset that was counted before and is read once more for another position.
     is_again: bool,
 }
@@ -100,15 +103,24 @@ struct Done {
     job: Job,
     /// The bytes of a known or possible tileset; empty for other files.
     result: Result<Vec<u8>, IoError>,
+    /// The URL that redirects led to.
+    location: Option<Arc<str>>,
     /// The files that a subtree refers to.
     companions: Vec<Fetched>,
     was_cached: bool,
     network_bytes: u64,
 }
 
+/// A file that was read.
+struct ReadFile<'a> {
+    bytes: Vec<u8>,
+    location: Option<Arc<str>>,
+    companions: &'a [Fetched],
+}
+
 impl Done {
     fn new(job: Job, result: Result<Vec<u8>, IoError>, was_cached: bool) -> Self {
-        Self { job, result, companions: Vec::new(), was_cached, network_bytes: 0 }
+        Self { job, result, location: None, companions: Vec::new(), was_cached, network_bytes: 0 }
     }
 }
 
@@ -227,8 +239,11 @@ impl Fill<'_> {
     fn take(&mut self, client: &HttpClient, done: Done, root: &Arc<str>) -> Result<(), IoError> {
         self.filled.bytes += done.network_bytes;
         let result = done.result.and_then(|bytes| match &done.job.tileset {
-            Some(position) => self.add_tileset_in_all_positions(&done.job, bytes, &done.companions, position),
-            None => self.check_content(&done.job, bytes),
+            Some(position) => {
+                let read = ReadFile { bytes, location: done.location.clone(), companions: &done.companions };
+                self.add_tileset_in_all_positions(&done.job, &read, position)
+            }
+            None => self.check_content(&done.job, bytes, done.location.clone()),
         });
         if result.as_ref().is_err_and(IoError::is_no_content) {
             // The bytes are invalid, such as an error page: the next run requests the file again.
@@ -261,25 +276,27 @@ impl Fill<'_> {
         }
     }
 
-    fn add_file(&mut self, uri: Arc<str>, possible_tileset: Option<Box<Position>>) {
+    fn add_file(&mut self, uri: Arc<str>, possible_tileset: Option<Box<Position>>, fallback: Option<Arc<str>>) {
         if self.seen.insert(uri.clone()) {
             self.filled.found += 1;
-            self.jobs.push(Job { uri, tileset: None, possible_tileset, subtree: None, is_again: false });
+            self.jobs.push(Job { uri, tileset: None, possible_tileset, subtree: None, fallback, is_again: false });
         }
     }
 
-    /// Checks a content, queues the files that it refers to, and reads it if it is a tileset. If it has several positions, only the first one counts.
-    fn check_content(&mut self, job: &Job, bytes: Vec<u8>) -> Result<(), IoError> {
+    /// Checks a content, queues the files that it refers to, and reads it if it is a tileset. If it has several positions,
+    /// only the first one counts.
+    fn check_content(&mut self, job: &Job, bytes: Vec<u8>, location: Option<Arc<str>>) -> Result<(), IoError> {
         refuse_markup(&job.uri, &bytes)?;
-        let options = ReadOptions { root: self.scope.clone(), ..ReadOptions::for_root(&job.uri, self.options.limits) };
+        let (root, base) = (self.scope.clone(), location.clone());
+        let options = ReadOptions { root, base, ..ReadOptions::for_root(&job.uri, self.options.limits) };
         for dependency in dependencies(&job.uri, &bytes, None, &[], &options) {
-            self.add_file(dependency, None);
+            self.add_file(dependency, None, None);
         }
         match &job.possible_tileset {
             Some(position)
                 if !position.chain.contains(&job.uri) && is_tileset(&job.uri, &bytes, &self.options.limits) =>
             {
-                self.add_tileset(&job.uri, bytes, position).map(drop)
+                self.add_tileset(&job.uri, &ReadFile { bytes, location, companions: &[] }, position).map(drop)
             }
             _ => Ok(()),
         }
@@ -301,20 +318,21 @@ impl Fill<'_> {
             positions.push(position);
             return;
         }
-        self.jobs.push(Job { uri, tileset: Some(position), possible_tileset: None, subtree, is_again: !is_new });
+        let fallback = subtree.as_ref().and_then(|content| content.reader_data.as_ref()?.fallback_uri());
+        let (tileset, possible_tileset) = (Some(position), None);
+        self.jobs.push(Job { uri, tileset, possible_tileset, subtree, fallback, is_again: !is_new });
     }
 
     fn add_tileset_in_all_positions(
         &mut self,
         job: &Job,
-        bytes: Vec<u8>,
-        companions: &[Fetched],
+        read: &ReadFile<'_>,
         first: &Position,
     ) -> Result<(), IoError> {
         let others = self.in_flight.remove(&job.uri).unwrap_or_default();
         let mut add = |position: &Position| match &job.subtree {
-            Some(content) => self.add_subtree(content, bytes.clone(), companions, position),
-            None => self.add_tileset(&job.uri, bytes.clone(), position),
+            Some(content) => self.add_subtree(content, read, position),
+            None => self.add_tileset(&job.uri, read, position),
         };
         let mut revisited = add(first)? * u64::from(job.is_again);
         for position in &others {
@@ -325,23 +343,17 @@ impl Fill<'_> {
     }
 
     /// Queues the files that a subtree in one position refers to. Returns its number of tiles and contents.
-    fn add_subtree(
-        &mut self,
-        content: &TileContent,
-        bytes: Vec<u8>,
-        companions: &[Fetched],
-        position: &Position,
-    ) -> Result<u64, IoError> {
+    fn add_subtree(&mut self, content: &TileContent, read: &ReadFile<'_>, position: &Position) -> Result<u64, IoError> {
         let Known::Subtree(source) = Known::of(content) else { return Ok(0) };
-        let bytes = encoding::gunzip(&content.uri, bytes, &self.options.limits)?;
+        let bytes = encoding::gunzip(&content.uri, read.bytes.clone(), &self.options.limits)?;
         let options =
             ReadOptions { root: self.scope.clone(), ..ReadOptions::for_root(&content.uri, self.options.limits) };
-        let tiles = guarded(&content.uri, || source.read(&content.uri, bytes, companions, &options))?;
+        let tiles = guarded(&content.uri, || source.read(&content.uri, bytes, read.companions, &options))?;
         Ok(tiles.iter().map(|tile| self.add_tile(tile, position)).sum())
     }
 
     /// Queues the files that a tileset in one position refers to. Returns its number of tiles and contents.
-    fn add_tileset(&mut self, uri: &Arc<str>, bytes: Vec<u8>, position: &Position) -> Result<u64, IoError> {
+    fn add_tileset(&mut self, uri: &Arc<str>, read: &ReadFile<'_>, position: &Position) -> Result<u64, IoError> {
         let limit = self.options.limits.max_elements as u64;
         if self.revisited > limit {
             // A few files that refer to each other often enough form an almost endless tree.
@@ -351,10 +363,11 @@ impl Fill<'_> {
         let options = ReadOptions {
             root: self.scope.clone(),
             chain: position.chain.clone(),
+            base: read.location.clone(),
             // Regions must stay regions to be compared with the wanted one: the set's frame is taken for the content's.
             ..ReadOptions::for_root(uri, self.options.limits)
         };
-        let Some(tile) = read_root_tile(uri, bytes, &options)? else { return Ok(1) };
+        let Some(tile) = read_root_tile(uri, read.bytes.clone(), &options)? else { return Ok(1) };
         let is_root = position.chain.is_empty();
         if is_root && self.options.region.is_some() && !region::is_on_earth(&tile.bounds, &position.world) {
             return Err(IoError::unsupported(uri, "a region of a set that is not on the earth"));
@@ -390,9 +403,10 @@ impl Fill<'_> {
             // A content above the wanted levels is fetched only if it may be a tileset that leads to them.
             if possible_tileset.is_some() || self.options.levels.contains(&position.level) {
                 for companion in companions(uri, content.reader_data.as_ref()) {
-                    self.add_file(companion, None);
+                    self.add_file(companion, None, None);
                 }
-                self.add_file(uri.clone(), possible_tileset);
+                let fallback = content.reader_data.as_ref().and_then(ReaderData::fallback_uri);
+                self.add_file(uri.clone(), possible_tileset, fallback);
             }
         }
         let below = Position { level: position.level + 1, ..position.clone() };
@@ -445,17 +459,24 @@ async fn fetch(client: &HttpClient, job: Job, limits: &Limits, refresh: bool) ->
     if !refresh {
         // Tilesets must be read; for other files it is enough that they are cached.
         let cached = match (&job.tileset, &job.possible_tileset) {
-            (None, None) => client.is_cached(&job.uri).await.then(Vec::new),
+            (None, None) => client.is_cached(&job.uri).await.then(HttpBody::default),
             _ => client.get_cached(&job.uri, limits).await,
         };
-        if let Some(bytes) = cached {
-            return with_companions(client, limits, Done::new(job, Ok(bytes), true)).await;
+        if let Some(body) = cached {
+            let HttpBody { bytes, location, .. } = body;
+            return with_companions(client, limits, Done { location, ..Done::new(job, Ok(bytes), true) }).await;
         }
     }
-    let done = match client.get(&job.uri, limits).await {
-        Ok(body) => {
-            let was_cached = refresh && body.network_bytes == 0;
-            Done { network_bytes: body.network_bytes, ..Done::new(job, Ok(body.bytes), was_cached) }
+    let mut body = client.get(&job.uri, limits).await;
+    if let (Some(fallback), Err(error)) = (&job.fallback, &body)
+        && error.may_be_elsewhere()
+    {
+        body = client.get(fallback, limits).await;
+    }
+    let done = match body {
+        Ok(HttpBody { bytes, network_bytes, location, .. }) => {
+            let was_cached = refresh && network_bytes == 0;
+            Done { network_bytes, location, ..Done::new(job, Ok(bytes), was_cached) }
         }
         Err(error) => Done::new(job, Err(error), false),
     };
