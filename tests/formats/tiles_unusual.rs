@@ -230,3 +230,21 @@ fn collected_cases_are_read() {
     let volume = tile.bounds.oriented_box().unwrap();
     assert!(volume.distance_to(tower.center) < 1e-6, "{volume:?} {tower:?}");
 }
+
+/// What a set asks for and does not get is named once.
+#[test]
+fn ignored_members_of_tilesets_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let json = format!(
+        r#"{{"asset":{{"version":"1.1","gltfUpAxis":"W"}},"schemaUri":"schema.json","geometricError":1,
+        "extensionsUsed":["3DTILES_ellipsoid","3DTILES_implicit_tiling","KHR_draco_mesh_compression"],
+        "root":{{{SPHERE},"geometricError":1}}}}"#
+    );
+    std::fs::write(folder.path().join("tileset.json"), json).unwrap();
+    let source = folder.path().to_str().unwrap();
+    let expected = ["asset.gltfUpAxis W", "schemaUri of a tileset", "tileset extension 3DTILES_ellipsoid"];
+    let info = inspect(source, &Limits::default()).unwrap();
+    assert_eq!(info.ignored, expected.map(|kind| (kind.to_owned(), 1)).into());
+    let verified = verify(source, &Limits::default(), &mut |_| {}).unwrap();
+    assert_eq!(verified.ignored, info.ignored);
+}

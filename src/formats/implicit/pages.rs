@@ -15,10 +15,10 @@ use crate::formats::options::{Fetched, ReadOptions};
 use crate::formats::tile::{ALWAYS_REFINED_M, Continuation, Tile, TileContent};
 use crate::scene::{ReaderData, ReaderValue, Refine};
 
-/// The maximum of tiles of the page that a subtree file becomes: it is small, so that the first tiles are wanted soon.
-const MAX_FIRST_TILES: u64 = 128;
-/// The maximum of tiles of each further page of a subtree. A page has at least one level.
-const MAX_TILES: u64 = 2048;
+/// The maximum of tiles of a page whose volumes are boxes: about 4 ms of a decode thread. A page has at least one level.
+const MAX_BOXES: u64 = 8192;
+/// The same where boxes are fitted around parts of the globe, which takes longer.
+const MAX_FITTED_BOXES: u64 = 512;
 
 /// A subtree file that is not read yet. The reader data of a tile whose content it is.
 #[derive(Clone, Debug)]
@@ -47,6 +47,13 @@ struct LoadedSubtree {
     subtree: Subtree,
 }
 
+impl ImplicitTiling {
+    /// Returns the maximum of tiles of a page.
+    fn max_tiles(&self) -> u64 {
+        if self.has_boxes() { MAX_BOXES } else { MAX_FITTED_BOXES }
+    }
+}
+
 impl SubtreeSource {
     /// Returns the subtree that has the root of an implicit tree.
     pub fn root(tiling: Arc<ImplicitTiling>) -> Self {
@@ -71,7 +78,7 @@ impl SubtreeSource {
         let subtree = LoadedSubtree { tiling: self.tiling.clone(), uri: uri.clone(), subtree };
         let mut reader = PartReader::new(Arc::new(subtree), true);
         let root = LocalTile::root(self.root);
-        reader.choose_levels(vec![root], MAX_FIRST_TILES);
+        reader.choose_levels(vec![root], self.tiling.max_tiles());
         Ok(vec![reader.tile(root, self.is_replaced)])
     }
 
@@ -91,7 +98,7 @@ impl SubtreePart {
     pub fn read(&self) -> Vec<Tile> {
         let mut reader = PartReader::new(self.subtree.clone(), false);
         let tiles = reader.children(self.parent);
-        reader.choose_levels(tiles.clone(), MAX_TILES);
+        reader.choose_levels(tiles.clone(), self.subtree.tiling.max_tiles());
         tiles.into_iter().map(|tile| reader.tile(tile, self.is_replaced)).collect()
     }
 
@@ -170,23 +177,33 @@ impl PartReader {
         roots.filter(|root| subtree.has_child_subtree(*root)).map(|root| root.coordinates).collect()
     }
 
-    /// Takes as many levels from that of `tiles` on as have at most `max_tiles` together.
-    fn choose_levels(&mut self, mut tiles: Vec<LocalTile>, max_tiles: u64) {
-        let mut count = tiles.len() as u64;
-        self.last_level = tiles.first().map_or(0, |tile| tile.level);
+    /// Chooses the levels of the page, from that of `tiles` on: all of the subtree if they have at most `max_tiles`. Otherwise
+    /// the page and those below it get about equally many levels, so that no page is tiny.
+    fn choose_levels(&mut self, tiles: Vec<LocalTile>, max_tiles: u64) {
+        let first = tiles.first().map_or(0, |tile| tile.level);
+        let (fitting, is_whole) = self.fitting_levels(tiles, max_tiles);
+        let left = self.subtree.tiling.shape.levels - first;
+        let pages = if is_whole { 1 } else { left.div_ceil(fitting) };
+        self.last_level = first + left.div_ceil(pages) - 1;
+    }
+
+    /// Returns how many levels from that of `tiles` on have at most `max_tiles` together, at least 1, and whether those are
+    /// all of the subtree.
+    fn fitting_levels(&self, mut tiles: Vec<LocalTile>, max_tiles: u64) -> (u32, bool) {
+        let (mut levels, mut count) = (1, tiles.len() as u64);
         loop {
             let mut below = Vec::new();
             for tile in &tiles {
                 below.extend(self.children(*tile));
                 if count + below.len() as u64 > max_tiles {
-                    return;
+                    return (levels, false);
                 }
             }
             if below.is_empty() {
-                return;
+                return (levels, true);
             }
             count += below.len() as u64;
-            self.last_level += 1;
+            levels += 1;
             tiles = below;
         }
     }

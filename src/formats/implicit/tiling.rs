@@ -135,6 +135,11 @@ impl ImplicitTiling {
         Some(TileContent { uri: template.fill(tile), reader_data })
     }
 
+    /// Returns true if the volumes of tiles are parts of a box.
+    pub(super) fn has_boxes(&self) -> bool {
+        matches!(self.volume, RootVolume::Box(_))
+    }
+
     /// Returns the schema of the tiles' metadata.
     pub(super) fn schema(&self) -> Option<&Schema> {
         self.schema.as_deref()

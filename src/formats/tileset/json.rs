@@ -11,7 +11,7 @@ use crate::formats::lenient::{Number, Numbers, Text, list, or_default};
 use crate::formats::metadata::Schema;
 
 /// Supported extensions that a tileset may require, including those that do not affect drawing.
-const KNOWN_EXTENSIONS: &[&str] = &[
+pub(super) const KNOWN_EXTENSIONS: &[&str] = &[
     "3DTILES_content_gltf",
     "3DTILES_implicit_tiling",
     "3DTILES_multiple_contents",
@@ -32,11 +32,19 @@ pub(crate) struct TilesetJson {
     #[serde(rename = "extensionsUsed", default, deserialize_with = "list")]
     pub extensions_used: Vec<String>,
     schema: Option<Schema>,
+    /// A schema in another file, which is not read.
+    #[serde(rename = "schemaUri", default)]
+    schema_uri: Text,
     extensions: Option<TilesetExtensions>,
     pub root: TileJson,
 }
 
 impl TilesetJson {
+    /// Returns true if the schema is in another file.
+    pub fn has_external_schema(&self) -> bool {
+        self.schema_uri.0.is_some()
+    }
+
     /// Takes the schema of the metadata by the 1.1 property or by the 1.0 extension.
     pub fn take_schema(&mut self) -> Option<Schema> {
         let by_extension = self.extensions.as_mut().and_then(|extensions| extensions.metadata.as_mut()?.schema.take());

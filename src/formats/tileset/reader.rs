@@ -10,10 +10,11 @@ use std::sync::Arc;
 
 use glam::DAffine3;
 
-use super::json::{self, TileJson};
+use super::json::{self, KNOWN_EXTENSIONS, TileJson, TilesetJson};
 use super::volume::{affine, bounding_volume, root_volume};
 use crate::fetch::{IoError, path_of};
 use crate::formats::height::HeightSet;
+use crate::formats::ignored::Notes;
 use crate::formats::implicit::{ImplicitRoot, ImplicitTiling, ImplicitTilingJson, SubtreeSource};
 use crate::formats::metadata::Schema;
 use crate::formats::options::ReadOptions;
@@ -50,6 +51,7 @@ pub(in crate::formats) fn read_tiles(uri: &Arc<str>, bytes: &[u8], options: &Rea
     }
     let mut tileset = json::parse(uri, bytes)?;
     let schema = tileset.take_schema().map(Arc::new);
+    note_ignored(&tileset, options);
     let up_axis = tileset.asset.gltf_up_axis.0.as_deref().and_then(UpAxis::named).unwrap_or_default();
     let heights = HeightSet::from_extras(uri, tileset.asset.extras.0)?;
     let mut reader = Reader { uri, options, heights, up_axis, schema, tiles: 0, contents: 0 };
@@ -62,6 +64,25 @@ pub(in crate::formats) fn read_tiles(uri: &Arc<str>, bytes: &[u8], options: &Rea
         bounds: None,
     };
     reader.tile(tileset.root, DAffine3::IDENTITY, inherited)
+}
+
+/// Lists what the tileset asks for and this reader leaves out.
+fn note_ignored(tileset: &TilesetJson, options: &ReadOptions) {
+    let notes = Notes::default();
+    // Extensions of glTF are listed by its reader.
+    let of_gltf = |name: &str| ["KHR_", "EXT_", "CESIUM_"].iter().any(|prefix| name.starts_with(prefix));
+    for name in tileset.extensions_used.iter().filter(|name| !of_gltf(name)) {
+        if !KNOWN_EXTENSIONS.contains(&name.as_str()) {
+            notes.add(format!("tileset extension {name}"));
+        }
+    }
+    if let Some(axis) = tileset.asset.gltf_up_axis.0.as_deref().filter(|axis| UpAxis::named(axis).is_none()) {
+        notes.add(format!("asset.gltfUpAxis {axis}"));
+    }
+    if tileset.has_external_schema() {
+        notes.add("schemaUri of a tileset");
+    }
+    options.ignored.add(&notes.into_ignored());
 }
 
 struct Reader<'a> {

@@ -1,6 +1,6 @@
 //! Summary of a tile set, for `terrane info`. Reads every tileset and the sizes of local contents. Blocking.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use serde::Serialize;
@@ -40,6 +40,8 @@ pub struct Info {
     pub metadata: Option<MetadataInfo>,
     /// The bounds of the whole set.
     pub bounds: BoundsInfo,
+    /// What the tilesets ask for and their reader leaves out, counted by kind.
+    pub ignored: BTreeMap<String, u64>,
     /// Number of failures.
     pub failed: u64,
     /// The first thousand failures.
@@ -111,6 +113,8 @@ fn inspect_from(source: &str, limits: &Limits, from: Source) -> Result<Info, IoE
     if !walk.tile(&tile, 0, &At { tileset: &root, options: &options }) {
         walk.info.fail(&too_many(&root, limit));
     }
+    let ignored = options.ignored.snapshot();
+    walk.info.ignored = ignored.iter().map(|(kind, count)| (kind.to_owned(), count)).collect();
     Ok(walk.info)
 }
 
