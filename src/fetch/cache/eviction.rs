@@ -68,10 +68,15 @@ impl Eviction {
             return Ok(0);
         }
         // Bytes written from now on count for the next scan, whether this one sees them or not.
-        (size.is_scanning, size.written_bytes) = (true, 0);
+        size.is_scanning = true;
+        let counted_bytes = std::mem::take(&mut size.written_bytes);
         drop(size);
         let evicted = evict_to(files, self.max_bytes, newest);
         self.finish_scan(evicted.as_ref().ok().and_then(Option::as_ref), evicted.is_err());
+        if matches!(evicted, Ok(None)) {
+            // The other process may have scanned before these writes, so the next one tries again.
+            self.lock().written_bytes += counted_bytes;
+        }
         evicted.map(|evicted| evicted.map_or(0, |evicted| evicted.bodies))
     }
 
@@ -169,6 +174,24 @@ mod tests {
         eviction.lock().is_scanning = false;
         eviction.after_write(&files, &body, 1).unwrap();
         assert_eq!(known(), (Some(0), 0));
+    }
+
+    /// Their bytes used to be forgotten, so that several busy processes could leave the cache beyond its limit.
+    #[test]
+    fn writes_while_another_process_evicts_are_counted_later() {
+        let folder = tempfile::tempdir().unwrap();
+        let files = Files::open(folder.path()).unwrap();
+        let eviction = Eviction::new(1000);
+        let body = hash(b"body");
+        eviction.after_write(&files, &body, 1).unwrap();
+        // A lock of another handle is one of another process.
+        let other = fs::File::options().write(true).open(files.folder.join(LOCK)).unwrap();
+        other.lock().unwrap();
+        eviction.after_write(&files, &body, 100).unwrap();
+        assert_eq!(eviction.lock().written_bytes, 100);
+        drop(other);
+        eviction.after_write(&files, &body, 1).unwrap();
+        assert_eq!(eviction.lock().written_bytes, 0);
     }
 
     #[test]
