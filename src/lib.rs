@@ -39,6 +39,10 @@ mod documents {
     mod getting_started {}
     #[doc = include_str!("../docs/guide/tile-sets-and-sources.md")]
     mod tile_sets_and_sources {}
+    #[doc = include_str!("../docs/guide/viewer-and-windows.md")]
+    mod viewer_and_windows {}
+    #[doc = include_str!("../docs/guide/gltf.md")]
+    mod gltf {}
     #[doc = include_str!("../docs/guide/paging-and-budgets.md")]
     mod paging_and_budgets {}
     #[doc = include_str!("../docs/guide/state-and-shading.md")]
