@@ -139,7 +139,7 @@ fn read_several(
     let fetched_count = contents.iter().filter(|content| !content.is_in_memory()).count();
     let dependencies = companions.split_off(fetched_count.saturating_sub(1).min(companions.len()));
     let mut fetched = std::iter::once(first).chain(companions);
-    // Where redirects led is known of the first content that is fetched.
+    // The base of references is known only for the first content that is fetched.
     let mut base = options.base.clone();
     let mut nodes = Vec::with_capacity(contents.len());
     for content in contents {

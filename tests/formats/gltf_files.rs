@@ -13,6 +13,7 @@ const TILESET: &str = r#"{"asset":{"version":"1.1"},"geometricError":1,"root":{"
 fn whole_sets_read_external_files() {
     let mut gltf = GltfBuilder::new();
     let positions = gltf.floats("VEC3", &TRIANGLE);
+    let uvs = gltf.floats("VEC2", &[0.0; 6]);
     gltf.push("images", json!({ "uri": "a.png" }));
     gltf.push("textures", json!({ "source": 0 }));
     gltf.push(
@@ -20,7 +21,7 @@ fn whole_sets_read_external_files() {
         json!({ "pbrMetallicRoughness": { "baseColorTexture": { "index": 0 }, "metallicFactor": 0 } }),
     );
     gltf.json["buffers"] = json!([{ "byteLength": gltf.buffer.len(), "uri": "data/a.bin" }]);
-    gltf.draw(json!({ "attributes": { "POSITION": positions }, "material": 0 }));
+    gltf.draw(json!({ "attributes": { "POSITION": positions, "TEXCOORD_0": uvs }, "material": 0 }));
     let image = png(4, [1, 2, 3]);
     let folder = tempfile::tempdir().unwrap();
     std::fs::create_dir(folder.path().join("data")).unwrap();
@@ -37,7 +38,7 @@ fn whole_sets_read_external_files() {
     let all_bytes = TILESET.len() + gltf.text().len() + gltf.buffer.len() + image.len();
     assert_eq!((verified.contents, verified.failed, verified.bytes), (1, 0, all_bytes as u64));
     assert!(verified.ignored.is_empty(), "{verified:?}");
-    // What is missing is listed, and the rest of the content is read.
+    // A missing image is listed, and the rest of the content is read.
     std::fs::remove_file(folder.path().join("a.png")).unwrap();
     let verified = verify(source, &Limits::default(), &mut |_| {}).unwrap();
     assert_eq!((verified.contents, verified.failed), (1, 0));

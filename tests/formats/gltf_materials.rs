@@ -14,10 +14,11 @@ const RED: [f32; 4] = [1.0, 0.0, 0.0, 1.0];
 fn with_material(material: Value) -> GltfBuilder {
     let mut gltf = GltfBuilder::new();
     let positions = gltf.floats("VEC3", &TRIANGLE);
+    let uvs = gltf.floats("VEC2", &[0.0; 6]);
     gltf.push("images", json!({ "uri": data_uri(&png(1, [0, 0, 255])) }));
     gltf.push("textures", json!({ "source": 0 }));
     gltf.push("materials", material);
-    gltf.draw(json!({ "attributes": { "POSITION": positions }, "material": 0 }));
+    gltf.draw(json!({ "attributes": { "POSITION": positions, "TEXCOORD_0": uvs }, "material": 0 }));
     gltf
 }
 
@@ -84,6 +85,7 @@ fn everything_that_is_not_drawn_is_listed() {
         "normalTexture": { "index": 0 }, "occlusionTexture": { "index": 0 }, "emissiveFactor": [0.1, 0.1, 0.1],
     }));
     gltf.json["samplers"] = json!([{ "magFilter": 9728 }]);
+    gltf.json["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]["texCoord"] = 1.into();
     gltf.json["textures"][0]["sampler"] = 0.into();
     gltf.json["extensionsUsed"] = json!(["KHR_lights_punctual", "VENDOR_unknown", "KHR_materials_unlit"]);
     gltf.json["cameras"] = json!([{ "type": "perspective", "perspective": { "yfov": 1, "znear": 1 } }]);
@@ -99,10 +101,11 @@ fn everything_that_is_not_drawn_is_listed() {
         "glTF sampler: magFilter NEAREST (drawn with linear filtering)",
         "glTF: animations (drawn at rest)",
         "glTF: cameras",
+        "glTF: texture without its coordinates",
     ] {
         assert_eq!(ignored.count(kind), 1, "{kind}: {ignored:?}");
     }
-    assert_eq!(ignored.iter().count(), 9, "{ignored:?}");
+    assert_eq!(ignored.iter().count(), 10, "{ignored:?}");
 }
 
 #[test]

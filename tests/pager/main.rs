@@ -11,6 +11,8 @@ mod externals;
 #[cfg(feature = "http")]
 mod http;
 mod implicit;
+#[cfg(feature = "http")]
+mod models;
 mod proxies;
 mod scenes;
 #[cfg(feature = "http")]

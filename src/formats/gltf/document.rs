@@ -2,6 +2,7 @@
 
 use gltf::json;
 use gltf::json::validation::{Checked, Error, Validate as _};
+use serde::Deserialize;
 
 use super::context::Context;
 use super::double_precision::{DoublePrecision, extensions_required};
@@ -16,6 +17,9 @@ pub(super) fn parse(context: &Context<'_>, json: &[u8]) -> Result<(gltf::Documen
         unknown.map(|name| IoError::unsupported(uri, format!("required glTF extension {name}")))
     };
     let mut root = json::Root::from_slice(json).map_err(|e| {
+        if let Some(version) = old_version(json) {
+            return IoError::unsupported(uri, format!("glTF version {version}"));
+        }
         // An unsupported extension may replace required properties. It is the better error.
         let required = extensions_required(json);
         refused(&required).unwrap_or_else(|| IoError::invalid(uri, format!("glTF JSON: {e}")))
@@ -58,6 +62,20 @@ pub(super) fn parse(context: &Context<'_>, json: &[u8]) -> Result<(gltf::Documen
     let document = gltf::Document::from_json_without_validation(root);
     note_unused(context, &document);
     Ok((document, double))
+}
+
+/// Returns the version of a glTF before 2.0, whose objects have names instead of indices.
+fn old_version(json: &[u8]) -> Option<String> {
+    #[derive(Deserialize)]
+    struct Document {
+        asset: Asset,
+    }
+    #[derive(Deserialize)]
+    struct Asset {
+        version: String,
+    }
+    let Document { asset: Asset { version } } = serde_json::from_slice(json).ok()?;
+    Some(version).filter(|version| version.starts_with("1.") || version.starts_with("0."))
 }
 
 /// Returns true for violations that do not matter to this reader. Old exporters omit bounds; compressed accessors have no

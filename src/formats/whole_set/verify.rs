@@ -29,7 +29,7 @@ pub struct Verified {
     pub failed: u64,
     /// The first thousand failures.
     pub errors: Vec<InfoError>,
-    /// What contents ask for and their readers leave out, counted by kind.
+    /// The properties that contents have and their readers leave out, counted by kind.
     pub ignored: BTreeMap<String, u64>,
 }
 

@@ -35,7 +35,7 @@ struct CommonOptions {
     vertex_attributes: Arc<[Arc<str>]>,
     keep_features: bool,
     sharing: Option<Arc<SharedStateManager>>,
-    /// What the contents of all scenes ask for and their readers leave out.
+    /// The properties that the contents of all scenes have and their readers leave out.
     ignored: IgnoredLog,
 }
 

@@ -1,7 +1,7 @@
 //! Features of tile contents: ids of the parts of a mesh, and tables of their properties.
 //!
-//! Readers attach [`DrawableFeatures`] to drawables if they are asked to; they stay with the page when the payloads are
-//! uploaded, so that a picked point leads to its feature and the properties of that. Plain CPU data, any thread.
+//! Readers attach [`DrawableFeatures`] to drawables if the options say so. They stay with the page when the payloads are
+//! uploaded, so that a picked point leads to its feature and to the properties of that feature. Plain CPU data, any thread.
 
 mod drawable_features;
 mod property_table;

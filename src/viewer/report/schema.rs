@@ -57,7 +57,7 @@ pub struct Report {
     pub settled: Option<Settled>,
     /// The failures, each URI and reason once.
     pub errors: Vec<ReportError>,
-    /// What contents ask for and their readers leave out, counted by kind.
+    /// The properties that contents have and their readers leave out, counted by kind.
     #[serde(default)]
     pub ignored: BTreeMap<String, u64>,
 }

@@ -66,6 +66,9 @@ impl Vertices {
             let first = list.iter().position(|vertex| !Vec3::from_array(vertex.position).is_finite());
             return Err(context.bad(format_args!("position {} is not finite", first.unwrap_or_default())));
         }
+        if texture.is_some() && uvs.is_none() {
+            context.notes.add("glTF: texture without its coordinates");
+        }
         if let Some(uvs) = &uvs {
             uvs.read_into(&mut list, |vertex, uv| vertex.uv = uv);
             if let Some(transform) = texture.and_then(|texture| texture.transform) {

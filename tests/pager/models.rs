@@ -1,0 +1,76 @@
+//! Contents that refer to further files: an i3dm whose model has its buffer and its image beside it. No GPU.
+
+use kit::pager::{Run, above};
+use kit::server::{Reply, Server};
+use terrane::fetch::Limits;
+use terrane::formats::verify;
+use terrane::pager::PagerConfig;
+
+const TILESET: &str = r#"{"asset":{"version":"1.0"},"geometricError":9,"root":{"refine":"ADD","geometricError":0,
+    "boundingVolume":{"sphere":[0,0,0,20]},"content":{"uri":"a/trees.i3dm"}}}"#;
+const MODEL: &str = r#"{"asset":{"version":"2.0"},"scenes":[{"nodes":[0]}],"nodes":[{"mesh":0}],
+    "meshes":[{"primitives":[{"attributes":{"POSITION":0},"material":0}]}],
+    "materials":[{"pbrMetallicRoughness":{"metallicFactor":0,"baseColorTexture":{"index":0}}}],
+    "textures":[{"source":0}],"images":[{"uri":"bark.png"}],
+    "accessors":[{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3","min":[0,0,0],"max":[1,1,0]}],
+    "bufferViews":[{"buffer":0,"byteLength":36}],"buffers":[{"byteLength":36,"uri":"tree.bin"}]}"#;
+
+fn floats(numbers: &[f32]) -> Vec<u8> {
+    numbers.iter().flat_map(|x| x.to_le_bytes()).collect()
+}
+
+/// Returns an i3dm with three instances of a model in another file.
+fn trees() -> Vec<u8> {
+    let table = br#"{"INSTANCES_LENGTH":3,"POSITION":{"byteOffset":0}}      "#;
+    let (positions, model) = (floats(&[0.0, 0.0, 0.0, 3.0, 0.0, 0.0, 0.0, 3.0, 0.0]), b"../models/tree.gltf");
+    let mut bytes = b"i3dm".to_vec();
+    let length = 32 + table.len() + positions.len() + model.len();
+    for word in [1, length, table.len(), positions.len(), 0, 0, 0] {
+        bytes.extend((word as u32).to_le_bytes());
+    }
+    [&bytes[..], table, &positions, model].concat()
+}
+
+fn bark() -> Vec<u8> {
+    let mut bytes = std::io::Cursor::new(Vec::new());
+    image::RgbImage::new(4, 4).write_to(&mut bytes, image::ImageFormat::Png).unwrap();
+    bytes.into_inner()
+}
+
+#[test]
+fn model_buffer_and_image_are_fetched_with_their_content() {
+    for has_image in [true, false] {
+        let server = Server::start(move |request| match request.path() {
+            "/set/tileset.json" => Reply::ok(TILESET),
+            "/set/a/trees.i3dm" => Reply::ok(trees()),
+            "/set/models/tree.gltf" => Reply::ok(MODEL),
+            "/set/models/tree.bin" => Reply::ok(floats(&[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, -1.0])),
+            "/set/models/bark.png" if has_image => Reply::ok(bark()),
+            _ => Reply::new(404, ""),
+        });
+        let source = format!("{}/set/tileset.json", server.url);
+        let mut run = Run::new(&source, PagerConfig::default());
+        run.settle(above(30.0));
+        assert!(run.pager.errors().is_empty(), "{:?}", run.pager.errors());
+        assert_eq!(run.stage.leaf_count(), 3);
+        let ignored = run.pager.ignored();
+        assert_eq!(ignored.count("glTF: external image that is missing"), u64::from(!has_image), "{ignored:?}");
+        // Each file is requested once.
+        assert_eq!(server.count(), 5, "{:?}", server.seen().iter().map(|r| r.path().to_owned()).collect::<Vec<_>>());
+        let verified = verify(&source, &Limits::default(), &mut |_| {}).unwrap();
+        assert_eq!((verified.contents, verified.failed), (1, 0), "{verified:?}");
+    }
+}
+
+#[test]
+fn missing_model_is_one_error() {
+    let server = Server::start(move |request| match request.path() {
+        "/set/tileset.json" => Reply::ok(TILESET),
+        "/set/a/trees.i3dm" => Reply::ok(trees()),
+        _ => Reply::new(404, ""),
+    });
+    let mut run = Run::new(&format!("{}/set/tileset.json", server.url), PagerConfig::default());
+    run.settle(above(30.0));
+    let [error] = &run.pager.errors()[..] else { panic!("{:?}", run.pager.errors()) };
+    assert!(error.reason.contains("not found"), "{error:?}");
+}
