@@ -33,6 +33,6 @@ pub(crate) use image::decode_file as decode_image;
 pub use options::{Content, Fetched, ReadOptions};
 pub use read::{companions, decode, decode_node, decode_noting, dependencies};
 pub use tile::UpAxis;
-pub use whole_set::{BoundsInfo, Info, InfoError, LevelInfo, MetadataInfo, Verified, inspect, verify};
+pub use whole_set::{BoundsInfo, Info, InfoError, LevelInfo, MetadataInfo, ModelInfo, Verified, inspect, verify};
 #[cfg(feature = "http")]
 pub use whole_set::{FillOptions, Filled, fill, inspect_with, verify_with};

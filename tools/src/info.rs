@@ -5,7 +5,7 @@ use std::io::Write as _;
 
 use anyhow::{Context as _, Result, ensure};
 use terrane::fetch::{self, Limits};
-use terrane::formats::{self, Info, MetadataInfo, Verified};
+use terrane::formats::{self, Info, MetadataInfo, ModelInfo, Verified};
 use terrane_data_gen::Progress;
 
 use crate::args::InfoArgs;
@@ -41,8 +41,16 @@ fn text(info: &Info, verified: Option<&Verified>) -> String {
     let mebibytes = |bytes: u64| bytes as f64 / f64::from(1 << 20);
     let mut out = String::new();
     // Writing to a String cannot fail.
-    let _ = writeln!(out, "format   {} {}", info.format, info.version);
-    let _ = writeln!(out, "tiles    {}, {} contents", info.tiles, info.contents);
+    let _ = writeln!(out, "{}", format!("format   {} {}", info.format, info.version).trim_end());
+    match &info.model {
+        Some(ModelInfo { drawables, vertices, triangles, images, image_bytes }) => {
+            let _ = writeln!(out, "model    {drawables} drawables, {vertices} vertices, {triangles} triangles");
+            let _ = writeln!(out, "images   {images}, {:.1} MiB decoded", mebibytes(*image_bytes));
+        }
+        None => {
+            let _ = writeln!(out, "tiles    {}, {} contents", info.tiles, info.contents);
+        }
+    }
     if info.subtrees > 0 {
         let _ = writeln!(out, "implicit {} subtrees", info.subtrees);
     }

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use serde::Serialize;
 
 use super::metadata::MetadataInfo;
+use super::model::{ModelInfo, inspect_model};
 use super::report::{InfoError, record, too_many};
 use super::tree::{Known, load, read_subtree};
 #[cfg(feature = "http")]
@@ -36,6 +37,9 @@ pub struct Info {
     pub bytes: u64,
     /// Extensions that the tilesets declare as used.
     pub extensions: BTreeSet<String>,
+    /// The counts of a single content; `None` for a tile set.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub model: Option<ModelInfo>,
     /// The metadata of the root tileset, if it has any.
     pub metadata: Option<MetadataInfo>,
     /// The bounds of the whole set.
@@ -89,6 +93,9 @@ fn inspect_from(source: &str, limits: &Limits, from: Source) -> Result<Info, IoE
     let mut info = Info { format: "3D Tiles".to_owned(), ..Info::default() };
     let Loaded { bytes, location, .. } = from.load(&root)?;
     let options = ReadOptions { base: location, ..options };
+    if may_be_model(&bytes) && !tileset::is_tileset(&root, &bytes, limits) {
+        return inspect_model(&root, bytes, &options, &from);
+    }
     let json = tileset::parse(&root, &bytes)?;
     json.asset.version().clone_into(&mut info.version);
     if json.asset.extras.0.as_ref().is_some_and(SetExtras::is_height) {
@@ -116,6 +123,25 @@ fn inspect_from(source: &str, limits: &Limits, from: Source) -> Result<Info, IoE
     let ignored = options.ignored.snapshot();
     walk.info.ignored = ignored.iter().map(|(kind, count)| (kind.to_owned(), count)).collect();
     Ok(walk.info)
+}
+
+/// Returns true for bytes that start like a content of a tile. Others get the errors of the tileset's parser.
+fn may_be_model(bytes: &[u8]) -> bool {
+    const MAGICS: [&[u8]; 7] = [b"glTF", b"b3dm", b"i3dm", b"cmpt", b"pnts", &[0x76, 0x2f, 0x31, 0x01], &[0x1f, 0x8b]];
+    MAGICS.iter().any(|magic| bytes.starts_with(magic)) || is_gltf_json(bytes)
+}
+
+/// Returns true for JSON with an asset and without the root of a tileset.
+fn is_gltf_json(bytes: &[u8]) -> bool {
+    #[derive(serde::Deserialize)]
+    struct Probe {
+        #[serde(rename = "asset")]
+        _asset: serde::de::IgnoredAny,
+        root: Option<serde::de::IgnoredAny>,
+        #[serde(rename = "geometricError")]
+        geometric_error: Option<serde::de::IgnoredAny>,
+    }
+    serde_json::from_slice::<Probe>(bytes).is_ok_and(|probe| probe.root.is_none() && probe.geometric_error.is_none())
 }
 
 impl Info {

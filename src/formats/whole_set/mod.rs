@@ -4,6 +4,7 @@
 mod fill;
 mod info;
 mod metadata;
+mod model;
 #[cfg(feature = "http")]
 mod region;
 mod report;
@@ -16,6 +17,7 @@ pub use fill::{FillOptions, Filled, fill};
 pub use info::inspect_with;
 pub use info::{BoundsInfo, Info, LevelInfo, inspect};
 pub use metadata::MetadataInfo;
+pub use model::ModelInfo;
 pub use report::InfoError;
 #[cfg(feature = "http")]
 pub use verify::verify_with;

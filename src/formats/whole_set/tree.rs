@@ -1,9 +1,11 @@
 //! Reading the parts of tile trees one after another, as the pager does for single tiles. Blocking.
 
+use std::sync::Arc;
+
 use crate::fetch::{IoError, Loaded, Source, encoding};
 use crate::formats::implicit::{SubtreePart, SubtreeSource};
 use crate::formats::options::{Fetched, ReadOptions};
-use crate::formats::read::dependencies;
+use crate::formats::read::{self, dependencies};
 use crate::formats::tile::{ContentBytes, ContentData, Tile, TileContent};
 use crate::scene::ReaderData;
 
@@ -44,6 +46,33 @@ pub(super) fn load(from: &Source, uri: &str, reader_data: Option<&ReaderData>) -
         Some(fallback) if error.may_be_elsewhere() => from.load(&fallback),
         _ => Err(error),
     })
+}
+
+/// The maximum number of times that a content is asked for further dependencies.
+const MAX_DEPENDENCY_ROUNDS: usize = 5;
+
+/// Reads the files that a content needs, and adds the bytes that were read.
+pub(super) fn read_companions(
+    from: &Source,
+    uri: &Arc<str>,
+    bytes: &[u8],
+    reader_data: Option<&ReaderData>,
+    options: &ReadOptions,
+    bytes_read: &mut u64,
+) -> Vec<Fetched> {
+    let mut companions: Vec<Fetched> = Vec::new();
+    let mut others = read::companions(uri, reader_data);
+    for _ in 0..MAX_DEPENDENCY_ROUNDS {
+        for other in others {
+            let read = from.read(&other).inspect(|read| *bytes_read += read.len() as u64);
+            companions.push((other, read));
+        }
+        others = dependencies(uri, bytes, reader_data, &companions, options);
+        if others.is_empty() {
+            break;
+        }
+    }
+    companions
 }
 
 /// Reads a subtree file with its external buffers. Returns the root tile of the subtree, and adds the bytes that were read.

@@ -6,17 +6,14 @@ use std::sync::Arc;
 use serde::Serialize;
 
 use super::report::{InfoError, record, too_many};
-use super::tree::load;
+use super::tree::{load, read_companions};
 #[cfg(feature = "http")]
 use crate::fetch::HttpConfig;
 use crate::fetch::{IoError, Limits, Loaded, Source, root_uri};
-use crate::formats::options::{Content, Fetched, ReadOptions};
-use crate::formats::read::{self, decode, decode_node, dependencies};
+use crate::formats::options::{Content, ReadOptions};
+use crate::formats::read::{decode, decode_node};
 use crate::formats::tileset;
 use crate::scene::{Node, NodeKind, ReaderData};
-
-/// The maximum number of times that a content is asked for further dependencies.
-const MAX_DEPENDENCY_ROUNDS: usize = 5;
 
 /// The result of [`verify`].
 #[derive(Clone, Debug, Default, Serialize)]
@@ -70,9 +67,15 @@ fn verify_from(
     let Loaded { bytes, location, .. } = from.load(&root)?;
     let options = ReadOptions { base: location, ..options };
     verified.bytes += bytes.len() as u64;
-    let content = Content { uri: root.clone(), bytes, reader_data: None, companions: Vec::new() };
     let limit = limits.max_elements as u64;
-    let mut nodes = collect(&decode_node(content, &options)?, &options.below(&root), &mut jobs);
+    let mut nodes = 0;
+    if tileset::is_tileset(&root, &bytes, limits) {
+        let content = Content { uri: root.clone(), bytes, reader_data: None, companions: Vec::new() };
+        nodes = collect(&decode_node(content, &options)?, &options.below(&root), &mut jobs);
+    } else {
+        verified.bytes = 0;
+        jobs.push(Job { uri: root.clone(), reader_data: None, options: options.clone(), is_tileset: false });
+    }
     while let Some(job) = jobs.pop() {
         if nodes > limit {
             verified.fail(&too_many(&root, limit));
@@ -111,18 +114,10 @@ impl Verified {
             return Ok(0);
         }
         let options = ReadOptions { base: location, ..options };
-        let mut companions: Vec<Fetched> = Vec::new();
-        let mut others = if is_tileset { Vec::new() } else { read::companions(&uri, data) };
-        for _ in 0..MAX_DEPENDENCY_ROUNDS {
-            for other in others {
-                let read = from.read(&other).inspect(|read| self.bytes += read.len() as u64);
-                companions.push((other, read));
-            }
-            others = dependencies(&uri, &bytes, data, &companions, &options);
-            if others.is_empty() {
-                break;
-            }
-        }
+        let companions = match is_tileset {
+            true => Vec::new(),
+            false => read_companions(from, &uri, &bytes, data, &options, &mut self.bytes),
+        };
         let content = Content { bytes, uri: uri.clone(), reader_data, companions };
         if continues {
             return Ok(collect(&decode_node(content, &options)?, &options, jobs));

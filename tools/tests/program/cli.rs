@@ -414,6 +414,32 @@ fn info_is_printed_as_json() {
 }
 
 #[test]
+fn info_describes_a_single_model() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = folder.path().join("triangle.gltf");
+    let json = serde_json::json!({
+        "asset": { "version": "2.0" },
+        "extensionsUsed": ["EXT_never_heard_of"],
+        "buffers": [{ "byteLength": 36, "uri": "data:application/octet-stream;base64,AAAAAAAAAAAAAAAAAACAPwAAAAAAAAAAAAAAAAAAgD8AAAAA" }],
+        "bufferViews": [{ "buffer": 0, "byteLength": 36 }],
+        "accessors": [{ "bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3" }],
+        "meshes": [{ "primitives": [{ "attributes": { "POSITION": 0 } }] }],
+        "nodes": [{ "mesh": 0 }],
+        "scenes": [{ "nodes": [0] }],
+    });
+    std::fs::write(&model, json.to_string()).unwrap();
+    let out = terrane(&["info", "--verify", model.to_str().unwrap()]);
+    let text = String::from_utf8(out.stdout).unwrap();
+    assert!(out.status.success(), "{text}");
+    let expected =
+        ["format   glTF (JSON)", "1 drawables, 3 vertices, 1 triangles", "1 contents", "EXT_never_heard_of: 1"];
+    assert!(expected.iter().all(|part| text.contains(part)), "{text}");
+    let other = folder.path().join("other.json");
+    std::fs::write(&other, "[]").unwrap();
+    assert_eq!(terrane(&["info", other.to_str().unwrap()]).status.code(), Some(1));
+}
+
+#[test]
 fn info_verifies_all_contents_with_the_option() {
     let folder = tempfile::tempdir().unwrap();
     let set = tile_set(folder.path());

@@ -1,0 +1,92 @@
+//! Summary of a single content, for `terrane info` of a model instead of a tile set.
+
+use std::collections::{BTreeMap, HashSet};
+use std::sync::Arc;
+
+use serde::Serialize;
+
+use super::info::{BoundsInfo, Info};
+use super::tree::read_companions;
+use crate::fetch::markup::text_and_first_byte;
+use crate::fetch::{IoError, Source, encoding};
+use crate::formats::options::{Content, ReadOptions};
+use crate::formats::read::decode_node;
+use crate::scene::{Geometry, Node, NodeKind, Page, Texture, Topology};
+
+/// Counts of a single content. A mesh that several nodes draw counts once for each of them.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct ModelInfo {
+    /// Number of drawables.
+    pub drawables: u64,
+    /// Number of vertices.
+    pub vertices: u64,
+    /// Number of triangles.
+    pub triangles: u64,
+    /// Number of images, equal ones counted once.
+    pub images: u64,
+    /// Bytes of the decoded images with their mip levels.
+    pub image_bytes: u64,
+}
+
+/// Reads a content that is no tileset.
+pub(super) fn inspect_model(
+    uri: &Arc<str>,
+    bytes: Vec<u8>,
+    options: &ReadOptions,
+    from: &Source,
+) -> Result<Info, IoError> {
+    let bytes = encoding::gunzip(uri, bytes, &options.limits)?;
+    let mut info = Info { format: format_name(&bytes).to_owned(), contents: 1, ..Info::default() };
+    info.bytes = bytes.len() as u64;
+    let companions = read_companions(from, uri, &bytes, None, options, &mut info.bytes);
+    let node = decode_node(Content { uri: uri.clone(), bytes, reader_data: None, companions }, options)?;
+    let mut model = ModelInfo::default();
+    model.add(&node, &mut HashSet::new());
+    let page = Page::from_node(node).map_err(|e| IoError::invalid(uri, e.to_string()))?;
+    let sphere = page.bounding_sphere();
+    info.bounds = BoundsInfo { center: sphere.center.to_array(), radius_m: sphere.radius_m, region: None };
+    info.model = Some(model);
+    let ignored = options.ignored.snapshot();
+    info.ignored = ignored.iter().map(|(kind, count)| (kind.to_owned(), count)).collect::<BTreeMap<_, _>>();
+    Ok(info)
+}
+
+impl ModelInfo {
+    fn add(&mut self, node: &Node, images: &mut HashSet<usize>) {
+        if let NodeKind::Geode(drawables) = &node.kind {
+            for drawable in drawables {
+                self.drawables += 1;
+                if let Geometry::Mesh(mesh) = &drawable.geometry {
+                    self.vertices += mesh.vertices.len() as u64;
+                    let is_triangles = mesh.topology == Topology::Triangles;
+                    self.triangles += if is_triangles { mesh.indices.len() as u64 / 3 } else { 0 };
+                }
+                if let Some(texture) = &drawable.material.texture
+                    && images.insert(Arc::as_ptr(texture).addr())
+                {
+                    self.images += 1;
+                    self.image_bytes += image_bytes(texture);
+                }
+            }
+        }
+        node.children.iter().for_each(|child| self.add(child, images));
+    }
+}
+
+fn image_bytes(texture: &Texture) -> u64 {
+    texture.mips.iter().map(|mip| mip.len() as u64).sum()
+}
+
+/// Returns the name of a format, by its magic bytes.
+fn format_name(bytes: &[u8]) -> &'static str {
+    match bytes.get(..4) {
+        Some(b"glTF") => "glTF (glb)",
+        Some(b"b3dm") => "3D Tiles content (b3dm)",
+        Some(b"i3dm") => "3D Tiles content (i3dm)",
+        Some(b"cmpt") => "3D Tiles content (cmpt)",
+        Some(b"pnts") => "3D Tiles content (pnts)",
+        Some(&[0x76, 0x2f, 0x31, 0x01]) => "height tile (EXR)",
+        _ if text_and_first_byte(bytes).1 == Some(b'{') => "glTF (JSON)",
+        _ => "unknown",
+    }
+}
