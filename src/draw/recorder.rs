@@ -12,7 +12,7 @@ use crate::draw::pipelines::PipelineId;
 use crate::draw::pipelines::key::Kind;
 use crate::draw::resources::Resources;
 use crate::draw::stats::DrawStats;
-use crate::gpu::{CompileInfo, GraphicsContext, TargetFormats};
+use crate::gpu::{CompileInfo, GraphicsContext, Pools, TargetFormats};
 
 /// The pipelines, buffers and runs that a pass draws from.
 pub(in crate::draw) struct DrawSources<'a> {
@@ -28,6 +28,8 @@ pub(in crate::draw) struct DrawSources<'a> {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Pool {
     Meshes,
+    /// Sets of metallic-roughness surfaces.
+    Surfaces,
     Heights,
 }
 
@@ -71,6 +73,14 @@ fn changes<T: PartialEq>(stats: &mut DrawStats, current: &mut Option<T>, wanted:
     *current = Some(wanted);
     stats.state_changes += 1;
     true
+}
+
+/// Returns bind group 1 of a bucket of meshes, with the pool that it belongs to.
+fn mesh_block<'a>(pools: &'a Pools, bucket: &Bucket) -> (Pool, Option<&'a wgpu::BindGroup>) {
+    match bucket.pipeline.has_surface() {
+        true => (Pool::Surfaces, pools.surfaces().bind_group(bucket.block)),
+        false => (Pool::Meshes, pools.textures().bind_group(bucket.block)),
+    }
 }
 
 impl<'p, 'e> PassRecorder<'p, 'e> {
@@ -216,7 +226,8 @@ impl<'p, 'e> PassRecorder<'p, 'e> {
             _ => {
                 let vertices = pools.meshes().vertex_buffer(bucket.vertex_chunk);
                 let indices = pools.meshes().index_buffer(bucket.index_chunk);
-                (Pool::Meshes, pools.textures().bind_group(bucket.block), vertices, indices)
+                let (pool, block) = mesh_block(pools, bucket);
+                (pool, block, vertices, indices)
             }
         };
         let pipeline = pipeline_id.and_then(|id| Some((id, sources.resources.pipelines.pipeline(id)?)));
@@ -230,6 +241,7 @@ impl<'p, 'e> PassRecorder<'p, 'e> {
         if changes(&mut self.stats, &mut self.known.block, (pool, bucket.block)) {
             self.pass.set_bind_group(1, block, &[]);
         }
+        let pool = if pool == Pool::Heights { pool } else { Pool::Meshes };
         if let Some(vertices) = vertices
             && changes(&mut self.stats, &mut self.known.vertex_chunk, bucket.vertex_chunk)
         {
@@ -253,7 +265,7 @@ impl<'p, 'e> PassRecorder<'p, 'e> {
     fn bind_pulled(&mut self, sources: &DrawSources<'_>, bucket: &Bucket, pipeline_id: Option<PipelineId>) -> bool {
         let resources = sources.resources;
         let chunks = (bucket.vertex_chunk, bucket.index_chunk);
-        let block = sources.ctx.pools().textures().bind_group(bucket.block);
+        let (pool, block) = mesh_block(sources.ctx.pools(), bucket);
         let pipeline = pipeline_id.and_then(|id| Some((id, resources.pipelines.pipeline(id)?)));
         let (Some((id, pipeline)), Some(block), Some(pulled)) = (pipeline, block, resources.vertex_pulling.get(chunks))
         else {
@@ -263,7 +275,7 @@ impl<'p, 'e> PassRecorder<'p, 'e> {
         if changes(&mut self.stats, &mut self.known.pipeline, id) {
             self.pass.set_pipeline(pipeline);
         }
-        if changes(&mut self.stats, &mut self.known.block, (Pool::Meshes, bucket.block)) {
+        if changes(&mut self.stats, &mut self.known.block, (pool, bucket.block)) {
             self.pass.set_bind_group(1, block, &[]);
         }
         if changes(&mut self.stats, &mut self.known.pulled, chunks) {

@@ -4,7 +4,7 @@
 
 use std::borrow::Cow;
 
-#[cfg(feature = "http")]
+#[cfg(all(feature = "http", feature = "testing"))]
 use super::archive::split_url;
 
 /// Returns true for http and https URLs.

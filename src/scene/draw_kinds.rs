@@ -23,6 +23,8 @@ pub struct DrawKind {
     pub is_masked: bool,
     /// True if the material is double-sided.
     pub double_sided: bool,
+    /// True if the material is drawn with the metallic-roughness model.
+    pub has_surface: bool,
     /// True if the transform mirrors.
     pub mirrored: bool,
     /// True for a mesh of a few triangles without custom attributes.
@@ -36,7 +38,9 @@ pub struct DrawKind {
 impl DrawKind {
     /// Returns true if all but the state are equal.
     fn is_like(&self, other: &Self) -> bool {
-        let flags = |k: &Self| (k.topology, k.is_masked, k.double_sided, k.mirrored, k.is_small, k.vertex_format);
+        let flags = |k: &Self| {
+            (k.topology, k.is_masked, k.double_sided, k.has_surface, k.mirrored, k.is_small, k.vertex_format)
+        };
         flags(self) == flags(other) && self.attributes == other.attributes
     }
 }
@@ -64,6 +68,7 @@ impl Scene {
                 topology: mesh.map(|mesh| mesh.topology),
                 is_masked: matches!(drawable.material.alpha, AlphaMode::Mask(_)),
                 double_sided: drawable.material.double_sided,
+                has_surface: drawable.material.surface().is_some(),
                 mirrored: world_from_page * linear.determinant() < 0.0,
                 is_small: mesh.is_some_and(|mesh| mesh.is_small()),
                 vertex_format: drawable.vertex_format(),

@@ -39,7 +39,7 @@ pub use features::{DrawableFeatures, Feature, FeatureIdSet, FeatureIds, Property
 pub use geometry::Font;
 pub use geometry::{
     AlphaMode, AttributeFormat, CustomGeometry, Drawable, Geometry, HeightTile, MAX_ATTRIBUTES, Material, Mesh,
-    MeshVertex, NormalCone, PrimitiveMode, Texture, Topology, VertexAttributes, VertexFormat,
+    MeshVertex, MetallicRoughness, NormalCone, PrimitiveMode, Texture, Topology, VertexAttributes, VertexFormat,
 };
 pub use graph::Scene;
 pub use id::{NodeId, PageId, SceneNumber};

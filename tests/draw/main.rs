@@ -11,3 +11,4 @@ mod queries;
 mod samples;
 mod shadows;
 mod sky;
+mod surfaces;

@@ -23,7 +23,7 @@ pub(in crate::draw) enum Content {
 pub(in crate::draw) struct Bucket {
     pub(in crate::draw) pipeline: PipelineKey,
     pub(in crate::draw) content: Content,
-    /// Block of a pool, bound as group 1.
+    /// Block of a pool, or set of surfaces, bound as group 1.
     pub(in crate::draw) block: u32,
     pub(in crate::draw) vertex_chunk: u32,
     /// Chunk of a mesh's indices, or the side of a height tile's grid.

@@ -298,8 +298,7 @@ impl Batch {
             let Some(run) = runs.get_mut(*run as usize) else { continue };
             if let Some((entry, rows)) = drawable(ctx, stage, leaf) {
                 let state = &states[leaf.state as usize];
-                uniforms[run.first_leaf as usize] =
-                    uniform(entry, rows, state, || buckets[run.bucket as usize].0.stride());
+                uniforms[run.first_leaf as usize] = uniform(entry, rows, state, || &buckets[run.bucket as usize].0);
                 run.first_leaf += 1;
             }
         }
@@ -360,8 +359,8 @@ impl Batch {
             if let Some(run) = self.runs.last_mut() {
                 run.add(entry);
             }
-            let stride = || self.buckets[bucket as usize].0.stride();
-            self.push_leaf(uniform(entry, rows, &self.states[leaf.state as usize], stride));
+            let bucket = || &self.buckets[bucket as usize].0;
+            self.push_leaf(uniform(entry, rows, &self.states[leaf.state as usize], bucket));
         }
     }
 
@@ -439,8 +438,12 @@ impl Batch {
                 let pipeline = PipelineKey::height(&state.key, key.is_mirrored);
                 Bucket { pipeline, content: Content::Height, block, vertex_chunk: 0, index_chunk: side, bound }
             }
-            BindClass::Mesh { topology, is_masked, double_sided, block, vertex_chunk, index_chunk } => {
+            BindClass::Mesh { topology, is_masked, double_sided, block, surface_set, vertex_chunk, index_chunk } => {
                 let pipeline = PipelineKey::mesh(&state.key, topology, is_masked, double_sided, key.is_mirrored);
+                let (pipeline, block) = match surface_set.map(|set| (pipeline.with_surface(), set)) {
+                    Some((pipeline, set)) if pipeline.has_surface() => (pipeline, set),
+                    _ => (pipeline, block),
+                };
                 let (content, pipeline) = match key.fetch {
                     VertexFetch::Pulled { log2_triangles } => {
                         (Content::PulledMesh { stride: 3 << log2_triangles }, pipeline.pulled())
@@ -468,19 +471,33 @@ fn drawable<'a>(
     Some((ctx.drawable(leaf.slot)?, stage.eye_from_drawable.get(leaf.matrix as usize)?))
 }
 
-/// Returns the leaf that shaders read. `stride` returns that of the bucket of a mesh.
+/// Returns the leaf that shaders read. `bucket` returns the bucket of a mesh.
 #[inline]
-fn uniform(entry: &DrawableEntry, rows: &[[f32; 4]; 3], state: &StateEntry, stride: impl Fn() -> u32) -> LeafUniform {
+fn uniform<'a>(
+    entry: &DrawableEntry,
+    rows: &[[f32; 4]; 3],
+    state: &StateEntry,
+    bucket: impl Fn() -> &'a Bucket,
+) -> LeafUniform {
     let mut flags = state.flags(entry.unlit);
     let mut alpha_cutoff = if let AlphaMode::Mask(cutoff) = entry.alpha { cutoff.to_bits() } else { 0 };
     let (layer, side) = match &entry.shape {
         Shape::Height(slot) => (slot.layer, slot.side),
-        Shape::Mesh { texture, slot, .. } if stride() > 0 => {
-            flags |= slot.index_count << INDEX_COUNT_SHIFT;
-            alpha_cutoff = slot.base_vertex as u32;
-            (texture.layer, slot.first_index)
+        Shape::Mesh { texture, surface, slot, .. } => {
+            let bucket = bucket();
+            // Shaders find the texture of a surface in its record.
+            let layer = match surface {
+                Some(surface) if bucket.pipeline.has_surface() => surface.record,
+                _ => texture.layer,
+            };
+            if bucket.stride() > 0 {
+                flags |= slot.index_count << INDEX_COUNT_SHIFT;
+                alpha_cutoff = slot.base_vertex as u32;
+                (layer, slot.first_index)
+            } else {
+                (layer, 0)
+            }
         }
-        Shape::Mesh { texture, .. } => (texture.layer, 0),
         Shape::Custom(_) => (0, 0),
     };
     LeafUniform {

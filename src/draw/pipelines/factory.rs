@@ -185,7 +185,11 @@ impl Factory {
         // Both faces are culled by a depth test that never passes. A culled face marks no stencil either.
         let culls_all = key.culled() == 3;
         let variant = Variant {
-            block_layout: Some(if is_height { &ctx.layouts().height_block } else { &ctx.layouts().texture_block }),
+            block_layout: Some(match () {
+                _ if is_height => &ctx.layouts().height_block,
+                _ if key.has_surface() => &ctx.layouts().surface_set,
+                _ => &ctx.layouts().texture_block,
+            }),
             state_layout: shader.state_layout.as_ref(),
             pull_layout: key.is_pulled().then_some(&self.layouts.pulled),
             constants: &constants,

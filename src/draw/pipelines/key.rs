@@ -11,12 +11,14 @@
 //! | 6 | depth write | 42-47 | target, by index |
 //! | 7-9 | depth compare | 48-57 | program, by index plus 1 |
 //! | 10 | clockwise front faces | 58-59 | vertex format |
-//! | 11-12 | polygon mode | 60 | texture units |
+//! | 11-12 | polygon mode | 60 | texture units, or a surface |
 //! | 13-15 | colour mask | 61 | fading |
 //! | 16-21 | blending, by index | 62 | receives shadows |
 //! | 22-23 | air | 63 | casts shadows |
 //! | 24-27 | custom attributes, by index | | |
 //! | 28-33 | polygon offset, by index | | |
+//!
+//! Bit 60 means texture units with the fixed function, and a metallic-roughness surface without it.
 
 use super::key_parts::PartIndices;
 use crate::scene::{Environment, Sky, Topology, VertexFormat};
@@ -300,7 +302,7 @@ impl PipelineKey {
 
     pub fn shading(self) -> Shading {
         match self.field(48, 10) {
-            0 if self.0 & TEXTURED != 0 => Shading::FixedTextured,
+            0 if self.0 & FIXED != 0 && self.0 & TEXTURED != 0 => Shading::FixedTextured,
             0 if self.0 & FIXED != 0 => Shading::FixedFunction,
             0 => Shading::Plain,
             0x3ff => Shading::Fallback,
@@ -316,6 +318,18 @@ impl PipelineKey {
     /// Returns the key for meshes with a vertex format.
     pub fn with_vertices(self, format: VertexFormat) -> Self {
         Self(self.0 | (format as u64) << VERTICES_SHIFT)
+    }
+
+    /// Returns the key for a metallic-roughness surface. Programs, the fixed function, shadow maps, lines and points draw
+    /// without it.
+    pub fn with_surface(self) -> Self {
+        let is_plain = self.0 & (FIXED | PROGRAM | CASTER) == 0 && self.kind() == Kind::Triangles;
+        Self(if is_plain { self.0 | TEXTURED } else { self.0 })
+    }
+
+    /// Returns true if the bind group of the block is that of a set of surfaces.
+    pub fn has_surface(self) -> bool {
+        self.0 & (FIXED | TEXTURED) == TEXTURED
     }
 
     /// Returns the key for full vertices with custom attributes, by index of their layout from 1 on.
@@ -364,7 +378,8 @@ impl PipelineKey {
 
     /// Returns the key of the pipeline that stands in if this one cannot be created.
     pub fn fallback(self) -> Self {
-        let plain = self.0 & !(PROGRAM | FIXED | TEXTURED | FADING);
+        let units = if self.has_surface() { 0 } else { TEXTURED };
+        let plain = self.0 & !(PROGRAM | FIXED | units | FADING);
         Self(if self.kind() == Kind::Height { plain } else { plain | PROGRAM })
     }
 
@@ -417,6 +432,7 @@ mod tests {
             assert_eq!((custom.fallback().layout(), custom.offset(), custom.air()), (index, 50, key.air()));
         }
         assert_eq!(key.layout(), 0);
+        assert!(!key.with_surface().has_surface(), "programs draw without surfaces");
         assert!(key.pulled().is_pulled() && key.pulled().vertices().is_none() && !key.pulled().is_white());
         let mirrored = PipelineKey::mesh(&state, Topology::Triangles, false, true, true);
         assert_eq!((mirrored.is_clockwise(), mirrored.culled()), (false, 0));
@@ -431,6 +447,10 @@ mod tests {
     fn default_states_have_plain_keys() {
         let state = StateKey::new(&ResolvedState::default(), PartIndices::default(), Shading::Plain, 0);
         assert!(state.order_is_free);
+        let surface = PipelineKey::mesh(&state, Topology::Triangles, false, false, false).with_surface();
+        assert_eq!((surface.has_surface(), surface.shading()), (true, Shading::Plain));
+        assert_eq!((surface.fallback().has_surface(), surface.fallback().shading()), (true, Shading::Fallback));
+        assert!(!PipelineKey::mesh(&state, Topology::Lines, false, false, false).with_surface().has_surface());
         let fading = PipelineKey::height(&state.fading(), true);
         assert!(fading.is_fading() && fading.shading() == Shading::Plain);
         let key = PipelineKey::height(&state, true);

@@ -3,8 +3,8 @@
 use super::key::{Alpha, Kind, PipelineKey, Shading};
 use super::sources::{
     FIXED_HEIGHT_WGSL, FIXED_MESH_WGSL, HEIGHT_WGSL, MESH_WGSL, SHADOWED_FIXED_HEIGHT_WGSL, SHADOWED_FIXED_MESH_WGSL,
-    SHADOWED_HEIGHT_WGSL, SHADOWED_MESH_WGSL, SHADOWED_TEXTURED_HEIGHT_WGSL, SHADOWED_TEXTURED_MESH_WGSL,
-    TEXTURED_HEIGHT_WGSL, TEXTURED_MESH_WGSL,
+    SHADOWED_HEIGHT_WGSL, SHADOWED_MESH_WGSL, SHADOWED_SURFACE_WGSL, SHADOWED_TEXTURED_HEIGHT_WGSL,
+    SHADOWED_TEXTURED_MESH_WGSL, SURFACE_WGSL, TEXTURED_HEIGHT_WGSL, TEXTURED_MESH_WGSL,
 };
 
 /// The vertex entry points of the renderer's own shaders.
@@ -183,9 +183,11 @@ impl ShaderChoice {
     }
 
     fn mesh(key: PipelineKey) -> Self {
-        let (label, source) = match key.has_shadows() {
-            false => ("mesh", MESH_WGSL),
-            true => ("shadowed mesh", SHADOWED_MESH_WGSL),
+        let (label, source) = match (key.has_surface(), key.has_shadows()) {
+            (false, false) => ("mesh", MESH_WGSL),
+            (false, true) => ("shadowed mesh", SHADOWED_MESH_WGSL),
+            (true, false) => ("surface", SURFACE_WGSL),
+            (true, true) => ("shadowed surface", SHADOWED_SURFACE_WGSL),
         };
         let covers_by_alpha = key.has_alpha_to_coverage();
         Self {
@@ -230,9 +232,9 @@ mod tests {
                     for topology in [Topology::Triangles, Topology::Lines, Topology::Points] {
                         for is_masked in [false, true] {
                             let key = PipelineKey::mesh(&state, topology, is_masked, false, false);
-                            keys.push(key);
+                            keys.extend([key, key.with_surface()]);
                             if topology == Topology::Triangles && !is_masked {
-                                keys.push(key.pulled());
+                                keys.extend([key.pulled(), key.with_surface().pulled()]);
                             }
                         }
                     }

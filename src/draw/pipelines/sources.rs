@@ -19,7 +19,8 @@ pub(super) const MESH_WGSL: &str = wgsl![
     shared / facets,
     meshes / mesh_vertex,
     meshes / mesh_pull,
-    meshes / mesh
+    meshes / mesh,
+    meshes / matte
 ];
 pub(super) const SHADOWED_MESH_WGSL: &str = wgsl![
     shared / air,
@@ -29,7 +30,28 @@ pub(super) const SHADOWED_MESH_WGSL: &str = wgsl![
     meshes / mesh_vertex,
     meshes / mesh_pull,
     meshes / mesh,
+    meshes / matte,
     meshes / mesh_casters
+];
+pub(super) const SURFACE_WGSL: &str = wgsl![
+    shared / air,
+    shared / frame,
+    shared / no_shadows,
+    shared / facets,
+    meshes / mesh_vertex,
+    meshes / mesh_pull,
+    meshes / mesh,
+    meshes / surface
+];
+pub(super) const SHADOWED_SURFACE_WGSL: &str = wgsl![
+    shared / air,
+    shared / frame,
+    shared / shadows,
+    shared / facets,
+    meshes / mesh_vertex,
+    meshes / mesh_pull,
+    meshes / mesh,
+    meshes / surface
 ];
 pub(super) const FIXED_HEIGHT_WGSL: &str = wgsl![
     shared / air,
@@ -79,6 +101,7 @@ pub(super) const FIXED_MESH_WGSL: &str = wgsl![
     meshes / mesh_vertex,
     meshes / mesh_pull,
     meshes / mesh,
+    meshes / matte,
     fixed_function / fixed,
     fixed_function / fixed_no_units,
     fixed_function / fixed_mesh
@@ -91,6 +114,7 @@ pub(super) const SHADOWED_FIXED_MESH_WGSL: &str = wgsl![
     meshes / mesh_vertex,
     meshes / mesh_pull,
     meshes / mesh,
+    meshes / matte,
     fixed_function / fixed,
     fixed_function / fixed_no_units,
     fixed_function / fixed_mesh
@@ -103,6 +127,7 @@ pub(super) const TEXTURED_MESH_WGSL: &str = wgsl![
     meshes / mesh_vertex,
     meshes / mesh_pull,
     meshes / mesh,
+    meshes / matte,
     fixed_function / fixed,
     fixed_function / fixed_units,
     fixed_function / fixed_mesh
@@ -115,6 +140,7 @@ pub(super) const SHADOWED_TEXTURED_MESH_WGSL: &str = wgsl![
     meshes / mesh_vertex,
     meshes / mesh_pull,
     meshes / mesh,
+    meshes / matte,
     fixed_function / fixed,
     fixed_function / fixed_units,
     fixed_function / fixed_mesh
@@ -144,7 +170,7 @@ mod tests {
     use crate::draw::uniforms::fixed::{FixedUniform, Reflection};
     use crate::draw::uniforms::frame::{FrameUniform, LeafUniform};
     use crate::draw::uniforms::stage::{StageLight, StageUniform};
-    use crate::gpu::VertexFormat;
+    use crate::gpu::{SurfaceRecord, VertexFormat};
 
     fn parse(name: &str, source: &str) -> naga::Module {
         let module =
@@ -193,6 +219,8 @@ mod tests {
             ("fixed height with textures and shadows", SHADOWED_TEXTURED_HEIGHT_WGSL),
             ("fixed mesh with textures and shadows", SHADOWED_TEXTURED_MESH_WGSL),
             ("shadowed water", SHADOWED_WATER_WGSL),
+            ("surface", SURFACE_WGSL),
+            ("shadowed surface", SHADOWED_SURFACE_WGSL),
         ];
         parse("atmosphere", crate::draw::passes::air::tables::ATMOSPHERE_WGSL);
         for (name, source) in all {
@@ -216,6 +244,11 @@ mod tests {
             let (span, fields) = members(&module, "StageLight");
             assert_eq!(span as usize, size_of::<StageLight>(), "{name}");
             assert_eq!(fields, offsets!(StageLight: position, direction, ambient, diffuse, specular, attenuation));
+            if name.ends_with("surface") {
+                let (span, fields) = members(&module, "SurfaceRecord");
+                assert_eq!(span as usize, size_of::<SurfaceRecord>(), "{name}");
+                assert_eq!(fields, offsets!(SurfaceRecord: layers, factors, emission));
+            }
             if name.starts_with("fixed") {
                 let (span, fields) = members(&module, "Fixed");
                 assert_eq!(span as usize, size_of::<FixedUniform>(), "{name}");
@@ -245,6 +278,7 @@ mod tests {
         ] {
             assert!(MESH_WGSL.contains(&format!("const {name}: u32 = {value}u;")), "{name}");
         }
+        assert!(SURFACE_WGSL.contains(&format!("const NO_LAYER: u32 = {:#x}u;", SurfaceRecord::NO_LAYER)));
         assert_eq!(VertexFormat::Full.stride(), 7 * 4);
     }
 }

@@ -63,7 +63,7 @@ pub(in crate::draw) struct LeafUniform {
     pub(in crate::draw) eye_from_drawable: [[f32; 4]; 3],
     /// Linear colour factor.
     pub(in crate::draw) color: [f32; 4],
-    /// The layer in the texture arrays of its block.
+    /// The layer in the texture arrays of its block; the record of a metallic-roughness surface.
     pub(in crate::draw) layer: u32,
     /// `FLAG_*`, the index count of pulled meshes, and the band of a fade.
     pub(in crate::draw) flags: u32,

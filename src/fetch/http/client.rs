@@ -6,10 +6,14 @@ use std::time::Duration;
 use super::body::{HttpBody, accept_all_encodings, content_encodings, decode_body};
 use super::cache_access::{CachePolicy, HttpCache};
 use super::config::HttpConfig;
+#[cfg(feature = "testing")]
 use super::retry_policy::retry_after;
 use super::revalidation;
 use super::transport::Transport;
-use crate::fetch::archive::{MemberUri, RemoteArchives, parse_content_range, split_url};
+#[cfg(feature = "testing")]
+use crate::fetch::archive::parse_content_range;
+use crate::fetch::archive::{MemberUri, RemoteArchives, split_url};
+#[cfg(feature = "testing")]
 use crate::fetch::cache::Freshness;
 use crate::fetch::{DiskCache, IoError, Limits};
 

@@ -40,7 +40,7 @@ pub(in crate::formats) fn read(
     let mut tile = Arc::new(tile);
     let geometry = sharing.and_then(|sharing| sharing.height_tile(&mut tile, shared.as_ref().map(|s| &s.key)));
     let mut drawable = Drawable::new(Geometry::Height(tile), Material::default());
-    drawable.shared = SharedParts { geometry, indices: None, texture: shared };
+    drawable.shared = SharedParts { geometry, texture: shared, ..SharedParts::default() };
     Ok(Node::transform(world_from_tile, vec![Node::geode(vec![drawable])]))
 }
 

@@ -12,6 +12,9 @@ pub(crate) struct BindGroupLayouts {
     pub(crate) height_block: wgpu::BindGroupLayout,
     /// Group 1 of meshes: colour, sampler.
     pub(crate) texture_block: wgpu::BindGroupLayout,
+    /// Group 1 of meshes with a metallic-roughness surface: colour, normals, occlusion-roughness-metallic and emission, each
+    /// with its sampler; the records of surfaces.
+    pub(crate) surface_set: wgpu::BindGroupLayout,
     /// The samplers of mesh textures by wrap mode along u and along v.
     samplers: [[wgpu::Sampler; WRAP_MODES.len()]; WRAP_MODES.len()],
 }
@@ -126,6 +129,13 @@ impl BindGroupLayouts {
             label: Some("texture block"),
             entries: &[array_texture(0, wgpu::ShaderStages::FRAGMENT, true), sampler(1)],
         });
+        let maps =
+            (0..4).flat_map(|map| [array_texture(2 * map, wgpu::ShaderStages::FRAGMENT, true), sampler(2 * map + 1)]);
+        let records = wgpu::BindGroupLayoutEntry { binding: 8, visibility: wgpu::ShaderStages::FRAGMENT, ..tables };
+        let surface_set = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+            label: Some("surface set"),
+            entries: &maps.chain([records]).collect::<Vec<_>>(),
+        });
         let block_sampler = |u, v| {
             device.create_sampler(&wgpu::SamplerDescriptor {
                 label: Some("texture block"),
@@ -141,6 +151,7 @@ impl BindGroupLayouts {
             frame: frame_layout(device),
             height_block,
             texture_block,
+            surface_set,
             samplers: WRAP_MODES.map(|u| WRAP_MODES.map(|v| block_sampler(u, v))),
         }
     }

@@ -2,6 +2,7 @@
 
 use super::heights::HeightSlot;
 use super::meshes::MeshSlot;
+use super::surfaces::SurfaceSlot;
 use super::textures::TextureLayer;
 use crate::scene::{AlphaMode, Material, Mesh, SMALL_MESH_INDICES, Topology};
 
@@ -13,6 +14,8 @@ pub(crate) enum Shape {
         slot: MeshSlot,
         topology: Topology,
         texture: TextureLayer,
+        /// The surface of a metallic-roughness material.
+        surface: Option<SurfaceSlot>,
         /// True if shaders fetch the vertices of several such meshes in one call.
         is_small: bool,
         /// The bounds of the triangles, if they are few.
@@ -23,9 +26,14 @@ pub(crate) enum Shape {
 }
 
 impl Shape {
-    pub(in crate::gpu) fn of_mesh(mesh: &Mesh, slot: MeshSlot, texture: TextureLayer) -> Self {
+    pub(in crate::gpu) fn of_mesh(
+        mesh: &Mesh,
+        slot: MeshSlot,
+        texture: TextureLayer,
+        surface: Option<SurfaceSlot>,
+    ) -> Self {
         let (topology, is_small, extent) = (mesh.topology, mesh.is_small(), Extent::of_small(mesh));
-        Self::Mesh { slot, topology, texture, is_small, extent }
+        Self::Mesh { slot, topology, texture, surface, is_small, extent }
     }
 }
 
@@ -65,7 +73,16 @@ pub(crate) enum BindClass {
     /// Height tiles of one block.
     Height { block: u32, side: u32 },
     /// Meshes that share a block of textures and chunks of vertices and indices.
-    Mesh { topology: Topology, is_masked: bool, double_sided: bool, block: u32, vertex_chunk: u32, index_chunk: u32 },
+    Mesh {
+        topology: Topology,
+        is_masked: bool,
+        double_sided: bool,
+        block: u32,
+        /// The set of metallic-roughness surfaces.
+        surface_set: Option<u32>,
+        vertex_chunk: u32,
+        index_chunk: u32,
+    },
     /// Drawables that the application draws.
     Custom,
 }
@@ -98,11 +115,12 @@ impl DrawableEntry {
     pub(super) fn bind_class(&self) -> BindClass {
         match &self.shape {
             Shape::Height(slot) => BindClass::Height { block: slot.block, side: slot.side },
-            Shape::Mesh { slot, topology, texture, .. } => BindClass::Mesh {
+            Shape::Mesh { slot, topology, texture, surface, .. } => BindClass::Mesh {
                 topology: *topology,
                 is_masked: matches!(self.alpha, AlphaMode::Mask(_)),
                 double_sided: self.double_sided,
                 block: texture.block,
+                surface_set: surface.map(|surface| surface.set),
                 vertex_chunk: slot.vertex_chunk,
                 index_chunk: slot.index_chunk,
             },

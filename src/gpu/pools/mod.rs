@@ -1,7 +1,7 @@
 //! The pools that geometry and textures are uploaded to, and the table of uploaded drawables. Draw thread.
 //!
 //! Height tiles and mesh textures have slots in blocks of array textures; meshes have slots in buffers of one size class
-//! each. Equal content shares a slot by reference count. A released slot is free at once: uploads run on the same queue,
+//! each; surfaces of the metallic-roughness model have records in sets with one bind group each. Equal content shares a slot by reference count. A released slot is free at once: uploads run on the same queue,
 //! after the draws that used it.
 
 mod allocation;
@@ -15,12 +15,13 @@ mod meshes;
 mod retire_queue;
 mod slot_allocator;
 mod slot_table;
+mod surfaces;
 mod textures;
 
 use std::sync::Arc;
 
 use super::memory::Memory;
-use crate::scene::{AttributeLayout, ContentKey, DrawSlot, HeightTile, Mesh, SharedParts, Texture};
+use crate::scene::{AttributeLayout, ContentKey, DrawSlot, HeightTile, Mesh, MetallicRoughness, SharedParts, Texture};
 use drawable_table::DrawableTable;
 use heights::HeightPool;
 use textures::TexturePool;
@@ -36,14 +37,19 @@ pub(super) use heights::{HeightSlot, table_bytes, table_words};
 pub(crate) use meshes::{MAX_ATTRIBUTE_LAYOUTS, MeshPool, VertexFormat};
 pub(super) use meshes::{MeshAllocation, MeshSlot, interleaved_bytes, short_index_bytes};
 pub(super) use retire_queue::RetireQueue;
+pub(super) use surfaces::MapLayers;
+#[cfg(test)]
+pub(crate) use surfaces::SurfaceRecord;
+pub(crate) use surfaces::{SurfacePool, SurfaceSlot};
 pub(crate) use textures::{FallbackTextures, StateTextures, compare_function, texture_format, view_dimension};
-pub(super) use textures::{TextureLayer, TextureRows, write_rows};
+pub(super) use textures::{TexelEncoding, TextureLayer, TextureRows, write_rows};
 
 /// All pools of a device, and the drawables whose data lies in them.
 pub(crate) struct Pools {
     heights: HeightPool,
     meshes: MeshPool,
     textures: TexturePool,
+    surfaces: SurfacePool,
     customs: CustomDrawables,
     drawables: DrawableTable,
     layouts: BindGroupLayouts,
@@ -57,6 +63,7 @@ impl Pools {
             heights: HeightPool::default(),
             meshes: MeshPool::default(),
             textures: TexturePool::default(),
+            surfaces: SurfacePool::default(),
             customs: CustomDrawables::default(),
             drawables: DrawableTable::default(),
             layouts: BindGroupLayouts::new(device),
@@ -74,6 +81,10 @@ impl Pools {
 
     pub(crate) fn textures(&self) -> &TexturePool {
         &self.textures
+    }
+
+    pub(crate) fn surfaces(&self) -> &SurfacePool {
+        &self.surfaces
     }
 
     pub(crate) fn customs(&self) -> &CustomDrawables {
@@ -126,9 +137,28 @@ impl Pools {
     pub(super) fn allocate_texture(
         &mut self,
         image: &Arc<Texture>,
+        encoding: TexelEncoding,
         content: Option<&ContentKey>,
     ) -> Result<Allocation<TextureLayer>, String> {
-        self.textures.allocate(&self.memory, &self.layouts, image, content)
+        self.textures.allocate(&self.memory, &self.layouts, image, encoding, content)
+    }
+
+    /// Releases a layer that has no drawable.
+    pub(super) fn release_texture(&mut self, layer: TextureLayer) {
+        self.textures.release(layer);
+    }
+
+    /// Allocates a slot for a surface whose textures are allocated. It then owns the layers of its maps.
+    pub(super) fn allocate_surface(
+        &mut self,
+        queue: &wgpu::Queue,
+        surface: &MetallicRoughness,
+        color: TextureLayer,
+        maps: &MapLayers,
+    ) -> Result<SurfaceSlot, String> {
+        let white = self.white_texture(queue)?;
+        let device = (&self.memory, &self.layouts, queue);
+        self.surfaces.allocate(device, &self.textures, surface, (color, white), maps)
     }
 
     /// Returns the white texel of meshes without a texture.
@@ -156,8 +186,10 @@ impl Pools {
         let Some(entry) = self.drawables.remove(slot) else { return };
         match &entry.shape {
             Shape::Height(slot) => self.heights.release(*slot),
-            Shape::Mesh { slot, texture, .. } => {
+            Shape::Mesh { slot, texture, surface, .. } => {
                 self.meshes.release(slot);
+                let maps = surface.map(|surface| self.surfaces.release(surface));
+                maps.into_iter().flatten().flatten().for_each(|map| self.textures.release(map));
                 self.textures.release(*texture);
             }
             Shape::Custom(index) => self.customs.release(*index),
@@ -166,7 +198,11 @@ impl Pools {
 
     /// Returns the size of all slots in use.
     pub(super) fn bytes_in_use(&self) -> u64 {
-        self.heights.bytes_in_use() + self.meshes.bytes_in_use() + self.textures.bytes_in_use() + self.customs.bytes()
+        self.heights.bytes_in_use()
+            + self.meshes.bytes_in_use()
+            + self.textures.bytes_in_use()
+            + self.surfaces.bytes_in_use()
+            + self.customs.bytes()
     }
 
     /// Returns the size of all blocks and chunks, free slots included.
@@ -174,6 +210,7 @@ impl Pools {
         self.heights.bytes_allocated()
             + self.meshes.bytes_allocated()
             + self.textures.bytes_allocated()
+            + self.surfaces.bytes_allocated()
             + self.customs.bytes()
     }
 

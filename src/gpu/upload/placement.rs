@@ -5,8 +5,14 @@ use std::sync::Arc;
 
 use super::compile_operation::Compiled;
 use super::resource_upload::{BufferSource, ImageSource, Upload};
-use crate::gpu::pools::{CompileInfo, CustomCompile, DrawableEntry, MeshAllocation, Pools, Shape, VertexFormat};
-use crate::scene::{CustomGeometry, DrawSlot, Drawable, Geometry, HeightTile, Mesh, SharedParts};
+use crate::gpu::pools::{
+    CompileInfo, CustomCompile, DrawableEntry, MapLayers, MeshAllocation, Pools, Shape, SurfacePool, SurfaceSlot,
+    TexelEncoding, TextureLayer, VertexFormat,
+};
+use crate::scene::{
+    ContentKey, CustomGeometry, DrawSlot, Drawable, Geometry, HeightTile, Mesh, MetallicRoughness, SharedParts,
+    Texture, Topology,
+};
 
 /// Gives a drawable its slots and queues its uploads. A custom drawable is created at once; its size in bytes is returned.
 pub(super) fn place_drawable(
@@ -77,34 +83,108 @@ fn place_mesh(
     compiled: &mut Compiled,
     uploads: &mut VecDeque<Upload>,
 ) -> Result<Shape, String> {
-    let image = drawable.material.texture.as_ref();
-    let [geometry, indices, texture_content] =
-        [&drawable.shared.geometry, &drawable.shared.indices, &drawable.shared.texture]
-            .map(|s| s.as_ref().map(|s| &s.key));
+    let [geometry, indices] = [&drawable.shared.geometry, &drawable.shared.indices].map(|s| s.as_ref().map(|s| &s.key));
     let allocation = pools.allocate_mesh(mesh, &drawable.shared, drawable.vertex_format())?;
-    let texture = match image {
-        Some(image) => pools.allocate_texture(image, texture_content).map(|texture| (texture.slot, texture.is_new)),
-        None => pools.white_texture(queue).map(|white| (white, false)),
-    };
-    let (texture, is_new_texture) = match texture {
-        Ok(texture) => texture,
+    let mut images = NewImages::default();
+    let placed = place_color(queue, pools, drawable, &mut images).and_then(|color| {
+        let surface = drawable.material.surface().filter(|_| mesh.topology == Topology::Triangles);
+        let surface = surface.map(|surface| place_surface(queue, pools, surface, drawable, color, &mut images));
+        Ok((color, surface.transpose()?))
+    });
+    let (color, surface) = match placed {
+        Ok(placed) => placed,
         Err(error) => {
+            images.release(pools);
             pools.release_mesh(&allocation.slot);
             return Err(error);
         }
     };
     compiled.count(geometry, allocation.vertex_bytes, allocation.has_new_vertices);
     compiled.count(indices, allocation.index_bytes, allocation.has_new_indices);
-    if image.is_some() {
-        compiled.count(texture_content, pools.textures().layer_bytes(texture), is_new_texture);
+    if surface.is_some() {
+        compiled.count(None, SurfacePool::SLOT_BYTES, true);
     }
     queue_mesh(pools, &allocation, mesh, uploads);
-    if let Some(image) = image.filter(|_| is_new_texture)
-        && let Some(destination) = pools.textures().destination(texture)
-    {
-        uploads.push_back(Upload::to_layer(ImageSource::Image(image.clone()), destination));
+    images.queue(pools, compiled, uploads);
+    Ok(Shape::of_mesh(mesh, allocation.slot, color, surface))
+}
+
+/// The images of a drawable, while it is placed.
+#[derive(Default)]
+struct NewImages<'a> {
+    images: Vec<NewImage<'a>>,
+}
+
+/// An image whose layer is allocated.
+struct NewImage<'a> {
+    image: &'a Arc<Texture>,
+    content: Option<&'a ContentKey>,
+    layer: TextureLayer,
+    /// True if the image must be uploaded.
+    is_new: bool,
+}
+
+impl<'a> NewImages<'a> {
+    /// Allocates the layer of an image.
+    fn place(
+        &mut self,
+        pools: &mut Pools,
+        image: &'a Arc<Texture>,
+        encoding: TexelEncoding,
+        content: Option<&'a ContentKey>,
+    ) -> Result<TextureLayer, String> {
+        let allocation = pools.allocate_texture(image, encoding, content)?;
+        self.images.push(NewImage { image, content, layer: allocation.slot, is_new: allocation.is_new });
+        Ok(allocation.slot)
     }
-    Ok(Shape::of_mesh(mesh, allocation.slot, texture))
+
+    /// Counts the images and queues the uploads of new ones.
+    fn queue(self, pools: &Pools, compiled: &mut Compiled, uploads: &mut VecDeque<Upload>) {
+        for NewImage { image, content, layer, is_new } in self.images {
+            compiled.count(content, pools.textures().layer_bytes(layer), is_new);
+            if is_new && let Some(destination) = pools.textures().destination(layer) {
+                uploads.push_back(Upload::to_layer(ImageSource::Image(image.clone()), destination));
+            }
+        }
+    }
+
+    /// Releases the layers after another part of the drawable could not be placed.
+    fn release(self, pools: &mut Pools) {
+        self.images.into_iter().for_each(|image| pools.release_texture(image.layer));
+    }
+}
+
+fn place_color<'a>(
+    queue: &wgpu::Queue,
+    pools: &mut Pools,
+    drawable: &'a Drawable,
+    images: &mut NewImages<'a>,
+) -> Result<TextureLayer, String> {
+    match &drawable.material.texture {
+        Some(image) => {
+            let content = drawable.shared.texture.as_ref().map(|s| &s.key);
+            images.place(pools, image, TexelEncoding::Srgb, content)
+        }
+        None => pools.white_texture(queue),
+    }
+}
+
+fn place_surface<'a>(
+    queue: &wgpu::Queue,
+    pools: &mut Pools,
+    surface: &'a MetallicRoughness,
+    drawable: &'a Drawable,
+    color: TextureLayer,
+    images: &mut NewImages<'a>,
+) -> Result<SurfaceSlot, String> {
+    let mut layers = MapLayers::default();
+    let encodings = [TexelEncoding::Linear, TexelEncoding::Linear, TexelEncoding::Srgb];
+    let maps = surface.maps().into_iter().zip(encodings).zip(&drawable.shared.maps);
+    for (layer, ((image, encoding), shared)) in layers.iter_mut().zip(maps) {
+        let content = shared.as_ref().map(|s| &s.key);
+        *layer = image.map(|image| images.place(pools, image, encoding, content)).transpose()?;
+    }
+    pools.allocate_surface(queue, surface, color, &layers)
 }
 
 /// Queues the uploads of a mesh's new parts.
@@ -136,14 +216,14 @@ pub(in crate::gpu) fn rewrite_mesh(
     mesh: &Arc<Mesh>,
 ) -> Result<bool, String> {
     let entry = *pools.drawable(slot).ok_or("the drawable of the mesh is not resident")?;
-    let Shape::Mesh { slot: old, texture, .. } = entry.shape else {
+    let Shape::Mesh { slot: old, texture, surface, .. } = entry.shape else {
         return Err("the drawable is a height tile or a custom drawable, not a mesh".into());
     };
     let allocation = pools.allocate_mesh(mesh, &SharedParts::default(), VertexFormat::Full)?;
     let (mut uploads, mut scratch) = (VecDeque::new(), Vec::new());
     queue_mesh(pools, &allocation, mesh, &mut uploads);
     uploads.into_iter().for_each(|upload| upload.write_all(queue, &mut scratch));
-    let shape = Shape::of_mesh(mesh, allocation.slot, texture);
+    let shape = Shape::of_mesh(mesh, allocation.slot, texture, surface);
     pools.replace(slot, DrawableEntry { shape, ..entry });
     // The old slot is free at once: later uploads run after the draws already submitted.
     pools.release_mesh(&old);

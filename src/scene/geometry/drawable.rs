@@ -81,13 +81,13 @@ impl Drawable {
         fn is_new<T>(shared: &Arc<T>, counted: &mut HashSet<usize>) -> bool {
             Arc::strong_count(shared) == 1 || counted.insert(Arc::as_ptr(shared).addr())
         }
-        let mut texture_bytes = |t: &Option<Arc<Texture>>| -> u64 {
-            let texture = t.as_ref().filter(|t| is_new(t, counted));
-            texture.iter().flat_map(|t| t.mips.iter()).map(|m| m.len() as u64).sum()
+        let mut texture_bytes = |t: &Arc<Texture>| -> u64 {
+            let is_counted = is_new(t, counted);
+            t.mips.iter().map(|m| if is_counted { m.len() as u64 } else { 0 }).sum()
         };
-        let material = texture_bytes(&self.material.texture);
+        let material: u64 = self.material.textures().map(&mut texture_bytes).sum();
         let of_height = match &self.geometry {
-            Geometry::Height(t) => texture_bytes(&t.texture),
+            Geometry::Height(t) => t.texture.as_ref().map_or(0, &mut texture_bytes),
             _ => 0,
         };
         let shape = match &self.geometry {

@@ -4,14 +4,15 @@ use std::sync::Arc;
 
 use crate::state::WrapMode;
 
-/// An RGBA8 sRGB image with its mip levels, level 0 first, each half the size of the one before (at least 1).
+/// An RGBA8 image with its mip levels, level 0 first, each half the size of the one before (at least 1).
 #[derive(Clone, PartialEq)]
 pub struct Texture {
     /// Width of level 0 in texels.
     pub width: u32,
     /// Height of level 0 in texels.
     pub height: u32,
-    /// Rows top to bottom, 4 bytes a texel; one entry per level.
+    /// Rows top to bottom, 4 bytes a texel; one entry per level. Colours are sRGB; the maps of a
+    /// [`MetallicRoughness`] are linear where it says so.
     pub mips: Vec<Vec<u8>>,
     /// How texture coordinates outside 0..1 wrap, along u and along v.
     pub wrap: [WrapMode; 2],
@@ -35,7 +36,70 @@ pub enum AlphaMode {
     Blend,
 }
 
-/// The surface of a drawable: the part of glTF's material that is drawn.
+/// The maps and factors of glTF's metallic-roughness model, beside a material's base colour.
+///
+/// A factor is multiplied by its map. All maps use the texture coordinates of the vertices.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MetallicRoughness {
+    /// 1 for metals, 0 for other matter.
+    pub metallic: f32,
+    /// 0 for a mirror, 1 for a rough surface.
+    pub roughness: f32,
+    /// Occlusion in red, roughness in green, metallic in blue, linear.
+    pub occlusion_roughness_metallic: Option<Arc<Texture>>,
+    /// The share of the map's occlusion that is applied, 0 to 1. Occlusion darkens the light of the sky, not that of the sun.
+    pub occlusion_strength: f32,
+    /// Normals in tangent space, linear: red along u, green against v. The tangent frame follows from positions and texture
+    /// coordinates.
+    pub normal_map: Option<Arc<Texture>>,
+    /// A factor of the red and green of normals.
+    pub normal_scale: f32,
+    /// Emitted light, linear; 1 is as bright as a white surface in the light of `Environment::sun_color` 1.
+    pub emissive: [f32; 3],
+    /// A map of the emitted light, sRGB.
+    pub emissive_map: Option<Arc<Texture>>,
+}
+
+impl MetallicRoughness {
+    /// The number of maps.
+    pub(crate) const MAPS: usize = 3;
+
+    /// Returns the maps: normals, occlusion-roughness-metallic, emission.
+    pub(crate) fn maps(&self) -> [Option<&Arc<Texture>>; Self::MAPS] {
+        [&self.normal_map, &self.occlusion_roughness_metallic, &self.emissive_map].map(Option::as_ref)
+    }
+
+    /// Returns the maps in the same order, to be replaced by equal ones.
+    pub(crate) fn maps_mut(&mut self) -> [&mut Option<Arc<Texture>>; Self::MAPS] {
+        [&mut self.normal_map, &mut self.occlusion_roughness_metallic, &mut self.emissive_map]
+    }
+}
+
+impl Default for MetallicRoughness {
+    /// Returns a rough surface that is no metal, without maps.
+    fn default() -> Self {
+        Self {
+            metallic: 0.0,
+            roughness: 1.0,
+            occlusion_roughness_metallic: None,
+            occlusion_strength: 1.0,
+            normal_map: None,
+            normal_scale: 1.0,
+            emissive: [0.0; 3],
+            emissive_map: None,
+        }
+    }
+}
+
+/// The surface of a drawable.
+///
+/// It has one of three models:
+/// - **Unlit** if `unlit` is true: the base colour as it is.
+/// - **Metallic-roughness** if `metallic_roughness` is set: glTF's model, with reflections of sun and sky.
+/// - **Matte** otherwise: light is reflected equally in all directions. It is the quickest lit model.
+///
+/// Lines and points are never metallic-roughness. States with a program or with OpenGL's fixed function ignore
+/// `metallic_roughness`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Material {
     /// A linear RGBA factor.
@@ -44,14 +108,36 @@ pub struct Material {
     pub texture: Option<Arc<Texture>>,
     /// How alpha is used.
     pub alpha: AlphaMode,
-    /// If true, back faces are drawn too.
+    /// If true, back faces are drawn too. Their normals are turned towards the eye.
     pub double_sided: bool,
     /// If true, the surface is not lit (KHR_materials_unlit).
     pub unlit: bool,
+    /// The maps and factors of the metallic-roughness model; `None` for matte materials.
+    pub metallic_roughness: Option<MetallicRoughness>,
+}
+
+impl Material {
+    /// Returns the metallic-roughness model if the material is drawn with it.
+    pub(crate) fn surface(&self) -> Option<&MetallicRoughness> {
+        self.metallic_roughness.as_ref().filter(|_| !self.unlit)
+    }
+
+    /// Returns all textures: the base colour's and the maps.
+    pub(super) fn textures(&self) -> impl Iterator<Item = &Arc<Texture>> {
+        let maps = self.metallic_roughness.iter().flat_map(|surface| surface.maps().into_iter().flatten());
+        self.texture.iter().chain(maps)
+    }
 }
 
 impl Default for Material {
     fn default() -> Self {
-        Self { base_color: [1.0; 4], texture: None, alpha: AlphaMode::Opaque, double_sided: false, unlit: false }
+        Self {
+            base_color: [1.0; 4],
+            texture: None,
+            alpha: AlphaMode::Opaque,
+            double_sided: false,
+            unlit: false,
+            metallic_roughness: None,
+        }
     }
 }

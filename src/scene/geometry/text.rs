@@ -86,6 +86,7 @@ impl Drawable {
             alpha: AlphaMode::Blend,
             double_sided: true,
             unlit: true,
+            ..Material::default()
         };
         Self::new(Mesh::rectangle(DVec3::ZERO, right, up).into(), material)
     }

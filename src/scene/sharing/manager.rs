@@ -193,6 +193,13 @@ impl SharedStateManager {
             let key = texels_key(image);
             drawable.shared.texture = Some(self.intern_image(key, image));
         }
+        if let (Some(surface), true) = (&mut drawable.material.metallic_roughness, self.modes.textures) {
+            for (map, shared) in surface.maps_mut().into_iter().zip(&mut drawable.shared.maps) {
+                if let (Some(image), None) = (map, &shared) {
+                    *shared = Some(self.intern_image(texels_key(image), image));
+                }
+            }
+        }
         if drawable.shared.geometry.is_some() || !self.modes.geometry {
             return;
         }

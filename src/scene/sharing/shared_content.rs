@@ -3,7 +3,7 @@
 use std::sync::{Arc, OnceLock};
 
 use super::content_key::ContentKey;
-use crate::scene::geometry::Geometry;
+use crate::scene::geometry::{Geometry, MetallicRoughness};
 use crate::scene::intersect::KdTree;
 
 /// A shared content, referenced by the pages that use it. Its key identifies the slots on the GPU.
@@ -35,11 +35,14 @@ impl SharedContent {
 pub(crate) struct SharedParts {
     pub(crate) geometry: Option<Arc<SharedContent>>,
     pub(crate) indices: Option<Arc<SharedContent>>,
+    /// The texture of the base colour.
     pub(crate) texture: Option<Arc<SharedContent>>,
+    /// The maps of the surface, in the order of [`MetallicRoughness::maps`].
+    pub(crate) maps: [Option<Arc<SharedContent>>; MetallicRoughness::MAPS],
 }
 
 impl SharedParts {
     pub(crate) fn iter(&self) -> impl Iterator<Item = &Arc<SharedContent>> {
-        [&self.geometry, &self.indices, &self.texture].into_iter().flatten()
+        [&self.geometry, &self.indices, &self.texture].into_iter().chain(&self.maps).flatten()
     }
 }

@@ -1,4 +1,5 @@
-// Meshes, lines and points.
+// Meshes, lines and points. The material's model is in matte.wgsl or surface.wgsl: `MeshShape`, `mesh_shape`, `thin_shape`,
+// `base_color` and `shade`.
 
 // Packed, since each location costs time for every triangle on software adapters.
 struct MeshFragment {
@@ -19,11 +20,6 @@ fn mesh_fragment(vertex: MeshVertex, leaf: Leaf, alpha_cutoff: u32) -> MeshFragm
         vertex.color * leaf.color,
         vec3<u32>(leaf.layer, leaf.flags, alpha_cutoff),
     );
-}
-
-fn base_color(in: MeshFragment) -> vec4<f32> {
-    let uv = vec2<f32>(in.in_eye_u.w, in.normal_v.w);
-    return texel(textureSample(color_layers, color_sampler, uv, in.leaf.x), in.leaf.y) * in.color;
 }
 
 @vertex
@@ -51,30 +47,16 @@ fn surface_normal(smooth_normal: vec3<f32>, is_front: bool, facet: vec3<f32>) ->
     return select(normal, -normal, dot(normal, facet) < 0.0 && !is_front);
 }
 
-fn shade(in: MeshFragment, is_front: bool, facet: vec3<f32>, base: vec4<f32>) -> vec3<f32> {
-    let air = aerial(in.in_eye_u.xyz);
-    if (in.leaf.y & FLAG_UNLIT) != 0u {
-        return unlit_through_air(base.rgb, air);
-    }
-    let ground = above_ground(in.in_eye_u.xyz);
-    let normal = surface_normal(in.normal_v.xyz, is_front, facet);
-    var lit = light_of_sun(normal, ground.xyz, ground.w);
-    if dot(normal, frame.sun_direction.xyz) > 0.0 {
-        lit *= sun_shadow(in.in_eye_u.xyz, towards_sun(normal, facet));
-    }
-    return through_air(base.rgb * (lit + light_of_sky(normal, ground.xyz)), air);
-}
-
 fn mesh_color(in: MeshFragment, is_front: bool) -> vec4<f32> {
-    let facet = facet_normal(in.in_eye_u.xyz);
+    let shape = mesh_shape(in);
     let base = base_color(in);
-    return vec4<f32>(shade(in, is_front, facet, base), base.a);
+    return vec4<f32>(shade(in, is_front, shape, base), base.a);
 }
 
 // Returns the colour of lines and points. They have no facets; without a normal they face up.
 fn thin_color(in: MeshFragment) -> vec4<f32> {
     let base = base_color(in);
-    return vec4<f32>(shade(in, true, frame.up.xyz, base), base.a);
+    return vec4<f32>(shade(in, true, thin_shape(), base), base.a);
 }
 
 @fragment
@@ -93,12 +75,13 @@ fn fs_mesh_fading(in: MeshFragment, @builtin(front_facing) is_front: bool) -> @l
 
 @fragment
 fn fs_mesh_masked(in: MeshFragment, @builtin(front_facing) is_front: bool) -> @location(0) vec4<f32> {
-    let facet = facet_normal(in.in_eye_u.xyz);
+    // Derivatives are taken before the discard.
+    let shape = mesh_shape(in);
     let base = base_color(in);
     if base.a < bitcast<f32>(in.leaf.z) {
         discard;
     }
-    return vec4<f32>(shade(in, is_front, facet, base), 1.0);
+    return vec4<f32>(shade(in, is_front, shape, base), 1.0);
 }
 
 @fragment

@@ -30,7 +30,7 @@ struct Leaf {
     eye_from_drawable_y: vec4<f32>,
     eye_from_drawable_z: vec4<f32>,
     color: vec4<f32>,  // linear factor
-    layer: u32,
+    layer: u32,  // or the record of a surface
     flags: u32,
     alpha_cutoff: u32,  // bits of an f32; first vertex of pulled meshes
     side: u32,          // vertices along a side of height tiles; first index of pulled meshes

@@ -111,6 +111,7 @@ impl TileDirectory {
     }
 
     /// Returns the tile indices of all entries, ascending.
+    #[cfg(feature = "testing")]
     pub(super) fn ids(&self) -> impl Iterator<Item = u64> {
         self.0.iter().map(|entry| entry.id)
     }

@@ -6,7 +6,9 @@
 
 use md5::{Digest as _, Md5};
 
-use super::directory::{DirectoryEnd, Member, header, is_name_of, name, zip64_field};
+#[cfg(feature = "testing")]
+use super::directory::DirectoryEnd;
+use super::directory::{Member, header, is_name_of, name, zip64_field};
 use super::member::{STORED, content_range};
 use crate::fetch::archive::span::{Span, le_uint};
 

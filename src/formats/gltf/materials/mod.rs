@@ -1,8 +1,9 @@
 //! Materials and textures of a glTF, reduced to what [`Material`](crate::scene::Material) holds.
 //!
-//! [`Surface`] is the reduced material before its texture is decoded. Properties that shading does not use yet are read here
-//! and noted; a material with more maps adds its fields to [`Surface`].
+//! [`Surface`] is the reduced material before its textures are decoded, with its [`Reflection`] if it is not matte. Properties
+//! that are not drawn are noted.
 
+mod reflection;
 mod surface;
 mod surfaces;
 mod techniques;

@@ -1,5 +1,6 @@
-//! [`Surface`]: a material of a glTF reduced to a colour, a texture and how both are drawn.
+//! [`Surface`]: a material of a glTF reduced to what [`Material`](crate::scene::Material) holds.
 
+use super::reflection::Reflection;
 use super::techniques::Techniques;
 use super::texture_ref::TextureRef;
 use crate::formats::ignored::Notes;
@@ -14,6 +15,8 @@ pub(in super::super) struct Surface {
     pub alpha: AlphaMode,
     pub double_sided: bool,
     pub unlit: bool,
+    /// The metallic-roughness model; `None` for a matte or unlit surface.
+    pub reflection: Option<Reflection>,
 }
 
 /// Components of a colour below this one are black in 8 bits.
@@ -33,6 +36,7 @@ impl Surface {
             },
             double_sided: material.double_sided(),
             unlit: material.unlit(),
+            reflection: None,
         };
         if let Some(specular) = material.pbr_specular_glossiness().filter(|_| !surface.unlit) {
             notes.add("glTF material: specular colour and glossiness");
@@ -43,28 +47,32 @@ impl Surface {
             surface.base_color = diffuse.color.unwrap_or([1.0; 4]);
             surface.texture = diffuse.texture;
         } else if !surface.unlit && material.index().is_some() {
-            let is_metal = pbr.metallic_factor() > 0.0 || pbr.metallic_roughness_texture().is_some();
-            note_if(notes, is_metal, "glTF material: metallic and glossy reflections");
+            surface.reflection = Reflection::new(material, surface.texture.as_ref(), notes);
         }
         if !surface.unlit {
-            note_if(notes, material.normal_texture().is_some(), "glTF material: normal texture");
-            note_if(notes, material.occlusion_texture().is_some(), "glTF material: occlusion texture");
             surface.add_emission(material, notes);
         }
         surface
     }
 
-    /// Draws a black surface that emits light as an unlit surface of that colour. Other emission is noted.
+    /// Returns the texture whose coordinates the vertices get.
+    pub fn texture_coordinates(&self) -> Option<&TextureRef> {
+        self.texture.as_ref().or_else(|| self.reflection.as_ref()?.maps().next())
+    }
+
+    /// Draws a black surface that emits light as an unlit surface of that colour. Notes emission that is not drawn.
     fn add_emission(&mut self, material: &gltf::Material<'_>, notes: &Notes) {
-        let strength = material.emissive_strength().unwrap_or(1.0);
-        let emitted = material.emissive_factor().map(|part| part * strength);
+        let emitted = emitted(material);
         if emitted.iter().all(|part| *part <= BLACK) {
             return;
         }
         if self.base_color[..3].iter().any(|part| *part > BLACK) {
-            notes.add("glTF material: emitted light");
+            if self.reflection.is_none() {
+                notes.add("glTF material: emitted light");
+            }
             return;
         }
+        self.reflection = None;
         // Light beyond 1 is brighter than the screen; the ratio of the components is kept.
         let most = emitted.iter().copied().fold(1.0, f32::max);
         let [r, g, b] = emitted.map(|part| part / most);
@@ -74,8 +82,8 @@ impl Surface {
     }
 }
 
-fn note_if(notes: &Notes, is_used: bool, kind: &'static str) {
-    if is_used {
-        notes.add(kind);
-    }
+/// Returns the light that a material emits, linear, before its texture.
+pub(super) fn emitted(material: &gltf::Material<'_>) -> [f32; 3] {
+    let strength = material.emissive_strength().unwrap_or(1.0);
+    material.emissive_factor().map(|part| part * strength)
 }

@@ -1,14 +1,23 @@
 //! [`Surfaces`]: the materials of a glTF with their decoded textures.
 
 use std::collections::HashMap;
+use std::sync::Arc;
 
+use super::reflection::{Reflection, combined};
 use super::surface::Surface;
 use super::techniques::Techniques;
+use super::texture_ref::TextureRef;
 use super::textures::Textures;
 use crate::fetch::IoError;
 use crate::formats::gltf::accessors::Buffers;
 use crate::formats::gltf::context::Context;
 use crate::formats::image::SharedTexture;
+use crate::scene::{MetallicRoughness, SharedContent, Texture};
+
+/// The metallic-roughness model of a material with the shared contents of its maps, which are in the order of
+/// [`MetallicRoughness::maps`].
+pub(in super::super) type DecodedReflection =
+    (MetallicRoughness, [Option<Arc<SharedContent>>; MetallicRoughness::MAPS]);
 
 /// The materials read so far. Primitives share them.
 pub(in super::super) struct Surfaces<'a> {
@@ -17,12 +26,15 @@ pub(in super::super) struct Surfaces<'a> {
     textures: Textures<'a>,
     /// By the index of the material; `None` is the default material.
     read: HashMap<Option<usize>, Surface>,
+    /// Maps combined from the textures of occlusion and of metallic and roughness.
+    combined: HashMap<(usize, Option<usize>), Option<Arc<Texture>>>,
 }
 
 impl<'a> Surfaces<'a> {
     pub fn new(context: &'a Context<'a>, document: &'a gltf::Document) -> Self {
         let techniques = Techniques::new(document);
-        Self { context, techniques, textures: Textures::new(context, document), read: HashMap::new() }
+        let textures = Textures::new(context, document);
+        Self { context, techniques, textures, read: HashMap::new(), combined: HashMap::new() }
     }
 
     /// Returns a material, without its texture.
@@ -37,5 +49,53 @@ impl<'a> Surfaces<'a> {
             Some(of) => self.textures.get(of.texture, buffers),
             None => Ok(None),
         }
+    }
+
+    /// Decodes the maps of a reflection. A map whose image is missing is left out.
+    pub fn reflection(&mut self, of: &Reflection, buffers: &Buffers<'_>) -> Result<DecodedReflection, IoError> {
+        let mut get = |map: Option<TextureRef>| match map {
+            Some(map) => self.textures.get(map.texture, buffers).map(Option::unzip),
+            None => Ok((None, None)),
+        };
+        let (normal_map, shared_normal) = get(of.normal)?;
+        let (emissive_map, shared_emissive) = get(of.emissive_map)?;
+        let (mut map, mut shared_map) = get(of.metallic_roughness)?;
+        let mut occlusion_strength = of.occlusion_strength;
+        if let Some(occlusion) = of.occlusion {
+            let (image, _) = get(Some(occlusion))?;
+            let key = (occlusion.texture, of.metallic_roughness.map(|map| map.texture));
+            let joined = match (self.combined.get(&key), &image) {
+                (Some(known), _) => known.clone(),
+                (None, Some(image)) => combined(image, map.as_ref()),
+                (None, None) => None,
+            };
+            self.combined.insert(key, joined.clone());
+            match joined {
+                Some(joined) if map.as_ref().is_some_and(|map| Arc::ptr_eq(map, &joined)) => {}
+                Some(joined) => {
+                    self.context.budget.add_image(joined.mips.iter().map(|mip| mip.len() as u64).sum());
+                    (map, shared_map) = (Some(joined), None);
+                }
+                None => {
+                    if image.is_some() {
+                        let kind =
+                            "glTF material: occlusion texture of another size than that of metallic and roughness";
+                        self.context.notes.add(kind);
+                    }
+                    occlusion_strength = 0.0;
+                }
+            }
+        }
+        let model = MetallicRoughness {
+            metallic: of.metallic,
+            roughness: of.roughness,
+            occlusion_roughness_metallic: map,
+            occlusion_strength,
+            normal_map,
+            normal_scale: of.normal_scale,
+            emissive: of.emissive,
+            emissive_map,
+        };
+        Ok((model, [shared_normal.flatten(), shared_map.flatten(), shared_emissive.flatten()]))
     }
 }

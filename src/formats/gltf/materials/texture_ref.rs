@@ -41,6 +41,16 @@ impl TextureRef {
         Self { texture: info.texture().index(), uv_set, transform }
     }
 
+    /// Returns a texture without a transform.
+    pub fn plain(texture: usize, uv_set: u32) -> Self {
+        Self { texture, uv_set, transform: None }
+    }
+
+    /// Returns true if the other texture uses the same texture coordinates in the same way.
+    pub fn has_coordinates_of(&self, other: &Self) -> bool {
+        (self.uv_set, self.transform) == (other.uv_set, other.transform)
+    }
+
     /// Reads a texture reference of an extension: an object with an `index`. Returns `None` for other values.
     pub fn from_json(value: &Value) -> Option<Self> {
         let texture = usize::try_from(value.get("index")?.as_u64()?).ok()?;

@@ -83,7 +83,7 @@ impl<'a> MeshReader<'a> {
             context.notes.add(BUFFER_MISSING);
             Ok(None)
         };
-        let vertices = Vertices::new(context, &data, surface.texture.as_ref(), deformation)?;
+        let vertices = Vertices::new(context, &data, surface.texture_coordinates(), deformation)?;
         let Some(vertices) = vertices else { return not_drawn() };
         let attributes = additional_attributes(context, &data)?;
         let attribute = |name: &str| match data.accessor(name) {
@@ -109,12 +109,17 @@ impl<'a> MeshReader<'a> {
         // Points and lines without normals are not lit (glTF 2.0, 3.7.2.1).
         surface.unlit |= topology != Topology::Triangles && !vertices.has_normals;
         let (texture, shared_texture) = surfaces.texture(&surface, buffers)?.unzip();
+        let reflection = surface.reflection.filter(|_| topology == Topology::Triangles);
+        let reflection = reflection.map(|reflection| surfaces.reflection(&reflection, buffers)).transpose()?;
+        let (metallic_roughness, maps) =
+            reflection.map_or((None, Default::default()), |(model, maps)| (Some(model), maps));
         let material = Material {
             base_color: surface.base_color,
             texture,
             alpha: surface.alpha,
             double_sided: surface.double_sided,
             unlit: surface.unlit,
+            metallic_roughness,
         };
         let Vertices { list, bounds, format, .. } = vertices;
         let mut mesh = Arc::new(Mesh { vertices: list, indices, topology, bounds, attributes });
@@ -127,7 +132,7 @@ impl<'a> MeshReader<'a> {
         };
         let mut drawable = Drawable::new(Geometry::Mesh(mesh), material);
         drawable.features = features;
-        drawable.shared = SharedParts { geometry, indices, texture: shared_texture.flatten() };
+        drawable.shared = SharedParts { geometry, indices, texture: shared_texture.flatten(), maps };
         Ok(Some(drawable.with_vertex_format(format)))
     }
 }

@@ -14,7 +14,7 @@ use crate::gpu::pools::allocation::{Allocation, BufferDestination, LayerDestinat
 use crate::gpu::pools::bind_group_layouts::BindGroupLayouts;
 use crate::gpu::pools::slot_allocator::{SlotAllocator, block_capacity};
 use crate::gpu::pools::slot_table::SlotTable;
-use crate::gpu::pools::textures::{ImageSize, array_view};
+use crate::gpu::pools::textures::{ImageSize, TexelEncoding, array_view};
 use crate::scene::{ContentKey, HeightTile};
 use crate::state::CLAMPED;
 
@@ -124,7 +124,7 @@ impl HeightBlock {
             mapped_at_creation: false,
         };
         let tables = memory.allocate("height block tables", bytes, |device| device.create_buffer(&tables))?;
-        let color = size.color.allocate(memory, "height block colour", capacity)?;
+        let color = size.color.allocate(memory, "height block colour", capacity, TexelEncoding::Srgb)?;
         let bind_group = memory.device().create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("height block"),
             layout: &layouts.height_block,

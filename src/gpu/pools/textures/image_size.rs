@@ -3,6 +3,24 @@
 use crate::gpu::memory::Memory;
 use crate::scene::Texture;
 
+/// The meaning of an image's bytes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(in crate::gpu) enum TexelEncoding {
+    /// Colours in sRGB, with linear alpha.
+    Srgb,
+    /// Numbers from 0 to 1.
+    Linear,
+}
+
+impl TexelEncoding {
+    fn format(self) -> wgpu::TextureFormat {
+        match self {
+            Self::Srgb => wgpu::TextureFormat::Rgba8UnormSrgb,
+            Self::Linear => wgpu::TextureFormat::Rgba8Unorm,
+        }
+    }
+}
+
 /// The size of an image with its mip levels. Images of one size share blocks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in crate::gpu::pools) struct ImageSize {
@@ -59,19 +77,26 @@ impl ImageSize {
         memory: &Memory,
         label: &'static str,
         layers: u32,
+        encoding: TexelEncoding,
     ) -> Result<wgpu::Texture, String> {
-        memory.allocate(label, self.bytes() * u64::from(layers), |device| self.create(device, label, layers))
+        memory.allocate(label, self.bytes() * u64::from(layers), |device| self.create(device, label, layers, encoding))
     }
 
-    /// Creates an array texture of sRGB colours.
-    pub(super) fn create(&self, device: &wgpu::Device, label: &str, layers: u32) -> wgpu::Texture {
+    /// Creates an array texture.
+    pub(super) fn create(
+        &self,
+        device: &wgpu::Device,
+        label: &str,
+        layers: u32,
+        encoding: TexelEncoding,
+    ) -> wgpu::Texture {
         device.create_texture(&wgpu::TextureDescriptor {
             label: Some(label),
             size: wgpu::Extent3d { width: self.width, height: self.height, depth_or_array_layers: layers },
             mip_level_count: self.mips,
             sample_count: 1,
             dimension: wgpu::TextureDimension::D2,
-            format: wgpu::TextureFormat::Rgba8UnormSrgb,
+            format: encoding.format(),
             usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
             view_formats: &[],
         })

@@ -8,6 +8,7 @@ mod texture_rows;
 mod wgpu_enums;
 
 pub(crate) use fallback_textures::FallbackTextures;
+pub(in crate::gpu) use image_size::TexelEncoding;
 pub(in crate::gpu::pools) use image_size::{ImageSize, array_view};
 pub(crate) use state_textures::StateTextures;
 pub(in crate::gpu) use texture_pool::{TextureLayer, TexturePool};

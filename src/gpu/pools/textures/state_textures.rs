@@ -6,7 +6,7 @@
 use std::collections::HashMap;
 use std::sync::{Arc, Weak};
 
-use super::image_size::ImageSize;
+use super::image_size::{ImageSize, TexelEncoding};
 use super::texture_rows::{TextureRows, write_rows};
 use super::wgpu_enums::{
     address_mode, compare_function, filter_mode, mipmap_filter_mode, texture_format, view_dimension,
@@ -103,7 +103,7 @@ impl StateTextures {
         let key = Arc::as_ptr(object) as usize;
         let known = self.entries.get(&key).and_then(|e| e.created.as_ref()).is_some_and(fits);
         if !known {
-            let (texture, error) = catch_errors(device, || size.create(device, &object.name, 1));
+            let (texture, error) = catch_errors(device, || size.create(device, &object.name, 1, TexelEncoding::Srgb));
             if let Some(error) = error {
                 return Err(format!("texture {:?} cannot be made: {error}", object.name));
             }

@@ -1,13 +1,13 @@
 //! [`TexturePool`]: the textures of all meshes of a device, as layers of array textures. Draw thread.
 //!
-//! Images of one size and wrap mode share a block, which has one bind group. So adapters without bindless textures, such as
+//! Images of one size, encoding and wrap mode share a block, which has one bind group. So adapters without bindless textures, such as
 //! software Vulkan, draw many tiles with one bind group too. Equal images are uploaded once and share a layer by reference
 //! count.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Weak};
 
-use super::image_size::{ImageSize, array_view};
+use super::image_size::{ImageSize, TexelEncoding, array_view};
 use super::texture_rows::{TextureRows, write_rows};
 use crate::gpu::memory::Memory;
 use crate::gpu::pools::allocation::{Allocation, LayerDestination};
@@ -35,12 +35,22 @@ pub(crate) struct TextureLayer {
 struct Usage {
     /// Number of drawables that use the layer.
     users: u32,
-    identity: Identity,
+    key: SharedKey,
+}
+
+/// The key under which equal images share a layer. An image may be used as colours and as numbers.
+type SharedKey = (Identity, TexelEncoding);
+
+/// The properties that the images of a block have in common.
+#[derive(Clone, Copy, PartialEq, Eq)]
+struct ImageKind {
+    size: ImageSize,
+    encoding: TexelEncoding,
+    wrap: [WrapMode; 2],
 }
 
 struct TextureBlock {
-    size: ImageSize,
-    wrap: [WrapMode; 2],
+    kind: ImageKind,
     texture: wgpu::Texture,
     bind_group: wgpu::BindGroup,
     slots: SlotAllocator,
@@ -49,14 +59,8 @@ struct TextureBlock {
 }
 
 impl TextureBlock {
-    fn new(
-        memory: &Memory,
-        layouts: &BindGroupLayouts,
-        size: ImageSize,
-        wrap: [WrapMode; 2],
-        capacity: u32,
-    ) -> Result<Self, String> {
-        let texture = size.allocate(memory, "texture block", capacity)?;
+    fn new(memory: &Memory, layouts: &BindGroupLayouts, kind: ImageKind, capacity: u32) -> Result<Self, String> {
+        let texture = kind.size.allocate(memory, "texture block", capacity, kind.encoding)?;
         let bind_group = memory.device().create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("texture block"),
             layout: &layouts.texture_block,
@@ -65,17 +69,20 @@ impl TextureBlock {
                     binding: 0,
                     resource: wgpu::BindingResource::TextureView(&array_view(&texture)),
                 },
-                wgpu::BindGroupEntry { binding: 1, resource: wgpu::BindingResource::Sampler(layouts.sampler(wrap)) },
+                wgpu::BindGroupEntry {
+                    binding: 1,
+                    resource: wgpu::BindingResource::Sampler(layouts.sampler(kind.wrap)),
+                },
             ],
         });
         let slots = SlotAllocator::new(capacity);
-        let usage = vec![Usage { users: 0, identity: Identity::Address(0) }; capacity as usize];
-        Ok(Self { size, wrap, texture, bind_group, slots, usage })
+        let usage = vec![Usage { users: 0, key: (Identity::Address(0), kind.encoding) }; capacity as usize];
+        Ok(Self { kind, texture, bind_group, slots, usage })
     }
 
     /// Returns the size of the whole block in bytes.
     fn bytes(&self) -> u64 {
-        self.size.bytes() * self.usage.len() as u64
+        self.kind.size.bytes() * self.usage.len() as u64
     }
 }
 
@@ -90,7 +97,7 @@ struct SharedImage {
 pub(crate) struct TexturePool {
     blocks: SlotTable<TextureBlock>,
     /// Never iterated.
-    shared: HashMap<Identity, SharedImage>,
+    shared: HashMap<SharedKey, SharedImage>,
     white: Option<TextureLayer>,
     bytes_in_use: u64,
     bytes_allocated: u64,
@@ -103,11 +110,12 @@ impl TexturePool {
         memory: &Memory,
         layouts: &BindGroupLayouts,
         image: &Arc<Texture>,
+        encoding: TexelEncoding,
         content: Option<&ContentKey>,
     ) -> Result<Allocation<TextureLayer>, String> {
-        let identity = Identity::new(content, Arc::as_ptr(image));
+        let key = (Identity::new(content, Arc::as_ptr(image)), encoding);
         let is_same = |s: &&SharedImage| content.is_some() || std::ptr::eq(s.image.as_ptr(), Arc::as_ptr(image));
-        if let Some(shared) = self.shared.get(&identity).filter(is_same) {
+        if let Some(shared) = self.shared.get(&key).filter(is_same) {
             let slot = shared.layer;
             if let Some(usage) = self.usage_mut(slot) {
                 usage.users += 1;
@@ -115,11 +123,11 @@ impl TexturePool {
             }
         }
         let size = ImageSize::of(image, memory.limits())?;
-        let slot = self.take_layer(memory, layouts, size, image.wrap)?;
+        let slot = self.take_layer(memory, layouts, ImageKind { size, encoding, wrap: image.wrap })?;
         if let Some(usage) = self.usage_mut(slot) {
-            *usage = Usage { users: 1, identity };
+            *usage = Usage { users: 1, key };
         }
-        self.shared.insert(identity, SharedImage { image: Arc::downgrade(image), layer: slot });
+        self.shared.insert(key, SharedImage { image: Arc::downgrade(image), layer: slot });
         Ok(Allocation { slot, is_new: true })
     }
 
@@ -133,7 +141,8 @@ impl TexturePool {
         if let Some(white) = self.white {
             return Ok(white);
         }
-        let white = self.take_layer(memory, layouts, ImageSize::ONE_TEXEL, CLAMPED)?;
+        let kind = ImageKind { size: ImageSize::ONE_TEXEL, encoding: TexelEncoding::Srgb, wrap: CLAMPED };
+        let white = self.take_layer(memory, layouts, kind)?;
         if let Some(block) = self.blocks.get(white.block) {
             let texel = TextureRows { layer: white.layer, level: 0, first: 0, count: 1, width: 1 };
             write_rows(queue, &block.texture, &texel, &[255; 4]);
@@ -144,7 +153,7 @@ impl TexturePool {
 
     /// Returns the size of a layer in bytes.
     pub(in crate::gpu) fn layer_bytes(&self, layer: TextureLayer) -> u64 {
-        self.blocks.get(layer.block).map_or(0, |block| block.size.bytes())
+        self.blocks.get(layer.block).map_or(0, |block| block.kind.size.bytes())
     }
 
     fn usage_mut(&mut self, layer: TextureLayer) -> Option<&mut Usage> {
@@ -156,25 +165,25 @@ impl TexturePool {
         &mut self,
         memory: &Memory,
         layouts: &BindGroupLayouts,
-        size: ImageSize,
-        wrap: [WrapMode; 2],
+        kind: ImageKind,
     ) -> Result<TextureLayer, String> {
-        let mut blocks_of_size = 0;
+        let bytes = kind.size.bytes();
+        let mut blocks_of_kind = 0;
         for (index, block) in self.blocks.iter_mut() {
-            if block.size == size && block.wrap == wrap {
-                blocks_of_size += 1;
+            if block.kind == kind {
+                blocks_of_kind += 1;
                 if let Some(layer) = block.slots.allocate() {
-                    self.bytes_in_use += size.bytes();
+                    self.bytes_in_use += bytes;
                     return Ok(TextureLayer { block: index, layer });
                 }
             }
         }
         let max_layers = MAX_BLOCK_LAYERS.min(memory.limits().max_texture_array_layers);
-        let capacity = block_capacity(blocks_of_size, size.bytes(), BLOCK_BYTES, max_layers);
-        let mut block = TextureBlock::new(memory, layouts, size, wrap, capacity)?;
+        let capacity = block_capacity(blocks_of_kind, bytes, BLOCK_BYTES, max_layers);
+        let mut block = TextureBlock::new(memory, layouts, kind, capacity)?;
         let layer = block.slots.allocate().ok_or("a texture block without layers")?;
         self.bytes_allocated += block.bytes();
-        self.bytes_in_use += size.bytes();
+        self.bytes_in_use += bytes;
         let block = self.blocks.insert(block);
         Ok(TextureLayer { block, layer })
     }
@@ -191,21 +200,26 @@ impl TexturePool {
         }
         let Some(usage) = self.usage_mut(layer) else { return };
         usage.users = usage.users.saturating_sub(1);
-        let Usage { users, identity } = *usage;
+        let Usage { users, key } = *usage;
         if users > 0 {
             return;
         }
-        if self.shared.get(&identity).is_some_and(|s| s.layer == layer) {
-            self.shared.remove(&identity);
+        if self.shared.get(&key).is_some_and(|s| s.layer == layer) {
+            self.shared.remove(&key);
         }
         if let Some(block) = self.blocks.get_mut(layer.block) {
             block.slots.release(layer.layer);
-            self.bytes_in_use -= block.size.bytes();
+            self.bytes_in_use -= block.kind.size.bytes();
             if block.slots.is_empty() {
                 self.bytes_allocated -= block.bytes();
                 self.blocks.remove(layer.block);
             }
         }
+    }
+
+    /// Returns the view of a block's images and the wrap modes of their sampler.
+    pub(in crate::gpu::pools) fn view(&self, block: u32) -> Option<(wgpu::TextureView, [WrapMode; 2])> {
+        self.blocks.get(block).map(|block| (array_view(&block.texture), block.kind.wrap))
     }
 
     pub(crate) fn bind_group(&self, block: u32) -> Option<&wgpu::BindGroup> {

@@ -1,0 +1,174 @@
+// Surfaces of glTF's metallic-roughness model under sun and sky. The reflection of the sun is that of appendix B of the glTF
+// 2.0 specification: GGX's distribution, Smith's height-correlated visibility, Schlick's Fresnel term.
+
+// The maps and factors of a surface.
+struct SurfaceRecord {
+    layers: vec4<u32>,    // of base colour, normals, occlusion-roughness-metallic and emission; NO_LAYER without a map
+    factors: vec4<f32>,   // metallic, roughness, strength of occlusion, scale of normals
+    emission: vec4<f32>,  // linear, in units of lit colours
+}
+
+const NO_LAYER: u32 = 0xffffffffu;
+// Below this roughness, highlights of the sun would be smaller than its disc.
+const MIN_ROUGHNESS: f32 = 0.07;
+
+@group(1) @binding(2) var normal_layers: texture_2d_array<f32>;
+@group(1) @binding(3) var normal_sampler: sampler;
+@group(1) @binding(4) var occlusion_layers: texture_2d_array<f32>;
+@group(1) @binding(5) var occlusion_sampler: sampler;
+@group(1) @binding(6) var emission_layers: texture_2d_array<f32>;
+@group(1) @binding(7) var emission_sampler: sampler;
+@group(1) @binding(8) var<storage, read> surface_records: array<SurfaceRecord>;
+
+// The shape of the surface around a pixel, from derivatives, which are not available after branches.
+struct MeshShape {
+    facet: vec3<f32>,    // normal of the facet, on the side of the eye
+    along_x: vec3<f32>,  // change of the position from pixel to pixel, in eye space
+    along_y: vec3<f32>,
+    uv_x: vec2<f32>,     // change of the texture coordinates
+    uv_y: vec2<f32>,
+    bend: f32,           // square of the change of the smooth normal
+}
+
+fn mesh_shape(in: MeshFragment) -> MeshShape {
+    let uv = vec2<f32>(in.in_eye_u.w, in.normal_v.w);
+    let normal = in.normal_v.xyz;
+    let smooth_normal = normal * inverseSqrt(max(dot(normal, normal), 1e-12));
+    let bend_x = dpdx(smooth_normal);
+    let bend_y = dpdy(smooth_normal);
+    return MeshShape(
+        facet_normal(in.in_eye_u.xyz),
+        dpdx(in.in_eye_u.xyz),
+        dpdy(in.in_eye_u.xyz),
+        dpdx(uv),
+        dpdy(uv),
+        dot(bend_x, bend_x) + dot(bend_y, bend_y),
+    );
+}
+
+// Returns the shape of lines and points.
+fn thin_shape() -> MeshShape {
+    return MeshShape(frame.up.xyz, vec3<f32>(0.0), vec3<f32>(0.0), vec2<f32>(0.0), vec2<f32>(0.0), 0.0);
+}
+
+fn base_color(in: MeshFragment) -> vec4<f32> {
+    let uv = vec2<f32>(in.in_eye_u.w, in.normal_v.w);
+    let layer = surface_records[in.leaf.x].layers.x;
+    return texel(textureSample(color_layers, color_sampler, uv, layer), in.leaf.y) * in.color;
+}
+
+// Returns a normal bent by a texel of a normal map. The axes of the map follow from derivatives (C. Schueler, Followup:
+// Normal Mapping Without Precomputed Tangents, 2013). Green points up in the image, against v. Seen from behind, a bump is
+// a dent.
+fn bent_normal(normal: vec3<f32>, bend: vec3<f32>, shape: MeshShape, is_front: bool) -> vec3<f32> {
+    let x = cross(shape.along_y, normal);
+    let y = cross(normal, shape.along_x);
+    let tangent = x * shape.uv_x.x + y * shape.uv_y.x;
+    let down = x * shape.uv_x.y + y * shape.uv_y.y;
+    let square = max(dot(tangent, tangent), dot(down, down));
+    if square < 1e-37 {
+        return normal;
+    }
+    let is_turned = (dot(cross(shape.along_x, shape.along_y), shape.facet) < 0.0) == is_front;
+    let scale = inverseSqrt(square) * select(1.0, -1.0, is_turned);
+    return normalize(scale * (bend.x * tangent - bend.y * down) + bend.z * normal);
+}
+
+// Returns scale and offset of the reflectance at normal incidence for light from all around. After B. Karis, Physically
+// Based Shading on Mobile, 2014.
+fn reflection_of_surroundings(roughness: f32, facing_eye: f32) -> vec2<f32> {
+    let r = roughness * vec4<f32>(-1.0, -0.0275, -0.572, 0.022) + vec4<f32>(1.0, 0.0425, 1.04, -0.04);
+    let a = min(r.x * r.x, exp2(-9.28 * facing_eye)) * r.x + r.y;
+    return vec2<f32>(-1.04, 1.04) * a + r.zw;
+}
+
+// Returns the light from a direction, blurred by a roughness: sky above the horizon, sunlit ground below. Without an
+// atmosphere, it is the sky's light from around that direction.
+fn surroundings(direction: vec3<f32>, roughness: f32, up: vec3<f32>, height_m: f32) -> vec3<f32> {
+    let around = light_of_sky(direction, up);
+    if !HAS_ATMOSPHERE || frame.shape.z <= 0.0 {
+        return around;
+    }
+    let cosine = dot(direction, frame.up.xyz);
+    let sky = air_along(direction, max(cosine, frame.air.y), 1.0).rgb;
+    let ground = light_of_sky(-up, up) + 0.2 * light_of_sun(up, up, height_m);
+    let width = 0.01 + 0.7 * roughness;
+    let sharp = mix(ground, sky, smoothstep(-width, width, dot(direction, up)));
+    return mix(sharp, around, roughness * roughness);
+}
+
+// Returns what a surface reflects of light from one direction, times pi: diffuse and specular reflection.
+fn reflected(
+    normal: vec3<f32>,
+    to_light: vec3<f32>,
+    to_eye: vec3<f32>,
+    diffuse: vec3<f32>,
+    reflectance: vec3<f32>,
+    roughness: f32,
+) -> vec3<f32> {
+    let between = normalize(to_light + to_eye);
+    let n_l = clamp(dot(normal, to_light), 1e-4, 1.0);
+    let n_v = clamp(dot(normal, to_eye), 1e-4, 1.0);
+    let n_h = clamp(dot(normal, between), 0.0, 1.0);
+    let v_h = clamp(dot(to_eye, between), 0.0, 1.0);
+    let alpha = roughness * roughness;
+    let alpha2 = alpha * alpha;
+    let spread = n_h * n_h * (alpha2 - 1.0) + 1.0;
+    let distribution = alpha2 / (spread * spread);
+    let visibility =
+        0.5 / (n_l * sqrt(n_v * n_v * (1.0 - alpha2) + alpha2) + n_v * sqrt(n_l * n_l * (1.0 - alpha2) + alpha2));
+    let fresnel = reflectance + (1.0 - reflectance) * pow(1.0 - v_h, 5.0);
+    return (1.0 - fresnel) * diffuse + fresnel * (distribution * visibility);
+}
+
+fn shade(in: MeshFragment, is_front: bool, shape: MeshShape, base: vec4<f32>) -> vec3<f32> {
+    let in_eye = in.in_eye_u.xyz;
+    let air = aerial(in_eye);
+    if (in.leaf.y & FLAG_UNLIT) != 0u {
+        return unlit_through_air(base.rgb, air);
+    }
+    let record = surface_records[in.leaf.x];
+    let has_maps = (in.leaf.y & FLAG_UNTEXTURED) == 0u;
+    let uv = vec2<f32>(in.in_eye_u.w, in.normal_v.w);
+    var metallic = record.factors.x;
+    var roughness = record.factors.y;
+    var occlusion = 1.0;
+    if has_maps && record.layers.z != NO_LAYER {
+        let sampled =
+            textureSampleGrad(occlusion_layers, occlusion_sampler, uv, record.layers.z, shape.uv_x, shape.uv_y);
+        occlusion += record.factors.z * (sampled.r - 1.0);
+        roughness *= sampled.g;
+        metallic *= sampled.b;
+    }
+    var emission = record.emission.rgb;
+    if has_maps && record.layers.w != NO_LAYER {
+        emission *= textureSampleGrad(emission_layers, emission_sampler, uv, record.layers.w, shape.uv_x, shape.uv_y).rgb;
+    }
+    let smooth_normal = surface_normal(in.normal_v.xyz, is_front, shape.facet);
+    var normal = smooth_normal;
+    if has_maps && record.layers.y != NO_LAYER {
+        let sampled = textureSampleGrad(normal_layers, normal_sampler, uv, record.layers.y, shape.uv_x, shape.uv_y);
+        let bend = (sampled.xyz * 2.0 - 1.0) * vec3<f32>(record.factors.ww, 1.0);
+        normal = bent_normal(smooth_normal, bend, shape, is_front);
+    }
+    // A curved surface within a pixel looks rougher (Y. Tokuyoshi and A. Kaplanyan, Improved Geometric Specular Antialiasing,
+    // 2019).
+    let alpha = max(roughness * roughness, MIN_ROUGHNESS * MIN_ROUGHNESS);
+    roughness = sqrt(sqrt(min(alpha * alpha + min(0.5 * shape.bend, 0.18), 1.0)));
+
+    let ground = above_ground(in_eye);
+    let to_eye = -way_to(in_eye).xyz;
+    let diffuse = base.rgb * (1.0 - metallic);
+    let reflectance = mix(vec3<f32>(0.04), base.rgb, metallic);
+    var color = emission;
+    if dot(normal, frame.sun_direction.xyz) > 0.0 {
+        let sun = light_of_sun(normal, ground.xyz, ground.w) * sun_shadow(in_eye, towards_sun(smooth_normal, shape.facet));
+        color += sun * reflected(normal, frame.sun_direction.xyz, to_eye, diffuse, reflectance, roughness);
+    }
+    let facing_eye = clamp(dot(normal, to_eye), 0.0, 1.0);
+    let from_around = reflection_of_surroundings(roughness, facing_eye);
+    let mirrored = reflectance * from_around.x + from_around.y;
+    let glossy = surroundings(reflect(-to_eye, normal), roughness, ground.xyz, ground.w) * mirrored;
+    let soft = light_of_sky(normal, ground.xyz) * diffuse * (1.0 - mirrored);
+    return through_air(color + occlusion * (glossy + soft), air);
+}

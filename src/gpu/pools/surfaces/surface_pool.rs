@@ -1,0 +1,159 @@
+//! [`SurfacePool`]: the surfaces of all meshes of a device that have the metallic-roughness model. Draw thread.
+//!
+//! Surfaces whose four textures lie in the same blocks of the texture pool share a set: a buffer of records and one bind
+//! group. So meshes that differ in their surface alone are drawn with one bind group.
+
+use super::surface_record::SurfaceRecord;
+use crate::gpu::memory::Memory;
+use crate::gpu::pools::bind_group_layouts::BindGroupLayouts;
+use crate::gpu::pools::slot_allocator::{SlotAllocator, block_capacity};
+use crate::gpu::pools::slot_table::SlotTable;
+use crate::gpu::pools::textures::{TextureLayer, TexturePool};
+use crate::scene::MetallicRoughness;
+
+/// The maximum number of records in a set.
+const MAX_RECORDS: u32 = 4096;
+const RECORD_BYTES: u64 = size_of::<SurfaceRecord>() as u64;
+
+/// The layers of a surface's maps, in the order of [`MetallicRoughness::maps`].
+pub(in crate::gpu) type MapLayers = [Option<TextureLayer>; MetallicRoughness::MAPS];
+
+/// The slot of a surface.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct SurfaceSlot {
+    pub(crate) set: u32,
+    pub(crate) record: u32,
+}
+
+struct SurfaceSet {
+    /// The blocks of the base colour and of the maps. Missing maps have the block of the white texel.
+    blocks: [u32; 1 + MetallicRoughness::MAPS],
+    records: wgpu::Buffer,
+    bind_group: wgpu::BindGroup,
+    slots: SlotAllocator,
+    /// By record.
+    maps: Vec<MapLayers>,
+}
+
+impl SurfaceSet {
+    fn new(
+        memory: &Memory,
+        layouts: &BindGroupLayouts,
+        textures: &TexturePool,
+        blocks: [u32; 1 + MetallicRoughness::MAPS],
+        capacity: u32,
+    ) -> Result<Self, String> {
+        let size = RECORD_BYTES * u64::from(capacity);
+        let records = wgpu::BufferDescriptor {
+            label: Some("surface set"),
+            size,
+            usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        };
+        let records = memory.allocate("surface set", size, |device| device.create_buffer(&records))?;
+        let views = blocks.map(|block| textures.view(block));
+        let mut entries = Vec::with_capacity(2 * views.len() + 1);
+        for (view, binding) in views.iter().zip((0..).step_by(2)) {
+            let (view, wrap) = view.as_ref().ok_or("a surface whose texture is not resident")?;
+            let resource = wgpu::BindingResource::TextureView(view);
+            entries.push(wgpu::BindGroupEntry { binding, resource });
+            let resource = wgpu::BindingResource::Sampler(layouts.sampler(*wrap));
+            entries.push(wgpu::BindGroupEntry { binding: binding + 1, resource });
+        }
+        entries.push(wgpu::BindGroupEntry { binding: entries.len() as u32, resource: records.as_entire_binding() });
+        let bind_group = memory.device().create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("surface set"),
+            layout: &layouts.surface_set,
+            entries: &entries,
+        });
+        let maps = vec![MapLayers::default(); capacity as usize];
+        Ok(Self { blocks, records, bind_group, slots: SlotAllocator::new(capacity), maps })
+    }
+}
+
+/// All surfaces of a device.
+#[derive(Default)]
+pub(crate) struct SurfacePool {
+    sets: SlotTable<SurfaceSet>,
+    /// The number of surfaces.
+    in_use: u64,
+    /// The number of records of all sets.
+    allocated: u64,
+}
+
+impl SurfacePool {
+    /// The size of a surface in bytes, without its textures.
+    pub(in crate::gpu) const SLOT_BYTES: u64 = RECORD_BYTES;
+
+    /// Allocates a slot for a surface and writes its record by the queue. `color` is the layer of the base colour, and
+    /// `white` that of the white texel.
+    pub(in crate::gpu::pools) fn allocate(
+        &mut self,
+        (memory, layouts, queue): (&Memory, &BindGroupLayouts, &wgpu::Queue),
+        textures: &TexturePool,
+        surface: &MetallicRoughness,
+        (color, white): (TextureLayer, TextureLayer),
+        maps: &MapLayers,
+    ) -> Result<SurfaceSlot, String> {
+        let [normal, occlusion, emission] = maps.map(|map| map.unwrap_or(white).block);
+        let blocks = [color.block, normal, occlusion, emission];
+        let slot = self.take_slot(memory, layouts, textures, blocks)?;
+        if let Some(set) = self.sets.get_mut(slot.set) {
+            set.maps[slot.record as usize] = *maps;
+            let record = SurfaceRecord::new(surface, color, maps);
+            let offset = RECORD_BYTES * u64::from(slot.record);
+            queue.write_buffer(&set.records, offset, bytemuck::bytes_of(&record));
+        }
+        self.in_use += 1;
+        Ok(slot)
+    }
+
+    /// Takes a free slot of a set with these blocks, from a new set if necessary.
+    fn take_slot(
+        &mut self,
+        memory: &Memory,
+        layouts: &BindGroupLayouts,
+        textures: &TexturePool,
+        blocks: [u32; 1 + MetallicRoughness::MAPS],
+    ) -> Result<SurfaceSlot, String> {
+        let mut sets_of_blocks = 0;
+        for (index, set) in self.sets.iter_mut() {
+            if set.blocks == blocks {
+                sets_of_blocks += 1;
+                if let Some(record) = set.slots.allocate() {
+                    return Ok(SurfaceSlot { set: index, record });
+                }
+            }
+        }
+        let capacity = block_capacity(sets_of_blocks, RECORD_BYTES, u64::MAX, MAX_RECORDS);
+        let mut set = SurfaceSet::new(memory, layouts, textures, blocks, capacity)?;
+        let record = set.slots.allocate().ok_or("a surface set without records")?;
+        self.allocated += u64::from(capacity);
+        Ok(SurfaceSlot { set: self.sets.insert(set), record })
+    }
+
+    /// Frees a slot, and the set after its last slot. Returns the layers of the surface's maps.
+    pub(in crate::gpu::pools) fn release(&mut self, slot: SurfaceSlot) -> MapLayers {
+        let Some(set) = self.sets.get_mut(slot.set) else { return MapLayers::default() };
+        let maps = std::mem::take(&mut set.maps[slot.record as usize]);
+        set.slots.release(slot.record);
+        self.in_use -= 1;
+        if set.slots.is_empty() {
+            self.allocated -= set.maps.len() as u64;
+            self.sets.remove(slot.set);
+        }
+        maps
+    }
+
+    pub(crate) fn bind_group(&self, set: u32) -> Option<&wgpu::BindGroup> {
+        self.sets.get(set).map(|set| &set.bind_group)
+    }
+
+    pub(in crate::gpu::pools) fn bytes_in_use(&self) -> u64 {
+        self.in_use * RECORD_BYTES
+    }
+
+    pub(in crate::gpu::pools) fn bytes_allocated(&self) -> u64 {
+        self.allocated * RECORD_BYTES
+    }
+}

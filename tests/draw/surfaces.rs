@@ -1,0 +1,237 @@
+//! The metallic-roughness model: each map and factor, beside the matte model, and how its content is shared.
+
+use std::sync::Arc;
+
+use glam::{DAffine3, DVec3};
+use image::RgbaImage;
+use kit::frames::{assert_picture, differ, pixel};
+use kit::rig::{Rig, camera, plain, rig, unit_camera};
+use kit::shapes::{quad, with_mips};
+use terrane::scene::{
+    AlphaMode, DistanceFog, Drawable, Environment, Geometry, Material, Mesh, MetallicRoughness, Node, SunShadows,
+    Texture,
+};
+use terrane::state::{Attribute, Mode, StateSet, StateValue, SurfaceMaterial};
+
+const SIDE: u32 = 32;
+
+/// Returns a square of half a metre around the origin that faces +z. A square of few triangles is pulled by the shader; a
+/// fine one has vertex buffers.
+fn square(material: &Material, is_fine: bool) -> Drawable {
+    let mut drawable = quad([0.0; 3], [0.5, 0.5], [1.0; 4]);
+    if is_fine && let Geometry::Mesh(mesh) = &mut drawable.geometry {
+        let indices = std::iter::repeat_n(mesh.indices.iter().copied(), 12).flatten().collect::<Vec<_>>();
+        *mesh = Arc::new(Mesh { indices: indices.into(), ..Mesh::clone(mesh) });
+    }
+    drawable.material = material.clone();
+    drawable
+}
+
+fn surface(change: impl FnOnce(&mut MetallicRoughness)) -> Material {
+    let mut surface = MetallicRoughness::default();
+    change(&mut surface);
+    Material { base_color: [0.5, 0.5, 0.5, 1.0], metallic_roughness: Some(surface), ..Material::default() }
+}
+
+fn texels(rgba: [u8; 4]) -> Option<Arc<Texture>> {
+    Some(Arc::new(with_mips(8, 8, rgba.repeat(64))))
+}
+
+/// Returns light without air: a sun from a direction, and a weak sky.
+fn lit_from(sun: DVec3) -> Environment {
+    Environment { sun_direction: sun.normalize(), sun_color: [0.8; 3], ambient_color: [0.1; 3], ..plain() }
+}
+
+fn draw(rig: &mut Rig, material: &Material, environment: &Environment) -> RgbaImage {
+    draw_node(rig, Node::geode(vec![square(material, false)]), environment)
+}
+
+fn draw_node(rig: &mut Rig, node: Node, environment: &Environment) -> RgbaImage {
+    let scene = rig.scene(node);
+    let picture = rig.picture(&scene, &unit_camera(SIDE), environment);
+    rig.release(scene);
+    picture
+}
+
+/// Returns the color of the middle of a square.
+fn middle(rig: &mut Rig, material: &Material, environment: &Environment) -> [u8; 3] {
+    pixel(&draw(rig, material, environment), SIDE / 2, SIDE / 2)
+}
+
+fn sum(color: [u8; 3]) -> i32 {
+    color.iter().map(|part| i32::from(*part)).sum()
+}
+
+#[test]
+fn rough_surface_looks_much_like_a_matte_one() {
+    let Some(mut rig) = rig("rough_surface_looks_much_like_a_matte_one") else { return };
+    let environment = lit_from(DVec3::new(0.5, 0.0, 1.0));
+    let matte = Material { metallic_roughness: None, ..surface(|_| ()) };
+    let (matte, rough) = (middle(&mut rig, &matte, &environment), middle(&mut rig, &surface(|_| ()), &environment));
+    assert!(sum(matte) > 300 && (sum(matte) - sum(rough)).abs() < 24, "{matte:?} {rough:?}");
+}
+
+#[test]
+fn emission_is_added_and_multiplied_by_its_map() {
+    let Some(mut rig) = rig("emission_is_added_and_multiplied_by_its_map") else { return };
+    let dark = Environment { sun_color: [0.0; 3], ambient_color: [0.0; 3], ..plain() };
+    let emissive = surface(|s| s.emissive = [0.0, 1.0, 1.0]);
+    assert_eq!(middle(&mut rig, &emissive, &dark), [0, 255, 255]);
+    let mapped = surface(|s| (s.emissive, s.emissive_map) = ([1.0; 3], texels([255, 0, 128, 255])));
+    let [red, green, blue] = middle(&mut rig, &mapped, &dark);
+    assert!(red == 255 && green == 0 && blue.abs_diff(128) < 3, "sRGB texels keep their color: {red} {green} {blue}");
+    let unlit = Material { unlit: true, ..mapped };
+    let gray = middle(&mut rig, &unlit, &dark);
+    assert!(gray[0] == gray[1] && gray[0].abs_diff(188) < 3, "an unlit material has its base color: {gray:?}");
+}
+
+#[test]
+fn normal_map_turns_the_surface_along_its_axes() {
+    let Some(mut rig) = rig("normal_map_turns_the_surface_along_its_axes") else { return };
+    let mut with = |texel: [u8; 4], scale: f32, sun: DVec3| {
+        let bent = surface(|s| (s.normal_map, s.normal_scale) = (texels(texel), scale));
+        sum(middle(&mut rig, &bent, &lit_from(sun)))
+    };
+    // u is +x. Rows of the image go down, which is -y.
+    let (right, up) = (DVec3::new(1.0, 0.0, 0.5), DVec3::new(0.0, 1.0, 0.5));
+    let flat = [with([128, 128, 255, 255], 1.0, right), with([128, 128, 255, 255], 1.0, up)];
+    assert!((flat[0] - flat[1]).abs() < 12, "{flat:?}");
+    assert!(with([218, 128, 218, 255], 1.0, right) > flat[0] + 60, "red faces along u");
+    assert!(with([38, 128, 218, 255], 1.0, right) < flat[0] - 60);
+    assert!(with([128, 218, 218, 255], 1.0, up) > flat[0] + 60, "green faces against v");
+    assert!(with([128, 38, 218, 255], 1.0, up) < flat[0] - 60);
+    assert!((with([218, 128, 218, 255], 0.0, right) - flat[0]).abs() < 6, "a scale of 0 leaves the surface flat");
+}
+
+#[test]
+fn occlusion_darkens_the_sky_but_not_the_sun() {
+    let Some(mut rig) = rig("occlusion_darkens_the_sky_but_not_the_sun") else { return };
+    let sky_only = Environment { sun_color: [0.0; 3], ambient_color: [0.8; 3], ..plain() };
+    let occluded = |strength| {
+        surface(|s| {
+            (s.occlusion_roughness_metallic, s.occlusion_strength) = (texels([0, 255, 0, 255]), strength);
+        })
+    };
+    assert_eq!(middle(&mut rig, &occluded(1.0), &sky_only), [0; 3]);
+    let open = sum(middle(&mut rig, &occluded(0.0), &sky_only));
+    assert!(open > 300, "{open}");
+    let sun_only = Environment { ambient_color: [0.0; 3], ..lit_from(DVec3::Z) };
+    let under_sun = [occluded(1.0), occluded(0.0)].map(|material| middle(&mut rig, &material, &sun_only));
+    assert_eq!(under_sun[0], under_sun[1]);
+}
+
+#[test]
+fn smooth_surface_mirrors_the_sun_and_a_rough_one_spreads_it() {
+    let Some(mut rig) = rig("smooth_surface_mirrors_the_sun_and_a_rough_one_spreads_it") else { return };
+    let environment = Environment { ambient_color: [0.0; 3], ..lit_from(DVec3::Z) };
+    let metal = |roughness: f32| {
+        let mut metal = surface(|s| (s.metallic, s.roughness) = (1.0, roughness));
+        metal.base_color = [0.2, 0.1, 0.05, 1.0];
+        let mesh = Mesh::sphere(DVec3::ZERO, 0.9, 48);
+        Node::geode(vec![Drawable::new(mesh.into(), metal)])
+    };
+    let [smooth, rough] = [0.25, 0.8].map(|r| draw_node(&mut rig, metal(r), &environment));
+    let [peak, edge] = [SIDE / 2, SIDE / 2 + 9].map(|x| [&smooth, &rough].map(|p| sum(pixel(p, x, SIDE / 2))));
+    assert!(peak[0] > peak[1] + 60 && edge[0] < edge[1], "middle {peak:?}, beside it {edge:?}");
+    let [red, green, blue] = pixel(&rough, SIDE / 2, SIDE / 2);
+    assert!(red > green && green > blue, "a metal tints what it reflects");
+}
+
+#[test]
+fn back_faces_are_lit_as_seen() {
+    let Some(mut rig) = rig("back_faces_are_lit_as_seen") else { return };
+    let material = Material { double_sided: true, ..surface(|_| ()) };
+    let half_turn = DAffine3::from_rotation_y(std::f64::consts::PI);
+    let back = Node::transform(half_turn, vec![Node::geode(vec![square(&material, false)])]);
+    let environment = lit_from(DVec3::new(0.3, 0.2, 1.0));
+    let (front, back) = (draw(&mut rig, &material, &environment), draw_node(&mut rig, back, &environment));
+    assert_eq!(differ(&front, &back, 1), 0);
+}
+
+#[test]
+fn small_meshes_shadows_masks_and_other_states_draw() {
+    let Some(mut rig) = rig("small_meshes_shadows_masks_and_other_states_draw") else { return };
+    let full = surface(|s| {
+        s.normal_map = texels([170, 100, 220, 255]);
+        s.occlusion_roughness_metallic = texels([200, 90, 128, 255]);
+        (s.emissive, s.emissive_map) = ([0.2; 3], texels([80, 20, 10, 255]));
+    });
+    let environment = lit_from(DVec3::new(0.3, 0.2, 1.0));
+    let geode = |material: &Material, is_fine| Node::geode(vec![square(material, is_fine)]);
+    let pulled = draw_node(&mut rig, geode(&full, false), &environment);
+    assert_eq!(differ(&pulled, &draw_node(&mut rig, geode(&full, true), &environment), 0), 0);
+    let shadowed = Environment { shadows: Some(SunShadows::default()), ..environment };
+    assert!(differ(&pulled, &draw_node(&mut rig, geode(&full, true), &shadowed), 2) < 40, "nothing casts on it");
+
+    let holes = Material { texture: texels([255, 255, 255, 40]), alpha: AlphaMode::Mask(0.5), ..full.clone() };
+    let empty = draw_node(&mut rig, Node::group(Vec::new()), &environment);
+    assert_eq!(differ(&empty, &draw_node(&mut rig, geode(&holes, false), &shadowed), 0), 0);
+
+    // The fixed function draws the same as without a surface.
+    let fixed = StateSet::default().with(Attribute::SurfaceMaterial(SurfaceMaterial::default()));
+    let fixed = Arc::new(fixed);
+    let matte = Material { metallic_roughness: None, ..full.clone() };
+    let [a, b] = [&full, &matte]
+        .map(|material| draw_node(&mut rig, geode(material, false).with_state_set(fixed.clone()), &environment));
+    assert_eq!(differ(&a, &b, 0), 0);
+
+    let dark = StateSet::default().with_mode(Mode::Lighting, StateValue::OFF);
+    let unlit = draw_node(&mut rig, geode(&full, false).with_state_set(Arc::new(dark)), &environment);
+    assert!(pixel(&unlit, SIDE / 2, SIDE / 2)[0].abs_diff(188) < 3, "without lighting, the base color");
+}
+
+#[test]
+fn maps_are_shared_counted_and_freed() {
+    let Some(mut rig) = rig("maps_are_shared_counted_and_freed") else { return };
+    // The white texel stays for good.
+    let scene = rig.scene(Node::geode(vec![square(&Material::default(), false)]));
+    rig.release(scene);
+    let base = rig.ctx.bytes_in_use();
+    let map = Some(Arc::new(with_mips(256, 256, vec![200; 256 * 256 * 4])));
+    let map_bytes = map.iter().flat_map(|map| &map.mips).map(|mip| mip.len() as u64).sum::<u64>();
+    let both = surface(|s| (s.normal_map, s.occlusion_roughness_metallic) = (map.clone(), map.clone()));
+    let squares = (0..3).map(|i| square(&both, i == 2)).collect();
+    let scene = rig.scene(Node::geode(squares));
+    let used = rig.ctx.bytes_in_use() - base;
+    assert!((map_bytes..map_bytes + 10_000).contains(&used), "one copy of {map_bytes} bytes: {used}");
+    // The same image as colors is another texture.
+    let colors = Material { texture: map.clone(), ..both };
+    let other = rig.scene(Node::geode(vec![square(&colors, false)]));
+    let used = rig.ctx.bytes_in_use() - base;
+    assert!((2 * map_bytes..2 * map_bytes + 10_000).contains(&used), "two copies of {map_bytes} bytes: {used}");
+    rig.release(scene);
+    rig.release(other);
+    assert_eq!(rig.ctx.bytes_in_use(), base);
+}
+
+/// Draws balls of rising roughness, of plastic above and of gold below, and a wall with a normal map, under the sky.
+#[test]
+fn balls_by_roughness_and_a_bumpy_wall() {
+    let Some(mut rig) = rig("balls_by_roughness_and_a_bumpy_wall") else { return };
+    let mut nodes = Vec::new();
+    for (row, metallic, base_color) in [(0, 0.0, [0.5, 0.05, 0.04, 1.0]), (1, 1.0, [1.0, 0.71, 0.29, 1.0])] {
+        for column in 0..5u8 {
+            let mut material = surface(|s| (s.metallic, s.roughness) = (metallic, f32::from(column) / 4.0));
+            material.base_color = base_color;
+            let at = DVec3::new(2.2 * (f64::from(column) - 2.0), 0.0, 1.1 - 2.2 * f64::from(row));
+            let ball = Drawable::new(Mesh::sphere(at, 1.0, 48).into(), material);
+            nodes.push(Node::geode(vec![ball]));
+        }
+    }
+    let bumps = (0..64u32 * 64).flat_map(|i| {
+        let slope = |k: u32| (f64::from(k % 16) / 8.0 - 1.0) * 100.0 + 127.5;
+        [slope(i % 64) as u8, (255.0 - slope(i / 64)) as u8, 200, 255]
+    });
+    let bumps = Some(Arc::new(with_mips(64, 64, bumps.collect())));
+    let mut wall = surface(|s| (s.normal_map, s.roughness) = (bumps, 0.4));
+    wall.base_color = [0.35, 0.4, 0.45, 1.0];
+    let wall_mesh = Mesh::rectangle(DVec3::new(-6.0, 1.5, -2.3), 12.0 * DVec3::X, 5.0 * DVec3::Z);
+    nodes.push(Node::geode(vec![Drawable::new(wall_mesh.into(), wall)]));
+    let scene = rig.scene(Node::group(nodes));
+    let camera = camera([480, 240], DVec3::new(0.0, -5.5, 0.5), DVec3::ZERO, DVec3::Z);
+    let fog = DistanceFog { enabled: true, density_per_m: 3e-6 };
+    let environment = Environment { exposure: Some(1.2), fog, ..Environment::default() };
+    let picture = rig.picture(&scene, &camera, &environment);
+    rig.release(scene);
+    assert_picture("surfaces", &picture);
+}
