@@ -74,3 +74,31 @@ fn missing_model_is_one_error() {
     let [error] = &run.pager.errors()[..] else { panic!("{:?}", run.pager.errors()) };
     assert!(error.reason.contains("not found"), "{error:?}");
 }
+
+/// Regression: each content requested the images that all of them share.
+#[test]
+fn shared_images_are_requested_once() {
+    const TILES: usize = 40;
+    let server = Server::start(move |request| match request.path() {
+        "/set/tileset.json" => {
+            let tile = |i: usize| {
+                format!(
+                    r#"{{"geometricError":0,"boundingVolume":{{"sphere":[0,0,0,20]}},"content":{{"uri":"{i}.gltf"}}}}"#
+                )
+            };
+            let children = (0..TILES).map(tile).collect::<Vec<_>>().join(",");
+            Reply::ok(format!(
+                r#"{{"asset":{{"version":"1.1"}},"geometricError":99,"root":{{"refine":"ADD","geometricError":99,
+                "boundingVolume":{{"sphere":[0,0,0,20]}},"children":[{children}]}}}}"#
+            ))
+        }
+        "/set/tree.bin" => Reply::ok(floats(&[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, -1.0])),
+        "/set/bark.png" => Reply::ok(bark()),
+        path if path.ends_with(".gltf") => Reply::ok(MODEL),
+        _ => Reply::new(404, ""),
+    });
+    let mut run = Run::new(&format!("{}/set/tileset.json", server.url), PagerConfig::default());
+    run.settle(above(30.0));
+    assert!(run.pager.errors().is_empty(), "{:?}", run.pager.errors());
+    assert_eq!((run.stage.leaf_count(), server.count()), (TILES, 1 + TILES + 2));
+}

@@ -225,9 +225,8 @@ async fn fetch<J: LoadJob>(job: J, limits: &Limits) -> Fetched<J> {
         })
     };
     let loaded = loaded_of(body);
-    let mut bytes_of = |body| loaded_of(body).map(|loaded| loaded.bytes);
-    let mut companions: Vec<formats::Fetched> =
-        companions.into_iter().map(|(uri, body)| (uri, bytes_of(body))).collect();
+    let companions = companions.into_iter().map(|(uri, body)| (uri, loaded_of(body).map(|loaded| loaded.bytes)));
+    let mut companions: Vec<formats::Fetched> = companions.collect();
     if let Ok(loaded) = &loaded {
         for _ in 0..MAX_DEPENDENCY_ROUNDS {
             let dependencies = job.dependencies(loaded, &companions);
@@ -236,12 +235,18 @@ async fn fetch<J: LoadJob>(job: J, limits: &Limits) -> Fetched<J> {
             }
             let mut requests = JoinSet::new();
             for uri in dependencies {
-                let (client, limits) = (client.clone(), *limits);
-                requests.spawn(async move { (uri.clone(), client.get(&uri, &limits).await) });
+                let (client, limits, files) = (client.clone(), *limits, job.shared_files());
+                requests.spawn(async move {
+                    let (bytes, network_bytes) = files.get(&client, &uri, &limits).await;
+                    (uri, bytes, network_bytes)
+                });
             }
-            // A request that panicked is missing from the companions.
             while let Some(answer) = requests.join_next().await {
-                companions.extend(answer.map(|(uri, body)| (uri, bytes_of(body))));
+                // A request that panicked is missing from the companions.
+                if let Ok((uri, bytes, network_bytes)) = answer {
+                    bytes_http += network_bytes;
+                    companions.push((uri, bytes));
+                }
             }
         }
     }

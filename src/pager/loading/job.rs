@@ -5,6 +5,8 @@ use std::sync::Arc;
 use super::request_list::Request;
 use crate::fetch::{IoError, Loaded};
 use crate::formats::Fetched;
+#[cfg(feature = "http")]
+use crate::pager::scenes::shared_files::SharedFiles;
 use crate::trace::Span;
 
 /// The maximum number of times that a thread asks for further dependencies of a content: a model refers to its buffers.
@@ -40,6 +42,11 @@ pub(in crate::pager) trait LoadJob: Request + Send + Sync + 'static {
     /// Returns the client that asks servers for the content.
     #[cfg(feature = "http")]
     fn client(&self) -> &crate::fetch::HttpClient;
+    /// Returns the files that several contents share.
+    #[cfg(feature = "http")]
+    fn shared_files(&self) -> SharedFiles {
+        SharedFiles::default()
+    }
     /// Opens the timeline span of reading a local file.
     fn read_span(&self) -> Span;
     /// Opens the timeline span of an HTTP request.

@@ -11,6 +11,8 @@ use crate::fetch;
 use crate::fetch::{IoError, Loaded, is_remote};
 use crate::formats::{self, Content, Fetched, ReadOptions};
 use crate::pager::scenes::read_scope::{ReadScope, TilesetAncestors};
+#[cfg(feature = "http")]
+use crate::pager::scenes::shared_files::SharedFiles;
 use crate::scene::{Node, NodeId, Page, ReaderData};
 use crate::trace::{self, Span};
 
@@ -153,6 +155,11 @@ impl LoadJob for PageJob {
         &self.scope.client
     }
 
+    #[cfg(feature = "http")]
+    fn shared_files(&self) -> SharedFiles {
+        self.scope.shared_files.clone()
+    }
+
     fn read_span(&self) -> Span {
         trace::span_of("fetch", || self.uri.clone())
     }
@@ -196,6 +203,8 @@ pub(in crate::pager) mod tests {
             options: ReadOptions::for_root("/set/tileset.json", fetch::Limits::default()),
             #[cfg(feature = "http")]
             client: fetch::HttpClient::new(&fetch::HttpConfig::default()).unwrap(),
+            #[cfg(feature = "http")]
+            shared_files: SharedFiles::default(),
         })
     });
 

@@ -3,3 +3,5 @@
 pub(super) mod read_scope;
 pub(super) mod registry;
 pub(super) mod scene_set;
+#[cfg(feature = "http")]
+pub(super) mod shared_files;

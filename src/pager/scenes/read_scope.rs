@@ -5,6 +5,8 @@ use std::sync::Arc;
 use glam::DAffine3;
 
 #[cfg(feature = "http")]
+use super::shared_files::SharedFiles;
+#[cfg(feature = "http")]
 use crate::fetch::HttpClient;
 use crate::fetch::IoError;
 use crate::formats::ReadOptions;
@@ -15,6 +17,9 @@ pub(in crate::pager) struct ReadScope {
     pub options: ReadOptions,
     #[cfg(feature = "http")]
     pub client: HttpClient,
+    /// Files that several contents refer to.
+    #[cfg(feature = "http")]
+    pub shared_files: SharedFiles,
 }
 
 impl ReadScope {
@@ -23,6 +28,7 @@ impl ReadScope {
     pub fn forget_no_content(&self, error: &IoError) {
         #[cfg(feature = "http")]
         if error.is_no_content() && crate::fetch::is_remote(error.uri()) {
+            self.shared_files.forget(error.uri());
             self.client.forget(error.uri());
         }
         #[cfg(not(feature = "http"))]

@@ -6,6 +6,8 @@ use std::sync::Arc;
 use super::read_scope::{ReadScope, TilesetAncestors};
 use super::scene_set::SceneSet;
 #[cfg(feature = "http")]
+use super::shared_files::SharedFiles;
+#[cfg(feature = "http")]
 use crate::fetch::{HttpClient, HttpConfig};
 use crate::formats::{IgnoredLog, ReadOptions};
 use crate::pager::config::PagerConfig;
@@ -103,6 +105,8 @@ impl SceneRegistry {
             options: common.apply_to(options),
             #[cfg(feature = "http")]
             client: client.clone(),
+            #[cfg(feature = "http")]
+            shared_files: SharedFiles::default(),
         };
         Self {
             scenes: BTreeMap::new(),
@@ -165,6 +169,8 @@ impl SceneRegistry {
             options: self.common.apply_to(options),
             #[cfg(feature = "http")]
             client,
+            #[cfg(feature = "http")]
+            shared_files: SharedFiles::default(),
         };
         self.serve(scene, SceneState::new(scope))
     }
