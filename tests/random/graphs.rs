@@ -425,6 +425,7 @@ fn shape(random: &mut Random, is_opaque: bool) -> Drawable {
         alpha,
         double_sided: random.percent(50),
         unlit: random.percent(30),
+        ..Material::default()
     };
     let drawable = Drawable::new(Geometry::Mesh(Arc::new(mesh)), material);
     if random.percent(30) { drawable.with_cluster_culling() } else { drawable }
