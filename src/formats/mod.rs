@@ -16,7 +16,6 @@ mod ignored;
 mod image;
 mod implicit;
 mod lenient;
-mod metadata;
 mod model_files;
 mod options;
 mod point_cloud;

@@ -151,6 +151,10 @@ fn read_several(
             let missing = || IoError::NotFound { uri: content.uri.to_string() };
             fetched.next().ok_or_else(missing)?.1?
         };
+        // A server said that there is no content.
+        if bytes.is_empty() && !content.is_in_memory() {
+            continue;
+        }
         let (uri, reader_data) = (content.uri.clone(), content.reader_data.clone());
         let content = Content { uri, bytes, reader_data, companions: dependencies.clone() };
         nodes.push(read_node(content, &options, notes)?);
@@ -210,7 +214,7 @@ impl ModelReader<'_> {
             return i3dm::read((uri, self.base()), bytes, companions, options, notes);
         }
         if bytes.starts_with(b"pnts") {
-            return point_cloud::read(uri, bytes, options);
+            return point_cloud::read(uri, bytes, options, notes);
         }
         if bytes.starts_with(b"cmpt") {
             let parts = cmpt::parts(uri, bytes, depth)?;

@@ -77,7 +77,7 @@ fn external_tilesets_expire_with_the_budget() {
         let (sets, tiles) = tree(&whole);
         assert_eq!(sets, SETS * SETS);
         let all_bytes = whole.pager.stats().cpu_bytes;
-        let budget = all_bytes / 3;
+        let budget = all_bytes / 6;
         let config = PagerConfig { max_bytes_cpu: budget, expiry_frames: 3, ..PagerConfig::default() };
         let mut run = Run::new(source, config);
         for step in 0..40 {

@@ -15,10 +15,9 @@ use crate::formats::options::{Fetched, ReadOptions};
 use crate::formats::tile::{ALWAYS_REFINED_M, Continuation, Tile, TileContent};
 use crate::scene::{ReaderData, ReaderValue, Refine};
 
-/// The maximum of tiles of a page whose volumes are boxes: about 4 ms of a decode thread. A page has at least one level.
-const MAX_BOXES: u64 = 8192;
-/// The same where boxes are fitted around parts of the globe, which takes longer.
-const MAX_FITTED_BOXES: u64 = 512;
+/// The maximum of tiles of a page: about 2 ms of a decode thread, since the first tiles are waited for. A page has at least
+/// one level.
+const MAX_TILES: u64 = 1024;
 
 /// A subtree file that is not read yet. The reader data of a tile whose content it is.
 #[derive(Clone, Debug)]
@@ -47,13 +46,6 @@ struct LoadedSubtree {
     subtree: Subtree,
 }
 
-impl ImplicitTiling {
-    /// Returns the maximum of tiles of a page.
-    fn max_tiles(&self) -> u64 {
-        if self.has_boxes() { MAX_BOXES } else { MAX_FITTED_BOXES }
-    }
-}
-
 impl SubtreeSource {
     /// Returns the subtree that has the root of an implicit tree.
     pub fn root(tiling: Arc<ImplicitTiling>) -> Self {
@@ -78,7 +70,7 @@ impl SubtreeSource {
         let subtree = LoadedSubtree { tiling: self.tiling.clone(), uri: uri.clone(), subtree };
         let mut reader = PartReader::new(Arc::new(subtree), true);
         let root = LocalTile::root(self.root);
-        reader.choose_levels(vec![root], self.tiling.max_tiles());
+        reader.choose_levels(vec![root], MAX_TILES);
         Ok(vec![reader.tile(root, self.is_replaced)])
     }
 
@@ -98,7 +90,7 @@ impl SubtreePart {
     pub fn read(&self) -> Vec<Tile> {
         let mut reader = PartReader::new(self.subtree.clone(), false);
         let tiles = reader.children(self.parent);
-        reader.choose_levels(tiles.clone(), self.subtree.tiling.max_tiles());
+        reader.choose_levels(tiles.clone(), MAX_TILES);
         tiles.into_iter().map(|tile| reader.tile(tile, self.is_replaced)).collect()
     }
 

@@ -1,6 +1,6 @@
 //! Metadata of tiles that replaces what follows from implicit tiling: volumes, heights and errors. Decode threads.
 
-use crate::formats::metadata::{NumberColumn, Schema};
+use crate::formats::properties::{NumberColumn, TileSchema};
 
 use super::json::PropertyTableJson;
 
@@ -48,13 +48,13 @@ impl Semantic {
 pub(super) struct SemanticProperty<'a> {
     pub semantic: Semantic,
     pub view: usize,
-    pub property: &'a crate::formats::metadata::Property,
+    pub property: &'a crate::formats::properties::TileProperty,
 }
 
 /// Returns the properties of a table that have a meaning for tiles.
 pub(super) fn properties<'a>(
     table: &'a PropertyTableJson,
-    schema: &'a Schema,
+    schema: &'a TileSchema,
 ) -> impl Iterator<Item = SemanticProperty<'a>> {
     let class = table.class.0.as_deref().and_then(|class| schema.classes.get(class));
     class.into_iter().flat_map(|class| &class.properties).filter_map(|(id, property)| {

@@ -11,8 +11,8 @@ use super::semantics::Overrides;
 use super::subtree::SubtreeShape;
 use super::template::UriTemplate;
 use crate::fetch::IoError;
-use crate::formats::metadata::Schema;
 use crate::formats::options::ReadOptions;
+use crate::formats::properties::TileSchema;
 use crate::formats::tile::{ContentData, S2Cell, TileContent, UpAxis};
 use crate::math::{BoundingSphere, BoundingVolume, OrientedBox, Region, max_scale};
 use crate::scene::{ReaderData, Refine};
@@ -47,7 +47,7 @@ pub(in crate::formats) struct ImplicitRoot<'a> {
     /// The up axis of glTF contents.
     pub up_axis: UpAxis,
     /// The schema of the tileset's metadata.
-    pub schema: Option<Arc<Schema>>,
+    pub schema: Option<Arc<TileSchema>>,
 }
 
 /// The properties that all tiles of an implicit tree share.
@@ -67,7 +67,7 @@ pub(in crate::formats) struct ImplicitTiling {
     content_data: Option<ReaderData>,
     up_axis: UpAxis,
     /// The schema of the tiles' metadata.
-    schema: Option<Arc<Schema>>,
+    schema: Option<Arc<TileSchema>>,
 }
 
 impl ImplicitTiling {
@@ -135,13 +135,8 @@ impl ImplicitTiling {
         Some(TileContent { uri: template.fill(tile), reader_data })
     }
 
-    /// Returns true if the volumes of tiles are parts of a box.
-    pub(super) fn has_boxes(&self) -> bool {
-        matches!(self.volume, RootVolume::Box(_))
-    }
-
     /// Returns the schema of the tiles' metadata.
-    pub(super) fn schema(&self) -> Option<&Schema> {
+    pub(super) fn schema(&self) -> Option<&TileSchema> {
         self.schema.as_deref()
     }
 

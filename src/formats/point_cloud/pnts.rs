@@ -1,5 +1,5 @@
 //! Point Cloud (3D Tiles 1.0, `pnts`): a header, and a feature table of positions, colours, normals and batch ids, plain or
-//! compressed with Draco. The batch table is ignored. Positions are z-up in the tile's frame.
+//! compressed with Draco, and a batch table. Positions are z-up in the tile's frame.
 
 use std::sync::Arc;
 
@@ -9,10 +9,15 @@ use serde::Deserialize;
 use super::draco::{DracoJson, DracoPoints};
 use crate::fetch::IoError;
 use crate::formats::feature_table::{self, BinaryOffset, Global};
+use crate::formats::ignored::Notes;
 use crate::formats::options::ReadOptions;
+use crate::formats::properties;
 use crate::math::Aabb;
 use crate::math::color::linear_from_srgb8;
-use crate::scene::{AlphaMode, AttributeFormat, Drawable, Geometry, Material, Mesh, MeshVertex, Node, Topology};
+use crate::scene::{
+    AlphaMode, AttributeFormat, Drawable, DrawableFeatures, FeatureIdSet, FeatureIds, Geometry, Material, Mesh,
+    MeshVertex, Node, Topology,
+};
 
 const HEADER_BYTES: usize = 28;
 /// The vertex attribute that batch ids become, if the application asks for it.
@@ -34,6 +39,7 @@ struct FeatureTable {
     normal: Option<BinaryOffset>,
     normal_oct16p: Option<BinaryOffset>,
     batch_id: Option<BatchIds>,
+    batch_length: Option<Global<usize>>,
     #[serde(rename = "extensions")]
     extensions: Option<Extensions>,
 }
@@ -53,7 +59,7 @@ struct Extensions {
 }
 
 /// Reads a point cloud as one drawable.
-pub(in crate::formats) fn read(uri: &str, bytes: &[u8], options: &ReadOptions) -> Result<Node, IoError> {
+pub(in crate::formats) fn read(uri: &str, bytes: &[u8], options: &ReadOptions, notes: &Notes) -> Result<Node, IoError> {
     let bad = |reason: &str| IoError::invalid(uri, format!("pnts: {reason}"));
     let word =
         |at: usize| -> Option<usize> { Some(u32::from_le_bytes(bytes.get(at..at + 4)?.try_into().ok()?) as usize) };
@@ -131,22 +137,40 @@ pub(in crate::formats) fn read(uri: &str, bytes: &[u8], options: &ReadOptions) -
     }
     let indices: Arc<[u32]> = (0..count as u32).collect();
     let mut mesh = Mesh { vertices, indices, topology: Topology::Points, bounds, ..Mesh::default() };
-    if options.vertex_attributes.iter().any(|name| **name == *BATCH_ID_ATTRIBUTE) {
-        let ids = match draco.as_ref().and_then(DracoPoints::batch_ids) {
-            Some(ids) => Some(ids),
-            None => batch_ids(&table, &column, &bad)?,
-        };
-        if let Some(ids) = ids {
-            let added = mesh.with_attribute(BATCH_ID_ATTRIBUTE, AttributeFormat::Uint32, &ids);
-            mesh = added.map_err(|error| bad(&error.to_string()))?;
-        }
+    let wants_attribute = options.vertex_attributes.iter().any(|name| **name == *BATCH_ID_ATTRIBUTE);
+    let ids = match draco.as_ref().and_then(DracoPoints::batch_ids) {
+        Some(ids) => Some(ids),
+        None if wants_attribute || options.keep_features => batch_ids(&table, &column, &bad)?,
+        None => None,
+    };
+    if wants_attribute && let Some(ids) = &ids {
+        let added = mesh.with_attribute(BATCH_ID_ATTRIBUTE, AttributeFormat::Uint32, ids);
+        mesh = added.map_err(|error| bad(&error.to_string()))?;
     }
+    let features = options.keep_features.then(|| {
+        let rows = match (&ids, table.batch_length) {
+            (Some(ids), None) => ids.iter().max().map_or(0, |largest| *largest as usize + 1),
+            (Some(_), Some(length)) => length.count(binary).unwrap_or(0),
+            // Without batch ids the table has a row for each point.
+            (None, _) => count,
+        };
+        let part = |at: usize, length: usize| bytes.get(at..at.saturating_add(length)).unwrap_or_default();
+        let [json_length, binary_length] = [20, 24].map(|at| word(at).unwrap_or(0));
+        let batch_binary = part(end.saturating_add(json_length), binary_length);
+        let batch = properties::batch_table(part(end, json_length), batch_binary, rows, &|kind| notes.add(kind));
+        let (table, tables) = (batch.is_some().then_some(0), batch.map(Arc::new).into_iter().collect());
+        let ids = ids.map_or(FeatureIds::VertexIndex, |ids| FeatureIds::PerVertex(ids.into()));
+        let set = FeatureIdSet { label: String::new(), null_id: None, ids, table };
+        Arc::new(DrawableFeatures { sets: vec![set], tables })
+    });
     let alpha = match mesh.vertices.iter().all(|vertex| vertex.color[3] == u8::MAX) {
         true => AlphaMode::Opaque,
         false => AlphaMode::Blend,
     };
     let material = Material { unlit: normals.is_none(), alpha, ..Material::default() };
-    let geode = Node::geode(vec![Drawable::new(Geometry::Mesh(Arc::new(mesh)), material)]);
+    let mut drawable = Drawable::new(Geometry::Mesh(Arc::new(mesh)), material);
+    drawable.features = features;
+    let geode = Node::geode(vec![drawable]);
     Ok(Node::transform(DAffine3::from_translation(origin), vec![geode]))
 }
 
@@ -227,6 +251,10 @@ mod tests {
     use super::*;
     use crate::fetch::Limits;
     use crate::scene::NodeKind;
+
+    fn read(uri: &str, bytes: &[u8], options: &ReadOptions) -> Result<Node, IoError> {
+        super::read(uri, bytes, options, &Notes::default())
+    }
 
     fn options() -> ReadOptions {
         ReadOptions::for_root("/set/tileset.json", Limits::default())
@@ -403,6 +431,39 @@ mod tests {
             let strange = json.replace(component, "DOUBLE");
             assert!(read("t", &pnts(&strange, &binary), &options).is_err());
         }
+    }
+
+    #[test]
+    fn batch_tables_are_kept_on_request() {
+        let mut binary: Vec<u8> = [0.0_f32; 6].iter().flat_map(|x| x.to_le_bytes()).collect();
+        binary.extend([1, 0]);
+        let table = br#"{"name":["roof","wall"],"id":{"byteOffset":0,"componentType":"SHORT","type":"SCALAR"}}"#;
+        let options = ReadOptions { keep_features: true, ..options() };
+        let names = |json: &str| {
+            let mut bytes = pnts(json, &binary);
+            bytes[20..24].copy_from_slice(&(table.len() as u32).to_le_bytes());
+            bytes[24..28].copy_from_slice(&4_u32.to_le_bytes());
+            bytes.extend(table);
+            bytes.extend([7, 0, 9, 0]);
+            let node = read("t", &bytes, &options).unwrap();
+            let NodeKind::Geode(drawables) = &node.children[0].kind else { panic!("a geode") };
+            let features = drawables[0].features.clone().unwrap();
+            let of = |vertex| {
+                let feature = features.at_vertex(vertex).next().unwrap();
+                feature
+                    .properties()
+                    .iter()
+                    .map(|(name, value)| format!("{name} {value:?}"))
+                    .collect::<Vec<_>>()
+                    .join(", ")
+            };
+            [of(0), of(1)]
+        };
+        let ids = r#"{"POINTS_LENGTH":2,"POSITION":{"byteOffset":0},"BATCH_LENGTH":2,"BATCH_ID":{"byteOffset":24,"componentType":"UNSIGNED_BYTE"}}"#;
+        let [first, second] = names(ids);
+        assert!(first.contains("wall") && first.contains('9') && second.contains("roof"), "{first}; {second}");
+        let [first, second] = names(r#"{"POINTS_LENGTH":2,"POSITION":{"byteOffset":0}}"#);
+        assert!(first.contains("roof") && first.contains('7') && second.contains("wall"), "{first}; {second}");
     }
 
     #[test]

@@ -8,7 +8,7 @@ use crate::fetch::markup::refuse_markup;
 use crate::formats::height::{SetExtras, TileExtras};
 use crate::formats::implicit::ImplicitTilingJson;
 use crate::formats::lenient::{Number, Numbers, Text, list, or_default};
-use crate::formats::metadata::Schema;
+use crate::formats::properties::TileSchema;
 
 /// Supported extensions that a tileset may require, including those that do not affect drawing.
 pub(super) const KNOWN_EXTENSIONS: &[&str] = &[
@@ -31,7 +31,7 @@ pub(crate) struct TilesetJson {
     pub extensions_required: Vec<String>,
     #[serde(rename = "extensionsUsed", default, deserialize_with = "list")]
     pub extensions_used: Vec<String>,
-    schema: Option<Schema>,
+    schema: Option<TileSchema>,
     /// A schema in another file, which is not read.
     #[serde(rename = "schemaUri", default)]
     schema_uri: Text,
@@ -46,7 +46,7 @@ impl TilesetJson {
     }
 
     /// Takes the schema of the metadata by the 1.1 property or by the 1.0 extension.
-    pub fn take_schema(&mut self) -> Option<Schema> {
+    pub fn take_schema(&mut self) -> Option<TileSchema> {
         let by_extension = self.extensions.as_mut().and_then(|extensions| extensions.metadata.as_mut()?.schema.take());
         self.schema.take().or(by_extension)
     }
@@ -60,7 +60,7 @@ struct TilesetExtensions {
 
 #[derive(Deserialize)]
 struct MetadataExtension {
-    schema: Option<Schema>,
+    schema: Option<TileSchema>,
 }
 
 #[derive(Deserialize)]

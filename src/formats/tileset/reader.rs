@@ -16,8 +16,8 @@ use crate::fetch::{IoError, path_of};
 use crate::formats::height::HeightSet;
 use crate::formats::ignored::Notes;
 use crate::formats::implicit::{ImplicitRoot, ImplicitTiling, ImplicitTilingJson, SubtreeSource};
-use crate::formats::metadata::Schema;
 use crate::formats::options::ReadOptions;
+use crate::formats::properties::TileSchema;
 use crate::formats::tile::{ALWAYS_REFINED_M, ContentBytes, ContentData, Tile, TileContent, UpAxis};
 use crate::math::BoundingVolume;
 use crate::scene::{ReaderData, Refine};
@@ -90,7 +90,7 @@ struct Reader<'a> {
     options: &'a ReadOptions,
     heights: Option<HeightSet>,
     up_axis: UpAxis,
-    schema: Option<Arc<Schema>>,
+    schema: Option<Arc<TileSchema>>,
     /// Number of tiles so far.
     tiles: usize,
     /// Number of contents without a URI of their own so far.

@@ -179,7 +179,9 @@ impl LoadJob for PageJob {
 
     fn decode(&self, loaded: Loaded, companions: Vec<Fetched>) -> Result<Page, IoError> {
         let Loaded { bytes, location, is_no_content } = loaded;
-        if is_no_content {
+        // Other contents of the same tile are drawn without it.
+        let is_joined = !companions.is_empty() && self.reader_data.as_ref().and_then(ReaderData::text).is_none();
+        if is_no_content && !is_joined {
             let empty = Page::from_node(Node::group(Vec::new()));
             return empty.map_err(|error| IoError::invalid(&self.uri, error.to_string()));
         }

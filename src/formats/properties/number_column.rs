@@ -2,7 +2,9 @@
 
 use serde_json::Value;
 
-use super::schema::{Component, Property};
+use super::component::Component;
+use super::tile_schema::TileProperty;
+use crate::scene::PropertyValue;
 
 /// The maximum number of components of a value.
 pub(in crate::formats) const MAX_COMPONENTS: usize = 16;
@@ -25,13 +27,13 @@ pub(in crate::formats) struct NumberColumn {
 
 impl NumberColumn {
     /// Returns the column of a property; `None` if its values are no numbers, or not all of the same length.
-    pub fn new(property: &Property, buffer: usize, start: usize) -> Option<Self> {
+    pub fn new(property: &TileProperty, buffer: usize, start: usize) -> Option<Self> {
         let elements = if property.array { property.count? } else { 1 };
         let count = property.components()?.checked_mul(elements)?;
         if count > MAX_COMPONENTS {
             return None;
         }
-        let component = Component::named(property.component_type.0.as_deref()?)?;
+        let component = Component::from_name(property.component_type.0.as_deref()?)?;
         let (mut scale, mut offset) = ([1.0; MAX_COMPONENTS], [0.0; MAX_COMPONENTS]);
         numbers(property.scale.as_ref(), &mut scale);
         numbers(property.offset.as_ref(), &mut offset);
@@ -55,10 +57,22 @@ impl NumberColumn {
         let at = usize::try_from(row).ok()?.checked_mul(self.count * size)?.checked_add(self.start)?;
         let bytes = buffer.get(at..at.checked_add(self.count * size)?)?;
         let mut value = [0.0; MAX_COMPONENTS];
-        for (i, bytes) in bytes.chunks_exact(size).enumerate() {
-            value[i] = self.component.read(bytes, self.normalized)? * self.scale[i] + self.offset[i];
+        for (i, value) in value.iter_mut().enumerate().take(self.count) {
+            *value = self.number(bytes, i)? * self.scale[i] + self.offset[i];
         }
         Some(value)
+    }
+
+    /// Returns a component of a value, without scale and offset.
+    fn number(&self, bytes: &[u8], i: usize) -> Option<f64> {
+        let number = match self.component.read(bytes, i)? {
+            PropertyValue::Int(number) => number as f64,
+            PropertyValue::UInt(number) => number as f64,
+            PropertyValue::Float(number) => number,
+            _ => return None,
+        };
+        let one = self.component.one().filter(|_| self.normalized);
+        Some(one.map_or(number, |one| (number / one).max(-1.0)))
     }
 }
 
