@@ -90,7 +90,9 @@ fn metallic_roughness_maps_are_combined() {
     gltf.push("images", json!({ "uri": data_uri(&png(1, [9, 20, 30])) }));
     gltf.push("images", json!({ "uri": data_uri(&png(1, [10, 99, 99])) }));
     gltf.push("images", json!({ "uri": data_uri(&png(2, [10, 99, 99])) }));
-    (1..4).for_each(|source| gltf.push("textures", json!({ "source": source })));
+    for source in 1..4 {
+        gltf.push("textures", json!({ "source": source }));
+    }
     let model_of = |gltf: &GltfBuilder| gltf.read().mesh().1.material.metallic_roughness.unwrap();
     let model = model_of(&gltf);
     assert_eq!((model.metallic, model.roughness, model.occlusion_strength), (0.5, 0.25, 0.75));
