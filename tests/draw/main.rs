@@ -6,6 +6,7 @@ mod bins;
 mod draw_calls;
 mod drawables;
 mod fade;
+mod filtering;
 mod images;
 mod queries;
 mod samples;

@@ -79,12 +79,15 @@ impl GraphicsContext {
         surfaces: Vec<Option<wgpu::Surface<'static>>>,
     ) -> Result<Self, GpuError> {
         let compile_thread = requests.first().is_some_and(|(traits, _)| traits.compile_thread);
+        let is_software = gpu.adapter_info.device_type == wgpu::DeviceType::Cpu;
+        let max_anisotropy = requests.first().and_then(|(traits, _)| traits.max_anisotropy);
+        let max_anisotropy = max_anisotropy.unwrap_or(if is_software { 1 } else { 16 }).clamp(1, 16);
         let status = if gpu.is_host_device { DeviceStatus::default() } else { DeviceStatus::watch(&gpu.device) };
         let targets = requests.into_iter().zip(surfaces);
         let targets = targets.map(|(request, surface)| ContextTarget::open(&gpu, request, surface));
         let targets = Targets::new(targets.collect::<Result<_, _>>()?);
         let memory = Memory::new(&gpu.device);
-        let mut pools = Pools::new(&gpu.device);
+        let mut pools = Pools::new(&gpu.device, max_anisotropy);
         targets.iter().for_each(|target| pools.customs_mut().add_target_formats(&target.formats()));
         let uploads = match compile_thread {
             true => {

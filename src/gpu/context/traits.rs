@@ -27,6 +27,9 @@ pub struct ContextTraits {
     /// allocates slots and submits: OpenSceneGraph's compile contexts. It is faster if cores are idle and much is uploaded
     /// at once; otherwise uploads take the same time within [`CompileBudget`](crate::gpu::CompileBudget).
     pub compile_thread: bool,
+    /// The maximum number of samples along the steepest direction of images of meshes and height tiles, 1 to 16. `None` means
+    /// 16, and 1 on software drivers, which filter slowly. Adapters without anisotropic filtering take one sample.
+    pub max_anisotropy: Option<u16>,
     /// Enables the driver's validation layers, which check every call. Ten times slower; never measure time with it.
     pub validation: bool,
 }
@@ -39,6 +42,7 @@ impl Default for ContextTraits {
             samples: 1,
             vsync: true,
             compile_thread: false,
+            max_anisotropy: None,
             validation: false,
         }
     }

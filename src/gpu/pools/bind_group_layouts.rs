@@ -105,7 +105,7 @@ fn frame_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
 }
 
 impl BindGroupLayouts {
-    pub(in crate::gpu) fn new(device: &wgpu::Device) -> Self {
+    pub(in crate::gpu) fn new(device: &wgpu::Device, max_anisotropy: u16) -> Self {
         let tables = wgpu::BindGroupLayoutEntry {
             binding: 1,
             visibility: wgpu::ShaderStages::VERTEX,
@@ -144,6 +144,7 @@ impl BindGroupLayouts {
                 mag_filter: wgpu::FilterMode::Linear,
                 min_filter: wgpu::FilterMode::Linear,
                 mipmap_filter: wgpu::MipmapFilterMode::Linear,
+                anisotropy_clamp: max_anisotropy,
                 ..Default::default()
             })
         };

@@ -58,7 +58,7 @@ pub(crate) struct Pools {
 }
 
 impl Pools {
-    pub(super) fn new(device: &wgpu::Device) -> Self {
+    pub(super) fn new(device: &wgpu::Device, max_anisotropy: u16) -> Self {
         Self {
             heights: HeightPool::default(),
             meshes: MeshPool::default(),
@@ -66,7 +66,7 @@ impl Pools {
             surfaces: SurfacePool::default(),
             customs: CustomDrawables::default(),
             drawables: DrawableTable::default(),
-            layouts: BindGroupLayouts::new(device),
+            layouts: BindGroupLayouts::new(device, max_anisotropy),
             memory: Memory::new(device),
         }
     }

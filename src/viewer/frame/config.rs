@@ -96,6 +96,7 @@ impl ViewerConfig {
             vsync: self.vsync,
             compile_thread: self.compile_contexts,
             validation: self.validation,
+            ..ContextTraits::default()
         }
     }
 
