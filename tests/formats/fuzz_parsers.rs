@@ -5,6 +5,7 @@
 use std::sync::Arc;
 
 use kit::compressed::{Triangles, uastc_ktx2};
+use kit::contents::{b3dm_bytes, cmpt_bytes, padded, pnts_bytes};
 use kit::fuzz::Parser;
 use kit::subtrees::{Scheme, Subtree};
 use terrane::fetch::{DECODER_PANICKED, FileReader, IoError, Limits};
@@ -58,30 +59,6 @@ fn glb_bytes(image: Option<Vec<u8>>) -> Vec<u8> {
         image,
         base_color: [1.0; 4],
     })
-}
-
-fn padded(text: &str) -> Vec<u8> {
-    let mut bytes = text.as_bytes().to_vec();
-    bytes.resize(bytes.len().next_multiple_of(8), b' ');
-    bytes
-}
-
-fn b3dm_bytes(table: &str, glb: &[u8]) -> Vec<u8> {
-    let table = padded(table);
-    let mut out = b"b3dm".to_vec();
-    for word in [1, 28 + table.len() + glb.len(), table.len(), 0, 0, 0] {
-        out.extend((word as u32).to_le_bytes());
-    }
-    [out, table, glb.to_vec()].concat()
-}
-
-fn pnts_bytes(table: &str, points: &[u8]) -> Vec<u8> {
-    let table = padded(table);
-    let mut out = b"pnts".to_vec();
-    for word in [1, 28 + table.len() + points.len(), table.len(), points.len(), 0, 0] {
-        out.extend((word as u32).to_le_bytes());
-    }
-    [out, table, points.to_vec()].concat()
 }
 
 const TILESET: &str = r#"{"asset":{"version":"1.1","extras":{"a":1}},"geometricError":500.5,"extensionsUsed":["X"],"root":{"refine":"REPLACE","transform":[1,0,0,0,0,1,0,0,0,0,1,0,10,20,30,1],"boundingVolume":{"box":[0,0,0,100,0,0,0,100,0,0,0,10]},"viewerRequestVolume":{"sphere":[0,0,0,1000]},"geometricError":100,"content":{"uri":"a/b%20c.glb"},"children":[{"boundingVolume":{"sphere":[1,2,3,50]},"geometricError":10,"contents":[{"uri":"d.b3dm"},{"uri":"e.pnts"}]},{"boundingVolume":{"region":[0.1,0.8,0.11,0.81,-10,100]},"geometricError":0,"content":{"url":"inner/tileset.json"}}]}}"#;
@@ -160,18 +137,13 @@ fn last_part(node: &Node) -> Option<ReaderData> {
 }
 
 fn cmpt() -> Parser {
-    let cmpt = |tiles: &[Vec<u8>]| {
-        let mut bytes = b"cmpt".to_vec();
-        let length = 16 + tiles.iter().map(Vec::len).sum::<usize>();
-        bytes.extend([1, length as u32, tiles.len() as u32].iter().flat_map(|word| word.to_le_bytes()));
-        bytes.extend(tiles.concat());
-        bytes
-    };
     let points: Vec<u8> = (0..80).collect();
     let pnts = pnts_bytes(r#"{"POINTS_LENGTH":2,"POSITION":{"byteOffset":0}}"#, &points);
     let b3dm = b3dm_bytes(r#"{"BATCH_LENGTH":0}"#, &glb_bytes(None));
-    let nested = cmpt(&[pnts.clone(), cmpt(&[b3dm.clone(), cmpt(&[pnts.clone()])])]);
-    Parser::new("cmpt", [cmpt(&[]), cmpt(&[pnts, b3dm]), nested], move |bytes| content(bytes, None, Vec::new()))
+    let nested = cmpt_bytes(&[pnts.clone(), cmpt_bytes(&[b3dm.clone(), cmpt_bytes(&[pnts.clone()])])]);
+    Parser::new("cmpt", [cmpt_bytes(&[]), cmpt_bytes(&[pnts, b3dm]), nested], move |bytes| {
+        content(bytes, None, Vec::new())
+    })
 }
 
 fn glb() -> Parser {

@@ -5,6 +5,7 @@
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 pub mod compressed;
+pub mod contents;
 pub mod fuzz;
 pub mod pager;
 pub mod server;
