@@ -140,7 +140,7 @@ fn cmpt() -> Parser {
     let points: Vec<u8> = (0..80).collect();
     let pnts = pnts_bytes(r#"{"POINTS_LENGTH":2,"POSITION":{"byteOffset":0}}"#, &points);
     let b3dm = b3dm_bytes(r#"{"BATCH_LENGTH":0}"#, &glb_bytes(None));
-    let nested = cmpt_bytes(&[pnts.clone(), cmpt_bytes(&[b3dm.clone(), cmpt_bytes(&[pnts.clone()])])]);
+    let nested = cmpt_bytes(&[pnts.clone(), cmpt_bytes(&[b3dm.clone(), cmpt_bytes(std::slice::from_ref(&pnts))])]);
     Parser::new("cmpt", [cmpt_bytes(&[]), cmpt_bytes(&[pnts, b3dm]), nested], move |bytes| {
         content(bytes, None, Vec::new())
     })

@@ -80,6 +80,9 @@ fn error_m(tile: &PagedLod) -> f64 {
 /// The coordinates of a tile in its level.
 type Tile = (u32, [u32; 3]);
 
+/// Writes a subtree to a file.
+type Write<'a> = &'a dyn Fn(&Subtree, &Path);
+
 /// An implicit tree with random tiles.
 struct Forest {
     scheme: Scheme,
@@ -103,7 +106,7 @@ impl Forest {
                 }
             }
         }
-        let contents = tiles.iter().filter(|_| random.next_u64() % 4 > 0).copied().collect();
+        let contents = tiles.iter().filter(|_| !random.next_u64().is_multiple_of(4)).copied().collect();
         Self { scheme, subtree_levels, tiles, contents }
     }
 
@@ -151,7 +154,7 @@ impl Forest {
             if self.scheme == Scheme::Octree { ".{z}" } else { ".0" },
         );
         std::fs::write(folder.join("tileset.json"), root).unwrap();
-        for root in self.tiles.iter().filter(|tile| tile.0 % subtree_levels == 0) {
+        for root in self.tiles.iter().filter(|tile| tile.0.is_multiple_of(subtree_levels)) {
             let (level, [x, y, z]) = root;
             write(&self.subtree(*root), &folder.join(format!("s/{level}.{x}.{y}.{z}.subtree")));
         }
@@ -172,7 +175,7 @@ fn trees_are_read_from_every_kind_of_subtree() {
     .enumerate()
     {
         let forest = Forest::new(scheme, levels, subtree_levels, share, seed as u64);
-        let writers: [&dyn Fn(&Subtree, &Path); 4] = [
+        let writers: [Write<'_>; 4] = [
             &|subtree, file| std::fs::write(file, subtree.binary()).unwrap(),
             &|subtree, file| {
                 let buffer = file.with_extension("bin");
@@ -193,7 +196,7 @@ fn trees_are_read_from_every_kind_of_subtree() {
             assert!(found.errors.is_empty(), "{scheme:?}: {:?}", found.errors);
             let expected = forest.names();
             assert_eq!(found.names(), expected.iter().map(String::as_str).collect(), "{scheme:?} {levels}");
-            let files = forest.tiles.iter().filter(|tile| tile.0 % subtree_levels == 0).count() as u64;
+            let files = forest.tiles.iter().filter(|tile| tile.0.is_multiple_of(subtree_levels)).count() as u64;
             assert_eq!(found.files, files);
             let info = inspect(folder.path().to_str().unwrap(), &Limits::default()).unwrap();
             let counted = (info.tiles, info.contents, info.subtrees);
