@@ -14,6 +14,9 @@ use crate::scene::{Node, Page, ReaderData};
 
 /// The maximum number of files that one content may refer to.
 const MAX_DEPENDENCIES: usize = 4096;
+/// The maximum number of times that a loader asks for further dependencies of a content: an i3dm refers to a model, and the
+/// model to its buffers.
+pub const MAX_DEPENDENCY_ROUNDS: usize = 4;
 
 /// Returns the other URIs that a content needs and that are known before it is read: the imagery of a height tile, or the
 /// other contents of a tile.

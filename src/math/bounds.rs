@@ -242,7 +242,7 @@ impl Region {
     /// Returns an oriented box (east, north, up at the centre) around the region, in ECEF metres.
     pub fn oriented_box(&self) -> OrientedBox {
         let extent = self.width().max(self.north - self.south);
-        // As few samples as keep the surface within a metre of their hull.
+        // The fewest samples whose hull is within a metre of the surface.
         let steps = ((extent / SAMPLE_STEP).ceil() as u32).clamp(1, MAX_SAMPLES);
         let at = |i: u32, j: u32, height_m| Geodetic {
             longitude: self.west + self.width() * f64::from(i) / f64::from(steps),

@@ -54,6 +54,23 @@ fn specular_glossiness_becomes_its_diffuse_part() {
     assert_eq!((material.base_color, material.alpha), (RED, AlphaMode::Blend));
     assert_eq!(material.texture.unwrap().mips[0], [0, 0, 255, 255]);
     assert_eq!(ignored, ["glTF material: specular colour and glossiness"]);
+    let (_, ignored) = read(json!({
+        "normalTexture": { "index": 0 }, "occlusionTexture": { "index": 0 },
+        "extensions": { "KHR_materials_pbrSpecularGlossiness": {} },
+    }));
+    assert_eq!(ignored.len(), 3, "{ignored:?}");
+}
+
+/// Regression: the whole surface glowed.
+#[test]
+fn surfaces_without_their_emissive_image_do_not_glow() {
+    let emissive = |image: Value| {
+        let mut gltf = with_material(json!({ "emissiveFactor": [1, 1, 1], "emissiveTexture": { "index": 0 } }));
+        gltf.json["images"][0] = image;
+        gltf.read().mesh().1.material.metallic_roughness.unwrap().emissive
+    };
+    assert_eq!(emissive(json!({ "uri": data_uri(&png(1, [0, 0, 255])) })), [1.0; 3]);
+    assert_eq!(emissive(json!({ "uri": "missing.png" })), [0.0; 3]);
 }
 
 #[test]

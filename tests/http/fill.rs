@@ -129,6 +129,40 @@ fn kept_entries_count_as_used() {
     assert!(files.iter().all(is_used));
 }
 
+/// Regression: a second run did not continue below models that the first one had cached.
+#[test]
+fn files_of_cached_models_are_filled() {
+    let tries = std::sync::atomic::AtomicU32::new(0);
+    let server = Server::start(move |request| match request.path() {
+        "/set/tileset.json" => Reply::ok(
+            r#"{"asset":{"version":"1.1"},"geometricError":9,"root":{"geometricError":0,
+            "boundingVolume":{"sphere":[0,0,0,9]},"content":{"uri":"trees.i3dm"}}}"#,
+        ),
+        "/set/trees.i3dm" => Reply::ok(instances_of("tree.gltf")),
+        "/set/tree.gltf" if tries.fetch_add(1, std::sync::atomic::Ordering::Relaxed) == 0 => Reply::new(503, ""),
+        "/set/tree.gltf" => Reply::ok(r#"{"asset":{"version":"2.0"},"buffers":[{"byteLength":4,"uri":"tree.bin"}]}"#),
+        "/set/tree.bin" => Reply::ok("1234"),
+        _ => Reply::new(404, ""),
+    });
+    let folder = tempfile::tempdir().unwrap();
+    let first = filled(&server, folder.path(), &FillOptions::default());
+    assert_eq!((first.fetched, first.failed), (2, 1), "{first:?}");
+    let second = filled(&server, folder.path(), &FillOptions::default());
+    assert_eq!((second.kept, second.fetched, second.failed), (2, 2, 0), "{second:?}");
+    assert_eq!(paths(&server), ["tileset.json", "trees.i3dm", "tree.bin", "tree.gltf"].map(String::from).into());
+}
+
+/// Returns an i3dm with one instance of a model in another file.
+fn instances_of(model: &str) -> Vec<u8> {
+    let mut bytes = b"i3dm".to_vec();
+    let table = br#"{"INSTANCES_LENGTH":1,"POSITION":{"byteOffset":0}}      "#;
+    let length = 32 + table.len() + 12 + model.len();
+    for word in [1, length, table.len(), 12, 0, 0, 0] {
+        bytes.extend((word as u32).to_le_bytes());
+    }
+    [&bytes[..], table, &[0; 12], model.as_bytes()].concat()
+}
+
 #[test]
 fn levels_and_regions_select_tiles() {
     let degrees = |west: f64, south: f64, east: f64, north: f64| {

@@ -1,4 +1,4 @@
-//! What servers do with addresses of tile sets: redirects, and answers without content. No GPU.
+//! Servers that redirect, or answer without content. No GPU.
 
 use kit::pager::{Run, above};
 use kit::server::{Reply, Server};

@@ -69,7 +69,7 @@ fn external_tilesets_expire_with_the_budget() {
         let folder = tempfile::tempdir().unwrap();
         write_sets(folder.path(), extension);
         let source = folder.path().to_str().unwrap();
-        // What the whole tree takes.
+        // The memory of the whole tree.
         let mut whole = Run::new(source, PagerConfig::default());
         whole.max_sse_px = 1e-3;
         let center = 0.5 * (SETS * TILES) as f64 * TILE_M;

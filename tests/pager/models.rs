@@ -1,5 +1,8 @@
 //! Contents that refer to further files: an i3dm whose model has its buffer and its image beside it. No GPU.
 
+use std::sync::Mutex;
+use std::time::Duration;
+
 use kit::pager::{Run, above};
 use kit::server::{Reply, Server};
 use terrane::fetch::Limits;
@@ -60,6 +63,60 @@ fn model_buffer_and_image_are_fetched_with_their_content() {
         let verified = verify(&source, &Limits::default(), &mut |_| {}).unwrap();
         assert_eq!((verified.contents, verified.failed), (1, 0), "{verified:?}");
     }
+}
+
+/// Regression: files of the model were not fetched.
+#[test]
+fn root_may_be_a_model_of_several_files() {
+    let server = Server::start(move |request| match request.path() {
+        "/set/a/trees.i3dm" => Reply::ok(trees()),
+        "/set/models/tree.gltf" => Reply::ok(MODEL),
+        "/set/models/tree.bin" => Reply::ok(floats(&[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, -1.0])),
+        "/set/models/bark.png" => Reply::ok(bark()),
+        _ => Reply::new(404, ""),
+    });
+    let mut run = Run::new(&format!("{}/set/a/trees.i3dm", server.url), PagerConfig::default());
+    run.settle(above(30.0));
+    assert_eq!((run.stage.leaf_count(), server.count()), (3, 4));
+}
+
+/// Regression: all files that a content refers to were requested at the same time.
+#[test]
+fn few_files_of_a_content_are_requested_at_once() {
+    const IMAGES: usize = 40;
+    let in_flight = std::sync::Arc::new(Mutex::new((0, 0)));
+    let counted = in_flight.clone();
+    let list = |item: &dyn Fn(usize) -> String| (0..IMAGES).map(item).collect::<Vec<_>>().join(",");
+    let materials = list(&|i| format!(r#"{{"pbrMetallicRoughness":{{"baseColorTexture":{{"index":{i}}}}}}}"#));
+    let primitives = list(&|i| format!(r#"{{"attributes":{{"POSITION":0}},"material":{i}}}"#));
+    let (textures, images) = (list(&|i| format!(r#"{{"source":{i}}}"#)), list(&|i| format!(r#"{{"uri":"{i}.png"}}"#)));
+    let model = format!(
+        r#"{{"asset":{{"version":"2.0"}},"scenes":[{{"nodes":[0]}}],"nodes":[{{"mesh":0}}],
+        "meshes":[{{"primitives":[{primitives}]}}],"materials":[{materials}],"textures":[{textures}],"images":[{images}],
+        "accessors":[{{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3","min":[0,0,0],"max":[1,1,0]}}],
+        "bufferViews":[{{"buffer":0,"byteLength":36}}],"buffers":[{{"byteLength":36,"uri":"tree.bin"}}]}}"#
+    );
+    let server = Server::start(move |request| match request.path() {
+        "/set/tileset.json" => Reply::ok(TILESET.replace("a/trees.i3dm", "model.gltf")),
+        "/set/model.gltf" => Reply::ok(model.clone()),
+        "/set/tree.bin" => Reply::ok(floats(&[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, -1.0])),
+        path if path.ends_with(".png") => {
+            let mut count = counted.lock().unwrap();
+            count.0 += 1;
+            count.1 = count.1.max(count.0);
+            drop(count);
+            std::thread::sleep(Duration::from_millis(10));
+            counted.lock().unwrap().0 -= 1;
+            Reply::ok(bark())
+        }
+        _ => Reply::new(404, ""),
+    });
+    let mut run = Run::new(&format!("{}/set/tileset.json", server.url), PagerConfig::default());
+    run.settle(above(30.0));
+    assert!(run.pager.errors().is_empty(), "{:?}", run.pager.errors());
+    assert_eq!((run.stage.leaf_count(), server.count()), (IMAGES, 3 + IMAGES));
+    let most = in_flight.lock().unwrap().1;
+    assert!((1..=8).contains(&most), "{most}");
 }
 
 #[test]

@@ -4,7 +4,7 @@ use crate::formats::properties::{NumberColumn, TileSchema};
 
 use super::json::PropertyTableJson;
 
-/// What a property of tiles replaces.
+/// The part of a tile that a metadata property replaces.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Semantic {
     /// `TILE_BOUNDING_BOX`: 12 numbers.

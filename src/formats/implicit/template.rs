@@ -32,7 +32,7 @@ const PLACEHOLDERS: [(&str, Variable); 8] = [
 #[derive(Clone, Debug)]
 pub(super) struct UriTemplate {
     uri: Template,
-    /// What the reference means without the redirects that led to the file, if that is another URI.
+    /// The URI without the redirects that led to the file, if it differs.
     fallback: Option<Template>,
 }
 

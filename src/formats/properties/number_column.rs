@@ -9,7 +9,7 @@ use crate::scene::PropertyValue;
 /// The maximum number of components of a value.
 pub(in crate::formats) const MAX_COMPONENTS: usize = 16;
 
-/// Where the values of a property with a fixed number of components are.
+/// The location of the values of a property with a fixed number of components.
 #[derive(Clone, Debug)]
 pub(in crate::formats) struct NumberColumn {
     /// The buffer, by the numbering of the caller.
@@ -20,8 +20,9 @@ pub(in crate::formats) struct NumberColumn {
     /// The number of components of a value.
     count: usize,
     normalized: bool,
-    /// What the values are multiplied by, and then added to.
+    /// A factor of the values, by component.
     scale: [f64; MAX_COMPONENTS],
+    /// A number that is added after the factor, by component.
     offset: [f64; MAX_COMPONENTS],
 }
 

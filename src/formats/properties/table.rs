@@ -4,7 +4,7 @@ use serde::Deserialize;
 use serde_json::Value;
 
 use super::binary_column::{BinaryColumn, Element, Offsets, Rows, from_json, numbers};
-use super::component::Component;
+use super::component::{Component, component_count};
 use super::schema::{ClassProperty, Schema, TableJson, TableProperty};
 use crate::scene::{PropertyColumn, PropertyTable, PropertyValue};
 
@@ -105,24 +105,20 @@ fn column(
 }
 
 fn element(of: &ClassProperty, schema: &Schema) -> Option<Element> {
-    let components = match of.kind.as_str() {
-        "SCALAR" => 1,
-        "VEC2" => 2,
-        "VEC3" => 3,
-        "VEC4" | "MAT2" => 4,
-        "MAT3" => 9,
-        "MAT4" => 16,
-        "BOOLEAN" => return Some(Element::Bool),
-        "STRING" => return Some(Element::Text),
+    match of.kind.as_str() {
+        "BOOLEAN" => Some(Element::Bool),
+        "STRING" => Some(Element::Text),
         "ENUM" => {
             let values = schema.enums.get(of.enum_type.as_deref()?)?;
             let component = Component::from_name(values.value_type.as_deref().unwrap_or("UINT16"))?;
             let names = values.values.iter().map(|value| (value.value, value.name.clone())).collect();
-            return Some(Element::Enum { component, names });
+            Some(Element::Enum { component, names })
         }
-        _ => return None,
-    };
-    Some(Element::Numbers { component: Component::from_name(of.component_type.as_deref()?)?, components })
+        kind => {
+            let components = component_count(kind)?;
+            Some(Element::Numbers { component: Component::from_name(of.component_type.as_deref()?)?, components })
+        }
+    }
 }
 
 #[cfg(test)]

@@ -6,6 +6,7 @@ use std::collections::BTreeMap;
 use serde::Deserialize;
 use serde_json::Value;
 
+use super::component::component_count;
 use crate::formats::lenient::{Text, or_default};
 
 /// The classes of a schema.
@@ -44,14 +45,6 @@ pub(in crate::formats) struct TileProperty {
 impl TileProperty {
     /// Returns the number of components of an element; `None` if the elements are no numbers.
     pub(super) fn components(&self) -> Option<usize> {
-        Some(match self.kind.0.as_deref()? {
-            "SCALAR" => 1,
-            "VEC2" => 2,
-            "VEC3" => 3,
-            "VEC4" | "MAT2" => 4,
-            "MAT3" => 9,
-            "MAT4" => 16,
-            _ => return None,
-        })
+        component_count(self.kind.0.as_deref()?)
     }
 }

@@ -34,7 +34,7 @@ impl TileContent {
     }
 }
 
-/// Where the bytes of a content are.
+/// The location of the bytes of a content.
 #[derive(Clone, Debug, Default)]
 pub(in crate::formats) enum ContentBytes {
     /// At its URI.

@@ -33,7 +33,16 @@ pub(crate) fn may_be_tileset(uri: &str) -> bool {
         "glb", "gltf", "b3dm", "i3dm", "pnts", "cmpt", "subtree", "exr", "png", "jpg", "jpeg", "webp", "tif", "ktx2",
         "terrain", "bin",
     ];
-    let path = path_of(uri);
-    let extension = path.rsplit('/').next().and_then(|name| name.rsplit_once('.')).map(|(_, extension)| extension);
-    extension.is_none_or(|extension| !OTHERS.iter().any(|other| extension.eq_ignore_ascii_case(other)))
+    !has_extension(uri, &OTHERS)
+}
+
+/// Returns false only if the file extension rules out that the file refers to other files.
+pub(crate) fn may_refer_to_files(uri: &str) -> bool {
+    !has_extension(uri, &["pnts", "exr", "png", "jpg", "jpeg", "webp", "tif", "ktx2", "terrain", "bin"])
+}
+
+fn has_extension(uri: &str, extensions: &[&str]) -> bool {
+    let name = path_of(uri).rsplit('/').next();
+    let extension = name.and_then(|name| name.rsplit_once('.')).map(|(_, extension)| extension);
+    extension.is_some_and(|extension| extensions.iter().any(|other| extension.eq_ignore_ascii_case(other)))
 }

@@ -6,7 +6,7 @@ mod json;
 mod reader;
 mod volume;
 
-pub(super) use detect::{is_tileset, is_tileset_text, may_be_tileset};
+pub(super) use detect::{is_tileset, is_tileset_text, may_be_tileset, may_refer_to_files};
 pub(super) use json::parse;
 pub(super) use reader::read_tiles;
 

@@ -20,7 +20,7 @@ use crate::fetch::{
 use crate::formats::options::{Content, Fetched, ReadOptions};
 use crate::formats::read::{companions, decode_node, dependencies};
 use crate::formats::tile::{Tile, TileContent};
-use crate::formats::tileset::{is_tileset, may_be_tileset, read_tiles};
+use crate::formats::tileset::{is_tileset, may_be_tileset, may_refer_to_files, read_tiles};
 use crate::math::{BoundingVolume, Region};
 use crate::scene::ReaderData;
 
@@ -457,10 +457,11 @@ fn read_root_tile(uri: &Arc<str>, bytes: Vec<u8>, options: &ReadOptions) -> Resu
 
 async fn fetch(client: &HttpClient, job: Job, limits: &Limits, refresh: bool) -> Done {
     if !refresh {
-        // Tilesets must be read; for other files it is enough that they are cached.
-        let cached = match (&job.tileset, &job.possible_tileset) {
-            (None, None) => client.is_cached(&job.uri).await.then(HttpBody::default),
-            _ => client.get_cached(&job.uri, limits).await,
+        // Files that refer to others must be read; for images and the like it is enough that they are cached.
+        let cached = if job.tileset.is_some() || may_refer_to_files(&job.uri) {
+            client.get_cached(&job.uri, limits).await
+        } else {
+            client.is_cached(&job.uri).await.then(HttpBody::default)
         };
         if let Some(body) = cached {
             let HttpBody { bytes, location, .. } = body;

@@ -44,7 +44,7 @@ pub struct Info {
     pub metadata: Option<MetadataInfo>,
     /// The bounds of the whole set.
     pub bounds: BoundsInfo,
-    /// What the tilesets ask for and their reader leaves out, counted by kind.
+    /// Properties of the tilesets that their reader leaves out, counted by kind.
     pub ignored: BTreeMap<String, u64>,
     /// Number of failures.
     pub failed: u64,
@@ -125,23 +125,20 @@ fn inspect_from(source: &str, limits: &Limits, from: Source) -> Result<Info, IoE
     Ok(walk.info)
 }
 
-/// Returns true for bytes that start like a content of a tile. Others get the errors of the tileset's parser.
+/// Returns true for bytes that may be a content of a tile. Others get the errors of the tileset's parser.
 fn may_be_model(bytes: &[u8]) -> bool {
     const MAGICS: [&[u8]; 7] = [b"glTF", b"b3dm", b"i3dm", b"cmpt", b"pnts", &[0x76, 0x2f, 0x31, 0x01], &[0x1f, 0x8b]];
-    MAGICS.iter().any(|magic| bytes.starts_with(magic)) || is_gltf_json(bytes)
+    MAGICS.iter().any(|magic| bytes.starts_with(magic)) || has_asset(bytes)
 }
 
-/// Returns true for JSON with an asset and without the root of a tileset.
-fn is_gltf_json(bytes: &[u8]) -> bool {
+/// Returns true for JSON with an asset, as glTF and tilesets have it.
+fn has_asset(bytes: &[u8]) -> bool {
     #[derive(serde::Deserialize)]
     struct Probe {
         #[serde(rename = "asset")]
         _asset: serde::de::IgnoredAny,
-        root: Option<serde::de::IgnoredAny>,
-        #[serde(rename = "geometricError")]
-        geometric_error: Option<serde::de::IgnoredAny>,
     }
-    serde_json::from_slice::<Probe>(bytes).is_ok_and(|probe| probe.root.is_none() && probe.geometric_error.is_none())
+    serde_json::from_slice::<Probe>(bytes).is_ok()
 }
 
 impl Info {

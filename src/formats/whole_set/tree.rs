@@ -5,11 +5,11 @@ use std::sync::Arc;
 use crate::fetch::{IoError, Loaded, Source, encoding};
 use crate::formats::implicit::{SubtreePart, SubtreeSource};
 use crate::formats::options::{Fetched, ReadOptions};
-use crate::formats::read::{self, dependencies};
+use crate::formats::read::{self, MAX_DEPENDENCY_ROUNDS, dependencies};
 use crate::formats::tile::{ContentBytes, ContentData, Tile, TileContent};
 use crate::scene::ReaderData;
 
-/// What a content of a tile is, before it is read.
+/// The kind of a tile's content, before it is read.
 pub(super) enum Known<'a> {
     /// Levels of a subtree that was read.
     Part(&'a SubtreePart),
@@ -48,9 +48,6 @@ pub(super) fn load(from: &Source, uri: &str, reader_data: Option<&ReaderData>) -
     })
 }
 
-/// The maximum number of times that a content is asked for further dependencies.
-const MAX_DEPENDENCY_ROUNDS: usize = 5;
-
 /// Reads the files that a content needs, and adds the bytes that were read.
 pub(super) fn read_companions(
     from: &Source,
@@ -61,16 +58,19 @@ pub(super) fn read_companions(
     bytes_read: &mut u64,
 ) -> Vec<Fetched> {
     let mut companions: Vec<Fetched> = Vec::new();
-    let mut others = read::companions(uri, reader_data);
-    for _ in 0..MAX_DEPENDENCY_ROUNDS {
+    let mut read_all = |others: Vec<Arc<str>>, companions: &mut Vec<Fetched>| {
         for other in others {
             let read = from.read(&other).inspect(|read| *bytes_read += read.len() as u64);
             companions.push((other, read));
         }
-        others = dependencies(uri, bytes, reader_data, &companions, options);
+    };
+    read_all(read::companions(uri, reader_data), &mut companions);
+    for _ in 0..MAX_DEPENDENCY_ROUNDS {
+        let others = dependencies(uri, bytes, reader_data, &companions, options);
         if others.is_empty() {
             break;
         }
+        read_all(others, &mut companions);
     }
     companions
 }

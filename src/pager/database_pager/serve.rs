@@ -137,10 +137,16 @@ impl DatabasePager {
             let mut companions = Vec::new();
             // A root belongs to the application and shares nothing.
             let options = ReadOptions { sharing: None, base: location, ..scope.options.clone() };
-            // It may be a single glTF with external buffers and images.
-            for dependency in formats::dependencies(uri, &bytes, None, &companions, &options) {
-                let fetched = self.fetch(&scope, &dependency).map(|loaded| loaded.bytes);
-                companions.push((dependency, fetched));
+            // It may be a single model with external buffers and images.
+            for _ in 0..formats::MAX_DEPENDENCY_ROUNDS {
+                let dependencies = formats::dependencies(uri, &bytes, None, &companions, &options);
+                if dependencies.is_empty() {
+                    break;
+                }
+                for dependency in dependencies {
+                    let fetched = self.fetch(&scope, &dependency).map(|loaded| loaded.bytes);
+                    companions.push((dependency, fetched));
+                }
             }
             let content = Content { uri: uri.clone(), bytes, reader_data: None, companions };
             let error = match formats::decode(content, &options) {

@@ -9,15 +9,18 @@ use crossbeam_channel::Sender;
 use tokio::task::{AbortHandle, JoinError, JoinSet};
 
 use super::config::LimitRange;
-use super::job::{Answer, LoadJob, LoadedBytes, MAX_DEPENDENCY_ROUNDS, total_bytes};
+use super::job::{Answer, LoadJob, LoadedBytes, total_bytes};
 use super::request_list::{HttpWork, RequestList};
 use super::server_limits::{Outcome, ServerLimits};
 use super::ticket::Ticket;
 use crate::fetch::{HttpBody, HttpClient, IoError, Limits, Loaded, server};
-use crate::formats;
+use crate::formats::{self, MAX_DEPENDENCY_ROUNDS};
 
 /// How long the thread waits at its end for received bodies to be written to the cache.
 const FINAL_FLUSH_TIMEOUT: Duration = Duration::from_secs(2);
+/// The maximum number of a content's dependencies that are requested at the same time. They do not count in the limits of
+/// their servers.
+const MAX_DEPENDENCIES_IN_FLIGHT: usize = 8;
 
 /// The clients whose caches are flushed when the HTTP thread ends. Written by update, read by the HTTP thread.
 #[derive(Clone, Default)]
@@ -233,19 +236,24 @@ async fn fetch<J: LoadJob>(job: J, limits: &Limits) -> Fetched<J> {
             if dependencies.is_empty() {
                 break;
             }
+            let mut waiting = dependencies.into_iter();
             let mut requests = JoinSet::new();
-            for uri in dependencies {
-                let (client, limits, files) = (client.clone(), *limits, job.shared_files());
-                requests.spawn(async move {
-                    let (bytes, network_bytes) = files.get(&client, &uri, &limits).await;
-                    (uri, bytes, network_bytes)
-                });
-            }
-            while let Some(answer) = requests.join_next().await {
-                // A request that panicked is missing from the companions.
-                if let Ok((uri, bytes, network_bytes)) = answer {
-                    bytes_http += network_bytes;
-                    companions.push((uri, bytes));
+            loop {
+                for uri in waiting.by_ref().take(MAX_DEPENDENCIES_IN_FLIGHT - requests.len()) {
+                    let (client, limits, files) = (client.clone(), *limits, job.shared_files());
+                    requests.spawn(async move {
+                        let (bytes, network_bytes) = files.get(&client, &uri, &limits).await;
+                        (uri, bytes, network_bytes)
+                    });
+                }
+                match requests.join_next().await {
+                    Some(Ok((uri, bytes, network_bytes))) => {
+                        bytes_http += network_bytes;
+                        companions.push((uri, bytes));
+                    }
+                    // A request that panicked is missing from the companions.
+                    Some(Err(_)) => {}
+                    None => break,
                 }
             }
         }

@@ -9,9 +9,6 @@ use crate::formats::Fetched;
 use crate::pager::scenes::shared_files::SharedFiles;
 use crate::trace::Span;
 
-/// The maximum number of times that a thread asks for further dependencies of a content: a model refers to its buffers.
-pub(super) const MAX_DEPENDENCY_ROUNDS: usize = 4;
-
 /// One content to load. The threads read its bytes and call [`Self::decode`]; each job gets exactly one [`Answer`].
 pub(in crate::pager) trait LoadJob: Request + Send + Sync + 'static {
     /// The decoded content.

@@ -8,10 +8,11 @@ use crossbeam_channel::{Receiver, RecvError, Sender, bounded, never, select};
 use super::config::LoadConfig;
 #[cfg(feature = "http")]
 use super::http::{self, HttpAccess};
-use super::job::{Answer, LoadJob, LoadedBytes, MAX_DEPENDENCY_ROUNDS, total_bytes};
+use super::job::{Answer, LoadJob, LoadedBytes, total_bytes};
 use super::request_list::RequestList;
 use super::thread_set::ThreadSet;
 use crate::fetch;
+use crate::formats::MAX_DEPENDENCY_ROUNDS;
 use crate::pager::config::PagerError;
 
 /// Files that may be read and not yet decoded, per decode thread: waiting bytes are memory, and disks are quick.

@@ -231,7 +231,7 @@ fn collected_cases_are_read() {
     assert!(volume.distance_to(tower.center) < 1e-6, "{volume:?} {tower:?}");
 }
 
-/// What a set asks for and does not get is named once.
+/// Each kind of property that is left out is named once.
 #[test]
 fn ignored_members_of_tilesets_are_named() {
     let folder = tempfile::tempdir().unwrap();

@@ -75,7 +75,7 @@ impl Reflection {
     }
 }
 
-/// Returns a map with occlusion in red, roughness in green and metallic in blue, from maps of their own. Returns `None` if
+/// Returns a map with occlusion in red, roughness in green and metallic in blue, from separate maps. Returns `None` if
 /// both are given and differ in size.
 pub(super) fn combined(occlusion: &Arc<Texture>, metallic_roughness: Option<&Arc<Texture>>) -> Option<Arc<Texture>> {
     if metallic_roughness.is_some_and(|other| Arc::ptr_eq(occlusion, other)) {

@@ -40,10 +40,12 @@ impl Surface {
         };
         if let Some(specular) = material.pbr_specular_glossiness().filter(|_| !surface.unlit) {
             notes.add("glTF material: specular colour and glossiness");
+            note_unused_maps(material, notes);
             surface.base_color = specular.diffuse_factor();
             surface.texture = specular.diffuse_texture().map(|info| TextureRef::new(&info));
         } else if let Some(diffuse) = techniques.diffuse(material) {
             notes.add("glTF material: shaders of KHR_techniques_webgl (drawn with their diffuse colour)");
+            note_unused_maps(material, notes);
             surface.base_color = diffuse.color.unwrap_or([1.0; 4]);
             surface.texture = diffuse.texture;
         } else if !surface.unlit && material.index().is_some() {
@@ -79,6 +81,16 @@ impl Surface {
         self.base_color = [r, g, b, self.base_color[3]];
         self.texture = material.emissive_texture().map(|info| TextureRef::new(&info));
         self.unlit = true;
+    }
+}
+
+/// Notes the maps of a material that is drawn without its reflection.
+fn note_unused_maps(material: &gltf::Material<'_>, notes: &Notes) {
+    if material.normal_texture().is_some() {
+        notes.add("glTF material: normal map of a surface that is drawn without reflection");
+    }
+    if material.occlusion_texture().is_some() {
+        notes.add("glTF material: occlusion map of a surface that is drawn without reflection");
     }
 }
 

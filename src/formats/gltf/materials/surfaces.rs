@@ -59,6 +59,8 @@ impl<'a> Surfaces<'a> {
         };
         let (normal_map, shared_normal) = get(of.normal)?;
         let (emissive_map, shared_emissive) = get(of.emissive_map)?;
+        // Without its image the whole surface would glow.
+        let emissive = if of.emissive_map.is_some() && emissive_map.is_none() { [0.0; 3] } else { of.emissive };
         let (mut map, mut shared_map) = get(of.metallic_roughness)?;
         let mut occlusion_strength = of.occlusion_strength;
         if let Some(occlusion) = of.occlusion {
@@ -93,7 +95,7 @@ impl<'a> Surfaces<'a> {
             occlusion_strength,
             normal_map,
             normal_scale: of.normal_scale,
-            emissive: of.emissive,
+            emissive,
             emissive_map,
         };
         Ok((model, [shared_normal.flatten(), shared_map.flatten(), shared_emissive.flatten()]))
