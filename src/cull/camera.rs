@@ -29,6 +29,9 @@ pub struct CullCamera {
     pub ahead_frames: u32,
     /// The graphics context whose draw slots the leaves refer to.
     pub context: u32,
+    /// Tests the contents of tiles against the frustum. Without it, all drawables of a tile whose bounding volume is in view
+    /// become leaves: the selection of tiles as 3D Tiles defines it.
+    pub culls_contents: bool,
 }
 
 impl Default for CullCamera {
@@ -48,6 +51,7 @@ impl Default for CullCamera {
             frame: 1,
             ahead_frames: 0,
             context: 0,
+            culls_contents: true,
         }
     }
 }

@@ -86,3 +86,17 @@ fn answers_without_content_are_empty_tiles() {
     let verified = verify(&source, &Limits::default(), &mut |_| {}).unwrap();
     assert_eq!((verified.contents, verified.failed), (2, 0), "{verified:?}");
 }
+
+/// Servers of paid imagery start a session with the tileset and refuse tiles without its cookie.
+#[test]
+fn cookies_of_the_root_are_sent_with_contents() {
+    let server = Server::start(|request| match request.path() {
+        "/set/tileset.json" => Reply::ok(tileset(&["a.glb"])).with("Set-Cookie", "session=7; Path=/set; HttpOnly"),
+        "/set/a.glb" if request.header("cookie") == Some("session=7") => Reply::ok(glb()),
+        _ => Reply::new(403, ""),
+    });
+    let source = format!("{}/set/tileset.json", server.url);
+    assert_eq!(settle(&source), (Vec::new(), 1));
+    let verified = verify(&source, &Limits::default(), &mut |_| {}).unwrap();
+    assert_eq!((verified.contents, verified.failed), (1, 0), "{verified:?}");
+}

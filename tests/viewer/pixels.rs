@@ -104,7 +104,10 @@ fn settled_view_does_not_change() {
     let before = viewer.read_back().unwrap();
     let settled = viewer.settled().unwrap();
     assert!(settled.coverage > 0.05 && settled.coverage < 0.95 && settled.tiles > 0, "{settled:?}");
-    assert_eq!(viewer.drawn_contents().len() as u64, settled.contents);
+    let drawn = viewer.drawn_contents();
+    assert_eq!(drawn.len() as u64, settled.contents);
+    let selected = viewer.selected_contents();
+    assert!(drawn.iter().all(|uri| selected.contains(uri)), "{drawn:?} {selected:?}");
     for _ in 0..5 {
         viewer.frame().unwrap();
     }

@@ -127,7 +127,7 @@ pub struct FlyArgs {
     /// Write the last frame (with --settle, the settled one) as PNG
     #[arg(long, value_name = "FILE")]
     pub screenshot: Option<PathBuf>,
-    /// Write the URIs of the contents that are visible in that frame as JSON
+    /// Write the URIs of the contents of all tiles that are selected in that frame as JSON
     #[arg(long, value_name = "FILE")]
     pub selection: Option<PathBuf>,
     /// Plain background instead of sky and haze

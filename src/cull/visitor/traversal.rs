@@ -213,12 +213,19 @@ impl<'a> Traversal<'a> {
                 }
                 None => (index, eye_from_frame),
             };
+            let mask = if self.keeps_whole(slot) { 0 } else { mask };
             if takes_single_drawables && let Some(drawable) = self.scene.single_drawable_at(slot, self.camera.context) {
                 self.take_single_drawable(drawable, &eye_from_page, state, mask);
                 continue;
             }
             self.visit_page(PageVisit { slot, eye_from_page, mask, purpose, required, state, view, shown_px, fade });
         }
+    }
+
+    /// Returns true for a page whose drawables are not tested against the frustum.
+    fn keeps_whole(&self, slot: u32) -> bool {
+        // The tiles in a page are always tested.
+        !self.camera.culls_contents && self.scene.page_at(slot).is_some_and(|page| page.tiles().is_empty())
     }
 
     fn visit_page(&mut self, visit: PageVisit) {

@@ -12,6 +12,7 @@ mod body;
 mod cache_access;
 mod client;
 mod config;
+mod cookies;
 mod dns;
 mod exchange;
 mod retry_policy;

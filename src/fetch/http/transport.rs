@@ -5,6 +5,7 @@ use std::sync::Arc;
 use reqwest::header::HeaderMap;
 
 use super::config::HttpConfig;
+use super::cookies::Cookies;
 use super::dns::DnsResolver;
 use super::exchange::{Answer, Exchange, error_chain_without_url, origin};
 use super::retry_policy::{Backoff, Pause, Pauses};
@@ -34,6 +35,7 @@ impl Transport {
             // `Exchange` follows redirects, since it knows which credential belongs to which server.
             .redirect(reqwest::redirect::Policy::none())
             .referer(false)
+            .cookie_provider(Arc::new(Cookies::default()))
             .dns_resolver(DnsResolver::default())
             .http2_adaptive_window(true);
         builder = builder.tls_certs_merge(tls::root_certificates(&config.root_certificates)?);

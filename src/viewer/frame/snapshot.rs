@@ -27,7 +27,7 @@ impl FrameLoop {
     ) -> Result<(FrameStats, RgbaImage), ViewerError> {
         self.finish()?;
         let context = view.context().ok_or(ViewerError::NoContext(context))?;
-        self.cull_again(view, scene);
+        self.cull_again(view, scene, true);
         let mut environment = view.environment;
         if on_key {
             environment.sky = Sky::Background(KEY_COLOR);
@@ -54,12 +54,14 @@ impl FrameLoop {
         Ok((stats, image))
     }
 
-    /// Culls a view once more into the probe's stage; does nothing when its master camera has no context.
-    fn cull_again(&mut self, view: &mut View, scene: &PagedScene) {
+    /// Culls a view once more into the probe's stage; does nothing when its master camera has no context. Contents of tiles
+    /// are tested against the frustum only if `culls_contents` is set.
+    fn cull_again(&mut self, view: &mut View, scene: &PagedScene, culls_contents: bool) {
         view.prepare(&self.rendering, scene.bounds());
         let camera = view.master.map(|slot| slot.camera);
         let frame = self.stamp().frame;
-        if let Some(task) = camera.and_then(|camera| view.task(camera, scene, frame, Vec::new())) {
+        if let Some(mut task) = camera.and_then(|camera| view.task(camera, scene, frame, Vec::new())) {
+            task.camera.culls_contents = culls_contents;
             self.probe.cull(task);
         }
     }
@@ -106,8 +108,18 @@ impl Viewer {
 
     /// Returns the URIs of the contents that the present view draws, sorted.
     pub fn drawn_contents(&mut self) -> Vec<Arc<str>> {
+        self.contents_in_view(true)
+    }
+
+    /// Returns the URIs of the contents whose tiles the present view selects, sorted: also those whose tile's bounding volume
+    /// is in view and whose content is not. This is the selection of tiles of other clients for 3D Tiles.
+    pub fn selected_contents(&mut self) -> Vec<Arc<str>> {
+        self.contents_in_view(false)
+    }
+
+    fn contents_in_view(&mut self, culls_contents: bool) -> Vec<Arc<str>> {
         let (frame, view, scene) = self.parts_mut();
-        frame.cull_again(view, scene);
+        frame.cull_again(view, scene, culls_contents);
         let drawn = frame.drawn_slots();
         let device = view.master.map_or(u32::MAX, |slot| slot.device);
         let scene = scene.scene();

@@ -137,6 +137,7 @@ impl Camera {
             simulation_time_s: 0.0,
             frame,
             ahead_frames: 0,
+            culls_contents: true,
             context,
         }
     }

@@ -313,3 +313,25 @@ fn nodes_attached_to_a_tile_are_drawn_with_it() {
     });
     assert_eq!(drawn, expected.collect());
 }
+
+/// Clients for 3D Tiles count a tile as selected if its bounding volume is in view, wherever its content is.
+#[test]
+fn contents_outside_of_the_view_are_selected_with_their_tile() {
+    let camera = look_at(DVec3::new(0.0, 0.0, 1000.0), DVec3::ZERO, DVec3::Y);
+    // Contents are 50 m wide. The first tile has its content at its centre, beside the view; the second is beside the view as
+    // a whole.
+    let mut wide = flat_tile(DVec3::new(2000.0, 0.0, 0.0), 2000.0, 0.0);
+    if let NodeKind::PagedLod(tile) = &mut wide.kind {
+        tile.content_transform = DAffine3::from_translation(DVec3::new(2000.0, 0.0, 0.0));
+    }
+    let outside = flat_tile(DVec3::new(-9000.0, 0.0, 0.0), 100.0, 0.0);
+    let inside = flat_tile(DVec3::new(10.0, 0.0, 0.0), 100.0, 0.0);
+    let mut scene = Scene::new();
+    scene.add_root(page(Node::group(vec![wide, outside, inside]), 0));
+    let stage = settle(&mut scene, &camera);
+    assert_eq!(stage.counters.leaves, 1);
+    let selecting = CullCamera { culls_contents: false, ..camera };
+    let mut stage = RenderStage::new();
+    CullVisitor::new().cull(&scene, &selecting, &mut stage);
+    assert_eq!((stage.counters.leaves, stage.requests.len()), (2, 0));
+}

@@ -222,7 +222,7 @@ impl Flight {
 
     fn write_selection(&self, viewer: &mut Viewer) -> Result<()> {
         let Some(file) = &self.args.selection else { return Ok(()) };
-        let uris = viewer.drawn_contents();
+        let uris = viewer.selected_contents();
         let root = shown(viewer.root_uri().unwrap_or_default()).into_owned();
         let path = root.split('?').next().unwrap_or(&root);
         let folder = path.rsplit_once('/').map_or("", |(folder, _)| folder);
