@@ -13,3 +13,4 @@ mod samples;
 mod shadows;
 mod sky;
 mod surfaces;
+mod terrain_light;

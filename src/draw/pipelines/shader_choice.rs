@@ -11,7 +11,6 @@ use super::sources::{
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum VertexEntry {
     Height,
-    ShadowedHeight,
     HeightCaster,
     FixedHeight,
     Mesh,
@@ -28,7 +27,6 @@ impl VertexEntry {
     pub(super) fn name(self) -> &'static str {
         match self {
             Self::Height => "vs_height",
-            Self::ShadowedHeight => "vs_height_shadowed",
             Self::HeightCaster => "vs_height_caster",
             Self::FixedHeight => "vs_fixed_height",
             Self::Mesh => "vs_mesh",
@@ -46,7 +44,6 @@ impl VertexEntry {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum FragmentEntry {
     Height,
-    ShadowedHeight,
     Mesh,
     MaskedMesh,
     BlendedMesh,
@@ -71,8 +68,6 @@ impl FragmentEntry {
         match (self, is_fading) {
             (Self::Height, false) => "fs_height",
             (Self::Height, true) => "fs_height_fading",
-            (Self::ShadowedHeight, false) => "fs_height_shadowed",
-            (Self::ShadowedHeight, true) => "fs_height_shadowed_fading",
             (Self::Mesh, false) => "fs_mesh",
             (Self::Mesh, true) => "fs_mesh_fading",
             (Self::MaskedMesh, false) => "fs_mesh_masked",
@@ -98,7 +93,7 @@ impl FragmentEntry {
 
     /// Returns true if the shader has the override `HAS_ALPHA`.
     pub(super) fn has_alpha_override(self) -> bool {
-        matches!(self, Self::Height | Self::ShadowedHeight)
+        matches!(self, Self::Height)
     }
 }
 
@@ -173,13 +168,10 @@ impl ShaderChoice {
     }
 
     fn height(key: PipelineKey) -> Self {
-        let discards = key.is_fading();
-        if key.has_shadows() {
-            let (vertex, fragment) = (VertexEntry::ShadowedHeight, FragmentEntry::ShadowedHeight);
-            return Self { label: "shadowed height", source: SHADOWED_HEIGHT_WGSL, vertex, fragment, discards };
-        }
+        let (label, source) =
+            if key.has_shadows() { ("shadowed height", SHADOWED_HEIGHT_WGSL) } else { ("height", HEIGHT_WGSL) };
         let (vertex, fragment) = (VertexEntry::Height, FragmentEntry::Height);
-        Self { label: "height", source: HEIGHT_WGSL, vertex, fragment, discards }
+        Self { label, source, vertex, fragment, discards: key.is_fading() }
     }
 
     fn mesh(key: PipelineKey) -> Self {

@@ -8,10 +8,16 @@ macro_rules! wgsl {
     };
 }
 
-pub(super) const HEIGHT_WGSL: &str =
-    wgsl![shared / air, shared / frame, shared / no_shadows, shared / facets, heights / height];
+pub(super) const HEIGHT_WGSL: &str = wgsl![
+    shared / air,
+    shared / frame,
+    shared / no_shadows,
+    shared / facets,
+    heights / height,
+    heights / height_shading
+];
 pub(super) const SHADOWED_HEIGHT_WGSL: &str =
-    wgsl![shared / air, shared / frame, shared / shadows, shared / facets, heights / height, heights / height_shadowed];
+    wgsl![shared / air, shared / frame, shared / shadows, shared / facets, heights / height, heights / height_shading];
 pub(super) const MESH_WGSL: &str = wgsl![
     shared / air,
     shared / frame,

@@ -16,17 +16,6 @@
 @group(1) @binding(2) var color_layers: texture_2d_array<f32>;
 @group(1) @binding(3) var color_sampler: sampler;
 
-struct HeightFragment {
-    @builtin(position) position: vec4<f32>,
-    @location(0) uv: vec2<f32>,
-    @location(1) light: vec3<f32>,  // times the leaf's color
-    @location(2) air: vec4<f32>,
-    // The layer, two flags from FLAGS_SHIFT on, and the band of a fade at the same bits as in the leaf. They are passed by
-    // value, since a load from a buffer for each pixel is slow on software adapters.
-    @location(3) @interpolate(flat) layer: u32,
-}
-
-const FLAGS_SHIFT: u32 = 14u;
 const HEADER: u32 = 3u;
 
 // Returns the row j of a tile's table.
@@ -157,45 +146,4 @@ fn height_point(index: u32, instance: u32) -> HeightPoint {
         position,
         normal,
     );
-}
-
-@vertex
-fn vs_height(@builtin(vertex_index) index: u32, @builtin(instance_index) instance: u32) -> HeightFragment {
-    let leaf = leaves[instance];
-    let point = height_point(index, instance);
-    var out: HeightFragment;
-    out.position = clip_of(leaf, point.in_eye);
-    out.uv = point.uv;
-    out.light = vec3<f32>(1.0);
-    if (leaf.flags & FLAG_UNLIT) == 0u {
-        out.light = light(point.normal, point.up, above_ground(point.in_eye).w);
-    }
-    out.light *= leaf.color.rgb;
-    out.air = aerial(point.in_eye);
-    let flags = leaf.flags & (FLAG_UNLIT | FLAG_UNTEXTURED);
-    out.layer = leaf.layer | flags << FLAGS_SHIFT | (leaf.flags >> BAND_SHIFT) << BAND_SHIFT;
-    return out;
-}
-
-// True if the image's alpha is used, for blending or coverage.
-override HAS_ALPHA: bool = false;
-
-fn height_color(in: HeightFragment) -> vec4<f32> {
-    let layer = in.layer & ((1u << FLAGS_SHIFT) - 1u);
-    let base = texel(textureSample(color_layers, color_sampler, in.uv, layer), in.layer >> FLAGS_SHIFT);
-    return vec4<f32>(through_air(base.rgb * in.light, in.air), select(1.0, base.a, HAS_ALPHA));
-}
-
-@fragment
-fn fs_height(in: HeightFragment) -> @location(0) vec4<f32> {
-    return height_color(in);
-}
-
-@fragment
-fn fs_height_fading(in: HeightFragment) -> @location(0) vec4<f32> {
-    let color = height_color(in);
-    if is_faded_out(in.position.xy, in.layer) {
-        discard;
-    }
-    return color;
 }
