@@ -3,6 +3,7 @@
 
 mod atmosphere;
 mod bins;
+mod calibration;
 mod draw_calls;
 mod drawables;
 mod fade;

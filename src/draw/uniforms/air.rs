@@ -108,3 +108,21 @@ pub(in crate::draw) fn sun_height(camera: &CullCamera, environment: &Environment
     let sun = DVec3::from(direction_in_eye(camera, environment.sun_direction));
     sun.dot(direction_in_eye(camera, environment.up_in_world).into())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::DistanceFog;
+
+    #[test]
+    fn clear_air_leaves_two_percent_of_contrast_over_100_km() {
+        let air = AirParameters::of(&CullCamera::default(), &Environment::default());
+        // Green light near the ground, where there is no ozone.
+        let extinction_per_km = RAYLEIGH_PER_KM[1] + f64::from(air.aerosol_per_km);
+        let contrast = |distance_km: f64| (-extinction_per_km * distance_km).exp();
+        assert!((99.5..100.5).contains(&(3.912 / extinction_per_km)), "{extinction_per_km}");
+        assert!((0.0195..0.0205).contains(&contrast(100.0)), "{}", contrast(100.0));
+        assert!(contrast(10.0) > 0.65, "{}", contrast(10.0));
+        assert!((DistanceFog::AIR_PER_M * 1e3 - RAYLEIGH_PER_KM[1]).abs() < 1e-12);
+    }
+}

@@ -28,8 +28,21 @@ pub enum Sky {
 pub struct DistanceFog {
     /// If false, everything is drawn in its own colour.
     pub enabled: bool,
-    /// The fraction of light lost per metre at height 0; 1.5e-5 leaves a third over 70 km.
+    /// The fraction of light lost per metre at height 0; 1.5e-5 leaves a third over 70 km. Under an atmosphere the air itself
+    /// adds [`Self::AIR_PER_M`], so that the meteorological range is 3.912 / (density + 1.36e-5) metres.
     pub density_per_m: f32,
+}
+
+impl DistanceFog {
+    /// The fraction of green light (550 nm) that air without aerosols scatters per metre at height 0 (E. Bruneton and
+    /// F. Neyret, Precomputed Atmospheric Scattering, 2008). Its meteorological range is 288 km.
+    pub const AIR_PER_M: f64 = 13.558e-6;
+
+    /// The density of aerosols of clear air under an atmosphere, whose meteorological range near the ground is 100 km.
+    ///
+    /// Koschmieder's law (1924) says that the contrast of a far object falls by exp(-extinction x distance). The
+    /// meteorological range is the distance at which 2 % are left: -ln 0.02 = 3.912, divided by the extinction.
+    pub const CLEAR_AIR_PER_M: f32 = (3.912 / 100_000.0 - Self::AIR_PER_M) as f32;
 }
 
 /// A calm sea.
@@ -67,30 +80,36 @@ pub struct Environment {
     /// Shadows of the sun; `None` costs nothing.
     pub shadows: Option<SunShadows>,
     /// A factor on lit colours, whose highlights are then compressed (Khronos PBR Neutral); `None` clamps them at white. Unlit
-    /// colours are not changed.
+    /// colours are not changed. The default is [`Self::EXPOSURE`].
     pub exposure: Option<f32>,
     /// The unit vector away from the ground at the eye, in the world: z for a local scene, the ellipsoid's normal on a globe.
     pub up_in_world: DVec3,
 }
 
 impl Default for Environment {
-    /// Returns morning sun from the south-east of a z-up world, thin haze and an atmosphere.
+    /// Returns morning sun from the south-east of a z-up world, clear air and an atmosphere.
     fn default() -> Self {
         Self {
             sun_direction: DVec3::new(0.45, -0.55, 0.7).normalize(),
             sun_color: [1.12, 1.05, 0.92],
             ambient_color: [0.18, 0.22, 0.30],
-            fog: DistanceFog { enabled: true, density_per_m: 1.2e-5 },
+            fog: DistanceFog { enabled: true, density_per_m: DistanceFog::CLEAR_AIR_PER_M },
             sky: Sky::Atmosphere,
             water: None,
             shadows: None,
-            exposure: Some(1.5),
+            exposure: Some(Self::EXPOSURE),
             up_in_world: DVec3::Z,
         }
     }
 }
 
 impl Environment {
+    /// The exposure with which level ground under the default sun and sky is displayed in the colour of its image.
+    ///
+    /// It is the albedo over the light that the ground reflects: the default sun, 44 degrees high, and the sky give level
+    /// ground 0.88 of the light of `sun_color` 1. A mid-grey surface (0.18) that faces the sun is displayed as sRGB 134.
+    pub const EXPOSURE: f32 = 1.15;
+
     /// Returns the environment around another eye of the same world: over a globe, `up_in_world` depends on the position.
     #[must_use]
     pub fn seen_from(mut self, eye_in_world: DVec3) -> Self {

@@ -191,9 +191,9 @@ impl SetBounds {
     }
 
     /// Returns a fog density per metre that leaves the whole set visible from the first camera: an optical depth of 0.35 at
-    /// that distance. It is limited to 5e-5, a hazy day's, so that small sets stay clear.
+    /// that distance. It is at most that of clear air.
     pub fn fog_density_per_m(&self) -> f64 {
-        (0.35 / (2.2 * self.sphere.radius_m)).min(5e-5)
+        (0.35 / (2.2 * self.sphere.radius_m)).min(DistanceFog::CLEAR_AIR_PER_M.into())
     }
 
     /// Returns the direction towards the sun in the world: south-east, 40 degrees above the horizon.
@@ -261,6 +261,15 @@ mod tests {
             let pose = path.world_from_eye(0.1 * f64::from(step));
             assert!(bounds.height_above_top_m(pose.translation) > 0.0, "at {step}");
             assert!((pose.matrix3.determinant() - 1.0).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn air_of_no_set_is_hazier_than_clear_air() {
+        for radius_m in [1.0, 3_000.0, 50_000.0, 6.4e6] {
+            let bounds = SetBounds::from_sphere(BoundingSphere::new(DVec3::ZERO, radius_m));
+            let extinction = DistanceFog::AIR_PER_M + f64::from(environment_for(&bounds).fog.density_per_m);
+            assert!(3.912 / extinction > 99_900.0, "{radius_m} m: {extinction} per metre");
         }
     }
 

@@ -130,14 +130,8 @@ fn rayleigh_phase(cosine: f32) -> f32 {
     return 3.0 / (16.0 * PI) * (1.0 + cosine * cosine);
 }
 
-// Computes the light of the whole sky on level ground, by the sun's cosine from the zenith between -0.3 and 1.
-@compute @workgroup_size(8, 8)
-fn cs_sky_light(@builtin(global_invocation_id) id: vec3<u32>) {
-    let size = textureDimensions(out_plane);
-    if id.x >= size.x || id.y >= size.y {
-        return;
-    }
-    let sun_cosine = mix(-0.3, 1.0, f32(id.x) / (f32(size.x) - 1.0));
+// Returns the light of the whole sky on level ground, by the sun's cosine from the zenith.
+fn sky_on_ground(sun_cosine: f32) -> vec3<f32> {
     let sun = vec3<f32>(sqrt(max(1.0 - sun_cosine * sun_cosine, 0.0)), 0.0, sun_cosine);
     let from_center = EARTH_KM + 0.05;
     var light = vec3<f32>(0.0);
@@ -162,7 +156,18 @@ fn cs_sky_light(@builtin(global_invocation_id) id: vec3<u32>) {
             before = t;
         }
     }
-    textureStore(out_plane, id.xy, vec4<f32>(light * (2.0 * PI / 64.0), 1.0));
+    return light * (2.0 * PI / 64.0);
+}
+
+// Computes the light of the sky relative to that under a sun in the zenith.
+@compute @workgroup_size(8, 8)
+fn cs_sky_light(@builtin(global_invocation_id) id: vec3<u32>) {
+    let size = textureDimensions(out_plane);
+    if id.x >= size.x || id.y >= size.y {
+        return;
+    }
+    let light = sky_on_ground(sky_light_cosine(f32(id.x) / (f32(size.x) - 1.0)));
+    textureStore(out_plane, id.xy, vec4<f32>(light / sky_on_ground(1.0), 1.0));
 }
 
 // Computes the light that the air adds along each direction from the eye, up to distances that lie closer together near the

@@ -24,6 +24,16 @@ fn sun_share(height: f32, cosine: f32) -> f32 {
     return smoothstep(-SUN_RADIUS, SUN_RADIUS, cosine - horizon_cosine(height));
 }
 
+// Returns the cosine of the sun from the zenith at a place in the table of the sky's light, from 0 to 1.
+fn sky_light_cosine(place: f32) -> f32 {
+    return mix(-0.3, 1.0, place);
+}
+
+// Returns the texture coordinate of a cosine in the table of the sky's light; the inverse of `sky_light_cosine`.
+fn sky_light_place(cosine: f32) -> f32 {
+    return (clamp((cosine + 0.3) / 1.3, 0.0, 1.0) * 63.0 + 0.5) / 64.0;
+}
+
 // Returns the phase function of aerosols by the cosine of the scattering angle: Henyey and Greenstein's with g = 0.8.
 fn mie_phase(cosine: f32) -> f32 {
     let g = 0.8;
@@ -48,6 +58,14 @@ fn air_row(cosine: f32, horizon: f32, limb: f32) -> f32 {
         return 32.0 + 31.0 * sqrt(clamp((cosine - horizon) / (limb - horizon), 0.0, 1.0));
     }
     return 31.0 - 31.0 * sqrt(clamp((horizon - cosine) / (1.0 + horizon), 0.0, 1.0));
+}
+
+// Returns the layer of a part of a ray's way, from 0 to 1. The layers lie at squares of 1 / 23; between two of them the layer
+// grows with the distance, so that the air near the eye does too.
+fn air_layer(part: f32) -> f32 {
+    let square = clamp(part, 0.0, 1.0) * (23.0 * 23.0);
+    let layer = floor(sqrt(square));
+    return layer + (square - layer * layer) / (2.0 * layer + 1.0);
 }
 
 // Returns the distances in kilometres at which a ray enters the air, and leaves it or meets the lowest ground.

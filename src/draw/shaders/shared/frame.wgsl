@@ -175,9 +175,8 @@ fn light_of_sky(normal: vec3<f32>, up: vec3<f32>) -> vec3<f32> {
         return ambient * (0.15 + 0.85 * sun_daylight(cosine));
     }
     // The ambient light is that of a high sun. It falls with the sky's light, and some remains at night.
-    let last = i32(textureDimensions(sky_light).x) - 1;
-    let uv = vec2<f32>((clamp((cosine + 0.3) / 1.3, 0.0, 1.0) * f32(last) + 0.5) / f32(last + 1), 0.5);
-    let sky = textureSampleLevel(sky_light, air_sampler, uv, 0.0).rgb / textureLoad(sky_light, vec2<i32>(last, 0), 0).rgb;
+    let place = vec2<f32>(sky_light_place(cosine), 0.5);
+    let sky = textureSampleLevel(sky_light, air_sampler, place, 0.0).rgb;
     return ambient * max(sky, vec3<f32>(0.03));
 }
 
@@ -235,7 +234,7 @@ fn air_along(ray: vec3<f32>, cosine: f32, part: f32) -> vec4<f32> {
     let texel = vec3<f32>(
         (0.5 - 0.5 * azimuth) * 31.0,
         air_row(cosine, frame.air.y, frame.air.z),
-        sqrt(clamp(part, 0.0, 1.0)) * 23.0,
+        air_layer(part),
     );
     let uvw = (texel + 0.5) / vec3<f32>(32.0, 64.0, 24.0);
     let scattered = textureSampleLevel(air_scattered, air_sampler, uvw, 0.0);
