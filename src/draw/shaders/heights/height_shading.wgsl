@@ -1,4 +1,4 @@
-// Height tiles under sun, sky and air. All of it is computed for each pixel, so that a picture does not depend on the size of
+// Height tiles under sun, sky and air. All of it is computed for each pixel, so that the image does not depend on the size of
 // the triangles, which is that of the level. The normal is interpolated between vertices: a tile has one height for each
 // vertex, so that its normals hold no more. It morphs with the surface, so that shading does not jump where levels change.
 
