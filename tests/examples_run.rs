@@ -15,7 +15,7 @@ fn example(name: &str) -> PathBuf {
     if !program.is_file() {
         let release = if profile.ends_with("release") { &["--release"][..] } else { &[] };
         let built = Command::new(env!("CARGO"))
-            .args(["build", "-p", "terrane", "--example", name])
+            .args(["build", "--workspace", "--example", name])
             .args(release)
             .status()
             .unwrap();

@@ -7,7 +7,7 @@ use glam::DAffine3;
 use super::ignored::IgnoredLog;
 use super::tile::UpAxis;
 use crate::fetch::{IoError, Limits, RootScope, resolve, shown};
-use crate::scene::{ReaderData, SharedStateManager};
+use crate::scene::{BlockFormats, ReaderData, SharedStateManager};
 
 /// Options that all reads of a tile set share.
 #[derive(Clone, Debug)]
@@ -35,6 +35,10 @@ pub struct ReadOptions {
     /// Keeps the feature ids of glTF, b3dm and i3dm with their property tables, for
     /// [`Page::features`](crate::scene::Page::features). Off by default, since they take memory.
     pub keep_features: bool,
+    /// The compressed formats that the adapter samples; none by default. KTX2 images are transcoded to one of them, or to
+    /// RGBA8 without any. A pager sets those that all of its contexts have
+    /// ([`CompileContext::block_formats`](crate::pager::CompileContext::block_formats)).
+    pub block_formats: BlockFormats,
     /// Shares equal images, meshes and states between contents; `None` by default. A pager sets its own.
     pub sharing: Option<Arc<SharedStateManager>>,
     /// Collects what contents ask for and their readers leave out. Copies of these options share it.
@@ -54,6 +58,7 @@ impl ReadOptions {
             base: None,
             gltf_up_axis: UpAxis::Y,
             keep_features: false,
+            block_formats: BlockFormats::NONE,
             sharing: None,
             ignored: IgnoredLog::default(),
         }

@@ -174,10 +174,9 @@ fn read_bytes(
     options: &ReadOptions,
     notes: &Notes,
 ) -> Result<Node, IoError> {
-    let limits = &options.limits;
-    let bytes = encoding::gunzip(uri, bytes, limits)?;
+    let bytes = encoding::gunzip(uri, bytes, &options.limits)?;
     if bytes.starts_with(&[0x76, 0x2f, 0x31, 0x01]) {
-        return height::read(uri, &bytes, text, companions, limits, options.sharing.as_deref());
+        return height::read(uri, &bytes, text, companions, options, notes);
     }
     ModelReader { uri, companions: &companions, options, notes }.read(&bytes, 0)
 }

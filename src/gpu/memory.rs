@@ -8,12 +8,15 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::GpuError;
+use super::pools::block_formats;
+use crate::scene::BlockFormats;
 
 /// The device as an allocator. Clones share the device and the limit of tests.
 #[derive(Clone)]
 pub(crate) struct Memory {
     device: wgpu::Device,
     limits: wgpu::Limits,
+    block_formats: BlockFormats,
     /// Bytes that may still be allocated; unlimited outside of tests. Written by the draw thread, reduced by each thread that
     /// allocates.
     left_bytes: Arc<AtomicU64>,
@@ -21,7 +24,12 @@ pub(crate) struct Memory {
 
 impl Memory {
     pub(super) fn new(device: &wgpu::Device) -> Self {
-        Self { device: device.clone(), limits: device.limits(), left_bytes: Arc::new(AtomicU64::new(u64::MAX)) }
+        Self {
+            device: device.clone(),
+            limits: device.limits(),
+            block_formats: block_formats(device.features()),
+            left_bytes: Arc::new(AtomicU64::new(u64::MAX)),
+        }
     }
 
     pub(crate) fn device(&self) -> &wgpu::Device {
@@ -30,6 +38,11 @@ impl Memory {
 
     pub(super) fn limits(&self) -> &wgpu::Limits {
         &self.limits
+    }
+
+    /// Returns the families of compressed formats that the device samples.
+    pub(super) fn block_formats(&self) -> BlockFormats {
+        self.block_formats
     }
 
     /// Creates a buffer or texture of a size; `what` names its use in the error text.

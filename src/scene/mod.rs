@@ -38,8 +38,9 @@ pub use features::{DrawableFeatures, Feature, FeatureIdSet, FeatureIds, Property
 #[cfg(feature = "text")]
 pub use geometry::Font;
 pub use geometry::{
-    AlphaMode, AttributeFormat, CustomGeometry, Drawable, Geometry, HeightTile, MAX_ATTRIBUTES, Material, Mesh,
-    MeshVertex, MetallicRoughness, NormalCone, PrimitiveMode, Texture, Topology, VertexAttributes, VertexFormat,
+    AlphaMode, AttributeFormat, BlockFormats, CustomGeometry, Drawable, Geometry, HeightTile, MAX_ATTRIBUTES, Material,
+    Mesh, MeshVertex, MetallicRoughness, NormalCone, PrimitiveMode, Sampling, TexelFormat, Texture, Topology,
+    VertexAttributes, VertexFormat,
 };
 pub use graph::Scene;
 pub use id::{NodeId, PageId, SceneNumber};

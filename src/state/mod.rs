@@ -30,6 +30,5 @@ pub use raster::{
 pub use resolved::ResolvedState;
 pub use state_set::StateSet;
 pub use texgen::TexGen;
-pub(crate) use texture::CLAMPED;
 pub use texture::{FilterMode, Sampler, TextureBinding, TextureDimension, TextureFormat, TextureObject, WrapMode};
 pub use variance::DataVariance;

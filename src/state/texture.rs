@@ -173,9 +173,6 @@ pub enum WrapMode {
     Mirror,
 }
 
-/// Clamps along both axes of an image.
-pub(crate) const CLAMPED: [WrapMode; 2] = [WrapMode::ClampToEdge; 2];
-
 /// How a texture is sampled.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sampler {

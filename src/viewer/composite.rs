@@ -191,7 +191,7 @@ impl CompositeViewer {
     /// Loads a root tile set (folder, file or URL) into a scene without one, and moves the cameras of its views to the
     /// first view of it. Blocks until the root is read.
     pub fn load(&mut self, scene: SceneId, source: &str) -> Result<PageId, ViewerError> {
-        let root = self.paged(scene)?.read_root(source)?;
+        let root = self.paged(scene)?.read_root(source, &self.frame.rendering)?;
         self.set_root(scene, root)
     }
 

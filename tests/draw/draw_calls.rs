@@ -9,10 +9,10 @@ use kit::rig::{camera, plain, rig, unit_camera};
 use kit::shapes::{mesh, quad, with_mips};
 use kit::terrain::Terrain;
 use terrane::scene::{
-    AlphaMode, Billboard, BillboardMode, Drawable, Geometry, Material, Mesh, MeshVertex, Node, NodeKind, Texture,
-    Topology,
+    AlphaMode, Billboard, BillboardMode, Drawable, Geometry, Material, Mesh, MeshVertex, Node, NodeKind, Sampling,
+    Texture, Topology,
 };
-use terrane::state::{StateSet, WrapMode};
+use terrane::state::{FilterMode, StateSet, WrapMode};
 
 const RED: [f32; 4] = [1.0, 0.0, 0.0, 1.0];
 const GREEN: [f32; 4] = [0.0, 1.0, 0.0, 1.0];
@@ -89,7 +89,7 @@ fn masked_textures_are_cut_at_their_cutoff() {
     let Some(mut rig) = rig("masked_textures_are_cut_at_their_cutoff") else { return };
     // The left half is opaque red, the right half nearly transparent.
     let pixels = (0..64 * 64).flat_map(|i| [255, 0, 0, if i % 64 < 32 { 255 } else { 20 }]).collect();
-    let texture = Texture { width: 64, height: 64, mips: vec![pixels], wrap: Default::default() };
+    let texture = Texture::rgba8(64, 64, vec![pixels]);
     let mut drawable = quad([0.0, 0.0, 0.0], [0.5, 0.5], [1.0; 4]);
     drawable.material.texture = Some(Arc::new(texture));
     drawable.material.alpha = AlphaMode::Mask(0.5);
@@ -113,7 +113,8 @@ fn textures_wrap_by_the_mode_of_each_axis() {
             [(clamped, [blue, blue]), (WrapMode::Repeat, [red, blue]), (WrapMode::Mirror, [blue, red])]
         {
             let wrap = if along == 0 { [mode, clamped] } else { [clamped, mode] };
-            let texture = Texture { width: 64, height: 64, mips: vec![pixels.clone()], wrap };
+            let sampling = Sampling { wrap, ..Sampling::default() };
+            let texture = Texture { sampling, ..Texture::rgba8(64, 64, vec![pixels.clone()]) };
             let mut drawable = quad([0.0, 0.0, 0.0], [0.5, 0.5], [1.0; 4]);
             let Geometry::Mesh(mesh) = &mut drawable.geometry else { panic!("a mesh") };
             Arc::get_mut(mesh).unwrap().vertices.iter_mut().for_each(|v| v.uv = v.uv.map(|uv| 2.0 * uv));
@@ -125,6 +126,40 @@ fn textures_wrap_by_the_mode_of_each_axis() {
             assert_eq!([at(144), at(176)], expected, "{wrap:?}");
             rig.release(scene);
         }
+    }
+}
+
+#[test]
+fn textures_are_filtered_by_their_sampler() {
+    let Some(mut rig) = rig("textures_are_filtered_by_their_sampler") else { return };
+    let (red, blue, green) = ([255, 0, 0, 255], [0, 0, 255, 255], [0, 255, 0, 255]);
+    // Level 0 is red and blue in halves, the other levels are green.
+    let mut mips = vec![(0..32 * 32).flat_map(|i| if i % 32 < 16 { red } else { blue }).collect::<Vec<u8>>()];
+    mips.extend((1..6).map(|level| green.repeat((32 >> level) * (32 >> level))));
+    let mut colors = |sampling: Sampling, half: f32| {
+        let mut drawable = quad([0.0; 3], [half, half], [1.0; 4]);
+        let texture = Texture { sampling, ..Texture::rgba8(32, 32, mips.clone()) };
+        drawable.material.texture = Some(Arc::new(texture));
+        let scene = rig.scene(Node::geode(vec![drawable]));
+        let picture = rig.picture(&scene, &unit_camera(256), &plain());
+        rig.release(scene);
+        let all = picture.pixels().filter(|pixel| pixel.0[..3] != MAGENTA).count() as u64;
+        let [red, blue, green] = [red, blue, green].map(|c| count(&picture, [c[0], c[1], c[2]]) as u64);
+        [all, red, blue, green]
+    };
+    let linear = Sampling::default();
+    let nearest = Sampling { mag: FilterMode::Nearest, ..linear };
+    // Magnified: 256 x 256 pixels for 32 x 32 texels.
+    let [all, red, blue, _] = colors(nearest, 1.0);
+    assert_eq!([all, red, blue], [1 << 16, 1 << 15, 1 << 15], "no mixture");
+    let [all, red, blue, _] = colors(linear, 1.0);
+    assert!(red + blue < all, "a mixture of {all} pixels: {red}, {blue}");
+    // Minified: 8 x 8 pixels.
+    for min in [FilterMode::Nearest, FilterMode::Linear] {
+        let [all, _, _, green] = colors(Sampling { min, mip: None, ..linear }, 1.0 / 32.0);
+        assert_eq!([all, green], [64, 0], "level 0 alone: {min:?}");
+        let [all, _, _, green] = colors(Sampling { min, mip: Some(FilterMode::Nearest), ..linear }, 1.0 / 32.0);
+        assert_eq!(all, green, "another level: {min:?}");
     }
 }
 

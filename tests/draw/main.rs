@@ -4,6 +4,7 @@
 mod atmosphere;
 mod bins;
 mod calibration;
+mod compressed;
 mod draw_calls;
 mod drawables;
 mod fade;

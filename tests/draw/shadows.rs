@@ -133,7 +133,7 @@ fn tilted_plates_cast_no_shadows_on_themselves() {
 
 fn half_transparent() -> Arc<Texture> {
     let texels = (0..64).flat_map(|i| [255, 255, 255, if i % 8 < 4 { 0 } else { 255 }]).collect();
-    Arc::new(Texture { width: 8, height: 8, mips: vec![texels], wrap: Default::default() })
+    Arc::new(Texture::rgba8(8, 8, vec![texels]))
 }
 
 /// Returns a plate above the ground whose half towards +x is opaque.

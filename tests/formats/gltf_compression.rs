@@ -1,11 +1,12 @@
 //! Compressed parts of glTF 2.0: Draco meshes, meshopt buffer views, WebP and KTX2 images.
 
-use kit::compressed::{Triangles, uastc_ktx2};
+use kit::compressed::{ETC1S_64, Triangles, uastc_ktx2, uastc_mosaic};
 use meshoptimizer_rs::codec::{ExpMode, IndexEncoding, VertexEncoding};
 use meshoptimizer_rs::{Workspace, codec};
 use serde_json::{Value, json};
 use terrane::fetch::Limits;
 use terrane::formats::{Content, ReadOptions, decode};
+use terrane::scene::{BlockFormats, TexelFormat, Texture};
 
 use crate::gltf_builder::*;
 
@@ -258,6 +259,116 @@ fn webp_and_ktx2_images_are_decoded() {
     assert!(textured("EXT_texture_webp", "image/webp", b"GIF89a", false).read().mesh().1.material.texture.is_none());
 }
 
+const BC: BlockFormats = BlockFormats { bc: true, ..BlockFormats::NONE };
+const ETC2: BlockFormats = BlockFormats { etc2: true, ..BlockFormats::NONE };
+const ASTC: BlockFormats = BlockFormats { astc: true, ..BlockFormats::NONE };
+const ALL: BlockFormats = BlockFormats { bc: true, etc2: true, astc: true };
+
+/// Reads a document for an adapter with these formats.
+fn read_for(gltf: &GltfBuilder, block_formats: BlockFormats) -> Read {
+    let options = ReadOptions { block_formats, ..ReadOptions::for_root("/set/tileset.json", Limits::default()) };
+    read_with(gltf.text(), Vec::new(), &options).unwrap()
+}
+
+/// Checks that a texture has all levels, each of the size of its format.
+fn assert_whole(texture: &Texture) {
+    assert_eq!(texture.mips.len() as u32, 32 - texture.width.max(texture.height).leading_zeros(), "{texture:?}");
+    for (level, mip) in texture.mips.iter().enumerate() {
+        let [width, height] = [texture.width, texture.height].map(|side| (side >> level).max(1));
+        assert_eq!(mip.len() as u64, texture.format.image_bytes(width, height), "level {level} of {texture:?}");
+    }
+}
+
+#[test]
+fn ktx2_images_get_the_format_of_the_adapter() {
+    let uastc = uastc_mosaic([16, 8], 1, |[_, x, y]| [200, (x * 50) as u8, (y * 90) as u8, 255]);
+    let whole_uastc = uastc_mosaic([16, 8], 5, |_| [1, 2, 3, 255]);
+    for (image, formats, expected) in [
+        (&uastc[..], BC, TexelFormat::Bc7),
+        (&uastc, ETC2, TexelFormat::Etc2Rgba),
+        (&uastc, ASTC, TexelFormat::Astc4x4),
+        (&uastc, ALL, TexelFormat::Bc7),
+        (&uastc, BlockFormats::NONE, TexelFormat::Rgba8),
+        (&whole_uastc, BC, TexelFormat::Bc7),
+        (ETC1S_64, BC, TexelFormat::Bc1),
+        (ETC1S_64, ETC2, TexelFormat::Etc2Rgb),
+        (ETC1S_64, ASTC, TexelFormat::Astc4x4),
+        (ETC1S_64, BlockFormats::NONE, TexelFormat::Rgba8),
+    ] {
+        let read = read_for(&textured("KHR_texture_basisu", "image/ktx2", image, false), formats);
+        let texture = read.mesh().1.material.texture.unwrap();
+        assert_eq!(texture.format, expected, "{formats:?}");
+        // Levels that the file lacks are compressed too.
+        assert_whole(&texture);
+        assert!(read.ignored.is_empty(), "{:?}", read.ignored);
+    }
+    let webp = read_for(&textured("EXT_texture_webp", "image/webp", &webp([1, 2, 3]), false), ALL);
+    assert_eq!(webp.mesh().1.material.texture.unwrap().format, TexelFormat::Rgba8);
+}
+
+#[test]
+fn ktx2_images_of_other_sides_than_multiples_of_4_stay_uncompressed() {
+    let gltf = textured("KHR_texture_basisu", "image/ktx2", &uastc_mosaic([6, 8], 1, |_| [9, 8, 7, 255]), false);
+    let kind = "KTX2 image whose sides are no multiples of 4 (held as RGBA8)";
+    for (formats, count) in [(ALL, 1), (BlockFormats::NONE, 0)] {
+        let read = read_for(&gltf, formats);
+        let texture = read.mesh().1.material.texture.unwrap();
+        assert_eq!((texture.format, texture.width, texture.height), (TexelFormat::Rgba8, 6, 8));
+        assert_whole(&texture);
+        assert_eq!(read.ignored.count(kind), count, "{:?}", read.ignored);
+    }
+}
+
+/// The CPU combines maps of their own; one map for both reaches the adapter as it is.
+#[test]
+fn maps_that_the_cpu_reads_stay_uncompressed() {
+    let image = uastc_mosaic([8, 8], 4, |_| [10, 20, 30, 255]);
+    let mut gltf = textured("KHR_texture_basisu", "image/ktx2", &image, false);
+    let other = uastc_mosaic([8, 8], 4, |_| [99, 40, 50, 255]);
+    let view = gltf.view(&other, None);
+    let other = gltf.push("images", json!({ "bufferView": view, "mimeType": "image/ktx2" }));
+    for source in [other, 0] {
+        gltf.push("textures", json!({ "extensions": { "KHR_texture_basisu": { "source": source } } }));
+    }
+    let mut map = |occlusion: usize| {
+        gltf.json["materials"][0] = json!({
+            "pbrMetallicRoughness": { "baseColorTexture": { "index": 0 }, "metallicRoughnessTexture": { "index": 0 } },
+            "occlusionTexture": { "index": occlusion }, "normalTexture": { "index": 0 },
+        });
+        let material = read_for(&gltf, BC).mesh().1.material;
+        let model = material.metallic_roughness.unwrap();
+        for compressed in [material.texture, model.normal_map] {
+            assert_eq!(compressed.unwrap().format, TexelFormat::Bc7);
+        }
+        model.occlusion_roughness_metallic.unwrap()
+    };
+    let combined = map(1);
+    assert_eq!(combined.format, TexelFormat::Rgba8);
+    assert_eq!(combined.mips[0][..4], [99, 20, 30, 255]);
+    // The same texture, and another texture of the same image.
+    assert_eq!([map(0).format, map(2).format], [TexelFormat::Bc7; 2]);
+}
+
+#[test]
+fn ktx2_levels_of_wrong_sizes_are_errors() {
+    let good = uastc_mosaic([16, 16], 3, |_| [1, 2, 3, 255]);
+    for level in 0..3usize {
+        let size_at = 80 + 24 * level + 8;
+        for bytes in [0u64, 8, 15] {
+            let mut image = good.clone();
+            // The size in the file, and the size before supercompression.
+            image[size_at..size_at + 16].copy_from_slice(&[bytes, bytes].map(u64::to_le_bytes).concat());
+            for block_formats in [BlockFormats::NONE, BC, ETC2, ASTC] {
+                let options =
+                    ReadOptions { block_formats, ..ReadOptions::for_root("/set/tileset.json", Limits::default()) };
+                let gltf = textured("KHR_texture_basisu", "image/ktx2", &image, false);
+                let error = read_with(gltf.text(), Vec::new(), &options).map(|_| ()).unwrap_err();
+                assert!(error.reason().contains(&format!("KTX2: level {level}")), "{bytes} {block_formats:?}: {error}");
+            }
+        }
+    }
+}
+
 /// Regression of a decoder: a header of a few bytes allocated 17 GB.
 #[test]
 fn ktx2_headers_are_bounded() {
@@ -287,7 +398,7 @@ fn ktx2_headers_are_bounded() {
 fn damaged_compressed_data_is_an_error() {
     let limits =
         Limits { max_elements: 1 << 16, max_image_bytes: 1 << 20, max_file_bytes: 4 << 20, ..Limits::default() };
-    let options = ReadOptions::for_root("/set/tileset.json", limits);
+    let options = ReadOptions { block_formats: BC, ..ReadOptions::for_root("/set/tileset.json", limits) };
     let cases = [
         ("draco", draco_grid(5)),
         ("draco, sequential", draco_grid(10)),
@@ -295,6 +406,7 @@ fn damaged_compressed_data_is_an_error() {
         ("meshopt sequence", meshopt_grid("KHR_meshopt_compression", "INDICES", "NONE")),
         ("webp", textured("EXT_texture_webp", "image/webp", &webp([1, 2, 3]), false)),
         ("ktx2", textured("KHR_texture_basisu", "image/ktx2", &uastc_ktx2([1, 2, 3, 255], 3), false)),
+        ("ktx2, ETC1S", textured("KHR_texture_basisu", "image/ktx2", ETC1S_64, false)),
     ];
     for (name, gltf) in cases {
         let mut state = 88_172_645_463_325_252u64;

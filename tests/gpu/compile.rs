@@ -6,9 +6,10 @@ use std::time::Duration;
 use kit::frames::count;
 use kit::rig::{Rig, new_rig, plain, unit_camera};
 use kit::shapes::{mesh, quad, with_mips};
+use kit::skip::skipped;
 use kit::terrain::Terrain;
 use terrane::gpu::{AdapterChoice, CompileBudget, CompileOperation, ContextTraits, GraphicsContext};
-use terrane::scene::{DrawSlot, Drawable, Geometry, Material, MeshVertex, Node, Page, Scene, Texture};
+use terrane::scene::{DrawSlot, Drawable, Geometry, Material, MeshVertex, Node, Page, Scene, TexelFormat, Texture};
 
 fn fresh() -> Option<Rig> {
     new_rig([64, 64])
@@ -253,12 +254,44 @@ fn operation_cancelled_before_its_start_is_not_uploaded() {
 }
 
 #[test]
+fn compressed_texture_is_split_by_rows_of_blocks() {
+    let Some(mut rig) = fresh() else { return };
+    if !rig.ctx.block_formats().bc {
+        return skipped("BC1 textures: the adapter lacks them");
+    }
+    // 64 squares of red and blue blocks: two equal colours of 5, 6 and 5 bits, and indices.
+    let blocks_a_side = 512;
+    let is_red = |i: u32| (i % blocks_a_side / 64 + i / blocks_a_side / 64).is_multiple_of(2);
+    let block = |i: u32| if is_red(i) { [0, 0xf8, 0, 0xf8, 0, 0, 0, 0] } else { [0x1f, 0, 0x1f, 0, 0, 0, 0, 0] };
+    let blocks: Vec<u8> = (0..blocks_a_side * blocks_a_side).flat_map(block).collect();
+    let bytes = blocks.len() as u64;
+    let texture = Texture { format: TexelFormat::Bc1, ..Texture::rgba8(2048, 2048, vec![blocks]) };
+    assert_eq!(bytes, 2048 * 2048 / 2);
+    let texture = Arc::new(texture);
+    rig.ctx.compile(CompileOperation { ticket: 7, drawables: vec![textured(&texture)] });
+    let budget = CompileBudget { time: Duration::from_secs(1), bytes: 100_000 };
+    let (mut calls, mut sum) = (0, 0);
+    while rig.ctx.pending_compiles() > 0 {
+        let stats = rig.ctx.run_compiles(&budget);
+        assert!(stats.bytes > 0 && stats.bytes <= budget.bytes, "{} bytes in one call", stats.bytes);
+        (calls, sum) = (calls + 1, sum + stats.bytes);
+    }
+    assert!(calls >= bytes / budget.bytes && (bytes..bytes + 1000).contains(&sum), "{calls} calls, {sum} of {bytes}");
+    let mut page = Page::from_node(Node::geode(vec![textured(&texture)])).unwrap();
+    page.take_drawables();
+    page.set_draw_slots(0, rig.ctx.take_compiled().remove(0).slots);
+    let mut scene = Scene::new();
+    scene.add_root(page);
+    let picture = rig.picture(&scene, &unit_camera(64), &plain());
+    assert_eq!([count(&picture, [255, 0, 0]), count(&picture, [0, 0, 255])], [64 * 64 / 2; 2]);
+}
+
+#[test]
 fn drawable_that_cannot_be_uploaded_is_one_error() {
     let Some(mut rig) = fresh() else { return };
     let good = quad([0.0; 3], [1.0, 1.0], [1.0; 4]);
-    let bad_texture = |width: u32, height: u32, mips: Vec<Vec<u8>>| {
-        textured(&Arc::new(Texture { width, height, mips, wrap: Default::default() }))
-    };
+    let bad_texture =
+        |width: u32, height: u32, mips: Vec<Vec<u8>>| textured(&Arc::new(Texture::rgba8(width, height, mips)));
     let with_index = |index: u32| {
         let mesh = mesh(vec![MeshVertex::default(); 3], vec![0, 1, index]);
         Drawable::new(Geometry::Mesh(Arc::new(mesh)), Material::default())

@@ -3,11 +3,13 @@
 use std::sync::Mutex;
 use std::time::Duration;
 
+use kit::compressed::uastc_ktx2;
 use kit::pager::{Run, above};
 use kit::server::{Reply, Server};
 use terrane::fetch::Limits;
 use terrane::formats::verify;
 use terrane::pager::PagerConfig;
+use terrane::scene::{BlockFormats, TexelFormat};
 
 const TILESET: &str = r#"{"asset":{"version":"1.0"},"geometricError":9,"root":{"refine":"ADD","geometricError":0,
     "boundingVolume":{"sphere":[0,0,0,20]},"content":{"uri":"a/trees.i3dm"}}}"#;
@@ -117,6 +119,46 @@ fn few_files_of_a_content_are_requested_at_once() {
     assert_eq!((run.stage.leaf_count(), server.count()), (IMAGES, 3 + IMAGES));
     let most = in_flight.lock().unwrap().1;
     assert!((1..=8).contains(&most), "{most}");
+}
+
+/// Contents are decoded to formats that all contexts have, also those that were decoded before a context was added.
+#[test]
+fn images_get_the_formats_of_all_contexts() {
+    let server = Server::start(move |request| match request.path() {
+        "/set/tileset.json" => Reply::ok(TILESET.replace("a/trees.i3dm", "tree.gltf")),
+        "/set/tree.gltf" => Reply::ok(MODEL),
+        "/set/tree.bin" => Reply::ok(floats(&[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, -1.0])),
+        "/set/bark.png" => Reply::ok(uastc_ktx2([1, 2, 3, 255], 3)),
+        _ => Reply::new(404, ""),
+    });
+    let start = |block_formats| {
+        let mut run = Run::new(&format!("{}/set/tileset.json", server.url), PagerConfig::default());
+        run.context.block_formats = block_formats;
+        run
+    };
+    let bc = BlockFormats { bc: true, ..BlockFormats::NONE };
+    let astc = BlockFormats { astc: true, ..BlockFormats::NONE };
+    for (formats, expected) in
+        [(bc, TexelFormat::Bc7), (astc, TexelFormat::Astc4x4), (BlockFormats::NONE, TexelFormat::Rgba8)]
+    {
+        let mut run = start(formats);
+        run.settle(above(30.0));
+        assert_eq!(run.context.texture_formats, [expected], "{formats:?}");
+    }
+    // A context without the formats is added while the content is decoded.
+    let mut run = start(bc);
+    run.frame(above(30.0));
+    run.frame(above(30.0));
+    std::thread::sleep(Duration::from_millis(300));
+    run.context.block_formats = astc;
+    run.settle(above(30.0));
+    assert_eq!(run.context.texture_formats, [TexelFormat::Astc4x4]);
+    assert!(run.pager.errors().is_empty() && run.stage.leaf_count() == 1, "{:?}", run.pager.errors());
+    // Another context is added later: everything is loaded again.
+    run.context.block_formats = BlockFormats::NONE;
+    run.pager.page_anew(&mut run.scene, &mut [&mut run.context]);
+    run.settle(above(30.0));
+    assert_eq!(run.context.texture_formats, [TexelFormat::Astc4x4, TexelFormat::Rgba8]);
 }
 
 #[test]

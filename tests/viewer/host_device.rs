@@ -2,8 +2,8 @@
 
 use kit::shapes::quad;
 use kit::skip::skipped_unless_required;
-use terrane::gpu::{GpuError, HostDevice};
-use terrane::scene::{Node, Page};
+use terrane::gpu::{ContextTraits, GpuError, GraphicsContext, HostDevice};
+use terrane::scene::{BlockFormats, Node, Page};
 use terrane::viewer::{ThreadingModel, Viewer, ViewerConfig, ViewerError};
 
 const SIZE_PX: [u32; 2] = [64, 48];
@@ -77,6 +77,21 @@ fn the_application_gets_the_frame_as_a_texture_of_its_device() {
     red.frame().unwrap();
     let view = red.color_view().unwrap().unwrap();
     assert_eq!((view.texture().width(), view.texture().height()), (32, 16));
+}
+
+#[test]
+fn compressed_formats_are_those_of_the_device() {
+    let Some(plain) = host_device(wgpu::Limits::default(), wgpu::Features::empty()) else { return };
+    let features = HostDevice::features(&plain.adapter);
+    let Some(full) = host_device(wgpu::Limits::default(), features) else { return };
+    let formats = |host| GraphicsContext::new_on_device(host, &ContextTraits::default()).unwrap().block_formats();
+    assert_eq!(formats(plain), BlockFormats::NONE);
+    let expected = BlockFormats {
+        bc: features.contains(wgpu::Features::TEXTURE_COMPRESSION_BC),
+        etc2: features.contains(wgpu::Features::TEXTURE_COMPRESSION_ETC2),
+        astc: features.contains(wgpu::Features::TEXTURE_COMPRESSION_ASTC),
+    };
+    assert_eq!(formats(full), expected);
 }
 
 #[test]

@@ -289,12 +289,7 @@ fn images_of_the_application_and_of_other_sizes_are_shown() {
     let image = |k: usize, side: u32| {
         let [r, g, b] = shade(k);
         let texels = [r, g, b, 255].repeat((side * side) as usize);
-        SequenceImage::Image(Arc::new(Texture {
-            width: side,
-            height: side,
-            mips: vec![texels],
-            wrap: Default::default(),
-        }))
+        SequenceImage::Image(Arc::new(Texture::rgba8(side, side, vec![texels])))
     };
     let sequence = ImageSequence::new("own", vec![image(0, 4), image(1, 16), image(2, 2)]);
     sequence.set_frame_rate(1.0);
@@ -302,7 +297,7 @@ fn images_of_the_application_and_of_other_sizes_are_shown() {
     let Some(mut theatre) = Theatre::open(&[&sequence], blocking(), ThreadingModel::default()) else { return };
     assert_eq!([0.0, 1.0, 2.0, 3.0].map(|t| theatre.shown(t, 3)), [Some(0), Some(1), Some(2), Some(0)]);
     // An unsupported image is an error, and the last image stays.
-    let broken = Texture { width: 4, height: 4, mips: vec![vec![0; 3]], wrap: Default::default() };
+    let broken = Texture::rgba8(4, 4, vec![vec![0; 3]]);
     sequence.add_image(SequenceImage::Image(Arc::new(broken)));
     sequence.set_frame_rate(1.0);
     sequence.seek(2.5);

@@ -7,12 +7,12 @@ use glam::{DAffine3, DVec3, Vec4};
 use super::exr::decode_heights;
 use super::layout::Layout;
 use super::tile_data::TileData;
-use crate::fetch::{IoError, Limits};
+use crate::fetch::IoError;
+use crate::formats::ignored::Notes;
 use crate::formats::image;
-use crate::formats::options::Fetched;
+use crate::formats::options::{Fetched, ReadOptions};
 use crate::math::Aabb;
-use crate::scene::{Drawable, Geometry, HeightTile, Material, Node, SharedParts, SharedStateManager, Texture};
-use crate::state::CLAMPED;
+use crate::scene::{Drawable, Geometry, HeightTile, Material, Node, Sampling, SharedParts, Texture};
 
 /// Decodes an EXR with one channel of heights, and its imagery. Fails if the imagery is missing or invalid: the parent tile
 /// then stays visible with its colours, instead of a white tile.
@@ -21,8 +21,8 @@ pub(in crate::formats) fn read(
     bytes: &[u8],
     reader_data: Option<&str>,
     companions: Vec<Fetched>,
-    limits: &Limits,
-    sharing: Option<&SharedStateManager>,
+    options: &ReadOptions,
+    notes: &Notes,
 ) -> Result<Node, IoError> {
     let data: TileData = match reader_data {
         Some(text) => serde_json::from_str(text).map_err(|e| IoError::invalid(uri, format!("tile data: {e}")))?,
@@ -30,15 +30,17 @@ pub(in crate::formats) fn read(
     };
     data.check().map_err(|part| IoError::invalid(uri, format!("tile data: {part} is invalid")))?;
     let stride = data.side as usize + 2 * data.border as usize;
-    let heights = decode_heights(uri, bytes, stride, limits)?;
+    let heights = decode_heights(uri, bytes, stride, &options.limits)?;
     let (mut texture, mut shared): (Option<Arc<Texture>>, _) = (None, None);
     for (companion, bytes) in companions {
-        let (image, content) = image::decode_shared(&companion, &bytes?, CLAMPED, limits, sharing)?;
-        (texture, shared) = (Some(image), content);
+        let formats = options.block_formats;
+        let decoded = image::decode_shared(&companion, &bytes?, Sampling::default(), formats, options, notes)?;
+        (texture, shared) = (Some(decoded.0), decoded.1);
     }
     let (world_from_tile, tile) = build(&data, heights, texture);
     let mut tile = Arc::new(tile);
-    let geometry = sharing.and_then(|sharing| sharing.height_tile(&mut tile, shared.as_ref().map(|s| &s.key)));
+    let geometry =
+        options.sharing.as_ref().and_then(|sharing| sharing.height_tile(&mut tile, shared.as_ref().map(|s| &s.key)));
     let mut drawable = Drawable::new(Geometry::Height(tile), Material::default());
     drawable.shared = SharedParts { geometry, texture: shared, ..SharedParts::default() };
     Ok(Node::transform(world_from_tile, vec![Node::geode(vec![drawable])]))
@@ -117,7 +119,7 @@ mod tests {
     use super::super::layout::Placement;
     use super::super::tile_data::HeightSet;
     use super::*;
-    use crate::fetch::RootScope;
+    use crate::fetch::{Limits, RootScope};
     use crate::math::{BoundingVolume, Geodetic, Region, WGS84};
 
     #[test]
@@ -141,9 +143,10 @@ mod tests {
 
     #[test]
     fn data_from_applications_is_checked() {
+        let options = ReadOptions::for_root("/set/tileset.json", Limits::default());
         let error_of = |place: &str, side: u32, border: u32, error: &str| {
             let data = format!(r#"{{{place},"side":{side},"border":{border},"level":0,"errors_m":[{error}]}}"#);
-            read("t.exr", &[], Some(&data), Vec::new(), &Limits::default(), None).err().unwrap().to_string()
+            read("t.exr", &[], Some(&data), Vec::new(), &options, &Notes::default()).err().unwrap().to_string()
         };
         let plane = r#""plane":[0,0,10,10]"#;
         assert!(error_of(plane, 33, 1, "1.5").contains("EXR header"), "only the file is invalid");

@@ -1,17 +1,18 @@
-//! Decodes image files to RGBA8 textures. Sizes are checked before any pixel is decoded.
+//! Decodes image files to textures: RGBA8 or, for KTX2, a compressed format. Sizes are checked before any pixel is decoded.
 
 use std::io::Cursor;
 use std::sync::Arc;
 
 use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits as ImageLimits};
 
-use super::ktx2;
+use super::ktx2::{self, Levels};
 use super::mips::mips;
 use super::rgba::decode_rgb;
 use crate::fetch::markup::refuse_markup;
 use crate::fetch::{IoError, Limits, guarded};
-use crate::scene::{ContentKey, SharedContent, SharedStateManager, Texture};
-use crate::state::{CLAMPED, WrapMode};
+use crate::formats::ignored::Notes;
+use crate::formats::options::ReadOptions;
+use crate::scene::{BlockFormats, ContentKey, Sampling, SharedContent, TexelFormat, Texture};
 
 /// Formats of image files, recognized by their magic bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -44,36 +45,53 @@ pub(in crate::formats) fn is_image(bytes: &[u8]) -> bool {
 /// A texture and, if it is shared between contents, its reference count.
 pub(in crate::formats) type SharedTexture = (Arc<Texture>, Option<Arc<SharedContent>>);
 
-/// Decodes an image, or returns the texture that another content decoded from the same bytes.
+/// Decodes an image, or returns the texture that another content decoded from the same bytes. `formats` are the compressed
+/// formats that it may have; none if the texels are read by the CPU.
 pub(in crate::formats) fn decode_shared(
     uri: &str,
     bytes: &[u8],
-    wrap: [WrapMode; 2],
-    limits: &Limits,
-    sharing: Option<&SharedStateManager>,
+    sampling: Sampling,
+    formats: BlockFormats,
+    options: &ReadOptions,
+    notes: &Notes,
 ) -> Result<SharedTexture, IoError> {
-    let decode = || decode(uri, bytes, wrap, limits);
-    match sharing {
-        Some(sharing) => sharing.image(ContentKey::of(&[bytes, &wrap.map(|mode| mode as u8)]), decode),
+    let limits = &options.limits;
+    let (format, note) = match FileFormat::of(bytes) {
+        Some(FileFormat::Ktx2) => ktx2::choose_format(bytes, formats, limits),
+        _ => (TexelFormat::Rgba8, None),
+    };
+    if let Some(note) = note {
+        notes.add(note);
+    }
+    let decode = || decode(uri, bytes, format, sampling, limits);
+    match &options.sharing {
+        Some(sharing) => sharing.image(ContentKey::of(&[bytes, &sampling.key(), &[format as u8]]), decode),
         None => Ok((decode()?, None)),
     }
 }
 
 /// Decodes an image with its mip levels. An image whose sides are longer than the limit is halved until it fits.
-fn decode(uri: &str, bytes: &[u8], wrap: [WrapMode; 2], limits: &Limits) -> Result<Arc<Texture>, IoError> {
-    let (width, height, mips) = match FileFormat::of(bytes) {
+fn decode(
+    uri: &str,
+    bytes: &[u8],
+    format: TexelFormat,
+    sampling: Sampling,
+    limits: &Limits,
+) -> Result<Arc<Texture>, IoError> {
+    let Levels { width, height, levels } = match FileFormat::of(bytes) {
         Some(FileFormat::Raster(format)) => decode_raster(uri, bytes, format, limits)?,
-        Some(FileFormat::Ktx2) => ktx2::decode(uri, bytes, limits)?,
+        Some(FileFormat::Ktx2) => ktx2::decode(uri, bytes, format, limits)?,
         None => {
             refuse_markup(uri, bytes)?;
             return Err(IoError::unsupported(uri, "image that is neither PNG, JPEG, WebP nor KTX2"));
         }
     };
     let too_long = |level: usize| width.max(height) >> level > limits.max_image_side_px;
-    let skipped = (0..mips.len().saturating_sub(1)).take_while(|level| too_long(*level)).count();
+    let skipped = (0..levels.len().saturating_sub(1)).take_while(|level| too_long(*level)).count();
     let side = |of: u32| (of >> skipped).max(1);
-    let mips = mips.into_iter().skip(skipped).collect();
-    Ok(Arc::new(Texture { width: side(width), height: side(height), mips, wrap }))
+    let kept = if sampling.mip.is_some() { usize::MAX } else { 1 };
+    let mips = levels.into_iter().skip(skipped).take(kept).collect();
+    Ok(Arc::new(Texture { width: side(width), height: side(height), format, mips, sampling }))
 }
 
 /// Checks the size of an image before its pixels are decoded.
@@ -88,13 +106,8 @@ pub(super) fn check_size(uri: &str, width: u32, height: u32, limits: &Limits) ->
     Ok(())
 }
 
-/// Decodes a PNG, JPEG or WebP and builds its mip levels. Returns its width and height with them.
-fn decode_raster(
-    uri: &str,
-    bytes: &[u8],
-    format: ImageFormat,
-    limits: &Limits,
-) -> Result<(u32, u32, Vec<Vec<u8>>), IoError> {
+/// Decodes a PNG, JPEG or WebP and builds its mip levels.
+fn decode_raster(uri: &str, bytes: &[u8], format: ImageFormat, limits: &Limits) -> Result<Levels, IoError> {
     let bad = |e: image::ImageError| IoError::invalid(uri, format!("image: {e}"));
     let mut image_limits = ImageLimits::default();
     image_limits.max_alloc = Some(limits.max_image_bytes.saturating_mul(2));
@@ -110,10 +123,10 @@ fn decode_raster(
     } else {
         DynamicImage::from_decoder(decoder).map_err(bad)?.into_rgba8().into_raw()
     };
-    Ok((width, height, mips(width, height, pixels)))
+    Ok(Levels { width, height, levels: mips(width, height, pixels) })
 }
 
-/// Decodes the bytes of an image file to a clamped texture. If the decoder panics, only this file fails.
+/// Decodes the bytes of an image file to a clamped RGBA8 texture. If the decoder panics, only this file fails.
 pub(crate) fn decode_file(uri: &str, bytes: &[u8], limits: &Limits) -> Result<Arc<Texture>, IoError> {
-    guarded(uri, || decode(uri, bytes, CLAMPED, limits))
+    guarded(uri, || decode(uri, bytes, TexelFormat::Rgba8, Sampling::default(), limits))
 }

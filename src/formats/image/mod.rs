@@ -1,5 +1,6 @@
 //! PNG, JPEG, WebP and KTX2 to textures with mip levels. CPU only; any thread.
 
+mod block_encoder;
 mod decode;
 mod ktx2;
 mod mips;

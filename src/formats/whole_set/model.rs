@@ -11,7 +11,7 @@ use crate::fetch::markup::text_and_first_byte;
 use crate::fetch::{IoError, Source, encoding};
 use crate::formats::options::{Content, ReadOptions};
 use crate::formats::read::decode_node;
-use crate::scene::{Geometry, Node, NodeKind, Page, Texture, Topology};
+use crate::scene::{Geometry, Node, NodeKind, Page, Topology};
 
 /// Counts of a single content. A mesh that several nodes draw counts once for each of them.
 #[derive(Clone, Debug, Default, Serialize)]
@@ -65,16 +65,12 @@ impl ModelInfo {
                     && images.insert(Arc::as_ptr(texture).addr())
                 {
                     self.images += 1;
-                    self.image_bytes += image_bytes(texture);
+                    self.image_bytes += texture.size_bytes();
                 }
             }
         }
         node.children.iter().for_each(|child| self.add(child, images));
     }
-}
-
-fn image_bytes(texture: &Texture) -> u64 {
-    texture.mips.iter().map(|mip| mip.len() as u64).sum()
 }
 
 /// Returns the name of a format, by its magic bytes.

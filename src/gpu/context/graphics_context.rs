@@ -17,7 +17,7 @@ use crate::gpu::GpuError;
 use crate::gpu::memory::Memory;
 use crate::gpu::pools::{BindClass, BindGroupLayouts, DrawableEntry, Pools, RetireQueue, TargetFormats};
 use crate::gpu::upload::{CompileBudget, CompileOperation, CompileStats, Compiled, UploadQueue, rewrite_mesh};
-use crate::scene::{AttributeLayout, DrawSlot, Mesh};
+use crate::scene::{AttributeLayout, BlockFormats, DrawSlot, Mesh};
 
 /// A device with its queue, its targets and everything uploaded to it. `Send`: opened on one thread, then moved to the draw
 /// thread, which alone uses it.
@@ -179,6 +179,12 @@ impl GraphicsContext {
     /// Returns true if the adapter is a software driver.
     pub(crate) fn is_software(&self) -> bool {
         self.gpu.adapter_info.device_type == wgpu::DeviceType::Cpu
+    }
+
+    /// Returns the families of compressed texture formats that the device samples; for
+    /// [`ReadOptions::block_formats`](crate::formats::ReadOptions::block_formats).
+    pub fn block_formats(&self) -> BlockFormats {
+        self.memory.block_formats()
     }
 
     /// Returns true if the device is the application's; see [`Self::new_on_device`].

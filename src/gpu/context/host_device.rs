@@ -10,7 +10,10 @@ const OPTIONAL_FEATURES: wgpu::Features = wgpu::Features::TIMESTAMP_QUERY
     .union(wgpu::Features::FLOAT32_FILTERABLE)
     .union(wgpu::Features::DEPTH_CLIP_CONTROL)
     .union(wgpu::Features::PIPELINE_CACHE)
-    .union(wgpu::Features::INDIRECT_FIRST_INSTANCE);
+    .union(wgpu::Features::INDIRECT_FIRST_INSTANCE)
+    .union(wgpu::Features::TEXTURE_COMPRESSION_BC)
+    .union(wgpu::Features::TEXTURE_COMPRESSION_ETC2)
+    .union(wgpu::Features::TEXTURE_COMPRESSION_ASTC);
 
 /// The application's own device, for contexts that draw into textures on it. The application composes these textures with
 /// what it draws itself, without a copy.
@@ -36,7 +39,9 @@ pub struct HostDevice {
 impl HostDevice {
     /// Returns the features of an adapter that Terrane uses. A device without some of them draws too: without
     /// `DEPTH32FLOAT_STENCIL8` there is no stencil, without `TIMESTAMP_QUERY` there are no GPU times, without
-    /// `POLYGON_MODE_LINE` and `POLYGON_MODE_POINT` polygons are filled, and without the others frames take longer.
+    /// `POLYGON_MODE_LINE` and `POLYGON_MODE_POINT` polygons are filled, without any of `TEXTURE_COMPRESSION_BC`,
+    /// `TEXTURE_COMPRESSION_ETC2` and `TEXTURE_COMPRESSION_ASTC` KTX2 images take four to eight times the memory, and without
+    /// the others frames take longer.
     pub fn features(adapter: &wgpu::Adapter) -> wgpu::Features {
         adapter.features() & OPTIONAL_FEATURES
     }

@@ -1,8 +1,9 @@
 //! [`BindGroupLayouts`]: the layouts of bind group 0 (frame) and bind group 1 (blocks of the pools) of all pipelines, and
-//! the samplers of the blocks. Created with the device; read on the draw thread.
+//! the creation of the samplers of blocks. Created with the device; read on the draw thread.
 
-use super::textures::address_mode;
-use crate::state::WrapMode;
+use super::textures::{address_mode, filter_mode, mipmap_filter_mode};
+use crate::scene::Sampling;
+use crate::state::FilterMode;
 
 /// The layouts of a device, shared by all blocks and pipelines.
 pub(crate) struct BindGroupLayouts {
@@ -15,12 +16,8 @@ pub(crate) struct BindGroupLayouts {
     /// Group 1 of meshes with a metallic-roughness surface: colour, normals, occlusion-roughness-metallic and emission, each
     /// with its sampler; the records of surfaces.
     pub(crate) surface_set: wgpu::BindGroupLayout,
-    /// The samplers of mesh textures by wrap mode along u and along v.
-    samplers: [[wgpu::Sampler; WRAP_MODES.len()]; WRAP_MODES.len()],
+    max_anisotropy: u16,
 }
-
-/// In the order of their discriminants, by which samplers are indexed.
-const WRAP_MODES: [WrapMode; 3] = [WrapMode::ClampToEdge, WrapMode::Repeat, WrapMode::Mirror];
 
 fn array_texture(binding: u32, visibility: wgpu::ShaderStages, filterable: bool) -> wgpu::BindGroupLayoutEntry {
     wgpu::BindGroupLayoutEntry {
@@ -136,29 +133,25 @@ impl BindGroupLayouts {
             label: Some("surface set"),
             entries: &maps.chain([records]).collect::<Vec<_>>(),
         });
-        let block_sampler = |u, v| {
-            device.create_sampler(&wgpu::SamplerDescriptor {
-                label: Some("texture block"),
-                address_mode_u: address_mode(u),
-                address_mode_v: address_mode(v),
-                mag_filter: wgpu::FilterMode::Linear,
-                min_filter: wgpu::FilterMode::Linear,
-                mipmap_filter: wgpu::MipmapFilterMode::Linear,
-                anisotropy_clamp: max_anisotropy,
-                ..Default::default()
-            })
-        };
-        Self {
-            frame: frame_layout(device),
-            height_block,
-            texture_block,
-            surface_set,
-            samplers: WRAP_MODES.map(|u| WRAP_MODES.map(|v| block_sampler(u, v))),
-        }
+        Self { frame: frame_layout(device), height_block, texture_block, surface_set, max_anisotropy }
     }
 
-    /// Returns the sampler of mesh textures with these wrap modes along u and v.
-    pub(super) fn sampler(&self, [u, v]: [WrapMode; 2]) -> &wgpu::Sampler {
-        &self.samplers[u as usize][v as usize]
+    /// Creates the sampler of a block.
+    pub(super) fn sampler(&self, device: &wgpu::Device, sampling: &Sampling) -> wgpu::Sampler {
+        let Sampling { wrap: [u, v], mag, min, mip } = *sampling;
+        // Without levels, the filter between them has no effect but on anisotropy.
+        let all_linear = [mag, min, mip.unwrap_or_default()] == [FilterMode::Linear; 3];
+        device.create_sampler(&wgpu::SamplerDescriptor {
+            label: Some("texture block"),
+            address_mode_u: address_mode(u),
+            address_mode_v: address_mode(v),
+            mag_filter: filter_mode(mag),
+            min_filter: filter_mode(min),
+            mipmap_filter: mipmap_filter_mode(mip.unwrap_or_default()),
+            lod_max_clamp: if mip.is_some() { 32.0 } else { 0.0 },
+            // WebGPU allows anisotropy with linear filters only.
+            anisotropy_clamp: if all_linear { self.max_anisotropy } else { 1 },
+            ..Default::default()
+        })
     }
 }

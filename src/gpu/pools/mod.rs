@@ -42,7 +42,7 @@ pub(super) use surfaces::MapLayers;
 pub(crate) use surfaces::SurfaceRecord;
 pub(crate) use surfaces::{SurfacePool, SurfaceSlot};
 pub(crate) use textures::{FallbackTextures, StateTextures, compare_function, texture_format, view_dimension};
-pub(super) use textures::{TexelEncoding, TextureLayer, TextureRows, write_rows};
+pub(super) use textures::{TexelEncoding, TextureLayer, TextureRows, block_formats, write_rows};
 
 /// All pools of a device, and the drawables whose data lies in them.
 pub(crate) struct Pools {

@@ -7,11 +7,11 @@ use crate::gpu::pools::{
     BufferDestination, LayerDestination, TextureRows, VertexFormat, interleaved_bytes, short_index_bytes, table_bytes,
     table_words, write_rows,
 };
-use crate::scene::{HeightTile, Mesh, Texture, added_stride};
+use crate::scene::{HeightTile, Mesh, TexelFormat, Texture, added_stride};
 
 /// The means by which bytes reach the adapter.
 pub(super) trait Sink {
-    /// Writes whole rows of a texture of four bytes per texel; `data` holds exactly these rows.
+    /// Writes whole rows of a texture; `data` holds exactly these rows.
     fn write_rows(&mut self, texture: &wgpu::Texture, rows: &TextureRows, data: &[u8]);
 
     /// Writes a part of a buffer. `data` is a multiple of four bytes.
@@ -118,7 +118,8 @@ impl Upload {
                     level: self.level,
                     first: part.start as u32,
                     count: part.len() as u32,
-                    width: (unit_bytes / 4) as u32,
+                    width: source.width(self.level),
+                    format: source.format(),
                 };
                 let range = part.start * unit_bytes..part.end * unit_bytes;
                 sink.write_rows(texture, &rows, &source.texels(self.level)[range]);
@@ -161,20 +162,33 @@ impl Upload {
 }
 
 impl ImageSource {
-    /// Returns the rows of a level; `None` beyond the last level.
+    /// Returns the rows of a level, of texels or of blocks; `None` beyond the last level.
     fn rows(&self, level: u32) -> Option<Units> {
+        let height = match self {
+            Self::Image(image) => image.mips.get(level as usize).map(|_| (image.height >> level).max(1))?,
+            _ if level > 0 => return None,
+            Self::Heights(tile) => tile.side + 2,
+            Self::White => 1,
+        };
+        let format = self.format();
+        let unit_bytes = format.row_bytes(self.width(level)) as usize;
+        Some(Units { count: format.rows(height) as usize, unit_bytes })
+    }
+
+    /// Returns the width of an existing level in texels.
+    fn width(&self, level: u32) -> u32 {
         match self {
-            Self::Image(image) => {
-                image.mips.get(level as usize)?;
-                let [width, height] = [image.width, image.height].map(|side| (side >> level).max(1) as usize);
-                Some(Units { count: height, unit_bytes: width * 4 })
-            }
-            _ if level > 0 => None,
-            Self::Heights(tile) => {
-                let padded = tile.side as usize + 2;
-                Some(Units { count: padded, unit_bytes: padded * 4 })
-            }
-            Self::White => Some(Units { count: 1, unit_bytes: 4 }),
+            Self::Heights(tile) => tile.side + 2,
+            Self::Image(image) => (image.width >> level).max(1),
+            Self::White => 1,
+        }
+    }
+
+    /// Returns the format; RGBA8 for heights too, which have 4 bytes a texel.
+    fn format(&self) -> TexelFormat {
+        match self {
+            Self::Image(image) => image.format,
+            Self::Heights(_) | Self::White => TexelFormat::Rgba8,
         }
     }
 

@@ -50,7 +50,7 @@ fn padded(row_bytes: u64) -> u64 {
 
 impl Sink for StagingWriter {
     fn write_rows(&mut self, texture: &wgpu::Texture, rows: &TextureRows, data: &[u8]) {
-        let row_bytes = rows.width as usize * 4;
+        let row_bytes = rows.row_bytes() as usize;
         let stride = padded(row_bytes as u64);
         let offset = self.used_bytes;
         if stride == row_bytes as u64 {
@@ -70,13 +70,8 @@ impl Sink for StagingWriter {
                     rows_per_image: None,
                 },
             },
-            wgpu::TexelCopyTextureInfo {
-                texture,
-                mip_level: rows.level,
-                origin: wgpu::Origin3d { x: 0, y: rows.first, z: rows.layer },
-                aspect: wgpu::TextureAspect::All,
-            },
-            wgpu::Extent3d { width: rows.width, height: rows.count, depth_or_array_layers: 1 },
+            rows.destination(texture),
+            rows.extent(),
         );
     }
 

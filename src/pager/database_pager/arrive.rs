@@ -51,6 +51,9 @@ impl DatabasePager {
         match content {
             None => self.aborted(&job),
             Some(Err(error)) => self.failed(scenes, &job, &error),
+            Some(Ok(page)) if !self.scenes.block_formats().get().contains(page.block_formats()) => {
+                self.undrawable(&job, page);
+            }
             Some(Ok(page)) => self.arrived(scenes, &job, page, contexts),
         }
     }
@@ -61,6 +64,15 @@ impl DatabasePager {
         if self.table.of_job(job).is_some_and(|entry| !entry.end_unwanted()) {
             self.table.remove(job.slot);
         }
+    }
+
+    /// Drops a page that was decoded before a context without its compressed formats was added. It is requested again.
+    fn undrawable(&mut self, job: &PageJob, page: Page) {
+        self.stats.dropped += 1;
+        job.ticket.trace_end(RequestEnd::Dropped);
+        self.table.remove(job.slot);
+        self.control.is_list_current = false;
+        self.reaper.drop_page(Box::new(page));
     }
 
     fn failed(&mut self, scenes: &mut dyn SceneSet, job: &PageJob, error: &IoError) {

@@ -44,7 +44,7 @@ use crate::cull::PageRequest;
 use crate::fetch;
 use crate::formats::ReadOptions;
 use crate::gpu::CompileBudget;
-use crate::scene::SharedStateManager;
+use crate::scene::{BlockFormats, SharedStateManager};
 
 /// How often contexts are polled for finished uploads, between frames.
 const COMPILE_POLL: Duration = Duration::from_micros(200);
@@ -156,6 +156,7 @@ impl DatabasePager {
         contexts: &mut [&mut dyn CompileContext],
     ) {
         self.begin_frame(frame);
+        self.note_formats(contexts);
         self.accept(scenes, requests);
         self.accept_forced(scenes);
         self.merge_arrived(scenes, contexts);
@@ -170,6 +171,12 @@ impl DatabasePager {
             self.threads.list().ring_if_due();
         }
         self.count();
+    }
+
+    /// Decodes contents from now on to the compressed formats that all contexts sample; to none without contexts.
+    fn note_formats(&self, contexts: &[&mut dyn CompileContext]) {
+        let common = contexts.iter().map(|context| context.block_formats()).reduce(BlockFormats::intersection);
+        self.scenes.block_formats().set(common.unwrap_or_default());
     }
 
     fn begin_frame(&mut self, frame: u32) {

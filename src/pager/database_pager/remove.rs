@@ -13,6 +13,7 @@ impl DatabasePager {
     /// immediately or by the application) at once. For contexts that are added.
     pub fn page_anew(&mut self, scene: &mut Scene, contexts: &mut [&mut dyn CompileContext]) {
         let number = scene.number();
+        self.note_formats(contexts);
         self.drop_uploads_if(contexts, |slot| slot.page.scene == number);
         self.residency.find_removed(scene);
         self.forget_removed_pages(contexts);

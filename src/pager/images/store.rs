@@ -67,10 +67,6 @@ impl Slot {
     }
 }
 
-fn bytes_of(image: &Texture) -> u64 {
-    image.mips.iter().map(|m| m.len() as u64).sum()
-}
-
 /// The budgets of decoded images.
 #[derive(Clone, Copy, Debug)]
 struct ImageBudget {
@@ -241,7 +237,7 @@ impl ImageStore {
         let Some(slot) = self.slots.get_mut(uri) else { return };
         if let State::Loaded(image) = std::mem::replace(&mut slot.state, State::Waiting) {
             slot.job = slot.job.again(self.tickets.issue());
-            self.bytes -= bytes_of(&image);
+            self.bytes -= image.size_bytes();
             self.images -= 1;
             stats.paged_out += 1;
         }
@@ -305,14 +301,14 @@ impl ImageStore {
             return None;
         };
         let limit = self.budget.bytes;
-        let image = image.and_then(|image| match bytes_of(&image) {
+        let image = image.and_then(|image| match image.size_bytes() {
             got if got > limit => Err(IoError::TooLarge { uri: job.uri().to_owned(), what: "image", got, limit }),
             _ => Ok(image),
         });
         let slot = slot?;
         match image {
             Ok(image) => {
-                let bytes = bytes_of(&image);
+                let bytes = image.size_bytes();
                 (slot.retries, slot.size_bytes) = (RetryState::default(), Some(bytes));
                 slot.state = State::Loaded(image);
                 stats.loaded += 1;
@@ -391,7 +387,7 @@ mod tests {
     }
 
     fn image() -> Option<Result<Arc<Texture>, IoError>> {
-        Some(Ok(Texture { width: 1, height: 1, mips: vec![vec![1; 4]], wrap: Default::default() }.into()))
+        Some(Ok(Texture::rgba8(1, 1, vec![vec![1; 4]]).into()))
     }
 
     /// Regression: such an image was requested a second time; if that load failed, the first image was counted forever.

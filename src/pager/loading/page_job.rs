@@ -84,7 +84,9 @@ impl PageJob {
     /// Returns the options for a content that redirects have led to `location`.
     fn options(&self, location: Option<Arc<str>>) -> ReadOptions {
         let TilesetAncestors { chain, set_from_page } = self.ancestors.clone();
-        ReadOptions { chain, set_from_content: set_from_page, base: location, ..self.scope.options.clone() }
+        let block_formats = self.scope.block_formats.get();
+        let options = self.scope.options.clone();
+        ReadOptions { chain, set_from_content: set_from_page, base: location, block_formats, ..options }
     }
 }
 
@@ -203,6 +205,7 @@ pub(in crate::pager) mod tests {
     static SCOPE: LazyLock<Arc<ReadScope>> = LazyLock::new(|| {
         Arc::new(ReadScope {
             options: ReadOptions::for_root("/set/tileset.json", fetch::Limits::default()),
+            block_formats: Arc::default(),
             #[cfg(feature = "http")]
             client: fetch::HttpClient::new(&fetch::HttpConfig::default()).unwrap(),
             #[cfg(feature = "http")]

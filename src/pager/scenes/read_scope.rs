@@ -1,6 +1,7 @@
 //! [`ReadScope`]: the files and servers that the contents of a scene may read. It travels with its jobs to the threads.
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU8, Ordering};
 
 use glam::DAffine3;
 
@@ -10,11 +11,14 @@ use super::shared_files::SharedFiles;
 use crate::fetch::HttpClient;
 use crate::fetch::IoError;
 use crate::formats::ReadOptions;
+use crate::scene::BlockFormats;
 
 /// The files and servers that the contents of a scene may read, and the client that asks servers.
 #[derive(Debug)]
 pub(in crate::pager) struct ReadScope {
     pub options: ReadOptions,
+    /// Replaces the formats of the options for everything but roots.
+    pub block_formats: Arc<SharedBlockFormats>,
     #[cfg(feature = "http")]
     pub client: HttpClient,
     /// Files that several contents refer to.
@@ -33,6 +37,25 @@ impl ReadScope {
         }
         #[cfg(not(feature = "http"))]
         let _ = error;
+    }
+}
+
+/// The families of compressed formats that all contexts of a pager sample. Written by the update thread, read by decode
+/// threads when they begin a content.
+#[derive(Debug, Default)]
+pub(in crate::pager) struct SharedBlockFormats(AtomicU8);
+
+impl SharedBlockFormats {
+    /// Returns the families. Relaxed: a page in formats of other contexts is recognized when it arrives.
+    pub fn get(&self) -> BlockFormats {
+        let bits = self.0.load(Ordering::Relaxed);
+        BlockFormats { bc: bits & 1 != 0, etc2: bits & 2 != 0, astc: bits & 4 != 0 }
+    }
+
+    /// Sets the families.
+    pub fn set(&self, formats: BlockFormats) {
+        let BlockFormats { bc, etc2, astc } = formats;
+        self.0.store(u8::from(bc) | u8::from(etc2) << 1 | u8::from(astc) << 2, Ordering::Relaxed);
     }
 }
 

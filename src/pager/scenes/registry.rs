@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
 
-use super::read_scope::{ReadScope, TilesetAncestors};
+use super::read_scope::{ReadScope, SharedBlockFormats, TilesetAncestors};
 use super::scene_set::SceneSet;
 #[cfg(feature = "http")]
 use super::shared_files::SharedFiles;
@@ -78,6 +78,8 @@ pub(in crate::pager) struct SceneRegistry {
     /// The scene that has claimed the initial scope.
     first: Option<SceneNumber>,
     common: CommonOptions,
+    /// Shared by the scopes of all scenes.
+    block_formats: Arc<SharedBlockFormats>,
     /// The client of the pager's own configuration.
     #[cfg(feature = "http")]
     client: HttpClient,
@@ -101,8 +103,10 @@ impl SceneRegistry {
             sharing,
             ignored: options.ignored.clone(),
         };
+        let block_formats = Arc::<SharedBlockFormats>::default();
         let scope = ReadScope {
             options: common.apply_to(options),
+            block_formats: block_formats.clone(),
             #[cfg(feature = "http")]
             client: client.clone(),
             #[cfg(feature = "http")]
@@ -114,6 +118,7 @@ impl SceneRegistry {
             removed: BTreeSet::new(),
             first: None,
             common,
+            block_formats,
             #[cfg(feature = "http")]
             client,
             ancestors: HashMap::new(),
@@ -123,6 +128,11 @@ impl SceneRegistry {
     /// Returns the manager of shared contents; `None` if nothing is shared.
     pub fn sharing(&self) -> Option<&Arc<SharedStateManager>> {
         self.common.sharing.as_ref()
+    }
+
+    /// Returns the compressed formats that contents are decoded to.
+    pub fn block_formats(&self) -> &SharedBlockFormats {
+        &self.block_formats
     }
 
     /// Returns the list of what contents ask for and their readers leave out.
@@ -167,6 +177,7 @@ impl SceneRegistry {
     ) -> (Arc<ReadScope>, Option<Arc<ReadScope>>) {
         let scope = ReadScope {
             options: self.common.apply_to(options),
+            block_formats: self.block_formats.clone(),
             #[cfg(feature = "http")]
             client,
             #[cfg(feature = "http")]

@@ -3,12 +3,17 @@
 use std::sync::Arc;
 
 use crate::gpu::{CompileBudget, CompileOperation, Compiled};
-use crate::scene::{DrawKind, DrawSlot};
+use crate::scene::{BlockFormats, DrawKind, DrawSlot};
 
 /// The compile queue of one graphics context, as the pager sees it from the main thread.
 pub trait CompileContext {
     /// Returns the id of the context; pages keep their draw slots by it.
     fn id(&self) -> u32;
+    /// Returns the families of compressed texture formats that the context samples. Pages are decoded to formats that all
+    /// contexts have.
+    fn block_formats(&self) -> BlockFormats {
+        BlockFormats::NONE
+    }
     /// Announces the kinds of drawables of the next [`Self::compile`], so that their pipelines can be prewarmed.
     fn prewarm(&mut self, _kinds: &Arc<[DrawKind]>) {}
     /// Queues drawables for upload within the context's budget per frame.

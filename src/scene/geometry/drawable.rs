@@ -4,10 +4,11 @@
 use std::collections::HashSet;
 use std::sync::{Arc, Weak};
 
-use super::material::{Material, Texture};
+use super::material::Material;
 use super::mesh::{Mesh, MeshVertex, SMALL_MESH_INDICES, VertexFormat};
 use super::normal_cone::NormalCone;
 use super::shape::Geometry;
+use super::texture::{BlockFormats, Texture};
 use crate::math::Aabb;
 use crate::scene::features::DrawableFeatures;
 use crate::scene::sharing::SharedParts;
@@ -70,6 +71,16 @@ impl Drawable {
         self.geometry.bounds()
     }
 
+    /// Returns the families of compressed formats that its textures need.
+    pub(crate) fn block_formats(&self) -> BlockFormats {
+        let of_height = match &self.geometry {
+            Geometry::Height(tile) => tile.texture.as_ref(),
+            _ => None,
+        };
+        let formats = self.material.textures().chain(of_height).map(|texture| BlockFormats::of(texture.format));
+        formats.fold(BlockFormats::NONE, BlockFormats::union)
+    }
+
     /// Returns the bytes of CPU memory that the payload holds.
     pub fn size_bytes(&self) -> u64 {
         self.size_bytes_beside(&mut HashSet::new())
@@ -81,10 +92,7 @@ impl Drawable {
         fn is_new<T>(shared: &Arc<T>, counted: &mut HashSet<usize>) -> bool {
             Arc::strong_count(shared) == 1 || counted.insert(Arc::as_ptr(shared).addr())
         }
-        let mut texture_bytes = |t: &Arc<Texture>| -> u64 {
-            let is_counted = is_new(t, counted);
-            t.mips.iter().map(|m| if is_counted { m.len() as u64 } else { 0 }).sum()
-        };
+        let mut texture_bytes = |t: &Arc<Texture>| -> u64 { if is_new(t, counted) { t.size_bytes() } else { 0 } };
         let material: u64 = self.material.textures().map(&mut texture_bytes).sum();
         let of_height = match &self.geometry {
             Geometry::Height(t) => t.texture.as_ref().map_or(0, &mut texture_bytes),

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::material::Texture;
+use super::texture::Texture;
 use crate::math::Aabb;
 
 /// A square of heights, drawn from one shared grid by the vertex shader.

@@ -1,28 +1,8 @@
-//! Textures and materials as plain CPU data.
+//! Materials as plain CPU data.
 
 use std::sync::Arc;
 
-use crate::state::WrapMode;
-
-/// An RGBA8 image with its mip levels, level 0 first, each half the size of the one before (at least 1).
-#[derive(Clone, PartialEq)]
-pub struct Texture {
-    /// Width of level 0 in texels.
-    pub width: u32,
-    /// Height of level 0 in texels.
-    pub height: u32,
-    /// Rows top to bottom, 4 bytes a texel; one entry per level. Colours are sRGB; the maps of a
-    /// [`MetallicRoughness`] are linear where it says so.
-    pub mips: Vec<Vec<u8>>,
-    /// How texture coordinates outside 0..1 wrap, along u and along v.
-    pub wrap: [WrapMode; 2],
-}
-
-impl std::fmt::Debug for Texture {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "Texture({}x{}, {} mips)", self.width, self.height, self.mips.len())
-    }
-}
+use super::texture::Texture;
 
 /// How alpha is used; glTF's `alphaMode`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -13,18 +13,20 @@ mod shape;
 mod shapes;
 #[cfg(feature = "text")]
 mod text;
+mod texture;
 mod vertex_attributes;
 
 pub use attribute_format::AttributeFormat;
 pub use drawable::Drawable;
 pub use height_tile::HeightTile;
-pub use material::{AlphaMode, Material, MetallicRoughness, Texture};
+pub use material::{AlphaMode, Material, MetallicRoughness};
 pub use mesh::{Mesh, MeshVertex, Topology, VertexFormat};
 pub use normal_cone::NormalCone;
 pub use primitive_modes::PrimitiveMode;
 pub use shape::{CustomGeometry, Geometry};
 #[cfg(feature = "text")]
 pub use text::Font;
+pub use texture::{BlockFormats, Sampling, TexelFormat, Texture};
 pub use vertex_attributes::{MAX_ATTRIBUTES, VertexAttributes};
 
 pub(crate) use mesh::SMALL_MESH_INDICES;

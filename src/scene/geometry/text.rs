@@ -7,8 +7,9 @@ use ab_glyph::{Font as _, FontArc, Glyph, PxScale, ScaleFont, point};
 use glam::DVec3;
 
 use super::drawable::Drawable;
-use super::material::{AlphaMode, Material, Texture};
+use super::material::{AlphaMode, Material};
 use super::mesh::Mesh;
+use super::texture::Texture;
 
 /// The height of a line in texels, unless the texture would be too large.
 const LINE_PX: f32 = 48.0;
@@ -99,7 +100,7 @@ fn coverage_texture(width: u32, height: u32, coverage: Vec<f32>) -> Texture {
     loop {
         mips.push(level.iter().flat_map(|c| [255, 255, 255, (c.clamp(0.0, 1.0) * 255.0).round() as u8]).collect());
         if w == 1 && h == 1 {
-            return Texture { width, height, mips, wrap: Default::default() };
+            return Texture::rgba8(width, height, mips);
         }
         let (nw, nh) = ((w / 2).max(1), (h / 2).max(1));
         let at = |x: usize, y: usize| level[y.min(h - 1) * w + x.min(w - 1)];

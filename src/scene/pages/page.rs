@@ -17,7 +17,7 @@ use super::state_paths::{StatePath, StatePaths};
 use super::stored_bounds::Boxes4;
 use super::transforms::Transforms;
 use crate::scene::features::DrawableFeatures;
-use crate::scene::geometry::{Drawable, Geometry, Mesh, NormalCone};
+use crate::scene::geometry::{BlockFormats, Drawable, Geometry, Mesh, NormalCone};
 use crate::scene::intersect::KdTree;
 use crate::scene::nodes::{CameraNode, CullCallback, EventCallback, UpdateCallback};
 use crate::scene::settings::LodRecord;
@@ -375,6 +375,11 @@ impl Page {
     /// Drops the draw slots of a context that no longer exists.
     pub(crate) fn forget_context(&mut self, context: u32) {
         self.payload.forget_context(context);
+    }
+
+    /// Returns the families of compressed formats that the textures of payloads need; none once the payloads were taken.
+    pub(crate) fn block_formats(&self) -> BlockFormats {
+        self.drawables().iter().map(Drawable::block_formats).fold(BlockFormats::NONE, BlockFormats::union)
     }
 
     /// Returns the bytes of CPU memory that the page holds, including payloads that were not taken.

@@ -64,10 +64,6 @@ fn add(counter: &AtomicU64, n: u64) {
     counter.fetch_add(n, Relaxed);
 }
 
-fn image_bytes(image: &Texture) -> u64 {
-    image.mips.iter().map(|m| m.len() as u64).sum()
-}
-
 impl SharedStateManager {
     /// Creates a manager that shares the kinds of contents in `modes`.
     pub fn new(modes: ShareModes) -> Self {
@@ -128,7 +124,7 @@ impl SharedStateManager {
             };
             for key in kept.images.iter().filter_map(unused).collect::<Vec<_>>() {
                 if let Some((_, image)) = kept.images.pop(&key) {
-                    kept.bytes -= image_bytes(&image);
+                    kept.bytes -= image.size_bytes();
                 }
             }
         }
@@ -231,7 +227,7 @@ impl SharedStateManager {
         if let Found::AtHand(content, image) = found {
             add(&self.counters.texture_hits, 1);
             add(&self.counters.decodes_spared, 1);
-            add(&self.counters.payload_bytes_spared, image_bytes(&image));
+            add(&self.counters.payload_bytes_spared, image.size_bytes());
             self.keep(&content, &image);
             return Ok((image, Some(content)));
         }
@@ -245,26 +241,26 @@ impl SharedStateManager {
 
     fn intern_image(&self, key: ContentKey, image: &mut Arc<Texture>) -> Arc<SharedContent> {
         let interned = self.images.intern(key, image.clone());
-        self.count(&self.counters.texture_hits, &interned, image, image_bytes);
+        self.count(&self.counters.texture_hits, &interned, image, Texture::size_bytes);
         *image = interned.value;
         interned.content
     }
 
     /// Keeps an image that was used again, since it may be used once more.
     fn keep(&self, content: &Arc<SharedContent>, image: &Arc<Texture>) {
-        let bytes = image_bytes(image);
+        let bytes = image.size_bytes();
         let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
         if bytes > MAX_KEPT_BYTES / 4 {
             return;
         }
         let kept_image = (Arc::downgrade(content), image.clone());
         if let Some((_, replaced)) = kept.images.put(content.key, kept_image) {
-            kept.bytes -= image_bytes(&replaced);
+            kept.bytes -= replaced.size_bytes();
         }
         kept.bytes += bytes;
         while kept.bytes > MAX_KEPT_BYTES {
             let Some((_, (_, oldest))) = kept.images.pop_lru() else { break };
-            kept.bytes -= image_bytes(&oldest);
+            kept.bytes -= oldest.size_bytes();
         }
     }
 
@@ -333,9 +329,9 @@ impl SharedStateManager {
 }
 
 fn texels_key(image: &Texture) -> ContentKey {
-    let [u, v] = image.wrap.map(|mode| mode as u32);
-    let size = [image.width, image.height, u, v, image.mips.len() as u32];
-    let mut parts: Vec<&[u8]> = vec![bytemuck::cast_slice(&size)];
+    let size = [image.width, image.height, image.format as u32, image.mips.len() as u32];
+    let sampling = image.sampling.key();
+    let mut parts: Vec<&[u8]> = vec![bytemuck::cast_slice(&size), &sampling];
     parts.extend(image.mips.iter().map(|m| &m[..]));
     ContentKey::of(&parts)
 }

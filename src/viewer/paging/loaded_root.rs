@@ -6,7 +6,7 @@ use crate::fetch;
 use crate::formats;
 use crate::math::BoundingVolume;
 use crate::pager::{DatabasePager, PagerConfig};
-use crate::scene::{NodeKind, Page};
+use crate::scene::{BlockFormats, NodeKind, Page};
 use crate::viewer::ViewerError;
 
 /// A root tile set that was read, and the pager that loads the rest of it. It can be read before a viewer exists, for
@@ -23,9 +23,18 @@ impl LoadedRoot {
     /// Starts a pager, with its threads and caches, and reads the root of a folder, file or URL with it. Blocks until the
     /// root is read. The pager is kept: the viewer loads the tiles below the root with it, over the same connections and
     /// with the same limits and credentials.
+    ///
+    /// A root that is a model itself holds its KTX2 images as RGBA8, since no adapter is known;
+    /// [`Viewer::load`](crate::viewer::Viewer::load) holds them compressed. Tiles below a root are compressed in either case.
     pub fn read(source: &str, config: &PagerConfig) -> Result<Self, ViewerError> {
+        Self::read_for(source, config, BlockFormats::NONE)
+    }
+
+    /// Does the same as [`Self::read`], with the compressed formats that a root's own images may have.
+    pub(super) fn read_for(source: &str, config: &PagerConfig, formats: BlockFormats) -> Result<Self, ViewerError> {
         let uri = fetch::root_uri(source)?;
-        let options = formats::ReadOptions::for_root(&uri, config.limits);
+        let options =
+            formats::ReadOptions { block_formats: formats, ..formats::ReadOptions::for_root(&uri, config.limits) };
         let mut pager = DatabasePager::new(config.clone(), options.clone())?;
         let page = pager.read_root(&uri)?;
         // The second read of the root adds nothing to the list of what is left out.

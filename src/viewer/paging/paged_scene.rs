@@ -272,8 +272,8 @@ impl PagedScene {
     }
 
     /// Reads a root with the scene's pager settings.
-    pub(in crate::viewer) fn read_root(&self, source: &str) -> Result<LoadedRoot, ViewerError> {
-        LoadedRoot::read(source, &self.pager_config)
+    pub(in crate::viewer) fn read_root(&self, source: &str, rendering: &Rendering) -> Result<LoadedRoot, ViewerError> {
+        LoadedRoot::read_for(source, &self.pager_config, rendering.block_formats())
     }
 
     /// True when the tiles of the loaded set, or of the first root, are height tiles.

@@ -11,7 +11,7 @@ use super::frame_job::{DrawCommand, FrameDone, FrameJob, Reply};
 use super::upload_ticket::UploadOwner;
 use crate::gpu::{CompileBudget, CompileOperation, Compiled, ContextTraits, GpuError, GraphicsContext};
 use crate::pager::{CompileContext, ImageChange};
-use crate::scene::{DrawKind, DrawSlot, Drawable, Mesh};
+use crate::scene::{BlockFormats, DrawKind, DrawSlot, Drawable, Mesh};
 use crate::sync::primitives::channel::{self, Receiver, RecvTimeoutError, Sender};
 use crate::sync::{Operation, OperationThread};
 use crate::viewer::ViewerError;
@@ -71,6 +71,8 @@ pub(in crate::viewer) struct DeviceHandle {
     /// Waits for all uploads when results are taken, in the blocking mode.
     finish_compiles: bool,
     adapter_name: String,
+    /// Of the present device; a lost one may be replaced by that of another adapter.
+    block_formats: BlockFormats,
     is_software: bool,
     is_host_device: bool,
 }
@@ -80,7 +82,7 @@ impl DeviceHandle {
     pub(super) fn new(id: u32, context: GraphicsContext, blocking: bool, frame: u32) -> Self {
         let contexts = vec![ContextOnDevice { id, size_px: context.size_px(), done_frame: frame }];
         let (adapter_name, is_software) = (context.adapter_name(), context.is_software());
-        let is_host_device = context.is_host_device();
+        let (is_host_device, block_formats) = (context.is_host_device(), context.block_formats());
         let (commands, to_do) = channel::bounded(COMMAND_QUEUE);
         // Unbounded, since a device that the main thread owns sends to itself and must not block. Uploads are at most as many
         // as the pagers and scenes have in flight; replies at most one per context and frame in flight, and one more.
@@ -111,6 +113,7 @@ impl DeviceHandle {
             in_flight: 0,
             finish_compiles: blocking,
             adapter_name,
+            block_formats,
             is_software,
             is_host_device,
         }
@@ -166,6 +169,11 @@ impl DeviceHandle {
     /// The name of the adapter.
     pub(super) fn adapter_name(&self) -> &str {
         &self.adapter_name
+    }
+
+    /// Returns the families of compressed texture formats that the device samples.
+    pub(super) fn block_formats(&self) -> BlockFormats {
+        self.block_formats
     }
 
     /// Returns true if the adapter is a software driver.
@@ -432,7 +440,9 @@ impl DeviceHandle {
 
     /// Replaces the device if it is lost, with no thread and no frame in flight. Returns false if it is not lost.
     pub(super) fn renew(&mut self) -> Result<bool, ViewerError> {
-        let renewed = self.here().ok_or(ViewerError::DrawThreadStopped)?.renew()?;
+        let side = self.here().ok_or(ViewerError::DrawThreadStopped)?;
+        let renewed = side.renew()?;
+        self.block_formats = side.context.block_formats();
         if renewed {
             // Uploads to the old device are void.
             while self.compiled.try_recv().is_ok() {}
@@ -486,6 +496,10 @@ pub(super) struct DeviceOfScene<'a> {
 impl CompileContext for DeviceOfScene<'_> {
     fn id(&self) -> u32 {
         self.handle.id
+    }
+
+    fn block_formats(&self) -> BlockFormats {
+        self.handle.block_formats
     }
 
     fn prewarm(&mut self, kinds: &Arc<[DrawKind]>) {

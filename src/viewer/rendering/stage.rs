@@ -13,7 +13,7 @@ use super::upload_ticket::UploadOwner;
 use crate::cull::{CullVisitor, RenderStage};
 use crate::gpu::{Compiled, ContextTraits, GpuError, GraphicsContext};
 use crate::pager::CompileContext;
-use crate::scene::{DrawSlot, Drawable};
+use crate::scene::{BlockFormats, DrawSlot, Drawable};
 use crate::sync::primitives::channel::{self, Receiver, Sender};
 use crate::sync::{Barrier, BlockCount, OperationThread};
 use crate::trace;
@@ -139,6 +139,11 @@ impl Rendering {
     /// Name of the first context's adapter.
     pub(in crate::viewer) fn adapter_name(&self) -> &str {
         self.devices.first().map_or("", DeviceHandle::adapter_name)
+    }
+
+    /// The families of compressed texture formats that all devices sample.
+    pub(in crate::viewer) fn block_formats(&self) -> BlockFormats {
+        self.devices.iter().map(DeviceHandle::block_formats).reduce(BlockFormats::intersection).unwrap_or_default()
     }
 
     /// Returns true if the first context's adapter is a software driver.

@@ -8,8 +8,8 @@ use terrane::fetch::{IoError, Limits};
 use terrane::formats::writers::{GlbMesh, write_glb};
 use terrane::formats::{Content, ReadOptions, companions, decode, decode_node, inspect};
 use terrane::math::BoundingVolume;
-use terrane::scene::{AlphaMode, Drawable, Geometry, Node, NodeKind, PagedLod, RangeMode, Refine, Topology};
-use terrane::state::WrapMode;
+use terrane::scene::{AlphaMode, Drawable, Geometry, Node, NodeKind, PagedLod, RangeMode, Refine, Sampling, Topology};
+use terrane::state::{FilterMode, WrapMode};
 
 const SET: &str = "/data/set/tileset.json";
 
@@ -298,17 +298,27 @@ fn b3dm_is_moved_to_its_center() {
 }
 
 #[test]
-fn gltf_samplers_wrap_each_axis() {
+fn gltf_samplers_wrap_and_filter() {
     use base64::Engine as _;
     let mut png = std::io::Cursor::new(Vec::new());
-    image::RgbImage::new(1, 1).write_to(&mut png, image::ImageFormat::Png).unwrap();
+    image::RgbImage::new(2, 2).write_to(&mut png, image::ImageFormat::Png).unwrap();
     let uri = |bytes: &[u8]| format!("data:;base64,{}", base64::engine::general_purpose::STANDARD.encode(bytes));
     let (buffer, image) = (uri(&[0; 36]), uri(png.get_ref()));
     let [repeat, clamped, mirror] = [WrapMode::Repeat, WrapMode::ClampToEdge, WrapMode::Mirror];
+    let [nearest, linear] = [FilterMode::Nearest, FilterMode::Linear];
+    let repeated = Sampling { wrap: [repeat, repeat], ..Sampling::default() };
+    let minified = |min, mip| Sampling { min, mip, ..repeated };
     for (sampler, expected) in [
-        ("{}", [repeat, repeat]),
-        (r#"{"wrapS":33071,"wrapT":10497}"#, [clamped, repeat]),
-        (r#"{"wrapS":33648,"wrapT":33071}"#, [mirror, clamped]),
+        ("{}", repeated),
+        (r#"{"wrapS":33071,"wrapT":10497}"#, Sampling { wrap: [clamped, repeat], ..repeated }),
+        (r#"{"wrapS":33648,"wrapT":33071}"#, Sampling { wrap: [mirror, clamped], ..repeated }),
+        (r#"{"magFilter":9728}"#, Sampling { mag: nearest, ..repeated }),
+        (r#"{"magFilter":9729,"minFilter":9728}"#, minified(nearest, None)),
+        (r#"{"minFilter":9729}"#, minified(linear, None)),
+        (r#"{"minFilter":9984}"#, minified(nearest, Some(nearest))),
+        (r#"{"minFilter":9985}"#, minified(linear, Some(nearest))),
+        (r#"{"minFilter":9986}"#, minified(nearest, Some(linear))),
+        (r#"{"minFilter":9987}"#, minified(linear, Some(linear))),
     ] {
         let gltf = format!(
             r#"{{"asset":{{"version":"2.0"}},"scene":0,"scenes":[{{"nodes":[0]}}],"nodes":[{{"mesh":0}}],
@@ -319,7 +329,9 @@ fn gltf_samplers_wrap_each_axis() {
             "accessors":[{{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3","min":[0,0,0],"max":[0,0,0]}}]}}"#
         );
         let drawable = only_drawable(&read(gltf));
-        assert_eq!(drawable.1.material.texture.as_ref().unwrap().wrap, expected, "{sampler}");
+        let texture = drawable.1.material.texture.as_ref().unwrap();
+        assert_eq!(texture.sampling, expected, "{sampler}");
+        assert_eq!(texture.mips.len(), if expected.mip.is_some() { 2 } else { 1 }, "{sampler}");
     }
 }
 

@@ -79,24 +79,33 @@ impl Triangles {
     }
 }
 
-/// Returns a KTX2 file of blocks of UASTC in one colour: 4 x 4 texels, and 1 to 3 levels.
+/// A KTX2 file of ETC1S, 64 x 64 texels without alpha in one level: ramps and a disc, made for these tests with the Basis
+/// Universal encoder.
+pub const ETC1S_64: &[u8] = include_bytes!("../data/etc1s_64.ktx2");
+
+/// Returns a KTX2 file of UASTC in one colour: 4 x 4 texels, and 1 to 3 levels.
 pub fn uastc_ktx2(color: [u8; 4], levels: u32) -> Vec<u8> {
-    // Mode 8 of UASTC: five bits of the mode, then the colour; the rest is for other formats.
-    let mut block = u128::from(0x17u8);
-    for (i, part) in color.into_iter().enumerate() {
-        block |= u128::from(part) << (5 + 8 * i);
-    }
+    uastc_mosaic([4, 4], levels, |_| color)
+}
+
+/// Returns a KTX2 file of UASTC with alpha, whose blocks of 4 x 4 texels have one colour each. `color` gets the level, and
+/// the column and row of a block.
+pub fn uastc_mosaic([width, height]: [u32; 2], levels: u32, color: impl Fn([u32; 3]) -> [u8; 4]) -> Vec<u8> {
+    let blocks = |level: u32| [width, height].map(|side| (side >> level).max(1).div_ceil(4));
+    let bytes = |level: u32| 16 * u64::from(blocks(level)[0] * blocks(level)[1]);
     let mut file = b"\xabKTX 20\xbb\r\n\x1a\n".to_vec();
     let dfd_bytes = 4 + 24 + 16;
     let dfd_at = 80 + 24 * levels;
-    for word in [0, 1, 4, 4, 0, 0, 1, levels, 0, dfd_at, dfd_bytes, 0, 0, 0, 0, 0, 0] {
+    for word in [0, 1, width, height, 0, 0, 1, levels, 0, dfd_at, dfd_bytes, 0, 0, 0, 0, 0, 0] {
         file.extend(word.to_le_bytes());
     }
     let data_at = u64::from((dfd_at + dfd_bytes).next_multiple_of(16));
+    let mut level_at = data_at;
     for level in 0..levels {
-        for word in [data_at + 16 * u64::from(level), 16, 16] {
+        for word in [level_at, bytes(level), bytes(level)] {
             file.extend(word.to_le_bytes());
         }
+        level_at += bytes(level);
     }
     // A basic data format descriptor: UASTC (166), BT.709, sRGB; blocks of 4 x 4 in 16 bytes; one sample, RGBA.
     file.extend(dfd_bytes.to_le_bytes());
@@ -104,6 +113,16 @@ pub fn uastc_ktx2(color: [u8; 4], levels: u32) -> Vec<u8> {
         file.extend(word.to_le_bytes());
     }
     file.resize(data_at as usize, 0);
-    (0..levels).for_each(|_| file.extend(block.to_le_bytes()));
+    for level in 0..levels {
+        let [columns, rows] = blocks(level);
+        for (row, column) in (0..rows * columns).map(|i| (i / columns, i % columns)) {
+            // Mode 8 of UASTC: five bits of the mode, then the colour; the rest is for other formats.
+            let mut block = u128::from(0x17u8);
+            for (i, part) in color([level, column, row]).into_iter().enumerate() {
+                block |= u128::from(part) << (5 + 8 * i);
+            }
+            file.extend(block.to_le_bytes());
+        }
+    }
     file
 }

@@ -8,7 +8,7 @@ use terrane::fetch::{Limits, root_uri};
 use terrane::formats::ReadOptions;
 use terrane::gpu::{CompileBudget, CompileOperation, Compiled};
 use terrane::pager::{CompileContext, DatabasePager, PagerConfig};
-use terrane::scene::{DrawSlot, Drawable, Geometry, Page, Scene};
+use terrane::scene::{BlockFormats, DrawSlot, Drawable, Geometry, Page, Scene, TexelFormat};
 
 /// GPU bytes that the context reports for each page.
 pub const PAGE_GPU_BYTES: u64 = 1000;
@@ -28,6 +28,10 @@ pub struct Context {
     /// Completes operations only in `run_compiles` with a time budget.
     pub waits: bool,
     waiting: Vec<Compiled>,
+    /// The compressed formats that the context claims to sample.
+    pub block_formats: BlockFormats,
+    /// The formats of the textures of base colours that were uploaded, in order.
+    pub texture_formats: Vec<TexelFormat>,
 }
 
 impl CompileContext for Context {
@@ -35,7 +39,13 @@ impl CompileContext for Context {
         0
     }
 
+    fn block_formats(&self) -> BlockFormats {
+        self.block_formats
+    }
+
     fn compile(&mut self, operation: CompileOperation) {
+        let textures = operation.drawables.iter().filter_map(|drawable| drawable.material.texture.as_ref());
+        self.texture_formats.extend(textures.map(|texture| texture.format));
         let slots = vec![DrawSlot(0); operation.drawables.len()];
         self.slots_out += slots.len() as u64;
         let ticket = operation.ticket;

@@ -2,7 +2,7 @@
 
 use terrane::gpu::{CompileBudget, CompileOperation, Compiled, GraphicsContext};
 use terrane::pager::CompileContext;
-use terrane::scene::DrawSlot;
+use terrane::scene::{BlockFormats, DrawSlot};
 
 /// A graphics context that uploads on the thread that updates the pager, as in a viewer without a draw thread.
 pub struct UploadContext(pub GraphicsContext);
@@ -10,6 +10,10 @@ pub struct UploadContext(pub GraphicsContext);
 impl CompileContext for UploadContext {
     fn id(&self) -> u32 {
         0
+    }
+
+    fn block_formats(&self) -> BlockFormats {
+        self.0.block_formats()
     }
 
     fn compile(&mut self, operation: CompileOperation) {

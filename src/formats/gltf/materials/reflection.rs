@@ -75,8 +75,8 @@ impl Reflection {
     }
 }
 
-/// Returns a map with occlusion in red, roughness in green and metallic in blue, from separate maps. Returns `None` if
-/// both are given and differ in size.
+/// Returns a map with occlusion in red, roughness in green and metallic in blue, from separate maps, which are RGBA8 unless
+/// they are the same. Returns `None` if both are given and differ in size.
 pub(super) fn combined(occlusion: &Arc<Texture>, metallic_roughness: Option<&Arc<Texture>>) -> Option<Arc<Texture>> {
     if metallic_roughness.is_some_and(|other| Arc::ptr_eq(occlusion, other)) {
         return Some(occlusion.clone());

@@ -7,7 +7,7 @@ use super::reflection::{Reflection, combined};
 use super::surface::Surface;
 use super::techniques::Techniques;
 use super::texture_ref::TextureRef;
-use super::textures::Textures;
+use super::textures::{TexelReader, Textures};
 use crate::fetch::IoError;
 use crate::formats::gltf::accessors::Buffers;
 use crate::formats::gltf::context::Context;
@@ -46,25 +46,31 @@ impl<'a> Surfaces<'a> {
     /// Returns the decoded texture of a surface; `None` if it has none or if its image is missing.
     pub fn texture(&mut self, surface: &Surface, buffers: &Buffers<'_>) -> Result<Option<SharedTexture>, IoError> {
         match surface.texture {
-            Some(of) => self.textures.get(of.texture, buffers),
+            Some(of) => self.textures.get(of.texture, TexelReader::Adapter, buffers),
             None => Ok(None),
         }
     }
 
     /// Decodes the maps of a reflection. A map whose image is missing is left out.
     pub fn reflection(&mut self, of: &Reflection, buffers: &Buffers<'_>) -> Result<DecodedReflection, IoError> {
-        let mut get = |map: Option<TextureRef>| match map {
-            Some(map) => self.textures.get(map.texture, buffers).map(Option::unzip),
+        // Occlusion in an image of its own is combined with the other map.
+        let is_combined = match (&of.occlusion, &of.metallic_roughness) {
+            (Some(occlusion), Some(other)) => !self.textures.are_equal(occlusion.texture, other.texture)?,
+            (occlusion, _) => occlusion.is_some(),
+        };
+        let reader = if is_combined { TexelReader::Cpu } else { TexelReader::Adapter };
+        let mut get = |map: Option<TextureRef>, reader| match map {
+            Some(map) => self.textures.get(map.texture, reader, buffers).map(Option::unzip),
             None => Ok((None, None)),
         };
-        let (normal_map, shared_normal) = get(of.normal)?;
-        let (emissive_map, shared_emissive) = get(of.emissive_map)?;
+        let (normal_map, shared_normal) = get(of.normal, TexelReader::Adapter)?;
+        let (emissive_map, shared_emissive) = get(of.emissive_map, TexelReader::Adapter)?;
         // Without its image the whole surface would glow.
         let emissive = if of.emissive_map.is_some() && emissive_map.is_none() { [0.0; 3] } else { of.emissive };
-        let (mut map, mut shared_map) = get(of.metallic_roughness)?;
+        let (mut map, mut shared_map) = get(of.metallic_roughness, reader)?;
         let mut occlusion_strength = of.occlusion_strength;
         if let Some(occlusion) = of.occlusion {
-            let (image, _) = get(Some(occlusion))?;
+            let (image, _) = get(Some(occlusion), reader)?;
             let key = (occlusion.texture, of.metallic_roughness.map(|map| map.texture));
             let joined = match (self.combined.get(&key), &image) {
                 (Some(known), _) => known.clone(),
@@ -75,7 +81,7 @@ impl<'a> Surfaces<'a> {
             match joined {
                 Some(joined) if map.as_ref().is_some_and(|map| Arc::ptr_eq(map, &joined)) => {}
                 Some(joined) => {
-                    self.context.budget.add_image(joined.mips.iter().map(|mip| mip.len() as u64).sum());
+                    self.context.budget.add_image(joined.size_bytes());
                     (map, shared_map) = (Some(joined), None);
                 }
                 None => {

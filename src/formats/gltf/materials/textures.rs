@@ -9,7 +9,8 @@ use crate::formats::gltf::accessors::Buffers;
 use crate::formats::gltf::context::Context;
 use crate::formats::gltf::external::data_uri;
 use crate::formats::image::{SharedTexture, decode_shared};
-use crate::state::WrapMode;
+use crate::scene::{BlockFormats, Sampling};
+use crate::state::{FilterMode, WrapMode};
 
 /// Extensions that name another image of a texture, the best first. The plain source comes after them.
 const SOURCE_EXTENSIONS: [&str; 2] = ["KHR_texture_basisu", "EXT_texture_webp"];
@@ -18,8 +19,26 @@ const SOURCE_EXTENSIONS: [&str; 2] = ["KHR_texture_basisu", "EXT_texture_webp"];
 pub(super) struct Textures<'a> {
     context: &'a Context<'a>,
     document: &'a gltf::Document,
-    /// By the index of the image and the wrap modes; `None` if the image is missing.
-    decoded: HashMap<(usize, [WrapMode; 2]), Option<SharedTexture>>,
+    /// `None` if the image is missing.
+    decoded: HashMap<ImageKey, Option<SharedTexture>>,
+}
+
+/// An image as it is used.
+#[derive(Clone, Copy, PartialEq, Eq, Hash)]
+struct ImageKey {
+    /// The index of the image.
+    image: usize,
+    sampling: Sampling,
+    reader: TexelReader,
+}
+
+/// The reader of an image's texels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(super) enum TexelReader {
+    /// The adapter, which samples compressed formats.
+    Adapter,
+    /// The CPU, which needs RGBA8.
+    Cpu,
 }
 
 impl<'a> Textures<'a> {
@@ -28,24 +47,19 @@ impl<'a> Textures<'a> {
     }
 
     /// Returns a texture; decodes its image on first use. Returns `None` if the texture has no image that can be decoded.
-    pub fn get(&mut self, texture: usize, buffers: &Buffers<'_>) -> Result<Option<SharedTexture>, IoError> {
-        let Some(texture) = self.document.textures().nth(texture) else {
-            return Err(self.context.bad(format_args!("texture {texture} of {}", self.document.textures().len())));
-        };
-        let wrap = self.wrap(&texture.sampler());
-        let images = self.document.as_json().images.len();
-        let named = SOURCE_EXTENSIONS.iter().filter_map(|name| texture.extension_value(name)?.get("source")?.as_u64());
-        let named = named.filter_map(|source| usize::try_from(source).ok());
-        let sources: Vec<usize> = named.chain(texture.source().map(|image| image.index())).collect();
-        if let Some(source) = sources.iter().find(|source| **source >= images) {
-            return Err(self.context.bad(format_args!("image {source} of {images}")));
-        }
-        for source in sources {
-            let key = (source, wrap);
+    pub fn get(
+        &mut self,
+        texture: usize,
+        reader: TexelReader,
+        buffers: &Buffers<'_>,
+    ) -> Result<Option<SharedTexture>, IoError> {
+        let (sources, sampling) = self.sources(texture)?;
+        for image in sources {
+            let key = ImageKey { image, sampling, reader };
             let found = match self.decoded.get(&key) {
                 Some(known) => known.clone(),
                 None => {
-                    let decoded = self.decode(source, wrap, buffers)?;
+                    let decoded = self.decode(&key, buffers)?;
                     self.decoded.insert(key, decoded.clone());
                     decoded
                 }
@@ -57,39 +71,41 @@ impl<'a> Textures<'a> {
         Ok(None)
     }
 
-    /// Returns the wrap modes of a sampler.
-    fn wrap(&self, sampler: &gltf::texture::Sampler<'_>) -> [WrapMode; 2] {
-        use gltf::texture::MagFilter;
-        use gltf::texture::WrappingMode::{ClampToEdge, MirroredRepeat, Repeat};
-        if sampler.mag_filter() == Some(MagFilter::Nearest) {
-            self.context.notes.add("glTF sampler: magFilter NEAREST (drawn with linear filtering)");
+    /// Returns true if two textures have the same images and sampler.
+    pub fn are_equal(&self, a: usize, b: usize) -> Result<bool, IoError> {
+        Ok(a == b || self.sources(a)? == self.sources(b)?)
+    }
+
+    /// Returns the images of a texture, the best first, and its sampling.
+    fn sources(&self, texture: usize) -> Result<(Vec<usize>, Sampling), IoError> {
+        let Some(texture) = self.document.textures().nth(texture) else {
+            return Err(self.context.bad(format_args!("texture {texture} of {}", self.document.textures().len())));
+        };
+        let images = self.document.as_json().images.len();
+        let named = SOURCE_EXTENSIONS.iter().filter_map(|name| texture.extension_value(name)?.get("source")?.as_u64());
+        let named = named.filter_map(|source| usize::try_from(source).ok());
+        let sources: Vec<usize> = named.chain(texture.source().map(|image| image.index())).collect();
+        match sources.iter().find(|source| **source >= images) {
+            Some(source) => Err(self.context.bad(format_args!("image {source} of {images}"))),
+            None => Ok((sources, sampling(&texture.sampler()))),
         }
-        [sampler.wrap_s(), sampler.wrap_t()].map(|mode| match mode {
-            ClampToEdge => WrapMode::ClampToEdge,
-            MirroredRepeat => WrapMode::Mirror,
-            Repeat => WrapMode::Repeat,
-        })
     }
 
     /// Decodes an image. Returns `None` if its file is missing or has a format that is not read.
-    fn decode(
-        &self,
-        image: usize,
-        wrap: [WrapMode; 2],
-        buffers: &Buffers<'_>,
-    ) -> Result<Option<SharedTexture>, IoError> {
+    fn decode(&self, key: &ImageKey, buffers: &Buffers<'_>) -> Result<Option<SharedTexture>, IoError> {
+        let image = key.image;
         self.context.budget.check_images()?;
         let json::Image { buffer_view, uri, .. } = &self.document.as_json().images[image];
         let view = buffer_view.and_then(|view| self.document.views().nth(view.value()));
         let decoded = match (view, uri) {
             (Some(view), _) => {
                 let Some(bytes) = buffers.view(&view)? else { return Ok(None) };
-                self.decode_bytes(self.context.uri, bytes, wrap)
+                self.decode_bytes(self.context.uri, bytes, key)
             }
             (None, Some(reference)) => match data_uri(self.context.uri, reference) {
-                Some(bytes) => self.decode_bytes(self.context.uri, &bytes?, wrap),
+                Some(bytes) => self.decode_bytes(self.context.uri, &bytes?, key),
                 None => match self.context.files.get(reference) {
-                    Ok((uri, bytes)) => self.decode_bytes(&uri, &bytes, wrap),
+                    Ok((uri, bytes)) => self.decode_bytes(&uri, &bytes, key),
                     Err(error) => {
                         self.context.missing("glTF: external image that is missing", &error)?;
                         return Ok(None);
@@ -100,7 +116,7 @@ impl<'a> Textures<'a> {
         };
         match decoded {
             Ok(texture) => {
-                self.context.budget.add_image(texture.0.mips.iter().map(|mip| mip.len() as u64).sum());
+                self.context.budget.add_image(texture.0.size_bytes());
                 Ok(Some(texture))
             }
             Err(IoError::Unsupported { what, .. }) => {
@@ -111,8 +127,38 @@ impl<'a> Textures<'a> {
         }
     }
 
-    fn decode_bytes(&self, uri: &str, bytes: &[u8], wrap: [WrapMode; 2]) -> Result<SharedTexture, IoError> {
-        let options = self.context.options;
-        decode_shared(uri, bytes, wrap, &options.limits, options.sharing.as_deref())
+    fn decode_bytes(&self, uri: &str, bytes: &[u8], key: &ImageKey) -> Result<SharedTexture, IoError> {
+        let Context { options, notes, .. } = self.context;
+        let formats = match key.reader {
+            TexelReader::Adapter => options.block_formats,
+            TexelReader::Cpu => BlockFormats::NONE,
+        };
+        decode_shared(uri, bytes, key.sampling, formats, options, notes)
     }
+}
+
+/// Returns the filters and wrap modes of a sampler. Filters that it leaves open are linear, between levels too.
+fn sampling(sampler: &gltf::texture::Sampler<'_>) -> Sampling {
+    use gltf::texture::MinFilter::{
+        Linear, LinearMipmapLinear, LinearMipmapNearest, Nearest, NearestMipmapLinear, NearestMipmapNearest,
+    };
+    use gltf::texture::{MagFilter, WrappingMode};
+    let (min, mip) = match sampler.min_filter() {
+        Some(Nearest) => (FilterMode::Nearest, None),
+        Some(Linear) => (FilterMode::Linear, None),
+        Some(NearestMipmapNearest) => (FilterMode::Nearest, Some(FilterMode::Nearest)),
+        Some(LinearMipmapNearest) => (FilterMode::Linear, Some(FilterMode::Nearest)),
+        Some(NearestMipmapLinear) => (FilterMode::Nearest, Some(FilterMode::Linear)),
+        Some(LinearMipmapLinear) | None => (FilterMode::Linear, Some(FilterMode::Linear)),
+    };
+    let mag = match sampler.mag_filter() {
+        Some(MagFilter::Nearest) => FilterMode::Nearest,
+        Some(MagFilter::Linear) | None => FilterMode::Linear,
+    };
+    let wrap = [sampler.wrap_s(), sampler.wrap_t()].map(|mode| match mode {
+        WrappingMode::ClampToEdge => WrapMode::ClampToEdge,
+        WrappingMode::MirroredRepeat => WrapMode::Mirror,
+        WrappingMode::Repeat => WrapMode::Repeat,
+    });
+    Sampling { wrap, mag, min, mip }
 }

@@ -15,8 +15,7 @@ use crate::gpu::pools::bind_group_layouts::BindGroupLayouts;
 use crate::gpu::pools::slot_allocator::{SlotAllocator, block_capacity};
 use crate::gpu::pools::slot_table::SlotTable;
 use crate::gpu::pools::textures::{ImageSize, TexelEncoding, array_view};
-use crate::scene::{ContentKey, HeightTile};
-use crate::state::CLAMPED;
+use crate::scene::{BlockFormats, ContentKey, HeightTile, Sampling};
 
 /// The target size of a block.
 const BLOCK_BYTES: u64 = 24 << 20;
@@ -48,7 +47,7 @@ struct TileSize {
 
 impl TileSize {
     /// Returns the size of a tile, after a check that its arrays have the lengths that its side demands.
-    fn of(tile: &HeightTile, limits: &wgpu::Limits) -> Result<Self, String> {
+    fn of(tile: &HeightTile, limits: &wgpu::Limits, adapter: BlockFormats) -> Result<Self, String> {
         let side = tile.side;
         if !(3..=257).contains(&side) || !(side - 1).is_power_of_two() {
             return Err(format!("a height tile of {side} vertices a side; 2^k + 1 up to 257 is possible"));
@@ -64,7 +63,7 @@ impl TileSize {
             }
         }
         let color = match &tile.texture {
-            Some(texture) => ImageSize::of(texture, limits)?,
+            Some(texture) => ImageSize::of(texture, limits, adapter)?,
             None => ImageSize::ONE_TEXEL,
         };
         Ok(Self { side, color })
@@ -125,6 +124,7 @@ impl HeightBlock {
         };
         let tables = memory.allocate("height block tables", bytes, |device| device.create_buffer(&tables))?;
         let color = size.color.allocate(memory, "height block colour", capacity, TexelEncoding::Srgb)?;
+        let sampler = layouts.sampler(memory.device(), &Sampling::default());
         let bind_group = memory.device().create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("height block"),
             layout: &layouts.height_block,
@@ -135,7 +135,7 @@ impl HeightBlock {
                 },
                 wgpu::BindGroupEntry { binding: 1, resource: tables.as_entire_binding() },
                 wgpu::BindGroupEntry { binding: 2, resource: wgpu::BindingResource::TextureView(&array_view(&color)) },
-                wgpu::BindGroupEntry { binding: 3, resource: wgpu::BindingResource::Sampler(layouts.sampler(CLAMPED)) },
+                wgpu::BindGroupEntry { binding: 3, resource: wgpu::BindingResource::Sampler(&sampler) },
             ],
         });
         let slots = SlotAllocator::new(capacity);
@@ -197,7 +197,7 @@ impl HeightPool {
         layouts: &BindGroupLayouts,
         tile: &HeightTile,
     ) -> Result<HeightSlot, String> {
-        let size = TileSize::of(tile, memory.limits())?;
+        let size = TileSize::of(tile, memory.limits(), memory.block_formats())?;
         let side = size.side;
         if let Entry::Vacant(grid) = self.grids.entry(side) {
             grid.insert(HeightGrid::new(memory, side)?);

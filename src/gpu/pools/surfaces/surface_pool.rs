@@ -54,10 +54,10 @@ impl SurfaceSet {
         let views = blocks.map(|block| textures.view(block));
         let mut entries = Vec::with_capacity(2 * views.len() + 1);
         for (view, binding) in views.iter().zip((0..).step_by(2)) {
-            let (view, wrap) = view.as_ref().ok_or("a surface whose texture is not resident")?;
+            let (view, sampler) = view.as_ref().ok_or("a surface whose texture is not resident")?;
             let resource = wgpu::BindingResource::TextureView(view);
             entries.push(wgpu::BindGroupEntry { binding, resource });
-            let resource = wgpu::BindingResource::Sampler(layouts.sampler(*wrap));
+            let resource = wgpu::BindingResource::Sampler(sampler);
             entries.push(wgpu::BindGroupEntry { binding: binding + 1, resource });
         }
         entries.push(wgpu::BindGroupEntry { binding: entries.len() as u32, resource: records.as_entire_binding() });

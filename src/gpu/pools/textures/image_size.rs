@@ -1,7 +1,9 @@
-//! [`ImageSize`]: the size of a mesh texture with its mip levels, and the creation of array textures of that size.
+//! [`ImageSize`]: the size and format of a mesh texture with its mip levels, and the creation of array textures for it.
 
+use super::texture_rows::TextureRows;
+use super::wgpu_enums::texel_format;
 use crate::gpu::memory::Memory;
-use crate::scene::Texture;
+use crate::scene::{BlockFormats, TexelFormat, Texture};
 
 /// The meaning of an image's bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -12,63 +14,74 @@ pub(in crate::gpu) enum TexelEncoding {
     Linear,
 }
 
-impl TexelEncoding {
-    fn format(self) -> wgpu::TextureFormat {
-        match self {
-            Self::Srgb => wgpu::TextureFormat::Rgba8UnormSrgb,
-            Self::Linear => wgpu::TextureFormat::Rgba8Unorm,
-        }
-    }
-}
-
-/// The size of an image with its mip levels. Images of one size share blocks.
+/// The size and format of an image with its mip levels. Images of one size and format share blocks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in crate::gpu::pools) struct ImageSize {
     width: u32,
     height: u32,
     mips: u32,
+    format: TexelFormat,
 }
 
 impl ImageSize {
     /// The size of the white texel of drawables without a texture.
-    pub(in crate::gpu::pools) const ONE_TEXEL: Self = Self { width: 1, height: 1, mips: 1 };
+    pub(in crate::gpu::pools) const ONE_TEXEL: Self = Self { width: 1, height: 1, mips: 1, format: TexelFormat::Rgba8 };
 
-    /// Returns the size of a texture, after a check that each level has the bytes that the size demands.
-    pub(in crate::gpu::pools) fn of(texture: &Texture, limits: &wgpu::Limits) -> Result<Self, String> {
-        let (width, height) = (texture.width, texture.height);
+    /// Returns the size of a texture, after a check that the adapter has its format and that each level has the bytes that
+    /// the size demands.
+    pub(in crate::gpu::pools) fn of(
+        texture: &Texture,
+        limits: &wgpu::Limits,
+        adapter: BlockFormats,
+    ) -> Result<Self, String> {
+        let Texture { width, height, format, .. } = *texture;
+        if !adapter.contains(BlockFormats::of(format)) {
+            return Err(format!("a texture in {format:?}, which the adapter cannot sample"));
+        }
         let limit = limits.max_texture_dimension_2d;
         if width == 0 || height == 0 || width > limit || height > limit {
             return Err(format!("a texture of {width}x{height} texels is not possible (1 to {limit} a side)"));
+        }
+        if !width.is_multiple_of(format.block_side()) || !height.is_multiple_of(format.block_side()) {
+            return Err(format!("a texture of {width}x{height} texels in {format:?}, whose blocks have 4x4"));
         }
         let max_mips = 32 - width.max(height).leading_zeros();
         let mips = texture.mips.len();
         if mips == 0 || mips > max_mips as usize {
             return Err(format!("a texture of {width}x{height} texels has {mips} levels (1 to {max_mips})"));
         }
-        let size = Self { width, height, mips: mips as u32 };
+        let size = Self { width, height, mips: mips as u32, format };
         for (level, data) in (0u32..).zip(&texture.mips) {
             let [w, h] = size.level(level);
-            let expected = w as usize * h as usize * 4;
-            if data.len() != expected {
-                return Err(format!("level {level} of a texture has {} bytes instead of {expected}", data.len()));
+            let (got, expected) = (data.len() as u64, format.image_bytes(w, h));
+            if got != expected {
+                return Err(format!("level {level} of a texture has {got} bytes instead of {expected}"));
             }
         }
         Ok(size)
     }
 
     /// Returns width and height of a level in texels.
-    pub(super) fn level(&self, level: u32) -> [u32; 2] {
+    fn level(&self, level: u32) -> [u32; 2] {
         [(self.width >> level).max(1), (self.height >> level).max(1)]
     }
 
     /// Returns the size of all levels in bytes.
     pub(in crate::gpu::pools) fn bytes(&self) -> u64 {
-        (0..self.mips).map(|l| self.level(l).map(u64::from).iter().product::<u64>() * 4).sum()
+        let of_level = |[width, height]: [u32; 2]| self.format.image_bytes(width, height);
+        (0..self.mips).map(|level| of_level(self.level(level))).sum()
     }
 
-    /// Returns true if a texture has this size.
-    pub(super) fn is_size_of(&self, texture: &wgpu::Texture) -> bool {
+    /// Returns true if a texture has this size and format.
+    pub(super) fn is_size_of(&self, texture: &wgpu::Texture, encoding: TexelEncoding) -> bool {
         [texture.width(), texture.height(), texture.mip_level_count()] == [self.width, self.height, self.mips]
+            && texture.format() == texel_format(self.format, encoding)
+    }
+
+    /// Returns all rows of a level in the first layer.
+    pub(super) fn rows_of(&self, level: u32) -> TextureRows {
+        let [width, height] = self.level(level);
+        TextureRows { layer: 0, level, first: 0, count: self.format.rows(height), width, format: self.format }
     }
 
     /// Does the same as [`Self::create`], and returns an error text if the adapter lacks the memory.
@@ -96,7 +109,7 @@ impl ImageSize {
             mip_level_count: self.mips,
             sample_count: 1,
             dimension: wgpu::TextureDimension::D2,
-            format: encoding.format(),
+            format: texel_format(self.format, encoding),
             usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
             view_formats: &[],
         })

@@ -7,9 +7,9 @@ use std::collections::HashMap;
 use std::sync::{Arc, Weak};
 
 use super::image_size::{ImageSize, TexelEncoding};
-use super::texture_rows::{TextureRows, write_rows};
+use super::texture_rows::write_rows;
 use super::wgpu_enums::{
-    address_mode, compare_function, filter_mode, mipmap_filter_mode, texture_format, view_dimension,
+    address_mode, block_formats, compare_function, filter_mode, mipmap_filter_mode, texture_format, view_dimension,
 };
 use crate::gpu::error_scope::catch_errors;
 use crate::scene::Texture;
@@ -93,12 +93,11 @@ impl StateTextures {
         image: &Texture,
     ) -> Result<bool, String> {
         let limits = device.limits();
-        let size = ImageSize::of(image, &limits).map_err(|problem| format!("texture {:?}: {problem}", object.name))?;
+        let size = ImageSize::of(image, &limits, block_formats(device.features()))
+            .map_err(|problem| format!("texture {:?}: {problem}", object.name))?;
         let fits = |created: &CreatedTexture| {
             let texture = &created.texture;
-            size.is_size_of(texture)
-                && texture.format() == wgpu::TextureFormat::Rgba8UnormSrgb
-                && texture.usage().contains(wgpu::TextureUsages::COPY_DST)
+            size.is_size_of(texture, TexelEncoding::Srgb) && texture.usage().contains(wgpu::TextureUsages::COPY_DST)
         };
         let key = Arc::as_ptr(object) as usize;
         let known = self.entries.get(&key).and_then(|e| e.created.as_ref()).is_some_and(fits);
@@ -118,13 +117,7 @@ impl StateTextures {
         }
         let Some(created) = self.entries.get(&key).and_then(|e| e.created.as_ref()) else { return Ok(!known) };
         for (level, texels) in (0u32..).zip(&image.mips) {
-            let [width, height] = size.level(level);
-            write_rows(
-                queue,
-                &created.texture,
-                &TextureRows { layer: 0, level, first: 0, count: height, width },
-                texels,
-            );
+            write_rows(queue, &created.texture, &size.rows_of(level), texels);
         }
         Ok(!known)
     }

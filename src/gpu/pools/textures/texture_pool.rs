@@ -1,6 +1,6 @@
 //! [`TexturePool`]: the textures of all meshes of a device, as layers of array textures. Draw thread.
 //!
-//! Images of one size, encoding and wrap mode share a block, which has one bind group. So adapters without bindless textures, such as
+//! Images of one size, format, encoding and sampling share a block, which has one bind group. So adapters without bindless textures, such as
 //! software Vulkan, draw many tiles with one bind group too. Equal images are uploaded once and share a layer by reference
 //! count.
 
@@ -15,8 +15,7 @@ use crate::gpu::pools::bind_group_layouts::BindGroupLayouts;
 use crate::gpu::pools::identity::Identity;
 use crate::gpu::pools::slot_allocator::{SlotAllocator, block_capacity};
 use crate::gpu::pools::slot_table::SlotTable;
-use crate::scene::{ContentKey, Texture};
-use crate::state::{CLAMPED, WrapMode};
+use crate::scene::{ContentKey, Sampling, Texture};
 
 /// The target size of a block. Larger images get blocks of one layer.
 const BLOCK_BYTES: u64 = 32 << 20;
@@ -46,12 +45,13 @@ type SharedKey = (Identity, TexelEncoding);
 struct ImageKind {
     size: ImageSize,
     encoding: TexelEncoding,
-    wrap: [WrapMode; 2],
+    sampling: Sampling,
 }
 
 struct TextureBlock {
     kind: ImageKind,
     texture: wgpu::Texture,
+    sampler: wgpu::Sampler,
     bind_group: wgpu::BindGroup,
     slots: SlotAllocator,
     /// By layer.
@@ -61,6 +61,7 @@ struct TextureBlock {
 impl TextureBlock {
     fn new(memory: &Memory, layouts: &BindGroupLayouts, kind: ImageKind, capacity: u32) -> Result<Self, String> {
         let texture = kind.size.allocate(memory, "texture block", capacity, kind.encoding)?;
+        let sampler = layouts.sampler(memory.device(), &kind.sampling);
         let bind_group = memory.device().create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("texture block"),
             layout: &layouts.texture_block,
@@ -69,15 +70,12 @@ impl TextureBlock {
                     binding: 0,
                     resource: wgpu::BindingResource::TextureView(&array_view(&texture)),
                 },
-                wgpu::BindGroupEntry {
-                    binding: 1,
-                    resource: wgpu::BindingResource::Sampler(layouts.sampler(kind.wrap)),
-                },
+                wgpu::BindGroupEntry { binding: 1, resource: wgpu::BindingResource::Sampler(&sampler) },
             ],
         });
         let slots = SlotAllocator::new(capacity);
         let usage = vec![Usage { users: 0, key: (Identity::Address(0), kind.encoding) }; capacity as usize];
-        Ok(Self { kind, texture, bind_group, slots, usage })
+        Ok(Self { kind, texture, sampler, bind_group, slots, usage })
     }
 
     /// Returns the size of the whole block in bytes.
@@ -122,8 +120,8 @@ impl TexturePool {
                 return Ok(Allocation { slot, is_new: false });
             }
         }
-        let size = ImageSize::of(image, memory.limits())?;
-        let slot = self.take_layer(memory, layouts, ImageKind { size, encoding, wrap: image.wrap })?;
+        let size = ImageSize::of(image, memory.limits(), memory.block_formats())?;
+        let slot = self.take_layer(memory, layouts, ImageKind { size, encoding, sampling: image.sampling })?;
         if let Some(usage) = self.usage_mut(slot) {
             *usage = Usage { users: 1, key };
         }
@@ -141,10 +139,11 @@ impl TexturePool {
         if let Some(white) = self.white {
             return Ok(white);
         }
-        let kind = ImageKind { size: ImageSize::ONE_TEXEL, encoding: TexelEncoding::Srgb, wrap: CLAMPED };
+        let (size, encoding) = (ImageSize::ONE_TEXEL, TexelEncoding::Srgb);
+        let kind = ImageKind { size, encoding, sampling: Sampling::default() };
         let white = self.take_layer(memory, layouts, kind)?;
         if let Some(block) = self.blocks.get(white.block) {
-            let texel = TextureRows { layer: white.layer, level: 0, first: 0, count: 1, width: 1 };
+            let texel = TextureRows { layer: white.layer, ..size.rows_of(0) };
             write_rows(queue, &block.texture, &texel, &[255; 4]);
         }
         self.white = Some(white);
@@ -217,9 +216,9 @@ impl TexturePool {
         }
     }
 
-    /// Returns the view of a block's images and the wrap modes of their sampler.
-    pub(in crate::gpu::pools) fn view(&self, block: u32) -> Option<(wgpu::TextureView, [WrapMode; 2])> {
-        self.blocks.get(block).map(|block| (array_view(&block.texture), block.kind.wrap))
+    /// Returns the view of a block's images and their sampler.
+    pub(in crate::gpu::pools) fn view(&self, block: u32) -> Option<(wgpu::TextureView, &wgpu::Sampler)> {
+        self.blocks.get(block).map(|block| (array_view(&block.texture), &block.sampler))
     }
 
     pub(crate) fn bind_group(&self, block: u32) -> Option<&wgpu::BindGroup> {

@@ -1,6 +1,8 @@
 //! [`TextureRows`]: the part of a texture that one step of an upload writes. Draw thread, or the compile thread.
 
-/// Whole rows of one level of one layer, in a texture of 4 bytes per texel.
+use crate::scene::TexelFormat;
+
+/// Whole rows of one level of one layer. A row of a compressed format is a row of blocks.
 pub(in crate::gpu) struct TextureRows {
     pub(in crate::gpu) layer: u32,
     pub(in crate::gpu) level: u32,
@@ -8,21 +10,39 @@ pub(in crate::gpu) struct TextureRows {
     pub(in crate::gpu) first: u32,
     /// The number of rows.
     pub(in crate::gpu) count: u32,
-    /// The width of a row in texels.
+    /// The width of the level in texels.
     pub(in crate::gpu) width: u32,
+    /// The format of the texels; RGBA8 stands for all formats of 4 bytes a texel.
+    pub(in crate::gpu) format: TexelFormat,
+}
+
+impl TextureRows {
+    /// Returns the size of a row in bytes.
+    pub(in crate::gpu) fn row_bytes(&self) -> u32 {
+        self.format.row_bytes(self.width) as u32
+    }
+
+    /// Returns the place of the first row in a texture.
+    pub(in crate::gpu) fn destination<'a>(&self, texture: &'a wgpu::Texture) -> wgpu::TexelCopyTextureInfo<'a> {
+        wgpu::TexelCopyTextureInfo {
+            texture,
+            mip_level: self.level,
+            origin: wgpu::Origin3d { x: 0, y: self.first * self.format.block_side(), z: self.layer },
+            aspect: wgpu::TextureAspect::All,
+        }
+    }
+
+    /// Returns the size of the rows in texels. Blocks reach beyond the edges of small levels.
+    pub(in crate::gpu) fn extent(&self) -> wgpu::Extent3d {
+        let side = self.format.block_side();
+        let (width, height) = (self.width.next_multiple_of(side), self.count * side);
+        wgpu::Extent3d { width, height, depth_or_array_layers: 1 }
+    }
 }
 
 /// Writes rows by the queue; `data` holds exactly these rows. Only the thread that submits may call it.
 pub(in crate::gpu) fn write_rows(queue: &wgpu::Queue, texture: &wgpu::Texture, rows: &TextureRows, data: &[u8]) {
-    queue.write_texture(
-        wgpu::TexelCopyTextureInfo {
-            texture,
-            mip_level: rows.level,
-            origin: wgpu::Origin3d { x: 0, y: rows.first, z: rows.layer },
-            aspect: wgpu::TextureAspect::All,
-        },
-        data,
-        wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(rows.width * 4), rows_per_image: None },
-        wgpu::Extent3d { width: rows.width, height: rows.count, depth_or_array_layers: 1 },
-    );
+    let bytes_per_row = Some(rows.row_bytes());
+    let layout = wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row, rows_per_image: None };
+    queue.write_texture(rows.destination(texture), data, layout, rows.extent());
 }

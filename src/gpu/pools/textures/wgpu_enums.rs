@@ -1,5 +1,7 @@
 //! wgpu's counterparts of the enums of state sets. Plain values.
 
+use super::image_size::TexelEncoding;
+use crate::scene::{BlockFormats, TexelFormat};
 use crate::state::{CompareFunction, FilterMode, TextureDimension, TextureFormat, WrapMode};
 
 pub(crate) fn texture_format(format: TextureFormat) -> wgpu::TextureFormat {
@@ -15,6 +17,35 @@ pub(crate) fn texture_format(format: TextureFormat) -> wgpu::TextureFormat {
     }
 }
 
+/// Returns the format of a mesh texture.
+pub(super) fn texel_format(format: TexelFormat, encoding: TexelEncoding) -> wgpu::TextureFormat {
+    let (srgb, linear) = match format {
+        TexelFormat::Rgba8 => (wgpu::TextureFormat::Rgba8UnormSrgb, wgpu::TextureFormat::Rgba8Unorm),
+        TexelFormat::Bc1 => (wgpu::TextureFormat::Bc1RgbaUnormSrgb, wgpu::TextureFormat::Bc1RgbaUnorm),
+        TexelFormat::Bc3 => (wgpu::TextureFormat::Bc3RgbaUnormSrgb, wgpu::TextureFormat::Bc3RgbaUnorm),
+        TexelFormat::Bc7 => (wgpu::TextureFormat::Bc7RgbaUnormSrgb, wgpu::TextureFormat::Bc7RgbaUnorm),
+        TexelFormat::Etc2Rgb => (wgpu::TextureFormat::Etc2Rgb8UnormSrgb, wgpu::TextureFormat::Etc2Rgb8Unorm),
+        TexelFormat::Etc2Rgba => (wgpu::TextureFormat::Etc2Rgba8UnormSrgb, wgpu::TextureFormat::Etc2Rgba8Unorm),
+        TexelFormat::Astc4x4 => {
+            let astc = |channel| wgpu::TextureFormat::Astc { block: wgpu::AstcBlock::B4x4, channel };
+            (astc(wgpu::AstcChannel::UnormSrgb), astc(wgpu::AstcChannel::Unorm))
+        }
+    };
+    match encoding {
+        TexelEncoding::Srgb => srgb,
+        TexelEncoding::Linear => linear,
+    }
+}
+
+/// Returns the families of compressed formats of a device.
+pub(in crate::gpu) fn block_formats(features: wgpu::Features) -> BlockFormats {
+    BlockFormats {
+        bc: features.contains(wgpu::Features::TEXTURE_COMPRESSION_BC),
+        etc2: features.contains(wgpu::Features::TEXTURE_COMPRESSION_ETC2),
+        astc: features.contains(wgpu::Features::TEXTURE_COMPRESSION_ASTC),
+    }
+}
+
 pub(crate) fn view_dimension(dimension: TextureDimension) -> wgpu::TextureViewDimension {
     match dimension {
         // One-dimensional textures have no mips in wgpu. A plane of one row samples alike.
@@ -25,14 +56,14 @@ pub(crate) fn view_dimension(dimension: TextureDimension) -> wgpu::TextureViewDi
     }
 }
 
-pub(super) fn filter_mode(mode: FilterMode) -> wgpu::FilterMode {
+pub(in crate::gpu::pools) fn filter_mode(mode: FilterMode) -> wgpu::FilterMode {
     match mode {
         FilterMode::Nearest => wgpu::FilterMode::Nearest,
         FilterMode::Linear => wgpu::FilterMode::Linear,
     }
 }
 
-pub(super) fn mipmap_filter_mode(mode: FilterMode) -> wgpu::MipmapFilterMode {
+pub(in crate::gpu::pools) fn mipmap_filter_mode(mode: FilterMode) -> wgpu::MipmapFilterMode {
     match mode {
         FilterMode::Nearest => wgpu::MipmapFilterMode::Nearest,
         FilterMode::Linear => wgpu::MipmapFilterMode::Linear,

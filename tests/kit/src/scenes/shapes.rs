@@ -46,7 +46,7 @@ pub fn with_mips(width: u32, height: u32, pixels: Vec<u8>) -> Texture {
         mips.push(level);
         (w, h) = (nw, nh);
     }
-    Texture { width, height, mips, wrap: Default::default() }
+    Texture::rgba8(width, height, mips)
 }
 
 /// Returns a ball in one unlit color.

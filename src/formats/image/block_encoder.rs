@@ -1,0 +1,196 @@
+//! Compresses RGBA8 images: the mip levels that a KTX2 file lacks.
+//!
+//! Blocks are encoded as ASTC, in two of its simplest modes, and transcoded to the other formats. So there is one encoder for
+//! all adapters. Layouts are those of the Khronos Data Format Specification 1.3, section 23.
+
+use basisu::{Error, Transcoder};
+
+use super::ktx2::{MAGIC, transcode};
+use crate::scene::TexelFormat;
+
+/// Texels along a side of a block.
+const SIDE: usize = 4;
+/// RGBA, 0 to 255.
+type Color = [f32; 4];
+
+/// Compresses an image of RGBA8 texels; returns it as it is for [`TexelFormat::Rgba8`].
+pub(super) fn encode(width: u32, height: u32, texels: Vec<u8>, format: TexelFormat) -> Result<Vec<u8>, Error> {
+    if !format.is_compressed() {
+        return Ok(texels);
+    }
+    let file = astc_file(width, height, &astc_blocks(width as usize, height as usize, &texels));
+    transcode(&Transcoder::new(&file)?, 0, format)
+}
+
+/// Returns a KTX2 file with one level of ASTC blocks.
+fn astc_file(width: u32, height: u32, blocks: &[u8]) -> Vec<u8> {
+    /// `VK_FORMAT_ASTC_4x4_UNORM_BLOCK`.
+    const FORMAT: u32 = 157;
+    /// A basic descriptor: ASTC (162), BT.709, linear; blocks of 4 x 4 texels in 16 bytes; one sample with RGBA.
+    const DESCRIPTOR: [u32; 11] =
+        [44, 0, 2 | 40 << 16, 162 | 1 << 8 | 1 << 16, 3 | 3 << 8, 16, 0, 127 << 16 | 3 << 24, 0, 0, u32::MAX];
+    const DESCRIPTOR_AT: u32 = 80 + 24;
+    const BLOCKS_AT: u64 = (DESCRIPTOR_AT as u64 + 44).next_multiple_of(16);
+    let mut file = Vec::with_capacity(BLOCKS_AT as usize + blocks.len());
+    file.extend(MAGIC);
+    // One level, one face, no layers, no supercompression; no key and value pairs, no global data.
+    for word in [FORMAT, 1, width, height, 0, 0, 1, 1, 0, DESCRIPTOR_AT, 44, 0, 0, 0, 0, 0, 0] {
+        file.extend(word.to_le_bytes());
+    }
+    for word in [BLOCKS_AT, blocks.len() as u64, blocks.len() as u64] {
+        file.extend(word.to_le_bytes());
+    }
+    DESCRIPTOR.iter().for_each(|word| file.extend(word.to_le_bytes()));
+    file.resize(BLOCKS_AT as usize, 0);
+    file.extend(blocks);
+    file
+}
+
+/// Compresses an image, row by row of blocks. Texels beyond the edges repeat those at the edges.
+fn astc_blocks(width: usize, height: usize, texels: &[u8]) -> Vec<u8> {
+    let texels = texels.as_chunks::<4>().0;
+    let (columns, rows) = (width.div_ceil(SIDE), height.div_ceil(SIDE));
+    let mut blocks = Vec::with_capacity(columns * rows * 16);
+    for (row, column) in (0..rows * columns).map(|block| (block / columns, block % columns)) {
+        let texel = |i: usize| {
+            let x = (column * SIDE + i % SIDE).min(width - 1);
+            let y = (row * SIDE + i / SIDE).min(height - 1);
+            texels[y * width + x].map(f32::from)
+        };
+        blocks.extend(astc_block(&std::array::from_fn(texel)).to_le_bytes());
+    }
+    blocks
+}
+
+/// Compresses a block: two colours of 8 bits a channel, and a weight between them for each texel, of 3 bits in opaque blocks
+/// and of 2 bits in others.
+fn astc_block(texels: &[Color; SIDE * SIDE]) -> u128 {
+    /// Block modes of 4 x 4 weights of 3 and of 2 bits.
+    const WEIGHTS_3_BITS: u128 = 0x53;
+    const WEIGHTS_2_BITS: u128 = 0x42;
+    /// Color endpoint modes: two RGB or two RGBA colours.
+    const RGB: u128 = 8;
+    const RGBA: u128 = 12;
+    let is_opaque = texels.iter().all(|texel| texel[3] >= 255.0);
+    let (mode, endpoint_mode, channels, weight_bits) =
+        if is_opaque { (WEIGHTS_3_BITS, RGB, 3, 3u32) } else { (WEIGHTS_2_BITS, RGBA, 4, 2) };
+    let [low, high] = endpoints(texels);
+    // Bits 11 and 12 are the number of partitions less one.
+    let mut block = mode | endpoint_mode << 13;
+    for channel in 0..channels {
+        let pair = u128::from(low[channel] as u8) | u128::from(high[channel] as u8) << 8;
+        block |= pair << (17 + 16 * channel);
+    }
+    let max_weight = ((1 << weight_bits) - 1) as f32;
+    let axis = difference(high, low);
+    let length = dot(axis, axis);
+    for (i, texel) in texels.iter().enumerate() {
+        let along = if length > 0.0 { dot(difference(*texel, low), axis) / length } else { 0.0 };
+        let weight = (along.clamp(0.0, 1.0) * max_weight).round() as u128;
+        // Weights begin at the last bit and run backwards.
+        for bit in 0..weight_bits {
+            block |= (weight >> bit & 1) << (127 - (i as u32 * weight_bits + bit));
+        }
+    }
+    block
+}
+
+/// Returns whole colours at both ends of a block's longest axis. The second has the larger sum of red, green and blue, since
+/// the other order selects another encoding.
+fn endpoints(texels: &[Color; SIDE * SIDE]) -> [Color; 2] {
+    let mean: Color = std::array::from_fn(|c| texels.iter().map(|texel| texel[c]).sum::<f32>() / 16.0);
+    let centered = texels.map(|texel| difference(texel, mean));
+    // The power method finds the axis of the largest variance, from the longest diagonal of the block's box.
+    let mut axis: Color =
+        centered.iter().fold([0.0; 4], |longest, of| if dot(*of, *of) > dot(longest, longest) { *of } else { longest });
+    for _ in 0..4 {
+        let mut next = [0.0; 4];
+        for texel in &centered {
+            let along = dot(*texel, axis);
+            (0..4).for_each(|c| next[c] += along * texel[c]);
+        }
+        let length = dot(next, next).sqrt();
+        if length <= f32::EPSILON {
+            break;
+        }
+        axis = next.map(|part| part / length);
+    }
+    let length = dot(axis, axis).sqrt();
+    let axis = if length > f32::EPSILON { axis.map(|part| part / length) } else { [0.0; 4] };
+    let along = centered.map(|texel| dot(texel, axis));
+    let end = |at: f32| -> Color { std::array::from_fn(|c| (mean[c] + at * axis[c]).clamp(0.0, 255.0).round()) };
+    let low = end(along.iter().copied().fold(0.0, f32::min));
+    let high = end(along.iter().copied().fold(0.0, f32::max));
+    let sum = |color: Color| color[..3].iter().sum::<f32>();
+    if sum(low) <= sum(high) { [low, high] } else { [high, low] }
+}
+
+fn difference(a: Color, b: Color) -> Color {
+    std::array::from_fn(|c| a[c] - b[c])
+}
+
+fn dot(a: Color, b: Color) -> f32 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const FORMATS: [TexelFormat; 6] = [
+        TexelFormat::Bc1,
+        TexelFormat::Bc3,
+        TexelFormat::Bc7,
+        TexelFormat::Etc2Rgb,
+        TexelFormat::Etc2Rgba,
+        TexelFormat::Astc4x4,
+    ];
+
+    /// Returns the decompressed texels of an image.
+    fn encoded_and_decoded(width: u32, height: u32, texels: &[u8]) -> Vec<u8> {
+        let file = astc_file(width, height, &astc_blocks(width as usize, height as usize, texels));
+        transcode(&Transcoder::new(&file).unwrap(), 0, TexelFormat::Rgba8).unwrap()
+    }
+
+    fn mean_difference(a: &[u8], b: &[u8]) -> f64 {
+        assert_eq!(a.len(), b.len());
+        a.iter().zip(b).map(|(a, b)| f64::from(a.abs_diff(*b))).sum::<f64>() / a.len() as f64
+    }
+
+    #[test]
+    fn flat_colours_and_ramps_are_kept() {
+        for color in [[0, 0, 0, 255], [255; 4], [200, 100, 50, 255], [10, 220, 30, 128], [9, 9, 9, 0]] {
+            let flat = color.repeat(6 * 5);
+            assert_eq!(encoded_and_decoded(6, 5, &flat), flat, "{color:?}");
+        }
+        for alpha in [255, 200] {
+            let ramp: Vec<u8> =
+                (0..64u32).flat_map(|i| [(i % 8 * 30) as u8, 255 - (i % 8 * 30) as u8, 40, alpha]).collect();
+            let difference = mean_difference(&ramp, &encoded_and_decoded(8, 8, &ramp));
+            assert!(difference < 4.0, "{alpha}: {difference}");
+        }
+    }
+
+    #[test]
+    fn every_format_has_its_size() {
+        let texels: Vec<u8> = (0..9 * 5u32).flat_map(|i| [(i * 5) as u8, 80, 200 - (i * 3) as u8, 255]).collect();
+        for format in FORMATS {
+            let blocks = encode(9, 5, texels.clone(), format).unwrap();
+            assert_eq!(blocks.len() as u64, format.image_bytes(9, 5), "{format:?}");
+        }
+        assert_eq!(encode(9, 5, texels.clone(), TexelFormat::Rgba8).unwrap(), texels);
+    }
+
+    /// A transparent texel in an opaque image would be a hole in a mask.
+    #[test]
+    fn bc1_has_no_transparent_texels() {
+        let texels: Vec<u8> = (0..64 * 64u32).flat_map(|i| [(i * i % 251) as u8, (i % 3) as u8, 0, 255]).collect();
+        let blocks = encode(64, 64, texels, TexelFormat::Bc1).unwrap();
+        for block in blocks.as_chunks::<8>().0 {
+            let [a, b] = [0, 2].map(|at| u16::from_le_bytes([block[at], block[at + 1]]));
+            let has_fourth =
+                (0..32).step_by(2).any(|bit| u32::from_le_bytes([4, 5, 6, 7].map(|i| block[i])) >> bit & 3 == 3);
+            assert!(a > b || !has_fourth, "{block:02x?}");
+        }
+    }
+}
