@@ -26,7 +26,7 @@ use stand_ins::{cull, draw, gpu, pager};
 
 mod scene {
     pub use terrane::scene::{
-        CameraTarget, ClampProjection, ComputeNearFar, DrawKind, DrawSlot, Drawable, Environment, Mesh,
+        BlockFormats, CameraTarget, ClampProjection, ComputeNearFar, DrawKind, DrawSlot, Drawable, Environment, Mesh,
     };
 
     pub use crate::stand_ins::Scene;

@@ -6,7 +6,7 @@ use std::sync::atomic::Ordering;
 pub use terrane::gpu::{
     CompileBudget, CompileOperation, CompileStats, Compiled, ContextTraits, GpuError, SurfaceAnswer,
 };
-use terrane::scene::{DrawSlot, Mesh};
+use terrane::scene::{BlockFormats, DrawSlot, Mesh};
 
 use super::Seen;
 
@@ -53,6 +53,10 @@ impl GraphicsContext {
 
     pub fn size_px(&self) -> [u32; 2] {
         [1, 1]
+    }
+
+    pub fn block_formats(&self) -> BlockFormats {
+        BlockFormats::NONE
     }
 
     pub fn is_host_device(&self) -> bool {
