@@ -3,16 +3,14 @@
 
 mod atmosphere;
 mod bins;
-mod calibration;
-mod compressed;
 mod draw_calls;
 mod drawables;
 mod fade;
-mod filtering;
 mod images;
+mod light;
 mod queries;
 mod samples;
 mod shadows;
 mod sky;
 mod surfaces;
-mod terrain_light;
+mod textures;

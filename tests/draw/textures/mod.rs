@@ -1,0 +1,4 @@
+//! Textures: filters and compressed formats.
+
+mod compressed;
+mod filtering;
