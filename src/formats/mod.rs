@@ -21,6 +21,7 @@ mod options;
 mod point_cloud;
 mod properties;
 mod read;
+mod style;
 mod tile;
 mod tileset;
 mod whole_set;
@@ -32,6 +33,7 @@ pub(crate) use image::decode_file as decode_image;
 pub use options::{Content, Fetched, ReadOptions};
 pub(crate) use read::MAX_DEPENDENCY_ROUNDS;
 pub use read::{companions, decode, decode_node, decode_noting, dependencies};
+pub use style::{Style, StyleError};
 pub use tile::UpAxis;
 pub use whole_set::{BoundsInfo, Info, InfoError, LevelInfo, MetadataInfo, ModelInfo, Verified, inspect, verify};
 #[cfg(feature = "http")]

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use glam::DAffine3;
 
 use super::ignored::IgnoredLog;
+use super::style::Style;
 use super::tile::UpAxis;
 use crate::fetch::{IoError, Limits, RootScope, resolve, shown};
 use crate::scene::{BlockFormats, ReaderData, SharedStateManager};
@@ -39,6 +40,9 @@ pub struct ReadOptions {
     /// RGBA8 without any. A pager sets those that all of its contexts have
     /// ([`CompileContext::block_formats`](crate::pager::CompileContext::block_formats)).
     pub block_formats: BlockFormats,
+    /// Colours, hides and sizes the features of contents while they are read; `None` by default. To change the style of a
+    /// scene, read its root again with other options.
+    pub style: Option<Arc<Style>>,
     /// Shares equal images, meshes and states between contents; `None` by default. A pager sets its own.
     pub sharing: Option<Arc<SharedStateManager>>,
     /// Collects what contents ask for and their readers leave out. Copies of these options share it.
@@ -59,6 +63,7 @@ impl ReadOptions {
             gltf_up_axis: UpAxis::Y,
             keep_features: false,
             block_formats: BlockFormats::NONE,
+            style: None,
             sharing: None,
             ignored: IgnoredLog::default(),
         }

@@ -7,7 +7,7 @@ use super::ignored::{Ignored, Notes};
 use super::implicit::{SubtreePart, SubtreeSource};
 use super::options::{Content, Fetched, ReadOptions};
 use super::tile::{ContentBytes, ContentData, TileContent, node_of};
-use super::{b3dm, cmpt, embedded, gltf, height, i3dm, image, implicit, model_files, point_cloud, tileset};
+use super::{b3dm, cmpt, embedded, gltf, height, i3dm, image, implicit, model_files, point_cloud, style, tileset};
 use crate::fetch::markup::{refuse_markup, text_and_first_byte};
 use crate::fetch::{IoError, encoding, guarded};
 use crate::scene::{Node, Page, ReaderData};
@@ -96,7 +96,15 @@ pub fn decode_node(content: Content, options: &ReadOptions) -> Result<Node, IoEr
 /// Decodes a content to nodes, and returns what the reader left out.
 pub fn decode_noting(content: Content, options: &ReadOptions) -> Result<(Node, Ignored), IoError> {
     let notes = Notes::default();
-    let node = read_node(content, options, &notes)?;
+    let node = match &options.style {
+        Some(style) => {
+            let with_features = ReadOptions { keep_features: true, ..options.clone() };
+            let mut node = read_node(content, &with_features, &notes)?;
+            style::apply(&mut node, style, options.set_from_content, options.keep_features, &notes);
+            node
+        }
+        None => read_node(content, options, &notes)?,
+    };
     let ignored = notes.into_ignored();
     options.ignored.add(&ignored);
     Ok((node, ignored))

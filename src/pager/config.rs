@@ -4,6 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use crate::fetch::{IoError, Limits};
+use crate::formats::Style;
 use crate::scene::ShareModes;
 
 /// Configuration of a [`DatabasePager`](super::DatabasePager): threads, budgets and timeouts. It has many fields because
@@ -66,6 +67,8 @@ pub struct PagerConfig {
     /// Keeps feature ids and their properties; see
     /// [`ReadOptions::keep_features`](crate::formats::ReadOptions::keep_features).
     pub keep_features: bool,
+    /// The style of scenes whose own options have none; see [`ReadOptions::style`](crate::formats::ReadOptions::style).
+    pub style: Option<Arc<Style>>,
     /// Which equal contents of different tiles are shared; see [`SharedStateManager`](crate::scene::SharedStateManager).
     pub sharing: ShareModes,
 }
@@ -97,6 +100,7 @@ impl Default for PagerConfig {
             build_kd_trees: false,
             vertex_attributes: Arc::default(),
             keep_features: false,
+            style: None,
             sharing: ShareModes::default(),
         }
     }

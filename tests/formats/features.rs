@@ -68,15 +68,7 @@ fn b3dm_batches_have_properties() {
     let positions = gltf.floats("VEC3", &TRIANGLE);
     let ids = gltf.accessor(UNSIGNED_SHORT, "SCALAR", 3, &shorts(&[1, 0, 1]));
     gltf.draw(json!({ "attributes": { "POSITION": positions, "_BATCHID": ids } }));
-    let json = gltf.text();
-    let mut glb = b"glTF".to_vec();
-    let padded = json.len().next_multiple_of(4);
-    for word in [2, 20 + padded as u32, padded as u32] {
-        glb.extend(word.to_le_bytes());
-    }
-    glb.extend(b"JSON");
-    glb.extend(&json);
-    glb.resize(20 + padded, b' ');
+    let glb = gltf.glb();
     let features = br#"{"BATCH_LENGTH":2}      "#;
     let batches = br#"{"name":["a","b"],"h":{"byteOffset":0,"componentType":"UNSIGNED_BYTE","type":"SCALAR"}} "#;
     let binary = [7, 9, 0, 0, 0, 0, 0, 0];

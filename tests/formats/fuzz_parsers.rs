@@ -5,16 +5,16 @@
 use std::sync::Arc;
 
 use kit::compressed::{Triangles, uastc_ktx2};
-use kit::contents::{b3dm_bytes, cmpt_bytes, padded, pnts_bytes};
+use kit::contents::{b3dm_bytes, cmpt_bytes, padded, pnts_bytes, pnts_with_batches};
 use kit::fuzz::Parser;
 use kit::subtrees::{Scheme, Subtree};
 use terrane::fetch::{DECODER_PANICKED, FileReader, IoError, Limits};
 use terrane::fetch::{RootScope, is_http, resolve, root_uri};
 use terrane::fetch::{fuzz_cache_entry, fuzz_encoding, fuzz_headers, fuzz_index, fuzz_pmtiles, fuzz_url};
 use terrane::formats::writers::{GlbMesh, write_glb, write_height_exr};
-use terrane::formats::{Content, Fetched, ReadOptions, decode, decode_node, dependencies, inspect};
+use terrane::formats::{Content, Fetched, ReadOptions, Style, decode, decode_node, dependencies, inspect};
 use terrane::scene::{Node, NodeKind, ReaderData};
-use terrane::viewer::{AnimationPath, Arrangement, DisplaySettings};
+use terrane::viewer::{AnimationPath, Arrangement, DisplaySettings, FieldOfView};
 
 fn limits() -> Limits {
     Limits { max_image_side_px: 256, max_file_bytes: 8 << 20, ..Limits::default() }
@@ -293,6 +293,28 @@ fn pnts() -> Parser {
     Parser::new("pnts", seeds, move |bytes| content(bytes, None, Vec::new()))
 }
 
+/// Styles with a point cloud that they apply to.
+fn style() -> Parser {
+    let seeds = [
+        r#"{"show":"${Area} > 0","color":{"conditions":[["regExp('^a(.)','i').test(${name})","rgba(${red},1,2,(${v}>1?0.5:1.0))"],["true","color('red',0.5)*vec4(0.5)"]]},"pointSize":"${POSITION}.x+2"}"#,
+        r#"{"defines":{"H":"clamp((${Height}-0.5)/2.0,1.0,255.0)"},"meta":{"a":"'Hello, ${name}.'+${H}"},"color":"mix(${COLOR},vec4(vec3(1),0.5),${NORMAL}[0])","show":"!(${a}===undefined||${b}!~regExp('x'))"}"#,
+    ];
+    let cloud = pnts_with_batches(
+        r#"{"POINTS_LENGTH":3,"POSITION":{"byteOffset":0},"RGB":{"byteOffset":36}}"#,
+        &(0..80).collect::<Vec<u8>>(),
+        r#"{"Height":[50,70,null],"name":["ab","b",{"x":[1]}],"red":[1,"2",[3,4]]}"#,
+    );
+    Parser::new("style", seeds, move |bytes| match Style::from_json("s.json", bytes) {
+        Ok(style) => {
+            let style = Some(Arc::new(style));
+            let options = ReadOptions { style, ..ReadOptions::for_root("/set/tileset.json", limits()) };
+            let (uri, bytes) = ("/set/tile".into(), cloud.clone());
+            decode(Content { uri, bytes, reader_data: None, companions: Vec::new() }, &options).unwrap();
+        }
+        Err(error) => assert!(error.to_string().starts_with("s.json: "), "{error}"),
+    })
+}
+
 fn height_tile() -> Parser {
     let heights = (0..49).map(|i| i as f32 * 3.25 - 7.0).collect();
     let seeds = [write_height_exr("t", 7, heights).unwrap()];
@@ -501,21 +523,9 @@ fn display_settings() -> Parser {
         let mut arguments: Vec<String> = value.split_whitespace().map(str::to_owned).collect();
         arguments.splice(0..0, ["--stereo".to_owned(), "--samples=4".to_owned()]);
         let _ = settings.read_command_line(&mut arguments);
-        assert!(settings.field_of_view_is_sane());
+        let view = settings.field_of_view();
+        assert!(matches!(view, FieldOfView::LongerSide(angle) if angle.is_finite() && angle > 0.0), "{view:?}");
     })
-}
-
-trait Sane {
-    fn field_of_view_is_sane(&self) -> bool;
-}
-
-impl Sane for DisplaySettings {
-    fn field_of_view_is_sane(&self) -> bool {
-        match self.field_of_view() {
-            terrane::viewer::FieldOfView::LongerSide(angle) => angle.is_finite() && angle > 0.0,
-            _ => false,
-        }
-    }
 }
 
 fn http_headers() -> Parser {
@@ -567,6 +577,7 @@ kit::parsers! {
     b3dm,
     cmpt,
     pnts,
+    style,
     height_tile,
     height_data,
     imagery,

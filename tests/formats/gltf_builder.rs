@@ -86,6 +86,20 @@ impl GltfBuilder {
         json.to_string().into_bytes()
     }
 
+    /// Returns the document as a glb.
+    pub fn glb(&self) -> Vec<u8> {
+        let json = self.text();
+        let padded = json.len().next_multiple_of(4);
+        let mut glb = b"glTF".to_vec();
+        for word in [2, 20 + padded as u32, padded as u32] {
+            glb.extend(word.to_le_bytes());
+        }
+        glb.extend(b"JSON");
+        glb.extend(&json);
+        glb.resize(20 + padded, b' ');
+        glb
+    }
+
     /// Reads the document.
     pub fn read(&self) -> Read {
         read(self.text(), Vec::new()).unwrap()
@@ -113,6 +127,13 @@ impl Read {
             collect(child, glam::DAffine3::IDENTITY, &mut found);
         }
         found
+    }
+
+    /// Returns all drawables of any content.
+    pub fn node_drawables(&self) -> Vec<Drawable> {
+        let mut found = Vec::new();
+        collect(&self.node, glam::DAffine3::IDENTITY, &mut found);
+        found.into_iter().map(|(_, drawable)| drawable).collect()
     }
 
     /// Returns the mesh and the drawable, if there is only one.

@@ -10,4 +10,5 @@ mod gltf_files;
 mod gltf_geometry;
 mod gltf_materials;
 mod instances;
+mod styles;
 mod tiles;

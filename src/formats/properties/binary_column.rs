@@ -164,7 +164,10 @@ pub(super) fn from_json(value: &Value, element: &Element) -> PropertyValue {
         Value::Bool(value) => PropertyValue::Bool(*value),
         Value::String(text) => PropertyValue::Text(text.clone()),
         Value::Array(parts) => PropertyValue::List(parts.iter().map(|part| from_json(part, element)).collect()),
-        Value::Object(_) => PropertyValue::Text(value.to_string()),
+        Value::Object(members) => {
+            let member = |(name, value): (&String, &Value)| (name.clone(), from_json(value, element));
+            PropertyValue::Object(members.iter().map(member).collect())
+        }
         Value::Number(number) => {
             use Component::{F32, F64, I8, I16, I32, I64};
             let float = number.as_f64().map_or(PropertyValue::Null, PropertyValue::Float);

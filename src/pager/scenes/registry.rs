@@ -9,7 +9,7 @@ use super::scene_set::SceneSet;
 use super::shared_files::SharedFiles;
 #[cfg(feature = "http")]
 use crate::fetch::{HttpClient, HttpConfig};
-use crate::formats::{IgnoredLog, ReadOptions};
+use crate::formats::{IgnoredLog, ReadOptions, Style};
 use crate::pager::config::PagerConfig;
 use crate::scene::{PageId, Scene, SceneNumber, SharedStateManager, SlotInfo};
 
@@ -36,6 +36,7 @@ struct CommonOptions {
     build_kd_trees: bool,
     vertex_attributes: Arc<[Arc<str>]>,
     keep_features: bool,
+    style: Option<Arc<Style>>,
     sharing: Option<Arc<SharedStateManager>>,
     /// The properties that the contents of all scenes have and their readers leave out.
     ignored: IgnoredLog,
@@ -52,11 +53,13 @@ impl CommonOptions {
         let sharing = self.sharing.clone();
         let ignored = self.ignored.clone();
         let keep_features = self.keep_features || options.keep_features;
+        let style = options.style.or_else(|| self.style.clone());
         ReadOptions {
             limits: self.limits,
             build_kd_trees,
             vertex_attributes,
             keep_features,
+            style,
             sharing,
             ignored,
             ..options
@@ -100,6 +103,7 @@ impl SceneRegistry {
             build_kd_trees: config.build_kd_trees,
             vertex_attributes: config.vertex_attributes.clone(),
             keep_features: config.keep_features,
+            style: config.style.clone(),
             sharing,
             ignored: options.ignored.clone(),
         };

@@ -19,6 +19,8 @@ pub enum PropertyValue {
     Text(String),
     /// The components of a vector or matrix, or the elements of an array.
     List(Vec<PropertyValue>),
+    /// The members of a JSON object with their names.
+    Object(Vec<(String, PropertyValue)>),
 }
 
 impl PropertyValue {
@@ -56,6 +58,13 @@ impl fmt::Display for PropertyValue {
                     write!(f, "{}{value}", if i > 0 { ", " } else { "" })?;
                 }
                 f.write_str("]")
+            }
+            Self::Object(members) => {
+                f.write_str("{")?;
+                for (i, (name, value)) in members.iter().enumerate() {
+                    write!(f, "{}{name}: {value}", if i > 0 { ", " } else { "" })?;
+                }
+                f.write_str("}")
             }
         }
     }

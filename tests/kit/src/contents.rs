@@ -9,22 +9,33 @@ pub fn padded(text: &str) -> Vec<u8> {
 
 /// Returns a b3dm with a feature table and a glb.
 pub fn b3dm_bytes(table: &str, glb: &[u8]) -> Vec<u8> {
-    let table = padded(table);
+    b3dm_with_batches(table, "", glb)
+}
+
+/// Returns a b3dm with a feature table, a batch table in JSON and a glb.
+pub fn b3dm_with_batches(table: &str, batches: &str, glb: &[u8]) -> Vec<u8> {
+    let (table, batches) = (padded(table), padded(batches));
     let mut out = b"b3dm".to_vec();
-    for word in [1, 28 + table.len() + glb.len(), table.len(), 0, 0, 0] {
+    for word in [1, 28 + table.len() + batches.len() + glb.len(), table.len(), 0, batches.len(), 0] {
         out.extend((word as u32).to_le_bytes());
     }
-    [out, table, glb.to_vec()].concat()
+    [out, table, batches, glb.to_vec()].concat()
 }
 
 /// Returns a pnts with a feature table and its binary part.
 pub fn pnts_bytes(table: &str, points: &[u8]) -> Vec<u8> {
-    let table = padded(table);
+    pnts_with_batches(table, points, "")
+}
+
+/// Returns a pnts with a feature table, its binary part and a batch table in JSON.
+pub fn pnts_with_batches(table: &str, points: &[u8], batches: &str) -> Vec<u8> {
+    let (table, batches) = (padded(table), padded(batches));
     let mut out = b"pnts".to_vec();
-    for word in [1, 28 + table.len() + points.len(), table.len(), points.len(), 0, 0] {
+    let length = 28 + table.len() + points.len() + batches.len();
+    for word in [1, length, table.len(), points.len(), batches.len(), 0] {
         out.extend((word as u32).to_le_bytes());
     }
-    [out, table, points.to_vec()].concat()
+    [out, table, points.to_vec(), batches].concat()
 }
 
 /// Returns a composite of tiles.

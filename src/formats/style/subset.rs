@@ -1,0 +1,81 @@
+//! [`Subset`]: a mesh of some of the primitives of another one, with its features.
+
+use std::sync::Arc;
+
+use glam::Vec3;
+
+use crate::math::Aabb;
+use crate::scene::{DrawableFeatures, FeatureIdSet, FeatureIds, Mesh, MeshVertex, VertexAttributes};
+
+/// The vertices that a list of indices uses.
+pub(super) struct Subset<'a> {
+    of: &'a Mesh,
+    /// The vertices of the other mesh, in order.
+    pub vertices: Vec<u32>,
+    indices: Arc<[u32]>,
+}
+
+impl<'a> Subset<'a> {
+    /// Finds the vertices of primitives. `indices` are some of those of the mesh.
+    pub fn new(of: &'a Mesh, indices: &[u32]) -> Self {
+        let mut numbers = vec![u32::MAX; of.vertices.len()];
+        for index in indices {
+            if let Some(number) = numbers.get_mut(*index as usize) {
+                *number = 0;
+            }
+        }
+        let vertices: Vec<u32> = (0..).zip(&numbers).filter(|(_, n)| **n == 0).map(|(vertex, _)| vertex).collect();
+        for (new, old) in (0..).zip(&vertices) {
+            numbers[*old as usize] = new;
+        }
+        let indices = indices.iter().filter_map(|index| numbers.get(*index as usize).copied()).collect();
+        Self { of, vertices, indices }
+    }
+
+    /// Returns the mesh. `change` may change each vertex, whose number in the other mesh it gets.
+    pub fn mesh(&self, change: impl Fn(u32, &mut MeshVertex)) -> Mesh {
+        let (mut min, mut max) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
+        let vertex = |number: &u32| {
+            let mut vertex = self.of.vertices[*number as usize];
+            let position = Vec3::from_array(vertex.position);
+            (min, max) = (min.min(position), max.max(position));
+            change(*number, &mut vertex);
+            vertex
+        };
+        let vertices: Vec<MeshVertex> = self.vertices.iter().map(vertex).collect();
+        let bounds = match vertices.is_empty() {
+            true => Aabb::EMPTY,
+            false => Aabb { min: min.as_dvec3(), max: max.as_dvec3() },
+        };
+        let attributes = self.attributes();
+        Mesh { vertices, indices: self.indices.clone(), topology: self.of.topology, bounds, attributes }
+    }
+
+    fn attributes(&self) -> VertexAttributes {
+        let mut attributes = VertexAttributes::default();
+        for (name, format, bytes) in self.of.attributes.iter() {
+            let size = format.size_bytes();
+            let element = |number: &u32| &bytes[*number as usize * size..][..size];
+            let elements: Vec<u8> = self.vertices.iter().flat_map(element).copied().collect();
+            let added = attributes.push(self.vertices.len(), name, format, elements.into());
+            added.expect("the other mesh has the same attributes");
+        }
+        attributes
+    }
+
+    /// Returns the features with the ids of the vertices that are left.
+    pub fn features(&self, features: &DrawableFeatures) -> DrawableFeatures {
+        let set = |set: &FeatureIdSet| {
+            let ids = match &set.ids {
+                FeatureIds::PerVertex(ids) => {
+                    let id = |number: &u32| ids.get(*number as usize).copied().unwrap_or(u32::MAX);
+                    FeatureIds::PerVertex(self.vertices.iter().map(id).collect())
+                }
+                FeatureIds::VertexIndex => FeatureIds::PerVertex(self.vertices.clone().into()),
+                FeatureIds::Uniform(id) => FeatureIds::Uniform(*id),
+            };
+            FeatureIdSet { ids, ..set.clone() }
+        };
+        DrawableFeatures { sets: features.sets.iter().map(set).collect(), tables: features.tables.clone() }
+    }
+}

@@ -1,0 +1,4 @@
+//! Styles of the 3D Tiles Styling language.
+
+mod contents;
+mod language;
