@@ -41,6 +41,8 @@ mod documents {
     mod tile_sets_and_sources {}
     #[doc = include_str!("../docs/guide/viewer-and-windows.md")]
     mod viewer_and_windows {}
+    #[doc = include_str!("../docs/guide/3d-tiles.md")]
+    mod tiles_3d {}
     #[doc = include_str!("../docs/guide/gltf.md")]
     mod gltf {}
     #[doc = include_str!("../docs/guide/paging-and-budgets.md")]

@@ -9,7 +9,7 @@ use crate::draw::bound_state::DynamicState;
 use crate::draw::callbacks::drawables::{self, DrawableInfo};
 use crate::draw::callbacks::info::RenderInfo;
 use crate::draw::pipelines::PipelineId;
-use crate::draw::pipelines::key::Kind;
+use crate::draw::pipelines::key::{Kind, PipelineKey};
 use crate::draw::resources::Resources;
 use crate::draw::stats::DrawStats;
 use crate::gpu::{CompileInfo, GraphicsContext, Pools, TargetFormats};
@@ -174,14 +174,14 @@ impl<'p, 'e> PassRecorder<'p, 'e> {
                             let vertices = run.first_leaf * stride..(run.first_leaf + run.leaf_count) * stride;
                             self.pass.draw(vertices, stride..stride + 1);
                             self.stats.draw_calls += 1;
-                            self.count(bucket.pipeline.kind(), run);
+                            self.count(bucket.pipeline, run);
                         }
                     }
                 }
                 Content::Mesh | Content::Height => {
                     if self.bind(sources, bucket, *pipeline) {
                         self.draw_indexed(sources, at, same_runs);
-                        same_runs.iter().for_each(|run| self.count(bucket.pipeline.kind(), run));
+                        same_runs.iter().for_each(|run| self.count(bucket.pipeline, run));
                     }
                 }
             }
@@ -205,8 +205,9 @@ impl<'p, 'e> PassRecorder<'p, 'e> {
         }
     }
 
-    fn count(&mut self, kind: Kind, run: &Run) {
-        match kind {
+    fn count(&mut self, pipeline: PipelineKey, run: &Run) {
+        match pipeline.kind() {
+            Kind::Points if pipeline.is_square() => self.stats.points += run.all_indices / 6,
             Kind::Points => self.stats.points += run.all_indices,
             Kind::Lines => {}
             Kind::Height => self.stats.triangles += u64::from(run.index_count) * u64::from(run.leaf_count) / 3,

@@ -40,8 +40,8 @@ pub struct ReadOptions {
     /// RGBA8 without any. A pager sets those that all of its contexts have
     /// ([`CompileContext::block_formats`](crate::pager::CompileContext::block_formats)).
     pub block_formats: BlockFormats,
-    /// Colours, hides and sizes the features of contents while they are read; `None` by default. To change the style of a
-    /// scene, read its root again with other options.
+    /// Colours, hides and sizes the features of contents while they are read; `None` by default. Contents that were read keep
+    /// their style; see the guide for a change at run time.
     pub style: Option<Arc<Style>>,
     /// Shares equal images, meshes and states between contents; `None` by default. A pager sets its own.
     pub sharing: Option<Arc<SharedStateManager>>,

@@ -100,7 +100,7 @@ pub fn decode_noting(content: Content, options: &ReadOptions) -> Result<(Node, I
         Some(style) => {
             let with_features = ReadOptions { keep_features: true, ..options.clone() };
             let mut node = read_node(content, &with_features, &notes)?;
-            style::apply(&mut node, style, options.set_from_content, options.keep_features, &notes);
+            style::apply(&mut node, style, options, &notes);
             node
         }
         None => read_node(content, options, &notes)?,

@@ -146,6 +146,9 @@ pub struct FlyArgs {
     /// VERTICAL_INTERLACE or CHECKERBOARD; objects as far as the middle of the set appear at the depth of the screen
     #[arg(long, value_name = "MODE")]
     pub stereo: Option<StereoMode>,
+    /// Colour, hide and size the features of tiles by a style in the 3D Tiles Styling language (JSON)
+    #[arg(long, value_name = "FILE")]
+    pub style: Option<PathBuf>,
     /// Samples per pixel, 1 or 4; 4 draws smooth edges
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = samples)]
     pub samples: u32,
@@ -206,6 +209,9 @@ pub struct ViewArgs {
     /// CullThreadPerCameraDrawThreadPerContext, or AutomaticSelection (that of TERRANE_THREADING, or the best)
     #[arg(long, value_name = "MODEL", default_value = "AutomaticSelection")]
     pub threading: ThreadingModel,
+    /// Colour, hide and size the features of tiles by a style in the 3D Tiles Styling language (JSON)
+    #[arg(long, value_name = "FILE")]
+    pub style: Option<PathBuf>,
     /// Show the stats overlay from the start
     #[arg(long)]
     pub stats: bool,
@@ -243,6 +249,7 @@ impl From<ViewArgs> for Box<FlyArgs> {
             skip_sse,
             lod_fade,
             threading,
+            style,
             stats,
             on_demand,
             max_fps,
@@ -261,6 +268,7 @@ impl From<ViewArgs> for Box<FlyArgs> {
             skip_sse,
             lod_fade,
             threading,
+            style,
             stats,
             on_demand,
             max_fps,

@@ -59,7 +59,7 @@ impl StateEntry {
         }
         match &entry.shape {
             Shape::Custom(_) => false,
-            Shape::Mesh { topology: Topology::Lines | Topology::Points, .. } => !self.key.casts,
+            Shape::Mesh { topology: Topology::Lines | Topology::Points | Topology::Squares, .. } => !self.key.casts,
             _ => true,
         }
     }

@@ -201,6 +201,7 @@ impl Factory {
                 Some(VertexFormat::Quantized) => &quantized,
             },
             topology: match key.kind() {
+                _ if key.is_square() => wgpu::PrimitiveTopology::TriangleList,
                 Kind::Height | Kind::Triangles => wgpu::PrimitiveTopology::TriangleList,
                 Kind::Lines => wgpu::PrimitiveTopology::LineList,
                 Kind::Points => wgpu::PrimitiveTopology::PointList,

@@ -11,7 +11,7 @@
 //! | 6 | depth write | 42-47 | target, by index |
 //! | 7-9 | depth compare | 48-57 | program, by index plus 1 |
 //! | 10 | clockwise front faces | 58-59 | vertex format |
-//! | 11-12 | polygon mode | 60 | texture units, or a surface |
+//! | 11-12 | polygon mode; squares for points | 60 | texture units, or a surface |
 //! | 13-15 | colour mask | 61 | fading |
 //! | 16-21 | blending, by index | 62 | receives shadows |
 //! | 22-23 | air | 63 | casts shadows |
@@ -49,6 +49,8 @@ pub(in crate::draw) enum Kind {
 const CLOCKWISE: u64 = 1 << 10;
 /// The properties of triangles alone: culled faces, polygon mode, polygon offset.
 const TRIANGLES_ONLY: u64 = 3 << 4 | 3 << 11 | 0x3f << 28;
+/// Squares in place of points, which have no polygon mode.
+const SQUARES: u64 = 1 << 11;
 const AIR_SHIFT: u32 = 22;
 const LAYOUT_SHIFT: u32 = 24;
 const FIXED: u64 = 1 << 40;
@@ -217,7 +219,7 @@ impl PipelineKey {
         let kind = match topology {
             Topology::Triangles => 1,
             Topology::Lines => 2,
-            Topology::Points => 3,
+            Topology::Points | Topology::Squares => 3,
         };
         let alpha = match () {
             _ if state.blends && is_masked && kind == 1 => 3 << 2,
@@ -225,10 +227,10 @@ impl PipelineKey {
             _ if is_masked && kind == 1 => 1 << 2,
             _ => 0,
         };
-        let common = if kind == 1 {
-            state.common | state.culled[usize::from(double_sided)]
-        } else {
-            state.common & !TRIANGLES_ONLY
+        let common = match topology {
+            Topology::Triangles => state.common | state.culled[usize::from(double_sided)],
+            Topology::Lines | Topology::Points => state.common & !TRIANGLES_ONLY,
+            Topology::Squares => state.common & !TRIANGLES_ONLY | SQUARES,
         };
         let front = if mirrored && kind == 1 { CLOCKWISE } else { 0 };
         Self((common | kind | alpha) ^ front)
@@ -266,7 +268,16 @@ impl PipelineKey {
         pairs.iter().any(|(part, own)| *part != 0 && part == own)
     }
 
+    /// Returns true if points are drawn as squares.
+    pub fn is_square(self) -> bool {
+        self.kind() == Kind::Points && self.0 & SQUARES != 0
+    }
+
+    /// Returns the polygon mode of triangles.
     pub fn polygon_mode(self) -> PolygonMode {
+        if self.is_square() {
+            return PolygonMode::Fill;
+        }
         [PolygonMode::Fill, PolygonMode::Line, PolygonMode::Point, PolygonMode::Fill][self.field(11, 2)]
     }
 

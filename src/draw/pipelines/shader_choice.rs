@@ -15,11 +15,13 @@ pub(super) enum VertexEntry {
     FixedHeight,
     Mesh,
     PulledMesh,
+    Square,
     MeshCaster,
     PulledMeshCaster,
     MaskedMeshCaster,
     FixedMesh,
     PulledFixedMesh,
+    FixedSquare,
 }
 
 impl VertexEntry {
@@ -31,11 +33,13 @@ impl VertexEntry {
             Self::FixedHeight => "vs_fixed_height",
             Self::Mesh => "vs_mesh",
             Self::PulledMesh => "vs_mesh_pulled",
+            Self::Square => "vs_square",
             Self::MeshCaster => "vs_mesh_caster",
             Self::PulledMeshCaster => "vs_mesh_caster_pulled",
             Self::MaskedMeshCaster => "vs_mesh_caster_masked",
             Self::FixedMesh => "vs_fixed_mesh",
             Self::PulledFixedMesh => "vs_fixed_mesh_pulled",
+            Self::FixedSquare => "vs_fixed_square",
         }
     }
 }
@@ -118,7 +122,7 @@ impl ShaderChoice {
             Shading::Fallback => Self {
                 label: "mesh",
                 source: MESH_WGSL,
-                vertex: if key.is_pulled() { VertexEntry::PulledMesh } else { VertexEntry::Mesh },
+                vertex: Self::mesh_vertex(key),
                 fragment: FragmentEntry::Fallback,
                 discards: false,
             },
@@ -146,13 +150,25 @@ impl ShaderChoice {
         Self {
             label: "fixed mesh",
             source: mesh,
-            vertex: if is_pulled { VertexEntry::PulledFixedMesh } else { VertexEntry::FixedMesh },
+            vertex: match () {
+                _ if key.is_square() => VertexEntry::FixedSquare,
+                _ if is_pulled => VertexEntry::PulledFixedMesh,
+                _ => VertexEntry::FixedMesh,
+            },
             fragment: match () {
                 _ if is_thin => FragmentEntry::FixedThin,
                 _ if is_caster => FragmentEntry::FixedMeshCaster,
                 _ => FragmentEntry::FixedMesh,
             },
             discards: true,
+        }
+    }
+
+    fn mesh_vertex(key: PipelineKey) -> VertexEntry {
+        match () {
+            _ if key.is_square() => VertexEntry::Square,
+            _ if key.is_pulled() => VertexEntry::PulledMesh,
+            _ => VertexEntry::Mesh,
         }
     }
 
@@ -185,7 +201,7 @@ impl ShaderChoice {
         Self {
             label,
             source,
-            vertex: if key.is_pulled() { VertexEntry::PulledMesh } else { VertexEntry::Mesh },
+            vertex: Self::mesh_vertex(key),
             fragment: match (key.kind(), key.alpha()) {
                 (Kind::Lines | Kind::Points, _) => FragmentEntry::Thin,
                 (_, Alpha::Masked) if !covers_by_alpha => FragmentEntry::MaskedMesh,
@@ -221,7 +237,7 @@ mod tests {
                 let casters = [false, true].map(|drops| StateKey::caster(state, shading, drops, 0));
                 for state in [key, key.fading(), key.shadowed(), key.fading().shadowed()].into_iter().chain(casters) {
                     keys.push(PipelineKey::height(&state, false));
-                    for topology in [Topology::Triangles, Topology::Lines, Topology::Points] {
+                    for topology in [Topology::Triangles, Topology::Lines, Topology::Points, Topology::Squares] {
                         for is_masked in [false, true] {
                             let key = PipelineKey::mesh(&state, topology, is_masked, false, false);
                             keys.extend([key, key.with_surface()]);

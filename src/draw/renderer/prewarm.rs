@@ -52,7 +52,7 @@ impl Renderer {
     }
 
     fn prewarm_caster(&mut self, ctx: &mut GraphicsContext, kind: &DrawKind) -> Result<(), String> {
-        if matches!(kind.topology, Some(Topology::Lines | Topology::Points)) {
+        if matches!(kind.topology, Some(Topology::Lines | Topology::Points | Topology::Squares)) {
             return Ok(());
         }
         if let Some(key) = caster_key(&mut self.resources.pipelines, ctx.device(), &kind.state)? {

@@ -33,7 +33,7 @@ pub(in crate::draw) struct FrameUniform {
     /// The two columns of the map from a pixel's clip position to its eye-space ray. The ray is a point of the plane one
     /// metre in front of the eye, or of the eye's own plane if rays are parallel.
     pub(in crate::draw) ray: [f32; 4],
-    /// The ray of the clip position (0, 0).
+    /// The ray of the clip position (0, 0); z and w are the size of a pixel in clip positions.
     pub(in crate::draw) middle_ray: [f32; 4],
     /// Colour of deep water; w is its height in metres.
     pub(in crate::draw) water: [f32; 4],
@@ -127,6 +127,8 @@ impl FrameUniform {
         let middle = if is_parallel { -p.w_axis } else { p.z_axis };
         // A projection may rotate the image.
         let eye_from_clip = DMat2::from_cols(p.x_axis.truncate().truncate(), p.y_axis.truncate().truncate()).inverse();
+        let middle_ray = eye_from_clip * middle.truncate().truncate();
+        let pixel = camera.viewport_px.map(|side| 2.0 / side.max(1) as f32);
         let sse_scale = camera.px_per_radian() / (camera.settings.max_sse_px * camera.settings.lod_scale).max(1e-9);
         let has_atmosphere = environment.sky == Sky::Atmosphere;
         let switch = |on: bool| if on { 1.0 } else { 0.0 };
@@ -144,7 +146,7 @@ impl FrameUniform {
                 switch(has_atmosphere && fog.enabled),
             ],
             ray: eye_from_clip.as_mat2().to_cols_array(),
-            middle_ray: vec4((eye_from_clip * middle.truncate().truncate()).extend(0.0).into(), 0.0),
+            middle_ray: [middle_ray.x as f32, middle_ray.y as f32, pixel[0], pixel[1]],
             water: environment.water.map_or([0.0; 4], |w| with_w(w.color, w.height_m)),
             air: [air.eye_km, air.horizon_cosine, air.limb_cosine, switch(is_parallel)],
             sun_top: with_w(air.sun_irradiance(environment.sun_color), 0.0),

@@ -13,21 +13,15 @@ use super::looks::{FeatureColumn, Looks};
 use super::style::Style;
 use super::subset::Subset;
 use crate::formats::ignored::Notes;
+use crate::formats::options::ReadOptions;
 use crate::scene::{
     AlphaMode, Drawable, DrawableFeatures, FeatureIds, Geometry, Material, Mesh, MeshVertex, Node, NodeKind, Topology,
 };
 
-/// Applies a style to all drawables below a node. `set_from_parent` maps to the frame of the set. Features are removed
-/// afterwards unless they are kept.
-pub(in crate::formats) fn apply(
-    node: &mut Node,
-    style: &Style,
-    set_from_parent: DAffine3,
-    keep_features: bool,
-    notes: &Notes,
-) {
+/// Applies a style to all drawables below the root node of a content. Features are removed afterwards unless they are kept.
+pub(in crate::formats) fn apply(node: &mut Node, style: &Style, options: &ReadOptions, notes: &Notes) {
     style.note_ignored(notes);
-    Styler { style, keep_features, notes, known: HashMap::new() }.node(node, set_from_parent);
+    Styler { style, options, notes, known: HashMap::new() }.node(node, options.set_from_content);
 }
 
 /// The addresses of a mesh and of its features, and whether its material ignores alpha.
@@ -58,7 +52,7 @@ struct Styled {
 
 struct Styler<'a> {
     style: &'a Style,
-    keep_features: bool,
+    options: &'a ReadOptions,
     notes: &'a Notes,
     /// Meshes that several nodes draw are styled once.
     known: HashMap<MeshKey, Styled>,
@@ -96,7 +90,7 @@ impl Styler<'_> {
                 (drawable.shared.geometry, drawable.shared.indices) = (None, None);
                 drawable.geometry = Geometry::Mesh(part.mesh);
             }
-            drawable.features = part.features.filter(|_| self.keep_features);
+            drawable.features = part.features.filter(|_| self.options.keep_features);
             part.paint.apply(&mut drawable.material);
             drawable
         });
@@ -106,7 +100,6 @@ impl Styler<'_> {
     fn parts(&mut self, mesh: &Arc<Mesh>, drawable: &Drawable, set_from_mesh: &DAffine3) -> Vec<Part> {
         let (style, features) = (self.style, drawable.features.as_deref());
         let column = features.and_then(FeatureColumn::of);
-        let is_per_vertex = column.is_some_and(|column| !matches!(column.set.ids, FeatureIds::Uniform(_)));
         let has_semantics = mesh.topology == Topology::Points && style.has_semantics();
         let is_opaque = drawable.material.alpha == AlphaMode::Opaque;
         let address = features.map_or(0, |features| std::ptr::from_ref(features).addr());
@@ -117,21 +110,23 @@ impl Styler<'_> {
         let vertices = mesh.vertices.len();
         let looks = match column {
             _ if has_semantics => Looks::of_points(style, column, mesh, set_from_mesh),
-            Some(column) if is_per_vertex && style.has_variables() => Looks::of_features(style, column, vertices),
+            Some(column) if !column.is_one_feature(style) => Looks::of_features(style, column, vertices),
             Some(column) => Looks::uniform(column.look(style, column.set.id(0)), vertices),
             None => Looks::uniform(style.look(&Default::default()), vertices),
         };
-        if mesh.topology == Topology::Points && looks.all().iter().any(|look| look.point_size.is_some()) {
-            self.notes.add("style: pointSize (points are one pixel large)");
+        let is_large = mesh.topology == Topology::Points && looks.all().iter().any(|look| look.point_size_px() > 1.0);
+        let has_squares = is_large && mesh.indices.len().saturating_mul(4) <= self.options.limits.max_elements;
+        if is_large && !has_squares {
+            self.notes.add("style: pointSize of a point cloud that is too large for it");
         }
-        let parts = styled_parts(mesh, drawable, &looks);
+        let parts = styled_parts(mesh, drawable, &looks, has_squares);
         self.known.insert(key, Styled { _source: drawable.clone(), parts: parts.clone() });
         parts
     }
 }
 
 /// Returns the opaque and the transparent part of a mesh, if it has them.
-fn styled_parts(mesh: &Arc<Mesh>, drawable: &Drawable, looks: &Looks) -> Vec<Part> {
+fn styled_parts(mesh: &Arc<Mesh>, drawable: &Drawable, looks: &Looks, has_squares: bool) -> Vec<Part> {
     let mut visible = looks.all().iter().filter(|look| look.is_visible());
     let Some(first) = visible.next() else { return Vec::new() };
     // As in CesiumJS, the colour of a point replaces its own unless it comes from the batch of the point.
@@ -154,13 +149,17 @@ fn styled_parts(mesh: &Arc<Mesh>, drawable: &Drawable, looks: &Looks) -> Vec<Par
             continue;
         }
         let (mut mesh, mut features) = (mesh.clone(), drawable.features.clone());
-        if indices.len() < mesh.indices.len() || !is_uniform {
-            let subset = Subset::new(&mesh, &indices);
+        if indices.len() < mesh.indices.len() || !is_uniform || has_squares {
+            let subset = if has_squares { Subset::squares(&mesh, &indices) } else { Subset::new(&mesh, &indices) };
             features = features.map(|features| Arc::new(subset.features(&features)));
             let is_alpha_ignored = drawable.material.alpha == AlphaMode::Opaque;
             let changed = subset.mesh(|number, vertex| {
-                if let Some(color) = looks.of_vertex(number).color.filter(|_| !is_uniform) {
+                let look = looks.of_vertex(number);
+                if let Some(color) = look.color.filter(|_| !is_uniform) {
                     paint(vertex, color, is_replaced, is_alpha_ignored);
+                }
+                if has_squares {
+                    vertex.uv = vertex.uv.map(|direction| 0.5 * look.point_size_px() * direction);
                 }
             });
             mesh = Arc::new(changed);
@@ -176,6 +175,7 @@ fn styled_parts(mesh: &Arc<Mesh>, drawable: &Drawable, looks: &Looks) -> Vec<Par
 
 fn indices_per_primitive(topology: Topology) -> usize {
     match topology {
+        Topology::Squares => 6,
         Topology::Triangles => 3,
         Topology::Lines => 2,
         Topology::Points => 1,

@@ -7,7 +7,7 @@ use glam::{DAffine3, DVec3};
 use super::style::Style;
 use super::subject::{Point, Subject};
 use crate::math::color::{linear_from_srgb, srgb_from_linear};
-use crate::scene::{DrawableFeatures, FeatureIdSet, Mesh, MeshVertex, PropertyTable};
+use crate::scene::{DrawableFeatures, FeatureIdSet, FeatureIds, Mesh, MeshVertex, PropertyTable};
 
 /// The value of a style for a feature or a point.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -15,23 +15,32 @@ pub(super) struct Look {
     is_shown: bool,
     /// Linear colour and alpha; `None` if the style leaves the colour as it is.
     pub color: Option<[f32; 4]>,
-    /// Pixels.
-    pub point_size: Option<f32>,
+    /// The side of points in pixels, at most [`MAX_POINT_SIZE_PX`]; `None` for points without a size of their own.
+    point_size_px: Option<f32>,
 }
+
+/// The maximum size of points.
+const MAX_POINT_SIZE_PX: f32 = 64.0;
 
 impl Look {
     /// The look of a feature without a style.
-    const DEFAULT: Self = Self { is_shown: true, color: None, point_size: None };
+    const DEFAULT: Self = Self { is_shown: true, color: None, point_size_px: None };
 
-    /// Returns a look with a colour in sRGB.
-    pub fn new(is_shown: bool, color: Option<[f64; 4]>, point_size: Option<f32>) -> Self {
+    /// Returns a look with a colour in sRGB, and with a size of points in pixels.
+    pub fn new(is_shown: bool, color: Option<[f64; 4]>, point_size_px: Option<f64>) -> Self {
         let linear = |[r, g, b, a]: [f64; 4]| [linear_from_srgb(r), linear_from_srgb(g), linear_from_srgb(b), a];
-        Self { is_shown, color: color.map(|color| linear(color).map(|part| part as f32)), point_size }
+        let point_size_px = point_size_px.map(|size| (size as f32).min(MAX_POINT_SIZE_PX));
+        Self { is_shown, color: color.map(|color| linear(color).map(|part| part as f32)), point_size_px }
     }
 
-    /// Returns true if something is drawn.
+    /// Returns true if the feature is drawn. `pointSize` has no effect on other features than points.
     pub fn is_visible(&self) -> bool {
-        self.is_shown && self.alpha() > 0.0 && self.point_size.is_none_or(|size| size > 0.0)
+        self.is_shown && self.alpha() > 0.0
+    }
+
+    /// Returns the size of points in pixels, 1 or larger.
+    pub fn point_size_px(&self) -> f32 {
+        self.point_size_px.unwrap_or(1.0).max(1.0)
     }
 
     pub fn is_transparent(&self) -> bool {
@@ -57,6 +66,11 @@ impl<'a> FeatureColumn<'a> {
         let with_table = features.sets.iter().find(|set| table(set).is_some());
         let set = with_table.or_else(|| features.sets.first())?;
         Some(Self { set, table: table(set) })
+    }
+
+    /// Returns true if all vertices look alike: they have one id, or the style is the same for all features.
+    pub fn is_one_feature(&self, style: &Style) -> bool {
+        matches!(self.set.ids, FeatureIds::Uniform(_)) || !style.has_variables() && self.set.null_id.is_none()
     }
 
     /// Returns the look of the feature with an id; the default for vertices without a feature.

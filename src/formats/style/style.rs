@@ -110,7 +110,7 @@ impl Style {
             _ => None,
         };
         let point_size = match value(&self.point_size) {
-            Value::Number(size) if size.is_finite() => Some(size as f32),
+            Value::Number(size) if size.is_finite() => Some(size),
             _ => None,
         };
         Look::new(is_shown, color, point_size)

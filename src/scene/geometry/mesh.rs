@@ -56,8 +56,12 @@ pub enum Topology {
     Triangles,
     /// Two indices a segment.
     Lines,
-    /// One index a point.
+    /// One index a point, which is drawn as one pixel.
     Points,
+    /// Six indices a point: two triangles of four vertices at one position. Texture coordinates are the offsets of the
+    /// vertices from it in pixels, to the right and up. Drawn like points of that size, with the texel at the origin of the drawable's texture.
+    /// A [`Program`](crate::state::Program) must move the vertices itself.
+    Squares,
 }
 
 /// Indexed geometry in a separate frame.

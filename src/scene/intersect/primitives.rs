@@ -26,7 +26,8 @@ pub(crate) struct Primitive {
 /// Returns the number of corners of a primitive.
 pub(crate) fn corner_count(topology: Topology) -> usize {
     match topology {
-        Topology::Triangles => 3,
+        // The triangles of squares have no area, so that lines miss them as they miss points.
+        Topology::Triangles | Topology::Squares => 3,
         Topology::Lines => 2,
         Topology::Points => 1,
     }

@@ -142,7 +142,11 @@ fn features_of_a_gltf_have_the_colors_of_their_property_table() {
     gltf.draw(primitive);
     let drawables = styled(gltf.text(), &json!({ "color": "vec4(${h} - 1, 0, 3 - ${h}, 1)", "show": "${h} !== 2" }));
     assert_eq!(drawables.len(), 1);
-    // The null id is no feature, and keeps its colour. Colours of the style are clamped.
+    // The null id is no feature, and keeps its colour, even if all features have one.
+    let red = styled(gltf.text(), &json!({ "color": "color('red')" }));
+    let colors: Vec<[u8; 4]> = parts(&red[0]).into_iter().map(|(_, color)| color).collect();
+    assert_eq!(colors, [[255, 0, 0, 255], [255, 0, 0, 255], [255, 0, 0, 255], [255; 4]]);
+    // Colours of the style are clamped.
     let expected = [(0.0, [0, 0, 255, 255]), (2.0, [255, 0, 0, 255]), (3.0, [255; 4])];
     assert_eq!(parts(&drawables[0]), expected);
     assert_eq!(drawables[0].material.base_color, [0.5, 0.5, 0.5, 1.0], "the material still applies");
@@ -221,4 +225,23 @@ fn points_have_the_properties_of_their_batch_or_their_own() {
     let drawables =
         styled(own, &json!({ "show": "${heat} > 4", "color": "${heat} > 6 ? color('red') : color('blue')" }));
     assert_eq!(parts(&drawables[0]), [(1.0, [255, 0, 0, 255]), (2.0, [0, 0, 255, 255])]);
+}
+
+#[test]
+fn points_with_a_size_become_squares() {
+    let (table, binary) = points();
+    let cloud = pnts_with_batches(&[table, "}"].concat(), &binary, r#"{"heat":[3,7,200]}"#);
+    let style = json!({ "show": "${heat} > 4", "pointSize": "${heat}" });
+    let drawables = styled(cloud, &style);
+    let [drawable] = &drawables[..] else { panic!("{} drawables", drawables.len()) };
+    let mesh = mesh_of(drawable);
+    assert_eq!((mesh.topology, mesh.vertices.len(), mesh.indices.len()), (Topology::Squares, 8, 12));
+    let corners: Vec<[f32; 2]> = mesh.vertices.iter().map(|vertex| vertex.uv).collect();
+    assert_eq!(corners[..4], [[-3.5, -3.5], [3.5, -3.5], [-3.5, 3.5], [3.5, 3.5]]);
+    assert_eq!(corners[4], [-32.0; 2], "sizes are limited to 64 pixels");
+    assert_eq!((mesh.bounds.min.x, mesh.bounds.max.x), (1.0, 2.0));
+    // Each corner leads to the feature of its point.
+    let features = drawable.features.as_ref().unwrap();
+    let ids: Vec<u32> = (0..8).map(|vertex| features.at_vertex(vertex).next().unwrap().id).collect();
+    assert_eq!(ids, [1, 1, 1, 1, 2, 2, 2, 2]);
 }

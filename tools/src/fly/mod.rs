@@ -10,10 +10,13 @@ mod summary;
 mod views;
 
 use std::io::Write as _;
+use std::path::Path;
+use std::sync::Arc;
 
 use anyhow::{Context as _, Result, anyhow, bail};
 use glam::{DAffine3, DMat4, DVec3};
 use terrane::fetch::shown;
+use terrane::formats::Style;
 use terrane::trace::Recording;
 use terrane::viewer::{
     AnimationPath, Arrangement, DisplaySettingError, DisplaySettings, LoadedRoot, ParentWindow, PathError, SlaveWindow,
@@ -81,6 +84,7 @@ fn fly(args: Box<FlyArgs>, mut settings: DisplaySettings) -> Result<()> {
     // Manipulators need the k-d trees to stay above the ground.
     config.pager.build_kd_trees = args.interactive;
     config.pager.http = args.net.http(&source)?;
+    config.pager.style = args.style.as_deref().map(read_style).transpose()?;
     let interrupt = Interrupt::new();
     // The root is read before a window opens or an adapter is requested, so that an invalid source ends the program here.
     if let Some(views) = views {
@@ -112,6 +116,12 @@ fn fly(args: Box<FlyArgs>, mut settings: DisplaySettings) -> Result<()> {
         (false, _) => "in a window",
     };
     flight.finish(&mut viewer, where_drawn)
+}
+
+/// Reads a style from a file.
+fn read_style(file: &Path) -> Result<Arc<Style>> {
+    let bytes = std::fs::read(file).with_context(|| file.display().to_string())?;
+    Ok(Arc::new(Style::from_json(&file.display().to_string(), &bytes)?))
 }
 
 /// Returns the windows to open: those of the command line, or those of the environment if the options leave the choice.

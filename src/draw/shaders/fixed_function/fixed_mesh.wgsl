@@ -15,6 +15,12 @@ fn fixed_mesh_fragment(vertex: MeshVertex, leaf: Leaf, alpha_cutoff: u32) -> Fix
 }
 
 @vertex
+fn vs_fixed_square(vertex: MeshVertex, @builtin(instance_index) instance: u32) -> FixedMeshFragment {
+    let f = square_fragment(vertex, leaves[instance]);
+    return FixedMeshFragment(f.position, f.in_eye_u, f.normal_v, f.color, f.leaf, vertex.position);
+}
+
+@vertex
 fn vs_fixed_mesh(vertex: MeshVertex, @builtin(instance_index) instance: u32) -> FixedMeshFragment {
     let leaf = leaves[instance];
     return fixed_mesh_fragment(vertex, leaf, leaf.alpha_cutoff);

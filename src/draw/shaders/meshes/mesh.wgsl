@@ -36,6 +36,20 @@ fn vs_mesh_pulled(@builtin(vertex_index) index: u32, @builtin(instance_index) st
     return mesh_fragment(pulled_vertex(leaf, index % stride), leaf, 0u);
 }
 
+// A corner of a square around a point. The texture coordinates are its offset from the point in pixels.
+fn square_fragment(vertex: MeshVertex, leaf: Leaf) -> MeshFragment {
+    let point = MeshVertex(vertex.position, vec2<f32>(0.0), vertex.normal, vertex.color);
+    var fragment = mesh_fragment(point, leaf, leaf.alpha_cutoff);
+    let offset = vertex.uv * frame.middle_ray.zw * fragment.position.w;
+    fragment.position += vec4<f32>(offset, 0.0, 0.0);
+    return fragment;
+}
+
+@vertex
+fn vs_square(vertex: MeshVertex, @builtin(instance_index) instance: u32) -> MeshFragment {
+    return square_fragment(vertex, leaves[instance]);
+}
+
 // Returns the normal of a surface in eye space; the facet's if the mesh has none.
 fn surface_normal(smooth_normal: vec3<f32>, is_front: bool, facet: vec3<f32>) -> vec3<f32> {
     if dot(smooth_normal, smooth_normal) <= 1e-12 {

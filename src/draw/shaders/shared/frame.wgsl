@@ -11,7 +11,7 @@ struct Frame {
     shape: vec4<f32>,          // 1 / radius of the ground, 0 if flat; exposure, 0 without tone mapping; 1 with an
                                // atmosphere; 1 if it is also drawn in front of things
     ray: vec4<f32>,            // columns of the map from clip position to eye-space ray: xy and zw
-    middle_ray: vec4<f32>,     // xy: the ray of clip position 0
+    middle_ray: vec4<f32>,     // xy: the ray of clip position 0; zw: size of a pixel in clip positions
     water: vec4<f32>,          // colour of deep water; w: its height, metres
     air: vec4<f32>,            // the eye of the air tables: kilometres from the earth's centre, cosines of horizon and limb
                                // (air.wgsl); w: 1 if rays are parallel
