@@ -49,7 +49,7 @@ pub(in crate::draw) enum Kind {
 const CLOCKWISE: u64 = 1 << 10;
 /// The properties of triangles alone: culled faces, polygon mode, polygon offset.
 const TRIANGLES_ONLY: u64 = 3 << 4 | 3 << 11 | 0x3f << 28;
-/// Squares in place of points, which have no polygon mode.
+/// Points are drawn as squares. The bit is that of the polygon mode, which points do not have.
 const SQUARES: u64 = 1 << 11;
 const AIR_SHIFT: u32 = 22;
 const LAYOUT_SHIFT: u32 = 24;

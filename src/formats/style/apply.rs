@@ -27,7 +27,7 @@ pub(in crate::formats) fn apply(node: &mut Node, style: &Style, options: &ReadOp
 /// The addresses of a mesh and of its features, and whether its material ignores alpha.
 type MeshKey = (usize, usize, bool);
 
-/// What is drawn in place of a mesh.
+/// A drawable that a styled mesh becomes.
 #[derive(Clone)]
 struct Part {
     mesh: Arc<Mesh>,
@@ -72,7 +72,7 @@ impl Styler<'_> {
         node.children.iter_mut().for_each(|child| self.node(child, set_from_node));
     }
 
-    /// Returns what is drawn in place of a drawable.
+    /// Returns the drawables that replace a drawable.
     fn drawables(&mut self, mut drawable: Drawable, set_from_drawable: &DAffine3) -> Vec<Drawable> {
         let Geometry::Mesh(mesh) = &drawable.geometry else {
             let look = self.style.look(&Default::default());
@@ -129,7 +129,7 @@ impl Styler<'_> {
 fn styled_parts(mesh: &Arc<Mesh>, drawable: &Drawable, looks: &Looks, has_squares: bool) -> Vec<Part> {
     let mut visible = looks.all().iter().filter(|look| look.is_visible());
     let Some(first) = visible.next() else { return Vec::new() };
-    // As in CesiumJS, the colour of a point replaces its own unless it comes from the batch of the point.
+    // The style replaces the colours of points unless they have batches, as in CesiumJS.
     let column = drawable.features.as_deref().and_then(FeatureColumn::of);
     let has_batches = column.is_some_and(|column| matches!(column.set.ids, FeatureIds::PerVertex(_)));
     let is_replaced = mesh.topology == Topology::Points && !has_batches;

@@ -42,7 +42,7 @@ pub enum StyleError {
         member: String,
         /// The character at which the expression is invalid; the first is 1.
         column: usize,
-        /// What is invalid, and what was expected.
+        /// The reason: the invalid part, and what was expected.
         reason: String,
     },
 }

@@ -15,7 +15,7 @@ pub(super) struct Look {
     is_shown: bool,
     /// Linear colour and alpha; `None` if the style leaves the colour as it is.
     pub color: Option<[f32; 4]>,
-    /// The side of points in pixels, at most [`MAX_POINT_SIZE_PX`]; `None` for points without a size of their own.
+    /// The side of points in pixels, at most [`MAX_POINT_SIZE_PX`]; `None` if the style has none.
     point_size_px: Option<f32>,
 }
 

@@ -27,7 +27,7 @@ const LEVELS: [&[(&str, Operator)]; 6] = [
 /// Operators of JavaScript that the language lacks.
 const FOREIGN: [&str; 11] = ["==", "!=", "<<", ">>", "**", "??", "=", "&", "|", "^", "~"];
 
-/// The place and reason of a syntax error.
+/// The column and reason of a syntax error.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct SyntaxError {
     /// The character at which the expression is invalid; the first is 1.

@@ -41,7 +41,7 @@ fn b3dm() -> Vec<u8> {
     b3dm_with_batches(r#"{"BATCH_LENGTH":4}"#, batches, &gltf.glb())
 }
 
-/// Returns the places along x of the triangles or points of a drawable, with the colours of their first vertices.
+/// Returns the positions along x of the triangles or points of a drawable, with the colours of their first vertices.
 fn parts(drawable: &Drawable) -> Vec<(f32, [u8; 4])> {
     let mesh = mesh_of(drawable);
     let step = if mesh.topology == Topology::Points { 1 } else { 3 };

@@ -1,4 +1,4 @@
-//! Expressions: the examples of the specification, operators, functions, and errors with their places.
+//! Expressions: the examples of the specification, operators, functions, and errors with their columns.
 
 use serde_json::{Value, json};
 use terrane::formats::{Style, StyleError};
