@@ -24,10 +24,10 @@ fn example(name: &str) -> PathBuf {
     program
 }
 
-/// Returns the number of frames to draw. Examples that take over a second per frame on a software adapter draw fewer.
+/// Returns the number of frames to draw. Examples whose frames take long on a software adapter draw fewer.
 fn frames(name: &str) -> u32 {
     match name {
-        "custom_drawable" | "occluders" if !kit::long_tests() => 8,
+        "custom_drawable" | "hello_terrain" | "multi_view" | "occluders" | "picking" if !kit::long_tests() => 8,
         _ => 30,
     }
 }
@@ -179,7 +179,7 @@ fn occluders() {
     let differing = picture.pixels().zip(all.pixels()).filter(|(a, b)| a != b).count();
     assert_eq!(differing, 0, "hidden balls change nothing");
     // The balls are behind the window, and the wall is around it.
-    let is_wall = |x, y| picture.get_pixel(x, y).0.iter().all(|c| (140..180).contains(c));
+    let is_wall = |x, y| picture.get_pixel(x, y).0.iter().all(|c| (120..165).contains(c));
     assert!(is_wall(640, 200) && is_wall(300, 340) && is_wall(980, 340) && is_wall(640, 500));
     let [r, _, b] = picture.get_pixel(600, 400).0;
     assert!(r > 200 && b < 80, "a ball behind the window: {r} {b}");

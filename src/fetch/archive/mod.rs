@@ -21,7 +21,9 @@ pub(crate) use names::split_url;
 pub(crate) use names::{is_archive, is_pmtiles, split_path};
 #[cfg(feature = "testing")]
 pub use pmtiles::fuzz_pmtiles;
+#[cfg(all(feature = "http", feature = "testing"))]
+pub(crate) use remote::parse_content_range;
 #[cfg(feature = "http")]
-pub(crate) use remote::{MemberUri, RemoteArchives, parse_content_range};
+pub(crate) use remote::{MemberUri, RemoteArchives};
 #[cfg(feature = "testing")]
 pub use zip::fuzz_index;

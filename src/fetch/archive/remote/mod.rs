@@ -16,4 +16,5 @@ mod shared_read;
 mod zip;
 
 pub(crate) use archives::{MemberUri, RemoteArchives};
+#[cfg(feature = "testing")]
 pub(crate) use part::parse_content_range;
