@@ -4,6 +4,11 @@ use base64::Engine as _;
 
 use crate::fetch::IoError;
 
+/// Returns true for a reference that contains its bytes.
+pub(super) fn is_data_uri(reference: &str) -> bool {
+    reference.get(..5).is_some_and(|scheme| scheme.eq_ignore_ascii_case("data:"))
+}
+
 /// Returns the bytes that a `data:` URI contains, as base64 or percent-encoded.
 pub(super) fn data_uri(uri: &str, reference: &str) -> Result<Vec<u8>, IoError> {
     let bad = |reason: &str| IoError::invalid(uri, format!("data: URI: {reason}"));

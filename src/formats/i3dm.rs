@@ -102,7 +102,7 @@ impl<'a> Parts<'a> {
 pub(super) fn dependencies(uri: &str, bytes: &[u8], known: &[Fetched], options: &ReadOptions) -> Vec<Arc<str>> {
     let Ok(parts) = Parts::new(uri, bytes) else { return Vec::new() };
     let of_model = |model_uri: &str, model: &[u8]| -> Vec<Arc<str>> {
-        let references = gltf::references(model_uri, model);
+        let references = gltf::references(model_uri, model, options);
         references.iter().filter_map(|reference| resolve(model_uri, reference, &options.root).ok()).collect()
     };
     match parts.model {

@@ -3,10 +3,12 @@
 //! serde refuses a whole file for one member of the wrong type. These functions and types take any JSON value instead, so
 //! that the reader can refuse the tile that has it. Decode threads.
 
+use std::collections::BTreeMap;
 use std::fmt;
 use std::marker::PhantomData;
 
-use serde::de::{Deserialize, Deserializer, IgnoredAny, MapAccess, SeqAccess, Visitor};
+use serde::de::{Deserialize, DeserializeOwned, Deserializer, IgnoredAny, MapAccess, SeqAccess, Visitor};
+use serde_json::Value;
 
 /// Deserializes a value, and takes `null` as the default.
 pub(super) fn or_default<'de, D, T>(deserializer: D) -> Result<T, D::Error>
@@ -46,6 +48,25 @@ where
     }
 
     deserializer.deserialize_any(ListVisitor(PhantomData))
+}
+
+/// Deserializes a value, and takes JSON of another form as the default.
+pub(super) fn valid_or_default<'de, D, T>(deserializer: D) -> Result<T, D::Error>
+where
+    D: Deserializer<'de>,
+    T: DeserializeOwned + Default,
+{
+    Value::deserialize(deserializer).map(|json| T::deserialize(json).unwrap_or_default())
+}
+
+/// Deserializes an object, and leaves out the members that have another form. All other JSON is an empty object.
+pub(super) fn valid_entries<'de, D, T>(deserializer: D) -> Result<BTreeMap<String, T>, D::Error>
+where
+    D: Deserializer<'de>,
+    T: DeserializeOwned,
+{
+    let members = valid_or_default::<D, BTreeMap<String, Value>>(deserializer)?;
+    Ok(members.into_iter().filter_map(|(name, json)| Some((name, T::deserialize(json).ok()?))).collect())
 }
 
 /// A number; NaN for every other JSON value, except for text that spells a number.
@@ -247,5 +268,22 @@ mod tests {
         assert_eq!(read(r#"{"a":null,"b":7}"#).unwrap(), (vec![], 7));
         assert_eq!(read("{}").unwrap(), (vec![], 0));
         assert!(read(r#"{"a":7}"#).is_err());
+    }
+
+    #[test]
+    fn values_of_another_form_are_left_out() {
+        #[derive(serde::Deserialize)]
+        struct Values {
+            #[serde(default, deserialize_with = "valid_or_default")]
+            a: Option<u32>,
+            #[serde(default, deserialize_with = "valid_entries")]
+            b: BTreeMap<String, u32>,
+        }
+        let read = |json: &str| serde_json::from_str::<Values>(json).map(|values| (values.a, values.b)).unwrap();
+        assert_eq!(read(r#"{"a":7,"b":{"x":1,"y":"2","z":null}}"#), (Some(7), [("x".to_owned(), 1)].into()));
+        for other in ["null", "true", "-1", "[7]", "{\"a\":[7]}"] {
+            assert_eq!(read(&format!(r#"{{"a":{other},"b":{other}}}"#)), (None, BTreeMap::new()), "{other}");
+        }
+        assert_eq!(read("{}"), (None, BTreeMap::new()));
     }
 }

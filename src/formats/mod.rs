@@ -8,6 +8,7 @@ mod b3dm;
 mod cmpt;
 mod database_path;
 mod embedded;
+mod external_files;
 mod feature_table;
 mod gltf;
 mod height;

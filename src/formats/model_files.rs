@@ -1,13 +1,14 @@
-//! The files that models refer to: external buffers and images of a glTF, and the model of an i3dm. CPU only; any thread.
+//! The files that contents refer to: external buffers and images of a glTF, the model of an i3dm, and the schemas of glTF
+//! and tilesets. CPU only; any thread.
 
 use std::sync::Arc;
 
 use super::options::{Fetched, ReadOptions};
-use super::{b3dm, cmpt, gltf, i3dm};
+use super::{b3dm, cmpt, gltf, i3dm, tileset};
 use crate::fetch::markup::text_and_first_byte;
 use crate::fetch::{encoding, resolve};
 
-/// Returns the files that a model refers to, known or not. `base` is the address that references are relative to.
+/// Returns the files that a model or a tileset refers to, known or not. `base` is the address that references are relative to.
 pub(super) fn of_model(base: &str, bytes: &[u8], known: &[Fetched], options: &ReadOptions) -> Vec<Arc<str>> {
     match bytes.starts_with(&[0x1f, 0x8b]) {
         true => {
@@ -21,7 +22,7 @@ pub(super) fn of_model(base: &str, bytes: &[u8], known: &[Fetched], options: &Re
 /// Returns the files of a model inside `depth` composites.
 fn of_part(base: &str, bytes: &[u8], known: &[Fetched], options: &ReadOptions, depth: u32) -> Vec<Arc<str>> {
     let of_gltf = |bytes: &[u8]| -> Vec<Arc<str>> {
-        let references = gltf::references(base, bytes);
+        let references = gltf::references(base, bytes, options);
         references.iter().filter_map(|reference| resolve(base, reference, &options.root).ok()).collect()
     };
     let (text, first) = text_and_first_byte(bytes);
@@ -33,8 +34,13 @@ fn of_part(base: &str, bytes: &[u8], known: &[Fetched], options: &ReadOptions, d
             let parts = cmpt::parts(base, bytes, depth).unwrap_or_default();
             parts.into_iter().flat_map(|part| of_part(base, part, known, options, depth + 1)).collect()
         }
-        // Tilesets may be large, and have no buffers.
-        _ if first == Some(b'{') && !begins_like_tileset(text) => of_gltf(text),
+        _ if first == Some(b'{') => {
+            let schema = tileset::schema_reference(text);
+            let schema = schema.and_then(|reference| resolve(base, &reference, &options.root).ok());
+            // Tilesets may be large, and have no buffers.
+            let files = if begins_like_tileset(text) { Vec::new() } else { of_gltf(text) };
+            files.into_iter().chain(schema).collect()
+        }
         _ => Vec::new(),
     }
 }

@@ -4,8 +4,8 @@ use std::path::Path;
 
 use kit::skip::skipped;
 use serde_json::json;
-use terrane::fetch::{Limits, read_file, root_uri};
-use terrane::formats::{Content, ReadOptions, decode, decode_noting};
+use terrane::fetch::{IoError, Limits, read_file, root_uri};
+use terrane::formats::{Content, IgnoredLog, ReadOptions, decode, decode_noting, dependencies};
 use terrane::scene::{Page, PropertyValue};
 
 use crate::gltf_builder::*;
@@ -56,8 +56,30 @@ fn mesh_features_lead_to_their_properties() {
     assert_eq!(at(&page, 0, 0), [feature("house", 1, "height 2.5"), feature("", 0, "")]);
     assert_eq!(at(&page, 0, 1), [feature("house", 0, "height 1.5"), feature("", 1, "")]);
     assert_eq!(at(&page, 0, 2), [feature("", 2, "")], "the null id");
+    // The schema may be in another file.
+    let mut external = gltf.json.clone();
+    let metadata = external["extensions"]["EXT_structural_metadata"].as_object_mut().unwrap();
+    let schema = metadata.remove("schema").unwrap().to_string().into_bytes();
+    metadata.insert("schemaUri".to_owned(), json!("a/s.json"));
+    gltf.json = external;
+    let (text, options) = (gltf.text(), options());
+    let plain = ReadOptions { keep_features: false, ..options.clone() };
+    let files = dependencies(URI, &text, None, &[], &options);
+    assert_eq!(files.iter().map(|uri| uri.rsplit_once("/a/").unwrap().1).collect::<Vec<_>>(), ["s.json"]);
+    assert!(dependencies(URI, &text, None, &[], &plain).is_empty());
+    let read = |file: Result<Vec<u8>, IoError>| {
+        let companions = vec![(files[0].clone(), file)];
+        let content = Content { uri: URI.into(), bytes: text.clone(), reader_data: None, companions };
+        let log = ReadOptions { ignored: IgnoredLog::default(), ..options.clone() };
+        (decode(content, &log), log.ignored.snapshot().count("metadata: a schema that cannot be read"))
+    };
+    let (page, noted) = read(Ok(schema));
+    assert_eq!((at(&page.unwrap(), 0, 0)[0].2.as_str(), noted), ("height 2.5", 0));
+    for missing in [Err(IoError::NotFound { uri: String::new() }), Ok(b"[".to_vec())] {
+        let (page, noted) = read(missing);
+        assert_eq!((at(&page.unwrap(), 0, 0)[0].2.as_str(), noted), ("", 1));
+    }
     // They take memory only if they are wanted.
-    let plain = ReadOptions { keep_features: false, ..options() };
     let content = Content { uri: URI.into(), bytes: gltf.text(), reader_data: None, companions: Vec::new() };
     assert!(decode(content, &plain).unwrap().features(0).is_none());
 }

@@ -337,3 +337,31 @@ fn sets_that_cannot_be_filled_are_errors() {
     let none = format!("{}/none/", server.url);
     assert!(matches!(fill(&none, &config(folder.path()), &options, &mut go_on), Err(IoError::NotFound { .. })));
 }
+
+/// Schemas decide about the volumes of tiles: they are fetched before the tiles below, and one that is missing is reported.
+#[test]
+fn schemas_in_other_files_are_filled() {
+    for is_missing in [false, true] {
+        let server = Server::start(move |r| {
+            let tileset = |schema: &str, content: &str| {
+                Reply::ok(format!(
+                    r#"{{"asset":{{"version":"1.1"}},"geometricError":9,"schemaUri":"schema/{schema}.json",
+                    "root":{{"geometricError":1,"boundingVolume":{{"sphere":[0,0,0,9]}},"content":{{"uri":"{content}"}}}}}}"#
+                ))
+            };
+            match r.path() {
+                "/set/tileset.json" => tileset("a", "below"),
+                "/set/below" => tileset("b", "c.glb"),
+                "/set/c.glb" => Reply::ok("c"),
+                "/set/schema/a.json" | "/set/schema/b.json" if !is_missing => Reply::ok(r#"{"classes":{}}"#),
+                _ => Reply::new(404, ""),
+            }
+        });
+        let folder = tempfile::tempdir().unwrap();
+        let done = filled(&server, folder.path(), &FillOptions::default());
+        let all = ["tileset.json", "below", "c.glb", "schema/a.json", "schema/b.json"];
+        assert_eq!(paths(&server), all.map(str::to_owned).into());
+        assert_eq!((done.fetched, done.failed), (3, if is_missing { 2 } else { 0 }), "{:?}", done.errors);
+        assert!(done.errors.iter().all(|(uri, _)| uri.contains("/schema/")), "{:?}", done.errors);
+    }
+}

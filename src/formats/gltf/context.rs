@@ -1,8 +1,8 @@
 //! [`Context`]: everything that the parts of the reader share while they read one glTF.
 
 use super::budget::Budget;
-use super::external::ExternalFiles;
 use crate::fetch::IoError;
+use crate::formats::external_files::ExternalFiles;
 use crate::formats::ignored::Notes;
 use crate::formats::options::ReadOptions;
 

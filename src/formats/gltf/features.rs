@@ -53,7 +53,7 @@ impl FeatureTables {
         document: &gltf::Document,
         buffers: &Buffers<'_>,
         batch_table: Option<Arc<PropertyTable>>,
-    ) -> Self {
+    ) -> Result<Self, IoError> {
         let is_kept = context.options.keep_features;
         let mut tables = Vec::new();
         if let Some(metadata) = document.extension_value("EXT_structural_metadata").filter(|_| is_kept) {
@@ -62,7 +62,13 @@ impl FeatureTables {
                 context.budget.add_decoded(bytes.len() as u64).ok()?;
                 Some(bytes.to_vec())
             };
-            let read = properties::property_tables(metadata, &view, &|kind| context.notes.add(kind));
+            let reference = metadata.get("schemaUri").and_then(Value::as_str);
+            let schema = properties::read_schema(context.uri, metadata.get("schema"), reference, &context.files);
+            let schema = schema
+                .or_else(|error| context.missing("metadata: a schema that cannot be read", &error).map(|()| None))?;
+            let read = schema.map_or(Vec::new(), |schema| {
+                properties::property_tables(metadata, &schema, &view, &|kind| context.notes.add(kind))
+            });
             tables.extend(read.into_iter().map(Arc::new));
             for (property, kind) in [
                 ("propertyTextures", "metadata: property textures"),
@@ -75,7 +81,7 @@ impl FeatureTables {
         }
         let batch_index = batch_table.is_some().then_some(tables.len());
         tables.extend(batch_table);
-        Self { tables: tables.into(), batch_table: batch_index, is_kept }
+        Ok(Self { tables: tables.into(), batch_table: batch_index, is_kept })
     }
 
     /// Reads the features of a primitive. `attribute` returns the elements of an attribute with a name.

@@ -8,7 +8,7 @@ use super::accessors::Buffers;
 use super::context::Context;
 use super::document;
 use super::double_precision::DoublePrecision;
-use super::external::{self, ExternalFiles};
+use super::external;
 use super::features::FeatureTables;
 use super::glb::{self, Chunks};
 use super::instances::Instances;
@@ -16,6 +16,7 @@ use super::mesh::{MeshReader, SkinPose};
 use super::node_tree::NodeTree;
 use super::occluder;
 use crate::fetch::IoError;
+use crate::formats::external_files::ExternalFiles;
 use crate::formats::ignored::Notes;
 use crate::formats::options::{Fetched, ReadOptions};
 use crate::scene::{Drawable, Node, NodeKind, PropertyTable};
@@ -45,10 +46,12 @@ impl<'a> GltfSource<'a> {
     }
 }
 
-/// Returns the references to external buffers and images, relative to the glTF; none if it is invalid.
-pub(in crate::formats) fn references(uri: &str, bytes: &[u8]) -> Vec<String> {
+/// Returns the references to external buffers, images and schemas, relative to the glTF; none if it is invalid.
+pub(in crate::formats) fn references(uri: &str, bytes: &[u8], options: &ReadOptions) -> Vec<String> {
+    // Schemas describe features.
+    let with_schema = options.keep_features || options.style.is_some();
     let source = GltfSource { uri, base: uri, bytes, rtc_center: None, batch_table: None, companions: &[] };
-    source.chunks().map_or(Vec::new(), |chunks| external::references(chunks.json))
+    source.chunks().map_or(Vec::new(), |chunks| external::references(chunks.json, with_schema))
 }
 
 /// Reads a glTF or glb. The root of the result rotates the content to z-up.
@@ -59,7 +62,7 @@ pub(in crate::formats) fn read(source: GltfSource<'_>, options: &ReadOptions, no
     let context = Context::new(uri, options, notes, files);
     let (document, double) = document::parse(&context, json)?;
     let buffers = Buffers::read(&context, &document, binary)?;
-    let tables = FeatureTables::new(&context, &document, &buffers, batch_table);
+    let tables = FeatureTables::new(&context, &document, &buffers, batch_table)?;
     let mut reader = Reader {
         context: &context,
         document: &document,

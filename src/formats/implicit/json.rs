@@ -1,10 +1,9 @@
 //! The JSON of implicit tiling and of subtrees as serde reads it, with the names of 1.1 and of the 1.0 extensions.
 
-use std::collections::BTreeMap;
-
 use serde::Deserialize;
 
 use crate::formats::lenient::{Text, list, or_default};
+use crate::formats::properties::TableJson;
 
 /// `implicitTiling` of a tile, or its extension `3DTILES_implicit_tiling`.
 #[derive(Debug, Deserialize)]
@@ -37,30 +36,15 @@ pub(super) struct SubtreeJson {
     pub content_availability: Option<OneOrMany>,
     pub child_subtree_availability: Option<AvailabilityJson>,
     #[serde(default, deserialize_with = "or_default")]
-    pub property_tables: Vec<PropertyTableJson>,
+    pub property_tables: Vec<TableJson>,
     /// The property table of the tiles that are available.
     tile_metadata: Option<usize>,
     pub extensions: Option<SubtreeExtensions>,
 }
 
-/// A property table: the properties of a class as columns.
-#[derive(Debug, Deserialize)]
-pub(super) struct PropertyTableJson {
-    #[serde(default)]
-    pub class: Text,
-    #[serde(default, deserialize_with = "or_default")]
-    pub properties: BTreeMap<String, ColumnJson>,
-}
-
-#[derive(Debug, Deserialize)]
-pub(super) struct ColumnJson {
-    /// The buffer view of the values.
-    pub values: Option<usize>,
-}
-
 impl SubtreeJson {
     /// Returns the property table of the tiles.
-    pub fn tile_table(&self) -> Option<&PropertyTableJson> {
+    pub fn tile_table(&self) -> Option<&TableJson> {
         self.property_tables.get(self.tile_metadata?)
     }
 

@@ -1,8 +1,6 @@
 //! Metadata of tiles that replaces what follows from implicit tiling: volumes, heights and errors. Decode threads.
 
-use crate::formats::properties::{NumberColumn, TileSchema};
-
-use super::json::PropertyTableJson;
+use crate::formats::properties::{ClassProperty, NumberColumn, Schema, TableJson};
 
 /// The part of a tile that a metadata property replaces.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -48,14 +46,11 @@ impl Semantic {
 pub(super) struct SemanticProperty<'a> {
     pub semantic: Semantic,
     pub view: usize,
-    pub property: &'a crate::formats::properties::TileProperty,
+    pub property: &'a ClassProperty,
 }
 
 /// Returns the properties of a table that have a meaning for tiles.
-pub(super) fn properties<'a>(
-    table: &'a PropertyTableJson,
-    schema: &'a TileSchema,
-) -> impl Iterator<Item = SemanticProperty<'a>> {
+pub(super) fn properties<'a>(table: &'a TableJson, schema: &'a Schema) -> impl Iterator<Item = SemanticProperty<'a>> {
     let class = table.class.0.as_deref().and_then(|class| schema.classes.get(class));
     class.into_iter().flat_map(|class| &class.properties).filter_map(|(id, property)| {
         let semantic = property.semantic.0.as_deref().and_then(Semantic::named)?;

@@ -9,7 +9,7 @@ use super::semantics::{self, Overrides, Semantic};
 use crate::fetch::IoError;
 use crate::formats::embedded;
 use crate::formats::options::{Fetched, ReadOptions};
-use crate::formats::properties::{NumberColumn, TileSchema};
+use crate::formats::properties::{NumberColumn, Schema};
 
 /// The number of tiles of a block whose available ones are counted ahead.
 const RANK_BLOCK_TILES: u64 = 512;
@@ -62,7 +62,7 @@ impl Subtree {
         bytes: Vec<u8>,
         companions: &[Fetched],
         shape: SubtreeShape,
-        schema: Option<&TileSchema>,
+        schema: Option<&Schema>,
         options: &ReadOptions,
     ) -> Result<Self, IoError> {
         let bad = |reason: String| IoError::invalid(uri, format!("subtree: {reason}"));
@@ -214,7 +214,7 @@ fn ones(bytes: &[u8]) -> u32 {
 }
 
 /// Returns the references of the external buffers that a subtree needs, in order. A file that is no subtree has none.
-pub(super) fn external_buffers(bytes: &[u8], schema: Option<&TileSchema>) -> Vec<String> {
+pub(super) fn external_buffers(bytes: &[u8], schema: Option<&Schema>) -> Vec<String> {
     let json = Chunks::of(bytes).and_then(|chunks| parse_json(chunks.json));
     let Ok(json) = json else { return Vec::new() };
     let needed = needed_buffers(&json, schema);
@@ -223,7 +223,7 @@ pub(super) fn external_buffers(bytes: &[u8], schema: Option<&TileSchema>) -> Vec
 }
 
 /// Tells for each buffer whether availability is in it, or metadata that replaces volumes or errors.
-fn needed_buffers(json: &SubtreeJson, schema: Option<&TileSchema>) -> Vec<bool> {
+fn needed_buffers(json: &SubtreeJson, schema: Option<&Schema>) -> Vec<bool> {
     let mut needed = vec![false; json.buffers.len()];
     let table = schema.zip(json.tile_table());
     let properties = table.into_iter().flat_map(|(schema, table)| semantics::properties(table, schema));

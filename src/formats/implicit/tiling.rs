@@ -12,7 +12,7 @@ use super::subtree::SubtreeShape;
 use super::template::UriTemplate;
 use crate::fetch::IoError;
 use crate::formats::options::ReadOptions;
-use crate::formats::properties::TileSchema;
+use crate::formats::properties::Schema;
 use crate::formats::tile::{ContentData, S2Cell, TileContent, UpAxis};
 use crate::math::{BoundingSphere, BoundingVolume, OrientedBox, Region, max_scale};
 use crate::scene::{ReaderData, Refine};
@@ -47,7 +47,7 @@ pub(in crate::formats) struct ImplicitRoot<'a> {
     /// The up axis of glTF contents.
     pub up_axis: UpAxis,
     /// The schema of the tileset's metadata.
-    pub schema: Option<Arc<TileSchema>>,
+    pub schema: Option<Arc<Schema>>,
 }
 
 /// The properties that all tiles of an implicit tree share.
@@ -67,7 +67,7 @@ pub(in crate::formats) struct ImplicitTiling {
     content_data: Option<ReaderData>,
     up_axis: UpAxis,
     /// The schema of the tiles' metadata.
-    schema: Option<Arc<TileSchema>>,
+    schema: Option<Arc<Schema>>,
 }
 
 impl ImplicitTiling {
@@ -136,7 +136,7 @@ impl ImplicitTiling {
     }
 
     /// Returns the schema of the tiles' metadata.
-    pub(super) fn schema(&self) -> Option<&TileSchema> {
+    pub(super) fn schema(&self) -> Option<&Schema> {
         self.schema.as_deref()
     }
 

@@ -7,9 +7,9 @@ mod component;
 mod number_column;
 mod schema;
 mod table;
-mod tile_schema;
 
 pub(super) use batch_table::batch_table;
 pub(super) use number_column::NumberColumn;
+pub(super) use schema::read_schema;
+pub(super) use schema::{ClassProperty, Schema, TableJson};
 pub(super) use table::property_tables;
-pub(super) use tile_schema::{TileProperty, TileSchema};

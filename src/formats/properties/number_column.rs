@@ -3,7 +3,7 @@
 use serde_json::Value;
 
 use super::component::Component;
-use super::tile_schema::TileProperty;
+use super::schema::ClassProperty;
 use crate::scene::PropertyValue;
 
 /// The maximum number of components of a value.
@@ -28,7 +28,7 @@ pub(in crate::formats) struct NumberColumn {
 
 impl NumberColumn {
     /// Returns the column of a property; `None` if its values are no numbers, or not all of the same length.
-    pub fn new(property: &TileProperty, buffer: usize, start: usize) -> Option<Self> {
+    pub fn new(property: &ClassProperty, buffer: usize, start: usize) -> Option<Self> {
         let elements = if property.array { property.count? } else { 1 };
         let count = property.components()?.checked_mul(elements)?;
         if count > MAX_COMPONENTS {

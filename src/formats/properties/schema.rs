@@ -1,76 +1,132 @@
-//! The JSON of a metadata schema and of property tables (3D Tiles Metadata, EXT_structural_metadata).
+//! The JSON of a metadata schema and of property tables (3D Tiles Metadata, EXT_structural_metadata). Members that are
+//! invalid spoil only themselves. Immutable; decode threads.
 
 use std::collections::BTreeMap;
 
 use serde::Deserialize;
 use serde_json::Value;
 
-/// Classes of features with their properties.
-#[derive(Default, Deserialize)]
-pub(super) struct Schema {
-    #[serde(default)]
+use super::component::component_count;
+use crate::fetch::IoError;
+use crate::fetch::markup::refuse_markup;
+use crate::formats::embedded::{self, is_data_uri};
+use crate::formats::external_files::ExternalFiles;
+use crate::formats::lenient::{Text, or_default, valid_entries, valid_or_default};
+
+/// Reads the schema of a tileset or glTF: `json` in the file `uri` itself, or else the file that `reference` leads to. Returns
+/// `None` if there is neither.
+pub(in crate::formats) fn read_schema(
+    uri: &str,
+    json: Option<&Value>,
+    reference: Option<&str>,
+    files: &ExternalFiles<'_>,
+) -> Result<Option<Schema>, IoError> {
+    let invalid = |uri: &str, e: serde_json::Error| IoError::invalid(uri, format!("metadata schema: {e}"));
+    match (json, reference) {
+        (Some(json), _) => Schema::deserialize(json).map(Some).map_err(|e| invalid(uri, e)),
+        (None, Some(reference)) => {
+            let (uri, bytes) = match is_data_uri(reference) {
+                true => (uri.into(), embedded::data_uri(uri, reference)?.into()),
+                false => files.get(reference)?,
+            };
+            let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&bytes);
+            refuse_markup(&uri, text)?;
+            serde_json::from_slice(text).map(Some).map_err(|e| invalid(&uri, e))
+        }
+        (None, None) => Ok(None),
+    }
+}
+
+/// The classes of tiles and features with their properties.
+#[derive(Clone, Debug, Default, Deserialize)]
+pub(in crate::formats) struct Schema {
+    #[serde(default, deserialize_with = "valid_entries")]
     pub classes: BTreeMap<String, Class>,
-    #[serde(default)]
+    #[serde(default, deserialize_with = "valid_entries")]
     pub enums: BTreeMap<String, Enum>,
 }
 
-#[derive(Deserialize)]
-pub(super) struct Class {
-    #[serde(default)]
+#[derive(Clone, Debug, Default, Deserialize)]
+pub(in crate::formats) struct Class {
+    #[serde(default, deserialize_with = "valid_entries")]
     pub properties: BTreeMap<String, ClassProperty>,
 }
 
 /// The type of a property.
-#[derive(Deserialize)]
+#[derive(Clone, Debug, Default, Deserialize)]
 #[serde(rename_all = "camelCase")]
-pub(super) struct ClassProperty {
-    #[serde(rename = "type")]
-    pub kind: String,
-    pub component_type: Option<String>,
-    pub enum_type: Option<String>,
+pub(in crate::formats) struct ClassProperty {
+    #[serde(rename = "type", default)]
+    pub kind: Text,
     #[serde(default)]
+    pub component_type: Text,
+    #[serde(default)]
+    pub enum_type: Text,
+    #[serde(default, deserialize_with = "or_default")]
     pub array: bool,
-    /// The number of elements of an array of fixed length.
+    /// The number of elements of an array; `None` for arrays of any length.
     pub count: Option<usize>,
-    #[serde(default)]
+    #[serde(default, deserialize_with = "or_default")]
     pub normalized: bool,
     pub offset: Option<Value>,
     pub scale: Option<Value>,
     pub no_data: Option<Value>,
     pub default: Option<Value>,
+    /// The meaning of the property, such as `TILE_GEOMETRIC_ERROR`.
+    #[serde(default)]
+    pub semantic: Text,
 }
 
-#[derive(Deserialize)]
+impl ClassProperty {
+    /// Returns the number of components of an element; `None` if the elements are no numbers.
+    pub(super) fn components(&self) -> Option<usize> {
+        component_count(self.kind.0.as_deref()?)
+    }
+}
+
+#[derive(Clone, Debug, Deserialize)]
 #[serde(rename_all = "camelCase")]
-pub(super) struct Enum {
-    pub value_type: Option<String>,
+pub(in crate::formats) struct Enum {
+    #[serde(default)]
+    pub value_type: Text,
     pub values: Vec<EnumValue>,
 }
 
-#[derive(Deserialize)]
-pub(super) struct EnumValue {
+#[derive(Clone, Debug, Deserialize)]
+pub(in crate::formats) struct EnumValue {
     pub name: String,
     pub value: i64,
 }
 
-/// A property table; its columns are buffer views.
-#[derive(Deserialize)]
-pub(super) struct TableJson {
-    pub name: Option<String>,
-    pub class: String,
-    pub count: usize,
+/// A property table: the properties of a class as columns, which are buffer views.
+#[derive(Debug, Deserialize)]
+pub(in crate::formats) struct TableJson {
     #[serde(default)]
+    pub name: Text,
+    #[serde(default)]
+    pub class: Text,
+    #[serde(default, deserialize_with = "valid_or_default")]
+    pub count: usize,
+    #[serde(default, deserialize_with = "or_default")]
     pub properties: BTreeMap<String, TableProperty>,
 }
 
-#[derive(Deserialize)]
+#[derive(Debug, Deserialize)]
 #[serde(rename_all = "camelCase")]
-pub(super) struct TableProperty {
-    pub values: usize,
+pub(in crate::formats) struct TableProperty {
+    /// The buffer view of the values.
+    #[serde(default, deserialize_with = "valid_or_default")]
+    pub values: Option<usize>,
+    #[serde(default, deserialize_with = "valid_or_default")]
     pub array_offsets: Option<usize>,
+    #[serde(default, deserialize_with = "valid_or_default")]
     pub string_offsets: Option<usize>,
-    pub array_offset_type: Option<String>,
-    pub string_offset_type: Option<String>,
+    #[serde(default)]
+    pub array_offset_type: Text,
+    #[serde(default)]
+    pub string_offset_type: Text,
+    /// Replaces that of the class.
     pub offset: Option<Value>,
+    /// Replaces that of the class.
     pub scale: Option<Value>,
 }

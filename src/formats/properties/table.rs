@@ -4,25 +4,22 @@ use serde::Deserialize;
 use serde_json::Value;
 
 use super::binary_column::{BinaryColumn, Element, Offsets, Rows, from_json, numbers};
-use super::component::{Component, component_count};
+use super::component::Component;
 use super::schema::{ClassProperty, Schema, TableJson, TableProperty};
+use crate::formats::lenient::Text;
 use crate::scene::{PropertyColumn, PropertyTable, PropertyValue};
 
-/// Reads the property tables of a metadata object with a `schema` and `propertyTables`. `view` returns the bytes of a buffer
+/// Reads the `propertyTables` of a metadata object whose schema is `schema`. `view` returns the bytes of a buffer
 /// view. A property that cannot be read is left out; `note` gets the reason.
 pub(in crate::formats) fn property_tables(
     metadata: &Value,
+    schema: &Schema,
     view: &dyn Fn(usize) -> Option<Vec<u8>>,
     note: &dyn Fn(&'static str),
 ) -> Vec<PropertyTable> {
-    let schema = metadata.get("schema").and_then(|schema| Schema::deserialize(schema).ok());
-    let Some(schema) = schema else {
-        note("metadata: a schema that is invalid or in another file");
-        return Vec::new();
-    };
     let tables = metadata.get("propertyTables").and_then(Value::as_array).map_or(&[][..], Vec::as_slice);
     let read = |table: &Value| match TableJson::deserialize(table) {
-        Ok(table) => read_table(table, &schema, view, note),
+        Ok(table) => read_table(table, schema, view, note),
         Err(_) => {
             note("metadata: an invalid property table");
             // The indices of the tables after it stay as they are.
@@ -38,7 +35,8 @@ fn read_table(
     view: &dyn Fn(usize) -> Option<Vec<u8>>,
     note: &dyn Fn(&'static str),
 ) -> PropertyTable {
-    let class = schema.classes.get(&table.class);
+    let class_name = table.class.0.unwrap_or_default();
+    let class = schema.classes.get(&class_name);
     let mut columns: Vec<(String, Box<dyn PropertyColumn>)> = Vec::new();
     for (name, property) in table.properties {
         let column = class.and_then(|class| column(class.properties.get(&name)?, &property, schema, view));
@@ -56,7 +54,7 @@ fn read_table(
             columns.push((name.clone(), Box::new(Constant(from_json(default, &element)))));
         }
     }
-    PropertyTable::new(table.name.unwrap_or_default(), table.class, table.count, columns)
+    PropertyTable::new(table.name.0.unwrap_or_default(), class_name, table.count, columns)
 }
 
 /// A column with the same value in each row.
@@ -79,9 +77,9 @@ fn column(
     view: &dyn Fn(usize) -> Option<Vec<u8>>,
 ) -> Option<BinaryColumn> {
     let element = element(of, schema)?;
-    let offsets = |at: Option<usize>, kind: &Option<String>| -> Option<Option<Offsets>> {
+    let offsets = |at: Option<usize>, kind: &Text| -> Option<Option<Offsets>> {
         let Some(at) = at else { return Some(None) };
-        let component = Component::from_name(kind.as_deref().unwrap_or("UINT32"))?;
+        let component = Component::from_name(kind.0.as_deref().unwrap_or("UINT32"))?;
         Some(Some(Offsets { component, bytes: view(at)? }))
     };
     let rows = match (of.array, of.count) {
@@ -93,7 +91,7 @@ fn column(
     let default = of.default.as_ref().map_or(PropertyValue::Null, |value| from_json(value, &element));
     Some(BinaryColumn {
         rows,
-        values: view(table.values)?,
+        values: view(table.values?)?,
         string_offsets: offsets(table.string_offsets, &table.string_offset_type)?,
         normalized: of.normalized,
         scale: numbers(table.scale.as_ref().or(of.scale.as_ref())),
@@ -105,18 +103,18 @@ fn column(
 }
 
 fn element(of: &ClassProperty, schema: &Schema) -> Option<Element> {
-    match of.kind.as_str() {
+    match of.kind.0.as_deref()? {
         "BOOLEAN" => Some(Element::Bool),
         "STRING" => Some(Element::Text),
         "ENUM" => {
-            let values = schema.enums.get(of.enum_type.as_deref()?)?;
-            let component = Component::from_name(values.value_type.as_deref().unwrap_or("UINT16"))?;
+            let values = schema.enums.get(of.enum_type.0.as_deref()?)?;
+            let component = Component::from_name(values.value_type.0.as_deref().unwrap_or("UINT16"))?;
             let names = values.values.iter().map(|value| (value.value, value.name.clone())).collect();
             Some(Element::Enum { component, names })
         }
-        kind => {
-            let components = component_count(kind)?;
-            Some(Element::Numbers { component: Component::from_name(of.component_type.as_deref()?)?, components })
+        _ => {
+            let component = Component::from_name(of.component_type.0.as_deref()?)?;
+            Some(Element::Numbers { component, components: of.components()? })
         }
     }
 }
@@ -132,7 +130,8 @@ mod tests {
     fn tables(metadata: &Value, views: &[&[u8]]) -> (Vec<PropertyTable>, u32) {
         let notes = Cell::new(0);
         let view = |at: usize| views.get(at).map(|bytes| bytes.to_vec());
-        (property_tables(metadata, &view, &|_| notes.set(notes.get() + 1)), notes.get())
+        let schema = Schema::deserialize(&metadata["schema"]).unwrap();
+        (property_tables(metadata, &schema, &view, &|_| notes.set(notes.get() + 1)), notes.get())
     }
 
     #[test]
@@ -214,6 +213,6 @@ mod tests {
         for row in [0, 1, 2, 3_999_999_999] {
             assert!(tables[1].row(row).iter().all(|(_, value)| *value == PropertyValue::Null), "{row}");
         }
-        assert!(super::property_tables(&json!({}), &|_| None, &|_| {}).is_empty());
+        assert!(super::property_tables(&json!({}), &Schema::default(), &|_| None, &|_| {}).is_empty());
     }
 }

@@ -1,14 +1,16 @@
 //! The JSON of a tileset as serde reads it: `null` means absent, and unusual members spoil only their tile.
 
 use serde::Deserialize;
+use serde::de::IgnoredAny;
+use serde_json::Value;
 
 use super::extras::Extras;
 use crate::fetch::IoError;
 use crate::fetch::markup::refuse_markup;
+use crate::formats::embedded::is_data_uri;
 use crate::formats::height::{SetExtras, TileExtras};
 use crate::formats::implicit::ImplicitTilingJson;
 use crate::formats::lenient::{Number, Numbers, Text, list, or_default};
-use crate::formats::properties::TileSchema;
 
 /// Supported extensions that a tileset may require, including those that do not affect drawing.
 pub(super) const KNOWN_EXTENSIONS: &[&str] = &[
@@ -31,8 +33,7 @@ pub(crate) struct TilesetJson {
     pub extensions_required: Vec<String>,
     #[serde(rename = "extensionsUsed", default, deserialize_with = "list")]
     pub extensions_used: Vec<String>,
-    schema: Option<TileSchema>,
-    /// A schema in another file, which is not read.
+    schema: Option<Value>,
     #[serde(rename = "schemaUri", default)]
     schema_uri: Text,
     extensions: Option<TilesetExtensions>,
@@ -40,15 +41,11 @@ pub(crate) struct TilesetJson {
 }
 
 impl TilesetJson {
-    /// Returns true if the schema is in another file.
-    pub fn has_external_schema(&self) -> bool {
-        self.schema_uri.0.is_some()
-    }
-
-    /// Takes the schema of the metadata by the 1.1 property or by the 1.0 extension.
-    pub fn take_schema(&mut self) -> Option<TileSchema> {
-        let by_extension = self.extensions.as_mut().and_then(|extensions| extensions.metadata.as_mut()?.schema.take());
-        self.schema.take().or(by_extension)
+    /// Returns the schema of the metadata and the reference to its file, by the 1.1 properties or by the 1.0 extension.
+    pub fn schema(&self) -> (Option<&Value>, Option<&str>) {
+        let by_extension = self.extensions.as_ref().and_then(|extensions| extensions.metadata.as_ref());
+        let schema = self.schema.as_ref().or_else(|| by_extension?.schema.as_ref());
+        (schema, self.schema_uri.0.as_deref().or_else(|| by_extension?.schema_uri.0.as_deref()))
     }
 }
 
@@ -60,7 +57,9 @@ struct TilesetExtensions {
 
 #[derive(Deserialize)]
 struct MetadataExtension {
-    schema: Option<TileSchema>,
+    schema: Option<Value>,
+    #[serde(rename = "schemaUri", default)]
+    schema_uri: Text,
 }
 
 #[derive(Deserialize)]
@@ -180,6 +179,29 @@ impl ContentJson {
         self.uri.0.as_deref().or(self.url.0.as_deref())
     }
 }
+
+/// Returns the reference to the file with a tileset's schema; `None` for other JSON, and if the schema is not in a file of
+/// its own.
+pub(in crate::formats) fn schema_reference(text: &[u8]) -> Option<String> {
+    #[derive(Deserialize)]
+    struct Probe {
+        schema: Option<IgnoredAny>,
+        #[serde(rename = "schemaUri", default)]
+        schema_uri: Text,
+        extensions: Option<TilesetExtensions>,
+    }
+    // Tilesets may be large, and few have one.
+    if !std::str::from_utf8(text).is_ok_and(|text| text.contains("\"schemaUri\"")) {
+        return None;
+    }
+    let Probe { schema, schema_uri, extensions } = serde_json::from_slice(text).ok()?;
+    let by_extension = extensions.and_then(|extensions| extensions.metadata);
+    if schema.is_some() || by_extension.as_ref().is_some_and(|metadata| metadata.schema.is_some()) {
+        return None;
+    }
+    schema_uri.0.or_else(|| by_extension?.schema_uri.0).filter(|reference| !is_data_uri(reference))
+}
+
 /// Returns the error for text that is no tileset JSON. Names NaN and Infinity, which other languages write and JSON does
 /// not have.
 fn invalid_json(uri: &str, bytes: &[u8], error: &serde_json::Error) -> IoError {

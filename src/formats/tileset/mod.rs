@@ -7,17 +7,22 @@ mod reader;
 mod volume;
 
 pub(super) use detect::{is_tileset, is_tileset_text, may_be_tileset, may_refer_to_files};
-pub(super) use json::parse;
+pub(super) use json::{parse, schema_reference};
 pub(super) use reader::read_tiles;
 
 use std::sync::Arc;
 
-use super::options::ReadOptions;
+use super::options::{Fetched, ReadOptions};
 use super::tile::Tile;
 use crate::fetch::IoError;
 use crate::scene::Node;
 
 /// Reads a tileset as nodes: a tile is a PagedLod, an external tileset a ProxyNode.
-pub(super) fn read(uri: &Arc<str>, bytes: &[u8], options: &ReadOptions) -> Result<Node, IoError> {
-    read_tiles(uri, bytes, options).map(Tile::into_node)
+pub(super) fn read(
+    uri: &Arc<str>,
+    bytes: &[u8],
+    companions: &[Fetched],
+    options: &ReadOptions,
+) -> Result<Node, IoError> {
+    read_tiles(uri, bytes, companions, options).map(Tile::into_node)
 }

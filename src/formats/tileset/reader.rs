@@ -13,11 +13,13 @@ use glam::DAffine3;
 use super::json::{self, KNOWN_EXTENSIONS, TileJson, TilesetJson};
 use super::volume::{affine, bounding_volume, root_volume};
 use crate::fetch::{IoError, path_of};
+use crate::formats::embedded::is_data_uri;
+use crate::formats::external_files::ExternalFiles;
 use crate::formats::height::HeightSet;
 use crate::formats::ignored::Notes;
 use crate::formats::implicit::{ImplicitRoot, ImplicitTiling, ImplicitTilingJson, SubtreeSource};
-use crate::formats::options::ReadOptions;
-use crate::formats::properties::TileSchema;
+use crate::formats::options::{Fetched, ReadOptions};
+use crate::formats::properties::{self, Schema};
 use crate::formats::tile::{ALWAYS_REFINED_M, ContentBytes, ContentData, Tile, TileContent, UpAxis};
 use crate::math::BoundingVolume;
 use crate::scene::{ReaderData, Refine};
@@ -36,8 +38,13 @@ struct Inherited {
     bounds: Option<BoundingVolume>,
 }
 
-/// Parses a tileset and returns its root tile.
-pub(in crate::formats) fn read_tiles(uri: &Arc<str>, bytes: &[u8], options: &ReadOptions) -> Result<Tile, IoError> {
+/// Parses a tileset and returns its root tile. `companions` are the files that it refers to: its schema.
+pub(in crate::formats) fn read_tiles(
+    uri: &Arc<str>,
+    bytes: &[u8],
+    companions: &[Fetched],
+    options: &ReadOptions,
+) -> Result<Tile, IoError> {
     if options.chain.iter().any(|above| above == uri) {
         return Err(IoError::unsupported(uri, "the tileset contains itself"));
     }
@@ -49,12 +56,20 @@ pub(in crate::formats) fn read_tiles(uri: &Arc<str>, bytes: &[u8], options: &Rea
             limit: options.limits.max_external_depth as u64,
         });
     }
-    let mut tileset = json::parse(uri, bytes)?;
-    let schema = tileset.take_schema().map(Arc::new);
-    note_ignored(&tileset, options);
+    let tileset = json::parse(uri, bytes)?;
+    let notes = Notes::default();
+    note_ignored(&tileset, &notes);
+    let files = ExternalFiles::new(options.base.as_ref().unwrap_or(uri), &options.root, &options.limits, companions);
+    let (json, reference) = tileset.schema();
+    let schema = properties::read_schema(uri, json, reference, &files).unwrap_or_else(|_| {
+        // The jobs about whole sets list the error of the file. The tiles are drawn without their metadata.
+        notes.add("metadata: a schema that cannot be read");
+        None
+    });
+    options.ignored.add(&notes.into_ignored());
     let up_axis = tileset.asset.gltf_up_axis.0.as_deref().and_then(UpAxis::named).unwrap_or_default();
     let heights = HeightSet::from_extras(uri, tileset.asset.extras.0)?;
-    let mut reader = Reader { uri, options, heights, up_axis, schema, tiles: 0, contents: 0 };
+    let mut reader = Reader { uri, options, heights, up_axis, schema: schema.map(Arc::new), tiles: 0, contents: 0 };
     // An external tileset does not know the tiles above it, so it assumes that it replaces a content.
     let inherited = Inherited {
         refine: Refine::Replace,
@@ -67,8 +82,7 @@ pub(in crate::formats) fn read_tiles(uri: &Arc<str>, bytes: &[u8], options: &Rea
 }
 
 /// Lists what the tileset asks for and this reader leaves out.
-fn note_ignored(tileset: &TilesetJson, options: &ReadOptions) {
-    let notes = Notes::default();
+fn note_ignored(tileset: &TilesetJson, notes: &Notes) {
     // Extensions of glTF are listed by its reader.
     let of_gltf = |name: &str| ["KHR_", "EXT_", "CESIUM_"].iter().any(|prefix| name.starts_with(prefix));
     for name in tileset.extensions_used.iter().filter(|name| !of_gltf(name)) {
@@ -79,10 +93,6 @@ fn note_ignored(tileset: &TilesetJson, options: &ReadOptions) {
     if let Some(axis) = tileset.asset.gltf_up_axis.0.as_deref().filter(|axis| UpAxis::named(axis).is_none()) {
         notes.add(format!("asset.gltfUpAxis {axis}"));
     }
-    if tileset.has_external_schema() {
-        notes.add("schemaUri of a tileset");
-    }
-    options.ignored.add(&notes.into_ignored());
 }
 
 struct Reader<'a> {
@@ -90,7 +100,7 @@ struct Reader<'a> {
     options: &'a ReadOptions,
     heights: Option<HeightSet>,
     up_axis: UpAxis,
-    schema: Option<Arc<TileSchema>>,
+    schema: Option<Arc<Schema>>,
     /// Number of tiles so far.
     tiles: usize,
     /// Number of contents without a URI of their own so far.
@@ -273,11 +283,6 @@ impl Reader<'_> {
         self.contents += 1;
         format!("{}#content-{}", self.uri, self.contents).into()
     }
-}
-
-/// Returns true for a reference that contains its bytes.
-fn is_data_uri(reference: &str) -> bool {
-    reference.get(..5).is_some_and(|scheme| scheme.eq_ignore_ascii_case("data:"))
 }
 
 /// The contents and external tilesets that a tile refers to.

@@ -207,8 +207,9 @@ impl Fill<'_> {
                 && let Some(job) = self.jobs.pop()
             {
                 let (client, limits, refresh) = (client.clone(), self.options.limits, self.options.refresh);
+                let scope = self.scope.clone();
                 let of = (job.uri.clone(), job.is_again);
-                let task = tasks.spawn(async move { fetch(&client, job, &limits, refresh).await });
+                let task = tasks.spawn(async move { fetch(&client, &scope, job, &limits, refresh).await });
                 uris.insert(task.id(), of);
             }
             match tokio::time::timeout(PROGRESS_INTERVAL, tasks.join_next_with_id()).await {
@@ -238,12 +239,19 @@ impl Fill<'_> {
 
     fn take(&mut self, client: &HttpClient, done: Done, root: &Arc<str>) -> Result<(), IoError> {
         self.filled.bytes += done.network_bytes;
+        if done.job.subtree.is_none() && !done.job.is_again {
+            // A tileset is read without its schema; a subtree fails without its buffers.
+            done.companions.iter().filter_map(|(_, read)| read.as_ref().err()).for_each(|error| self.fail(error));
+        }
         let result = done.result.and_then(|bytes| match &done.job.tileset {
             Some(position) => {
                 let read = ReadFile { bytes, location: done.location.clone(), companions: &done.companions };
                 self.add_tileset_in_all_positions(&done.job, &read, position)
             }
-            None => self.check_content(&done.job, bytes, done.location.clone()),
+            None => {
+                let read = ReadFile { bytes, location: done.location.clone(), companions: &done.companions };
+                self.check_content(&done.job, &read)
+            }
         });
         if result.as_ref().is_err_and(IoError::is_no_content) {
             // The bytes are invalid, such as an error page: the next run requests the file again.
@@ -285,18 +293,17 @@ impl Fill<'_> {
 
     /// Checks a content, queues the files that it refers to, and reads it if it is a tileset. If it has several positions,
     /// only the first one counts.
-    fn check_content(&mut self, job: &Job, bytes: Vec<u8>, location: Option<Arc<str>>) -> Result<(), IoError> {
-        refuse_markup(&job.uri, &bytes)?;
-        let (root, base) = (self.scope.clone(), location.clone());
-        let options = ReadOptions { root, base, ..ReadOptions::for_root(&job.uri, self.options.limits) };
-        for dependency in dependencies(&job.uri, &bytes, None, &[], &options) {
+    fn check_content(&mut self, job: &Job, read: &ReadFile<'_>) -> Result<(), IoError> {
+        refuse_markup(&job.uri, &read.bytes)?;
+        let options = options_of(job, &self.scope, read.location.clone(), self.options.limits);
+        for dependency in dependencies(&job.uri, &read.bytes, None, read.companions, &options) {
             self.add_file(dependency, None, None);
         }
         match &job.possible_tileset {
             Some(position)
-                if !position.chain.contains(&job.uri) && is_tileset(&job.uri, &bytes, &self.options.limits) =>
+                if !position.chain.contains(&job.uri) && is_tileset(&job.uri, &read.bytes, &self.options.limits) =>
             {
-                self.add_tileset(&job.uri, &ReadFile { bytes, location, companions: &[] }, position).map(drop)
+                self.add_tileset(&job.uri, read, position).map(drop)
             }
             _ => Ok(()),
         }
@@ -346,8 +353,8 @@ impl Fill<'_> {
     fn add_subtree(&mut self, content: &TileContent, read: &ReadFile<'_>, position: &Position) -> Result<u64, IoError> {
         let Known::Subtree(source) = Known::of(content) else { return Ok(0) };
         let bytes = encoding::gunzip(&content.uri, read.bytes.clone(), &self.options.limits)?;
-        let options =
-            ReadOptions { root: self.scope.clone(), ..ReadOptions::for_root(&content.uri, self.options.limits) };
+        let (root, base) = (self.scope.clone(), read.location.clone());
+        let options = ReadOptions { root, base, ..ReadOptions::for_root(&content.uri, self.options.limits) };
         let tiles = guarded(&content.uri, || source.read(&content.uri, bytes, read.companions, &options))?;
         Ok(tiles.iter().map(|tile| self.add_tile(tile, position)).sum())
     }
@@ -367,7 +374,7 @@ impl Fill<'_> {
             // Regions must stay regions to be compared with the wanted one: the set's frame is taken for the content's.
             ..ReadOptions::for_root(uri, self.options.limits)
         };
-        let Some(tile) = read_root_tile(uri, read.bytes.clone(), &options)? else { return Ok(1) };
+        let Some(tile) = read_root_tile(uri, read, &options)? else { return Ok(1) };
         let is_root = position.chain.is_empty();
         if is_root && self.options.region.is_some() && !region::is_on_earth(&tile.bounds, &position.world) {
             return Err(IoError::unsupported(uri, "a region of a set that is not on the earth"));
@@ -444,18 +451,18 @@ impl Fill<'_> {
 }
 
 /// Parses the root tile of a tileset. Returns `None` for another content, such as a glTF that a tile refers to as `.json`.
-fn read_root_tile(uri: &Arc<str>, bytes: Vec<u8>, options: &ReadOptions) -> Result<Option<Tile>, IoError> {
+fn read_root_tile(uri: &Arc<str>, read: &ReadFile<'_>, options: &ReadOptions) -> Result<Option<Tile>, IoError> {
     guarded(uri, || {
-        let bytes = encoding::gunzip(uri, bytes, &options.limits)?;
+        let bytes = encoding::gunzip(uri, read.bytes.clone(), &options.limits)?;
         if is_tileset(uri, &bytes, &options.limits) {
-            return read_tiles(uri, &bytes, options).map(Some);
+            return read_tiles(uri, &bytes, read.companions, options).map(Some);
         }
         let content = Content { uri: uri.clone(), bytes, reader_data: None, companions: Vec::new() };
         decode_node(content, options).map(|_| None)
     })
 }
 
-async fn fetch(client: &HttpClient, job: Job, limits: &Limits, refresh: bool) -> Done {
+async fn fetch(client: &HttpClient, scope: &RootScope, job: Job, limits: &Limits, refresh: bool) -> Done {
     if !refresh {
         // Files that refer to others must be read; for images and the like it is enough that they are cached.
         let cached = if job.tileset.is_some() || may_refer_to_files(&job.uri) {
@@ -465,7 +472,7 @@ async fn fetch(client: &HttpClient, job: Job, limits: &Limits, refresh: bool) ->
         };
         if let Some(body) = cached {
             let HttpBody { bytes, location, .. } = body;
-            return with_companions(client, limits, Done { location, ..Done::new(job, Ok(bytes), true) }).await;
+            return with_companions(client, scope, limits, Done { location, ..Done::new(job, Ok(bytes), true) }).await;
         }
     }
     let mut body = client.get(&job.uri, limits).await;
@@ -481,14 +488,23 @@ async fn fetch(client: &HttpClient, job: Job, limits: &Limits, refresh: bool) ->
         }
         Err(error) => Done::new(job, Err(error), false),
     };
-    with_companions(client, limits, done).await
+    with_companions(client, scope, limits, done).await
 }
 
-/// Fetches the external buffers of a subtree.
-async fn with_companions(client: &HttpClient, limits: &Limits, mut done: Done) -> Done {
-    if let (Some(content), Ok(bytes)) = (&done.job.subtree, &done.result) {
-        let options = ReadOptions::for_root(&content.uri, *limits);
-        for uri in dependencies(&content.uri, bytes, content.reader_data.as_ref(), &[], &options) {
+/// Returns the options with which the references in a file are found.
+fn options_of(job: &Job, scope: &RootScope, base: Option<Arc<str>>, limits: Limits) -> ReadOptions {
+    // The cache also serves applications that keep features, which have schemas.
+    ReadOptions { root: scope.clone(), base, keep_features: true, ..ReadOptions::for_root(&job.uri, limits) }
+}
+
+/// Fetches the external buffers of a subtree, or the schema of a tileset.
+async fn with_companions(client: &HttpClient, scope: &RootScope, limits: &Limits, mut done: Done) -> Done {
+    let Done { job, result: Ok(bytes), .. } = &done else { return done };
+    let is_part = job.tileset.is_some() || job.possible_tileset.is_some() && is_tileset(&job.uri, bytes, limits);
+    if is_part {
+        let options = options_of(job, scope, done.location.clone(), *limits);
+        let data = job.subtree.as_ref().and_then(|content| content.reader_data.as_ref());
+        for uri in dependencies(&job.uri, bytes, data, &[], &options) {
             let body = client.get(&uri, limits).await;
             done.network_bytes += body.as_ref().map_or(0, |body| body.network_bytes);
             done.companions.push((uri, body.map(|body| body.bytes)));

@@ -8,12 +8,12 @@ use serde::Serialize;
 use super::metadata::MetadataInfo;
 use super::model::{ModelInfo, inspect_model};
 use super::report::{InfoError, record, too_many};
-use super::tree::{Known, load, read_subtree};
+use super::tree::{Known, load, read_companions, read_subtree};
 #[cfg(feature = "http")]
 use crate::fetch::HttpConfig;
 use crate::fetch::{IoError, Limits, Loaded, Source, is_remote, path_of, root_uri};
 use crate::formats::height::SetExtras;
-use crate::formats::options::ReadOptions;
+use crate::formats::options::{Fetched, ReadOptions};
 use crate::formats::read::companions;
 use crate::formats::tile::{Tile, TileContent};
 use crate::formats::tileset::{self, may_be_tileset, read_tiles};
@@ -106,7 +106,8 @@ fn inspect_from(source: &str, limits: &Limits, from: Source) -> Result<Info, IoE
     info.extensions.extend(json.extensions_used.iter().cloned());
     info.metadata = MetadataInfo::read(&bytes);
     drop(json);
-    let tile = match read_tiles(&root, &bytes, &options) {
+    let companions = info.tileset_files(&from, &root, &bytes, &options);
+    let tile = match read_tiles(&root, &bytes, &companions, &options) {
         Ok(tile) => tile,
         Err(error) => {
             info.fail(&error);
@@ -144,6 +145,13 @@ fn has_asset(bytes: &[u8]) -> bool {
 impl Info {
     fn fail(&mut self, error: &IoError) {
         record(error, &mut self.failed, &mut self.errors);
+    }
+
+    /// Reads the files that a tileset refers to, and lists those that cannot be read.
+    fn tileset_files(&mut self, from: &Source, uri: &Arc<str>, bytes: &[u8], options: &ReadOptions) -> Vec<Fetched> {
+        let files = read_companions(from, uri, bytes, None, options, &mut self.bytes);
+        files.iter().filter_map(|(_, read)| read.as_ref().err()).for_each(|error| self.fail(error));
+        files
     }
 
     fn level(&mut self, level: u32) -> &mut LevelInfo {
@@ -285,7 +293,8 @@ impl Walk<'_> {
         self.info.extensions.extend(json.extensions_used.iter().cloned());
         drop(json);
         let below = ReadOptions { base: location, ..at.options.below(at.tileset) };
-        let tile = read_tiles(uri, &bytes, &below)?;
+        let companions = self.info.tileset_files(self.from, uri, &bytes, &below);
+        let tile = read_tiles(uri, &bytes, &companions, &below)?;
         Ok(self.tile(&tile, level + 1, &At { tileset: uri, options: &below }))
     }
 }

@@ -10,7 +10,7 @@ use super::tree::{load, read_companions};
 #[cfg(feature = "http")]
 use crate::fetch::HttpConfig;
 use crate::fetch::{IoError, Limits, Loaded, Source, root_uri};
-use crate::formats::options::{Content, ReadOptions};
+use crate::formats::options::{Content, Fetched, ReadOptions};
 use crate::formats::read::{decode, decode_node};
 use crate::formats::tileset;
 use crate::scene::{Node, NodeKind, ReaderData};
@@ -70,7 +70,9 @@ fn verify_from(
     let limit = limits.max_elements as u64;
     let mut nodes = 0;
     if tileset::is_tileset(&root, &bytes, limits) {
-        let content = Content { uri: root.clone(), bytes, reader_data: None, companions: Vec::new() };
+        let companions = read_companions(from, &root, &bytes, None, &options, &mut verified.bytes);
+        verified.fail_each(&companions);
+        let content = Content { uri: root.clone(), bytes, reader_data: None, companions };
         nodes = collect(&decode_node(content, &options)?, &options.below(&root), &mut jobs);
     } else {
         verified.bytes = 0;
@@ -97,6 +99,11 @@ impl Verified {
         record(error, &mut self.failed, &mut self.errors);
     }
 
+    /// Lists the files that a tileset refers to and that cannot be read. The tileset is read without them.
+    fn fail_each(&mut self, files: &[Fetched]) {
+        files.iter().filter_map(|(_, read)| read.as_ref().err()).for_each(|error| self.fail(error));
+    }
+
     /// Reads a content. Returns the number of nodes if it is a part of the tile tree, and 0 otherwise.
     fn read(&mut self, from: &Source, job: Job, jobs: &mut Vec<Job>) -> Result<u64, IoError> {
         let Job { uri, reader_data, options, is_tileset } = job;
@@ -114,10 +121,10 @@ impl Verified {
             return Ok(0);
         }
         let options = ReadOptions { base: location, ..options };
-        let companions = match is_tileset {
-            true => Vec::new(),
-            false => read_companions(from, &uri, &bytes, data, &options, &mut self.bytes),
-        };
+        let companions = read_companions(from, &uri, &bytes, data, &options, &mut self.bytes);
+        if is_tileset {
+            self.fail_each(&companions);
+        }
         let content = Content { bytes, uri: uri.clone(), reader_data, companions };
         if continues {
             return Ok(collect(&decode_node(content, &options)?, &options, jobs));

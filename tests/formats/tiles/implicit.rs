@@ -481,7 +481,33 @@ fn metadata_of_tiles_replaces_volumes_and_errors() {
     let found = Found::of(folder.path());
     let expected =
         [("0_0_0.glb", [5.0, 100.0, 14.0]), ("1_0_0.glb", [10.0, 200.0, 6.0]), ("1_1_1.glb", [15.0, 300.0, 3.0])];
-    assert_eq!(values(&found), expected.map(|(name, values)| (name.to_owned(), values)), "{:?}", found.errors);
+    let expected = expected.map(|(name, values)| (name.to_owned(), values));
+    assert_eq!(values(&found), expected, "{:?}", found.errors);
+    // The schema may be in another file, by the property of 1.1 or of the extension. Without it the tiles stay.
+    let inline = tileset(region, &schema);
+    let own = format!(r#""schema":{schema}"#);
+    std::fs::create_dir(folder.path().join("meta")).unwrap();
+    for reference in [
+        r#""schemaUri":"meta/s.json""#.to_owned(),
+        r#""extensions":{"3DTILES_metadata":{"schemaUri":"meta/s.json"}}"#.to_owned(),
+        format!(r#""schemaUri":"data:application/json,{}""#, schema.replace('"', "%22")),
+    ] {
+        let external = inline.replace(&own, &reference);
+        assert_ne!(external, inline);
+        std::fs::write(folder.path().join("tileset.json"), external).unwrap();
+        for file in [Some(format!("\u{feff}{schema}")), Some("<html>".to_owned()), Some("7".to_owned()), None] {
+            let path = folder.path().join("meta/s.json");
+            let _ = std::fs::remove_file(&path);
+            let is_valid = reference.contains("data:") || file.as_ref().is_some_and(|text| text.contains("classes"));
+            file.iter().for_each(|text| std::fs::write(&path, text).unwrap());
+            let found = Found::of(folder.path());
+            assert_eq!(values(&found) == expected, is_valid, "{reference} {file:?} {:?}", found.errors);
+            assert_eq!(found.contents.len(), 3);
+            let info = inspect(folder.path().to_str().unwrap(), &Limits::default()).unwrap();
+            assert_eq!(info.ignored.contains_key("metadata: a schema that cannot be read"), !is_valid, "{info}");
+        }
+    }
+    std::fs::write(folder.path().join("tileset.json"), &inline).unwrap();
     // Tables that are damaged replace nothing.
     for (was, now) in
         [("\"values\":3", "\"values\":9"), ("\"class\":\"tile\"", "\"class\":\"no\""), (":0,\"prop", ":7,\"prop")]

@@ -242,9 +242,14 @@ fn ignored_members_of_tilesets_are_named() {
     );
     std::fs::write(folder.path().join("tileset.json"), json).unwrap();
     let source = folder.path().to_str().unwrap();
-    let expected = ["asset.gltfUpAxis W", "schemaUri of a tileset", "tileset extension 3DTILES_ellipsoid"];
+    let expected =
+        ["asset.gltfUpAxis W", "metadata: a schema that cannot be read", "tileset extension 3DTILES_ellipsoid"];
     let info = inspect(source, &Limits::default()).unwrap();
     assert_eq!(info.ignored, expected.map(|kind| (kind.to_owned(), 1)).into());
     let verified = verify(source, &Limits::default(), &mut |_| {}).unwrap();
     assert_eq!(verified.ignored, info.ignored);
+    // The schema is missing.
+    for (failed, errors) in [(info.failed, info.errors), (verified.failed, verified.errors)] {
+        assert!(failed == 1 && errors[0].uri.ends_with("/schema.json"), "{errors:?}");
+    }
 }
