@@ -26,7 +26,7 @@ fn main() -> Result<()> {
     };
     // The decode threads build the k-d trees that intersections need.
     let pager = PagerConfig { build_kd_trees: true, ..PagerConfig::default() };
-    let config = ViewerConfig { pager, max_sse_px: 3.0, ..ViewerConfig::default() };
+    let config = ViewerConfig { pager, max_sse_px: 8.0, ..ViewerConfig::default() };
     if args.opens_window() {
         let mut is_marked = false;
         let before_frame = Box::new(move |viewer: &mut Viewer| {

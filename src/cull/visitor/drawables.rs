@@ -24,7 +24,11 @@ impl Traversal<'_> {
             return None;
         }
         let depth = row.x * center[0] + row.y * center[1] + row.z * center[2] + row.w;
-        self.widen_depths(row, depth, half).map(|reach| (depth, reach))
+        match self.widen_depths(row, depth, half) {
+            Some(reach) => Some((depth, reach)),
+            None if self.camera.culls_contents => None,
+            None => Some((depth, 0.0)),
+        }
     }
 
     /// Widens near and far by a box whose centre is at a depth. Returns its extent along the depth axis, or `None` if it
@@ -79,7 +83,7 @@ impl Traversal<'_> {
         self.counters.nodes_visited += lone.nodes;
         self.counters.drawables_tested += 1;
         let row = depth_row(eye_from_page, lone.center, self.views.current().depth_axis);
-        if self.widen_depths(row, row.w, lone.half_m).is_none() {
+        if self.widen_depths(row, row.w, lone.half_m).is_none() && self.camera.culls_contents {
             return;
         }
         let state = match &lone.state {

@@ -37,6 +37,7 @@ pub(crate) fn may_be_tileset(uri: &str) -> bool {
 }
 
 /// Returns false only if the file extension rules out that the file refers to other files.
+#[cfg(feature = "http")]
 pub(crate) fn may_refer_to_files(uri: &str) -> bool {
     !has_extension(uri, &["pnts", "exr", "png", "jpg", "jpeg", "webp", "tif", "ktx2", "terrain", "bin"])
 }

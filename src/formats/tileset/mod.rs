@@ -6,7 +6,9 @@ mod json;
 mod reader;
 mod volume;
 
-pub(super) use detect::{is_tileset, is_tileset_text, may_be_tileset, may_refer_to_files};
+#[cfg(feature = "http")]
+pub(super) use detect::may_refer_to_files;
+pub(super) use detect::{is_tileset, is_tileset_text, may_be_tileset};
 pub(super) use json::{parse, schema_reference};
 pub(super) use reader::read_tiles;
 

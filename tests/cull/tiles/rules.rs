@@ -326,12 +326,17 @@ fn contents_outside_of_the_view_are_selected_with_their_tile() {
     }
     let outside = flat_tile(DVec3::new(-9000.0, 0.0, 0.0), 100.0, 0.0);
     let inside = flat_tile(DVec3::new(10.0, 0.0, 0.0), 100.0, 0.0);
+    // A content behind the eye.
+    let mut behind = flat_tile(DVec3::new(20.0, 0.0, 0.0), 100.0, 0.0);
+    if let NodeKind::PagedLod(tile) = &mut behind.kind {
+        tile.content_transform = DAffine3::from_translation(DVec3::new(0.0, 0.0, 9000.0));
+    }
     let mut scene = Scene::new();
-    scene.add_root(page(Node::group(vec![wide, outside, inside]), 0));
+    scene.add_root(page(Node::group(vec![wide, outside, inside, behind]), 0));
     let stage = settle(&mut scene, &camera);
     assert_eq!(stage.counters.leaves, 1);
     let selecting = CullCamera { culls_contents: false, ..camera };
     let mut stage = RenderStage::new();
     CullVisitor::new().cull(&scene, &selecting, &mut stage);
-    assert_eq!((stage.counters.leaves, stage.requests.len()), (2, 0));
+    assert_eq!((stage.counters.leaves, stage.requests.len()), (3, 0));
 }
