@@ -31,8 +31,9 @@ pub fn companions(uri: &Arc<str>, reader_data: Option<&ReaderData>) -> Vec<Arc<s
 }
 
 /// Returns the files that a content refers to and that are not in `known`: external buffers of a subtree, external buffers
-/// and images of a glTF, the model of an i3dm, and the schema of a tileset. A loader fetches them after the content, adds them to its companions,
-/// and asks again until none is left. References that are not allowed are left out; the decoder reports them. Any thread.
+/// and images of a glTF, the model of an i3dm, and the schema of a tileset. A loader fetches them after the content, adds
+/// them to its companions, and asks again until none is left. References that are not allowed are left out; the decoder
+/// reports them. Any thread.
 pub fn dependencies(
     uri: &str,
     bytes: &[u8],

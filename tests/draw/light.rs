@@ -1,5 +1,5 @@
-//! Light and air: exposure and haze of the default environment, by what a grey card, bare ground and far contrasts are
-//! displayed as; and shading that does not depend on the level of height tiles.
+//! Light and air. A grey card, bare ground and far contrasts are drawn in the default environment, to check its exposure
+//! and haze. The shading of height tiles does not depend on their level.
 
 use glam::{DAffine3, DQuat, DVec3};
 use image::RgbaImage;

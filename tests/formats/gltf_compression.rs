@@ -319,7 +319,7 @@ fn ktx2_images_of_other_sides_than_multiples_of_4_stay_uncompressed() {
     }
 }
 
-/// The CPU combines maps of their own; one map for both reaches the adapter as it is.
+/// The CPU combines separate maps. One map for both reaches the adapter as it is.
 #[test]
 fn maps_that_the_cpu_reads_stay_uncompressed() {
     let image = uastc_mosaic([8, 8], 4, |_| [10, 20, 30, 255]);

@@ -17,19 +17,6 @@ pub(super) enum Component {
     F64,
 }
 
-/// Returns the number of components of a type of numbers, such as 3 for `VEC3`. Returns `None` for other types.
-pub(super) fn component_count(kind: &str) -> Option<usize> {
-    Some(match kind {
-        "SCALAR" => 1,
-        "VEC2" => 2,
-        "VEC3" => 3,
-        "VEC4" | "MAT2" => 4,
-        "MAT3" => 9,
-        "MAT4" => 16,
-        _ => return None,
-    })
-}
-
 impl Component {
     /// Returns the type with a name of 3D Tiles Metadata (`UINT8`) or of a batch table (`UNSIGNED_BYTE`).
     pub fn from_name(name: &str) -> Option<Self> {

@@ -10,6 +10,5 @@ mod table;
 
 pub(super) use batch_table::batch_table;
 pub(super) use number_column::NumberColumn;
-pub(super) use schema::read_schema;
-pub(super) use schema::{ClassProperty, Schema, TableJson};
+pub(super) use schema::{ClassProperty, Schema, TableJson, read_schema};
 pub(super) use table::property_tables;

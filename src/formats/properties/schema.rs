@@ -6,7 +6,6 @@ use std::collections::BTreeMap;
 use serde::Deserialize;
 use serde_json::Value;
 
-use super::component::component_count;
 use crate::fetch::IoError;
 use crate::fetch::markup::refuse_markup;
 use crate::formats::embedded::{self, is_data_uri};
@@ -80,7 +79,15 @@ pub(in crate::formats) struct ClassProperty {
 impl ClassProperty {
     /// Returns the number of components of an element; `None` if the elements are no numbers.
     pub(super) fn components(&self) -> Option<usize> {
-        component_count(self.kind.0.as_deref()?)
+        Some(match self.kind.0.as_deref()? {
+            "SCALAR" => 1,
+            "VEC2" => 2,
+            "VEC3" => 3,
+            "VEC4" | "MAT2" => 4,
+            "MAT3" => 9,
+            "MAT4" => 16,
+            _ => return None,
+        })
     }
 }
 

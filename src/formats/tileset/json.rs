@@ -180,8 +180,8 @@ impl ContentJson {
     }
 }
 
-/// Returns the reference to the file with a tileset's schema; `None` for other JSON, and if the schema is not in a file of
-/// its own.
+/// Returns the reference to the file with a tileset's schema; `None` for other JSON, and if the schema is not in a separate
+/// file.
 pub(in crate::formats) fn schema_reference(text: &[u8]) -> Option<String> {
     #[derive(Deserialize)]
     struct Probe {

@@ -243,14 +243,11 @@ impl Fill<'_> {
             // A tileset is read without its schema; a subtree fails without its buffers.
             done.companions.iter().filter_map(|(_, read)| read.as_ref().err()).for_each(|error| self.fail(error));
         }
-        let result = done.result.and_then(|bytes| match &done.job.tileset {
-            Some(position) => {
-                let read = ReadFile { bytes, location: done.location.clone(), companions: &done.companions };
-                self.add_tileset_in_all_positions(&done.job, &read, position)
-            }
-            None => {
-                let read = ReadFile { bytes, location: done.location.clone(), companions: &done.companions };
-                self.check_content(&done.job, &read)
+        let result = done.result.and_then(|bytes| {
+            let read = ReadFile { bytes, location: done.location.clone(), companions: &done.companions };
+            match &done.job.tileset {
+                Some(position) => self.add_tileset_in_all_positions(&done.job, &read, position),
+                None => self.check_content(&done.job, &read),
             }
         });
         if result.as_ref().is_err_and(IoError::is_no_content) {

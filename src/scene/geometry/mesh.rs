@@ -59,8 +59,8 @@ pub enum Topology {
     /// One index a point, which is drawn as one pixel.
     Points,
     /// Six indices a point: two triangles of four vertices at one position. Texture coordinates are the offsets of the
-    /// vertices from it in pixels, to the right and up. Drawn like points of that size, with the texel at the origin of the drawable's texture.
-    /// A [`Program`](crate::state::Program) must move the vertices itself.
+    /// vertices from it in pixels, to the right and up. They are drawn like points of that size, with the texel at the
+    /// origin of the drawable's texture. A [`Program`](crate::state::Program) must move the vertices itself.
     Squares,
 }
 

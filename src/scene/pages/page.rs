@@ -377,9 +377,9 @@ impl Page {
         self.payload.forget_context(context);
     }
 
-    /// Returns the families of compressed formats that the textures of payloads need; none once the payloads were taken.
+    /// Returns the families of compressed formats that the textures of the page's drawables need.
     pub(crate) fn block_formats(&self) -> BlockFormats {
-        self.drawables().iter().map(Drawable::block_formats).fold(BlockFormats::NONE, BlockFormats::union)
+        self.payload.block_formats()
     }
 
     /// Returns the bytes of CPU memory that the page holds, including payloads that were not taken.

@@ -4,7 +4,7 @@ use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
 use crate::scene::features::DrawableFeatures;
-use crate::scene::geometry::{Drawable, Geometry};
+use crate::scene::geometry::{BlockFormats, Drawable, Geometry};
 use crate::scene::intersect::KdTree;
 use crate::scene::sharing::SharedContent;
 
@@ -31,6 +31,8 @@ pub(crate) struct PagePayload {
     /// Empty once the payloads were taken.
     drawables: Vec<Drawable>,
     drawable_bytes: u64,
+    /// The families of compressed formats that the textures of appended drawables need.
+    block_formats: BlockFormats,
     /// The addresses of shapes and images that are counted in `drawable_bytes` and may be shared by further drawables.
     counted: HashSet<usize>,
     /// The features of drawables that have some, by index. They stay when the payloads are taken.
@@ -49,6 +51,7 @@ impl PagePayload {
     /// Appends a drawable.
     pub(super) fn push(&mut self, drawable: Drawable) {
         self.drawable_bytes += drawable.size_bytes_beside(&mut self.counted);
+        self.block_formats = self.block_formats.union(drawable.block_formats());
         if let Some(features) = &drawable.features {
             self.features.push((self.drawables.len() as u32, features.clone()));
         }
@@ -58,6 +61,11 @@ impl PagePayload {
     /// Returns the drawables that were not taken.
     pub fn drawables(&self) -> &[Drawable] {
         &self.drawables
+    }
+
+    /// Returns the families of compressed formats that the textures of the drawables needed when they were appended.
+    pub fn block_formats(&self) -> BlockFormats {
+        self.block_formats
     }
 
     /// Returns the features of a drawable, whether it was taken or not.

@@ -71,7 +71,8 @@ pub(in crate::viewer) struct DeviceHandle {
     /// Waits for all uploads when results are taken, in the blocking mode.
     finish_compiles: bool,
     adapter_name: String,
-    /// Of the present device; a lost one may be replaced by that of another adapter.
+    /// The families of compressed texture formats that the present device samples. They may change when a lost device is
+    /// replaced.
     block_formats: BlockFormats,
     is_software: bool,
     is_host_device: bool,

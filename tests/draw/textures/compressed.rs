@@ -86,7 +86,7 @@ fn compressed_textures_look_like_uncompressed_ones() {
             }
         }
     }
-    // Another image is told apart.
+    // Another image differs by more.
     let [a, b] = [mosaic([64, 64], 7), mosaic([64, 32], 7)].map(|file| {
         picture(&mut rig, square(&texture(&file, TexelFormat::Rgba8, TargetFormat::Rgba32), 0.5, AlphaMode::Opaque))
     });

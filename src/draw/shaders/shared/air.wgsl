@@ -24,9 +24,9 @@ fn sun_share(height: f32, cosine: f32) -> f32 {
     return smoothstep(-SUN_RADIUS, SUN_RADIUS, cosine - horizon_cosine(height));
 }
 
-// Returns the cosine of the sun from the zenith at a place in the table of the sky's light, from 0 to 1.
-fn sky_light_cosine(place: f32) -> f32 {
-    return mix(-0.3, 1.0, place);
+// Returns the cosine of the sun from the zenith at a position in the table of the sky's light, from 0 to 1.
+fn sky_light_cosine(position: f32) -> f32 {
+    return mix(-0.3, 1.0, position);
 }
 
 // Returns the texture coordinate of a cosine in the table of the sky's light; the inverse of `sky_light_cosine`.

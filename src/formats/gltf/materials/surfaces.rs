@@ -53,7 +53,7 @@ impl<'a> Surfaces<'a> {
 
     /// Decodes the maps of a reflection. A map whose image is missing is left out.
     pub fn reflection(&mut self, of: &Reflection, buffers: &Buffers<'_>) -> Result<DecodedReflection, IoError> {
-        // Occlusion in an image of its own is combined with the other map.
+        // Occlusion in a separate image is combined with the other map.
         let is_combined = match (&of.occlusion, &of.metallic_roughness) {
             (Some(occlusion), Some(other)) => !self.textures.are_equal(occlusion.texture, other.texture)?,
             (occlusion, _) => occlusion.is_some(),

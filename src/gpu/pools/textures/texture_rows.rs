@@ -22,7 +22,7 @@ impl TextureRows {
         self.format.row_bytes(self.width) as u32
     }
 
-    /// Returns the place of the first row in a texture.
+    /// Returns the position of the first row in a texture.
     pub(in crate::gpu) fn destination<'a>(&self, texture: &'a wgpu::Texture) -> wgpu::TexelCopyTextureInfo<'a> {
         wgpu::TexelCopyTextureInfo {
             texture,
