@@ -1,5 +1,6 @@
 //! [`CompileBudget`] and [`CompilePace`]: the part of a frame that uploads may take. Plain values.
 
+use std::ops::RangeInclusive;
 use std::time::Duration;
 
 /// The maximum time and bytes of uploads in a frame.
@@ -22,20 +23,30 @@ impl CompileBudget {
     /// No limit: a call uploads everything that waits.
     pub const UNLIMITED: Self = Self { time: Duration::MAX, bytes: u64::MAX };
 
-    /// Returns the budget for a frame that takes `busy` without its uploads. The time is the share of the remaining frame
-    /// that `pace` allows, at least [`CompilePace::minimum_time_available`] and at most this budget's; the bytes are reduced
-    /// in proportion.
-    pub fn beside(&self, busy: Duration, pace: &CompilePace) -> Self {
-        let left_s = (1.0 / pace.target_frame_rate - busy.as_secs_f64()) * pace.conservative_ratio;
+    /// Returns the budget for the next frame, if the last frames took `busy` (the shortest to the longest) without their
+    /// uploads. The time is the share of the remaining frame that `pace` allows, at least
+    /// [`CompilePace::minimum_time_available`] and at most this budget's; the bytes are reduced in proportion. While all
+    /// frames are longer than those of [`CompilePace::target_frame_rate`], both limits of the time grow in proportion: on a
+    /// slow adapter uploads take the same share of a frame as on a fast one.
+    pub fn beside(&self, busy: &RangeInclusive<Duration>, pace: &CompilePace) -> Self {
+        let frame_s = 1.0 / pace.target_frame_rate;
+        let left_s = (frame_s - busy.end().as_secs_f64()) * pace.conservative_ratio;
         // A rate of 0 leaves infinite time, which no duration holds. NaN leaves none.
-        let left = Duration::try_from_secs_f64(left_s.max(0.0)).unwrap_or(Duration::MAX);
-        let time = left.max(pace.minimum_time_available).min(self.time);
-        if time == self.time {
-            return *self;
+        let left = duration(left_s.max(0.0));
+        let longer = if frame_s > 0.0 { (busy.start().as_secs_f64() / frame_s).max(1.0) } else { 1.0 };
+        let grown = |time: Duration| if longer > 1.0 { duration(time.as_secs_f64() * longer) } else { time };
+        let time = left.max(grown(pace.minimum_time_available)).min(grown(self.time));
+        if time >= self.time {
+            return Self { time, ..*self };
         }
         let share = time.as_secs_f64() / self.time.as_secs_f64();
         Self { time, bytes: (self.bytes as f64 * share) as u64 }
     }
+}
+
+/// Returns the longest duration if `seconds` is too large for one.
+fn duration(seconds: f64) -> Duration {
+    Duration::try_from_secs_f64(seconds).unwrap_or(Duration::MAX)
 }
 
 /// The share of frames that uploads may take. The fields are those of OpenSceneGraph's `IncrementalCompileOperation`, whose
@@ -44,7 +55,8 @@ impl CompileBudget {
 pub struct CompilePace {
     /// The frame rate in Hz that uploads must not endanger; 0 lets them use the whole budget.
     pub target_frame_rate: f64,
-    /// The time that uploads get in each frame however long the frame takes otherwise, within the budget.
+    /// The time that uploads get in each frame however long the frame takes otherwise, within the budget. Frames that are
+    /// longer than the target's give them more, in proportion.
     pub minimum_time_available: Duration,
     /// The share of a frame's free time that uploads may take, 0 to 1. Less than 1, since frames differ in length.
     pub conservative_ratio: f64,
@@ -67,7 +79,7 @@ mod tests {
     fn uploads_get_a_share_of_the_free_time() {
         let budget = CompileBudget { time: 4 * MS, bytes: 4000 };
         let pace = CompilePace { target_frame_rate: 50.0, minimum_time_available: MS, conservative_ratio: 0.5 };
-        let of = |busy_ms: u32| budget.beside(busy_ms * MS, &pace);
+        let of = |busy_ms: u32| budget.beside(&(Duration::ZERO..=busy_ms * MS), &pace);
         assert_eq!([0, 5, 12].map(of), [budget; 3], "half of the time that is free of 20 ms, at most the budget");
         let near = |a: Duration, b: Duration| a.abs_diff(b) < Duration::from_nanos(100);
         assert!(near(of(14).time, 3 * MS) && (2999..=3000).contains(&of(14).bytes), "{:?}", of(14));
@@ -76,21 +88,39 @@ mod tests {
     }
 
     #[test]
+    fn uploads_keep_their_share_of_longer_frames() {
+        let budget = CompileBudget { time: 4 * MS, bytes: 4000 };
+        let pace = CompilePace { target_frame_rate: 50.0, minimum_time_available: MS, conservative_ratio: 0.5 };
+        let of = |shortest_ms: u32| budget.beside(&(shortest_ms * MS..=1000 * MS), &pace);
+        assert_eq!(of(20), CompileBudget { time: MS, bytes: 1000 }, "one long frame is not a slow adapter");
+        assert_eq!(of(60), CompileBudget { time: 3 * MS, bytes: 3000 });
+        assert_eq!(of(200), CompileBudget { time: 10 * MS, bytes: 4000 }, "the limit in bytes does not grow");
+        let generous = CompilePace { minimum_time_available: 100 * MS, ..pace };
+        assert_eq!(budget.beside(&(200 * MS..=200 * MS), &generous), CompileBudget { time: 40 * MS, bytes: 4000 });
+        let none = CompileBudget { time: Duration::ZERO, bytes: 0 };
+        assert_eq!(none.beside(&(200 * MS..=200 * MS), &pace), none);
+        assert_eq!(CompileBudget::UNLIMITED.beside(&(200 * MS..=200 * MS), &generous).time, 1000 * MS);
+    }
+
+    #[test]
     fn invalid_numbers_give_a_valid_budget() {
         let budget = CompileBudget::default();
         let of = |target_frame_rate: f64, conservative_ratio: f64, minimum_ms: u32| {
             let minimum_time_available = minimum_ms * MS;
             let pace = CompilePace { target_frame_rate, minimum_time_available, conservative_ratio };
-            budget.beside(5 * MS, &pace).time
+            budget.beside(&(5 * MS..=5 * MS), &pace).time
         };
         assert_eq!(of(0.0, 0.5, 1), budget.time, "no frame rate to keep");
         for (rate, ratio) in [(-1.0, 0.5), (f64::NAN, 0.5), (60.0, f64::NAN), (60.0, -1.0), (f64::INFINITY, 0.5)] {
             assert_eq!(of(rate, ratio, 1), MS, "{rate} {ratio}");
         }
         assert_eq!(of(60.0, 1e300, 1), budget.time);
-        assert_eq!((of(1000.0, 0.5, 0), of(1000.0, 0.5, 100)), (Duration::ZERO, budget.time));
+        assert_eq!((of(1000.0, 0.5, 0), of(1000.0, 0.5, 100)), (Duration::ZERO, 5 * budget.time));
         let none = CompileBudget { time: Duration::ZERO, bytes: 0 };
-        assert_eq!(none.beside(MS, &CompilePace::default()), none);
-        assert_eq!(CompileBudget::UNLIMITED.beside(Duration::ZERO, &CompilePace::default()).time, MS * 25 / 3);
+        assert_eq!(none.beside(&(MS..=MS), &CompilePace::default()), none);
+        assert_eq!(
+            CompileBudget::UNLIMITED.beside(&(Duration::ZERO..=Duration::ZERO), &CompilePace::default()).time,
+            MS * 25 / 3
+        );
     }
 }

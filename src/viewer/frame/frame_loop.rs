@@ -319,7 +319,7 @@ impl FrameLoop {
         FrameJob {
             frame: self.stamp().frame,
             clock: self.timer.shader_clock(),
-            budget: self.config.compile_budget.beside(busy, &self.config.compile_pace),
+            budget: self.config.compile_budget.beside(&busy, &self.config.compile_pace),
             present: true,
             ..FrameJob::default()
         }

@@ -2,6 +2,7 @@
 //! its answer, up to two frames later.
 
 use std::collections::VecDeque;
+use std::ops::RangeInclusive;
 use std::time::Duration;
 
 use crate::viewer::rendering::ThreadingModel;
@@ -115,8 +116,9 @@ impl StatsHistory {
         self.frames.iter().rev().find(|s| s.drawn)
     }
 
-    /// Returns the longest time for which one of the last frames kept the drawing thread or the adapter busy, without uploads.
-    pub(in crate::viewer) fn busy(&self, model: ThreadingModel) -> Duration {
+    /// Returns the shortest and the longest time for which one of the last frames kept the drawing thread or the adapter busy,
+    /// without uploads. Both are zero before the first frame.
+    pub(in crate::viewer) fn busy(&self, model: ThreadingModel) -> RangeInclusive<Duration> {
         let before_draw = |s: &FrameStats| match model {
             ThreadingModel::SingleThreaded => s.event_ms + s.update_ms + s.cull_ms,
             ThreadingModel::CullDrawThreadPerContext => s.cull_ms,
@@ -124,7 +126,9 @@ impl StatsHistory {
         };
         let drawn = self.frames.iter().rev().filter(|s| s.drawn).take(BUSY_FRAMES);
         let busy_ms = drawn.map(|s| (before_draw(s) + s.draw_ms).max(s.gpu_ms.unwrap_or(0.0)));
-        Duration::try_from_secs_f64(1e-3 * busy_ms.fold(0.0, f64::max)).unwrap_or_default()
+        let duration = |ms: f64| Duration::try_from_secs_f64(1e-3 * ms).unwrap_or_default();
+        let shortest = duration(busy_ms.clone().reduce(f64::min).unwrap_or(0.0));
+        shortest..=duration(busy_ms.fold(0.0, f64::max)).max(shortest)
     }
 
     /// Removes all frames, for example after a warm-up.
@@ -185,7 +189,8 @@ mod tests {
     #[test]
     fn busy_time_is_the_longest_of_the_last_frames() {
         let mut history = StatsHistory::new(100);
-        let ms = |history: &StatsHistory, model| (1e3 * history.busy(model).as_secs_f64()).round();
+        let rounded = |busy: &Duration| (1e3 * busy.as_secs_f64()).round();
+        let ms = |history: &StatsHistory, model| rounded(history.busy(model).end());
         assert_eq!(ms(&history, ThreadingModel::SingleThreaded), 0.0, "no frame yet");
         let frame = |draw_ms: f64, drawn| FrameStats {
             event_ms: 1.0,
@@ -201,6 +206,7 @@ mod tests {
         }
         let models = ThreadingModel::ALL;
         assert_eq!(models.map(|model| ms(&history, model)), [27.0, 24.0, 20.0, 20.0]);
+        assert_eq!(models.map(|model| rounded(history.busy(model).start())), [17.0, 14.0, 10.0, 10.0], "the shortest");
         history.push(FrameStats { gpu_ms: Some(25.0), ..frame(10.0, true) });
         assert_eq!(models.map(|model| ms(&history, model)), [27.0, 25.0, 25.0, 25.0]);
         history.push(frame(f64::NAN, true));
