@@ -223,7 +223,9 @@ fn order_dependent_states_keep_the_order() {
     };
     let small = picture_of(rig, [false; 3]);
     // Blue over green over red over magenta has shares of a quarter, a quarter and five eighths, in sRGB.
-    assert_eq!(pixel(&small, 32, 32), [136, 136, 207]);
+    // Adapters blend 8-bit sRGB with different precision.
+    let color = pixel(&small, 32, 32);
+    assert!(color.iter().zip([136, 136, 207]).all(|(a, b)| a.abs_diff(b) <= 3), "{color:?}");
     for enlarged in [[true, false, true], [false, true, false], [true; 3]] {
         assert!(picture_of(rig, enlarged) == small, "{enlarged:?}");
     }

@@ -7,7 +7,7 @@ use kit::rig::{Rig, camera, new_rig, plain, rig};
 use proptest::strategy::{Strategy, ValueTree};
 use proptest::test_runner::TestRunner;
 use terrane::cull::CullCamera;
-use terrane::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
+use terrane::gpu::{ContextTraits, GraphicsContext};
 use terrane::scene::{AlphaMode, CullingMode, Drawable, Geometry, Material, Mesh, MeshVertex, Node, Scene, Topology};
 use terrane::state::{Attribute, BinDetails, PolygonMode, SortMode, StateSet, Viewport};
 
@@ -110,8 +110,7 @@ fn lines_points_and_wireframes_are_never_culled() {
 fn nothing_is_culled_with_several_samples_per_pixel() {
     let Some(plain_rig) = new_rig([64, 64]) else { return };
     drop(plain_rig);
-    let traits =
-        ContextTraits { size_px: [64, 64], adapter: AdapterChoice::Software, samples: 4, ..ContextTraits::default() };
+    let traits = ContextTraits { size_px: [64, 64], adapter: kit::adapter(), samples: 4, ..ContextTraits::default() };
     let mut ctx = GraphicsContext::new_offscreen(&traits).unwrap();
     let renderer = terrane::draw::Renderer::new(&mut ctx);
     let mut rig = Rig::new(ctx, renderer);

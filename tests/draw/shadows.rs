@@ -496,7 +496,7 @@ fn fly(set: &str, threading: ThreadingModel, shadows: Option<SunShadows>) -> Opt
     let config = ViewerConfig {
         size_px: [320, 180],
         threading,
-        adapter: AdapterChoice::Software,
+        adapter: kit::adapter(),
         max_sse_px: 3.0,
         pager: PagerConfig { blocking: true, ..PagerConfig::default() },
         ..ViewerConfig::default()

@@ -10,7 +10,7 @@ use glam::{DAffine3, DVec3};
 use image::RgbaImage;
 use kit::shapes::with_mips;
 use kit::skip::or_skip;
-use terrane::gpu::{AdapterChoice, CompileBudget, CompileOperation, GraphicsContext};
+use terrane::gpu::{CompileBudget, CompileOperation, GraphicsContext};
 use terrane::pager::PagerConfig;
 use terrane::scene::{DrawSlot, Drawable, Geometry, Material, Mesh, Node, NodeId, Page, Texture};
 use terrane::viewer::{Slave, ThreadingModel, Viewer, ViewerConfig};
@@ -22,7 +22,7 @@ fn config(threading: ThreadingModel, compile_contexts: bool) -> ViewerConfig {
     ViewerConfig {
         size_px: SIZE,
         threading,
-        adapter: AdapterChoice::Software,
+        adapter: kit::adapter(),
         max_sse_px: 4.0,
         pager: PagerConfig::default(),
         compile_contexts,

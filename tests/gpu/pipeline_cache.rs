@@ -8,7 +8,7 @@ use kit::rig::{Rig, plain, unit_camera};
 use kit::shapes::quad;
 use kit::skip::{or_skip, skipped};
 use terrane::draw::Renderer;
-use terrane::gpu::{AdapterChoice, ContextTraits, GpuError, GraphicsContext};
+use terrane::gpu::{ContextTraits, GpuError, GraphicsContext};
 use terrane::scene::Node;
 use terrane::viewer::{Viewer, ViewerConfig};
 
@@ -17,7 +17,7 @@ const SIDE: u32 = 32;
 /// Returns a context with a pipeline cache in a folder, and the state of its cache. Skips the test if that is not
 /// possible.
 fn keeping(test: &str, folder: &Path) -> Option<(GraphicsContext, Result<u64, GpuError>)> {
-    let traits = ContextTraits { size_px: [SIDE, SIDE], adapter: AdapterChoice::Software, ..ContextTraits::default() };
+    let traits = ContextTraits { size_px: [SIDE, SIDE], adapter: kit::adapter(), ..ContextTraits::default() };
     let mut ctx = or_skip(GraphicsContext::new_offscreen(&traits))?;
     match ctx.keep_pipelines(folder) {
         Err(error @ GpuError::NoPipelineCache { .. }) => {
@@ -91,7 +91,7 @@ fn viewer_stores_pipelines_in_the_configured_folder() {
         let kept = folder.path().join(name);
         let config = ViewerConfig {
             size_px: [SIDE, SIDE],
-            adapter: AdapterChoice::Software,
+            adapter: kit::adapter(),
             pipeline_cache: keeps.then(|| kept.clone()),
             ..ViewerConfig::default()
         };

@@ -406,7 +406,7 @@ fn on_demand_drawing_stops_when_nothing_changes() {
 
 #[test]
 fn toggles_change_the_image_and_overlays_cover_it() {
-    let Some(mut viewer) = viewer(AdapterChoice::Software) else { return };
+    let Some(mut viewer) = viewer(kit::adapter()) else { return };
     add_square(&mut viewer);
     let folder = tempfile::tempdir().unwrap();
     handlers::add_usual(viewer.view_mut(), folder.path(), StatsPage::None);

@@ -7,7 +7,7 @@ use image::RgbaImage;
 use kit::rig::plain;
 use kit::skip::or_skip;
 use kit::viewer::Settle;
-use terrane::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
+use terrane::gpu::{ContextTraits, GraphicsContext};
 use terrane::scene::{Environment, Node, Page, Scene, SunShadows, Water};
 use terrane::viewer::{CompositeViewer, ThreadingModel, View, ViewerConfig};
 
@@ -59,17 +59,13 @@ fn flown(seed: u64, threading: ThreadingModel, compile_contexts: bool) -> Option
         max_contexts: 2,
         threading,
         compile_contexts,
-        adapter: AdapterChoice::Software,
+        adapter: kit::adapter(),
         validation: false,
         ..ViewerConfig::default()
     };
     let random = &mut Random::new(seed);
-    let traits = |size_px| ContextTraits {
-        size_px,
-        adapter: AdapterChoice::Software,
-        validation: false,
-        ..ContextTraits::default()
-    };
+    let traits =
+        |size_px| ContextTraits { size_px, adapter: kit::adapter(), validation: false, ..ContextTraits::default() };
     let mut viewer = CompositeViewer::new(&config).unwrap();
     let first = viewer.open_context(or_skip(GraphicsContext::new_offscreen(&traits([128, 64])))?).unwrap();
     let second = match random.percent(50) {

@@ -12,7 +12,7 @@ use kit::rig::{Rig, plain, rig, unit_camera};
 use kit::shapes::quad;
 use kit::skip::or_skip;
 use terrane::draw::{CameraCallbacks, Renderer};
-use terrane::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
+use terrane::gpu::{ContextTraits, GraphicsContext};
 use terrane::scene::{AlphaMode, CameraNode, ClearNode, Node, NodeKind, PictureSink, ReferenceFrame, RenderOrder};
 use terrane::state::{Mode, StateSet, StateValue, TextureObject};
 
@@ -252,8 +252,7 @@ fn callbacks_are_called_before_and_after_each_stage() {
 
 #[test]
 fn contexts_can_have_several_samples() {
-    let traits =
-        ContextTraits { size_px: [64, 64], adapter: AdapterChoice::Software, samples: 4, ..ContextTraits::default() };
+    let traits = ContextTraits { size_px: [64, 64], adapter: kit::adapter(), samples: 4, ..ContextTraits::default() };
     let Some(mut ctx) = or_skip(GraphicsContext::new_offscreen(&traits)) else { return };
     let renderer = Renderer::new(&mut ctx);
     let mut rig = Rig::new(ctx, renderer);

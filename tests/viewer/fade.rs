@@ -17,7 +17,7 @@ fn viewer(threading: ThreadingModel) -> Option<Viewer> {
     let config = ViewerConfig {
         size_px: SIZE,
         threading,
-        adapter: AdapterChoice::Software,
+        adapter: kit::adapter(),
         validation: false,
         ..ViewerConfig::default()
     };

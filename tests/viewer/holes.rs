@@ -25,7 +25,7 @@ fn fly_low(set: &str, blocking: bool) -> Option<(u64, u64)> {
     let config = ViewerConfig {
         size_px: [320, 180],
         threading: ThreadingModel::DrawThreadPerContext,
-        adapter: AdapterChoice::Software,
+        adapter: kit::adapter(),
         max_sse_px: 3.0,
         pager: PagerConfig { blocking, ..PagerConfig::default() },
         ..ViewerConfig::default()

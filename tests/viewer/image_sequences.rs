@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use glam::DVec3;
 use kit::viewer::offscreen;
 
-use terrane::gpu::{AdapterChoice, GraphicsContext};
+use terrane::gpu::GraphicsContext;
 use terrane::pager::{
     ImagePager, ImagePagerConfig, ImageSequence, LoopingMode, SequenceImage, SequenceMode, StreamStatus,
 };
@@ -45,7 +45,7 @@ impl Theatre {
         let count = sequences.len() as u32;
         let config = ViewerConfig {
             size_px: [SIDE_PX * count, SIDE_PX],
-            adapter: AdapterChoice::Software,
+            adapter: kit::adapter(),
             threading,
             ..ViewerConfig::default()
         };
@@ -470,7 +470,7 @@ fn context_opened_later_shows_the_same() {
     let sequence = playing(write_images(folder.path(), 4, 8), LoopingMode::Looping, 4.0);
     let config = ViewerConfig {
         size_px: [SIDE_PX, SIDE_PX],
-        adapter: AdapterChoice::Software,
+        adapter: kit::adapter(),
         max_contexts: 2,
         ..ViewerConfig::default()
     };

@@ -271,7 +271,7 @@ fn frames_are_drawn_until_occlusion_queries_have_shown_visible_nodes() {
         ThreadingModel::ALL.map(|t| (t, false)).into_iter().chain([(ThreadingModel::ALL[0], true)])
     {
         let pager = PagerConfig { blocking, ..PagerConfig::default() };
-        let config = ViewerConfig { threading, pager, ..config(AdapterChoice::Software) };
+        let config = ViewerConfig { threading, pager, ..config(kit::adapter()) };
         let Some(mut viewer) = or_skip(Viewer::new_offscreen(&config)) else { return };
         let query = OcclusionQueryNode::default();
         let results = query.results.clone();

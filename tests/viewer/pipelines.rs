@@ -18,7 +18,7 @@ fn viewer(threading: ThreadingModel, blocking: bool) -> Option<Viewer> {
     let config = ViewerConfig {
         size_px: [64, 64],
         threading,
-        adapter: AdapterChoice::Software,
+        adapter: kit::adapter(),
         validation: false,
         pager: PagerConfig { blocking, vertex_attributes: ["_HEAT".into()].into(), ..PagerConfig::default() },
         ..ViewerConfig::default()

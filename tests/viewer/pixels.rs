@@ -21,7 +21,7 @@ fn config(threading: ThreadingModel) -> ViewerConfig {
     ViewerConfig {
         size_px: [320, 180],
         threading,
-        adapter: AdapterChoice::Software,
+        adapter: kit::adapter(),
         max_sse_px: 3.0,
         pager: PagerConfig { blocking: true, ..PagerConfig::default() },
         ..ViewerConfig::default()

@@ -52,7 +52,7 @@ fn frames(viewer: &mut Viewer, count: u32) {
 fn square_is_drawn_moved_and_removed() {
     let mut pictures = Vec::new();
     for threading in ThreadingModel::ALL {
-        let Some(mut viewer) = viewer(threading, AdapterChoice::Software) else { return };
+        let Some(mut viewer) = viewer(threading, kit::adapter()) else { return };
         let square = Node::transform(DAffine3::IDENTITY, vec![Node::geode(vec![square()])]);
         let root = viewer.add_root(Page::from_node(square).unwrap()).unwrap();
         viewer.view_mut().environment.sky = Sky::Background(KEY_COLOR);
@@ -91,7 +91,7 @@ fn square_is_drawn_moved_and_removed() {
 
 #[test]
 fn near_plane_follows_the_nearest_geometry() {
-    let Some(mut viewer) = viewer(ThreadingModel::SingleThreaded, AdapterChoice::Software) else { return };
+    let Some(mut viewer) = viewer(ThreadingModel::SingleThreaded, kit::adapter()) else { return };
     viewer.add_root(Page::from_node(Node::geode(vec![square()])).unwrap()).unwrap();
     viewer.view_mut().environment.sky = Sky::Background(KEY_COLOR);
     viewer.view_mut().environment.fog.enabled = false;
@@ -126,12 +126,8 @@ fn frames_run_without_a_gpu_and_stats_are_kept() {
 #[test]
 fn removed_page_is_drawn_when_added_again() {
     for keep_drawables in [true, false] {
-        let config = ViewerConfig {
-            size_px: [160, 90],
-            adapter: AdapterChoice::Software,
-            keep_drawables,
-            ..ViewerConfig::default()
-        };
+        let config =
+            ViewerConfig { size_px: [160, 90], adapter: kit::adapter(), keep_drawables, ..ViewerConfig::default() };
         let Some(mut viewer) = offscreen(&config) else { return };
         let page = Page::from_node(Node::geode(vec![square(), square()])).unwrap();
         let size_bytes = page.size_bytes();

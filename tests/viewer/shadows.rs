@@ -137,7 +137,7 @@ fn viewer(size_px: [u32; 2], threading: ThreadingModel) -> Viewer {
     let config = ViewerConfig {
         size_px,
         threading,
-        adapter: AdapterChoice::Software,
+        adapter: kit::adapter(),
         validation: false,
         pager: PagerConfig { blocking: true, ..PagerConfig::default() },
         ..ViewerConfig::default()

@@ -11,7 +11,7 @@ use kit::viewer::offscreen;
 
 use terrane::fetch::HttpConfig;
 use terrane::formats::writers::{GlbMesh, write_glb};
-use terrane::gpu::{AdapterChoice, CompileBudget};
+use terrane::gpu::CompileBudget;
 use terrane::pager::{PagerConfig, RequestState};
 use terrane::viewer::handlers::{PagerDebugHandler, StatsHandler, StatsPage, TileState};
 use terrane::viewer::{Key, Viewer, ViewerConfig};
@@ -36,7 +36,7 @@ fn set() -> String {
 fn viewer(url: &str, pager: PagerConfig) -> Option<Viewer> {
     let config = ViewerConfig {
         size_px: [800, 600],
-        adapter: AdapterChoice::Software,
+        adapter: kit::adapter(),
         // Uploads still progress by one slice per frame.
         compile_budget: CompileBudget { time: Duration::ZERO, bytes: 0 },
         pager,

@@ -51,7 +51,7 @@ fn flight_is_recorded_completely() {
         let config = ViewerConfig {
             size_px: [160, 90],
             threading,
-            adapter: AdapterChoice::Software,
+            adapter: kit::adapter(),
             max_sse_px: 3.0,
             max_contexts: 2,
             ..ViewerConfig::default()

@@ -57,7 +57,7 @@ fn state(frame: u32) -> Arc<StateSet> {
 }
 
 fn viewer(threading: ThreadingModel) -> Option<Viewer> {
-    let adapter = AdapterChoice::Software;
+    let adapter = kit::adapter();
     let config = ViewerConfig { size_px: [160, 120], threading, adapter, validation: true, ..ViewerConfig::default() };
     offscreen(&config)
 }

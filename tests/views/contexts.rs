@@ -11,7 +11,7 @@ use kit::skip::or_skip;
 use kit::tile_sets::small_set;
 use kit::viewer::Settle;
 
-use terrane::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
+use terrane::gpu::{ContextTraits, GraphicsContext};
 use terrane::pager::PagerConfig;
 use terrane::scene::{Inherit, Mesh, Node, NodeId, Page, ShareModes, Sky};
 use terrane::state::{Attribute, DataVariance, Program, StateSet};
@@ -23,7 +23,7 @@ fn config(threading: ThreadingModel, size_px: [u32; 2], blocking: bool) -> Viewe
     ViewerConfig {
         size_px,
         threading,
-        adapter: AdapterChoice::Software,
+        adapter: kit::adapter(),
         max_sse_px: 6.0,
         pager: PagerConfig { blocking, ..PagerConfig::default() },
         max_contexts: 4,

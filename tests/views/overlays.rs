@@ -8,14 +8,14 @@ use image::RgbaImage;
 use kit::skip::or_skip;
 use kit::viewer::{Settle, offscreen};
 
-use terrane::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
+use terrane::gpu::{ContextTraits, GraphicsContext};
 use terrane::viewer::handlers::{StatsHandler, StatsPage};
 use terrane::viewer::{CompositeViewer, ContextId, ThreadingModel, ViewArea, Viewer, ViewerConfig};
 
 const BACKGROUND: [u8; 3] = [200, 40, 40];
 
 fn config(threading: ThreadingModel, size_px: [u32; 2]) -> ViewerConfig {
-    ViewerConfig { size_px, threading, adapter: AdapterChoice::Software, max_contexts: 3, ..ViewerConfig::default() }
+    ViewerConfig { size_px, threading, adapter: kit::adapter(), max_contexts: 3, ..ViewerConfig::default() }
 }
 
 fn stats() -> StatsHandler {

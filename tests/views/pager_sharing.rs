@@ -432,7 +432,7 @@ fn images_are_the_same_with_and_without_sharing() {
         let config = ViewerConfig {
             size_px: [160, 120],
             threading: ThreadingModel::SingleThreaded,
-            adapter: AdapterChoice::Software,
+            adapter: kit::adapter(),
             max_sse_px: 2.0,
             pager: PagerConfig { blocking: true, sharing, max_tiles: 40, expiry_frames: 2, ..PagerConfig::default() },
             ..ViewerConfig::default()

@@ -18,7 +18,7 @@ fn viewer() -> Option<Viewer> {
     let config = ViewerConfig {
         size_px: SIZE_PX,
         threading: ThreadingModel::SingleThreaded,
-        adapter: AdapterChoice::Software,
+        adapter: kit::adapter(),
         max_sse_px: 1.0,
         pager: PagerConfig { blocking: true, build_kd_trees: true, ..PagerConfig::default() },
         ..ViewerConfig::default()

@@ -7,7 +7,7 @@ use terrane::state::DataVariance;
 use glam::{DMat4, DVec3};
 use image::RgbaImage;
 
-use terrane::gpu::{AdapterChoice, ContextTraits, GpuError, GraphicsContext};
+use terrane::gpu::{ContextTraits, GpuError, GraphicsContext};
 use terrane::pager::PagerConfig;
 use terrane::scene::{Mesh, Node, NodeId, Page, Sky};
 use terrane::viewer::{CompositeViewer, ContextId, Slave, ThreadingModel, Viewer, ViewerConfig, ViewerError};
@@ -23,7 +23,7 @@ fn config(threading: ThreadingModel) -> ViewerConfig {
     ViewerConfig {
         size_px: SIZE,
         threading,
-        adapter: AdapterChoice::Software,
+        adapter: kit::adapter(),
         max_sse_px: 6.0,
         pager: PagerConfig::default(),
         max_contexts: 4,

@@ -9,14 +9,14 @@ use kit::skip::or_skip;
 use kit::viewer::Settle;
 use terrane::cull::{Stereo, StereoMode};
 
-use terrane::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
+use terrane::gpu::{ContextTraits, GraphicsContext};
 use terrane::scene::{Drawable, Geometry, Material, Mesh, Node, Page, Sky};
 use terrane::viewer::{ContextId, Eyes, Slave, ThreadingModel, ViewArea, Viewer, ViewerConfig};
 
 const SIZE: [u32; 2] = [96, 64];
 
 fn traits(size_px: [u32; 2]) -> ContextTraits {
-    ContextTraits { size_px, adapter: AdapterChoice::Software, validation: true, ..ContextTraits::default() }
+    ContextTraits { size_px, adapter: kit::adapter(), validation: true, ..ContextTraits::default() }
 }
 
 /// Opens a viewer with balls near and far in front of the eye. `None`, and the test skipped, without an adapter.

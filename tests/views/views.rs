@@ -25,7 +25,7 @@ fn setup(folder: &Path, text: &str) -> ViewsSetup {
 }
 
 fn arranged(setup: &ViewsSetup) -> Option<ArrangedViews> {
-    let mut config = ViewerConfig { size_px: [200, 100], adapter: AdapterChoice::Software, ..ViewerConfig::default() };
+    let mut config = ViewerConfig { size_px: [200, 100], adapter: kit::adapter(), ..ViewerConfig::default() };
     config.pager.blocking = true;
     let roots = setup.read_roots(&config.pager).unwrap();
     or_skip(ArrangedViews::new_offscreen(setup, &config, roots, None))

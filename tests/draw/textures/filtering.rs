@@ -9,7 +9,7 @@ use kit::rig::{Rig, camera, plain};
 use kit::shapes::with_mips;
 use kit::skip::or_skip;
 use terrane::draw::Renderer;
-use terrane::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
+use terrane::gpu::{ContextTraits, GraphicsContext};
 use terrane::math::Aabb;
 use terrane::scene::{Drawable, Geometry, HeightTile, Material, Mesh, Node, Texture};
 
@@ -60,7 +60,7 @@ fn contrast(picture: &RgbaImage) -> u8 {
 fn images_keep_detail_at_flat_angles() {
     let traits = ContextTraits {
         size_px: [SIDE, SIDE],
-        adapter: AdapterChoice::Software,
+        adapter: kit::adapter(),
         max_anisotropy: Some(16),
         ..ContextTraits::default()
     };

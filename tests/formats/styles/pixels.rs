@@ -104,7 +104,7 @@ fn another_pager_changes_the_style_of_a_scene() {
     };
     let config = ViewerConfig {
         size_px: [SIDE, SIDE],
-        adapter: AdapterChoice::Software,
+        adapter: kit::adapter(),
         pager: pager("color('red')"),
         ..ViewerConfig::default()
     };

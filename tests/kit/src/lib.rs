@@ -11,6 +11,8 @@ pub mod pager;
 pub mod server;
 pub mod subtrees;
 
+use terrane::gpu::AdapterChoice;
+
 mod drawing;
 mod host;
 mod scenes;
@@ -18,6 +20,15 @@ mod scenes;
 pub use drawing::{cameras, frames, rig, viewer};
 pub use host::{display, process, skip};
 pub use scenes::{cull_scenes, shadows, shapes, terrain, tile_sets};
+
+/// Returns the adapter that tests draw with: the software driver, or any adapter with `TEST_ADAPTER=any`.
+pub fn adapter() -> AdapterChoice {
+    if std::env::var_os("TEST_ADAPTER").is_some_and(|v| v == "any") {
+        AdapterChoice::Any
+    } else {
+        AdapterChoice::Software
+    }
+}
 
 /// Returns true with `TERRANE_LONG_TESTS=1`: tests of random inputs run all of them instead of a sample.
 pub fn long_tests() -> bool {

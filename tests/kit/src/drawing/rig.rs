@@ -1,4 +1,4 @@
-//! The GPU rig: a context on the software adapter with its renderer and a cull visitor, and cameras for it.
+//! The GPU rig: a context on [`crate::adapter`] with its renderer and a cull visitor, and cameras for it.
 
 use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
 
@@ -6,7 +6,7 @@ use glam::{DAffine3, DVec3};
 use image::RgbaImage;
 use terrane::cull::{CullCamera, CullVisitor, RenderStage};
 use terrane::draw::{DrawStats, Renderer};
-use terrane::gpu::{AdapterChoice, CompileBudget, CompileOperation, Compiled, ContextTraits, GraphicsContext};
+use terrane::gpu::{CompileBudget, CompileOperation, Compiled, ContextTraits, GraphicsContext};
 use terrane::scene::{DistanceFog, Drawable, Environment, Node, Page, Scene, Sky};
 
 use crate::frames::MAGENTA;
@@ -101,10 +101,9 @@ pub fn rig(test: &str) -> Option<MutexGuard<'static, Rig>> {
     }
 }
 
-/// Creates a rig on the software adapter; returns `None`, and skips the test, if there is none.
+/// Creates a rig on [`crate::adapter`]; returns `None`, and skips the test, if there is none.
 pub fn new_rig(size_px: [u32; 2]) -> Option<Rig> {
-    let traits =
-        ContextTraits { size_px, adapter: AdapterChoice::Software, validation: false, ..ContextTraits::default() };
+    let traits = ContextTraits { size_px, adapter: crate::adapter(), validation: false, ..ContextTraits::default() };
     let mut ctx = or_skip(GraphicsContext::new_offscreen(&traits))?;
     let renderer = Renderer::new(&mut ctx);
     Some(Rig::new(ctx, renderer))
