@@ -10,7 +10,6 @@ use kit::shadows::{check, cuboid, ground, meets, ray, solid, srgb, sunny, tower}
 use kit::terrain::Terrain;
 use terrane::cull::{CullCamera, RenderStage};
 use terrane::draw::CameraView;
-use terrane::gpu::AdapterChoice;
 use terrane::math::{Aabb, Geodetic, WGS84};
 use terrane::pager::PagerConfig;
 use terrane::scene::{
