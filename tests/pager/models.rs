@@ -177,7 +177,7 @@ fn missing_model_is_one_error() {
 /// Regression: each content requested the images that all of them share.
 #[test]
 fn shared_images_are_requested_once() {
-    const TILES: usize = 40;
+    const TILES: usize = 100;
     let server = Server::start(move |request| match request.path() {
         "/set/tileset.json" => {
             let tile = |i: usize| {
@@ -193,11 +193,14 @@ fn shared_images_are_requested_once() {
         }
         "/set/tree.bin" => Reply::ok(floats(&[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, -1.0])),
         "/set/bark.png" => Reply::ok(bark()),
+        "/set/moss.png" => Reply::ok(bark()),
+        path if path.ends_with("5.gltf") => Reply::ok(MODEL.replace("bark.png", "moss.png")),
         path if path.ends_with(".gltf") => Reply::ok(MODEL),
         _ => Reply::new(404, ""),
     });
     let mut run = Run::new(&format!("{}/set/tileset.json", server.url), PagerConfig::default());
     run.settle(above(30.0));
     assert!(run.pager.errors().is_empty(), "{:?}", run.pager.errors());
-    assert_eq!((run.stage.leaf_count(), server.count()), (TILES, 1 + TILES + 2));
+    let files = ["tree.bin", "bark.png", "moss.png"].len();
+    assert_eq!((run.stage.leaf_count(), server.count()), (TILES, 1 + TILES + files));
 }

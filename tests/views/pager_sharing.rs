@@ -302,6 +302,51 @@ fn each_content_is_uploaded_and_counted_once_per_context() {
     assert_eq!(run.contexts[1].gpu.bytes_in_use(), shared_bytes);
 }
 
+/// The tiles have a mesh each, beside images in files of their own that half of them share.
+#[test]
+fn hundred_tiles_with_two_images_hold_one_copy_of_each() {
+    const SIDE_PX: u32 = 256;
+    let bytes_of = |tiles: usize| {
+        let folder = tempfile::tempdir().unwrap();
+        let write = |name: String, bytes: &[u8]| std::fs::write(folder.path().join(name), bytes).unwrap();
+        for image in 0..2u8 {
+            let texels = image::RgbImage::from_fn(SIDE_PX, SIDE_PX, |x, y| image::Rgb([x as u8, y as u8, image]));
+            texels.save(folder.path().join(format!("{image}.png"))).unwrap();
+        }
+        for tile in 0..tiles {
+            let corners = [[0.0, 0.0], [1.0 + tile as f32, 0.0], [0.0, 1.0]];
+            let positions = corners.iter().flat_map(|[x, y]| [*x, *y, 0.0]);
+            let mesh: Vec<u8> = positions.chain(corners.into_iter().flatten()).flat_map(f32::to_le_bytes).collect();
+            write(format!("{tile}.bin"), &mesh);
+            let gltf = format!(
+                r#"{{"asset":{{"version":"2.0"}},"scenes":[{{"nodes":[0]}}],"nodes":[{{"mesh":0}}],
+                "meshes":[{{"primitives":[{{"attributes":{{"POSITION":0,"TEXCOORD_0":1}},"material":0}}]}}],
+                "materials":[{{"pbrMetallicRoughness":{{"metallicFactor":0,"baseColorTexture":{{"index":0}}}}}}],
+                "textures":[{{"source":0}}],"images":[{{"uri":"{}.png"}}],
+                "accessors":[{{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3","min":[0,0,0],"max":[200,1,0]}},
+                {{"bufferView":1,"componentType":5126,"count":3,"type":"VEC2"}}],
+                "bufferViews":[{{"buffer":0,"byteLength":36}},{{"buffer":0,"byteOffset":36,"byteLength":24}}],
+                "buffers":[{{"byteLength":60,"uri":"{tile}.bin"}}]}}"#,
+                tile % 2
+            );
+            write(format!("{tile}.gltf"), gltf.as_bytes());
+        }
+        let bounds = r#""geometricError":9,"boundingVolume":{"sphere":[0,0,0,300]}"#;
+        let children: Vec<_> = (0..tiles).map(|i| format!(r#"{{{bounds},"content":{{"uri":"{i}.gltf"}}}}"#)).collect();
+        let root = format!(r#"{{{bounds},"refine":"ADD","children":[{}]}}"#, children.join(","));
+        let tileset = format!(r#"{{"asset":{{"version":"1.1"}},"geometricError":9,"root":{root}}}"#);
+        write("tileset.json".to_owned(), tileset.as_bytes());
+        let mut run = Run::new(folder.path(), PagerConfig::default(), 1);
+        let stats = run.settle(DVec3::new(0.0, 0.0, 300.0));
+        assert_eq!((stats.resident, stats.sharing.texture_hits), (tiles as u64, tiles as u64 - 2), "{stats:?}");
+        stats.gpu_bytes
+    };
+    let (two, hundred) = (bytes_of(2), bytes_of(100));
+    let images = 2 * (0..=SIDE_PX.ilog2()).map(|level| u64::from(SIDE_PX >> level).pow(2) * 4).sum::<u64>();
+    assert!(two >= images, "{two} bytes for images of {images}");
+    assert!(hundred * 10 <= 11 * images, "{hundred} bytes for images of {images}");
+}
+
 #[test]
 fn budgets_hold_and_shared_slots_live_as_long_as_their_last_page() {
     let folder = tempfile::tempdir().unwrap();
