@@ -125,12 +125,22 @@ impl Driven {
 
     /// Waits for a frame that stays the same for half a second.
     pub fn at_rest(&mut self, name: &str) -> RgbImage {
+        self.same_for(5, name)
+    }
+
+    /// Waits for a frame that stays the same for three seconds: on a busy machine tiles arrive with longer pauses than half
+    /// a second.
+    pub fn settled(&mut self, name: &str) -> RgbImage {
+        self.same_for(30, name)
+    }
+
+    fn same_for(&mut self, polls: u32, name: &str) -> RgbImage {
         let (mut before, mut same) = (None, 0);
         self.until(name, |picture| {
             let is_same = before.as_ref().is_some_and(|b| differing(b, picture) < 1e-4);
             same = if is_same { same + 1 } else { 0 };
             before = Some(picture.clone());
-            same >= 5
+            same >= polls
         })
     }
 

@@ -151,7 +151,7 @@ fn button_lost_with_the_focus_leaves_its_view() {
     let mut w = Driven::start(&display, &args, folder.path());
     let (left, right) = ([0, 0, 200, 200], [200, 0, 200, 200]);
     w.until("halves: first", |picture| [left, right].iter().all(|of| colours(&part(picture, *of)) > 100));
-    let before = w.at_rest("halves: at rest");
+    let before = w.settled("halves: at rest");
     // The window loses the focus while the button is pressed over the left half, and gets it back after the release.
     w.send(MOTION, 0, 110, 140);
     w.send(BUTTON_PRESS, 1, 0, 0);
@@ -190,7 +190,7 @@ fn key_release_goes_to_the_view_that_got_the_press() {
         w.send(MOTION, 0, x, 140);
         w.letter('2');
     }
-    let before = w.at_rest("keys: at rest");
+    let before = w.settled("keys: at rest");
     let up = w.key_code(UP);
     w.send(KEY_PRESS, up, 0, 0);
     w.until("keys: flies", |picture| differing(&part(&before, left), &part(picture, left)) > 0.02);
