@@ -31,7 +31,7 @@ fn leaves_hidden_by_occluders_are_not_visible() {
     let Some(mut rig) = new_rig([256, 256]) else { return };
     let rig = &mut rig;
     let (mut differences, mut hidden) = (Differences::default(), 0);
-    for seed in seeds(6000, 4, 6) {
+    for seed in seeds(6000, 2) {
         let mut maker = Maker::new(seed, true);
         let scene = maker.scene();
         let mut camera = camera([SIDE, SIDE], eye(&mut maker.random), DVec3::ZERO, DVec3::Z);
@@ -64,7 +64,7 @@ fn leaves_hidden_by_queries_are_not_visible() {
     let Some(mut rig) = new_rig([256, 256]) else { return };
     let rig = &mut rig;
     let (mut differences, mut hidden) = (Differences::default(), 0);
-    for seed in seeds(7000, 4, 6) {
+    for seed in seeds(7000, 2) {
         let mut maker = Maker::new(seed, true);
         let node = maker.scene();
         let camera = camera([SIDE, SIDE], eye(&mut maker.random), DVec3::ZERO, DVec3::Z);

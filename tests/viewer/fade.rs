@@ -7,7 +7,6 @@ use glam::DVec3;
 use image::RgbaImage;
 use kit::viewer::offscreen;
 
-use terrane::gpu::AdapterChoice;
 use terrane::scene::{Drawable, Geometry, Material, Mesh, Node, NodeKind, Page, Sky};
 use terrane::viewer::{Slave, ThreadingModel, ViewArea, Viewer, ViewerConfig};
 

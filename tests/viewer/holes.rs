@@ -6,7 +6,6 @@ use terrane::scene::Sky;
 
 use kit::viewer::offscreen;
 
-use terrane::gpu::AdapterChoice;
 use terrane::pager::PagerConfig;
 use terrane::viewer::{HoleCheck, KEY_COLOR, ThreadingModel, ViewerConfig};
 

@@ -7,7 +7,6 @@ use glam::{DAffine3, DVec3};
 use kit::viewer::offscreen;
 
 use terrane::formats::writers::{GlbMesh, write_glb};
-use terrane::gpu::AdapterChoice;
 use terrane::math::{BoundingSphere, BoundingVolume};
 use terrane::pager::PagerConfig;
 use terrane::scene::{Node, NodeKind, Page, PagedLod, PagingOptions, RangeMode, Refine, SunShadows};

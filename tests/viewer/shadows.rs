@@ -11,7 +11,6 @@ use kit::shadows::{check, cuboid, ground, meets, ray, sunny, tower};
 use kit::skip::skipped;
 use terrane::cull::{CullCamera, Stereo, StereoMode};
 
-use terrane::gpu::AdapterChoice;
 use terrane::math::Aabb;
 use terrane::pager::PagerConfig;
 use terrane::scene::{Attachment, CameraTarget, Environment, Node, NodeKind, Page, SunShadows};

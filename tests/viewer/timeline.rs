@@ -7,7 +7,6 @@ use kit::process::runs_alone;
 use kit::skip::or_skip;
 use kit::viewer::Settle;
 use serde_json::Value;
-use terrane::gpu::AdapterChoice;
 use terrane::trace::{Recording, TraceError, span};
 use terrane::viewer::{Slave, ThreadingModel, Viewer, ViewerConfig};
 

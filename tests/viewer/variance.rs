@@ -8,7 +8,6 @@ use glam::{DAffine3, DVec3};
 use image::RgbaImage;
 use kit::viewer::offscreen;
 use terrane::draw::{CameraCallbacks, RenderInfo};
-use terrane::gpu::AdapterChoice;
 use terrane::math::Aabb;
 use terrane::scene::{
     CameraNode, ComputeNearFar, Drawable, Geometry, Material, Mesh, MeshVertex, Node, NodeId, Page, PageId,

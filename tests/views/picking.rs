@@ -7,7 +7,6 @@ use glam::{DAffine3, DVec3};
 use image::RgbaImage;
 use kit::viewer::{Settle, offscreen};
 
-use terrane::gpu::AdapterChoice;
 use terrane::pager::PagerConfig;
 use terrane::scene::{Drawable, Geometry, IntersectionLimit, Material, Mesh, Node, Page, Sky};
 use terrane::viewer::{KEY_COLOR, ThreadingModel, ViewFrom, Viewer, ViewerConfig};

@@ -11,7 +11,6 @@ use kit::shapes::ball;
 use kit::tile_sets::small_set;
 use kit::viewer::{Settle, offscreen};
 use terrane::cull::CullCamera;
-use terrane::gpu::AdapterChoice;
 use terrane::pager::PagerConfig;
 use terrane::scene::{
     CameraEnvironment, CameraNode, CameraShadows, CameraTarget, IntersectionLimit, Node, Page, PictureSink,

@@ -9,7 +9,6 @@ use kit::viewer::{Settle, offscreen};
 use serde_json::{Value, json};
 use terrane::fetch::{Limits, root_uri};
 use terrane::formats::{ReadOptions, Style, UpAxis};
-use terrane::gpu::AdapterChoice;
 use terrane::pager::{DatabasePager, PagerConfig};
 use terrane::scene::Node;
 use terrane::state::{Attribute, LightModel, StateSet};
