@@ -53,6 +53,16 @@ pub(in crate::draw) struct ViewFrame {
     pub(in crate::draw) has_shadows: bool,
 }
 
+/// The uniform of a group of local lights in a view.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::draw) struct LocalLightsFrame {
+    pub(in crate::draw) view: u32,
+    /// The group, numbered as in [`RenderStage::lights_of_state`].
+    pub(in crate::draw) group: u32,
+    /// Byte offset of the stage uniform with the lights.
+    pub(in crate::draw) positioned: u32,
+}
+
 /// A stage whose views are prepared: the input of the passes inside its render pass.
 #[derive(Clone, Copy)]
 pub(in crate::draw) struct LitStage<'a> {
@@ -60,6 +70,7 @@ pub(in crate::draw) struct LitStage<'a> {
     pub(in crate::draw) around: &'a Surroundings,
     /// The stage's own view first, then those inside it.
     pub(in crate::draw) views: &'a [ViewFrame],
+    pub(in crate::draw) local_lights: &'a [LocalLightsFrame],
     /// The bound state without any state set, and its index.
     pub(in crate::draw) base: BoundState,
     pub(in crate::draw) base_index: u32,
@@ -69,6 +80,16 @@ impl LitStage<'_> {
     /// Returns a view by number; the stage's own if there is none.
     pub(in crate::draw) fn view(&self, view: u32) -> &ViewFrame {
         self.views.get(view as usize).unwrap_or(&self.views[0])
+    }
+
+    /// Returns the byte offset of the stage uniform for leaves of a view under a group of local lights, 0 without any.
+    pub(in crate::draw) fn positioned(&self, view: u32, group: u32) -> u32 {
+        let own = self.view(view).positioned;
+        if group == 0 {
+            return own;
+        }
+        let found = self.local_lights.iter().find(|lights| (lights.view, lights.group) == (view, group));
+        found.map_or(own, |lights| lights.positioned)
     }
 
     /// Returns true if the stage has a sky and water: it is whole, and not only a composition of two eyes.

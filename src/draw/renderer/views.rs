@@ -5,7 +5,7 @@ use glam::DAffine3;
 use crate::cull::{CullCamera, RenderStage};
 use crate::draw::passes::Passes;
 use crate::draw::passes::shadows::casters::{LayerAllocator, ShadowedView};
-use crate::draw::passes::stage_input::{LitView, StageInput, Surroundings, ViewFrame};
+use crate::draw::passes::stage_input::{LitView, LocalLightsFrame, StageInput, Surroundings, ViewFrame};
 use crate::draw::pipelines::key::AirKind;
 use crate::draw::resources::Resources;
 use crate::draw::uniforms::frame::{FrameUniform, clear_color};
@@ -18,12 +18,40 @@ use crate::scene::CameraEnvironment;
 pub(super) struct StageViews {
     lit: Vec<LitView>,
     frames: Vec<ViewFrame>,
+    local_lights: Vec<LocalLightsFrame>,
 }
 
 impl StageViews {
     /// Returns what the views' leaves are drawn with. There is at least one view once a stage was prepared.
     pub(super) fn frames(&self) -> &[ViewFrame] {
         &self.frames
+    }
+
+    /// Returns the uniforms of the groups of local lights, one for each view that a group is seen in.
+    pub(super) fn local_lights(&self) -> &[LocalLightsFrame] {
+        &self.local_lights
+    }
+
+    /// Prepares the uniforms of the groups of local lights. Only stages with such lights need any.
+    fn prepare_local_lights(&mut self, resources: &mut Resources, stage: &RenderStage) {
+        let Self { lit, local_lights, .. } = self;
+        local_lights.clear();
+        if stage.light_groups.is_empty() {
+            return;
+        }
+        for (view, group) in stage.view_of_state.iter().zip(&stage.lights_of_state) {
+            let lights = (*group as usize).checked_sub(1).and_then(|index| stage.light_groups.get(index));
+            let Some(lights) = lights.and_then(|range| stage.local_lights.get(range.clone())) else { continue };
+            // States of one group are mostly neighbours.
+            if local_lights.iter().rev().any(|known| (known.view, known.group) == (*view, *group)) {
+                continue;
+            }
+            let camera = &lit.get(*view as usize).unwrap_or(&lit[0]).camera;
+            let light_from = |from: u32| eye_from_view(camera, lit, from);
+            let uniform = StageUniform::new(stage, *view, light_from).with_local_lights(lights, light_from);
+            let positioned = resources.state_groups.push(&uniform);
+            local_lights.push(LocalLightsFrame { view: *view, group: *group, positioned });
+        }
     }
 
     /// Finds the light, air and shadow maps of each view.
@@ -68,7 +96,7 @@ impl StageViews {
     ) -> wgpu::Color {
         let stage = input.stage;
         self.light(input.ctx, passes, resources, stage, around);
-        let Self { lit, frames } = self;
+        let Self { lit, frames, .. } = self;
         frames.clear();
         let mut background = wgpu::Color::BLACK;
         for (number, view) in (0u32..).zip(lit.iter()) {
@@ -84,11 +112,7 @@ impl StageViews {
             let has_positioned = !stage.lights.is_empty() || !stage.clip_planes.is_empty();
             let shared = frames.first().filter(|_| !has_positioned).map(|own| own.positioned);
             let positioned = shared.unwrap_or_else(|| {
-                let light_from = |from: u32| {
-                    let from = lit.get(from as usize).unwrap_or(&lit[0]);
-                    let to_from = camera.eye_from_world * from.camera.eye_from_world.inverse();
-                    if to_from.is_finite() { to_from } else { DAffine3::IDENTITY }
-                };
+                let light_from = |from: u32| eye_from_view(camera, lit, from);
                 resources.state_groups.push(&StageUniform::new(stage, number, light_from))
             });
             if let Some(first_layer) = *first_layer {
@@ -104,8 +128,16 @@ impl StageViews {
                 has_shadows: first_layer.is_some(),
             });
         }
+        self.prepare_local_lights(resources, stage);
         background
     }
+}
+
+/// Returns the transform to a camera's eye from the lit eye of a view; the identity if it is not finite.
+fn eye_from_view(camera: &CullCamera, lit: &[LitView], from: u32) -> DAffine3 {
+    let from = lit.get(from as usize).unwrap_or(&lit[0]);
+    let to_from = camera.eye_from_world * from.camera.eye_from_world.inverse();
+    if to_from.is_finite() { to_from } else { DAffine3::IDENTITY }
 }
 
 /// Returns the surroundings of a camera in the graph below the camera of a view.
