@@ -202,6 +202,10 @@ fn collect_parts(node: Node, above: DAffine3, parts: &mut Vec<(DAffine3, Vec<Dra
             above
         }
         NodeKind::Group => above,
+        NodeKind::LocalLights(_) => {
+            notes.add("i3dm: lights of the model");
+            above
+        }
         _ => {
             notes.add("i3dm: occluders of the model");
             above

@@ -8,6 +8,7 @@ mod gltf_builder;
 mod gltf_compression;
 mod gltf_files;
 mod gltf_geometry;
+mod gltf_lights;
 mod gltf_materials;
 mod instances;
 mod styles;
