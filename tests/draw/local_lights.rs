@@ -1,4 +1,4 @@
-//! Local lights: they light what is below their node and nothing else, whatever draws it.
+//! Local lights: they light only what is below their node, with every shader.
 
 use std::sync::Arc;
 
@@ -274,7 +274,7 @@ fn cameras_inside_the_view_see_the_lights_where_they_are() {
         let inside = drawn(nested(environment.clone(), order, vec![lit()]), &outer);
         assert_eq!(differ(&inside, &expected, 1), 0, "{order:?} {environment:?}");
     }
-    // A nested camera keeps the lights above it, but not a camera with a stage of its own.
+    // A nested camera keeps the lights above it, but not a camera with a separate stage.
     let below = |order| {
         let camera = nested(CameraEnvironment::Inherited, order, four().to_vec());
         lit_by(vec![lamp([0.6, 0.5, 0.7], 2.0)], vec![camera])

@@ -132,7 +132,8 @@ fn nodes_with_lights_that_do_not_exist_are_noted() {
 fn lights_have_the_place_and_direction_of_their_nodes() {
     let half = std::f64::consts::FRAC_1_SQRT_2;
     // A quarter turn around y: negative z becomes negative x. The scale is that of a parent far away.
-    let child = json!({ "rotation": [0, half, 0, half], "translation": [1, 2, 3], "extensions": { EXTENSION: { "light": 0 } } });
+    let mut child = with_light(json!(0));
+    (child["rotation"], child["translation"]) = (json!([0, half, 0, half]), json!([1, 2, 3]));
     let parent = json!({ "children": [1], "scale": [2, 2, 2], "translation": [6_000_000.25, 0, 0] });
     let place = |kind: &str| {
         let mut gltf = document(json!([{ "type": kind, "range": 5 }]), json!([parent, child]));
@@ -144,7 +145,7 @@ fn lights_have_the_place_and_direction_of_their_nodes() {
     assert_eq!(place("spot"), ([6_000_002.25, 4.0, 6.0, 1.0], [-1.0, 0.0, 0.0]));
     let ([x, y, z, w], _) = place("directional");
     assert_eq!([x, y, z, w].map(|part| part.round() + 0.0), [1.0, 0.0, 0.0, 0.0], "towards the light");
-    // A node without extent has a place, but no direction.
+    // A node without extent has a position, but no direction.
     for (kind, count) in [("point", 1), ("spot", 0), ("directional", 0)] {
         let mut node = with_light(json!(0));
         node["scale"] = json!([0, 0, 0]);
@@ -224,7 +225,7 @@ fn srgb(linear: f32) -> u8 {
     (s * 255.0).round() as u8
 }
 
-/// Returns the pixel at a place of the wall.
+/// Returns the pixel at a point of the wall, metres from its middle.
 fn at(picture: &RgbaImage, x: f32, y: f32) -> [u8; 3] {
     pixel(picture, (64.0 + 32.0 * x) as u32, (64.0 - 32.0 * y) as u32)
 }

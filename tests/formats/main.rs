@@ -10,6 +10,7 @@ mod gltf_files;
 mod gltf_geometry;
 mod gltf_lights;
 mod gltf_materials;
+mod gltf_outlines;
 mod instances;
 mod styles;
 mod tiles;

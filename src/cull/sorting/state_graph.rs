@@ -45,8 +45,8 @@ struct Node {
     met_in: u32,
     /// Index among the states of that stage.
     index_in_stage: u32,
-    /// Of a node of local lights, their group in the stage that they were met in last, as in
-    /// [`RenderStage::lights_of_state`]. The number depends on what was met before, so that it is no part of the key.
+    /// The group of local lights in the stage that they were met in last, as in [`RenderStage::lights_of_state`]; 0 for
+    /// other nodes. It depends on what was met before in the stage, so that it is not part of the key.
     light_group: u32,
     /// Keeps the address of the state set or the lights from being reused, but not the object alive.
     object: Option<Weak<dyn Any + Send + Sync>>,

@@ -40,11 +40,10 @@ impl Leaves {
         let stage = lit.input.stage;
         let mut states = resources.batch.take_states();
         let fades = stage.fade_of_state.iter().chain(std::iter::repeat(&0));
-        let lights = stage.lights_of_state.iter().chain(std::iter::repeat(&0));
-        for (((state, view), fade), lights) in stage.state_sets.iter().zip(&stage.view_of_state).zip(fades).zip(lights)
-        {
+        let views = stage.view_of_state.iter().enumerate();
+        for ((state, (index, view)), fade) in stage.state_sets.iter().zip(views).zip(fades) {
             let band = stage.fades.get((*fade as usize).wrapping_sub(1)).copied().unwrap_or(FadeBand::FULL);
-            let context = LeafContext { view: *view, lights: *lights, band };
+            let context = LeafContext { view: *view, positioned: lit.positioned(index, *view), band };
             states.push(prepare_state(resources, lit, state, context, replaces_sun));
         }
         resources.batch.put_states(states);
@@ -81,12 +80,12 @@ impl Leaves {
     }
 }
 
-/// Where the leaves of a state are drawn.
+/// The view, lights and fade of the leaves of a state.
 #[derive(Clone, Copy)]
 struct LeafContext {
     view: u32,
-    /// The group of local lights; 0 without any.
-    lights: u32,
+    /// Byte offset of the stage uniform.
+    positioned: u32,
     band: FadeBand,
 }
 
@@ -95,7 +94,7 @@ fn prepare_state(
     resources: &mut Resources,
     lit: &LitStage<'_>,
     state: &Arc<ResolvedState>,
-    LeafContext { view, lights, band }: LeafContext,
+    LeafContext { view, positioned, band }: LeafContext,
     replaces_sun: bool,
 ) -> StateEntry {
     let (stage, target) = (lit.input.stage, lit.input.target);
@@ -109,7 +108,6 @@ fn prepare_state(
             .report_once(format!("{name}: texture {depth:?} has no stencil; the stencil test passes everywhere"));
     }
     let frame = lit.view(view);
-    let positioned = lit.positioned(view, lights);
     let mut bound = BoundState { frame: [frame.uniform, positioned], air: frame.air, group, ..lit.base };
     apply_state(&mut bound.dynamics, state, lit.viewport_px(view), target);
     let index = resources.bound_states.find_recent_or_push(bound, lit.base_index);

@@ -53,16 +53,6 @@ pub(in crate::draw) struct ViewFrame {
     pub(in crate::draw) has_shadows: bool,
 }
 
-/// The uniform of a group of local lights in a view.
-#[derive(Clone, Copy, Debug)]
-pub(in crate::draw) struct LocalLightsFrame {
-    pub(in crate::draw) view: u32,
-    /// The group, numbered as in [`RenderStage::lights_of_state`].
-    pub(in crate::draw) group: u32,
-    /// Byte offset of the stage uniform with the lights.
-    pub(in crate::draw) positioned: u32,
-}
-
 /// A stage whose views are prepared: the input of the passes inside its render pass.
 #[derive(Clone, Copy)]
 pub(in crate::draw) struct LitStage<'a> {
@@ -70,7 +60,8 @@ pub(in crate::draw) struct LitStage<'a> {
     pub(in crate::draw) around: &'a Surroundings,
     /// The stage's own view first, then those inside it.
     pub(in crate::draw) views: &'a [ViewFrame],
-    pub(in crate::draw) local_lights: &'a [LocalLightsFrame],
+    /// By state, the byte offset of the stage uniform with its local lights; empty without such lights.
+    pub(in crate::draw) positioned_of_state: &'a [u32],
     /// The bound state without any state set, and its index.
     pub(in crate::draw) base: BoundState,
     pub(in crate::draw) base_index: u32,
@@ -82,14 +73,9 @@ impl LitStage<'_> {
         self.views.get(view as usize).unwrap_or(&self.views[0])
     }
 
-    /// Returns the byte offset of the stage uniform for leaves of a view under a group of local lights, 0 without any.
-    pub(in crate::draw) fn positioned(&self, view: u32, group: u32) -> u32 {
-        let own = self.view(view).positioned;
-        if group == 0 {
-            return own;
-        }
-        let found = self.local_lights.iter().find(|lights| (lights.view, lights.group) == (view, group));
-        found.map_or(own, |lights| lights.positioned)
+    /// Returns the byte offset of the stage uniform for the leaves of a state, which are in a view.
+    pub(in crate::draw) fn positioned(&self, state: usize, view: u32) -> u32 {
+        self.positioned_of_state.get(state).copied().unwrap_or(self.view(view).positioned)
     }
 
     /// Returns true if the stage has a sky and water: it is whole, and not only a composition of two eyes.

@@ -146,8 +146,8 @@ impl Renderer {
             group: None,
         };
         let base_index = resources.bound_states.push(base);
-        let local_lights = self.views.local_lights();
-        let lit = LitStage { input, around, views, local_lights, base, base_index };
+        let positioned_of_state = self.views.positioned_of_state();
+        let lit = LitStage { input, around, views, positioned_of_state, base, base_index };
         for (node, error) in numbers_out_of_range(stage) {
             resources.errors.report_once(format!("{node}: {error}"));
         }

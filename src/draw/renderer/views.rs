@@ -5,7 +5,7 @@ use glam::DAffine3;
 use crate::cull::{CullCamera, RenderStage};
 use crate::draw::passes::Passes;
 use crate::draw::passes::shadows::casters::{LayerAllocator, ShadowedView};
-use crate::draw::passes::stage_input::{LitView, LocalLightsFrame, StageInput, Surroundings, ViewFrame};
+use crate::draw::passes::stage_input::{LitView, StageInput, Surroundings, ViewFrame};
 use crate::draw::pipelines::key::AirKind;
 use crate::draw::resources::Resources;
 use crate::draw::uniforms::frame::{FrameUniform, clear_color};
@@ -18,7 +18,8 @@ use crate::scene::CameraEnvironment;
 pub(super) struct StageViews {
     lit: Vec<LitView>,
     frames: Vec<ViewFrame>,
-    local_lights: Vec<LocalLightsFrame>,
+    /// By state of the stage; empty without local lights.
+    positioned_of_state: Vec<u32>,
 }
 
 impl StageViews {
@@ -27,30 +28,36 @@ impl StageViews {
         &self.frames
     }
 
-    /// Returns the uniforms of the groups of local lights, one for each view that a group is seen in.
-    pub(super) fn local_lights(&self) -> &[LocalLightsFrame] {
-        &self.local_lights
+    /// Returns, by state of the stage, the byte offset of the stage uniform with the local lights of its leaves; nothing
+    /// if the stage has no such lights.
+    pub(super) fn positioned_of_state(&self) -> &[u32] {
+        &self.positioned_of_state
     }
 
-    /// Prepares the uniforms of the groups of local lights. Only stages with such lights need any.
+    /// Prepares the uniforms of local lights.
     fn prepare_local_lights(&mut self, resources: &mut Resources, stage: &RenderStage) {
-        let Self { lit, local_lights, .. } = self;
-        local_lights.clear();
+        let Self { lit, frames, positioned_of_state } = self;
+        positioned_of_state.clear();
         if stage.light_groups.is_empty() {
             return;
         }
+        // States of one group are mostly neighbours, which share a uniform.
+        let mut last = None;
         for (view, group) in stage.view_of_state.iter().zip(&stage.lights_of_state) {
-            let lights = (*group as usize).checked_sub(1).and_then(|index| stage.light_groups.get(index));
-            let Some(lights) = lights.and_then(|range| stage.local_lights.get(range.clone())) else { continue };
-            // States of one group are mostly neighbours.
-            if local_lights.iter().rev().any(|known| (known.view, known.group) == (*view, *group)) {
-                continue;
-            }
-            let camera = &lit.get(*view as usize).unwrap_or(&lit[0]).camera;
-            let light_from = |from: u32| eye_from_view(camera, lit, from);
-            let uniform = StageUniform::new(stage, *view, light_from).with_local_lights(lights, light_from);
-            let positioned = resources.state_groups.push(&uniform);
-            local_lights.push(LocalLightsFrame { view: *view, group: *group, positioned });
+            let range = (*group as usize).checked_sub(1).and_then(|index| stage.light_groups.get(index));
+            let lights = range.and_then(|range| stage.local_lights.get(range.clone()));
+            let positioned = match (lights, last) {
+                (None, _) => frames.get(*view as usize).unwrap_or(&frames[0]).positioned,
+                (_, Some((of, positioned))) if of == (*view, *group) => positioned,
+                (Some(lights), _) => {
+                    let camera = &lit.get(*view as usize).unwrap_or(&lit[0]).camera;
+                    let light_from = |from: u32| eye_from_view(camera, lit, from);
+                    let uniform = StageUniform::new(stage, *view, light_from).with_local_lights(lights, light_from);
+                    resources.state_groups.push(&uniform)
+                }
+            };
+            last = Some(((*view, *group), positioned));
+            positioned_of_state.push(positioned);
         }
     }
 

@@ -3,6 +3,7 @@
 /// Extensions that are read in full.
 const SUPPORTED: &[&str] = &[
     "CESIUM_RTC",
+    "CESIUM_primitive_outline",
     "EXT_mesh_gpu_instancing",
     "EXT_meshopt_compression",
     "EXT_texture_webp",
@@ -18,7 +19,6 @@ const SUPPORTED: &[&str] = &[
 
 /// Extensions without which a glTF is still drawn sensibly, so that it is not refused if it requires them. They are noted.
 const DISPENSABLE: &[&str] = &[
-    "CESIUM_primitive_outline",
     "KHR_materials_anisotropy",
     "KHR_materials_clearcoat",
     "KHR_materials_dispersion",

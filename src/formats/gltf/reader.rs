@@ -20,7 +20,7 @@ use crate::fetch::IoError;
 use crate::formats::external_files::ExternalFiles;
 use crate::formats::ignored::Notes;
 use crate::formats::options::{Fetched, ReadOptions};
-use crate::scene::{Drawable, LocalLights, Node, NodeKind, PropertyTable};
+use crate::scene::{LocalLights, Node, NodeKind, PropertyTable};
 
 /// The bytes of a glTF and what belongs to them.
 pub(in crate::formats) struct GltfSource<'a> {
@@ -86,7 +86,7 @@ pub(in crate::formats) fn read(source: GltfSource<'_>, options: &ReadOptions, no
         }
         None => {
             for mesh in document.meshes() {
-                children.push(Node::geode(reader.meshes.drawables(&mesh, None, None)?));
+                children.extend(reader.meshes.drawables(&mesh, None, None)?.into_nodes());
             }
         }
     }
@@ -158,7 +158,7 @@ impl Reader<'_> {
         let instances = Instances::new(self.context, self.document, self.buffers, node)?;
         let drawables = self.meshes.drawables(mesh, node.weights(), None)?;
         let Some(instances) = instances else {
-            children.push(Node::geode(drawables));
+            children.extend(drawables.into_nodes());
             return Ok(());
         };
         self.context.budget.add_primitives(instances.transforms.len().saturating_mul(drawables.len()))?;
@@ -168,7 +168,7 @@ impl Reader<'_> {
             if !sets.is_empty() {
                 drawables.iter_mut().for_each(|drawable| self.tables.add_instance(drawable, &sets));
             }
-            children.push(Node::transform(*transform, vec![Node::geode(drawables)]));
+            children.push(Node::transform(*transform, drawables.into_nodes()));
         }
         Ok(())
     }
@@ -183,8 +183,8 @@ impl Reader<'_> {
         let (document, double) = (self.document, self.double);
         let tree = self.tree.get_or_insert_with(|| NodeTree::new(document, double));
         let pose = SkinPose::new(skin, self.buffers, self.context, |joint| tree.root_from_node(joint))?;
-        let drawables: Vec<Drawable> = self.meshes.drawables(mesh, node.weights(), Some(&pose))?;
-        self.skinned.push(Node::transform(DAffine3::from_translation(pose.origin), vec![Node::geode(drawables)]));
+        let drawables = self.meshes.drawables(mesh, node.weights(), Some(&pose))?;
+        self.skinned.push(Node::transform(DAffine3::from_translation(pose.origin), drawables.into_nodes()));
         Ok(())
     }
 }

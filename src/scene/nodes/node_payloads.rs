@@ -26,12 +26,11 @@ pub struct LightSource {
     pub frame: ReferenceFrame,
 }
 
-/// Lights that shine on what is below their node, and on nothing else. They shine besides the sun and the lights of state
-/// sets, on pages that are attached below too, but not on what a camera below draws into a stage of its own. They cast no
-/// shadows.
+/// Lights that shine only on what is below their node, besides the sun and the lights of state sets. They also shine on
+/// pages that are attached below, but not on what a camera below draws into a separate stage. They cast no shadows.
 ///
-/// Metallic-roughness surfaces reflect [`Light::diffuse`], its ambient light with their diffuse colour, and ignore
-/// [`Light::specular`].
+/// Metallic-roughness surfaces reflect [`Light::diffuse`] as glTF defines it and [`Light::ambient`] with their diffuse
+/// colour. They ignore [`Light::specular`].
 #[derive(Clone, Debug, Default)]
 pub struct LocalLights {
     /// The lights, in the frame of the node; at most [`LocalLights::MAX`] shine, the first ones. Their numbers are ignored.

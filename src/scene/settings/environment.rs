@@ -113,9 +113,9 @@ impl Environment {
     /// The illuminance in lux of sunlight whose `sun_color` is 1, on a surface that faces the sun: 100,000. The default
     /// sun has 105,000 lux, as the real one overhead.
     ///
-    /// It relates photometric units to linear colours: a light of `E` lux has the colour `E / 100,000`. The exposure of a
-    /// day shows it as dark as it is beside the sun. For a place that is lit by `E` lux alone, a `sun_color` of 0 and an
-    /// exposure of 100,000 / `E` show white surfaces white: 1,000 for a room of 100 lux, 5,000 for a street of 20 lux.
+    /// It relates photometric units to linear colours: a light of `E` lux has the colour `E / 100,000`. With the exposure of
+    /// a day, lamps are as weak as they are beside the sun. Where lamps of `E` lux are the only light, a `sun_color` of 0 and
+    /// an exposure of `100,000 / E` show white surfaces white. That is 1,000 for a room of 100 lux.
     pub const SUN_LUX: f32 = 100_000.0;
 
     /// Returns the environment around another eye of the same world: over a globe, `up_in_world` depends on the position.
