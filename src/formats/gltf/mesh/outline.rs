@@ -17,9 +17,9 @@ use crate::scene::{ContentKey, Drawable, Geometry, Material, Mesh, Node, SharedP
 use crate::state::{Attribute, PolygonOffset, StateSet};
 
 const EXTENSION: &str = "CESIUM_primitive_outline";
-/// At the middle of a pixel of a line, a triangle may be nearer than its edge by half of the slope across the line, and at
-/// the samples of the pixel by 0.7 of it. A larger factor would show more of hidden edges where they meet visible ones. The
-/// units cover rounding.
+/// At the middle of a pixel of a line, a triangle may be nearer than its edge by half of the slope across the line. At the
+/// samples of a multisampled pixel it may be nearer by 0.7 of the slope. A larger factor would show more of hidden edges
+/// where they meet visible ones. The units cover rounding.
 const OFFSET: PolygonOffset = PolygonOffset { factor: 1.0, units: 16.0 };
 /// CesiumJS's default.
 const BLACK: [f32; 4] = [0.0, 0.0, 0.0, 1.0];
