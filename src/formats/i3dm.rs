@@ -16,6 +16,7 @@ use super::properties;
 use crate::fetch::{IoError, resolve};
 use crate::math::WGS84;
 use crate::scene::{Drawable, DrawableFeatures, FeatureIdSet, FeatureIds, Node, NodeKind, PropertyTable};
+use crate::state::StateSet;
 
 const HEADER_BYTES: usize = 32;
 /// An instance takes about as much memory as this many vertices.
@@ -143,7 +144,7 @@ pub(super) fn read(
     };
     let mut parts = Vec::new();
     collect_parts(model, DAffine3::IDENTITY, &mut parts, notes);
-    let drawn = instances.len().saturating_mul(parts.iter().map(|(_, drawables)| drawables.len()).sum());
+    let drawn = instances.len().saturating_mul(parts.iter().map(|part| part.drawables.len()).sum());
     if drawn > options.limits.max_elements / VERTICES_PER_INSTANCE {
         return Err(IoError::invalid(uri, format!("i3dm: {drawn} instances of primitives")));
     }
@@ -153,12 +154,13 @@ pub(super) fn read(
         false => None,
     };
     for (i, instance) in instances.iter().enumerate() {
-        for (map, drawables) in &parts {
+        for ModelPart { map, state_set, drawables } in &parts {
             let mut drawables = drawables.clone();
             if let Some(features) = &features {
                 drawables.iter_mut().for_each(|drawable| features.add_to(drawable, i));
             }
-            children.push(Node::transform(*instance * *map, vec![Node::geode(drawables)]));
+            let geode = Node { state_set: state_set.clone(), ..Node::geode(drawables) };
+            children.push(Node::transform(*instance * *map, vec![geode]));
         }
     }
     Ok(Node::transform(DAffine3::from_translation(origin), children))
@@ -193,15 +195,27 @@ impl InstanceFeatures {
     }
 }
 
-/// Collects the drawables of a model with their transforms to the model's frame.
-fn collect_parts(node: Node, above: DAffine3, parts: &mut Vec<(DAffine3, Vec<Drawable>)>, notes: &Notes) {
+/// Drawables of the model.
+struct ModelPart {
+    /// The transform to the model's frame.
+    map: DAffine3,
+    state_set: Option<Arc<StateSet>>,
+    drawables: Vec<Drawable>,
+}
+
+/// Collects the drawables of a model.
+fn collect_parts(node: Node, above: DAffine3, parts: &mut Vec<ModelPart>, notes: &Notes) {
     let map = match node.kind {
         NodeKind::Transform(map) => above * map,
         NodeKind::Geode(drawables) => {
-            parts.push((above, drawables));
+            parts.push(ModelPart { map: above, state_set: node.state_set, drawables });
             above
         }
         NodeKind::Group => above,
+        NodeKind::LocalLights(_) => {
+            notes.add("i3dm: lights of the model");
+            above
+        }
         _ => {
             notes.add("i3dm: occluders of the model");
             above

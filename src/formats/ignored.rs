@@ -1,7 +1,7 @@
 //! [`Ignored`]: counts of the properties of contents that a reader recognizes or lists, but leaves out.
 //!
 //! A content that asks for something that is not done still draws. Its reader adds one entry per kind, such as
-//! `glTF extension KHR_lights_punctual`, so that `terrane info --verify` and reports can name it. Any thread.
+//! `glTF extension KHR_xmp_json_ld`, so that `terrane info --verify` and reports can name it. Any thread.
 
 use std::borrow::Cow;
 use std::cell::RefCell;

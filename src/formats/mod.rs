@@ -23,6 +23,7 @@ mod point_cloud;
 mod properties;
 mod read;
 mod style;
+mod subset;
 mod tile;
 mod tileset;
 mod whole_set;

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use super::geometry::{AlphaMode, AttributeLayout, Geometry, Topology, VertexFormat};
 use super::graph::Scene;
 use super::id::{NONE, NodeId};
-use super::pages::{BLEND, Page, VIEW};
+use super::pages::{BLEND, LIGHTS, Page, VIEW};
 use crate::state::ResolvedState;
 
 /// The maximum number of kinds listed for a page; pipelines of further kinds are compiled when they are drawn.
@@ -131,6 +131,7 @@ impl<'a> Resolving<'a> {
             state = match self.page.state_sets().get(set as usize) {
                 _ if set == BLEND => Arc::new(state.blended()),
                 _ if set == VIEW => state,
+                _ if set == LIGHTS => Arc::new(state.below_local_lights()),
                 Some(set) => Arc::new(state.below(set)),
                 None => state,
             };

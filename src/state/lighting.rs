@@ -66,7 +66,7 @@ impl Default for LightModel {
 /// reports once.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Light {
-    /// The number of the light, 0 to 7, see [`Mode::Light`](super::Mode::Light).
+    /// The number of the light, 0 to 7, see [`Mode::Light`](super::Mode::Light). Local lights need none.
     pub number: u8,
     /// Position and 1, or direction towards the light and 0.
     pub position: [f64; 4],
@@ -80,8 +80,14 @@ pub struct Light {
     pub specular: [f32; 3],
     /// Coefficients c, l and q: at `d` metres the light is divided by `c + l * d + q * d * d`.
     pub attenuation: [f32; 3],
-    /// Half angle of a spot's cone in radians; pi lights all directions.
+    /// The distance in metres at which a light with a position ends. It falls by `1 - (d / range)^4` more than by its
+    /// attenuation, as in glTF's KHR_lights_punctual. Infinite by default.
+    pub range_m: f32,
+    /// Half angle of a spot's cone in radians, at most pi / 2; pi lights all directions.
     pub spot_cutoff: f32,
+    /// Half angle in radians of the cone inside of which a spot has its full strength. It falls smoothly from there to
+    /// `spot_cutoff`. From `spot_cutoff` on, as by default, the rim is sharp.
+    pub spot_inner_cutoff: f32,
     /// Exponent of a spot's falloff towards its rim.
     pub spot_exponent: f32,
 }
@@ -97,6 +103,8 @@ impl Default for Light {
             diffuse: [1.0; 3],
             specular: [1.0; 3],
             attenuation: [1.0, 0.0, 0.0],
+            range_m: f32::INFINITY,
+            spot_inner_cutoff: std::f32::consts::PI,
             spot_cutoff: std::f32::consts::PI,
             spot_exponent: 0.0,
         }

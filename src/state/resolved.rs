@@ -94,6 +94,8 @@ pub struct ResolvedState {
     bins_overridden: bool,
     /// The materials of the drawables blend.
     blended_material: bool,
+    /// The state is below a node with local lights.
+    local_lights: bool,
     modes: Modes,
     blend_func: Inherited<BlendFunc>,
     blend_equation: Inherited<BlendEquation>,
@@ -137,6 +139,7 @@ impl Default for ResolvedState {
             bin_callbacks: Vec::new(),
             bins_overridden: false,
             blended_material: false,
+            local_lights: false,
             modes: Modes { on: Mode::ON_BY_DEFAULT, overrides: 0 },
             blend_func: Inherited { value: BlendFunc::ALPHA, is_set: false, overrides: false },
             blend_equation: Inherited::default(),
@@ -275,6 +278,16 @@ impl ResolvedState {
             blended.bins.push(BinDetails::TRANSPARENT);
         }
         blended
+    }
+
+    /// Returns the state of everything below a node with local lights.
+    pub(crate) fn below_local_lights(&self) -> Self {
+        Self { id: next_id(), local_lights: true, ..self.clone() }
+    }
+
+    /// Returns true below a node with local lights. The stage has the lights themselves.
+    pub(crate) fn has_local_lights(&self) -> bool {
+        self.local_lights
     }
 
     /// Returns the innermost bin.

@@ -11,8 +11,10 @@ use kit::terrain::Terrain;
 use terrane::cull::{CullVisitor, RenderStage};
 use terrane::draw::Renderer;
 use terrane::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
-use terrane::scene::{AttributeFormat, Environment, Geometry, Mesh, Node, NodeKind, OcclusionQueryNode, SunShadows};
-use terrane::state::{BinDetails, SortMode, StateSet};
+use terrane::scene::{
+    AttributeFormat, Environment, Geometry, LocalLights, Mesh, Node, NodeKind, OcclusionQueryNode, SunShadows,
+};
+use terrane::state::{BinDetails, Light, SortMode, StateSet};
 
 /// Returns the call stacks of the allocations that Terrane made in `work`, and the number that wgpu made.
 fn allocations(work: impl FnOnce()) -> (Vec<String>, usize) {
@@ -72,8 +74,15 @@ fn steady_draw_allocates_nothing() {
             let plain = Mesh::clone(mesh);
             *mesh = Arc::new(plain.with_attribute("heat", AttributeFormat::Float32, &[0.5f32; 4]).unwrap());
         }
-        Node::transform(DAffine3::from_translation(offset), vec![Node::geode(vec![drawable])])
-            .with_state_set(Arc::new(set))
+        let geode = Node::geode(vec![drawable]);
+        let geode = match i % 10 {
+            0 => {
+                let lights = LocalLights { lights: vec![Light::default(); 3] };
+                Node { children: vec![geode], ..Node::new(NodeKind::LocalLights(lights)) }
+            }
+            _ => geode,
+        };
+        Node::transform(DAffine3::from_translation(offset), vec![geode]).with_state_set(Arc::new(set))
     }));
     nodes.extend((0..8u32).map(|i| {
         let query = OcclusionQueryNode { query_frames: 1, ..OcclusionQueryNode::default() };
@@ -106,6 +115,7 @@ fn steady_draw_allocates_nothing() {
     assert!(own.is_empty(), "{} allocations, the first:\n{}", own.len(), own[0]);
     assert!(leaves > 1_000);
     assert_eq!(rig.stage.queries.len(), 8);
+    assert_eq!((rig.stage.light_groups.len(), rig.stage.local_lights.len()), (20, 60));
     assert_eq!(rig.stage.shadows.cascades.len(), 4);
     assert!(rig.stage.counters.shadow_leaves > 100);
     let (own, _) = allocations(|| drop((CullVisitor::new(), Box::new(RenderStage::new()))));

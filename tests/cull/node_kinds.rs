@@ -11,7 +11,7 @@ use terrane::cull::{CullCamera, CullVisitor, PositionedTexGen, RenderStage};
 use terrane::math::Aabb;
 use terrane::scene::{
     Billboard, BillboardMode, ClearNode, ClipNode, ConvexPlanarOccluder, CullAction, CullCallback, CullingMode,
-    LightSource, Node, NodeKind, NormalCone, OcclusionQueryNode, ReferenceFrame, TexGenNode,
+    LightSource, LocalLights, Node, NodeKind, NormalCone, OcclusionQueryNode, ReferenceFrame, TexGenNode,
 };
 use terrane::state::{Light, Mode, TexGen};
 
@@ -119,6 +119,40 @@ fn lights_and_planes_are_in_eye_space_of_their_stage() {
     assert!(DVec4::from_array(s.map(f64::from)).distance(DVec4::X) < 1e-6);
     assert!(DVec4::from_array(t.map(f64::from)).distance(DVec4::Y) < 1e-6);
     assert_eq!([r, q], [[0.0; 4], [0.0, 0.0, 0.0, 1.0]]);
+}
+
+#[test]
+fn local_lights_belong_to_the_states_of_the_leaves_below() {
+    let lamp = |x: f64| Light { position: [x, 0.0, 0.0, 1.0], number: 7, ..Light::default() };
+    let lit =
+        |lights: Vec<Light>, children| Node { children, ..Node::new(NodeKind::LocalLights(LocalLights { lights })) };
+    let at = |x: f64| cube(DVec3::new(x, 0.0, 0.0));
+    let up = DAffine3::from_translation(DVec3::new(0.0, 0.0, 4.0));
+    let many = (0..20u8).map(|i| lamp(f64::from(i))).collect();
+    let stage = cull(
+        Node::group(vec![
+            at(0.0),
+            Node::transform(up, vec![lit(vec![lamp(1.0)], vec![at(0.0), lit(vec![lamp(2.0)], vec![at(1.0)])])]),
+            // Behind the eye, so that its lights are not met either.
+            lit(vec![lamp(3.0)], vec![cube(DVec3::new(0.0, -100.0, 0.0))]),
+            lit(many, vec![lit(vec![lamp(-1.0)], vec![at(2.0)])]),
+        ]),
+        &camera(),
+    );
+    let lights_of = |range: &std::ops::Range<usize>| -> Vec<(u8, [f64; 3])> {
+        let lights = &stage.local_lights[range.clone()];
+        lights.iter().map(|l| (l.light.number, [0, 1, 2].map(|i| l.light.position[i].round()))).collect()
+    };
+    let groups: Vec<_> = stage.light_groups.iter().map(lights_of).collect();
+    let (first, second) = ((0, [1.0, 4.0, -10.0]), (0, [2.0, 4.0, -10.0]));
+    assert_eq!(groups[..2], [vec![first], vec![second, first]]);
+    // A group has as many lights as shine on one drawable, own ones first.
+    assert_eq!(groups[2..].iter().map(Vec::len).collect::<Vec<_>>(), [LocalLights::MAX; 2]);
+    assert_eq!(groups[3][..2], [(0, [-1.0, 0.0, -10.0]), (0, [0.0, 0.0, -10.0])]);
+    let mut leaves: Vec<_> = stage.bins.iter().flat_map(|bin| &bin.leaves).collect();
+    leaves.sort_by_key(|leaf| leaf.slot.0);
+    let lights: Vec<u32> = leaves.iter().map(|leaf| stage.lights_of_state[leaf.state as usize]).collect();
+    assert_eq!(lights, [0, 1, 2, 4]);
 }
 
 #[test]

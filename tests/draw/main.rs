@@ -8,6 +8,7 @@ mod drawables;
 mod fade;
 mod images;
 mod light;
+mod local_lights;
 mod queries;
 mod samples;
 mod shadows;

@@ -152,12 +152,12 @@ fn everything_that_is_not_drawn_is_listed() {
         "normalTexture": { "index": 0 }, "occlusionTexture": { "index": 0 }, "emissiveFactor": [0.1, 0.1, 0.1],
     }));
     gltf.json["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]["texCoord"] = 1.into();
-    gltf.json["extensionsUsed"] = json!(["KHR_lights_punctual", "VENDOR_unknown", "KHR_materials_unlit"]);
+    gltf.json["extensionsUsed"] = json!(["KHR_xmp_json_ld", "VENDOR_unknown", "KHR_materials_unlit"]);
     gltf.json["cameras"] = json!([{ "type": "perspective", "perspective": { "yfov": 1, "znear": 1 } }]);
     gltf.json["animations"] = json!([{ "channels": [], "samplers": [] }]);
     let ignored = gltf.read().ignored;
     for kind in [
-        "glTF extension KHR_lights_punctual",
+        "glTF extension KHR_xmp_json_ld",
         "glTF extension VENDOR_unknown",
         "glTF: animations (drawn at rest)",
         "glTF: cameras",
@@ -174,10 +174,10 @@ fn unknown_required_extensions_are_refused_by_name() {
     let mut gltf = with_material(json!({}));
     gltf.json["extensionsRequired"] = json!(["KHR_materials_unlit", "VENDOR_unknown"]);
     assert!(gltf.error().contains("required glTF extension VENDOR_unknown"));
-    gltf.json["extensionsRequired"] = json!(["CESIUM_primitive_outline", "KHR_materials_clearcoat"]);
+    gltf.json["extensionsRequired"] = json!(["KHR_xmp_json_ld", "KHR_materials_clearcoat"]);
     gltf.json["extensionsUsed"] = gltf.json["extensionsRequired"].clone();
     let read = gltf.read();
-    assert_eq!(read.ignored.count("glTF extension CESIUM_primitive_outline"), 1);
+    assert_eq!(read.ignored.count("glTF extension KHR_xmp_json_ld"), 1);
     assert_eq!(read.ignored.count("glTF extension KHR_materials_clearcoat"), 1);
 }
 

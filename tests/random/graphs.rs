@@ -7,8 +7,8 @@ use image::{Rgba, RgbaImage};
 use terrane::cull::CullCamera;
 use terrane::math::Aabb;
 use terrane::scene::{
-    AlphaMode, Billboard, BillboardMode, CameraNode, ClipNode, Drawable, Environment, Geometry, LightSource, Material,
-    Mesh, MeshVertex, Node, NodeKind, ReferenceFrame, RenderOrder, Scene, TexGenNode, Topology,
+    AlphaMode, Billboard, BillboardMode, CameraNode, ClipNode, Drawable, Environment, Geometry, LightSource,
+    LocalLights, Material, Mesh, MeshVertex, Node, NodeKind, ReferenceFrame, RenderOrder, Scene, TexGenNode, Topology,
 };
 use terrane::state::{
     AlphaFunc, Attribute, BinDetails, BlendEquation, BlendFactor, BlendFunc, ColorControl, ColorMask, CompareFunction,
@@ -217,6 +217,9 @@ impl Maker {
             spot_cutoff: random.one_of(&[std::f32::consts::PI, 0.8]),
             ..Light::default()
         };
+        if random.percent(50) {
+            return self.group(depth, NodeKind::LocalLights(LocalLights { lights: vec![light] }));
+        }
         let frame = random.one_of(&[ReferenceFrame::Relative, ReferenceFrame::Absolute]);
         self.group(depth, NodeKind::LightSource(Box::new(LightSource { light, frame })))
     }

@@ -5,10 +5,12 @@
 //! whole graph is cleared. Pages know their chains of state sets (`Page::state_paths`), so that the hash table is used once
 //! per chain and page and not once per leaf.
 
+use std::any::Any;
 use std::sync::{Arc, Weak};
 
 use crate::cull::stage::RenderStage;
 use crate::math::random::fibonacci_hash;
+use crate::scene::LocalLights;
 use crate::state::{ResolvedState, StateSet};
 
 /// Key of the pseudo state set of blended drawables; no state set has this address.
@@ -17,8 +19,8 @@ const BLEND_KEY: usize = 1;
 const VIEW_KEY: usize = 3;
 /// First key of the pseudo state sets of fades, which are even and not multiples of 4 from here on.
 const FADE_KEY: usize = 2;
-// Addresses of state sets are multiples of 4.
-const _: () = assert!(align_of::<StateSet>() >= 4);
+// Addresses of state sets and of local lights are multiples of 4.
+const _: () = assert!(align_of::<StateSet>() >= 4 && align_of::<LocalLights>() >= 4);
 
 /// Properties of leaves that come from the traversal and not from state sets.
 #[derive(Clone, Copy, Debug, Default)]
@@ -27,13 +29,15 @@ struct LeafContext {
     view: u32,
     /// The fade, as in [`RenderStage::fade_of_state`].
     fade: u32,
+    /// The node of the innermost local lights above; the root without any.
+    lights: u32,
 }
 
 /// A state set under a parent.
 #[derive(Debug)]
 struct Node {
     parent: u32,
-    /// Address of the state set, or the key of a pseudo state set.
+    /// Address of the state set or of the local lights, or the key of a pseudo state set.
     key: usize,
     resolved: Arc<ResolvedState>,
     context: LeafContext,
@@ -41,8 +45,11 @@ struct Node {
     met_in: u32,
     /// Index among the states of that stage.
     index_in_stage: u32,
-    /// Keeps the state set's address from being reused, but not the state set alive.
-    set: Option<Weak<StateSet>>,
+    /// The group of local lights in the stage that they were met in last, as in [`RenderStage::lights_of_state`]; 0 for
+    /// other nodes. It depends on what was met before in the stage, so that it is not part of the key.
+    light_group: u32,
+    /// Keeps the address of the state set or the lights from being reused, but not the object alive.
+    object: Option<Weak<dyn Any + Send + Sync>>,
 }
 
 /// All nodes, and a hash table over them by open addressing.
@@ -80,7 +87,8 @@ impl Default for StateGraph {
             context: LeafContext::default(),
             met_in: 0,
             index_in_stage: 0,
-            set: None,
+            light_group: 0,
+            object: None,
         };
         Self {
             nodes: vec![root],
@@ -112,11 +120,11 @@ impl StateGraph {
     fn sweep(&mut self) {
         for node in 1..self.nodes.len() {
             let parent = self.nodes[node].parent as usize;
-            let is_gone = |n: &Node| n.set.as_ref().is_some_and(|s| s.strong_count() == 0);
+            let is_gone = |n: &Node| n.object.as_ref().is_some_and(|o| o.strong_count() == 0);
             if self.nodes[node].key != GONE && (self.nodes[parent].key == GONE || is_gone(&self.nodes[node])) {
                 let root = self.nodes[0].resolved.clone();
                 let node = &mut self.nodes[node];
-                (node.key, node.set, node.resolved) = (GONE, None, root);
+                (node.key, node.object, node.resolved) = (GONE, None, root);
             }
         }
     }
@@ -142,6 +150,9 @@ impl StateGraph {
                 Some(held) => *held = node.resolved.clone(),
                 None => stage.state_sets.push(node.resolved.clone()),
             }
+            let group = self.light_group_of(state);
+            stage.lights_of_state.push(group);
+            return index as u32;
         }
         node.index_in_stage
     }
@@ -172,7 +183,8 @@ impl StateGraph {
         self.find(parent, key).unwrap_or_else(|entry| {
             let above = &self.nodes[parent as usize];
             let (resolved, context) = (Arc::new(above.resolved.below(set)), above.context);
-            self.insert(entry, parent, key, resolved, context, Some(Arc::downgrade(set)))
+            let object: Weak<StateSet> = Arc::downgrade(set);
+            self.insert(entry, parent, key, resolved, context, Some(object))
         })
     }
 
@@ -185,13 +197,13 @@ impl StateGraph {
         })
     }
 
-    /// Returns the node of another view under a parent. View 0 starts a stage, where no fade holds yet.
+    /// Returns the node of another view under a parent. View 0 starts a stage, which has no fades and local lights yet.
     pub fn find_or_insert_view(&mut self, parent: u32, view: u32) -> u32 {
         let key = VIEW_KEY + 2 * view as usize;
         self.find(parent, key).unwrap_or_else(|entry| {
             let Node { resolved, context, .. } = &self.nodes[parent as usize];
-            let (resolved, context) =
-                (resolved.clone(), LeafContext { view, fade: if view == 0 { 0 } else { context.fade } });
+            let context = if view == 0 { LeafContext::default() } else { LeafContext { view, ..*context } };
+            let resolved = resolved.clone();
             self.insert(entry, parent, key, resolved, context, None)
         })
     }
@@ -206,6 +218,26 @@ impl StateGraph {
         })
     }
 
+    /// Returns the node of local lights under a parent, which are a group of the stage from now on.
+    pub fn enter_lights(&mut self, parent: u32, lights: &Arc<LocalLights>, group: u32) -> u32 {
+        let key = Arc::as_ptr(lights) as usize;
+        let node = self.find(parent, key).unwrap_or_else(|entry| {
+            let above = &self.nodes[parent as usize];
+            let context = LeafContext { lights: self.nodes.len() as u32, ..above.context };
+            let resolved = Arc::new(above.resolved.below_local_lights());
+            let object: Weak<LocalLights> = Arc::downgrade(lights);
+            self.insert(entry, parent, key, resolved, context, Some(object))
+        });
+        self.nodes[node as usize].light_group = group;
+        node
+    }
+
+    /// Returns the group of local lights that shine on the leaves of a node; 0 if there are none.
+    pub fn light_group_of(&self, state: u32) -> u32 {
+        let lights = self.nodes.get(state as usize).map_or(ROOT, |node| node.context.lights);
+        self.nodes[lights as usize].light_group
+    }
+
     fn insert(
         &mut self,
         entry: usize,
@@ -213,11 +245,12 @@ impl StateGraph {
         key: usize,
         resolved: Arc<ResolvedState>,
         context: LeafContext,
-        set: Option<Weak<StateSet>>,
+        object: Option<Weak<dyn Any + Send + Sync>>,
     ) -> u32 {
         let node = self.nodes.len() as u32;
         let met_in = self.stage.wrapping_sub(1);
-        self.nodes.push(Node { parent, key, resolved, context, met_in, index_in_stage: 0, set });
+        let (index_in_stage, light_group) = (0, 0);
+        self.nodes.push(Node { parent, key, resolved, context, met_in, index_in_stage, light_group, object });
         self.table[entry] = node;
         if self.nodes.len() * 2 > self.table.len() {
             self.grow();
@@ -326,6 +359,31 @@ mod tests {
         assert!(held.upgrade().is_none());
         let another = Arc::new(StateSet::default());
         assert_eq!([graph.find_or_insert(ROOT, &another), graph.find_or_insert(ROOT, &below)], [3, 4]);
+    }
+
+    #[test]
+    fn local_lights_have_one_node_and_the_group_of_the_stage() {
+        let mut graph = StateGraph::default();
+        let mut stage = RenderStage::new();
+        let lights = [(); 2].map(|()| Arc::new(LocalLights::default()));
+        let set = Arc::new(StateSet::default());
+        let mut met = |groups: [u32; 2]| {
+            graph.start_stage();
+            stage.lights_of_state.clear();
+            let [a, b] = [0, 1].map(|i| graph.enter_lights(ROOT, &lights[i], groups[i]));
+            let below = graph.find_or_insert(a, &set);
+            let (view, other_stage) = (graph.find_or_insert_view(below, 1), graph.find_or_insert_view(below, 0));
+            let states = [below, b, view, other_stage, graph.find_or_insert(ROOT, &set)];
+            assert_eq!(graph.light_group_of(view), groups[0]);
+            states.iter().for_each(|state| _ = graph.meet(*state, &mut stage));
+            assert_eq!(graph.nodes.len(), 7);
+            stage.lights_of_state.clone()
+        };
+        assert_eq!([met([1, 2]), met([2, 1])], [[1, 2, 1, 0, 0], [2, 1, 2, 0, 0]]);
+        let held = Arc::downgrade(&graph.nodes[1].resolved);
+        drop(lights);
+        (0..=SWEEP_FRAMES).for_each(|_| graph.start_frame());
+        assert!(held.upgrade().is_none(), "released with their page");
     }
 
     #[test]

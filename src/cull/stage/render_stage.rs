@@ -1,5 +1,6 @@
 //! [`RenderStage`]: everything that one camera draws.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use glam::{DAffine3, DMat3, DMat4};
@@ -10,7 +11,7 @@ use super::positioned::{ClipPlane, PositionedLight, PositionedTexGen, move_light
 use super::request::PageRequest;
 use super::target::StageTarget;
 use crate::cull::{CullCamera, FadeBand, StereoMode};
-use crate::scene::{CameraEnvironment, ClampProjection, OcclusionResults, SunShadows};
+use crate::scene::{CameraEnvironment, ClampProjection, LocalLights, OcclusionResults, SunShadows};
 use crate::state::ResolvedState;
 
 /// Another projection and viewport inside a stage: of a Projection node or a nested camera.
@@ -100,6 +101,8 @@ pub struct RenderStage {
     pub view_of_state: Vec<u32>,
     /// By state: the fade. 0 draws in every pixel, others are one more than their index in `fades`.
     pub fade_of_state: Vec<u32>,
+    /// By state: the group of local lights. 0 has none, others are one more than their index in `light_groups`.
+    pub lights_of_state: Vec<u32>,
     /// Dither bands of levels of detail that fade.
     pub fades: Vec<FadeBand>,
     /// Other projections, in the order in which they were met.
@@ -111,6 +114,10 @@ pub struct RenderStage {
     pub requests: Vec<PageRequest>,
     /// Lights in the order in which they were met.
     pub lights: Vec<PositionedLight>,
+    /// Lights that shine on the leaves of some states alone.
+    pub local_lights: Vec<PositionedLight>,
+    /// Ranges of `local_lights`, at most [`LocalLights::MAX`] each.
+    pub light_groups: Vec<Range<usize>>,
     /// Clip planes in the order in which they were met.
     pub clip_planes: Vec<ClipPlane>,
     /// Generators of texture coordinates, in the order in which they were met.
@@ -158,9 +165,12 @@ impl RenderStage {
         // frame to frame keep their reference counts untouched.
         self.view_of_state.clear();
         self.fade_of_state.clear();
+        self.lights_of_state.clear();
         self.fades.clear();
         self.requests.clear();
         self.lights.clear();
+        self.local_lights.clear();
+        self.light_groups.clear();
         self.clip_planes.clear();
         self.texgens.clear();
         self.clear_node = None;
@@ -206,6 +216,19 @@ impl RenderStage {
         self.lights.rotate_left(own[0]);
         self.clip_planes.rotate_left(own[1]);
         self.texgens.rotate_left(own[2]);
+    }
+
+    /// Adds a group of local lights: some own ones, then those of the group `above`, which is numbered as in
+    /// [`Self::lights_of_state`]. Returns its number.
+    pub(in crate::cull) fn push_light_group(&mut self, above: u32, own: impl Iterator<Item = PositionedLight>) -> u32 {
+        let first = self.local_lights.len();
+        let inherited = (above as usize).checked_sub(1).and_then(|above| self.light_groups.get(above).cloned());
+        self.local_lights.extend(own.take(LocalLights::MAX));
+        let room = LocalLights::MAX - (self.local_lights.len() - first);
+        let inherited = inherited.unwrap_or_default();
+        self.local_lights.extend_from_within(inherited.start..inherited.end.min(inherited.start + room));
+        self.light_groups.push(first..self.local_lights.len());
+        self.light_groups.len() as u32
     }
 
     /// Widens near and far by a stage that is drawn with the same projection.

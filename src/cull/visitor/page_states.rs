@@ -7,7 +7,7 @@ use std::sync::Arc;
 use crate::cull::fading::FadeBand;
 use crate::cull::sorting::{ROOT, StateGraph};
 use crate::cull::stage::RenderStage;
-use crate::scene::{BLEND, NONE, Page, VIEW};
+use crate::scene::{BLEND, LocalLights, NONE, Page, VIEW};
 use crate::state::StateSet;
 
 /// The state graph and its mapping from the paths (chains of state sets) of the current page.
@@ -71,11 +71,30 @@ impl PageStates {
         self.graph.find_or_insert_view(state, 0)
     }
 
-    /// Overrides the node of a path: that of a camera whose stage this is.
+    /// Overrides the node of a path: that of a camera whose stage this is, or of local lights.
     pub fn set_path(&mut self, path: u32, state: u32) {
         if let Some(known) = self.in_graph.get_mut(path as usize) {
             *known = state;
         }
+    }
+
+    /// Returns the group of local lights that shine above a path.
+    pub fn lights_above(&mut self, page: &Page, path: u32) -> u32 {
+        let above = self.path_above(page, path);
+        self.graph.light_group_of(above)
+    }
+
+    /// Has local lights, which are a group of the stage, shine on what is below a path.
+    pub fn enter_lights(&mut self, page: &Page, path: u32, lights: &Arc<LocalLights>, group: u32) {
+        let above = self.path_above(page, path);
+        let state = self.graph.enter_lights(above, lights, group);
+        self.set_path(path, state);
+    }
+
+    /// Returns the node of the path above a path.
+    fn path_above(&mut self, page: &Page, path: u32) -> u32 {
+        let parent = page.state_paths().get(path as usize).map_or(0, |link| link.parent);
+        self.path_state(page, parent)
     }
 
     /// Returns the node of a path of another page, with the state set at its end, under a node.

@@ -1,5 +1,7 @@
 //! The rarer node kinds during the node scan: billboards, positioned state and occlusion queries. Culling thread.
 
+use std::sync::Arc;
+
 use glam::{DAffine3, DMat3, DVec3};
 
 use super::page_context::PageContext;
@@ -7,7 +9,10 @@ use super::traversal::Traversal;
 use crate::cull::stage::{
     ClipPlane, OcclusionQuery, PositionedLight, PositionedTexGen, move_light, move_plane, move_texgen,
 };
-use crate::scene::{BillboardMode, INACTIVE, OcclusionQueryNode, RareNode, ReferenceFrame, UNBOUNDED, UNCULLED};
+use crate::scene::{
+    BillboardMode, INACTIVE, LocalLights, OcclusionQueryNode, RareNode, ReferenceFrame, UNBOUNDED, UNCULLED,
+};
+use crate::state::Light;
 
 impl Traversal<'_> {
     /// Visits a node of a rarer kind. Returns true if its children must be scanned like those of a group.
@@ -17,7 +22,7 @@ impl Traversal<'_> {
         if self.views.current().casts {
             match special {
                 RareNode::Camera { .. } | RareNode::Projection { .. } => return false,
-                RareNode::OcclusionQuery(_) => return true,
+                RareNode::OcclusionQuery(_) | RareNode::LocalLights { .. } => return true,
                 _ => {}
             }
         }
@@ -30,6 +35,10 @@ impl Traversal<'_> {
                 let eye_from_node = self.eye_from_node(context, node, source.frame);
                 let light = move_light(&eye_from_node, &source.light);
                 self.stage.lights.push(PositionedLight { light, view: self.views.current().index });
+                true
+            }
+            RareNode::LocalLights { lights, path } => {
+                self.visit_local_lights(context, node, lights, *path);
                 true
             }
             RareNode::ClipNode(clip) => {
@@ -75,6 +84,19 @@ impl Traversal<'_> {
                 false
             }
         }
+    }
+
+    /// Positions lights that shine on what is below their node.
+    fn visit_local_lights(&mut self, context: &PageContext, node: u32, lights: &Arc<LocalLights>, path: u32) {
+        let eye_from_node = self.eye_from_node(context, node, ReferenceFrame::Relative);
+        let view = self.views.current().index;
+        let above = self.states.lights_above(context.page, path);
+        let numbered = lights.lights.iter().zip(0u8..).map(|(light, number)| PositionedLight {
+            light: Light { number, ..move_light(&eye_from_node, light) },
+            view,
+        });
+        let group = self.stage.push_light_group(above, numbered);
+        self.states.enter_lights(context.page, path, lights, group);
     }
 
     /// Returns the matrix from a node's frame to the eye; the identity for an absolute one.
@@ -171,7 +193,6 @@ mod tests {
     use crate::cull::{CullCamera, CullVisitor, RenderStage};
     use crate::math::Aabb;
     use crate::scene::{Drawable, LightSource, Material, Mesh, Node, NodeKind, Page, Scene};
-    use crate::state::Light;
 
     #[test]
     fn queries_never_hide_unbounded_nodes_lights_or_unculled_nodes() {

@@ -40,9 +40,11 @@ impl Leaves {
         let stage = lit.input.stage;
         let mut states = resources.batch.take_states();
         let fades = stage.fade_of_state.iter().chain(std::iter::repeat(&0));
-        for ((state, view), fade) in stage.state_sets.iter().zip(&stage.view_of_state).zip(fades) {
+        let views = stage.view_of_state.iter().enumerate();
+        for ((state, (index, view)), fade) in stage.state_sets.iter().zip(views).zip(fades) {
             let band = stage.fades.get((*fade as usize).wrapping_sub(1)).copied().unwrap_or(FadeBand::FULL);
-            states.push(prepare_state(resources, lit, state, *view, band, replaces_sun));
+            let context = LeafContext { view: *view, positioned: lit.positioned(index, *view), band };
+            states.push(prepare_state(resources, lit, state, context, replaces_sun));
         }
         resources.batch.put_states(states);
         let (first_run, first_leaf) = (resources.batch.runs().len(), resources.batch.leaves().len());
@@ -78,13 +80,21 @@ impl Leaves {
     }
 }
 
-/// Prepares a state of the stage for a view: its pipeline key, bound state and fade.
+/// The view, lights and fade of the leaves of a state.
+#[derive(Clone, Copy)]
+struct LeafContext {
+    view: u32,
+    /// Byte offset of the stage uniform.
+    positioned: u32,
+    band: FadeBand,
+}
+
+/// Prepares a state of the stage for its leaves: its pipeline key, bound state and fade.
 fn prepare_state(
     resources: &mut Resources,
     lit: &LitStage<'_>,
     state: &Arc<ResolvedState>,
-    view: u32,
-    band: FadeBand,
+    LeafContext { view, positioned, band }: LeafContext,
     replaces_sun: bool,
 ) -> StateEntry {
     let (stage, target) = (lit.input.stage, lit.input.target);
@@ -98,7 +108,7 @@ fn prepare_state(
             .report_once(format!("{name}: texture {depth:?} has no stencil; the stencil test passes everywhere"));
     }
     let frame = lit.view(view);
-    let mut bound = BoundState { frame: [frame.uniform, frame.positioned], air: frame.air, group, ..lit.base };
+    let mut bound = BoundState { frame: [frame.uniform, positioned], air: frame.air, group, ..lit.base };
     apply_state(&mut bound.dynamics, state, lit.viewport_px(view), target);
     let index = resources.bound_states.find_recent_or_push(bound, lit.base_index);
     let key = resources.pipelines.state_key(state, shading, target.index);

@@ -60,6 +60,8 @@ pub(in crate::draw) struct LitStage<'a> {
     pub(in crate::draw) around: &'a Surroundings,
     /// The stage's own view first, then those inside it.
     pub(in crate::draw) views: &'a [ViewFrame],
+    /// By state, the byte offset of the stage uniform with its local lights; empty without such lights.
+    pub(in crate::draw) positioned_of_state: &'a [u32],
     /// The bound state without any state set, and its index.
     pub(in crate::draw) base: BoundState,
     pub(in crate::draw) base_index: u32,
@@ -69,6 +71,11 @@ impl LitStage<'_> {
     /// Returns a view by number; the stage's own if there is none.
     pub(in crate::draw) fn view(&self, view: u32) -> &ViewFrame {
         self.views.get(view as usize).unwrap_or(&self.views[0])
+    }
+
+    /// Returns the byte offset of the stage uniform for the leaves of a state, which are in a view.
+    pub(in crate::draw) fn positioned(&self, state: usize, view: u32) -> u32 {
+        self.positioned_of_state.get(state).copied().unwrap_or(self.view(view).positioned)
     }
 
     /// Returns true if the stage has a sky and water: it is whole, and not only a composition of two eyes.

@@ -265,6 +265,9 @@ impl Factory {
             AirKind::Haze => disable("HAS_ATMOSPHERE"),
             AirKind::Clear => ["HAS_ATMOSPHERE", "HAS_HAZE"].into_iter().for_each(&mut disable),
         }
+        if key.has_local_lights() {
+            constants.push(("HAS_LOCAL_LIGHTS".to_owned(), 1.0));
+        }
         let uses_alpha = key.alpha() == Alpha::Blended || key.has_alpha_to_coverage();
         if uses_alpha && choice.fragment.has_alpha_override() {
             constants.push(("HAS_ALPHA".to_owned(), 1.0));

@@ -9,13 +9,13 @@
 //! | 2-3 | alpha | 40 | fixed function |
 //! | 4-5 | culled faces | 41 | alpha to coverage |
 //! | 6 | depth write | 42-47 | target, by index |
-//! | 7-9 | depth compare | 48-57 | program, by index plus 1 |
-//! | 10 | clockwise front faces | 58-59 | vertex format |
-//! | 11-12 | polygon mode; squares for points | 60 | texture units, or a surface |
-//! | 13-15 | colour mask | 61 | fading |
-//! | 16-21 | blending, by index | 62 | receives shadows |
-//! | 22-23 | air | 63 | casts shadows |
-//! | 24-27 | custom attributes, by index | | |
+//! | 7-9 | depth compare | 48-56 | program, by index plus 1 |
+//! | 10 | clockwise front faces | 57 | local lights |
+//! | 11-12 | polygon mode; squares for points | 58-59 | vertex format |
+//! | 13-15 | colour mask | 60 | texture units, or a surface |
+//! | 16-21 | blending, by index | 61 | fading |
+//! | 22-23 | air | 62 | receives shadows |
+//! | 24-27 | custom attributes, by index | 63 | casts shadows |
 //! | 28-33 | polygon offset, by index | | |
 //!
 //! Bit 60 means texture units with the fixed function, and a metallic-roughness surface without it.
@@ -55,7 +55,8 @@ const AIR_SHIFT: u32 = 22;
 const LAYOUT_SHIFT: u32 = 24;
 const FIXED: u64 = 1 << 40;
 const ALPHA_TO_COVERAGE: u64 = 1 << 41;
-const PROGRAM: u64 = 0x3ff << 48;
+const PROGRAM: u64 = 0x1ff << 48;
+const LOCAL_LIGHTS: u64 = 1 << 57;
 const VERTICES_SHIFT: u32 = 58;
 /// The vertex format of pulled meshes, beside the numbers of [`VertexFormat`].
 const PULLED: usize = 3;
@@ -102,7 +103,7 @@ pub(in crate::draw) enum Shading {
 }
 
 /// The number of programs that may be in use at once.
-pub(in crate::draw) const MAX_PROGRAMS: usize = 1022;
+pub(in crate::draw) const MAX_PROGRAMS: usize = 510;
 /// The number of different targets.
 pub(in crate::draw) const MAX_TARGETS: usize = 64;
 
@@ -147,6 +148,8 @@ impl StateKey {
             | u64::from(parts.stencil() & 63) << 34
             | u64::from(target & 63) << 42;
         match shading {
+            // The fixed function and programs find the number of the lights in the stage's uniform.
+            Shading::Plain if state.has_local_lights() => common |= LOCAL_LIGHTS,
             Shading::Plain => {}
             Shading::FixedFunction => common |= FIXED,
             Shading::FixedTextured => common |= FIXED | TEXTURED,
@@ -312,11 +315,11 @@ impl PipelineKey {
     }
 
     pub fn shading(self) -> Shading {
-        match self.field(48, 10) {
+        match self.field(48, 9) {
             0 if self.0 & FIXED != 0 && self.0 & TEXTURED != 0 => Shading::FixedTextured,
             0 if self.0 & FIXED != 0 => Shading::FixedFunction,
             0 => Shading::Plain,
-            0x3ff => Shading::Fallback,
+            0x1ff => Shading::Fallback,
             program => Shading::Program(program as u16 - 1),
         }
     }
@@ -341,6 +344,11 @@ impl PipelineKey {
     /// Returns true if the bind group of the block is that of a set of surfaces.
     pub fn has_surface(self) -> bool {
         self.0 & (FIXED | TEXTURED) == TEXTURED
+    }
+
+    /// Returns true if local lights shine on the leaves.
+    pub fn has_local_lights(self) -> bool {
+        self.0 & LOCAL_LIGHTS != 0
     }
 
     /// Returns the key for full vertices with custom attributes, by index of their layout from 1 on.
@@ -390,7 +398,7 @@ impl PipelineKey {
     /// Returns the key of the pipeline that stands in if this one cannot be created.
     pub fn fallback(self) -> Self {
         let units = if self.has_surface() { 0 } else { TEXTURED };
-        let plain = self.0 & !(PROGRAM | FIXED | units | FADING);
+        let plain = self.0 & !(PROGRAM | FIXED | LOCAL_LIGHTS | units | FADING);
         Self(if self.kind() == Kind::Height { plain } else { plain | PROGRAM })
     }
 
@@ -415,7 +423,7 @@ mod tests {
             .with(Attribute::PolygonMode(PolygonMode::Point))
             .with(Attribute::ColorMask(ColorMask([true, false, true])));
         let parts = PartIndices::new(50, 60, 40);
-        let state = StateKey::new(&ResolvedState::default().below(&set), parts, Shading::Program(1000), 33);
+        let state = StateKey::new(&ResolvedState::default().below(&set), parts, Shading::Program(500), 33);
         let key = PipelineKey::mesh(&state, Topology::Triangles, false, false, false);
         assert_eq!((key.kind(), key.alpha(), key.culled()), (Kind::Triangles, Alpha::Blended, 2));
         let alpha = |topology, is_masked| PipelineKey::mesh(&state, topology, is_masked, false, false).alpha();
@@ -424,11 +432,11 @@ mod tests {
         assert_eq!((key.writes_depth(), key.depth_compare()), (false, CompareFunction::NotEqual));
         assert_eq!((key.is_clockwise(), key.polygon_mode(), key.color_mask()), (true, PolygonMode::Point, 0b101));
         assert_eq!((key.blend(), key.offset()), (40, 50));
-        assert_eq!((key.stencil(), key.target(), key.shading()), (60, 33, Shading::Program(1000)));
+        assert_eq!((key.stencil(), key.target(), key.shading()), (60, 33, Shading::Program(500)));
         assert_eq!(key.fallback().shading(), Shading::Fallback);
         assert!(!state.can_fade && state.fading() == state);
         let height = PipelineKey::height(&state, false);
-        assert_eq!((height.shading(), height.fallback().shading()), (Shading::Program(1000), Shading::Plain));
+        assert_eq!((height.shading(), height.fallback().shading()), (Shading::Program(500), Shading::Plain));
         let broken = StateKey::new(&ResolvedState::default(), parts, Shading::Fallback, 33);
         assert_eq!(PipelineKey::height(&broken, false).shading(), Shading::Plain);
         assert!(!state.order_is_free);
@@ -462,6 +470,16 @@ mod tests {
         assert_eq!((surface.has_surface(), surface.shading()), (true, Shading::Plain));
         assert_eq!((surface.fallback().has_surface(), surface.fallback().shading()), (true, Shading::Fallback));
         assert!(!PipelineKey::mesh(&state, Topology::Lines, false, false, false).with_surface().has_surface());
+        let near_lights = ResolvedState::default().below_local_lights();
+        for (shading, is_lit) in [(Shading::Plain, true), (Shading::FixedFunction, false), (Shading::Program(0), false)]
+        {
+            let state = StateKey::new(&near_lights, PartIndices::default(), shading, 0);
+            let key = PipelineKey::mesh(&state, Topology::Triangles, false, false, false).with_surface();
+            assert_eq!((key.has_local_lights(), key.shading()), (is_lit, shading));
+            assert!(!key.fallback().has_local_lights());
+            let caster = StateKey::caster(&near_lights, shading, false, 0);
+            assert!(!PipelineKey::mesh(&caster, Topology::Triangles, false, false, false).has_local_lights());
+        }
         let fading = PipelineKey::height(&state.fading(), true);
         assert!(fading.is_fading() && fading.shading() == Shading::Plain);
         let key = PipelineKey::height(&state, true);

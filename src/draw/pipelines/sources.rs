@@ -246,7 +246,7 @@ mod tests {
             assert_eq!(fields[3..], offsets!(LeafUniform: color, layer, flags, alpha_cutoff, side));
             let (span, fields) = members(&module, "Stage");
             assert_eq!(span as usize, size_of::<StageUniform>(), "{name}");
-            assert_eq!(fields, offsets!(StageUniform: lights, clip_planes));
+            assert_eq!(fields, offsets!(StageUniform: lights, clip_planes, light_count));
             let (span, fields) = members(&module, "StageLight");
             assert_eq!(span as usize, size_of::<StageLight>(), "{name}");
             assert_eq!(fields, offsets!(StageLight: position, direction, ambient, diffuse, specular, attenuation));
@@ -277,6 +277,7 @@ mod tests {
         assert!(HEIGHT_WGSL.contains(&format!("const HEADER: u32 = {header}u;")));
         assert!(HEIGHT_WGSL.contains(&format!("n <= {}u", crate::gpu::MORPH_LEVELS)));
         for (name, value) in [
+            ("STAGE_LIGHTS", crate::state::LIGHTS as u32),
             ("BAND_SHIFT", BAND_SHIFT),
             ("FLAG_UNLIT", FLAG_UNLIT),
             ("FLAG_UNTEXTURED", FLAG_UNTEXTURED),

@@ -146,12 +146,16 @@ impl Renderer {
             group: None,
         };
         let base_index = resources.bound_states.push(base);
-        let lit = LitStage { input, around, views, base, base_index };
+        let positioned_of_state = self.views.positioned_of_state();
+        let lit = LitStage { input, around, views, positioned_of_state, base, base_index };
         for (node, error) in numbers_out_of_range(stage) {
             resources.errors.report_once(format!("{node}: {error}"));
         }
         for error in stage.lights.iter().filter_map(|l| position_of(&l.light).err()) {
             resources.errors.report_once(format!("a LightSource: {error}"));
+        }
+        for error in stage.local_lights.iter().filter_map(|l| position_of(&l.light).err()) {
+            resources.errors.report_once(format!("a LocalLights: {error}"));
         }
         let has_own_light = replaces_sun(stage);
         self.drawn_into.add(&lit, has_own_light, !shadows.is_empty());

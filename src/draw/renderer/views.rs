@@ -18,12 +18,47 @@ use crate::scene::CameraEnvironment;
 pub(super) struct StageViews {
     lit: Vec<LitView>,
     frames: Vec<ViewFrame>,
+    /// By state of the stage; empty without local lights.
+    positioned_of_state: Vec<u32>,
 }
 
 impl StageViews {
     /// Returns what the views' leaves are drawn with. There is at least one view once a stage was prepared.
     pub(super) fn frames(&self) -> &[ViewFrame] {
         &self.frames
+    }
+
+    /// Returns, by state of the stage, the byte offset of the stage uniform with the local lights of its leaves; nothing
+    /// if the stage has no such lights.
+    pub(super) fn positioned_of_state(&self) -> &[u32] {
+        &self.positioned_of_state
+    }
+
+    /// Prepares the uniforms of local lights.
+    fn prepare_local_lights(&mut self, resources: &mut Resources, stage: &RenderStage) {
+        let Self { lit, frames, positioned_of_state } = self;
+        positioned_of_state.clear();
+        if stage.light_groups.is_empty() {
+            return;
+        }
+        // States of one group are mostly neighbours, which share a uniform.
+        let mut last = None;
+        for (view, group) in stage.view_of_state.iter().zip(&stage.lights_of_state) {
+            let range = (*group as usize).checked_sub(1).and_then(|index| stage.light_groups.get(index));
+            let lights = range.and_then(|range| stage.local_lights.get(range.clone()));
+            let positioned = match (lights, last) {
+                (None, _) => frames.get(*view as usize).unwrap_or(&frames[0]).positioned,
+                (_, Some((of, positioned))) if of == (*view, *group) => positioned,
+                (Some(lights), _) => {
+                    let camera = &lit.get(*view as usize).unwrap_or(&lit[0]).camera;
+                    let light_from = |from: u32| eye_from_view(camera, lit, from);
+                    let uniform = StageUniform::new(stage, *view, light_from).with_local_lights(lights, light_from);
+                    resources.state_groups.push(&uniform)
+                }
+            };
+            last = Some(((*view, *group), positioned));
+            positioned_of_state.push(positioned);
+        }
     }
 
     /// Finds the light, air and shadow maps of each view.
@@ -68,7 +103,7 @@ impl StageViews {
     ) -> wgpu::Color {
         let stage = input.stage;
         self.light(input.ctx, passes, resources, stage, around);
-        let Self { lit, frames } = self;
+        let Self { lit, frames, .. } = self;
         frames.clear();
         let mut background = wgpu::Color::BLACK;
         for (number, view) in (0u32..).zip(lit.iter()) {
@@ -84,11 +119,7 @@ impl StageViews {
             let has_positioned = !stage.lights.is_empty() || !stage.clip_planes.is_empty();
             let shared = frames.first().filter(|_| !has_positioned).map(|own| own.positioned);
             let positioned = shared.unwrap_or_else(|| {
-                let light_from = |from: u32| {
-                    let from = lit.get(from as usize).unwrap_or(&lit[0]);
-                    let to_from = camera.eye_from_world * from.camera.eye_from_world.inverse();
-                    if to_from.is_finite() { to_from } else { DAffine3::IDENTITY }
-                };
+                let light_from = |from: u32| eye_from_view(camera, lit, from);
                 resources.state_groups.push(&StageUniform::new(stage, number, light_from))
             });
             if let Some(first_layer) = *first_layer {
@@ -104,8 +135,16 @@ impl StageViews {
                 has_shadows: first_layer.is_some(),
             });
         }
+        self.prepare_local_lights(resources, stage);
         background
     }
+}
+
+/// Returns the transform to a camera's eye from the lit eye of a view; the identity if it is not finite.
+fn eye_from_view(camera: &CullCamera, lit: &[LitView], from: u32) -> DAffine3 {
+    let from = lit.get(from as usize).unwrap_or(&lit[0]);
+    let to_from = camera.eye_from_world * from.camera.eye_from_world.inverse();
+    if to_from.is_finite() { to_from } else { DAffine3::IDENTITY }
 }
 
 /// Returns the surroundings of a camera in the graph below the camera of a view.

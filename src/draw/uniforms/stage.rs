@@ -3,7 +3,8 @@
 
 use glam::{DAffine3, DVec3};
 
-use crate::cull::{RenderStage, move_light, move_plane};
+use crate::cull::{PositionedLight, RenderStage, move_light, move_plane};
+use crate::scene::LocalLights;
 use crate::state::{CLIP_PLANES, LIGHTS, Light};
 
 /// A light; mirrors `StageLight` in frame.wgsl.
@@ -18,18 +19,40 @@ pub(in crate::draw) struct StageLight {
     pub(in crate::draw) ambient: [f32; 4],
     /// Linear colour; w is 1 if the light exists.
     pub(in crate::draw) diffuse: [f32; 4],
+    /// Linear colour; w is the cosine of the half angle inside of which a spot has its full strength.
     pub(in crate::draw) specular: [f32; 4],
-    /// Constant, linear and quadratic.
+    /// Constant, linear and quadratic; w is 1 / range in metres, 0 without a range.
     pub(in crate::draw) attenuation: [f32; 4],
+}
+
+impl StageLight {
+    /// Returns a light in eye space; an error if a number of it is invalid, so that it does not shine.
+    fn new(light: &Light) -> Result<Self, DarkLight> {
+        let position = position_of(light)?;
+        let direction = DVec3::from_array(light.direction).normalize_or(DVec3::NEG_Z).as_vec3();
+        let is_spot = light.spot_cutoff <= std::f32::consts::FRAC_PI_2;
+        let inner_cutoff = light.spot_inner_cutoff.clamp(0.0, std::f32::consts::PI);
+        Ok(Self {
+            position,
+            direction: direction.extend(if is_spot { light.spot_cutoff.cos() } else { -1.0 }).to_array(),
+            ambient: rgb(light.ambient, light.spot_exponent),
+            diffuse: rgb(light.diffuse, 1.0),
+            specular: rgb(light.specular, inner_cutoff.cos()),
+            attenuation: rgb(light.attenuation, light.range_m.recip()),
+        })
+    }
 }
 
 /// The lights and clip planes of a stage as a view sees them; mirrors `Stage` in frame.wgsl.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
 pub(in crate::draw) struct StageUniform {
-    pub(in crate::draw) lights: [StageLight; LIGHTS],
+    /// The lights of state sets by their number, then local lights.
+    pub(in crate::draw) lights: [StageLight; LIGHTS + LocalLights::MAX],
     /// In eye space: a point is clipped if its product with a plane is negative.
     pub(in crate::draw) clip_planes: [[f32; 4]; CLIP_PLANES],
+    /// x is the end of the local lights in `lights`.
+    pub(in crate::draw) light_count: [u32; 4],
 }
 
 impl StageUniform {
@@ -37,25 +60,17 @@ impl StageUniform {
     /// a light was met in; clip planes are relative to the view's own eye.
     pub(in crate::draw) fn new(stage: &RenderStage, view: u32, light_from: impl Fn(u32) -> DAffine3) -> Self {
         let mut uniform = Self {
-            lights: [StageLight::default(); LIGHTS],
+            lights: [StageLight::default(); LIGHTS + LocalLights::MAX],
             // These planes clip nothing.
             clip_planes: [[0.0, 0.0, 0.0, 1.0]; CLIP_PLANES],
+            light_count: [LIGHTS as u32, 0, 0, 0],
         };
         for positioned in &stage.lights {
             let light = &move_light(&light_from(positioned.view), &positioned.light);
-            let Some(slot) = uniform.lights.get_mut(usize::from(light.number)) else { continue };
-            let [x, y, z] = light.direction;
-            let direction = DVec3::new(x, y, z).normalize_or(DVec3::NEG_Z).as_vec3();
-            let Ok(position) = position_of(light) else { continue };
-            let is_spot = light.spot_cutoff < std::f32::consts::FRAC_PI_2;
-            *slot = StageLight {
-                position,
-                direction: direction.extend(if is_spot { light.spot_cutoff.cos() } else { -1.0 }).to_array(),
-                ambient: rgb(light.ambient, light.spot_exponent),
-                diffuse: rgb(light.diffuse, 1.0),
-                specular: rgb(light.specular, 0.0),
-                attenuation: rgb(light.attenuation, 0.0),
-            };
+            let slot = uniform.lights[..LIGHTS].get_mut(usize::from(light.number));
+            if let (Some(slot), Ok(light)) = (slot, StageLight::new(light)) {
+                *slot = light;
+            }
         }
         for clip in &stage.clip_planes {
             if let Some(plane) = uniform.clip_planes.get_mut(usize::from(clip.number)) {
@@ -63,6 +78,21 @@ impl StageUniform {
             }
         }
         uniform
+    }
+
+    /// Returns the uniform with local lights. `light_from` is that of [`Self::new`].
+    pub(in crate::draw) fn with_local_lights(
+        mut self,
+        lights: &[PositionedLight],
+        light_from: impl Fn(u32) -> DAffine3,
+    ) -> Self {
+        let moved = lights.iter().map(|light| move_light(&light_from(light.view), &light.light));
+        let slots = self.lights[LIGHTS..].iter_mut();
+        for (light, slot) in moved.filter_map(|light| StageLight::new(&light).ok()).zip(slots) {
+            *slot = light;
+            self.light_count[0] += 1;
+        }
+        self
     }
 }
 
@@ -95,7 +125,11 @@ pub(in crate::draw) fn position_of(light: &Light) -> Result<[f32; 4], DarkLight>
         dark("color is not finite")
     } else if !is_finite(&light.attenuation) {
         dark("attenuation is not finite")
-    } else if !is_finite(&[light.spot_cutoff, light.spot_exponent]) || light.direction.iter().any(|d| !d.is_finite()) {
+    } else if light.range_m.is_nan() || light.range_m <= 0.0 {
+        dark("range is not positive")
+    } else if !is_finite(&[light.spot_cutoff, light.spot_inner_cutoff, light.spot_exponent])
+        || light.direction.iter().any(|d| !d.is_finite())
+    {
         dark("spot is not finite")
     } else {
         Ok(position)

@@ -3,10 +3,12 @@
 /// Extensions that are read in full.
 const SUPPORTED: &[&str] = &[
     "CESIUM_RTC",
+    "CESIUM_primitive_outline",
     "EXT_mesh_gpu_instancing",
     "EXT_meshopt_compression",
     "EXT_texture_webp",
     "KHR_draco_mesh_compression",
+    "KHR_lights_punctual",
     "KHR_materials_emissive_strength",
     "KHR_materials_unlit",
     "KHR_mesh_quantization",
@@ -17,8 +19,6 @@ const SUPPORTED: &[&str] = &[
 
 /// Extensions without which a glTF is still drawn sensibly, so that it is not refused if it requires them. They are noted.
 const DISPENSABLE: &[&str] = &[
-    "CESIUM_primitive_outline",
-    "KHR_lights_punctual",
     "KHR_materials_anisotropy",
     "KHR_materials_clearcoat",
     "KHR_materials_dispersion",

@@ -13,6 +13,7 @@ mod external;
 mod features;
 mod glb;
 mod instances;
+mod lights;
 mod materials;
 mod mesh;
 mod node_tree;

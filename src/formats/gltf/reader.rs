@@ -12,6 +12,7 @@ use super::external;
 use super::features::FeatureTables;
 use super::glb::{self, Chunks};
 use super::instances::Instances;
+use super::lights::Lights;
 use super::mesh::{MeshReader, SkinPose};
 use super::node_tree::NodeTree;
 use super::occluder;
@@ -19,7 +20,7 @@ use crate::fetch::IoError;
 use crate::formats::external_files::ExternalFiles;
 use crate::formats::ignored::Notes;
 use crate::formats::options::{Fetched, ReadOptions};
-use crate::scene::{Drawable, Node, NodeKind, PropertyTable};
+use crate::scene::{LocalLights, Node, NodeKind, PropertyTable};
 
 /// The bytes of a glTF and what belongs to them.
 pub(in crate::formats) struct GltfSource<'a> {
@@ -73,6 +74,7 @@ pub(in crate::formats) fn read(source: GltfSource<'_>, options: &ReadOptions, no
         tree: None,
         is_visited: vec![false; document.nodes().len()],
         skinned: Vec::new(),
+        lights: Lights::new(&context, &document),
     };
     let scene = document.default_scene().or_else(|| document.scenes().next());
     let mut children = Vec::new();
@@ -84,11 +86,16 @@ pub(in crate::formats) fn read(source: GltfSource<'_>, options: &ReadOptions, no
         }
         None => {
             for mesh in document.meshes() {
-                children.push(Node::geode(reader.meshes.drawables(&mesh, None, None)?));
+                children.extend(reader.meshes.drawables(&mesh, None, None)?.into_nodes());
             }
         }
     }
     children.append(&mut reader.skinned);
+    let lights = reader.lights.into_placed();
+    if !lights.is_empty() {
+        let lit = NodeKind::LocalLights(LocalLights { lights });
+        children = vec![Node { children, ..Node::new(lit) }];
+    }
     let center = rtc_center.unwrap_or(DVec3::ZERO) + double.cesium_rtc().unwrap_or(DVec3::ZERO);
     // CESIUM_RTC is added after the rotation too, since Cesium's exporters write it z-up.
     let rotation = DAffine3 { matrix3: options.gltf_up_axis.z_up(), translation: center };
@@ -103,12 +110,13 @@ struct Reader<'a> {
     meshes: MeshReader<'a>,
     tables: &'a FeatureTables,
     double: &'a DoublePrecision,
-    /// The tree of nodes, once a skin needs it.
+    /// The tree of nodes, once a skin or a light needs it.
     tree: Option<NodeTree<'a>>,
     /// By index of the node: true if it already has a parent.
     is_visited: Vec<bool>,
     /// Skinned meshes. Their vertices are in the frame of the glTF, whatever the transforms above them.
     skinned: Vec<Node>,
+    lights: Lights<'a>,
 }
 
 impl Reader<'_> {
@@ -128,6 +136,9 @@ impl Reader<'_> {
                 None => self.mesh(node, &mesh, &mut children)?,
             }
         }
+        let (document, double, tree) = (self.document, self.double, &mut self.tree);
+        self.lights
+            .add(node, || tree.get_or_insert_with(|| NodeTree::new(document, double)).root_from_node(node.index()));
         if let Some(extras) = node.extras()
             && let Some(occluder) = occluder::of_node(self.context.uri, node.index(), extras.get())?
         {
@@ -147,7 +158,7 @@ impl Reader<'_> {
         let instances = Instances::new(self.context, self.document, self.buffers, node)?;
         let drawables = self.meshes.drawables(mesh, node.weights(), None)?;
         let Some(instances) = instances else {
-            children.push(Node::geode(drawables));
+            children.extend(drawables.into_nodes());
             return Ok(());
         };
         self.context.budget.add_primitives(instances.transforms.len().saturating_mul(drawables.len()))?;
@@ -157,7 +168,7 @@ impl Reader<'_> {
             if !sets.is_empty() {
                 drawables.iter_mut().for_each(|drawable| self.tables.add_instance(drawable, &sets));
             }
-            children.push(Node::transform(*transform, vec![Node::geode(drawables)]));
+            children.push(Node::transform(*transform, drawables.into_nodes()));
         }
         Ok(())
     }
@@ -172,8 +183,8 @@ impl Reader<'_> {
         let (document, double) = (self.document, self.double);
         let tree = self.tree.get_or_insert_with(|| NodeTree::new(document, double));
         let pose = SkinPose::new(skin, self.buffers, self.context, |joint| tree.root_from_node(joint))?;
-        let drawables: Vec<Drawable> = self.meshes.drawables(mesh, node.weights(), Some(&pose))?;
-        self.skinned.push(Node::transform(DAffine3::from_translation(pose.origin), vec![Node::geode(drawables)]));
+        let drawables = self.meshes.drawables(mesh, node.weights(), Some(&pose))?;
+        self.skinned.push(Node::transform(DAffine3::from_translation(pose.origin), drawables.into_nodes()));
         Ok(())
     }
 }

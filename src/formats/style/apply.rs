@@ -11,9 +11,9 @@ use glam::DAffine3;
 
 use super::looks::{FeatureColumn, Looks};
 use super::style::Style;
-use super::subset::Subset;
 use crate::formats::ignored::Notes;
 use crate::formats::options::ReadOptions;
+use crate::formats::subset::Subset;
 use crate::scene::{
     AlphaMode, Drawable, DrawableFeatures, FeatureIds, Geometry, Material, Mesh, MeshVertex, Node, NodeKind, Topology,
 };

@@ -14,7 +14,6 @@ mod parser;
 #[expect(clippy::module_inception, reason = "the folder is named after its type")]
 mod style;
 mod subject;
-mod subset;
 mod text;
 mod value;
 

@@ -164,6 +164,11 @@ fn add(builder: &mut PageBuilder, node: Node, above: Inherited) -> Result<Open, 
             flags |= INACTIVE;
             kind::SPECIAL
         }
+        NodeKind::LocalLights(lights) => {
+            path = builder.lights_path(path);
+            payload = builder.push_rare(RareNode::LocalLights { lights: Arc::new(lights), path });
+            kind::SPECIAL
+        }
         NodeKind::ClipNode(clip) => {
             let mut set = StateSet::default();
             // Draw reports plane numbers that are out of range.
@@ -242,6 +247,7 @@ fn kind_name(kind: &NodeKind) -> &'static str {
         NodeKind::Geode(_) => "Geode",
         NodeKind::Billboard(_) => "Billboard",
         NodeKind::LightSource(_) => "LightSource",
+        NodeKind::LocalLights(_) => "LocalLights",
         NodeKind::ClipNode(_) => "ClipNode",
         NodeKind::TexGenNode(_) => "TexGenNode",
         NodeKind::ClearNode(_) => "ClearNode",

@@ -8,7 +8,9 @@ use glam::{DAffine3, DVec3};
 use super::billboard::Billboard;
 use super::callback::{EventCallback, UpdateCallback};
 use super::camera_node::CameraNode;
-use super::node_payloads::{ClearNode, ClipNode, ConvexPlanarOccluder, CullCallback, LightSource, TexGenNode};
+use super::node_payloads::{
+    ClearNode, ClipNode, ConvexPlanarOccluder, CullCallback, LightSource, LocalLights, TexGenNode,
+};
 use super::occlusion_query::OcclusionQueryNode;
 use super::paged_lod::{PagedLod, ProxyNode};
 use crate::scene::geometry::Drawable;
@@ -81,6 +83,8 @@ pub enum NodeKind {
     Billboard(Box<Billboard>),
     /// A light.
     LightSource(Box<LightSource>),
+    /// Lights for the children alone.
+    LocalLights(LocalLights),
     /// Clip planes for the children.
     ClipNode(Box<ClipNode>),
     /// The frame of generated texture coordinates.

@@ -26,6 +26,23 @@ pub struct LightSource {
     pub frame: ReferenceFrame,
 }
 
+/// Lights that shine only on what is below their node, besides the sun and the lights of state sets. They also shine on
+/// pages that are attached below, but not on what a camera below draws into a separate stage. They cast no shadows.
+///
+/// Metallic-roughness surfaces reflect [`Light::diffuse`] as glTF defines it and [`Light::ambient`] with their diffuse
+/// colour. They ignore [`Light::specular`].
+#[derive(Clone, Debug, Default)]
+pub struct LocalLights {
+    /// The lights, in the frame of the node; at most [`LocalLights::MAX`] shine, the first ones. Their numbers are ignored.
+    /// If there is room, lights of nodes above follow.
+    pub lights: Vec<Light>,
+}
+
+impl LocalLights {
+    /// The maximum number of local lights that shine on one drawable.
+    pub const MAX: usize = 16;
+}
+
 /// Planes that clip everything for which [`Mode::ClipPlane`](crate::state::Mode::ClipPlane) of their number is on. The modes
 /// are on for the node's children.
 #[derive(Clone, Debug)]

@@ -34,7 +34,7 @@ pub(crate) use node_arrays::{CALLBACK, INACTIVE, LARGE, SIMPLE_SUBTREE, UNCULLED
 pub(crate) use page_builder::PageBuilder;
 pub(crate) use payload_tables::{OccluderRecord, RareNode};
 pub(crate) use single_drawable::SingleDrawable;
-pub(crate) use state_paths::{BLEND, VIEW};
+pub(crate) use state_paths::{BLEND, LIGHTS, VIEW};
 pub(crate) use stored_bounds::UNBOUNDED;
 
 pub use page::Page;

@@ -12,7 +12,7 @@ use super::node_spheres::NodeSpheres;
 use super::page::Page;
 use super::page_payload::PagePayload;
 use super::payload_tables::{OccluderRecord, PayloadTables, RareNode};
-use super::state_paths::{BLEND, StatePaths, VIEW};
+use super::state_paths::{BLEND, LIGHTS, StatePaths, VIEW};
 use super::transforms::Transforms;
 use crate::math::Aabb;
 use crate::scene::error::SceneError;
@@ -156,6 +156,11 @@ impl PageBuilder {
     /// Returns a new path for nodes that have another view than those above.
     pub fn view_path(&mut self, parent: u32) -> u32 {
         self.states.push_path(parent, VIEW)
+    }
+
+    /// Returns a new path for what is below a node with local lights.
+    pub fn lights_path(&mut self, parent: u32) -> u32 {
+        self.states.push_path(parent, LIGHTS)
     }
 
     fn path_to(&mut self, parent: u32, set: u32) -> u32 {

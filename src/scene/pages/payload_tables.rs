@@ -1,10 +1,13 @@
 //! Tables of node payloads that only some kinds of nodes have. A node finds its entry by its payload index.
 
+use std::sync::Arc;
+
 use glam::{DMat4, DVec3};
 
 use crate::math::Aabb;
 use crate::scene::nodes::{
-    BillboardMode, CameraNode, ClearNode, ClipNode, ConvexPlanarOccluder, LightSource, OcclusionQueryNode, TexGenNode,
+    BillboardMode, CameraNode, ClearNode, ClipNode, ConvexPlanarOccluder, LightSource, LocalLights, OcclusionQueryNode,
+    TexGenNode,
 };
 use crate::scene::settings::LodRecord;
 
@@ -18,6 +21,12 @@ pub(crate) enum RareNode {
         bounds: Vec<Aabb>,
     },
     LightSource(LightSource),
+    LocalLights {
+        /// Shared by identity: culls keep what follows from it.
+        lights: Arc<LocalLights>,
+        /// The state path of the children.
+        path: u32,
+    },
     ClipNode(ClipNode),
     TexGenNode(TexGenNode),
     ClearNode(ClearNode),

@@ -9,12 +9,14 @@ use crate::state::StateSet;
 pub(crate) const BLEND: u32 = u32::MAX;
 /// The pseudo state set of a path below a camera or projection node: its leaves have the view of that node.
 pub(crate) const VIEW: u32 = u32::MAX - 1;
+/// The pseudo state set of a path below a node with local lights: they shine on its leaves.
+pub(crate) const LIGHTS: u32 = u32::MAX - 2;
 
 /// The last link of a chain of state sets. Path 0 is the root of the page, without any state set.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct StatePath {
     pub parent: u32,
-    /// An index into [`StatePaths::state_sets`], [`BLEND`] or [`VIEW`].
+    /// An index into [`StatePaths::state_sets`], [`BLEND`], [`VIEW`] or [`LIGHTS`].
     pub set: u32,
 }
 

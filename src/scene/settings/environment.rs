@@ -110,6 +110,14 @@ impl Environment {
     /// ground 0.88 of the light of `sun_color` 1. A mid-grey surface (0.18) that faces the sun is displayed as sRGB 134.
     pub const EXPOSURE: f32 = 1.15;
 
+    /// The illuminance in lux of sunlight whose `sun_color` is 1, on a surface that faces the sun: 100,000. The default
+    /// sun has 105,000 lux, as the real one overhead.
+    ///
+    /// It relates photometric units to linear colours: a light of `E` lux has the colour `E / 100,000`. With the exposure of
+    /// a day, lamps are as weak as they are beside the sun. Where lamps of `E` lux are the only light, a `sun_color` of 0 and
+    /// an exposure of `100,000 / E` show white surfaces white. That is 1,000 for a room of 100 lux.
+    pub const SUN_LUX: f32 = 100_000.0;
+
     /// Returns the environment around another eye of the same world: over a globe, `up_in_world` depends on the position.
     #[must_use]
     pub fn seen_from(mut self, eye_in_world: DVec3) -> Self {

@@ -74,23 +74,13 @@ fn lit(s: Surface, textures: vec3<f32>, base: vec3<f32>) -> vec3<f32> {
         color += diffuse * (sun + light_of_sky(s.normal, s.up));
     }
     let to_eye = select(vec3<f32>(0.0, 0.0, 1.0), towards_eye(s.in_eye), fixed_state.model.x == 1u);
-    for (var i = 0u; i < 8u; i++) {
+    for (var i = 0u; i < stage.light_count.x; i++) {
         let l = stage.lights[i];
-        if (fixed_state.flags.x >> i & 1u) == 0u || l.diffuse.w < 0.5 {
+        if (i < STAGE_LIGHTS && (fixed_state.flags.x >> i & 1u) == 0u) || l.diffuse.w < 0.5 {
             continue;
         }
-        var to_light = l.position.xyz;
-        var strength = 1.0;
-        if l.position.w > 0.5 {
-            to_light -= s.in_eye;
-            let d = length(to_light);
-            strength = 1.0 / max(l.attenuation.x + d * (l.attenuation.y + d * l.attenuation.z), 1e-6);
-        }
-        to_light = normalize(to_light);
-        if l.direction.w > -1.0 {
-            let cosine = dot(-to_light, l.direction.xyz);
-            strength *= select(0.0, pow(max(cosine, 0.0), l.ambient.w), cosine >= l.direction.w);
-        }
+        let way = way_to_light(l, s.in_eye);
+        let to_light = way.xyz;
         let facing = max(dot(s.normal, to_light), 0.0);
         var reflected = l.ambient.rgb * ambient + facing * l.diffuse.rgb * diffuse;
         if facing > 0.0 && side.specular.w > 0.0 {
@@ -98,7 +88,7 @@ fn lit(s: Surface, textures: vec3<f32>, base: vec3<f32>) -> vec3<f32> {
             let shine = pow(max(dot(s.normal, half_way), 0.0), side.specular.w);
             reflected += shine * l.specular.rgb * specular;
         }
-        color += strength * reflected;
+        color += way.w * reflected;
     }
     return color;
 }

@@ -47,7 +47,7 @@ fn height_color(in: HeightFragment) -> vec4<f32> {
     }
     let normal = normalize(in.normal_v.xyz);
     let ground = above_ground(in_eye);
-    var lit = light_of_sky(normal, ground.xyz);
+    var lit = light_of_sky(normal, ground.xyz) + local_light(in_eye, normal);
     // Points that the sun does not reach need no look-ups.
     if dot(normal, frame.sun_direction.xyz) > 0.0 {
         lit += light_of_sun(normal, ground.xyz, ground.w) * sun_shadow(in_eye, towards_sun(normal, facet));

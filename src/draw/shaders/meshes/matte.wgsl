@@ -30,5 +30,6 @@ fn shade(in: MeshFragment, is_front: bool, shape: MeshShape, base: vec4<f32>) ->
     if dot(normal, frame.sun_direction.xyz) > 0.0 {
         lit *= sun_shadow(in.in_eye_u.xyz, towards_sun(normal, shape.facet));
     }
-    return through_air(base.rgb * (lit + light_of_sky(normal, ground.xyz)), air);
+    let around = light_of_sky(normal, ground.xyz) + local_light(in.in_eye_u.xyz, normal);
+    return through_air(base.rgb * (lit + around), air);
 }

@@ -1,5 +1,5 @@
-// Surfaces of glTF's metallic-roughness model under sun and sky. The reflection of the sun is that of appendix B of the glTF
-// 2.0 specification: GGX's distribution, Smith's height-correlated visibility, Schlick's Fresnel term.
+// Surfaces of glTF's metallic-roughness model under sun, sky and local lights. The reflection of sun and lights is that of
+// appendix B of the glTF 2.0 specification: GGX's distribution, Smith's height-correlated visibility, Schlick's Fresnel term.
 
 // The maps and factors of a surface.
 struct SurfaceRecord {
@@ -164,6 +164,18 @@ fn shade(in: MeshFragment, is_front: bool, shape: MeshShape, base: vec4<f32>) ->
     if dot(normal, frame.sun_direction.xyz) > 0.0 {
         let sun = light_of_sun(normal, ground.xyz, ground.w) * sun_shadow(in_eye, towards_sun(smooth_normal, shape.facet));
         color += sun * reflected(normal, frame.sun_direction.xyz, to_eye, diffuse, reflectance, roughness);
+    }
+    if HAS_LOCAL_LIGHTS {
+        for (var i = STAGE_LIGHTS; i < stage.light_count.x; i++) {
+            let light = stage.lights[i];
+            let way = way_to_light(light, in_eye);
+            let facing = max(dot(normal, way.xyz), 0.0);
+            color += way.w * light.ambient.rgb * diffuse;
+            if facing > 0.0 {
+                let mirrored = reflected(normal, way.xyz, to_eye, diffuse, reflectance, roughness);
+                color += way.w * facing * light.diffuse.rgb * mirrored;
+            }
+        }
     }
     let facing_eye = clamp(dot(normal, to_eye), 0.0, 1.0);
     let from_around = reflection_of_surroundings(roughness, facing_eye);

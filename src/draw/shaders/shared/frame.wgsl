@@ -42,19 +42,24 @@ struct StageLight {
     direction: vec4<f32>,    // axis of a spot; w: cosine of its half angle, -1 without a spot
     ambient: vec4<f32>,      // w: exponent of the spot
     diffuse: vec4<f32>,      // w: 1 if the light exists
-    specular: vec4<f32>,
-    attenuation: vec4<f32>,  // constant, linear, quadratic
+    specular: vec4<f32>,     // w: cosine of the half angle inside of which a spot has its full strength
+    attenuation: vec4<f32>,  // constant, linear, quadratic; w: 1 / range, 0 without a range
 }
 
 // The lights and clip planes of a stage.
 struct Stage {
-    lights: array<StageLight, 8>,
+    lights: array<StageLight, 24>,  // those of state sets by number, from STAGE_LIGHTS on local ones
     clip_planes: array<vec4<f32>, 6>,
+    light_count: vec4<u32>,         // x: the end of the local lights
 }
 
 // Pipelines of frames without atmosphere or haze leave their code out, since software adapters run both sides of a branch.
 override HAS_ATMOSPHERE: bool = true;
 override HAS_HAZE: bool = true;
+// Only pipelines of leaves that local lights shine on have the code for them.
+override HAS_LOCAL_LIGHTS: bool = false;
+
+const STAGE_LIGHTS: u32 = 8u;
 
 const FLAG_UNLIT: u32 = 1u;
 const FLAG_UNTEXTURED: u32 = 2u;
@@ -178,6 +183,39 @@ fn light_of_sky(normal: vec3<f32>, up: vec3<f32>) -> vec3<f32> {
     let place = vec2<f32>(sky_light_place(cosine), 0.5);
     let sky = textureSampleLevel(sky_light, air_sampler, place, 0.0).rgb;
     return ambient * max(sky, vec3<f32>(0.03));
+}
+
+// Returns the direction to a light from a point in eye space, and the share of the light that arrives there.
+fn way_to_light(light: StageLight, in_eye: vec3<f32>) -> vec4<f32> {
+    var to_light = light.position.xyz;
+    var strength = 1.0;
+    if light.position.w > 0.5 {
+        to_light -= in_eye;
+        let d = length(to_light);
+        strength = 1.0 / max(light.attenuation.x + d * (light.attenuation.y + d * light.attenuation.z), 1e-6);
+        let part = d * light.attenuation.w;
+        strength *= clamp(1.0 - part * part * part * part, 0.0, 1.0);
+    }
+    to_light = normalize(to_light);
+    if light.direction.w > -1.0 {
+        let cosine = dot(-to_light, light.direction.xyz);
+        let inside = clamp((cosine - light.direction.w) / max(light.specular.w - light.direction.w, 1e-6), 0.0, 1.0);
+        strength *= inside * inside * pow(max(cosine, 1e-6), light.ambient.w);
+    }
+    return vec4<f32>(to_light, strength);
+}
+
+// Returns the light of local lights that a matte surface reflects.
+fn local_light(in_eye: vec3<f32>, normal: vec3<f32>) -> vec3<f32> {
+    var sum = vec3<f32>(0.0);
+    if HAS_LOCAL_LIGHTS {
+        for (var i = STAGE_LIGHTS; i < stage.light_count.x; i++) {
+            let light = stage.lights[i];
+            let way = way_to_light(light, in_eye);
+            sum += way.w * (light.ambient.rgb + max(dot(normal, way.xyz), 0.0) * light.diffuse.rgb);
+        }
+    }
+    return sum;
 }
 
 // Maps a lit colour to a display: applies the exposure, keeps values below 0.76, and rolls highlights off towards white.

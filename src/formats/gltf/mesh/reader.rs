@@ -7,6 +7,7 @@ use gltf::mesh::Mode;
 
 use super::attributes::additional_attributes;
 use super::deform::Deformation;
+use super::outline::{self, MeshDrawables};
 use super::primitive::{BUFFER_MISSING, PrimitiveData};
 use super::skin::SkinPose;
 use super::vertices::Vertices;
@@ -26,7 +27,7 @@ pub(in super::super) struct MeshReader<'a> {
     surfaces: Surfaces<'a>,
     index_lists: IndexLists<'a>,
     /// The drawables of meshes that were read without a deformation of their node, by the index of the mesh.
-    meshes: HashMap<usize, Vec<Drawable>>,
+    meshes: HashMap<usize, MeshDrawables>,
 }
 
 impl<'a> MeshReader<'a> {
@@ -53,16 +54,18 @@ impl<'a> MeshReader<'a> {
         mesh: &gltf::Mesh<'_>,
         weights: Option<&[f32]>,
         skin: Option<&SkinPose>,
-    ) -> Result<Vec<Drawable>, IoError> {
+    ) -> Result<MeshDrawables, IoError> {
         self.context.budget.add_primitives(mesh.primitives().len())?;
         let is_plain = weights.is_none() && skin.is_none();
         if let Some(known) = self.meshes.get(&mesh.index()).filter(|_| is_plain) {
             return Ok(known.clone());
         }
         let deformation = Deformation { weights: weights.or(mesh.weights()).unwrap_or_default(), skin };
-        let mut drawables = Vec::with_capacity(mesh.primitives().len());
+        let mut drawables = MeshDrawables::default();
         for primitive in mesh.primitives() {
-            drawables.extend(self.primitive(&primitive, deformation)?);
+            if let Some((drawable, outline)) = self.primitive(&primitive, deformation)? {
+                drawables.push(drawable, outline);
+            }
         }
         if is_plain {
             self.meshes.insert(mesh.index(), drawables.clone());
@@ -70,12 +73,12 @@ impl<'a> MeshReader<'a> {
         Ok(drawables)
     }
 
-    /// Reads a primitive. Returns `None` if a buffer that it cannot do without is missing.
+    /// Reads a primitive and its outline. Returns `None` if a buffer that it cannot do without is missing.
     fn primitive(
         &mut self,
         primitive: &gltf::Primitive<'_>,
         deformation: Deformation<'_>,
-    ) -> Result<Option<Drawable>, IoError> {
+    ) -> Result<Option<(Drawable, Option<Drawable>)>, IoError> {
         let Self { context, buffers, document, tables, surfaces, index_lists, .. } = self;
         let Some(data) = PrimitiveData::new(context, buffers, document, primitive)? else { return Ok(None) };
         let mut surface = surfaces.get(&primitive.material());
@@ -133,7 +136,10 @@ impl<'a> MeshReader<'a> {
         let mut drawable = Drawable::new(Geometry::Mesh(mesh), material);
         drawable.features = features;
         drawable.shared = SharedParts { geometry, indices, texture: shared_texture.flatten(), maps };
-        Ok(Some(drawable.with_vertex_format(format)))
+        let drawable = drawable.with_vertex_format(format);
+        let edges = outline::edges(context, document, primitive, &data, index_lists)?;
+        let outline = edges.map(|edges| outline::lines(context, &edges, &drawable)).transpose()?.flatten();
+        Ok(Some((drawable, outline)))
     }
 }
 

@@ -36,6 +36,11 @@ impl<'a> Subset<'a> {
         Self { of, vertices, indices, topology: of.topology }
     }
 
+    /// Makes lines between vertices of the mesh, two indices each.
+    pub fn lines(of: &'a Mesh, indices: &[u32]) -> Self {
+        Self { topology: Topology::Lines, ..Self::new(of, indices) }
+    }
+
     /// Makes squares of points, each with four vertices. [`Self::mesh`] must set their sizes.
     pub fn squares(of: &'a Mesh, points: &[u32]) -> Self {
         let known = points.iter().filter(|point| (**point as usize) < of.vertices.len());
