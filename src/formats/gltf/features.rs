@@ -10,7 +10,7 @@ use serde_json::Value;
 use super::accessors::{Buffers, Elements};
 use super::context::Context;
 use crate::fetch::IoError;
-use crate::formats::properties;
+use crate::formats::properties::{self, SharedBytes, TableSource};
 use crate::scene::{Drawable, DrawableFeatures, FeatureIdSet, FeatureIds, PropertyTable};
 
 /// A set of feature ids in the JSON.
@@ -60,14 +60,15 @@ impl FeatureTables {
             let view = |view: usize| {
                 let bytes = buffers.view(&document.views().nth(view)?).ok().flatten()?;
                 context.budget.add_decoded(bytes.len() as u64).ok()?;
-                Some(bytes.to_vec())
+                Some(SharedBytes::from(bytes.to_vec()))
             };
             let reference = metadata.get("schemaUri").and_then(Value::as_str);
             let schema = properties::read_schema(context.uri, metadata.get("schema"), reference, &context.files);
             let schema = schema
                 .or_else(|error| context.missing("metadata: a schema that cannot be read", &error).map(|()| None))?;
             let read = schema.map_or(Vec::new(), |schema| {
-                properties::property_tables(metadata, &schema, &view, &|kind| context.notes.add(kind))
+                let note = |kind: &'static str| context.notes.add(kind);
+                TableSource { schema: &schema, view: &view, note: &note }.tables(metadata)
             });
             tables.extend(read.into_iter().map(Arc::new));
             for (property, kind) in [

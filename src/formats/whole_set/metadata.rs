@@ -57,14 +57,19 @@ impl MetadataInfo {
         classes.into_iter().flat_map(|classes| classes.keys()).map(String::as_str).collect()
     }
 
+    /// Returns the groups with their names, or with their indices if they have no names.
+    pub fn groups(&self) -> Vec<(String, &Value)> {
+        match &self.groups {
+            Some(Value::Array(groups)) => groups.iter().enumerate().map(|(i, group)| (i.to_string(), group)).collect(),
+            // The extension of 1.0 names its groups.
+            Some(Value::Object(groups)) => groups.iter().map(|(name, group)| (name.clone(), group)).collect(),
+            _ => Vec::new(),
+        }
+    }
+
     /// Returns the number of groups.
     pub fn group_count(&self) -> usize {
-        match &self.groups {
-            Some(Value::Array(groups)) => groups.len(),
-            // The extension of 1.0 names its groups.
-            Some(Value::Object(groups)) => groups.len(),
-            _ => 0,
-        }
+        self.groups().len()
     }
 }
 

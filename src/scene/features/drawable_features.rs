@@ -112,7 +112,8 @@ mod tests {
 
     #[test]
     fn vertices_lead_to_their_features() {
-        let table = PropertyTable::new("t".into(), "c".into(), 4, vec![("square".into(), Box::new(Squares))]);
+        let table =
+            PropertyTable::new("t".into(), "c".into(), 4, vec![("square".to_owned().into(), Box::new(Squares))]);
         let set = |label: &str, null_id, ids, table| FeatureIdSet { label: label.into(), null_id, ids, table };
         let features = DrawableFeatures {
             sets: vec![

@@ -11,6 +11,7 @@ use super::camera_node::CameraNode;
 use super::node_payloads::{ClearNode, ClipNode, ConvexPlanarOccluder, CullCallback, LightSource, TexGenNode};
 use super::occlusion_query::OcclusionQueryNode;
 use super::paged_lod::{PagedLod, ProxyNode};
+use crate::scene::features::TileMetadata;
 use crate::scene::geometry::Drawable;
 use crate::state::StateSet;
 
@@ -34,6 +35,8 @@ pub struct Node {
     pub update_callback: Option<UpdateCallback>,
     /// Called once for each event.
     pub event_callback: Option<EventCallback>,
+    /// The metadata of a tile or of a content; usually none.
+    pub metadata: Option<Arc<TileMetadata>>,
     /// The children in order.
     pub children: Vec<Node>,
 }
@@ -107,6 +110,7 @@ impl Node {
             cull_callback: None,
             update_callback: None,
             event_callback: None,
+            metadata: None,
             children: Vec::new(),
         }
     }
