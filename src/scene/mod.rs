@@ -35,8 +35,8 @@ mod tile_tree;
 pub use draw_kinds::DrawKind;
 pub use error::{MeshError, SceneError};
 pub use features::{
-    DrawableFeatures, Feature, FeatureIdSet, FeatureIds, Metadata, MetadataClass, PropertyColumn, PropertyInfo,
-    PropertyTable, PropertyValue, TileMetadata,
+    DataTexture, DrawableFeatures, Feature, FeatureIdSet, FeatureIds, Metadata, MetadataClass, PropertyColumn,
+    PropertyInfo, PropertyTable, PropertyValue, SurfacePoint, SurfaceProperty, TileMetadata,
 };
 #[cfg(feature = "text")]
 pub use geometry::Font;
@@ -67,7 +67,7 @@ pub use settings::{
 pub use sharing::{ContentKey, ShareModes, SharedStateManager, SharingStats};
 pub use tile_tree::{SlotInfo, SlotState, TileInfo};
 
-pub(crate) use features::Column;
+pub(crate) use features::{Column, SurfaceValues, ValueDecoder};
 pub(crate) use geometry::{AttributeLayout, SMALL_MESH_INDICES, added_stride};
 pub(crate) use id::NONE;
 pub(crate) use nodes::ReadBack;

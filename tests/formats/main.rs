@@ -11,4 +11,5 @@ mod gltf_geometry;
 mod gltf_materials;
 mod instances;
 mod styles;
+mod surface_properties;
 mod tiles;

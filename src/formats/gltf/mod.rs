@@ -18,5 +18,6 @@ mod mesh;
 mod node_tree;
 mod occluder;
 mod reader;
+mod surface_properties;
 
 pub(super) use reader::{GltfSource, read, references};

@@ -1,6 +1,6 @@
 //! [`Subtree`]: which tiles, contents and child subtrees a subtree file has. Decode threads.
 //!
-//! The bits and the metadata stay as they are in the file, and a lookup costs one byte: a subtree of 12 levels has 5.6
+//! The bits and the metadata stay as they are in the file, and a lookup costs one byte. A subtree of 12 levels has 5.6
 //! million tiles, and few are ever looked at.
 
 use std::sync::Arc;
@@ -30,7 +30,7 @@ pub(super) struct SubtreeShape {
     pub contents: usize,
 }
 
-/// What the metadata of a tile's content says about it.
+/// The metadata of a tile's content, and the properties that have an effect.
 #[derive(Clone, Debug, Default)]
 pub(super) struct ContentRow {
     /// All values, if they are kept.
@@ -83,28 +83,18 @@ impl Subtree {
         // The bytes of each buffer that is needed.
         let mut buffers: Vec<Option<SharedBytes>> = vec![None; json.buffers.len()];
         for (i, (buffer, place)) in json.buffers.iter().zip(&mut buffers).enumerate().filter(|(i, _)| needed[*i]) {
-            let external = match buffer.uri.0.as_deref() {
-                None => {
-                    *place = binary.and_then(|(start, length)| SharedBytes::part(&file, start..start + length));
-                    continue;
-                }
-                Some(reference) if reference.starts_with("data:") => embedded::data_uri(uri, reference)?,
-                Some(reference) => {
-                    let (address, _) = options.resolve(uri, reference)?;
-                    let found = companions.iter().find(|(fetched, _)| *fetched == address);
-                    let missing = || bad(format!("the external buffer {reference:.60} was not read"));
-                    match found.map_or_else(|| Err(missing()), |(_, read)| read.clone()) {
-                        Err(error) if required[i] || error.is_transient() => return Err(error),
-                        Err(_) => {
-                            notes.add("metadata: a buffer of a subtree that is missing");
-                            continue;
-                        }
-                        Ok(bytes) => bytes,
-                    }
-                }
+            let Some(reference) = buffer.uri.0.as_deref() else {
+                *place = binary.and_then(|(start, length)| SharedBytes::part(&file, start..start + length));
+                continue;
             };
-            buffer_bytes += external.capacity() as u64;
-            *place = Some(external.into());
+            match external_buffer(uri, reference, companions, options) {
+                Ok(bytes) => {
+                    buffer_bytes += bytes.capacity() as u64;
+                    *place = Some(bytes.into());
+                }
+                Err(error) if required[i] || error.is_transient() => return Err(error),
+                Err(_) => notes.add("metadata: a buffer of a subtree that is missing"),
+            }
         }
         let availability = |of: Option<&AvailabilityJson>, what: &str, count: u64| -> Result<Availability, String> {
             let Some(of) = of else { return Ok(Availability::Constant(false)) };
@@ -233,6 +223,22 @@ impl Subtree {
         let rows = self.tile_rows.iter().chain(self.content_rows.iter().flatten());
         self.buffer_bytes + rows.map(MetadataRows::size_bytes).sum::<u64>()
     }
+}
+
+/// Returns the bytes of an external buffer, or those in a `data:` URI.
+fn external_buffer(
+    uri: &str,
+    reference: &str,
+    companions: &[Fetched],
+    options: &ReadOptions,
+) -> Result<Vec<u8>, IoError> {
+    if reference.starts_with("data:") {
+        return embedded::data_uri(uri, reference);
+    }
+    let (address, _) = options.resolve(uri, reference)?;
+    let found = companions.iter().find(|(fetched, _)| *fetched == address);
+    let missing = || format!("subtree: the external buffer {reference:.60} was not read");
+    found.map_or_else(|| Err(IoError::invalid(uri, missing())), |(_, read)| read.clone())
 }
 
 /// Returns true for a property that is read even if metadata is not kept.

@@ -20,6 +20,7 @@ mod table;
 
 pub(super) use batch_table::batch_table;
 pub(super) use entities::Entities;
-pub(super) use schema::{ClassProperty, Schema, TableJson, read_schema};
+pub(super) use property_type::PropertyType;
+pub(super) use schema::{ClassProperty, Schema, TableJson, ValueChanges, read_schema};
 pub(super) use shared_bytes::SharedBytes;
 pub(super) use table::TableSource;

@@ -6,7 +6,7 @@ use serde_json::Value;
 
 use super::component::Component;
 use super::schema::{ClassProperty, Schema, ValueChanges};
-use crate::scene::{PropertyInfo, PropertyValue};
+use crate::scene::{PropertyInfo, PropertyValue, ValueDecoder};
 
 /// The type of one element.
 #[derive(Clone, Debug)]
@@ -34,9 +34,9 @@ pub(super) enum Length {
 
 /// The type of a property, and the conversion from stored values.
 #[derive(Clone, Debug)]
-pub(super) struct PropertyType {
-    pub element: Element,
-    pub length: Length,
+pub(in crate::formats) struct PropertyType {
+    pub(super) element: Element,
+    pub(super) length: Length,
     normalized: bool,
     /// Applied to floating-point and normalized numbers, by component; empty for none.
     scale: Vec<f64>,
@@ -49,7 +49,7 @@ pub(super) struct PropertyType {
 
 impl PropertyType {
     /// Returns the type of values that are used as they are stored.
-    pub fn plain(element: Element) -> Self {
+    pub(super) fn plain(element: Element) -> Self {
         Self {
             element,
             length: Length::Single,
@@ -96,14 +96,36 @@ impl PropertyType {
         }
     }
 
+    /// Returns the size of a value in bytes; `None` for bits, text, and arrays of any length.
+    pub fn size_bytes(&self) -> Option<usize> {
+        let element = match &self.element {
+            Element::Numbers { component, components } => component.size_bytes() * components,
+            Element::Enum { component, .. } => component.size_bytes(),
+            Element::Bool | Element::Text => return None,
+        };
+        match self.length {
+            Length::Single => Some(element),
+            Length::Fixed(count) => element.checked_mul(count),
+            Length::Variable => None,
+        }
+    }
+
+    /// Returns true if values are numbers of the type with a name, such as `UINT8`.
+    pub fn has_component(&self, name: &str) -> bool {
+        let (Element::Numbers { component, .. } | Element::Enum { component, .. }) = &self.element else {
+            return false;
+        };
+        Component::from_name(name) == Some(*component)
+    }
+
     /// Converts a stored value, or its absence.
-    pub fn value(&self, stored: Option<PropertyValue>) -> PropertyValue {
+    pub(super) fn value(&self, stored: Option<PropertyValue>) -> PropertyValue {
         let stored = stored.filter(|stored| *stored != PropertyValue::Null && Some(stored) != self.no_data.as_ref());
         stored.map_or_else(|| self.default.clone(), |stored| self.transformed(stored))
     }
 
     /// Converts a value in JSON, or its absence.
-    pub fn value_of_json(&self, json: Option<&Value>) -> PropertyValue {
+    pub(super) fn value_of_json(&self, json: Option<&Value>) -> PropertyValue {
         self.value(json.map(|json| from_json(json, &self.element)))
     }
 
@@ -141,6 +163,20 @@ impl PropertyType {
         let number = number * factor(&self.scale, 1.0) + factor(&self.offset, 0.0);
         *at += 1;
         PropertyValue::Float(number)
+    }
+}
+
+impl ValueDecoder for PropertyType {
+    fn value(&self, bytes: &[u8]) -> PropertyValue {
+        let stored = match self.length {
+            Length::Single => self.element.read(bytes, 0),
+            // Every element has a byte.
+            Length::Fixed(count) if count <= bytes.len() => {
+                (0..count).map(|i| self.element.read(bytes, i)).collect::<Option<_>>().map(PropertyValue::List)
+            }
+            Length::Fixed(_) | Length::Variable => None,
+        };
+        Self::value(self, stored)
     }
 }
 

@@ -11,7 +11,7 @@ use super::shared_bytes::SharedBytes;
 use crate::formats::lenient::Text;
 use crate::scene::{Column, PropertyColumn, PropertyTable, PropertyValue};
 
-/// What the tables of a file are read from.
+/// The schema and the buffers of a file with property tables.
 pub(in crate::formats) struct TableSource<'a> {
     pub schema: &'a Schema,
     /// Returns the bytes of a buffer view.

@@ -86,13 +86,14 @@ mod tests {
         );
         let found = MetadataInfo::read(of_1_1.as_bytes()).unwrap();
         assert_eq!((found.class_names(), found.group_count()), (vec!["group", "tile"], 2));
+        assert_eq!(found.groups()[1].0, "1");
         assert_eq!(found.tileset.as_ref().unwrap()["properties"]["a"], "x");
         assert_eq!(found.statistics, None);
         let of_1_0 = format!(
             r#"{{"extensions":{{"3DTILES_metadata":{{"schema":{schema},"groups":{{"a":{{}}}}}}}},"properties":{{"h":{{"minimum":1}}}}}}"#
         );
         let found = MetadataInfo::read(of_1_0.as_bytes()).unwrap();
-        assert_eq!((found.class_names().len(), found.group_count()), (2, 1));
+        assert_eq!((found.class_names().len(), found.groups()[0].0.as_str()), (2, "a"));
         assert_eq!(found.properties.unwrap()["h"]["minimum"], 1);
         assert_eq!(MetadataInfo::read(br#"{"asset":{},"root":{}}"#), None);
         assert_eq!(MetadataInfo::read(b"["), None);

@@ -60,8 +60,8 @@ impl Metadata {
     }
 }
 
-/// What is known about a node of a tile tree, or about a content: [`Scene::metadata`](crate::scene::Scene::metadata) returns
-/// it. Each part is `None` if the tile set has none.
+/// The metadata of a node of a tile tree, or of a content; [`Scene::metadata`](crate::scene::Scene::metadata) returns it.
+/// Each part is `None` if the tile set has none.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TileMetadata {
     /// The metadata of the tileset; only at its root tile.
@@ -133,7 +133,7 @@ mod tests {
         let both = TileMetadata::with_content(tile.clone().shared(), content.clone().shared()).unwrap();
         assert!(both.tile == tile.tile && both.group == content.group);
         assert_eq!(TileMetadata::default().shared(), None);
-        // What several tiles share is counted once.
+        // Parts that several tiles share are counted once.
         let mut counted = HashSet::new();
         let bytes = [0; 2].map(|_| tile.size_bytes_beside(&mut counted));
         assert!(bytes[0] > bytes[1] && bytes[1] == size_of::<TileMetadata>(), "{bytes:?}");

@@ -378,3 +378,28 @@ fn missing_buffers_and_invalid_tables_leave_the_tiles() {
         assert_eq!(set.read(&set.options()).children.len(), 2);
     }
 }
+
+/// A set that others wrote: metadata of the tileset, of tiles, contents and groups.
+#[test]
+fn the_sample_with_all_granularities_has_metadata() {
+    let file =
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/samples/3d-tiles/MetadataGranularities/tileset.json");
+    let Some(path) = file.to_str().filter(|_| file.exists()) else {
+        return kit::skip::skipped(format!("no sample at {}", file.display()));
+    };
+    let uri = root_uri(path).unwrap();
+    let options = options(&uri);
+    let bytes = read_file(&uri, &options.limits).unwrap();
+    let root = decode_node(content(&uri, bytes), &options).unwrap();
+    let found = all(&root);
+    assert_eq!(
+        text(found[0].1.tileset.as_ref()),
+        "exampleTilesetMetadataClass author=Cesium date=2022-03-21 tileCount=4"
+    );
+    let count = |part: fn(&TileMetadata) -> bool| found.iter().filter(|(_, metadata)| part(metadata)).count();
+    assert_eq!(
+        (count(|m| m.tile.is_some()), count(|m| m.content.is_some()), count(|m| m.group.is_some())),
+        (4, 20, 20)
+    );
+    assert!(options.ignored.snapshot().is_empty(), "{:?}", options.ignored.snapshot());
+}
