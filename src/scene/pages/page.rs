@@ -242,7 +242,7 @@ impl Page {
 
     /// Returns the metadata of a node, if it has any.
     pub(in crate::scene) fn metadata(&self, node: u32) -> Option<&TileMetadata> {
-        self.extras.metadata.get(node).map(|metadata| &**metadata)
+        self.extras.metadata(node)
     }
 
     /// Returns the update callbacks, sorted by node.

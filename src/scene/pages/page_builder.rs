@@ -148,7 +148,7 @@ impl PageBuilder {
     }
 
     pub fn push_metadata(&mut self, node: u32, metadata: Arc<TileMetadata>) {
-        self.extras.metadata.push(node, metadata);
+        self.extras.push_metadata(node, metadata);
     }
 
     /// Returns the path of a state set below another path.
