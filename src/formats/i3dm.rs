@@ -15,7 +15,7 @@ use super::options::{Fetched, ReadOptions};
 use super::properties;
 use crate::fetch::{IoError, resolve};
 use crate::math::WGS84;
-use crate::scene::{Drawable, DrawableFeatures, FeatureIdSet, FeatureIds, Node, NodeKind, PropertyTable};
+use crate::scene::{Drawable, FeatureIdSet, FeatureIds, Node, NodeKind, PropertyTable};
 use crate::state::StateSet;
 
 const HEADER_BYTES: usize = 32;
@@ -183,15 +183,12 @@ impl InstanceFeatures {
 
     /// Adds the feature of an instance to those of the model.
     fn add_to(&self, drawable: &mut Drawable, instance: usize) {
-        let (mut sets, mut tables) = match drawable.features.as_deref() {
-            Some(features) => (features.sets.clone(), features.tables.to_vec()),
-            None => (Vec::new(), Vec::new()),
-        };
-        let table = self.table.is_some().then_some(tables.len());
-        tables.extend(self.table.clone());
+        let mut features = drawable.features.as_deref().cloned().unwrap_or_default();
+        let table = self.table.is_some().then_some(features.tables.len());
+        features.tables = features.tables.iter().cloned().chain(self.table.clone()).collect();
         let ids = FeatureIds::Uniform(self.ids.get(instance).copied().unwrap_or_default());
-        sets.insert(0, FeatureIdSet { label: String::new(), null_id: None, ids, table });
-        drawable.features = Some(Arc::new(DrawableFeatures { sets, tables: tables.into() }));
+        features.sets.insert(0, FeatureIdSet { label: String::new(), null_id: None, ids, table });
+        drawable.features = Some(Arc::new(features));
     }
 }
 

@@ -34,7 +34,8 @@ pub struct ReadOptions {
     /// The axis of glTF contents that points up. Decoders set it by the tileset that a content belongs to.
     pub gltf_up_axis: UpAxis,
     /// Keeps the feature ids of glTF, b3dm and i3dm with their property tables, for
-    /// [`Page::features`](crate::scene::Page::features). Off by default, since they take memory.
+    /// [`Page::features`](crate::scene::Page::features), and the metadata of tilesets, tiles, contents and groups, for
+    /// [`Scene::metadata`](crate::scene::Scene::metadata). Off by default, since they take memory.
     pub keep_features: bool,
     /// The compressed formats that the adapter samples; none by default. KTX2 images are transcoded to one of them, or to
     /// RGBA8 without any. A pager sets those that all of its contexts have

@@ -114,7 +114,7 @@ pub fn decode_noting(content: Content, options: &ReadOptions) -> Result<(Node, I
 fn read_node(content: Content, options: &ReadOptions, notes: &Notes) -> Result<Node, IoError> {
     let Content { uri, bytes, reader_data, companions } = content;
     if let Some(part) = reader_data.as_ref().and_then(|data| data.value::<SubtreePart>()) {
-        return Ok(node_of(part.read()));
+        return Ok(node_of(part.read(options)));
     }
     if let Some(source) = reader_data.as_ref().and_then(|data| data.value::<SubtreeSource>()) {
         let bytes = encoding::gunzip(&uri, bytes, &options.limits)?;
@@ -167,9 +167,9 @@ fn read_several(
         if bytes.is_empty() && !content.is_in_memory() {
             continue;
         }
-        let (uri, reader_data) = (content.uri.clone(), content.reader_data.clone());
+        let TileContent { uri, reader_data, metadata } = content.clone();
         let content = Content { uri, bytes, reader_data, companions: dependencies.clone() };
-        nodes.push(read_node(content, &options, notes)?);
+        nodes.push(Node { metadata, ..read_node(content, &options, notes)? });
     }
     Ok(Node::group(nodes))
 }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::Vec3;
 
 use crate::math::Aabb;
-use crate::scene::{DrawableFeatures, FeatureIdSet, FeatureIds, Mesh, MeshVertex, Topology, VertexAttributes};
+use crate::scene::{DrawableFeatures, Mesh, MeshVertex, Topology, VertexAttributes};
 
 /// The offsets of the corners of a square in units of half a side. Corners 0, 1, 2 and 2, 1, 3 are its triangles.
 const CORNERS: [[f32; 2]; 4] = [[-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]];
@@ -87,17 +87,6 @@ impl<'a> Subset<'a> {
 
     /// Returns the features with the ids of the vertices that are left.
     pub fn features(&self, features: &DrawableFeatures) -> DrawableFeatures {
-        let set = |set: &FeatureIdSet| {
-            let ids = match &set.ids {
-                FeatureIds::PerVertex(ids) => {
-                    let id = |number: &u32| ids.get(*number as usize).copied().unwrap_or(u32::MAX);
-                    FeatureIds::PerVertex(self.vertices.iter().map(id).collect())
-                }
-                FeatureIds::VertexIndex => FeatureIds::PerVertex(self.vertices.clone().into()),
-                FeatureIds::Uniform(id) => FeatureIds::Uniform(*id),
-            };
-            FeatureIdSet { ids, ..set.clone() }
-        };
-        DrawableFeatures { sets: features.sets.iter().map(set).collect(), tables: features.tables.clone() }
+        features.with_vertices(&self.vertices)
     }
 }

@@ -64,7 +64,7 @@ pub struct PagerConfig {
     /// Attributes that meshes of glTFs keep if a scene's own options name none; see
     /// [`ReadOptions::vertex_attributes`](crate::formats::ReadOptions::vertex_attributes).
     pub vertex_attributes: Arc<[Arc<str>]>,
-    /// Keeps feature ids and their properties; see
+    /// Keeps feature ids and their properties, and the metadata of tiles; see
     /// [`ReadOptions::keep_features`](crate::formats::ReadOptions::keep_features).
     pub keep_features: bool,
     /// The style of scenes whose own options have none; see [`ReadOptions::style`](crate::formats::ReadOptions::style).

@@ -6,6 +6,7 @@ use glam::DAffine3;
 
 use super::callback_pages::{CallbackKind, CallbackPages};
 use super::error::SceneError;
+use super::features::TileMetadata;
 use super::id::{NodeId, PageId, SceneNumber};
 use super::nodes::CameraNode;
 use super::occluder_pages::OccluderPage;
@@ -185,6 +186,14 @@ impl Scene {
     pub fn nodes_named(&self, page: PageId, name: &str) -> impl Iterator<Item = NodeId> {
         let names = self.page(page).map_or(&[][..], Page::names);
         names.iter().filter(move |(n, _)| **n == *name).map(move |(_, index)| NodeId { page, index: *index })
+    }
+
+    /// Returns the metadata of a tile or of a content; `None` if it has none, or if it was read without
+    /// [`ReadOptions::keep_features`](crate::formats::ReadOptions::keep_features). Ask for each node of an
+    /// [`Intersection::node_path`](crate::scene::Intersection::node_path) to learn what the tile set says about a point: the
+    /// tileset's metadata is at its root tile, that of a group at the contents.
+    pub fn metadata(&self, node: NodeId) -> Option<&TileMetadata> {
+        self.page(node.page)?.metadata(node.index)
     }
 }
 

@@ -8,7 +8,7 @@
 //! | `nodes` | node values, callbacks, flattening |
 //! | `pages` | the flat arrays of a page and their bounds |
 //! | `tile_tree` | tiles of a page, content slots, attaching pages, readiness |
-//! | `features` | ids of the parts of a mesh, and tables of their properties |
+//! | `features` | ids of the parts of a mesh, tables of their properties, metadata of tiles |
 //! | `geometry` | meshes, height tiles, materials, text |
 //! | `sharing` | equal contents of several pages stored once |
 //! | `intersect` | intersections with lines and volumes, heights above the terrain |
@@ -34,7 +34,10 @@ mod tile_tree;
 
 pub use draw_kinds::DrawKind;
 pub use error::{MeshError, SceneError};
-pub use features::{DrawableFeatures, Feature, FeatureIdSet, FeatureIds, PropertyColumn, PropertyTable, PropertyValue};
+pub use features::{
+    DataTexture, DrawableFeatures, Feature, FeatureIdSet, FeatureIds, Metadata, MetadataClass, PropertyColumn,
+    PropertyInfo, PropertyTable, PropertyValue, SurfacePoint, SurfaceProperty, TileMetadata,
+};
 #[cfg(feature = "text")]
 pub use geometry::Font;
 pub use geometry::{
@@ -64,6 +67,7 @@ pub use settings::{
 pub use sharing::{ContentKey, ShareModes, SharedStateManager, SharingStats};
 pub use tile_tree::{SlotInfo, SlotState, TileInfo};
 
+pub(crate) use features::{Column, SurfaceValues, ValueDecoder};
 pub(crate) use geometry::{AttributeLayout, SMALL_MESH_INDICES, added_stride};
 pub(crate) use id::NONE;
 pub(crate) use nodes::ReadBack;

@@ -27,6 +27,11 @@ impl<T> SparseList<T> {
         self.0.get(at).map(|(_, value)| value)
     }
 
+    /// Returns the values in the order of their indices.
+    pub fn values(&self) -> impl Iterator<Item = &T> {
+        self.0.iter().map(|(_, value)| value)
+    }
+
     /// Returns the first value at an index or behind it.
     pub fn at_or_after(&self, index: u32) -> Option<&(u32, T)> {
         self.0.get(self.0.partition_point(|(i, _)| *i < index))

@@ -48,7 +48,7 @@ fn mesh_features_lead_to_their_properties() {
         ] } },
     }));
     let read = read_with(gltf.text(), Vec::new(), &options()).unwrap();
-    assert_eq!(read.ignored.count("glTF: feature ids in textures"), 1);
+    assert_eq!(read.ignored.count("glTF: feature ids whose texture is missing or invalid"), 1);
     assert_eq!(read.ignored.count("glTF: feature ids whose attribute is missing"), 1);
     let mut page = page(gltf.text());
     page.take_drawables();

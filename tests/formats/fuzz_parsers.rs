@@ -33,7 +33,7 @@ fn content(bytes: &[u8], reader_data: Option<&str>, companions: Vec<Fetched>) {
         companions,
     };
     let mut options = ReadOptions::for_root("/set/tileset.json", limits());
-    options.build_kd_trees = true;
+    (options.build_kd_trees, options.keep_features) = (true, true);
     options.vertex_attributes = ["POSITION", "TEXCOORD_0", "TANGENT", "_HEAT"].map(Arc::from).into();
     match decode(content, &options) {
         Ok(page) => assert!(page.size_bytes() < 1 << 30),
@@ -88,7 +88,7 @@ fn inspection() -> Parser {
 
 /// Subtrees of a quadtree with metadata; the tiles that they become are made too.
 fn subtree() -> Parser {
-    let options = ReadOptions::for_root("/set/tileset.json", limits());
+    let options = ReadOptions { keep_features: true, ..ReadOptions::for_root("/set/tileset.json", limits()) };
     let content = |uri: &str, bytes: &[u8], reader_data| Content {
         uri: uri.into(),
         bytes: bytes.to_vec(),
@@ -109,7 +109,7 @@ fn subtree() -> Parser {
     full.add_child([1, 2, 0]);
     let json = r#"{"buffers":[{"byteLength":8,"uri":"data:;base64,AQIDBAUGBwg="}],"bufferViews":[
         {"buffer":0,"byteOffset":0,"byteLength":3}],"tileAvailability":{"bitstream":0},
-        "contentAvailability":{"constant":1},"childSubtreeAvailability":{"constant":1},"tileMetadata":0,
+        "contentAvailability":{"constant":1},"childSubtreeAvailability":{"constant":1},"tileMetadata":0,"contentMetadata":[0],
         "propertyTables":[{"class":"tile","count":3,"properties":{"low":{"values":0},"box":{"values":0}}}]}"#;
     let seeds = [full.binary(), full.binary_of_1_0(), json.as_bytes().to_vec(), full.json("../../a.bin").into_bytes()];
     Parser::new("subtree", seeds, move |bytes| {
@@ -256,10 +256,15 @@ fn i3dm() -> Parser {
 /// Features of glTF that plain files lack: sparse accessors, morph targets, skins, instances, external files.
 fn gltf_features() -> Parser {
     let gltf = r#"{"asset":{"version":"2.0"},"scene":0,"scenes":[{"nodes":[0,1]}],"nodes":[{"mesh":0,"skin":0,"extensions":{"KHR_lights_punctual":{"light":0}}},{"mesh":0,"weights":[0.5],"translation":[1,0,0],"extensions":{"EXT_mesh_gpu_instancing":{"attributes":{"TRANSLATION":0,"ROTATION":2}}}}],"skins":[{"joints":[1],"inverseBindMatrices":4}],"meshes":[{"weights":[1],"primitives":[{"attributes":{"POSITION":0,"JOINTS_0":3,"WEIGHTS_0":2,"TEXCOORD_1":1},"targets":[{"POSITION":0}],"material":0,"extensions":{"CESIUM_primitive_outline":{"indices":5}}}]}],"materials":[{"pbrMetallicRoughness":{"baseColorTexture":{"index":0,"texCoord":1,"extensions":{"KHR_texture_transform":{"offset":[1,2],"rotation":1,"scale":[2,3]}}}},"extensions":{"KHR_techniques_webgl":{"technique":0,"values":{"u_diffuse":[1,0,0,1]}}}}],"extensions":{"KHR_lights_punctual":{"lights":[{"type":"spot","intensity":5,"range":9,"color":[1,0.5,0],"spot":{"innerConeAngle":0.1,"outerConeAngle":0.5}}]},"KHR_techniques_webgl":{"techniques":[{"uniforms":{"u_diffuse":{"value":{"index":0}}}}]}},"textures":[{"source":0,"extensions":{"EXT_texture_webp":{"source":1}}}],"images":[{"uri":"a.png"},{"bufferView":2,"mimeType":"image/webp"}],"accessors":[{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3","sparse":{"count":1,"indices":{"bufferView":1,"componentType":5121},"values":{"bufferView":0}}},{"bufferView":0,"componentType":5123,"normalized":true,"count":3,"type":"VEC2"},{"bufferView":0,"componentType":5126,"count":3,"type":"VEC4"},{"bufferView":1,"componentType":5121,"count":3,"type":"VEC4"},{"bufferView":0,"componentType":5126,"count":1,"type":"MAT4"},{"bufferView":1,"componentType":5121,"count":2,"type":"SCALAR"}],"bufferViews":[{"buffer":0,"byteLength":64},{"buffer":0,"byteOffset":64,"byteLength":16},{"buffer":0,"byteLength":40}],"buffers":[{"byteLength":80,"uri":"a.bin"}]}"#;
+    // The same with ids and properties in textures and attributes.
+    let metadata = r#""extensions":{"EXT_structural_metadata":{"schema":{"classes":{"c":{"properties":{"a":{"type":"VEC2","componentType":"UINT8","normalized":true,"noData":[1,2]},"b":{"type":"SCALAR","componentType":"UINT16"}}}}},"propertyTextures":[{"class":"c","properties":{"a":{"index":0,"texCoord":1,"channels":[0,3]}}}],"propertyAttributes":[{"class":"c","properties":{"b":{"attribute":"TEXCOORD_1"}}}]},"KHR_lights_punctual":{"lights""#;
+    let primitive = r#"{"EXT_mesh_features":{"featureIds":[{"texture":{"index":0,"texCoord":1,"channels":[0,1]}},{"attribute":0}]},"EXT_structural_metadata":{"propertyTextures":[0],"propertyAttributes":[0]},"CESIUM_primitive_outline""#;
+    let seed = gltf.replace(r#"{"CESIUM_primitive_outline""#, primitive);
+    let seed = seed.replace(r#""extensions":{"KHR_lights_punctual":{"lights""#, metadata);
     let buffer: Vec<u8> = (0..20u8).flat_map(|i| f32::from(i % 3).to_le_bytes()).collect();
     let files =
         vec![("/set/a.bin".into(), Ok(buffer)), ("/set/a.png".into(), Ok(image_bytes(image::ImageFormat::Png)))];
-    Parser::new("gltf-features", [gltf], move |bytes| {
+    Parser::new("gltf-features", [gltf.to_owned(), seed], move |bytes| {
         let options = ReadOptions::for_root("/set/tileset.json", limits());
         assert!(dependencies("/set/tile", bytes, None, &[], &options).len() < 5000);
         content(bytes, None, files.clone());

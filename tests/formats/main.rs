@@ -13,4 +13,5 @@ mod gltf_materials;
 mod gltf_outlines;
 mod instances;
 mod styles;
+mod surface_properties;
 mod tiles;

@@ -12,6 +12,7 @@ mod externals;
 mod http;
 mod implicit;
 #[cfg(feature = "http")]
+mod metadata;
 mod models;
 mod proxies;
 mod scenes;

@@ -68,6 +68,9 @@ fn text(info: &Info, verified: Option<&Verified>) -> String {
     if let Some(metadata) = &info.metadata {
         out.push_str(&metadata_text(metadata));
     }
+    if info.tiles_with_metadata > 0 {
+        let _ = writeln!(out, "metadata {} tiles have metadata", info.tiles_with_metadata);
+    }
     for l in &info.levels {
         let (level, size) = (l.level, mebibytes(l.bytes));
         let _ = writeln!(out, "level {level:<2} {:>8} tiles {:>8} contents {size:>9.1} MiB", l.tiles, l.contents);
@@ -91,19 +94,29 @@ fn text(info: &Info, verified: Option<&Verified>) -> String {
     out
 }
 
-/// Returns a line for each kind of metadata of a tileset.
+/// The maximum number of groups that are listed.
+const MAX_GROUPS: usize = 20;
+
+/// Returns a line for the classes of a tileset, for its own metadata and for each group.
 fn metadata_text(metadata: &MetadataInfo) -> String {
     let mut out = String::new();
     let classes = metadata.class_names();
     if !classes.is_empty() {
         let _ = writeln!(out, "metadata classes {}", classes.join(", "));
     }
-    let properties = metadata.tileset.as_ref().and_then(|tileset| tileset.get("properties")?.as_object());
-    for (name, value) in properties.into_iter().flatten() {
-        let _ = writeln!(out, "metadata {name} = {value}");
+    let entities = metadata.tileset.iter().map(|tileset| ("tileset".to_owned(), tileset));
+    let groups = metadata.groups().into_iter().map(|(name, group)| (format!("group {name}"), group));
+    for (name, entity) in entities.chain(groups.take(MAX_GROUPS)) {
+        let class = entity.get("class").and_then(|class| class.as_str()).unwrap_or("none");
+        let _ = write!(out, "metadata {name}, class {class}");
+        let properties = entity.get("properties").and_then(|properties| properties.as_object());
+        for (name, value) in properties.into_iter().flatten() {
+            let _ = write!(out, ", {name} = {value}");
+        }
+        out.push('\n');
     }
-    if metadata.group_count() > 0 {
-        let _ = writeln!(out, "metadata {} groups of contents", metadata.group_count());
+    if let more @ 1.. = metadata.group_count().saturating_sub(MAX_GROUPS) {
+        let _ = writeln!(out, "metadata and {more} more groups");
     }
     out
 }

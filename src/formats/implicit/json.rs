@@ -1,8 +1,10 @@
 //! The JSON of implicit tiling and of subtrees as serde reads it, with the names of 1.1 and of the 1.0 extensions.
 
 use serde::Deserialize;
+use serde::de::IgnoredAny;
+use serde_json::Value;
 
-use crate::formats::lenient::{Text, list, or_default};
+use crate::formats::lenient::{Text, list, or_default, valid_or_default};
 use crate::formats::properties::TableJson;
 
 /// `implicitTiling` of a tile, or its extension `3DTILES_implicit_tiling`.
@@ -38,7 +40,13 @@ pub(super) struct SubtreeJson {
     #[serde(default, deserialize_with = "or_default")]
     pub property_tables: Vec<TableJson>,
     /// The property table of the tiles that are available.
+    #[serde(default, deserialize_with = "valid_or_default")]
     tile_metadata: Option<usize>,
+    /// The property tables of the contents that are available, by the number of the content.
+    #[serde(default, deserialize_with = "valid_or_default")]
+    content_metadata: Vec<usize>,
+    /// The metadata of the subtree itself.
+    pub subtree_metadata: Option<Value>,
     pub extensions: Option<SubtreeExtensions>,
 }
 
@@ -46,6 +54,16 @@ impl SubtreeJson {
     /// Returns the property table of the tiles.
     pub fn tile_table(&self) -> Option<&TableJson> {
         self.property_tables.get(self.tile_metadata?)
+    }
+
+    /// Returns the property table of a content of the tiles.
+    pub fn content_table(&self, content: usize) -> Option<&TableJson> {
+        self.property_tables.get(*self.content_metadata.get(content)?)
+    }
+
+    /// Returns true if the extension `3DTILES_metadata` of 1.0 is there, whose tables have another form.
+    pub fn has_metadata_of_1_0(&self) -> bool {
+        self.extensions.as_ref().is_some_and(|extensions| extensions.metadata.is_some())
     }
 
     /// Returns the availability of each content of a tile.
@@ -64,6 +82,8 @@ impl SubtreeJson {
 pub(super) struct SubtreeExtensions {
     #[serde(rename = "3DTILES_multiple_contents")]
     multiple_contents: Option<MultipleContentsJson>,
+    #[serde(rename = "3DTILES_metadata")]
+    metadata: Option<IgnoredAny>,
 }
 
 #[derive(Debug, Deserialize)]

@@ -4,13 +4,15 @@
 //! | file | contents |
 //! |---|---|
 //! | `tiling` | what all tiles of a tree share; volumes and errors by halving |
-//! | `subtree` | a subtree file: availability of tiles, contents and child subtrees |
-//! | `semantics` | metadata of tiles that replaces volumes and errors |
+//! | `subtree`, `availability` | a subtree file: which tiles, contents and child subtrees there are |
+//! | `metadata`, `semantics` | metadata of tiles and contents; what it replaces |
 //! | `pages` | parts of the tree as tiles of pages, made when they are wanted |
 //! | `coordinates`, `template`, `json` | indices, URIs and the JSON |
 
+mod availability;
 mod coordinates;
 mod json;
+mod metadata;
 mod pages;
 mod semantics;
 mod subtree;
@@ -19,7 +21,7 @@ mod tiling;
 
 pub(super) use json::ImplicitTilingJson;
 pub(super) use pages::{SubtreePart, SubtreeSource};
-pub(super) use tiling::{ImplicitRoot, ImplicitTiling, RootVolume};
+pub(super) use tiling::{ContentTemplate, ImplicitRoot, ImplicitTiling, RootVolume};
 
 use std::sync::Arc;
 
@@ -33,5 +35,5 @@ pub(super) fn external_buffers(
     options: &ReadOptions,
 ) -> Vec<Arc<str>> {
     let resolved = |reference: &String| options.resolve(uri, reference).ok().map(|(uri, _)| uri);
-    source.external_buffers(bytes).iter().filter_map(resolved).collect()
+    source.external_buffers(bytes, options.keep_features).iter().filter_map(resolved).collect()
 }

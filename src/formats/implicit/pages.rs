@@ -13,7 +13,7 @@ use super::tiling::ImplicitTiling;
 use crate::fetch::IoError;
 use crate::formats::options::{Fetched, ReadOptions};
 use crate::formats::tile::{ALWAYS_REFINED_M, Continuation, Tile, TileContent};
-use crate::scene::{ReaderData, ReaderValue, Refine};
+use crate::scene::{ReaderData, ReaderValue, Refine, TileMetadata};
 
 /// The maximum of tiles of a page: about 2 ms of a decode thread, since the first tiles are waited for. A page has at least
 /// one level.
@@ -68,27 +68,27 @@ impl SubtreeSource {
     ) -> Result<Vec<Tile>, IoError> {
         let subtree = Subtree::parse(uri, bytes, companions, self.tiling.shape, self.tiling.schema(), options)?;
         let subtree = LoadedSubtree { tiling: self.tiling.clone(), uri: uri.clone(), subtree };
-        let mut reader = PartReader::new(Arc::new(subtree), true);
+        let mut reader = PartReader::new(Arc::new(subtree), true, options);
         let root = LocalTile::root(self.root);
         reader.choose_levels(vec![root], MAX_TILES);
         Ok(vec![reader.tile(root, self.is_replaced)])
     }
 
     /// Returns the references of the external buffers that a subtree file needs.
-    pub(super) fn external_buffers(&self, bytes: &[u8]) -> Vec<String> {
-        external_buffers(bytes, self.tiling.schema())
+    pub(super) fn external_buffers(&self, bytes: &[u8], keeps_metadata: bool) -> Vec<String> {
+        external_buffers(bytes, self.tiling.schema(), keeps_metadata)
     }
 
     /// Returns the content of a tile that stands for the subtree.
     pub fn content(self) -> TileContent {
-        TileContent { uri: self.uri(), reader_data: Some(ReaderData::of(self)) }
+        TileContent::new(self.uri(), Some(ReaderData::of(self)))
     }
 }
 
 impl SubtreePart {
     /// Returns the tiles below the parent with some of their levels.
-    pub fn read(&self) -> Vec<Tile> {
-        let mut reader = PartReader::new(self.subtree.clone(), false);
+    pub fn read(&self, options: &ReadOptions) -> Vec<Tile> {
+        let mut reader = PartReader::new(self.subtree.clone(), false, options);
         let tiles = reader.children(self.parent);
         reader.choose_levels(tiles.clone(), MAX_TILES);
         tiles.into_iter().map(|tile| reader.tile(tile, self.is_replaced)).collect()
@@ -98,7 +98,7 @@ impl SubtreePart {
         // The URI is only a name: nothing is fetched.
         let TileCoordinates { level, x, y, z } = self.parent.coordinates;
         let uri = format!("{}#{level}/{x}/{y}/{z}", self.subtree.uri);
-        TileContent { uri: uri.into(), reader_data: Some(ReaderData::of(self)) }
+        TileContent::new(uri.into(), Some(ReaderData::of(self)))
     }
 }
 
@@ -138,11 +138,14 @@ struct PartReader {
     last_level: u32,
     /// The next part counts the memory of the subtree.
     counts_subtree: bool,
+    /// The options of the tileset, with which references in metadata are resolved.
+    options: ReadOptions,
 }
 
 impl PartReader {
-    fn new(subtree: Arc<LoadedSubtree>, counts_subtree: bool) -> Self {
-        Self { subtree, last_level: 0, counts_subtree }
+    fn new(subtree: Arc<LoadedSubtree>, counts_subtree: bool, options: &ReadOptions) -> Self {
+        let options = ReadOptions { base: subtree.tiling.base().cloned(), ..options.clone() };
+        Self { subtree, last_level: 0, counts_subtree, options }
     }
 
     /// Returns the tiles of the subtree below one of its tiles.
@@ -205,15 +208,17 @@ impl PartReader {
         let tiling = self.subtree.tiling.clone();
         let coordinates = tile.coordinates;
         let available = (0..tiling.shape.contents).filter(|content| self.subtree.subtree.has_content(tile, *content));
-        let contents: Vec<TileContent> = available.filter_map(|content| tiling.content(coordinates, content)).collect();
+        let contents: Vec<TileContent> = available.filter_map(|content| self.content(tile, content)).collect();
+        let (overrides, metadata) = self.subtree.subtree.tile_row(tile);
+        let subtree = self.subtree.subtree.metadata().filter(|_| tile.level == 0).cloned();
         // A tile without content draws nothing where its error is small, which would be a hole below a replaced content.
-        let overrides = self.subtree.subtree.overrides(tile);
         let bounds = tiling.bounds(coordinates, &overrides);
         let mut geometric_error_m = tiling.geometric_error_m(coordinates.level, &overrides);
         if contents.is_empty() && is_replaced {
             geometric_error_m = ALWAYS_REFINED_M;
         }
-        let replaces = !contents.is_empty() && tiling.refine == Refine::Replace;
+        let refine = overrides.refine.unwrap_or(tiling.refine);
+        let replaces = !contents.is_empty() && refine == Refine::Replace;
         let is_replaced = is_replaced || replaces;
         let (mut children, mut continuations) = (Vec::new(), Vec::new());
         if tile.level < self.last_level {
@@ -231,13 +236,29 @@ impl PartReader {
         Tile {
             bounds,
             request_volume: None,
-            refine: tiling.refine,
+            refine,
             geometric_error_m,
             content_transform: tiling.content_transform,
             contents,
             external_tilesets: Vec::new(),
             continuations,
+            metadata: TileMetadata { tile: metadata, subtree, ..TileMetadata::default() }.shared(),
             children,
         }
+    }
+
+    /// Returns a content of a tile: that of its template, or that which its metadata refers to.
+    fn content(&self, tile: LocalTile, number: usize) -> Option<TileContent> {
+        let LoadedSubtree { tiling, subtree, .. } = &*self.subtree;
+        let row = subtree.content_row(tile, number);
+        let mut content = tiling.content(tile.coordinates, number)?;
+        if let Some(reference) = &row.uri {
+            content = match self.options.resolve(tiling.uri(), reference) {
+                Ok((uri, fallback)) => TileContent::new(uri, tiling.content_data(fallback)),
+                Err(error) => TileContent::refused(content.uri, error),
+            };
+        }
+        content.metadata = tiling.content_metadata(number, row.group, row.metadata);
+        Some(content)
     }
 }

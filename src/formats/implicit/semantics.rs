@@ -1,6 +1,32 @@
-//! Metadata of tiles that replaces what follows from implicit tiling: volumes, heights and errors. Decode threads.
+//! Metadata of tiles that replaces what follows from implicit tiling: volumes, heights, errors and refinement. Decode threads.
+//!
+//! The 3D Metadata Semantic Reference names the semantics.
 
-use crate::formats::properties::{ClassProperty, NumberColumn, Schema, TableJson};
+use crate::scene::{PropertyValue, Refine};
+
+/// The semantic of the reference of a content.
+pub(super) const CONTENT_URI: &str = "CONTENT_URI";
+/// The semantic of the index of a content's group.
+pub(super) const CONTENT_GROUP_ID: &str = "CONTENT_GROUP_ID";
+
+/// Semantics of tiles and contents that are kept as metadata, but have no effect.
+const WITHOUT_EFFECT: [&str; 10] = [
+    "TILE_BOUNDING_S2_CELL",
+    "TILE_HORIZON_OCCLUSION_POINT",
+    "TILE_TRANSFORM",
+    "CONTENT_BOUNDING_BOX",
+    "CONTENT_BOUNDING_REGION",
+    "CONTENT_BOUNDING_S2_CELL",
+    "CONTENT_BOUNDING_SPHERE",
+    "CONTENT_HORIZON_OCCLUSION_POINT",
+    "CONTENT_MAXIMUM_HEIGHT",
+    "CONTENT_MINIMUM_HEIGHT",
+];
+
+/// Returns true for a semantic of tiles or contents that has no effect.
+pub(super) fn is_without_effect(semantic: &str) -> bool {
+    WITHOUT_EFFECT.contains(&semantic)
+}
 
 /// The part of a tile that a metadata property replaces.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -17,10 +43,12 @@ pub(super) enum Semantic {
     MaxHeight,
     /// `TILE_GEOMETRIC_ERROR`, metres before the scale of the tile.
     GeometricError,
+    /// `TILE_REFINE`: 0 or ADD, 1 or REPLACE.
+    Refine,
 }
 
 impl Semantic {
-    fn named(name: &str) -> Option<Self> {
+    pub fn named(name: &str) -> Option<Self> {
         Some(match name {
             "TILE_BOUNDING_BOX" => Self::Box,
             "TILE_BOUNDING_REGION" => Self::Region,
@@ -28,41 +56,10 @@ impl Semantic {
             "TILE_MINIMUM_HEIGHT" => Self::MinHeight,
             "TILE_MAXIMUM_HEIGHT" => Self::MaxHeight,
             "TILE_GEOMETRIC_ERROR" => Self::GeometricError,
+            "TILE_REFINE" => Self::Refine,
             _ => return None,
         })
     }
-
-    fn components(self) -> usize {
-        match self {
-            Self::Box => 12,
-            Self::Region => 6,
-            Self::Sphere => 4,
-            Self::MinHeight | Self::MaxHeight | Self::GeometricError => 1,
-        }
-    }
-}
-
-/// A property of a table that has a meaning for tiles: its meaning, its type, and the buffer view with its values.
-pub(super) struct SemanticProperty<'a> {
-    pub semantic: Semantic,
-    pub view: usize,
-    pub property: &'a ClassProperty,
-}
-
-/// Returns the properties of a table that have a meaning for tiles.
-pub(super) fn properties<'a>(table: &'a TableJson, schema: &'a Schema) -> impl Iterator<Item = SemanticProperty<'a>> {
-    let class = table.class.0.as_deref().and_then(|class| schema.classes.get(class));
-    class.into_iter().flat_map(|class| &class.properties).filter_map(|(id, property)| {
-        let semantic = property.semantic.0.as_deref().and_then(Semantic::named)?;
-        let view = table.properties.get(id)?.values?;
-        Some(SemanticProperty { semantic, view, property })
-    })
-}
-
-/// Returns the column of a property whose values begin at a byte of a buffer; `None` if it has the wrong type.
-pub(super) fn column(of: &SemanticProperty<'_>, buffer: usize, start: usize) -> Option<NumberColumn> {
-    let column = NumberColumn::new(of.property, buffer, start)?;
-    (column.components() == of.semantic.components()).then_some(column)
 }
 
 /// The values that a tile has instead of those that follow from its position.
@@ -74,21 +71,35 @@ pub(super) struct Overrides {
     pub min_height_m: Option<f64>,
     pub max_height_m: Option<f64>,
     pub geometric_error: Option<f64>,
+    pub refine: Option<Refine>,
 }
 
 impl Overrides {
-    /// Stores a value. Values that are not finite are left out.
-    pub fn set(&mut self, semantic: Semantic, value: &[f64; 16]) {
-        if !value[..semantic.components()].iter().all(|number| number.is_finite()) {
-            return;
-        }
+    /// Stores a value. Values of the wrong type, and those that are not finite, are left out.
+    pub fn set(&mut self, semantic: Semantic, value: &PropertyValue) {
         match semantic {
-            Semantic::Box => self.oriented_box = value.first_chunk().copied(),
-            Semantic::Region => self.region = value.first_chunk().copied(),
-            Semantic::Sphere => self.sphere = value.first_chunk().copied(),
-            Semantic::MinHeight => self.min_height_m = Some(value[0]),
-            Semantic::MaxHeight => self.max_height_m = Some(value[0]),
-            Semantic::GeometricError => self.geometric_error = Some(value[0]),
+            Semantic::Box => self.oriented_box = numbers(value),
+            Semantic::Region => self.region = numbers(value),
+            Semantic::Sphere => self.sphere = numbers(value),
+            Semantic::MinHeight => self.min_height_m = number(value),
+            Semantic::MaxHeight => self.max_height_m = number(value),
+            Semantic::GeometricError => self.geometric_error = number(value),
+            Semantic::Refine => {
+                self.refine = match (value.as_f64(), value.as_str()) {
+                    (Some(0.0), _) | (_, Some("ADD")) => Some(Refine::Add),
+                    (Some(1.0), _) | (_, Some("REPLACE")) => Some(Refine::Replace),
+                    _ => None,
+                }
+            }
         }
     }
+}
+
+fn number(value: &PropertyValue) -> Option<f64> {
+    value.as_f64().filter(|number| number.is_finite())
+}
+
+fn numbers<const N: usize>(value: &PropertyValue) -> Option<[f64; N]> {
+    let numbers: [f64; N] = value.as_numbers()?.try_into().ok()?;
+    numbers.iter().all(|number| number.is_finite()).then_some(numbers)
 }

@@ -1,18 +1,22 @@
 //! [`Subtree`]: which tiles, contents and child subtrees a subtree file has. Decode threads.
 //!
-//! The bits stay as they are in the file, and a lookup costs one byte: a subtree of 12 levels has 5.6 million of them, and
-//! few are ever looked at.
+//! The bits and the metadata stay as they are in the file, and a lookup costs one byte. A subtree of 12 levels has 5.6
+//! million tiles, and few are ever looked at.
 
+use std::sync::Arc;
+
+use super::availability::Availability;
 use super::coordinates::{LocalTile, Subdivision};
 use super::json::{AvailabilityJson, SubtreeJson};
-use super::semantics::{self, Overrides, Semantic};
+use super::metadata::MetadataRows;
+use super::semantics::{CONTENT_GROUP_ID, CONTENT_URI, Overrides, Semantic, is_without_effect};
 use crate::fetch::IoError;
 use crate::formats::embedded;
+use crate::formats::ignored::Notes;
 use crate::formats::options::{Fetched, ReadOptions};
-use crate::formats::properties::{NumberColumn, Schema};
+use crate::formats::properties::{ClassProperty, Entities, Schema, SharedBytes, TableJson, TableSource};
+use crate::scene::Metadata;
 
-/// The number of tiles of a block whose available ones are counted ahead.
-const RANK_BLOCK_TILES: u64 = 512;
 /// Header of a binary subtree: magic, version, and the lengths of JSON and binary chunk.
 const HEADER_BYTES: usize = 24;
 
@@ -26,33 +30,33 @@ pub(super) struct SubtreeShape {
     pub contents: usize,
 }
 
-/// Whether each element of a set is available.
-#[derive(Clone, Copy, Debug)]
-enum Availability {
-    /// All are, or none is.
-    Constant(bool),
-    /// A bit for each, lowest first.
-    Bits {
-        /// An index into [`Subtree::buffers`].
-        buffer: usize,
-        /// The byte of the first bit.
-        start: usize,
-    },
+/// The metadata of a tile's content, and the properties that have an effect.
+#[derive(Clone, Debug, Default)]
+pub(super) struct ContentRow {
+    /// All values, if they are kept.
+    pub metadata: Option<Arc<Metadata>>,
+    /// The reference of the content, relative to the tileset.
+    pub uri: Option<String>,
+    /// The index of the group.
+    pub group: Option<usize>,
 }
 
 /// A subtree with the bits of its tiles.
 #[derive(Debug)]
 pub(super) struct Subtree {
     subdivision: Subdivision,
-    /// The whole file, then the external buffers that were needed.
-    buffers: Vec<Vec<u8>>,
     tiles: Availability,
     contents: Vec<Availability>,
     children: Availability,
-    /// Columns of the tiles' metadata that replace volumes and errors; usually none.
-    metadata: Vec<(Semantic, NumberColumn)>,
-    /// The number of available tiles before each block of tiles; only with metadata.
-    ranks: Vec<u32>,
+    /// The metadata of the tiles, or only what replaces volumes and errors.
+    tile_rows: Option<MetadataRows>,
+    /// The metadata of the contents, by the number of the content.
+    content_rows: Vec<Option<MetadataRows>>,
+    /// All metadata is wanted.
+    keeps_metadata: bool,
+    metadata: Option<Arc<Metadata>>,
+    /// The bytes of the file and of the external buffers.
+    buffer_bytes: u64,
 }
 
 impl Subtree {
@@ -69,28 +73,28 @@ impl Subtree {
         let chunks = Chunks::of(&bytes).map_err(&bad)?;
         let json: SubtreeJson = parse_json(chunks.json).map_err(&bad)?;
         let binary = chunks.binary.map(|binary| (HEADER_BYTES + chunks.json.len(), binary.len()));
-        let needed = needed_buffers(&json, schema);
-        let mut buffers = vec![bytes];
-        // Index into `buffers`, first byte and length of each buffer that is needed.
-        let mut places: Vec<Option<(usize, usize, usize)>> = vec![None; json.buffers.len()];
-        for (buffer, place) in
-            json.buffers.iter().zip(&mut places).enumerate().filter_map(|(i, of)| needed[i].then_some(of))
-        {
-            let external = match buffer.uri.0.as_deref() {
-                None => {
-                    *place = binary.map(|(start, length)| (0, start, length));
-                    continue;
-                }
-                Some(reference) if reference.starts_with("data:") => embedded::data_uri(uri, reference)?,
-                Some(reference) => {
-                    let (address, _) = options.resolve(uri, reference)?;
-                    let found = companions.iter().find(|(fetched, _)| *fetched == address);
-                    let missing = || bad(format!("the external buffer {reference:.60} was not read"));
-                    found.ok_or_else(missing)?.1.clone()?
-                }
+        let keeps_metadata = options.keep_features;
+        let needed = needed_buffers(&json, schema, keeps_metadata);
+        // Metadata that replaces nothing may be missing.
+        let required = needed_buffers(&json, schema, false);
+        let notes = Notes::default();
+        let file = Arc::new(bytes);
+        let mut buffer_bytes = file.capacity() as u64;
+        // The bytes of each buffer that is needed.
+        let mut buffers: Vec<Option<SharedBytes>> = vec![None; json.buffers.len()];
+        for (i, (buffer, place)) in json.buffers.iter().zip(&mut buffers).enumerate().filter(|(i, _)| needed[*i]) {
+            let Some(reference) = buffer.uri.0.as_deref() else {
+                *place = binary.and_then(|(start, length)| SharedBytes::part(&file, start..start + length));
+                continue;
             };
-            *place = Some((buffers.len(), 0, external.len()));
-            buffers.push(external);
+            match external_buffer(uri, reference, companions, options) {
+                Ok(bytes) => {
+                    buffer_bytes += bytes.capacity() as u64;
+                    *place = Some(bytes.into());
+                }
+                Err(error) if required[i] || error.is_transient() => return Err(error),
+                Err(_) => notes.add("metadata: a buffer of a subtree that is missing"),
+            }
         }
         let availability = |of: Option<&AvailabilityJson>, what: &str, count: u64| -> Result<Availability, String> {
             let Some(of) = of else { return Ok(Availability::Constant(false)) };
@@ -99,15 +103,15 @@ impl Subtree {
                 return Ok(Availability::Constant(constant));
             };
             let view = json.buffer_views.get(view).ok_or_else(|| format!("{what}: there is no bufferView {view}"))?;
-            let place = places.get(view.buffer).copied().flatten();
-            let (buffer, start, length) = place.ok_or_else(|| format!("{what}: there is no buffer {}", view.buffer))?;
+            let buffer = buffers.get(view.buffer).and_then(Option::as_ref);
+            let buffer = buffer.ok_or_else(|| format!("{what}: there is no buffer {}", view.buffer))?;
             let needed = count.div_ceil(8);
             if view.byte_length < needed {
                 return Err(format!("{what} has {} bytes, expected {needed}", view.byte_length));
             }
-            let end = view.byte_offset.checked_add(needed).filter(|end| *end <= length as u64);
-            end.ok_or_else(|| format!("{what} reaches beyond its buffer of {length} bytes"))?;
-            Ok(Availability::Bits { buffer, start: start + view.byte_offset as usize })
+            let bits = buffer.range(view.byte_offset, needed);
+            bits.map(Availability::Bits)
+                .ok_or_else(|| format!("{what} reaches beyond its buffer of {} bytes", buffer.len()))
         };
         let SubtreeShape { subdivision, levels, contents } = shape;
         let count = subdivision.tiles_above(levels);
@@ -118,119 +122,160 @@ impl Subtree {
         let below = subdivision.tiles_in(levels);
         let children = json.child_subtree_availability.as_ref();
         let children = availability(children, "childSubtreeAvailability", below).map_err(&bad)?;
-        let table = schema.zip(json.tile_table());
-        let properties = table.into_iter().flat_map(|(schema, table)| semantics::properties(table, schema));
-        let metadata = properties.filter_map(|property| {
-            let view = json.buffer_views.get(property.view)?;
-            let (buffer, start, _) = places.get(view.buffer).copied().flatten()?;
-            let start = start.checked_add(usize::try_from(view.byte_offset).ok()?)?;
-            Some((property.semantic, semantics::column(&property, buffer, start)?))
-        });
-        let metadata: Vec<(Semantic, NumberColumn)> = metadata.collect();
-        let mut subtree = Self { subdivision, buffers, tiles, contents, children, metadata, ranks: Vec::new() };
-        if !subtree.metadata.is_empty() {
-            subtree.ranks = subtree.count_ranks(count);
-        }
-        if !subtree.get(subtree.tiles, 0) {
+        if !tiles.has(0) {
             return Err(bad("its root tile is not available".to_owned()));
         }
+        let mut subtree = Self {
+            subdivision,
+            tiles,
+            contents,
+            children,
+            tile_rows: None,
+            content_rows: Vec::new(),
+            keeps_metadata,
+            metadata: None,
+            buffer_bytes,
+        };
+        let view = |view: usize| {
+            let view = json.buffer_views.get(view)?;
+            buffers.get(view.buffer)?.as_ref()?.range(view.byte_offset, view.byte_length)
+        };
+        if json.has_metadata_of_1_0() {
+            notes.add("metadata of a subtree by the extension 3DTILES_metadata");
+        }
+        if let Some(schema) = schema {
+            subtree.read_metadata(&json, schema, &view, &notes);
+        }
+        options.ignored.add(&notes.into_ignored());
         Ok(subtree)
+    }
+
+    /// Reads the tables of tiles and contents, and the metadata of the subtree.
+    fn read_metadata(
+        &mut self,
+        json: &SubtreeJson,
+        schema: &Schema,
+        view: &dyn Fn(usize) -> Option<SharedBytes>,
+        notes: &Notes,
+    ) {
+        let note = |kind: &'static str| notes.add(kind);
+        let source = TableSource { schema, view, note: &note };
+        let keeps_all = self.keeps_metadata;
+        let rows = |table: Option<&TableJson>, of: &Availability, is_wanted: IsWanted| {
+            let table = table?;
+            let semantics = table.known(schema).filter_map(|(of, _)| of.semantic.0.as_deref());
+            for semantic in semantics.filter(|semantic| is_without_effect(semantic)) {
+                notes.add(format!("metadata semantic {semantic}"));
+            }
+            let read = source.table(table, &|property| keeps_all || is_wanted(property));
+            MetadataRows::new(read, of)
+        };
+        self.tile_rows = rows(json.tile_table(), &self.tiles, replaces_tile);
+        let contents = self.contents.iter().enumerate();
+        self.content_rows = contents.map(|(i, of)| rows(json.content_table(i), of, replaces_content)).collect();
+        if let Some(metadata) = json.subtree_metadata.as_ref().filter(|_| keeps_all) {
+            self.metadata = Entities::new(schema).read(metadata, &note);
+        }
+    }
+
+    /// Returns the metadata of the subtree itself, if it is kept.
+    pub fn metadata(&self) -> Option<&Arc<Metadata>> {
+        self.metadata.as_ref()
     }
 
     /// Returns true if a tile of the subtree is available.
     pub fn has_tile(&self, tile: LocalTile) -> bool {
-        self.get(self.tiles, tile.index(self.subdivision))
+        self.tiles.has(tile.index(self.subdivision))
     }
 
     /// Returns true if a tile has its content with this number.
     pub fn has_content(&self, tile: LocalTile, content: usize) -> bool {
-        let availability = self.contents.get(content).copied();
-        availability.is_some_and(|of| self.get(of, tile.index(self.subdivision)))
+        self.contents.get(content).is_some_and(|of| of.has(tile.index(self.subdivision)))
     }
 
     /// Returns true if the subtree whose root is the tile `root`, one level below the last of this subtree, is available.
     pub fn has_child_subtree(&self, root: LocalTile) -> bool {
-        self.get(self.children, root.morton)
+        self.children.has(root.morton)
     }
 
-    /// Returns the values that an available tile has instead of those that follow from its position.
-    pub fn overrides(&self, tile: LocalTile) -> Overrides {
-        let mut overrides = Overrides::default();
-        if !self.metadata.is_empty() {
-            let row = self.rank(tile.index(self.subdivision));
-            for (semantic, column) in &self.metadata {
-                if let Some(value) = column.value(&self.buffers[column.buffer()], row) {
-                    overrides.set(*semantic, &value);
-                }
-            }
+    /// Returns what an available tile has instead of what follows from its position, and its metadata if that is kept.
+    pub fn tile_row(&self, tile: LocalTile) -> (Overrides, Option<Arc<Metadata>>) {
+        let Some(rows) = &self.tile_rows else { return Default::default() };
+        let row = rows.row(&self.tiles, tile.index(self.subdivision));
+        (rows.overrides(row), self.keeps_metadata.then(|| rows.metadata(row)).flatten())
+    }
+
+    /// Returns what the metadata of an available content says.
+    pub fn content_row(&self, tile: LocalTile, content: usize) -> ContentRow {
+        let rows = self.content_rows.get(content).and_then(Option::as_ref);
+        let Some((rows, of)) = rows.zip(self.contents.get(content)) else { return ContentRow::default() };
+        let row = rows.row(of, tile.index(self.subdivision));
+        let group = rows.value(CONTENT_GROUP_ID, row).and_then(|group| group.as_f64());
+        ContentRow {
+            metadata: self.keeps_metadata.then(|| rows.metadata(row)).flatten(),
+            uri: rows.value(CONTENT_URI, row).and_then(|uri| uri.as_str().map(str::to_owned)),
+            group: group.filter(|group| *group >= 0.0).map(|group| group as usize),
         }
-        overrides
-    }
-
-    /// Counts the available tiles before each block of [`RANK_BLOCK_TILES`], of `count` tiles in all.
-    fn count_ranks(&self, count: u64) -> Vec<u32> {
-        let Availability::Bits { buffer, start } = self.tiles else { return Vec::new() };
-        let bits = self.buffers[buffer].get(start..).unwrap_or_default();
-        let bits = &bits[..bits.len().min(count.div_ceil(8) as usize)];
-        let mut before = 0;
-        let mut ranks = Vec::with_capacity(bits.len().div_ceil((RANK_BLOCK_TILES / 8) as usize));
-        for block in bits.chunks((RANK_BLOCK_TILES / 8) as usize) {
-            ranks.push(before);
-            before += ones(block);
-        }
-        ranks
-    }
-
-    /// Returns the number of available tiles before a tile: the row of its metadata.
-    fn rank(&self, index: u64) -> u64 {
-        let Availability::Bits { buffer, start } = self.tiles else { return index };
-        let before = self.ranks.get((index / RANK_BLOCK_TILES) as usize).copied().unwrap_or(0);
-        let first = start + (index / RANK_BLOCK_TILES * RANK_BLOCK_TILES / 8) as usize;
-        let last = start + (index >> 3) as usize;
-        let bytes = self.buffers[buffer].get(first..=last).unwrap_or_default();
-        let Some((last, whole)) = bytes.split_last() else { return u64::from(before) };
-        u64::from(before + ones(whole) + (last & ((1_u16 << (index & 7)) - 1) as u8).count_ones())
     }
 
     /// Returns the bytes of CPU memory.
     pub fn size_bytes(&self) -> u64 {
-        self.buffers.iter().map(|buffer| buffer.capacity() as u64).sum::<u64>() + 4 * self.ranks.len() as u64
-    }
-
-    fn get(&self, of: Availability, index: u64) -> bool {
-        match of {
-            Availability::Constant(constant) => constant,
-            Availability::Bits { buffer, start } => {
-                let byte = self.buffers[buffer].get(start + (index >> 3) as usize);
-                byte.is_some_and(|byte| byte >> (index & 7) & 1 == 1)
-            }
-        }
+        let rows = self.tile_rows.iter().chain(self.content_rows.iter().flatten());
+        self.buffer_bytes + rows.map(MetadataRows::size_bytes).sum::<u64>()
     }
 }
 
-/// Returns the number of bits that are set.
-fn ones(bytes: &[u8]) -> u32 {
-    bytes.iter().map(|byte| byte.count_ones()).sum()
+/// Returns the bytes of an external buffer, or those in a `data:` URI.
+fn external_buffer(
+    uri: &str,
+    reference: &str,
+    companions: &[Fetched],
+    options: &ReadOptions,
+) -> Result<Vec<u8>, IoError> {
+    if reference.starts_with("data:") {
+        return embedded::data_uri(uri, reference);
+    }
+    let (address, _) = options.resolve(uri, reference)?;
+    let found = companions.iter().find(|(fetched, _)| *fetched == address);
+    let missing = || format!("subtree: the external buffer {reference:.60} was not read");
+    found.map_or_else(|| Err(IoError::invalid(uri, missing())), |(_, read)| read.clone())
+}
+
+/// Returns true for a property that is read even if metadata is not kept.
+type IsWanted = fn(&ClassProperty) -> bool;
+
+/// Returns true for a property of tiles that replaces what follows from their position.
+fn replaces_tile(property: &ClassProperty) -> bool {
+    property.semantic.0.as_deref().and_then(Semantic::named).is_some()
+}
+
+/// Returns true for a property of contents that replaces their reference.
+fn replaces_content(property: &ClassProperty) -> bool {
+    property.semantic.0.as_deref() == Some(CONTENT_URI)
 }
 
 /// Returns the references of the external buffers that a subtree needs, in order. A file that is no subtree has none.
-pub(super) fn external_buffers(bytes: &[u8], schema: Option<&Schema>) -> Vec<String> {
+pub(super) fn external_buffers(bytes: &[u8], schema: Option<&Schema>, keeps_metadata: bool) -> Vec<String> {
     let json = Chunks::of(bytes).and_then(|chunks| parse_json(chunks.json));
     let Ok(json) = json else { return Vec::new() };
-    let needed = needed_buffers(&json, schema);
+    let needed = needed_buffers(&json, schema, keeps_metadata);
     let references = json.buffers.into_iter().zip(needed).filter(|(_, needed)| *needed);
     references.filter_map(|(buffer, _)| buffer.uri.0.filter(|uri| !uri.starts_with("data:"))).collect()
 }
 
-/// Tells for each buffer whether availability is in it, or metadata that replaces volumes or errors.
-fn needed_buffers(json: &SubtreeJson, schema: Option<&Schema>) -> Vec<bool> {
+/// Tells for each buffer whether availability is in it, or metadata that is read.
+fn needed_buffers(json: &SubtreeJson, schema: Option<&Schema>, keeps_metadata: bool) -> Vec<bool> {
     let mut needed = vec![false; json.buffers.len()];
-    let table = schema.zip(json.tile_table());
-    let properties = table.into_iter().flat_map(|(schema, table)| semantics::properties(table, schema));
-    let columns = properties.map(|property| property.view);
     let all = json.tile_availability.iter().chain(&json.child_subtree_availability).chain(json.content_availability());
-    let views = all.filter_map(AvailabilityJson::view).chain(columns);
-    for view in views.filter_map(|view| json.buffer_views.get(view)) {
+    let mut views: Vec<usize> = all.filter_map(AvailabilityJson::view).collect();
+    let contents =
+        (0..json.content_availability().len()).map(|i| (json.content_table(i), replaces_content as IsWanted));
+    for (table, is_wanted) in contents.chain([(json.tile_table(), replaces_tile as IsWanted)]) {
+        let Some((schema, table)) = schema.zip(table) else { continue };
+        let wanted = table.known(schema).filter(|(of, _)| keeps_metadata || is_wanted(of));
+        views.extend(wanted.flat_map(|(_, property)| property.views()));
+    }
+    for view in views.iter().filter_map(|view| json.buffer_views.get(*view)) {
         if let Some(needed) = needed.get_mut(view.buffer) {
             *needed = true;
         }

@@ -15,7 +15,7 @@ use crate::formats::options::ReadOptions;
 use crate::formats::properties::Schema;
 use crate::formats::tile::{ContentData, S2Cell, TileContent, UpAxis};
 use crate::math::{BoundingSphere, BoundingVolume, OrientedBox, Region, max_scale};
-use crate::scene::{ReaderData, Refine};
+use crate::scene::{Metadata, ReaderData, Refine, TileMetadata};
 
 /// The volume of the root of an implicit tree, which is halved for the tiles below.
 #[derive(Clone, Copy, Debug)]
@@ -31,7 +31,7 @@ pub(in crate::formats) enum RootVolume {
 /// The root tile of an implicit tree, as the reader of the tileset knows it.
 pub(in crate::formats) struct ImplicitRoot<'a> {
     /// The file that has the tile.
-    pub uri: &'a str,
+    pub uri: &'a Arc<str>,
     /// The options with which references are resolved.
     pub options: &'a ReadOptions,
     pub volume: RootVolume,
@@ -42,22 +42,39 @@ pub(in crate::formats) struct ImplicitRoot<'a> {
     pub content_transform: DAffine3,
     /// True if a content above is replaced by the tiles below.
     pub is_replaced: bool,
-    /// The references of the contents, with placeholders.
-    pub contents: Vec<&'a str>,
+    /// The contents.
+    pub contents: Vec<ContentTemplate<'a>>,
     /// The up axis of glTF contents.
     pub up_axis: UpAxis,
     /// The schema of the tileset's metadata.
     pub schema: Option<Arc<Schema>>,
+    /// The metadata of the groups, if it is kept.
+    pub groups: Arc<[Option<Arc<Metadata>>]>,
+}
+
+/// A content that all tiles of an implicit tree may have.
+pub(in crate::formats) struct ContentTemplate<'a> {
+    /// The reference, with placeholders.
+    pub reference: &'a str,
+    /// The metadata of its group.
+    pub group: Option<Arc<Metadata>>,
 }
 
 /// The properties that all tiles of an implicit tree share.
 #[derive(Debug)]
 pub(in crate::formats) struct ImplicitTiling {
+    /// The file of the tileset, and where redirects led.
+    uri: Arc<str>,
+    base: Option<Arc<str>>,
     pub(super) shape: SubtreeShape,
     /// Tiles are in levels below this number.
     pub(super) available_levels: u32,
     subtrees: UriTemplate,
     contents: Vec<UriTemplate>,
+    /// The metadata of the groups of the contents, by the number of the content.
+    content_groups: Vec<Option<Arc<Metadata>>>,
+    /// The metadata of all groups of the tileset.
+    groups: Arc<[Option<Arc<Metadata>>]>,
     volume: RootVolume,
     geometric_error_m: f64,
     pub(super) refine: Refine,
@@ -95,8 +112,12 @@ impl ImplicitTiling {
         let resolve = |template: &str| UriTemplate::resolve(root.uri, template, root.options);
         let content_data = (root.up_axis != UpAxis::Y)
             .then(|| ReaderData::of(ContentData { up_axis: root.up_axis, ..ContentData::default() }));
-        let contents = root.contents.iter().map(|template| resolve(template)).collect::<Result<Vec<_>, _>>()?;
+        let contents = root.contents.iter().map(|of| resolve(of.reference)).collect::<Result<Vec<_>, _>>()?;
         Ok(Self {
+            uri: root.uri.clone(),
+            base: root.options.base.clone(),
+            content_groups: root.contents.into_iter().map(|of| of.group).collect(),
+            groups: root.groups,
             shape: SubtreeShape { subdivision, levels, contents: contents.len() },
             available_levels,
             subtrees: resolve(subtrees)?,
@@ -125,14 +146,40 @@ impl ImplicitTiling {
     /// Returns a content of a tile.
     pub(super) fn content(&self, tile: TileCoordinates, content: usize) -> Option<TileContent> {
         let template = self.contents.get(content)?;
-        let reader_data = match template.fill_fallback(tile) {
-            None => self.content_data.clone(),
-            fallback => {
-                let data = ContentData { up_axis: self.up_axis, fallback, ..ContentData::default() };
-                Some(ReaderData::of(data))
-            }
+        Some(TileContent::new(template.fill(tile), self.content_data(template.fill_fallback(tile))))
+    }
+
+    /// Returns the reader data of a content that is looked for at `fallback` if its own URI has none.
+    pub(super) fn content_data(&self, fallback: Option<Arc<str>>) -> Option<ReaderData> {
+        if fallback.is_none() {
+            return self.content_data.clone();
+        }
+        let data = ContentData { up_axis: self.up_axis, fallback, ..ContentData::default() };
+        Some(ReaderData::of(data))
+    }
+
+    /// Returns the metadata of a content and of its group: that with the index `group`, or that of the template.
+    pub(super) fn content_metadata(
+        &self,
+        content: usize,
+        group: Option<usize>,
+        own: Option<Arc<Metadata>>,
+    ) -> Option<Arc<TileMetadata>> {
+        let group = match group {
+            Some(group) => self.groups.get(group),
+            None => self.content_groups.get(content),
         };
-        Some(TileContent { uri: template.fill(tile), reader_data })
+        TileMetadata { content: own, group: group.cloned().flatten(), ..TileMetadata::default() }.shared()
+    }
+
+    /// Returns the file that references in metadata are relative to.
+    pub(super) fn uri(&self) -> &str {
+        &self.uri
+    }
+
+    /// Returns the URL that redirects of that file led to.
+    pub(super) fn base(&self) -> Option<&Arc<str>> {
+        self.base.as_ref()
     }
 
     /// Returns the schema of the tiles' metadata.

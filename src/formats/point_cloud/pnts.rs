@@ -161,7 +161,7 @@ pub(in crate::formats) fn read(uri: &str, bytes: &[u8], options: &ReadOptions, n
         let (table, tables) = (batch.is_some().then_some(0), batch.map(Arc::new).into_iter().collect());
         let ids = ids.map_or(FeatureIds::VertexIndex, |ids| FeatureIds::PerVertex(ids.into()));
         let set = FeatureIdSet { label: String::new(), null_id: None, ids, table };
-        Arc::new(DrawableFeatures { sets: vec![set], tables })
+        Arc::new(DrawableFeatures { sets: vec![set], tables, ..DrawableFeatures::default() })
     });
     let alpha = match mesh.vertices.iter().all(|vertex| vertex.color[3] == u8::MAX) {
         true => AlphaMode::Opaque,

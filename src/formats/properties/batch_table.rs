@@ -3,10 +3,11 @@
 use serde::Deserialize;
 use serde_json::{Map, Value};
 
-use super::binary_column::{BinaryColumn, Element, Rows, from_json};
+use super::binary_column::BinaryColumn;
 use super::component::Component;
+use super::property_type::{Element, PropertyType, from_json};
 use crate::formats::feature_table;
-use crate::scene::{PropertyColumn, PropertyTable, PropertyValue};
+use crate::scene::{Column, PropertyColumn, PropertyTable, PropertyValue};
 
 /// A reference to the binary part.
 #[derive(Deserialize)]
@@ -33,15 +34,15 @@ pub(in crate::formats) fn batch_table(
         note("batch table that is invalid");
         return None;
     };
-    let mut columns: Vec<(String, Box<dyn PropertyColumn>)> = Vec::new();
+    let mut columns: Vec<Column> = Vec::new();
     for (name, property) in properties {
         match property {
-            Value::Array(values) => columns.push((name, Box::new(JsonColumn(values)))),
+            Value::Array(values) => columns.push((name.into(), Box::new(JsonColumn(values)))),
             Value::Object(_) if name == "extensions" || name == "HIERARCHY" => {
                 note("batch table: hierarchy or extensions")
             }
             Value::Object(_) if name != "extras" => match binary_column(&property, binary, rows) {
-                Some(column) => columns.push((name, Box::new(column))),
+                Some(column) => columns.push((name.into(), Box::new(column))),
                 None => note("batch table: a property that is invalid"),
             },
             _ => {}
@@ -57,15 +58,10 @@ fn binary_column(property: &Value, binary: &[u8], rows: usize) -> Option<BinaryC
     let size = rows.checked_mul(components)?.checked_mul(component.size_bytes())?;
     let values = binary.get(reference.byte_offset..reference.byte_offset.checked_add(size)?)?;
     Some(BinaryColumn {
-        element: Element::Numbers { component, components },
-        rows: Rows::Single,
-        values: values.to_vec(),
+        kind: PropertyType::plain(Element::Numbers { component, components }),
+        values: values.to_vec().into(),
+        array_offsets: None,
         string_offsets: None,
-        normalized: false,
-        scale: Vec::new(),
-        offset: Vec::new(),
-        no_data: None,
-        default: PropertyValue::Null,
     })
 }
 

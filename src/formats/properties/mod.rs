@@ -1,14 +1,26 @@
-//! Property tables of features: EXT_structural_metadata of glTF, which has the binary layout of 3D Tiles Metadata, and batch
-//! tables of 3D Tiles 1.0; and columns of numbers in the tables of subtrees. Decode threads.
+//! Properties of features and tiles: property tables of 3D Tiles Metadata, which EXT_structural_metadata of glTF shares, batch
+//! tables of 3D Tiles 1.0, and metadata as JSON. Decode threads.
+//!
+//! | file | contents |
+//! |---|---|
+//! | `schema` | the JSON of schemas, tables and metadata |
+//! | `property_type`, `component` | stored values to values: normalization, scale, noData, defaults, names of enums |
+//! | `table`, `binary_column`, `shared_bytes` | tables whose columns are buffer views |
+//! | `batch_table` | tables of 3D Tiles 1.0 |
+//! | `entities` | metadata of tilesets, tiles, contents and groups |
 
 mod batch_table;
 mod binary_column;
 mod component;
-mod number_column;
+mod entities;
+mod property_type;
 mod schema;
+mod shared_bytes;
 mod table;
 
 pub(super) use batch_table::batch_table;
-pub(super) use number_column::NumberColumn;
-pub(super) use schema::{ClassProperty, Schema, TableJson, read_schema};
-pub(super) use table::property_tables;
+pub(super) use entities::Entities;
+pub(super) use property_type::PropertyType;
+pub(super) use schema::{ClassProperty, Schema, TableJson, ValueChanges, read_schema};
+pub(super) use shared_bytes::SharedBytes;
+pub(super) use table::TableSource;

@@ -36,6 +36,15 @@ pub(in crate::formats) fn read_schema(
     }
 }
 
+/// Metadata of one object: its class, and the values of its properties.
+#[derive(Debug, Deserialize)]
+pub(in crate::formats) struct EntityJson {
+    #[serde(default)]
+    pub class: Text,
+    #[serde(default, deserialize_with = "valid_or_default")]
+    pub properties: BTreeMap<String, Value>,
+}
+
 /// The classes of tiles and features with their properties.
 #[derive(Clone, Debug, Default, Deserialize)]
 pub(in crate::formats) struct Schema {
@@ -67,9 +76,11 @@ pub(in crate::formats) struct ClassProperty {
     pub count: Option<usize>,
     #[serde(default, deserialize_with = "or_default")]
     pub normalized: bool,
-    pub offset: Option<Value>,
-    pub scale: Option<Value>,
+    #[serde(flatten)]
+    pub values: ValueChanges,
+    /// The stored value that stands for none.
     pub no_data: Option<Value>,
+    /// The value where there is none.
     pub default: Option<Value>,
     /// The meaning of the property, such as `TILE_GEOMETRIC_ERROR`.
     #[serde(default)]
@@ -114,7 +125,7 @@ pub(in crate::formats) struct TableJson {
     pub class: Text,
     #[serde(default, deserialize_with = "valid_or_default")]
     pub count: usize,
-    #[serde(default, deserialize_with = "or_default")]
+    #[serde(default, deserialize_with = "valid_entries")]
     pub properties: BTreeMap<String, TableProperty>,
 }
 
@@ -132,8 +143,15 @@ pub(in crate::formats) struct TableProperty {
     pub array_offset_type: Text,
     #[serde(default)]
     pub string_offset_type: Text,
-    /// Replaces that of the class.
+    #[serde(flatten)]
+    pub changes: ValueChanges,
+}
+
+/// How stored numbers are changed, and the range of the results. A table's own members replace those of the class.
+#[derive(Clone, Debug, Default, Deserialize)]
+pub(in crate::formats) struct ValueChanges {
     pub offset: Option<Value>,
-    /// Replaces that of the class.
     pub scale: Option<Value>,
+    pub min: Option<Value>,
+    pub max: Option<Value>,
 }

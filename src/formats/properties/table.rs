@@ -1,60 +1,100 @@
-//! The property tables of EXT_structural_metadata.
+//! The property tables of EXT_structural_metadata and of subtrees.
 
 use serde::Deserialize;
 use serde_json::Value;
 
-use super::binary_column::{BinaryColumn, Element, Offsets, Rows, from_json, numbers};
+use super::binary_column::{BinaryColumn, Offsets};
 use super::component::Component;
-use super::schema::{ClassProperty, Schema, TableJson, TableProperty};
+use super::property_type::{Length, PropertyType};
+use super::schema::{ClassProperty, Schema, TableJson, TableProperty, ValueChanges};
+use super::shared_bytes::SharedBytes;
 use crate::formats::lenient::Text;
-use crate::scene::{PropertyColumn, PropertyTable, PropertyValue};
+use crate::scene::{Column, PropertyColumn, PropertyTable, PropertyValue};
 
-/// Reads the `propertyTables` of a metadata object whose schema is `schema`. `view` returns the bytes of a buffer
-/// view. A property that cannot be read is left out; `note` gets the reason.
-pub(in crate::formats) fn property_tables(
-    metadata: &Value,
-    schema: &Schema,
-    view: &dyn Fn(usize) -> Option<Vec<u8>>,
-    note: &dyn Fn(&'static str),
-) -> Vec<PropertyTable> {
-    let tables = metadata.get("propertyTables").and_then(Value::as_array).map_or(&[][..], Vec::as_slice);
-    let read = |table: &Value| match TableJson::deserialize(table) {
-        Ok(table) => read_table(table, schema, view, note),
-        Err(_) => {
-            note("metadata: an invalid property table");
-            // The indices of the tables after it stay as they are.
-            PropertyTable::new(String::new(), String::new(), 0, Vec::new())
-        }
-    };
-    tables.iter().map(read).collect()
+/// The schema and the buffers of a file with property tables.
+pub(in crate::formats) struct TableSource<'a> {
+    pub schema: &'a Schema,
+    /// Returns the bytes of a buffer view.
+    pub view: &'a dyn Fn(usize) -> Option<SharedBytes>,
+    /// Gets the reason why something is left out.
+    pub note: &'a dyn Fn(&'static str),
 }
 
-fn read_table(
-    table: TableJson,
-    schema: &Schema,
-    view: &dyn Fn(usize) -> Option<Vec<u8>>,
-    note: &dyn Fn(&'static str),
-) -> PropertyTable {
-    let class_name = table.class.0.unwrap_or_default();
-    let class = schema.classes.get(&class_name);
-    let mut columns: Vec<(String, Box<dyn PropertyColumn>)> = Vec::new();
-    for (name, property) in table.properties {
-        let column = class.and_then(|class| column(class.properties.get(&name)?, &property, schema, view));
-        match column {
-            Some(column) => columns.push((name, Box::new(column))),
-            None => note("metadata: a property that is invalid"),
-        }
+impl TableSource<'_> {
+    /// Reads the `propertyTables` of a metadata object. A property that cannot be read is left out.
+    pub fn tables(&self, metadata: &Value) -> Vec<PropertyTable> {
+        let tables = metadata.get("propertyTables").and_then(Value::as_array).map_or(&[][..], Vec::as_slice);
+        let read = |table: &Value| match TableJson::deserialize(table) {
+            Ok(table) => self.table(&table, &|_| true),
+            Err(_) => {
+                (self.note)("metadata: an invalid property table");
+                // The indices of the tables after it stay as they are.
+                PropertyTable::new(String::new(), String::new(), 0, Vec::new())
+            }
+        };
+        tables.iter().map(read).collect()
     }
-    // Properties of the class that the table lacks have their default.
-    for (name, property) in class.iter().flat_map(|class| &class.properties) {
-        if let Some(default) = &property.default
-            && !columns.iter().any(|(known, _)| known == name)
-            && let Some(element) = element(property, schema)
-        {
-            columns.push((name.clone(), Box::new(Constant(from_json(default, &element)))));
+
+    /// Reads the properties of a table that `is_wanted`.
+    pub fn table(&self, table: &TableJson, is_wanted: &dyn Fn(&ClassProperty) -> bool) -> PropertyTable {
+        let class_name = table.class.0.clone().unwrap_or_default();
+        let class = self.schema.classes.get(&class_name);
+        let mut columns: Vec<Column> = Vec::new();
+        for (name, property) in &table.properties {
+            let of = class.and_then(|class| class.properties.get(name));
+            if of.is_some_and(|of| !is_wanted(of)) {
+                continue;
+            }
+            match of.and_then(|of| self.column(name, of, property)) {
+                Some(column) => columns.push(column),
+                None => (self.note)("metadata: a property that is invalid"),
+            }
         }
+        // Properties of the class that the table lacks have their default.
+        for (name, of) in class.iter().flat_map(|class| &class.properties).filter(|(_, of)| is_wanted(of)) {
+            let none = ValueChanges::default();
+            if of.default.is_some()
+                && !columns.iter().any(|(known, _)| known.name == *name)
+                && let Some(kind) = PropertyType::new(of, self.schema, &none)
+            {
+                columns.push((kind.info(name, of, &none), Box::new(Constant(kind.value(None)))));
+            }
+        }
+        PropertyTable::new(table.name.0.clone().unwrap_or_default(), class_name, table.count, columns)
     }
-    PropertyTable::new(table.name.0.unwrap_or_default(), class_name, table.count, columns)
+
+    fn column(&self, name: &str, of: &ClassProperty, table: &TableProperty) -> Option<Column> {
+        let kind = PropertyType::new(of, self.schema, &table.changes)?;
+        let offsets = |at: Option<usize>, kind: &Text| -> Option<Option<Offsets>> {
+            let Some(at) = at else { return Some(None) };
+            let component = Component::from_name(kind.0.as_deref().unwrap_or("UINT32"))?;
+            Some(Some(Offsets { component, bytes: (self.view)(at)? }))
+        };
+        let array_offsets = match kind.length {
+            Length::Variable => Some(offsets(table.array_offsets, &table.array_offset_type)??),
+            Length::Single | Length::Fixed(_) => None,
+        };
+        let info = kind.info(name, of, &table.changes);
+        let values = (self.view)(table.values?)?;
+        let string_offsets = offsets(table.string_offsets, &table.string_offset_type)?;
+        Some((info, Box::new(BinaryColumn { kind, values, array_offsets, string_offsets })))
+    }
+}
+
+impl TableJson {
+    /// Returns the properties that the class of the table has, and what class and table say about them.
+    pub fn known<'a>(&'a self, schema: &'a Schema) -> impl Iterator<Item = (&'a ClassProperty, &'a TableProperty)> {
+        let class = self.class.0.as_deref().and_then(|class| schema.classes.get(class));
+        let properties = class.into_iter().flat_map(|class| &class.properties);
+        properties.filter_map(|(name, of)| Some((of, self.properties.get(name)?)))
+    }
+}
+
+impl TableProperty {
+    /// Returns the buffer views that the property needs.
+    pub fn views(&self) -> impl Iterator<Item = usize> + use<> {
+        [self.values, self.array_offsets, self.string_offsets].into_iter().flatten()
+    }
 }
 
 /// A column with the same value in each row.
@@ -70,55 +110,6 @@ impl PropertyColumn for Constant {
     }
 }
 
-fn column(
-    of: &ClassProperty,
-    table: &TableProperty,
-    schema: &Schema,
-    view: &dyn Fn(usize) -> Option<Vec<u8>>,
-) -> Option<BinaryColumn> {
-    let element = element(of, schema)?;
-    let offsets = |at: Option<usize>, kind: &Text| -> Option<Option<Offsets>> {
-        let Some(at) = at else { return Some(None) };
-        let component = Component::from_name(kind.0.as_deref().unwrap_or("UINT32"))?;
-        Some(Some(Offsets { component, bytes: view(at)? }))
-    };
-    let rows = match (of.array, of.count) {
-        (false, _) => Rows::Single,
-        (true, Some(count)) => Rows::Fixed(count),
-        (true, None) => Rows::Variable(offsets(table.array_offsets, &table.array_offset_type)??),
-    };
-    let no_data = of.no_data.as_ref().map(|value| from_json(value, &element));
-    let default = of.default.as_ref().map_or(PropertyValue::Null, |value| from_json(value, &element));
-    Some(BinaryColumn {
-        rows,
-        values: view(table.values?)?,
-        string_offsets: offsets(table.string_offsets, &table.string_offset_type)?,
-        normalized: of.normalized,
-        scale: numbers(table.scale.as_ref().or(of.scale.as_ref())),
-        offset: numbers(table.offset.as_ref().or(of.offset.as_ref())),
-        no_data,
-        default,
-        element,
-    })
-}
-
-fn element(of: &ClassProperty, schema: &Schema) -> Option<Element> {
-    match of.kind.0.as_deref()? {
-        "BOOLEAN" => Some(Element::Bool),
-        "STRING" => Some(Element::Text),
-        "ENUM" => {
-            let values = schema.enums.get(of.enum_type.0.as_deref()?)?;
-            let component = Component::from_name(values.value_type.0.as_deref().unwrap_or("UINT16"))?;
-            let names = values.values.iter().map(|value| (value.value, value.name.clone())).collect();
-            Some(Element::Enum { component, names })
-        }
-        _ => {
-            let component = Component::from_name(of.component_type.0.as_deref()?)?;
-            Some(Element::Numbers { component, components: of.components()? })
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use std::cell::Cell;
@@ -129,9 +120,10 @@ mod tests {
 
     fn tables(metadata: &Value, views: &[&[u8]]) -> (Vec<PropertyTable>, u32) {
         let notes = Cell::new(0);
-        let view = |at: usize| views.get(at).map(|bytes| bytes.to_vec());
+        let view = |at: usize| views.get(at).map(|bytes| bytes.to_vec().into());
         let schema = Schema::deserialize(&metadata["schema"]).unwrap();
-        (property_tables(metadata, &schema, &view, &|_| notes.set(notes.get() + 1)), notes.get())
+        let source = TableSource { schema: &schema, view: &view, note: &|_| notes.set(notes.get() + 1) };
+        (source.tables(metadata), notes.get())
     }
 
     #[test]
@@ -213,6 +205,47 @@ mod tests {
         for row in [0, 1, 2, 3_999_999_999] {
             assert!(tables[1].row(row).iter().all(|(_, value)| *value == PropertyValue::Null), "{row}");
         }
-        assert!(super::property_tables(&json!({}), &Schema::default(), &|_| None, &|_| {}).is_empty());
+        let nothing = TableSource { schema: &Schema::default(), view: &|_| None, note: &|_| {} };
+        assert!(nothing.tables(&json!({})).is_empty());
+    }
+
+    /// A table's own offset, scale, minimum and maximum replace those of the class. The stored value is compared with noData.
+    #[test]
+    fn tables_replace_what_the_class_says() {
+        let metadata = json!({
+            "schema": {
+                "classes": { "c": { "properties": {
+                    "plain": { "type": "SCALAR", "componentType": "UINT8", "scale": 2 },
+                    "scaled": { "type": "VEC2", "componentType": "UINT8", "normalized": true, "scale": [255, 510],
+                        "offset": [1, 2], "noData": [255.0, 0], "default": [0.5, 1.5], "min": [0, 0], "max": [9, 9] },
+                    "use": { "type": "ENUM", "enumType": "use", "noData": "none", "semantic": "USE" },
+                    "years": { "type": "SCALAR", "componentType": "UINT8", "array": true, "count": 2, "noData": [2, 3] },
+                    "name": { "type": "STRING", "required": true, "default": "anon" },
+                    "missing": { "type": "STRING", "required": true },
+                } } },
+                "enums": { "use": { "values": [{ "name": "none", "value": 0 }, { "name": "flat", "value": 300 }] } },
+            },
+            "propertyTables": [
+                { "class": "c", "count": 2, "properties": {
+                    "plain": { "values": 0 }, "scaled": { "values": 0 }, "use": { "values": 1 }, "years": { "values": 2 },
+                } },
+                { "class": "c", "count": 2, "properties": {
+                    "plain": { "values": 0, "offset": 7 },
+                    "scaled": { "values": 0, "offset": 10, "scale": [510, 255], "max": [20, 20] },
+                } },
+            ],
+        });
+        let (tables, notes) = tables(&metadata, &[&[255, 0, 51, 255], &[0, 0, 44, 1], &[1, 2, 2, 3]]);
+        let row = |table: &PropertyTable, row: usize| -> String {
+            let values = table.row(row).into_iter().map(|(name, value)| format!("{name} {value}"));
+            values.collect::<Vec<_>>().join("; ")
+        };
+        assert_eq!(notes, 0);
+        assert_eq!(row(&tables[0], 0), "plain 255; scaled [0.5, 1.5]; use null; years [1, 2]; name anon");
+        assert_eq!(row(&tables[0], 1), "plain 0; scaled [52, 512]; use flat; years null; name anon");
+        assert_eq!(row(&tables[1], 1), "plain 0; scaled [112, 265]; name anon");
+        assert_eq!(tables[0].value_by_semantic("USE", 1).unwrap().as_str(), Some("flat"));
+        let max = |table: &PropertyTable| table.properties().find(|p| p.name == "scaled").unwrap().max.to_string();
+        assert_eq!((max(&tables[0]).as_str(), max(&tables[1]).as_str()), ("[9, 9]", "[20, 20]"));
     }
 }

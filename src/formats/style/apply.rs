@@ -15,7 +15,8 @@ use crate::formats::ignored::Notes;
 use crate::formats::options::ReadOptions;
 use crate::formats::subset::Subset;
 use crate::scene::{
-    AlphaMode, Drawable, DrawableFeatures, FeatureIds, Geometry, Material, Mesh, MeshVertex, Node, NodeKind, Topology,
+    AlphaMode, Drawable, DrawableFeatures, FeatureIdSet, FeatureIds, Geometry, Material, Mesh, MeshVertex, Node,
+    NodeKind, Topology,
 };
 
 /// Applies a style to all drawables below the root node of a content. Features are removed afterwards unless they are kept.
@@ -100,6 +101,10 @@ impl Styler<'_> {
     fn parts(&mut self, mesh: &Arc<Mesh>, drawable: &Drawable, set_from_mesh: &DAffine3) -> Vec<Part> {
         let (style, features) = (self.style, drawable.features.as_deref());
         let column = features.and_then(FeatureColumn::of);
+        let is_texture = |set: &FeatureIdSet| matches!(set.ids, FeatureIds::Texture(_));
+        if features.is_some_and(|features| features.sets.iter().any(is_texture)) {
+            self.notes.add("style: feature ids in textures");
+        }
         let has_semantics = mesh.topology == Topology::Points && style.has_semantics();
         let is_opaque = drawable.material.alpha == AlphaMode::Opaque;
         let address = features.map_or(0, |features| std::ptr::from_ref(features).addr());

@@ -60,11 +60,12 @@ pub(super) struct FeatureColumn<'a> {
 }
 
 impl<'a> FeatureColumn<'a> {
-    /// Returns the first ids that have properties, or else the first ids; those of instances are before those of meshes.
+    /// Returns the first ids that have properties, or else the first ids; those of instances are before those of meshes. Ids
+    /// in images are left out.
     pub fn of(features: &'a DrawableFeatures) -> Option<Self> {
         let table = |set: &FeatureIdSet| set.table.and_then(|table| features.tables.get(table)).map(|table| &**table);
-        let with_table = features.sets.iter().find(|set| table(set).is_some());
-        let set = with_table.or_else(|| features.sets.first())?;
+        let sets = || features.sets.iter().filter(|set| !matches!(set.ids, FeatureIds::Texture(_)));
+        let set = sets().find(|set| table(set).is_some()).or_else(|| sets().next())?;
         Some(Self { set, table: table(set) })
     }
 

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use super::up_axis::UpAxis;
 use crate::fetch::IoError;
-use crate::scene::{ReaderData, ReaderValue};
+use crate::scene::{ReaderData, ReaderValue, TileMetadata};
 
 /// A content of a tile.
 #[derive(Clone, Debug)]
@@ -14,9 +14,16 @@ pub(in crate::formats) struct TileContent {
     pub uri: Arc<str>,
     /// Data for the decoder of the content.
     pub reader_data: Option<ReaderData>,
+    /// The metadata of the content and of its group, if it is kept.
+    pub metadata: Option<Arc<TileMetadata>>,
 }
 
 impl TileContent {
+    /// Returns a content without metadata.
+    pub fn new(uri: Arc<str>, reader_data: Option<ReaderData>) -> Self {
+        Self { uri, reader_data, metadata: None }
+    }
+
     /// Returns true if nothing is fetched for the content.
     pub fn is_in_memory(&self) -> bool {
         self.reader_data.as_ref().is_some_and(ReaderData::is_whole_content)
@@ -30,7 +37,7 @@ impl TileContent {
     /// Returns a content that fails with an error.
     pub fn refused(uri: Arc<str>, error: IoError) -> Self {
         let data = ContentData { bytes: ContentBytes::Refused(error), ..ContentData::default() };
-        Self { uri, reader_data: Some(ReaderData::of(data)) }
+        Self::new(uri, Some(ReaderData::of(data)))
     }
 }
 
@@ -87,5 +94,5 @@ pub(super) fn joined(contents: Vec<TileContent>) -> TileContent {
     let first = contents.iter().find(|content| !content.is_in_memory()).or(contents.first());
     let uri = first.map(|content| content.uri.clone()).unwrap_or_default();
     let data = ContentData { bytes: ContentBytes::Several(contents.into()), ..ContentData::default() };
-    TileContent { uri, reader_data: Some(ReaderData::of(data)) }
+    TileContent::new(uri, Some(ReaderData::of(data)))
 }

@@ -7,7 +7,7 @@ use glam::DAffine3;
 use super::content::{TileContent, joined};
 use crate::fetch::IoError;
 use crate::math::BoundingVolume;
-use crate::scene::{Node, NodeKind, PagedLod, PagingOptions, ProxyLoading, ProxyNode, RangeMode, Refine};
+use crate::scene::{Node, NodeKind, PagedLod, PagingOptions, ProxyLoading, ProxyNode, RangeMode, Refine, TileMetadata};
 
 /// A geometric error in metres that exceeds the threshold from every eye position, so that the tile is always refined.
 pub(in crate::formats) const ALWAYS_REFINED_M: f64 = f64::MAX / 1e6;
@@ -33,10 +33,12 @@ pub(in crate::formats) struct Tile {
     pub content_transform: DAffine3,
     /// The contents, known tilesets excluded.
     pub contents: Vec<TileContent>,
-    /// URIs of the external tilesets.
-    pub external_tilesets: Vec<Arc<str>>,
+    /// The external tilesets.
+    pub external_tilesets: Vec<TileContent>,
     /// Parts of the tree with further children.
     pub continuations: Vec<Continuation>,
+    /// The metadata of the tile, of its tileset and subtree, if it is kept.
+    pub metadata: Option<Arc<TileMetadata>>,
     pub children: Vec<Self>,
 }
 
@@ -52,6 +54,7 @@ impl Tile {
             contents: vec![TileContent::refused(uri, error)],
             external_tilesets: Vec::new(),
             continuations: Vec::new(),
+            metadata: None,
             children: Vec::new(),
         }
     }
@@ -67,13 +70,14 @@ impl Tile {
             self.contents = vec![joined(std::mem::take(&mut self.contents))];
         }
         let Self { bounds, request_volume, refine, content_transform, geometric_error_m, .. } = self;
-        let external = |uri| {
-            Node::new(NodeKind::ProxyNode(Box::new(ProxyNode {
-                uri,
+        let external = |tileset: TileContent| {
+            let proxy = ProxyNode {
+                uri: tileset.uri,
                 bounds: bounds.bounding_sphere(),
                 content_transform,
                 loading: ProxyLoading::DeferToPager,
-            })))
+            };
+            Node { metadata: tileset.metadata, ..Node::new(NodeKind::ProxyNode(Box::new(proxy))) }
         };
         let children: Vec<Node> = (self.external_tilesets.into_iter().map(external))
             .chain(self.continuations.into_iter().map(Continuation::into_node))
@@ -94,15 +98,20 @@ impl Tile {
                 paging: paging(in_tree),
             })
         };
+        let node_with = |geometric_error_m, content: Option<TileContent>, children| {
+            let metadata = content.as_ref().and_then(|content| content.metadata.clone());
+            let tile = paged_lod(geometric_error_m, refine, content);
+            Node { metadata, children, ..Node::new(NodeKind::PagedLod(tile)) }
+        };
         let mut contents = self.contents.into_iter();
-        let first = paged_lod(geometric_error_m, refine, contents.next());
-        let tile = Node { children, ..Node::new(NodeKind::PagedLod(first)) };
+        let tile = node_with(geometric_error_m, contents.next(), children);
         if contents.len() == 0 {
-            return tile;
+            return Node { metadata: TileMetadata::with_content(self.metadata, tile.metadata), ..tile };
         }
-        let others = contents.map(|content| Node::new(NodeKind::PagedLod(paged_lod(0.0, refine, Some(content)))));
+        let others = contents.map(|content| node_with(0.0, Some(content), Vec::new()));
+        let children = std::iter::once(tile).chain(others).collect();
         let group = paged_lod(ALWAYS_REFINED_M, Refine::Add, None);
-        Node { children: std::iter::once(tile).chain(others).collect(), ..Node::new(NodeKind::MultiContentTile(group)) }
+        Node { metadata: self.metadata, children, ..Node::new(NodeKind::MultiContentTile(group)) }
     }
 }
 

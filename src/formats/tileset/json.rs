@@ -10,7 +10,7 @@ use crate::fetch::markup::refuse_markup;
 use crate::formats::embedded::is_data_uri;
 use crate::formats::height::{SetExtras, TileExtras};
 use crate::formats::implicit::ImplicitTilingJson;
-use crate::formats::lenient::{Number, Numbers, Text, list, or_default};
+use crate::formats::lenient::{Number, Numbers, Text, list, or_default, valid_or_default};
 
 /// Supported extensions that a tileset may require, including those that do not affect drawing.
 pub(super) const KNOWN_EXTENSIONS: &[&str] = &[
@@ -36,6 +36,8 @@ pub(crate) struct TilesetJson {
     schema: Option<Value>,
     #[serde(rename = "schemaUri", default)]
     schema_uri: Text,
+    metadata: Option<Value>,
+    groups: Option<Value>,
     extensions: Option<TilesetExtensions>,
     pub root: TileJson,
 }
@@ -43,9 +45,30 @@ pub(crate) struct TilesetJson {
 impl TilesetJson {
     /// Returns the schema of the metadata and the reference to its file, by the 1.1 properties or by the 1.0 extension.
     pub fn schema(&self) -> (Option<&Value>, Option<&str>) {
-        let by_extension = self.extensions.as_ref().and_then(|extensions| extensions.metadata.as_ref());
+        let by_extension = self.metadata_extension();
         let schema = self.schema.as_ref().or_else(|| by_extension?.schema.as_ref());
         (schema, self.schema_uri.0.as_deref().or_else(|| by_extension?.schema_uri.0.as_deref()))
+    }
+
+    /// Returns the metadata of the tileset.
+    pub fn metadata(&self) -> Option<&Value> {
+        self.metadata.as_ref().or_else(|| {
+            let extension = self.metadata_extension()?;
+            extension.metadata.as_ref().or(extension.tileset.as_ref())
+        })
+    }
+
+    /// Returns the groups that contents may belong to: the name of each, and its metadata. Groups of 1.1 have no name.
+    pub fn groups(&self) -> Vec<(Option<String>, &Value)> {
+        match self.groups.as_ref().or_else(|| self.metadata_extension()?.groups.as_ref()) {
+            Some(Value::Array(groups)) => groups.iter().map(|group| (None, group)).collect(),
+            Some(Value::Object(groups)) => groups.iter().map(|(name, group)| (Some(name.clone()), group)).collect(),
+            _ => Vec::new(),
+        }
+    }
+
+    fn metadata_extension(&self) -> Option<&MetadataExtension> {
+        self.extensions.as_ref()?.metadata.as_ref()
     }
 }
 
@@ -60,6 +83,10 @@ struct MetadataExtension {
     schema: Option<Value>,
     #[serde(rename = "schemaUri", default)]
     schema_uri: Text,
+    metadata: Option<Value>,
+    /// The name of `metadata` in drafts.
+    tileset: Option<Value>,
+    groups: Option<Value>,
 }
 
 #[derive(Deserialize)]
@@ -97,6 +124,7 @@ pub(crate) struct TileJson {
     #[serde(default, deserialize_with = "list")]
     pub children: Vec<TileJson>,
     implicit_tiling: Option<ImplicitTilingJson>,
+    metadata: Option<Value>,
     extensions: Option<TileExtensions>,
     #[serde(default)]
     pub extras: Extras<TileExtras>,
@@ -107,6 +135,11 @@ impl TileJson {
     pub fn implicit_tiling(&self) -> Option<&ImplicitTilingJson> {
         let extension = self.extensions.as_ref().and_then(|extensions| extensions.implicit_tiling.as_ref());
         self.implicit_tiling.as_ref().or(extension)
+    }
+
+    /// Returns the metadata by the 1.1 property or by the 1.0 extension.
+    pub fn metadata(&self) -> Option<&Value> {
+        self.metadata.as_ref().or_else(|| self.extensions.as_ref()?.metadata.as_ref())
     }
 
     /// Returns the contents by the 1.1 properties or by the 1.0 extension.
@@ -123,6 +156,8 @@ struct TileExtensions {
     implicit_tiling: Option<ImplicitTilingJson>,
     #[serde(rename = "3DTILES_multiple_contents")]
     multiple_contents: Option<MultipleContentsJson>,
+    #[serde(rename = "3DTILES_metadata")]
+    metadata: Option<Value>,
 }
 
 #[derive(Deserialize)]
@@ -171,12 +206,37 @@ pub(crate) struct ContentJson {
     uri: Text,
     #[serde(default)]
     url: Text,
+    metadata: Option<Value>,
+    group: Option<Value>,
+    #[serde(default, deserialize_with = "valid_or_default")]
+    extensions: ContentExtensions,
+}
+
+#[derive(Default, Deserialize)]
+struct ContentExtensions {
+    /// The metadata, and the name of the group.
+    #[serde(rename = "3DTILES_metadata")]
+    metadata: Option<Value>,
 }
 
 impl ContentJson {
     /// Returns the reference, under its name in 1.1 or in 1.0.
     pub fn uri(&self) -> Option<&str> {
         self.uri.0.as_deref().or(self.url.0.as_deref())
+    }
+
+    /// Returns the metadata by the 1.1 property or by the 1.0 extension.
+    pub fn metadata(&self) -> Option<&Value> {
+        self.metadata.as_ref().or_else(|| self.extension().filter(|extension| extension.get("class").is_some()))
+    }
+
+    /// Returns the index of the group in 1.1, or its name in 1.0.
+    pub fn group(&self) -> Option<&Value> {
+        self.group.as_ref().or_else(|| self.extension()?.get("group"))
+    }
+
+    fn extension(&self) -> Option<&Value> {
+        self.extensions.metadata.as_ref()
     }
 }
 

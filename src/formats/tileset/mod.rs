@@ -4,6 +4,7 @@ mod detect;
 mod extras;
 mod json;
 mod reader;
+mod set_metadata;
 mod volume;
 
 #[cfg(feature = "http")]

@@ -11,13 +11,14 @@ use std::sync::Arc;
 use glam::DAffine3;
 
 use super::json::{self, KNOWN_EXTENSIONS, TileJson, TilesetJson};
+use super::set_metadata::SetMetadata;
 use super::volume::{affine, bounding_volume, root_volume};
 use crate::fetch::{IoError, path_of};
 use crate::formats::embedded::is_data_uri;
 use crate::formats::external_files::ExternalFiles;
 use crate::formats::height::HeightSet;
 use crate::formats::ignored::Notes;
-use crate::formats::implicit::{ImplicitRoot, ImplicitTiling, ImplicitTilingJson, SubtreeSource};
+use crate::formats::implicit::{ContentTemplate, ImplicitRoot, ImplicitTiling, ImplicitTilingJson, SubtreeSource};
 use crate::formats::options::{Fetched, ReadOptions};
 use crate::formats::properties::{self, Schema};
 use crate::formats::tile::{ALWAYS_REFINED_M, ContentBytes, ContentData, Tile, TileContent, UpAxis};
@@ -66,10 +67,14 @@ pub(in crate::formats) fn read_tiles(
         notes.add("metadata: a schema that cannot be read");
         None
     });
-    options.ignored.add(&notes.into_ignored());
+    let schema = schema.map(Arc::new);
+    let no_schema = Schema::default();
+    let known = schema.as_deref().unwrap_or(&no_schema);
+    let metadata = options.keep_features.then(|| SetMetadata::new(&tileset, known, &notes));
     let up_axis = tileset.asset.gltf_up_axis.0.as_deref().and_then(UpAxis::named).unwrap_or_default();
     let heights = HeightSet::from_extras(uri, tileset.asset.extras.0)?;
-    let mut reader = Reader { uri, options, heights, up_axis, schema: schema.map(Arc::new), tiles: 0, contents: 0 };
+    let schema = schema.clone();
+    let mut reader = Reader { uri, options, heights, up_axis, schema, metadata, tiles: 0, contents: 0 };
     // An external tileset does not know the tiles above it, so it assumes that it replaces a content.
     let inherited = Inherited {
         refine: Refine::Replace,
@@ -78,7 +83,10 @@ pub(in crate::formats) fn read_tiles(
         geometric_error: tileset.geometric_error.map_or(0.0, |error| error.0),
         bounds: None,
     };
-    reader.tile(tileset.root, DAffine3::IDENTITY, inherited)
+    let root = reader.tile(tileset.root, DAffine3::IDENTITY, inherited);
+    drop(reader);
+    options.ignored.add(&notes.into_ignored());
+    root
 }
 
 /// Lists what the tileset asks for and this reader leaves out.
@@ -101,6 +109,8 @@ struct Reader<'a> {
     heights: Option<HeightSet>,
     up_axis: UpAxis,
     schema: Option<Arc<Schema>>,
+    /// `None` if metadata is not kept.
+    metadata: Option<SetMetadata<'a>>,
     /// Number of tiles so far.
     tiles: usize,
     /// Number of contents without a URI of their own so far.
@@ -139,6 +149,7 @@ impl Reader<'_> {
             return Err(IoError::invalid(self.uri, reason));
         }
         let mut geometric_error_m = geometric_error * crate::math::max_scale(&content_transform.matrix3);
+        let metadata = self.metadata.as_mut().and_then(|set| set.of_tile(&json, level == 0));
         if let Some(tiling) = json.implicit_tiling() {
             let root = Tile {
                 bounds,
@@ -149,6 +160,7 @@ impl Reader<'_> {
                 contents: Vec::new(),
                 external_tilesets: Vec::new(),
                 continuations: Vec::new(),
+                metadata,
                 children: Vec::new(),
             };
             return self.implicit_root(tiling, &json, root, inherited);
@@ -192,6 +204,7 @@ impl Reader<'_> {
             contents,
             external_tilesets,
             continuations: Vec::new(),
+            metadata,
             children,
         })
     }
@@ -208,7 +221,11 @@ impl Reader<'_> {
             return Err(IoError::unsupported(self.uri, "implicit tiling of height tiles"));
         }
         let missing = || IoError::invalid(self.uri, "content without a uri");
-        let contents = json.contents().map(|content| content.uri().ok_or_else(missing));
+        let mut contents = Vec::new();
+        for content in json.contents() {
+            let group = self.metadata.as_ref().and_then(|set| set.group(content));
+            contents.push(ContentTemplate { reference: content.uri().ok_or_else(missing)?, group });
+        }
         let tiling = ImplicitTiling::new(
             tiling,
             ImplicitRoot {
@@ -219,9 +236,10 @@ impl Reader<'_> {
                 refine: root.refine,
                 content_transform: root.content_transform,
                 is_replaced: inherited.is_replaced,
-                contents: contents.collect::<Result<Vec<&str>, _>>()?,
+                contents,
                 up_axis: self.up_axis,
                 schema: self.schema.clone(),
+                groups: self.metadata.as_ref().map(SetMetadata::groups).unwrap_or_default(),
             },
         )?;
         let content = SubtreeSource::root(Arc::new(tiling)).content();
@@ -243,11 +261,12 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// Returns a tile's contents and the absolute URIs of its external tilesets. A reference that is invalid becomes a
+    /// Returns a tile's contents and its external tilesets. A reference that is invalid becomes a
     /// content that cannot be loaded.
     fn references(&mut self, json: &TileJson) -> References {
         let References { mut contents, mut external_tilesets } = References::default();
         for content in json.contents() {
+            let metadata = self.metadata.as_mut().and_then(|set| set.of_content(content));
             let Some(reference) = content.uri() else {
                 let error = IoError::invalid(self.uri, "content without a uri");
                 contents.push(TileContent::refused(self.name_content(), error));
@@ -255,14 +274,16 @@ impl Reader<'_> {
             };
             if is_data_uri(reference) {
                 let reader_data = self.content_data(ContentBytes::Embedded(reference.into()), None);
-                contents.push(TileContent { uri: self.name_content(), reader_data });
+                contents.push(TileContent { uri: self.name_content(), reader_data, metadata });
                 continue;
             }
             match self.options.resolve(self.uri, reference) {
-                Ok((uri, None)) if path_of(&uri).ends_with(".json") => external_tilesets.push(uri),
+                Ok((uri, None)) if path_of(&uri).ends_with(".json") => {
+                    external_tilesets.push(TileContent { uri, reader_data: None, metadata });
+                }
                 Ok((uri, fallback)) => {
                     let reader_data = self.content_data(ContentBytes::Fetched, fallback);
-                    contents.push(TileContent { uri, reader_data });
+                    contents.push(TileContent { uri, reader_data, metadata });
                 }
                 Err(error) => contents.push(TileContent::refused(self.name_content(), error)),
             }
@@ -289,5 +310,5 @@ impl Reader<'_> {
 #[derive(Default)]
 struct References {
     contents: Vec<TileContent>,
-    external_tilesets: Vec<Arc<str>>,
+    external_tilesets: Vec<TileContent>,
 }

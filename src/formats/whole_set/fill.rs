@@ -414,7 +414,7 @@ impl Fill<'_> {
             }
         }
         let below = Position { level: position.level + 1, ..position.clone() };
-        for uri in &tile.external_tilesets {
+        for TileContent { uri, .. } in &tile.external_tilesets {
             visited += 1;
             if self.is_wanted(&BoundingVolume::Sphere(tile.bounds.bounding_sphere()), &below) {
                 let world = below.world * tile.content_transform;
@@ -432,7 +432,11 @@ impl Fill<'_> {
     /// Queues the files of a part of a tile tree whose first level is `position.level`. Returns the number of tiles visited.
     fn add_part(&mut self, content: &TileContent, position: &Position) -> u64 {
         match Known::of(content) {
-            Known::Part(part) => part.read().iter().map(|tile| self.add_tile(tile, position)).sum(),
+            Known::Part(part) => {
+                let root = self.scope.clone();
+                let options = ReadOptions { root, ..ReadOptions::for_root(&content.uri, self.options.limits) };
+                part.read(&options).iter().map(|tile| self.add_tile(tile, position)).sum()
+            }
             Known::Subtree(_) => {
                 self.add_position(content.uri.clone(), position.clone(), Some(content.clone()));
                 1

@@ -42,6 +42,8 @@ pub struct Info {
     pub model: Option<ModelInfo>,
     /// The metadata of the root tileset, if it has any.
     pub metadata: Option<MetadataInfo>,
+    /// Number of tiles that have metadata, or whose contents have metadata or belong to a group.
+    pub tiles_with_metadata: u64,
     /// The bounds of the whole set.
     pub bounds: BoundsInfo,
     /// Properties of the tilesets that their reader leaves out, counted by kind.
@@ -96,6 +98,7 @@ fn inspect_from(source: &str, limits: &Limits, from: Source) -> Result<Info, IoE
     if may_be_model(&bytes) && !tileset::is_tileset(&root, &bytes, limits) {
         return inspect_model(&root, bytes, &options, &from);
     }
+    let options = ReadOptions { keep_features: true, ..options };
     let json = tileset::parse(&root, &bytes)?;
     json.asset.version().clone_into(&mut info.version);
     if json.asset.extras.0.as_ref().is_some_and(SetExtras::is_height) {
@@ -199,10 +202,14 @@ impl Walk<'_> {
             return false;
         }
         self.info.tiles += 1;
+        let mut contents = tile.contents.iter().chain(&tile.external_tilesets);
+        let has_metadata = tile.metadata.is_some() || contents.any(|content| content.metadata.is_some());
+        self.info.tiles_with_metadata += u64::from(has_metadata);
         self.info.level(level).tiles += 1;
         tile.contents.iter().all(|content| self.content(content, level, at))
-            && (tile.external_tilesets.iter())
-                .all(|uri| self.visit() && self.external_or_fail(uri, self.from.load(uri), level, at))
+            && (tile.external_tilesets.iter()).all(|TileContent { uri, .. }| {
+                self.visit() && self.external_or_fail(uri, self.from.load(uri), level, at)
+            })
             && tile.continuations.iter().all(|below| self.content(&below.content, level + 1, at))
             && tile.children.iter().all(|child| self.tile(child, level + 1, at))
     }
@@ -210,7 +217,7 @@ impl Walk<'_> {
     /// Adds a content of a tile, or the tiles of a part of the tree whose first level is `level`.
     fn content(&mut self, content: &TileContent, level: u32, at: &At<'_>) -> bool {
         let tiles = match Known::of(content) {
-            Known::Part(part) => part.read(),
+            Known::Part(part) => part.read(at.options),
             Known::Subtree(source) => {
                 let tiles = read_subtree(self.from, content, source, at.options, &mut self.info.bytes);
                 self.info.subtrees += 1;

@@ -57,14 +57,19 @@ impl MetadataInfo {
         classes.into_iter().flat_map(|classes| classes.keys()).map(String::as_str).collect()
     }
 
+    /// Returns the groups with their names, or with their indices if they have no names.
+    pub fn groups(&self) -> Vec<(String, &Value)> {
+        match &self.groups {
+            Some(Value::Array(groups)) => groups.iter().enumerate().map(|(i, group)| (i.to_string(), group)).collect(),
+            // The extension of 1.0 names its groups.
+            Some(Value::Object(groups)) => groups.iter().map(|(name, group)| (name.clone(), group)).collect(),
+            _ => Vec::new(),
+        }
+    }
+
     /// Returns the number of groups.
     pub fn group_count(&self) -> usize {
-        match &self.groups {
-            Some(Value::Array(groups)) => groups.len(),
-            // The extension of 1.0 names its groups.
-            Some(Value::Object(groups)) => groups.len(),
-            _ => 0,
-        }
+        self.groups().len()
     }
 }
 
@@ -81,13 +86,14 @@ mod tests {
         );
         let found = MetadataInfo::read(of_1_1.as_bytes()).unwrap();
         assert_eq!((found.class_names(), found.group_count()), (vec!["group", "tile"], 2));
+        assert_eq!(found.groups()[1].0, "1");
         assert_eq!(found.tileset.as_ref().unwrap()["properties"]["a"], "x");
         assert_eq!(found.statistics, None);
         let of_1_0 = format!(
             r#"{{"extensions":{{"3DTILES_metadata":{{"schema":{schema},"groups":{{"a":{{}}}}}}}},"properties":{{"h":{{"minimum":1}}}}}}"#
         );
         let found = MetadataInfo::read(of_1_0.as_bytes()).unwrap();
-        assert_eq!((found.class_names().len(), found.group_count()), (2, 1));
+        assert_eq!((found.class_names().len(), found.groups()[0].0.as_str()), (2, "a"));
         assert_eq!(found.properties.unwrap()["h"]["minimum"], 1);
         assert_eq!(MetadataInfo::read(br#"{"asset":{},"root":{}}"#), None);
         assert_eq!(MetadataInfo::read(b"["), None);

@@ -83,7 +83,7 @@ pub(super) fn read_subtree(
     options: &ReadOptions,
     bytes_read: &mut u64,
 ) -> Result<Vec<Tile>, IoError> {
-    let TileContent { uri, reader_data } = content;
+    let TileContent { uri, reader_data, .. } = content;
     let Loaded { bytes, location, .. } = load(from, uri, reader_data.as_ref())?;
     *bytes_read += bytes.len() as u64;
     let bytes = encoding::gunzip(uri, bytes, &options.limits)?;

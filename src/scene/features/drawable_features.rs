@@ -1,9 +1,12 @@
 //! [`DrawableFeatures`]: the features that a drawable shows.
 
+use std::collections::HashSet;
 use std::sync::Arc;
 
+use super::data_texture::{DataTexture, SurfacePoint};
 use super::property_table::PropertyTable;
 use super::property_value::PropertyValue;
+use super::surface_property::SurfaceProperty;
 
 /// How the ids of a set are stored.
 #[derive(Clone, Debug, PartialEq)]
@@ -14,6 +17,8 @@ pub enum FeatureIds {
     VertexIndex,
     /// One id for the whole drawable, such as an instance.
     Uniform(u32),
+    /// The channels of a texel are the bytes of an id, the lowest first.
+    Texture(DataTexture),
 }
 
 /// A set of feature ids. A drawable may have several, such as buildings and their rooms.
@@ -30,12 +35,14 @@ pub struct FeatureIdSet {
 }
 
 /// The features of a drawable.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct DrawableFeatures {
     /// The sets of ids, in the order of the file.
     pub sets: Vec<FeatureIdSet>,
     /// The property tables of the content, which all of its drawables share.
     pub tables: Arc<[Arc<PropertyTable>]>,
+    /// The properties of points of the mesh, from property textures and property attributes.
+    pub surface: Arc<[SurfaceProperty]>,
 }
 
 /// A feature at a point of a drawable.
@@ -57,39 +64,89 @@ impl<'a> Feature<'a> {
 }
 
 impl FeatureIdSet {
-    /// Returns the id at a vertex; `None` if the vertex belongs to no feature.
+    /// Returns the id at a vertex; `None` if the vertex belongs to no feature, or if ids are in an image.
     pub fn id(&self, vertex: u32) -> Option<u32> {
         let id = match &self.ids {
             FeatureIds::PerVertex(ids) => *ids.get(vertex as usize)?,
             FeatureIds::VertexIndex => vertex,
             FeatureIds::Uniform(id) => *id,
+            FeatureIds::Texture(_) => return None,
         };
+        Some(id).filter(|id| Some(*id) != self.null_id)
+    }
+
+    /// Returns the id at a point: that of the texel, or that of the nearest corner of the primitive. Returns `None` if the
+    /// point belongs to no feature.
+    pub fn id_at(&self, at: &SurfacePoint) -> Option<u32> {
+        let FeatureIds::Texture(texture) = &self.ids else { return self.id(at.nearest_vertex()) };
+        let id = texture.texel(at)?.iter().rev().fold(0, |id, byte| id << 8 | u32::from(*byte));
         Some(id).filter(|id| Some(*id) != self.null_id)
     }
 }
 
 impl DrawableFeatures {
-    /// Returns the features at a vertex, one of each set at most. An
-    /// [`Intersection`](crate::scene::Intersection) names the vertices of the primitive that it meets.
+    /// Returns the features at a vertex, one of each set at most. Sets whose ids are in an image have none; see
+    /// [`Self::at_point`].
     pub fn at_vertex(&self, vertex: u32) -> impl Iterator<Item = Feature<'_>> {
-        self.sets.iter().filter_map(move |set| {
-            let table = set.table.and_then(|table| self.tables.get(table)).map(|table| &**table);
-            Some(Feature { label: &set.label, id: set.id(vertex)?, table })
-        })
+        self.sets.iter().filter_map(move |set| Some(self.feature(set, set.id(vertex)?)))
+    }
+
+    /// Returns the features at a point, one of each set at most.
+    /// [`Intersection::surface_point`](crate::scene::Intersection::surface_point) returns the point that an intersector meets.
+    pub fn at_point(&self, at: SurfacePoint) -> impl Iterator<Item = Feature<'_>> {
+        self.sets.iter().filter_map(move |set| Some(self.feature(set, set.id_at(&at)?)))
+    }
+
+    /// Returns the properties from property textures and property attributes with their values at a point.
+    pub fn properties_at(&self, at: SurfacePoint) -> impl Iterator<Item = (&SurfaceProperty, PropertyValue)> {
+        self.surface.iter().map(move |property| (property, property.value(&at)))
+    }
+
+    fn feature<'a>(&'a self, set: &'a FeatureIdSet, id: u32) -> Feature<'a> {
+        let table = set.table.and_then(|table| self.tables.get(table)).map(|table| &**table);
+        Feature { label: &set.label, id, table }
     }
 
     /// Returns the features of one instance of a drawable: those of the drawable, and the instance itself.
     pub(crate) fn with_instance(&self, sets: impl IntoIterator<Item = FeatureIdSet>) -> Self {
-        Self { sets: sets.into_iter().chain(self.sets.iter().cloned()).collect(), tables: self.tables.clone() }
+        Self { sets: sets.into_iter().chain(self.sets.iter().cloned()).collect(), ..self.clone() }
     }
 
-    /// Returns the bytes of memory of the ids, without the tables, which other drawables share.
-    pub fn size_bytes(&self) -> u64 {
-        let ids = |set: &FeatureIdSet| match &set.ids {
-            FeatureIds::PerVertex(ids) => size_of_val::<[u32]>(ids),
-            FeatureIds::VertexIndex | FeatureIds::Uniform(_) => 0,
+    /// Returns the features for a mesh of some of the vertices.
+    pub(crate) fn with_vertices(&self, vertices: &[u32]) -> Self {
+        let set = |set: &FeatureIdSet| {
+            let ids = match &set.ids {
+                FeatureIds::PerVertex(ids) => {
+                    let id = |vertex: &u32| ids.get(*vertex as usize).copied().unwrap_or(u32::MAX);
+                    FeatureIds::PerVertex(vertices.iter().map(id).collect())
+                }
+                FeatureIds::VertexIndex => FeatureIds::PerVertex(vertices.into()),
+                FeatureIds::Uniform(id) => FeatureIds::Uniform(*id),
+                FeatureIds::Texture(texture) => FeatureIds::Texture(texture.with_vertices(vertices)),
+            };
+            FeatureIdSet { ids, ..set.clone() }
         };
-        self.sets.iter().map(|set| (size_of::<FeatureIdSet>() + ids(set)) as u64).sum()
+        let surface = self.surface.iter().map(|property| property.with_vertices(vertices)).collect();
+        Self { sets: self.sets.iter().map(set).collect(), tables: self.tables.clone(), surface }
+    }
+
+    /// Returns the bytes of memory beside ids, images and tables whose addresses are in `counted`, and adds those, which other
+    /// drawables may share.
+    pub(crate) fn size_bytes_beside(&self, counted: &mut HashSet<usize>) -> u64 {
+        let mut bytes = 0;
+        for set in &self.sets {
+            bytes += size_of::<FeatureIdSet>() as u64;
+            bytes += match &set.ids {
+                FeatureIds::PerVertex(ids) if counted.insert(ids.as_ptr().addr()) => size_of_val::<[u32]>(ids) as u64,
+                FeatureIds::Texture(texture) => texture.size_bytes_beside(counted),
+                FeatureIds::PerVertex(_) | FeatureIds::VertexIndex | FeatureIds::Uniform(_) => 0,
+            };
+        }
+        if !self.surface.is_empty() && counted.insert(self.surface.as_ptr().addr()) {
+            bytes += self.surface.iter().map(|property| property.size_bytes_beside(counted)).sum::<u64>();
+        }
+        let mut is_new = |table: &&Arc<PropertyTable>| counted.insert(Arc::as_ptr(table).addr());
+        bytes + self.tables.iter().filter(&mut is_new).map(|table| table.size_bytes() as u64).sum::<u64>()
     }
 }
 
@@ -112,7 +169,8 @@ mod tests {
 
     #[test]
     fn vertices_lead_to_their_features() {
-        let table = PropertyTable::new("t".into(), "c".into(), 4, vec![("square".into(), Box::new(Squares))]);
+        let table =
+            PropertyTable::new("t".into(), "c".into(), 4, vec![("square".to_owned().into(), Box::new(Squares))]);
         let set = |label: &str, null_id, ids, table| FeatureIdSet { label: label.into(), null_id, ids, table };
         let features = DrawableFeatures {
             sets: vec![
@@ -121,6 +179,7 @@ mod tests {
                 set("c", None, FeatureIds::Uniform(2), Some(5)),
             ],
             tables: [Arc::new(table)].into(),
+            surface: Arc::default(),
         };
         let at = |vertex| features.at_vertex(vertex).map(|f| (f.label, f.id, f.properties())).collect::<Vec<_>>();
         assert_eq!(at(0), [("a", 3, vec![("square", PropertyValue::UInt(9))]), ("b", 0, vec![]), ("c", 2, vec![])]);

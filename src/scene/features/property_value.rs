@@ -3,9 +3,10 @@
 use std::fmt;
 
 /// A value in a property table.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub enum PropertyValue {
     /// No value.
+    #[default]
     Null,
     /// A truth value.
     Bool(bool),
@@ -34,12 +35,35 @@ impl PropertyValue {
         }
     }
 
+    /// Returns the numbers of a number, vector, matrix or array, those of inner lists in order; `None` if one of them is no
+    /// number.
+    pub fn as_numbers(&self) -> Option<Vec<f64>> {
+        match self {
+            Self::List(values) => {
+                let parts = values.iter().map(Self::as_numbers).collect::<Option<Vec<_>>>()?;
+                Some(parts.concat())
+            }
+            number => number.as_f64().map(|number| vec![number]),
+        }
+    }
+
     /// Returns text; `None` for other values.
     pub fn as_str(&self) -> Option<&str> {
         match self {
             Self::Text(text) => Some(text),
             _ => None,
         }
+    }
+
+    /// Returns the bytes of memory that the value takes.
+    pub(crate) fn size_bytes(&self) -> usize {
+        let own = match self {
+            Self::Text(text) => text.len(),
+            Self::List(values) => values.iter().map(Self::size_bytes).sum(),
+            Self::Object(members) => members.iter().map(|(name, value)| name.len() + value.size_bytes()).sum(),
+            Self::Null | Self::Bool(_) | Self::Int(_) | Self::UInt(_) | Self::Float(_) => 0,
+        };
+        size_of::<Self>() + own
     }
 }
 

@@ -6,6 +6,7 @@ use glam::{DAffine3, DVec3};
 
 use super::probe::{Candidate, Probe};
 use super::surface::Surface;
+use crate::scene::features::SurfacePoint;
 use crate::scene::id::NodeId;
 
 /// The intersections that an intersector keeps. If images are drawn over each other, the uppermost is the nearest.
@@ -55,6 +56,11 @@ impl Intersection {
     /// Returns the point in the world, metres. Below an absolute camera with a separate image it is in the world of that camera.
     pub fn world_point(&self) -> DVec3 {
         self.world_from_local.transform_point3(self.local_point)
+    }
+
+    /// Returns the point on the mesh that it meets, for the features there.
+    pub fn surface_point(&self) -> SurfacePoint {
+        SurfacePoint { vertices: self.vertices, weights: self.weights }
     }
 
     /// Returns the unit normal in the world; zero for lines and points.

@@ -110,6 +110,9 @@ fn add(builder: &mut PageBuilder, node: Node, above: Inherited) -> Result<Open, 
     if let Some(callback) = node.event_callback {
         builder.push_event_callback(index, callback);
     }
+    if let Some(metadata) = node.metadata {
+        builder.push_metadata(index, metadata);
+    }
     let mut payload = NONE;
     let code = match node_kind {
         NodeKind::Group => kind::GROUP,

@@ -13,6 +13,7 @@ use super::node_payloads::{
 };
 use super::occlusion_query::OcclusionQueryNode;
 use super::paged_lod::{PagedLod, ProxyNode};
+use crate::scene::features::TileMetadata;
 use crate::scene::geometry::Drawable;
 use crate::state::StateSet;
 
@@ -36,6 +37,8 @@ pub struct Node {
     pub update_callback: Option<UpdateCallback>,
     /// Called once for each event.
     pub event_callback: Option<EventCallback>,
+    /// The metadata of a tile or of a content; usually none.
+    pub metadata: Option<Arc<TileMetadata>>,
     /// The children in order.
     pub children: Vec<Node>,
 }
@@ -111,6 +114,7 @@ impl Node {
             cull_callback: None,
             update_callback: None,
             event_callback: None,
+            metadata: None,
             children: Vec::new(),
         }
     }

@@ -16,7 +16,7 @@ use super::payload_tables::{OccluderRecord, PayloadTables, RareNode};
 use super::state_paths::{StatePath, StatePaths};
 use super::stored_bounds::Boxes4;
 use super::transforms::Transforms;
-use crate::scene::features::DrawableFeatures;
+use crate::scene::features::{DrawableFeatures, TileMetadata};
 use crate::scene::geometry::{BlockFormats, Drawable, Geometry, Mesh, NormalCone};
 use crate::scene::intersect::KdTree;
 use crate::scene::nodes::{CameraNode, CullCallback, EventCallback, UpdateCallback};
@@ -240,6 +240,11 @@ impl Page {
         self.extras.names()
     }
 
+    /// Returns the metadata of a node, if it has any.
+    pub(in crate::scene) fn metadata(&self, node: u32) -> Option<&TileMetadata> {
+        self.extras.metadata(node)
+    }
+
     /// Returns the update callbacks, sorted by node.
     pub(crate) fn update_callbacks(&self) -> &SparseList<UpdateCallback> {
         &self.extras.update_callbacks
@@ -388,7 +393,8 @@ impl Page {
             + self.nodes().len() * size_of::<Vec4>()
             + self.drawables.size_bytes()
             + self.states.size_bytes()
-            + self.tables.size_bytes();
+            + self.tables.size_bytes()
+            + self.extras.size_bytes();
         (size_of::<Self>() + arrays) as u64
             + self.transforms.size_bytes()
             + self.tiles.size_bytes()

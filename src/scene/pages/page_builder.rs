@@ -16,6 +16,7 @@ use super::state_paths::{BLEND, LIGHTS, StatePaths, VIEW};
 use super::transforms::Transforms;
 use crate::math::Aabb;
 use crate::scene::error::SceneError;
+use crate::scene::features::TileMetadata;
 use crate::scene::geometry::{AlphaMode, Drawable};
 use crate::scene::id::NONE;
 use crate::scene::nodes::{ConvexPlanarOccluder, CullCallback, EventCallback, PagedLod, ProxyNode, UpdateCallback};
@@ -144,6 +145,10 @@ impl PageBuilder {
 
     pub fn push_event_callback(&mut self, node: u32, callback: EventCallback) {
         self.extras.event_callbacks.push(node, callback);
+    }
+
+    pub fn push_metadata(&mut self, node: u32, metadata: Arc<TileMetadata>) {
+        self.extras.push_metadata(node, metadata);
     }
 
     /// Returns the path of a state set below another path.

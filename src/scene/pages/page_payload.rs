@@ -192,12 +192,9 @@ impl PagePayload {
         self.drawable_bytes + slots as u64 + trees + self.feature_bytes()
     }
 
-    /// Returns the bytes of the feature ids, and of each property table once.
+    /// Returns the bytes of the features, each table, image and list of ids once.
     fn feature_bytes(&self) -> u64 {
         let mut counted = HashSet::new();
-        let tables = self.features.iter().flat_map(|(_, features)| features.tables.iter());
-        let tables = tables.filter(|table| counted.insert(Arc::as_ptr(table).addr()));
-        let table_bytes: u64 = tables.map(|table| table.size_bytes() as u64).sum();
-        table_bytes + self.features.iter().map(|(_, features)| features.size_bytes()).sum::<u64>()
+        self.features.iter().map(|(_, features)| features.size_bytes_beside(&mut counted)).sum()
     }
 }

@@ -41,7 +41,7 @@ fn table() -> PropertyTable {
         "addr:street": "Elm", "RightVector": [1, 0, 0], "UpVector": [0, 1, 0], "größe": 7,
     });
     let columns = properties.as_object().unwrap().iter();
-    let columns = columns.map(|(name, value)| (name.clone(), Box::new(Same(value_of(value))) as _)).collect();
+    let columns = columns.map(|(name, value)| (name.clone().into(), Box::new(Same(value_of(value))) as _)).collect();
     PropertyTable::new("t".into(), "c".into(), 1, columns)
 }
 

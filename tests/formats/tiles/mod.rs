@@ -1,7 +1,8 @@
-//! Tilesets: well-formed and invalid ones, sample files, unusual members, and implicit tiling.
+//! Tilesets: well-formed and invalid ones, sample files, unusual members, implicit tiling, and metadata.
 
 mod bad_input;
 mod implicit;
+mod metadata;
 mod read;
 mod samples;
 mod unusual;

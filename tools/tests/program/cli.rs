@@ -414,6 +414,38 @@ fn info_is_printed_as_json() {
 }
 
 #[test]
+fn info_lists_the_metadata_of_a_tile_set() {
+    let folder = tempfile::tempdir().unwrap();
+    let volume = serde_json::json!({ "sphere": [0, 0, 0, 9] });
+    let set = serde_json::json!({
+        "asset": { "version": "1.1" }, "geometricError": 9,
+        "schema": { "id": "s", "classes": { "city": { "properties": { "name": { "type": "STRING" } } }, "none": {} } },
+        "metadata": { "class": "city", "properties": { "name": "Berlin" } },
+        "groups": vec![serde_json::json!({ "class": "city", "properties": { "name": "trees" } }); 22],
+        "root": {
+            "boundingVolume": volume, "geometricError": 5, "refine": "ADD",
+            "children": [
+                { "boundingVolume": volume, "geometricError": 0, "metadata": { "class": "none" } },
+                { "boundingVolume": volume, "geometricError": 0 },
+            ],
+        },
+    });
+    let file = folder.path().join("tileset.json");
+    std::fs::write(&file, set.to_string()).unwrap();
+    let text = String::from_utf8(terrane(&["info", file.to_str().unwrap()]).stdout).unwrap();
+    for line in [
+        "metadata classes city, none",
+        "metadata tileset, class city, name = \"Berlin\"",
+        "metadata group 19, class city, name = \"trees\"",
+        "metadata and 2 more groups",
+        "metadata 2 tiles have metadata",
+    ] {
+        assert!(text.lines().any(|found| found == line), "{line}: {text}");
+    }
+    assert!(!text.contains("group 20"), "{text}");
+}
+
+#[test]
 fn info_describes_a_single_model() {
     let folder = tempfile::tempdir().unwrap();
     let model = folder.path().join("triangle.gltf");

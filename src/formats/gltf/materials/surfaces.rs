@@ -51,6 +51,11 @@ impl<'a> Surfaces<'a> {
         }
     }
 
+    /// Returns an image that holds ids or values in RGBA8; `None` if it is missing or invalid.
+    pub fn data_image(&mut self, texture: usize, buffers: &Buffers<'_>) -> Result<Option<Arc<Texture>>, IoError> {
+        self.textures.data_image(texture, buffers)
+    }
+
     /// Decodes the maps of a reflection. A map whose image is missing is left out.
     pub fn reflection(&mut self, of: &Reflection, buffers: &Buffers<'_>) -> Result<DecodedReflection, IoError> {
         // Occlusion in a separate image is combined with the other map.

@@ -54,7 +54,18 @@ impl TextureRef {
     /// Reads a texture reference of an extension: an object with an `index`. Returns `None` for other values.
     pub fn from_json(value: &Value) -> Option<Self> {
         let texture = usize::try_from(value.get("index")?.as_u64()?).ok()?;
-        let uv_set = value.get("texCoord").and_then(Value::as_u64).and_then(|set| u32::try_from(set).ok()).unwrap_or(0);
-        Some(Self { texture, uv_set, transform: None })
+        let extension = value.get("extensions").and_then(|extensions| extensions.get("KHR_texture_transform"));
+        let uv_set = |of: &Value| of.get("texCoord")?.as_u64().and_then(|set| u32::try_from(set).ok());
+        let uv_set = extension.and_then(uv_set).or_else(|| uv_set(value)).unwrap_or(0);
+        let transform = extension.map(|of| {
+            let number = |value: &Value| value.as_f64().map(|number| number as f32);
+            let pair = |name: &str| Some([number(of.get(name)?.get(0)?)?, number(of.get(name)?.get(1)?)?]);
+            UvTransform {
+                offset: pair("offset").unwrap_or([0.0; 2]),
+                rotation: of.get("rotation").and_then(number).unwrap_or(0.0),
+                scale: pair("scale").unwrap_or([1.0; 2]),
+            }
+        });
+        Some(Self { texture, uv_set, transform })
     }
 }

@@ -1,15 +1,17 @@
 //! [`Textures`]: the decoded images of a glTF.
 
 use std::collections::HashMap;
+use std::sync::Arc;
 
 use gltf::json;
 
-use crate::fetch::IoError;
+use crate::fetch::{IoError, Limits};
 use crate::formats::gltf::accessors::Buffers;
 use crate::formats::gltf::context::Context;
 use crate::formats::gltf::external::data_uri;
 use crate::formats::image::{SharedTexture, decode_shared};
-use crate::scene::{BlockFormats, Sampling};
+use crate::formats::options::ReadOptions;
+use crate::scene::{BlockFormats, Sampling, Texture};
 use crate::state::{FilterMode, WrapMode};
 
 /// Extensions that name another image of a texture, the best first. The plain source comes after them.
@@ -39,6 +41,8 @@ pub(super) enum TexelReader {
     Adapter,
     /// The CPU, which needs RGBA8.
     Cpu,
+    /// The CPU, which reads ids or values from the texels of level 0.
+    Data,
 }
 
 impl<'a> Textures<'a> {
@@ -53,7 +57,11 @@ impl<'a> Textures<'a> {
         reader: TexelReader,
         buffers: &Buffers<'_>,
     ) -> Result<Option<SharedTexture>, IoError> {
-        let (sources, sampling) = self.sources(texture)?;
+        let (sources, mut sampling) = self.sources(texture)?;
+        if reader == TexelReader::Data {
+            // No filter may change a texel.
+            sampling = Sampling { wrap: sampling.wrap, mag: FilterMode::Nearest, min: FilterMode::Nearest, mip: None };
+        }
         for image in sources {
             let key = ImageKey { image, sampling, reader };
             let found = match self.decoded.get(&key) {
@@ -69,6 +77,18 @@ impl<'a> Textures<'a> {
             }
         }
         Ok(None)
+    }
+
+    /// Returns an image that holds ids or values; `None` if it is missing or invalid, which is noted: the mesh is drawn without
+    /// them.
+    pub fn data_image(&mut self, texture: usize, buffers: &Buffers<'_>) -> Result<Option<Arc<Texture>>, IoError> {
+        match self.get(texture, TexelReader::Data, buffers) {
+            Ok(found) => Ok(found.map(|(image, _)| image)),
+            Err(error @ IoError::TooLarge { .. }) => Err(error),
+            Err(error) => {
+                self.context.missing("glTF: an image of ids or properties that cannot be read", &error).map(|()| None)
+            }
+        }
     }
 
     /// Returns true if two textures have the same images and sampler.
@@ -129,11 +149,16 @@ impl<'a> Textures<'a> {
 
     fn decode_bytes(&self, uri: &str, bytes: &[u8], key: &ImageKey) -> Result<SharedTexture, IoError> {
         let Context { options, notes, .. } = self.context;
-        let formats = match key.reader {
-            TexelReader::Adapter => options.block_formats,
-            TexelReader::Cpu => BlockFormats::NONE,
-        };
-        decode_shared(uri, bytes, key.sampling, formats, options, notes)
+        match key.reader {
+            TexelReader::Adapter => decode_shared(uri, bytes, key.sampling, options.block_formats, options, notes),
+            TexelReader::Cpu => decode_shared(uri, bytes, key.sampling, BlockFormats::NONE, options, notes),
+            TexelReader::Data => {
+                // A smaller image would have means of ids.
+                let limits = Limits { max_image_side_px: u32::MAX, ..options.limits };
+                let options = ReadOptions { limits, sharing: None, ..(*options).clone() };
+                decode_shared(uri, bytes, key.sampling, BlockFormats::NONE, &options, notes)
+            }
+        }
     }
 }
 

@@ -14,7 +14,7 @@ use super::vertices::Vertices;
 use crate::fetch::IoError;
 use crate::formats::gltf::accessors::{Buffers, IndexLists, list_key_of};
 use crate::formats::gltf::context::Context;
-use crate::formats::gltf::features::FeatureTables;
+use crate::formats::gltf::features::{FeatureTables, PrimitiveImages};
 use crate::formats::gltf::materials::Surfaces;
 use crate::scene::{ContentKey, Drawable, Geometry, Material, Mesh, PrimitiveMode, SharedParts, Topology};
 
@@ -93,7 +93,8 @@ impl<'a> MeshReader<'a> {
             Some(accessor) if accessor.count() == data.count => data.elements(name, &accessor),
             _ => Ok(None),
         };
-        let features = tables.of_primitive(context, primitive, attribute)?;
+        let images = PrimitiveImages::new(context, surfaces, buffers);
+        let features = tables.of_primitive(primitive, images, &attribute)?;
         let sharing = context.options.sharing.as_deref();
         // Hashed here, while the vertices are in the CPU cache.
         let vertices_key = sharing.map(|_| ContentKey::of_vertices(&vertices.list, &attributes));

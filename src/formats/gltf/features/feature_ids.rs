@@ -7,16 +7,18 @@ use std::sync::Arc;
 use serde::Deserialize;
 use serde_json::Value;
 
-use super::accessors::{Buffers, Elements};
-use super::context::Context;
+use super::surface_properties::{Attribute, PrimitiveImages, SurfaceProperties, channels};
 use crate::fetch::IoError;
-use crate::formats::properties;
+use crate::formats::gltf::accessors::{Buffers, Elements};
+use crate::formats::gltf::context::Context;
+use crate::formats::gltf::materials::TextureRef;
+use crate::formats::properties::{self, SharedBytes, TableSource};
 use crate::scene::{Drawable, DrawableFeatures, FeatureIdSet, FeatureIds, PropertyTable};
 
 /// A set of feature ids in the JSON.
 #[derive(Clone, Deserialize)]
 #[serde(rename_all = "camelCase")]
-pub(super) struct FeatureIdJson {
+pub(in crate::formats::gltf) struct FeatureIdJson {
     pub null_feature_id: Option<u32>,
     pub label: Option<String>,
     /// The number of an attribute `_FEATURE_ID_n`.
@@ -39,9 +41,11 @@ impl FeatureIdJson {
     }
 }
 
-/// The property tables of a glTF: those of EXT_structural_metadata, then the batch table of its b3dm.
-pub(super) struct FeatureTables {
+/// The properties of a glTF: the tables of EXT_structural_metadata, then the batch table of its b3dm, and the properties of
+/// surfaces.
+pub(in crate::formats::gltf) struct FeatureTables {
     tables: Arc<[Arc<PropertyTable>]>,
+    surface: SurfaceProperties,
     /// The index of the batch table.
     batch_table: Option<usize>,
     is_kept: bool,
@@ -55,45 +59,40 @@ impl FeatureTables {
         batch_table: Option<Arc<PropertyTable>>,
     ) -> Result<Self, IoError> {
         let is_kept = context.options.keep_features;
-        let mut tables = Vec::new();
+        let (mut tables, mut surface) = (Vec::new(), SurfaceProperties::default());
         if let Some(metadata) = document.extension_value("EXT_structural_metadata").filter(|_| is_kept) {
             let view = |view: usize| {
                 let bytes = buffers.view(&document.views().nth(view)?).ok().flatten()?;
                 context.budget.add_decoded(bytes.len() as u64).ok()?;
-                Some(bytes.to_vec())
+                Some(SharedBytes::from(bytes.to_vec()))
             };
             let reference = metadata.get("schemaUri").and_then(Value::as_str);
             let schema = properties::read_schema(context.uri, metadata.get("schema"), reference, &context.files);
             let schema = schema
                 .or_else(|error| context.missing("metadata: a schema that cannot be read", &error).map(|()| None))?;
-            let read = schema.map_or(Vec::new(), |schema| {
-                properties::property_tables(metadata, &schema, &view, &|kind| context.notes.add(kind))
-            });
-            tables.extend(read.into_iter().map(Arc::new));
-            for (property, kind) in [
-                ("propertyTextures", "metadata: property textures"),
-                ("propertyAttributes", "metadata: property attributes"),
-            ] {
-                if metadata.get(property).is_some() {
-                    context.notes.add(kind);
-                }
+            if let Some(schema) = schema {
+                let note = |kind: &'static str| context.notes.add(kind);
+                let source = TableSource { schema: &schema, view: &view, note: &note };
+                tables.extend(source.tables(metadata).into_iter().map(Arc::new));
+                surface = SurfaceProperties::new(context, metadata, &schema);
             }
         }
         let batch_index = batch_table.is_some().then_some(tables.len());
         tables.extend(batch_table);
-        Ok(Self { tables: tables.into(), batch_table: batch_index, is_kept })
+        Ok(Self { tables: tables.into(), surface, batch_table: batch_index, is_kept })
     }
 
     /// Reads the features of a primitive. `attribute` returns the elements of an attribute with a name.
-    pub fn of_primitive<'e>(
+    pub fn of_primitive(
         &self,
-        context: &Context<'_>,
         primitive: &gltf::Primitive<'_>,
-        attribute: impl Fn(&str) -> Result<Option<Elements<'e>>, IoError>,
+        mut images: PrimitiveImages<'_, '_, '_>,
+        attribute: &Attribute<'_, '_>,
     ) -> Result<Option<Arc<DrawableFeatures>>, IoError> {
         if !self.is_kept {
             return Ok(None);
         }
+        let context = images.context;
         let per_vertex = |elements: &Elements<'_>| -> Result<FeatureIds, IoError> {
             context.budget.add_decoded(4 * elements.count as u64)?;
             Ok(FeatureIds::PerVertex((0..elements.count).map(|i| elements.unsigned(i, 0)).collect()))
@@ -105,7 +104,16 @@ impl FeatureTables {
                     Some(elements) => sets.push(set.with_ids(per_vertex(&elements)?)),
                     None => context.notes.add("glTF: feature ids whose attribute is missing"),
                 },
-                (None, Some(_)) => context.notes.add("glTF: feature ids in textures"),
+                (None, Some(json)) => {
+                    let texture = match TextureRef::from_json(json).zip(channels(json)) {
+                        Some((texture, channels)) => images.texture(&texture, channels, attribute)?,
+                        None => None,
+                    };
+                    match texture {
+                        Some(texture) => sets.push(set.with_ids(FeatureIds::Texture(texture))),
+                        None => context.notes.add("glTF: feature ids whose texture is missing or invalid"),
+                    }
+                }
                 (None, None) => sets.push(set.with_ids(FeatureIds::VertexIndex)),
             }
         }
@@ -115,7 +123,9 @@ impl FeatureTables {
                 sets.push(FeatureIdSet { label: String::new(), null_id: None, ids, table: self.batch_table });
             }
         }
-        Ok((!sets.is_empty()).then(|| Arc::new(DrawableFeatures { sets, tables: self.tables.clone() })))
+        let surface = self.surface.of_primitive(primitive, &mut images, attribute)?;
+        let is_any = !sets.is_empty() || !surface.is_empty();
+        Ok(is_any.then(|| Arc::new(DrawableFeatures { sets, tables: self.tables.clone(), surface })))
     }
 
     /// Adds the sets of an instance to a drawable.
@@ -123,7 +133,7 @@ impl FeatureTables {
         if !self.is_kept {
             return;
         }
-        let own = DrawableFeatures { sets: Vec::new(), tables: self.tables.clone() };
+        let own = DrawableFeatures { tables: self.tables.clone(), ..DrawableFeatures::default() };
         let features = drawable.features.as_deref().unwrap_or(&own).with_instance(sets.iter().cloned());
         drawable.features = Some(Arc::new(features));
     }
