@@ -111,6 +111,7 @@ mod tests {
         max_elements: 1,
         max_depth: 1,
         max_external_depth: 1,
+        max_json_bytes: 0,
     };
 
     fn text() -> Vec<u8> {

@@ -18,6 +18,9 @@ pub struct Limits {
     pub max_depth: u32,
     /// Depth of external tilesets inside tilesets.
     pub max_external_depth: usize,
+    /// Bytes of memory that one JSON document may take when it is parsed, by a careful estimate: two gibibytes, the default,
+    /// are a tileset of about 230,000 tiles.
+    pub max_json_bytes: u64,
 }
 
 impl Default for Limits {
@@ -29,6 +32,7 @@ impl Default for Limits {
             max_elements: 16 << 20,
             max_depth: 100,
             max_external_depth: 32,
+            max_json_bytes: 2 << 30,
         }
     }
 }
@@ -40,5 +44,66 @@ impl Limits {
             return Err(IoError::TooLarge { uri: uri.to_owned(), what: "file", got, limit: self.max_file_bytes });
         }
         Ok(())
+    }
+
+    /// Fails with [`IoError::TooLarge`] if a JSON document would take more memory than [`Self::max_json_bytes`]. Reads the text
+    /// without allocating, so that it comes before any parser: three bytes of text can become hundreds in memory. Text that is
+    /// no JSON passes; its parser stops at the first error.
+    pub(crate) fn check_json(&self, uri: &str, text: &[u8]) -> Result<(), IoError> {
+        let (mut bytes, mut in_text, mut is_escaped) = (0u64, false, false);
+        for byte in text {
+            if in_text {
+                (in_text, is_escaped) = (is_escaped || *byte != b'"', !is_escaped && *byte == b'\\');
+                continue;
+            }
+            bytes += match byte {
+                b'{' => JSON_OBJECT_BYTES,
+                b'[' | b',' | b':' => JSON_VALUE_BYTES,
+                b'"' => {
+                    in_text = true;
+                    continue;
+                }
+                _ => continue,
+            };
+            if bytes > self.max_json_bytes {
+                let limit = self.max_json_bytes;
+                return Err(IoError::TooLarge {
+                    uri: uri.to_owned(),
+                    what: "memory of parsed JSON",
+                    got: bytes,
+                    limit,
+                });
+            }
+        }
+        Ok(())
+    }
+}
+
+/// An upper limit of the bytes that a parsed object takes without its members: twice the largest structure that a reader
+/// parses one into, since growing lists have room for as many again.
+pub(crate) const JSON_OBJECT_BYTES: u64 = 2048;
+/// The same for an element of a list or a member of an object.
+const JSON_VALUE_BYTES: u64 = 64;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn json_is_bounded_by_the_memory_that_it_takes() {
+        let limits = Limits { max_json_bytes: 100 * JSON_OBJECT_BYTES, ..Limits::default() };
+        let check = |text: String| limits.check_json("a", text.as_bytes());
+        let list = |element: &str, count: usize| format!("[{}]", vec![element; count].join(","));
+        for (element, fits) in [("{}", 96), ("[]", 1599), ("1", 3199), ("\"\"", 3199)] {
+            assert!(check(list(element, fits)).is_ok(), "{element}");
+            let error = check(list(element, fits + 2)).unwrap_err();
+            assert!(matches!(error, IoError::TooLarge { limit: 204_800, .. }), "{element}: {error}");
+        }
+        // Brackets inside of texts are no objects.
+        for text in [r#""{{{{""#, r#""\"{{{{""#, r#""\\\"{""#] {
+            assert!(check(list(text, 3199)).is_ok(), "{text}");
+        }
+        assert!(check(list(r#""\\",{}"#, 100)).is_err(), "the text ends before the object");
+        assert!(check(r#"{"a":"#.repeat(98)).is_err(), "an incomplete document");
     }
 }

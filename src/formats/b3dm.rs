@@ -6,7 +6,7 @@ use serde::Deserialize;
 use super::feature_table::{self, Global};
 use super::ignored::Notes;
 use super::properties;
-use crate::fetch::IoError;
+use crate::fetch::{IoError, Limits};
 use crate::scene::PropertyTable;
 
 #[derive(Default, Deserialize)]
@@ -29,13 +29,13 @@ pub(super) struct B3dm<'a> {
 
 impl B3dm<'_> {
     /// Returns the properties of the features; `None` if there are none.
-    pub fn batch_table(&self, notes: &Notes) -> Option<PropertyTable> {
-        properties::batch_table(self.batch_json, self.batch_binary, self.batch_length, &|kind| notes.add(kind))
+    pub fn batch_table(&self, limits: &Limits, notes: &Notes) -> Option<PropertyTable> {
+        properties::batch_table(self.batch_json, self.batch_binary, self.batch_length, limits, &|kind| notes.add(kind))
     }
 }
 
 /// Finds the parts of a b3dm.
-pub(super) fn unwrap<'a>(uri: &str, bytes: &'a [u8]) -> Result<B3dm<'a>, IoError> {
+pub(super) fn unwrap<'a>(uri: &str, bytes: &'a [u8], limits: &Limits) -> Result<B3dm<'a>, IoError> {
     let u32_at =
         |at: usize| -> Option<usize> { bytes.get(at..at + 4)?.try_into().ok().map(|b| u32::from_le_bytes(b) as usize) };
     let truncated = || IoError::invalid(uri, "b3dm: truncated header");
@@ -69,6 +69,7 @@ pub(super) fn unwrap<'a>(uri: &str, bytes: &'a [u8]) -> Result<B3dm<'a>, IoError
     }
     let json = bytes.get(feature.0..feature.0 + feature.1).unwrap_or(&[]);
     let binary = bytes.get(feature.0 + feature.1..).and_then(|b| b.get(..feature_binary)).unwrap_or(&[]);
+    limits.check_json(uri, json)?;
     let table = match json.iter().all(u8::is_ascii_whitespace) {
         true => FeatureTable::default(),
         false => feature_table::parse(json).map_err(|e| IoError::invalid(uri, format!("b3dm feature table: {e}")))?,
@@ -108,8 +109,9 @@ mod tests {
 
     #[test]
     fn headers_of_all_versions() {
-        let of =
-            |lengths: &[u32], rest: &[&[u8]]| unwrap("a", &with_header(lengths, rest)).map(|b3dm| b3dm.glb.to_vec());
+        let of = |lengths: &[u32], rest: &[&[u8]]| {
+            unwrap("a", &with_header(lengths, rest), &Limits::default()).map(|b3dm| b3dm.glb.to_vec())
+        };
         let table = [b' '; 100];
         assert_eq!(of(&[0, 0, 60, 40], &[&table]).unwrap(), b"glTF");
         // The header has the number of features and the size of their table.
@@ -123,7 +125,8 @@ mod tests {
     fn centres_are_in_the_json_or_in_the_binary_part() {
         let center = |json: &str, binary: &[u8]| {
             let lengths = [json.len() as u32, binary.len() as u32, 0, 0];
-            unwrap("a", &with_header(&lengths, &[json.as_bytes(), binary])).map(|b3dm| b3dm.rtc_center)
+            unwrap("a", &with_header(&lengths, &[json.as_bytes(), binary]), &Limits::default())
+                .map(|b3dm| b3dm.rtc_center)
         };
         let binary: Vec<u8> = [9.0f32, 1.0, 2.5, -3.0].iter().flat_map(|x| x.to_le_bytes()).collect();
         let expected = Some(DVec3::new(1.0, 2.5, -3.0));

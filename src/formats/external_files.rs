@@ -21,6 +21,11 @@ impl<'a> ExternalFiles<'a> {
         Self { base, scope, limits, fetched }
     }
 
+    /// Returns the limits for the files.
+    pub fn limits(&self) -> &'a Limits {
+        self.limits
+    }
+
     /// Returns the address that a reference leads to with its bytes, or the reason why they are missing.
     pub fn get(&self, reference: &str) -> Result<(Arc<str>, Cow<'a, [u8]>), IoError> {
         let uri = resolve(self.base, reference, self.scope)?;

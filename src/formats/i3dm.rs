@@ -13,7 +13,7 @@ use super::gltf::{self, GltfSource};
 use super::ignored::Notes;
 use super::options::{Fetched, ReadOptions};
 use super::properties;
-use crate::fetch::{IoError, resolve};
+use crate::fetch::{IoError, Limits, resolve};
 use crate::math::WGS84;
 use crate::scene::{Drawable, FeatureIdSet, FeatureIds, Node, NodeKind, PropertyTable};
 use crate::state::StateSet;
@@ -128,9 +128,10 @@ pub(super) fn read(
     notes: &Notes,
 ) -> Result<Node, IoError> {
     let Parts { feature_json, feature_binary, batch_json, batch_binary, model } = Parts::new(uri, bytes)?;
+    options.limits.check_json(uri, feature_json)?;
     let table: FeatureTable =
         feature_table::parse(feature_json).map_err(|e| IoError::invalid(uri, format!("i3dm feature table: {e}")))?;
-    let reader = TableReader { uri, binary: feature_binary, table: &table, max: options.limits.max_elements };
+    let reader = TableReader { uri, binary: feature_binary, table: &table, limits: &options.limits };
     let (origin, instances) = reader.instances()?;
     let source = |uri, base, bytes| GltfSource { uri, base, bytes, rtc_center: None, batch_table: None, companions };
     let model = match model {
@@ -177,7 +178,7 @@ impl InstanceFeatures {
     fn new(reader: &TableReader<'_>, count: usize, json: &[u8], binary: &[u8], notes: &Notes) -> Result<Self, IoError> {
         let ids: Vec<u32> = reader.batch_ids(count)?.unwrap_or_else(|| (0..count as u32).collect());
         let rows = ids.iter().max().map_or(0, |largest| *largest as usize + 1);
-        let table = properties::batch_table(json, binary, rows, &|kind| notes.add(kind)).map(Arc::new);
+        let table = properties::batch_table(json, binary, rows, reader.limits, &|kind| notes.add(kind)).map(Arc::new);
         Ok(Self { ids, table })
     }
 
@@ -228,8 +229,7 @@ struct TableReader<'a> {
     uri: &'a str,
     binary: &'a [u8],
     table: &'a FeatureTable,
-    /// The maximum number of instances.
-    max: usize,
+    limits: &'a Limits,
 }
 
 impl TableReader<'_> {
@@ -256,7 +256,7 @@ impl TableReader<'_> {
     fn instances(&self) -> Result<(DVec3, Vec<DAffine3>), IoError> {
         let table = self.table;
         let count = table.instances_length.count(self.binary).ok_or_else(|| self.bad("INSTANCES_LENGTH is invalid"))?;
-        if count > self.max / VERTICES_PER_INSTANCE {
+        if count > self.limits.max_elements / VERTICES_PER_INSTANCE {
             return Err(self.bad(&format!("{count} instances")));
         }
         let center = self.vector(&table.rtc_center, "RTC_CENTER")?.unwrap_or_default();

@@ -28,14 +28,14 @@ fn of_part(base: &str, bytes: &[u8], known: &[Fetched], options: &ReadOptions, d
     let (text, first) = text_and_first_byte(bytes);
     match bytes.get(..4) {
         Some(b"glTF") => of_gltf(bytes),
-        Some(b"b3dm") => b3dm::unwrap(base, bytes).map_or(Vec::new(), |b3dm| of_gltf(b3dm.glb)),
+        Some(b"b3dm") => b3dm::unwrap(base, bytes, &options.limits).map_or(Vec::new(), |b3dm| of_gltf(b3dm.glb)),
         Some(b"i3dm") => i3dm::dependencies(base, bytes, known, options),
         Some(b"cmpt") => {
             let parts = cmpt::parts(base, bytes, depth).unwrap_or_default();
             parts.into_iter().flat_map(|part| of_part(base, part, known, options, depth + 1)).collect()
         }
         _ if first == Some(b'{') => {
-            let schema = tileset::schema_reference(text);
+            let schema = tileset::schema_reference(text, &options.limits);
             let schema = schema.and_then(|reference| resolve(base, &reference, &options.root).ok());
             // Tilesets may be large, and have no buffers.
             let files = if begins_like_tileset(text) { Vec::new() } else { of_gltf(text) };

@@ -217,8 +217,8 @@ impl ModelReader<'_> {
             return read_gltf(bytes, None, None);
         }
         if bytes.starts_with(b"b3dm") {
-            let b3dm = b3dm::unwrap(uri, bytes)?;
-            let batch_table = options.keep_features.then(|| b3dm.batch_table(notes)).flatten();
+            let b3dm = b3dm::unwrap(uri, bytes, &options.limits)?;
+            let batch_table = options.keep_features.then(|| b3dm.batch_table(&options.limits, notes)).flatten();
             return read_gltf(b3dm.glb, b3dm.rtc_center, batch_table.map(Arc::new));
         }
         if bytes.starts_with(b"i3dm") {

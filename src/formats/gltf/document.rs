@@ -16,6 +16,7 @@ pub(super) fn parse(context: &Context<'_>, json: &[u8]) -> Result<(gltf::Documen
         let unknown = required.iter().find(|name| !extensions::may_be_required(name));
         unknown.map(|name| IoError::unsupported(uri, format!("required glTF extension {name}")))
     };
+    context.options.limits.check_json(uri, json)?;
     let mut root = json::Root::from_slice(json).map_err(|e| {
         if let Some(version) = old_version(json) {
             return IoError::unsupported(uri, format!("glTF version {version}"));

@@ -52,7 +52,9 @@ pub(in crate::formats) fn references(uri: &str, bytes: &[u8], options: &ReadOpti
     // Schemas describe features.
     let with_schema = options.keep_features || options.style.is_some();
     let source = GltfSource { uri, base: uri, bytes, rtc_center: None, batch_table: None, companions: &[] };
-    source.chunks().map_or(Vec::new(), |chunks| external::references(chunks.json, with_schema))
+    let json = source.chunks().ok().map(|chunks| chunks.json);
+    let json = json.filter(|json| options.limits.check_json(uri, json).is_ok());
+    json.map_or(Vec::new(), |json| external::references(json, with_schema))
 }
 
 /// Reads a glTF or glb. The root of the result rotates the content to z-up.

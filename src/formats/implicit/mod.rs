@@ -35,5 +35,5 @@ pub(super) fn external_buffers(
     options: &ReadOptions,
 ) -> Vec<Arc<str>> {
     let resolved = |reference: &String| options.resolve(uri, reference).ok().map(|(uri, _)| uri);
-    source.external_buffers(bytes, options.keep_features).iter().filter_map(resolved).collect()
+    source.external_buffers(bytes, options).iter().filter_map(resolved).collect()
 }

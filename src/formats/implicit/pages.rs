@@ -75,8 +75,8 @@ impl SubtreeSource {
     }
 
     /// Returns the references of the external buffers that a subtree file needs.
-    pub(super) fn external_buffers(&self, bytes: &[u8], keeps_metadata: bool) -> Vec<String> {
-        external_buffers(bytes, self.tiling.schema(), keeps_metadata)
+    pub(super) fn external_buffers(&self, bytes: &[u8], options: &ReadOptions) -> Vec<String> {
+        external_buffers(bytes, self.tiling.schema(), options)
     }
 
     /// Returns the content of a tile that stands for the subtree.

@@ -71,6 +71,7 @@ impl Subtree {
     ) -> Result<Self, IoError> {
         let bad = |reason: String| IoError::invalid(uri, format!("subtree: {reason}"));
         let chunks = Chunks::of(&bytes).map_err(&bad)?;
+        options.limits.check_json(uri, chunks.json)?;
         let json: SubtreeJson = parse_json(chunks.json).map_err(&bad)?;
         let binary = chunks.binary.map(|binary| (HEADER_BYTES + chunks.json.len(), binary.len()));
         let keeps_metadata = options.keep_features;
@@ -255,10 +256,11 @@ fn replaces_content(property: &ClassProperty) -> bool {
 }
 
 /// Returns the references of the external buffers that a subtree needs, in order. A file that is no subtree has none.
-pub(super) fn external_buffers(bytes: &[u8], schema: Option<&Schema>, keeps_metadata: bool) -> Vec<String> {
-    let json = Chunks::of(bytes).and_then(|chunks| parse_json(chunks.json));
-    let Ok(json) = json else { return Vec::new() };
-    let needed = needed_buffers(&json, schema, keeps_metadata);
+pub(super) fn external_buffers(bytes: &[u8], schema: Option<&Schema>, options: &ReadOptions) -> Vec<String> {
+    let text = Chunks::of(bytes).ok().map(|chunks| chunks.json);
+    let text = text.filter(|text| options.limits.check_json("", text).is_ok());
+    let Some(Ok(json)) = text.map(parse_json) else { return Vec::new() };
+    let needed = needed_buffers(&json, schema, options.keep_features);
     let references = json.buffers.into_iter().zip(needed).filter(|(_, needed)| *needed);
     references.filter_map(|(buffer, _)| buffer.uri.0.filter(|uri| !uri.starts_with("data:"))).collect()
 }

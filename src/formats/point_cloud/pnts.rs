@@ -71,6 +71,7 @@ pub(in crate::formats) fn read(uri: &str, bytes: &[u8], options: &ReadOptions, n
     let json = bytes.get(HEADER_BYTES..json_end).ok_or_else(|| bad("truncated feature table"))?;
     let end = json_end.checked_add(binary_bytes).ok_or_else(|| bad("the lengths in the header overflow"))?;
     let binary = bytes.get(json_end..end).ok_or_else(|| bad("truncated feature table"))?;
+    options.limits.check_json(uri, json)?;
     let table: FeatureTable =
         feature_table::parse(json).map_err(|e| IoError::invalid(uri, format!("pnts feature table: {e}")))?;
     let count = table.points_length.count(binary).ok_or_else(|| bad("POINTS_LENGTH is invalid"))?;
@@ -157,7 +158,9 @@ pub(in crate::formats) fn read(uri: &str, bytes: &[u8], options: &ReadOptions, n
         let part = |at: usize, length: usize| bytes.get(at..at.saturating_add(length)).unwrap_or_default();
         let [json_length, binary_length] = [20, 24].map(|at| word(at).unwrap_or(0));
         let batch_binary = part(end.saturating_add(json_length), binary_length);
-        let batch = properties::batch_table(part(end, json_length), batch_binary, rows, &|kind| notes.add(kind));
+        let batch = properties::batch_table(part(end, json_length), batch_binary, rows, &options.limits, &|kind| {
+            notes.add(kind)
+        });
         let (table, tables) = (batch.is_some().then_some(0), batch.map(Arc::new).into_iter().collect());
         let ids = ids.map_or(FeatureIds::VertexIndex, |ids| FeatureIds::PerVertex(ids.into()));
         let set = FeatureIdSet { label: String::new(), null_id: None, ids, table };

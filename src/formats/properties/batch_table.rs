@@ -6,6 +6,7 @@ use serde_json::{Map, Value};
 use super::binary_column::BinaryColumn;
 use super::component::Component;
 use super::property_type::{Element, PropertyType, from_json};
+use crate::fetch::Limits;
 use crate::formats::feature_table;
 use crate::scene::{Column, PropertyColumn, PropertyTable, PropertyValue};
 
@@ -25,9 +26,14 @@ pub(in crate::formats) fn batch_table(
     json: &[u8],
     binary: &[u8],
     rows: usize,
+    limits: &Limits,
     note: &dyn Fn(&'static str),
 ) -> Option<PropertyTable> {
     if json.iter().all(|byte| byte.is_ascii_whitespace() || *byte == 0) {
+        return None;
+    }
+    if limits.check_json("", json).is_err() {
+        note("batch table that is too large");
         return None;
     }
     let Ok(properties) = feature_table::parse::<Map<String, Value>>(json) else {
@@ -89,10 +95,10 @@ mod tests {
         binary.extend([1.5f32, 2.5].iter().flat_map(|x| x.to_le_bytes()));
         binary.extend([1, 2, 3, 4]);
         let notes = std::cell::Cell::new(0);
-        let table = batch_table(json, &binary, 2, &|_| notes.set(notes.get() + 1)).unwrap();
+        let table = batch_table(json, &binary, 2, &Limits::default(), &|_| notes.set(notes.get() + 1)).unwrap();
         let row: Vec<String> = table.row(1).into_iter().map(|(name, value)| format!("{name} {value}")).collect();
         assert_eq!((row.join("; ").as_str(), notes.get()), ("height 2.5; level -2; name b; size [3, 4]", 1));
-        assert!(batch_table(b"   \0", &[], 0, &|_| {}).is_none());
-        assert!(batch_table(b"{", &[], 0, &|_| notes.set(9)).is_none() && notes.get() == 9);
+        assert!(batch_table(b"   \0", &[], 0, &Limits::default(), &|_| {}).is_none());
+        assert!(batch_table(b"{", &[], 0, &Limits::default(), &|_| notes.set(9)).is_none() && notes.get() == 9);
     }
 }

@@ -30,6 +30,7 @@ pub(in crate::formats) fn read_schema(
             };
             let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&bytes);
             refuse_markup(&uri, text)?;
+            files.limits().check_json(&uri, text)?;
             serde_json::from_slice(text).map(Some).map_err(|e| invalid(&uri, e))
         }
         (None, None) => Ok(None),

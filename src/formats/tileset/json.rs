@@ -5,8 +5,8 @@ use serde::de::IgnoredAny;
 use serde_json::Value;
 
 use super::extras::Extras;
-use crate::fetch::IoError;
 use crate::fetch::markup::refuse_markup;
+use crate::fetch::{IoError, Limits};
 use crate::formats::embedded::is_data_uri;
 use crate::formats::height::{SetExtras, TileExtras};
 use crate::formats::implicit::ImplicitTilingJson;
@@ -242,7 +242,7 @@ impl ContentJson {
 
 /// Returns the reference to the file with a tileset's schema; `None` for other JSON, and if the schema is not in a separate
 /// file.
-pub(in crate::formats) fn schema_reference(text: &[u8]) -> Option<String> {
+pub(in crate::formats) fn schema_reference(text: &[u8], limits: &Limits) -> Option<String> {
     #[derive(Deserialize)]
     struct Probe {
         schema: Option<IgnoredAny>,
@@ -254,6 +254,7 @@ pub(in crate::formats) fn schema_reference(text: &[u8]) -> Option<String> {
     if !std::str::from_utf8(text).is_ok_and(|text| text.contains("\"schemaUri\"")) {
         return None;
     }
+    limits.check_json("", text).ok()?;
     let Probe { schema, schema_uri, extensions } = serde_json::from_slice(text).ok()?;
     let by_extension = extensions.and_then(|extensions| extensions.metadata);
     if schema.is_some() || by_extension.as_ref().is_some_and(|metadata| metadata.schema.is_some()) {
@@ -282,9 +283,10 @@ fn invalid_json(uri: &str, bytes: &[u8], error: &serde_json::Error) -> IoError {
 }
 
 /// Parses the JSON of a tileset, with or without a UTF-8 byte order mark. The depth is limited by serde_json (128).
-pub(crate) fn parse(uri: &str, bytes: &[u8]) -> Result<TilesetJson, IoError> {
+pub(crate) fn parse(uri: &str, bytes: &[u8], limits: &Limits) -> Result<TilesetJson, IoError> {
     let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
     refuse_markup(uri, bytes)?;
+    limits.check_json(uri, bytes)?;
     let tileset: TilesetJson = serde_json::from_slice(bytes).map_err(|error| invalid_json(uri, bytes, &error))?;
     let version = tileset.asset.version();
     if !matches!(version, "0.0" | "1.0" | "1.1") {
@@ -303,7 +305,20 @@ mod tests {
     use super::*;
 
     fn error(text: &str) -> String {
-        parse("set/tileset.json", text.as_bytes()).err().expect("not a tileset").to_string()
+        parse("set/tileset.json", text.as_bytes(), &Limits::default()).err().expect("not a tileset").to_string()
+    }
+
+    #[test]
+    fn objects_are_no_larger_than_the_limit_of_parsed_json_counts() {
+        use gltf::json::{Accessor, Buffer, Image, Material, Node, Skin, buffer, mesh};
+
+        use crate::fetch::JSON_OBJECT_BYTES;
+
+        let tileset = [size_of::<TileJson>(), size_of::<ContentJson>(), size_of::<VolumeJson>()];
+        let gltf = [size_of::<Accessor>(), size_of::<Buffer>(), size_of::<buffer::View>(), size_of::<Image>()];
+        let more = [size_of::<Material>(), size_of::<Node>(), size_of::<mesh::Primitive>(), size_of::<Skin>()];
+        let largest = tileset.into_iter().chain(gltf).chain(more).max().unwrap() as u64;
+        assert!(2 * largest <= JSON_OBJECT_BYTES, "{largest} {tileset:?} {gltf:?} {more:?}");
     }
 
     #[test]

@@ -57,7 +57,7 @@ pub(in crate::formats) fn read_tiles(
             limit: options.limits.max_external_depth as u64,
         });
     }
-    let tileset = json::parse(uri, bytes)?;
+    let tileset = json::parse(uri, bytes, &options.limits)?;
     let notes = Notes::default();
     note_ignored(&tileset, &notes);
     let files = ExternalFiles::new(options.base.as_ref().unwrap_or(uri), &options.root, &options.limits, companions);

@@ -99,7 +99,7 @@ fn inspect_from(source: &str, limits: &Limits, from: Source) -> Result<Info, IoE
         return inspect_model(&root, bytes, &options, &from);
     }
     let options = ReadOptions { keep_features: true, ..options };
-    let json = tileset::parse(&root, &bytes)?;
+    let json = tileset::parse(&root, &bytes, limits)?;
     json.asset.version().clone_into(&mut info.version);
     if json.asset.extras.0.as_ref().is_some_and(SetExtras::is_height) {
         info.format = "3D Tiles with heights".to_owned();
@@ -295,7 +295,7 @@ impl Walk<'_> {
             return Err(IoError::invalid(uri, "external tilesets are nested too deep"));
         }
         let Loaded { bytes, location, .. } = loaded?;
-        let json = tileset::parse(uri, &bytes)?;
+        let json = tileset::parse(uri, &bytes, &at.options.limits)?;
         self.info.bytes += bytes.len() as u64;
         self.info.extensions.extend(json.extensions_used.iter().cloned());
         drop(json);

@@ -295,6 +295,58 @@ fn tilesets_with_many_references_to_each_other_are_limited() {
     assert_eq!((info.failed, info.errors.len()), (10_000, 1000));
 }
 
+/// Regression: three bytes of text became hundreds in memory before any limit was looked at.
+#[test]
+fn json_that_grows_when_it_is_parsed_is_refused_before() {
+    let limits = Limits { max_json_bytes: 1 << 20, ..Limits::default() };
+    let many = vec!["{}"; 100_000].join(",");
+    let tile = r#""boundingVolume":{"sphere":[0,0,0,9]},"geometricError":1"#;
+    let subtree = format!(r#"{{"buffers":[{many}],"tileAvailability":{{"constant":1}}}}"#);
+    let gltf = format!(r#"{{"asset":{{"version":"2.0"}},"nodes":[{many}]}}"#);
+    let mut glb = b"glTF".to_vec();
+    for word in [2, 20 + gltf.len(), gltf.len()] {
+        glb.extend((word as u32).to_le_bytes());
+    }
+    glb.extend(b"JSON");
+    glb.extend(gltf.as_bytes());
+    let tables = ["b3dm", "i3dm", "pnts"].map(|magic| {
+        let json = format!(r#"{{"extras":[{many}]}}"#);
+        let mut file = magic.as_bytes().to_vec();
+        let header = if magic == "i3dm" { 32 } else { 28 };
+        for word in [1, header + json.len() + glb.len(), json.len(), 0, 0, 0] {
+            file.extend((word as u32).to_le_bytes());
+        }
+        file.resize(header, 0);
+        if magic == "i3dm" {
+            file[28] = 1; // the model is in the file
+        }
+        [&file, json.as_bytes(), &glb].concat()
+    });
+    let tilesets = [
+        format!(r#"{{"asset":{{"version":"1.1"}},"geometricError":1,"root":{{{tile},"contents":[{many}]}}}}"#),
+        format!(r#"{{"asset":{{"version":"1.1"}},"geometricError":1,"root":{{{tile},"children":[{many}]}}}}"#),
+        format!(r#"{{"asset":{{"version":"1.1"}},"geometricError":1,"root":{{{tile}}},"extras":[{many}]}}"#),
+    ];
+    let texts = tilesets.iter().map(|text| text.as_bytes()).chain([gltf.as_bytes()]);
+    for bytes in texts.chain([&glb[..]]).chain(tables.iter().map(|file| &file[..])) {
+        let options = ReadOptions::for_root(ROOT, limits);
+        let content =
+            Content { uri: "/set/tile".into(), bytes: bytes.to_vec(), reader_data: None, companions: Vec::new() };
+        let error = decode(content, &options).unwrap_err();
+        assert!(error.reason().contains("memory of parsed JSON"), "{error}");
+    }
+    // Subtrees are read through their tileset.
+    let folder = tempfile::tempdir().unwrap();
+    let tiling = r#""implicitTiling":{"subdivisionScheme":"QUADTREE","subtreeLevels":1,"availableLevels":1,"subtrees":{"uri":"{level}.{x}.{y}.json"}},"content":{"uri":"{x}.glb"}"#;
+    let volume = r#""boundingVolume":{"region":[0,0,1,1,0,9]},"geometricError":1"#;
+    let set = format!(r#"{{"asset":{{"version":"1.1"}},"geometricError":1,"root":{{{volume},{tiling}}}}}"#);
+    std::fs::write(folder.path().join("tileset.json"), set).unwrap();
+    std::fs::write(folder.path().join("0.0.0.json"), subtree).unwrap();
+    let info = inspect(folder.path().to_str().unwrap(), &limits).unwrap();
+    let [error] = &info.errors[..] else { panic!("{info}") };
+    assert!(error.reason.contains("memory of parsed JSON"), "{error:?}");
+}
+
 /// Regression: a tileset with another extension was read as content, and its children were not verified.
 #[test]
 fn tilesets_with_any_name_are_verified() {
