@@ -112,7 +112,7 @@ pub struct FlyArgs {
     /// Load all tiles that a frame wants before drawing it, so that equal paths give equal images
     #[arg(long)]
     pub blocking: bool,
-    /// Count background pixels where terrain must be; draws on magenta
+    /// Count background pixels where terrain must be, from the first frame with terrain on; draws on magenta
     #[arg(long)]
     pub check_holes: bool,
     /// Write the report as JSON

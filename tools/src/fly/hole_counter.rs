@@ -5,18 +5,20 @@ use std::collections::VecDeque;
 use image::RgbaImage;
 use terrane::viewer::{Camera, HoleCheck, KEY_COLOR};
 
-/// Counts the background pixels where terrain must be.
+/// Counts the background pixels where terrain must be, from the first image with terrain on.
 pub struct HoleCounter {
     check: HoleCheck,
     /// The cameras of frames whose images are not read back yet, in order of the frames.
     cameras: VecDeque<(u32, Camera)>,
+    /// True from the first image with terrain on. Before it, the coarsest tile is still on its way.
+    has_terrain: bool,
     pixels: u64,
 }
 
 impl HoleCounter {
     /// Creates a counter without holes.
     pub fn new(check: HoleCheck) -> Self {
-        Self { check, cameras: VecDeque::new(), pixels: 0 }
+        Self { check, cameras: VecDeque::new(), has_terrain: false, pixels: 0 }
     }
 
     /// Keeps the camera of a frame whose image will be read back.
@@ -28,6 +30,10 @@ impl HoleCounter {
     pub fn count(&mut self, frame: u32, image: &RgbaImage) {
         while let Some((camera_frame, camera)) = self.cameras.pop_front() {
             if camera_frame == frame {
+                self.has_terrain |= image.pixels().any(|pixel| pixel.0[..3] != KEY_COLOR);
+                if !self.has_terrain {
+                    return;
+                }
                 self.pixels += self.check.count(image, &camera, KEY_COLOR);
                 return;
             }
