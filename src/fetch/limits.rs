@@ -2,7 +2,7 @@
 
 use super::error::IoError;
 
-/// Upper limits for data from outside. The defaults are far above what real tile sets hold.
+/// Upper limits for data from outside. The defaults are above what real tile sets hold.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
     /// Bytes of one file, after decompression.
@@ -19,7 +19,7 @@ pub struct Limits {
     /// Depth of external tilesets inside tilesets.
     pub max_external_depth: usize,
     /// Bytes of memory that one JSON document may take when it is parsed, by a careful estimate: two gibibytes, the default,
-    /// are a tileset of about 230,000 tiles.
+    /// are a tileset.json of about 230,000 tiles. Raise it for larger ones.
     pub max_json_bytes: u64,
 }
 

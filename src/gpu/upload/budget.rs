@@ -3,7 +3,7 @@
 use std::ops::RangeInclusive;
 use std::time::Duration;
 
-/// The maximum time and bytes of uploads in a frame.
+/// The maximum time and bytes of uploads in a frame of the target rate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CompileBudget {
     /// The time limit, checked after each slice of at most 256 KiB.
@@ -24,10 +24,12 @@ impl CompileBudget {
     pub const UNLIMITED: Self = Self { time: Duration::MAX, bytes: u64::MAX };
 
     /// Returns the budget for the next frame, if the last frames took `busy` (the shortest to the longest) without their
-    /// uploads. The time is the share of the remaining frame that `pace` allows, at least
-    /// [`CompilePace::minimum_time_available`] and at most this budget's; the bytes are reduced in proportion. While all
-    /// frames are longer than those of [`CompilePace::target_frame_rate`], both limits of the time grow in proportion: on a
-    /// slow adapter uploads take the same share of a frame as on a fast one.
+    /// uploads.
+    ///
+    /// The time is the share of the remaining frame that `pace` allows, at least f times
+    /// [`CompilePace::minimum_time_available`] and at most f times this budget's. f is the shortest frame divided by that of
+    /// [`CompilePace::target_frame_rate`], and at least 1: on a slow adapter uploads take the same share of a frame as on a
+    /// fast one. The bytes are reduced if the time is less than this budget's, and never grow.
     pub fn beside(&self, busy: &RangeInclusive<Duration>, pace: &CompilePace) -> Self {
         let frame_s = 1.0 / pace.target_frame_rate;
         let left_s = (frame_s - busy.end().as_secs_f64()) * pace.conservative_ratio;
