@@ -27,7 +27,7 @@ fn example(name: &str) -> PathBuf {
 /// Returns the number of frames to draw. Examples whose frames take long on a software adapter draw fewer.
 fn frames(name: &str) -> u32 {
     match name {
-        "custom_drawable" | "hello_terrain" | "multi_view" | "occluders" | "picking" if !kit::long_tests() => 8,
+        "custom_drawable" | "multi_view" | "occluders" | "picking" if !kit::long_tests() => 8,
         _ => 30,
     }
 }
