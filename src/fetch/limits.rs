@@ -79,8 +79,8 @@ impl Limits {
     }
 }
 
-/// An upper limit of the bytes that a parsed object takes without its members: twice the largest structure that a reader
-/// parses one into, since growing lists have room for as many again.
+/// An upper limit of the bytes that a parsed object takes without its members. It is twice the size of the largest structure
+/// that a reader parses an object into: a growing list has room for as many again.
 pub(crate) const JSON_OBJECT_BYTES: u64 = 2048;
 /// The same for an element of a list or a member of an object.
 const JSON_VALUE_BYTES: u64 = 64;

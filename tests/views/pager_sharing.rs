@@ -302,7 +302,7 @@ fn each_content_is_uploaded_and_counted_once_per_context() {
     assert_eq!(run.contexts[1].gpu.bytes_in_use(), shared_bytes);
 }
 
-/// The tiles have a mesh each, beside images in files of their own that half of them share.
+/// Each tile has a separate mesh. Two external images are shared by half of the tiles each.
 #[test]
 fn hundred_tiles_with_two_images_hold_one_copy_of_each() {
     const SIDE_PX: u32 = 256;

@@ -53,6 +53,7 @@ pub(in crate::formats) fn references(uri: &str, bytes: &[u8], options: &ReadOpti
     let with_schema = options.keep_features || options.style.is_some();
     let source = GltfSource { uri, base: uri, bytes, rtc_center: None, batch_table: None, companions: &[] };
     let json = source.chunks().ok().map(|chunks| chunks.json);
+    // The decoder returns the error.
     let json = json.filter(|json| options.limits.check_json(uri, json).is_ok());
     json.map_or(Vec::new(), |json| external::references(json, with_schema))
 }

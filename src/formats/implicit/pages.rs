@@ -11,9 +11,11 @@ use super::semantics::Overrides;
 use super::subtree::{Subtree, external_buffers};
 use super::tiling::ImplicitTiling;
 use crate::fetch::IoError;
+use crate::formats::ignored::Notes;
 use crate::formats::options::{Fetched, ReadOptions};
+use crate::formats::properties::MetadataBudget;
 use crate::formats::tile::{ALWAYS_REFINED_M, Continuation, Tile, TileContent};
-use crate::scene::{ReaderData, ReaderValue, Refine, TileMetadata};
+use crate::scene::{Metadata, ReaderData, ReaderValue, Refine, TileMetadata};
 
 /// The maximum of tiles of a page: about 2 ms of a decode thread, since the first tiles are waited for. A page has at least
 /// one level.
@@ -140,12 +142,13 @@ struct PartReader {
     counts_subtree: bool,
     /// The options of the tileset, with which references in metadata are resolved.
     options: ReadOptions,
+    budget: MetadataBudget,
 }
 
 impl PartReader {
     fn new(subtree: Arc<LoadedSubtree>, counts_subtree: bool, options: &ReadOptions) -> Self {
         let options = ReadOptions { base: subtree.tiling.base().cloned(), ..options.clone() };
-        Self { subtree, last_level: 0, counts_subtree, options }
+        Self { subtree, last_level: 0, counts_subtree, options, budget: MetadataBudget::default() }
     }
 
     /// Returns the tiles of the subtree below one of its tiles.
@@ -207,9 +210,14 @@ impl PartReader {
     fn tile(&mut self, tile: LocalTile, is_replaced: bool) -> Tile {
         let tiling = self.subtree.tiling.clone();
         let coordinates = tile.coordinates;
-        let available = (0..tiling.shape.contents).filter(|content| self.subtree.subtree.has_content(tile, *content));
-        let contents: Vec<TileContent> = available.filter_map(|content| self.content(tile, content)).collect();
+        let mut contents = Vec::new();
+        for number in 0..tiling.shape.contents {
+            if self.subtree.subtree.has_content(tile, number) {
+                contents.extend(self.content(tile, number));
+            }
+        }
         let (overrides, metadata) = self.subtree.subtree.tile_row(tile);
+        let metadata = self.keep(metadata);
         let subtree = self.subtree.subtree.metadata().filter(|_| tile.level == 0).cloned();
         // A tile without content draws nothing where its error is small, which would be a hole below a replaced content.
         let bounds = tiling.bounds(coordinates, &overrides);
@@ -248,9 +256,10 @@ impl PartReader {
     }
 
     /// Returns a content of a tile: that of its template, or that which its metadata refers to.
-    fn content(&self, tile: LocalTile, number: usize) -> Option<TileContent> {
-        let LoadedSubtree { tiling, subtree, .. } = &*self.subtree;
-        let row = subtree.content_row(tile, number);
+    fn content(&mut self, tile: LocalTile, number: usize) -> Option<TileContent> {
+        let row = self.subtree.subtree.content_row(tile, number);
+        let metadata = self.keep(row.metadata);
+        let tiling = &self.subtree.tiling;
         let mut content = tiling.content(tile.coordinates, number)?;
         if let Some(reference) = &row.uri {
             content = match self.options.resolve(tiling.uri(), reference) {
@@ -258,7 +267,15 @@ impl PartReader {
                 Err(error) => TileContent::refused(content.uri, error),
             };
         }
-        content.metadata = tiling.content_metadata(number, row.group, row.metadata);
+        content.metadata = tiling.content_metadata(number, row.group, metadata);
         Some(content)
+    }
+
+    /// Returns metadata if the budget has room for it.
+    fn keep(&mut self, metadata: Option<Arc<Metadata>>) -> Option<Arc<Metadata>> {
+        let notes = Notes::default();
+        let kept = metadata.and_then(|metadata| self.budget.keep(metadata, &|kind| notes.add(kind)));
+        self.options.ignored.add(&notes.into_ignored());
+        kept
     }
 }

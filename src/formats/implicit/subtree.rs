@@ -160,7 +160,7 @@ impl Subtree {
         notes: &Notes,
     ) {
         let note = |kind: &'static str| notes.add(kind);
-        let source = TableSource { schema, view, note: &note };
+        let source = TableSource::new(schema, view, &note);
         let keeps_all = self.keeps_metadata;
         let rows = |table: Option<&TableJson>, of: &Availability, is_wanted: IsWanted| {
             let table = table?;
@@ -258,6 +258,7 @@ fn replaces_content(property: &ClassProperty) -> bool {
 /// Returns the references of the external buffers that a subtree needs, in order. A file that is no subtree has none.
 pub(super) fn external_buffers(bytes: &[u8], schema: Option<&Schema>, options: &ReadOptions) -> Vec<String> {
     let text = Chunks::of(bytes).ok().map(|chunks| chunks.json);
+    // The decoder returns the error.
     let text = text.filter(|text| options.limits.check_json("", text).is_ok());
     let Some(Ok(json)) = text.map(parse_json) else { return Vec::new() };
     let needed = needed_buffers(&json, schema, options.keep_features);

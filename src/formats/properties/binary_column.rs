@@ -5,6 +5,9 @@ use super::property_type::{Element, Length, PropertyType};
 use super::shared_bytes::SharedBytes;
 use crate::scene::{PropertyColumn, PropertyValue};
 
+/// The maximum number of elements of one value. Rows may overlap, so that a small file could have many long ones.
+const MAX_ELEMENTS: usize = 1 << 20;
+
 /// Positions in another list: entry `i` begins at offset `i` and ends at offset `i + 1`.
 #[derive(Clone, Debug)]
 pub(super) struct Offsets {
@@ -50,11 +53,11 @@ impl PropertyColumn for BinaryColumn {
 }
 
 impl BinaryColumn {
-    /// Returns stored elements; `None` if one of them lies beyond the end.
+    /// Returns stored elements; `None` if one of them lies beyond the end, and for more than [`MAX_ELEMENTS`].
     fn list(&self, elements: std::ops::Range<usize>) -> Option<PropertyValue> {
         // The smallest element is a bit; text may be empty, but has an offset of a byte.
         let most = self.values.len().saturating_mul(8) + self.string_offsets.as_ref().map_or(0, |of| of.bytes.len());
-        if elements.len() > most {
+        if elements.len() > most.min(MAX_ELEMENTS) {
             return None;
         }
         elements.map(|i| self.element(i)).collect::<Option<_>>().map(PropertyValue::List)

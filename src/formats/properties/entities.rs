@@ -6,6 +6,7 @@ use std::sync::Arc;
 use serde::Deserialize;
 use serde_json::Value;
 
+use super::metadata_budget::MetadataBudget;
 use super::property_type::PropertyType;
 use super::schema::{EntityJson, Schema, ValueChanges};
 use crate::scene::{Metadata, MetadataClass, PropertyInfo};
@@ -21,11 +22,12 @@ pub(in crate::formats) struct Entities<'a> {
     schema: &'a Schema,
     /// By name; `None` for names that the schema lacks.
     classes: HashMap<String, Option<EntityClass>>,
+    budget: MetadataBudget,
 }
 
 impl<'a> Entities<'a> {
     pub fn new(schema: &'a Schema) -> Self {
-        Self { schema, classes: HashMap::new() }
+        Self { schema, classes: HashMap::new(), budget: MetadataBudget::default() }
     }
 
     /// Reads metadata. Properties without a value have the default of their class. Returns `None` if the class is unknown;
@@ -42,11 +44,13 @@ impl<'a> Entities<'a> {
             note("metadata of an unknown class");
             return None;
         };
-        let unknown = properties.keys().filter(|name| !class.properties.iter().any(|known| known.name == **name));
+        // The properties of a class are sorted by name.
+        let is_known = |name: &String| class.properties.binary_search_by(|known| known.name.cmp(name)).is_ok();
+        let unknown = properties.keys().filter(|name| !is_known(name));
         unknown.for_each(|_| note("metadata: a property that is invalid"));
         let value = |(of, kind): (&PropertyInfo, &PropertyType)| kind.value_of_json(properties.get(&of.name));
         let values = class.properties.iter().zip(&*types).map(value).collect();
-        Some(Arc::new(Metadata::new(class.clone(), values)))
+        self.budget.keep(Arc::new(Metadata::new(class.clone(), values)), note)
     }
 }
 
@@ -72,6 +76,20 @@ mod tests {
     use serde_json::json;
 
     use super::*;
+
+    /// Regression: a tile of a few bytes had copies of all defaults of its class.
+    #[test]
+    fn memory_of_metadata_is_bounded() {
+        let text = "x".repeat(3900);
+        let properties: serde_json::Map<String, Value> =
+            (0..4000).map(|i| (format!("p{i}"), json!({ "type": "STRING", "default": text }))).collect();
+        let schema = Schema::deserialize(&json!({ "classes": { "c": { "properties": properties } } })).unwrap();
+        let notes = Cell::new(0);
+        let mut entities = Entities::new(&schema);
+        let tile = json!({ "class": "c" });
+        let kept = (0..12).filter_map(|_| entities.read(&tile, &|_| notes.set(notes.get() + 1))).count();
+        assert_eq!((kept, notes.get()), (8, 4), "16 MB each");
+    }
 
     #[test]
     fn json_has_the_types_of_its_class() {

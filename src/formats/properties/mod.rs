@@ -7,12 +7,13 @@
 //! | `property_type`, `component` | stored values to values: normalization, scale, noData, defaults, names of enums |
 //! | `table`, `binary_column`, `shared_bytes` | tables whose columns are buffer views |
 //! | `batch_table` | tables of 3D Tiles 1.0 |
-//! | `entities` | metadata of tilesets, tiles, contents and groups |
+//! | `entities`, `metadata_budget` | metadata of tilesets, tiles, contents and groups, and its maximum size |
 
 mod batch_table;
 mod binary_column;
 mod component;
 mod entities;
+mod metadata_budget;
 mod property_type;
 mod schema;
 mod shared_bytes;
@@ -20,6 +21,7 @@ mod table;
 
 pub(super) use batch_table::batch_table;
 pub(super) use entities::Entities;
+pub(super) use metadata_budget::MetadataBudget;
 pub(super) use property_type::PropertyType;
 pub(super) use schema::{ClassProperty, Schema, TableJson, ValueChanges, read_schema};
 pub(super) use shared_bytes::SharedBytes;

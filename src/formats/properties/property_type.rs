@@ -1,6 +1,7 @@
 //! [`PropertyType`]: how stored values of a property become values. Plain values; any thread.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use serde_json::Value;
 
@@ -18,7 +19,7 @@ pub(super) enum Element {
     /// UTF-8, delimited by offsets.
     Text,
     /// Numbers with names.
-    Enum { component: Component, names: BTreeMap<i64, String> },
+    Enum { component: Component, names: Arc<BTreeMap<i64, String>> },
 }
 
 /// The number of elements of a value.
@@ -217,8 +218,7 @@ fn element(of: &ClassProperty, schema: &Schema) -> Option<Element> {
         "ENUM" => {
             let values = schema.enums.get(of.enum_type.0.as_deref()?)?;
             let component = Component::from_name(values.value_type.0.as_deref().unwrap_or("UINT16"))?;
-            let names = values.values.iter().map(|value| (value.value, value.name.clone())).collect();
-            Some(Element::Enum { component, names })
+            Some(Element::Enum { component, names: values.values.clone() })
         }
         _ => {
             let component = Component::from_name(of.component_type.0.as_deref()?)?;

@@ -2,8 +2,9 @@
 //! invalid spoil only themselves. Immutable; decode threads.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
-use serde::Deserialize;
+use serde::{Deserialize, Deserializer};
 use serde_json::Value;
 
 use crate::fetch::IoError;
@@ -22,7 +23,10 @@ pub(in crate::formats) fn read_schema(
 ) -> Result<Option<Schema>, IoError> {
     let invalid = |uri: &str, e: serde_json::Error| IoError::invalid(uri, format!("metadata schema: {e}"));
     match (json, reference) {
-        (Some(json), _) => Schema::deserialize(json).map(Some).map_err(|e| invalid(uri, e)),
+        (Some(json), _) => {
+            let schema = Schema::deserialize(json).map_err(|e| invalid(uri, e))?;
+            schema.check(uri).map(|()| Some(schema))
+        }
         (None, Some(reference)) => {
             let (uri, bytes) = match is_data_uri(reference) {
                 true => (uri.into(), embedded::data_uri(uri, reference)?.into()),
@@ -31,11 +35,17 @@ pub(in crate::formats) fn read_schema(
             let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&bytes);
             refuse_markup(&uri, text)?;
             files.limits().check_json(&uri, text)?;
-            serde_json::from_slice(text).map(Some).map_err(|e| invalid(&uri, e))
+            let schema: Schema = serde_json::from_slice(text).map_err(|e| invalid(&uri, e))?;
+            schema.check(&uri).map(|()| Some(schema))
         }
         (None, None) => Ok(None),
     }
 }
+
+/// The maximum number of properties of a class.
+const MAX_PROPERTIES: usize = 4096;
+/// The maximum bytes of memory of the values in a property, such as its default: tables and tiles have copies of them.
+const MAX_VALUE_BYTES: usize = 4096;
 
 /// Metadata of one object: its class, and the values of its properties.
 #[derive(Debug, Deserialize)]
@@ -53,6 +63,41 @@ pub(in crate::formats) struct Schema {
     pub classes: BTreeMap<String, Class>,
     #[serde(default, deserialize_with = "valid_entries")]
     pub enums: BTreeMap<String, Enum>,
+}
+
+impl Schema {
+    /// Fails if a class has so many properties, or a property so large values, that small files with this schema would take
+    /// much memory.
+    fn check(&self, uri: &str) -> Result<(), IoError> {
+        let too_large = |what: &'static str, got: usize, limit: usize| {
+            Err(IoError::TooLarge { uri: uri.to_owned(), what, got: got as u64, limit: limit as u64 })
+        };
+        for class in self.classes.values() {
+            if class.properties.len() > MAX_PROPERTIES {
+                return too_large("number of properties in a metadata class", class.properties.len(), MAX_PROPERTIES);
+            }
+            for of in class.properties.values() {
+                let ValueChanges { offset, scale, min, max } = &of.values;
+                let values = [offset, scale, min, max, &of.no_data, &of.default].into_iter().flatten();
+                let bytes = values.map(bytes_of_json).sum();
+                if bytes > MAX_VALUE_BYTES {
+                    return too_large("size of the values in a metadata property", bytes, MAX_VALUE_BYTES);
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Returns about the bytes of memory of a value.
+fn bytes_of_json(value: &Value) -> usize {
+    size_of::<Value>()
+        + match value {
+            Value::String(text) => text.len(),
+            Value::Array(parts) => parts.iter().map(bytes_of_json).sum(),
+            Value::Object(members) => members.iter().map(|(name, value)| name.len() + bytes_of_json(value)).sum(),
+            Value::Null | Value::Bool(_) | Value::Number(_) => 0,
+        }
 }
 
 #[derive(Clone, Debug, Default, Deserialize)]
@@ -108,13 +153,19 @@ impl ClassProperty {
 pub(in crate::formats) struct Enum {
     #[serde(default)]
     pub value_type: Text,
-    pub values: Vec<EnumValue>,
+    /// The names by their numbers, which all properties of the type share.
+    #[serde(deserialize_with = "names_by_number")]
+    pub values: Arc<BTreeMap<i64, String>>,
 }
 
-#[derive(Clone, Debug, Deserialize)]
-pub(in crate::formats) struct EnumValue {
-    pub name: String,
-    pub value: i64,
+fn names_by_number<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Arc<BTreeMap<i64, String>>, D::Error> {
+    #[derive(Deserialize)]
+    struct EnumValue {
+        name: String,
+        value: i64,
+    }
+    let values = Vec::<EnumValue>::deserialize(deserializer)?;
+    Ok(Arc::new(values.into_iter().map(|EnumValue { name, value }| (value, name)).collect()))
 }
 
 /// A property table: the properties of a class as columns, which are buffer views.
@@ -155,4 +206,28 @@ pub(in crate::formats) struct ValueChanges {
     pub scale: Option<Value>,
     pub min: Option<Value>,
     pub max: Option<Value>,
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+    use crate::fetch::{Limits, RootScope};
+
+    #[test]
+    fn schemas_of_which_small_files_would_be_large_are_refused() {
+        let (scope, limits) = (RootScope::of("/set/tileset.json"), Limits::default());
+        let files = ExternalFiles::new("/set/tileset.json", &scope, &limits, &[]);
+        let read = |count: usize, default: Value| {
+            let property = json!({ "type": "SCALAR", "componentType": "UINT8", "array": true, "default": default });
+            let properties: serde_json::Map<_, _> = (0..count).map(|i| (format!("p{i}"), property.clone())).collect();
+            let schema = json!({ "classes": { "c": { "properties": properties } } });
+            read_schema("a", Some(&schema), None, &files)
+        };
+        assert!(read(MAX_PROPERTIES, json!(7)).is_ok_and(|schema| schema.is_some()));
+        for refused in [read(MAX_PROPERTIES + 1, json!(7)), read(1, json!(vec![7; 1000]))] {
+            assert!(matches!(refused, Err(IoError::TooLarge { limit: 4096, .. })));
+        }
+    }
 }

@@ -1,5 +1,7 @@
 //! The property tables of EXT_structural_metadata and of subtrees.
 
+use std::cell::Cell;
+
 use serde::Deserialize;
 use serde_json::Value;
 
@@ -11,6 +13,9 @@ use super::shared_bytes::SharedBytes;
 use crate::formats::lenient::Text;
 use crate::scene::{Column, PropertyColumn, PropertyTable, PropertyValue};
 
+/// The maximum number of columns of all property tables of a file. Each table has the defaults of its class.
+const MAX_COLUMNS: usize = 1 << 16;
+
 /// The schema and the buffers of a file with property tables.
 pub(in crate::formats) struct TableSource<'a> {
     pub schema: &'a Schema,
@@ -18,9 +23,19 @@ pub(in crate::formats) struct TableSource<'a> {
     pub view: &'a dyn Fn(usize) -> Option<SharedBytes>,
     /// Gets the reason why something is left out.
     pub note: &'a dyn Fn(&'static str),
+    /// The number of columns that may still be read.
+    columns_left: Cell<usize>,
 }
 
-impl TableSource<'_> {
+impl<'a> TableSource<'a> {
+    pub fn new(
+        schema: &'a Schema,
+        view: &'a dyn Fn(usize) -> Option<SharedBytes>,
+        note: &'a dyn Fn(&'static str),
+    ) -> Self {
+        Self { schema, view, note, columns_left: Cell::new(MAX_COLUMNS) }
+    }
+
     /// Reads the `propertyTables` of a metadata object. A property that cannot be read is left out.
     pub fn tables(&self, metadata: &Value) -> Vec<PropertyTable> {
         let tables = metadata.get("propertyTables").and_then(Value::as_array).map_or(&[][..], Vec::as_slice);
@@ -45,6 +60,9 @@ impl TableSource<'_> {
             if of.is_some_and(|of| !is_wanted(of)) {
                 continue;
             }
+            if !self.takes_column() {
+                break;
+            }
             match of.and_then(|of| self.column(name, of, property)) {
                 Some(column) => columns.push(column),
                 None => (self.note)("metadata: a property that is invalid"),
@@ -54,13 +72,26 @@ impl TableSource<'_> {
         for (name, of) in class.iter().flat_map(|class| &class.properties).filter(|(_, of)| is_wanted(of)) {
             let none = ValueChanges::default();
             if of.default.is_some()
-                && !columns.iter().any(|(known, _)| known.name == *name)
+                && !table.properties.contains_key(name)
                 && let Some(kind) = PropertyType::new(of, self.schema, &none)
             {
+                if !self.takes_column() {
+                    break;
+                }
                 columns.push((kind.info(name, of, &none), Box::new(Constant(kind.value(None)))));
             }
         }
         PropertyTable::new(table.name.0.clone().unwrap_or_default(), class_name, table.count, columns)
+    }
+
+    /// Counts a column; returns false if there are too many, which is noted.
+    fn takes_column(&self) -> bool {
+        let left = self.columns_left.get().checked_sub(1);
+        match left {
+            Some(left) => self.columns_left.set(left),
+            None => (self.note)("metadata: properties beyond 65,536 of one file"),
+        }
+        left.is_some()
     }
 
     fn column(&self, name: &str, of: &ClassProperty, table: &TableProperty) -> Option<Column> {
@@ -112,8 +143,6 @@ impl PropertyColumn for Constant {
 
 #[cfg(test)]
 mod tests {
-    use std::cell::Cell;
-
     use serde_json::json;
 
     use super::*;
@@ -122,8 +151,9 @@ mod tests {
         let notes = Cell::new(0);
         let view = |at: usize| views.get(at).map(|bytes| bytes.to_vec().into());
         let schema = Schema::deserialize(&metadata["schema"]).unwrap();
-        let source = TableSource { schema: &schema, view: &view, note: &|_| notes.set(notes.get() + 1) };
-        (source.tables(metadata), notes.get())
+        let note = |_: &'static str| notes.set(notes.get() + 1);
+        let tables = TableSource::new(&schema, &view, &note).tables(metadata);
+        (tables, notes.get())
     }
 
     #[test]
@@ -205,8 +235,35 @@ mod tests {
         for row in [0, 1, 2, 3_999_999_999] {
             assert!(tables[1].row(row).iter().all(|(_, value)| *value == PropertyValue::Null), "{row}");
         }
-        let nothing = TableSource { schema: &Schema::default(), view: &|_| None, note: &|_| {} };
-        assert!(nothing.tables(&json!({})).is_empty());
+        let schema = Schema::default();
+        assert!(TableSource::new(&schema, &|_| None, &|_| {}).tables(&json!({})).is_empty());
+    }
+
+    /// Regression: a few bytes of a table had all defaults of its class.
+    #[test]
+    fn columns_of_many_tables_are_bounded() {
+        let properties: serde_json::Map<String, Value> =
+            (0..1000).map(|i| (format!("p{i}"), json!({ "type": "STRING", "default": "none" }))).collect();
+        let metadata = json!({
+            "schema": { "classes": { "c": { "properties": properties } } },
+            "propertyTables": vec![json!({ "class": "c", "count": 1 }); 100],
+        });
+        let (tables, notes) = tables(&metadata, &[]);
+        let columns: usize = tables.iter().map(|table| table.properties().count()).sum();
+        assert_eq!((tables.len(), columns, notes), (100, MAX_COLUMNS, 35));
+        // Rows of any length may not be longer than a value may be.
+        let metadata = json!({
+            "schema": { "classes": { "c": { "properties": { "a": { "type": "BOOLEAN", "array": true } } } } },
+            "propertyTables": [{ "class": "c", "count": 2, "properties": { "a": { "values": 0, "arrayOffsets": 1 } } }],
+        });
+        let bits = vec![0; 1 << 18];
+        let offsets = [0u32, 1 << 20, 1 << 21].iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<_>>();
+        let row = |table: &PropertyTable, row: usize| matches!(table.value("a", row), Some(PropertyValue::List(_)));
+        let (table, _) = self::tables(&metadata, &[&bits, &offsets]);
+        assert!(row(&table[0], 0) && row(&table[0], 1));
+        let offsets = [0u32, (1 << 20) + 1, 1 << 21].iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<_>>();
+        let (table, _) = self::tables(&metadata, &[&bits, &offsets]);
+        assert!(!row(&table[0], 0) && row(&table[0], 1));
     }
 
     /// A table's own offset, scale, minimum and maximum replace those of the class. The stored value is compared with noData.

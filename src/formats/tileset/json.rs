@@ -254,6 +254,7 @@ pub(in crate::formats) fn schema_reference(text: &[u8], limits: &Limits) -> Opti
     if !std::str::from_utf8(text).is_ok_and(|text| text.contains("\"schemaUri\"")) {
         return None;
     }
+    // The decoder returns the error.
     limits.check_json("", text).ok()?;
     let Probe { schema, schema_uri, extensions } = serde_json::from_slice(text).ok()?;
     let by_extension = extensions.and_then(|extensions| extensions.metadata);

@@ -55,7 +55,8 @@ impl Metadata {
         self.properties().find(|(property, _)| is_wanted(property)).map(|(_, value)| value)
     }
 
-    fn size_bytes(&self) -> usize {
+    /// Returns the bytes of memory without the class.
+    pub(crate) fn size_bytes(&self) -> usize {
         size_of::<Self>() + self.values.iter().map(PropertyValue::size_bytes).sum::<usize>()
     }
 }

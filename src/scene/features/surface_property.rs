@@ -62,11 +62,13 @@ impl SurfaceProperty {
         let values = match &self.values {
             SurfaceValues::Texture(texture) => SurfaceValues::Texture(texture.with_vertices(vertices)),
             SurfaceValues::PerVertex { bytes, size } => {
-                let element = |vertex: &u32| {
+                let mut own = Vec::with_capacity(vertices.len() * size);
+                for (i, vertex) in (1..).zip(vertices) {
                     let first = *vertex as usize * size;
-                    bytes.get(first..first + size).map_or_else(|| vec![0; *size], <[u8]>::to_vec)
-                };
-                SurfaceValues::PerVertex { bytes: vertices.iter().flat_map(element).collect(), size: *size }
+                    own.extend_from_slice(bytes.get(first..first + size).unwrap_or_default());
+                    own.resize(i * size, 0);
+                }
+                SurfaceValues::PerVertex { bytes: own.into(), size: *size }
             }
         };
         Self { values, ..self.clone() }

@@ -72,7 +72,7 @@ impl FeatureTables {
                 .or_else(|error| context.missing("metadata: a schema that cannot be read", &error).map(|()| None))?;
             if let Some(schema) = schema {
                 let note = |kind: &'static str| context.notes.add(kind);
-                let source = TableSource { schema: &schema, view: &view, note: &note };
+                let source = TableSource::new(&schema, &view, &note);
                 tables.extend(source.tables(metadata).into_iter().map(Arc::new));
                 surface = SurfaceProperties::new(context, metadata, &schema);
             }

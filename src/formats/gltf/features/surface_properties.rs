@@ -15,6 +15,9 @@ use crate::formats::gltf::materials::{Surfaces, TextureRef};
 use crate::formats::properties::{PropertyType, Schema, ValueChanges};
 use crate::scene::{DataTexture, PropertyInfo, SurfaceProperty, SurfaceValues};
 
+/// What a property of a primitive counts in the budget of decoded bytes: a primitive may refer to all of them many times.
+const PROPERTY_BYTES: u64 = 256;
+
 /// A property of a property texture or property attribute, as the document describes it.
 struct Described {
     class: Arc<str>,
@@ -68,6 +71,7 @@ impl SurfaceProperties {
                 continue;
             };
             for of in texture {
+                context.budget.add_decoded(PROPERTY_BYTES)?;
                 let channels = channels(&of.json).filter(|channels| of.kind.size_bytes() == Some(channels.len()));
                 let texture = channels.zip(TextureRef::from_json(&of.json));
                 let values = match texture {
@@ -83,6 +87,7 @@ impl SurfaceProperties {
                 continue;
             };
             for of in attributes {
+                context.budget.add_decoded(PROPERTY_BYTES)?;
                 let name = of.json.get("attribute").and_then(Value::as_str);
                 let elements = name.map(attribute).transpose()?.flatten();
                 let elements = elements.filter(|elements| stores(&of.kind, elements));
