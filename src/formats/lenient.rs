@@ -7,6 +7,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::marker::PhantomData;
 
+use serde::de::value::MapAccessDeserializer;
 use serde::de::{Deserialize, DeserializeOwned, Deserializer, IgnoredAny, MapAccess, SeqAccess, Visitor};
 use serde_json::Value;
 
@@ -48,6 +49,117 @@ where
     }
 
     deserializer.deserialize_any(ListVisitor(PhantomData))
+}
+
+/// An object. Every other JSON value is the default, which the reader refuses by name where a member is needed.
+struct Object<T>(T);
+
+impl<'de, T: Deserialize<'de> + Default> Deserialize<'de> for Object<T> {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        match Objects::deserialize(deserializer)? {
+            Objects::One(object) => Ok(Self(object)),
+            Objects::List(_) | Objects::Other => Ok(Self(T::default())),
+        }
+    }
+}
+
+/// An object, a list of objects, or another JSON value.
+enum Objects<T> {
+    One(T),
+    List(Vec<T>),
+    Other,
+}
+
+impl<'de, T: Deserialize<'de> + Default> Deserialize<'de> for Objects<T> {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct ObjectsVisitor<T>(PhantomData<T>);
+
+        impl<'de, T: Deserialize<'de> + Default> Visitor<'de> for ObjectsVisitor<T> {
+            type Value = Objects<T>;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("objects")
+            }
+
+            fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<Self::Value, A::Error> {
+                T::deserialize(MapAccessDeserializer::new(map)).map(Objects::One)
+            }
+
+            fn visit_seq<A: SeqAccess<'de>>(self, mut seq: A) -> Result<Self::Value, A::Error> {
+                let mut list = Vec::new();
+                while let Some(element) = seq.next_element::<Option<Object<T>>>()? {
+                    list.extend(element.map(|Object(element)| element));
+                }
+                Ok(Objects::List(list))
+            }
+
+            fn visit_f64<E>(self, _: f64) -> Result<Self::Value, E> {
+                Ok(Objects::Other)
+            }
+
+            fn visit_i64<E>(self, _: i64) -> Result<Self::Value, E> {
+                Ok(Objects::Other)
+            }
+
+            fn visit_u64<E>(self, _: u64) -> Result<Self::Value, E> {
+                Ok(Objects::Other)
+            }
+
+            fn visit_str<E>(self, _: &str) -> Result<Self::Value, E> {
+                Ok(Objects::Other)
+            }
+
+            fn visit_bool<E>(self, _: bool) -> Result<Self::Value, E> {
+                Ok(Objects::Other)
+            }
+
+            fn visit_unit<E>(self) -> Result<Self::Value, E> {
+                Ok(Objects::List(Vec::new()))
+            }
+        }
+
+        deserializer.deserialize_any(ObjectsVisitor(PhantomData))
+    }
+}
+
+/// Deserializes an object; all other JSON is the default.
+pub(super) fn object<'de, D, T>(deserializer: D) -> Result<T, D::Error>
+where
+    D: Deserializer<'de>,
+    T: Deserialize<'de> + Default,
+{
+    Object::deserialize(deserializer).map(|Object(object)| object)
+}
+
+/// Deserializes an object, which `null` means to be absent; all other JSON is the default.
+pub(super) fn optional_object<'de, D, T>(deserializer: D) -> Result<Option<T>, D::Error>
+where
+    D: Deserializer<'de>,
+    T: Deserialize<'de> + Default,
+{
+    Option::<Object<T>>::deserialize(deserializer).map(|found| found.map(|Object(object)| object))
+}
+
+/// Deserializes a list of objects without its elements that are `null`; `null` itself is an empty list. An element that is
+/// no object is the default, and so is the only element of anything that is no list.
+pub(super) fn objects<'de, D, T>(deserializer: D) -> Result<Vec<T>, D::Error>
+where
+    D: Deserializer<'de>,
+    T: Deserialize<'de> + Default,
+{
+    Objects::deserialize(deserializer).map(|objects| match objects {
+        Objects::List(list) => list,
+        Objects::One(_) | Objects::Other => vec![T::default()],
+    })
+}
+
+/// Deserializes a list of texts. Elements of another form are left out, and all other JSON is an empty list.
+pub(super) fn texts<'de, D>(deserializer: D) -> Result<Vec<String>, D::Error>
+where
+    D: Deserializer<'de>,
+{
+    let texts = valid_or_default::<D, Vec<Value>>(deserializer)?;
+    Ok(texts.into_iter().filter_map(|text| if let Value::String(text) = text { Some(text) } else { None }).collect())
 }
 
 /// Deserializes a value, and takes JSON of another form as the default.
@@ -268,6 +380,41 @@ mod tests {
         assert_eq!(read(r#"{"a":null,"b":7}"#).unwrap(), (vec![], 7));
         assert_eq!(read("{}").unwrap(), (vec![], 0));
         assert!(read(r#"{"a":7}"#).is_err());
+    }
+
+    #[test]
+    fn other_values_are_default_objects() {
+        #[derive(serde::Deserialize, Default)]
+        struct Part {
+            a: Option<u32>,
+        }
+        #[derive(serde::Deserialize)]
+        struct Parts {
+            #[serde(default, deserialize_with = "object")]
+            one: Part,
+            #[serde(default, deserialize_with = "optional_object")]
+            maybe: Option<Part>,
+            #[serde(default, deserialize_with = "objects")]
+            many: Vec<Part>,
+            #[serde(default, deserialize_with = "texts")]
+            words: Vec<String>,
+        }
+        let read = |json: &str| {
+            let parts: Parts = serde_json::from_str(json).unwrap();
+            let many: Vec<_> = parts.many.into_iter().map(|part| part.a).collect();
+            (parts.one.a, parts.maybe.map(|part| part.a), many, parts.words)
+        };
+        let good = r#"{"one":{"a":1},"maybe":{"a":2},"many":[{"a":3},null,7,[{"a":4}]],"words":["x",1,null,"y"]}"#;
+        let words = vec!["x".to_owned(), "y".to_owned()];
+        assert_eq!(read(good), (Some(1), Some(Some(2)), vec![Some(3), None, None], words));
+        assert_eq!(read("{}"), (None, None, vec![], vec![]));
+        let null = r#"{"one":null,"maybe":null,"many":null,"words":null}"#;
+        assert_eq!(read(null), (None, None, vec![], vec![]));
+        for other in ["true", "-1", "1.5", "\"a\"", "[1]"] {
+            let json = format!(r#"{{"one":{other},"maybe":{other},"many":{other},"words":{other}}}"#);
+            assert_eq!(read(&json), (None, Some(None), vec![None], vec![]), "{other}");
+        }
+        assert_eq!(read(r#"{"many":{"a":1}}"#).2, vec![None], "an object is no list");
     }
 
     #[test]

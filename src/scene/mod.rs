@@ -42,7 +42,7 @@ pub use features::{
 pub use geometry::Font;
 pub use geometry::{
     AlphaMode, AttributeFormat, BlockFormats, CustomGeometry, Drawable, Geometry, HeightTile, MAX_ATTRIBUTES, Material,
-    Mesh, MeshVertex, MetallicRoughness, NormalCone, PrimitiveMode, Sampling, TexelFormat, Texture, Topology,
+    Mesh, MeshVertex, MetallicRoughness, NormalCone, PrimitiveMode, Sampling, SecondUv, TexelFormat, Texture, Topology,
     VertexAttributes, VertexFormat,
 };
 pub use graph::Scene;

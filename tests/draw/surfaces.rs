@@ -2,14 +2,14 @@
 
 use std::sync::Arc;
 
-use glam::{DAffine3, DVec3};
+use glam::{Affine2, DAffine3, DVec3, Mat2, Vec2};
 use image::RgbaImage;
 use kit::frames::{assert_picture, differ, pixel};
 use kit::rig::{Rig, camera, plain, rig, unit_camera};
 use kit::shapes::{quad, with_mips};
 use terrane::scene::{
-    AlphaMode, DistanceFog, Drawable, Environment, Geometry, Material, Mesh, MetallicRoughness, Node, SunShadows,
-    Texture,
+    AlphaMode, AttributeFormat, DistanceFog, Drawable, Environment, Geometry, Material, Mesh, MetallicRoughness, Node,
+    SecondUv, SunShadows, Texture,
 };
 use terrane::state::{Attribute, Mode, StateSet, StateValue, SurfaceMaterial};
 
@@ -118,6 +118,53 @@ fn occlusion_darkens_the_sky_but_not_the_sun() {
     let sun_only = Environment { ambient_color: [0.0; 3], ..lit_from(DVec3::Z) };
     let under_sun = [occluded(1.0), occluded(0.0)].map(|material| middle(&mut rig, &material, &sun_only));
     assert_eq!(under_sun[0], under_sun[1]);
+}
+
+/// Each half of the square shows a half of the maps; which one follows from the texture coordinates of each map.
+#[test]
+fn maps_use_second_texture_coordinates() {
+    let Some(mut rig) = rig("maps_use_second_texture_coordinates") else { return };
+    let halves: Vec<u8> = (0..64).flat_map(|i| if i % 8 < 4 { [255; 4] } else { [0, 0, 0, 255] }).collect();
+    let map = Some(Arc::new(with_mips(8, 8, halves)));
+    let lit = Environment { sun_color: [0.0; 3], ambient_color: [0.8; 3], ..plain() };
+    let mirror = Affine2 { matrix2: Mat2::from_diagonal(Vec2::new(-1.0, 1.0)), translation: Vec2::X };
+    let mut sides = |second: SecondUv, mirrored_attribute: Option<bool>, is_fine: bool| {
+        let mut material = surface(|s| {
+            (s.emissive, s.emissive_map, s.occlusion_map) = ([0.5; 3], map.clone(), map.clone());
+            s.second_uv = second;
+        });
+        material.base_color = [0.0, 0.5, 0.0, 1.0];
+        let mut square = square(&material, is_fine);
+        if let (Some(is_mirrored), Geometry::Mesh(mesh)) = (mirrored_attribute, &mut square.geometry) {
+            let uvs: Vec<[f32; 2]> = mesh
+                .vertices
+                .iter()
+                .map(|vertex| [if is_mirrored { 1.0 - vertex.uv[0] } else { vertex.uv[0] }, vertex.uv[1]])
+                .collect();
+            let with = Mesh::clone(mesh).with_attribute(SecondUv::ATTRIBUTE, AttributeFormat::Float32x2, &uvs);
+            *mesh = Arc::new(with.unwrap());
+        }
+        let picture = draw_node(&mut rig, Node::geode(vec![square]), &lit);
+        // Red is emission alone; green that is more than red is the light of the sky, which occlusion takes away.
+        [3 * SIDE / 8, 5 * SIDE / 8].map(|x| {
+            let [red, green, _] = pixel(&picture, x, SIDE / 2);
+            (red > 100, green > red.saturating_add(20))
+        })
+    };
+    for is_fine in [false, true] {
+        let first = sides(SecondUv::default(), None, is_fine);
+        assert_eq!(first, [(true, true), (false, false)], "{is_fine}");
+        // Mirrored coordinates of the mesh, for one map.
+        let second = SecondUv { occlusion: Some(Affine2::IDENTITY), ..SecondUv::default() };
+        assert_eq!(sides(second, Some(true), is_fine), [(true, false), (false, true)], "{is_fine}");
+        let second = SecondUv { emissive: Some(Affine2::IDENTITY), ..SecondUv::default() };
+        assert_eq!(sides(second, Some(true), is_fine), [(false, true), (true, false)], "{is_fine}");
+        // A transform of its own, with and without the attribute.
+        let mirrored = SecondUv { emissive: Some(mirror), ..SecondUv::default() };
+        for attribute in [None, Some(false)] {
+            assert_eq!(sides(mirrored, attribute, is_fine), [(false, true), (true, false)], "{is_fine}");
+        }
+    }
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! Geometry of glTF 2.0: primitive modes, accessors of every kind, scenes, external files, morph targets and skins.
 
-use serde_json::json;
+use serde_json::{Value, json};
 use terrane::fetch::{IoError, Limits, RootScope};
 use terrane::formats::{Fetched, ReadOptions, dependencies};
 use terrane::scene::Topology;
@@ -137,6 +137,42 @@ fn the_default_scene_is_drawn() {
     assert_eq!(gltf.read().positions()[0], [0.0; 3]);
     gltf.json.as_object_mut().unwrap().remove("scenes");
     assert_eq!(gltf.read().drawables().len(), 1);
+}
+
+/// The crate that parses glTF requires the nodes of a scene, and an index that exists.
+#[test]
+fn scenes_without_nodes_and_null_members_are_read() {
+    let mut gltf = GltfBuilder::new();
+    let positions = gltf.floats("VEC3", &TRIANGLE);
+    gltf.draw(json!({ "attributes": { "POSITION": positions }, "indices": null, "targets": null }));
+    gltf.json["nodes"][0]["children"] = Value::Null;
+    gltf.json["nodes"][0]["matrix"] = Value::Null;
+    assert_eq!(gltf.read().positions()[1], [1.0, 0.0, 0.0]);
+    gltf.json["scenes"] = json!([{ "name": "empty" }]);
+    assert_eq!(gltf.read().drawables().len(), 0);
+    gltf.json["scenes"] = json!([{ "nodes": [0] }]);
+    gltf.json["scene"] = 1.into();
+    let read = gltf.read();
+    assert_eq!((read.drawables().len(), read.ignored.count("glTF: default scene that does not exist")), (1, 1));
+}
+
+#[test]
+fn invalid_primitives_are_left_out() {
+    let mut gltf = GltfBuilder::new();
+    let positions = gltf.floats("VEC3", &TRIANGLE);
+    let infinite = gltf.floats("VEC3", &[0.0, 0.0, 0.0, f32::INFINITY, 0.0, 0.0, 0.0, 1.0, 0.0]);
+    let beyond = gltf.accessor(UNSIGNED_BYTE, "SCALAR", 3, &[0, 1, 3]);
+    let bad_index = json!({ "attributes": { "POSITION": positions }, "indices": beyond });
+    let bad_position = json!({ "attributes": { "POSITION": infinite } });
+    gltf.draw(bad_index);
+    assert!(gltf.error().contains("index 3 of 3 vertices"), "nothing is left to draw");
+    gltf.json["meshes"][0]["primitives"].as_array_mut().unwrap().push(bad_position);
+    assert!(gltf.error().contains("index 3 of 3 vertices"), "the first error is reported");
+    let good = json!({ "attributes": { "POSITION": positions } });
+    gltf.json["meshes"][0]["primitives"].as_array_mut().unwrap().push(good);
+    let read = gltf.read();
+    assert_eq!(read.positions()[1], [1.0, 0.0, 0.0]);
+    assert_eq!(read.ignored.count("glTF: invalid primitive that is not drawn"), 2);
 }
 
 #[test]

@@ -6,7 +6,10 @@ use super::key::{Kind, PipelineKey, Shading};
 use super::programs::Programs;
 use super::programs::inputs::Input;
 use crate::gpu::{MAX_ATTRIBUTE_LAYOUTS, VertexFormat};
-use crate::scene::{AttributeFormat, AttributeLayout};
+use crate::scene::{AttributeFormat, AttributeLayout, SecondUv};
+
+/// The location of the second texture coordinates in surface_vertex.wgsl.
+const SECOND_UV_LOCATION: u32 = 4;
 
 /// The layouts of custom attributes by index, as the context numbers them from 1 on.
 #[derive(Default)]
@@ -47,6 +50,27 @@ pub(super) fn bind_attributes(
         let with = if names.is_empty() { "without custom attributes".into() } else { format!("with {names}") };
         format!("program {program:?} cannot draw {kind} {with}: {problem}")
     })
+}
+
+/// Returns the input of surfaces for the second texture coordinates: the attribute of a layout, or else the first ones, which
+/// are at location 1 of `attributes`. Returns `None` without vertex buffers.
+pub(super) fn second_uv(
+    layout: &AttributeLayout,
+    attributes: &[wgpu::VertexAttribute],
+) -> Option<wgpu::VertexAttribute> {
+    let mut offset = VertexFormat::Full.stride();
+    for (name, format) in layout {
+        if **name == *SecondUv::ATTRIBUTE && *format == AttributeFormat::Float32x2 {
+            return Some(wgpu::VertexAttribute {
+                format: wgpu_format(*format),
+                offset: offset as u64,
+                shader_location: SECOND_UV_LOCATION,
+            });
+        }
+        offset += format.size_bytes();
+    }
+    let first = attributes.iter().find(|attribute| attribute.shader_location == 1)?;
+    Some(wgpu::VertexAttribute { shader_location: SECOND_UV_LOCATION, ..*first })
 }
 
 /// Returns the attribute of a layout with the name of an input, at the input's location.

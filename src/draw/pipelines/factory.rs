@@ -2,7 +2,7 @@
 
 use super::builder::{PipelineBuilder, Variant};
 use super::convert::{bias, factor, operation, reversed, stencil_face};
-use super::custom_attributes::{AttributeLayouts, bind_attributes};
+use super::custom_attributes::{AttributeLayouts, bind_attributes, second_uv};
 use super::key::{AirKind, Alpha, Kind, MAX_TARGETS, PipelineKey, Shading};
 use super::key_parts::{PartIndices, Parts};
 use super::programs::{HEIGHT_ENTRY, Programs};
@@ -165,15 +165,23 @@ impl Factory {
                 return None;
             }
         };
+        let [full_attributes, packed_attributes, quantized_attributes] = [
+            [&FULL_ATTRIBUTES[..], &custom_attributes].concat(),
+            PACKED_ATTRIBUTES.into(),
+            QUANTIZED_ATTRIBUTES.into(),
+        ]
+        .map(|mut attributes: Vec<wgpu::VertexAttribute>| {
+            attributes.extend(key.has_surface().then(|| second_uv(layout, &attributes)).flatten());
+            attributes
+        });
         let full_stride = (VertexFormat::Full.stride() + added_stride(layout)) as u64;
         let shader = match key.shading() {
             Shading::Program(index) => self.program_shader(ctx, programs, index, is_height)?,
             _ => self.own_shader(ctx, key)?,
         };
-        let full_attributes = [&FULL_ATTRIBUTES[..], &custom_attributes].concat();
         let full = [vertex_buffer(full_stride, &full_attributes)];
-        let packed = packed_buffers(VertexFormat::Packed, &PACKED_ATTRIBUTES);
-        let quantized = packed_buffers(VertexFormat::Quantized, &QUANTIZED_ATTRIBUTES);
+        let packed = packed_buffers(VertexFormat::Packed, &packed_attributes);
+        let quantized = packed_buffers(VertexFormat::Quantized, &quantized_attributes);
         let constants: Vec<(&str, f64)> =
             shader.constants.iter().map(|(name, value)| (name.as_str(), *value)).collect();
         let mut label = format!("{} of target {}", shader.fragment, key.target());

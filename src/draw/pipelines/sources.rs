@@ -24,6 +24,7 @@ pub(super) const MESH_WGSL: &str = wgsl![
     shared / no_shadows,
     shared / facets,
     meshes / mesh_vertex,
+    meshes / matte_fragment,
     meshes / mesh_pull,
     meshes / mesh,
     meshes / matte
@@ -34,6 +35,7 @@ pub(super) const SHADOWED_MESH_WGSL: &str = wgsl![
     shared / shadows,
     shared / facets,
     meshes / mesh_vertex,
+    meshes / matte_fragment,
     meshes / mesh_pull,
     meshes / mesh,
     meshes / matte,
@@ -44,7 +46,8 @@ pub(super) const SURFACE_WGSL: &str = wgsl![
     shared / frame,
     shared / no_shadows,
     shared / facets,
-    meshes / mesh_vertex,
+    meshes / surface_vertex,
+    meshes / surface_fragment,
     meshes / mesh_pull,
     meshes / mesh,
     meshes / surface
@@ -54,7 +57,8 @@ pub(super) const SHADOWED_SURFACE_WGSL: &str = wgsl![
     shared / frame,
     shared / shadows,
     shared / facets,
-    meshes / mesh_vertex,
+    meshes / surface_vertex,
+    meshes / surface_fragment,
     meshes / mesh_pull,
     meshes / mesh,
     meshes / surface
@@ -105,6 +109,7 @@ pub(super) const FIXED_MESH_WGSL: &str = wgsl![
     shared / no_shadows,
     shared / facets,
     meshes / mesh_vertex,
+    meshes / matte_fragment,
     meshes / mesh_pull,
     meshes / mesh,
     meshes / matte,
@@ -118,6 +123,7 @@ pub(super) const SHADOWED_FIXED_MESH_WGSL: &str = wgsl![
     shared / shadows,
     shared / facets,
     meshes / mesh_vertex,
+    meshes / matte_fragment,
     meshes / mesh_pull,
     meshes / mesh,
     meshes / matte,
@@ -131,6 +137,7 @@ pub(super) const TEXTURED_MESH_WGSL: &str = wgsl![
     shared / no_shadows,
     shared / facets,
     meshes / mesh_vertex,
+    meshes / matte_fragment,
     meshes / mesh_pull,
     meshes / mesh,
     meshes / matte,
@@ -144,6 +151,7 @@ pub(super) const SHADOWED_TEXTURED_MESH_WGSL: &str = wgsl![
     shared / shadows,
     shared / facets,
     meshes / mesh_vertex,
+    meshes / matte_fragment,
     meshes / mesh_pull,
     meshes / mesh,
     meshes / matte,
@@ -253,7 +261,10 @@ mod tests {
             if name.ends_with("surface") {
                 let (span, fields) = members(&module, "SurfaceRecord");
                 assert_eq!(span as usize, size_of::<SurfaceRecord>(), "{name}");
-                assert_eq!(fields, offsets!(SurfaceRecord: layers, factors, emission));
+                assert_eq!(
+                    fields,
+                    offsets!(SurfaceRecord: layers, factors, emission, occlusion, uv_matrices, uv_offsets)
+                );
             }
             if name.starts_with("fixed") {
                 let (span, fields) = members(&module, "Fixed");

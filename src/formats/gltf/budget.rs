@@ -36,15 +36,15 @@ impl<'a> Budget<'a> {
     }
 
     pub fn add_primitives(&self, count: usize) -> Result<(), IoError> {
-        self.add(&self.primitives, count, self.limits.max_elements / VERTICES_PER_PRIMITIVE, "primitives")
+        self.add(&self.primitives, count, self.limits.max_elements / VERTICES_PER_PRIMITIVE, "primitives of a glTF")
     }
 
     pub fn add_vertices(&self, count: usize) -> Result<(), IoError> {
-        self.add(&self.vertices, count, self.limits.max_elements, "vertices")
+        self.add(&self.vertices, count, self.limits.max_elements, "vertices of a glTF")
     }
 
     pub fn add_indices(&self, count: usize) -> Result<(), IoError> {
-        self.add(&self.indices, count, self.limits.max_elements.saturating_mul(8), "indices")
+        self.add(&self.indices, count, self.limits.max_elements.saturating_mul(8), "indices of a glTF")
     }
 
     /// Counts bytes that a decompressor is about to write.
@@ -70,9 +70,13 @@ impl<'a> Budget<'a> {
         self.image_bytes.set(self.image_bytes.get().saturating_add(bytes));
     }
 
-    fn add(&self, counter: &Cell<usize>, count: usize, limit: usize, what: &str) -> Result<(), IoError> {
+    fn add(&self, counter: &Cell<usize>, count: usize, limit: usize, what: &'static str) -> Result<(), IoError> {
         let got = counter.get().saturating_add(count);
         counter.set(got);
-        if got > limit { Err(IoError::invalid(self.uri, format!("glTF: {got} {what}"))) } else { Ok(()) }
+        if got > limit {
+            let (got, limit) = (got as u64, limit as u64);
+            return Err(IoError::TooLarge { uri: self.uri.to_owned(), what, got, limit });
+        }
+        Ok(())
     }
 }

@@ -1,8 +1,11 @@
 //! Parses and checks the JSON of a glTF with the crate `gltf`.
 
+use std::borrow::Cow;
+
 use gltf::json;
 use gltf::json::validation::{Checked, Error, Validate as _};
 use serde::Deserialize;
+use serde_json::Value;
 
 use super::context::Context;
 use super::double_precision::{DoublePrecision, extensions_required};
@@ -17,12 +20,20 @@ pub(super) fn parse(context: &Context<'_>, json: &[u8]) -> Result<(gltf::Documen
         unknown.map(|name| IoError::unsupported(uri, format!("required glTF extension {name}")))
     };
     context.options.limits.check_json(uri, json)?;
-    let mut root = json::Root::from_slice(json).map_err(|e| {
-        if let Some(version) = old_version(json) {
+    let mut json = Cow::Borrowed(json);
+    let mut parsed = json::Root::from_slice(&json);
+    if parsed.is_err()
+        && let Some(repaired) = repaired(&json)
+        && let Ok(root) = json::Root::from_slice(&repaired)
+    {
+        (parsed, json) = (Ok(root), Cow::Owned(repaired));
+    }
+    let mut root = parsed.map_err(|e| {
+        if let Some(version) = old_version(&json) {
             return IoError::unsupported(uri, format!("glTF version {version}"));
         }
         // An unsupported extension may replace required properties. It is the better error.
-        let required = extensions_required(json);
+        let required = extensions_required(&json);
         refused(&required).unwrap_or_else(|| IoError::invalid(uri, format!("glTF JSON: {e}")))
     })?;
     if let Some(error) = refused(&root.extensions_required) {
@@ -45,11 +56,15 @@ pub(super) fn parse(context: &Context<'_>, json: &[u8]) -> Result<(gltf::Documen
             return Err(context.bad(format_args!("image {i} has no source, or no mimeType for its bufferView")));
         }
     }
+    if root.scene.is_some_and(|scene| scene.value() >= root.scenes.len()) {
+        context.notes.add("glTF: default scene that does not exist");
+        root.scene = None;
+    }
     // Attributes with unknown names are ignored, valid or not.
     for primitive in root.meshes.iter_mut().flat_map(|m| m.primitives.iter_mut()) {
         primitive.attributes.retain(|semantic, _| matches!(semantic, Checked::Valid(_)));
     }
-    let double = DoublePrecision::read(json, &root).map_err(|e| IoError::invalid(uri, format!("glTF JSON: {e}")))?;
+    let double = DoublePrecision::read(&json, &root).map_err(|e| IoError::invalid(uri, format!("glTF JSON: {e}")))?;
     let mut errors = Vec::new();
     root.validate(&root, json::Path::new, &mut |path, error| {
         let path = path();
@@ -63,6 +78,28 @@ pub(super) fn parse(context: &Context<'_>, json: &[u8]) -> Result<(gltf::Documen
     let document = gltf::Document::from_json_without_validation(root);
     note_unused(context, &document);
     Ok((document, double))
+}
+
+/// Returns JSON that the crate can read, from JSON of which it refuses valid or harmless parts: members that are `null` are
+/// removed, and a scene may lack nodes. Returns `None` if the text is not JSON.
+fn repaired(json: &[u8]) -> Option<Vec<u8>> {
+    fn remove_nulls(value: &mut Value) {
+        match value {
+            Value::Object(members) => {
+                members.retain(|_, member| !member.is_null());
+                members.values_mut().for_each(remove_nulls);
+            }
+            Value::Array(elements) => elements.iter_mut().for_each(remove_nulls),
+            _ => {}
+        }
+    }
+    let mut root: Value = serde_json::from_slice(json).ok()?;
+    remove_nulls(&mut root);
+    let scenes = root.get_mut("scenes").and_then(Value::as_array_mut);
+    for scene in scenes.into_iter().flatten().filter_map(Value::as_object_mut) {
+        scene.entry("nodes").or_insert_with(|| Value::Array(Vec::new()));
+    }
+    serde_json::to_vec(&root).ok()
 }
 
 /// Returns the version of a glTF before 2.0, whose objects have names instead of indices.

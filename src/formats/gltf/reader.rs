@@ -58,7 +58,8 @@ pub(in crate::formats) fn references(uri: &str, bytes: &[u8], options: &ReadOpti
     json.map_or(Vec::new(), |json| external::references(json, with_schema))
 }
 
-/// Reads a glTF or glb. The root of the result rotates the content to z-up.
+/// Reads a glTF or glb. The root of the result rotates the content to z-up. Invalid primitives are noted and left out; if no
+/// primitive is left, the result is the error of the first one.
 pub(in crate::formats) fn read(source: GltfSource<'_>, options: &ReadOptions, notes: &Notes) -> Result<Node, IoError> {
     let Chunks { json, binary } = source.chunks()?;
     let GltfSource { uri, base, rtc_center, companions, batch_table, .. } = source;
@@ -94,6 +95,7 @@ pub(in crate::formats) fn read(source: GltfSource<'_>, options: &ReadOptions, no
         }
     }
     children.append(&mut reader.skinned);
+    reader.meshes.into_result()?;
     let lights = reader.lights.into_placed();
     if !lights.is_empty() {
         let lit = NodeKind::LocalLights(LocalLights { lights });

@@ -4,23 +4,27 @@ use serde::Deserialize;
 use serde::de::IgnoredAny;
 use serde_json::Value;
 
-use crate::formats::lenient::{Text, list, or_default, valid_or_default};
+use crate::formats::lenient::{Text, list, optional_object, or_default, valid_or_default};
 use crate::formats::properties::TableJson;
 
 /// `implicitTiling` of a tile, or its extension `3DTILES_implicit_tiling`.
-#[derive(Debug, Deserialize)]
+#[derive(Debug, Default, Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub(in crate::formats) struct ImplicitTilingJson {
     #[serde(default)]
     pub subdivision_scheme: Text,
+    #[serde(default, deserialize_with = "valid_or_default")]
     pub subtree_levels: Option<u32>,
+    #[serde(default, deserialize_with = "valid_or_default")]
     pub available_levels: Option<u32>,
     /// The extension's name in older drafts: the number of levels less one.
+    #[serde(default, deserialize_with = "valid_or_default")]
     pub maximum_level: Option<u32>,
+    #[serde(default, deserialize_with = "optional_object")]
     pub subtrees: Option<SubtreesJson>,
 }
 
-#[derive(Debug, Deserialize)]
+#[derive(Debug, Default, Deserialize)]
 pub(in crate::formats) struct SubtreesJson {
     #[serde(default)]
     pub uri: Text,

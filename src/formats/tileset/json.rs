@@ -10,7 +10,7 @@ use crate::fetch::{IoError, Limits};
 use crate::formats::embedded::is_data_uri;
 use crate::formats::height::{SetExtras, TileExtras};
 use crate::formats::implicit::ImplicitTilingJson;
-use crate::formats::lenient::{Number, Numbers, Text, list, or_default, valid_or_default};
+use crate::formats::lenient::{Number, Numbers, Text, object, objects, optional_object, texts, valid_or_default};
 
 /// Supported extensions that a tileset may require, including those that do not affect drawing.
 pub(super) const KNOWN_EXTENSIONS: &[&str] = &[
@@ -21,6 +21,7 @@ pub(super) const KNOWN_EXTENSIONS: &[&str] = &[
     "3DTILES_bounding_volume_S2",
     "3DTILES_batch_table_hierarchy",
     "3DTILES_draco_point_compression",
+    "MAXAR_content_3tz",
 ];
 
 #[derive(Deserialize)]
@@ -29,16 +30,18 @@ pub(crate) struct TilesetJson {
     /// The error where nothing of the set is drawn.
     #[serde(rename = "geometricError")]
     pub geometric_error: Option<Number>,
-    #[serde(rename = "extensionsRequired", default, deserialize_with = "list")]
+    #[serde(rename = "extensionsRequired", default, deserialize_with = "texts")]
     pub extensions_required: Vec<String>,
-    #[serde(rename = "extensionsUsed", default, deserialize_with = "list")]
+    #[serde(rename = "extensionsUsed", default, deserialize_with = "texts")]
     pub extensions_used: Vec<String>,
     schema: Option<Value>,
     #[serde(rename = "schemaUri", default)]
     schema_uri: Text,
     metadata: Option<Value>,
     groups: Option<Value>,
+    #[serde(default, deserialize_with = "optional_object")]
     extensions: Option<TilesetExtensions>,
+    #[serde(deserialize_with = "object")]
     pub root: TileJson,
 }
 
@@ -72,13 +75,13 @@ impl TilesetJson {
     }
 }
 
-#[derive(Deserialize)]
+#[derive(Default, Deserialize)]
 struct TilesetExtensions {
-    #[serde(rename = "3DTILES_metadata")]
+    #[serde(rename = "3DTILES_metadata", default, deserialize_with = "optional_object")]
     metadata: Option<MetadataExtension>,
 }
 
-#[derive(Deserialize)]
+#[derive(Default, Deserialize)]
 struct MetadataExtension {
     schema: Option<Value>,
     #[serde(rename = "schemaUri", default)]
@@ -107,24 +110,28 @@ impl AssetJson {
     }
 }
 
-#[derive(Deserialize)]
+#[derive(Default, Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub(crate) struct TileJson {
-    #[serde(default, deserialize_with = "or_default")]
+    #[serde(default, deserialize_with = "object")]
     pub bounding_volume: VolumeJson,
+    #[serde(default, deserialize_with = "optional_object")]
     pub viewer_request_volume: Option<VolumeJson>,
     /// `None` where it is missing, as for tiles that have their parent's.
     pub geometric_error: Option<Number>,
     #[serde(default)]
     pub refine: Text,
     pub transform: Option<Numbers>,
+    #[serde(default, deserialize_with = "optional_object")]
     pub content: Option<ContentJson>,
-    #[serde(default, deserialize_with = "list")]
+    #[serde(default, deserialize_with = "objects")]
     contents: Vec<ContentJson>,
-    #[serde(default, deserialize_with = "list")]
+    #[serde(default, deserialize_with = "objects")]
     pub children: Vec<TileJson>,
+    #[serde(default, deserialize_with = "optional_object")]
     implicit_tiling: Option<ImplicitTilingJson>,
     metadata: Option<Value>,
+    #[serde(default, deserialize_with = "optional_object")]
     extensions: Option<TileExtensions>,
     #[serde(default)]
     pub extras: Extras<TileExtras>,
@@ -150,22 +157,22 @@ impl TileJson {
     }
 }
 
-#[derive(Deserialize)]
+#[derive(Default, Deserialize)]
 struct TileExtensions {
-    #[serde(rename = "3DTILES_implicit_tiling")]
+    #[serde(rename = "3DTILES_implicit_tiling", default, deserialize_with = "optional_object")]
     implicit_tiling: Option<ImplicitTilingJson>,
-    #[serde(rename = "3DTILES_multiple_contents")]
+    #[serde(rename = "3DTILES_multiple_contents", default, deserialize_with = "optional_object")]
     multiple_contents: Option<MultipleContentsJson>,
     #[serde(rename = "3DTILES_metadata")]
     metadata: Option<Value>,
 }
 
-#[derive(Deserialize)]
+#[derive(Default, Deserialize)]
 struct MultipleContentsJson {
-    #[serde(default, deserialize_with = "list")]
+    #[serde(default, deserialize_with = "objects")]
     contents: Vec<ContentJson>,
     /// The name of `contents` in drafts.
-    #[serde(default, deserialize_with = "list")]
+    #[serde(default, deserialize_with = "objects")]
     content: Vec<ContentJson>,
 }
 
@@ -175,6 +182,7 @@ pub(crate) struct VolumeJson {
     pub oriented_box: Option<Numbers>,
     pub region: Option<Numbers>,
     pub sphere: Option<Numbers>,
+    #[serde(default, deserialize_with = "optional_object")]
     extensions: Option<VolumeExtensions>,
 }
 
@@ -187,11 +195,11 @@ impl VolumeJson {
 
 #[derive(Default, Deserialize)]
 struct VolumeExtensions {
-    #[serde(rename = "3DTILES_bounding_volume_S2")]
+    #[serde(rename = "3DTILES_bounding_volume_S2", default, deserialize_with = "optional_object")]
     s2: Option<S2Json>,
 }
 
-#[derive(Deserialize)]
+#[derive(Default, Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub(crate) struct S2Json {
     #[serde(default)]
@@ -200,7 +208,7 @@ pub(crate) struct S2Json {
     pub maximum_height: Option<Number>,
 }
 
-#[derive(Deserialize)]
+#[derive(Default, Deserialize)]
 pub(crate) struct ContentJson {
     #[serde(default)]
     uri: Text,
@@ -248,6 +256,7 @@ pub(in crate::formats) fn schema_reference(text: &[u8], limits: &Limits) -> Opti
         schema: Option<IgnoredAny>,
         #[serde(rename = "schemaUri", default)]
         schema_uri: Text,
+        #[serde(default, deserialize_with = "optional_object")]
         extensions: Option<TilesetExtensions>,
     }
     // Tilesets may be large, and few have one.

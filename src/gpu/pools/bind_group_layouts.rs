@@ -13,8 +13,8 @@ pub(crate) struct BindGroupLayouts {
     pub(crate) height_block: wgpu::BindGroupLayout,
     /// Group 1 of meshes: colour, sampler.
     pub(crate) texture_block: wgpu::BindGroupLayout,
-    /// Group 1 of meshes with a metallic-roughness surface: colour, normals, occlusion-roughness-metallic and emission, each
-    /// with its sampler; the records of surfaces.
+    /// Group 1 of meshes with a metallic-roughness surface: colour, normals, occlusion-roughness-metallic, emission and
+    /// occlusion, each with its sampler; the records of surfaces.
     pub(crate) surface_set: wgpu::BindGroupLayout,
     max_anisotropy: u16,
 }
@@ -127,8 +127,8 @@ impl BindGroupLayouts {
             entries: &[array_texture(0, wgpu::ShaderStages::FRAGMENT, true), sampler(1)],
         });
         let maps =
-            (0..4).flat_map(|map| [array_texture(2 * map, wgpu::ShaderStages::FRAGMENT, true), sampler(2 * map + 1)]);
-        let records = wgpu::BindGroupLayoutEntry { binding: 8, visibility: wgpu::ShaderStages::FRAGMENT, ..tables };
+            (0..5).flat_map(|map| [array_texture(2 * map, wgpu::ShaderStages::FRAGMENT, true), sampler(2 * map + 1)]);
+        let records = wgpu::BindGroupLayoutEntry { binding: 10, visibility: wgpu::ShaderStages::FRAGMENT, ..tables };
         let surface_set = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
             label: Some("surface set"),
             entries: &maps.chain([records]).collect::<Vec<_>>(),

@@ -2,6 +2,8 @@
 
 use std::sync::Arc;
 
+use glam::Affine2;
+
 use super::texture::Texture;
 
 /// How alpha is used; glTF's `alphaMode`.
@@ -18,15 +20,17 @@ pub enum AlphaMode {
 
 /// The maps and factors of glTF's metallic-roughness model, beside a material's base colour.
 ///
-/// A factor is multiplied by its map. All maps use the texture coordinates of the vertices.
+/// A factor is multiplied by its map. Maps use the texture coordinates of the vertices, or those of [`SecondUv`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct MetallicRoughness {
     /// 1 for metals, 0 for other matter.
     pub metallic: f32,
     /// 0 for a mirror, 1 for a rough surface.
     pub roughness: f32,
-    /// Occlusion in red, roughness in green, metallic in blue, linear.
+    /// Occlusion in red unless `occlusion_map` is set, roughness in green, metallic in blue, linear.
     pub occlusion_roughness_metallic: Option<Arc<Texture>>,
+    /// Occlusion in red, linear, if it has an image or texture coordinates of its own.
+    pub occlusion_map: Option<Arc<Texture>>,
     /// The share of the map's occlusion that is applied, 0 to 1. Occlusion darkens the light of the sky, not that of the sun.
     pub occlusion_strength: f32,
     /// Normals in tangent space, linear: red along u, green against v. The tangent frame follows from positions and texture
@@ -38,20 +42,49 @@ pub struct MetallicRoughness {
     pub emissive: [f32; 3],
     /// A map of the emitted light, sRGB.
     pub emissive_map: Option<Arc<Texture>>,
+    /// The texture coordinates of maps that do not use those of the vertices.
+    pub second_uv: SecondUv,
+}
+
+/// The maps of a surface that use the second texture coordinates of its mesh: its attribute [`SecondUv::ATTRIBUTE`] of format
+/// `Float32x2`. Each such map has the transform from them to its image, as in KHR_texture_transform. A mesh without the
+/// attribute has its first texture coordinates instead.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct SecondUv {
+    /// The transform of the normal map's coordinates; `None` if the map uses the first ones.
+    pub normal: Option<Affine2>,
+    /// The same for `occlusion_roughness_metallic`.
+    pub occlusion_roughness_metallic: Option<Affine2>,
+    /// The same for the emissive map.
+    pub emissive: Option<Affine2>,
+    /// The same for `occlusion_map`.
+    pub occlusion: Option<Affine2>,
+}
+
+impl SecondUv {
+    /// The name of the attribute with the second texture coordinates.
+    pub const ATTRIBUTE: &str = "SECOND_UV";
+
+    /// Returns the transforms in the order of [`MetallicRoughness::maps`].
+    pub(crate) fn of_maps(&self) -> [Option<Affine2>; MetallicRoughness::MAPS] {
+        [self.normal, self.occlusion_roughness_metallic, self.emissive, self.occlusion]
+    }
 }
 
 impl MetallicRoughness {
     /// The number of maps.
-    pub(crate) const MAPS: usize = 3;
+    pub(crate) const MAPS: usize = 4;
 
-    /// Returns the maps: normals, occlusion-roughness-metallic, emission.
+    /// Returns the maps: normals, occlusion-roughness-metallic, emission, occlusion.
     pub(crate) fn maps(&self) -> [Option<&Arc<Texture>>; Self::MAPS] {
-        [&self.normal_map, &self.occlusion_roughness_metallic, &self.emissive_map].map(Option::as_ref)
+        [&self.normal_map, &self.occlusion_roughness_metallic, &self.emissive_map, &self.occlusion_map]
+            .map(Option::as_ref)
     }
 
     /// Returns the maps in the same order, to be replaced by equal ones.
     pub(crate) fn maps_mut(&mut self) -> [&mut Option<Arc<Texture>>; Self::MAPS] {
-        [&mut self.normal_map, &mut self.occlusion_roughness_metallic, &mut self.emissive_map]
+        let Self { normal_map, occlusion_roughness_metallic, emissive_map, occlusion_map, .. } = self;
+        [normal_map, occlusion_roughness_metallic, emissive_map, occlusion_map]
     }
 }
 
@@ -62,11 +95,13 @@ impl Default for MetallicRoughness {
             metallic: 0.0,
             roughness: 1.0,
             occlusion_roughness_metallic: None,
+            occlusion_map: None,
             occlusion_strength: 1.0,
             normal_map: None,
             normal_scale: 1.0,
             emissive: [0.0; 3],
             emissive_map: None,
+            second_uv: SecondUv::default(),
         }
     }
 }

@@ -145,11 +145,11 @@ fn totals_of_a_gltf_are_limited() {
         read(good).unwrap();
     }
     for (bad, why) in [
-        (gltf(3, strip, 900, None), "9000 indices"),
-        (gltf(20, triangles, 899, None), "indices"),
+        (gltf(3, strip, 900, None), "indices of a glTF is 9000"),
+        (gltf(20, triangles, 899, None), "indices of a glTF"),
         (gltf(9, triangles, 900, Some(&picture)), "images of a glTF"),
-        (gltf(63, triangles, 900, None), "63 primitives"),
-        (instanced(40, 40), "primitives"),
+        (gltf(63, triangles, 900, None), "primitives of a glTF is 63"),
+        (instanced(40, 40), "primitives of a glTF"),
         (nodes(r#"{"children":[1,1]},{}"#), "node 1 has two parents"),
         (nodes(r#"{"children":[1]},{"children":[0]}"#), "node 0 has two parents"),
         (nodes(r#"{"matrix":[1,0,0,0,0,1,0,0,0,0,1,0,0,0,0,2]}"#), "not affine"),

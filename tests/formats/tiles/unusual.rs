@@ -96,6 +96,12 @@ fn spellings_of_old_converters_are_read() {
         assert_eq!((error_m(lod(&node)), lod(&node).refine), (7.5, Refine::Add), "{version}");
         assert_eq!(lod(&node).content.as_deref(), Some("/set/a.b3dm"));
     }
+    // Members that are not needed to draw the set.
+    let node = read(&format!(
+        r#"{{"asset":{{"version":"1.1"}},"geometricError":1,"extensionsUsed":"none","extensionsRequired":[7],
+        "extensions":[],"root":{{{SPHERE},"geometricError":7,"extensions":"none","content":{{"uri":"a.glb"}}}}}}"#
+    ));
+    assert_eq!(lod(&node).content.as_deref(), Some("/set/a.glb"));
     let node = tileset(&format!(r#"{{{SPHERE},"refine":"sideways","children":[{{{SPHERE}}}]}}"#));
     assert_eq!((error_m(lod(&node)), error_m(lod(&node.children[0]))), (40.0, 40.0), "errors are inherited");
     assert_eq!(lod(&node).refine, Refine::Replace);
@@ -108,6 +114,12 @@ fn invalid_tiles_fail_alone() {
     for (bad, reason) in [
         (format!(r#"{{{SPHERE},"geometricError":-1}}"#), "geometricError -1"),
         (format!(r#"{{{SPHERE},"geometricError":"much"}}"#), "geometricError NaN"),
+        ("7".to_owned(), "neither box, region nor sphere"),
+        (r#"{"boundingVolume":"large","geometricError":1}"#.to_owned(), "neither box, region nor sphere"),
+        (format!(r#"{{{SPHERE},"geometricError":1,"children":{{}}}}"#), "neither box, region nor sphere"),
+        (format!(r#"{{{SPHERE},"geometricError":1,"content":"a.glb"}}"#), "content without a uri"),
+        (format!(r#"{{{SPHERE},"geometricError":1,"contents":{{"uri":"a.glb"}}}}"#), "content without a uri"),
+        (format!(r#"{{{SPHERE},"geometricError":1,"implicitTiling":7}}"#), "an implicit root is a sphere"),
         (r#"{"geometricError":1}"#.to_owned(), "neither box, region nor sphere"),
         (r#"{"boundingVolume":{"box":[1,2,3]},"geometricError":1}"#.to_owned(), "bounding box"),
         (r#"{"boundingVolume":{"sphere":"large"},"geometricError":1}"#.to_owned(), "bounding sphere"),
@@ -127,6 +139,8 @@ fn invalid_tiles_fail_alone() {
             assert_eq!(lod(spoilt).content.as_deref(), Some("/set/7"), "a number is text");
             continue;
         }
+        // The children of a tile may be what is invalid.
+        let spoilt = spoilt.children.first().unwrap_or(spoilt);
         let error = content_of(lod(spoilt), Vec::new()).err().unwrap_or_default();
         assert!(error.contains(reason), "{bad}: {error}");
     }

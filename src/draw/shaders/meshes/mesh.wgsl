@@ -1,26 +1,6 @@
-// Meshes, lines and points. The material's model is in matte.wgsl or surface.wgsl: `MeshShape`, `mesh_shape`, `thin_shape`,
+// Meshes, lines and points. What a fragment has is in matte_fragment.wgsl or surface_fragment.wgsl: `MeshFragment` and
+// `mesh_fragment`. The material's model is in matte.wgsl or surface.wgsl: `MeshShape`, `mesh_shape`, `thin_shape`,
 // `base_color` and `shade`.
-
-// Packed, since each location costs time for every triangle on software adapters.
-struct MeshFragment {
-    @builtin(position) position: vec4<f32>,
-    @location(0) in_eye_u: vec4<f32>,
-    @location(1) normal_v: vec4<f32>,
-    @location(2) color: vec4<f32>,
-    // Layer, flags and bits of the alpha cutoff. They are passed by value, since a load from a buffer for each pixel is slow.
-    @location(3) @interpolate(flat) leaf: vec3<u32>,
-}
-
-fn mesh_fragment(vertex: MeshVertex, leaf: Leaf, alpha_cutoff: u32) -> MeshFragment {
-    let in_eye = point_in_eye(leaf, vertex.position);
-    return MeshFragment(
-        clip_of(leaf, in_eye),
-        vec4<f32>(in_eye, vertex.uv.x),
-        vec4<f32>(normal_in_eye(leaf, vertex.normal.xyz), vertex.uv.y),
-        vertex.color * leaf.color,
-        vec3<u32>(leaf.layer, leaf.flags, alpha_cutoff),
-    );
-}
 
 @vertex
 fn vs_mesh(vertex: MeshVertex, @builtin(instance_index) instance: u32) -> MeshFragment {
@@ -38,7 +18,8 @@ fn vs_mesh_pulled(@builtin(vertex_index) index: u32, @builtin(instance_index) st
 
 // A corner of a square around a point. The texture coordinates are its offset from the point in pixels.
 fn square_fragment(vertex: MeshVertex, leaf: Leaf) -> MeshFragment {
-    let point = MeshVertex(vertex.position, vec2<f32>(0.0), vertex.normal, vertex.color);
+    var point = vertex;
+    point.uv = vec2<f32>(0.0);
     var fragment = mesh_fragment(point, leaf, leaf.alpha_cutoff);
     let offset = vertex.uv * frame.middle_ray.zw * fragment.position.w;
     fragment.position += vec4<f32>(offset, 0.0, 0.0);

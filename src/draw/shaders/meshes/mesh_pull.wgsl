@@ -7,10 +7,11 @@
 fn pulled_vertex(leaf: Leaf, k: u32) -> MeshVertex {
     let count = leaf.flags >> INDEX_COUNT_SHIFT & 255u;
     let at = 7u * (leaf.alpha_cutoff + pulled_indices[leaf.side + min(k, count - 1u)]);
-    return MeshVertex(
-        bitcast<vec3<f32>>(vec3<u32>(pulled_vertices[at], pulled_vertices[at + 1u], pulled_vertices[at + 2u])),
-        bitcast<vec2<f32>>(vec2<u32>(pulled_vertices[at + 3u], pulled_vertices[at + 4u])),
-        unpack4x8snorm(pulled_vertices[at + 5u]),
-        unpack4x8unorm(pulled_vertices[at + 6u]),
-    );
+    var vertex: MeshVertex;
+    vertex.position =
+        bitcast<vec3<f32>>(vec3<u32>(pulled_vertices[at], pulled_vertices[at + 1u], pulled_vertices[at + 2u]));
+    set_uv(&vertex, bitcast<vec2<f32>>(vec2<u32>(pulled_vertices[at + 3u], pulled_vertices[at + 4u])));
+    vertex.normal = unpack4x8snorm(pulled_vertices[at + 5u]);
+    vertex.color = unpack4x8unorm(pulled_vertices[at + 6u]);
+    return vertex;
 }

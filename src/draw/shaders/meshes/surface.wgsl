@@ -6,7 +6,16 @@ struct SurfaceRecord {
     layers: vec4<u32>,    // of base colour, normals, occlusion-roughness-metallic and emission; NO_LAYER without a map
     factors: vec4<f32>,   // metallic, roughness, strength of occlusion, scale of normals
     emission: vec4<f32>,  // linear, in units of lit colours
+    occlusion: vec4<u32>, // layer of occlusion; a bit for each map that uses the second texture coordinates
+    uv_matrices: array<vec4<f32>, 4>,  // columns, by map
+    uv_offsets: array<vec4<f32>, 2>,   // two maps a vector
 }
+
+// The maps, as indices of the transforms of second texture coordinates.
+const NORMALS: u32 = 0u;
+const METALLIC: u32 = 1u;
+const EMISSION: u32 = 2u;
+const OCCLUSION: u32 = 3u;
 
 const NO_LAYER: u32 = 0xffffffffu;
 // Below this roughness, highlights of the sun would be smaller than its disc.
@@ -14,11 +23,13 @@ const MIN_ROUGHNESS: f32 = 0.07;
 
 @group(1) @binding(2) var normal_layers: texture_2d_array<f32>;
 @group(1) @binding(3) var normal_sampler: sampler;
-@group(1) @binding(4) var occlusion_layers: texture_2d_array<f32>;
-@group(1) @binding(5) var occlusion_sampler: sampler;
+@group(1) @binding(4) var metallic_layers: texture_2d_array<f32>;
+@group(1) @binding(5) var metallic_sampler: sampler;
 @group(1) @binding(6) var emission_layers: texture_2d_array<f32>;
 @group(1) @binding(7) var emission_sampler: sampler;
-@group(1) @binding(8) var<storage, read> surface_records: array<SurfaceRecord>;
+@group(1) @binding(8) var occlusion_layers: texture_2d_array<f32>;
+@group(1) @binding(9) var occlusion_sampler: sampler;
+@group(1) @binding(10) var<storage, read> surface_records: array<SurfaceRecord>;
 
 // The shape of the surface around a pixel, from derivatives, which are not available after branches.
 struct MeshShape {
@@ -27,6 +38,8 @@ struct MeshShape {
     along_y: vec3<f32>,
     uv_x: vec2<f32>,     // change of the texture coordinates
     uv_y: vec2<f32>,
+    second_uv_x: vec2<f32>,  // the same of the second ones
+    second_uv_y: vec2<f32>,
     bend: f32,           // square of the change of the smooth normal
 }
 
@@ -42,13 +55,36 @@ fn mesh_shape(in: MeshFragment) -> MeshShape {
         dpdy(in.in_eye_u.xyz),
         dpdx(uv),
         dpdy(uv),
+        dpdx(in.second_uv),
+        dpdy(in.second_uv),
         dot(bend_x, bend_x) + dot(bend_y, bend_y),
     );
 }
 
 // Returns the shape of lines and points.
 fn thin_shape() -> MeshShape {
-    return MeshShape(frame.up.xyz, vec3<f32>(0.0), vec3<f32>(0.0), vec2<f32>(0.0), vec2<f32>(0.0), 0.0);
+    var shape: MeshShape;
+    shape.facet = frame.up.xyz;
+    return shape;
+}
+
+// The texture coordinates of a map, and their change from pixel to pixel.
+struct MapPoint {
+    uv: vec2<f32>,
+    x: vec2<f32>,
+    y: vec2<f32>,
+}
+
+fn map_point(in: MeshFragment, shape: MeshShape, map: u32) -> MapPoint {
+    let record = in.leaf.x;
+    if (surface_records[record].occlusion.y >> map & 1u) == 0u {
+        return MapPoint(vec2<f32>(in.in_eye_u.w, in.normal_v.w), shape.uv_x, shape.uv_y);
+    }
+    let columns = surface_records[record].uv_matrices[map];
+    let matrix = mat2x2<f32>(columns.xy, columns.zw);
+    let offsets = surface_records[record].uv_offsets[map / 2u];
+    let offset = select(offsets.xy, offsets.zw, (map & 1u) == 1u);
+    return MapPoint(matrix * in.second_uv + offset, matrix * shape.second_uv_x, matrix * shape.second_uv_y);
 }
 
 fn base_color(in: MeshFragment) -> vec4<f32> {
@@ -60,11 +96,11 @@ fn base_color(in: MeshFragment) -> vec4<f32> {
 // Returns a normal bent by a texel of a normal map. The axes of the map follow from derivatives (C. Schueler, Followup:
 // Normal Mapping Without Precomputed Tangents, 2013). Green points up in the image, against v. Seen from behind, a bump is
 // a dent.
-fn bent_normal(normal: vec3<f32>, bend: vec3<f32>, shape: MeshShape, is_front: bool) -> vec3<f32> {
+fn bent_normal(normal: vec3<f32>, bend: vec3<f32>, shape: MeshShape, point: MapPoint, is_front: bool) -> vec3<f32> {
     let x = cross(shape.along_y, normal);
     let y = cross(normal, shape.along_x);
-    let tangent = x * shape.uv_x.x + y * shape.uv_y.x;
-    let down = x * shape.uv_x.y + y * shape.uv_y.y;
+    let tangent = x * point.x.x + y * point.y.x;
+    let down = x * point.x.y + y * point.y.y;
     let square = max(dot(tangent, tangent), dot(down, down));
     if square < 1e-37 {
         return normal;
@@ -127,29 +163,38 @@ fn shade(in: MeshFragment, is_front: bool, shape: MeshShape, base: vec4<f32>) ->
     if (in.leaf.y & FLAG_UNLIT) != 0u {
         return unlit_through_air(base.rgb, air);
     }
-    let record = surface_records[in.leaf.x];
+    // Parts of the record, since a copy of all of it for each pixel is slow.
+    let layers = surface_records[in.leaf.x].layers;
+    let factors = surface_records[in.leaf.x].factors;
+    let occlusion_layer = surface_records[in.leaf.x].occlusion.x;
     let has_maps = (in.leaf.y & FLAG_UNTEXTURED) == 0u;
-    let uv = vec2<f32>(in.in_eye_u.w, in.normal_v.w);
-    var metallic = record.factors.x;
-    var roughness = record.factors.y;
-    var occlusion = 1.0;
-    if has_maps && record.layers.z != NO_LAYER {
-        let sampled =
-            textureSampleGrad(occlusion_layers, occlusion_sampler, uv, record.layers.z, shape.uv_x, shape.uv_y);
-        occlusion += record.factors.z * (sampled.r - 1.0);
+    var metallic = factors.x;
+    var roughness = factors.y;
+    var open = 1.0;
+    if has_maps && layers.z != NO_LAYER {
+        let at = map_point(in, shape, METALLIC);
+        let sampled = textureSampleGrad(metallic_layers, metallic_sampler, at.uv, layers.z, at.x, at.y);
+        open = sampled.r;
         roughness *= sampled.g;
         metallic *= sampled.b;
     }
-    var emission = record.emission.rgb;
-    if has_maps && record.layers.w != NO_LAYER {
-        emission *= textureSampleGrad(emission_layers, emission_sampler, uv, record.layers.w, shape.uv_x, shape.uv_y).rgb;
+    if has_maps && occlusion_layer != NO_LAYER {
+        let at = map_point(in, shape, OCCLUSION);
+        open = textureSampleGrad(occlusion_layers, occlusion_sampler, at.uv, occlusion_layer, at.x, at.y).r;
+    }
+    let occlusion = 1.0 + factors.z * (open - 1.0);
+    var emission = surface_records[in.leaf.x].emission.rgb;
+    if has_maps && layers.w != NO_LAYER {
+        let at = map_point(in, shape, EMISSION);
+        emission *= textureSampleGrad(emission_layers, emission_sampler, at.uv, layers.w, at.x, at.y).rgb;
     }
     let smooth_normal = surface_normal(in.normal_v.xyz, is_front, shape.facet);
     var normal = smooth_normal;
-    if has_maps && record.layers.y != NO_LAYER {
-        let sampled = textureSampleGrad(normal_layers, normal_sampler, uv, record.layers.y, shape.uv_x, shape.uv_y);
-        let bend = (sampled.xyz * 2.0 - 1.0) * vec3<f32>(record.factors.ww, 1.0);
-        normal = bent_normal(smooth_normal, bend, shape, is_front);
+    if has_maps && layers.y != NO_LAYER {
+        let at = map_point(in, shape, NORMALS);
+        let sampled = textureSampleGrad(normal_layers, normal_sampler, at.uv, layers.y, at.x, at.y);
+        let bend = (sampled.xyz * 2.0 - 1.0) * vec3<f32>(factors.ww, 1.0);
+        normal = bent_normal(smooth_normal, bend, shape, at, is_front);
     }
     // A curved surface within a pixel looks rougher (Y. Tokuyoshi and A. Kaplanyan, Improved Geometric Specular Antialiasing,
     // 2019).

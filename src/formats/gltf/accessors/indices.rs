@@ -70,9 +70,10 @@ impl<'a> IndexLists<'a> {
         let indices = match self.read.get(&accessor.index()).cloned() {
             Some(indices) => indices,
             None => {
-                let max = self.context.options.limits.max_elements;
-                if accessor.count() > max {
-                    return Err(self.context.bad(format_args!("{} indices", accessor.count())));
+                let (uri, limit) = (self.context.uri, self.context.options.limits.max_elements);
+                if accessor.count() > limit {
+                    let (uri, got, limit) = (uri.to_owned(), accessor.count() as u64, limit as u64);
+                    return Err(IoError::TooLarge { uri, what: "indices of an accessor", got, limit });
                 }
                 self.context.budget.add_indices(accessor.count())?;
                 if accessor.dimensions() != Dimensions::Scalar {

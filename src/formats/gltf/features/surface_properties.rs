@@ -147,11 +147,8 @@ impl<'c, 's, 'd> PrimitiveImages<'c, 's, 'd> {
         let mut uvs = None;
         if let Some(elements) = elements {
             self.context.budget.add_decoded(8 * elements.count as u64)?;
-            let map = texture.transform.map(|transform| transform.map());
-            let uv = |i: usize| {
-                let uv = elements.vector(i);
-                map.as_ref().map_or(uv, |map| map(uv))
-            };
+            let map = texture.affine();
+            let uv = |i: usize| map.transform_point2(elements.vector(i).into()).into();
             uvs = Some((0..elements.count).map(uv).collect());
         }
         self.uvs.push((*texture, uvs.clone()));

@@ -1,11 +1,9 @@
 //! [`Reflection`]: the metallic-roughness model of a glTF material, before its maps are decoded.
 
-use std::sync::Arc;
-
 use super::surface::emitted;
 use super::texture_ref::TextureRef;
 use crate::formats::ignored::Notes;
-use crate::scene::Texture;
+use crate::scene::SecondUv;
 
 /// Surfaces rougher than this, without metal, maps and emission, look matte and are drawn as matte ones.
 const MATTE_ROUGHNESS: f32 = 0.95;
@@ -25,11 +23,14 @@ pub(in super::super) struct Reflection {
     /// Linear.
     pub emissive: [f32; 3],
     pub emissive_map: Option<TextureRef>,
+    /// The set of texture coordinates that maps use which differ from the base colour's; `None` if no map does.
+    pub second_set: Option<u32>,
+    /// The transforms of these maps.
+    pub second_uv: SecondUv,
 }
 
 impl Reflection {
-    /// Reads the model of a material whose base colour has the texture `base`. Returns `None` for a matte surface. Maps with
-    /// other texture coordinates than the base colour are noted and left out.
+    /// Reads the model of a material whose base colour has the texture `base`. Returns `None` for a matte surface.
     pub(super) fn new(material: &gltf::Material<'_>, base: Option<&TextureRef>, notes: &Notes) -> Option<Self> {
         let pbr = material.pbr_metallic_roughness();
         let normal = material.normal_texture();
@@ -44,8 +45,10 @@ impl Reflection {
             normal_scale: normal.as_ref().map_or(1.0, gltf::material::NormalTexture::scale),
             emissive: emitted(material),
             emissive_map: material.emissive_texture().map(|info| TextureRef::new(&info)),
+            second_set: None,
+            second_uv: SecondUv::default(),
         };
-        reflection.keep_maps_with(base, notes);
+        reflection.find_second_uv(base, notes);
         (!reflection.is_matte()).then_some(reflection)
     }
 
@@ -59,44 +62,27 @@ impl Reflection {
         [&self.normal, &self.metallic_roughness, &self.occlusion, &self.emissive_map].into_iter().flatten()
     }
 
-    /// Removes the maps whose texture coordinates differ from those of the base colour or, without it, of the first map.
-    fn keep_maps_with(&mut self, base: Option<&TextureRef>, notes: &Notes) {
+    /// Finds the maps whose texture coordinates differ from those of the base colour or, without it, of the first map. They
+    /// may all have transforms of their own, but of one set; maps with a third set are noted and left out.
+    fn find_second_uv(&mut self, base: Option<&TextureRef>, notes: &Notes) {
         let Some(first) = base.or_else(|| self.maps().next()).copied() else { return };
-        let Self { normal, metallic_roughness, occlusion, emissive_map, occlusion_strength, .. } = self;
-        for map in [normal, metallic_roughness, &mut *occlusion, emissive_map] {
-            if map.is_some_and(|map| !map.has_coordinates_of(&first)) {
-                notes.add("glTF material: map with other texture coordinates than the base colour");
+        let Self { normal, metallic_roughness, occlusion, emissive_map, second_set, second_uv, .. } = self;
+        for (map, transform) in [
+            (normal, &mut second_uv.normal),
+            (metallic_roughness, &mut second_uv.occlusion_roughness_metallic),
+            (emissive_map, &mut second_uv.emissive),
+            (&mut *occlusion, &mut second_uv.occlusion),
+        ] {
+            let Some(own) = map.filter(|map| !map.has_coordinates_of(&first)) else { continue };
+            if *second_set.get_or_insert(own.uv_set) == own.uv_set {
+                *transform = Some(own.affine());
+            } else {
+                notes.add("glTF material: map with a third set of texture coordinates");
                 *map = None;
             }
         }
         if occlusion.is_none() {
-            *occlusion_strength = 0.0;
+            self.occlusion_strength = 0.0;
         }
     }
-}
-
-/// Returns a map with occlusion in red, roughness in green and metallic in blue, from separate maps, which are RGBA8 unless
-/// they are the same. Returns `None` if both are given and differ in size.
-pub(super) fn combined(occlusion: &Arc<Texture>, metallic_roughness: Option<&Arc<Texture>>) -> Option<Arc<Texture>> {
-    if metallic_roughness.is_some_and(|other| Arc::ptr_eq(occlusion, other)) {
-        return Some(occlusion.clone());
-    }
-    let mut map = Texture::clone(occlusion);
-    match metallic_roughness {
-        Some(other) if (other.width, other.height, other.mips.len()) != (map.width, map.height, map.mips.len()) => {
-            return None;
-        }
-        Some(other) => {
-            for (own, other) in map.mips.iter_mut().zip(&other.mips) {
-                for (texel, other) in own.chunks_exact_mut(4).zip(other.chunks_exact(4)) {
-                    texel[1..3].copy_from_slice(&other[1..3]);
-                }
-            }
-        }
-        None => {
-            // The factors apply as they are.
-            map.mips.iter_mut().flat_map(|mip| mip.chunks_exact_mut(4)).for_each(|texel| texel[1..3].fill(255));
-        }
-    }
-    Some(Arc::new(map))
 }

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use super::reflection::{Reflection, combined};
+use super::reflection::Reflection;
 use super::surface::Surface;
 use super::techniques::Techniques;
 use super::texture_ref::TextureRef;
@@ -26,15 +26,13 @@ pub(in super::super) struct Surfaces<'a> {
     textures: Textures<'a>,
     /// By the index of the material; `None` is the default material.
     read: HashMap<Option<usize>, Surface>,
-    /// Maps combined from the textures of occlusion and of metallic and roughness.
-    combined: HashMap<(usize, Option<usize>), Option<Arc<Texture>>>,
 }
 
 impl<'a> Surfaces<'a> {
     pub fn new(context: &'a Context<'a>, document: &'a gltf::Document) -> Self {
         let techniques = Techniques::new(document);
         let textures = Textures::new(context, document);
-        Self { context, techniques, textures, read: HashMap::new(), combined: HashMap::new() }
+        Self { context, techniques, textures, read: HashMap::new() }
     }
 
     /// Returns a material, without its texture.
@@ -58,57 +56,38 @@ impl<'a> Surfaces<'a> {
 
     /// Decodes the maps of a reflection. A map whose image is missing is left out.
     pub fn reflection(&mut self, of: &Reflection, buffers: &Buffers<'_>) -> Result<DecodedReflection, IoError> {
-        // Occlusion in a separate image is combined with the other map.
-        let is_combined = match (&of.occlusion, &of.metallic_roughness) {
-            (Some(occlusion), Some(other)) => !self.textures.are_equal(occlusion.texture, other.texture)?,
-            (occlusion, _) => occlusion.is_some(),
-        };
-        let reader = if is_combined { TexelReader::Cpu } else { TexelReader::Adapter };
-        let mut get = |map: Option<TextureRef>, reader| match map {
-            Some(map) => self.textures.get(map.texture, reader, buffers).map(Option::unzip),
+        let mut get = |map: Option<TextureRef>| match map {
+            Some(map) => self.textures.get(map.texture, TexelReader::Adapter, buffers).map(Option::unzip),
             None => Ok((None, None)),
         };
-        let (normal_map, shared_normal) = get(of.normal, TexelReader::Adapter)?;
-        let (emissive_map, shared_emissive) = get(of.emissive_map, TexelReader::Adapter)?;
+        let (normal_map, shared_normal) = get(of.normal)?;
+        let (emissive_map, shared_emissive) = get(of.emissive_map)?;
         // Without its image the whole surface would glow.
         let emissive = if of.emissive_map.is_some() && emissive_map.is_none() { [0.0; 3] } else { of.emissive };
-        let (mut map, mut shared_map) = get(of.metallic_roughness, reader)?;
-        let mut occlusion_strength = of.occlusion_strength;
-        if let Some(occlusion) = of.occlusion {
-            let (image, _) = get(Some(occlusion), reader)?;
-            let key = (occlusion.texture, of.metallic_roughness.map(|map| map.texture));
-            let joined = match (self.combined.get(&key), &image) {
-                (Some(known), _) => known.clone(),
-                (None, Some(image)) => combined(image, map.as_ref()),
-                (None, None) => None,
-            };
-            self.combined.insert(key, joined.clone());
-            match joined {
-                Some(joined) if map.as_ref().is_some_and(|map| Arc::ptr_eq(map, &joined)) => {}
-                Some(joined) => {
-                    self.context.budget.add_image(joined.size_bytes());
-                    (map, shared_map) = (Some(joined), None);
-                }
-                None => {
-                    if image.is_some() {
-                        let kind =
-                            "glTF material: occlusion texture of another size than that of metallic and roughness";
-                        self.context.notes.add(kind);
-                    }
-                    occlusion_strength = 0.0;
-                }
-            }
+        let (metallic_map, shared_metallic) = get(of.metallic_roughness)?;
+        let (mut occlusion_map, mut shared_occlusion) = get(of.occlusion)?;
+        let occlusion_strength = if occlusion_map.is_some() { of.occlusion_strength } else { 0.0 };
+        // One image for both is one map, unless their texture coordinates differ.
+        let has_one_uv = of.second_uv.occlusion == of.second_uv.occlusion_roughness_metallic;
+        if has_one_uv
+            && let (Some(occlusion), Some(metallic)) = (&occlusion_map, &metallic_map)
+            && Arc::ptr_eq(occlusion, metallic)
+        {
+            (occlusion_map, shared_occlusion) = (None, None);
         }
         let model = MetallicRoughness {
             metallic: of.metallic,
             roughness: of.roughness,
-            occlusion_roughness_metallic: map,
+            occlusion_roughness_metallic: metallic_map,
+            occlusion_map,
             occlusion_strength,
             normal_map,
             normal_scale: of.normal_scale,
             emissive,
             emissive_map,
+            second_uv: of.second_uv,
         };
-        Ok((model, [shared_normal.flatten(), shared_map.flatten(), shared_emissive.flatten()]))
+        let shared = [shared_normal, shared_metallic, shared_emissive, shared_occlusion];
+        Ok((model, shared.map(Option::flatten)))
     }
 }

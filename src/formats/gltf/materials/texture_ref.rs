@@ -1,5 +1,6 @@
 //! [`TextureRef`]: a texture with the texture coordinates that it uses.
 
+use glam::{Affine2, Mat2, Vec2};
 use serde_json::Value;
 
 /// The transform of KHR_texture_transform.
@@ -12,14 +13,11 @@ pub(in super::super) struct UvTransform {
 }
 
 impl UvTransform {
-    /// Returns a function that applies the transform: scale, rotation, then offset.
-    pub fn map(&self) -> impl Fn([f32; 2]) -> [f32; 2] + use<> {
-        let Self { offset: [ox, oy], rotation, scale: [sx, sy] } = *self;
-        let (sin, cos) = rotation.sin_cos();
-        move |uv| {
-            let [u, v] = [uv[0] * sx, uv[1] * sy];
-            [u * cos + v * sin + ox, v * cos - u * sin + oy]
-        }
+    /// Returns the transform: scale, rotation, then offset.
+    pub fn affine(&self) -> Affine2 {
+        let (sin, cos) = self.rotation.sin_cos();
+        let matrix2 = Mat2::from_cols_array(&[cos, -sin, sin, cos]) * Mat2::from_diagonal(Vec2::from_array(self.scale));
+        Affine2 { matrix2, translation: Vec2::from_array(self.offset) }
     }
 }
 
@@ -49,6 +47,11 @@ impl TextureRef {
     /// Returns true if the other texture uses the same texture coordinates in the same way.
     pub fn has_coordinates_of(&self, other: &Self) -> bool {
         (self.uv_set, self.transform) == (other.uv_set, other.transform)
+    }
+
+    /// Returns the transform from the set of texture coordinates to those of the image.
+    pub fn affine(&self) -> Affine2 {
+        self.transform.map_or(Affine2::IDENTITY, |transform| transform.affine())
     }
 
     /// Reads a texture reference of an extension: an object with an `index`. Returns `None` for other values.

@@ -39,8 +39,6 @@ struct ImageKey {
 pub(super) enum TexelReader {
     /// The adapter, which samples compressed formats.
     Adapter,
-    /// The CPU, which needs RGBA8.
-    Cpu,
     /// The CPU, which reads ids or values from the texels of level 0.
     Data,
 }
@@ -89,11 +87,6 @@ impl<'a> Textures<'a> {
                 self.context.missing("glTF: an image of ids or properties that cannot be read", &error).map(|()| None)
             }
         }
-    }
-
-    /// Returns true if two textures have the same images and sampler.
-    pub fn are_equal(&self, a: usize, b: usize) -> Result<bool, IoError> {
-        Ok(a == b || self.sources(a)? == self.sources(b)?)
     }
 
     /// Returns the images of a texture, the best first, and its sampling.
@@ -151,7 +144,6 @@ impl<'a> Textures<'a> {
         let Context { options, notes, .. } = self.context;
         match key.reader {
             TexelReader::Adapter => decode_shared(uri, bytes, key.sampling, options.block_formats, options, notes),
-            TexelReader::Cpu => decode_shared(uri, bytes, key.sampling, BlockFormats::NONE, options, notes),
             TexelReader::Data => {
                 // A smaller image would have means of ids.
                 let limits = Limits { max_image_side_px: u32::MAX, ..options.limits };

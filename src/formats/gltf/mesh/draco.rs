@@ -1,6 +1,7 @@
 //! KHR_draco_mesh_compression: the attributes and indices of a primitive in one compressed mesh.
 //!
-//! The numbers of vertices and indices that the accessors declare, which are counted in the budget, bound the decoder.
+//! The numbers of vertices and indices that the accessors declare, which are counted in the budget, bound the decoder. Some
+//! exporters declare slightly fewer vertices than they compress, so that a few more are allowed.
 
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -17,6 +18,11 @@ use crate::formats::gltf::context::Context;
 const EXTENSION: &str = "KHR_draco_mesh_compression";
 /// The maximum number of attributes of a vertex, for the limit of decoded bytes.
 const MAX_ATTRIBUTES: u64 = 32;
+
+/// Returns the number of vertices that a mesh may have whose accessors declare `declared` ones.
+fn max_vertices(declared: usize) -> u64 {
+    (declared as u64).saturating_mul(5) / 4 + 64
+}
 
 /// A decompressed mesh.
 pub(super) struct DracoMesh<'a> {
@@ -36,7 +42,8 @@ pub(super) enum Compressed<'a> {
 }
 
 impl<'a> Compressed<'a> {
-    /// Decompresses the mesh of a primitive with `vertices` vertices, which the caller has counted in the budget.
+    /// Decompresses the mesh of a primitive whose accessors have `vertices` vertices, which the caller has counted in the
+    /// budget. Notes a mesh with another number of vertices.
     pub fn new(
         context: &'a Context<'a>,
         buffers: &Buffers<'_>,
@@ -52,10 +59,11 @@ impl<'a> Compressed<'a> {
         let Some(bytes) = buffers.view(&view)? else { return Ok(Self::Missing) };
         let indices = primitive.indices().map_or(0, |accessor| accessor.count());
         context.budget.add_indices(indices)?;
-        let max_decoded_bytes = (vertices as u64).saturating_mul(16 * MAX_ATTRIBUTES);
+        let max_vertices = max_vertices(vertices);
+        let max_decoded_bytes = max_vertices.saturating_mul(16 * MAX_ATTRIBUTES);
         let mut limits = DecodeLimits::default();
-        limits.max_points = vertices as u64;
-        limits.max_faces = (indices as u64).div_ceil(3).max(vertices as u64);
+        limits.max_points = max_vertices;
+        limits.max_faces = (indices as u64).div_ceil(3).max(max_vertices);
         limits.max_decoded_bytes = max_decoded_bytes.min(context.options.limits.max_file_bytes);
         let mut mesh = Mesh::new();
         let mut buffer = DecoderBuffer::new(bytes).with_limits(limits);
@@ -69,14 +77,26 @@ impl<'a> Compressed<'a> {
                 None => Err(bad(&error.to_string())),
             };
         }
-        if mesh.num_points() != vertices {
-            return Err(bad(&format!("{} vertices, the accessors have {vertices}", mesh.num_points())));
+        let points = mesh.num_points();
+        if points as u64 > max_vertices {
+            return Err(bad(&format!("{points} vertices, the accessors have {vertices}")));
+        }
+        if points != vertices {
+            context
+                .notes
+                .add("glTF: Draco mesh with another number of vertices than its accessors (drawn as compressed)");
+            context.budget.add_vertices(points.saturating_sub(vertices))?;
         }
         Ok(Self::Mesh(Box::new(DracoMesh { context, mesh, ids })))
     }
 }
 
 impl DracoMesh<'_> {
+    /// Returns the number of vertices.
+    pub fn count(&self) -> usize {
+        self.mesh.num_points()
+    }
+
     /// Returns the elements of an attribute, or `None` if it is not compressed.
     pub fn elements(&self, name: &str, accessor: &gltf::Accessor<'_>) -> Result<Option<Elements<'_>>, IoError> {
         let bad = |reason: &str| self.context.bad(format_args!("{EXTENSION}: attribute {name} {reason}"));

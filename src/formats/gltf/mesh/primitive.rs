@@ -47,18 +47,25 @@ impl<'a> PrimitiveData<'a> {
                 return Ok(None);
             }
         };
+        let count = draco.as_ref().map_or(count, |draco| draco.count());
         Ok(Some(Self { context, buffers, primitive, draco, count }))
     }
 
     /// Returns the elements of an attribute; `None` if the primitive lacks it or if its buffer is missing.
     pub fn attribute(&self, semantic: &Semantic, dimensions: &[Dimensions]) -> Result<Option<Elements<'_>>, IoError> {
         let Some(accessor) = self.primitive.get(semantic) else { return Ok(None) };
-        if !dimensions.contains(&accessor.dimensions()) || accessor.count() != self.count {
-            return Err(self.context.bad(format_args!("{} has the wrong type or count", semantic.to_string())));
+        let wrong = || self.context.bad(format_args!("{} has the wrong type or count", semantic.to_string()));
+        if !dimensions.contains(&accessor.dimensions()) {
+            return Err(wrong());
         }
-        match &self.draco {
-            Some(_) => self.elements(&semantic.to_string(), &accessor),
-            None => self.buffers.elements(&accessor, accessor.dimensions()),
+        let elements = match &self.draco {
+            Some(_) => self.elements(&semantic.to_string(), &accessor)?,
+            None if accessor.count() != self.count => return Err(wrong()),
+            None => self.buffers.elements(&accessor, accessor.dimensions())?,
+        };
+        match elements {
+            Some(elements) if elements.count != self.count => Err(wrong()),
+            elements => Ok(elements),
         }
     }
 

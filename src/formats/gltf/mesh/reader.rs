@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use gltf::mesh::Mode;
 
-use super::attributes::additional_attributes;
+use super::attributes::{add_second_uv, additional_attributes};
 use super::deform::Deformation;
 use super::outline::{self, MeshDrawables};
 use super::primitive::{BUFFER_MISSING, PrimitiveData};
@@ -28,6 +28,9 @@ pub(in super::super) struct MeshReader<'a> {
     index_lists: IndexLists<'a>,
     /// The drawables of meshes that were read without a deformation of their node, by the index of the mesh.
     meshes: HashMap<usize, MeshDrawables>,
+    /// The error of the first primitive that is invalid.
+    first_error: Option<IoError>,
+    has_drawables: bool,
 }
 
 impl<'a> MeshReader<'a> {
@@ -45,10 +48,18 @@ impl<'a> MeshReader<'a> {
             surfaces: Surfaces::new(context, document),
             index_lists: IndexLists::new(context),
             meshes: HashMap::new(),
+            first_error: None,
+            has_drawables: false,
         }
     }
 
+    /// Returns the error of the first invalid primitive if no primitive is drawn.
+    pub fn into_result(self) -> Result<(), IoError> {
+        self.first_error.filter(|_| !self.has_drawables).map_or(Ok(()), Err)
+    }
+
     /// Reads a mesh. Nodes that draw the same mesh share its vertices. `weights` are those of the node, `skin` its skin.
+    /// Invalid primitives are noted and left out.
     pub fn drawables(
         &mut self,
         mesh: &gltf::Mesh<'_>,
@@ -63,8 +74,17 @@ impl<'a> MeshReader<'a> {
         let deformation = Deformation { weights: weights.or(mesh.weights()).unwrap_or_default(), skin };
         let mut drawables = MeshDrawables::default();
         for primitive in mesh.primitives() {
-            if let Some((drawable, outline)) = self.primitive(&primitive, deformation)? {
-                drawables.push(drawable, outline);
+            match self.primitive(&primitive, deformation) {
+                Ok(Some((drawable, outline))) => {
+                    self.has_drawables = true;
+                    drawables.push(drawable, outline);
+                }
+                Ok(None) => {}
+                Err(error @ IoError::Invalid { .. }) => {
+                    self.context.notes.add("glTF: invalid primitive that is not drawn");
+                    self.first_error.get_or_insert(error);
+                }
+                Err(error) => return Err(error),
             }
         }
         if is_plain {
@@ -88,10 +108,13 @@ impl<'a> MeshReader<'a> {
         };
         let vertices = Vertices::new(context, &data, surface.texture_coordinates(), deformation)?;
         let Some(vertices) = vertices else { return not_drawn() };
-        let attributes = additional_attributes(context, &data)?;
+        let mut attributes = additional_attributes(context, &data)?;
+        if let Some(set) = surface.reflection.as_ref().and_then(|reflection| reflection.second_set) {
+            add_second_uv(context, &data, set, &mut attributes)?;
+        }
         let attribute = |name: &str| match data.accessor(name) {
-            Some(accessor) if accessor.count() == data.count => data.elements(name, &accessor),
-            _ => Ok(None),
+            Some(accessor) => Ok(data.elements(name, &accessor)?.filter(|elements| elements.count == data.count)),
+            None => Ok(None),
         };
         let images = PrimitiveImages::new(context, surfaces, buffers);
         let features = tables.of_primitive(primitive, images, &attribute)?;

@@ -71,9 +71,9 @@ impl Vertices {
         }
         if let Some(uvs) = &uvs {
             uvs.read_into(&mut list, |vertex, uv| vertex.uv = uv);
-            if let Some(transform) = texture.and_then(|texture| texture.transform) {
-                let map = transform.map();
-                list.iter_mut().for_each(|vertex| vertex.uv = map(vertex.uv));
+            if let Some(texture) = texture.filter(|texture| texture.transform.is_some()) {
+                let map = texture.affine();
+                list.iter_mut().for_each(|vertex| vertex.uv = map.transform_point2(vertex.uv.into()).into());
             }
         }
         if let Some(colors) = &colors {

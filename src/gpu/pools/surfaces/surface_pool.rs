@@ -1,6 +1,6 @@
 //! [`SurfacePool`]: the surfaces of all meshes of a device that have the metallic-roughness model. Draw thread.
 //!
-//! Surfaces whose four textures lie in the same blocks of the texture pool share a set: a buffer of records and one bind
+//! Surfaces whose textures lie in the same blocks of the texture pool share a set: a buffer of records and one bind
 //! group. So meshes that differ in their surface alone are drawn with one bind group.
 
 use super::surface_record::SurfaceRecord;
@@ -95,8 +95,8 @@ impl SurfacePool {
         (color, white): (TextureLayer, TextureLayer),
         maps: &MapLayers,
     ) -> Result<SurfaceSlot, String> {
-        let [normal, occlusion, emission] = maps.map(|map| map.unwrap_or(white).block);
-        let blocks = [color.block, normal, occlusion, emission];
+        let [normal, metallic, emission, occlusion] = maps.map(|map| map.unwrap_or(white).block);
+        let blocks = [color.block, normal, metallic, emission, occlusion];
         let slot = self.take_slot(memory, layouts, textures, blocks)?;
         if let Some(set) = self.sets.get_mut(slot.set) {
             set.maps[slot.record as usize] = *maps;

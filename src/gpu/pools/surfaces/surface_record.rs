@@ -14,6 +14,12 @@ pub(crate) struct SurfaceRecord {
     pub(crate) factors: [f32; 4],
     /// Emitted light, linear; the last element is unused.
     pub(crate) emission: [f32; 4],
+    /// The layer of occlusion, and a bit for each map that uses the second texture coordinates; the rest is unused.
+    pub(crate) occlusion: [u32; 4],
+    /// The columns of the matrices from the second texture coordinates to those of each map.
+    pub(crate) uv_matrices: [[f32; 4]; MetallicRoughness::MAPS],
+    /// The offsets after the matrices; two maps a vector.
+    pub(crate) uv_offsets: [[f32; 4]; MetallicRoughness::MAPS / 2],
 }
 
 impl SurfaceRecord {
@@ -21,10 +27,19 @@ impl SurfaceRecord {
     pub(crate) const NO_LAYER: u32 = u32::MAX;
 
     pub(super) fn new(surface: &MetallicRoughness, color: TextureLayer, maps: &MapLayers) -> Self {
-        let [normal, occlusion, emission] = maps.map(|map| map.map_or(Self::NO_LAYER, |map| map.layer));
+        let [normal, metallic, emission, occlusion] = maps.map(|map| map.map_or(Self::NO_LAYER, |map| map.layer));
         let [r, g, b] = surface.emissive;
+        let transforms = surface.second_uv.of_maps();
+        let seconds = (0..).zip(transforms).filter(|(_, transform)| transform.is_some());
+        let seconds = seconds.fold(0, |bits, (map, _)| bits | 1 << map);
+        let transforms = transforms.map(Option::unwrap_or_default);
+        let offsets = transforms.map(|transform| transform.translation.to_array());
+        let pair = |map: usize| [offsets[map][0], offsets[map][1], offsets[map + 1][0], offsets[map + 1][1]];
         Self {
-            layers: [color.layer, normal, occlusion, emission],
+            occlusion: [occlusion, seconds, 0, 0],
+            uv_matrices: transforms.map(|transform| transform.matrix2.to_cols_array()),
+            uv_offsets: [pair(0), pair(2)],
+            layers: [color.layer, normal, metallic, emission],
             factors: [surface.metallic, surface.roughness, surface.occlusion_strength, surface.normal_scale],
             emission: [r, g, b, 0.0],
         }
