@@ -167,7 +167,7 @@ fn read_several(
         if bytes.is_empty() && !content.is_in_memory() {
             continue;
         }
-        let TileContent { uri, reader_data, metadata } = content.clone();
+        let TileContent { uri, reader_data, metadata, .. } = content.clone();
         let content = Content { uri, bytes, reader_data, companions: dependencies.clone() };
         nodes.push(Node { metadata, ..read_node(content, &options, notes)? });
     }
