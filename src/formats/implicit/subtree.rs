@@ -147,8 +147,10 @@ impl Subtree {
         if json.has_metadata_of_1_0() {
             notes.add("metadata of a subtree by the extension 3DTILES_metadata");
         }
-        if let Some(schema) = schema {
-            subtree.read_metadata(&json, schema, &view, &notes);
+        match schema {
+            Some(schema) => subtree.read_metadata(&json, schema, &view, &notes),
+            None if json.property_tables.is_empty() => {}
+            None => notes.add("metadata: property tables of a subtree without a schema"),
         }
         options.ignored.add(&notes.into_ignored());
         Ok(subtree)

@@ -62,7 +62,8 @@ fn verify_from(
     progress: &mut dyn FnMut(&Verified),
 ) -> Result<Verified, IoError> {
     let root = root_uri(source)?;
-    let options = ReadOptions::for_root(&root, *limits);
+    // Metadata that is invalid is named too.
+    let options = ReadOptions { keep_features: true, ..ReadOptions::for_root(&root, *limits) };
     let (mut verified, mut jobs) = (Verified::default(), Vec::new());
     let Loaded { bytes, location, .. } = from.load(&root)?;
     let options = ReadOptions { base: location, ..options };
