@@ -96,6 +96,7 @@ pub(super) fn joined(contents: Vec<TileContent>) -> TileContent {
     // The content is fetched at the URI of the first that is not in memory, the others are its companions.
     let first = contents.iter().find(|content| !content.is_in_memory()).or(contents.first());
     let uri = first.map(|content| content.uri.clone()).unwrap_or_default();
-    let data = ContentData { bytes: ContentBytes::Several(contents.into()), ..ContentData::default() };
+    let fallback = first.and_then(|content| content.reader_data.as_ref()?.fallback_uri());
+    let data = ContentData { bytes: ContentBytes::Several(contents.into()), fallback, ..ContentData::default() };
     TileContent::new(uri, Some(ReaderData::of(data)))
 }

@@ -152,7 +152,7 @@ impl Info {
 
     /// Reads the files that a tileset refers to, and lists those that cannot be read.
     fn tileset_files(&mut self, from: &Source, uri: &Arc<str>, bytes: &[u8], options: &ReadOptions) -> Vec<Fetched> {
-        let files = read_companions(from, uri, bytes, None, options, &mut self.bytes);
+        let files = read_companions(from, uri, bytes, None, &mut options.clone(), &mut self.bytes);
         files.iter().filter_map(|(_, read)| read.as_ref().err()).for_each(|error| self.fail(error));
         files
     }

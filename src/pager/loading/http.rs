@@ -186,9 +186,19 @@ fn pass_on<J: LoadJob>(
 async fn fetch<J: LoadJob>(job: J, limits: &Limits) -> Fetched<J> {
     let own = server(job.uri()).to_owned();
     let client = job.client();
-    let timed = async |uri: &str| {
-        let start = Instant::now();
-        let body = client.get(uri, limits).await;
+    let timed = async |uri: &str, fallback: Option<Arc<str>>| {
+        let mut start = Instant::now();
+        let mut body = client.get(uri, limits).await;
+        if let Err(error) = &body
+            && error.may_be_elsewhere()
+            && let Some(fallback) = fallback
+        {
+            start = Instant::now();
+            body = client
+                .get(&fallback, limits)
+                .await
+                .map(|body| HttpBody { location: body.location.or(Some(fallback)), ..body });
+        }
         (body, start.elapsed().as_secs_f64())
     };
     // Companions from the content's own server count as one request with it; others count at their own server.
@@ -196,7 +206,7 @@ async fn fetch<J: LoadJob>(job: J, limits: &Limits) -> Fetched<J> {
     let companions = async {
         let mut fetched = Vec::new();
         for uri in job.companions() {
-            let (body, seconds) = timed(&uri).await;
+            let (body, seconds) = timed(&uri, job.companion_fallback(&uri)).await;
             let at = server(&uri);
             let is_asked = body.as_ref().is_ok_and(|body| body.asked);
             if at == own {
@@ -208,16 +218,7 @@ async fn fetch<J: LoadJob>(job: J, limits: &Limits) -> Fetched<J> {
         }
         fetched
     };
-    let content = async {
-        let (body, seconds) = timed(job.uri()).await;
-        match &body {
-            Err(error) if error.may_be_elsewhere() => match job.fallback() {
-                Some(uri) => timed(&uri).await,
-                None => (body, seconds),
-            },
-            _ => (body, seconds),
-        }
-    };
+    let content = timed(job.uri(), job.fallback());
     let ((body, own_s), companions) = tokio::join!(content, companions);
     asked |= body.as_ref().is_ok_and(|body| body.asked);
     let mut bytes_http = 0;
@@ -227,9 +228,19 @@ async fn fetch<J: LoadJob>(job: J, limits: &Limits) -> Fetched<J> {
             Loaded::from(body)
         })
     };
-    let loaded = loaded_of(body);
-    let companions = companions.into_iter().map(|(uri, body)| (uri, loaded_of(body).map(|loaded| loaded.bytes)));
+    let mut loaded = loaded_of(body);
+    let mut locations = Vec::new();
+    let companions = companions.into_iter().map(|(uri, body)| {
+        let bytes = loaded_of(body).map(|companion| {
+            locations.extend(companion.location.map(|location| (uri.clone(), location)));
+            companion.bytes
+        });
+        (uri, bytes)
+    });
     let mut companions: Vec<formats::Fetched> = companions.collect();
+    if let Ok(loaded) = &mut loaded {
+        loaded.companion_locations = locations;
+    }
     if let Ok(loaded) = &loaded {
         for _ in 0..MAX_DEPENDENCY_ROUNDS {
             let dependencies = job.dependencies(loaded, &companions);
