@@ -77,6 +77,15 @@ pub fn dependencies(
     unknown
 }
 
+/// Returns true if [`dependencies`] may take longer than a thread that serves requests should be held up: for large texts,
+/// compressed contents and subtrees.
+#[cfg(feature = "http")]
+pub(crate) fn has_slow_dependencies(bytes: &[u8]) -> bool {
+    const MAX_QUICK_BYTES: usize = 64 << 10;
+    const QUICK: [&[u8]; 6] = [b"glTF", b"b3dm", b"i3dm", b"cmpt", b"pnts", &[0x76, 0x2f, 0x31, 0x01]];
+    bytes.len() > MAX_QUICK_BYTES && !QUICK.iter().any(|magic| bytes.starts_with(magic))
+}
+
 /// Decodes a content to a page. CPU only, no I/O; any thread. What the content asks for and the reader leaves out is added
 /// to [`ReadOptions::ignored`].
 ///

@@ -13,7 +13,7 @@ use super::job::{Answer, LoadJob, LoadedBytes, total_bytes};
 use super::request_list::{HttpWork, RequestList};
 use super::server_limits::{Outcome, ServerLimits};
 use super::ticket::Ticket;
-use crate::fetch::{HttpBody, HttpClient, IoError, Limits, Loaded, server};
+use crate::fetch::{HttpBody, HttpClient, IoError, Limits, Loaded, guarded, server};
 use crate::formats::{self, MAX_DEPENDENCY_ROUNDS};
 
 /// How long the thread waits at its end for received bodies to be written to the cache.
@@ -241,9 +241,10 @@ async fn fetch<J: LoadJob>(job: J, limits: &Limits) -> Fetched<J> {
     if let Ok(loaded) = &mut loaded {
         loaded.companion_locations = locations;
     }
-    if let Ok(loaded) = &loaded {
+    if loaded.is_ok() {
         for _ in 0..MAX_DEPENDENCY_ROUNDS {
-            let dependencies = job.dependencies(loaded, &companions);
+            let dependencies;
+            (dependencies, loaded, companions) = dependencies_of(&job, loaded, companions).await;
             if dependencies.is_empty() {
                 break;
             }
@@ -274,6 +275,29 @@ async fn fetch<J: LoadJob>(job: J, limits: &Limits) -> Fetched<J> {
     let outcome = (own, Outcome::new(&loaded, asked, own_s.max(companions_s)));
     let outcomes = [outcome].into_iter().chain(elsewhere).collect();
     (LoadedBytes { job, loaded, companions, bytes_read, bytes_http }, outcomes)
+}
+
+/// Asks a job for the dependencies of a content. A large text is parsed on a blocking thread of the runtime, so that
+/// requests go on meanwhile.
+async fn dependencies_of<J: LoadJob>(
+    job: &J,
+    loaded: Result<Loaded, IoError>,
+    companions: Vec<formats::Fetched>,
+) -> (Vec<Arc<str>>, Result<Loaded, IoError>, Vec<formats::Fetched>) {
+    let Ok(content) = loaded else { return (Vec::new(), loaded, companions) };
+    if !formats::has_slow_dependencies(&content.bytes) {
+        return (job.dependencies(&content, &companions), Ok(content), companions);
+    }
+    let (uri, job) = (job.address().to_string(), job.clone());
+    let parse = move || {
+        // A content that makes a parser panic has none; the decoder reports it.
+        let found = guarded(job.uri(), || Ok(job.dependencies(&content, &companions)));
+        (found.unwrap_or_default(), Ok(content), companions)
+    };
+    tokio::task::spawn_blocking(parse).await.unwrap_or_else(|error| {
+        let stopped = IoError::Network { uri, reason: format!("the parsing stopped: {error}") };
+        (Vec::new(), Err(stopped), Vec::new())
+    })
 }
 
 #[cfg(test)]
