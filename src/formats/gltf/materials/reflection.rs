@@ -32,12 +32,24 @@ impl Reflection {
     /// other texture coordinates than the base colour are noted and left out.
     pub(super) fn new(material: &gltf::Material<'_>, base: Option<&TextureRef>, notes: &Notes) -> Option<Self> {
         let pbr = material.pbr_metallic_roughness();
+        let map = pbr.metallic_roughness_texture().map(|info| TextureRef::new(&info));
+        Self::with_factors(material, (pbr.metallic_factor(), pbr.roughness_factor()), map, base, notes)
+    }
+
+    /// Reads the maps of a material as [`Self::new`] does, with other metallic and roughness factors and another map of them.
+    pub(super) fn with_factors(
+        material: &gltf::Material<'_>,
+        (metallic, roughness): (f32, f32),
+        metallic_roughness: Option<TextureRef>,
+        base: Option<&TextureRef>,
+        notes: &Notes,
+    ) -> Option<Self> {
         let normal = material.normal_texture();
         let occlusion = material.occlusion_texture();
         let mut reflection = Self {
-            metallic: pbr.metallic_factor(),
-            roughness: pbr.roughness_factor(),
-            metallic_roughness: pbr.metallic_roughness_texture().map(|info| TextureRef::new(&info)),
+            metallic,
+            roughness,
+            metallic_roughness,
             occlusion: occlusion.as_ref().map(|map| TextureRef::plain(map.texture().index(), map.tex_coord())),
             occlusion_strength: occlusion.as_ref().map_or(0.0, gltf::material::OcclusionTexture::strength),
             normal: normal.as_ref().map(|map| TextureRef::plain(map.texture().index(), map.tex_coord())),

@@ -4,6 +4,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use super::reflection::{Reflection, combined};
+use super::specular_glossiness::{self, SpecularGlossiness};
 use super::surface::Surface;
 use super::techniques::Techniques;
 use super::texture_ref::TextureRef;
@@ -26,15 +27,24 @@ pub(in super::super) struct Surfaces<'a> {
     textures: Textures<'a>,
     /// By the index of the material; `None` is the default material.
     read: HashMap<Option<usize>, Surface>,
-    /// Maps combined from the textures of occlusion and of metallic and roughness.
+    /// Maps combined from occlusion and from metallic and roughness, by the addresses of both, which are kept.
     combined: HashMap<(usize, Option<usize>), Option<Arc<Texture>>>,
+    /// Base colour, and metallic and roughness, of materials that were converted.
+    converted: HashMap<specular_glossiness::Key, [Arc<Texture>; 2]>,
 }
 
 impl<'a> Surfaces<'a> {
     pub fn new(context: &'a Context<'a>, document: &'a gltf::Document) -> Self {
         let techniques = Techniques::new(document);
         let textures = Textures::new(context, document);
-        Self { context, techniques, textures, read: HashMap::new(), combined: HashMap::new() }
+        Self {
+            context,
+            techniques,
+            textures,
+            read: HashMap::new(),
+            combined: HashMap::new(),
+            converted: HashMap::new(),
+        }
     }
 
     /// Returns a material, without its texture.
@@ -45,6 +55,10 @@ impl<'a> Surfaces<'a> {
 
     /// Returns the decoded texture of a surface; `None` if it has none or if its image is missing.
     pub fn texture(&mut self, surface: &Surface, buffers: &Buffers<'_>) -> Result<Option<SharedTexture>, IoError> {
+        if let Some(material) = &surface.converted {
+            let [base_color, _] = self.converted_maps(material, buffers)?;
+            return Ok(Some((base_color, None)));
+        }
         match surface.texture {
             Some(of) => self.textures.get(of.texture, TexelReader::Adapter, buffers),
             None => Ok(None),
@@ -56,8 +70,36 @@ impl<'a> Surfaces<'a> {
         self.textures.data_image(texture, buffers)
     }
 
-    /// Decodes the maps of a reflection. A map whose image is missing is left out.
-    pub fn reflection(&mut self, of: &Reflection, buffers: &Buffers<'_>) -> Result<DecodedReflection, IoError> {
+    /// Returns the base colour map, and the map of metallic and roughness, that a material is converted to.
+    fn converted_maps(
+        &mut self,
+        material: &SpecularGlossiness,
+        buffers: &Buffers<'_>,
+    ) -> Result<[Arc<Texture>; 2], IoError> {
+        if let Some(known) = self.converted.get(&material.key()) {
+            return Ok(known.clone());
+        }
+        let mut get = |map: Option<TextureRef>| match map {
+            Some(map) => self.textures.get(map.texture, TexelReader::Cpu, buffers).map(|found| Some(found?.0)),
+            None => Ok(None),
+        };
+        let (diffuse, map) = (get(material.diffuse_map)?, get(material.map)?);
+        self.context.budget.check_images()?;
+        let maps = material.converted_maps(diffuse.as_deref(), map.as_deref()).map(Arc::new);
+        maps.iter().for_each(|map| self.context.budget.add_image(map.size_bytes()));
+        self.converted.insert(material.key(), maps.clone());
+        Ok(maps)
+    }
+
+    /// Decodes the maps of the reflection of a surface. A map whose image is missing is left out.
+    pub fn reflection(
+        &mut self,
+        surface: &Surface,
+        of: &Reflection,
+        buffers: &Buffers<'_>,
+    ) -> Result<DecodedReflection, IoError> {
+        let converted =
+            surface.converted.as_ref().map(|material| self.converted_maps(material, buffers)).transpose()?;
         // Occlusion in a separate image is combined with the other map.
         let is_combined = match (&of.occlusion, &of.metallic_roughness) {
             (Some(occlusion), Some(other)) => !self.textures.are_equal(occlusion.texture, other.texture)?,
@@ -73,16 +115,17 @@ impl<'a> Surfaces<'a> {
         // Without its image the whole surface would glow.
         let emissive = if of.emissive_map.is_some() && emissive_map.is_none() { [0.0; 3] } else { of.emissive };
         let (mut map, mut shared_map) = get(of.metallic_roughness, reader)?;
+        if let Some([_, metallic_roughness]) = converted {
+            map = Some(metallic_roughness);
+        }
         let mut occlusion_strength = of.occlusion_strength;
         if let Some(occlusion) = of.occlusion {
             let (image, _) = get(Some(occlusion), reader)?;
-            let key = (occlusion.texture, of.metallic_roughness.map(|map| map.texture));
-            let joined = match (self.combined.get(&key), &image) {
-                (Some(known), _) => known.clone(),
-                (None, Some(image)) => combined(image, map.as_ref()),
-                (None, None) => None,
-            };
-            self.combined.insert(key, joined.clone());
+            let address = |of: &Arc<Texture>| Arc::as_ptr(of).addr();
+            let joined = image.as_ref().and_then(|image| {
+                let key = (address(image), map.as_ref().map(address));
+                self.combined.entry(key).or_insert_with(|| combined(image, map.as_ref())).clone()
+            });
             match joined {
                 Some(joined) if map.as_ref().is_some_and(|map| Arc::ptr_eq(map, &joined)) => {}
                 Some(joined) => {
