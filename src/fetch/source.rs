@@ -17,6 +17,15 @@ pub(crate) struct Loaded {
     pub location: Option<Arc<str>>,
     /// True if the server said that there is no content.
     pub is_no_content: bool,
+    /// The companions that redirects led elsewhere, by their URI, with the URL that they led to.
+    pub companion_locations: Vec<(Arc<str>, Arc<str>)>,
+}
+
+impl Loaded {
+    /// Returns bytes that were found at a fallback. References are relative to it, unless redirects led further.
+    pub fn found_at(self, fallback: Arc<str>) -> Self {
+        Self { location: self.location.or(Some(fallback)), ..self }
+    }
 }
 
 impl From<Vec<u8>> for Loaded {
@@ -29,7 +38,7 @@ impl From<Vec<u8>> for Loaded {
 impl From<HttpBody> for Loaded {
     fn from(body: HttpBody) -> Self {
         let HttpBody { bytes, location, is_no_content, .. } = body;
-        Self { bytes, location, is_no_content }
+        Self { bytes, location, is_no_content, ..Self::default() }
     }
 }
 

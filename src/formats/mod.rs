@@ -34,7 +34,9 @@ pub use ignored::{Ignored, IgnoredLog};
 pub(crate) use image::decode_file as decode_image;
 pub use options::{Content, Fetched, ReadOptions};
 pub(crate) use read::MAX_DEPENDENCY_ROUNDS;
-pub use read::{companions, decode, decode_node, decode_noting, dependencies};
+#[cfg(feature = "http")]
+pub(crate) use read::has_slow_dependencies;
+pub use read::{companion_fallback, companions, decode, decode_node, decode_noting, dependencies};
 pub use style::{Style, StyleError};
 pub use tile::UpAxis;
 pub use whole_set::{BoundsInfo, Info, InfoError, LevelInfo, MetadataInfo, ModelInfo, Verified, inspect, verify};

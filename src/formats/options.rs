@@ -31,6 +31,9 @@ pub struct ReadOptions {
     pub vertex_attributes: Arc<[Arc<str>]>,
     /// The URL that relative references of the content are resolved against: where redirects led. `None` is its own URI.
     pub base: Option<Arc<str>>,
+    /// The companions of the content that redirects led elsewhere, by their URI, and the URL that relative references of each
+    /// are resolved against.
+    pub companion_bases: Arc<[(Arc<str>, Arc<str>)]>,
     /// The axis of glTF contents that points up. Decoders set it by the tileset that a content belongs to.
     pub gltf_up_axis: UpAxis,
     /// Keeps the feature ids of glTF, b3dm and i3dm with their property tables, for
@@ -61,6 +64,7 @@ impl ReadOptions {
             build_kd_trees: false,
             vertex_attributes: Arc::default(),
             base: None,
+            companion_bases: Arc::default(),
             gltf_up_axis: UpAxis::Y,
             keep_features: false,
             block_formats: BlockFormats::NONE,
@@ -73,11 +77,16 @@ impl ReadOptions {
     /// Returns the options for the files that a tileset refers to.
     pub fn below(&self, tileset_uri: &Arc<str>) -> Self {
         let chain: Vec<Arc<str>> = self.chain.iter().cloned().chain([tileset_uri.clone()]).collect();
-        Self { chain: chain.into(), base: None, ..self.clone() }
+        Self { chain: chain.into(), base: None, companion_bases: Arc::default(), ..self.clone() }
     }
 }
 
 impl ReadOptions {
+    /// Returns the URL that relative references of a companion are resolved against, if redirects led to another one.
+    pub(super) fn companion_base(&self, uri: &str) -> Option<&Arc<str>> {
+        self.companion_bases.iter().find(|(companion, _)| **companion == *uri).map(|(_, base)| base)
+    }
+
     /// Resolves a reference in the file `uri`: against where redirects led, if they did. The second value is what the
     /// reference means relative to `uri` itself, if that is another file: servers that redirect to signed URLs expect it.
     pub(crate) fn resolve(&self, uri: &str, reference: &str) -> Result<(Arc<str>, Option<Arc<str>>), IoError> {

@@ -30,6 +30,13 @@ pub fn companions(uri: &Arc<str>, reader_data: Option<&ReaderData>) -> Vec<Arc<s
     height::companions(uri, reader_data.and_then(ReaderData::text))
 }
 
+/// Returns the URI at which a companion is looked for if its own has none: the address that was asked for, without redirects.
+pub fn companion_fallback(companion: &str, reader_data: Option<&ReaderData>) -> Option<Arc<str>> {
+    let ContentBytes::Several(contents) = &content_data(reader_data)?.bytes else { return None };
+    let content = contents.iter().find(|content| *content.uri == *companion && !content.is_in_memory())?;
+    content.reader_data.as_ref()?.fallback_uri()
+}
+
 /// Returns the files that a content refers to and that are not in `known`: external buffers of a subtree, external buffers
 /// and images of a glTF, the model of an i3dm, and the schema of a tileset. A loader fetches them after the content, adds
 /// them to its companions, and asks again until none is left. References that are not allowed are left out; the decoder
@@ -50,7 +57,10 @@ pub fn dependencies(
             let other = || Some(&known.iter().find(|(fetched, _)| *fetched == content.uri)?.1);
             match (i, other()) {
                 (0, _) => model_files::of_model(base, bytes, known, options),
-                (_, Some(Ok(bytes))) => model_files::of_model(&content.uri, bytes, known, options),
+                (_, Some(Ok(bytes))) => {
+                    let base = options.companion_base(&content.uri).unwrap_or(&content.uri);
+                    model_files::of_model(base, bytes, known, options)
+                }
                 _ => Vec::new(),
             }
         });
@@ -65,6 +75,15 @@ pub fn dependencies(
         }
     }
     unknown
+}
+
+/// Returns true if [`dependencies`] may take longer than a thread that serves requests should be held up: for large texts,
+/// compressed contents and subtrees.
+#[cfg(feature = "http")]
+pub(crate) fn has_slow_dependencies(bytes: &[u8]) -> bool {
+    const MAX_QUICK_BYTES: usize = 64 << 10;
+    const QUICK: [&[u8]; 6] = [b"glTF", b"b3dm", b"i3dm", b"cmpt", b"pnts", &[0x76, 0x2f, 0x31, 0x01]];
+    bytes.len() > MAX_QUICK_BYTES && !QUICK.iter().any(|magic| bytes.starts_with(magic))
 }
 
 /// Decodes a content to a page. CPU only, no I/O; any thread. What the content asks for and the reader leaves out is added
@@ -151,15 +170,19 @@ fn read_several(
     let fetched_count = contents.iter().filter(|content| !content.is_in_memory()).count();
     let dependencies = companions.split_off(fetched_count.saturating_sub(1).min(companions.len()));
     let mut fetched = std::iter::once(first).chain(companions);
-    // The base of references is known only for the first content that is fetched.
-    let mut base = options.base.clone();
+    let mut is_first = true;
     let mut nodes = Vec::with_capacity(contents.len());
     for content in contents {
+        let base = &options.base;
         let mut options = ReadOptions { base: None, ..options.clone() };
         let bytes = if content.is_in_memory() {
             Vec::new()
         } else {
-            options.base = base.take();
+            // The first that is fetched is the content itself, the others are its companions.
+            options.base = match std::mem::take(&mut is_first) {
+                true => base.clone(),
+                false => options.companion_base(&content.uri).cloned(),
+            };
             let missing = || IoError::NotFound { uri: content.uri.to_string() };
             fetched.next().ok_or_else(missing)?.1?
         };
@@ -167,7 +190,7 @@ fn read_several(
         if bytes.is_empty() && !content.is_in_memory() {
             continue;
         }
-        let TileContent { uri, reader_data, metadata } = content.clone();
+        let TileContent { uri, reader_data, metadata, .. } = content.clone();
         let content = Content { uri, bytes, reader_data, companions: dependencies.clone() };
         nodes.push(Node { metadata, ..read_node(content, &options, notes)? });
     }

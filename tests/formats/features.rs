@@ -3,9 +3,9 @@
 use std::path::Path;
 
 use kit::skip::skipped;
-use serde_json::json;
+use serde_json::{Value, json};
 use terrane::fetch::{IoError, Limits, read_file, root_uri};
-use terrane::formats::{Content, IgnoredLog, ReadOptions, decode, decode_noting, dependencies};
+use terrane::formats::{Content, IgnoredLog, ReadOptions, decode, decode_noting, dependencies, verify};
 use terrane::scene::{Page, PropertyValue};
 
 use crate::gltf_builder::*;
@@ -82,6 +82,71 @@ fn mesh_features_lead_to_their_properties() {
     // They take memory only if they are wanted.
     let content = Content { uri: URI.into(), bytes: gltf.text(), reader_data: None, companions: Vec::new() };
     assert!(decode(content, &plain).unwrap().features(0).is_none());
+}
+
+/// Metadata that is invalid leaves the mesh. A verification reads it and names each kind.
+#[test]
+fn verification_names_invalid_metadata_of_contents() {
+    let height = json!({ "type": "SCALAR", "componentType": "FLOAT32" });
+    let name = json!({ "type": "STRING" });
+    let schema = json!({ "classes": { "c": { "properties": { "height": height, "name": name } } } });
+    let model = |metadata: &dyn Fn(&mut GltfBuilder) -> Value| {
+        let mut gltf = GltfBuilder::new();
+        let positions = gltf.floats("VEC3", &TRIANGLE);
+        let uvs = gltf.floats("VEC2", &[0.0; 6]);
+        let image = gltf.push("images", json!({ "uri": "missing.png" }));
+        gltf.push("textures", json!({ "source": image }));
+        let metadata = metadata(&mut gltf);
+        gltf.json["extensions"] = json!({ "EXT_structural_metadata": metadata });
+        gltf.draw(json!({
+            "attributes": { "POSITION": positions, "TEXCOORD_0": uvs },
+            "extensions": { "EXT_mesh_features": { "featureIds": [
+                { "featureCount": 1, "texture": { "index": 0 }, "propertyTable": 0 }, { "featureCount": 3, "propertyTable": 9 },
+                { "featureCount": 3, "label": 7 },
+            ] } },
+        }));
+        gltf.text()
+    };
+    let damaged = model(&|gltf| {
+        let heights = gltf.view(&floats(&[1.5, 2.5]), None);
+        let text = gltf.view(b"ab", None);
+        let ends = gltf.view(&[0, 1, 2, 9], None);
+        let strings = json!({ "values": text, "stringOffsets": ends, "stringOffsetType": "UINT8" });
+        json!({ "schema": schema, "propertyTables": [
+            { "class": "c", "count": 2, "properties": { "height": { "values": heights }, "name": strings } },
+            { "class": "c", "count": 3, "properties": { "height": { "values": heights }, "name": strings } },
+            { "class": "d", "count": 2, "properties": { "height": { "values": heights } } },
+        ] })
+    });
+    let without_schema = model(&|gltf| {
+        let heights = gltf.view(&floats(&[1.5]), None);
+        json!({ "propertyTables": [{ "class": "c", "count": 1, "properties": { "height": { "values": heights } } }] })
+    });
+    let folder = tempfile::tempdir().unwrap();
+    let bounds = json!({ "sphere": [0, 0, 0, 9] });
+    let tile = |uri: &str| json!({ "boundingVolume": bounds, "geometricError": 0, "content": { "uri": uri } });
+    let set = json!({ "asset": { "version": "1.1" }, "geometricError": 9, "root": {
+        "boundingVolume": bounds, "geometricError": 9, "refine": "ADD", "children": [tile("a.gltf"), tile("b.gltf")],
+    } });
+    for (name, bytes) in
+        [("a.gltf", damaged.clone()), ("b.gltf", without_schema), ("tileset.json", set.to_string().into_bytes())]
+    {
+        std::fs::write(folder.path().join(name), bytes).unwrap();
+    }
+    let verified = verify(folder.path().to_str().unwrap(), &Limits::default(), &mut |_| {}).unwrap();
+    assert_eq!((verified.contents, verified.failed), (2, 0), "{verified:?}");
+    let expected = [
+        ("glTF: an invalid set of feature ids", 2),
+        ("glTF: external image that is missing", 2),
+        ("glTF: feature ids whose property table is missing", 3),
+        ("glTF: feature ids whose texture is missing or invalid", 2),
+        ("metadata: a property table of an unknown class", 1),
+        ("metadata: a property table whose buffer view is too short", 2),
+        ("metadata: a schema that is missing", 1),
+    ];
+    assert_eq!(verified.ignored, expected.map(|(kind, count)| (kind.to_owned(), count)).into());
+    // Metadata that is not kept is not read.
+    assert!(crate::gltf_builder::read(damaged, Vec::new()).unwrap().ignored.is_empty());
 }
 
 #[test]

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use glam::{Affine2, Vec2};
 use kit::skip::skipped;
 use serde_json::{Value, json};
-use terrane::scene::{AlphaMode, AttributeFormat, Material, SecondUv, Texture};
+use terrane::scene::{AttributeFormat, Material, SecondUv, Texture};
 use terrane::state::FilterMode;
 
 use crate::gltf_builder::*;
@@ -48,20 +48,105 @@ fn a_black_surface_that_emits_light_has_its_colour() {
     assert_eq!(material.metallic_roughness.unwrap().emissive, [1.0, 0.0, 0.0]);
 }
 
+/// Returns a material of KHR_materials_pbrSpecularGlossiness.
+fn specular_glossiness(values: Value) -> Value {
+    json!({ "extensions": { "KHR_materials_pbrSpecularGlossiness": values } })
+}
+
 #[test]
-fn specular_glossiness_becomes_its_diffuse_part() {
-    let (material, ignored) =
-        read(json!({ "alphaMode": "BLEND", "extensions": { "KHR_materials_pbrSpecularGlossiness": {
-        "diffuseFactor": RED, "diffuseTexture": { "index": 0 },
-    } } }));
-    assert_eq!((material.base_color, material.alpha), (RED, AlphaMode::Blend));
-    assert_eq!(material.texture.unwrap().mips[0], [0, 0, 255, 255]);
-    assert_eq!(ignored, ["glTF material: specular colour and glossiness"]);
-    let (_, ignored) = read(json!({
-        "normalTexture": { "index": 0 }, "occlusionTexture": { "index": 0 },
-        "extensions": { "KHR_materials_pbrSpecularGlossiness": {} },
+fn specular_glossiness_is_converted_to_metallic_roughness() {
+    // A dielectric: the diffuse map stays as it is.
+    let dielectric = specular_glossiness(json!({
+        "diffuseFactor": [0.48, 0.24, 0, 0.5], "diffuseTexture": { "index": 0 }, "specularFactor": [0, 0, 0],
+        "glossinessFactor": 0.75,
     }));
-    assert_eq!(ignored.len(), 3, "{ignored:?}");
+    let (material, ignored) = read(dielectric);
+    let close = |got: [f32; 4], expected: [f32; 4]| got.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-5);
+    assert!(close(material.base_color, [0.5, 0.25, 0.0, 0.5]), "{:?}", material.base_color);
+    let model = material.metallic_roughness.unwrap();
+    assert_eq!((model.metallic, model.roughness), (0.0, 0.25));
+    assert_eq!((material.texture.unwrap().mips[0].as_slice(), ignored.len()), (&[0, 0, 255, 255][..], 0));
+    // Without a specular colour the diffuse one is drawn.
+    let plain = specular_glossiness(json!({ "diffuseFactor": RED, "diffuseTexture": { "index": 0 } }));
+    let (material, ignored) = read(plain);
+    assert_eq!((material.base_color, material.texture.unwrap().mips[0].as_slice()), (RED, &[0, 0, 255, 255][..]));
+    assert_eq!(ignored, ["glTF material: white specular colour (drawn as a dielectric)"]);
+    // A metal: the specular colour is that of the surface.
+    let (material, _) =
+        read(specular_glossiness(json!({ "diffuseFactor": [0, 0, 0, 1], "specularFactor": [1, 0.5, 0.25] })));
+    assert!(close(material.base_color, [1.0, 0.5, 0.25, 1.0]), "{:?}", material.base_color);
+    let model = material.metallic_roughness.unwrap();
+    assert!((model.metallic - 1.0).abs() < 1e-5 && model.roughness == 0.0, "{model:?}");
+    // A rough dielectric is matte.
+    let rough = json!({ "diffuseFactor": [1, 0, 0, 1], "specularFactor": [0.04, 0.04, 0.04], "glossinessFactor": 0 });
+    assert!(read(specular_glossiness(rough)).0.metallic_roughness.is_none());
+}
+
+#[test]
+fn maps_of_specular_glossiness_are_converted() {
+    let rgba = |width: u32, height: u32, texel: fn(u32, u32) -> [u8; 4]| {
+        let mut bytes = std::io::Cursor::new(Vec::new());
+        let image = image::RgbaImage::from_fn(width, height, |x, y| image::Rgba(texel(x, y)));
+        image.write_to(&mut bytes, image::ImageFormat::Png).unwrap();
+        data_uri(&bytes.into_inner())
+    };
+    let mut material = specular_glossiness(json!({
+        "diffuseFactor": [1, 1, 1, 0.5], "diffuseTexture": { "index": 0 }, "specularFactor": [1, 1, 1],
+        "glossinessFactor": 0.5, "specularGlossinessTexture": { "index": 1 },
+    }));
+    material["occlusionTexture"] = json!({ "index": 2 });
+    let mut gltf = with_material(material);
+    // A gray dielectric left, a half transparent black metal right.
+    gltf.json["images"][0]["uri"] = rgba(4, 2, |x, _| if x < 2 { [188, 188, 188, 255] } else { [0, 0, 0, 128] }).into();
+    // No reflection left, a red one right; rough at the top and glossy at the bottom.
+    let map = rgba(2, 2, |x, y| [if x == 0 { 0 } else { 255 }, 0, 0, if y == 0 { 0 } else { 255 }]);
+    gltf.push("images", json!({ "uri": map }));
+    gltf.push("images", json!({ "uri": rgba(4, 2, |_, _| [77, 0, 0, 255]) }));
+    // Without filters between texels the values are exact but where the smaller map is enlarged.
+    gltf.push("textures", json!({ "source": 1 }));
+    gltf.push("textures", json!({ "source": 2 }));
+    let read = gltf.read();
+    let material = read.mesh().1.material;
+    assert!(read.ignored.is_empty(), "{:?}", read.ignored);
+    assert_eq!(material.base_color, [1.0, 1.0, 1.0, 0.5]);
+    let base_color = material.texture.unwrap();
+    assert_eq!((base_color.width, base_color.height, base_color.mips.len()), (4, 2, 3));
+    let texel = |of: &terrane::scene::Texture, x: usize, y: usize| -> [u8; 4] {
+        of.mips[0][4 * (4 * y + x)..][..4].try_into().unwrap()
+    };
+    // 188 is half of the light, divided by the 0.96 that a dielectric does not reflect: 191.6.
+    assert_eq!(texel(&base_color, 0, 0), [191, 191, 191, 255]);
+    assert_eq!(texel(&base_color, 3, 1), [255, 0, 0, 128]);
+    let model = material.metallic_roughness.unwrap();
+    assert_eq!((model.metallic, model.roughness, model.occlusion_strength), (1.0, 1.0, 1.0));
+    let rest = model.occlusion_roughness_metallic.unwrap();
+    let corners = [(0, 0), (3, 0), (0, 1), (3, 1)].map(|(x, y)| texel(&rest, x, y));
+    assert_eq!(corners, [[77, 255, 0, 255], [77, 255, 255, 255], [77, 128, 0, 255], [77, 128, 255, 255]]);
+
+    // The diffuse map alone: the metallic share depends on its texels if the specular colour is bright.
+    let material = &mut gltf.json["materials"][0];
+    *material = specular_glossiness(json!({ "diffuseTexture": { "index": 0 }, "specularFactor": [0.3, 0.3, 0.3] }));
+    let material = gltf.read().mesh().1.material;
+    let rest = material.metallic_roughness.unwrap().occlusion_roughness_metallic.unwrap();
+    let [gray, black] = [texel(&rest, 0, 0)[2], texel(&rest, 3, 0)[2]];
+    assert!(gray < 160 && black == 255, "{gray} {black}");
+
+    // Maps with other coordinates, and missing ones, are left out.
+    let material = &mut gltf.json["materials"][0];
+    *material = specular_glossiness(json!({
+        "diffuseTexture": { "index": 0 }, "specularFactor": [0, 0, 0],
+        "specularGlossinessTexture": { "index": 1, "texCoord": 1 },
+    }));
+    let read = gltf.read();
+    let kind = "glTF material: map with other texture coordinates than the base colour";
+    assert_eq!(read.ignored.count(kind), 1, "{:?}", read.ignored);
+    assert!(read.mesh().1.material.metallic_roughness.unwrap().occlusion_roughness_metallic.is_none());
+    gltf.json["images"][1]["uri"] = "missing.png".into();
+    gltf.json["materials"][0]["extensions"]["KHR_materials_pbrSpecularGlossiness"]["specularGlossinessTexture"]["texCoord"] =
+        0.into();
+    let read = gltf.read();
+    assert_eq!(read.ignored.count("glTF: external image that is missing"), 1, "{:?}", read.ignored);
+    assert_eq!(texel(&read.mesh().1.material.texture.unwrap(), 0, 0), [191, 191, 191, 255]);
 }
 
 /// Regression: the whole surface glowed.
@@ -174,6 +259,18 @@ fn maps_may_have_their_own_texture_coordinates() {
     assert_eq!(format, AttributeFormat::Float32x2);
     assert_eq!(bytemuck::cast_slice::<u8, f32>(bytes), [0.0, 0.0, 1.0, 0.0, 0.0, 1.0]);
     assert!(read.ignored.is_empty(), "{:?}", read.ignored);
+
+    // A transform that all maps share belongs to the vertices, whatever kind of map has it.
+    let mut shared = GltfBuilder { json: gltf.json.clone(), buffer: gltf.buffer.clone() };
+    let transform = json!({ "KHR_texture_transform": { "texCoord": 1, "scale": [2, 2] } });
+    let map = json!({ "index": 0, "extensions": transform });
+    shared.json["materials"][0] = json!({
+        "pbrMetallicRoughness": { "baseColorTexture": map, "metallicRoughnessTexture": map },
+        "occlusionTexture": map, "normalTexture": map,
+    });
+    let (mesh, drawable) = shared.read().mesh();
+    assert_eq!(drawable.material.metallic_roughness.unwrap().second_uv, SecondUv::default());
+    assert_eq!((mesh.vertices[1].uv, mesh.attributes.get(SecondUv::ATTRIBUTE)), ([2.0, 0.0], None));
 
     // A third set is listed, and so is a set that the mesh lacks.
     gltf.json["materials"][0]["normalTexture"]["texCoord"] = 2.into();

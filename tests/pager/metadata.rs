@@ -2,6 +2,7 @@
 
 use glam::DVec3;
 use kit::pager::{Run, above};
+use kit::server::{Reply, Server};
 use terrane::formats::writers::{GlbMesh, write_glb};
 use terrane::pager::PagerConfig;
 use terrane::scene::{IntersectionVisitor, LineSegmentIntersector, TileMetadata};
@@ -52,4 +53,37 @@ fn picked_points_lead_to_the_metadata_of_their_tiles() {
         ];
         assert_eq!(found, if keep_features { ["set below", "group", "tile leaf", "content"] } else { [""; 4] });
     }
+}
+
+/// A tileset whose text is large is parsed twice: for the reference to its schema on a thread beside the requests, and by its
+/// decoder.
+#[test]
+fn schemas_of_large_external_tilesets_are_fetched_with_them() {
+    let tile = r#""boundingVolume":{"sphere":[0,0,0,2]},"geometricError":0"#;
+    let named = r#"{"class":"c","properties":{"name":"below"}}"#;
+    let head = r#""asset":{"version":"1.1"},"geometricError":9"#;
+    let padding = " ".repeat(200_000);
+    let below = format!(
+        r#"{{{padding}{head},"schemaUri":"meta/s.json","metadata":{named},"root":{{{tile},"refine":"ADD","content":{{"uri":"a.glb"}}}}}}"#
+    );
+    let root = format!(r#"{{{head},"root":{{{tile},"refine":"ADD","content":{{"uri":"sub/below.json"}}}}}}"#);
+    let glb = write_glb(&GlbMesh {
+        positions: vec![[-1.0, 0.0, 1.0], [1.0, 0.0, 1.0], [0.0, 0.0, -1.0]],
+        indices: vec![0, 1, 2],
+        base_color: [1.0; 4],
+        ..GlbMesh::default()
+    });
+    let server = Server::start(move |request| match request.path() {
+        "/tileset.json" => Reply::ok(root.clone()),
+        "/sub/below.json" => Reply::ok(below.clone()),
+        "/sub/meta/s.json" => Reply::ok(r#"{"classes":{"c":{"properties":{"name":{"type":"STRING"}}}}}"#),
+        "/sub/a.glb" => Reply::ok(glb.clone()),
+        _ => Reply::new(404, ""),
+    });
+    let config = PagerConfig { keep_features: true, ..PagerConfig::default() };
+    let mut run = Run::new(&format!("{}/tileset.json", server.url), config);
+    run.settle(above(10.0));
+    assert!(run.pager.errors().is_empty(), "{:?}", run.pager.errors());
+    assert!(run.pager.ignored().is_empty(), "{:?}", run.pager.ignored());
+    assert_eq!((run.stage.leaf_count(), server.count()), (1, 4));
 }

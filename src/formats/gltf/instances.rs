@@ -8,7 +8,7 @@ use serde_json::Value;
 
 use super::accessors::{Buffers, Elements};
 use super::context::Context;
-use super::features::FeatureIdJson;
+use super::features::{FeatureIdJson, FeatureTables};
 use crate::fetch::IoError;
 use crate::scene::{FeatureIdSet, FeatureIds};
 
@@ -29,9 +29,10 @@ impl Instances {
         context: &Context<'_>,
         document: &gltf::Document,
         buffers: &Buffers<'_>,
+        tables: &FeatureTables,
         node: &gltf::Node<'_>,
     ) -> Result<Option<Self>, IoError> {
-        read(context, document, buffers, node)
+        read(context, document, buffers, tables, node)
     }
 
     /// Returns the features of an instance.
@@ -48,6 +49,7 @@ fn read(
     context: &Context<'_>,
     document: &gltf::Document,
     buffers: &Buffers<'_>,
+    tables: &FeatureTables,
     node: &gltf::Node<'_>,
 ) -> Result<Option<Instances>, IoError> {
     let Some(extension) = node.extension_value(EXTENSION) else { return Ok(None) };
@@ -99,15 +101,19 @@ fn read(
     }
     let mut features = Vec::new();
     let sets = match context.options.keep_features {
-        true => FeatureIdJson::list(node.extension_value("EXT_instance_features")),
+        true => FeatureIdJson::list(node.extension_value("EXT_instance_features"), context.notes),
         false => Vec::new(),
     };
     for set in sets {
+        tables.check_table(&set, context.notes);
         let Some(number) = set.attribute else {
             features.push((set, None));
             continue;
         };
         let ids = elements(&format!("_FEATURE_ID_{number}"), Dimensions::Scalar)?;
+        if ids.is_none() {
+            context.notes.add("glTF: feature ids whose attribute is missing");
+        }
         let ids = ids.map(|elements| (0..count).map(|i| elements.unsigned(i, 0)).collect());
         features.push((set, Some(ids.unwrap_or_default())));
     }

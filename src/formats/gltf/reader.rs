@@ -160,7 +160,7 @@ impl Reader<'_> {
 
     /// Adds a mesh to the children of its node: once, or at each of its instances.
     fn mesh(&mut self, node: &gltf::Node<'_>, mesh: &gltf::Mesh<'_>, children: &mut Vec<Node>) -> Result<(), IoError> {
-        let instances = Instances::new(self.context, self.document, self.buffers, node)?;
+        let instances = Instances::new(self.context, self.document, self.buffers, self.tables, node)?;
         let drawables = self.meshes.drawables(mesh, node.weights(), None)?;
         let Some(instances) = instances else {
             children.extend(drawables.into_nodes());

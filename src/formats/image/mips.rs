@@ -5,7 +5,7 @@ use std::sync::OnceLock;
 use crate::math::color::{linear_from_srgb, srgb_from_linear};
 
 /// Returns all mip levels, box filtered in linear light.
-pub(super) fn mips(width: u32, height: u32, level_0: Vec<u8>) -> Vec<Vec<u8>> {
+pub(in crate::formats) fn mips(width: u32, height: u32, level_0: Vec<u8>) -> Vec<Vec<u8>> {
     let (mut w, mut h) = (width as usize, height as usize);
     let mut levels = vec![level_0];
     while w > 1 || h > 1 {

@@ -8,3 +8,4 @@ mod rgba;
 
 pub(crate) use decode::decode_file;
 pub(super) use decode::{SharedTexture, decode_shared, is_image};
+pub(super) use mips::mips;

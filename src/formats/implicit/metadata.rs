@@ -6,6 +6,9 @@ use super::availability::{Availability, Ranks};
 use super::semantics::{Overrides, Semantic};
 use crate::scene::{Metadata, MetadataClass, PropertyInfo, PropertyTable, PropertyValue};
 
+/// Returns the part of a tile or of its content that a semantic replaces.
+pub(super) type SemanticNamed = fn(&str) -> Option<Semantic>;
+
 /// A property table with a row for each available element.
 #[derive(Debug)]
 pub(super) struct MetadataRows {
@@ -17,14 +20,14 @@ pub(super) struct MetadataRows {
 }
 
 impl MetadataRows {
-    /// Returns the rows of the available elements; `None` if the table has no columns.
-    pub fn new(table: PropertyTable, of: &Availability) -> Option<Self> {
+    /// Returns the rows of the available elements, whose semantics `named` knows; `None` if the table has no columns.
+    pub fn new(table: PropertyTable, of: &Availability, named: SemanticNamed) -> Option<Self> {
         let properties: Vec<_> = table.properties().cloned().collect();
         if properties.is_empty() {
             return None;
         }
-        let named = |(at, property): (usize, &PropertyInfo)| Some((Semantic::named(&property.semantic)?, at));
-        let semantics = properties.iter().enumerate().filter_map(named).collect();
+        let with_column = |(at, property): (usize, &PropertyInfo)| Some((named(&property.semantic)?, at));
+        let semantics = properties.iter().enumerate().filter_map(with_column).collect();
         let class = Arc::new(MetadataClass { name: table.class.clone(), properties });
         Some(Self { table, class, ranks: Ranks::new(of), semantics })
     }

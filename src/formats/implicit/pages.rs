@@ -6,8 +6,10 @@
 
 use std::sync::Arc;
 
+use glam::DAffine3;
+
 use super::coordinates::{LocalTile, TileCoordinates};
-use super::semantics::Overrides;
+use super::semantics::VolumeOverrides;
 use super::subtree::{Subtree, external_buffers};
 use super::tiling::ImplicitTiling;
 use crate::fetch::IoError;
@@ -26,7 +28,8 @@ const MAX_TILES: u64 = 1024;
 pub(in crate::formats) struct SubtreeSource {
     tiling: Arc<ImplicitTiling>,
     root: TileCoordinates,
-    is_replaced: bool,
+    /// `None` above the root of the tree.
+    above: Option<Above>,
 }
 
 /// The levels of a subtree in memory below one of its tiles. The reader data of a tile that they become the content of.
@@ -35,9 +38,18 @@ pub(in crate::formats) struct SubtreePart {
     subtree: Arc<LoadedSubtree>,
     /// The tile above.
     parent: LocalTile,
-    is_replaced: bool,
+    above: Above,
     /// True for one part of each file, which counts the memory of the subtree.
     counts_subtree: bool,
+}
+
+/// What a tile has from those above it.
+#[derive(Clone, Copy, Debug)]
+struct Above {
+    /// Maps from the tile above to the tileset's frame.
+    transform: DAffine3,
+    /// True if a content above is replaced by the tiles below.
+    is_replaced: bool,
 }
 
 /// A subtree in memory, shared by the parts of its tree.
@@ -51,8 +63,7 @@ struct LoadedSubtree {
 impl SubtreeSource {
     /// Returns the subtree that has the root of an implicit tree.
     pub fn root(tiling: Arc<ImplicitTiling>) -> Self {
-        let is_replaced = tiling.is_replaced;
-        Self { tiling, root: TileCoordinates::default(), is_replaced }
+        Self { tiling, root: TileCoordinates::default(), above: None }
     }
 
     /// Returns the URI of the file.
@@ -73,7 +84,7 @@ impl SubtreeSource {
         let mut reader = PartReader::new(Arc::new(subtree), true, options);
         let root = LocalTile::root(self.root);
         reader.choose_levels(vec![root], MAX_TILES);
-        Ok(vec![reader.tile(root, self.is_replaced)])
+        Ok(vec![reader.tile(root, self.above)])
     }
 
     /// Returns the references of the external buffers that a subtree file needs.
@@ -93,7 +104,7 @@ impl SubtreePart {
         let mut reader = PartReader::new(self.subtree.clone(), false, options);
         let tiles = reader.children(self.parent);
         reader.choose_levels(tiles.clone(), MAX_TILES);
-        tiles.into_iter().map(|tile| reader.tile(tile, self.is_replaced)).collect()
+        tiles.into_iter().map(|tile| reader.tile(tile, Some(self.above))).collect()
     }
 
     fn content(self) -> TileContent {
@@ -206,47 +217,51 @@ impl PartReader {
         }
     }
 
-    /// Returns a tile with the levels below it down to the last one.
-    fn tile(&mut self, tile: LocalTile, is_replaced: bool) -> Tile {
+    /// Returns a tile with the levels below it down to the last one. `above` is `None` for the root of the tree.
+    fn tile(&mut self, tile: LocalTile, above: Option<Above>) -> Tile {
         let tiling = self.subtree.tiling.clone();
         let coordinates = tile.coordinates;
+        let (overrides, metadata) = self.subtree.subtree.tile_row(tile);
+        let metadata = self.keep(metadata, overrides.has_invalid);
+        let transform =
+            tiling.tile_transform(above.as_ref().map(|above| &above.transform), overrides.transform.as_ref());
         let mut contents = Vec::new();
         for number in 0..tiling.shape.contents {
             if self.subtree.subtree.has_content(tile, number) {
-                contents.extend(self.content(tile, number));
+                contents.extend(self.content(tile, number, &overrides.volume, &transform));
             }
         }
-        let (overrides, metadata) = self.subtree.subtree.tile_row(tile);
-        let metadata = self.keep(metadata);
         let subtree = self.subtree.subtree.metadata().filter(|_| tile.level == 0).cloned();
         // A tile without content draws nothing where its error is small, which would be a hole below a replaced content.
-        let bounds = tiling.bounds(coordinates, &overrides);
-        let mut geometric_error_m = tiling.geometric_error_m(coordinates.level, &overrides);
+        let is_replaced = above.map_or(tiling.is_replaced, |above| above.is_replaced);
+        let bounds = tiling.bounds(coordinates, &overrides.volume, &transform);
+        let mut geometric_error_m = tiling.geometric_error_m(coordinates.level, &overrides, &transform);
         if contents.is_empty() && is_replaced {
             geometric_error_m = ALWAYS_REFINED_M;
         }
         let refine = overrides.refine.unwrap_or(tiling.refine);
         let replaces = !contents.is_empty() && refine == Refine::Replace;
-        let is_replaced = is_replaced || replaces;
+        let above = Above { transform, is_replaced: is_replaced || replaces };
         let (mut children, mut continuations) = (Vec::new(), Vec::new());
         if tile.level < self.last_level {
-            children = self.children(tile).into_iter().map(|child| self.tile(child, is_replaced)).collect();
+            children = self.children(tile).into_iter().map(|child| self.tile(child, Some(above))).collect();
         } else if !self.children(tile).is_empty() {
             let counts_subtree = std::mem::take(&mut self.counts_subtree);
-            let part = SubtreePart { subtree: self.subtree.clone(), parent: tile, is_replaced, counts_subtree };
+            let part = SubtreePart { subtree: self.subtree.clone(), parent: tile, above, counts_subtree };
             continuations.push(Continuation { bounds, content: part.content() });
         }
         for root in self.child_subtrees(tile) {
-            let source = SubtreeSource { tiling: tiling.clone(), root, is_replaced };
-            continuations
-                .push(Continuation { bounds: tiling.bounds(root, &Overrides::default()), content: source.content() });
+            // The metadata of its root is not known yet.
+            let bounds = tiling.bounds(root, &VolumeOverrides::default(), &transform);
+            let source = SubtreeSource { tiling: tiling.clone(), root, above: Some(above) };
+            continuations.push(Continuation { bounds, content: source.content() });
         }
         Tile {
             bounds,
             request_volume: None,
             refine,
             geometric_error_m,
-            content_transform: tiling.content_transform,
+            content_transform: transform,
             contents,
             external_tilesets: Vec::new(),
             continuations,
@@ -255,10 +270,17 @@ impl PartReader {
         }
     }
 
-    /// Returns a content of a tile: that of its template, or that which its metadata refers to.
-    fn content(&mut self, tile: LocalTile, number: usize) -> Option<TileContent> {
+    /// Returns a content of a tile: that of its template, or that which its metadata refers to. `volume` and `transform` are
+    /// those of the tile.
+    fn content(
+        &mut self,
+        tile: LocalTile,
+        number: usize,
+        volume: &VolumeOverrides,
+        transform: &DAffine3,
+    ) -> Option<TileContent> {
         let row = self.subtree.subtree.content_row(tile, number);
-        let metadata = self.keep(row.metadata);
+        let metadata = self.keep(row.metadata, row.has_invalid);
         let tiling = &self.subtree.tiling;
         let mut content = tiling.content(tile.coordinates, number)?;
         if let Some(reference) = &row.uri {
@@ -267,13 +289,18 @@ impl PartReader {
                 Err(error) => TileContent::refused(content.uri, error),
             };
         }
+        let own = volume.of_content(&row.volume);
+        content.bounds = own.map(|own| tiling.bounds(tile.coordinates, &own, transform));
         content.metadata = tiling.content_metadata(number, row.group, metadata);
         Some(content)
     }
 
-    /// Returns metadata if the budget has room for it.
-    fn keep(&mut self, metadata: Option<Arc<Metadata>>) -> Option<Arc<Metadata>> {
+    /// Returns metadata if the budget has room for it. Notes values with an effect that are invalid.
+    fn keep(&mut self, metadata: Option<Arc<Metadata>>, has_invalid: bool) -> Option<Arc<Metadata>> {
         let notes = Notes::default();
+        if has_invalid {
+            notes.add("metadata: an invalid value of a volume, error, refinement or transform");
+        }
         let kept = metadata.and_then(|metadata| self.budget.keep(metadata, &|kind| notes.add(kind)));
         self.options.ignored.add(&notes.into_ignored());
         kept

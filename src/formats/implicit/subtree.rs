@@ -8,8 +8,8 @@ use std::sync::Arc;
 use super::availability::Availability;
 use super::coordinates::{LocalTile, Subdivision};
 use super::json::{AvailabilityJson, SubtreeJson};
-use super::metadata::MetadataRows;
-use super::semantics::{CONTENT_GROUP_ID, CONTENT_URI, Overrides, Semantic, is_without_effect};
+use super::metadata::{MetadataRows, SemanticNamed};
+use super::semantics::{CONTENT_GROUP_ID, CONTENT_URI, Overrides, Semantic, VolumeOverrides, is_without_effect};
 use crate::fetch::IoError;
 use crate::formats::embedded;
 use crate::formats::ignored::Notes;
@@ -39,6 +39,9 @@ pub(super) struct ContentRow {
     pub uri: Option<String>,
     /// The index of the group.
     pub group: Option<usize>,
+    pub volume: VolumeOverrides,
+    /// True if a value of the volume was invalid.
+    pub has_invalid: bool,
 }
 
 /// A subtree with the bits of its tiles.
@@ -144,8 +147,10 @@ impl Subtree {
         if json.has_metadata_of_1_0() {
             notes.add("metadata of a subtree by the extension 3DTILES_metadata");
         }
-        if let Some(schema) = schema {
-            subtree.read_metadata(&json, schema, &view, &notes);
+        match schema {
+            Some(schema) => subtree.read_metadata(&json, schema, &view, &notes),
+            None if json.property_tables.is_empty() => {}
+            None => notes.add("metadata: property tables of a subtree without a schema"),
         }
         options.ignored.add(&notes.into_ignored());
         Ok(subtree)
@@ -162,18 +167,19 @@ impl Subtree {
         let note = |kind: &'static str| notes.add(kind);
         let source = TableSource::new(schema, view, &note);
         let keeps_all = self.keeps_metadata;
-        let rows = |table: Option<&TableJson>, of: &Availability, is_wanted: IsWanted| {
+        let rows = |table: Option<&TableJson>, of: &Availability, is_wanted: IsWanted, named: SemanticNamed| {
             let table = table?;
             let semantics = table.known(schema).filter_map(|(of, _)| of.semantic.0.as_deref());
             for semantic in semantics.filter(|semantic| is_without_effect(semantic)) {
                 notes.add(format!("metadata semantic {semantic}"));
             }
             let read = source.table(table, &|property| keeps_all || is_wanted(property));
-            MetadataRows::new(read, of)
+            MetadataRows::new(read, of, named)
         };
-        self.tile_rows = rows(json.tile_table(), &self.tiles, replaces_tile);
+        self.tile_rows = rows(json.tile_table(), &self.tiles, replaces_tile, Semantic::of_tile);
         let contents = self.contents.iter().enumerate();
-        self.content_rows = contents.map(|(i, of)| rows(json.content_table(i), of, replaces_content)).collect();
+        let of_content = |(i, of)| rows(json.content_table(i), of, replaces_content, Semantic::of_content);
+        self.content_rows = contents.map(of_content).collect();
         if let Some(metadata) = json.subtree_metadata.as_ref().filter(|_| keeps_all) {
             self.metadata = Entities::new(schema).read(metadata, &note);
         }
@@ -211,11 +217,14 @@ impl Subtree {
         let rows = self.content_rows.get(content).and_then(Option::as_ref);
         let Some((rows, of)) = rows.zip(self.contents.get(content)) else { return ContentRow::default() };
         let row = rows.row(of, tile.index(self.subdivision));
+        let overrides = rows.overrides(row);
         let group = rows.value(CONTENT_GROUP_ID, row).and_then(|group| group.as_f64());
         ContentRow {
             metadata: self.keeps_metadata.then(|| rows.metadata(row)).flatten(),
             uri: rows.value(CONTENT_URI, row).and_then(|uri| uri.as_str().map(str::to_owned)),
             group: group.filter(|group| *group >= 0.0).map(|group| group as usize),
+            volume: overrides.volume,
+            has_invalid: overrides.has_invalid,
         }
     }
 
@@ -247,12 +256,13 @@ type IsWanted = fn(&ClassProperty) -> bool;
 
 /// Returns true for a property of tiles that replaces what follows from their position.
 fn replaces_tile(property: &ClassProperty) -> bool {
-    property.semantic.0.as_deref().and_then(Semantic::named).is_some()
+    property.semantic.0.as_deref().and_then(Semantic::of_tile).is_some()
 }
 
-/// Returns true for a property of contents that replaces their reference.
+/// Returns true for a property of contents that replaces their reference or volume.
 fn replaces_content(property: &ClassProperty) -> bool {
-    property.semantic.0.as_deref() == Some(CONTENT_URI)
+    let semantic = property.semantic.0.as_deref();
+    semantic.is_some_and(|semantic| semantic == CONTENT_URI || Semantic::of_content(semantic).is_some())
 }
 
 /// Returns the references of the external buffers that a subtree needs, in order. A file that is no subtree has none.

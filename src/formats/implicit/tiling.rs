@@ -3,29 +3,29 @@
 use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
 
-use glam::{DAffine3, DMat3, DVec3};
+use glam::DAffine3;
 
 use super::coordinates::{MAX_LEVEL, Subdivision, TileCoordinates};
 use super::json::ImplicitTilingJson;
-use super::semantics::Overrides;
+use super::semantics::{Overrides, Shape, VolumeOverrides};
 use super::subtree::SubtreeShape;
 use super::template::UriTemplate;
 use crate::fetch::IoError;
 use crate::formats::options::ReadOptions;
 use crate::formats::properties::Schema;
 use crate::formats::tile::{ContentData, S2Cell, TileContent, UpAxis};
-use crate::math::{BoundingSphere, BoundingVolume, OrientedBox, Region, max_scale};
+use crate::math::{BoundingVolume, OrientedBox, Region, max_scale};
 use crate::scene::{Metadata, ReaderData, Refine, TileMetadata};
 
 /// The volume of the root of an implicit tree, which is halved for the tiles below.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::formats) enum RootVolume {
-    /// In the frame of the tileset.
+    /// In the frame of the root tile.
     Box(OrientedBox),
-    /// On the globe. `tileset_from_set` maps from the frame of the whole set; `None` is the identity.
-    Region { region: Region, tileset_from_set: Option<DAffine3> },
+    /// On the globe.
+    Region(Region),
     /// A cell on the globe between two heights, metres.
-    S2 { cell: S2Cell, heights_m: [f64; 2], tileset_from_set: Option<DAffine3> },
+    S2 { cell: S2Cell, heights_m: [f64; 2] },
 }
 
 /// The root tile of an implicit tree, as the reader of the tileset knows it.
@@ -35,11 +35,15 @@ pub(in crate::formats) struct ImplicitRoot<'a> {
     /// The options with which references are resolved.
     pub options: &'a ReadOptions,
     pub volume: RootVolume,
-    /// The geometric error, metres of the tileset's frame.
-    pub geometric_error_m: f64,
+    /// Maps from the frame of the whole set to that of the tileset, for volumes on the globe; `None` is the identity.
+    pub tileset_from_set: Option<DAffine3>,
+    /// The geometric error, metres before the scale of the tile.
+    pub geometric_error: f64,
     pub refine: Refine,
     /// Maps contents to the tileset's frame.
     pub content_transform: DAffine3,
+    /// Maps from the frame of the tile above the root to the tileset's frame.
+    pub parent_transform: DAffine3,
     /// True if a content above is replaced by the tiles below.
     pub is_replaced: bool,
     /// The contents.
@@ -76,9 +80,12 @@ pub(in crate::formats) struct ImplicitTiling {
     /// The metadata of all groups of the tileset.
     groups: Arc<[Option<Arc<Metadata>>]>,
     volume: RootVolume,
-    geometric_error_m: f64,
+    tileset_from_set: Option<DAffine3>,
+    /// The error of the root, metres before the scale of the tile.
+    geometric_error: f64,
     pub(super) refine: Refine,
-    pub(super) content_transform: DAffine3,
+    content_transform: DAffine3,
+    parent_transform: DAffine3,
     pub(super) is_replaced: bool,
     /// Reader data of all contents that need no other.
     content_data: Option<ReaderData>,
@@ -123,9 +130,11 @@ impl ImplicitTiling {
             subtrees: resolve(subtrees)?,
             contents,
             volume: root.volume,
-            geometric_error_m: root.geometric_error_m,
+            tileset_from_set: root.tileset_from_set,
+            geometric_error: root.geometric_error,
             refine: root.refine,
             content_transform: root.content_transform,
+            parent_transform: root.parent_transform,
             is_replaced: root.is_replaced,
             content_data,
             up_axis: root.up_axis,
@@ -187,49 +196,70 @@ impl ImplicitTiling {
         self.schema.as_deref()
     }
 
-    /// Returns the geometric error of a tile of a level, metres of the tileset's frame.
-    pub(super) fn geometric_error_m(&self, level: u32, overrides: &Overrides) -> f64 {
-        match overrides.geometric_error.filter(|error| *error >= 0.0) {
-            Some(error) => error * max_scale(&self.content_transform.matrix3),
-            None => self.geometric_error_m / level_scale(level),
+    /// Returns the transform from a tile to the tileset's frame. `above` is that of the tile above; `None` for the root of the
+    /// tree, whose transform in the tileset `own` replaces. `own` maps to the frame of the tile above.
+    pub(super) fn tile_transform(&self, above: Option<&DAffine3>, own: Option<&DAffine3>) -> DAffine3 {
+        match (above, own) {
+            (None, None) => self.content_transform,
+            (None, Some(own)) => self.parent_transform * *own,
+            (Some(above), None) => *above,
+            (Some(above), Some(own)) => *above * *own,
         }
     }
 
-    /// Returns the volume of a tile: that of its metadata, or its part of the root's.
-    pub(super) fn bounds(&self, tile: TileCoordinates, overrides: &Overrides) -> BoundingVolume {
-        if let Some([cx, cy, cz, axes @ ..]) = overrides.oriented_box {
-            let [x, y, z] = [0, 3, 6].map(|at| DVec3::from_slice(&axes[at..]));
-            let own = OrientedBox { center: DVec3::new(cx, cy, cz), half_axes: DMat3::from_cols(x, y, z) };
-            return BoundingVolume::Box(own.transformed(&self.content_transform));
-        }
-        let tileset_from_set = match &self.volume {
-            RootVolume::Box(_) => None,
-            RootVolume::Region { tileset_from_set, .. } | RootVolume::S2 { tileset_from_set, .. } => {
-                tileset_from_set.as_ref()
+    /// Returns the geometric error of a tile of a level, metres of the tileset's frame.
+    pub(super) fn geometric_error_m(&self, level: u32, overrides: &Overrides, transform: &DAffine3) -> f64 {
+        let by_level = self.geometric_error / level_scale(level);
+        overrides.geometric_error.unwrap_or(by_level) * max_scale(&transform.matrix3)
+    }
+
+    /// Returns the volume of a tile or of its content: that of the metadata, or the tile's part of the root's. `transform` is
+    /// that of the tile.
+    pub(super) fn bounds(
+        &self,
+        tile: TileCoordinates,
+        overrides: &VolumeOverrides,
+        transform: &DAffine3,
+    ) -> BoundingVolume {
+        match overrides.shape.unwrap_or_else(|| self.part(tile)) {
+            Shape::Box(own) => BoundingVolume::Box(own.transformed(transform)),
+            Shape::Sphere(own) => BoundingVolume::Sphere(own.transformed(transform)),
+            Shape::Region(own) => {
+                let min_height_m = overrides.min_height_m.unwrap_or(own.min_height_m);
+                let max_height_m = overrides.max_height_m.unwrap_or(own.max_height_m);
+                let region = Region { min_height_m, max_height_m, ..own };
+                match &self.tileset_from_set {
+                    None => BoundingVolume::Region(region),
+                    Some(map) => BoundingVolume::Box(region.oriented_box().transformed(map)),
+                }
             }
+            Shape::S2(cell) => {
+                let [low, high] = self.heights_m(tile);
+                let (low, high) = (overrides.min_height_m.unwrap_or(low), overrides.max_height_m.unwrap_or(high));
+                let b = cell.oriented_box(low, high);
+                BoundingVolume::Box(self.tileset_from_set.map_or(b, |map| b.transformed(&map)))
+            }
+        }
+    }
+
+    /// Returns the shape that follows from the position of a tile.
+    fn part(&self, tile: TileCoordinates) -> Shape {
+        match &self.volume {
+            RootVolume::Box(root) => Shape::Box(self.part_of_box(root, tile)),
+            RootVolume::Region(root) => Shape::Region(self.part_of_region(root, tile)),
+            RootVolume::S2 { cell, .. } => Shape::S2(cell.part(tile.level, tile.x, tile.y)),
+        }
+    }
+
+    /// Returns the lowest and the highest height that follow from the position of a tile, metres; 0 in a tree of boxes.
+    fn heights_m(&self, tile: TileCoordinates) -> [f64; 2] {
+        let [low, high] = match &self.volume {
+            RootVolume::Box(_) => [0.0; 2],
+            RootVolume::Region(root) => [root.min_height_m, root.max_height_m],
+            RootVolume::S2 { heights_m, .. } => *heights_m,
         };
-        if let Some([west, south, east, north, min_height_m, max_height_m]) = overrides.region {
-            let own = Region { west, south, east, north, min_height_m, max_height_m };
-            return placed(with_heights(own, overrides), tileset_from_set);
-        }
-        if let Some([x, y, z, radius_m]) = overrides.sphere {
-            let own = BoundingSphere::new(DVec3::new(x, y, z), radius_m.max(0.0));
-            return BoundingVolume::Sphere(own.transformed(&self.content_transform));
-        }
-        match self.volume {
-            RootVolume::Box(root) => BoundingVolume::Box(self.part_of_box(&root, tile)),
-            RootVolume::Region { region, tileset_from_set } => {
-                placed(with_heights(self.part_of_region(&region, tile), overrides), tileset_from_set.as_ref())
-            }
-            RootVolume::S2 { cell, heights_m: [low, high], tileset_from_set } => {
-                let (from, to) = self.parts(tile)[2];
-                let (part_low, part_high) = (low + (high - low) * from, low + (high - low) * to);
-                let low = overrides.min_height_m.unwrap_or(part_low);
-                let high = overrides.max_height_m.unwrap_or(part_high);
-                let b = cell.part(tile.level, tile.x, tile.y).oriented_box(low, high);
-                BoundingVolume::Box(tileset_from_set.map_or(b, |map| b.transformed(&map)))
-            }
-        }
+        let (from, to) = self.parts(tile)[2];
+        [low + (high - low) * from, low + (high - low) * to]
     }
 
     fn part_of_box(&self, root: &OrientedBox, tile: TileCoordinates) -> OrientedBox {
@@ -280,19 +310,4 @@ impl ImplicitTiling {
 /// Returns the number of tiles along an axis of a level.
 fn level_scale(level: u32) -> f64 {
     f64::from(level).exp2()
-}
-
-/// Returns a region with the heights of a tile's metadata.
-fn with_heights(region: Region, overrides: &Overrides) -> Region {
-    let min_height_m = overrides.min_height_m.unwrap_or(region.min_height_m);
-    let max_height_m = overrides.max_height_m.unwrap_or(region.max_height_m);
-    Region { min_height_m, max_height_m, ..region }
-}
-
-/// Returns the volume of a region for a tileset that transforms above it move. The inverse keeps the region in its position.
-fn placed(region: Region, tileset_from_set: Option<&DAffine3>) -> BoundingVolume {
-    match tileset_from_set {
-        None => BoundingVolume::Region(region),
-        Some(map) => BoundingVolume::Box(region.oriented_box().transformed(map)),
-    }
 }

@@ -16,8 +16,13 @@ pub(super) struct Offsets {
 }
 
 impl Offsets {
+    /// Returns offset `i`; `None` beyond the end.
+    fn get(&self, i: usize) -> Option<usize> {
+        self.component.read_unsigned(&self.bytes, i)
+    }
+
     fn range(&self, i: usize) -> Option<std::ops::Range<usize>> {
-        let [begin, end] = [i, i.checked_add(1)?].map(|at| self.component.read_unsigned(&self.bytes, at));
+        let [begin, end] = [i, i.checked_add(1)?].map(|at| self.get(at));
         Some(begin?..end?).filter(|range| range.start <= range.end)
     }
 }
@@ -53,6 +58,25 @@ impl PropertyColumn for BinaryColumn {
 }
 
 impl BinaryColumn {
+    /// Returns true if the buffer views have the values of all rows.
+    pub fn has_rows(&self, rows: usize) -> bool {
+        let elements = match self.kind.length {
+            Length::Single => Some(rows),
+            Length::Fixed(count) => rows.checked_mul(count),
+            // The last offset is the number of elements. An empty table needs none.
+            Length::Variable if rows == 0 => Some(0),
+            Length::Variable => self.array_offsets.as_ref().and_then(|offsets| offsets.get(rows)),
+        };
+        elements.is_some_and(|elements| match &self.kind.element {
+            _ if elements == 0 => true,
+            Element::Text => {
+                let bytes = self.string_offsets.as_ref().and_then(|offsets| offsets.get(elements));
+                bytes.is_some_and(|bytes| bytes <= self.values.len())
+            }
+            element => element.stored_bytes(elements).is_some_and(|bytes| bytes <= self.values.len()),
+        })
+    }
+
     /// Returns stored elements; `None` if one of them lies beyond the end, and for more than [`MAX_ELEMENTS`].
     fn list(&self, elements: std::ops::Range<usize>) -> Option<PropertyValue> {
         // The smallest element is a bit; text may be empty, but has an offset of a byte.

@@ -99,11 +99,7 @@ impl PropertyType {
 
     /// Returns the size of a value in bytes; `None` for bits, text, and arrays of any length.
     pub fn size_bytes(&self) -> Option<usize> {
-        let element = match &self.element {
-            Element::Numbers { component, components } => component.size_bytes() * components,
-            Element::Enum { component, .. } => component.size_bytes(),
-            Element::Bool | Element::Text => return None,
-        };
+        let element = self.element.size_bytes()?;
         match self.length {
             Length::Single => Some(element),
             Length::Fixed(count) => element.checked_mul(count),
@@ -182,6 +178,23 @@ impl ValueDecoder for PropertyType {
 }
 
 impl Element {
+    /// Returns the size of an element in bytes; `None` for bits and text.
+    fn size_bytes(&self) -> Option<usize> {
+        match self {
+            Self::Numbers { component, components } => Some(component.size_bytes() * components),
+            Self::Enum { component, .. } => Some(component.size_bytes()),
+            Self::Bool | Self::Text => None,
+        }
+    }
+
+    /// Returns the bytes of `count` elements without gaps; `None` for text, and if they are too many.
+    pub fn stored_bytes(&self, count: usize) -> Option<usize> {
+        match self {
+            Self::Bool => Some(count.div_ceil(8)),
+            element => element.size_bytes()?.checked_mul(count),
+        }
+    }
+
     /// Returns element `i` of elements without gaps; `None` beyond the end, and for text.
     pub fn read(&self, bytes: &[u8], i: usize) -> Option<PropertyValue> {
         match self {

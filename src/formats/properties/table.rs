@@ -54,6 +54,10 @@ impl<'a> TableSource<'a> {
     pub fn table(&self, table: &TableJson, is_wanted: &dyn Fn(&ClassProperty) -> bool) -> PropertyTable {
         let class_name = table.class.0.clone().unwrap_or_default();
         let class = self.schema.classes.get(&class_name);
+        if class.is_none() {
+            (self.note)("metadata: a property table of an unknown class");
+            return PropertyTable::new(table.name.0.clone().unwrap_or_default(), class_name, table.count, Vec::new());
+        }
         let mut columns: Vec<Column> = Vec::new();
         for (name, property) in &table.properties {
             let of = class.and_then(|class| class.properties.get(name));
@@ -63,7 +67,7 @@ impl<'a> TableSource<'a> {
             if !self.takes_column() {
                 break;
             }
-            match of.and_then(|of| self.column(name, of, property)) {
+            match of.and_then(|of| self.column(name, of, property, table.count)) {
                 Some(column) => columns.push(column),
                 None => (self.note)("metadata: a property that is invalid"),
             }
@@ -94,7 +98,7 @@ impl<'a> TableSource<'a> {
         left.is_some()
     }
 
-    fn column(&self, name: &str, of: &ClassProperty, table: &TableProperty) -> Option<Column> {
+    fn column(&self, name: &str, of: &ClassProperty, table: &TableProperty, rows: usize) -> Option<Column> {
         let kind = PropertyType::new(of, self.schema, &table.changes)?;
         let offsets = |at: Option<usize>, kind: &Text| -> Option<Option<Offsets>> {
             let Some(at) = at else { return Some(None) };
@@ -108,7 +112,11 @@ impl<'a> TableSource<'a> {
         let info = kind.info(name, of, &table.changes);
         let values = (self.view)(table.values?)?;
         let string_offsets = offsets(table.string_offsets, &table.string_offset_type)?;
-        Some((info, Box::new(BinaryColumn { kind, values, array_offsets, string_offsets })))
+        let column = BinaryColumn { kind, values, array_offsets, string_offsets };
+        if !column.has_rows(rows) {
+            (self.note)("metadata: a property table whose buffer view is too short");
+        }
+        Some((info, Box::new(column)))
     }
 }
 
@@ -231,7 +239,11 @@ mod tests {
         });
         let huge = [0u32.to_le_bytes(), u32::MAX.to_le_bytes(), 1u32.to_le_bytes()].concat();
         let (tables, notes) = tables(&metadata, &[b"abc", &huge, &huge]);
-        assert_eq!((tables.len(), notes, tables[0].row_count), (2, 1, 0));
+        assert_eq!(
+            (tables.len(), notes, tables[0].row_count),
+            (2, 4, 0),
+            "an invalid table, and three columns are too short"
+        );
         for row in [0, 1, 2, 3_999_999_999] {
             assert!(tables[1].row(row).iter().all(|(_, value)| *value == PropertyValue::Null), "{row}");
         }

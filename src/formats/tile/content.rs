@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use super::up_axis::UpAxis;
 use crate::fetch::IoError;
+use crate::math::BoundingVolume;
 use crate::scene::{ReaderData, ReaderValue, TileMetadata};
 
 /// A content of a tile.
@@ -14,14 +15,16 @@ pub(in crate::formats) struct TileContent {
     pub uri: Arc<str>,
     /// Data for the decoder of the content.
     pub reader_data: Option<ReaderData>,
+    /// A volume around the content in the tileset's frame, if it has one that differs from the tile's.
+    pub bounds: Option<BoundingVolume>,
     /// The metadata of the content and of its group, if it is kept.
     pub metadata: Option<Arc<TileMetadata>>,
 }
 
 impl TileContent {
-    /// Returns a content without metadata.
+    /// Returns a content without a volume of its own and without metadata.
     pub fn new(uri: Arc<str>, reader_data: Option<ReaderData>) -> Self {
-        Self { uri, reader_data, metadata: None }
+        Self { uri, reader_data, bounds: None, metadata: None }
     }
 
     /// Returns true if nothing is fetched for the content.
@@ -93,6 +96,7 @@ pub(super) fn joined(contents: Vec<TileContent>) -> TileContent {
     // The content is fetched at the URI of the first that is not in memory, the others are its companions.
     let first = contents.iter().find(|content| !content.is_in_memory()).or(contents.first());
     let uri = first.map(|content| content.uri.clone()).unwrap_or_default();
-    let data = ContentData { bytes: ContentBytes::Several(contents.into()), ..ContentData::default() };
+    let fallback = first.and_then(|content| content.reader_data.as_ref()?.fallback_uri());
+    let data = ContentData { bytes: ContentBytes::Several(contents.into()), fallback, ..ContentData::default() };
     TileContent::new(uri, Some(ReaderData::of(data)))
 }

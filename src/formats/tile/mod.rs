@@ -4,9 +4,11 @@ mod content;
 mod s2;
 #[allow(clippy::module_inception, reason = "the file holds the type that the folder is named after")]
 mod tile;
+mod transform;
 mod up_axis;
 
 pub(super) use content::{ContentBytes, ContentData, TileContent};
 pub(super) use s2::S2Cell;
 pub(super) use tile::{ALWAYS_REFINED_M, Continuation, Tile, node_of};
+pub(super) use transform::tile_transform;
 pub use up_axis::UpAxis;

@@ -34,7 +34,11 @@ impl S2Cell {
         if token.is_empty() || token.len() > 16 || !token.bytes().all(|byte| byte.is_ascii_hexdigit()) {
             return None;
         }
-        let id = u64::from_str_radix(token, 16).ok()? << (4 * (16 - token.len()));
+        Self::from_id(u64::from_str_radix(token, 16).ok()? << (4 * (16 - token.len())))
+    }
+
+    /// Returns the cell with a 64-bit id; `None` if it is invalid.
+    pub fn from_id(id: u64) -> Option<Self> {
         let face = (id >> 61) as u8;
         // The lowest set bit tells the level: two bits a level precede it.
         let below = id.trailing_zeros();

@@ -64,6 +64,9 @@ impl Tile {
     /// A tile with several contents that nothing replaces becomes a `MultiContentTile`: an empty, always refined ADD tile
     /// above one tile per content. So its contents are loaded and drawn together, and fail alone. Contents that children
     /// replace become one content, since they must leave in the same frame.
+    ///
+    /// A content below which nothing is has its own volume, so that it is not requested while that is out of sight. Other
+    /// contents are culled by the bounds of what they contain once they are loaded.
     pub fn into_node(mut self) -> Node {
         let is_leaf = self.children.is_empty() && self.external_tilesets.is_empty() && self.continuations.is_empty();
         if self.contents.len() > 1 && !is_leaf && self.refine == Refine::Replace {
@@ -83,7 +86,7 @@ impl Tile {
             .chain(self.continuations.into_iter().map(Continuation::into_node))
             .chain(self.children.into_iter().map(Self::into_node))
             .collect();
-        let paged_lod = |geometric_error_m, refine, content: Option<TileContent>| {
+        let paged_lod = |bounds, geometric_error_m, refine, content: Option<TileContent>| {
             let in_tree = content.as_ref().is_some_and(TileContent::continues_tileset);
             let (content, reader_data) = content.map_or((None, None), |c| (Some(c.uri), c.reader_data));
             Box::new(PagedLod {
@@ -98,9 +101,10 @@ impl Tile {
                 paging: paging(in_tree),
             })
         };
-        let node_with = |geometric_error_m, content: Option<TileContent>, children| {
+        let node_with = |geometric_error_m, content: Option<TileContent>, children: Vec<Node>| {
             let metadata = content.as_ref().and_then(|content| content.metadata.clone());
-            let tile = paged_lod(geometric_error_m, refine, content);
+            let own = content.as_ref().and_then(|content| content.bounds).filter(|_| children.is_empty());
+            let tile = paged_lod(own.unwrap_or(bounds), geometric_error_m, refine, content);
             Node { metadata, children, ..Node::new(NodeKind::PagedLod(tile)) }
         };
         let mut contents = self.contents.into_iter();
@@ -110,7 +114,7 @@ impl Tile {
         }
         let others = contents.map(|content| node_with(0.0, Some(content), Vec::new()));
         let children = std::iter::once(tile).chain(others).collect();
-        let group = paged_lod(ALWAYS_REFINED_M, Refine::Add, None);
+        let group = paged_lod(bounds, ALWAYS_REFINED_M, Refine::Add, None);
         Node { metadata: self.metadata, children, ..Node::new(NodeKind::MultiContentTile(group)) }
     }
 }

@@ -12,7 +12,7 @@ use glam::DAffine3;
 
 use super::json::{self, KNOWN_EXTENSIONS, TileJson, TilesetJson};
 use super::set_metadata::SetMetadata;
-use super::volume::{affine, bounding_volume, root_volume};
+use super::volume::{affine, bounding_volume, inverse, root_volume};
 use crate::fetch::{IoError, path_of};
 use crate::formats::embedded::is_data_uri;
 use crate::formats::external_files::ExternalFiles;
@@ -163,7 +163,7 @@ impl Reader<'_> {
                 metadata,
                 children: Vec::new(),
             };
-            return self.implicit_root(tiling, &json, root, inherited);
+            return self.implicit_root(tiling, &json, root, parent, inherited);
         }
         let mut height_data = None;
         if let Some(heights) = &self.heights {
@@ -215,6 +215,7 @@ impl Reader<'_> {
         tiling: &ImplicitTilingJson,
         json: &TileJson,
         root: Tile,
+        parent: DAffine3,
         inherited: Inherited,
     ) -> Result<Tile, IoError> {
         if self.heights.is_some() {
@@ -231,10 +232,12 @@ impl Reader<'_> {
             ImplicitRoot {
                 uri: self.uri,
                 options: self.options,
-                volume: root_volume(self.uri, &root.bounds, &json.bounding_volume, &self.options.set_from_content)?,
-                geometric_error_m: root.geometric_error_m,
+                volume: root_volume(self.uri, &json.bounding_volume)?,
+                tileset_from_set: inverse(&self.options.set_from_content),
+                geometric_error: json.geometric_error.map_or(inherited.geometric_error, |error| error.0),
                 refine: root.refine,
                 content_transform: root.content_transform,
+                parent_transform: parent,
                 is_replaced: inherited.is_replaced,
                 contents,
                 up_axis: self.up_axis,
@@ -274,16 +277,16 @@ impl Reader<'_> {
             };
             if is_data_uri(reference) {
                 let reader_data = self.content_data(ContentBytes::Embedded(reference.into()), None);
-                contents.push(TileContent { uri: self.name_content(), reader_data, metadata });
+                contents.push(TileContent { metadata, ..TileContent::new(self.name_content(), reader_data) });
                 continue;
             }
             match self.options.resolve(self.uri, reference) {
                 Ok((uri, None)) if path_of(&uri).ends_with(".json") => {
-                    external_tilesets.push(TileContent { uri, reader_data: None, metadata });
+                    external_tilesets.push(TileContent { metadata, ..TileContent::new(uri, None) });
                 }
                 Ok((uri, fallback)) => {
                     let reader_data = self.content_data(ContentBytes::Fetched, fallback);
-                    contents.push(TileContent { uri, reader_data, metadata });
+                    contents.push(TileContent { metadata, ..TileContent::new(uri, reader_data) });
                 }
                 Err(error) => contents.push(TileContent::refused(self.name_content(), error)),
             }

@@ -1,22 +1,18 @@
 //! Bounding volumes and transforms of tiles.
 
-use glam::{DAffine3, DMat3, DMat4, DVec3, DVec4};
+use glam::{DAffine3, DMat3, DVec3};
 
 use super::json::VolumeJson;
 use crate::fetch::IoError;
 use crate::formats::implicit::RootVolume;
-use crate::formats::tile::S2Cell;
+use crate::formats::tile::{S2Cell, tile_transform};
 use crate::math::{BoundingSphere, BoundingVolume, OrientedBox, Region};
 
 /// Parses the transform of a tile.
 pub(super) fn affine(uri: &str, m: &[f64]) -> Result<DAffine3, IoError> {
     let m: [f64; 16] =
         m.try_into().map_err(|_| IoError::invalid(uri, format!("transform of {} numbers, 16 expected", m.len())))?;
-    let m = DMat4::from_cols_array(&m);
-    if !m.is_finite() || m.row(3) != DVec4::W {
-        return Err(IoError::invalid(uri, "transform of a tile is not affine and finite"));
-    }
-    Ok(DAffine3::from_mat4(m))
+    tile_transform(&m).ok_or_else(|| IoError::invalid(uri, "transform of a tile is not affine and finite"))
 }
 
 /// Parses a volume and transforms it by `world`, except for regions, which transforms of tiles do not move. A region is given
@@ -59,23 +55,18 @@ pub(super) fn bounding_volume(
     Err(IoError::invalid(uri, "boundingVolume has neither box, region nor sphere"))
 }
 
-/// Returns the volume of the root of an implicit tree, whose parsed volume is `bounds`.
-pub(super) fn root_volume(
-    uri: &str,
-    bounds: &BoundingVolume,
-    json: &VolumeJson,
-    set_from_content: &DAffine3,
-) -> Result<RootVolume, IoError> {
+/// Returns the volume of the root of an implicit tree.
+pub(super) fn root_volume(uri: &str, json: &VolumeJson) -> Result<RootVolume, IoError> {
     if let Some((cell, heights_m)) = s2(uri, json)? {
-        return Ok(RootVolume::S2 { cell, heights_m, tileset_from_set: inverse(set_from_content) });
+        return Ok(RootVolume::S2 { cell, heights_m });
     }
     if json.oriented_box.is_none()
         && let Some(region) = region(uri, json)?
     {
-        return Ok(RootVolume::Region { region, tileset_from_set: inverse(set_from_content) });
+        return Ok(RootVolume::Region(region));
     }
-    match bounds {
-        BoundingVolume::Box(b) => Ok(RootVolume::Box(*b)),
+    match bounding_volume(uri, json, &DAffine3::IDENTITY, &DAffine3::IDENTITY)? {
+        BoundingVolume::Box(b) => Ok(RootVolume::Box(b)),
         _ => {
             Err(IoError::invalid(uri, "the boundingVolume of an implicit root is a sphere, expected a box or a region"))
         }
@@ -111,7 +102,7 @@ fn s2(uri: &str, json: &VolumeJson) -> Result<Option<(S2Cell, [f64; 2])>, IoErro
 }
 
 /// Returns the map from the frame of the whole set to that of a tileset; `None` if they are the same or it has no inverse.
-fn inverse(set_from_content: &DAffine3) -> Option<DAffine3> {
+pub(super) fn inverse(set_from_content: &DAffine3) -> Option<DAffine3> {
     let inverse = set_from_content.inverse();
     (*set_from_content != DAffine3::IDENTITY && inverse.is_finite()).then_some(inverse)
 }

@@ -18,7 +18,7 @@ use crate::fetch::{
     runtime, shown,
 };
 use crate::formats::options::{Content, Fetched, ReadOptions};
-use crate::formats::read::{companions, decode_node, dependencies};
+use crate::formats::read::{companion_fallback, companions, decode_node, dependencies};
 use crate::formats::tile::{Tile, TileContent};
 use crate::formats::tileset::{is_tileset, may_be_tileset, may_refer_to_files, read_tiles};
 use crate::math::{BoundingVolume, Region};
@@ -407,7 +407,8 @@ impl Fill<'_> {
             // A content above the wanted levels is fetched only if it may be a tileset that leads to them.
             if possible_tileset.is_some() || self.options.levels.contains(&position.level) {
                 for companion in companions(uri, content.reader_data.as_ref()) {
-                    self.add_file(companion, None, None);
+                    let fallback = companion_fallback(&companion, content.reader_data.as_ref());
+                    self.add_file(companion, None, fallback);
                 }
                 let fallback = content.reader_data.as_ref().and_then(ReaderData::fallback_uri);
                 self.add_file(uri.clone(), possible_tileset, fallback);
@@ -481,6 +482,9 @@ async fn fetch(client: &HttpClient, scope: &RootScope, job: Job, limits: &Limits
         && error.may_be_elsewhere()
     {
         body = client.get(fallback, limits).await;
+        if let Ok(body) = &mut body {
+            body.location.get_or_insert_with(|| fallback.clone());
+        }
     }
     let done = match body {
         Ok(HttpBody { bytes, network_bytes, location, .. }) => {

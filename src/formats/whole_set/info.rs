@@ -94,11 +94,11 @@ fn inspect_from(source: &str, limits: &Limits, from: Source) -> Result<Info, IoE
     let options = ReadOptions::for_root(&root, *limits);
     let mut info = Info { format: "3D Tiles".to_owned(), ..Info::default() };
     let Loaded { bytes, location, .. } = from.load(&root)?;
-    let options = ReadOptions { base: location, ..options };
+    // Metadata is described, and that which is invalid is named.
+    let options = ReadOptions { base: location, keep_features: true, ..options };
     if may_be_model(&bytes) && !tileset::is_tileset(&root, &bytes, limits) {
         return inspect_model(&root, bytes, &options, &from);
     }
-    let options = ReadOptions { keep_features: true, ..options };
     let json = tileset::parse(&root, &bytes, limits)?;
     json.asset.version().clone_into(&mut info.version);
     if json.asset.extras.0.as_ref().is_some_and(SetExtras::is_height) {
@@ -152,7 +152,7 @@ impl Info {
 
     /// Reads the files that a tileset refers to, and lists those that cannot be read.
     fn tileset_files(&mut self, from: &Source, uri: &Arc<str>, bytes: &[u8], options: &ReadOptions) -> Vec<Fetched> {
-        let files = read_companions(from, uri, bytes, None, options, &mut self.bytes);
+        let files = read_companions(from, uri, bytes, None, &mut options.clone(), &mut self.bytes);
         files.iter().filter_map(|(_, read)| read.as_ref().err()).for_each(|error| self.fail(error));
         files
     }

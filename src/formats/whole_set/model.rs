@@ -38,8 +38,9 @@ pub(super) fn inspect_model(
     let bytes = encoding::gunzip(uri, bytes, &options.limits)?;
     let mut info = Info { format: format_name(&bytes).to_owned(), contents: 1, ..Info::default() };
     info.bytes = bytes.len() as u64;
-    let companions = read_companions(from, uri, &bytes, None, options, &mut info.bytes);
-    let node = decode_node(Content { uri: uri.clone(), bytes, reader_data: None, companions }, options)?;
+    let mut options = options.clone();
+    let companions = read_companions(from, uri, &bytes, None, &mut options, &mut info.bytes);
+    let node = decode_node(Content { uri: uri.clone(), bytes, reader_data: None, companions }, &options)?;
     let mut model = ModelInfo::default();
     model.add(&node, &mut HashSet::new());
     let page = Page::from_node(node).map_err(|e| IoError::invalid(uri, e.to_string()))?;

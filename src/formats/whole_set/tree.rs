@@ -42,29 +42,41 @@ impl<'a> Known<'a> {
 
 /// Reads the file of a content: at its URI, or where else the server may have it.
 pub(super) fn load(from: &Source, uri: &str, reader_data: Option<&ReaderData>) -> Result<Loaded, IoError> {
-    from.load(uri).or_else(|error| match reader_data.and_then(ReaderData::fallback_uri) {
-        Some(fallback) if error.may_be_elsewhere() => from.load(&fallback),
+    load_or(from, uri, reader_data.and_then(ReaderData::fallback_uri))
+}
+
+fn load_or(from: &Source, uri: &str, fallback: Option<Arc<str>>) -> Result<Loaded, IoError> {
+    from.load(uri).or_else(|error| match fallback {
+        Some(fallback) if error.may_be_elsewhere() => from.load(&fallback).map(|loaded| loaded.found_at(fallback)),
         _ => Err(error),
     })
 }
 
-/// Reads the files that a content needs, and adds the bytes that were read.
+/// Reads the files that a content needs, and adds the bytes that were read, and to the options where redirects led.
 pub(super) fn read_companions(
     from: &Source,
     uri: &Arc<str>,
     bytes: &[u8],
     reader_data: Option<&ReaderData>,
-    options: &ReadOptions,
+    options: &mut ReadOptions,
     bytes_read: &mut u64,
 ) -> Vec<Fetched> {
-    let mut companions: Vec<Fetched> = Vec::new();
+    let (mut companions, mut bases): (Vec<Fetched>, Vec<_>) = Default::default();
+    for other in read::companions(uri, reader_data) {
+        let read = load_or(from, &other, read::companion_fallback(&other, reader_data)).map(|loaded| {
+            *bytes_read += loaded.bytes.len() as u64;
+            bases.extend(loaded.location.map(|location| (other.clone(), location)));
+            loaded.bytes
+        });
+        companions.push((other, read));
+    }
+    options.companion_bases = bases.into();
     let mut read_all = |others: Vec<Arc<str>>, companions: &mut Vec<Fetched>| {
         for other in others {
             let read = from.read(&other).inspect(|read| *bytes_read += read.len() as u64);
             companions.push((other, read));
         }
     };
-    read_all(read::companions(uri, reader_data), &mut companions);
     for _ in 0..MAX_DEPENDENCY_ROUNDS {
         let others = dependencies(uri, bytes, reader_data, &companions, options);
         if others.is_empty() {

@@ -11,7 +11,7 @@ use super::tree::{load, read_companions};
 use crate::fetch::HttpConfig;
 use crate::fetch::{IoError, Limits, Loaded, Source, root_uri};
 use crate::formats::options::{Content, Fetched, ReadOptions};
-use crate::formats::read::{decode, decode_node};
+use crate::formats::read::{self, decode, decode_node};
 use crate::formats::tileset;
 use crate::scene::{Node, NodeKind, ReaderData};
 
@@ -62,15 +62,16 @@ fn verify_from(
     progress: &mut dyn FnMut(&Verified),
 ) -> Result<Verified, IoError> {
     let root = root_uri(source)?;
-    let options = ReadOptions::for_root(&root, *limits);
+    // Metadata that is invalid is named too.
+    let options = ReadOptions { keep_features: true, ..ReadOptions::for_root(&root, *limits) };
     let (mut verified, mut jobs) = (Verified::default(), Vec::new());
     let Loaded { bytes, location, .. } = from.load(&root)?;
-    let options = ReadOptions { base: location, ..options };
+    let mut options = ReadOptions { base: location, ..options };
     verified.bytes += bytes.len() as u64;
     let limit = limits.max_elements as u64;
     let mut nodes = 0;
     if tileset::is_tileset(&root, &bytes, limits) {
-        let companions = read_companions(from, &root, &bytes, None, &options, &mut verified.bytes);
+        let companions = read_companions(from, &root, &bytes, None, &mut options, &mut verified.bytes);
         verified.fail_each(&companions);
         let content = Content { uri: root.clone(), bytes, reader_data: None, companions };
         nodes = collect(&decode_node(content, &options)?, &options.below(&root), &mut jobs);
@@ -115,13 +116,15 @@ impl Verified {
         let is_one = |loaded: &Loaded| tileset::is_tileset(&uri, &loaded.bytes, &options.limits);
         let is_tileset = is_tileset || loaded.as_ref().is_ok_and(is_one);
         self.contents += u64::from(!is_tileset && !continues);
-        let Loaded { bytes, location, is_no_content } = loaded?;
+        let Loaded { bytes, location, is_no_content, .. } = loaded?;
         self.bytes += bytes.len() as u64;
-        if is_no_content {
+        // Other contents of the same tile are read without it.
+        let is_joined = data.is_some_and(|data| data.text().is_none()) && !read::companions(&uri, data).is_empty();
+        if is_no_content && !is_joined {
             return Ok(0);
         }
-        let options = ReadOptions { base: location, ..options };
-        let companions = read_companions(from, &uri, &bytes, data, &options, &mut self.bytes);
+        let mut options = ReadOptions { base: location, ..options };
+        let companions = read_companions(from, &uri, &bytes, data, &mut options, &mut self.bytes);
         if is_tileset {
             self.fail_each(&companions);
         }

@@ -13,7 +13,7 @@ use super::job::{Answer, LoadJob, LoadedBytes, total_bytes};
 use super::request_list::{HttpWork, RequestList};
 use super::server_limits::{Outcome, ServerLimits};
 use super::ticket::Ticket;
-use crate::fetch::{HttpBody, HttpClient, IoError, Limits, Loaded, server};
+use crate::fetch::{HttpBody, HttpClient, IoError, Limits, Loaded, guarded, server};
 use crate::formats::{self, MAX_DEPENDENCY_ROUNDS};
 
 /// How long the thread waits at its end for received bodies to be written to the cache.
@@ -186,9 +186,19 @@ fn pass_on<J: LoadJob>(
 async fn fetch<J: LoadJob>(job: J, limits: &Limits) -> Fetched<J> {
     let own = server(job.uri()).to_owned();
     let client = job.client();
-    let timed = async |uri: &str| {
-        let start = Instant::now();
-        let body = client.get(uri, limits).await;
+    let timed = async |uri: &str, fallback: Option<Arc<str>>| {
+        let mut start = Instant::now();
+        let mut body = client.get(uri, limits).await;
+        if let Err(error) = &body
+            && error.may_be_elsewhere()
+            && let Some(fallback) = fallback
+        {
+            start = Instant::now();
+            body = client
+                .get(&fallback, limits)
+                .await
+                .map(|body| HttpBody { location: body.location.or(Some(fallback)), ..body });
+        }
         (body, start.elapsed().as_secs_f64())
     };
     // Companions from the content's own server count as one request with it; others count at their own server.
@@ -196,7 +206,7 @@ async fn fetch<J: LoadJob>(job: J, limits: &Limits) -> Fetched<J> {
     let companions = async {
         let mut fetched = Vec::new();
         for uri in job.companions() {
-            let (body, seconds) = timed(&uri).await;
+            let (body, seconds) = timed(&uri, job.companion_fallback(&uri)).await;
             let at = server(&uri);
             let is_asked = body.as_ref().is_ok_and(|body| body.asked);
             if at == own {
@@ -208,16 +218,7 @@ async fn fetch<J: LoadJob>(job: J, limits: &Limits) -> Fetched<J> {
         }
         fetched
     };
-    let content = async {
-        let (body, seconds) = timed(job.uri()).await;
-        match &body {
-            Err(error) if error.may_be_elsewhere() => match job.fallback() {
-                Some(uri) => timed(&uri).await,
-                None => (body, seconds),
-            },
-            _ => (body, seconds),
-        }
-    };
+    let content = timed(job.uri(), job.fallback());
     let ((body, own_s), companions) = tokio::join!(content, companions);
     asked |= body.as_ref().is_ok_and(|body| body.asked);
     let mut bytes_http = 0;
@@ -227,12 +228,23 @@ async fn fetch<J: LoadJob>(job: J, limits: &Limits) -> Fetched<J> {
             Loaded::from(body)
         })
     };
-    let loaded = loaded_of(body);
-    let companions = companions.into_iter().map(|(uri, body)| (uri, loaded_of(body).map(|loaded| loaded.bytes)));
+    let mut loaded = loaded_of(body);
+    let mut locations = Vec::new();
+    let companions = companions.into_iter().map(|(uri, body)| {
+        let bytes = loaded_of(body).map(|companion| {
+            locations.extend(companion.location.map(|location| (uri.clone(), location)));
+            companion.bytes
+        });
+        (uri, bytes)
+    });
     let mut companions: Vec<formats::Fetched> = companions.collect();
-    if let Ok(loaded) = &loaded {
+    if let Ok(loaded) = &mut loaded {
+        loaded.companion_locations = locations;
+    }
+    if loaded.is_ok() {
         for _ in 0..MAX_DEPENDENCY_ROUNDS {
-            let dependencies = job.dependencies(loaded, &companions);
+            let dependencies;
+            (dependencies, loaded, companions) = dependencies_of(&job, loaded, companions).await;
             if dependencies.is_empty() {
                 break;
             }
@@ -263,6 +275,29 @@ async fn fetch<J: LoadJob>(job: J, limits: &Limits) -> Fetched<J> {
     let outcome = (own, Outcome::new(&loaded, asked, own_s.max(companions_s)));
     let outcomes = [outcome].into_iter().chain(elsewhere).collect();
     (LoadedBytes { job, loaded, companions, bytes_read, bytes_http }, outcomes)
+}
+
+/// Asks a job for the dependencies of a content. A large text is parsed on a blocking thread of the runtime, so that
+/// requests go on meanwhile.
+async fn dependencies_of<J: LoadJob>(
+    job: &J,
+    loaded: Result<Loaded, IoError>,
+    companions: Vec<formats::Fetched>,
+) -> (Vec<Arc<str>>, Result<Loaded, IoError>, Vec<formats::Fetched>) {
+    let Ok(content) = loaded else { return (Vec::new(), loaded, companions) };
+    if !formats::has_slow_dependencies(&content.bytes) {
+        return (job.dependencies(&content, &companions), Ok(content), companions);
+    }
+    let (uri, job) = (job.address().to_string(), job.clone());
+    let parse = move || {
+        // A content that makes a parser panic has none; the decoder reports it.
+        let found = guarded(job.uri(), || Ok(job.dependencies(&content, &companions)));
+        (found.unwrap_or_default(), Ok(content), companions)
+    };
+    tokio::task::spawn_blocking(parse).await.unwrap_or_else(|error| {
+        let stopped = IoError::Network { uri, reason: format!("the parsing stopped: {error}") };
+        (Vec::new(), Err(stopped), Vec::new())
+    })
 }
 
 #[cfg(test)]

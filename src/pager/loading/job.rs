@@ -31,6 +31,11 @@ pub(in crate::pager) trait LoadJob: Request + Send + Sync + 'static {
     fn fallback(&self) -> Option<Arc<str>> {
         None
     }
+    /// Returns the address at which a companion is looked for if its own has none.
+    #[cfg(feature = "http")]
+    fn companion_fallback(&self, _companion: &str) -> Option<Arc<str>> {
+        None
+    }
     /// Returns the addresses of what the content's bytes refer to and that is not in `known`. The threads load it and ask again
     /// until there is nothing more.
     fn dependencies(&self, _loaded: &Loaded, _known: &[Fetched]) -> Vec<Arc<str>> {

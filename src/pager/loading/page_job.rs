@@ -81,12 +81,18 @@ impl LoadProgress {
 }
 
 impl PageJob {
-    /// Returns the options for a content that redirects have led to `location`.
-    fn options(&self, location: Option<Arc<str>>) -> ReadOptions {
+    /// Returns the options for a content that redirects have led to `location`, and its companions to theirs.
+    fn options(&self, location: Option<Arc<str>>, companion_locations: &[(Arc<str>, Arc<str>)]) -> ReadOptions {
         let TilesetAncestors { chain, set_from_page } = self.ancestors.clone();
         let block_formats = self.scope.block_formats.get();
-        let options = self.scope.options.clone();
-        ReadOptions { chain, set_from_content: set_from_page, base: location, block_formats, ..options }
+        ReadOptions {
+            chain,
+            set_from_content: set_from_page,
+            base: location,
+            companion_bases: companion_locations.into(),
+            block_formats,
+            ..self.scope.options.clone()
+        }
     }
 }
 
@@ -147,8 +153,13 @@ impl LoadJob for PageJob {
         self.reader_data.as_ref()?.fallback_uri()
     }
 
+    #[cfg(feature = "http")]
+    fn companion_fallback(&self, companion: &str) -> Option<Arc<str>> {
+        formats::companion_fallback(companion, self.reader_data.as_ref())
+    }
+
     fn dependencies(&self, loaded: &Loaded, known: &[Fetched]) -> Vec<Arc<str>> {
-        let options = self.options(loaded.location.clone());
+        let options = self.options(loaded.location.clone(), &loaded.companion_locations);
         formats::dependencies(&self.uri, &loaded.bytes, self.reader_data.as_ref(), known, &options)
     }
 
@@ -180,14 +191,14 @@ impl LoadJob for PageJob {
     }
 
     fn decode(&self, loaded: Loaded, companions: Vec<Fetched>) -> Result<Page, IoError> {
-        let Loaded { bytes, location, is_no_content } = loaded;
+        let Loaded { bytes, location, is_no_content, companion_locations } = loaded;
         // Other contents of the same tile are drawn without it.
         let is_joined = !companions.is_empty() && self.reader_data.as_ref().and_then(ReaderData::text).is_none();
         if is_no_content && !is_joined {
             let empty = Page::from_node(Node::group(Vec::new()));
             return empty.map_err(|error| IoError::invalid(&self.uri, error.to_string()));
         }
-        let options = self.options(location);
+        let options = self.options(location, &companion_locations);
         let content = Content { uri: self.uri.clone(), bytes, reader_data: self.reader_data.clone(), companions };
         formats::decode(content, &options).inspect_err(|error| self.scope.forget_no_content(error))
     }

@@ -14,17 +14,17 @@ use terrane::scene::{Node, NodeKind, PagedLod, RangeMode, ReaderData, Refine};
 
 /// The tiles with content of a set, by the URI of the content.
 #[derive(Default)]
-struct Found {
-    contents: BTreeMap<String, PagedLod>,
+pub(super) struct Found {
+    pub contents: BTreeMap<String, PagedLod>,
     /// Subtree files that were read.
     files: u64,
     /// Parts that were made from subtrees in memory.
     parts: u64,
-    errors: Vec<IoError>,
+    pub errors: Vec<IoError>,
 }
 
 impl Found {
-    fn of(source: &Path) -> Self {
+    pub fn of(source: &Path) -> Self {
         let root = root_uri(source.to_str().unwrap()).unwrap();
         let mut found = Self::default();
         found.load(&root, None, &ReadOptions::for_root(&root, Limits::default()));
@@ -72,7 +72,7 @@ fn node_of(uri: &Arc<str>, reader_data: Option<ReaderData>, options: &ReadOption
     decode_node(Content { uri: uri.clone(), bytes, reader_data, companions: others }, options)
 }
 
-fn error_m(tile: &PagedLod) -> f64 {
+pub(super) fn error_m(tile: &PagedLod) -> f64 {
     let RangeMode::ScreenSpaceError { geometric_error_m } = tile.range_mode else { panic!("by error") };
     geometric_error_m
 }

@@ -5,4 +5,5 @@ mod implicit;
 mod metadata;
 mod read;
 mod samples;
+mod semantics;
 mod unusual;

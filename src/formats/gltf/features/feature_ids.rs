@@ -12,6 +12,7 @@ use crate::fetch::IoError;
 use crate::formats::gltf::accessors::{Buffers, Elements};
 use crate::formats::gltf::context::Context;
 use crate::formats::gltf::materials::TextureRef;
+use crate::formats::ignored::Notes;
 use crate::formats::properties::{self, SharedBytes, TableSource};
 use crate::scene::{Drawable, DrawableFeatures, FeatureIdSet, FeatureIds, PropertyTable};
 
@@ -28,10 +29,14 @@ pub(in crate::formats::gltf) struct FeatureIdJson {
 }
 
 impl FeatureIdJson {
-    /// Reads the list `featureIds` of an extension.
-    pub fn list(extension: Option<&Value>) -> Vec<Self> {
+    /// Reads the list `featureIds` of an extension. Sets that are invalid are left out and noted.
+    pub fn list(extension: Option<&Value>, notes: &Notes) -> Vec<Self> {
         let list = extension.and_then(|extension| extension.get("featureIds")?.as_array());
-        list.into_iter().flatten().filter_map(|set| Self::deserialize(set).ok()).collect()
+        let read = |set: &Value| {
+            let set = Self::deserialize(set);
+            set.inspect_err(|_| notes.add("glTF: an invalid set of feature ids")).ok()
+        };
+        list.into_iter().flatten().filter_map(read).collect()
     }
 
     /// Returns the set with its ids.
@@ -68,6 +73,9 @@ impl FeatureTables {
             };
             let reference = metadata.get("schemaUri").and_then(Value::as_str);
             let schema = properties::read_schema(context.uri, metadata.get("schema"), reference, &context.files);
+            if matches!(schema, Ok(None)) {
+                context.notes.add("metadata: a schema that is missing");
+            }
             let schema = schema
                 .or_else(|error| context.missing("metadata: a schema that cannot be read", &error).map(|()| None))?;
             if let Some(schema) = schema {
@@ -98,7 +106,8 @@ impl FeatureTables {
             Ok(FeatureIds::PerVertex((0..elements.count).map(|i| elements.unsigned(i, 0)).collect()))
         };
         let mut sets = Vec::new();
-        for set in FeatureIdJson::list(primitive.extension_value("EXT_mesh_features")) {
+        for set in FeatureIdJson::list(primitive.extension_value("EXT_mesh_features"), context.notes) {
+            self.check_table(&set, context.notes);
             match (set.attribute, &set.texture) {
                 (Some(number), _) => match attribute(&format!("_FEATURE_ID_{number}"))? {
                     Some(elements) => sets.push(set.with_ids(per_vertex(&elements)?)),
@@ -126,6 +135,13 @@ impl FeatureTables {
         let surface = self.surface.of_primitive(primitive, &mut images, attribute)?;
         let is_any = !sets.is_empty() || !surface.is_empty();
         Ok(is_any.then(|| Arc::new(DrawableFeatures { sets, tables: self.tables.clone(), surface })))
+    }
+
+    /// Notes a set whose property table is missing: its ids are kept.
+    pub fn check_table(&self, set: &FeatureIdJson, notes: &Notes) {
+        if set.property_table.is_some_and(|table| table >= self.tables.len()) {
+            notes.add("glTF: feature ids whose property table is missing");
+        }
     }
 
     /// Adds the sets of an instance to a drawable.

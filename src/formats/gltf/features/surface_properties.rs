@@ -58,12 +58,12 @@ impl SurfaceProperties {
             indices.into_iter().flatten().map(|of| index(of).unwrap_or(usize::MAX)).collect()
         };
         let mut properties = Vec::new();
-        let mut add = |of: &Described, values: Option<SurfaceValues>| match values {
+        let mut add = |of: &Described, values: Option<SurfaceValues>, without: &'static str| match values {
             Some(values) => {
                 let Described { class, info, kind, .. } = of;
                 properties.push(SurfaceProperty::new(class.clone(), info.clone(), values, kind.clone()));
             }
-            None => context.notes.add("metadata: a property that is invalid"),
+            None => context.notes.add(without),
         };
         for index in used("propertyTextures") {
             let Some(texture) = self.textures.get(index) else {
@@ -78,7 +78,9 @@ impl SurfaceProperties {
                     Some((channels, texture)) => data.texture(&texture, channels, attribute)?,
                     None => None,
                 };
-                add(of, values.map(SurfaceValues::Texture));
+                let without =
+                    "metadata: a property texture whose image, coordinates or channels are missing or invalid";
+                add(of, values.map(SurfaceValues::Texture), without);
             }
         }
         for index in used("propertyAttributes") {
@@ -96,7 +98,8 @@ impl SurfaceProperties {
                     context.budget.add_decoded((elements.count * size) as u64)?;
                     Ok(SurfaceValues::PerVertex { bytes: elements.padded(size), size })
                 });
-                add(of, values.transpose()?);
+                let without = "metadata: a property attribute that is missing or of another type";
+                add(of, values.transpose()?, without);
             }
         }
         Ok(properties.into())
@@ -167,6 +170,10 @@ pub(in crate::formats::gltf) fn channels(json: &Value) -> Option<Arc<[u8]>> {
 fn describe(context: &Context<'_>, json: &Value, schema: &Schema) -> Vec<Described> {
     let class_name = json.get("class").and_then(Value::as_str).unwrap_or_default();
     let class = schema.classes.get(class_name);
+    if class.is_none() {
+        context.notes.add("metadata: a property texture or attribute of an unknown class");
+        return Vec::new();
+    }
     let no_properties = Map::new();
     let properties = json.get("properties").and_then(Value::as_object).unwrap_or(&no_properties);
     let name: Arc<str> = class_name.into();

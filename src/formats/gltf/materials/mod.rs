@@ -4,6 +4,7 @@
 //! that are not drawn are noted.
 
 mod reflection;
+mod specular_glossiness;
 mod surface;
 mod surfaces;
 mod techniques;

@@ -1,7 +1,7 @@
 //! [`Reflection`]: the metallic-roughness model of a glTF material, before its maps are decoded.
 
 use super::surface::emitted;
-use super::texture_ref::TextureRef;
+use super::texture_ref::{TRANSFORM, TextureRef};
 use crate::formats::ignored::Notes;
 use crate::scene::SecondUv;
 
@@ -33,15 +33,33 @@ impl Reflection {
     /// Reads the model of a material whose base colour has the texture `base`. Returns `None` for a matte surface.
     pub(super) fn new(material: &gltf::Material<'_>, base: Option<&TextureRef>, notes: &Notes) -> Option<Self> {
         let pbr = material.pbr_metallic_roughness();
+        let map = pbr.metallic_roughness_texture().map(|info| TextureRef::new(&info));
+        Self::with_factors(material, (pbr.metallic_factor(), pbr.roughness_factor()), map, base, notes)
+    }
+
+    /// Reads the maps of a material as [`Self::new`] does, with other metallic and roughness factors and another map of them.
+    pub(super) fn with_factors(
+        material: &gltf::Material<'_>,
+        (metallic, roughness): (f32, f32),
+        metallic_roughness: Option<TextureRef>,
+        base: Option<&TextureRef>,
+        notes: &Notes,
+    ) -> Option<Self> {
         let normal = material.normal_texture();
         let occlusion = material.occlusion_texture();
         let mut reflection = Self {
-            metallic: pbr.metallic_factor(),
-            roughness: pbr.roughness_factor(),
-            metallic_roughness: pbr.metallic_roughness_texture().map(|info| TextureRef::new(&info)),
-            occlusion: occlusion.as_ref().map(|map| TextureRef::plain(map.texture().index(), map.tex_coord())),
+            metallic,
+            roughness,
+            metallic_roughness,
+            occlusion: occlusion.as_ref().map(|map| {
+                let extension = map.extension_value(TRANSFORM);
+                TextureRef::with_extension(map.texture().index(), map.tex_coord(), extension)
+            }),
             occlusion_strength: occlusion.as_ref().map_or(0.0, gltf::material::OcclusionTexture::strength),
-            normal: normal.as_ref().map(|map| TextureRef::plain(map.texture().index(), map.tex_coord())),
+            normal: normal.as_ref().map(|map| {
+                let extension = map.extension_value(TRANSFORM);
+                TextureRef::with_extension(map.texture().index(), map.tex_coord(), extension)
+            }),
             normal_scale: normal.as_ref().map_or(1.0, gltf::material::NormalTexture::scale),
             emissive: emitted(material),
             emissive_map: material.emissive_texture().map(|info| TextureRef::new(&info)),

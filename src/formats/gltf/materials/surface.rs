@@ -1,6 +1,7 @@
 //! [`Surface`]: a material of a glTF reduced to what [`Material`](crate::scene::Material) holds.
 
 use super::reflection::Reflection;
+use super::specular_glossiness::{Converted, SpecularGlossiness};
 use super::techniques::Techniques;
 use super::texture_ref::TextureRef;
 use crate::formats::ignored::Notes;
@@ -17,6 +18,9 @@ pub(in super::super) struct Surface {
     pub unlit: bool,
     /// The metallic-roughness model; `None` for a matte or unlit surface.
     pub reflection: Option<Reflection>,
+    /// The material whose maps are converted to a base colour map and a metallic-roughness map. The factors of the surface
+    /// multiply the converted maps.
+    pub converted: Option<SpecularGlossiness>,
 }
 
 /// Components of a colour below this one are black in 8 bits.
@@ -37,12 +41,10 @@ impl Surface {
             double_sided: material.double_sided(),
             unlit: material.unlit(),
             reflection: None,
+            converted: None,
         };
         if let Some(specular) = material.pbr_specular_glossiness().filter(|_| !surface.unlit) {
-            notes.add("glTF material: specular colour and glossiness");
-            note_unused_maps(material, notes);
-            surface.base_color = specular.diffuse_factor();
-            surface.texture = specular.diffuse_texture().map(|info| TextureRef::new(&info));
+            surface.convert(material, SpecularGlossiness::new(&specular, notes), notes);
         } else if let Some(diffuse) = techniques.diffuse(material) {
             notes.add("glTF material: shaders of KHR_techniques_webgl (drawn with their diffuse colour)");
             note_unused_maps(material, notes);
@@ -55,6 +57,21 @@ impl Surface {
             surface.add_emission(material, notes);
         }
         surface
+    }
+
+    /// Sets a material of KHR_materials_pbrSpecularGlossiness.
+    fn convert(&mut self, material: &gltf::Material<'_>, model: SpecularGlossiness, notes: &Notes) {
+        let (base_color, factors) = match model.needs_converted_maps() {
+            true => ([1.0, 1.0, 1.0, model.alpha()], (1.0, 1.0)),
+            false => {
+                let Converted { base_color, metallic, roughness } = model.converted();
+                (base_color, (metallic, roughness))
+            }
+        };
+        self.base_color = base_color;
+        self.texture = model.texture();
+        self.reflection = Reflection::with_factors(material, factors, None, self.texture.as_ref(), notes);
+        self.converted = model.needs_converted_maps().then_some(model);
     }
 
     /// Returns the texture whose coordinates the vertices get.

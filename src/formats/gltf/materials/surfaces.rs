@@ -4,6 +4,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use super::reflection::Reflection;
+use super::specular_glossiness::{self, SpecularGlossiness};
 use super::surface::Surface;
 use super::techniques::Techniques;
 use super::texture_ref::TextureRef;
@@ -26,13 +27,15 @@ pub(in super::super) struct Surfaces<'a> {
     textures: Textures<'a>,
     /// By the index of the material; `None` is the default material.
     read: HashMap<Option<usize>, Surface>,
+    /// Base colour, and metallic and roughness, of materials that were converted.
+    converted: HashMap<specular_glossiness::Key, [Arc<Texture>; 2]>,
 }
 
 impl<'a> Surfaces<'a> {
     pub fn new(context: &'a Context<'a>, document: &'a gltf::Document) -> Self {
         let techniques = Techniques::new(document);
         let textures = Textures::new(context, document);
-        Self { context, techniques, textures, read: HashMap::new() }
+        Self { context, techniques, textures, read: HashMap::new(), converted: HashMap::new() }
     }
 
     /// Returns a material, without its texture.
@@ -43,6 +46,10 @@ impl<'a> Surfaces<'a> {
 
     /// Returns the decoded texture of a surface; `None` if it has none or if its image is missing.
     pub fn texture(&mut self, surface: &Surface, buffers: &Buffers<'_>) -> Result<Option<SharedTexture>, IoError> {
+        if let Some(material) = &surface.converted {
+            let [base_color, _] = self.converted_maps(material, buffers)?;
+            return Ok(Some((base_color, None)));
+        }
         match surface.texture {
             Some(of) => self.textures.get(of.texture, TexelReader::Adapter, buffers),
             None => Ok(None),
@@ -54,8 +61,36 @@ impl<'a> Surfaces<'a> {
         self.textures.data_image(texture, buffers)
     }
 
-    /// Decodes the maps of a reflection. A map whose image is missing is left out.
-    pub fn reflection(&mut self, of: &Reflection, buffers: &Buffers<'_>) -> Result<DecodedReflection, IoError> {
+    /// Returns the base colour map, and the map of metallic and roughness, that a material is converted to.
+    fn converted_maps(
+        &mut self,
+        material: &SpecularGlossiness,
+        buffers: &Buffers<'_>,
+    ) -> Result<[Arc<Texture>; 2], IoError> {
+        if let Some(known) = self.converted.get(&material.key()) {
+            return Ok(known.clone());
+        }
+        let mut get = |map: Option<TextureRef>| match map {
+            Some(map) => self.textures.get(map.texture, TexelReader::Cpu, buffers).map(|found| Some(found?.0)),
+            None => Ok(None),
+        };
+        let (diffuse, map) = (get(material.diffuse_map)?, get(material.map)?);
+        self.context.budget.check_images()?;
+        let maps = material.converted_maps(diffuse.as_deref(), map.as_deref()).map(Arc::new);
+        maps.iter().for_each(|map| self.context.budget.add_image(map.size_bytes()));
+        self.converted.insert(material.key(), maps.clone());
+        Ok(maps)
+    }
+
+    /// Decodes the maps of the reflection of a surface. A map whose image is missing is left out.
+    pub fn reflection(
+        &mut self,
+        surface: &Surface,
+        of: &Reflection,
+        buffers: &Buffers<'_>,
+    ) -> Result<DecodedReflection, IoError> {
+        let converted =
+            surface.converted.as_ref().map(|material| self.converted_maps(material, buffers)).transpose()?;
         let mut get = |map: Option<TextureRef>| match map {
             Some(map) => self.textures.get(map.texture, TexelReader::Adapter, buffers).map(Option::unzip),
             None => Ok((None, None)),
@@ -64,7 +99,10 @@ impl<'a> Surfaces<'a> {
         let (emissive_map, shared_emissive) = get(of.emissive_map)?;
         // Without its image the whole surface would glow.
         let emissive = if of.emissive_map.is_some() && emissive_map.is_none() { [0.0; 3] } else { of.emissive };
-        let (metallic_map, shared_metallic) = get(of.metallic_roughness)?;
+        let (metallic_map, shared_metallic) = match converted {
+            Some([_, map]) => (Some(map), None),
+            None => get(of.metallic_roughness)?,
+        };
         let (mut occlusion_map, mut shared_occlusion) = get(of.occlusion)?;
         let occlusion_strength = if occlusion_map.is_some() { of.occlusion_strength } else { 0.0 };
         // One image for both is one map, unless their texture coordinates differ.

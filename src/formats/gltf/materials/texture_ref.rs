@@ -3,6 +3,9 @@
 use glam::{Affine2, Mat2, Vec2};
 use serde_json::Value;
 
+/// The extension with the transform of texture coordinates.
+pub(super) const TRANSFORM: &str = "KHR_texture_transform";
+
 /// The transform of KHR_texture_transform.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(in super::super) struct UvTransform {
@@ -39,9 +42,19 @@ impl TextureRef {
         Self { texture: info.texture().index(), uv_set, transform }
     }
 
-    /// Returns a texture without a transform.
-    pub fn plain(texture: usize, uv_set: u32) -> Self {
-        Self { texture, uv_set, transform: None }
+    /// Returns a texture with the object KHR_texture_transform if there is one, whose set replaces `uv_set`.
+    pub fn with_extension(texture: usize, uv_set: u32, extension: Option<&Value>) -> Self {
+        let own_set = extension.and_then(|of| of.get("texCoord")?.as_u64()).and_then(|set| u32::try_from(set).ok());
+        let transform = extension.map(|of| {
+            let number = |value: &Value| value.as_f64().map(|number| number as f32);
+            let pair = |name: &str| Some([number(of.get(name)?.get(0)?)?, number(of.get(name)?.get(1)?)?]);
+            UvTransform {
+                offset: pair("offset").unwrap_or([0.0; 2]),
+                rotation: of.get("rotation").and_then(number).unwrap_or(0.0),
+                scale: pair("scale").unwrap_or([1.0; 2]),
+            }
+        });
+        Self { texture, uv_set: own_set.unwrap_or(uv_set), transform }
     }
 
     /// Returns true if the other texture uses the same texture coordinates in the same way.
@@ -57,18 +70,8 @@ impl TextureRef {
     /// Reads a texture reference of an extension: an object with an `index`. Returns `None` for other values.
     pub fn from_json(value: &Value) -> Option<Self> {
         let texture = usize::try_from(value.get("index")?.as_u64()?).ok()?;
-        let extension = value.get("extensions").and_then(|extensions| extensions.get("KHR_texture_transform"));
-        let uv_set = |of: &Value| of.get("texCoord")?.as_u64().and_then(|set| u32::try_from(set).ok());
-        let uv_set = extension.and_then(uv_set).or_else(|| uv_set(value)).unwrap_or(0);
-        let transform = extension.map(|of| {
-            let number = |value: &Value| value.as_f64().map(|number| number as f32);
-            let pair = |name: &str| Some([number(of.get(name)?.get(0)?)?, number(of.get(name)?.get(1)?)?]);
-            UvTransform {
-                offset: pair("offset").unwrap_or([0.0; 2]),
-                rotation: of.get("rotation").and_then(number).unwrap_or(0.0),
-                scale: pair("scale").unwrap_or([1.0; 2]),
-            }
-        });
-        Some(Self { texture, uv_set, transform })
+        let uv_set = value.get("texCoord").and_then(Value::as_u64).and_then(|set| u32::try_from(set).ok());
+        let extension = value.get("extensions").and_then(|extensions| extensions.get(TRANSFORM));
+        Some(Self::with_extension(texture, uv_set.unwrap_or(0), extension))
     }
 }

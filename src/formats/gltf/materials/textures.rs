@@ -39,6 +39,8 @@ struct ImageKey {
 pub(super) enum TexelReader {
     /// The adapter, which samples compressed formats.
     Adapter,
+    /// The CPU, which converts RGBA8.
+    Cpu,
     /// The CPU, which reads ids or values from the texels of level 0.
     Data,
 }
@@ -144,6 +146,7 @@ impl<'a> Textures<'a> {
         let Context { options, notes, .. } = self.context;
         match key.reader {
             TexelReader::Adapter => decode_shared(uri, bytes, key.sampling, options.block_formats, options, notes),
+            TexelReader::Cpu => decode_shared(uri, bytes, key.sampling, BlockFormats::NONE, options, notes),
             TexelReader::Data => {
                 // A smaller image would have means of ids.
                 let limits = Limits { max_image_side_px: u32::MAX, ..options.limits };

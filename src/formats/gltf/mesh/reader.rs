@@ -137,7 +137,8 @@ impl<'a> MeshReader<'a> {
         surface.unlit |= topology != Topology::Triangles && !vertices.has_normals;
         let (texture, shared_texture) = surfaces.texture(&surface, buffers)?.unzip();
         let reflection = surface.reflection.filter(|_| topology == Topology::Triangles);
-        let reflection = reflection.map(|reflection| surfaces.reflection(&reflection, buffers)).transpose()?;
+        let reflection =
+            reflection.map(|reflection| surfaces.reflection(&surface, &reflection, buffers)).transpose()?;
         let (metallic_roughness, maps) =
             reflection.map_or((None, Default::default()), |(model, maps)| (Some(model), maps));
         let material = Material {
