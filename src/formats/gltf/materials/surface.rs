@@ -44,7 +44,7 @@ impl Surface {
             surface.base_color = specular.diffuse_factor();
             surface.texture = specular.diffuse_texture().map(|info| TextureRef::new(&info));
         } else if let Some(diffuse) = techniques.diffuse(material) {
-            notes.add("glTF material: shaders of KHR_techniques_webgl (drawn with their diffuse colour)");
+            notes.add("glTF material: WebGL shaders (drawn with their diffuse colour)");
             note_unused_maps(material, notes);
             surface.base_color = diffuse.color.unwrap_or([1.0; 4]);
             surface.texture = diffuse.texture;
