@@ -92,11 +92,10 @@ mod tests {
         };
         assert_eq!([get(&objects, "c"), get(&objects, "a"), get(&objects, "x")], [Some((0, 10)), Some((1, 11)), None]);
         assert_eq!(objects.move_to_front("b"), Some(&mut 12));
-        assert_eq!([get(&objects, "b"), get(&objects, "a"), get(&objects, "c")], [
-            Some((0, 12)),
-            Some((1, 11)),
-            Some((2, 10))
-        ]);
+        assert_eq!(
+            [get(&objects, "b"), get(&objects, "a"), get(&objects, "c")],
+            [Some((0, 12)), Some((1, 11)), Some((2, 10))]
+        );
         assert!(objects.move_to_front("x").is_none() && objects.ids.get(&Text(None)).is_none());
         assert!(serde_json::from_str::<Objects<u32>>("null").unwrap().is_empty());
         assert!(serde_json::from_str::<Objects<u32>>("[1]").is_err());
