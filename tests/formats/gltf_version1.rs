@@ -272,6 +272,13 @@ fn techniques_are_drawn_with_their_diffuse_part() {
     let by_semantic = json!({ "parameters": { "p": { "semantic": "_3DTILESDIFFUSE", "value": [0, 0, 0] } } });
     assert_eq!(draw(by_semantic.clone(), json!({})).base_color, [0.0, 0.0, 0.0, 1.0]);
     assert_eq!(draw(by_semantic, json!({ "p": [0.5, 0.5, 1, 0.5] })).base_color, grey);
+    // A shader without normals is not lit.
+    let reads = |semantics: &[&str]| {
+        let parameters: Value = semantics.iter().map(|of| ((*of).to_owned(), json!({ "semantic": of }))).collect();
+        draw(json!({ "parameters": parameters }), json!({ "u_tex": "texture" }))
+    };
+    let unlit = reads(&["POSITION", "TEXCOORD_0"]);
+    assert!(unlit.unlit && unlit.texture.is_some() && !reads(&["POSITION", "NORMAL"]).unlit);
     let texture = json!({ "parameters": { "tex": { "value": "texture" } } });
     assert!(draw(texture, json!({ "other": 1 })).texture.is_some());
     assert_eq!(draw(json!({ "parameters": 7, "uniforms": [], "states": "x" }), json!(9)).base_color, [1.0; 4]);

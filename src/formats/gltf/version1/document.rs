@@ -32,7 +32,7 @@ pub(super) struct Document {
     pub animations: Objects<IgnoredAny>,
     pub cameras: Objects<IgnoredAny>,
     pub skins: Objects<IgnoredAny>,
-    /// Those of glTF 0.8.
+    /// The lights of glTF 0.8.
     pub lights: Objects<IgnoredAny>,
     #[serde(deserialize_with = "or_default")]
     pub extensions: Extensions,
@@ -195,7 +195,7 @@ pub(super) struct Material {
     /// By the name of the technique's parameter. Text is the id of a texture.
     #[serde(deserialize_with = "valid_or_default")]
     pub values: Map<String, Value>,
-    /// The place of technique and values in glTF 0.8, and in some files of 1.0.
+    /// Technique and values as glTF 0.8 has them, and some files of 1.0.
     #[serde(deserialize_with = "valid_or_default")]
     pub instance_technique: Option<TechniqueInstance>,
     #[serde(deserialize_with = "valid_or_default")]

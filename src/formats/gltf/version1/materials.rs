@@ -22,10 +22,12 @@ const DIFFUSE: &str = "_3DTILESDIFFUSE";
 
 impl Upgrade<'_> {
     pub(super) fn materials(&self) -> Vec<Value> {
-        self.document.materials.list.iter().map(|material| self.material(material)).collect()
+        // Read once: any number of materials may share a technique.
+        let states: Vec<RenderState> = self.document.techniques.list.iter().map(RenderState::new).collect();
+        self.document.materials.list.iter().map(|material| self.material(material, &states)).collect()
     }
 
-    fn material(&self, material: &Material) -> Value {
+    fn material(&self, material: &Material, states: &[RenderState]) -> Value {
         if let Some(common) = &material.extensions.common {
             return self.common(common);
         }
@@ -35,13 +37,16 @@ impl Upgrade<'_> {
         };
         let mut upgraded = json!({ "pbrMetallicRoughness": { "metallicFactor": 0 } });
         let Some(index) = self.found(&self.document.techniques.ids, technique, "technique") else { return upgraded };
-        let enabled = &self.document.techniques.list[index].states.enable.0;
-        upgraded["doubleSided"] = (!enabled.contains(&CULL_FACE)).into();
-        if enabled.contains(&BLEND) {
+        let RenderState { is_blended, is_double_sided, is_unlit } = states[index];
+        upgraded["doubleSided"] = is_double_sided.into();
+        if is_blended {
             upgraded["alphaMode"] = "BLEND".into();
         }
         let values: Map<String, Value> = values.iter().map(|(name, of)| (name.clone(), self.value(of))).collect();
         upgraded["extensions"] = json!({ "KHR_techniques_webgl": { "technique": index, "values": values } });
+        if is_unlit {
+            upgraded["extensions"]["KHR_materials_unlit"] = json!({});
+        }
         upgraded
     }
 
@@ -159,6 +164,27 @@ impl Upgrade<'_> {
             Value::Object(given.collect())
         });
         upgraded.collect()
+    }
+}
+
+/// What a technique says about all its materials.
+#[derive(Clone, Copy)]
+struct RenderState {
+    is_blended: bool,
+    is_double_sided: bool,
+    /// The shader reads no normals, as those of photogrammetry do.
+    is_unlit: bool,
+}
+
+impl RenderState {
+    fn new(technique: &Technique) -> Self {
+        let enabled = &technique.states.enable.0;
+        let reads = |semantic: &str| technique.parameters.values().any(|of| of.semantic.0.as_deref() == Some(semantic));
+        Self {
+            is_blended: enabled.contains(&BLEND),
+            is_double_sided: !enabled.contains(&CULL_FACE),
+            is_unlit: reads("POSITION") && !reads("NORMAL"),
+        }
     }
 }
 

@@ -10,10 +10,11 @@ mod materials;
 mod nodes;
 mod objects;
 
+use std::collections::BTreeMap;
+
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 use serde_json::{Value, json};
-use std::collections::BTreeMap;
 
 use super::glb::Chunks;
 use crate::fetch::{IoError, Limits};
@@ -52,7 +53,7 @@ pub(super) fn upgraded(
 fn old_version(json: &[u8]) -> Option<String> {
     #[derive(Deserialize)]
     struct Head {
-        /// The place of the version in glTF 0.8.
+        /// glTF 0.8 may have its version here.
         #[serde(default)]
         version: Text,
         #[serde(default, deserialize_with = "valid_or_default")]
