@@ -40,7 +40,6 @@ pub use http::fuzz_headers;
 pub(crate) use http::runtime;
 #[cfg(feature = "http")]
 pub use http::{Credential, HttpBody, HttpClient, HttpConfig, StoreOption};
-#[cfg(test)]
 pub(crate) use limits::JSON_OBJECT_BYTES;
 pub use limits::Limits;
 pub use panic_guard::DECODER_PANICKED;

@@ -5,7 +5,7 @@
 use std::sync::Arc;
 
 use kit::compressed::{Triangles, uastc_ktx2};
-use kit::contents::{b3dm_bytes, cmpt_bytes, padded, pnts_bytes, pnts_with_batches};
+use kit::contents::{GLTF_1, b3dm_bytes, cmpt_bytes, glb_1, padded, pnts_bytes, pnts_with_batches};
 use kit::fuzz::Parser;
 use kit::subtrees::{Scheme, Subtree};
 use terrane::fetch::{DECODER_PANICKED, FileReader, IoError, Limits};
@@ -147,11 +147,9 @@ fn cmpt() -> Parser {
 }
 
 fn glb() -> Parser {
-    let seeds = [
-        glb_bytes(None),
-        glb_bytes(Some(image_bytes(image::ImageFormat::Png))),
-        glb_bytes(Some(image_bytes(image::ImageFormat::Jpeg))),
-    ];
+    use image::ImageFormat::{Jpeg, Png};
+    let seeds = [None, Some(Png), Some(Jpeg)].map(|format| glb_bytes(format.map(image_bytes)));
+    let seeds = seeds.into_iter().chain([glb_1(GLTF_1, &[1; 92])]);
     Parser::new("glb", seeds, move |bytes| content(bytes, None, Vec::new()))
 }
 
@@ -167,7 +165,7 @@ fn gltf_json() -> Parser {
     let occluder = r#""extras":{"terrane":{"occluder":{"corners":[[0,0,0],[4,0,0],[4,4,0],[0,4,0]],"holes":[[[1,1,0],[2,1,0],[2,2,0]]]}}},"mesh":0,"#;
     let occluding = gltf.replacen(r#""mesh":0,"#, occluder, 1);
     assert_ne!(occluding, gltf);
-    Parser::new("gltf", [gltf, occluding], |bytes| content(bytes, None, Vec::new()))
+    Parser::new("gltf", [gltf, occluding, GLTF_1.to_owned()], |bytes| content(bytes, None, Vec::new()))
 }
 
 /// Returns a glTF of the grid whose buffer is the input.

@@ -11,6 +11,7 @@ mod gltf_geometry;
 mod gltf_lights;
 mod gltf_materials;
 mod gltf_outlines;
+mod gltf_version1;
 mod instances;
 mod styles;
 mod surface_properties;

@@ -4,34 +4,41 @@ use std::borrow::Cow;
 
 use gltf::json;
 use gltf::json::validation::{Checked, Error, Validate as _};
-use serde::Deserialize;
 use serde_json::Value;
 
 use super::context::Context;
 use super::double_precision::{DoublePrecision, extensions_required};
 use super::extensions;
+use super::glb::Chunks;
+use super::version1;
 use crate::fetch::IoError;
 
-/// Parses a document. Its references between objects are valid afterwards, so that the crate's accessors do not panic.
-pub(super) fn parse(context: &Context<'_>, json: &[u8]) -> Result<(gltf::Document, DoublePrecision), IoError> {
-    let uri = context.uri;
+/// Parses a document; a glTF 1.0 is upgraded. Its references between objects are valid afterwards, so that the crate's
+/// accessors do not panic.
+pub(super) fn parse(context: &Context<'_>, chunks: &Chunks<'_>) -> Result<(gltf::Document, DoublePrecision), IoError> {
+    let (uri, limits) = (context.uri, &context.options.limits);
     let refused = |required: &[String]| {
         let unknown = required.iter().find(|name| !extensions::may_be_required(name));
         unknown.map(|name| IoError::unsupported(uri, format!("required glTF extension {name}")))
     };
-    context.options.limits.check_json(uri, json)?;
-    let mut json = Cow::Borrowed(json);
+    limits.check_json(uri, chunks.json)?;
+    let mut json = Cow::Borrowed(chunks.json);
     let mut parsed = json::Root::from_slice(&json);
+    // The objects of older versions have ids instead of indices, so that they are not parsed.
+    if parsed.is_err()
+        && let Some(upgraded) = version1::upgraded(uri, chunks, limits, context.notes)?
+    {
+        limits.check_json(uri, &upgraded)?;
+        json = upgraded.into();
+        parsed = json::Root::from_slice(&json);
+    }
     if parsed.is_err()
         && let Some(repaired) = repaired(&json)
         && let Ok(root) = json::Root::from_slice(&repaired)
     {
-        (parsed, json) = (Ok(root), Cow::Owned(repaired));
+        (parsed, json) = (Ok(root), repaired.into());
     }
     let mut root = parsed.map_err(|e| {
-        if let Some(version) = old_version(&json) {
-            return IoError::unsupported(uri, format!("glTF version {version}"));
-        }
         // An unsupported extension may replace required properties. It is the better error.
         let required = extensions_required(&json);
         refused(&required).unwrap_or_else(|| IoError::invalid(uri, format!("glTF JSON: {e}")))
@@ -102,28 +109,14 @@ fn repaired(json: &[u8]) -> Option<Vec<u8>> {
     serde_json::to_vec(&root).ok()
 }
 
-/// Returns the version of a glTF before 2.0, whose objects have names instead of indices.
-fn old_version(json: &[u8]) -> Option<String> {
-    #[derive(Deserialize)]
-    struct Document {
-        asset: Asset,
-    }
-    #[derive(Deserialize)]
-    struct Asset {
-        version: String,
-    }
-    let Document { asset: Asset { version } } = serde_json::from_slice(json).ok()?;
-    Some(version).filter(|version| version.starts_with("1.") || version.starts_with("0."))
-}
-
 /// Returns true for violations that do not matter to this reader. Old exporters omit bounds; compressed accessors have no
-/// bufferView; a primitive without positions is not drawn.
+/// bufferView; a primitive without positions is not drawn; strides are checked where elements are read.
 fn is_harmless(path: &str, error: Error) -> bool {
     let is_bound = path.ends_with(".min") || path.ends_with(".max");
     let is_missing_view = path.starts_with("accessors[") && path.ends_with("].bufferView");
     match error {
         Error::Missing => is_bound || is_missing_view || path.ends_with(".attributes[\"POSITION\"]"),
-        Error::Invalid => is_bound,
+        Error::Invalid => is_bound || path.ends_with(".byteStride"),
         _ => false,
     }
 }

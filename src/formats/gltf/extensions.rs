@@ -15,6 +15,7 @@ const SUPPORTED: &[&str] = &[
     "KHR_meshopt_compression",
     "KHR_texture_basisu",
     "KHR_texture_transform",
+    "WEB3D_quantized_attributes",
 ];
 
 /// Extensions without which a glTF is still drawn sensibly, so that it is not refused if it requires them. They are noted.

@@ -43,14 +43,14 @@ struct Source<'a> {
     uri: Option<Cow<'a, str>>,
 }
 
-/// Returns the references to external files in the JSON of a glTF; none if it is invalid. The schema of its metadata is among
-/// them only `with_schema`.
-pub(super) fn references(json: &[u8], with_schema: bool) -> Vec<String> {
-    let Ok(document) = serde_json::from_slice::<Document<'_>>(json) else { return Vec::new() };
+/// Returns the references to external files in the JSON of a glTF 2.0; `None` if it is invalid. The schema of its metadata is
+/// among them only `with_schema`.
+pub(super) fn references(json: &[u8], with_schema: bool) -> Option<Vec<String>> {
+    let document = serde_json::from_slice::<Document<'_>>(json).ok()?;
     let sources = [document.buffers, document.images].into_iter().flatten().flatten();
     let schema = document.extensions.metadata.filter(|_| with_schema).and_then(|metadata| metadata.schema_uri.0);
     let references = sources.filter_map(|source| source.uri).map(Cow::into_owned).chain(schema);
-    references.filter(|reference| !is_data_uri(reference)).collect()
+    Some(references.filter(|reference| !is_data_uri(reference)).collect())
 }
 
 #[cfg(test)]
@@ -61,13 +61,15 @@ mod tests {
     fn references_are_found_in_any_document() {
         let json =
             br#"{"buffers":[{"uri":"a%20b.bin"},{"uri":"data:,x"},{"byteLength":1}],"images":[{"uri":"c.png"}]}"#;
-        assert_eq!(references(json, true), ["a%20b.bin", "c.png"]);
-        assert!(references(b"{}", true).is_empty() && references(b"{", true).is_empty());
-        assert!(references(br#"{"buffers":null,"images":[{"uri":"d"}],"extensions":7}"#, true) == ["d"]);
+        let all = |json: &[u8]| references(json, true).unwrap();
+        assert_eq!(all(json), ["a%20b.bin", "c.png"]);
+        assert!(all(b"{}").is_empty() && references(b"{", true).is_none());
+        assert!(references(br#"{"buffers":{"a":{"uri":"b"}}}"#, true).is_none());
+        assert!(all(br#"{"buffers":null,"images":[{"uri":"d"}],"extensions":7}"#) == ["d"]);
         let json = br#"{"buffers":[{"uri":"a"}],"extensions":{"EXT_structural_metadata":{"schemaUri":"s.json"}}}"#;
         assert_eq!(
-            (references(json, true), references(json, false).len()),
-            (vec!["a".to_owned(), "s.json".to_owned()], 1)
+            (all(json), references(json, false).map(|list| list.len())),
+            (vec!["a".to_owned(), "s.json".to_owned()], Some(1))
         );
     }
 }

@@ -1,4 +1,4 @@
-//! The binary container of glTF 2.0.
+//! The binary containers of glTF 2.0 and of glTF 1.0 (KHR_binary_glTF).
 
 use crate::fetch::IoError;
 
@@ -8,6 +8,9 @@ pub(super) struct Chunks<'a> {
     pub binary: Option<&'a [u8]>,
 }
 
+/// The size of a header of version 1.
+const HEADER_1_BYTES: usize = 20;
+
 /// Returns the first JSON chunk and the first binary chunk.
 pub(super) fn chunks<'a>(uri: &str, bytes: &'a [u8]) -> Result<Chunks<'a>, IoError> {
     let bad = |reason: &str| IoError::invalid(uri, format!("glb: {reason}"));
@@ -16,12 +19,24 @@ pub(super) fn chunks<'a>(uri: &str, bytes: &'a [u8]) -> Result<Chunks<'a>, IoErr
         return Err(bad("wrong magic"));
     }
     let version = u32_at(4).ok_or_else(|| bad("truncated header"))?;
-    if version != 2 {
+    if version != 1 && version != 2 {
         return Err(IoError::unsupported(uri, format!("glb version {version}")));
     }
     let length = u32_at(8).ok_or_else(|| bad("truncated header"))? as usize;
     if length > bytes.len() {
         return Err(bad(&format!("truncated: {} of {length} bytes", bytes.len())));
+    }
+    if version == 1 {
+        // Length and format of the JSON, the JSON, then the body.
+        let size = u32_at(12).ok_or_else(|| bad("truncated header"))? as usize;
+        return match u32_at(16) {
+            Some(0) => {
+                let end = HEADER_1_BYTES.checked_add(size).filter(|end| *end <= length);
+                let end = end.ok_or_else(|| bad("JSON beyond the end"))?;
+                Ok(Chunks { json: &bytes[HEADER_1_BYTES..end], binary: Some(&bytes[end..length]) })
+            }
+            format => Err(IoError::unsupported(uri, format!("glb version 1 with content format {format:?}"))),
+        };
     }
     let (mut json, mut binary) = (None, None);
     let mut at = 12usize;

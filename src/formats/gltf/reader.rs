@@ -16,6 +16,7 @@ use super::lights::Lights;
 use super::mesh::{MeshReader, SkinPose};
 use super::node_tree::NodeTree;
 use super::occluder;
+use super::version1;
 use crate::fetch::IoError;
 use crate::formats::external_files::ExternalFiles;
 use crate::formats::ignored::Notes;
@@ -52,21 +53,26 @@ pub(in crate::formats) fn references(uri: &str, bytes: &[u8], options: &ReadOpti
     // Schemas describe features.
     let with_schema = options.keep_features || options.style.is_some();
     let source = GltfSource { uri, base: uri, bytes, rtc_center: None, batch_table: None, companions: &[] };
-    let json = source.chunks().ok().map(|chunks| chunks.json);
+    let limits = &options.limits;
     // The decoder returns the error.
-    let json = json.filter(|json| options.limits.check_json(uri, json).is_ok());
-    json.map_or(Vec::new(), |json| external::references(json, with_schema))
+    let chunks = source.chunks().ok().filter(|chunks| limits.check_json(uri, chunks.json).is_ok());
+    let Some(chunks) = chunks else { return Vec::new() };
+    let of_version_1 = || {
+        let upgraded = version1::upgraded(uri, &chunks, limits, &Notes::default()).ok().flatten();
+        external::references(&upgraded.filter(|json| limits.check_json(uri, json).is_ok())?, with_schema)
+    };
+    external::references(chunks.json, with_schema).or_else(of_version_1).unwrap_or_default()
 }
 
 /// Reads a glTF or glb. The root of the result rotates the content to z-up. Invalid primitives are noted and left out; if no
 /// primitive is left, the result is the error of the first one.
 pub(in crate::formats) fn read(source: GltfSource<'_>, options: &ReadOptions, notes: &Notes) -> Result<Node, IoError> {
-    let Chunks { json, binary } = source.chunks()?;
+    let chunks = source.chunks()?;
     let GltfSource { uri, base, rtc_center, companions, batch_table, .. } = source;
     let files = ExternalFiles::new(base, &options.root, &options.limits, companions);
     let context = Context::new(uri, options, notes, files);
-    let (document, double) = document::parse(&context, json)?;
-    let buffers = Buffers::read(&context, &document, binary)?;
+    let (document, double) = document::parse(&context, &chunks)?;
+    let buffers = Buffers::read(&context, &document, chunks.binary)?;
     let tables = FeatureTables::new(&context, &document, &buffers, batch_table)?;
     let mut reader = Reader {
         context: &context,

@@ -119,11 +119,12 @@ impl<'a> Buffers<'a> {
             is_strided: true,
             normalized: accessor.normalized(),
         };
-        match (accessor.view(), accessor.sparse()) {
-            (Some(view), None) => self.slice(&view, &slice),
-            (view, Some(sparse)) => self.sparse(view.as_ref(), &slice, &sparse),
-            (None, None) => self.zeros(&slice).map(Some),
-        }
+        let elements = match (accessor.view(), accessor.sparse()) {
+            (Some(view), None) => self.slice(&view, &slice)?,
+            (view, Some(sparse)) => self.sparse(view.as_ref(), &slice, &sparse)?,
+            (None, None) => Some(self.zeros(&slice)?),
+        };
+        elements.map(|elements| self.dequantized(accessor, elements)).transpose()
     }
 
     /// Returns the elements of a part of a view.
@@ -148,8 +149,13 @@ impl<'a> Buffers<'a> {
     pub(super) fn zeros(&self, slice: &Slice) -> Result<Elements<'static>, IoError> {
         let (_, tight) = element_bytes(slice.data_type, slice.dimensions);
         let size = slice.count.saturating_mul(tight);
-        self.context.budget.add_decoded(size as u64)?;
+        self.count_decoded(size as u64)?;
         Ok(slice.elements(Cow::Owned(vec![0; size]), tight))
+    }
+
+    /// Counts bytes that are about to be written in the budget.
+    pub(super) fn count_decoded(&self, bytes: u64) -> Result<(), IoError> {
+        self.context.budget.add_decoded(bytes)
     }
 
     pub(super) fn bad(&self, reason: impl std::fmt::Display) -> IoError {

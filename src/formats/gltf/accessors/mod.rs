@@ -6,6 +6,7 @@ mod buffers;
 mod elements;
 mod indices;
 mod meshopt;
+mod quantized;
 mod sparse;
 
 pub(super) use buffers::Buffers;

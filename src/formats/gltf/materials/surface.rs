@@ -46,7 +46,7 @@ impl Surface {
         if let Some(specular) = material.pbr_specular_glossiness().filter(|_| !surface.unlit) {
             surface.convert(material, SpecularGlossiness::new(&specular, notes), notes);
         } else if let Some(diffuse) = techniques.diffuse(material) {
-            notes.add("glTF material: shaders of KHR_techniques_webgl (drawn with their diffuse colour)");
+            notes.add("glTF material: WebGL shaders (drawn with their diffuse colour)");
             note_unused_maps(material, notes);
             surface.base_color = diffuse.color.unwrap_or([1.0; 4]);
             surface.texture = diffuse.texture;

@@ -21,14 +21,14 @@ pub(super) fn additional_attributes(
         let Some(accessor) = data.accessor(name) else { continue };
         let dimensions = accessor.dimensions();
         let (columns, rows) = columns_and_rows(dimensions);
-        let Some(format) = attribute_format(accessor.data_type(), accessor.normalized(), rows) else { continue };
-        let bytes = columns * format.size_bytes();
-        context.budget.add_vertices(vertices.saturating_mul(bytes).div_ceil(size_of::<MeshVertex>()))?;
         let Some(elements) = data.elements(name, &accessor)? else { continue };
         let count = elements.count;
         if count != vertices {
             return Err(context.bad(format_args!("{name} has {count} elements for {vertices} vertices")));
         }
+        let Some(format) = attribute_format(elements.data_type, elements.normalized, rows) else { continue };
+        let bytes = columns * format.size_bytes();
+        context.budget.add_vertices(vertices.saturating_mul(bytes).div_ceil(size_of::<MeshVertex>()))?;
         for column in 0..columns {
             let elements = elements.column(column, rows).padded(format.size_bytes());
             let name = if columns > 1 { format!("{name}_{column}") } else { name.to_string() };
