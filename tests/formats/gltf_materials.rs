@@ -121,7 +121,8 @@ fn maps_of_specular_glossiness_are_converted() {
     assert_eq!((model.metallic, model.roughness, model.occlusion_strength), (1.0, 1.0, 1.0));
     let rest = model.occlusion_roughness_metallic.unwrap();
     let corners = [(0, 0), (3, 0), (0, 1), (3, 1)].map(|(x, y)| texel(&rest, x, y));
-    assert_eq!(corners, [[77, 255, 0, 255], [77, 255, 255, 255], [77, 128, 0, 255], [77, 128, 255, 255]]);
+    assert_eq!(corners, [[255, 255, 0, 255], [255; 4], [255, 128, 0, 255], [255, 128, 255, 255]]);
+    assert_eq!(texel(&model.occlusion_map.unwrap(), 0, 0), [77, 0, 0, 255]);
 
     // The diffuse map alone: the metallic share depends on its texels if the specular colour is bright.
     let material = &mut gltf.json["materials"][0];

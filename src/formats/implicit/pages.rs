@@ -43,7 +43,7 @@ pub(in crate::formats) struct SubtreePart {
     counts_subtree: bool,
 }
 
-/// What a tile has from those above it.
+/// The properties that a tile inherits from the tiles above it.
 #[derive(Clone, Copy, Debug)]
 struct Above {
     /// Maps from the tile above to the tileset's frame.

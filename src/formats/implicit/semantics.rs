@@ -108,7 +108,7 @@ impl Overrides {
     pub fn set(&mut self, semantic: Semantic, value: &PropertyValue) {
         let volume = &mut self.volume;
         match semantic {
-            // Of several shapes the first counts: the specification leaves the choice.
+            // If there are several shapes, the first is taken: the specification leaves the choice.
             Semantic::Box => volume.shape = volume.shape.or(numbers(value).map(oriented_box)),
             Semantic::Region => volume.shape = volume.shape.or(numbers(value).map(region)),
             Semantic::Sphere => volume.shape = volume.shape.or(numbers(value).map(sphere)),

@@ -22,7 +22,7 @@ pub(in crate::formats) struct TileContent {
 }
 
 impl TileContent {
-    /// Returns a content without a volume of its own and without metadata.
+    /// Returns a content that has neither bounds nor metadata.
     pub fn new(uri: Arc<str>, reader_data: Option<ReaderData>) -> Self {
         Self { uri, reader_data, bounds: None, metadata: None }
     }

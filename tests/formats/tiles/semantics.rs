@@ -210,7 +210,7 @@ fn s2_cells_of_metadata_are_volumes() {
     };
     let set = Set::new(&s2("3", -100.0, 900.0), 2, &[NAME]);
     let tile = [
-        ("TILE_BOUNDING_S2_CELL", ids([0, 0x89c2_5u64 << 44, 0])),
+        ("TILE_BOUNDING_S2_CELL", ids([0, 0x0008_9c25_u64 << 44, 0])),
         ("TILE_MAXIMUM_HEIGHT", f64s([900.0, 50.0, 900.0])),
     ];
     set.write("0_0_0", subtree(0b1_0011, 0, 3, &tile, &[]));
@@ -218,7 +218,7 @@ fn s2_cells_of_metadata_are_volumes() {
     assert_eq!(bounds(&set, "1_0_0.glb"), cell("89c25", -100.0, 50.0));
     // A cell of the content lies between the heights of the tile. Points on the horizon have no effect, and are counted.
     let content = [
-        ("CONTENT_BOUNDING_S2_CELL", ids([0, 0x89c2_4u64 << 44, 0])),
+        ("CONTENT_BOUNDING_S2_CELL", ids([0, 0x0008_9c24_u64 << 44, 0])),
         ("CONTENT_HORIZON_OCCLUSION_POINT", f64s([0.0; 9])),
     ];
     set.write("0_0_0", subtree(0b1_0011, 0, 3, &tile, &content));

@@ -1,8 +1,8 @@
 //! KHR_materials_pbrSpecularGlossiness, converted to the metallic-roughness model.
 //!
-//! The conversion is the one that Khronos gives with the extension: the metallic share is the root of the equation in which
-//! base colour and dielectric reflection of 0.04 add up to the diffuse and the specular colour. Where it depends on the texel
-//! of a map, both maps are converted texel by texel.
+//! The conversion is the one that Khronos gives with the extension. A quadratic equation for the metallic share follows from
+//! the diffuse and the specular brightness, since a dielectric reflects 0.04 of the light. Where the result depends on maps,
+//! they are converted texel by texel.
 
 use std::sync::OnceLock;
 
