@@ -1,5 +1,6 @@
 //! glTF 1.0: files of the tests' own, beside equal ones of glTF 2.0.
 
+use base64::Engine as _;
 use glam::DVec3;
 use kit::contents::{GLTF_1, b3dm_with_batches, glb_1};
 use serde_json::{Value, json};
@@ -354,6 +355,8 @@ fn b3dm_and_i3dm_hold_version_1() {
     assert_eq!(Read { node, ignored: Default::default() }.node_drawables().len(), 2);
 }
 
+type Change = fn(&mut Value);
+
 #[test]
 fn ids_of_no_object_are_named() {
     let old = |change: &dyn Fn(&mut Value)| {
@@ -361,39 +364,39 @@ fn ids_of_no_object_are_named() {
         change(&mut old.json);
         read(old.text(), Vec::new())
     };
-    let changes: [(&dyn Fn(&mut Value), &str); 8] = [
-        (&|json| json["meshes"]["mesh"]["primitives"][0]["indices"] = "x".into(), r#"a mesh refers to accessor "x""#),
+    let changes: [(Change, &str); 8] = [
+        (|json| json["meshes"]["mesh"]["primitives"][0]["indices"] = "x".into(), r#"a mesh refers to accessor "x""#),
         (
-            &|json| json["meshes"]["mesh"]["primitives"][0]["attributes"]["POSITION"] = 7.into(),
+            |json| json["meshes"]["mesh"]["primitives"][0]["attributes"]["POSITION"] = 7.into(),
             r#"refers to accessor "7""#,
         ),
-        (&|json| json["accessors"]["uvs"]["bufferView"] = "x".into(), r#"an accessor refers to bufferView "x""#),
-        (&|json| json["bufferViews"]["uvs"]["buffer"] = json!({}), r#"a bufferView refers to buffer """#),
-        (&|json| json["nodes"]["root"]["children"] = json!(["x"]), r#"a node refers to node "x""#),
-        (&|json| json["nodes"]["node"]["meshes"] = json!(["x"]), r#"a node refers to mesh "x""#),
-        (&|json| json["scenes"]["scene"]["nodes"] = json!(["x"]), r#"a scene refers to node "x""#),
-        (&|json| json["nodes"]["node"]["children"] = json!(["root"]), "two parents"),
+        (|json| json["accessors"]["uvs"]["bufferView"] = "x".into(), r#"an accessor refers to bufferView "x""#),
+        (|json| json["bufferViews"]["uvs"]["buffer"] = json!({}), r#"a bufferView refers to buffer """#),
+        (|json| json["nodes"]["root"]["children"] = json!(["x"]), r#"a node refers to node "x""#),
+        (|json| json["nodes"]["node"]["meshes"] = json!(["x"]), r#"a node refers to mesh "x""#),
+        (|json| json["scenes"]["scene"]["nodes"] = json!(["x"]), r#"a scene refers to node "x""#),
+        (|json| json["nodes"]["node"]["children"] = json!(["root"]), "two parents"),
     ];
     for (change, why) in changes {
-        let error = old(change).unwrap_err().reason();
+        let error = old(&change).unwrap_err().reason();
         assert!(error.contains(why), "{error}");
     }
-    let changes: [(&dyn Fn(&mut Value), &str); 6] = [
-        (&|json| json["meshes"]["mesh"]["primitives"][0]["material"] = "x".into(), "material"),
-        (&|json| json["materials"]["m"]["technique"] = "x".into(), "technique"),
-        (&|json| json["materials"]["m"]["values"]["diffuse"] = "x".into(), "texture"),
-        (&|json| json["textures"]["a texture"]["source"] = "x".into(), "image"),
-        (&|json| json["textures"]["a texture"]["sampler"] = "x".into(), "sampler"),
-        (&|json| json["scene"] = "x".into(), "scene"),
+    let changes: [(Change, &str); 6] = [
+        (|json| json["meshes"]["mesh"]["primitives"][0]["material"] = "x".into(), "material"),
+        (|json| json["materials"]["m"]["technique"] = "x".into(), "technique"),
+        (|json| json["materials"]["m"]["values"]["diffuse"] = "x".into(), "texture"),
+        (|json| json["textures"]["a texture"]["source"] = "x".into(), "image"),
+        (|json| json["textures"]["a texture"]["sampler"] = "x".into(), "sampler"),
+        (|json| json["scene"] = "x".into(), "scene"),
     ];
     for (change, kind) in changes {
-        let read = old(change).unwrap();
+        let read = old(&change).unwrap();
         assert_eq!(read.ignored.count(&format!("glTF 1.0: reference to a {kind} that does not exist")), 1, "{kind}");
         assert_eq!(read.drawables().len(), 1);
     }
     for wrong in ["accessors", "bufferViews", "meshes", "nodes", "scenes", "textures", "images"] {
         for value in [json!([1]), json!({ "a": 7 }), json!("x")] {
-            let error = old(&|json| json[wrong] = value.clone()).map(|_| ());
+            let error = old(&|json: &mut Value| json[wrong] = value.clone()).map(|_| ());
             assert!(error.is_err(), "{wrong}: {value}");
         }
     }
@@ -490,12 +493,7 @@ fn the_seed_of_the_fuzzer_is_valid() {
     assert_eq!(text.drawables().len(), 3);
     let json: Value = serde_json::from_str(GLTF_1).unwrap();
     let uri = json["buffers"]["binary_glTF"]["uri"].as_str().unwrap();
-    let body = terrane_body(uri);
+    let body = base64::engine::general_purpose::STANDARD.decode(uri.split_once(',').unwrap().1).unwrap();
     let binary = read(glb_1(GLTF_1, &body), Vec::new()).unwrap();
     assert_eq!(format!("{:?}", binary.node), format!("{:?}", text.node));
-}
-
-fn terrane_body(uri: &str) -> Vec<u8> {
-    use base64::Engine as _;
-    base64::engine::general_purpose::STANDARD.decode(uri.split_once(',').unwrap().1).unwrap()
 }

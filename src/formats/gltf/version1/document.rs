@@ -258,3 +258,17 @@ pub(super) struct States {
     /// WebGL's numbers of states.
     pub enable: Numbers,
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fetch::JSON_OBJECT_BYTES;
+
+    #[test]
+    fn objects_are_no_larger_than_the_limit_of_parsed_json_counts() {
+        let geometry = [size_of::<Accessor>(), size_of::<BufferView>(), size_of::<Primitive>(), size_of::<Node>()];
+        let others = [size_of::<Material>(), size_of::<Technique>(), size_of::<Image>(), size_of::<Sampler>()];
+        let largest = geometry.into_iter().chain(others).max().unwrap() as u64;
+        assert!(2 * largest <= JSON_OBJECT_BYTES, "{geometry:?} {others:?}");
+    }
+}

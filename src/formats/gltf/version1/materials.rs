@@ -167,7 +167,7 @@ impl Upgrade<'_> {
     }
 }
 
-/// What a technique says about all its materials.
+/// The states that a technique gives to all its materials.
 #[derive(Clone, Copy)]
 struct RenderState {
     is_blended: bool,
