@@ -1,5 +1,6 @@
 //! [`IoError`]: everything that can fail between a URI and a page.
 
+use std::net::IpAddr;
 use std::time::Duration;
 
 use super::uri::{is_remote, shown};
@@ -66,6 +67,19 @@ pub enum IoError {
         /// The URI that was requested.
         uri: String,
     },
+    /// The URI leads, perhaps after redirects, to a host that its tile set may not reach. Nothing was sent to it.
+    /// `HttpConfig::allowed_hosts` allows it.
+    #[error("{}: {host} has the {kind} address {address}, which this tile set may not reach; --allow-host {host} allows it", shown(.uri))]
+    HostRefused {
+        /// The URI that was requested.
+        uri: String,
+        /// The host, with its port if the URL names one.
+        host: String,
+        /// An address of the host.
+        address: IpAddr,
+        /// The kind of the address, such as `loopback`. It is `public` if the root's host had only local addresses before.
+        kind: &'static str,
+    },
     /// The URI is malformed or not allowed.
     #[error("{}: {reason}", shown(.uri))]
     Uri {
@@ -121,6 +135,7 @@ impl IoError {
             | Self::Tls { uri, .. }
             | Self::Timeout { uri, .. }
             | Self::Offline { uri }
+            | Self::HostRefused { uri, .. }
             | Self::Uri { uri, .. }
             | Self::Invalid { uri, .. }
             | Self::Markup { uri }

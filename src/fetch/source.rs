@@ -7,6 +7,8 @@ use super::file::FileReader;
 #[cfg(feature = "http")]
 use super::http::{BlockingHttpClient, HttpBody, HttpConfig};
 use super::limits::Limits;
+#[cfg(feature = "http")]
+use super::scope::RootScope;
 use super::uri::is_remote;
 
 /// The bytes of a URI, and what the server said about them.
@@ -33,7 +35,7 @@ impl From<HttpBody> for Loaded {
     }
 }
 
-/// Reads files, archives and servers. Keeps its connections open between reads.
+/// Reads the files of one tile set from disk, archives and servers. Keeps its connections open between reads.
 #[derive(Debug)]
 pub(crate) struct Source {
     files: FileReader,
@@ -41,13 +43,18 @@ pub(crate) struct Source {
     limits: Limits,
     #[cfg(feature = "http")]
     config: HttpConfig,
+    #[cfg(feature = "http")]
+    scope: RootScope,
     /// Created by the first read from a server.
     #[cfg(feature = "http")]
     http: std::cell::OnceCell<BlockingHttpClient>,
 }
 
 impl Source {
-    pub fn new(limits: Limits) -> Self {
+    /// Creates a source for the set with this root.
+    pub fn new(limits: Limits, root_uri: &str) -> Self {
+        #[cfg(not(feature = "http"))]
+        let _ = root_uri;
         Self {
             files: FileReader::new(limits),
             #[cfg(feature = "http")]
@@ -55,13 +62,15 @@ impl Source {
             #[cfg(feature = "http")]
             config: HttpConfig::default(),
             #[cfg(feature = "http")]
+            scope: RootScope::of(root_uri),
+            #[cfg(feature = "http")]
             http: std::cell::OnceCell::new(),
         }
     }
 
     #[cfg(feature = "http")]
-    pub fn with_http(limits: Limits, config: HttpConfig) -> Self {
-        Self { config, ..Self::new(limits) }
+    pub fn with_http(self, config: HttpConfig) -> Self {
+        Self { config, ..self }
     }
 
     /// Reads a URI; blocks until all bytes have arrived.
@@ -79,7 +88,7 @@ impl Source {
             let http = match self.http.get() {
                 Some(http) => http,
                 None => {
-                    let http = BlockingHttpClient::new(&self.config)?;
+                    let http = BlockingHttpClient::new(&self.config, &self.scope)?;
                     self.http.get_or_init(|| http)
                 }
             };

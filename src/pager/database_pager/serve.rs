@@ -184,7 +184,7 @@ impl DatabasePager {
         }
         #[cfg(not(feature = "http"))]
         let _ = scope;
-        fetch::Source::new(self.config.limits).load(uri)
+        fetch::Source::new(self.config.limits, uri).load(uri)
     }
 }
 
