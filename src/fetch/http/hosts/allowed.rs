@@ -16,7 +16,7 @@ use crate::fetch::IoError;
 /// address the names that lead to it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct AllowedHost {
-    /// As [`host_of`] returns it.
+    /// Has the form that [`host_of`] returns.
     host: String,
     port: Option<u16>,
 }

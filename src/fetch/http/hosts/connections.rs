@@ -29,12 +29,12 @@ pub(in crate::fetch) struct Connections {
     allowed: Vec<AllowedHost>,
     /// The proxies of the environment, which the pools use too.
     proxies: Matcher,
-    /// The pool of each host of a root, which its first DNS query decides for good: a name that had public addresses must
-    /// not lead into the local network later, nor the reverse. Locked briefly.
+    /// The reach of each host of a root that is a name. The first DNS query decides it for good: a name that had public
+    /// addresses must not lead into the local network later, nor the reverse. Locked briefly.
     roots: Mutex<HashMap<String, Reach>>,
 }
 
-/// What the pools are created from.
+/// The settings and objects that all pools share.
 #[derive(Debug)]
 struct Parts {
     connect_timeout: Duration,

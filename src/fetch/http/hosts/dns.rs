@@ -77,9 +77,9 @@ impl DnsResolver {
 /// The addresses that a pool of connections may lead to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Reach {
-    /// Those of the public internet.
+    /// Addresses of the public internet.
     Public,
-    /// All others: private, loopback, link-local and so on.
+    /// All other addresses: private, loopback, link-local and so on.
     Local,
     Any,
 }

@@ -3,11 +3,11 @@
 //!
 //! Each request, also after a redirect, is sent over one of three pools of connections, by the host of its URL:
 //!
-//! ```text
-//! allowed by the configuration, or over a proxy   any address
-//! the host of the set's root                      local addresses if the name had only these at first, else as below
-//! any other                                       public addresses
-//! ```
+//! | host | addresses that its pool connects to |
+//! |---|---|
+//! | allowed by the configuration, or asked through a proxy | any |
+//! | that of the set's root, if its first addresses were all local | local |
+//! | any other | public |
 //!
 //! The resolver of a pool leaves out the addresses that the pool may not connect to, so that no time passes between check
 //! and connection. A pool never reuses the connections of another one. Addresses that are written in a URL do not pass the
