@@ -1,6 +1,7 @@
 //! [`IoError`]: everything that can fail between a URI and a page.
 
 use std::net::IpAddr;
+use std::path::PathBuf;
 use std::time::Duration;
 
 use super::uri::{is_remote, shown};
@@ -80,6 +81,16 @@ pub enum IoError {
         /// The kind of the address, such as `loopback`. It is `public` if the root's host had only local addresses before.
         kind: &'static str,
     },
+    /// A symbolic link leads out of the folder of a set on disk. `Limits::follow_links` allows it.
+    #[error("{uri}: a symbolic link leads to {}, out of the set's folder {}; --follow-links allows it", .target.display(), .folder.display())]
+    LinkRefused {
+        /// The path of the file.
+        uri: String,
+        /// The file that the link leads to.
+        target: PathBuf,
+        /// The folder of the set's root, links resolved.
+        folder: PathBuf,
+    },
     /// The URI is malformed or not allowed.
     #[error("{}: {reason}", shown(.uri))]
     Uri {
@@ -136,6 +147,7 @@ impl IoError {
             | Self::Timeout { uri, .. }
             | Self::Offline { uri }
             | Self::HostRefused { uri, .. }
+            | Self::LinkRefused { uri, .. }
             | Self::Uri { uri, .. }
             | Self::Invalid { uri, .. }
             | Self::Markup { uri }

@@ -7,7 +7,6 @@ use super::file::FileReader;
 #[cfg(feature = "http")]
 use super::http::{BlockingHttpClient, HttpBody, HttpConfig};
 use super::limits::Limits;
-#[cfg(feature = "http")]
 use super::scope::RootScope;
 use super::uri::is_remote;
 
@@ -43,7 +42,8 @@ pub(crate) struct Source {
     limits: Limits,
     #[cfg(feature = "http")]
     config: HttpConfig,
-    #[cfg(feature = "http")]
+    /// The root, which the user named.
+    root: String,
     scope: RootScope,
     /// Created by the first read from a server.
     #[cfg(feature = "http")]
@@ -53,15 +53,13 @@ pub(crate) struct Source {
 impl Source {
     /// Creates a source for the set with this root.
     pub fn new(limits: Limits, root_uri: &str) -> Self {
-        #[cfg(not(feature = "http"))]
-        let _ = root_uri;
         Self {
             files: FileReader::new(limits),
             #[cfg(feature = "http")]
             limits,
             #[cfg(feature = "http")]
             config: HttpConfig::default(),
-            #[cfg(feature = "http")]
+            root: root_uri.to_owned(),
             scope: RootScope::of(root_uri),
             #[cfg(feature = "http")]
             http: std::cell::OnceCell::new(),
@@ -81,7 +79,10 @@ impl Source {
     /// Reads a URI as [`Self::read`] does, and returns what is known about the bytes.
     pub fn load(&self, uri: &str) -> Result<Loaded, IoError> {
         if !is_remote(uri) {
-            return self.files.read(uri).map(Loaded::from);
+            // The user named the root, which may be a link.
+            let is_root = uri == self.root;
+            let bytes = if is_root { self.files.read(uri) } else { self.files.read_within(uri, &self.scope) };
+            return bytes.map(Loaded::from);
         }
         #[cfg(feature = "http")]
         {
@@ -100,6 +101,9 @@ impl Source {
 
     /// Returns the size in bytes of a local file as stored.
     pub fn size(&self, uri: &str) -> Result<u64, IoError> {
+        if uri != self.root {
+            self.files.check_links(uri, &self.scope)?;
+        }
         self.files.size(uri)
     }
 }

@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use anyhow::{Context as _, Result, ensure};
 use clap::Args as ClapArgs;
-use terrane::fetch::{AllowedHost, CacheConfig, Credential, HttpConfig, is_http};
+use terrane::fetch::{AllowedHost, CacheConfig, Credential, HttpConfig, Limits, is_http};
 
 use crate::default_set;
 
@@ -29,6 +29,9 @@ pub struct NetArgs {
     /// Host that the source may refer to although its address is private, loopback or link-local; may be repeated
     #[arg(long, value_name = "HOST[:PORT]")]
     pub allow_host: Vec<AllowedHost>,
+    /// Read files of a set on disk also if symbolic links lead to them out of the set's folder
+    #[arg(long)]
+    pub follow_links: bool,
     /// PEM file of a certificate authority to trust in addition to those of the system
     #[arg(long, value_name = "FILE")]
     pub ca_file: Vec<PathBuf>,
@@ -59,6 +62,11 @@ impl NetArgs {
             cache: self.cache()?,
             ..HttpConfig::default()
         })
+    }
+
+    /// Returns the limits for data from the source.
+    pub fn limits(&self) -> Limits {
+        Limits { follow_links: self.follow_links, ..Limits::default() }
     }
 
     /// Returns the configuration of the cache, `None` if no option asks for one.

@@ -69,3 +69,19 @@ fn proxies_are_not_asked_for_local_addresses() {
     assert_eq!(asked, ["http://root.invalid/tileset.json", "http://tiles.invalid/a.glb"]);
     assert_eq!(text.matches("--allow-host").count(), 4, "{text}");
 }
+
+#[cfg(unix)]
+#[test]
+fn links_out_of_a_set_are_refused_with_advice() {
+    let home = tempfile::tempdir().unwrap();
+    let (set, outside) = (home.path().join("set"), home.path().join("a.glb"));
+    std::fs::create_dir(&set).unwrap();
+    std::fs::write(&outside, glb()).unwrap();
+    std::fs::write(set.join("tileset.json"), tileset(&["link.glb".to_owned()])).unwrap();
+    std::os::unix::fs::symlink(&outside, set.join("link.glb")).unwrap();
+    let source = set.to_str().unwrap();
+    let (out, text) = verify(source, &[], "");
+    assert!(out.status.code() == Some(1) && text.contains("--follow-links allows it"), "{text}");
+    let (out, text) = verify(source, &["--follow-links"], "");
+    assert!(out.status.success(), "{text}");
+}
