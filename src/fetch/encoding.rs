@@ -112,6 +112,7 @@ mod tests {
         max_depth: 1,
         max_external_depth: 1,
         max_json_bytes: 0,
+        follow_links: false,
     };
 
     fn text() -> Vec<u8> {

@@ -1,5 +1,7 @@
 //! [`IoError`]: everything that can fail between a URI and a page.
 
+use std::net::IpAddr;
+use std::path::PathBuf;
 use std::time::Duration;
 
 use super::uri::{is_remote, shown};
@@ -66,6 +68,29 @@ pub enum IoError {
         /// The URI that was requested.
         uri: String,
     },
+    /// The URI leads, perhaps after redirects, to a host that its tile set may not reach. Nothing was sent to it.
+    /// `HttpConfig::allowed_hosts` allows it.
+    #[error("{}: {host} has the {kind} address {address}, which this tile set may not reach; --allow-host {host} allows it", shown(.uri))]
+    HostRefused {
+        /// The URI that was requested.
+        uri: String,
+        /// The host, with its port if the URL names one.
+        host: String,
+        /// An address of the host.
+        address: IpAddr,
+        /// The kind of the address, such as `loopback`. It is `public` if the root's host had only local addresses before.
+        kind: &'static str,
+    },
+    /// A symbolic link leads out of the folder of a set on disk. `Limits::follow_links` allows it.
+    #[error("{uri}: a symbolic link leads to {}, out of the set's folder {}; --follow-links allows it", .target.display(), .folder.display())]
+    LinkRefused {
+        /// The path of the file.
+        uri: String,
+        /// The file that the link leads to.
+        target: PathBuf,
+        /// The folder of the set's root, links resolved.
+        folder: PathBuf,
+    },
     /// The URI is malformed or not allowed.
     #[error("{}: {reason}", shown(.uri))]
     Uri {
@@ -121,6 +146,8 @@ impl IoError {
             | Self::Tls { uri, .. }
             | Self::Timeout { uri, .. }
             | Self::Offline { uri }
+            | Self::HostRefused { uri, .. }
+            | Self::LinkRefused { uri, .. }
             | Self::Uri { uri, .. }
             | Self::Invalid { uri, .. }
             | Self::Markup { uri }

@@ -1,7 +1,7 @@
 //! Reads local files and members of local archives, and decompresses gzip. Blocking; called on the pager's file threads.
 
 use std::io::{ErrorKind, Read};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use lru::LruCache;
@@ -11,6 +11,7 @@ use super::encoding::gunzip;
 use super::error::IoError;
 use super::limits::Limits;
 use super::panic_guard::guarded;
+use super::scope::RootScope;
 
 /// Reading a file whose name ends like this panics, so that tests can check the handling of decoder panics.
 #[cfg(test)]
@@ -33,6 +34,29 @@ impl FileReader {
     /// Reads a whole file and decompresses gzip. A path that continues after the name of an archive means a file inside it.
     pub fn read(&self, uri: &str) -> Result<Vec<u8>, IoError> {
         guarded(uri, || self.read_unguarded(uri))
+    }
+
+    /// Reads a file of a set like [`Self::read`], unless a symbolic link leads out of the set's folder
+    /// ([`Limits::follow_links`]). The path itself is not compared with the folder; [`resolve`](super::resolve) does that.
+    pub(crate) fn read_within(&self, uri: &str, scope: &RootScope) -> Result<Vec<u8>, IoError> {
+        self.check_links(uri, scope)?;
+        self.read(uri)
+    }
+
+    /// Fails with [`IoError::LinkRefused`] if a path is in the folder of a scope, but a link on the way leads out of it.
+    pub(super) fn check_links(&self, uri: &str, scope: &RootScope) -> Result<(), IoError> {
+        let RootScope::Folder(folder) = scope else { return Ok(()) };
+        if self.limits.follow_links || !Path::new(uri).starts_with(folder) {
+            return Ok(());
+        }
+        // A member of an archive is where the archive is. A file that does not exist is reported by the read.
+        let existing = Path::new(uri).ancestors().take_while(|path| path.starts_with(folder));
+        let Some(target) = existing.filter_map(|path| path.canonicalize().ok()).next() else { return Ok(()) };
+        let folder = folder.canonicalize().map_err(|e| IoError::of_file(uri, &e))?;
+        match target.starts_with(&folder) {
+            true => Ok(()),
+            false => Err(IoError::LinkRefused { uri: uri.to_owned(), target, folder }),
+        }
     }
 
     fn read_unguarded(&self, uri: &str) -> Result<Vec<u8>, IoError> {

@@ -21,6 +21,9 @@ pub struct Limits {
     /// Bytes of memory that one JSON document may take when it is parsed, by a careful estimate: two gibibytes, the default,
     /// are a tileset.json of about 230,000 tiles. Raise it for larger ones.
     pub max_json_bytes: u64,
+    /// Reads files of a set on disk also if symbolic links lead to them out of the folder of its root. Off by default, since
+    /// a set from a stranger could so name any file of this machine.
+    pub follow_links: bool,
 }
 
 impl Default for Limits {
@@ -33,6 +36,7 @@ impl Default for Limits {
             max_depth: 100,
             max_external_depth: 32,
             max_json_bytes: 2 << 30,
+            follow_links: false,
         }
     }
 }

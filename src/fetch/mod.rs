@@ -39,7 +39,7 @@ pub use http::fuzz_headers;
 #[cfg(feature = "http")]
 pub(crate) use http::runtime;
 #[cfg(feature = "http")]
-pub use http::{Credential, HttpBody, HttpClient, HttpConfig, StoreOption};
+pub use http::{AllowedHost, Credential, HttpBody, HttpClient, HttpConfig, StoreOption};
 pub(crate) use limits::JSON_OBJECT_BYTES;
 pub use limits::Limits;
 pub use panic_guard::DECODER_PANICKED;

@@ -1,7 +1,8 @@
 //! The root of a tile set, and the URIs that its files may refer to.
 //!
 //! References must stay below the folder of the root (files), on http(s) (servers), or in its bucket (object stores).
-//! So a foreign tile set can neither open local files nor misuse the user's keys for other buckets.
+//! So a foreign tile set can neither open local files nor misuse the user's keys for other buckets. Which servers it reaches
+//! is checked when a request is sent, since that depends on their addresses.
 
 use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
@@ -16,8 +17,9 @@ use super::uri::{is_http, is_remote, is_store, server};
 pub enum RootScope {
     /// Files below this absolute folder.
     Folder(PathBuf),
-    /// Any http(s) URL.
-    Http,
+    /// Any http(s) URL, for a root on this server, as `https://host:port`. Its servers are reached if they are public or this
+    /// very server.
+    Server(String),
     /// Objects of one bucket, as `s3://name`.
     Bucket(String),
 }
@@ -26,7 +28,9 @@ impl RootScope {
     /// Returns the scope of a tile set whose root is `root_uri`, as [`root_uri`] returned it.
     pub fn of(root_uri: &str) -> Self {
         if is_http(root_uri) {
-            Self::Http
+            // The origin has no password.
+            let origin = url::Url::parse(root_uri).map(|url| url.origin().ascii_serialization());
+            Self::Server(origin.unwrap_or_default())
         } else if is_store(root_uri) {
             Self::Bucket(server(root_uri).to_owned())
         } else {
@@ -70,7 +74,7 @@ pub fn root_uri(source: &str) -> Result<Arc<str>, IoError> {
 /// [`IoError::Uri`] if the reference is malformed or leaves the scope.
 pub fn resolve(base_uri: &str, reference: &str, scope: &RootScope) -> Result<Arc<str>, IoError> {
     match scope {
-        RootScope::Http => {
+        RootScope::Server(_) => {
             let base = url::Url::parse(base_uri).map_err(|e| bad(base_uri, e.to_string()))?;
             let mut url = base.join(reference).map_err(|e| bad(reference, e.to_string()))?;
             if !matches!(url.scheme(), "http" | "https") {
@@ -213,19 +217,25 @@ mod tests {
         for other in ["file:///etc/passwd", "https://h/x", "data:,x", "C:\\x"] {
             assert!(ok(other).is_err(), "{other}");
         }
-        assert!(resolve("http://h/t.json", "s3://b/x", &RootScope::Http).is_err());
+        assert!(resolve("http://h/t.json", "s3://b/x", &RootScope::of("http://h/")).is_err());
         assert!(resolve("/d/t.json", "s3://b/x", &RootScope::Folder("/d".into())).is_err());
     }
 
     #[test]
     fn servers_stay_on_http() {
-        let r = |x: &str| resolve("http://h/a/tileset.json?k=1", x, &RootScope::Http);
+        let scope = RootScope::of("http://me:pass@h/a/tileset.json?k=1");
+        assert_eq!(scope, RootScope::Server("http://h".to_owned()));
+        let r = |x: &str| resolve("http://h/a/tileset.json?k=1", x, &scope);
         assert_eq!(&*r("b.glb").unwrap(), "http://h/a/b.glb?k=1");
         assert_eq!(&*r("b.3tz").unwrap(), "http://h/a/b.3tz/tileset.json?k=1");
         assert_eq!(&*root_uri("http://h/b.3TZ?k=1").unwrap(), "http://h/b.3TZ/tileset.json?k=1");
         assert_eq!(&*r("https://other/b.glb").unwrap(), "https://other/b.glb");
-        assert!(r("file:///etc/passwd").is_err());
-        let get = |base: &str, reference: &str| resolve(base, reference, &RootScope::Http);
+        for file in ["file:///etc/passwd", "FILE:/etc/passwd", "file:passwd", "C:\\x", "c:/x", "data:,x", "jar:file:/x"]
+        {
+            assert!(r(file).is_err(), "{file}");
+        }
+        assert_eq!(&*r("/etc/passwd").unwrap(), "http://h/etc/passwd?k=1", "a path is one of the server");
+        let get = |base: &str, reference: &str| resolve(base, reference, &scope);
         assert_eq!(&*get("https://a/s/t.json?key=1", "x.glb").unwrap(), "https://a/s/x.glb?key=1");
         assert_eq!(&*get("https://a/t.json?key=1", "https://a:444/x.glb").unwrap(), "https://a:444/x.glb");
         assert_eq!(&*get("https://a/t.json?key=1", "https://b/x.glb").unwrap(), "https://b/x.glb");

@@ -7,6 +7,7 @@ use super::file::FileReader;
 #[cfg(feature = "http")]
 use super::http::{BlockingHttpClient, HttpBody, HttpConfig};
 use super::limits::Limits;
+use super::scope::RootScope;
 use super::uri::is_remote;
 
 /// The bytes of a URI, and what the server said about them.
@@ -42,7 +43,7 @@ impl From<HttpBody> for Loaded {
     }
 }
 
-/// Reads files, archives and servers. Keeps its connections open between reads.
+/// Reads the files of one tile set from disk, archives and servers. Keeps its connections open between reads.
 #[derive(Debug)]
 pub(crate) struct Source {
     files: FileReader,
@@ -50,27 +51,33 @@ pub(crate) struct Source {
     limits: Limits,
     #[cfg(feature = "http")]
     config: HttpConfig,
+    /// The root, which the user named.
+    root: String,
+    scope: RootScope,
     /// Created by the first read from a server.
     #[cfg(feature = "http")]
     http: std::cell::OnceCell<BlockingHttpClient>,
 }
 
 impl Source {
-    pub fn new(limits: Limits) -> Self {
+    /// Creates a source for the set with this root.
+    pub fn new(limits: Limits, root_uri: &str) -> Self {
         Self {
             files: FileReader::new(limits),
             #[cfg(feature = "http")]
             limits,
             #[cfg(feature = "http")]
             config: HttpConfig::default(),
+            root: root_uri.to_owned(),
+            scope: RootScope::of(root_uri),
             #[cfg(feature = "http")]
             http: std::cell::OnceCell::new(),
         }
     }
 
     #[cfg(feature = "http")]
-    pub fn with_http(limits: Limits, config: HttpConfig) -> Self {
-        Self { config, ..Self::new(limits) }
+    pub fn with_http(self, config: HttpConfig) -> Self {
+        Self { config, ..self }
     }
 
     /// Reads a URI; blocks until all bytes have arrived.
@@ -81,14 +88,17 @@ impl Source {
     /// Reads a URI as [`Self::read`] does, and returns what is known about the bytes.
     pub fn load(&self, uri: &str) -> Result<Loaded, IoError> {
         if !is_remote(uri) {
-            return self.files.read(uri).map(Loaded::from);
+            // The user named the root, which may be a link.
+            let is_root = uri == self.root;
+            let bytes = if is_root { self.files.read(uri) } else { self.files.read_within(uri, &self.scope) };
+            return bytes.map(Loaded::from);
         }
         #[cfg(feature = "http")]
         {
             let http = match self.http.get() {
                 Some(http) => http,
                 None => {
-                    let http = BlockingHttpClient::new(&self.config)?;
+                    let http = BlockingHttpClient::new(&self.config, &self.scope)?;
                     self.http.get_or_init(|| http)
                 }
             };
@@ -100,6 +110,9 @@ impl Source {
 
     /// Returns the size in bytes of a local file as stored.
     pub fn size(&self, uri: &str) -> Result<u64, IoError> {
+        if uri != self.root {
+            self.files.check_links(uri, &self.scope)?;
+        }
         self.files.size(uri)
     }
 }

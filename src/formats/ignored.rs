@@ -8,6 +8,8 @@ use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
+use crate::fetch::IoError;
+
 /// The maximum number of kinds: names of extensions are outside data. Further kinds count as [`OTHERS`].
 const MAX_KINDS: usize = 256;
 /// The kind that replaces all kinds beyond [`MAX_KINDS`].
@@ -83,6 +85,15 @@ impl IgnoredLog {
 pub(super) struct Notes(RefCell<Ignored>);
 
 impl Notes {
+    /// Adds one occurrence of a kind of file that is missing for a reason. A host that the set may not reach is named, since
+    /// the user can allow it.
+    pub fn add_missing(&self, kind: &'static str, error: &IoError) {
+        self.add(kind);
+        if let IoError::HostRefused { host, .. } = error {
+            self.add(format!("a file on {host}, which --allow-host allows"));
+        }
+    }
+
     /// Adds one occurrence of a kind.
     pub fn add(&self, kind: impl Into<Cow<'static, str>>) {
         self.0.borrow_mut().add(kind, 1);

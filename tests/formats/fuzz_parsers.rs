@@ -445,7 +445,7 @@ fn uris() -> Parser {
         }
         for scope in [RootScope::of("http://h/a"), RootScope::of("s3://bucket/a"), RootScope::of("/data/set/t.json")] {
             match (resolve(base, reference, &scope), &scope) {
-                (Ok(uri), RootScope::Http) => {
+                (Ok(uri), RootScope::Server(_)) => {
                     fuzz_url(&uri);
                     assert!(is_http(&uri), "{uri}");
                     let is_safe = |uri: &str| uri.to_ascii_lowercase().starts_with("https:");

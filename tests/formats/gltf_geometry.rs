@@ -221,7 +221,7 @@ fn external_buffers_and_images_are_fetched() {
         let wanted = dependencies(URI, text.replace("a.bin", foreign).as_bytes(), None, &[], &options);
         assert_eq!(wanted, ["/set/img/a b.png".into()]);
     }
-    let on_server = ReadOptions { root: RootScope::Http, ..options };
+    let on_server = ReadOptions { root: RootScope::of("http://h/"), ..options };
     let wanted = dependencies("http://h/s/t.gltf?k=1", text.as_bytes(), None, &[], &on_server);
     assert_eq!(wanted[0], "http://h/s/a.bin?k=1".into());
 }

@@ -349,7 +349,10 @@ fn validators_are_sent_only_to_their_server() {
     let redirecting = Server::start(move |r| {
         Reply::new(302, "").with("Location", format!("{}/tile?signature={}", urls[r.nth], r.nth))
     });
-    let bodies = [(); 4].map(|()| Client::at(folder.path()).get(&format!("{}/a", redirecting.url)));
+    let allowed_hosts = [&old, &new].map(|server| server.host().parse().unwrap()).to_vec();
+    let config = HttpConfig { allowed_hosts, ..config(CacheConfig::new(folder.path())) };
+    let client = || Client(HttpClient::new(&config).unwrap(), Client::at(folder.path()).1);
+    let bodies = [(); 4].map(|()| client().get(&format!("{}/a", redirecting.url)));
     assert_eq!(bodies, [b"old", b"old", b"new", b"new"].map(|body| body.to_vec()));
     let asked_with = |server: &Server| {
         server.seen().iter().map(|r| r.header("if-none-match").map(str::to_owned)).collect::<Vec<_>>()

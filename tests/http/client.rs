@@ -240,7 +240,8 @@ fn pause_applies_to_the_server_that_asked_for_it() {
         "/moved" => Reply::new(302, "").with("Location", &to_other),
         _ => Reply::ok("body"),
     });
-    let client = HttpClient::new(&quick()).unwrap();
+    let client =
+        HttpClient::new(&HttpConfig { allowed_hosts: vec![other.host().parse().unwrap()], ..quick() }).unwrap();
     runtime().block_on(async {
         let limits = Limits::default();
         let moved = format!("{}/moved", server.url);
@@ -291,7 +292,8 @@ fn redirects_are_followed_to_http_only() {
         "/nowhere" => Reply::new(302, ""),
         _ => Reply::new(404, ""),
     });
-    let at = |path: &str| get(&format!("{}{path}", server.url));
+    let config = HttpConfig { allowed_hosts: vec![other.host().parse().unwrap()], ..quick() };
+    let at = |path: &str| get_with(&config, &format!("{}{path}", server.url));
     assert_eq!(at("/relative").unwrap().bytes, b"other /there?a=b");
     for path in ["/file", "/data", "/loop", "/odd"] {
         let error = at(path).unwrap_err();
@@ -316,6 +318,7 @@ fn credentials_are_sent_to_their_server_only_and_never_printed() {
             Credential::header(&server.url, "X-Api-Key", "hidden1").unwrap(),
             Credential::query(&server.url, "token", "hidden 2").unwrap(),
         ],
+        allowed_hosts: vec![other.host().parse().unwrap()],
         ..quick()
     };
     let at = |path: &str| get_with(&config, &format!("{}{path}", server.url));

@@ -11,6 +11,8 @@ mod cache_bad_disk;
 mod client;
 #[cfg(feature = "http")]
 mod fill;
+#[cfg(feature = "http")]
+mod hosts;
 #[cfg(feature = "object-store")]
 mod object_stores;
 #[cfg(feature = "http")]

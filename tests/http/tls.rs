@@ -267,7 +267,8 @@ fn flight_uses_an_encrypted_connection() {
     let set = String::from_utf8(std::fs::read(folder.path().join("tileset.json")).unwrap()).unwrap();
     let set = set.replacen("4_0_0.glb", &format!("{}/4_0_0.glb", stranger.url), 1);
     server.files.lock().unwrap().insert("/tileset.json".to_owned(), set.into_bytes());
-    let run = flown(&format!("{}/", server.url), trusting(&authority));
+    let allowed_hosts = vec![stranger.url.trim_start_matches("https://").parse().unwrap()];
+    let run = flown(&format!("{}/", server.url), HttpConfig { allowed_hosts, ..trusting(&authority) });
     let errors = run.pager.errors();
     assert_eq!(errors.len(), 1, "{errors:?}");
     assert!(errors[0].count == 1 && errors[0].reason.contains("UnknownIssuer"), "{errors:?}");

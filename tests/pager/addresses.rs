@@ -1,11 +1,17 @@
-//! Servers that redirect, or answer without content. No GPU.
+//! Servers that redirect, answer without content, or that a set may not reach. No GPU.
+
+use std::collections::HashMap;
+use std::time::Duration;
 
 use kit::pager::{Run, above};
 use kit::server::{Reply, Server};
-use terrane::fetch::Limits;
-use terrane::formats::writers::{GlbMesh, write_glb};
-use terrane::formats::{inspect, verify};
+use kit::subtrees::{Availability, Scheme, Subtree};
+use terrane::fetch::{Credential, HttpConfig, Limits};
+use terrane::formats::writers::{GlbMesh, write_glb, write_height_exr};
+use terrane::formats::{inspect, verify, verify_with};
 use terrane::pager::PagerConfig;
+
+use crate::models::{MODEL, trees_of};
 
 fn glb() -> Vec<u8> {
     write_glb(&GlbMesh {
@@ -162,4 +168,129 @@ fn cookies_of_the_root_are_sent_with_contents() {
     assert_eq!(settle(&source), (Vec::new(), 1));
     let verified = verify(&source, &Limits::default(), &mut |_| {}).unwrap();
     assert_eq!((verified.contents, verified.failed), (1, 0), "{verified:?}");
+}
+
+/// Returns the files of sets that refer to a stranger in each possible way, by a name for the way. `there` is the URL of the
+/// stranger, to which `/moved` redirects.
+fn ways_to(there: &str) -> Vec<(&'static str, HashMap<&'static str, Vec<u8>>)> {
+    let set = |contents: &str| tileset(&[contents]).into_bytes();
+    let implicit = |content: &str, subtrees: &str| {
+        let json = r#"{"asset":{"version":"1.1"},"geometricError":1000,"root":{"geometricError":256,"refine":"ADD",
+            "boundingVolume":{"box":[0,0,0, 50,0,0, 0,50,0, 0,0,50]},"content":{"uri":"CONTENT"},"implicitTiling":{
+            "subdivisionScheme":"QUADTREE","subtreeLevels":1,"availableLevels":1,"subtrees":{"uri":"SUBTREES"}}}}"#;
+        json.replace("CONTENT", content).replace("SUBTREES", subtrees).into_bytes()
+    };
+    let mut subtree = Subtree::new(Scheme::Quadtree, 1, 1);
+    subtree.fill();
+    subtree.set_children(Availability::Constant(false));
+    let schema = format!(r#""asset":{{"version":"1.1"}},"schemaUri":"{there}/schema.json""#);
+    let with_schema = tileset(&["a.glb"]).replacen(r#""asset":{"version":"1.1"}"#, &schema, 1);
+    let heights = r#"{"asset":{"version":"1.1","extras":{"terrane":{"content":"height","side":3,"border":1,"level_errors_m":[9]}}},
+        "geometricError":1000,"root":{"boundingVolume":{"box":[0,0,0, 50,0,0, 0,50,0, 0,0,50]},"geometricError":0,
+        "refine":"REPLACE","content":{"uri":"a.exr"},"extras":{"terrane":{"plane":[-50,-50,50,50],"imagery":"THERE/a.png"}}}}"#;
+    let exr = write_height_exr("a.exr", 5, vec![0.0; 25]).unwrap();
+    let (root, model) =
+        ("/set/tileset.json", |from: &str| MODEL.replace(from, &format!("{there}/{from}")).into_bytes());
+    vec![
+        ("content", HashMap::from([(root, set(&format!("{there}/a.glb")))])),
+        ("redirected content", HashMap::from([(root, set("/moved"))])),
+        ("external tileset", HashMap::from([(root, set(&format!("{there}/more.json")))])),
+        ("archive", HashMap::from([(root, set(&format!("{there}/more.3tz")))])),
+        ("subtree", HashMap::from([(root, implicit("a.glb", &format!("{there}/{{level}}.{{x}}.{{y}}.subtree")))])),
+        (
+            "content of a subtree",
+            HashMap::from([
+                (root, implicit(&format!("{there}/{{level}}.glb"), "a.subtree")),
+                ("/set/a.subtree", subtree.binary()),
+            ]),
+        ),
+        ("schema", HashMap::from([(root, with_schema.into_bytes()), ("/set/a.glb", glb())])),
+        ("buffer", HashMap::from([(root, set("a.gltf")), ("/set/a.gltf", model("tree.bin"))])),
+        (
+            "image",
+            HashMap::from([(root, set("a.gltf")), ("/set/a.gltf", model("bark.png")), ("/set/tree.bin", vec![0; 36])]),
+        ),
+        ("model", HashMap::from([(root, set("a.i3dm")), ("/set/a.i3dm", trees_of(&format!("{there}/tree.gltf")))])),
+        ("imagery", HashMap::from([(root, heights.replace("THERE", there).into_bytes()), ("/set/a.exr", exr)])),
+    ]
+}
+
+#[test]
+fn sets_reach_no_other_local_server_in_any_way() {
+    let ways: Vec<&str> = ways_to("").iter().map(|(way, _)| *way).collect();
+    for (nth, way) in ways.into_iter().enumerate() {
+        let stranger = Server::start_at("127.0.0.2", |_| Reply::new(404, ""));
+        let (_, files) = ways_to(&stranger.url).swap_remove(nth);
+        let moved = format!("{}/a.glb", stranger.url);
+        let server = Server::start(move |request| match files.get(request.path()) {
+            Some(bytes) => Reply::ok(bytes.clone()),
+            None if request.path() == "/moved" => Reply::new(302, "").with("Location", &moved),
+            None => Reply::new(404, ""),
+        });
+        let source = format!("{}/set/tileset.json", server.url);
+        let run = |http: HttpConfig| {
+            let retry_after = Duration::from_millis(1);
+            let mut run =
+                Run::new(&source, PagerConfig { http, keep_features: true, retry_after, ..PagerConfig::default() });
+            run.settle(above(100.0));
+            for _ in 0..20 {
+                std::thread::sleep(Duration::from_millis(1));
+                run.frame(above(100.0));
+            }
+            run
+        };
+        let refused = run(HttpConfig::default());
+        let verified = verify(&source, &Limits::default(), &mut |_| {}).unwrap();
+        assert_eq!(stranger.count(), 0, "{way}");
+        let errors = refused.pager.errors();
+        // Contents are drawn without these files, which are noted.
+        let is_drawn = matches!(way, "schema" | "buffer" | "image");
+        let note = format!("a file on {}, which --allow-host allows", stranger.host());
+        assert_eq!(refused.pager.ignored().count(&note), u64::from(is_drawn), "{way}");
+        assert!(verified.failed > 0 || verified.ignored.contains_key(&note), "{way}: {verified:?}");
+        let says = |what: &str| errors.iter().any(|error| error.count == 1 && error.reason.contains(what));
+        let allow =
+            format!("loopback address 127.0.0.2, which this tile set may not reach; --allow-host {}", stranger.host());
+        assert!(says(&allow) != is_drawn, "{way}: {errors:?}");
+        let allowed = || HttpConfig { allowed_hosts: vec![stranger.host().parse().unwrap()], ..HttpConfig::default() };
+        run(allowed());
+        let asked = stranger.count();
+        assert!(asked > 0, "{way}");
+        verify_with(&source, &Limits::default(), allowed(), &mut |_| {}).unwrap();
+        assert!(stranger.count() > asked, "{way}");
+    }
+}
+
+/// What an allowed stranger sees of the credentials of the set that refers to it, in each possible way.
+#[test]
+fn no_way_takes_credentials_to_another_server() {
+    for nth in 0..ways_to("").len() {
+        // Another port is another origin.
+        let stranger = Server::start(|_| Reply::new(404, ""));
+        let (way, files) = ways_to(&stranger.url).swap_remove(nth);
+        let moved = format!("{}/a.glb", stranger.url);
+        let server = Server::start(move |request| match files.get(request.path()) {
+            Some(bytes) => Reply::ok(bytes.clone()).with("Set-Cookie", "session=7"),
+            None if request.path() == "/moved" => Reply::new(302, "").with("Location", &moved),
+            None => Reply::new(404, ""),
+        });
+        let http = HttpConfig {
+            credentials: vec![
+                Credential::header(&server.url, "x-key", "header").unwrap(),
+                Credential::query(&server.url, "token", "query").unwrap(),
+            ],
+            allowed_hosts: vec![stranger.host().parse().unwrap()],
+            ..HttpConfig::default()
+        };
+        let source = format!("http://me:pass@{}/set/tileset.json?key=root", server.host());
+        let mut run = Run::new(&source, PagerConfig { http, keep_features: true, ..PagerConfig::default() });
+        run.settle(above(100.0));
+        assert!(stranger.count() > 0, "{way}");
+        for request in stranger.seen() {
+            let secrets = ["authorization", "x-key", "cookie", "referer"].map(|name| request.header(name));
+            assert_eq!((secrets, request.target.contains('?')), ([None; 4], false), "{way}: {request:?}");
+        }
+        let own = server.seen();
+        assert!(own.iter().all(|request| request.header("x-key").is_some() && request.target.contains("token=query")));
+    }
 }

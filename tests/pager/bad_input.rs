@@ -360,7 +360,8 @@ fn transient_file_errors_are_retried() {
     let (broken, well) = (folder.path().join("b.glb"), folder.path().join("a.glb"));
     std::os::unix::fs::symlink("/proc/self/mem", &broken).unwrap();
     std::fs::create_dir(folder.path().join("c.glb")).unwrap();
-    let config = PagerConfig { retry_after: std::time::Duration::from_millis(20), ..PagerConfig::default() };
+    let limits = Limits { follow_links: true, ..Limits::default() };
+    let config = PagerConfig { retry_after: std::time::Duration::from_millis(20), limits, ..PagerConfig::default() };
     let mut run = Run::new(folder.path().to_str().unwrap(), config.clone());
     let near = above(5.0);
     run.until(near, "no failure was reported", |r| r.pager.stats().failed >= 2);
@@ -389,7 +390,55 @@ fn errors_of_all_kinds_name_the_problem_and_the_reason() {
         IoError::File { uri: uri(), reason: "no".to_owned(), may_pass: false },
         IoError::Network { uri: uri(), reason: "no".to_owned() },
         IoError::TooLarge { uri: uri(), what: "file", got: 2, limit: 1 },
+        IoError::HostRefused { uri: uri(), host: "h".to_owned(), address: [10, 0, 0, 1].into(), kind: "private" },
+        IoError::LinkRefused { uri: uri(), target: "/a/t.glb".into(), folder: "/b".into() },
     ] {
         assert!(error.uri() == "http://h/t.glb" && !error.reason().is_empty() && error.to_string().contains("t.glb"));
+    }
+}
+
+/// A set from a stranger could name any file of the machine by a link.
+#[cfg(unix)]
+#[test]
+fn links_out_of_a_set_are_followed_only_on_request() {
+    use std::os::unix::fs::symlink;
+
+    let home = tempfile::tempdir().unwrap();
+    let at = |name: &str| home.path().join(name);
+    std::fs::create_dir_all(at("set/own")).unwrap();
+    std::fs::create_dir(at("outside")).unwrap();
+    // A name that begins like the set's folder is another folder.
+    std::fs::create_dir(at("set2")).unwrap();
+    for file in ["set/root.glb", "set/own/a.glb", "outside/b.glb", "set2/c.glb"] {
+        std::fs::write(at(file), glb()).unwrap();
+    }
+    let contents = ["own/a.glb", "within.glb", "folder/b.glb", "file.glb", "beside.glb"];
+    std::fs::write(at("set/tileset.json"), tileset(&contents)).unwrap();
+    symlink("own/a.glb", at("set/within.glb")).unwrap();
+    symlink(at("outside"), at("set/folder")).unwrap();
+    symlink("../outside/b.glb", at("set/file.glb")).unwrap();
+    symlink("../set2/c.glb", at("set/beside.glb")).unwrap();
+    // A link to the folder is the user's own way to the set. The root may be a link as well.
+    symlink(at("set"), at("link")).unwrap();
+    for source in ["set", "link", "link/tileset.json"] {
+        let source = at(source).to_str().unwrap().to_owned();
+        let run = |follow_links: bool| {
+            let limits = Limits { follow_links, ..Limits::default() };
+            let mut run = Run::new(
+                &source,
+                PagerConfig { limits, retry_after: Duration::from_millis(1), ..PagerConfig::default() },
+            );
+            run.settle(above(5.0));
+            let verified = terrane::formats::verify(&source, &limits, &mut |_| {}).unwrap();
+            (run.pager.stats().merged, run.pager.errors(), verified.failed)
+        };
+        let (merged, errors, failed) = run(false);
+        assert_eq!((merged, errors.len(), failed), (3, 3, 3), "{errors:?}");
+        for error in &errors {
+            assert!(error.count == 1 && error.reason.contains("--follow-links"), "{error:?}");
+            assert!(error.reason.contains("outside") || error.reason.contains("set2"), "{error:?}");
+        }
+        let (merged, errors, failed) = run(true);
+        assert_eq!((merged, errors.len(), failed), (6, 0, 0), "{errors:?}");
     }
 }

@@ -13,7 +13,7 @@ use terrane::scene::{BlockFormats, TexelFormat};
 
 const TILESET: &str = r#"{"asset":{"version":"1.0"},"geometricError":9,"root":{"refine":"ADD","geometricError":0,
     "boundingVolume":{"sphere":[0,0,0,20]},"content":{"uri":"a/trees.i3dm"}}}"#;
-const MODEL: &str = r#"{"asset":{"version":"2.0"},"scenes":[{"nodes":[0]}],"nodes":[{"mesh":0}],
+pub(super) const MODEL: &str = r#"{"asset":{"version":"2.0"},"scenes":[{"nodes":[0]}],"nodes":[{"mesh":0}],
     "meshes":[{"primitives":[{"attributes":{"POSITION":0},"material":0}]}],
     "materials":[{"pbrMetallicRoughness":{"metallicFactor":0,"baseColorTexture":{"index":0}}}],
     "textures":[{"source":0}],"images":[{"uri":"bark.png"}],
@@ -26,14 +26,19 @@ fn floats(numbers: &[f32]) -> Vec<u8> {
 
 /// Returns an i3dm with three instances of a model in another file.
 fn trees() -> Vec<u8> {
+    trees_of("../models/tree.gltf")
+}
+
+/// Returns an i3dm with three instances of the model that a reference leads to.
+pub(super) fn trees_of(model: &str) -> Vec<u8> {
     let table = br#"{"INSTANCES_LENGTH":3,"POSITION":{"byteOffset":0}}      "#;
-    let (positions, model) = (floats(&[0.0, 0.0, 0.0, 3.0, 0.0, 0.0, 0.0, 3.0, 0.0]), b"../models/tree.gltf");
+    let positions = floats(&[0.0, 0.0, 0.0, 3.0, 0.0, 0.0, 0.0, 3.0, 0.0]);
     let mut bytes = b"i3dm".to_vec();
     let length = 32 + table.len() + positions.len() + model.len();
     for word in [1, length, table.len(), positions.len(), 0, 0, 0] {
         bytes.extend((word as u32).to_le_bytes());
     }
-    [&bytes[..], table, &positions, model].concat()
+    [&bytes[..], table, &positions, model.as_bytes()].concat()
 }
 
 fn bark() -> Vec<u8> {

@@ -4,14 +4,14 @@ use std::fmt::Write as _;
 use std::io::Write as _;
 
 use anyhow::{Context as _, Result, ensure};
-use terrane::fetch::{self, Limits};
+use terrane::fetch;
 use terrane::formats::{self, Info, MetadataInfo, ModelInfo, Verified};
 use terrane_data_gen::Progress;
 
 use crate::args::InfoArgs;
 
 pub fn run(args: &InfoArgs) -> Result<()> {
-    let info = formats::inspect_with(&args.source, &Limits::default(), args.net.http(&args.source)?)?;
+    let info = formats::inspect_with(&args.source, &args.net.limits(), args.net.http(&args.source)?)?;
     let verified = if args.verify { Some(verify(args, info.contents)?) } else { None };
     let text = if args.json {
         let mut json = serde_json::to_value(&info)?;
@@ -31,7 +31,7 @@ pub fn run(args: &InfoArgs) -> Result<()> {
 fn verify(args: &InfoArgs, contents: u64) -> Result<Verified> {
     let progress = Progress::new("verifying", contents, "contents");
     let net = args.net.http(&args.source)?;
-    let verified = formats::verify_with(&args.source, &Limits::default(), net, &mut |verified| {
+    let verified = formats::verify_with(&args.source, &args.net.limits(), net, &mut |verified| {
         progress.set_done(verified.contents)
     });
     Ok(verified?)

@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use anyhow::{Context as _, Result, ensure};
 use clap::Args as ClapArgs;
-use terrane::fetch::{CacheConfig, Credential, HttpConfig, is_http};
+use terrane::fetch::{AllowedHost, CacheConfig, Credential, HttpConfig, Limits, is_http};
 
 use crate::default_set;
 
@@ -26,6 +26,12 @@ pub struct NetArgs {
     /// Query parameter for the source's server, such as `key=...`; never printed
     #[arg(long, value_name = "NAME=VALUE")]
     pub query: Vec<Secret>,
+    /// Host that the source may refer to although its address is private, loopback or link-local; may be repeated
+    #[arg(long, value_name = "HOST[:PORT]")]
+    pub allow_host: Vec<AllowedHost>,
+    /// Read files of a set on disk also if symbolic links lead to them out of the set's folder
+    #[arg(long)]
+    pub follow_links: bool,
     /// PEM file of a certificate authority to trust in addition to those of the system
     #[arg(long, value_name = "FILE")]
     pub ca_file: Vec<PathBuf>,
@@ -52,9 +58,15 @@ impl NetArgs {
             http2_only: self.http2,
             root_certificates: self.ca_file.clone(),
             credentials,
+            allowed_hosts: self.allow_host.clone(),
             cache: self.cache()?,
             ..HttpConfig::default()
         })
+    }
+
+    /// Returns the limits for data from the source.
+    pub fn limits(&self) -> Limits {
+        Limits { follow_links: self.follow_links, ..Limits::default() }
     }
 
     /// Returns the configuration of the cache, `None` if no option asks for one.

@@ -6,6 +6,7 @@ use std::time::Duration;
 use super::body::{HttpBody, accept_all_encodings, content_encodings, decode_body};
 use super::cache_access::{CachePolicy, HttpCache};
 use super::config::HttpConfig;
+use super::hosts::DnsResolver;
 #[cfg(feature = "testing")]
 use super::retry_policy::retry_after;
 use super::revalidation;
@@ -15,18 +16,21 @@ use crate::fetch::archive::parse_content_range;
 use crate::fetch::archive::{MemberUri, RemoteArchives, split_url};
 #[cfg(feature = "testing")]
 use crate::fetch::cache::Freshness;
-use crate::fetch::{DiskCache, IoError, Limits};
+use crate::fetch::{DiskCache, IoError, Limits, RootScope};
 
-/// A client with its connection pool. Cheap to clone; used inside a tokio runtime.
+/// A client with its connections. Cheap to clone; used inside a tokio runtime.
+///
+/// It asks the servers that the application names, whatever their addresses are. Redirects, and what a tile set refers to
+/// ([`Self::within`]), lead to public addresses only, unless [`HttpConfig::allowed_hosts`] has the host.
 #[derive(Clone, Debug)]
 pub struct HttpClient {
     inner: Arc<Inner>,
+    transport: Transport,
     cache_policy: CachePolicy,
 }
 
 #[derive(Debug)]
 struct Inner {
-    transport: Transport,
     archives: RemoteArchives,
     cache: Option<HttpCache>,
 }
@@ -37,13 +41,24 @@ impl HttpClient {
     /// # Errors
     /// Fails if TLS cannot be initialized, a certificate file is invalid, or the cache cannot be opened.
     pub fn new(config: &HttpConfig) -> Result<Self, IoError> {
-        let transport = Transport::new(config)?;
+        Self::with_dns(config, DnsResolver::default())
+    }
+
+    fn with_dns(config: &HttpConfig, dns: DnsResolver) -> Result<Self, IoError> {
+        let transport = Transport::new(config, dns)?;
         let cache = config.cache.as_ref().map(DiskCache::open).transpose()?;
         #[cfg(feature = "object-store")]
         let cache =
             cache.map(|cache| cache.with_store_locations(crate::fetch::object_store::locations(&config.store_options)));
-        let inner = Inner { transport, archives: RemoteArchives::new(), cache: cache.map(HttpCache::new) };
-        Ok(Self { inner: Arc::new(inner), cache_policy: CachePolicy::UseFresh })
+        let inner = Inner { archives: RemoteArchives::new(), cache: cache.map(HttpCache::new) };
+        Ok(Self { inner: Arc::new(inner), transport, cache_policy: CachePolicy::UseFresh })
+    }
+
+    /// Returns a client with the same connections and cache for the files of a tile set. The set reaches public addresses, the
+    /// server of its root and the allowed hosts. URIs are not checked against the scope; [`resolve`](crate::fetch::resolve)
+    /// does that.
+    pub fn within(&self, scope: &RootScope) -> Self {
+        Self { transport: self.transport.within(scope), ..self.clone() }
     }
 
     /// Returns a client with the same connections and cache that revalidates every cached answer.
@@ -53,7 +68,7 @@ impl HttpClient {
 
     /// Returns the configuration.
     pub fn config(&self) -> &HttpConfig {
-        self.inner.transport.config()
+        self.transport.config()
     }
 
     /// Returns the disk cache, if one is configured.
@@ -83,7 +98,7 @@ impl HttpClient {
     /// continues after the name of an archive (`.3tz`, `.zip`) means a file inside it. Retries transient failures with
     /// exponential back-off.
     pub async fn get(&self, uri: &str, limits: &Limits) -> Result<HttpBody, IoError> {
-        let Inner { transport, archives, cache } = &*self.inner;
+        let (Inner { archives, cache }, transport) = (&*self.inner, &self.transport);
         if let Some((url, name)) = split_url(uri) {
             let member = MemberUri { uri, archive_url: &url, name: &name };
             return archives.get(transport, cache.as_ref(), self.cache_policy, member, limits).await;
@@ -139,9 +154,10 @@ pub(crate) struct BlockingHttpClient {
 }
 
 impl BlockingHttpClient {
-    pub fn new(config: &HttpConfig) -> Result<Self, IoError> {
+    /// Creates a client for the files of a tile set.
+    pub fn new(config: &HttpConfig, scope: &RootScope) -> Result<Self, IoError> {
         let failed = |e: std::io::Error| IoError::Network { uri: String::new(), reason: e.to_string() };
-        Ok(Self { runtime: runtime("http").map_err(failed)?, client: HttpClient::new(config)? })
+        Ok(Self { runtime: runtime("http").map_err(failed)?, client: HttpClient::new(config)?.within(scope) })
     }
 
     /// Blocks until the content of a URI has arrived and is written to the cache.
@@ -172,4 +188,96 @@ pub fn fuzz_headers(text: &str) {
         Freshness::of(&headers, now);
     }
     let _ = parse_content_range(text);
+}
+
+#[cfg(test)]
+mod tests {
+    use std::net::{IpAddr, SocketAddr};
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
+    use kit::server::{Reply, Server};
+
+    use super::*;
+
+    const LOCAL: [u8; 4] = [127, 0, 0, 1];
+    /// An address that no test connects to.
+    const PUBLIC: [u8; 4] = [8, 8, 8, 8];
+
+    static QUERIES: [AtomicUsize; 2] = [const { AtomicUsize::new(0) }; 2];
+
+    /// Answers for names that lead into the local network, always or by turns.
+    fn resolve(name: &str) -> std::io::Result<Vec<SocketAddr>> {
+        let is_first = |of: usize| QUERIES[of].fetch_add(1, Ordering::SeqCst) == 0;
+        let addresses: Vec<IpAddr> = match name {
+            "local.example" | "other.example" => vec![LOCAL.into()],
+            "mapped.example" => vec!["::ffff:127.0.0.1".parse().map_err(std::io::Error::other)?],
+            "becomes-local.example" => vec![if is_first(0) { PUBLIC } else { LOCAL }.into()],
+            "becomes-public.example" => vec![if is_first(1) { LOCAL } else { PUBLIC }.into()],
+            _ => return Err(std::io::Error::other("no such name")),
+        };
+        Ok(addresses.into_iter().map(|address| (address, 0).into()).collect())
+    }
+
+    fn client(allowed: &[&str]) -> HttpClient {
+        let allowed_hosts = allowed.iter().map(|host| host.parse().unwrap()).collect();
+        let config = HttpConfig { allowed_hosts, max_retries: 0, ..HttpConfig::default() };
+        HttpClient::with_dns(&config, DnsResolver::new(resolve)).unwrap()
+    }
+
+    fn get(client: &HttpClient, url: &str) -> Result<Vec<u8>, IoError> {
+        let runtime = runtime("test").unwrap();
+        runtime.block_on(client.get(url, &Limits::default())).map(|body| body.bytes)
+    }
+
+    #[test]
+    fn names_are_checked_by_the_addresses_that_they_resolve_to() {
+        let server = Server::start(|request| match request.path() {
+            "/moved" => Reply::new(302, "").with(
+                "Location",
+                format!("http://other.example:{}/a", request.header("host").unwrap().rsplit(':').next().unwrap()),
+            ),
+            _ => Reply::ok("body"),
+        });
+        let at = |name: &str| format!("http://{name}:{}", server.port());
+        let root = |name: &str| RootScope::Server(at(name));
+        let refused = |result: Result<Vec<u8>, IoError>, expected: &str, kind: &str| {
+            let error = result.unwrap_err();
+            let IoError::HostRefused { host, kind: got, .. } = &error else { panic!("{expected}: {error:?}") };
+            assert_eq!((host.as_str(), *got), (format!("{expected}:{}", server.port()).as_str(), kind));
+        };
+        for name in ["local.example", "mapped.example"] {
+            refused(get(&client(&[]).within(&root("8.8.8.8")), &at(name)), name, "loopback");
+            refused(
+                get(&client(&["other.example", "127.0.0.1"]).within(&root("8.8.8.8")), &at(name)),
+                name,
+                "loopback",
+            );
+        }
+        refused(get(&client(&[]).within(&root("local.example")), &at("other.example")), "other.example", "loopback");
+        assert_eq!(server.count(), 0, "nothing was sent");
+        let ok = |client: &HttpClient, url: &str| assert_eq!(get(client, url).unwrap(), b"body");
+        ok(&client(&["local.example"]).within(&root("8.8.8.8")), &at("local.example"));
+        ok(&client(&[]).within(&root("local.example")), &at("local.example"));
+        ok(&client(&[]), &at("local.example"));
+        assert_eq!(server.count(), 3);
+        refused(get(&client(&[]), &format!("{}/moved", at("local.example"))), "other.example", "loopback");
+        assert_eq!(server.count(), 4);
+        let error = get(&client(&[]).within(&root("none.example")), &at("none.example")).unwrap_err();
+        assert!(matches!(&error, IoError::Network { reason, .. } if reason.contains("no such name")), "{error:?}");
+    }
+
+    /// The owner of a name may change its addresses between two requests (DNS rebinding).
+    #[test]
+    fn name_of_the_root_stays_in_the_network_of_its_first_answer() {
+        let server = Server::start(|_| Reply::ok("body"));
+        for (name, kind) in [("becomes-local.example", "loopback"), ("becomes-public.example", "public")] {
+            let url = format!("http://{name}:{}/", server.port());
+            let set = client(&[]).within(&RootScope::of(&url));
+            for _ in 0..2 {
+                let error = get(&set, &url).unwrap_err();
+                assert!(matches!(error, IoError::HostRefused { kind: got, .. } if got == kind), "{error:?}");
+            }
+        }
+        assert_eq!(server.count(), 0);
+    }
 }

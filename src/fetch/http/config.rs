@@ -7,10 +7,11 @@ use std::time::Duration;
 use reqwest::header::{HeaderName, HeaderValue};
 use url::Url;
 
+use super::hosts::AllowedHost;
 use crate::fetch::{CacheConfig, IoError};
 
 /// Configuration of an [`HttpClient`](super::HttpClient). Proxies are taken from the environment variables `http_proxy`,
-/// `https_proxy` and `no_proxy`.
+/// `https_proxy` and `no_proxy`; a proxy resolves the names of the hosts that it is asked for.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HttpConfig {
     /// Time limit for establishing a connection.
@@ -42,6 +43,10 @@ pub struct HttpConfig {
     pub root_certificates: Vec<PathBuf>,
     /// Credentials; each is sent to its own server only.
     pub credentials: Vec<Credential>,
+    /// Hosts that tile sets may reach although their addresses are not public: private, loopback, link-local and so on. Without
+    /// them a set reaches public addresses and the server that its root came from. Buckets of object stores and proxies, whose
+    /// addresses the user configures, are always reached.
+    pub allowed_hosts: Vec<AllowedHost>,
     /// Options of object stores. They override the environment (`AWS_*`, `GOOGLE_*`, `AZURE_*`). Without keys in either,
     /// requests are not signed. The metadata service of a cloud is asked for keys only if it is named
     /// (`AWS_METADATA_ENDPOINT`, `GCE_METADATA_HOST`, `AZURE_MSI_ENDPOINT`) or `*_skip_signature` is set to false.
@@ -65,6 +70,7 @@ impl Default for HttpConfig {
             http2_only: false,
             root_certificates: Vec::new(),
             credentials: Vec::new(),
+            allowed_hosts: Vec::new(),
             store_options: Vec::new(),
             cache: None,
         }

@@ -1,6 +1,7 @@
 //! [`Cookies`]: the cookies that servers set. HTTP thread.
 
 use std::collections::HashMap;
+use std::fmt;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use cookie_store::{CookieStore, RawCookie};
@@ -15,9 +16,15 @@ const MAX_COOKIES: usize = 50;
 const MAX_COOKIE_BYTES: usize = 4096;
 
 /// The cookies of each server while a client exists. They are sent to the server (scheme, host and port) that set them and
-/// to no other, whatever domain they name.
-#[derive(Debug, Default)]
+/// to no other, whatever domain they name. Debug output has none of them.
+#[derive(Default)]
 pub(super) struct Cookies(Mutex<HashMap<String, CookieStore>>);
+
+impl fmt::Debug for Cookies {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Cookies").finish_non_exhaustive()
+    }
+}
 
 impl Cookies {
     fn lock(&self) -> MutexGuard<'_, HashMap<String, CookieStore>> {
@@ -82,6 +89,7 @@ mod tests {
         set(&cookies, "https://a.example.org/set/tileset.json", "session=1; Domain=example.org; Path=/set");
         set(&cookies, "https://a.example.org/set/tileset.json", "stranger=1; Domain=other.org");
         assert_eq!(sent(&cookies, "https://a.example.org/set/0.glb").as_deref(), Some("session=1"));
+        assert!(!format!("{cookies:?}").contains("session"));
         for other in
             ["https://a.example.org/", "https://b.example.org/set/0.glb", "https://a.example.org:444/set/0.glb"]
         {

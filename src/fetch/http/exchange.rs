@@ -1,7 +1,8 @@
 //! [`Exchange`]: one request and its answer, redirects followed. HTTP thread.
 //!
-//! Redirects are followed here and not by the HTTP library. Each step sends only the credentials of the server it asks. No
-//! redirect may lead from an encrypted connection to an unencrypted one, or to another scheme.
+//! Redirects are followed here and not by the HTTP library. Each step asks only a server that the tile set may reach, and
+//! sends only the credentials of that server. No redirect may lead from an encrypted connection to an unencrypted one, or to
+//! another scheme.
 
 use std::future::Future;
 use std::pin::pin;
@@ -13,6 +14,7 @@ use reqwest::header::{HeaderMap, IF_MODIFIED_SINCE, IF_NONE_MATCH, LOCATION, RAN
 use url::Url;
 
 use super::config::HttpConfig;
+use super::hosts::{Connections, RefusedAddress, refused as host_refused};
 use super::retry_policy::{Pause, Pauses, retry_after};
 use crate::fetch::cache::Freshness;
 use crate::fetch::{IoError, Limits, shown};
@@ -30,7 +32,9 @@ const MAX_REDIRECTS: usize = 8;
 
 /// The parameters of a request besides its URI.
 pub(in crate::fetch) struct Exchange<'a> {
-    pub client: &'a reqwest::Client,
+    pub connections: &'a Arc<Connections>,
+    /// A URL of the server that the tile set came from; `None` if it came from elsewhere.
+    pub root: Option<Url>,
     pub config: &'a HttpConfig,
     pub limits: &'a Limits,
     pub headers: &'a HeaderMap,
@@ -165,6 +169,7 @@ impl Exchange<'_> {
     /// Sends one request. Validators are sent only to the URL that issued them, since another server may use the same
     /// validator for another content.
     async fn send(&self, uri: &str, url: &Url, with_validators: bool) -> Result<reqwest::Response, IoError> {
+        let client = self.connections.for_url(uri, url, self.root.as_ref()).await?;
         let origin = url.origin().ascii_serialization();
         let mut url = url.clone();
         let mut headers = self.headers.clone();
@@ -182,7 +187,7 @@ impl Exchange<'_> {
                 url.query_pairs_mut().append_pair(name, value);
             }
         }
-        self.first_byte(uri, self.client.get(url).headers(headers)).await
+        self.first_byte(uri, client.get(url).headers(headers)).await
     }
 
     /// Sends a request and waits for the status and headers of its answer.
@@ -192,8 +197,7 @@ impl Exchange<'_> {
             Ok(Err(e)) if e.is_timeout() && e.is_connect() => {
                 Err(timed_out(uri, "connecting", self.config.connect_timeout))
             }
-            Ok(Err(e)) if is_tls(&e) => Err(IoError::Tls { uri: uri.to_owned(), reason: error_chain_without_url(e) }),
-            Ok(Err(e)) => Err(IoError::Network { uri: uri.to_owned(), reason: error_chain_without_url(e) }),
+            Ok(Err(e)) => Err(not_answered(uri, e)),
             Err(_) => Err(timed_out(uri, "waiting for the answer", self.config.first_byte_timeout)),
         }
     }
@@ -278,21 +282,32 @@ fn timed_out(uri: &str, phase: &'static str, limit: Duration) -> IoError {
     IoError::Timeout { uri: uri.to_owned(), phase, seconds: limit.as_secs_f64() }
 }
 
-/// Returns true if TLS failed while connecting. A failure of an established connection is transient.
-fn is_tls(error: &reqwest::Error) -> bool {
+/// Converts the error of a request that got no answer.
+fn not_answered(uri: &str, error: reqwest::Error) -> IoError {
+    if let (Some(address), Some(url)) = (cause::<RefusedAddress>(&error), error.url()) {
+        return host_refused(uri, url, *address);
+    }
+    // A failure of an established connection is transient.
+    let is_tls = error.is_connect() && cause::<rustls::Error>(&error).is_some();
+    let (uri, reason) = (uri.to_owned(), error_chain_without_url(error));
+    if is_tls { IoError::Tls { uri, reason } } else { IoError::Network { uri, reason } }
+}
+
+/// Returns the cause of an error that has the type `E`.
+fn cause<E: std::error::Error + 'static>(error: &reqwest::Error) -> Option<&E> {
     let mut next: Option<&(dyn std::error::Error + 'static)> = Some(error);
     while let Some(e) = next {
         // `source` of an I/O error skips the error that it wraps.
         let wrapped = e.downcast_ref::<std::io::Error>().and_then(|e| e.get_ref());
-        if e.is::<rustls::Error>() || wrapped.is_some_and(|w| w.is::<rustls::Error>()) {
-            return error.is_connect();
+        if let Some(found) = e.downcast_ref().or_else(|| wrapped?.downcast_ref()) {
+            return Some(found);
         }
         next = match wrapped {
             Some(wrapped) => Some(wrapped),
             None => e.source(),
         };
     }
-    false
+    None
 }
 
 /// Formats an error with its causes in one line, without the URL, which may contain a token.

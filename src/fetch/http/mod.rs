@@ -5,6 +5,7 @@
 //!   revalidation  answers from the disk cache; asks the server whether stale entries still hold
 //!   Transport     retries with back-off, pauses that servers asked for
 //!     Exchange    one request: credentials, redirects, timeouts, size limits
+//!       hosts     which servers it may reach
 //! ```
 
 mod blocking;
@@ -13,8 +14,8 @@ mod cache_access;
 mod client;
 mod config;
 mod cookies;
-mod dns;
 mod exchange;
+mod hosts;
 mod retry_policy;
 mod revalidation;
 mod tls;
@@ -29,4 +30,6 @@ pub use client::fuzz_headers;
 pub(crate) use client::{BlockingHttpClient, runtime};
 pub use config::{Credential, HttpConfig, StoreOption};
 pub(in crate::fetch) use exchange::{Answer, Exchange, error_chain};
+pub use hosts::AllowedHost;
+pub(in crate::fetch) use hosts::Connections;
 pub(in crate::fetch) use transport::Transport;

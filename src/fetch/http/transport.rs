@@ -3,21 +3,28 @@
 use std::sync::Arc;
 
 use reqwest::header::HeaderMap;
+use url::Url;
 
 use super::config::HttpConfig;
-use super::cookies::Cookies;
-use super::dns::DnsResolver;
-use super::exchange::{Answer, Exchange, error_chain_without_url, origin};
+use super::exchange::{Answer, Exchange, origin};
+use super::hosts::{Connections, DnsResolver};
 use super::retry_policy::{Backoff, Pause, Pauses};
-use super::tls;
 #[cfg(feature = "object-store")]
 use crate::fetch::object_store::Stores;
-use crate::fetch::{IoError, Limits, is_store, server};
+use crate::fetch::{IoError, Limits, RootScope, is_store, server};
 
-/// The connection pool and the state per server that all requests of a client share.
-#[derive(Debug)]
+/// Sends the requests of a tile set, or of an application that names each URI itself. Cheap to clone.
+#[derive(Clone, Debug)]
 pub(in crate::fetch) struct Transport {
-    client: reqwest::Client,
+    shared: Arc<Shared>,
+    /// The tile set; `None` if the application names each URI. Its host then counts as that of a root.
+    scope: Option<RootScope>,
+}
+
+/// The connections and the state per server that all requests of a client share.
+#[derive(Debug)]
+struct Shared {
+    connections: Arc<Connections>,
     config: HttpConfig,
     pauses: Pauses,
     #[cfg(feature = "object-store")]
@@ -26,34 +33,33 @@ pub(in crate::fetch) struct Transport {
 
 impl Transport {
     /// Fails if a certificate file is invalid or TLS cannot be initialized.
-    pub fn new(config: &HttpConfig) -> Result<Self, IoError> {
-        // A second installation is refused, which is harmless: the provider is the same.
-        let _ = rustls::crypto::ring::default_provider().install_default();
-        let mut builder = reqwest::Client::builder()
-            .connect_timeout(config.connect_timeout)
-            .user_agent(concat!("terrane/", env!("CARGO_PKG_VERSION")))
-            // `Exchange` follows redirects, since it knows which credential belongs to which server.
-            .redirect(reqwest::redirect::Policy::none())
-            .referer(false)
-            .cookie_provider(Arc::new(Cookies::default()))
-            .dns_resolver(DnsResolver::default())
-            .http2_adaptive_window(true);
-        builder = builder.tls_certs_merge(tls::root_certificates(&config.root_certificates)?);
-        if config.http2_only {
-            builder = builder.http2_prior_knowledge();
-        }
-        let failed = |e| IoError::Network { uri: String::new(), reason: error_chain_without_url(e) };
-        Ok(Self {
-            client: builder.build().map_err(failed)?,
+    pub(super) fn new(config: &HttpConfig, dns: DnsResolver) -> Result<Self, IoError> {
+        let shared = Shared {
+            connections: Arc::new(Connections::new(config, dns)?),
             config: config.clone(),
             pauses: Pauses::default(),
             #[cfg(feature = "object-store")]
             stores: Stores::new(),
-        })
+        };
+        Ok(Self { shared: Arc::new(shared), scope: None })
+    }
+
+    /// Returns a transport over the same connections for the requests of a tile set.
+    pub fn within(&self, scope: &RootScope) -> Self {
+        Self { scope: Some(scope.clone()), ..self.clone() }
+    }
+
+    /// Returns a URL of the server of the root, for a request for `uri`.
+    fn root(&self, uri: &str) -> Option<Url> {
+        match &self.scope {
+            None => Url::parse(uri).ok(),
+            Some(RootScope::Server(origin)) => Url::parse(origin).ok(),
+            Some(_) => None,
+        }
     }
 
     pub fn config(&self) -> &HttpConfig {
-        &self.config
+        &self.shared.config
     }
 
     /// Requests a URI until it succeeds, fails permanently, or the retries are used up. `validated_at` is the URL, after
@@ -65,7 +71,7 @@ impl Transport {
         validated_at: Option<&str>,
         limits: &Limits,
     ) -> Result<Answer, IoError> {
-        let Self { client, config, pauses, .. } = self;
+        let Shared { connections, config, pauses, .. } = &*self.shared;
         let mut backoff = Backoff::new(config.retry_backoff, config.max_wait, config.seed, uri);
         let server = match is_store(uri) {
             true => server(uri).to_owned(),
@@ -80,7 +86,8 @@ impl Transport {
                 }
                 tokio::time::sleep(left + backoff.stagger()).await;
             }
-            let exchange = Exchange { client, config, limits, headers, validated_at, received: Arc::default() };
+            let (root, received) = (self.root(uri), Arc::default());
+            let exchange = Exchange { connections, root, config, limits, headers, validated_at, received };
             let error = match exchange.in_time(uri, self.send_once(uri, &exchange)).await {
                 Ok(answer) if answer.is_success() => return Ok(answer),
                 Ok(answer) => {
@@ -105,10 +112,10 @@ impl Transport {
 
     async fn send_once(&self, uri: &str, exchange: &Exchange<'_>) -> Result<Answer, IoError> {
         if !is_store(uri) {
-            return exchange.run(uri, &self.pauses).await;
+            return exchange.run(uri, &self.shared.pauses).await;
         }
         #[cfg(feature = "object-store")]
-        return self.stores.get(uri, exchange).await;
+        return self.shared.stores.get(uri, exchange).await;
         #[cfg(not(feature = "object-store"))]
         Err(IoError::unsupported(uri, "an object store (built without the feature)"))
     }

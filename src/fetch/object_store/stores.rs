@@ -20,7 +20,7 @@ use reqwest::header::{ACCEPT_ENCODING, HeaderMap, IF_MODIFIED_SINCE, IF_NONE_MAT
 use url::Url;
 
 use super::config;
-use crate::fetch::http::{Answer, Exchange, error_chain};
+use crate::fetch::http::{Answer, Connections, Exchange, error_chain};
 use crate::fetch::percent::percent_decode;
 use crate::fetch::{HttpConfig, IoError, Limits, server};
 
@@ -91,7 +91,7 @@ impl Stores {
             return Ok(store.clone());
         }
         let transport = SignedTransport {
-            client: exchange.client.clone(),
+            connections: exchange.connections.clone(),
             config: exchange.config.clone(),
             allows_http: false,
             metadata_silent_until: Arc::default(),
@@ -140,7 +140,7 @@ fn range(text: &str) -> Option<GetRange> {
 /// Sends the requests that `object_store` has signed.
 #[derive(Clone, Debug)]
 struct SignedTransport {
-    client: reqwest::Client,
+    connections: Arc<Connections>,
     config: HttpConfig,
     /// Permits unencrypted connections (`AWS_ALLOW_HTTP`, or a token service on this machine).
     allows_http: bool,
@@ -178,16 +178,18 @@ impl HttpService for SignedTransport {
         };
         let headers = object.as_ref().map(|object| object.headers.clone()).unwrap_or_default();
         let received = object.as_ref().map(|object| object.received.clone()).unwrap_or_default();
-        let (client, config) = (&self.client, &self.config);
+        let (connections, config) = (&self.connections, &self.config);
         let (limits, headers) = (&limits, &headers);
-        let exchange = Exchange { client, config, limits, headers, validated_at: None, received };
+        let exchange = Exchange { connections, root: None, config, limits, headers, validated_at: None, received };
         let outcome = async {
             if !self.allows_http && is_unencrypted {
                 let reason =
                     "an unencrypted connection to an object store, which is not allowed (ALLOW_HTTP)".to_owned();
                 return Err(IoError::Uri { uri: uri.clone(), reason });
             }
-            let mut request = self.client.request(parts.method, parts.uri.to_string()).headers(parts.headers);
+            // The user names the stores and token services. The tile set cannot: its scope is one bucket.
+            let client = connections.to_any(&uri)?;
+            let mut request = client.request(parts.method, parts.uri.to_string()).headers(parts.headers);
             if let Some(encoding) = headers.get(ACCEPT_ENCODING) {
                 request = request.header(ACCEPT_ENCODING, encoding);
             }

@@ -32,7 +32,7 @@ impl<'a> Context<'a> {
         if error.is_transient() && !error.is_doubtful() {
             return Err(error.clone());
         }
-        self.notes.add(what);
+        self.notes.add_missing(what, error);
         Ok(())
     }
 }

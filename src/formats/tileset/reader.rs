@@ -62,9 +62,9 @@ pub(in crate::formats) fn read_tiles(
     note_ignored(&tileset, &notes);
     let files = ExternalFiles::new(options.base.as_ref().unwrap_or(uri), &options.root, &options.limits, companions);
     let (json, reference) = tileset.schema();
-    let schema = properties::read_schema(uri, json, reference, &files).unwrap_or_else(|_| {
+    let schema = properties::read_schema(uri, json, reference, &files).unwrap_or_else(|error| {
         // The jobs about whole sets list the error of the file. The tiles are drawn without their metadata.
-        notes.add("metadata: a schema that cannot be read");
+        notes.add_missing("metadata: a schema that cannot be read", &error);
         None
     });
     let schema = schema.map(Arc::new);

@@ -163,7 +163,9 @@ pub fn fill(
         return Err(IoError::Uri { uri: root.to_string(), reason: "only tile sets on servers are cached".to_owned() });
     }
     // No frame waits for the files. The client may therefore wait for a pause of minutes.
-    let client = HttpClient::new(&HttpConfig { max_wait: config.max_wait.max(MAX_SERVER_PAUSE), ..config.clone() })?;
+    let config = HttpConfig { max_wait: config.max_wait.max(MAX_SERVER_PAUSE), ..config.clone() };
+    let scope = RootScope::of(&root);
+    let client = HttpClient::new(&config)?.within(&scope);
     let client = if options.refresh { client.revalidating() } else { client };
     if client.cache().is_none() {
         return Err(IoError::Uri { uri: root.to_string(), reason: "there is no cache to fill".to_owned() });
@@ -173,7 +175,7 @@ pub fn fill(
     let position = Position { level: 0, world: DAffine3::IDENTITY, chain: Arc::new([]) };
     let mut fill = Fill {
         options,
-        scope: RootScope::of(&root),
+        scope,
         filled: Filled::default(),
         jobs: Vec::new(),
         seen: HashSet::new(),

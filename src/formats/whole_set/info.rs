@@ -80,26 +80,27 @@ pub struct BoundsInfo {
 
 /// Summarizes a tile set. Fails only if the root cannot be read; other failures are listed in [`Info::errors`].
 pub fn inspect(source: &str, limits: &Limits) -> Result<Info, IoError> {
-    inspect_from(source, limits, Source::new(*limits))
+    let root = root_uri(source)?;
+    inspect_from(&root, limits, Source::new(*limits, &root))
 }
 
 /// Like [`inspect`], with a configuration for servers.
 #[cfg(feature = "http")]
 pub fn inspect_with(source: &str, limits: &Limits, http: HttpConfig) -> Result<Info, IoError> {
-    inspect_from(source, limits, Source::with_http(*limits, http))
+    let root = root_uri(source)?;
+    inspect_from(&root, limits, Source::new(*limits, &root).with_http(http))
 }
 
-fn inspect_from(source: &str, limits: &Limits, from: Source) -> Result<Info, IoError> {
-    let root = root_uri(source)?;
-    let options = ReadOptions::for_root(&root, *limits);
+fn inspect_from(root: &Arc<str>, limits: &Limits, from: Source) -> Result<Info, IoError> {
+    let options = ReadOptions::for_root(root, *limits);
     let mut info = Info { format: "3D Tiles".to_owned(), ..Info::default() };
-    let Loaded { bytes, location, .. } = from.load(&root)?;
+    let Loaded { bytes, location, .. } = from.load(root)?;
     // Metadata is described, and that which is invalid is named.
     let options = ReadOptions { base: location, keep_features: true, ..options };
-    if may_be_model(&bytes) && !tileset::is_tileset(&root, &bytes, limits) {
-        return inspect_model(&root, bytes, &options, &from);
+    if may_be_model(&bytes) && !tileset::is_tileset(root, &bytes, limits) {
+        return inspect_model(root, bytes, &options, &from);
     }
-    let json = tileset::parse(&root, &bytes, limits)?;
+    let json = tileset::parse(root, &bytes, limits)?;
     json.asset.version().clone_into(&mut info.version);
     if json.asset.extras.0.as_ref().is_some_and(SetExtras::is_height) {
         info.format = "3D Tiles with heights".to_owned();
@@ -109,8 +110,8 @@ fn inspect_from(source: &str, limits: &Limits, from: Source) -> Result<Info, IoE
     info.extensions.extend(json.extensions_used.iter().cloned());
     info.metadata = MetadataInfo::read(&bytes);
     drop(json);
-    let companions = info.tileset_files(&from, &root, &bytes, &options);
-    let tile = match read_tiles(&root, &bytes, &companions, &options) {
+    let companions = info.tileset_files(&from, root, &bytes, &options);
+    let tile = match read_tiles(root, &bytes, &companions, &options) {
         Ok(tile) => tile,
         Err(error) => {
             info.fail(&error);
@@ -121,8 +122,8 @@ fn inspect_from(source: &str, limits: &Limits, from: Source) -> Result<Info, IoE
     (info.bounds.center, info.bounds.radius_m) = (sphere.center.to_array(), sphere.radius_m);
     let limit = limits.max_elements as u64;
     let mut walk = Walk { info, from: &from, visited: 0, limit };
-    if !walk.tile(&tile, 0, &At { tileset: &root, options: &options }) {
-        walk.info.fail(&too_many(&root, limit));
+    if !walk.tile(&tile, 0, &At { tileset: root, options: &options }) {
+        walk.info.fail(&too_many(root, limit));
     }
     let ignored = options.ignored.snapshot();
     walk.info.ignored = ignored.iter().map(|(kind, count)| (kind.to_owned(), count)).collect();

@@ -41,7 +41,8 @@ struct Job {
 
 /// Reads and decodes every content of a tile set, and calls `progress` after each. Fails only if the root cannot be read.
 pub fn verify(source: &str, limits: &Limits, progress: &mut dyn FnMut(&Verified)) -> Result<Verified, IoError> {
-    verify_from(source, limits, &Source::new(*limits), progress)
+    let root = root_uri(source)?;
+    verify_from(&root, limits, &Source::new(*limits, &root), progress)
 }
 
 /// Like [`verify`], with a configuration for servers.
@@ -52,36 +53,36 @@ pub fn verify_with(
     http: HttpConfig,
     progress: &mut dyn FnMut(&Verified),
 ) -> Result<Verified, IoError> {
-    verify_from(source, limits, &Source::with_http(*limits, http), progress)
+    let root = root_uri(source)?;
+    verify_from(&root, limits, &Source::new(*limits, &root).with_http(http), progress)
 }
 
 fn verify_from(
-    source: &str,
+    root: &Arc<str>,
     limits: &Limits,
     from: &Source,
     progress: &mut dyn FnMut(&Verified),
 ) -> Result<Verified, IoError> {
-    let root = root_uri(source)?;
     // Metadata that is invalid is named too.
-    let options = ReadOptions { keep_features: true, ..ReadOptions::for_root(&root, *limits) };
+    let options = ReadOptions { keep_features: true, ..ReadOptions::for_root(root, *limits) };
     let (mut verified, mut jobs) = (Verified::default(), Vec::new());
-    let Loaded { bytes, location, .. } = from.load(&root)?;
+    let Loaded { bytes, location, .. } = from.load(root)?;
     let mut options = ReadOptions { base: location, ..options };
     verified.bytes += bytes.len() as u64;
     let limit = limits.max_elements as u64;
     let mut nodes = 0;
-    if tileset::is_tileset(&root, &bytes, limits) {
-        let companions = read_companions(from, &root, &bytes, None, &mut options, &mut verified.bytes);
+    if tileset::is_tileset(root, &bytes, limits) {
+        let companions = read_companions(from, root, &bytes, None, &mut options, &mut verified.bytes);
         verified.fail_each(&companions);
         let content = Content { uri: root.clone(), bytes, reader_data: None, companions };
-        nodes = collect(&decode_node(content, &options)?, &options.below(&root), &mut jobs);
+        nodes = collect(&decode_node(content, &options)?, &options.below(root), &mut jobs);
     } else {
         verified.bytes = 0;
         jobs.push(Job { uri: root.clone(), reader_data: None, options: options.clone(), is_tileset: false });
     }
     while let Some(job) = jobs.pop() {
         if nodes > limit {
-            verified.fail(&too_many(&root, limit));
+            verified.fail(&too_many(root, limit));
             break;
         }
         match verified.read(from, job, &mut jobs) {

@@ -132,7 +132,7 @@ impl DatabasePager {
         let scope = scope.ok_or_else(not_served)?;
         let mut retries = RetryState::default();
         loop {
-            let Loaded { bytes, location, .. } = self.fetch(&scope, uri)?;
+            let Loaded { bytes, location, .. } = self.fetch(&scope, uri, uri)?;
             self.stats.bytes_read += bytes.len() as u64;
             let mut companions = Vec::new();
             // A root belongs to the application and shares nothing.
@@ -144,7 +144,7 @@ impl DatabasePager {
                     break;
                 }
                 for dependency in dependencies {
-                    let fetched = self.fetch(&scope, &dependency).map(|loaded| loaded.bytes);
+                    let fetched = self.fetch(&scope, uri, &dependency).map(|loaded| loaded.bytes);
                     companions.push((dependency, fetched));
                 }
             }
@@ -175,7 +175,8 @@ impl DatabasePager {
         None
     }
 
-    fn fetch(&mut self, scope: &ReadScope, uri: &str) -> Result<Loaded, IoError> {
+    /// Reads a root, or a file that it refers to.
+    fn fetch(&mut self, scope: &ReadScope, root: &str, uri: &str) -> Result<Loaded, IoError> {
         #[cfg(feature = "http")]
         if let Some(http) = self.threads.http().filter(|_| fetch::is_remote(uri)) {
             let body = http.get(&scope.client, uri, &self.config.limits)?;
@@ -184,7 +185,7 @@ impl DatabasePager {
         }
         #[cfg(not(feature = "http"))]
         let _ = scope;
-        fetch::Source::new(self.config.limits).load(uri)
+        fetch::Source::new(self.config.limits, root).load(uri)
     }
 }
 

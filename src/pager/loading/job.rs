@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::request_list::Request;
-use crate::fetch::{IoError, Loaded};
+use crate::fetch::{IoError, Loaded, RootScope};
 use crate::formats::Fetched;
 #[cfg(feature = "http")]
 use crate::pager::scenes::shared_files::SharedFiles;
@@ -18,6 +18,10 @@ pub(in crate::pager) trait LoadJob: Request + Send + Sync + 'static {
 
     /// Returns the address: a path, or the URL of a remote content.
     fn address(&self) -> &Arc<str>;
+    /// Returns the scope that symbolic links must not lead out of; `None` if the application names the file.
+    fn root_scope(&self) -> Option<&RootScope> {
+        None
+    }
     /// Returns the addresses of what is loaded together with the content, such as a height tile's imagery.
     fn companions(&self) -> Vec<Arc<str>> {
         Vec::new()

@@ -8,7 +8,7 @@ use super::request_list::Request;
 use super::ticket::Ticket;
 #[cfg(feature = "http")]
 use crate::fetch;
-use crate::fetch::{IoError, Loaded, is_remote};
+use crate::fetch::{IoError, Loaded, RootScope, is_remote};
 use crate::formats::{self, Content, Fetched, ReadOptions};
 use crate::pager::scenes::read_scope::{ReadScope, TilesetAncestors};
 #[cfg(feature = "http")]
@@ -138,6 +138,10 @@ impl LoadJob for PageJob {
 
     fn address(&self) -> &Arc<str> {
         &self.uri
+    }
+
+    fn root_scope(&self) -> Option<&RootScope> {
+        Some(&self.scope.options.root)
     }
 
     fn companions(&self) -> Vec<Arc<str>> {

@@ -114,23 +114,27 @@ impl<J: LoadJob> Drop for LoadThreads<J> {
 fn read_files<J: LoadJob>(list: &RequestList<J>, sender: &Sender<LoadedBytes<J>>, files: &fetch::FileReader) {
     while let Some(job) = list.take_file() {
         let span = job.read_span();
+        let read = |uri: &str| match job.root_scope() {
+            Some(scope) => files.read_within(uri, scope),
+            None => files.read(uri),
+        };
         let loaded = if job.is_remote() {
             Err(fetch::IoError::unsupported(job.uri(), "a server (built without the feature)"))
         } else if job.is_in_memory() {
             Ok(fetch::Loaded::default())
         } else {
-            files.read(job.address()).map(fetch::Loaded::from)
+            read(job.address()).map(fetch::Loaded::from)
         };
         let mut companions = Vec::new();
         if let Ok(loaded) = &loaded {
-            let read = |uri: Arc<str>| (uri.clone(), files.read(&uri));
-            companions.extend(job.companions().into_iter().map(read));
+            let fetched = |uri: Arc<str>| (uri.clone(), read(&uri));
+            companions.extend(job.companions().into_iter().map(fetched));
             for _ in 0..MAX_DEPENDENCY_ROUNDS {
                 let dependencies = job.dependencies(loaded, &companions);
                 if dependencies.is_empty() {
                     break;
                 }
-                companions.extend(dependencies.into_iter().map(read));
+                companions.extend(dependencies.into_iter().map(fetched));
             }
         }
         let bytes_read = total_bytes(&loaded, &companions);

@@ -19,6 +19,7 @@ pub(in crate::pager) struct ReadScope {
     pub options: ReadOptions,
     /// Replaces the formats of the options for everything but roots.
     pub block_formats: Arc<SharedBlockFormats>,
+    /// Reaches what the set may reach.
     #[cfg(feature = "http")]
     pub client: HttpClient,
     /// Files that several contents refer to.

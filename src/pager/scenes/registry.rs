@@ -109,10 +109,10 @@ impl SceneRegistry {
         };
         let block_formats = Arc::<SharedBlockFormats>::default();
         let scope = ReadScope {
+            #[cfg(feature = "http")]
+            client: client.within(&options.root),
             options: common.apply_to(options),
             block_formats: block_formats.clone(),
-            #[cfg(feature = "http")]
-            client: client.clone(),
             #[cfg(feature = "http")]
             shared_files: SharedFiles::default(),
         };
@@ -180,10 +180,10 @@ impl SceneRegistry {
         #[cfg(feature = "http")] client: HttpClient,
     ) -> (Arc<ReadScope>, Option<Arc<ReadScope>>) {
         let scope = ReadScope {
+            #[cfg(feature = "http")]
+            client: client.within(&options.root),
             options: self.common.apply_to(options),
             block_formats: self.block_formats.clone(),
-            #[cfg(feature = "http")]
-            client,
             #[cfg(feature = "http")]
             shared_files: SharedFiles::default(),
         };

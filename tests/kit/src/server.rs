@@ -118,7 +118,12 @@ pub struct Server {
 impl Server {
     /// Starts a server on a free port; `answer` is called on the thread of the connection.
     pub fn start(answer: impl Fn(&Request) -> Reply + Send + Sync + 'static) -> Self {
-        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        Self::start_at("127.0.0.1", answer)
+    }
+
+    /// Starts a server on a free port of an address of this machine.
+    pub fn start_at(address: &str, answer: impl Fn(&Request) -> Reply + Send + Sync + 'static) -> Self {
+        let listener = TcpListener::bind((address, 0)).unwrap();
         let url = format!("http://{}", listener.local_addr().unwrap());
         let seen = Arc::new(Mutex::new(Vec::new()));
         let (answer, log, count) = (Arc::new(answer), seen.clone(), AtomicUsize::new(0));
@@ -130,6 +135,16 @@ impl Server {
             }
         });
         Self { url, seen }
+    }
+
+    /// Returns `ADDRESS:PORT`.
+    pub fn host(&self) -> &str {
+        self.url.trim_start_matches("http://")
+    }
+
+    /// Returns the port.
+    pub fn port(&self) -> u16 {
+        self.host().rsplit(':').next().unwrap().parse().unwrap()
     }
 
     /// Returns all requests so far, in order of arrival.

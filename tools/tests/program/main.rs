@@ -3,6 +3,7 @@
 
 mod cache;
 mod cli;
+mod hosts;
 mod object_stores;
 mod samples;
 mod serve;

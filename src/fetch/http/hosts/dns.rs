@@ -1,17 +1,20 @@
-//! DNS queries on one thread per host name.
+//! DNS queries on one thread per host name, and [`PoolResolver`], which leaves out addresses that a pool may not connect to.
 //!
 //! The system's resolver cannot be cancelled and may take half a minute. On the runtime's few blocking threads, unresponsive
 //! DNS servers would delay all reads from the cache and the shutdown of the runtime.
 
 use std::collections::HashMap;
 use std::io;
-use std::net::{SocketAddr, ToSocketAddrs as _};
+use std::net::{IpAddr, SocketAddr, ToSocketAddrs as _};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use reqwest::dns::{Addrs, Name, Resolve, Resolving};
 use tokio::sync::oneshot;
 
-type Addresses = Result<Vec<SocketAddr>, Arc<io::Error>>;
+use super::address::local_kind;
+
+/// The addresses of a name, or the error of the resolver.
+pub(super) type Addresses = Result<Vec<SocketAddr>, Arc<io::Error>>;
 
 /// The queries in flight by host name, with the requests that wait for each. Locked briefly by the HTTP thread and by the
 /// threads of the queries.
@@ -33,7 +36,7 @@ impl Queries {
 
 /// Resolves host names with the system's resolver.
 #[derive(Debug)]
-pub(super) struct DnsResolver {
+pub(in crate::fetch::http) struct DnsResolver {
     queries: Arc<Queries>,
     resolve: fn(&str) -> io::Result<Vec<SocketAddr>>,
 }
@@ -45,8 +48,14 @@ impl Default for DnsResolver {
 }
 
 impl DnsResolver {
+    /// Creates a resolver that asks a function instead of the system.
+    #[cfg(test)]
+    pub fn new(resolve: fn(&str) -> io::Result<Vec<SocketAddr>>) -> Self {
+        Self { resolve, ..Self::default() }
+    }
+
     /// Starts a query, or joins the one in flight for the same name.
-    fn query(&self, name: &str) -> oneshot::Receiver<Addresses> {
+    pub(super) fn query(&self, name: &str) -> oneshot::Receiver<Addresses> {
         let (sender, receiver) = oneshot::channel();
         let mut queries = self.queries.lock();
         let senders = queries.entry(name.to_owned()).or_default();
@@ -65,10 +74,53 @@ impl DnsResolver {
     }
 }
 
-impl Resolve for DnsResolver {
+/// The addresses that a pool of connections may lead to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Reach {
+    /// Addresses of the public internet.
+    Public,
+    /// All other addresses: private, loopback, link-local and so on.
+    Local,
+    Any,
+}
+
+impl Reach {
+    fn contains(self, address: IpAddr) -> bool {
+        self == Self::Any || local_kind(address).is_some() == (self == Self::Local)
+    }
+}
+
+/// A name has only addresses that its pool must not connect to.
+#[derive(Clone, Copy, Debug, thiserror::Error)]
+#[error("the {kind} address {address} is not allowed")]
+pub(in crate::fetch::http) struct RefusedAddress {
+    /// The first address.
+    pub address: IpAddr,
+    /// The kind of the address, such as `loopback`.
+    pub kind: &'static str,
+}
+
+/// The resolver of one pool.
+#[derive(Debug)]
+pub(super) struct PoolResolver {
+    pub dns: Arc<DnsResolver>,
+    pub reach: Reach,
+}
+
+impl Resolve for PoolResolver {
     fn resolve(&self, name: Name) -> Resolving {
-        let addresses = self.query(name.as_str());
-        Box::pin(async move { Ok(Box::new(addresses.await??.into_iter()) as Addrs) })
+        let (addresses, reach) = (self.dns.query(name.as_str()), self.reach);
+        Box::pin(async move {
+            let all = addresses.await??;
+            let allowed: Vec<SocketAddr> = all.iter().copied().filter(|at| reach.contains(at.ip())).collect();
+            match all.first().map(SocketAddr::ip) {
+                Some(address) if allowed.is_empty() => {
+                    let kind = local_kind(address).unwrap_or("public");
+                    Err(RefusedAddress { address, kind }.into())
+                }
+                _ => Ok(Box::new(allowed.into_iter()) as Addrs),
+            }
+        })
     }
 }
 
@@ -100,7 +152,7 @@ mod tests {
 
     #[test]
     fn a_slow_name_delays_no_other_and_has_one_query_in_flight() {
-        let resolver = DnsResolver { resolve, ..DnsResolver::default() };
+        let resolver = DnsResolver::new(resolve);
         let silent: Vec<_> = (0..100).map(|_| resolver.query("silent")).collect();
         let answer = |query: oneshot::Receiver<Addresses>| query.blocking_recv().unwrap();
         assert_eq!(answer(resolver.query("there")).unwrap(), [([127, 0, 0, 1], 0).into()]);
@@ -109,5 +161,22 @@ mod tests {
         assert_eq!(QUERIES.load(Ordering::SeqCst), 2);
         assert!(answer(resolver.query("there")).is_ok());
         assert_eq!(QUERIES.load(Ordering::SeqCst), 3, "results are not cached");
+    }
+
+    #[test]
+    fn pools_get_only_addresses_that_they_may_connect_to() {
+        fn mixed(_: &str) -> io::Result<Vec<SocketAddr>> {
+            Ok(vec![([10, 0, 0, 1], 0).into(), ([8, 8, 8, 8], 0).into(), ([127, 0, 0, 1], 0).into()])
+        }
+        let dns = Arc::new(DnsResolver::new(mixed));
+        let addresses = |reach| {
+            let resolver = PoolResolver { dns: dns.clone(), reach };
+            let resolving = resolver.resolve("a.example".parse().unwrap());
+            let found = pollster::block_on(resolving).unwrap();
+            found.map(|at| at.ip().to_string()).collect::<Vec<_>>().join(" ")
+        };
+        assert_eq!(addresses(Reach::Public), "8.8.8.8");
+        assert_eq!(addresses(Reach::Local), "10.0.0.1 127.0.0.1");
+        assert_eq!(addresses(Reach::Any), "10.0.0.1 8.8.8.8 127.0.0.1");
     }
 }
