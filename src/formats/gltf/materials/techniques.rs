@@ -1,7 +1,9 @@
 //! KHR_techniques_webgl: materials that are WebGL shaders with named uniforms. Their diffuse colour or texture is found by the
 //! names that exporters use, or by its semantic in 3D Tiles; the shaders themselves are not run.
 
-use serde_json::{Map, Value};
+use std::collections::HashSet;
+
+use serde_json::Value;
 
 use super::texture_ref::TextureRef;
 use crate::math::color::linear_from_srgb;
@@ -10,9 +12,14 @@ const EXTENSION: &str = "KHR_techniques_webgl";
 
 /// The techniques of a document.
 #[derive(Default)]
-pub(super) struct Techniques {
-    /// The uniforms of each technique; a uniform has its default in `value`.
-    uniforms: Vec<Map<String, Value>>,
+pub(super) struct Techniques(Vec<Technique>);
+
+/// The uniforms of a technique.
+struct Technique {
+    /// The names of uniforms whose semantic says that they are the diffuse part.
+    diffuse_names: HashSet<String>,
+    /// What the defaults of the uniforms say.
+    defaults: Found,
 }
 
 /// The diffuse part of a material.
@@ -22,37 +29,73 @@ pub(super) struct Diffuse {
     pub texture: Option<TextureRef>,
 }
 
+/// What a list of named values says about the diffuse part.
+#[derive(Clone, Copy, Default)]
+struct Found {
+    color: Option<[f32; 4]>,
+    /// A texture whose name says that it is the diffuse one.
+    diffuse_texture: Option<TextureRef>,
+    other_texture: Option<TextureRef>,
+    opacity: Option<f64>,
+}
+
+impl Found {
+    /// Searches values by name. The first of each kind counts.
+    fn new<'v>(values: impl Iterator<Item = (&'v str, &'v Value)>, is_diffuse: impl Fn(&str) -> bool) -> Self {
+        let mut found = Self::default();
+        for (name, value) in values {
+            let lower = name.to_ascii_lowercase();
+            let is_diffuse = lower.contains("diffuse") || is_diffuse(name);
+            let texture = if is_diffuse { &mut found.diffuse_texture } else { &mut found.other_texture };
+            *texture = texture.or_else(|| TextureRef::from_json(value));
+            if is_diffuse {
+                found.color = found.color.or_else(|| color(value));
+            }
+            if lower.contains("transparency") {
+                found.opacity = found.opacity.or_else(|| value.as_f64());
+            }
+        }
+        found
+    }
+
+    /// Returns the diffuse part; values of the material come before defaults, and diffuse textures before others.
+    fn or(self, defaults: Self) -> Diffuse {
+        let mut color = self.color.or(defaults.color);
+        if let Some(opacity) = self.opacity.or(defaults.opacity) {
+            color.get_or_insert([1.0; 4])[3] *= opacity.clamp(0.0, 1.0) as f32;
+        }
+        let diffuse = self.diffuse_texture.or(defaults.diffuse_texture);
+        Diffuse { color, texture: diffuse.or(self.other_texture).or(defaults.other_texture) }
+    }
+}
+
 impl Techniques {
     pub fn new(document: &gltf::Document) -> Self {
         let techniques = document.extension_value(EXTENSION).and_then(|e| e.get("techniques")?.as_array());
-        let uniforms = |technique: &Value| technique.get("uniforms").and_then(Value::as_object).cloned();
-        let techniques = techniques.map_or(&[][..], Vec::as_slice);
-        Self { uniforms: techniques.iter().map(|technique| uniforms(technique).unwrap_or_default()).collect() }
+        Self(techniques.into_iter().flatten().map(Technique::new).collect())
     }
 
     /// Returns the diffuse part of a material with a technique. Returns `None` for other materials.
     pub fn diffuse(&self, material: &gltf::Material<'_>) -> Option<Diffuse> {
         let extension = material.extension_value(EXTENSION)?;
+        let technique = extension.get("technique").and_then(Value::as_u64).and_then(|t| usize::try_from(t).ok());
+        let technique = technique.and_then(|technique| self.0.get(technique));
         let values = extension.get("values").and_then(Value::as_object);
         let own = values.into_iter().flatten().map(|(name, value)| (name.as_str(), value));
-        let technique = extension.get("technique").and_then(Value::as_u64).and_then(|t| usize::try_from(t).ok());
-        let uniforms = technique.and_then(|technique| self.uniforms.get(technique));
-        let defaults = uniforms.into_iter().flatten();
-        let defaults = defaults.filter_map(|(name, uniform)| Some((name.as_str(), uniform.get("value")?)));
-        // Values of the material come before defaults, names with "diffuse" before others.
-        let mut all: Vec<(&str, &Value)> = own.chain(defaults).collect();
-        let is_diffuse = |name: &str| {
-            let semantic = uniforms.and_then(|uniforms| uniforms.get(name)?.get("semantic")?.as_str());
-            name.to_ascii_lowercase().contains("diffuse") || semantic == Some("_3DTILESDIFFUSE")
-        };
-        all.sort_by_key(|(name, _)| !is_diffuse(name));
-        let texture = all.iter().find_map(|(_, value)| TextureRef::from_json(value));
-        let mut color = all.iter().filter(|(name, _)| is_diffuse(name)).find_map(|(_, value)| color(value));
-        let transparency = all.iter().find(|(name, _)| name.to_ascii_lowercase().contains("transparency"));
-        if let Some(opacity) = transparency.and_then(|(_, value)| value.as_f64()) {
-            color.get_or_insert([1.0; 4])[3] *= opacity.clamp(0.0, 1.0) as f32;
-        }
-        Some(Diffuse { color, texture })
+        let own = Found::new(own, |name| technique.is_some_and(|technique| technique.diffuse_names.contains(name)));
+        Some(own.or(technique.map(|technique| technique.defaults).unwrap_or_default()))
+    }
+}
+
+impl Technique {
+    fn new(json: &Value) -> Self {
+        let uniforms = || json.get("uniforms").and_then(Value::as_object).into_iter().flatten();
+        let is_diffuse = |uniform: &Value| uniform.get("semantic").and_then(Value::as_str) == Some("_3DTILESDIFFUSE");
+        let diffuse_names = uniforms().filter(|(_, uniform)| is_diffuse(uniform)).map(|(name, _)| name.clone());
+        let diffuse_names: HashSet<String> = diffuse_names.collect();
+        let defaults = uniforms().filter_map(|(name, uniform)| Some((name.as_str(), uniform.get("value")?)));
+        let defaults = Found::new(defaults, |name| diffuse_names.contains(name));
+        Self { diffuse_names, defaults }
     }
 }
 
