@@ -22,17 +22,17 @@ pub(super) fn is_without_effect(semantic: &str) -> bool {
 /// The part of a tile or of its content that a metadata property replaces.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Semantic {
-    /// `BOUNDING_BOX`: 12 numbers.
+    /// `TILE_BOUNDING_BOX` or `CONTENT_BOUNDING_BOX`: 12 numbers.
     Box,
-    /// `BOUNDING_REGION`: 6 numbers.
+    /// `TILE_BOUNDING_REGION` or `CONTENT_BOUNDING_REGION`: 6 numbers.
     Region,
-    /// `BOUNDING_SPHERE`: 4 numbers.
+    /// `TILE_BOUNDING_SPHERE` or `CONTENT_BOUNDING_SPHERE`: 4 numbers.
     Sphere,
-    /// `BOUNDING_S2_CELL`: the 64-bit id.
+    /// `TILE_BOUNDING_S2_CELL` or `CONTENT_BOUNDING_S2_CELL`: the 64-bit id.
     S2Cell,
-    /// `MINIMUM_HEIGHT`, metres.
+    /// `TILE_MINIMUM_HEIGHT` or `CONTENT_MINIMUM_HEIGHT`, metres.
     MinHeight,
-    /// `MAXIMUM_HEIGHT`, metres.
+    /// `TILE_MAXIMUM_HEIGHT` or `CONTENT_MAXIMUM_HEIGHT`, metres.
     MaxHeight,
     /// `TILE_GEOMETRIC_ERROR`, metres before the scale of the tile.
     GeometricError,

@@ -6,7 +6,7 @@ struct SurfaceRecord {
     layers: vec4<u32>,    // of base colour, normals, occlusion-roughness-metallic and emission; NO_LAYER without a map
     factors: vec4<f32>,   // metallic, roughness, strength of occlusion, scale of normals
     emission: vec4<f32>,  // linear, in units of lit colours
-    occlusion: vec4<u32>, // layer of occlusion; a bit for each map that uses the second texture coordinates
+    occlusion_and_uv_bits: vec4<u32>,  // layer of occlusion; a bit for each map that uses the second texture coordinates
     uv_matrices: array<vec4<f32>, 4>,  // columns, by map
     uv_offsets: array<vec4<f32>, 2>,   // two maps a vector
 }
@@ -77,7 +77,7 @@ struct MapPoint {
 
 fn map_point(in: MeshFragment, shape: MeshShape, map: u32) -> MapPoint {
     let record = in.leaf.x;
-    if (surface_records[record].occlusion.y >> map & 1u) == 0u {
+    if (surface_records[record].occlusion_and_uv_bits.y >> map & 1u) == 0u {
         return MapPoint(vec2<f32>(in.in_eye_u.w, in.normal_v.w), shape.uv_x, shape.uv_y);
     }
     let columns = surface_records[record].uv_matrices[map];
@@ -166,7 +166,7 @@ fn shade(in: MeshFragment, is_front: bool, shape: MeshShape, base: vec4<f32>) ->
     // Parts of the record, since a copy of all of it for each pixel is slow.
     let layers = surface_records[in.leaf.x].layers;
     let factors = surface_records[in.leaf.x].factors;
-    let occlusion_layer = surface_records[in.leaf.x].occlusion.x;
+    let occlusion_layer = surface_records[in.leaf.x].occlusion_and_uv_bits.x;
     let has_maps = (in.leaf.y & FLAG_UNTEXTURED) == 0u;
     var metallic = factors.x;
     var roughness = factors.y;

@@ -15,7 +15,7 @@ pub(crate) struct SurfaceRecord {
     /// Emitted light, linear; the last element is unused.
     pub(crate) emission: [f32; 4],
     /// The layer of occlusion, and a bit for each map that uses the second texture coordinates; the rest is unused.
-    pub(crate) occlusion: [u32; 4],
+    pub(crate) occlusion_and_uv_bits: [u32; 4],
     /// The columns of the matrices from the second texture coordinates to those of each map.
     pub(crate) uv_matrices: [[f32; 4]; MetallicRoughness::MAPS],
     /// The offsets after the matrices; two maps a vector.
@@ -36,7 +36,7 @@ impl SurfaceRecord {
         let offsets = transforms.map(|transform| transform.translation.to_array());
         let pair = |map: usize| [offsets[map][0], offsets[map][1], offsets[map + 1][0], offsets[map + 1][1]];
         Self {
-            occlusion: [occlusion, seconds, 0, 0],
+            occlusion_and_uv_bits: [occlusion, seconds, 0, 0],
             uv_matrices: transforms.map(|transform| transform.matrix2.to_cols_array()),
             uv_offsets: [pair(0), pair(2)],
             layers: [color.layer, normal, metallic, emission],
