@@ -4,6 +4,10 @@
 
 use std::cell::RefCell;
 
+// What the modules of `rasters` share in its own test program.
+#[allow(dead_code)]
+#[path = "../../data-gen/tests/generate/files.rs"]
+mod files;
 #[path = "../formats/fuzz_parsers.rs"]
 mod parsers;
 #[path = "../../data-gen/tests/generate/fuzz_rasters.rs"]

@@ -29,7 +29,10 @@ pub use client::HttpClient;
 pub use client::fuzz_headers;
 pub(crate) use client::{BlockingHttpClient, runtime};
 pub use config::{Credential, HttpConfig, StoreOption};
-pub(in crate::fetch) use exchange::{Answer, Exchange, error_chain};
+pub(in crate::fetch) use exchange::Answer;
+#[cfg(feature = "object-store")]
+pub(in crate::fetch) use exchange::{Exchange, error_chain};
 pub use hosts::AllowedHost;
+#[cfg(feature = "object-store")]
 pub(in crate::fetch) use hosts::Connections;
 pub(in crate::fetch) use transport::Transport;
