@@ -159,7 +159,7 @@ fn maps_use_second_texture_coordinates() {
         assert_eq!(sides(second, Some(true), is_fine), [(true, false), (false, true)], "{is_fine}");
         let second = SecondUv { emissive: Some(Affine2::IDENTITY), ..SecondUv::default() };
         assert_eq!(sides(second, Some(true), is_fine), [(false, true), (true, false)], "{is_fine}");
-        // A transform of its own, with and without the attribute.
+        // A mirroring transform of the map, with and without the attribute.
         let mirrored = SecondUv { emissive: Some(mirror), ..SecondUv::default() };
         for attribute in [None, Some(false)] {
             assert_eq!(sides(mirrored, attribute, is_fine), [(false, true), (true, false)], "{is_fine}");

@@ -340,7 +340,7 @@ fn ktx2_images_of_other_sides_than_multiples_of_4_stay_uncompressed() {
     }
 }
 
-/// Regression: occlusion in an image of its own was combined with the other map in RGBA8.
+/// Regression: a separate occlusion image was combined with the other map in RGBA8.
 #[test]
 fn separate_maps_stay_compressed() {
     let image = uastc_mosaic([8, 8], 4, |_| [10, 20, 30, 255]);

@@ -6,6 +6,8 @@ use std::sync::Arc;
 use glam::{Affine2, Vec2};
 use kit::skip::skipped;
 use serde_json::{Value, json};
+use terrane::fetch::Limits;
+use terrane::formats::ReadOptions;
 use terrane::scene::{AttributeFormat, Material, SecondUv, Texture};
 use terrane::state::FilterMode;
 
@@ -148,6 +150,29 @@ fn maps_of_specular_glossiness_are_converted() {
     let read = gltf.read();
     assert_eq!(read.ignored.count("glTF: external image that is missing"), 1, "{:?}", read.ignored);
     assert_eq!(texel(&read.mesh().1.material.texture.unwrap(), 0, 0), [191, 191, 191, 255]);
+}
+
+/// Two small files of long and narrow maps asked for half a gigabyte.
+#[test]
+fn converted_maps_are_bounded() {
+    let narrow = |width: u32, height: u32| {
+        let mut bytes = std::io::Cursor::new(Vec::new());
+        image::RgbaImage::new(width, height).write_to(&mut bytes, image::ImageFormat::Png).unwrap();
+        data_uri(&bytes.into_inner())
+    };
+    let mut gltf = with_material(specular_glossiness(json!({
+        "diffuseTexture": { "index": 0 }, "specularGlossinessTexture": { "index": 1 },
+    })));
+    gltf.json["images"][0]["uri"] = narrow(64, 1).into();
+    gltf.push("images", json!({ "uri": narrow(1, 64) }));
+    gltf.push("textures", json!({ "source": 1 }));
+    let read_within = |max_image_bytes: u64| {
+        let limits = Limits { max_image_bytes, ..Limits::default() };
+        read_with(gltf.text(), Vec::new(), &ReadOptions::for_root("/set/tileset.json", limits))
+    };
+    assert!(read_within(4 * 64 * 64).is_ok());
+    let error = read_within(4 * 64 * 64 - 1).unwrap_err().to_string();
+    assert!(error.contains("converted image of a glTF is 16384, the limit is 16383"), "{error}");
 }
 
 /// Regression: the whole surface glowed.

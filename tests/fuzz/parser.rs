@@ -4,8 +4,7 @@
 
 use std::cell::RefCell;
 
-// What the modules of `rasters` share in its own test program.
-#[allow(dead_code)]
+#[allow(dead_code, reason = "the parsers of elevation files use a part of these files")]
 #[path = "../../data-gen/tests/generate/files.rs"]
 mod files;
 #[path = "../formats/fuzz_parsers.rs"]

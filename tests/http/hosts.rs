@@ -1,5 +1,5 @@
-//! Where the requests of a client may go, and where its credentials go. Names that resolve to local addresses are tested in
-//! `src/fetch/http/client.rs`, whose tests bring their own resolver.
+//! These tests check where the requests of a client may go, and where its credentials go. Names that resolve to local
+//! addresses are tested in `src/fetch/http/client.rs`, whose tests bring their own resolver.
 
 use std::time::Duration;
 

@@ -261,7 +261,7 @@ fn sets_reach_no_other_local_server_in_any_way() {
     }
 }
 
-/// What an allowed stranger sees of the credentials of the set that refers to it, in each possible way.
+/// An allowed stranger gets no credential of the set that refers to it, in whichever way the set does.
 #[test]
 fn no_way_takes_credentials_to_another_server() {
     for nth in 0..ways_to("").len() {

@@ -66,6 +66,15 @@ impl<'a> Budget<'a> {
         Ok(())
     }
 
+    /// Fails if an RGBA8 image that is about to be made exceeds the limit of one image.
+    pub fn check_image(&self, width: u32, height: u32) -> Result<(), IoError> {
+        let (got, limit) = (4 * u64::from(width) * u64::from(height), self.limits.max_image_bytes);
+        if got > limit {
+            return Err(IoError::TooLarge { uri: self.uri.to_owned(), what: "converted image of a glTF", got, limit });
+        }
+        Ok(())
+    }
+
     pub fn add_image(&self, bytes: u64) {
         self.image_bytes.set(self.image_bytes.get().saturating_add(bytes));
     }

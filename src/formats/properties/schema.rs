@@ -66,8 +66,8 @@ pub(in crate::formats) struct Schema {
 }
 
 impl Schema {
-    /// Fails if a class has so many properties, or a property so large values, that small files with this schema would take
-    /// much memory.
+    /// Fails if the number of properties of a class, or the size of a property's values, exceeds its limit: small files with
+    /// this schema would take much memory.
     fn check(&self, uri: &str) -> Result<(), IoError> {
         let too_large = |what: &'static str, got: usize, limit: usize| {
             Err(IoError::TooLarge { uri: uri.to_owned(), what, got: got as u64, limit: limit as u64 })

@@ -29,7 +29,7 @@ pub struct MetallicRoughness {
     pub roughness: f32,
     /// Occlusion in red unless `occlusion_map` is set, roughness in green, metallic in blue, linear.
     pub occlusion_roughness_metallic: Option<Arc<Texture>>,
-    /// Occlusion in red, linear, if it has an image or texture coordinates of its own.
+    /// Occlusion in red, linear, if its image or its texture coordinates are not those of the map above.
     pub occlusion_map: Option<Arc<Texture>>,
     /// The share of the map's occlusion that is applied, 0 to 1. Occlusion darkens the light of the sky, not that of the sun.
     pub occlusion_strength: f32,

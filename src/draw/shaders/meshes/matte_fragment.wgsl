@@ -10,15 +10,8 @@ struct MeshFragment {
     @location(3) @interpolate(flat) leaf: vec3<u32>,
 }
 
-fn mesh_fragment(vertex: MeshVertex, leaf: Leaf, alpha_cutoff: u32) -> MeshFragment {
-    let in_eye = point_in_eye(leaf, vertex.position);
-    return MeshFragment(
-        clip_of(leaf, in_eye),
-        vec4<f32>(in_eye, vertex.uv.x),
-        vec4<f32>(normal_in_eye(leaf, vertex.normal.xyz), vertex.uv.y),
-        vertex.color * leaf.color,
-        vec3<u32>(leaf.layer, leaf.flags, alpha_cutoff),
-    );
+// Matte materials have one set of texture coordinates.
+fn pass_second_uv(fragment: ptr<function, MeshFragment>, vertex: MeshVertex) {
 }
 
 // Sets the texture coordinates of a vertex that has one set of them.

@@ -1,6 +1,18 @@
-// Meshes, lines and points. What a fragment has is in matte_fragment.wgsl or surface_fragment.wgsl: `MeshFragment` and
-// `mesh_fragment`. The material's model is in matte.wgsl or surface.wgsl: `MeshShape`, `mesh_shape`, `thin_shape`,
+// Meshes, lines and points. What a fragment has is in matte_fragment.wgsl or surface_fragment.wgsl: `MeshFragment`,
+// `pass_second_uv` and `set_uv`. The material's model is in matte.wgsl or surface.wgsl: `MeshShape`, `mesh_shape`, `thin_shape`,
 // `base_color` and `shade`.
+
+fn mesh_fragment(vertex: MeshVertex, leaf: Leaf, alpha_cutoff: u32) -> MeshFragment {
+    let in_eye = point_in_eye(leaf, vertex.position);
+    var fragment: MeshFragment;
+    fragment.position = clip_of(leaf, in_eye);
+    fragment.in_eye_u = vec4<f32>(in_eye, vertex.uv.x);
+    fragment.normal_v = vec4<f32>(normal_in_eye(leaf, vertex.normal.xyz), vertex.uv.y);
+    fragment.color = vertex.color * leaf.color;
+    fragment.leaf = vec3<u32>(leaf.layer, leaf.flags, alpha_cutoff);
+    pass_second_uv(&fragment, vertex);
+    return fragment;
+}
 
 @vertex
 fn vs_mesh(vertex: MeshVertex, @builtin(instance_index) instance: u32) -> MeshFragment {

@@ -11,16 +11,9 @@ struct MeshFragment {
     @location(4) second_uv: vec2<f32>,
 }
 
-fn mesh_fragment(vertex: MeshVertex, leaf: Leaf, alpha_cutoff: u32) -> MeshFragment {
-    let in_eye = point_in_eye(leaf, vertex.position);
-    return MeshFragment(
-        clip_of(leaf, in_eye),
-        vec4<f32>(in_eye, vertex.uv.x),
-        vec4<f32>(normal_in_eye(leaf, vertex.normal.xyz), vertex.uv.y),
-        vertex.color * leaf.color,
-        vec3<u32>(leaf.layer, leaf.flags, alpha_cutoff),
-        vertex.second_uv,
-    );
+// Passes the second texture coordinates from a vertex to its fragment.
+fn pass_second_uv(fragment: ptr<function, MeshFragment>, vertex: MeshVertex) {
+    (*fragment).second_uv = vertex.second_uv;
 }
 
 // Sets the texture coordinates of a vertex that has one set of them.

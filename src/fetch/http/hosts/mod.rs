@@ -1,5 +1,5 @@
-//! Where requests may go. A tile set from a stranger must not reach the servers of a private network through the machine
-//! that draws it. HTTP thread.
+//! This module decides where requests may go: a tile set from a stranger must not reach the servers of a private network
+//! through the machine that draws it. HTTP thread.
 //!
 //! Each request, also after a redirect, is sent over one of three pools of connections, by the host of its URL:
 //!

@@ -15,7 +15,8 @@ use crate::formats::gltf::materials::{Surfaces, TextureRef};
 use crate::formats::properties::{PropertyType, Schema, ValueChanges};
 use crate::scene::{DataTexture, PropertyInfo, SurfaceProperty, SurfaceValues};
 
-/// What a property of a primitive counts in the budget of decoded bytes: a primitive may refer to all of them many times.
+/// The number of bytes that a property of a primitive counts in the budget of decoded bytes. It is counted for each
+/// primitive, since a primitive may refer to all properties many times.
 const PROPERTY_BYTES: u64 = 256;
 
 /// A property of a property texture or property attribute, as the document describes it.

@@ -80,8 +80,8 @@ impl Reflection {
         [&self.normal, &self.metallic_roughness, &self.occlusion, &self.emissive_map].into_iter().flatten()
     }
 
-    /// Finds the maps whose texture coordinates differ from those of the base colour or, without it, of the first map. They
-    /// may all have transforms of their own, but of one set; maps with a third set are noted and left out.
+    /// Finds the maps whose texture coordinates differ from those of the base colour or, without it, of the first map. All
+    /// of them use one set, each with its transform; maps with a third set are noted and left out.
     fn find_second_uv(&mut self, base: Option<&TextureRef>, notes: &Notes) {
         let Some(first) = base.or_else(|| self.maps().next()).copied() else { return };
         let Self { normal, metallic_roughness, occlusion, emissive_map, second_set, second_uv, .. } = self;

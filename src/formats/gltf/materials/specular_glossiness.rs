@@ -95,8 +95,7 @@ impl SpecularGlossiness {
     /// maps is enlarged. A map that is missing is white.
     pub(super) fn converted_maps(&self, diffuse: Option<&Texture>, map: Option<&Texture>) -> [Texture; 2] {
         let sampling = diffuse.or(map).map(|of| of.sampling).unwrap_or_default();
-        let largest = |of: fn(&Texture) -> u32| diffuse.into_iter().chain(map).map(of).max().unwrap_or(1);
-        let (width, height) = (largest(|of| of.width), largest(|of| of.height));
+        let [width, height] = converted_size(diffuse, map);
         let [diffuse, map] = [diffuse, map].map(|of| of.map(|of| Texels::new(of, width, height)));
         let texels = width as usize * height as usize;
         let (mut base_color, mut metallic_roughness) = (Vec::with_capacity(4 * texels), Vec::with_capacity(4 * texels));
@@ -116,6 +115,13 @@ impl SpecularGlossiness {
             Texture { width, height, format: TexelFormat::Rgba8, mips, sampling }
         })
     }
+}
+
+/// Returns width and height of the converted maps: the larger ones of both maps. A wide and a high map are small, and their
+/// converted maps are not.
+pub(super) fn converted_size(diffuse: Option<&Texture>, map: Option<&Texture>) -> [u32; 2] {
+    let largest = |of: fn(&Texture) -> u32| diffuse.into_iter().chain(map).map(of).max().unwrap_or(1);
+    [largest(|of| of.width), largest(|of| of.height)]
 }
 
 /// Converts a linear diffuse and specular colour. The alpha of the diffuse colour stays.

@@ -75,6 +75,8 @@ impl<'a> Surfaces<'a> {
             None => Ok(None),
         };
         let (diffuse, map) = (get(material.diffuse_map)?, get(material.map)?);
+        let [width, height] = specular_glossiness::converted_size(diffuse.as_deref(), map.as_deref());
+        self.context.budget.check_image(width, height)?;
         self.context.budget.check_images()?;
         let maps = material.converted_maps(diffuse.as_deref(), map.as_deref()).map(Arc::new);
         maps.iter().for_each(|map| self.context.budget.add_image(map.size_bytes()));

@@ -18,7 +18,7 @@ pub(super) struct Techniques(Vec<Technique>);
 struct Technique {
     /// The names of uniforms whose semantic says that they are the diffuse part.
     diffuse_names: HashSet<String>,
-    /// What the defaults of the uniforms say.
+    /// The diffuse part by the defaults of the uniforms.
     defaults: Found,
 }
 
@@ -29,7 +29,7 @@ pub(super) struct Diffuse {
     pub texture: Option<TextureRef>,
 }
 
-/// What a list of named values says about the diffuse part.
+/// The diffuse part as a list of named values has it.
 #[derive(Clone, Copy, Default)]
 struct Found {
     color: Option<[f32; 4]>,
