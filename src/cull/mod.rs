@@ -31,8 +31,8 @@ mod visitor;
 pub use camera::CullCamera;
 pub use fading::FadeBand;
 pub use stage::{
-    ClipPlane, CullCounters, OcclusionQuery, PageRequest, PositionedLight, PositionedTexGen, RenderBin, RenderLeaf,
-    RenderStage, ShadowCascade, StageShadows, StageTarget, StageView,
+    ClipPlane, CullCounters, CutVolume, DrawnPart, OcclusionQuery, PageRequest, PositionedLight, PositionedTexGen,
+    RenderBin, RenderLeaf, RenderStage, ShadowCascade, StageShadows, StageTarget, StageView,
 };
 pub(crate) use stage::{move_light, move_plane};
 pub use stereo::{Stereo, StereoMode};

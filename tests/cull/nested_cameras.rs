@@ -185,7 +185,7 @@ fn lods_fade_below_cameras_and_around_projections() {
     let over = |lod| Node::camera(CameraNode::new(RenderOrder::PostRender(0)), vec![lod]);
     let stage = fading(over, || vec![cube(DVec3::ZERO)]);
     let below = &stage.post_render[0];
-    let bands: Vec<u32> = below.bins[0].leaves.iter().map(|l| below.fade_of_state[l.state as usize]).collect();
+    let bands: Vec<u32> = below.bins[0].leaves.iter().map(|l| below.part_of_state[l.state as usize]).collect();
     assert!(bands.len() == 2 && bands[0] != bands[1] && !bands.contains(&0), "{bands:?}");
     // Siblings after an inner projection, and those after the `Lod`, are drawn with the outer projection.
     let projection = || NodeKind::Projection(proj::perspective_infinite_reverse(1.2, 1.0, 0.1));
@@ -194,7 +194,7 @@ fn lods_fade_below_cameras_and_around_projections() {
     let stage = fading(around, || vec![with(vec![cube(DVec3::ZERO)]), cube(DVec3::new(-1.0, 0.0, 0.0))]);
     let view_of = |slot: u32| {
         let leaf = stage.bins.iter().flat_map(|b| &b.leaves).find(|l| l.slot.0 == slot).unwrap();
-        (stage.view_of_state[leaf.state as usize], stage.fade_of_state[leaf.state as usize] != 0)
+        (stage.view_of_state[leaf.state as usize], stage.part_of_state[leaf.state as usize] != 0)
     };
     assert_eq!([0, 1, 2, 3].map(view_of), [(1, true), (2, true), (1, true), (1, false)]);
 }

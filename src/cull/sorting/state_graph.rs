@@ -17,8 +17,8 @@ use crate::state::{ResolvedState, StateSet};
 const BLEND_KEY: usize = 1;
 /// First key of the pseudo state sets of views, which are odd numbers from here on.
 const VIEW_KEY: usize = 3;
-/// First key of the pseudo state sets of fades, which are even and not multiples of 4 from here on.
-const FADE_KEY: usize = 2;
+/// First key of the pseudo state sets of drawn parts, which are even and not multiples of 4 from here on.
+const PART_KEY: usize = 2;
 // Addresses of state sets and of local lights are multiples of 4.
 const _: () = assert!(align_of::<StateSet>() >= 4 && align_of::<LocalLights>() >= 4);
 
@@ -27,8 +27,8 @@ const _: () = assert!(align_of::<StateSet>() >= 4 && align_of::<LocalLights>() >
 struct LeafContext {
     /// The view, as in [`RenderStage::view_of_state`].
     view: u32,
-    /// The fade, as in [`RenderStage::fade_of_state`].
-    fade: u32,
+    /// The drawn part, as in [`RenderStage::part_of_state`].
+    part: u32,
     /// The node of the innermost local lights above; the root without any.
     lights: u32,
 }
@@ -143,7 +143,7 @@ impl StateGraph {
             let index = stage.view_of_state.len();
             (node.met_in, node.index_in_stage) = (self.stage, index as u32);
             stage.view_of_state.push(node.context.view);
-            stage.fade_of_state.push(node.context.fade);
+            stage.part_of_state.push(node.context.part);
             // Usually the same as in the frame before, so that no reference count changes.
             match stage.state_sets.get_mut(index) {
                 Some(held) if Arc::ptr_eq(held, &node.resolved) => {}
@@ -197,7 +197,7 @@ impl StateGraph {
         })
     }
 
-    /// Returns the node of another view under a parent. View 0 starts a stage, which has no fades and local lights yet.
+    /// Returns the node of another view under a parent. View 0 starts a stage, which has no drawn parts and local lights yet.
     pub fn find_or_insert_view(&mut self, parent: u32, view: u32) -> u32 {
         let key = VIEW_KEY + 2 * view as usize;
         self.find(parent, key).unwrap_or_else(|entry| {
@@ -208,12 +208,12 @@ impl StateGraph {
         })
     }
 
-    /// Returns the node of a fade under a parent; `fade` is one more than its index in the stage.
-    pub fn find_or_insert_fade(&mut self, parent: u32, fade: u32) -> u32 {
-        let key = FADE_KEY + 4 * fade as usize;
+    /// Returns the node of a drawn part under a parent; `part` is one more than its index in the stage.
+    pub fn find_or_insert_part(&mut self, parent: u32, part: u32) -> u32 {
+        let key = PART_KEY + 4 * part as usize;
         self.find(parent, key).unwrap_or_else(|entry| {
             let Node { resolved, context, .. } = &self.nodes[parent as usize];
-            let (resolved, context) = (resolved.clone(), LeafContext { fade, ..*context });
+            let (resolved, context) = (resolved.clone(), LeafContext { part, ..*context });
             self.insert(entry, parent, key, resolved, context, None)
         })
     }
@@ -399,8 +399,8 @@ mod tests {
         let b = graph.find_or_insert(a, &write);
         let blended_below = graph.find_or_insert_blend(b);
         let other_view = graph.find_or_insert_view(b, 2);
-        let fading = graph.find_or_insert_fade(other_view, 3);
-        assert_ne!(graph.find_or_insert_fade(other_view, 4), fading);
+        let fading = graph.find_or_insert_part(other_view, 3);
+        assert_ne!(graph.find_or_insert_part(other_view, 4), fading);
         let (inside, of_stage) = (graph.find_or_insert_view(fading, 1), graph.find_or_insert_view(fading, 0));
         graph.start_stage();
         let states = [blended, blended_below, b, other_view, fading, inside, of_stage];
@@ -411,7 +411,7 @@ mod tests {
         assert!(below.writes_depth());
         assert_eq!(b.color, [0.25, 0.0, 0.0, 0.5]);
         assert!(b.mode(Mode::DepthTest) && Arc::ptr_eq(&b, &other));
-        assert_eq!((stage.view_of_state, stage.fade_of_state), (vec![0, 0, 0, 2, 2, 1, 0], vec![0, 0, 0, 0, 3, 3, 0]));
+        assert_eq!((stage.view_of_state, stage.part_of_state), (vec![0, 0, 0, 2, 2, 1, 0], vec![0, 0, 0, 0, 3, 3, 0]));
         assert!(Arc::ptr_eq(&other, &stage.state_sets[4]));
         assert_ne!(StateValue::ON, StateValue::OFF);
     }

@@ -13,6 +13,8 @@ pub struct CullCounters {
     pub tiles_visited: u32,
     /// Tiles whose content is drawn.
     pub tiles_drawn: u32,
+    /// Contents that are drawn once more, cut to the volume of a tile whose load failed.
+    pub stand_ins: u32,
     /// Tiles that the view lacks and that can be loaded; 0 once the view has all the detail that it wants.
     pub wanted_missing: u32,
     /// Nodes, drawables and tiles that were hidden by occluders.
@@ -36,6 +38,7 @@ impl CullCounters {
         self.leaves += other.leaves;
         self.tiles_visited += other.tiles_visited;
         self.tiles_drawn += other.tiles_drawn;
+        self.stand_ins += other.stand_ins;
         self.wanted_missing += other.wanted_missing;
         self.occluded += other.occluded;
         self.shadow_leaves += other.shadow_leaves;

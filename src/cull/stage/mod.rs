@@ -2,6 +2,7 @@
 //! the scene.
 
 mod counters;
+mod drawn_part;
 mod leaf;
 mod positioned;
 mod render_stage;
@@ -9,6 +10,7 @@ mod request;
 mod target;
 
 pub use counters::CullCounters;
+pub use drawn_part::{CutVolume, DrawnPart};
 pub use leaf::{RenderBin, RenderLeaf};
 pub(super) use positioned::move_texgen;
 pub use positioned::{ClipPlane, PositionedLight, PositionedTexGen};

@@ -6,11 +6,12 @@ use std::sync::Arc;
 use glam::{DAffine3, DMat3, DMat4};
 
 use super::counters::CullCounters;
+use super::drawn_part::DrawnPart;
 use super::leaf::RenderBin;
 use super::positioned::{ClipPlane, PositionedLight, PositionedTexGen, move_light, move_plane, move_texgen};
 use super::request::PageRequest;
 use super::target::StageTarget;
-use crate::cull::{CullCamera, FadeBand, StereoMode};
+use crate::cull::{CullCamera, StereoMode};
 use crate::scene::{CameraEnvironment, ClampProjection, LocalLights, OcclusionResults, SunShadows};
 use crate::state::ResolvedState;
 
@@ -99,12 +100,12 @@ pub struct RenderStage {
     pub state_sets: Vec<Arc<ResolvedState>>,
     /// By state: the view. 0 is the stage's own, others are one more than their index in `views`.
     pub view_of_state: Vec<u32>,
-    /// By state: the fade. 0 draws in every pixel, others are one more than their index in `fades`.
-    pub fade_of_state: Vec<u32>,
+    /// By state: the part of its leaves that is drawn. 0 draws all, others are one more than their index in `parts`.
+    pub part_of_state: Vec<u32>,
     /// By state: the group of local lights. 0 has none, others are one more than their index in `light_groups`.
     pub lights_of_state: Vec<u32>,
-    /// Dither bands of levels of detail that fade.
-    pub fades: Vec<FadeBand>,
+    /// Dither bands of levels of detail that fade, and volumes that stand-ins for failed tiles are cut to.
+    pub parts: Vec<DrawnPart>,
     /// Other projections, in the order in which they were met.
     pub views: Vec<StageView>,
     /// Bins in draw order: negative numbers, then the stage's own leaves, then numbers from 0 on. Nested bins follow the
@@ -164,9 +165,9 @@ impl RenderStage {
         // `state_sets` is overwritten and truncated to the length of `view_of_state`, so that states that stay the same from
         // frame to frame keep their reference counts untouched.
         self.view_of_state.clear();
-        self.fade_of_state.clear();
+        self.part_of_state.clear();
         self.lights_of_state.clear();
-        self.fades.clear();
+        self.parts.clear();
         self.requests.clear();
         self.lights.clear();
         self.local_lights.clear();
@@ -216,6 +217,11 @@ impl RenderStage {
         self.lights.rotate_left(own[0]);
         self.clip_planes.rotate_left(own[1]);
         self.texgens.rotate_left(own[2]);
+    }
+
+    /// Returns a part by its number in [`Self::part_of_state`]; `None` if the leaves are drawn whole.
+    pub(crate) fn part(&self, number: u32) -> Option<DrawnPart> {
+        self.parts.get((number as usize).checked_sub(1)?).copied()
     }
 
     /// Adds a group of local lights: some own ones, then those of the group `above`, which is numbered as in

@@ -3,6 +3,7 @@
 mod fast_walk;
 mod horizon;
 mod open_tile;
+mod stand_in;
 mod tile_view;
 mod walk;
 mod walk_context;

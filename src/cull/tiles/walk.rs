@@ -13,7 +13,7 @@ use super::walk_context::{
 use crate::cull::fading::{Fade, TileMark, WHOLE};
 use crate::cull::stage::PageRequest;
 use crate::cull::visitor::{AttachmentFrame, PageVisit, Purpose, QueuedPage, Traversal, eye_in};
-use crate::scene::{NONE, NodeId, Page, TileBounds, TileRecord, UNBOUNDED, flag};
+use crate::scene::{NONE, NodeId, Page, TileBounds, TileRecord, TileRoot, UNBOUNDED, flag};
 
 impl Traversal<'_> {
     /// Walks one tile tree of a page.
@@ -27,7 +27,7 @@ impl Traversal<'_> {
     ) {
         let Some(tile_root) = page.tiles().roots().get(root) else { return };
         let (tiles, first) = (page.tiles(), tile_root.tile);
-        let tile_view = self.tile_view(page, visit, tile_root.transform);
+        let tile_view = self.tile_view(page, visit, tile_root);
         let view = self.views.current();
         let (fade_s, cull_mask) = (view.camera.settings.lod_fade_s, view.camera.settings.cull_mask);
         let (frame, ahead) = (self.camera.frame, self.camera.ahead_frames);
@@ -192,6 +192,9 @@ impl Traversal<'_> {
             } else if resident && purpose == Purpose::Draw {
                 self.draw(walk, tile, record, mask, above.fade);
             }
+            if !resident && purpose == Purpose::Draw && record.has(flag::UNAVAILABLE) {
+                self.stand_in(walk, tile);
+            }
             return purpose != Purpose::Keep
                 && self.open_tile(walk, tile, (purpose, mask), false, above.shown_px2, above.fade);
         }
@@ -208,7 +211,12 @@ impl Traversal<'_> {
                 let shown_px2 = walk.below_px2(range2, distance2, above.shown_px2);
                 distance2 < range2 && self.open_tile(walk, tile, (purpose, mask), false, shown_px2, above.fade)
             }
-            Purpose::Draw => self.fade_tile(walk, tile, mask, &above, marks),
+            Purpose::Draw => {
+                if !resident && record.has(flag::UNAVAILABLE) {
+                    self.stand_in(walk, tile);
+                }
+                self.fade_tile(walk, tile, mask, &above, marks)
+            }
         }
     }
 
@@ -227,6 +235,9 @@ impl Traversal<'_> {
         if purpose == Purpose::Keep || !record.has_children() {
             if !resident {
                 self.request_missing(walk, tile, purpose, above.shown_px2, above.fade);
+                if purpose == Purpose::Draw && record.has(flag::UNAVAILABLE) {
+                    self.stand_in(walk, tile);
+                }
             }
             let draws =
                 purpose == Purpose::Draw && (resident || !is_settled(marks, tile as usize, walk.step, false, false));
@@ -237,8 +248,13 @@ impl Traversal<'_> {
         let is_refined = purpose == Purpose::Draw && record.not_ready_children == 0 && (wants || !resident);
         let mut above_px2 = above.shown_px2;
         let is_skipped = wants && !resident && walk.skips(record, (range2, distance2), above_px2);
-        if !(resident || (is_refined && wants) || is_skipped) {
+        // Without a failure below, nothing needs the content of a tile that is refined.
+        let is_replaced = is_refined && wants && !record.has(flag::FAILED_BELOW);
+        if !(resident || is_replaced || is_skipped) {
             above_px2 = self.request_missing(walk, tile, purpose, above.shown_px2, above.fade);
+        }
+        if purpose == Purpose::Draw && !resident && !is_refined && record.has(flag::UNAVAILABLE) {
+            self.stand_in(walk, tile);
         }
         if purpose == Purpose::Draw && (resident || !is_settled(marks, tile as usize, walk.step, is_refined, false)) {
             let above = OpenTile { shown_px2: above_px2, ..above.read() };
@@ -312,15 +328,19 @@ impl Traversal<'_> {
     }
 
     /// Returns the view of a transform's frame. Kept for the next tree: pages with many tile trees have them in one frame.
-    fn tile_view(&mut self, page: &Page, visit: &PageVisit, transform: u32) -> TileView {
+    fn tile_view(&mut self, page: &Page, visit: &PageVisit, root: &TileRoot) -> TileView {
+        let transform = root.transform;
         match self.tile_view {
             Some(view) if view.transform == transform => view,
             _ => {
                 let eye_from_tiles = visit.eye_from_page * page.transforms().page_from_node(transform);
+                let state = self.states.path_state(page, root.state_path);
                 let view = self.views.current();
                 let attachment = self.queue.add_frame(AttachmentFrame {
                     eye_from_frame: eye_from_tiles,
                     holder: visit.slot,
+                    above: visit.attachment,
+                    state,
                     view: view.index,
                     purpose: Purpose::Draw,
                     required: false,

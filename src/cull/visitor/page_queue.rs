@@ -40,6 +40,10 @@ pub(in crate::cull) struct AttachmentFrame {
     pub eye_from_frame: DAffine3,
     /// Slot of the page that holds the tiles; `NONE` for roots, which lie in the world's frame.
     pub holder: u32,
+    /// Index of the frame that the holder hangs in; its own for roots.
+    pub above: u32,
+    /// State graph node above the contents of tiles.
+    pub state: u32,
     /// Index of the view in the view stack.
     pub view: u32,
     pub purpose: Purpose,
@@ -54,6 +58,8 @@ pub(in crate::cull) struct AttachmentFrame {
 pub(in crate::cull) struct PageVisit {
     /// Slot of the page in the scene's page table.
     pub slot: u32,
+    /// Index of the [`AttachmentFrame`] that the page hangs in.
+    pub attachment: u32,
     pub eye_from_page: DAffine3,
     /// Frustum planes that the page may cross.
     pub mask: u8,

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use crate::cull::fading::FadeBand;
 use crate::cull::sorting::{ROOT, StateGraph};
-use crate::cull::stage::RenderStage;
+use crate::cull::stage::{DrawnPart, RenderStage};
 use crate::scene::{BLEND, LocalLights, NONE, Page, VIEW};
 use crate::state::StateSet;
 
@@ -139,17 +139,18 @@ impl PageStates {
     /// Returns the node of a dither band under a node.
     #[inline(always)]
     pub fn faded(&mut self, state: u32, band: FadeBand, stage: &mut RenderStage) -> u32 {
-        if band.is_full() { state } else { self.find_faded(state, band, stage) }
+        if band.is_full() { state } else { self.part(state, DrawnPart::Band(band), stage) }
     }
 
+    /// Returns the node of a drawn part under a node.
     #[cold]
-    fn find_faded(&mut self, state: u32, band: FadeBand, stage: &mut RenderStage) -> u32 {
-        let fades = &mut stage.fades;
-        let index = fades.iter().position(|b| *b == band).unwrap_or_else(|| {
-            fades.push(band);
-            fades.len() - 1
+    pub fn part(&mut self, state: u32, part: DrawnPart, stage: &mut RenderStage) -> u32 {
+        let parts = &mut stage.parts;
+        let index = parts.iter().position(|p| *p == part).unwrap_or_else(|| {
+            parts.push(part);
+            parts.len() - 1
         });
-        self.graph.find_or_insert_fade(state, index as u32 + 1)
+        self.graph.find_or_insert_part(state, index as u32 + 1)
     }
 
     /// Returns the node of a path of the page, whether or not it has leaves.

@@ -178,6 +178,8 @@ impl<'a> Traversal<'a> {
         let attachment = self.queue.add_frame(AttachmentFrame {
             eye_from_frame: view.camera.eye_from_world,
             holder: NONE,
+            above: 0,
+            state,
             view: view.index,
             purpose: Purpose::Draw,
             required: false,
@@ -198,7 +200,7 @@ impl<'a> Traversal<'a> {
 
     fn visit_queued(&mut self, pages: &QueuedPage) {
         let &QueuedPage { first, end, attachment, state, fade, mask } = pages;
-        let &AttachmentFrame { eye_from_frame, holder, view, purpose, required, shown_px } =
+        let &AttachmentFrame { eye_from_frame, holder, view, purpose, required, shown_px, .. } =
             self.queue.frame(attachment);
         if view != self.views.current().index {
             self.enter_view(view);
@@ -218,7 +220,18 @@ impl<'a> Traversal<'a> {
                 self.take_single_drawable(drawable, &eye_from_page, state, mask);
                 continue;
             }
-            self.visit_page(PageVisit { slot, eye_from_page, mask, purpose, required, state, view, shown_px, fade });
+            self.visit_page(PageVisit {
+                slot,
+                attachment,
+                eye_from_page,
+                mask,
+                purpose,
+                required,
+                state,
+                view,
+                shown_px,
+                fade,
+            });
         }
     }
 

@@ -1,8 +1,8 @@
 //! The states of a stage as the batch needs them. Draw thread; plain values.
 
-use crate::cull::FadeBand;
+use crate::cull::{DrawnPart, FadeBand};
 use crate::draw::pipelines::key::StateKey;
-use crate::draw::uniforms::frame::{BAND_SHIFT, FLAG_UNLIT, FLAG_UNTEXTURED};
+use crate::draw::uniforms::frame::{BAND_OF_VOLUME, BAND_SHIFT, FLAG_UNLIT, FLAG_UNTEXTURED};
 use crate::gpu::{DrawableEntry, Shape};
 use crate::scene::Topology;
 use crate::state::ResolvedState;
@@ -27,13 +27,22 @@ pub(in crate::draw) struct StateEntry {
 }
 
 impl StateEntry {
-    pub(in crate::draw) fn new(key: StateKey, bound: u32, state: &ResolvedState, band: FadeBand) -> Self {
-        let is_whole = band.is_full() || !key.can_fade;
+    pub(in crate::draw) fn new(key: StateKey, bound: u32, state: &ResolvedState, part: DrawnPart) -> Self {
+        // Leaves that cannot be cut are drawn whole: a stand-in with too much is better than a hole.
+        let (band, is_cut) = match part {
+            DrawnPart::Band(band) => (band, false),
+            DrawnPart::Within(_) => (FadeBand::FULL, true),
+        };
+        let is_whole = (band.is_full() && !is_cut) || !key.can_fade;
         let hides_customs = !(band.from..band.to).contains(&(u8::MAX / 2));
         let is_hidden = !key.can_fade && hides_customs;
         let key = if is_whole { key } else { key.fading() };
         let shows_all = !is_hidden && !hides_customs && !key.casts;
-        let band = if is_whole { 0 } else { (u32::from(band.from) | u32::from(band.to) << 8) << BAND_SHIFT };
+        let band = match part {
+            _ if is_whole => 0,
+            DrawnPart::Band(band) => (u32::from(band.from) | u32::from(band.to) << 8) << BAND_SHIFT,
+            DrawnPart::Within(_) => BAND_OF_VOLUME << BAND_SHIFT,
+        };
         let common = band | if state.has_own_textures() { 0 } else { FLAG_UNTEXTURED };
         let flags = [false, true].map(|unlit| if state.is_lit(unlit) { common } else { common | FLAG_UNLIT });
         Self { key, bound, class: 0, color: state.color, flags, is_hidden, shows_all, grid: None }

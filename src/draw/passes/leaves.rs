@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use super::shading::{name_of, shade};
 use super::stage_input::LitStage;
-use crate::cull::{FadeBand, RenderStage};
+use crate::cull::{DrawnPart, FadeBand, RenderStage};
 use crate::draw::batch::state_entry::StateEntry;
 use crate::draw::bound_state::{BoundState, DynamicState};
 use crate::draw::callbacks::bins::{Bins, draw_bins};
@@ -39,11 +39,11 @@ impl Leaves {
     pub(in crate::draw) fn prepare(resources: &mut Resources, lit: &LitStage<'_>, replaces_sun: bool) -> Self {
         let stage = lit.input.stage;
         let mut states = resources.batch.take_states();
-        let fades = stage.fade_of_state.iter().chain(std::iter::repeat(&0));
+        let parts = stage.part_of_state.iter().chain(std::iter::repeat(&0));
         let views = stage.view_of_state.iter().enumerate();
-        for ((state, (index, view)), fade) in stage.state_sets.iter().zip(views).zip(fades) {
-            let band = stage.fades.get((*fade as usize).wrapping_sub(1)).copied().unwrap_or(FadeBand::FULL);
-            let context = LeafContext { view: *view, positioned: lit.positioned(index, *view), band };
+        for ((state, (index, view)), part) in stage.state_sets.iter().zip(views).zip(parts) {
+            let part = stage.part(*part).unwrap_or(DrawnPart::Band(FadeBand::FULL));
+            let context = LeafContext { view: *view, positioned: lit.positioned(index, *view), part };
             states.push(prepare_state(resources, lit, state, context, replaces_sun));
         }
         resources.batch.put_states(states);
@@ -80,21 +80,21 @@ impl Leaves {
     }
 }
 
-/// The view, lights and fade of the leaves of a state.
+/// The view, lights and drawn part of the leaves of a state.
 #[derive(Clone, Copy)]
 struct LeafContext {
     view: u32,
     /// Byte offset of the stage uniform.
     positioned: u32,
-    band: FadeBand,
+    part: DrawnPart,
 }
 
-/// Prepares a state of the stage for its leaves: its pipeline key, bound state and fade.
+/// Prepares a state of the stage for its leaves: its pipeline key, bound state and drawn part.
 fn prepare_state(
     resources: &mut Resources,
     lit: &LitStage<'_>,
     state: &Arc<ResolvedState>,
-    LeafContext { view, positioned, band }: LeafContext,
+    LeafContext { view, positioned, part }: LeafContext,
     replaces_sun: bool,
 ) -> StateEntry {
     let (stage, target) = (lit.input.stage, lit.input.target);
@@ -113,7 +113,7 @@ fn prepare_state(
     let index = resources.bound_states.find_recent_or_push(bound, lit.base_index);
     let key = resources.pipelines.state_key(state, shading, target.index);
     let key = if frame.has_shadows { key.shadowed() } else { key }.in_air(frame.air_kind);
-    let entry = StateEntry::new(key, index, state, band);
+    let entry = StateEntry::new(key, index, state, part);
     // With several samples a pixel, a mesh between the pixel centres may still cover a sample.
     let skips_unsampled = target.samples == 1 && stage.camera.settings.culling.contains(CullingMode::SAMPLES);
     if skips_unsampled && state.polygon_mode() == PolygonMode::Fill {

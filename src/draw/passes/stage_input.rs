@@ -60,7 +60,7 @@ pub(in crate::draw) struct LitStage<'a> {
     pub(in crate::draw) around: &'a Surroundings,
     /// The stage's own view first, then those inside it.
     pub(in crate::draw) views: &'a [ViewFrame],
-    /// By state, the byte offset of the stage uniform with its local lights; empty without such lights.
+    /// By state, the byte offset of the stage uniform with its local lights and its volume; empty without any.
     pub(in crate::draw) positioned_of_state: &'a [u32],
     /// The bound state without any state set, and its index.
     pub(in crate::draw) base: BoundState,

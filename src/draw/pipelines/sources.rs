@@ -254,7 +254,7 @@ mod tests {
             assert_eq!(fields[3..], offsets!(LeafUniform: color, layer, flags, alpha_cutoff, side));
             let (span, fields) = members(&module, "Stage");
             assert_eq!(span as usize, size_of::<StageUniform>(), "{name}");
-            assert_eq!(fields, offsets!(StageUniform: lights, clip_planes, light_count));
+            assert_eq!(fields, offsets!(StageUniform: lights, clip_planes, light_count, volume));
             let (span, fields) = members(&module, "StageLight");
             assert_eq!(span as usize, size_of::<StageLight>(), "{name}");
             assert_eq!(fields, offsets!(StageLight: position, direction, ambient, diffuse, specular, attenuation));
@@ -283,13 +283,16 @@ mod tests {
 
     #[test]
     fn constants_are_mirrored() {
-        use crate::draw::uniforms::frame::{BAND_SHIFT, FLAG_UNLIT, FLAG_UNTEXTURED, INDEX_COUNT_SHIFT};
+        use crate::draw::uniforms::frame::{
+            BAND_OF_VOLUME, BAND_SHIFT, FLAG_UNLIT, FLAG_UNTEXTURED, INDEX_COUNT_SHIFT,
+        };
         let header = crate::gpu::TABLE_HEADER_VECTORS;
         assert!(HEIGHT_WGSL.contains(&format!("const HEADER: u32 = {header}u;")));
         assert!(HEIGHT_WGSL.contains(&format!("n <= {}u", crate::gpu::MORPH_LEVELS)));
         for (name, value) in [
             ("STAGE_LIGHTS", crate::state::LIGHTS as u32),
             ("BAND_SHIFT", BAND_SHIFT),
+            ("BAND_OF_VOLUME", BAND_OF_VOLUME),
             ("FLAG_UNLIT", FLAG_UNLIT),
             ("FLAG_UNTEXTURED", FLAG_UNTEXTURED),
             ("INDEX_COUNT_SHIFT", INDEX_COUNT_SHIFT),

@@ -2,7 +2,7 @@
 
 use glam::DAffine3;
 
-use crate::cull::{CullCamera, RenderStage};
+use crate::cull::{CullCamera, DrawnPart, RenderStage};
 use crate::draw::passes::Passes;
 use crate::draw::passes::shadows::casters::{LayerAllocator, ShadowedView};
 use crate::draw::passes::stage_input::{LitView, StageInput, Surroundings, ViewFrame};
@@ -28,35 +28,50 @@ impl StageViews {
         &self.frames
     }
 
-    /// Returns, by state of the stage, the byte offset of the stage uniform with the local lights of its leaves; nothing
-    /// if the stage has no such lights.
+    /// Returns, by state of the stage, the byte offset of the stage uniform with the local lights and the volume of its
+    /// leaves; nothing if the stage has neither.
     pub(super) fn positioned_of_state(&self) -> &[u32] {
         &self.positioned_of_state
     }
 
-    /// Prepares the uniforms of local lights.
-    fn prepare_local_lights(&mut self, resources: &mut Resources, stage: &RenderStage) {
+    /// Prepares the uniforms of states with local lights, and of those whose leaves are cut to a volume.
+    fn prepare_states(&mut self, resources: &mut Resources, stage: &RenderStage) {
         let Self { lit, frames, positioned_of_state } = self;
         positioned_of_state.clear();
-        if stage.light_groups.is_empty() {
+        let has_volumes = stage.parts.iter().any(|part| matches!(part, DrawnPart::Within(_)));
+        if stage.light_groups.is_empty() && !has_volumes {
             return;
         }
         // States of one group are mostly neighbours, which share a uniform.
         let mut last = None;
-        for (view, group) in stage.view_of_state.iter().zip(&stage.lights_of_state) {
+        let groups = stage.lights_of_state.iter().zip(&stage.part_of_state);
+        for (view, (group, part)) in stage.view_of_state.iter().zip(groups) {
             let range = (*group as usize).checked_sub(1).and_then(|index| stage.light_groups.get(index));
             let lights = range.and_then(|range| stage.local_lights.get(range.clone()));
-            let positioned = match (lights, last) {
-                (None, _) => frames.get(*view as usize).unwrap_or(&frames[0]).positioned,
-                (_, Some((of, positioned))) if of == (*view, *group) => positioned,
-                (Some(lights), _) => {
+            let volume = match stage.part(*part) {
+                Some(DrawnPart::Within(volume)) => Some((*part, volume)),
+                _ => None,
+            };
+            let of = (*view, *group, volume.map(|(part, _)| part));
+            let positioned = match last {
+                _ if lights.is_none() && volume.is_none() => {
+                    frames.get(*view as usize).unwrap_or(&frames[0]).positioned
+                }
+                Some((last, positioned)) if last == of => positioned,
+                _ => {
                     let camera = &lit.get(*view as usize).unwrap_or(&lit[0]).camera;
                     let light_from = |from: u32| eye_from_view(camera, lit, from);
-                    let uniform = StageUniform::new(stage, *view, light_from).with_local_lights(lights, light_from);
+                    let mut uniform = StageUniform::new(stage, *view, light_from);
+                    if let Some(lights) = lights {
+                        uniform = uniform.with_local_lights(lights, light_from);
+                    }
+                    if let Some((_, volume)) = &volume {
+                        uniform = uniform.with_volume(volume);
+                    }
                     resources.state_groups.push(&uniform)
                 }
             };
-            last = Some(((*view, *group), positioned));
+            last = Some((of, positioned));
             positioned_of_state.push(positioned);
         }
     }
@@ -135,7 +150,7 @@ impl StageViews {
                 has_shadows: first_layer.is_some(),
             });
         }
-        self.prepare_local_lights(resources, stage);
+        self.prepare_states(resources, stage);
         background
     }
 }

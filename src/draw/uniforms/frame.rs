@@ -83,6 +83,8 @@ pub(in crate::draw) const INDEX_COUNT_SHIFT: u32 = 8;
 
 /// The lowest bit of a fade's band in the flags: 8 bits of its first value, then 8 bits of the end behind its last value.
 pub(in crate::draw) const BAND_SHIFT: u32 = 16;
+/// Stands for a fade's band in leaves that are cut to the volume of the stage uniform. No band starts at 255.
+pub(in crate::draw) const BAND_OF_VOLUME: u32 = 255;
 
 /// Set if the leaf is not lit.
 pub(in crate::draw) const FLAG_UNLIT: u32 = 1;

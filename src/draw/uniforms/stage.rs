@@ -3,7 +3,7 @@
 
 use glam::{DAffine3, DVec3};
 
-use crate::cull::{PositionedLight, RenderStage, move_light, move_plane};
+use crate::cull::{CutVolume, PositionedLight, RenderStage, move_light, move_plane};
 use crate::scene::LocalLights;
 use crate::state::{CLIP_PLANES, LIGHTS, Light};
 
@@ -51,8 +51,10 @@ pub(in crate::draw) struct StageUniform {
     pub(in crate::draw) lights: [StageLight; LIGHTS + LocalLights::MAX],
     /// In eye space: a point is clipped if its product with a plane is negative.
     pub(in crate::draw) clip_planes: [[f32; 4]; CLIP_PLANES],
-    /// x is the end of the local lights in `lights`.
+    /// x is the end of the local lights in `lights`; y is 1 if the volume is a sphere.
     pub(in crate::draw) light_count: [u32; 4],
+    /// The volume that leaves are cut to, as [`CutVolume::rows`].
+    pub(in crate::draw) volume: [[f32; 4]; 3],
 }
 
 impl StageUniform {
@@ -64,6 +66,7 @@ impl StageUniform {
             // These planes clip nothing.
             clip_planes: [[0.0, 0.0, 0.0, 1.0]; CLIP_PLANES],
             light_count: [LIGHTS as u32, 0, 0, 0],
+            volume: [[0.0; 4]; 3],
         };
         for positioned in &stage.lights {
             let light = &move_light(&light_from(positioned.view), &positioned.light);
@@ -92,6 +95,12 @@ impl StageUniform {
             *slot = light;
             self.light_count[0] += 1;
         }
+        self
+    }
+
+    /// Returns the uniform for leaves that are cut to a volume.
+    pub(in crate::draw) fn with_volume(mut self, volume: &CutVolume) -> Self {
+        (self.volume, self.light_count[1]) = (volume.rows, u32::from(volume.is_sphere));
         self
     }
 }

@@ -40,7 +40,7 @@ impl DatabasePager {
         let number = scene.number();
         let failed = self.table.iter().filter(|(slot, entry)| slot.page.scene == number && entry.has_failed());
         for (slot, _) in failed {
-            scene.set_failed(slot, false);
+            scene.forget_failure(slot);
             self.forced.extend([slot]);
         }
         let is_immediate = |slot| scene.proxy_loading(slot) == Some(ProxyLoading::Immediately);

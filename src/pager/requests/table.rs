@@ -210,7 +210,7 @@ impl RequestTable {
             let is_met = scenes.slot(*slot).is_some_and(|slot| slot.last_used_frame >= oldest);
             let is_kept = !entry.has_failed() || is_met;
             if !is_kept {
-                scenes.set_failed(*slot, false);
+                scenes.forget_failure(*slot);
             }
             is_kept
         });

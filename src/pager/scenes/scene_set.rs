@@ -63,6 +63,13 @@ impl dyn SceneSet + '_ {
         self.numbered(id.page.scene)?.slot(id)
     }
 
+    /// Forgets the failures of a slot; see [`Scene::forget_failure`].
+    pub(in crate::pager) fn forget_failure(&mut self, slot: NodeId) {
+        if let Some(scene) = self.numbered_mut(slot.page.scene) {
+            scene.forget_failure(slot);
+        }
+    }
+
     /// Sets or clears the failure mark of a slot; see [`Scene::set_failed`].
     pub(in crate::pager) fn set_failed(&mut self, slot: NodeId, failed: bool) {
         if let Some(scene) = self.numbered_mut(slot.page.scene) {

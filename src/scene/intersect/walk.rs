@@ -408,6 +408,7 @@ impl<P: Probe> Walk<'_, P> {
         let Some(local) = self.probe.local(self.view.shape, &world_from_tile) else { return };
         let eye = self.view.rules.eye.map(|eye| tiles.grid().eye(in_frame(&world_from_tile, eye.position())));
         let base_depth = self.scene.base_depth(self.scene.page_id_at(here.place));
+        let first_page = self.pages.len();
         let mut tile = first;
         while tile != NONE {
             let index = tile as usize;
@@ -438,13 +439,19 @@ impl<P: Probe> Walk<'_, P> {
                 // A coarser or finer tile is better than none, but if an eye decides, nothing is drawn here.
                 (resident, !resident && (ready || self.view.rules.lods != LodSelection::AsSeen))
             };
-            if draws {
-                self.pages.push(Visit {
-                    place: tiles.resident(index),
-                    world_from_page: world_from_tile * tiles.content_transform(index),
-                    view: self.view,
-                    stands_in: stands_in(tiles, tile, here.stands_in),
-                });
+            // As in cull, an ancestor is drawn in place of a tile that is unavailable. It is visited as a whole.
+            let is_unavailable = record.has(flag::UNAVAILABLE) && !draws && !(descends && ready);
+            let drawn = if is_unavailable { replaced_above(tiles, tile) } else { draws.then_some(tile) };
+            if let Some(drawn) = drawn {
+                let place = tiles.resident(drawn as usize);
+                if !is_unavailable || self.pages[first_page..].iter().all(|visit| visit.place != place) {
+                    self.pages.push(Visit {
+                        place,
+                        world_from_page: world_from_tile * tiles.content_transform(drawn as usize),
+                        view: self.view,
+                        stands_in: stands_in(tiles, drawn, here.stands_in),
+                    });
+                }
             }
             tile = if descends && record.has_children() { record.first_child } else { tiles.behind(tile) };
         }
@@ -462,6 +469,12 @@ impl<P: Probe> Walk<'_, P> {
             _ => true,
         }
     }
+}
+
+/// Returns the nearest ancestor with resident content that its children replace.
+fn replaced_above(tiles: &Tiles, tile: u32) -> Option<u32> {
+    let above = tiles.resident_from(tiles.parents()[tile as usize])?;
+    (!tiles.records()[above as usize].has(flag::ADD)).then_some(above)
 }
 
 /// Returns true if a tile replaces content above it. `page_stands_in` tells whether the page does.

@@ -275,11 +275,6 @@ impl Page {
         &mut self.tiles
     }
 
-    /// Returns true if every top tile can be drawn without a hole.
-    pub(crate) fn is_ready(&self) -> bool {
-        self.tiles.not_ready_roots() == 0
-    }
-
     /// Returns the number of pages in this page's slots.
     pub(crate) fn attached_pages(&self) -> u32 {
         self.attached_pages

@@ -17,7 +17,7 @@ impl Scene {
             Err(error) => return Err(Box::new((error, page))),
         };
         let holder_at = slot.page.slot;
-        let was_ready = self.tile_ready(holder_at, tile);
+        let was = self.readiness(holder_at, tile);
         let is_tile_tree = page.is_tile_tree();
         let depth = self.page_at(holder_at).map_or(0, |p| u32::from(p.tiles().records()[tile].depth));
         let base_depth = self.base_depth(slot.page) + depth + 1;
@@ -28,7 +28,7 @@ impl Scene {
         }
         self.count_touched(1);
         self.spread_busy(holder_at, tile, true);
-        self.spread_readiness(holder_at, tile, was_ready);
+        self.spread_readiness(holder_at, tile, was);
         self.note_external_volumes(holder_at, tile);
         Ok(id)
     }
@@ -42,14 +42,14 @@ impl Scene {
         }
         let holder_at = slot.page.slot;
         if let Some(tile) = self.page_at(holder_at).and_then(|p| p.tile_of(slot.index)) {
-            let was_ready = self.tile_ready(holder_at, tile);
+            let was = self.readiness(holder_at, tile);
             if let Some(holder) = self.page_at_mut(holder_at) {
                 holder.tiles_mut().clear_resident(tile);
                 holder.count_detached();
             }
             self.count_touched(1);
             self.spread_busy(holder_at, tile, false);
-            self.spread_readiness(holder_at, tile, was_ready);
+            self.spread_readiness(holder_at, tile, was);
         }
         self.take(id).ok_or(SceneError::StalePage { page: id })
     }

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use glam::DVec3;
 
 use super::external_volume::ExternalVolume;
+use super::readiness::ChildCounts;
 use crate::math::BoundingVolume;
 use crate::scene::nodes::PagingOptions;
 use crate::scene::sparse_list::SparseList;
@@ -18,6 +19,8 @@ pub(super) struct RareTiles {
     pub request_volumes: SparseList<BoundingVolume>,
     /// Copies of the volumes of tilesets that are or were attached to a tile.
     pub external_volumes: BTreeMap<u32, Vec<ExternalVolume>>,
+    /// The counts of children, by parent (`NONE` for top tiles), where some child is unavailable.
+    pub unavailable_children: BTreeMap<u32, ChildCounts>,
     /// The state paths of tiles with [`flag::OWN_PATH`](super::flag::OWN_PATH).
     pub own_paths: SparseList<u32>,
     /// Paging options other than the default.

@@ -16,7 +16,7 @@ pub(crate) mod flag {
     pub const NEVER: u16 = 32;
     /// A page is in the slot.
     pub const RESIDENT: u16 = 64;
-    /// The last load failed.
+    /// The last load failed, and is not repeated yet.
     pub const FAILED: u16 = 128;
     /// The resident page is a tile tree itself.
     pub const EXTERNAL: u16 = 256;
@@ -31,6 +31,9 @@ pub(crate) mod flag {
     /// Some of the children that replace the content, or of the tilesets that were attached to them, are only for eyes
     /// inside volumes.
     pub const VOLUMES_BELOW: u16 = 8192;
+    /// A load failed and none has succeeded since, whether or not it is repeated: within the tile's volume, the content of
+    /// an ancestor is drawn instead, so that the tile holds back none of its siblings.
+    pub const UNAVAILABLE: u16 = 16384;
 }
 
 /// A tile as the tile walk reads it, 16 bytes.
@@ -39,7 +42,8 @@ pub(crate) struct TileRecord {
     /// The first child; the others follow it.
     pub first_child: u32,
     pub child_count: u32,
-    /// The number of children that are not ready; 0 means that the children can replace the tile.
+    /// The number of children that the tile waits for; 0 means that the children can replace the tile. Unavailable ones
+    /// count only if no child is ready, since replacing the tile would show nothing new then.
     pub not_ready_children: u32,
     pub flags: u16,
     /// The depth below the page's top tiles.

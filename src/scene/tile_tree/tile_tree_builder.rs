@@ -5,6 +5,7 @@ use std::sync::atomic::AtomicU32;
 
 use glam::{DAffine3, DVec3};
 
+use super::readiness::Readiness;
 use super::tile_bounds::DeclaredBounds;
 use super::tile_record::{TileRecord, flag};
 use super::tiles::{TileRoot, Tiles};
@@ -150,8 +151,6 @@ fn count_readiness(tiles: &mut Tiles) {
         if record.has(flag::REQUEST_VOLUME) {
             tiles.note_volume_below(parent);
         }
-        if !tiles.is_ready_without_page(tile) {
-            tiles.count_ready(parent, false);
-        }
+        tiles.count_child(parent, Readiness::Ready, tiles.readiness_without_page(tile));
     }
 }

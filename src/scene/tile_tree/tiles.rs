@@ -10,6 +10,7 @@ use glam::{DAffine3, DVec3, Vec3, Vec4};
 
 use super::external_volume::ExternalVolume;
 use super::rare_tiles::RareTiles;
+use super::readiness::{ChildCounts, Readiness};
 use super::tile_bounds::{BoxAxes, TileBounds, TileEye, TileGrid, TileVolumes};
 use super::tile_contents::{TileContents, taken};
 use super::tile_record::{TileRecord, flag};
@@ -36,7 +37,7 @@ pub(crate) struct Tiles {
     pub(super) roots: Vec<TileRoot>,
     /// Declared spheres of the top tiles in their own frames, by root.
     pub(super) root_spheres: Vec<BoundingSphere>,
-    /// The number of top tiles that are not ready.
+    /// The number of top tiles that are waited for, as [`TileRecord::not_ready_children`].
     pub(super) not_ready_roots: u32,
 }
 
@@ -104,6 +105,17 @@ impl Tiles {
     #[inline(always)]
     pub fn resident(&self, tile: usize) -> u32 {
         self.contents.resident(tile)
+    }
+
+    /// Returns the first tile with resident content from a tile upwards, in this page; `None` without any, and for `NONE`.
+    pub fn resident_from(&self, mut tile: u32) -> Option<u32> {
+        loop {
+            let record = self.records.get(tile as usize)?;
+            if record.has(flag::RESIDENT) && !record.has(flag::EXTERNAL) {
+                return Some(tile);
+            }
+            tile = self.parents[tile as usize];
+        }
     }
 
     /// Returns the map from the content's frame to the tile's.
@@ -206,9 +218,9 @@ impl Tiles {
 
 /// Residency and readiness. Update thread.
 impl Tiles {
-    /// Returns the number of top tiles that are not ready.
-    pub fn not_ready_roots(&self) -> u32 {
-        self.not_ready_roots
+    /// Returns the readiness of the page as a whole: of its top tiles.
+    pub fn readiness(&self) -> Readiness {
+        self.children_of(NONE).readiness()
     }
 
     /// Returns the generation of the resident page's id.
@@ -219,7 +231,7 @@ impl Tiles {
     /// Stores that a page is in the slot of a tile. `is_tile_tree` tells whether that page holds tiles.
     pub fn set_resident(&mut self, tile: usize, page: PageId, is_tile_tree: bool) {
         let record = &mut self.records[tile];
-        record.set(flag::FAILED, false);
+        record.set(flag::FAILED | flag::UNAVAILABLE, false);
         record.set(flag::RESIDENT | if is_tile_tree { flag::EXTERNAL } else { 0 }, true);
         self.contents.set_resident(tile, page.slot, page.generation);
     }
@@ -257,24 +269,53 @@ impl Tiles {
         touched
     }
 
-    /// Returns true if a tile with an empty slot, or without one, can be drawn without a hole. Children that replace its
-    /// content can stand in for it.
-    pub fn is_ready_without_page(&self, tile: usize) -> bool {
+    /// Returns the readiness of a tile with an empty slot, or without one. Children that replace its content can stand in
+    /// for it.
+    pub fn readiness_without_page(&self, tile: usize) -> Readiness {
         let record = &self.records[tile];
+        let failed = if record.has(flag::UNAVAILABLE) { Readiness::Unavailable } else { Readiness::Missing };
         if record.has(flag::PROXY) {
-            return record.has(flag::NEVER) && !record.has(flag::FAILED);
+            return if record.has(flag::NEVER) && !record.has(flag::FAILED) { Readiness::Ready } else { failed };
         }
-        let children_can = !record.has(flag::CONTENT) || (record.has(flag::CONTENT_BELOW) && !record.has(flag::ADD));
-        children_can && record.not_ready_children == 0
+        let has_content = record.has(flag::CONTENT);
+        let children_can = !has_content || (record.has(flag::CONTENT_BELOW) && !record.has(flag::ADD));
+        match record.not_ready_children {
+            0 if children_can => Readiness::Ready,
+            _ if has_content => failed,
+            _ => self.children_of(tile as u32).readiness(),
+        }
     }
 
-    /// Counts a child (or, with `NONE`, a top tile) that became ready or ceased to be.
-    pub(super) fn count_ready(&mut self, parent: u32, is_ready: bool) {
-        let counter = match parent {
-            NONE => &mut self.not_ready_roots,
-            parent => &mut self.records[parent as usize].not_ready_children,
+    /// Returns the counts of a tile's children, or with `NONE` of the top tiles.
+    pub(super) fn children_of(&self, parent: u32) -> ChildCounts {
+        let (total, not_ready) = match self.records.get(parent as usize) {
+            Some(record) => (record.child_count, record.not_ready_children),
+            None => (self.roots.len() as u32, self.not_ready_roots),
         };
-        count(counter, !is_ready);
+        let known = self.rare.as_ref().and_then(|rare| rare.unavailable_children.get(&parent));
+        known.copied().unwrap_or(ChildCounts { total, missing: not_ready, unavailable: 0 })
+    }
+
+    /// Counts a change of a child (or, with `NONE`, of a top tile).
+    pub(super) fn count_child(&mut self, parent: u32, was: Readiness, is: Readiness) {
+        let mut counts = self.children_of(parent);
+        for (state, up) in [(was, false), (is, true)] {
+            match state {
+                Readiness::Ready => {}
+                Readiness::Missing => count(&mut counts.missing, up),
+                Readiness::Unavailable => count(&mut counts.unavailable, up),
+            }
+        }
+        if counts.unavailable > 0 {
+            self.rare_mut().unavailable_children.insert(parent, counts);
+        } else if let Some(rare) = &mut self.rare {
+            rare.unavailable_children.remove(&parent);
+        }
+        let not_ready = match self.records.get_mut(parent as usize) {
+            Some(record) => &mut record.not_ready_children,
+            None => &mut self.not_ready_roots,
+        };
+        *not_ready = counts.not_ready();
     }
 }
 

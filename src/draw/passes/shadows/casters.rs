@@ -4,7 +4,7 @@
 use std::ops::Range;
 
 use super::maps::{FORMAT, MapSize, ShadowMaps};
-use crate::cull::{CullCamera, FadeBand, RenderStage, StageShadows};
+use crate::cull::{CullCamera, DrawnPart, FadeBand, RenderStage, StageShadows};
 use crate::draw::batch::state_entry::StateEntry;
 use crate::draw::bound_state::{BoundState, DynamicState};
 use crate::draw::passes::shading::{choose_shading, shade};
@@ -158,7 +158,7 @@ impl ShadowPass {
                     Some(_) => resources.bound_states.push(BoundState { group, ..base }),
                 };
                 let key = StateKey::caster(state, shading, drops, map_target);
-                states.push(StateEntry::new(key, bound, state, FadeBand::FULL));
+                states.push(StateEntry::new(key, bound, state, DrawnPart::Band(FadeBand::FULL)));
             }
             resources.batch.put_states(states);
             let (first_run, before) = (resources.batch.runs().len(), resources.batch.leaves().len());

@@ -55,7 +55,7 @@ fn fs_fixed_height(in: FixedHeightFragment, @builtin(front_facing) is_front: boo
 @fragment
 fn fs_fixed_height_fading(in: FixedHeightFragment, @builtin(front_facing) is_front: bool) -> @location(0) vec4<f32> {
     let color = fixed_color(fixed_height_surface(in, is_front));
-    if is_faded_out(in.position.xy, in.flags) {
+    if is_left_out(in.position.xy, in.in_eye, in.flags) {
         discard;
     }
     return color;

@@ -67,7 +67,7 @@ fn fs_fixed_mesh(in: FixedMeshFragment, @builtin(front_facing) is_front: bool) -
 @fragment
 fn fs_fixed_mesh_fading(in: FixedMeshFragment, @builtin(front_facing) is_front: bool) -> @location(0) vec4<f32> {
     let color = fixed_mesh_color(in, is_front);
-    if is_faded_out(in.position.xy, in.leaf.y) {
+    if is_left_out(in.position.xy, in.in_eye_u.xyz, in.leaf.y) {
         discard;
     }
     return color;
@@ -95,7 +95,7 @@ fn fs_fixed_mesh_caster(in: FixedMeshFragment, @builtin(front_facing) is_front: 
 @fragment
 fn fs_fixed_thin_fading(in: FixedMeshFragment) -> @location(0) vec4<f32> {
     let color = fixed_thin_color(in);
-    if is_faded_out(in.position.xy, in.leaf.y) {
+    if is_left_out(in.position.xy, in.in_eye_u.xyz, in.leaf.y) {
         discard;
     }
     return color;

@@ -63,7 +63,7 @@ fn fs_height(in: HeightFragment) -> @location(0) vec4<f32> {
 @fragment
 fn fs_height_fading(in: HeightFragment) -> @location(0) vec4<f32> {
     let color = height_color(in);
-    if is_faded_out(in.position.xy, in.leaf.w) {
+    if is_left_out(in.position.xy, in.in_eye_u.xyz, in.leaf.w) {
         discard;
     }
     return color;

@@ -74,7 +74,7 @@ fn fs_mesh(in: MeshFragment, @builtin(front_facing) is_front: bool) -> @location
 @fragment
 fn fs_mesh_fading(in: MeshFragment, @builtin(front_facing) is_front: bool) -> @location(0) vec4<f32> {
     let color = mesh_color(in, is_front);
-    if is_faded_out(in.position.xy, in.leaf.y) {
+    if is_left_out(in.position.xy, in.in_eye_u.xyz, in.leaf.y) {
         discard;
     }
     return vec4<f32>(color.rgb, 1.0);
@@ -94,7 +94,7 @@ fn fs_mesh_masked(in: MeshFragment, @builtin(front_facing) is_front: bool) -> @l
 @fragment
 fn fs_mesh_masked_fading(in: MeshFragment, @builtin(front_facing) is_front: bool) -> @location(0) vec4<f32> {
     let color = mesh_color(in, is_front);
-    if color.a < bitcast<f32>(in.leaf.z) || is_faded_out(in.position.xy, in.leaf.y) {
+    if color.a < bitcast<f32>(in.leaf.z) || is_left_out(in.position.xy, in.in_eye_u.xyz, in.leaf.y) {
         discard;
     }
     return vec4<f32>(color.rgb, 1.0);
@@ -108,7 +108,7 @@ fn fs_mesh_blended(in: MeshFragment, @builtin(front_facing) is_front: bool) -> @
 @fragment
 fn fs_mesh_blended_fading(in: MeshFragment, @builtin(front_facing) is_front: bool) -> @location(0) vec4<f32> {
     let color = mesh_color(in, is_front);
-    if is_faded_out(in.position.xy, in.leaf.y) {
+    if is_left_out(in.position.xy, in.in_eye_u.xyz, in.leaf.y) {
         discard;
     }
     return color;
@@ -127,7 +127,7 @@ fn fs_mesh_masked_blended(in: MeshFragment, @builtin(front_facing) is_front: boo
 @fragment
 fn fs_mesh_masked_blended_fading(in: MeshFragment, @builtin(front_facing) is_front: bool) -> @location(0) vec4<f32> {
     let color = mesh_color(in, is_front);
-    if color.a < bitcast<f32>(in.leaf.z) || is_faded_out(in.position.xy, in.leaf.y) {
+    if color.a < bitcast<f32>(in.leaf.z) || is_left_out(in.position.xy, in.in_eye_u.xyz, in.leaf.y) {
         discard;
     }
     return color;
@@ -141,7 +141,7 @@ fn fs_thin(in: MeshFragment) -> @location(0) vec4<f32> {
 @fragment
 fn fs_thin_fading(in: MeshFragment) -> @location(0) vec4<f32> {
     let color = thin_color(in);
-    if is_faded_out(in.position.xy, in.leaf.y) {
+    if is_left_out(in.position.xy, in.in_eye_u.xyz, in.leaf.y) {
         discard;
     }
     return color;

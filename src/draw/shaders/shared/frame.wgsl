@@ -50,7 +50,8 @@ struct StageLight {
 struct Stage {
     lights: array<StageLight, 24>,  // those of state sets by number, from STAGE_LIGHTS on local ones
     clip_planes: array<vec4<f32>, 6>,
-    light_count: vec4<u32>,         // x: the end of the local lights
+    light_count: vec4<u32>,         // x: the end of the local lights; y: 1 if the volume is a sphere
+    volume: array<vec4<f32>, 3>,    // that some leaves are cut to: the map from eye space to the unit cube or sphere, by rows
 }
 
 // Pipelines of frames without atmosphere or haze leave their code out, since software adapters run both sides of a branch.
@@ -65,6 +66,7 @@ const FLAG_UNLIT: u32 = 1u;
 const FLAG_UNTEXTURED: u32 = 2u;
 const INDEX_COUNT_SHIFT: u32 = 8u;
 const BAND_SHIFT: u32 = 16u;
+const BAND_OF_VOLUME: u32 = 255u;
 
 @group(0) @binding(0) var<uniform> frame: Frame;
 @group(0) @binding(1) var<storage, read> leaves: array<Leaf>;
@@ -86,6 +88,18 @@ fn is_faded_out(pixel: vec2<f32>, flags: u32) -> bool {
     let noise = fract(52.9829189 * fract(dot(floor(pixel), vec2<f32>(0.06711056, 0.00583715))));
     let value = min(u32(noise * 255.0), 254u);
     return value < (flags >> BAND_SHIFT & 255u) || value >= flags >> (BAND_SHIFT + 8u);
+}
+
+// Returns true for the points of a leaf that are not drawn: those outside of the volume that it is cut to, or the pixels that
+// a fade leaves out.
+fn is_left_out(pixel: vec2<f32>, in_eye: vec3<f32>, flags: u32) -> bool {
+    if (flags >> BAND_SHIFT & 255u) != BAND_OF_VOLUME {
+        return is_faded_out(pixel, flags);
+    }
+    let p = vec4<f32>(in_eye, 1.0);
+    let at = vec3<f32>(dot(stage.volume[0], p), dot(stage.volume[1], p), dot(stage.volume[2], p));
+    let farthest = max(max(abs(at.x), abs(at.y)), abs(at.z));
+    return select(farthest, length(at), stage.light_count.y != 0u) > 1.0;
 }
 
 // Transforms a point of a leaf to eye space.

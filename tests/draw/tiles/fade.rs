@@ -107,7 +107,7 @@ fn assert_fades(rig: &mut Rig, scene: &Scene, at: &dyn Fn(f64, f64) -> CullCamer
     assert!(shares.is_sorted() && shares[0] > 0 && shares[5] < differing, "{what}: {shares:?} of {differing}");
     assert_eq!(*shares.last().unwrap(), differing, "{what}");
     assert_eq!(rig.picture(scene, &at(100.31, 0.5), &environment), new);
-    assert!(rig.stage.fades.is_empty() && rig.stage.fade_of_state.iter().all(|f| *f == 0));
+    assert!(rig.stage.parts.is_empty() && rig.stage.part_of_state.iter().all(|f| *f == 0));
     let picture = rig.picture(scene, &at(100.41, 1.0), &environment);
     let are_new = assert_each_is_one_of(&picture, &old, &new, what);
     assert!(are_new > 0 && are_new < differing, "{what}, back: {are_new} of {differing}");
@@ -273,7 +273,7 @@ fn nested_fades_leave_no_hole_and_end() {
     assert!(half[0] > 1000 && half[1] > 1000 && half[2] == 0, "{half:?}");
     let three = picture(rig, 1.2, 0.3);
     assert!(three.iter().all(|c| *c > 200), "{three:?}");
-    assert!(rig.stage.fades.len() == 3 && rig.stage.counters.fading == 2, "{:?}", rig.stage.fades);
+    assert!(rig.stage.parts.len() == 3 && rig.stage.counters.fading == 2, "{:?}", rig.stage.parts);
     let back = picture(rig, 1.25, 1.0);
     assert!(back.iter().all(|c| *c > 0) && back[0] > three[0], "{back:?}");
     for step in 0..8 {
@@ -395,8 +395,8 @@ fn cameras_in_the_graph_fade_independently() {
     for (time_s, lod_scale) in [(1.0, 1.0), (1.02, 1.0), (1.12, 0.5), (1.17, 0.5), (1.4, 0.5)] {
         let picture = rig.picture(&scene, &seen(time_s, lod_scale), &environment);
         let below = &rig.stage.pre_render[0];
-        assert_eq!(below.fades, rig.stage.fades, "{time_s}");
-        greens.push((count(&picture, [0, 255, 0]), rig.stage.fades.len(), rig.stage.counters.fading));
+        assert_eq!(below.parts, rig.stage.parts, "{time_s}");
+        greens.push((count(&picture, [0, 255, 0]), rig.stage.parts.len(), rig.stage.counters.fading));
     }
     let all = (SIZE * SIZE) as usize;
     assert_eq!((greens[1], greens[4]), ((0, 0, 0), (all, 0, 0)));
