@@ -9,12 +9,12 @@ pub enum GpuError {
         /// The wanted choice and the number of adapters found.
         reason: String,
     },
-    /// The adapter refused to create a device.
+    /// No adapter could be used: a driver refused to create a device, or an adapter lacks what frames need.
     #[error("adapter {adapter} made no device: {reason}")]
     NoDevice {
-        /// Name of the adapter.
+        /// Name of the adapter; of several, all names.
         adapter: String,
-        /// The driver's message.
+        /// The driver's message, or what the adapter lacks; of several, each with its name.
         reason: String,
     },
     /// The window cannot be drawn to.

@@ -24,7 +24,7 @@ const MAX_DRAWS_IN_FLIGHT: usize = 8;
 /// A query that was made, for the hand-over of its result.
 struct Pending {
     results: Arc<OcclusionResults>,
-    /// Samples above which the box counts as visible.
+    /// The box counts as visible from this number of samples on.
     threshold: u32,
     frame: u32,
 }
@@ -90,7 +90,7 @@ impl Queries {
 
     /// Returns the index of a query in the set. Returns `None` if it has to wait for another frame; it counts as visible
     /// until then if the set was full, since other queries may take its room in each frame.
-    fn add(&mut self, query: &OcclusionQuery) -> Option<u32> {
+    fn add(&mut self, query: &OcclusionQuery, threshold: u32) -> Option<u32> {
         let Some(slot) = self.current_slot() else {
             query.results.was_not_asked(false, query.frame);
             return None;
@@ -99,8 +99,7 @@ impl Queries {
             query.results.was_not_asked(true, query.frame);
             return None;
         }
-        let (results, threshold, frame) = (query.results.clone(), query.visibility_threshold, query.frame);
-        slot.pending.push(Pending { results, threshold, frame });
+        slot.pending.push(Pending { results: query.results.clone(), threshold, frame: query.frame });
         Some(slot.pending.len() as u32 - 1)
     }
 
@@ -202,7 +201,16 @@ impl QueryPass {
                 query.results.was_not_asked(true, query.frame);
                 continue;
             }
-            let Some(index) = queries.add(query) else { continue };
+            let threshold = threshold_on(query.visibility_threshold, ctx.is_software());
+            if threshold < query.visibility_threshold {
+                resources.errors.report_once(format!(
+                    "an OcclusionQueryNode hides its children below {} samples, but {} tells only whether any is visible: \
+                     it shows them if one is",
+                    query.visibility_threshold,
+                    ctx.adapter_name()
+                ));
+            }
+            let Some(index) = queries.add(query, threshold) else { continue };
             let frame = lit.view(query.view);
             let mut bound = BoundState { frame: [frame.uniform, frame.positioned], air: frame.air, ..lit.base };
             if let Some(rect) = lit.viewport_px(query.view) {
@@ -264,5 +272,29 @@ impl QueryPass {
         if let Some(queries) = &mut self.queries {
             queries.deliver();
         }
+    }
+}
+
+/// Returns the number of samples from which on a box counts as visible. Only software drivers count samples: wgpu asks the
+/// others for queries that may answer 1 for any number.
+fn threshold_on(wanted: u32, counts_samples: bool) -> u32 {
+    if counts_samples { wanted } else { wanted.min(1) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Regression: where a query answers 0 or 1, a threshold of more samples hid visible nodes for good.
+    #[test]
+    fn adapters_that_do_not_count_show_what_is_visible() {
+        let is_hidden = |threshold: u32, counts_samples: bool, samples: u64| {
+            let results = OcclusionResults::default();
+            results.answered(samples, threshold_on(threshold, counts_samples), 1);
+            results.failures() > 0
+        };
+        assert!(!is_hidden(50, false, 1) && is_hidden(50, false, 0));
+        assert!(is_hidden(50, true, 49) && !is_hidden(50, true, 50));
+        assert!(!is_hidden(0, false, 0), "always shown");
     }
 }

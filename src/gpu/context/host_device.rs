@@ -48,14 +48,20 @@ impl HostDevice {
 
     /// Fails if the limits of the device are too small.
     pub(super) fn check(&self) -> Result<(), GpuError> {
-        let mut failed = Vec::new();
-        wgpu::Limits::default().check_limits_with_fail_fn(&self.device.limits(), false, |name, wanted, allowed| {
-            failed.push(format!("{name} is {allowed} and must be {wanted}"));
-        });
+        let failed = too_small(&self.device.limits());
         if failed.is_empty() {
             return Ok(());
         }
         let reason = format!("the limits of the application's device are too small: {}", failed.join(", "));
         Err(GpuError::NoDevice { adapter: self.adapter.get_info().name, reason })
     }
+}
+
+/// Returns the limits that are below those that every device of WebGPU has, with both values.
+pub(super) fn too_small(limits: &wgpu::Limits) -> Vec<String> {
+    let mut failed = Vec::new();
+    wgpu::Limits::default().check_limits_with_fail_fn(limits, false, |name, wanted, allowed| {
+        failed.push(format!("{name} is {allowed} and must be {wanted}"));
+    });
+    failed
 }

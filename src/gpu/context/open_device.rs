@@ -1,7 +1,7 @@
 //! [`OpenDevice`]: an instance, an adapter and its device, and how they are chosen. Runs on the thread that opens the
 //! context.
 
-use super::host_device::HostDevice;
+use super::host_device::{HostDevice, too_small};
 use super::traits::{AdapterChoice, ContextTraits};
 use crate::gpu::GpuError;
 
@@ -40,12 +40,28 @@ fn rank(info: &wgpu::AdapterInfo) -> (u32, u32) {
     (device, u32::from(info.backend == wgpu::Backend::Gl))
 }
 
-/// Returns the best adapter that the traits allow and that supports all surfaces.
-fn choose_adapter(
+/// The abilities that frames need and that not every adapter has.
+const REQUIRED: wgpu::DownlevelFlags = wgpu::DownlevelFlags::VERTEX_STORAGE
+    .union(wgpu::DownlevelFlags::FRAGMENT_STORAGE)
+    .union(wgpu::DownlevelFlags::COMPUTE_SHADERS)
+    .union(wgpu::DownlevelFlags::BASE_VERTEX)
+    .union(wgpu::DownlevelFlags::COMPARISON_SAMPLERS)
+    .union(wgpu::DownlevelFlags::INDEPENDENT_BLEND)
+    .union(wgpu::DownlevelFlags::FULL_DRAW_INDEX_UINT32);
+
+/// Returns what an adapter lacks without which frames would be wrong; `None` if it lacks nothing.
+fn lacks(flags: wgpu::DownlevelFlags, limits: &wgpu::Limits) -> Option<String> {
+    let missing = (REQUIRED - flags).iter_names().map(|(name, _)| format!("it lacks {name}"));
+    let missing: Vec<String> = missing.chain(too_small(limits)).collect();
+    (!missing.is_empty()).then(|| missing.join(", "))
+}
+
+/// Returns the adapters that the traits allow and that support all surfaces, the best first.
+fn candidates(
     instance: &wgpu::Instance,
     traits: &ContextTraits,
     surfaces: &[Option<wgpu::Surface<'static>>],
-) -> Result<wgpu::Adapter, GpuError> {
+) -> Result<Vec<wgpu::Adapter>, GpuError> {
     let mut adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::all()));
     let found = adapters.len();
     adapters.retain(|adapter| {
@@ -54,29 +70,67 @@ fn choose_adapter(
             && (traits.adapter != AdapterChoice::Software || is_cpu)
     });
     adapters.sort_by_key(|adapter| rank(&adapter.get_info()));
-    adapters.into_iter().next().ok_or_else(|| {
+    if adapters.is_empty() {
         let reason = format!("none of {found} found fits {:?}", traits.adapter);
-        GpuError::NoAdapter { reason }
-    })
+        return Err(GpuError::NoAdapter { reason });
+    }
+    Ok(adapters)
+}
+
+/// Returns the first that opens. If none does, the error has all their names, and the reason of each.
+fn first_that_opens<A, T>(
+    adapters: impl IntoIterator<Item = A>,
+    name: impl Fn(&A) -> String,
+    open: impl Fn(A) -> Result<T, String>,
+) -> Result<T, GpuError> {
+    let mut refused: Vec<(String, String)> = Vec::new();
+    for adapter in adapters {
+        let name = name(&adapter);
+        match open(adapter) {
+            Ok(opened) => return Ok(opened),
+            Err(reason) => {
+                log::warn!("adapter {name} is not used: {reason}");
+                refused.push((name, reason));
+            }
+        }
+    }
+    let reason = match &refused[..] {
+        [(_, reason)] => reason.clone(),
+        all => all.iter().map(|(name, reason)| format!("{name}: {reason}")).collect::<Vec<_>>().join("; "),
+    };
+    let names: Vec<String> = refused.into_iter().map(|(name, _)| name).collect();
+    Err(GpuError::NoDevice { adapter: names.join(" and "), reason })
 }
 
 impl OpenDevice {
-    /// Chooses an adapter and creates its device, with all optional features and limits that the adapter has.
+    /// Creates the device of the best adapter that has what frames need, with all optional features and limits that it has. If
+    /// its driver refuses, the next one is tried.
     pub(super) fn request(
         instance: wgpu::Instance,
         traits: &ContextTraits,
         surfaces: &[Option<wgpu::Surface<'static>>],
     ) -> Result<Self, GpuError> {
-        let adapter = choose_adapter(&instance, traits, surfaces)?;
+        let adapters = candidates(&instance, traits, surfaces)?;
+        let name = |adapter: &wgpu::Adapter| adapter_name(&adapter.get_info());
+        let (adapter, device, queue) = first_that_opens(adapters, name, |adapter| {
+            // The backend that draws nothing claims no abilities.
+            let is_noop = traits.adapter == AdapterChoice::Noop;
+            let flags = adapter.get_downlevel_capabilities().flags;
+            if let Some(lacks) = lacks(flags, &adapter.limits()).filter(|_| !is_noop) {
+                return Err(lacks);
+            }
+            let descriptor = wgpu::DeviceDescriptor {
+                label: Some("terrane"),
+                required_features: HostDevice::features(&adapter),
+                required_limits: adapter.limits(),
+                memory_hints: wgpu::MemoryHints::Performance,
+                ..Default::default()
+            };
+            let opened = pollster::block_on(adapter.request_device(&descriptor));
+            let (device, queue) = opened.map_err(|e| e.to_string())?;
+            Ok((adapter, device, queue))
+        })?;
         let adapter_info = adapter.get_info();
-        let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
-            label: Some("terrane"),
-            required_features: HostDevice::features(&adapter),
-            required_limits: adapter.limits(),
-            memory_hints: wgpu::MemoryHints::Performance,
-            ..Default::default()
-        }))
-        .map_err(|e| GpuError::NoDevice { adapter: adapter_info.name.clone(), reason: e.to_string() })?;
         Ok(Self { instance, adapter, adapter_info, device, queue, is_host_device: false })
     }
 
@@ -90,6 +144,40 @@ impl OpenDevice {
 
     /// Returns the name of the adapter and of the interface it is driven through.
     pub(super) fn adapter_name(&self) -> String {
-        format!("{} ({:?})", self.adapter_info.name, self.adapter_info.backend)
+        adapter_name(&self.adapter_info)
+    }
+}
+
+fn adapter_name(info: &wgpu::AdapterInfo) -> String {
+    format!("{} ({:?})", info.name, info.backend)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn adapters_without_what_frames_need_are_named() {
+        let limits = wgpu::Limits::default();
+        assert_eq!(lacks(wgpu::DownlevelFlags::all(), &limits), None);
+        let flags = wgpu::DownlevelFlags::all() - wgpu::DownlevelFlags::VERTEX_STORAGE;
+        assert_eq!(lacks(flags, &limits).as_deref(), Some("it lacks VERTEX_STORAGE"));
+        let small = lacks(wgpu::DownlevelFlags::all(), &wgpu::Limits { max_bind_groups: 1, ..limits }).unwrap();
+        assert!(small.contains("max_bind_groups is 1 and must be 4"), "{small}");
+    }
+
+    /// Regression: only the first adapter by type was tried.
+    #[test]
+    fn next_adapter_is_tried_and_all_reasons_are_told() {
+        let open = |works: &'static str| {
+            move |name: &str| if name == works { Ok(name.len()) } else { Err("broken".to_owned()) }
+        };
+        let all = ["first", "second"];
+        assert_eq!(first_that_opens(all, |a| (*a).to_owned(), open("second")).ok(), Some(6));
+        let refused = first_that_opens(all, |a| (*a).to_owned(), open("none")).unwrap_err();
+        let text = refused.to_string();
+        assert!(text.contains("first and second") && text.contains("first: broken; second: broken"), "{text}");
+        let refused = first_that_opens(["only"], |a| (*a).to_owned(), open("none")).unwrap_err();
+        assert_eq!(refused.to_string(), "adapter only made no device: broken");
     }
 }
