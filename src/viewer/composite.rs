@@ -2,6 +2,7 @@
 //! [`Viewer`](super::Viewer) is one with a single view. Main thread.
 
 use std::path::Path;
+use std::sync::Arc;
 use std::time::Instant;
 
 use glam::DVec2;
@@ -20,6 +21,7 @@ use super::view::{Slave, View};
 use crate::gpu::{CompileBudget, ContextTraits, GraphicsContext};
 use crate::pager::{DatabasePager, ImagePager, ImageSequence};
 use crate::scene::{Page, PageId, Scene};
+use crate::sync::OperationQueue;
 
 /// Views, their scenes and their contexts, with one frame for all of them; osgViewer's `CompositeViewer`.
 ///
@@ -34,11 +36,13 @@ use crate::scene::{Page, PageId, Scene};
 ///                      the ThreadingModel decides which threads run them
 /// ```
 pub struct CompositeViewer {
-    frame: FrameLoop,
+    pub(super) frame: FrameLoop,
     scenes: SceneList,
     views: ViewList,
     /// The view of a [`Viewer`](super::Viewer), which cannot be removed.
     own_view: Option<ViewId>,
+    /// The application's operations in update. Any thread adds to them.
+    pub(super) update_operations: Arc<OperationQueue<Self>>,
 }
 
 /// Contexts: the windows and textures that views are drawn in.
@@ -46,7 +50,8 @@ impl CompositeViewer {
     /// Creates a viewer without contexts, scenes and views.
     pub fn new(config: &ViewerConfig) -> Result<Self, ViewerError> {
         let frame = FrameLoop::new(config)?;
-        Ok(Self { frame, scenes: KeyedList::new(), views: KeyedList::new(), own_view: None })
+        let (scenes, views) = (KeyedList::new(), KeyedList::new());
+        Ok(Self { frame, scenes, views, own_view: None, update_operations: Arc::default() })
     }
 
     /// Adds a context with its own device; at most [`ViewerConfig::max_contexts`]. The application's pages are
@@ -427,7 +432,8 @@ impl CompositeViewer {
 
     /// Renders one frame of all views at a simulation time in seconds.
     pub fn frame_at(&mut self, simulation_time_s: f64) -> Result<(), ViewerError> {
-        let has_changes = self.views.values().any(|view| changes(&self.frame, view, &self.scenes));
+        let has_changes =
+            self.has_operations() || self.views.values().any(|view| changes(&self.frame, view, &self.scenes));
         let mut frame = self.frame.begin_frame(simulation_time_s, has_changes);
         self.for_each_view(|mut view| view.event_traversal());
         #[cfg(feature = "window")]
@@ -435,6 +441,7 @@ impl CompositeViewer {
         frame.end_events();
         let stamp = self.frame.stamp();
         self.scenes.values_mut().for_each(|scene| scene.update(&stamp));
+        self.run_update_operations();
         // Cameras move after the update callbacks, because manipulators may follow what these moved.
         self.for_each_view(|mut view| view.update_camera(frame.dt_s));
         self.frame.end_frame(frame, &mut self.views, &mut self.scenes)
@@ -453,7 +460,7 @@ impl CompositeViewer {
     /// paused pager, ask for no frame. A failed request asks for one after its back-off, so an idle loop should call this
     /// now and then.
     pub fn check_need_to_do_frame(&self) -> bool {
-        self.views.values().any(|view| needs_frame(&self.frame, view, &self.scenes))
+        self.has_operations() || self.views.values().any(|view| needs_frame(&self.frame, view, &self.scenes))
     }
 
     /// Returns true once the user of a view or the application has asked to end.
@@ -570,6 +577,13 @@ impl CompositeViewer {
     pub(super) fn prepare_view(&mut self, view: ViewId) {
         let view = &mut self.views[view];
         view.prepare(&self.frame.rendering, self.scenes[view.scene()].bounds());
+    }
+
+    /// Fits the views to the sizes of their contexts, which the next frame would do.
+    pub(super) fn prepare_views(&mut self) {
+        for view in self.views.values_mut() {
+            view.prepare(&self.frame.rendering, self.scenes[view.scene()].bounds());
+        }
     }
 
     /// True when the pager of a view's scene is idle and the last frame showed everything.

@@ -45,6 +45,7 @@ pub mod handlers;
 mod ids;
 mod input;
 pub mod manipulators;
+mod operations;
 #[cfg(feature = "window")]
 mod overlay;
 mod paging;

@@ -4,6 +4,7 @@
 mod contexts;
 #[cfg(feature = "window")]
 mod overlays;
+mod operations;
 mod pager_sharing;
 mod picking;
 mod remove_scene;

@@ -2,11 +2,13 @@
 
 use crate::scene::CullSettings;
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::time::Duration;
 
 use crate::cull::Stereo;
-use crate::gpu::{AdapterChoice, CompileBudget, CompilePace, ContextTraits};
+use crate::gpu::{AdapterChoice, CompileBudget, CompilePace, ContextTraits, GraphicsContext};
 use crate::pager::PagerConfig;
+use crate::sync::Operation;
 use crate::viewer::rendering::ThreadingModel;
 
 /// Settings of a viewer. They are read once, when the viewer is made.
@@ -57,6 +59,10 @@ pub struct ViewerConfig {
     /// The folder in which compiled pipelines are kept for the next start; `None` keeps none. Useful where the driver has
     /// no cache.
     pub pipeline_cache: Option<PathBuf>,
+    /// Runs once for each context when it is opened, on the thread that opens it, and again when another device replaces a
+    /// lost one; OSG's realize operation. [`CompositeViewer::set_realize_operation`](crate::viewer::CompositeViewer::set_realize_operation)
+    /// sets another one for later contexts.
+    pub realize_operation: Option<Arc<dyn Operation<GraphicsContext>>>,
 }
 
 impl Default for ViewerConfig {
@@ -82,6 +88,7 @@ impl Default for ViewerConfig {
             max_contexts: 1,
             keep_drawables: true,
             pipeline_cache: None,
+            realize_operation: None,
         }
     }
 }

@@ -79,6 +79,7 @@ impl FrameLoop {
         config.look_ahead_s = config.look_ahead_s.max(0.0);
         let mut rendering = Rendering::new(config.pager.blocking, config.cpu_affinity);
         rendering.set_model(config.threading)?;
+        rendering.set_realize_operation(config.realize_operation.clone());
         Ok(Self {
             rendering,
             pagers: Pagers::new(config.pager.blocking),

@@ -15,7 +15,7 @@ use crate::cull::RenderStage;
 use crate::draw::{CameraView, DrawStats, FrameClock, Renderer};
 use crate::gpu::{CompileBudget, Compiled, GpuError, GraphicsContext};
 use crate::pager::ImageChange;
-use crate::sync::BlockCount;
+use crate::sync::{BlockCount, Operation, OperationQueue};
 use crate::sync::primitives::channel::{Receiver, Sender};
 use crate::trace;
 
@@ -37,6 +37,8 @@ pub(super) struct DrawnContext {
     stages: Vec<Culled>,
     /// The error of a failed resize, reported with the next frame.
     failed: Option<GpuError>,
+    /// The application's operations, run after the context is drawn. Other threads add to them.
+    pub(super) operations: Arc<OperationQueue<GraphicsContext>>,
     /// One painter per overlay, created with its first frame.
     #[cfg(feature = "window")]
     painters: Vec<crate::viewer::overlay::OverlayPainter>,
@@ -49,6 +51,7 @@ impl DrawnContext {
             cameras: Vec::new(),
             stages: Vec::new(),
             failed: None,
+            operations: Arc::default(),
             #[cfg(feature = "window")]
             painters: Vec::new(),
         }
@@ -254,6 +257,13 @@ impl DrawSide {
         Some(index)
     }
 
+    /// Runs a realize operation for a context that was opened, or whose device was replaced.
+    pub(super) fn realize(&mut self, context: u32, operation: &dyn Operation<GraphicsContext>) {
+        if self.select(context).is_some() {
+            operation.run(&mut self.context);
+        }
+    }
+
     /// Replaces the device by a new one without uploads if it is lost; returns false if it is not.
     pub(super) fn renew(&mut self) -> Result<bool, GpuError> {
         if !self.context.is_lost() {
@@ -319,7 +329,12 @@ impl DrawSide {
         }
         for job in jobs.drain(..) {
             if let Some(index) = self.select(job.context) {
+                let is_alone = job.stage.is_some();
                 draw_ms = self.render_context(index, job, std::mem::take(&mut compile_ms), draw_ms);
+                // Not for an image that the application has drawn once more: operations run once in each frame.
+                if !is_alone && let Some(context) = self.contexts.get(index) {
+                    context.operations.run_operations(&mut self.context);
+                }
             }
         }
         // Keeps the memory.

@@ -25,6 +25,7 @@ mod operations;
 mod stage;
 mod threads;
 mod upload_ticket;
+mod user_operations;
 
 pub(super) use self::cull_side::{CullOutcome, CullTask, Lens, Sight};
 pub(super) use self::device::DeviceHandle;

@@ -15,7 +15,7 @@ use crate::gpu::{Compiled, ContextTraits, GpuError, GraphicsContext};
 use crate::pager::CompileContext;
 use crate::scene::{BlockFormats, DrawSlot, Drawable};
 use crate::sync::primitives::channel::{self, Receiver, Sender};
-use crate::sync::{Barrier, BlockCount, OperationThread};
+use crate::sync::{Barrier, BlockCount, Operation, OperationQueue, OperationThread};
 use crate::trace;
 
 /// The number of frames that may be in flight to a context's thread; a camera has a render stage for each.
@@ -47,6 +47,8 @@ pub(super) struct CameraHandle {
     next: Option<CullTask>,
     /// The result of the last frame's cull.
     outcome: CullOutcome,
+    /// The application's operations, which the thread that culls runs.
+    pub(super) operations: Arc<OperationQueue<CullVisitor>>,
 }
 
 /// The barriers that the threads of a model share.
@@ -83,6 +85,8 @@ pub(in crate::viewer) struct Rendering {
     pub(super) pins_threads: bool,
     /// The model that was asked for.
     pub(super) model: ThreadingModel,
+    /// Runs for each context that is opened.
+    pub(super) realize: Option<Arc<dyn Operation<GraphicsContext>>>,
     /// `None` until the first frame, and while contexts or cameras are added and removed.
     pub(super) running: Option<Running>,
 }
@@ -98,6 +102,7 @@ impl Rendering {
             blocking,
             pins_threads,
             model: ThreadingModel::SingleThreaded,
+            realize: None,
             running: None,
         }
     }
@@ -244,6 +249,7 @@ impl Rendering {
         self.stop_threads();
         let number = self.next_context();
         self.devices.push(DeviceHandle::new(number, context, self.blocking, frame));
+        self.realize_context(number);
         number
     }
 
@@ -259,6 +265,7 @@ impl Rendering {
         let number = self.next_context;
         let device = self.device_of(other).ok_or(ViewerError::NoContext(ContextId(other)))?;
         device.add_context(number, traits, frame, add)?;
+        self.realize_context(number);
         Ok(self.next_context())
     }
 
@@ -296,6 +303,10 @@ impl Rendering {
                 renewed.push(device.number());
             }
         }
+        // What the operation has made for a context was on the old device.
+        let contexts = self.devices.iter().filter(|d| renewed.contains(&d.number())).flat_map(DeviceHandle::context_ids);
+        let contexts: Vec<u32> = contexts.collect();
+        contexts.into_iter().for_each(|context| self.realize_context(context));
         Ok(renewed)
     }
 
@@ -333,11 +344,14 @@ impl Rendering {
             available: available_in,
             culled: culled_out,
             end_of_dynamic: None,
+            operations: Arc::default(),
         };
+        let operations = cull.operations.clone();
         let side = CameraSide::Here(Box::new(cull));
         let outcome = CullOutcome::default();
         let tasks = Some(tasks);
-        self.cameras.push(CameraHandle { number, context, side, tasks, outcomes, next: None, outcome });
+        let next = None;
+        self.cameras.push(CameraHandle { number, context, side, tasks, outcomes, next, outcome, operations });
         self.next_camera += 1;
         Some((number, device_id))
     }

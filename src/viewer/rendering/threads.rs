@@ -52,6 +52,11 @@ impl Rendering {
         }
     }
 
+    /// True while the threads of the model run, if it has any.
+    pub(in crate::viewer) fn is_running(&self) -> bool {
+        self.running.is_some()
+    }
+
     /// True when update may run in parallel with draw.
     pub(in crate::viewer) fn overlaps(&self) -> bool {
         overlaps(self.model())

@@ -9,6 +9,7 @@ pub use terrane::gpu::{
 use terrane::scene::{BlockFormats, DrawSlot, Mesh};
 
 use super::Seen;
+use crate::sync::OperationQueue;
 
 pub struct Device;
 
@@ -26,11 +27,12 @@ pub struct GraphicsContext {
     /// The frame that was drawn last.
     pub frame: u32,
     pub targets: usize,
+    compile_operations: Arc<OperationQueue<wgpu::Device>>,
 }
 
 impl GraphicsContext {
     pub fn new(seen: &Arc<Seen>) -> Self {
-        Self { seen: seen.clone(), frame: 0, targets: 1 }
+        Self { seen: seen.clone(), frame: 0, targets: 1, compile_operations: Arc::default() }
     }
 
     /// Contexts show a frame together, after each has drawn it.
@@ -72,6 +74,10 @@ impl GraphicsContext {
     }
 
     pub fn compile(&mut self, _operation: CompileOperation) {}
+
+    pub fn compile_operations(&self) -> &Arc<OperationQueue<wgpu::Device>> {
+        &self.compile_operations
+    }
 
     pub fn cancel_compiles(&mut self, _tickets: &[u64]) {}
 
