@@ -336,6 +336,7 @@ impl CompositeViewer {
         let slot = self.frame.add_camera(context, viewport.into())?;
         let config = self.frame.config();
         let mut view = View::new(scene, config.cull_settings(), config.size_px, config.samples, slot);
+        view.camera.field_of_view = config.field_of_view;
         view.set_stereo(config.stereo);
         view.prepare(&self.frame.rendering, bounds.as_ref());
         if let Some(bounds) = &bounds {

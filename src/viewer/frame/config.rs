@@ -10,6 +10,7 @@ use crate::gpu::{AdapterChoice, CompileBudget, CompilePace, ContextTraits, Graph
 use crate::pager::PagerConfig;
 use crate::sync::Operation;
 use crate::viewer::rendering::ThreadingModel;
+use crate::viewer::view::camera::FieldOfView;
 
 /// Settings of a viewer. They are read once, when the viewer is made.
 #[derive(Clone, Debug)]
@@ -49,6 +50,10 @@ pub struct ViewerConfig {
     pub history_frames: usize,
     /// Draws views for two eyes: the master cameras and, by [`Slave::eyes`](super::super::Slave::eyes), their slaves.
     pub stereo: Option<Stereo>,
+    /// The field of view of new views' cameras.
+    pub field_of_view: FieldOfView,
+    /// Alpha bits that the images of contexts must have; see [`ContextTraits::min_alpha_bits`].
+    pub min_alpha_bits: u32,
     /// Stencil bits that the adapter must have, 0 to 8.
     pub min_stencil_bits: u32,
     /// The number of contexts that may be open at once.
@@ -84,8 +89,10 @@ impl Default for ViewerConfig {
             compile_contexts: false,
             history_frames: 100_000,
             stereo: None,
+            field_of_view: FieldOfView::LongerSide(60f64.to_radians()),
+            min_alpha_bits: 0,
             min_stencil_bits: 0,
-            max_contexts: 1,
+            max_contexts: 32,
             keep_drawables: true,
             pipeline_cache: None,
             realize_operation: None,
@@ -101,6 +108,7 @@ impl ViewerConfig {
             adapter: self.adapter,
             samples: self.samples,
             vsync: self.vsync,
+            min_alpha_bits: self.min_alpha_bits,
             compile_thread: self.compile_contexts,
             validation: self.validation,
             ..ContextTraits::default()
