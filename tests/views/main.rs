@@ -12,5 +12,6 @@ mod scene_cameras;
 mod shared_device;
 mod shared_pager;
 mod stereo_slaves;
+mod thread_choice;
 mod threads;
 mod views;

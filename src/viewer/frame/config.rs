@@ -20,7 +20,8 @@ pub struct ViewerConfig {
     /// The threads that cull and draw.
     pub threading: ThreadingModel,
     /// Pins each thread of the model to a core, in turn, leaving the first core to the main thread; OSG's processor
-    /// affinity. Ignored where the system does not support it.
+    /// affinity. In the single-threaded model the main thread gets the first core and the pagers the second. Does nothing
+    /// on a single core, and where the system does not support it.
     pub cpu_affinity: bool,
     /// The adapter that draws.
     pub adapter: AdapterChoice,

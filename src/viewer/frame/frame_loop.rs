@@ -193,6 +193,9 @@ impl FrameLoop {
         let FrameInProgress { start, mut stats, phase, _frame, .. } = frame;
         // A handler may have changed the threading model.
         self.rendering.start_threads()?;
+        if let Some(core) = self.rendering.pager_core() {
+            self.pagers.set_processor_affinity(scenes, core);
+        }
         if self.is_blocking() {
             self.finish()?;
         }

@@ -15,6 +15,7 @@
 //! By its end all culls have dropped the scene, so that between two frames the main thread has the only reference.
 //! `tests/models/stage_models.rs` runs these files under thousands of thread schedules.
 
+mod cores;
 mod cull_side;
 mod device;
 mod draw_side;

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use super::super::ViewerError;
 use super::super::ids::ContextId;
+use super::cores;
 use super::cull_side::{CullOutcome, CullSide, CullTask, SCENE_VIEWS};
 use super::device::{DeviceHandle, DeviceOfScene};
 use super::draw_side::DrawEnd;
@@ -94,6 +95,8 @@ pub(in crate::viewer) struct Rendering {
 impl Rendering {
     /// Creates a stage without contexts and cameras. `blocking` contexts finish all uploads whenever results are taken.
     pub(in crate::viewer) fn new(blocking: bool, pins_threads: bool) -> Self {
+        // Before any thread is pinned.
+        let _ = (cores::all(), cores::count());
         Self {
             devices: Vec::new(),
             cameras: Vec::new(),
