@@ -11,7 +11,7 @@ use image::RgbaImage;
 use super::ViewerError;
 use super::frame::{FrameLoop, FrameStamp, StatsHistory, ViewList, ViewerConfig};
 use super::ids::{ContextId, KeyedList, SceneId, SlaveId, ViewId};
-use super::input::{GuiActionAdapter, WindowMatrix, camera_with_focus, changes, needs_frame};
+use super::input::{GuiActionAdapter, changes, needs_frame};
 use super::paging::{LoadedRoot, MAX_SCENES, PagedScene, SceneList, SceneUpdate, free_owner};
 use super::rendering::ThreadingModel;
 use super::view::set_bounds::SetBounds;
@@ -335,7 +335,8 @@ impl CompositeViewer {
         let bounds = self.paged(scene)?.bounds().copied();
         let slot = self.frame.add_camera(context, viewport.into())?;
         let config = self.frame.config();
-        let mut view = View::new(scene, config.cull_settings(), config.size_px, config.samples, slot);
+        let clock = self.frame.timer().clock().clone();
+        let mut view = View::new(scene, config.cull_settings(), config.size_px, config.samples, slot, clock);
         view.camera.field_of_view = config.field_of_view;
         view.set_stereo(config.stereo);
         view.prepare(&self.frame.rendering, bounds.as_ref());
@@ -395,14 +396,13 @@ impl CompositeViewer {
         Ok(GuiActionAdapter { base: &mut self.frame, view, paged })
     }
 
-    /// Returns the view at a position of a context, in pixels from its upper left corner, and the position inside the view.
-    /// Of overlapping views it is the one drawn last. Events of the pointer go to its event queue.
+    /// Returns the view at a position of a context, in pixels from its upper left corner, and the position in the image of the
+    /// view's master camera ([`View::in_master`]). Of overlapping views it is the one drawn last. Events of the pointer go
+    /// to its event queue.
     pub fn view_at(&self, context: ContextId, position_px: DVec2) -> Option<(ViewId, DVec2)> {
-        let here = self.views().filter(|(_, view)| view.context() == Some(context));
-        let (ids, cameras): (Vec<ViewId>, Vec<WindowMatrix>) =
-            here.map(|(id, view)| (id, view.window_matrix())).unzip();
-        let index = camera_with_focus(&cameras, position_px)?;
-        Some((*ids.get(index)?, position_px - cameras.get(index)?.origin_px))
+        let at = |(id, view)| View::camera_at(view, context, position_px).map(|(camera, source)| (camera, id, source));
+        let (_, id, source) = self.views().filter_map(at).max_by_key(|(camera, ..)| *camera)?;
+        Some((id, self.views.get(id)?.in_master(source, position_px)))
     }
 
     /// Adds a camera that follows the master camera of a view. It may be drawn in any context, for example another window.

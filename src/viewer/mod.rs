@@ -68,13 +68,14 @@ pub use config::{
 pub use display::has_display;
 pub use error::ViewerError;
 pub use events::{
-    Bindings, ButtonMask, EventKind, EventMask, EventQueue, GuiEventAdapter, GuiEventHandler, InputState, Key,
+    Bindings, ButtonMask, EventKind, EventMask, EventQueue, EventSource, GuiEventAdapter, GuiEventHandler, InputState, Key,
     Modifiers, MouseButton, TouchPhase, Usage, UserEvent, UserEvents, YOrientation,
 };
 pub use frame::{FrameStamp, FrameStats, Samples, StatsHistory, ViewerConfig};
 pub use ids::{ContextId, SceneId, SlaveId, ViewId};
 pub use input::{
-    GuiActionAdapter, OnPicture, WindowCommand, WindowMatrix, WindowRay, camera_with_focus, event_callback,
+    GuiActionAdapter, MouseCursor, OnPicture, WindowCommand, WindowMatrix, WindowRay, camera_with_focus,
+    event_callback,
 };
 #[cfg(feature = "window")]
 pub use overlay::{Overlay, OverlayPaint};

@@ -8,6 +8,7 @@ use super::camera_motion::CameraMotion;
 use super::handler_list::HandlerList;
 use crate::state::StateSet;
 use crate::viewer::events::{EventQueue, GuiEventAdapter, Key};
+use crate::viewer::frame::ReferenceClock;
 #[cfg(feature = "window")]
 use crate::viewer::overlay::Overlay;
 
@@ -15,12 +16,55 @@ use crate::viewer::overlay::Overlay;
 const NOTICE_S: f64 = 2.5;
 
 /// A request to the window, carried out before the next frame by the code that runs the window.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum WindowCommand {
     /// Switches between full screen and a window.
     ToggleFullScreen,
     /// Resizes the window to a width and height in pixels.
     Resize([u32; 2]),
+    /// Shows a shape of the pointer over the window; see [`View::set_cursor`](crate::viewer::View::set_cursor).
+    SetCursor(MouseCursor),
+    /// Moves the pointer to a position in the window, in pixels from its upper left corner; see
+    /// [`View::warp_pointer`](crate::viewer::View::warp_pointer). Ignored where the window system does not support it.
+    WarpPointer(DVec2),
+}
+
+/// The shape of the pointer over a window; OSG's `MouseCursor`. Shapes that the window system lacks look like the nearest one.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum MouseCursor {
+    /// The usual one of the window system.
+    #[default]
+    Inherit,
+    /// None: the pointer is hidden.
+    None,
+    /// An arrow.
+    Arrow,
+    /// An arrow with a question mark.
+    Help,
+    /// Busy.
+    Wait,
+    /// A bar between letters.
+    Text,
+    /// A thin cross.
+    Crosshair,
+    /// A hand that points.
+    Hand,
+    /// An open hand, for what can be dragged.
+    Grab,
+    /// A closed hand, while it is dragged.
+    Grabbing,
+    /// Arrows in four directions.
+    Move,
+    /// Arrows up and down.
+    UpDown,
+    /// Arrows left and right.
+    LeftRight,
+    /// Arrows along the diagonal from the upper left to the lower right.
+    UpperLeftLowerRight,
+    /// Arrows along the diagonal from the upper right to the lower left.
+    UpperRightLowerLeft,
+    /// A crossed-out circle.
+    NotAllowed,
 }
 
 /// The input state of a view: queue, handlers, manipulator, notice and overlay. Main thread.
@@ -49,9 +93,9 @@ pub(in crate::viewer) struct Input {
 }
 
 impl Input {
-    /// Creates the input state of a view of `size_px` pixels.
-    pub fn new(size_px: [u32; 2]) -> Self {
-        let mut queue = EventQueue::default();
+    /// Creates the input state of a view of `size_px` pixels. Its events have the times of `clock`.
+    pub fn new(size_px: [u32; 2], clock: ReferenceClock) -> Self {
+        let mut queue = EventQueue::with_clock(clock);
         queue.set_input_range(DVec2::ZERO, DVec2::new(f64::from(size_px[0].max(1)), f64::from(size_px[1].max(1))));
         Self {
             queue,

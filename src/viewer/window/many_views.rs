@@ -306,7 +306,7 @@ impl Open {
     fn feed(&mut self, place: usize, event: &WindowEvent) -> Result<(), ViewerError> {
         let Open { viewer, windows, .. } = self;
         let window = &mut windows[place];
-        let here = || viewer.views().filter(|(_, view)| view.context() == Some(window.context));
+        let here = || viewer.views().filter(|(_, view)| view.contexts().any(|of| of == window.context));
         let at = |position_px: DVec2| viewer.view_at(window.context, position_px).map(|(view, _)| view);
         // With the pointer outside of all views, keys go to the first view of the window.
         let first_here = || here().next().map(|(id, _)| id);
@@ -321,8 +321,10 @@ impl Open {
                 }
                 for id in ids {
                     let view = viewer.view_mut(id)?;
-                    overlay_of(&mut window.overlays, id).feed(view, &window.window, event);
-                    window_events::feed(view.event_queue(), event, DVec2::ZERO);
+                    if view.context() == Some(window.context) {
+                        overlay_of(&mut window.overlays, id).feed(view, &window.window, event);
+                    }
+                    window_events::feed(view, window.context, event);
                 }
                 return Ok(());
             }
@@ -362,11 +364,12 @@ impl Open {
         };
         let Some(id) = for_view else { return Ok(()) };
         let view = viewer.view_mut(id)?;
-        let is_taken = overlay_of(&mut window.overlays, id).feed(view, &window.window, event);
+        // The overlay of a view lies over the image of its master camera.
+        let has_overlay = view.context() == Some(window.context);
+        let is_taken = has_overlay && overlay_of(&mut window.overlays, id).feed(view, &window.window, event);
         // Presses that the overlay takes do not reach the view. Releases always do, since the press may have been there.
         if !(is_taken && window_events::is_press(event)) {
-            let origin_px = view.window_matrix().origin_px;
-            window_events::feed(view.event_queue(), event, origin_px);
+            window_events::feed(view, window.context, event);
         }
         Ok(())
     }

@@ -4,7 +4,6 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use glam::DVec2;
 use winit::application::ApplicationHandler;
 use winit::event::{StartCause, WindowEvent};
 use winit::event_loop::{ActiveEventLoop, ControlFlow};
@@ -234,8 +233,8 @@ impl App {
         let taken = open.overlay.feed(open.viewer.view(), &open.window, event);
         // Presses that the overlay takes do not reach the scene. Releases always do, since the press may have been there.
         if !(taken && window_events::is_press(event)) {
-            let origin_px = open.viewer.view().window_matrix().origin_px;
-            window_events::feed(open.viewer.view_mut().event_queue(), event, origin_px);
+            let context = open.viewer.context();
+            window_events::feed(open.viewer.view_mut(), context, event);
         }
         if open.pacing.is_on_demand() {
             open.window.request_redraw();
@@ -302,7 +301,8 @@ impl ApplicationHandler for App {
 }
 
 impl Open {
-    /// Handles events of a slave window. Keys of all windows go to the viewer; the pointer counts in the first window only.
+    /// Handles events of a slave window. They go to the viewer like those of the first window; positions of the pointer become
+    /// those in the master camera's image.
     fn handle_slave(&mut self, place: usize, event: &WindowEvent) -> Result<(), ViewerError> {
         let (_, context) = self.slaves[place];
         match event {
@@ -311,11 +311,8 @@ impl Open {
                 self.slaves.remove(place);
             }
             WindowEvent::Resized(size) => self.viewer.resize_context(context, [size.width, size.height])?,
-            // Keys are released when the window loses the focus.
-            WindowEvent::KeyboardInput { .. } | WindowEvent::ModifiersChanged(_) | WindowEvent::Focused(false) => {
-                window_events::feed(self.viewer.view_mut().event_queue(), event, DVec2::ZERO);
-            }
-            _ => {}
+            WindowEvent::RedrawRequested | WindowEvent::Destroyed => {}
+            event => _ = window_events::feed(self.viewer.view_mut(), context, event),
         }
         self.window.request_redraw();
         Ok(())

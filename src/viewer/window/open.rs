@@ -2,10 +2,11 @@
 
 use std::sync::Arc;
 
+use glam::DVec2;
 use winit::dpi::{PhysicalPosition, PhysicalSize};
 use winit::event_loop::ActiveEventLoop;
 use winit::monitor::MonitorHandle;
-use winit::window::{Fullscreen, Window};
+use winit::window::{CursorIcon, Fullscreen, Window};
 
 use super::parent::{ParentWindow, child_attributes};
 use super::slave_window::SlaveWindow;
@@ -16,7 +17,7 @@ use crate::viewer::config::{Arrangement, CameraSetup, WindowSetup, across_screen
 use crate::viewer::display::reason_of;
 use crate::viewer::frame::ViewerConfig;
 use crate::viewer::ids::ContextId;
-use crate::viewer::input::WindowCommand;
+use crate::viewer::input::{MouseCursor, WindowCommand};
 use crate::viewer::view::{Slave, View};
 use crate::viewer::viewer::Viewer;
 
@@ -32,6 +33,36 @@ pub(in crate::viewer) fn obey(window: &Window, command: WindowCommand) -> Option
             let now = window.request_inner_size(PhysicalSize::new(width.max(1), height.max(1)))?;
             Some([now.width, now.height])
         }
+        WindowCommand::SetCursor(cursor) => {
+            window.set_cursor_visible(cursor != MouseCursor::None);
+            window.set_cursor(icon_of(cursor));
+            None
+        }
+        WindowCommand::WarpPointer(DVec2 { x, y }) => {
+            if let Err(error) = window.set_cursor_position(PhysicalPosition::new(x, y)) {
+                log::debug!("the pointer cannot be moved: {error}");
+            }
+            None
+        }
+    }
+}
+
+fn icon_of(cursor: MouseCursor) -> CursorIcon {
+    match cursor {
+        MouseCursor::Inherit | MouseCursor::None | MouseCursor::Arrow => CursorIcon::Default,
+        MouseCursor::Help => CursorIcon::Help,
+        MouseCursor::Wait => CursorIcon::Wait,
+        MouseCursor::Text => CursorIcon::Text,
+        MouseCursor::Crosshair => CursorIcon::Crosshair,
+        MouseCursor::Hand => CursorIcon::Pointer,
+        MouseCursor::Grab => CursorIcon::Grab,
+        MouseCursor::Grabbing => CursorIcon::Grabbing,
+        MouseCursor::Move => CursorIcon::Move,
+        MouseCursor::UpDown => CursorIcon::NsResize,
+        MouseCursor::LeftRight => CursorIcon::EwResize,
+        MouseCursor::UpperLeftLowerRight => CursorIcon::NwseResize,
+        MouseCursor::UpperRightLowerLeft => CursorIcon::NeswResize,
+        MouseCursor::NotAllowed => CursorIcon::NotAllowed,
     }
 }
 
