@@ -53,9 +53,9 @@ pub use intersect::{
     RayIntersector, Vertical, WindowView,
 };
 pub use nodes::{
-    Attachment, Billboard, BillboardMode, CameraNode, CameraTarget, ClampProjection, ClearNode, ClipNode,
+    Attachment, Billboard, BillboardMode, CallbackStateSet, CameraNode, CameraTarget, ClampProjection, ClearNode, ClipNode,
     ConvexPlanarOccluder, CullAction, CullCallback, CullInfo, EventCallback, LightSource, LocalLights, MAX_DEPTH, Node,
-    NodeKind, OcclusionQueryNode, OcclusionResults, PagedLod, PagingOptions, Picture, PictureSink, ProxyLoading,
+    NodeCallback, NodeKind, OcclusionQueryNode, OcclusionResults, PagedLod, PagingOptions, Picture, PictureSink, ProxyLoading,
     ProxyNode, RangeMode, ReaderData, ReaderValue, ReferenceFrame, Refine, RenderOrder, TexGenNode, Traverse,
     UpdateCallback, UpdateInfo,
 };

@@ -74,8 +74,8 @@ pub use events::{
 pub use frame::{FrameStamp, FrameStats, Samples, StatsHistory, ViewerConfig};
 pub use ids::{ContextId, SceneId, SlaveId, ViewId};
 pub use input::{
-    GuiActionAdapter, MouseCursor, OnPicture, WindowCommand, WindowMatrix, WindowRay, camera_with_focus,
-    event_callback,
+    GuiActionAdapter, MouseCursor, OnPicture, ViewEvent, ViewUpdate, WindowCommand, WindowMatrix, WindowRay,
+    camera_with_focus, event_callback,
 };
 #[cfg(feature = "window")]
 pub use overlay::{Overlay, OverlayPaint};

@@ -48,6 +48,7 @@ impl GuiActionAdapter<'_> {
         if let Some(scene) = self.paged.changeable().filter(|scene| scene.has_event_callbacks()) {
             scene.event_traversal(event);
         }
+        self.view.call_event(event);
         if !event.handled {
             self.apply_default_action(event);
         }
@@ -77,9 +78,11 @@ impl GuiActionAdapter<'_> {
         }
     }
 
-    /// Moves the camera by the manipulator. Runs in the update phase after the update callbacks, because the manipulator
-    /// may follow a node that they move.
+    /// Calls the view's update callback, and moves the camera by the manipulator. Runs in the update phase after the update
+    /// callbacks of the scene, because the manipulator may follow a node that they move.
     pub(in crate::viewer) fn update_camera(&mut self, dt_s: f64) {
+        let stamp = self.frame_stamp();
+        self.view.call_update(&stamp);
         let step_s = self.view.input.camera_motion.step_s(dt_s);
         if let Some(pose) = self.with_manipulator(|manipulator, view| manipulator.advance(step_s, view)) {
             if pose.is_finite() {

@@ -20,5 +20,5 @@ pub use action_adapter::{GuiActionAdapter, OnPicture};
 pub use event_callback::event_callback;
 pub(super) use redraw::{changes, needs_frame};
 pub(super) use state::Input;
-pub use state::{MouseCursor, WindowCommand};
+pub use state::{MouseCursor, ViewEvent, ViewUpdate, WindowCommand};
 pub use window_matrix::{WindowMatrix, WindowRay, camera_with_focus};

@@ -8,9 +8,10 @@ use super::camera_motion::CameraMotion;
 use super::handler_list::HandlerList;
 use crate::state::StateSet;
 use crate::viewer::events::{EventQueue, GuiEventAdapter, Key};
-use crate::viewer::frame::ReferenceClock;
+use crate::viewer::frame::{FrameStamp, ReferenceClock};
 #[cfg(feature = "window")]
 use crate::viewer::overlay::Overlay;
+use crate::viewer::view::View;
 
 /// How long a notice is shown, seconds.
 const NOTICE_S: f64 = 2.5;
@@ -67,11 +68,18 @@ pub enum MouseCursor {
     NotAllowed,
 }
 
+/// A callback of a view's cameras in update.
+pub type ViewUpdate = Box<dyn FnMut(&mut View, &FrameStamp)>;
+/// A callback of a view's cameras for an event.
+pub type ViewEvent = Box<dyn FnMut(&mut View, &GuiEventAdapter)>;
+
 /// The input state of a view: queue, handlers, manipulator, notice and overlay. Main thread.
 pub(in crate::viewer) struct Input {
     pub(super) queue: EventQueue,
     pub(super) handlers: HandlerList,
     pub(super) camera_motion: CameraMotion,
+    pub(super) on_update: Option<ViewUpdate>,
+    pub(super) on_event: Option<ViewEvent>,
     /// The events of the current frame; kept to reuse its memory.
     pub(super) events: Vec<GuiEventAdapter>,
     pub(super) quit_keys: Vec<Key>,
@@ -101,6 +109,8 @@ impl Input {
             queue,
             handlers: HandlerList::default(),
             camera_motion: CameraMotion::default(),
+            on_update: None,
+            on_event: None,
             events: Vec::new(),
             quit_keys: vec![Key::Escape],
             is_done: false,

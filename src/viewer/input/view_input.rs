@@ -4,10 +4,11 @@ use std::sync::Arc;
 
 use glam::DVec2;
 
-use super::state::WindowCommand;
+use super::state::{ViewEvent, ViewUpdate, WindowCommand};
 use super::window_matrix::{WindowMatrix, WindowRay};
 use crate::state::StateSet;
 use crate::viewer::events::{EventQueue, GuiEventAdapter, GuiEventHandler, Key, Usage, UserEvents, YOrientation};
+use crate::viewer::frame::FrameStamp;
 use crate::viewer::manipulators::{CameraManipulator, GroundHeight};
 use crate::viewer::view::View;
 
@@ -30,6 +31,41 @@ impl View {
     /// Removes all event handlers.
     pub fn clear_event_handlers(&mut self) {
         self.input.handlers.clear();
+    }
+
+    /// Sets a callback of the view's cameras; OSG's update callback of a camera. It is called once a frame, after the callbacks of
+    /// the scene and before the manipulator moves the camera, and may change camera and slaves.
+    pub fn set_update_callback(&mut self, callback: Option<ViewUpdate>) {
+        self.input.on_update = callback;
+        self.request_redraw();
+    }
+
+    /// Returns true if the cameras have an update callback.
+    pub fn has_update_callback(&self) -> bool {
+        self.input.on_update.is_some()
+    }
+
+    /// Sets a callback of the view's cameras for events; OSG's event callback of a camera. It is called for each event, after the
+    /// handlers, the manipulator and the event callbacks of the scene.
+    pub fn set_event_callback(&mut self, callback: Option<ViewEvent>) {
+        self.input.on_event = callback;
+    }
+
+    /// Calls the update callback.
+    pub(super) fn call_update(&mut self, stamp: &FrameStamp) {
+        if let Some(mut call) = self.input.on_update.take() {
+            call(self, stamp);
+            // Unless the callback has set another one.
+            self.input.on_update.get_or_insert(call);
+        }
+    }
+
+    /// Calls the event callback.
+    pub(super) fn call_event(&mut self, event: &GuiEventAdapter) {
+        if let Some(mut call) = self.input.on_event.take() {
+            call(self, event);
+            self.input.on_event.get_or_insert(call);
+        }
     }
 
     /// Sets the keys that end the application; Escape by default.
