@@ -18,7 +18,7 @@ use super::view::set_bounds::SetBounds;
 use super::view::viewport::ViewArea;
 use super::view::{Slave, View};
 
-use crate::gpu::{CompileBudget, ContextTraits, GraphicsContext};
+use crate::gpu::CompileBudget;
 use crate::pager::{DatabasePager, ImagePager, ImageSequence};
 use crate::scene::{Page, PageId, Scene};
 use crate::sync::OperationQueue;
@@ -37,105 +37,20 @@ use crate::sync::OperationQueue;
 /// ```
 pub struct CompositeViewer {
     pub(super) frame: FrameLoop,
-    scenes: SceneList,
-    views: ViewList,
+    pub(super) scenes: SceneList,
+    pub(super) views: ViewList,
     /// The view of a [`Viewer`](super::Viewer), which cannot be removed.
     own_view: Option<ViewId>,
     /// The application's operations in update. Any thread adds to them.
     pub(super) update_operations: Arc<OperationQueue<Self>>,
 }
 
-/// Contexts: the windows and textures that views are drawn in.
 impl CompositeViewer {
     /// Creates a viewer without contexts, scenes and views.
     pub fn new(config: &ViewerConfig) -> Result<Self, ViewerError> {
         let frame = FrameLoop::new(config)?;
         let (scenes, views) = (KeyedList::new(), KeyedList::new());
         Ok(Self { frame, scenes, views, own_view: None, update_operations: Arc::default() })
-    }
-
-    /// Adds a context with its own device; at most [`ViewerConfig::max_contexts`]. The application's pages are
-    /// uploaded to it, and all paged contents are loaded again, for every context ([`Self::open_offscreen_on`] avoids
-    /// both). Stops the threads; the next frame starts them again.
-    pub fn open_context(&mut self, context: GraphicsContext) -> Result<ContextId, ViewerError> {
-        self.frame.open_context(context, &mut self.scenes)
-    }
-
-    /// Adds a window as a context with its own device; see [`Self::open_context`]. Call it on the thread of the event
-    /// loop, then add a view or a [`Slave`] in it.
-    pub fn open_window(
-        &mut self,
-        target: impl Into<wgpu::SurfaceTarget<'static>> + Clone + Send + Sync + 'static,
-        traits: &ContextTraits,
-    ) -> Result<ContextId, ViewerError> {
-        self.open_context(GraphicsContext::new_window(target, traits)?)
-    }
-
-    /// Adds an offscreen context on the device of another one. They share pools, textures and pipelines: nothing is
-    /// uploaded or loaded again, and bytes count once. One thread draws all contexts of a device, one after the other, in
-    /// every threading model. Only size, samples and vsync of the traits are used.
-    pub fn open_offscreen_on(&mut self, other: ContextId, traits: &ContextTraits) -> Result<ContextId, ViewerError> {
-        self.frame.open_context_on(other, traits, GraphicsContext::add_offscreen_target)
-    }
-
-    /// Adds a window on the device of another context; see [`Self::open_offscreen_on`]. Call it on the thread of the event
-    /// loop. Fails when the device's adapter cannot present to the window.
-    pub fn open_window_on(
-        &mut self,
-        other: ContextId,
-        target: impl Into<wgpu::SurfaceTarget<'static>> + Clone + Send + Sync + 'static,
-        traits: &ContextTraits,
-    ) -> Result<ContextId, ViewerError> {
-        self.frame.open_context_on(other, traits, |context, traits| context.add_window_target(target, traits))
-    }
-
-    /// Closes a context and removes the cameras in it; other contexts are unaffected. Returns false when there is no such
-    /// context.
-    pub fn close_context(&mut self, id: ContextId) -> Result<bool, ViewerError> {
-        self.frame.close_context(id, &mut self.views, &mut self.scenes)
-    }
-
-    /// The open contexts, in the order opened.
-    pub fn contexts(&self) -> impl Iterator<Item = ContextId> {
-        self.frame.rendering.context_ids().map(ContextId)
-    }
-
-    /// Sets the size of a context in pixels, for example after its window was resized.
-    pub fn resize_context(&mut self, context: ContextId, size_px: [u32; 2]) -> Result<(), ViewerError> {
-        self.frame.resize(context, size_px)?;
-        self.views.values_mut().for_each(|view| view.redraw_in(context));
-        Ok(())
-    }
-
-    /// Sets whether a context's window waits for the vertical blank; see [`ContextTraits::vsync`].
-    pub fn set_vsync(&mut self, context: ContextId, vsync: bool) -> Result<(), ViewerError> {
-        self.frame.set_vsync(context, vsync)
-    }
-
-    /// Returns the name of the first context's adapter.
-    pub fn adapter_name(&self) -> &str {
-        self.frame.rendering.adapter_name()
-    }
-
-    /// Returns true if the first context's adapter is a software driver, which draws far slower than a GPU.
-    pub fn is_software_adapter(&self) -> bool {
-        self.frame.rendering.is_software()
-    }
-
-    /// Loses the device of a context, as if the driver had lost it.
-    #[cfg(feature = "testing")]
-    pub fn lose_device(&mut self, context: ContextId) -> Result<(), ViewerError> {
-        self.frame.lose_device(context)
-    }
-
-    /// Sets the next answers of a window's surface.
-    #[cfg(feature = "testing")]
-    pub fn pretend_surface(
-        &mut self,
-        context: ContextId,
-        answers: &[crate::gpu::SurfaceAnswer],
-    ) -> Result<(), ViewerError> {
-        self.frame.pretend_surface(context, answers)
     }
 }
 

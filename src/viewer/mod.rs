@@ -13,6 +13,7 @@
 //! | `window/` | event loops of winit, parent windows, the pace of frames |
 //! | `events/`, `input/`, `handlers/`, `manipulators/` | events, the event phase, actions of keys, camera motion |
 //! | `config/` | display settings, and arrangements of windows and views from files and the environment |
+//! | `spherical/` | domes and panoramas |
 //! | `overlay/`, `report/`, `camera_path/` | egui over a view; the report of a flight; recorded camera paths |
 //!
 //! # Devices, contexts and windows
@@ -36,6 +37,7 @@ mod arranged_views;
 mod camera_path;
 mod composite;
 mod config;
+mod contexts;
 #[cfg(feature = "window")]
 mod display;
 mod error;
@@ -51,6 +53,7 @@ mod overlay;
 mod paging;
 mod rendering;
 mod report;
+mod spherical;
 mod view;
 #[expect(clippy::module_inception, reason = "the viewer's own file; the others are its parts")]
 mod viewer;
@@ -64,6 +67,8 @@ pub use config::{
     Arrangement, ArrangementError, CONFIG_FILE_VARIABLE, CameraSetup, DisplaySettingError, DisplaySettings,
     DisplayType, SCREEN_VARIABLE, SceneSetup, ViewCamera, ViewSetup, ViewsSetup, WINDOW_VARIABLE, WindowSetup,
 };
+#[cfg(feature = "window")]
+pub use config::Screen;
 #[cfg(feature = "window")]
 pub use display::has_display;
 pub use error::ViewerError;
@@ -85,6 +90,7 @@ pub use report::{
     Bytes, DrawMedians, FrameTimes, HoleCheck, Images, KEY_COLOR, Phases, Report, ReportError, Settled, Sharing, Tiles,
     Times, coverage,
 };
+pub use spherical::{SphericalDisplay, SphericalProjection};
 pub use view::camera::{Camera, FieldOfView, ResizePolicy, world_from_eye};
 pub use view::set_bounds::{LocalFrame, SetBounds, ViewFrom, environment_for};
 pub use view::viewport::ViewArea;

@@ -11,6 +11,7 @@ mod remove_scene;
 mod scene_cameras;
 mod shared_device;
 mod shared_pager;
+mod spherical;
 mod stereo_slaves;
 mod thread_choice;
 mod threads;

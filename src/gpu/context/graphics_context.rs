@@ -269,6 +269,11 @@ impl GraphicsContext {
         self.target().size_px()
     }
 
+    /// Returns the screen of the target's window and its position there; see [`ContextTraits::screen`].
+    pub(crate) fn place(&self) -> (u32, [i32; 2]) {
+        self.targets.selected().place()
+    }
+
     /// Returns the samples per pixel of the target, 1 or 4.
     pub fn samples(&self) -> u32 {
         self.targets.selected().samples()

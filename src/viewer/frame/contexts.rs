@@ -102,6 +102,23 @@ impl FrameLoop {
         Ok(CameraSlot { camera, context: context.0, device, viewport, context_px })
     }
 
+    /// Moves the master camera of a view to another context.
+    pub(in crate::viewer) fn move_master(&mut self, view: &mut View, context: ContextId) -> Result<(), ViewerError> {
+        let viewport = view.master.map_or(ViewArea::Whole, |slot| slot.viewport);
+        let slot = self.add_camera(context, viewport)?;
+        if let Some(before) = view.master.replace(slot) {
+            self.rendering.remove_camera(before.camera);
+        }
+        Ok(())
+    }
+
+    /// Draws a context after the others of its device.
+    pub(in crate::viewer) fn draw_last(&mut self, context: ContextId) -> Result<(), ViewerError> {
+        self.finish()?;
+        self.device_of(context)?.draw_last(context.0);
+        Ok(())
+    }
+
     pub(in crate::viewer) fn add_slave(&mut self, view: &mut View, slave: Slave) -> Result<SlaveId, ViewerError> {
         let slot = self.add_camera(slave.context, slave.viewport)?;
         Ok(view.push_slave(slot, slave))

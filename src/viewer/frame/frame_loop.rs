@@ -45,6 +45,9 @@ pub(in crate::viewer) struct FrameLoop {
     /// Overlays to be painted over the next frame, with their contexts.
     #[cfg(feature = "window")]
     overlays: Vec<(u32, crate::viewer::overlay::OverlayPaint)>,
+    /// The screens of the display, as the window's event loop found them.
+    #[cfg(feature = "window")]
+    pub(in crate::viewer) screens: Vec<crate::viewer::Screen>,
     pub(super) probe: Probe,
     pub(super) timer: FrameTimer,
     pub(super) device_loss: DeviceLoss,
@@ -86,6 +89,8 @@ impl FrameLoop {
             look_aheads: LookAheads::default(),
             #[cfg(feature = "window")]
             overlays: Vec::new(),
+            #[cfg(feature = "window")]
+            screens: Vec::new(),
             probe: Probe::new(),
             timer: FrameTimer::default(),
             device_loss: DeviceLoss::default(),

@@ -1,6 +1,7 @@
 //! The event phase, and the manipulator's step in the update phase.
 
 use super::action_adapter::GuiActionAdapter;
+use super::state::WindowCommand;
 use crate::viewer::events::{EventKind, GuiEventAdapter, GuiEventHandler, Key};
 
 impl GuiActionAdapter<'_> {
@@ -54,10 +55,17 @@ impl GuiActionAdapter<'_> {
         }
     }
 
-    /// Ends the application or returns the camera to its home pose, on an event that was not handled.
+    /// Closes a window, ends the application or returns the camera to its home pose, on an event that was not handled.
     fn apply_default_action(&mut self, event: &mut GuiEventAdapter) {
         match event.kind {
-            EventKind::CloseWindow | EventKind::QuitApplication => self.view.input.is_done = true,
+            // Closing the last window ends the application.
+            EventKind::CloseWindow => match event.source.context {
+                Some(context) if self.base.rendering.context_ids().any(|of| of != context.0) => {
+                    self.view.request_window(WindowCommand::Close(context));
+                }
+                _ => self.view.input.is_done = true,
+            },
+            EventKind::QuitApplication => self.view.input.is_done = true,
             EventKind::KeyDown { .. } => match event.key_pressed() {
                 Some(key) if self.view.input.quit_keys.contains(&key) => self.view.input.is_done = true,
                 Some(Key::SPACE | Key::Home) => {

@@ -97,9 +97,11 @@ impl View {
         self.in_master(source, position_px)
     }
 
-    /// Sets the window of the events that are queued next, for events without a position.
+    /// Sets the window of the events that are queued next, for events without a position. While a button or a finger is down,
+    /// it stays the one in which it went down.
     pub fn focus_window(&mut self, context: ContextId) {
-        if self.input.queue.source().context != Some(context) {
+        let queue = &self.input.queue;
+        if queue.source().context != Some(context) && !queue.is_pressed() {
             let slave = self.first_slave_in(context);
             self.input.queue.set_source(EventSource { context: Some(context), slave });
         }

@@ -7,8 +7,10 @@ use glam::DVec2;
 use super::camera_motion::CameraMotion;
 use super::handler_list::HandlerList;
 use crate::state::StateSet;
+use crate::viewer::config::Arrangement;
 use crate::viewer::events::{EventQueue, GuiEventAdapter, Key};
 use crate::viewer::frame::{FrameStamp, ReferenceClock};
+use crate::viewer::ids::ContextId;
 #[cfg(feature = "window")]
 use crate::viewer::overlay::Overlay;
 use crate::viewer::view::View;
@@ -17,7 +19,7 @@ use crate::viewer::view::View;
 const NOTICE_S: f64 = 2.5;
 
 /// A request to the window, carried out before the next frame by the code that runs the window.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum WindowCommand {
     /// Switches between full screen and a window.
     ToggleFullScreen,
@@ -28,6 +30,11 @@ pub enum WindowCommand {
     /// Moves the pointer to a position in the window, in pixels from its upper left corner; see
     /// [`View::warp_pointer`](crate::viewer::View::warp_pointer). Ignored where the window system does not support it.
     WarpPointer(DVec2),
+    /// Closes the window of a context, its context and the cameras in it. Other windows stay open.
+    Close(ContextId),
+    /// Opens the windows of an arrangement for the view, and closes those that it has; see
+    /// [`View::set_up`](crate::viewer::View::set_up).
+    SetUp(Arrangement),
 }
 
 /// The shape of the pointer over a window; OSG's `MouseCursor`. Shapes that the window system lacks look like the nearest one.

@@ -38,6 +38,8 @@ enum Side {
 /// A context, as the main thread knows it.
 struct ContextOnDevice {
     id: u32,
+    /// The screen of its window, and the position there.
+    place: (u32, [i32; 2]),
     size_px: [u32; 2],
     /// The last frame whose result has arrived.
     done_frame: u32,
@@ -50,7 +52,7 @@ struct ContextOnDevice {
 pub(in crate::viewer) struct DeviceHandle {
     /// The number of its first context, even after that was closed.
     id: u32,
-    /// In the order opened.
+    /// In the order drawn.
     contexts: Vec<ContextOnDevice>,
     side: Side,
     /// True once a command or an answer has failed.
@@ -85,7 +87,7 @@ pub(in crate::viewer) struct DeviceHandle {
 impl DeviceHandle {
     /// Takes a device with one context. The main thread owns it until threads are started.
     pub(super) fn new(id: u32, context: GraphicsContext, blocking: bool, frame: u32) -> Self {
-        let size_px = context.size_px();
+        let (size_px, place) = (context.size_px(), context.place());
         let compile_operations = context.compile_operations().clone();
         let (adapter_name, is_software) = (context.adapter_name(), context.is_software());
         let (is_host_device, block_formats) = (context.is_host_device(), context.block_formats());
@@ -107,7 +109,7 @@ impl DeviceHandle {
         let operations = side.drawn_mut(id).map(|context| context.operations.clone()).unwrap_or_default();
         Self {
             id,
-            contexts: vec![ContextOnDevice { id, size_px, done_frame: frame, operations }],
+            contexts: vec![ContextOnDevice { id, place, size_px, done_frame: frame, operations }],
             side: Side::Here(Box::new(side)),
             is_dead: false,
             is_stuck: false,
@@ -133,9 +135,22 @@ impl DeviceHandle {
         self.id
     }
 
-    /// The numbers of its contexts, in the order opened.
+    /// The numbers of its contexts, in the order drawn.
     pub(super) fn context_ids(&self) -> impl Iterator<Item = u32> {
         self.contexts.iter().map(|context| context.id)
+    }
+
+    /// Its contexts, each with the screen of its window, the position there, and its number.
+    pub(super) fn places(&self) -> impl Iterator<Item = (u32, [i32; 2], u32)> {
+        self.contexts.iter().map(|context| (context.place.0, context.place.1, context.id))
+    }
+
+    /// Draws a context after the others. No frame may be in flight.
+    pub(in crate::viewer) fn draw_last(&mut self, context: u32) {
+        if let Some(at) = self.contexts.iter().position(|c| c.id == context) {
+            let last = self.contexts.remove(at);
+            self.contexts.push(last);
+        }
     }
 
     /// The size of a context's target after all commands; `None` when the context is another device's.
@@ -155,7 +170,8 @@ impl DeviceHandle {
         add(&mut side.context, traits)?;
         side.push_context(id);
         let operations = side.drawn_mut(id).map(|context| context.operations.clone()).unwrap_or_default();
-        self.contexts.push(ContextOnDevice { id, size_px: traits.size_px, done_frame: frame, operations });
+        let (place, size_px) = ((traits.screen, traits.position_px), traits.size_px);
+        self.contexts.push(ContextOnDevice { id, place, size_px, done_frame: frame, operations });
         Ok(())
     }
 

@@ -329,12 +329,7 @@ impl DrawSide {
         }
         for job in jobs.drain(..) {
             if let Some(index) = self.select(job.context) {
-                let is_alone = job.stage.is_some();
                 draw_ms = self.render_context(index, job, std::mem::take(&mut compile_ms), draw_ms);
-                // Not for an image that the application has drawn once more: operations run once in each frame.
-                if !is_alone && let Some(context) = self.contexts.get(index) {
-                    context.operations.run_operations(&mut self.context);
-                }
             }
         }
         // Keeps the memory.
@@ -359,6 +354,10 @@ impl DrawSide {
         self.renderer.timed = (job.context, job.frame);
         let stats = self.draw(index, job.clock);
         self.complete_dynamic(index);
+        // Not for an image that the application has drawn once more: operations run once in each frame.
+        if !own_stage && stats.is_ok() {
+            self.contexts[index].operations.run_operations(&mut self.context);
+        }
         #[cfg(feature = "window")]
         // egui's renderer panics on a lost device; overlays are created again for the next device.
         if stats.is_ok() && !self.context.is_lost() {

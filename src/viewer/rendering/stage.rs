@@ -119,11 +119,11 @@ impl Rendering {
         self.devices.iter().map(DeviceHandle::number)
     }
 
-    /// The numbers of the contexts, in the order opened.
+    /// The numbers of the contexts, by the screens of their windows and the positions there, then in the order opened.
     pub(in crate::viewer) fn context_ids(&self) -> impl Iterator<Item = u32> + use<> {
-        let mut contexts: Vec<u32> = self.devices.iter().flat_map(DeviceHandle::context_ids).collect();
-        contexts.sort_unstable();
-        contexts.into_iter()
+        let mut places: Vec<_> = self.devices.iter().flat_map(DeviceHandle::places).collect();
+        places.sort_unstable();
+        places.into_iter().map(|(.., context)| context)
     }
 
     pub(in crate::viewer) fn device_count(&self) -> usize {

@@ -19,10 +19,17 @@ pub fn feed(view: &mut View, context: ContextId, event: &WindowEvent) -> bool {
     let position_px = match event {
         WindowEvent::CursorMoved { position, .. } => DVec2::new(position.x, position.y),
         WindowEvent::Touch(Touch { location, .. }) => DVec2::new(location.x, location.y),
-        event => {
+        WindowEvent::ModifiersChanged(_) => return feed_queue(view.event_queue(), event, DVec2::ZERO),
+        WindowEvent::CloseRequested
+        | WindowEvent::Focused(_)
+        | WindowEvent::KeyboardInput { .. }
+        | WindowEvent::MouseInput { .. }
+        | WindowEvent::MouseWheel { .. }
+        | WindowEvent::DroppedFile(_) => {
             view.focus_window(context);
             return feed_queue(view.event_queue(), event, DVec2::ZERO);
         }
+        _ => return false,
     };
     let position_px = view.focus_camera(context, position_px);
     feed_queue(view.event_queue(), event, position_px)

@@ -57,6 +57,10 @@ impl GraphicsContext {
         [1, 1]
     }
 
+    pub fn place(&self) -> (u32, [i32; 2]) {
+        (0, [0, 0])
+    }
+
     pub fn block_formats(&self) -> BlockFormats {
         BlockFormats::NONE
     }
