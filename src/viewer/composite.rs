@@ -437,6 +437,26 @@ impl CompositeViewer {
         self.frame.results().history()
     }
 
+    /// Switches statistics on, as they are at first, or off: [`Self::stats`] is then empty. Figures so far are dropped.
+    pub fn set_stats(&mut self, is_on: bool) {
+        self.frame.results.set_stats(is_on);
+    }
+
+    /// Returns the milliseconds that the last frame's cull of a view's master camera, or of a slave, took; `None` when the view
+    /// has no such camera.
+    pub fn cull_ms(&self, view: ViewId, slave: Option<SlaveId>) -> Result<Option<f64>, ViewerError> {
+        let camera = self.camera_number(view, slave)?;
+        let of_camera = self.frame.rendering.outcomes().find(|(number, _)| Some(*number) == camera);
+        Ok(of_camera.map(|(_, outcome)| outcome.cull_ms))
+    }
+
+    /// Returns the number of a view's master camera or of a slave.
+    pub(super) fn camera_number(&self, view: ViewId, slave: Option<SlaveId>) -> Result<Option<u32>, ViewerError> {
+        let of_view = self.view(view)?;
+        let camera = slave.map_or(of_view.master.map(|slot| slot.camera), |slave| Some(slave.0));
+        Ok(camera.filter(|camera| of_view.has_camera(*camera)))
+    }
+
     /// Returns the problems while drawing so far, each once, including errors that the device reported.
     pub fn draw_errors(&self) -> &[String] {
         self.frame.results().errors()

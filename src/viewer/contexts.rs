@@ -80,6 +80,17 @@ impl CompositeViewer {
         Ok(())
     }
 
+    /// Sets [`ViewerConfig::frames_to_retain`](super::ViewerConfig::frames_to_retain), also for drawables that are kept already.
+    pub fn set_frames_to_retain(&mut self, frames: u32) {
+        self.frame.set_frames_to_retain(frames);
+    }
+
+    /// Frees the GPU memory of all removed drawables before the next frame, however long that takes; otherwise each frame frees
+    /// what it has time for. OSG's `flushAllDeletedGLObjects`.
+    pub fn flush_deleted_objects(&mut self) {
+        self.frame.rendering.devices_mut().for_each(|device| device.flush_released());
+    }
+
     /// Returns the screens of the display, as [`run_window`](super::run_window) and [`run_views`](super::run_views) found them
     /// when they opened windows last; empty in other event loops, which have [`Screen::all`](super::Screen::all).
     #[cfg(feature = "window")]

@@ -71,9 +71,7 @@ impl CompositeViewer {
         view: ViewId,
         slave: Option<SlaveId>,
     ) -> Result<Option<&Arc<OperationQueue<CullVisitor>>>, ViewerError> {
-        let of_view = self.view(view)?;
-        let camera = slave.map_or(of_view.master.map(|slot| slot.camera), |slave| Some(slave.0));
-        let camera = camera.filter(|camera| of_view.has_camera(*camera));
+        let camera = self.camera_number(view, slave)?;
         Ok(camera.and_then(|camera| self.frame.rendering.camera_operations(camera)))
     }
 

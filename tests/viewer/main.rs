@@ -13,6 +13,7 @@ mod report;
 mod scene;
 mod shadows;
 #[cfg(all(feature = "window", feature = "http"))]
+mod statistics;
 mod tile_states;
 mod timeline;
 mod variance;

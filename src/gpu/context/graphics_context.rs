@@ -395,6 +395,11 @@ impl GraphicsContext {
         self.retired.release(slots, &mut self.pools);
     }
 
+    /// Frees all released drawables at once, however long that takes.
+    pub(crate) fn flush_released(&mut self) {
+        self.retired.free_all(&mut self.pools);
+    }
+
     /// Called by the renderer before it submits a frame, which takes along what the queue has written. `uploads` receives the
     /// commands that the renderer must submit before its own.
     pub(crate) fn before_submit(&mut self, uploads: &mut Vec<wgpu::CommandBuffer>) {

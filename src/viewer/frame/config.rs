@@ -62,6 +62,9 @@ pub struct ViewerConfig {
     /// Keeps the geometry of pages that the application added after its upload, to upload it again to contexts opened
     /// later and to devices that replace lost ones. Without it such pages are missing there.
     pub keep_drawables: bool,
+    /// The number of frames for which the GPU memory of removed drawables is kept after the last frame that draws them; OSG's
+    /// `DeleteHandler::setNumFramesToRetainObjects`. More than 0 spreads the cost of removing much at once.
+    pub frames_to_retain: u32,
     /// The folder in which compiled pipelines are kept for the next start; `None` keeps none. Useful where the driver has
     /// no cache.
     pub pipeline_cache: Option<PathBuf>,
@@ -95,6 +98,7 @@ impl Default for ViewerConfig {
             min_stencil_bits: 0,
             max_contexts: 32,
             keep_drawables: true,
+            frames_to_retain: 0,
             pipeline_cache: None,
             realize_operation: None,
         }

@@ -44,6 +44,9 @@ impl FrameLoop {
         }
         self.finish()?;
         let number = self.rendering.add_context(context, self.stamp().frame);
+        if let Some(device) = self.rendering.device_of(number) {
+            device.retain_released(self.config.frames_to_retain);
+        }
         if let Err(error) = self.rendering.check_model() {
             self.rendering.remove_context(number);
             return Err(error);
@@ -110,6 +113,12 @@ impl FrameLoop {
             self.rendering.remove_camera(before.camera);
         }
         Ok(())
+    }
+
+    /// Keeps released drawables for some frames, on all devices.
+    pub(in crate::viewer) fn set_frames_to_retain(&mut self, frames: u32) {
+        self.config.frames_to_retain = frames;
+        self.rendering.devices_mut().for_each(|device| device.retain_released(frames));
     }
 
     /// Draws a context after the others of its device.

@@ -52,7 +52,7 @@ pub(in crate::viewer) struct FrameLoop {
     pub(super) timer: FrameTimer,
     pub(super) device_loss: DeviceLoss,
     pub(super) query_answers: QueryAnswers,
-    pub(super) results: DrawResults,
+    pub(in crate::viewer) results: DrawResults,
     pub(super) pictures: PictureRequests,
 }
 

@@ -427,6 +427,17 @@ impl DeviceHandle {
         }
     }
 
+    /// Keeps slots that are released for some frames.
+    pub(in crate::viewer) fn retain_released(&mut self, frames: u32) {
+        // An error of the draw thread is reported by the next frame.
+        let _ = self.send(DrawCommand::RetainReleased { frames });
+    }
+
+    /// Frees all released slots at once.
+    pub(in crate::viewer) fn flush_released(&mut self) {
+        let _ = self.send(DrawCommand::FlushReleased);
+    }
+
     /// Replaces the mesh of a drawable from the next frame on.
     pub(in crate::viewer) fn rewrite(&mut self, slot: DrawSlot, mesh: Arc<Mesh>) -> Result<(), ViewerError> {
         self.send(DrawCommand::Rewrite { slot, mesh })

@@ -11,6 +11,7 @@ use std::time::{Duration, Instant};
 use super::cull_side::{CullSide, Culled};
 use super::frame_job::{DrawCommand, FrameDone, FrameJob, Reply};
 use super::millis::millis;
+use super::retained_slots::RetainedSlots;
 use crate::cull::RenderStage;
 use crate::draw::{CameraView, DrawStats, FrameClock, Renderer};
 use crate::gpu::{CompileBudget, Compiled, GpuError, GraphicsContext};
@@ -95,6 +96,8 @@ pub(super) struct DrawSide {
     drawn: Vec<(Box<FrameDone>, bool)>,
     /// Images for textures, written in the next frame.
     images: Vec<ImageChange>,
+    /// Released drawables that the application wants to be kept for some frames.
+    retained: RetainedSlots,
 }
 
 /// The ends of the channels that a [`DrawSide`] gets.
@@ -126,6 +129,7 @@ impl DrawSide {
             jobs: Vec::new(),
             drawn: Vec::new(),
             images: Vec::new(),
+            retained: RetainedSlots::default(),
         }
     }
 
@@ -205,7 +209,19 @@ impl DrawSide {
                 self.images.retain(|earlier| !Arc::ptr_eq(&earlier.texture, &change.texture));
                 return self.images.push(change);
             }
-            DrawCommand::Release(slots) => return self.context.release(&slots),
+            DrawCommand::Release(slots) => {
+                if let Some(slots) = self.retained.retain(slots) {
+                    self.context.release(&slots);
+                }
+                return;
+            }
+            DrawCommand::RetainReleased { frames } => return self.retained.set_frames(frames),
+            DrawCommand::FlushReleased => {
+                while let Some(slots) = self.retained.take_any() {
+                    self.context.release(&slots);
+                }
+                return self.context.flush_released();
+            }
             DrawCommand::RunCompiles(budget) => {
                 self.context.run_compiles(&budget);
                 self.pass_on_compiled();
@@ -270,6 +286,7 @@ impl DrawSide {
             return Ok(false);
         }
         self.context.reopen()?;
+        self.retained.clear();
         self.renderer = Renderer::new(&mut self.context);
         for context in &mut self.contexts {
             context.failed = None;
@@ -313,6 +330,10 @@ impl DrawSide {
         let mut jobs = std::mem::take(&mut self.jobs);
         let start = Instant::now();
         if let Some(first) = jobs.first() {
+            self.retained.begin_frame(first.frame);
+            while let Some(slots) = self.retained.take_due() {
+                self.context.release(&slots);
+            }
             self.context.run_compiles(&first.budget);
         }
         self.pass_on_compiled();

@@ -23,6 +23,7 @@ mod frame_job;
 mod millis;
 mod model;
 mod operations;
+mod retained_slots;
 mod stage;
 mod threads;
 mod upload_ticket;

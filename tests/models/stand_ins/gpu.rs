@@ -107,6 +107,8 @@ impl GraphicsContext {
 
     pub fn release(&mut self, _slots: &[DrawSlot]) {}
 
+    pub fn flush_released(&mut self) {}
+
     pub fn resize(&mut self, _size_px: [u32; 2]) -> Result<(), GpuError> {
         Ok(())
     }
