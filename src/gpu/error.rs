@@ -24,7 +24,9 @@ pub enum GpuError {
         reason: String,
     },
     /// The images of a window or a texture have too few bits of alpha.
-    #[error("the target has at most {found} bits of alpha, and {wanted} are wanted; lower ContextTraits::min_alpha_bits")]
+    #[error(
+        "the target has at most {found} bits of alpha, and {wanted} are wanted; lower ContextTraits::min_alpha_bits"
+    )]
     AlphaBits {
         /// The wanted bits.
         wanted: u32,

@@ -63,18 +63,18 @@ mod window;
 pub use arranged_views::ArrangedViews;
 pub use camera_path::{AnimationPath, ControlPoint, LoopMode, PathError};
 pub use composite::CompositeViewer;
+#[cfg(feature = "window")]
+pub use config::Screen;
 pub use config::{
     Arrangement, ArrangementError, CONFIG_FILE_VARIABLE, CameraSetup, DisplaySettingError, DisplaySettings,
     DisplayType, SCREEN_VARIABLE, SceneSetup, ViewCamera, ViewSetup, ViewsSetup, WINDOW_VARIABLE, WindowSetup,
 };
 #[cfg(feature = "window")]
-pub use config::Screen;
-#[cfg(feature = "window")]
 pub use display::has_display;
 pub use error::ViewerError;
 pub use events::{
-    Bindings, ButtonMask, EventKind, EventMask, EventQueue, EventSource, GuiEventAdapter, GuiEventHandler, InputState, Key,
-    Modifiers, MouseButton, TouchPhase, Usage, UserEvent, UserEvents, YOrientation,
+    Bindings, ButtonMask, EventKind, EventMask, EventQueue, EventSource, GuiEventAdapter, GuiEventHandler, InputState,
+    Key, Modifiers, MouseButton, TouchPhase, Usage, UserEvent, UserEvents, YOrientation,
 };
 pub use frame::{FrameStamp, FrameStats, Samples, StatsHistory, ViewerConfig};
 pub use ids::{ContextId, SceneId, SlaveId, ViewId};

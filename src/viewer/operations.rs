@@ -21,7 +21,9 @@ impl CompositeViewer {
     /// sizes of their contexts. Otherwise the first frame does so. Fails without a context.
     pub fn realize(&mut self) -> Result<(), ViewerError> {
         if self.contexts().next().is_none() {
-            return Err(ViewerError::Setting("no context is open to be realized; open a window or a texture".to_owned()));
+            return Err(ViewerError::Setting(
+                "no context is open to be realized; open a window or a texture".to_owned(),
+            ));
         }
         self.start_threading()?;
         self.prepare_views();
@@ -57,10 +59,7 @@ impl CompositeViewer {
 
     /// Returns the operations of a context. They run on the thread that draws it, after its cameras are drawn and before it
     /// is presented. That thread alone may use the context's queue. They must not resize or present it.
-    pub fn context_operations(
-        &self,
-        context: ContextId,
-    ) -> Result<&Arc<OperationQueue<GraphicsContext>>, ViewerError> {
+    pub fn context_operations(&self, context: ContextId) -> Result<&Arc<OperationQueue<GraphicsContext>>, ViewerError> {
         self.frame.rendering.context_operations(context.0).ok_or(ViewerError::NoContext(context))
     }
 

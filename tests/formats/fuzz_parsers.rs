@@ -528,7 +528,8 @@ fn display_settings() -> Parser {
         let _ = settings.read_command_line(&mut arguments);
         match settings.field_of_view() {
             None => {}
-            Some(FieldOfView::Vertical(angle) | FieldOfView::Horizontal(angle)) if angle.is_finite() && angle > 0.0 => {}
+            Some(FieldOfView::Vertical(angle) | FieldOfView::Horizontal(angle)) if angle.is_finite() && angle > 0.0 => {
+            }
             other => panic!("{other:?}"),
         }
     })

@@ -43,7 +43,9 @@ fn positions_in_a_slave_window_become_those_of_the_master_camera() {
     };
     let (mut viewer, beside, slave) = viewer(right);
     let (first, view) = (viewer.context(), viewer.view_mut());
-    for (at, expected) in [([0.0, 0.0], [400.0, 0.0]), ([100.0, 50.0], [600.0, 100.0]), ([200.0, 100.0], [800.0, 200.0])] {
+    for (at, expected) in
+        [([0.0, 0.0], [400.0, 0.0]), ([100.0, 50.0], [600.0, 100.0]), ([200.0, 100.0], [800.0, 200.0])]
+    {
         near(view.focus_camera(beside, at.into()), expected.into());
         assert_eq!(view.event_queue().source(), EventSource { context: Some(beside), slave: Some(slave) });
     }
@@ -60,10 +62,12 @@ fn positions_in_a_slave_window_become_those_of_the_master_camera() {
 
 #[test]
 fn turned_slave_shows_directions_of_the_master_or_its_edge() {
-    let turned = |degrees: f64| move |context| Slave {
-        // The slave looks to the right of the master.
-        view_offset: DAffine3::from_rotation_y(degrees.to_radians()),
-        ..Slave::new(context)
+    let turned = |degrees: f64| {
+        move |context| Slave {
+            // The slave looks to the right of the master.
+            view_offset: DAffine3::from_rotation_y(degrees.to_radians()),
+            ..Slave::new(context)
+        }
     };
     let (mut aside, beside, _) = viewer(turned(20.0));
     let at = aside.view_mut().focus_camera(beside, DVec2::new(100.0, 50.0));

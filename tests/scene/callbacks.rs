@@ -4,8 +4,8 @@ use std::sync::{Arc, Mutex};
 
 use glam::{DAffine3, DVec3};
 use terrane::scene::{
-    CallbackStateSet, Drawable, EventCallback, Material, Mesh, Node, NodeId, NodeKind, Page, PageId, PagedLod, PagingOptions, RangeMode, Refine, Scene, Traverse,
-    UpdateCallback, UpdateInfo,
+    CallbackStateSet, Drawable, EventCallback, Material, Mesh, Node, NodeId, NodeKind, Page, PageId, PagedLod,
+    PagingOptions, RangeMode, Refine, Scene, Traverse, UpdateCallback, UpdateInfo,
 };
 
 use terrane::state::{StateSet, UniformValue};
@@ -217,7 +217,8 @@ fn nested_callbacks_follow_unless_the_first_skips() {
 fn callback_of_a_drawable_gets_its_geode_and_index() {
     let log = Log::default();
     let seen = log.clone();
-    let square = |size: f64| Drawable::new(Mesh::rectangle(DVec3::ZERO, DVec3::X * size, DVec3::Y).into(), Material::default());
+    let square =
+        |size: f64| Drawable::new(Mesh::rectangle(DVec3::ZERO, DVec3::X * size, DVec3::Y).into(), Material::default());
     let mut geode = Node::geode(vec![square(1.0), square(2.0)]);
     geode.update_callback = Some(UpdateCallback::on_drawable(1, move |scene, node, drawable, info| {
         seen.lock().unwrap().push(format!("{} {drawable} {}", node.index, info.frame));
@@ -247,7 +248,8 @@ fn callbacks_change_a_state_set_and_its_uniforms_where_a_page_uses_it() {
     let missing = state.on_uniform("rain", |_, _: &UpdateInfo| panic!("there is no such uniform"));
     let color = state.on_state_set(|set, info: &UpdateInfo| set.color = Some([0.5 * info.frame as f32; 4]));
     node.update_callback = Some(wind.then(missing).then(color));
-    let named = state.on_state_set(|set, event: &dyn std::any::Any| set.name = event.downcast_ref::<String>().unwrap().clone());
+    let named =
+        state.on_state_set(|set, event: &dyn std::any::Any| set.name = event.downcast_ref::<String>().unwrap().clone());
     node.event_callback = Some(named);
     let mut scene = Scene::new();
     let root = scene.add_root(Page::from_node(node).unwrap());
@@ -256,7 +258,10 @@ fn callbacks_change_a_state_set_and_its_uniforms_where_a_page_uses_it() {
         let before = state.current();
         scene.update_traversal(&info(frame));
         let after = state.current();
-        assert_eq!((after.uniforms[0].0.value.clone(), after.color), (UniformValue::Float(frame as f32), Some([0.5 * frame as f32; 4])));
+        assert_eq!(
+            (after.uniforms[0].0.value.clone(), after.color),
+            (UniformValue::Float(frame as f32), Some([0.5 * frame as f32; 4]))
+        );
         // A set that draw may still read was not changed itself, and is no longer that of the page.
         assert_eq!(before.color, (frame > 1).then(|| [0.5 * (frame - 1) as f32; 4]));
         assert!(!scene.replace_state_set(root, &before, after.clone()));

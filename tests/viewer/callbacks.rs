@@ -6,9 +6,7 @@ use std::sync::{Arc, Mutex};
 use glam::DVec3;
 use kit::viewer::offscreen;
 use terrane::gpu::AdapterChoice;
-use terrane::scene::{
-    CallbackStateSet, Drawable, Material, Mesh, Node, Page, Sky, UpdateCallback, UpdateInfo,
-};
+use terrane::scene::{CallbackStateSet, Drawable, Material, Mesh, Node, Page, Sky, UpdateCallback, UpdateInfo};
 use terrane::state::{Attribute, DataVariance, Program, StateSet, UniformValue};
 use terrane::viewer::{EventKind, Key, ThreadingModel, Viewer, ViewerConfig};
 
@@ -72,12 +70,8 @@ fn each_frame_shows_what_its_callbacks_have_set() {
 }
 
 fn empty_viewer() -> Viewer {
-    let config = ViewerConfig {
-        size_px: [32, 16],
-        adapter: AdapterChoice::Noop,
-        validation: false,
-        ..ViewerConfig::default()
-    };
+    let config =
+        ViewerConfig { size_px: [32, 16], adapter: AdapterChoice::Noop, validation: false, ..ViewerConfig::default() };
     let mut viewer = Viewer::new_offscreen(&config).unwrap();
     viewer.add_root(Page::from_node(Node::group(vec![])).unwrap()).unwrap();
     viewer

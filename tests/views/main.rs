@@ -2,9 +2,9 @@
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 mod contexts;
+mod operations;
 #[cfg(feature = "window")]
 mod overlays;
-mod operations;
 mod pager_sharing;
 mod picking;
 mod remove_scene;

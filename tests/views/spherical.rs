@@ -87,7 +87,8 @@ fn collar_widens_the_angle_of_a_dome() {
     let phi = radius.atan2(distance);
     let r_px = (120.0 * phi / std::f64::consts::FRAC_PI_2).round() as u32;
     assert!((40..100).contains(&r_px), "{r_px}");
-    for (x, y, color) in [(120 + r_px, 120, GREEN), (120 - r_px, 120, YELLOW), (120, 120 - r_px, CYAN), (120, 120, RED)] {
+    for (x, y, color) in [(120 + r_px, 120, GREEN), (120 - r_px, 120, YELLOW), (120, 120 - r_px, CYAN), (120, 120, RED)]
+    {
         assert!(shows(&picture, x, y, color), "{:?} at {x}, {y}", picture.get_pixel(x, y));
     }
 }

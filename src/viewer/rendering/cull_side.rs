@@ -14,8 +14,8 @@ use crate::cull::{CullCamera, CullCounters, CullVisitor, PageRequest, RenderStag
 use crate::draw::{BinCallback, CameraCallbacks};
 use crate::scene::{CameraTarget, ClampProjection, ComputeNearFar, Environment, Scene};
 use crate::state::{DataVariance, OpaqueDrawData, StateSet};
-use crate::sync::{BlockCount, OperationQueue};
 use crate::sync::primitives::channel::{Receiver, Sender, TryRecvError};
+use crate::sync::{BlockCount, OperationQueue};
 use crate::trace;
 use crate::viewer::Camera;
 

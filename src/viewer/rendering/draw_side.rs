@@ -16,8 +16,8 @@ use crate::cull::RenderStage;
 use crate::draw::{CameraView, DrawStats, FrameClock, Renderer};
 use crate::gpu::{CompileBudget, Compiled, GpuError, GraphicsContext};
 use crate::pager::ImageChange;
-use crate::sync::{BlockCount, Operation, OperationQueue};
 use crate::sync::primitives::channel::{Receiver, Sender};
+use crate::sync::{BlockCount, Operation, OperationQueue};
 use crate::trace;
 
 /// The draw end of a camera's channels: stages arrive culled and are returned empty.

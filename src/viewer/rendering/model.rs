@@ -94,9 +94,7 @@ impl ThreadingModel {
             return Ok(self);
         }
         Ok(match Self::from_environment()? {
-            None | Some(Self::AutomaticSelection) => {
-                Self::suggest_best(contexts, cameras, cores::count())
-            }
+            None | Some(Self::AutomaticSelection) => Self::suggest_best(contexts, cameras, cores::count()),
             Some(model) => model,
         })
     }

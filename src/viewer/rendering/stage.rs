@@ -307,7 +307,8 @@ impl Rendering {
             }
         }
         // What the operation has made for a context was on the old device.
-        let contexts = self.devices.iter().filter(|d| renewed.contains(&d.number())).flat_map(DeviceHandle::context_ids);
+        let contexts =
+            self.devices.iter().filter(|d| renewed.contains(&d.number())).flat_map(DeviceHandle::context_ids);
         let contexts: Vec<u32> = contexts.collect();
         contexts.into_iter().for_each(|context| self.realize_context(context));
         Ok(renewed)

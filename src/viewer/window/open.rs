@@ -81,9 +81,8 @@ pub(in crate::viewer) fn windows(
         // `run_window` has refused several views before.
         Arrangement::Usual | Arrangement::Views(_) => Vec::new(),
         Arrangement::AllScreens => {
-            let place = |Screen { position_px: [x, y], size_px: [width, height], .. }| {
-                [x, y, width as i32, height as i32]
-            };
+            let place =
+                |Screen { position_px: [x, y], size_px: [width, height], .. }| [x, y, width as i32, height as i32];
             let screens: Vec<_> = Screen::all(event_loop).into_iter().map(place).collect();
             let split = stereo.filter(|stereo| stereo.mode == StereoMode::HorizontalSplit);
             split.and_then(|_| one_eye_per_screen(&screens)).unwrap_or_else(|| across_screens(&screens))

@@ -56,9 +56,8 @@ fn display_is_configured_by_arguments_and_by_the_environment() {
     assert!((0..90).all(|y| said.get_pixel(80, y).0 == said.get_pixel(80, 0).0));
 
     // A screen that is far away covers a smaller angle, and shows less of the set.
-    let at = |name: &str, distance_m: &str| {
-        picture(name, &["--screen-height", "1", "--screen-distance", distance_m], None)
-    };
+    let at =
+        |name: &str, distance_m: &str| picture(name, &["--screen-height", "1", "--screen-distance", distance_m], None);
     let (usual, near, far) = (picture("e.png", &[], None), at("f.png", "0.5"), at("g.png", "3"));
     assert!(usual != near && near != far);
     let height = ["--screen-height", "1", "--screen-distance", "3", "--min-alpha-bits", "8"];
