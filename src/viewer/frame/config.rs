@@ -63,7 +63,7 @@ pub struct ViewerConfig {
     /// later and to devices that replace lost ones. Without it such pages are missing there.
     pub keep_drawables: bool,
     /// The number of frames for which the GPU memory of removed drawables is kept after the last frame that draws them; OSG's
-    /// `DeleteHandler::setNumFramesToRetainObjects`. More than 0 spreads the cost of removing much at once.
+    /// `DeleteHandler::setNumFramesToRetainObjects`.
     pub frames_to_retain: u32,
     /// The folder in which compiled pipelines are kept for the next start; `None` keeps none. Useful where the driver has
     /// no cache.
