@@ -50,8 +50,8 @@ impl CompositeViewer {
         self.frame.close_context(id, &mut self.views, &mut self.scenes)
     }
 
-    /// The open contexts, by the screens of their windows and by position, x before y ([`ContextTraits::screen`]); those with the
-    /// same place in the order opened.
+    /// The open contexts, by the screens of their windows and by position, x before y ([`ContextTraits::screen`]), then in the
+    /// order opened.
     pub fn contexts(&self) -> impl Iterator<Item = ContextId> {
         self.frame.rendering.context_ids().map(ContextId)
     }

@@ -54,7 +54,7 @@ fn config(threading: ThreadingModel) -> ViewerConfig {
     }
 }
 
-/// A viewer with a slave in a context of its own.
+/// A viewer with a slave in a second context.
 fn viewer(config: &ViewerConfig) -> Viewer {
     let mut viewer = Viewer::new_offscreen(config).unwrap();
     viewer.add_root(Page::from_node(Node::group(vec![])).unwrap()).unwrap();
@@ -74,7 +74,7 @@ fn realize_operation_runs_once_for_each_context() {
     let config = ViewerConfig { realize_operation: Some(realize.clone()), ..config(threading) };
     let mut viewer = viewer(&config);
     assert_eq!(realize.ran.take(), [main_thread(), main_thread()]);
-    // A context that shares a device is one of its own.
+    // A context that shares a device is realized too.
     let first = viewer.context();
     let traits = terrane::gpu::ContextTraits { size_px: [8, 4], ..config.traits() };
     viewer.composite_mut().open_offscreen_on(first, &traits).unwrap();

@@ -74,7 +74,7 @@ fn masks_of(prefix: &str) -> Vec<(String, String)> {
     threads.filter(|(name, _)| name.starts_with(prefix)).collect()
 }
 
-/// A pinned thread cannot be let go again, so the test has a process of its own.
+/// A pinned thread cannot be let go again, so the test has a separate process.
 #[cfg(target_os = "linux")]
 #[test]
 fn single_threaded_model_pins_main_thread_and_pagers_to_the_first_two_cores() {

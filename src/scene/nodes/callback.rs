@@ -87,8 +87,8 @@ impl<I: ?Sized> std::fmt::Debug for NodeCallback<I> {
 
 /// A state set of a page that callbacks change; OSG's callbacks of state sets and uniforms.
 ///
-/// State sets are immutable once they are used, so each change puts a new one in the place of the last one, wherever the page
-/// uses it. Clones are the same set. The callbacks belong to a node, usually the one that has the state set:
+/// State sets are immutable once they are used, so each change replaces the last one by a new one, wherever the page uses
+/// it. Clones are the same set. The callbacks belong to a node, usually the one that has the state set:
 ///
 /// ```
 /// # use terrane::scene::{CallbackStateSet, Node, UpdateInfo};

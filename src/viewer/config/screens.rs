@@ -62,8 +62,8 @@ impl Arrangement {
     }
 }
 
-/// Returns the parts of one image that rectangles show as they lie beside each other: the index of each, the offset of its
-/// projection from that of the middle one, and whether it is the middle one, which comes first.
+/// Returns the parts of one image that rectangles show as they lie beside each other, the middle one first. Each part has the
+/// index of its rectangle, the offset of its projection from that of the middle one, and true if it is the middle one.
 fn parts_of_image(places: &[[i32; 4]]) -> Vec<(usize, DMat4, bool)> {
     let mut left_to_right: Vec<usize> = (0..places.len()).collect();
     left_to_right.sort_by_key(|place| places[*place]);

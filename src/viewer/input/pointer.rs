@@ -1,5 +1,5 @@
-//! The pointer of a view in its windows: from the window of any of its cameras to the image of the master camera, the shape of
-//! the pointer, and its motion by the application. Main thread.
+//! The pointer of a view in its windows: positions in the window of any camera become positions in the image of the master
+//! camera; the application sets the pointer's shape and moves it. Main thread.
 //!
 //! OSG calls the camera under the pointer the one with focus, and converts its coordinates to the master camera's.
 
@@ -57,9 +57,9 @@ impl View {
         Some((here.number, EventSource { context: Some(context), slave: here.slave }))
     }
 
-    /// Converts a position in the window of a camera, in pixels from the window's upper left corner, to the image of the master
-    /// camera: the position there that shows the same direction, in pixels from the image's upper left corner. It may be
-    /// outside of the image. A direction behind the master camera becomes the nearest position on the image's edge.
+    /// Converts a position in the window of a camera to the position in the image of the master camera that shows the same
+    /// direction. Both are in pixels from the upper left corner. The result may be outside of the image. A direction behind the
+    /// master camera becomes the nearest position on the image's edge.
     pub fn in_master(&self, source: EventSource, position_px: DVec2) -> DVec2 {
         let master = match self.master_window() {
             Some(master) => master.matrix,
@@ -79,9 +79,9 @@ impl View {
         half + aside * (half / aside.abs()).min_element()
     }
 
-    /// Converts the pointer's position in a window, in pixels from its upper left corner, to the image of the master camera
-    /// ([`Self::in_master`]), and sets the window and the camera of the events that are queued next. While a button or a
-    /// finger is down, the camera stays the one in which it went down.
+    /// Converts the pointer's position in a window to the image of the master camera as [`Self::in_master`] does, and sets the
+    /// window and the camera of the events that are queued next. While a button or a finger is down, the camera stays the
+    /// one in which it went down.
     ///
     /// For code that runs a window: queue the motion at the returned position.
     pub fn focus_camera(&mut self, context: ContextId, position_px: DVec2) -> DVec2 {

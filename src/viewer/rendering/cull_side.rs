@@ -180,7 +180,7 @@ impl CullSide {
         };
         let (is_dynamic, environment) = (task.is_dynamic, task.environment);
         let outcome = task.run(&mut self.visitor, &mut stage);
-        // Before the outcome is sent, so that they have run when the main thread ends its frame.
+        // Before the outcome is sent, so that they have run when the frame is complete on the main thread.
         self.operations.run_operations(&mut self.visitor);
         let waits = self.end_of_dynamic.is_some() && (is_dynamic || has_dynamic_callbacks(&stage));
         // Fails only when the receiving thread has died, which is reported there.

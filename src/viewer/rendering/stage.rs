@@ -306,7 +306,7 @@ impl Rendering {
                 renewed.push(device.number());
             }
         }
-        // What the operation has made for a context was on the old device.
+        // Resources that the operation has created for a context were on the old device.
         let contexts =
             self.devices.iter().filter(|d| renewed.contains(&d.number())).flat_map(DeviceHandle::context_ids);
         let contexts: Vec<u32> = contexts.collect();

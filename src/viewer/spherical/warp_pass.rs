@@ -13,7 +13,7 @@ pub(super) const FACES: usize = 6;
 /// them, all on the thread of their device.
 pub(super) type FaceImages = Arc<Mutex<[Option<wgpu::TextureView>; FACES]>>;
 
-/// What belongs to a device and a target's format.
+/// The objects of a device for targets of one format.
 struct Resources {
     device: wgpu::Device,
     format: wgpu::TextureFormat,
