@@ -232,7 +232,7 @@ fn callback_of_a_drawable_gets_its_geode_and_index() {
     }));
     let mut scene = Scene::new();
     let root = scene.add_root(Page::from_node(Node::group(vec![geode])).unwrap());
-    let radius = |scene: &Scene| scene.page(root).unwrap().bounds().radius_m;
+    let radius = |scene: &Scene| scene.bounding_sphere().radius_m;
     let before = radius(&scene);
     assert_eq!((scene.update_traversal(&info(4)), scene.event_traversal(&7u32)), (1, 1));
     assert_eq!(taken(&log), ["1 1 4", "event 1 0 7"]);

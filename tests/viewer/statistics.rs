@@ -111,6 +111,6 @@ fn removed_drawables_are_flushed_and_the_policy_can_change() {
         size_px: [8, 8],
         ..ContextTraits::default()
     });
-    drop(viewer.open_context(context.unwrap()).unwrap());
+    viewer.open_context(context.unwrap()).unwrap();
     viewer.frame().unwrap();
 }
