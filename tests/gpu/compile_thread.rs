@@ -220,7 +220,8 @@ fn compile_thread_fills_staging_buffers_if_it_is_asked_for() {
     for compile_contexts in [false, true] {
         let recording = Recording::start().unwrap();
         let Some(context) = context(compile_contexts) else { return };
-        let mut viewer = Viewer::new(context, &config(ThreadingModel::DrawThreadPerContext, compile_contexts)).unwrap();
+        let config = config(ThreadingModel::DrawThreadPerContext, compile_contexts);
+        let mut viewer = Viewer::new(context, &ViewerConfig { max_sse_px: 0.5, ..config }).unwrap();
         viewer.load(&set).unwrap();
         settle(&mut viewer);
         let uploaded = viewer.pager().unwrap().stats().merged;

@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use terrane::gpu::{AdapterChoice, GraphicsContext};
+use terrane::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
 use terrane::scene::{Node, Page};
 use terrane::sync::Operation;
 use terrane::viewer::{Slave, ThreadingModel, Viewer, ViewerConfig, ViewerError};
@@ -76,7 +76,7 @@ fn realize_operation_runs_once_for_each_context() {
     assert_eq!(realize.ran.take(), [main_thread(), main_thread()]);
     // A context that shares a device is realized too.
     let first = viewer.context();
-    let traits = terrane::gpu::ContextTraits { size_px: [8, 4], ..config.traits() };
+    let traits = ContextTraits { size_px: [8, 4], ..config.traits() };
     viewer.composite_mut().open_offscreen_on(first, &traits).unwrap();
     (0..3).for_each(|_| viewer.frame().unwrap());
     viewer.finish().unwrap();
@@ -210,4 +210,25 @@ fn compile_operations_run_on_the_compile_thread_if_there_is_one() {
         operations.remove("kept");
         assert!(operations.is_empty());
     }
+}
+
+#[test]
+fn contexts_are_ordered_by_screen_and_position() {
+    let mut viewer = Viewer::new_offscreen(&config(ThreadingModel::SingleThreaded)).unwrap();
+    let first = viewer.context();
+    let mut open = |screen: u32, position_px: [i32; 2], shares_device: bool| {
+        let traits =
+            ContextTraits { screen, position_px, size_px: [4, 4], ..config(ThreadingModel::default()).traits() };
+        match shares_device {
+            true => viewer.composite_mut().open_offscreen_on(first, &traits).unwrap(),
+            false => viewer.open_context(GraphicsContext::new_offscreen(&traits).unwrap()).unwrap(),
+        }
+    };
+    let second_screen = open(1, [-5, 0], true);
+    let right = open(0, [100, -7], false);
+    assert!(viewer.contexts().eq([first, right, second_screen]));
+    viewer.composite_mut().close_context(second_screen).unwrap();
+    let traits = ContextTraits { position_px: [-100, 0], ..config(ThreadingModel::default()).traits() };
+    let left = viewer.composite_mut().open_offscreen_on(first, &traits).unwrap();
+    assert!(viewer.contexts().eq([left, first, right]));
 }
