@@ -526,11 +526,8 @@ fn display_settings() -> Parser {
         let mut arguments: Vec<String> = value.split_whitespace().map(str::to_owned).collect();
         arguments.splice(0..0, ["--stereo".to_owned(), "--samples=4".to_owned()]);
         let _ = settings.read_command_line(&mut arguments);
-        match settings.field_of_view() {
-            None => {}
-            Some(FieldOfView::Vertical(angle) | FieldOfView::Horizontal(angle)) if angle.is_finite() && angle > 0.0 => {
-            }
-            other => panic!("{other:?}"),
+        if let Some(FieldOfView::Vertical(angle) | FieldOfView::Horizontal(angle)) = settings.field_of_view() {
+            assert!(angle.is_finite() && angle > 0.0, "{angle}");
         }
     })
 }

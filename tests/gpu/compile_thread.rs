@@ -221,7 +221,7 @@ fn compile_thread_fills_staging_buffers_if_it_is_asked_for() {
         let recording = Recording::start().unwrap();
         let Some(context) = context(compile_contexts) else { return };
         let config = config(ThreadingModel::DrawThreadPerContext, compile_contexts);
-        let mut viewer = Viewer::new(context, &ViewerConfig { max_sse_px: 0.5, ..config }).unwrap();
+        let mut viewer = Viewer::new(context, &ViewerConfig { max_sse_px: 0.05, ..config }).unwrap();
         viewer.load(&set).unwrap();
         settle(&mut viewer);
         let uploaded = viewer.pager().unwrap().stats().merged;
@@ -234,7 +234,7 @@ fn compile_thread_fills_staging_buffers_if_it_is_asked_for() {
             let on_thread = |e: &&Value| e["ph"] == "X" && e["name"] == "upload" && e["tid"] == thread["tid"];
             events.iter().filter(on_thread).count() as u64
         });
-        assert!(uploaded > 3);
+        assert!(uploaded > 0, "nothing was loaded");
         assert!(if compile_contexts { uploads >= uploaded } else { uploads == 0 }, "{compile_contexts}: {uploads}");
     }
 }

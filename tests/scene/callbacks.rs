@@ -231,7 +231,7 @@ fn callback_of_a_drawable_gets_its_geode_and_index() {
         told.lock().unwrap().push(format!("event {} {drawable} {event}", node.index));
     }));
     let mut scene = Scene::new();
-    let root = scene.add_root(Page::from_node(Node::group(vec![geode])).unwrap());
+    scene.add_root(Page::from_node(Node::group(vec![geode])).unwrap());
     let radius = |scene: &Scene| scene.bounding_sphere().radius_m;
     let before = radius(&scene);
     assert_eq!((scene.update_traversal(&info(4)), scene.event_traversal(&7u32)), (1, 1));

@@ -2,7 +2,6 @@
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 mod contexts;
-mod operations;
 #[cfg(feature = "window")]
 mod overlays;
 mod pager_sharing;
@@ -13,6 +12,6 @@ mod shared_device;
 mod shared_pager;
 mod spherical;
 mod stereo_slaves;
-mod thread_choice;
+mod threading;
 mod threads;
 mod views;

@@ -1,0 +1,4 @@
+//! What happens in each frame: callbacks and statistics.
+
+mod callbacks;
+mod statistics;
