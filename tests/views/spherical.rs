@@ -79,11 +79,11 @@ fn dome_is_a_disc_around_the_direction_of_view() {
 /// The projector is behind the viewer, so that the disc covers more than half of the surroundings.
 #[test]
 fn collar_widens_the_angle_of_a_dome() {
-    let (radius, collar) = (1.0, 0.6);
+    let (radius, collar) = (1.0f64, 0.6);
     let dome = SphericalProjection::Dome { radius, collar };
     let Some(picture) = picture([240, 240], ThreadingModel::SingleThreaded, dome) else { return };
     // The direction at a right angle to that of view lies where the ray of the projector meets the dome beside the viewer.
-    let distance = (radius * radius - collar * collar as f64).sqrt();
+    let distance = (radius * radius - collar * collar).sqrt();
     let phi = radius.atan2(distance);
     let r_px = (120.0 * phi / std::f64::consts::FRAC_PI_2).round() as u32;
     assert!((40..100).contains(&r_px), "{r_px}");

@@ -57,6 +57,9 @@ fn environment_variable_names_the_model() {
     assert!(wrong.contains(&format!("error {THREADING_VARIABLE}: `TwoThreads` is none of")), "{wrong}");
 }
 
+/// The masks that operations have read, each with the name of its object.
+type Masks = Arc<Mutex<Vec<(&'static str, Vec<usize>)>>>;
+
 /// Returns the numbers of the cores that the calling thread may run on.
 fn mask() -> Vec<usize> {
     core_affinity::get_core_ids().unwrap_or_default().into_iter().map(|core| core.id).collect()
@@ -121,7 +124,7 @@ fn threads_of_the_model_are_pinned_if_affinity_is_on() {
         let threading = ThreadingModel::CullThreadPerCameraDrawThreadPerContext;
         let mut viewer = Viewer::new_offscreen(&config(threading, is_on)).unwrap();
         viewer.add_root(Page::from_node(Node::group(vec![])).unwrap()).unwrap();
-        let masks: Arc<Mutex<Vec<(&str, Vec<usize>)>>> = Arc::default();
+        let masks = Masks::default();
         let (drawn, culled) = (masks.clone(), masks.clone());
         let context = viewer.context();
         let of_context = viewer.composite().context_operations(context).unwrap();
