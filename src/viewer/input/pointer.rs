@@ -1,5 +1,5 @@
-//! The pointer of a view in its windows: positions in the window of any camera become positions in the image of the master
-//! camera; the application sets the pointer's shape and moves it. Main thread.
+//! The pointer of a view in its windows. Positions in the window of any camera become positions in the image of the master
+//! camera. The application sets the pointer's shape and moves it. Main thread.
 //!
 //! OSG calls the camera under the pointer the one with focus, and converts its coordinates to the master camera's.
 

@@ -1,4 +1,4 @@
-//! What happens in each frame: callbacks and statistics.
+//! Callbacks that run, and statistics that are kept, in each frame.
 
 mod callbacks;
 mod statistics;
