@@ -176,6 +176,24 @@ mod tests {
         assert!((x(&swapped, 10.0) - x(&right, 10.0)).abs() < 1e-12);
     }
 
+    /// A split image has another shape than the whole; objects in it keep theirs.
+    #[test]
+    fn split_modes_keep_the_aspect_ratio_of_objects() {
+        let camera = CullCamera { viewport_px: [400, 200], ..CullCamera::default() };
+        let [whole_x, whole_y] = [camera.clip_from_eye.x_axis.x, camera.clip_from_eye.y_axis.y];
+        for (mode, [x, y]) in [
+            (StereoMode::HorizontalSplit, [2.0, 1.0]),
+            (StereoMode::VerticalSplit, [1.0, 2.0]),
+            (StereoMode::Anaglyphic, [1.0, 1.0]),
+        ] {
+            let [eye, _] = Stereo { keeps_aspect: true, ..Stereo::new(mode) }.eyes(&camera);
+            let scale = [eye.clip_from_eye.x_axis.x / whole_x, eye.clip_from_eye.y_axis.y / whole_y];
+            assert!((scale[0] - x).abs() < 1e-12 && (scale[1] - y).abs() < 1e-12, "{mode:?}: {scale:?}");
+            let [squeezed, _] = Stereo::new(mode).eyes(&camera);
+            assert_eq!(squeezed.clip_from_eye.x_axis.x, whole_x, "{mode:?}");
+        }
+    }
+
     #[test]
     fn names_round_trip_and_quad_buffers_are_refused() {
         for mode in StereoMode::ALL {

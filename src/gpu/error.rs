@@ -23,6 +23,16 @@ pub enum GpuError {
         /// The cause of the failure.
         reason: String,
     },
+    /// The images of a window or a texture have too few bits of alpha.
+    #[error(
+        "the target has at most {found} bits of alpha, and {wanted} are wanted; lower ContextTraits::min_alpha_bits"
+    )]
+    AlphaBits {
+        /// The wanted bits.
+        wanted: u32,
+        /// The most bits that a format of the target has.
+        found: u32,
+    },
     /// A render target is larger than the adapter allows, or has no pixels.
     #[error("a target of {width}x{height} pixels is not possible (1 to {limit} a side)")]
     TargetSize {

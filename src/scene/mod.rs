@@ -53,11 +53,11 @@ pub use intersect::{
     RayIntersector, Vertical, WindowView,
 };
 pub use nodes::{
-    Attachment, Billboard, BillboardMode, CameraNode, CameraTarget, ClampProjection, ClearNode, ClipNode,
-    ConvexPlanarOccluder, CullAction, CullCallback, CullInfo, EventCallback, LightSource, LocalLights, MAX_DEPTH, Node,
-    NodeKind, OcclusionQueryNode, OcclusionResults, PagedLod, PagingOptions, Picture, PictureSink, ProxyLoading,
-    ProxyNode, RangeMode, ReaderData, ReaderValue, ReferenceFrame, Refine, RenderOrder, TexGenNode, Traverse,
-    UpdateCallback, UpdateInfo,
+    Attachment, Billboard, BillboardMode, CallbackStateSet, CameraNode, CameraTarget, ClampProjection, ClearNode,
+    ClipNode, ConvexPlanarOccluder, CullAction, CullCallback, CullInfo, EventCallback, LightSource, LocalLights,
+    MAX_DEPTH, Node, NodeCallback, NodeKind, OcclusionQueryNode, OcclusionResults, PagedLod, PagingOptions, Picture,
+    PictureSink, ProxyLoading, ProxyNode, RangeMode, ReaderData, ReaderValue, ReferenceFrame, Refine, RenderOrder,
+    TexGenNode, Traverse, UpdateCallback, UpdateInfo,
 };
 pub use pages::{DrawSlot, Page};
 pub use settings::{

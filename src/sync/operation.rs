@@ -22,6 +22,12 @@ pub trait Operation<T>: Send + Sync {
     fn release(&self) {}
 }
 
+impl<T> std::fmt::Debug for dyn Operation<T> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Operation").field("name", &self.name()).field("keep", &self.keep()).finish()
+    }
+}
+
 /// A closure as an operation.
 struct Closure<F> {
     name: String,

@@ -2,6 +2,7 @@
 //! [`Viewer`](super::Viewer) is one with a single view. Main thread.
 
 use std::path::Path;
+use std::sync::Arc;
 use std::time::Instant;
 
 use glam::DVec2;
@@ -10,16 +11,17 @@ use image::RgbaImage;
 use super::ViewerError;
 use super::frame::{FrameLoop, FrameStamp, StatsHistory, ViewList, ViewerConfig};
 use super::ids::{ContextId, KeyedList, SceneId, SlaveId, ViewId};
-use super::input::{GuiActionAdapter, WindowMatrix, camera_with_focus, changes, needs_frame};
+use super::input::{GuiActionAdapter, changes, needs_frame};
 use super::paging::{LoadedRoot, MAX_SCENES, PagedScene, SceneList, SceneUpdate, free_owner};
 use super::rendering::ThreadingModel;
 use super::view::set_bounds::SetBounds;
 use super::view::viewport::ViewArea;
 use super::view::{Slave, View};
 
-use crate::gpu::{CompileBudget, ContextTraits, GraphicsContext};
+use crate::gpu::CompileBudget;
 use crate::pager::{DatabasePager, ImagePager, ImageSequence};
 use crate::scene::{Page, PageId, Scene};
+use crate::sync::OperationQueue;
 
 /// Views, their scenes and their contexts, with one frame for all of them; osgViewer's `CompositeViewer`.
 ///
@@ -34,103 +36,21 @@ use crate::scene::{Page, PageId, Scene};
 ///                      the ThreadingModel decides which threads run them
 /// ```
 pub struct CompositeViewer {
-    frame: FrameLoop,
-    scenes: SceneList,
-    views: ViewList,
+    pub(super) frame: FrameLoop,
+    pub(super) scenes: SceneList,
+    pub(super) views: ViewList,
     /// The view of a [`Viewer`](super::Viewer), which cannot be removed.
     own_view: Option<ViewId>,
+    /// The application's operations in update. Any thread adds to them.
+    pub(super) update_operations: Arc<OperationQueue<Self>>,
 }
 
-/// Contexts: the windows and textures that views are drawn in.
 impl CompositeViewer {
     /// Creates a viewer without contexts, scenes and views.
     pub fn new(config: &ViewerConfig) -> Result<Self, ViewerError> {
         let frame = FrameLoop::new(config)?;
-        Ok(Self { frame, scenes: KeyedList::new(), views: KeyedList::new(), own_view: None })
-    }
-
-    /// Adds a context with its own device; at most [`ViewerConfig::max_contexts`]. The application's pages are
-    /// uploaded to it, and all paged contents are loaded again, for every context ([`Self::open_offscreen_on`] avoids
-    /// both). Stops the threads; the next frame starts them again.
-    pub fn open_context(&mut self, context: GraphicsContext) -> Result<ContextId, ViewerError> {
-        self.frame.open_context(context, &mut self.scenes)
-    }
-
-    /// Adds a window as a context with its own device; see [`Self::open_context`]. Call it on the thread of the event
-    /// loop, then add a view or a [`Slave`] in it.
-    pub fn open_window(
-        &mut self,
-        target: impl Into<wgpu::SurfaceTarget<'static>> + Clone + Send + Sync + 'static,
-        traits: &ContextTraits,
-    ) -> Result<ContextId, ViewerError> {
-        self.open_context(GraphicsContext::new_window(target, traits)?)
-    }
-
-    /// Adds an offscreen context on the device of another one. They share pools, textures and pipelines: nothing is
-    /// uploaded or loaded again, and bytes count once. One thread draws all contexts of a device, one after the other, in
-    /// every threading model. Only size, samples and vsync of the traits are used.
-    pub fn open_offscreen_on(&mut self, other: ContextId, traits: &ContextTraits) -> Result<ContextId, ViewerError> {
-        self.frame.open_context_on(other, traits, GraphicsContext::add_offscreen_target)
-    }
-
-    /// Adds a window on the device of another context; see [`Self::open_offscreen_on`]. Call it on the thread of the event
-    /// loop. Fails when the device's adapter cannot present to the window.
-    pub fn open_window_on(
-        &mut self,
-        other: ContextId,
-        target: impl Into<wgpu::SurfaceTarget<'static>> + Clone + Send + Sync + 'static,
-        traits: &ContextTraits,
-    ) -> Result<ContextId, ViewerError> {
-        self.frame.open_context_on(other, traits, |context, traits| context.add_window_target(target, traits))
-    }
-
-    /// Closes a context and removes the cameras in it; other contexts are unaffected. Returns false when there is no such
-    /// context.
-    pub fn close_context(&mut self, id: ContextId) -> Result<bool, ViewerError> {
-        self.frame.close_context(id, &mut self.views, &mut self.scenes)
-    }
-
-    /// The open contexts, in the order opened.
-    pub fn contexts(&self) -> impl Iterator<Item = ContextId> {
-        self.frame.rendering.context_ids().map(ContextId)
-    }
-
-    /// Sets the size of a context in pixels, for example after its window was resized.
-    pub fn resize_context(&mut self, context: ContextId, size_px: [u32; 2]) -> Result<(), ViewerError> {
-        self.frame.resize(context, size_px)?;
-        self.views.values_mut().for_each(|view| view.redraw_in(context));
-        Ok(())
-    }
-
-    /// Sets whether a context's window waits for the vertical blank; see [`ContextTraits::vsync`].
-    pub fn set_vsync(&mut self, context: ContextId, vsync: bool) -> Result<(), ViewerError> {
-        self.frame.set_vsync(context, vsync)
-    }
-
-    /// Returns the name of the first context's adapter.
-    pub fn adapter_name(&self) -> &str {
-        self.frame.rendering.adapter_name()
-    }
-
-    /// Returns true if the first context's adapter is a software driver, which draws far slower than a GPU.
-    pub fn is_software_adapter(&self) -> bool {
-        self.frame.rendering.is_software()
-    }
-
-    /// Loses the device of a context, as if the driver had lost it.
-    #[cfg(feature = "testing")]
-    pub fn lose_device(&mut self, context: ContextId) -> Result<(), ViewerError> {
-        self.frame.lose_device(context)
-    }
-
-    /// Sets the next answers of a window's surface.
-    #[cfg(feature = "testing")]
-    pub fn pretend_surface(
-        &mut self,
-        context: ContextId,
-        answers: &[crate::gpu::SurfaceAnswer],
-    ) -> Result<(), ViewerError> {
-        self.frame.pretend_surface(context, answers)
+        let (scenes, views) = (KeyedList::new(), KeyedList::new());
+        Ok(Self { frame, scenes, views, own_view: None, update_operations: Arc::default() })
     }
 }
 
@@ -330,7 +250,9 @@ impl CompositeViewer {
         let bounds = self.paged(scene)?.bounds().copied();
         let slot = self.frame.add_camera(context, viewport.into())?;
         let config = self.frame.config();
-        let mut view = View::new(scene, config.cull_settings(), config.size_px, config.samples, slot);
+        let clock = self.frame.timer().clock().clone();
+        let mut view = View::new(scene, config.cull_settings(), config.size_px, config.samples, slot, clock);
+        view.camera.field_of_view = config.field_of_view;
         view.set_stereo(config.stereo);
         view.prepare(&self.frame.rendering, bounds.as_ref());
         if let Some(bounds) = &bounds {
@@ -389,14 +311,13 @@ impl CompositeViewer {
         Ok(GuiActionAdapter { base: &mut self.frame, view, paged })
     }
 
-    /// Returns the view at a position of a context, in pixels from its upper left corner, and the position inside the view.
-    /// Of overlapping views it is the one drawn last. Events of the pointer go to its event queue.
+    /// Returns the view at a position of a context, in pixels from its upper left corner, and the position in the image of the
+    /// view's master camera ([`View::in_master`]). Of overlapping views it is the one drawn last. Events of the pointer go
+    /// to its event queue.
     pub fn view_at(&self, context: ContextId, position_px: DVec2) -> Option<(ViewId, DVec2)> {
-        let here = self.views().filter(|(_, view)| view.context() == Some(context));
-        let (ids, cameras): (Vec<ViewId>, Vec<WindowMatrix>) =
-            here.map(|(id, view)| (id, view.window_matrix())).unzip();
-        let index = camera_with_focus(&cameras, position_px)?;
-        Some((*ids.get(index)?, position_px - cameras.get(index)?.origin_px))
+        let at = |(id, view)| View::camera_at(view, context, position_px).map(|(camera, source)| (camera, id, source));
+        let (_, id, source) = self.views().filter_map(at).max_by_key(|(camera, ..)| *camera)?;
+        Some((id, self.views.get(id)?.in_master(source, position_px)))
     }
 
     /// Adds a camera that follows the master camera of a view. It may be drawn in any context, for example another window.
@@ -427,7 +348,8 @@ impl CompositeViewer {
 
     /// Renders one frame of all views at a simulation time in seconds.
     pub fn frame_at(&mut self, simulation_time_s: f64) -> Result<(), ViewerError> {
-        let has_changes = self.views.values().any(|view| changes(&self.frame, view, &self.scenes));
+        let has_changes =
+            self.has_operations() || self.views.values().any(|view| changes(&self.frame, view, &self.scenes));
         let mut frame = self.frame.begin_frame(simulation_time_s, has_changes);
         self.for_each_view(|mut view| view.event_traversal());
         #[cfg(feature = "window")]
@@ -435,6 +357,7 @@ impl CompositeViewer {
         frame.end_events();
         let stamp = self.frame.stamp();
         self.scenes.values_mut().for_each(|scene| scene.update(&stamp));
+        self.run_update_operations();
         // Cameras move after the update callbacks, because manipulators may follow what these moved.
         self.for_each_view(|mut view| view.update_camera(frame.dt_s));
         self.frame.end_frame(frame, &mut self.views, &mut self.scenes)
@@ -453,7 +376,7 @@ impl CompositeViewer {
     /// paused pager, ask for no frame. A failed request asks for one after its back-off, so an idle loop should call this
     /// now and then.
     pub fn check_need_to_do_frame(&self) -> bool {
-        self.views.values().any(|view| needs_frame(&self.frame, view, &self.scenes))
+        self.has_operations() || self.views.values().any(|view| needs_frame(&self.frame, view, &self.scenes))
     }
 
     /// Returns true once the user of a view or the application has asked to end.
@@ -514,6 +437,26 @@ impl CompositeViewer {
         self.frame.results().history()
     }
 
+    /// Switches statistics on, as they are at first, or off: [`Self::stats`] is then empty. Figures so far are dropped.
+    pub fn set_stats(&mut self, is_on: bool) {
+        self.frame.results.set_stats(is_on);
+    }
+
+    /// Returns the milliseconds that the last frame's cull of a view's master camera, or of a slave, took; `None` when the view
+    /// has no such camera.
+    pub fn cull_ms(&self, view: ViewId, slave: Option<SlaveId>) -> Result<Option<f64>, ViewerError> {
+        let camera = self.camera_number(view, slave)?;
+        let of_camera = self.frame.rendering.outcomes().find(|(number, _)| Some(*number) == camera);
+        Ok(of_camera.map(|(_, outcome)| outcome.cull_ms))
+    }
+
+    /// Returns the number of a view's master camera or of a slave.
+    pub(super) fn camera_number(&self, view: ViewId, slave: Option<SlaveId>) -> Result<Option<u32>, ViewerError> {
+        let of_view = self.view(view)?;
+        let camera = slave.map_or(of_view.master.map(|slot| slot.camera), |slave| Some(slave.0));
+        Ok(camera.filter(|camera| of_view.has_camera(*camera)))
+    }
+
     /// Returns the problems while drawing so far, each once, including errors that the device reported.
     pub fn draw_errors(&self) -> &[String] {
         self.frame.results().errors()
@@ -570,6 +513,13 @@ impl CompositeViewer {
     pub(super) fn prepare_view(&mut self, view: ViewId) {
         let view = &mut self.views[view];
         view.prepare(&self.frame.rendering, self.scenes[view.scene()].bounds());
+    }
+
+    /// Fits the views to the sizes of their contexts, which the next frame would do.
+    pub(super) fn prepare_views(&mut self) {
+        for view in self.views.values_mut() {
+            view.prepare(&self.frame.rendering, self.scenes[view.scene()].bounds());
+        }
     }
 
     /// True when the pager of a view's scene is idle and the last frame showed everything.

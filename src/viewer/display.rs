@@ -55,9 +55,14 @@ fn missing_library(is_x11: bool) -> Option<&'static str> {
 fn new_event_loop(is_x11: bool) -> Result<EventLoop<()>, EventLoopError> {
     let mut builder = EventLoop::builder();
     #[cfg(target_os = "linux")]
-    if is_x11 {
+    {
         use winit::platform::x11::EventLoopBuilderExtX11 as _;
-        builder.with_x11();
+        if is_x11 {
+            builder.with_x11();
+        }
+        // Tests do not run on the main thread.
+        #[cfg(feature = "testing")]
+        builder.with_any_thread(true);
     }
     #[cfg(not(target_os = "linux"))]
     let _ = is_x11;

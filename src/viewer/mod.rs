@@ -13,6 +13,7 @@
 //! | `window/` | event loops of winit, parent windows, the pace of frames |
 //! | `events/`, `input/`, `handlers/`, `manipulators/` | events, the event phase, actions of keys, camera motion |
 //! | `config/` | display settings, and arrangements of windows and views from files and the environment |
+//! | `spherical/` | domes and panoramas |
 //! | `overlay/`, `report/`, `camera_path/` | egui over a view; the report of a flight; recorded camera paths |
 //!
 //! # Devices, contexts and windows
@@ -36,6 +37,7 @@ mod arranged_views;
 mod camera_path;
 mod composite;
 mod config;
+mod contexts;
 #[cfg(feature = "window")]
 mod display;
 mod error;
@@ -45,11 +47,13 @@ pub mod handlers;
 mod ids;
 mod input;
 pub mod manipulators;
+mod operations;
 #[cfg(feature = "window")]
 mod overlay;
 mod paging;
 mod rendering;
 mod report;
+mod spherical;
 mod view;
 #[expect(clippy::module_inception, reason = "the viewer's own file; the others are its parts")]
 mod viewer;
@@ -59,6 +63,8 @@ mod window;
 pub use arranged_views::ArrangedViews;
 pub use camera_path::{AnimationPath, ControlPoint, LoopMode, PathError};
 pub use composite::CompositeViewer;
+#[cfg(feature = "window")]
+pub use config::Screen;
 pub use config::{
     Arrangement, ArrangementError, CONFIG_FILE_VARIABLE, CameraSetup, DisplaySettingError, DisplaySettings,
     DisplayType, SCREEN_VARIABLE, SceneSetup, ViewCamera, ViewSetup, ViewsSetup, WINDOW_VARIABLE, WindowSetup,
@@ -67,13 +73,14 @@ pub use config::{
 pub use display::has_display;
 pub use error::ViewerError;
 pub use events::{
-    Bindings, ButtonMask, EventKind, EventMask, EventQueue, GuiEventAdapter, GuiEventHandler, InputState, Key,
-    Modifiers, MouseButton, TouchPhase, Usage, UserEvent, UserEvents, YOrientation,
+    Bindings, ButtonMask, EventKind, EventMask, EventQueue, EventSource, GuiEventAdapter, GuiEventHandler, InputState,
+    Key, Modifiers, MouseButton, TouchPhase, Usage, UserEvent, UserEvents, YOrientation,
 };
 pub use frame::{FrameStamp, FrameStats, Samples, StatsHistory, ViewerConfig};
 pub use ids::{ContextId, SceneId, SlaveId, ViewId};
 pub use input::{
-    GuiActionAdapter, OnPicture, WindowCommand, WindowMatrix, WindowRay, camera_with_focus, event_callback,
+    GuiActionAdapter, MouseCursor, OnPicture, ViewEvent, ViewUpdate, WindowCommand, WindowMatrix, WindowRay,
+    camera_with_focus, event_callback,
 };
 #[cfg(feature = "window")]
 pub use overlay::{Overlay, OverlayPaint};
@@ -83,6 +90,7 @@ pub use report::{
     Bytes, DrawMedians, FrameTimes, HoleCheck, Images, KEY_COLOR, Phases, Report, ReportError, Settled, Sharing, Tiles,
     Times, coverage,
 };
+pub use spherical::{SphericalDisplay, SphericalProjection};
 pub use view::camera::{Camera, FieldOfView, ResizePolicy, world_from_eye};
 pub use view::set_bounds::{LocalFrame, SetBounds, ViewFrom, environment_for};
 pub use view::viewport::ViewArea;

@@ -108,9 +108,15 @@ impl Viewer {
         self.scene
     }
 
-    /// Returns the context that the viewer was created with.
+    /// Returns the context that the viewer was created with, or the first of the windows that
+    /// [`View::set_up`] has opened instead.
     pub fn context(&self) -> ContextId {
         self.context
+    }
+
+    #[cfg(feature = "window")]
+    pub(super) fn set_context(&mut self, context: ContextId) {
+        self.context = context;
     }
 
     pub(super) fn parts(&self) -> (&FrameLoop, &View, &PagedScene) {
@@ -250,7 +256,7 @@ impl Viewer {
         self.composite.open_context(context)
     }
 
-    /// The open contexts, in the order opened.
+    /// The open contexts, by screen and position; see [`CompositeViewer::contexts`].
     pub fn contexts(&self) -> impl Iterator<Item = ContextId> {
         self.composite.contexts()
     }

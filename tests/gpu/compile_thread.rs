@@ -8,11 +8,14 @@ use terrane::state::DataVariance;
 
 use glam::{DAffine3, DVec3};
 use image::RgbaImage;
+use kit::process::runs_alone;
 use kit::shapes::with_mips;
 use kit::skip::or_skip;
+use serde_json::Value;
 use terrane::gpu::{CompileBudget, CompileOperation, GraphicsContext};
 use terrane::pager::PagerConfig;
 use terrane::scene::{DrawSlot, Drawable, Geometry, Material, Mesh, Node, NodeId, Page, Texture};
+use terrane::trace::Recording;
 use terrane::viewer::{Slave, ThreadingModel, Viewer, ViewerConfig};
 
 const SIZE: [u32; 2] = [96, 72];
@@ -203,6 +206,37 @@ fn mesh_that_is_replaced_during_its_upload_is_complete() {
     viewer.frame().unwrap();
     let [red, green, ..] = viewer.read_back().unwrap().get_pixel(48, 36).0;
     assert!(red > 240 && green < 20, "{red} {green}");
+}
+
+/// The timeline shows which thread fills the staging buffers.
+#[test]
+fn compile_thread_fills_staging_buffers_if_it_is_asked_for() {
+    if runs_alone(module_path!(), "compile_thread_fills_staging_buffers_if_it_is_asked_for") {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let set = small_set(folder.path(), terrane_data_gen::ContentKind::default());
+    let file = folder.path().join("trace.json");
+    for compile_contexts in [false, true] {
+        let recording = Recording::start().unwrap();
+        let Some(context) = context(compile_contexts) else { return };
+        let config = config(ThreadingModel::DrawThreadPerContext, compile_contexts);
+        let mut viewer = Viewer::new(context, &ViewerConfig { max_sse_px: 0.05, ..config }).unwrap();
+        viewer.load(&set).unwrap();
+        settle(&mut viewer);
+        let uploaded = viewer.pager().unwrap().stats().merged;
+        drop(viewer);
+        recording.write(&file).unwrap();
+        let json: Value = serde_json::from_slice(&std::fs::read(&file).unwrap()).unwrap();
+        let events = json["traceEvents"].as_array().unwrap();
+        let thread = events.iter().find(|e| e["name"] == "thread_name" && e["args"]["name"] == "compile");
+        let uploads = thread.map_or(0, |thread| {
+            let on_thread = |e: &&Value| e["ph"] == "X" && e["name"] == "upload" && e["tid"] == thread["tid"];
+            events.iter().filter(on_thread).count() as u64
+        });
+        assert!(uploaded > 0, "nothing was loaded");
+        assert!(if compile_contexts { uploads >= uploaded } else { uploads == 0 }, "{compile_contexts}: {uploads}");
+    }
 }
 
 /// Measures the cost of uploads on the draw thread and the time to load a set: `-- --ignored --nocapture`.

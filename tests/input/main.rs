@@ -6,5 +6,6 @@ mod ground;
 mod input;
 mod manipulators;
 mod path;
+mod slave_windows;
 mod touch;
 mod world;

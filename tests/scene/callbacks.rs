@@ -4,9 +4,11 @@ use std::sync::{Arc, Mutex};
 
 use glam::{DAffine3, DVec3};
 use terrane::scene::{
-    EventCallback, Node, NodeId, NodeKind, Page, PageId, PagedLod, PagingOptions, RangeMode, Refine, Scene, Traverse,
-    UpdateCallback, UpdateInfo,
+    CallbackStateSet, Drawable, EventCallback, Material, Mesh, Node, NodeId, NodeKind, Page, PageId, PagedLod,
+    PagingOptions, RangeMode, Refine, Scene, Traverse, UpdateCallback, UpdateInfo,
 };
+
+use terrane::state::{StateSet, UniformValue};
 
 type Log = Arc<Mutex<Vec<String>>>;
 
@@ -194,4 +196,82 @@ fn tiles_are_listed_with_their_position_and_state() {
     assert_eq!((tiles[0].0, tiles[0].1), (0, DVec3::ZERO));
     assert_eq!((tiles[1].0, tiles[1].1), (1, DVec3::new(2.0, 0.0, 0.0)));
     assert!((tiles[0].2 - 2.0).abs() < 1e-5 && (tiles[1].2 - 2.0).abs() < 1e-5);
+}
+
+#[test]
+fn nested_callbacks_follow_unless_the_first_skips() {
+    let log = Log::default();
+    let of = |name, then| logs(&log, name, then);
+    let chained = of("a", Traverse::Below).then(of("b", Traverse::Below)).then(of("c", Traverse::Below));
+    let skipping = of("d", Traverse::Skip).then(of("e", Traverse::Below));
+    let below = with_callback(Node::group(Vec::new()), of("below", Traverse::Below));
+    let first = with_callback(Node::group(vec![below.clone()]), chained);
+    let second = with_callback(Node::group(vec![below]), skipping);
+    let mut scene = Scene::new();
+    scene.add_root(Page::from_node(Node::group(vec![first, second])).unwrap());
+    scene.update_traversal(&info(1));
+    assert_eq!(taken(&log), ["a 1 1", "b 1 1", "c 1 1", "below 2 1", "d 3 1"]);
+}
+
+#[test]
+fn callback_of_a_drawable_gets_its_geode_and_index() {
+    let log = Log::default();
+    let seen = log.clone();
+    let square =
+        |size: f64| Drawable::new(Mesh::rectangle(DVec3::ZERO, DVec3::X * size, DVec3::Y).into(), Material::default());
+    let mut geode = Node::geode(vec![square(1.0), square(2.0)]);
+    geode.update_callback = Some(UpdateCallback::on_drawable(1, move |scene, node, drawable, info| {
+        seen.lock().unwrap().push(format!("{} {drawable} {}", node.index, info.frame));
+        let grown = Mesh::rectangle(DVec3::ZERO, DVec3::X * 10.0, DVec3::Y);
+        scene.set_mesh(node, drawable, Arc::new(grown), terrane::state::DataVariance::Static).unwrap();
+    }));
+    let told = log.clone();
+    geode.event_callback = Some(EventCallback::on_drawable(0, move |_, node, drawable, event| {
+        let event = event.downcast_ref::<u32>().unwrap();
+        told.lock().unwrap().push(format!("event {} {drawable} {event}", node.index));
+    }));
+    let mut scene = Scene::new();
+    scene.add_root(Page::from_node(Node::group(vec![geode])).unwrap());
+    let radius = |scene: &Scene| scene.bounding_sphere().radius_m;
+    let before = radius(&scene);
+    assert_eq!((scene.update_traversal(&info(4)), scene.event_traversal(&7u32)), (1, 1));
+    assert_eq!(taken(&log), ["1 1 4", "event 1 0 7"]);
+    scene.compute_bounds();
+    assert!(radius(&scene) > before + 3.0, "the mesh was replaced");
+}
+
+#[test]
+fn callbacks_change_a_state_set_and_its_uniforms_where_a_page_uses_it() {
+    let state = CallbackStateSet::new(StateSet::default().with_uniform("wind", UniformValue::Float(0.0)));
+    let mut node = Node::group(Vec::new()).with_state_set(state.current());
+    let wind = state.on_uniform("wind", |wind, info: &UpdateInfo| *wind = UniformValue::Float(info.frame as f32));
+    let missing = state.on_uniform("rain", |_, _: &UpdateInfo| panic!("there is no such uniform"));
+    let color = state.on_state_set(|set, info: &UpdateInfo| set.color = Some([0.5 * info.frame as f32; 4]));
+    node.update_callback = Some(wind.then(missing).then(color));
+    let named =
+        state.on_state_set(|set, event: &dyn std::any::Any| set.name = event.downcast_ref::<String>().unwrap().clone());
+    node.event_callback = Some(named);
+    let mut scene = Scene::new();
+    let root = scene.add_root(Page::from_node(node).unwrap());
+    let other = scene.add_root(Page::from_node(Node::group(Vec::new())).unwrap());
+    for frame in 1..4 {
+        let before = state.current();
+        scene.update_traversal(&info(frame));
+        let after = state.current();
+        assert_eq!(
+            (after.uniforms[0].0.value.clone(), after.color),
+            (UniformValue::Float(frame as f32), Some([0.5 * frame as f32; 4]))
+        );
+        // A set that draw may still read was not changed itself, and is no longer that of the page.
+        assert_eq!(before.color, (frame > 1).then(|| [0.5 * (frame - 1) as f32; 4]));
+        assert!(!scene.replace_state_set(root, &before, after.clone()));
+    }
+    scene.event_traversal(&"shaken".to_owned());
+    assert_eq!(state.current().name, "shaken");
+    let before = state.current();
+    assert!(state.change(&mut scene, root, |_| {}) && Arc::ptr_eq(&before, &state.current()), "nothing has changed");
+    assert!(!state.change(&mut scene, other, |set| set.name.clear()), "the page does not use it");
+    assert!(scene.replace_state_set(root, &state.current(), Arc::new(StateSet::default())));
+    assert!(!state.change(&mut scene, root, |set| set.name.clear()), "the application has replaced it");
+    assert_eq!(state.current().name, "shaken");
 }

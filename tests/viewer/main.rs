@@ -6,6 +6,7 @@ mod holes;
 mod host_device;
 mod image_sequences;
 mod on_demand;
+mod per_frame;
 mod pipelines;
 mod pixels;
 mod report;

@@ -10,6 +10,8 @@ mod remove_scene;
 mod scene_cameras;
 mod shared_device;
 mod shared_pager;
+mod spherical;
 mod stereo_slaves;
+mod threading;
 mod threads;
 mod views;

@@ -2,6 +2,8 @@
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 #[cfg(all(target_os = "linux", feature = "window"))]
+mod set_ups;
+#[cfg(all(target_os = "linux", feature = "window"))]
 mod surfaces;
 #[cfg(all(target_os = "linux", feature = "window"))]
 mod windows;

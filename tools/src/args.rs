@@ -102,6 +102,9 @@ pub struct FlyArgs {
     /// CullThreadPerCameraDrawThreadPerContext, or AutomaticSelection (that of TERRANE_THREADING, or the best)
     #[arg(long, value_name = "MODEL", default_value = "AutomaticSelection")]
     pub threading: ThreadingModel,
+    /// Pin each thread of the threading model to a core
+    #[arg(long)]
+    pub cpu_affinity: bool,
     /// Prefetch tiles that the camera will need within this many seconds, after those it needs now; 0 turns prefetch off
     /// [default: 1]
     #[arg(long, value_name = "SECONDS", value_parser = not_negative)]
@@ -209,6 +212,9 @@ pub struct ViewArgs {
     /// CullThreadPerCameraDrawThreadPerContext, or AutomaticSelection (that of TERRANE_THREADING, or the best)
     #[arg(long, value_name = "MODEL", default_value = "AutomaticSelection")]
     pub threading: ThreadingModel,
+    /// Pin each thread of the threading model to a core
+    #[arg(long)]
+    pub cpu_affinity: bool,
     /// Colour, hide and size the features of tiles by a style in the 3D Tiles Styling language (JSON)
     #[arg(long, value_name = "FILE")]
     pub style: Option<PathBuf>,
@@ -249,6 +255,7 @@ impl From<ViewArgs> for Box<FlyArgs> {
             skip_sse,
             lod_fade,
             threading,
+            cpu_affinity,
             style,
             stats,
             on_demand,
@@ -268,6 +275,7 @@ impl From<ViewArgs> for Box<FlyArgs> {
             skip_sse,
             lod_fade,
             threading,
+            cpu_affinity,
             style,
             stats,
             on_demand,

@@ -18,6 +18,7 @@ use crate::gpu::memory::Memory;
 use crate::gpu::pools::{BindClass, BindGroupLayouts, DrawableEntry, Pools, RetireQueue, TargetFormats};
 use crate::gpu::upload::{CompileBudget, CompileOperation, CompileStats, Compiled, UploadQueue, rewrite_mesh};
 use crate::scene::{AttributeLayout, BlockFormats, DrawSlot, Mesh};
+use crate::sync::OperationQueue;
 
 /// A device with its queue, its targets and everything uploaded to it. `Send`: opened on one thread, then moved to the draw
 /// thread, which alone uses it.
@@ -37,6 +38,8 @@ pub struct GraphicsContext {
     bytes_peak: u64,
     /// Written to disk when it is dropped.
     pipeline_cache: Option<PipelineCache>,
+    /// The application's operations on the compile thread. They outlast a lost device.
+    compile_operations: Arc<OperationQueue<wgpu::Device>>,
 }
 
 /// Opening, loss and the pipeline cache.
@@ -105,6 +108,7 @@ impl GraphicsContext {
             memory,
             bytes_peak: 0,
             pipeline_cache: None,
+            compile_operations: Arc::default(),
         })
     }
 
@@ -124,6 +128,7 @@ impl GraphicsContext {
         let mut opened = Self::open(self.targets.close_all())?;
         opened.targets.select(selected);
         opened.bytes_peak = self.bytes_peak;
+        opened.compile_operations = std::mem::take(&mut self.compile_operations);
         let cache_folder = self.pipeline_cache.take().map(|cache| cache.folder().to_owned());
         *self = opened;
         if let Some(folder) = cache_folder
@@ -264,6 +269,11 @@ impl GraphicsContext {
         self.target().size_px()
     }
 
+    /// Returns the screen of the target's window and its position there; see [`ContextTraits::screen`].
+    pub(crate) fn place(&self) -> (u32, [i32; 2]) {
+        self.targets.selected().place()
+    }
+
     /// Returns the samples per pixel of the target, 1 or 4.
     pub fn samples(&self) -> u32 {
         self.targets.selected().samples()
@@ -336,7 +346,16 @@ impl GraphicsContext {
             self.status.add_error(error);
         }
         self.note_peak();
+        if !self.compile_operations.is_empty() {
+            self.uploads.run_operations(&self.compile_operations, &self.memory);
+        }
         stats
+    }
+
+    /// Returns the application's operations on the device, which any thread may add. [`Self::run_compiles`] has them run once:
+    /// on the compile thread, or at once if there is none.
+    pub fn compile_operations(&self) -> &Arc<OperationQueue<wgpu::Device>> {
+        &self.compile_operations
     }
 
     /// Returns true if the last upload failed for lack of memory. It is tried again.
@@ -374,6 +393,11 @@ impl GraphicsContext {
     /// after this call must not name the drawables.
     pub fn release(&mut self, slots: &[DrawSlot]) {
         self.retired.release(slots, &mut self.pools);
+    }
+
+    /// Frees all released drawables at once, however long that takes.
+    pub(crate) fn flush_released(&mut self) {
+        self.retired.free_all(&mut self.pools);
     }
 
     /// Called by the renderer before it submits a frame, which takes along what the queue has written. `uploads` receives the

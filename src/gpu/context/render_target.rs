@@ -98,6 +98,35 @@ fn configure_or_drop(
     }
 }
 
+/// Returns the bits of alpha in a colour format.
+fn alpha_bits(format: wgpu::TextureFormat) -> u32 {
+    use wgpu::TextureFormat as F;
+    match format {
+        F::Rgba8Unorm | F::Rgba8UnormSrgb | F::Bgra8Unorm | F::Bgra8UnormSrgb => 8,
+        F::Rgba16Float | F::Rgba16Unorm => 16,
+        F::Rgb10a2Unorm => 2,
+        _ => 0,
+    }
+}
+
+/// Fails if a format has too few bits of alpha.
+fn enough_alpha(format: wgpu::TextureFormat, wanted: u32) -> Result<(), GpuError> {
+    let found = alpha_bits(format);
+    if found < wanted { Err(GpuError::AlphaBits { wanted, found }) } else { Ok(()) }
+}
+
+/// Returns the format of a window's images: the first sRGB format, or the first of all, that has enough bits of alpha.
+fn window_format(formats: &[wgpu::TextureFormat], min_alpha_bits: u32) -> Result<wgpu::TextureFormat, GpuError> {
+    let enough = || formats.iter().copied().filter(|format| alpha_bits(*format) >= min_alpha_bits);
+    if let Some(format) = enough().find(|format| format.is_srgb()).or_else(|| enough().next()) {
+        return Ok(format);
+    }
+    let Some(found) = formats.iter().copied().map(alpha_bits).max() else {
+        return Err(GpuError::Surface { reason: "the adapter cannot present to it".into() });
+    };
+    Err(GpuError::AlphaBits { wanted: min_alpha_bits, found })
+}
+
 impl RenderTarget {
     /// Creates the target of a window, or an offscreen one if there is no surface.
     pub(super) fn new(
@@ -107,8 +136,11 @@ impl RenderTarget {
         traits: &ContextTraits,
     ) -> Result<Self, GpuError> {
         match surface {
-            Some(surface) => Self::window(adapter, device, surface, traits.size_px, traits.vsync),
-            None => Self::offscreen(device, traits.size_px),
+            Some(surface) => Self::window(adapter, device, surface, traits),
+            None => {
+                enough_alpha(OFFSCREEN_FORMAT, traits.min_alpha_bits)?;
+                Self::offscreen(device, traits.size_px)
+            }
         }
     }
 
@@ -121,18 +153,12 @@ impl RenderTarget {
         adapter: &wgpu::Adapter,
         device: &wgpu::Device,
         surface: wgpu::Surface<'static>,
-        size_px: [u32; 2],
-        vsync: bool,
+        traits: &ContextTraits,
     ) -> Result<Self, GpuError> {
+        let ContextTraits { size_px, vsync, .. } = *traits;
         check_size(device, size_px)?;
         let capabilities = surface.get_capabilities(adapter);
-        let format = capabilities
-            .formats
-            .iter()
-            .find(|f| f.is_srgb())
-            .or(capabilities.formats.first())
-            .copied()
-            .ok_or_else(|| GpuError::Surface { reason: "the adapter cannot present to it".into() })?;
+        let format = window_format(&capabilities.formats, traits.min_alpha_bits)?;
         // Reading a window's image back needs images that can be copied, which not all platforms allow.
         let usage = wgpu::TextureUsages::RENDER_ATTACHMENT | (wgpu::TextureUsages::COPY_SRC & capabilities.usages);
         let config = wgpu::SurfaceConfiguration {
@@ -278,5 +304,23 @@ impl RenderTarget {
         {
             queue.present(frame.image);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn window_takes_a_format_with_enough_alpha() {
+        use wgpu::TextureFormat as F;
+        let formats = [F::Rgb10a2Unorm, F::Rgba16Float, F::Bgra8Unorm, F::Bgra8UnormSrgb];
+        assert_eq!(window_format(&formats, 0).ok(), Some(F::Bgra8UnormSrgb));
+        assert_eq!(window_format(&formats[..3], 0).ok(), Some(F::Rgb10a2Unorm));
+        assert_eq!(window_format(&formats[..3], 8).ok(), Some(F::Rgba16Float));
+        let few = window_format(&formats[..1], 8);
+        assert!(matches!(few, Err(GpuError::AlphaBits { wanted: 8, found: 2 })), "{few:?}");
+        assert!(matches!(window_format(&[], 0), Err(GpuError::Surface { .. })));
+        assert!(enough_alpha(OFFSCREEN_FORMAT, 8).is_ok() && enough_alpha(OFFSCREEN_FORMAT, 9).is_err());
     }
 }

@@ -51,6 +51,11 @@ impl ContextTarget {
         &mut self.target
     }
 
+    /// Returns the screen and the position on it.
+    pub(super) fn place(&self) -> (u32, [i32; 2]) {
+        (self.traits.screen, self.traits.position_px)
+    }
+
     /// Returns the samples per pixel: 1 or 4, which WebGPU guarantees.
     pub(super) fn samples(&self) -> u32 {
         if self.traits.samples > 1 { 4 } else { 1 }

@@ -23,6 +23,14 @@ pub struct ContextTraits {
     pub samples: u32,
     /// Window images wait for the vertical blank. Without it they do not, if the platform can, and may tear.
     pub vsync: bool,
+    /// The number of the screen that a window is on, counted from 0, and the window's upper left corner on it in pixels. They
+    /// order the contexts of a viewer, and do not move windows.
+    pub screen: u32,
+    /// See [`Self::screen`].
+    pub position_px: [i32; 2],
+    /// The least bits of alpha in the target's images. Textures have 8; a window takes a format that has them. Opening fails
+    /// without one. Frames are opaque whatever their alpha.
+    pub min_alpha_bits: u32,
     /// Starts a compile thread for the device, which copies uploads and records their commands, while the draw thread only
     /// allocates slots and submits: OpenSceneGraph's compile contexts. It is faster if cores are idle and much is uploaded
     /// at once; otherwise uploads take the same time within [`CompileBudget`](crate::gpu::CompileBudget).
@@ -41,6 +49,9 @@ impl Default for ContextTraits {
             adapter: AdapterChoice::Any,
             samples: 1,
             vsync: true,
+            screen: 0,
+            position_px: [0, 0],
+            min_alpha_bits: 0,
             compile_thread: false,
             max_anisotropy: None,
             validation: false,

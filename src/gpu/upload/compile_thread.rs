@@ -18,13 +18,15 @@
 //!
 //! `tests/models/compile_models.rs` compiles this file and runs it under thousands of schedules.
 
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use super::resource_upload::Upload;
-use super::staging::{self, Buffer, CommandBuffer, MapRequests, StagingWriter};
+use super::staging::{self, Buffer, CommandBuffer, Device, MapRequests, StagingWriter};
 use super::{Compiled, Memory};
+use crate::sync::OperationQueue;
 use crate::sync::primitives::channel::{self, Receiver, RecvTimeoutError, Sender, TryRecvError};
-use crate::sync::primitives::{Builder, JoinHandle};
+use crate::sync::primitives::{Arc, Builder, JoinHandle};
 use crate::trace;
 
 /// The size of a staging buffer.
@@ -41,6 +43,8 @@ enum Work {
     Upload(Upload),
     /// The end of an operation, all of whose uploads were sent before.
     End(Compiled),
+    /// Runs the application's operations, each once.
+    Operations(Arc<OperationQueue<Device>>),
 }
 
 /// A message from the thread: the contents of one staging buffer.
@@ -72,6 +76,8 @@ pub(super) struct CompileThread {
     thread: Option<JoinHandle<()>>,
     bytes_in_flight: u64,
     operations_in_flight: usize,
+    /// True from when [`Work::Operations`] is sent until the thread has begun it.
+    are_operations_sent: Arc<AtomicBool>,
     has_stopped: bool,
 }
 
@@ -80,6 +86,7 @@ impl CompileThread {
         let (work, work_receiver) = channel::unbounded();
         let (batch_sender, batches) = channel::bounded(MAX_STAGING_BUFFERS);
         let (free, free_receiver) = channel::bounded(MAX_STAGING_BUFFERS);
+        let are_operations_sent = Arc::new(AtomicBool::new(false));
         let worker = Worker {
             memory: memory.clone(),
             work: work_receiver,
@@ -88,6 +95,7 @@ impl CompileThread {
             idle: Vec::new(),
             buffers: 0,
             batch: OpenBatch::default(),
+            are_operations_sent: are_operations_sent.clone(),
         };
         let thread = Builder::new().name("compile".to_owned()).spawn(move || worker.run())?;
         Ok(Self {
@@ -96,6 +104,7 @@ impl CompileThread {
             thread: Some(thread),
             bytes_in_flight: 0,
             operations_in_flight: 0,
+            are_operations_sent,
             has_stopped: false,
         })
     }
@@ -113,6 +122,13 @@ impl CompileThread {
     pub(super) fn send_end(&mut self, compiled: Compiled) {
         self.operations_in_flight += 1;
         self.send(Work::End(compiled));
+    }
+
+    /// Has the application's operations run once, unless the thread has not begun those that were sent before.
+    pub(super) fn run_operations(&mut self, operations: &Arc<OperationQueue<Device>>) {
+        if !self.are_operations_sent.swap(true, Ordering::AcqRel) {
+            self.send(Work::Operations(operations.clone()));
+        }
     }
 
     /// Returns the size of the uploads that were sent and have not returned in a batch.
@@ -200,19 +216,25 @@ struct Worker {
     /// The number of staging buffers that exist.
     buffers: usize,
     batch: OpenBatch,
+    are_operations_sent: Arc<AtomicBool>,
 }
 
 impl Worker {
     fn run(mut self) {
         let mut scratch = Vec::new();
         while let Ok(work) = self.next_work() {
-            let _span = trace::span("upload");
             match work {
                 Work::End(compiled) => self.batch.finished.push(compiled),
                 Work::Upload(upload) => {
+                    let _span = trace::span("upload");
                     if self.upload(upload, &mut scratch).is_err() {
                         return;
                     }
+                }
+                Work::Operations(operations) => {
+                    let _span = trace::span("operations");
+                    self.are_operations_sent.store(false, Ordering::Release);
+                    operations.run_operations(&mut self.memory.device().clone());
                 }
             }
         }

@@ -2,6 +2,7 @@
 //! batches; it copies nothing itself.
 
 use std::collections::VecDeque;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::Memory;
@@ -13,6 +14,7 @@ use super::recorded_uploads::RecordedUploads;
 use super::resource_upload::Upload;
 use super::upload_progress::UploadProgress;
 use crate::gpu::pools::{CompileInfo, Pools};
+use crate::sync::OperationQueue;
 
 /// The maximum size of uploads sent to the compile thread and not returned. Further operations wait for their slots.
 const MAX_BYTES_IN_FLIGHT: u64 = 32 << 20;
@@ -43,6 +45,11 @@ impl CompileThreadUploads {
     /// Returns the number of operations that the thread has not completed.
     pub(super) fn operations_in_flight(&self) -> usize {
         self.thread.operations_in_flight()
+    }
+
+    /// Has the thread run the application's operations.
+    pub(super) fn run_operations(&mut self, operations: &Arc<OperationQueue<wgpu::Device>>) {
+        self.thread.run_operations(operations);
     }
 
     /// Gives drawables their slots and takes finished batches, both within the budget. Waits for the thread only if the budget is

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
 
 // The compile thread imports these two from here, so that its model test can substitute them.
-pub(super) use wgpu::{Buffer, CommandBuffer};
+pub(super) use wgpu::{Buffer, CommandBuffer, Device};
 
 use super::Memory;
 use super::resource_upload::Sink;

@@ -1,5 +1,6 @@
 //! [`UploadQueue`]: everything that a device has to upload, and the thread that uploads it. Draw thread.
 
+use std::sync::Arc;
 use std::time::Instant;
 
 use super::Memory;
@@ -9,6 +10,8 @@ use super::compile_thread_uploads::CompileThreadUploads;
 use super::draw_thread_uploads::DrawThreadUploads;
 use super::upload_progress::UploadProgress;
 use crate::gpu::pools::{CompileInfo, Pools};
+use crate::sync::OperationQueue;
+use crate::trace;
 
 /// The thread that copies the data of uploads.
 enum Copier {
@@ -93,6 +96,17 @@ impl UploadQueue {
         stats.pending = self.pending();
         stats.time = start.elapsed();
         stats
+    }
+
+    /// Runs the application's operations: on the compile thread, or here without one.
+    pub(in crate::gpu) fn run_operations(&mut self, operations: &Arc<OperationQueue<wgpu::Device>>, memory: &Memory) {
+        match &mut self.copier {
+            Copier::DrawThread(_) => {
+                let _span = trace::span("operations");
+                operations.run_operations(&mut memory.device().clone());
+            }
+            Copier::CompileThread(uploads) => uploads.run_operations(operations),
+        }
     }
 
     fn end_writer(&mut self) {

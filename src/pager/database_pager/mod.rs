@@ -247,6 +247,12 @@ impl DatabasePager {
         self.control.is_list_current = false;
     }
 
+    /// Pins the loading threads to a core, each before its next job; OSG's `setProcessorAffinity`. Cores are numbered as the
+    /// system does. Does nothing where it does not support that.
+    pub fn set_processor_affinity(&mut self, core: usize) {
+        self.threads.set_core(core);
+    }
+
     /// Sets whether requests for contents that were not requested before are accepted; known requests continue.
     pub fn set_takes_requests(&mut self, takes_requests: bool) {
         self.control.is_resumed |= takes_requests && !self.control.takes_requests;

@@ -68,6 +68,12 @@ impl ImagePager {
         self.tracks.add(sequence);
     }
 
+    /// Pins the loading threads to a core; see
+    /// [`DatabasePager::set_processor_affinity`](crate::pager::DatabasePager::set_processor_affinity).
+    pub fn set_processor_affinity(&mut self, core: usize) {
+        self.threads.set_core(core);
+    }
+
     /// Returns the counters as of the last update.
     pub fn stats(&self) -> &ImagePagerStats {
         &self.stats

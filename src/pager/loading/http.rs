@@ -12,6 +12,7 @@ use super::config::LimitRange;
 use super::job::{Answer, LoadJob, LoadedBytes, total_bytes};
 use super::request_list::{HttpWork, RequestList};
 use super::server_limits::{Outcome, ServerLimits};
+use super::thread_set::follow_core;
 use super::ticket::Ticket;
 use crate::fetch::{HttpBody, HttpClient, IoError, Limits, Loaded, guarded, server};
 use crate::formats::{self, MAX_DEPENDENCY_ROUNDS};
@@ -99,6 +100,7 @@ pub(super) fn run<J: LoadJob>(
         let mut tasks: JoinSet<Fetched<J>> = JoinSet::new();
         let mut running: HashMap<Ticket, Running<J>> = HashMap::new();
         loop {
+            follow_core();
             let in_flight = running.values().map(|running| &running.job);
             let Some(HttpWork { jobs, aborts }) = list.take_http(in_flight, &server_limits, range.max_in_flight())
             else {

@@ -1,15 +1,53 @@
 //! Named threads that are joined on drop.
 
+use std::cell::RefCell;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread::JoinHandle;
 
+use core_affinity::CoreId;
 use thread_priority::{ThreadPriority, ThreadPriorityValue};
 
 use crate::pager::config::PagerError;
 
+/// The core of a set that runs on any core.
+const ANY_CORE: usize = usize::MAX;
+
 /// Threads of a pager. Dropping the set joins them; the owner must end their work before, by closing what they wait for.
-#[derive(Default)]
 pub(super) struct ThreadSet {
     handles: Vec<JoinHandle<()>>,
+    /// The core that the threads should run on. Written by the owner, read by the threads before each job.
+    core: Arc<AtomicUsize>,
+}
+
+impl Default for ThreadSet {
+    fn default() -> Self {
+        Self { handles: Vec::new(), core: Arc::new(AtomicUsize::new(ANY_CORE)) }
+    }
+}
+
+/// The core of the set that a thread belongs to, and the core to which the thread is pinned.
+struct Followed {
+    core: Arc<AtomicUsize>,
+    pinned: usize,
+}
+
+thread_local! {
+    static FOLLOWED: RefCell<Option<Followed>> = const { RefCell::new(None) };
+}
+
+/// Pins the calling thread of a set to the core that was set since the last call. Called before each job.
+pub(super) fn follow_core() {
+    FOLLOWED.with_borrow_mut(|followed| {
+        let Some(Followed { core, pinned }) = followed else { return };
+        let wanted = core.load(Ordering::Relaxed);
+        if wanted != *pinned {
+            *pinned = wanted;
+            if !core_affinity::set_for_current(CoreId { id: wanted }) {
+                log::warn!("cannot pin thread {:?} to core {wanted}", std::thread::current().name());
+            }
+        }
+    });
 }
 
 impl ThreadSet {
@@ -19,13 +57,20 @@ impl ThreadSet {
     /// [`PagerError::Thread`] if the system starts no more threads.
     pub fn spawn(&mut self, name: String, run: impl FnOnce() + Send + 'static) -> Result<(), PagerError> {
         let builder = std::thread::Builder::new().name(name.clone());
+        let core = self.core.clone();
         let run = || {
             lower_priority();
+            FOLLOWED.set(Some(Followed { core, pinned: ANY_CORE }));
             run();
         };
         let handle = builder.spawn(run).map_err(|source| PagerError::Thread { name, source })?;
         self.handles.push(handle);
         Ok(())
+    }
+
+    /// Pins the threads to a core, each before its next job.
+    pub fn set_core(&self, core: usize) {
+        self.core.store(core, Ordering::Relaxed);
     }
 }
 

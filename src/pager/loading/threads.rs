@@ -10,7 +10,7 @@ use super::config::LoadConfig;
 use super::http::{self, HttpAccess};
 use super::job::{Answer, LoadJob, LoadedBytes, total_bytes};
 use super::request_list::RequestList;
-use super::thread_set::ThreadSet;
+use super::thread_set::{ThreadSet, follow_core};
 use crate::fetch;
 use crate::formats::MAX_DEPENDENCY_ROUNDS;
 use crate::pager::config::PagerError;
@@ -81,6 +81,11 @@ impl<J: LoadJob> LoadThreads<J> {
         self.threads.spawn(format!("{}-{name}", J::THREAD_PREFIX), run)
     }
 
+    /// Pins the threads to a core, each before its next job.
+    pub fn set_core(&self, core: usize) {
+        self.threads.set_core(core);
+    }
+
     /// Returns the request list.
     pub fn list(&self) -> &RequestList<J> {
         &self.list
@@ -113,6 +118,7 @@ impl<J: LoadJob> Drop for LoadThreads<J> {
 
 fn read_files<J: LoadJob>(list: &RequestList<J>, sender: &Sender<LoadedBytes<J>>, files: &fetch::FileReader) {
     while let Some(job) = list.take_file() {
+        follow_core();
         let span = job.read_span();
         let read = |uri: &str| match job.root_scope() {
             Some(scope) => files.read_within(uri, scope),
@@ -176,6 +182,7 @@ impl<J> Intake<J> {
 
 fn decode<J: LoadJob>(mut intake: Intake<J>, sender: &Sender<Answer<J>>) {
     while let Some(LoadedBytes { job, loaded, companions, bytes_read, bytes_http }) = intake.next() {
+        follow_core();
         let span = job.decode_span();
         let content = loaded.and_then(|loaded| job.decode(loaded, companions));
         drop(span);

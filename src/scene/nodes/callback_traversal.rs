@@ -2,7 +2,7 @@
 
 use std::any::Any;
 
-use super::callback::{Call, EventCallback, Traverse, UpdateCallback, UpdateInfo};
+use super::callback::{EventCallback, NodeCallback, Traverse, UpdateCallback, UpdateInfo};
 use crate::scene::callback_pages::CallbackKind;
 use crate::scene::error::SceneError;
 use crate::scene::graph::Scene;
@@ -71,10 +71,10 @@ impl Scene {
         *self.callback_pages_mut() = pages;
     }
 
-    fn traverse_callbacks<I: ?Sized, C: Call<I>>(
+    fn traverse_callbacks<I: ?Sized + 'static>(
         &mut self,
         kind: CallbackKind,
-        list: fn(&Page) -> &SparseList<C>,
+        list: fn(&Page) -> &SparseList<NodeCallback<I>>,
         info: &I,
     ) -> usize {
         self.callback_pages_mut().start(kind);

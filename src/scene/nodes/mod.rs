@@ -14,7 +14,7 @@ mod readback_image;
 mod reader_data;
 
 pub use billboard::{Billboard, BillboardMode};
-pub use callback::{EventCallback, Traverse, UpdateCallback, UpdateInfo};
+pub use callback::{CallbackStateSet, EventCallback, NodeCallback, Traverse, UpdateCallback, UpdateInfo};
 pub use camera_node::{Attachment, CameraNode, CameraTarget, ClampProjection, RenderOrder};
 pub use flatten::MAX_DEPTH;
 pub use node::{Node, NodeKind};

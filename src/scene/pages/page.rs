@@ -263,6 +263,11 @@ impl Page {
         &mut self.extras.event_callbacks
     }
 
+    /// Returns true if the page uses a state set.
+    pub(crate) fn has_state_set(&self, set: &Arc<StateSet>) -> bool {
+        self.state_sets().iter().any(|of| Arc::ptr_eq(of, set))
+    }
+
     /// Returns the state sets, to be replaced by others.
     pub(crate) fn state_sets_mut(&mut self) -> &mut [Arc<StateSet>] {
         self.states.state_sets_mut()

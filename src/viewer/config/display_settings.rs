@@ -68,12 +68,11 @@ pub struct DisplaySettings {
     pub split_vertical_separation_px: u32,
     /// True when split images keep the aspect ratio of the scene.
     pub split_keeps_aspect: bool,
-    /// The most graphics contexts that may be open at once. It defaults to 1, because geometry is kept in memory when there
-    /// may be more.
+    /// The most graphics contexts that may be open at once.
     pub max_contexts: usize,
     /// Samples per pixel as requested: 0 and 1 give one sample, more give 4.
     pub samples: u32,
-    /// The minimum bits of alpha in a render target, 0 to 8; targets always have 8.
+    /// The minimum bits of alpha in the image of a context, 0 to 8; see [`ViewerConfig::min_alpha_bits`].
     pub min_alpha_bits: u32,
     /// The minimum bits of stencil, 0 to 8; adapters without a stencil buffer have none.
     pub min_stencil_bits: u32,
@@ -96,7 +95,7 @@ impl Default for DisplaySettings {
             split_vertical_swaps: false,
             split_vertical_separation_px: 0,
             split_keeps_aspect: true,
-            max_contexts: 1,
+            max_contexts: 32,
             samples: 0,
             min_alpha_bits: 0,
             min_stencil_bits: 0,
@@ -243,15 +242,27 @@ impl DisplaySettings {
         })
     }
 
-    /// Returns the angle under which the viewer sees the screen's longer side, so that objects appear at their real size.
-    pub fn field_of_view(&self) -> FieldOfView {
-        let longer_m = self.screen_width_m.max(self.screen_height_m);
-        FieldOfView::LongerSide(2.0 * (0.5 * longer_m).atan2(self.screen_distance_m))
+    /// Returns the angle under which the viewer sees the screen, so that objects appear at their real size; `None` while the
+    /// size and the distance of the screen are the defaults.
+    ///
+    /// By OSG's rule the screen's height decides on the vertical angle, and the horizontal one follows the shape of the
+    /// image. OSG then has no use for the width. Here the width decides on the horizontal angle where the height is the
+    /// default.
+    pub fn field_of_view(&self) -> Option<FieldOfView> {
+        let Self { screen_width_m: width_m, screen_height_m: height_m, screen_distance_m: distance_m, .. } = *self;
+        let angle = |side_m: f64| 2.0 * (0.5 * side_m).atan2(distance_m);
+        let usual = Self::default();
+        if height_m == usual.screen_height_m && width_m != usual.screen_width_m {
+            return Some(FieldOfView::Horizontal(angle(width_m)));
+        }
+        let is_usual = height_m == usual.screen_height_m && distance_m == usual.screen_distance_m;
+        (!is_usual).then(|| FieldOfView::Vertical(angle(height_m)))
     }
 
-    /// Copies samples, contexts, stereo and stencil into a viewer's configuration. The application applies
-    /// [`Self::field_of_view`] to its cameras itself.
+    /// Copies samples, contexts, stereo, the bits of targets and the field of view into a viewer's configuration.
     pub fn configure(&self, config: &mut ViewerConfig) {
+        config.field_of_view = self.field_of_view().unwrap_or(config.field_of_view);
+        config.min_alpha_bits = self.min_alpha_bits;
         config.samples = if self.samples > 1 { 4 } else { 1 };
         config.max_contexts = self.max_contexts;
         config.stereo = self.eyes();
@@ -316,8 +327,29 @@ mod tests {
         assert_eq!(settings, expected);
         let eyes = settings.eyes().unwrap();
         assert!(eyes.swaps_eyes && eyes.head_mounted && eyes.separation_px == 20);
-        assert_eq!(settings.field_of_view(), FieldOfView::LongerSide(2.0 * (2.0f64 / 1.5).atan()));
+        assert_eq!(settings.field_of_view(), Some(FieldOfView::Vertical(2.0 * 1.0f64.atan())));
+        let mut config = ViewerConfig::default();
+        settings.configure(&mut config);
+        assert_eq!((config.samples, config.max_contexts, config.compile_contexts), (4, 3, true));
+        assert_eq!((config.min_alpha_bits, config.min_stencil_bits, config.stereo), (8, 1, Some(eyes)));
+        assert_eq!(config.field_of_view, FieldOfView::Vertical(2.0 * 1.0f64.atan()));
         assert_eq!(read(&[("TERRANE_STEREO", "")]).unwrap(), DisplaySettings::default());
+    }
+
+    #[test]
+    fn screen_decides_on_the_field_of_view_unless_it_is_the_default() {
+        let of = |variables: &[(&str, &str)]| read(variables).unwrap().field_of_view();
+        let angle = |half_m: f64, distance_m: f64| 2.0 * (half_m / distance_m).atan();
+        assert_eq!(of(&[]), None);
+        assert_eq!(of(&[("TERRANE_SCREEN_DISTANCE", "1")]), Some(FieldOfView::Vertical(angle(0.13, 1.0))));
+        assert_eq!(of(&[("TERRANE_SCREEN_HEIGHT", "1")]), Some(FieldOfView::Vertical(angle(0.5, 0.5))));
+        let both = [("TERRANE_SCREEN_HEIGHT", "1"), ("TERRANE_SCREEN_WIDTH", "4")];
+        assert_eq!(of(&both), Some(FieldOfView::Vertical(angle(0.5, 0.5))), "the image's shape decides on the width");
+        let wide = [("TERRANE_SCREEN_WIDTH", "4"), ("TERRANE_SCREEN_DISTANCE", "2")];
+        assert_eq!(of(&wide), Some(FieldOfView::Horizontal(angle(2.0, 2.0))));
+        let mut config = ViewerConfig::default();
+        DisplaySettings::default().configure(&mut config);
+        assert_eq!(config.field_of_view, ViewerConfig::default().field_of_view);
     }
 
     #[test]

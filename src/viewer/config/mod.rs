@@ -8,7 +8,8 @@ mod arrangement;
 mod display_settings;
 mod environment;
 mod file;
-#[cfg(any(feature = "window", test))]
+#[cfg(feature = "window")]
+mod screen;
 mod screens;
 mod view_setup;
 mod window_setup;
@@ -16,6 +17,8 @@ mod window_setup;
 pub use arrangement::{Arrangement, ArrangementError};
 pub use display_settings::{DisplaySettingError, DisplaySettings, DisplayType};
 pub use environment::{CONFIG_FILE_VARIABLE, SCREEN_VARIABLE, WINDOW_VARIABLE};
+#[cfg(feature = "window")]
+pub use screen::Screen;
 #[cfg(feature = "window")]
 pub(super) use screens::{across_screens, one_eye_per_screen};
 pub use view_setup::{SceneSetup, ViewCamera, ViewSetup, ViewsSetup};

@@ -10,6 +10,7 @@ use super::button::MouseButton;
 use super::event_mask::EventMask;
 use super::input_state::InputState;
 use super::key::Key;
+use crate::viewer::ids::{ContextId, SlaveId};
 
 /// A change of a finger on a touch screen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -84,15 +85,28 @@ pub enum EventKind {
     User(UserEvent),
 }
 
+/// The window and camera to which an event belongs.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub struct EventSource {
+    /// The context of the window; `None` for events of the application, of frames and of code that names none.
+    pub context: Option<ContextId>,
+    /// The slave camera under the pointer; `None` for the master camera, and where there is no camera.
+    pub slave: Option<SlaveId>,
+}
+
 /// An event and the input state just after it.
 #[derive(Clone, Debug)]
 pub struct GuiEventAdapter {
     /// The kind of event and its data.
     pub kind: EventKind,
-    /// The time, seconds since the queue was created.
+    /// The time in seconds of the queue's clock, which is that of
+    /// [`FrameStamp::reference_time_s`](crate::viewer::FrameStamp::reference_time_s).
     pub time_s: f64,
-    /// The input state just after the event.
+    /// The input state just after the event. Positions are in the image of the view's master camera, whatever the camera
+    /// under the pointer.
     pub state: InputState,
+    /// The window and camera to which the event belongs.
+    pub source: EventSource,
     /// True after a handler or the manipulator has handled the event.
     pub handled: bool,
 }

@@ -15,7 +15,7 @@ mod queue;
 mod touch;
 
 pub use button::MouseButton;
-pub use event::{EventKind, GuiEventAdapter, TouchPhase, UserEvent};
+pub use event::{EventKind, EventSource, GuiEventAdapter, TouchPhase, UserEvent};
 pub use event_mask::EventMask;
 pub use handler::{Bindings, GuiEventHandler, Usage};
 pub use input_state::{ButtonMask, InputState, Modifiers, YOrientation};

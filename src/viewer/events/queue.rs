@@ -3,16 +3,16 @@
 //! Main thread, except [`UserEvents`], through which any thread sends events of the application.
 
 use std::path::PathBuf;
-use std::time::Instant;
 
 use crossbeam_channel::{Receiver, Sender};
 use glam::DVec2;
 
 use super::button::MouseButton;
-use super::event::{EventKind, GuiEventAdapter, TouchPhase, UserEvent};
+use super::event::{EventKind, EventSource, GuiEventAdapter, TouchPhase, UserEvent};
 use super::fingers::{Fingers, MAX_FINGERS};
 use super::input_state::{InputState, Modifiers, YOrientation};
 use super::key::Key;
+use crate::viewer::frame::ReferenceClock;
 
 /// The maximum time between the two presses of a double click, seconds.
 const DOUBLE_CLICK_S: f64 = 0.4;
@@ -37,12 +37,14 @@ impl UserEvents {
 
 /// Collects the events between two frames.
 ///
-/// Positions are in pixels of the window, in [`InputState::y_orientation`]; positions that are not finite are ignored. Times
-/// are seconds since the queue was created; [`Self::time_s`] is the current time.
+/// Positions are in pixels of the view, in [`InputState::y_orientation`]; positions that are not finite are ignored. Times are
+/// seconds of [`FrameStamp::reference_time_s`](crate::viewer::FrameStamp::reference_time_s), the same for all views of a
+/// viewer; in a queue without a viewer, seconds since it was created. [`Self::time_s`] is the current time.
 #[derive(Debug)]
 pub struct EventQueue {
-    start: Instant,
+    clock: ReferenceClock,
     state: InputState,
+    source: EventSource,
     fixed_range: bool,
     /// The keys that are down: by the layout, and by position.
     held: Vec<(Key, Key)>,
@@ -56,10 +58,18 @@ pub struct EventQueue {
 
 impl Default for EventQueue {
     fn default() -> Self {
+        Self::with_clock(ReferenceClock::started())
+    }
+}
+
+impl EventQueue {
+    /// Creates the queue of a view.
+    pub(in crate::viewer) fn with_clock(clock: ReferenceClock) -> Self {
         let (sender, from_threads) = crossbeam_channel::bounded(MAX_USER_EVENTS);
         Self {
-            start: Instant::now(),
+            clock,
             state: InputState::default(),
+            source: EventSource::default(),
             fixed_range: false,
             held: Vec::new(),
             last_push: None,
@@ -69,12 +79,33 @@ impl Default for EventQueue {
             from_threads,
         }
     }
-}
 
-impl EventQueue {
-    /// Returns the seconds since the queue was created.
+    /// Returns the seconds since the first frame of the viewer, 0 before it.
     pub fn time_s(&self) -> f64 {
-        self.start.elapsed().as_secs_f64()
+        self.clock.seconds()
+    }
+
+    /// Returns true while a button or a finger is down.
+    pub fn is_pressed(&self) -> bool {
+        !self.state.buttons.is_empty() || !self.fingers.down.is_empty()
+    }
+
+    /// Sets the window and camera of the events that are queued from now on.
+    pub fn set_source(&mut self, source: EventSource) {
+        self.source = source;
+    }
+
+    /// Returns the window and camera of the last event.
+    pub fn source(&self) -> EventSource {
+        self.source
+    }
+
+    /// Notes that the application has moved the pointer: the state has its new position, and there is no event.
+    pub fn mouse_warped(&mut self, position: DVec2) {
+        if position.is_finite() {
+            self.set_position(position);
+            self.forget_last_push();
+        }
     }
 
     /// Returns true when no event was queued since the last frame.
@@ -226,16 +257,16 @@ impl EventQueue {
 
     /// Queues an event of the application.
     pub fn user_event(&mut self, event: UserEvent, time_s: f64) {
-        self.add(EventKind::User(event), time_s);
+        self.add_without_source(EventKind::User(event), time_s);
     }
 
     /// Replaces the content of `events` by the queued events and a final [`EventKind::Frame`]. The viewer calls it once per
     /// frame with the same list, whose memory is reused.
     pub fn take_frame(&mut self, events: &mut Vec<GuiEventAdapter>, time_s: f64) {
         while let Ok(event) = self.from_threads.try_recv() {
-            self.add(EventKind::User(event), time_s);
+            self.add_without_source(EventKind::User(event), time_s);
         }
-        self.add(EventKind::Frame, time_s);
+        self.add_without_source(EventKind::Frame, time_s);
         events.clear();
         std::mem::swap(events, &mut self.events);
     }
@@ -269,7 +300,7 @@ impl EventQueue {
             let recent = self.events.iter_mut().rev().take(MAX_FINGERS + 1);
             let mut motions = recent.take_while(|event| is_motion(&event.kind));
             if let Some(last) = motions.find(is_same) {
-                *last = GuiEventAdapter { kind, time_s, state: self.state, handled: false };
+                *last = GuiEventAdapter { kind, time_s, state: self.state, source: self.source, handled: false };
                 return;
             }
         }
@@ -277,7 +308,13 @@ impl EventQueue {
     }
 
     pub(super) fn add(&mut self, kind: EventKind, time_s: f64) {
-        self.events.push(GuiEventAdapter { kind, time_s, state: self.state, handled: false });
+        self.events.push(GuiEventAdapter { kind, time_s, state: self.state, source: self.source, handled: false });
+    }
+
+    /// Queues an event that belongs to no window.
+    fn add_without_source(&mut self, kind: EventKind, time_s: f64) {
+        let source = EventSource::default();
+        self.events.push(GuiEventAdapter { kind, time_s, state: self.state, source, handled: false });
     }
 }
 

@@ -2,12 +2,15 @@
 
 use crate::scene::CullSettings;
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::time::Duration;
 
 use crate::cull::Stereo;
-use crate::gpu::{AdapterChoice, CompileBudget, CompilePace, ContextTraits};
+use crate::gpu::{AdapterChoice, CompileBudget, CompilePace, ContextTraits, GraphicsContext};
 use crate::pager::PagerConfig;
+use crate::sync::Operation;
 use crate::viewer::rendering::ThreadingModel;
+use crate::viewer::view::camera::FieldOfView;
 
 /// Settings of a viewer. They are read once, when the viewer is made.
 #[derive(Clone, Debug)]
@@ -17,7 +20,8 @@ pub struct ViewerConfig {
     /// The threads that cull and draw.
     pub threading: ThreadingModel,
     /// Pins each thread of the model to a core, in turn, leaving the first core to the main thread; OSG's processor
-    /// affinity. Ignored where the system does not support it.
+    /// affinity. In the single-threaded model the main thread gets the first core and the pagers the second. Does nothing
+    /// on a single core, and where the system does not support it.
     pub cpu_affinity: bool,
     /// The adapter that draws.
     pub adapter: AdapterChoice,
@@ -47,6 +51,10 @@ pub struct ViewerConfig {
     pub history_frames: usize,
     /// Draws views for two eyes: the master cameras and, by [`Slave::eyes`](super::super::Slave::eyes), their slaves.
     pub stereo: Option<Stereo>,
+    /// The field of view of new views' cameras.
+    pub field_of_view: FieldOfView,
+    /// Alpha bits that the images of contexts must have; see [`ContextTraits::min_alpha_bits`].
+    pub min_alpha_bits: u32,
     /// Stencil bits that the adapter must have, 0 to 8.
     pub min_stencil_bits: u32,
     /// The number of contexts that may be open at once.
@@ -54,9 +62,16 @@ pub struct ViewerConfig {
     /// Keeps the geometry of pages that the application added after its upload, to upload it again to contexts opened
     /// later and to devices that replace lost ones. Without it such pages are missing there.
     pub keep_drawables: bool,
+    /// The number of frames for which the GPU memory of removed drawables is kept after the last frame that draws them; OSG's
+    /// `DeleteHandler::setNumFramesToRetainObjects`.
+    pub frames_to_retain: u32,
     /// The folder in which compiled pipelines are kept for the next start; `None` keeps none. Useful where the driver has
     /// no cache.
     pub pipeline_cache: Option<PathBuf>,
+    /// Runs once for each context when it is opened, on the thread that opens it, and again when another device replaces a
+    /// lost one; OSG's realize operation. [`CompositeViewer::set_realize_operation`](crate::viewer::CompositeViewer::set_realize_operation)
+    /// sets another one for later contexts.
+    pub realize_operation: Option<Arc<dyn Operation<GraphicsContext>>>,
 }
 
 impl Default for ViewerConfig {
@@ -78,10 +93,14 @@ impl Default for ViewerConfig {
             compile_contexts: false,
             history_frames: 100_000,
             stereo: None,
+            field_of_view: FieldOfView::LongerSide(60f64.to_radians()),
+            min_alpha_bits: 0,
             min_stencil_bits: 0,
-            max_contexts: 1,
+            max_contexts: 32,
             keep_drawables: true,
+            frames_to_retain: 0,
             pipeline_cache: None,
+            realize_operation: None,
         }
     }
 }
@@ -94,6 +113,7 @@ impl ViewerConfig {
             adapter: self.adapter,
             samples: self.samples,
             vsync: self.vsync,
+            min_alpha_bits: self.min_alpha_bits,
             compile_thread: self.compile_contexts,
             validation: self.validation,
             ..ContextTraits::default()

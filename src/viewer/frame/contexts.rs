@@ -44,6 +44,9 @@ impl FrameLoop {
         }
         self.finish()?;
         let number = self.rendering.add_context(context, self.stamp().frame);
+        if let Some(device) = self.rendering.device_of(number) {
+            device.retain_released(self.config.frames_to_retain);
+        }
         if let Err(error) = self.rendering.check_model() {
             self.rendering.remove_context(number);
             return Err(error);
@@ -100,6 +103,29 @@ impl FrameLoop {
         let context_px = self.rendering.size_px(context.0).ok_or(ViewerError::NoContext(context))?;
         let (camera, device) = self.rendering.add_camera(context.0).ok_or(ViewerError::NoContext(context))?;
         Ok(CameraSlot { camera, context: context.0, device, viewport, context_px })
+    }
+
+    /// Moves the master camera of a view to another context.
+    pub(in crate::viewer) fn move_master(&mut self, view: &mut View, context: ContextId) -> Result<(), ViewerError> {
+        let viewport = view.master.map_or(ViewArea::Whole, |slot| slot.viewport);
+        let slot = self.add_camera(context, viewport)?;
+        if let Some(before) = view.master.replace(slot) {
+            self.rendering.remove_camera(before.camera);
+        }
+        Ok(())
+    }
+
+    /// Keeps released drawables for some frames, on all devices.
+    pub(in crate::viewer) fn set_frames_to_retain(&mut self, frames: u32) {
+        self.config.frames_to_retain = frames;
+        self.rendering.devices_mut().for_each(|device| device.retain_released(frames));
+    }
+
+    /// Draws a context after the others of its device.
+    pub(in crate::viewer) fn draw_last(&mut self, context: ContextId) -> Result<(), ViewerError> {
+        self.finish()?;
+        self.device_of(context)?.draw_last(context.0);
+        Ok(())
     }
 
     pub(in crate::viewer) fn add_slave(&mut self, view: &mut View, slave: Slave) -> Result<SlaveId, ViewerError> {

@@ -34,6 +34,11 @@ impl DrawResults {
         &self.history
     }
 
+    /// Switches the statistics of frames on or off.
+    pub(in crate::viewer) fn set_stats(&mut self, is_on: bool) {
+        self.history.set_on(is_on);
+    }
+
     pub(in crate::viewer) fn errors(&self) -> &[String] {
         &self.errors
     }

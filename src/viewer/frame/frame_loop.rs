@@ -45,11 +45,14 @@ pub(in crate::viewer) struct FrameLoop {
     /// Overlays to be painted over the next frame, with their contexts.
     #[cfg(feature = "window")]
     overlays: Vec<(u32, crate::viewer::overlay::OverlayPaint)>,
+    /// The screens of the display, as the window's event loop found them.
+    #[cfg(feature = "window")]
+    pub(in crate::viewer) screens: Vec<crate::viewer::Screen>,
     pub(super) probe: Probe,
     pub(super) timer: FrameTimer,
     pub(super) device_loss: DeviceLoss,
     pub(super) query_answers: QueryAnswers,
-    pub(super) results: DrawResults,
+    pub(in crate::viewer) results: DrawResults,
     pub(super) pictures: PictureRequests,
 }
 
@@ -79,12 +82,15 @@ impl FrameLoop {
         config.look_ahead_s = config.look_ahead_s.max(0.0);
         let mut rendering = Rendering::new(config.pager.blocking, config.cpu_affinity);
         rendering.set_model(config.threading)?;
+        rendering.set_realize_operation(config.realize_operation.clone());
         Ok(Self {
             rendering,
             pagers: Pagers::new(config.pager.blocking),
             look_aheads: LookAheads::default(),
             #[cfg(feature = "window")]
             overlays: Vec::new(),
+            #[cfg(feature = "window")]
+            screens: Vec::new(),
             probe: Probe::new(),
             timer: FrameTimer::default(),
             device_loss: DeviceLoss::default(),
@@ -192,6 +198,9 @@ impl FrameLoop {
         let FrameInProgress { start, mut stats, phase, _frame, .. } = frame;
         // A handler may have changed the threading model.
         self.rendering.start_threads()?;
+        if let Some(core) = self.rendering.pager_core() {
+            self.pagers.set_processor_affinity(scenes, core);
+        }
         if self.is_blocking() {
             self.finish()?;
         }

@@ -21,6 +21,7 @@ mod snapshot;
 mod stats;
 
 pub use self::clock::FrameStamp;
+pub(super) use self::clock::ReferenceClock;
 pub use self::config::ViewerConfig;
 pub(super) use self::frame_loop::{FrameLoop, ViewList};
 pub use self::stats::{FrameStats, Samples, StatsHistory};

@@ -66,6 +66,8 @@ pub struct FrameStats {
 
 /// The number of past frames from which the next frame time is estimated.
 const BUSY_FRAMES: usize = 4;
+/// More frames than are in flight, so that the figures of the draw thread find theirs.
+const AWAITED_FRAMES: usize = 4;
 
 /// The frames of a run, newest last; drops the oldest beyond a limit.
 #[derive(Debug)]
@@ -74,21 +76,37 @@ pub struct StatsHistory {
     limit: usize,
     /// The number of frames, including dropped ones.
     count: u32,
+    /// False keeps the frames that the pace of uploads needs, and shows none.
+    is_on: bool,
 }
 
 impl StatsHistory {
     /// Creates a history of at most `limit` frames; memory for the first 4,096 is allocated at once.
     pub fn new(limit: usize) -> Self {
-        Self { frames: VecDeque::with_capacity(limit.clamp(1, 4096)), limit: limit.max(1), count: 0 }
+        Self { frames: VecDeque::with_capacity(limit.clamp(1, 4096)), limit: limit.max(1), count: 0, is_on: true }
+    }
+
+    /// Returns true while statistics are kept.
+    pub fn is_on(&self) -> bool {
+        self.is_on
+    }
+
+    /// Switches the history on or off; its frames are gone then. While it is off it is empty.
+    pub(in crate::viewer) fn set_on(&mut self, is_on: bool) {
+        if self.is_on != is_on {
+            self.is_on = is_on;
+            self.clear();
+        }
     }
 
     /// Adds a frame.
     pub fn push(&mut self, stats: FrameStats) {
-        if self.frames.len() == self.limit {
+        let limit = if self.is_on { self.limit } else { AWAITED_FRAMES + BUSY_FRAMES };
+        if self.frames.len() >= limit {
             self.frames.pop_front();
         }
         self.frames.push_back(stats);
-        self.count += 1;
+        self.count += u32::from(self.is_on);
     }
 
     /// Returns the record of a frame, to add the draw thread's figures.
@@ -98,7 +116,7 @@ impl StatsHistory {
 
     /// The frames, newest last.
     pub fn iter(&self) -> impl DoubleEndedIterator<Item = &FrameStats> + ExactSizeIterator + Clone {
-        self.frames.iter()
+        self.frames.range(if self.is_on { 0 } else { self.frames.len() }..)
     }
 
     /// Returns the number of frames since the last clear, including dropped ones.
@@ -108,12 +126,12 @@ impl StatsHistory {
 
     /// Returns the newest frame.
     pub fn last(&self) -> Option<&FrameStats> {
-        self.frames.back()
+        self.iter().next_back()
     }
 
     /// Returns the newest frame that is drawn.
     pub fn last_drawn(&self) -> Option<&FrameStats> {
-        self.frames.iter().rev().find(|s| s.drawn)
+        self.iter().rev().find(|s| s.drawn)
     }
 
     /// Returns the shortest and the longest time for which one of the last frames kept the drawing thread or the adapter busy,
@@ -211,6 +229,21 @@ mod tests {
         assert_eq!(models.map(|model| ms(&history, model)), [27.0, 25.0, 25.0, 25.0]);
         history.push(frame(f64::NAN, true));
         assert_eq!(ms(&history, ThreadingModel::DrawThreadPerContext), 25.0);
+    }
+
+    #[test]
+    fn history_that_is_off_shows_nothing_but_times_uploads() {
+        let mut history = StatsHistory::new(100);
+        let frame = |frame| FrameStats { frame, draw_ms: 5.0, drawn: true, ..FrameStats::default() };
+        history.push(frame(1));
+        history.set_on(false);
+        (2..40).for_each(|number| history.push(frame(number)));
+        assert_eq!((history.iter().len(), history.count(), history.last(), history.last_drawn()), (0, 0, None, None));
+        assert!(history.frames.len() < 10 && history.frame_mut(39).is_some());
+        assert!(history.busy(ThreadingModel::DrawThreadPerContext).end().as_millis() == 5);
+        history.set_on(true);
+        history.push(frame(40));
+        assert_eq!((history.iter().len(), history.count(), history.last().map(|s| s.frame)), (1, 1, Some(40)));
     }
 
     #[test]

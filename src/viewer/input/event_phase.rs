@@ -1,6 +1,7 @@
 //! The event phase, and the manipulator's step in the update phase.
 
 use super::action_adapter::GuiActionAdapter;
+use super::state::WindowCommand;
 use crate::viewer::events::{EventKind, GuiEventAdapter, GuiEventHandler, Key};
 
 impl GuiActionAdapter<'_> {
@@ -48,15 +49,23 @@ impl GuiActionAdapter<'_> {
         if let Some(scene) = self.paged.changeable().filter(|scene| scene.has_event_callbacks()) {
             scene.event_traversal(event);
         }
+        self.view.call_event(event);
         if !event.handled {
             self.apply_default_action(event);
         }
     }
 
-    /// Ends the application or returns the camera to its home pose, on an event that was not handled.
+    /// Closes a window, ends the application or returns the camera to its home pose, on an event that was not handled.
     fn apply_default_action(&mut self, event: &mut GuiEventAdapter) {
         match event.kind {
-            EventKind::CloseWindow | EventKind::QuitApplication => self.view.input.is_done = true,
+            // Closing the last window ends the application.
+            EventKind::CloseWindow => match event.source.context {
+                Some(context) if self.base.rendering.context_ids().any(|of| of != context.0) => {
+                    self.view.request_window(WindowCommand::Close(context));
+                }
+                _ => self.view.input.is_done = true,
+            },
+            EventKind::QuitApplication => self.view.input.is_done = true,
             EventKind::KeyDown { .. } => match event.key_pressed() {
                 Some(key) if self.view.input.quit_keys.contains(&key) => self.view.input.is_done = true,
                 Some(Key::SPACE | Key::Home) => {
@@ -77,9 +86,11 @@ impl GuiActionAdapter<'_> {
         }
     }
 
-    /// Moves the camera by the manipulator. Runs in the update phase after the update callbacks, because the manipulator
-    /// may follow a node that they move.
+    /// Calls the view's update callback, and moves the camera by the manipulator. Runs in the update phase after the update
+    /// callbacks of the scene, because the manipulator may follow a node that they move.
     pub(in crate::viewer) fn update_camera(&mut self, dt_s: f64) {
+        let stamp = self.frame_stamp();
+        self.view.call_update(&stamp);
         let step_s = self.view.input.camera_motion.step_s(dt_s);
         if let Some(pose) = self.with_manipulator(|manipulator, view| manipulator.advance(step_s, view)) {
             if pose.is_finite() {

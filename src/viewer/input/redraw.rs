@@ -20,6 +20,7 @@ pub(in crate::viewer) fn changes(base: &FrameLoop, view: &View, scenes: &SceneLi
         || base.stamp().frame == 0
         || base.awaits_picture()
         || paged.has_update_callbacks()
+        || view.has_update_callback()
         || !pager.is_unchanging(scenes)
         || pager.has_due()
         || paged.image_pager().is_some_and(|images| images.needs_frame())

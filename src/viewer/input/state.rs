@@ -7,27 +7,86 @@ use glam::DVec2;
 use super::camera_motion::CameraMotion;
 use super::handler_list::HandlerList;
 use crate::state::StateSet;
+use crate::viewer::config::Arrangement;
 use crate::viewer::events::{EventQueue, GuiEventAdapter, Key};
+use crate::viewer::frame::{FrameStamp, ReferenceClock};
+use crate::viewer::ids::ContextId;
 #[cfg(feature = "window")]
 use crate::viewer::overlay::Overlay;
+use crate::viewer::view::View;
 
 /// How long a notice is shown, seconds.
 const NOTICE_S: f64 = 2.5;
 
 /// A request to the window, carried out before the next frame by the code that runs the window.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum WindowCommand {
     /// Switches between full screen and a window.
     ToggleFullScreen,
     /// Resizes the window to a width and height in pixels.
     Resize([u32; 2]),
+    /// Shows a shape of the pointer over the window; see [`View::set_cursor`](crate::viewer::View::set_cursor).
+    SetCursor(MouseCursor),
+    /// Moves the pointer to a position in the window, in pixels from its upper left corner; see
+    /// [`View::warp_pointer`](crate::viewer::View::warp_pointer). Ignored where the window system does not support it.
+    WarpPointer(DVec2),
+    /// Closes the window of a context, its context and the cameras in it. Other windows stay open.
+    Close(ContextId),
+    /// Opens the windows of an arrangement for the view, and closes those that it has; see
+    /// [`View::set_up`](crate::viewer::View::set_up).
+    SetUp(Arrangement),
 }
+
+/// The shape of the pointer over a window; OSG's `MouseCursor`. Shapes that the window system lacks look like the nearest one.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum MouseCursor {
+    /// The usual one of the window system.
+    #[default]
+    Inherit,
+    /// None: the pointer is hidden.
+    None,
+    /// An arrow.
+    Arrow,
+    /// An arrow with a question mark.
+    Help,
+    /// Busy.
+    Wait,
+    /// A bar between letters.
+    Text,
+    /// A thin cross.
+    Crosshair,
+    /// A hand that points.
+    Hand,
+    /// An open hand, for what can be dragged.
+    Grab,
+    /// A closed hand, while it is dragged.
+    Grabbing,
+    /// Arrows in four directions.
+    Move,
+    /// Arrows up and down.
+    UpDown,
+    /// Arrows left and right.
+    LeftRight,
+    /// Arrows along the diagonal from the upper left to the lower right.
+    UpperLeftLowerRight,
+    /// Arrows along the diagonal from the upper right to the lower left.
+    UpperRightLowerLeft,
+    /// A crossed-out circle.
+    NotAllowed,
+}
+
+/// A callback of a view's cameras in update.
+pub type ViewUpdate = Box<dyn FnMut(&mut View, &FrameStamp)>;
+/// A callback of a view's cameras for an event.
+pub type ViewEvent = Box<dyn FnMut(&mut View, &GuiEventAdapter)>;
 
 /// The input state of a view: queue, handlers, manipulator, notice and overlay. Main thread.
 pub(in crate::viewer) struct Input {
     pub(super) queue: EventQueue,
     pub(super) handlers: HandlerList,
     pub(super) camera_motion: CameraMotion,
+    pub(super) on_update: Option<ViewUpdate>,
+    pub(super) on_event: Option<ViewEvent>,
     /// The events of the current frame; kept to reuse its memory.
     pub(super) events: Vec<GuiEventAdapter>,
     pub(super) quit_keys: Vec<Key>,
@@ -49,14 +108,16 @@ pub(in crate::viewer) struct Input {
 }
 
 impl Input {
-    /// Creates the input state of a view of `size_px` pixels.
-    pub fn new(size_px: [u32; 2]) -> Self {
-        let mut queue = EventQueue::default();
+    /// Creates the input state of a view of `size_px` pixels. Its events have the times of `clock`.
+    pub fn new(size_px: [u32; 2], clock: ReferenceClock) -> Self {
+        let mut queue = EventQueue::with_clock(clock);
         queue.set_input_range(DVec2::ZERO, DVec2::new(f64::from(size_px[0].max(1)), f64::from(size_px[1].max(1))));
         Self {
             queue,
             handlers: HandlerList::default(),
             camera_motion: CameraMotion::default(),
+            on_update: None,
+            on_event: None,
             events: Vec::new(),
             quit_keys: vec![Key::Escape],
             is_done: false,

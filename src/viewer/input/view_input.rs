@@ -4,10 +4,12 @@ use std::sync::Arc;
 
 use glam::DVec2;
 
-use super::state::WindowCommand;
+use super::state::{ViewEvent, ViewUpdate, WindowCommand};
 use super::window_matrix::{WindowMatrix, WindowRay};
 use crate::state::StateSet;
+use crate::viewer::config::{Arrangement, WindowSetup};
 use crate::viewer::events::{EventQueue, GuiEventAdapter, GuiEventHandler, Key, Usage, UserEvents, YOrientation};
+use crate::viewer::frame::FrameStamp;
 use crate::viewer::manipulators::{CameraManipulator, GroundHeight};
 use crate::viewer::view::View;
 
@@ -30,6 +32,41 @@ impl View {
     /// Removes all event handlers.
     pub fn clear_event_handlers(&mut self) {
         self.input.handlers.clear();
+    }
+
+    /// Sets a callback of the view's cameras; OSG's update callback of a camera. It is called once a frame, after the callbacks of
+    /// the scene and before the manipulator moves the camera, and may change camera and slaves.
+    pub fn set_update_callback(&mut self, callback: Option<ViewUpdate>) {
+        self.input.on_update = callback;
+        self.request_redraw();
+    }
+
+    /// Returns true if the cameras have an update callback.
+    pub fn has_update_callback(&self) -> bool {
+        self.input.on_update.is_some()
+    }
+
+    /// Sets a callback of the view's cameras for events; OSG's event callback of a camera. It is called for each event, after the
+    /// handlers, the manipulator and the event callbacks of the scene.
+    pub fn set_event_callback(&mut self, callback: Option<ViewEvent>) {
+        self.input.on_event = callback;
+    }
+
+    /// Calls the update callback.
+    pub(super) fn call_update(&mut self, stamp: &FrameStamp) {
+        if let Some(mut call) = self.input.on_update.take() {
+            call(self, stamp);
+            // Unless the callback has set another one.
+            self.input.on_update.get_or_insert(call);
+        }
+    }
+
+    /// Calls the event callback.
+    pub(super) fn call_event(&mut self, event: &GuiEventAdapter) {
+        if let Some(mut call) = self.input.on_event.take() {
+            call(self, event);
+            self.input.on_event.get_or_insert(call);
+        }
     }
 
     /// Sets the keys that end the application; Escape by default.
@@ -96,6 +133,33 @@ impl View {
     /// Queues a request to the window.
     pub fn request_window(&mut self, command: WindowCommand) {
         self.input.window_commands.push(command);
+    }
+
+    /// Shows the view in a window: its upper left corner on a screen (`None` is the system's first one) and its size, in pixels.
+    /// See [`Self::set_up`].
+    pub fn set_up_view_in_window(&mut self, position_px: [i32; 2], size_px: [u32; 2], screen: Option<usize>) {
+        let (position_px, size_px) = (Some(position_px), Some(size_px));
+        let window = WindowSetup { position_px, size_px, screen, ..WindowSetup::default() };
+        self.set_up(Arrangement::Windows(vec![window]));
+    }
+
+    /// Fills a screen with the view, by its number counted from 0. See [`Self::set_up`].
+    pub fn set_up_view_on_single_screen(&mut self, screen: usize) {
+        let window = WindowSetup { screen: Some(screen), full_screen: true, ..WindowSetup::default() };
+        self.set_up(Arrangement::Windows(vec![window]));
+    }
+
+    /// Fills all screens with the view; see [`Arrangement::AllScreens`] and [`Self::set_up`].
+    pub fn set_up_view_across_all_screens(&mut self) {
+        self.set_up(Arrangement::AllScreens);
+    }
+
+    /// Asks [`run_window`](crate::viewer::run_window) or [`run_views`](crate::viewer::run_views) for other windows, after the
+    /// current frame or the first one. They share the device of the present ones, so that nothing is loaded again. The first
+    /// camera of the arrangement is the view's master, the others replace its slaves. Windows in which no camera is left are
+    /// closed. Where a window cannot be opened, an error is logged and the present windows stay.
+    pub fn set_up(&mut self, arrangement: Arrangement) {
+        self.request_window(WindowCommand::SetUp(arrangement));
     }
 
     /// Takes the queued requests; called by the code that runs the window.

@@ -323,6 +323,10 @@ impl PagedScene {
         self.image_pager.as_ref()
     }
 
+    pub(in crate::viewer) fn image_pager_mut(&mut self) -> Option<&mut ImagePager> {
+        self.image_pager.as_mut()
+    }
+
     pub(in crate::viewer) fn set_image_pager(&mut self, pager: ImagePager) {
         self.image_pager = Some(pager);
     }

@@ -111,6 +111,16 @@ impl Pagers {
         }
     }
 
+    /// Pins the threads of all pagers to a core.
+    pub(in crate::viewer) fn set_processor_affinity(&mut self, scenes: &mut SceneList, core: usize) {
+        for pager in self.iter_mut().filter_map(PagerGroup::pager_mut) {
+            pager.set_processor_affinity(core);
+        }
+        for pager in scenes.values_mut().filter_map(PagedScene::image_pager_mut) {
+            pager.set_processor_affinity(core);
+        }
+    }
+
     /// Uploads everything to a device that was opened after others.
     pub(in crate::viewer) fn device_opened(
         &mut self,

@@ -14,8 +14,8 @@ use crate::cull::{CullCamera, CullCounters, CullVisitor, PageRequest, RenderStag
 use crate::draw::{BinCallback, CameraCallbacks};
 use crate::scene::{CameraTarget, ClampProjection, ComputeNearFar, Environment, Scene};
 use crate::state::{DataVariance, OpaqueDrawData, StateSet};
-use crate::sync::BlockCount;
 use crate::sync::primitives::channel::{Receiver, Sender, TryRecvError};
+use crate::sync::{BlockCount, OperationQueue};
 use crate::trace;
 use crate::viewer::Camera;
 
@@ -157,6 +157,8 @@ pub(super) struct CullSide {
     pub(super) culled: Sender<Culled>,
     /// The main thread waits here at the end of the frame, in models that overlap frames.
     pub(super) end_of_dynamic: Option<Arc<BlockCount>>,
+    /// The application's operations, run after each cull. Other threads add to them.
+    pub(super) operations: Arc<OperationQueue<CullVisitor>>,
 }
 
 impl CullSide {
@@ -178,6 +180,8 @@ impl CullSide {
         };
         let (is_dynamic, environment) = (task.is_dynamic, task.environment);
         let outcome = task.run(&mut self.visitor, &mut stage);
+        // Before the outcome is sent, so that they have run when the frame is complete on the main thread.
+        self.operations.run_operations(&mut self.visitor);
         let waits = self.end_of_dynamic.is_some() && (is_dynamic || has_dynamic_callbacks(&stage));
         // Fails only when the receiving thread has died, which is reported there.
         let _ = self.outcomes.send(outcome);

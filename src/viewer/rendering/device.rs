@@ -13,7 +13,7 @@ use crate::gpu::{CompileBudget, CompileOperation, Compiled, ContextTraits, GpuEr
 use crate::pager::{CompileContext, ImageChange};
 use crate::scene::{BlockFormats, DrawKind, DrawSlot, Drawable, Mesh};
 use crate::sync::primitives::channel::{self, Receiver, RecvTimeoutError, Sender};
-use crate::sync::{Operation, OperationThread};
+use crate::sync::{Operation, OperationQueue, OperationThread};
 use crate::viewer::ViewerError;
 
 /// The length of the command queue; many small uploads fit between two frames.
@@ -38,9 +38,13 @@ enum Side {
 /// A context, as the main thread knows it.
 struct ContextOnDevice {
     id: u32,
+    /// The screen of its window, and the position there.
+    place: (u32, [i32; 2]),
     size_px: [u32; 2],
     /// The last frame whose result has arrived.
     done_frame: u32,
+    /// The application's operations, which the owner of the device runs.
+    operations: Arc<OperationQueue<GraphicsContext>>,
 }
 
 /// Sends commands to a device, takes its answers, and gives pagers access to its upload queue. It has a field for each
@@ -48,7 +52,7 @@ struct ContextOnDevice {
 pub(in crate::viewer) struct DeviceHandle {
     /// The number of its first context, even after that was closed.
     id: u32,
-    /// In the order opened.
+    /// In the order drawn.
     contexts: Vec<ContextOnDevice>,
     side: Side,
     /// True once a command or an answer has failed.
@@ -76,12 +80,15 @@ pub(in crate::viewer) struct DeviceHandle {
     block_formats: BlockFormats,
     is_software: bool,
     is_host_device: bool,
+    /// The application's operations on the compile thread, or on the device's thread if there is none.
+    compile_operations: Arc<OperationQueue<wgpu::Device>>,
 }
 
 impl DeviceHandle {
     /// Takes a device with one context. The main thread owns it until threads are started.
     pub(super) fn new(id: u32, context: GraphicsContext, blocking: bool, frame: u32) -> Self {
-        let contexts = vec![ContextOnDevice { id, size_px: context.size_px(), done_frame: frame }];
+        let (size_px, place) = (context.size_px(), context.place());
+        let compile_operations = context.compile_operations().clone();
         let (adapter_name, is_software) = (context.adapter_name(), context.is_software());
         let (is_host_device, block_formats) = (context.is_host_device(), context.block_formats());
         let (commands, to_do) = channel::bounded(COMMAND_QUEUE);
@@ -98,10 +105,12 @@ impl DeviceHandle {
             running_compiles: running_compiles.clone(),
             compiled: compiled_sender,
         };
+        let mut side = DrawSide::new(context, id, ends);
+        let operations = side.drawn_mut(id).map(|context| context.operations.clone()).unwrap_or_default();
         Self {
             id,
-            contexts,
-            side: Side::Here(Box::new(DrawSide::new(context, id, ends))),
+            contexts: vec![ContextOnDevice { id, place, size_px, done_frame: frame, operations }],
+            side: Side::Here(Box::new(side)),
             is_dead: false,
             is_stuck: false,
             commands,
@@ -117,6 +126,7 @@ impl DeviceHandle {
             block_formats,
             is_software,
             is_host_device,
+            compile_operations,
         }
     }
 
@@ -125,9 +135,22 @@ impl DeviceHandle {
         self.id
     }
 
-    /// The numbers of its contexts, in the order opened.
+    /// The numbers of its contexts, in the order drawn.
     pub(super) fn context_ids(&self) -> impl Iterator<Item = u32> {
         self.contexts.iter().map(|context| context.id)
+    }
+
+    /// Its contexts, each with the screen of its window, the position there, and its number.
+    pub(super) fn places(&self) -> impl Iterator<Item = (u32, [i32; 2], u32)> {
+        self.contexts.iter().map(|context| (context.place.0, context.place.1, context.id))
+    }
+
+    /// Draws a context after the others. No frame may be in flight.
+    pub(in crate::viewer) fn draw_last(&mut self, context: u32) {
+        if let Some(at) = self.contexts.iter().position(|c| c.id == context) {
+            let last = self.contexts.remove(at);
+            self.contexts.push(last);
+        }
     }
 
     /// The size of a context's target after all commands; `None` when the context is another device's.
@@ -146,8 +169,25 @@ impl DeviceHandle {
         let side = self.here().ok_or(ViewerError::DrawThreadStopped)?;
         add(&mut side.context, traits)?;
         side.push_context(id);
-        self.contexts.push(ContextOnDevice { id, size_px: traits.size_px, done_frame: frame });
+        let operations = side.drawn_mut(id).map(|context| context.operations.clone()).unwrap_or_default();
+        let (place, size_px) = ((traits.screen, traits.position_px), traits.size_px);
+        self.contexts.push(ContextOnDevice { id, place, size_px, done_frame: frame, operations });
         Ok(())
+    }
+
+    /// Returns the application's operations on a context; `None` when the context is another device's.
+    pub(super) fn context_operations(&self, context: u32) -> Option<&Arc<OperationQueue<GraphicsContext>>> {
+        self.contexts.iter().find(|c| c.id == context).map(|c| &c.operations)
+    }
+
+    /// Returns the application's operations on the compile thread.
+    pub(super) fn compile_operations(&self) -> &Arc<OperationQueue<wgpu::Device>> {
+        &self.compile_operations
+    }
+
+    /// True while operations of the application wait.
+    pub(super) fn has_operations(&self) -> bool {
+        !self.compile_operations.is_empty() || self.contexts.iter().any(|context| !context.operations.is_empty())
     }
 
     /// Closes a context while no thread runs, also on a lost device. Returns false when it is the last one.
@@ -385,6 +425,17 @@ impl DeviceHandle {
             // An error of the draw thread is reported by the next frame.
             let _ = self.send(DrawCommand::Release(slots));
         }
+    }
+
+    /// Keeps slots that are released for some frames.
+    pub(in crate::viewer) fn retain_released(&mut self, frames: u32) {
+        // An error of the draw thread is reported by the next frame.
+        let _ = self.send(DrawCommand::RetainReleased { frames });
+    }
+
+    /// Frees all released slots at once.
+    pub(in crate::viewer) fn flush_released(&mut self) {
+        let _ = self.send(DrawCommand::FlushReleased);
     }
 
     /// Replaces the mesh of a drawable from the next frame on.

@@ -11,12 +11,13 @@ use std::time::{Duration, Instant};
 use super::cull_side::{CullSide, Culled};
 use super::frame_job::{DrawCommand, FrameDone, FrameJob, Reply};
 use super::millis::millis;
+use super::retained_slots::RetainedSlots;
 use crate::cull::RenderStage;
 use crate::draw::{CameraView, DrawStats, FrameClock, Renderer};
 use crate::gpu::{CompileBudget, Compiled, GpuError, GraphicsContext};
 use crate::pager::ImageChange;
-use crate::sync::BlockCount;
 use crate::sync::primitives::channel::{Receiver, Sender};
+use crate::sync::{BlockCount, Operation, OperationQueue};
 use crate::trace;
 
 /// The draw end of a camera's channels: stages arrive culled and are returned empty.
@@ -37,6 +38,8 @@ pub(super) struct DrawnContext {
     stages: Vec<Culled>,
     /// The error of a failed resize, reported with the next frame.
     failed: Option<GpuError>,
+    /// The application's operations, run after the context is drawn. Other threads add to them.
+    pub(super) operations: Arc<OperationQueue<GraphicsContext>>,
     /// One painter per overlay, created with its first frame.
     #[cfg(feature = "window")]
     painters: Vec<crate::viewer::overlay::OverlayPainter>,
@@ -49,6 +52,7 @@ impl DrawnContext {
             cameras: Vec::new(),
             stages: Vec::new(),
             failed: None,
+            operations: Arc::default(),
             #[cfg(feature = "window")]
             painters: Vec::new(),
         }
@@ -92,6 +96,8 @@ pub(super) struct DrawSide {
     drawn: Vec<(Box<FrameDone>, bool)>,
     /// Images for textures, written in the next frame.
     images: Vec<ImageChange>,
+    /// Released drawables that the application wants to be kept for some frames.
+    retained: RetainedSlots,
 }
 
 /// The ends of the channels that a [`DrawSide`] gets.
@@ -123,6 +129,7 @@ impl DrawSide {
             jobs: Vec::new(),
             drawn: Vec::new(),
             images: Vec::new(),
+            retained: RetainedSlots::default(),
         }
     }
 
@@ -202,7 +209,19 @@ impl DrawSide {
                 self.images.retain(|earlier| !Arc::ptr_eq(&earlier.texture, &change.texture));
                 return self.images.push(change);
             }
-            DrawCommand::Release(slots) => return self.context.release(&slots),
+            DrawCommand::Release(slots) => {
+                if let Some(slots) = self.retained.retain(slots) {
+                    self.context.release(&slots);
+                }
+                return;
+            }
+            DrawCommand::RetainReleased { frames } => return self.retained.set_frames(frames),
+            DrawCommand::FlushReleased => {
+                while let Some(slots) = self.retained.take_any() {
+                    self.context.release(&slots);
+                }
+                return self.context.flush_released();
+            }
             DrawCommand::RunCompiles(budget) => {
                 self.context.run_compiles(&budget);
                 self.pass_on_compiled();
@@ -254,12 +273,20 @@ impl DrawSide {
         Some(index)
     }
 
+    /// Runs a realize operation for a context that was opened, or whose device was replaced.
+    pub(super) fn realize(&mut self, context: u32, operation: &dyn Operation<GraphicsContext>) {
+        if self.select(context).is_some() {
+            operation.run(&mut self.context);
+        }
+    }
+
     /// Replaces the device by a new one without uploads if it is lost; returns false if it is not.
     pub(super) fn renew(&mut self) -> Result<bool, GpuError> {
         if !self.context.is_lost() {
             return Ok(false);
         }
         self.context.reopen()?;
+        self.retained.clear();
         self.renderer = Renderer::new(&mut self.context);
         for context in &mut self.contexts {
             context.failed = None;
@@ -303,6 +330,10 @@ impl DrawSide {
         let mut jobs = std::mem::take(&mut self.jobs);
         let start = Instant::now();
         if let Some(first) = jobs.first() {
+            self.retained.begin_frame(first.frame);
+            while let Some(slots) = self.retained.take_due() {
+                self.context.release(&slots);
+            }
             self.context.run_compiles(&first.budget);
         }
         self.pass_on_compiled();
@@ -344,6 +375,10 @@ impl DrawSide {
         self.renderer.timed = (job.context, job.frame);
         let stats = self.draw(index, job.clock);
         self.complete_dynamic(index);
+        // Not for an image that the application has drawn once more: operations run once in each frame.
+        if !own_stage && stats.is_ok() {
+            self.contexts[index].operations.run_operations(&mut self.context);
+        }
         #[cfg(feature = "window")]
         // egui's renderer panics on a lost device; overlays are created again for the next device.
         if stats.is_ok() && !self.context.is_lost() {

@@ -80,6 +80,10 @@ pub(super) enum DrawCommand {
     Show(ImageChange),
     /// Frees slots after the last frame that draws them.
     Release(Vec<DrawSlot>),
+    /// Sets for how many frames released slots are kept.
+    RetainReleased { frames: u32 },
+    /// Frees all released slots at once.
+    FlushReleased,
     /// Uploads within a budget, between two frames.
     RunCompiles(CompileBudget),
     /// Uploads the whole queue, without a time limit; answered by [`Reply::CompilesFinished`].

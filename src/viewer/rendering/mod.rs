@@ -15,6 +15,7 @@
 //! By its end all culls have dropped the scene, so that between two frames the main thread has the only reference.
 //! `tests/models/stage_models.rs` runs these files under thousands of thread schedules.
 
+mod cores;
 mod cull_side;
 mod device;
 mod draw_side;
@@ -22,9 +23,11 @@ mod frame_job;
 mod millis;
 mod model;
 mod operations;
+mod retained_slots;
 mod stage;
 mod threads;
 mod upload_ticket;
+mod user_operations;
 
 pub(super) use self::cull_side::{CullOutcome, CullTask, Lens, Sight};
 pub(super) use self::device::DeviceHandle;

@@ -1,5 +1,7 @@
 //! [`ThreadingModel`]: the threads that cull and draw.
 
+use super::cores;
+
 /// The environment variable that names a model for [`ThreadingModel::AutomaticSelection`].
 pub const THREADING_VARIABLE: &str = "TERRANE_THREADING";
 
@@ -68,8 +70,8 @@ impl ThreadingModel {
     /// Returns the best model for a number of contexts, cameras and processor cores, by OSG's rule.
     pub fn suggest_best(contexts: usize, cameras: usize, cores: usize) -> Self {
         match contexts {
-            0 => Self::SingleThreaded,
-            _ if cores <= 1 => Self::SingleThreaded,
+            _ if contexts == 0 || cameras == 0 => Self::SingleThreaded,
+            1 if cores <= 1 => Self::SingleThreaded,
             1 => Self::DrawThreadPerContext,
             _ if cores >= contexts + cameras => Self::CullThreadPerCameraDrawThreadPerContext,
             _ => Self::DrawThreadPerContext,
@@ -92,10 +94,7 @@ impl ThreadingModel {
             return Ok(self);
         }
         Ok(match Self::from_environment()? {
-            None | Some(Self::AutomaticSelection) => {
-                let cores = std::thread::available_parallelism().map_or(1, usize::from);
-                Self::suggest_best(contexts, cameras, cores)
-            }
+            None | Some(Self::AutomaticSelection) => Self::suggest_best(contexts, cameras, cores::count()),
             Some(model) => model,
         })
     }
@@ -137,7 +136,9 @@ mod tests {
     fn best_model_depends_on_contexts_cameras_and_cores() {
         use ThreadingModel as M;
         assert_eq!(M::suggest_best(0, 0, 8), M::SingleThreaded);
+        assert_eq!(M::suggest_best(2, 0, 8), M::SingleThreaded);
         assert_eq!(M::suggest_best(1, 1, 1), M::SingleThreaded);
+        assert_eq!(M::suggest_best(2, 2, 1), M::DrawThreadPerContext);
         assert_eq!(M::suggest_best(1, 1, 2), M::DrawThreadPerContext);
         assert_eq!(M::suggest_best(1, 3, 16), M::DrawThreadPerContext);
         assert_eq!(M::suggest_best(3, 3, 6), M::CullThreadPerCameraDrawThreadPerContext);

@@ -10,6 +10,7 @@
 
 use std::sync::Arc;
 
+use super::cores;
 use super::cull_side::CullSide;
 use super::draw_side::DrawSide;
 use crate::sync::{Barrier, BlockCount, Operation};
@@ -53,18 +54,8 @@ impl<T> Operation<T> for Pin {
     }
 
     fn run(&self, _: &mut T) {
-        if !core_affinity::set_for_current(self.0) {
-            log::warn!("cannot pin a thread to core {}", self.0.id);
-        }
+        cores::pin(self.0);
     }
-}
-
-/// Returns the cores for the threads of a model, in turn, without the first core, which the main thread uses. Empty on a
-/// single core.
-pub(super) fn pins() -> impl Iterator<Item = core_affinity::CoreId> {
-    let cores = core_affinity::get_core_ids().unwrap_or_default();
-    let spare: Vec<_> = cores.into_iter().skip(1).collect();
-    (0..).map_while(move |i: usize| spare.get(i % spare.len().max(1)).copied())
 }
 
 /// A barrier in the loop of the contexts' threads.

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use super::super::ViewerError;
 use super::super::ids::ContextId;
+use super::cores;
 use super::cull_side::{CullOutcome, CullSide, CullTask, SCENE_VIEWS};
 use super::device::{DeviceHandle, DeviceOfScene};
 use super::draw_side::DrawEnd;
@@ -15,7 +16,7 @@ use crate::gpu::{Compiled, ContextTraits, GpuError, GraphicsContext};
 use crate::pager::CompileContext;
 use crate::scene::{BlockFormats, DrawSlot, Drawable};
 use crate::sync::primitives::channel::{self, Receiver, Sender};
-use crate::sync::{Barrier, BlockCount, OperationThread};
+use crate::sync::{Barrier, BlockCount, Operation, OperationQueue, OperationThread};
 use crate::trace;
 
 /// The number of frames that may be in flight to a context's thread; a camera has a render stage for each.
@@ -47,6 +48,8 @@ pub(super) struct CameraHandle {
     next: Option<CullTask>,
     /// The result of the last frame's cull.
     outcome: CullOutcome,
+    /// The application's operations, which the thread that culls runs.
+    pub(super) operations: Arc<OperationQueue<CullVisitor>>,
 }
 
 /// The barriers that the threads of a model share.
@@ -83,6 +86,8 @@ pub(in crate::viewer) struct Rendering {
     pub(super) pins_threads: bool,
     /// The model that was asked for.
     pub(super) model: ThreadingModel,
+    /// Runs for each context that is opened.
+    pub(super) realize: Option<Arc<dyn Operation<GraphicsContext>>>,
     /// `None` until the first frame, and while contexts or cameras are added and removed.
     pub(super) running: Option<Running>,
 }
@@ -90,6 +95,8 @@ pub(in crate::viewer) struct Rendering {
 impl Rendering {
     /// Creates a stage without contexts and cameras. `blocking` contexts finish all uploads whenever results are taken.
     pub(in crate::viewer) fn new(blocking: bool, pins_threads: bool) -> Self {
+        // Before any thread is pinned.
+        let _ = (cores::all(), cores::count());
         Self {
             devices: Vec::new(),
             cameras: Vec::new(),
@@ -98,6 +105,7 @@ impl Rendering {
             blocking,
             pins_threads,
             model: ThreadingModel::SingleThreaded,
+            realize: None,
             running: None,
         }
     }
@@ -111,11 +119,11 @@ impl Rendering {
         self.devices.iter().map(DeviceHandle::number)
     }
 
-    /// The numbers of the contexts, in the order opened.
+    /// The numbers of the contexts, by the screens of their windows and the positions there, then in the order opened.
     pub(in crate::viewer) fn context_ids(&self) -> impl Iterator<Item = u32> + use<> {
-        let mut contexts: Vec<u32> = self.devices.iter().flat_map(DeviceHandle::context_ids).collect();
-        contexts.sort_unstable();
-        contexts.into_iter()
+        let mut places: Vec<_> = self.devices.iter().flat_map(DeviceHandle::places).collect();
+        places.sort_unstable();
+        places.into_iter().map(|(.., context)| context)
     }
 
     pub(in crate::viewer) fn device_count(&self) -> usize {
@@ -244,6 +252,7 @@ impl Rendering {
         self.stop_threads();
         let number = self.next_context();
         self.devices.push(DeviceHandle::new(number, context, self.blocking, frame));
+        self.realize_context(number);
         number
     }
 
@@ -259,6 +268,7 @@ impl Rendering {
         let number = self.next_context;
         let device = self.device_of(other).ok_or(ViewerError::NoContext(ContextId(other)))?;
         device.add_context(number, traits, frame, add)?;
+        self.realize_context(number);
         Ok(self.next_context())
     }
 
@@ -296,6 +306,11 @@ impl Rendering {
                 renewed.push(device.number());
             }
         }
+        // Resources that the operation has created for a context were on the old device.
+        let contexts =
+            self.devices.iter().filter(|d| renewed.contains(&d.number())).flat_map(DeviceHandle::context_ids);
+        let contexts: Vec<u32> = contexts.collect();
+        contexts.into_iter().for_each(|context| self.realize_context(context));
         Ok(renewed)
     }
 
@@ -333,11 +348,14 @@ impl Rendering {
             available: available_in,
             culled: culled_out,
             end_of_dynamic: None,
+            operations: Arc::default(),
         };
+        let operations = cull.operations.clone();
         let side = CameraSide::Here(Box::new(cull));
         let outcome = CullOutcome::default();
         let tasks = Some(tasks);
-        self.cameras.push(CameraHandle { number, context, side, tasks, outcomes, next: None, outcome });
+        let next = None;
+        self.cameras.push(CameraHandle { number, context, side, tasks, outcomes, next, outcome, operations });
         self.next_camera += 1;
         Some((number, device_id))
     }

@@ -2,11 +2,12 @@
 
 use std::sync::Arc;
 
+use super::cores;
 use super::cull_side::CullSide;
 use super::device::DeviceHandle;
 use super::draw_side::DrawSide;
 use super::model::ThreadingModel;
-use super::operations::{BarrierOperation, Cull, Pin, StartOfCull, Step, pins};
+use super::operations::{BarrierOperation, Cull, Pin, StartOfCull, Step};
 use super::stage::{CameraSide, Rendering, Running};
 use crate::sync::{Barrier, BlockCount, Operation, OperationThread};
 use crate::viewer::ViewerError;
@@ -48,8 +49,20 @@ impl Rendering {
                 "{model} draws on other threads, but the application's own device must be used by one thread; choose \
                  SingleThreaded"
             ))),
-            _ => model.resolved(self.devices.len(), self.cameras.len()).map_err(ViewerError::Setting),
+            _ => model.resolved(self.context_ids().count(), self.cameras.len()).map_err(ViewerError::Setting),
         }
+    }
+
+    /// True while the threads of the model run, if it has any.
+    pub(in crate::viewer) fn is_running(&self) -> bool {
+        self.running.is_some()
+    }
+
+    /// The core for the pagers' threads: in the single-threaded model, where the main thread has the first core to itself.
+    pub(in crate::viewer) fn pager_core(&self) -> Option<usize> {
+        let is_single = self.model() == ThreadingModel::SingleThreaded;
+        let cores = (self.pins_threads && is_single).then(cores::single_threaded).flatten();
+        cores.map(|[_, pagers]| pagers.id)
     }
 
     /// True when update may run in parallel with draw.
@@ -82,7 +95,12 @@ impl Rendering {
         let running = Running { model, start: start.clone(), end: end.clone(), end_of_dynamic: end_of_dynamic.clone() };
         self.running = Some(running);
         let started = match model {
-            ThreadingModel::SingleThreaded | ThreadingModel::AutomaticSelection => Ok(()),
+            ThreadingModel::SingleThreaded | ThreadingModel::AutomaticSelection => {
+                if let Some([main, _]) = self.pins_threads.then(cores::single_threaded).flatten() {
+                    cores::pin(main);
+                }
+                Ok(())
+            }
             ThreadingModel::CullDrawThreadPerContext => {
                 self.give_cameras_to_contexts();
                 self.start_contexts(start.as_ref(), end.as_ref(), None)
@@ -118,7 +136,7 @@ impl Rendering {
         end_of_dynamic: Option<&Arc<BlockCount>>,
     ) -> Result<(), ViewerError> {
         let swap_ready = Arc::new(Barrier::new(self.devices.len()));
-        let mut cores = self.pins_threads.then(pins).into_iter().flatten();
+        let mut cores = self.pins_threads.then(cores::for_threads).into_iter().flatten();
         for context in &mut self.devices {
             let step = |name, run: fn(&mut DrawSide)| -> Arc<dyn Operation<DrawSide>> {
                 Arc::new(Step { name, run, end_of_dynamic: end_of_dynamic.cloned() })
@@ -145,7 +163,7 @@ impl Rendering {
         end_of_dynamic: Option<&Arc<BlockCount>>,
     ) -> Result<(), ViewerError> {
         // The first cores are those of the contexts.
-        let mut cores = self.pins_threads.then(pins).into_iter().flatten().skip(self.devices.len());
+        let mut cores = self.pins_threads.then(cores::for_threads).into_iter().flatten().skip(self.devices.len());
         for camera in &mut self.cameras {
             camera.side = match std::mem::replace(&mut camera.side, CameraSide::Lost) {
                 CameraSide::Here(side) => {

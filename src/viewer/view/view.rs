@@ -12,6 +12,7 @@ use crate::cull::{CullCamera, PageRequest, Stereo};
 use crate::draw::CameraCallbacks;
 use crate::scene::{ClampProjection, CullSettings, Environment};
 use crate::viewer::AnimationPath;
+use crate::viewer::frame::ReferenceClock;
 use crate::viewer::ids::{ContextId, SceneId, SlaveId};
 use crate::viewer::input::Input;
 use crate::viewer::paging::PagedScene;
@@ -51,6 +52,7 @@ impl View {
         size_px: [u32; 2],
         samples: u32,
         master: CameraSlot,
+        clock: ReferenceClock,
     ) -> Self {
         Self {
             camera: Camera { settings, ..Camera::default() },
@@ -65,7 +67,7 @@ impl View {
             tiles_drawn: 0,
             eyes: Eyes::Both,
             eye_targets: EyeTargets::new(size_px),
-            input: Input::new(size_px),
+            input: Input::new(size_px, clock),
             callbacks: None,
             clamp_projection: None,
         }
@@ -132,6 +134,20 @@ impl View {
     pub fn slave_mut(&mut self, id: SlaveId) -> Option<&mut Slave> {
         self.request_redraw();
         self.slaves.iter_mut().find(|of| of.id == id).map(|of| &mut of.slave)
+    }
+
+    /// Returns the part of its window that a slave covers as x, y, width and height in pixels, its projection, and its view
+    /// offset.
+    pub(in crate::viewer) fn slave_lens(&self, id: SlaveId) -> Option<([u32; 4], DMat4, DAffine3)> {
+        let of = self.slaves.iter().find(|of| of.id == id)?;
+        let lens = self.lens_of(&of.slave);
+        let [width, height] = of.context_px;
+        let part_px = of.slave.viewport.part_px(of.context_px).unwrap_or([0, 0, width, height]);
+        Some((part_px, lens.clip_from_eye(self.camera.min_near_m), of.slave.view_offset))
+    }
+
+    fn lens_of(&self, slave: &Slave) -> Lens {
+        Lens { camera: self.camera, size_px: self.size_px(), offset: slave.finite_projection_offset() }
     }
 
     /// Adds a slave whose camera was created.
@@ -256,7 +272,7 @@ impl View {
             None => {
                 let SlaveCamera { context_px, slave, device, eye_targets, .. } =
                     self.slaves.iter().find(|of| of.id.0 == camera)?;
-                let lens = Lens { offset: slave.finite_projection_offset(), ..lens };
+                let lens = self.lens_of(slave);
                 let clip_from_eye = lens.clip_from_eye(self.camera.min_near_m);
                 let camera = slave.cull_camera(master(*device), clip_from_eye, eye_targets.size_px());
                 let sight = eye_targets.sight(slave.eyes, self.stereo);

@@ -7,13 +7,36 @@ use winit::event::{ElementState, KeyEvent, MouseScrollDelta, Touch, WindowEvent}
 use winit::keyboard::{Key as WinitKey, KeyCode, ModifiersState, NamedKey, PhysicalKey};
 
 use crate::viewer::events::{EventQueue, Key, Modifiers, MouseButton, TouchPhase};
+use crate::viewer::ids::ContextId;
+use crate::viewer::view::View;
 
 /// Pixels of scrolling on a touch pad that count as one notch of the wheel.
 const PX_PER_NOTCH: f64 = 50.0;
 
-/// Puts an event into the queue of a view whose upper left corner is at `origin_px` of the window. Returns false for events
-/// that the queue has no counterpart for. Changes of size go through `Viewer::resize` instead.
-pub fn feed(queue: &mut EventQueue, event: &WindowEvent, origin_px: DVec2) -> bool {
+/// Puts an event of a context's window into the queue of a view that has cameras in it. Returns false for events that the
+/// queue has no counterpart for. Changes of size go through `Viewer::resize` instead.
+pub fn feed(view: &mut View, context: ContextId, event: &WindowEvent) -> bool {
+    let position_px = match event {
+        WindowEvent::CursorMoved { position, .. } => DVec2::new(position.x, position.y),
+        WindowEvent::Touch(Touch { location, .. }) => DVec2::new(location.x, location.y),
+        WindowEvent::ModifiersChanged(_) => return feed_queue(view.event_queue(), event, DVec2::ZERO),
+        WindowEvent::CloseRequested
+        | WindowEvent::Focused(_)
+        | WindowEvent::KeyboardInput { .. }
+        | WindowEvent::MouseInput { .. }
+        | WindowEvent::MouseWheel { .. }
+        | WindowEvent::DroppedFile(_) => {
+            view.focus_window(context);
+            return feed_queue(view.event_queue(), event, DVec2::ZERO);
+        }
+        _ => return false,
+    };
+    let position_px = view.focus_camera(context, position_px);
+    feed_queue(view.event_queue(), event, position_px)
+}
+
+/// Puts an event into a queue; `position_px` is its position in the view, if it has one.
+fn feed_queue(queue: &mut EventQueue, event: &WindowEvent, position_px: DVec2) -> bool {
     let time_s = queue.time_s();
     match event {
         WindowEvent::CloseRequested => queue.close_window(time_s),
@@ -30,9 +53,7 @@ pub fn feed(queue: &mut EventQueue, event: &WindowEvent, origin_px: DVec2) -> bo
                 ElementState::Released => queue.key_release(key, unmodified, time_s),
             }
         }
-        WindowEvent::CursorMoved { position, .. } => {
-            queue.mouse_motion(DVec2::new(position.x, position.y) - origin_px, time_s);
-        }
+        WindowEvent::CursorMoved { .. } => queue.mouse_motion(position_px, time_s),
         WindowEvent::MouseInput { state, button, .. } => {
             let button = match button {
                 winit::event::MouseButton::Left => MouseButton::Left,
@@ -54,14 +75,14 @@ pub fn feed(queue: &mut EventQueue, event: &WindowEvent, origin_px: DVec2) -> bo
             };
             queue.mouse_scroll(notches, time_s);
         }
-        WindowEvent::Touch(Touch { phase, location, id, .. }) => {
+        WindowEvent::Touch(Touch { phase, id, .. }) => {
             let phase = match phase {
                 winit::event::TouchPhase::Started => TouchPhase::Began,
                 winit::event::TouchPhase::Moved => TouchPhase::Moved,
                 winit::event::TouchPhase::Ended => TouchPhase::Ended,
                 winit::event::TouchPhase::Cancelled => TouchPhase::Cancelled,
             };
-            queue.touch(*id, phase, DVec2::new(location.x, location.y) - origin_px, time_s);
+            queue.touch(*id, phase, position_px, time_s);
         }
         WindowEvent::DroppedFile(file) => queue.drop_files(vec![PathBuf::from(file)], time_s),
         _ => return false,
@@ -238,7 +259,7 @@ mod tests {
             let location = winit::dpi::PhysicalPosition::new(x, 7.0);
             let device_id = winit::event::DeviceId::dummy();
             let touch = Touch { device_id, phase, location, force: None, id: 3 };
-            assert!(feed(&mut queue, &WindowEvent::Touch(touch), DVec2::ZERO));
+            assert!(feed_queue(&mut queue, &WindowEvent::Touch(touch), DVec2::new(x, 7.0)));
         }
         let mut events = Vec::new();
         queue.take_frame(&mut events, 0.0);

@@ -17,7 +17,7 @@ use crate::gpu::GraphicsContext;
 use crate::viewer::ViewerError;
 use crate::viewer::arranged_views::ArrangedViews;
 use crate::viewer::composite::CompositeViewer;
-use crate::viewer::config::ViewsSetup;
+use crate::viewer::config::{Arrangement, Screen, ViewsSetup};
 use crate::viewer::display;
 use crate::viewer::frame::ViewerConfig;
 use crate::viewer::handlers::{self, StatsPage};
@@ -74,8 +74,8 @@ impl Default for ViewsOptions {
     }
 }
 
-/// Opens the windows of several views and runs them until the first window is closed or a view asks to end. Closing another
-/// window removes its cameras. Returns the viewer. Main thread only.
+/// Opens the windows of several views and runs them until the last window is closed or a view asks to end. Closing a window
+/// removes its cameras, and the views whose master cameras are in it. Returns the viewer. Main thread only.
 ///
 /// Pointer events go to the view under the pointer; while a button is held, to the view in which it was pressed. Keys go to
 /// the view under the pointer too. Overlays of a view's handlers are drawn over that view, in the window of its master
@@ -122,6 +122,20 @@ struct OpenWindow {
     overlays: Vec<(ViewId, OverlayInput)>,
 }
 
+impl OpenWindow {
+    fn new(window: Arc<Window>, context: ContextId) -> Self {
+        Self {
+            window,
+            context,
+            pointer_px: DVec2::ZERO,
+            grabbed: None,
+            fingers: Vec::new(),
+            keys: Vec::new(),
+            overlays: Vec::new(),
+        }
+    }
+}
+
 /// The objects that exist while the windows are open. Fields are dropped in order: the viewer before its windows.
 struct Open {
     viewer: CompositeViewer,
@@ -138,25 +152,18 @@ impl App {
         let mut windows: Vec<OpenWindow> = Vec::new();
         let mut arranged = ArrangedViews::new(setup, &config, roots, own, |viewer, place, of| {
             let window = window_open::create(event_loop, of, place, title, size_px)?;
-            let traits = setup.traits(&config, of, window_open::size_of(&window));
+            let traits = window_open::traits_of(&config, of, &window);
             let context = match windows.first().filter(|_| of.shares_device) {
                 Some(first) => viewer.open_window_on(first.context, Arc::clone(&window), &traits)?,
                 None => viewer.open_context(GraphicsContext::new_window(Arc::clone(&window), &traits)?)?,
             };
-            windows.push(OpenWindow {
-                window,
-                context,
-                pointer_px: DVec2::ZERO,
-                grabbed: None,
-                fingers: Vec::new(),
-                keys: Vec::new(),
-                overlays: Vec::new(),
-            });
+            windows.push(OpenWindow::new(window, context));
             Ok(context)
         })?;
         let on_open = std::mem::replace(&mut self.options.on_open, Box::new(|_| Ok(())));
         on_open(&mut arranged)?;
         let ArrangedViews { mut viewer, views, .. } = arranged;
+        viewer.frame.screens = Screen::all(event_loop);
         let mut stats = if self.options.overlay { StatsPage::Pager } else { StatsPage::None };
         for (place, id) in views.into_iter().enumerate() {
             let folder = if place == 0 {
@@ -192,27 +199,25 @@ impl App {
         };
         match event {
             WindowEvent::RedrawRequested if place == 0 => {
-                if open.frame(&mut self.options)? {
+                if open.frame(event_loop, &self.config, &mut self.options)? {
                     open.plan_next(event_loop);
                 } else {
                     event_loop.exit();
                 }
                 return Ok(());
             }
-            WindowEvent::Destroyed if place == 0 => {
-                event_loop.exit();
-                return Ok(());
-            }
             WindowEvent::Resized(size) => {
                 open.viewer.resize_context(open.windows[place].context, [size.width, size.height])?;
             }
-            WindowEvent::CloseRequested if place > 0 => open.close(place)?,
-            // Without a master camera in the first window, no view would get the event.
-            WindowEvent::CloseRequested if !open.has_view(place) => event_loop.exit(),
+            // Without a camera of a view in the window, no view would get the event.
+            WindowEvent::Destroyed => open.close(open.windows[place].context)?,
+            WindowEvent::CloseRequested if !open.has_view(place) => open.close(open.windows[place].context)?,
             event => open.feed(place, event)?,
         }
-        if open.pacing.is_on_demand() {
-            open.windows[0].window.request_redraw();
+        if open.windows.is_empty() {
+            event_loop.exit();
+        } else if open.pacing.is_on_demand() {
+            open.request_redraw();
         }
         Ok(())
     }
@@ -239,7 +244,7 @@ impl ApplicationHandler for App {
         if let Some(open) = &self.open
             && open.pacing.wakes_for_frame(cause, || open.viewer.check_need_to_do_frame())
         {
-            open.windows[0].window.request_redraw();
+            open.request_redraw();
         }
     }
 
@@ -277,14 +282,21 @@ fn overlay_of(overlays: &mut Vec<(ViewId, OverlayInput)>, view: ViewId) -> &mut 
 }
 
 impl Open {
-    /// True when the master camera of some view is in a window.
-    fn has_view(&self, place: usize) -> bool {
-        self.viewer.views().any(|(_, view)| view.context() == Some(self.windows[place].context))
+    fn request_redraw(&self) {
+        if let Some(first) = self.windows.first() {
+            first.window.request_redraw();
+        }
     }
 
-    /// Closes a window other than the first, and removes the views whose master cameras are in it.
-    fn close(&mut self, place: usize) -> Result<(), ViewerError> {
-        let OpenWindow { context, .. } = self.windows.remove(place);
+    /// True when a camera of some view is in a window.
+    fn has_view(&self, place: usize) -> bool {
+        let context = self.windows[place].context;
+        self.viewer.views().any(|(_, view)| view.contexts().any(|of| of == context))
+    }
+
+    /// Closes a window with its context, and removes the views whose master cameras are in it.
+    fn close(&mut self, context: ContextId) -> Result<(), ViewerError> {
+        self.windows.retain(|of| of.context != context);
         let gone: Vec<ViewId> =
             self.viewer.views().filter(|(_, v)| v.context() == Some(context)).map(|(id, _)| id).collect();
         self.viewer.close_context(context)?;
@@ -299,14 +311,36 @@ impl Open {
             window.keys.retain(|(_, view)| is_there(view, &self.viewer));
             window.overlays.retain(|(view, _)| is_there(view, &self.viewer));
         }
+        self.request_redraw();
         Ok(())
+    }
+
+    /// Shows a view in other windows, and closes those in which no camera is left.
+    fn set_up(
+        &mut self,
+        event_loop: &ActiveEventLoop,
+        of: (ViewId, &ViewerConfig, &str),
+        arrangement: &Arrangement,
+    ) -> Result<(), ViewerError> {
+        self.viewer.frame.screens = Screen::all(event_loop);
+        match window_open::set_up(event_loop, &mut self.viewer, of, arrangement) {
+            Ok(opened) => {
+                let opened = opened.into_iter().map(|(window, context)| OpenWindow::new(window, context));
+                self.windows.extend(opened);
+            }
+            Err(error) => log::error!("the windows stay as they are: {error}"),
+        }
+        let is_unused = |place: &usize| !self.has_view(*place);
+        let unused: Vec<ContextId> =
+            (0..self.windows.len()).filter(is_unused).map(|place| self.windows[place].context).collect();
+        unused.into_iter().try_for_each(|context| self.close(context))
     }
 
     /// Gives an event to the view that it belongs to.
     fn feed(&mut self, place: usize, event: &WindowEvent) -> Result<(), ViewerError> {
         let Open { viewer, windows, .. } = self;
         let window = &mut windows[place];
-        let here = || viewer.views().filter(|(_, view)| view.context() == Some(window.context));
+        let here = || viewer.views().filter(|(_, view)| view.contexts().any(|of| of == window.context));
         let at = |position_px: DVec2| viewer.view_at(window.context, position_px).map(|(view, _)| view);
         // With the pointer outside of all views, keys go to the first view of the window.
         let first_here = || here().next().map(|(id, _)| id);
@@ -321,8 +355,10 @@ impl Open {
                 }
                 for id in ids {
                     let view = viewer.view_mut(id)?;
-                    overlay_of(&mut window.overlays, id).feed(view, &window.window, event);
-                    window_events::feed(view.event_queue(), event, DVec2::ZERO);
+                    if view.context() == Some(window.context) {
+                        overlay_of(&mut window.overlays, id).feed(view, &window.window, event);
+                    }
+                    window_events::feed(view, window.context, event);
                 }
                 return Ok(());
             }
@@ -362,17 +398,23 @@ impl Open {
         };
         let Some(id) = for_view else { return Ok(()) };
         let view = viewer.view_mut(id)?;
-        let is_taken = overlay_of(&mut window.overlays, id).feed(view, &window.window, event);
+        // The overlay of a view lies over the image of its master camera.
+        let has_overlay = view.context() == Some(window.context);
+        let is_taken = has_overlay && overlay_of(&mut window.overlays, id).feed(view, &window.window, event);
         // Presses that the overlay takes do not reach the view. Releases always do, since the press may have been there.
         if !(is_taken && window_events::is_press(event)) {
-            let origin_px = view.window_matrix().origin_px;
-            window_events::feed(view.event_queue(), event, origin_px);
+            window_events::feed(view, window.context, event);
         }
         Ok(())
     }
 
     /// Draws one frame; returns false when it was the last.
-    fn frame(&mut self, options: &mut ViewsOptions) -> Result<bool, ViewerError> {
+    fn frame(
+        &mut self,
+        event_loop: &ActiveEventLoop,
+        config: &ViewerConfig,
+        options: &mut ViewsOptions,
+    ) -> Result<bool, ViewerError> {
         self.pacing.begin_frame();
         if self.viewer.views().next().is_none() || !(options.before_frame)(&mut self.viewer)? {
             return Ok(false);
@@ -390,15 +432,24 @@ impl Open {
         }
         let ids: Vec<ViewId> = self.viewer.views().map(|(id, _)| id).collect();
         for id in ids {
-            let view = self.viewer.view_mut(id)?;
+            // A command of another view may have closed the window of this one, and removed it.
+            let Ok(view) = self.viewer.view_mut(id) else { continue };
             let (commands, context) = (view.take_window_commands(), view.context());
             for command in commands {
-                if let Some(place) = self.windows.iter().position(|of| Some(of.context) == context) {
-                    self.obey(place, command)?;
+                match command {
+                    WindowCommand::Close(context) => self.close(context)?,
+                    WindowCommand::SetUp(arrangement) => {
+                        self.set_up(event_loop, (id, config, &options.title), &arrangement)?;
+                    }
+                    command => {
+                        if let Some(place) = self.windows.iter().position(|of| Some(of.context) == context) {
+                            self.obey(place, command)?;
+                        }
+                    }
                 }
             }
         }
-        Ok(!self.viewer.is_done())
+        Ok(!self.viewer.is_done() && !self.windows.is_empty())
     }
 
     /// Works for the pagers until the next frame is due, and requests it.
@@ -407,7 +458,7 @@ impl Open {
             self.viewer.work_until(due);
         }
         if self.pacing.plan_next(event_loop, self.viewer.check_need_to_do_frame()) {
-            self.windows[0].window.request_redraw();
+            self.request_redraw();
         }
     }
 

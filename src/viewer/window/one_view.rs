@@ -4,19 +4,20 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use glam::DVec2;
 use winit::application::ApplicationHandler;
 use winit::event::{StartCause, WindowEvent};
 use winit::event_loop::{ActiveEventLoop, ControlFlow};
-use winit::window::{Window, WindowId};
+use winit::window::WindowId;
 
+use super::open::WindowOfContext;
 use super::pacing::Pacing;
 use super::parent::{Followed, ParentChange, ParentWindow};
 use super::slave_window::SlaveWindow;
 use super::{events as window_events, open as window_open};
+use crate::gpu::GraphicsContext;
 use crate::viewer::ViewerError;
 use crate::viewer::camera_path::AnimationPath;
-use crate::viewer::config::{Arrangement, ArrangementError};
+use crate::viewer::config::{Arrangement, ArrangementError, Screen};
 use crate::viewer::display;
 use crate::viewer::frame::ViewerConfig;
 use crate::viewer::handlers::{self, StatsPage};
@@ -86,7 +87,8 @@ impl Default for WindowOptions {
     }
 }
 
-/// Opens a window and runs it until it is closed; returns the viewer for its report. Main thread only.
+/// Opens a window and runs it until its last window is closed or the view asks to end; returns the viewer for its report. Main
+/// thread only.
 ///
 /// More than one window on the view: [`WindowOptions::slaves`], or an [`Arrangement`].
 pub fn run_window(config: ViewerConfig, mut options: WindowOptions) -> Result<Option<Viewer>, ViewerError> {
@@ -122,13 +124,14 @@ struct App {
     error: Option<ViewerError>,
 }
 
-/// The objects that exist while the window is open. Fields are dropped in order: the viewer before its window.
+/// The objects that exist while windows are open. Fields are dropped in order: the viewer before its windows.
 struct Open {
     viewer: Viewer,
+    /// The input to the overlay, which lies over the image of the master camera.
     overlay: OverlayInput,
     pacing: Pacing,
-    window: Arc<Window>,
-    slaves: Vec<(Arc<Window>, ContextId)>,
+    /// The windows; redraws of the first one run the frames. Empty once all are closed.
+    windows: Vec<WindowOfContext>,
     /// The window of another toolkit that contains the first one.
     parent: Option<Followed>,
 }
@@ -152,7 +155,9 @@ impl App {
         self.config.samples = first.samples.unwrap_or(self.config.samples);
         self.config.vsync = first.vsync.unwrap_or(self.config.vsync);
         self.config.max_contexts = self.config.max_contexts.max(setups.len());
-        let mut viewer = Viewer::new_window(Arc::clone(&window), &self.config)?;
+        let traits = window_open::traits_of(&self.config, first, &window);
+        let mut viewer = Viewer::new(GraphicsContext::new_window(Arc::clone(&window), &traits)?, &self.config)?;
+        viewer.composite_mut().frame.screens = Screen::all(event_loop);
         let on_open = std::mem::replace(&mut self.options.on_open, Box::new(|_| Ok(())));
         on_open(&mut viewer)?;
         let (master, others) = first.cameras.split_first().map_or((None, &[][..]), |(m, o)| (Some(m), o));
@@ -160,13 +165,14 @@ impl App {
             window_open::set_master(viewer.view_mut(), master, self.config.size_px);
         }
         if let Some(context) = viewer.view().context() {
-            window_open::add_slaves(&mut viewer, context, others)?;
+            let view = viewer.view_id();
+            window_open::add_slaves(viewer.composite_mut(), view, context, others)?;
         }
-        let mut slaves = Vec::new();
+        let mut windows = vec![(window, viewer.context())];
         for (place, setup) in (1..).zip(beside) {
             let window = window_open::create(event_loop, setup, place, title, size_px)?;
             let context = window_open::add_beside(&mut viewer, &self.config, setup, &window)?;
-            slaves.push((window, context));
+            windows.push((window, context));
         }
         let stats = if self.options.overlay { StatsPage::Pager } else { StatsPage::None };
         handlers::add_usual(viewer.view_mut(), &self.options.output_dir, stats);
@@ -179,7 +185,7 @@ impl App {
         }
         let parent = parent.map(|(_, followed)| followed);
         let pacing = Pacing::new(self.options.on_demand, self.options.max_frame_rate);
-        Ok(Open { viewer, overlay: OverlayInput::default(), pacing, window, slaves, parent })
+        Ok(Open { viewer, overlay: OverlayInput::default(), pacing, windows, parent })
     }
 
     fn fail(&mut self, event_loop: &ActiveEventLoop, error: ViewerError) {
@@ -196,7 +202,7 @@ impl App {
     /// Draws a frame and plans the next one.
     fn draw(&mut self, event_loop: &ActiveEventLoop) -> Result<(), ViewerError> {
         let Some(open) = &mut self.open else { return Ok(()) };
-        if open.frame(&mut self.options)? {
+        if open.frame(event_loop, &self.config, &mut self.options)? {
             open.plan_next(event_loop);
         } else {
             event_loop.exit();
@@ -211,34 +217,35 @@ impl App {
         event: &WindowEvent,
     ) -> Result<(), ViewerError> {
         let Some(open) = &mut self.open else { return Ok(()) };
-        if let Some(place) = open.slaves.iter().position(|(slave, _)| slave.id() == window) {
-            return open.handle_slave(place, event);
-        }
-        if window != open.window.id() {
+        let Some(place) = open.windows.iter().position(|(of, _)| of.id() == window) else {
             return Ok(()); // events of a window that was closed
-        }
+        };
+        let (window, context) = open.windows[place].clone();
         match event {
-            WindowEvent::RedrawRequested => return self.draw(event_loop),
-            WindowEvent::Resized(size) => open.viewer.resize([size.width, size.height])?,
+            WindowEvent::RedrawRequested => return if place == 0 { self.draw(event_loop) } else { Ok(()) },
+            WindowEvent::Resized(size) => open.viewer.resize_context(context, [size.width, size.height])?,
             WindowEvent::Destroyed => {
-                event_loop.exit();
+                open.close(context)?;
+                if open.windows.is_empty() {
+                    event_loop.exit();
+                }
                 return Ok(());
             }
-            WindowEvent::MouseInput { state, .. } if state.is_pressed() => {
+            WindowEvent::MouseInput { state, .. } if place == 0 && state.is_pressed() => {
                 if let Some(parent) = &open.parent {
-                    parent.focus(&ParentWindow::of(Arc::clone(&open.window))?);
+                    parent.focus(&ParentWindow::of(Arc::clone(&window))?);
                 }
             }
             _ => {}
         }
-        let taken = open.overlay.feed(open.viewer.view(), &open.window, event);
+        let has_overlay = open.viewer.view().context() == Some(context);
+        let taken = has_overlay && open.overlay.feed(open.viewer.view(), &window, event);
         // Presses that the overlay takes do not reach the scene. Releases always do, since the press may have been there.
         if !(taken && window_events::is_press(event)) {
-            let origin_px = open.viewer.view().window_matrix().origin_px;
-            window_events::feed(open.viewer.view_mut().event_queue(), event, origin_px);
+            window_events::feed(open.viewer.view_mut(), context, event);
         }
         if open.pacing.is_on_demand() {
-            open.window.request_redraw();
+            open.request_redraw();
         }
         Ok(())
     }
@@ -251,7 +258,7 @@ impl ApplicationHandler for App {
         }
         match self.open(event_loop) {
             Ok(open) => {
-                open.window.request_redraw();
+                open.request_redraw();
                 self.open = Some(open);
             }
             Err(error) => self.fail(event_loop, error),
@@ -262,7 +269,7 @@ impl ApplicationHandler for App {
         if let Some(open) = &self.open
             && open.pacing.wakes_for_frame(cause, || open.viewer.check_need_to_do_frame())
         {
-            open.window.request_redraw();
+            open.request_redraw();
         }
     }
 
@@ -302,43 +309,86 @@ impl ApplicationHandler for App {
 }
 
 impl Open {
-    /// Handles events of a slave window. Keys of all windows go to the viewer; the pointer counts in the first window only.
-    fn handle_slave(&mut self, place: usize, event: &WindowEvent) -> Result<(), ViewerError> {
-        let (_, context) = self.slaves[place];
-        match event {
-            WindowEvent::CloseRequested => {
-                self.viewer.composite_mut().close_context(context)?;
-                self.slaves.remove(place);
-            }
-            WindowEvent::Resized(size) => self.viewer.resize_context(context, [size.width, size.height])?,
-            // Keys are released when the window loses the focus.
-            WindowEvent::KeyboardInput { .. } | WindowEvent::ModifiersChanged(_) | WindowEvent::Focused(false) => {
-                window_events::feed(self.viewer.view_mut().event_queue(), event, DVec2::ZERO);
-            }
-            _ => {}
+    fn request_redraw(&self) {
+        if let Some((window, _)) = self.windows.first() {
+            window.request_redraw();
         }
-        self.window.request_redraw();
+    }
+
+    /// Returns the window of the master camera, or the first one.
+    fn main_window(&self) -> Option<&WindowOfContext> {
+        let context = self.viewer.view().context();
+        self.windows.iter().find(|(_, of)| Some(*of) == context).or(self.windows.first())
+    }
+
+    /// Closes a window with its context and the cameras in it.
+    fn close(&mut self, context: ContextId) -> Result<(), ViewerError> {
+        self.viewer.composite_mut().close_context(context)?;
+        self.windows.retain(|(_, of)| *of != context);
+        self.request_redraw();
         Ok(())
     }
 
     /// Draws one frame; returns false when it was the last.
-    fn frame(&mut self, options: &mut WindowOptions) -> Result<bool, ViewerError> {
+    fn frame(
+        &mut self,
+        event_loop: &ActiveEventLoop,
+        config: &ViewerConfig,
+        options: &mut WindowOptions,
+    ) -> Result<bool, ViewerError> {
         self.pacing.begin_frame();
         if !(options.before_frame)(&mut self.viewer)? {
             return Ok(false);
         }
-        self.overlay.hand_over(self.viewer.view_mut(), &self.window);
+        if let Some((window, _)) = self.main_window().cloned() {
+            self.overlay.hand_over(self.viewer.view_mut(), &window);
+        }
         self.viewer.frame()?;
         (options.after_frame)(&mut self.viewer)?;
         for command in self.viewer.view_mut().take_window_commands() {
-            self.obey(command);
+            match command {
+                WindowCommand::Close(context) => self.close(context)?,
+                WindowCommand::SetUp(arrangement) => self.set_up(event_loop, config, &options.title, &arrangement)?,
+                command => self.obey(command),
+            }
         }
-        Ok(!self.viewer.view().is_done())
+        Ok(!self.viewer.view().is_done() && !self.windows.is_empty())
+    }
+
+    /// Replaces the windows.
+    fn set_up(
+        &mut self,
+        event_loop: &ActiveEventLoop,
+        config: &ViewerConfig,
+        title: &str,
+        arrangement: &Arrangement,
+    ) -> Result<(), ViewerError> {
+        let view = self.viewer.view_id();
+        let composite = self.viewer.composite_mut();
+        composite.frame.screens = Screen::all(event_loop);
+        let opened = match window_open::set_up(event_loop, composite, (view, config, title), arrangement) {
+            Ok(opened) => opened,
+            Err(error) => {
+                log::error!("the windows stay as they are: {error}");
+                return Ok(());
+            }
+        };
+        for (_, context) in std::mem::replace(&mut self.windows, opened) {
+            self.viewer.composite_mut().close_context(context)?;
+        }
+        if let Some((_, first)) = self.windows.first() {
+            self.viewer.set_context(*first);
+        }
+        // Its state belongs to a window.
+        self.overlay = OverlayInput::default();
+        self.request_redraw();
+        Ok(())
     }
 
     fn obey(&mut self, command: WindowCommand) {
-        if let Some(size_px) = window_open::obey(&self.window, command)
-            && let Err(error) = self.viewer.resize(size_px)
+        let Some((window, context)) = self.main_window().cloned() else { return };
+        if let Some(size_px) = window_open::obey(&window, command)
+            && let Err(error) = self.viewer.resize_context(context, size_px)
         {
             log::error!("{error}");
         }
@@ -350,7 +400,7 @@ impl Open {
             self.viewer.work_until(due);
         }
         if self.pacing.plan_next(event_loop, self.viewer.check_need_to_do_frame()) {
-            self.window.request_redraw();
+            self.request_redraw();
         }
     }
 }

@@ -2,21 +2,23 @@
 
 use std::sync::Arc;
 
+use glam::DVec2;
 use winit::dpi::{PhysicalPosition, PhysicalSize};
 use winit::event_loop::ActiveEventLoop;
 use winit::monitor::MonitorHandle;
-use winit::window::{Fullscreen, Window};
+use winit::window::{CursorIcon, Fullscreen, Window};
 
 use super::parent::{ParentWindow, child_attributes};
 use super::slave_window::SlaveWindow;
 use crate::cull::{Stereo, StereoMode};
 use crate::gpu::ContextTraits;
 use crate::viewer::ViewerError;
-use crate::viewer::config::{Arrangement, CameraSetup, WindowSetup, across_screens, one_eye_per_screen};
+use crate::viewer::composite::CompositeViewer;
+use crate::viewer::config::{Arrangement, CameraSetup, Screen, WindowSetup, across_screens, one_eye_per_screen};
 use crate::viewer::display::reason_of;
 use crate::viewer::frame::ViewerConfig;
-use crate::viewer::ids::ContextId;
-use crate::viewer::input::WindowCommand;
+use crate::viewer::ids::{ContextId, SlaveId, ViewId};
+use crate::viewer::input::{MouseCursor, WindowCommand};
 use crate::viewer::view::{Slave, View};
 use crate::viewer::viewer::Viewer;
 
@@ -32,6 +34,38 @@ pub(in crate::viewer) fn obey(window: &Window, command: WindowCommand) -> Option
             let now = window.request_inner_size(PhysicalSize::new(width.max(1), height.max(1)))?;
             Some([now.width, now.height])
         }
+        WindowCommand::SetCursor(cursor) => {
+            window.set_cursor_visible(cursor != MouseCursor::None);
+            window.set_cursor(icon_of(cursor));
+            None
+        }
+        // The event loops carry them out.
+        WindowCommand::Close(_) | WindowCommand::SetUp(_) => None,
+        WindowCommand::WarpPointer(DVec2 { x, y }) => {
+            if let Err(error) = window.set_cursor_position(PhysicalPosition::new(x, y)) {
+                log::debug!("the pointer cannot be moved: {error}");
+            }
+            None
+        }
+    }
+}
+
+fn icon_of(cursor: MouseCursor) -> CursorIcon {
+    match cursor {
+        MouseCursor::Inherit | MouseCursor::None | MouseCursor::Arrow => CursorIcon::Default,
+        MouseCursor::Help => CursorIcon::Help,
+        MouseCursor::Wait => CursorIcon::Wait,
+        MouseCursor::Text => CursorIcon::Text,
+        MouseCursor::Crosshair => CursorIcon::Crosshair,
+        MouseCursor::Hand => CursorIcon::Pointer,
+        MouseCursor::Grab => CursorIcon::Grab,
+        MouseCursor::Grabbing => CursorIcon::Grabbing,
+        MouseCursor::Move => CursorIcon::Move,
+        MouseCursor::UpDown => CursorIcon::NsResize,
+        MouseCursor::LeftRight => CursorIcon::EwResize,
+        MouseCursor::UpperLeftLowerRight => CursorIcon::NwseResize,
+        MouseCursor::UpperRightLowerLeft => CursorIcon::NeswResize,
+        MouseCursor::NotAllowed => CursorIcon::NotAllowed,
     }
 }
 
@@ -47,11 +81,9 @@ pub(in crate::viewer) fn windows(
         // `run_window` has refused several views before.
         Arrangement::Usual | Arrangement::Views(_) => Vec::new(),
         Arrangement::AllScreens => {
-            let place = |monitor: MonitorHandle| {
-                let (PhysicalPosition { x, y }, PhysicalSize { width, height }) = (monitor.position(), monitor.size());
-                [x, y, width as i32, height as i32]
-            };
-            let screens: Vec<_> = event_loop.available_monitors().map(place).collect();
+            let place =
+                |Screen { position_px: [x, y], size_px: [width, height], .. }| [x, y, width as i32, height as i32];
+            let screens: Vec<_> = Screen::all(event_loop).into_iter().map(place).collect();
             let split = stereo.filter(|stereo| stereo.mode == StereoMode::HorizontalSplit);
             split.and_then(|_| one_eye_per_screen(&screens)).unwrap_or_else(|| across_screens(&screens))
         }
@@ -131,6 +163,82 @@ pub(in crate::viewer) fn size_of(window: &Window) -> [u32; 2] {
     [size.width.max(1), size.height.max(1)]
 }
 
+/// Returns the traits of a window's context.
+pub(in crate::viewer) fn traits_of(config: &ViewerConfig, setup: &WindowSetup, window: &Window) -> ContextTraits {
+    let monitor = window.current_monitor();
+    let at = window.outer_position().unwrap_or_default();
+    let origin = monitor.as_ref().map_or(PhysicalPosition::new(0, 0), MonitorHandle::position);
+    let number = |monitor| setup.screen.or_else(|| number_of(window, monitor)).unwrap_or(0);
+    ContextTraits {
+        size_px: size_of(window),
+        samples: setup.samples.unwrap_or(config.samples),
+        vsync: setup.vsync.unwrap_or(config.vsync),
+        screen: u32::try_from(monitor.as_ref().map_or(0, number)).unwrap_or(u32::MAX),
+        position_px: [at.x - origin.x, at.y - origin.y],
+        ..config.traits()
+    }
+}
+
+/// Returns the number of a screen.
+fn number_of(window: &Window, monitor: &MonitorHandle) -> Option<usize> {
+    window.available_monitors().position(|of| of == *monitor)
+}
+
+/// A window and its context.
+pub(in crate::viewer) type WindowOfContext = (Arc<Window>, ContextId);
+
+/// Opens windows for a view that is shown already: the first one gets its master camera, and their other cameras replace its
+/// slaves. After an error nothing has changed.
+pub(in crate::viewer) fn set_up(
+    event_loop: &ActiveEventLoop,
+    viewer: &mut CompositeViewer,
+    (view, config, title): (ViewId, &ViewerConfig, &str),
+    arrangement: &Arrangement,
+) -> Result<Vec<WindowOfContext>, ViewerError> {
+    if let Arrangement::Views(_) = arrangement {
+        let reason = "an arrangement of several views cannot be set up for one view".to_owned();
+        return Err(ViewerError::Window(reason));
+    }
+    let setups = windows(event_loop, arrangement, Vec::new(), config.stereo.as_ref());
+    let mut opened: Vec<WindowOfContext> = Vec::new();
+    let shared = viewer.view(view)?.contexts().next().or_else(|| viewer.contexts().next());
+    for (index, setup) in setups.iter().enumerate() {
+        let result = create(event_loop, setup, index, title, config.size_px).and_then(|window| {
+            let traits = traits_of(config, setup, &window);
+            let context = match shared {
+                Some(shared) => viewer.open_window_on(shared, Arc::clone(&window), &traits)?,
+                None => viewer.open_window(Arc::clone(&window), &traits)?,
+            };
+            Ok((window, context))
+        });
+        match result {
+            Ok(window) => opened.push(window),
+            Err(error) => {
+                for (_, context) in opened {
+                    viewer.close_context(context)?;
+                }
+                return Err(error);
+            }
+        }
+    }
+    let slaves: Vec<SlaveId> = viewer.view(view)?.slaves().map(|(id, _)| id).collect();
+    for slave in slaves {
+        viewer.remove_slave(view, slave)?;
+    }
+    for (index, (setup, (window, context))) in setups.iter().zip(&opened).enumerate() {
+        let mut slaves = &setup.cameras[..];
+        if index == 0 {
+            viewer.move_view(view, *context)?;
+            if let Some((master, others)) = slaves.split_first() {
+                set_master(viewer.view_mut(view)?, master, size_of(window));
+                slaves = others;
+            }
+        }
+        add_slaves(viewer, view, *context, slaves)?;
+    }
+    Ok(opened)
+}
+
 /// Adds a context with its cameras for a window beside the first one.
 pub(in crate::viewer) fn add_beside(
     viewer: &mut Viewer,
@@ -138,18 +246,14 @@ pub(in crate::viewer) fn add_beside(
     setup: &WindowSetup,
     window: &Arc<Window>,
 ) -> Result<ContextId, ViewerError> {
-    let traits = ContextTraits {
-        size_px: size_of(window),
-        samples: setup.samples.unwrap_or(config.samples),
-        vsync: setup.vsync.unwrap_or(config.vsync),
-        ..config.traits()
+    let traits = traits_of(config, setup, window);
+    let first = viewer.context();
+    let context = match setup.shares_device {
+        true => viewer.composite_mut().open_window_on(first, Arc::clone(window), &traits)?,
+        false => viewer.open_window(Arc::clone(window), &traits)?,
     };
-    let first = viewer.contexts().next().filter(|_| setup.shares_device);
-    let context = match first {
-        Some(first) => viewer.composite_mut().open_window_on(first, Arc::clone(window), &traits)?,
-        None => viewer.open_window(Arc::clone(window), &traits)?,
-    };
-    add_slaves(viewer, context, &setup.cameras)?;
+    let view = viewer.view_id();
+    add_slaves(viewer.composite_mut(), view, context, &setup.cameras)?;
     Ok(context)
 }
 
@@ -162,15 +266,17 @@ pub(in crate::viewer) fn set_master(view: &mut View, camera: &CameraSetup, windo
     }
 }
 
-/// Adds slave cameras in a context.
+/// Adds slave cameras of a view in a context.
 pub(in crate::viewer) fn add_slaves(
-    viewer: &mut Viewer,
+    viewer: &mut CompositeViewer,
+    view: ViewId,
     context: ContextId,
     cameras: &[CameraSetup],
 ) -> Result<(), ViewerError> {
     for camera in cameras {
         let CameraSetup { viewport, projection_offset, view_offset, eyes, .. } = *camera;
-        viewer.add_slave(Slave { viewport, projection_offset, view_offset, eyes, ..Slave::new(context) })?;
+        let slave = Slave { viewport, projection_offset, view_offset, eyes, ..Slave::new(context) };
+        viewer.add_slave(view, slave)?;
     }
     Ok(())
 }

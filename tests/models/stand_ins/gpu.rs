@@ -9,6 +9,7 @@ pub use terrane::gpu::{
 use terrane::scene::{BlockFormats, DrawSlot, Mesh};
 
 use super::Seen;
+use crate::sync::OperationQueue;
 
 pub struct Device;
 
@@ -26,11 +27,12 @@ pub struct GraphicsContext {
     /// The frame that was drawn last.
     pub frame: u32,
     pub targets: usize,
+    compile_operations: Arc<OperationQueue<wgpu::Device>>,
 }
 
 impl GraphicsContext {
     pub fn new(seen: &Arc<Seen>) -> Self {
-        Self { seen: seen.clone(), frame: 0, targets: 1 }
+        Self { seen: seen.clone(), frame: 0, targets: 1, compile_operations: Arc::default() }
     }
 
     /// Contexts show a frame together, after each has drawn it.
@@ -55,6 +57,10 @@ impl GraphicsContext {
         [1, 1]
     }
 
+    pub fn place(&self) -> (u32, [i32; 2]) {
+        (0, [0, 0])
+    }
+
     pub fn block_formats(&self) -> BlockFormats {
         BlockFormats::NONE
     }
@@ -72,6 +78,10 @@ impl GraphicsContext {
     }
 
     pub fn compile(&mut self, _operation: CompileOperation) {}
+
+    pub fn compile_operations(&self) -> &Arc<OperationQueue<wgpu::Device>> {
+        &self.compile_operations
+    }
 
     pub fn cancel_compiles(&mut self, _tickets: &[u64]) {}
 
@@ -96,6 +106,8 @@ impl GraphicsContext {
     }
 
     pub fn release(&mut self, _slots: &[DrawSlot]) {}
+
+    pub fn flush_released(&mut self) {}
 
     pub fn resize(&mut self, _size_px: [u32; 2]) -> Result<(), GpuError> {
         Ok(())

@@ -75,6 +75,7 @@ fn fly(args: Box<FlyArgs>, mut settings: DisplaySettings) -> Result<()> {
     let mut config =
         ViewerConfig { size_px: args.size.0, threading: args.threading, validation: false, ..ViewerConfig::default() };
     settings.configure(&mut config);
+    config.cpu_affinity = args.cpu_affinity;
     config.pager.blocking = args.blocking;
     config.vsync = !args.no_vsync;
     if !args.no_pipeline_cache {

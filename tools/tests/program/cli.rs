@@ -55,6 +55,15 @@ fn display_is_configured_by_arguments_and_by_the_environment() {
     // The middle columns belong to neither eye.
     assert!((0..90).all(|y| said.get_pixel(80, y).0 == said.get_pixel(80, 0).0));
 
+    // A screen that is far away covers a smaller angle, and shows less of the set.
+    let at =
+        |name: &str, distance_m: &str| picture(name, &["--screen-height", "1", "--screen-distance", distance_m], None);
+    let (usual, near, far) = (picture("e.png", &[], None), at("f.png", "0.5"), at("g.png", "3"));
+    assert!(usual != near && near != far);
+    let height = ["--screen-height", "1", "--screen-distance", "3", "--min-alpha-bits", "8"];
+    assert!(far == picture("h.png", &height, None));
+    assert!(far == picture("i.png", &height[..2], Some(("TERRANE_SCREEN_DISTANCE", "3"))));
+
     let wrong = terrane(&["fly", set.to_str().unwrap(), "--eye-separation", "far"]);
     assert_eq!((wrong.status.code(), lines(&wrong.stderr).len()), (Some(2), 1), "{wrong:?}");
     let help = lines(&terrane(&["view", "--help"]).stdout).join(" ");

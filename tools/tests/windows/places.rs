@@ -39,6 +39,10 @@ fn second_window_continues_beside_the_first_and_may_be_closed() {
     w.key(SPACE);
     w.window = first;
     w.until("beside: first at home", |picture| differing(&left, picture) > 0.05);
+    // The pointer turns the view from the second window too.
+    let before = w.at_rest("beside: before the second window's pointer");
+    w.drag(1, [560, 120], [620, 110]);
+    w.until("beside: turned from the second window", |picture| differing(&before, picture) > 0.1);
     w.window = second;
     w.close();
     w.wait_for("one window", |w| w.find_named(b"Terrane 2").is_none().then_some(()));
@@ -50,6 +54,27 @@ fn second_window_continues_beside_the_first_and_may_be_closed() {
     w.until("beside: turned alone", |picture| differing(&home, picture) > 0.1);
     w.x.set_input_focus(InputFocus::PARENT, first, x11rb::CURRENT_TIME).unwrap();
     w.key(ESCAPE);
+    assert!(w.ended().success());
+}
+
+#[test]
+fn program_ends_with_its_last_window() {
+    let folder = tempfile::tempdir().unwrap();
+    let (Some(display), Some(set)) = (Display::start([1280, 1024]), tile_set(folder.path())) else { return };
+    let set = set.to_str().unwrap().to_owned();
+    let mut w = Driven::start(&display, &["view", &set, "--size", "320x240", "--beside", "1"], folder.path());
+    let second = w.wait_for("a second window", |w| w.find_named(b"Terrane 2"));
+    w.x.configure_window(second, &ConfigureWindowAux::new().x(400)).unwrap();
+    w.x.sync().unwrap();
+    w.until("last window: first", |picture| colours(picture) > 200);
+    w.close();
+    w.wait_for("the first window to close", |w| w.find_window().is_none().then_some(()));
+    // The second window still shows the view, and turns it.
+    w.window = second;
+    let alone = w.at_rest("last window: second alone");
+    w.drag(1, [560, 120], [560, 200]);
+    w.until("last window: second turned", |picture| differing(&alone, picture) > 0.1);
+    w.close();
     assert!(w.ended().success());
 }
 

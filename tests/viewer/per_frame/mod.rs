@@ -1,0 +1,4 @@
+//! Callbacks that run, and statistics that are kept, in each frame.
+
+mod callbacks;
+mod statistics;
