@@ -54,7 +54,7 @@ pub use intersect::{
 };
 pub use nodes::{
     Attachment, Billboard, BillboardMode, CameraNode, CameraTarget, ClampProjection, ClearNode, ClipNode,
-    ConvexPlanarOccluder, CullAction, CullCallback, CullInfo, EventCallback, LightSource, LocalLights, MAX_DEPTH, Node,
+    ConvexPlanarOccluder, CullAction, CullCallback, CullInfo, CullPass, EventCallback, LightSource, LocalLights, MAX_DEPTH, Node,
     NodeKind, OcclusionQueryNode, OcclusionResults, PagedLod, PagingOptions, Picture, PictureSink, ProxyLoading,
     ProxyNode, RangeMode, ReaderData, ReaderValue, ReferenceFrame, Refine, RenderOrder, TexGenNode, Traverse,
     UpdateCallback, UpdateInfo,

@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 mod bins;
+mod callbacks;
 mod leaves;
 mod near_far_planes;
 mod nested_cameras;

@@ -5,12 +5,12 @@ use std::ops::Range;
 
 use glam::{DAffine3, Vec4};
 
-use super::page_context::PageContext;
+use super::page_context::{PageContext, drawable_info};
 use super::traversal::Traversal;
 use crate::cull::stage::RenderLeaf;
 use crate::cull::views::DepthRange;
 use crate::cull::views::depth_row;
-use crate::scene::{DrawSlot, SingleDrawable, UNBOUNDED};
+use crate::scene::{CullAction, DrawSlot, SingleDrawable, UNBOUNDED};
 
 impl Traversal<'_> {
     /// Tests a drawable against the frustum and widens near and far. Returns the depth of its centre and its extent along
@@ -60,8 +60,11 @@ impl Traversal<'_> {
     pub(super) fn take_unculled(&mut self, context: &PageContext, node: u32, matrix: u32) {
         let nodes = &context.page.nodes()[node as usize..];
         for drawable in nodes[0].first_drawable..nodes[1].first_drawable {
-            let depth = self.depth_of_unculled(context, drawable);
-            self.emit(context, drawable, depth, matrix);
+            let action = self.ask_drawable(context, drawable);
+            if action.visits() {
+                let depth = self.depth_of_unculled(context, drawable);
+                self.emit_as(&action, context, drawable, depth, matrix);
+            }
         }
     }
 
@@ -143,13 +146,47 @@ impl Traversal<'_> {
     /// Tests a drawable and emits it if it is seen.
     #[inline(always)]
     pub(super) fn test_and_emit(&mut self, context: &PageContext, drawable: u32, mask: u8, matrix: u32) {
-        let seen = if context.looks_closer {
-            self.test_closely(context, drawable, mask)
-        } else {
-            self.test_drawable(context, drawable, mask)
-        };
-        let Some((depth, _)) = seen else { return };
+        if context.looks_closer {
+            return self.test_closely_and_emit(context, drawable, mask, matrix);
+        }
+        let Some((depth, _)) = self.test_drawable(context, drawable, mask) else { return };
         self.emit(context, drawable, depth, matrix);
+    }
+
+    /// Does the same for a drawable that may have a callback or a normal cone, in a view with occluders or primitives.
+    #[cold]
+    fn test_closely_and_emit(&mut self, context: &PageContext, drawable: u32, mask: u8, matrix: u32) {
+        let action = self.ask_drawable(context, drawable);
+        if action.visits()
+            && let Some((depth, _)) = self.test_closely(context, drawable, mask)
+        {
+            self.emit_as(&action, context, drawable, depth, matrix);
+        }
+    }
+
+    /// Asks the cull callback of a drawable; one without a callback is visited.
+    pub(super) fn ask_drawable(&self, context: &PageContext, drawable: u32) -> CullAction {
+        let Some(callback) = context.page.drawable_callbacks().get(drawable) else { return CullAction::Traverse };
+        let (center, half) = box_of(context, drawable);
+        (callback.0)(&drawable_info(context, center, half[0] < UNBOUNDED, self.camera.frame))
+    }
+
+    /// Adds the leaves of a drawable for an action of its cull callback.
+    pub(super) fn emit_as(
+        &mut self,
+        action: &CullAction,
+        context: &PageContext,
+        drawable: u32,
+        depth: f32,
+        matrix: u32,
+    ) {
+        let CullAction::Passes(passes) = action else { return self.emit(context, drawable, depth, matrix) };
+        let path = context.page.drawable_refs()[drawable as usize].state_path;
+        let slot = context.slots.get(drawable as usize).copied().unwrap_or(DrawSlot::NONE);
+        for sets in passes.iter() {
+            let state = self.states.leaf_state_below(context.page, path, sets, self.stage);
+            self.leaves.push(RenderLeaf { slot, state, matrix, depth });
+        }
     }
 
     /// Adds the leaf of a drawable.
@@ -162,7 +199,6 @@ impl Traversal<'_> {
     }
 
     /// Tests a drawable as [`Self::test_drawable`], and by its normal cone, occluders and primitives.
-    #[cold]
     fn test_closely(&mut self, context: &PageContext, drawable: u32, mask: u8) -> Option<(f32, f32)> {
         if context.has_clusters && self.looks_away(context, drawable) {
             return None;

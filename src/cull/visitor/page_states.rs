@@ -20,6 +20,8 @@ pub(in crate::cull) struct PageStates {
     in_stage: Vec<u32>,
     /// By path: node of the state graph.
     in_graph: Vec<u32>,
+    /// Copies of `in_graph`, one for each push of state sets that was not popped.
+    pushed: Vec<u32>,
     /// Index of the current view in the view stack.
     view: u32,
     /// The dither band of leaves, below a Lod that fades.
@@ -76,6 +78,39 @@ impl PageStates {
         if let Some(known) = self.in_graph.get_mut(path as usize) {
             *known = state;
         }
+    }
+
+    /// Puts state sets of a cull callback between a path and those below it, until [`Self::pop`].
+    #[cold]
+    pub fn push(&mut self, page: &Page, path: u32, sets: &[Arc<StateSet>]) {
+        let state = self.path_below(page, path, sets);
+        self.pushed.extend_from_slice(&self.in_graph);
+        // All paths that are looked up until then are below this one.
+        self.in_graph.fill(NONE);
+        self.in_stage.fill(NONE);
+        self.set_path(path, state);
+    }
+
+    /// Undoes the last [`Self::push`], which was for the same page.
+    #[cold]
+    pub fn pop(&mut self) {
+        let first = self.pushed.len() - self.in_graph.len();
+        self.in_graph.copy_from_slice(&self.pushed[first..]);
+        self.pushed.truncate(first);
+        self.in_stage.fill(NONE);
+    }
+
+    /// Returns the index among the stage's states for leaves of a path below further state sets.
+    #[cold]
+    pub fn leaf_state_below(&mut self, page: &Page, path: u32, sets: &[Arc<StateSet>], stage: &mut RenderStage) -> u32 {
+        let state = self.path_below(page, path, sets);
+        let state = self.faded(state, self.band, stage);
+        self.graph.meet(state, stage)
+    }
+
+    fn path_below(&mut self, page: &Page, path: u32, sets: &[Arc<StateSet>]) -> u32 {
+        let state = self.path_state(page, path);
+        sets.iter().fold(state, |state, set| self.graph.find_or_insert(state, set))
     }
 
     /// Returns the group of local lights that shine above a path.

@@ -74,6 +74,8 @@ pub(in crate::cull) struct Traversal<'a> {
     pub stacks: &'a mut OpenStacks,
     /// The frame of the tile tree that was walked last in the current page.
     pub tile_view: Option<TileView>,
+    /// The node of the current page that is visited in a pass of its cull callback, which is not asked again.
+    pub in_pass: Option<u32>,
 }
 
 impl<'a> Traversal<'a> {
@@ -112,6 +114,7 @@ impl<'a> Traversal<'a> {
             fades,
             stacks,
             tile_view: None,
+            in_pass: None,
         }
     }
 
@@ -269,7 +272,10 @@ impl<'a> Traversal<'a> {
             },
             depth: depth_row(&visit.eye_from_page, page.origin(), view.depth_axis),
             slots: page.draw_slots_of(self.camera.context),
-            looks_closer: has_clusters || by_primitives || self.occlusion.is_active(),
+            looks_closer: has_clusters
+                || by_primitives
+                || self.occlusion.is_active()
+                || !page.drawable_callbacks().is_empty(),
             has_clusters,
             by_primitives,
             visit,
