@@ -16,6 +16,7 @@ use super::raster::{
 use super::state_set::StateSet;
 use super::texgen::TexGen;
 use super::texture::TextureBinding;
+use super::variance::DataVariance;
 
 /// A value as the chain above left it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -117,6 +118,8 @@ pub struct ResolvedState {
     texgens: [Inherited<Option<TexGen>>; TEXTURE_UNITS],
     textures: [Inherited<Option<TextureBinding>>; TEXTURE_UNITS],
     program: Inherited<Option<Arc<Program>>>,
+    /// Some state set of the chain is [`DataVariance::Dynamic`].
+    is_dynamic: bool,
     /// Uniforms, each with whether it overrides those below.
     uniforms: Vec<(Uniform, bool)>,
     /// References to lights, clip planes or texture units whose number is out of range, with the names of the state sets
@@ -160,6 +163,7 @@ impl Default for ResolvedState {
             texgens: Default::default(),
             textures: Default::default(),
             program: Inherited::default(),
+            is_dynamic: false,
             uniforms: Vec::new(),
             invalid_numbers: Vec::new(),
         }
@@ -192,6 +196,7 @@ impl ResolvedState {
             below.bins.push(bin);
         }
         below.bins_overridden |= set.bin_value.contains(StateValue::OVERRIDE);
+        below.is_dynamic |= set.data_variance == DataVariance::Dynamic;
         for (mode, how) in &set.modes {
             below.modes.apply(*mode, *how);
             // A mode that is switched off needs no check.
@@ -367,6 +372,11 @@ impl ResolvedState {
     /// Returns the bits, by number, of the lights or clip planes that are on. `first` is the mode of number 0.
     pub(crate) fn mode_bits(&self, first: Mode, count: usize) -> u32 {
         first.index().map_or(0, |index| (self.modes.on >> index) as u32 & ((1 << count) - 1))
+    }
+
+    /// Returns true if some state set of the chain is [`DataVariance::Dynamic`].
+    pub fn is_dynamic(&self) -> bool {
+        self.is_dynamic
     }
 
     /// Returns the winding order of front faces.

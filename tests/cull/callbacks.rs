@@ -30,8 +30,7 @@ fn at(x: f64) -> Drawable {
 /// Returns the slot and the red factor of each leaf, in traversal order.
 fn reds(stage: &RenderStage) -> Vec<(u32, f32)> {
     let leaves = stage.bins.iter().flat_map(|bin| &bin.leaves);
-    let mut reds: Vec<_> =
-        leaves.map(|leaf| (leaf.slot.0, stage.state_sets[leaf.state as usize].color[0])).collect();
+    let mut reds: Vec<_> = leaves.map(|leaf| (leaf.slot.0, stage.state_sets[leaf.state as usize].color[0])).collect();
     reds.sort_by(|a, b| a.partial_cmp(b).unwrap());
     reds
 }
@@ -53,13 +52,15 @@ fn drawables_of_a_node_have_state_sets_of_their_own() {
     let stage = cull(geode.with_state_set(named("node")), &camera());
     let of = |slot: u32| {
         let bins = stage.bins.iter();
-        let mut found = bins.flat_map(|bin| bin.leaves.iter().filter(|leaf| leaf.slot.0 == slot).map(move |l| (bin, l)));
+        let mut found =
+            bins.flat_map(|bin| bin.leaves.iter().filter(|leaf| leaf.slot.0 == slot).map(move |l| (bin, l)));
         let (bin, leaf) = found.next().unwrap();
         (stage.state_sets[leaf.state as usize].name.clone(), bin.number())
     };
     assert_eq!([0, 1, 2].map(of), [("first".into(), 0), ("node".into(), 0), ("last".into(), 10)]);
     // A bin of the drawable itself is below that of its node.
-    let bin = |number| Arc::new(StateSet { bin: Some(BinDetails::new(number, SortMode::ByState)), ..Default::default() });
+    let bin =
+        |number| Arc::new(StateSet { bin: Some(BinDetails::new(number, SortMode::ByState)), ..Default::default() });
     let geode = Node::geode(vec![at(0.0).with_state_set(bin(3))]).with_state_set(bin(2));
     let stage = cull(geode, &camera());
     assert_eq!(stage.bins[0].path.iter().map(|bin| bin.number).collect::<Vec<_>>(), [2, 3]);
@@ -93,8 +94,13 @@ fn callbacks_of_drawables_are_asked_for_each() {
 
 #[test]
 fn nodes_that_are_never_culled_and_billboards_ask_their_drawables() {
-    let skipped = || Drawable { cull_callback: answering(CullAction::Skip), ..at(0.0) };
-    let twice = || Drawable { cull_callback: answering(passes(&[&[2.0], &[3.0]])), ..at(0.0) };
+    let answered = |action: CullAction| {
+        let mut drawable = at(0.0);
+        drawable.cull_callback = answering(action);
+        drawable
+    };
+    let skipped = || answered(CullAction::Skip);
+    let twice = || answered(passes(&[&[2.0], &[3.0]]));
     let geode = Node { culling_active: false, ..Node::geode(vec![skipped(), twice()]) };
     assert_eq!(reds(&cull(geode, &camera())), [(1, 2.0), (1, 3.0)]);
     let drawables = vec![(DVec3::ZERO, skipped()), (DVec3::ZERO, twice())];

@@ -10,5 +10,6 @@ mod node_kinds;
 mod occluders;
 mod pixel_size;
 mod scene_cameras;
+mod settings;
 mod single_page;
 mod tiles;

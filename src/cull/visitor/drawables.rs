@@ -10,7 +10,7 @@ use super::traversal::Traversal;
 use crate::cull::stage::RenderLeaf;
 use crate::cull::views::DepthRange;
 use crate::cull::views::depth_row;
-use crate::scene::{CullAction, DrawSlot, SingleDrawable, UNBOUNDED};
+use crate::scene::{CullAction, CullingMode, DrawSlot, NormalCone, SingleDrawable, UNBOUNDED};
 
 impl Traversal<'_> {
     /// Tests a drawable against the frustum and widens near and far. Returns the depth of its centre and its extent along
@@ -85,16 +85,22 @@ impl Traversal<'_> {
         }
         self.counters.nodes_visited += lone.nodes;
         self.counters.drawables_tested += 1;
-        let row = depth_row(eye_from_page, lone.center, self.views.current().depth_axis);
-        if self.widen_depths(row, row.w, lone.half_m).is_none() && self.camera.culls_contents {
-            return;
-        }
+        let eye_from_drawable = *eye_from_page * lone.page_from_drawable;
         let state = match &lone.state {
             Some((path, set)) => self.states.below(*path, state, set),
             None => state,
         };
+        if let Some(cone) = &lone.cone
+            && self.single_looks_away(cone, &eye_from_drawable, state)
+        {
+            return;
+        }
+        let row = depth_row(eye_from_page, lone.center, self.views.current().depth_axis);
+        if self.widen_depths(row, row.w, lone.half_m).is_none() && self.camera.culls_contents {
+            return;
+        }
         let state = self.states.meet(state, self.stage);
-        let matrix = self.push_matrix(&(*eye_from_page * lone.page_from_drawable));
+        let matrix = self.push_matrix(&eye_from_drawable);
         self.leaves.push(RenderLeaf { slot: lone.slot, state, matrix, depth: row.w });
     }
 
@@ -117,22 +123,37 @@ impl Traversal<'_> {
         Some(seen)
     }
 
-    /// Returns true if all faces of a drawable look away from the eye, by its normal cone.
+    /// Returns true if all faces of a drawable look away from the eye, by its normal cone, and its state culls them.
     #[cold]
-    fn looks_away(&self, context: &PageContext, drawable: u32) -> bool {
+    fn looks_away(&mut self, context: &PageContext, drawable: u32) -> bool {
         let page = context.page;
         let Some(cone) = page.normal_cones().get(drawable) else { return false };
-        let transform = page.drawable_refs()[drawable as usize].transform;
-        let eye = page.transforms().point_in_node(transform, context.eye);
-        if self.views.current().ranges.is_parallel() {
-            // Parallel rays have the same direction everywhere, also behind the eye.
+        let of = page.drawable_refs()[drawable as usize];
+        let eye = page.transforms().point_in_node(of.transform, context.eye);
+        let is_parallel = self.views.current().ranges.is_parallel();
+        // Parallel rays have the same direction everywhere, also behind the eye.
+        let toward_eye = is_parallel.then(|| {
             let toward_eye = context.eye - context.depth.truncate().as_dvec3();
-            let toward_eye = page.transforms().point_in_node(transform, toward_eye) - eye;
-            return toward_eye.dot(cone.normal) < cone.min_cosine * toward_eye.length();
+            page.transforms().point_in_node(of.transform, toward_eye) - eye
+        });
+        if !cone.looks_away(eye, toward_eye) {
+            return false;
         }
-        let to_eye = eye - cone.control_point;
-        let distance_m = to_eye.length();
-        distance_m > cone.radius_m && to_eye.dot(cone.normal) < cone.min_cosine * distance_m
+        let state = self.states.path_state(page, of.state_path);
+        self.states.culls_backs(state)
+    }
+
+    /// Returns true if all faces of the only drawable of a page look away from the eye, and its state culls them.
+    #[cold]
+    fn single_looks_away(&self, cone: &NormalCone, eye_from_drawable: &DAffine3, state: u32) -> bool {
+        let view = self.views.current();
+        let drawable_from_eye = eye_from_drawable.inverse();
+        let is_parallel = view.ranges.is_parallel();
+        let toward_eye = is_parallel.then(|| drawable_from_eye.transform_vector3(-view.depth_axis));
+        view.camera.settings.culling.contains(CullingMode::CLUSTER)
+            && drawable_from_eye.is_finite()
+            && cone.looks_away(drawable_from_eye.translation, toward_eye)
+            && self.states.culls_backs(state)
     }
 
     /// Tests a range of drawables and emits those that are seen.

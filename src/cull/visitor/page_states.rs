@@ -8,7 +8,7 @@ use crate::cull::fading::FadeBand;
 use crate::cull::sorting::{ROOT, StateGraph};
 use crate::cull::stage::RenderStage;
 use crate::scene::{BLEND, LocalLights, NONE, Page, VIEW};
-use crate::state::StateSet;
+use crate::state::{CullFace, FrontFace, StateSet};
 
 /// The state graph and its mapping from the paths (chains of state sets) of the current page.
 ///
@@ -32,6 +32,17 @@ impl PageStates {
     /// Starts a frame.
     pub fn start_frame(&mut self) {
         self.graph.start_frame();
+    }
+
+    /// Forgets all states between two culls.
+    pub fn prune(&mut self) {
+        self.graph.prune();
+    }
+
+    /// Returns true if a state culls the back faces of single-sided drawables, in the usual winding order.
+    pub fn culls_backs(&self, state: u32) -> bool {
+        let state = self.graph.resolved(state);
+        state.culled_face(false) == Some(CullFace::Back) && state.front_face() == FrontFace::CounterClockwise
     }
 
     /// Starts a stage: none of its states has leaves.

@@ -134,8 +134,18 @@ impl<'a> Traversal<'a> {
         self.stage.state_sets.truncate(self.stage.view_of_state.len());
         self.counters.wanted_missing = self.stage.requests.len() as u32;
         self.counters.leaves = self.leaves.len() as u32;
+        self.counters.dynamic_leaves = self.dynamic_leaves();
         self.stage.counters = self.counters;
         self.fit_views();
+    }
+
+    /// Returns the number of leaves below a dynamic state set.
+    fn dynamic_leaves(&self) -> u32 {
+        let states = &self.stage.state_sets;
+        if !states.iter().any(|state| state.is_dynamic()) {
+            return 0;
+        }
+        self.leaves.iter().filter(|leaf| states[leaf.state as usize].is_dynamic()).count() as u32
     }
 
     /// Returns true if subtrees wholly inside the frustum are taken as ranges, since nothing needs their nodes one by one.
