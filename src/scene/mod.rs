@@ -54,10 +54,10 @@ pub use intersect::{
 };
 pub use nodes::{
     Attachment, Billboard, BillboardMode, CameraNode, CameraTarget, ClampProjection, ClearNode, ClipNode,
-    ConvexPlanarOccluder, CullAction, CullCallback, CullInfo, CullPass, EventCallback, LightSource, LocalLights, MAX_DEPTH, Node,
-    NodeKind, OcclusionQueryNode, OcclusionResults, PagedLod, PagingOptions, Picture, PictureSink, ProxyLoading,
-    ProxyNode, RangeMode, ReaderData, ReaderValue, ReferenceFrame, Refine, RenderOrder, TexGenNode, Traverse,
-    UpdateCallback, UpdateInfo,
+    ConvexPlanarOccluder, CullAction, CullCallback, CullInfo, CullPass, EventCallback, LightSource, LocalLights,
+    MAX_DEPTH, Node, NodeKind, OcclusionQueryNode, OcclusionResults, PagedLod, PagingOptions, Picture, PictureSink,
+    ProxyLoading, ProxyNode, RangeMode, ReaderData, ReaderValue, ReferenceFrame, Refine, RenderOrder, TexGenNode,
+    Traverse, UpdateCallback, UpdateInfo,
 };
 pub use pages::{DrawSlot, Page};
 pub use settings::{

@@ -79,7 +79,7 @@ proptest! {
     fn each_number_and_name_is_a_separate_bin(leaves in prop::collection::vec(
         prop::collection::vec((-2..3i32, 0..NAMES.len()), 0..3), 1..40,
     )) {
-        // A closure with a value of its own.
+        // A closure with a value.
         let last = u64::MAX - leaves.len() as u64;
         let backwards = SortKey::new(move |leaf| last - u64::from(leaf.order));
         BinPrototype::register(NAMES[2], BinPrototype { sort: SortMode::ByKey(backwards), draw: None });

@@ -98,8 +98,8 @@ impl Occluders {
         self.smallest().is_none_or(|(_, smallest)| max_size * (1.0 + 1e-9) + 1e-12 > smallest)
     }
 
-    /// Adds an occluder if it is seen and larger than the smallest of those that may be used, which it then replaces. `is_shown`
-    /// is costly and only called for an occluder that would be added.
+    /// Adds an occluder if it is seen and there is space for it or it is larger than the smallest, which it then replaces.
+    /// `is_shown` is costly and only called for an occluder that would be added.
     pub fn offer(
         &mut self,
         sight: &Sight,

@@ -11,9 +11,7 @@ use super::page_context::{OpenNode, PageContext, cull_info};
 use super::page_queue::Purpose;
 use super::traversal::Traversal;
 use crate::cull::fading::{Fade, LodIndex, LodShares, WHOLE};
-use crate::scene::{
-    CALLBACK, CullAction, CullPass, INACTIVE, LARGE, Page, SIMPLE_SUBTREE, UNBOUNDED, UNCULLED, kind,
-};
+use crate::scene::{CALLBACK, CullAction, CullPass, INACTIVE, LARGE, Page, SIMPLE_SUBTREE, UNBOUNDED, UNCULLED, kind};
 
 /// Number of children of a Lod that can fade; further ones are switched at once.
 const MAX_FADING_CHILDREN: usize = 64;

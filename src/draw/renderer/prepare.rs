@@ -144,6 +144,7 @@ impl Renderer {
             frame: [views[0].uniform, views[0].positioned],
             air: around.air.set,
             group: None,
+            attribute: None,
         };
         let base_index = resources.bound_states.push(base);
         let positioned_of_state = self.views.positioned_of_state();
@@ -153,6 +154,10 @@ impl Renderer {
         }
         for error in stage.lights.iter().filter_map(|l| position_of(&l.light).err()) {
             resources.errors.report_once(format!("a LightSource: {error}"));
+        }
+        let of_states = stage.state_sets.iter().flat_map(|state| state.lights());
+        for error in of_states.filter_map(|light| position_of(light).err()) {
+            resources.errors.report_once(format!("a light of a state set: {error}"));
         }
         for error in stage.local_lights.iter().filter_map(|l| position_of(&l.light).err()) {
             resources.errors.report_once(format!("a LocalLights: {error}"));

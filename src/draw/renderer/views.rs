@@ -9,7 +9,7 @@ use crate::draw::passes::stage_input::{LitView, StageInput, Surroundings, ViewFr
 use crate::draw::pipelines::key::AirKind;
 use crate::draw::resources::Resources;
 use crate::draw::uniforms::frame::{FrameUniform, clear_color};
-use crate::draw::uniforms::stage::StageUniform;
+use crate::draw::uniforms::stage::{StageUniform, has_own_uniform};
 use crate::gpu::GraphicsContext;
 use crate::scene::CameraEnvironment;
 
@@ -18,7 +18,7 @@ use crate::scene::CameraEnvironment;
 pub(super) struct StageViews {
     lit: Vec<LitView>,
     frames: Vec<ViewFrame>,
-    /// By state of the stage; empty without local lights.
+    /// By state of the stage; empty without local lights and lights or planes of states.
     positioned_of_state: Vec<u32>,
 }
 
@@ -28,35 +28,43 @@ impl StageViews {
         &self.frames
     }
 
-    /// Returns, by state of the stage, the byte offset of the stage uniform with the local lights of its leaves; nothing
-    /// if the stage has no such lights.
+    /// Returns, by state of the stage, the byte offset of the stage uniform with the local lights of its leaves and the
+    /// lights and planes of the state; nothing if the stage has neither.
     pub(super) fn positioned_of_state(&self) -> &[u32] {
         &self.positioned_of_state
     }
 
-    /// Prepares the uniforms of local lights.
-    fn prepare_local_lights(&mut self, resources: &mut Resources, stage: &RenderStage) {
+    /// Prepares the uniforms of local lights, and of lights and clip planes of states.
+    fn prepare_positioned_states(&mut self, resources: &mut Resources, stage: &RenderStage) {
         let Self { lit, frames, positioned_of_state } = self;
         positioned_of_state.clear();
-        if stage.light_groups.is_empty() {
+        if stage.light_groups.is_empty() && !stage.state_sets.iter().any(|state| has_own_uniform(state)) {
             return;
         }
         // States of one group are mostly neighbours, which share a uniform.
         let mut last = None;
-        for (view, group) in stage.view_of_state.iter().zip(&stage.lights_of_state) {
+        let states = stage.state_sets.iter().zip(&stage.view_of_state).zip(&stage.lights_of_state);
+        for ((state, view), group) in states {
+            let own = has_own_uniform(state).then_some(state);
             let range = (*group as usize).checked_sub(1).and_then(|index| stage.light_groups.get(index));
             let lights = range.and_then(|range| stage.local_lights.get(range.clone()));
-            let positioned = match (lights, last) {
-                (None, _) => frames.get(*view as usize).unwrap_or(&frames[0]).positioned,
-                (_, Some((of, positioned))) if of == (*view, *group) => positioned,
-                (Some(lights), _) => {
+            let positioned = match (lights, own, last) {
+                (None, None, _) => frames.get(*view as usize).unwrap_or(&frames[0]).positioned,
+                (_, None, Some((of, positioned))) if of == (*view, *group) => positioned,
+                _ => {
                     let camera = &lit.get(*view as usize).unwrap_or(&lit[0]).camera;
                     let light_from = |from: u32| eye_from_view(camera, lit, from);
-                    let uniform = StageUniform::new(stage, *view, light_from).with_local_lights(lights, light_from);
+                    let mut uniform = StageUniform::new(stage, *view, light_from);
+                    if let Some(lights) = lights {
+                        uniform = uniform.with_local_lights(lights, light_from);
+                    }
+                    if let Some(state) = own {
+                        uniform = uniform.with_own(state);
+                    }
                     resources.state_groups.push(&uniform)
                 }
             };
-            last = Some(((*view, *group), positioned));
+            last = own.is_none().then_some(((*view, *group), positioned));
             positioned_of_state.push(positioned);
         }
     }
@@ -135,7 +143,7 @@ impl StageViews {
                 has_shadows: first_layer.is_some(),
             });
         }
-        self.prepare_local_lights(resources, stage);
+        self.prepare_positioned_states(resources, stage);
         background
     }
 }

@@ -15,7 +15,7 @@ const SLOTS_PER_LOOK: usize = 32;
 /// Released drawables, in the order of release.
 pub(in crate::gpu) struct RetireQueue {
     slots: VecDeque<DrawSlot>,
-    /// What is left of the frame's time.
+    /// The rest of the frame's time.
     left_in_frame: Duration,
 }
 

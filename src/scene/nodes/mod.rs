@@ -19,8 +19,8 @@ pub use camera_node::{Attachment, CameraNode, CameraTarget, ClampProjection, Ren
 pub use flatten::MAX_DEPTH;
 pub use node::{Node, NodeKind};
 pub use node_payloads::{
-    ClearNode, ClipNode, ConvexPlanarOccluder, CullAction, CullCallback, CullInfo, CullPass, LightSource,
-    LocalLights, ReferenceFrame, TexGenNode,
+    ClearNode, ClipNode, ConvexPlanarOccluder, CullAction, CullCallback, CullInfo, CullPass, LightSource, LocalLights,
+    ReferenceFrame, TexGenNode,
 };
 pub use occlusion_query::{OcclusionQueryNode, OcclusionResults};
 pub use paged_lod::{PagedLod, PagingOptions, ProxyLoading, ProxyNode, RangeMode, Refine};
