@@ -207,6 +207,7 @@ impl Traversal<'_> {
                 clear_color: camera.clear_color,
                 clear_depth: camera.clear_depth,
                 order,
+                copy_to: camera.copy_to.clone(),
                 callbacks: camera.callbacks.clone(),
                 environment: camera.environment.clone(),
                 shadows: camera.shadows,

@@ -6,6 +6,7 @@ use super::views::surroundings_of_stage;
 use super::{CameraView, Renderer};
 use crate::cull::RenderStage;
 use crate::draw::bound_state::BoundState;
+use crate::draw::passes::frame_copy;
 use crate::draw::passes::leaves::Leaves;
 use crate::draw::passes::stage_input::{LitStage, StageInput, Surroundings};
 use crate::draw::targets::error::TargetError;
@@ -30,6 +31,7 @@ impl Renderer {
         if self.passes.shadows.prepare_maps(ctx, &mut self.resources, settings) {
             self.resources.frame_groups.invalidate();
         }
+        views.clone().for_each(|view| frame_copy::prepare(ctx, &mut self.resources, view.stage));
         for CameraView { stage, environment } in views {
             let mut environment = *environment;
             let air = self.passes.air.prepare(ctx, &mut self.resources, &stage.camera, &mut environment);
