@@ -225,6 +225,11 @@ fn picking() {
 }
 
 #[test]
+fn world_grid() {
+    run("world_grid", &[], 1000);
+}
+
+#[test]
 fn slave_cameras() {
     run("slave_cameras", &[], 300);
 }

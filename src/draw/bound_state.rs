@@ -22,6 +22,8 @@ pub(in crate::draw) struct BoundState {
     pub(in crate::draw) air: u8,
     /// Index of bind group 2, and the byte offset of its uniforms where it has some.
     pub(in crate::draw) group: Option<(u32, Option<u32>)>,
+    /// Index of bind group 3 of a program.
+    pub(in crate::draw) attribute: Option<u32>,
 }
 
 /// New states are compared with this many of the states before them: equal ones are mostly neighbours.

@@ -38,6 +38,7 @@ mod stats;
 mod targets;
 mod uniforms;
 
+pub use callbacks::attributes::{StateAttribute, state_attribute};
 pub use callbacks::bins::{BinCallback, BinDrawing};
 pub use callbacks::camera::CameraCallbacks;
 pub use callbacks::drawables::{CompiledDrawable, CustomDrawable, DrawableInfo, custom_geometry};

@@ -33,6 +33,15 @@ enum Pool {
     Heights,
 }
 
+/// Bind group 3.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum ThirdGroup {
+    /// The chunks of vertices and indices of pulled meshes.
+    Pulled((u32, u32)),
+    /// An attribute of the application's own.
+    Attribute(u32),
+}
+
 /// State that is known to be set on the pass.
 #[derive(Default)]
 struct Known {
@@ -46,8 +55,7 @@ struct Known {
     block: Option<(Pool, u32)>,
     /// Bind group 2, and the offset of its uniforms.
     group: Option<(u32, Option<u32>)>,
-    /// Bind group 3: chunks of vertices and indices.
-    pulled: Option<(u32, u32)>,
+    third: Option<ThirdGroup>,
     vertex_chunk: Option<u32>,
     /// True if vertex buffer 1 holds the colour that packed meshes share.
     has_white: bool,
@@ -125,6 +133,12 @@ impl<'p, 'e> PassRecorder<'p, 'e> {
             && changes(&mut self.stats, &mut self.known.group, (group, offset))
         {
             self.pass.set_bind_group(2, bind_group, offset.as_slice());
+        }
+        if let Some(attribute) = bound.attribute
+            && let Some(bind_group) = sources.resources.attribute_groups.get(attribute)
+            && changes(&mut self.stats, &mut self.known.third, ThirdGroup::Attribute(attribute))
+        {
+            self.pass.set_bind_group(3, bind_group, &[]);
         }
     }
 
@@ -279,7 +293,7 @@ impl<'p, 'e> PassRecorder<'p, 'e> {
         if changes(&mut self.stats, &mut self.known.block, (pool, bucket.block)) {
             self.pass.set_bind_group(1, block, &[]);
         }
-        if changes(&mut self.stats, &mut self.known.pulled, chunks) {
+        if changes(&mut self.stats, &mut self.known.third, ThirdGroup::Pulled(chunks)) {
             self.pass.set_bind_group(3, pulled, &[]);
         }
         true

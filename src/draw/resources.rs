@@ -6,6 +6,7 @@ use crate::draw::bound_state::BoundStates;
 use crate::draw::error_log::ErrorLog;
 use crate::draw::pipelines::Pipelines;
 use crate::draw::stats::DrawStats;
+use crate::draw::uniforms::attribute_groups::AttributeGroups;
 use crate::draw::uniforms::frame_groups::FrameGroups;
 use crate::draw::uniforms::leaf_buffer::LeafBuffer;
 use crate::draw::uniforms::state_groups::StateGroups;
@@ -19,8 +20,10 @@ pub(in crate::draw) struct Resources {
     pub(in crate::draw) frame_groups: FrameGroups,
     /// Bind groups 2, and the buffer of all uniforms.
     pub(in crate::draw) state_groups: StateGroups,
-    /// Bind groups 3.
+    /// Bind groups 3 of pulled meshes.
     pub(in crate::draw) vertex_pulling: VertexPulling,
+    /// Bind groups 3 of programs.
+    pub(in crate::draw) attribute_groups: AttributeGroups,
     /// The leaves, runs and buckets of the frame.
     pub(in crate::draw) batch: Batch,
     pub(in crate::draw) bound_states: BoundStates,
@@ -41,6 +44,7 @@ impl Resources {
             frame_groups: FrameGroups::default(),
             state_groups,
             vertex_pulling: VertexPulling::default(),
+            attribute_groups: AttributeGroups::default(),
             batch: Batch::default(),
             bound_states: BoundStates::default(),
             leaf_buffer: LeafBuffer::new(&ctx.device().limits()),
@@ -57,6 +61,7 @@ impl Resources {
         self.batch.start_frame();
         let programs_freed = self.pipelines.start_frame();
         self.state_groups.start_frame(programs_freed);
+        self.attribute_groups.start_frame(programs_freed);
         self.bound_states.start_frame();
         self.vertex_pulling.start_frame();
     }

@@ -47,6 +47,9 @@ pub struct ReadOptions {
     /// Colours, hides and sizes the features of contents while they are read; `None` by default. Contents that were read keep
     /// their style; see the guide for a change at run time.
     pub style: Option<Arc<Style>>,
+    /// Computes the [`NormalCone`](crate::scene::NormalCone) of single-sided meshes, by which culls leave out those that show
+    /// only their backs. On by default; it reads each triangle twice, some 30 ns.
+    pub cluster_culling: bool,
     /// Shares equal images, meshes and states between contents; `None` by default. A pager sets its own.
     pub sharing: Option<Arc<SharedStateManager>>,
     /// Collects what contents ask for and their readers leave out. Copies of these options share it.
@@ -69,6 +72,7 @@ impl ReadOptions {
             keep_features: false,
             block_formats: BlockFormats::NONE,
             style: None,
+            cluster_culling: true,
             sharing: None,
             ignored: IgnoredLog::default(),
         }

@@ -54,10 +54,10 @@ pub use intersect::{
 };
 pub use nodes::{
     Attachment, Billboard, BillboardMode, CallbackStateSet, CameraNode, CameraTarget, ClampProjection, ClearNode,
-    ClipNode, ConvexPlanarOccluder, CullAction, CullCallback, CullInfo, EventCallback, LightSource, LocalLights,
-    MAX_DEPTH, Node, NodeCallback, NodeKind, OcclusionQueryNode, OcclusionResults, PagedLod, PagingOptions, Picture,
-    PictureSink, ProxyLoading, ProxyNode, RangeMode, ReaderData, ReaderValue, ReferenceFrame, Refine, RenderOrder,
-    TexGenNode, Traverse, UpdateCallback, UpdateInfo,
+    ClipNode, ConvexPlanarOccluder, CullAction, CullCallback, CullInfo, CullPass, EventCallback, LightSource,
+    LocalLights, MAX_DEPTH, Node, NodeCallback, NodeKind, OcclusionQueryNode, OcclusionResults, PagedLod,
+    PagingOptions, Picture, PictureSink, ProxyLoading, ProxyNode, RangeMode, ReaderData, ReaderValue, ReferenceFrame,
+    Refine, RenderOrder, TexGenNode, Traverse, UpdateCallback, UpdateInfo,
 };
 pub use pages::{DrawSlot, Page};
 pub use settings::{

@@ -1,6 +1,7 @@
 //! Render bins: number, name and order of the leaves, and prototypes of bins by name. Any thread.
 
 use std::sync::RwLock;
+use std::sync::atomic::{AtomicU32, Ordering};
 
 use super::hook::OpaqueDrawData;
 
@@ -50,13 +51,31 @@ pub struct SortLeaf {
     pub order: u32,
 }
 
-/// A sort callback: smaller keys are drawn first.
-#[derive(Clone, Copy, Debug)]
-pub struct SortKey(pub fn(&SortLeaf) -> u64);
+/// A sort callback, compared by identity: smaller keys are drawn first.
+#[derive(Clone, Copy)]
+pub struct SortKey {
+    /// The number in the order of creation, which is also that of bins.
+    number: u32,
+    key: &'static (dyn Fn(&SortLeaf) -> u64 + Send + Sync),
+}
+
+impl SortKey {
+    /// Creates a callback. It is kept until the process ends, so that bins can be plain values: an application creates its few
+    /// callbacks once.
+    pub fn new(key: impl Fn(&SortLeaf) -> u64 + Send + Sync + 'static) -> Self {
+        static NEXT: AtomicU32 = AtomicU32::new(0);
+        Self { number: NEXT.fetch_add(1, Ordering::Relaxed), key: Box::leak(Box::new(key)) }
+    }
+
+    /// Returns the key of a leaf.
+    pub fn of(&self, leaf: &SortLeaf) -> u64 {
+        (self.key)(leaf)
+    }
+}
 
 impl PartialEq for SortKey {
     fn eq(&self, other: &Self) -> bool {
-        std::ptr::fn_addr_eq(self.0, other.0)
+        self.number == other.number
     }
 }
 
@@ -64,7 +83,13 @@ impl Eq for SortKey {}
 
 impl std::hash::Hash for SortKey {
     fn hash<H: std::hash::Hasher>(&self, state: &mut H) {
-        (self.0 as usize).hash(state);
+        self.number.hash(state);
+    }
+}
+
+impl std::fmt::Debug for SortKey {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "SortKey({})", self.number)
     }
 }
 
@@ -80,14 +105,14 @@ impl BinDetails {
     }
 
     /// Returns the key of the order among bins; equal only for equal bins.
-    pub(crate) fn order_key(&self) -> (i32, BinName, u8, usize) {
+    pub(crate) fn order_key(&self) -> (i32, BinName, u8, u32) {
         let (kind, key) = match self.sort {
             SortMode::ByState => (0, 0),
             SortMode::ByStateThenFrontToBack => (1, 0),
             SortMode::FrontToBack => (2, 0),
             SortMode::BackToFront => (3, 0),
             SortMode::TraversalOrder => (4, 0),
-            SortMode::ByKey(SortKey(key)) => (5, key as usize),
+            SortMode::ByKey(key) => (5, key.number),
         };
         (self.number, self.name, kind, key)
     }

@@ -44,6 +44,8 @@ pub const TEXTURE_UNITS: usize = 4;
 pub const LIGHTS: usize = 8;
 /// Number of clip planes of a render stage.
 pub const CLIP_PLANES: usize = 6;
+/// Number of colour attachments of a target.
+pub const COLOR_LOCATIONS: usize = 8;
 
 /// A mode: a part of the pipeline that is switched on or off. Each variant names its default.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -79,11 +81,13 @@ pub enum Mode {
     Texture(u8),
     /// [`TexGen`](super::TexGen) of a texture unit; off.
     TexGen(u8),
+    /// [`SampleMask`](super::SampleMask); off.
+    SampleMask,
 }
 
 impl Mode {
     /// The number of modes.
-    pub const COUNT: usize = 10 + LIGHTS + CLIP_PLANES + 2 * TEXTURE_UNITS;
+    pub const COUNT: usize = 11 + LIGHTS + CLIP_PLANES + 2 * TEXTURE_UNITS;
     /// The modes that are on by default, as bits of [`Self::index`].
     pub(crate) const ON_BY_DEFAULT: u64 = 1 << 1 | 1 << 2 | 1 << 4 | 1 << 5 | 1 << 10;
 
@@ -116,6 +120,7 @@ impl Mode {
             Self::ClipPlane(number) => return at(planes, number, CLIP_PLANES),
             Self::Texture(unit) => return at(units, unit, TEXTURE_UNITS),
             Self::TexGen(unit) => return at(units + TEXTURE_UNITS, unit, TEXTURE_UNITS),
+            Self::SampleMask => units + 2 * TEXTURE_UNITS,
         })
     }
 
@@ -131,12 +136,12 @@ impl Mode {
     }
 }
 
-/// The number of a light, clip plane or texture unit is out of range. The setting is ignored, and the renderer reports the
-/// state set or node that contains it.
+/// The number of a light, clip plane, texture unit or attachment is out of range. The setting is ignored, and the renderer
+/// reports the state set or node that contains it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{what} {number} is out of range: numbers are 0 to {last}", last = count - 1)]
 pub struct NumberError {
-    /// The kind: light, clip plane or texture unit.
+    /// The kind: light, clip plane, texture unit or attachment.
     pub what: &'static str,
     /// The number that was given.
     pub number: u8,

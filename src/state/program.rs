@@ -12,10 +12,16 @@ use std::sync::Arc;
 /// @group(2) @binding(0) var<uniform> uniforms: Uniforms;              members are filled by name
 /// @group(2) @binding(1 + 2 * unit) var image: texture_2d<f32>;        textures of units 0 to 3, of any kind
 /// @group(2) @binding(2 + 2 * unit) var image_sampler: sampler;
+/// @group(3) @binding(n) ...                                           an attribute of the application's own
 /// override FANCY: bool = false;                                       set by defines
 /// ```
 /// The members `osg_FrameNumber` (u32), `osg_FrameTime`, `osg_DeltaFrameTime`, `osg_SimulationTime` (f32, seconds),
-/// `osg_ViewMatrix` and `osg_ViewMatrixInverse` (mat4x4) are filled without being given.
+/// `osg_ViewMatrix` and `osg_ViewMatrixInverse` (mat4x4) are filled without being given. The translations of the two matrices
+/// are `f32`, whose step is 0.5 m at an earth-centred eye. For positions in the world there are `terrane_WorldFromEye`
+/// (mat3x3), the rotation, and the eye's position as the sum of `terrane_EyeHigh` and `terrane_EyeLow` (vec3, metres): the
+/// first is the nearest `f32`, the second the rest, exact to a micrometre. A position in the world is
+/// `terrane_EyeHigh + (terrane_EyeLow + terrane_WorldFromEye * point_in_eye)`; a shader reduces the first term alone, for
+/// example modulo a period, before it adds the other (example `world_grid`).
 ///
 /// Custom vertex attributes ([`Mesh::with_attribute`](crate::scene::Mesh::with_attribute)) are read by name at any
 /// location from 4 on, as arguments of `vs_main` or as members of a struct:

@@ -19,6 +19,20 @@ pub enum BlendFactor {
     /// The [`Attribute::BlendColor`](super::Attribute::BlendColor).
     ConstantColor,
     OneMinusConstantColor,
+    /// The alpha of the [`Attribute::BlendColor`](super::Attribute::BlendColor). wgpu has one constant: in a state that also
+    /// weights colours with `ConstantColor` it is that colour, which the renderer reports once.
+    ConstantAlpha,
+    OneMinusConstantAlpha,
+}
+
+impl BlendFactor {
+    pub(crate) fn is_constant_color(self) -> bool {
+        matches!(self, Self::ConstantColor | Self::OneMinusConstantColor)
+    }
+
+    pub(crate) fn is_constant_alpha(self) -> bool {
+        matches!(self, Self::ConstantAlpha | Self::OneMinusConstantAlpha)
+    }
 }
 
 /// The factors of source and destination in blending: of colour, and of alpha where the target has it.
@@ -50,10 +64,15 @@ impl BlendFunc {
         Self { source_alpha, destination_alpha, ..self }
     }
 
-    /// Returns true if one of the factors is the [`Attribute::BlendColor`](super::Attribute::BlendColor).
+    /// Returns true if one of the factors is the [`Attribute::BlendColor`](super::Attribute::BlendColor) or its alpha.
     pub(crate) fn has_constant(&self) -> bool {
         let factors = [self.source, self.destination, self.source_alpha, self.destination_alpha];
-        factors.iter().any(|f| matches!(f, BlendFactor::ConstantColor | BlendFactor::OneMinusConstantColor))
+        factors.iter().any(|factor| factor.is_constant_color() || factor.is_constant_alpha())
+    }
+
+    /// Returns true if one of the factors of colours is of a kind.
+    pub(crate) fn weights(&self, is_kind: fn(BlendFactor) -> bool) -> bool {
+        is_kind(self.source) || is_kind(self.destination)
     }
 }
 
@@ -140,13 +159,63 @@ pub struct PolygonOffset {
     pub units: f32,
 }
 
-/// The components that are written: red, green, blue. Alpha stays the cleared 1, so that images are opaque.
+/// The components that are written: red, green, blue, alpha. Windows stay opaque: alpha is written to textures alone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub struct ColorMask(pub [bool; 3]);
+pub struct ColorMask(pub [bool; 4]);
+
+impl ColorMask {
+    /// Returns the written components, red in bit 0 to alpha in bit 3.
+    pub(crate) fn bits(self) -> u8 {
+        (0..).zip(self.0).map(|(bit, is_written)| u8::from(is_written) << bit).sum()
+    }
+
+    /// Returns true if all components are written.
+    pub(crate) fn is_whole(self) -> bool {
+        self == Self::default()
+    }
+}
 
 impl Default for ColorMask {
     fn default() -> Self {
-        Self([true; 3])
+        Self([true; 4])
+    }
+}
+
+/// The samples of a pixel that are drawn where [`Mode::SampleMask`](super::Mode::SampleMask) is on; without effect on targets
+/// of one sample.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum SampleMask {
+    /// The bits of the samples; OSG's `SampleMaski`.
+    Bits(u16),
+    /// A share of the samples, 0 to 1: the first ones, or the others if it is inverted; OSG's `Multisample` with
+    /// `GL_SAMPLE_COVERAGE`.
+    Coverage {
+        /// The share.
+        share: f32,
+        /// The samples that would not be drawn are drawn.
+        is_inverted: bool,
+    },
+}
+
+impl SampleMask {
+    /// Returns the bits of the samples that are drawn, of a number of samples.
+    pub(crate) fn bits(self, samples: u32) -> u16 {
+        let all = u16::MAX >> (16 - samples.clamp(1, 16));
+        match self {
+            Self::Bits(bits) => bits & all,
+            Self::Coverage { share, is_inverted } => {
+                let count = (share.clamp(0.0, 1.0) * samples as f32).round() as u32;
+                let first = if count == 0 { 0 } else { u16::MAX >> (16 - count.min(16)) };
+                if is_inverted { all & !first } else { first & all }
+            }
+        }
+    }
+}
+
+impl Default for SampleMask {
+    /// Draws all samples.
+    fn default() -> Self {
+        Self::Bits(u16::MAX)
     }
 }
 
@@ -250,4 +319,19 @@ pub struct Viewport {
     pub y: f32,
     pub width: f32,
     pub height: f32,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn coverage_is_a_number_of_samples() {
+        let of = |share, is_inverted, samples| SampleMask::Coverage { share, is_inverted }.bits(samples);
+        assert_eq!([0.0, 0.25, 0.5, 1.0, 7.0, f32::NAN].map(|share| of(share, false, 4)), [0, 1, 3, 15, 15, 0]);
+        assert_eq!([0.0, 0.25, 1.0].map(|share| of(share, true, 4)), [15, 14, 0]);
+        assert_eq!((of(0.5, false, 16), of(1.0, false, 16), of(0.3, true, 1)), (0xff, 0xffff, 1));
+        assert_eq!(SampleMask::Bits(0b1_0110).bits(4), 0b0110);
+        assert_eq!(SampleMask::default().bits(8), 0xff);
+    }
 }

@@ -4,77 +4,20 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::attributes::Attribute;
-use super::bins::BinDetails;
+use super::bins::{BinDetails, SortMode};
 use super::hook::OpaqueDrawData;
-use super::lighting::{Fog, LightModel, SurfaceMaterial};
-use super::modes::{Mode, NumberError, StateValue, TEXTURE_UNITS};
+use super::inherited::{EyeSpaceState, Inherited, LocationState, Modes, applies};
+use super::lighting::{Fog, Light, LightModel, SurfaceMaterial};
+use super::modes::{COLOR_LOCATIONS, Mode, NumberError, StateValue, TEXTURE_UNITS};
 use super::program::{Program, Uniform};
 use super::raster::{
-    AlphaFunc, BlendEquation, BlendFunc, ColorMask, CullFace, Depth, FrontFace, PolygonMode, PolygonOffset, Scissor,
-    Stencil, Viewport,
+    AlphaFunc, BlendEquation, BlendFunc, ColorMask, CullFace, Depth, FrontFace, PolygonMode, PolygonOffset, SampleMask,
+    Scissor, Stencil, Viewport,
 };
 use super::state_set::StateSet;
-use super::texgen::TexGen;
 use super::texture::TextureBinding;
-
-/// A value as the chain above left it.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-struct Inherited<T> {
-    value: T,
-    /// Some state set has set the value; otherwise it is the default.
-    is_set: bool,
-    /// Values below are ignored unless they are protected.
-    overrides: bool,
-}
-
-impl<T> Inherited<T> {
-    /// Applies the value of a state set further down, by the rules of OSG's `State::pushAttribute`.
-    fn apply(&mut self, value: T, how: StateValue) {
-        if applies(self.overrides, how) {
-            *self = Self { value, is_set: true, overrides: how.contains(StateValue::OVERRIDE) };
-        }
-    }
-}
-
-/// Returns true if a value applies, below one that overrides or not.
-fn applies(overridden: bool, how: StateValue) -> bool {
-    (!overridden || how.contains(StateValue::PROTECTED)) && !how.contains(StateValue::INHERIT)
-}
-
-/// All modes, one bit each by [`Mode::index`].
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Modes {
-    on: u64,
-    overrides: u64,
-}
-
-const _: () = assert!(Mode::COUNT <= 64);
-
-/// Returns the bit of a mode; 0 for a number that is out of range.
-fn bit(mode: Mode) -> u64 {
-    mode.index().map_or(0, |index| 1 << index)
-}
-
-impl Modes {
-    /// Applies the flags of a state set further down, by the rules of OSG's `State::pushMode`.
-    fn apply(&mut self, mode: Mode, how: StateValue) {
-        let bit = bit(mode);
-        if applies(self.overrides & bit != 0, how) {
-            let put = |bits: u64, set: bool| if set { bits | bit } else { bits & !bit };
-            self.on = put(self.on, how.contains(StateValue::ON));
-            self.overrides = put(self.overrides, how.contains(StateValue::OVERRIDE));
-        }
-    }
-
-    fn is_on(&self, mode: Mode) -> bool {
-        self.on & bit(mode) != 0
-    }
-
-    /// Returns the value of a mode that a drawable itself sets to `value`, unless a state set overrides it.
-    fn for_drawable(&self, mode: Mode, value: bool) -> bool {
-        if self.overrides & bit(mode) != 0 { self.is_on(mode) } else { value }
-    }
-}
+use super::texture_units::{TexEnv, TexGen};
+use super::variance::DataVariance;
 
 /// The state that a chain of state sets results in. Cull resolves each chain once and keeps it from frame to frame.
 ///
@@ -106,6 +49,8 @@ pub struct ResolvedState {
     polygon_mode: Inherited<PolygonMode>,
     polygon_offset: Inherited<PolygonOffset>,
     color_mask: Inherited<ColorMask>,
+    locations: [LocationState; COLOR_LOCATIONS],
+    sample_mask: Inherited<SampleMask>,
     alpha_func: Inherited<AlphaFunc>,
     stencil: Inherited<Stencil>,
     scissor: Inherited<Scissor>,
@@ -116,7 +61,14 @@ pub struct ResolvedState {
     fog: Inherited<Option<Fog>>,
     texgens: [Inherited<Option<TexGen>>; TEXTURE_UNITS],
     textures: [Inherited<Option<TextureBinding>>; TEXTURE_UNITS],
+    tex_envs: [Inherited<TexEnv>; TEXTURE_UNITS],
+    tex_mats: [Inherited<Option<[[f32; 4]; 4]>>; TEXTURE_UNITS],
     program: Inherited<Option<Arc<Program>>>,
+    /// The attribute of the application's own.
+    custom: Inherited<Option<OpaqueDrawData>>,
+    eye_space: Option<Arc<EyeSpaceState>>,
+    /// Some state set of the chain is [`DataVariance::Dynamic`].
+    is_dynamic: bool,
     /// Uniforms, each with whether it overrides those below.
     uniforms: Vec<(Uniform, bool)>,
     /// References to lights, clip planes or texture units whose number is out of range, with the names of the state sets
@@ -150,6 +102,8 @@ impl Default for ResolvedState {
             polygon_mode: Inherited::default(),
             polygon_offset: Inherited::default(),
             color_mask: Inherited::default(),
+            locations: Default::default(),
+            sample_mask: Inherited::default(),
             alpha_func: Inherited::default(),
             stencil: Inherited::default(),
             scissor: Inherited::default(),
@@ -159,7 +113,12 @@ impl Default for ResolvedState {
             fog: Inherited::default(),
             texgens: Default::default(),
             textures: Default::default(),
+            tex_envs: Default::default(),
+            tex_mats: Default::default(),
             program: Inherited::default(),
+            custom: Inherited::default(),
+            eye_space: None,
+            is_dynamic: false,
             uniforms: Vec::new(),
             invalid_numbers: Vec::new(),
         }
@@ -192,18 +151,17 @@ impl ResolvedState {
             below.bins.push(bin);
         }
         below.bins_overridden |= set.bin_value.contains(StateValue::OVERRIDE);
+        below.is_dynamic |= set.data_variance == DataVariance::Dynamic;
         for (mode, how) in &set.modes {
             below.modes.apply(*mode, *how);
             // A mode that is switched off needs no check.
             if how.contains(StateValue::ON) {
-                below.check(set, *mode);
+                below.note(set, mode.check());
             }
         }
         for (attribute, how) in &set.attributes {
             below.apply(attribute, *how);
-            if let Some(mode) = attribute.mode() {
-                below.check(set, mode);
-            }
+            below.note(set, attribute.check());
         }
         for (uniform, how) in &set.uniforms {
             match below.uniforms.iter_mut().find(|(u, _)| u.name == uniform.name) {
@@ -221,17 +179,17 @@ impl ResolvedState {
     }
 
     /// Records a number that is out of range.
-    fn check(&mut self, set: &StateSet, mode: Mode) {
+    fn note(&mut self, set: &StateSet, checked: Result<(), NumberError>) {
         let is_known = |error| self.invalid_numbers.iter().any(|(name, known)| *known == error && *name == set.name);
-        if let Err(error) = mode.check()
+        if let Err(error) = checked
             && !is_known(error)
         {
             self.invalid_numbers.push((set.name.clone(), error));
         }
     }
 
-    /// Returns the numbers of lights, clip planes and texture units in the chain that are out of range, with the names of the
-    /// state sets that contain them.
+    /// Returns the numbers of lights, clip planes, texture units and attachments in the chain that are out of range, with the
+    /// names of the state sets that contain them.
     pub fn wrong_numbers(&self) -> &[(String, NumberError)] {
         &self.invalid_numbers
     }
@@ -248,6 +206,16 @@ impl ResolvedState {
             Attribute::PolygonMode(v) => self.polygon_mode.apply(*v, how),
             Attribute::PolygonOffset(v) => self.polygon_offset.apply(*v, how),
             Attribute::ColorMask(v) => self.color_mask.apply(*v, how),
+            Attribute::BlendFuncOf(location, v) => {
+                apply_at(&mut self.locations, *location, |at| at.func.apply(Some(*v), how));
+            }
+            Attribute::BlendEquationOf(location, v) => {
+                apply_at(&mut self.locations, *location, |at| at.equation.apply(Some(*v), how));
+            }
+            Attribute::ColorMaskOf(location, v) => {
+                apply_at(&mut self.locations, *location, |at| at.mask.apply(Some(*v), how));
+            }
+            Attribute::SampleMask(v) => self.sample_mask.apply(*v, how),
             Attribute::AlphaFunc(v) => self.alpha_func.apply(*v, how),
             Attribute::Stencil(v) => self.stencil.apply(*v, how),
             Attribute::Scissor(v) => self.scissor.apply(*v, how),
@@ -256,16 +224,19 @@ impl ResolvedState {
             Attribute::SurfaceMaterials { front, back } => self.materials.apply(Some([*front, *back]), how),
             Attribute::LightModel(v) => self.light_model.apply(Some(*v), how),
             Attribute::Fog(v) => self.fog.apply(Some(*v), how),
-            Attribute::TexGen(unit, v) => {
-                if let Some(texgen) = self.texgens.get_mut(usize::from(*unit)) {
-                    texgen.apply(Some(*v), how);
-                }
+            Attribute::TexGen(unit, v) => apply_at(&mut self.texgens, *unit, |at| at.apply(Some(*v), how)),
+            Attribute::TexEnv(unit, v) => apply_at(&mut self.tex_envs, *unit, |at| at.apply(*v, how)),
+            Attribute::TexMat(unit, v) => apply_at(&mut self.tex_mats, *unit, |at| at.apply(Some(*v), how)),
+            Attribute::Texture(unit, v) => apply_at(&mut self.textures, *unit, |at| at.apply(Some(v.clone()), how)),
+            Attribute::Light(v) => {
+                let lights = &mut EyeSpaceState::of(&mut self.eye_space).lights;
+                apply_at(lights, v.number, |at| at.apply(Some(*v), how));
             }
-            Attribute::Texture(unit, v) => {
-                if let Some(texture) = self.textures.get_mut(usize::from(*unit)) {
-                    texture.apply(Some(v.clone()), how);
-                }
+            Attribute::ClipPlane(number, v) => {
+                let planes = &mut EyeSpaceState::of(&mut self.eye_space).clip_planes;
+                apply_at(planes, *number, |at| at.apply(Some(*v), how));
             }
+            Attribute::Custom(v) => self.custom.apply(Some(v.clone()), how),
             Attribute::Program(v) => self.program.apply(Some(v.clone()), how),
         }
     }
@@ -362,11 +333,39 @@ impl ResolvedState {
             || self.materials.value.is_some()
             || self.fog.value.is_some()
             || self.light_model.value.is_some()
+            || self.lights().any(|light| self.mode(Mode::Light(light.number)))
     }
 
     /// Returns the bits, by number, of the lights or clip planes that are on. `first` is the mode of number 0.
     pub(crate) fn mode_bits(&self, first: Mode, count: usize) -> u32 {
         first.index().map_or(0, |index| (self.modes.on >> index) as u32 & ((1 << count) - 1))
+    }
+
+    /// Returns factors and operation of blending for a colour attachment.
+    pub fn blending_of(&self, location: usize) -> (BlendFunc, BlendEquation) {
+        let own = self.locations.get(location).copied().unwrap_or_default();
+        (own.func.value.unwrap_or(self.blend_func.value), own.equation.value.unwrap_or(self.blend_equation.value))
+    }
+
+    /// Returns the components that are written to a colour attachment.
+    pub fn color_mask_of(&self, location: usize) -> ColorMask {
+        self.locations.get(location).and_then(|own| own.mask.value).unwrap_or(self.color_mask.value)
+    }
+
+    /// Returns the samples that are drawn if the mode is on.
+    pub fn sample_mask(&self) -> Option<SampleMask> {
+        self.mode(Mode::SampleMask).then_some(self.sample_mask.value)
+    }
+
+    /// Returns true if blended leaves drop fragments of alpha 0, which would only write depth: they are in a bin that is
+    /// sorted back to front, as OSG's state set of such bins does with an alpha test.
+    pub(crate) fn drops_invisible(&self) -> bool {
+        self.blends() && self.writes_depth() && self.bin().sort == SortMode::BackToFront
+    }
+
+    /// Returns true if some state set of the chain is [`DataVariance::Dynamic`].
+    pub fn is_dynamic(&self) -> bool {
+        self.is_dynamic
     }
 
     /// Returns the winding order of front faces.
@@ -430,6 +429,33 @@ impl ResolvedState {
         self.texgens.get(unit).and_then(|t| t.value).filter(|_| on)
     }
 
+    /// Returns how the texture of a unit changes the colour.
+    pub fn tex_env(&self, unit: usize) -> TexEnv {
+        self.tex_envs.get(unit).map(|env| env.value).unwrap_or_default()
+    }
+
+    /// Returns the matrix of a unit's texture coordinates by columns, if one is set.
+    pub fn tex_mat(&self, unit: usize) -> Option<[[f32; 4]; 4]> {
+        self.tex_mats.get(unit)?.value
+    }
+
+    /// Returns the lights of state sets, in eye space.
+    pub fn lights(&self) -> impl Iterator<Item = &Light> {
+        let lights = self.eye_space.iter().flat_map(|state| &state.lights);
+        lights.filter_map(|light| light.value.as_ref())
+    }
+
+    /// Returns the clip planes of state sets with their numbers, in eye space: a point `p` is kept if `normal . p + d >= 0`.
+    pub fn clip_planes(&self) -> impl Iterator<Item = (u8, [f64; 4])> {
+        let planes = self.eye_space.iter().flat_map(|state| (0..).zip(&state.clip_planes));
+        planes.filter_map(|(number, plane)| Some((number, plane.value?)))
+    }
+
+    /// Returns the attribute of the application's own, if one is set.
+    pub fn custom(&self) -> Option<&OpaqueDrawData> {
+        self.custom.value.as_ref()
+    }
+
     /// Returns the texture of a unit if it is on.
     pub fn texture(&self, unit: usize) -> Option<&TextureBinding> {
         let on = self.mode(Mode::Texture(unit as u8));
@@ -449,6 +475,13 @@ impl ResolvedState {
     /// Returns all uniforms.
     pub fn uniforms(&self) -> impl Iterator<Item = &Uniform> {
         self.uniforms.iter().map(|(u, _)| u)
+    }
+}
+
+/// Applies a value to one of several; a number that is out of range was noted.
+fn apply_at<T>(all: &mut [T], number: u8, apply: impl FnOnce(&mut T)) {
+    if let Some(at) = all.get_mut(usize::from(number)) {
+        apply(at);
     }
 }
 

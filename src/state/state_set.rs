@@ -132,7 +132,7 @@ mod tests {
         assert_eq!(bin(0, "RenderBin"), BinDetails::OPAQUE);
         assert_eq!(bin(10, "DepthSortedBin"), BinDetails::TRANSPARENT);
         assert_eq!(bin(3, "TraversalOrderBin"), BinDetails::new(3, SortMode::TraversalOrder));
-        let key = SortMode::ByKey(SortKey(|leaf| u64::from(leaf.order)));
+        let key = SortMode::ByKey(SortKey::new(|leaf| u64::from(leaf.order)));
         let hook = OpaqueDrawData(std::sync::Arc::new(7));
         BinPrototype::register("bins: by key", BinPrototype { sort: key, draw: Some(hook.clone()) });
         BinPrototype::register("bins: plain", BinPrototype::default());

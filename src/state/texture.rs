@@ -171,6 +171,8 @@ pub enum WrapMode {
     ClampToEdge,
     Repeat,
     Mirror,
+    /// Beyond the edges is [`Sampler::border_color`].
+    ClampToBorder,
 }
 
 /// How a texture is sampled.
@@ -189,6 +191,12 @@ pub struct Sampler {
     /// Bias that the fixed function adds to the mip level. wgpu samplers have none, so that programs must pass their own to
     /// `textureSampleBias`.
     pub mip_bias: f32,
+    /// The colour of [`WrapMode::ClampToBorder`], as texels of the texture return it.
+    ///
+    /// Adapters with the wgpu feature `ADDRESS_MODE_CLAMP_TO_BORDER` have transparent black, opaque black and opaque white.
+    /// For other colours, and on other adapters, the fixed function takes the colour itself: without a filter at the edge, and
+    /// with the mip levels clamped to the edge. Programs see clamped edges then, which the renderer reports once.
+    pub border_color: [f32; 4],
     /// Compares depth with a reference instead of returning it; for programs only.
     pub compare: Option<CompareFunction>,
 }
@@ -202,6 +210,7 @@ impl Default for Sampler {
             wrap: [WrapMode::ClampToEdge; 3],
             max_anisotropy: 1,
             mip_bias: 0.0,
+            border_color: [0.0; 4],
             compare: None,
         }
     }

@@ -79,7 +79,9 @@ proptest! {
     fn each_number_and_name_is_a_separate_bin(leaves in prop::collection::vec(
         prop::collection::vec((-2..3i32, 0..NAMES.len()), 0..3), 1..40,
     )) {
-        let backwards = SortKey(|leaf| u64::MAX - u64::from(leaf.order));
+        // A closure with a value.
+        let last = u64::MAX - leaves.len() as u64;
+        let backwards = SortKey::new(move |leaf| last - u64::from(leaf.order));
         BinPrototype::register(NAMES[2], BinPrototype { sort: SortMode::ByKey(backwards), draw: None });
         BinPrototype::register(NAMES[3], BinPrototype::default());
         let mut expected: BTreeMap<Vec<Bin>, Vec<u32>> = BTreeMap::new();

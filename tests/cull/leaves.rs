@@ -425,7 +425,7 @@ fn bins_are_sorted_by_their_mode() {
             SortMode::FrontToBack,
             SortMode::BackToFront,
             SortMode::TraversalOrder,
-            SortMode::ByKey(SortKey(|leaf| u64::MAX - u64::from(leaf.order / 3))),
+            SortMode::ByKey(SortKey::new(|leaf| u64::MAX - u64::from(leaf.order / 3))),
         ] {
             let stage = sorted(sort, cells);
             assert_eq!(stage.bins.len(), 1);

@@ -240,7 +240,7 @@ fn leaves_with_a_color_mask_follow_earlier_leaves() {
         let quad = |z: f32, color: [f32; 4], is_large: bool| {
             Node::geode(vec![sized(quad([0.0, 0.0, z], [1.2; 2], color), is_large)])
         };
-        let mask = StateSet::default().with(Attribute::ColorMask(ColorMask([true, true, false])));
+        let mask = StateSet::default().with(Attribute::ColorMask(ColorMask([true, true, false, true])));
         let [black, yellow] = [quad(0.0, [0.0, 0.0, 0.0, 1.0], far), quad(0.1, [1.0, 1.0, 0.0, 1.0], near)];
         let masked = yellow.with_state_set(Arc::new(mask));
         assert_eq!(pixel(&draw(rig, vec![black.clone(), masked.clone()]), 32, 32), [255, 255, 0], "{far} {near}");

@@ -375,7 +375,7 @@ impl Maker {
                 range: random.one_of(&[[0.0, 1.0], [0.0, 0.5]]),
             }),
             Attribute::PolygonOffset(PolygonOffset { factor: random.between(-2.0, 2.0) as f32, units: 4.0 }),
-            Attribute::ColorMask(ColorMask([random.percent(80), random.percent(80), random.percent(80)])),
+            Attribute::ColorMask(ColorMask([random.percent(80), random.percent(80), random.percent(80), true])),
             Attribute::AlphaFunc(AlphaFunc { function: random.one_of(&FUNCTIONS), reference: 0.5 }),
             Attribute::Stencil(stencil),
             Attribute::Scissor(Scissor { x: random.below(30) as u32, y: 7, width: 70, height: 64 }),

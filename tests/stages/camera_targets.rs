@@ -238,7 +238,7 @@ fn depth_textures_may_have_a_stencil() {
     };
     // The middle is marked, without colour and depth. Then green is drawn where it is marked.
     let mut mark = in_bin(1, "mark", face(CompareFunction::Always, StencilOperation::Replace))
-        .with(Attribute::ColorMask(ColorMask([false; 3])));
+        .with(Attribute::ColorMask(ColorMask([false; 4])));
     mark.set_attribute(Attribute::Depth(Depth { write: false, ..Depth::default() }), StateValue::ON);
     let test = in_bin(2, "test", face(CompareFunction::Equal, StencilOperation::Keep));
     let node = |half, color, set: &StateSet| {

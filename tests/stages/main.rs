@@ -6,6 +6,7 @@ mod camera_lights;
 mod camera_parts;
 mod camera_shadows;
 mod camera_targets;
+mod frame_copies;
 mod near_far;
 mod small_targets;
 mod stage_order;

@@ -24,7 +24,7 @@ fn layers_faces_and_levels_can_be_drawn_to() {
         Arc::new(TextureObject { dimension, size, levels, ..(*target("parts")).clone() })
     };
     let onto = |texture: &Arc<TextureObject>, level, layer, color: [u8; 3]| {
-        let colors = vec![Attachment { texture: texture.clone(), level, layer }];
+        let colors = vec![Attachment { level, layer, ..Attachment::new(texture.clone()) }];
         let target = CameraTarget { colors, samples: 1, ..CameraTarget::default() };
         let [r, g, b] = color.map(|c| f32::from(c) / 255.0);
         let camera = CameraNode {
@@ -191,7 +191,7 @@ fn invalid_target_is_reported_once_and_the_rest_is_drawn() {
     };
     let fine = target("fine");
     let missing = CameraTarget {
-        colors: vec![Attachment { texture: fine.clone(), level: 3, layer: 0 }],
+        colors: vec![Attachment { level: 3, ..Attachment::new(fine.clone()) }],
         samples: 1,
         ..CameraTarget::default()
     };

@@ -3,10 +3,14 @@
 
 mod attributes;
 mod blending;
+mod custom_attributes;
+mod eye_space;
 mod fixed_function;
 mod lighting;
 mod lights;
+mod outputs;
 mod programs;
 mod samplers;
 mod state_sets;
 mod stencils;
+mod texture_units;

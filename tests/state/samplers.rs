@@ -28,6 +28,7 @@ const NEAREST: Sampler = Sampler {
     max_anisotropy: 1,
     mip_bias: 0.0,
     compare: None,
+    border_color: [0.0; 4],
 };
 
 /// Returns the levels of an image, each with another pattern.
@@ -110,7 +111,8 @@ fn anisotropy_keeps_detail_along_the_stretched_axis() {
 
 fn wrapped(mode: WrapMode, texel: i32) -> i32 {
     match mode {
-        WrapMode::ClampToEdge => texel.clamp(0, 1),
+        // Borders are tested with the texture units of the fixed function.
+        WrapMode::ClampToEdge | WrapMode::ClampToBorder => texel.clamp(0, 1),
         WrapMode::Repeat => texel.rem_euclid(2),
         WrapMode::Mirror => [0, 1, 1, 0][texel.rem_euclid(4) as usize],
     }

@@ -262,7 +262,7 @@ fn slope_offset_moves_oblique_surfaces() {
 fn masked_components_are_not_written() {
     let Some(mut rig) = rig("masked_components_are_not_written") else { return };
     let rig = &mut *rig;
-    let mask = |r, g, b| StateSet::default().with(Attribute::ColorMask(ColorMask([r, g, b])));
+    let mask = |r, g, b| StateSet::default().with(Attribute::ColorMask(ColorMask([r, g, b, true])));
     assert_eq!(middle(rig, vec![node(square(0.0, BLACK), mask(true, false, false))]), BLUE, "magenta without red");
     assert_eq!(middle(rig, vec![node(square(0.0, WHITE), mask(false, true, false))]), WHITE);
     assert_eq!(middle(rig, vec![node(square(0.0, GREEN), mask(false, false, false))]), MAGENTA);
@@ -272,12 +272,12 @@ fn masked_components_are_not_written() {
 fn overrides_apply_below_and_protection_resists_them() {
     let Some(mut rig) = rig("overrides_apply_below_and_protection_resists_them") else { return };
     let rig = &mut *rig;
-    let with = |mask: [bool; 3], how: StateValue| {
+    let with = |mask: [bool; 4], how: StateValue| {
         let mut set = StateSet::default();
         set.set_attribute(Attribute::ColorMask(ColorMask(mask)), how);
         set
     };
-    let (no_red, no_blue) = ([false, true, true], [true, true, false]);
+    let (no_red, no_blue) = ([false, true, true, true], [true, true, false, true]);
     let mut black = |above: StateValue, below: StateValue| {
         let child = node(square(0.0, BLACK), with(no_blue, below));
         middle(rig, vec![Node::group(vec![child]).with_state_set(Arc::new(with(no_red, above)))])
@@ -395,7 +395,7 @@ fn stencils_mark_and_test() {
     let bin = |number| StateSet { bin: Some(BinDetails::new(number, SortMode::ByState)), ..StateSet::default() };
     // A small mark without color, then a square that is drawn where the mark is, or where it is not.
     let mut drawn = |test: Stencil, mark: Stencil| {
-        let mut invisible = stencil(bin(1), mark).with(Attribute::ColorMask(ColorMask([false; 3])));
+        let mut invisible = stencil(bin(1), mark).with(Attribute::ColorMask(ColorMask([false; 4])));
         invisible.set_attribute(Attribute::Depth(Depth { write: false, ..Depth::default() }), StateValue::ON);
         let small = quad([0.0, 0.0, 0.1], [0.25, 0.25], [1.0; 4]);
         let picture = draw(rig, vec![node(small, invisible), node(square(0.0, RED), stencil(bin(2), test))]);

@@ -113,18 +113,18 @@ fn check(rig: &mut Rig, cases: &[Case]) {
     let marks = StencilFace { pass: StencilOperation::Replace, ..keeps(CompareFunction::Always) };
     let mut nodes = vec![Node::geode(vec![quad([0.0; 3], [1.2; 2], [0.0, 0.0, 0.0, 1.0])])];
     for (at, case) in cases.iter().enumerate() {
-        let before = seen([false; 3])
+        let before = seen([false; 4])
             .with(Attribute::Stencil(Stencil::both(marks, case.before)))
             .with(writes_no_depth(CompareFunction::Always));
         nodes.push(square(at, 0.01, false, 1, before));
         let faces = if case.culls_both { StateValue::ON } else { StateValue::OFF };
-        let tested = seen([true, false, false])
+        let tested = seen([true, false, false, false])
             .with(Attribute::Stencil(case.stencil))
             .with(writes_no_depth(CompareFunction::Less))
             .with(Attribute::CullFace(CullFace::FrontAndBack))
             .with_mode(Mode::CullFace, faces);
         nodes.push(square(at, if case.is_behind { -0.05 } else { 0.05 }, case.is_turned, 2, tested));
-        let after = seen([false, true, false])
+        let after = seen([false, true, false, false])
             .with(Attribute::Stencil(Stencil::both(keeps(CompareFunction::Equal), case.outcome().0)))
             .with(writes_no_depth(CompareFunction::Always));
         nodes.push(square(at, 0.01, false, 3, after));

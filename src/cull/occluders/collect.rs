@@ -11,7 +11,7 @@ use crate::cull::fading::{LodFades, TilePart};
 use crate::cull::tiles::shows_children;
 use crate::cull::views::View;
 use crate::cull::visitor::{CameraVisit, cull_info, eye_in};
-use crate::scene::{CullAction, OccluderPage, OccluderRecord, Page, RareNode, Scene, flag, kind};
+use crate::scene::{OccluderPage, OccluderRecord, Page, RareNode, Scene, flag, kind};
 
 /// The pages from a root down to one with occluders, outermost first.
 pub(super) type Chain = Vec<Link>;
@@ -198,13 +198,13 @@ impl Collector<'_> {
     }
 
     fn callback_shows(&self, page: &Page, link: &Link, node: u32) -> bool {
-        let Some(callback) = page.cull_callback(node) else { return true };
+        let Some((callback, _)) = page.cull_callback(node) else { return true };
         // Tiles below a tile are walked without their callbacks.
         if page.tile_of(page.parents()[node as usize]).is_some() {
             return true;
         }
         let eye = eye_in(&self.eye_from_page(page, link, node));
-        matches!((callback.0)(&cull_info(page, node, eye, self.frame)), CullAction::Traverse)
+        (callback.0)(&cull_info(page, node, eye, self.frame)).visits()
     }
 
     fn lod_shows(&self, page: &Page, link: &Link, node: u32, child: u32) -> bool {

@@ -29,8 +29,9 @@ pub(super) struct Occlusion {
 impl Occlusion {
     /// Starts a stage: collects the occluders that its view shows, or none without a collector.
     pub fn start_stage(&mut self, collector: Option<&Collector>) {
-        self.occluders.clear();
-        if let Some(collector) = collector {
+        let max_count = collector.map_or(0, |collector| collector.view.camera.settings.max_occluders as usize);
+        self.occluders.clear(max_count);
+        if let Some(collector) = collector.filter(|_| max_count > 0) {
             collector.collect(&mut self.occluders, &mut self.chain);
         }
         self.is_active = !self.occluders.is_empty();

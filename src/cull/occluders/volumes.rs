@@ -12,8 +12,6 @@ use crate::cull::views::EyePlanes;
 use crate::math::BoundingSphere;
 use crate::scene::ConvexPlanarOccluder;
 
-/// Number of occluders used at once; the ones with the largest solid angle are kept.
-const MAX_OCCLUDERS: usize = 16;
 /// Polygons are clipped at this distance from the plane through the eye, metres.
 const NEAREST_M: f64 = 1e-3;
 
@@ -23,6 +21,8 @@ pub(super) struct Occluders {
     planes: Vec<DVec4>,
     /// Each volume is followed by those of its holes.
     volumes: Vec<Volume>,
+    /// Number of occluders used at once; the ones with the largest solid angle are kept.
+    max_count: usize,
     /// Scratch memory: a polygon before and after clipping.
     corners: [Vec<DVec3>; 2],
 }
@@ -66,8 +66,9 @@ impl Sight {
 }
 
 impl Occluders {
-    /// Removes all occluders and keeps the memory.
-    pub fn clear(&mut self) {
+    /// Removes all occluders and keeps the memory. At most `max_count` are used from now on.
+    pub fn clear(&mut self, max_count: usize) {
+        self.max_count = max_count;
         self.planes.clear();
         self.volumes.clear();
     }
@@ -97,8 +98,8 @@ impl Occluders {
         self.smallest().is_none_or(|(_, smallest)| max_size * (1.0 + 1e-9) + 1e-12 > smallest)
     }
 
-    /// Adds an occluder if it is seen and larger than the smallest of [`MAX_OCCLUDERS`], which it then replaces. `is_shown`
-    /// is costly and only called for an occluder that would be added.
+    /// Adds an occluder if it is seen and there is space for it or it is larger than the smallest, which it then replaces.
+    /// `is_shown` is costly and only called for an occluder that would be added.
     pub fn offer(
         &mut self,
         sight: &Sight,
@@ -178,7 +179,7 @@ impl Occluders {
             count += 1;
             index += 1 + volume.holes as usize;
         }
-        smallest.filter(|_| count >= MAX_OCCLUDERS)
+        smallest.filter(|_| count >= self.max_count)
     }
 
     /// Removes an occluder with its holes.
@@ -284,7 +285,7 @@ mod tests {
     const EVERYWHERE: Sight = Sight { along: None, planes: EyePlanes::NONE };
 
     fn hides(occluder: &ConvexPlanarOccluder, center: DVec3, radius: f32) -> bool {
-        let mut occluders = Occluders::default();
+        let mut occluders = Occluders { max_count: 16, ..Occluders::default() };
         occluders.offer(&EVERYWHERE, &DAffine3::IDENTITY, occluder, || true);
         let mut frame = FrameOccluders::default();
         occluders.in_frame(&DAffine3::IDENTITY, DVec3::ZERO, &mut frame);
@@ -311,7 +312,7 @@ mod tests {
 
     #[test]
     fn only_the_largest_occluders_are_used() {
-        let mut occluders = Occluders::default();
+        let mut occluders = Occluders { max_count: 16, ..Occluders::default() };
         let mut asked = 0;
         for i in (0..40).chain(0..30) {
             let occluder = ConvexPlanarOccluder {
@@ -325,7 +326,7 @@ mod tests {
             occluders.offer(&EVERYWHERE, &DAffine3::IDENTITY, &occluder, is_shown);
         }
         let sizes: Vec<f64> = occluders.volumes.iter().map(|v| v.size).filter(|s| *s > 0.0).collect();
-        assert_eq!(sizes.len(), MAX_OCCLUDERS);
+        assert_eq!(sizes.len(), 16);
         // Kept are the half sizes 25 to 40 without 36, and 30 a second time.
         assert_eq!(asked, 40 + 6, "visibility is only checked for occluders that are large enough");
         let smallest = sizes.iter().copied().fold(f64::INFINITY, f64::min);
@@ -354,7 +355,7 @@ mod tests {
         let wall = ConvexPlanarOccluder { corners: square(1.0, -10.0), holes: vec![square(0.2, -10.0)] };
         let hides = |clip_from_eye: DMat4, x: f64, z: f64| {
             let sight = Sight::new(&clip_from_eye, EyePlanes::NONE);
-            let mut occluders = Occluders::default();
+            let mut occluders = Occluders { max_count: 16, ..Occluders::default() };
             occluders.offer(&sight, &DAffine3::IDENTITY, &wall, || true);
             let mut frame = FrameOccluders::default();
             occluders.in_frame(&DAffine3::IDENTITY, DVec3::ZERO, &mut frame);

@@ -7,7 +7,7 @@ use std::cmp::Ordering;
 
 use super::depth_keys::{DepthKeys, depth_order_key, is_in_order};
 use crate::cull::stage::{RenderBin, RenderLeaf, RenderStage};
-use crate::state::{BinDetails, SortKey, SortLeaf, SortMode};
+use crate::state::{BinDetails, SortLeaf, SortMode};
 
 /// Scratch memory of the sorts.
 #[derive(Debug, Default)]
@@ -118,11 +118,11 @@ impl Sorter {
                 self.scatter(leaves, &mut bin.leaves);
             }
             SortMode::TraversalOrder | SortMode::ByState => std::mem::swap(leaves, &mut bin.leaves),
-            SortMode::ByKey(SortKey(key)) => {
+            SortMode::ByKey(key) => {
                 self.custom.clear();
                 self.custom.extend(leaves.iter().zip(0..).map(|(leaf, order)| {
                     let RenderLeaf { state, depth, .. } = *leaf;
-                    (key(&SortLeaf { depth, state, order }), order)
+                    (key.of(&SortLeaf { depth, state, order }), order)
                 }));
                 self.custom.sort_unstable();
                 bin.leaves.clear();

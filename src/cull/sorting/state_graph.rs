@@ -105,8 +105,7 @@ impl StateGraph {
     /// Starts a frame. Clears the graph if it holds over eight times as many nodes as the frame before met.
     pub fn start_frame(&mut self) {
         if self.nodes.len() > MIN_NODES_TO_CLEAR + 8 * self.met {
-            let stage = self.stage;
-            *self = Self { stage, ..Self::default() };
+            self.prune();
         }
         self.met = 0;
         self.until_sweep -= 1;
@@ -114,6 +113,17 @@ impl StateGraph {
             self.until_sweep = SWEEP_FRAMES;
             self.sweep();
         }
+    }
+
+    /// Forgets all states, so that the next cull resolves again what it meets.
+    pub fn prune(&mut self) {
+        let stage = self.stage;
+        *self = Self { stage, ..Self::default() };
+    }
+
+    /// Returns the resolved state of a node.
+    pub fn resolved(&self, state: u32) -> &ResolvedState {
+        &self.nodes.get(state as usize).unwrap_or(&self.nodes[ROOT as usize]).resolved
     }
 
     /// Releases the resolved states of dropped state sets and of all nodes below them. Parents precede their children.

@@ -9,6 +9,9 @@ pub struct CullCounters {
     pub drawables_tested: u32,
     /// Leaves that were emitted.
     pub leaves: u32,
+    /// Leaves below a state set with [`DataVariance::Dynamic`](crate::state::DataVariance::Dynamic), counted once for each
+    /// stage; OSG's number of dynamic render leaves.
+    pub dynamic_leaves: u32,
     /// Tiles that were tested.
     pub tiles_visited: u32,
     /// Tiles whose content is drawn.
@@ -36,6 +39,7 @@ impl CullCounters {
         self.nodes_visited += other.nodes_visited;
         self.drawables_tested += other.drawables_tested;
         self.leaves += other.leaves;
+        self.dynamic_leaves += other.dynamic_leaves;
         self.tiles_visited += other.tiles_visited;
         self.tiles_drawn += other.tiles_drawn;
         self.stand_ins += other.stand_ins;

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use crate::scene::{CameraEnvironment, CameraShadows, CameraTarget};
-use crate::state::OpaqueDrawData;
+use crate::state::{OpaqueDrawData, TextureObject};
 
 /// The image that a stage is drawn into, and how the image is prepared.
 #[derive(Clone, Debug, Default)]
@@ -22,6 +22,8 @@ pub struct StageTarget {
     pub clear_depth: bool,
     /// Render order number among the stages before or after the same one.
     pub order: i32,
+    /// Receives a copy of what the viewport shows once the stage and those after it are drawn.
+    pub copy_to: Option<Arc<TextureObject>>,
     /// Called while the stage is drawn.
     pub callbacks: Option<OpaqueDrawData>,
     /// Light and air of a camera in the graph.

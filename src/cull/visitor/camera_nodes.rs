@@ -12,7 +12,7 @@ use super::traversal::Traversal;
 use crate::cull::fading::Fade;
 use crate::cull::stage::{StageShadows, StageTarget, StageView};
 use crate::cull::views::{DepthRange, View};
-use crate::scene::{CameraEnvironment, CameraNode, CameraShadows, ReferenceFrame, RenderOrder};
+use crate::scene::{CameraEnvironment, CameraNode, CameraShadows, Inherit, ReferenceFrame, RenderOrder};
 
 impl Traversal<'_> {
     /// Scans what is below a camera in the graph that has this stage, and the scene's roots where it shows them.
@@ -137,7 +137,8 @@ impl Traversal<'_> {
         let Some(node_from_page) = finite(above.inverse()) else { return };
         let mut view = *self.views.current();
         view.camera.settings = camera.settings.inheriting(&view.camera.settings, camera.inherit);
-        view.clamp_projection = camera.clamp_projection;
+        let inherited = view.clamp_projection.filter(|_| camera.inherit.has(Inherit::CLAMP_PROJECTION));
+        view.clamp_projection = camera.clamp_projection.or(inherited);
         view.inherits_projection = camera.projection.is_none() && camera.clamp_projection.is_none();
         let eye_from_node = match camera.frame {
             ReferenceFrame::Absolute => camera.view,
@@ -206,6 +207,7 @@ impl Traversal<'_> {
                 clear_color: camera.clear_color,
                 clear_depth: camera.clear_depth,
                 order,
+                copy_to: camera.copy_to.clone(),
                 callbacks: camera.callbacks.clone(),
                 environment: camera.environment.clone(),
                 shadows: camera.shadows,

@@ -118,6 +118,13 @@ impl CullVisitor {
         }
     }
 
+    /// Forgets the resolved states that are kept from cull to cull, with their references to textures and programs; OSG's
+    /// `StateGraph::prune`. Without it, states that are no longer met are kept until there are many, and those of dropped
+    /// state sets for 16 culls.
+    pub fn prune_states(&mut self) {
+        self.memory.states.prune();
+    }
+
     /// Runs the first half of [`Self::cull`]: everything but the bins and the cameras in the graph. For benches that time
     /// the halves separately.
     #[doc(hidden)]

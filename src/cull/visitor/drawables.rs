@@ -5,12 +5,12 @@ use std::ops::Range;
 
 use glam::{DAffine3, Vec4};
 
-use super::page_context::PageContext;
+use super::page_context::{PageContext, drawable_info};
 use super::traversal::Traversal;
 use crate::cull::stage::RenderLeaf;
 use crate::cull::views::DepthRange;
 use crate::cull::views::depth_row;
-use crate::scene::{DrawSlot, SingleDrawable, UNBOUNDED};
+use crate::scene::{CullAction, CullingMode, DrawSlot, NormalCone, SingleDrawable, UNBOUNDED};
 
 impl Traversal<'_> {
     /// Tests a drawable against the frustum and widens near and far. Returns the depth of its centre and its extent along
@@ -60,8 +60,11 @@ impl Traversal<'_> {
     pub(super) fn take_unculled(&mut self, context: &PageContext, node: u32, matrix: u32) {
         let nodes = &context.page.nodes()[node as usize..];
         for drawable in nodes[0].first_drawable..nodes[1].first_drawable {
-            let depth = self.depth_of_unculled(context, drawable);
-            self.emit(context, drawable, depth, matrix);
+            let action = self.ask_drawable(context, drawable);
+            if action.visits() {
+                let depth = self.depth_of_unculled(context, drawable);
+                self.emit_as(&action, context, drawable, depth, matrix);
+            }
         }
     }
 
@@ -82,16 +85,22 @@ impl Traversal<'_> {
         }
         self.counters.nodes_visited += lone.nodes;
         self.counters.drawables_tested += 1;
-        let row = depth_row(eye_from_page, lone.center, self.views.current().depth_axis);
-        if self.widen_depths(row, row.w, lone.half_m).is_none() && self.camera.culls_contents {
-            return;
-        }
+        let eye_from_drawable = *eye_from_page * lone.page_from_drawable;
         let state = match &lone.state {
             Some((path, set)) => self.states.below(*path, state, set),
             None => state,
         };
+        if let Some(cone) = &lone.cone
+            && self.single_looks_away(cone, &eye_from_drawable, state)
+        {
+            return;
+        }
+        let row = depth_row(eye_from_page, lone.center, self.views.current().depth_axis);
+        if self.widen_depths(row, row.w, lone.half_m).is_none() && self.camera.culls_contents {
+            return;
+        }
         let state = self.states.meet(state, self.stage);
-        let matrix = self.push_matrix(&(*eye_from_page * lone.page_from_drawable));
+        let matrix = self.push_matrix(&eye_from_drawable);
         self.leaves.push(RenderLeaf { slot: lone.slot, state, matrix, depth: row.w });
     }
 
@@ -114,22 +123,37 @@ impl Traversal<'_> {
         Some(seen)
     }
 
-    /// Returns true if all faces of a drawable look away from the eye, by its normal cone.
+    /// Returns true if all faces of a drawable look away from the eye, by its normal cone, and its state culls them.
     #[cold]
-    fn looks_away(&self, context: &PageContext, drawable: u32) -> bool {
+    fn looks_away(&mut self, context: &PageContext, drawable: u32) -> bool {
         let page = context.page;
         let Some(cone) = page.normal_cones().get(drawable) else { return false };
-        let transform = page.drawable_refs()[drawable as usize].transform;
-        let eye = page.transforms().point_in_node(transform, context.eye);
-        if self.views.current().ranges.is_parallel() {
-            // Parallel rays have the same direction everywhere, also behind the eye.
+        let of = page.drawable_refs()[drawable as usize];
+        let eye = page.transforms().point_in_node(of.transform, context.eye);
+        let is_parallel = self.views.current().ranges.is_parallel();
+        // Parallel rays have the same direction everywhere, also behind the eye.
+        let toward_eye = is_parallel.then(|| {
             let toward_eye = context.eye - context.depth.truncate().as_dvec3();
-            let toward_eye = page.transforms().point_in_node(transform, toward_eye) - eye;
-            return toward_eye.dot(cone.normal) < cone.min_cosine * toward_eye.length();
+            page.transforms().point_in_node(of.transform, toward_eye) - eye
+        });
+        if !cone.looks_away(eye, toward_eye) {
+            return false;
         }
-        let to_eye = eye - cone.control_point;
-        let distance_m = to_eye.length();
-        distance_m > cone.radius_m && to_eye.dot(cone.normal) < cone.min_cosine * distance_m
+        let state = self.states.path_state(page, of.state_path);
+        self.states.culls_backs(state)
+    }
+
+    /// Returns true if all faces of the only drawable of a page look away from the eye, and its state culls them.
+    #[cold]
+    fn single_looks_away(&self, cone: &NormalCone, eye_from_drawable: &DAffine3, state: u32) -> bool {
+        let view = self.views.current();
+        let drawable_from_eye = eye_from_drawable.inverse();
+        let is_parallel = view.ranges.is_parallel();
+        let toward_eye = is_parallel.then(|| drawable_from_eye.transform_vector3(-view.depth_axis));
+        view.camera.settings.culling.contains(CullingMode::CLUSTER)
+            && drawable_from_eye.is_finite()
+            && cone.looks_away(drawable_from_eye.translation, toward_eye)
+            && self.states.culls_backs(state)
     }
 
     /// Tests a range of drawables and emits those that are seen.
@@ -143,13 +167,47 @@ impl Traversal<'_> {
     /// Tests a drawable and emits it if it is seen.
     #[inline(always)]
     pub(super) fn test_and_emit(&mut self, context: &PageContext, drawable: u32, mask: u8, matrix: u32) {
-        let seen = if context.looks_closer {
-            self.test_closely(context, drawable, mask)
-        } else {
-            self.test_drawable(context, drawable, mask)
-        };
-        let Some((depth, _)) = seen else { return };
+        if context.looks_closer {
+            return self.test_closely_and_emit(context, drawable, mask, matrix);
+        }
+        let Some((depth, _)) = self.test_drawable(context, drawable, mask) else { return };
         self.emit(context, drawable, depth, matrix);
+    }
+
+    /// Does the same for a drawable that may have a callback or a normal cone, in a view with occluders or primitives.
+    #[cold]
+    fn test_closely_and_emit(&mut self, context: &PageContext, drawable: u32, mask: u8, matrix: u32) {
+        let action = self.ask_drawable(context, drawable);
+        if action.visits()
+            && let Some((depth, _)) = self.test_closely(context, drawable, mask)
+        {
+            self.emit_as(&action, context, drawable, depth, matrix);
+        }
+    }
+
+    /// Asks the cull callback of a drawable; one without a callback is visited.
+    pub(super) fn ask_drawable(&self, context: &PageContext, drawable: u32) -> CullAction {
+        let Some(callback) = context.page.drawable_callbacks().get(drawable) else { return CullAction::Traverse };
+        let (center, half) = box_of(context, drawable);
+        (callback.0)(&drawable_info(context, center, half[0] < UNBOUNDED, self.camera.frame))
+    }
+
+    /// Adds the leaves of a drawable for an action of its cull callback.
+    pub(super) fn emit_as(
+        &mut self,
+        action: &CullAction,
+        context: &PageContext,
+        drawable: u32,
+        depth: f32,
+        matrix: u32,
+    ) {
+        let CullAction::Passes(passes) = action else { return self.emit(context, drawable, depth, matrix) };
+        let path = context.page.drawable_refs()[drawable as usize].state_path;
+        let slot = context.slots.get(drawable as usize).copied().unwrap_or(DrawSlot::NONE);
+        for sets in passes.iter() {
+            let state = self.states.leaf_state_below(context.page, path, sets, self.stage);
+            self.leaves.push(RenderLeaf { slot, state, matrix, depth });
+        }
     }
 
     /// Adds the leaf of a drawable.
@@ -162,7 +220,6 @@ impl Traversal<'_> {
     }
 
     /// Tests a drawable as [`Self::test_drawable`], and by its normal cone, occluders and primitives.
-    #[cold]
     fn test_closely(&mut self, context: &PageContext, drawable: u32, mask: u8) -> Option<(f32, f32)> {
         if context.has_clusters && self.looks_away(context, drawable) {
             return None;

@@ -11,7 +11,7 @@ use super::page_context::{OpenNode, PageContext, cull_info};
 use super::page_queue::Purpose;
 use super::traversal::Traversal;
 use crate::cull::fading::{Fade, LodIndex, LodShares, WHOLE};
-use crate::scene::{CALLBACK, CullAction, INACTIVE, LARGE, Page, SIMPLE_SUBTREE, UNBOUNDED, UNCULLED, kind};
+use crate::scene::{CALLBACK, CullAction, CullPass, INACTIVE, LARGE, Page, SIMPLE_SUBTREE, UNBOUNDED, UNCULLED, kind};
 
 /// Number of children of a Lod that can fade; further ones are switched at once.
 const MAX_FADING_CHILDREN: usize = 64;
@@ -70,12 +70,20 @@ impl Traversal<'_> {
             let mut tested = mask;
             // One test rules this out for most nodes.
             if flags & (CALLBACK | INACTIVE) != 0 {
-                if !self.callback_allows_visit(context, node) {
-                    if !may_skip {
-                        self.keep_tiles(context, node, next);
+                match self.ask_node(context, node) {
+                    CullAction::Traverse => {}
+                    CullAction::Skip => {
+                        if !may_skip {
+                            self.keep_tiles(context, node, next);
+                        }
+                        node = next;
+                        continue;
                     }
-                    node = next;
-                    continue;
+                    CullAction::Passes(passes) => {
+                        self.scan_passes(context, node, &passes, mask, above.matrix);
+                        node = next;
+                        continue;
+                    }
                 }
                 if flags & UNCULLED != 0 && record.kind == kind::GEODE {
                     self.take_unculled(context, node, above.matrix);
@@ -285,13 +293,32 @@ impl Traversal<'_> {
         sphere.w * scale < self.views.current().small_feature * (depth - sphere.w * scale)
     }
 
-    /// Asks a node's cull callback; returns true without one.
+    /// Asks a node's cull callback. A node without one is visited, and so is a node in a pass of its callback.
     #[cold]
-    fn callback_allows_visit(&mut self, context: &PageContext, node: u32) -> bool {
+    fn ask_node(&mut self, context: &PageContext, node: u32) -> CullAction {
         let page = context.page;
-        let Some(callback) = page.cull_callback(node) else { return true };
-        let info = cull_info(page, node, context.eye, self.camera.frame);
-        matches!((callback.0)(&info), CullAction::Traverse)
+        let Some((callback, _)) = page.cull_callback(node) else { return CullAction::Traverse };
+        if self.in_pass.take_if(|visited| *visited == node).is_some() {
+            return CullAction::Traverse;
+        }
+        (callback.0)(&cull_info(page, node, context.eye, self.camera.frame))
+    }
+
+    /// Visits a node once for each pass of its cull callback.
+    #[cold]
+    fn scan_passes(&mut self, context: &PageContext, node: u32, passes: &[CullPass], mask: u8, matrix: u32) {
+        let page = context.page;
+        let end = node + page.nodes()[node as usize].skip;
+        if passes.is_empty() {
+            self.keep_required(context, node..end);
+        }
+        let path = page.cull_callback(node).map_or(0, |(_, path)| *path);
+        for sets in passes {
+            self.states.push(page, path, sets);
+            self.in_pass = Some(node);
+            self.scan_nodes(context, node, end, mask, matrix);
+            self.states.pop();
+        }
     }
 
     /// Returns true if a sphere is hidden by an occluder.

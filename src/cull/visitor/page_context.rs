@@ -21,7 +21,7 @@ pub(in crate::cull) struct PageContext<'a> {
     pub depth: Vec4,
     /// Draw slots of the page's drawables in the context that is culled for.
     pub slots: &'a [DrawSlot],
-    /// Drawables need more than the test of their boxes: normal cones, occluders or primitives.
+    /// Drawables need more than the test of their boxes: callbacks, normal cones, occluders or primitives.
     pub looks_closer: bool,
     /// Some drawables are culled by their normal cones.
     pub has_clusters: bool,
@@ -45,6 +45,13 @@ pub(in crate::cull) fn cull_info(page: &Page, node: u32, eye_in_page: DVec3, fra
     let sphere = page.spheres()[node as usize];
     let center = page.origin() + sphere.truncate().as_dvec3();
     let is_bounded = (0.0..UNBOUNDED).contains(&sphere.w);
+    CullInfo { frame, eye_in_page, distance_m: if is_bounded { center.distance(eye_in_page) } else { f64::INFINITY } }
+}
+
+/// Returns the argument for the cull callback of a drawable whose box has a centre, relative to the page's origin.
+pub(super) fn drawable_info(context: &PageContext, center: [f32; 3], is_bounded: bool, frame: u32) -> CullInfo {
+    let center = context.page.origin() + DVec3::from_array(center.map(f64::from));
+    let eye_in_page = context.eye;
     CullInfo { frame, eye_in_page, distance_m: if is_bounded { center.distance(eye_in_page) } else { f64::INFINITY } }
 }
 

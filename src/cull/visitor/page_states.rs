@@ -8,7 +8,7 @@ use crate::cull::fading::FadeBand;
 use crate::cull::sorting::{ROOT, StateGraph};
 use crate::cull::stage::{DrawnPart, RenderStage};
 use crate::scene::{BLEND, LocalLights, NONE, Page, VIEW};
-use crate::state::StateSet;
+use crate::state::{CullFace, FrontFace, StateSet};
 
 /// The state graph and its mapping from the paths (chains of state sets) of the current page.
 ///
@@ -20,6 +20,8 @@ pub(in crate::cull) struct PageStates {
     in_stage: Vec<u32>,
     /// By path: node of the state graph.
     in_graph: Vec<u32>,
+    /// Copies of `in_graph`, one for each push of state sets that was not popped.
+    pushed: Vec<u32>,
     /// Index of the current view in the view stack.
     view: u32,
     /// The dither band of leaves, below a Lod that fades.
@@ -30,6 +32,17 @@ impl PageStates {
     /// Starts a frame.
     pub fn start_frame(&mut self) {
         self.graph.start_frame();
+    }
+
+    /// Forgets all states between two culls.
+    pub fn prune(&mut self) {
+        self.graph.prune();
+    }
+
+    /// Returns true if a state culls the back faces of single-sided drawables, in the usual winding order.
+    pub fn culls_backs(&self, state: u32) -> bool {
+        let state = self.graph.resolved(state);
+        state.culled_face(false) == Some(CullFace::Back) && state.front_face() == FrontFace::CounterClockwise
     }
 
     /// Starts a stage: none of its states has leaves.
@@ -76,6 +89,39 @@ impl PageStates {
         if let Some(known) = self.in_graph.get_mut(path as usize) {
             *known = state;
         }
+    }
+
+    /// Puts state sets of a cull callback between a path and those below it, until [`Self::pop`].
+    #[cold]
+    pub fn push(&mut self, page: &Page, path: u32, sets: &[Arc<StateSet>]) {
+        let state = self.path_below(page, path, sets);
+        self.pushed.extend_from_slice(&self.in_graph);
+        // All paths that are looked up until then are below this one.
+        self.in_graph.fill(NONE);
+        self.in_stage.fill(NONE);
+        self.set_path(path, state);
+    }
+
+    /// Undoes the last [`Self::push`], which was for the same page.
+    #[cold]
+    pub fn pop(&mut self) {
+        let first = self.pushed.len() - self.in_graph.len();
+        self.in_graph.copy_from_slice(&self.pushed[first..]);
+        self.pushed.truncate(first);
+        self.in_stage.fill(NONE);
+    }
+
+    /// Returns the index among the stage's states for leaves of a path below further state sets.
+    #[cold]
+    pub fn leaf_state_below(&mut self, page: &Page, path: u32, sets: &[Arc<StateSet>], stage: &mut RenderStage) -> u32 {
+        let state = self.path_below(page, path, sets);
+        let state = self.faded(state, self.band, stage);
+        self.graph.meet(state, stage)
+    }
+
+    fn path_below(&mut self, page: &Page, path: u32, sets: &[Arc<StateSet>]) -> u32 {
+        let state = self.path_state(page, path);
+        sets.iter().fold(state, |state, set| self.graph.find_or_insert(state, set))
     }
 
     /// Returns the group of local lights that shine above a path.

@@ -128,6 +128,10 @@ impl Traversal<'_> {
             return;
         }
         for (drawable, position) in (first..).zip(positions) {
+            let action = self.ask_drawable(context, drawable);
+            if !action.visits() {
+                continue;
+            }
             let depth = if is_unculled {
                 self.depth_of_unculled(context, drawable)
             } else {
@@ -136,7 +140,7 @@ impl Traversal<'_> {
             };
             let map = mode.eye_from_drawable(&eye_from_node, node_from_eye.translation, *position);
             let matrix = self.push_matrix(&map);
-            self.emit(context, drawable, depth, matrix);
+            self.emit_as(&action, context, drawable, depth, matrix);
         }
     }
 

@@ -74,6 +74,8 @@ pub(in crate::cull) struct Traversal<'a> {
     pub stacks: &'a mut OpenStacks,
     /// The frame of the tile tree that was walked last in the current page.
     pub tile_view: Option<TileView>,
+    /// The node of the current page that is visited in a pass of its cull callback, which is not asked again.
+    pub in_pass: Option<u32>,
 }
 
 impl<'a> Traversal<'a> {
@@ -112,6 +114,7 @@ impl<'a> Traversal<'a> {
             fades,
             stacks,
             tile_view: None,
+            in_pass: None,
         }
     }
 
@@ -131,8 +134,18 @@ impl<'a> Traversal<'a> {
         self.stage.state_sets.truncate(self.stage.view_of_state.len());
         self.counters.wanted_missing = self.stage.requests.len() as u32;
         self.counters.leaves = self.leaves.len() as u32;
+        self.counters.dynamic_leaves = self.dynamic_leaves();
         self.stage.counters = self.counters;
         self.fit_views();
+    }
+
+    /// Returns the number of leaves below a dynamic state set.
+    fn dynamic_leaves(&self) -> u32 {
+        let states = &self.stage.state_sets;
+        if !states.iter().any(|state| state.is_dynamic()) {
+            return 0;
+        }
+        self.leaves.iter().filter(|leaf| states[leaf.state as usize].is_dynamic()).count() as u32
     }
 
     /// Returns true if subtrees wholly inside the frustum are taken as ranges, since nothing needs their nodes one by one.
@@ -282,7 +295,10 @@ impl<'a> Traversal<'a> {
             },
             depth: depth_row(&visit.eye_from_page, page.origin(), view.depth_axis),
             slots: page.draw_slots_of(self.camera.context),
-            looks_closer: has_clusters || by_primitives || self.occlusion.is_active(),
+            looks_closer: has_clusters
+                || by_primitives
+                || self.occlusion.is_active()
+                || !page.drawable_callbacks().is_empty(),
             has_clusters,
             by_primitives,
             visit,

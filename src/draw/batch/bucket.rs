@@ -35,7 +35,7 @@ pub(in crate::draw) struct Bucket {
 /// The rank of a bucket among those whose order is free: expensive changes first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct BucketRank {
-    pipeline: u64,
+    pipeline: u128,
     /// Block, vertex chunk and index chunk.
     bindings: u64,
     /// Last, since a bound state is mostly one call to set, and other buffers are two.

@@ -235,7 +235,7 @@ impl Batch {
             let is_sorted = bin.sort == SortMode::BackToFront;
             let is_see_through = |run: &Run| {
                 let pipeline = self.buckets[run.bucket as usize].0.pipeline;
-                !pipeline.writes_depth() || is_sorted && pipeline.blend() != 0
+                !pipeline.writes_depth() || is_sorted && pipeline.is_blended()
             };
             let in_bin = || self.runs[first_of_bin..].iter().position(is_see_through).map(|at| first_of_bin + at);
             see_through = see_through.or_else(in_bin);
@@ -480,7 +480,11 @@ fn uniform<'a>(
     bucket: impl Fn() -> &'a Bucket,
 ) -> LeafUniform {
     let mut flags = state.flags(entry.unlit);
-    let mut alpha_cutoff = if let AlphaMode::Mask(cutoff) = entry.alpha { cutoff.to_bits() } else { 0 };
+    let mut alpha_cutoff = match entry.alpha {
+        AlphaMode::Mask(cutoff) => cutoff.to_bits(),
+        _ if state.key.drops_invisible => f32::MIN_POSITIVE.to_bits(),
+        _ => 0,
+    };
     let (layer, side) = match &entry.shape {
         Shape::Height(slot) => (slot.layer, slot.side),
         Shape::Mesh { texture, surface, slot, .. } => {

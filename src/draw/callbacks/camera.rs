@@ -11,9 +11,11 @@ type OnPass = Box<dyn Fn(&RenderInfo<'_>, &mut wgpu::RenderPass<'_>) + Send + Sy
 /// The callbacks of a camera, in the order in which they are called; OSG's initial, pre, post and final draw callbacks.
 #[derive(Default)]
 pub struct CameraCallbacks {
-    /// Called before the stage and all stages drawn before it. It may record copies and passes.
+    /// Called before the stage: after the stages drawn before that of a view's own camera, and before the stages drawn before
+    /// that of a camera in the graph, as OSG does. It may record copies and passes.
     pub initial: Option<OnEncoder>,
-    /// Called in the render pass, after the clear and before the first bin. It may draw and change the pass's state.
+    /// Called in the render pass, after the clear, with which a pass of wgpu begins, and before the first bin. It may draw and
+    /// change the pass's state.
     pub pre_draw: Option<OnPass>,
     /// Called in the render pass after the last bin.
     pub post_draw: Option<OnPass>,

@@ -3,7 +3,7 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use super::shading::{name_of, shade};
+use super::shading::{Shaded, name_of, shade};
 use super::stage_input::LitStage;
 use crate::cull::{DrawnPart, FadeBand, RenderStage};
 use crate::draw::batch::state_entry::StateEntry;
@@ -14,7 +14,7 @@ use crate::draw::recorder::{DrawSources, PassRecorder};
 use crate::draw::resources::Resources;
 use crate::draw::targets::pass_target::PassTarget;
 use crate::scene::CullingMode;
-use crate::state::{PolygonMode, ResolvedState, Scissor, Viewport};
+use crate::state::{BlendFactor, BlendFunc, COLOR_LOCATIONS, PolygonMode, ResolvedState, Scissor, Viewport};
 
 /// The runs of a stage in the frame's batch.
 #[derive(Clone, Debug, Default)]
@@ -98,7 +98,7 @@ fn prepare_state(
     replaces_sun: bool,
 ) -> StateEntry {
     let (stage, target) = (lit.input.stage, lit.input.target);
-    let (shading, group) = shade(resources, &lit.input, view, state, replaces_sun);
+    let Shaded { shading, group, attribute } = shade(resources, &lit.input, view, state, replaces_sun);
     if state.stencil().is_some()
         && let Some(depth) = target.depth_without_stencil(stage)
     {
@@ -107,8 +107,14 @@ fn prepare_state(
             .errors
             .report_once(format!("{name}: texture {depth:?} has no stencil; the stencil test passes everywhere"));
     }
+    if state.blends() && constants_of_colors(state) == (true, true) {
+        let name = name_of(state);
+        resources.errors.report_once(format!(
+            "{name}: colours are weighted with ConstantColor and ConstantAlpha; wgpu has one constant, the colour"
+        ));
+    }
     let frame = lit.view(view);
-    let mut bound = BoundState { frame: [frame.uniform, positioned], air: frame.air, group, ..lit.base };
+    let mut bound = BoundState { frame: [frame.uniform, positioned], air: frame.air, group, attribute, ..lit.base };
     apply_state(&mut bound.dynamics, state, lit.viewport_px(view), target);
     let index = resources.bound_states.find_recent_or_push(bound, lit.base_index);
     let key = resources.pipelines.state_key(state, shading, target.index);
@@ -145,7 +151,24 @@ fn apply_state(dynamics: &mut DynamicState, state: &ResolvedState, view: Option<
         dynamics.scissor = [x, y, w.min(width - x), h.min(height - y)];
     }
     dynamics.stencil_reference = state.stencil().map_or(0, |s| u32::from(s.reference));
-    if state.blends() && state.blend_func().has_constant() {
-        dynamics.blend_color = Some(state.blend_color());
-    }
+    dynamics.blend_color = blend_constant(state);
+}
+
+/// Returns true if some attachment of a state has blend factors of a kind.
+fn some_blend_func(state: &ResolvedState, is_kind: impl Fn(&BlendFunc) -> bool) -> bool {
+    (0..COLOR_LOCATIONS).any(|location| is_kind(&state.blending_of(location).0))
+}
+
+/// Returns true if colours of a state are weighted with the colour of the constant, and true if they are with its alpha.
+fn constants_of_colors(state: &ResolvedState) -> (bool, bool) {
+    let has = |is_kind| some_blend_func(state, |func| func.weights(is_kind));
+    (has(BlendFactor::is_constant_color), has(BlendFactor::is_constant_alpha))
+}
+
+/// Returns the blend constant if factors use it: the colour of a state, or its alpha in all components where colours are
+/// weighted with that alone.
+fn blend_constant(state: &ResolvedState) -> Option<[f32; 4]> {
+    let [r, g, b, a] = state.blend_color();
+    let is_used = state.blends() && some_blend_func(state, BlendFunc::has_constant);
+    is_used.then(|| if constants_of_colors(state) == (false, true) { [a; 4] } else { [r, g, b, a] })
 }

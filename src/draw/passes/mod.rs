@@ -14,7 +14,9 @@
 //! | [`leaves`] | the runs that the background shines through | same |
 //! | [`composition`] | the images of two eyes as one | same |
 //! | [`depth_resolve`] | multisampled depth into the camera's texture | after the stage |
-//! | [`texture_readback`] | copies of camera textures to buffers that the processor reads | after the stages around it |
+//! | [`mipmaps`] | one render pass for each level of textures that have them computed | after the stages around it |
+//! | [`frame_copy`] | a copy of what the camera shows into a texture | same |
+//! | [`texture_readback`] | copies of camera textures to buffers that the processor reads | same |
 //!
 //! There is no trait for passes: their prepared parts have different types, and the renderer calls each of them once for
 //! a stage, in the order above.
@@ -23,7 +25,9 @@ pub(in crate::draw) mod air;
 pub(in crate::draw) mod background;
 pub(in crate::draw) mod composition;
 pub(in crate::draw) mod depth_resolve;
+pub(in crate::draw) mod frame_copy;
 pub(in crate::draw) mod leaves;
+pub(in crate::draw) mod mipmaps;
 pub(in crate::draw) mod msaa_restore;
 pub(in crate::draw) mod queries;
 pub(in crate::draw) mod shading;
@@ -37,6 +41,7 @@ use air::AirPass;
 use background::BackgroundPass;
 use composition::StereoComposition;
 use depth_resolve::DepthResolve;
+use mipmaps::Mipmaps;
 use msaa_restore::MsaaRestore;
 use queries::QueryPass;
 use shadows::casters::ShadowPass;
@@ -56,6 +61,7 @@ pub(in crate::draw) struct Passes {
     pub(in crate::draw) water: WaterPass,
     pub(in crate::draw) composition: StereoComposition,
     pub(in crate::draw) depth_resolve: DepthResolve,
+    pub(in crate::draw) mipmaps: Mipmaps,
     pub(in crate::draw) readback: TextureReadback,
 }
 
@@ -72,12 +78,13 @@ impl Passes {
             water: WaterPass::default(),
             composition: StereoComposition::default(),
             depth_resolve: DepthResolve::default(),
+            mipmaps: Mipmaps::default(),
             readback: TextureReadback::default(),
         }
     }
 
     /// Returns the number of pipelines created so far by passes that do so themselves.
     pub(in crate::draw) fn created_pipelines(&self) -> u32 {
-        self.msaa_restore.created() + self.depth_resolve.created()
+        self.msaa_restore.created() + self.depth_resolve.created() + self.mipmaps.created()
     }
 }

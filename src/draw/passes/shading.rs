@@ -9,10 +9,22 @@ use crate::draw::pipelines::key::Shading;
 use crate::draw::pipelines::programs::{Builtins, Programs};
 use crate::draw::resources::Resources;
 use crate::draw::uniforms::fixed::FixedUniform;
+use crate::gpu::{CompileInfo, GraphicsContext};
 use crate::state::{ResolvedState, TEXTURE_UNITS, TextureBinding};
 
-/// A bind group 2, and the byte offset of its uniforms where it has some.
-pub(in crate::draw) type StateGroup = (u32, Option<u32>);
+/// The shader of a state, and the bind groups that it reads.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::draw) struct Shaded {
+    pub(in crate::draw) shading: Shading,
+    /// Index of bind group 2, and the byte offset of its uniforms where it has some.
+    pub(in crate::draw) group: Option<(u32, Option<u32>)>,
+    /// Index of bind group 3 of a program that declares one.
+    pub(in crate::draw) attribute: Option<u32>,
+}
+
+impl Shaded {
+    pub(in crate::draw) const PLAIN: Self = Self { shading: Shading::Plain, group: None, attribute: None };
+}
 
 /// Chooses what shades a state. Compiles its program if it has one that was not met before; a program's error is
 /// returned by the first call only, and later ones return the fallback.
@@ -41,7 +53,7 @@ pub(in crate::draw) fn shade(
     view: u32,
     state: &Arc<ResolvedState>,
     replaces_sun: bool,
-) -> (Shading, Option<StateGroup>) {
+) -> Shaded {
     let StageInput { ctx, stage, target, .. } = *input;
     for (name, error) in state.wrong_numbers() {
         let name = if name.is_empty() { "a state set" } else { name };
@@ -54,10 +66,22 @@ pub(in crate::draw) fn shade(
             Shading::Fallback
         },
     );
+    let (shading, attribute) = match shading {
+        Shading::Program(index) => match bind_attribute(resources, ctx, state, index) {
+            Ok(attribute) => (shading, attribute),
+            Err(problem) => {
+                problems.extend(problem);
+                (Shading::Fallback, None)
+            }
+        },
+        _ => (shading, None),
+    };
     let uniforms = match shading {
         Shading::Plain | Shading::Fallback => None,
         Shading::FixedFunction | Shading::FixedTextured => {
-            Some(resources.state_groups.push(&FixedUniform::new(state, stage, view)))
+            let textures = &resources.state_groups.textures;
+            let uniform = FixedUniform::new(state, stage, view, |sampler| textures.emulates_border(sampler));
+            Some(resources.state_groups.push(&uniform))
         }
         Shading::Program(index) => push_program_uniforms(resources, input, view, state, index, &mut problems),
     };
@@ -74,7 +98,35 @@ pub(in crate::draw) fn shade(
     for problem in problems {
         resources.errors.report_once(format!("{}: {problem}", name_of(state)));
     }
-    (shading, group)
+    Shaded { shading, group, attribute }
+}
+
+/// Returns the index of bind group 3 of a program that declares one, for the state's attribute. An error without a text was
+/// reported before.
+fn bind_attribute(
+    resources: &mut Resources,
+    ctx: &GraphicsContext,
+    state: &ResolvedState,
+    index: u16,
+) -> Result<Option<u32>, Option<String>> {
+    let Resources { pipelines, attribute_groups, .. } = resources;
+    let layout = pipelines.programs.get(index).and_then(|program| program.attribute_layout.as_ref());
+    let Some(layout) = layout else { return Ok(None) };
+    let Some(hook) = state.custom() else {
+        let program = pipelines.programs.name(index).unwrap_or_default();
+        return Err(Some(format!("program {program:?} declares bind group 3, and the state has no custom attribute")));
+    };
+    let info = CompileInfo {
+        device: ctx.device(),
+        queue: ctx.queue(),
+        frame_layout: pipelines.frame_layout(),
+        pipeline_cache: ctx.pipeline_cache(),
+    };
+    match attribute_groups.ensure(&info, layout, index, hook) {
+        Ok(Some(group)) => Ok(Some(group)),
+        Ok(None) => Err(None),
+        Err(problem) => Err(Some(problem)),
+    }
 }
 
 /// Appends the uniforms of a program and returns their byte offset; `None` if it has none.
@@ -98,6 +150,10 @@ fn push_program_uniforms(
 
 fn builtins(camera: &CullCamera, clock: &FrameClock) -> Builtins {
     let view = glam::DMat4::from(camera.eye_from_world);
+    let world_from_eye = camera.eye_from_world.inverse();
+    let axes = world_from_eye.matrix3.to_cols_array_2d();
+    let eye = world_from_eye.translation;
+    let high = eye.as_vec3();
     Builtins {
         frame: camera.frame,
         frame_time_s: clock.reference_time_s as f32,
@@ -105,6 +161,8 @@ fn builtins(camera: &CullCamera, clock: &FrameClock) -> Builtins {
         simulation_time_s: clock.simulation_time_s as f32,
         view: view.as_mat4(),
         view_inverse: view.inverse().as_mat4(),
+        world_from_eye: axes.map(|[x, y, z]| [x as f32, y as f32, z as f32, 0.0]),
+        eye: [high.to_array(), (eye - high.as_dvec3()).as_vec3().to_array()],
     }
 }
 

@@ -13,7 +13,7 @@ pub(super) struct Variant<'a> {
     /// Layout of bind group 2.
     pub(super) state_layout: Option<&'a wgpu::BindGroupLayout>,
     /// Layout of bind group 3.
-    pub(super) pull_layout: Option<&'a wgpu::BindGroupLayout>,
+    pub(super) third_layout: Option<&'a wgpu::BindGroupLayout>,
     /// Values of overrides.
     pub(super) constants: &'a [(&'a str, f64)],
     pub(super) buffers: &'a [Option<wgpu::VertexBufferLayout<'a>>],
@@ -25,8 +25,12 @@ pub(super) struct Variant<'a> {
     pub(super) depth_compare: wgpu::CompareFunction,
     pub(super) stencil: wgpu::StencilState,
     pub(super) bias: wgpu::DepthBiasState,
-    pub(super) blend: Option<wgpu::BlendState>,
-    pub(super) write_mask: wgpu::ColorWrites,
+    /// By location.
+    pub(super) blends: [Option<wgpu::BlendState>; MAX_COLOR_ATTACHMENTS],
+    /// By location.
+    pub(super) write_masks: [wgpu::ColorWrites; MAX_COLOR_ATTACHMENTS],
+    /// The bits of the samples that are drawn.
+    pub(super) sample_mask: u64,
     /// Bits of the attachments that the fragment shader writes.
     pub(super) outputs: u32,
     pub(super) alpha_to_coverage: bool,
@@ -53,7 +57,7 @@ impl<'a> Variant<'a> {
             fragment,
             block_layout: None,
             state_layout: None,
-            pull_layout: None,
+            third_layout: None,
             constants: &[],
             buffers: &[],
             topology: wgpu::PrimitiveTopology::TriangleList,
@@ -65,8 +69,9 @@ impl<'a> Variant<'a> {
             depth_compare: wgpu::CompareFunction::GreaterEqual,
             stencil: wgpu::StencilState::default(),
             bias: wgpu::DepthBiasState::default(),
-            blend: None,
-            write_mask: wgpu::ColorWrites::COLOR,
+            blends: [None; MAX_COLOR_ATTACHMENTS],
+            write_masks: [wgpu::ColorWrites::COLOR; MAX_COLOR_ATTACHMENTS],
+            sample_mask: !0,
             outputs: 1,
             alpha_to_coverage: false,
             discards: false,
@@ -139,7 +144,7 @@ impl PipelineBuilder {
     /// Creates a pipeline without looking for errors of the device.
     fn create_unchecked(&self, ctx: &GraphicsContext, variant: &Variant<'_>) -> wgpu::RenderPipeline {
         let device = ctx.device();
-        let layouts = [Some(&self.frame_layout), variant.block_layout, variant.state_layout, variant.pull_layout];
+        let layouts = [Some(&self.frame_layout), variant.block_layout, variant.state_layout, variant.third_layout];
         let used = layouts.iter().rposition(Option::is_some).map_or(0, |last| last + 1);
         let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
             label: Some(variant.label),
@@ -153,8 +158,8 @@ impl PipelineBuilder {
             let is_written = variant.outputs >> location & 1 == 1;
             *state = format.map(|format| wgpu::ColorTargetState {
                 format,
-                blend: variant.blend.filter(|_| is_written),
-                write_mask: if is_written { variant.write_mask } else { wgpu::ColorWrites::empty() },
+                blend: variant.blends[location].filter(|_| is_written),
+                write_mask: if is_written { variant.write_masks[location] } else { wgpu::ColorWrites::empty() },
             });
         }
         let options = wgpu::PipelineCompilationOptions { constants: variant.constants, ..Default::default() };
@@ -185,7 +190,7 @@ impl PipelineBuilder {
             multisample: wgpu::MultisampleState {
                 count: target.samples,
                 alpha_to_coverage_enabled: variant.alpha_to_coverage,
-                ..Default::default()
+                mask: variant.sample_mask,
             },
             fragment: (colors > 0 || variant.discards).then(|| wgpu::FragmentState {
                 module: variant.shader,

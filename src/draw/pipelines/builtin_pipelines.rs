@@ -4,7 +4,7 @@ use super::builder::Variant;
 use super::cache::Pipelines;
 use super::convert::zeroed;
 use super::sources::{FILL_WGSL, QUERY_WGSL, SHADOWED_WATER_WGSL, SKY_WGSL, WATER_WGSL};
-use crate::gpu::{GraphicsContext, TargetFormats};
+use crate::gpu::{GraphicsContext, MAX_COLOR_ATTACHMENTS, TargetFormats};
 
 /// The kinds of built-in pipelines.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -26,9 +26,8 @@ pub(in crate::draw) enum Builtin {
 }
 
 /// The result of creating a pipeline for a target.
-#[derive(Clone, Default)]
+#[derive(Clone)]
 enum Attempt {
-    #[default]
     NotTried,
     Created(wgpu::RenderPipeline),
     /// The device refused it; it is not tried again.
@@ -38,8 +37,8 @@ enum Attempt {
 /// The pipelines of one kind, one for each target.
 pub(in crate::draw) struct BuiltinPipelines {
     kind: Builtin,
-    /// By index of the target.
-    by_target: Vec<Attempt>,
+    /// By index of the target, with the formats that it had: the index may become that of another kind.
+    by_target: Vec<(Option<TargetFormats>, Attempt)>,
 }
 
 impl BuiltinPipelines {
@@ -48,25 +47,26 @@ impl BuiltinPipelines {
     }
 
     /// Returns the pipeline of a target, if [`Self::ensure`] has created it.
-    pub(in crate::draw) fn get(&self, target: u8) -> Option<&wgpu::RenderPipeline> {
-        match self.by_target.get(usize::from(target))? {
+    pub(in crate::draw) fn get(&self, target: u16) -> Option<&wgpu::RenderPipeline> {
+        match &self.by_target.get(usize::from(target))?.1 {
             Attempt::Created(pipeline) => Some(pipeline),
             Attempt::NotTried | Attempt::Refused => None,
         }
     }
 
     /// Creates the pipeline of a target at the first call for it.
-    pub(in crate::draw) fn ensure(&mut self, ctx: &GraphicsContext, pipelines: &mut Pipelines, target: u8) {
+    pub(in crate::draw) fn ensure(&mut self, ctx: &GraphicsContext, pipelines: &mut Pipelines, target: u16) {
         let Some(formats) = pipelines.target_formats(target).copied() else { return };
         let index = usize::from(target);
         if self.by_target.len() <= index {
-            self.by_target.resize(index + 1, Attempt::NotTried);
+            self.by_target.resize(index + 1, (None, Attempt::NotTried));
         }
-        if matches!(self.by_target[index], Attempt::NotTried) {
-            self.by_target[index] = match self.create(ctx, pipelines, formats) {
+        if self.by_target[index].0 != Some(formats) {
+            let attempt = match self.create(ctx, pipelines, formats) {
                 Some(pipeline) => Attempt::Created(pipeline),
                 None => Attempt::Refused,
             };
+            self.by_target[index] = (Some(formats), attempt);
         }
     }
 
@@ -88,16 +88,19 @@ impl BuiltinPipelines {
         match self.kind {
             Builtin::Sky => {}
             Builtin::Water | Builtin::ShadowedWater => {
-                (variant.depth_write, variant.blend) = (true, Some(wgpu::BlendState::ALPHA_BLENDING));
+                variant.depth_write = true;
+                variant.blends[0] = Some(wgpu::BlendState::ALPHA_BLENDING);
             }
-            Builtin::Query => variant.write_mask = wgpu::ColorWrites::empty(),
+            Builtin::Query => variant.write_masks = [wgpu::ColorWrites::empty(); MAX_COLOR_ATTACHMENTS],
             Builtin::Fill | Builtin::FillColor | Builtin::FillDepth => {
                 variant.depth_compare = wgpu::CompareFunction::Always;
                 variant.outputs = u32::MAX;
-                variant.write_mask.set(wgpu::ColorWrites::ALPHA, formats.keeps_alpha);
-                if self.kind == Builtin::FillDepth {
-                    variant.write_mask = wgpu::ColorWrites::empty();
-                }
+                let mask = match self.kind {
+                    Builtin::FillDepth => wgpu::ColorWrites::empty(),
+                    _ if formats.keeps_alpha => wgpu::ColorWrites::ALL,
+                    _ => wgpu::ColorWrites::COLOR,
+                };
+                variant.write_masks = [mask; MAX_COLOR_ATTACHMENTS];
                 if self.kind != Builtin::FillColor {
                     variant.depth_write = true;
                     variant.stencil = zeroed(formats.depth);
@@ -113,7 +116,7 @@ impl BuiltinPipelines {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gpu::{AdapterChoice, ContextTraits, DEPTH_FORMAT, MAX_COLOR_ATTACHMENTS};
+    use crate::gpu::{AdapterChoice, ContextTraits, DEPTH_FORMAT};
 
     /// Regression test: it was tried again, and its error logged, in each frame.
     #[test]

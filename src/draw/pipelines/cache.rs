@@ -8,6 +8,7 @@ use super::factory::Factory;
 use super::key::{PipelineKey, Shading, StateKey};
 use super::key_parts::PartIndices;
 use super::programs::Programs;
+use super::target_table::TargetIndex;
 use crate::gpu::{GraphicsContext, MeshPool, TargetFormats};
 use crate::scene::AttributeLayout;
 use crate::state::ResolvedState;
@@ -97,7 +98,7 @@ impl Pipelines {
     }
 
     /// Returns the part of keys that follows from a state.
-    pub(in crate::draw) fn state_key(&mut self, state: &ResolvedState, shading: Shading, target: u8) -> StateKey {
+    pub(in crate::draw) fn state_key(&mut self, state: &ResolvedState, shading: Shading, target: u16) -> StateKey {
         let (parts, replaced) = self.factory.intern_parts(state, self.frame);
         if replaced != PartIndices::default() {
             self.evict(|key| key.has_any(replaced));
@@ -105,14 +106,21 @@ impl Pipelines {
         StateKey::new(state, parts, shading, target)
     }
 
-    /// Returns the index of a target's formats; `None` if there are too many different ones.
-    pub(in crate::draw) fn target(&mut self, formats: &TargetFormats) -> Option<u8> {
-        self.factory.target(formats)
+    /// Returns the index of a target's formats; `None` if too many different ones are in use. If the index was that of
+    /// another kind, the pipelines of that kind are evicted.
+    pub(in crate::draw) fn target(&mut self, formats: &TargetFormats) -> Option<u16> {
+        match self.factory.targets.index_of(formats, self.frame)? {
+            TargetIndex::Known(index) => Some(index),
+            TargetIndex::Replaced(index) => {
+                self.evict(|key| key.target() == index);
+                Some(index)
+            }
+        }
     }
 
     /// Returns the formats of a target by index.
-    pub(in crate::draw) fn target_formats(&self, target: u8) -> Option<&TargetFormats> {
-        self.factory.target_formats(target)
+    pub(in crate::draw) fn target_formats(&self, target: u16) -> Option<&TargetFormats> {
+        self.factory.targets.formats(target)
     }
 
     /// Returns the key with the vertex format of a chunk of the mesh pool.
@@ -229,14 +237,14 @@ mod tests {
         GraphicsContext::new_offscreen(&traits).unwrap()
     }
 
-    fn target(pipelines: &mut Pipelines) -> u8 {
+    fn target(pipelines: &mut Pipelines) -> u16 {
         let mut colors = [None; MAX_COLOR_ATTACHMENTS];
         colors[0] = Some(wgpu::TextureFormat::Rgba8Unorm);
         let formats = TargetFormats { colors, depth: crate::gpu::DEPTH_FORMAT, samples: 1, keeps_alpha: false };
         pipelines.target(&formats).unwrap()
     }
 
-    fn key(pipelines: &mut Pipelines, target: u8, units: f32) -> PipelineKey {
+    fn key(pipelines: &mut Pipelines, target: u16, units: f32) -> PipelineKey {
         let set = StateSet::default().with(Attribute::PolygonOffset(PolygonOffset { factor: 1.0, units }));
         let state = ResolvedState::default().below(&set);
         PipelineKey::height(&pipelines.state_key(&state, Shading::Plain, target), false)
@@ -275,14 +283,14 @@ mod tests {
         let ctx = context();
         let mut pipelines = Pipelines::new(&ctx);
         let target = target(&mut pipelines);
-        for frame in 0..200 {
+        for frame in 0..1_100 {
             pipelines.start_frame();
             for units in [-1.0, 1.0 + frame as f32] {
                 let key = key(&mut pipelines, target, units);
                 pipelines.ensure(&ctx, key, None);
             }
         }
-        assert_eq!((pipelines.created(), pipelines.pipelines.iter().flatten().count()), (201, 63));
+        assert_eq!((pipelines.created(), pipelines.pipelines.iter().flatten().count()), (1_101, 1_023));
         let errors = pipelines.take_errors();
         assert!(errors.is_empty(), "{errors:?}");
     }

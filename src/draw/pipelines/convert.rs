@@ -54,8 +54,9 @@ pub(super) fn factor(factor: BlendFactor) -> wgpu::BlendFactor {
         BlendFactor::DstAlpha => wgpu::BlendFactor::DstAlpha,
         BlendFactor::OneMinusDstAlpha => wgpu::BlendFactor::OneMinusDstAlpha,
         BlendFactor::SrcAlphaSaturate => wgpu::BlendFactor::SrcAlphaSaturated,
-        BlendFactor::ConstantColor => wgpu::BlendFactor::Constant,
-        BlendFactor::OneMinusConstantColor => wgpu::BlendFactor::OneMinusConstant,
+        // The constant itself is its alpha in all components where factors ask for that.
+        BlendFactor::ConstantColor | BlendFactor::ConstantAlpha => wgpu::BlendFactor::Constant,
+        BlendFactor::OneMinusConstantColor | BlendFactor::OneMinusConstantAlpha => wgpu::BlendFactor::OneMinusConstant,
     }
 }
 

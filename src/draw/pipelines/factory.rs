@@ -3,13 +3,14 @@
 use super::builder::{PipelineBuilder, Variant};
 use super::convert::{bias, factor, operation, reversed, stencil_face};
 use super::custom_attributes::{AttributeLayouts, bind_attributes, second_uv};
-use super::key::{AirKind, Alpha, Kind, MAX_TARGETS, PipelineKey, Shading};
-use super::key_parts::{PartIndices, Parts};
+use super::key::{AirKind, Alpha, Kind, PipelineKey, Shading};
+use super::key_parts::{Blending, PartIndices, Parts};
 use super::programs::{HEIGHT_ENTRY, Programs};
 use super::shader_choice::ShaderChoice;
-use crate::gpu::{GraphicsContext, TargetFormats, VertexFormat};
+use super::target_table::TargetTable;
+use crate::gpu::{GraphicsContext, VertexFormat};
 use crate::scene::added_stride;
-use crate::state::{BlendEquation, BlendFunc, PolygonMode, ResolvedState, TEXTURE_UNITS};
+use crate::state::{BlendEquation, BlendFunc, COLOR_LOCATIONS, PolygonMode, ResolvedState, TEXTURE_UNITS};
 
 /// The attributes of each vertex format, and of the one colour that packed and quantized vertices share.
 const FULL_ATTRIBUTES: [wgpu::VertexAttribute; 4] =
@@ -76,6 +77,8 @@ struct Shader {
     fragment: &'static str,
     /// Layout of bind group 2.
     state_layout: Option<wgpu::BindGroupLayout>,
+    /// Layout of bind group 3 of a program.
+    attribute_layout: Option<wgpu::BindGroupLayout>,
     /// Values of overrides.
     constants: Vec<(String, f64)>,
     /// Bits of the locations that the fragment shader writes.
@@ -88,8 +91,8 @@ pub(super) struct Factory {
     pub(super) builder: PipelineBuilder,
     pub(super) layouts: GroupLayouts,
     pub(super) attribute_layouts: AttributeLayouts,
+    pub(super) targets: TargetTable,
     parts: Parts,
-    targets: Vec<TargetFormats>,
     features: wgpu::Features,
 }
 
@@ -100,27 +103,10 @@ impl Factory {
             builder: PipelineBuilder::new(ctx.layouts().frame.clone()),
             layouts: GroupLayouts::new(device),
             attribute_layouts: AttributeLayouts::default(),
+            targets: TargetTable::default(),
             parts: Parts::default(),
-            targets: Vec::new(),
             features: device.features(),
         }
-    }
-
-    /// Returns the index of a target's formats; `None` if there are too many different ones.
-    pub(super) fn target(&mut self, formats: &TargetFormats) -> Option<u8> {
-        let index = match self.targets.iter().position(|known| known == formats) {
-            Some(index) => index,
-            None if self.targets.len() < MAX_TARGETS => {
-                self.targets.push(*formats);
-                self.targets.len() - 1
-            }
-            None => return None,
-        };
-        Some(index as u8)
-    }
-
-    pub(super) fn target_formats(&self, target: u8) -> Option<&TargetFormats> {
-        self.targets.get(usize::from(target))
     }
 
     /// Returns the indices of a state's parts, and those of them that referred to other values before.
@@ -156,7 +142,7 @@ impl Factory {
         key: PipelineKey,
     ) -> Option<wgpu::RenderPipeline> {
         let is_height = key.kind() == Kind::Height;
-        let target = self.targets.get(key.target()).copied()?;
+        let target = *self.targets.formats(key.target())?;
         let layout = self.attribute_layouts.get(key.layout());
         let custom_attributes = match bind_attributes(programs, key, layout) {
             Ok(attributes) => attributes,
@@ -188,8 +174,11 @@ impl Factory {
         if let Shading::Program(index) = key.shading() {
             label = format!("program {:?}, {label}", programs.name(index).unwrap_or_default());
         }
-        let mut write_mask = wgpu::ColorWrites::from_bits_truncate(key.color_mask() as u32);
-        write_mask.set(wgpu::ColorWrites::ALPHA, target.keeps_alpha);
+        let blending = self.parts.blending(key.blending());
+        let Blending { blends, masks } = blending
+            .unwrap_or(Blending { blends: [None; COLOR_LOCATIONS], masks: [key.color_mask(); COLOR_LOCATIONS] });
+        let opaque = if target.keeps_alpha { wgpu::ColorWrites::empty() } else { wgpu::ColorWrites::ALPHA };
+        let samples = self.parts.samples(key.samples()).filter(|_| target.samples > 1);
         // Both faces are culled by a depth test that never passes. A culled face marks no stencil either.
         let culls_all = key.culled() == 3;
         let variant = Variant {
@@ -199,7 +188,7 @@ impl Factory {
                 _ => &ctx.layouts().texture_block,
             }),
             state_layout: shader.state_layout.as_ref(),
-            pull_layout: key.is_pulled().then_some(&self.layouts.pulled),
+            third_layout: if key.is_pulled() { Some(&self.layouts.pulled) } else { shader.attribute_layout.as_ref() },
             constants: &constants,
             buffers: match key.vertices() {
                 _ if is_height => &[],
@@ -225,8 +214,9 @@ impl Factory {
             depth_compare: if culls_all { wgpu::CompareFunction::Never } else { reversed(key.depth_compare()) },
             stencil: self.stencil_state(if culls_all { 0 } else { key.stencil() }, target.depth),
             bias: bias(self.parts.offset(key.offset()).unwrap_or_default()),
-            blend: self.parts.blend(key.blend()).map(|(func, equation)| blend_state(func, equation)),
-            write_mask,
+            blends: blends.map(|blend| blend.map(|(func, equation)| blend_state(func, equation))),
+            write_masks: masks.map(|mask| wgpu::ColorWrites::from_bits_truncate(mask.into()) - opaque),
+            sample_mask: samples.map_or(!0, |mask| mask.bits(target.samples).into()),
             outputs: shader.outputs,
             alpha_to_coverage: key.has_alpha_to_coverage() && target.samples > 1,
             discards: shader.discards,
@@ -257,6 +247,7 @@ impl Factory {
             vertex,
             fragment: "fs_main",
             state_layout: Some(program.layout.clone()),
+            attribute_layout: program.attribute_layout.clone(),
             constants: program.constants.clone(),
             outputs: program.outputs,
             discards: program.discards,
@@ -289,6 +280,7 @@ impl Factory {
                 Shading::FixedTextured => Some(self.layouts.textured.clone()),
                 _ => None,
             },
+            attribute_layout: None,
             constants,
             outputs: 1,
             discards: choice.discards,
@@ -307,7 +299,7 @@ impl Factory {
     }
 
     /// Returns the stencil test of an index; none if the depth format has no stencil.
-    fn stencil_state(&self, index: u8, depth: wgpu::TextureFormat) -> wgpu::StencilState {
+    fn stencil_state(&self, index: u16, depth: wgpu::TextureFormat) -> wgpu::StencilState {
         match self.parts.stencil(index).filter(|_| depth.has_stencil_aspect()) {
             None => wgpu::StencilState::default(),
             Some(stencil) => wgpu::StencilState {

@@ -1,32 +1,17 @@
-//! The key of a pipeline: everything that pipelines differ in, packed into 64 bits. Plain values.
+//! The key of a pipeline: everything that pipelines differ in, packed into 128 bits. Plain values.
 //!
 //! Keys are compared for each bucket and sorted by their number, which is why they are packed. High bits are the
-//! expensive changes.
-//!
-//! | bits | property | bits | property |
-//! |---|---|---|---|
-//! | 0-1 | kind of drawable | 34-39 | stencil test, by index |
-//! | 2-3 | alpha | 40 | fixed function |
-//! | 4-5 | culled faces | 41 | alpha to coverage |
-//! | 6 | depth write | 42-47 | target, by index |
-//! | 7-9 | depth compare | 48-56 | program, by index plus 1 |
-//! | 10 | clockwise front faces | 57 | local lights |
-//! | 11-12 | polygon mode; squares for points | 58-59 | vertex format |
-//! | 13-15 | colour mask | 60 | texture units, or a surface |
-//! | 16-21 | blending, by index | 61 | fading |
-//! | 22-23 | air | 62 | receives shadows |
-//! | 24-27 | custom attributes, by index | 63 | casts shadows |
-//! | 28-33 | polygon offset, by index | | |
-//!
-//! Bit 60 means texture units with the fixed function, and a metallic-roughness surface without it.
+//! expensive changes. Each property is a [`Field`]; properties with too many values for some bits are numbered by use
+//! (`key_parts`, targets, programs).
 
-use super::key_parts::PartIndices;
+use super::key_parts::{PART_BITS, PartIndices};
+use crate::gpu::MAX_ATTRIBUTE_LAYOUTS;
 use crate::scene::{Environment, Sky, Topology, VertexFormat};
-use crate::state::{ColorMask, CompareFunction, CullFace, FrontFace, Mode, PolygonMode, ResolvedState};
+use crate::state::{CompareFunction, CullFace, FrontFace, Mode, PolygonMode, ResolvedState};
 
 /// The key of a pipeline.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub(in crate::draw) struct PipelineKey(u64);
+pub(in crate::draw) struct PipelineKey(u128);
 
 /// The use of alpha by the fragment shader.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -46,24 +31,80 @@ pub(in crate::draw) enum Kind {
     Points,
 }
 
-const CLOCKWISE: u64 = 1 << 10;
-/// The properties of triangles alone: culled faces, polygon mode, polygon offset.
-const TRIANGLES_ONLY: u64 = 3 << 4 | 3 << 11 | 0x3f << 28;
-/// Points are drawn as squares. The bit is that of the polygon mode, which points do not have.
-const SQUARES: u64 = 1 << 11;
-const AIR_SHIFT: u32 = 22;
-const LAYOUT_SHIFT: u32 = 24;
-const FIXED: u64 = 1 << 40;
-const ALPHA_TO_COVERAGE: u64 = 1 << 41;
-const PROGRAM: u64 = 0x1ff << 48;
-const LOCAL_LIGHTS: u64 = 1 << 57;
-const VERTICES_SHIFT: u32 = 58;
+/// A property of a key: its lowest bit and its number of bits.
+#[derive(Clone, Copy)]
+struct Field {
+    shift: u32,
+    bits: u32,
+}
+
+impl Field {
+    /// Returns the field above this one.
+    const fn next(self, bits: u32) -> Self {
+        Self { shift: self.shift + self.bits, bits }
+    }
+
+    const fn max(self) -> usize {
+        (1 << self.bits) - 1
+    }
+
+    const fn mask(self) -> u128 {
+        (self.max() as u128) << self.shift
+    }
+
+    /// Returns the bits of a value; higher values than the field has are cut off.
+    const fn of(self, value: usize) -> u128 {
+        ((value & self.max()) as u128) << self.shift
+    }
+
+    const fn read(self, key: u128) -> usize {
+        (key >> self.shift) as usize & self.max()
+    }
+
+    const fn is_set(self, key: u128) -> bool {
+        key & self.mask() != 0
+    }
+}
+
+const KIND: Field = Field { shift: 0, bits: 2 };
+const ALPHA: Field = KIND.next(2);
+/// Bit 0 for back faces, bit 1 for front faces.
+const CULLED: Field = ALPHA.next(2);
+const DEPTH_WRITE: Field = CULLED.next(1);
+const DEPTH_COMPARE: Field = DEPTH_WRITE.next(3);
+const CLOCKWISE: Field = DEPTH_COMPARE.next(1);
+const POLYGON_MODE: Field = CLOCKWISE.next(2);
+/// Points are drawn as squares.
+const SQUARES: Field = POLYGON_MODE.next(1);
+const COLOR_MASK: Field = SQUARES.next(4);
+/// The index of a [`Blending`](super::key_parts::Blending).
+const BLENDING: Field = COLOR_MASK.next(PART_BITS);
+const AIR: Field = BLENDING.next(2);
+/// The index of the layout of custom attributes.
+const LAYOUT: Field = AIR.next(4);
+const OFFSET: Field = LAYOUT.next(PART_BITS);
+const STENCIL: Field = OFFSET.next(PART_BITS);
+const SAMPLES: Field = STENCIL.next(PART_BITS);
+const FIXED: Field = SAMPLES.next(1);
+const ALPHA_TO_COVERAGE: Field = FIXED.next(1);
+const TARGET: Field = ALPHA_TO_COVERAGE.next(12);
+/// The index of a program plus 1; the largest number is the fallback.
+const PROGRAM: Field = TARGET.next(12);
+const LOCAL_LIGHTS: Field = PROGRAM.next(1);
+const VERTICES: Field = LOCAL_LIGHTS.next(2);
+/// Texture units with the fixed function, and a metallic-roughness surface without it.
+const TEXTURED: Field = VERTICES.next(1);
+const FADING: Field = TEXTURED.next(1);
+const SHADOWED: Field = FADING.next(1);
+const CASTER: Field = SHADOWED.next(1);
+
+const _: () = assert!(CASTER.shift + CASTER.bits <= u128::BITS);
+const _: () = assert!(MAX_ATTRIBUTE_LAYOUTS <= LAYOUT.max());
+
+/// The properties of triangles alone.
+const TRIANGLES_ONLY: u128 = CULLED.mask() | POLYGON_MODE.mask() | OFFSET.mask();
 /// The vertex format of pulled meshes, beside the numbers of [`VertexFormat`].
 const PULLED: usize = 3;
-const TEXTURED: u64 = 1 << 60;
-const FADING: u64 = 1 << 61;
-const SHADOWED: u64 = 1 << 62;
-const CASTER: u64 = 1 << 63;
 
 /// The air between the eye and what it sees.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -103,16 +144,16 @@ pub(in crate::draw) enum Shading {
 }
 
 /// The number of programs that may be in use at once.
-pub(in crate::draw) const MAX_PROGRAMS: usize = 510;
-/// The number of different targets.
-pub(in crate::draw) const MAX_TARGETS: usize = 64;
+pub(in crate::draw) const MAX_PROGRAMS: usize = PROGRAM.max() - 1;
+/// The number of different targets that may be in use at once.
+pub(in crate::draw) const MAX_TARGETS: usize = TARGET.max();
 
 /// The part of keys that follows from a resolved state, made once a frame for each state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(in crate::draw) struct StateKey {
-    common: u64,
+    common: u128,
     /// Culled faces of single-sided and of double-sided drawables.
-    culled: [u64; 2],
+    culled: [u8; 2],
     blends: bool,
     /// True if leaves may be drawn in a part of the pixels while they fade. Programs draw all pixels or none.
     pub can_fade: bool,
@@ -124,75 +165,81 @@ pub(in crate::draw) struct StateKey {
     pub casts: bool,
     /// True if the state's alpha test or clip planes drop parts of what is drawn.
     drops: bool,
+    /// True if blended triangles drop fragments of alpha 0, as masked ones do.
+    pub drops_invisible: bool,
 }
 
 impl StateKey {
     /// Returns the part of keys for a state. `target` is the index of the target.
-    pub fn new(state: &ResolvedState, parts: PartIndices, shading: Shading, target: u8) -> Self {
+    pub fn new(state: &ResolvedState, parts: PartIndices, shading: Shading, target: u16) -> Self {
         let depth = state.depth();
         let (compare, write) = depth.map_or((CompareFunction::Always, false), |d| (d.function, d.write));
         let culled = |double_sided| match state.culled_face(double_sided) {
             None => 0,
-            Some(CullFace::Back) => 1 << 4,
-            Some(CullFace::Front) => 2 << 4,
-            Some(CullFace::FrontAndBack) => 3 << 4,
+            Some(CullFace::Back) => 1,
+            Some(CullFace::Front) => 2,
+            Some(CullFace::FrontAndBack) => 3,
         };
         let blends = state.blends();
-        let ColorMask(mask) = state.color_mask();
-        let mut common = u64::from(write) << 6
-            | (compare as u64) << 7
-            | (state.polygon_mode() as u64) << 11
-            | (0..3).map(|i| u64::from(mask[i]) << (13 + i)).sum::<u64>()
-            | u64::from(parts.blend() & 63) << 16
-            | u64::from(parts.offset() & 63) << 28
-            | u64::from(parts.stencil() & 63) << 34
-            | u64::from(target & 63) << 42;
+        let mask = state.color_mask();
+        let mut common = DEPTH_WRITE.of(usize::from(write))
+            | DEPTH_COMPARE.of(compare as usize)
+            | POLYGON_MODE.of(state.polygon_mode() as usize)
+            | COLOR_MASK.of(mask.bits() as usize)
+            | BLENDING.of(parts.blending().into())
+            | OFFSET.of(parts.offset().into())
+            | STENCIL.of(parts.stencil().into())
+            | SAMPLES.of(parts.samples().into())
+            | TARGET.of(target.into());
         match shading {
             // The fixed function and programs find the number of the lights in the stage's uniform.
-            Shading::Plain if state.has_local_lights() => common |= LOCAL_LIGHTS,
+            Shading::Plain if state.has_local_lights() => common |= LOCAL_LIGHTS.mask(),
             Shading::Plain => {}
-            Shading::FixedFunction => common |= FIXED,
-            Shading::FixedTextured => common |= FIXED | TEXTURED,
-            Shading::Program(index) => common |= (u64::from(index) + 1) << 48 & PROGRAM,
-            Shading::Fallback => common |= PROGRAM,
+            Shading::FixedFunction => common |= FIXED.mask(),
+            Shading::FixedTextured => common |= FIXED.mask() | TEXTURED.mask(),
+            Shading::Program(index) => common |= PROGRAM.of(usize::from(index) + 1),
+            Shading::Fallback => common |= PROGRAM.mask(),
         }
         if state.mode(Mode::AlphaToCoverage) {
-            common |= ALPHA_TO_COVERAGE;
+            common |= ALPHA_TO_COVERAGE.mask();
         }
         if state.front_face() == FrontFace::Clockwise {
-            common |= CLOCKWISE;
+            common |= CLOCKWISE.mask();
         }
         let nearer_wins = matches!(compare, CompareFunction::Less | CompareFunction::LessOrEqual);
-        let is_whole = mask == [true; 3] && !blends;
+        let is_whole = mask.is_whole() && parts.blending() == 0;
         let order_is_free = write && nearer_wins && is_whole && parts.stencil() == 0;
-        let can_pull = !matches!(shading, Shading::Program(_));
+        let drops_invisible = state.drops_invisible();
+        // Pulled meshes have no alpha cutoff.
+        let can_pull = !matches!(shading, Shading::Program(_)) && !drops_invisible;
         let can_fade = !matches!(shading, Shading::Program(_) | Shading::Fallback);
         let culled = [culled(false), culled(true)];
-        Self { common, culled, blends, can_fade, can_pull, order_is_free, casts: false, drops: false }
+        Self { common, culled, blends, can_fade, can_pull, order_is_free, casts: false, drops: false, drops_invisible }
     }
 
     /// Returns the key for leaves that are drawn in a part of the pixels.
     pub fn fading(self) -> Self {
-        Self { common: if self.can_fade { self.common | FADING } else { self.common }, ..self }
+        Self { common: if self.can_fade { self.common | FADING.mask() } else { self.common }, ..self }
     }
 
     /// Returns the key for some air. Programs read the frame's uniforms instead.
     pub fn in_air(self, air: AirKind) -> Self {
-        let air = if self.common & PROGRAM == 0 { (air as u64) << AIR_SHIFT } else { 0 };
+        let air = if PROGRAM.is_set(self.common) { 0 } else { AIR.of(air as usize) };
         Self { common: self.common | air, ..self }
     }
 
     /// Returns the key for views with the sun's shadows.
     pub fn shadowed(self) -> Self {
-        Self { common: self.common | SHADOWED, ..self }
+        Self { common: self.common | SHADOWED.mask(), ..self }
     }
 
     /// Returns the key for casters under a state: both faces are drawn, in any order. `drops` means that the state has an
     /// alpha test or clip planes.
-    pub fn caster(state: &ResolvedState, shading: Shading, drops: bool, target: u8) -> Self {
+    pub fn caster(state: &ResolvedState, shading: Shading, drops: bool, target: u16) -> Self {
         let mut key = Self::new(state, PartIndices::default(), shading, target);
-        let kept = 3 << 11 | FIXED | TEXTURED | PROGRAM | 63 << 42;
-        key.common = key.common & kept | CASTER | 1 << 6 | (CompareFunction::LessOrEqual as u64) << 7;
+        let kept = [POLYGON_MODE, FIXED, TEXTURED, PROGRAM, TARGET].iter().fold(0, |all, field| all | field.mask());
+        let depth = DEPTH_WRITE.mask() | DEPTH_COMPARE.of(CompareFunction::LessOrEqual as usize);
+        key.common = key.common & kept | CASTER.mask() | depth;
         Self { culled: [0, 0], blends: false, can_fade: false, order_is_free: true, casts: true, drops, ..key }
     }
 }
@@ -202,169 +249,183 @@ impl PipelineKey {
     /// own frame is left-handed, which mirrors once more.
     pub fn height(state: &StateKey, mirrored: bool) -> Self {
         if state.casts {
-            let fixed = if state.drops { 0 } else { FIXED | TEXTURED };
-            return Self(state.common & !PROGRAM & !fixed);
+            let fixed = if state.drops { 0 } else { FIXED.mask() | TEXTURED.mask() };
+            return Self(state.common & !PROGRAM.mask() & !fixed);
         }
-        let alpha = if state.blends { 2 << 2 } else { 0 };
-        let front = if mirrored { 0 } else { CLOCKWISE };
+        let alpha = if state.blends { Alpha::Blended } else { Alpha::Opaque };
+        let front = if mirrored { 0 } else { CLOCKWISE.mask() };
         // A height tile with an invalid program is plain.
-        let fallback = if state.common & PROGRAM == PROGRAM { PROGRAM } else { 0 };
-        Self(((state.common & !fallback) | state.culled[1] | alpha) ^ front)
+        let fallback = if PROGRAM.read(state.common) == PROGRAM.max() { PROGRAM.mask() } else { 0 };
+        let culled = CULLED.of(state.culled[1].into());
+        Self(((state.common & !fallback) | culled | ALPHA.of(alpha as usize)) ^ front)
     }
 
     /// Returns the key for meshes, lines and points.
     pub fn mesh(state: &StateKey, topology: Topology, is_masked: bool, double_sided: bool, mirrored: bool) -> Self {
         if state.casts {
-            let masked = if is_masked { 1 << 2 } else { 0 };
-            let fixed = if state.drops || is_masked { 0 } else { FIXED | TEXTURED };
-            return Self(state.common & !fixed | masked | 1);
+            let alpha = if is_masked { Alpha::Masked } else { Alpha::Opaque };
+            let fixed = if state.drops || is_masked { 0 } else { FIXED.mask() | TEXTURED.mask() };
+            return Self(state.common & !fixed | ALPHA.of(alpha as usize) | KIND.of(Kind::Triangles as usize));
         }
-        let kind = match topology {
-            Topology::Triangles => 1,
-            Topology::Lines => 2,
-            Topology::Points | Topology::Squares => 3,
+        let (kind, common) = match topology {
+            Topology::Triangles => {
+                let culled = state.culled[usize::from(double_sided)];
+                (Kind::Triangles, state.common | CULLED.of(culled.into()))
+            }
+            Topology::Lines => (Kind::Lines, state.common & !TRIANGLES_ONLY),
+            Topology::Points => (Kind::Points, state.common & !TRIANGLES_ONLY),
+            Topology::Squares => (Kind::Points, state.common & !TRIANGLES_ONLY | SQUARES.mask()),
         };
-        let alpha = match () {
-            _ if state.blends && is_masked && kind == 1 => 3 << 2,
-            _ if state.blends => 2 << 2,
-            _ if is_masked && kind == 1 => 1 << 2,
-            _ => 0,
+        let is_masked = (is_masked || state.drops_invisible) && kind == Kind::Triangles;
+        let alpha = match (state.blends, is_masked) {
+            (true, true) => Alpha::MaskedBlended,
+            (true, false) => Alpha::Blended,
+            (false, true) => Alpha::Masked,
+            (false, false) => Alpha::Opaque,
         };
-        let common = match topology {
-            Topology::Triangles => state.common | state.culled[usize::from(double_sided)],
-            Topology::Lines | Topology::Points => state.common & !TRIANGLES_ONLY,
-            Topology::Squares => state.common & !TRIANGLES_ONLY | SQUARES,
-        };
-        let front = if mirrored && kind == 1 { CLOCKWISE } else { 0 };
-        Self((common | kind | alpha) ^ front)
+        let front = if mirrored && kind == Kind::Triangles { CLOCKWISE.mask() } else { 0 };
+        Self((common | KIND.of(kind as usize) | ALPHA.of(alpha as usize)) ^ front)
     }
 
     pub fn kind(self) -> Kind {
-        [Kind::Height, Kind::Triangles, Kind::Lines, Kind::Points][self.field(0, 2)]
+        [Kind::Height, Kind::Triangles, Kind::Lines, Kind::Points][KIND.read(self.0)]
     }
 
     pub fn alpha(self) -> Alpha {
-        [Alpha::Opaque, Alpha::Masked, Alpha::Blended, Alpha::MaskedBlended][self.field(2, 2)]
+        [Alpha::Opaque, Alpha::Masked, Alpha::Blended, Alpha::MaskedBlended][ALPHA.read(self.0)]
     }
 
     /// Returns the culled faces: bit 0 for back faces, bit 1 for front faces.
     pub fn culled(self) -> usize {
-        self.field(4, 2)
+        CULLED.read(self.0)
     }
 
     pub fn writes_depth(self) -> bool {
-        self.field(6, 1) == 1
+        DEPTH_WRITE.is_set(self.0)
     }
 
     pub fn depth_compare(self) -> CompareFunction {
         use CompareFunction::{Always, Equal, Greater, GreaterOrEqual, Less, LessOrEqual, Never, NotEqual};
-        [Never, Less, Equal, LessOrEqual, Greater, NotEqual, GreaterOrEqual, Always][self.field(7, 3)]
+        [Never, Less, Equal, LessOrEqual, Greater, NotEqual, GreaterOrEqual, Always][DEPTH_COMPARE.read(self.0)]
     }
 
     pub fn is_clockwise(self) -> bool {
-        self.0 & CLOCKWISE != 0
+        CLOCKWISE.is_set(self.0)
     }
 
     /// Returns true if the key has one of some parts.
     pub fn has_any(self, parts: PartIndices) -> bool {
-        let pairs = [(parts.offset(), self.offset()), (parts.stencil(), self.stencil()), (parts.blend(), self.blend())];
+        let pairs = [
+            (parts.offset(), self.offset()),
+            (parts.stencil(), self.stencil()),
+            (parts.blending(), self.blending()),
+            (parts.samples(), self.samples()),
+        ];
         pairs.iter().any(|(part, own)| *part != 0 && part == own)
     }
 
     /// Returns true if points are drawn as squares.
     pub fn is_square(self) -> bool {
-        self.kind() == Kind::Points && self.0 & SQUARES != 0
+        SQUARES.is_set(self.0)
     }
 
     /// Returns the polygon mode of triangles.
     pub fn polygon_mode(self) -> PolygonMode {
-        if self.is_square() {
-            return PolygonMode::Fill;
-        }
-        [PolygonMode::Fill, PolygonMode::Line, PolygonMode::Point, PolygonMode::Fill][self.field(11, 2)]
+        [PolygonMode::Fill, PolygonMode::Line, PolygonMode::Point, PolygonMode::Fill][POLYGON_MODE.read(self.0)]
     }
 
-    /// Returns the written colours: red, green and blue in bits 0 to 2.
-    pub fn color_mask(self) -> usize {
-        self.field(13, 3)
+    /// Returns the written components: red, green, blue and alpha in bits 0 to 3.
+    pub fn color_mask(self) -> u8 {
+        COLOR_MASK.read(self.0) as u8
     }
 
-    /// Returns the index of blend function and equation; 0 without blending.
-    pub fn blend(self) -> u8 {
-        self.field(16, 6) as u8
+    /// Returns the index of what attachments blend and mask; 0 if they blend nothing and all have the same mask.
+    pub fn blending(self) -> u16 {
+        BLENDING.read(self.0) as u16
+    }
+
+    /// Returns true if alpha is blended.
+    pub fn is_blended(self) -> bool {
+        matches!(self.alpha(), Alpha::Blended | Alpha::MaskedBlended)
     }
 
     pub fn air(self) -> AirKind {
-        [AirKind::Atmosphere, AirKind::Haze, AirKind::Clear, AirKind::Atmosphere][self.field(AIR_SHIFT, 2)]
+        [AirKind::Atmosphere, AirKind::Haze, AirKind::Clear, AirKind::Atmosphere][AIR.read(self.0)]
     }
 
-    pub fn offset(self) -> u8 {
-        self.field(28, 6) as u8
+    pub fn offset(self) -> u16 {
+        OFFSET.read(self.0) as u16
     }
 
-    pub fn stencil(self) -> u8 {
-        self.field(34, 6) as u8
+    pub fn stencil(self) -> u16 {
+        STENCIL.read(self.0) as u16
     }
 
-    pub fn target(self) -> usize {
-        self.field(42, 6)
+    /// Returns the index of the sample mask; 0 without one.
+    pub fn samples(self) -> u16 {
+        SAMPLES.read(self.0) as u16
+    }
+
+    pub fn target(self) -> u16 {
+        TARGET.read(self.0) as u16
     }
 
     pub fn has_alpha_to_coverage(self) -> bool {
-        self.0 & ALPHA_TO_COVERAGE != 0
+        ALPHA_TO_COVERAGE.is_set(self.0)
     }
 
     pub fn shading(self) -> Shading {
-        match self.field(48, 9) {
-            0 if self.0 & FIXED != 0 && self.0 & TEXTURED != 0 => Shading::FixedTextured,
-            0 if self.0 & FIXED != 0 => Shading::FixedFunction,
+        match PROGRAM.read(self.0) {
+            0 if FIXED.is_set(self.0) && TEXTURED.is_set(self.0) => Shading::FixedTextured,
+            0 if FIXED.is_set(self.0) => Shading::FixedFunction,
             0 => Shading::Plain,
-            0x1ff => Shading::Fallback,
+            last if last == PROGRAM.max() => Shading::Fallback,
             program => Shading::Program(program as u16 - 1),
         }
     }
 
     /// Returns the key for pulled meshes. Programs do not pull; their vertices come from vertex buffers.
     pub fn pulled(self) -> Self {
-        Self(self.0 | (PULLED as u64) << VERTICES_SHIFT)
+        Self(self.0 | VERTICES.of(PULLED))
     }
 
     /// Returns the key for meshes with a vertex format.
     pub fn with_vertices(self, format: VertexFormat) -> Self {
-        Self(self.0 | (format as u64) << VERTICES_SHIFT)
+        Self(self.0 | VERTICES.of(format as usize))
     }
 
     /// Returns the key for a metallic-roughness surface. Programs, the fixed function, shadow maps, lines and points draw
     /// without it.
     pub fn with_surface(self) -> Self {
-        let is_plain = self.0 & (FIXED | PROGRAM | CASTER) == 0 && self.kind() == Kind::Triangles;
-        Self(if is_plain { self.0 | TEXTURED } else { self.0 })
+        let other_shader = FIXED.mask() | PROGRAM.mask() | CASTER.mask();
+        let is_plain = self.0 & other_shader == 0 && self.kind() == Kind::Triangles;
+        Self(if is_plain { self.0 | TEXTURED.mask() } else { self.0 })
     }
 
     /// Returns true if the bind group of the block is that of a set of surfaces.
     pub fn has_surface(self) -> bool {
-        self.0 & (FIXED | TEXTURED) == TEXTURED
+        TEXTURED.is_set(self.0) && !FIXED.is_set(self.0)
     }
 
     /// Returns true if local lights shine on the leaves.
     pub fn has_local_lights(self) -> bool {
-        self.0 & LOCAL_LIGHTS != 0
+        LOCAL_LIGHTS.is_set(self.0)
     }
 
     /// Returns the key for full vertices with custom attributes, by index of their layout from 1 on.
     pub fn with_layout(self, index: u32) -> Self {
-        Self(self.0 | u64::from(index & 15) << LAYOUT_SHIFT)
+        Self(self.0 | LAYOUT.of(index as usize))
     }
 
     /// Returns the index of the layout of custom attributes; 0 without any.
     pub fn layout(self) -> u32 {
-        self.field(LAYOUT_SHIFT, 4) as u32
+        LAYOUT.read(self.0) as u32
     }
 
     /// Returns the vertex format; `None` for pulled meshes.
     pub fn vertices(self) -> Option<VertexFormat> {
         use VertexFormat::{Full, Packed, Quantized};
-        [Some(Full), Some(Packed), Some(Quantized), None][self.field(VERTICES_SHIFT, 2)]
+        [Some(Full), Some(Packed), Some(Quantized), None][VERTICES.read(self.0)]
     }
 
     /// Returns true if all vertices share the one colour of the pool.
@@ -374,43 +435,40 @@ impl PipelineKey {
 
     /// Returns true if the shader is one with shadow maps: it receives shadows or casts them.
     pub fn has_shadows(self) -> bool {
-        self.0 & (SHADOWED | CASTER) != 0
+        SHADOWED.is_set(self.0) || CASTER.is_set(self.0)
     }
 
     /// Returns true for casters, which draw depth alone.
     pub fn is_caster(self) -> bool {
-        self.0 & CASTER != 0
+        CASTER.is_set(self.0)
     }
 
     pub fn is_pulled(self) -> bool {
-        self.field(VERTICES_SHIFT, 2) == PULLED
+        VERTICES.read(self.0) == PULLED
     }
 
     pub fn is_fading(self) -> bool {
-        self.0 & FADING != 0
+        FADING.is_set(self.0)
     }
 
     /// Returns the number by which keys are sorted.
-    pub fn order(self) -> u64 {
+    pub fn order(self) -> u128 {
         self.0
     }
 
     /// Returns the key of the pipeline that stands in if this one cannot be created.
     pub fn fallback(self) -> Self {
-        let units = if self.has_surface() { 0 } else { TEXTURED };
-        let plain = self.0 & !(PROGRAM | FIXED | LOCAL_LIGHTS | units | FADING);
-        Self(if self.kind() == Kind::Height { plain } else { plain | PROGRAM })
-    }
-
-    fn field(self, shift: u32, bits: u32) -> usize {
-        (self.0 >> shift) as usize & ((1 << bits) - 1)
+        let units = if self.has_surface() { 0 } else { TEXTURED.mask() };
+        let others = [PROGRAM, FIXED, LOCAL_LIGHTS, FADING].iter().fold(units, |all, field| all | field.mask());
+        let plain = self.0 & !others;
+        Self(if self.kind() == Kind::Height { plain } else { plain | PROGRAM.mask() })
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::state::{Attribute, BlendEquation, BlendFunc, Depth, StateSet, StateValue};
+    use crate::state::{Attribute, BlendEquation, BlendFunc, ColorMask, Depth, StateSet, StateValue};
 
     #[test]
     fn keys_return_the_properties_they_were_made_of() {
@@ -421,23 +479,23 @@ mod tests {
             .with(Attribute::CullFace(CullFace::Front))
             .with(Attribute::FrontFace(FrontFace::Clockwise))
             .with(Attribute::PolygonMode(PolygonMode::Point))
-            .with(Attribute::ColorMask(ColorMask([true, false, true])));
-        let parts = PartIndices::new(50, 60, 40);
-        let state = StateKey::new(&ResolvedState::default().below(&set), parts, Shading::Program(500), 33);
+            .with(Attribute::ColorMask(ColorMask([true, false, true, true])));
+        let parts = PartIndices::new(50, 60, 999, 1023);
+        let state = StateKey::new(&ResolvedState::default().below(&set), parts, Shading::Program(4000), 3000);
         let key = PipelineKey::mesh(&state, Topology::Triangles, false, false, false);
         assert_eq!((key.kind(), key.alpha(), key.culled()), (Kind::Triangles, Alpha::Blended, 2));
         let alpha = |topology, is_masked| PipelineKey::mesh(&state, topology, is_masked, false, false).alpha();
         assert_eq!(alpha(Topology::Triangles, true), Alpha::MaskedBlended);
         assert_eq!(alpha(Topology::Lines, true), Alpha::Blended);
         assert_eq!((key.writes_depth(), key.depth_compare()), (false, CompareFunction::NotEqual));
-        assert_eq!((key.is_clockwise(), key.polygon_mode(), key.color_mask()), (true, PolygonMode::Point, 0b101));
-        assert_eq!((key.blend(), key.offset()), (40, 50));
-        assert_eq!((key.stencil(), key.target(), key.shading()), (60, 33, Shading::Program(500)));
+        assert_eq!((key.is_clockwise(), key.polygon_mode(), key.color_mask()), (true, PolygonMode::Point, 0b1101));
+        assert_eq!((key.blending(), key.offset(), key.samples()), (999, 50, 1023));
+        assert_eq!((key.stencil(), key.target(), key.shading()), (60, 3000, Shading::Program(4000)));
         assert_eq!(key.fallback().shading(), Shading::Fallback);
         assert!(!state.can_fade && state.fading() == state);
         let height = PipelineKey::height(&state, false);
-        assert_eq!((height.shading(), height.fallback().shading()), (Shading::Program(500), Shading::Plain));
-        let broken = StateKey::new(&ResolvedState::default(), parts, Shading::Fallback, 33);
+        assert_eq!((height.shading(), height.fallback().shading()), (Shading::Program(4000), Shading::Plain));
+        let broken = StateKey::new(&ResolvedState::default(), parts, Shading::Fallback, 3000);
         assert_eq!(PipelineKey::height(&broken, false).shading(), Shading::Plain);
         assert!(!state.order_is_free);
         for format in [VertexFormat::Full, VertexFormat::Packed, VertexFormat::Quantized] {
@@ -484,7 +542,7 @@ mod tests {
         assert!(fading.is_fading() && fading.shading() == Shading::Plain);
         let key = PipelineKey::height(&state, true);
         assert!(!key.is_fading());
-        assert_eq!((key.kind(), key.culled(), key.blend(), key.color_mask()), (Kind::Height, 0, 0, 7));
+        assert_eq!((key.kind(), key.culled(), key.blending(), key.color_mask()), (Kind::Height, 0, 0, 15));
         assert_eq!((key.depth_compare(), key.writes_depth()), (CompareFunction::Less, true));
         let off = StateSet::default().with_mode(Mode::DepthTest, StateValue::OFF);
         let state =

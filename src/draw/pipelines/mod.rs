@@ -2,8 +2,9 @@
 //! first draw. Draw thread.
 //!
 //! ```text
-//! key             PipelineKey: everything that pipelines differ in, packed into 64 bits
+//! key             PipelineKey: everything that pipelines differ in, packed into 128 bits
 //! key_parts         and the values that have too many bits for it, by index
+//! target_table      and the kinds of targets, by index
 //! shader_choice   from a key to shader source and entry points
 //! factory         from a key to a pipeline, with programs and custom attributes of the application
 //! builder         creates modules and pipelines on the device, catching its errors
@@ -21,6 +22,7 @@ pub(in crate::draw) mod key_parts;
 pub(in crate::draw) mod programs;
 mod shader_choice;
 mod sources;
+mod target_table;
 
 pub(in crate::draw) use cache::{PipelineId, Pipelines};
 pub use sources::DRAWABLE_PRELUDE;

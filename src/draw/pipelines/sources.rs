@@ -272,7 +272,7 @@ mod tests {
                 assert_eq!(
                     fields,
                     offsets!(FixedUniform: front, back, fog_color, fog, model_ambient, model, flags, units, texgens,
-                        bias, planes)
+                        bias, planes, envs, env_colors, matrices, borders, border_colors)
                 );
                 let (span, fields) = members(&module, "Reflection");
                 assert_eq!(span as usize, size_of::<Reflection>(), "{name}");

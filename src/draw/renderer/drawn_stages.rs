@@ -7,7 +7,7 @@ use crate::draw::pipelines::key::AirKind;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct DrawnStage {
     /// Index of the target's formats.
-    pub(super) target: u8,
+    pub(super) target: u16,
     /// True if a light replaces the sun.
     pub(super) has_own_light: bool,
     pub(super) air: AirKind,
@@ -53,12 +53,12 @@ impl DrawnStages {
     }
 
     /// Notes a target in which an environment without shadows and lights is expected to be drawn.
-    pub(super) fn add_expected(&mut self, target: u8, air: AirKind) {
+    pub(super) fn add_expected(&mut self, target: u16, air: AirKind) {
         self.0.push(DrawnStage { target, has_own_light: false, air, has_shadows: false });
     }
 
     /// Returns the indices of the targets.
-    pub(super) fn targets(&self) -> impl Iterator<Item = u8> {
+    pub(super) fn targets(&self) -> impl Iterator<Item = u16> {
         self.0.iter().map(|drawn| drawn.target)
     }
 }

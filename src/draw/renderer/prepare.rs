@@ -6,6 +6,7 @@ use super::views::surroundings_of_stage;
 use super::{CameraView, Renderer};
 use crate::cull::RenderStage;
 use crate::draw::bound_state::BoundState;
+use crate::draw::passes::frame_copy;
 use crate::draw::passes::leaves::Leaves;
 use crate::draw::passes::stage_input::{LitStage, StageInput, Surroundings};
 use crate::draw::targets::error::TargetError;
@@ -30,6 +31,7 @@ impl Renderer {
         if self.passes.shadows.prepare_maps(ctx, &mut self.resources, settings) {
             self.resources.frame_groups.invalidate();
         }
+        views.clone().for_each(|view| frame_copy::prepare(ctx, &mut self.resources, view.stage));
         for CameraView { stage, environment } in views {
             let mut environment = *environment;
             let air = self.passes.air.prepare(ctx, &mut self.resources, &stage.camera, &mut environment);
@@ -144,6 +146,7 @@ impl Renderer {
             frame: [views[0].uniform, views[0].positioned],
             air: around.air.set,
             group: None,
+            attribute: None,
         };
         let base_index = resources.bound_states.push(base);
         let positioned_of_state = self.views.positioned_of_state();
@@ -153,6 +156,10 @@ impl Renderer {
         }
         for error in stage.lights.iter().filter_map(|l| position_of(&l.light).err()) {
             resources.errors.report_once(format!("a LightSource: {error}"));
+        }
+        let of_states = stage.state_sets.iter().flat_map(|state| state.lights());
+        for error in of_states.filter_map(|light| position_of(light).err()) {
+            resources.errors.report_once(format!("a light of a state set: {error}"));
         }
         for error in stage.local_lights.iter().filter_map(|l| position_of(&l.light).err()) {
             resources.errors.report_once(format!("a LocalLights: {error}"));

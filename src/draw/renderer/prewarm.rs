@@ -79,7 +79,7 @@ impl Renderer {
         self.resources.pipelines.ensure(ctx, key, Some(&kind.state));
     }
 
-    fn own_target(&mut self, ctx: &GraphicsContext) -> Option<u8> {
+    fn own_target(&mut self, ctx: &GraphicsContext) -> Option<u16> {
         let depth = self.targets.depth_format();
         let samples = ctx.samples();
         let mut formats = TargetFormats { colors: [None; MAX_COLOR_ATTACHMENTS], depth, samples, keeps_alpha: false };

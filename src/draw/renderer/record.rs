@@ -3,11 +3,11 @@
 //! ```text
 //! air tables
 //! for each view, record_stages(stage):
-//!     initial callback
 //!     record_stages of the stages before it
+//!     initial callback; that of a camera in the graph comes before the stages before it
 //!     shadow maps, MSAA restore, the stage's render pass, depth resolve
 //!     record_stages of the stages after it
-//!     copies to be read back
+//!     mip levels, copy into a texture, copies to be read back
 //!     final callback
 //! ```
 
@@ -18,6 +18,7 @@ use super::{CameraView, Renderer};
 use crate::cull::RenderStage;
 use crate::draw::callbacks::camera::CameraCallbacks;
 use crate::draw::callbacks::info::RenderInfo;
+use crate::draw::passes::frame_copy;
 use crate::draw::passes::leaves::Part;
 use crate::draw::recorder::{DrawSources, PassRecorder};
 use crate::draw::targets::pass_target::PassTarget;
@@ -49,7 +50,7 @@ impl Renderer {
         let mut recording = Recording { ctx, encoder, plans: plans.iter() };
         self.passes.air.record(ctx, &mut recording.encoder, self.resources.timer.as_mut());
         for view in views {
-            self.record_stages(&mut recording, view.stage);
+            self.record_stages(&mut recording, view.stage, true);
         }
         let mut encoder = recording.encoder;
         self.plans = plans;
@@ -67,26 +68,33 @@ impl Renderer {
         self.frames_in_flight.push(submission);
     }
 
-    /// Records a stage with the stages before and after it.
-    fn record_stages(&mut self, recording: &mut Recording<'_>, stage: &RenderStage) {
+    /// Records a stage with the stages before and after it. `is_view` is true for the stage of a view's own camera, whose
+    /// callbacks have the order of OSG's SceneView.
+    fn record_stages(&mut self, recording: &mut Recording<'_>, stage: &RenderStage, is_view: bool) {
         let ctx = recording.ctx;
         let callbacks = CameraCallbacks::of(&stage.target.callbacks);
         let info = RenderInfo { device: ctx.device(), queue: ctx.queue(), stage, clock: self.clock };
-        if let Some(initial) = callbacks.and_then(|c| c.initial.as_ref()) {
+        let initial = callbacks.and_then(|c| c.initial.as_ref());
+        if let Some(initial) = initial.filter(|_| !is_view) {
             initial(&info, &mut recording.encoder);
         }
         for before in &stage.pre_render {
-            self.record_stages(recording, before);
+            self.record_stages(recording, before, false);
+        }
+        if let Some(initial) = initial.filter(|_| is_view) {
+            initial(&info, &mut recording.encoder);
         }
         let plan = recording.plans.next().and_then(Option::as_ref);
         if let Some(plan) = plan {
             self.record_stage(recording, stage, plan, callbacks, &info);
         }
         for after in &stage.post_render {
-            self.record_stages(recording, after);
+            self.record_stages(recording, after, false);
         }
-        // The copy contains what the stages after this one draw into the same target.
+        // The copies contain what the stages after this one draw into the same target.
         if plan.is_some() {
+            self.passes.mipmaps.record(ctx, &mut self.resources, &mut recording.encoder, stage);
+            frame_copy::record(ctx, &mut self.resources, &mut recording.encoder, stage);
             self.passes.readback.record(ctx, &mut self.resources, &mut recording.encoder, stage);
         }
         if let Some(final_draw) = callbacks.and_then(|c| c.final_draw.as_ref()) {

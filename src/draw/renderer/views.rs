@@ -9,7 +9,7 @@ use crate::draw::passes::stage_input::{LitView, StageInput, Surroundings, ViewFr
 use crate::draw::pipelines::key::AirKind;
 use crate::draw::resources::Resources;
 use crate::draw::uniforms::frame::{FrameUniform, clear_color};
-use crate::draw::uniforms::stage::StageUniform;
+use crate::draw::uniforms::stage::{StageUniform, has_own_uniform};
 use crate::gpu::GraphicsContext;
 use crate::scene::CameraEnvironment;
 
@@ -18,7 +18,7 @@ use crate::scene::CameraEnvironment;
 pub(super) struct StageViews {
     lit: Vec<LitView>,
     frames: Vec<ViewFrame>,
-    /// By state of the stage; empty without local lights.
+    /// By state of the stage; empty without local lights and lights or planes of states.
     positioned_of_state: Vec<u32>,
 }
 
@@ -28,24 +28,28 @@ impl StageViews {
         &self.frames
     }
 
-    /// Returns, by state of the stage, the byte offset of the stage uniform with the local lights and the volume of its
-    /// leaves; nothing if the stage has neither.
+    /// Returns, by state of the stage, the byte offset of the stage uniform with what its leaves alone have: local lights, lights
+    /// and planes of the state, the volume that they are cut to. Nothing if no state has any.
     pub(super) fn positioned_of_state(&self) -> &[u32] {
         &self.positioned_of_state
     }
 
-    /// Prepares the uniforms of states with local lights, and of those whose leaves are cut to a volume.
+    /// Prepares the uniforms of states with local lights, of those with lights and clip planes of their own, and of those whose
+    /// leaves are cut to a volume.
     fn prepare_states(&mut self, resources: &mut Resources, stage: &RenderStage) {
         let Self { lit, frames, positioned_of_state } = self;
         positioned_of_state.clear();
         let has_volumes = stage.parts.iter().any(|part| matches!(part, DrawnPart::Within(_)));
-        if stage.light_groups.is_empty() && !has_volumes {
+        let has_own = || stage.state_sets.iter().any(|state| has_own_uniform(state));
+        if stage.light_groups.is_empty() && !has_volumes && !has_own() {
             return;
         }
         // States of one group are mostly neighbours, which share a uniform.
         let mut last = None;
+        let states = stage.state_sets.iter().zip(&stage.view_of_state);
         let groups = stage.lights_of_state.iter().zip(&stage.part_of_state);
-        for (view, (group, part)) in stage.view_of_state.iter().zip(groups) {
+        for ((state, view), (group, part)) in states.zip(groups) {
+            let own = has_own_uniform(state).then_some(state);
             let range = (*group as usize).checked_sub(1).and_then(|index| stage.light_groups.get(index));
             let lights = range.and_then(|range| stage.local_lights.get(range.clone()));
             let volume = match stage.part(*part) {
@@ -54,10 +58,10 @@ impl StageViews {
             };
             let of = (*view, *group, volume.map(|(part, _)| part));
             let positioned = match last {
-                _ if lights.is_none() && volume.is_none() => {
+                _ if lights.is_none() && own.is_none() && volume.is_none() => {
                     frames.get(*view as usize).unwrap_or(&frames[0]).positioned
                 }
-                Some((last, positioned)) if last == of => positioned,
+                Some((last, positioned)) if last == of && own.is_none() => positioned,
                 _ => {
                     let camera = &lit.get(*view as usize).unwrap_or(&lit[0]).camera;
                     let light_from = |from: u32| eye_from_view(camera, lit, from);
@@ -68,10 +72,13 @@ impl StageViews {
                     if let Some((_, volume)) = &volume {
                         uniform = uniform.with_volume(volume);
                     }
+                    if let Some(state) = own {
+                        uniform = uniform.with_own(state);
+                    }
                     resources.state_groups.push(&uniform)
                 }
             };
-            last = Some((of, positioned));
+            last = own.is_none().then_some((of, positioned));
             positioned_of_state.push(positioned);
         }
     }

@@ -39,7 +39,7 @@ impl Owners {
 
     /// Returns the number of an attachment's texture, level and layer in this frame, whichever camera draws into it.
     pub(in crate::draw) fn of_attachment(&mut self, attachment: &Attachment) -> u32 {
-        let Attachment { texture, level, layer } = attachment;
+        let Attachment { texture, level, layer, .. } = attachment;
         self.number(Owner::Attachment { texture: Arc::as_ptr(texture).addr(), level: *level, layer: *layer })
     }
 

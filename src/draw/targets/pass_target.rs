@@ -31,7 +31,9 @@ pub(in crate::draw) struct PassTarget {
     pub(super) colors: [Option<wgpu::TextureView>; MAX_COLOR_ATTACHMENTS],
     /// The textures that multisampled colours are resolved into.
     pub(super) resolves: [Option<wgpu::TextureView>; MAX_COLOR_ATTACHMENTS],
-    /// For each of them, true if the multisampled buffer lacks the texture's contents.
+    /// By location, the slice of a volume.
+    pub(super) slices: [Option<u32>; MAX_COLOR_ATTACHMENTS],
+    /// For each resolved one, true if the multisampled buffer lacks the texture's contents.
     pub(super) is_stale: [bool; MAX_COLOR_ATTACHMENTS],
     pub(super) depth: wgpu::TextureView,
     /// The texture that multisampled depth is resolved into.
@@ -44,10 +46,10 @@ pub(in crate::draw) struct PassTarget {
     pub(in crate::draw) size_px: [u32; 2],
     /// The largest side of a viewport in pixels.
     pub(super) max_px: u32,
-    /// Samples a pixel, 1 or 4.
+    /// Samples a pixel.
     pub(in crate::draw) samples: u32,
     /// Index of its formats in [`Pipelines`](crate::draw::pipelines::Pipelines).
-    pub(in crate::draw) index: u8,
+    pub(in crate::draw) index: u16,
     pub(super) is_outermost: bool,
     /// True if an earlier view of this frame was drawn into the same target.
     pub(in crate::draw) is_begun: bool,
@@ -138,10 +140,11 @@ impl PassTarget {
     ) -> [Option<wgpu::RenderPassColorAttachment<'_>>; MAX_COLOR_ATTACHMENTS] {
         let load = clear_color.map_or(wgpu::LoadOp::Load, wgpu::LoadOp::Clear);
         let mut attachments = [const { None }; MAX_COLOR_ATTACHMENTS];
-        for ((attachment, view), resolve) in attachments.iter_mut().zip(&self.colors).zip(&self.resolves) {
+        let views = self.colors.iter().zip(&self.resolves).zip(self.slices);
+        for (attachment, ((view, resolve), depth_slice)) in attachments.iter_mut().zip(views) {
             *attachment = view.as_ref().map(|view| wgpu::RenderPassColorAttachment {
                 view,
-                depth_slice: None,
+                depth_slice,
                 resolve_target: resolve.as_ref(),
                 ops: wgpu::Operations { load, store: wgpu::StoreOp::Store },
             });

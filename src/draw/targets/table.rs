@@ -11,7 +11,7 @@ use crate::draw::pipelines::{MAX_COLOR_ATTACHMENTS, Pipelines, TargetFormats};
 use crate::gpu::{GraphicsContext, StateTextures, TransientAttachments};
 use crate::scene::CameraTarget;
 
-const TOO_MANY_TARGETS: &str = "more kinds of targets than the 64 that pipelines tell apart";
+const TOO_MANY_TARGETS: &str = "more kinds of targets in a frame than the 4,095 that pipelines tell apart";
 
 /// The targets of a renderer.
 pub(in crate::draw) struct Targets {
@@ -107,6 +107,7 @@ impl Targets {
         Ok(PassTarget {
             colors,
             resolves,
+            slices: [None; MAX_COLOR_ATTACHMENTS],
             is_stale: [false; MAX_COLOR_ATTACHMENTS],
             depth: self.transients.view(ctx.memory(), size_px, depth, samples, 0)?,
             depth_resolve: None,
@@ -130,10 +131,10 @@ impl Targets {
         camera: &Arc<CameraTarget>,
         is_outermost: bool,
     ) -> Result<PassTarget, TargetError> {
-        let samples = if camera.samples > 1 { 4 } else { 1 };
         let camera_owner = self.owners.of_camera(camera);
-        let attachments = CameraAttachments::new(ctx, textures, camera, samples, self.depth_format())?;
-        let CameraAttachments { size_px, formats, .. } = attachments;
+        let attachments = CameraAttachments::new(ctx, textures, camera, self.depth_format())?;
+        let CameraAttachments { size_px, formats, slices, .. } = attachments;
+        let samples = formats.samples;
         let mut colors = [const { None }; MAX_COLOR_ATTACHMENTS];
         let mut resolves = [const { None }; MAX_COLOR_ATTACHMENTS];
         let mut owners = [None; MAX_COLOR_ATTACHMENTS];
@@ -173,6 +174,7 @@ impl Targets {
         Ok(PassTarget {
             colors,
             resolves,
+            slices,
             is_stale,
             depth,
             depth_resolve,

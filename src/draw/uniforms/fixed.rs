@@ -3,12 +3,16 @@
 
 use std::sync::Arc;
 
-use super::stage::{eye_from, replaces_sun};
+use super::stage::{eye_from, has_own_sun, replaces_sun};
 use crate::cull::RenderStage;
 use crate::state::{
-    CLIP_PLANES, ColorControl, CompareFunction, FogMode, LIGHTS, Mode, ResolvedState, Sampler, SurfaceMaterial,
-    TEXTURE_UNITS, TexGen, TextureBinding, TextureDimension,
+    CLIP_PLANES, ColorControl, CombineFunction, CombineOperand, CombineSource, CompareFunction, FogMode, LIGHTS, Mode,
+    ResolvedState, Sampler, SurfaceMaterial, TEXTURE_UNITS, TexEnv, TexEnvCombine, TexGen, TextureBinding,
+    TextureDimension, WrapMode,
 };
+
+/// Set in the source of coordinates of a unit with a matrix.
+const HAS_MATRIX: u32 = 16;
 
 /// The material of one side of a surface; mirrors `Reflection` in fixed.wgsl.
 #[repr(C)]
@@ -56,12 +60,23 @@ pub(in crate::draw) struct FixedUniform {
     /// By unit: 0 off, 1 plane, 2 cube, 3 volume, 4 array.
     pub(in crate::draw) units: [u32; 4],
     /// The source of coordinates by unit: 0 the mesh, 1 object linear, 2 eye linear, 3 sphere map, 4 normal map,
-    /// 5 reflection map.
+    /// 5 reflection map; 16 more if a matrix follows.
     pub(in crate::draw) texgens: [u32; 4],
     /// The bias of the mip level by unit.
     pub(in crate::draw) bias: [f32; 4],
     /// The planes of s, t, r and q by unit.
     pub(in crate::draw) planes: [[f32; 4]; 4 * TEXTURE_UNITS],
+    /// By unit: function and arguments of colour and of alpha, and the bits of the two scales; see [`combination`]. Zeros
+    /// multiply the colour by the texture.
+    pub(in crate::draw) envs: [[u32; 4]; TEXTURE_UNITS],
+    /// The constant colour by unit, linear.
+    pub(in crate::draw) env_colors: [[f32; 4]; TEXTURE_UNITS],
+    /// The matrices of coordinates by unit.
+    pub(in crate::draw) matrices: [[[f32; 4]; 4]; TEXTURE_UNITS],
+    /// By unit: the axes, as bits, beyond whose edges the shader itself takes the border colour.
+    pub(in crate::draw) borders: [u32; 4],
+    /// The border colour by unit.
+    pub(in crate::draw) border_colors: [[f32; 4]; TEXTURE_UNITS],
 }
 
 const _: () = assert!(TEXTURE_UNITS == 4);
@@ -80,9 +95,41 @@ pub(in crate::draw) fn taken_by(state: &ResolvedState, unit: usize) -> Option<us
     state.texture(first).is_some_and(is_other).then_some(first)
 }
 
+/// Returns a combination as the shader reads it. A function has 4 bits, followed by 6 for each argument: 4 bits of the
+/// source and 2 of the operand.
+fn combination(combine: &TexEnvCombine) -> [u32; 4] {
+    let part = |function: CombineFunction, arguments: &[(CombineSource, CombineOperand); 3]| {
+        let of = |(source, operand): &(CombineSource, CombineOperand)| {
+            let source = match source {
+                CombineSource::Texture => 0,
+                CombineSource::Constant => 1,
+                CombineSource::PrimaryColor => 2,
+                CombineSource::Previous => 3,
+                CombineSource::TextureOf(unit) => 4 + u32::from(*unit).min(TEXTURE_UNITS as u32),
+            };
+            source | (*operand as u32) << 4
+        };
+        let arguments = (0..).zip(arguments).map(|(at, argument)| of(argument) << (4 + 6 * at));
+        function as u32 | arguments.sum::<u32>()
+    };
+    let scales = [combine.color_scale, combine.alpha_scale].map(f32::to_bits);
+    [part(combine.color, &combine.color_arguments), part(combine.alpha, &combine.alpha_arguments), scales[0], scales[1]]
+}
+
+/// Returns the axes along which a sampler takes the border colour, as bits.
+fn border_axes(sampler: &Sampler) -> u32 {
+    (0..).zip(sampler.wrap).map(|(axis, mode)| u32::from(mode == WrapMode::ClampToBorder) << axis).sum()
+}
+
 impl FixedUniform {
-    /// Returns the uniforms of a state in a view of a stage.
-    pub(in crate::draw) fn new(state: &ResolvedState, stage: &RenderStage, view: u32) -> Self {
+    /// Returns the uniforms of a state in a view of a stage. `emulates_border` returns true for samplers whose border colour
+    /// the adapter does not have.
+    pub(in crate::draw) fn new(
+        state: &ResolvedState,
+        stage: &RenderStage,
+        view: u32,
+        emulates_border: impl Fn(&Sampler) -> bool,
+    ) -> Self {
         let [front, back] = state.materials().unwrap_or_default();
         let given = state.light_model();
         let faces = given.map_or(0, |model| if model.two_sided { 2 } else { 1 });
@@ -113,12 +160,17 @@ impl FixedUniform {
                 state.mode_bits(Mode::Light(0), LIGHTS),
                 state.mode_bits(Mode::ClipPlane(0), CLIP_PLANES),
                 alpha.map_or(CompareFunction::Always, |a| a.function) as u32,
-                u32::from(replaces_sun(stage)),
+                u32::from(replaces_sun(stage) || has_own_sun(state)),
             ],
             units: [0; 4],
             texgens: [0; 4],
             bias: [0.0; 4],
             planes: [[0.0; 4]; 4 * TEXTURE_UNITS],
+            envs: [[0; 4]; TEXTURE_UNITS],
+            env_colors: [[0.0; 4]; TEXTURE_UNITS],
+            matrices: [[[0.0; 4]; 4]; TEXTURE_UNITS],
+            borders: [0; 4],
+            border_colors: [[0.0; 4]; TEXTURE_UNITS],
         };
         for unit in 0..TEXTURE_UNITS {
             let Some(binding) = state.texture(unit).filter(|_| taken_by(state, unit).is_none()) else { continue };
@@ -129,6 +181,17 @@ impl FixedUniform {
                 TextureDimension::D2Array => 4,
             };
             uniform.bias[unit] = binding.sampler.mip_bias;
+            if state.tex_env(unit) != TexEnv::Modulate {
+                let combine = state.tex_env(unit).as_combination();
+                (uniform.envs[unit], uniform.env_colors[unit]) = (combination(&combine), combine.constant);
+            }
+            if emulates_border(&binding.sampler) {
+                uniform.borders[unit] = border_axes(&binding.sampler);
+                uniform.border_colors[unit] = binding.sampler.border_color;
+            }
+            if let Some(matrix) = state.tex_mat(unit) {
+                (uniform.matrices[unit], uniform.texgens[unit]) = (matrix, HAS_MATRIX);
+            }
             let Some(texgen) = state.texgen(unit) else { continue };
             let of_node = stage.texgens.iter().rev().find(|of| usize::from(of.unit) == unit);
             let of_node = of_node.map(|of| of.moved(&eye_from(stage, view, of.view)));
@@ -139,7 +202,7 @@ impl FixedUniform {
                 (TexGen::NormalMap, _) => (4, [[0.0; 4]; 4]),
                 (TexGen::ReflectionMap, _) => (5, [[0.0; 4]; 4]),
             };
-            uniform.texgens[unit] = kind;
+            uniform.texgens[unit] |= kind;
             uniform.planes[4 * unit..4 * unit + 4].copy_from_slice(&planes);
         }
         uniform

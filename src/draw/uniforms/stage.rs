@@ -1,11 +1,11 @@
 //! The lights and clip planes of a stage as uniforms: mirrors of the structs `Stage` and `StageLight` of
 //! shaders/frame.wgsl. A test compares them with naga's layout.
 
-use glam::{DAffine3, DVec3};
+use glam::{DAffine3, DVec3, DVec4};
 
 use crate::cull::{CutVolume, PositionedLight, RenderStage, move_light, move_plane};
 use crate::scene::LocalLights;
-use crate::state::{CLIP_PLANES, LIGHTS, Light};
+use crate::state::{CLIP_PLANES, LIGHTS, Light, Mode, ResolvedState};
 
 /// A light; mirrors `StageLight` in frame.wgsl.
 #[repr(C)]
@@ -83,6 +83,22 @@ impl StageUniform {
         uniform
     }
 
+    /// Returns the uniform with the lights and clip planes of a state's own, which are in the eye space of the view.
+    pub(in crate::draw) fn with_own(mut self, state: &ResolvedState) -> Self {
+        for light in state.lights() {
+            let slot = self.lights[..LIGHTS].get_mut(usize::from(light.number));
+            if let (Some(slot), Ok(light)) = (slot, StageLight::new(light)) {
+                *slot = light;
+            }
+        }
+        for (number, plane) in state.clip_planes() {
+            if let Some(slot) = self.clip_planes.get_mut(usize::from(number)) {
+                *slot = DVec4::from_array(plane).as_vec4().to_array();
+            }
+        }
+        self
+    }
+
     /// Returns the uniform with local lights. `light_from` is that of [`Self::new`].
     pub(in crate::draw) fn with_local_lights(
         mut self,
@@ -148,6 +164,16 @@ pub(in crate::draw) fn position_of(light: &Light) -> Result<[f32; 4], DarkLight>
 /// Returns true if a LightSource replaces the environment's sun.
 pub(in crate::draw) fn replaces_sun(stage: &RenderStage) -> bool {
     stage.lights.iter().any(|l| l.light.number == 0 && position_of(&l.light).is_ok())
+}
+
+/// Returns true if a light of a state replaces the environment's sun.
+pub(in crate::draw) fn has_own_sun(state: &ResolvedState) -> bool {
+    state.mode(Mode::Light(0)) && state.lights().any(|light| light.number == 0 && position_of(light).is_ok())
+}
+
+/// Returns true if a state sets lights or clip planes, so that it has a separate stage uniform.
+pub(in crate::draw) fn has_own_uniform(state: &ResolvedState) -> bool {
+    state.lights().next().is_some() || state.clip_planes().next().is_some()
 }
 
 fn rgb(color: [f32; 3], w: f32) -> [f32; 4] {

@@ -59,6 +59,8 @@ pub(in crate::draw) struct StateGroups {
     groups: Vec<Group>,
     /// Used for look-ups only, since its order is random.
     group_of: HashMap<GroupKey, u32>,
+    /// Serial numbers of the textures that were freed last.
+    freed: Vec<u32>,
     /// The groups that this frame needs, each with a state that has its textures.
     pending: Vec<(u32, Arc<ResolvedState>)>,
 }
@@ -89,6 +91,7 @@ impl StateGroups {
             align: device.limits().min_uniform_buffer_offset_alignment.max(16) as usize,
             groups: Vec::new(),
             group_of: HashMap::new(),
+            freed: Vec::new(),
             pending: Vec::new(),
         }
     }
@@ -99,8 +102,15 @@ impl StateGroups {
         for (group, _) in self.pending.drain(..) {
             self.groups[group as usize].is_pending = false;
         }
-        if self.textures.prune() | programs_freed {
+        let Self { textures, freed, groups, group_of, .. } = self;
+        freed.clear();
+        textures.prune(|serial| freed.push(serial));
+        if programs_freed {
             self.forget_groups();
+        } else if !freed.is_empty() {
+            groups.retain(|group| !group.key.units.iter().flatten().any(|unit| freed.contains(&unit.texture)));
+            group_of.clear();
+            group_of.extend((0..).zip(groups).map(|(index, group)| (group.key, index)));
         }
     }
 
@@ -112,6 +122,20 @@ impl StateGroups {
         image: &Texture,
     ) -> Result<(), String> {
         if self.textures.show(ctx.device(), ctx.queue(), texture, image)? {
+            self.forget_groups();
+        }
+        Ok(())
+    }
+
+    /// Gives a texture the size and format of an image that will be copied into it. Called before the frame's groups.
+    pub(in crate::draw) fn ensure_copy(
+        &mut self,
+        ctx: &GraphicsContext,
+        texture: &Arc<TextureObject>,
+        size_px: [u32; 2],
+        format: wgpu::TextureFormat,
+    ) -> Result<(), String> {
+        if self.textures.ensure_copy(ctx.device(), texture, size_px, format)? {
             self.forget_groups();
         }
         Ok(())
@@ -181,6 +205,12 @@ impl StateGroups {
                 report(format!("texture {:?} ({:?}) does not fit unit {unit}", texture.name, texture.format));
                 continue;
             };
+            if program.is_some() && self.textures.emulates_border(&sampler) {
+                let name = &texture.name;
+                report(format!(
+                    "texture {name:?}: the adapter has no border of its colour; programs see clamped edges"
+                ));
+            }
             match self.textures.ensure(ctx.device(), ctx.queue(), texture) {
                 Ok(Some(texture)) => {
                     let sampler = self.textures.ensure_sampler(ctx.device(), &sampler);

@@ -274,9 +274,14 @@ impl GraphicsContext {
         self.targets.selected().place()
     }
 
-    /// Returns the samples per pixel of the target, 1 or 4.
+    /// Returns the samples per pixel of the target: 1, 2, 4, 8 or 16.
     pub fn samples(&self) -> u32 {
         self.targets.selected().samples()
+    }
+
+    /// Returns the samples per pixel for attachments of some formats, for a wanted number.
+    pub(crate) fn samples_of(&self, wanted: u32, formats: impl Iterator<Item = wgpu::TextureFormat> + Clone) -> u32 {
+        self.gpu.samples(wanted, formats)
     }
 
     /// Returns the format of the target's colour.
@@ -304,6 +309,11 @@ impl GraphicsContext {
     /// Returns the image that is drawn into, for overlays between draw and [`Self::present`]; `None` while a window has none.
     pub fn color_view(&self) -> Option<&wgpu::TextureView> {
         self.target().color_view()
+    }
+
+    /// Returns the texture of [`Self::color_view`].
+    pub(crate) fn color_texture(&self) -> Option<&wgpu::Texture> {
+        self.target().color_texture()
     }
 
     /// Presents the window's image. Does nothing offscreen.
@@ -388,9 +398,9 @@ impl GraphicsContext {
         shares_mesh.map(|_| ()).map_err(|reason| GpuError::Rewrite { reason })
     }
 
-    /// Releases drawables. Their slots in the pools are free at once, except for a large number, which is freed over the next
-    /// frames or when an upload needs slots. Uploads to them run after the draws already submitted. Stages that are drawn
-    /// after this call must not name the drawables.
+    /// Releases drawables. Their slots in the pools are free at once, except for what takes longer than 0.3 ms, which is freed
+    /// in the next frames or when an upload needs slots. Uploads to them run after the draws already submitted. Stages that are
+    /// drawn after this call must not name the drawables.
     pub fn release(&mut self, slots: &[DrawSlot]) {
         self.retired.release(slots, &mut self.pools);
     }

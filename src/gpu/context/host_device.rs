@@ -11,6 +11,8 @@ const OPTIONAL_FEATURES: wgpu::Features = wgpu::Features::TIMESTAMP_QUERY
     .union(wgpu::Features::DEPTH_CLIP_CONTROL)
     .union(wgpu::Features::PIPELINE_CACHE)
     .union(wgpu::Features::INDIRECT_FIRST_INSTANCE)
+    .union(wgpu::Features::ADDRESS_MODE_CLAMP_TO_BORDER)
+    .union(wgpu::Features::TEXTURE_ADAPTER_SPECIFIC_FORMAT_FEATURES)
     .union(wgpu::Features::TEXTURE_COMPRESSION_BC)
     .union(wgpu::Features::TEXTURE_COMPRESSION_ETC2)
     .union(wgpu::Features::TEXTURE_COMPRESSION_ASTC);
@@ -39,11 +41,17 @@ pub struct HostDevice {
 impl HostDevice {
     /// Returns the features of an adapter that Terrane uses. A device without some of them draws too: without
     /// `DEPTH32FLOAT_STENCIL8` there is no stencil, without `TIMESTAMP_QUERY` there are no GPU times, without
-    /// `POLYGON_MODE_LINE` and `POLYGON_MODE_POINT` polygons are filled, without any of `TEXTURE_COMPRESSION_BC`,
-    /// `TEXTURE_COMPRESSION_ETC2` and `TEXTURE_COMPRESSION_ASTC` KTX2 images take four to eight times the memory, and without
-    /// the others frames take longer.
+    /// `POLYGON_MODE_LINE` and `POLYGON_MODE_POINT` polygons are filled, without `TEXTURE_ADAPTER_SPECIFIC_FORMAT_FEATURES`
+    /// targets have 1 or 4 samples, without `ADDRESS_MODE_CLAMP_TO_BORDER` borders of textures are emulated, without any of
+    /// `TEXTURE_COMPRESSION_BC`, `TEXTURE_COMPRESSION_ETC2` and `TEXTURE_COMPRESSION_ASTC` KTX2 images take four to eight times
+    /// the memory, and without the others frames take longer.
     pub fn features(adapter: &wgpu::Adapter) -> wgpu::Features {
-        adapter.features() & OPTIONAL_FEATURES
+        let features = adapter.features() & OPTIONAL_FEATURES;
+        // The adapter that draws nothing offers its own usages of formats, and there are none.
+        let usages = adapter.get_texture_format_features(wgpu::TextureFormat::Rgba8UnormSrgb).allowed_usages;
+        let is_drawn_into = usages.contains(wgpu::TextureUsages::RENDER_ATTACHMENT);
+        let of_formats = wgpu::Features::TEXTURE_ADAPTER_SPECIFIC_FORMAT_FEATURES;
+        if is_drawn_into { features } else { features.difference(of_formats) }
     }
 
     /// Fails if the limits of the device are too small.

@@ -102,6 +102,19 @@ fn first_that_opens<A, T>(
     Err(GpuError::NoDevice { adapter: names.join(" and "), reason })
 }
 
+/// Returns the supported number of samples for a wanted one: the least that is not smaller, or else the largest.
+fn choose_samples(wanted: u32, is_supported: impl Fn(u32) -> bool) -> u32 {
+    match wanted {
+        0 | 1 => 1,
+        // WebGPU guarantees 4, so that the adapter is not asked.
+        3 | 4 => 4,
+        _ => {
+            let supported = || [2, 4, 8, 16].into_iter().filter(|count| *count == 4 || is_supported(*count));
+            supported().find(|count| *count >= wanted).or_else(|| supported().last()).unwrap_or(4)
+        }
+    }
+}
+
 impl OpenDevice {
     /// Creates the device of the best adapter that has what frames need, with all optional features and limits that it has. If
     /// its driver refuses, the next one is tried.
@@ -132,6 +145,19 @@ impl OpenDevice {
         })?;
         let adapter_info = adapter.get_info();
         Ok(Self { instance, adapter, adapter_info, device, queue, is_host_device: false })
+    }
+
+    /// Returns the samples a pixel of a target for a wanted number, see [`choose_samples`]. `formats` are those of all its
+    /// attachments.
+    pub(super) fn samples(&self, wanted: u32, formats: impl Iterator<Item = wgpu::TextureFormat> + Clone) -> u32 {
+        let features = self.device.features();
+        let flags = |format: wgpu::TextureFormat| match features
+            .contains(wgpu::Features::TEXTURE_ADAPTER_SPECIFIC_FORMAT_FEATURES)
+        {
+            true => self.adapter.get_texture_format_features(format).flags,
+            false => format.guaranteed_format_features(features).flags,
+        };
+        choose_samples(wanted, |count| formats.clone().all(|format| flags(format).sample_count_supported(count)))
     }
 
     /// Takes a device of the application. Returns an error if its limits are too small.
@@ -179,5 +205,14 @@ mod tests {
         assert!(text.contains("first and second") && text.contains("first: broken; second: broken"), "{text}");
         let refused = first_that_opens(["only"], |a| (*a).to_owned(), open("none")).unwrap_err();
         assert_eq!(refused.to_string(), "adapter only made no device: broken");
+    }
+
+    #[test]
+    fn samples_are_the_next_supported_number() {
+        let of =
+            |supported: &[u32]| [0, 1, 2, 3, 4, 5, 8, 16, 64].map(|n| choose_samples(n, |c| supported.contains(&c)));
+        assert_eq!(of(&[]), [1, 1, 4, 4, 4, 4, 4, 4, 4]);
+        assert_eq!(of(&[2, 8]), [1, 1, 2, 4, 4, 8, 8, 8, 8]);
+        assert_eq!(of(&[2, 4, 8, 16]), [1, 1, 2, 4, 4, 8, 8, 16, 16]);
     }
 }

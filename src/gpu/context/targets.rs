@@ -28,6 +28,8 @@ pub(super) type TargetRequest = (ContextTraits, Option<SurfaceFactory>);
 pub(super) struct ContextTarget {
     target: RenderTarget,
     traits: ContextTraits,
+    /// Samples per pixel.
+    samples: u32,
     /// `None` for offscreen targets.
     create_surface: Option<SurfaceFactory>,
 }
@@ -40,7 +42,10 @@ impl ContextTarget {
         surface: Option<wgpu::Surface<'static>>,
     ) -> Result<Self, GpuError> {
         let target = RenderTarget::new(&gpu.adapter, &gpu.device, surface, &traits)?;
-        Ok(Self { target, traits, create_surface })
+        let has_stencil = gpu.device.features().contains(wgpu::Features::DEPTH32FLOAT_STENCIL8);
+        let stencil = has_stencil.then_some(wgpu::TextureFormat::Depth32FloatStencil8);
+        let samples = gpu.samples(traits.samples, [target.format(), DEPTH_FORMAT].into_iter().chain(stencil));
+        Ok(Self { target, traits, samples, create_surface })
     }
 
     pub(super) fn target(&self) -> &RenderTarget {
@@ -56,16 +61,15 @@ impl ContextTarget {
         (self.traits.screen, self.traits.position_px)
     }
 
-    /// Returns the samples per pixel: 1 or 4, which WebGPU guarantees.
     pub(super) fn samples(&self) -> u32 {
-        if self.traits.samples > 1 { 4 } else { 1 }
+        self.samples
     }
 
     /// Returns the formats for the pipelines of images drawn into this target.
     pub(super) fn formats(&self) -> TargetFormats {
         let mut colors = [None; MAX_COLOR_ATTACHMENTS];
         colors[0] = Some(self.target.format());
-        TargetFormats { colors, depth: DEPTH_FORMAT, samples: self.samples(), keeps_alpha: false }
+        TargetFormats { colors, depth: DEPTH_FORMAT, samples: self.samples, keeps_alpha: false }
     }
 
     pub(super) fn set_vsync(&mut self, device: &wgpu::Device, vsync: bool) {

@@ -19,7 +19,8 @@ pub struct ContextTraits {
     pub size_px: [u32; 2],
     /// The adapter to draw with.
     pub adapter: AdapterChoice,
-    /// Samples per pixel of the target, 1 or 4.
+    /// Samples per pixel of the target: 1, 2, 4, 8 or 16. An adapter that lacks the number takes the next larger one that it
+    /// has, or its largest; all have 1 and 4.
     pub samples: u32,
     /// Window images wait for the vertical blank. Without it they do not, if the platform can, and may tear.
     pub vsync: bool,

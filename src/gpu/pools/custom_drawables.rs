@@ -5,9 +5,10 @@ use std::any::Any;
 use std::cell::{RefCell, RefMut};
 
 use super::slot_table::SlotTable;
+use crate::state::COLOR_LOCATIONS;
 
 /// The maximum number of colour attachments of a target.
-pub(crate) const MAX_COLOR_ATTACHMENTS: usize = 4;
+pub(crate) const MAX_COLOR_ATTACHMENTS: usize = COLOR_LOCATIONS;
 
 /// The properties of a render target that pipelines depend on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -16,7 +17,7 @@ pub struct TargetFormats {
     pub colors: [Option<wgpu::TextureFormat>; MAX_COLOR_ATTACHMENTS],
     /// Format of the depth buffer, which every target has. Depth is reversed: 1 at the near plane and 0 infinitely far.
     pub depth: wgpu::TextureFormat,
-    /// Samples per pixel, 1 or 4.
+    /// Samples per pixel: 1, 2, 4, 8 or 16.
     pub samples: u32,
     /// True for textures, which keep alpha. Windows stay opaque, and alpha must not be written.
     pub keeps_alpha: bool,

@@ -79,7 +79,9 @@ impl DataTexture {
 /// Returns the texel along an axis of `size` texels at a texture coordinate.
 fn texel_index(at: f64, size: u32, wrap: WrapMode) -> usize {
     let at = match wrap {
-        WrapMode::ClampToEdge => at,
+        // Images of features have no border.
+        WrapMode::ClampToEdge | WrapMode::ClampToBorder => at,
+
         WrapMode::Repeat => at - at.floor(),
         WrapMode::Mirror => 1.0 - (at.rem_euclid(2.0) - 1.0).abs(),
     };

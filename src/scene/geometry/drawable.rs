@@ -11,7 +11,9 @@ use super::shape::Geometry;
 use super::texture::{BlockFormats, Texture};
 use crate::math::Aabb;
 use crate::scene::features::DrawableFeatures;
+use crate::scene::nodes::CullCallback;
 use crate::scene::sharing::SharedParts;
+use crate::state::StateSet;
 
 /// A shape with a surface, which is drawn by one draw call or a part of one.
 #[derive(Clone, Debug)]
@@ -20,6 +22,10 @@ pub struct Drawable {
     pub geometry: Geometry,
     /// The surface. Height tiles carry their own texture; the colour factor still applies.
     pub material: Material,
+    /// State for the drawable alone, below that of its node; shared by identity. The page takes it.
+    pub state_set: Option<Arc<StateSet>>,
+    /// Called by cull before it tests the drawable. The page takes it.
+    pub cull_callback: Option<CullCallback>,
     /// The cone of its normals, for [`CullingMode::CLUSTER`](crate::scene::CullingMode::CLUSTER).
     pub cluster: Option<NormalCone>,
     /// The features that the drawable shows, which stay with the page; usually none.
@@ -33,7 +39,22 @@ pub struct Drawable {
 impl Drawable {
     /// Creates a drawable.
     pub fn new(geometry: Geometry, material: Material) -> Self {
-        Self { geometry, material, cluster: None, features: None, shared: SharedParts::default(), vertex_format: None }
+        Self {
+            geometry,
+            material,
+            state_set: None,
+            cull_callback: None,
+            cluster: None,
+            features: None,
+            shared: SharedParts::default(),
+            vertex_format: None,
+        }
+    }
+
+    /// Sets the state set.
+    pub fn with_state_set(mut self, state_set: Arc<StateSet>) -> Self {
+        self.state_set = Some(state_set);
+        self
     }
 
     /// Stores the vertex format that a reader found for the mesh.

@@ -4,8 +4,8 @@ use glam::DVec3;
 
 use super::mesh::{Mesh, Topology};
 
-/// A cone around the normals of a drawable's faces. The drawable is culled if the eye can see none of the faces; OSG's
-/// `ClusterCullingCallback`.
+/// A cone around the normals of a drawable's faces. The drawable is culled if the eye can see none of the faces and its state
+/// culls back faces; OSG's `ClusterCullingCallback`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NormalCone {
     /// The centre, in the drawable's frame.
@@ -16,6 +16,19 @@ pub struct NormalCone {
     pub min_cosine: f64,
     /// The distance below which the drawable is never culled, metres.
     pub radius_m: f64,
+}
+
+impl NormalCone {
+    /// Returns true if all faces look away from an eye in the drawable's frame. Parallel rays have the direction `toward_eye`
+    /// to the eye everywhere.
+    pub(crate) fn looks_away(&self, eye: DVec3, toward_eye: Option<DVec3>) -> bool {
+        if let Some(toward_eye) = toward_eye {
+            return toward_eye.dot(self.normal) < self.min_cosine * toward_eye.length();
+        }
+        let to_eye = eye - self.control_point;
+        let distance_m = to_eye.length();
+        distance_m > self.radius_m && to_eye.dot(self.normal) < self.min_cosine * distance_m
+    }
 }
 
 impl Mesh {

@@ -23,13 +23,14 @@ pub enum RenderOrder {
 /// The attachments that a camera in the graph draws into.
 #[derive(Clone, Debug, Default)]
 pub struct CameraTarget {
-    /// Colour attachments by location. Without any, and without depth, the camera draws into the target of the surrounding
-    /// stage.
+    /// Colour attachments by location, at most 8. Without any, and without depth, the camera draws into the target of the
+    /// surrounding stage.
     pub colors: Vec<Attachment>,
     /// A depth attachment, to be sampled later; without one a private depth buffer is used. With several samples per pixel it
     /// receives depth and stencil of the first sample that has a depth of a drawn object.
     pub depth: Option<Attachment>,
-    /// Samples per pixel, 1 or 4; resolved into the colour attachments.
+    /// Samples per pixel: 1, 2, 4, 8 or 16; resolved into the colour attachments. An adapter that lacks the number for the
+    /// formats takes the next larger one that it has, or its largest; all have 1 and 4.
     ///
     /// A camera that does not clear its colours continues with the attachments' contents, the same in all samples of a
     /// pixel that an earlier frame drew. A camera that does not clear its depth continues with the depth drawn in this
@@ -72,14 +73,22 @@ pub struct Attachment {
     pub texture: Arc<TextureObject>,
     /// The mip level.
     pub level: u32,
-    /// The array layer or cube face.
+    /// The array layer, cube face or slice of a volume. Slices are drawn into with one sample per pixel.
     pub layer: u32,
+    /// The coarser levels after [`Self::level`] are computed from it each time the camera has drawn, each texel as the mean of
+    /// four. For colours in planes, arrays and cubes.
+    pub generates_mipmaps: bool,
 }
 
 impl Attachment {
     /// Creates an attachment of level 0, layer 0.
     pub fn new(texture: Arc<TextureObject>) -> Self {
-        Self { texture, level: 0, layer: 0 }
+        Self { texture, level: 0, layer: 0, generates_mipmaps: false }
+    }
+
+    /// Has the levels after this one computed from it.
+    pub fn with_mipmaps(self) -> Self {
+        Self { generates_mipmaps: true, ..self }
     }
 }
 
@@ -123,8 +132,15 @@ pub struct CameraNode {
     pub settings: CullSettings,
     /// The settings that are taken from the camera above.
     pub inherit: Inherit,
-    /// Changes near and far after they are computed.
+    /// Changes near and far after they are computed; `None` takes the function of the camera above, if [`Self::inherit`]
+    /// has [`Inherit::CLAMP_PROJECTION`].
     pub clamp_projection: Option<ClampProjection>,
+    /// Receives a copy of what the camera's viewport in its target shows, once the camera and the cameras after it are drawn:
+    /// the frame buffer of a window for a camera without a target. Nested cameras copy nothing.
+    ///
+    /// The texture, which [`TextureObject::target`] creates, takes size and format of the copied part, and is not drawn into
+    /// otherwise. Draws that follow sample the copy; those before sample that of the frame before.
+    pub copy_to: Option<Arc<TextureObject>>,
     /// Callbacks that are called while the camera is drawn.
     pub callbacks: Option<OpaqueDrawData>,
 }
@@ -147,6 +163,7 @@ impl CameraNode {
             settings: CullSettings::default(),
             inherit: Inherit::ALL,
             clamp_projection: None,
+            copy_to: None,
             callbacks: None,
         }
     }

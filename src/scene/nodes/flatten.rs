@@ -102,7 +102,7 @@ fn add(builder: &mut PageBuilder, node: Node, above: Inherited) -> Result<Open, 
     let mut flags = if culling_active { 0 } else { INACTIVE | UNCULLED };
     if let Some(callback) = cull_callback {
         flags |= CALLBACK;
-        builder.push_cull_callback(index, callback);
+        builder.push_cull_callback(index, callback, path);
     }
     if let Some(callback) = node.update_callback {
         builder.push_update_callback(index, callback);

@@ -19,7 +19,7 @@ pub use camera_node::{Attachment, CameraNode, CameraTarget, ClampProjection, Ren
 pub use flatten::MAX_DEPTH;
 pub use node::{Node, NodeKind};
 pub use node_payloads::{
-    ClearNode, ClipNode, ConvexPlanarOccluder, CullAction, CullCallback, CullInfo, LightSource, LocalLights,
+    ClearNode, ClipNode, ConvexPlanarOccluder, CullAction, CullCallback, CullInfo, CullPass, LightSource, LocalLights,
     ReferenceFrame, TexGenNode,
 };
 pub use occlusion_query::{OcclusionQueryNode, OcclusionResults};

@@ -31,7 +31,8 @@ pub struct Node {
     /// If false, neither the node nor the nodes above are culled by their bounds, nor are its own drawables as a Geode or
     /// Billboard; OSG's `setCullingActive`. Tiles and proxies are still culled, each by its own bound.
     pub culling_active: bool,
-    /// Called by cull before it visits the node. In a tile tree, the callback of the top tile applies.
+    /// Called by cull before it visits the node; it may skip the node or push state sets. In a tile tree, the callback of the
+    /// top tile applies.
     pub cull_callback: Option<CullCallback>,
     /// Called once a frame in the update phase.
     pub update_callback: Option<UpdateCallback>,

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use glam::{DVec3, DVec4};
 
-use crate::state::{Light, TexGen};
+use crate::state::{Light, StateSet, TexGen};
 
 /// The frame in which the payload of a node is given.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -78,14 +78,34 @@ pub struct ConvexPlanarOccluder {
     pub holes: Vec<Vec<DVec3>>,
 }
 
-/// The decision of a cull callback about its node.
+/// The decision of a cull callback about its node or drawable.
 #[derive(Clone, Debug, Default)]
 pub enum CullAction {
-    /// The node is visited as if it had no callback.
+    /// It is visited as if it had no callback.
     #[default]
     Traverse,
-    /// The node and everything below are not drawn.
+    /// It is not drawn, and neither is anything below.
     Skip,
+    /// It is visited once for each pass, in their order; see [`CullPass`].
+    Passes(Arc<[CullPass]>),
+}
+
+/// The state sets that one visit of a node or drawable pushes, outermost first: they hold below its own state set and above
+/// those below it. A callback of OSG that pushes state sets, calls `traverse` and pops them returns a pass for each such call.
+///
+/// Cull finds state sets by identity, so that the callback returns the same ones in each frame. Each pass of a node costs the
+/// time to look up the states of its page once more.
+pub type CullPass = Vec<Arc<StateSet>>;
+
+impl CullAction {
+    /// Returns true if the node or drawable is visited at all.
+    pub(crate) fn visits(&self) -> bool {
+        match self {
+            Self::Traverse => true,
+            Self::Skip => false,
+            Self::Passes(passes) => !passes.is_empty(),
+        }
+    }
 }
 
 /// The arguments of a cull callback.
@@ -95,11 +115,12 @@ pub struct CullInfo {
     pub frame: u32,
     /// The eye's position in the page's frame.
     pub eye_in_page: DVec3,
-    /// The distance of the eye from the centre of the node's bound, metres of the page's frame; infinite without a bound.
+    /// The distance of the eye from the centre of the bound, metres of the page's frame; infinite without a bound.
     pub distance_m: f64,
 }
 
-/// A function that cull calls before it visits the node, on the thread that culls. It must not block.
+/// A function that cull calls before it visits a node or drawable, on the thread that culls and before bounds are tested. It
+/// must not block.
 #[derive(Clone)]
 pub struct CullCallback(pub Arc<dyn Fn(&CullInfo) -> CullAction + Send + Sync>);
 

@@ -6,6 +6,7 @@ use super::stored_bounds::{Boxes4, is_usable};
 use super::transforms::Transforms;
 use crate::math::Aabb;
 use crate::scene::geometry::NormalCone;
+use crate::scene::nodes::CullCallback;
 use crate::scene::sparse_list::SparseList;
 
 /// The frame and state of a drawable.
@@ -24,6 +25,7 @@ pub(crate) struct DrawableArrays {
     /// Boxes in the frames of their transforms, from which `boxes` are fitted again.
     local_boxes: Vec<Aabb>,
     normal_cones: SparseList<NormalCone>,
+    cull_callbacks: SparseList<CullCallback>,
     /// True if some drawable has no transform above it.
     uses_page_frame: bool,
 }
@@ -46,6 +48,17 @@ impl DrawableArrays {
         &self.normal_cones
     }
 
+    /// Returns the cull callbacks of the drawables that have one.
+    #[inline(always)]
+    pub fn cull_callbacks(&self) -> &SparseList<CullCallback> {
+        &self.cull_callbacks
+    }
+
+    /// Returns true if some drawable of a range has a normal cone or a cull callback, so that the range is not taken as one.
+    pub(super) fn needs_tests(&self, drawables: std::ops::Range<usize>) -> bool {
+        self.normal_cones.has_any_in(drawables.clone()) || self.cull_callbacks.has_any_in(drawables)
+    }
+
     /// Returns true if some drawable has no transform above it.
     #[inline(always)]
     pub fn uses_page_frame(&self) -> bool {
@@ -58,9 +71,19 @@ impl DrawableArrays {
     }
 
     /// Appends a drawable with its box in the frame of its transform.
-    pub(super) fn push(&mut self, drawable: DrawableRef, bounds: Aabb, cone: Option<NormalCone>) {
+    pub(super) fn push(
+        &mut self,
+        drawable: DrawableRef,
+        bounds: Aabb,
+        cone: Option<NormalCone>,
+        callback: Option<CullCallback>,
+    ) {
+        let index = self.refs.len() as u32;
         if let Some(cone) = cone {
-            self.normal_cones.push(self.refs.len() as u32, cone);
+            self.normal_cones.push(index, cone);
+        }
+        if let Some(callback) = callback {
+            self.cull_callbacks.push(index, callback);
         }
         self.uses_page_frame |= drawable.transform == 0;
         self.refs.push(drawable);

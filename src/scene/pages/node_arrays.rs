@@ -150,8 +150,8 @@ impl NodeArrays {
     }
 
     /// Appends the record with the totals, computes the flags that depend on subtrees and drops arrays that say nothing.
-    /// `has_cone` tells whether some drawable of a range has a normal cone.
-    pub(super) fn finish(&mut self, drawables: u32, transforms: u32, has_cone: impl Fn(Range<usize>) -> bool) {
+    /// `needs_tests` tells whether some drawable of a range is not taken with the range.
+    pub(super) fn finish(&mut self, drawables: u32, transforms: u32, needs_tests: impl Fn(Range<usize>) -> bool) {
         let count = self.records.len();
         self.records.push(NodeRecord {
             skip: 1,
@@ -167,7 +167,7 @@ impl NodeArrays {
             is_simple[node] &= matches!(record.kind, kind::GROUP | kind::TRANSFORM | kind::GEODE)
                 && self.masks[node] == u32::MAX
                 && record.flags == 0
-                && !has_cone(self.drawables_of(node));
+                && !needs_tests(self.drawables_of(node));
             let is_large = record.kind == kind::TILE || record.flags & (INACTIVE | LARGE) != 0;
             let inherited_upwards = record.flags & INACTIVE | if is_large { LARGE } else { 0 };
             self.records[node].flags |= inherited_upwards;

@@ -11,7 +11,8 @@ use crate::scene::sparse_list::SparseList;
 #[derive(Debug, Default)]
 pub(crate) struct NodeExtras {
     labels: Option<Box<Labels>>,
-    pub(super) cull_callbacks: SparseList<CullCallback>,
+    /// Each with the state path of its node.
+    pub(super) cull_callbacks: SparseList<(CullCallback, u32)>,
     pub(super) update_callbacks: SparseList<UpdateCallback>,
     pub(super) event_callbacks: SparseList<EventCallback>,
 }

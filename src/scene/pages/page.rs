@@ -103,9 +103,9 @@ impl Page {
         self.tables.occluders()
     }
 
-    /// Returns the cull callback of a node.
+    /// Returns the cull callback of a node, and the state path that ends with the node's own state set.
     #[inline]
-    pub(crate) fn cull_callback(&self, node: u32) -> Option<&CullCallback> {
+    pub(crate) fn cull_callback(&self, node: u32) -> Option<&(CullCallback, u32)> {
         self.extras.cull_callbacks.get(node)
     }
 
@@ -125,6 +125,12 @@ impl Page {
     #[inline(always)]
     pub(crate) fn normal_cones(&self) -> &SparseList<NormalCone> {
         self.drawables.normal_cones()
+    }
+
+    /// Returns the cull callbacks of the drawables that have one.
+    #[inline(always)]
+    pub(crate) fn drawable_callbacks(&self) -> &SparseList<CullCallback> {
+        self.drawables.cull_callbacks()
     }
 
     /// Returns true if some drawable has no transform above it.
@@ -160,7 +166,8 @@ impl Page {
 
     /// Returns true if a cull must know the eye's position in the page's frame.
     pub(crate) fn needs_eye(&self) -> bool {
-        !self.lods().is_empty() || !self.extras.cull_callbacks.is_empty() || !self.normal_cones().is_empty()
+        let has_callbacks = !self.extras.cull_callbacks.is_empty() || !self.drawable_callbacks().is_empty();
+        has_callbacks || !self.lods().is_empty() || !self.normal_cones().is_empty()
     }
 }
 

@@ -95,10 +95,15 @@ impl PageBuilder {
     }
 
     /// Adds a drawable to the node that was started.
-    pub fn push_drawable(&mut self, drawable: Drawable, transform: u32, path: u32) {
+    pub fn push_drawable(&mut self, mut drawable: Drawable, transform: u32, path: u32) {
+        let path = match drawable.state_set.take() {
+            Some(set) => self.path_below(path, set),
+            None => path,
+        };
+        let callback = drawable.cull_callback.take();
         let blends = matches!(drawable.material.alpha, AlphaMode::Blend);
         let state_path = if blends { self.path_to(path, BLEND) } else { path };
-        self.drawables.push(DrawableRef { state_path, transform }, drawable.bounds(), drawable.cluster);
+        self.drawables.push(DrawableRef { state_path, transform }, drawable.bounds(), drawable.cluster, callback);
         self.payload.push(drawable);
     }
 
@@ -135,8 +140,9 @@ impl PageBuilder {
         }
     }
 
-    pub fn push_cull_callback(&mut self, node: u32, callback: CullCallback) {
-        self.extras.cull_callbacks.push(node, callback);
+    /// Adds the cull callback of a node, whose state path ends with the node's own state set.
+    pub fn push_cull_callback(&mut self, node: u32, callback: CullCallback, path: u32) {
+        self.extras.cull_callbacks.push(node, (callback, path));
     }
 
     pub fn push_update_callback(&mut self, node: u32, callback: UpdateCallback) {
@@ -175,9 +181,9 @@ impl PageBuilder {
 
     /// Finishes the page: flags, order of the tiles, and all bounds.
     pub fn finish(mut self) -> Page {
-        let cones = self.drawables.normal_cones();
-        let has_cone = |drawables| cones.has_any_in(drawables);
-        self.nodes.finish(self.drawables.len() as u32, self.transforms.len() as u32, has_cone);
+        let drawables = &self.drawables;
+        let needs_tests = |range| drawables.needs_tests(range);
+        self.nodes.finish(drawables.len() as u32, self.transforms.len() as u32, needs_tests);
         let (tiles, new_index) = self.tiles.finish();
         self.nodes.renumber_tiles(&new_index);
         self.transforms.shrink();

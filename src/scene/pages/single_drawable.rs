@@ -9,9 +9,10 @@ use std::sync::Arc;
 
 use glam::{DAffine3, DVec3};
 
-use super::node_arrays::{NodeRecord, SIMPLE_SUBTREE};
+use super::node_arrays::{NodeRecord, SIMPLE_SUBTREE, kind};
 use super::page::Page;
 use super::page_payload::DrawSlot;
+use crate::scene::geometry::NormalCone;
 use crate::state::StateSet;
 
 /// A copy of the only drawable of a page, with its frame, box, state and slot.
@@ -28,6 +29,8 @@ pub(crate) struct SingleDrawable {
     pub slot: DrawSlot,
     /// The number of nodes of the page.
     pub nodes: u32,
+    /// The cone of its normals, if it has one.
+    pub cone: Option<NormalCone>,
     /// The state set above the drawable, with the page's path to it.
     pub state: Option<(u32, Arc<StateSet>)>,
 }
@@ -37,11 +40,15 @@ impl SingleDrawable {
     /// slots in one context. Returns `None` for every other page, which culls scan.
     pub fn of(page: &Page) -> Option<Self> {
         let (_, nodes) = page.nodes().split_last()?;
-        let is_simple = |node: &NodeRecord| node.flags == SIMPLE_SUBTREE;
+        // A normal cone alone makes no subtree less simple.
+        let is_simple = |node: &NodeRecord| {
+            node.flags & !SIMPLE_SUBTREE == 0 && matches!(node.kind, kind::GROUP | kind::TRANSFORM | kind::GEODE)
+        };
         let (&[drawable], &[(context, ref slots)]) = (page.drawable_refs(), page.payload.draw_slots()) else {
             return None;
         };
-        if !nodes.iter().all(is_simple) || !page.normal_cones().is_empty() || !page.masks().is_empty() {
+        let has_callback = !page.drawable_callbacks().is_empty();
+        if !nodes.iter().all(is_simple) || has_callback || !page.masks().is_empty() {
             return None;
         }
         let state = match drawable.state_path {
@@ -60,6 +67,7 @@ impl SingleDrawable {
             context,
             slot: *slots.first()?,
             nodes: nodes.len() as u32,
+            cone: page.normal_cones().get(0).copied(),
             state,
         })
     }

@@ -7,7 +7,7 @@ use super::maps::{FORMAT, MapSize, ShadowMaps};
 use crate::cull::{CullCamera, DrawnPart, FadeBand, RenderStage, StageShadows};
 use crate::draw::batch::state_entry::StateEntry;
 use crate::draw::bound_state::{BoundState, DynamicState};
-use crate::draw::passes::shading::{choose_shading, shade};
+use crate::draw::passes::shading::{Shaded, choose_shading, shade};
 use crate::draw::passes::stage_input::{LitView, StageInput};
 use crate::draw::pipelines::key::{Shading, StateKey};
 use crate::draw::pipelines::{MAX_COLOR_ATTACHMENTS, Pipelines, TargetFormats};
@@ -143,19 +143,25 @@ impl ShadowPass {
                 &around.environment,
                 &around.air.air,
             ));
-            let base = BoundState { dynamics: whole_map(size_px), frame: [frame, positioned], air: 0, group: None };
+            let base = BoundState {
+                dynamics: whole_map(size_px),
+                frame: [frame, positioned],
+                air: 0,
+                group: None,
+                attribute: None,
+            };
             let plain = resources.bound_states.push(base);
             let mut states = resources.batch.take_states();
             for state in &cascade.stage.state_sets {
                 let drops = drops_parts(state);
-                let (shading, group) = if drops || has_own_shader(state) {
+                let Shaded { shading, group, attribute } = if drops || has_own_shader(state) {
                     shade(resources, input, number, state, drops)
                 } else {
-                    (Shading::Plain, None)
+                    Shaded::PLAIN
                 };
                 let bound = match group {
                     None => plain,
-                    Some(_) => resources.bound_states.push(BoundState { group, ..base }),
+                    Some(_) => resources.bound_states.push(BoundState { group, attribute, ..base }),
                 };
                 let key = StateKey::caster(state, shading, drops, map_target);
                 states.push(StateEntry::new(key, bound, state, DrawnPart::Band(FadeBand::FULL)));
@@ -226,7 +232,7 @@ fn caster_uniform(
 }
 
 /// Returns the pipelines' index of the shadow maps as a target; `None` if there are too many targets.
-fn map_target(pipelines: &mut Pipelines) -> Option<u8> {
+fn map_target(pipelines: &mut Pipelines) -> Option<u16> {
     pipelines.target(&TargetFormats {
         colors: [None; MAX_COLOR_ATTACHMENTS],
         depth: FORMAT,

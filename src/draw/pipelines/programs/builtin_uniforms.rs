@@ -1,6 +1,6 @@
-//! The uniforms that programs get without declaring a value: those named `osg_...`.
+//! The uniforms that programs get without declaring a value: those named `osg_...` and `terrane_...`.
 
-/// The values of uniforms named `osg_...`: times in seconds and matrices.
+/// The values of uniforms that are filled without being given: times in seconds, matrices and the eye.
 #[derive(Clone, Copy, Debug, Default)]
 pub(in crate::draw) struct Builtins {
     pub(in crate::draw) frame: u32,
@@ -9,6 +9,10 @@ pub(in crate::draw) struct Builtins {
     pub(in crate::draw) simulation_time_s: f32,
     pub(in crate::draw) view: glam::Mat4,
     pub(in crate::draw) view_inverse: glam::Mat4,
+    /// The rotation of the inverse, with columns of four numbers as in a uniform buffer.
+    pub(in crate::draw) world_from_eye: [[f32; 4]; 3],
+    /// The position of the eye in the world as the sum of two numbers: the nearest `f32`, and what is left.
+    pub(in crate::draw) eye: [[f32; 3]; 2],
 }
 
 impl Builtins {
@@ -21,6 +25,9 @@ impl Builtins {
             "osg_SimulationTime" => bytemuck::bytes_of(&self.simulation_time_s),
             "osg_ViewMatrix" => bytemuck::bytes_of(&self.view),
             "osg_ViewMatrixInverse" => bytemuck::bytes_of(&self.view_inverse),
+            "terrane_WorldFromEye" => bytemuck::bytes_of(&self.world_from_eye),
+            "terrane_EyeHigh" => bytemuck::bytes_of(&self.eye[0]),
+            "terrane_EyeLow" => bytemuck::bytes_of(&self.eye[1]),
             _ => return,
         };
         if bytes.len() == value.len() {

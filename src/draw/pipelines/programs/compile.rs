@@ -8,8 +8,10 @@ use super::wgsl_types::type_name;
 use crate::draw::pipelines::sources::PROGRAM_PRELUDE;
 use crate::state::{Program, ResolvedState, TEXTURE_UNITS};
 
-/// The bind group of everything that a program declares itself.
+/// The bind group of the uniforms and textures that a program declares.
 const GROUP: u32 = 2;
+/// The bind group of the application's own state attribute.
+const ATTRIBUTE_GROUP: u32 = 3;
 
 /// A member of a program's uniforms.
 #[derive(Debug)]
@@ -28,6 +30,8 @@ pub(in crate::draw) struct Compiled {
     /// The module for height tiles, once one was drawn with the program.
     pub(in crate::draw) heights: Option<wgpu::ShaderModule>,
     pub(in crate::draw) layout: wgpu::BindGroupLayout,
+    /// The layout of bind group 3, if the program declares one.
+    pub(in crate::draw) attribute_layout: Option<wgpu::BindGroupLayout>,
     members: Vec<Member>,
     /// The custom attributes that it reads.
     pub(in crate::draw::pipelines) inputs: Vec<Input>,
@@ -93,9 +97,14 @@ pub(super) fn compile(device: &wgpu::Device, program: &Program) -> Result<Compil
     let mut members = Vec::new();
     let mut uniform_bytes = 0;
     let mut units = [None; TEXTURE_UNITS];
+    let mut of_attribute = Vec::new();
     for (_, variable) in module.global_variables.iter() {
         let Some(binding) = variable.binding.as_ref().filter(|b| b.group >= GROUP) else { continue };
         let inner = &module.types[variable.ty].inner;
+        if binding.group == ATTRIBUTE_GROUP {
+            of_attribute.push(attribute_entry(binding.binding, variable.space, inner)?);
+            continue;
+        }
         match (binding.group, binding.binding, inner) {
             (GROUP, 0, naga::TypeInner::Struct { members: declared, span }) => {
                 uniform_bytes = *span as usize;
@@ -146,6 +155,12 @@ pub(super) fn compile(device: &wgpu::Device, program: &Program) -> Result<Compil
     let entries = bindings(uniform_bytes, &units);
     let layout = device
         .create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(&program.name), entries: &entries });
+    let attribute_layout = (!of_attribute.is_empty()).then(|| {
+        device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+            label: Some(&program.name),
+            entries: &of_attribute,
+        })
+    });
     let outputs = fragment.function.result.as_ref().map_or(0, |r| written(&module, r));
     let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
         label: Some(&program.name),
@@ -153,7 +168,55 @@ pub(super) fn compile(device: &wgpu::Device, program: &Program) -> Result<Compil
     });
     // A word in a comment only makes the pipeline a little slower.
     let discards = ["discard", "frag_depth"].iter().any(|word| program.wgsl.contains(word));
-    Ok(Compiled { module, heights: None, layout, members, inputs, uniform_bytes, units, constants, outputs, discards })
+    Ok(Compiled {
+        module,
+        heights: None,
+        layout,
+        attribute_layout,
+        members,
+        inputs,
+        uniform_bytes,
+        units,
+        constants,
+        outputs,
+        discards,
+    })
+}
+
+/// Returns the layout of a binding of the application's own state attribute.
+fn attribute_entry(
+    binding: u32,
+    space: naga::AddressSpace,
+    inner: &naga::TypeInner,
+) -> Result<wgpu::BindGroupLayoutEntry, String> {
+    let buffer = |ty| wgpu::BindingType::Buffer { ty, has_dynamic_offset: false, min_binding_size: None };
+    let ty = match (space, inner) {
+        (naga::AddressSpace::Uniform, _) => buffer(wgpu::BufferBindingType::Uniform),
+        (naga::AddressSpace::Storage { access }, _) if !access.contains(naga::StorageAccess::STORE) => {
+            buffer(wgpu::BufferBindingType::Storage { read_only: true })
+        }
+        (_, naga::TypeInner::Image { dim, arrayed, class }) => {
+            let (view_dimension, is_depth) = sampled_texture(binding, *dim, *arrayed, *class)?;
+            let sample_type = match is_depth {
+                true => wgpu::TextureSampleType::Depth,
+                false => wgpu::TextureSampleType::Float { filterable: true },
+            };
+            wgpu::BindingType::Texture { sample_type, view_dimension, multisampled: false }
+        }
+        (_, naga::TypeInner::Sampler { comparison: true }) => {
+            wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Comparison)
+        }
+        (_, naga::TypeInner::Sampler { comparison: false }) => {
+            wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering)
+        }
+        _ => {
+            let group = ATTRIBUTE_GROUP;
+            return Err(format!(
+                "group {group} binding {binding} is neither a uniform or read-only storage buffer nor a texture nor a sampler"
+            ));
+        }
+    };
+    Ok(wgpu::BindGroupLayoutEntry { binding, visibility: wgpu::ShaderStages::VERTEX_FRAGMENT, ty, count: None })
 }
 
 /// Returns the dimension of a declared texture, and whether it is a depth texture.

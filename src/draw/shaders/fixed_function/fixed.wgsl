@@ -18,9 +18,15 @@ struct Fixed {
     model: vec4<u32>,          // 1 for a local viewer; the lit side (below); 1 if highlights are added after textures
     flags: vec4<u32>,          // bits of lights, bits of clip planes, alpha test, 1 if a light replaces the sun
     units: vec4<u32>,          // 0 off, 1 plane, 2 cube, 3 volume, 4 array
-    texgens: vec4<u32>,        // 0 the mesh's coordinates, 1 object linear, 2 eye linear, 3 sphere, 4 normal, 5 reflection
+    texgens: vec4<u32>,        // 0 the mesh's coordinates, 1 object linear, 2 eye linear, 3 sphere, 4 normal, 5 reflection;
+                               // 16 more if a matrix follows
     bias: vec4<f32>,           // added to the mip level
-    planes: array<vec4<f32>, 16>,  // of s, t, r and q, by unit
+    planes: array<vec4<f32>, 16>,      // of s, t, r and q, by unit
+    envs: array<vec4<u32>, 4>,         // by unit: combination of colour and of alpha, bits of the two scales; 0 multiplies
+    env_colors: array<vec4<f32>, 4>,   // constant colour by unit
+    matrices: array<mat4x4<f32>, 4>,   // of coordinates, by unit
+    borders: vec4<u32>,                // axes, as bits, beyond whose edges is the border colour
+    border_colors: array<vec4<f32>, 4>,
 }
 
 @group(2) @binding(0) var<uniform> fixed_state: Fixed;
@@ -56,16 +62,22 @@ fn towards_eye(in_eye: vec3<f32>) -> vec3<f32> {
     return select(-in_eye * inverseSqrt(square), vec3<f32>(0.0, 0.0, 1.0), is_along);
 }
 
-// Returns the colour of a surface under all lights.
-fn lit(s: Surface, textures: vec3<f32>, base: vec3<f32>) -> vec3<f32> {
+// The light that a surface reflects, before textures: highlights, and the rest.
+struct Reflected {
+    color: vec3<f32>,
+    highlights: vec3<f32>,
+}
+
+// Returns the light of all lights that a surface of a base colour reflects.
+fn lit(s: Surface, base: vec3<f32>) -> Reflected {
     var side = fixed_state.front;
     if s.is_back {
         side = fixed_state.back;
     }
     let ambient = base * side.ambient.rgb;
     let diffuse = base * side.diffuse.rgb;
-    let specular = side.specular.rgb * select(textures, vec3<f32>(1.0), fixed_state.model.z == 1u);
-    var color = textures * side.emission.rgb + fixed_state.model_ambient.rgb * ambient;
+    var color = side.emission.rgb + fixed_state.model_ambient.rgb * ambient;
+    var highlights = vec3<f32>(0.0);
     if (fixed_state.flags.x & 1u) != 0u && fixed_state.flags.w == 0u {
         var sun = light_of_sun(s.normal, s.up, above_ground(s.in_eye).w);
         if dot(s.normal, frame.sun_direction.xyz) > 0.0 {
@@ -82,15 +94,14 @@ fn lit(s: Surface, textures: vec3<f32>, base: vec3<f32>) -> vec3<f32> {
         let way = way_to_light(l, s.in_eye);
         let to_light = way.xyz;
         let facing = max(dot(s.normal, to_light), 0.0);
-        var reflected = l.ambient.rgb * ambient + facing * l.diffuse.rgb * diffuse;
+        color += way.w * (l.ambient.rgb * ambient + facing * l.diffuse.rgb * diffuse);
         if facing > 0.0 && side.specular.w > 0.0 {
             let half_way = normalize(to_light + to_eye);
             let shine = pow(max(dot(s.normal, half_way), 0.0), side.specular.w);
-            reflected += shine * l.specular.rgb * specular;
+            highlights += way.w * shine * l.specular.rgb * side.specular.rgb;
         }
-        color += way.w * reflected;
     }
-    return color;
+    return Reflected(color, highlights);
 }
 
 // Returns a colour as seen through fog or haze, tone mapped if it is lit.
@@ -144,20 +155,16 @@ fn is_clipped(in_eye: vec3<f32>) -> bool {
     return false;
 }
 
-// Returns the product of all textures. They are sampled before any discard, since mip levels need the neighbouring pixels.
-fn all_textures(s: Surface) -> vec4<f32> {
-    var color = s.texel;
-    for (var unit = 0u; unit < 4u; unit++) {
-        color *= unit_color(unit, s);
-    }
-    return color;
+// The textures of all units at a point. They are sampled before any discard, since mip levels need the neighbouring pixels.
+fn all_textures(s: Surface) -> array<vec4<f32>, 4> {
+    return array<vec4<f32>, 4>(unit_color(0u, s), unit_color(1u, s), unit_color(2u, s), unit_color(3u, s));
 }
 
-// Returns the colour of a surface before lighting.
-fn fixed_base(s: Surface, textures: vec4<f32>) -> vec4<f32> {
-    var base = textures * s.color;
-    base.a *= select(fixed_state.front.diffuse.a, fixed_state.back.diffuse.a, s.is_back);
-    return base;
+// Returns the colour of a surface before lighting and textures.
+fn primary_color(s: Surface) -> vec4<f32> {
+    var color = s.color;
+    color.a *= select(fixed_state.front.diffuse.a, fixed_state.back.diffuse.a, s.is_back);
+    return color;
 }
 
 // Returns true if clip planes, the alpha mask or the alpha test discard a fragment.
@@ -167,18 +174,23 @@ fn is_dropped(s: Surface, base: vec4<f32>) -> bool {
 
 // Returns true where a caster has a hole and casts no shadow.
 fn is_hole(s: Surface) -> bool {
-    return is_dropped(s, fixed_base(s, all_textures(s)));
+    return is_dropped(s, textured(s, primary_color(s), all_textures(s)));
 }
 
 fn fixed_color(s: Surface) -> vec4<f32> {
     let textures = all_textures(s);
-    let base = fixed_base(s, textures);
-    var color = base.rgb;
+    var primary = primary_color(s);
+    // Highlights that are added after the textures.
+    var separate = vec3<f32>(0.0);
     if s.is_lit {
-        color = lit(s, textures.rgb, base.rgb);
+        let reflected = lit(s, primary.rgb);
+        let is_separate = fixed_state.model.z == 1u;
+        separate = select(vec3<f32>(0.0), reflected.highlights, is_separate);
+        primary = vec4<f32>(reflected.color + reflected.highlights - separate, primary.a);
     }
-    if is_dropped(s, base) {
+    let color = textured(s, primary, textures);
+    if is_dropped(s, color) {
         discard;
     }
-    return vec4<f32>(fogged(s, color), base.a);
+    return vec4<f32>(fogged(s, color.rgb + separate), color.a);
 }

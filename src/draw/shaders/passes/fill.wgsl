@@ -14,13 +14,18 @@ fn vs_fill(@builtin(vertex_index) index: u32, @builtin(instance_index) instance:
 
 // The same colour for all attachments; locations without an attachment are ignored.
 struct FillColors {
-    @location(0) first: vec4<f32>,
-    @location(1) second: vec4<f32>,
-    @location(2) third: vec4<f32>,
-    @location(3) fourth: vec4<f32>,
+    @location(0) color_0: vec4<f32>,
+    @location(1) color_1: vec4<f32>,
+    @location(2) color_2: vec4<f32>,
+    @location(3) color_3: vec4<f32>,
+    @location(4) color_4: vec4<f32>,
+    @location(5) color_5: vec4<f32>,
+    @location(6) color_6: vec4<f32>,
+    @location(7) color_7: vec4<f32>,
 }
 
 @fragment
 fn fs_fill(in: FillVertex) -> FillColors {
-    return FillColors(in.color, in.color, in.color, in.color);
+    let c = in.color;
+    return FillColors(c, c, c, c, c, c, c, c);
 }

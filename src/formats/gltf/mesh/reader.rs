@@ -162,6 +162,7 @@ impl<'a> MeshReader<'a> {
         drawable.features = features;
         drawable.shared = SharedParts { geometry, indices, texture: shared_texture.flatten(), maps };
         let drawable = drawable.with_vertex_format(format);
+        let drawable = if context.options.cluster_culling { drawable.with_cluster_culling() } else { drawable };
         let edges = outline::edges(context, document, primitive, &data, index_lists)?;
         let outline = edges.map(|edges| outline::lines(context, &edges, &drawable)).transpose()?.flatten();
         Ok(Some((drawable, outline)))

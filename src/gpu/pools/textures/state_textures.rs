@@ -9,11 +9,12 @@ use std::sync::{Arc, Weak};
 use super::image_size::{ImageSize, TexelEncoding};
 use super::texture_rows::write_rows;
 use super::wgpu_enums::{
-    address_mode, block_formats, compare_function, filter_mode, mipmap_filter_mode, texture_format, view_dimension,
+    address_mode, block_formats, border_color, compare_function, filter_mode, mipmap_filter_mode, texture_format,
+    view_dimension,
 };
 use crate::gpu::error_scope::catch_errors;
 use crate::scene::Texture;
-use crate::state::{FilterMode, Sampler, TextureDimension, TextureFormat, TextureObject};
+use crate::state::{FilterMode, Sampler, TextureDimension, TextureFormat, TextureObject, WrapMode};
 
 struct Entry {
     /// Keeps the address from being reused while the entry exists.
@@ -38,6 +39,7 @@ pub(crate) struct StateTextures {
     samplers: Vec<(Sampler, wgpu::Sampler)>,
     next_serial: u32,
     can_filter_floats: bool,
+    has_borders: bool,
 }
 
 impl StateTextures {
@@ -47,6 +49,7 @@ impl StateTextures {
             samplers: Vec::new(),
             next_serial: 1,
             can_filter_floats: device.features().contains(wgpu::Features::FLOAT32_FILTERABLE),
+            has_borders: device.features().contains(wgpu::Features::ADDRESS_MODE_CLAMP_TO_BORDER),
         }
     }
 
@@ -56,6 +59,12 @@ impl StateTextures {
             TextureFormat::R32Float => self.can_filter_floats,
             _ => !format.is_depth(),
         }
+    }
+
+    /// Returns true if a sampler has a border colour that the adapter does not have: its edges are clamped.
+    pub(crate) fn emulates_border(&self, sampler: &Sampler) -> bool {
+        let has_border = sampler.wrap.contains(&WrapMode::ClampToBorder);
+        has_border && !(self.has_borders && border_color(sampler.border_color).is_some())
     }
 
     /// Creates a texture if necessary, and returns its serial number. Returns an error the first time that a texture
@@ -135,7 +144,50 @@ impl StateTextures {
         self.created(object).map(|created| &created.texture)
     }
 
-    /// Returns a view of one level of one layer, to draw into. `None` if the texture has no such level or layer.
+    /// Gives a texture the size and format of an image that will be copied into it. Returns true if it was replaced, so that
+    /// its bind groups must be created again.
+    pub(crate) fn ensure_copy(
+        &mut self,
+        device: &wgpu::Device,
+        object: &Arc<TextureObject>,
+        [width, height]: [u32; 2],
+        format: wgpu::TextureFormat,
+    ) -> Result<bool, String> {
+        let size = wgpu::Extent3d { width, height, depth_or_array_layers: 1 };
+        let fits = |created: &CreatedTexture| {
+            let texture = &created.texture;
+            texture.size() == size
+                && texture.format() == format
+                && texture.mip_level_count() == 1
+                && texture.usage().contains(wgpu::TextureUsages::COPY_DST)
+        };
+        if self.created(object).is_some_and(fits) {
+            return Ok(false);
+        }
+        let descriptor = wgpu::TextureDescriptor {
+            label: Some(&object.name),
+            size,
+            mip_level_count: 1,
+            sample_count: 1,
+            dimension: wgpu::TextureDimension::D2,
+            format,
+            usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
+            view_formats: &[],
+        };
+        let (texture, error) = catch_errors(device, || device.create_texture(&descriptor));
+        if let Some(error) = error {
+            return Err(format!("texture {:?} cannot be made: {error}", object.name));
+        }
+        let view = texture.create_view(&wgpu::TextureViewDescriptor::default());
+        let created = Some(CreatedTexture { texture, view, attachments: Vec::new() });
+        let key = Arc::as_ptr(object) as usize;
+        self.entries.insert(key, Entry { object: Arc::downgrade(object), created, serial: self.next_serial });
+        self.next_serial += 1;
+        Ok(true)
+    }
+
+    /// Returns a view of one level of one layer, to draw into and to sample; of a volume, the view of all slices of the level.
+    /// `None` if the texture has no such level or layer.
     pub(crate) fn attachment(
         &mut self,
         object: &Arc<TextureObject>,
@@ -144,15 +196,17 @@ impl StateTextures {
     ) -> Option<wgpu::TextureView> {
         let entry = self.entries.get_mut(&(Arc::as_ptr(object) as usize))?;
         let created = entry.created.as_mut()?;
-        if level >= object.levels || layer >= object.size[2] || object.dimension == TextureDimension::D3 {
+        if level >= object.levels || layer >= object.level_size(level)[2] {
             return None;
         }
+        let is_volume = object.dimension == TextureDimension::D3;
+        let layer = if is_volume { 0 } else { layer };
         if let Some((.., view)) = created.attachments.iter().find(|(l, a, _)| (*l, *a) == (level, layer)) {
             return Some(view.clone());
         }
         let view = created.texture.create_view(&wgpu::TextureViewDescriptor {
             label: Some("attachment"),
-            dimension: Some(wgpu::TextureViewDimension::D2),
+            dimension: Some(if is_volume { wgpu::TextureViewDimension::D3 } else { wgpu::TextureViewDimension::D2 }),
             base_mip_level: level,
             mip_level_count: Some(1),
             base_array_layer: layer,
@@ -165,7 +219,7 @@ impl StateTextures {
 
     /// Returns the index of a sampler, which is created if necessary.
     pub(crate) fn ensure_sampler(&mut self, device: &wgpu::Device, sampler: &Sampler) -> u32 {
-        let sampler = without_bias(sampler);
+        let sampler = self.of_adapter(sampler);
         let index = self.samplers.iter().position(|(s, _)| *s == sampler).unwrap_or_else(|| {
             self.samplers.push((sampler, create_sampler(device, &sampler)));
             self.samplers.len() - 1
@@ -175,19 +229,36 @@ impl StateTextures {
 
     /// Returns a sampler by value; `None` before [`Self::ensure_sampler`].
     pub(crate) fn existing_sampler(&self, sampler: &Sampler) -> Option<&wgpu::Sampler> {
-        let sampler = without_bias(sampler);
+        let sampler = self.of_adapter(sampler);
         self.samplers.iter().find(|(s, _)| *s == sampler).map(|(_, s)| s)
+    }
+
+    /// Returns a sampler as the adapter has it: without its bias, which shaders apply, and without a border colour that it
+    /// does not have.
+    fn of_adapter(&self, sampler: &Sampler) -> Sampler {
+        let is_clamped = self.emulates_border(sampler);
+        let wrap = sampler.wrap.map(|mode| match mode {
+            WrapMode::ClampToBorder if is_clamped => WrapMode::ClampToEdge,
+            mode => mode,
+        });
+        let has_border = wrap.contains(&WrapMode::ClampToBorder);
+        let border_color = if has_border { sampler.border_color } else { [0.0; 4] };
+        Sampler { mip_bias: 0.0, wrap, border_color, ..*sampler }
     }
 
     pub(crate) fn sampler(&self, index: u32) -> Option<&wgpu::Sampler> {
         self.samplers.get(index as usize).map(|(_, s)| s)
     }
 
-    /// Frees textures whose objects were dropped. Returns true if there were any.
-    pub(crate) fn prune(&mut self) -> bool {
-        let before = self.entries.len();
-        self.entries.retain(|_, e| e.object.strong_count() > 0);
-        self.entries.len() != before
+    /// Frees textures whose objects were dropped; passes their serial numbers to a function, in no order.
+    pub(crate) fn prune(&mut self, mut freed: impl FnMut(u32)) {
+        self.entries.retain(|_, entry| {
+            let is_held = entry.object.strong_count() > 0;
+            if !is_held {
+                freed(entry.serial);
+            }
+            is_held
+        });
     }
 }
 
@@ -247,11 +318,6 @@ fn create_texture(
     Ok(CreatedTexture { texture, view, attachments: Vec::new() })
 }
 
-/// Returns a sampler without its bias, which shaders apply and samplers of the adapter do not have.
-fn without_bias(sampler: &Sampler) -> Sampler {
-    Sampler { mip_bias: 0.0, ..*sampler }
-}
-
 fn create_sampler(device: &wgpu::Device, sampler: &Sampler) -> wgpu::Sampler {
     let [u, v, w] = sampler.wrap.map(address_mode);
     let all_linear = [sampler.min_filter, sampler.mag_filter, sampler.mip_filter] == [FilterMode::Linear; 3];
@@ -265,6 +331,11 @@ fn create_sampler(device: &wgpu::Device, sampler: &Sampler) -> wgpu::Sampler {
         mipmap_filter: mipmap_filter_mode(sampler.mip_filter),
         compare: sampler.compare.map(compare_function),
         // WebGPU allows anisotropy with linear filters only.
+        border_color: sampler
+            .wrap
+            .contains(&WrapMode::ClampToBorder)
+            .then(|| border_color(sampler.border_color))
+            .flatten(),
         anisotropy_clamp: if all_linear { u16::from(sampler.max_anisotropy.clamp(1, 16)) } else { 1 },
         ..Default::default()
     })

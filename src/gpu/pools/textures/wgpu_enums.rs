@@ -75,6 +75,20 @@ pub(in crate::gpu::pools) fn address_mode(mode: WrapMode) -> wgpu::AddressMode {
         WrapMode::ClampToEdge => wgpu::AddressMode::ClampToEdge,
         WrapMode::Repeat => wgpu::AddressMode::Repeat,
         WrapMode::Mirror => wgpu::AddressMode::MirrorRepeat,
+        WrapMode::ClampToBorder => wgpu::AddressMode::ClampToBorder,
+    }
+}
+
+/// Returns wgpu's border with a colour; `None` for a colour that it does not have.
+pub(super) fn border_color(color: [f32; 4]) -> Option<wgpu::SamplerBorderColor> {
+    if color == [0.0; 4] {
+        Some(wgpu::SamplerBorderColor::TransparentBlack)
+    } else if color == [0.0, 0.0, 0.0, 1.0] {
+        Some(wgpu::SamplerBorderColor::OpaqueBlack)
+    } else if color == [1.0; 4] {
+        Some(wgpu::SamplerBorderColor::OpaqueWhite)
+    } else {
+        None
     }
 }
 
