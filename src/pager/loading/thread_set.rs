@@ -1,10 +1,14 @@
 //! Named threads that are joined on drop.
 
 use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
 
 use thread_priority::{ThreadPriority, ThreadPriorityValue};
 
 use crate::pager::config::PagerError;
+
+/// How often a join with a time limit looks whether the threads have ended.
+const JOIN_INTERVAL: Duration = Duration::from_millis(1);
 
 /// Threads of a pager. Dropping the set joins them; the owner must end their work before, by closing what they wait for.
 #[derive(Default)]
@@ -29,15 +33,37 @@ impl ThreadSet {
     }
 }
 
-impl Drop for ThreadSet {
-    fn drop(&mut self) {
+impl ThreadSet {
+    /// Joins the threads that end within a time, and leaves the others to themselves.
+    pub fn join_within(&mut self, timeout: Duration) {
+        let begun = Instant::now();
+        while begun.elapsed() < timeout && !self.handles.iter().all(JoinHandle::is_finished) {
+            std::thread::sleep(JOIN_INTERVAL);
+        }
         for handle in self.handles.drain(..) {
-            let name = handle.thread().name().unwrap_or("a pager thread").to_owned();
-            if handle.join().is_err() {
-                log::error!("{name} panicked");
+            match handle.is_finished() {
+                true => join(handle),
+                false => log::warn!("{} hangs on a file and is left alone", name_of(&handle)),
             }
         }
     }
+}
+
+impl Drop for ThreadSet {
+    fn drop(&mut self) {
+        self.handles.drain(..).for_each(join);
+    }
+}
+
+fn join(handle: JoinHandle<()>) {
+    let name = name_of(&handle);
+    if handle.join().is_err() {
+        log::error!("{name} panicked");
+    }
+}
+
+fn name_of(handle: &JoinHandle<()>) -> String {
+    handle.thread().name().unwrap_or("a pager thread").to_owned()
 }
 
 /// Lowers the priority of the calling thread: there is a decode thread for each core, and a frame that wakes one of its
