@@ -52,7 +52,7 @@ pub enum IoError {
         /// The message of the HTTP client.
         reason: String,
     },
-    /// The answer did not arrive completely within a time limit.
+    /// The answer did not arrive completely, or a file was not read, within a time limit.
     #[error("{}: timed out after {seconds} s ({phase})", shown(.uri))]
     Timeout {
         /// The URI that was requested.
@@ -176,7 +176,8 @@ impl IoError {
     /// Returns true for transient errors that mostly persist: damaged bytes and failing disks. They deserve only a few
     /// retries.
     pub fn is_doubtful(&self) -> bool {
-        self.is_transient() && matches!(self, Self::Invalid { .. } | Self::File { .. })
+        let is_disk = matches!(self, Self::Timeout { uri, .. } if !is_remote(uri));
+        self.is_transient() && (is_disk || matches!(self, Self::Invalid { .. } | Self::File { .. }))
     }
 
     /// Returns true if the bytes themselves are wrong. No cache may keep them.

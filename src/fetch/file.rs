@@ -62,6 +62,8 @@ impl FileReader {
     fn read_unguarded(&self, uri: &str) -> Result<Vec<u8>, IoError> {
         #[cfg(test)]
         assert!(!uri.ends_with(PANICS), "a codec has a defect");
+        #[cfg(feature = "testing")]
+        hung_reads::wait(uri);
         let limits = &self.limits;
         let Some(metadata) = self.metadata(uri)? else {
             let (archive, name) = self.open_archive_of(uri)?;
@@ -121,6 +123,50 @@ impl FileReader {
         self.archives.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
+
+/// Reads that hang, for tests: no test can make a disk hang.
+#[cfg(feature = "testing")]
+mod hung_reads {
+    use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+
+    static FILES: Mutex<Vec<String>> = Mutex::new(Vec::new());
+    static RELEASED: Condvar = Condvar::new();
+
+    fn files() -> MutexGuard<'static, Vec<String>> {
+        FILES.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Makes all reads hang of files whose path contains a text, until it is dropped.
+    #[derive(Debug)]
+    pub struct HungReads(String);
+
+    impl HungReads {
+        /// Makes the reads hang that begin from now on.
+        pub fn of(part_of_path: &str) -> Self {
+            files().push(part_of_path.to_owned());
+            Self(part_of_path.to_owned())
+        }
+    }
+
+    impl Drop for HungReads {
+        fn drop(&mut self) {
+            let mut files = files();
+            if let Some(index) = files.iter().position(|file| *file == self.0) {
+                files.swap_remove(index);
+            }
+            RELEASED.notify_all();
+        }
+    }
+
+    pub(super) fn wait(uri: &str) {
+        let mut files = files();
+        while files.iter().any(|file| uri.contains(file)) {
+            files = RELEASED.wait(files).unwrap_or_else(PoisonError::into_inner);
+        }
+    }
+}
+#[cfg(feature = "testing")]
+pub use hung_reads::HungReads;
 
 /// Reads one file like [`FileReader::read`].
 pub fn read_file(uri: &str, limits: &Limits) -> Result<Vec<u8>, IoError> {

@@ -3,7 +3,7 @@
 use super::error::IoError;
 
 /// Upper limits for data from outside. The defaults are above what real tile sets hold.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Limits {
     /// Bytes of one file, after decompression.
     pub max_file_bytes: u64,

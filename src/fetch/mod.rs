@@ -19,6 +19,7 @@ mod panic_guard;
 mod percent;
 mod scope;
 mod source;
+mod time_limit;
 mod uri;
 
 #[cfg(feature = "testing")]
@@ -31,6 +32,8 @@ pub use cache::{CacheConfig, CacheInfo, CacheVerified, DiskCache};
 #[cfg(all(feature = "http", feature = "testing"))]
 pub use encoding::fuzz_encoding;
 pub use error::IoError;
+#[cfg(feature = "testing")]
+pub use file::HungReads;
 #[cfg(test)]
 pub(crate) use file::PANICS;
 pub use file::{FileReader, read_file};
@@ -46,6 +49,7 @@ pub use panic_guard::DECODER_PANICKED;
 pub(crate) use panic_guard::guarded;
 pub use scope::{RootScope, resolve, root_uri};
 pub(crate) use source::{Loaded, Source};
+pub(crate) use time_limit::run_within;
 #[cfg(all(feature = "http", feature = "testing"))]
 pub use uri::fuzz_url;
 pub(crate) use uri::path_of;

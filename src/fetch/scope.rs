@@ -13,7 +13,7 @@ use super::percent::percent_decode;
 use super::uri::{is_http, is_remote, is_store, server};
 
 /// The set of URIs that references in a tile set may lead to.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub enum RootScope {
     /// Files below this absolute folder.
     Folder(PathBuf),

@@ -7,12 +7,18 @@ use crate::fetch::{IoError, Limits};
 use crate::formats::Style;
 use crate::scene::ShareModes;
 
+/// The time limit for reading a local file by default: longer than a disk that was stopped takes to start.
+pub(in crate::pager) const DEFAULT_FILE_TIMEOUT: Duration = Duration::from_secs(30);
+
 /// Configuration of a [`DatabasePager`](super::DatabasePager): threads, budgets and timeouts. It has many fields because
 /// each is an independent setting.
 #[derive(Clone, Debug)]
 pub struct PagerConfig {
     /// Threads that read local files. With two, one keeps the disk busy while the other waits.
     pub file_threads: usize,
+    /// Time limit for reading a local file, such as one on a network drive whose server is gone. Its tile has then failed
+    /// ([`IoError::Timeout`]) and is requested a few times more; other tiles go on loading.
+    pub file_timeout: Duration,
     /// Contents requested from one server at once, at most 4,096; all servers together get four times as many. A content
     /// with separate imagery is two requests.
     pub http_in_flight: usize,
@@ -78,6 +84,7 @@ impl Default for PagerConfig {
         let cores = std::thread::available_parallelism().map_or(2, usize::from);
         Self {
             file_threads: 2,
+            file_timeout: DEFAULT_FILE_TIMEOUT,
             http_in_flight: 32,
             http_in_flight_max: 128,
             decode_threads: cores.clamp(1, 16),

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use kit::process::test_name;
 use kit::server::{Reply, Server};
 use terrane::fetch::{
-    CacheConfig, CacheInfo, CacheStats, CacheVerified, Credential, DiskCache, HttpClient, HttpConfig, IoError, Limits,
+    CacheConfig, CacheInfo, CacheStats, CacheVerified, DiskCache, HttpClient, HttpConfig, IoError, Limits,
 };
 use terrane::formats::ReadOptions;
 use terrane::pager::{DatabasePager, PagerConfig};
@@ -144,28 +144,6 @@ fn answer_is_fresh_only_as_long_as_its_redirects() {
         assert_eq!(Client::at(folder.path()).get(&url), b"/v1", "{path}");
         assert_eq!(Client::at(folder.path()).get(&url), again.as_bytes(), "{path}");
     }
-}
-
-#[test]
-fn answers_that_vary_by_client_are_not_cached() {
-    let folder = tempfile::tempdir().unwrap();
-    let server = Server::start(|r| {
-        let who = r.header("authorization").unwrap_or("nobody").to_owned();
-        let vary = if r.path() == "/private" { "Accept-Encoding, Authorization" } else { "Accept-Encoding" };
-        Reply::ok(who).with("Cache-Control", "private, max-age=1000").with("Vary", vary)
-    });
-    let as_user = |user: &str, path: &str| {
-        let credentials = vec![Credential::header(&server.url, "authorization", user).unwrap()];
-        let config = HttpConfig { credentials, ..config(CacheConfig::new(folder.path())) };
-        let client = Client(HttpClient::new(&config).unwrap(), Client::at(folder.path()).1);
-        String::from_utf8(client.get(&format!("{}/{path}", server.url))).unwrap()
-    };
-    assert_eq!([as_user("a", "private"), as_user("b", "private")], ["a", "b"]);
-    assert_eq!(
-        [as_user("a", "public"), as_user("b", "public")],
-        ["a", "a"],
-        "the server answers that it is not modified"
-    );
 }
 
 #[test]

@@ -81,16 +81,79 @@ fn answer_that_is_not_stored_invalidates_the_old_one() {
     }
 }
 
+/// Sends each answer to the user that the request names, and lets it be stored for long.
+fn server_of_users() -> Server {
+    Server::start(|r| {
+        let query = r.target.split_once("key=").map_or("", |(_, key)| key);
+        let user = r.header("authorization").or(r.header("x-key")).unwrap_or(query).to_owned();
+        let by_vary = r.path().strip_prefix("/vary/").unwrap_or("accept-encoding").to_owned();
+        let control = if r.path() == "/private" { "private, max-age=1000" } else { "max-age=1000" };
+        Reply::ok(format!("of {user}")).with("Cache-Control", control).with("Vary", by_vary)
+    })
+}
+
+/// Regression: keys were the URI alone, so that one user got the tiles of another from a common folder.
+#[test]
+fn users_do_not_see_the_answers_of_others() {
+    let (server, folder) = (server_of_users(), tempfile::tempdir().unwrap());
+    let url = format!("{}/a", server.url);
+    let header = |name: &str, value: &str| vec![Credential::header(&server.url, name, value).unwrap()];
+    let query = |value: &str| vec![Credential::query(&server.url, "key", value).unwrap()];
+    let of = |credentials: &[Credential]| {
+        get(&HttpConfig { credentials: credentials.to_vec(), ..config(folder.path()) }, &url)
+    };
+    let users = [
+        (Vec::new(), "of "),
+        (header("authorization", "Bearer one"), "of Bearer one"),
+        (header("authorization", "Bearer two"), "of Bearer two"),
+        (header("x-key", "one"), "of one"),
+        (query("three"), "of three"),
+        (query("four"), "of four"),
+    ];
+    for round in 0..2 {
+        for (credentials, body) in &users {
+            assert_eq!(of(credentials), *body, "round {round}");
+        }
+        assert_eq!(server.count(), users.len(), "each user has an entry, round {round}");
+    }
+    // Neither the keys nor a hash of them that anyone could compute is on the disk.
+    for path in files(folder.path()) {
+        let (name, bytes) = (path.display().to_string(), std::fs::read(&path).unwrap());
+        let text = String::from_utf8_lossy(&bytes);
+        assert!(
+            name.contains("blobs") || ["one", "two", "three", "four"].iter().all(|key| !text.contains(key)),
+            "{name}"
+        );
+    }
+}
+
+fn files(folder: &Path) -> Vec<std::path::PathBuf> {
+    let paths = std::fs::read_dir(folder).unwrap().map(|e| e.unwrap().path());
+    paths.flat_map(|p| if p.is_dir() { files(&p) } else { vec![p] }).collect()
+}
+
+/// Regression: several users may share the folder, and `private` answers were stored.
+#[test]
+fn private_answers_and_those_that_vary_by_cookies_are_not_stored() {
+    for (path, requests) in [("a", 1), ("private", 2), ("vary/Accept, *", 2), ("vary/Cookie", 2), ("vary/origin", 1)] {
+        let (server, folder) = (server_of_users(), tempfile::tempdir().unwrap());
+        let credentials = vec![Credential::header(&server.url, "authorization", "me").unwrap()];
+        let config = HttpConfig { credentials, ..config(folder.path()) };
+        let url = format!("{}/{}", server.url, path.replace(' ', ""));
+        assert_eq!([get(&config, &url), get(&config, &url)], ["of me", "of me"], "{path}");
+        assert_eq!(server.count(), requests, "{path}");
+    }
+}
+
 /// Regression: only the final answer was checked, so that requests with another credential were redirected like the
 /// first.
 #[test]
-fn redirect_that_varies_by_credentials_is_not_cached() {
+fn redirects_depend_on_credentials() {
     let folder = tempfile::tempdir().unwrap();
     let server = Server::start(|r| match r.path() {
         "/mine" => {
             let to = format!("/of/{}", r.header("authorization").unwrap_or("nobody"));
-            let moved = Reply::new(302, "").with("Location", to);
-            moved.with("Cache-Control", "max-age=1000").with("Vary", "Authorization")
+            Reply::new(302, "").with("Location", to).with("Cache-Control", "max-age=1000")
         }
         path => Reply::ok(path).with("Cache-Control", "max-age=1000"),
     });
@@ -98,5 +161,30 @@ fn redirect_that_varies_by_credentials_is_not_cached() {
         let credentials = vec![Credential::header(&server.url, "authorization", user).unwrap()];
         get(&HttpConfig { credentials, ..config(folder.path()) }, &format!("{}/mine", server.url))
     };
-    assert_eq!([as_user("a"), as_user("b")], ["/of/a", "/of/b"]);
+    assert_eq!([as_user("a"), as_user("b"), as_user("a")], ["/of/a", "/of/b", "/of/a"]);
+    assert_eq!(server.count(), 4);
+}
+
+/// The key of an entry has the credentials of the first server only.
+#[test]
+fn answer_behind_a_redirect_to_a_server_with_credentials_is_not_stored() {
+    let folder = tempfile::tempdir().unwrap();
+    let other = Server::start(|r| {
+        let user = r.header("authorization").unwrap_or("nobody").to_owned();
+        Reply::ok(user).with("Cache-Control", "max-age=1000")
+    });
+    let to = format!("{}/a", other.url);
+    let server = Server::start(move |_| Reply::new(301, "").with("Location", &to));
+    let url = format!("{}/a", server.url);
+    for (credentials, body, requests) in [
+        (vec![Credential::header(&other.url, "authorization", "one").unwrap()], "one", 2),
+        (vec![Credential::header(&other.url, "authorization", "two").unwrap()], "two", 2),
+        (Vec::new(), "nobody", 1),
+    ] {
+        let allowed_hosts = vec!["127.0.0.1".parse().unwrap()];
+        let config = HttpConfig { credentials, allowed_hosts, ..config(folder.path()) };
+        let before = other.count();
+        assert_eq!([get(&config, &url), get(&config, &url)], [body, body]);
+        assert_eq!(other.count() - before, requests, "{body}");
+    }
 }

@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant, SystemTime};
 
 use kit::server::{How, Reply, Server};
-use terrane::fetch::{Credential, HttpBody, HttpClient, HttpConfig, IoError, Limits};
+use terrane::fetch::{Credential, HttpBody, HttpClient, HttpConfig, IoError, Limits, RootScope};
 
 const MS: Duration = Duration::from_millis(1);
 
@@ -59,6 +59,65 @@ fn failures_and_redirects_keep_the_connection() {
         }
     });
     assert!(server.seen().iter().all(|r| r.connection == 0), "{:?}", server.seen());
+}
+
+/// Returns what clones of a client get that ask for a URL at the same time.
+async fn at_once(client: &HttpClient, url: &str, count: usize) -> Vec<Result<HttpBody, IoError>> {
+    let mut tasks = tokio::task::JoinSet::new();
+    for _ in 0..count {
+        let (client, url) = (client.clone(), url.to_owned());
+        tasks.spawn(async move { client.get(&url, &Limits::default()).await });
+    }
+    tasks.join_all().await
+}
+
+/// Regression: each scene sent a request of its own for the same tile.
+#[test]
+fn equal_requests_at_the_same_time_are_one() {
+    let server = Server::start(|r| {
+        let status = if r.path() == "/a" { 200 } else { 403 };
+        let mut reply = Reply::new(status, format!("{}", r.nth));
+        reply.delay = 100 * MS;
+        reply
+    });
+    let (client, a) = (HttpClient::new(&quick()).unwrap(), format!("{}/a", server.url));
+    runtime().block_on(async {
+        let bodies: Vec<HttpBody> = at_once(&client, &a, 5).await.into_iter().map(Result::unwrap).collect();
+        assert!(bodies.iter().all(|body| body.bytes == b"0"));
+        assert_eq!(bodies.iter().map(|body| body.network_bytes).sum::<u64>(), 1, "bytes are counted once");
+        assert_eq!(bodies.iter().filter(|body| body.asked).count(), 1);
+        assert_eq!(client.get(&a, &Limits::default()).await.unwrap().bytes, b"1", "a later request asks");
+        let errors = at_once(&client, &format!("{}/b", server.url), 5).await;
+        assert!(errors.iter().all(|error| matches!(error, Err(IoError::Status { status: 403, .. }))), "{errors:?}");
+        assert_eq!(server.count(), 3);
+        // Another set may not reach this server, whoever else asks it.
+        let stranger = client.within(&RootScope::of("http://8.8.8.8/tileset.json"));
+        let (own, refused) = tokio::join!(at_once(&client, &a, 1), at_once(&stranger, &a, 1));
+        assert!(own[0].is_ok() && matches!(refused[0], Err(IoError::HostRefused { .. })), "{refused:?}");
+    });
+}
+
+/// A content that is no longer wanted does not take the request of another one with it.
+#[test]
+fn waiting_request_takes_over_from_an_aborted_one() {
+    let server = Server::start(|r| Reply::ok("body").how(if r.nth == 0 { How::Silent } else { How::Whole }));
+    let client = HttpClient::new(&quick()).unwrap();
+    runtime().block_on(async {
+        let get = || {
+            let (client, url) = (client.clone(), server.url.clone());
+            tokio::spawn(async move { client.get(&url, &Limits::default()).await })
+        };
+        let first = get();
+        while server.count() == 0 {
+            tokio::time::sleep(MS).await;
+        }
+        let second = get();
+        tokio::time::sleep(20 * MS).await;
+        assert_eq!(server.count(), 1, "it waits");
+        first.abort();
+        assert_eq!(second.await.unwrap().unwrap().bytes, b"body");
+        assert_eq!(server.count(), 2);
+    });
 }
 
 #[test]

@@ -7,6 +7,8 @@ mod cache;
 mod cache_answers;
 #[cfg(all(feature = "http", unix))]
 mod cache_bad_disk;
+#[cfg(all(feature = "http", unix))]
+mod cache_hung_disk;
 #[cfg(feature = "http")]
 mod client;
 #[cfg(feature = "http")]

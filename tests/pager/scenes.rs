@@ -432,6 +432,36 @@ fn each_scene_sends_its_own_credentials() {
     }
 }
 
+/// Regression: each scene requested each tile of its own accord.
+#[cfg(feature = "http")]
+#[test]
+fn scenes_with_one_set_share_requests_in_flight() {
+    use kit::server::{Reply, Server};
+
+    let folder = tempfile::tempdir().unwrap();
+    write_quadtree(folder.path());
+    let root = folder.path().to_owned();
+    let server = Server::start(move |request| {
+        let mut reply = Reply::ok(std::fs::read(root.join(request.path().trim_start_matches('/'))).unwrap());
+        reply.delay = Duration::from_millis(50);
+        reply
+    });
+    let uri = root_uri(&format!("{}/tileset.json", server.url)).unwrap();
+    let options = || ReadOptions::for_root(&uri, Limits::default());
+    let mut pager = DatabasePager::new(PagerConfig::default(), options()).unwrap();
+    let mut scenes = vec![Scene::new(), Scene::new()];
+    for scene in &mut scenes {
+        pager.add_scene(scene.number(), options());
+        scene.add_root(pager.read_root_of(scene.number(), &uri).unwrap());
+    }
+    let mut run = Several::with(scenes, pager);
+    run.settle(&[Some(over_the_world(0.4, 900.0)); 2]);
+    let pages = run.pages();
+    assert!(pages[0] > 4 && pages[0] == pages[1] && run.pager.stats().failed == 0, "{pages:?}");
+    // A few are not at the same time.
+    assert!(server.count() < pages[0] + pages[0] / 2, "{} requests for {pages:?} pages", server.count());
+}
+
 /// Regression: each frame requested the failed tiles of the other scene again, whatever its cameras saw.
 #[cfg(feature = "http")]
 #[test]

@@ -5,10 +5,13 @@ use std::time::{Duration, Instant};
 
 use glam::{DAffine3, DVec3};
 use kit::pager::{Run, above};
+use kit::tile_sets::{WORLD_M, write_quadtree};
 use terrane::cull::PageRequest;
+use terrane::fetch::{HungReads, IoError, Limits, root_uri};
+use terrane::formats::ReadOptions;
 use terrane::formats::writers::{GlbMesh, write_glb};
 use terrane::math::{BoundingSphere, BoundingVolume};
-use terrane::pager::PagerConfig;
+use terrane::pager::{DatabasePager, PagerConfig};
 use terrane::scene::{Node, NodeId, NodeKind, Page, PagedLod, PagingOptions, RangeMode, Refine, SlotState};
 
 /// Returns a root and four children around the origin, one glb each.
@@ -225,4 +228,86 @@ fn long_waiting_requests_are_served_before_newer_urgent_ones() {
     }
     let merged = run.pager.stats().merged as usize;
     assert!(merged < MANY - 100, "{merged} were before it");
+}
+
+/// Returns a configuration whose reads may take 100 ms.
+fn impatient() -> PagerConfig {
+    PagerConfig {
+        file_threads: 1,
+        file_timeout: Duration::from_millis(100),
+        retry_after: Duration::from_millis(50),
+        ..PagerConfig::default()
+    }
+}
+
+fn path(folder: &Path, name: &str) -> String {
+    folder.join(name).to_str().unwrap().to_owned()
+}
+
+/// Regression: the only file thread hung for ever, and the end of the pager with it.
+#[test]
+fn hung_file_fails_and_the_others_are_loaded() {
+    let folder = tempfile::tempdir().unwrap();
+    write_set(folder.path());
+    let mut run = Run::new(folder.path().to_str().unwrap(), impatient());
+    let file = path(folder.path(), "child2.glb");
+    let hung = HungReads::of(&file);
+    run.until(above(10.0), "a read fails and the others are merged", |run| {
+        run.pager.stats().failed > 0 && run.pager.stats().merged == 4
+    });
+    let errors = run.pager.errors();
+    assert_eq!((errors.len(), &*errors[0].uri), (1, file.as_str()), "{errors:?}");
+    assert!(errors[0].reason.contains("timed out after 0.1 s"), "{errors:?}");
+    // The disk comes back, and the threads that hung end.
+    drop(hung);
+    run.until(above(10.0), "the failed tile is loaded", |run| run.stage.counters.tiles_drawn == 4);
+    assert_eq!(run.pager.stats().merged, 5);
+    let hung = HungReads::of(&file);
+    run.pager.clear(&mut run.scene, &mut [&mut run.context]);
+    run.until(above(10.0), "all other tiles are merged", |run| run.pager.stats().merged == 5 + 4);
+    // Ends although a thread hangs.
+    drop(run);
+    drop(hung);
+}
+
+/// On a disk that hangs each tile fails, with few threads, and the root is kept.
+#[test]
+fn hung_disk_stops_neither_frames_nor_the_end() {
+    let folder = tempfile::tempdir().unwrap();
+    write_quadtree(folder.path());
+    let mut run = Run::new(folder.path().to_str().unwrap(), impatient());
+    run.settle(above(1e7));
+    let merged = run.pager.stats().merged;
+    let hung = HungReads::of(folder.path().to_str().unwrap());
+    run.max_sse_px = 0.1;
+    let all = above(WORLD_M) + DVec3::new(WORLD_M / 2.0, WORLD_M / 2.0, 0.0);
+    run.until(all, "more tiles fail than threads may hang", |run| run.pager.stats().failed > 40);
+    assert_eq!(run.pager.stats().merged, merged);
+    assert!(run.stage.counters.tiles_drawn > 0, "what was loaded stays");
+    let errors = run.pager.errors();
+    assert!(errors.iter().any(|error| error.reason.contains("all file threads wait")), "{errors:?}");
+    #[cfg(target_os = "linux")]
+    {
+        let threads = std::fs::read_dir("/proc/self/task").unwrap().flatten();
+        let is_file_thread = |name: String| name.starts_with("pager-file-") && name != "pager-file-watch\n";
+        let names = threads.filter_map(|thread| std::fs::read_to_string(thread.path().join("comm")).ok());
+        // Other tests of this process have some too.
+        let count = names.filter(|name| is_file_thread(name.clone())).count();
+        assert!(count < 40, "{count} file threads");
+    }
+    drop(run);
+    drop(hung);
+}
+
+#[test]
+fn hung_root_is_an_error() {
+    let folder = tempfile::tempdir().unwrap();
+    write_set(folder.path());
+    let root = root_uri(folder.path().to_str().unwrap()).unwrap();
+    let mut pager = DatabasePager::new(impatient(), ReadOptions::for_root(&root, Limits::default())).unwrap();
+    let hung = HungReads::of(&root);
+    let error = pager.read_root(&root).unwrap_err();
+    assert!(matches!(&error, IoError::Timeout { uri, .. } if **uri == *root), "{error}");
+    drop(hung);
+    assert!(pager.read_root(&root).is_ok());
 }

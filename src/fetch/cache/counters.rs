@@ -15,6 +15,7 @@ pub(super) struct Counters {
     pub evicted: AtomicU64,
     pub corrupt: AtomicU64,
     pub write_errors: AtomicU64,
+    pub bypassed: AtomicU64,
     pub bytes_hit: AtomicU64,
     pub bytes_stored: AtomicU64,
 }
@@ -36,6 +37,7 @@ impl Counters {
             evicted: of(&self.evicted),
             corrupt: of(&self.corrupt),
             write_errors: of(&self.write_errors),
+            bypassed: of(&self.bypassed),
             bytes_hit: of(&self.bytes_hit),
             bytes_stored: of(&self.bytes_stored),
         }

@@ -10,6 +10,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, SystemTime};
 
 use ring::digest;
+use ring::rand::{SecureRandom as _, SystemRandom};
 
 /// A SHA-256 hash.
 pub(super) type Hash = [u8; 32];
@@ -20,6 +21,12 @@ pub(super) const MARKER: &str = "terrane-cache";
 pub(super) const LOCK: &str = "lock";
 /// The file with the size limit in bytes.
 const LIMIT: &str = "limit";
+/// The file with the secret of keyed hashes.
+const SECRET: &str = "secret";
+/// The file with the index.
+pub(super) const INDEX: &str = "index.redb";
+/// The folder with the lists of files that the index does not have yet.
+pub(super) const CHANGES: &str = "changes";
 const MARKER_TEXT: &[u8] = b"terrane cache 1\n";
 /// Temporary files older than this are left by processes that were killed, and are removed.
 const TEMPORARY_AGE: Duration = Duration::from_secs(3600);
@@ -55,17 +62,81 @@ pub(super) fn unhex(text: &str) -> Option<Hash> {
     Some(hash)
 }
 
+/// Returns a number that no other process has; on several machines processes may have the same process id.
+pub(super) fn process_number() -> u64 {
+    static PROCESS: LazyLock<u64> = LazyLock::new(|| RandomState::new().hash_one(std::process::id()));
+    *PROCESS
+}
+
+/// The kind of content that a file of the cache has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Kind {
+    /// The entry of a URI.
+    Key,
+    /// A body.
+    Blob,
+}
+
+impl Kind {
+    fn folder(self) -> &'static str {
+        match self {
+            Self::Key => "keys",
+            Self::Blob => "blobs",
+        }
+    }
+}
+
+/// Names a file of the cache. Of files of the same age, entries are removed before bodies.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct FileId {
+    pub kind: Kind,
+    pub hash: Hash,
+}
+
+impl FileId {
+    /// The size of [`Self::to_bytes`].
+    pub const BYTES: usize = 33;
+
+    pub fn key(hash: Hash) -> Self {
+        Self { kind: Kind::Key, hash }
+    }
+
+    pub fn blob(hash: Hash) -> Self {
+        Self { kind: Kind::Blob, hash }
+    }
+
+    /// Returns bytes in the order of the names.
+    pub fn to_bytes(self) -> [u8; Self::BYTES] {
+        let mut bytes = [0; Self::BYTES];
+        bytes[0] = u8::from(self.kind == Kind::Blob);
+        bytes[1..].copy_from_slice(&self.hash);
+        bytes
+    }
+
+    /// Parses the result of [`Self::to_bytes`].
+    pub fn from_bytes(bytes: &[u8; Self::BYTES]) -> Option<Self> {
+        let kind = match bytes[0] {
+            0 => Kind::Key,
+            1 => Kind::Blob,
+            _ => return None,
+        };
+        let mut hash = Hash::default();
+        hash.copy_from_slice(&bytes[1..]);
+        Some(Self { kind, hash })
+    }
+}
+
 /// The folder of a cache.
 #[derive(Clone, Debug)]
 pub(super) struct Files {
     pub folder: PathBuf,
 }
 
-/// A file of the cache that a scan has found.
+/// A file of the cache that exists.
 #[derive(Clone, Debug)]
 pub(super) struct Found {
+    pub id: FileId,
     pub path: PathBuf,
-    pub hash: Hash,
     pub size: u64,
     /// The last use, or the epoch if the file's time is unknown or in the future and so tells nothing about its use.
     pub modified: SystemTime,
@@ -90,7 +161,7 @@ impl Files {
             other => other?,
         }
         // Another process may be creating the same cache at this moment.
-        let parts = ["tmp", "keys", "blobs", LOCK, LIMIT, MARKER];
+        let parts = ["tmp", "keys", "blobs", CHANGES, INDEX, LOCK, LIMIT, SECRET, MARKER];
         for found in fs::read_dir(folder)? {
             if !found?.file_name().to_str().is_some_and(|name| parts.contains(&name)) {
                 return Err(io::Error::other("is not empty and no cache"));
@@ -115,26 +186,62 @@ impl Files {
         given.or_else(last)
     }
 
+    /// Returns the secret of this cache, which the first process that needs it makes at random. A process that can neither read
+    /// nor write it uses a separate one. It then finds no entry of another process whose key depends on the secret.
+    pub fn secret(&self) -> Hash {
+        let (file, temporary) = (self.folder.join(SECRET), self.temporary());
+        let read = || Hash::try_from(read_at_most(&file, 32).ok()?).ok();
+        if let Some(secret) = read() {
+            return secret;
+        }
+        let mut secret = Hash::default();
+        if SystemRandom::new().fill(&mut secret).is_err() {
+            // A secret that others can guess is at least not stored.
+            log::error!("the system gives no random numbers for the secret of the cache {}", self.folder.display());
+            return secret;
+        }
+        let written = write_new(&temporary, &secret).and_then(|()| {
+            set_private(&temporary)?;
+            // Unlike a rename, a link never replaces the secret of another process. A file that is no secret is replaced.
+            match fs::hard_link(&temporary, &file) {
+                Err(e) if e.kind() == io::ErrorKind::AlreadyExists && read().is_some() => Ok(()),
+                Err(_) => fs::rename(&temporary, &file),
+                linked => linked,
+            }
+        });
+        let _ = fs::remove_file(&temporary);
+        if let Err(e) = written {
+            log::debug!("cache {}: its secret cannot be written: {e}", self.folder.display());
+        }
+        read().unwrap_or(secret)
+    }
+
     pub fn key(&self, hash: &Hash) -> PathBuf {
-        self.path("keys", hash)
+        self.path(FileId::key(*hash))
     }
 
     pub fn blob(&self, hash: &Hash) -> PathBuf {
-        self.path("blobs", hash)
+        self.path(FileId::blob(*hash))
     }
 
-    fn path(&self, part: &str, hash: &Hash) -> PathBuf {
-        let name = hex(hash);
-        self.folder.join(part).join(&name[..2]).join(name)
+    pub fn path(&self, id: FileId) -> PathBuf {
+        let name = hex(&id.hash);
+        self.folder.join(id.kind.folder()).join(&name[..2]).join(name)
+    }
+
+    /// Returns a name that no other process and no other call uses.
+    pub fn temporary_name(&self) -> String {
+        static NUMBER: AtomicU64 = AtomicU64::new(0);
+        format!("{:016x}-{}", process_number(), NUMBER.fetch_add(1, Ordering::Relaxed))
+    }
+
+    fn temporary(&self) -> PathBuf {
+        self.folder.join("tmp").join(self.temporary_name())
     }
 
     /// Writes a file atomically: a reader finds the old content, the new content, or no file.
     pub fn write(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
-        static NUMBER: AtomicU64 = AtomicU64::new(0);
-        // Processes on several machines may have the same process id.
-        static PROCESS: LazyLock<u64> = LazyLock::new(|| RandomState::new().hash_one(std::process::id()));
-        let number = NUMBER.fetch_add(1, Ordering::Relaxed);
-        let temporary = self.folder.join("tmp").join(format!("{:016x}-{number}", *PROCESS));
+        let temporary = self.temporary();
         let written = write_new(&temporary, bytes).and_then(|()| match fs::rename(&temporary, path) {
             Err(e) if e.kind() == io::ErrorKind::NotFound => {
                 let parent = path.parent().unwrap_or(&self.folder);
@@ -155,11 +262,33 @@ impl Files {
         written
     }
 
-    /// Returns all files in `keys` or `blobs` whose name is a hash.
-    pub fn scan(&self, part: &str) -> io::Result<Vec<Found>> {
-        let mut found = Vec::new();
+    /// Returns a file if it exists.
+    pub fn find(&self, id: FileId) -> Option<Found> {
+        self.found(id, self.path(id))
+    }
+
+    fn found(&self, id: FileId, path: PathBuf) -> Option<Found> {
+        let metadata = fs::metadata(&path).ok()?;
         let latest = SystemTime::now() + CLOCK_DRIFT;
-        for folder in read_dir(&self.folder.join(part))? {
+        let modified = metadata.modified().ok().filter(|time| *time <= latest).unwrap_or(SystemTime::UNIX_EPOCH);
+        Some(Found { id, path, size: metadata.len(), modified })
+    }
+
+    /// Returns all entries or all bodies.
+    pub fn scan(&self, kind: Kind) -> io::Result<Vec<Found>> {
+        let mut found = Vec::new();
+        self.scan_kind(kind, &mut |file| found.push(file))?;
+        Ok(found)
+    }
+
+    /// Hands all files whose name is a hash to `each`.
+    pub fn scan_each(&self, mut each: impl FnMut(Found)) -> io::Result<()> {
+        self.scan_kind(Kind::Key, &mut each)?;
+        self.scan_kind(Kind::Blob, &mut each)
+    }
+
+    fn scan_kind(&self, kind: Kind, each: &mut impl FnMut(Found)) -> io::Result<()> {
+        for folder in read_dir(&self.folder.join(kind.folder()))? {
             let paths = match read_dir(&folder) {
                 Ok(paths) => paths,
                 // An unreadable folder, such as another user's, is left out.
@@ -171,18 +300,10 @@ impl Files {
             for path in paths {
                 let Some(hash) = path.file_name().and_then(|n| n.to_str()).and_then(unhex) else { continue };
                 // Another process may have removed the file.
-                let Ok(metadata) = fs::metadata(&path) else { continue };
-                let modified =
-                    metadata.modified().ok().filter(|time| *time <= latest).unwrap_or(SystemTime::UNIX_EPOCH);
-                found.push(Found { path, hash, size: metadata.len(), modified });
+                self.found(FileId { kind, hash }, path).into_iter().for_each(&mut *each);
             }
         }
-        Ok(found)
-    }
-
-    /// Returns the size in bytes of all keys and blobs.
-    pub fn bytes(&self) -> io::Result<u64> {
-        Ok(self.scan("keys")?.iter().chain(&self.scan("blobs")?).map(|f| f.size).sum())
+        Ok(())
     }
 
     /// Removes temporary files of processes that were killed.
@@ -225,8 +346,21 @@ fn write_new(path: &Path, bytes: &[u8]) -> io::Result<()> {
     file.write_all(bytes)
 }
 
+/// Makes a file readable for its owner only.
+#[cfg(unix)]
+fn set_private(path: &Path) -> io::Result<()> {
+    use std::os::unix::fs::PermissionsExt as _;
+    fs::set_permissions(path, fs::Permissions::from_mode(0o600))
+}
+
+/// Does nothing: the file inherits the permissions of its folder.
+#[cfg(not(unix))]
+fn set_private(_: &Path) -> io::Result<()> {
+    Ok(())
+}
+
 /// Returns the paths in a folder; none if it does not exist.
-fn read_dir(folder: &Path) -> io::Result<Vec<PathBuf>> {
+pub(super) fn read_dir(folder: &Path) -> io::Result<Vec<PathBuf>> {
     match fs::read_dir(folder) {
         Ok(entries) => Ok(entries.flatten().map(|e| e.path()).collect()),
         Err(e) if matches!(e.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory) => Ok(Vec::new()),

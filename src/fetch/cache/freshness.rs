@@ -1,5 +1,5 @@
-//! Whether and for how long an answer may be cached (RFC 9111). This is a private cache, so it ignores `s-maxage` and
-//! `private`.
+//! Whether and for how long an answer may be cached (RFC 9111). Several users and processes may share the folder, so answers
+//! that are `private` are not stored. `s-maxage` is ignored: the folder does not stand between the user and the server.
 
 use std::time::{Duration, SystemTime};
 
@@ -28,7 +28,8 @@ impl Freshness {
         for directive in texts(CACHE_CONTROL).flat_map(|text| text.split(',')) {
             let (name, value) = directive.split_once('=').unwrap_or((directive, ""));
             match name.trim().to_ascii_lowercase().as_str() {
-                "no-store" => store = false,
+                // With or without a list of header fields: an answer without some of its fields would help no one.
+                "no-store" | "private" => store = false,
                 "no-cache" => ask = true,
                 "max-age" => {
                     // An invalid value means stale. Of two values the shorter applies.
@@ -106,6 +107,8 @@ mod tests {
             (&[("Cache-Control", "max-age=4000000000")], (true, Some(MAX_FRESH.as_secs()))),
             (&[("Cache-Control", "no-cache, max-age=60")], (true, Some(0))),
             (&[("Cache-Control", "no-store")], (false, None)),
+            (&[("Cache-Control", "Private, max-age=60")], (false, Some(60))),
+            (&[("Cache-Control", "private=\"x-user, x-name\"")], (false, None)),
             (&[("Pragma", "no-cache"), expires], (true, Some(0))),
             (&[expires], (true, Some(600))),
             (&[expires, ("Date", "Sun, 09 Sep 2001 01:55:40 GMT")], (true, Some(60))),

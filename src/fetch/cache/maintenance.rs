@@ -9,7 +9,7 @@ use std::time::SystemTime;
 use serde::Serialize;
 
 use super::entry::{self, Entry};
-use super::files::{self, read_at_most};
+use super::files::{self, Kind, read_at_most};
 use super::store::DiskCache;
 use crate::fetch::IoError;
 
@@ -43,7 +43,7 @@ impl DiskCache {
     /// Counts entries and bodies. Reads every entry, but no body.
     pub fn info(&self) -> Result<CacheInfo, IoError> {
         let now = SystemTime::now();
-        let (keys, blobs) = (self.scan("keys")?, self.scan("blobs")?);
+        let (keys, blobs) = (self.scan(Kind::Key)?, self.scan(Kind::Blob)?);
         let entries = keys.iter().filter_map(|key| read_entry(&key.path));
         Ok(CacheInfo {
             entries: keys.len() as u64,
@@ -58,9 +58,10 @@ impl DiskCache {
     pub fn clear(&self) -> Result<u64, IoError> {
         let (mut bytes, mut removals) = (0, Removals::default());
         self.files().remove_leftovers().map_err(|e| self.failed(&e))?;
-        for found in self.scan("keys")?.into_iter().chain(self.scan("blobs")?) {
+        for found in self.scan(Kind::Key)?.into_iter().chain(self.scan(Kind::Blob)?) {
             bytes += if removals.remove(&found.path) { found.size } else { 0 };
         }
+        self.files().remove_index();
         removals.finish(bytes)
     }
 
@@ -69,10 +70,10 @@ impl DiskCache {
     pub fn verify(&self) -> Result<CacheVerified, IoError> {
         let (mut found, mut removals) = (CacheVerified::default(), Removals::default());
         let mut whole = HashSet::new();
-        for blob in self.scan("blobs")? {
+        for blob in self.scan(Kind::Blob)? {
             match read_at_most(&blob.path, blob.size) {
-                Ok(bytes) if files::hash(&bytes) == blob.hash => {
-                    whole.insert(blob.hash);
+                Ok(bytes) if files::hash(&bytes) == blob.id.hash => {
+                    whole.insert(blob.id.hash);
                 }
                 Err(e) if e.kind() == io::ErrorKind::NotFound => {}
                 // An unreadable body is useless, too.
@@ -83,7 +84,7 @@ impl DiskCache {
             }
         }
         let mut named = HashSet::new();
-        for key in self.scan("keys")? {
+        for key in self.scan(Kind::Key)? {
             match read_entry(&key.path).and_then(|e| e.blob_hash()) {
                 Some(blob) if whole.contains(&blob) => {
                     found.whole += 1;
@@ -104,11 +105,12 @@ impl DiskCache {
             removals.remove(&self.files().blob(blob));
         }
         found.whole += named.len() as u64;
+        self.files().remove_index();
         removals.finish(found)
     }
 
-    fn scan(&self, part: &str) -> Result<Vec<files::Found>, IoError> {
-        self.files().scan(part).map_err(|e| self.failed(&e))
+    fn scan(&self, kind: Kind) -> Result<Vec<files::Found>, IoError> {
+        self.files().scan(kind).map_err(|e| self.failed(&e))
     }
 
     fn failed(&self, error: &io::Error) -> IoError {

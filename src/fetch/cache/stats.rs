@@ -22,6 +22,9 @@ pub struct CacheStats {
     pub corrupt: u64,
     /// Entries that could not be written to disk.
     pub write_errors: u64,
+    /// Reads and writes that were left out because the disk did not answer in time.
+    #[serde(default)]
+    pub bypassed: u64,
     /// Bytes of bodies read from the disk.
     pub bytes_hit: u64,
     /// Bytes of bodies stored.

@@ -10,10 +10,12 @@ use std::time::{Duration, Instant};
 
 use lru::LruCache;
 
+use super::changes;
 use super::counters::{Counters, add};
 use super::entry::{self, Entry};
 use super::eviction::Eviction;
-use super::files::{self, Files, Hash, read_at_most};
+use super::files::{self, FileId, Files, Hash, read_at_most};
+use super::key::{Asker, CacheKeys};
 use super::stats::CacheStats;
 use crate::fetch::{IoError, Limits};
 
@@ -25,6 +27,9 @@ const MAX_TOUCHED: NonZeroUsize = NonZeroUsize::new(1 << 14).expect("not zero");
 /// The size limit of a cache that was never given one.
 const DEFAULT_BYTES: u64 = 2 << 30;
 
+/// The time limit of one read or write by default: a disk that had stopped needs about ten seconds to start.
+const DEFAULT_DISK_TIMEOUT: Duration = Duration::from_secs(15);
+
 /// The number of remembered URIs that were discarded.
 const MAX_DISCARDED: NonZeroUsize = NonZeroUsize::new(1 << 10).expect("not zero");
 
@@ -33,17 +38,20 @@ const MAX_DISCARDED: NonZeroUsize = NonZeroUsize::new(1 << 10).expect("not zero"
 pub struct CacheConfig {
     /// The folder: an existing cache, an empty folder, or a path at which one is created.
     pub folder: PathBuf,
-    /// The size limit in bytes of all files together. Each additional process that writes at the same time may exceed it by a
-    /// sixteenth. The folder remembers the limit; `None` uses the remembered one, or 2 GiB.
+    /// The size limit in bytes of all entries and bodies together, without the index, which takes a few percent more. Each
+    /// additional process that writes at the same time may exceed it by a sixteenth. The folder remembers the limit; `None` uses the remembered one, or 2 GiB.
     pub max_bytes: Option<u64>,
     /// Never asks a server. Cached answers are used however old they are, and a cache miss is an error.
     pub offline: bool,
+    /// Time limit for one read or write. While the disk takes longer, such as a network drive whose server is gone, contents are
+    /// loaded without the cache.
+    pub disk_timeout: Duration,
 }
 
 impl CacheConfig {
     /// Returns a configuration for a folder with its remembered size limit.
     pub fn new(folder: impl Into<PathBuf>) -> Self {
-        Self { folder: folder.into(), max_bytes: None, offline: false }
+        Self { folder: folder.into(), max_bytes: None, offline: false, disk_timeout: DEFAULT_DISK_TIMEOUT }
     }
 }
 
@@ -60,8 +68,7 @@ pub struct DiskCache {
     /// briefly.
     discarded: Mutex<LruCache<Hash, Instant>>,
     eviction: Eviction,
-    /// The location of the object store of a scheme, unless it is the scheme's default.
-    store_locations: Vec<(&'static str, String)>,
+    keys: CacheKeys,
 }
 
 /// Locks a mutex, poisoned or not: no change under these locks can be left half done.
@@ -83,25 +90,17 @@ impl DiskCache {
             touched: Mutex::new(LruCache::new(MAX_TOUCHED)),
             discarded: Mutex::new(LruCache::new(MAX_DISCARDED)),
             eviction: Eviction::new(max_bytes),
-            store_locations: Vec::new(),
+            keys: CacheKeys::default(),
         })
     }
 
-    /// Sets the locations of object stores by scheme, so that equal buckets and keys in different stores have different
-    /// entries.
-    #[cfg(feature = "object-store")]
-    pub(crate) fn with_store_locations(self, store_locations: Vec<(&'static str, String)>) -> Self {
-        Self { store_locations, ..self }
+    /// Sets the credentials of the client that uses the cache. It finds no entry that was stored with others.
+    pub(crate) fn for_asker(self, asker: Asker) -> Self {
+        Self { keys: CacheKeys::new(asker), ..self }
     }
 
     fn key_of(&self, uri: &str) -> Hash {
-        let uri = uri.split('#').next().unwrap_or(uri);
-        let scheme = uri.split_once("://").map_or("", |(scheme, _)| scheme);
-        match self.store_locations.iter().find(|(of, _)| scheme.eq_ignore_ascii_case(of)) {
-            // The `#` separates them, since the fragment of the URI is cut off.
-            Some((_, location)) => files::hash(format!("{uri}#{location}").as_bytes()),
-            None => files::hash(uri.as_bytes()),
-        }
+        self.keys.key(&self.files, uri)
     }
 
     /// Returns the folder.
@@ -119,6 +118,11 @@ impl DiskCache {
         self.config.offline
     }
 
+    /// Returns the time limit for one read or write.
+    pub(crate) fn disk_timeout(&self) -> Duration {
+        self.config.disk_timeout
+    }
+
     /// Returns the counters since this process opened the cache.
     pub fn stats(&self) -> CacheStats {
         self.counters.snapshot()
@@ -130,7 +134,7 @@ impl DiskCache {
 
     /// Returns the entry of a URI.
     pub(crate) fn entry(&self, uri: &str) -> Option<Entry> {
-        self.entry_at(&self.files.key(&self.key_of(uri)))
+        self.entry_at(&self.key_of(uri))
     }
 
     /// Reads the body of an entry as received. Returns `None` if it is missing, damaged, or larger than the limits.
@@ -146,8 +150,7 @@ impl DiskCache {
             Ok(_) if size > limits.max_file_bytes => {}
             Ok(_) => {
                 add(&self.counters.corrupt, 1);
-                let _ = fs::remove_file(&blob);
-                let _ = fs::remove_file(&key);
+                self.remove_files(&[FileId::blob(blob_hash), FileId::key(key_hash)]);
             }
             // The body was evicted, or cannot be read at the moment.
             Err(_) => {}
@@ -159,7 +162,7 @@ impl DiskCache {
     pub(crate) fn has(&self, uri: &str) -> bool {
         let key_hash = self.key_of(uri);
         let key = self.files.key(&key_hash);
-        let entry = self.entry_at(&key);
+        let entry = self.entry_at(&key_hash);
         let Some((blob, size)) = entry.and_then(|e| Some((self.files.blob(&e.blob_hash()?), e.size))) else {
             return false;
         };
@@ -170,12 +173,12 @@ impl DiskCache {
         is_there
     }
 
-    fn entry_at(&self, key: &Path) -> Option<Entry> {
-        let bytes = read_at_most(key, entry::MAX_BYTES).ok()?;
+    fn entry_at(&self, key: &Hash) -> Option<Entry> {
+        let bytes = read_at_most(&self.files.key(key), entry::MAX_BYTES).ok()?;
         let entry = Entry::from_bytes(&bytes);
         if entry.is_none() {
             add(&self.counters.corrupt, 1);
-            let _ = fs::remove_file(key);
+            self.remove_files(&[FileId::key(*key)]);
         }
         entry
     }
@@ -215,6 +218,7 @@ impl DiskCache {
         }
         add(&self.counters.stored, 1);
         add(&self.counters.bytes_stored, size);
+        self.note_changes(&[FileId::key(key), FileId::blob(hash)]);
         let written = entry.to_bytes().len() as u64 + if is_present { 0 } else { size };
         match self.eviction.after_write(&self.files, &hash, written) {
             Ok(evicted) => add(&self.counters.evicted, evicted),
@@ -259,21 +263,45 @@ impl DiskCache {
 
     /// Removes the entry of a URI whose new answer is not stored. The body stays, since other URIs may share it.
     pub(crate) fn remove_entry(&self, uri: &str) {
-        let _ = fs::remove_file(self.files.key(&self.key_of(uri)));
+        self.remove_files(&[FileId::key(self.key_of(uri))]);
     }
 
     /// Removes an entry and its body.
     fn remove(&self, key: &Hash) {
-        let path = self.files.key(key);
-        if let Some(blob) = self.entry_at(&path).and_then(|e| e.blob_hash()) {
-            let _ = fs::remove_file(self.files.blob(&blob));
+        let blob = self.entry_at(key).and_then(|e| e.blob_hash());
+        let files: Vec<FileId> = blob.map(FileId::blob).into_iter().chain([FileId::key(*key)]).collect();
+        self.remove_files(&files);
+    }
+
+    fn remove_files(&self, ids: &[FileId]) {
+        let is_removed = |id: &FileId| fs::remove_file(self.files.path(*id)).is_ok();
+        let removed: Vec<FileId> = ids.iter().copied().filter(is_removed).collect();
+        if !removed.is_empty() {
+            self.note_changes(&removed);
         }
-        let _ = fs::remove_file(path);
+    }
+
+    /// Lets the next eviction look at files that were written or removed.
+    fn note_changes(&self, ids: &[FileId]) {
+        if let Err(e) = changes::append(&self.files, ids) {
+            // A rebuilt index has them.
+            log::debug!("the cache {} cannot list its changes: {e}", self.config.folder.display());
+        }
     }
 
     pub(crate) fn count_hit(&self, bytes: u64, asked: bool) {
         add(if asked { &self.counters.revalidated } else { &self.counters.hits }, 1);
         add(&self.counters.bytes_hit, bytes);
+    }
+
+    /// Counts a read or write that the disk did not do in time, and logs the first one.
+    pub(crate) fn count_bypassed(&self) {
+        if self.counters.bypassed.fetch_add(1, Ordering::Relaxed) == 0 {
+            let (folder, limit_s) = (self.config.folder.display(), self.config.disk_timeout.as_secs_f64());
+            log::warn!(
+                "the cache {folder} does not answer within {limit_s} s; contents are loaded without it meanwhile"
+            );
+        }
     }
 
     pub(crate) fn count_miss(&self) {
@@ -298,6 +326,7 @@ impl DiskCache {
 
 #[cfg(test)]
 mod tests {
+    use super::super::files::Kind;
     use super::*;
 
     #[test]
@@ -352,9 +381,9 @@ mod tests {
         for i in 0..800 {
             cache.store(&uri(i), Entry { uri: uri(i), ..Entry::default() }, &[5; 1000], Instant::now());
         }
-        let bytes = |part| cache.files.scan(part).unwrap().iter().map(|f| f.size).sum::<u64>();
-        assert!(bytes("keys") + bytes("blobs") <= max_bytes, "{} of keys", bytes("keys"));
-        assert!(bytes("keys") > max_bytes / 2 && bytes("blobs") == 1000);
+        let bytes = |kind| cache.files.scan(kind).unwrap().iter().map(|f| f.size).sum::<u64>();
+        assert!(bytes(Kind::Key) + bytes(Kind::Blob) <= max_bytes, "{} of keys", bytes(Kind::Key));
+        assert!(bytes(Kind::Key) > max_bytes / 2 && bytes(Kind::Blob) == 1000);
         assert!(cache.has(&uri(799)) && !cache.has(&uri(0)), "the oldest are removed first");
     }
 }

@@ -1,4 +1,5 @@
-//! [`HttpCache`]: the disk cache as the HTTP thread uses it. Reads run on blocking threads, writes after the answer.
+//! [`HttpCache`]: the disk cache as the HTTP thread uses it. Reads run on blocking threads, writes after the answer, and
+//! neither waits for a disk that hangs.
 
 use std::sync::Arc;
 use std::time::{Instant, SystemTime};
@@ -6,7 +7,7 @@ use std::time::{Instant, SystemTime};
 use reqwest::header::{ETAG, HeaderMap, HeaderName, LAST_MODIFIED};
 use tokio::sync::Semaphore;
 
-use super::blocking::run_blocking;
+use super::blocking::DiskWork;
 use super::body::HttpBody;
 use crate::fetch::cache::Entry;
 use crate::fetch::{DiskCache, IoError, Limits, encoding};
@@ -15,7 +16,7 @@ use crate::fetch::{DiskCache, IoError, Limits, encoding};
 const MAX_PENDING_WRITES: usize = 64;
 
 /// Decides whether fresh cache entries are used without asking the server.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(in crate::fetch) enum CachePolicy {
     UseFresh,
     /// Asks the server about every entry, however fresh.
@@ -38,24 +39,29 @@ pub(super) enum Lookup {
     Miss,
 }
 
-/// The disk cache and the queue of writes to it. Cheap to clone.
+/// The disk cache and the queue of writes to it. Cheap to clone. While the disk hangs ([`CacheConfig::disk_timeout`]), nothing
+/// is found in the cache and nothing is stored; servers are asked instead.
+///
+/// [`CacheConfig::disk_timeout`]: crate::fetch::CacheConfig::disk_timeout
 #[derive(Clone, Debug)]
 pub(in crate::fetch) struct HttpCache {
     disk: Arc<DiskCache>,
+    work: DiskWork,
     /// Holds one permit for each body on its way to the disk.
     writes: Arc<Semaphore>,
 }
 
 impl HttpCache {
     pub fn new(disk: DiskCache) -> Self {
-        Self { disk: Arc::new(disk), writes: Arc::new(Semaphore::new(MAX_PENDING_WRITES)) }
+        let work = DiskWork::new(disk.disk_timeout());
+        Self { disk: Arc::new(disk), work, writes: Arc::new(Semaphore::new(MAX_PENDING_WRITES)) }
     }
 
     pub fn disk(&self) -> &Arc<DiskCache> {
         &self.disk
     }
 
-    /// Waits until all pending writes are done.
+    /// Waits until all pending writes are done, or have exceeded the time limit of the disk.
     pub async fn flush(&self) {
         // Fails only for a closed semaphore, and this one is never closed.
         let _ = self.writes.acquire_many(MAX_PENDING_WRITES as u32).await;
@@ -69,29 +75,29 @@ impl HttpCache {
     }
 
     pub(super) async fn look_up(&self, uri: &str, policy: CachePolicy, limits: &Limits) -> Result<Lookup, IoError> {
-        let (disk, of, limits) = (self.disk.clone(), uri.to_owned(), *limits);
-        run_blocking(uri, move || {
+        let (of, limits) = (uri.to_owned(), *limits);
+        let found = self.read(uri, move |disk| {
             let Some(entry) = disk.entry(&of) else { return Lookup::Miss };
-            if !policy.allows(&disk, &entry) {
+            if !policy.allows(disk, &entry) {
                 return Lookup::Stale(entry);
             }
-            match read_body(&disk, &of, &entry, &limits) {
+            match read_body(disk, &of, &entry, &limits) {
                 Some(bytes) => Lookup::Fresh(entry, bytes),
                 None => Lookup::Miss,
             }
-        })
-        .await
+        });
+        Ok(found.await?.unwrap_or(Lookup::Miss))
     }
 
     /// Reads the entry of a URI and its decompressed body, however old.
     pub async fn load(&self, uri: &str, limits: &Limits) -> Result<Option<(Entry, Vec<u8>)>, IoError> {
-        let (disk, of, limits) = (self.disk.clone(), uri.to_owned(), *limits);
-        run_blocking(uri, move || {
+        let (of, limits) = (uri.to_owned(), *limits);
+        let found = self.read(uri, move |disk| {
             let entry = disk.entry(&of)?;
-            let bytes = read_body(&disk, &of, &entry, &limits)?;
+            let bytes = read_body(disk, &of, &entry, &limits)?;
             Some((entry, bytes))
-        })
-        .await
+        });
+        Ok(found.await?.flatten())
     }
 
     /// Reads the decompressed body of an entry. Returns `None` if it is missing or damaged.
@@ -101,14 +107,35 @@ impl HttpCache {
         entry: &Entry,
         limits: &Limits,
     ) -> Result<Option<Vec<u8>>, IoError> {
-        let (disk, of, entry, limits) = (self.disk.clone(), uri.to_owned(), entry.clone(), *limits);
-        run_blocking(uri, move || read_body(&disk, &of, &entry, &limits)).await
+        let (of, entry, limits) = (uri.to_owned(), entry.clone(), *limits);
+        Ok(self.read(uri, move |disk| read_body(disk, &of, &entry, &limits)).await?.flatten())
     }
 
     /// Returns true if the cache has a body for a URI, without reading it.
     pub async fn contains(&self, uri: &str) -> bool {
-        let (disk, of) = (self.disk.clone(), uri.to_owned());
-        run_blocking(uri, move || disk.has(&of)).await.unwrap_or(false)
+        let of = uri.to_owned();
+        matches!(self.read(uri, move |disk| disk.has(&of)).await, Ok(Some(true)))
+    }
+
+    /// Reads on a blocking thread. Returns `None` if the disk hangs.
+    ///
+    /// # Errors
+    /// [`IoError::Timeout`] if the disk hangs and no server may be asked instead.
+    async fn read<T: Send + 'static>(
+        &self,
+        uri: &str,
+        read: impl FnOnce(&DiskCache) -> T + Send + 'static,
+    ) -> Result<Option<T>, IoError> {
+        let disk = self.disk.clone();
+        let found = self.work.run(move || read(&disk)).await;
+        if found.is_none() {
+            self.disk.count_bypassed();
+            if self.disk.is_offline() {
+                let seconds = self.work.limit().as_secs_f64();
+                return Err(IoError::Timeout { uri: uri.to_owned(), phase: "reading the cache", seconds });
+            }
+        }
+        Ok(found)
     }
 
     /// Stores a body. `requested_at` is the time before its request was sent.
@@ -129,18 +156,34 @@ impl HttpCache {
         self.write_behind(move |disk| disk.forget(&of)).await;
     }
 
+    /// Removes the entry and the body of a URI before it returns, unless the disk is slow. For threads outside of the runtime.
+    pub(super) fn forget_now(&self, uri: &str) {
+        let (disk, of) = (self.disk.clone(), uri.to_owned());
+        if self.work.run_now(move || disk.forget(&of)).is_none() {
+            self.disk.count_bypassed();
+        }
+    }
+
     /// Removes the entry of a URI, because its new answer must not be stored.
     pub async fn remove_entry(&self, uri: &str) {
         let of = uri.to_owned();
         self.write_behind(move |disk| disk.remove_entry(&of)).await;
     }
 
-    /// Writes on a blocking thread without delaying the answer.
+    /// Writes on a blocking thread without delaying the answer. Does nothing if the disk hangs.
     async fn write_behind(&self, write: impl FnOnce(&DiskCache) + Send + 'static) {
-        let Ok(permit) = self.writes.clone().acquire_owned().await else { return };
-        let disk = self.disk.clone();
-        tokio::task::spawn_blocking(move || {
-            write(&disk);
+        let permit = match self.work.is_hung() {
+            true => None,
+            // Writes that hang give their permits back at the time limit.
+            false => self.writes.clone().acquire_owned().await.ok(),
+        };
+        let Some(permit) = permit else { return self.disk.count_bypassed() };
+        let (disk, work) = (self.disk.clone(), self.work.clone());
+        tokio::spawn(async move {
+            let on_thread = disk.clone();
+            if work.run(move || write(&on_thread)).await.is_none() {
+                disk.count_bypassed();
+            }
             drop(permit);
         });
     }

@@ -3,9 +3,11 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use super::blocking::MAX_BLOCKING_THREADS;
 use super::body::{HttpBody, accept_all_encodings, content_encodings, decode_body};
 use super::cache_access::{CachePolicy, HttpCache};
 use super::config::HttpConfig;
+use super::flights::{FlightKey, Flights};
 use super::hosts::DnsResolver;
 #[cfg(feature = "testing")]
 use super::retry_policy::retry_after;
@@ -16,7 +18,7 @@ use crate::fetch::archive::parse_content_range;
 use crate::fetch::archive::{MemberUri, RemoteArchives, split_url};
 #[cfg(feature = "testing")]
 use crate::fetch::cache::Freshness;
-use crate::fetch::{DiskCache, IoError, Limits, RootScope};
+use crate::fetch::{CacheConfig, DiskCache, IoError, Limits, RootScope, run_within};
 
 /// A client with its connections. Cheap to clone; used inside a tokio runtime.
 ///
@@ -33,6 +35,7 @@ pub struct HttpClient {
 struct Inner {
     archives: RemoteArchives,
     cache: Option<HttpCache>,
+    flights: Flights,
 }
 
 impl HttpClient {
@@ -46,11 +49,10 @@ impl HttpClient {
 
     fn with_dns(config: &HttpConfig, dns: DnsResolver) -> Result<Self, IoError> {
         let transport = Transport::new(config, dns)?;
-        let cache = config.cache.as_ref().map(DiskCache::open).transpose()?;
-        #[cfg(feature = "object-store")]
-        let cache =
-            cache.map(|cache| cache.with_store_locations(crate::fetch::object_store::locations(&config.store_options)));
-        let inner = Inner { archives: RemoteArchives::new(), cache: cache.map(HttpCache::new) };
+        let cache = config.cache.as_ref().map(open_cache).transpose()?;
+        let cache = cache.map(|cache| cache.for_asker(config.asker()));
+        let cache = cache.map(HttpCache::new);
+        let inner = Inner { archives: RemoteArchives::new(), cache, flights: Flights::default() };
         Ok(Self { inner: Arc::new(inner), transport, cache_policy: CachePolicy::UseFresh })
     }
 
@@ -79,8 +81,8 @@ impl HttpClient {
     /// Discards what was received for a URI, because its bytes turned out to be invalid. The cache removes it, and the
     /// directory of an archive that contains it may be read again.
     pub(crate) fn forget(&self, uri: &str) {
-        if let Some(cache) = self.cache() {
-            cache.forget(uri);
+        if let Some(cache) = &self.inner.cache {
+            cache.forget_now(uri);
         }
         if let Some((url, _)) = split_url(uri) {
             self.inner.archives.suspect(&url);
@@ -96,9 +98,15 @@ impl HttpClient {
 
     /// Returns the decompressed content of a URL or of an object in a store, from the cache while it is valid. A URL that
     /// continues after the name of an archive (`.3tz`, `.zip`) means a file inside it. Retries transient failures with
-    /// exponential back-off.
+    /// exponential back-off. Equal calls at the same time make one request; all get its answer or its error.
     pub async fn get(&self, uri: &str, limits: &Limits) -> Result<HttpBody, IoError> {
-        let (Inner { archives, cache }, transport) = (&*self.inner, &self.transport);
+        let (uri_of_key, scope, policy) = (uri.to_owned(), self.transport.scope().cloned(), self.cache_policy);
+        let key = FlightKey { uri: uri_of_key, scope, policy, limits: *limits };
+        self.inner.flights.get(key, async || self.get_alone(uri, limits).await).await
+    }
+
+    async fn get_alone(&self, uri: &str, limits: &Limits) -> Result<HttpBody, IoError> {
+        let (Inner { archives, cache, .. }, transport) = (&*self.inner, &self.transport);
         if let Some((url, name)) = split_url(uri) {
             let member = MemberUri { uri, archive_url: &url, name: &name };
             return archives.get(transport, cache.as_ref(), self.cache_policy, member, limits).await;
@@ -136,12 +144,22 @@ impl HttpClient {
     }
 }
 
+/// Opens a cache, unless its disk hangs.
+fn open_cache(config: &CacheConfig) -> Result<DiskCache, IoError> {
+    let (limit, opened) = (config.disk_timeout, config.clone());
+    let timed_out = || {
+        let uri = config.folder.display().to_string();
+        IoError::Timeout { uri, phase: "opening the cache", seconds: limit.as_secs_f64() }
+    };
+    run_within(limit, move || DiskCache::open(&opened)).unwrap_or_else(|| Err(timed_out()))
+}
+
 /// Creates the single-threaded runtime that a client is used in.
 pub(crate) fn runtime(name: &str) -> std::io::Result<tokio::runtime::Runtime> {
     tokio::runtime::Builder::new_current_thread()
         .enable_all()
         .thread_name(format!("{name}-io"))
-        .max_blocking_threads(4)
+        .max_blocking_threads(MAX_BLOCKING_THREADS)
         .thread_keep_alive(Duration::from_secs(10))
         .build()
 }
@@ -149,24 +167,39 @@ pub(crate) fn runtime(name: &str) -> std::io::Result<tokio::runtime::Runtime> {
 /// A client that blocks the calling thread and sends one request at a time.
 #[derive(Debug)]
 pub(crate) struct BlockingHttpClient {
-    runtime: tokio::runtime::Runtime,
+    /// `None` while it is dropped.
+    runtime: Option<tokio::runtime::Runtime>,
     client: HttpClient,
+}
+
+impl Drop for BlockingHttpClient {
+    /// Does not wait for threads that hang on the cache. What was received has been flushed.
+    fn drop(&mut self) {
+        if let Some(runtime) = self.runtime.take() {
+            runtime.shutdown_background();
+        }
+    }
 }
 
 impl BlockingHttpClient {
     /// Creates a client for the files of a tile set.
     pub fn new(config: &HttpConfig, scope: &RootScope) -> Result<Self, IoError> {
         let failed = |e: std::io::Error| IoError::Network { uri: String::new(), reason: e.to_string() };
-        Ok(Self { runtime: runtime("http").map_err(failed)?, client: HttpClient::new(config)?.within(scope) })
+        let client = HttpClient::new(config)?.within(scope);
+        Ok(Self { runtime: Some(runtime("http").map_err(failed)?), client })
     }
 
     /// Blocks until the content of a URI has arrived and is written to the cache.
     pub fn get(&self, uri: &str, limits: &Limits) -> Result<HttpBody, IoError> {
-        self.runtime.block_on(async {
+        let received = async {
             let body = self.client.get(uri, limits).await?;
             self.client.flush().await;
             Ok(body)
-        })
+        };
+        match &self.runtime {
+            Some(runtime) => runtime.block_on(received),
+            None => Err(IoError::Network { uri: uri.to_owned(), reason: "the client is being dropped".to_owned() }),
+        }
     }
 }
 

@@ -8,6 +8,7 @@ use reqwest::header::{HeaderName, HeaderValue};
 use url::Url;
 
 use super::hosts::AllowedHost;
+use crate::fetch::cache::Asker;
 use crate::fetch::{CacheConfig, IoError};
 
 /// Configuration of an [`HttpClient`](super::HttpClient). Proxies are taken from the environment variables `http_proxy`,
@@ -77,6 +78,33 @@ impl Default for HttpConfig {
     }
 }
 
+impl HttpConfig {
+    /// Returns the credentials that requests carry, for the keys of the cache.
+    pub(super) fn asker(&self) -> Asker {
+        let mut origins: Vec<(String, Vec<u8>)> = Vec::new();
+        for credential in &self.credentials {
+            let known = origins.iter().position(|(origin, _)| *origin == credential.origin);
+            let at = known.unwrap_or_else(|| {
+                origins.push((credential.origin.clone(), Vec::new()));
+                origins.len() - 1
+            });
+            credential.write_to(&mut origins[at].1);
+        }
+        Asker {
+            origins,
+            #[cfg(feature = "object-store")]
+            stores: crate::fetch::object_store::askers(&self.store_options),
+            #[cfg(not(feature = "object-store"))]
+            stores: Vec::new(),
+        }
+    }
+
+    /// Returns true if there are credentials for a server: scheme, host and port.
+    pub(super) fn has_credentials_for(&self, origin: &str) -> bool {
+        self.credentials.iter().any(|credential| credential.origin == origin)
+    }
+}
+
 /// A header or query parameter that is sent to one server with every request, also after a redirect to it, and to no other
 /// server. Its value never appears in errors, logs, cache files or debug output.
 #[derive(Clone, PartialEq)]
@@ -106,6 +134,19 @@ impl Credential {
     /// Creates a query parameter for the server of `url`, such as `key` or `access_token`.
     pub fn query(url: &str, name: &str, value: &str) -> Result<Self, IoError> {
         Ok(Self { origin: origin(url)?, kind: Kind::Query(name.to_owned(), value.to_owned()) })
+    }
+
+    /// Appends kind, name and value, so that different credentials give different bytes.
+    fn write_to(&self, bytes: &mut Vec<u8>) {
+        let (kind, name, value) = match &self.kind {
+            Kind::Header(name, value) => (b'h', name.as_str(), value.as_bytes()),
+            Kind::Query(name, value) => (b'q', name.as_str(), value.as_bytes()),
+        };
+        bytes.push(kind);
+        for part in [name.as_bytes(), value] {
+            bytes.extend_from_slice(&(part.len() as u64).to_le_bytes());
+            bytes.extend_from_slice(part);
+        }
     }
 
     /// Returns the header if this is one for that server.

@@ -10,7 +10,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, SystemTime};
 
-use reqwest::header::{HeaderMap, IF_MODIFIED_SINCE, IF_NONE_MATCH, LOCATION, RANGE, VARY};
+use reqwest::header::{COOKIE, HeaderMap, IF_MODIFIED_SINCE, IF_NONE_MATCH, LOCATION, RANGE, VARY};
 use url::Url;
 
 use super::config::HttpConfig;
@@ -109,9 +109,10 @@ impl Exchange<'_> {
 
     /// Sends the request and follows redirects, except to servers that asked for a pause.
     pub(super) async fn run(&self, uri: &str, pauses: &Pauses) -> Result<Answer, IoError> {
-        let mut url = parse(uri)?;
+        let first = parse(uri)?;
+        let mut url = first.clone();
         let mut hops: Vec<(u16, HeaderMap)> = Vec::new();
-        let mut is_shareable = true;
+        let mut is_keyed = true;
         for _ in 0..=MAX_REDIRECTS {
             let with_validators = match self.validated_at {
                 Some(validated) => validated == without_secrets(&url),
@@ -125,11 +126,11 @@ impl Exchange<'_> {
             }
             let response = self.send(uri, &url, with_validators).await?;
             let status = response.status().as_u16();
-            is_shareable &= !self.depends_on_credentials(&url, response.headers());
+            is_keyed &= self.is_keyed(&first, &url, response.headers());
             let location = response.headers().get(LOCATION).filter(|_| matches!(status, 301 | 302 | 303 | 307 | 308));
             let Some(location) = location else {
                 let mut answer = self.read(uri, response).await?;
-                answer.freshness.store &= is_shareable;
+                answer.freshness.store &= is_keyed;
                 let now = SystemTime::now();
                 let behind =
                     |own: Freshness, (status, headers): &(u16, HeaderMap)| own.behind_redirect(*status, headers, now);
@@ -153,17 +154,17 @@ impl Exchange<'_> {
         Err(refused(uri, format!("more than {MAX_REDIRECTS} redirects")))
     }
 
-    /// Returns true if the answer depends on a credential (`Vary`). The cache must not store it, since its keys do not contain
-    /// credentials.
-    fn depends_on_credentials(&self, url: &Url, headers: &HeaderMap) -> bool {
-        let origin = url.origin().ascii_serialization();
+    /// Returns false if an answer, or a redirect on the way to it, depends on something that is not in the cache key of the
+    /// request. This is so for cookies, which the server names in `Vary`. It is also so for credentials of another server, which
+    /// are in the keys of that server only. All other headers have the same value in each request with the same key.
+    fn is_keyed(&self, first: &Url, url: &Url, headers: &HeaderMap) -> bool {
         let texts = headers.get_all(VARY).into_iter().filter_map(|v| v.to_str().ok());
-        let mut names = texts.flat_map(|text| text.split(',')).map(str::trim);
-        let is_sent = |name: &str| {
-            let mut sent = self.config.credentials.iter().filter_map(|c| c.header_for(&origin));
-            sent.any(|(header, _)| header.as_str().eq_ignore_ascii_case(name))
-        };
-        names.any(is_sent)
+        let varies_by_cookie =
+            texts.flat_map(|text| text.split(',')).any(|name| name.trim().eq_ignore_ascii_case(COOKIE.as_str()));
+        let has_user = !url.username().is_empty() || url.password().is_some();
+        let has_credentials = || has_user || self.config.has_credentials_for(&url.origin().ascii_serialization());
+        let gets_others = url.origin() != first.origin() && has_credentials();
+        !(varies_by_cookie || gets_others)
     }
 
     /// Sends one request. Validators are sent only to the URL that issued them, since another server may use the same

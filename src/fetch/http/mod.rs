@@ -2,6 +2,7 @@
 //!
 //! ```text
 //! HttpClient      decides: a member of an archive, a cached URI, or a plain request
+//!   Flights       equal requests at the same time are one
 //!   revalidation  answers from the disk cache; asks the server whether stale entries still hold
 //!   Transport     retries with back-off, pauses that servers asked for
 //!     Exchange    one request: credentials, redirects, timeouts, size limits
@@ -15,9 +16,11 @@ mod client;
 mod config;
 mod cookies;
 mod exchange;
+mod flights;
 mod hosts;
 mod retry_policy;
 mod revalidation;
+mod shared_read;
 mod tls;
 mod transport;
 
@@ -35,4 +38,5 @@ pub(in crate::fetch) use exchange::{Exchange, error_chain};
 pub use hosts::AllowedHost;
 #[cfg(feature = "object-store")]
 pub(in crate::fetch) use hosts::Connections;
+pub(in crate::fetch) use shared_read::SharedRead;
 pub(in crate::fetch) use transport::Transport;

@@ -49,6 +49,11 @@ impl Transport {
         Self { scope: Some(scope.clone()), ..self.clone() }
     }
 
+    /// Returns the tile set; `None` if the application names each URI.
+    pub(super) fn scope(&self) -> Option<&RootScope> {
+        self.scope.as_ref()
+    }
+
     /// Returns a URL of the server of the root, for a request for `uri`.
     fn root(&self, uri: &str) -> Option<Url> {
         match &self.scope {

@@ -12,6 +12,7 @@ use object_store::azure::{AzureConfigKey as AzureKey, MicrosoftAzureBuilder};
 use object_store::gcp::{GoogleCloudStorageBuilder, GoogleConfigKey as GoogleKey};
 
 use crate::fetch::StoreOption;
+use crate::fetch::cache::StoreAsker;
 
 /// Creates a builder from the environment, overridden by the options.
 macro_rules! configured {
@@ -24,19 +25,38 @@ macro_rules! configured {
     }};
 }
 
+/// The options that name credentials, or the service that hands them out. Without any of them requests are not signed.
+const S3_KEYS: [S3Key; 6] = [
+    S3Key::AccessKeyId,
+    S3Key::SecretAccessKey,
+    S3Key::WebIdentityTokenFile,
+    S3Key::ContainerCredentialsRelativeUri,
+    S3Key::ContainerCredentialsFullUri,
+    S3Key::MetadataEndpoint,
+];
+const GOOGLE_KEYS: [GoogleKey; 4] = [
+    GoogleKey::ServiceAccount,
+    GoogleKey::ServiceAccountKey,
+    GoogleKey::ApplicationCredentials,
+    GoogleKey::BearerToken,
+];
+const AZURE_KEYS: [AzureKey; 9] = [
+    AzureKey::AccessKey,
+    AzureKey::SasKey,
+    AzureKey::Token,
+    AzureKey::ClientId,
+    AzureKey::ObjectId,
+    AzureKey::MsiResourceId,
+    AzureKey::MsiEndpoint,
+    AzureKey::FabricTokenServiceUrl,
+    AzureKey::CredentialType,
+];
+
 /// Returns the builder for S3. Requests are not signed without keys.
 pub(super) fn s3(options: &[StoreOption]) -> Result<AmazonS3Builder, Error> {
     let builder: Result<AmazonS3Builder, Error> = configured!(AmazonS3Builder, "aws_", options);
     let builder = builder?;
-    let keys = [
-        S3Key::AccessKeyId,
-        S3Key::SecretAccessKey,
-        S3Key::WebIdentityTokenFile,
-        S3Key::ContainerCredentialsRelativeUri,
-        S3Key::ContainerCredentialsFullUri,
-        S3Key::MetadataEndpoint,
-    ];
-    let has_keys = keys.iter().any(|key| builder.get_config_value(key).is_some());
+    let has_keys = S3_KEYS.iter().any(|key| builder.get_config_value(key).is_some());
     let is_open = !has_keys && !is_set(options, &["aws_skip_signature"]);
     Ok(if is_open { builder.with_skip_signature(true) } else { builder })
 }
@@ -45,13 +65,8 @@ pub(super) fn s3(options: &[StoreOption]) -> Result<AmazonS3Builder, Error> {
 pub(super) fn google(options: &[StoreOption]) -> Result<GoogleCloudStorageBuilder, Error> {
     let builder: Result<GoogleCloudStorageBuilder, Error> = configured!(GoogleCloudStorageBuilder, "google_", options);
     let builder = builder?;
-    let keys = [
-        GoogleKey::ServiceAccount,
-        GoogleKey::ServiceAccountKey,
-        GoogleKey::ApplicationCredentials,
-        GoogleKey::BearerToken,
-    ];
-    let has_keys = keys.iter().any(|key| builder.get_config_value(key).is_some()) || has_application_credentials();
+    let has_keys =
+        GOOGLE_KEYS.iter().any(|key| builder.get_config_value(key).is_some()) || has_application_credentials();
     let services = ["google_skip_signature", "gce_metadata_host", "gce_metadata_root", "gce_metadata_ip"];
     let is_open = !has_keys && !is_set(options, &services);
     Ok(if is_open { builder.with_skip_signature(true) } else { builder })
@@ -61,47 +76,65 @@ pub(super) fn google(options: &[StoreOption]) -> Result<GoogleCloudStorageBuilde
 pub(super) fn azure(options: &[StoreOption]) -> Result<MicrosoftAzureBuilder, Error> {
     let builder: Result<MicrosoftAzureBuilder, Error> = configured!(MicrosoftAzureBuilder, "azure_", options);
     let builder = builder?;
-    let keys = [
-        AzureKey::AccessKey,
-        AzureKey::SasKey,
-        AzureKey::Token,
-        AzureKey::ClientId,
-        AzureKey::ObjectId,
-        AzureKey::MsiResourceId,
-        AzureKey::MsiEndpoint,
-        AzureKey::FabricTokenServiceUrl,
-        AzureKey::CredentialType,
-    ];
     let is_on = |key: AzureKey| builder.get_config_value(&key).as_deref().is_some_and(is_true);
-    let has_keys = keys.iter().any(|key| builder.get_config_value(key).is_some())
+    let has_keys = AZURE_KEYS.iter().any(|key| builder.get_config_value(key).is_some())
         || is_on(AzureKey::UseAzureCli)
         || is_on(AzureKey::UseEmulator);
     let is_open = !has_keys && !is_set(options, &["azure_skip_signature"]);
     Ok(if is_open { builder.with_skip_signature(true) } else { builder })
 }
 
-/// Returns the location of the buckets of each scheme, unless it is the scheme's default. The cache uses it to distinguish
-/// objects of the same bucket and key in different stores. An invalid configuration has no location; its first request fails.
-pub(in crate::fetch) fn locations(options: &[StoreOption]) -> Vec<(&'static str, String)> {
-    let s3 = s3(options).ok().and_then(|builder| {
+/// Returns the locations of the stores and the credentials that they get, for the keys of the cache. Objects of the same
+/// bucket and key differ between stores, and may differ between users. An invalid configuration is left out; its first request
+/// fails.
+pub(in crate::fetch) fn askers(options: &[StoreOption]) -> Vec<StoreAsker> {
+    let s3 = s3(options).ok().map(|builder| {
         let of = |key: S3Key| builder.get_config_value(&key);
         let apart = |region: &String| region.starts_with("cn-") || region.starts_with("us-gov-");
-        of(S3Key::S3Endpoint).or_else(|| of(S3Key::Endpoint)).or_else(|| of(S3Key::Region).filter(apart))
+        let location =
+            of(S3Key::S3Endpoint).or_else(|| of(S3Key::Endpoint)).or_else(|| of(S3Key::Region).filter(apart));
+        asker("s3", location, of(S3Key::SkipSignature), S3_KEYS.map(of))
     });
-    let google = google(options).ok().and_then(|builder| builder.get_config_value(&GoogleKey::BaseUrl));
-    let azure = azure(options).ok().and_then(|builder| {
+    let google = google(options).ok().map(|builder| {
+        let of = |key: GoogleKey| builder.get_config_value(&key);
+        asker("gs", of(GoogleKey::BaseUrl), of(GoogleKey::SkipSignature), GOOGLE_KEYS.map(of))
+    });
+    let azure = azure(options).ok().map(|builder| {
         let of = |key: AzureKey| builder.get_config_value(&key);
         let is_on = |key: AzureKey| of(key).as_deref().is_some_and(is_true);
         let account = of(AzureKey::AccountName).unwrap_or_default();
-        if is_on(AzureKey::UseEmulator) {
-            let at = std::env::var("AZURITE_BLOB_STORAGE_URL").unwrap_or_default();
-            return Some(format!("emulator {at} {account}"));
-        }
         let fabric = if is_on(AzureKey::UseFabricEndpoint) { " fabric" } else { "" };
-        of(AzureKey::Endpoint).or_else(|| (!account.is_empty()).then(|| format!("{account}{fabric}")))
+        let location = if is_on(AzureKey::UseEmulator) {
+            let at = std::env::var("AZURITE_BLOB_STORAGE_URL").unwrap_or_default();
+            Some(format!("emulator {at} {account}"))
+        } else {
+            of(AzureKey::Endpoint).or_else(|| (!account.is_empty()).then(|| format!("{account}{fabric}")))
+        };
+        let keys = AZURE_KEYS.into_iter().chain([AzureKey::ClientSecret, AzureKey::UseAzureCli]);
+        asker("az", location, of(AzureKey::SkipSignature), keys.map(of))
     });
-    let named = [("s3", s3), ("gs", google), ("az", azure)];
-    named.into_iter().filter_map(|(scheme, at)| Some((scheme, at?.trim_end_matches('/').to_owned()))).collect()
+    [s3, google, azure].into_iter().flatten().collect()
+}
+
+fn asker(
+    scheme: &'static str,
+    location: Option<String>,
+    skips_signature: Option<String>,
+    keys: impl IntoIterator<Item = Option<String>>,
+) -> StoreAsker {
+    let mut credentials = Vec::new();
+    if !skips_signature.as_deref().is_some_and(is_true) {
+        // Keys that are not in the configuration are those of this machine or of its user.
+        credentials.push(b's');
+        for (value, index) in keys.into_iter().zip(0u8..) {
+            let Some(value) = value else { continue };
+            credentials.push(index);
+            credentials.extend_from_slice(&(value.len() as u64).to_le_bytes());
+            credentials.extend_from_slice(value.as_bytes());
+        }
+    }
+    let location = location.map(|at| at.trim_end_matches('/').to_owned());
+    StoreAsker { scheme, location, credentials }
 }
 
 fn is_true(text: &str) -> bool {
@@ -129,16 +162,14 @@ fn has_application_credentials() -> bool {
 mod tests {
     use super::*;
 
-    fn locations_of(options: &[(&str, &str)]) -> Vec<(&'static str, String)> {
+    fn asker_of(scheme: &str, options: &[(&str, &str)]) -> Option<StoreAsker> {
         let options: Vec<_> = options.iter().map(|(name, value)| StoreOption::new(name, value)).collect();
-        locations(&options)
+        askers(&options).into_iter().find(|asker| asker.scheme == scheme)
     }
 
     #[test]
     fn stores_differ_by_location() {
-        let of = |scheme: &str, options: &[(&str, &str)]| {
-            locations_of(options).into_iter().find(|(s, _)| *s == scheme).map(|(_, at)| at)
-        };
+        let of = |scheme: &str, options: &[(&str, &str)]| asker_of(scheme, options).and_then(|asker| asker.location);
         let s3 = |at| of("s3", &[("aws_endpoint_url", at)]);
         assert_eq!(s3("https://a.example/"), s3("https://a.example"));
         assert_ne!(s3("https://a.example"), s3("https://b.example"));
@@ -154,5 +185,18 @@ mod tests {
         let emulator = [("azure_storage_account_name", "one"), ("azure_storage_use_emulator", "true")];
         assert_ne!(of("az", &emulator), azure("one"));
         assert!(of("s3", &[("aws_colour", "red")]).is_none(), "invalid; the first request fails");
+    }
+
+    #[test]
+    fn signed_requests_differ_by_credentials() {
+        let of = |scheme: &str, options: &[(&str, &str)]| asker_of(scheme, options).unwrap().credentials;
+        let s3 = |id, secret| of("s3", &[("aws_access_key_id", id), ("aws_secret_access_key", secret)]);
+        assert!(s3("a", "1") == s3("a", "1") && s3("a", "1") != s3("a", "2") && s3("a", "1") != s3("b", "1"));
+        assert_ne!(of("gs", &[("google_bearer_token", "1")]), of("gs", &[("google_bearer_token", "2")]));
+        assert_ne!(of("az", &[("azure_storage_account_key", "1")]), of("az", &[("azure_storage_account_key", "2")]));
+        for (scheme, prefix) in [("s3", "aws"), ("gs", "google"), ("az", "azure")] {
+            let unsigned = of(scheme, &[(&format!("{prefix}_skip_signature"), "true")]);
+            assert!(unsigned.is_empty(), "{scheme}: existing caches of public buckets stay valid");
+        }
     }
 }

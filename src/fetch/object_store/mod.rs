@@ -3,5 +3,5 @@
 mod config;
 mod stores;
 
-pub(in crate::fetch) use config::locations;
+pub(in crate::fetch) use config::askers;
 pub(in crate::fetch) use stores::Stores;

@@ -104,6 +104,7 @@ impl DatabasePager {
             decoders,
             max_files: LoadConfig::busy_jobs(readers, decoders) + DECODED_AHEAD * decoders,
             per_server: LimitRange::new(config.http_in_flight, config.http_in_flight_max),
+            file_timeout: config.file_timeout,
             limits: config.limits,
         })?;
         let reaper = Reaper::start(sharing.clone())?;

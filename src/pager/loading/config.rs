@@ -1,5 +1,7 @@
 //! Numbers of threads and of jobs under way, and what follows from them.
 
+use std::time::Duration;
+
 use crate::fetch::Limits;
 
 /// This many servers may each have the start limit of requests in flight at once.
@@ -41,6 +43,8 @@ pub(in crate::pager) struct LoadConfig {
     pub max_files: usize,
     /// Requests in flight at one server.
     pub per_server: LimitRange,
+    /// Time limit for reading a local file.
+    pub file_timeout: Duration,
     /// Bounds on data from outside.
     pub limits: Limits,
 }

@@ -12,6 +12,7 @@
 //! [`DatabasePager`](super::DatabasePager) loads pages with it, the [`ImagePager`](super::ImagePager) images.
 
 pub(super) mod config;
+mod file_threads;
 #[cfg(feature = "http")]
 pub(super) mod http;
 pub(super) mod job;

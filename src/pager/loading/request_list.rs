@@ -301,6 +301,14 @@ impl<J: Request> RequestList<J> {
     }
 }
 
+impl<J: Request> RequestList<J> {
+    /// Takes the next file to read if there is one, the limits allow it, and the list is open.
+    pub fn try_take_file(&self) -> Option<J> {
+        let mut state = self.lock();
+        if state.is_closed { None } else { state.take_file(self.max_files) }
+    }
+}
+
 #[cfg(feature = "http")]
 impl<J: Request> RequestList<J> {
     /// Waits until there may be work for the HTTP thread.

@@ -4,6 +4,7 @@ use std::cell::RefCell;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
 
 use core_affinity::CoreId;
 use thread_priority::{ThreadPriority, ThreadPriorityValue};
@@ -12,6 +13,8 @@ use crate::pager::config::PagerError;
 
 /// The core of a set that runs on any core.
 const ANY_CORE: usize = usize::MAX;
+/// How often a join with a time limit looks whether the threads have ended.
+const JOIN_INTERVAL: Duration = Duration::from_millis(1);
 
 /// Threads of a pager. Dropping the set joins them; the owner must end their work before, by closing what they wait for.
 pub(super) struct ThreadSet {
@@ -72,17 +75,37 @@ impl ThreadSet {
     pub fn set_core(&self, core: usize) {
         self.core.store(core, Ordering::Relaxed);
     }
+
+    /// Joins the threads that end within a time, and leaves the others to themselves.
+    pub fn join_within(&mut self, timeout: Duration) {
+        let begun = Instant::now();
+        while begun.elapsed() < timeout && !self.handles.iter().all(JoinHandle::is_finished) {
+            std::thread::sleep(JOIN_INTERVAL);
+        }
+        for handle in self.handles.drain(..) {
+            match handle.is_finished() {
+                true => join(handle),
+                false => log::warn!("{} hangs on a file and is left alone", name_of(&handle)),
+            }
+        }
+    }
 }
 
 impl Drop for ThreadSet {
     fn drop(&mut self) {
-        for handle in self.handles.drain(..) {
-            let name = handle.thread().name().unwrap_or("a pager thread").to_owned();
-            if handle.join().is_err() {
-                log::error!("{name} panicked");
-            }
-        }
+        self.handles.drain(..).for_each(join);
     }
+}
+
+fn join(handle: JoinHandle<()>) {
+    let name = name_of(&handle);
+    if handle.join().is_err() {
+        log::error!("{name} panicked");
+    }
+}
+
+fn name_of(handle: &JoinHandle<()>) -> String {
+    handle.thread().name().unwrap_or("a pager thread").to_owned()
 }
 
 /// Lowers the priority of the calling thread: there is a decode thread for each core, and a frame that wakes one of its

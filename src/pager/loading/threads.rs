@@ -6,21 +6,28 @@ use std::time::Duration;
 use crossbeam_channel::{Receiver, RecvError, Sender, bounded, never, select};
 
 use super::config::LoadConfig;
+use super::file_threads::FileThreads;
 #[cfg(feature = "http")]
 use super::http::{self, HttpAccess};
-use super::job::{Answer, LoadJob, LoadedBytes, total_bytes};
+use super::job::{Answer, LoadJob, LoadedBytes};
 use super::request_list::RequestList;
 use super::thread_set::{ThreadSet, follow_core};
 use crate::fetch;
-use crate::formats::MAX_DEPENDENCY_ROUNDS;
 use crate::pager::config::PagerError;
 
 /// Files that may be read and not yet decoded, per decode thread: waiting bytes are memory, and disks are quick.
 const READ_AHEAD: usize = 2;
+/// How long the end of the HTTP thread waits for its blocking threads.
+#[cfg(feature = "http")]
+const MAX_SHUTDOWN_TIME: Duration = Duration::from_secs(1);
 
-/// All loading threads of a pager. Dropping it stops and joins them; HTTP requests still in flight are dropped.
+/// All loading threads of a pager. Dropping it stops and joins them, except for those that hang on a disk; HTTP requests still
+/// in flight are dropped.
 pub(in crate::pager) struct LoadThreads<J: LoadJob> {
     list: Arc<RequestList<J>>,
+    files: Option<Arc<FileThreads<J>>>,
+    /// Dropped to end the watch over the file threads.
+    watch: Option<Sender<()>>,
     /// `None` once closed.
     answers: Option<Receiver<Answer<J>>>,
     #[cfg(feature = "http")]
@@ -39,6 +46,8 @@ impl<J: LoadJob> LoadThreads<J> {
         // Declared before the channels, so that those close first if a thread cannot start, and the others end.
         let mut threads = Self {
             list: list.clone(),
+            files: None,
+            watch: None,
             answers: None,
             #[cfg(feature = "http")]
             http: None,
@@ -51,11 +60,13 @@ impl<J: LoadJob> LoadThreads<J> {
         let received = never::<LoadedBytes<J>>();
         let (answer_sender, answers) = bounded::<Answer<J>>(capacity);
         threads.answers = Some(answers);
-        let files = Arc::new(fetch::FileReader::new(config.limits));
-        for i in 0..config.readers {
-            let (list, sender, files) = (list.clone(), read_sender.clone(), files.clone());
-            threads.spawn(&format!("file-{i}"), move || read_files(&list, &sender, &files))?;
-        }
+        let files = fetch::FileReader::new(config.limits);
+        let files = FileThreads::new(list.clone(), read_sender, files, config.readers, config.file_timeout);
+        let files = threads.files.insert(files).clone();
+        files.start()?;
+        let (watch, closed) = bounded(0);
+        threads.watch = Some(watch);
+        threads.spawn("file-watch", move || files.watch(&closed))?;
         #[cfg(feature = "http")]
         {
             let (list, answers, limits) = (list.clone(), answer_sender.clone(), config.limits);
@@ -66,6 +77,8 @@ impl<J: LoadJob> LoadThreads<J> {
             threads.http = Some(access);
             threads.spawn("http", move || {
                 http::run(&runtime, &list, &received_sender, &answers, &clients, &limits, range);
+                // Threads that hang on the cache are left alone.
+                runtime.shutdown_timeout(MAX_SHUTDOWN_TIME);
             })?;
         }
         for i in 0..decoders {
@@ -84,6 +97,9 @@ impl<J: LoadJob> LoadThreads<J> {
     /// Pins the threads to a core, each before its next job.
     pub fn set_core(&self, core: usize) {
         self.threads.set_core(core);
+        if let Some(files) = &self.files {
+            files.set_core(core);
+        }
     }
 
     /// Returns the request list.
@@ -110,44 +126,16 @@ impl<J: LoadJob> LoadThreads<J> {
 
 impl<J: LoadJob> Drop for LoadThreads<J> {
     fn drop(&mut self) {
-        // All threads end, and the set joins them.
         self.list.close();
         self.answers = None;
-    }
-}
-
-fn read_files<J: LoadJob>(list: &RequestList<J>, sender: &Sender<LoadedBytes<J>>, files: &fetch::FileReader) {
-    while let Some(job) = list.take_file() {
-        follow_core();
-        let span = job.read_span();
-        let read = |uri: &str| match job.root_scope() {
-            Some(scope) => files.read_within(uri, scope),
-            None => files.read(uri),
-        };
-        let loaded = if job.is_remote() {
-            Err(fetch::IoError::unsupported(job.uri(), "a server (built without the feature)"))
-        } else if job.is_in_memory() {
-            Ok(fetch::Loaded::default())
-        } else {
-            read(job.address()).map(fetch::Loaded::from)
-        };
-        let mut companions = Vec::new();
-        if let Ok(loaded) = &loaded {
-            let fetched = |uri: Arc<str>| (uri.clone(), read(&uri));
-            companions.extend(job.companions().into_iter().map(fetched));
-            for _ in 0..MAX_DEPENDENCY_ROUNDS {
-                let dependencies = job.dependencies(loaded, &companions);
-                if dependencies.is_empty() {
-                    break;
-                }
-                companions.extend(dependencies.into_iter().map(fetched));
-            }
+        self.watch = None;
+        if let Some(files) = &self.files {
+            files.close();
         }
-        let bytes_read = total_bytes(&loaded, &companions);
-        drop(span);
-        job.mark_decoding();
-        if sender.send(LoadedBytes { job, loaded, companions, bytes_read, bytes_http: 0 }).is_err() {
-            return;
+        // The decoders end first: file threads wait for them.
+        self.threads = ThreadSet::default();
+        if let Some(files) = &self.files {
+            files.join();
         }
     }
 }
@@ -201,21 +189,6 @@ mod tests {
 
     fn limits(outstanding: usize) -> Limits {
         Limits { outstanding, prefetch_room: 0, prefetch_beside_others: 0 }
-    }
-
-    /// Regression: a codec's panic ended the thread, and its job was never answered.
-    #[test]
-    fn panic_while_reading_is_an_error_of_that_file() {
-        let (list, (sender, read)) = (RequestList::new(4, 4), bounded(4));
-        list.lock().set_jobs([1, 2].map(|number| job(number, &format!("/{number}/{}", fetch::PANICS))));
-        std::thread::scope(|scope| {
-            scope.spawn(|| read_files(&list, &sender, &fetch::FileReader::new(fetch::Limits::default())));
-            for _ in 0..2 {
-                let loaded = read.recv_timeout(Duration::from_secs(60)).expect("the thread continues");
-                assert_eq!(loaded.loaded.unwrap_err().reason(), fetch::DECODER_PANICKED);
-            }
-            list.close();
-        });
     }
 
     /// The number of files that may be outstanding.

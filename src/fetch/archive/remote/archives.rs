@@ -9,11 +9,10 @@ use super::identity::ArchiveIdentity;
 use super::part::{MemberName, Part, PartReader};
 use super::pmtiles::RemotePmtiles;
 use super::reread_limit::RereadLimit;
-use super::shared_read::SharedRead;
 use super::zip::RemoteZip;
 use crate::fetch::archive::{MAX_CACHED_ARCHIVES, MAX_CACHED_DIRECTORY_BYTES, evict_lru, is_pmtiles};
 use crate::fetch::cache::Entry;
-use crate::fetch::http::{CachePolicy, HttpBody, HttpCache, Transport, copy_validators};
+use crate::fetch::http::{CachePolicy, HttpBody, HttpCache, SharedRead, Transport, copy_validators};
 use crate::fetch::{IoError, Limits, shown};
 
 /// A member of an archive: its URI, split into the URL of the archive and the name inside.

@@ -12,7 +12,6 @@ mod identity;
 mod part;
 mod pmtiles;
 mod reread_limit;
-mod shared_read;
 mod zip;
 
 pub(crate) use archives::{MemberUri, RemoteArchives};

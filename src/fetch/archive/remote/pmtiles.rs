@@ -4,13 +4,12 @@ use std::sync::Arc;
 
 use super::identity::ArchiveIdentity;
 use super::part::{MemberName, Part, PartReader, range_of};
-use super::shared_read::SharedRead;
 use crate::fetch::archive::pmtiles::{
     DirectoryCache, HEAD_BYTES, Lookup, MAX_DIRECTORY_DEPTH, TileDirectory, TileHeader, check_span_size, tile_id,
     too_deep,
 };
 use crate::fetch::archive::span::Span;
-use crate::fetch::http::{MAX_INLINE_BYTES, run_blocking};
+use crate::fetch::http::{MAX_INLINE_BYTES, SharedRead, run_blocking};
 use crate::fetch::{IoError, encoding};
 
 /// An archive whose header and root directory have been read.

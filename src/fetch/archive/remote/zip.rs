@@ -2,13 +2,12 @@
 
 use super::identity::ArchiveIdentity;
 use super::part::{MemberName, Part, PartReader, range_of};
-use super::shared_read::SharedRead;
 use crate::fetch::archive::span::Span;
 use crate::fetch::archive::zip::{
     DAMAGED_NAMES, DirectoryEnd, MAX_HEADER_BYTES, Member, TAIL_BYTES, ZipDirectory, ZipIndex, check_member,
     content_range, local_header, member_span, unpack,
 };
-use crate::fetch::http::{MAX_INLINE_BYTES, run_blocking};
+use crate::fetch::http::{MAX_INLINE_BYTES, SharedRead, run_blocking};
 use crate::fetch::{IoError, Limits, encoding};
 
 /// An archive whose directory or index has been read.

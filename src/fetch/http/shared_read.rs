@@ -1,4 +1,4 @@
-//! [`SharedRead`]: a value that many requests need and one of them reads.
+//! [`SharedRead`]: a value that many requests need and one of them reads. HTTP thread.
 
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
@@ -7,9 +7,10 @@ use tokio::sync::OnceCell;
 
 use crate::fetch::IoError;
 
-/// A value that the first request reads while the others wait. Waiting requests share a failure; later ones retry.
+/// A value that the first request reads while the others wait. Waiting requests share a failure; later ones retry. If the
+/// reading request is dropped, the next one that waits reads.
 #[derive(Debug)]
-pub(super) struct SharedRead<T> {
+pub(in crate::fetch) struct SharedRead<T> {
     cell: OnceCell<T>,
     /// The last failure and its time. Locked briefly.
     failed: Mutex<Option<(Instant, IoError)>>,
@@ -30,6 +31,11 @@ impl<T> SharedRead<T> {
     /// Returns the value if it has been read.
     pub fn get(&self) -> Option<&T> {
         self.cell.get()
+    }
+
+    /// Returns the value if it has been read.
+    pub fn into_value(self) -> Option<T> {
+        self.cell.into_inner()
     }
 
     /// Returns the value; reads it if no request has done so.
