@@ -140,7 +140,7 @@ fn slices_of_volumes_can_be_drawn_to() {
         let [r, g, b] = color.map(|c| c as f32);
         CameraNode { target: Some(Arc::new(target)), clear_color: Some([r, g, b, 1.0]), ..to_texture(&volume) }
     };
-    let nodes = vec![
+    let nodes = [
         Node::camera(onto(0, 1, [1.0, 0.0, 0.0]), vec![]),
         Node::camera(onto(2, 1, [0.0, 1.0, 0.0]), vec![]),
         Node::camera(onto(3, 1, [0.0; 3]), vec![Node::geode(vec![square(0.0, BLUE)])]),

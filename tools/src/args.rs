@@ -152,7 +152,7 @@ pub struct FlyArgs {
     /// Colour, hide and size the features of tiles by a style in the 3D Tiles Styling language (JSON)
     #[arg(long, value_name = "FILE")]
     pub style: Option<PathBuf>,
-    /// Samples per pixel, 1 or 4; 4 draws smooth edges
+    /// Samples per pixel: 1, 2, 4, 8 or 16, as far as the adapter has them; 4 draws smooth edges
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = samples)]
     pub samples: u32,
     /// Show the stats overlay from the start (window only)

@@ -115,7 +115,7 @@ pub fn finite(text: &str) -> Result<f32, String> {
 
 /// Parses the number of samples per pixel.
 pub fn samples(text: &str) -> Result<u32, String> {
-    text.parse().ok().filter(|n| matches!(n, 1 | 4)).ok_or_else(|| "expected 1 or 4".to_owned())
+    text.parse().ok().filter(|n| matches!(n, 1 | 2 | 4 | 8 | 16)).ok_or_else(|| "expected 1, 2, 4, 8 or 16".to_owned())
 }
 
 /// The first camera.

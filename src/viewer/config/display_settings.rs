@@ -70,7 +70,7 @@ pub struct DisplaySettings {
     pub split_keeps_aspect: bool,
     /// The most graphics contexts that may be open at once.
     pub max_contexts: usize,
-    /// Samples per pixel as requested: 0 and 1 give one sample, more give 4.
+    /// Samples per pixel as requested: 0 and 1 give one sample, more the next of 2, 4, 8 and 16 that the adapter has.
     pub samples: u32,
     /// The minimum bits of alpha in the image of a context, 0 to 8; see [`ViewerConfig::min_alpha_bits`].
     pub min_alpha_bits: u32,
@@ -263,7 +263,7 @@ impl DisplaySettings {
     pub fn configure(&self, config: &mut ViewerConfig) {
         config.field_of_view = self.field_of_view().unwrap_or(config.field_of_view);
         config.min_alpha_bits = self.min_alpha_bits;
-        config.samples = if self.samples > 1 { 4 } else { 1 };
+        config.samples = self.samples.clamp(1, 16);
         config.max_contexts = self.max_contexts;
         config.stereo = self.eyes();
         config.min_stencil_bits = self.min_stencil_bits;

@@ -58,7 +58,7 @@ pub struct WindowSetup {
     /// True when the window uses the first window's device, so that everything is uploaded once; see
     /// `Viewer::open_window_on`.
     pub shares_device: bool,
-    /// Samples per pixel, 1 or 4; `None` takes the configuration's.
+    /// Samples per pixel, as [`ContextTraits::samples`](crate::gpu::ContextTraits::samples); `None` takes the configuration's.
     pub samples: Option<u32>,
     /// True when frames wait for the screen's refresh; `None` takes the configuration's setting.
     pub vsync: Option<bool>,

@@ -25,7 +25,7 @@ pub struct ViewerConfig {
     pub cpu_affinity: bool,
     /// The adapter that draws.
     pub adapter: AdapterChoice,
-    /// Samples per pixel, 1 or 4.
+    /// Samples per pixel: 1, 2, 4, 8 or 16, as far as the adapter has them; see [`ContextTraits::samples`].
     pub samples: u32,
     /// Windows wait for the vertical blank; see [`ContextTraits::vsync`].
     pub vsync: bool,

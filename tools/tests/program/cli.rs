@@ -82,7 +82,7 @@ fn invalid_arguments_exit_with_2() {
         &["fly", "--sse", "0"],
         &["fly", "--look-ahead", "nan"],
         &["fly", "--water=-inf"],
-        &["fly", "--samples", "2"],
+        &["fly", "--samples", "3"],
         &["fly", "anything", "--frames", "0", "--screenshot", "x.png"],
         &["gen", "set", "--size", "5"],
         &["serve", ".", "--error-rate", "2"],

@@ -131,8 +131,8 @@ impl WindowFields {
             );
         }
         let samples = self.samples.map(|samples| samples.value as u32);
-        if samples.is_some_and(|samples| samples != 1 && samples != 4) {
-            return Invalid::err(format!("{path}.samples"), "1 and 4 are supported");
+        if samples.is_some_and(|samples| !matches!(samples, 1 | 2 | 4 | 8 | 16)) {
+            return Invalid::err(format!("{path}.samples"), "1, 2, 4, 8 and 16 are possible");
         }
         let cameras = match self.cameras {
             None => vec![CameraSetup::default()],
@@ -317,7 +317,7 @@ mod tests {
             (r#"{"windows": [{"screen": -1}]}"#, "windows[0].screen", "from 0"),
             (r#"{"windows": [{"full_screen": 1}]}"#, "windows[0].full_screen", "boolean"),
             (r#"{"windows": [{"shares_device": true}]}"#, "windows[0].shares_device", "first window"),
-            (r#"{"windows": [{"samples": 2}]}"#, "windows[0].samples", "1 and 4"),
+            (r#"{"windows": [{"samples": 3}]}"#, "windows[0].samples", "1, 2, 4, 8 and 16"),
             (r#"{"windows": [{"vsync": null}]}"#, "windows[0].vsync", "boolean"),
             (r#"{"windows": [{"cameras": []}]}"#, "windows[0].cameras", "list of 1"),
             (r#"{"windows": [{"cameras": [{"shift": [1, 0]}]}]}"#, "windows[0].cameras[0].shift", "master"),
