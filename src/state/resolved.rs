@@ -434,6 +434,11 @@ impl ResolvedState {
         self.tex_envs.get(unit).map(|env| env.value).unwrap_or_default()
     }
 
+    /// Returns true if some texture does more than multiply the colour.
+    pub fn combines_textures(&self) -> bool {
+        (0..TEXTURE_UNITS).any(|unit| self.tex_env(unit) != TexEnv::Modulate && self.texture(unit).is_some())
+    }
+
     /// Returns the matrix of a unit's texture coordinates by columns, if one is set.
     pub fn tex_mat(&self, unit: usize) -> Option<[[f32; 4]; 4]> {
         self.tex_mats.get(unit)?.value

@@ -10,8 +10,8 @@ use kit::cull_scenes::{look_at, page};
 use kit::shapes::quad;
 use terrane::cull::{CullCamera, CullVisitor, RenderStage};
 use terrane::scene::{
-    CameraNode, ComputeNearFar, ConvexPlanarOccluder, CullSettings, CullingMode, Inherit, Node, NodeKind, RenderOrder,
-    Scene,
+    CameraNode, ClampProjection, ComputeNearFar, ConvexPlanarOccluder, CullSettings, CullingMode, Inherit, Node,
+    NodeKind, RenderOrder, Scene,
 };
 use terrane::state::{
     Attribute, CullFace, DataVariance, FrontFace, Mode, StateSet, StateValue, TextureBinding, TextureFormat,
@@ -80,7 +80,7 @@ fn cameras_inherit_the_clamp_of_near_and_far() {
         visitor.cull(&scene, &camera, &mut stage);
         near_of(&stage.pre_render[0].camera.clip_from_eye)
     };
-    let nearer: Option<fn(f64, f64) -> (f64, f64)> = Some(|near_m, far_m| (near_m.min(5.0), far_m));
+    let nearer: Option<ClampProjection> = Some(|near_m, far_m| (near_m.min(5.0), far_m));
     assert!((near(Inherit::ALL, None) - 2.0).abs() < 0.2);
     assert!((near(Inherit::NONE, None) - 9.5).abs() < 0.4);
     assert!((near(Inherit::ALL, nearer) - 5.0).abs() < 0.3);

@@ -21,7 +21,7 @@ fn budgets_hold_in_every_frame_and_visible_tiles_load_first() {
     write_quadtree(folder.path());
     let config = PagerConfig {
         max_bytes_gpu: 40 * PAGE_GPU_BYTES,
-        max_bytes_cpu: 64 << 10,
+        max_bytes_cpu: 80 << 10,
         max_tiles: 60,
         expiry_frames: 2,
         ..PagerConfig::default()

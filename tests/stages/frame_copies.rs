@@ -4,7 +4,7 @@
 use std::sync::{Arc, Mutex};
 
 use crate::small_targets::{
-    BLACK, BLUE, GREEN, RED, SIDE, draw, no_errors, read, red, screen, square, target, to_texture, view,
+    BLUE, GREEN, RED, SIDE, draw, no_errors, read, red, screen, square, target, to_texture, view,
 };
 use kit::frames::{MAGENTA, pixel};
 use kit::rig::{plain, rig, unit_camera};
@@ -150,7 +150,8 @@ fn slices_of_volumes_can_be_drawn_to() {
         let shown = sampled(&volume, "texture_3d<f32>", &sample);
         pixel(&draw(rig, nodes.iter().cloned().chain([shown]).collect()), 32, 32)
     };
-    assert_eq!([0, 1, 2, 3].map(&mut slice), [RED, BLACK, GREEN, BLUE]);
+    // Slice 1 is not drawn to: its texels are whatever the memory had.
+    assert_eq!([0, 2, 3].map(&mut slice), [RED, GREEN, BLUE]);
     no_errors(rig);
     let sink = Arc::new(PictureSink::default());
     let picture = read(rig, onto(3, 1, [0.0; 3]), vec![red()], &sink);

@@ -368,6 +368,7 @@ fn budgets_hold_and_shared_slots_live_as_long_as_their_last_page() {
     let mut contexts: Vec<_> = run.contexts.iter_mut().map(|c| c as &mut dyn CompileContext).collect();
     run.pager.page_anew(&mut run.scene, &mut contexts);
     run.pager.drop_uploads(&mut contexts);
+    run.contexts[0].gpu.flush_released();
     assert!(run.contexts[0].gpu.bytes_in_use() <= 4, "{} bytes", run.contexts[0].gpu.bytes_in_use());
     let end = Instant::now() + Duration::from_secs(20);
     let sharing = run.pager.sharing().unwrap().clone();

@@ -64,6 +64,7 @@ pub enum Command {
     Bench(BenchArgs),
 }
 
+// More than 16 fields: one for each option.
 #[derive(Clone, Debug, Default, ClapArgs)]
 pub struct FlyArgs {
     /// Folder, tileset.json, archive (.3tz, .zip), http(s) URL or s3://, gs://, az:// URI; without it a small set is generated in the user's cache folder
@@ -184,6 +185,7 @@ pub struct FlyArgs {
     pub parent: Option<u32>,
 }
 
+// More than 16 fields: one for each option.
 #[derive(Clone, Debug, ClapArgs)]
 pub struct ViewArgs {
     /// Folder, tileset.json, archive (.3tz, .zip), http(s) URL or s3://, gs://, az:// URI

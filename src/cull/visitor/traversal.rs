@@ -55,6 +55,8 @@ pub(in crate::cull) struct TraversalOptions {
 }
 
 /// The cull of one stage under way: what is culled, and the parts that collect what is found.
+///
+/// More than 16 fields: a visit reads some parts while it writes into others, so that each is borrowed alone.
 pub(in crate::cull) struct Traversal<'a> {
     pub scene: &'a Scene,
     pub camera: &'a CullCamera,

@@ -267,6 +267,9 @@ impl Factory {
         if key.has_local_lights() {
             constants.push(("HAS_LOCAL_LIGHTS".to_owned(), 1.0));
         }
+        if key.combines_textures() {
+            constants.push(("HAS_COMBINATIONS".to_owned(), 1.0));
+        }
         let uses_alpha = key.alpha() == Alpha::Blended || key.has_alpha_to_coverage();
         if uses_alpha && choice.fragment.has_alpha_override() {
             constants.push(("HAS_ALPHA".to_owned(), 1.0));

@@ -97,10 +97,14 @@ const TEXTURED: Field = VERTICES.next(1);
 const FADING: Field = TEXTURED.next(1);
 const SHADOWED: Field = FADING.next(1);
 const CASTER: Field = SHADOWED.next(1);
+/// Some texture unit of the fixed function does more than multiply.
+const COMBINES: Field = CASTER.next(1);
 
-const _: () = assert!(CASTER.shift + CASTER.bits <= u128::BITS);
+const _: () = assert!(COMBINES.shift + COMBINES.bits <= u128::BITS);
 const _: () = assert!(MAX_ATTRIBUTE_LAYOUTS <= LAYOUT.max());
 
+/// The properties of the fixed function alone, and [`TEXTURED`].
+const FIXED_FUNCTION: u128 = FIXED.mask() | TEXTURED.mask() | COMBINES.mask();
 /// The properties of triangles alone.
 const TRIANGLES_ONLY: u128 = CULLED.mask() | POLYGON_MODE.mask() | OFFSET.mask();
 /// The vertex format of pulled meshes, beside the numbers of [`VertexFormat`].
@@ -196,7 +200,10 @@ impl StateKey {
             Shading::Plain if state.has_local_lights() => common |= LOCAL_LIGHTS.mask(),
             Shading::Plain => {}
             Shading::FixedFunction => common |= FIXED.mask(),
-            Shading::FixedTextured => common |= FIXED.mask() | TEXTURED.mask(),
+            Shading::FixedTextured => {
+                let combines = if state.combines_textures() { COMBINES.mask() } else { 0 };
+                common |= FIXED.mask() | TEXTURED.mask() | combines;
+            }
             Shading::Program(index) => common |= PROGRAM.of(usize::from(index) + 1),
             Shading::Fallback => common |= PROGRAM.mask(),
         }
@@ -237,7 +244,8 @@ impl StateKey {
     /// alpha test or clip planes.
     pub fn caster(state: &ResolvedState, shading: Shading, drops: bool, target: u16) -> Self {
         let mut key = Self::new(state, PartIndices::default(), shading, target);
-        let kept = [POLYGON_MODE, FIXED, TEXTURED, PROGRAM, TARGET].iter().fold(0, |all, field| all | field.mask());
+        let kept =
+            [POLYGON_MODE, FIXED, TEXTURED, COMBINES, PROGRAM, TARGET].iter().fold(0, |all, field| all | field.mask());
         let depth = DEPTH_WRITE.mask() | DEPTH_COMPARE.of(CompareFunction::LessOrEqual as usize);
         key.common = key.common & kept | CASTER.mask() | depth;
         Self { culled: [0, 0], blends: false, can_fade: false, order_is_free: true, casts: true, drops, ..key }
@@ -249,7 +257,7 @@ impl PipelineKey {
     /// own frame is left-handed, which mirrors once more.
     pub fn height(state: &StateKey, mirrored: bool) -> Self {
         if state.casts {
-            let fixed = if state.drops { 0 } else { FIXED.mask() | TEXTURED.mask() };
+            let fixed = if state.drops { 0 } else { FIXED_FUNCTION };
             return Self(state.common & !PROGRAM.mask() & !fixed);
         }
         let alpha = if state.blends { Alpha::Blended } else { Alpha::Opaque };
@@ -264,7 +272,7 @@ impl PipelineKey {
     pub fn mesh(state: &StateKey, topology: Topology, is_masked: bool, double_sided: bool, mirrored: bool) -> Self {
         if state.casts {
             let alpha = if is_masked { Alpha::Masked } else { Alpha::Opaque };
-            let fixed = if state.drops || is_masked { 0 } else { FIXED.mask() | TEXTURED.mask() };
+            let fixed = if state.drops || is_masked { 0 } else { FIXED_FUNCTION };
             return Self(state.common & !fixed | ALPHA.of(alpha as usize) | KIND.of(Kind::Triangles as usize));
         }
         let (kind, common) = match topology {
@@ -410,6 +418,11 @@ impl PipelineKey {
     /// Returns true if local lights shine on the leaves.
     pub fn has_local_lights(self) -> bool {
         LOCAL_LIGHTS.is_set(self.0)
+    }
+
+    /// Returns true if some texture unit of the fixed function does more than multiply.
+    pub fn combines_textures(self) -> bool {
+        COMBINES.is_set(self.0)
     }
 
     /// Returns the key for full vertices with custom attributes, by index of their layout from 1 on.

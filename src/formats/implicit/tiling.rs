@@ -64,7 +64,7 @@ pub(in crate::formats) struct ContentTemplate<'a> {
     pub group: Option<Arc<Metadata>>,
 }
 
-/// The properties that all tiles of an implicit tree share.
+/// The properties that all tiles of an implicit tree share. More than 16 fields: one for each property of the root.
 #[derive(Debug)]
 pub(in crate::formats) struct ImplicitTiling {
     /// The file of the tileset, and where redirects led.

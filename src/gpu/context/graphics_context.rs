@@ -405,8 +405,9 @@ impl GraphicsContext {
         self.retired.release(slots, &mut self.pools);
     }
 
-    /// Frees all released drawables at once, however long that takes.
-    pub(crate) fn flush_released(&mut self) {
+    /// Frees the memory of all released drawables at once, however long that takes. Otherwise a frame frees as many as it has
+    /// time for.
+    pub fn flush_released(&mut self) {
         self.retired.free_all(&mut self.pools);
     }
 

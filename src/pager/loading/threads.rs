@@ -66,7 +66,7 @@ impl<J: LoadJob> LoadThreads<J> {
         files.start()?;
         let (watch, closed) = bounded(0);
         threads.watch = Some(watch);
-        threads.spawn("file-watch", move || files.watch(&closed))?;
+        threads.spawn("watch", move || files.watch(&closed))?;
         #[cfg(feature = "http")]
         {
             let (list, answers, limits) = (list.clone(), answer_sender.clone(), config.limits);

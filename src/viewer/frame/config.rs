@@ -12,7 +12,7 @@ use crate::sync::Operation;
 use crate::viewer::rendering::ThreadingModel;
 use crate::viewer::view::camera::FieldOfView;
 
-/// Settings of a viewer. They are read once, when the viewer is made.
+/// Settings of a viewer. They are read once, when the viewer is made. More than 16 fields: one for each setting.
 #[derive(Clone, Debug)]
 pub struct ViewerConfig {
     /// Width and height of the first context in pixels.

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use crate::viewer::rendering::ThreadingModel;
 
-/// Times in milliseconds and counters of one frame.
+/// Times in milliseconds and counters of one frame. More than 16 fields: one for each figure of the report.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FrameStats {
     /// The number of the frame; the first is 1.

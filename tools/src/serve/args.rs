@@ -7,6 +7,7 @@ use clap::Args as ClapArgs;
 use super::faults::Fault;
 use crate::values::{amount, share};
 
+// More than 16 fields: one for each option.
 #[derive(Clone, Debug, ClapArgs)]
 pub struct ServeArgs {
     /// Folder to serve

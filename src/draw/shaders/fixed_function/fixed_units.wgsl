@@ -127,6 +127,9 @@ fn combined(code: u32, a: vec4<f32>, b: vec4<f32>, c: vec4<f32>) -> vec4<f32> {
     }
 }
 
+// Only pipelines of states that do more than multiply textures have the code for it, which takes long to compile.
+override HAS_COMBINATIONS: bool = false;
+
 // Returns a lit colour under the drawable's own texture and the textures of all units.
 fn textured(s: Surface, primary: vec4<f32>, textures: array<vec4<f32>, 4>) -> vec4<f32> {
     var all = textures;
@@ -137,7 +140,7 @@ fn textured(s: Surface, primary: vec4<f32>, textures: array<vec4<f32>, 4>) -> ve
             continue;
         }
         // A scale of 0 stands for the plain product, which no other combination has.
-        if env.x == 0u && env.z == 0u {
+        if !HAS_COMBINATIONS || (env.x == 0u && env.z == 0u) {
             color *= all[unit];
             continue;
         }

@@ -1,6 +1,5 @@
 //! [`Reflection`]: the metallic-roughness model of a glTF material, before its maps are decoded.
 
-use super::surface::emitted;
 use super::texture_ref::{TRANSFORM, TextureRef};
 use crate::formats::ignored::Notes;
 use crate::scene::SecondUv;
@@ -103,4 +102,10 @@ impl Reflection {
             self.occlusion_strength = 0.0;
         }
     }
+}
+
+/// Returns the light that a material emits, linear, before its texture.
+pub(super) fn emitted(material: &gltf::Material<'_>) -> [f32; 3] {
+    let strength = material.emissive_strength().unwrap_or(1.0);
+    material.emissive_factor().map(|part| part * strength)
 }

@@ -1,6 +1,6 @@
 //! [`Surface`]: a material of a glTF reduced to what [`Material`](crate::scene::Material) holds.
 
-use super::reflection::Reflection;
+use super::reflection::{Reflection, emitted};
 use super::specular_glossiness::{Converted, SpecularGlossiness};
 use super::techniques::Techniques;
 use super::texture_ref::TextureRef;
@@ -109,10 +109,4 @@ fn note_unused_maps(material: &gltf::Material<'_>, notes: &Notes) {
     if material.occlusion_texture().is_some() {
         notes.add("glTF material: occlusion map of a surface that is drawn without reflection");
     }
-}
-
-/// Returns the light that a material emits, linear, before its texture.
-pub(super) fn emitted(material: &gltf::Material<'_>) -> [f32; 3] {
-    let strength = material.emissive_strength().unwrap_or(1.0);
-    material.emissive_factor().map(|part| part * strength)
 }

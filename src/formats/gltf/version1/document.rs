@@ -12,6 +12,7 @@ use crate::formats::lenient::{Numbers, Text, list, or_default, valid_entries, va
 /// The names of the buffer that is the body of a binary glTF, the second in old files.
 const BINARY_BODY: [&str; 2] = ["binary_glTF", "KHR_binary_glTF"];
 
+/// The JSON of a glTF 1.0 file. More than 16 fields: one for each of its top members.
 #[derive(Default, Deserialize)]
 #[serde(default, rename_all = "camelCase")]
 pub(super) struct Document {

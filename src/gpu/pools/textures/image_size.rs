@@ -1,18 +1,9 @@
 //! [`ImageSize`]: the size and format of a mesh texture with its mip levels, and the creation of array textures for it.
 
 use super::texture_rows::TextureRows;
-use super::wgpu_enums::texel_format;
+use super::wgpu_enums::{TexelEncoding, texel_format};
 use crate::gpu::memory::Memory;
 use crate::scene::{BlockFormats, TexelFormat, Texture};
-
-/// The meaning of an image's bytes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub(in crate::gpu) enum TexelEncoding {
-    /// Colours in sRGB, with linear alpha.
-    Srgb,
-    /// Numbers from 0 to 1.
-    Linear,
-}
 
 /// The size and format of an image with its mip levels. Images of one size and format share blocks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

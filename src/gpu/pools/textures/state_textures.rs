@@ -6,11 +6,11 @@
 use std::collections::HashMap;
 use std::sync::{Arc, Weak};
 
-use super::image_size::{ImageSize, TexelEncoding};
+use super::image_size::ImageSize;
 use super::texture_rows::write_rows;
 use super::wgpu_enums::{
-    address_mode, block_formats, border_color, compare_function, filter_mode, mipmap_filter_mode, texture_format,
-    view_dimension,
+    TexelEncoding, address_mode, block_formats, border_color, compare_function, filter_mode, mipmap_filter_mode,
+    texture_format, view_dimension,
 };
 use crate::gpu::error_scope::catch_errors;
 use crate::scene::Texture;

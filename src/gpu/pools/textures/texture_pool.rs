@@ -7,8 +7,9 @@
 use std::collections::HashMap;
 use std::sync::{Arc, Weak};
 
-use super::image_size::{ImageSize, TexelEncoding, array_view};
+use super::image_size::{ImageSize, array_view};
 use super::texture_rows::{TextureRows, write_rows};
+use super::wgpu_enums::TexelEncoding;
 use crate::gpu::memory::Memory;
 use crate::gpu::pools::allocation::{Allocation, LayerDestination};
 use crate::gpu::pools::bind_group_layouts::BindGroupLayouts;

@@ -1,8 +1,16 @@
 //! wgpu's counterparts of the enums of state sets. Plain values.
 
-use super::image_size::TexelEncoding;
 use crate::scene::{BlockFormats, TexelFormat};
 use crate::state::{CompareFunction, FilterMode, TextureDimension, TextureFormat, WrapMode};
+
+/// The meaning of an image's bytes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(in crate::gpu) enum TexelEncoding {
+    /// Colours in sRGB, with linear alpha.
+    Srgb,
+    /// Numbers from 0 to 1.
+    Linear,
+}
 
 pub(crate) fn texture_format(format: TextureFormat) -> wgpu::TextureFormat {
     match format {
