@@ -242,9 +242,15 @@ fn uploads_of_an_expired_tileset_are_released() {
     let folder = tempfile::tempdir().unwrap();
     write_nested(folder.path());
     let config = PagerConfig { max_tiles: 3, expiry_frames: 2, ..PagerConfig::default() };
-    let mut run = Run::new(folder.path().to_str().unwrap(), config);
     let (near, far) = (DVec3::new(0.0, 0.0, 40.0), DVec3::new(0.0, 0.0, 100_000.0));
-    run.until(near, "the inner tileset was not loaded", |r| r.pager.stats().merged == 2);
+    let mut run = loop {
+        let mut run = Run::new(folder.path().to_str().unwrap(), config.clone());
+        run.until(near, "the inner tileset was not loaded", |r| r.pager.stats().merged >= 2);
+        // The outer content may have been merged last, together with the inner one.
+        if run.pager.stats().merged == 2 {
+            break run;
+        }
+    };
     run.context.holds = true;
     run.until(near, "the inner content is not uploaded", |r| r.pager.stats().loaded == 3);
     run.until(far, "the inner tileset did not expire", |r| r.pager.stats().expired >= 1);

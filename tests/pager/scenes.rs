@@ -301,7 +301,10 @@ fn sets_can_only_refer_to_their_own_scope() {
     for folders in [[&open, &sly], [&sly, &open]] {
         let folders = folders.map(|folder| &**folder);
         let mut run = Several::of_sets(&folders, PagerConfig::default());
-        run.until(&[eye, eye], "it was not loaded", |r| r.pager.is_idle() && r.pager.stats().loaded >= 3);
+        run.until(&[eye, eye], "it was not loaded", |r| {
+            let stats = r.pager.stats();
+            r.pager.is_idle() && stats.loaded >= 3 && stats.failed >= 1
+        });
         run.frame(&[eye, eye]);
         let pages_of = |name: &Path| run.pages()[folders.iter().position(|of| *of == name).unwrap()];
         let errors = run.pager.errors();
