@@ -422,7 +422,7 @@ impl CompositeViewer {
     /// Waits until all frames are drawn, and returns a view of the texture that an offscreen context draws into: the last
     /// frame, in `Rgba8UnormSrgb`, opaque, with the first row on top. Sample it in commands that are submitted before the
     /// next frame, and ask again after a resize. Useful on a device of the application
-    /// ([`GraphicsContext::new_on_device`]); `None` for a window.
+    /// ([`GraphicsContext::new_on_device`](crate::gpu::GraphicsContext::new_on_device)); `None` for a window.
     pub fn color_view(&mut self, context: ContextId) -> Result<Option<wgpu::TextureView>, ViewerError> {
         self.frame.color_view(context)
     }

@@ -17,7 +17,7 @@ impl CompositeViewer {
     }
 
     /// Adds a window as a context with its own device; see [`Self::open_context`]. Call it on the thread of the event
-    /// loop, then add a view or a [`Slave`] in it.
+    /// loop, then add a view or a [`Slave`](super::Slave) in it.
     pub fn open_window(
         &mut self,
         target: impl Into<wgpu::SurfaceTarget<'static>> + Clone + Send + Sync + 'static,
