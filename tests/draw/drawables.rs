@@ -328,6 +328,7 @@ fn drawable_receives_its_transform_and_state() {
     assert!(heard[2].starts_with("-1 at [\"48/32\", \"32/16\"] in "), "{heard:?}");
     assert_eq!(heard.len(), 3);
     rig.ctx.release(&compiled.slots);
+    rig.ctx.flush_released();
     assert!(rig.renderer.take_errors().is_empty());
 }
 
@@ -379,6 +380,7 @@ fn drawable_is_compiled_within_the_budget() {
     let compiled = rig.ctx.take_compiled().remove(0);
     assert_eq!((compiled.bytes, rig.ctx.bytes_in_use() - before), (5_000, 5_000));
     rig.ctx.release(&compiled.slots);
+    rig.ctx.flush_released();
     assert_eq!((square.alive.load(Relaxed), rig.ctx.bytes_in_use()), (0, before));
 }
 
@@ -405,6 +407,7 @@ fn drawable_is_compiled_for_all_kinds_of_targets() {
     let compiled = rig.compile(vec![square.drawable(RED)]);
     assert_eq!(square.heard(), ["compile", "prepare", "prepare"]);
     rig.ctx.release(&compiled.slots);
+    rig.ctx.flush_released();
     assert!(rig.renderer.take_errors().is_empty());
 }
 

@@ -124,8 +124,10 @@ fn equal_images_meshes_and_indices_are_uploaded_once() {
     // After all drawables are released one by one, only the white texel is left.
     for compiled in [first, again, one, other] {
         rig.ctx.release(&compiled.slots);
+        rig.ctx.flush_released();
     }
     rig.ctx.release(&[DrawSlot::NONE, DrawSlot(99_999)]);
+    rig.ctx.flush_released();
 }
 
 /// A mesh is drawn only once it is uploaded completely. Regression: half of one showed the earlier content of its slot.
@@ -214,12 +216,15 @@ fn released_slots_are_reused() {
     for x in 1..8 {
         let kept = rig.compile(drawables(x));
         rig.ctx.release(&kept.slots);
+        rig.ctx.flush_released();
         assert_eq!((rig.ctx.bytes_in_use(), rig.ctx.bytes_allocated()), used, "round {x}");
     }
     let peak = rig.ctx.bytes_peak();
     rig.ctx.release(&first.slots);
+    rig.ctx.flush_released();
     // The second release of a slot has no owner.
     rig.ctx.release(&first.slots);
+    rig.ctx.flush_released();
     assert_eq!(rig.ctx.bytes_in_use(), base.0);
     assert_eq!(rig.ctx.bytes_allocated(), base.1, "empty blocks are given back");
     assert_eq!(rig.ctx.bytes_peak(), peak);
@@ -249,6 +254,7 @@ fn operation_cancelled_before_its_start_is_not_uploaded() {
     assert_eq!(made, [(10, 1), (11, 0), (12, 1), (13, 0), (14, 0)]);
     assert_eq!(rig.ctx.pending_compiles(), 0);
     done.iter().for_each(|compiled| rig.ctx.release(&compiled.slots));
+    rig.ctx.flush_released();
     assert_eq!(rig.ctx.bytes_in_use(), base);
 }
 
@@ -320,6 +326,7 @@ fn drawable_that_cannot_be_uploaded_is_one_error() {
     assert_eq!(made, [true, false, false, false, false, false, false, false, false, true]);
     assert_eq!(compiled.errors.len(), 8, "{:?}", compiled.errors);
     rig.ctx.release(&compiled.slots);
+    rig.ctx.flush_released();
     let white_texel = 4;
     assert_eq!(rig.ctx.bytes_in_use(), before + white_texel, "partial allocations are released");
     assert!(rig.ctx.take_device_errors().is_empty());
@@ -377,6 +384,7 @@ fn out_of_memory_fails_one_drawable_only() {
         assert!(error.starts_with(&format!("out of graphics memory: {what} of ")), "{error}");
     }
     rig.ctx.release(&compiled.slots);
+    rig.ctx.flush_released();
     assert_eq!(
         (rig.ctx.bytes_in_use(), rig.ctx.bytes_allocated()),
         (in_use, allocated),
@@ -388,6 +396,7 @@ fn out_of_memory_fails_one_drawable_only() {
         rig.ctx.pretend_memory(Some(left_bytes));
         let compiled = rig.compile(vec![tile()]);
         rig.ctx.release(&compiled.slots);
+        rig.ctx.flush_released();
         let Some(error) = compiled.errors.first() else { break };
         let what = error.split(" of ").nth(1).unwrap().rsplit(": ").next().unwrap().to_owned();
         if seen.last() != Some(&what) {
@@ -401,5 +410,6 @@ fn out_of_memory_fails_one_drawable_only() {
     let compiled = rig.compile(drawables);
     assert!(compiled.errors.is_empty() && !compiled.slots.contains(&DrawSlot::NONE), "{:?}", compiled.errors);
     rig.ctx.release(&compiled.slots);
+    rig.ctx.flush_released();
     assert!(rig.ctx.take_device_errors().is_empty());
 }

@@ -90,6 +90,7 @@ fn uploads_larger_than_the_staging_memory_complete() {
         assert!(compiled.iter().all(|c| c.errors.is_empty() && c.slots.iter().all(|s| *s != DrawSlot::NONE)));
         let slots: Vec<_> = compiled.into_iter().flat_map(|c| c.slots).collect();
         ctx.release(&slots);
+        ctx.flush_released();
         assert!(ctx.bytes_in_use() < 1000, "{} bytes", ctx.bytes_in_use());
         assert!(ctx.take_device_errors().is_empty());
     }

@@ -458,9 +458,11 @@ fn removing_or_changing_a_page_keeps_shared_objects_of_others() {
     // One page is removed. Shared slots stay as long as the other needs them.
     scene.remove_root(a).unwrap();
     rig.ctx.release(&first.slots);
+    rig.ctx.flush_released();
     assert_eq!(halves(&mut rig, &scene), [0, right]);
     scene.remove_root(b).unwrap();
     rig.ctx.release(&second.slots);
+    rig.ctx.flush_released();
     assert_eq!(rig.ctx.bytes_in_use(), before);
 
     // Later pages are uploaded again, although their key is known.

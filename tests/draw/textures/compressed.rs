@@ -138,6 +138,7 @@ fn uploads_of_every_format_are_valid() {
                 let errors = context.take_device_errors();
                 assert!(errors.is_empty(), "{format:?} {name}: {errors:?}");
                 context.release(&compiled.slots);
+                context.flush_released();
             }
         }
     }
@@ -196,6 +197,7 @@ fn textures_that_the_adapter_cannot_sample_are_refused() {
         assert_eq!(compiled.errors.len(), 1, "{texture:?}");
         assert!(compiled.errors[0].contains(why), "{:?}", compiled.errors);
         rig.ctx.release(&compiled.slots);
+        rig.ctx.flush_released();
     }
     assert_eq!(rig.ctx.bytes_in_use(), before);
 }

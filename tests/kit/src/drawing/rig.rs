@@ -54,13 +54,14 @@ impl Rig {
         scene
     }
 
-    /// Releases the uploaded drawables of a scene.
+    /// Releases the uploaded drawables of a scene and frees their memory at once.
     pub fn release(&mut self, mut scene: Scene) {
         for id in scene.roots().to_vec() {
             for (_, slots) in scene.remove_root(id).unwrap().take_draw_slots() {
                 self.ctx.release(&slots);
             }
         }
+        self.ctx.flush_released();
     }
 
     /// Culls and draws a frame; panics if the device reports an error.
