@@ -1,4 +1,5 @@
-//! Runs work that may hang, such as a read from a network drive whose server is gone, without hanging with it.
+//! Runs work that may hang, such as a read from a network drive whose server is gone, without hanging with it. Any
+//! thread.
 
 use std::sync::mpsc::sync_channel;
 use std::time::Duration;

@@ -65,7 +65,7 @@ impl Modes {
     }
 }
 
-/// What state sets say about one colour attachment.
+/// The blending and the mask that state sets give one colour attachment.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct LocationState {
     pub(super) func: Inherited<Option<BlendFunc>>,

@@ -1,4 +1,5 @@
-//! Texture units of the fixed function: generated coordinates, and how a texture changes the colour.
+//! Texture units of the fixed function: generated coordinates, and how a texture changes the colour. Plain
+//! values.
 
 /// A generator of texture coordinates; OpenGL's `glTexGen`.
 ///
@@ -139,7 +140,7 @@ pub enum CombineFunction {
     Dot3Rgba,
 }
 
-/// What an argument is taken from.
+/// The source of an argument.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum CombineSource {
     /// The texture of the unit.

@@ -9,9 +9,9 @@ use crate::gpu::{ContextTraits, GraphicsContext};
 
 /// Contexts: the windows and textures that views are drawn in.
 impl CompositeViewer {
-    /// Adds a context with its own device; at most [`ViewerConfig::max_contexts`](super::ViewerConfig::max_contexts). The application's pages are
-    /// uploaded to it, and all paged contents are loaded again, for every context ([`Self::open_offscreen_on`] avoids
-    /// both). Stops the threads; the next frame starts them again.
+    /// Adds a context with its own device; at most [`ViewerConfig::max_contexts`](super::ViewerConfig::max_contexts). The
+    /// application's pages are uploaded to it, and all paged contents are loaded again, for every context
+    /// ([`Self::open_offscreen_on`] avoids both). Stops the threads; the next frame starts them again.
     pub fn open_context(&mut self, context: GraphicsContext) -> Result<ContextId, ViewerError> {
         self.frame.open_context(context, &mut self.scenes)
     }

@@ -1,4 +1,4 @@
-//! What cameras leave behind in textures: copies of the frame, mip levels and slices of volumes; and when the initial
+//! Textures that cameras write: copies of the frame, mip levels and slices of volumes; and when the initial
 //! callback of a view's own camera is called.
 
 use std::sync::{Arc, Mutex};

@@ -1,4 +1,4 @@
-//! What reaches the attachments: masks with alpha, blending and masks of single attachments, constant alpha, samples, and
+//! Values that are written to attachments: masks with alpha, blending and masks of single attachments, constant alpha, samples, and
 //! invisible fragments of transparent bins.
 
 use std::sync::Arc;

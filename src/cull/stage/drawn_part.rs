@@ -9,7 +9,7 @@ use crate::cull::FadeBand;
 pub enum DrawnPart {
     /// The pixels of a dither band.
     Band(FadeBand),
-    /// What lies inside a volume.
+    /// The fragments that lie inside a volume.
     Within(CutVolume),
 }
 

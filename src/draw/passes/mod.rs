@@ -5,7 +5,7 @@
 //! |---|---|---|
 //! | [`air`] | compute pass: tables of scattered light for each eye | once, before all stages |
 //! | [`shadows`] | one render pass for each cascade, into the shadow maps | before the stage |
-//! | [`msaa_restore`] | one render pass for each multisampled colour that the stage does not clear | before the stage |
+//! | [`texture_draws`] | one render pass for each multisampled colour that the stage does not clear | before the stage |
 //! | [`background`] | fills a part of a target instead of clearing all of it | in the stage's render pass, in this order |
 //! | [`leaves`] | the opaque runs | same |
 //! | [`queries`] | boxes of occlusion queries, against the depth of opaque runs | same |
@@ -14,7 +14,7 @@
 //! | [`leaves`] | the runs that the background shines through | same |
 //! | [`composition`] | the images of two eyes as one | same |
 //! | [`depth_resolve`] | multisampled depth into the camera's texture | after the stage |
-//! | [`mipmaps`] | one render pass for each level of textures that have them computed | after the stages around it |
+//! | [`texture_draws`] | one render pass for each level of textures that have them computed | after the stages around it |
 //! | [`frame_copy`] | a copy of what the camera shows into a texture | same |
 //! | [`texture_readback`] | copies of camera textures to buffers that the processor reads | same |
 //!
@@ -27,13 +27,12 @@ pub(in crate::draw) mod composition;
 pub(in crate::draw) mod depth_resolve;
 pub(in crate::draw) mod frame_copy;
 pub(in crate::draw) mod leaves;
-pub(in crate::draw) mod mipmaps;
-pub(in crate::draw) mod msaa_restore;
 pub(in crate::draw) mod queries;
 pub(in crate::draw) mod shading;
 pub(in crate::draw) mod shadows;
 pub(in crate::draw) mod sky;
 pub(in crate::draw) mod stage_input;
+pub(in crate::draw) mod texture_draws;
 pub(in crate::draw) mod texture_readback;
 pub(in crate::draw) mod water;
 
@@ -41,11 +40,10 @@ use air::AirPass;
 use background::BackgroundPass;
 use composition::StereoComposition;
 use depth_resolve::DepthResolve;
-use mipmaps::Mipmaps;
-use msaa_restore::MsaaRestore;
 use queries::QueryPass;
 use shadows::casters::ShadowPass;
 use sky::SkyPass;
+use texture_draws::{Mipmaps, MsaaRestore};
 use texture_readback::TextureReadback;
 use water::WaterPass;
 

@@ -1,4 +1,5 @@
-//! [`Changes`]: the files that were written or removed since the index was last updated.
+//! [`Changes`]: the files that were written or removed since the index was last updated. Any thread; blocks on the
+//! disk.
 //!
 //! Each process appends the names of files to a separate list, without waiting for others and without a transaction. The
 //! process that evicts takes all lists, and looks at the files that they name. A list that is lost, or a name that another

@@ -1,5 +1,5 @@
 //! [`Index`]: sizes and last uses of all files of a cache, in the embedded store redb, so that an eviction costs what it
-//! removes and not what it keeps.
+//! removes and not what it keeps. The thread that evicts; blocks on the disk.
 //!
 //! The files stay the truth, and the index only says where to look. A process opens it for one eviction at a time, so that
 //! several processes take turns. It then takes up the files that were written since ([`Changes`]), and looks at each file

@@ -1,4 +1,4 @@
-//! [`CacheKeys`]: the key of a URI's entry, which depends on who asks.
+//! [`CacheKeys`]: the key of a URI's entry, which depends on who asks. Any thread.
 //!
 //! A server may answer each user differently, so the credentials that a request carries are part of its key, as a keyed hash
 //! (HMAC-SHA256). The secret of that hash is made at random once for each cache folder: from the name of an entry alone, no

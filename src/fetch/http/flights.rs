@@ -12,7 +12,7 @@ use super::cache_access::CachePolicy;
 use super::shared_read::SharedRead;
 use crate::fetch::{IoError, Limits, RootScope};
 
-/// What equal requests have in common, besides their client. The credentials are the client's.
+/// The properties by which requests of one client are equal. All requests of a client carry the same credentials.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub(super) struct FlightKey {
     pub uri: String,

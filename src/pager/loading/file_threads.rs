@@ -25,7 +25,7 @@ const MAX_JOIN_TIME: Duration = Duration::from_secs(1);
 /// Limits of the interval at which the watch looks.
 const WATCH_INTERVALS: [Duration; 2] = [Duration::from_millis(5), Duration::from_secs(1)];
 
-/// What the file threads and their watch share.
+/// The state that the file threads and their watch share.
 pub(super) struct FileThreads<J: LoadJob> {
     list: Arc<RequestList<J>>,
     files: FileReader,

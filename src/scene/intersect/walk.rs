@@ -439,7 +439,8 @@ impl<P: Probe> Walk<'_, P> {
                 // A coarser or finer tile is better than none, but if an eye decides, nothing is drawn here.
                 (resident, !resident && (ready || self.view.rules.lods != LodSelection::AsSeen))
             };
-            // As in cull, an ancestor is drawn in place of a tile that is unavailable. It is visited as a whole.
+            // Cull draws an ancestor instead of an unavailable tile, cut to the tile's volume. Here the whole ancestor is
+            // visited.
             let is_unavailable = record.has(flag::UNAVAILABLE) && !draws && !(descends && ready);
             let drawn = if is_unavailable { replaced_above(tiles, tile) } else { draws.then_some(tile) };
             if let Some(drawn) = drawn {

@@ -118,7 +118,7 @@ proptest! {
         for name in wanted.tiles.iter().filter(|name| ancestors(name).all(|above| above != fails)) {
             prop_assert!(drawn.contains(name), "{} waits for {}: {:?}", name, fails, drawn);
         }
-        // What has failed may be tried again: nothing changes until it arrives, and then all is as wanted.
+        // The failed tile is tried again. Nothing changes until it arrives; then exactly the wanted tiles are drawn.
         let slot = world.all_slots().into_iter().find(|slot| **world.scene.slot(*slot).unwrap().uri == *fails);
         if let Some(slot) = slot.filter(|slot| world.scene.slot(*slot).unwrap().state == SlotState::Failed) {
             world.scene.set_failed(slot, false);

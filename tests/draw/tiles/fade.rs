@@ -7,15 +7,17 @@ use glam::{DAffine3, DVec3};
 use image::RgbaImage;
 use kit::frames::{MAGENTA, count};
 use kit::rig::{Rig, camera, plain, rig, unit_camera};
-use kit::shapes::{mesh, quad};
+use kit::shapes::quad;
 use kit::terrain::Terrain;
 use terrane::cull::CullCamera;
 use terrane::math::{BoundingSphere, BoundingVolume};
 use terrane::scene::{
-    AlphaMode, Attachment, CameraNode, CameraTarget, Drawable, Geometry, Material, MeshVertex, Node, NodeId, NodeKind,
-    Page, PageId, PagedLod, PagingOptions, RangeMode, Refine, RenderOrder, Scene,
+    AlphaMode, Attachment, CameraNode, CameraTarget, Material, Node, NodeKind, PageId, PagedLod, PagingOptions,
+    RangeMode, Refine, RenderOrder, Scene,
 };
 use terrane::state::{Attribute, Program, StateSet, SurfaceMaterial, TextureFormat, TextureObject};
+
+use super::{detach, large};
 
 const SIZE: u32 = 64;
 const RED: [f32; 4] = [1.0, 0.0, 0.0, 1.0];
@@ -37,19 +39,10 @@ fn tile(range_m: f64, refine: Refine, children: Vec<Node>) -> Node {
     Node { children, ..Node::new(NodeKind::PagedLod(Box::new(lod))) }
 }
 
-/// Uploads a content and attaches it to the nth slot.
+/// Uploads a content and attaches it to the nth slot of the root.
 fn attach(rig: &mut Rig, scene: &mut Scene, slot: usize, content: Node) -> PageId {
-    let mut page = Page::from_node(content).unwrap();
-    let compiled = rig.compile(page.take_drawables());
-    page.set_draw_slots(0, compiled.slots);
-    let slots: Vec<NodeId> = scene.slots_of_page(scene.roots()[0]).collect();
-    scene.attach(slots[slot], page).unwrap()
-}
-
-fn detach(rig: &mut Rig, scene: &mut Scene, page: PageId) {
-    for (_, slots) in scene.detach(page).unwrap().take_draw_slots() {
-        rig.ctx.release(&slots);
-    }
+    let slot = scene.slots_of_page(scene.roots()[0]).nth(slot).unwrap();
+    super::attach(rig, scene, slot, content)
 }
 
 /// Draws at a time with a LOD scale: 1 shows the coarse level, less the finer.
@@ -57,21 +50,6 @@ fn seen(time_s: f64, lod_scale: f64) -> CullCamera {
     let mut camera = CullCamera { simulation_time_s: time_s, ..unit_camera(SIZE) };
     camera.settings.lod_scale = lod_scale;
     camera
-}
-
-/// Returns a square with too many triangles for vertex pulling.
-fn large(half: f32, depth: f32, material: Material) -> Drawable {
-    let n = 6u32;
-    let at = |i: u32| half * (2.0 * i as f32 / n as f32 - 1.0);
-    let vertex = |k: u32| MeshVertex {
-        position: [at(k % (n + 1)), at(k / (n + 1)), depth],
-        normal: [0, 0, 127, 0],
-        color: [255; 4],
-        ..MeshVertex::default()
-    };
-    let corners = |c: u32| [0, 1, n + 2, 0, n + 2, n + 1].map(|k| c / n * (n + 1) + c % n + k);
-    let indices = (0..n * n).flat_map(corners).collect();
-    Drawable::new(Geometry::Mesh(Arc::new(mesh((0..(n + 1) * (n + 1)).map(vertex).collect(), indices))), material)
 }
 
 fn assert_each_is_one_of(picture: &RgbaImage, old: &RgbaImage, new: &RgbaImage, what: &str) -> usize {
@@ -133,13 +111,19 @@ fn tile_fades_into_its_children_pixel_by_pixel() {
     let with_alpha = |color, alpha| Material { alpha, ..unlit(color) };
     let kinds: [(&str, &Kind<'_>); 6] = [
         ("pulled", &|color, depth| Node::geode(vec![quad([0.0, 0.0, depth], [1.2, 1.2], color)])),
-        ("large", &|color, depth| Node::geode(vec![large(1.2, depth, unlit(color))])),
-        ("lit", &|color, depth| Node::geode(vec![large(1.2, depth, Material { unlit: false, ..unlit(color) })])),
-        ("masked", &|color, depth| Node::geode(vec![large(1.2, depth, with_alpha(color, AlphaMode::Mask(0.5)))])),
-        ("blended", &|color, depth| Node::geode(vec![large(1.2, depth, with_alpha(color, AlphaMode::Blend))])),
+        ("large", &|color, depth| Node::geode(vec![large([0.0, 0.0, depth], 1.2, unlit(color))])),
+        ("lit", &|color, depth| {
+            Node::geode(vec![large([0.0, 0.0, depth], 1.2, Material { unlit: false, ..unlit(color) })])
+        }),
+        ("masked", &|color, depth| {
+            Node::geode(vec![large([0.0, 0.0, depth], 1.2, with_alpha(color, AlphaMode::Mask(0.5)))])
+        }),
+        ("blended", &|color, depth| {
+            Node::geode(vec![large([0.0, 0.0, depth], 1.2, with_alpha(color, AlphaMode::Blend))])
+        }),
         ("fixed function", &|color, depth| {
             let lit = Material { unlit: false, ..unlit(color) };
-            let meshes = vec![large(1.2, depth, lit), quad([0.0, 0.0, depth - 1.0], [2.0, 2.0], color)];
+            let meshes = vec![large([0.0, 0.0, depth], 1.2, lit), quad([0.0, 0.0, depth - 1.0], [2.0, 2.0], color)];
             Node::geode(meshes).with_state_set(fixed())
         }),
     ];
@@ -206,7 +190,7 @@ fn children_of_a_lod_fade_and_programs_switch_in_the_middle() {
     let Some(mut rig) = rig("children_of_a_lod_fade_and_programs_switch_in_the_middle") else { return };
     let rig = &mut *rig;
     let lod = |state_set: Option<Arc<StateSet>>| {
-        let geode = |color, depth| Node::geode(vec![large(1.2, depth, unlit_material(color))]);
+        let geode = |color, depth| Node::geode(vec![large([0.0, 0.0, depth], 1.2, unlit_material(color))]);
         let mut lod = Node::new(NodeKind::Lod { center: DVec3::ZERO, ranges_m: vec![[0.0, 6.0], [6.0, 1e9]] });
         lod.children = vec![geode(GREEN, -0.3), geode(RED, 0.0)];
         // The neighbour is drawn whole during the fade.
@@ -380,7 +364,7 @@ fn cameras_in_the_graph_fade_independently() {
     let Some(mut rig) = rig("cameras_in_the_graph_fade_independently") else { return };
     let rig = &mut *rig;
     let lod = || {
-        let geode = |color, depth| Node::geode(vec![large(1.2, depth, unlit_material(color))]);
+        let geode = |color, depth| Node::geode(vec![large([0.0, 0.0, depth], 1.2, unlit_material(color))]);
         let mut lod = Node::new(NodeKind::Lod { center: DVec3::ZERO, ranges_m: vec![[0.0, 6.0], [6.0, 1e9]] });
         lod.children = vec![geode(GREEN, -0.3), geode(RED, 0.0)];
         lod

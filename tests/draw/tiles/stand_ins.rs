@@ -6,14 +6,15 @@ use glam::{DAffine3, DMat3, DVec3};
 use image::RgbaImage;
 use kit::frames::MAGENTA;
 use kit::rig::{Rig, camera, plain, rig, unit_camera};
-use kit::shapes::{mesh, quad};
+use kit::shapes::quad;
 use kit::terrain::Terrain;
 use terrane::math::{BoundingSphere, BoundingVolume, OrientedBox};
 use terrane::scene::{
-    AlphaMode, Drawable, Geometry, Material, MeshVertex, Node, NodeId, NodeKind, Page, PageId, PagedLod, PagingOptions,
-    RangeMode, Refine, Scene,
+    AlphaMode, Material, Node, NodeId, NodeKind, PageId, PagedLod, PagingOptions, RangeMode, Refine, Scene,
 };
 use terrane::state::{Attribute, StateSet, SurfaceMaterial};
+
+use super::{attach, detach, large};
 
 const SIZE: u32 = 64;
 const RED: [f32; 4] = [1.0, 0.0, 0.0, 1.0];
@@ -48,36 +49,6 @@ fn root() -> Node {
 
 fn slots(scene: &Scene, page: PageId) -> Vec<NodeId> {
     scene.slots_of_page(page).collect()
-}
-
-/// Uploads a content and attaches it to a slot.
-fn attach(rig: &mut Rig, scene: &mut Scene, slot: NodeId, content: Node) -> PageId {
-    let mut page = Page::from_node(content).unwrap();
-    let compiled = rig.compile(page.take_drawables());
-    assert!(compiled.errors.is_empty(), "{:?}", compiled.errors);
-    page.set_draw_slots(0, compiled.slots);
-    scene.attach(slot, page).unwrap()
-}
-
-fn detach(rig: &mut Rig, scene: &mut Scene, page: PageId) {
-    for (_, slots) in scene.detach(page).unwrap().take_draw_slots() {
-        rig.ctx.release(&slots);
-    }
-}
-
-/// Returns a square with too many triangles for vertex pulling.
-fn large(center: DVec3, half: f32, material: Material) -> Drawable {
-    let n = 6u32;
-    let at = |i: u32| half * (2.0 * i as f32 / n as f32 - 1.0);
-    let vertex = |k: u32| MeshVertex {
-        position: [center.x as f32 + at(k % (n + 1)), center.y as f32 + at(k / (n + 1)), center.z as f32],
-        normal: [0, 0, 127, 0],
-        color: [255; 4],
-        ..MeshVertex::default()
-    };
-    let corners = |c: u32| [0, 1, n + 2, 0, n + 2, n + 1].map(|k| c / n * (n + 1) + c % n + k);
-    let indices = (0..n * n).flat_map(corners).collect();
-    Drawable::new(Geometry::Mesh(Arc::new(mesh((0..(n + 1) * (n + 1)).map(vertex).collect(), indices))), material)
 }
 
 /// Asserts that each pixel is that of `inside` where `is_inside` says so and otherwise that of `outside`; pixels next to
@@ -121,16 +92,18 @@ fn content_above_a_failed_tile_is_drawn_in_its_volume_alone() {
     let fixed = Arc::new(StateSet::default().with(Attribute::SurfaceMaterial(fixed)));
     let kinds: [(&str, &Content<'_>); 6] = [
         ("pulled", &|color, center, half| Node::geode(vec![quad(center.as_vec3().to_array(), [half, half], color)])),
-        ("large", &|color, center, half| Node::geode(vec![large(center, half, unlit(color))])),
+        ("large", &|color, center, half| Node::geode(vec![large(center.as_vec3().to_array(), half, unlit(color))])),
         ("lit", &|color, center, half| {
-            Node::geode(vec![large(center, half, Material { unlit: false, ..unlit(color) })])
+            Node::geode(vec![large(center.as_vec3().to_array(), half, Material { unlit: false, ..unlit(color) })])
         }),
         ("masked", &|color, center, half| {
-            Node::geode(vec![large(center, half, with_alpha(color, AlphaMode::Mask(0.5)))])
+            Node::geode(vec![large(center.as_vec3().to_array(), half, with_alpha(color, AlphaMode::Mask(0.5)))])
         }),
-        ("blended", &|color, center, half| Node::geode(vec![large(center, half, with_alpha(color, AlphaMode::Blend))])),
+        ("blended", &|color, center, half| {
+            Node::geode(vec![large(center.as_vec3().to_array(), half, with_alpha(color, AlphaMode::Blend))])
+        }),
         ("fixed function", &|color, center, half| {
-            let meshes = vec![large(center, half, Material { unlit: false, ..unlit(color) })];
+            let meshes = vec![large(center.as_vec3().to_array(), half, Material { unlit: false, ..unlit(color) })];
             Node::geode(meshes).with_state_set(fixed.clone())
         }),
     ];

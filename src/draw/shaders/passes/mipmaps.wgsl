@@ -2,13 +2,8 @@
 
 @group(0) @binding(0) var above: texture_2d<f32>;
 
-@vertex
-fn vs_mipmap(@builtin(vertex_index) index: u32) -> @builtin(position) vec4<f32> {
-    return vec4<f32>(f32(index & 1u) * 4.0 - 1.0, f32(index >> 1u) * 4.0 - 1.0, 0.0, 1.0);
-}
-
 @fragment
-fn fs_mipmap(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
+fn fs_main(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
     let first = 2u * vec2<u32>(at.xy);
     let last = textureDimensions(above) - 1u;
     var sum = vec4<f32>(0.0);
