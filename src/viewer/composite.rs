@@ -88,6 +88,10 @@ impl CompositeViewer {
         }
         self.frame.finish()?;
         self.frame.pagers.remove_scene(&mut self.scenes, id, &mut self.frame.rendering);
+        if self.views.values().next().is_none() {
+            // No frame will be drawn that could free a part.
+            self.flush_deleted_objects();
+        }
         Ok(())
     }
 
