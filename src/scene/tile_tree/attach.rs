@@ -3,6 +3,7 @@
 //! Both cost the slot and the readiness above it, whatever the sizes of page and scene.
 
 use super::external_volume::ExternalVolume;
+use super::readiness::Readiness;
 use crate::scene::error::SceneError;
 use crate::scene::graph::Scene;
 use crate::scene::id::{NONE, NodeId, PageId};
@@ -18,6 +19,7 @@ impl Scene {
         };
         let holder_at = slot.page.slot;
         let was = self.readiness(holder_at, tile);
+        let was_unavailable = was == Readiness::Unavailable;
         let is_tile_tree = page.is_tile_tree();
         let depth = self.page_at(holder_at).map_or(0, |p| u32::from(p.tiles().records()[tile].depth));
         let base_depth = self.base_depth(slot.page) + depth + 1;
@@ -29,6 +31,9 @@ impl Scene {
         self.count_touched(1);
         self.spread_busy(holder_at, tile, true);
         self.spread_readiness(holder_at, tile, was);
+        if was_unavailable {
+            self.forget_failure_above(holder_at, tile);
+        }
         self.note_external_volumes(holder_at, tile);
         Ok(id)
     }

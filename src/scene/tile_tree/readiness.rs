@@ -76,24 +76,43 @@ impl Scene {
         self.spread_readiness(slot.page.slot, tile, was);
         if set != 0 {
             self.note_failure_above(slot.page.slot, tile);
+        } else if cleared & flag::UNAVAILABLE != 0 {
+            self.forget_failure_above(slot.page.slot, tile);
         }
     }
 
     /// Marks the next content above a failed one: it is loaded even where level skipping would skip it.
-    fn note_failure_above(&mut self, mut page_at: u32, mut tile: usize) {
+    fn note_failure_above(&mut self, page_at: u32, tile: usize) {
+        if let Some((page_at, tile)) = self.content_above(page_at, tile)
+            && let Some(page) = self.page_at_mut(page_at)
+        {
+            page.tiles_mut().set_flags(tile, flag::FAILED_BELOW, true);
+        }
+    }
+
+    /// Unmarks the next content above a tile that is not failed any more, unless another tile below it is. A mark in another
+    /// page stays.
+    pub(super) fn forget_failure_above(&mut self, page_at: u32, tile: usize) {
+        if let Some((above_at, above)) = self.content_above(page_at, tile)
+            && above_at == page_at
+            && let Some(page) = self.page_at_mut(page_at)
+            && !page.tiles().has_unavailable_below(above as u32)
+        {
+            page.tiles_mut().set_flags(above, flag::FAILED_BELOW, false);
+        }
+    }
+
+    /// Returns the nearest tile above that has content, across pages.
+    fn content_above(&self, mut page_at: u32, mut tile: usize) -> Option<(u32, usize)> {
         loop {
-            let parent = self.page_at(page_at).map_or(NONE, |page| page.tiles().parents()[tile]);
-            if parent != NONE {
-                tile = parent as usize;
-            } else {
-                let Some(above) = self.tile_above(page_at) else { return };
-                (page_at, tile) = above;
-            }
-            let Some(page) = self.page_at_mut(page_at) else { return };
-            let record = page.tiles().records()[tile];
+            let parent = self.page_at(page_at)?.tiles().parents()[tile];
+            (page_at, tile) = match parent {
+                NONE => self.tile_above(page_at)?,
+                parent => (page_at, parent as usize),
+            };
+            let record = self.page_at(page_at)?.tiles().records()[tile];
             if record.has(flag::CONTENT) && !record.has(flag::EXTERNAL) {
-                page.tiles_mut().set_flags(tile, flag::FAILED_BELOW, true);
-                return;
+                return Some((page_at, tile));
             }
         }
     }

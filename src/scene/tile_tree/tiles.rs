@@ -296,6 +296,18 @@ impl Tiles {
         known.copied().unwrap_or(ChildCounts { total, missing: not_ready, unavailable: 0 })
     }
 
+    /// Returns true if some tile below is unavailable, as far as this page knows.
+    pub(super) fn has_unavailable_below(&self, tile: u32) -> bool {
+        let is_below = |mut parent: u32| {
+            while parent != NONE && parent != tile {
+                parent = self.parents[parent as usize];
+            }
+            parent == tile
+        };
+        let parents = self.rare.iter().flat_map(|rare| rare.unavailable_children.keys());
+        parents.copied().any(is_below)
+    }
+
     /// Counts a change of a child (or, with `NONE`, of a top tile).
     pub(super) fn count_child(&mut self, parent: u32, was: Readiness, is: Readiness) {
         let mut counts = self.children_of(parent);

@@ -312,6 +312,48 @@ fn intermediate_levels_are_skipped() {
     assert_eq!(drawn, &all - &BTreeSet::from([fails.clone()]));
 }
 
+/// The content above a failed tile is loaded although it is skipped otherwise, and not any more once the tile has arrived.
+#[test]
+fn content_above_a_tile_that_has_recovered_is_skipped_again() {
+    let leaf = Tile { refine: Refine::Replace, kind: Kind::Content, children: vec![] };
+    let middle = Tile { children: vec![leaf.clone(); 4], ..leaf.clone() };
+    let mut world = World::new(&Tile { children: vec![middle; 4], ..leaf });
+    let mut camera = camera([10.0, 10.0, 3.0], [12.0, 10.0]);
+    camera.settings.skip_sse_factor = 1e30;
+    let slot = |world: &World, name: &str| {
+        world.all_slots().into_iter().find(|slot| **world.scene.slot(*slot).unwrap().uri == *name).unwrap()
+    };
+    let load_all = |world: &mut World, fails: &str| {
+        for _ in 0..10 {
+            let requests = world.cull(&camera).requests;
+            for request in &requests {
+                match **world.scene.slot(request.slot).unwrap().uri == *fails {
+                    true => world.scene.set_failed(request.slot, true),
+                    false => world.load(request.slot),
+                }
+            }
+        }
+    };
+    let (failed, above) = ("r/3/0", "r/3");
+    load_all(&mut world, failed);
+    let SlotState::Resident(page) = world.scene.slot(slot(&world, above)).unwrap().state else {
+        panic!("{above} stands in for {failed}");
+    };
+    assert_eq!(world.stand_ins(&world.cull(&camera)).iter().map(|(name, _)| *name).collect::<Vec<_>>(), [above]);
+    world.load(slot(&world, failed));
+    world.scene.detach(page).unwrap();
+    assert_eq!(world.cull(&camera).requests.len(), 0, "nothing would show {above}");
+    // A tile that fails next to one that has recovered still needs it.
+    for fails in ["r/3/0", "r/3/1"] {
+        let SlotState::Resident(page) = world.scene.slot(slot(&world, fails)).unwrap().state else { panic!("{fails}") };
+        world.scene.detach(page).unwrap();
+        world.scene.set_failed(slot(&world, fails), true);
+    }
+    world.load(slot(&world, "r/3/0"));
+    let requested: Vec<_> = world.cull(&camera).requests.iter().map(|request| request.slot).collect();
+    assert_eq!(requested, [slot(&world, above)]);
+}
+
 /// Calls [`assert_covered`] once any tile is drawn.
 fn assert_covered_once_anything_is_drawn(world: &World, stage: &RenderStage, camera: &CullCamera) {
     if !world.drawn(stage).is_empty() {
