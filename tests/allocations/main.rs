@@ -3,8 +3,10 @@
 //! The tests are a separate program, because a program has one global allocator.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
+mod attribution;
 mod cull;
 mod draw;
+mod frame;
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::{Cell, RefCell};

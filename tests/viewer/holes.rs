@@ -5,28 +5,72 @@ use std::path::Path;
 use terrane::scene::Sky;
 
 use kit::viewer::offscreen;
+use terrane_data_gen::ContentKind;
 
 use terrane::pager::PagerConfig;
 use terrane::viewer::{HoleCheck, KEY_COLOR, ThreadingModel, ViewerConfig};
 
-const FRAMES: u32 = 200;
+const FRAMES: u32 = 100;
 
-fn height_set(folder: &Path) -> String {
-    let set = folder.join("set");
-    let args =
-        terrane_data_gen::GenArgs { levels: Some(5), seed: 11, size: 20_000.0, ..terrane_data_gen::GenArgs::new(&set) };
-    terrane_data_gen::run(&args).unwrap();
-    set.display().to_string()
+/// A set and how it is flown over.
+#[derive(Clone, Copy, Debug)]
+struct Flight {
+    seed: u64,
+    content: ContentKind,
+    refine: &'static str,
+    /// See [`CullSettings::skip_sse_factor`](terrane::cull::CullSettings::skip_sse_factor).
+    skip_sse_factor: f64,
+    blocking: bool,
+    /// Every third tile below the root's children is missing.
+    has_gaps: bool,
+}
+
+impl Flight {
+    fn write_set(&self, folder: &Path) -> String {
+        let set = folder.join("set");
+        let new = terrane_data_gen::GenArgs::new(&set);
+        let args = terrane_data_gen::GenArgs {
+            levels: Some(5),
+            seed: self.seed,
+            size: 20_000.0,
+            content: self.content,
+            ..new
+        };
+        terrane_data_gen::run(&args).unwrap();
+        let root = set.join("tileset.json");
+        let json = std::fs::read_to_string(&root).unwrap();
+        assert!(json.contains("\"REPLACE\""));
+        std::fs::write(&root, json.replace("\"REPLACE\"", &format!("\"{}\"", self.refine))).unwrap();
+        if self.has_gaps {
+            let mut number = 0;
+            for level in 2..5 {
+                for column in std::fs::read_dir(set.join(level.to_string())).unwrap() {
+                    for tile in std::fs::read_dir(column.unwrap().path()).unwrap() {
+                        let path = tile.unwrap().path();
+                        if path.extension().is_some_and(|e| e == "exr" || e == "glb") {
+                            number += 1;
+                            if number % 3 == 0 {
+                                std::fs::remove_file(path).unwrap();
+                            }
+                        }
+                    }
+                }
+            }
+            assert!(number > 100);
+        }
+        set.display().to_string()
+    }
 }
 
 /// Returns the number of hole pixels in a low flight, and that of checked pixels.
-fn fly_low(set: &str, blocking: bool) -> Option<(u64, u64)> {
+fn fly_low(set: &str, flight: &Flight) -> Option<(u64, u64)> {
     let config = ViewerConfig {
         size_px: [320, 180],
         threading: ThreadingModel::DrawThreadPerContext,
         adapter: kit::adapter(),
         max_sse_px: 3.0,
-        pager: PagerConfig { blocking, ..PagerConfig::default() },
+        skip_sse_factor: flight.skip_sse_factor,
+        pager: PagerConfig { blocking: flight.blocking, ..PagerConfig::default() },
         ..ViewerConfig::default()
     };
     let mut viewer = offscreen(&config)?;
@@ -74,13 +118,28 @@ fn pose(bounds: &terrane::viewer::SetBounds, eye: glam::DVec3, turn: f64) -> gla
     bounds.frame.world_from_local * terrane::viewer::world_from_eye(eye, direction, glam::DVec3::Z)
 }
 
+/// Flights over both kinds of content, both rules of refinement, skipped levels and missing tiles, each over another
+/// terrain.
 #[test]
 fn no_holes_while_loading_nor_when_settled() {
-    let folder = tempfile::tempdir().unwrap();
-    let set = height_set(folder.path());
-    for blocking in [false, true] {
-        let Some((holes, judged)) = fly_low(&set, blocking) else { return };
-        assert!(judged > u64::from(FRAMES) * 320 * 180 / 10, "hardly any pixel was checked: {judged}");
-        assert_eq!(holes, 0, "blocking: {blocking}");
+    use ContentKind::{Height, Mesh};
+    let usual =
+        Flight { seed: 11, content: Height, refine: "REPLACE", skip_sse_factor: 1.0, blocking: false, has_gaps: false };
+    for flight in [
+        usual,
+        Flight { blocking: true, ..usual },
+        Flight { seed: 2, skip_sse_factor: 16.0, ..usual },
+        Flight { seed: 3, refine: "ADD", ..usual },
+        Flight { seed: 4, has_gaps: true, ..usual },
+        Flight { seed: 5, content: Mesh, ..usual },
+        Flight { seed: 6, content: Mesh, skip_sse_factor: 16.0, blocking: true, ..usual },
+        Flight { seed: 7, content: Mesh, refine: "ADD", ..usual },
+        Flight { seed: 8, content: Mesh, has_gaps: true, ..usual },
+    ] {
+        let folder = tempfile::tempdir().unwrap();
+        let set = flight.write_set(folder.path());
+        let Some((holes, judged)) = fly_low(&set, &flight) else { return };
+        assert!(judged > u64::from(FRAMES) * 320 * 180 / 10, "hardly any pixel was checked: {judged}, {flight:?}");
+        assert_eq!(holes, 0, "{flight:?}");
     }
 }

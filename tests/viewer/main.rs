@@ -9,6 +9,7 @@ mod on_demand;
 mod per_frame;
 mod pipelines;
 mod pixels;
+mod replay;
 mod report;
 mod scene;
 mod shadows;

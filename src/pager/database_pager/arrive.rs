@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use super::DatabasePager;
 use crate::fetch::IoError;
+use crate::gpu::Compiled;
 use crate::pager::loading::job::Answer;
 use crate::pager::loading::page_job::PageJob;
 use crate::pager::loading::ticket::{RequestEnd, Ticket};
@@ -20,6 +21,7 @@ impl DatabasePager {
     /// Takes all answers of the loading threads.
     pub(super) fn take_answers(&mut self, scenes: &mut dyn SceneSet, contexts: &mut [&mut dyn CompileContext]) {
         while let Some(answer) = self.threads.try_answer() {
+            self.received(&answer);
             self.answer(scenes, answer, contexts);
         }
     }
@@ -32,15 +34,26 @@ impl DatabasePager {
         timeout: Duration,
     ) {
         if let Some(answer) = self.threads.wait_answer(timeout) {
+            self.received(&answer);
             self.answer(scenes, answer, contexts);
         }
     }
 
-    fn answer(&mut self, scenes: &mut dyn SceneSet, answer: Answer<PageJob>, contexts: &mut [&mut dyn CompileContext]) {
-        let Answer { job, content, bytes_read, bytes_http } = answer;
-        self.threads.list().lock().answered(&job, matches!(content, Some(Ok(_))));
-        self.stats.bytes_read += bytes_read;
-        self.stats.bytes_http += bytes_http;
+    /// Counts an answer; its thread may take another job.
+    pub(super) fn received(&mut self, answer: &Answer<PageJob>) {
+        self.threads.list().lock().answered(&answer.job, matches!(answer.content, Some(Ok(_))));
+        self.stats.bytes_read += answer.bytes_read;
+        self.stats.bytes_http += answer.bytes_http;
+    }
+
+    /// Acts on an answer that was received.
+    pub(super) fn answer(
+        &mut self,
+        scenes: &mut dyn SceneSet,
+        answer: Answer<PageJob>,
+        contexts: &mut [&mut dyn CompileContext],
+    ) {
+        let Answer { job, content, .. } = answer;
         if self.table.of_job(&job).is_none() {
             // The tree that held the slot is gone.
             if let Some(Ok(page)) = content {
@@ -114,27 +127,40 @@ impl DatabasePager {
 
     /// Takes what the contexts have uploaded.
     pub(super) fn take_compiled(&mut self, scenes: &mut dyn SceneSet, contexts: &mut [&mut dyn CompileContext]) {
+        let taken = contexts.iter_mut().map(|context| (context.id(), context.take_compiled()));
+        let each = taken.flat_map(|(id, compiled)| compiled.into_iter().map(move |compiled| (id, compiled)));
+        let compiled = each.collect();
+        self.note_compiled(scenes, compiled, contexts);
+    }
+
+    /// Acts on compile operations that contexts, by their ids, have finished.
+    pub(super) fn note_compiled(
+        &mut self,
+        scenes: &mut dyn SceneSet,
+        compiled: Vec<(u32, Compiled)>,
+        contexts: &mut [&mut dyn CompileContext],
+    ) {
         let mut complete = Vec::new();
-        for context in contexts.iter_mut() {
-            for mut compiled in context.take_compiled() {
-                let (shared, errors) = (std::mem::take(&mut compiled.shared), std::mem::take(&mut compiled.errors));
-                let slot = match self.arrivals.uploaded(context.id(), compiled) {
-                    Uploaded::Late(slots) => {
+        for (id, mut compiled) in compiled {
+            let (shared, errors) = (std::mem::take(&mut compiled.shared), std::mem::take(&mut compiled.errors));
+            let slot = match self.arrivals.uploaded(id, compiled) {
+                Uploaded::Late(slots) => {
+                    if let Some(context) = contexts.iter_mut().find(|context| context.id() == id) {
                         context.release(slots);
-                        continue;
                     }
-                    Uploaded::Partly(slot) => slot,
-                    Uploaded::Completely(slot) => {
-                        complete.push(slot);
-                        slot
-                    }
-                };
-                self.residency.note_upload(context.id(), &shared);
-                let uri = self.table.get(slot).map(|entry| entry.job.uri.clone()).unwrap_or_default();
-                for error in &errors {
-                    self.stats.drawables_failed += 1;
-                    self.errors.add_text(&uri, error);
+                    continue;
                 }
+                Uploaded::Partly(slot) => slot,
+                Uploaded::Completely(slot) => {
+                    complete.push(slot);
+                    slot
+                }
+            };
+            self.residency.note_upload(id, &shared);
+            let uri = self.table.get(slot).map(|entry| entry.job.uri.clone()).unwrap_or_default();
+            for error in &errors {
+                self.stats.drawables_failed += 1;
+                self.errors.add_text(&uri, error);
             }
         }
         if complete.is_empty() {

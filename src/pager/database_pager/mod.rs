@@ -14,6 +14,7 @@
 
 mod accept;
 mod arrive;
+mod blocking;
 mod make_room;
 mod merge;
 mod remove;
@@ -50,8 +51,6 @@ use crate::scene::{BlockFormats, SharedStateManager};
 const COMPILE_POLL: Duration = Duration::from_micros(200);
 /// Time kept free before a deadline: the longest single step, the upload of one slice or the merge of a page.
 const WORK_MARGIN: Duration = Duration::from_micros(500);
-/// How long the blocking mode waits for an answer before it looks at uploads again.
-const BLOCKING_POLL: Duration = Duration::from_millis(20);
 /// Decoded pages that may wait for the update thread while files are read, per decode thread: as many as are accepted in
 /// a frame of 1/60 s.
 const DECODED_AHEAD: usize = 12;
@@ -164,12 +163,8 @@ impl DatabasePager {
         self.retry_failures(scenes);
         self.refresh_list();
         self.threads.list().ring_if_due();
-        while self.config.blocking && self.is_busy() && contexts.iter().all(|context| context.is_alive()) {
-            self.wait_for_answer(scenes, contexts, BLOCKING_POLL);
-            self.merge_arrived(scenes, contexts);
-            self.accept_forced(scenes);
-            self.write_list();
-            self.threads.list().ring_if_due();
+        if self.config.blocking {
+            self.load_all(scenes, contexts);
         }
         self.count();
     }
@@ -202,7 +197,10 @@ impl DatabasePager {
         self.begin_uploads(scenes, contexts);
         self.merge(scenes, contexts);
         self.expire(scenes, contexts);
-        self.update_limits();
+        // In the blocking mode threads take only from a list that was just written.
+        if !self.config.blocking {
+            self.update_limits();
+        }
     }
 
     /// Uploads, merges and expires until shortly before `deadline`, for a main thread that would otherwise wait for the

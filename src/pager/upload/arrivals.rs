@@ -102,6 +102,18 @@ impl Arrivals {
         !self.by_ticket.is_empty()
     }
 
+    /// Returns true if a compile operation belongs to a page whose upload has begun and not ended.
+    pub fn is_uploading(&self, ticket: u64) -> bool {
+        let slot = self.by_ticket.get(&ticket);
+        slot.and_then(|slot| self.pages.get(slot)).is_some_and(Arrived::is_uploading)
+    }
+
+    /// Returns the number of compile operations that have begun and not ended, over all contexts.
+    pub fn operations_left(&self) -> usize {
+        let uploading = self.pages.values().filter(|arrived| arrived.is_uploading());
+        uploading.map(|arrived| arrived.contexts_left).sum()
+    }
+
     /// Returns true if a page waits for its merge.
     pub fn has_ready(&self) -> bool {
         self.ready > 0

@@ -2,6 +2,8 @@
 
 use std::sync::Arc;
 
+use smallvec::SmallVec;
+
 use super::super::ViewerError;
 use super::super::ids::ContextId;
 use super::cores;
@@ -175,8 +177,10 @@ impl Rendering {
         owner: u16,
         work: impl FnOnce(&mut [&mut dyn CompileContext]) -> R,
     ) -> R {
-        let mut contexts: Vec<_> = self.devices.iter_mut().map(|handle| DeviceOfScene { handle, owner }).collect();
-        let mut contexts: Vec<_> = contexts.iter_mut().map(|c| c as &mut dyn CompileContext).collect();
+        // Updates of up to four devices allocate nothing here.
+        let devices = self.devices.iter_mut().map(|handle| DeviceOfScene { handle, owner });
+        let mut contexts: SmallVec<[_; 4]> = devices.collect();
+        let mut contexts: SmallVec<[_; 4]> = contexts.iter_mut().map(|c| c as &mut dyn CompileContext).collect();
         work(&mut contexts)
     }
 

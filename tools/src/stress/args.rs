@@ -38,6 +38,13 @@ pub struct StressArgs {
     /// on a server
     #[arg(long, value_name = "SPEC")]
     pub faults: Option<fault_spec::FaultSpec>,
+    /// Load within each frame what it wants, one request after the other, so that a seed meets the same faults in the same frames
+    /// each time
+    #[arg(long)]
+    pub blocking: bool,
+    /// Count tiles that the server's faults kept from loading as failures
+    #[arg(long)]
+    pub strict: bool,
     /// Seconds after which a frame counts as hanging
     #[arg(long, value_name = "SECONDS", default_value_t = 60, value_parser = clap::value_parser!(u64).range(1..))]
     pub patience: u64,
@@ -65,6 +72,9 @@ impl StressArgs {
         let mut plan = Plan::new(seed, self.frames, self.drawn);
         if let Some(spec) = &self.faults {
             plan.faults = spec.0.clone();
+        }
+        if self.blocking {
+            plan.block();
         }
         plan
     }

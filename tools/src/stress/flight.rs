@@ -37,9 +37,11 @@ const WHITE_TEXEL_BYTES: u64 = 4;
 /// Maximum duration of closing a viewer with its threads and requests.
 const MAX_CLOSE_TIME: Duration = Duration::from_secs(10);
 
-/// Flies a seed over a set and returns its result.
-pub fn fly(plan: &Plan, source: &str) -> Result<Outcome> {
+/// Flies a seed over a set and returns its result. If `is_strict` is true, faults of the local server may not keep a tile from
+/// loading.
+pub fn fly(plan: &Plan, source: &str, is_strict: bool) -> Result<Outcome> {
     let mut flight = Flight::new(plan, source)?;
+    flight.is_strict = is_strict;
     flight.all()
 }
 
@@ -54,6 +56,8 @@ pub(super) struct Flight<'a> {
     image_server: Option<Background>,
     /// True if the set is on a remote server, whose failures are not ours.
     is_remote: bool,
+    /// True if tiles that faults of the local server kept from loading count as failures.
+    is_strict: bool,
     /// The source of the set without the local server.
     files: &'a str,
     /// The source of the set that the viewer loads.
@@ -143,6 +147,7 @@ impl<'a> Flight<'a> {
             server,
             image_server,
             is_remote,
+            is_strict: false,
             files,
             source,
             temp_folder,
@@ -344,6 +349,9 @@ impl<'a> Flight<'a> {
             let lost = is_on_disk && pager.stats().failed > 0 && !self.plan.is_tiny;
             let says = || format!("{:?}", pager.errors());
             self.failures.check(!lost, "a valid file failed to load", number, says);
+            let lost = self.is_strict && !is_on_disk && pager.stats().failed > 0;
+            let says = || invariants::lost_tiles(pager);
+            self.failures.check(!lost, "faults kept tiles from loading", number, says);
         }
         if let Some(proxies) = &self.proxies {
             proxies.check(&mut self.failures, number, viewer)?;

@@ -14,6 +14,8 @@
 //! number of requests by some frame still depends on the timing of threads and network, because stale, aborted and
 //! declined requests are dropped or repeated. If two pagers request the same tile at the same moment, the order of arrival
 //! decides which one meets a fault.
+//!
+//! With `--blocking` the timing has no effect: a failure that a fault of the network caused happens again in the same frame.
 
 mod args;
 mod checks;
@@ -62,7 +64,7 @@ fn one(args: &StressArgs, seed: u64) -> Result<()> {
         (None, Some(sets)) => sets.of(seed),
         (None, None) => bail!("no source"),
     };
-    let flown = flight::fly(&plan, &source);
+    let flown = flight::fly(&plan, &source, args.strict);
     let mut outcome = match flown {
         Ok(outcome) => outcome,
         Err(error) => Outcome { failures: vec![format!("{error:#}")], ..Outcome::default() },

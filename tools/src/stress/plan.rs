@@ -340,6 +340,17 @@ impl Plan {
         plan
     }
 
+    /// Makes the flight independent of timing: each frame loads what it wants, one request after the other, without a cache,
+    /// and failed loads are retried at once.
+    pub fn block(&mut self) {
+        self.pager.blocking = true;
+        self.pager.retry_after = Duration::ZERO;
+        (self.pager.http_in_flight, self.pager.http_in_flight_max) = (1, 1);
+        self.look_ahead_s = 0.0;
+        self.share_pager = true;
+        self.has_cache = false;
+    }
+
     /// Returns a hash of the plan.
     pub fn digest(&self) -> u64 {
         terrane::math::random::fnv1a(format!("{self:?}").as_bytes())

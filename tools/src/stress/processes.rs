@@ -74,6 +74,8 @@ pub fn arguments(args: &StressArgs, source: Option<String>, seed: u64) -> Vec<St
     if let Some(spec) = &args.faults {
         add("--faults", spec.to_string());
     }
+    line.extend(args.blocking.then(|| "--blocking".to_owned()));
+    line.extend(args.strict.then(|| "--strict".to_owned()));
     line
 }
 

@@ -47,6 +47,17 @@ fn max_loading(config: &PagerConfig) -> u64 {
     (others + from_servers.max(12 * decoders)) as u64
 }
 
+/// Returns the paths of the contents that failed to load, with the reasons. Ports of local servers differ between runs and are
+/// left out.
+pub fn lost_tiles(pager: &DatabasePager) -> String {
+    let path = |uri: &str| match uri.split_once("://").and_then(|(_, rest)| rest.split_once('/')) {
+        Some((_, path)) => path.to_owned(),
+        None => uri.to_owned(),
+    };
+    let lost: Vec<String> = pager.errors().iter().map(|e| format!("{}: {}", path(&e.uri), e.reason)).collect();
+    lost.join("; ")
+}
+
 /// Checks counters, budgets and errors of a pager after an update. Budgets apply to all its scenes together.
 pub fn pager(failures: &mut Failures, frame: u32, number: usize, pager: &DatabasePager, config: &PagerConfig) {
     let s = *pager.stats();
