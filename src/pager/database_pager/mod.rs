@@ -106,7 +106,10 @@ impl DatabasePager {
             file_timeout: config.file_timeout,
             limits: config.limits,
         })?;
-        let reaper = Reaper::start(sharing.clone())?;
+        let reaper = match config.blocking {
+            true => Reaper::here(sharing.clone()),
+            false => Reaper::start(sharing.clone())?,
+        };
         #[cfg(feature = "http")]
         if let Some(http) = threads.http() {
             http.add_client(client.clone());

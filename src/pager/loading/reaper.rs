@@ -12,12 +12,35 @@ use crate::trace;
 /// After this many dropped pages the reaper prunes a part of the shared contents that nothing uses.
 const PAGES_BETWEEN_PRUNES: usize = 16;
 
-/// The thread that drops pages. Dropping the reaper drops all queued pages and joins the thread.
-pub(in crate::pager) struct Reaper {
-    /// Unbounded: thousands of pages may leave in one frame, and update must not wait for them. They count in no budget;
-    /// dropping a page takes less time than loading one. `None` once closed.
-    pages: Option<Sender<Box<Page>>>,
-    _thread: ThreadSet,
+/// Drops pages, and prunes the shared contents from time to time.
+pub(in crate::pager) struct Dropper {
+    sharing: Option<Arc<SharedStateManager>>,
+    count: usize,
+}
+
+impl Dropper {
+    fn drop_page(&mut self, page: Box<Page>) {
+        let _span = trace::span("drop page");
+        drop(page);
+        if let Some(sharing) = self.sharing.as_ref().filter(|_| self.count.is_multiple_of(PAGES_BETWEEN_PRUNES)) {
+            sharing.prune();
+        }
+        self.count += 1;
+    }
+}
+
+/// Where pages are dropped.
+pub(in crate::pager) enum Reaper {
+    /// On a thread. Dropping the reaper drops all queued pages and joins the thread.
+    Thread {
+        /// Unbounded: thousands of pages may leave in one frame, and update must not wait for them. They count in no
+        /// budget; dropping a page takes less time than loading one. `None` once closed.
+        pages: Option<Sender<Box<Page>>>,
+        _thread: ThreadSet,
+    },
+    /// At once on the calling thread, so that equal contents stop being shared at the same moment each time. For the blocking
+    /// mode.
+    Here(Dropper),
 }
 
 impl Reaper {
@@ -25,23 +48,23 @@ impl Reaper {
     pub fn start(sharing: Option<Arc<SharedStateManager>>) -> Result<Self, PagerError> {
         let (pages, dropped) = unbounded::<Box<Page>>();
         let mut thread = ThreadSet::default();
-        thread.spawn("pager-reaper".to_owned(), move || {
-            for (count, page) in dropped.into_iter().enumerate() {
-                let _span = trace::span("drop page");
-                drop(page);
-                if let Some(sharing) = sharing.as_ref().filter(|_| count % PAGES_BETWEEN_PRUNES == 0) {
-                    sharing.prune();
-                }
-            }
-        })?;
-        Ok(Self { pages: Some(pages), _thread: thread })
+        let mut dropper = Dropper { sharing, count: 0 };
+        thread
+            .spawn("pager-reaper".to_owned(), move || dropped.into_iter().for_each(|page| dropper.drop_page(page)))?;
+        Ok(Self::Thread { pages: Some(pages), _thread: thread })
     }
 
-    /// Drops a page on the reaper's thread.
-    pub fn drop_page(&self, page: Box<Page>) {
-        if let Some(pages) = &self.pages {
+    /// Returns a reaper that drops pages at once.
+    pub fn here(sharing: Option<Arc<SharedStateManager>>) -> Self {
+        Self::Here(Dropper { sharing, count: 0 })
+    }
+
+    /// Drops a page, on the reaper's thread if it has one.
+    pub fn drop_page(&mut self, page: Box<Page>) {
+        match self {
             // The thread ends only with the reaper; if it panicked, the page is dropped here.
-            let _ = pages.send(page);
+            Self::Thread { pages, .. } => drop(pages.as_ref().map(|pages| pages.send(page))),
+            Self::Here(dropper) => dropper.drop_page(page),
         }
     }
 }
@@ -49,7 +72,9 @@ impl Reaper {
 impl Drop for Reaper {
     fn drop(&mut self) {
         // Ends the thread, which the set joins.
-        self.pages = None;
+        if let Self::Thread { pages, .. } = self {
+            *pages = None;
+        }
     }
 }
 
@@ -73,7 +98,7 @@ mod tests {
     /// Regression: pages beyond 256 were dropped on the update thread.
     #[test]
     fn thousands_of_pages_are_dropped_by_the_reaper() {
-        let reaper = Reaper::start(None).unwrap();
+        let mut reaper = Reaper::start(None).unwrap();
         let dropped: Arc<Mutex<Vec<String>>> = Arc::default();
         for _ in 0..5000 {
             let recorder = DropRecorder(dropped.clone());

@@ -346,6 +346,7 @@ impl Plan {
         self.pager.blocking = true;
         self.pager.retry_after = Duration::ZERO;
         (self.pager.http_in_flight, self.pager.http_in_flight_max) = (1, 1);
+        (self.pager.file_threads, self.pager.decode_threads) = (1, 1);
         self.look_ahead_s = 0.0;
         self.share_pager = true;
         self.has_cache = false;
