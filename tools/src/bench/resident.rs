@@ -69,7 +69,7 @@ fn updates(uri: &Arc<str>, tiles: usize, max_tiles: usize, secs: f64) -> Result<
         let until = pager.stats().merged + some.len() as u64;
         while pager.stats().merged < until {
             frame += 1;
-            pager.update_scene_graph(&mut scene, frame, &requests, &mut [&mut context]);
+            pager.update_scene_graph(&mut scene, frame, f64::from(frame) / 60.0, &requests, &mut [&mut context]);
             see(&scene, frame);
             pager.work_until(&mut scene, &mut [&mut context], Instant::now() + Duration::from_millis(100));
             ensure!(start.elapsed() < TIMEOUT, "not everything was loaded: {:?} {:?}", pager.stats(), pager.errors());
@@ -80,7 +80,7 @@ fn updates(uri: &Arc<str>, tiles: usize, max_tiles: usize, secs: f64) -> Result<
         frame += 1;
         ensure!(see(&scene, frame) == 0, "a tile is missing");
         let start = Instant::now();
-        pager.update_scene_graph(&mut scene, frame, &[], &mut [&mut context]);
+        pager.update_scene_graph(&mut scene, frame, f64::from(frame) / 60.0, &[], &mut [&mut context]);
         times_us.push(start.elapsed().as_secs_f64() * 1e6);
     }
     ensure!(pager.stats().resident as usize == tiles, "pages were evicted: {:?}", pager.stats());
