@@ -54,5 +54,5 @@ pub(crate) use time_limit::run_within;
 pub use uri::fuzz_url;
 pub(crate) use uri::path_of;
 #[cfg(feature = "http")]
-pub(crate) use uri::{is_at, server};
+pub(crate) use uri::server;
 pub use uri::{is_http, is_remote, is_store, shown};

@@ -37,20 +37,26 @@ pub struct PagerConfig {
     pub max_bytes_gpu: u64,
     /// Maximum number of pages that are merged or have arrived.
     pub max_tiles: usize,
-    /// A page may expire once it was not wanted for this many frames.
-    pub expiry_frames: u32,
-    /// A page may expire once it was found unused for this long; ignored when room is short.
+    /// A page may expire once it was not wanted for this long, by the reference time of frame stamps; the viewer's blocking
+    /// mode counts their simulation time. When room is short for
+    /// what a frame lacks, the pages that the last frames did not show leave, the least recently used first.
     pub expiry_time: Duration,
-    /// A request that was not renewed for this many frames is dropped before it costs I/O.
-    pub stale_frames: u32,
-    /// A running HTTP request that was not renewed for this many frames is aborted.
-    pub abort_frames: u32,
+    /// A page may expire once it was also not wanted for this many frames, however long these take; ignored when room is
+    /// short.
+    pub expiry_frames: u32,
+    /// A request that was not renewed for this long is dropped before it costs I/O. Two frames may always pass.
+    pub stale_time: Duration,
+    /// A running HTTP request that was not renewed for this long is aborted. Two frames may always pass.
+    pub abort_time: Duration,
     /// Uploads arrived pages as frames leave time for it, before they are merged (OSG's pre-compile). Without it a page is
     /// uploaded whole in the update that finds it, however long that takes: for offscreen images, or applications that
     /// load behind a loading screen.
     pub pre_compile: bool,
-    /// Time for merging per frame; one page is always merged.
+    /// Time for merging per update; one page is always merged. The blocking mode has no such budget.
     pub merge_time: Duration,
+    /// Time per update for accepting loaded contents, and as much for expiring pages. One of each is always done, and the
+    /// others wait for the next update or for the time before it. The blocking mode has no such budget.
+    pub update_time: Duration,
     /// Back-off before a failed load is retried while it is wanted; doubled each time, up to five minutes.
     pub retry_after: Duration,
     /// Maximum attempts to load a URI; `None` for no limit, so that loads resume after a long network outage. Errors that
@@ -92,12 +98,13 @@ impl Default for PagerConfig {
             max_bytes_cpu: 512 << 20,
             max_bytes_gpu: 1 << 30,
             max_tiles: 6000,
-            expiry_frames: 30,
-            expiry_time: Duration::ZERO,
-            stale_frames: 3,
-            abort_frames: 30,
+            expiry_time: Duration::from_millis(500),
+            expiry_frames: 2,
+            stale_time: Duration::from_millis(50),
+            abort_time: Duration::from_millis(500),
             pre_compile: true,
             merge_time: Duration::from_millis(1),
+            update_time: Duration::from_millis(1),
             retry_after: Duration::from_secs(5),
             max_tries: None,
             limits: Limits::default(),

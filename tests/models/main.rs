@@ -48,8 +48,4 @@ mod fetch {
         let end = uri.match_indices('/').nth(2).map_or(uri.len(), |(end, _)| end);
         &uri[..end]
     }
-
-    pub fn is_at(uri: &str, of: &str) -> bool {
-        server(uri) == of
-    }
 }

@@ -373,11 +373,14 @@ pub enum Bench {
         #[arg(long, default_value_t = 10.0, value_parser = secs)]
         secs: f64,
     },
-    /// Update of a pager with many resident pages while nothing changes
+    /// Update of a pager with many resident pages while nothing changes, and with many requests
     Resident {
         /// Number of resident pages
         #[arg(long, default_value_t = 100_000, value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
         tiles: u32,
+        /// Number of requests that wait
+        #[arg(long, default_value_t = 50_000, value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
+        requests: u32,
         /// Minimum time to measure each case, seconds
         #[arg(long, default_value_t = 1.0, value_parser = secs)]
         secs: f64,

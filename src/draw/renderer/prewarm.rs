@@ -1,5 +1,5 @@
 //! Prewarms pipelines: creates them when a page has arrived and its drawables are about to be uploaded, so that no draw
-//! has to. Draw thread, between frames.
+//! has to. Draw thread, before the uploads of a frame and between frames. The caller limits how many it creates at once.
 
 use super::Renderer;
 use super::drawn_stages::DrawnStage;
@@ -12,8 +12,10 @@ use crate::scene::{DrawKind, Environment, Topology};
 
 impl Renderer {
     /// Creates the pipelines that drawables of some kinds will need where the last frame drew, those of fades and shadows
-    /// included. Before the first frame, pipelines are created for the context's own target.
-    pub fn prewarm(&mut self, ctx: &mut GraphicsContext, kinds: &[DrawKind]) {
+    /// included. Before the first frame, pipelines are created for the context's own target. Returns how many did not exist
+    /// before.
+    pub fn prewarm(&mut self, ctx: &mut GraphicsContext, kinds: &[DrawKind]) -> u32 {
+        let before = self.resources.pipelines.created();
         if self.drawn_into.len() == 0
             && let Some(target) = self.own_target(ctx)
         {
@@ -32,6 +34,7 @@ impl Renderer {
             }
         }
         self.resources.report_pipeline_errors();
+        self.resources.pipelines.created() - before
     }
 
     fn report(&mut self, kind: &DrawKind, result: Result<(), String>) {

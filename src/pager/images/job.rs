@@ -48,6 +48,8 @@ impl ImageJob {
 }
 
 impl Request for ImageJob {
+    type Scene = ();
+
     fn ticket(&self) -> Ticket {
         self.ticket
     }
@@ -56,9 +58,13 @@ impl Request for ImageJob {
         &self.uri
     }
 
+    fn scene(&self) {}
+
     fn is_prefetch(&self) -> bool {
         false
     }
+
+    fn set_prefetch(&mut self, _: bool) {}
 
     #[cfg(feature = "http")]
     fn servers(&self) -> &[String] {

@@ -320,7 +320,10 @@ mod tests {
 
     /// Returns a list of these jobs, the most urgent last, of which `outstanding` may be outstanding.
     fn list_of(outstanding: usize, jobs: impl IntoIterator<Item = PageJob>) -> RequestList<PageJob> {
-        with_limits(request_list::Limits { outstanding, prefetch_room: 0, prefetch_beside_others: 0 }, jobs)
+        with_limits(
+            request_list::Limits { outstanding, prefetch_room: 0, prefetch_beside_others: 0, aged_before: 0 },
+            jobs,
+        )
     }
 
     fn with_limits(limits: request_list::Limits, jobs: impl IntoIterator<Item = PageJob>) -> RequestList<PageJob> {
@@ -363,12 +366,17 @@ mod tests {
     fn jobs_of_a_full_server_do_not_hide_others() {
         let prefetch = PageJob { is_prefetch: true, ..job(0, "http://full/a.glb") };
         let jobs = [prefetch, job(1, "http://other/a.glb")].into_iter().chain(jobs_at(2..10_002, "http://full/a.glb"));
-        let limits = request_list::Limits { outstanding: 1000, prefetch_room: 1000, prefetch_beside_others: 1000 };
+        let limits = request_list::Limits {
+            outstanding: 1000,
+            prefetch_room: 1000,
+            prefetch_beside_others: 1000,
+            aged_before: 0,
+        };
         let list = with_limits(limits, jobs);
         let jobs = taken(&list, &ServerLimits::new(LimitRange { start: 4, max: 4 }), 1000);
         assert_eq!(numbers(&jobs), [10_001, 10_000, 9_999, 9_998, 1]);
         let state = list.lock();
-        let examined = state.http_for_test().iter().filter(|job| job.progress.has_servers()).count();
+        let examined = state.waiting_for_test().filter(|job| job.progress.has_servers()).count();
         assert_eq!((state.waiting(), examined), (9_997, 0));
     }
 
@@ -410,7 +418,12 @@ mod tests {
     fn server_with_free_slots_takes_more_prefetches() {
         let started = |busy: u64, room: usize| {
             let prefetches = jobs_at(0..40, "http://far/a.glb").map(|job| PageJob { is_prefetch: true, ..job });
-            let limits = request_list::Limits { outstanding: 1000, prefetch_room: room, prefetch_beside_others: 2 };
+            let limits = request_list::Limits {
+                outstanding: 1000,
+                prefetch_room: room,
+                prefetch_beside_others: 2,
+                aged_before: 0,
+            };
             let list = with_limits(limits, prefetches.chain(jobs_at(40..40 + busy, "http://far/a.glb")));
             let server_limits = ServerLimits::new(LimitRange { start: 32, max: 32 });
             taken(&list, &server_limits, 1000).iter().filter(|job| job.is_prefetch).count()

@@ -1,7 +1,7 @@
 //! Loading: the threads that read and decode contents, and what they share with the update thread.
 //!
 //! ```text
-//! update thread   RequestList (one mutex; sorted jobs, limits, tickets to abort)
+//! update thread   RequestList (one mutex; jobs by urgency, limits, tickets to abort)
 //!                      |                    |
 //! file n x        read local files     HTTP 1 x: one async runtime, per-server limits
 //!                      |                    |
@@ -24,3 +24,4 @@ mod server_limits;
 mod thread_set;
 pub(super) mod threads;
 pub(super) mod ticket;
+pub(super) mod waiting_jobs;

@@ -17,7 +17,7 @@ const ANY_CORE: usize = usize::MAX;
 const JOIN_INTERVAL: Duration = Duration::from_millis(1);
 
 /// Threads of a pager. Dropping the set joins them; the owner must end their work before, by closing what they wait for.
-pub(super) struct ThreadSet {
+pub(in crate::pager) struct ThreadSet {
     handles: Vec<JoinHandle<()>>,
     /// The core that the threads should run on. Written by the owner, read by the threads before each job.
     core: Arc<AtomicUsize>,

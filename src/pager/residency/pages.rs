@@ -4,6 +4,7 @@ use super::budget::{ArrivedTotal, Budget, MemoryUse, Room, moving_mean};
 use super::expiry::{ExpirySearch, Unused};
 use super::residents::{RemovedByApplication, Resident, Residents};
 use super::shared_content::SharedContent;
+use crate::pager::frame_times::FrameTimes;
 use crate::pager::scenes::scene_set::SceneSet;
 use crate::scene::{ContentKey, Page, PageId, Scene};
 
@@ -131,11 +132,11 @@ impl Residency {
     pub fn pop_expired(
         &mut self,
         scenes: &dyn SceneSet,
-        frame: u32,
+        times: &FrameTimes,
         unused: Unused,
         looks: &mut usize,
     ) -> Option<PageId> {
-        self.residents.pop_expired(scenes, frame, unused, looks)
+        self.residents.pop_expired(scenes, times, unused, looks)
     }
 
     /// Removes all pages of a scene that can be detached now; the caller detaches them with [`Self::detach`].

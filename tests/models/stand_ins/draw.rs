@@ -77,7 +77,9 @@ impl Renderer {
         Ok(DrawStats::default())
     }
 
-    pub fn prewarm(&mut self, _context: &mut GraphicsContext, _kinds: &[DrawKind]) {}
+    pub fn prewarm(&mut self, _context: &mut GraphicsContext, _kinds: &[DrawKind]) -> u32 {
+        0
+    }
 
     pub fn show_image(
         &mut self,
