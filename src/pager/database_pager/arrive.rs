@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::DatabasePager;
-use crate::fetch::IoError;
+use crate::fetch::{IoError, Permit};
 use crate::pager::loading::job::Answer;
 use crate::pager::loading::page_job::PageJob;
 use crate::pager::loading::ticket::{RequestEnd, Ticket};
@@ -37,7 +37,7 @@ impl DatabasePager {
     }
 
     fn answer(&mut self, scenes: &mut dyn SceneSet, answer: Answer<PageJob>, contexts: &mut [&mut dyn CompileContext]) {
-        let Answer { job, content, bytes_read, bytes_http } = answer;
+        let Answer { job, content, bytes_read, bytes_http, permit } = answer;
         self.threads.list().lock().answered(&job, matches!(content, Some(Ok(_))));
         self.stats.bytes_read += bytes_read;
         self.stats.bytes_http += bytes_http;
@@ -54,7 +54,7 @@ impl DatabasePager {
             Some(Ok(page)) if !self.scenes.block_formats().get().contains(page.block_formats()) => {
                 self.undrawable(&job, page);
             }
-            Some(Ok(page)) => self.arrived(scenes, &job, page, contexts),
+            Some(Ok(page)) => self.arrived(scenes, &job, (page, permit), contexts),
         }
     }
 
@@ -92,7 +92,7 @@ impl DatabasePager {
         &mut self,
         scenes: &mut dyn SceneSet,
         job: &PageJob,
-        page: Page,
+        (page, permit): (Page, Option<Permit>),
         contexts: &mut [&mut dyn CompileContext],
     ) {
         let slot = job.slot;
@@ -101,7 +101,7 @@ impl DatabasePager {
         let scene = scenes.numbered(slot.page.scene);
         let kinds: Arc<[DrawKind]> = scene.map_or(Vec::new(), |s| s.draw_kinds(Some(slot), &page)).into();
         self.residency.note_arrival(&page);
-        self.arrivals.insert(slot, job.ticket, page, kinds, contexts.len());
+        self.arrivals.insert((slot, job.ticket), (page, permit), kinds, contexts.len());
         if let Some(entry) = self.table.of_job(job) {
             entry.progress = Progress::Arrived;
         }

@@ -105,6 +105,7 @@ impl DatabasePager {
             max_files: LoadConfig::busy_jobs(readers, decoders) + DECODED_AHEAD * decoders,
             per_server: LimitRange::new(config.http_in_flight, config.http_in_flight_max),
             file_timeout: config.file_timeout,
+            max_bytes: config.max_bytes_loading,
             limits: config.limits,
         })?;
         let reaper = Reaper::start(sharing.clone())?;
@@ -270,16 +271,30 @@ impl DatabasePager {
 
     /// Writes the request list in order of priority; wakes no thread.
     fn write_list(&mut self) {
-        let conditions =
-            conditions(&self.config, &self.control, &self.scenes, &self.table, &self.arrivals, &self.residency);
+        let conditions = conditions(
+            &self.config,
+            &self.control,
+            &self.scenes,
+            &self.table,
+            &self.arrivals,
+            &self.residency,
+            &self.threads,
+        );
         let list = self.threads.list();
         self.stats.stale += self.scheduler.write_list(&mut self.table, list, &conditions);
     }
 
     /// Lets the threads continue if there is more room than when the list was written.
     fn update_limits(&self) {
-        let conditions =
-            conditions(&self.config, &self.control, &self.scenes, &self.table, &self.arrivals, &self.residency);
+        let conditions = conditions(
+            &self.config,
+            &self.control,
+            &self.scenes,
+            &self.table,
+            &self.arrivals,
+            &self.residency,
+            &self.threads,
+        );
         self.scheduler.update_limits(self.threads.list(), &conditions);
     }
 }
@@ -292,6 +307,7 @@ fn conditions<'a>(
     table: &RequestTable,
     arrivals: &Arrivals,
     residency: &Residency,
+    threads: &LoadThreads<PageJob>,
 ) -> Conditions<'a> {
     let is_prefetch = |slot: &_| table.get(*slot).is_some_and(|entry| entry.is_prefetch());
     Conditions {
@@ -299,6 +315,7 @@ fn conditions<'a>(
         frame: control.frame,
         is_paused: control.is_paused,
         room: residency.room(arrivals.total()),
+        load_room: threads.budgets().bodies.room(),
         arrived_pages: arrivals.total().pages,
         arrived_prefetches: arrivals.slots().filter(is_prefetch).count(),
         has_several_scenes: scenes.has_several(),

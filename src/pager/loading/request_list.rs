@@ -127,6 +127,11 @@ impl<J: Request> ListState<J> {
         self.outstanding.saturating_sub(self.prefetch_outstanding)
     }
 
+    /// Returns the number of outstanding jobs that are prefetches.
+    pub fn outstanding_prefetches(&self) -> usize {
+        self.prefetch_outstanding
+    }
+
     /// Returns the number of waiting jobs.
     pub fn waiting(&self) -> usize {
         self.file.len() + self.http.len()

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::context::CompileContext;
+use crate::fetch::Permit;
 use crate::gpu::{CompileBudget, CompileOperation, Compiled};
 use crate::pager::loading::ticket::Ticket;
 use crate::pager::requests::entry::Entry;
@@ -33,6 +34,8 @@ pub(in crate::pager) struct Arrived {
     reserved_gpu: u64,
     /// `Some` until its uploads begin.
     payload: Option<Payload>,
+    /// Holds its bytes in the budget of what is on its way.
+    _permit: Option<Permit>,
 }
 
 impl Arrived {
@@ -118,7 +121,13 @@ impl Arrivals {
     }
 
     /// Adds a page to be uploaded to this many contexts; one without drawables is ready for its merge at once.
-    pub fn insert(&mut self, slot: NodeId, ticket: Ticket, mut page: Page, kinds: Arc<[DrawKind]>, contexts: usize) {
+    pub fn insert(
+        &mut self,
+        (slot, ticket): (NodeId, Ticket),
+        (mut page, permit): (Page, Option<Permit>),
+        kinds: Arc<[DrawKind]>,
+        contexts: usize,
+    ) {
         let all_bytes = page.size_bytes();
         let drawables = page.take_drawables();
         let contexts_left = if drawables.is_empty() { 0 } else { contexts };
@@ -131,6 +140,7 @@ impl Arrivals {
             reserved_gpu: 0,
             payload: (contexts_left > 0).then_some(Payload { drawables, kinds, bytes }),
             page: Box::new(page),
+            _permit: permit,
         };
         if contexts_left > 0 {
             self.by_ticket.insert(ticket.number(), slot);
@@ -285,7 +295,7 @@ mod tests {
         let (first, second) = (job(1, "/a.glb"), job(2, "/b.glb"));
         for job in [&first, &second] {
             let page = Page::from_node(Node::group(Vec::new())).unwrap();
-            arrivals.insert(job.slot, job.ticket, page, Arc::new([]), 2);
+            arrivals.insert((job.slot, job.ticket), (page, None), Arc::new([]), 2);
         }
         assert_eq!(arrivals.total().pages, 2);
         assert!(arrivals.has_ready() && !arrivals.has_uploads(), "without drawables there is nothing to upload");
