@@ -257,7 +257,9 @@ impl<J: LoadJob> FileThreads<J> {
         let seconds = self.timeout.as_secs_f64();
         for Read { job, file, permit, .. } in hung {
             // A thread that hangs for ever must not keep others from loading.
-            permit.inspect(|permit| permit.set_bytes(0));
+            if let Some(permit) = permit {
+                permit.set_bytes(0);
+            }
             let uri = file.map_or_else(|| job.uri().to_owned(), |(uri, _)| uri.to_string());
             log::warn!("{uri}: the file is not read within {seconds} s; its thread is left alone");
             self.fail(job, IoError::Timeout { uri, phase: "reading the file", seconds });
