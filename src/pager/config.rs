@@ -10,6 +10,9 @@ use crate::scene::ShareModes;
 /// The time limit for reading a local file by default: longer than a disk that was stopped takes to start.
 pub(in crate::pager) const DEFAULT_FILE_TIMEOUT: Duration = Duration::from_secs(30);
 
+/// Half of it are 32 requests of six megabytes, and the whole leaves room for the rest of a process of one gigabyte.
+const DEFAULT_BYTES_LOADING: u64 = 384 << 20;
+
 /// Configuration of a [`DatabasePager`](super::DatabasePager): threads, budgets and timeouts. It has many fields because
 /// each is an independent setting.
 #[derive(Clone, Debug)]
@@ -29,9 +32,12 @@ pub struct PagerConfig {
     /// Prefetches in flight at once beside other requests (see [`PageRequest::ahead`](crate::cull::PageRequest::ahead)). A
     /// server gets more of them as long as a quarter of its slots stays free. 0 disables prefetching.
     pub ahead_in_flight: usize,
-    /// Maximum CPU bytes of pages that are merged or have arrived, and of tile trees. Not counted: per decode thread, one
-    /// page that it decodes, up to twelve that the main thread has not taken, and up to 8 MiB that wait for their upload.
+    /// Maximum CPU bytes of pages that are merged or have arrived, and of tile trees, without what is yet to be uploaded.
     pub max_bytes_cpu: u64,
+    /// Maximum CPU bytes of what is on its way: half of it for files and answers of servers until they are decoded, half for
+    /// pages until they are merged. Loads wait for room before they begin. A content that is larger than that is loaded
+    /// alone. Not counted: what a decoder needs while it decodes, and files that a local content refers to.
+    pub max_bytes_loading: u64,
     /// Maximum GPU bytes of pages that are merged or uploaded. A page's size is known after its upload; until then the mean
     /// of recent pages is reserved. A page that turns out larger than the free room is declined at once.
     pub max_bytes_gpu: u64,
@@ -96,6 +102,7 @@ impl Default for PagerConfig {
             decode_threads: cores.clamp(1, 16),
             ahead_in_flight: 8,
             max_bytes_cpu: 512 << 20,
+            max_bytes_loading: DEFAULT_BYTES_LOADING,
             max_bytes_gpu: 1 << 30,
             max_tiles: 6000,
             expiry_time: Duration::from_millis(500),

@@ -12,6 +12,7 @@
     reason = "the library's files, of which each test uses a part"
 )]
 
+mod budget_models;
 mod compile_models;
 #[cfg(feature = "http")]
 mod pager_models;

@@ -106,6 +106,8 @@ impl DatabasePager {
             max_files: LoadConfig::busy_jobs(readers, decoders) + DECODED_AHEAD * decoders,
             per_server: LimitRange::new(config.http_in_flight, config.http_in_flight_max),
             file_timeout: config.file_timeout,
+            max_bytes: config.max_bytes_loading,
+            waits_for_contents: !config.blocking,
             limits: config.limits,
         })?;
         let reaper = match config.blocking {
@@ -279,14 +281,14 @@ impl DatabasePager {
 
     /// Tells the request list what has changed; wakes no thread.
     fn write_list(&mut self) {
-        let conditions = conditions(&self.config, &self.control, &self.arrivals, &self.residency);
+        let conditions = conditions(&self.config, &self.control, &self.arrivals, &self.residency, &self.threads);
         let list = self.threads.list();
         self.stats.stale += self.scheduler.write_list(&mut self.table, list, &conditions);
     }
 
     /// Lets the threads continue if there is more room than when the list was written.
     fn update_limits(&self) {
-        let conditions = conditions(&self.config, &self.control, &self.arrivals, &self.residency);
+        let conditions = conditions(&self.config, &self.control, &self.arrivals, &self.residency, &self.threads);
         self.scheduler.update_limits(self.threads.list(), &conditions);
     }
 }
@@ -297,12 +299,15 @@ fn conditions<'a>(
     control: &'a Control,
     arrivals: &Arrivals,
     residency: &Residency,
+    threads: &LoadThreads<PageJob>,
 ) -> Conditions<'a> {
     Conditions {
         config,
         times: &control.times,
         is_paused: control.is_paused,
         room: residency.room(arrivals.total()),
+        // In the blocking mode loads wait for their bytes, which depend on timing, in the threads alone.
+        load_room: if config.blocking { LoadRoom::UNLIMITED } else { threads.budgets().bodies.room() },
         arrived_pages: arrivals.total().pages,
         arrived_prefetches: arrivals.prefetches(),
     }

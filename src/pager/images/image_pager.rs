@@ -48,6 +48,7 @@ impl ImagePager {
             max_files: 2 * count,
             per_server: LimitRange::new(count, 0),
             file_timeout: config.file_timeout,
+            max_bytes: config.max_bytes_loading,
             limits: config.limits,
         })?;
         #[cfg(feature = "http")]
@@ -135,7 +136,8 @@ impl ImagePager {
         if cfg!(feature = "http") {
             forgotten.into_iter().chain(self.store.unwanted_loads(now)).for_each(|ticket| state.abort(ticket));
         }
-        let outstanding = list.capacity();
+        let load_room = self.threads.budgets().bodies.room();
+        let outstanding = list.capacity().min(state.outstanding().saturating_add(load_room.loads));
         state.set_limits(Limits { outstanding, prefetch_room: 0, prefetch_beside_others: 0, aged_before: 0 });
         list.ring(state);
     }

@@ -98,6 +98,10 @@ impl LoadJob for ImageJob {
         trace::span_of("image", || self.uri.clone())
     }
 
+    fn content_bytes(image: &Arc<Texture>) -> u64 {
+        image.size_bytes()
+    }
+
     fn decode(&self, loaded: Loaded, _companions: Vec<Fetched>) -> Result<Arc<Texture>, IoError> {
         formats::decode_image(&self.uri, &loaded.bytes, &self.reader.limits).inspect_err(|_error| {
             // The HTTP cache keeps nothing that is no image, such as an error page with status 200.

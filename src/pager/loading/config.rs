@@ -45,6 +45,8 @@ pub(in crate::pager) struct LoadConfig {
     pub per_server: LimitRange,
     /// Time limit for reading a local file.
     pub file_timeout: Duration,
+    /// Maximum bytes that are on their way; see [`LoadBudgets`](super::budgets::LoadBudgets).
+    pub max_bytes: u64,
     /// Bounds on data from outside.
     pub limits: Limits,
 }

@@ -11,6 +11,7 @@
 //! Everything but [`reaper`] and [`page_job`] is generic over the job ([`job::LoadJob`]): the
 //! [`DatabasePager`](super::DatabasePager) loads pages with it, the [`ImagePager`](super::ImagePager) images.
 
+pub(super) mod budgets;
 pub(super) mod config;
 mod file_threads;
 #[cfg(feature = "http")]

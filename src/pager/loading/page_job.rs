@@ -204,6 +204,10 @@ impl LoadJob for PageJob {
         self.progress.set(LoadStage::Decoding);
     }
 
+    fn content_bytes(page: &Page) -> u64 {
+        page.size_bytes()
+    }
+
     fn decode(&self, loaded: Loaded, companions: Vec<Fetched>) -> Result<Page, IoError> {
         let Loaded { bytes, location, is_no_content, companion_locations } = loaded;
         // Other contents of the same tile are drawn without it.

@@ -189,6 +189,11 @@ impl<J: Request> ListState<J> {
         self.taken.iter().filter(|job| !job.is_prefetch()).count()
     }
 
+    /// Returns the number of outstanding jobs that are prefetches.
+    pub fn outstanding_prefetches(&self) -> usize {
+        self.prefetch_outstanding
+    }
+
     /// Returns the number of waiting jobs.
     pub fn waiting(&self) -> usize {
         self.waiting.len()

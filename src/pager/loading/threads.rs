@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use crossbeam_channel::{Receiver, RecvError, Sender, bounded, never, select};
 
+use super::budgets::LoadBudgets;
 use super::config::LoadConfig;
 use super::file_threads::FileThreads;
 #[cfg(feature = "http")]
@@ -12,7 +13,7 @@ use super::http::{self, HttpAccess};
 use super::job::{Answer, LoadJob, LoadedBytes};
 use super::request_list::RequestList;
 use super::thread_set::{ThreadSet, follow_core};
-use crate::fetch;
+use crate::fetch::{self, ByteBudget};
 use crate::pager::config::PagerError;
 
 /// Files that may be read and not yet decoded, per decode thread: waiting bytes are memory, and disks are quick.
@@ -25,6 +26,7 @@ const MAX_SHUTDOWN_TIME: Duration = Duration::from_secs(1);
 /// in flight are dropped.
 pub(in crate::pager) struct LoadThreads<J: LoadJob> {
     list: Arc<RequestList<J>>,
+    budgets: LoadBudgets,
     files: Option<Arc<FileThreads<J>>>,
     /// Dropped to end the watch over the file threads.
     watch: Option<Sender<()>>,
@@ -43,9 +45,11 @@ impl<J: LoadJob> LoadThreads<J> {
     pub fn start(config: &LoadConfig) -> Result<Self, PagerError> {
         let (capacity, decoders) = (config.capacity(), config.decoders);
         let list = Arc::new(RequestList::new(capacity, config.max_files));
+        let budgets = LoadBudgets::new(config.max_bytes);
         // Declared before the channels, so that those close first if a thread cannot start, and the others end.
         let mut threads = Self {
             list: list.clone(),
+            budgets: budgets.clone(),
             files: None,
             watch: None,
             answers: None,
@@ -61,7 +65,8 @@ impl<J: LoadJob> LoadThreads<J> {
         let (answer_sender, answers) = bounded::<Answer<J>>(capacity);
         threads.answers = Some(answers);
         let files = fetch::FileReader::new(config.limits);
-        let files = FileThreads::new(list.clone(), read_sender, files, config.readers, config.file_timeout);
+        let bodies = budgets.bodies.clone();
+        let files = FileThreads::new(list.clone(), read_sender, files, bodies, config.readers, config.file_timeout);
         let files = threads.files.insert(files).clone();
         files.start()?;
         let (watch, closed) = bounded(0);
@@ -70,13 +75,15 @@ impl<J: LoadJob> LoadThreads<J> {
         #[cfg(feature = "http")]
         {
             let (list, answers, limits) = (list.clone(), answer_sender.clone(), config.limits);
+            let bodies = budgets.bodies.clone();
             let name = format!("{}-http", J::THREAD_PREFIX);
             let runtime = fetch::runtime(&name).map_err(|source| PagerError::Thread { name, source })?;
             let access = HttpAccess::new(&runtime);
             let (clients, range) = (access.clients(), config.per_server);
             threads.http = Some(access);
             threads.spawn("http", move || {
-                http::run(&runtime, &list, &received_sender, &answers, &clients, &limits, range);
+                let channels = http::Channels { loaded: &received_sender, answers: &answers };
+                http::run(&runtime, &list, channels, &bodies, &clients, &limits, range);
                 // Threads that hang on the cache are left alone.
                 runtime.shutdown_timeout(MAX_SHUTDOWN_TIME);
             })?;
@@ -84,8 +91,8 @@ impl<J: LoadJob> LoadThreads<J> {
         for i in 0..decoders {
             let open = if cfg!(feature = "http") { 2 } else { 1 };
             let intake = Intake { files: read.clone(), servers: received.clone(), open };
-            let sender = answer_sender.clone();
-            threads.spawn(&format!("decode-{i}"), move || decode(intake, &sender))?;
+            let (sender, contents) = (answer_sender.clone(), budgets.contents.clone());
+            threads.spawn(&format!("decode-{i}"), move || decode(intake, &sender, &contents))?;
         }
         Ok(threads)
     }
@@ -105,6 +112,11 @@ impl<J: LoadJob> LoadThreads<J> {
     /// Returns the request list.
     pub fn list(&self) -> &RequestList<J> {
         &self.list
+    }
+
+    /// Returns the bytes that are on their way.
+    pub fn budgets(&self) -> &LoadBudgets {
+        &self.budgets
     }
 
     /// Returns the way to the HTTP thread.
@@ -127,6 +139,7 @@ impl<J: LoadJob> LoadThreads<J> {
 impl<J: LoadJob> Drop for LoadThreads<J> {
     fn drop(&mut self) {
         self.list.close();
+        self.budgets.close();
         self.answers = None;
         self.watch = None;
         if let Some(files) = &self.files {
@@ -168,13 +181,24 @@ impl<J> Intake<J> {
     }
 }
 
-fn decode<J: LoadJob>(mut intake: Intake<J>, sender: &Sender<Answer<J>>) {
-    while let Some(LoadedBytes { job, loaded, companions, bytes_read, bytes_http }) = intake.next() {
+fn decode<J: LoadJob>(mut intake: Intake<J>, sender: &Sender<Answer<J>>, contents: &ByteBudget) {
+    while let Some(LoadedBytes { job, loaded, companions, bytes_read, bytes_http, permit }) = intake.next() {
         follow_core();
+        // A content is rarely smaller than its bytes.
+        let expected_bytes = bytes_read.max(contents.expected_bytes());
+        let held = loaded.is_ok().then(|| contents.reserve_blocking(expected_bytes, job.is_prefetch()));
         let span = job.decode_span();
         let content = loaded.and_then(|loaded| job.decode(loaded, companions));
         drop(span);
-        if sender.send(Answer { job, content: Some(content), bytes_read, bytes_http }).is_err() {
+        // The bytes were dropped with their decoder.
+        drop(permit);
+        let permit = held.filter(|_| content.is_ok());
+        if let (Some(permit), Ok(content)) = (&permit, &content) {
+            let bytes = J::content_bytes(content);
+            contents.learn(bytes);
+            permit.set_bytes(bytes);
+        }
+        if sender.send(Answer { job, content: Some(content), bytes_read, bytes_http, permit }).is_err() {
             return;
         }
     }

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use super::entry::Progress;
 use super::table::RequestTable;
-use crate::fetch;
+use crate::fetch::{self, LoadRoom};
 use crate::pager::config::PagerConfig;
 use crate::pager::frame_times::FrameTimes;
 use crate::pager::loading::page_job::PageJob;
@@ -117,6 +117,8 @@ pub(in crate::pager) struct Conditions<'a> {
     pub times: &'a FrameTimes,
     pub is_paused: bool,
     pub room: Room,
+    /// Loads for which the bytes that may be on their way have room.
+    pub load_room: LoadRoom,
     /// Pages that have arrived and are not merged.
     pub arrived_pages: u64,
     /// Prefetches of them.
@@ -238,9 +240,12 @@ impl Scheduler {
         // Prefetches that are needed in one of the next frames may use the reserved tenths.
         let room = at.room.pages_of_mean_size(RESERVED_TENTHS).max(at.room.pages_of_mean_size(0).min(self.soon));
         let room = (room as usize).saturating_sub(state.outstanding_now());
+        // Jobs stay in the list, by priority, while they would only wait for bytes to become free.
+        let load_room = at.load_room;
+        let prefetches = state.outstanding_prefetches().saturating_add(load_room.prefetches);
         Limits {
-            outstanding,
-            prefetch_room: if at.config.ahead_in_flight > 0 { room } else { 0 },
+            outstanding: outstanding.min(state.outstanding().saturating_add(load_room.loads)),
+            prefetch_room: if at.config.ahead_in_flight > 0 { room.min(prefetches) } else { 0 },
             prefetch_beside_others: at.config.ahead_in_flight.saturating_sub(at.arrived_prefetches),
             aged_before: at.times.frame().saturating_sub(AGED_FRAMES),
         }

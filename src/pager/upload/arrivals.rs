@@ -6,6 +6,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::context::CompileContext;
+use crate::fetch::Permit;
 use crate::gpu::{CompileBudget, CompileOperation, Compiled};
 use crate::pager::loading::ticket::Ticket;
 use crate::pager::loading::waiting_jobs::Urgency;
@@ -34,6 +35,8 @@ pub(in crate::pager) struct Arrived {
     reserved_gpu: u64,
     /// `Some` until its uploads begin.
     payload: Option<Payload>,
+    /// Holds its bytes in the budget of what is on its way.
+    _permit: Option<Permit>,
 }
 
 impl Arrived {
@@ -150,7 +153,7 @@ impl Arrivals {
         &mut self,
         (slot, urgency): (NodeId, Urgency),
         ticket: Ticket,
-        mut page: Page,
+        (mut page, permit): (Page, Option<Permit>),
         kinds: Arc<[DrawKind]>,
         contexts: usize,
     ) {
@@ -167,6 +170,7 @@ impl Arrivals {
             reserved_gpu: 0,
             payload: (contexts_left > 0).then_some(Payload { drawables, kinds, bytes }),
             page: Box::new(page),
+            _permit: permit,
         };
         if contexts_left > 0 {
             self.by_ticket.insert(ticket.number(), slot);
@@ -329,7 +333,7 @@ mod tests {
         let (first, second) = (job(1, "/a.glb"), job(2, "/b.glb"));
         for job in [&first, &second] {
             let page = Page::from_node(Node::group(Vec::new())).unwrap();
-            arrivals.insert((job.slot, Urgency::new(1.0, false)), job.ticket, page, Arc::new([]), 2);
+            arrivals.insert((job.slot, Urgency::new(1.0, false)), job.ticket, (page, None), Arc::new([]), 2);
         }
         assert_eq!(arrivals.total().pages, 2);
         assert!(arrivals.has_ready() && !arrivals.has_uploads(), "without drawables there is nothing to upload");

@@ -377,7 +377,8 @@ fn pager(r: &mut Random, is_tiny: bool, blocking: bool) -> PagerConfig {
         ..PagerConfig::default()
     };
     if is_tiny {
-        match r.whole(0, 2) {
+        match r.whole(0, 3) {
+            3 => config.max_bytes_loading = r.whole(2_000, 4_000_000),
             0 => config.max_tiles = r.whole(1, 30) as usize,
             1 => config.max_bytes_gpu = r.whole(200_000, 6_000_000),
             _ => config.max_bytes_cpu = r.whole(2_000, 400_000),
