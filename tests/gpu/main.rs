@@ -1,6 +1,7 @@
 //! Uploads, GPU memory, the pipeline cache and timestamps.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
+mod blocks;
 mod buffer_memory;
 mod compile;
 mod compile_thread;

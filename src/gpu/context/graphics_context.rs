@@ -128,6 +128,7 @@ impl GraphicsContext {
         let mut opened = Self::open(self.targets.close_all())?;
         opened.targets.select(selected);
         opened.bytes_peak = self.bytes_peak;
+        opened.pools.take_budgets(&mut self.pools);
         opened.compile_operations = std::mem::take(&mut self.compile_operations);
         let cache_folder = self.pipeline_cache.take().map(|cache| cache.folder().to_owned());
         *self = opened;
@@ -380,7 +381,16 @@ impl GraphicsContext {
 
     /// Takes the operations that finished since the last call, in the order of [`Self::compile`].
     pub fn take_compiled(&mut self) -> Vec<Compiled> {
-        self.uploads.take_finished()
+        let unused_bytes = self.bytes_allocated().saturating_sub(self.bytes_in_use());
+        let finished = self.uploads.take_finished().into_iter();
+        finished.map(|compiled| Compiled { unused_bytes, ..compiled }).collect()
+    }
+
+    /// Sets the budget of one of the context's owners, such as a pager, in bytes. Blocks of the pools do not grow ahead of
+    /// need beyond the sum of all budgets; a slot that is needed is allocated all the same. Until the first call there is no
+    /// limit.
+    pub fn set_max_bytes(&mut self, owner: u16, max_bytes: u64) {
+        self.pools.set_max_bytes(owner, max_bytes);
     }
 
     /// Replaces the mesh of a drawable and uploads it at once. Draws from now on show the new mesh, draws already submitted
@@ -389,7 +399,11 @@ impl GraphicsContext {
         let Self { uploads, gpu, pools, status, .. } = self;
         // Recorded uploads to a slot that is taken over here must be executed first.
         uploads.flush_recorded(&gpu.device, &gpu.queue);
-        let shares_mesh = rewrite_mesh(&gpu.queue, pools, slot, mesh);
+        if pools.is_copying_meshes() {
+            uploads.finish_uploads(&gpu.device, &gpu.queue, || status.check_lost().is_err());
+            pools.meshes_copied();
+        }
+        let shares_mesh = rewrite_mesh((&gpu.device, &gpu.queue), pools, slot, mesh);
         if matches!(shares_mesh, Ok(true)) {
             // The upload of the shared mesh may be in progress.
             uploads.finish_uploads(&gpu.device, &gpu.queue, || status.check_lost().is_err());
@@ -455,7 +469,7 @@ impl GraphicsContext {
         self.pools.bytes_in_use()
     }
 
-    /// Returns the size of the pools, free slots included.
+    /// Returns the size of the pools, free slots included, and blocks that are being replaced by larger ones.
     pub fn bytes_allocated(&self) -> u64 {
         self.pools.bytes_allocated()
     }

@@ -5,13 +5,15 @@ use std::collections::VecDeque;
 use super::compile_operation::{CompileOperation, Compiled};
 use super::placement::place_drawable;
 use super::resource_upload::Upload;
-use crate::gpu::pools::{CompileInfo, Pools};
+use crate::gpu::pools::{BlockCopy, CompileInfo, Pools};
 use crate::scene::Drawable;
 
 struct CurrentOperation {
     /// Drawables that have no slot yet.
     drawables: std::vec::IntoIter<Drawable>,
     compiled: Compiled,
+    /// The copies of blocks that have grown for it.
+    copies: Vec<BlockCopy>,
 }
 
 /// The result of a step of [`Operations::place_next`].
@@ -28,6 +30,10 @@ pub(super) struct Operations {
     waiting: VecDeque<CompileOperation>,
     current: Option<CurrentOperation>,
     finished: Vec<Compiled>,
+    /// The copies of each operation whose drawables all have slots and that is not finished, in order.
+    copies: VecDeque<Vec<BlockCopy>>,
+    /// The copies of finished operations.
+    copied: Vec<BlockCopy>,
 }
 
 impl Operations {
@@ -61,27 +67,49 @@ impl Operations {
         if self.current.is_none() {
             let operation = self.waiting.pop_front()?;
             let compiled = Compiled::empty(operation.ticket, operation.drawables.len());
-            self.current = Some(CurrentOperation { drawables: operation.drawables.into_iter(), compiled });
+            let drawables = operation.drawables.into_iter();
+            self.current = Some(CurrentOperation { drawables, compiled, copies: Vec::new() });
         }
         let current = self.current.as_mut()?;
         match current.drawables.next() {
             Some(drawable) => {
-                let custom_bytes = place_drawable(info, pools, drawable, &mut current.compiled, uploads);
+                let mut queued = VecDeque::new();
+                let custom_bytes = place_drawable(info, pools, drawable, &mut current.compiled, &mut queued);
+                // Uploads to a block that has grown follow its copy, which would overwrite them.
+                for copy in pools.take_copies() {
+                    uploads.push_back(Upload::copy(copy.clone()));
+                    current.copies.push(copy);
+                }
+                uploads.append(&mut queued);
                 Some(Placed::Drawable { custom_bytes })
             }
-            None => self.current.take().map(|current| Placed::Operation(current.compiled)),
+            None => self.end_current().map(Placed::Operation),
         }
+    }
+
+    fn end_current(&mut self) -> Option<Compiled> {
+        let CurrentOperation { compiled, copies, .. } = self.current.take()?;
+        self.copies.push_back(copies);
+        Some(compiled)
     }
 
     /// Ends the current operation if all its drawables have their slots.
     pub(super) fn end_if_placed(&mut self) -> Option<Compiled> {
-        let current = self.current.take_if(|current| current.drawables.len() == 0)?;
-        Some(current.compiled)
+        let is_placed = self.current.as_ref().is_some_and(|current| current.drawables.len() == 0);
+        if is_placed { self.end_current() } else { None }
     }
 
-    /// Adds operations whose uploads are complete.
+    /// Adds operations whose uploads are complete, in the order in which their drawables got their slots.
     pub(super) fn finish(&mut self, compiled: impl IntoIterator<Item = Compiled>) {
-        self.finished.extend(compiled);
+        for compiled in compiled {
+            self.finished.push(compiled);
+            self.copied.extend(self.copies.pop_front().into_iter().flatten());
+        }
+    }
+
+    /// Takes the copies that finished operations needed: they are recorded.
+    pub(super) fn take_copied(&mut self) -> impl Iterator<Item = BlockCopy> + '_ {
+        self.copied.drain(..)
     }
 
     pub(super) fn take_finished(&mut self) -> Vec<Compiled> {

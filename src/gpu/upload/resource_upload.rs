@@ -4,8 +4,8 @@
 use std::sync::Arc;
 
 use crate::gpu::pools::{
-    BufferDestination, LayerDestination, TextureRows, VertexFormat, interleaved_bytes, short_index_bytes, table_bytes,
-    table_words, write_rows,
+    BlockCopy, BufferDestination, LayerDestination, TextureRows, VertexFormat, interleaved_bytes, short_index_bytes,
+    table_bytes, table_words, write_rows,
 };
 use crate::scene::{HeightTile, Mesh, TexelFormat, Texture, added_stride};
 
@@ -16,18 +16,31 @@ pub(super) trait Sink {
 
     /// Writes a part of a buffer. `data` is a multiple of four bytes.
     fn write_bytes(&mut self, buffer: &wgpu::Buffer, offset: u64, data: &[u8]);
+
+    /// Copies the contents of a block that has grown, after everything written before.
+    fn copy_block(&mut self, copy: &BlockCopy);
 }
 
 /// Writes by the queue. Only the thread that submits may use it.
-pub(super) struct QueueSink<'a>(pub(super) &'a wgpu::Queue);
+pub(super) struct QueueSink<'a> {
+    pub(super) device: &'a wgpu::Device,
+    pub(super) queue: &'a wgpu::Queue,
+}
 
 impl Sink for QueueSink<'_> {
     fn write_rows(&mut self, texture: &wgpu::Texture, rows: &TextureRows, data: &[u8]) {
-        write_rows(self.0, texture, rows, data);
+        write_rows(self.queue, texture, rows, data);
     }
 
     fn write_bytes(&mut self, buffer: &wgpu::Buffer, offset: u64, data: &[u8]) {
-        self.0.write_buffer(buffer, offset, data);
+        self.queue.write_buffer(buffer, offset, data);
+    }
+
+    fn copy_block(&mut self, copy: &BlockCopy) {
+        let descriptor = wgpu::CommandEncoderDescriptor { label: Some("block copy") };
+        let mut encoder = self.device.create_command_encoder(&descriptor);
+        copy.record(&mut encoder);
+        self.queue.submit([encoder.finish()]);
     }
 }
 
@@ -52,6 +65,8 @@ pub(super) enum BufferSource {
 enum Resource {
     Layer(ImageSource, LayerDestination),
     Buffer(BufferSource, BufferDestination),
+    /// A copy on the adapter. It uploads nothing and counts as one unit of no bytes.
+    Copy(BlockCopy),
 }
 
 /// A number of rows, vertices or indices.
@@ -80,12 +95,17 @@ impl Upload {
         Self { resource: Resource::Buffer(source, destination), level: 0, done: 0 }
     }
 
+    pub(super) fn copy(copy: BlockCopy) -> Self {
+        Self { resource: Resource::Copy(copy), level: 0, done: 0 }
+    }
+
     /// Returns the units of a level; `None` beyond the last one. A level has at least one unit, since the pools refuse empty
     /// meshes and images.
     fn units(&self, level: u32) -> Option<Units> {
         match &self.resource {
             Resource::Layer(source, _) => source.rows(level),
             Resource::Buffer(source, _) => (level == 0).then(|| source.units()),
+            Resource::Copy(_) => (level == 0).then_some(Units { count: 1, unit_bytes: 0 }),
         }
     }
 
@@ -112,6 +132,7 @@ impl Upload {
         let Some(Units { count: all, unit_bytes }) = self.units(self.level) else { return 0 };
         let part = self.done..all.min(self.done + count);
         match &self.resource {
+            Resource::Copy(copy) => sink.copy_block(copy),
             Resource::Layer(source, LayerDestination { texture, layer }) => {
                 let rows = TextureRows {
                     layer: *layer,
@@ -154,9 +175,9 @@ impl Upload {
     }
 
     /// Uploads everything that remains by the queue.
-    pub(super) fn write_all(mut self, queue: &wgpu::Queue, scratch: &mut Vec<u8>) {
+    pub(super) fn write_all(mut self, sink: &mut QueueSink<'_>, scratch: &mut Vec<u8>) {
         while let Some(remaining) = self.remaining() {
-            self.write(&mut QueueSink(queue), scratch, remaining.count);
+            self.write(sink, scratch, remaining.count);
         }
     }
 }

@@ -89,6 +89,8 @@ impl UploadQueue {
             Copier::DrawThread(uploads) => uploads.run(progress, memory, &info, pools, budget),
             Copier::CompileThread(uploads) => uploads.run(progress, &info, pools, budget),
         };
+        // The operations that need the copies are finished, and what was recorded is submitted before the next frame.
+        progress.operations.take_copied().for_each(|copy| pools.copied(&copy));
         progress.recorded.count_bytes(stats.bytes);
         if progress.recorded.is_flush_due() {
             self.flush(device, queue);
@@ -146,7 +148,7 @@ impl UploadQueue {
     ) {
         let Self { copier, progress } = self;
         match copier {
-            Copier::DrawThread(uploads) => uploads.finish_all(queue),
+            Copier::DrawThread(uploads) => uploads.finish_all(device, queue),
             Copier::CompileThread(uploads) => {
                 uploads.finish_all(progress, device, queue, is_lost);
             }

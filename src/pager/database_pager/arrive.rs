@@ -118,6 +118,7 @@ impl DatabasePager {
         for context in contexts.iter_mut() {
             for mut compiled in context.take_compiled() {
                 let (shared, errors) = (std::mem::take(&mut compiled.shared), std::mem::take(&mut compiled.errors));
+                self.residency.note_unused(context.id(), compiled.unused_bytes);
                 let slot = match self.arrivals.uploaded(context.id(), compiled) {
                     Uploaded::Late(slots) => {
                         context.release(slots);

@@ -122,6 +122,7 @@ impl DatabasePager {
             s.sharing = sharing.stats();
         }
         s.resident = self.residency.len() as u64;
+        s.gpu_bytes_unused = self.residency.unused_gpu();
         (s.cpu_bytes_held, s.gpu_bytes_held) = (in_memory.cpu, in_memory.gpu);
         (s.waiting, s.in_flight, s.decoding, s.compiling) = (0, 0, 0, 0);
         for (slot, entry) in self.table.iter() {

@@ -558,6 +558,11 @@ impl CompileContext for DeviceOfScene<'_> {
         self.handle.prewarm(kinds);
     }
 
+    fn set_max_bytes(&mut self, max_bytes: u64) {
+        // An error of the draw thread is reported by the next frame.
+        let _ = self.handle.send(DrawCommand::SetMaxBytes { owner: self.owner, max_bytes });
+    }
+
     fn compile(&mut self, operation: CompileOperation) {
         self.handle.compile(self.owner, operation);
     }

@@ -193,6 +193,7 @@ impl DrawSide {
     pub(super) fn execute(&mut self, command: DrawCommand) {
         let reply = match command {
             DrawCommand::Prewarm(kinds) => return self.renderer.prewarm(&mut self.context, &kinds),
+            DrawCommand::SetMaxBytes { owner, max_bytes } => return self.context.set_max_bytes(owner, max_bytes),
             DrawCommand::Compile(operation) => return self.context.compile(operation),
             DrawCommand::CancelCompiles(tickets) => {
                 self.context.cancel_compiles(&tickets);
@@ -411,6 +412,7 @@ impl DrawSide {
             read_back_ms,
             image,
             gpu_bytes: if index == 0 { self.context.bytes_in_use() } else { 0 },
+            gpu_bytes_allocated: if index == 0 { self.context.bytes_allocated() } else { 0 },
             gpu_bytes_peak: self.context.bytes_peak(),
             errors,
         };

@@ -101,7 +101,7 @@ impl ImageSize {
             sample_count: 1,
             dimension: wgpu::TextureDimension::D2,
             format: texel_format(self.format, encoding),
-            usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
+            usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST | wgpu::TextureUsages::COPY_SRC,
             view_formats: &[],
         })
     }
