@@ -7,6 +7,8 @@ use crate::draw::passes::shading::{choose_shading, name_of};
 use crate::draw::passes::shadows::casters::caster_key;
 use crate::draw::pipelines::key::{AirKind, PipelineKey, Shading, StateKey};
 use crate::draw::pipelines::{MAX_COLOR_ATTACHMENTS, TargetFormats};
+use crate::draw::targets::pass_target::Tones;
+use crate::draw::targets::table::Targets;
 use crate::gpu::GraphicsContext;
 use crate::scene::{DrawKind, Environment, Topology};
 
@@ -83,7 +85,7 @@ impl Renderer {
         let depth = self.targets.depth_format();
         let samples = ctx.samples();
         let mut formats = TargetFormats { colors: [None; MAX_COLOR_ATTACHMENTS], depth, samples, keeps_alpha: false };
-        formats.colors[0] = Some(ctx.color_format());
+        formats.colors[0] = Some(Targets::drawn_format(ctx, Tones::Displayed));
         self.resources.pipelines.target(&formats)
     }
 }

@@ -5,7 +5,7 @@
 //! for each view, record_stages(stage):
 //!     record_stages of the stages before it
 //!     initial callback; that of a camera in the graph comes before the stages before it
-//!     shadow maps, MSAA restore, the stage's render pass, depth resolve
+//!     shadow maps, MSAA restore, the stage's render pass, depth resolve, display
 //!     record_stages of the stages after it
 //!     mip levels, copy into a texture, copies to be read back
 //!     final callback
@@ -155,6 +155,7 @@ impl Renderer {
         let (stats, errors) = recorder.finish();
         drop(pass);
         passes.depth_resolve.record(ctx, resources, encoder, stage, target);
+        passes.display.record(ctx, resources, encoder, target, *base_index);
         resources.stats.add_pass(&stats);
         for error in errors {
             resources.errors.report_once(error);

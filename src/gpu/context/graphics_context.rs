@@ -10,7 +10,7 @@ use super::host_device::HostDevice;
 use super::open_device::{OpenDevice, create_instance};
 use super::pipeline_cache::PipelineCache;
 use super::read_back::read_back;
-use super::render_target::{Acquired, RenderTarget};
+use super::render_target::{Acquired, RenderTarget, drawn_format};
 use super::targets::{ContextTarget, SurfaceFactory, TargetRequest, Targets, surface_factory};
 use super::traits::ContextTraits;
 use crate::gpu::GpuError;
@@ -290,6 +290,11 @@ impl GraphicsContext {
         self.target().format()
     }
 
+    /// Returns the format that frames are drawn in: that of the target, unless their image is encoded by a pass afterwards.
+    pub(crate) fn drawn_format(&self) -> wgpu::TextureFormat {
+        drawn_format(self.color_format())
+    }
+
     /// Changes the size of the target. A window's image that is not presented yet is dropped.
     pub fn resize(&mut self, size_px: [u32; 2]) -> Result<(), GpuError> {
         self.targets.selected_mut().target_mut().resize(&self.gpu.device, size_px)
@@ -501,6 +506,11 @@ impl GraphicsContext {
     /// Limits the memory for everything but the pools: targets, staging buffers, tables of the air.
     pub fn pretend_frame_memory(&self, left_bytes: Option<u64>) {
         self.memory.pretend(left_bytes);
+    }
+
+    /// Gives the selected offscreen target another format, such as those of windows without sRGB.
+    pub fn pretend_format(&mut self, format: wgpu::TextureFormat) {
+        self.targets.selected_mut().target_mut().pretend_format(&self.gpu.device, format);
     }
 
     /// Sets the next answers of the window's surface.
