@@ -60,7 +60,7 @@ pub struct PagerStats {
     /// [`PagerConfig::max_bytes_gpu`](super::PagerConfig::max_bytes_gpu).
     pub gpu_bytes_held: u64,
     /// Bytes of GPU memory that the contexts have allocated beyond what is in use, after their last uploads: free slots of
-    /// blocks, and blocks that are being replaced by larger ones.
+    /// blocks, and blocks that are being replaced by larger ones. Textures of state sets count here.
     pub gpu_bytes_unused: u64,
     /// Maximum of `gpu_bytes_held`, measured after room was made for an upload.
     pub gpu_bytes_held_peak: u64,

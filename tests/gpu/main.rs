@@ -8,4 +8,5 @@ mod compile_thread;
 mod memory;
 mod pass_times;
 mod pipeline_cache;
+mod state_textures;
 mod times;

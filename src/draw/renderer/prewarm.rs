@@ -11,10 +11,13 @@ use crate::draw::targets::pass_target::Tones;
 use crate::draw::targets::table::Targets;
 use crate::gpu::GraphicsContext;
 use crate::scene::{DrawKind, Environment, Topology};
+use crate::state::TEXTURE_UNITS;
 
 impl Renderer {
     /// Creates the pipelines that drawables of some kinds will need where the last frame drew, those of fades and shadows
     /// included. Before the first frame, pipelines are created for the context's own target.
+    ///
+    /// Queues the textures of the kinds' states to be uploaded before the drawables that are queued next.
     pub fn prewarm(&mut self, ctx: &mut GraphicsContext, kinds: &[DrawKind]) {
         if self.drawn_into.len() == 0
             && let Some(target) = self.own_target(ctx)
@@ -22,6 +25,7 @@ impl Renderer {
             let air = AirKind::of(&Environment::default());
             self.drawn_into.add_expected(target, air);
         }
+        self.announce_textures(ctx, kinds);
         let has_shadows = self.drawn_into.iter().any(|drawn| drawn.has_shadows);
         for kind in kinds {
             for index in 0..self.drawn_into.len() {
@@ -34,6 +38,19 @@ impl Renderer {
             }
         }
         self.resources.report_pipeline_errors();
+    }
+
+    /// Has the compile queue upload the textures of state sets, before the drawables that are queued next.
+    fn announce_textures(&mut self, ctx: &mut GraphicsContext, kinds: &[DrawKind]) {
+        let textures = &mut self.resources.state_groups.textures;
+        for kind in kinds {
+            for binding in (0..TEXTURE_UNITS).filter_map(|unit| kind.state.texture(unit)) {
+                if let Some(texture) = textures.announce(ctx.device(), &binding.texture) {
+                    ctx.compile_texture(binding.texture.clone(), texture);
+                }
+            }
+        }
+        ctx.set_texture_bytes(textures.bytes());
     }
 
     fn report(&mut self, kind: &DrawKind, result: Result<(), String>) {

@@ -18,6 +18,7 @@ use crate::gpu::memory::Memory;
 use crate::gpu::pools::{BindClass, BindGroupLayouts, DrawableEntry, Pools, RetireQueue, TargetFormats};
 use crate::gpu::upload::{CompileBudget, CompileOperation, CompileStats, Compiled, UploadQueue, rewrite_mesh};
 use crate::scene::{AttributeLayout, BlockFormats, DrawSlot, Mesh};
+use crate::state::TextureObject;
 use crate::sync::OperationQueue;
 
 /// A device with its queue, its targets and everything uploaded to it. `Send`: opened on one thread, then moved to the draw
@@ -36,6 +37,8 @@ pub struct GraphicsContext {
     /// Allocates targets, staging buffers and the buffers of frames.
     memory: Memory,
     bytes_peak: u64,
+    /// The size of the textures of state sets.
+    texture_bytes: u64,
     /// Written to disk when it is dropped.
     pipeline_cache: Option<PipelineCache>,
     /// The application's operations on the compile thread. They outlast a lost device.
@@ -107,6 +110,7 @@ impl GraphicsContext {
             retired: RetireQueue::default(),
             memory,
             bytes_peak: 0,
+            texture_bytes: 0,
             pipeline_cache: None,
             compile_operations: Arc::default(),
         })
@@ -343,6 +347,22 @@ impl GraphicsContext {
         self.uploads.push(operation);
     }
 
+    /// Queues the upload of a texture of state sets, before the operations that are queued later.
+    pub(crate) fn compile_texture(&mut self, object: Arc<TextureObject>, texture: wgpu::Texture) {
+        self.uploads.push_texture(object, texture);
+    }
+
+    /// Takes the textures of state sets that are complete in the next frame.
+    pub(crate) fn take_compiled_textures(&mut self) -> Vec<Arc<TextureObject>> {
+        self.uploads.take_textures()
+    }
+
+    /// Notes the size of the textures of state sets, which the renderer owns.
+    pub(crate) fn set_texture_bytes(&mut self, bytes: u64) {
+        self.texture_bytes = bytes;
+        self.note_peak();
+    }
+
     /// Finishes operations that have not begun, without slots.
     pub fn cancel_compiles(&mut self, tickets: &[u64]) {
         self.uploads.cancel(tickets);
@@ -474,9 +494,10 @@ impl GraphicsContext {
         self.pools.bytes_in_use()
     }
 
-    /// Returns the size of the pools, free slots included, and blocks that are being replaced by larger ones.
+    /// Returns the size of the pools, free slots included, and blocks that are being replaced by larger ones; and of the
+    /// textures of state sets, without those that cameras draw into.
     pub fn bytes_allocated(&self) -> u64 {
-        self.pools.bytes_allocated()
+        self.pools.bytes_allocated() + self.texture_bytes
     }
 
     /// Returns the largest [`Self::bytes_allocated`] so far.
@@ -485,7 +506,7 @@ impl GraphicsContext {
     }
 
     fn note_peak(&mut self) {
-        self.bytes_peak = self.bytes_peak.max(self.pools.bytes_allocated());
+        self.bytes_peak = self.bytes_peak.max(self.bytes_allocated());
     }
 }
 

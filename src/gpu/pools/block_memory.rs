@@ -1,9 +1,9 @@
 //! [`BlockMemory`]: the memory of a block, which is replaced by a larger one when all slots are taken. Draw thread.
 //!
-//! A block starts with few slots, so that a single odd image or mesh takes no more than its own size, and grows in place,
-//! so that drawables of one size still share a block. What it holds is copied on the adapter, in the order of the uploads:
-//! those that were queued before write to the old memory and are copied with it, later ones write to the new memory.
-//! Frames read the old memory until the copy is recorded.
+//! A block starts with few slots, so that a single odd image or mesh takes no more than its own size. It grows under its
+//! number, so that drawables of one size still share a block. The adapter copies what it holds, in the order of the uploads:
+//! earlier ones write to the old memory and are copied with it, later ones write to the new memory. Frames read the old
+//! memory until the copy is recorded.
 
 use std::collections::VecDeque;
 
@@ -119,8 +119,8 @@ impl BlockLimits {
         slots.clamp(1, by_bytes) as u32
     }
 
-    /// Returns the number of slots of a new block, if other blocks of the same kind have `slots_of_kind` slots: few for the
-    /// first one, and a quarter of what there is for further ones.
+    /// Returns the number of slots of a new block: few for the first one of a kind, and a quarter of `slots_of_kind`, those of
+    /// the existing blocks, for further ones.
     pub(super) fn first(&self, slots_of_kind: u32) -> u32 {
         let first = (FIRST_BYTES / self.slot_bytes.max(1)).clamp(1, MAX_FIRST_SLOTS);
         self.clamp(first.max(u64::from(slots_of_kind) / 4))

@@ -27,7 +27,7 @@ pub struct Compiled {
     /// The errors of the drawables that failed.
     pub errors: Vec<String>,
     /// Bytes of GPU memory that the context's pools had allocated beyond the slots in use: free slots of blocks, and blocks
-    /// that are being replaced by larger ones.
+    /// that are being replaced by larger ones; and the textures of state sets, which no drawable owns.
     pub unused_bytes: u64,
 }
 

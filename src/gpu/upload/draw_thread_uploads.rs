@@ -82,6 +82,7 @@ impl DrawThreadUploads {
                         stats.bytes += custom_bytes.unwrap_or(0);
                         stats.slices += u32::from(custom_bytes.is_some());
                     }
+                    Some(Placed::Texture) => {}
                     Some(Placed::Operation(compiled)) => {
                         progress.operations.finish([compiled]);
                         stats.finished += 1;

@@ -8,6 +8,7 @@ use crate::gpu::pools::{
     table_bytes, table_words, write_rows,
 };
 use crate::scene::{HeightTile, Mesh, TexelFormat, Texture, added_stride};
+use crate::state::TextureObject;
 
 /// The means by which bytes reach the adapter.
 pub(super) trait Sink {
@@ -65,6 +66,8 @@ pub(super) enum BufferSource {
 enum Resource {
     Layer(ImageSource, LayerDestination),
     Buffer(BufferSource, BufferDestination),
+    /// A texture of state sets.
+    State(Arc<TextureObject>, wgpu::Texture),
     /// A copy on the adapter. It uploads nothing and counts as one unit of no bytes.
     Copy(BlockCopy),
 }
@@ -80,7 +83,7 @@ pub(super) struct Units {
 /// A resource to upload, with its progress.
 pub(super) struct Upload {
     resource: Resource,
-    /// The current level of an image; 0 for buffers.
+    /// The current level of an image, or layer of a level of a texture of state sets; 0 for buffers.
     level: u32,
     /// The number of uploaded units of the current level.
     done: usize,
@@ -95,6 +98,10 @@ impl Upload {
         Self { resource: Resource::Buffer(source, destination), level: 0, done: 0 }
     }
 
+    pub(super) fn to_state_texture(object: Arc<TextureObject>, texture: wgpu::Texture) -> Self {
+        Self { resource: Resource::State(object, texture), level: 0, done: 0 }
+    }
+
     pub(super) fn copy(copy: BlockCopy) -> Self {
         Self { resource: Resource::Copy(copy), level: 0, done: 0 }
     }
@@ -105,6 +112,11 @@ impl Upload {
         match &self.resource {
             Resource::Layer(source, _) => source.rows(level),
             Resource::Buffer(source, _) => (level == 0).then(|| source.units()),
+            Resource::State(object, _) => {
+                let (level, _) = layer_of(object, level)?;
+                let [width, height, _] = object.level_size(level);
+                Some(Units { count: height as usize, unit_bytes: width as usize * object.format.texel_bytes() })
+            }
             Resource::Copy(_) => (level == 0).then_some(Units { count: 1, unit_bytes: 0 }),
         }
     }
@@ -123,7 +135,7 @@ impl Upload {
 
     /// Returns true if the units are rows of a texture.
     pub(super) fn has_rows(&self) -> bool {
-        matches!(self.resource, Resource::Layer(..))
+        matches!(self.resource, Resource::Layer(..) | Resource::State(..))
     }
 
     /// Uploads the next `count` units, at most those that remain in the level, and returns their size in bytes. `scratch` is
@@ -140,10 +152,26 @@ impl Upload {
                     first: part.start as u32,
                     count: part.len() as u32,
                     width: source.width(self.level),
-                    format: source.format(),
+                    row_bytes: unit_bytes as u32,
+                    block_side: source.format().block_side(),
                 };
                 let range = part.start * unit_bytes..part.end * unit_bytes;
                 sink.write_rows(texture, &rows, &source.texels(self.level)[range]);
+            }
+            Resource::State(object, texture) => {
+                let Some((level, layer)) = layer_of(object, self.level) else { return 0 };
+                let rows = TextureRows {
+                    layer,
+                    level,
+                    first: part.start as u32,
+                    count: part.len() as u32,
+                    width: object.level_size(level)[0],
+                    row_bytes: unit_bytes as u32,
+                    block_side: 1,
+                };
+                let start = layer as usize * all;
+                let range = (start + part.start) * unit_bytes..(start + part.end) * unit_bytes;
+                sink.write_rows(texture, &rows, &object.texels[level as usize][range]);
             }
             Resource::Buffer(source, BufferDestination { buffer, offset }) => {
                 let offset = offset + (part.start * unit_bytes) as u64;
@@ -180,6 +208,19 @@ impl Upload {
             self.write(sink, scratch, remaining.count);
         }
     }
+}
+
+/// Returns level and layer by the number of a layer, counted over all levels that have texels.
+fn layer_of(object: &TextureObject, number: u32) -> Option<(u32, u32)> {
+    let mut left = number;
+    for level in 0..object.texels.len() as u32 {
+        let layers = object.level_size(level)[2];
+        if left < layers {
+            return Some((level, left));
+        }
+        left -= layers;
+    }
+    None
 }
 
 impl ImageSource {

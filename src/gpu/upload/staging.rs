@@ -50,7 +50,7 @@ fn padded(row_bytes: u64) -> u64 {
 
 impl Sink for StagingWriter {
     fn write_rows(&mut self, texture: &wgpu::Texture, rows: &TextureRows, data: &[u8]) {
-        let row_bytes = rows.row_bytes() as usize;
+        let row_bytes = rows.row_bytes as usize;
         let stride = padded(row_bytes as u64);
         let offset = self.used_bytes;
         if stride == row_bytes as u64 {

@@ -8,11 +8,11 @@
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ToneMapping {
     /// Each fragment's shader maps its own colour. This costs nothing, but blending and the mean of samples then work on
-    /// mapped colours: where a light of 8 covers half of a pixel, the pixel shows half of white instead of a light of 4.
+    /// mapped colours. Where a light of 8 covers half of a pixel, the pixel shows half of white instead of a light of 4.
     #[default]
     InShaders,
     /// Fragments are light in half floats, 8 bytes for each sample. They are blended, and the mean of the samples is taken;
-    /// a pass of its own then maps each pixel.
+    /// a separate pass then maps each pixel.
     ///
     /// Unlit colours are divided by the exposure and come back from the pass, compressed like lit ones above 0.76 of
     /// white. The images of the eyes of stereo modes are mapped by shaders.
