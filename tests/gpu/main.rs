@@ -8,5 +8,6 @@ mod compile_thread;
 mod memory;
 mod pass_times;
 mod pipeline_cache;
+mod prewarm;
 mod state_textures;
 mod times;

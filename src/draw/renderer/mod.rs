@@ -31,6 +31,7 @@ use crate::state::TextureObject;
 use drawn_stages::DrawnStages;
 use frames_in_flight::FramesInFlight;
 use pass_plan::PassPlan;
+pub use prewarm::ViewChange;
 use views::StageViews;
 
 /// A camera's view in a frame: its stage under its own light and sky.

@@ -66,6 +66,11 @@ impl Targets {
             .then_some("the adapter has no stencil beside float depth; stencil tests pass everywhere")
     }
 
+    /// Returns the format of depth buffers beside a stencil; `None` if the adapter lacks it.
+    pub(in crate::draw) fn stencil_format(&self) -> Option<wgpu::TextureFormat> {
+        self.supports_stencil.then_some(wgpu::TextureFormat::Depth32FloatStencil8)
+    }
+
     /// Starts a view: all its stages that draw into the context's target have the same tones.
     pub(in crate::draw) fn start_view(&mut self, stage: &RenderStage, tone_mapping: ToneMapping) {
         let in_own_pass = tone_mapping == ToneMapping::InOwnPass && stage.stereo.is_none();

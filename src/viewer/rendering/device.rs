@@ -9,6 +9,7 @@ use image::RgbaImage;
 use super::draw_side::{DrawSide, DrawSideEnds};
 use super::frame_job::{DrawCommand, FrameDone, FrameJob, Reply};
 use super::upload_ticket::UploadOwner;
+use crate::draw::ViewChange;
 use crate::gpu::{CompileBudget, CompileOperation, Compiled, ContextTraits, GpuError, GraphicsContext};
 use crate::pager::{CompileContext, ImageChange};
 use crate::scene::{BlockFormats, DrawKind, DrawSlot, Drawable, Mesh};
@@ -368,6 +369,12 @@ impl DeviceHandle {
             // An error of the draw thread is reported by the next frame.
             let _ = self.send(DrawCommand::Prewarm(kinds.clone()));
         }
+    }
+
+    /// Creates the pipelines for a change of views, after the frames that were sent before.
+    pub(in crate::viewer) fn prewarm_change(&mut self, change: &ViewChange) {
+        // An error of the draw thread is reported by the next frame.
+        let _ = self.send(DrawCommand::PrewarmChange(Box::new(*change)));
     }
 
     /// Uploads drawables for a pager.

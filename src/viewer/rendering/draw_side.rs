@@ -193,6 +193,7 @@ impl DrawSide {
     pub(super) fn execute(&mut self, command: DrawCommand) {
         let reply = match command {
             DrawCommand::Prewarm(kinds) => return self.renderer.prewarm(&mut self.context, &kinds),
+            DrawCommand::PrewarmChange(change) => return self.renderer.prewarm_change(&mut self.context, &change),
             DrawCommand::SetMaxBytes { owner, max_bytes } => return self.context.set_max_bytes(owner, max_bytes),
             DrawCommand::Compile(operation) => return self.context.compile(operation),
             DrawCommand::CancelCompiles(tickets) => {

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use image::RgbaImage;
 
 use crate::cull::RenderStage;
-use crate::draw::{DrawStats, FrameClock};
+use crate::draw::{DrawStats, FrameClock, ViewChange};
 use crate::gpu::{CompileBudget, CompileOperation, GpuError};
 use crate::pager::ImageChange;
 use crate::scene::{DrawKind, DrawSlot, Environment, Mesh};
@@ -72,6 +72,8 @@ pub(in crate::viewer) struct FrameDone {
 pub(super) enum DrawCommand {
     /// Creates the pipelines for kinds of drawables that will be uploaded.
     Prewarm(Arc<[DrawKind]>),
+    /// Creates the pipelines for a change of views.
+    PrewarmChange(Box<ViewChange>),
     /// Sets a pager's share of the budget of the pools.
     SetMaxBytes { owner: u16, max_bytes: u64 },
     /// Puts drawables into the upload queue.
