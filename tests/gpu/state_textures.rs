@@ -103,8 +103,8 @@ fn texture_is_uploaded_in_slices_before_its_drawables_and_counted() {
         assert!(rig.renderer.take_errors().is_empty());
         rig.release(scene);
         drop(texture);
-        // Two frames: the stage of the last one holds the state set.
-        for _ in 0..2 {
+        // Culls and stages keep the state sets of their last frames.
+        for _ in 0..300 {
             rig.draw(&Scene::new(), &unit_camera(SIDE), &plain());
         }
         assert_eq!(rig.ctx.bytes_allocated(), before, "it is freed with the last state set");
