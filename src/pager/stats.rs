@@ -59,6 +59,9 @@ pub struct PagerStats {
     /// GPU bytes of merged pages and of those that are uploaded and wait for their merge. Never exceeds
     /// [`PagerConfig::max_bytes_gpu`](super::PagerConfig::max_bytes_gpu).
     pub gpu_bytes_held: u64,
+    /// Bytes of GPU memory that the contexts have allocated beyond what is in use, after their last uploads: free slots of
+    /// blocks, and blocks that are being replaced by larger ones. Textures of state sets count here.
+    pub gpu_bytes_unused: u64,
     /// Maximum of `gpu_bytes_held`, measured after room was made for an upload.
     pub gpu_bytes_held_peak: u64,
     /// CPU bytes on their way: read and not decoded, or decoded and not merged. Exceeds

@@ -168,7 +168,7 @@ fn failed_answers_give_back_what_they_announced() {
 fn requests_that_wait_are_aborted_without_a_trace() {
     let server = serve(SMALL, |_, reply| reply);
     let mut config = small_budget(SMALL);
-    (config.abort_frames, config.stale_frames) = (2, 1);
+    (config.abort_time, config.stale_time) = (Duration::ZERO, Duration::ZERO);
     let mut run = Run::new(&server.url, config.clone());
     // The pages wait for their uploads, so that requests wait for them.
     run.context.holds = true;

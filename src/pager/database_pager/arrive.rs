@@ -150,6 +150,10 @@ impl DatabasePager {
         let mut complete = Vec::new();
         for (id, mut compiled) in compiled {
             let (shared, errors) = (std::mem::take(&mut compiled.shared), std::mem::take(&mut compiled.errors));
+            // In the blocking mode the budget counts slots alone: when blocks grow and are freed depends on timing.
+            if !self.config.blocking {
+                self.residency.note_unused(id, compiled.unused_bytes);
+            }
             let slot = match self.arrivals.uploaded(id, compiled) {
                 Uploaded::Late(slots) => {
                     if let Some(context) = contexts.iter_mut().find(|context| context.id() == id) {

@@ -13,6 +13,10 @@ impl DatabasePager {
     /// Begins uploads, the most urgent first, as far as there is room. If nothing is uploading, one upload starts even
     /// without room; its size is checked afterwards.
     pub(super) fn begin_uploads(&mut self, scenes: &mut dyn SceneSet, contexts: &mut [&mut dyn CompileContext]) {
+        if self.arrivals.next_upload().is_some() {
+            let max_bytes = self.config.max_bytes_gpu / contexts.len().max(1) as u64;
+            contexts.iter_mut().for_each(|context| context.set_max_bytes(max_bytes));
+        }
         let mut looks = self.residency.urgent_looks();
         while let Some((slot, is_prefetch)) = self.arrivals.next_upload() {
             let reserved = self.upload_reserve(slot);
@@ -40,10 +44,13 @@ impl DatabasePager {
 
     /// Makes the budgets hold after an arrival: pages that are not shown expire, then arrivals without room are declined,
     /// the least urgent first. No page expires for a prefetch.
+    ///
+    /// Pages expire also for GPU memory that is allocated and unused, since blocks are freed with their last slot. No arrival
+    /// is declined for it: the next upload may use it.
     pub(super) fn keep_budgets(&mut self, scenes: &mut dyn SceneSet, contexts: &mut [&mut dyn CompileContext]) {
         let budget = Budget::new(&self.config);
         let mut looks = self.residency.urgent_looks();
-        while self.residency.is_over_budget(self.arrivals.total()) {
+        while self.residency.is_over_budget_allocated(self.arrivals.total()) {
             let (merged, pages) = (self.residency.bytes_without_arrived(), self.residency.len() as u64);
             let without_room = self.arrivals.first_without_room(&budget, merged, pages);
             let is_prefetch = |slot: NodeId| self.table.get(slot).is_some_and(Entry::is_prefetch);
@@ -53,7 +60,8 @@ impl DatabasePager {
                 self.detach(scenes, id, contexts);
                 continue;
             }
-            let Some(slot) = without_room else { break };
+            let is_over = self.residency.is_over_budget(self.arrivals.total());
+            let Some(slot) = without_room.filter(|_| is_over) else { break };
             self.decline(slot, contexts);
         }
         let arrived = self.arrivals.total();

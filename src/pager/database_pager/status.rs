@@ -124,6 +124,7 @@ impl DatabasePager {
         let loading = self.threads.budgets().total();
         (s.loading_bytes, s.loading_bytes_peak) = (loading.bytes, loading.peak);
         (s.loading_waits, s.loading_wait_s) = (loading.waits, loading.waited.as_secs_f64());
+        s.gpu_bytes_unused = self.residency.unused_gpu();
         (s.cpu_bytes_held, s.gpu_bytes_held) = (in_memory.cpu, in_memory.gpu);
         (s.waiting, s.in_flight, s.decoding, s.compiling) = (self.table.waiting_count() as u64, 0, 0, 0);
         for (slot, entry) in self.table.begun() {

@@ -49,6 +49,7 @@ impl ImagePager {
             per_server: LimitRange::new(count, 0),
             file_timeout: config.file_timeout,
             max_bytes: config.max_bytes_loading,
+            waits_for_contents: true,
             limits: config.limits,
         })?;
         #[cfg(feature = "http")]

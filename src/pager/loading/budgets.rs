@@ -14,9 +14,10 @@ pub(in crate::pager) struct LoadBudgets {
 }
 
 impl LoadBudgets {
-    /// Creates budgets of half of `max_bytes` each.
-    pub fn new(max_bytes: u64) -> Self {
-        Self { bodies: ByteBudget::new(max_bytes / 2), contents: ByteBudget::new(max_bytes / 2) }
+    /// Creates budgets of half of `max_bytes` each. That of contents has no limit if `waits_for_contents` is false.
+    pub fn new(max_bytes: u64, waits_for_contents: bool) -> Self {
+        let contents = if waits_for_contents { max_bytes / 2 } else { u64::MAX };
+        Self { bodies: ByteBudget::new(max_bytes / 2), contents: ByteBudget::new(contents) }
     }
 
     /// Returns what both use together. Their maxima may be of different times.

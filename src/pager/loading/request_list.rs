@@ -191,7 +191,7 @@ impl<J: Request> ListState<J> {
 
     /// Returns the number of outstanding jobs that are prefetches.
     pub fn outstanding_prefetches(&self) -> usize {
-        self.prefetch_outstanding
+        self.usage.prefetches
     }
 
     /// Returns the number of waiting jobs.

@@ -338,7 +338,8 @@ mod tests {
         assert_eq!(arrivals.total().pages, 2);
         assert!(arrivals.has_ready() && !arrivals.has_uploads(), "without drawables there is nothing to upload");
         assert_eq!(arrivals.ready_to_merge().count(), 2);
-        let late = Compiled { ticket: 9, slots: Vec::new(), bytes: 7, shared: Vec::new(), errors: Vec::new() };
+        let (shared, errors) = (Vec::new(), Vec::new());
+        let late = Compiled { ticket: 9, slots: Vec::new(), bytes: 7, shared, errors, unused_bytes: 0 };
         assert!(matches!(arrivals.uploaded(0, late), Uploaded::Late(_)));
         for job in [&first, &second] {
             assert!(arrivals.remove(job.slot).is_some_and(|arrived| arrived.upload_ticket().is_none()));

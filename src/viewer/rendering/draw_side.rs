@@ -218,6 +218,8 @@ impl DrawSide {
                 self.uploads.push_back(Upload::Compile(operation));
                 return self.begin_uploads();
             }
+            DrawCommand::PrewarmChange(change) => return self.renderer.prewarm_change(&mut self.context, &change),
+            DrawCommand::SetMaxBytes { owner, max_bytes } => return self.context.set_max_bytes(owner, max_bytes),
             DrawCommand::CancelCompiles(tickets) => {
                 // The upload queue answers those that have not begun.
                 for _ in 0..self.uploads.len() {
@@ -473,6 +475,7 @@ impl DrawSide {
             read_back_ms,
             image,
             gpu_bytes: if index == 0 { self.context.bytes_in_use() } else { 0 },
+            gpu_bytes_allocated: if index == 0 { self.context.bytes_allocated() } else { 0 },
             gpu_bytes_peak: self.context.bytes_peak(),
             errors,
         };

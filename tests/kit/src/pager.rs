@@ -28,6 +28,10 @@ pub struct Context {
     /// Completes operations only in `run_compiles` with a time budget.
     pub waits: bool,
     waiting: Vec<Compiled>,
+    /// The bytes that the context claims to have allocated beyond its slots in use.
+    pub unused_bytes: u64,
+    /// The budget that the pager has announced.
+    pub max_bytes: Option<u64>,
     /// The compressed formats that the context claims to sample.
     pub block_formats: BlockFormats,
     /// The formats of the textures of base colours that were uploaded, in order.
@@ -41,6 +45,10 @@ impl CompileContext for Context {
 
     fn block_formats(&self) -> BlockFormats {
         self.block_formats
+    }
+
+    fn set_max_bytes(&mut self, max_bytes: u64) {
+        self.max_bytes = Some(max_bytes);
     }
 
     fn compile(&mut self, operation: CompileOperation) {
@@ -58,7 +66,8 @@ impl CompileContext for Context {
             false => PAGE_GPU_BYTES,
         };
         let to = if self.waits { &mut self.waiting } else { &mut self.done };
-        to.push(Compiled { ticket, slots, bytes, shared: Vec::new(), errors: Vec::new() });
+        let unused_bytes = self.unused_bytes;
+        to.push(Compiled { ticket, slots, bytes, shared: Vec::new(), errors: Vec::new(), unused_bytes });
     }
 
     fn cancel(&mut self, tickets: &[u64]) {

@@ -4,7 +4,7 @@ use std::sync::atomic::Ordering;
 
 use image::RgbaImage;
 use shuttle::thread;
-pub use terrane::draw::{DrawStats, FrameClock};
+pub use terrane::draw::{DrawStats, FrameClock, ViewChange};
 use terrane::scene::{DrawKind, Environment, Texture};
 use terrane::state::{DataVariance, OpaqueDrawData, TextureObject};
 
@@ -80,6 +80,8 @@ impl Renderer {
     pub fn prewarm(&mut self, _context: &mut GraphicsContext, _kinds: &[DrawKind]) -> u32 {
         0
     }
+
+    pub fn prewarm_change(&mut self, _context: &mut GraphicsContext, _change: &ViewChange) {}
 
     pub fn show_image(
         &mut self,
