@@ -150,7 +150,9 @@ fn flown(
     eye: impl Fn(u32) -> DVec3,
     mut ahead: impl FnMut(&Run, u32) -> Vec<PageRequest>,
 ) -> (u32, u64) {
-    let mut run = Run::new(set, PagerConfig { max_tiles, ..PagerConfig::default() });
+    // An update does all that it can, however slow the machine is.
+    let (update_time, merge_time) = (Duration::from_secs(60), Duration::from_secs(60));
+    let mut run = Run::new(set, PagerConfig { max_tiles, update_time, merge_time, ..PagerConfig::default() });
     run.max_sse_px = FINE_PX;
     run.settle(eye(0));
     let (mut missing, loaded) = (0, run.pager.stats().loaded);

@@ -2,14 +2,13 @@
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 mod fade;
-mod holes;
+mod flights;
 mod host_device;
 mod image_sequences;
 mod on_demand;
 mod per_frame;
 mod pipelines;
 mod pixels;
-mod replay;
 mod report;
 mod scene;
 mod shadows;

@@ -31,6 +31,7 @@ use crate::state::TextureObject;
 use drawn_stages::DrawnStages;
 use frames_in_flight::FramesInFlight;
 use pass_plan::PassPlan;
+pub(crate) use prewarm::StageKinds;
 pub use prewarm::ViewChange;
 use views::StageViews;
 

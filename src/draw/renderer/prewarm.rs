@@ -24,6 +24,9 @@ pub struct ViewChange {
     pub uses_stencil: bool,
 }
 
+/// Kinds of stages, each a target with an air, lights and shadows, in which drawables will be drawn.
+pub(crate) struct StageKinds(Vec<DrawnStage>);
+
 impl Renderer {
     /// Creates the pipelines that drawables of some kinds will need where the last frame drew, those of fades and shadows
     /// included. Before the first frame, pipelines are created for the context's own target. Returns how many did not exist
@@ -31,19 +34,29 @@ impl Renderer {
     ///
     /// Queues the textures of the kinds' states to be uploaded before the drawables that are queued next.
     pub fn prewarm(&mut self, ctx: &mut GraphicsContext, kinds: &[DrawKind]) -> u32 {
-        let before = self.resources.pipelines.created();
+        let stages = self.stage_kinds(ctx);
+        self.prewarm_for(ctx, kinds, &stages)
+    }
+
+    /// Returns the kinds of stages that the last frame has drawn and that are expected.
+    pub(crate) fn stage_kinds(&mut self, ctx: &GraphicsContext) -> StageKinds {
         if self.drawn_into.drawn_count() == 0
             && let Some(target) = self.own_target(ctx)
         {
             let air = AirKind::of(&Environment::default());
             self.drawn_into.add_expected(target, air);
         }
+        StageKinds(self.drawn_into.iter().copied().collect())
+    }
+
+    /// Like [`Self::prewarm`], for given kinds of stages.
+    pub(crate) fn prewarm_for(&mut self, ctx: &mut GraphicsContext, kinds: &[DrawKind], stages: &StageKinds) -> u32 {
+        let before = self.resources.pipelines.created();
         self.announce_textures(ctx, kinds);
-        let has_shadows = self.drawn_into.iter().any(|drawn| drawn.has_shadows);
+        let has_shadows = stages.0.iter().any(|drawn| drawn.has_shadows);
         for kind in kinds {
-            let stages: Vec<DrawnStage> = self.drawn_into.iter().copied().collect();
-            for stage in stages {
-                let result = self.prewarm_stage(ctx, kind, stage);
+            for stage in &stages.0 {
+                let result = self.prewarm_stage(ctx, kind, *stage);
                 self.report(kind, result);
             }
             if has_shadows {

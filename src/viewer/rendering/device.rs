@@ -371,9 +371,13 @@ impl DeviceHandle {
         }
     }
 
+    /// Creates the pipelines for kinds of drawables at once.
+    pub(in crate::viewer) fn prewarm_now(&mut self, kinds: &Arc<[DrawKind]>) {
+        let _ = self.send(DrawCommand::PrewarmNow(kinds.clone()));
+    }
+
     /// Creates the pipelines for a change of views, after the frames that were sent before.
     pub(in crate::viewer) fn prewarm_change(&mut self, change: &ViewChange) {
-        // An error of the draw thread is reported by the next frame.
         let _ = self.send(DrawCommand::PrewarmChange(Box::new(*change)));
     }
 

@@ -14,7 +14,7 @@ use super::frame_job::{DrawCommand, FrameDone, FrameJob, Reply};
 use super::millis::millis;
 use super::retained_slots::RetainedSlots;
 use crate::cull::RenderStage;
-use crate::draw::{CameraView, DrawStats, FrameClock, Renderer};
+use crate::draw::{CameraView, DrawStats, FrameClock, Renderer, StageKinds};
 use crate::gpu::{CompileBudget, CompileOperation, Compiled, GpuError, GraphicsContext};
 use crate::pager::ImageChange;
 use crate::scene::DrawKind;
@@ -27,8 +27,9 @@ const MAX_PIPELINES_AT_ONCE: u32 = 16;
 
 /// An upload that has arrived and not begun.
 enum Upload {
-    /// Kinds of drawables whose pipelines are created first, and how many kinds are done.
-    Prewarm(Arc<[DrawKind]>, usize),
+    /// Kinds of drawables whose pipelines are created first, for the stages that were drawn when they arrived, and how many
+    /// kinds are done.
+    Prewarm(Arc<[DrawKind]>, StageKinds, usize),
     Compile(CompileOperation),
 }
 
@@ -211,8 +212,13 @@ impl DrawSide {
     pub(super) fn execute(&mut self, command: DrawCommand) {
         let reply = match command {
             DrawCommand::Prewarm(kinds) => {
-                self.uploads.push_back(Upload::Prewarm(kinds, 0));
+                let stages = self.renderer.stage_kinds(&self.context);
+                self.uploads.push_back(Upload::Prewarm(kinds, stages, 0));
                 return self.begin_uploads();
+            }
+            DrawCommand::PrewarmNow(kinds) => {
+                self.renderer.prewarm(&mut self.context, &kinds);
+                return;
             }
             DrawCommand::Compile(operation) => {
                 self.uploads.push_back(Upload::Compile(operation));
@@ -348,11 +354,11 @@ impl DrawSide {
         while self.pipelines_left > 0
             && let Some(upload) = self.uploads.front_mut()
         {
-            if let Upload::Prewarm(kinds, done) = upload
+            if let Upload::Prewarm(kinds, stages, done) = upload
                 && let Some(kind) = kinds.get(*done)
             {
                 *done += 1;
-                let created = self.renderer.prewarm(&mut self.context, std::slice::from_ref(kind));
+                let created = self.renderer.prewarm_for(&mut self.context, std::slice::from_ref(kind), stages);
                 self.pipelines_left = self.pipelines_left.saturating_sub(created);
             } else if let Some(Upload::Compile(operation)) = self.uploads.pop_front() {
                 self.context.compile(operation);

@@ -72,6 +72,8 @@ pub(in crate::viewer) struct FrameDone {
 pub(super) enum DrawCommand {
     /// Creates the pipelines for kinds of drawables that will be uploaded.
     Prewarm(Arc<[DrawKind]>),
+    /// The same at once, however long that takes.
+    PrewarmNow(Arc<[DrawKind]>),
     /// Creates the pipelines for a change of views.
     PrewarmChange(Box<ViewChange>),
     /// Sets a pager's share of the budget of the pools.

@@ -40,6 +40,8 @@ pub struct CameraView<'a> {
     pub environment: &'a Environment,
 }
 
+pub struct StageKinds;
+
 pub struct Renderer {
     /// The context and the frame.
     pub timed: (u32, u32),
@@ -77,7 +79,15 @@ impl Renderer {
         Ok(DrawStats::default())
     }
 
+    pub fn stage_kinds(&mut self, _context: &GraphicsContext) -> StageKinds {
+        StageKinds
+    }
+
     pub fn prewarm(&mut self, _context: &mut GraphicsContext, _kinds: &[DrawKind]) -> u32 {
+        0
+    }
+
+    pub fn prewarm_for(&mut self, _context: &mut GraphicsContext, _kinds: &[DrawKind], _stages: &StageKinds) -> u32 {
         0
     }
 

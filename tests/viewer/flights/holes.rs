@@ -2,13 +2,13 @@
 //! and when all are loaded. Needs a GPU; a software adapter suffices.
 
 use std::path::Path;
-use terrane::scene::Sky;
+use terrane::scene::{Sky, SlotState};
 
 use kit::viewer::offscreen;
 use terrane_data_gen::ContentKind;
 
 use terrane::pager::PagerConfig;
-use terrane::viewer::{HoleCheck, KEY_COLOR, ThreadingModel, ViewerConfig};
+use terrane::viewer::{HoleCheck, KEY_COLOR, ThreadingModel, Viewer, ViewerConfig};
 
 const FRAMES: u32 = 100;
 
@@ -87,7 +87,10 @@ fn fly_low(set: &str, flight: &Flight) -> Option<(u64, u64)> {
     };
     // The root is loaded before the first frame that is checked.
     viewer.view_mut().camera.world_from_eye = pose(&bounds, eye_at(0.0), 0.0);
-    while viewer.stats().last().is_none_or(|s| s.tiles_drawn == 0) {
+    let root = |viewer: &Viewer| viewer.scene().tiles().next().and_then(|tile| tile.state);
+    while !matches!(root(&viewer), Some(SlotState::Resident(_)))
+        || viewer.stats().last().is_none_or(|s| s.tiles_drawn == 0)
+    {
         viewer.frame().unwrap();
     }
     let (mut holes, mut judged) = (0, 0);
