@@ -35,7 +35,6 @@
 
 mod config;
 mod database_pager;
-mod frame_times;
 mod images;
 mod loading;
 mod prefetch;
@@ -43,7 +42,6 @@ mod requests;
 mod residency;
 mod scenes;
 mod stats;
-mod time_budget;
 mod upload;
 
 pub use config::{PagerConfig, PagerError};

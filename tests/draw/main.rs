@@ -15,4 +15,3 @@ mod sky;
 mod surfaces;
 mod textures;
 mod tiles;
-mod tones;

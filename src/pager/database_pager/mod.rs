@@ -25,7 +25,6 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::config::{PagerConfig, PagerError};
-use super::frame_times::FrameTimes;
 use super::loading::config::{LimitRange, LoadConfig};
 use super::loading::page_job::PageJob;
 use super::loading::reaper::Reaper;
@@ -38,13 +37,12 @@ use super::residency::budget::Budget;
 use super::scenes::registry::SceneRegistry;
 use super::scenes::scene_set::SceneSet;
 use super::stats::{Errors, PagerStats};
-use super::time_budget::{TimeBudget, WorkClock};
 use super::upload::Arrivals;
 use super::upload::context::CompileContext;
 use super::upload::merge_order::MergeOrder;
 use crate::cull::PageRequest;
 #[cfg(feature = "http")]
-use crate::fetch::{self, LoadRoom};
+use crate::fetch;
 use crate::formats::ReadOptions;
 use crate::gpu::CompileBudget;
 use crate::scene::{BlockFormats, SharedStateManager};
@@ -73,18 +71,18 @@ pub struct DatabasePager {
     stats: PagerStats,
     errors: Errors,
     control: Control,
-    clock: WorkClock,
 }
 
 /// Switches that the application sets, and the state of the frame.
 #[derive(Debug)]
 struct Control {
-    /// The times of frames, the current one last.
-    times: FrameTimes,
+    frame: u32,
     is_paused: bool,
     takes_requests: bool,
     /// True if it was resumed since the last update.
     is_resumed: bool,
+    /// True if the request list is up to date, written after the last cull.
+    is_list_current: bool,
 }
 
 impl DatabasePager {
@@ -106,8 +104,6 @@ impl DatabasePager {
             max_files: LoadConfig::busy_jobs(readers, decoders) + DECODED_AHEAD * decoders,
             per_server: LimitRange::new(config.http_in_flight, config.http_in_flight_max),
             file_timeout: config.file_timeout,
-            max_bytes: config.max_bytes_loading,
-            waits_for_contents: !config.blocking,
             limits: config.limits,
         })?;
         let reaper = match config.blocking {
@@ -138,12 +134,12 @@ impl DatabasePager {
             stats: PagerStats::default(),
             errors: Errors::default(),
             control: Control {
-                times: FrameTimes::default(),
+                frame: 0,
                 is_paused: false,
                 takes_requests: true,
                 is_resumed: false,
+                is_list_current: false,
             },
-            clock: WorkClock::default(),
             config,
         })
     }
@@ -153,38 +149,22 @@ impl DatabasePager {
         self.table.continue_from(&before.table);
     }
 
-    /// Replaces the clock of the time budgets: it returns the time since an arbitrary moment.
-    #[cfg(feature = "testing")]
-    pub fn set_work_clock(&mut self, clock: impl Fn() -> Duration + Send + Sync + 'static) {
-        self.clock = WorkClock::new(clock);
-    }
-
-    /// Returns a budget of this much time from now on. The blocking mode has none, so that equal flights give equal tiles.
-    fn budget(&self, time: Duration) -> TimeBudget {
-        self.clock.budget((!self.config.blocking).then_some(time))
-    }
-
-    /// Runs the pager's turn with all its scenes, once a frame. `time_s` is the reference time of the frame in seconds, by
-    /// which pages expire. `requests` are the last culls' requests, all cameras and scenes together; all scenes count frames
-    /// alike.
-    ///
-    /// The cost follows the requests, what has arrived since the last update within [`PagerConfig::update_time`] and
-    /// [`PagerConfig::merge_time`], and the number of loads under way; neither the waiting requests nor the resident pages.
+    /// Runs the pager's turn with all its scenes, once a frame. `requests` are the last culls' requests, all cameras and
+    /// scenes together; all scenes count frames alike.
     pub fn update_scene_graph(
         &mut self,
         scenes: &mut dyn SceneSet,
         frame: u32,
-        time_s: f64,
         requests: &[PageRequest],
         contexts: &mut [&mut dyn CompileContext],
     ) {
-        self.begin_frame(frame, time_s);
+        self.begin_frame(frame);
         self.note_formats(contexts);
         self.accept(scenes, requests);
         self.accept_forced(scenes);
         self.merge_arrived(scenes, contexts);
         self.retry_failures(scenes);
-        self.write_list();
+        self.refresh_list();
         self.threads.list().ring_if_due();
         if self.config.blocking {
             self.load_all(scenes, contexts);
@@ -198,8 +178,8 @@ impl DatabasePager {
         self.scenes.block_formats().set(common.unwrap_or_default());
     }
 
-    fn begin_frame(&mut self, frame: u32, time_s: f64) {
-        self.control.times.begin(frame, time_s);
+    fn begin_frame(&mut self, frame: u32) {
+        self.control.frame = frame;
         self.control.is_resumed = false;
     }
 
@@ -209,6 +189,7 @@ impl DatabasePager {
     pub fn request(&mut self, scenes: &dyn SceneSet, requests: &[PageRequest]) {
         if self.accept(scenes, requests) {
             self.write_list();
+            self.control.is_list_current = true;
         }
     }
 
@@ -265,6 +246,7 @@ impl DatabasePager {
     pub fn set_paused(&mut self, is_paused: bool) {
         self.control.is_resumed |= self.control.is_paused && !is_paused;
         self.control.is_paused = is_paused;
+        self.control.is_list_current = false;
     }
 
     /// Pins the loading threads to a core, each before its next job; OSG's `setProcessorAffinity`. Cores are numbered as the
@@ -279,16 +261,26 @@ impl DatabasePager {
         self.control.takes_requests = takes_requests;
     }
 
-    /// Tells the request list what has changed; wakes no thread.
+    /// Writes the request list unless it was written after the last cull and nothing has changed since.
+    fn refresh_list(&mut self) {
+        if !self.control.is_list_current || self.scheduler.shortage().has_blocked_page() {
+            self.write_list();
+        }
+        self.control.is_list_current = false;
+    }
+
+    /// Writes the request list in order of priority; wakes no thread.
     fn write_list(&mut self) {
-        let conditions = conditions(&self.config, &self.control, &self.arrivals, &self.residency, &self.threads);
+        let conditions =
+            conditions(&self.config, &self.control, &self.scenes, &self.table, &self.arrivals, &self.residency);
         let list = self.threads.list();
         self.stats.stale += self.scheduler.write_list(&mut self.table, list, &conditions);
     }
 
     /// Lets the threads continue if there is more room than when the list was written.
     fn update_limits(&self) {
-        let conditions = conditions(&self.config, &self.control, &self.arrivals, &self.residency, &self.threads);
+        let conditions =
+            conditions(&self.config, &self.control, &self.scenes, &self.table, &self.arrivals, &self.residency);
         self.scheduler.update_limits(self.threads.list(), &conditions);
     }
 }
@@ -296,19 +288,20 @@ impl DatabasePager {
 /// Collects what the request list depends on.
 fn conditions<'a>(
     config: &'a PagerConfig,
-    control: &'a Control,
+    control: &Control,
+    scenes: &SceneRegistry,
+    table: &RequestTable,
     arrivals: &Arrivals,
     residency: &Residency,
-    threads: &LoadThreads<PageJob>,
 ) -> Conditions<'a> {
+    let is_prefetch = |slot: &_| table.get(*slot).is_some_and(|entry| entry.is_prefetch());
     Conditions {
         config,
-        times: &control.times,
+        frame: control.frame,
         is_paused: control.is_paused,
         room: residency.room(arrivals.total()),
-        // In the blocking mode loads wait for their bytes, which depend on timing, in the threads alone.
-        load_room: if config.blocking { LoadRoom::UNLIMITED } else { threads.budgets().bodies.room() },
         arrived_pages: arrivals.total().pages,
-        arrived_prefetches: arrivals.prefetches(),
+        arrived_prefetches: arrivals.slots().filter(is_prefetch).count(),
+        has_several_scenes: scenes.has_several(),
     }
 }

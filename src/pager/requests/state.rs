@@ -67,8 +67,6 @@ mod tests {
             known_size: None,
             progress: Progress::Waiting,
             paging: PagingOptions::default(),
-            listed: None,
-            is_noted: false,
         }
     }
 

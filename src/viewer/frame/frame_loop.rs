@@ -215,9 +215,9 @@ impl FrameLoop {
             view.prepare(&self.rendering, scenes[view.scene()].bounds());
         }
         if self.is_blocking() {
-            let stamp = self.stamp();
+            let frame = self.stamp().frame;
             for group in self.pagers.iter_mut() {
-                stats.merge_ms += load_all(group, views, scenes, &mut self.rendering, &mut self.probe, &stamp);
+                stats.merge_ms += load_all(group, views, scenes, &mut self.rendering, &mut self.probe, frame);
             }
         }
         self.cull_and_draw(views, scenes, is_dynamic)?;
@@ -242,9 +242,9 @@ impl FrameLoop {
     ) -> Result<bool, ViewerError> {
         scenes.values_mut().for_each(|scene| scene.scene_mut().compute_bounds());
         self.look_ahead(views, scenes);
-        let stamp @ FrameStamp { simulation_time_s, .. } = self.stamp();
+        let FrameStamp { frame, simulation_time_s, .. } = self.stamp();
         for group in self.pagers.iter_mut() {
-            stats.merge_ms += group.page(scenes, &mut self.rendering, &stamp);
+            stats.merge_ms += group.page(scenes, &mut self.rendering, frame);
         }
         let mut is_dynamic = false;
         for scene in scenes.values_mut() {

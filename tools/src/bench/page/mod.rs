@@ -107,8 +107,6 @@ struct Bench {
     scene: Scene,
     pager: DatabasePager,
     context: UploadContext,
-    /// The start of the reference time.
-    started: Instant,
     renderer: Option<terrane::draw::Renderer>,
     visitor: CullVisitor,
     stage: RenderStage,
@@ -186,7 +184,6 @@ pub fn run(options: Options) -> Result<()> {
         scene,
         pager,
         context: UploadContext(graphics),
-        started: Instant::now(),
         renderer,
         visitor: CullVisitor::new(),
         stage: RenderStage::new(),
@@ -335,9 +332,7 @@ impl Bench {
         if is_flying {
             self.look_ahead(frame);
         }
-        let time_s = self.started.elapsed().as_secs_f64();
-        let contexts: &mut [&mut dyn CompileContext] = &mut [&mut self.context];
-        self.pager.update_scene_graph(&mut self.scene, self.frame, time_s, &self.stage.requests, contexts);
+        self.pager.update_scene_graph(&mut self.scene, self.frame, &self.stage.requests, &mut [&mut self.context]);
         let t1 = Instant::now();
         self.visitor.cull(&self.scene, &self.camera(self.pose(frame), self.frame), &mut self.stage);
         self.pager.request(&self.scene, &self.stage.requests);

@@ -1,5 +1,0 @@
-//! Budgets of memory, which pages leave first, and the time that an update takes.
-
-mod eviction;
-mod memory;
-mod update_time;
