@@ -9,6 +9,8 @@ use crate::scene::DrawSlot;
 /// The time that freeing slots may take in a frame. A large tile set that is removed at once is spread over several frames;
 /// OSG's budget for `flushDeletedGLObjects`.
 const MAX_TIME: Duration = Duration::from_micros(300);
+/// If no frame has begun for this long, none is delayed, and all slots are freed at once.
+const IDLE_TIME: Duration = Duration::from_millis(100);
 /// Slots freed between two looks at the clock: 100 ns each at most.
 const SLOTS_PER_LOOK: usize = 32;
 
@@ -17,24 +19,29 @@ pub(in crate::gpu) struct RetireQueue {
     slots: VecDeque<DrawSlot>,
     /// The rest of the frame's time.
     left_in_frame: Duration,
+    frame_began: Instant,
 }
 
 impl Default for RetireQueue {
     fn default() -> Self {
-        Self { slots: VecDeque::new(), left_in_frame: MAX_TIME }
+        Self { slots: VecDeque::new(), left_in_frame: MAX_TIME, frame_began: Instant::now() }
     }
 }
 
 impl RetireQueue {
-    /// Adds drawables, and frees as many as the frame has time for.
+    /// Adds drawables, and frees as many as the frame has time for; all if no frames are drawn.
     pub(in crate::gpu) fn release(&mut self, slots: &[DrawSlot], pools: &mut Pools) {
         self.slots.extend(slots);
-        self.free_in_time(pools, Instant::now);
+        if self.frame_began.elapsed() > IDLE_TIME {
+            self.free_all(pools);
+        } else {
+            self.free_in_time(pools, Instant::now);
+        }
     }
 
     /// Begins the next frame's time.
     pub(in crate::gpu) fn start_frame(&mut self, pools: &mut Pools) {
-        self.left_in_frame = MAX_TIME;
+        (self.left_in_frame, self.frame_began) = (MAX_TIME, Instant::now());
         self.free_in_time(pools, Instant::now);
     }
 

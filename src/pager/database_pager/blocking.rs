@@ -43,6 +43,9 @@ impl DatabasePager {
                 self.received(&answer);
                 answers.push(answer);
             }
+            // An answer lets its thread take the next job.
+            let list = self.threads.list();
+            list.ring(list.lock());
         }
         answers.sort_by_key(|answer| answer.job.ticket.number());
         answers
