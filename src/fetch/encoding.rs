@@ -9,9 +9,17 @@ use super::limits::Limits;
 /// The `Accept-Encoding` of requests.
 #[cfg(feature = "http")]
 pub(crate) const ACCEPT: &str = "zstd, br, gzip";
+/// The first bytes of gzip.
+const GZIP_MAGIC: [u8; 2] = [0x1f, 0x8b];
 /// The maximum number of encodings applied to one body.
 #[cfg(feature = "http")]
 const MAX_ENCODINGS: usize = 4;
+
+/// Returns true if [`decode`] makes other bytes of a body.
+#[cfg(feature = "http")]
+pub(crate) fn is_encoded(bytes: &[u8], encodings: &str) -> bool {
+    !encodings.is_empty() || bytes.starts_with(&GZIP_MAGIC)
+}
 
 /// Decodes a body by its `Content-Encoding`, last encoding first, and then gzip that the header does not list.
 #[cfg(feature = "http")]
@@ -75,7 +83,7 @@ pub(crate) fn unzstd(uri: &str, mut bytes: &[u8], limit: u64) -> Result<Vec<u8>,
 /// Decodes gzip if the bytes begin with its magic; returns other bytes unchanged. Servers and disks often hold gzip files
 /// without declaring it.
 pub(crate) fn gunzip(uri: &str, bytes: Vec<u8>, limits: &Limits) -> Result<Vec<u8>, IoError> {
-    if !bytes.starts_with(&[0x1f, 0x8b]) {
+    if !bytes.starts_with(&GZIP_MAGIC) {
         return Ok(bytes);
     }
     let max_bytes = limits.max_file_bytes.saturating_add(1);

@@ -4,6 +4,8 @@ use std::net::IpAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
+#[cfg(feature = "http")]
+use super::byte_budget::NoRoom;
 use super::uri::{is_remote, shown};
 
 /// The reason why a URI could not be read or decoded. Every variant names the URI. The error text omits the user name, the
@@ -133,6 +135,15 @@ pub enum IoError {
         /// The limit.
         limit: u64,
     },
+    /// The content has no room among the bytes that are loaded at once. The pager waits for room and requests it again; its
+    /// callers never get this error.
+    #[error("{}: {needed} bytes have no room now", shown(.uri))]
+    NoRoom {
+        /// The URI of the bytes.
+        uri: String,
+        /// The bytes that the content needs, or a lower bound of them.
+        needed: u64,
+    },
 }
 
 impl IoError {
@@ -152,7 +163,8 @@ impl IoError {
             | Self::Invalid { uri, .. }
             | Self::Markup { uri }
             | Self::Unsupported { uri, .. }
-            | Self::TooLarge { uri, .. } => uri,
+            | Self::TooLarge { uri, .. }
+            | Self::NoRoom { uri, .. } => uri,
         }
     }
 
@@ -217,6 +229,11 @@ impl IoError {
 
     pub(crate) fn invalid(uri: &str, reason: impl Into<String>) -> Self {
         Self::Invalid { uri: uri.to_owned(), reason: reason.into() }
+    }
+
+    #[cfg(feature = "http")]
+    pub(crate) fn no_room(uri: &str, no_room: NoRoom) -> Self {
+        Self::NoRoom { uri: uri.to_owned(), needed: no_room.needed }
     }
 
     pub(crate) fn unsupported(uri: &str, what: impl Into<String>) -> Self {

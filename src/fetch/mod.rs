@@ -5,6 +5,8 @@
 //! reason.
 
 mod archive;
+#[cfg_attr(not(feature = "http"), allow(dead_code, reason = "only answers of servers claim bytes"))]
+mod byte_budget;
 mod cache;
 pub(crate) mod encoding;
 mod error;
@@ -24,6 +26,9 @@ mod uri;
 
 #[cfg(feature = "testing")]
 pub use archive::{fuzz_index, fuzz_pmtiles};
+pub(crate) use byte_budget::{BudgetUse, ByteBudget, LoadRoom, Permit};
+#[cfg(feature = "http")]
+pub(crate) use byte_budget::{Claim, NoRoom};
 pub use cache::CacheStats;
 #[cfg(all(feature = "http", feature = "testing"))]
 pub use cache::fuzz_cache_entry;
@@ -54,5 +59,5 @@ pub(crate) use time_limit::run_within;
 pub use uri::fuzz_url;
 pub(crate) use uri::path_of;
 #[cfg(feature = "http")]
-pub(crate) use uri::{is_at, server};
+pub(crate) use uri::server;
 pub use uri::{is_http, is_remote, is_store, shown};

@@ -34,12 +34,6 @@ pub(crate) fn server(uri: &str) -> &str {
     uri.get(..end).unwrap_or(uri)
 }
 
-/// Returns true if `server`, as [`server`] returned it for some URI, is the server of `uri` too.
-#[cfg(feature = "http")]
-pub(crate) fn is_at(uri: &str, server: &str) -> bool {
-    uri.strip_prefix(server).is_some_and(|rest| rest.is_empty() || rest.starts_with(['/', '?', '#']))
-}
-
 /// Returns a URI for errors, logs and reports. User name, password and query values of a URL are omitted.
 pub fn shown(uri: &str) -> Cow<'_, str> {
     if !is_remote(uri) {
@@ -126,7 +120,7 @@ mod tests {
         for (uri, is_there) in
             [("http://a:80/x", true), ("http://a:80", true), ("http://a:80?x", true), ("http://a:8080/x", false)]
         {
-            assert_eq!((is_at(uri, "http://a:80"), server(uri) == "http://a:80"), (is_there, is_there), "{uri}");
+            assert_eq!(server(uri) == "http://a:80", is_there, "{uri}");
         }
     }
 }

@@ -20,6 +20,8 @@ pub(crate) struct Memory {
     /// Bytes that may still be allocated; unlimited outside of tests. Written by the draw thread, reduced by each thread that
     /// allocates.
     left_bytes: Arc<AtomicU64>,
+    /// Bytes that blocks may take before the budget is full. Of the pools' own clone.
+    room_bytes: u64,
 }
 
 impl Memory {
@@ -29,6 +31,7 @@ impl Memory {
             limits: device.limits(),
             block_formats: block_formats(device.features()),
             left_bytes: Arc::new(AtomicU64::new(u64::MAX)),
+            room_bytes: u64::MAX,
         }
     }
 
@@ -43,6 +46,15 @@ impl Memory {
     /// Returns the families of compressed formats that the device samples.
     pub(super) fn block_formats(&self) -> BlockFormats {
         self.block_formats
+    }
+
+    /// Returns the bytes that blocks may take before the budget is full.
+    pub(super) fn room_bytes(&self) -> u64 {
+        self.room_bytes
+    }
+
+    pub(super) fn set_room_bytes(&mut self, room_bytes: u64) {
+        self.room_bytes = room_bytes;
     }
 
     /// Creates a buffer or texture of a size; `what` names its use in the error text.

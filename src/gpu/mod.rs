@@ -27,7 +27,7 @@ pub use upload::{CompileBudget, CompileOperation, CompilePace, CompileStats, Com
 #[cfg(feature = "testing")]
 pub use context::SurfaceAnswer;
 
-pub(crate) use context::{DEPTH_FORMAT, FrameTimer, TransientAttachments};
+pub(crate) use context::{DEPTH_FORMAT, FrameTimer, TransientAttachments, is_encoded_by_shader};
 pub(crate) use error_scope::catch_errors;
 pub(crate) use memory::Memory;
 pub(crate) use pools::{

@@ -10,6 +10,9 @@ use crate::scene::ShareModes;
 /// The time limit for reading a local file by default: longer than a disk that was stopped takes to start.
 pub(in crate::pager) const DEFAULT_FILE_TIMEOUT: Duration = Duration::from_secs(30);
 
+/// Half of it are 32 requests of six megabytes, and the whole leaves room for the rest of a process of one gigabyte.
+const DEFAULT_BYTES_LOADING: u64 = 384 << 20;
+
 /// Configuration of a [`DatabasePager`](super::DatabasePager): threads, budgets and timeouts. It has many fields because
 /// each is an independent setting.
 #[derive(Clone, Debug)]
@@ -29,28 +32,40 @@ pub struct PagerConfig {
     /// Prefetches in flight at once beside other requests (see [`PageRequest::ahead`](crate::cull::PageRequest::ahead)). A
     /// server gets more of them as long as a quarter of its slots stays free. 0 disables prefetching.
     pub ahead_in_flight: usize,
-    /// Maximum CPU bytes of pages that are merged or have arrived, and of tile trees. Not counted: per decode thread, one
-    /// page that it decodes, up to twelve that the main thread has not taken, and up to 8 MiB that wait for their upload.
+    /// Maximum CPU bytes of pages that are merged or have arrived, and of tile trees, without what is yet to be uploaded.
     pub max_bytes_cpu: u64,
+    /// Maximum CPU bytes of what is on its way: half of it for files and answers of servers until they are decoded, half for
+    /// pages until they are merged. Loads wait for room before they begin. A content that is larger than that is loaded
+    /// alone. Not counted: what a decoder needs while it decodes, and files that a local content refers to.
+    pub max_bytes_loading: u64,
     /// Maximum GPU bytes of pages that are merged or uploaded. A page's size is known after its upload; until then the mean
     /// of recent pages is reserved. A page that turns out larger than the free room is declined at once.
+    ///
+    /// Free slots of the contexts' blocks and textures of state sets count too: uploads that need further memory wait, and pages that are not shown
+    /// expire until blocks are freed. Near the budget blocks grow by single slots.
     pub max_bytes_gpu: u64,
     /// Maximum number of pages that are merged or have arrived.
     pub max_tiles: usize,
-    /// A page may expire once it was not wanted for this many frames.
-    pub expiry_frames: u32,
-    /// A page may expire once it was found unused for this long; ignored when room is short.
+    /// A page may expire once it was not wanted for this long, by the reference time of frame stamps; the viewer's blocking
+    /// mode counts their simulation time. When room is short for
+    /// what a frame lacks, the pages that the last frames did not show leave, the least recently used first.
     pub expiry_time: Duration,
-    /// A request that was not renewed for this many frames is dropped before it costs I/O.
-    pub stale_frames: u32,
-    /// A running HTTP request that was not renewed for this many frames is aborted.
-    pub abort_frames: u32,
+    /// A page may expire once it was also not wanted for this many frames, however long these take; ignored when room is
+    /// short.
+    pub expiry_frames: u32,
+    /// A request that was not renewed for this long is dropped before it costs I/O. Two frames may always pass.
+    pub stale_time: Duration,
+    /// A running HTTP request that was not renewed for this long is aborted. Two frames may always pass.
+    pub abort_time: Duration,
     /// Uploads arrived pages as frames leave time for it, before they are merged (OSG's pre-compile). Without it a page is
     /// uploaded whole in the update that finds it, however long that takes: for offscreen images, or applications that
     /// load behind a loading screen.
     pub pre_compile: bool,
-    /// Time for merging per frame; one page is always merged.
+    /// Time for merging per update; one page is always merged. The blocking mode has no such budget.
     pub merge_time: Duration,
+    /// Time per update for accepting loaded contents, and as much for expiring pages. One of each is always done, and the
+    /// others wait for the next update or for the time before it. The blocking mode has no such budget.
+    pub update_time: Duration,
     /// Back-off before a failed load is retried while it is wanted; doubled each time, up to five minutes.
     pub retry_after: Duration,
     /// Maximum attempts to load a URI; `None` for no limit, so that loads resume after a long network outage. Errors that
@@ -90,14 +105,16 @@ impl Default for PagerConfig {
             decode_threads: cores.clamp(1, 16),
             ahead_in_flight: 8,
             max_bytes_cpu: 512 << 20,
+            max_bytes_loading: DEFAULT_BYTES_LOADING,
             max_bytes_gpu: 1 << 30,
             max_tiles: 6000,
-            expiry_frames: 30,
-            expiry_time: Duration::ZERO,
-            stale_frames: 3,
-            abort_frames: 30,
+            expiry_time: Duration::from_millis(500),
+            expiry_frames: 2,
+            stale_time: Duration::from_millis(50),
+            abort_time: Duration::from_millis(500),
             pre_compile: true,
             merge_time: Duration::from_millis(1),
+            update_time: Duration::from_millis(1),
             retry_after: Duration::from_secs(5),
             max_tries: None,
             limits: Limits::default(),

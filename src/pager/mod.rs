@@ -35,6 +35,7 @@
 
 mod config;
 mod database_pager;
+mod frame_times;
 mod images;
 mod loading;
 mod prefetch;
@@ -42,6 +43,7 @@ mod requests;
 mod residency;
 mod scenes;
 mod stats;
+mod time_budget;
 mod upload;
 
 pub use config::{PagerConfig, PagerError};

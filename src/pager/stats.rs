@@ -59,8 +59,20 @@ pub struct PagerStats {
     /// GPU bytes of merged pages and of those that are uploaded and wait for their merge. Never exceeds
     /// [`PagerConfig::max_bytes_gpu`](super::PagerConfig::max_bytes_gpu).
     pub gpu_bytes_held: u64,
+    /// Bytes of GPU memory that the contexts have allocated beyond what is in use, after their last uploads: free slots of
+    /// blocks, and blocks that are being replaced by larger ones. Textures of state sets count here.
+    pub gpu_bytes_unused: u64,
     /// Maximum of `gpu_bytes_held`, measured after room was made for an upload.
     pub gpu_bytes_held_peak: u64,
+    /// CPU bytes on their way: read and not decoded, or decoded and not merged. Exceeds
+    /// [`PagerConfig::max_bytes_loading`](super::PagerConfig::max_bytes_loading) only by what is larger than was expected.
+    pub loading_bytes: u64,
+    /// Maximum of `loading_bytes`, or slightly more.
+    pub loading_bytes_peak: u64,
+    /// Times that a load waited until bytes were free.
+    pub loading_waits: u64,
+    /// Sum of these waits, seconds.
+    pub loading_wait_s: f64,
     /// Maximum number of pages merged or arrived; never exceeds
     /// [`PagerConfig::max_tiles`](super::PagerConfig::max_tiles).
     pub held_peak: u64,

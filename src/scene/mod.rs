@@ -62,7 +62,7 @@ pub use nodes::{
 pub use pages::{DrawSlot, Page};
 pub use settings::{
     CameraEnvironment, CameraShadows, ComputeNearFar, CullSettings, CullingMode, DistanceFog, Environment, Inherit,
-    MAX_CASCADES, SMALL_FEATURE_PX, ShadowError, Sky, SunShadows, Water,
+    MAX_CASCADES, SMALL_FEATURE_PX, ShadowError, Sky, SunShadows, ToneMapping, Water,
 };
 pub use sharing::{ContentKey, ShareModes, SharedStateManager, SharingStats};
 pub use tile_tree::{SlotInfo, SlotState, TileInfo};

@@ -80,7 +80,8 @@ pub struct TextureObject {
     pub format: TextureFormat,
     /// Number of mip levels, each half the size of the one before.
     pub levels: u32,
-    /// Texels by level, with all layers of a level together; empty for a target.
+    /// Texels by level, with all layers of a level together; empty for a target. If there are texels of the first level
+    /// alone and more levels, the adapter computes the others, each texel as the mean of four. Volumes need all levels.
     pub texels: Vec<Vec<u8>>,
     /// The contents change over time, as those of an [`ImageSequence`](crate::pager::ImageSequence). Such a texture is never
     /// replaced by another one of equal contents.
@@ -101,6 +102,12 @@ impl TextureObject {
         })
     }
 
+    /// Creates an sRGB image from RGBA bytes, whose mip levels the adapter computes.
+    pub fn image_with_mips(name: &str, size: [u32; 2], rgba: Vec<u8>) -> Arc<Self> {
+        let levels = (32 - size[0].max(size[1]).leading_zeros()).max(1);
+        Arc::new(Self { levels, ..Arc::unwrap_or_clone(Self::image(name, size, rgba)) })
+    }
+
     /// Creates a target for cameras to draw into.
     pub fn target(name: &str, size: [u32; 2], format: TextureFormat) -> Arc<Self> {
         Arc::new(Self {
@@ -112,6 +119,11 @@ impl TextureObject {
             texels: Vec::new(),
             is_changing: false,
         })
+    }
+
+    /// Returns true if the adapter computes the levels below the first.
+    pub(crate) fn computes_levels(&self) -> bool {
+        self.levels > 1 && self.texels.len() == 1 && self.dimension != TextureDimension::D3
     }
 
     /// Returns the size of a level.
@@ -141,7 +153,8 @@ impl TextureObject {
         if self.texels.is_empty() {
             return None;
         }
-        if self.texels.len() != self.levels as usize || self.format.is_depth() {
+        let has_levels = self.texels.len() == self.levels as usize || self.computes_levels();
+        if !has_levels || self.format.is_depth() {
             return Some(format!("texture {:?}: texels of {} levels", self.name, self.texels.len()));
         }
         (0..self.levels).zip(&self.texels).find_map(|(level, texels)| {
@@ -257,7 +270,14 @@ mod tests {
         assert!(change(|t| t.texels[0].truncate(31)).unwrap_or_default().contains("31 bytes instead of 32"));
         assert!(change(|t| t.levels = 4).is_some());
         assert!(change(|t| t.dimension = TextureDimension::Cube).is_some());
-        assert!(change(|t| t.levels = 2).is_some(), "texels of one level only");
+        assert!(change(|t| t.levels = 2).is_none(), "the second level is computed");
+        assert!(
+            change(|t| (t.levels, t.texels) = (3, vec![vec![0; 32], vec![0; 8]])).is_some(),
+            "one level is missing"
+        );
+        let volume = change(|t| (t.dimension, t.levels) = (TextureDimension::D3, 2));
+        assert!(volume.is_some(), "levels of volumes are not computed");
+        assert_eq!(TextureObject::image_with_mips("mips", [5, 300], vec![0; 6000]).levels, 9);
         assert!(change(|t| t.texels.clear()).is_none());
     }
 }

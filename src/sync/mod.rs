@@ -17,6 +17,7 @@ mod operation_thread;
 /// The primitives of files that are model-checked; the model checker substitutes its own.
 pub(crate) mod primitives {
     pub use crossbeam_channel as channel;
+    pub(crate) use pollster::block_on;
     pub use std::sync::{Arc, Condvar, Mutex, MutexGuard};
     pub use std::thread::{Builder, JoinHandle};
 }

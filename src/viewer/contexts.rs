@@ -5,6 +5,7 @@ use super::composite::CompositeViewer;
 #[cfg(feature = "window")]
 use super::config::Screen;
 use super::ids::{ContextId, ViewId};
+use crate::draw::ViewChange;
 use crate::gpu::{ContextTraits, GraphicsContext};
 
 /// Contexts: the windows and textures that views are drawn in.
@@ -78,6 +79,14 @@ impl CompositeViewer {
         of_view.prepare(&self.frame.rendering, bounds);
         of_view.request_redraw();
         Ok(())
+    }
+
+    /// Creates the pipelines that views need after a change of their environment, of light 0 or of the stencil, before the frame
+    /// that shows the change. What is loaded later gets both kinds of pipelines. The devices' threads do this between two
+    /// frames; the first draw with a pipeline may still be slow on software drivers. See
+    /// [`Renderer::prewarm_change`](crate::draw::Renderer::prewarm_change) for what is not covered.
+    pub fn prewarm_change(&mut self, change: &ViewChange) {
+        self.frame.prewarm_change(change);
     }
 
     /// Sets [`ViewerConfig::frames_to_retain`](super::ViewerConfig::frames_to_retain), also for drawables that are kept already.

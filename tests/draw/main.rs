@@ -15,3 +15,4 @@ mod sky;
 mod surfaces;
 mod textures;
 mod tiles;
+mod tones;

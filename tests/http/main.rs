@@ -15,6 +15,8 @@ mod client;
 mod fill;
 #[cfg(feature = "http")]
 mod hosts;
+#[cfg(feature = "http")]
+mod loading_budget;
 #[cfg(feature = "object-store")]
 mod object_stores;
 #[cfg(feature = "http")]

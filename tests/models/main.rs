@@ -12,6 +12,7 @@
     reason = "the library's files, of which each test uses a part"
 )]
 
+mod budget_models;
 mod compile_models;
 #[cfg(feature = "http")]
 mod pager_models;
@@ -47,9 +48,5 @@ mod fetch {
     pub fn server(uri: &str) -> &str {
         let end = uri.match_indices('/').nth(2).map_or(uri.len(), |(end, _)| end);
         &uri[..end]
-    }
-
-    pub fn is_at(uri: &str, of: &str) -> bool {
-        server(uri) == of
     }
 }

@@ -4,6 +4,8 @@
 
 #[path = "../../src/pager/loading/request_list.rs"]
 mod request_list;
+#[path = "../../src/pager/loading/waiting_jobs.rs"]
+mod waiting_jobs;
 
 mod ticket {
     pub type Ticket = u64;
@@ -48,6 +50,8 @@ mod job {
     }
 
     impl Request for Job {
+        type Scene = ();
+
         fn ticket(&self) -> Ticket {
             self.ticket
         }
@@ -56,9 +60,13 @@ mod job {
             &self.uri
         }
 
+        fn scene(&self) {}
+
         fn is_prefetch(&self) -> bool {
             false
         }
+
+        fn set_prefetch(&mut self, _: bool) {}
 
         fn servers(&self) -> &[String] {
             &self.servers
@@ -81,6 +89,7 @@ use server_limits::ServerLimits;
 use shuttle::sync::atomic::AtomicUsize;
 use shuttle::sync::{Arc, Barrier, Mutex};
 use shuttle::thread::{self, JoinHandle};
+use waiting_jobs::Urgency;
 
 /// An answer for the update: the job, and whether it has a content.
 type Answer = (Job, bool);
@@ -89,13 +98,15 @@ fn files(count: u64) -> Vec<Job> {
     (0..count).map(|ticket| Job::new(ticket, "/set/a.glb")).collect()
 }
 
-/// Does the update's part of a frame: lists the jobs that no thread has taken, the most urgent last, and wakes threads.
+/// Does the update's part of a frame: lists the jobs that no thread has taken, the last the most urgent, and wakes threads.
 fn update(list: &RequestList<Job>, jobs: &mut BTreeMap<u64, Job>) {
     let mut state = list.lock();
-    for ticket in state.drain_taken() {
-        jobs.remove(&ticket);
+    for job in state.drain_taken() {
+        jobs.remove(&job.ticket);
     }
-    state.set_jobs(jobs.values().cloned());
+    for job in jobs.values() {
+        state.insert(job.clone(), Urgency::new(job.ticket as f32, false), 0);
+    }
     drop(state);
     list.ring_if_due();
 }
@@ -110,7 +121,7 @@ fn accept(list: &RequestList<Job>, jobs: &mut BTreeMap<u64, Job>, outstanding: &
     jobs.remove(&job.ticket);
     let mut state = list.lock();
     let outstanding = list.capacity();
-    state.set_limits(Limits { outstanding, prefetch_room: 0, prefetch_beside_others: 0 });
+    state.set_limits(Limits { outstanding, prefetch_room: 0, prefetch_beside_others: 0, aged_before: 0 });
     list.ring(state);
 }
 

@@ -8,6 +8,7 @@ pub mod thread;
 pub mod primitives {
     pub use super::channel;
     pub use super::thread::{Builder, JoinHandle};
+    pub use shuttle::future::block_on;
     pub use shuttle::sync::{Arc, Condvar, Mutex, MutexGuard};
 }
 

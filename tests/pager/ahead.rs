@@ -150,7 +150,9 @@ fn flown(
     eye: impl Fn(u32) -> DVec3,
     mut ahead: impl FnMut(&Run, u32) -> Vec<PageRequest>,
 ) -> (u32, u64) {
-    let mut run = Run::new(set, PagerConfig { max_tiles, ..PagerConfig::default() });
+    // An update does all that it can, however slow the machine is.
+    let (update_time, merge_time) = (Duration::from_secs(60), Duration::from_secs(60));
+    let mut run = Run::new(set, PagerConfig { max_tiles, update_time, merge_time, ..PagerConfig::default() });
     run.max_sse_px = FINE_PX;
     run.settle(eye(0));
     let (mut missing, loaded) = (0, run.pager.stats().loaded);
@@ -248,7 +250,7 @@ fn room_for_a_prefetch_is_made_in_the_frame_that_requests_it() {
     let set = folder.path().to_str().unwrap();
     // The budget is full of pages that were visible before; they are evicted only for lack of room.
     let seen = |config| {
-        let mut run = Run::new(set, PagerConfig { expiry_frames: 1_000_000, ..config });
+        let mut run = Run::new(set, PagerConfig { expiry_time: Duration::MAX, ..config });
         for eye in [ASIDE, 0.5 * (ASIDE + THERE), 0.5 * (HERE + ASIDE), HERE] {
             run.settle(eye);
         }
@@ -283,7 +285,7 @@ fn prefetch_keeps_the_limit_of_requests_in_flight() {
     run.settle(THERE);
     let max_tiles = run.pager.stats().resident as usize;
     // No page expires by its age.
-    let off = PagerConfig { ahead_in_flight: 0, max_tiles, expiry_frames: 1_000_000, ..PagerConfig::default() };
+    let off = PagerConfig { ahead_in_flight: 0, max_tiles, expiry_time: Duration::MAX, ..PagerConfig::default() };
     let mut run = Run::new(folder.path().to_str().unwrap(), off);
     run.settle(HERE);
     for _ in 0..20 {

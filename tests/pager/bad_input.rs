@@ -336,11 +336,11 @@ fn failures_out_of_view_are_forgotten_if_there_are_thousands() {
         let mut run = Run::new(folder.path().to_str().unwrap(), PagerConfig::default());
         let (near, far) = (above(5.0), above(1e7));
         run.settle(near);
-        assert_eq!((run.pager.stats().failed, run.pager.request_states().len()), (children, children as usize));
+        assert_eq!((run.pager.stats().failed, run.pager.request_states().count()), (children, children as usize));
         (0..100).for_each(|_| run.frame(near));
-        assert_eq!(run.pager.request_states().len(), children as usize, "visible ones are not requested again");
+        assert_eq!(run.pager.request_states().count(), children as usize, "visible ones are not requested again");
         (0..100).for_each(|_| run.frame(far));
-        assert_eq!(run.pager.request_states().len(), remembered);
+        assert_eq!(run.pager.request_states().count(), remembered);
         run.settle(near);
         let again = children - remembered as u64;
         assert_eq!(run.pager.stats().failed, children + again, "one more request when the camera returns");

@@ -1,6 +1,7 @@
 //! The tile tree itself is paged: external tilesets leave memory like contents, and come back. No GPU.
 
 use std::path::Path;
+use std::time::Duration;
 
 use glam::DVec3;
 use kit::pager::Run;
@@ -78,7 +79,7 @@ fn external_tilesets_expire_with_the_budget() {
         assert_eq!(sets, SETS * SETS);
         let all_bytes = whole.pager.stats().cpu_bytes;
         let budget = all_bytes / 6;
-        let config = PagerConfig { max_bytes_cpu: budget, expiry_frames: 3, ..PagerConfig::default() };
+        let config = PagerConfig { max_bytes_cpu: budget, expiry_time: Duration::ZERO, ..PagerConfig::default() };
         let mut run = Run::new(source, config);
         for step in 0..40 {
             let along = f64::from(step % 20) / 20.0 * 2.0 * center;

@@ -1,6 +1,7 @@
 //! Implicit tiling through the pager: subtrees are pages that are loaded, refined and expired like others. No GPU.
 
 use std::path::Path;
+use std::time::Duration;
 
 use kit::pager::{Run, above};
 use kit::subtrees::{Availability, Scheme, Subtree};
@@ -84,7 +85,7 @@ fn implicit_trees_settle_on_the_same_tiles_however_they_are_cut() {
 fn subtrees_that_are_not_looked_at_expire() {
     let folder = tempfile::tempdir().unwrap();
     write_set(folder.path(), 2, 3);
-    let config = PagerConfig { expiry_frames: 3, max_tiles: 60, ..PagerConfig::default() };
+    let config = PagerConfig { expiry_time: Duration::ZERO, max_tiles: 60, ..PagerConfig::default() };
     let mut run = Run::new(folder.path().to_str().unwrap(), config);
     let corners = [(100.0, 100.0), (4000.0, 4000.0), (100.0, 4000.0), (4000.0, 100.0)];
     let mut pages = Vec::new();

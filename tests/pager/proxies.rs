@@ -45,7 +45,7 @@ fn proxies(folder: &Path, blocking: bool, max_tiles: usize) -> (Viewer, PageId) 
         size_px: [64, 64],
         adapter: AdapterChoice::Noop,
         validation: false,
-        pager: PagerConfig { blocking, expiry_frames: 3, max_tiles, ..PagerConfig::default() },
+        pager: PagerConfig { blocking, expiry_time: Duration::ZERO, max_tiles, ..PagerConfig::default() },
         ..ViewerConfig::default()
     };
     let mut viewer = Viewer::new_offscreen(&config).unwrap();

@@ -72,7 +72,7 @@ impl Several {
     fn update(&mut self, requests: &[PageRequest]) -> PagerStats {
         let contexts: &mut [&mut dyn CompileContext] = &mut [&mut self.context];
         let mut scenes: Vec<&mut Scene> = self.scenes.iter_mut().collect();
-        self.pager.update_scene_graph(&mut scenes, self.frame, requests, contexts);
+        self.pager.update_scene_graph(&mut scenes, self.frame, f64::from(self.frame) / 60.0, requests, contexts);
         let s = *self.pager.stats();
         let ended = s.merged + s.failed + s.cancelled + s.stale + s.declined + s.dropped;
         assert_eq!(s.requested + s.retried, ended + s.waiting + s.in_flight, "{s:?}");
@@ -167,7 +167,7 @@ fn one_budget_covers_all_scenes_and_evicts_the_least_recently_wanted() {
         max_bytes_gpu: 60 * PAGE_GPU_BYTES,
         max_bytes_cpu: 96 << 10,
         max_tiles: 50,
-        expiry_frames: 2,
+        expiry_time: Duration::ZERO,
         ..PagerConfig::default()
     };
     let mut run = Several::of_sets(&[folder.path(); 2], config.clone());
@@ -549,9 +549,10 @@ fn maximum_values_mean_no_limit() {
         max_tiles: usize::MAX,
         expiry_frames: u32::MAX,
         expiry_time: Duration::MAX,
-        stale_frames: u32::MAX,
-        abort_frames: u32::MAX,
+        stale_time: Duration::MAX,
+        abort_time: Duration::MAX,
         merge_time: Duration::MAX,
+        update_time: Duration::MAX,
         retry_after: Duration::MAX,
         ..PagerConfig::default()
     };

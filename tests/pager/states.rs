@@ -62,7 +62,7 @@ fn in_state(run: &Run, state: RequestState) -> usize {
     let states = run.pager.request_states();
     let count = states.filter(|(slot, s)| *s == state && run.pager.request_state(*slot) == Some(state)).count();
     let stats = run.pager.stats();
-    assert_eq!(stats.waiting + stats.in_flight + failed(run), run.pager.request_states().len() as u64, "{stats:?}");
+    assert_eq!(stats.waiting + stats.in_flight + failed(run), run.pager.request_states().count() as u64, "{stats:?}");
     count
 }
 
@@ -102,7 +102,7 @@ fn waiting_requested_and_failed_tiles_have_distinct_states() {
     run.until(above(NEAR), "three have failed", |run| failed(run) == 3);
     // A body that is not a valid content may have been corrupted in transfer.
     assert_eq!((in_state(&run, RequestState::Failed), in_state(&run, RequestState::Retrying)), (1, 2));
-    assert_eq!(run.pager.request_states().len(), 3, "merged tiles are not requests");
+    assert_eq!(run.pager.request_states().count(), 3, "merged tiles are not requests");
 }
 
 #[test]
@@ -120,5 +120,5 @@ fn loaded_content_is_decoded_then_uploaded_then_merged() {
     run.frame(above(NEAR));
     assert_eq!((in_state(&run, RequestState::Merging), run.pager.stats().compiling), (CHILDREN, 8));
     run.settle(above(NEAR));
-    assert_eq!(run.pager.request_states().len(), 0);
+    assert_eq!(run.pager.request_states().count(), 0);
 }

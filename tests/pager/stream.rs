@@ -70,7 +70,7 @@ fn corrupt_child_leaves_its_parent_and_is_one_error() {
 fn unwanted_tiles_expire_within_the_tile_budget() {
     let folder = tempfile::tempdir().unwrap();
     write_set(folder.path());
-    let config = PagerConfig { max_tiles: 5, expiry_frames: 3, ..PagerConfig::default() };
+    let config = PagerConfig { max_tiles: 5, expiry_time: Duration::ZERO, ..PagerConfig::default() };
     let mut run = Run::new(folder.path().to_str().unwrap(), config);
     run.settle(above(10.0));
     assert_eq!(run.pager.stats().resident, 5);
@@ -206,7 +206,8 @@ fn long_waiting_requests_are_served_before_newer_urgent_ones() {
         Node::new(NodeKind::PagedLod(Box::new(node)))
     };
     let root = Page::from_node(Node::group((0..MANY).map(tile).collect())).unwrap();
-    let config = PagerConfig { file_threads: 1, decode_threads: 1, stale_frames: 1000, ..PagerConfig::default() };
+    let config =
+        PagerConfig { file_threads: 1, decode_threads: 1, stale_time: Duration::MAX, ..PagerConfig::default() };
     let mut run = Run::of_page(root, folder.path().to_str().unwrap(), config);
     let slots: Vec<NodeId> = run.scene.slots_of_page(run.scene.roots()[0]).collect();
     let request = |(i, slot): (usize, &NodeId)| {
@@ -219,7 +220,8 @@ fn long_waiting_requests_are_served_before_newer_urgent_ones() {
     for round in 0.. {
         run.frame += 20;
         let first = if round == 0 { MANY / 2 } else { 0 };
-        run.pager.update_scene_graph(&mut run.scene, run.frame, &requests[first..], &mut [&mut run.context]);
+        let time_s = f64::from(run.frame) / 60.0;
+        run.pager.update_scene_graph(&mut run.scene, run.frame, time_s, &requests[first..], &mut [&mut run.context]);
         if run.scene.slot(slots[MANY / 2]).unwrap().state != SlotState::Empty {
             break;
         }

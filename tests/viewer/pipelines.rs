@@ -1,16 +1,17 @@
-//! Pipelines are created when content is loaded, not when it is first drawn.
+//! Pipelines are created when content is loaded, a few in each frame, and not when it is first drawn.
 
 use std::path::Path;
 use std::sync::Arc;
 
 use glam::{DAffine3, DVec3};
+use kit::shapes::quad;
 use kit::viewer::offscreen;
 
 use terrane::formats::writers::{GlbMesh, write_glb};
 use terrane::math::{BoundingSphere, BoundingVolume};
 use terrane::pager::PagerConfig;
 use terrane::scene::{Node, NodeKind, Page, PagedLod, PagingOptions, RangeMode, Refine, SunShadows};
-use terrane::state::{Attribute, CullFace, Program, StateSet, SurfaceMaterial};
+use terrane::state::{Attribute, ColorMask, CullFace, Depth, Program, StateSet, SurfaceMaterial};
 use terrane::viewer::{ThreadingModel, Viewer, ViewerConfig};
 
 fn viewer(threading: ThreadingModel, blocking: bool) -> Option<Viewer> {
@@ -162,4 +163,40 @@ fn first_draw_of_a_merged_tile_creates_no_pipeline() {
         assert_eq!(viewer.read_back().unwrap().get_pixel(32, 32).0[..3], [0, 255, 0]);
     }
     std::fs::remove_dir_all(&folder).unwrap();
+}
+
+/// Regression: all pipelines of a page were created before the next frame, which took as long as they did.
+#[test]
+fn pipelines_of_many_states_are_created_over_several_frames() {
+    let Some(mut viewer) = viewer(ThreadingModel::SingleThreaded, false) else { return };
+    viewer.view_mut().camera.look_at(DVec3::new(0.0, 0.0, 10.0), DVec3::ZERO, DVec3::Y);
+    viewer.add_root(Page::from_node(Node::geode(vec![quad([0.0; 3], [1.0; 2], [1.0; 4])])).unwrap()).unwrap();
+    let mut time_s = 0.0;
+    frames(&mut viewer, &mut time_s, 1.0);
+    let before = viewer.stats().last().unwrap().triangles;
+    assert!(before > 0);
+    // Each has pipelines of its own, for fades too.
+    let states = (0..32u8).map(|n| {
+        let bit = |index: u8| n >> index & 1 == 1;
+        let set = StateSet::default()
+            .with(Attribute::ColorMask(ColorMask([bit(0), bit(1), bit(2), true])))
+            .with(Attribute::CullFace(if bit(3) { CullFace::Back } else { CullFace::Front }))
+            .with(Attribute::Depth(Depth { write: bit(4), ..Depth::default() }));
+        Node::geode(vec![quad([0.0; 3], [1.0; 2], [1.0; 4])]).with_state_set(Arc::new(set))
+    });
+    viewer.add_root(Page::from_node(Node::group(states.collect())).unwrap()).unwrap();
+    let mut waited = 0;
+    loop {
+        time_s += 0.05;
+        viewer.frame_at(time_s).unwrap();
+        viewer.finish().unwrap();
+        let stats = *viewer.stats().last().unwrap();
+        assert_eq!(stats.pipelines_created, 0, "none while it is drawn");
+        if stats.triangles > before {
+            break;
+        }
+        waited += 1;
+        assert!(waited < 100, "the root is not drawn");
+    }
+    assert!(waited >= 2, "drawn after {waited} frames");
 }

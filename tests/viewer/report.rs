@@ -67,7 +67,18 @@ fn all_fields_of_the_schema_are_present() {
     expect(&json["phase_ms"]["draw"], &["median", "p99", "max"]);
     expect(&json["gpu_ms"], &["median", "p99", "max"]);
     expect(&json["tiles"], &["requested", "loaded", "merged", "expired", "failed", "cancelled", "stale"]);
-    expect(&json["bytes"], &["read", "http", "decoded", "gpu_peak", "cpu_peak", "rss_peak"]);
+    let bytes = [
+        "read",
+        "http",
+        "decoded",
+        "gpu_peak",
+        "cpu_peak",
+        "loading_peak",
+        "loading_waits",
+        "loading_wait_ms",
+        "rss_peak",
+    ];
+    expect(&json["bytes"], &bytes);
     let draw = [
         "leaves",
         "unsampled_leaves",

@@ -224,7 +224,13 @@ impl Run {
         camera.settings.max_sse_px = 1.0;
         self.visitor.cull(&self.scene, &camera, &mut self.stage);
         let mut contexts: Vec<_> = self.contexts.iter_mut().map(|c| c as &mut dyn CompileContext).collect();
-        self.pager.update_scene_graph(&mut self.scene, self.frame, &self.stage.requests, &mut contexts);
+        self.pager.update_scene_graph(
+            &mut self.scene,
+            self.frame,
+            f64::from(self.frame) / 60.0,
+            &self.stage.requests,
+            &mut contexts,
+        );
         *self.pager.stats()
     }
 
@@ -355,7 +361,7 @@ fn budgets_hold_and_shared_slots_live_as_long_as_their_last_page() {
     let mut all = Run::new(folder.path(), PagerConfig::default(), 1);
     let everything = all.settle(over(0.5, 1500.0));
     let max_bytes_gpu = everything.gpu_bytes / 3;
-    let config = PagerConfig { max_bytes_gpu, expiry_frames: 2, ..PagerConfig::default() };
+    let config = PagerConfig { max_bytes_gpu, expiry_time: Duration::ZERO, ..PagerConfig::default() };
     let mut run = Run::new(folder.path(), config, 1);
     for i in 0..600u32 {
         let stats = run.frame(over(f64::from(i % 200) / 199.0, 250.0));
@@ -482,7 +488,13 @@ fn images_are_the_same_with_and_without_sharing() {
             threading: ThreadingModel::SingleThreaded,
             adapter: kit::adapter(),
             max_sse_px: 2.0,
-            pager: PagerConfig { blocking: true, sharing, max_tiles: 40, expiry_frames: 2, ..PagerConfig::default() },
+            pager: PagerConfig {
+                blocking: true,
+                sharing,
+                max_tiles: 40,
+                expiry_time: Duration::ZERO,
+                ..PagerConfig::default()
+            },
             ..ViewerConfig::default()
         };
         let mut viewer = offscreen(&config)?;

@@ -7,7 +7,7 @@ use terrane::cull::StereoMode;
 use terrane::fetch::is_remote;
 use terrane::viewer::ThreadingModel;
 
-use crate::net::NetArgs;
+use crate::net::{ByteSize, NetArgs};
 use crate::values::{NotNegative, Positive, Rgb, Size, SunFrom, View, finite, not_negative, pace, samples, secs};
 
 /// Streams terrain that is larger than memory, and draws it without a hitch.
@@ -96,6 +96,10 @@ pub struct FlyArgs {
     /// in four levels of a quadtree [default: 1, every level]
     #[arg(long, value_name = "FACTOR")]
     pub skip_sse: Option<Positive>,
+    /// Maximum memory of tiles that are on their way, such as 500MB: read and not decoded, or decoded and not drawn
+    /// [default: 384MiB]
+    #[arg(long, value_name = "SIZE")]
+    pub max_loading: Option<ByteSize>,
     /// Duration of the fade between levels of detail in seconds; 0 switches without a fade
     #[arg(long, value_name = "SECONDS", default_value = "0.25")]
     pub lod_fade: NotNegative,
@@ -207,6 +211,10 @@ pub struct ViewArgs {
     /// in four levels of a quadtree [default: 1, every level]
     #[arg(long, value_name = "FACTOR")]
     pub skip_sse: Option<Positive>,
+    /// Maximum memory of tiles that are on their way, such as 500MB: read and not decoded, or decoded and not drawn
+    /// [default: 384MiB]
+    #[arg(long, value_name = "SIZE")]
+    pub max_loading: Option<ByteSize>,
     /// Duration of the fade between levels of detail in seconds; 0 switches without a fade
     #[arg(long, value_name = "SECONDS", default_value = "0.25")]
     pub lod_fade: NotNegative,
@@ -255,6 +263,7 @@ impl From<ViewArgs> for Box<FlyArgs> {
             path,
             sse,
             skip_sse,
+            max_loading,
             lod_fade,
             threading,
             cpu_affinity,
@@ -275,6 +284,7 @@ impl From<ViewArgs> for Box<FlyArgs> {
             path,
             sse,
             skip_sse,
+            max_loading,
             lod_fade,
             threading,
             cpu_affinity,
@@ -373,11 +383,14 @@ pub enum Bench {
         #[arg(long, default_value_t = 10.0, value_parser = secs)]
         secs: f64,
     },
-    /// Update of a pager with many resident pages while nothing changes
+    /// Update of a pager with many resident pages while nothing changes, and with many requests
     Resident {
         /// Number of resident pages
         #[arg(long, default_value_t = 100_000, value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
         tiles: u32,
+        /// Number of requests that wait
+        #[arg(long, default_value_t = 50_000, value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
+        requests: u32,
         /// Minimum time to measure each case, seconds
         #[arg(long, default_value_t = 1.0, value_parser = secs)]
         secs: f64,

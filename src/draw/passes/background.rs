@@ -74,6 +74,9 @@ impl BackgroundPass {
             Some(color) => color.map(wgpu_color),
             None => own_color,
         };
+        let exposure = around.environment.exposure.unwrap_or(0.0);
+        let [clear_color, fill_color] =
+            [clear_color, fill_color].map(|color| color.map(|color| target.tones.displayed(color, exposure)));
         let fills_depth = has_part && !around.is_outermost && stage.target.clear_depth;
         let fill = match (fill_color, fills_depth) {
             (Some(_), true) => Some(Fill::ColorAndDepth),

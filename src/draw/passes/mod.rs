@@ -14,6 +14,7 @@
 //! | [`leaves`] | the runs that the background shines through | same |
 //! | [`composition`] | the images of two eyes as one | same |
 //! | [`depth_resolve`] | multisampled depth into the camera's texture | after the stage |
+//! | [`display`] | one render pass from an image of light, or for a window without sRGB, to the context's image | same |
 //! | [`texture_draws`] | one render pass for each level of textures that have them computed | after the stages around it |
 //! | [`frame_copy`] | a copy of what the camera shows into a texture | same |
 //! | [`texture_readback`] | copies of camera textures to buffers that the processor reads | same |
@@ -25,6 +26,7 @@ pub(in crate::draw) mod air;
 pub(in crate::draw) mod background;
 pub(in crate::draw) mod composition;
 pub(in crate::draw) mod depth_resolve;
+pub(in crate::draw) mod display;
 pub(in crate::draw) mod frame_copy;
 pub(in crate::draw) mod leaves;
 pub(in crate::draw) mod queries;
@@ -40,6 +42,7 @@ use air::AirPass;
 use background::BackgroundPass;
 use composition::StereoComposition;
 use depth_resolve::DepthResolve;
+use display::DisplayPass;
 use queries::QueryPass;
 use shadows::casters::ShadowPass;
 use sky::SkyPass;
@@ -59,6 +62,7 @@ pub(in crate::draw) struct Passes {
     pub(in crate::draw) water: WaterPass,
     pub(in crate::draw) composition: StereoComposition,
     pub(in crate::draw) depth_resolve: DepthResolve,
+    pub(in crate::draw) display: DisplayPass,
     pub(in crate::draw) mipmaps: Mipmaps,
     pub(in crate::draw) readback: TextureReadback,
 }
@@ -76,6 +80,7 @@ impl Passes {
             water: WaterPass::default(),
             composition: StereoComposition::default(),
             depth_resolve: DepthResolve::default(),
+            display: DisplayPass::default(),
             mipmaps: Mipmaps::default(),
             readback: TextureReadback::default(),
         }
@@ -83,6 +88,6 @@ impl Passes {
 
     /// Returns the number of pipelines created so far by passes that do so themselves.
     pub(in crate::draw) fn created_pipelines(&self) -> u32 {
-        self.msaa_restore.created() + self.depth_resolve.created() + self.mipmaps.created()
+        self.msaa_restore.created() + self.depth_resolve.created() + self.display.created() + self.mipmaps.created()
     }
 }

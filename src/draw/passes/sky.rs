@@ -5,6 +5,7 @@ use crate::draw::pipelines::builtin_pipelines::{Builtin, BuiltinPipelines};
 use crate::draw::recorder::{DrawSources, PassRecorder};
 use crate::draw::resources::Resources;
 use crate::draw::targets::pass_target::PassTarget;
+use crate::gpu::GraphicsContext;
 use crate::scene::Sky;
 
 /// The pipelines of the sky.
@@ -28,6 +29,11 @@ impl SkyPass {
             self.pipelines.ensure(lit.input.ctx, &mut resources.pipelines, lit.input.target.index);
         }
         has_sky
+    }
+
+    /// Creates the pipeline for a target before a stage needs it.
+    pub(in crate::draw) fn prewarm(&mut self, ctx: &GraphicsContext, resources: &mut Resources, target: u16) {
+        self.pipelines.ensure(ctx, &mut resources.pipelines, target);
     }
 
     /// Records the sky of a stage that has one.

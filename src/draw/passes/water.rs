@@ -5,6 +5,7 @@ use crate::draw::pipelines::builtin_pipelines::{Builtin, BuiltinPipelines};
 use crate::draw::recorder::{DrawSources, PassRecorder};
 use crate::draw::resources::Resources;
 use crate::draw::targets::pass_target::PassTarget;
+use crate::gpu::GraphicsContext;
 
 /// How the water of a stage is drawn.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -41,6 +42,18 @@ impl WaterPass {
         };
         pipelines.ensure(lit.input.ctx, &mut resources.pipelines, lit.input.target.index);
         water
+    }
+
+    /// Creates the pipeline for a target before a stage needs it.
+    pub(in crate::draw) fn prewarm(
+        &mut self,
+        ctx: &GraphicsContext,
+        resources: &mut Resources,
+        target: u16,
+        has_shadows: bool,
+    ) {
+        let pipelines = if has_shadows { &mut self.shadowed } else { &mut self.plain };
+        pipelines.ensure(ctx, &mut resources.pipelines, target);
     }
 
     /// Records the water of a stage, if it has any.

@@ -169,6 +169,18 @@ impl Pipelines {
         id
     }
 
+    /// Creates pipelines for keys that follow from those of the existing pipelines, in the order of the keys.
+    pub(in crate::draw) fn ensure_derived(
+        &mut self,
+        ctx: &GraphicsContext,
+        derive: impl Fn(PipelineKey) -> Option<PipelineKey>,
+    ) {
+        let mut keys: Vec<PipelineKey> = self.id_of.keys().filter_map(|key| derive(*key)).collect();
+        keys.sort_unstable();
+        keys.dedup();
+        keys.into_iter().for_each(|key| _ = self.ensure(ctx, key, None));
+    }
+
     fn insert(&mut self, pipeline: wgpu::RenderPipeline) -> PipelineId {
         let cached = Some(Cached { pipeline, used: self.frame });
         if let Some(id) = self.free.pop() {

@@ -469,6 +469,28 @@ impl PipelineKey {
         self.0
     }
 
+    /// Returns the key of the same drawables under another target, air and sun. `is_lit_anew` means that a light replaces the
+    /// sun, for states that have no other shader.
+    pub fn in_view(self, target: u16, air: AirKind, is_shadowed: bool, is_lit_anew: bool) -> Self {
+        let has_program = PROGRAM.is_set(self.0);
+        let replaced = TARGET.mask() | SHADOWED.mask() | if has_program { 0 } else { AIR.mask() };
+        let air = if has_program { 0 } else { AIR.of(air as usize) };
+        let shadowed = if is_shadowed { SHADOWED.mask() } else { 0 };
+        let key = self.0 & !replaced | TARGET.of(target.into()) | air | shadowed;
+        let is_fixed = is_lit_anew && self.shading() == Shading::Plain;
+        Self(if is_fixed { key & !(TEXTURED.mask() | LOCAL_LIGHTS.mask()) | FIXED.mask() } else { key })
+    }
+
+    /// Returns the key of the same opaque or masked drawables in shadow maps; `None` for others, and for states whose own
+    /// shader may drop parts.
+    pub fn in_shadow_map(self, target: u16) -> Option<Self> {
+        let casts = matches!(self.kind(), Kind::Height | Kind::Triangles) && !self.is_blended() && !self.is_caster();
+        let kept = KIND.mask() | ALPHA.mask() | POLYGON_MODE.mask() | VERTICES.mask() | LAYOUT.mask();
+        let depth = DEPTH_WRITE.mask() | DEPTH_COMPARE.of(CompareFunction::LessOrEqual as usize);
+        let key = self.0 & kept | TARGET.of(target.into()) | CASTER.mask() | depth;
+        (casts && self.shading() == Shading::Plain).then_some(Self(key))
+    }
+
     /// Returns the key of the pipeline that stands in if this one cannot be created.
     pub fn fallback(self) -> Self {
         let units = if self.has_surface() { 0 } else { TEXTURED.mask() };

@@ -21,7 +21,7 @@ pub(in crate::draw) mod key;
 pub(in crate::draw) mod key_parts;
 pub(in crate::draw) mod programs;
 mod shader_choice;
-mod sources;
+pub(in crate::draw) mod sources;
 mod target_table;
 
 pub(in crate::draw) use cache::{PipelineId, Pipelines};

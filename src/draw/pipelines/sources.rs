@@ -165,6 +165,7 @@ pub(super) const WATER_WGSL: &str =
     wgsl![shared / air, shared / frame, shared / no_shadows, passes / sky, passes / water];
 pub(super) const SHADOWED_WATER_WGSL: &str =
     wgsl![shared / air, shared / frame, shared / shadows, passes / sky, passes / water];
+pub(in crate::draw) const DISPLAY_WGSL: &str = wgsl![shared / air, shared / frame, passes / display];
 pub(super) const QUERY_WGSL: &str = wgsl![shared / air, shared / frame, passes / query];
 /// The prelude of programs on meshes.
 pub(super) const PROGRAM_PRELUDE: &str = wgsl![shared / air, shared / frame, shared / shadows, meshes / mesh_vertex];
@@ -175,7 +176,7 @@ pub(super) const HEIGHT_PROGRAM_PRELUDE: &str =
 ///
 /// It declares bind group 0 with `frame`, `leaves` (by instance) and `stage`, and the functions of
 /// `frame.wgsl` and `shadows.wgsl` in `src/draw/shaders/shared`: `point_in_eye`, `direction_in_eye`, `normal_in_eye`,
-/// `above_ground`, `light`, `sun_shadow`, `aerial`, `through_air`, `tone_mapped`.
+/// `above_ground`, `light`, `sun_shadow`, `aerial`, `through_air`, `tone_mapped`, `displayed`.
 pub const DRAWABLE_PRELUDE: &str = wgsl![shared / air, shared / frame, shared / shadows];
 
 #[cfg(test)]
@@ -222,6 +223,7 @@ mod tests {
             ("sky", SKY_WGSL),
             ("water", WATER_WGSL),
             ("query", QUERY_WGSL),
+            ("display", DISPLAY_WGSL),
             ("fill", FILL_WGSL),
             ("program", PROGRAM_PRELUDE),
             ("program of height tiles", HEIGHT_PROGRAM_PRELUDE),

@@ -14,13 +14,20 @@ pub(super) struct DrawnStage {
     pub(super) has_shadows: bool,
 }
 
-/// The different kinds of stages that the last frame has drawn.
+/// The maximum number of kinds that are expected.
+const MAX_EXPECTED: usize = 8;
+
+/// The different kinds of stages that the last frame has drawn, and those that the application expects.
 #[derive(Debug, Default)]
-pub(super) struct DrawnStages(Vec<DrawnStage>);
+pub(super) struct DrawnStages {
+    drawn: Vec<DrawnStage>,
+    /// The latest last.
+    expected: Vec<DrawnStage>,
+}
 
 impl DrawnStages {
     pub(super) fn clear(&mut self) {
-        self.0.clear();
+        self.drawn.clear();
     }
 
     /// Notes a stage that is drawn.
@@ -33,32 +40,44 @@ impl DrawnStages {
             air: lit.view(0).air_kind,
             has_shadows: has_casters || will_have_casters,
         };
-        if !self.0.contains(&drawn) {
-            self.0.push(drawn);
+        if !self.drawn.contains(&drawn) {
+            self.drawn.push(drawn);
         }
     }
 
-    /// Returns the kinds of stages.
+    /// Iterates over the kinds of stages, drawn and expected.
     pub(super) fn iter(&self) -> impl Iterator<Item = &DrawnStage> {
-        self.0.iter()
+        self.drawn.iter().chain(&self.expected)
     }
 
-    /// Returns the kind of an index below [`Self::len`].
-    pub(super) fn get(&self, index: usize) -> DrawnStage {
-        self.0[index]
+    /// Returns the number of kinds that were drawn.
+    pub(super) fn drawn_count(&self) -> usize {
+        self.drawn.len()
     }
 
-    pub(super) fn len(&self) -> usize {
-        self.0.len()
+    /// Returns the drawn kind of an index below [`Self::drawn_count`].
+    pub(super) fn drawn(&self, index: usize) -> DrawnStage {
+        self.drawn[index]
+    }
+
+    /// Notes a kind that later frames will draw. The earliest of too many is forgotten.
+    pub(super) fn expect(&mut self, stage: DrawnStage) {
+        if self.iter().any(|known| *known == stage) {
+            return;
+        }
+        if self.expected.len() == MAX_EXPECTED {
+            self.expected.remove(0);
+        }
+        self.expected.push(stage);
     }
 
     /// Notes a target in which an environment without shadows and lights is expected to be drawn.
     pub(super) fn add_expected(&mut self, target: u16, air: AirKind) {
-        self.0.push(DrawnStage { target, has_own_light: false, air, has_shadows: false });
+        self.drawn.push(DrawnStage { target, has_own_light: false, air, has_shadows: false });
     }
 
     /// Returns the indices of the targets.
     pub(super) fn targets(&self) -> impl Iterator<Item = u16> {
-        self.0.iter().map(|drawn| drawn.target)
+        self.drawn.iter().map(|drawn| drawn.target)
     }
 }

@@ -31,6 +31,8 @@ use crate::state::TextureObject;
 use drawn_stages::DrawnStages;
 use frames_in_flight::FramesInFlight;
 use pass_plan::PassPlan;
+pub(crate) use prewarm::StageKinds;
+pub use prewarm::ViewChange;
 use views::StageViews;
 
 /// A camera's view in a frame: its stage under its own light and sky.
@@ -138,12 +140,16 @@ impl Renderer {
         }
         drop(acquire);
         ctx.before_submit(&mut self.uploads);
+        for texture in ctx.take_compiled_textures() {
+            self.resources.state_groups.textures.uploaded(&texture);
+        }
         for target in self.drawn_into.targets() {
             if let Some(formats) = self.resources.pipelines.target_formats(target) {
                 ctx.add_target_formats(formats);
             }
         }
-        let ctx = &*ctx;
+        let shared = ctx;
+        let ctx = &*shared;
         let created_before = self.created_pipelines();
         self.prepare(ctx, views.clone());
         self.upload(ctx);
@@ -158,6 +164,7 @@ impl Renderer {
         stats.gpu_ms = (!passes_ms.is_empty()).then(|| passes_ms.iter().sum());
         self.passes.queries.deliver();
         self.passes.readback.deliver();
+        shared.set_texture_bytes(self.resources.state_groups.textures.bytes());
         Ok(stats)
     }
 

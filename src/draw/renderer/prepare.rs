@@ -34,6 +34,7 @@ impl Renderer {
         views.clone().for_each(|view| frame_copy::prepare(ctx, &mut self.resources, view.stage));
         for CameraView { stage, environment } in views {
             let mut environment = *environment;
+            self.targets.start_view(stage, environment.tone_mapping);
             let air = self.passes.air.prepare(ctx, &mut self.resources, &stage.camera, &mut environment);
             let shadows = environment.shadows;
             let around = Surroundings { environment, shadows, air, is_outermost: true, is_whole: true };
@@ -176,6 +177,7 @@ impl Renderer {
         let keeps_colors = background.clear_color.is_none();
         let restores_samples = passes.msaa_restore.prepare(resources, &input, keeps_colors);
         passes.depth_resolve.prepare(resources, &input);
+        passes.display.prepare(resources, &input);
         PassPlan {
             base_index,
             shadows,

@@ -1,29 +1,62 @@
 //! Prewarms pipelines: creates them when a page has arrived and its drawables are about to be uploaded, so that no draw
-//! has to. Draw thread, between frames.
+//! has to. Draw thread, before the uploads of a frame and between frames. The caller limits how many it creates at once.
 
 use super::Renderer;
 use super::drawn_stages::DrawnStage;
 use crate::draw::passes::shading::{choose_shading, name_of};
-use crate::draw::passes::shadows::casters::caster_key;
+use crate::draw::passes::shadows::casters::{caster_key, map_target};
 use crate::draw::pipelines::key::{AirKind, PipelineKey, Shading, StateKey};
 use crate::draw::pipelines::{MAX_COLOR_ATTACHMENTS, TargetFormats};
-use crate::gpu::GraphicsContext;
-use crate::scene::{DrawKind, Environment, Topology};
+use crate::draw::targets::pass_target::Tones;
+use crate::draw::targets::table::Targets;
+use crate::gpu::{DEPTH_FORMAT, GraphicsContext};
+use crate::scene::{DrawKind, Environment, Sky, Topology};
+use crate::state::TEXTURE_UNITS;
+
+/// A change of views that later frames will draw; for [`Renderer::prewarm_change`].
+#[derive(Clone, Copy, Debug)]
+pub struct ViewChange {
+    /// The light and air that the views will have.
+    pub environment: Environment,
+    /// True if a light of number 0 will replace the sun.
+    pub has_own_light: bool,
+    /// True if some state will use the stencil, so that depth buffers have one.
+    pub uses_stencil: bool,
+}
+
+/// Kinds of stages, each a target with an air, lights and shadows, in which drawables will be drawn.
+pub(crate) struct StageKinds(Vec<DrawnStage>);
 
 impl Renderer {
     /// Creates the pipelines that drawables of some kinds will need where the last frame drew, those of fades and shadows
-    /// included. Before the first frame, pipelines are created for the context's own target.
-    pub fn prewarm(&mut self, ctx: &mut GraphicsContext, kinds: &[DrawKind]) {
-        if self.drawn_into.len() == 0
+    /// included. Before the first frame, pipelines are created for the context's own target. Returns how many did not exist
+    /// before.
+    ///
+    /// Queues the textures of the kinds' states to be uploaded before the drawables that are queued next.
+    pub fn prewarm(&mut self, ctx: &mut GraphicsContext, kinds: &[DrawKind]) -> u32 {
+        let stages = self.stage_kinds(ctx);
+        self.prewarm_for(ctx, kinds, &stages)
+    }
+
+    /// Returns the kinds of stages that the last frame has drawn and that are expected.
+    pub(crate) fn stage_kinds(&mut self, ctx: &GraphicsContext) -> StageKinds {
+        if self.drawn_into.drawn_count() == 0
             && let Some(target) = self.own_target(ctx)
         {
             let air = AirKind::of(&Environment::default());
             self.drawn_into.add_expected(target, air);
         }
-        let has_shadows = self.drawn_into.iter().any(|drawn| drawn.has_shadows);
+        StageKinds(self.drawn_into.iter().copied().collect())
+    }
+
+    /// Like [`Self::prewarm`], for given kinds of stages.
+    pub(crate) fn prewarm_for(&mut self, ctx: &mut GraphicsContext, kinds: &[DrawKind], stages: &StageKinds) -> u32 {
+        let before = self.resources.pipelines.created();
+        self.announce_textures(ctx, kinds);
+        let has_shadows = stages.0.iter().any(|drawn| drawn.has_shadows);
         for kind in kinds {
-            for index in 0..self.drawn_into.len() {
-                let result = self.prewarm_stage(ctx, kind, self.drawn_into.get(index));
+            for stage in &stages.0 {
+                let result = self.prewarm_stage(ctx, kind, *stage);
                 self.report(kind, result);
             }
             if has_shadows {
@@ -32,6 +65,72 @@ impl Renderer {
             }
         }
         self.resources.report_pipeline_errors();
+        self.resources.pipelines.created() - before
+    }
+
+    /// Creates the pipelines that what was drawn and prewarmed so far needs once its views change, and expects the change:
+    /// kinds that are prewarmed later get the pipelines of both.
+    ///
+    /// Three kinds are not covered: drawables in new shadow maps whose state has a program, the fixed function or blending;
+    /// states that a light has lit, once the sun lights them again; and custom drawables. Frames create those when they draw
+    /// them, which [`DrawStats::pipelines_created`](crate::draw::DrawStats::pipelines_created) counts.
+    pub fn prewarm_change(&mut self, ctx: &mut GraphicsContext, change: &ViewChange) {
+        let ViewChange { environment, has_own_light, uses_stencil } = change;
+        let (air, has_shadows) = (AirKind::of(environment), environment.shadows.is_some());
+        for index in 0..self.drawn_into.drawn_count() {
+            let from = self.drawn_into.drawn(index);
+            let target = if *uses_stencil { self.with_stencil(from.target) } else { Some(from.target) };
+            let Some(target) = target else { continue };
+            let has_own_light = *has_own_light || from.has_own_light;
+            let to = DrawnStage { target, has_own_light, air, has_shadows };
+            if to == from {
+                continue;
+            }
+            self.drawn_into.expect(to);
+            let is_lit_anew = to.has_own_light && !from.has_own_light;
+            let pipelines = &mut self.resources.pipelines;
+            pipelines.ensure_derived(ctx, |key| {
+                let is_drawn = key.target() == from.target && !key.is_caster();
+                is_drawn.then(|| key.in_view(to.target, to.air, to.has_shadows, is_lit_anew))
+            });
+            if has_shadows && let Some(map) = map_target(pipelines) {
+                pipelines.ensure_derived(
+                    ctx,
+                    |key| {
+                        if key.target() == to.target { key.in_shadow_map(map) } else { None }
+                    },
+                );
+            }
+            if environment.sky == Sky::Atmosphere {
+                self.passes.sky.prewarm(ctx, &mut self.resources, target);
+            }
+            if environment.water.is_some() {
+                self.passes.water.prewarm(ctx, &mut self.resources, target, has_shadows);
+            }
+        }
+        self.resources.report_pipeline_errors();
+    }
+
+    /// Returns the target of the same formats with a stencil beside its depth; `None` if the adapter lacks it.
+    fn with_stencil(&mut self, target: u16) -> Option<u16> {
+        let mut formats = *self.resources.pipelines.target_formats(target)?;
+        if formats.depth == DEPTH_FORMAT {
+            formats.depth = self.targets.stencil_format()?;
+        }
+        self.resources.pipelines.target(&formats)
+    }
+
+    /// Has the compile queue upload the textures of state sets, before the drawables that are queued next.
+    fn announce_textures(&mut self, ctx: &mut GraphicsContext, kinds: &[DrawKind]) {
+        let textures = &mut self.resources.state_groups.textures;
+        for kind in kinds {
+            for binding in (0..TEXTURE_UNITS).filter_map(|unit| kind.state.texture(unit)) {
+                if let Some(texture) = textures.announce(ctx.device(), &binding.texture) {
+                    ctx.compile_texture(binding.texture.clone(), texture);
+                }
+            }
+        }
+        ctx.set_texture_bytes(textures.bytes());
     }
 
     fn report(&mut self, kind: &DrawKind, result: Result<(), String>) {
@@ -83,7 +182,7 @@ impl Renderer {
         let depth = self.targets.depth_format();
         let samples = ctx.samples();
         let mut formats = TargetFormats { colors: [None; MAX_COLOR_ATTACHMENTS], depth, samples, keeps_alpha: false };
-        formats.colors[0] = Some(ctx.color_format());
+        formats.colors[0] = Some(Targets::drawn_format(ctx, Tones::Displayed));
         self.resources.pipelines.target(&formats)
     }
 }

@@ -1,11 +1,11 @@
 //! The second half of a draw: records all passes into one encoder and submits it. Draw thread.
 //!
 //! ```text
-//! air tables
+//! mip levels of uploaded textures, air tables
 //! for each view, record_stages(stage):
 //!     record_stages of the stages before it
 //!     initial callback; that of a camera in the graph comes before the stages before it
-//!     shadow maps, MSAA restore, the stage's render pass, depth resolve
+//!     shadow maps, MSAA restore, the stage's render pass, depth resolve, display
 //!     record_stages of the stages after it
 //!     mip levels, copy into a texture, copies to be read back
 //!     final callback
@@ -48,6 +48,7 @@ impl Renderer {
         let plans = std::mem::take(&mut self.plans);
         let encoder = ctx.device().create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("frame") });
         let mut recording = Recording { ctx, encoder, plans: plans.iter() };
+        self.passes.mipmaps.record_uploaded(ctx, &mut self.resources, &mut recording.encoder);
         self.passes.air.record(ctx, &mut recording.encoder, self.resources.timer.as_mut());
         for view in views {
             self.record_stages(&mut recording, view.stage, true);
@@ -155,6 +156,7 @@ impl Renderer {
         let (stats, errors) = recorder.finish();
         drop(pass);
         passes.depth_resolve.record(ctx, resources, encoder, stage, target);
+        passes.display.record(ctx, resources, encoder, target, *base_index);
         resources.stats.add_pass(&stats);
         for error in errors {
             resources.errors.report_once(error);

@@ -137,6 +137,7 @@ impl StageViews {
             if number == 0 {
                 background = clear_color(environment, &uniform);
             }
+            uniform.shape[1] = input.target.tones.exposure(uniform.shape[1]);
             // Without lights and planes, the uniforms of all views are the same.
             let has_positioned = !stage.lights.is_empty() || !stage.clip_planes.is_empty();
             let shared = frames.first().filter(|_| !has_positioned).map(|own| own.positioned);

@@ -25,6 +25,46 @@ pub(in crate::draw) struct DepthSamples<'a> {
     pub(in crate::draw) part_px: [u32; 4],
 }
 
+/// The meaning of the colours that fragments write into a target.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(in crate::draw) enum Tones {
+    /// Colours of a display: shaders map the tones.
+    Displayed,
+    /// Light, which is not mapped: the float texture of a camera.
+    Light,
+    /// Light that the display pass maps.
+    LightToDisplay,
+}
+
+impl Tones {
+    /// Returns the exposure as the frame uniform has it: 0 without tone mapping, negative if a later pass maps tones.
+    pub(in crate::draw) fn exposure(self, exposure: f32) -> f32 {
+        match self {
+            Self::Displayed => exposure,
+            Self::Light => 0.0,
+            Self::LightToDisplay => -exposure,
+        }
+    }
+
+    /// Returns the value to write for a background's colour; the function `displayed` of frame.wgsl.
+    pub(in crate::draw) fn displayed(self, color: wgpu::Color, exposure: f32) -> wgpu::Color {
+        if self != Self::LightToDisplay || exposure <= 0.0 {
+            return color;
+        }
+        let wgpu::Color { r, g, b, a } = color;
+        let [r, g, b] = [r, g, b].map(|channel| channel / f64::from(exposure));
+        wgpu::Color { r, g, b, a }
+    }
+}
+
+/// The image of a stage that is not drawn into the target itself, and the target that the display pass shows it in.
+#[derive(Clone)]
+pub(in crate::draw) struct DisplayedImage {
+    pub(in crate::draw) image: wgpu::TextureView,
+    pub(in crate::draw) target: wgpu::TextureView,
+    pub(in crate::draw) format: wgpu::TextureFormat,
+}
+
 /// The attachments of a stage's render pass.
 #[derive(Clone)]
 pub(in crate::draw) struct PassTarget {
@@ -48,6 +88,9 @@ pub(in crate::draw) struct PassTarget {
     pub(super) max_px: u32,
     /// Samples a pixel.
     pub(in crate::draw) samples: u32,
+    pub(in crate::draw) tones: Tones,
+    /// `None` for stages that draw into their target itself.
+    pub(in crate::draw) display: Option<DisplayedImage>,
     /// Index of its formats in [`Pipelines`](crate::draw::pipelines::Pipelines).
     pub(in crate::draw) index: u16,
     pub(super) is_outermost: bool,

@@ -5,11 +5,11 @@ use std::sync::Arc;
 use super::camera_target::CameraAttachments;
 use super::error::TargetError;
 use super::owners::Owners;
-use super::pass_target::{PassTarget, depth_of};
+use super::pass_target::{DisplayedImage, PassTarget, Tones, depth_of};
 use crate::cull::{RenderStage, StageTarget};
 use crate::draw::pipelines::{MAX_COLOR_ATTACHMENTS, Pipelines, TargetFormats};
 use crate::gpu::{GraphicsContext, StateTextures, TransientAttachments};
-use crate::scene::CameraTarget;
+use crate::scene::{CameraTarget, ToneMapping};
 
 const TOO_MANY_TARGETS: &str = "more kinds of targets in a frame than the 4,095 that pipelines tell apart";
 
@@ -22,6 +22,8 @@ pub(in crate::draw) struct Targets {
     has_stencil: bool,
     /// True if stages other than those of views are drawn into the context's target after others, so that its depth is kept.
     keeps_depth: bool,
+    /// The tones of the view that is prepared.
+    tones: Tones,
     /// True once a view was drawn into the context's target in this frame.
     is_begun: bool,
 }
@@ -34,6 +36,7 @@ impl Targets {
             supports_stencil: device.features().contains(wgpu::Features::DEPTH32FLOAT_STENCIL8),
             has_stencil: false,
             keeps_depth: false,
+            tones: Tones::Displayed,
             is_begun: false,
         }
     }
@@ -61,6 +64,25 @@ impl Targets {
         });
         (needs_stencil && !self.supports_stencil)
             .then_some("the adapter has no stencil beside float depth; stencil tests pass everywhere")
+    }
+
+    /// Returns the format of depth buffers beside a stencil; `None` if the adapter lacks it.
+    pub(in crate::draw) fn stencil_format(&self) -> Option<wgpu::TextureFormat> {
+        self.supports_stencil.then_some(wgpu::TextureFormat::Depth32FloatStencil8)
+    }
+
+    /// Starts a view: all its stages that draw into the context's target have the same tones.
+    pub(in crate::draw) fn start_view(&mut self, stage: &RenderStage, tone_mapping: ToneMapping) {
+        let in_own_pass = tone_mapping == ToneMapping::InOwnPass && stage.stereo.is_none();
+        self.tones = if in_own_pass { Tones::LightToDisplay } else { Tones::Displayed };
+    }
+
+    /// Returns the format that a view of some tones is drawn in on the context's target.
+    pub(in crate::draw) fn drawn_format(ctx: &GraphicsContext, tones: Tones) -> wgpu::TextureFormat {
+        match tones {
+            Tones::LightToDisplay | Tones::Light => wgpu::TextureFormat::Rgba16Float,
+            Tones::Displayed => ctx.drawn_format(),
+        }
     }
 
     /// Returns the format of depth buffers of this frame.
@@ -93,16 +115,25 @@ impl Targets {
         self.is_begun |= is_outermost;
         let view = ctx.color_view().ok_or_else(|| "the window has no image to draw into".to_owned())?.clone();
         let (size_px, samples, depth) = (ctx.size_px(), ctx.samples(), self.depth_format());
-        let format = ctx.color_format();
+        let format = Self::drawn_format(ctx, self.tones);
         let mut formats = TargetFormats { colors: [None; MAX_COLOR_ATTACHMENTS], depth, samples, keeps_alpha: false };
         formats.colors[0] = Some(format);
         let mut colors = [const { None }; MAX_COLOR_ATTACHMENTS];
         let mut resolves = [const { None }; MAX_COLOR_ATTACHMENTS];
+        let is_displayed = self.tones != Tones::Displayed || format != ctx.color_format();
+        let display = match is_displayed {
+            true => {
+                let image = self.transients.readable_view(ctx.memory(), size_px, format, 1, 0)?;
+                Some(DisplayedImage { image, target: view.clone(), format: ctx.color_format() })
+            }
+            false => None,
+        };
+        let image = display.as_ref().map_or(view, |display| display.image.clone());
         if samples > 1 {
             colors[0] = Some(self.transients.view(ctx.memory(), size_px, format, samples, 0)?);
-            resolves[0] = Some(view);
+            resolves[0] = Some(image);
         } else {
-            colors[0] = Some(view);
+            colors[0] = Some(image);
         }
         Ok(PassTarget {
             colors,
@@ -117,6 +148,8 @@ impl Targets {
             size_px,
             max_px: ctx.device().limits().max_texture_dimension_2d,
             samples,
+            tones: self.tones,
+            display,
             index: pipelines.target(&formats).ok_or_else(|| TOO_MANY_TARGETS.to_owned())?,
             is_outermost,
             is_begun,
@@ -184,11 +217,18 @@ impl Targets {
             size_px,
             max_px: ctx.device().limits().max_texture_dimension_2d,
             samples,
+            tones: if formats.colors[0].is_some_and(is_float) { Tones::Light } else { Tones::Displayed },
+            display: None,
             index,
             is_outermost,
             is_begun: false,
         })
     }
+}
+
+/// Returns true for formats that hold light without a limit.
+fn is_float(format: wgpu::TextureFormat) -> bool {
+    matches!(format, wgpu::TextureFormat::Rgba16Float | wgpu::TextureFormat::R32Float)
 }
 
 /// Returns true if something holds for a stage or one before or after it.

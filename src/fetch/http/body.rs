@@ -5,7 +5,10 @@ use std::sync::Arc;
 use reqwest::header::{ACCEPT_ENCODING, CONTENT_ENCODING, HeaderMap, HeaderValue};
 
 use super::blocking::{MAX_INLINE_BYTES, run_blocking};
-use crate::fetch::{IoError, Limits, encoding};
+use crate::fetch::{IoError, Limits, Permit, encoding};
+
+/// Bodies are expected to become this many times larger by decompression.
+const EXPECTED_RATIO: u64 = 4;
 
 /// The content of a URI, and its cost on the network.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -41,17 +44,52 @@ pub(super) fn content_encodings(headers: &HeaderMap) -> String {
     values.join(",")
 }
 
-/// Decompresses a body, on a blocking thread if it is large.
+/// Decompresses a body, on a blocking thread if it is large. What it becomes is claimed from the permit beforehand.
 pub(super) async fn decode_body(
     uri: &str,
     body: Vec<u8>,
     encodings: String,
     limits: &Limits,
+    permit: &Permit,
 ) -> Result<Vec<u8>, IoError> {
-    let is_plain = encodings.is_empty() && !body.starts_with(&[0x1f, 0x8b]);
-    if is_plain || body.len() < MAX_INLINE_BYTES {
+    if !encoding::is_encoded(&body, &encodings) {
         return encoding::decode(uri, body, &encodings, limits);
     }
-    let (uri, limits) = (uri.to_owned(), *limits);
-    run_blocking(&uri.clone(), move || encoding::decode(&uri, body, &encodings, &limits)).await?
+    if body.len() < MAX_INLINE_BYTES {
+        return decode_claimed(uri, body, &encodings, limits, permit);
+    }
+    let (uri, limits, permit) = (uri.to_owned(), *limits, permit.clone());
+    run_blocking(&uri.clone(), move || decode_claimed(&uri, body, &encodings, &limits, &permit)).await?
+}
+
+/// Decompresses a body; claims what it becomes from the permit beforehand.
+pub(super) fn decode_claimed(
+    uri: &str,
+    body: Vec<u8>,
+    encodings: &str,
+    limits: &Limits,
+    permit: &Permit,
+) -> Result<Vec<u8>, IoError> {
+    if !encoding::is_encoded(&body, encodings) {
+        return encoding::decode(uri, body, encodings, limits);
+    }
+    let no_room = |no_room| IoError::no_room(uri, no_room);
+    let mut claim = permit.claim(0).map_err(no_room)?;
+    let mut max_bytes = EXPECTED_RATIO.saturating_mul(body.len() as u64);
+    // A body that becomes larger is decompressed again, with room for more.
+    while max_bytes < limits.max_file_bytes {
+        claim.grow_to(max_bytes).map_err(no_room)?;
+        match encoding::decode(uri, body.clone(), encodings, &Limits { max_file_bytes: max_bytes, ..*limits }) {
+            Err(IoError::TooLarge { .. }) => max_bytes = EXPECTED_RATIO.saturating_mul(max_bytes),
+            Err(error) => return Err(error),
+            Ok(decoded) => {
+                claim.keep(decoded.len() as u64);
+                return Ok(decoded);
+            }
+        }
+    }
+    claim.grow_to(limits.max_file_bytes).map_err(no_room)?;
+    let decoded = encoding::decode(uri, body, encodings, limits)?;
+    claim.keep(decoded.len() as u64);
+    Ok(decoded)
 }

@@ -8,9 +8,9 @@ use reqwest::header::{ETAG, HeaderMap, HeaderName, LAST_MODIFIED};
 use tokio::sync::Semaphore;
 
 use super::blocking::DiskWork;
-use super::body::HttpBody;
+use super::body::{HttpBody, decode_claimed};
 use crate::fetch::cache::Entry;
-use crate::fetch::{DiskCache, IoError, Limits, encoding};
+use crate::fetch::{ByteBudget, DiskCache, IoError, Limits, Permit};
 
 /// The maximum number of bodies that wait to be written to disk. The next body waits until one is done.
 const MAX_PENDING_WRITES: usize = 64;
@@ -74,41 +74,50 @@ impl HttpCache {
         HttpBody { bytes, network_bytes: 0, asked, location, is_no_content: false }
     }
 
-    pub(super) async fn look_up(&self, uri: &str, policy: CachePolicy, limits: &Limits) -> Result<Lookup, IoError> {
-        let (of, limits) = (uri.to_owned(), *limits);
+    /// Looks for the entry of a URI. The permit holds the bytes of its body.
+    pub(super) async fn look_up(
+        &self,
+        uri: &str,
+        policy: CachePolicy,
+        limits: &Limits,
+        permit: &Permit,
+    ) -> Result<Lookup, IoError> {
+        let (of, limits, permit) = (uri.to_owned(), *limits, permit.clone());
         let found = self.read(uri, move |disk| {
-            let Some(entry) = disk.entry(&of) else { return Lookup::Miss };
+            let Some(entry) = disk.entry(&of) else { return Ok(Lookup::Miss) };
             if !policy.allows(disk, &entry) {
-                return Lookup::Stale(entry);
+                return Ok(Lookup::Stale(entry));
             }
-            match read_body(disk, &of, &entry, &limits) {
+            Ok(match read_body(disk, &of, &entry, &limits, &permit)? {
                 Some(bytes) => Lookup::Fresh(entry, bytes),
                 None => Lookup::Miss,
-            }
+            })
         });
-        Ok(found.await?.unwrap_or(Lookup::Miss))
+        found.await?.unwrap_or(Ok(Lookup::Miss))
     }
 
-    /// Reads the entry of a URI and its decompressed body, however old.
-    pub async fn load(&self, uri: &str, limits: &Limits) -> Result<Option<(Entry, Vec<u8>)>, IoError> {
-        let (of, limits) = (uri.to_owned(), *limits);
+    /// Reads the entry of a URI and its decompressed body, however old. The permit holds the bytes of the body.
+    pub async fn load(&self, uri: &str, limits: &Limits, permit: &Permit) -> Result<Option<(Entry, Vec<u8>)>, IoError> {
+        let (of, limits, permit) = (uri.to_owned(), *limits, permit.clone());
         let found = self.read(uri, move |disk| {
-            let entry = disk.entry(&of)?;
-            let bytes = read_body(disk, &of, &entry, &limits)?;
-            Some((entry, bytes))
+            let Some(entry) = disk.entry(&of) else { return Ok(None) };
+            let bytes = read_body(disk, &of, &entry, &limits, &permit)?;
+            Ok(bytes.map(|bytes| (entry, bytes)))
         });
-        Ok(found.await?.flatten())
+        found.await?.unwrap_or(Ok(None))
     }
 
-    /// Reads the decompressed body of an entry. Returns `None` if it is missing or damaged.
+    /// Reads the decompressed body of an entry, whose bytes the permit holds. Returns `None` if it is missing or damaged.
     pub(super) async fn load_body(
         &self,
         uri: &str,
         entry: &Entry,
         limits: &Limits,
+        permit: &Permit,
     ) -> Result<Option<Vec<u8>>, IoError> {
-        let (of, entry, limits) = (uri.to_owned(), entry.clone(), *limits);
-        Ok(self.read(uri, move |disk| read_body(disk, &of, &entry, &limits)).await?.flatten())
+        let (of, entry, limits, permit) = (uri.to_owned(), entry.clone(), *limits, permit.clone());
+        let found = self.read(uri, move |disk| read_body(disk, &of, &entry, &limits, &permit));
+        found.await?.unwrap_or(Ok(None))
     }
 
     /// Returns true if the cache has a body for a URI, without reading it.
@@ -138,10 +147,15 @@ impl HttpCache {
         Ok(found)
     }
 
-    /// Stores a body. `requested_at` is the time before its request was sent.
-    pub async fn store(&self, uri: &str, entry: Entry, body: Vec<u8>, requested_at: Instant) {
-        let of = uri.to_owned();
-        self.write_behind(move |disk| disk.store(&of, entry, &body, requested_at)).await;
+    /// Stores a body. `requested_at` is the time before its request was sent. Later loads wait for the room that the body takes
+    /// until it is written.
+    pub async fn store(&self, uri: &str, entry: Entry, body: Vec<u8>, requested_at: Instant, budget: &ByteBudget) {
+        let (of, held) = (uri.to_owned(), budget.hold(body.len() as u64));
+        let write = move |disk: &DiskCache| {
+            disk.store(&of, entry, &body, requested_at);
+            drop(held);
+        };
+        self.write_behind(write).await;
     }
 
     /// Replaces the entry of a URI whose body stays.
@@ -190,13 +204,28 @@ impl HttpCache {
 }
 
 /// Reads the decompressed body of an entry. A body that cannot be decompressed is removed.
-fn read_body(disk: &DiskCache, uri: &str, entry: &Entry, limits: &Limits) -> Option<Vec<u8>> {
-    let body = disk.body(uri, entry, limits)?;
-    let bytes = encoding::decode(uri, body, &entry.encoding, limits);
-    if bytes.is_err() {
-        disk.forget(uri);
+///
+/// # Errors
+/// [`IoError::NoRoom`] if the permit has no room for it.
+fn read_body(
+    disk: &DiskCache,
+    uri: &str,
+    entry: &Entry,
+    limits: &Limits,
+    permit: &Permit,
+) -> Result<Option<Vec<u8>>, IoError> {
+    let size = entry.size.min(limits.max_file_bytes);
+    let claim = permit.claim(size).map_err(|no_room| IoError::no_room(uri, no_room))?;
+    let Some(body) = disk.body(uri, entry, limits) else { return Ok(None) };
+    claim.keep(body.len() as u64);
+    match decode_claimed(uri, body, &entry.encoding, limits, permit) {
+        Ok(bytes) => Ok(Some(bytes)),
+        Err(error @ IoError::NoRoom { .. }) => Err(error),
+        Err(_) => {
+            disk.forget(uri);
+            Ok(None)
+        }
     }
-    bytes.ok()
 }
 
 /// Copies the validators of an answer to its cache entry. Headers that are missing leave the entry's validators unchanged.

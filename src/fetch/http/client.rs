@@ -18,7 +18,7 @@ use crate::fetch::archive::parse_content_range;
 use crate::fetch::archive::{MemberUri, RemoteArchives, split_url};
 #[cfg(feature = "testing")]
 use crate::fetch::cache::Freshness;
-use crate::fetch::{CacheConfig, DiskCache, IoError, Limits, RootScope, run_within};
+use crate::fetch::{CacheConfig, DiskCache, IoError, Limits, Permit, RootScope, run_within};
 
 /// A client with its connections. Cheap to clone; used inside a tokio runtime.
 ///
@@ -100,13 +100,40 @@ impl HttpClient {
     /// continues after the name of an archive (`.3tz`, `.zip`) means a file inside it. Retries transient failures with
     /// exponential back-off. Equal calls at the same time make one request; all get its answer or its error.
     pub async fn get(&self, uri: &str, limits: &Limits) -> Result<HttpBody, IoError> {
-        let (uri_of_key, scope, policy) = (uri.to_owned(), self.transport.scope().cloned(), self.cache_policy);
-        let key = FlightKey { uri: uri_of_key, scope, policy, limits: *limits };
-        self.inner.flights.get(key, async || self.get_alone(uri, limits).await).await
+        let permit = Permit::unlimited();
+        loop {
+            match self.get_holding(uri, limits, &permit).await {
+                // An equal request of a pager had no room.
+                Err(IoError::NoRoom { .. }) => {}
+                got => return got,
+            }
+        }
     }
 
-    async fn get_alone(&self, uri: &str, limits: &Limits) -> Result<HttpBody, IoError> {
-        let (Inner { archives, cache, .. }, transport) = (&*self.inner, &self.transport);
+    /// Does the same as [`Self::get`], and claims the bytes from a permit before they are read.
+    ///
+    /// # Errors
+    /// Also [`IoError::NoRoom`], before the body is read or while it grows, if they have no room.
+    pub(crate) async fn get_holding(&self, uri: &str, limits: &Limits, permit: &Permit) -> Result<HttpBody, IoError> {
+        let (uri_of_key, scope, policy) = (uri.to_owned(), self.transport.scope().cloned(), self.cache_policy);
+        let key = FlightKey { uri: uri_of_key, scope, policy, limits: *limits };
+        let mut has_asked = false;
+        let ask = async || {
+            has_asked = true;
+            self.get_alone(uri, limits, permit).await
+        };
+        let body = self.inner.flights.get(key, ask).await?;
+        if !has_asked {
+            // A copy of what another request has received.
+            let size = body.bytes.len() as u64;
+            permit.claim(size).map_err(|no_room| IoError::no_room(uri, no_room))?.keep(size);
+        }
+        Ok(body)
+    }
+
+    async fn get_alone(&self, uri: &str, limits: &Limits, permit: &Permit) -> Result<HttpBody, IoError> {
+        let Inner { archives, cache, .. } = &*self.inner;
+        let transport = &self.transport.holding(permit);
         if let Some((url, name)) = split_url(uri) {
             let member = MemberUri { uri, archive_url: &url, name: &name };
             return archives.get(transport, cache.as_ref(), self.cache_policy, member, limits).await;
@@ -123,7 +150,7 @@ impl HttpClient {
                 }
                 let network_bytes = answer.body.len() as u64;
                 let location = answer.redirected_to.map(Arc::from);
-                let bytes = decode_body(uri, answer.body, content_encodings(&answer.headers), limits).await?;
+                let bytes = decode_body(uri, answer.body, content_encodings(&answer.headers), limits, permit).await?;
                 Ok(HttpBody { bytes, network_bytes, asked: true, location, is_no_content: false })
             }
         }
@@ -131,7 +158,7 @@ impl HttpClient {
 
     /// Returns the cached content of a URI, however old, without asking a server.
     pub(crate) async fn get_cached(&self, uri: &str, limits: &Limits) -> Option<HttpBody> {
-        let (entry, bytes) = self.inner.cache.as_ref()?.load(uri, limits).await.ok()??;
+        let (entry, bytes) = self.inner.cache.as_ref()?.load(uri, limits, &Permit::unlimited()).await.ok()??;
         Some(HttpBody { bytes, location: entry.redirected_to.map(Arc::from), ..HttpBody::default() })
     }
 

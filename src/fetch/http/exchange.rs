@@ -17,7 +17,7 @@ use super::config::HttpConfig;
 use super::hosts::{Connections, RefusedAddress, refused as host_refused};
 use super::retry_policy::{Pause, Pauses, retry_after};
 use crate::fetch::cache::Freshness;
-use crate::fetch::{IoError, Limits, shown};
+use crate::fetch::{IoError, Limits, Permit, shown};
 
 /// The maximum memory reserved for a body before its bytes arrive.
 const MAX_RESERVED_BYTES: u64 = 1 << 20;
@@ -37,6 +37,8 @@ pub(in crate::fetch) struct Exchange<'a> {
     pub root: Option<Url>,
     pub config: &'a HttpConfig,
     pub limits: &'a Limits,
+    /// Holds the bytes of the body.
+    pub permit: &'a Permit,
     pub headers: &'a HeaderMap,
     /// The URL after redirects that the validators in `headers` belong to. `None` means the requested URL.
     pub validated_at: Option<&'a str>,
@@ -226,12 +228,17 @@ impl Exchange<'_> {
         if let Some(length) = length.filter(|l| *l > limit) {
             return Err(too_large(length));
         }
+        // If the announced bytes have no room, the answer is dropped here. An answer that waited would hold its connection, and
+        // its part of the window that all answers of an HTTP/2 connection share.
+        let no_room = |no_room| IoError::no_room(uri, no_room);
+        let mut claim = self.permit.claim(length.unwrap_or(0)).map_err(no_room)?;
         // A larger announced length is not trusted until its bytes arrive.
         let mut body = Vec::with_capacity(length.unwrap_or(0).min(MAX_RESERVED_BYTES) as usize);
         loop {
             let piece = match tokio::time::timeout(self.config.read_timeout, response.chunk()).await {
                 Ok(Ok(Some(piece))) => piece,
                 Ok(Ok(None)) => {
+                    claim.keep(body.len() as u64);
                     return Ok(Answer { status, headers, body, freshness, redirected_to: None, origin: None });
                 }
                 Ok(Err(e)) => return Err(IoError::Network { uri: uri.to_owned(), reason: error_chain_without_url(e) }),
@@ -239,6 +246,11 @@ impl Exchange<'_> {
             };
             if (body.len() + piece.len()) as u64 > limit {
                 return Err(too_large((body.len() + piece.len()) as u64));
+            }
+            let received = (body.len() + piece.len()) as u64;
+            if received > claim.bytes() {
+                // A body without a length grows as its buffer does.
+                claim.grow_to(2 * received).map_err(no_room)?;
             }
             body.extend_from_slice(&piece);
             self.received.fetch_add(piece.len() as u64, Ordering::Relaxed);

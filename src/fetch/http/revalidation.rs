@@ -20,7 +20,8 @@ pub(super) async fn get(
     uri: &str,
     limits: &Limits,
 ) -> Result<HttpBody, IoError> {
-    let entry = match cache.look_up(uri, policy, limits).await? {
+    let permit = transport.permit();
+    let entry = match cache.look_up(uri, policy, limits, permit).await? {
         Lookup::Fresh(entry, bytes) => return Ok(cache.hit(&entry, bytes, false)),
         Lookup::Miss if cache.disk().is_offline() => {
             cache.disk().count_miss();
@@ -30,8 +31,10 @@ pub(super) async fn get(
         Lookup::Stale(entry) => entry,
     };
     // The body is read while the answer is in flight.
-    let (answer, cached) =
-        tokio::join!(request(transport, cache, uri, Some(&entry), limits), cache.load_body(uri, &entry, limits));
+    let (answer, cached) = tokio::join!(
+        request(transport, cache, uri, Some(&entry), limits),
+        cache.load_body(uri, &entry, limits, permit)
+    );
     let not_modified = match answer? {
         Response::New(body) => return Ok(body),
         Response::NotModified(answer) => answer,
@@ -99,14 +102,14 @@ async fn request(
     let freshness = answer.freshness;
     let network_bytes = answer.body.len() as u64;
     let encodings = content_encodings(&answer.headers);
-    let bytes = decode_body(uri, answer.body.clone(), encodings.clone(), limits).await?;
+    let bytes = decode_body(uri, answer.body.clone(), encodings.clone(), limits, transport.permit()).await?;
     let location = answer.redirected_to.as_deref().map(Arc::from);
     if freshness.store {
         let mut entry = Entry { uri: shown(uri).into_owned(), encoding: encodings, ..Entry::default() };
         entry.redirected_to = answer.redirected_to;
         entry.checked(SystemTime::now(), freshness.fresh_for);
         copy_validators(&mut entry, &answer.headers);
-        cache.store(uri, entry, answer.body, requested_at).await;
+        cache.store(uri, entry, answer.body, requested_at, transport.permit().budget()).await;
     } else {
         cache.remove_entry(uri).await;
     }

@@ -11,7 +11,7 @@ use super::hosts::{Connections, DnsResolver};
 use super::retry_policy::{Backoff, Pause, Pauses};
 #[cfg(feature = "object-store")]
 use crate::fetch::object_store::Stores;
-use crate::fetch::{IoError, Limits, RootScope, is_store, server};
+use crate::fetch::{IoError, Limits, Permit, RootScope, is_store, server};
 
 /// Sends the requests of a tile set, or of an application that names each URI itself. Cheap to clone.
 #[derive(Clone, Debug)]
@@ -19,6 +19,8 @@ pub(in crate::fetch) struct Transport {
     shared: Arc<Shared>,
     /// The tile set; `None` if the application names each URI. Its host then counts as that of a root.
     scope: Option<RootScope>,
+    /// Holds the bytes of the answers.
+    permit: Permit,
 }
 
 /// The connections and the state per server that all requests of a client share.
@@ -41,12 +43,22 @@ impl Transport {
             #[cfg(feature = "object-store")]
             stores: Stores::new(),
         };
-        Ok(Self { shared: Arc::new(shared), scope: None })
+        Ok(Self { shared: Arc::new(shared), scope: None, permit: Permit::unlimited() })
     }
 
     /// Returns a transport over the same connections for the requests of a tile set.
     pub fn within(&self, scope: &RootScope) -> Self {
         Self { scope: Some(scope.clone()), ..self.clone() }
+    }
+
+    /// Returns a transport over the same connections whose answers claim their bytes from a permit.
+    pub(super) fn holding(&self, permit: &Permit) -> Self {
+        Self { permit: permit.clone(), ..self.clone() }
+    }
+
+    /// Returns the permit that holds the bytes of the answers.
+    pub fn permit(&self) -> &Permit {
+        &self.permit
     }
 
     /// Returns the tile set; `None` if the application names each URI.
@@ -91,8 +103,8 @@ impl Transport {
                 }
                 tokio::time::sleep(left + backoff.stagger()).await;
             }
-            let (root, received) = (self.root(uri), Arc::default());
-            let exchange = Exchange { connections, root, config, limits, headers, validated_at, received };
+            let (root, received, permit) = (self.root(uri), Arc::default(), &self.permit);
+            let exchange = Exchange { connections, root, config, limits, permit, headers, validated_at, received };
             let error = match exchange.in_time(uri, self.send_once(uri, &exchange)).await {
                 Ok(answer) if answer.is_success() => return Ok(answer),
                 Ok(answer) => {

@@ -22,7 +22,7 @@ use url::Url;
 use super::config;
 use crate::fetch::http::{Answer, Connections, Exchange, error_chain};
 use crate::fetch::percent::percent_decode;
-use crate::fetch::{HttpConfig, IoError, Limits, server};
+use crate::fetch::{HttpConfig, IoError, Limits, Permit, server};
 
 /// The maximum number of buckets whose stores are cached.
 const MAX_STORES: NonZeroUsize = NonZeroUsize::new(16).expect("not zero");
@@ -42,6 +42,7 @@ pub(in crate::fetch) struct Stores(Mutex<LruCache<String, Arc<dyn ObjectStore>>>
 struct ObjectRequest {
     uri: String,
     limits: Limits,
+    permit: Permit,
     headers: HeaderMap,
     received: Arc<AtomicU64>,
     outcome: Mutex<Option<Result<Answer, IoError>>>,
@@ -62,6 +63,7 @@ impl Stores {
         let asked = Arc::new(ObjectRequest {
             uri: uri.to_owned(),
             limits: *exchange.limits,
+            permit: exchange.permit.clone(),
             headers: exchange.headers.clone(),
             received: exchange.received.clone(),
             outcome: Mutex::new(None),
@@ -172,15 +174,19 @@ impl HttpService for SignedTransport {
         let (parts, body) = request.into_parts();
         let is_unencrypted = parts.uri.scheme_str() != Some("https");
         let object = parts.extensions.get::<Arc<ObjectRequest>>().cloned();
-        let (uri, limits) = match &object {
-            Some(object) => (object.uri.clone(), object.limits),
-            None => (parts.uri.to_string(), Limits { max_file_bytes: MAX_TOKEN_BYTES, ..Limits::default() }),
+        let (uri, limits, permit) = match &object {
+            Some(object) => (object.uri.clone(), object.limits, object.permit.clone()),
+            None => {
+                let limits = Limits { max_file_bytes: MAX_TOKEN_BYTES, ..Limits::default() };
+                (parts.uri.to_string(), limits, Permit::unlimited())
+            }
         };
         let headers = object.as_ref().map(|object| object.headers.clone()).unwrap_or_default();
         let received = object.as_ref().map(|object| object.received.clone()).unwrap_or_default();
         let (connections, config) = (&self.connections, &self.config);
-        let (limits, headers) = (&limits, &headers);
-        let exchange = Exchange { connections, root: None, config, limits, headers, validated_at: None, received };
+        let (limits, permit, headers) = (&limits, &permit, &headers);
+        let exchange =
+            Exchange { connections, root: None, config, limits, permit, headers, validated_at: None, received };
         let outcome = async {
             if !self.allows_http && is_unencrypted {
                 let reason =

@@ -10,7 +10,7 @@ use super::host_device::HostDevice;
 use super::open_device::{OpenDevice, create_instance};
 use super::pipeline_cache::PipelineCache;
 use super::read_back::read_back;
-use super::render_target::{Acquired, RenderTarget};
+use super::render_target::{Acquired, RenderTarget, drawn_format};
 use super::targets::{ContextTarget, SurfaceFactory, TargetRequest, Targets, surface_factory};
 use super::traits::ContextTraits;
 use crate::gpu::GpuError;
@@ -18,6 +18,7 @@ use crate::gpu::memory::Memory;
 use crate::gpu::pools::{BindClass, BindGroupLayouts, DrawableEntry, Pools, RetireQueue, TargetFormats};
 use crate::gpu::upload::{CompileBudget, CompileOperation, CompileStats, Compiled, UploadQueue, rewrite_mesh};
 use crate::scene::{AttributeLayout, BlockFormats, DrawSlot, Mesh};
+use crate::state::TextureObject;
 use crate::sync::OperationQueue;
 
 /// A device with its queue, its targets and everything uploaded to it. `Send`: opened on one thread, then moved to the draw
@@ -36,6 +37,8 @@ pub struct GraphicsContext {
     /// Allocates targets, staging buffers and the buffers of frames.
     memory: Memory,
     bytes_peak: u64,
+    /// The size of the textures of state sets.
+    texture_bytes: u64,
     /// Written to disk when it is dropped.
     pipeline_cache: Option<PipelineCache>,
     /// The application's operations on the compile thread. They outlast a lost device.
@@ -107,6 +110,7 @@ impl GraphicsContext {
             retired: RetireQueue::default(),
             memory,
             bytes_peak: 0,
+            texture_bytes: 0,
             pipeline_cache: None,
             compile_operations: Arc::default(),
         })
@@ -128,6 +132,7 @@ impl GraphicsContext {
         let mut opened = Self::open(self.targets.close_all())?;
         opened.targets.select(selected);
         opened.bytes_peak = self.bytes_peak;
+        opened.pools.take_budgets(&mut self.pools);
         opened.compile_operations = std::mem::take(&mut self.compile_operations);
         let cache_folder = self.pipeline_cache.take().map(|cache| cache.folder().to_owned());
         *self = opened;
@@ -289,6 +294,11 @@ impl GraphicsContext {
         self.target().format()
     }
 
+    /// Returns the format that frames are drawn in: that of the target, unless their image is encoded by a pass afterwards.
+    pub(crate) fn drawn_format(&self) -> wgpu::TextureFormat {
+        drawn_format(self.color_format())
+    }
+
     /// Changes the size of the target. A window's image that is not presented yet is dropped.
     pub fn resize(&mut self, size_px: [u32; 2]) -> Result<(), GpuError> {
         self.targets.selected_mut().target_mut().resize(&self.gpu.device, size_px)
@@ -337,6 +347,22 @@ impl GraphicsContext {
         self.uploads.push(operation);
     }
 
+    /// Queues the upload of a texture of state sets, before the operations that are queued later.
+    pub(crate) fn compile_texture(&mut self, object: Arc<TextureObject>, texture: wgpu::Texture) {
+        self.uploads.push_texture(object, texture);
+    }
+
+    /// Takes the textures of state sets that are complete in the next frame.
+    pub(crate) fn take_compiled_textures(&mut self) -> Vec<Arc<TextureObject>> {
+        self.uploads.take_textures()
+    }
+
+    /// Notes the size of the textures of state sets, which the renderer owns.
+    pub(crate) fn set_texture_bytes(&mut self, bytes: u64) {
+        self.texture_bytes = bytes;
+        self.note_peak();
+    }
+
     /// Finishes operations that have not begun, without slots.
     pub fn cancel_compiles(&mut self, tickets: &[u64]) {
         self.uploads.cancel(tickets);
@@ -380,7 +406,16 @@ impl GraphicsContext {
 
     /// Takes the operations that finished since the last call, in the order of [`Self::compile`].
     pub fn take_compiled(&mut self) -> Vec<Compiled> {
-        self.uploads.take_finished()
+        let unused_bytes = self.bytes_allocated().saturating_sub(self.bytes_in_use());
+        let finished = self.uploads.take_finished().into_iter();
+        finished.map(|compiled| Compiled { unused_bytes, ..compiled }).collect()
+    }
+
+    /// Sets the budget of one of the context's owners, such as a pager, in bytes. Blocks of the pools do not grow ahead of
+    /// need beyond the sum of all budgets; a slot that is needed is allocated all the same. Until the first call there is no
+    /// limit.
+    pub fn set_max_bytes(&mut self, owner: u16, max_bytes: u64) {
+        self.pools.set_max_bytes(owner, max_bytes);
     }
 
     /// Replaces the mesh of a drawable and uploads it at once. Draws from now on show the new mesh, draws already submitted
@@ -389,7 +424,11 @@ impl GraphicsContext {
         let Self { uploads, gpu, pools, status, .. } = self;
         // Recorded uploads to a slot that is taken over here must be executed first.
         uploads.flush_recorded(&gpu.device, &gpu.queue);
-        let shares_mesh = rewrite_mesh(&gpu.queue, pools, slot, mesh);
+        if pools.is_copying_meshes() {
+            uploads.finish_uploads(&gpu.device, &gpu.queue, || status.check_lost().is_err());
+            pools.meshes_copied();
+        }
+        let shares_mesh = rewrite_mesh((&gpu.device, &gpu.queue), pools, slot, mesh);
         if matches!(shares_mesh, Ok(true)) {
             // The upload of the shared mesh may be in progress.
             uploads.finish_uploads(&gpu.device, &gpu.queue, || status.check_lost().is_err());
@@ -455,9 +494,10 @@ impl GraphicsContext {
         self.pools.bytes_in_use()
     }
 
-    /// Returns the size of the pools, free slots included.
+    /// Returns the size of the pools, free slots included, and blocks that are being replaced by larger ones; and of the
+    /// textures of state sets, without those that cameras draw into.
     pub fn bytes_allocated(&self) -> u64 {
-        self.pools.bytes_allocated()
+        self.pools.bytes_allocated() + self.texture_bytes
     }
 
     /// Returns the largest [`Self::bytes_allocated`] so far.
@@ -466,7 +506,7 @@ impl GraphicsContext {
     }
 
     fn note_peak(&mut self) {
-        self.bytes_peak = self.bytes_peak.max(self.pools.bytes_allocated());
+        self.bytes_peak = self.bytes_peak.max(self.bytes_allocated());
     }
 }
 
@@ -487,6 +527,11 @@ impl GraphicsContext {
     /// Limits the memory for everything but the pools: targets, staging buffers, tables of the air.
     pub fn pretend_frame_memory(&self, left_bytes: Option<u64>) {
         self.memory.pretend(left_bytes);
+    }
+
+    /// Gives the selected offscreen target another format, such as those of windows without sRGB.
+    pub fn pretend_format(&mut self, format: wgpu::TextureFormat) {
+        self.targets.selected_mut().target_mut().pretend_format(&self.gpu.device, format);
     }
 
     /// Sets the next answers of the window's surface.

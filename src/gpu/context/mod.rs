@@ -18,7 +18,7 @@ pub(crate) use frame_timer::FrameTimer;
 pub use graphics_context::GraphicsContext;
 pub use host_device::HostDevice;
 pub use render_target::Acquired;
-pub(crate) use render_target::DEPTH_FORMAT;
+pub(crate) use render_target::{DEPTH_FORMAT, is_encoded_by_shader};
 #[cfg(feature = "testing")]
 pub use surface_health::SurfaceAnswer;
 pub use traits::{AdapterChoice, ContextTraits};

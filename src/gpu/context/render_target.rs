@@ -62,14 +62,14 @@ fn check_size(device: &wgpu::Device, size_px: [u32; 2]) -> Result<(), GpuError> 
     Ok(())
 }
 
-fn offscreen_color(device: &wgpu::Device, size_px: [u32; 2]) -> Color {
+fn offscreen_color(device: &wgpu::Device, format: wgpu::TextureFormat, size_px: [u32; 2]) -> Color {
     let texture = device.create_texture(&wgpu::TextureDescriptor {
         label: Some("colour"),
         size: extent(size_px),
         mip_level_count: 1,
         sample_count: 1,
         dimension: wgpu::TextureDimension::D2,
-        format: OFFSCREEN_FORMAT,
+        format,
         usage: wgpu::TextureUsages::RENDER_ATTACHMENT
             | wgpu::TextureUsages::COPY_SRC
             | wgpu::TextureUsages::TEXTURE_BINDING,
@@ -106,6 +106,23 @@ fn alpha_bits(format: wgpu::TextureFormat) -> u32 {
         F::Rgba16Float | F::Rgba16Unorm => 16,
         F::Rgb10a2Unorm => 2,
         _ => 0,
+    }
+}
+
+/// Returns true if a format holds encoded colours and the adapter does not encode them.
+pub(crate) fn is_encoded_by_shader(format: wgpu::TextureFormat) -> bool {
+    use wgpu::TextureFormat as F;
+    !format.is_srgb() && !matches!(format, F::Rgba16Float | F::Rgba32Float | F::Rg11b10Ufloat)
+}
+
+/// Returns the format in which frames for a target are drawn: its own if the adapter encodes colours or nobody does, and
+/// otherwise one whose image is encoded afterwards.
+pub(super) fn drawn_format(format: wgpu::TextureFormat) -> wgpu::TextureFormat {
+    use wgpu::TextureFormat as F;
+    match format {
+        F::Rgba8Unorm | F::Bgra8Unorm => F::Rgba8UnormSrgb,
+        format if is_encoded_by_shader(format) => F::Rgba16Float,
+        format => format,
     }
 }
 
@@ -146,7 +163,11 @@ impl RenderTarget {
 
     fn offscreen(device: &wgpu::Device, size_px: [u32; 2]) -> Result<Self, GpuError> {
         check_size(device, size_px)?;
-        Ok(Self { color: offscreen_color(device, size_px), size_px, health: SurfaceHealth::default() })
+        Ok(Self {
+            color: offscreen_color(device, OFFSCREEN_FORMAT, size_px),
+            size_px,
+            health: SurfaceHealth::default(),
+        })
     }
 
     fn window(
@@ -199,7 +220,8 @@ impl RenderTarget {
 
     pub(super) fn format(&self) -> wgpu::TextureFormat {
         match &self.color {
-            Color::Offscreen { .. } | Color::Closed => OFFSCREEN_FORMAT,
+            Color::Offscreen { texture, .. } => texture.format(),
+            Color::Closed => OFFSCREEN_FORMAT,
             Color::Window { config, .. } => config.format,
         }
     }
@@ -210,7 +232,7 @@ impl RenderTarget {
         }
         check_size(device, size_px)?;
         match &mut self.color {
-            Color::Offscreen { .. } => self.color = offscreen_color(device, size_px),
+            Color::Offscreen { texture, .. } => self.color = offscreen_color(device, texture.format(), size_px),
             Color::Window { surface, config, frame } => {
                 *frame = None;
                 [config.width, config.height] = size_px;
@@ -274,6 +296,12 @@ impl RenderTarget {
         Ok(Acquired::Skip)
     }
 
+    /// Gives an offscreen target another format, such as those of windows without sRGB.
+    #[cfg(feature = "testing")]
+    pub(super) fn pretend_format(&mut self, device: &wgpu::Device, format: wgpu::TextureFormat) {
+        self.color = offscreen_color(device, format, self.size_px);
+    }
+
     /// Sets the next answers of a window's surface.
     #[cfg(feature = "testing")]
     pub(super) fn pretend(&mut self, answers: &[SurfaceAnswer]) {
@@ -310,6 +338,15 @@ impl RenderTarget {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn formats_that_adapters_do_not_encode_are_drawn_in_others() {
+        use wgpu::TextureFormat as F;
+        let formats = [F::Bgra8UnormSrgb, F::Bgra8Unorm, F::Rgba8Unorm, F::Rgb10a2Unorm, F::Rgba16Float];
+        let drawn = [F::Bgra8UnormSrgb, F::Rgba8UnormSrgb, F::Rgba8UnormSrgb, F::Rgba16Float, F::Rgba16Float];
+        assert_eq!(formats.map(drawn_format), drawn);
+        assert_eq!(formats.map(is_encoded_by_shader), [false, true, true, true, false]);
+    }
 
     #[test]
     fn window_takes_a_format_with_enough_alpha() {

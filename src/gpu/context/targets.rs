@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use super::open_device::OpenDevice;
-use super::render_target::{Acquired, DEPTH_FORMAT, RenderTarget};
+use super::render_target::{Acquired, DEPTH_FORMAT, RenderTarget, drawn_format};
 use super::traits::ContextTraits;
 use crate::gpu::GpuError;
 use crate::gpu::pools::{MAX_COLOR_ATTACHMENTS, TargetFormats};
@@ -44,7 +44,9 @@ impl ContextTarget {
         let target = RenderTarget::new(&gpu.adapter, &gpu.device, surface, &traits)?;
         let has_stencil = gpu.device.features().contains(wgpu::Features::DEPTH32FLOAT_STENCIL8);
         let stencil = has_stencil.then_some(wgpu::TextureFormat::Depth32FloatStencil8);
-        let samples = gpu.samples(traits.samples, [target.format(), DEPTH_FORMAT].into_iter().chain(stencil));
+        // Views may be drawn as light in half floats.
+        let formats = [drawn_format(target.format()), wgpu::TextureFormat::Rgba16Float, DEPTH_FORMAT];
+        let samples = gpu.samples(traits.samples, formats.into_iter().chain(stencil));
         Ok(Self { target, traits, samples, create_surface })
     }
 
@@ -68,7 +70,7 @@ impl ContextTarget {
     /// Returns the formats for the pipelines of images drawn into this target.
     pub(super) fn formats(&self) -> TargetFormats {
         let mut colors = [None; MAX_COLOR_ATTACHMENTS];
-        colors[0] = Some(self.target.format());
+        colors[0] = Some(drawn_format(self.target.format()));
         TargetFormats { colors, depth: DEPTH_FORMAT, samples: self.samples, keeps_alpha: false }
     }
 

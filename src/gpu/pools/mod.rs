@@ -1,11 +1,14 @@
 //! The pools that geometry and textures are uploaded to, and the table of uploaded drawables. Draw thread.
 //!
 //! Height tiles and mesh textures have slots in blocks of array textures; meshes have slots in buffers of one size class
-//! each; surfaces of the metallic-roughness model have records in sets with one bind group each. Equal content shares a slot by reference count. A released slot is free at once: uploads run on the same queue,
-//! after the draws that used it.
+//! each; surfaces of the metallic-roughness model have records in sets with one bind group each. Equal content shares a
+//! slot by reference count. A released slot is free at once: uploads run on the same queue, after the draws that used it.
+//!
+//! A block starts with the size of one image or mesh and grows in place (`block_memory.rs`). It is freed with its last slot.
 
 mod allocation;
 mod bind_group_layouts;
+mod block_memory;
 mod custom_drawables;
 mod drawable_entry;
 mod drawable_table;
@@ -28,6 +31,7 @@ use textures::TexturePool;
 
 pub(super) use allocation::{Allocation, BufferDestination, LayerDestination};
 pub(super) use bind_group_layouts::BindGroupLayouts;
+pub(super) use block_memory::BlockCopy;
 pub use custom_drawables::{CompileInfo, CustomError, TargetFormats};
 pub(crate) use custom_drawables::{CustomCompile, CustomDrawables, CustomShape, MAX_COLOR_ATTACHMENTS};
 pub(crate) use drawable_entry::{BindClass, DrawableEntry, Extent, Shape};
@@ -55,6 +59,8 @@ pub(crate) struct Pools {
     layouts: BindGroupLayouts,
     /// Allocates blocks and chunks. Separate from the memory for frames, so that tests can limit each alone.
     memory: Memory,
+    /// The budgets in bytes, by owner.
+    budgets: Vec<(u16, u64)>,
 }
 
 impl Pools {
@@ -68,7 +74,26 @@ impl Pools {
             drawables: DrawableTable::default(),
             layouts: BindGroupLayouts::new(device, max_anisotropy),
             memory: Memory::new(device),
+            budgets: Vec::new(),
         }
+    }
+
+    /// Sets the budget of an owner in bytes. Blocks do not grow ahead of need beyond the sum of all budgets; a slot that is
+    /// needed is allocated all the same.
+    pub(super) fn set_max_bytes(&mut self, owner: u16, max_bytes: u64) {
+        self.budgets.retain(|(known, _)| *known != owner);
+        self.budgets.push((owner, max_bytes));
+    }
+
+    /// Takes the budgets of the pools of a lost device.
+    pub(super) fn take_budgets(&mut self, lost: &mut Self) {
+        self.budgets = std::mem::take(&mut lost.budgets);
+    }
+
+    fn update_room(&mut self) {
+        let sum = self.budgets.iter().fold(0u64, |sum, (_, bytes)| sum.saturating_add(*bytes));
+        let max_bytes = if self.budgets.is_empty() { u64::MAX } else { sum };
+        self.memory.set_room_bytes(max_bytes.saturating_sub(self.bytes_allocated()));
     }
 
     pub(crate) fn heights(&self) -> &HeightPool {
@@ -115,6 +140,7 @@ impl Pools {
         tile: &HeightTile,
         content: Option<&ContentKey>,
     ) -> Result<Allocation<HeightSlot>, String> {
+        self.update_room();
         self.heights.allocate(&self.memory, &self.layouts, tile, content)
     }
 
@@ -125,6 +151,7 @@ impl Pools {
         shared: &SharedParts,
         format: VertexFormat,
     ) -> Result<MeshAllocation, String> {
+        self.update_room();
         self.meshes.allocate(&self.memory, mesh, shared, format)
     }
 
@@ -140,6 +167,7 @@ impl Pools {
         encoding: TexelEncoding,
         content: Option<&ContentKey>,
     ) -> Result<Allocation<TextureLayer>, String> {
+        self.update_room();
         self.textures.allocate(&self.memory, &self.layouts, image, encoding, content)
     }
 
@@ -194,6 +222,37 @@ impl Pools {
             }
             Shape::Custom(index) => self.customs.release(*index),
         }
+    }
+
+    /// Takes the copies of blocks that have grown. They must be queued before the uploads to slots allocated since.
+    pub(super) fn take_copies(&mut self) -> impl Iterator<Item = BlockCopy> + '_ {
+        let Self { heights, meshes, textures, .. } = self;
+        heights.take_copies().chain(meshes.take_copies()).chain(textures.take_copies())
+    }
+
+    /// Returns true while a copy of meshes is not recorded, so that writes by the queue would be overwritten.
+    pub(super) fn is_copying_meshes(&mut self) -> bool {
+        self.meshes.is_copying()
+    }
+
+    /// Notes that a copy is recorded, and that the next frame is submitted after it: frames read the new memory from now on.
+    pub(super) fn copied(&mut self, copy: &BlockCopy) {
+        let Self { heights, meshes, textures, surfaces, layouts, memory, .. } = self;
+        let device = memory.device();
+        match copy {
+            BlockCopy::Layers { to, .. } => {
+                heights.copied(device, layouts, to);
+                for block in textures.copied(device, layouts, to) {
+                    surfaces.rebind((device, layouts), textures, block);
+                }
+            }
+            BlockCopy::Buffer { to, .. } => meshes.copied(Some(to)),
+        }
+    }
+
+    /// Notes that all copies of meshes are recorded.
+    pub(super) fn meshes_copied(&mut self) {
+        self.meshes.copied(None);
     }
 
     /// Returns the size of all slots in use.

@@ -1,4 +1,4 @@
-//! [`SlotAllocator`]: the free list of a block whose slots all have one size, and the sizes of blocks and slots. Draw
+//! [`SlotAllocator`]: the free list of a block whose slots all have one size, and the size classes of slots. Draw
 //! thread; plain values.
 
 /// Hands out the slots `0..capacity`, the last freed first.
@@ -23,17 +23,19 @@ impl SlotAllocator {
         self.free.push(slot);
     }
 
+    /// Adds slots, up to a number.
+    pub(super) fn grow(&mut self, capacity: u32) {
+        self.free.extend((self.capacity..capacity).rev());
+        self.capacity = self.capacity.max(capacity);
+    }
+
+    pub(super) fn capacity(&self) -> u32 {
+        self.capacity
+    }
+
     pub(super) fn is_empty(&self) -> bool {
         self.free.len() as u32 == self.capacity
     }
-}
-
-/// Returns the number of slots of a pool's next block: 16 for the first block, then doubling, so that a small scene does
-/// not pay for a large block. At least one slot, and at most `max_slots` slots or `target_bytes`.
-pub(super) fn block_capacity(blocks_so_far: usize, slot_bytes: u64, target_bytes: u64, max_slots: u32) -> u32 {
-    let by_bytes = (target_bytes / slot_bytes.max(1)).clamp(1, u64::from(max_slots)) as u32;
-    let grown = 16 << blocks_so_far.min(16);
-    by_bytes.min(grown).max(1)
 }
 
 /// Rounds a length up to its size class. Each octave has eight classes, so that at most an eighth is wasted.
@@ -59,6 +61,9 @@ mod tests {
             slots.release(s);
         }
         assert!(slots.is_empty());
+        slots.grow(5);
+        assert_eq!([slots.allocate(), slots.allocate(), slots.capacity().into()], [Some(3), Some(4), Some(5)]);
+        assert!(!slots.is_empty());
     }
 
     #[test]
@@ -68,12 +73,5 @@ mod tests {
             assert!(class >= length && class as f64 <= 1.125 * length as f64 + 1.0, "{length} {class}");
             assert_eq!(size_class(class), class);
         }
-    }
-
-    #[test]
-    fn blocks_grow_up_to_their_target_size() {
-        assert_eq!([0, 1, 2, 3, 99].map(|n| block_capacity(n, 1000, 1 << 30, 128)), [16, 32, 64, 128, 128]);
-        assert_eq!(block_capacity(3, 1 << 20, 8 << 20, 64), 8);
-        assert_eq!(block_capacity(0, 1 << 40, 8 << 20, 64), 1);
     }
 }

@@ -26,12 +26,16 @@ pub struct Compiled {
     pub shared: Vec<(ContentKey, u64)>,
     /// The errors of the drawables that failed.
     pub errors: Vec<String>,
+    /// Bytes of GPU memory that the context's pools had allocated beyond the slots in use: free slots of blocks, and blocks
+    /// that are being replaced by larger ones; and the textures of state sets, which no drawable owns.
+    pub unused_bytes: u64,
 }
 
 impl Compiled {
     /// Returns the result of an operation before its first drawable, with capacity for a number of slots.
     pub(super) fn empty(ticket: u64, drawables: usize) -> Self {
-        Self { ticket, slots: Vec::with_capacity(drawables), bytes: 0, shared: Vec::new(), errors: Vec::new() }
+        let (shared, errors) = (Vec::new(), Vec::new());
+        Self { ticket, slots: Vec::with_capacity(drawables), bytes: 0, shared, errors, unused_bytes: 0 }
     }
 
     /// Counts a slot of a drawable: as shared if it has a content key, and otherwise if it is new.

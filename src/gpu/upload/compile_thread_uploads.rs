@@ -74,6 +74,7 @@ impl CompileThreadUploads {
                     customs.bytes += custom_bytes.unwrap_or(0);
                     customs.slices += u32::from(custom_bytes.is_some());
                 }
+                Placed::Texture => {}
                 Placed::Operation(compiled) => self.thread.send_end(compiled),
             }
             if is_time_spent() {

@@ -82,6 +82,7 @@ impl DrawThreadUploads {
                         stats.bytes += custom_bytes.unwrap_or(0);
                         stats.slices += u32::from(custom_bytes.is_some());
                     }
+                    Some(Placed::Texture) => {}
                     Some(Placed::Operation(compiled)) => {
                         progress.operations.finish([compiled]);
                         stats.finished += 1;
@@ -141,7 +142,10 @@ impl DrawThreadUploads {
                 let count = count.min(free_units(writer));
                 upload.write(writer, &mut self.scratch, count)
             }
-            None => upload.write(&mut QueueSink(info.queue), &mut self.scratch, count),
+            None => {
+                let mut sink = QueueSink { device: info.device, queue: info.queue };
+                upload.write(&mut sink, &mut self.scratch, count)
+            }
         })
     }
 
@@ -158,8 +162,9 @@ impl DrawThreadUploads {
     }
 
     /// Uploads everything queued by the queue at once.
-    pub(super) fn finish_all(&mut self, queue: &wgpu::Queue) {
-        self.uploads.drain(..).for_each(|upload| upload.write_all(queue, &mut self.scratch));
+    pub(super) fn finish_all(&mut self, device: &wgpu::Device, queue: &wgpu::Queue) {
+        let mut sink = QueueSink { device, queue };
+        self.uploads.drain(..).for_each(|upload| upload.write_all(&mut sink, &mut self.scratch));
     }
 }
 

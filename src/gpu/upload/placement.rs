@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 use super::compile_operation::Compiled;
-use super::resource_upload::{BufferSource, ImageSource, Upload};
+use super::resource_upload::{BufferSource, ImageSource, QueueSink, Upload};
 use crate::gpu::pools::{
     CompileInfo, CustomCompile, DrawableEntry, MapLayers, MeshAllocation, Pools, Shape, SurfacePool, SurfaceSlot,
     TexelEncoding, TextureLayer, VertexFormat,
@@ -207,10 +207,10 @@ fn queue_mesh(pools: &Pools, allocation: &MeshAllocation, mesh: &Arc<Mesh>, uplo
     }
 }
 
-/// Replaces the mesh of a drawable and writes its data by the queue at once. Returns true if the drawable now shares
+/// Replaces the mesh of a drawable and writes its data by the queue at once. No copy of meshes may be pending. Returns true if the drawable now shares
 /// vertices or indices with another, whose uploads may be in progress.
 pub(in crate::gpu) fn rewrite_mesh(
-    queue: &wgpu::Queue,
+    (device, queue): (&wgpu::Device, &wgpu::Queue),
     pools: &mut Pools,
     slot: DrawSlot,
     mesh: &Arc<Mesh>,
@@ -220,9 +220,11 @@ pub(in crate::gpu) fn rewrite_mesh(
         return Err("the drawable is a height tile or a custom drawable, not a mesh".into());
     };
     let allocation = pools.allocate_mesh(mesh, &SharedParts::default(), VertexFormat::Full)?;
-    let (mut uploads, mut scratch) = (VecDeque::new(), Vec::new());
+    let mut uploads: VecDeque<_> = pools.take_copies().map(Upload::copy).collect();
     queue_mesh(pools, &allocation, mesh, &mut uploads);
-    uploads.into_iter().for_each(|upload| upload.write_all(queue, &mut scratch));
+    let (mut sink, mut scratch) = (QueueSink { device, queue }, Vec::new());
+    uploads.into_iter().for_each(|upload| upload.write_all(&mut sink, &mut scratch));
+    pools.meshes_copied();
     let shape = Shape::of_mesh(mesh, allocation.slot, texture, surface);
     pools.replace(slot, DrawableEntry { shape, ..entry });
     // The old slot is free at once: later uploads run after the draws already submitted.

@@ -4,10 +4,11 @@
 use std::sync::Arc;
 
 use crate::gpu::pools::{
-    BufferDestination, LayerDestination, TextureRows, VertexFormat, interleaved_bytes, short_index_bytes, table_bytes,
-    table_words, write_rows,
+    BlockCopy, BufferDestination, LayerDestination, TextureRows, VertexFormat, interleaved_bytes, short_index_bytes,
+    table_bytes, table_words, write_rows,
 };
 use crate::scene::{HeightTile, Mesh, TexelFormat, Texture, added_stride};
+use crate::state::TextureObject;
 
 /// The means by which bytes reach the adapter.
 pub(super) trait Sink {
@@ -16,18 +17,31 @@ pub(super) trait Sink {
 
     /// Writes a part of a buffer. `data` is a multiple of four bytes.
     fn write_bytes(&mut self, buffer: &wgpu::Buffer, offset: u64, data: &[u8]);
+
+    /// Copies the contents of a block that has grown, after everything written before.
+    fn copy_block(&mut self, copy: &BlockCopy);
 }
 
 /// Writes by the queue. Only the thread that submits may use it.
-pub(super) struct QueueSink<'a>(pub(super) &'a wgpu::Queue);
+pub(super) struct QueueSink<'a> {
+    pub(super) device: &'a wgpu::Device,
+    pub(super) queue: &'a wgpu::Queue,
+}
 
 impl Sink for QueueSink<'_> {
     fn write_rows(&mut self, texture: &wgpu::Texture, rows: &TextureRows, data: &[u8]) {
-        write_rows(self.0, texture, rows, data);
+        write_rows(self.queue, texture, rows, data);
     }
 
     fn write_bytes(&mut self, buffer: &wgpu::Buffer, offset: u64, data: &[u8]) {
-        self.0.write_buffer(buffer, offset, data);
+        self.queue.write_buffer(buffer, offset, data);
+    }
+
+    fn copy_block(&mut self, copy: &BlockCopy) {
+        let descriptor = wgpu::CommandEncoderDescriptor { label: Some("block copy") };
+        let mut encoder = self.device.create_command_encoder(&descriptor);
+        copy.record(&mut encoder);
+        self.queue.submit([encoder.finish()]);
     }
 }
 
@@ -52,6 +66,10 @@ pub(super) enum BufferSource {
 enum Resource {
     Layer(ImageSource, LayerDestination),
     Buffer(BufferSource, BufferDestination),
+    /// A texture of state sets.
+    State(Arc<TextureObject>, wgpu::Texture),
+    /// A copy on the adapter. It uploads nothing and counts as one unit of no bytes.
+    Copy(BlockCopy),
 }
 
 /// A number of rows, vertices or indices.
@@ -65,7 +83,7 @@ pub(super) struct Units {
 /// A resource to upload, with its progress.
 pub(super) struct Upload {
     resource: Resource,
-    /// The current level of an image; 0 for buffers.
+    /// The current level of an image, or layer of a level of a texture of state sets; 0 for buffers.
     level: u32,
     /// The number of uploaded units of the current level.
     done: usize,
@@ -80,12 +98,26 @@ impl Upload {
         Self { resource: Resource::Buffer(source, destination), level: 0, done: 0 }
     }
 
+    pub(super) fn to_state_texture(object: Arc<TextureObject>, texture: wgpu::Texture) -> Self {
+        Self { resource: Resource::State(object, texture), level: 0, done: 0 }
+    }
+
+    pub(super) fn copy(copy: BlockCopy) -> Self {
+        Self { resource: Resource::Copy(copy), level: 0, done: 0 }
+    }
+
     /// Returns the units of a level; `None` beyond the last one. A level has at least one unit, since the pools refuse empty
     /// meshes and images.
     fn units(&self, level: u32) -> Option<Units> {
         match &self.resource {
             Resource::Layer(source, _) => source.rows(level),
             Resource::Buffer(source, _) => (level == 0).then(|| source.units()),
+            Resource::State(object, _) => {
+                let (level, _) = layer_of(object, level)?;
+                let [width, height, _] = object.level_size(level);
+                Some(Units { count: height as usize, unit_bytes: width as usize * object.format.texel_bytes() })
+            }
+            Resource::Copy(_) => (level == 0).then_some(Units { count: 1, unit_bytes: 0 }),
         }
     }
 
@@ -103,7 +135,7 @@ impl Upload {
 
     /// Returns true if the units are rows of a texture.
     pub(super) fn has_rows(&self) -> bool {
-        matches!(self.resource, Resource::Layer(..))
+        matches!(self.resource, Resource::Layer(..) | Resource::State(..))
     }
 
     /// Uploads the next `count` units, at most those that remain in the level, and returns their size in bytes. `scratch` is
@@ -112,6 +144,7 @@ impl Upload {
         let Some(Units { count: all, unit_bytes }) = self.units(self.level) else { return 0 };
         let part = self.done..all.min(self.done + count);
         match &self.resource {
+            Resource::Copy(copy) => sink.copy_block(copy),
             Resource::Layer(source, LayerDestination { texture, layer }) => {
                 let rows = TextureRows {
                     layer: *layer,
@@ -119,10 +152,26 @@ impl Upload {
                     first: part.start as u32,
                     count: part.len() as u32,
                     width: source.width(self.level),
-                    format: source.format(),
+                    row_bytes: unit_bytes as u32,
+                    block_side: source.format().block_side(),
                 };
                 let range = part.start * unit_bytes..part.end * unit_bytes;
                 sink.write_rows(texture, &rows, &source.texels(self.level)[range]);
+            }
+            Resource::State(object, texture) => {
+                let Some((level, layer)) = layer_of(object, self.level) else { return 0 };
+                let rows = TextureRows {
+                    layer,
+                    level,
+                    first: part.start as u32,
+                    count: part.len() as u32,
+                    width: object.level_size(level)[0],
+                    row_bytes: unit_bytes as u32,
+                    block_side: 1,
+                };
+                let start = layer as usize * all;
+                let range = (start + part.start) * unit_bytes..(start + part.end) * unit_bytes;
+                sink.write_rows(texture, &rows, &object.texels[level as usize][range]);
             }
             Resource::Buffer(source, BufferDestination { buffer, offset }) => {
                 let offset = offset + (part.start * unit_bytes) as u64;
@@ -154,11 +203,24 @@ impl Upload {
     }
 
     /// Uploads everything that remains by the queue.
-    pub(super) fn write_all(mut self, queue: &wgpu::Queue, scratch: &mut Vec<u8>) {
+    pub(super) fn write_all(mut self, sink: &mut QueueSink<'_>, scratch: &mut Vec<u8>) {
         while let Some(remaining) = self.remaining() {
-            self.write(&mut QueueSink(queue), scratch, remaining.count);
+            self.write(sink, scratch, remaining.count);
         }
     }
+}
+
+/// Returns level and layer by the number of a layer, counted over all levels that have texels.
+fn layer_of(object: &TextureObject, number: u32) -> Option<(u32, u32)> {
+    let mut left = number;
+    for level in 0..object.texels.len() as u32 {
+        let layers = object.level_size(level)[2];
+        if left < layers {
+            return Some((level, left));
+        }
+        left -= layers;
+    }
+    None
 }
 
 impl ImageSource {

@@ -12,7 +12,7 @@ pub(super) use wgpu::{Buffer, CommandBuffer, Device};
 
 use super::Memory;
 use super::resource_upload::Sink;
-use crate::gpu::pools::TextureRows;
+use crate::gpu::pools::{BlockCopy, TextureRows};
 
 /// The size of a staging buffer of the draw thread: enough for an image of 256 x 256 texels with its levels, and a mesh.
 const STAGING_BYTES: u64 = 512 << 10;
@@ -50,7 +50,7 @@ fn padded(row_bytes: u64) -> u64 {
 
 impl Sink for StagingWriter {
     fn write_rows(&mut self, texture: &wgpu::Texture, rows: &TextureRows, data: &[u8]) {
-        let row_bytes = rows.row_bytes() as usize;
+        let row_bytes = rows.row_bytes as usize;
         let stride = padded(row_bytes as u64);
         let offset = self.used_bytes;
         if stride == row_bytes as u64 {
@@ -81,6 +81,10 @@ impl Sink for StagingWriter {
         // Rows may follow, and copies to textures have this alignment.
         self.used_bytes += padded(data.len() as u64);
         self.encoder.copy_buffer_to_buffer(&self.staging, start, buffer, offset, data.len() as u64);
+    }
+
+    fn copy_block(&mut self, copy: &BlockCopy) {
+        copy.record(&mut self.encoder);
     }
 }
 

@@ -10,6 +10,7 @@ use super::compile_thread_uploads::CompileThreadUploads;
 use super::draw_thread_uploads::DrawThreadUploads;
 use super::upload_progress::UploadProgress;
 use crate::gpu::pools::{CompileInfo, Pools};
+use crate::state::TextureObject;
 use crate::sync::OperationQueue;
 use crate::trace;
 
@@ -42,6 +43,16 @@ impl UploadQueue {
 
     pub(in crate::gpu) fn push(&mut self, operation: CompileOperation) {
         self.progress.operations.push(operation);
+    }
+
+    /// Queues the upload of a texture of state sets, before the operations that are pushed later.
+    pub(in crate::gpu) fn push_texture(&mut self, object: Arc<TextureObject>, texture: wgpu::Texture) {
+        self.progress.operations.push_texture(object, texture);
+    }
+
+    /// Takes the textures of state sets whose uploads are submitted with the next frame at the latest.
+    pub(in crate::gpu) fn take_textures(&mut self) -> Vec<Arc<TextureObject>> {
+        self.progress.operations.take_textures()
     }
 
     /// Finishes operations that have not begun, without slots.
@@ -89,6 +100,8 @@ impl UploadQueue {
             Copier::DrawThread(uploads) => uploads.run(progress, memory, &info, pools, budget),
             Copier::CompileThread(uploads) => uploads.run(progress, &info, pools, budget),
         };
+        // The operations that need the copies are finished, and what was recorded is submitted before the next frame.
+        progress.operations.take_copied().for_each(|copy| pools.copied(&copy));
         progress.recorded.count_bytes(stats.bytes);
         if progress.recorded.is_flush_due() {
             self.flush(device, queue);
@@ -146,7 +159,7 @@ impl UploadQueue {
     ) {
         let Self { copier, progress } = self;
         match copier {
-            Copier::DrawThread(uploads) => uploads.finish_all(queue),
+            Copier::DrawThread(uploads) => uploads.finish_all(device, queue),
             Copier::CompileThread(uploads) => {
                 uploads.finish_all(progress, device, queue, is_lost);
             }

@@ -1,10 +1,16 @@
 //! Accepts requests of culls and of scenes, and lets failures be requested again.
 
+use std::time::Duration;
+
 use super::DatabasePager;
 use crate::cull::PageRequest;
 use crate::pager::requests::table::Changes;
+use crate::pager::residency::Unused;
 use crate::pager::scenes::scene_set::SceneSet;
 use crate::scene::SlotState;
+
+/// A slot that a cull met within this many frames is seen.
+const MET_FRAMES: u32 = 2;
 
 impl DatabasePager {
     /// Accepts new requests and renews those that are known. Returns true if there is something new to load, or a prefetch
@@ -13,7 +19,7 @@ impl DatabasePager {
         if let Some(scene) = self.scenes.claimant(scenes) {
             self.claim(scene);
         }
-        let frame = self.control.frame;
+        let frame = self.control.times.frame();
         let mut changes = Changes::default();
         for request in requests {
             if self.table.renew(request, frame, &mut changes) {
@@ -29,7 +35,7 @@ impl DatabasePager {
         }
         self.stats.requested += changes.requested;
         self.stats.retried += changes.retried;
-        self.control.is_list_current &= !changes.changes_list();
+        changes.rearranged.iter().for_each(|(slot, urgency)| self.arrivals.set_urgency(*slot, *urgency));
         changes.has_new()
     }
 
@@ -47,6 +53,8 @@ impl DatabasePager {
 
     /// Lets failures be requested again whose back-off is over.
     pub(super) fn retry_failures(&mut self, scenes: &mut dyn SceneSet) {
-        self.table.retry_due(scenes, self.control.frame, self.config.expiry_frames);
+        let unused = Unused { frames: self.config.expiry_frames, time: self.config.expiry_time };
+        let unused = unused.at_least(MET_FRAMES, Duration::ZERO);
+        self.table.retry_due(scenes, |frame| unused.allows(frame, &self.control.times));
     }
 }

@@ -4,12 +4,12 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::DatabasePager;
-use crate::fetch::IoError;
+use crate::fetch::{IoError, Permit};
 use crate::gpu::Compiled;
 use crate::pager::loading::job::Answer;
 use crate::pager::loading::page_job::PageJob;
 use crate::pager::loading::ticket::{RequestEnd, Ticket};
-use crate::pager::requests::entry::Progress;
+use crate::pager::requests::entry::{Entry, Progress};
 use crate::pager::requests::retry_policy::{RetryPolicy, RetryState, retry_moment};
 use crate::pager::residency::budget::{Budget, MemoryUse};
 use crate::pager::scenes::scene_set::SceneSet;
@@ -18,11 +18,18 @@ use crate::pager::upload::context::CompileContext;
 use crate::scene::{DrawKind, NodeId, Page};
 
 impl DatabasePager {
-    /// Takes all answers of the loading threads.
+    /// Takes answers of the loading threads, at least one and then for as long as [`PagerConfig::update_time`] allows. The
+    /// others stay in their channel, which has room for all.
+    ///
+    /// [`PagerConfig::update_time`]: crate::pager::PagerConfig::update_time
     pub(super) fn take_answers(&mut self, scenes: &mut dyn SceneSet, contexts: &mut [&mut dyn CompileContext]) {
+        let budget = self.budget(self.config.update_time);
         while let Some(answer) = self.threads.try_answer() {
             self.received(&answer);
             self.answer(scenes, answer, contexts);
+            if budget.is_over() {
+                break;
+            }
         }
     }
 
@@ -53,7 +60,7 @@ impl DatabasePager {
         answer: Answer<PageJob>,
         contexts: &mut [&mut dyn CompileContext],
     ) {
-        let Answer { job, content, .. } = answer;
+        let Answer { job, content, permit, .. } = answer;
         if self.table.of_job(&job).is_none() {
             // The tree that held the slot is gone.
             if let Some(Ok(page)) = content {
@@ -67,14 +74,14 @@ impl DatabasePager {
             Some(Ok(page)) if !self.scenes.block_formats().get().contains(page.block_formats()) => {
                 self.undrawable(&job, page);
             }
-            Some(Ok(page)) => self.arrived(scenes, &job, page, contexts),
+            Some(Ok(page)) => self.arrived(scenes, &job, (page, permit), contexts),
         }
     }
 
     fn aborted(&mut self, job: &PageJob) {
         self.stats.cancelled += 1;
         job.ticket.trace_end(RequestEnd::Cancelled);
-        if self.table.of_job(job).is_some_and(|entry| !entry.end_unwanted()) {
+        if self.table.begin(job.slot, Entry::end_unwanted) == Some(false) {
             self.table.remove(job.slot);
         }
     }
@@ -84,7 +91,6 @@ impl DatabasePager {
         self.stats.dropped += 1;
         job.ticket.trace_end(RequestEnd::Dropped);
         self.table.remove(job.slot);
-        self.control.is_list_current = false;
         self.reaper.drop_page(Box::new(page));
     }
 
@@ -94,10 +100,10 @@ impl DatabasePager {
         self.errors.add(error);
         // The first back-off is configured; a pause that the server asks for is in the error.
         let policy = RetryPolicy { first_backoff: self.config.retry_after, max_attempts: self.config.max_tries };
-        if let Some(entry) = self.table.of_job(job) {
+        self.table.begin(job.slot, |entry| {
             let backoff = entry.retries.fail(error, policy).map(|backoff| backoff.mul_f64(spread(job.ticket)));
             entry.progress = Progress::Failed { retry_at: retry_moment(backoff) };
-        }
+        });
         scenes.set_failed(job.slot, true);
     }
 
@@ -105,7 +111,7 @@ impl DatabasePager {
         &mut self,
         scenes: &mut dyn SceneSet,
         job: &PageJob,
-        page: Page,
+        (page, permit): (Page, Option<Permit>),
         contexts: &mut [&mut dyn CompileContext],
     ) {
         let slot = job.slot;
@@ -114,15 +120,16 @@ impl DatabasePager {
         let scene = scenes.numbered(slot.page.scene);
         let kinds: Arc<[DrawKind]> = scene.map_or(Vec::new(), |s| s.draw_kinds(Some(slot), &page)).into();
         self.residency.note_arrival(&page);
-        self.arrivals.insert(slot, job.ticket, page, kinds, contexts.len());
-        if let Some(entry) = self.table.of_job(job) {
+        let arrived = self.table.begin(slot, |entry| {
             entry.progress = Progress::Arrived;
-        }
+            entry.urgency()
+        });
+        let Some(urgency) = arrived else { return };
+        self.arrivals.insert((slot, urgency), job.ticket, (page, permit), kinds, contexts.len());
         if !self.refuse_oversized(scenes, slot, contexts) {
             self.learn_size_if_known(slot);
             self.keep_budgets(scenes, contexts);
         }
-        self.begin_uploads(scenes, contexts);
     }
 
     /// Takes what the contexts have uploaded.
@@ -143,6 +150,10 @@ impl DatabasePager {
         let mut complete = Vec::new();
         for (id, mut compiled) in compiled {
             let (shared, errors) = (std::mem::take(&mut compiled.shared), std::mem::take(&mut compiled.errors));
+            // In the blocking mode the budget counts slots alone: when blocks grow and are freed depends on timing.
+            if !self.config.blocking {
+                self.residency.note_unused(id, compiled.unused_bytes);
+            }
             let slot = match self.arrivals.uploaded(id, compiled) {
                 Uploaded::Late(slots) => {
                     if let Some(context) = contexts.iter_mut().find(|context| context.id() == id) {
@@ -195,11 +206,13 @@ impl DatabasePager {
             return false;
         }
         self.drop_arrived(slot, contexts);
-        let Some(entry) = self.table.get_mut(slot) else { return true };
-        entry.job.ticket.trace_end(RequestEnd::Failed);
-        entry.progress = Progress::Failed { retry_at: None };
-        (entry.retries, entry.known_size) = (RetryState::default(), None);
-        let uri = entry.job.uri.to_string();
+        let failed = self.table.begin(slot, |entry| {
+            entry.job.ticket.trace_end(RequestEnd::Failed);
+            entry.progress = Progress::Failed { retry_at: None };
+            (entry.retries, entry.known_size) = (RetryState::default(), None);
+            entry.job.uri.to_string()
+        });
+        let Some(uri) = failed else { return true };
         self.stats.failed += 1;
         self.errors.add(&too_large(uri, size, budget.bytes));
         scenes.set_failed(slot, true);

@@ -5,7 +5,10 @@
 //!      -> uploads of all contexts, in order of their tickets -> merge, expiry -> list ...
 //! ```
 //! Within a round nothing is decided before everything has arrived, so that budgets, which depend on the sizes of the
-//! pages so far, decide alike each time.
+//! pages so far, decide alike each time. Tickets are numbered as requests are accepted, and culls list those in one order. A
+//! retry is due by the clock: it comes in the same frame again only if the back-off is zero.
+//!
+//! New kinds of asynchronous work must end within a round too: [`DatabasePager::is_busy`] has to count them.
 
 use std::time::Duration;
 

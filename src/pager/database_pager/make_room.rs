@@ -13,15 +13,17 @@ impl DatabasePager {
     /// Begins uploads, the most urgent first, as far as there is room. If nothing is uploading, one upload starts even
     /// without room; its size is checked afterwards.
     pub(super) fn begin_uploads(&mut self, scenes: &mut dyn SceneSet, contexts: &mut [&mut dyn CompileContext]) {
-        let waiting = self.arrivals.waiting_for_upload(&self.table);
+        if self.arrivals.next_upload().is_some() {
+            let max_bytes = self.config.max_bytes_gpu / contexts.len().max(1) as u64;
+            contexts.iter_mut().for_each(|context| context.set_max_bytes(max_bytes));
+        }
         let mut looks = self.residency.urgent_looks();
-        for slot in waiting {
-            let is_prefetch = self.table.get(slot).is_some_and(Entry::is_prefetch);
+        while let Some((slot, is_prefetch)) = self.arrivals.next_upload() {
             let reserved = self.upload_reserve(slot);
             let has_room = |pager: &Self| pager.residency.room(pager.arrivals.total()).fits_upload(reserved);
             while !is_prefetch
                 && !has_room(self)
-                && let Some(id) = self.residency.pop_expired(scenes, self.control.frame, Unused::NOT_SHOWN, &mut looks)
+                && let Some(id) = self.residency.pop_expired(scenes, &self.control.times, Unused::NOT_SHOWN, &mut looks)
             {
                 self.detach(scenes, id, contexts);
             }
@@ -42,20 +44,24 @@ impl DatabasePager {
 
     /// Makes the budgets hold after an arrival: pages that are not shown expire, then arrivals without room are declined,
     /// the least urgent first. No page expires for a prefetch.
+    ///
+    /// Pages expire also for GPU memory that is allocated and unused, since blocks are freed with their last slot. No arrival
+    /// is declined for it: the next upload may use it.
     pub(super) fn keep_budgets(&mut self, scenes: &mut dyn SceneSet, contexts: &mut [&mut dyn CompileContext]) {
         let budget = Budget::new(&self.config);
         let mut looks = self.residency.urgent_looks();
-        while self.residency.is_over_budget(self.arrivals.total()) {
+        while self.residency.is_over_budget_allocated(self.arrivals.total()) {
             let (merged, pages) = (self.residency.bytes_without_arrived(), self.residency.len() as u64);
-            let without_room = self.arrivals.first_without_room(&self.table, &budget, merged, pages);
+            let without_room = self.arrivals.first_without_room(&budget, merged, pages);
             let is_prefetch = |slot: NodeId| self.table.get(slot).is_some_and(Entry::is_prefetch);
             if !without_room.is_some_and(is_prefetch)
-                && let Some(id) = self.residency.pop_expired(scenes, self.control.frame, Unused::NOT_SHOWN, &mut looks)
+                && let Some(id) = self.residency.pop_expired(scenes, &self.control.times, Unused::NOT_SHOWN, &mut looks)
             {
                 self.detach(scenes, id, contexts);
                 continue;
             }
-            let Some(slot) = without_room else { break };
+            let is_over = self.residency.is_over_budget(self.arrivals.total());
+            let Some(slot) = without_room.filter(|_| is_over) else { break };
             self.decline(slot, contexts);
         }
         let arrived = self.arrivals.total();
@@ -71,7 +77,7 @@ impl DatabasePager {
         let gpu = if arrived.is_uploaded() { own.gpu } else { self.residency.mean_size().gpu };
         self.drop_arrived(slot, contexts);
         self.stats.declined += 1;
-        self.scheduler.declined(self.control.frame);
+        self.scheduler.declined(self.control.times.frame());
         let Some(entry) = self.table.remove(slot) else { return };
         entry.job.ticket.trace_end(RequestEnd::Declined);
         if !entry.is_prefetch() {
@@ -84,7 +90,6 @@ impl DatabasePager {
     fn requeue(&mut self, entry: Entry) {
         self.table.requeue(entry);
         self.stats.retried += 1;
-        self.control.is_list_current = false;
     }
 
     /// Drops an arrived page and cancels its upload.
@@ -97,15 +102,22 @@ impl DatabasePager {
     }
 
     /// Expires pages that were not wanted for long while the reserved tenths of a budget are not free. Shorter times hold
-    /// if there is no room for prefetches, and the shortest if a frame lacks something that has no room.
+    /// if there is no room for prefetches, and the shortest if a frame lacks something that has no room. At least one page
+    /// expires if it may, and then as many as [`PagerConfig::update_time`] allows.
+    ///
+    /// [`PagerConfig::update_time`]: crate::pager::PagerConfig::update_time
     pub(super) fn expire(&mut self, scenes: &mut dyn SceneSet, contexts: &mut [&mut dyn CompileContext]) {
-        let unused = self.scheduler.shortage().unused(&self.config);
+        let unused = self.scheduler.shortage().unused(&self.config, &self.control.times);
+        let budget = self.budget(self.config.update_time);
         let mut looks = self.residency.start_search(self.scheduler.shortage().is_any());
         let expired_before = self.stats.expired;
         while self.needs_room() {
-            let expired = self.residency.pop_expired(scenes, self.control.frame, unused, &mut looks);
+            let expired = self.residency.pop_expired(scenes, &self.control.times, unused, &mut looks);
             let Some(id) = expired else { break };
             self.detach(scenes, id, contexts);
+            if budget.is_over() {
+                break;
+            }
         }
         self.forget_removed_pages(contexts);
         self.residency.end_search(self.stats.expired > expired_before);

@@ -1,7 +1,6 @@
 //! Merging: uploaded pages are attached to the slots of their scenes.
 
 use std::collections::BTreeMap;
-use std::time::Instant;
 
 use super::DatabasePager;
 use crate::pager::loading::ticket::RequestEnd;
@@ -10,8 +9,16 @@ use crate::pager::residency::Resident;
 use crate::pager::residency::budget::RESERVED_TENTHS;
 use crate::pager::scenes::scene_set::SceneSet;
 use crate::pager::upload::context::CompileContext;
-use crate::scene::{NodeId, Page, ReaderData, SceneError, SceneNumber};
+use crate::scene::{ContentKey, NodeId, Page, ReaderData, SceneError, SceneNumber};
 use crate::trace;
+
+/// What a page holds that is about to be merged.
+struct Held {
+    cpu_bytes: u64,
+    /// By context id.
+    gpu_bytes: Vec<(u32, u64)>,
+    shared: Box<[ContentKey]>,
+}
 
 impl DatabasePager {
     /// Merges uploaded pages in order of priority within the time budget of a frame; their room is already counted.
@@ -20,14 +27,13 @@ impl DatabasePager {
             return;
         }
         let _span = trace::span("merge pages");
-        let start = Instant::now();
+        let budget = self.budget(self.config.merge_time);
         let has_several = self.scenes.has_several();
-        let ready = self.merge_order.arrange(self.arrivals.ready_to_merge(), &self.table, has_several);
+        let ready = self.merge_order.arrange(self.arrivals.ready_to_merge().collect(), has_several);
         let mut merged: BTreeMap<SceneNumber, u32> = BTreeMap::new();
         let mut left = Vec::new();
         for slot in ready {
-            let is_over = !self.config.blocking && start.elapsed() >= self.config.merge_time;
-            if is_over && !merged.is_empty() {
+            if !merged.is_empty() && budget.is_over() {
                 left.push(slot);
             } else if self.merge_one(scenes, slot, contexts) {
                 *merged.entry(slot.page.scene).or_default() += 1;
@@ -54,8 +60,7 @@ impl DatabasePager {
         }
         self.residency.begin_merge(&page);
         let shared = page.shared_contents().iter().map(|used| used.content.key).collect();
-        let resident = Resident::new(slot, cpu_bytes, gpu_bytes, entry.paging, shared);
-        match self.attach(scenes, slot, page, &entry, resident) {
+        match self.attach(scenes, slot, page, &entry, Held { cpu_bytes, gpu_bytes, shared }) {
             Ok(()) => self.count_merged(&entry),
             Err(page) => {
                 self.stats.dropped += 1;
@@ -74,7 +79,7 @@ impl DatabasePager {
         slot: NodeId,
         page: Box<Page>,
         entry: &Entry,
-        resident: Resident,
+        Held { cpu_bytes, gpu_bytes, shared }: Held,
     ) -> Result<(), Box<Page>> {
         let is_tileset = page.is_tile_tree();
         let attached = match scenes.numbered_mut(slot.page.scene) {
@@ -86,9 +91,11 @@ impl DatabasePager {
             && let Some(scene) = scenes.numbered(slot.page.scene)
         {
             // No camera has used it yet.
-            scene.note_use(slot, self.control.frame);
+            scene.note_use(slot, self.control.times.frame());
         }
-        self.residency.insert(id, resident);
+        if let Some(info) = scenes.numbered(slot.page.scene).and_then(|scene| scene.slot(slot)) {
+            self.residency.insert(id, Resident::new(slot, &info, cpu_bytes, gpu_bytes, shared));
+        }
         if is_tileset {
             let ancestors = entry.job.ancestors.clone();
             // A further part of a tileset is no tileset of its own.
@@ -104,7 +111,7 @@ impl DatabasePager {
         self.stats.merged_ahead += u64::from(entry.is_prefetch());
         self.stats.latency_sum_s += latency_s;
         self.stats.latency_max_s = self.stats.latency_max_s.max(latency_s);
-        self.scheduler.merged(entry.is_prefetch(), self.control.frame);
+        self.scheduler.merged(entry.is_prefetch(), self.control.times.frame());
         entry.job.ticket.trace_end(RequestEnd::Merged);
     }
 }

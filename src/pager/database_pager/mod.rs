@@ -25,6 +25,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::config::{PagerConfig, PagerError};
+use super::frame_times::FrameTimes;
 use super::loading::config::{LimitRange, LoadConfig};
 use super::loading::page_job::PageJob;
 use super::loading::reaper::Reaper;
@@ -37,12 +38,13 @@ use super::residency::budget::Budget;
 use super::scenes::registry::SceneRegistry;
 use super::scenes::scene_set::SceneSet;
 use super::stats::{Errors, PagerStats};
+use super::time_budget::{TimeBudget, WorkClock};
 use super::upload::Arrivals;
 use super::upload::context::CompileContext;
 use super::upload::merge_order::MergeOrder;
 use crate::cull::PageRequest;
 #[cfg(feature = "http")]
-use crate::fetch;
+use crate::fetch::{self, LoadRoom};
 use crate::formats::ReadOptions;
 use crate::gpu::CompileBudget;
 use crate::scene::{BlockFormats, SharedStateManager};
@@ -71,18 +73,18 @@ pub struct DatabasePager {
     stats: PagerStats,
     errors: Errors,
     control: Control,
+    clock: WorkClock,
 }
 
 /// Switches that the application sets, and the state of the frame.
 #[derive(Debug)]
 struct Control {
-    frame: u32,
+    /// The times of frames, the current one last.
+    times: FrameTimes,
     is_paused: bool,
     takes_requests: bool,
     /// True if it was resumed since the last update.
     is_resumed: bool,
-    /// True if the request list is up to date, written after the last cull.
-    is_list_current: bool,
 }
 
 impl DatabasePager {
@@ -104,6 +106,8 @@ impl DatabasePager {
             max_files: LoadConfig::busy_jobs(readers, decoders) + DECODED_AHEAD * decoders,
             per_server: LimitRange::new(config.http_in_flight, config.http_in_flight_max),
             file_timeout: config.file_timeout,
+            max_bytes: config.max_bytes_loading,
+            waits_for_contents: !config.blocking,
             limits: config.limits,
         })?;
         let reaper = match config.blocking {
@@ -134,12 +138,12 @@ impl DatabasePager {
             stats: PagerStats::default(),
             errors: Errors::default(),
             control: Control {
-                frame: 0,
+                times: FrameTimes::default(),
                 is_paused: false,
                 takes_requests: true,
                 is_resumed: false,
-                is_list_current: false,
             },
+            clock: WorkClock::default(),
             config,
         })
     }
@@ -149,22 +153,38 @@ impl DatabasePager {
         self.table.continue_from(&before.table);
     }
 
-    /// Runs the pager's turn with all its scenes, once a frame. `requests` are the last culls' requests, all cameras and
-    /// scenes together; all scenes count frames alike.
+    /// Replaces the clock of the time budgets: it returns the time since an arbitrary moment.
+    #[cfg(feature = "testing")]
+    pub fn set_work_clock(&mut self, clock: impl Fn() -> Duration + Send + Sync + 'static) {
+        self.clock = WorkClock::new(clock);
+    }
+
+    /// Returns a budget of this much time from now on. The blocking mode has none, so that equal flights give equal tiles.
+    fn budget(&self, time: Duration) -> TimeBudget {
+        self.clock.budget((!self.config.blocking).then_some(time))
+    }
+
+    /// Runs the pager's turn with all its scenes, once a frame. `time_s` is the reference time of the frame in seconds, by
+    /// which pages expire. `requests` are the last culls' requests, all cameras and scenes together; all scenes count frames
+    /// alike.
+    ///
+    /// The cost follows the requests, what has arrived since the last update within [`PagerConfig::update_time`] and
+    /// [`PagerConfig::merge_time`], and the number of loads under way; neither the waiting requests nor the resident pages.
     pub fn update_scene_graph(
         &mut self,
         scenes: &mut dyn SceneSet,
         frame: u32,
+        time_s: f64,
         requests: &[PageRequest],
         contexts: &mut [&mut dyn CompileContext],
     ) {
-        self.begin_frame(frame);
+        self.begin_frame(frame, time_s);
         self.note_formats(contexts);
         self.accept(scenes, requests);
         self.accept_forced(scenes);
         self.merge_arrived(scenes, contexts);
         self.retry_failures(scenes);
-        self.refresh_list();
+        self.write_list();
         self.threads.list().ring_if_due();
         if self.config.blocking {
             self.load_all(scenes, contexts);
@@ -178,8 +198,8 @@ impl DatabasePager {
         self.scenes.block_formats().set(common.unwrap_or_default());
     }
 
-    fn begin_frame(&mut self, frame: u32) {
-        self.control.frame = frame;
+    fn begin_frame(&mut self, frame: u32, time_s: f64) {
+        self.control.times.begin(frame, time_s);
         self.control.is_resumed = false;
     }
 
@@ -189,7 +209,6 @@ impl DatabasePager {
     pub fn request(&mut self, scenes: &dyn SceneSet, requests: &[PageRequest]) {
         if self.accept(scenes, requests) {
             self.write_list();
-            self.control.is_list_current = true;
         }
     }
 
@@ -246,7 +265,6 @@ impl DatabasePager {
     pub fn set_paused(&mut self, is_paused: bool) {
         self.control.is_resumed |= self.control.is_paused && !is_paused;
         self.control.is_paused = is_paused;
-        self.control.is_list_current = false;
     }
 
     /// Pins the loading threads to a core, each before its next job; OSG's `setProcessorAffinity`. Cores are numbered as the
@@ -261,26 +279,16 @@ impl DatabasePager {
         self.control.takes_requests = takes_requests;
     }
 
-    /// Writes the request list unless it was written after the last cull and nothing has changed since.
-    fn refresh_list(&mut self) {
-        if !self.control.is_list_current || self.scheduler.shortage().has_blocked_page() {
-            self.write_list();
-        }
-        self.control.is_list_current = false;
-    }
-
-    /// Writes the request list in order of priority; wakes no thread.
+    /// Tells the request list what has changed; wakes no thread.
     fn write_list(&mut self) {
-        let conditions =
-            conditions(&self.config, &self.control, &self.scenes, &self.table, &self.arrivals, &self.residency);
+        let conditions = conditions(&self.config, &self.control, &self.arrivals, &self.residency, &self.threads);
         let list = self.threads.list();
         self.stats.stale += self.scheduler.write_list(&mut self.table, list, &conditions);
     }
 
     /// Lets the threads continue if there is more room than when the list was written.
     fn update_limits(&self) {
-        let conditions =
-            conditions(&self.config, &self.control, &self.scenes, &self.table, &self.arrivals, &self.residency);
+        let conditions = conditions(&self.config, &self.control, &self.arrivals, &self.residency, &self.threads);
         self.scheduler.update_limits(self.threads.list(), &conditions);
     }
 }
@@ -288,20 +296,19 @@ impl DatabasePager {
 /// Collects what the request list depends on.
 fn conditions<'a>(
     config: &'a PagerConfig,
-    control: &Control,
-    scenes: &SceneRegistry,
-    table: &RequestTable,
+    control: &'a Control,
     arrivals: &Arrivals,
     residency: &Residency,
+    threads: &LoadThreads<PageJob>,
 ) -> Conditions<'a> {
-    let is_prefetch = |slot: &_| table.get(*slot).is_some_and(|entry| entry.is_prefetch());
     Conditions {
         config,
-        frame: control.frame,
+        times: &control.times,
         is_paused: control.is_paused,
         room: residency.room(arrivals.total()),
+        // In the blocking mode loads wait for their bytes, which depend on timing, in the threads alone.
+        load_room: if config.blocking { LoadRoom::UNLIMITED } else { threads.budgets().bodies.room() },
         arrived_pages: arrivals.total().pages,
-        arrived_prefetches: arrivals.slots().filter(is_prefetch).count(),
-        has_several_scenes: scenes.has_several(),
+        arrived_prefetches: arrivals.prefetches(),
     }
 }

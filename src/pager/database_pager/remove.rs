@@ -77,7 +77,6 @@ impl DatabasePager {
         condition: impl Fn(NodeId, &Entry) -> bool,
     ) {
         let dropped = self.table.extract_if(condition);
-        self.control.is_list_current &= dropped.is_empty();
         let uploads = dropped.iter().filter_map(|entry| self.arrivals.get(entry.job.slot)?.upload_ticket());
         let uploads: Vec<u64> = uploads.collect();
         if !uploads.is_empty() {

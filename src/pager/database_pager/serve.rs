@@ -63,7 +63,6 @@ impl DatabasePager {
     fn scope_changed(&mut self, scene: SceneNumber, (new, replaced): (Arc<ReadScope>, Option<Arc<ReadScope>>)) {
         self.table.set_scope(scene, &new);
         self.scope_replaced(replaced);
-        self.control.is_list_current = false;
     }
 
     /// Removes the client of a replaced scope once no scene has an equal one.
@@ -107,7 +106,6 @@ impl DatabasePager {
         self.clear(scene, contexts);
         let number = scene.number();
         self.forced.forget_scene(number);
-        self.scheduler.forget_scene(number);
         self.merge_order.forget_scene(number);
         let scope = self.scenes.remove(number);
         self.scope_replaced(scope);

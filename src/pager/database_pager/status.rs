@@ -52,7 +52,7 @@ impl DatabasePager {
     }
 
     /// Returns how far all requests are that are not merged, in no order. The stages of jobs that threads have are current.
-    pub fn request_states(&self) -> impl ExactSizeIterator<Item = (NodeId, RequestState)> + '_ {
+    pub fn request_states(&self) -> impl Iterator<Item = (NodeId, RequestState)> + '_ {
         self.table.iter().map(|(slot, entry)| (slot, self.state(slot, entry)))
     }
 
@@ -62,7 +62,8 @@ impl DatabasePager {
 
     /// Returns true when nothing waits, is read, decoded, uploaded or merged. Failures and prefetches do not count.
     pub fn is_idle(&self) -> bool {
-        !self.table.iter().any(|(_, entry)| !entry.is_prefetch() && !entry.has_failed())
+        self.table.waiting_now() == 0
+            && !self.table.begun().any(|(_, entry)| !entry.is_prefetch() && !entry.has_failed())
     }
 
     /// Returns true if something will change without another request. What waits for room, or while the pager is paused,
@@ -70,11 +71,9 @@ impl DatabasePager {
     pub(super) fn is_busy(&self) -> bool {
         let may_begin = !self.scheduler.shortage().is_full() && !self.control.is_paused;
         let room = self.residency.room(self.arrivals.total());
-        self.table.iter().filter(|(_, entry)| !entry.is_prefetch()).any(|(_, entry)| match entry.progress {
-            Progress::Waiting => may_begin && entry.known_size.is_none_or(|size| room.fits(size)),
-            Progress::Loading | Progress::Arrived => true,
-            Progress::Failed { .. } | Progress::Retryable => false,
-        })
+        let fits = |entry: &Entry| entry.known_size.is_none_or(|size| room.fits(size));
+        let is_under_way = |(_, entry): (NodeId, &Entry)| !entry.is_prefetch() && !entry.has_failed();
+        may_begin && self.table.has_waiting_that(fits) || self.table.begun().any(is_under_way)
     }
 
     /// Returns true if another update would do something for the scenes or for these requests: accept one, or continue.
@@ -122,11 +121,14 @@ impl DatabasePager {
             s.sharing = sharing.stats();
         }
         s.resident = self.residency.len() as u64;
+        let loading = self.threads.budgets().total();
+        (s.loading_bytes, s.loading_bytes_peak) = (loading.bytes, loading.peak);
+        (s.loading_waits, s.loading_wait_s) = (loading.waits, loading.waited.as_secs_f64());
+        s.gpu_bytes_unused = self.residency.unused_gpu();
         (s.cpu_bytes_held, s.gpu_bytes_held) = (in_memory.cpu, in_memory.gpu);
-        (s.waiting, s.in_flight, s.decoding, s.compiling) = (0, 0, 0, 0);
-        for (slot, entry) in self.table.iter() {
+        (s.waiting, s.in_flight, s.decoding, s.compiling) = (self.table.waiting_count() as u64, 0, 0, 0);
+        for (slot, entry) in self.table.begun() {
             match entry.progress {
-                Progress::Waiting => s.waiting += 1,
                 Progress::Loading | Progress::Arrived => {
                     s.in_flight += 1;
                     match self.state(slot, entry) {
@@ -135,7 +137,7 @@ impl DatabasePager {
                         _ => {}
                     }
                 }
-                Progress::Failed { .. } | Progress::Retryable => {}
+                Progress::Waiting | Progress::Failed { .. } | Progress::Retryable => {}
             }
         }
         self.stats = s;

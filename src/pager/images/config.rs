@@ -16,6 +16,9 @@ pub struct ImagePagerConfig {
     pub max_images: usize,
     /// Maximum CPU bytes of decoded images.
     pub max_bytes: u64,
+    /// Maximum CPU bytes of images that are on their way; see
+    /// [`PagerConfig::max_bytes_loading`](crate::pager::PagerConfig::max_bytes_loading).
+    pub max_bytes_loading: u64,
     /// An image that was not wanted for this long is paged out even if there is room.
     pub expiry: Duration,
     /// Back-off before a failed load is retried while it is wanted; doubled each time, up to five minutes.
@@ -40,6 +43,7 @@ impl Default for ImagePagerConfig {
             file_timeout: DEFAULT_FILE_TIMEOUT,
             max_images: 256,
             max_bytes: 128 << 20,
+            max_bytes_loading: 64 << 20,
             expiry: Duration::from_secs(10),
             retry_after: Duration::from_secs(5),
             max_tries: None,

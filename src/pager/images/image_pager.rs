@@ -11,7 +11,7 @@ use super::tracks::{ImageChange, Tracks};
 use crate::pager::config::PagerError;
 use crate::pager::loading::config::{LimitRange, LoadConfig};
 use crate::pager::loading::job::Answer;
-use crate::pager::loading::request_list::Limits;
+use crate::pager::loading::request_list::{Limits, Request as _};
 use crate::pager::loading::threads::LoadThreads;
 use crate::pager::loading::ticket::Ticket;
 use crate::pager::stats::{ErrorRecord, Errors};
@@ -48,6 +48,8 @@ impl ImagePager {
             max_files: 2 * count,
             per_server: LimitRange::new(count, 0),
             file_timeout: config.file_timeout,
+            max_bytes: config.max_bytes_loading,
+            waits_for_contents: true,
             limits: config.limits,
         })?;
         #[cfg(feature = "http")]
@@ -127,7 +129,7 @@ impl ImagePager {
     fn request(&mut self, now: Instant) {
         let list = self.threads.list();
         let mut state = list.lock();
-        let mut forgotten: HashSet<Ticket> = state.drain_taken().collect();
+        let mut forgotten: HashSet<Ticket> = state.drain_taken().map(|job| job.ticket()).collect();
         self.store.mark_loading(&mut forgotten);
         self.store.admit();
         self.store.page_out(now, &mut self.stats);
@@ -135,8 +137,9 @@ impl ImagePager {
         if cfg!(feature = "http") {
             forgotten.into_iter().chain(self.store.unwanted_loads(now)).for_each(|ticket| state.abort(ticket));
         }
-        let outstanding = list.capacity();
-        state.set_limits(Limits { outstanding, prefetch_room: 0, prefetch_beside_others: 0 });
+        let load_room = self.threads.budgets().bodies.room();
+        let outstanding = list.capacity().min(state.outstanding().saturating_add(load_room.loads));
+        state.set_limits(Limits { outstanding, prefetch_room: 0, prefetch_beside_others: 0, aged_before: 0 });
         list.ring(state);
     }
 

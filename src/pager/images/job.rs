@@ -48,6 +48,8 @@ impl ImageJob {
 }
 
 impl Request for ImageJob {
+    type Scene = ();
+
     fn ticket(&self) -> Ticket {
         self.ticket
     }
@@ -56,9 +58,13 @@ impl Request for ImageJob {
         &self.uri
     }
 
+    fn scene(&self) {}
+
     fn is_prefetch(&self) -> bool {
         false
     }
+
+    fn set_prefetch(&mut self, _: bool) {}
 
     #[cfg(feature = "http")]
     fn servers(&self) -> &[String] {
@@ -90,6 +96,10 @@ impl LoadJob for ImageJob {
 
     fn decode_span(&self) -> Span {
         trace::span_of("image", || self.uri.clone())
+    }
+
+    fn content_bytes(image: &Arc<Texture>) -> u64 {
+        image.size_bytes()
     }
 
     fn decode(&self, loaded: Loaded, _companions: Vec<Fetched>) -> Result<Arc<Texture>, IoError> {

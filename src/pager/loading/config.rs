@@ -45,6 +45,10 @@ pub(in crate::pager) struct LoadConfig {
     pub per_server: LimitRange,
     /// Time limit for reading a local file.
     pub file_timeout: Duration,
+    /// Maximum bytes that are on their way; see [`LoadBudgets`](super::budgets::LoadBudgets).
+    pub max_bytes: u64,
+    /// True if decode threads wait for room for their contents. Not where update takes contents only once all have arrived.
+    pub waits_for_contents: bool,
     /// Bounds on data from outside.
     pub limits: Limits,
 }

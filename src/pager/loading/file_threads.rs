@@ -13,7 +13,7 @@ use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 use super::job::{LoadJob, LoadedBytes, total_bytes};
 use super::request_list::RequestList;
 use super::thread_set::{ThreadSet, follow_core};
-use crate::fetch::{FileReader, IoError, Loaded};
+use crate::fetch::{ByteBudget, FileReader, IoError, Loaded, Permit};
 use crate::formats::{Fetched, MAX_DEPENDENCY_ROUNDS};
 use crate::pager::config::PagerError;
 
@@ -29,6 +29,8 @@ const WATCH_INTERVALS: [Duration; 2] = [Duration::from_millis(5), Duration::from
 pub(super) struct FileThreads<J: LoadJob> {
     list: Arc<RequestList<J>>,
     files: FileReader,
+    /// Holds what was read.
+    bodies: ByteBudget,
     /// The time limit for reading one file.
     timeout: Duration,
     /// The number of threads that should read.
@@ -57,6 +59,8 @@ struct Read<J> {
     job: J,
     /// The file that is being read and the time at which its read began; `None` between reads.
     file: Option<(Arc<str>, Instant)>,
+    /// Holds its bytes once it has room for them.
+    permit: Option<Permit>,
 }
 
 /// The watch has answered the job.
@@ -68,12 +72,14 @@ impl<J: LoadJob> FileThreads<J> {
         list: Arc<RequestList<J>>,
         sender: Sender<LoadedBytes<J>>,
         files: FileReader,
+        bodies: ByteBudget,
         readers: usize,
         timeout: Duration,
     ) -> Arc<Self> {
         Arc::new(Self {
             list,
             files,
+            bodies,
             timeout,
             readers,
             sender: Mutex::new(Some(sender)),
@@ -163,6 +169,16 @@ impl<J: LoadJob> FileThreads<J> {
     /// Reads the content of a job, its companions, and what they refer to.
     fn load(&self, job: J) -> Result<LoadedBytes<J>, GivenUp> {
         let id = self.begin(&job);
+        // The thread holds no bytes while it waits, and the watch does not count the wait.
+        let size = match job.is_remote() || job.is_in_memory() {
+            true => 0,
+            // The read reports the error.
+            false => self.watched(id, job.address(), || self.files.size(job.address()))?.unwrap_or(0),
+        };
+        let permit = self.bodies.reserve_blocking(size, job.is_prefetch());
+        let mut reads = self.reads();
+        reads.under_way.iter_mut().find(|read| read.id == id).ok_or(GivenUp)?.permit = Some(permit.clone());
+        drop(reads);
         let span = job.read_span();
         let loaded = if job.is_remote() {
             Err(IoError::unsupported(job.uri(), "a server (built without the feature)"))
@@ -189,22 +205,34 @@ impl<J: LoadJob> FileThreads<J> {
             }
         }
         let bytes_read = total_bytes(&loaded, &companions);
+        permit.set_bytes(bytes_read);
+        if loaded.is_ok() && bytes_read > 0 {
+            self.bodies.learn(bytes_read);
+        }
         drop(span);
         self.reads().under_way.retain(|read| read.id != id);
         job.mark_decoding();
-        Ok(LoadedBytes { job, loaded, companions, bytes_read, bytes_http: 0 })
+        Ok(LoadedBytes { job, loaded, companions, bytes_read, bytes_http: 0, permit: Some(permit) })
     }
 
     fn begin(&self, job: &J) -> u64 {
         let mut reads = self.reads();
         let id = reads.next;
         reads.next += 1;
-        reads.under_way.push(Read { id, job: job.clone(), file: None });
+        reads.under_way.push(Read { id, job: job.clone(), file: None, permit: None });
         id
     }
 
     /// Reads one file of a job.
     fn read(&self, id: u64, job: &J, uri: &Arc<str>) -> Result<Result<Vec<u8>, IoError>, GivenUp> {
+        self.watched(id, uri, || match job.root_scope() {
+            Some(scope) => self.files.read_within(uri, scope),
+            None => self.files.read(uri),
+        })
+    }
+
+    /// Does work on a file of a job under the eyes of the watch.
+    fn watched<T>(&self, id: u64, uri: &Arc<str>, work: impl FnOnce() -> T) -> Result<T, GivenUp> {
         let set_file = |file| {
             let mut reads = self.reads();
             let read = reads.under_way.iter_mut().find(|read| read.id == id).ok_or(GivenUp)?;
@@ -212,12 +240,9 @@ impl<J: LoadJob> FileThreads<J> {
             Ok(())
         };
         set_file(Some((uri.clone(), Instant::now())))?;
-        let bytes = match job.root_scope() {
-            Some(scope) => self.files.read_within(uri, scope),
-            None => self.files.read(uri),
-        };
+        let done = work();
         set_file(None)?;
-        Ok(bytes)
+        Ok(done)
     }
 
     /// Answers the jobs whose reads take too long, and starts other threads in place of theirs.
@@ -230,7 +255,11 @@ impl<J: LoadJob> FileThreads<J> {
         let missing = self.readers.saturating_sub(reads.running).min(MAX_HUNG.saturating_sub(reads.hung - hung.len()));
         drop(reads);
         let seconds = self.timeout.as_secs_f64();
-        for Read { job, file, .. } in hung {
+        for Read { job, file, permit, .. } in hung {
+            // A thread that hangs for ever must not keep others from loading.
+            if let Some(permit) = permit {
+                permit.set_bytes(0);
+            }
             let uri = file.map_or_else(|| job.uri().to_owned(), |(uri, _)| uri.to_string());
             log::warn!("{uri}: the file is not read within {seconds} s; its thread is left alone");
             self.fail(job, IoError::Timeout { uri, phase: "reading the file", seconds });
@@ -251,9 +280,8 @@ impl<J: LoadJob> FileThreads<J> {
 
     fn fail(&self, job: J, error: IoError) {
         job.mark_decoding();
-        let failed = LoadedBytes { job, loaded: Err(error), companions: Vec::new(), bytes_read: 0, bytes_http: 0 };
         // Fails only at the end, when no answer is expected.
-        self.send(failed);
+        self.send(LoadedBytes::failed(job, error));
     }
 }
 
@@ -275,7 +303,8 @@ mod tests {
         let (list, (sender, read)) = (Arc::new(RequestList::new(4, 4)), bounded(4));
         list.lock().set_jobs([1, 2].map(|number| job(number, &format!("/{number}/{}", fetch::PANICS))));
         let files = FileReader::new(fetch::Limits::default());
-        let threads = FileThreads::new(list.clone(), sender, files, 1, Duration::from_secs(60));
+        let threads =
+            FileThreads::new(list.clone(), sender, files, ByteBudget::new(1 << 20), 1, Duration::from_secs(60));
         threads.start().unwrap();
         for _ in 0..2 {
             let loaded = read.recv_timeout(Duration::from_secs(60)).expect("the thread continues");

@@ -14,7 +14,7 @@ use super::request_list::{HttpWork, RequestList};
 use super::server_limits::{Outcome, ServerLimits};
 use super::thread_set::follow_core;
 use super::ticket::Ticket;
-use crate::fetch::{HttpBody, HttpClient, IoError, Limits, Loaded, guarded, server};
+use crate::fetch::{ByteBudget, HttpBody, HttpClient, IoError, Limits, Loaded, NoRoom, Permit, guarded, server};
 use crate::formats::{self, MAX_DEPENDENCY_ROUNDS};
 
 /// How long the thread waits at its end for received bodies to be written to the cache.
@@ -85,16 +85,26 @@ struct Running<J> {
     job: J,
 }
 
+/// The ways that results leave the HTTP thread.
+#[derive(Clone, Copy)]
+pub(super) struct Channels<'a, J: LoadJob> {
+    /// To the decoders.
+    pub loaded: &'a Sender<LoadedBytes<J>>,
+    /// To update, for requests that were aborted.
+    pub answers: &'a Sender<Answer<J>>,
+}
+
 /// Runs until the list closes. Requests still in flight are dropped then.
 pub(super) fn run<J: LoadJob>(
     runtime: &tokio::runtime::Runtime,
     list: &RequestList<J>,
-    loaded: &Sender<LoadedBytes<J>>,
-    answers: &Sender<Answer<J>>,
+    channels: Channels<'_, J>,
+    bodies: &ByteBudget,
     clients: &Clients,
     limits: &Limits,
     range: LimitRange,
 ) {
+    let Channels { loaded, answers } = channels;
     runtime.block_on(async {
         let mut server_limits = ServerLimits::new(range);
         let mut tasks: JoinSet<Fetched<J>> = JoinSet::new();
@@ -112,16 +122,17 @@ pub(super) fn run<J: LoadJob>(
             for ticket in aborts {
                 if let Some(Running { handle, job }) = running.remove(&ticket) {
                     handle.abort();
-                    if answers.send(Answer { job, content: None, bytes_read: 0, bytes_http: 0 }).is_err() {
+                    let aborted = Answer { job, content: None, bytes_read: 0, bytes_http: 0, permit: None };
+                    if answers.send(aborted).is_err() {
                         return;
                     }
                 }
             }
             for job in jobs {
-                let (ticket, copy, limits) = (job.ticket(), job.clone(), *limits);
+                let (ticket, copy, limits, bodies) = (job.ticket(), job.clone(), *limits, bodies.clone());
                 let work = async move {
                     let _span = job.request_span();
-                    fetch(job, &limits).await
+                    fetch(job, &limits, &bodies).await
                 };
                 running.insert(ticket, Running { handle: tasks.spawn(work), job: copy });
             }
@@ -176,28 +187,42 @@ fn pass_on<J: LoadJob>(
             let ticket = running.iter().find(|(_, r)| r.handle.id() == e.id()).map(|(ticket, _)| *ticket);
             let Some(Running { job, .. }) = ticket.and_then(|t| running.remove(&t)) else { return true };
             let reason = "the request panicked".to_owned();
-            let error = Err(IoError::Network { uri: job.uri().to_owned(), reason });
-            let failed = LoadedBytes { job, loaded: error, companions: Vec::new(), bytes_read: 0, bytes_http: 0 };
-            loaded.send(failed).is_ok()
+            let error = IoError::Network { uri: job.uri().to_owned(), reason };
+            loaded.send(LoadedBytes::failed(job, error)).is_ok()
         }
     }
 }
 
-/// Requests the content and its companions at the same time: the companions of a tile are known before its bytes. Returns
-/// the outcome at each server too.
-async fn fetch<J: LoadJob>(job: J, limits: &Limits) -> Fetched<J> {
+/// Requests a content and what belongs to it once there is room for it. What turns out to have no room is dropped, and
+/// requested again when as many bytes are free. Returns the outcome at each server too; waiting for room is no part of it.
+async fn fetch<J: LoadJob>(job: J, limits: &Limits, bodies: &ByteBudget) -> Fetched<J> {
+    let mut bytes = bodies.expected_bytes();
+    loop {
+        let permit = bodies.reserve(bytes, job.is_prefetch()).await;
+        match fetch_holding(&job, limits, permit).await {
+            Ok(fetched) => return fetched,
+            Err(NoRoom { needed }) => bytes = needed,
+        }
+    }
+}
+
+/// Requests the content and its companions at the same time: the companions of a tile are known before its bytes.
+///
+/// # Errors
+/// [`NoRoom`] if the bytes have no room.
+async fn fetch_holding<J: LoadJob>(job: &J, limits: &Limits, permit: Permit) -> Result<Fetched<J>, NoRoom> {
     let own = server(job.uri()).to_owned();
     let client = job.client();
     let timed = async |uri: &str, fallback: Option<Arc<str>>| {
         let mut start = Instant::now();
-        let mut body = client.get(uri, limits).await;
+        let mut body = client.get_holding(uri, limits, &permit).await;
         if let Err(error) = &body
             && error.may_be_elsewhere()
             && let Some(fallback) = fallback
         {
             start = Instant::now();
             body = client
-                .get(&fallback, limits)
+                .get_holding(&fallback, limits, &permit)
                 .await
                 .map(|body| HttpBody { location: body.location.or(Some(fallback)), ..body });
         }
@@ -222,6 +247,10 @@ async fn fetch<J: LoadJob>(job: J, limits: &Limits) -> Fetched<J> {
     };
     let content = timed(job.uri(), job.fallback());
     let ((body, own_s), companions) = tokio::join!(content, companions);
+    let bodies = companions.iter().map(|(_, body)| body).chain([&body]);
+    if let Some(no_room) = bodies.filter_map(|body| body.as_ref().err().and_then(no_room)).max_by_key(|n| n.needed) {
+        return Err(no_room);
+    }
     asked |= body.as_ref().is_ok_and(|body| body.asked);
     let mut bytes_http = 0;
     let mut loaded_of = |body: Result<HttpBody, IoError>| {
@@ -246,7 +275,7 @@ async fn fetch<J: LoadJob>(job: J, limits: &Limits) -> Fetched<J> {
     if loaded.is_ok() {
         for _ in 0..MAX_DEPENDENCY_ROUNDS {
             let dependencies;
-            (dependencies, loaded, companions) = dependencies_of(&job, loaded, companions).await;
+            (dependencies, loaded, companions) = dependencies_of(job, loaded, companions).await;
             if dependencies.is_empty() {
                 break;
             }
@@ -255,13 +284,17 @@ async fn fetch<J: LoadJob>(job: J, limits: &Limits) -> Fetched<J> {
             loop {
                 for uri in waiting.by_ref().take(MAX_DEPENDENCIES_IN_FLIGHT - requests.len()) {
                     let (client, limits, files) = (client.clone(), *limits, job.shared_files());
+                    let permit = permit.clone();
                     requests.spawn(async move {
-                        let (bytes, network_bytes) = files.get(&client, &uri, &limits).await;
+                        let (bytes, network_bytes) = files.get(&client, &uri, &limits, &permit).await;
                         (uri, bytes, network_bytes)
                     });
                 }
                 match requests.join_next().await {
                     Some(Ok((uri, bytes, network_bytes))) => {
+                        if let Some(no_room) = bytes.as_ref().err().and_then(no_room) {
+                            return Err(no_room);
+                        }
                         bytes_http += network_bytes;
                         companions.push((uri, bytes));
                     }
@@ -273,10 +306,22 @@ async fn fetch<J: LoadJob>(job: J, limits: &Limits) -> Fetched<J> {
         }
     }
     let bytes_read = total_bytes(&loaded, &companions);
+    permit.set_bytes(bytes_read);
+    if loaded.is_ok() {
+        permit.budget().learn(bytes_read);
+    }
     job.mark_decoding();
     let outcome = (own, Outcome::new(&loaded, asked, own_s.max(companions_s)));
     let outcomes = [outcome].into_iter().chain(elsewhere).collect();
-    (LoadedBytes { job, loaded, companions, bytes_read, bytes_http }, outcomes)
+    let job = job.clone();
+    Ok((LoadedBytes { job, loaded, companions, bytes_read, bytes_http, permit: Some(permit) }, outcomes))
+}
+
+fn no_room(error: &IoError) -> Option<NoRoom> {
+    match error {
+        IoError::NoRoom { needed, .. } => Some(NoRoom { needed: *needed }),
+        _ => None,
+    }
 }
 
 /// Asks a job for the dependencies of a content. A large text is parsed on a blocking thread of the runtime, so that
@@ -320,7 +365,10 @@ mod tests {
 
     /// Returns a list of these jobs, the most urgent last, of which `outstanding` may be outstanding.
     fn list_of(outstanding: usize, jobs: impl IntoIterator<Item = PageJob>) -> RequestList<PageJob> {
-        with_limits(request_list::Limits { outstanding, prefetch_room: 0, prefetch_beside_others: 0 }, jobs)
+        with_limits(
+            request_list::Limits { outstanding, prefetch_room: 0, prefetch_beside_others: 0, aged_before: 0 },
+            jobs,
+        )
     }
 
     fn with_limits(limits: request_list::Limits, jobs: impl IntoIterator<Item = PageJob>) -> RequestList<PageJob> {
@@ -363,12 +411,17 @@ mod tests {
     fn jobs_of_a_full_server_do_not_hide_others() {
         let prefetch = PageJob { is_prefetch: true, ..job(0, "http://full/a.glb") };
         let jobs = [prefetch, job(1, "http://other/a.glb")].into_iter().chain(jobs_at(2..10_002, "http://full/a.glb"));
-        let limits = request_list::Limits { outstanding: 1000, prefetch_room: 1000, prefetch_beside_others: 1000 };
+        let limits = request_list::Limits {
+            outstanding: 1000,
+            prefetch_room: 1000,
+            prefetch_beside_others: 1000,
+            aged_before: 0,
+        };
         let list = with_limits(limits, jobs);
         let jobs = taken(&list, &ServerLimits::new(LimitRange { start: 4, max: 4 }), 1000);
         assert_eq!(numbers(&jobs), [10_001, 10_000, 9_999, 9_998, 1]);
         let state = list.lock();
-        let examined = state.http_for_test().iter().filter(|job| job.progress.has_servers()).count();
+        let examined = state.waiting_for_test().filter(|job| job.progress.has_servers()).count();
         assert_eq!((state.waiting(), examined), (9_997, 0));
     }
 
@@ -410,7 +463,12 @@ mod tests {
     fn server_with_free_slots_takes_more_prefetches() {
         let started = |busy: u64, room: usize| {
             let prefetches = jobs_at(0..40, "http://far/a.glb").map(|job| PageJob { is_prefetch: true, ..job });
-            let limits = request_list::Limits { outstanding: 1000, prefetch_room: room, prefetch_beside_others: 2 };
+            let limits = request_list::Limits {
+                outstanding: 1000,
+                prefetch_room: room,
+                prefetch_beside_others: 2,
+                aged_before: 0,
+            };
             let list = with_limits(limits, prefetches.chain(jobs_at(40..40 + busy, "http://far/a.glb")));
             let server_limits = ServerLimits::new(LimitRange { start: 32, max: 32 });
             taken(&list, &server_limits, 1000).iter().filter(|job| job.is_prefetch).count()

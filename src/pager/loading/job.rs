@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::request_list::Request;
-use crate::fetch::{IoError, Loaded, RootScope};
+use crate::fetch::{IoError, Loaded, Permit, RootScope};
 use crate::formats::Fetched;
 #[cfg(feature = "http")]
 use crate::pager::scenes::shared_files::SharedFiles;
@@ -62,6 +62,8 @@ pub(in crate::pager) trait LoadJob: Request + Send + Sync + 'static {
     fn decode_span(&self) -> Span;
     /// Records that the bytes were read: the job waits for a decode thread or one has it.
     fn mark_decoding(&self) {}
+    /// Returns the bytes of memory that a content takes.
+    fn content_bytes(content: &Self::Content) -> u64;
     /// Decodes the bytes; decode threads. If they turn out to be no content, removes them from the HTTP cache.
     fn decode(&self, loaded: Loaded, companions: Vec<Fetched>) -> Result<Self::Content, IoError>;
 }
@@ -75,6 +77,15 @@ pub(in crate::pager) struct LoadedBytes<J> {
     pub bytes_read: u64,
     /// Bytes of them that were transferred over the network.
     pub bytes_http: u64,
+    /// Holds the bytes in the budget of bodies; `None` if there are none.
+    pub permit: Option<Permit>,
+}
+
+impl<J> LoadedBytes<J> {
+    /// Creates the result of a job that could not be read.
+    pub fn failed(job: J, error: IoError) -> Self {
+        Self { job, loaded: Err(error), companions: Vec::new(), bytes_read: 0, bytes_http: 0, permit: None }
+    }
 }
 
 /// The answer to a job.
@@ -86,6 +97,8 @@ pub(in crate::pager) struct Answer<J: LoadJob> {
     pub bytes_read: u64,
     /// Bytes of them that were transferred over the network.
     pub bytes_http: u64,
+    /// Holds the content in the budget of contents; `None` if there is none.
+    pub permit: Option<Permit>,
 }
 
 /// Returns the number of bytes of a content and its companions.

@@ -1,7 +1,7 @@
 //! Loading: the threads that read and decode contents, and what they share with the update thread.
 //!
 //! ```text
-//! update thread   RequestList (one mutex; sorted jobs, limits, tickets to abort)
+//! update thread   RequestList (one mutex; jobs by urgency, limits, tickets to abort)
 //!                      |                    |
 //! file n x        read local files     HTTP 1 x: one async runtime, per-server limits
 //!                      |                    |
@@ -11,6 +11,7 @@
 //! Everything but [`reaper`] and [`page_job`] is generic over the job ([`job::LoadJob`]): the
 //! [`DatabasePager`](super::DatabasePager) loads pages with it, the [`ImagePager`](super::ImagePager) images.
 
+pub(super) mod budgets;
 pub(super) mod config;
 mod file_threads;
 #[cfg(feature = "http")]
@@ -24,3 +25,4 @@ mod server_limits;
 mod thread_set;
 pub(super) mod threads;
 pub(super) mod ticket;
+pub(super) mod waiting_jobs;

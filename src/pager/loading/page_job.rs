@@ -13,7 +13,7 @@ use crate::formats::{self, Content, Fetched, ReadOptions};
 use crate::pager::scenes::read_scope::{ReadScope, TilesetAncestors};
 #[cfg(feature = "http")]
 use crate::pager::scenes::shared_files::SharedFiles;
-use crate::scene::{Node, NodeId, Page, ReaderData};
+use crate::scene::{Node, NodeId, Page, ReaderData, SceneNumber};
 use crate::trace::{self, Span};
 
 /// One page to load.
@@ -30,7 +30,7 @@ pub(in crate::pager) struct PageJob {
     pub ancestors: TilesetAncestors,
     /// The read scope of the slot's scene.
     pub scope: Arc<ReadScope>,
-    /// True if the content was wanted in a later frame only when the job was listed.
+    /// True if the content was wanted in a later frame only, as of the last update before a thread took the job.
     pub is_prefetch: bool,
     /// Shared by all clones of the job.
     pub progress: Arc<LoadProgress>,
@@ -97,6 +97,8 @@ impl PageJob {
 }
 
 impl Request for PageJob {
+    type Scene = SceneNumber;
+
     fn ticket(&self) -> Ticket {
         self.ticket
     }
@@ -109,8 +111,16 @@ impl Request for PageJob {
         is_remote(&self.uri) && !self.is_in_memory()
     }
 
+    fn scene(&self) -> SceneNumber {
+        self.slot.page.scene
+    }
+
     fn is_prefetch(&self) -> bool {
         self.is_prefetch
+    }
+
+    fn set_prefetch(&mut self, is_prefetch: bool) {
+        self.is_prefetch = is_prefetch;
     }
 
     #[cfg(feature = "http")]
@@ -192,6 +202,10 @@ impl LoadJob for PageJob {
 
     fn mark_decoding(&self) {
         self.progress.set(LoadStage::Decoding);
+    }
+
+    fn content_bytes(page: &Page) -> u64 {
+        page.size_bytes()
     }
 
     fn decode(&self, loaded: Loaded, companions: Vec<Fetched>) -> Result<Page, IoError> {

@@ -1,21 +1,20 @@
 //! The request list: the jobs that the file threads and the HTTP thread take their work from.
 //!
-//! One mutex guards the list; the file threads and the HTTP thread have a bell each. Update rewrites the waiting jobs each
-//! frame in order of priority; a thread takes the last one. At most [`RequestList::capacity`] jobs are outstanding (taken
+//! One mutex guards the list; the file threads and the HTTP thread have a bell each. Update adds jobs, changes their urgency
+//! and removes them; a thread takes the most urgent one (`waiting_jobs.rs`). At most [`RequestList::capacity`] jobs are outstanding (taken
 //! and not yet answered), and the channels behind the threads hold as many. So no send of an answer blocks; only file
 //! threads wait, for decoders. The budgets allow fewer jobs than that; but each server, and the disk, may always have one:
 //! a server that hangs does not hold up the others.
 //!
-//! `tests/pager_models.rs` runs this very file under thousands of schedules.
+//! `tests/models/pager_models.rs` runs this very file under thousands of schedules.
 
 use std::sync::PoisonError;
 
 #[cfg(feature = "http")]
 use super::server_limits::ServerLimits;
 use super::ticket::Ticket;
+use super::waiting_jobs::{Source, Urgency, WaitingJobs};
 use crate::fetch::is_remote;
-#[cfg(feature = "http")]
-use crate::fetch::{is_at, server};
 use crate::sync::primitives::{Condvar, Mutex, MutexGuard};
 
 /// One in this many slots of a server is kept free of prefetches.
@@ -23,6 +22,9 @@ const PREFETCH_FREE_SHARE: usize = 4;
 
 /// A job as the list sees it.
 pub(crate) trait Request: Clone {
+    /// Scenes get slots in turns.
+    type Scene: Copy + Ord + Send;
+
     /// Returns the identity of this load attempt.
     fn ticket(&self) -> Ticket;
     /// Returns the address: a path, or the URL of a remote content.
@@ -31,8 +33,12 @@ pub(crate) trait Request: Clone {
     fn is_remote(&self) -> bool {
         is_remote(self.uri())
     }
-    /// Returns true if the content is wanted in a later frame only, as it was when the job was listed.
+    /// Returns the scene that the content is for.
+    fn scene(&self) -> Self::Scene;
+    /// Returns true if the content is wanted in a later frame only, as of the last update.
     fn is_prefetch(&self) -> bool;
+    /// Records whether the content is wanted in a later frame only.
+    fn set_prefetch(&mut self, is_prefetch: bool);
     /// Returns the servers that the content and its companions are requested from: the content's first, each once.
     #[cfg(feature = "http")]
     fn servers(&self) -> &[String];
@@ -49,66 +55,117 @@ pub(crate) struct Limits {
     pub prefetch_room: usize,
     /// Prefetches that may be outstanding beside other jobs.
     pub prefetch_beside_others: usize,
+    /// Requests that were first made before this frame are old: some slots go to them.
+    pub aged_before: u32,
 }
 
-/// The state that the mutex guards.
-pub(crate) struct ListState<J> {
-    /// Jobs to read from files, the most urgent last. Written by update, taken from the end by file threads.
-    file: Vec<J>,
-    /// Jobs to request from servers, the most urgent last. Written by update, taken by the HTTP thread.
-    http: Vec<J>,
-    /// Tickets taken since update last looked and not yet answered. Written by the takers, drained by update.
-    taken: Vec<Ticket>,
-    /// Tickets of running HTTP requests to abort. Written by update, drained by the HTTP thread.
-    abort: Vec<Ticket>,
+/// The jobs that are taken and not yet answered, and how many there may be.
+#[derive(Clone, Copy)]
+struct Usage {
     /// Jobs taken and not yet answered. Raised by the takers, lowered by update.
     outstanding: usize,
     /// Outstanding jobs that read files.
-    files_outstanding: usize,
+    files: usize,
     /// Outstanding jobs that are prefetches.
-    prefetch_outstanding: usize,
+    prefetches: usize,
     /// The number of outstanding jobs that is never exceeded.
     capacity: usize,
     /// Written by update.
     limits: Limits,
+}
+
+impl Usage {
+    /// Returns true if a thread may take a job from a server, or from the disk, that has `busy` of its `slots` taken.
+    /// Prefetches leave a quarter of a server's slots free; over a slow network, fewer at once would be late.
+    fn may_take(&self, is_prefetch: bool, busy: usize, slots: usize) -> bool {
+        let limits = &self.limits;
+        if is_prefetch {
+            let max = if busy < slots - slots.div_ceil(PREFETCH_FREE_SHARE) {
+                limits.prefetch_room
+            } else {
+                limits.prefetch_beside_others.min(limits.prefetch_room)
+            };
+            return self.outstanding < limits.outstanding && self.prefetches < max;
+        }
+        let is_first = busy == 0 && limits.outstanding > 0;
+        self.outstanding < if is_first { self.capacity } else { limits.outstanding }
+    }
+
+    /// Returns true if a thread may read another file.
+    fn may_take_file(&self, is_prefetch: bool) -> bool {
+        self.may_take(is_prefetch, self.files, 0)
+    }
+
+    fn took(&mut self, job: &impl Request) {
+        self.outstanding += 1;
+        self.files += usize::from(!job.is_remote());
+        self.prefetches += usize::from(job.is_prefetch());
+    }
+
+    /// Counts a job as answered. A content takes room in the budgets from now on: one job fewer may be outstanding until
+    /// update calculates the limits again.
+    fn answered(&mut self, job: &impl Request, has_content: bool) {
+        let limit = &mut self.limits.outstanding;
+        *limit = limit.saturating_sub(usize::from(has_content));
+        self.outstanding = self.outstanding.saturating_sub(1);
+        self.files = self.files.saturating_sub(usize::from(!job.is_remote()));
+        self.prefetches = self.prefetches.saturating_sub(usize::from(job.is_prefetch()));
+    }
+}
+
+/// The state that the mutex guards.
+pub(crate) struct ListState<J: Request> {
+    /// Written by update, taken by the threads.
+    waiting: WaitingJobs<J>,
+    /// Jobs taken since update last looked and not yet answered. Written by the takers, drained by update.
+    taken: Vec<J>,
+    /// Tickets of running HTTP requests to abort. Written by update, drained by the HTTP thread.
+    abort: Vec<Ticket>,
+    usage: Usage,
     /// Set once, when the pager is dropped.
     is_closed: bool,
 }
 
 impl<J: Request> ListState<J> {
     fn new(capacity: usize) -> Self {
+        let limits = Limits { outstanding: capacity, prefetch_room: 0, prefetch_beside_others: 0, aged_before: 0 };
         Self {
-            file: Vec::new(),
-            http: Vec::new(),
+            waiting: WaitingJobs::new(),
             taken: Vec::new(),
             abort: Vec::new(),
-            outstanding: 0,
-            files_outstanding: 0,
-            prefetch_outstanding: 0,
-            capacity,
-            limits: Limits { outstanding: capacity, prefetch_room: 0, prefetch_beside_others: 0 },
+            usage: Usage { outstanding: 0, files: 0, prefetches: 0, capacity, limits },
             is_closed: false,
         }
     }
 
-    /// Replaces the waiting jobs; the most urgent come last.
+    /// Replaces all waiting jobs; the most urgent come last. For short lists.
     pub fn set_jobs(&mut self, jobs: impl IntoIterator<Item = J>) {
-        self.file.clear();
-        self.http.clear();
-        for job in jobs {
-            // Without a client the file threads answer that remote contents are unsupported.
-            let to = if cfg!(feature = "http") && job.is_remote() { &mut self.http } else { &mut self.file };
-            to.push(job);
-        }
+        self.waiting.clear();
+        self.waiting.insert_ranked(jobs);
+    }
+
+    /// Adds a waiting job that was first requested in a frame.
+    pub fn insert(&mut self, job: J, urgency: Urgency, first_frame: u32) {
+        self.waiting.insert(job, urgency, first_frame);
+    }
+
+    /// Removes a job if it waits.
+    pub fn remove(&mut self, ticket: Ticket) {
+        self.waiting.remove(ticket);
+    }
+
+    /// Changes the urgencies of the jobs that wait.
+    pub fn set_urgencies(&mut self, changes: &[(Ticket, Urgency)]) {
+        self.waiting.set_urgencies(changes);
     }
 
     /// Replaces the limits.
     pub fn set_limits(&mut self, limits: Limits) {
-        self.limits = limits;
+        self.usage.limits = limits;
     }
 
-    /// Returns the tickets taken since the last call and not yet answered.
-    pub fn drain_taken(&mut self) -> impl Iterator<Item = Ticket> + '_ {
+    /// Returns the jobs taken since the last call and not yet answered.
+    pub fn drain_taken(&mut self) -> impl Iterator<Item = J> + '_ {
         self.taken.drain(..)
     }
 
@@ -119,72 +176,70 @@ impl<J: Request> ListState<J> {
 
     /// Returns the number of jobs taken and not yet answered.
     pub fn outstanding(&self) -> usize {
-        self.outstanding
+        self.usage.outstanding
     }
 
     /// Returns the number of outstanding jobs that are not prefetches.
     pub fn outstanding_now(&self) -> usize {
-        self.outstanding.saturating_sub(self.prefetch_outstanding)
+        self.usage.outstanding.saturating_sub(self.usage.prefetches)
+    }
+
+    /// Returns the number of jobs taken since update last looked that are not prefetches.
+    pub fn taken_now(&self) -> usize {
+        self.taken.iter().filter(|job| !job.is_prefetch()).count()
+    }
+
+    /// Returns the number of outstanding jobs that are prefetches.
+    pub fn outstanding_prefetches(&self) -> usize {
+        self.usage.prefetches
     }
 
     /// Returns the number of waiting jobs.
     pub fn waiting(&self) -> usize {
-        self.file.len() + self.http.len()
+        self.waiting.len()
     }
 
     /// Returns true if a thread could take a job now, or has one that it will answer.
-    pub fn is_under_way(&self) -> bool {
-        let may_take = |jobs: &[J]| jobs.last().is_some_and(|job| self.may_take(job, 0, 0));
-        self.outstanding > 0 || may_take(&self.file) || may_take(&self.http)
+    pub fn is_under_way(&mut self) -> bool {
+        let usage = self.usage;
+        let mut has_next = |source| self.waiting.has_next(source, |_, is_prefetch| usage.may_take(is_prefetch, 0, 0));
+        let has_file = usage.outstanding > 0 || has_next(Source::Files);
+        #[cfg(feature = "http")]
+        return has_file || has_next(Source::Servers);
+        #[cfg(not(feature = "http"))]
+        has_file
     }
 
-    /// Counts a job as answered. With `has_content` the content takes room in the budgets from now on: one job fewer may
-    /// be outstanding until update calculates the limits again.
+    /// Counts a job as answered. With `has_content` the content takes room in the budgets from now on.
     pub fn answered(&mut self, job: &J, has_content: bool) {
-        let limit = &mut self.limits.outstanding;
-        *limit = limit.saturating_sub(usize::from(has_content));
-        self.outstanding = self.outstanding.saturating_sub(1);
-        self.files_outstanding = self.files_outstanding.saturating_sub(usize::from(!job.is_remote()));
-        self.prefetch_outstanding = self.prefetch_outstanding.saturating_sub(usize::from(job.is_prefetch()));
-        self.taken.retain(|ticket| *ticket != job.ticket());
+        self.usage.answered(job, has_content);
+        self.taken.retain(|taken| taken.ticket() != job.ticket());
     }
 
     /// Counts a job as taken.
     fn took(&mut self, job: &J) {
-        self.outstanding += 1;
-        self.files_outstanding += usize::from(!job.is_remote());
-        self.prefetch_outstanding += usize::from(job.is_prefetch());
-        self.taken.push(job.ticket());
+        self.usage.took(job);
+        self.taken.push(job.clone());
         job.mark_reading();
     }
 
-    /// Returns true if a thread may take a job from a server, or from the disk, that has `busy` of its `slots` taken.
-    /// Prefetches leave a quarter of a server's slots free; over a slow network, fewer at once would be late.
-    fn may_take(&self, job: &J, busy: usize, slots: usize) -> bool {
-        let limits = &self.limits;
-        if job.is_prefetch() {
-            let max = if busy < slots - slots.div_ceil(PREFETCH_FREE_SHARE) {
-                limits.prefetch_room
-            } else {
-                limits.prefetch_beside_others.min(limits.prefetch_room)
-            };
-            return self.outstanding < limits.outstanding && self.prefetch_outstanding < max;
-        }
-        let is_first = busy == 0 && limits.outstanding > 0;
-        self.outstanding < if is_first { self.capacity } else { limits.outstanding }
-    }
-
-    /// Takes the most urgent file if fewer than `max_files` are outstanding and the limits allow it.
+    /// Takes the file that is next if fewer than `max_files` are outstanding and the limits allow it.
     fn take_file(&mut self, max_files: usize) -> Option<J> {
-        let job = if self.has_file(max_files) { self.file.pop() } else { None }?;
+        let usage = self.usage;
+        if usage.files >= max_files {
+            return None;
+        }
+        let may_take = |_: &[String], is_prefetch: bool| usage.may_take_file(is_prefetch);
+        let job = self.waiting.take(Source::Files, usage.limits.aged_before, may_take)?;
         self.took(&job);
         Some(job)
     }
 
     /// Returns true if [`Self::take_file`] would take one.
-    fn has_file(&self, max_files: usize) -> bool {
-        let files = self.files_outstanding;
-        files < max_files && self.file.last().is_some_and(|job| self.may_take(job, files, 0))
+    fn has_file(&mut self, max_files: usize) -> bool {
+        let usage = self.usage;
+        usage.files < max_files
+            && self.waiting.has_next(Source::Files, |_, is_prefetch| usage.may_take_file(is_prefetch))
     }
 }
 
@@ -219,7 +274,7 @@ pub(crate) struct HttpWork<J> {
 }
 
 /// The list and its bells.
-pub(crate) struct RequestList<J> {
+pub(crate) struct RequestList<J: Request> {
     state: Mutex<ListState<J>>,
     file_bell: Condvar,
     #[cfg(feature = "http")]
@@ -254,11 +309,11 @@ impl<J: Request> RequestList<J> {
 
     /// Unlocks the list and wakes the threads that have something to take or to abort. Wakes one file thread, which wakes
     /// the next: each wake-up costs the calling thread up to 100 microseconds on a virtual machine.
-    pub fn ring(&self, state: MutexGuard<'_, ListState<J>>) {
+    pub fn ring(&self, mut state: MutexGuard<'_, ListState<J>>) {
         let is_closed = state.is_closed;
         let has_file = state.has_file(self.max_files);
         #[cfg(feature = "http")]
-        let has_http = is_closed || !state.http.is_empty() || !state.abort.is_empty();
+        let has_http = is_closed || state.waiting.has_remote() || !state.abort.is_empty();
         drop(state);
         if is_closed {
             self.file_bell.notify_all();
@@ -318,8 +373,6 @@ impl<J: Request> RequestList<J> {
 
     /// Takes what the HTTP thread should do next while `in_flight` are running: of each server up to its limit, and at
     /// most `max_in_flight` in all. Returns `None` once the list is closed.
-    ///
-    /// Update waits for the lock meanwhile, so jobs of a server that is at its limit are skipped cheaply.
     pub fn take_http<'a>(
         &self,
         in_flight: impl Iterator<Item = &'a J>,
@@ -339,34 +392,21 @@ impl<J: Request> RequestList<J> {
             return None;
         }
         let mut jobs: Vec<J> = Vec::new();
-        // Servers from which nothing more can be taken.
-        let mut full: Vec<String> = Vec::new();
-        // The most urgent are last.
-        let mut next = state.http.len();
-        while next > 0 && running + jobs.len() < max_in_flight {
-            next -= 1;
-            let job = &state.http[next];
-            if full.iter().any(|at| is_at(job.uri(), at)) {
-                continue;
-            }
-            let count = |at: &str| at_servers.count(at);
-            let left = max_in_flight - running - jobs.len();
-            let has_slot = |at: &str| count(at) < limits.limit(at) && limits.leaves_enough(count(at), left);
-            let own = server(job.uri());
-            if !state.may_take(job, count(own), limits.limit(own)) || !has_slot(own) {
-                // Free slots only become fewer here. A prefetch that is refused for its class says nothing about jobs
-                // that are wanted now.
-                if !job.is_prefetch() || !has_slot(own) {
-                    full.push(own.to_owned());
-                }
-                continue;
-            }
-            if job.servers().iter().all(|at| has_slot(at)) {
-                let job = state.http.remove(next);
-                state.took(&job);
-                at_servers.add(&job);
-                jobs.push(job);
-            }
+        while running + jobs.len() < max_in_flight {
+            let (usage, left) = (state.usage, max_in_flight - running - jobs.len());
+            let may_take = |servers: &[String], is_prefetch: bool| {
+                let has_slot = |at: &String| {
+                    let count = at_servers.count(at);
+                    count < limits.limit(at) && limits.leaves_enough(count, left)
+                };
+                // The class of the job and the limits of the budgets count at the content's own server.
+                let fits = |own: &String| usage.may_take(is_prefetch, at_servers.count(own), limits.limit(own));
+                servers.first().is_some_and(fits) && servers.iter().all(has_slot)
+            };
+            let Some(job) = state.waiting.take(Source::Servers, usage.limits.aged_before, may_take) else { break };
+            state.took(&job);
+            at_servers.add(&job);
+            jobs.push(job);
         }
         Some(HttpWork { jobs, aborts: std::mem::take(&mut state.abort) })
     }
@@ -379,9 +419,9 @@ impl<J: Request> ListState<J> {
         self.took(job);
     }
 
-    /// Returns the jobs that wait for the HTTP thread, for tests.
-    pub fn http_for_test(&self) -> &[J] {
-        &self.http
+    /// Returns the jobs that wait, in no order, for tests.
+    pub fn waiting_for_test(&self) -> impl Iterator<Item = &J> {
+        self.waiting.iter()
     }
 
     /// Takes a file, for tests.

@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use crossbeam_channel::{Receiver, RecvError, Sender, bounded, never, select};
 
+use super::budgets::LoadBudgets;
 use super::config::LoadConfig;
 use super::file_threads::FileThreads;
 #[cfg(feature = "http")]
@@ -12,7 +13,7 @@ use super::http::{self, HttpAccess};
 use super::job::{Answer, LoadJob, LoadedBytes};
 use super::request_list::RequestList;
 use super::thread_set::{ThreadSet, follow_core};
-use crate::fetch;
+use crate::fetch::{self, ByteBudget};
 use crate::pager::config::PagerError;
 
 /// Files that may be read and not yet decoded, per decode thread: waiting bytes are memory, and disks are quick.
@@ -25,6 +26,7 @@ const MAX_SHUTDOWN_TIME: Duration = Duration::from_secs(1);
 /// in flight are dropped.
 pub(in crate::pager) struct LoadThreads<J: LoadJob> {
     list: Arc<RequestList<J>>,
+    budgets: LoadBudgets,
     files: Option<Arc<FileThreads<J>>>,
     /// Dropped to end the watch over the file threads.
     watch: Option<Sender<()>>,
@@ -43,9 +45,11 @@ impl<J: LoadJob> LoadThreads<J> {
     pub fn start(config: &LoadConfig) -> Result<Self, PagerError> {
         let (capacity, decoders) = (config.capacity(), config.decoders);
         let list = Arc::new(RequestList::new(capacity, config.max_files));
+        let budgets = LoadBudgets::new(config.max_bytes, config.waits_for_contents);
         // Declared before the channels, so that those close first if a thread cannot start, and the others end.
         let mut threads = Self {
             list: list.clone(),
+            budgets: budgets.clone(),
             files: None,
             watch: None,
             answers: None,
@@ -61,7 +65,8 @@ impl<J: LoadJob> LoadThreads<J> {
         let (answer_sender, answers) = bounded::<Answer<J>>(capacity);
         threads.answers = Some(answers);
         let files = fetch::FileReader::new(config.limits);
-        let files = FileThreads::new(list.clone(), read_sender, files, config.readers, config.file_timeout);
+        let bodies = budgets.bodies.clone();
+        let files = FileThreads::new(list.clone(), read_sender, files, bodies, config.readers, config.file_timeout);
         let files = threads.files.insert(files).clone();
         files.start()?;
         let (watch, closed) = bounded(0);
@@ -70,13 +75,15 @@ impl<J: LoadJob> LoadThreads<J> {
         #[cfg(feature = "http")]
         {
             let (list, answers, limits) = (list.clone(), answer_sender.clone(), config.limits);
+            let bodies = budgets.bodies.clone();
             let name = format!("{}-http", J::THREAD_PREFIX);
             let runtime = fetch::runtime(&name).map_err(|source| PagerError::Thread { name, source })?;
             let access = HttpAccess::new(&runtime);
             let (clients, range) = (access.clients(), config.per_server);
             threads.http = Some(access);
             threads.spawn("http", move || {
-                http::run(&runtime, &list, &received_sender, &answers, &clients, &limits, range);
+                let channels = http::Channels { loaded: &received_sender, answers: &answers };
+                http::run(&runtime, &list, channels, &bodies, &clients, &limits, range);
                 // Threads that hang on the cache are left alone.
                 runtime.shutdown_timeout(MAX_SHUTDOWN_TIME);
             })?;
@@ -84,8 +91,8 @@ impl<J: LoadJob> LoadThreads<J> {
         for i in 0..decoders {
             let open = if cfg!(feature = "http") { 2 } else { 1 };
             let intake = Intake { files: read.clone(), servers: received.clone(), open };
-            let sender = answer_sender.clone();
-            threads.spawn(&format!("decode-{i}"), move || decode(intake, &sender))?;
+            let (sender, contents) = (answer_sender.clone(), budgets.contents.clone());
+            threads.spawn(&format!("decode-{i}"), move || decode(intake, &sender, &contents))?;
         }
         Ok(threads)
     }
@@ -105,6 +112,11 @@ impl<J: LoadJob> LoadThreads<J> {
     /// Returns the request list.
     pub fn list(&self) -> &RequestList<J> {
         &self.list
+    }
+
+    /// Returns the bytes that are on their way.
+    pub fn budgets(&self) -> &LoadBudgets {
+        &self.budgets
     }
 
     /// Returns the way to the HTTP thread.
@@ -127,6 +139,7 @@ impl<J: LoadJob> LoadThreads<J> {
 impl<J: LoadJob> Drop for LoadThreads<J> {
     fn drop(&mut self) {
         self.list.close();
+        self.budgets.close();
         self.answers = None;
         self.watch = None;
         if let Some(files) = &self.files {
@@ -168,13 +181,24 @@ impl<J> Intake<J> {
     }
 }
 
-fn decode<J: LoadJob>(mut intake: Intake<J>, sender: &Sender<Answer<J>>) {
-    while let Some(LoadedBytes { job, loaded, companions, bytes_read, bytes_http }) = intake.next() {
+fn decode<J: LoadJob>(mut intake: Intake<J>, sender: &Sender<Answer<J>>, contents: &ByteBudget) {
+    while let Some(LoadedBytes { job, loaded, companions, bytes_read, bytes_http, permit }) = intake.next() {
         follow_core();
+        // A content is rarely smaller than its bytes.
+        let expected_bytes = bytes_read.max(contents.expected_bytes());
+        let held = loaded.is_ok().then(|| contents.reserve_blocking(expected_bytes, job.is_prefetch()));
         let span = job.decode_span();
         let content = loaded.and_then(|loaded| job.decode(loaded, companions));
         drop(span);
-        if sender.send(Answer { job, content: Some(content), bytes_read, bytes_http }).is_err() {
+        // The bytes were dropped with their decoder.
+        drop(permit);
+        let permit = held.filter(|_| content.is_ok());
+        if let (Some(permit), Ok(content)) = (&permit, &content) {
+            let bytes = J::content_bytes(content);
+            contents.learn(bytes);
+            permit.set_bytes(bytes);
+        }
+        if sender.send(Answer { job, content: Some(content), bytes_read, bytes_http, permit }).is_err() {
             return;
         }
     }
@@ -184,11 +208,16 @@ fn decode<J: LoadJob>(mut intake: Intake<J>, sender: &Sender<Answer<J>>) {
 mod tests {
     use super::super::page_job::PageJob;
     use super::super::page_job::tests::job;
+    use std::cmp::Reverse;
+
     use super::super::request_list::Limits;
+    use super::super::ticket::Ticket;
+    use super::super::waiting_jobs::{Source, Urgency, WaitingJobs};
     use super::*;
+    use crate::scene::{Node, NodeId, Page, Scene};
 
     fn limits(outstanding: usize) -> Limits {
-        Limits { outstanding, prefetch_room: 0, prefetch_beside_others: 0 }
+        Limits { outstanding, prefetch_room: 0, prefetch_beside_others: 0, aged_before: 0 }
     }
 
     /// The number of files that may be outstanding.
@@ -209,6 +238,103 @@ mod tests {
         assert!(state.take_file_for_test(MAX_FILES).is_none(), "an answer from a server frees no slot of files");
         state.answered(&read[0], false);
         assert!(state.take_file_for_test(MAX_FILES).is_some());
+    }
+
+    fn now(priority: f32) -> Urgency {
+        Urgency::new(priority, false)
+    }
+
+    fn taken(waiting: &mut WaitingJobs<PageJob>, aged_before: u32) -> Option<u64> {
+        Some(waiting.take(Source::Files, aged_before, |_, _| true)?.ticket.number())
+    }
+
+    #[test]
+    fn urgencies_are_ordered_as_priorities_and_prefetches_come_last() {
+        let priorities = [f32::NEG_INFINITY, -3.0, -1e-9, -0.0, 0.0, 1e-9, 2.0, f32::INFINITY];
+        assert!(priorities.windows(2).all(|two| now(two[0]) < now(two[1])));
+        assert!(priorities.iter().all(|priority| Urgency::new(f32::INFINITY, true) < now(*priority)));
+    }
+
+    /// Jobs come, change and go at random; each take is compared with a search through all jobs.
+    #[test]
+    fn takes_are_the_most_urgent_whatever_has_changed() {
+        let mut random = crate::math::random::SplitMix64::new(7);
+        let mut below = |count: u64| random.next_u64() % count;
+        let mut waiting: WaitingJobs<PageJob> = WaitingJobs::new();
+        let mut model: std::collections::BTreeMap<u64, Urgency> = std::collections::BTreeMap::new();
+        for step in 0..20_000u64 {
+            let urgency = Urgency::new(below(50) as f32, below(4) == 0);
+            let any = model.keys().nth(below(model.len().max(1) as u64) as usize).copied();
+            match (below(10), any) {
+                (0..4, _) | (_, None) => {
+                    waiting.insert(job(step, "/set/a.glb"), urgency, 0);
+                    model.insert(step, urgency);
+                }
+                (4, Some(number)) => {
+                    assert!(waiting.remove(Ticket::for_test(number)).is_some());
+                    model.remove(&number);
+                }
+                (5, Some(number)) => {
+                    waiting.set_urgencies(&[(Ticket::for_test(number), urgency)]);
+                    model.insert(number, urgency);
+                }
+                (6, Some(_)) if step % 8 == 0 => {
+                    // The camera moves.
+                    model.values_mut().for_each(|known| *known = Urgency::new(below(50) as f32, below(4) == 0));
+                    let changes: Vec<_> = model.iter().map(|(n, known)| (Ticket::for_test(*n), *known)).collect();
+                    waiting.set_urgencies(&changes);
+                }
+                _ => {
+                    let expected = model.iter().map(|(number, urgency)| (*urgency, Reverse(*number))).max();
+                    let expected = expected.map(|(urgency, Reverse(number))| (number, urgency.is_prefetch()));
+                    let job = waiting.take(Source::Files, 0, |_, _| true);
+                    assert_eq!(job.map(|job| (job.ticket.number(), job.is_prefetch)), expected, "step {step}");
+                    expected.map(|(number, _)| model.remove(&number));
+                }
+            }
+            assert_eq!(waiting.len(), model.len());
+        }
+    }
+
+    #[test]
+    fn old_requests_get_every_eighth_slot() {
+        let mut waiting = WaitingJobs::new();
+        for number in 0..40u64 {
+            // The last ones are the least urgent, and three of them are old, the last the oldest.
+            let first_frame = if [25, 30, 35].contains(&number) { 1000 - number as u32 } else { 5000 };
+            waiting.insert(job(number, "/set/a.glb"), now(-(number as f32)), first_frame);
+        }
+        let order: Vec<u64> = std::iter::from_fn(|| taken(&mut waiting, 4880)).collect();
+        assert_eq!([7, 15, 23].map(|slot: usize| order[slot]), [35, 30, 25], "the oldest first");
+        assert_eq!(order[..7], [0, 1, 2, 3, 4, 5, 6], "the most urgent otherwise");
+        let mut sorted = order;
+        sorted.sort_unstable();
+        assert!(sorted.into_iter().eq(0..40), "each once");
+    }
+
+    /// Scenes with requests get slots in turns: no scene waits for the end of another.
+    #[test]
+    fn passed_over_scenes_get_the_next_slot() {
+        let mut waiting = WaitingJobs::new();
+        let page = || Scene::new().add_root(Page::from_node(Node::group(Vec::new())).unwrap());
+        let pages = [page(), page(), page()];
+        let mut number = 0;
+        for (scene, (page, count)) in pages.iter().zip([100, 10, 3]).enumerate() {
+            for _ in 0..count {
+                let slot = NodeId { page: *page, index: number };
+                let job = PageJob { slot, ..job(u64::from(number), "/set/a.glb") };
+                waiting.insert(job, now(10.0 - scene as f32), 0);
+                number += 1;
+            }
+        }
+        let scene_of = |job: PageJob| pages.iter().position(|page| *page == job.slot.page).unwrap();
+        let order: Vec<usize> =
+            std::iter::from_fn(|| waiting.take(Source::Files, 0, |_, _| true)).map(scene_of).collect();
+        assert_eq!((order.len(), &order[..5]), (113, &[0, 0, 0, 0, 1][..]), "the more urgent first");
+        for scene in [1, 2] {
+            let slots: Vec<usize> = (0..order.len()).filter(|slot| order[*slot] == scene).collect();
+            assert!(slots[0] <= 5 && slots.windows(2).all(|two| two[1] - two[0] <= 6), "{slots:?}");
+        }
     }
 
     /// Regression: a server that hangs may have all jobs that the budgets allow.

@@ -6,7 +6,7 @@ use crate::trace;
 
 /// Identifies one attempt to load a content. A retry has a new ticket, so that an answer to an earlier attempt is
 /// recognised as late.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub(in crate::pager) struct Ticket {
     /// The issuing pager's bits in a trace; zero in the low 40 bits.
     source: u64,

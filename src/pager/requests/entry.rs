@@ -1,10 +1,11 @@
 //! A request as the update thread knows it: how urgent it is, and how far it is.
 
-use std::cmp::Ordering;
 use std::time::Instant;
 
 use super::retry_policy::RetryState;
+use crate::cull::PageRequest;
 use crate::pager::loading::page_job::PageJob;
+use crate::pager::loading::waiting_jobs::Urgency;
 use crate::pager::residency::budget::MemoryUse;
 use crate::scene::PagingOptions;
 
@@ -45,6 +46,10 @@ pub(in crate::pager) struct Entry {
     pub known_size: Option<MemoryUse>,
     pub progress: Progress,
     pub paging: PagingOptions,
+    /// The urgency with which the request list has its job; `None` if it has not.
+    pub listed: Option<Urgency>,
+    /// True if the table has noted that the list must be compared with it.
+    pub is_noted: bool,
 }
 
 impl Entry {
@@ -56,11 +61,6 @@ impl Entry {
     /// Returns true for a prefetch that is needed in one of the next frames.
     pub fn is_soon(&self) -> bool {
         (1..=SOON_FRAMES).contains(&self.ahead_frames)
-    }
-
-    /// Returns true if it waits for a thread, or a thread has it.
-    pub fn is_loading(&self) -> bool {
-        matches!(self.progress, Progress::Waiting | Progress::Loading)
     }
 
     /// Returns true if the last load failed and nothing is under way.
@@ -85,9 +85,21 @@ impl Entry {
         !self.retries.is_fresh()
     }
 
-    /// Orders entries with the most urgent first.
-    pub fn by_urgency(a: &Self, b: &Self) -> Ordering {
-        let sooner = a.ahead_frames.cmp(&b.ahead_frames);
-        sooner.then(b.priority.total_cmp(&a.priority)).then(a.job.slot.cmp(&b.job.slot))
+    /// Returns how urgent it is.
+    pub fn urgency(&self) -> Urgency {
+        Urgency::new(self.priority, self.is_prefetch())
+    }
+
+    /// Renews it with a request of this frame. Of several requests in a frame the most urgent counts.
+    pub fn renew(&mut self, request: &PageRequest, frame: u32) {
+        let priority = self.paging.priority(request.priority);
+        if self.wanted_frame == frame {
+            self.priority = self.priority.max(priority);
+            self.ahead_frames = self.ahead_frames.min(request.ahead_frames);
+        } else {
+            self.priority = priority;
+            self.ahead_frames = request.ahead_frames;
+            self.wanted_frame = frame;
+        }
     }
 }

@@ -1,16 +1,13 @@
-//! Fair scheduling of requests between scenes and between views. Update thread.
+//! [`SceneTurns`]: merges that are fair between scenes. Update thread.
 //!
-//! [`SceneTurns`] is fair between scenes. Requests of all scenes are ordered by priority; a scene whose camera moves would
-//! take all slots for as long as its requests are more urgent. So a scene that was passed over a few times gets the next
-//! slot.
-//!
-//! [`Aging`] is fair between views of one scene. A view that moves may keep requesting tiles that are more urgent than what
-//! another view lacks; so some slots go to the oldest requests.
+//! Pages of all scenes are ordered by urgency; a scene whose camera moves would take all the time for as long as its pages
+//! are more urgent. So a scene that was passed over a few times gets the next merge. The request list does the same with its
+//! slots (`loading/waiting_jobs.rs`).
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, VecDeque};
 
-use crate::scene::{NodeId, SceneNumber};
+use crate::scene::SceneNumber;
 
 /// A scene with requests gets the next slot after it was passed over this many times.
 const MAX_PASSED_OVER: u32 = 4;
@@ -77,52 +74,6 @@ impl SceneTurns {
     }
 }
 
-/// One in this many slots goes to the oldest request.
-const AGED_SHARE: u32 = 8;
-/// A request is old after this many frames.
-const AGED_FRAMES: u32 = 120;
-
-/// Counts the slots since the last one that went to an old request.
-#[derive(Clone, Copy, Debug, Default)]
-pub(in crate::pager) struct Aging {
-    slots: u32,
-}
-
-impl Aging {
-    /// Notes that this many slots were taken.
-    pub fn took(&mut self, slots: u32) {
-        self.slots = (self.slots % AGED_SHARE + slots % AGED_SHARE) % AGED_SHARE;
-    }
-
-    /// Reorders items, the most urgent first, so that old requests get their share. `first_requested` returns the frame in
-    /// which an item was first requested, and its slot.
-    pub fn arrange<T: Copy>(
-        &self,
-        ordered: Vec<T>,
-        frame: u32,
-        first_requested: impl Fn(&T) -> (u32, NodeId),
-    ) -> Vec<T> {
-        let is_old = |item: &T| frame.saturating_sub(first_requested(item).0) > AGED_FRAMES;
-        let mut old: Vec<(usize, T)> = ordered.iter().copied().enumerate().filter(|(_, item)| is_old(item)).collect();
-        if old.is_empty() {
-            return ordered;
-        }
-        old.sort_by_key(|(_, item)| first_requested(item));
-        let mut old = old.into_iter();
-        let mut urgent = ordered.iter().copied().enumerate();
-        let mut is_taken = vec![false; ordered.len()];
-        let mut arranged = Vec::with_capacity(ordered.len());
-        for slot in self.slots.. {
-            let is_turn = slot % AGED_SHARE == AGED_SHARE - 1;
-            let aged = is_turn.then(|| old.find(|(rank, _)| !is_taken[*rank])).flatten();
-            let Some((rank, item)) = aged.or_else(|| urgent.find(|(rank, _)| !is_taken[*rank])) else { break };
-            is_taken[rank] = true;
-            arranged.push(item);
-        }
-        arranged
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -138,43 +89,6 @@ mod tests {
     fn items(counts: [usize; 3]) -> Vec<(SceneNumber, usize)> {
         let scenes = scenes();
         (0..3).flat_map(|s| (0..counts[s]).map(move |i| (scenes[s], i))).collect()
-    }
-
-    /// Arranges `count` items of which those in `long` are old requests, the last the oldest.
-    fn arranged(aging: Aging, count: u32, long: &[u32]) -> Vec<u32> {
-        let page = Scene::new().add_root(crate::scene::Page::from_node(crate::scene::Node::group(Vec::new())).unwrap());
-        let first_requested = |rank: &u32| {
-            let frame = if long.contains(rank) { 1000 - rank } else { 5000 };
-            (frame, NodeId { page, index: *rank })
-        };
-        aging.arrange((0..count).collect(), 5000, first_requested)
-    }
-
-    #[test]
-    fn old_requests_get_every_eighth_slot() {
-        let all: Vec<u32> = (0..40).collect();
-        assert_eq!(arranged(Aging::default(), 40, &[]), all);
-        let arranged_all = arranged(Aging::default(), 40, &[25, 30, 35]);
-        assert_eq!([7, 15, 23].map(|rank: usize| arranged_all[rank]), [35, 30, 25], "the oldest first");
-        assert_eq!(arranged_all[..7], all[..7], "the most urgent otherwise");
-        assert!(
-            {
-                let mut sorted = arranged_all;
-                sorted.sort_unstable();
-                sorted == all
-            },
-            "each once"
-        );
-        // The list may be rewritten before an old request gets its turn.
-        let mut aging = Aging::default();
-        let mut firsts = Vec::new();
-        for _ in 0..16 {
-            firsts.push(arranged(aging, 40, &[39])[0]);
-            aging.took(1);
-        }
-        assert_eq!(firsts.iter().filter(|first| **first == 39).count(), 2, "{firsts:?}");
-        // The old request is also the most urgent one left.
-        assert_eq!(arranged(Aging { slots: 7 }, 3, &[0, 1, 2]), [2, 0, 1]);
     }
 
     #[test]

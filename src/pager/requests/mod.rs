@@ -3,6 +3,7 @@
 pub(super) mod entry;
 pub(super) mod fairness;
 pub(super) mod forced;
+mod listing;
 pub(super) mod retry_policy;
 pub(super) mod scheduler;
 pub(super) mod state;

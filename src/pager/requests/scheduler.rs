@@ -1,20 +1,18 @@
-//! [`Scheduler`]: writes the request list that the threads take from, in order of priority, and sets how many jobs may be
+//! [`Scheduler`]: tells the request list, which the threads take from, what has changed, and sets how many jobs may be
 //! outstanding within the budgets. Update thread.
 
-use std::collections::{BTreeMap, HashSet};
 use std::ops::RangeInclusive;
+use std::time::Duration;
 
-use super::entry::{Entry, Progress};
-use super::fairness::{Aging, SceneTurns};
+use super::entry::Progress;
 use super::table::RequestTable;
-use crate::fetch;
+use crate::fetch::{self, LoadRoom};
 use crate::pager::config::PagerConfig;
+use crate::pager::frame_times::FrameTimes;
 use crate::pager::loading::page_job::PageJob;
 use crate::pager::loading::request_list::{Limits, ListState, RequestList};
-use crate::pager::loading::ticket::Ticket;
 use crate::pager::residency::Unused;
 use crate::pager::residency::budget::{MemoryUse, RESERVED_TENTHS, Room};
-use crate::scene::SceneNumber;
 
 /// Decoded pages that wait for their upload may hold about this many bytes per decode thread; beyond that nothing is
 /// loaded. This is about what a thread decodes while the main thread makes a frame.
@@ -22,8 +20,12 @@ const MAX_PENDING_BYTES: u64 = 8 << 20;
 /// This many pages per decode thread may wait for their upload, however large they are.
 const MIN_PENDING_PAGES: u64 = 2;
 
-/// Prefetches are listed for this many times as many as may be in flight: enough until the list is rewritten.
-const PREFETCHES_LISTED: usize = 32;
+/// A request is old after this many frames: some slots go to old ones.
+const AGED_FRAMES: u32 = 120;
+
+/// A request that the last frames did not renew is not wanted any more, whatever time has passed. Culls of several threads
+/// renew it in one of two frames.
+const MIN_UNWANTED_FRAMES: u32 = 2;
 
 /// A page wanted within this many frames of another is not worth replacing by it.
 const PREFETCH_MARGIN_FRAMES: u32 = 2;
@@ -58,11 +60,6 @@ impl Shortage {
         self.is_full
     }
 
-    /// Returns true if a page of known size waits for room.
-    pub fn has_blocked_page(&self) -> bool {
-        self.blocked_page_size.is_some()
-    }
-
     /// Returns true if something waits for room.
     pub fn is_any(&self) -> bool {
         self.is_missing() || self.prefetch.is_some()
@@ -75,13 +72,15 @@ impl Shortage {
 
     /// Returns how long a page must be unused to expire: as configured; less for a prefetch that is needed sooner; and only
     /// not shown if a frame lacks something.
-    pub fn unused(&self, config: &PagerConfig) -> Unused {
+    pub fn unused(&self, config: &PagerConfig, times: &FrameTimes) -> Unused {
         if self.is_missing() {
             return Unused::NOT_SHOWN;
         }
         let mut unused = Unused { frames: config.expiry_frames, time: config.expiry_time };
         if let Some(prefetch) = self.prefetch {
-            unused.frames = unused.frames.min(prefetch.frames.saturating_add(PREFETCH_MARGIN_FRAMES));
+            let frames = prefetch.frames.saturating_add(PREFETCH_MARGIN_FRAMES);
+            let time = times.distance(times.frame().saturating_sub(frames));
+            unused = Unused { frames: unused.frames.min(frames), time: unused.time.min(time) };
         }
         unused
     }
@@ -115,22 +114,28 @@ impl TrialLoads {
 #[derive(Clone, Copy)]
 pub(in crate::pager) struct Conditions<'a> {
     pub config: &'a PagerConfig,
-    pub frame: u32,
+    pub times: &'a FrameTimes,
     pub is_paused: bool,
     pub room: Room,
+    /// Loads for which the bytes that may be on their way have room.
+    pub load_room: LoadRoom,
     /// Pages that have arrived and are not merged.
     pub arrived_pages: u64,
     /// Prefetches of them.
     pub arrived_prefetches: usize,
-    /// True if the pager serves more than one scene.
-    pub has_several_scenes: bool,
+}
+
+impl Conditions<'_> {
+    /// Returns true if what was last wanted in a frame has not been wanted for this long.
+    fn is_unwanted(&self, wanted_frame: u32, time: Duration) -> bool {
+        let age = self.times.frame().saturating_sub(wanted_frame);
+        age > MIN_UNWANTED_FRAMES && self.times.distance(wanted_frame) >= time
+    }
 }
 
 /// Writes the request list.
 #[derive(Debug, Default)]
 pub(in crate::pager) struct Scheduler {
-    turns: SceneTurns,
-    aging: Aging,
     trials: TrialLoads,
     shortage: Shortage,
     /// Prefetches that are loading and needed in one of the next frames.
@@ -156,88 +161,51 @@ impl Scheduler {
         self.trials.ended(false, frame);
     }
 
-    /// Forgets a scene that is no longer served.
-    pub fn forget_scene(&mut self, scene: SceneNumber) {
-        self.turns.forget(scene);
-    }
-
-    /// Drops stale requests, aborts what is no longer wanted, and writes the waiting jobs in order of priority. Returns the
-    /// number of stale requests. The list is locked meanwhile, so that no job is taken twice.
+    /// Drops stale requests, aborts what is no longer wanted, and writes the changes to the list. Returns the number of stale
+    /// requests.
     pub fn write_list(&mut self, table: &mut RequestTable, list: &RequestList<PageJob>, at: &Conditions<'_>) -> u64 {
-        let mut state = list.lock();
-        let mut taken: HashSet<Ticket> = state.drain_taken().collect();
-        let by_scene = table.mark_loading(&mut taken);
-        if cfg!(feature = "http") {
-            // The remaining tickets have lost their entries meanwhile.
-            taken.into_iter().for_each(|ticket| state.abort(ticket));
+        let taken: Vec<PageJob> = list.lock().drain_taken().collect();
+        // Jobs that have lost their entries meanwhile are aborted.
+        let mut aborted: Vec<_> = taken.iter().filter(|job| !table.mark_loading(job)).map(|job| job.ticket).collect();
+        let stale = table.drop_stale(|wanted_frame| at.is_unwanted(wanted_frame, at.config.stale_time));
+        self.soon = 0;
+        for (_, entry) in table.begun().filter(|(_, entry)| entry.progress == Progress::Loading) {
+            self.soon += u64::from(entry.is_soon());
+            let is_remote = fetch::is_remote(&entry.job.uri);
+            if is_remote && at.is_unwanted(entry.wanted_frame, at.config.abort_time) {
+                aborted.push(entry.job.ticket);
+            }
         }
-        let stale = table.drop_stale(at.frame, at.config.stale_frames);
-        abort_unwanted(table, &mut state, at);
-        let (waiting, blocked) = waiting_entries(table, &at.room);
-        let soon = |entry: &Entry| entry.is_soon() && entry.is_loading();
-        self.soon = table.iter().filter(|(_, entry)| soon(entry)).count() as u64;
+        table.collect_changes();
+        let (blocked, without_room) = table.list_sized(&at.room);
+        let now = table.waiting_now() - without_room;
+        let prefetches = table.waiting_prefetches(&at.room);
+        self.soon += prefetches.soon;
 
-        let (mut prefetches, now): (Vec<&Entry>, Vec<&Entry>) =
-            waiting.into_iter().partition(|entry| entry.is_prefetch());
-        let prefetch_short = self.select_prefetches(&mut prefetches, &state, at);
-        let now = self.order_fairly(now, &by_scene, at);
-
+        // Locked from here on, so that no job is taken of which the list says otherwise.
+        let mut state = list.lock();
+        let now = now.saturating_sub(state.taken_now());
+        let room = at.room.pages_of_mean_size(RESERVED_TENTHS).saturating_sub(state.outstanding() as u64);
+        let takes_any = at.config.ahead_in_flight > 0 && !at.is_paused;
+        // Where room is tight, only those are listed that are needed about as soon as the soonest.
+        let short = prefetches.soonest.filter(|_| takes_any && room < prefetches.count as u64);
+        let latest = short.map_or(u32::MAX, |soonest| soonest.saturating_add(PREFETCH_MARGIN_FRAMES));
+        let count = table.list_prefetches(&at.room, latest) as u64;
+        table.write_changes(&mut state);
+        if cfg!(feature = "http") {
+            aborted.into_iter().for_each(|ticket| state.abort(ticket));
+        }
         let allowed = self.max_in_flight(list.capacity(), at);
         let outstanding = self.with_trial(allowed, at);
         self.shortage = Shortage {
-            is_full: outstanding == 0 && !now.is_empty(),
-            is_short: !at.is_paused && allowed < list.capacity().min(state.outstanding() + now.len()),
+            is_full: outstanding == 0 && now > 0,
+            is_short: !at.is_paused && allowed < list.capacity().min(state.outstanding() + now),
             blocked_page_size: blocked.filter(|_| !at.is_paused),
-            prefetch: prefetch_short,
+            prefetch: short.map(|frames| PrefetchShortage { frames, count }),
         };
-        // Threads take from the end.
-        let job = |entry: &Entry| PageJob { is_prefetch: entry.is_prefetch(), ..entry.job.clone() };
-        state.set_jobs(prefetches.into_iter().chain(now.into_iter().rev()).map(job));
         let limits = self.limits(outstanding, &state, at);
         state.set_limits(limits);
         stale
-    }
-
-    /// Keeps the prefetches to list, the most urgent last: where room is tight, those needed about as soon as the soonest.
-    /// Returns the shortage then.
-    fn select_prefetches(
-        &self,
-        prefetches: &mut Vec<&Entry>,
-        state: &ListState<PageJob>,
-        at: &Conditions<'_>,
-    ) -> Option<PrefetchShortage> {
-        prefetches.sort_by(|a, b| by_priority(b, a));
-        let soonest = prefetches.iter().map(|entry| entry.ahead_frames).min();
-        let room = at.room.pages_of_mean_size(RESERVED_TENTHS).saturating_sub(state.outstanding() as u64);
-        let takes_any = at.config.ahead_in_flight > 0 && !at.is_paused;
-        let short = soonest.filter(|_| takes_any && room < prefetches.len() as u64);
-        if let Some(soonest) = short {
-            let latest = soonest.saturating_add(PREFETCH_MARGIN_FRAMES);
-            prefetches.retain(|entry| entry.ahead_frames <= latest);
-        }
-        let shortage = short.map(|frames| PrefetchShortage { frames, count: prefetches.len() as u64 });
-        let listed = PREFETCHES_LISTED.saturating_mul(at.config.ahead_in_flight);
-        prefetches.drain(..prefetches.len().saturating_sub(listed));
-        shortage
-    }
-
-    /// Orders requests with the most urgent first. Those that have waited long move up ([`Aging`]), so that no view
-    /// starves, and scenes take turns.
-    fn order_fairly<'a>(
-        &mut self,
-        mut now: Vec<&'a Entry>,
-        taken: &BTreeMap<SceneNumber, u32>,
-        at: &Conditions<'_>,
-    ) -> Vec<&'a Entry> {
-        now.sort_by(|a, b| by_priority(a, b));
-        self.aging.took(taken.values().sum());
-        now = self.aging.arrange(now, at.frame, |entry| (entry.first_frame, entry.job.slot));
-        if at.has_several_scenes {
-            let scene_of = |entry: &&Entry| entry.job.slot.page.scene;
-            self.turns.took(taken, now.iter().map(scene_of));
-            now = self.turns.arrange(now, scene_of);
-        }
-        now
     }
 
     /// Sets the limits again, and wakes threads if there is more room than when the list was written.
@@ -263,7 +231,7 @@ impl Scheduler {
     /// Allows one trial load where no page of the mean size has room.
     fn with_trial(&self, allowed: usize, at: &Conditions<'_>) -> usize {
         let has_some = at.room.fits(MemoryUse { cpu: 1, gpu: 1 });
-        let may_try = has_some && !at.is_paused && at.arrived_pages == 0 && at.frame >= self.trials.next_frame;
+        let may_try = has_some && !at.is_paused && at.arrived_pages == 0 && at.times.frame() >= self.trials.next_frame;
         allowed.max(usize::from(may_try))
     }
 
@@ -272,45 +240,14 @@ impl Scheduler {
         // Prefetches that are needed in one of the next frames may use the reserved tenths.
         let room = at.room.pages_of_mean_size(RESERVED_TENTHS).max(at.room.pages_of_mean_size(0).min(self.soon));
         let room = (room as usize).saturating_sub(state.outstanding_now());
+        // Jobs stay in the list, by priority, while they would only wait for bytes to become free.
+        let load_room = at.load_room;
+        let prefetches = state.outstanding_prefetches().saturating_add(load_room.prefetches);
         Limits {
-            outstanding,
-            prefetch_room: if at.config.ahead_in_flight > 0 { room } else { 0 },
+            outstanding: outstanding.min(state.outstanding().saturating_add(load_room.loads)),
+            prefetch_room: if at.config.ahead_in_flight > 0 { room.min(prefetches) } else { 0 },
             prefetch_beside_others: at.config.ahead_in_flight.saturating_sub(at.arrived_prefetches),
+            aged_before: at.times.frame().saturating_sub(AGED_FRAMES),
         }
     }
-}
-
-/// Orders entries with the highest priority first.
-fn by_priority(a: &Entry, b: &Entry) -> std::cmp::Ordering {
-    b.priority.total_cmp(&a.priority).then(a.job.slot.cmp(&b.job.slot))
-}
-
-/// Aborts running HTTP requests that were not renewed for too long.
-fn abort_unwanted(table: &RequestTable, state: &mut ListState<PageJob>, at: &Conditions<'_>) {
-    if !cfg!(feature = "http") {
-        return;
-    }
-    for (_, entry) in table.iter().filter(|(_, entry)| entry.progress == Progress::Loading) {
-        let age = at.frame.saturating_sub(entry.wanted_frame);
-        if age > at.config.abort_frames && fetch::is_remote(&entry.job.uri) {
-            state.abort(entry.job.ticket);
-        }
-    }
-}
-
-/// Returns the waiting entries that have room as far as their size is known, and the size of the most urgent one that has
-/// none. Pages never expire for a prefetch of known size.
-fn waiting_entries<'a>(table: &'a RequestTable, room: &Room) -> (Vec<&'a Entry>, Option<MemoryUse>) {
-    let mut waiting: Vec<&Entry> = Vec::new();
-    let mut blocked: Option<(f32, MemoryUse)> = None;
-    for (_, entry) in table.iter().filter(|(_, entry)| entry.progress == Progress::Waiting) {
-        match entry.known_size.filter(|size| !room.fits(*size)) {
-            None => waiting.push(entry),
-            Some(size) if !entry.is_prefetch() && blocked.is_none_or(|(highest, _)| entry.priority > highest) => {
-                blocked = Some((entry.priority, size));
-            }
-            Some(_) => {}
-        }
-    }
-    (waiting, blocked.map(|(_, size)| size))
 }

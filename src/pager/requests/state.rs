@@ -67,6 +67,8 @@ mod tests {
             known_size: None,
             progress: Progress::Waiting,
             paging: PagingOptions::default(),
+            listed: None,
+            is_noted: false,
         }
     }
 

@@ -1,14 +1,18 @@
 //! [`RequestTable`]: all requests for contents that are not merged, by slot.
 
-use std::collections::{BTreeMap, HashMap, HashSet};
+use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 use std::time::Instant;
 
+use lru::LruCache;
+
 use super::entry::{Entry, Progress};
+use super::listing::ListChanges;
 use super::retry_policy::RetryState;
 use crate::cull::PageRequest;
 use crate::pager::loading::page_job::{LoadStage, PageJob};
-use crate::pager::loading::ticket::{RequestEnd, Ticket, TicketIssuer};
+use crate::pager::loading::ticket::{RequestEnd, TicketIssuer};
+use crate::pager::loading::waiting_jobs::Urgency;
 use crate::pager::scenes::read_scope::{ReadScope, TilesetAncestors};
 use crate::pager::scenes::scene_set::SceneSet;
 use crate::scene::{NodeId, SceneNumber, SlotInfo};
@@ -16,11 +20,8 @@ use crate::scene::{NodeId, SceneNumber, SlotInfo};
 /// Failures that are remembered: each frame iterates over them. Beyond that, those are forgotten that no camera meets.
 const MAX_FAILURES: usize = 4096;
 
-/// A slot that a cull met within this many frames is seen.
-const MET_FRAMES: u32 = 2;
-
-/// The number of entries that taking up requests has changed.
-#[derive(Clone, Copy, Debug, Default)]
+/// The effect of accepting requests.
+#[derive(Debug, Default)]
 pub(in crate::pager) struct Changes {
     /// Requests for contents that were not requested before.
     pub requested: u64,
@@ -28,8 +29,8 @@ pub(in crate::pager) struct Changes {
     pub retried: u64,
     /// True if a prefetch is wanted now.
     pub has_sooner: bool,
-    /// True if a priority changed.
-    pub has_new_order: bool,
+    /// Arrived pages whose urgency has changed.
+    pub rearranged: Vec<(NodeId, Urgency)>,
 }
 
 impl Changes {
@@ -37,23 +38,37 @@ impl Changes {
     pub fn has_new(&self) -> bool {
         self.requested + self.retried > 0 || self.has_sooner
     }
-
-    /// Returns true if the request list is out of date.
-    pub fn changes_list(&self) -> bool {
-        self.requested + self.retried > 0 || self.has_new_order
-    }
 }
 
 /// All requests for contents that are not merged, by slot, and the failures that are remembered. Update thread.
+///
+/// Requests that wait for a thread are apart, in the order in which they were last renewed. So stale ones are found without
+/// a look at the others, and a frame that changes nothing examines only what is under way.
 #[derive(Debug)]
 pub(in crate::pager) struct RequestTable {
-    entries: HashMap<NodeId, Entry>,
+    /// Requests that wait for a thread; the one renewed longest ago is the least recently used.
+    pub(super) waiting: LruCache<NodeId, Entry>,
+    /// Requests that are loading, have arrived, or have failed.
+    begun: HashMap<NodeId, Entry>,
+    /// Waiting requests that are prefetches. Looked at in no order.
+    pub(super) prefetches: HashSet<NodeId>,
+    /// Waiting requests whose size is known, since they were declined. Looked at in no order.
+    pub(super) sized: HashSet<NodeId>,
+    /// Changes that the request list does not have yet.
+    pub(super) changes: ListChanges,
     tickets: TicketIssuer,
 }
 
 impl RequestTable {
     pub fn new() -> Self {
-        Self { entries: HashMap::new(), tickets: TicketIssuer::new() }
+        Self {
+            waiting: LruCache::unbounded(),
+            begun: HashMap::new(),
+            prefetches: HashSet::new(),
+            sized: HashSet::new(),
+            changes: ListChanges::default(),
+            tickets: TicketIssuer::new(),
+        }
     }
 
     /// Issues no ticket number that `before` has issued.
@@ -63,53 +78,120 @@ impl RequestTable {
 
     /// Returns the entry of a slot.
     pub fn get(&self, slot: NodeId) -> Option<&Entry> {
-        self.entries.get(&slot)
-    }
-
-    /// Returns the entry of a slot, mutably.
-    pub fn get_mut(&mut self, slot: NodeId) -> Option<&mut Entry> {
-        self.entries.get_mut(&slot)
+        self.waiting.peek(&slot).or_else(|| self.begun.get(&slot))
     }
 
     /// Returns the entry that a job belongs to; `None` if the job is of an earlier attempt or its slot is gone.
-    pub fn of_job(&mut self, job: &PageJob) -> Option<&mut Entry> {
-        self.entries.get_mut(&job.slot).filter(|entry| entry.job.ticket == job.ticket)
+    pub fn of_job(&self, job: &PageJob) -> Option<&Entry> {
+        self.get(job.slot).filter(|entry| entry.job.ticket == job.ticket)
     }
 
     /// Returns all entries, in no order.
-    pub fn iter(&self) -> impl ExactSizeIterator<Item = (NodeId, &Entry)> + Clone + '_ {
-        self.entries.iter().map(|(slot, entry)| (*slot, entry))
+    pub fn iter(&self) -> impl Iterator<Item = (NodeId, &Entry)> + Clone + '_ {
+        self.waiting.iter().chain(self.begun.iter()).map(|(slot, entry)| (*slot, entry))
+    }
+
+    /// Returns the entries that do not wait for a thread, in no order.
+    pub fn begun(&self) -> impl Iterator<Item = (NodeId, &Entry)> + '_ {
+        self.begun.iter().map(|(slot, entry)| (*slot, entry))
+    }
+
+    /// Returns the number of requests that wait for a thread.
+    pub fn waiting_count(&self) -> usize {
+        self.waiting.len()
+    }
+
+    /// Returns the number of requests that wait for a thread and are not prefetches.
+    pub fn waiting_now(&self) -> usize {
+        self.waiting.len() - self.prefetches.len()
+    }
+
+    /// Returns true if a waiting request that is no prefetch has room as far as its size is known.
+    pub fn has_waiting_that(&self, fits: impl Fn(&Entry) -> bool) -> bool {
+        let sized =
+            || self.sized.iter().filter_map(|slot| self.waiting.peek(slot)).filter(|entry| !entry.is_prefetch());
+        let unfit = sized().filter(|entry| !fits(entry)).count();
+        self.waiting_now() > unfit
+    }
+
+    /// Inserts an entry that waits from now on.
+    fn insert_waiting(&mut self, mut entry: Entry) {
+        let slot = entry.job.slot;
+        entry.progress = Progress::Waiting;
+        entry.listed = None;
+        entry.is_noted = true;
+        self.changes.noted.push(slot);
+        if entry.is_prefetch() {
+            self.prefetches.insert(slot);
+        }
+        if entry.known_size.is_some() {
+            self.sized.insert(slot);
+        }
+        self.waiting.put(slot, entry);
+    }
+
+    /// Removes a waiting entry, and its job from the list.
+    fn remove_waiting(&mut self, slot: NodeId) -> Option<Entry> {
+        let mut entry = self.waiting.pop(&slot)?;
+        self.prefetches.remove(&slot);
+        self.sized.remove(&slot);
+        if entry.listed.take().is_some() {
+            self.changes.removed.push(entry.job.ticket);
+        }
+        Some(entry)
     }
 
     /// Removes the entry of a slot.
     pub fn remove(&mut self, slot: NodeId) -> Option<Entry> {
-        self.entries.remove(&slot)
+        self.remove_waiting(slot).or_else(|| self.begun.remove(&slot))
+    }
+
+    /// Changes an entry that does not wait any more, and returns the result.
+    pub fn begin<R>(&mut self, slot: NodeId, change: impl FnOnce(&mut Entry) -> R) -> Option<R> {
+        if let Some(entry) = self.remove_waiting(slot) {
+            self.begun.insert(slot, entry);
+        }
+        self.begun.get_mut(&slot).map(change)
     }
 
     /// Removes and returns the entries for which `condition` holds.
     pub fn extract_if(&mut self, condition: impl Fn(NodeId, &Entry) -> bool) -> Vec<Entry> {
-        self.entries.extract_if(|slot, entry| condition(*slot, entry)).map(|(_, entry)| entry).collect()
+        let slots: Vec<NodeId> =
+            self.iter().filter(|(slot, entry)| condition(*slot, entry)).map(|(slot, _)| slot).collect();
+        slots.into_iter().filter_map(|slot| self.remove(slot)).collect()
     }
 
     /// Renews the request for a known slot. Returns false if the slot has no entry.
     pub fn renew(&mut self, request: &PageRequest, frame: u32, changes: &mut Changes) -> bool {
-        let Some(entry) = self.entries.get_mut(&request.slot) else { return false };
-        changes.has_sooner |= request.ahead_frames == 0 && entry.is_prefetch();
-        let priority = entry.paging.priority(request.priority);
-        changes.has_new_order |= entry.priority != priority;
-        if entry.wanted_frame == frame {
-            entry.priority = entry.priority.max(priority);
-            entry.ahead_frames = entry.ahead_frames.min(request.ahead_frames);
-        } else {
-            entry.priority = priority;
-            entry.ahead_frames = request.ahead_frames;
-            entry.wanted_frame = frame;
+        let slot = request.slot;
+        if let Some(entry) = self.waiting.get_mut(&slot) {
+            let was_prefetch = entry.is_prefetch();
+            changes.has_sooner |= request.ahead_frames == 0 && was_prefetch;
+            entry.renew(request, frame);
+            if !entry.is_noted && entry.listed != Some(entry.urgency()) {
+                entry.is_noted = true;
+                self.changes.noted.push(slot);
+            }
+            match entry.is_prefetch() {
+                true if !was_prefetch => drop(self.prefetches.insert(slot)),
+                false if was_prefetch => drop(self.prefetches.remove(&slot)),
+                _ => {}
+            }
+            return true;
         }
-        if entry.progress == Progress::Retryable
-            && let Some(entry) = self.entries.remove(&request.slot)
-        {
-            self.requeue(entry);
-            changes.retried += 1;
+        let Some(entry) = self.begun.get_mut(&slot) else { return false };
+        changes.has_sooner |= request.ahead_frames == 0 && entry.is_prefetch();
+        let before = entry.urgency();
+        entry.renew(request, frame);
+        match entry.progress {
+            Progress::Retryable => {
+                if let Some(entry) = self.begun.remove(&slot) {
+                    self.requeue(entry);
+                    changes.retried += 1;
+                }
+            }
+            Progress::Arrived if entry.urgency() != before => changes.rearranged.push((slot, entry.urgency())),
+            _ => {}
         }
         true
     }
@@ -145,8 +227,10 @@ impl RequestTable {
             retries: RetryState::default(),
             known_size: None,
             progress: Progress::Waiting,
+            listed: None,
+            is_noted: false,
         };
-        self.entries.insert(request.slot, entry);
+        self.insert_waiting(entry);
     }
 
     /// Inserts a removed entry as a new attempt that waits.
@@ -154,60 +238,57 @@ impl RequestTable {
         entry.job.ticket = self.tickets.issue();
         entry.job.progress.set(LoadStage::Waiting);
         entry.job.ticket.trace_begin(&entry.job.uri);
-        entry.progress = Progress::Waiting;
-        self.entries.insert(entry.job.slot, entry);
+        self.insert_waiting(entry);
     }
 
-    /// Marks the entries of these tickets as loading. Returns how many each scene has of them, without prefetches, and
-    /// leaves in `taken` the tickets without an entry.
-    pub fn mark_loading(&mut self, taken: &mut HashSet<Ticket>) -> BTreeMap<SceneNumber, u32> {
-        let mut by_scene: BTreeMap<SceneNumber, u32> = BTreeMap::new();
-        if taken.is_empty() {
-            return by_scene;
+    /// Marks the entry of a job that a thread has taken. Returns false if the job has lost its entry.
+    pub fn mark_loading(&mut self, job: &PageJob) -> bool {
+        if self.of_job(job).is_none() {
+            return false;
         }
-        for entry in self.entries.values_mut().filter(|entry| taken.remove(&entry.job.ticket)) {
-            entry.progress = Progress::Loading;
-            if !entry.is_prefetch() {
-                *by_scene.entry(entry.job.slot.page.scene).or_default() += 1;
+        self.begin(job.slot, |entry| {
+            if entry.progress == Progress::Waiting {
+                entry.progress = Progress::Loading;
             }
-        }
-        by_scene
+        });
+        true
     }
 
-    /// Ends the waiting requests that were not renewed for more than `stale_frames`; returns how many.
-    pub fn drop_stale(&mut self, frame: u32, stale_frames: u32) -> u64 {
+    /// Ends the waiting requests for which `is_stale` holds of the frame in which they were last wanted; returns how many.
+    pub fn drop_stale(&mut self, is_stale: impl Fn(u32) -> bool) -> u64 {
         let mut count = 0;
-        self.entries.retain(|_, entry| {
-            let age = frame.saturating_sub(entry.wanted_frame);
-            if age <= stale_frames || entry.progress != Progress::Waiting {
-                return true;
-            }
+        while let Some((slot, entry)) = self.waiting.peek_lru()
+            && is_stale(entry.wanted_frame)
+        {
+            let slot = *slot;
+            let Some(mut entry) = self.remove_waiting(slot) else { break };
             count += 1;
             entry.job.ticket.trace_end(RequestEnd::Stale);
-            entry.end_unwanted()
-        });
+            if entry.end_unwanted() {
+                self.begun.insert(slot, entry);
+            }
+        }
         count
     }
 
-    /// Makes failures retryable whose back-off is over; their failure counts stay. `expiry_frames` is the time after which
-    /// failures are forgotten that no camera meets, if there are too many.
-    pub fn retry_due(&mut self, scenes: &mut dyn SceneSet, frame: u32, expiry_frames: u32) {
+    /// Makes failures retryable whose back-off is over; their failure counts stay. If there are too many, those are forgotten
+    /// whose slots no camera has met for long: `is_unused` holds of the frame in which a cull last met the slot.
+    pub fn retry_due(&mut self, scenes: &mut dyn SceneSet, is_unused: impl Fn(u32) -> bool) {
         let now = Instant::now();
-        for entry in self.entries.values_mut().filter(|entry| entry.is_due(now)) {
+        for entry in self.begun.values_mut().filter(|entry| entry.is_due(now)) {
             scenes.set_failed(entry.job.slot, false);
             entry.progress = Progress::Retryable;
         }
-        let failures = || self.entries.values().filter(|entry| entry.has_failed()).count();
-        if self.entries.len() > MAX_FAILURES && failures() > MAX_FAILURES {
-            let oldest = frame.saturating_sub(expiry_frames.max(MET_FRAMES));
-            self.forget_failures_before(scenes, oldest);
+        let failures = || self.begun.values().filter(|entry| entry.has_failed()).count();
+        if self.begun.len() > MAX_FAILURES && failures() > MAX_FAILURES {
+            self.forget_failures(scenes, is_unused);
         }
     }
 
-    /// Forgets failures whose slots no cull has met since `oldest`; they are requested once more when they are met.
-    fn forget_failures_before(&mut self, scenes: &mut dyn SceneSet, oldest: u32) {
-        self.entries.retain(|slot, entry| {
-            let is_met = scenes.slot(*slot).is_some_and(|slot| slot.last_used_frame >= oldest);
+    /// Forgets failures whose slots no cull has met for long; they are requested once more when they are met.
+    fn forget_failures(&mut self, scenes: &mut dyn SceneSet, is_unused: impl Fn(u32) -> bool) {
+        self.begun.retain(|slot, entry| {
+            let is_met = scenes.slot(*slot).is_some_and(|slot| !is_unused(slot.last_used_frame));
             let is_kept = !entry.has_failed() || is_met;
             if !is_kept {
                 scenes.forget_failure(*slot);
@@ -218,9 +299,10 @@ impl RequestTable {
 
     /// Ends the back-off of a failed slot; one without an entry only loses its failure mark.
     pub fn retry_now(&mut self, scenes: &mut dyn SceneSet, slot: NodeId) {
-        match self.entries.get_mut(&slot) {
+        match self.begun.get_mut(&slot) {
             Some(entry) if !matches!(entry.progress, Progress::Failed { .. }) => return,
             Some(entry) => entry.progress = Progress::Retryable,
+            None if self.waiting.contains(&slot) => return,
             None => {}
         }
         scenes.set_failed(slot, false);
@@ -229,13 +311,26 @@ impl RequestTable {
     /// Returns true if the back-off of a failure is over, so that the next update makes it retryable.
     pub fn has_due(&self) -> bool {
         let now = Instant::now();
-        self.entries.values().any(|entry| entry.is_due(now))
+        self.begun.values().any(|entry| entry.is_due(now))
     }
 
     /// Replaces the read scope of all requests of a scene.
     pub fn set_scope(&mut self, scene: SceneNumber, scope: &Arc<ReadScope>) {
-        for entry in self.entries.values_mut().filter(|entry| entry.job.slot.page.scene == scene) {
+        let waiting = self.waiting.iter_mut().map(|(_, entry)| entry);
+        let of_scene = |entry: &&mut Entry| entry.job.slot.page.scene == scene;
+        for entry in waiting.chain(self.begun.values_mut()).filter(of_scene) {
             entry.job.scope = scope.clone();
+            // The list, or a thread that took the job meanwhile, has a copy of it: that one is of an earlier attempt now.
+            if entry.listed.take().is_some() {
+                self.changes.removed.push(entry.job.ticket);
+                entry.job.ticket.trace_end(RequestEnd::Dropped);
+                entry.job.ticket = self.tickets.issue();
+                entry.job.progress = Arc::default();
+                entry.job.ticket.trace_begin(&entry.job.uri);
+            }
+            if entry.progress == Progress::Waiting && !std::mem::replace(&mut entry.is_noted, true) {
+                self.changes.noted.push(entry.job.slot);
+            }
         }
     }
 }

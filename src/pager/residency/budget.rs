@@ -72,6 +72,8 @@ pub(in crate::pager) struct Room {
     pub pages: u64,
     /// Mean size of recent pages; 0 before the first.
     pub mean: MemoryUse,
+    /// GPU bytes that contexts have allocated beyond what pages use, after the last upload.
+    pub unused_gpu: u64,
 }
 
 impl Room {
@@ -80,9 +82,11 @@ impl Room {
         !self.budget.is_exceeded_by(self.used + page) && self.pages < self.budget.pages
     }
 
-    /// Returns true if an upload of this many GPU bytes has room.
+    /// Returns true if an upload of this many GPU bytes has room. It takes allocated memory that is unused first; if that is
+    /// of another kind, the next update finds the budget exceeded.
     pub fn fits_upload(&self, gpu_bytes: u64) -> bool {
-        self.used.gpu + gpu_bytes <= self.budget.bytes.gpu
+        let added = if self.unused_gpu < gpu_bytes { self.unused_gpu + gpu_bytes } else { self.unused_gpu };
+        self.used.gpu.saturating_add(added) <= self.budget.bytes.gpu
     }
 
     /// Returns how many pages of the mean size have room, with this many tenths of each budget kept free.
@@ -119,7 +123,13 @@ mod tests {
 
     fn room(used: u64, mean: u64) -> Room {
         let bytes = |bytes| MemoryUse { cpu: bytes, gpu: bytes };
-        Room { budget: Budget { bytes: bytes(1000), pages: 10 }, used: bytes(used), pages: 3, mean: bytes(mean) }
+        Room {
+            budget: Budget { bytes: bytes(1000), pages: 10 },
+            used: bytes(used),
+            pages: 3,
+            mean: bytes(mean),
+            unused_gpu: 0,
+        }
     }
 
     #[test]
@@ -132,6 +142,14 @@ mod tests {
             room(900, 0).fits(MemoryUse { cpu: 100, gpu: 1 }) && !room(900, 0).fits(MemoryUse { cpu: 101, gpu: 0 })
         );
         assert!(room(900, 0).has_free_tenths(1) && !room(901, 0).has_free_tenths(1));
+    }
+
+    #[test]
+    fn uploads_take_unused_memory_first() {
+        let fits = |used, unused_gpu, upload| Room { unused_gpu, ..room(used, 100) }.fits_upload(upload);
+        assert!(fits(900, 0, 100) && !fits(901, 0, 100));
+        assert!(fits(900, 100, 100) && !fits(901, 100, 100), "what is unused is allocated already");
+        assert!(fits(850, 50, 100) && !fits(851, 50, 100), "too little is unused");
     }
 
     #[test]

@@ -4,6 +4,7 @@ use super::budget::{ArrivedTotal, Budget, MemoryUse, Room, moving_mean};
 use super::expiry::{ExpirySearch, Unused};
 use super::residents::{RemovedByApplication, Resident, Residents};
 use super::shared_content::SharedContent;
+use crate::pager::frame_times::FrameTimes;
 use crate::pager::scenes::scene_set::SceneSet;
 use crate::scene::{ContentKey, Page, PageId, Scene};
 
@@ -15,12 +16,15 @@ pub(in crate::pager) struct Residency {
     /// Mean size of recent pages, to reserve budget before a size is known; 0 before the first.
     mean: MemoryUse,
     search: ExpirySearch,
+    /// GPU bytes that each context has allocated beyond what is in use, after its last upload.
+    unused_gpu: Vec<(u32, u64)>,
 }
 
 impl Residency {
     pub fn new(budget: Budget) -> Self {
         let (shared, search) = (SharedContent::default(), ExpirySearch::default());
-        Self { budget, residents: Residents::new(), shared, mean: MemoryUse::default(), search }
+        let residents = Residents::new();
+        Self { budget, residents, shared, mean: MemoryUse::default(), search, unused_gpu: Vec::new() }
     }
 
     /// Returns the number of merged pages.
@@ -53,11 +57,29 @@ impl Residency {
         self.budget.is_exceeded(self.bytes_in_memory(arrived), self.len() as u64 + arrived.pages)
     }
 
+    /// Returns true if merged and arrived pages exceed a budget together with the GPU memory that is allocated and unused.
+    pub fn is_over_budget_allocated(&self, arrived: &ArrivedTotal) -> bool {
+        let bytes = self.bytes_in_memory(arrived) + MemoryUse { cpu: 0, gpu: self.unused_gpu() };
+        self.budget.is_exceeded(bytes, self.len() as u64 + arrived.pages)
+    }
+
+    /// Returns the GPU bytes that contexts have allocated beyond what is in use, after their last uploads.
+    pub fn unused_gpu(&self) -> u64 {
+        self.unused_gpu.iter().map(|(_, bytes)| bytes).sum()
+    }
+
+    /// Notes the GPU bytes that a context has allocated beyond what is in use.
+    pub fn note_unused(&mut self, context: u32, bytes: u64) {
+        self.unused_gpu.retain(|(id, _)| *id != context);
+        self.unused_gpu.push((context, bytes));
+    }
+
     /// Returns the budgets beside what merged and arrived pages take and what is reserved for uploads.
     pub fn room(&self, arrived: &ArrivedTotal) -> Room {
         let reserved = MemoryUse { cpu: 0, gpu: arrived.reserved_gpu };
         let used = self.bytes_in_memory(arrived) + reserved;
-        Room { budget: self.budget, used, pages: self.len() as u64 + arrived.pages, mean: self.mean }
+        let (pages, unused_gpu) = (self.len() as u64 + arrived.pages, self.unused_gpu());
+        Room { budget: self.budget, used, pages, mean: self.mean, unused_gpu }
     }
 
     /// Returns the mean size of recent pages; 0 before the first.
@@ -131,11 +153,11 @@ impl Residency {
     pub fn pop_expired(
         &mut self,
         scenes: &dyn SceneSet,
-        frame: u32,
+        times: &FrameTimes,
         unused: Unused,
         looks: &mut usize,
     ) -> Option<PageId> {
-        self.residents.pop_expired(scenes, frame, unused, looks)
+        self.residents.pop_expired(scenes, times, unused, looks)
     }
 
     /// Removes all pages of a scene that can be detached now; the caller detaches them with [`Self::detach`].
@@ -174,6 +196,7 @@ impl Residency {
     pub fn forget_context(&mut self, context: u32) {
         self.residents.forget_context(context);
         self.shared.forget_context(context);
+        self.unused_gpu.retain(|(id, _)| *id != context);
     }
 
     /// Returns the number of frames in which the expiry search examines all pages when room is short.

@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use lru::LruCache;
 use tokio::sync::OnceCell;
 
-use crate::fetch::{HttpClient, IoError, Limits};
+use crate::fetch::{HttpClient, IoError, Limits, Permit};
 
 /// The maximum bytes of received files that are kept for further contents.
 const MAX_KEPT_BYTES: usize = 32 << 20;
@@ -60,16 +60,23 @@ impl SharedFiles {
 
     /// Returns the bytes of a file, and how many of them this call received over the network. Calls for the same file at the
     /// same time make one request; if that is aborted, the next call takes over.
-    pub async fn get(&self, client: &HttpClient, uri: &Arc<str>, limits: &Limits) -> (Result<Vec<u8>, IoError>, u64) {
+    /// The permit holds the bytes.
+    pub async fn get(
+        &self,
+        client: &HttpClient,
+        uri: &Arc<str>,
+        limits: &Limits,
+        permit: &Permit,
+    ) -> (Result<Vec<u8>, IoError>, u64) {
         let file = self.lock().files.get_or_insert(uri.clone(), || Arc::new(File::new())).clone();
         let mut received = None;
         let request = async {
-            match client.get(uri, limits).await {
+            match client.get_holding(uri, limits, permit).await {
                 Ok(body) => {
                     received = Some((body.network_bytes, body.bytes.len()));
                     Ok(Ok(Arc::from(body.bytes)))
                 }
-                Err(error) if error.is_transient() => Err(error),
+                Err(error) if error.is_transient() || matches!(error, IoError::NoRoom { .. }) => Err(error),
                 Err(error) => Ok(Err(error)),
             }
         };
@@ -77,7 +84,17 @@ impl SharedFiles {
             Ok(bytes) => bytes.as_ref().map(|bytes| bytes.to_vec()).map_err(IoError::clone),
             Err(error) => Err(error),
         };
-        let Some((network_bytes, size)) = received else { return (bytes, 0) };
+        let Some((network_bytes, size)) = received else {
+            // A copy of what another call has received.
+            let size = bytes.as_ref().map_or(0, |bytes| bytes.len() as u64);
+            return match permit.claim(size) {
+                Ok(claim) => {
+                    claim.keep(size);
+                    (bytes, 0)
+                }
+                Err(no_room) => (Err(IoError::no_room(uri, no_room)), 0),
+            };
+        };
         let mut state = self.lock();
         // The file may have been forgotten meanwhile.
         if state.files.peek(uri).is_some_and(|known| Arc::ptr_eq(known, &file)) {

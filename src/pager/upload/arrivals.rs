@@ -1,14 +1,15 @@
 //! [`Arrivals`]: pages that were loaded and wait for their upload or their merge.
 
-use std::collections::HashMap;
+use std::cmp::Reverse;
+use std::collections::{BTreeSet, HashMap};
 use std::sync::Arc;
 use std::time::Duration;
 
 use super::context::CompileContext;
+use crate::fetch::Permit;
 use crate::gpu::{CompileBudget, CompileOperation, Compiled};
 use crate::pager::loading::ticket::Ticket;
-use crate::pager::requests::entry::Entry;
-use crate::pager::requests::table::RequestTable;
+use crate::pager::loading::waiting_jobs::Urgency;
 use crate::pager::residency::budget::{ArrivedTotal, Budget, MemoryUse};
 use crate::scene::{DrawKind, DrawSlot, Drawable, NodeId, Page};
 
@@ -22,6 +23,7 @@ struct Payload {
 /// A page that waits for its upload or its merge.
 pub(in crate::pager) struct Arrived {
     ticket: Ticket,
+    urgency: Urgency,
     page: Box<Page>,
     /// By context id.
     gpu_bytes: Vec<(u32, u64)>,
@@ -33,6 +35,8 @@ pub(in crate::pager) struct Arrived {
     reserved_gpu: u64,
     /// `Some` until its uploads begin.
     payload: Option<Payload>,
+    /// Holds its bytes in the budget of what is on its way.
+    _permit: Option<Permit>,
 }
 
 impl Arrived {
@@ -60,6 +64,10 @@ impl Arrived {
         self.contexts_left > 0 && self.payload.is_none()
     }
 
+    fn place(&self, slot: NodeId) -> Place {
+        Reverse((self.urgency, Reverse(slot)))
+    }
+
     /// Returns the ticket by which contexts know the upload, if it has begun and not ended.
     pub fn upload_ticket(&self) -> Option<u64> {
         self.is_uploading().then(|| self.ticket.number())
@@ -76,19 +84,30 @@ pub(in crate::pager) enum Uploaded {
     Completely(NodeId),
 }
 
+/// The place of a page in an order with the most urgent first.
+type Place = Reverse<(Urgency, Reverse<NodeId>)>;
+
+fn slot_of(Reverse((_, Reverse(slot))): &Place) -> NodeId {
+    *slot
+}
+
 /// The pages that have arrived. Update thread.
 ///
-/// The totals are the sums over all pages: a page is subtracted, changed and added again.
+/// The totals and the orders are those of all pages: a page is subtracted, changed and added again.
 #[derive(Default)]
 pub(in crate::pager) struct Arrivals {
     pages: HashMap<NodeId, Arrived>,
     /// Slots of pages that are not uploaded, by ticket number.
     by_ticket: HashMap<u64, NodeId>,
     total: ArrivedTotal,
-    /// The number of pages whose upload has not begun.
-    waiting: usize,
-    /// The number of pages that wait for their merge.
-    ready: usize,
+    /// All pages.
+    order: BTreeSet<Place>,
+    /// Pages whose upload has not begun.
+    waiting: BTreeSet<Place>,
+    /// Pages that wait for their merge.
+    ready: BTreeSet<Place>,
+    /// The number of prefetches.
+    prefetches: usize,
 }
 
 impl Arrivals {
@@ -116,7 +135,7 @@ impl Arrivals {
 
     /// Returns true if a page waits for its merge.
     pub fn has_ready(&self) -> bool {
-        self.ready > 0
+        !self.ready.is_empty()
     }
 
     /// Returns the page of a slot.
@@ -124,76 +143,107 @@ impl Arrivals {
         self.pages.get(&slot)
     }
 
-    /// Returns the slots of all pages, in no order.
-    pub fn slots(&self) -> impl Iterator<Item = NodeId> + '_ {
-        self.pages.keys().copied()
+    /// Returns the number of prefetches.
+    pub fn prefetches(&self) -> usize {
+        self.prefetches
     }
 
     /// Adds a page to be uploaded to this many contexts; one without drawables is ready for its merge at once.
-    pub fn insert(&mut self, slot: NodeId, ticket: Ticket, mut page: Page, kinds: Arc<[DrawKind]>, contexts: usize) {
+    pub fn insert(
+        &mut self,
+        (slot, urgency): (NodeId, Urgency),
+        ticket: Ticket,
+        (mut page, permit): (Page, Option<Permit>),
+        kinds: Arc<[DrawKind]>,
+        contexts: usize,
+    ) {
         let all_bytes = page.size_bytes();
         let drawables = page.take_drawables();
         let contexts_left = if drawables.is_empty() { 0 } else { contexts };
         let bytes = all_bytes.saturating_sub(page.size_bytes());
         let arrived = Arrived {
             ticket,
+            urgency,
             gpu_bytes: Vec::new(),
             contexts_left,
             bytes: MemoryUse { cpu: page.own_bytes(), gpu: 0 },
             reserved_gpu: 0,
             payload: (contexts_left > 0).then_some(Payload { drawables, kinds, bytes }),
             page: Box::new(page),
+            _permit: permit,
         };
         if contexts_left > 0 {
             self.by_ticket.insert(ticket.number(), slot);
         }
-        self.add(&arrived);
+        self.add(slot, &arrived);
         self.pages.insert(slot, arrived);
+    }
+
+    /// Changes the urgency of a page.
+    pub fn set_urgency(&mut self, slot: NodeId, urgency: Urgency) {
+        let Some(arrived) = self.pages.get_mut(&slot) else { return };
+        let before = arrived.place(slot);
+        self.prefetches -= usize::from(arrived.urgency.is_prefetch());
+        self.prefetches += usize::from(urgency.is_prefetch());
+        arrived.urgency = urgency;
+        let after = arrived.place(slot);
+        for order in [&mut self.order, &mut self.waiting, &mut self.ready] {
+            if order.remove(&before) {
+                order.insert(after);
+            }
+        }
     }
 
     /// Removes the page of a slot; an upload that has begun is cancelled by the caller, with [`Arrived::upload_ticket`].
     pub fn remove(&mut self, slot: NodeId) -> Option<Arrived> {
         let arrived = self.pages.remove(&slot)?;
-        self.subtract(&arrived);
+        self.subtract(slot, &arrived);
         self.by_ticket.remove(&arrived.ticket.number());
         Some(arrived)
     }
 
-    fn add(&mut self, arrived: &Arrived) {
+    fn add(&mut self, slot: NodeId, arrived: &Arrived) {
         self.total.pages += 1;
         self.total.uploading += u64::from(arrived.is_uploading());
         self.total.bytes = self.total.bytes + arrived.bytes;
         self.total.reserved_gpu += arrived.reserved_gpu;
-        self.waiting += usize::from(arrived.payload.is_some());
-        self.ready += usize::from(arrived.is_uploaded());
+        self.prefetches += usize::from(arrived.urgency.is_prefetch());
+        let place = arrived.place(slot);
+        self.order.insert(place);
+        if arrived.payload.is_some() {
+            self.waiting.insert(place);
+        }
+        if arrived.is_uploaded() {
+            self.ready.insert(place);
+        }
     }
 
-    fn subtract(&mut self, arrived: &Arrived) {
+    fn subtract(&mut self, slot: NodeId, arrived: &Arrived) {
         self.total.pages -= 1;
         self.total.uploading -= u64::from(arrived.is_uploading());
         self.total.bytes.cpu -= arrived.bytes.cpu;
         self.total.bytes.gpu -= arrived.bytes.gpu;
         self.total.reserved_gpu -= arrived.reserved_gpu;
-        self.waiting -= usize::from(arrived.payload.is_some());
-        self.ready -= usize::from(arrived.is_uploaded());
+        self.prefetches -= usize::from(arrived.urgency.is_prefetch());
+        let place = arrived.place(slot);
+        self.order.remove(&place);
+        self.waiting.remove(&place);
+        self.ready.remove(&place);
     }
 
     /// Changes a page and keeps the totals.
     fn change<R>(&mut self, slot: NodeId, change: impl FnOnce(&mut Arrived) -> R) -> Option<R> {
         let mut arrived = self.pages.remove(&slot)?;
-        self.subtract(&arrived);
+        self.subtract(slot, &arrived);
         let result = change(&mut arrived);
-        self.add(&arrived);
+        self.add(slot, &arrived);
         self.pages.insert(slot, arrived);
         Some(result)
     }
 
-    /// Returns the slots whose upload has not begun, the most urgent first.
-    pub fn waiting_for_upload(&self, table: &RequestTable) -> Vec<NodeId> {
-        if self.waiting == 0 {
-            return Vec::new();
-        }
-        self.by_urgency(table, |arrived| arrived.payload.is_some())
+    /// Returns the most urgent page whose upload has not begun: its slot, and whether it is a prefetch.
+    pub fn next_upload(&self) -> Option<(NodeId, bool)> {
+        self.waiting.first().map(|place| (slot_of(place), place.0.0.is_prefetch()))
     }
 
     /// Returns the bytes to upload of a page, for all contexts together.
@@ -251,37 +301,23 @@ impl Arrivals {
         Uploaded::Completely(slot)
     }
 
-    /// Returns the slots of the pages that wait for their merge, in no order.
-    pub fn ready_to_merge(&self) -> Vec<NodeId> {
-        self.pages.iter().filter(|(_, arrived)| arrived.is_uploaded()).map(|(slot, _)| *slot).collect()
+    /// Returns the slots of the pages that wait for their merge, the most urgent first.
+    pub fn ready_to_merge(&self) -> impl Iterator<Item = NodeId> + '_ {
+        self.ready.iter().map(slot_of)
     }
 
     /// Finds the first page, the most urgent first, that exceeds the budgets beside those before it and `merged_pages` that
     /// take `merged`. Returns the last page if none does.
-    pub fn first_without_room(
-        &self,
-        table: &RequestTable,
-        budget: &Budget,
-        merged: MemoryUse,
-        merged_pages: u64,
-    ) -> Option<NodeId> {
-        let order = self.by_urgency(table, |_| true);
+    pub fn first_without_room(&self, budget: &Budget, merged: MemoryUse, merged_pages: u64) -> Option<NodeId> {
         let (mut bytes, mut pages) = (merged, merged_pages);
-        for slot in &order {
-            bytes = bytes + self.pages.get(slot).map_or(MemoryUse::default(), Arrived::bytes);
+        for slot in self.order.iter().map(slot_of) {
+            bytes = bytes + self.pages.get(&slot).map_or(MemoryUse::default(), Arrived::bytes);
             pages += 1;
             if budget.is_exceeded(bytes, pages) {
-                return Some(*slot);
+                return Some(slot);
             }
         }
-        order.last().copied()
-    }
-
-    fn by_urgency(&self, table: &RequestTable, condition: impl Fn(&Arrived) -> bool) -> Vec<NodeId> {
-        let slots = self.pages.iter().filter(|(_, arrived)| condition(arrived)).map(|(slot, _)| *slot);
-        let mut entries: Vec<&Entry> = slots.filter_map(|slot| table.get(slot)).collect();
-        entries.sort_by(|a, b| Entry::by_urgency(a, b));
-        entries.into_iter().map(|entry| entry.job.slot).collect()
+        self.order.last().map(slot_of)
     }
 }
 
@@ -297,12 +333,13 @@ mod tests {
         let (first, second) = (job(1, "/a.glb"), job(2, "/b.glb"));
         for job in [&first, &second] {
             let page = Page::from_node(Node::group(Vec::new())).unwrap();
-            arrivals.insert(job.slot, job.ticket, page, Arc::new([]), 2);
+            arrivals.insert((job.slot, Urgency::new(1.0, false)), job.ticket, (page, None), Arc::new([]), 2);
         }
         assert_eq!(arrivals.total().pages, 2);
         assert!(arrivals.has_ready() && !arrivals.has_uploads(), "without drawables there is nothing to upload");
-        assert_eq!(arrivals.ready_to_merge().len(), 2);
-        let late = Compiled { ticket: 9, slots: Vec::new(), bytes: 7, shared: Vec::new(), errors: Vec::new() };
+        assert_eq!(arrivals.ready_to_merge().count(), 2);
+        let (shared, errors) = (Vec::new(), Vec::new());
+        let late = Compiled { ticket: 9, slots: Vec::new(), bytes: 7, shared, errors, unused_bytes: 0 };
         assert!(matches!(arrivals.uploaded(0, late), Uploaded::Late(_)));
         for job in [&first, &second] {
             assert!(arrivals.remove(job.slot).is_some_and(|arrived| arrived.upload_ticket().is_none()));

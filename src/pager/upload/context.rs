@@ -16,6 +16,8 @@ pub trait CompileContext {
     }
     /// Announces the kinds of drawables of the next [`Self::compile`], so that their pipelines can be prewarmed.
     fn prewarm(&mut self, _kinds: &Arc<[DrawKind]>) {}
+    /// Announces the GPU bytes that the pager's pages may take in the context, blocks and padding included.
+    fn set_max_bytes(&mut self, _max_bytes: u64) {}
     /// Queues drawables for upload within the context's budget per frame.
     fn compile(&mut self, operation: CompileOperation);
     /// Cancels operations: those that have not begun may end with nothing uploaded. Each is still answered.

@@ -3,7 +3,6 @@
 use std::collections::BTreeMap;
 
 use crate::pager::requests::fairness::SceneTurns;
-use crate::pager::requests::table::RequestTable;
 use crate::scene::{NodeId, SceneNumber};
 
 /// Orders merges, and remembers which scenes were passed over. Update thread.
@@ -13,10 +12,8 @@ pub(in crate::pager) struct MergeOrder {
 }
 
 impl MergeOrder {
-    /// Orders slots by the priority of their requests, coarse before fine, and fairly if there are several scenes.
-    pub fn arrange(&self, mut ready: Vec<NodeId>, table: &RequestTable, has_several_scenes: bool) -> Vec<NodeId> {
-        let priority = |slot: &NodeId| table.get(*slot).map_or(f32::MIN, |entry| entry.priority);
-        ready.sort_by(|a, b| priority(b).total_cmp(&priority(a)).then(a.cmp(b)));
+    /// Orders slots, the most urgent first, fairly if there are several scenes.
+    pub fn arrange(&self, ready: Vec<NodeId>, has_several_scenes: bool) -> Vec<NodeId> {
         if has_several_scenes { self.turns.arrange(ready, |slot| slot.page.scene) } else { ready }
     }
 

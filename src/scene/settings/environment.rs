@@ -6,6 +6,7 @@ use std::sync::Arc;
 use glam::DVec3;
 
 use super::sun_shadows::SunShadows;
+use super::tone_mapping::ToneMapping;
 use crate::math::WGS84;
 
 /// Eyes closer to the world's origin are in a local frame, not over a globe. The earth's poles are 6,357 km from it.
@@ -82,6 +83,8 @@ pub struct Environment {
     /// A factor on lit colours, whose highlights are then compressed (Khronos PBR Neutral); `None` clamps them at white. Unlit
     /// colours are not changed. The default is [`Self::EXPOSURE`].
     pub exposure: Option<f32>,
+    /// Where exposure and compression are applied.
+    pub tone_mapping: ToneMapping,
     /// The unit vector away from the ground at the eye, in the world: z for a local scene, the ellipsoid's normal on a globe.
     pub up_in_world: DVec3,
 }
@@ -98,6 +101,7 @@ impl Default for Environment {
             water: None,
             shadows: None,
             exposure: Some(Self::EXPOSURE),
+            tone_mapping: ToneMapping::default(),
             up_in_world: DVec3::Z,
         }
     }

@@ -4,10 +4,12 @@ mod cull_settings;
 mod environment;
 mod lod_ranges;
 mod sun_shadows;
+mod tone_mapping;
 
 pub use cull_settings::{ComputeNearFar, CullSettings, CullingMode, Inherit, SMALL_FEATURE_PX};
 pub use environment::{CameraEnvironment, CameraShadows, DistanceFog, Environment, Sky, Water};
 pub use sun_shadows::{MAX_CASCADES, ShadowError, SunShadows};
+pub use tone_mapping::ToneMapping;
 
 pub(crate) use environment::is_over_globe;
 pub(crate) use lod_ranges::{LodRanges, LodRecord, MORPH_START, has_parallel_rays, px_per_radian};

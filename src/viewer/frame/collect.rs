@@ -96,6 +96,7 @@ impl FrameLoop {
             draw_ms: done.draw_ms,
             compile_ms: done.compile_ms,
             gpu_bytes: done.gpu_bytes,
+            gpu_bytes_allocated: done.gpu_bytes_allocated,
             is_complete: self.rendering.all_done(frame),
         };
         self.results.add_drawn(frame, &figures);

@@ -4,6 +4,7 @@
 use image::RgbaImage;
 
 use super::frame_loop::{FrameLoop, ViewList};
+use crate::draw::ViewChange;
 use crate::gpu::{ContextTraits, GpuError, GraphicsContext};
 use crate::viewer::ViewerError;
 use crate::viewer::ids::{ContextId, SlaveId};
@@ -119,6 +120,11 @@ impl FrameLoop {
     pub(in crate::viewer) fn set_frames_to_retain(&mut self, frames: u32) {
         self.config.frames_to_retain = frames;
         self.rendering.devices_mut().for_each(|device| device.retain_released(frames));
+    }
+
+    /// Creates the pipelines for a change of views on all devices.
+    pub(in crate::viewer) fn prewarm_change(&mut self, change: &ViewChange) {
+        self.rendering.devices_mut().for_each(|device| device.prewarm_change(change));
     }
 
     /// Draws a context after the others of its device.

@@ -21,6 +21,7 @@ pub(super) struct ContextFigures {
     pub(super) draw_ms: f64,
     pub(super) compile_ms: f64,
     pub(super) gpu_bytes: u64,
+    pub(super) gpu_bytes_allocated: u64,
     /// All contexts have drawn the frame.
     pub(super) is_complete: bool,
 }
@@ -80,7 +81,7 @@ impl DrawResults {
 
     /// Adds the figures of a context to a frame: times are the longest of all contexts, counters their sum.
     pub(super) fn add_drawn(&mut self, frame: u32, figures: &ContextFigures) {
-        let ContextFigures { drawn, draw_ms, compile_ms, gpu_bytes, is_complete } = figures;
+        let ContextFigures { drawn, draw_ms, compile_ms, gpu_bytes, gpu_bytes_allocated, is_complete } = figures;
         let Some(stats) = self.history.frame_mut(frame) else { return };
         stats.draw_ms = stats.draw_ms.max(*draw_ms);
         stats.compile_ms = stats.compile_ms.max(*compile_ms);
@@ -97,6 +98,7 @@ impl DrawResults {
         stats.triangles += drawn.triangles;
         stats.points += drawn.points;
         stats.gpu_bytes += gpu_bytes;
+        stats.gpu_bytes_allocated += gpu_bytes_allocated;
         stats.drawn = *is_complete;
     }
 }

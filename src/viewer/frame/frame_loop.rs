@@ -215,9 +215,9 @@ impl FrameLoop {
             view.prepare(&self.rendering, scenes[view.scene()].bounds());
         }
         if self.is_blocking() {
-            let frame = self.stamp().frame;
+            let stamp = self.stamp();
             for group in self.pagers.iter_mut() {
-                stats.merge_ms += load_all(group, views, scenes, &mut self.rendering, &mut self.probe, frame);
+                stats.merge_ms += load_all(group, views, scenes, &mut self.rendering, &mut self.probe, &stamp);
             }
         }
         self.cull_and_draw(views, scenes, is_dynamic)?;
@@ -242,9 +242,9 @@ impl FrameLoop {
     ) -> Result<bool, ViewerError> {
         scenes.values_mut().for_each(|scene| scene.scene_mut().compute_bounds());
         self.look_ahead(views, scenes);
-        let FrameStamp { frame, simulation_time_s, .. } = self.stamp();
+        let stamp @ FrameStamp { simulation_time_s, .. } = self.stamp();
         for group in self.pagers.iter_mut() {
-            stats.merge_ms += group.page(scenes, &mut self.rendering, frame);
+            stats.merge_ms += group.page(scenes, &mut self.rendering, &stamp);
         }
         let mut is_dynamic = false;
         for scene in scenes.values_mut() {

@@ -60,6 +60,8 @@ pub struct FrameStats {
     pub wanted_missing: u32,
     /// GPU bytes in use in the pools of all contexts, after the frame was drawn.
     pub gpu_bytes: u64,
+    /// GPU bytes that the pools of all contexts have allocated, free slots of blocks included.
+    pub gpu_bytes_allocated: u64,
     /// True once all draw threads have answered.
     pub drawn: bool,
 }

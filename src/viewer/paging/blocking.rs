@@ -1,6 +1,7 @@
 //! The blocking mode: each update loads until the views lack nothing, so that frames do not depend on timing. Main thread.
 
 use super::{PagedScene, PagerGroup, SceneList};
+use crate::viewer::frame::FrameStamp;
 use crate::viewer::ids::{KeyedList, SceneId, ViewId};
 use crate::viewer::rendering::Rendering;
 use crate::viewer::view::{Probe, View};
@@ -16,16 +17,16 @@ pub(in crate::viewer) fn load_all(
     scenes: &mut SceneList,
     rendering: &mut Rendering,
     probe: &mut Probe,
-    frame: u32,
+    stamp: &FrameStamp,
 ) -> f64 {
     let (mut merge_ms, mut quiet_rounds) = (0.0, 0);
-    cull_all(group, views, scenes, probe, frame);
+    cull_all(group, views, scenes, probe, stamp.frame);
     for _ in 0..MAX_ROUNDS {
         if group.is_settled(scenes) || group.is_stuck(scenes, quiet_rounds) {
             break;
         }
-        merge_ms += group.page(scenes, rendering, frame);
-        cull_all(group, views, scenes, probe, frame);
+        merge_ms += group.page(scenes, rendering, stamp);
+        cull_all(group, views, scenes, probe, stamp.frame);
         quiet_rounds = if group.has_work(scenes) { 0 } else { quiet_rounds + 1 };
     }
     merge_ms

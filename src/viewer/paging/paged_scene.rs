@@ -237,7 +237,8 @@ impl PagedScene {
         let drawables = page.take_drawables();
         let root = self.scene_mut().add_root(page);
         if !drawables.is_empty() {
-            rendering.devices_mut().for_each(|device| device.prewarm(&kinds));
+            // The application adds pages when it can wait.
+            rendering.devices_mut().for_each(|device| device.prewarm_now(&kinds));
             self.own.upload(root, drawables, rendering)?;
         }
         Ok(root)

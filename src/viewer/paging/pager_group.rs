@@ -10,6 +10,7 @@ use crate::cull::PageRequest;
 use crate::pager::{DatabasePager, SceneSet};
 use crate::scene::Scene;
 use crate::viewer::ViewerError;
+use crate::viewer::frame::FrameStamp;
 use crate::viewer::ids::SceneId;
 use crate::viewer::rendering::{Rendering, millis};
 
@@ -185,18 +186,25 @@ impl PagerGroup {
     }
 
     /// The pager's turn in update: merges, expires, uploads and requests. Returns its milliseconds.
-    pub(in crate::viewer) fn page(&mut self, scenes: &mut SceneList, rendering: &mut Rendering, frame: u32) -> f64 {
+    pub(in crate::viewer) fn page(
+        &mut self,
+        scenes: &mut SceneList,
+        rendering: &mut Rendering,
+        stamp: &FrameStamp,
+    ) -> f64 {
         let start = Instant::now();
         let _span = crate::trace::span("merge");
         for id in &self.members {
             scenes[*id].merge_own(rendering);
         }
         self.gather_requests(scenes, true);
+        // Simulation time repeats with a flight.
+        let time_s = if self.blocking { stamp.simulation_time_s } else { stamp.reference_time_s };
         let Self { owner, pager, members, requests, .. } = self;
         self.is_idle = pager.as_mut().is_none_or(|pager| {
             let mut scenes = Members { scenes, ids: members };
             rendering.compile_for(*owner, |contexts| {
-                pager.update_scene_graph(&mut scenes, frame, requests, contexts);
+                pager.update_scene_graph(&mut scenes, stamp.frame, time_s, requests, contexts);
             });
             pager.is_idle()
         });

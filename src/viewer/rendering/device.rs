@@ -9,6 +9,7 @@ use image::RgbaImage;
 use super::draw_side::{DrawSide, DrawSideEnds};
 use super::frame_job::{DrawCommand, FrameDone, FrameJob, Reply};
 use super::upload_ticket::UploadOwner;
+use crate::draw::ViewChange;
 use crate::gpu::{CompileBudget, CompileOperation, Compiled, ContextTraits, GpuError, GraphicsContext};
 use crate::pager::{CompileContext, ImageChange};
 use crate::scene::{BlockFormats, DrawKind, DrawSlot, Drawable, Mesh};
@@ -370,6 +371,16 @@ impl DeviceHandle {
         }
     }
 
+    /// Creates the pipelines for kinds of drawables at once.
+    pub(in crate::viewer) fn prewarm_now(&mut self, kinds: &Arc<[DrawKind]>) {
+        let _ = self.send(DrawCommand::PrewarmNow(kinds.clone()));
+    }
+
+    /// Creates the pipelines for a change of views, after the frames that were sent before.
+    pub(in crate::viewer) fn prewarm_change(&mut self, change: &ViewChange) {
+        let _ = self.send(DrawCommand::PrewarmChange(Box::new(*change)));
+    }
+
     /// Uploads drawables for a pager.
     pub(super) fn compile(&mut self, owner: u16, operation: CompileOperation) {
         let ticket = UploadOwner::Pager(owner).mark(operation.ticket);
@@ -556,6 +567,11 @@ impl CompileContext for DeviceOfScene<'_> {
 
     fn prewarm(&mut self, kinds: &Arc<[DrawKind]>) {
         self.handle.prewarm(kinds);
+    }
+
+    fn set_max_bytes(&mut self, max_bytes: u64) {
+        // An error of the draw thread is reported by the next frame.
+        let _ = self.handle.send(DrawCommand::SetMaxBytes { owner: self.owner, max_bytes });
     }
 
     fn compile(&mut self, operation: CompileOperation) {

@@ -4,6 +4,7 @@
 //! A frame arrives as one command per context of the device. The stages to draw arrive separately from the culls, one per
 //! camera.
 
+use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -13,12 +14,24 @@ use super::frame_job::{DrawCommand, FrameDone, FrameJob, Reply};
 use super::millis::millis;
 use super::retained_slots::RetainedSlots;
 use crate::cull::RenderStage;
-use crate::draw::{CameraView, DrawStats, FrameClock, Renderer};
-use crate::gpu::{CompileBudget, Compiled, GpuError, GraphicsContext};
+use crate::draw::{CameraView, DrawStats, FrameClock, Renderer, StageKinds};
+use crate::gpu::{CompileBudget, CompileOperation, Compiled, GpuError, GraphicsContext};
 use crate::pager::ImageChange;
+use crate::scene::DrawKind;
 use crate::sync::primitives::channel::{Receiver, Sender};
 use crate::sync::{BlockCount, Operation, OperationQueue};
 use crate::trace;
+
+/// Once this many pipelines were created before uploads, the next frame or the time before it creates the others.
+const MAX_PIPELINES_AT_ONCE: u32 = 16;
+
+/// An upload that has arrived and not begun.
+enum Upload {
+    /// Kinds of drawables whose pipelines are created first, for the stages that were drawn when they arrived, and how many
+    /// kinds are done.
+    Prewarm(Arc<[DrawKind]>, StageKinds, usize),
+    Compile(CompileOperation),
+}
 
 /// The draw end of a camera's channels: stages arrive culled and are returned empty.
 pub(super) struct DrawEnd {
@@ -94,6 +107,10 @@ pub(super) struct DrawSide {
     jobs: Vec<FrameJob>,
     /// Results that are drawn and not yet presented, and whether to present them.
     drawn: Vec<(Box<FrameDone>, bool)>,
+    /// Uploads in order that wait for the pipelines before them.
+    uploads: VecDeque<Upload>,
+    /// The number of pipelines that may still be created for uploads before the next frame.
+    pipelines_left: u32,
     /// Images for textures, written in the next frame.
     images: Vec<ImageChange>,
     /// Released drawables that the application wants to be kept for some frames.
@@ -128,6 +145,8 @@ impl DrawSide {
             meets_others: false,
             jobs: Vec::new(),
             drawn: Vec::new(),
+            uploads: VecDeque::new(),
+            pipelines_left: MAX_PIPELINES_AT_ONCE,
             images: Vec::new(),
             retained: RetainedSlots::default(),
         }
@@ -192,9 +211,31 @@ impl DrawSide {
 
     pub(super) fn execute(&mut self, command: DrawCommand) {
         let reply = match command {
-            DrawCommand::Prewarm(kinds) => return self.renderer.prewarm(&mut self.context, &kinds),
-            DrawCommand::Compile(operation) => return self.context.compile(operation),
+            DrawCommand::Prewarm(kinds) => {
+                let stages = self.renderer.stage_kinds(&self.context);
+                self.uploads.push_back(Upload::Prewarm(kinds, stages, 0));
+                return self.begin_uploads();
+            }
+            DrawCommand::PrewarmNow(kinds) => {
+                self.renderer.prewarm(&mut self.context, &kinds);
+                return;
+            }
+            DrawCommand::Compile(operation) => {
+                self.uploads.push_back(Upload::Compile(operation));
+                return self.begin_uploads();
+            }
+            DrawCommand::PrewarmChange(change) => return self.renderer.prewarm_change(&mut self.context, &change),
+            DrawCommand::SetMaxBytes { owner, max_bytes } => return self.context.set_max_bytes(owner, max_bytes),
             DrawCommand::CancelCompiles(tickets) => {
+                // The upload queue answers those that have not begun.
+                for _ in 0..self.uploads.len() {
+                    match self.uploads.pop_front() {
+                        Some(Upload::Compile(operation)) if tickets.contains(&operation.ticket) => {
+                            self.context.compile(operation);
+                        }
+                        other => self.uploads.extend(other),
+                    }
+                }
                 self.context.cancel_compiles(&tickets);
                 return self.pass_on_compiled();
             }
@@ -223,6 +264,7 @@ impl DrawSide {
                 return self.context.flush_released();
             }
             DrawCommand::RunCompiles(budget) => {
+                self.begin_more_uploads(MAX_PIPELINES_AT_ONCE);
                 self.context.run_compiles(&budget);
                 self.pass_on_compiled();
                 return self.running_compiles.store(false, Ordering::Release);
@@ -287,6 +329,7 @@ impl DrawSide {
         }
         self.context.reopen()?;
         self.retained.clear();
+        self.uploads.clear();
         self.renderer = Renderer::new(&mut self.context);
         for context in &mut self.contexts {
             context.failed = None;
@@ -299,6 +342,30 @@ impl DrawSide {
         Ok(true)
     }
 
+    /// Passes uploads on to the upload queue, and creates up to `max_pipelines` for them.
+    fn begin_more_uploads(&mut self, max_pipelines: u32) {
+        self.pipelines_left = max_pipelines;
+        self.begin_uploads();
+    }
+
+    /// Passes uploads on to the upload queue. Their pipelines are created before, so that no draw has to; the uploads wait
+    /// when as many were created as may be before the next frame.
+    fn begin_uploads(&mut self) {
+        while self.pipelines_left > 0
+            && let Some(upload) = self.uploads.front_mut()
+        {
+            if let Upload::Prewarm(kinds, stages, done) = upload
+                && let Some(kind) = kinds.get(*done)
+            {
+                *done += 1;
+                let created = self.renderer.prewarm_for(&mut self.context, std::slice::from_ref(kind), stages);
+                self.pipelines_left = self.pipelines_left.saturating_sub(created);
+            } else if let Some(Upload::Compile(operation)) = self.uploads.pop_front() {
+                self.context.compile(operation);
+            }
+        }
+    }
+
     fn pass_on_compiled(&mut self) {
         for compiled in self.context.take_compiled() {
             // Fails only while the viewer is dropped.
@@ -308,6 +375,8 @@ impl DrawSide {
 
     /// Uploads everything; returns false when something is left that cannot be uploaded now.
     fn finish_compiles(&mut self, waits_for_memory: bool) -> bool {
+        self.begin_more_uploads(u32::MAX);
+        self.pipelines_left = MAX_PIPELINES_AT_ONCE;
         let unlimited = CompileBudget { time: Duration::from_secs(3600), bytes: u64::MAX };
         let mut makes_progress = true;
         while makes_progress && self.context.pending_compiles() > 0 {
@@ -334,6 +403,7 @@ impl DrawSide {
             while let Some(slots) = self.retained.take_due() {
                 self.context.release(&slots);
             }
+            self.begin_more_uploads(MAX_PIPELINES_AT_ONCE);
             self.context.run_compiles(&first.budget);
         }
         self.pass_on_compiled();
@@ -411,6 +481,7 @@ impl DrawSide {
             read_back_ms,
             image,
             gpu_bytes: if index == 0 { self.context.bytes_in_use() } else { 0 },
+            gpu_bytes_allocated: if index == 0 { self.context.bytes_allocated() } else { 0 },
             gpu_bytes_peak: self.context.bytes_peak(),
             errors,
         };

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use image::RgbaImage;
 
 use crate::cull::RenderStage;
-use crate::draw::{DrawStats, FrameClock};
+use crate::draw::{DrawStats, FrameClock, ViewChange};
 use crate::gpu::{CompileBudget, CompileOperation, GpuError};
 use crate::pager::ImageChange;
 use crate::scene::{DrawKind, DrawSlot, Environment, Mesh};
@@ -60,6 +60,8 @@ pub(in crate::viewer) struct FrameDone {
     pub(in crate::viewer) image: Option<Result<RgbaImage, GpuError>>,
     /// Bytes in use in the pools; counted in the first context of a device.
     pub(in crate::viewer) gpu_bytes: u64,
+    /// Bytes allocated by the pools; counted in the first context of a device.
+    pub(in crate::viewer) gpu_bytes_allocated: u64,
     /// The largest number of bytes that the pools held so far.
     pub(in crate::viewer) gpu_bytes_peak: u64,
     /// Problems while drawing, each reported once.
@@ -70,6 +72,12 @@ pub(in crate::viewer) struct FrameDone {
 pub(super) enum DrawCommand {
     /// Creates the pipelines for kinds of drawables that will be uploaded.
     Prewarm(Arc<[DrawKind]>),
+    /// The same at once, however long that takes.
+    PrewarmNow(Arc<[DrawKind]>),
+    /// Creates the pipelines for a change of views.
+    PrewarmChange(Box<ViewChange>),
+    /// Sets a pager's share of the budget of the pools.
+    SetMaxBytes { owner: u16, max_bytes: u64 },
     /// Puts drawables into the upload queue.
     Compile(CompileOperation),
     /// Cancels uploads of the queue that have not begun.

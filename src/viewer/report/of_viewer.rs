@@ -65,6 +65,9 @@ impl Viewer {
                 http: s.bytes_http,
                 decoded: s.bytes_decoded,
                 cpu_peak: s.cpu_bytes_peak,
+                loading_peak: s.loading_bytes_peak,
+                loading_waits: s.loading_waits,
+                loading_wait_ms: (1000.0 * s.loading_wait_s) as u64,
                 ..report.bytes
             };
             report.ignored = pager.ignored().iter().map(|(kind, count)| (kind.to_owned(), count)).collect();

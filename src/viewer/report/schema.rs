@@ -119,6 +119,15 @@ pub struct Bytes {
     pub gpu_peak: u64,
     /// The peak of the pages in CPU memory.
     pub cpu_peak: u64,
+    /// The peak of what was on its way: read and not decoded, or decoded and not merged.
+    #[serde(default)]
+    pub loading_peak: u64,
+    /// Loads that waited until bytes were free.
+    #[serde(default)]
+    pub loading_waits: u64,
+    /// The time that they waited, all together, milliseconds.
+    #[serde(default)]
+    pub loading_wait_ms: u64,
     /// The peak resident memory of the process; 0 when the system does not report it.
     pub rss_peak: u64,
 }

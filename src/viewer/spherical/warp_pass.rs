@@ -4,7 +4,7 @@
 use std::sync::{Arc, Mutex, PoisonError};
 
 use super::SphericalProjection;
-use crate::gpu::{Acquired, GraphicsContext};
+use crate::gpu::{Acquired, GraphicsContext, is_encoded_by_shader};
 
 /// The number of directions in which the surroundings are drawn.
 pub(super) const FACES: usize = 6;
@@ -62,7 +62,7 @@ impl WarpPass {
 impl Resources {
     fn new(device: &wgpu::Device, format: wgpu::TextureFormat) -> Self {
         let shader = device.create_shader_module(wgpu::include_wgsl!("warp.wgsl"));
-        let constants = [("ENCODES", f64::from(u8::from(!format.is_srgb())))];
+        let constants = [("ENCODES", f64::from(u8::from(is_encoded_by_shader(format))))];
         let compilation_options =
             wgpu::PipelineCompilationOptions { constants: &constants, ..wgpu::PipelineCompilationOptions::default() };
         let pipeline = device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {

@@ -28,6 +28,10 @@ pub struct Context {
     /// Completes operations only in `run_compiles` with a time budget.
     pub waits: bool,
     waiting: Vec<Compiled>,
+    /// The bytes that the context claims to have allocated beyond its slots in use.
+    pub unused_bytes: u64,
+    /// The budget that the pager has announced.
+    pub max_bytes: Option<u64>,
     /// The compressed formats that the context claims to sample.
     pub block_formats: BlockFormats,
     /// The formats of the textures of base colours that were uploaded, in order.
@@ -41,6 +45,10 @@ impl CompileContext for Context {
 
     fn block_formats(&self) -> BlockFormats {
         self.block_formats
+    }
+
+    fn set_max_bytes(&mut self, max_bytes: u64) {
+        self.max_bytes = Some(max_bytes);
     }
 
     fn compile(&mut self, operation: CompileOperation) {
@@ -58,7 +66,8 @@ impl CompileContext for Context {
             false => PAGE_GPU_BYTES,
         };
         let to = if self.waits { &mut self.waiting } else { &mut self.done };
-        to.push(Compiled { ticket, slots, bytes, shared: Vec::new(), errors: Vec::new() });
+        let unused_bytes = self.unused_bytes;
+        to.push(Compiled { ticket, slots, bytes, shared: Vec::new(), errors: Vec::new(), unused_bytes });
     }
 
     fn cancel(&mut self, tickets: &[u64]) {
@@ -92,6 +101,10 @@ pub struct Run {
     pub stage: RenderStage,
     /// The number of the last frame.
     pub frame: u32,
+    /// Seconds of reference time from one frame to the next: 1/60 at first.
+    pub frame_s: f64,
+    /// The reference time of the last frame in seconds.
+    pub time_s: f64,
     /// The number of bytes read for the root tileset.
     pub root_bytes: u64,
     /// The largest screen-space error of a drawn tile, in pixels.
@@ -120,7 +133,18 @@ impl Run {
         let root_bytes = pager.stats().bytes_read;
         let (context, stage, visitor) = (Context::default(), RenderStage::new(), CullVisitor::new());
         let max_sse_px = CullCamera::default().settings.max_sse_px;
-        Self { scene, pager, context, stage, frame: 0, root_bytes, max_sse_px, visitor }
+        Self {
+            scene,
+            pager,
+            context,
+            stage,
+            frame: 0,
+            frame_s: 1.0 / 60.0,
+            time_s: 0.0,
+            root_bytes,
+            max_sse_px,
+            visitor,
+        }
     }
 
     /// Culls and updates one frame of a camera that looks straight down from `eye`.
@@ -131,15 +155,21 @@ impl Run {
     /// Does the same as [`Self::frame`], with additional requests.
     pub fn frame_with(&mut self, eye: DVec3, others: &[PageRequest]) {
         self.cull(eye);
+        self.update_with(others);
+    }
+
+    /// Updates the pager with the requests of the last cull and others.
+    pub fn update_with(&mut self, others: &[PageRequest]) {
         let contexts: &mut [&mut dyn CompileContext] = &mut [&mut self.context];
         let requests = [&self.stage.requests, others].concat();
-        self.pager.update_scene_graph(&mut self.scene, self.frame, &requests, contexts);
+        self.pager.update_scene_graph(&mut self.scene, self.frame, self.time_s, &requests, contexts);
         self.check_counters();
     }
 
     /// Culls the next frame without an update of the pager.
     pub fn cull(&mut self, eye: DVec3) {
         self.frame += 1;
+        self.time_s += self.frame_s;
         let eye_from_world = DAffine3::from_translation(-eye);
         let mut camera = CullCamera { eye_from_world, frame: self.frame, ..CullCamera::default() };
         camera.settings.max_sse_px = self.max_sse_px;

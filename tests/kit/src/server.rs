@@ -60,6 +60,8 @@ pub struct Reply {
     pub headers: Vec<(String, String)>,
     /// The body.
     pub body: Vec<u8>,
+    /// The number of zeros that follow the body. The server does not hold them in memory.
+    pub zeros: usize,
     /// How the reply is sent.
     pub how: How,
     /// The delay before the reply is sent.
@@ -69,7 +71,7 @@ pub struct Reply {
 impl Reply {
     /// Creates a reply.
     pub fn new(status: u16, body: impl Into<Vec<u8>>) -> Self {
-        Self { status, headers: Vec::new(), body: body.into(), how: How::Whole, delay: Duration::ZERO }
+        Self { status, headers: Vec::new(), body: body.into(), zeros: 0, how: How::Whole, delay: Duration::ZERO }
     }
 
     /// Creates a reply with status 200.
@@ -80,6 +82,12 @@ impl Reply {
     /// Adds a header.
     pub fn with(mut self, name: &str, value: impl ToString) -> Self {
         self.headers.push((name.to_owned(), value.to_string()));
+        self
+    }
+
+    /// Sends zeros after the body, if the reply is whole or chunked.
+    pub fn then_zeros(mut self, zeros: usize) -> Self {
+        self.zeros = zeros;
         self
     }
 
@@ -205,13 +213,13 @@ fn serve(
         match reply.how {
             How::Chunked => head.push_str("Transfer-Encoding: chunked\r\n"),
             _ if bodiless => {}
-            _ => head.push_str(&format!("Content-Length: {}\r\n", reply.body.len())),
+            _ => head.push_str(&format!("Content-Length: {}\r\n", reply.body.len() + reply.zeros)),
         }
         head.push_str("\r\n");
         stream.write_all(head.as_bytes())?;
         match reply.how {
             How::Chunked => {
-                for piece in reply.body.chunks(1000) {
+                for piece in reply.body.chunks(1000).chain(zeros(reply.zeros)) {
                     stream.write_all(format!("{:x}\r\n", piece.len()).as_bytes())?;
                     stream.write_all(piece)?;
                     stream.write_all(b"\r\n")?;
@@ -232,7 +240,17 @@ fn serve(
                 }
             }
             _ if bodiless => {}
-            _ => stream.write_all(&reply.body)?,
+            _ => {
+                stream.write_all(&reply.body)?;
+                zeros(reply.zeros).try_for_each(|piece| stream.write_all(piece))?;
+            }
         }
     }
+}
+
+/// Returns zeros in pieces of one buffer.
+fn zeros<'a>(count: usize) -> impl Iterator<Item = &'a [u8]> {
+    const PIECE: usize = 64 << 10;
+    static ZEROS: [u8; PIECE] = [0; PIECE];
+    (0..count).step_by(PIECE).map(move |begin| &ZEROS[..PIECE.min(count - begin)])
 }

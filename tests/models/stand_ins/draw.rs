@@ -4,7 +4,7 @@ use std::sync::atomic::Ordering;
 
 use image::RgbaImage;
 use shuttle::thread;
-pub use terrane::draw::{DrawStats, FrameClock};
+pub use terrane::draw::{DrawStats, FrameClock, ViewChange};
 use terrane::scene::{DrawKind, Environment, Texture};
 use terrane::state::{DataVariance, OpaqueDrawData, TextureObject};
 
@@ -39,6 +39,8 @@ pub struct CameraView<'a> {
     pub stage: &'a RenderStage,
     pub environment: &'a Environment,
 }
+
+pub struct StageKinds;
 
 pub struct Renderer {
     /// The context and the frame.
@@ -77,7 +79,19 @@ impl Renderer {
         Ok(DrawStats::default())
     }
 
-    pub fn prewarm(&mut self, _context: &mut GraphicsContext, _kinds: &[DrawKind]) {}
+    pub fn stage_kinds(&mut self, _context: &GraphicsContext) -> StageKinds {
+        StageKinds
+    }
+
+    pub fn prewarm(&mut self, _context: &mut GraphicsContext, _kinds: &[DrawKind]) -> u32 {
+        0
+    }
+
+    pub fn prewarm_for(&mut self, _context: &mut GraphicsContext, _kinds: &[DrawKind], _stages: &StageKinds) -> u32 {
+        0
+    }
+
+    pub fn prewarm_change(&mut self, _context: &mut GraphicsContext, _change: &ViewChange) {}
 
     pub fn show_image(
         &mut self,

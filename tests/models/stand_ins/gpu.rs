@@ -131,6 +131,12 @@ impl GraphicsContext {
         0
     }
 
+    pub fn bytes_allocated(&self) -> u64 {
+        0
+    }
+
+    pub fn set_max_bytes(&mut self, _owner: u16, _max_bytes: u64) {}
+
     pub fn bytes_peak(&self) -> u64 {
         0
     }

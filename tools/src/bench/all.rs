@@ -19,7 +19,7 @@ const BENCHES: [(&str, &[&str], &[&str]); 11] = [
     ("Whole frames on the software driver", &["frame"], &["frame_p50_ms", "frame_p95_ms", "draw_p50_ms"]),
     ("Threading models", &["threading"], &[]),
     ("Shared content", &["share"], &["decode_tiles_per_s", "load_tiles_per_s", "load_to_decode", "gpu_mb"]),
-    ("Update with resident pages", &["resident"], &["update_p50_us", "update_p99_us"]),
+    ("Update with resident pages", &["resident"], RESIDENT_COLUMNS),
     ("Paging from disk, mesh tiles", &["page", "--content", "mesh"], PAGE_COLUMNS),
     ("Paging from disk, height tiles", &["page", "--content", "height"], PAGE_COLUMNS),
     (
@@ -28,6 +28,8 @@ const BENCHES: [(&str, &[&str], &[&str]); 11] = [
         PAGE_COLUMNS,
     ),
 ];
+
+const RESIDENT_COLUMNS: &[&str] = &["update_p50_us", "update_p99_us", "update_max_us", "max_to_p50"];
 
 const PAGE_COLUMNS: &[&str] =
     &["time_s", "frame_p50_ms", "frame_p99_ms", "missing_mean", "missing_longest_ms", "rss_mb"];

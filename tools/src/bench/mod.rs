@@ -37,7 +37,7 @@ pub fn run(args: &BenchArgs) -> Result<()> {
         Bench::Frame { secs, every_leaf } => frame::run(*secs, *every_leaf),
         Bench::Threading { secs } => threading::run(*secs),
         Bench::Share { secs } => share::run(*secs),
-        Bench::Resident { tiles, secs } => resident::run(*tiles as usize, *secs),
+        Bench::Resident { tiles, requests, secs } => resident::run(*tiles as usize, *requests as usize, *secs),
         Bench::Page { frames, pace, draw, tiles, content, world, speed, look_ahead, skip_sse, by_motion, url, net } => {
             page::run(page::Options {
                 frames: *frames,

@@ -1,7 +1,11 @@
-//! Measures the pager's update of a frame with many resident pages, while nothing changes.
+//! Measures the pager's update of a frame with many resident pages, while nothing changes, and with many requests.
 //!
 //! All pages are the same small file and stay wanted. With a budget that is not exhausted no page is examined. With a full
 //! budget a part of them is examined for eviction in each frame.
+//!
+//! At first no request is served. The camera stands still, then moves, so that the priorities of all requests
+//! change in each frame; then many contents arrive at once. The ratio of the longest update to the median tells whether an
+//! update is bounded.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -15,8 +19,8 @@ use terrane::formats::ReadOptions;
 use terrane::formats::writers::{GlbMesh, write_glb};
 use terrane::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
 use terrane::math::{BoundingSphere, BoundingVolume};
-use terrane::pager::{DatabasePager, PagerConfig};
-use terrane::scene::{Node, NodeKind, Page, PagedLod, RangeMode, Refine, Scene};
+use terrane::pager::{CompileContext, DatabasePager, PagerConfig, RequestState};
+use terrane::scene::{Node, NodeId, NodeKind, Page, PagedLod, RangeMode, Refine, Scene, SlotState};
 
 use super::measurement::{UploadContext, percentile, print_line};
 
@@ -25,6 +29,12 @@ const REQUESTS_AT_ONCE: usize = 2_000;
 const TIMEOUT: Duration = Duration::from_secs(300);
 /// The distance between two tiles in metres.
 const SPACING_M: f64 = 10.0;
+/// Contents that arrive at once while others wait.
+const ANSWERS: usize = 1_000;
+/// The number of decode threads that allows [`ANSWERS`] contents to be under way.
+const DECODE_THREADS: usize = 96;
+/// The least number of updates measured in each case.
+const MIN_UPDATES: usize = 30;
 
 fn grid(uri: &Arc<str>, tiles: usize) -> Result<Page> {
     let across = tiles.isqrt().max(1);
@@ -44,10 +54,19 @@ fn grid(uri: &Arc<str>, tiles: usize) -> Result<Page> {
     Ok(Page::from_node(Node::group((0..tiles).map(tile).collect()))?)
 }
 
+/// Returns the reference time of a frame of 60 Hz.
+fn time_s(frame: u32) -> f64 {
+    f64::from(frame) / 60.0
+}
+
+fn noop() -> Result<UploadContext> {
+    let traits = ContextTraits { adapter: AdapterChoice::Noop, validation: false, ..ContextTraits::default() };
+    Ok(UploadContext(GraphicsContext::new_offscreen(&traits)?))
+}
+
 /// Loads and merges all tiles, and measures the updates after that in microseconds.
 fn updates(uri: &Arc<str>, tiles: usize, max_tiles: usize, secs: f64) -> Result<(Vec<f64>, u64)> {
-    let traits = ContextTraits { adapter: AdapterChoice::Noop, validation: false, ..ContextTraits::default() };
-    let mut context = UploadContext(GraphicsContext::new_offscreen(&traits)?);
+    let mut context = noop()?;
     let config = PagerConfig { max_tiles, ..PagerConfig::default() };
     let mut pager = DatabasePager::new(config, ReadOptions::for_root(uri, Limits::default()))?;
     let mut scene = Scene::new();
@@ -69,26 +88,121 @@ fn updates(uri: &Arc<str>, tiles: usize, max_tiles: usize, secs: f64) -> Result<
         let until = pager.stats().merged + some.len() as u64;
         while pager.stats().merged < until {
             frame += 1;
-            pager.update_scene_graph(&mut scene, frame, &requests, &mut [&mut context]);
+            pager.update_scene_graph(&mut scene, frame, time_s(frame), &requests, &mut [&mut context]);
             see(&scene, frame);
             pager.work_until(&mut scene, &mut [&mut context], Instant::now() + Duration::from_millis(100));
             ensure!(start.elapsed() < TIMEOUT, "not everything was loaded: {:?} {:?}", pager.stats(), pager.errors());
         }
     }
     let (mut times_us, until) = (Vec::new(), Instant::now() + Duration::from_secs_f64(secs.max(0.0)));
-    while times_us.len() < 30 || Instant::now() < until {
+    while times_us.len() < MIN_UPDATES || Instant::now() < until {
         frame += 1;
         ensure!(see(&scene, frame) == 0, "a tile is missing");
         let start = Instant::now();
-        pager.update_scene_graph(&mut scene, frame, &[], &mut [&mut context]);
+        pager.update_scene_graph(&mut scene, frame, time_s(frame), &[], &mut [&mut context]);
         times_us.push(start.elapsed().as_secs_f64() * 1e6);
     }
     ensure!(pager.stats().resident as usize == tiles, "pages were evicted: {:?}", pager.stats());
     Ok((times_us, pager.stats().resident))
 }
 
-/// Prints a line for a budget with spare room and one for a full budget.
-pub fn run(tiles: usize, secs: f64) -> Result<()> {
+/// The updates of a case with waiting requests, in microseconds.
+struct Updates {
+    case: &'static str,
+    waiting: u64,
+    times_us: Vec<f64>,
+}
+
+/// A pager of which each frame wants many tiles.
+struct Crowd {
+    scene: Scene,
+    pager: DatabasePager,
+    context: UploadContext,
+    slots: Vec<NodeId>,
+    requests: Vec<PageRequest>,
+    frame: u32,
+    /// The index of the tile below the camera; it sets the priorities.
+    position: usize,
+}
+
+impl Crowd {
+    fn new(uri: &Arc<str>, requests: usize) -> Result<Self> {
+        let config = PagerConfig { max_tiles: ANSWERS, decode_threads: DECODE_THREADS, ..PagerConfig::default() };
+        let mut pager = DatabasePager::new(config, ReadOptions::for_root(uri, Limits::default()))?;
+        pager.set_paused(true);
+        let mut scene = Scene::new();
+        let root = scene.add_root(grid(uri, requests)?);
+        let slots = scene.slots_of_page(root).collect();
+        Ok(Self { scene, pager, context: noop()?, slots, requests: Vec::new(), frame: 0, position: 0 })
+    }
+
+    /// Makes the requests of a cull, which lists every tile that is missing, and runs the update. Returns its microseconds.
+    fn update(&mut self) -> f64 {
+        self.frame += 1;
+        self.requests.clear();
+        let missing = self
+            .slots
+            .iter()
+            .enumerate()
+            .filter(|(_, slot)| self.scene.slot(**slot).is_some_and(|slot| slot.state == SlotState::Empty));
+        self.requests.extend(missing.map(|(n, &slot)| {
+            let priority = 1e6 / (1 + n.abs_diff(self.position)) as f32;
+            PageRequest { slot, priority, error_px: priority, ahead_frames: 0 }
+        }));
+        let start = Instant::now();
+        let contexts: &mut [&mut dyn CompileContext] = &mut [&mut self.context];
+        self.pager.update_scene_graph(&mut self.scene, self.frame, time_s(self.frame), &self.requests, contexts);
+        start.elapsed().as_secs_f64() * 1e6
+    }
+
+    fn updates(&mut self, case: &'static str, secs: f64, moves: bool) -> Updates {
+        let (mut times_us, until) = (Vec::new(), Instant::now() + Duration::from_secs_f64(secs.max(0.0)));
+        while times_us.len() < MIN_UPDATES || Instant::now() < until {
+            self.position += usize::from(moves);
+            times_us.push(self.update());
+        }
+        Updates { case, waiting: self.pager.stats().waiting, times_us }
+    }
+
+    /// Lets [`ANSWERS`] contents arrive at once, which fills the budget, and measures until all of them are merged.
+    fn burst(&mut self, secs: f64) -> Result<Updates> {
+        // The median is that of frames in which nothing arrives.
+        let mut updates = self.updates("answers at once", secs, false);
+        self.pager.set_paused(false);
+        updates.times_us.push(self.update());
+        let (start, merged) = (Instant::now(), self.pager.stats().merged);
+        let decoded = |pager: &DatabasePager| {
+            pager.request_states().filter(|(_, state)| *state == RequestState::Decoding).count()
+        };
+        while decoded(&self.pager) < ANSWERS {
+            ensure!(start.elapsed() < TIMEOUT, "not all contents were read: {:?}", self.pager.stats());
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        // They are read; what remains is to decode the last of them.
+        std::thread::sleep(Duration::from_millis(500));
+        while self.pager.stats().merged - merged < ANSWERS as u64 {
+            ensure!(start.elapsed() < TIMEOUT, "not all contents were merged: {:?}", self.pager.stats());
+            updates.times_us.push(self.update());
+        }
+        updates.waiting = self.pager.stats().waiting;
+        Ok(updates)
+    }
+}
+
+/// Measures updates while `requests` wait: with a camera that stands, with one that moves, and while contents arrive.
+fn crowded_updates(uri: &Arc<str>, requests: usize, secs: f64) -> Result<[Updates; 3]> {
+    let mut crowd = Crowd::new(uri, requests + ANSWERS)?;
+    // The first updates list all requests.
+    for _ in 0..3 {
+        crowd.update();
+    }
+    let still = crowd.updates("camera stands", secs, false);
+    let moving = crowd.updates("camera moves", secs, true);
+    Ok([still, moving, crowd.burst(secs)?])
+}
+
+/// Prints a line for a budget with spare room and one for a full budget, and a line for each case with waiting requests.
+pub fn run(tiles: usize, requests: usize, secs: f64) -> Result<()> {
     let folder = std::env::temp_dir().join(format!("terrane-bench-resident-{}", std::process::id()));
     std::fs::create_dir_all(&folder)?;
     let file = folder.join("tile.glb");
@@ -96,13 +210,21 @@ pub fn run(tiles: usize, secs: f64) -> Result<()> {
     let mesh = GlbMesh { positions, indices: vec![0, 2, 1], base_color: [1.0; 4], ..GlbMesh::default() };
     std::fs::write(&file, write_glb(&mesh))?;
     let uri: Arc<str> = file.display().to_string().into();
+    let round = |v: f64| (v * 100.0).round() / 100.0;
     for (budget, max_tiles) in [("room to spare", tiles * 2), ("full", tiles)] {
         let (mut times_us, resident) = updates(&uri, tiles, max_tiles, secs)?;
-        let round = |v: f64| (v * 100.0).round() / 100.0;
         print_line(json!({
             "bench": "resident", "budget": budget, "resident": resident, "frames": times_us.len(),
             "update_p50_us": round(percentile(&mut times_us, 0.5)),
             "update_p99_us": round(percentile(&mut times_us, 0.99)),
+        }));
+    }
+    for Updates { case, waiting, mut times_us } in crowded_updates(&uri, requests, secs)? {
+        let (median, longest) = (percentile(&mut times_us, 0.5), percentile(&mut times_us, 1.0));
+        print_line(json!({
+            "bench": "resident", "budget": case, "waiting": waiting, "frames": times_us.len(),
+            "update_p50_us": round(median), "update_p99_us": round(percentile(&mut times_us, 0.99)),
+            "update_max_us": round(longest), "max_to_p50": round(longest / median),
         }));
     }
     std::fs::remove_dir_all(&folder)?;

@@ -172,7 +172,7 @@ fn load_all(folder: &str, modes: ShareModes) -> Result<Loads> {
     let mut scene = Scene::new();
     scene.add_root(root(folder)?);
     let (mut visitor, mut stage) = (CullVisitor::new(), RenderStage::new());
-    let mut frame = 0;
+    let (begun, mut frame) = (Instant::now(), 0);
     let mut loads = Loads { seconds: [0.0; 2], gpu_bytes: 0, stats: PagerStats::default() };
     for square in 0..2 {
         let middle = DVec3::new(0.5 * reach_m() + square as f64 * APART_M, 0.5 * reach_m(), 2.0 * reach_m());
@@ -183,7 +183,8 @@ fn load_all(folder: &str, modes: ShareModes) -> Result<Loads> {
             let due = Instant::now() + FRAME;
             let camera = CullCamera { eye_from_world, frame, ..CullCamera::default() };
             visitor.cull(&scene, &camera, &mut stage);
-            pager.update_scene_graph(&mut scene, frame, &stage.requests, &mut [&mut context]);
+            let time_s = begun.elapsed().as_secs_f64();
+            pager.update_scene_graph(&mut scene, frame, time_s, &stage.requests, &mut [&mut context]);
             if pager.stats().merged as usize == (square + 1) * TILES {
                 break;
             }

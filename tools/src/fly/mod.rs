@@ -86,6 +86,7 @@ fn fly(args: Box<FlyArgs>, mut settings: DisplaySettings) -> Result<()> {
     config.pager.build_kd_trees = args.interactive;
     config.pager.http = args.net.http(&source)?;
     config.pager.limits = args.net.limits();
+    config.pager.max_bytes_loading = args.max_loading.map_or(config.pager.max_bytes_loading, |size| size.0);
     config.pager.style = args.style.as_deref().map(read_style).transpose()?;
     let interrupt = Interrupt::new();
     // The root is read before a window opens or an adapter is requested, so that an invalid source ends the program here.

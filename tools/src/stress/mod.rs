@@ -15,7 +15,8 @@
 //! declined requests are dropped or repeated. If two pagers request the same tile at the same moment, the order of arrival
 //! decides which one meets a fault.
 //!
-//! With `--blocking` the timing has no effect: a failure that a fault of the network caused happens again in the same frame.
+//! With `--blocking` the timing has no effect on which request meets a fault, as long as the budgets have room: a failure that
+//! a fault of the network caused happens again in the same frame.
 
 mod args;
 mod checks;

@@ -360,14 +360,15 @@ impl Plan {
 
 /// Draws the configuration of pagers, with short timeouts.
 fn pager(r: &mut Random, is_tiny: bool, blocking: bool) -> PagerConfig {
+    let frames = |count: u64| Duration::from_millis(17 * count);
     let mut config = PagerConfig {
         file_threads: r.whole(1, 3) as usize,
         decode_threads: r.whole(1, 3) as usize,
         http_in_flight: r.whole(1, 24) as usize,
         http_in_flight_max: r.one_of(&[0, 32, 128]),
-        expiry_frames: r.whole(1, 30) as u32,
-        stale_frames: r.whole(1, 4) as u32,
-        abort_frames: r.whole(2, 30) as u32,
+        expiry_time: frames(r.whole(1, 30)),
+        stale_time: frames(r.whole(1, 4)),
+        abort_time: frames(r.whole(2, 30)),
         merge_time: r.one_of(&[Duration::ZERO, Duration::from_millis(1), Duration::from_millis(20)]),
         retry_after: Duration::from_millis(r.whole(5, 40)),
         max_tries: Some(r.whole(1, 4) as u32),
@@ -376,7 +377,8 @@ fn pager(r: &mut Random, is_tiny: bool, blocking: bool) -> PagerConfig {
         ..PagerConfig::default()
     };
     if is_tiny {
-        match r.whole(0, 2) {
+        match r.whole(0, 3) {
+            3 => config.max_bytes_loading = r.whole(2_000, 4_000_000),
             0 => config.max_tiles = r.whole(1, 30) as usize,
             1 => config.max_bytes_gpu = r.whole(200_000, 6_000_000),
             _ => config.max_bytes_cpu = r.whole(2_000, 400_000),

@@ -232,7 +232,7 @@ fn caster_uniform(
 }
 
 /// Returns the pipelines' index of the shadow maps as a target; `None` if there are too many targets.
-fn map_target(pipelines: &mut Pipelines) -> Option<u16> {
+pub(in crate::draw) fn map_target(pipelines: &mut Pipelines) -> Option<u16> {
     pipelines.target(&TargetFormats {
         colors: [None; MAX_COLOR_ATTACHMENTS],
         depth: FORMAT,

@@ -1,12 +1,14 @@
-//! Mip levels of textures that cameras draw into: each is computed from the one above, once the camera has drawn. Draw
-//! thread.
+//! Mip levels of textures that cameras draw into, and of textures of state sets that have texels of the first level alone:
+//! each is computed from the one above, once that is complete. Draw thread.
+
+use std::sync::Arc;
 
 use super::{TextureDraw, covering};
 use crate::cull::RenderStage;
 use crate::draw::resources::Resources;
 use crate::gpu::GraphicsContext;
 use crate::scene::Attachment;
-use crate::state::TextureDimension;
+use crate::state::{TextureDimension, TextureObject};
 
 pub(super) const WGSL: &str = covering!("../../shaders/passes/mipmaps.wgsl");
 
@@ -29,6 +31,20 @@ impl Mipmaps {
         self.draw.as_ref().map_or(0, TextureDraw::created)
     }
 
+    /// Records the levels of textures whose first level was uploaded, before the frame's stages.
+    pub(in crate::draw) fn record_uploaded(
+        &mut self,
+        ctx: &GraphicsContext,
+        resources: &mut Resources,
+        encoder: &mut wgpu::CommandEncoder,
+    ) {
+        for texture in resources.state_groups.textures.take_without_levels() {
+            for layer in 0..texture.size[2] {
+                self.record_levels(ctx, resources, encoder, &texture, (0, layer));
+            }
+        }
+    }
+
     /// Records the levels of a stage's textures, once the stage and all that draws into the same target is recorded.
     pub(in crate::draw) fn record(
         &mut self,
@@ -37,7 +53,6 @@ impl Mipmaps {
         encoder: &mut wgpu::CommandEncoder,
         stage: &RenderStage,
     ) {
-        let device = ctx.device();
         for Attachment { texture, level, layer, .. } in attachments(stage) {
             if texture.dimension == TextureDimension::D3 {
                 resources
@@ -45,18 +60,31 @@ impl Mipmaps {
                     .report_once(format!("texture {:?} is a volume; its levels are not computed", texture.name));
                 continue;
             }
-            let textures = &mut resources.state_groups.textures;
-            let Some(format) = textures.texture(texture).map(wgpu::Texture::format) else { continue };
-            let draw = self.draw.get_or_insert_with(|| TextureDraw::new(device, "mipmaps", WGSL));
-            if let Err(error) = draw.ensure(ctx, (format, 1)) {
-                resources.errors.report_once(format!("mip levels in {format:?} cannot be drawn: {error}"));
-                continue;
-            }
-            for level in *level + 1..texture.levels {
-                let views = [level - 1, level].map(|level| textures.attachment(texture, level, *layer));
-                if let [Some(above), Some(below)] = &views {
-                    draw.record(device, encoder, (format, 1), [above, below], None);
-                }
+            self.record_levels(ctx, resources, encoder, texture, (*level, *layer));
+        }
+    }
+
+    /// Records the levels of a layer below a level.
+    fn record_levels(
+        &mut self,
+        ctx: &GraphicsContext,
+        resources: &mut Resources,
+        encoder: &mut wgpu::CommandEncoder,
+        texture: &Arc<TextureObject>,
+        (first, layer): (u32, u32),
+    ) {
+        let device = ctx.device();
+        let textures = &mut resources.state_groups.textures;
+        let Some(format) = textures.texture(texture).map(wgpu::Texture::format) else { return };
+        let draw = self.draw.get_or_insert_with(|| TextureDraw::new(device, "mipmaps", WGSL));
+        if let Err(error) = draw.ensure(ctx, (format, 1)) {
+            resources.errors.report_once(format!("mip levels in {format:?} cannot be drawn: {error}"));
+            return;
+        }
+        for level in first + 1..texture.levels {
+            let views = [level - 1, level].map(|level| textures.attachment(texture, level, layer));
+            if let [Some(above), Some(below)] = &views {
+                draw.record(device, encoder, (format, 1), [above, below], None);
             }
         }
     }

@@ -124,11 +124,11 @@ fn fogged(s: Surface, color: vec3<f32>) -> vec3<f32> {
         }
         default: {}
     }
-    var shown = color;
+    var shown = displayed(color);
     if s.is_lit {
         shown = tone_mapped(color);
     }
-    return mix(shown, fixed_state.fog_color.rgb, clamp(share, 0.0, 1.0));
+    return mix(shown, displayed(fixed_state.fog_color.rgb), clamp(share, 0.0, 1.0));
 }
 
 fn passes_alpha_test(alpha: f32) -> bool {

@@ -8,8 +8,8 @@ struct Frame {
     ambient_color: vec4<f32>,  // w: fog density per metre at height 0
     up: vec4<f32>,             // in eye space, at the eye; w: height of the eye, metres
     horizon_color: vec4<f32>,  // w: 1 / height over which the density of air falls to 1/e, metres
-    shape: vec4<f32>,          // 1 / radius of the ground, 0 if flat; exposure, 0 without tone mapping; 1 with an
-                               // atmosphere; 1 if it is also drawn in front of things
+    shape: vec4<f32>,          // 1 / radius of the ground, 0 if flat; exposure, 0 without tone mapping, negative if a later
+                               // pass maps tones; 1 with an atmosphere; 1 if it is also drawn in front of things
     ray: vec4<f32>,            // columns of the map from clip position to eye-space ray: xy and zw
     middle_ray: vec4<f32>,     // xy: the ray of clip position 0; zw: size of a pixel in clip positions
     water: vec4<f32>,          // colour of deep water; w: its height, metres
@@ -232,24 +232,35 @@ fn local_light(in_eye: vec3<f32>, normal: vec3<f32>) -> vec3<f32> {
     return sum;
 }
 
-// Maps a lit colour to a display: applies the exposure, keeps values below 0.76, and rolls highlights off towards white.
-// Khronos PBR Neutral (https://github.com/KhronosGroup/ToneMapping) without its offset, which compensates a reflection at
-// normal incidence that these materials do not have.
+// Maps a lit colour to a display, unless the target takes light or a later pass maps its tones.
 fn tone_mapped(lit_color: vec3<f32>) -> vec3<f32> {
     if frame.shape.y <= 0.0 {
         return lit_color;
     }
+    return compressed(lit_color * frame.shape.y);
+}
+
+// Keeps values below 0.76, and rolls highlights off towards white. Khronos PBR Neutral
+// (https://github.com/KhronosGroup/ToneMapping) without its offset, which compensates a reflection at normal incidence that
+// these materials do not have.
+fn compressed(exposed: vec3<f32>) -> vec3<f32> {
     let start = 0.8 - 0.04;
-    var color = lit_color * frame.shape.y;
-    let peak = max(color.r, max(color.g, color.b));
+    let peak = max(exposed.r, max(exposed.g, exposed.b));
     if peak < start {
-        return color;
+        return exposed;
     }
     let room = 1.0 - start;
     let new_peak = 1.0 - room * room / (peak + room - start);
-    color *= new_peak / peak;
     let share = 1.0 - 1.0 / (0.15 * (peak - new_peak) + 1.0);
-    return mix(color, vec3<f32>(new_peak), share);
+    return mix(exposed * (new_peak / peak), vec3<f32>(new_peak), share);
+}
+
+// Returns the light that is displayed as an unlit colour: the colour itself, unless a later pass applies the exposure.
+fn displayed(color: vec3<f32>) -> vec3<f32> {
+    if frame.shape.y < 0.0 {
+        return color / -frame.shape.y;
+    }
+    return color;
 }
 
 // Returns the direction to a point and its distance: from the eye, or from the eye's own plane if rays are parallel.
@@ -299,9 +310,9 @@ fn through_air(lit_color: vec3<f32>, air: vec4<f32>) -> vec3<f32> {
     return tone_mapped(lit_color * air.w + air.rgb);
 }
 
-// Returns the same for an unlit colour, which is not tone mapped.
+// Returns the same for an unlit colour, which is not tone mapped in the fragment's shader.
 fn unlit_through_air(color: vec3<f32>, air: vec4<f32>) -> vec3<f32> {
-    return color * air.w + tone_mapped(air.rgb);
+    return displayed(color) * air.w + tone_mapped(air.rgb);
 }
 
 // Returns the share of a point's colour that haze hides without an atmosphere, from the mean density of air on the way.

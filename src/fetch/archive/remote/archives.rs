@@ -13,7 +13,7 @@ use super::zip::RemoteZip;
 use crate::fetch::archive::{MAX_CACHED_ARCHIVES, MAX_CACHED_DIRECTORY_BYTES, evict_lru, is_pmtiles};
 use crate::fetch::cache::Entry;
 use crate::fetch::http::{CachePolicy, HttpBody, HttpCache, SharedRead, Transport, copy_validators};
-use crate::fetch::{IoError, Limits, shown};
+use crate::fetch::{ByteBudget, IoError, Limits, shown};
 
 /// A member of an archive: its URI, split into the URL of the archive and the name inside.
 #[derive(Clone, Copy)]
@@ -90,7 +90,7 @@ impl RemoteArchives {
         let MemberUri { uri, archive_url, name } = member;
         let mut cached = None;
         if let Some(cache) = cache {
-            cached = match cache.load(uri, limits).await? {
+            cached = match cache.load(uri, limits, transport.permit()).await? {
                 Some((entry, bytes)) if policy.allows(cache.disk(), &entry) => {
                     return Ok(cache.hit(&entry, bytes, false));
                 }
@@ -118,7 +118,7 @@ impl RemoteArchives {
         }
         let (bytes, part) = read?;
         if let Some(cache) = cache {
-            store(cache, uri, &part, &bytes).await;
+            store(cache, uri, &part, &bytes, transport.permit().budget()).await;
         }
         let network_bytes = reader.network_bytes();
         Ok(HttpBody { bytes, network_bytes, asked: network_bytes > 0, ..HttpBody::default() })
@@ -160,7 +160,7 @@ impl RemoteArchives {
 }
 
 /// Stores a member in the disk cache if the headers of its part allow that.
-async fn store(cache: &HttpCache, uri: &str, part: &Part, bytes: &[u8]) {
+async fn store(cache: &HttpCache, uri: &str, part: &Part, bytes: &[u8], budget: &ByteBudget) {
     cache.disk().count_miss();
     let freshness = part.freshness;
     if !freshness.store {
@@ -169,5 +169,5 @@ async fn store(cache: &HttpCache, uri: &str, part: &Part, bytes: &[u8]) {
     let mut entry = Entry { uri: shown(uri).into_owned(), ..Entry::default() };
     entry.checked(SystemTime::now(), freshness.fresh_for);
     copy_validators(&mut entry, &part.headers);
-    cache.store(uri, entry, bytes.to_vec(), part.requested_at).await;
+    cache.store(uri, entry, bytes.to_vec(), part.requested_at, budget).await;
 }

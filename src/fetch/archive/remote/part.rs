@@ -9,7 +9,7 @@ use crate::fetch::archive::span::Span;
 use crate::fetch::cache::Freshness;
 use crate::fetch::http::{Answer, Transport};
 use crate::fetch::markup::refuse_markup;
-use crate::fetch::{IoError, Limits};
+use crate::fetch::{Claim, IoError, Limits};
 
 /// A part of an archive as received.
 pub(super) struct Part {
@@ -54,6 +54,11 @@ impl<'a> PartReader<'a> {
     /// Returns the bytes of bodies received so far.
     pub fn network_bytes(&self) -> u64 {
         self.network_bytes.load(Ordering::Relaxed)
+    }
+
+    /// Claims bytes for what a part is decompressed to.
+    pub fn claim(&self, uri: &str, bytes: u64) -> Result<Claim<'_>, IoError> {
+        self.transport.permit().claim(bytes).map_err(|no_room| IoError::no_room(uri, no_room))
     }
 
     /// Requests a range, written as in the header `Range`. Returns the whole archive if the server ignores ranges and the

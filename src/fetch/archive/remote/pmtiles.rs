@@ -89,6 +89,8 @@ impl RemotePmtiles {
         };
         let is_small = span.size < MAX_INLINE_BYTES as u64;
         let bytes = if is_small { decode() } else { run_blocking(uri, decode).await? }?;
+        let size = bytes.len() as u64;
+        reader.claim(uri, size)?.keep(size);
         Ok((bytes, part))
     }
 }

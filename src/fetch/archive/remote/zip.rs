@@ -81,6 +81,7 @@ impl RemoteZip {
         let content = content_range(uri, &header, &part.bytes)?;
         let packed = part.bytes.get(content.start as usize..content.end as usize).map(<[u8]>::to_vec);
         let packed = packed.ok_or_else(|| IoError::invalid(uri, "the archive ends early"))?;
+        let claim = reader.claim(uri, header.size)?;
         let (of, limits) = (uri.to_owned(), *reader.limits);
         let decode = move || {
             let bytes = unpack(&of, &header, packed, &limits)?;
@@ -88,6 +89,7 @@ impl RemoteZip {
         };
         let is_small = header.size < MAX_INLINE_BYTES as u64;
         let bytes = if is_small { decode() } else { run_blocking(uri, decode).await? }?;
+        claim.keep(bytes.len() as u64);
         Ok((bytes, part))
     }
 

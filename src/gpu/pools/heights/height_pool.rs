@@ -12,12 +12,13 @@ use super::height_table::table_bytes;
 use crate::gpu::memory::Memory;
 use crate::gpu::pools::allocation::{Allocation, BufferDestination, LayerDestination};
 use crate::gpu::pools::bind_group_layouts::BindGroupLayouts;
-use crate::gpu::pools::slot_allocator::{SlotAllocator, block_capacity};
+use crate::gpu::pools::block_memory::{BlockCopy, BlockLimits, BlockMemory};
+use crate::gpu::pools::slot_allocator::SlotAllocator;
 use crate::gpu::pools::slot_table::SlotTable;
 use crate::gpu::pools::textures::{ImageSize, TexelEncoding, array_view};
 use crate::scene::{BlockFormats, ContentKey, HeightTile, Sampling};
 
-/// The target size of a block.
+/// The maximum size of a block.
 const BLOCK_BYTES: u64 = 24 << 20;
 /// The maximum number of tiles in a block; WebGPU guarantees 256 layers.
 const MAX_BLOCK_TILES: u32 = 128;
@@ -89,19 +90,16 @@ struct Usage {
     content: Option<ContentKey>,
 }
 
-struct HeightBlock {
-    size: TileSize,
+/// The memory of a block.
+#[derive(Clone, PartialEq)]
+struct HeightArrays {
     heights: wgpu::Texture,
     tables: wgpu::Buffer,
     color: wgpu::Texture,
-    bind_group: wgpu::BindGroup,
-    slots: SlotAllocator,
-    /// By layer.
-    usage: Vec<Usage>,
 }
 
-impl HeightBlock {
-    fn new(memory: &Memory, layouts: &BindGroupLayouts, size: TileSize, capacity: u32) -> Result<Self, String> {
+impl HeightArrays {
+    fn new(memory: &Memory, size: &TileSize, capacity: u32) -> Result<Self, String> {
         let padded = size.side + 2;
         let heights = wgpu::TextureDescriptor {
             label: Some("height block"),
@@ -110,7 +108,7 @@ impl HeightBlock {
             sample_count: 1,
             dimension: wgpu::TextureDimension::D2,
             format: wgpu::TextureFormat::R32Float,
-            usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
+            usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST | wgpu::TextureUsages::COPY_SRC,
             view_formats: &[],
         };
         let bytes = size.heights_bytes() * u64::from(capacity);
@@ -119,33 +117,74 @@ impl HeightBlock {
         let tables = wgpu::BufferDescriptor {
             label: Some("height block tables"),
             size: bytes,
-            usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST,
+            usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::COPY_SRC,
             mapped_at_creation: false,
         };
         let tables = memory.allocate("height block tables", bytes, |device| device.create_buffer(&tables))?;
         let color = size.color.allocate(memory, "height block colour", capacity, TexelEncoding::Srgb)?;
-        let sampler = layouts.sampler(memory.device(), &Sampling::default());
-        let bind_group = memory.device().create_bind_group(&wgpu::BindGroupDescriptor {
+        Ok(Self { heights, tables, color })
+    }
+
+    fn bind_group(&self, device: &wgpu::Device, layouts: &BindGroupLayouts) -> wgpu::BindGroup {
+        let sampler = layouts.sampler(device, &Sampling::default());
+        let [heights, color] = [&self.heights, &self.color].map(array_view);
+        device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("height block"),
             layout: &layouts.height_block,
             entries: &[
-                wgpu::BindGroupEntry {
-                    binding: 0,
-                    resource: wgpu::BindingResource::TextureView(&array_view(&heights)),
-                },
-                wgpu::BindGroupEntry { binding: 1, resource: tables.as_entire_binding() },
-                wgpu::BindGroupEntry { binding: 2, resource: wgpu::BindingResource::TextureView(&array_view(&color)) },
+                wgpu::BindGroupEntry { binding: 0, resource: wgpu::BindingResource::TextureView(&heights) },
+                wgpu::BindGroupEntry { binding: 1, resource: self.tables.as_entire_binding() },
+                wgpu::BindGroupEntry { binding: 2, resource: wgpu::BindingResource::TextureView(&color) },
                 wgpu::BindGroupEntry { binding: 3, resource: wgpu::BindingResource::Sampler(&sampler) },
             ],
-        });
-        let slots = SlotAllocator::new(capacity);
-        let usage = vec![Usage::default(); capacity as usize];
-        Ok(Self { size, heights, tables, color, bind_group, slots, usage })
+        })
     }
 
-    /// Returns the size of the whole block in bytes.
+    /// Returns the copies to larger memory. The colour comes last.
+    fn copies_to(&self, to: &Self) -> [BlockCopy; 3] {
+        let layers =
+            |from: &wgpu::Texture, to: &wgpu::Texture| BlockCopy::Layers { from: from.clone(), to: to.clone() };
+        [
+            layers(&self.heights, &to.heights),
+            BlockCopy::Buffer { from: self.tables.clone(), to: to.tables.clone() },
+            layers(&self.color, &to.color),
+        ]
+    }
+}
+
+struct HeightBlock {
+    size: TileSize,
+    memory: BlockMemory<HeightArrays>,
+    /// Has the memory that frames read.
+    bind_group: wgpu::BindGroup,
+    slots: SlotAllocator,
+    /// By layer.
+    usage: Vec<Usage>,
+}
+
+impl HeightBlock {
+    fn new(memory: &Memory, layouts: &BindGroupLayouts, size: TileSize, capacity: u32) -> Result<Self, String> {
+        let arrays = HeightArrays::new(memory, &size, capacity)?;
+        let bind_group = arrays.bind_group(memory.device(), layouts);
+        let slots = SlotAllocator::new(capacity);
+        let usage = vec![Usage::default(); capacity as usize];
+        Ok(Self { size, memory: BlockMemory::new(arrays), bind_group, slots, usage })
+    }
+
+    /// Gives the block more slots. Returns the copies that must be queued before further uploads to the block.
+    fn grow(&mut self, memory: &Memory, capacity: u32) -> Result<[BlockCopy; 3], String> {
+        let to = HeightArrays::new(memory, &self.size, capacity)?;
+        let copies = self.memory.newest().copies_to(&to);
+        self.memory.grow(to);
+        self.slots.grow(capacity);
+        self.usage.resize(capacity as usize, Usage::default());
+        Ok(copies)
+    }
+
+    /// Returns the size of all memory of the block in bytes.
     fn bytes(&self) -> u64 {
-        self.size.bytes() * self.usage.len() as u64
+        let tiles = self.memory.all().map(|arrays| u64::from(arrays.heights.depth_or_array_layers()));
+        self.size.bytes() * tiles.sum::<u64>()
     }
 }
 
@@ -157,6 +196,8 @@ pub(crate) struct HeightPool {
     grids: HashMap<u32, HeightGrid>,
     /// Slots of shared tiles. Never iterated.
     shared: HashMap<ContentKey, HeightSlot>,
+    /// Copies of blocks that have grown, to be queued.
+    copies: Vec<BlockCopy>,
     bytes_in_use: u64,
     bytes_allocated: u64,
 }
@@ -190,7 +231,7 @@ impl HeightPool {
         self.blocks.get_mut(slot.block)?.usage.get_mut(slot.layer as usize)
     }
 
-    /// Takes a free slot of the tile's size, from a new block if necessary.
+    /// Takes a free slot of the tile's size: of a block that has one, else of a block that can grow, else of a new block.
     fn take_slot(
         &mut self,
         memory: &Memory,
@@ -202,33 +243,72 @@ impl HeightPool {
         if let Entry::Vacant(grid) = self.grids.entry(side) {
             grid.insert(HeightGrid::new(memory, side)?);
         }
-        let mut blocks_of_size = 0;
-        for (index, block) in self.blocks.iter_mut() {
-            if block.size == size {
-                blocks_of_size += 1;
-                if let Some(layer) = block.slots.allocate() {
-                    self.bytes_in_use += size.bytes();
-                    return Ok(HeightSlot { block: index, layer, side });
-                }
+        let max_slots = MAX_BLOCK_TILES.min(memory.limits().max_texture_array_layers);
+        let room_bytes = memory.room_bytes();
+        let limits = BlockLimits { slot_bytes: size.bytes(), max_bytes: BLOCK_BYTES, max_slots, room_bytes };
+        let (mut tiles_of_size, mut growable) = (0, None);
+        for (index, block) in self.blocks.iter_mut().filter(|(_, block)| block.size == size) {
+            tiles_of_size += block.slots.capacity();
+            if let Some(layer) = block.slots.allocate() {
+                self.bytes_in_use += size.bytes();
+                return Ok(HeightSlot { block: index, layer, side });
             }
+            growable = growable.or(limits.grown(block.slots.capacity()).map(|capacity| (index, capacity)));
         }
-        let max_tiles = MAX_BLOCK_TILES.min(memory.limits().max_texture_array_layers);
-        let capacity = block_capacity(blocks_of_size, size.bytes(), BLOCK_BYTES, max_tiles);
-        let mut block = HeightBlock::new(memory, layouts, size, capacity)?;
+        if let Some((block, capacity)) = growable
+            && let Some(layer) = self.grow(memory, block, capacity)
+        {
+            self.bytes_in_use += size.bytes();
+            return Ok(HeightSlot { block, layer, side });
+        }
+        let mut block = HeightBlock::new(memory, layouts, size, limits.first(tiles_of_size))?;
         let layer = block.slots.allocate().ok_or("a height block without layers")?;
         self.bytes_allocated += block.bytes();
         self.bytes_in_use += size.bytes();
         Ok(HeightSlot { block: self.blocks.insert(block), layer, side })
     }
 
+    /// Grows a block and takes one of its new slots. Returns `None` if there is no memory for that.
+    fn grow(&mut self, memory: &Memory, index: u32, capacity: u32) -> Option<u32> {
+        let block = self.blocks.get_mut(index)?;
+        let bytes_before = block.bytes();
+        let grown = block.grow(memory, capacity);
+        self.bytes_allocated += block.bytes() - bytes_before;
+        self.copies.extend(grown.ok()?);
+        block.slots.allocate()
+    }
+
+    /// Takes the copies that must be queued before further uploads.
+    pub(in crate::gpu::pools) fn take_copies(&mut self) -> impl Iterator<Item = BlockCopy> + '_ {
+        self.copies.drain(..)
+    }
+
+    /// Has frames read what was copied to a colour texture and the arrays beside it.
+    pub(in crate::gpu::pools) fn copied(
+        &mut self,
+        device: &wgpu::Device,
+        layouts: &BindGroupLayouts,
+        to_color: &wgpu::Texture,
+    ) {
+        for (_, block) in self.blocks.iter_mut() {
+            let bytes_before = block.bytes();
+            let memory = &mut block.memory;
+            if memory.copied(|oldest| oldest.color == *to_color) {
+                block.bind_group = memory.drawn().bind_group(device, layouts);
+                self.bytes_allocated -= bytes_before - block.bytes();
+            }
+        }
+    }
+
     /// Returns the destinations of a slot's data.
     pub(in crate::gpu) fn destinations(&self, slot: HeightSlot) -> Option<HeightDestinations> {
         let block = self.blocks.get(slot.block)?;
+        let arrays = block.memory.newest().clone();
         let offset = u64::from(slot.layer) * table_bytes(slot.side);
         Some(HeightDestinations {
-            heights: LayerDestination { texture: block.heights.clone(), layer: slot.layer },
-            table: BufferDestination { buffer: block.tables.clone(), offset },
-            color: LayerDestination { texture: block.color.clone(), layer: slot.layer },
+            heights: LayerDestination { texture: arrays.heights, layer: slot.layer },
+            table: BufferDestination { buffer: arrays.tables, offset },
+            color: LayerDestination { texture: arrays.color, layer: slot.layer },
         })
     }
 

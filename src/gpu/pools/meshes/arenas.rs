@@ -5,10 +5,11 @@
 
 use crate::gpu::memory::Memory;
 use crate::gpu::pools::allocation::BufferDestination;
-use crate::gpu::pools::slot_allocator::{SlotAllocator, block_capacity, size_class};
+use crate::gpu::pools::block_memory::{BlockCopy, BlockLimits, BlockMemory};
+use crate::gpu::pools::slot_allocator::{SlotAllocator, size_class};
 use crate::gpu::pools::slot_table::SlotTable;
 
-/// The target size of a buffer.
+/// The maximum size of a buffer.
 const CHUNK_BYTES: u64 = 8 << 20;
 /// The maximum number of slots in a buffer.
 const MAX_CHUNK_SLOTS: u32 = 4096;
@@ -46,11 +47,17 @@ pub(super) struct ChunkRange {
 }
 
 struct Chunk {
-    buffer: wgpu::Buffer,
+    memory: BlockMemory<wgpu::Buffer>,
     /// Number of elements of a slot.
     class: u32,
     slots: SlotAllocator,
-    capacity: u32,
+}
+
+impl Chunk {
+    /// Returns the size of all memory of the chunk in bytes.
+    fn bytes(&self) -> u64 {
+        self.memory.all().map(wgpu::Buffer::size).sum()
+    }
 }
 
 /// Buffers of elements of one format.
@@ -59,13 +66,16 @@ pub(super) struct Arena {
     usage: wgpu::BufferUsages,
     element_bytes: u64,
     chunks: SlotTable<Chunk>,
+    /// Copies of chunks that have grown, to be queued.
+    copies: Vec<BlockCopy>,
     bytes_in_use: u64,
     bytes_allocated: u64,
 }
 
 impl Arena {
     pub(super) fn new(label: &'static str, usage: wgpu::BufferUsages, element_bytes: u64) -> Self {
-        Self { label, usage, element_bytes, chunks: SlotTable::default(), bytes_in_use: 0, bytes_allocated: 0 }
+        let (chunks, copies) = (SlotTable::default(), Vec::new());
+        Self { label, usage, element_bytes, chunks, copies, bytes_in_use: 0, bytes_allocated: 0 }
     }
 
     pub(super) fn is_unused(&self) -> bool {
@@ -83,31 +93,60 @@ impl Arena {
         if class_bytes > max_bytes {
             return Err(too_large());
         }
-        let mut chunks_of_class = 0;
-        for (number, chunk) in self.chunks.iter_mut() {
-            if chunk.class == class {
-                chunks_of_class += 1;
-                if let Some(slot) = chunk.slots.allocate() {
-                    self.bytes_in_use += class_bytes;
-                    return Ok((number, slot, slot * class));
-                }
+        let max_bytes = CHUNK_BYTES.min(max_bytes);
+        let room_bytes = memory.room_bytes();
+        let limits = BlockLimits { slot_bytes: class_bytes, max_bytes, max_slots: MAX_CHUNK_SLOTS, room_bytes };
+        let (mut slots_of_class, mut growable) = (0, None);
+        for (number, chunk) in self.chunks.iter_mut().filter(|(_, chunk)| chunk.class == class) {
+            slots_of_class += chunk.slots.capacity();
+            if let Some(slot) = chunk.slots.allocate() {
+                self.bytes_in_use += class_bytes;
+                return Ok((number, slot, slot * class));
             }
+            growable = growable.or(limits.grown(chunk.slots.capacity()).map(|capacity| (number, capacity)));
         }
-        let capacity = block_capacity(chunks_of_class, class_bytes, CHUNK_BYTES.min(max_bytes), MAX_CHUNK_SLOTS);
-        let size = class_bytes * u64::from(capacity);
-        let descriptor = wgpu::BufferDescriptor {
-            label: Some(self.label),
-            size,
-            usage: self.usage | wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST,
-            mapped_at_creation: false,
-        };
-        let buffer = memory.allocate(self.label, size, |device| device.create_buffer(&descriptor))?;
+        if let Some((number, capacity)) = growable
+            && let Some(slot) = self.grow(memory, number, capacity)
+        {
+            self.bytes_in_use += class_bytes;
+            return Ok((number, slot, slot * class));
+        }
+        let capacity = limits.first(slots_of_class);
+        let buffer = self.create_buffer(memory, class_bytes * u64::from(capacity))?;
         let mut slots = SlotAllocator::new(capacity);
         let slot = slots.allocate().ok_or("a buffer without slots")?;
-        self.bytes_allocated += size;
+        self.bytes_allocated += buffer.size();
         self.bytes_in_use += class_bytes;
-        let number = self.chunks.insert(Chunk { buffer, class, slots, capacity });
+        let number = self.chunks.insert(Chunk { memory: BlockMemory::new(buffer), class, slots });
         Ok((number, slot, slot * class))
+    }
+
+    fn create_buffer(&self, memory: &Memory, size: u64) -> Result<wgpu::Buffer, String> {
+        let uses = wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::COPY_SRC;
+        let usage = self.usage | uses;
+        let descriptor = wgpu::BufferDescriptor { label: Some(self.label), size, usage, mapped_at_creation: false };
+        memory.allocate(self.label, size, |device| device.create_buffer(&descriptor))
+    }
+
+    /// Grows a chunk and takes one of its new slots. Returns `None` if there is no memory for that.
+    fn grow(&mut self, memory: &Memory, number: u32, capacity: u32) -> Option<u32> {
+        let class_bytes = self.slot_bytes(number);
+        let to = self.create_buffer(memory, class_bytes * u64::from(capacity)).ok()?;
+        let chunk = self.chunks.get_mut(number)?;
+        self.copies.push(BlockCopy::Buffer { from: chunk.memory.newest().clone(), to: to.clone() });
+        self.bytes_allocated += to.size();
+        chunk.memory.grow(to);
+        chunk.slots.grow(capacity);
+        chunk.slots.allocate()
+    }
+
+    /// Has frames read what was copied to a buffer, or to all if it is `None`.
+    fn copied(&mut self, to: Option<&wgpu::Buffer>) {
+        for (_, chunk) in self.chunks.iter_mut() {
+            let bytes_before = chunk.bytes();
+            chunk.memory.copied(|oldest| to.is_none_or(|to| oldest == to));
+            self.bytes_allocated -= bytes_before - chunk.bytes();
+        }
     }
 
     fn slot_bytes(&self, chunk: u32) -> u64 {
@@ -120,14 +159,14 @@ impl Arena {
             chunk.slots.release(slot);
             self.bytes_in_use -= bytes;
             if chunk.slots.is_empty() {
-                self.bytes_allocated -= bytes * u64::from(chunk.capacity);
+                self.bytes_allocated -= chunk.bytes();
                 self.chunks.remove(number);
             }
         }
     }
 
     fn buffer(&self, chunk: u32) -> Option<&wgpu::Buffer> {
-        self.chunks.get(chunk).map(|chunk| &chunk.buffer)
+        self.chunks.get(chunk).map(|chunk| chunk.memory.drawn())
     }
 }
 
@@ -163,6 +202,21 @@ impl Arenas {
         self.arena(range.chunk).map_or(0, |arena| arena.slot_bytes(range.chunk.chunk))
     }
 
+    /// Takes the copies that must be queued before further uploads.
+    pub(super) fn take_copies(&mut self) -> impl Iterator<Item = BlockCopy> + '_ {
+        self.0.iter_mut().flat_map(|arena| arena.copies.drain(..))
+    }
+
+    /// Returns true while a copy is not recorded.
+    pub(super) fn is_copying(&mut self) -> bool {
+        self.0.iter_mut().any(|arena| arena.chunks.iter_mut().any(|(_, chunk)| chunk.memory.is_copying()))
+    }
+
+    /// Has frames read what was copied to a buffer, or to all if it is `None`.
+    pub(super) fn copied(&mut self, to: Option<&wgpu::Buffer>) {
+        self.0.iter_mut().for_each(|arena| arena.copied(to));
+    }
+
     /// Frees a slot, and its buffer after the last slot.
     pub(super) fn release(&mut self, range: ChunkRange) {
         if let Some(arena) = self.0.get_mut(range.chunk.arena as usize) {
@@ -172,7 +226,7 @@ impl Arenas {
 
     pub(super) fn destination(&self, range: ChunkRange) -> Option<BufferDestination> {
         let arena = self.arena(range.chunk)?;
-        let buffer = arena.buffer(range.chunk.chunk)?.clone();
+        let buffer = arena.chunks.get(range.chunk.chunk)?.memory.newest().clone();
         Some(BufferDestination { buffer, offset: u64::from(range.first) * arena.element_bytes })
     }
 

@@ -7,6 +7,7 @@ use super::arenas::{Arena, Arenas, ChunkId, ChunkRange};
 use super::vertex_packing::fits_short_indices;
 use crate::gpu::memory::Memory;
 use crate::gpu::pools::allocation::BufferDestination;
+use crate::gpu::pools::block_memory::BlockCopy;
 use crate::gpu::pools::identity::Identity;
 use crate::gpu::pools::slot_table::SlotTable;
 use crate::scene::{ContentKey, Mesh};
@@ -126,6 +127,21 @@ impl IndexPool {
     pub(super) fn buffer(&self, chunk: ChunkId) -> Option<(&wgpu::Buffer, wgpu::IndexFormat)> {
         let format = if is_short(chunk) { wgpu::IndexFormat::Uint16 } else { wgpu::IndexFormat::Uint32 };
         self.arenas.buffer(chunk).map(|buffer| (buffer, format))
+    }
+
+    /// Takes the copies that must be queued before further uploads.
+    pub(super) fn take_copies(&mut self) -> impl Iterator<Item = BlockCopy> + '_ {
+        self.arenas.take_copies()
+    }
+
+    /// Returns true while a copy is not recorded.
+    pub(super) fn is_copying(&mut self) -> bool {
+        self.arenas.is_copying()
+    }
+
+    /// Has frames read what was copied to a buffer, or to all if it is `None`.
+    pub(super) fn copied(&mut self, to: Option<&wgpu::Buffer>) {
+        self.arenas.copied(to);
     }
 
     pub(super) fn bytes_in_use(&self) -> u64 {

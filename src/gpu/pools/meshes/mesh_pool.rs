@@ -11,6 +11,7 @@ use super::vertex_buffers::VertexBuffers;
 use super::vertex_packing::{VertexFormat, WHITE};
 use crate::gpu::memory::Memory;
 use crate::gpu::pools::allocation::BufferDestination;
+use crate::gpu::pools::block_memory::BlockCopy;
 use crate::gpu::pools::identity::Identity;
 use crate::gpu::pools::slot_table::SlotTable;
 use crate::scene::{AttributeLayout, Mesh, SharedParts};
@@ -188,6 +189,22 @@ impl MeshPool {
     /// Returns a buffer with one white vertex colour; `None` before the first packed mesh.
     pub(crate) fn white(&self) -> Option<&wgpu::Buffer> {
         self.white.as_ref()
+    }
+
+    /// Takes the copies that must be queued before further uploads.
+    pub(in crate::gpu::pools) fn take_copies(&mut self) -> impl Iterator<Item = BlockCopy> + '_ {
+        self.vertices.take_copies().chain(self.indices.take_copies())
+    }
+
+    /// Returns true while a copy is not recorded.
+    pub(in crate::gpu::pools) fn is_copying(&mut self) -> bool {
+        self.vertices.is_copying() || self.indices.is_copying()
+    }
+
+    /// Has frames read what was copied to a buffer, or to all if it is `None`.
+    pub(in crate::gpu::pools) fn copied(&mut self, to: Option<&wgpu::Buffer>) {
+        self.vertices.copied(to);
+        self.indices.copied(to);
     }
 
     pub(in crate::gpu::pools) fn bytes_in_use(&self) -> u64 {

@@ -7,6 +7,7 @@ use super::arenas::{Arena, Arenas, ChunkId, ChunkRange};
 use super::vertex_packing::VertexFormat;
 use crate::gpu::memory::Memory;
 use crate::gpu::pools::allocation::BufferDestination;
+use crate::gpu::pools::block_memory::BlockCopy;
 use crate::scene::{AttributeLayout, Mesh, added_stride};
 
 /// The formats of the first arenas, in the order of their discriminants.
@@ -97,6 +98,21 @@ impl VertexBuffers {
     pub(super) fn attribute_layout_of(&self, chunk: ChunkId) -> Option<(u32, &Arc<AttributeLayout>)> {
         let index = (chunk.arena as usize + 1).checked_sub(FORMATS.len())?;
         Some((index as u32, self.layouts.get(index.checked_sub(1)?)?))
+    }
+
+    /// Takes the copies that must be queued before further uploads.
+    pub(super) fn take_copies(&mut self) -> impl Iterator<Item = BlockCopy> + '_ {
+        self.arenas.take_copies()
+    }
+
+    /// Returns true while a copy is not recorded.
+    pub(super) fn is_copying(&mut self) -> bool {
+        self.arenas.is_copying()
+    }
+
+    /// Has frames read what was copied to a buffer, or to all if it is `None`.
+    pub(super) fn copied(&mut self, to: Option<&wgpu::Buffer>) {
+        self.arenas.copied(to);
     }
 
     pub(super) fn bytes_in_use(&self) -> u64 {

@@ -6,11 +6,13 @@
 use super::surface_record::SurfaceRecord;
 use crate::gpu::memory::Memory;
 use crate::gpu::pools::bind_group_layouts::BindGroupLayouts;
-use crate::gpu::pools::slot_allocator::{SlotAllocator, block_capacity};
+use crate::gpu::pools::slot_allocator::SlotAllocator;
 use crate::gpu::pools::slot_table::SlotTable;
 use crate::gpu::pools::textures::{TextureLayer, TexturePool};
 use crate::scene::MetallicRoughness;
 
+/// The number of records in the first set of some textures. Each further one has twice as many as the one before.
+const MIN_RECORDS: u32 = 16;
 /// The maximum number of records in a set.
 const MAX_RECORDS: u32 = 4096;
 const RECORD_BYTES: u64 = size_of::<SurfaceRecord>() as u64;
@@ -51,24 +53,35 @@ impl SurfaceSet {
             mapped_at_creation: false,
         };
         let records = memory.allocate("surface set", size, |device| device.create_buffer(&records))?;
-        let views = blocks.map(|block| textures.view(block));
-        let mut entries = Vec::with_capacity(2 * views.len() + 1);
-        for (view, binding) in views.iter().zip((0..).step_by(2)) {
-            let (view, sampler) = view.as_ref().ok_or("a surface whose texture is not resident")?;
-            let resource = wgpu::BindingResource::TextureView(view);
-            entries.push(wgpu::BindGroupEntry { binding, resource });
-            let resource = wgpu::BindingResource::Sampler(sampler);
-            entries.push(wgpu::BindGroupEntry { binding: binding + 1, resource });
-        }
-        entries.push(wgpu::BindGroupEntry { binding: entries.len() as u32, resource: records.as_entire_binding() });
-        let bind_group = memory.device().create_bind_group(&wgpu::BindGroupDescriptor {
-            label: Some("surface set"),
-            layout: &layouts.surface_set,
-            entries: &entries,
-        });
+        let bind_group = bind_group(memory.device(), layouts, textures, &blocks, &records)?;
         let maps = vec![MapLayers::default(); capacity as usize];
         Ok(Self { blocks, records, bind_group, slots: SlotAllocator::new(capacity), maps })
     }
+}
+
+/// Creates the bind group of a set.
+fn bind_group(
+    device: &wgpu::Device,
+    layouts: &BindGroupLayouts,
+    textures: &TexturePool,
+    blocks: &[u32; 1 + MetallicRoughness::MAPS],
+    records: &wgpu::Buffer,
+) -> Result<wgpu::BindGroup, String> {
+    let views = blocks.map(|block| textures.view(block));
+    let mut entries = Vec::with_capacity(2 * views.len() + 1);
+    for (view, binding) in views.iter().zip((0..).step_by(2)) {
+        let (view, sampler) = view.as_ref().ok_or("a surface whose texture is not resident")?;
+        let resource = wgpu::BindingResource::TextureView(view);
+        entries.push(wgpu::BindGroupEntry { binding, resource });
+        let resource = wgpu::BindingResource::Sampler(sampler);
+        entries.push(wgpu::BindGroupEntry { binding: binding + 1, resource });
+    }
+    entries.push(wgpu::BindGroupEntry { binding: entries.len() as u32, resource: records.as_entire_binding() });
+    Ok(device.create_bind_group(&wgpu::BindGroupDescriptor {
+        label: Some("surface set"),
+        layout: &layouts.surface_set,
+        entries: &entries,
+    }))
 }
 
 /// All surfaces of a device.
@@ -125,7 +138,7 @@ impl SurfacePool {
                 }
             }
         }
-        let capacity = block_capacity(sets_of_blocks, RECORD_BYTES, u64::MAX, MAX_RECORDS);
+        let capacity = MAX_RECORDS.min(MIN_RECORDS << sets_of_blocks.min(16));
         let mut set = SurfaceSet::new(memory, layouts, textures, blocks, capacity)?;
         let record = set.slots.allocate().ok_or("a surface set without records")?;
         self.allocated += u64::from(capacity);
@@ -143,6 +156,21 @@ impl SurfacePool {
             self.sets.remove(slot.set);
         }
         maps
+    }
+
+    /// Creates the bind groups again that have a texture block which has grown.
+    pub(in crate::gpu::pools) fn rebind(
+        &mut self,
+        (device, layouts): (&wgpu::Device, &BindGroupLayouts),
+        textures: &TexturePool,
+        block: u32,
+    ) {
+        for (_, set) in self.sets.iter_mut().filter(|(_, set)| set.blocks.contains(&block)) {
+            // The blocks of a set's surfaces are resident, so that there is no error.
+            if let Ok(rebound) = bind_group(device, layouts, textures, &set.blocks, &set.records) {
+                set.bind_group = rebound;
+            }
+        }
     }
 
     pub(crate) fn bind_group(&self, set: u32) -> Option<&wgpu::BindGroup> {

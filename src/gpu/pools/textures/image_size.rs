@@ -72,7 +72,8 @@ impl ImageSize {
     /// Returns all rows of a level in the first layer.
     pub(super) fn rows_of(&self, level: u32) -> TextureRows {
         let [width, height] = self.level(level);
-        TextureRows { layer: 0, level, first: 0, count: self.format.rows(height), width, format: self.format }
+        let (row_bytes, block_side) = (self.format.row_bytes(width) as u32, self.format.block_side());
+        TextureRows { layer: 0, level, first: 0, count: self.format.rows(height), width, row_bytes, block_side }
     }
 
     /// Does the same as [`Self::create`], and returns an error text if the adapter lacks the memory.
@@ -101,7 +102,7 @@ impl ImageSize {
             sample_count: 1,
             dimension: wgpu::TextureDimension::D2,
             format: texel_format(self.format, encoding),
-            usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
+            usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST | wgpu::TextureUsages::COPY_SRC,
             view_formats: &[],
         })
     }

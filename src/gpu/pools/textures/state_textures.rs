@@ -1,7 +1,10 @@
 //! [`StateTextures`]: the textures and samplers of state sets, and the textures that cameras draw into. Draw thread.
 //!
-//! A texture is found by the address of its [`TextureObject`] and lives as long as that object. Its texels are uploaded
-//! when a frame uses it for the first time.
+//! A texture is found by the address of its [`TextureObject`] and lives as long as that object.
+//!
+//! Textures of a page's state sets are announced with the page. The compile queue uploads them before the page's drawables,
+//! so that they are complete when the page is merged. A frame uploads a texture whole that was not announced, as
+//! OpenSceneGraph does without pre-compile. A texture that was announced and is not complete is white.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Weak};
@@ -23,6 +26,8 @@ struct Entry {
     created: Option<CreatedTexture>,
     /// Unique over all textures that the renderer has had.
     serial: u32,
+    /// True while the compile queue uploads it.
+    is_uploading: bool,
 }
 
 struct CreatedTexture {
@@ -38,6 +43,8 @@ pub(crate) struct StateTextures {
     entries: HashMap<usize, Entry>,
     samplers: Vec<(Sampler, wgpu::Sampler)>,
     next_serial: u32,
+    /// Textures whose first level is complete and whose other levels must be computed.
+    without_levels: Vec<Arc<TextureObject>>,
     can_filter_floats: bool,
     has_borders: bool,
 }
@@ -48,6 +55,7 @@ impl StateTextures {
             entries: HashMap::new(),
             samplers: Vec::new(),
             next_serial: 1,
+            without_levels: Vec::new(),
             can_filter_floats: device.features().contains(wgpu::Features::FLOAT32_FILTERABLE),
             has_borders: device.features().contains(wgpu::Features::ADDRESS_MODE_CLAMP_TO_BORDER),
         }
@@ -77,19 +85,64 @@ impl StateTextures {
     ) -> Result<Option<u32>, String> {
         let key = Arc::as_ptr(object) as usize;
         if let Some(entry) = self.entries.get(&key) {
-            return Ok(entry.created.is_some().then_some(entry.serial));
+            return Ok((entry.created.is_some() && !entry.is_uploading).then_some(entry.serial));
         }
-        let (created, error) = catch_errors(device, || create_texture(device, queue, object));
-        let refused = |error| Err(format!("texture {:?} cannot be made: {error}", object.name));
-        let created = created.and_then(|created| error.map_or(Ok(created), refused));
-        let serial = self.next_serial;
-        self.next_serial += 1;
+        let created = create_or_refuse(device, object);
+        if let Ok(created) = &created {
+            write_texels(queue, &created.texture, object);
+            self.note_complete(object);
+        }
         let (created, result) = match created {
-            Ok(created) => (Some(created), Ok(Some(serial))),
+            Ok(created) => (Some(created), Ok(Some(self.next_serial))),
             Err(problem) => (None, Err(problem)),
         };
-        self.entries.insert(key, Entry { object: Arc::downgrade(object), created, serial });
+        self.insert(object, created, false);
         result
+    }
+
+    fn insert(&mut self, object: &Arc<TextureObject>, created: Option<CreatedTexture>, is_uploading: bool) {
+        let entry = Entry { object: Arc::downgrade(object), created, serial: self.next_serial, is_uploading };
+        self.entries.insert(Arc::as_ptr(object) as usize, entry);
+        self.next_serial += 1;
+    }
+
+    fn note_complete(&mut self, object: &Arc<TextureObject>) {
+        if object.computes_levels() {
+            self.without_levels.push(object.clone());
+        }
+    }
+
+    /// Creates a texture whose texels the caller uploads; [`Self::uploaded`] ends that. Returns `None` for textures that exist,
+    /// have no texels or change. Errors come up when a frame uses the texture.
+    pub(crate) fn announce(&mut self, device: &wgpu::Device, object: &Arc<TextureObject>) -> Option<wgpu::Texture> {
+        let is_known = self.entries.contains_key(&(Arc::as_ptr(object) as usize));
+        if is_known || object.texels.is_empty() || object.is_changing {
+            return None;
+        }
+        let created = create_or_refuse(device, object).ok()?;
+        let texture = created.texture.clone();
+        self.insert(object, Some(created), true);
+        Some(texture)
+    }
+
+    /// Notes that an announced texture is complete in the next frame.
+    pub(crate) fn uploaded(&mut self, object: &Arc<TextureObject>) {
+        if let Some(entry) = self.entries.get_mut(&(Arc::as_ptr(object) as usize)).filter(|entry| entry.is_uploading) {
+            entry.is_uploading = false;
+            self.note_complete(object);
+        }
+    }
+
+    /// Takes the textures whose levels below the first must be computed in the next frame.
+    pub(crate) fn take_without_levels(&mut self) -> Vec<Arc<TextureObject>> {
+        std::mem::take(&mut self.without_levels)
+    }
+
+    /// Returns the size of all textures in bytes, without those that cameras draw into.
+    pub(crate) fn bytes(&self) -> u64 {
+        let textures = self.entries.values().filter_map(|entry| entry.created.as_ref());
+        let written = textures.filter(|created| created.texture.usage().contains(wgpu::TextureUsages::COPY_DST));
+        written.map(|created| texture_bytes(&created.texture)).sum()
     }
 
     /// Writes an image to a texture. Returns true if the texture was replaced by one of the image's size, so that its bind
@@ -120,9 +173,7 @@ impl StateTextures {
                 dimension: Some(wgpu::TextureViewDimension::D2),
                 ..Default::default()
             });
-            let created = Some(CreatedTexture { texture, view, attachments: Vec::new() });
-            self.entries.insert(key, Entry { object: Arc::downgrade(object), created, serial: self.next_serial });
-            self.next_serial += 1;
+            self.insert(object, Some(CreatedTexture { texture, view, attachments: Vec::new() }), false);
         }
         let Some(created) = self.entries.get(&key).and_then(|e| e.created.as_ref()) else { return Ok(!known) };
         for (level, texels) in (0u32..).zip(&image.mips) {
@@ -179,10 +230,7 @@ impl StateTextures {
             return Err(format!("texture {:?} cannot be made: {error}", object.name));
         }
         let view = texture.create_view(&wgpu::TextureViewDescriptor::default());
-        let created = Some(CreatedTexture { texture, view, attachments: Vec::new() });
-        let key = Arc::as_ptr(object) as usize;
-        self.entries.insert(key, Entry { object: Arc::downgrade(object), created, serial: self.next_serial });
-        self.next_serial += 1;
+        self.insert(object, Some(CreatedTexture { texture, view, attachments: Vec::new() }), false);
         Ok(true)
     }
 
@@ -262,11 +310,29 @@ impl StateTextures {
     }
 }
 
-fn create_texture(
-    device: &wgpu::Device,
-    queue: &wgpu::Queue,
-    object: &TextureObject,
-) -> Result<CreatedTexture, String> {
+/// Returns the size of all levels of a texture in bytes.
+fn texture_bytes(texture: &wgpu::Texture) -> u64 {
+    let is_volume = texture.dimension() == wgpu::TextureDimension::D3;
+    let (block_width, block_height) = texture.format().block_dimensions();
+    let block_bytes = u64::from(texture.format().block_copy_size(None).unwrap_or(8));
+    let of_level = |level: u32| {
+        let side = |side: u32| (side >> level).max(1);
+        let depth = if is_volume { side(texture.depth_or_array_layers()) } else { texture.depth_or_array_layers() };
+        let blocks =
+            [side(texture.width()).div_ceil(block_width), side(texture.height()).div_ceil(block_height), depth];
+        blocks.into_iter().map(u64::from).product::<u64>() * block_bytes
+    };
+    (0..texture.mip_level_count()).map(of_level).sum()
+}
+
+/// Creates a texture without its texels. Returns an error text if the device refuses it.
+fn create_or_refuse(device: &wgpu::Device, object: &TextureObject) -> Result<CreatedTexture, String> {
+    let (created, error) = catch_errors(device, || create_texture(device, object));
+    let refused = |error| Err(format!("texture {:?} cannot be made: {error}", object.name));
+    created.and_then(|created| error.map_or(Ok(created), refused))
+}
+
+fn create_texture(device: &wgpu::Device, object: &TextureObject) -> Result<CreatedTexture, String> {
     if let Some(problem) = object.problem() {
         return Err(problem);
     }
@@ -282,7 +348,12 @@ fn create_texture(
     let use_as = if is_target {
         wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::COPY_SRC
     } else {
-        wgpu::TextureUsages::COPY_DST
+        let drawn = if object.computes_levels() {
+            wgpu::TextureUsages::RENDER_ATTACHMENT
+        } else {
+            wgpu::TextureUsages::empty()
+        };
+        wgpu::TextureUsages::COPY_DST | drawn
     };
     let texture = device.create_texture(&wgpu::TextureDescriptor {
         label: Some(&object.name),
@@ -294,6 +365,19 @@ fn create_texture(
         usage: use_as | wgpu::TextureUsages::TEXTURE_BINDING,
         view_formats: &[],
     });
+    // Shaders sample one aspect.
+    let aspect = if object.format.has_stencil() { wgpu::TextureAspect::DepthOnly } else { wgpu::TextureAspect::All };
+    let view = texture.create_view(&wgpu::TextureViewDescriptor {
+        label: Some(&object.name),
+        dimension: Some(view_dimension(object.dimension)),
+        aspect,
+        ..Default::default()
+    });
+    Ok(CreatedTexture { texture, view, attachments: Vec::new() })
+}
+
+/// Writes all texels of a texture by the queue.
+fn write_texels(queue: &wgpu::Queue, texture: &wgpu::Texture, object: &TextureObject) {
     for (level, texels) in (0u32..).zip(&object.texels) {
         let [width, height, depth] = object.level_size(level);
         queue.write_texture(
@@ -307,15 +391,6 @@ fn create_texture(
             wgpu::Extent3d { width, height, depth_or_array_layers: depth },
         );
     }
-    // Shaders sample one aspect.
-    let aspect = if object.format.has_stencil() { wgpu::TextureAspect::DepthOnly } else { wgpu::TextureAspect::All };
-    let view = texture.create_view(&wgpu::TextureViewDescriptor {
-        label: Some(&object.name),
-        dimension: Some(view_dimension(object.dimension)),
-        aspect,
-        ..Default::default()
-    });
-    Ok(CreatedTexture { texture, view, attachments: Vec::new() })
 }
 
 fn create_sampler(device: &wgpu::Device, sampler: &Sampler) -> wgpu::Sampler {

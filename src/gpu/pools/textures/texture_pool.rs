@@ -13,12 +13,13 @@ use super::wgpu_enums::TexelEncoding;
 use crate::gpu::memory::Memory;
 use crate::gpu::pools::allocation::{Allocation, LayerDestination};
 use crate::gpu::pools::bind_group_layouts::BindGroupLayouts;
+use crate::gpu::pools::block_memory::{BlockCopy, BlockLimits, BlockMemory};
 use crate::gpu::pools::identity::Identity;
-use crate::gpu::pools::slot_allocator::{SlotAllocator, block_capacity};
+use crate::gpu::pools::slot_allocator::SlotAllocator;
 use crate::gpu::pools::slot_table::SlotTable;
 use crate::scene::{ContentKey, Sampling, Texture};
 
-/// The target size of a block. Larger images get blocks of one layer.
+/// The maximum size of a block. Larger images get blocks of one layer.
 const BLOCK_BYTES: u64 = 32 << 20;
 /// The maximum number of layers in a block; WebGPU guarantees 256.
 const MAX_BLOCK_LAYERS: u32 = 128;
@@ -51,37 +52,61 @@ struct ImageKind {
 
 struct TextureBlock {
     kind: ImageKind,
-    texture: wgpu::Texture,
+    memory: BlockMemory<wgpu::Texture>,
     sampler: wgpu::Sampler,
+    /// Has the texture that frames read.
     bind_group: wgpu::BindGroup,
     slots: SlotAllocator,
     /// By layer.
     usage: Vec<Usage>,
 }
 
+/// Creates the bind group of a block.
+fn bind_group(
+    device: &wgpu::Device,
+    layouts: &BindGroupLayouts,
+    texture: &wgpu::Texture,
+    sampler: &wgpu::Sampler,
+) -> wgpu::BindGroup {
+    device.create_bind_group(&wgpu::BindGroupDescriptor {
+        label: Some("texture block"),
+        layout: &layouts.texture_block,
+        entries: &[
+            wgpu::BindGroupEntry { binding: 0, resource: wgpu::BindingResource::TextureView(&array_view(texture)) },
+            wgpu::BindGroupEntry { binding: 1, resource: wgpu::BindingResource::Sampler(sampler) },
+        ],
+    })
+}
+
 impl TextureBlock {
     fn new(memory: &Memory, layouts: &BindGroupLayouts, kind: ImageKind, capacity: u32) -> Result<Self, String> {
         let texture = kind.size.allocate(memory, "texture block", capacity, kind.encoding)?;
         let sampler = layouts.sampler(memory.device(), &kind.sampling);
-        let bind_group = memory.device().create_bind_group(&wgpu::BindGroupDescriptor {
-            label: Some("texture block"),
-            layout: &layouts.texture_block,
-            entries: &[
-                wgpu::BindGroupEntry {
-                    binding: 0,
-                    resource: wgpu::BindingResource::TextureView(&array_view(&texture)),
-                },
-                wgpu::BindGroupEntry { binding: 1, resource: wgpu::BindingResource::Sampler(&sampler) },
-            ],
-        });
+        let bind_group = bind_group(memory.device(), layouts, &texture, &sampler);
         let slots = SlotAllocator::new(capacity);
-        let usage = vec![Usage { users: 0, key: (Identity::Address(0), kind.encoding) }; capacity as usize];
-        Ok(Self { kind, texture, sampler, bind_group, slots, usage })
+        let mut block = Self { kind, memory: BlockMemory::new(texture), sampler, bind_group, slots, usage: Vec::new() };
+        block.usage.resize(capacity as usize, block.unused());
+        Ok(block)
     }
 
-    /// Returns the size of the whole block in bytes.
+    fn unused(&self) -> Usage {
+        Usage { users: 0, key: (Identity::Address(0), self.kind.encoding) }
+    }
+
+    /// Gives the block more layers. Returns the copy that must be queued before further uploads to the block.
+    fn grow(&mut self, memory: &Memory, capacity: u32) -> Result<BlockCopy, String> {
+        let to = self.kind.size.allocate(memory, "texture block", capacity, self.kind.encoding)?;
+        let copy = BlockCopy::Layers { from: self.memory.newest().clone(), to: to.clone() };
+        self.memory.grow(to);
+        self.slots.grow(capacity);
+        self.usage.resize(capacity as usize, self.unused());
+        Ok(copy)
+    }
+
+    /// Returns the size of all memory of the block in bytes.
     fn bytes(&self) -> u64 {
-        self.kind.size.bytes() * self.usage.len() as u64
+        let layers = self.memory.all().map(|texture| u64::from(texture.depth_or_array_layers()));
+        self.kind.size.bytes() * layers.sum::<u64>()
     }
 }
 
@@ -98,6 +123,8 @@ pub(crate) struct TexturePool {
     /// Never iterated.
     shared: HashMap<SharedKey, SharedImage>,
     white: Option<TextureLayer>,
+    /// Copies of blocks that have grown, to be queued.
+    copies: Vec<BlockCopy>,
     bytes_in_use: u64,
     bytes_allocated: u64,
 }
@@ -142,10 +169,11 @@ impl TexturePool {
         }
         let (size, encoding) = (ImageSize::ONE_TEXEL, TexelEncoding::Srgb);
         let kind = ImageKind { size, encoding, sampling: Sampling::default() };
-        let white = self.take_layer(memory, layouts, kind)?;
+        // A block of its own, which no copy overwrites.
+        let white = self.take_layer_of_new_block(memory, layouts, kind, 1)?;
         if let Some(block) = self.blocks.get(white.block) {
             let texel = TextureRows { layer: white.layer, ..size.rows_of(0) };
-            write_rows(queue, &block.texture, &texel, &[255; 4]);
+            write_rows(queue, block.memory.newest(), &texel, &[255; 4]);
         }
         self.white = Some(white);
         Ok(white)
@@ -160,37 +188,89 @@ impl TexturePool {
         self.blocks.get_mut(layer.block)?.usage.get_mut(layer.layer as usize)
     }
 
-    /// Takes a free layer, from a new block if necessary.
+    /// Takes a free layer: of a block that has one, else of a block that can grow, else of a new block.
     fn take_layer(
         &mut self,
         memory: &Memory,
         layouts: &BindGroupLayouts,
         kind: ImageKind,
     ) -> Result<TextureLayer, String> {
-        let bytes = kind.size.bytes();
-        let mut blocks_of_kind = 0;
-        for (index, block) in self.blocks.iter_mut() {
-            if block.kind == kind {
-                blocks_of_kind += 1;
-                if let Some(layer) = block.slots.allocate() {
-                    self.bytes_in_use += bytes;
-                    return Ok(TextureLayer { block: index, layer });
-                }
+        let max_slots = MAX_BLOCK_LAYERS.min(memory.limits().max_texture_array_layers);
+        let room_bytes = memory.room_bytes();
+        let limits = BlockLimits { slot_bytes: kind.size.bytes(), max_bytes: BLOCK_BYTES, max_slots, room_bytes };
+        let (mut layers_of_kind, mut growable) = (0, None);
+        let white = self.white.map(|white| white.block);
+        for (index, block) in
+            self.blocks.iter_mut().filter(|(index, block)| block.kind == kind && white != Some(*index))
+        {
+            layers_of_kind += block.slots.capacity();
+            if let Some(layer) = block.slots.allocate() {
+                self.bytes_in_use += limits.slot_bytes;
+                return Ok(TextureLayer { block: index, layer });
             }
+            growable = growable.or(limits.grown(block.slots.capacity()).map(|capacity| (index, capacity)));
         }
-        let max_layers = MAX_BLOCK_LAYERS.min(memory.limits().max_texture_array_layers);
-        let capacity = block_capacity(blocks_of_kind, bytes, BLOCK_BYTES, max_layers);
+        if let Some((block, capacity)) = growable
+            && let Some(layer) = self.grow(memory, block, capacity)
+        {
+            self.bytes_in_use += limits.slot_bytes;
+            return Ok(TextureLayer { block, layer });
+        }
+        self.take_layer_of_new_block(memory, layouts, kind, limits.first(layers_of_kind))
+    }
+
+    /// Grows a block and takes one of its new layers. Returns `None` if there is no memory for that.
+    fn grow(&mut self, memory: &Memory, index: u32, capacity: u32) -> Option<u32> {
+        let block = self.blocks.get_mut(index)?;
+        let bytes_before = block.bytes();
+        let grown = block.grow(memory, capacity);
+        self.bytes_allocated += block.bytes() - bytes_before;
+        self.copies.push(grown.ok()?);
+        block.slots.allocate()
+    }
+
+    fn take_layer_of_new_block(
+        &mut self,
+        memory: &Memory,
+        layouts: &BindGroupLayouts,
+        kind: ImageKind,
+        capacity: u32,
+    ) -> Result<TextureLayer, String> {
         let mut block = TextureBlock::new(memory, layouts, kind, capacity)?;
         let layer = block.slots.allocate().ok_or("a texture block without layers")?;
         self.bytes_allocated += block.bytes();
-        self.bytes_in_use += bytes;
-        let block = self.blocks.insert(block);
-        Ok(TextureLayer { block, layer })
+        self.bytes_in_use += kind.size.bytes();
+        Ok(TextureLayer { block: self.blocks.insert(block), layer })
+    }
+
+    /// Takes the copies that must be queued before further uploads.
+    pub(in crate::gpu::pools) fn take_copies(&mut self) -> impl Iterator<Item = BlockCopy> + '_ {
+        self.copies.drain(..)
+    }
+
+    /// Has frames read what was copied to a texture. Returns the blocks whose textures were replaced.
+    pub(in crate::gpu::pools) fn copied(
+        &mut self,
+        device: &wgpu::Device,
+        layouts: &BindGroupLayouts,
+        to: &wgpu::Texture,
+    ) -> Vec<u32> {
+        let mut replaced = Vec::new();
+        for (index, block) in self.blocks.iter_mut() {
+            let bytes_before = block.bytes();
+            if !block.memory.copied(|oldest| oldest == to) {
+                continue;
+            }
+            block.bind_group = bind_group(device, layouts, block.memory.drawn(), &block.sampler);
+            self.bytes_allocated -= bytes_before - block.bytes();
+            replaced.push(index);
+        }
+        replaced
     }
 
     pub(in crate::gpu) fn destination(&self, layer: TextureLayer) -> Option<LayerDestination> {
         let block = self.blocks.get(layer.block)?;
-        Some(LayerDestination { texture: block.texture.clone(), layer: layer.layer })
+        Some(LayerDestination { texture: block.memory.newest().clone(), layer: layer.layer })
     }
 
     /// Removes one user of a layer. Frees the layer after its last user, and the block after its last layer.
@@ -219,7 +299,7 @@ impl TexturePool {
 
     /// Returns the view of a block's images and their sampler.
     pub(in crate::gpu::pools) fn view(&self, block: u32) -> Option<(wgpu::TextureView, &wgpu::Sampler)> {
-        self.blocks.get(block).map(|block| (array_view(&block.texture), &block.sampler))
+        self.blocks.get(block).map(|block| (array_view(block.memory.drawn()), &block.sampler))
     }
 
     pub(crate) fn bind_group(&self, block: u32) -> Option<&wgpu::BindGroup> {

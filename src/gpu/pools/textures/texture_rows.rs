@@ -1,7 +1,5 @@
 //! [`TextureRows`]: the part of a texture that one step of an upload writes. Draw thread, or the compile thread.
 
-use crate::scene::TexelFormat;
-
 /// Whole rows of one level of one layer. A row of a compressed format is a row of blocks.
 pub(in crate::gpu) struct TextureRows {
     pub(in crate::gpu) layer: u32,
@@ -12,29 +10,26 @@ pub(in crate::gpu) struct TextureRows {
     pub(in crate::gpu) count: u32,
     /// The width of the level in texels.
     pub(in crate::gpu) width: u32,
-    /// The format of the texels; RGBA8 stands for all formats of 4 bytes a texel.
-    pub(in crate::gpu) format: TexelFormat,
+    /// The size of a row in bytes.
+    pub(in crate::gpu) row_bytes: u32,
+    /// The side of a block of texels: 1 for formats without compression.
+    pub(in crate::gpu) block_side: u32,
 }
 
 impl TextureRows {
-    /// Returns the size of a row in bytes.
-    pub(in crate::gpu) fn row_bytes(&self) -> u32 {
-        self.format.row_bytes(self.width) as u32
-    }
-
     /// Returns the position of the first row in a texture.
     pub(in crate::gpu) fn destination<'a>(&self, texture: &'a wgpu::Texture) -> wgpu::TexelCopyTextureInfo<'a> {
         wgpu::TexelCopyTextureInfo {
             texture,
             mip_level: self.level,
-            origin: wgpu::Origin3d { x: 0, y: self.first * self.format.block_side(), z: self.layer },
+            origin: wgpu::Origin3d { x: 0, y: self.first * self.block_side, z: self.layer },
             aspect: wgpu::TextureAspect::All,
         }
     }
 
     /// Returns the size of the rows in texels. Blocks reach beyond the edges of small levels.
     pub(in crate::gpu) fn extent(&self) -> wgpu::Extent3d {
-        let side = self.format.block_side();
+        let side = self.block_side;
         let (width, height) = (self.width.next_multiple_of(side), self.count * side);
         wgpu::Extent3d { width, height, depth_or_array_layers: 1 }
     }
@@ -42,7 +37,7 @@ impl TextureRows {
 
 /// Writes rows by the queue; `data` holds exactly these rows. Only the thread that submits may call it.
 pub(in crate::gpu) fn write_rows(queue: &wgpu::Queue, texture: &wgpu::Texture, rows: &TextureRows, data: &[u8]) {
-    let bytes_per_row = Some(rows.row_bytes());
+    let bytes_per_row = Some(rows.row_bytes);
     let layout = wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row, rows_per_image: None };
     queue.write_texture(rows.destination(texture), data, layout, rows.extent());
 }

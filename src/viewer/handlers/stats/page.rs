@@ -180,7 +180,7 @@ mod tests {
     fn page_fits_images_down_to_320_by_240() {
         for screen in [[320.0, 240.0], [640.0, 240.0], [320.0, 480.0], [480.0, 300.0], [560.0, 560.0], [1280.0, 720.0]]
         {
-            for lengths in [&[][..], &[9], &[9, 21], &[9, 6, 21]] {
+            for lengths in [&[][..], &[9], &[9, 24], &[9, 6, 24]] {
                 let (rect, is_whole) = shown(screen, lengths);
                 assert!(is_whole, "{screen:?} {lengths:?}: {rect:?}");
                 assert!(rect.max.x <= screen[0] && rect.max.y <= screen[1], "{screen:?} {lengths:?}: {rect:?}");
@@ -190,13 +190,13 @@ mod tests {
 
     #[test]
     fn text_is_as_large_as_fits() {
-        let sizes = [9, 21].map(|cells| vec![Vec2::new(7.0, 5.0); cells]);
+        let sizes = [9, 24].map(|cells| vec![Vec2::new(7.0, 5.0); cells]);
         let of = |x: f32, y: f32| layout(Vec2::new(x, y), true, &sizes, |text| 1.25 * text);
         assert_eq!(of(460.0, 700.0), Layout { text: 13.0, chart: 70.0, columns: 2 });
         assert!(of(460.0, 300.0).text > of(290.0, 220.0).text);
         // When nothing fits, the page scrolls.
         assert_eq!(of(50.0, 50.0), Layout { text: 7.5, chart: 0.0, columns: 2 });
-        let (rect, is_whole) = shown([200.0, 100.0], &[9, 21]);
+        let (rect, is_whole) = shown([200.0, 100.0], &[9, 24]);
         assert!(!is_whole && rect.max.y <= 100.0, "{rect:?}");
     }
 }

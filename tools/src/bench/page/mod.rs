@@ -107,6 +107,8 @@ struct Bench {
     scene: Scene,
     pager: DatabasePager,
     context: UploadContext,
+    /// The start of the reference time.
+    started: Instant,
     renderer: Option<terrane::draw::Renderer>,
     visitor: CullVisitor,
     stage: RenderStage,
@@ -184,6 +186,7 @@ pub fn run(options: Options) -> Result<()> {
         scene,
         pager,
         context: UploadContext(graphics),
+        started: Instant::now(),
         renderer,
         visitor: CullVisitor::new(),
         stage: RenderStage::new(),
@@ -332,7 +335,9 @@ impl Bench {
         if is_flying {
             self.look_ahead(frame);
         }
-        self.pager.update_scene_graph(&mut self.scene, self.frame, &self.stage.requests, &mut [&mut self.context]);
+        let time_s = self.started.elapsed().as_secs_f64();
+        let contexts: &mut [&mut dyn CompileContext] = &mut [&mut self.context];
+        self.pager.update_scene_graph(&mut self.scene, self.frame, time_s, &self.stage.requests, contexts);
         let t1 = Instant::now();
         self.visitor.cull(&self.scene, &self.camera(self.pose(frame), self.frame), &mut self.stage);
         self.pager.request(&self.scene, &self.stage.requests);

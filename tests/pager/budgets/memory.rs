@@ -23,7 +23,7 @@ fn budgets_hold_in_every_frame_and_visible_tiles_load_first() {
         max_bytes_gpu: 40 * PAGE_GPU_BYTES,
         max_bytes_cpu: 80 << 10,
         max_tiles: 60,
-        expiry_frames: 2,
+        expiry_time: Duration::ZERO,
         ..PagerConfig::default()
     };
     let mut run = Run::new(folder.path().to_str().unwrap(), config.clone());
@@ -102,27 +102,30 @@ const FAR_M: f64 = 1e5;
 #[test]
 fn page_stays_for_the_time_of_its_options() {
     let folder = tempfile::tempdir().unwrap();
-    let config = PagerConfig { max_tiles: 1, expiry_frames: 2, ..PagerConfig::default() };
+    let config = PagerConfig { max_tiles: 1, expiry_time: Duration::ZERO, ..PagerConfig::default() };
     let (first, second) = (above(30.0), above(30.0) + DVec3::X * FAR_M);
     let merged = |run: &Run| run.pager.stats().merged;
     let frames_until_second = |options| {
         let mut run = two_tiles(folder.path(), options, config.clone());
         run.until(first, "the first page was not loaded", |r| merged(r) == 1);
         run.frame(first);
-        let (frame, start) = (run.frame, Instant::now());
-        while merged(&run) == 1 && run.frame - frame < 3000 && start.elapsed() < Duration::from_secs(2) {
+        let (frame, time_s) = (run.frame, run.time_s);
+        // Beyond these frames there is time for the load.
+        let end = Instant::now() + Duration::from_secs(20);
+        while merged(&run) == 1 && (run.frame - frame < 3000 || run.pager.stats().in_flight > 0) {
+            assert!(Instant::now() < end, "the second page hangs: {:?}", run.pager.stats());
             run.frame(second);
             std::thread::sleep(Duration::from_micros(500));
         }
-        (merged(&run), run.frame - frame, start.elapsed())
+        (merged(&run), run.frame - frame, run.time_s - time_s)
     };
     let (merged, soon, _) = frames_until_second(PagingOptions::default());
     assert_eq!(merged, 2);
     let frames = soon + 200;
     let (merged, later, _) = frames_until_second(PagingOptions { min_expiry_frames: frames, ..Default::default() });
     assert!(merged == 2 && later > frames, "{later} of {frames}");
-    let (merged, _, took) = frames_until_second(PagingOptions { min_expiry_s: 0.3, ..Default::default() });
-    assert!(merged == 2 && took > Duration::from_millis(300), "{took:?}");
+    let (merged, _, took_s) = frames_until_second(PagingOptions { min_expiry_s: 10.0, ..Default::default() });
+    assert!(merged == 2 && took_s >= 10.0, "{took_s}");
     for stays in [
         PagingOptions { cannot_expire: true, ..Default::default() },
         // Without the options it is evicted at once.
@@ -175,7 +178,7 @@ fn stale_request_reads_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let content_bytes = write_quadtree(folder.path());
     // There is room for the root only, so that other requests wait.
-    let config = PagerConfig { max_tiles: 1, stale_frames: 3, ..PagerConfig::default() };
+    let config = PagerConfig { max_tiles: 1, ..PagerConfig::default() };
     let mut run = Run::new(folder.path().to_str().unwrap(), config);
     let far = DVec3::new(0.5 * WORLD_M, 0.5 * WORLD_M, 500_000.0);
     run.until(far, "the root was not loaded", |r| r.pager.stats().merged == 1);
@@ -241,7 +244,7 @@ fn write_nested(folder: &Path) {
 fn uploads_of_an_expired_tileset_are_released() {
     let folder = tempfile::tempdir().unwrap();
     write_nested(folder.path());
-    let config = PagerConfig { max_tiles: 3, expiry_frames: 2, ..PagerConfig::default() };
+    let config = PagerConfig { max_tiles: 3, expiry_time: Duration::ZERO, ..PagerConfig::default() };
     let (near, far) = (DVec3::new(0.0, 0.0, 40.0), DVec3::new(0.0, 0.0, 100_000.0));
     let mut run = loop {
         let mut run = Run::new(folder.path().to_str().unwrap(), config.clone());

@@ -1,0 +1,5 @@
+//! Budgets of memory, which pages leave first, and the time that an update takes.
+
+mod eviction;
+mod memory;
+mod update_time;
