@@ -89,7 +89,7 @@ fn failure_by_the_network_is_repeated() {
         assert_eq!(out.status.code(), Some(1), "{said}");
         said.lines().filter(|line| line.starts_with("    frame ")).map(str::to_owned).collect::<Vec<_>>()
     };
-    for seed in ["1", "3", "6"] {
+    for seed in ["3", "6"] {
         let first = failures(seed);
         assert!(first.iter().any(|failure| failure.contains("faults kept tiles from loading")), "{first:?}");
         assert_eq!(failures(seed), first, "seed {seed}");
