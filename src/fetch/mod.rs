@@ -20,6 +20,8 @@ mod object_store;
 mod panic_guard;
 mod percent;
 mod scope;
+#[cfg(feature = "http")]
+pub mod services;
 mod source;
 mod time_limit;
 mod uri;

@@ -32,7 +32,7 @@ pub mod writers;
 pub use database_path::set_database_path;
 pub use ignored::{Ignored, IgnoredLog};
 pub(crate) use image::decode_file as decode_image;
-pub use options::{Content, Fetched, ReadOptions};
+pub use options::{Content, ContentReader, Fetched, ReadOptions};
 pub(crate) use read::MAX_DEPENDENCY_ROUNDS;
 #[cfg(feature = "http")]
 pub(crate) use read::has_slow_dependencies;

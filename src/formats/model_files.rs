@@ -25,6 +25,10 @@ fn of_part(base: &str, bytes: &[u8], known: &[Fetched], options: &ReadOptions, d
         let references = gltf::references(base, bytes, options);
         references.iter().filter_map(|reference| resolve(base, reference, &options.root).ok()).collect()
     };
+    if let Some(reader) = options.reader_of(base, bytes) {
+        let references = reader.references(base, bytes);
+        return references.iter().filter_map(|reference| resolve(base, reference, &options.root).ok()).collect();
+    }
     let (text, first) = text_and_first_byte(bytes);
     match bytes.get(..4) {
         Some(b"glTF") => of_gltf(bytes),

@@ -1,4 +1,4 @@
-//! [`ReadOptions`] and [`Content`]: the input of all decoders.
+//! [`ReadOptions`] and [`Content`]: the input of all decoders. And [`ContentReader`], for formats of an application's own.
 
 use std::sync::Arc;
 
@@ -8,7 +8,7 @@ use super::ignored::IgnoredLog;
 use super::style::Style;
 use super::tile::UpAxis;
 use crate::fetch::{IoError, Limits, RootScope, resolve, shown};
-use crate::scene::{BlockFormats, ReaderData, SharedStateManager};
+use crate::scene::{BlockFormats, Node, ReaderData, SharedStateManager};
 
 /// Options that all reads of a tile set share.
 #[derive(Clone, Debug)]
@@ -50,6 +50,8 @@ pub struct ReadOptions {
     /// Computes the [`NormalCone`](crate::scene::NormalCone) of single-sided meshes, by which culls leave out those that show
     /// only their backs. On by default; it reads each triangle twice, some 30 ns.
     pub cluster_culling: bool,
+    /// Readers of an application's own formats. Each content is offered to them in their order before the built-in readers.
+    pub readers: Arc<[Arc<dyn ContentReader>]>,
     /// Shares equal images, meshes and states between contents; `None` by default. A pager sets its own.
     pub sharing: Option<Arc<SharedStateManager>>,
     /// Collects what contents ask for and their readers leave out. Copies of these options share it.
@@ -73,6 +75,7 @@ impl ReadOptions {
             block_formats: BlockFormats::NONE,
             style: None,
             cluster_culling: true,
+            readers: Arc::new([]),
             sharing: None,
             ignored: IgnoredLog::default(),
         }
@@ -108,6 +111,35 @@ impl ReadOptions {
                 Ok((moved, fallback))
             }
         }
+    }
+}
+
+/// Reads contents of an application's own format; the counterpart of a `ReaderWriter` plugin of OSG's `osgDB`. Decode threads
+/// call it, several at the same time. If it panics, only that content fails.
+///
+/// A tile set's root may be such a content, and its nodes may be [`PagedLod`](crate::scene::PagedLod)s that refer to others.
+pub trait ContentReader: std::fmt::Debug + Send + Sync {
+    /// Returns true if this reader reads a content. `bytes` are as received, but decompressed if they were a gzip file.
+    fn accepts(&self, uri: &str, bytes: &[u8]) -> bool;
+
+    /// Returns references to other files that the content needs, such as images, relative to its address. They are fetched
+    /// before [`Self::read`] is called. None by default.
+    fn references(&self, uri: &str, bytes: &[u8]) -> Vec<String> {
+        let _ = (uri, bytes);
+        Vec::new()
+    }
+
+    /// Reads a content. `files` are the files of its references, by their URI. Positions are in the frame of the tile.
+    ///
+    /// # Errors
+    /// The reason why the content is invalid. It is reported with the URI, and the tile counts as failed.
+    fn read(&self, uri: &str, bytes: &[u8], files: &[Fetched], options: &ReadOptions) -> Result<Node, String>;
+}
+
+impl ReadOptions {
+    /// Returns the application's reader of a content, if one accepts it.
+    pub(super) fn reader_of(&self, uri: &str, bytes: &[u8]) -> Option<&dyn ContentReader> {
+        self.readers.iter().find(|reader| reader.accepts(uri, bytes)).map(|reader| &**reader)
     }
 }
 

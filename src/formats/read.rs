@@ -207,6 +207,9 @@ fn read_bytes(
     notes: &Notes,
 ) -> Result<Node, IoError> {
     let bytes = encoding::gunzip(uri, bytes, &options.limits)?;
+    if let Some(reader) = options.reader_of(uri, &bytes) {
+        return reader.read(uri, &bytes, &companions, options).map_err(|reason| IoError::invalid(uri, reason));
+    }
     if bytes.starts_with(&[0x76, 0x2f, 0x31, 0x01]) {
         return height::read(uri, &bytes, text, companions, options, notes);
     }

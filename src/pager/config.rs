@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use crate::fetch::{IoError, Limits};
-use crate::formats::Style;
+use crate::formats::{ContentReader, Style};
 use crate::scene::ShareModes;
 
 /// The time limit for reading a local file by default: longer than a disk that was stopped takes to start.
@@ -90,6 +90,8 @@ pub struct PagerConfig {
     pub keep_features: bool,
     /// The style of scenes whose own options have none; see [`ReadOptions::style`](crate::formats::ReadOptions::style).
     pub style: Option<Arc<Style>>,
+    /// Readers of an application's own formats, for all scenes.
+    pub content_readers: Arc<[Arc<dyn ContentReader>]>,
     /// Which equal contents of different tiles are shared; see [`SharedStateManager`](crate::scene::SharedStateManager).
     pub sharing: ShareModes,
 }
@@ -125,6 +127,7 @@ impl Default for PagerConfig {
             vertex_attributes: Arc::default(),
             keep_features: false,
             style: None,
+            content_readers: Arc::new([]),
             sharing: ShareModes::default(),
         }
     }

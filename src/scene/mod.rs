@@ -53,9 +53,9 @@ pub use intersect::{
     RayIntersector, Vertical, WindowView,
 };
 pub use nodes::{
-    Attachment, Billboard, BillboardMode, CallbackStateSet, CameraNode, CameraTarget, ClampProjection, ClearNode,
-    ClipNode, ConvexPlanarOccluder, CullAction, CullCallback, CullInfo, CullPass, EventCallback, LightSource,
-    LocalLights, MAX_DEPTH, Node, NodeCallback, NodeKind, OcclusionQueryNode, OcclusionResults, PagedLod,
+    Attachment, AutoScale, Billboard, BillboardMode, CallbackStateSet, CameraNode, CameraTarget, ClampProjection,
+    ClearNode, ClipNode, ConvexPlanarOccluder, CullAction, CullCallback, CullInfo, CullPass, EventCallback,
+    LightSource, LocalLights, MAX_DEPTH, Node, NodeCallback, NodeKind, OcclusionQueryNode, OcclusionResults, PagedLod,
     PagingOptions, Picture, PictureSink, ProxyLoading, ProxyNode, RangeMode, ReaderData, ReaderValue, ReferenceFrame,
     Refine, RenderOrder, TexGenNode, Traverse, UpdateCallback, UpdateInfo,
 };

@@ -8,9 +8,7 @@ use glam::{DAffine3, DVec3};
 use kit::cull_scenes::drawable;
 use terrane::cull::{CullCamera, RenderStage};
 use terrane::math::Aabb;
-use terrane::scene::{
-    AlphaMode, Billboard, BillboardMode, CullAction, CullCallback, CullPass, Drawable, LocalLights, Node, NodeKind,
-};
+use terrane::scene::{AlphaMode, Billboard, CullAction, CullCallback, CullPass, Drawable, LocalLights, Node, NodeKind};
 use terrane::state::{BinDetails, Light, SortMode, StateSet};
 
 fn named(name: &str) -> Arc<StateSet> {
@@ -104,7 +102,7 @@ fn nodes_that_are_never_culled_and_billboards_ask_their_drawables() {
     let geode = Node { culling_active: false, ..Node::geode(vec![skipped(), twice()]) };
     assert_eq!(reds(&cull(geode, &camera())), [(1, 2.0), (1, 3.0)]);
     let drawables = vec![(DVec3::ZERO, skipped()), (DVec3::ZERO, twice())];
-    let billboard = Billboard { mode: BillboardMode::PointRotEye, drawables };
+    let billboard = Billboard { drawables, ..Billboard::default() };
     let node = Node::new(NodeKind::Billboard(Box::new(billboard)));
     assert_eq!(reds(&cull(node, &camera())), [(1, 2.0), (1, 3.0)]);
 }

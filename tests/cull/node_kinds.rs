@@ -10,8 +10,8 @@ use kit::cull_scenes::{drawable, look_at};
 use terrane::cull::{CullCamera, CullVisitor, PositionedTexGen, RenderStage};
 use terrane::math::Aabb;
 use terrane::scene::{
-    Billboard, BillboardMode, ClearNode, ClipNode, ConvexPlanarOccluder, CullAction, CullCallback, CullingMode,
-    LightSource, LocalLights, Node, NodeKind, NormalCone, OcclusionQueryNode, ReferenceFrame, TexGenNode,
+    AutoScale, Billboard, BillboardMode, ClearNode, ClipNode, ConvexPlanarOccluder, CullAction, CullCallback,
+    CullingMode, LightSource, LocalLights, Node, NodeKind, NormalCone, OcclusionQueryNode, ReferenceFrame, TexGenNode,
 };
 use terrane::state::{Light, Mode, TexGen};
 
@@ -22,6 +22,7 @@ fn billboards_face_the_eye() {
     let look = look_at(eye, DVec3::ZERO, DVec3::Z);
     for mode in [
         BillboardMode::PointRotEye,
+        BillboardMode::NoRotation,
         BillboardMode::PointRotWorld,
         BillboardMode::AxialRot { axis: DVec3::Z },
         BillboardMode::AxialRot { axis: DVec3::X },
@@ -30,6 +31,7 @@ fn billboards_face_the_eye() {
         let node = Node::new(NodeKind::Billboard(Box::new(Billboard {
             mode,
             drawables: vec![(position, flat.clone()), (DVec3::new(0.0, -500.0, 0.0), flat.clone())],
+            ..Billboard::default()
         })));
         let turn = DAffine3::from_rotation_z(0.7);
         let stage = cull(Node::transform(turn, vec![node]), &look);
@@ -48,6 +50,10 @@ fn billboards_face_the_eye() {
         let to_eye = -at.normalize();
         match mode {
             BillboardMode::PointRotEye => assert!(normal.distance(DVec3::Z) + up.distance(DVec3::Y) < 1e-5),
+            BillboardMode::NoRotation => {
+                let to_eye_space = |v: DVec3| look.eye_from_world.transform_vector3(turn.transform_vector3(v));
+                assert!(right.distance(to_eye_space(DVec3::X)) + up.distance(to_eye_space(DVec3::Z)) < 1e-5);
+            }
             BillboardMode::PointRotWorld => assert!(normal.distance(to_eye) < 1e-4),
             BillboardMode::AxialRot { axis } => {
                 let axis_in_eye = look.eye_from_world.transform_vector3(turn.transform_vector3(axis));
@@ -57,6 +63,40 @@ fn billboards_face_the_eye() {
             }
         }
     }
+}
+
+/// Returns the scale and the depth in metres of a stage's only leaf.
+fn scale_and_depth(stage: &RenderStage) -> (f64, f64) {
+    let rows = stage.eye_from_drawable[stage.bins[0].leaves[0].matrix as usize];
+    let column = DVec3::from_array(rows.map(|row| f64::from(row[0])));
+    (column.length(), -f64::from(rows[2][3]))
+}
+
+#[test]
+fn auto_scale_keeps_the_size_in_pixels_between_its_limits() {
+    let shape = drawable(Aabb { min: DVec3::splat(-8.0), max: DVec3::splat(8.0) });
+    let node_scale = 2.0;
+    let cull_from = |distance: f64, max: f64, mode: BillboardMode| {
+        let drawables = vec![(DVec3::X, shape.clone())];
+        let billboard = Billboard { mode, auto_scale: Some(AutoScale { min: 0.02, max }), drawables };
+        let node = Node::new(NodeKind::Billboard(Box::new(billboard)));
+        let look = look_at(DVec3::new(node_scale, -distance, 0.0), DVec3::X * node_scale, DVec3::Z);
+        (cull(Node::transform(DAffine3::from_scale(DVec3::splat(node_scale)), vec![node]), &look), look)
+    };
+    for mode in [BillboardMode::PointRotEye, BillboardMode::NoRotation, BillboardMode::PointRotWorld] {
+        for distance in [10.0, 100.0, 1_000.0, 10_000.0] {
+            let (stage, look) = cull_from(distance, 1.0, mode);
+            let expected = (distance / look.px_per_radian()).clamp(0.02 * node_scale, node_scale);
+            let (scale, depth) = scale_and_depth(&stage);
+            assert!((scale / expected - 1.0).abs() < 1e-5, "{mode:?} at {distance} m: {scale} m, not {expected}");
+            assert!((depth / distance - 1.0).abs() < 1e-5);
+        }
+    }
+    // Near and far fit the drawable at its scale, not at the largest.
+    let (stage, look) = cull_from(100.0, f64::INFINITY, BillboardMode::PointRotEye);
+    let half = 8.0 * 100.0 / look.px_per_radian();
+    let (near, far) = (stage.near_m, stage.far_m);
+    assert!((near - (100.0 - half)).abs() < 0.01 && (far - (100.0 + half)).abs() < 0.01, "{near} to {far}");
 }
 
 /// Regression: the bounds were those of the drawable in the node's frame, but a billboard is scaled along the axes of the
@@ -70,7 +110,7 @@ fn billboards_below_uneven_scales_are_visible_up_to_the_edge() {
     let at = |y: f64| DAffine3::from_translation(DVec3::new(0.0, y, 0.0));
     let billboard = |y: f64| {
         let drawables = vec![(DVec3::ZERO, flat.clone())];
-        let node = Node::new(NodeKind::Billboard(Box::new(Billboard { mode: BillboardMode::PointRotEye, drawables })));
+        let node = Node::new(NodeKind::Billboard(Box::new(Billboard { drawables, ..Billboard::default() })));
         Node::transform(at(y) * DAffine3::from_scale(DVec3::new(20.0, 1.0, 1.0)), vec![node])
     };
     let edge = (1..1000).map(f64::from).find(|y| !is_seen(Node::transform(at(*y), vec![cube(DVec3::ZERO)]))).unwrap();
@@ -297,10 +337,8 @@ fn nodes_with_inactive_culling_are_never_culled() {
     let bounds = |center: DVec3, half: f64| Aabb { min: center - half, max: center + half };
     let kinds = |active: bool| {
         let of = |node: Node| Node { culling_active: active, ..node };
-        let billboard = Billboard {
-            mode: BillboardMode::PointRotEye,
-            drawables: vec![(aside, drawable(bounds(DVec3::ZERO, 0.5)))],
-        };
+        let billboard =
+            Billboard { drawables: vec![(aside, drawable(bounds(DVec3::ZERO, 0.5)))], ..Billboard::default() };
         let corner = |x, z| DVec3::new(x, 3.0, z);
         let corners = vec![corner(-5.0, -5.0), corner(5.0, -5.0), corner(5.0, 5.0), corner(-5.0, 5.0)];
         let wall = ConvexPlanarOccluder { corners, holes: vec![] };

@@ -468,7 +468,7 @@ fn billboards_show_their_full_face() {
         count(&picture, [255, 0, 0]) as f64 / (metre_px * metre_px)
     };
     let turned = |mode| {
-        let billboard = Billboard { mode, drawables: vec![(DVec3::ZERO, flat())] };
+        let billboard = Billboard { mode, drawables: vec![(DVec3::ZERO, flat())], ..Billboard::default() };
         Node::new(NodeKind::Billboard(Box::new(billboard)))
     };
     let still = covered(Node::geode(vec![flat()]));

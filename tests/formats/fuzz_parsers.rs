@@ -8,6 +8,7 @@ use kit::compressed::{Triangles, uastc_ktx2};
 use kit::contents::{GLTF_1, b3dm_bytes, cmpt_bytes, glb_1, padded, pnts_bytes, pnts_with_batches};
 use kit::fuzz::Parser;
 use kit::subtrees::{Scheme, Subtree};
+use terrane::fetch::services::fuzz_ion_endpoint;
 use terrane::fetch::{DECODER_PANICKED, FileReader, IoError, Limits};
 use terrane::fetch::{RootScope, is_http, resolve, root_uri};
 use terrane::fetch::{fuzz_cache_entry, fuzz_encoding, fuzz_headers, fuzz_index, fuzz_pmtiles, fuzz_url};
@@ -547,6 +548,14 @@ fn http_headers() -> Parser {
     })
 }
 
+fn ion_endpoints() -> Parser {
+    let seeds = [
+        r#"{"type":"3DTILES","url":"https://a/t.json","accessToken":"t","attributions":[{"html":"<b>A</b>"}]}"#,
+        r#"{"type":"TERRAIN","externalType":"3DTILES","options":{"url":"https://b/"}}"#,
+    ];
+    Parser::new("ion-endpoint", seeds, fuzz_ion_endpoint)
+}
+
 fn encodings() -> Parser {
     let text = TILESET.as_bytes();
     let mut gzip = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
@@ -594,6 +603,7 @@ kit::parsers! {
     arrangements,
     display_settings,
     http_headers,
+    ion_endpoints,
     encodings,
     cache_entries,
 }

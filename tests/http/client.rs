@@ -122,7 +122,7 @@ fn waiting_request_takes_over_from_an_aborted_one() {
 
 #[test]
 fn many_requests_share_few_http2_connections() {
-    let (address, connections) = http2_server();
+    let (address, connections) = http2_server(0);
     let client = HttpClient::new(&HttpConfig { http2_only: true, ..quick() }).unwrap();
     runtime().block_on(async {
         let mut tasks = tokio::task::JoinSet::new();
@@ -138,8 +138,27 @@ fn many_requests_share_few_http2_connections() {
     assert_eq!(connections.load(std::sync::atomic::Ordering::Relaxed), 1);
 }
 
-/// Answers with the version and path of each request, and counts connections.
-fn http2_server() -> (std::net::SocketAddr, std::sync::Arc<std::sync::atomic::AtomicUsize>) {
+/// Regression: answers that were lost because another one ended their connection counted as failures of their own.
+#[test]
+fn requests_survive_lost_http2_connections() {
+    let (address, connections) = http2_server(6);
+    let get = |max_retries| {
+        let client = HttpClient::new(&HttpConfig { http2_only: true, max_retries, ..quick() }).unwrap();
+        runtime().block_on(client.get(&format!("http://{address}/a"), &Limits::default()))
+    };
+    assert!(matches!(get(0), Err(IoError::Network { .. })), "nothing is retried without retries");
+    assert_eq!(get(1).unwrap().bytes, b"HTTP/2.0 /a");
+    assert_eq!(connections.load(std::sync::atomic::Ordering::Relaxed), 7);
+    let (address, connections) = http2_server(usize::MAX);
+    let client = HttpClient::new(&HttpConfig { http2_only: true, max_retries: 1, ..quick() }).unwrap();
+    let got = runtime().block_on(client.get(&format!("http://{address}/a"), &Limits::default()));
+    assert!(matches!(got, Err(IoError::Network { .. })), "{got:?}");
+    assert_eq!(connections.load(std::sync::atomic::Ordering::Relaxed), 16 + 2, "they are not repeated forever");
+}
+
+/// Answers with the version and path of each request, and counts connections. The first `lost` connections end with the first
+/// request.
+fn http2_server(lost: usize) -> (std::net::SocketAddr, std::sync::Arc<std::sync::atomic::AtomicUsize>) {
     let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     listener.set_nonblocking(true).unwrap();
     let address = listener.local_addr().unwrap();
@@ -150,9 +169,13 @@ fn http2_server() -> (std::net::SocketAddr, std::sync::Arc<std::sync::atomic::At
             let listener = tokio::net::TcpListener::from_std(listener).unwrap();
             loop {
                 let (stream, _) = listener.accept().await.unwrap();
-                count.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+                let is_lost = count.fetch_add(1, std::sync::atomic::Ordering::Relaxed) < lost;
                 tokio::spawn(async move {
                     let mut connection = h2::server::handshake(stream).await.unwrap();
+                    if is_lost {
+                        let _ = connection.accept().await;
+                        return;
+                    }
                     while let Some(Ok((request, mut respond))) = connection.accept().await {
                         let text = format!("{:?} {}", request.version(), request.uri().path());
                         let mut body = respond.send_response(http::Response::new(()), false).unwrap();

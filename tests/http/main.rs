@@ -19,5 +19,6 @@ mod hosts;
 mod loading_budget;
 #[cfg(feature = "object-store")]
 mod object_stores;
+mod services;
 #[cfg(feature = "http")]
 mod tls;

@@ -199,7 +199,7 @@ impl Maker {
         ]);
         let drawables =
             (0..1 + self.random.below(3)).map(|_| (self.random.point(5.0), self.random.one_of(&self.shapes))).collect();
-        Node::new(NodeKind::Billboard(Box::new(Billboard { mode, drawables })))
+        Node::new(NodeKind::Billboard(Box::new(Billboard { mode, drawables, ..Billboard::default() })))
     }
 
     fn light(&mut self, depth: u32) -> Node {

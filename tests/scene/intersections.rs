@@ -10,7 +10,7 @@ use proptest::prelude::*;
 use terrane::cull::{CullCamera, CullVisitor, RenderStage};
 use terrane::math::Aabb;
 use terrane::scene::{
-    Billboard, BillboardMode, CullingMode, DrawSlot, Drawable, EyePoint, Geometry, HeightTile, Intersection,
+    AutoScale, Billboard, BillboardMode, CullingMode, DrawSlot, Drawable, EyePoint, Geometry, HeightTile, Intersection,
     IntersectionLimit, IntersectionVisitor, LineSegmentIntersector, LodSelection, Material, Mesh, MeshVertex, Node,
     NodeId, NodeKind, Page, PolytopeIntersector, RayIntersector, Refine, Scene, Topology,
 };
@@ -66,11 +66,16 @@ fn graph(random: &mut Random, depth: usize) -> Node {
             Node::new(NodeKind::Lod { center: random.point(10.0), ranges_m })
         }
         7 => {
-            let mode =
-                [BillboardMode::PointRotEye, BillboardMode::PointRotWorld, BillboardMode::AxialRot { axis: DVec3::Z }]
-                    [random.below(3)];
+            let modes = [
+                BillboardMode::PointRotEye,
+                BillboardMode::PointRotWorld,
+                BillboardMode::NoRotation,
+                BillboardMode::AxialRot { axis: DVec3::Z },
+            ];
+            let mode = modes[random.below(modes.len())];
+            let auto_scale = (random.next() < 0.5).then_some(AutoScale { min: 0.05, max: 1.5 });
             let drawables = (0..2).map(|_| (random.point(20.0), drawable(mesh(random, Topology::Triangles)))).collect();
-            Node::new(NodeKind::Billboard(Box::new(Billboard { mode, drawables })))
+            Node::new(NodeKind::Billboard(Box::new(Billboard { mode, auto_scale, drawables })))
         }
         8 => Node::new(NodeKind::AbsoluteTransform(affine(random))),
         _ => Node::geode((0..1 + random.below(3)).map(|_| drawable(mesh(random, Topology::Triangles))).collect()),
@@ -129,7 +134,7 @@ impl Oracle {
             }
             NodeKind::Billboard(billboard) => {
                 for (position, drawable) in &billboard.drawables {
-                    let turned = world.and_then(|w| Some(turned(&billboard.mode, *position, w, &self.eye?)));
+                    let turned = world.and_then(|w| Some(turned(billboard, *position, w, &self.eye?)));
                     self.drawable(drawable, turned);
                 }
             }
@@ -142,11 +147,12 @@ impl Oracle {
 }
 
 /// Returns the transform from a billboard's drawable to the world: x right, -y towards the viewer, z up.
-fn turned(mode: &BillboardMode, position: DVec3, world_from_node: DAffine3, eye: &EyePoint) -> DAffine3 {
+fn turned(billboard: &Billboard, position: DVec3, world_from_node: DAffine3, eye: &EyePoint) -> DAffine3 {
     let m = world_from_node.matrix3;
     let place = world_from_node.transform_point3(position);
     let to_eye = (world_from_node.inverse().transform_point3(eye.position()) - position).normalize();
-    let matrix3 = match mode {
+    let matrix3 = match &billboard.mode {
+        BillboardMode::NoRotation => m,
         BillboardMode::PointRotEye => {
             let e = eye.world_from_eye.matrix3;
             DMat3::from_cols(e.x_axis * m.x_axis.length(), -e.z_axis * m.y_axis.length(), e.y_axis * m.z_axis.length())
@@ -157,7 +163,12 @@ fn turned(mode: &BillboardMode, position: DVec3, world_from_node: DAffine3, eye:
             m * DMat3::from_cols(axis.cross(front), -front, *axis)
         }
     };
-    DAffine3 { matrix3, translation: place }
+    let scale = billboard.auto_scale.map_or(1.0, |limits| {
+        let depth = (place - eye.position()).dot(eye.world_from_eye.matrix3.z_axis);
+        let px = depth.abs() / eye.px_per_radian;
+        (px / m.determinant().abs().powf(1.0 / 3.0)).clamp(limits.min, limits.max)
+    });
+    DAffine3 { matrix3: matrix3 * scale, translation: place }
 }
 
 /// Returns the ratio along the line, and how far inside the triangle's edges it is, in shares. `None` for a triangle

@@ -180,7 +180,7 @@ fn bounds_of_billboards_follow_later_transforms() {
         let mesh = Mesh::cuboid(&Aabb { min: DVec3::new(-5.0, 0.0, 0.0), max: DVec3::new(5.0, 0.1, 10.0) });
         let drawables = vec![(DVec3::X, Drawable::new(mesh.into(), Material::default()))];
         let mode = BillboardMode::PointRotEye;
-        let billboard = Node::new(NodeKind::Billboard(Box::new(Billboard { mode, drawables })));
+        let billboard = Node::new(NodeKind::Billboard(Box::new(Billboard { mode, drawables, ..Billboard::default() })));
         let outer = Node::transform(DAffine3::IDENTITY, vec![Node::transform(map, vec![billboard])]);
         let mut scene = Scene::new();
         let root = scene.add_root(Page::from_node(outer).unwrap());

@@ -1,5 +1,5 @@
-//! Lights and clip planes as attributes of state sets, which move with the eye; a default light is a headlight. And the
-//! place of the eye in the world, for programs.
+//! Lights and clip planes as attributes of state sets, which move with the eye; a default light is a headlight. Programs get the
+//! position of the eye in the world.
 
 use std::sync::Arc;
 

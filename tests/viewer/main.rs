@@ -6,6 +6,7 @@ mod flights;
 mod host_device;
 mod image_sequences;
 mod on_demand;
+mod own_readers;
 mod per_frame;
 mod pipelines;
 mod pixels;

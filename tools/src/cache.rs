@@ -14,7 +14,7 @@ use terrane::formats::{self, FillOptions};
 use terrane::math::Region;
 use terrane_data_gen::Progress;
 
-use crate::net::{self, NetArgs};
+use crate::net::{self, NetArgs, Opened};
 
 #[derive(Clone, Debug, ClapArgs)]
 pub struct CacheArgs {
@@ -118,7 +118,7 @@ fn fill(args: &FillArgs) -> Result<()> {
     let mut net = args.net.clone();
     ensure!(!net.offline, "--offline sends no requests, so it cannot fill the cache");
     net.cache = Some(net::folder(net.cache)?);
-    let config = net.http(&args.source)?;
+    let Opened { source, http: config, .. } = net.open(&args.source)?;
     let mut options = FillOptions { in_flight: args.jobs as usize, refresh: args.refresh, ..FillOptions::default() };
     if let Some(RegionArg(degrees)) = args.region {
         let [west, south, east, north] = degrees.map(f64::to_radians);
@@ -132,7 +132,7 @@ fn fill(args: &FillArgs) -> Result<()> {
     // Setting a second handler in one process fails, which only happens in tests.
     let _ = ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed));
     let mut progress = Progress::new("filling the cache", 0, "files");
-    let done = formats::fill(&args.source, &config, &options, &mut |filled| {
+    let done = formats::fill(&source, &config, &options, &mut |filled| {
         progress.set_total(filled.found);
         progress.set_done(filled.kept + filled.fetched + filled.failed);
         if stop.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }

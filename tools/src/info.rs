@@ -9,10 +9,12 @@ use terrane::formats::{self, Info, MetadataInfo, ModelInfo, Verified};
 use terrane_data_gen::Progress;
 
 use crate::args::InfoArgs;
+use crate::net::Opened;
 
 pub fn run(args: &InfoArgs) -> Result<()> {
-    let info = formats::inspect_with(&args.source, &args.net.limits(), args.net.http(&args.source)?)?;
-    let verified = if args.verify { Some(verify(args, info.contents)?) } else { None };
+    let opened = args.net.open(&args.source)?;
+    let info = formats::inspect_with(&opened.source, &args.net.limits(), opened.http.clone())?;
+    let verified = if args.verify { Some(verify(args, opened, info.contents)?) } else { None };
     let text = if args.json {
         let mut json = serde_json::to_value(&info)?;
         if let Some(verified) = &verified {
@@ -28,10 +30,9 @@ pub fn run(args: &InfoArgs) -> Result<()> {
     Ok(())
 }
 
-fn verify(args: &InfoArgs, contents: u64) -> Result<Verified> {
+fn verify(args: &InfoArgs, opened: Opened, contents: u64) -> Result<Verified> {
     let progress = Progress::new("verifying", contents, "contents");
-    let net = args.net.http(&args.source)?;
-    let verified = formats::verify_with(&args.source, &args.net.limits(), net, &mut |verified| {
+    let verified = formats::verify_with(&opened.source, &args.net.limits(), opened.http, &mut |verified| {
         progress.set_done(verified.contents)
     });
     Ok(verified?)

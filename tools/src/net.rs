@@ -5,10 +5,12 @@ use std::str::FromStr;
 
 use anyhow::{Context as _, Result, ensure};
 use clap::Args as ClapArgs;
+use terrane::fetch::services::{GOOGLE_SERVER, ION_SERVER, IonAsset, ServiceKind, google_tiles};
 use terrane::fetch::{AllowedHost, CacheConfig, Credential, HttpConfig, Limits, is_http};
 
 use crate::default_set;
 
+// More than 12 fields: one for each option.
 #[derive(Clone, Debug, Default, ClapArgs)]
 pub struct NetArgs {
     /// Cache responses of servers in this folder
@@ -32,6 +34,18 @@ pub struct NetArgs {
     /// Read files of a set on disk also if symbolic links lead to them out of the set's folder
     #[arg(long)]
     pub follow_links: bool,
+    /// Access token for `ion:ASSET_ID`; never printed [default: environment variable CESIUM_ION_TOKEN]
+    #[arg(long, value_name = "TOKEN")]
+    pub ion_token: Option<Secret>,
+    /// Server that speaks the protocol of Cesium ion
+    #[arg(long, value_name = "URL", default_value = ION_SERVER)]
+    pub ion_server: String,
+    /// Key for `google`; never printed [default: environment variable GOOGLE_MAPS_API_KEY]
+    #[arg(long, value_name = "KEY")]
+    pub google_key: Option<Secret>,
+    /// Server that speaks the protocol of Google's Photorealistic 3D Tiles
+    #[arg(long, value_name = "URL", default_value = GOOGLE_SERVER)]
+    pub google_server: String,
     /// PEM file of a certificate authority to trust in addition to those of the system
     #[arg(long, value_name = "FILE")]
     pub ca_file: Vec<PathBuf>,
@@ -40,7 +54,41 @@ pub struct NetArgs {
     pub http2: bool,
 }
 
+/// A source as it is loaded.
+#[derive(Debug)]
+pub struct Opened {
+    /// Its path or URI.
+    pub source: String,
+    pub http: HttpConfig,
+    /// The owners that its service names.
+    pub attributions: Vec<String>,
+}
+
 impl NetArgs {
+    /// Returns where a source is and how it is asked for. Asks the service of `ion:ASSET_ID`.
+    pub fn open(&self, source: &str) -> Result<Opened> {
+        let asset = source.strip_prefix("ion:");
+        if asset.is_none() && source != "google" {
+            return Ok(Opened { source: source.to_owned(), http: self.http(source)?, attributions: Vec::new() });
+        }
+        let mut http = self.http(source)?;
+        let found = match asset {
+            Some(id) => {
+                let id = id.parse().with_context(|| format!("{source}: not the number of an asset of Cesium ion"))?;
+                let token = secret(self.ion_token.as_ref(), "CESIUM_ION_TOKEN");
+                let token = token.with_context(|| format!("{source}: needs --ion-token or CESIUM_ION_TOKEN"))?;
+                IonAsset { id, token, server: self.ion_server.clone() }.open(&http)?
+            }
+            None => {
+                let key = secret(self.google_key.as_ref(), "GOOGLE_MAPS_API_KEY");
+                google_tiles(&self.google_server, &key.context("google: needs --google-key or GOOGLE_MAPS_API_KEY")?)?
+            }
+        };
+        ensure!(found.kind != ServiceKind::Imagery, "{source}: an asset of imagery, which is no terrain");
+        http.credentials.extend(found.credentials);
+        Ok(Opened { source: found.uri, http, attributions: found.attributions })
+    }
+
     /// Returns the HTTP configuration for a source.
     pub fn http(&self, source: &str) -> Result<HttpConfig> {
         let mut credentials = Vec::new();
@@ -79,6 +127,11 @@ impl NetArgs {
         config.offline = self.offline;
         Ok(Some(config))
     }
+}
+
+/// Returns a secret of the command line, or of the environment.
+fn secret(given: Option<&Secret>, variable: &str) -> Option<String> {
+    given.map(|Secret(text)| text.clone()).or_else(|| std::env::var(variable).ok()).filter(|text| !text.is_empty())
 }
 
 /// Returns the folder of the cache: the given one, or the default in the user's cache folder.

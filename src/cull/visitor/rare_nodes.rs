@@ -9,10 +9,14 @@ use super::traversal::Traversal;
 use crate::cull::stage::{
     ClipPlane, OcclusionQuery, PositionedLight, PositionedTexGen, move_light, move_plane, move_texgen,
 };
+use crate::math::Aabb;
 use crate::scene::{
-    BillboardMode, INACTIVE, LocalLights, OcclusionQueryNode, RareNode, ReferenceFrame, UNBOUNDED, UNCULLED,
+    AutoScale, BillboardMode, INACTIVE, LocalLights, OcclusionQueryNode, RareNode, ReferenceFrame, UNBOUNDED, UNCULLED,
 };
 use crate::state::Light;
+
+/// The positions of drawables in their node's frame, and their bounds in their own.
+type PlacedDrawables<'a> = (&'a [DVec3], &'a [Aabb]);
 
 impl Traversal<'_> {
     /// Visits a node of a rarer kind. Returns true if its children must be scanned like those of a group.
@@ -27,8 +31,9 @@ impl Traversal<'_> {
             }
         }
         match special {
-            RareNode::Billboard { mode, positions, .. } => {
-                self.visit_billboard(context, node, *mode, positions, mask);
+            RareNode::Billboard { mode, auto_scale, positions, bounds } => {
+                let placed: PlacedDrawables<'_> = (positions, bounds);
+                self.visit_billboard(context, node, (*mode, *auto_scale), placed, mask);
                 true
             }
             RareNode::LightSource(source) => {
@@ -115,8 +120,8 @@ impl Traversal<'_> {
         &mut self,
         context: &PageContext,
         node: u32,
-        mode: BillboardMode,
-        positions: &[DVec3],
+        (mode, auto_scale): (BillboardMode, Option<AutoScale>),
+        (positions, bounds): PlacedDrawables<'_>,
         mask: u8,
     ) {
         let page = context.page;
@@ -127,21 +132,41 @@ impl Traversal<'_> {
         if !node_from_eye.is_finite() {
             return;
         }
-        for (drawable, position) in (first..).zip(positions) {
+        let view = self.views.current();
+        let (px_per_radian, is_parallel) = (view.camera.px_per_radian(), view.ranges.is_parallel());
+        for (drawable, (position, bounds)) in (first..).zip(positions.iter().zip(bounds)) {
             let action = self.ask_drawable(context, drawable);
             if !action.visits() {
                 continue;
             }
-            let depth = if is_unculled {
+            let depths = self.views.depths();
+            let mut depth = if is_unculled {
                 self.depth_of_unculled(context, drawable)
             } else {
                 let Some((depth, _)) = self.test_behind_occluders(context, drawable, mask) else { continue };
                 depth
             };
-            let map = mode.eye_from_drawable(&eye_from_node, node_from_eye.translation, *position);
+            let mut map = mode.eye_from_drawable(&eye_from_node, node_from_eye.translation, *position);
+            if let Some(auto_scale) = auto_scale {
+                let scale = auto_scale.scale_at(&eye_from_node, *position, px_per_radian, is_parallel);
+                map.matrix3 *= scale;
+                // The drawable's box is that of the largest scale.
+                self.views.set_depths(depths);
+                depth = self.depth_of_scaled(&map, bounds);
+            }
             let matrix = self.push_matrix(&map);
             self.emit_as(&action, context, drawable, depth, matrix);
         }
+    }
+
+    /// Returns the depth of a drawable at its scale from this eye, and widens near and far.
+    fn depth_of_scaled(&mut self, eye_from_drawable: &DAffine3, bounds: &Aabb) -> f32 {
+        let in_eye = bounds.transformed(eye_from_drawable);
+        let (nearest, farthest) = (-in_eye.max.z as f32, -in_eye.min.z as f32);
+        if farthest >= self.views.current().min_depth {
+            self.views.widen(nearest, farthest);
+        }
+        0.5 * (nearest + farthest)
     }
 
     /// Asks for the visible samples of a node's bound when that is due. Returns true if the node is hidden by earlier

@@ -2,13 +2,15 @@
 
 use std::fmt;
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::time::Duration;
 
-use reqwest::header::{HeaderName, HeaderValue};
+use reqwest::header::{AUTHORIZATION, HeaderName, HeaderValue};
 use url::Url;
 
 use super::hosts::AllowedHost;
 use crate::fetch::cache::Asker;
+use crate::fetch::services::ExpiringToken;
 use crate::fetch::{CacheConfig, IoError};
 
 /// Configuration of an [`HttpClient`](super::HttpClient). Proxies are taken from the environment variables `http_proxy`,
@@ -117,6 +119,8 @@ pub struct Credential {
 #[derive(Clone, PartialEq)]
 enum Kind {
     Header(HeaderName, HeaderValue),
+    /// A token that is renewed when its server refuses it.
+    Token(Arc<ExpiringToken>),
     Query(String, String),
 }
 
@@ -136,11 +140,18 @@ impl Credential {
         Ok(Self { origin: origin(url)?, kind: Kind::Query(name.to_owned(), value.to_owned()) })
     }
 
+    /// Creates the header `Authorization` for the server of `url` with a token that is renewed when that server refuses it.
+    pub(in crate::fetch) fn expiring(url: &str, token: Arc<ExpiringToken>) -> Result<Self, IoError> {
+        Ok(Self { origin: origin(url)?, kind: Kind::Token(token) })
+    }
+
     /// Appends kind, name and value, so that different credentials give different bytes.
     fn write_to(&self, bytes: &mut Vec<u8>) {
         let (kind, name, value) = match &self.kind {
             Kind::Header(name, value) => (b'h', name.as_str(), value.as_bytes()),
             Kind::Query(name, value) => (b'q', name.as_str(), value.as_bytes()),
+            // Who asks stays the same when the token is renewed.
+            Kind::Token(token) => (b't', AUTHORIZATION.as_str(), token.endpoint().as_bytes()),
         };
         bytes.push(kind);
         for part in [name.as_bytes(), value] {
@@ -150,9 +161,18 @@ impl Credential {
     }
 
     /// Returns the header if this is one for that server.
-    pub(super) fn header_for(&self, origin: &str) -> Option<(&HeaderName, &HeaderValue)> {
+    pub(super) fn header_for(&self, origin: &str) -> Option<(HeaderName, HeaderValue)> {
         match &self.kind {
-            Kind::Header(name, value) if self.origin == origin => Some((name, value)),
+            Kind::Header(name, value) if self.origin == origin => Some((name.clone(), value.clone())),
+            Kind::Token(token) if self.origin == origin => Some((AUTHORIZATION, token.header())),
+            _ => None,
+        }
+    }
+
+    /// Returns the token if this is one for that server.
+    pub(super) fn token_for(&self, origin: &str) -> Option<&Arc<ExpiringToken>> {
+        match &self.kind {
+            Kind::Token(token) if self.origin == origin => Some(token),
             _ => None,
         }
     }
@@ -171,6 +191,7 @@ impl fmt::Debug for Credential {
         let name = match &self.kind {
             Kind::Header(name, _) => name.as_str(),
             Kind::Query(name, _) => name,
+            Kind::Token(_) => AUTHORIZATION.as_str(),
         };
         f.debug_struct("Credential").field("origin", &self.origin).field("name", &name).finish_non_exhaustive()
     }

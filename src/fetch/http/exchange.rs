@@ -7,7 +7,7 @@
 use std::future::Future;
 use std::pin::pin;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, SystemTime};
 
 use reqwest::header::{COOKIE, HeaderMap, IF_MODIFIED_SINCE, IF_NONE_MATCH, LOCATION, RANGE, VARY};
@@ -42,8 +42,23 @@ pub(in crate::fetch) struct Exchange<'a> {
     pub headers: &'a HeaderMap,
     /// The URL after redirects that the validators in `headers` belong to. `None` means the requested URL.
     pub validated_at: Option<&'a str>,
+    pub progress: Arc<Progress>,
+}
+
+/// What happens to an answer.
+#[derive(Debug, Default)]
+pub(in crate::fetch) struct Progress {
     /// Bytes of the body received so far. They extend the total timeout.
-    pub received: Arc<AtomicU64>,
+    received: AtomicU64,
+    /// Set when the answer was lost because its HTTP/2 connection ended, with all other answers of that connection.
+    connection_lost: AtomicBool,
+}
+
+impl Progress {
+    /// Returns true if the answer was lost with its HTTP/2 connection.
+    pub(super) fn is_connection_lost(&self) -> bool {
+        self.connection_lost.load(Ordering::Relaxed)
+    }
 }
 
 /// The answer of a server after all redirects.
@@ -97,7 +112,7 @@ impl Exchange<'_> {
             if let Ok(answer) = tokio::time::timeout_at(until, &mut answer).await {
                 return answer;
             }
-            let extra_s = self.received.load(Ordering::Relaxed) as f64 / f64::from(min_bytes_per_s);
+            let extra_s = self.progress.received.load(Ordering::Relaxed) as f64 / f64::from(min_bytes_per_s);
             // 0 bytes at rate 0 is not a number, and a time beyond the range of `Duration` is unlimited.
             let extra = Duration::try_from_secs_f64(extra_s.max(0.0)).unwrap_or(Duration::MAX);
             let grown = total_timeout.saturating_add(extra);
@@ -182,7 +197,7 @@ impl Exchange<'_> {
         }
         for credential in &self.config.credentials {
             if let Some((name, value)) = credential.header_for(&origin) {
-                headers.insert(name.clone(), value.clone());
+                headers.insert(name, value);
             }
             if let Some((name, value)) = credential.query_for(&origin)
                 && !url.query_pairs().any(|(n, _)| n == name)
@@ -200,7 +215,10 @@ impl Exchange<'_> {
             Ok(Err(e)) if e.is_timeout() && e.is_connect() => {
                 Err(timed_out(uri, "connecting", self.config.connect_timeout))
             }
-            Ok(Err(e)) => Err(not_answered(uri, e)),
+            Ok(Err(e)) => {
+                self.note_lost_connection(&e);
+                Err(not_answered(uri, e))
+            }
             Err(_) => Err(timed_out(uri, "waiting for the answer", self.config.first_byte_timeout)),
         }
     }
@@ -241,7 +259,10 @@ impl Exchange<'_> {
                     claim.keep(body.len() as u64);
                     return Ok(Answer { status, headers, body, freshness, redirected_to: None, origin: None });
                 }
-                Ok(Err(e)) => return Err(IoError::Network { uri: uri.to_owned(), reason: error_chain_without_url(e) }),
+                Ok(Err(e)) => {
+                    self.note_lost_connection(&e);
+                    return Err(IoError::Network { uri: uri.to_owned(), reason: error_chain_without_url(e) });
+                }
                 Err(_) => return Err(timed_out(uri, "reading the answer", self.config.read_timeout)),
             };
             if (body.len() + piece.len()) as u64 > limit {
@@ -253,7 +274,13 @@ impl Exchange<'_> {
                 claim.grow_to(2 * received).map_err(no_room)?;
             }
             body.extend_from_slice(&piece);
-            self.received.fetch_add(piece.len() as u64, Ordering::Relaxed);
+            self.progress.received.fetch_add(piece.len() as u64, Ordering::Relaxed);
+        }
+    }
+
+    fn note_lost_connection(&self, error: &reqwest::Error) {
+        if cause::<h2::Error>(error).is_some_and(|e| e.is_io() || e.is_go_away()) {
+            self.progress.connection_lost.store(true, Ordering::Relaxed);
         }
     }
 

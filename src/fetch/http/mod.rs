@@ -34,7 +34,7 @@ pub(crate) use client::{BlockingHttpClient, runtime};
 pub use config::{Credential, HttpConfig, StoreOption};
 pub(in crate::fetch) use exchange::Answer;
 #[cfg(feature = "object-store")]
-pub(in crate::fetch) use exchange::{Exchange, error_chain};
+pub(in crate::fetch) use exchange::{Exchange, Progress, error_chain};
 pub use hosts::AllowedHost;
 #[cfg(feature = "object-store")]
 pub(in crate::fetch) use hosts::Connections;

@@ -13,6 +13,15 @@ use super::retry_policy::{Backoff, Pause, Pauses};
 use crate::fetch::object_store::Stores;
 use crate::fetch::{IoError, Limits, Permit, RootScope, is_store, server};
 
+/// The number of answers of one request that may be lost with an HTTP/2 connection. They do not count as retries: whatever ends
+/// the connection ends all answers on it, and most of them did not cause it.
+const MAX_LOST_CONNECTIONS: u32 = 16;
+
+/// The number of times that one request has an expired token renewed.
+const MAX_RENEWALS: u32 = 2;
+/// The maximum size of the answer with a new token.
+const MAX_TOKEN_BYTES: u64 = 1 << 20;
+
 /// Sends the requests of a tile set, or of an application that names each URI itself. Cheap to clone.
 #[derive(Clone, Debug)]
 pub(in crate::fetch) struct Transport {
@@ -94,7 +103,9 @@ impl Transport {
             true => server(uri).to_owned(),
             false => origin(uri)?,
         };
-        let mut retries_left = config.max_retries;
+        let (mut retries_left, mut lost_left) = (config.max_retries, MAX_LOST_CONNECTIONS);
+        let token = config.credentials.iter().find_map(|credential| credential.token_for(&server));
+        let mut renewals_left = MAX_RENEWALS;
         loop {
             // An answer to another request may have asked for a pause, also while this one waited.
             while let Some(Pause { status, left }) = pauses.of(&server) {
@@ -103,8 +114,9 @@ impl Transport {
                 }
                 tokio::time::sleep(left + backoff.stagger()).await;
             }
-            let (root, received, permit) = (self.root(uri), Arc::default(), &self.permit);
-            let exchange = Exchange { connections, root, config, limits, permit, headers, validated_at, received };
+            let token_number = token.map(|token| token.number());
+            let (root, progress, permit) = (self.root(uri), Arc::default(), &self.permit);
+            let exchange = Exchange { connections, root, config, limits, permit, headers, validated_at, progress };
             let error = match exchange.in_time(uri, self.send_once(uri, &exchange)).await {
                 Ok(answer) if answer.is_success() => return Ok(answer),
                 Ok(answer) => {
@@ -116,6 +128,23 @@ impl Transport {
                 }
                 Err(error) => error,
             };
+            if let (Some(token), Some(refused), IoError::Status { status: 401, .. }) = (token, token_number, &error)
+                && renewals_left > 0
+            {
+                renewals_left -= 1;
+                // The application names the address that issues tokens, whatever the set may reach.
+                let any = Self { scope: None, permit: Permit::unlimited(), ..self.clone() };
+                let renewed = token.renew(refused, async |endpoint| any.renewed(endpoint).await).await;
+                match renewed {
+                    Ok(()) => continue,
+                    Err(error) => return Err(error),
+                }
+            }
+            if config.max_retries > 0 && lost_left > 0 && exchange.progress.is_connection_lost() {
+                lost_left -= 1;
+                tokio::time::sleep(backoff.stagger()).await;
+                continue;
+            }
             if !error.is_transient() || retries_left == 0 {
                 return Err(error);
             }
@@ -125,6 +154,13 @@ impl Transport {
                 None => return Err(error),
             }
         }
+    }
+
+    /// Requests a new token from the address that issues it.
+    async fn renewed(&self, endpoint: &str) -> Result<Vec<u8>, IoError> {
+        let limits = Limits { max_file_bytes: MAX_TOKEN_BYTES, ..Limits::default() };
+        let answer = Box::pin(self.exchange(endpoint, &HeaderMap::new(), None, &limits)).await?;
+        Ok(answer.body)
     }
 
     async fn send_once(&self, uri: &str, exchange: &Exchange<'_>) -> Result<Answer, IoError> {

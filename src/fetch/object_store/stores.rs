@@ -5,7 +5,6 @@
 //! cache are those of HTTP.
 
 use std::num::NonZeroUsize;
-use std::sync::atomic::AtomicU64;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -20,7 +19,7 @@ use reqwest::header::{ACCEPT_ENCODING, HeaderMap, IF_MODIFIED_SINCE, IF_NONE_MAT
 use url::Url;
 
 use super::config;
-use crate::fetch::http::{Answer, Connections, Exchange, error_chain};
+use crate::fetch::http::{Answer, Connections, Exchange, Progress, error_chain};
 use crate::fetch::percent::percent_decode;
 use crate::fetch::{HttpConfig, IoError, Limits, Permit, server};
 
@@ -44,7 +43,7 @@ struct ObjectRequest {
     limits: Limits,
     permit: Permit,
     headers: HeaderMap,
-    received: Arc<AtomicU64>,
+    progress: Arc<Progress>,
     outcome: Mutex<Option<Result<Answer, IoError>>>,
 }
 
@@ -65,7 +64,7 @@ impl Stores {
             limits: *exchange.limits,
             permit: exchange.permit.clone(),
             headers: exchange.headers.clone(),
-            received: exchange.received.clone(),
+            progress: exchange.progress.clone(),
             outcome: Mutex::new(None),
         });
         let mut options = conditions(exchange.headers);
@@ -182,11 +181,11 @@ impl HttpService for SignedTransport {
             }
         };
         let headers = object.as_ref().map(|object| object.headers.clone()).unwrap_or_default();
-        let received = object.as_ref().map(|object| object.received.clone()).unwrap_or_default();
+        let progress = object.as_ref().map(|object| object.progress.clone()).unwrap_or_default();
         let (connections, config) = (&self.connections, &self.config);
         let (limits, permit, headers) = (&limits, &permit, &headers);
         let exchange =
-            Exchange { connections, root: None, config, limits, permit, headers, validated_at: None, received };
+            Exchange { connections, root: None, config, limits, permit, headers, validated_at: None, progress };
         let outcome = async {
             if !self.allows_http && is_unencrypted {
                 let reason =

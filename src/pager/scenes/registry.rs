@@ -9,7 +9,7 @@ use super::scene_set::SceneSet;
 use super::shared_files::SharedFiles;
 #[cfg(feature = "http")]
 use crate::fetch::{HttpClient, HttpConfig};
-use crate::formats::{IgnoredLog, ReadOptions, Style};
+use crate::formats::{ContentReader, IgnoredLog, ReadOptions, Style};
 use crate::pager::config::PagerConfig;
 use crate::scene::{PageId, Scene, SceneNumber, SharedStateManager, SlotInfo};
 
@@ -37,6 +37,7 @@ struct CommonOptions {
     vertex_attributes: Arc<[Arc<str>]>,
     keep_features: bool,
     style: Option<Arc<Style>>,
+    readers: Arc<[Arc<dyn ContentReader>]>,
     sharing: Option<Arc<SharedStateManager>>,
     /// The properties that the contents of all scenes have and their readers leave out.
     ignored: IgnoredLog,
@@ -54,12 +55,17 @@ impl CommonOptions {
         let ignored = self.ignored.clone();
         let keep_features = self.keep_features || options.keep_features;
         let style = options.style.or_else(|| self.style.clone());
+        let readers = match options.readers.is_empty() {
+            true => self.readers.clone(),
+            false => options.readers.clone(),
+        };
         ReadOptions {
             limits: self.limits,
             build_kd_trees,
             vertex_attributes,
             keep_features,
             style,
+            readers,
             sharing,
             ignored,
             ..options
@@ -104,6 +110,7 @@ impl SceneRegistry {
             vertex_attributes: config.vertex_attributes.clone(),
             keep_features: config.keep_features,
             style: config.style.clone(),
+            readers: config.content_readers.clone(),
             sharing,
             ignored: options.ignored.clone(),
         };

@@ -232,7 +232,7 @@ impl<P: Probe> Walk<'_, P> {
         let page = here.page;
         let Some(special) = page.rare_nodes().get(page.payloads()[node as usize] as usize) else { return false };
         match special {
-            RareNode::Billboard { mode, positions, .. } => {
+            RareNode::Billboard { mode, auto_scale, positions, .. } => {
                 let Some(eye) = self.view.rules.eye else { return false };
                 let world_from_node =
                     here.world_from_page * page.transforms().page_from_node(page.enclosing_transform(node));
@@ -240,7 +240,11 @@ impl<P: Probe> Walk<'_, P> {
                 let eye_from_node = eye.world_from_eye.inverse() * world_from_node;
                 for (drawable, position) in (page.nodes()[node as usize].first_drawable..).zip(positions) {
                     let Some(enters) = self.enters_drawable(here, drawable) else { continue };
-                    let eye_from_drawable = mode.eye_from_drawable(&eye_from_node, eye_in_node, *position);
+                    let scale = auto_scale.map_or(1.0, |scale| {
+                        scale.scale_at(&eye_from_node, *position, eye.px_per_radian, eye.is_parallel)
+                    });
+                    let eye_from_drawable = mode.eye_from_drawable(&eye_from_node, eye_in_node, *position)
+                        * DAffine3::from_scale(DVec3::splat(scale));
                     let world_from_drawable = eye.world_from_eye * eye_from_drawable;
                     self.find(enters, here.place, drawable, world_from_drawable);
                 }

@@ -150,7 +150,7 @@ fn add(builder: &mut PageBuilder, node: Node, above: Inherited) -> Result<Open, 
             kind::TILE
         }
         NodeKind::Billboard(billboard) => {
-            let Billboard { mode, drawables } = *billboard;
+            let Billboard { mode, auto_scale, drawables } = *billboard;
             let mut positions = Vec::with_capacity(drawables.len());
             let mut bounds = Vec::with_capacity(drawables.len());
             for (position, drawable) in drawables {
@@ -158,7 +158,7 @@ fn add(builder: &mut PageBuilder, node: Node, above: Inherited) -> Result<Open, 
                 builder.push_drawable(drawable, transform, path);
                 positions.push(position);
             }
-            payload = builder.push_rare(RareNode::Billboard { mode, positions, bounds });
+            payload = builder.push_rare(RareNode::Billboard { mode, auto_scale, positions, bounds });
             kind::SPECIAL
         }
         NodeKind::LightSource(light) => {

@@ -13,7 +13,7 @@ mod paged_lod;
 mod readback_image;
 mod reader_data;
 
-pub use billboard::{Billboard, BillboardMode};
+pub use billboard::{AutoScale, Billboard, BillboardMode};
 pub use callback::{CallbackStateSet, EventCallback, NodeCallback, Traverse, UpdateCallback, UpdateInfo};
 pub use camera_node::{Attachment, CameraNode, CameraTarget, ClampProjection, RenderOrder};
 pub use flatten::MAX_DEPTH;

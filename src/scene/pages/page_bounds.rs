@@ -175,12 +175,15 @@ impl Page {
         }
         for node in (first..end).filter(|node| self.nodes.records()[*node].kind == kind::SPECIAL) {
             let payload = self.nodes.payloads()[node] as usize;
-            let Some(RareNode::Billboard { mode, positions, bounds }) = self.tables.rare_nodes().get(payload) else {
+            let Some(RareNode::Billboard { mode, auto_scale, positions, bounds }) =
+                self.tables.rare_nodes().get(payload)
+            else {
                 continue;
             };
+            let max_scale = auto_scale.map_or(1.0, |scale| scale.max);
             for ((drawable, position), bounds) in self.nodes.drawables_of(node).zip(positions).zip(bounds) {
                 let transform = self.drawables.refs()[drawable].transform;
-                let reach = mode.reach(&self.transforms.page_from_node(transform).matrix3, bounds);
+                let reach = max_scale * mode.reach(&self.transforms.page_from_node(transform).matrix3, bounds);
                 self.drawables.set_local_box(drawable, Aabb { min: *position - reach, max: *position + reach });
             }
         }

@@ -6,8 +6,8 @@ use glam::{DMat4, DVec3};
 
 use crate::math::Aabb;
 use crate::scene::nodes::{
-    BillboardMode, CameraNode, ClearNode, ClipNode, ConvexPlanarOccluder, LightSource, LocalLights, OcclusionQueryNode,
-    TexGenNode,
+    AutoScale, BillboardMode, CameraNode, ClearNode, ClipNode, ConvexPlanarOccluder, LightSource, LocalLights,
+    OcclusionQueryNode, TexGenNode,
 };
 use crate::scene::settings::LodRecord;
 
@@ -16,6 +16,7 @@ use crate::scene::settings::LodRecord;
 pub(crate) enum RareNode {
     Billboard {
         mode: BillboardMode,
+        auto_scale: Option<AutoScale>,
         positions: Vec<DVec3>,
         /// Bounds of the drawables in their own frames.
         bounds: Vec<Aabb>,

@@ -28,6 +28,7 @@ use self::flight::Flight;
 use self::interrupt::Interrupt;
 use crate::args::FlyArgs;
 use crate::default_set;
+use crate::net::Opened;
 
 /// Runs `terrane fly` or `terrane view`. `settings` come from the environment and the command line.
 pub fn run(args: Box<FlyArgs>, settings: Result<DisplaySettings, DisplaySettingError>) -> Result<()> {
@@ -84,7 +85,11 @@ fn fly(args: Box<FlyArgs>, mut settings: DisplaySettings) -> Result<()> {
     config.look_ahead_s = args.look_ahead.unwrap_or(config.look_ahead_s);
     // Manipulators need the k-d trees to stay above the ground.
     config.pager.build_kd_trees = args.interactive;
-    config.pager.http = args.net.http(&source)?;
+    let Opened { source, http, attributions } = args.net.open(&source)?;
+    config.pager.http = http;
+    if !attributions.is_empty() {
+        eprintln!("data: {}", attributions.join(", "));
+    }
     config.pager.limits = args.net.limits();
     config.pager.max_bytes_loading = args.max_loading.map_or(config.pager.max_bytes_loading, |size| size.0);
     config.pager.style = args.style.as_deref().map(read_style).transpose()?;

@@ -9,4 +9,5 @@ mod samples;
 mod serve;
 mod serve_http2;
 mod served;
+mod services;
 mod stress;
