@@ -209,18 +209,21 @@ fn pipelines_of_many_states_are_created_over_several_frames() {
     let before = viewer.stats().last().unwrap().triangles;
     assert!(before > 0);
     viewer.view_mut().camera.settings.lod_scale = 0.5;
-    let (mut frame, mut compiling) = (0, 0);
+    let (mut frame, mut compiling, mut seen) = (0, 0, Vec::new());
     while viewer.pager().unwrap().stats().merged < 2 {
         time_s += 0.05;
         viewer.frame_at(time_s).unwrap();
         viewer.finish().unwrap();
-        compiling += u32::from(viewer.pager().unwrap().stats().compiling > 0);
+        let stats = viewer.pager().unwrap().stats();
+        compiling += u32::from(stats.compiling > 0);
+        seen.push((stats.waiting, stats.in_flight, stats.decoding, stats.compiling, stats.merged, stats.failed));
+        seen.dedup();
         assert_eq!(viewer.stats().last().unwrap().pipelines_created, 0, "none while it is drawn");
         frame += 1;
         assert!(frame < 5_000, "the tile does not arrive");
         std::thread::sleep(std::time::Duration::from_millis(1));
     }
-    assert!(compiling >= 2, "its pipelines were created in {compiling} frames");
+    assert!(compiling >= 2, "its pipelines were created in {compiling} frames: {seen:?}");
     frames(&mut viewer, &mut time_s, 0.5);
     assert!(viewer.stats().last().unwrap().triangles > before, "{:?}", viewer.stats().last());
     assert_eq!(viewer.stats().iter().skip(2).map(|s| s.pipelines_created).sum::<u32>(), 0);

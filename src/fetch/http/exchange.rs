@@ -10,6 +10,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, SystemTime};
 
+use reqwest::Version;
 use reqwest::header::{COOKIE, HeaderMap, IF_MODIFIED_SINCE, IF_NONE_MATCH, LOCATION, RANGE, VARY};
 use url::Url;
 
@@ -216,7 +217,7 @@ impl Exchange<'_> {
                 Err(timed_out(uri, "connecting", self.config.connect_timeout))
             }
             Ok(Err(e)) => {
-                self.note_lost_connection(&e);
+                self.note_lost_connection(&e, None);
                 Err(not_answered(uri, e))
             }
             Err(_) => Err(timed_out(uri, "waiting for the answer", self.config.first_byte_timeout)),
@@ -225,7 +226,7 @@ impl Exchange<'_> {
 
     /// Reads the body of a successful answer.
     pub async fn read(&self, uri: &str, mut response: reqwest::Response) -> Result<Answer, IoError> {
-        let status = response.status().as_u16();
+        let (status, version) = (response.status().as_u16(), response.version());
         let headers = std::mem::take(response.headers_mut());
         let freshness = Freshness::of(&headers, SystemTime::now());
         if !matches!(status, 200 | 203 | 206) {
@@ -260,7 +261,7 @@ impl Exchange<'_> {
                     return Ok(Answer { status, headers, body, freshness, redirected_to: None, origin: None });
                 }
                 Ok(Err(e)) => {
-                    self.note_lost_connection(&e);
+                    self.note_lost_connection(&e, Some(version));
                     return Err(IoError::Network { uri: uri.to_owned(), reason: error_chain_without_url(e) });
                 }
                 Err(_) => return Err(timed_out(uri, "reading the answer", self.config.read_timeout)),
@@ -278,8 +279,23 @@ impl Exchange<'_> {
         }
     }
 
-    fn note_lost_connection(&self, error: &reqwest::Error) {
-        if cause::<h2::Error>(error).is_some_and(|e| e.is_io() || e.is_go_away()) {
+    /// Notes an error that has ended an HTTP/2 connection. All answers of the connection get it: as an I/O error without the
+    /// number that an error of the system has. `version` is `None` before the status has arrived.
+    fn note_lost_connection(&self, error: &reqwest::Error, version: Option<Version>) {
+        use std::io::ErrorKind::{BrokenPipe, ConnectionAborted, ConnectionReset, UnexpectedEof};
+        if error.is_connect() || version.is_some_and(|version| version != Version::HTTP_2) {
+            return;
+        }
+        let is_end = |kind| match kind {
+            BrokenPipe | ConnectionAborted | ConnectionReset => true,
+            // With HTTP/1.1 too, if the connection is encrypted.
+            UnexpectedEof => version.is_some(),
+            _ => false,
+        };
+        let io: Option<&std::io::Error> = cause(error);
+        let is_lost = io.is_some_and(|e| e.raw_os_error().is_none() && is_end(e.kind()))
+            || cause::<h2::Error>(error).is_some_and(h2::Error::is_go_away);
+        if is_lost {
             self.progress.connection_lost.store(true, Ordering::Relaxed);
         }
     }
