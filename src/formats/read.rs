@@ -7,7 +7,7 @@ use super::ignored::{Ignored, Notes};
 use super::implicit::{SubtreePart, SubtreeSource};
 use super::options::{Content, Fetched, ReadOptions};
 use super::tile::{ContentBytes, ContentData, TileContent, node_of};
-use super::{b3dm, cmpt, embedded, gltf, height, i3dm, image, implicit, model_files, point_cloud, style, tileset};
+use super::{b3dm, cmpt, embedded, gltf, height, i3dm, image, implicit, model_files, osg, point_cloud, style, tileset};
 use crate::fetch::markup::{refuse_markup, text_and_first_byte};
 use crate::fetch::{IoError, encoding, guarded};
 use crate::scene::{Node, Page, ReaderData};
@@ -49,7 +49,9 @@ pub fn dependencies(
     options: &ReadOptions,
 ) -> Vec<Arc<str>> {
     let base = options.base.as_deref().unwrap_or(uri);
-    let needed = if let Some(source) = reader_data.and_then(|data| data.value::<SubtreeSource>()) {
+    let needed = if reader_data.is_some_and(ReaderData::is_whole_content) && bytes.is_empty() {
+        Vec::new()
+    } else if let Some(source) = reader_data.and_then(|data| data.value::<SubtreeSource>()) {
         implicit::external_buffers(source, uri, bytes, options)
     } else if let Some(ContentBytes::Several(contents)) = content_data(reader_data).map(|data| &data.bytes) {
         let fetched = contents.iter().filter(|content| !content.is_in_memory()).enumerate();
@@ -138,6 +140,9 @@ fn read_node(content: Content, options: &ReadOptions, notes: &Notes) -> Result<N
     if let Some(source) = reader_data.as_ref().and_then(|data| data.value::<SubtreeSource>()) {
         let bytes = encoding::gunzip(&uri, bytes, &options.limits)?;
         return source.read(&uri, bytes, &companions, options).map(node_of);
+    }
+    if let Some(part) = reader_data.as_ref().and_then(|data| data.value::<osg::InlinePart>()) {
+        return part.read(options, notes);
     }
     let Some(data) = content_data(reader_data.as_ref()) else {
         let text = reader_data.as_ref().and_then(ReaderData::text);
@@ -246,6 +251,12 @@ impl ModelReader<'_> {
         }
         if bytes.starts_with(b"i3dm") {
             return i3dm::read((uri, self.base()), bytes, companions, options, notes);
+        }
+        if osg::is_native(bytes) {
+            return osg::read((uri, self.base()), bytes, companions, options, notes);
+        }
+        if osg::is_metadata(bytes) {
+            return osg::read_folder((uri, self.base()), bytes, companions, options, notes);
         }
         if bytes.starts_with(b"pnts") {
             return point_cloud::read(uri, bytes, options, notes);

@@ -21,6 +21,13 @@ pub(super) enum Object {
     Shape(Arc<ShapeObject>),
 }
 
+impl Object {
+    /// Returns the number of nodes on the longest way down; 0 for what is no node.
+    pub fn height(&self) -> usize {
+        if let Self::Node(node) = self { node.height } else { 0 }
+    }
+}
+
 /// A node.
 #[derive(Debug)]
 pub(super) struct NodeObject {
@@ -31,6 +38,8 @@ pub(super) struct NodeObject {
     pub class: NodeClass,
     /// The children in order, those of classes that are skipped included: ranges and switches count them.
     pub children: Vec<Object>,
+    /// The number of nodes on the longest way down, this one included.
+    pub height: usize,
 }
 
 /// The class of a node with its own members.

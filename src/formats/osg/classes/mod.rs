@@ -92,6 +92,11 @@ impl Reader<'_> {
         }
         self.open.push(id);
         let object = self.members_of(&class)?;
+        if object.height() > self.max_depth {
+            // References to nodes that were read before can be deeper than the nesting of the file.
+            let (got, limit) = (object.height() as u64, self.max_depth as u64);
+            return Err(OsgError::TooLarge { what: "depth of nodes", got, limit });
+        }
         self.open.pop();
         self.input.leave()?;
         self.objects.insert(id, object.clone());

@@ -36,7 +36,8 @@ impl NodeMembers {
     /// Returns the node with the members of its class.
     pub fn with(self, class: NodeClass, children: Vec<Object>) -> Object {
         let Self { name, mask, culling_active, state } = self;
-        Object::Node(Arc::new(NodeObject { name, mask, culling_active, state, class, children }))
+        let height = 1 + children.iter().map(Object::height).max().unwrap_or(0);
+        Object::Node(Arc::new(NodeObject { name, mask, culling_active, state, class, children, height }))
     }
 }
 

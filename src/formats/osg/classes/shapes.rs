@@ -34,8 +34,9 @@ impl Reader<'_> {
             "CompositeShape" => {
                 self.object_member("Shape")?;
                 let parts = if self.marked_member("Children")? { self.list(Self::object)? } else { Vec::new() };
+                // Parts of parts would have to be bounded.
                 let shape = |object| match object {
-                    Object::Shape(shape) => Some(shape),
+                    Object::Shape(shape) if !matches!(*shape, ShapeObject::Composite(_)) => Some(shape),
                     _ => None,
                 };
                 ShapeObject::Composite(parts.into_iter().filter_map(shape).collect())
