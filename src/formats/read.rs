@@ -269,6 +269,7 @@ impl ModelReader<'_> {
         for (magic, what) in [
             (&b"subt"[..], "a subtree outside of implicit tiling"),
             (b"PMTiles", "a whole PMTiles file as the content of a tile"),
+            (&[4, 3, 2, 1], "OpenSceneGraph's .ive (its osgconv makes .osgb of it)"),
         ] {
             if bytes.starts_with(magic) {
                 return Err(IoError::unsupported(uri, what));

@@ -134,7 +134,10 @@ mod tests {
     fn grids_agree_with_known_coordinates() {
         let near = |grid: TransverseMercator, longitude, latitude, expected: [f64; 2]| {
             let [easting, northing] = grid.project(&geodetic(longitude, latitude));
-            assert!((easting - expected[0]).abs() < 0.6 && (northing - expected[1]).abs() < 0.6, "{easting} {northing}");
+            assert!(
+                (easting - expected[0]).abs() < 0.6 && (northing - expected[1]).abs() < 0.6,
+                "{easting} {northing}"
+            );
         };
         // The CN tower in Toronto, rounded to whole metres.
         near(TransverseMercator::utm(17, false), -79.387_139, 43.642_567, [630_084.0, 4_833_439.0]);

@@ -219,11 +219,21 @@ pub(super) enum AttributeObject {
     Texture(TextureObject),
     /// Source and destination of colour, then of alpha: OpenGL's numbers.
     BlendFunc([u32; 4]),
-    AlphaFunc { function: u32, reference: f32 },
+    AlphaFunc {
+        function: u32,
+        reference: f32,
+    },
     CullFace(u32),
-    Depth { function: u32, range: [f64; 2], write: bool },
+    Depth {
+        function: u32,
+        range: [f64; 2],
+        write: bool,
+    },
     FrontFace(u32),
-    PolygonOffset { factor: f32, units: f32 },
+    PolygonOffset {
+        factor: f32,
+        units: f32,
+    },
     ColorMask([bool; 4]),
     TexEnv(u32),
     /// Attributes without effect here.
@@ -285,10 +295,23 @@ pub(super) struct RawImage {
 /// A shape of a ShapeDrawable. Lengths in metres.
 #[derive(Debug)]
 pub(super) enum ShapeObject {
-    Box { center: DVec3, half_lengths: DVec3, rotation: DQuat },
-    Sphere { center: DVec3, radius: f64 },
+    Box {
+        center: DVec3,
+        half_lengths: DVec3,
+        rotation: DQuat,
+    },
+    Sphere {
+        center: DVec3,
+        radius: f64,
+    },
     /// Around the z axis before it is rotated.
-    Round { profile: Profile, center: DVec3, radius: f64, height: f64, rotation: DQuat },
+    Round {
+        profile: Profile,
+        center: DVec3,
+        radius: f64,
+        height: f64,
+        rotation: DQuat,
+    },
     Composite(Vec<Arc<ShapeObject>>),
 }
 

@@ -133,7 +133,8 @@ fn inspect_from(root: &Arc<str>, limits: &Limits, from: Source) -> Result<Info, 
 
 /// Returns true for bytes that may be a content of a tile. Others get the errors of the tileset's parser.
 fn may_be_model(bytes: &[u8]) -> bool {
-    const MAGICS: [&[u8]; 7] = [b"glTF", b"b3dm", b"i3dm", b"cmpt", b"pnts", &[0x76, 0x2f, 0x31, 0x01], &[0x1f, 0x8b]];
+    const MAGICS: [&[u8]; 8] =
+        [b"glTF", b"b3dm", b"i3dm", b"cmpt", b"pnts", &[0x76, 0x2f, 0x31, 0x01], &[0x1f, 0x8b], &[4, 3, 2, 1]];
     let is_model = MAGICS.iter().any(|magic| bytes.starts_with(magic));
     is_model || osg::is_native(bytes) || osg::is_metadata(bytes) || has_asset(bytes)
 }

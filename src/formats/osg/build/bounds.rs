@@ -51,7 +51,9 @@ fn of_node(node: &NodeObject, known: &mut HashMap<usize, BoundingSphere>) -> Bou
             if *is_absolute || sphere.is_empty() { BoundingSphere::EMPTY } else { sphere.transformed(&map) }
         }
         NodeClass::Lod(lod) | NodeClass::PagedLod(lod, _) => of_lod(lod, children),
-        NodeClass::Proxy(ProxyObject { center_mode, user_center, .. }) => of_center(*center_mode, *user_center, children),
+        NodeClass::Proxy(ProxyObject { center_mode, user_center, .. }) => {
+            of_center(*center_mode, *user_center, children)
+        }
     }
 }
 
@@ -66,7 +68,8 @@ pub(super) fn of_center(
     user_center: Option<(DVec3, f64)>,
     children: impl FnOnce() -> BoundingSphere,
 ) -> BoundingSphere {
-    let own = user_center.filter(|(_, radius)| *radius >= 0.0).map(|(center, radius)| BoundingSphere::new(center, radius));
+    let own =
+        user_center.filter(|(_, radius)| *radius >= 0.0).map(|(center, radius)| BoundingSphere::new(center, radius));
     match (mode, own) {
         (CenterMode::UserDefined, Some(own)) => own,
         (CenterMode::Union, Some(own)) => own.union(&children()),
@@ -78,9 +81,7 @@ fn of_shape(shape: &ShapeObject) -> BoundingSphere {
     match shape {
         ShapeObject::Box { center, half_lengths, .. } => BoundingSphere::new(*center, half_lengths.length()),
         ShapeObject::Sphere { center, radius } => BoundingSphere::new(*center, radius.abs()),
-        ShapeObject::Round { center, radius, height, .. } => {
-            BoundingSphere::new(*center, radius.abs() + height.abs())
-        }
+        ShapeObject::Round { center, radius, height, .. } => BoundingSphere::new(*center, radius.abs() + height.abs()),
         ShapeObject::Composite(parts) => {
             parts.iter().fold(BoundingSphere::EMPTY, |all, part| all.union(&of_shape(part)))
         }

@@ -10,9 +10,7 @@ use crate::formats::osg::error::{OsgError, Result};
 use crate::formats::osg::input::Values;
 use crate::formats::osg::objects::{Binding, BoundArray, GeometryObject, Indices, PrimitiveObject};
 use crate::math::Aabb;
-use crate::scene::{
-    AttributeFormat, Mesh, MeshVertex, PrimitiveMode, Topology, VertexAttributes,
-};
+use crate::scene::{AttributeFormat, Mesh, MeshVertex, PrimitiveMode, Topology, VertexAttributes};
 
 const TOPOLOGIES: [Topology; 3] = [Topology::Triangles, Topology::Lines, Topology::Points];
 
@@ -230,7 +228,8 @@ impl Builder<'_> {
             match end {
                 Some(end) => Ok(first as u32..end as u32),
                 None => {
-                    let reason = format!("a primitive set of {count} vertices from {first}, where there are {vertices}");
+                    let reason =
+                        format!("a primitive set of {count} vertices from {first}, where there are {vertices}");
                     Err(OsgError::Invalid(reason))
                 }
             }
@@ -268,18 +267,8 @@ impl Builder<'_> {
         use PrimitiveMode::{
             LineLoop, LineStrip, Lines, Points, Polygon, QuadStrip, Quads, TriangleFan, TriangleStrip, Triangles,
         };
-        let modes = [
-            Points,
-            Lines,
-            LineLoop,
-            LineStrip,
-            Triangles,
-            TriangleStrip,
-            TriangleFan,
-            Quads,
-            QuadStrip,
-            Polygon,
-        ];
+        let modes =
+            [Points, Lines, LineLoop, LineStrip, Triangles, TriangleStrip, TriangleFan, Quads, QuadStrip, Polygon];
         let Some(mode) = modes.get(set.mode as usize) else {
             self.note("OpenSceneGraph: primitives with adjacency, and patches");
             return Ok((Topology::Points, Arc::default()));

@@ -209,7 +209,8 @@ impl<'a> Builder<'a> {
             None => None,
         };
         let starts_at_bottom = texture.as_ref().is_some_and(|texture| texture.starts_at_bottom);
-        let Some(Meshes { origin, meshes }) = self.meshes_of(object, starts_at_bottom, look.has_vertex_colors())? else {
+        let Some(Meshes { origin, meshes }) = self.meshes_of(object, starts_at_bottom, look.has_vertex_colors())?
+        else {
             return Ok((DVec3::ZERO, Vec::new()));
         };
         let state_set = look.alpha_test_beside_material().map(|(function, reference)| {

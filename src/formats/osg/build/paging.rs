@@ -254,8 +254,7 @@ impl Builder<'_> {
                 nodes.push(self.tile(&reach, reach.range_mode(None), content, PagingOptions::default()));
                 continue;
             }
-            let proxy =
-                ProxyNode { uri: content.uri, bounds: sphere, content_transform: DAffine3::IDENTITY, loading };
+            let proxy = ProxyNode { uri: content.uri, bounds: sphere, content_transform: DAffine3::IDENTITY, loading };
             nodes.push(Node::new(NodeKind::ProxyNode(Box::new(proxy))));
         }
         Ok(if nodes.len() == 1 { nodes.swap_remove(0) } else { Node::group(nodes) })

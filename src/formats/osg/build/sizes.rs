@@ -25,7 +25,8 @@ fn of_object(object: &Object, seen: &mut HashSet<usize>) -> u64 {
         Object::Drawable(drawable) if seen.insert(Arc::as_ptr(drawable).addr()) => {
             let state = of_state(drawable.state.as_ref(), seen);
             let DrawableClass::Geometry(geometry) = &drawable.class else { return state + OBJECT_BYTES };
-            let of_array = |array: &Option<BoundArray>| array.as_ref().map_or(0, |array| array.array.values.size_bytes());
+            let of_array =
+                |array: &Option<BoundArray>| array.as_ref().map_or(0, |array| array.array.values.size_bytes());
             let sets = geometry.primitives.iter().map(|set| match &set.indices {
                 Indices::Elements(values) => values.size_bytes(),
                 Indices::Lengths { lengths, .. } => lengths.len() as u64 * 4,
@@ -47,7 +48,9 @@ fn of_state(state: Option<&Arc<StateObject>>, seen: &mut HashSet<usize>) -> u64 
     }
     let attributes = state.texture_attributes.iter().flatten();
     let images = attributes.map(|(attribute, _)| match &**attribute {
-        AttributeObject::Texture(TextureObject { image: Some(image), .. }) if seen.insert(Arc::as_ptr(image).addr()) => {
+        AttributeObject::Texture(TextureObject { image: Some(image), .. })
+            if seen.insert(Arc::as_ptr(image).addr()) =>
+        {
             match &image.data {
                 ImageData::External => 0,
                 ImageData::File(bytes) => bytes.len() as u64,

@@ -175,7 +175,10 @@ impl Reader<'_> {
             51 => {
                 let first = self.integer(Number::I32)?;
                 let count = self.count()?;
-                Indices::Lengths { first, lengths: whole(self.block(|reader| reader.input.numbers(Number::I32, count))?) }
+                Indices::Lengths {
+                    first,
+                    lengths: whole(self.block(|reader| reader.input.numbers(Number::I32, count))?),
+                }
             }
             52 => Indices::Elements(elements(Number::U8)?),
             53 => Indices::Elements(elements(Number::U16)?),

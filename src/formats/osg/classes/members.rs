@@ -41,7 +41,10 @@ impl Reader<'_> {
         let count = self.unsigned()? as usize;
         match count <= self.input.remaining() {
             true => Ok(count),
-            false => Err(OsgError::invalid(format!("a list of {count} elements in the last {} bytes", self.input.remaining()))),
+            false => Err(OsgError::invalid(format!(
+                "a list of {count} elements in the last {} bytes",
+                self.input.remaining()
+            ))),
         }
     }
 

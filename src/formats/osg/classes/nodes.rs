@@ -169,8 +169,8 @@ impl Reader<'_> {
         // Text leaves out a scale of zero, which OSG's own default is not.
         let scale = self.point_member("Scale", DVec3::ONE)?;
         let pivot = self.point_member("PivotPoint", DVec3::ZERO)?;
-        let map = DAffine3::from_scale_rotation_translation(scale, rotation, position)
-            * DAffine3::from_translation(-pivot);
+        let map =
+            DAffine3::from_scale_rotation_translation(scale, rotation, position) * DAffine3::from_translation(-pivot);
         let parent_from_child = map.is_finite().then_some(map);
         Ok(node.with(NodeClass::Transform { parent_from_child, is_absolute }, children))
     }

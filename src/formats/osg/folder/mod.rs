@@ -105,7 +105,10 @@ mod tests {
 
     #[test]
     fn folders_of_tiles_are_found_among_others() {
-        assert_eq!(tiles(b"Tile_+000_+001/\nnotes.txt\nTile_-001_+000/\nthumbs/\n"), ["Tile_+000_+001", "Tile_-001_+000"]);
+        assert_eq!(
+            tiles(b"Tile_+000_+001/\nnotes.txt\nTile_-001_+000/\nthumbs/\n"),
+            ["Tile_+000_+001", "Tile_-001_+000"]
+        );
         assert_eq!(tiles(b"a/\nb/\nc.osgb\n"), ["a", "b"]);
         assert!(tiles(b"").is_empty());
         assert_eq!(reference("Tile_+1#2"), "Data/Tile_+1%232/Tile_+1%232.osgb");

@@ -145,7 +145,8 @@ fn grid_of_wkt(wkt: &str) -> Option<Grid> {
     if (metres - 1.0).abs() > 1e-9 {
         return None;
     }
-    let parameter = |name: &str| numbers_behind(&format!("PARAMETER[\"{name}\",")).and_then(|list| list.first().copied());
+    let parameter =
+        |name: &str| numbers_behind(&format!("PARAMETER[\"{name}\",")).and_then(|list| list.first().copied());
     let grid = TransverseMercator {
         central_meridian: parameter("CENTRAL_MERIDIAN")?.to_radians(),
         latitude_of_origin: parameter("LATITUDE_OF_ORIGIN").unwrap_or(0.0).to_radians(),

@@ -1,8 +1,8 @@
 //! [`BinaryInput`]: the binary encoding. Files since OSG 3.1.4 usually have the sizes of their blocks.
 
+use super::Input;
 use super::names::Names;
 use super::values::{Number, Values};
-use super::Input;
 use crate::formats::osg::error::{OsgError, Result};
 
 /// The version since which sizes of blocks have 64 bits.
