@@ -49,9 +49,7 @@ pub fn dependencies(
     options: &ReadOptions,
 ) -> Vec<Arc<str>> {
     let base = options.base.as_deref().unwrap_or(uri);
-    let needed = if reader_data.is_some_and(ReaderData::is_whole_content) && bytes.is_empty() {
-        Vec::new()
-    } else if let Some(source) = reader_data.and_then(|data| data.value::<SubtreeSource>()) {
+    let needed = if let Some(source) = reader_data.and_then(|data| data.value::<SubtreeSource>()) {
         implicit::external_buffers(source, uri, bytes, options)
     } else if let Some(ContentBytes::Several(contents)) = content_data(reader_data).map(|data| &data.bytes) {
         let fetched = contents.iter().filter(|content| !content.is_in_memory()).enumerate();

@@ -129,7 +129,7 @@ mod tests {
         Geodetic { longitude: longitude.to_radians(), latitude: latitude.to_radians(), height_m: 0.0 }
     }
 
-    /// Values of PROJ 9 for EPSG:32632, 32733 and 31467 (the last without its datum).
+    /// A published position, and positions that follow from the definition.
     #[test]
     fn grids_agree_with_known_coordinates() {
         let near = |grid: TransverseMercator, longitude, latitude, expected: [f64; 2]| {

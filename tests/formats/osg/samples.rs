@@ -16,7 +16,7 @@ use super::read_part;
 struct Found {
     paged: BTreeSet<String>,
     images: BTreeSet<(u32, u32)>,
-    /// Drawables of meshes, and of shapes, whose vertices depend on their tessellation.
+    /// Corners of the box around everything.
     low: DVec3,
     high: DVec3,
 }

@@ -6,34 +6,40 @@ use std::sync::Arc;
 use glam::{DAffine3, DVec3};
 
 use crate::formats::osg::objects::{
-    CenterMode, DrawableClass, LodObject, NodeClass, NodeObject, Object, ProxyObject, ShapeObject,
+    CenterMode, DrawableClass, DrawableObject, LodObject, NodeClass, NodeObject, Object, ProxyObject, ShapeObject,
 };
 use crate::math::{Aabb, BoundingSphere};
 
-/// Returns a sphere around an object in the frame that it is in; empty if it has no bound. `known` keeps those of nodes, which
-/// files may share often.
+/// Returns a sphere around an object in the frame that it is in; empty if it has no bound. `known` keeps those of nodes
+/// and drawables by address, since files may share them often.
 pub(super) fn sphere(object: &Object, known: &mut HashMap<usize, BoundingSphere>) -> BoundingSphere {
-    match object {
-        Object::Node(node) => {
-            let key = Arc::as_ptr(node).addr();
-            if let Some(sphere) = known.get(&key) {
-                return *sphere;
-            }
-            let sphere = of_node(node, known);
-            known.insert(key, sphere);
-            sphere
-        }
-        Object::Drawable(drawable) => match &drawable.class {
-            DrawableClass::Geometry(geometry) => {
-                let Some(vertices) = &geometry.vertices else { return BoundingSphere::EMPTY };
-                let array = &vertices.array;
-                let point = |i| DVec3::new(array.get(i, 0), array.get(i, 1), array.get(i, 2));
-                let points = (0..array.count()).map(point).filter(|point| point.is_finite());
-                box_sphere(&Aabb::from_points(points))
-            }
-            DrawableClass::Shape { shape, .. } => shape.as_ref().map_or(BoundingSphere::EMPTY, |shape| of_shape(shape)),
-        },
+    let key = match object {
+        Object::Node(node) => Arc::as_ptr(node).addr(),
+        Object::Drawable(drawable) => Arc::as_ptr(drawable).addr(),
+        _ => return BoundingSphere::EMPTY,
+    };
+    if let Some(sphere) = known.get(&key) {
+        return *sphere;
+    }
+    let sphere = match object {
+        Object::Node(node) => of_node(node, known),
+        Object::Drawable(drawable) => of_drawable(drawable),
         _ => BoundingSphere::EMPTY,
+    };
+    known.insert(key, sphere);
+    sphere
+}
+
+fn of_drawable(drawable: &DrawableObject) -> BoundingSphere {
+    match &drawable.class {
+        DrawableClass::Geometry(geometry) => {
+            let Some(vertices) = &geometry.vertices else { return BoundingSphere::EMPTY };
+            let array = &vertices.array;
+            let point = |i| DVec3::new(array.get(i, 0), array.get(i, 1), array.get(i, 2));
+            let points = (0..array.count()).map(point).filter(|point| point.is_finite());
+            box_sphere(&Aabb::from_points(points))
+        }
+        DrawableClass::Shape { shape, .. } => shape.as_ref().map_or(BoundingSphere::EMPTY, |shape| of_shape(shape)),
     }
 }
 

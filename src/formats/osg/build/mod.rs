@@ -31,9 +31,9 @@ use crate::math::BoundingSphere;
 use crate::scene::{Drawable, Material, Mesh, Node, NodeKind, Topology};
 use crate::state::StateSet;
 
-/// The number of nodes that one file may have for each of [`Limits::max_elements`](crate::fetch::Limits), where a shared node
-/// counts at each place.
-const NODES_PER_ELEMENT: f64 = 1.0 / 16.0;
+/// A file may have one node for this number of [`Limits::max_elements`](crate::fetch::Limits). A shared node counts at each
+/// place.
+const ELEMENTS_PER_NODE: usize = 16;
 
 /// What nodes are made for: the file and the options of its reading.
 #[derive(Clone, Copy)]
@@ -63,6 +63,7 @@ struct Builder<'a> {
     meshes: HashMap<(usize, bool, bool), Meshes>,
     alpha_tests: HashMap<(u32, u32), Arc<StateSet>>,
     spheres: HashMap<usize, BoundingSphere>,
+    sizes: HashMap<usize, sizes::Size>,
     /// The state sets above the current object, outermost first.
     states: Vec<Arc<StateObject>>,
     /// The copy of the file's context that parts share, once there is one.
@@ -100,6 +101,7 @@ impl<'a> Builder<'a> {
             meshes: HashMap::new(),
             alpha_tests: HashMap::new(),
             spheres: HashMap::new(),
+            sizes: HashMap::new(),
             states: Vec::new(),
             shared_file: None,
             part: String::new(),
@@ -137,10 +139,16 @@ impl<'a> Builder<'a> {
         }
     }
 
+    /// Counts nodes of the file, those of its parts included.
+    fn count_nodes(&mut self, more: usize) -> Result<(), IoError> {
+        let limit = self.source.options.limits.max_elements / ELEMENTS_PER_NODE;
+        self.nodes = self.count(self.nodes, more, "nodes of an OpenSceneGraph file", limit)?;
+        Ok(())
+    }
+
     /// Makes the node of an object; an empty group of one that is not drawn.
     fn node(&mut self, object: &Object) -> Result<Node, IoError> {
-        let limit = (self.source.options.limits.max_elements as f64 * NODES_PER_ELEMENT) as usize;
-        self.nodes = self.count(self.nodes, 1, "nodes of an OpenSceneGraph file", limit)?;
+        self.count_nodes(1)?;
         match object {
             Object::Node(node) => self.node_of(node),
             Object::Drawable(drawable) => self.geode(drawable),

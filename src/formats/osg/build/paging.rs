@@ -4,11 +4,13 @@
 //! range. A child that is in the file itself becomes an [`InlinePart`]: a content in memory, which is made into a page when
 //! it is wanted. So it leaves in the same frame in which the file that replaces it is complete.
 
+use std::collections::HashMap;
 use std::sync::Arc;
 
 use glam::{DAffine3, DVec3};
 
-use super::{Builder, Source, bounds, sizes};
+use super::sizes::{self, Size};
+use super::{Builder, Source, bounds};
 use crate::fetch::IoError;
 use crate::formats::ignored::Notes;
 use crate::formats::options::{Fetched, ReadOptions};
@@ -155,7 +157,7 @@ impl Builder<'_> {
         for level in levels.iter().rev() {
             let mut contents = Vec::new();
             if !level.inline.is_empty() {
-                contents.push((self.part(level.inline.clone()), level.child));
+                contents.push((self.part(level.inline.clone())?, level.child));
             }
             contents.extend(level.files.iter().map(|child| (self.file_content(paged, *child), *child)));
             if contents.len() > 1 && !tiles.is_empty() {
@@ -194,7 +196,10 @@ impl Builder<'_> {
     }
 
     /// Returns a content that is in the file itself.
-    fn part(&mut self, objects: Vec<Object>) -> TileContent {
+    fn part(&mut self, objects: Vec<Object>) -> Result<TileContent, IoError> {
+        let sizes = &mut self.sizes;
+        let size = objects.iter().fold(Size::default(), |size, object| size.plus(sizes::of_object(object, sizes)));
+        self.count_nodes(size.nodes)?;
         self.parts += 1;
         let name = match self.part.is_empty() {
             true => self.parts.to_string(),
@@ -204,10 +209,10 @@ impl Builder<'_> {
         let file = self.shared_file.get_or_insert_with(|| {
             Arc::new(PartFile { uri: uri.clone(), base: base.into(), companions: companions.to_vec() })
         });
-        let size_bytes = sizes::of_objects(&objects);
-        let part = InlinePart { file: file.clone(), objects, states: self.states.clone(), name, size_bytes };
+        let states = self.states.clone();
+        let part = InlinePart { file: file.clone(), objects, states, name, size_bytes: size.bytes };
         let name = format!("{uri}#part-{}", part.name);
-        TileContent::new(name.into(), Some(ReaderData::of(part)))
+        Ok(TileContent::new(name.into(), Some(ReaderData::of(part))))
     }
 
     /// Returns the content of a child that is a file. A file outside of the set is a content that cannot be loaded.
@@ -263,17 +268,17 @@ impl Builder<'_> {
 
 /// Returns the levels of a PagedLOD, the coarsest first. Children with the same range share a level.
 fn levels(object: &NodeObject, lod: &LodObject, paged: &PagedObject) -> Vec<Level> {
-    let mut levels: Vec<Level> = Vec::new();
+    let (mut levels, mut by_range) = (Vec::<Level>::new(), HashMap::new());
     for child in 0..paged.files.len().max(object.children.len()) {
         let range = lod.ranges.get(child).copied().unwrap_or(NEVER);
         let is_file = paged.files.get(child).is_some_and(|name| !name.is_empty());
         let inline = object.children.get(child).filter(|_| !is_file);
         // A range without extent is never shown; neither is NaN.
         if range[0] < range[1] && (is_file || inline.is_some()) {
-            let at = levels.iter().position(|level| level.range == range).unwrap_or_else(|| {
+            let at = *by_range.entry(range.map(f64::to_bits)).or_insert(levels.len());
+            if at == levels.len() {
                 levels.push(Level { range, inline: Vec::new(), files: Vec::new(), child });
-                levels.len() - 1
-            });
+            }
             levels[at].inline.extend(inline.cloned());
             if is_file {
                 levels[at].files.push(child);

@@ -1,6 +1,6 @@
 //! Textures of the images of a file: inside of it or beside it.
 
-use std::collections::HashSet;
+use std::collections::{BTreeSet, HashSet};
 use std::sync::Arc;
 
 use super::paging::escaped;
@@ -9,7 +9,7 @@ use crate::fetch::{IoError, Limits};
 use crate::formats::external_files::ExternalFiles;
 use crate::formats::image::{self, BlockKind, SharedTexture};
 use crate::formats::osg::objects::{
-    AttributeObject, DrawableClass, ImageData, NodeObject, Object, RawImage, StateObject, TextureObject,
+    AttributeObject, ImageData, NodeObject, Object, RawImage, StateObject, TextureObject,
 };
 use crate::scene::{ContentKey, Sampling};
 use crate::state::{FilterMode, WrapMode};
@@ -102,22 +102,19 @@ impl Builder<'_> {
 
 /// Returns the references to the external images of a file.
 pub(in super::super) fn external_images(root: &Object) -> Vec<String> {
-    let mut found = Vec::new();
+    let mut found = BTreeSet::new();
     collect(root, &mut HashSet::new(), &mut found);
-    found
+    found.into_iter().collect()
 }
 
-fn collect(object: &Object, seen: &mut HashSet<usize>, found: &mut Vec<String>) {
-    let of_state = |state: &Option<Arc<StateObject>>, found: &mut Vec<String>| {
+fn collect(object: &Object, seen: &mut HashSet<usize>, found: &mut BTreeSet<String>) {
+    let of_state = |state: &Option<Arc<StateObject>>, found: &mut BTreeSet<String>| {
         let attributes = state.iter().flat_map(|state| state.texture_attributes.first()).flatten();
         for (attribute, _) in attributes {
             if let AttributeObject::Texture(TextureObject { image: Some(image), .. }) = &**attribute
                 && matches!(image.data, ImageData::External)
             {
-                let reference = escaped(&image.file_name);
-                if !found.contains(&reference) {
-                    found.push(reference);
-                }
+                found.insert(escaped(&image.file_name));
             }
         }
     };
@@ -129,7 +126,6 @@ fn collect(object: &Object, seen: &mut HashSet<usize>, found: &mut Vec<String>) 
         }
         Object::Drawable(drawable) if seen.insert(Arc::as_ptr(drawable).addr()) => {
             of_state(&drawable.state, found);
-            debug_assert!(matches!(drawable.class, DrawableClass::Geometry(_) | DrawableClass::Shape { .. }));
         }
         _ => {}
     }

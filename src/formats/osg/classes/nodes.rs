@@ -10,7 +10,7 @@ use crate::formats::osg::input::{Names, Number};
 use crate::formats::osg::objects::{NodeClass, NodeObject, Object, StateObject};
 
 /// Classes whose members begin like those of a Group. Their own members are left out.
-const LIKE_GROUPS: [&str; 11] = [
+const LIKE_GROUPS: [&str; 8] = [
     "osg::CoordinateSystemNode",
     "osg::LightSource",
     "osg::ClipNode",
@@ -19,9 +19,6 @@ const LIKE_GROUPS: [&str; 11] = [
     "osg::OccluderNode",
     "osg::OcclusionQueryNode",
     "osg::Sequence",
-    "osg::Projection",
-    "osg::AutoTransform",
-    "osg::CameraView",
 ];
 
 /// The members that all nodes have.

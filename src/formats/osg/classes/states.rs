@@ -3,9 +3,12 @@
 use std::sync::Arc;
 
 use super::Reader;
-use crate::formats::osg::error::Result;
+use crate::formats::osg::error::{OsgError, Result};
 use crate::formats::osg::input::{GL_NAMES, Names};
 use crate::formats::osg::objects::{AttributeObject, Object, StateObject};
+
+/// The maximum number of modes or attributes in one list.
+const MAX_LIST: usize = 256;
 
 /// OSG's flags of modes and attributes.
 const FLAGS: Names = &[("ON", 1), ("OVERRIDE", 2), ("PROTECTED", 4), ("INHERIT", 8)];
@@ -57,12 +60,22 @@ impl Reader<'_> {
         read(self)
     }
 
+    /// Reads a list of a state set. OpenGL has so few modes and attributes that a long list is a broken file, and one that
+    /// each drawable below would have to resolve.
+    fn short_list<T>(&mut self, read: impl FnMut(&mut Self) -> Result<T>) -> Result<Vec<T>> {
+        let list = self.list_unless_empty(read)?;
+        match list.len() <= MAX_LIST {
+            true => Ok(list),
+            false => Err(OsgError::invalid(format!("a state set with {} modes or attributes", list.len()))),
+        }
+    }
+
     fn modes(&mut self) -> Result<Vec<(u32, u32)>> {
-        self.list_unless_empty(|reader| Ok((reader.input.named(GL_NAMES)?, reader.flags()?)))
+        self.short_list(|reader| Ok((reader.input.named(GL_NAMES)?, reader.flags()?)))
     }
 
     fn attributes(&mut self) -> Result<Vec<(Arc<AttributeObject>, u32)>> {
-        let all = self.list_unless_empty(|reader| reader.with_flags(Self::object))?;
+        let all = self.short_list(|reader| reader.with_flags(Self::object))?;
         let attribute = |(object, flags)| match object {
             Object::Attribute(attribute) => Some((attribute, flags)),
             _ => None,

@@ -45,22 +45,24 @@ impl<'a> TextInput<'a> {
         }
     }
 
-    fn parse(&self, word: &str, number: Number) -> Result<f64> {
-        let bad = || {
-            let word: String = word.chars().take(40).collect();
-            OsgError::invalid(format!("line {}: {word} is not a number", self.line()))
-        };
-        let parsed = match number {
-            Number::F32 => f64::from(word.parse::<f32>().map_err(|_| bad())?),
-            Number::F64 => word.parse::<f64>().map_err(|_| bad())?,
-            // Hexadecimal numbers are masks.
-            _ => match word.strip_prefix("0x").or(word.strip_prefix("0X")) {
-                Some(digits) => f64::from(u32::from_str_radix(digits, 16).map_err(|_| bad())?),
-                None => word.parse::<i64>().map_err(|_| bad())? as f64,
-            },
-        };
-        Ok(parsed)
+    /// Returns the error for a word that is no number.
+    fn no_number(&self, word: &str) -> OsgError {
+        let word: String = word.chars().take(40).collect();
+        OsgError::invalid(format!("line {}: {word} is not a number", self.line()))
     }
+}
+
+/// Parses a number of a type.
+fn parse(word: &str, number: Number) -> Option<f64> {
+    Some(match number {
+        Number::F32 => f64::from(word.parse::<f32>().ok()?),
+        Number::F64 => word.parse::<f64>().ok()?,
+        // Hexadecimal numbers are masks.
+        _ => match word.strip_prefix("0x").or(word.strip_prefix("0X")) {
+            Some(digits) => f64::from(u32::from_str_radix(digits, 16).ok()?),
+            None => word.parse::<i64>().ok()? as f64,
+        },
+    })
 }
 
 impl Input for TextInput<'_> {
@@ -74,7 +76,7 @@ impl Input for TextInput<'_> {
 
     fn number(&mut self, number: Number) -> Result<f64> {
         let word = self.next()?;
-        self.parse(word, number)
+        parse(word, number).ok_or_else(|| self.no_number(word))
     }
 
     fn numbers(&mut self, number: Number, count: usize) -> Result<Values> {
@@ -137,7 +139,7 @@ impl Input for TextInput<'_> {
     fn named(&mut self, names: Names) -> Result<u32> {
         let word = self.next()?;
         // Values without a name are written as numbers. Unknown names select nothing.
-        Ok(value_of(names, word).or_else(|| Some(self.parse(word, Number::I32).ok()? as i64 as u32)).unwrap_or(0))
+        Ok(value_of(names, word).or_else(|| Some(parse(word, Number::I32)? as i64 as u32)).unwrap_or(0))
     }
 
     fn matches(&mut self, name: &str) -> Result<bool> {
