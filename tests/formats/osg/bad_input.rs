@@ -36,6 +36,13 @@ fn unknown_classes_are_skipped_if_their_size_is_known() {
 }
 
 #[test]
+fn files_without_a_node_are_refused() {
+    for root in ["osgFoo::Bar { UniqueID 1 }", "osg::CullFace { UniqueID 1 }", "NULL"] {
+        assert!(error(osgt(VERSION, root)).contains("a file without a node that is read is not supported"), "{root}");
+    }
+}
+
+#[test]
 fn user_data_is_skipped() {
     let data = "UserDataContainer TRUE { osg::DefaultUserDataContainer { UniqueID 50
         UDC_Descriptions 1 { \"a { b\" } UDC_UserObjects 1 { osg::StringValueObject { UniqueID 51 Value \"x\" } } } }";
@@ -60,7 +67,7 @@ fn headers_and_compressors_are_checked() {
         (plain[..8].to_vec(), "it ends where 4 bytes should follow at byte 8"),
         (plain.clone(), "it ends where 4 bytes should follow"),
         (Osgb::with_compressor(VERSION, true, "lz4x").bytes, "compressor \"lz4x\" is not supported"),
-        (Osgb::with_compressor(VERSION, true, "zlib").bytes, "zlib"),
+        (Osgb::with_compressor(VERSION, true, "zlib").bytes, "it ends where 4 bytes should follow at byte 0"),
         (b"#Ascii Scene \n#Version x ".to_vec(), "line 2: x is not a number"),
         (b"#Ascii Image \n#Version 161 ".to_vec(), "an image without a scene is not supported"),
     ] {
@@ -77,7 +84,7 @@ fn broken_lengths_are_errors() {
     }
     // The size of the root's block, behind its class.
     let at = whole.windows(10).position(|window| window == b"osg::Group").unwrap() + 10;
-    for size in [0u64, 7, 12, u64::MAX, 1 << 40] {
+    for size in [0u64, 7, 13, u64::MAX, 1 << 40] {
         let mut broken = whole.clone();
         broken[at..at + 8].copy_from_slice(&size.to_le_bytes());
         let error = error(&broken);
@@ -126,7 +133,10 @@ fn nesting_and_references_are_bounded() {
             group(id, &if id == 2 { Vec::new() } else { vec![reference.clone(), reference] })
         })
         .collect();
-    assert!(error(osgt(VERSION, &group(1, &twice))).contains("nodes of an OpenSceneGraph file"));
+    let limits = Limits { max_elements: 1 << 16, ..Limits::default() };
+    let options = ReadOptions::for_root(URI, limits);
+    let error = read_with(osgt(VERSION, &group(1, &twice)).as_bytes(), Vec::new(), &options).unwrap_err();
+    assert!(error.to_string().contains("nodes of an OpenSceneGraph file"), "{error}");
     // A node that contains itself.
     let (node, ignored) = read(osgt(VERSION, &group(1, &["osg::Group { UniqueID 1 }".to_owned()])));
     assert!(node.children[0].children.is_empty() && ignored.iter().count() == 1, "{ignored:?}");

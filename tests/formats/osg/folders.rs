@@ -19,7 +19,7 @@ fn tile(center: [f64; 3]) -> String {
         VERSION,
         &format!(
             "osg::PagedLOD {{ UniqueID 1 CenterMode USER_DEFINED_CENTER UserCenter {x} {y} {z} 20
-            RangeMode PIXEL_SIZE_ON_SCREEN RangeList 2 {{ 0 100 100 1e+30 }}
+            RangeMode PIXEL_SIZE_ON_SCREEN RangeList 2 {{ 0 1000 1000 1e+30 }}
             RangeDataList 2 {{ \"\" \"fine.osgt\" }} PriorityList 2 {{ 0 1 0 1 }} Children 1 {{ {} }} }}",
             geode(2, "", &[triangle(3, "")])
         ),
@@ -109,13 +109,13 @@ fn the_pager_replaces_what_is_in_the_file_by_other_files() {
     let fine = osgt(VERSION, &geode(1, "", &[triangle(2, ""), triangle(12, "")]));
     std::fs::write(folder.path().join("Data/Tile_+000_+000/fine.osgt"), fine).unwrap();
     let mut run = Run::new(folder.path().to_str().unwrap(), PagerConfig::default());
-    run.settle(above(5000.0));
+    run.settle(above(100.0));
     assert_eq!((run.stage.leaf_count(), run.pager.errors().len()), (1, 0), "{:?}", run.pager.errors());
-    run.settle(above(30.0));
+    run.settle(above(10.0));
     assert_eq!((run.stage.leaf_count(), run.pager.errors().len()), (2, 0), "{:?}", run.pager.errors());
     // Without its file the coarse one stays.
     std::fs::remove_file(folder.path().join("Data/Tile_+000_+000/fine.osgt")).unwrap();
     let mut run = Run::new(folder.path().to_str().unwrap(), PagerConfig::default());
-    run.settle(above(30.0));
+    run.settle(above(10.0));
     assert_eq!((run.stage.leaf_count(), run.pager.errors().len()), (1, 1));
 }

@@ -62,13 +62,13 @@ fn switches_and_ranges_count_children_that_are_skipped() {
 }
 
 /// A PagedLOD in text: its first child is in the file, the others are files.
-fn paged_lod(members: &str, ranges: &[&str], files: &[&str]) -> String {
+fn paged_lod(mode: &str, path: &str, ranges: &[&str], files: &[&str]) -> String {
     let names: Vec<String> =
         std::iter::once("\"\"".to_owned()).chain(files.iter().map(|f| format!("\"{f}\""))).collect();
     let priorities = "0 1 ".repeat(names.len());
     format!(
-        "osg::PagedLOD {{ UniqueID 1 CenterMode USER_DEFINED_CENTER UserCenter 1 2 3 50 {members}
-        RangeList {} {{ {} }} RangeDataList {} {{ {} }} PriorityList {} {{ {priorities} }} Children 1 {{ {} }} }}",
+        "osg::PagedLOD {{ UniqueID 1 CenterMode USER_DEFINED_CENTER UserCenter 1 2 3 50 {mode}
+        RangeList {} {{ {} }} {path} RangeDataList {} {{ {} }} PriorityList {} {{ {priorities} }} Children 1 {{ {} }} }}",
         ranges.len(),
         ranges.join("\n"),
         names.len(),
@@ -81,7 +81,8 @@ fn paged_lod(members: &str, ranges: &[&str], files: &[&str]) -> String {
 #[test]
 fn paged_levels_by_size_become_a_chain_of_tiles() {
     let text = paged_lod(
-        "RangeMode PIXEL_SIZE_ON_SCREEN DatabasePath FALSE",
+        "RangeMode PIXEL_SIZE_ON_SCREEN",
+        "DatabasePath FALSE",
         &["0 400", "400 1000", "1000 1e+30"],
         &["level 1.osgb", "sub\\\\level#2.osgb"],
     );
@@ -106,14 +107,13 @@ fn paged_levels_by_size_become_a_chain_of_tiles() {
 
 #[test]
 fn paged_levels_by_distance_start_with_the_farthest() {
-    // OSG orders children as it likes: the file of the nearest level may come first.
-    let text = paged_lod("", &["50 1e+30", "0 50"], &["near.osgb"]);
+    let text = paged_lod("", "", &["50 1e+30", "0 50"], &["near.osgb"]);
     let (node, _) = read(osgt(VERSION, &text));
     let [far, near] = tiles(&node)[..] else { panic!("two tiles") };
     assert_eq!(far.range_mode, RangeMode::Distance { center: DVec3::new(1.0, 2.0, 3.0), range_m: 50.0 });
     assert_eq!(near.content.as_deref(), Some("/set/near.osgb"));
     // Beyond the last range nothing is shown.
-    let text = paged_lod("", &["50 900", "10 50"], &["near.osgb"]);
+    let text = paged_lod("", "", &["50 900", "10 50"], &["near.osgb"]);
     let (node, _) = read(osgt(VERSION, &text));
     let NodeKind::Lod { ranges_m, .. } = &node.kind else { panic!("levels: {node:?}") };
     assert_eq!((ranges_m.as_slice(), tiles(&node).len()), (&[[10.0, 900.0]][..], 2));
@@ -127,7 +127,7 @@ fn paths_outside_of_the_set_are_refused_alone() {
         ("DatabasePath TRUE \"C:\\\\work\"", Ok("/set/b.osgb")),
         ("DatabasePath TRUE \"../../other\"", Err("leaves the tile set's folder")),
     ] {
-        let (node, ignored) = read(osgt(VERSION, &paged_lod(path, &["50 1e+30", "0 50"], &["b.osgb"])));
+        let (node, ignored) = read(osgt(VERSION, &paged_lod("", path, &["50 1e+30", "0 50"], &["b.osgb"])));
         let tile = tiles(&node)[1];
         match expected {
             Ok(uri) => assert_eq!(tile.content.as_deref(), Some(uri), "{path}"),
@@ -137,7 +137,7 @@ fn paths_outside_of_the_set_are_refused_alone() {
         assert_eq!(drawables(&read_part(tiles(&node)[0]).unwrap()).len(), 1, "the rest draws");
     }
     for escape in ["../../x.osgb", "/etc/passwd", "file:///etc/passwd", "http://a.org/x.osgb"] {
-        let (node, _) = read(osgt(VERSION, &paged_lod("", &["50 1e+30", "0 50"], &[escape])));
+        let (node, _) = read(osgt(VERSION, &paged_lod("", "", &["50 1e+30", "0 50"], &[escape])));
         assert!(read_part(tiles(&node)[1]).is_err(), "{escape}");
     }
 }

@@ -82,6 +82,10 @@ struct Builder<'a> {
 
 /// Makes the node of a file's root object.
 pub(super) fn node_of_file(root: &Object, source: Source<'_>) -> Result<Node, IoError> {
+    if !matches!(root, Object::Node(_) | Object::Drawable(_)) {
+        let error = OsgError::Unsupported("a file without a node that is read".to_owned());
+        return Err(error.at(source.uri));
+    }
     let mut builder = Builder::new(source);
     let node = builder.node(root)?;
     builder.finish(node)
