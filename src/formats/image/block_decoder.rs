@@ -1,7 +1,7 @@
 //! Decompresses the blocks of DXT (S3TC) images: BC1, BC2 and BC3. CPU only; any thread.
 //!
-//! A block has 4 x 4 texels: two colours of 5, 6 and 5 bits with two-bit weights between them, and before those in BC2 and
-//! BC3 eight bytes of alpha (Khronos Data Format Specification 1.3, section 19).
+//! A block has 4 x 4 texels: two colours of 5, 6 and 5 bits, and two-bit weights between them. In BC2 and BC3 eight bytes of
+//! alpha come first (Khronos Data Format Specification 1.3, section 19).
 
 /// The kinds of blocks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -145,7 +145,7 @@ pub(super) struct BoundArray {
     pub is_normalized: bool,
 }
 
-/// What an element of an array belongs to.
+/// The kind of thing that each element of an array belongs to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Binding {
     Off,
@@ -268,7 +268,7 @@ pub(super) struct ImageObject {
     pub data: ImageData,
 }
 
-/// Where the pixels of an image are.
+/// The pixels of an image.
 #[derive(Debug)]
 pub(super) enum ImageData {
     /// In the file of its name.

@@ -53,7 +53,7 @@ fn of_node(node: &NodeObject, known: &mut HashMap<usize, BoundingSphere>) -> Bou
         NodeClass::Transform { parent_from_child, is_absolute } => {
             let map = parent_from_child.unwrap_or(DAffine3::IDENTITY);
             let sphere = children();
-            // What moves with the eye has no place.
+            // Children that move with the eye have no position.
             if *is_absolute || sphere.is_empty() { BoundingSphere::EMPTY } else { sphere.transformed(&map) }
         }
         NodeClass::Lod(lod) | NodeClass::PagedLod(lod, _) => of_lod(lod, children),

@@ -47,7 +47,7 @@ impl<T> Inherited<T> {
     }
 }
 
-/// What a drawable's material takes from the state sets above it.
+/// The state that a drawable's material takes from the state sets above it.
 pub(super) struct Look {
     /// The attribute with the texture of unit 0.
     pub texture: Option<Arc<AttributeObject>>,

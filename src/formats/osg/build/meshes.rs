@@ -14,7 +14,7 @@ use crate::scene::{AttributeFormat, Mesh, MeshVertex, PrimitiveMode, Topology, V
 
 const TOPOLOGIES: [Topology; 3] = [Topology::Triangles, Topology::Lines, Topology::Points];
 
-/// Where an element of an array is taken from.
+/// The numbers by which arrays of each binding are read for a vertex.
 #[derive(Clone, Copy)]
 struct Corner {
     vertex: usize,
@@ -192,7 +192,7 @@ impl Builder<'_> {
         Ok(meshes)
     }
 
-    /// Makes meshes in which each primitive set, or each primitive, has vertices of its own.
+    /// Makes meshes in which each primitive set, or each primitive, has separate vertices.
     fn separate_meshes(&mut self, geometry: &GeometryObject, arrays: &Arrays<'_>) -> Result<Vec<Mesh>> {
         let mut parts: [(Vec<MeshVertex>, Vec<u32>); 3] = Default::default();
         let mut primitive = 0;

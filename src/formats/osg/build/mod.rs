@@ -35,7 +35,7 @@ use crate::state::StateSet;
 /// place.
 const ELEMENTS_PER_NODE: usize = 16;
 
-/// What nodes are made for: the file and the options of its reading.
+/// The file that nodes are made of, and the options of its reading.
 #[derive(Clone, Copy)]
 pub(super) struct Source<'a> {
     pub uri: &'a Arc<str>,

@@ -40,7 +40,7 @@ pub(in crate::formats) struct InlinePart {
     size_bytes: u64,
 }
 
-/// What the parts of a file share.
+/// The address and images of a file, which its parts share.
 #[derive(Debug)]
 pub(super) struct PartFile {
     uri: Arc<str>,

@@ -1,4 +1,4 @@
-//! What the objects of a part take: memory until it is made into a page, and nodes then.
+//! [`Size`]: the memory that the objects of a part take until it becomes a page, and the nodes that it becomes.
 
 use std::collections::HashMap;
 use std::sync::Arc;

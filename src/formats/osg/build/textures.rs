@@ -171,7 +171,7 @@ fn rgba_of(uri: &str, raw: &RawImage, limits: &Limits) -> Result<(u32, u32, Vec<
         let texels = image::decode_blocks(kind, width, height, &raw.bytes);
         return Ok((width, height, texels.ok_or_else(|| bad("too few blocks".to_owned()))?));
     }
-    /// Where red, green, blue and alpha are in a pixel; 4 for one, and 5 for zero.
+    /// Indices that stand for the values 1 and 0, instead of a channel of a pixel.
     const ONE: usize = 4;
     const ZERO: usize = 5;
     let (channels, order) = match raw.pixel_format {

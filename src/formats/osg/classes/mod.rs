@@ -21,7 +21,7 @@ use super::input::{Input, Opened, open};
 use super::objects::{ArrayObject, Object};
 use crate::fetch::Limits;
 
-/// Classes without effect on what is drawn, whose absence nobody would notice.
+/// Classes without effect on what is drawn, which are skipped without a note.
 const SILENT: [&str; 6] = [
     "osg::VertexBufferObject",
     "osg::ElementBufferObject",
@@ -36,7 +36,7 @@ pub(super) struct Reader<'a> {
     input: Box<dyn Input + 'a>,
     version: u32,
     objects: HashMap<u32, Object>,
-    /// Arrays of versions below 112, which have ids of their own.
+    /// Arrays of versions below 112, by their separate ids.
     arrays: HashMap<u32, Arc<ArrayObject>>,
     /// The ids of the objects that are being read, outermost first.
     open: Vec<u32>,

@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 
-/// The contents of a `metadata.xml` that place its tiles.
+/// The reference system and origin in a `metadata.xml`.
 #[derive(Debug, PartialEq)]
 pub(super) struct Metadata {
     /// `EPSG:code`, `ENU:latitude,longitude` or WKT; empty for none.

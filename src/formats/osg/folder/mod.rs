@@ -1,7 +1,7 @@
 //! Folders of oblique photogrammetry: a `metadata.xml` with the reference system, and `Data/Tile_*/Tile_*.osgb`.
 //!
 //! The tiles are not listed anywhere, so that the folder `Data` is listed, which only works on disk. Each tile is placed by
-//! the map of its own centre: a grid is bent over the earth, and one map for all would lift distant tiles.
+//! the map around its centre: a grid is bent over the earth, and one map for all would lift distant tiles.
 
 mod metadata;
 mod placement;
@@ -55,7 +55,7 @@ fn reference(tile: &str) -> String {
     format!("Data/{tile}/{tile}.osgb")
 }
 
-/// Reads the metadata of a folder: one proxy for each tile, in its place.
+/// Reads the metadata of a folder: one proxy for each tile, placed on the earth.
 pub(in crate::formats) fn read_folder(
     (uri, base): (&Arc<str>, &str),
     bytes: &[u8],

@@ -13,7 +13,7 @@ const MAGIC: [u8; 8] = [0xa1, 0x0e, 0x91, 0x6c, 0x45, 0x45, 0xfb, 0x1a];
 const MAGIC_BIG_ENDIAN: [u8; 8] = [0x6c, 0x91, 0x0e, 0xa1, 0x1a, 0xfb, 0x45, 0x45];
 const MAGIC_TEXT: &[u8] = b"#Ascii";
 
-/// What a file holds.
+/// The type of a file that holds an image.
 const TYPE_IMAGE: u32 = 2;
 /// Bits of the attributes in a binary header.
 const HAS_DOMAINS: u32 = 1;
@@ -25,7 +25,7 @@ const VERSION_OF_DOMAINS: u32 = 98;
 /// A file behind its header.
 pub(in super::super) struct Opened<'a> {
     pub input: Box<dyn Input + 'a>,
-    /// OSG's number of its own version (SOVERSION): 161 for 3.6.5.
+    /// The version of OSG (SOVERSION): 161 for 3.6.5.
     pub version: u32,
 }
 
