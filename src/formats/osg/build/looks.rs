@@ -2,7 +2,6 @@
 
 use std::sync::Arc;
 
-use super::Builder;
 use crate::formats::osg::objects::{AttributeObject, MaterialObject, StateObject};
 use crate::math::color::linear_from_srgb;
 use crate::scene::AlphaMode;
@@ -91,7 +90,7 @@ impl Look {
                 is_textured.apply(flags & ON != 0, *flags);
             }
             let unit_attributes = state.texture_attributes.first().into_iter().flatten();
-            for (attribute, flags) in unit_attributes.filter(|(attribute, _)| Builder::is_texture(attribute)) {
+            for (attribute, flags) in unit_attributes.filter(|(attribute, _)| is_texture(attribute)) {
                 texture.apply(Some(attribute.clone()), *flags);
             }
         }
@@ -139,6 +138,10 @@ impl Look {
         let is_mask = |function| matches!(function, GL_GREATER | GL_GEQUAL);
         self.alpha_test.filter(|(function, _)| self.is_blended || !is_mask(*function))
     }
+}
+
+fn is_texture(attribute: &AttributeObject) -> bool {
+    matches!(attribute, AttributeObject::Texture(_))
 }
 
 /// Returns true if a material has highlights or glows, which only OpenGL's fixed function draws.

@@ -23,7 +23,7 @@ pub(in crate::formats) use self::paging::InlinePart;
 pub(super) use self::paging::escaped;
 pub(super) use self::textures::external_images;
 use super::error::OsgError;
-use super::objects::{AttributeObject, DrawableClass, DrawableObject, NodeClass, NodeObject, Object, StateObject};
+use super::objects::{DrawableClass, DrawableObject, NodeClass, NodeObject, Object, StateObject};
 use crate::fetch::IoError;
 use crate::formats::ignored::Notes;
 use crate::formats::options::{Fetched, ReadOptions};
@@ -279,9 +279,5 @@ impl<'a> Builder<'a> {
             }
             Err(error) => Err(error.at(self.source.uri)),
         }
-    }
-
-    fn is_texture(attribute: &AttributeObject) -> bool {
-        matches!(attribute, AttributeObject::Texture(_))
     }
 }
