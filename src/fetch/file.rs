@@ -17,6 +17,9 @@ use super::scope::RootScope;
 #[cfg(test)]
 pub(crate) const PANICS: &str = "panics.zip/a";
 
+/// The end of a path that means the names of what is in a folder.
+const LISTING: &str = "/*";
+
 /// Reads files and members of archives, and caches the directories of the archives. Shared by the file threads.
 #[derive(Debug)]
 pub struct FileReader {
@@ -32,6 +35,7 @@ impl FileReader {
     }
 
     /// Reads a whole file and decompresses gzip. A path that continues after the name of an archive means a file inside it.
+    /// The path `folder/*` means the names of what is in a folder, sorted, one a line, with a slash behind those of folders.
     pub fn read(&self, uri: &str) -> Result<Vec<u8>, IoError> {
         guarded(uri, || self.read_unguarded(uri))
     }
@@ -65,6 +69,9 @@ impl FileReader {
         #[cfg(feature = "testing")]
         hung_reads::wait(uri);
         let limits = &self.limits;
+        if let Some(folder) = uri.strip_suffix(LISTING).filter(|folder| Path::new(folder).is_dir()) {
+            return list(folder, limits);
+        }
         let Some(metadata) = self.metadata(uri)? else {
             let (archive, name) = self.open_archive_of(uri)?;
             return gunzip(uri, archive.read(uri, &name, limits)?, limits);
@@ -165,6 +172,26 @@ mod hung_reads {
         }
     }
 }
+
+/// Returns the names of what is in a folder. Names that are not UTF-8 are left out.
+fn list(folder: &str, limits: &Limits) -> Result<Vec<u8>, IoError> {
+    let failed = |e: std::io::Error| IoError::of_file(folder, &e);
+    let (mut names, mut size) = (Vec::new(), 0);
+    for entry in std::fs::read_dir(folder).map_err(failed)? {
+        let entry = entry.map_err(failed)?;
+        let Ok(mut name) = entry.file_name().into_string() else { continue };
+        if entry.path().is_dir() {
+            name.push('/');
+        }
+        size += name.len() as u64 + 1;
+        limits.check_file_bytes(folder, size)?;
+        names.push(name);
+    }
+    names.sort_unstable();
+    names.push(String::new());
+    Ok(names.join("\n").into_bytes())
+}
+
 #[cfg(feature = "testing")]
 pub use hung_reads::HungReads;
 

@@ -39,8 +39,17 @@ impl RootScope {
     }
 }
 
+/// The root of a folder of oblique photogrammetry.
+const OBLIQUE_ROOT: &str = "metadata.xml";
+
+/// Returns true for a folder that has a metadata.xml and no tileset.json.
+fn is_oblique(folder: &Path) -> bool {
+    !folder.join("tileset.json").exists() && folder.join(OBLIQUE_ROOT).is_file()
+}
+
 /// Converts user input to the URI of a tile set's root. A folder, an archive, and a URL that ends in `/` or in the name of
-/// an archive mean the tileset.json inside. Any other path or URL means itself.
+/// an archive mean the tileset.json inside; a folder on disk without one means its metadata.xml, if it has that. Any other
+/// path or URL means itself.
 pub fn root_uri(source: &str) -> Result<Arc<str>, IoError> {
     let no_set = |path: &str| match is_pmtiles(path) {
         true => Err(IoError::unsupported(source, "PMTiles as a tile set (its tiles are contents: NAME.pmtiles/z/x/y)")),
@@ -63,7 +72,11 @@ pub fn root_uri(source: &str) -> Result<Arc<str>, IoError> {
     no_set(source)?;
     let path = std::path::absolute(source).map_err(|e| bad(source, e.to_string()))?;
     let is_inside = path.is_dir() || (path.is_file() && path.to_str().is_some_and(is_archive));
-    let path = if is_inside { path.join("tileset.json") } else { path };
+    let path = match is_inside {
+        true if is_oblique(&path) => path.join(OBLIQUE_ROOT),
+        true => path.join("tileset.json"),
+        false => path,
+    };
     path.to_str().map(Arc::from).ok_or_else(|| bad(source, "the path is not UTF-8"))
 }
 

@@ -1,4 +1,4 @@
-//! Bytes to pages and back: 3D Tiles, glTF, EXR height tiles, point clouds, images.
+//! Bytes to pages and back: 3D Tiles, glTF, OpenSceneGraph's files, EXR height tiles, point clouds, images.
 //!
 //! Called by the pager's decode threads, never by the threads of the frame. The decoders do no I/O; only the functions
 //! about whole tile sets ([`inspect`], [`verify`], `fill`) ask [`fetch`](crate::fetch) for bytes. No input is trusted:
@@ -19,6 +19,7 @@ mod implicit;
 mod lenient;
 mod model_files;
 mod options;
+mod osg;
 mod point_cloud;
 mod properties;
 mod read;

@@ -1,10 +1,10 @@
-//! The files that contents refer to: external buffers and images of a glTF, the model of an i3dm, and the schemas of glTF
-//! and tilesets. CPU only; any thread.
+//! The files that contents refer to: external buffers and images of a glTF, the model of an i3dm, the images of an OSG file,
+//! and the schemas of glTF and tilesets. CPU only; any thread.
 
 use std::sync::Arc;
 
 use super::options::{Fetched, ReadOptions};
-use super::{b3dm, cmpt, gltf, i3dm, tileset};
+use super::{b3dm, cmpt, gltf, i3dm, osg, tileset};
 use crate::fetch::markup::text_and_first_byte;
 use crate::fetch::{encoding, resolve};
 
@@ -38,6 +38,11 @@ fn of_part(base: &str, bytes: &[u8], known: &[Fetched], options: &ReadOptions, d
             let parts = cmpt::parts(base, bytes, depth).unwrap_or_default();
             parts.into_iter().flat_map(|part| of_part(base, part, known, options, depth + 1)).collect()
         }
+        _ if osg::is_native(bytes) => {
+            let references = osg::references(bytes, &options.limits);
+            references.iter().filter_map(|reference| resolve(base, reference, &options.root).ok()).collect()
+        }
+        _ if osg::is_metadata(bytes) => osg::tile_files(base, known, options),
         _ if first == Some(b'{') => {
             let schema = tileset::schema_reference(text, &options.limits);
             let schema = schema.and_then(|reference| resolve(base, &reference, &options.root).ok());

@@ -7,7 +7,7 @@ use super::ignored::{Ignored, Notes};
 use super::implicit::{SubtreePart, SubtreeSource};
 use super::options::{Content, Fetched, ReadOptions};
 use super::tile::{ContentBytes, ContentData, TileContent, node_of};
-use super::{b3dm, cmpt, embedded, gltf, height, i3dm, image, implicit, model_files, point_cloud, style, tileset};
+use super::{b3dm, cmpt, embedded, gltf, height, i3dm, image, implicit, model_files, osg, point_cloud, style, tileset};
 use crate::fetch::markup::{refuse_markup, text_and_first_byte};
 use crate::fetch::{IoError, encoding, guarded};
 use crate::scene::{Node, Page, ReaderData};
@@ -139,6 +139,9 @@ fn read_node(content: Content, options: &ReadOptions, notes: &Notes) -> Result<N
         let bytes = encoding::gunzip(&uri, bytes, &options.limits)?;
         return source.read(&uri, bytes, &companions, options).map(node_of);
     }
+    if let Some(part) = reader_data.as_ref().and_then(|data| data.value::<osg::InlinePart>()) {
+        return part.read(options, notes);
+    }
     let Some(data) = content_data(reader_data.as_ref()) else {
         let text = reader_data.as_ref().and_then(ReaderData::text);
         return read_bytes(&uri, bytes, text, companions, options, notes);
@@ -250,6 +253,12 @@ impl ModelReader<'_> {
         if bytes.starts_with(b"i3dm") {
             return i3dm::read((uri, self.base()), bytes, companions, options, notes);
         }
+        if osg::is_native(bytes) {
+            return osg::read((uri, self.base()), bytes, companions, options, notes);
+        }
+        if osg::is_metadata(bytes) {
+            return osg::read_folder((uri, self.base()), bytes, companions, options, notes);
+        }
         if bytes.starts_with(b"pnts") {
             return point_cloud::read(uri, bytes, options, notes);
         }
@@ -261,6 +270,7 @@ impl ModelReader<'_> {
         for (magic, what) in [
             (&b"subt"[..], "a subtree outside of implicit tiling"),
             (b"PMTiles", "a whole PMTiles file as the content of a tile"),
+            (&[4, 3, 2, 1], "OpenSceneGraph's .ive (its osgconv makes .osgb of it)"),
         ] {
             if bytes.starts_with(magic) {
                 return Err(IoError::unsupported(uri, what));

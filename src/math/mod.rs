@@ -8,6 +8,7 @@ pub mod color;
 mod depth;
 mod frustum;
 mod geodesy;
+mod projection;
 pub mod random;
 mod ray;
 
@@ -16,5 +17,6 @@ pub(crate) use bounds::{max_scale, surface_box};
 pub use depth::distance_of_depth;
 pub use frustum::Frustum;
 pub use geodesy::{Ellipsoid, Geodetic, WGS84};
+pub use projection::TransverseMercator;
 pub use ray::Ray;
 pub(crate) use ray::slab;

@@ -13,6 +13,7 @@ mod gltf_materials;
 mod gltf_outlines;
 mod gltf_version1;
 mod instances;
+mod osg;
 mod styles;
 mod surface_properties;
 mod tiles;

@@ -44,9 +44,12 @@ fn text(info: &Info, verified: Option<&Verified>) -> String {
     // Writing to a String cannot fail.
     let _ = writeln!(out, "{}", format!("format   {} {}", info.format, info.version).trim_end());
     match &info.model {
-        Some(ModelInfo { drawables, vertices, triangles, images, image_bytes }) => {
+        Some(ModelInfo { drawables, vertices, triangles, images, image_bytes, paged_files }) => {
             let _ = writeln!(out, "model    {drawables} drawables, {vertices} vertices, {triangles} triangles");
             let _ = writeln!(out, "images   {images}, {:.1} MiB decoded", mebibytes(*image_bytes));
+            if *paged_files > 0 {
+                let _ = writeln!(out, "paged    {paged_files} other files");
+            }
         }
         None => {
             let _ = writeln!(out, "tiles    {}, {} contents", info.tiles, info.contents);

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits as ImageLimits};
 
+use super::dds;
 use super::ktx2::{self, Levels};
 use super::mips::mips;
 use super::rgba::decode_rgb;
@@ -19,6 +20,7 @@ use crate::scene::{BlockFormats, ContentKey, Sampling, SharedContent, TexelForma
 enum FileFormat {
     Raster(ImageFormat),
     Ktx2,
+    Dds,
 }
 
 impl FileFormat {
@@ -31,6 +33,8 @@ impl FileFormat {
             Some(Self::Raster(ImageFormat::WebP))
         } else if bytes.starts_with(ktx2::MAGIC) {
             Some(Self::Ktx2)
+        } else if dds::is_dds(bytes) {
+            Some(Self::Dds)
         } else {
             None
         }
@@ -78,24 +82,47 @@ fn decode(
     sampling: Sampling,
     limits: &Limits,
 ) -> Result<Arc<Texture>, IoError> {
-    let Levels { width, height, levels } = match FileFormat::of(bytes) {
+    let levels = match FileFormat::of(bytes) {
         Some(FileFormat::Raster(format)) => decode_raster(uri, bytes, format, limits)?,
         Some(FileFormat::Ktx2) => ktx2::decode(uri, bytes, format, limits)?,
+        Some(FileFormat::Dds) => {
+            let (width, height, texels) = dds::decode(uri, bytes, limits)?;
+            Levels { width, height, levels: mips(width, height, texels) }
+        }
         None => {
             refuse_markup(uri, bytes)?;
-            return Err(IoError::unsupported(uri, "image that is neither PNG, JPEG, WebP nor KTX2"));
+            return Err(IoError::unsupported(uri, "image that is neither PNG, JPEG, WebP, KTX2 nor DDS"));
         }
     };
+    Ok(texture_of(levels, format, sampling, limits))
+}
+
+/// Returns a texture of RGBA8 texels with its mip levels, halved until its sides are within the limit. Its size was checked
+/// with [`check_size`].
+pub(in crate::formats) fn texture_of_rgba(
+    width: u32,
+    height: u32,
+    texels: Vec<u8>,
+    sampling: Sampling,
+    limits: &Limits,
+) -> Arc<Texture> {
+    let levels = Levels { width, height, levels: mips(width, height, texels) };
+    texture_of(levels, TexelFormat::Rgba8, sampling, limits)
+}
+
+/// Returns a texture of the levels whose sides are within the limit, or of the last one.
+fn texture_of(all: Levels, format: TexelFormat, sampling: Sampling, limits: &Limits) -> Arc<Texture> {
+    let Levels { width, height, levels } = all;
     let too_long = |level: usize| width.max(height) >> level > limits.max_image_side_px;
     let skipped = (0..levels.len().saturating_sub(1)).take_while(|level| too_long(*level)).count();
     let side = |of: u32| (of >> skipped).max(1);
     let kept = if sampling.mip.is_some() { usize::MAX } else { 1 };
     let mips = levels.into_iter().skip(skipped).take(kept).collect();
-    Ok(Arc::new(Texture { width: side(width), height: side(height), format, mips, sampling }))
+    Arc::new(Texture { width: side(width), height: side(height), format, mips, sampling })
 }
 
 /// Checks the size of an image before its pixels are decoded.
-pub(super) fn check_size(uri: &str, width: u32, height: u32, limits: &Limits) -> Result<(), IoError> {
+pub(in crate::formats) fn check_size(uri: &str, width: u32, height: u32, limits: &Limits) -> Result<(), IoError> {
     if width == 0 || height == 0 {
         return Err(IoError::invalid(uri, format!("image of {width} x {height} pixels")));
     }

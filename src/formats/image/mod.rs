@@ -1,11 +1,15 @@
-//! PNG, JPEG, WebP and KTX2 to textures with mip levels. CPU only; any thread.
+//! PNG, JPEG, WebP, KTX2 and DDS to textures with mip levels. CPU only; any thread.
 
+mod block_decoder;
 mod block_encoder;
+mod dds;
 mod decode;
 mod ktx2;
 mod mips;
 mod rgba;
 
+pub(super) use block_decoder::{BlockKind, decode_blocks};
+pub(super) use dds::is_dds;
 pub(crate) use decode::decode_file;
-pub(super) use decode::{SharedTexture, decode_shared, is_image};
+pub(super) use decode::{SharedTexture, check_size, decode_shared, is_image, texture_of_rgba};
 pub(super) use mips::mips;

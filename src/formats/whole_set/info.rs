@@ -14,6 +14,7 @@ use crate::fetch::HttpConfig;
 use crate::fetch::{IoError, Limits, Loaded, Source, is_remote, path_of, root_uri};
 use crate::formats::height::SetExtras;
 use crate::formats::options::{Fetched, ReadOptions};
+use crate::formats::osg;
 use crate::formats::read::companions;
 use crate::formats::tile::{Tile, TileContent};
 use crate::formats::tileset::{self, may_be_tileset, read_tiles};
@@ -132,8 +133,10 @@ fn inspect_from(root: &Arc<str>, limits: &Limits, from: Source) -> Result<Info, 
 
 /// Returns true for bytes that may be a content of a tile. Others get the errors of the tileset's parser.
 fn may_be_model(bytes: &[u8]) -> bool {
-    const MAGICS: [&[u8]; 7] = [b"glTF", b"b3dm", b"i3dm", b"cmpt", b"pnts", &[0x76, 0x2f, 0x31, 0x01], &[0x1f, 0x8b]];
-    MAGICS.iter().any(|magic| bytes.starts_with(magic)) || has_asset(bytes)
+    const MAGICS: [&[u8]; 8] =
+        [b"glTF", b"b3dm", b"i3dm", b"cmpt", b"pnts", &[0x76, 0x2f, 0x31, 0x01], &[0x1f, 0x8b], &[4, 3, 2, 1]];
+    let is_model = MAGICS.iter().any(|magic| bytes.starts_with(magic));
+    is_model || osg::is_native(bytes) || osg::is_metadata(bytes) || has_asset(bytes)
 }
 
 /// Returns true for JSON with an asset, as glTF and tilesets have it.

@@ -8,10 +8,11 @@ use serde::Serialize;
 use super::info::{BoundsInfo, Info};
 use super::tree::read_companions;
 use crate::fetch::markup::text_and_first_byte;
-use crate::fetch::{IoError, Source, encoding};
+use crate::fetch::{IoError, Limits, Source, encoding};
 use crate::formats::options::{Content, ReadOptions};
+use crate::formats::osg;
 use crate::formats::read::decode_node;
-use crate::scene::{Geometry, Node, NodeKind, Page, Topology};
+use crate::scene::{Drawable, Geometry, Node, NodeKind, Page, ReaderData, Topology};
 
 /// Counts of a single content. A mesh that several nodes draw counts once for each of them.
 #[derive(Clone, Debug, Default, Serialize)]
@@ -26,6 +27,8 @@ pub struct ModelInfo {
     pub images: u64,
     /// Bytes of the decoded images with their mip levels.
     pub image_bytes: u64,
+    /// Number of references to other files that are paged: of PagedLODs and ProxyNodes.
+    pub paged_files: u64,
 }
 
 /// Reads a content that is no tileset.
@@ -36,13 +39,13 @@ pub(super) fn inspect_model(
     from: &Source,
 ) -> Result<Info, IoError> {
     let bytes = encoding::gunzip(uri, bytes, &options.limits)?;
-    let mut info = Info { format: format_name(&bytes).to_owned(), contents: 1, ..Info::default() };
+    let mut info = Info { format: format_name(&bytes, &options.limits), contents: 1, ..Info::default() };
     info.bytes = bytes.len() as u64;
     let mut options = options.clone();
     let companions = read_companions(from, uri, &bytes, None, &mut options, &mut info.bytes);
     let node = decode_node(Content { uri: uri.clone(), bytes, reader_data: None, companions }, &options)?;
     let mut model = ModelInfo::default();
-    model.add(&node, &mut HashSet::new());
+    model.add(&node, &options, &mut HashSet::new());
     let page = Page::from_node(node).map_err(|e| IoError::invalid(uri, e.to_string()))?;
     let sphere = page.bounding_sphere();
     info.bounds = BoundsInfo { center: sphere.center.to_array(), radius_m: sphere.radius_m, region: None };
@@ -53,37 +56,63 @@ pub(super) fn inspect_model(
 }
 
 impl ModelInfo {
-    fn add(&mut self, node: &Node, images: &mut HashSet<usize>) {
-        if let NodeKind::Geode(drawables) = &node.kind {
-            for drawable in drawables {
-                self.drawables += 1;
-                if let Geometry::Mesh(mesh) = &drawable.geometry {
-                    self.vertices += mesh.vertices.len() as u64;
-                    let is_triangles = mesh.topology == Topology::Triangles;
-                    self.triangles += if is_triangles { mesh.indices.len() as u64 / 3 } else { 0 };
-                }
-                if let Some(texture) = &drawable.material.texture
-                    && images.insert(Arc::as_ptr(texture).addr())
-                {
-                    self.images += 1;
-                    self.image_bytes += texture.size_bytes();
-                }
-            }
+    fn add(&mut self, node: &Node, options: &ReadOptions, images: &mut HashSet<usize>) {
+        match &node.kind {
+            NodeKind::Geode(drawables) => drawables.iter().for_each(|drawable| self.add_drawable(drawable, images)),
+            NodeKind::ProxyNode(_) => self.paged_files += 1,
+            NodeKind::PagedLod(tile) => match (&tile.content, &tile.reader_data) {
+                // A part of the file itself.
+                (Some(uri), Some(data)) if data.is_whole_content() => self.add_part(uri, data, options),
+                (Some(_), _) => self.paged_files += 1,
+                (None, _) => {}
+            },
+            _ => {}
         }
-        node.children.iter().for_each(|child| self.add(child, images));
+        node.children.iter().for_each(|child| self.add(child, options, images));
+    }
+
+    fn add_drawable(&mut self, drawable: &Drawable, images: &mut HashSet<usize>) {
+        self.drawables += 1;
+        if let Geometry::Mesh(mesh) = &drawable.geometry {
+            self.vertices += mesh.vertices.len() as u64;
+            let is_triangles = mesh.topology == Topology::Triangles;
+            self.triangles += if is_triangles { mesh.indices.len() as u64 / 3 } else { 0 };
+        }
+        if let Some(texture) = &drawable.material.texture
+            && images.insert(Arc::as_ptr(texture).addr())
+        {
+            self.images += 1;
+            self.image_bytes += texture.size_bytes();
+        }
+    }
+
+    /// Adds a content in memory. One that is refused is listed by the verification.
+    fn add_part(&mut self, uri: &Arc<str>, data: &ReaderData, options: &ReadOptions) {
+        let (uri, reader_data) = (uri.clone(), Some(data.clone()));
+        let content = Content { uri, bytes: Vec::new(), reader_data, companions: Vec::new() };
+        match decode_node(content, options) {
+            // Its images are decoded anew, so that addresses of others say nothing.
+            Ok(node) => self.add(&node, options, &mut HashSet::new()),
+            Err(_) => self.paged_files += 1,
+        }
     }
 }
 
 /// Returns the name of a format, by its magic bytes.
-fn format_name(bytes: &[u8]) -> &'static str {
-    match bytes.get(..4) {
+fn format_name(bytes: &[u8], limits: &Limits) -> String {
+    if osg::is_native(bytes) {
+        return osg::format_name(bytes, limits);
+    }
+    let name = match bytes.get(..4) {
         Some(b"glTF") => "glTF (glb)",
         Some(b"b3dm") => "3D Tiles content (b3dm)",
         Some(b"i3dm") => "3D Tiles content (i3dm)",
         Some(b"cmpt") => "3D Tiles content (cmpt)",
         Some(b"pnts") => "3D Tiles content (pnts)",
         Some(&[0x76, 0x2f, 0x31, 0x01]) => "height tile (EXR)",
+        _ if osg::is_metadata(bytes) => "oblique photogrammetry (metadata.xml)",
         _ if text_and_first_byte(bytes).1 == Some(b'{') => "glTF (JSON)",
         _ => "unknown",
-    }
+    };
+    name.to_owned()
 }

@@ -1,6 +1,6 @@
 //! Reads and decodes a whole tile set as the pager would, for `terrane info --verify`. One content at a time; blocking.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashSet};
 use std::sync::Arc;
 
 use serde::Serialize;
@@ -11,6 +11,7 @@ use super::tree::{load, read_companions};
 use crate::fetch::HttpConfig;
 use crate::fetch::{IoError, Limits, Loaded, Source, root_uri};
 use crate::formats::options::{Content, Fetched, ReadOptions};
+use crate::formats::osg;
 use crate::formats::read::{self, decode, decode_node};
 use crate::formats::tileset;
 use crate::scene::{Node, NodeKind, ReaderData};
@@ -37,6 +38,8 @@ struct Job {
     /// The options for the contents of its tileset.
     options: ReadOptions,
     is_tileset: bool,
+    /// True if a file of OpenSceneGraph refers to it: it is read once, however many files do.
+    is_read_once: bool,
 }
 
 /// Reads and decodes every content of a tile set, and calls `progress` after each. Fails only if the root cannot be read.
@@ -78,9 +81,15 @@ fn verify_from(
         nodes = collect(&decode_node(content, &options)?, &options.below(root), &mut jobs);
     } else {
         verified.bytes = 0;
-        jobs.push(Job { uri: root.clone(), reader_data: None, options: options.clone(), is_tileset: false });
+        let (reader_data, options) = (None, options.clone());
+        jobs.push(Job { uri: root.clone(), reader_data, options, is_tileset: false, is_read_once: false });
     }
+    let mut known = HashSet::new();
     while let Some(job) = jobs.pop() {
+        // A file that contains itself is read once more, and fails.
+        if job.is_read_once && !job.options.chain.contains(&job.uri) && !known.insert(job.uri.clone()) {
+            continue;
+        }
         if nodes > limit {
             verified.fail(&too_many(root, limit));
             break;
@@ -108,14 +117,16 @@ impl Verified {
 
     /// Reads a content. Returns the number of nodes if it is a part of the tile tree, and 0 otherwise.
     fn read(&mut self, from: &Source, job: Job, jobs: &mut Vec<Job>) -> Result<u64, IoError> {
-        let Job { uri, reader_data, options, is_tileset } = job;
+        let Job { uri, reader_data, options, is_tileset, .. } = job;
         let data = reader_data.as_ref();
         let (is_in_memory, continues) =
             (data.is_some_and(ReaderData::is_whole_content), data.is_some_and(ReaderData::continues_tileset));
         let loaded = if is_in_memory { Ok(Loaded::default()) } else { load(from, &uri, data) };
         // The name of a tileset may have any file extension.
         let is_one = |loaded: &Loaded| tileset::is_tileset(&uri, &loaded.bytes, &options.limits);
-        let is_tileset = is_tileset || loaded.as_ref().is_ok_and(is_one);
+        let is_osg = |loaded: &Loaded| osg::is_native(&loaded.bytes) || osg::is_metadata(&loaded.bytes);
+        let is_osg = loaded.as_ref().is_ok_and(is_osg);
+        let is_tileset = (is_tileset && !is_osg) || loaded.as_ref().is_ok_and(is_one);
         self.contents += u64::from(!is_tileset && !continues);
         let Loaded { bytes, location, is_no_content, .. } = loaded?;
         self.bytes += bytes.len() as u64;
@@ -133,8 +144,12 @@ impl Verified {
         if continues {
             return Ok(collect(&decode_node(content, &options)?, &options, jobs));
         }
-        if is_tileset {
-            return Ok(collect(&decode_node(content, &options)?, &options.below(&uri), jobs));
+        if is_tileset || is_osg {
+            let node = decode_node(content, &options)?;
+            let first = jobs.len();
+            let nodes = collect(&node, &options.below(&uri), jobs);
+            jobs[first..].iter_mut().for_each(|job| job.is_read_once = is_osg);
+            return Ok(nodes);
         }
         decode(content, &options).map(|_| 0)
     }
@@ -143,7 +158,8 @@ impl Verified {
 /// Adds a job for each content that the nodes of a tile tree refer to. Returns the number of nodes.
 fn collect(node: &Node, options: &ReadOptions, jobs: &mut Vec<Job>) -> u64 {
     let mut push = |uri: &Arc<str>, reader_data: Option<ReaderData>, is_tileset: bool| {
-        jobs.push(Job { uri: uri.clone(), reader_data, options: options.clone(), is_tileset });
+        let (uri, options) = (uri.clone(), options.clone());
+        jobs.push(Job { uri, reader_data, options, is_tileset, is_read_once: false });
     };
     match &node.kind {
         NodeKind::PagedLod(tile) => {

@@ -1,0 +1,99 @@
+//! Spheres around objects, which the ranges of levels of detail are measured from.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use glam::{DAffine3, DVec3};
+
+use crate::formats::osg::objects::{
+    CenterMode, DrawableClass, DrawableObject, LodObject, NodeClass, NodeObject, Object, ProxyObject, ShapeObject,
+};
+use crate::math::{Aabb, BoundingSphere};
+
+/// Returns a sphere around an object in the frame that it is in; empty if it has no bound. `known` keeps those of nodes
+/// and drawables by address, since files may share them often.
+pub(super) fn sphere(object: &Object, known: &mut HashMap<usize, BoundingSphere>) -> BoundingSphere {
+    let key = match object {
+        Object::Node(node) => Arc::as_ptr(node).addr(),
+        Object::Drawable(drawable) => Arc::as_ptr(drawable).addr(),
+        _ => return BoundingSphere::EMPTY,
+    };
+    if let Some(sphere) = known.get(&key) {
+        return *sphere;
+    }
+    let sphere = match object {
+        Object::Node(node) => of_node(node, known),
+        Object::Drawable(drawable) => of_drawable(drawable),
+        _ => BoundingSphere::EMPTY,
+    };
+    known.insert(key, sphere);
+    sphere
+}
+
+fn of_drawable(drawable: &DrawableObject) -> BoundingSphere {
+    match &drawable.class {
+        DrawableClass::Geometry(geometry) => {
+            let Some(vertices) = &geometry.vertices else { return BoundingSphere::EMPTY };
+            let array = &vertices.array;
+            let point = |i| DVec3::new(array.get(i, 0), array.get(i, 1), array.get(i, 2));
+            let points = (0..array.count()).map(point).filter(|point| point.is_finite());
+            box_sphere(&Aabb::from_points(points))
+        }
+        DrawableClass::Shape { shape, .. } => shape.as_ref().map_or(BoundingSphere::EMPTY, |shape| of_shape(shape)),
+    }
+}
+
+fn of_node(node: &NodeObject, known: &mut HashMap<usize, BoundingSphere>) -> BoundingSphere {
+    let mut children = || {
+        let spheres = node.children.iter().map(|child| sphere(child, known));
+        spheres.fold(BoundingSphere::EMPTY, |all, sphere| all.union(&sphere))
+    };
+    match &node.class {
+        NodeClass::Group | NodeClass::Switch(_) => children(),
+        NodeClass::Transform { parent_from_child, is_absolute } => {
+            let map = parent_from_child.unwrap_or(DAffine3::IDENTITY);
+            let sphere = children();
+            // Children that move with the eye have no position.
+            if *is_absolute || sphere.is_empty() { BoundingSphere::EMPTY } else { sphere.transformed(&map) }
+        }
+        NodeClass::Lod(lod) | NodeClass::PagedLod(lod, _) => of_lod(lod, children),
+        NodeClass::Proxy(ProxyObject { center_mode, user_center, .. }) => {
+            of_center(*center_mode, *user_center, children)
+        }
+    }
+}
+
+/// Returns the sphere of an LOD whose children have the sphere that `children` returns.
+pub(super) fn of_lod(lod: &LodObject, children: impl FnOnce() -> BoundingSphere) -> BoundingSphere {
+    of_center(lod.center_mode, lod.user_center, children)
+}
+
+/// Returns the sphere of a node with a centre mode.
+pub(super) fn of_center(
+    mode: CenterMode,
+    user_center: Option<(DVec3, f64)>,
+    children: impl FnOnce() -> BoundingSphere,
+) -> BoundingSphere {
+    let own =
+        user_center.filter(|(_, radius)| *radius >= 0.0).map(|(center, radius)| BoundingSphere::new(center, radius));
+    match (mode, own) {
+        (CenterMode::UserDefined, Some(own)) => own,
+        (CenterMode::Union, Some(own)) => own.union(&children()),
+        _ => children(),
+    }
+}
+
+fn of_shape(shape: &ShapeObject) -> BoundingSphere {
+    match shape {
+        ShapeObject::Box { center, half_lengths, .. } => BoundingSphere::new(*center, half_lengths.length()),
+        ShapeObject::Sphere { center, radius } => BoundingSphere::new(*center, radius.abs()),
+        ShapeObject::Round { center, radius, height, .. } => BoundingSphere::new(*center, radius.abs() + height.abs()),
+        ShapeObject::Composite(parts) => {
+            parts.iter().fold(BoundingSphere::EMPTY, |all, part| all.union(&of_shape(part)))
+        }
+    }
+}
+
+fn box_sphere(bounds: &Aabb) -> BoundingSphere {
+    if bounds.is_empty() { BoundingSphere::EMPTY } else { bounds.bounding_sphere() }
+}

@@ -1,0 +1,164 @@
+//! [`Look`]: what the state sets above a drawable say about its material.
+
+use std::sync::Arc;
+
+use crate::formats::osg::objects::{AttributeObject, MaterialObject, StateObject};
+use crate::math::color::linear_from_srgb;
+use crate::scene::AlphaMode;
+
+/// OpenGL's modes.
+pub(super) const GL_CULL_FACE: u32 = 0xb44;
+pub(super) const GL_LIGHTING: u32 = 0xb50;
+pub(super) const GL_DEPTH_TEST: u32 = 0xb71;
+pub(super) const GL_ALPHA_TEST: u32 = 0xbc0;
+pub(super) const GL_BLEND: u32 = 0xbe2;
+pub(super) const GL_TEXTURE_2D: u32 = 0xde1;
+/// OpenGL's comparisons.
+const GL_GREATER: u32 = 0x204;
+const GL_GEQUAL: u32 = 0x206;
+const GL_ALWAYS: u32 = 0x207;
+/// Modes of a material in which vertex colours are the diffuse colour.
+const DIFFUSE_COLOR_MODES: [u32; 2] = [0x1201, 0x1602];
+
+/// OSG's flags.
+const ON: u32 = 1;
+const OVERRIDE: u32 = 2;
+const PROTECTED: u32 = 4;
+const INHERIT: u32 = 8;
+
+/// A value that state sets pass on to what is below.
+#[derive(Clone)]
+struct Inherited<T> {
+    value: T,
+    is_overridden: bool,
+}
+
+impl<T> Inherited<T> {
+    fn new(value: T) -> Self {
+        Self { value, is_overridden: false }
+    }
+
+    fn apply(&mut self, value: T, flags: u32) {
+        if flags & INHERIT == 0 && (!self.is_overridden || flags & PROTECTED != 0) {
+            self.value = value;
+            self.is_overridden = flags & OVERRIDE != 0;
+        }
+    }
+}
+
+/// The state that a drawable's material takes from the state sets above it.
+pub(super) struct Look {
+    /// The attribute with the texture of unit 0.
+    pub texture: Option<Arc<AttributeObject>>,
+    pub is_lit: bool,
+    pub culls_faces: bool,
+    is_blended: bool,
+    /// Comparison and reference.
+    alpha_test: Option<(u32, f32)>,
+    material: Option<MaterialObject>,
+}
+
+impl Look {
+    /// Resolves a chain of state sets, outermost first. A viewer of OSG lights by default and culls no faces.
+    pub fn resolve(states: &[Arc<StateObject>]) -> Self {
+        let mut modes = [
+            (GL_LIGHTING, Inherited::new(true)),
+            (GL_CULL_FACE, Inherited::new(false)),
+            (GL_BLEND, Inherited::new(false)),
+            (GL_ALPHA_TEST, Inherited::new(false)),
+        ];
+        let mut is_textured = Inherited::new(false);
+        let (mut texture, mut material) = (Inherited::new(None), Inherited::new(None));
+        let mut alpha_func = Inherited::new((GL_ALWAYS, 1.0));
+        for state in states {
+            for (mode, flags) in &state.modes {
+                if let Some((_, value)) = modes.iter_mut().find(|(known, _)| known == mode) {
+                    value.apply(flags & ON != 0, *flags);
+                }
+            }
+            for (attribute, flags) in &state.attributes {
+                match &**attribute {
+                    AttributeObject::Material(value) => material.apply(Some(*value), *flags),
+                    AttributeObject::AlphaFunc { function, reference } => {
+                        alpha_func.apply((*function, *reference), *flags);
+                    }
+                    _ => {}
+                }
+            }
+            let unit_modes = state.texture_modes.first().into_iter().flatten();
+            for (_, flags) in unit_modes.filter(|(mode, _)| *mode == GL_TEXTURE_2D) {
+                is_textured.apply(flags & ON != 0, *flags);
+            }
+            let unit_attributes = state.texture_attributes.first().into_iter().flatten();
+            for (attribute, flags) in unit_attributes.filter(|(attribute, _)| is_texture(attribute)) {
+                texture.apply(Some(attribute.clone()), *flags);
+            }
+        }
+        let [is_lit, culls_faces, is_blended, tests_alpha] = modes.map(|(_, mode)| mode.value);
+        let test = Some(alpha_func.value).filter(|(function, _)| tests_alpha && *function != GL_ALWAYS);
+        Self {
+            texture: texture.value.filter(|_| is_textured.value),
+            is_lit,
+            culls_faces,
+            is_blended,
+            alpha_test: test,
+            material: material.value,
+        }
+    }
+
+    /// Returns true if vertex colours are shown: without lighting, without a material, or if the material says so.
+    pub fn has_vertex_colors(&self) -> bool {
+        let shows = |material: &MaterialObject| DIFFUSE_COLOR_MODES.contains(&material.color_mode);
+        !self.is_lit || self.material.as_ref().is_none_or(shows)
+    }
+
+    /// Returns the linear colour factor of the material.
+    pub fn base_color(&self) -> [f32; 4] {
+        match &self.material {
+            // A material in the state set has the colour already.
+            Some(material) if !self.has_vertex_colors() && !needs_surface_material(material) => {
+                linear(material.diffuse[0])
+            }
+            _ => [1.0; 4],
+        }
+    }
+
+    /// Returns the alpha mode of the material.
+    pub fn alpha_mode(&self) -> AlphaMode {
+        match self.alpha_test {
+            _ if self.is_blended => AlphaMode::Blend,
+            Some((GL_GREATER, reference)) => AlphaMode::Mask(reference.max(1.0 / 512.0)),
+            Some((GL_GEQUAL, reference)) => AlphaMode::Mask(reference),
+            _ => AlphaMode::Opaque,
+        }
+    }
+
+    /// Returns comparison and reference of an alpha test that the material cannot express.
+    pub fn alpha_test_beside_material(&self) -> Option<(u32, f32)> {
+        let is_mask = |function| matches!(function, GL_GREATER | GL_GEQUAL);
+        self.alpha_test.filter(|(function, _)| self.is_blended || !is_mask(*function))
+    }
+}
+
+fn is_texture(attribute: &AttributeObject) -> bool {
+    matches!(attribute, AttributeObject::Texture(_))
+}
+
+/// Returns true if a material has highlights or glows, which only OpenGL's fixed function draws.
+pub(super) fn needs_surface_material(material: &MaterialObject) -> bool {
+    let is_black = |color: &[f32; 4]| color[..3].iter().all(|part| *part <= 0.0);
+    let shines = !is_black(&material.specular[0]) && material.shininess[0] > 0.0;
+    shines || !is_black(&material.emission[0])
+}
+
+/// Returns true if vertex colours replace the diffuse colour of a material.
+pub(super) fn has_diffuse_vertex_colors(material: &MaterialObject) -> bool {
+    DIFFUSE_COLOR_MODES.contains(&material.color_mode)
+}
+
+/// Converts a colour, which OSG writes as it is displayed.
+pub(super) fn linear(color: [f32; 4]) -> [f32; 4] {
+    let part = |part: f32| if part.is_finite() { part.clamp(0.0, 1.0) } else { 0.0 };
+    let [red, green, blue] = [0, 1, 2].map(|i| linear_from_srgb(f64::from(part(color[i]))) as f32);
+    [red, green, blue, part(color[3])]
+}

@@ -1,0 +1,359 @@
+//! Geometries as meshes: arrays of any type, bindings and primitive sets become indexed triangles, lines and points.
+
+use std::sync::Arc;
+
+use glam::DVec3;
+
+use super::looks::linear;
+use super::{Builder, Meshes};
+use crate::formats::osg::error::{OsgError, Result};
+use crate::formats::osg::input::Values;
+use crate::formats::osg::objects::{Binding, BoundArray, GeometryObject, Indices, PrimitiveObject};
+use crate::math::Aabb;
+use crate::scene::{AttributeFormat, Mesh, MeshVertex, PrimitiveMode, Topology, VertexAttributes};
+
+const TOPOLOGIES: [Topology; 3] = [Topology::Triangles, Topology::Lines, Topology::Points];
+
+/// The numbers by which arrays of each binding are read for a vertex.
+#[derive(Clone, Copy)]
+struct Corner {
+    vertex: usize,
+    set: usize,
+    primitive: usize,
+}
+
+/// The arrays of a geometry.
+struct Arrays<'a> {
+    count: usize,
+    positions: &'a BoundArray,
+    normals: Option<Attribute<'a>>,
+    colors: Option<Attribute<'a>>,
+    uvs: Option<Attribute<'a>>,
+    origin: DVec3,
+    starts_at_bottom: bool,
+}
+
+/// An array with the binding that applies.
+#[derive(Clone, Copy)]
+struct Attribute<'a> {
+    array: &'a BoundArray,
+    binding: Binding,
+}
+
+impl<'a> Attribute<'a> {
+    /// Returns `None` for an array that is off, or that is too short for its binding.
+    fn new(array: Option<&'a BoundArray>, vertices: usize, sets: usize) -> Option<Self> {
+        let array = array?;
+        let count = array.count();
+        let binding = array.binding.unwrap_or(match count {
+            _ if count == vertices => Binding::PerVertex,
+            1 => Binding::Overall,
+            _ => Binding::Off,
+        });
+        let needed = match binding {
+            Binding::Off => return None,
+            Binding::Overall | Binding::PerPrimitive => 1,
+            Binding::PerPrimitiveSet => sets,
+            Binding::PerVertex => vertices,
+        };
+        (count >= needed).then_some(Self { array, binding })
+    }
+
+    fn element(&self, corner: Corner) -> usize {
+        match self.binding {
+            Binding::PerVertex => corner.vertex,
+            Binding::PerPrimitiveSet => corner.set,
+            Binding::PerPrimitive => corner.primitive,
+            Binding::Overall | Binding::Off => 0,
+        }
+    }
+
+    /// Returns a value; integers are divided by their largest value if `scales`.
+    fn get(&self, corner: Corner, component: usize, scales: bool) -> f64 {
+        self.array.get(self.element(corner), component, scales)
+    }
+
+    fn width(&self) -> usize {
+        self.array.array.width
+    }
+}
+
+impl BoundArray {
+    /// Returns the number of elements, by the indices if there are some.
+    fn count(&self) -> usize {
+        self.indices.as_ref().map_or(self.array.count(), |indices| indices.count())
+    }
+
+    fn get(&self, element: usize, component: usize, scales: bool) -> f64 {
+        let element = match &self.indices {
+            Some(indices) => indices.get(element, 0).max(0.0) as usize,
+            None => element,
+        };
+        let value = self.array.get(element, component);
+        if scales { value / self.array.values.number().one() } else { value }
+    }
+}
+
+impl Arrays<'_> {
+    fn position(&self, vertex: usize) -> DVec3 {
+        let part = |component| self.positions.get(vertex, component, self.positions.is_normalized);
+        DVec3::new(part(0), part(1), part(2))
+    }
+
+    fn vertex(&self, corner: Corner) -> MeshVertex {
+        let position = (self.position(corner.vertex) - self.origin).as_vec3().to_array();
+        let uv = self.uvs.map_or([0.0; 2], |uvs| {
+            let part = |component| uvs.get(corner, component, uvs.array.is_normalized) as f32;
+            let [s, t] = [part(0), part(1)];
+            // OSG's t goes up, Terrane's v down from the first row of an image.
+            [s, if self.starts_at_bottom { t } else { 1.0 - t }]
+        });
+        let normal = self.normals.map_or([0; 4], |normals| {
+            let part = |component| normals.get(corner, component, true);
+            let normal = DVec3::new(part(0), part(1), part(2)).normalize_or_zero();
+            let [x, y, z] = normal.to_array().map(|part| (part * 127.0).round() as i8);
+            [x, y, z, 0]
+        });
+        let color = self.colors.map_or([255; 4], |colors| {
+            let part = |component| match component < colors.width() {
+                true => colors.get(corner, component, true) as f32,
+                false => 1.0,
+            };
+            linear([part(0), part(1), part(2), part(3)]).map(|part| (part * 255.0).round() as u8)
+        });
+        MeshVertex { position, uv, normal, color }
+    }
+
+    /// Returns true if some array has an element for each primitive set or primitive: vertices differ between them.
+    fn binds(&self, binding: Binding) -> bool {
+        [self.normals, self.colors, self.uvs].into_iter().flatten().any(|attribute| attribute.binding == binding)
+    }
+}
+
+impl Builder<'_> {
+    /// Makes the meshes of a geometry: at most one for each topology.
+    pub(super) fn geometry(
+        &mut self,
+        geometry: &GeometryObject,
+        starts_at_bottom: bool,
+        has_colors: bool,
+    ) -> Result<Meshes> {
+        let empty = Meshes { origin: DVec3::ZERO, meshes: Vec::new() };
+        let Some(positions) = geometry.vertices.as_ref().filter(|array| array.count() > 0) else { return Ok(empty) };
+        let (count, sets) = (positions.count(), geometry.primitives.len());
+        self.vertices = self.counted(self.vertices, count, "vertices of an OpenSceneGraph file", 1)?;
+        let mut arrays = Arrays {
+            count,
+            positions,
+            normals: Attribute::new(geometry.normals.as_ref(), count, sets),
+            colors: Attribute::new(geometry.colors.as_ref(), count, sets).filter(|_| has_colors),
+            uvs: Attribute::new(geometry.tex_coords.first().and_then(Option::as_ref), count, sets),
+            origin: DVec3::ZERO,
+            starts_at_bottom,
+        };
+        let bounds = Aabb::from_points((0..count).map(|vertex| arrays.position(vertex)));
+        if !(bounds.min.is_finite() && bounds.max.is_finite()) {
+            return Err(OsgError::invalid("a vertex whose position is not finite"));
+        }
+        if matches!(positions.array.values, Values::F64(_)) {
+            // Positions on the GPU have 24 bits, so that they must be near their origin.
+            arrays.origin = bounds.center();
+        }
+        let has_normals = arrays.normals.is_some();
+        let meshes = if arrays.binds(Binding::PerPrimitiveSet) || arrays.binds(Binding::PerPrimitive) {
+            self.separate_meshes(geometry, &arrays)?
+        } else {
+            self.joined_meshes(geometry, &arrays)?
+        };
+        let meshes = meshes.into_iter().filter(|mesh| !mesh.indices.is_empty());
+        Ok(Meshes { origin: arrays.origin, meshes: meshes.map(|mesh| (Arc::new(mesh), has_normals)).collect() })
+    }
+
+    /// Makes meshes whose primitive sets share all vertices.
+    fn joined_meshes(&mut self, geometry: &GeometryObject, arrays: &Arrays<'_>) -> Result<Vec<Mesh>> {
+        let mut lists: [Vec<u32>; 3] = Default::default();
+        for set in &geometry.primitives {
+            for indices in self.runs(set, arrays.count)? {
+                let (topology, indices) = self.assembled(set, indices)?;
+                if let Some(at) = TOPOLOGIES.iter().position(|known| *known == topology) {
+                    lists[at].extend_from_slice(&indices);
+                }
+            }
+        }
+        let is_single = lists.iter().filter(|list| !list.is_empty()).count() == 1;
+        let mut meshes = Vec::new();
+        for (topology, mut list) in TOPOLOGIES.into_iter().zip(lists).filter(|(_, list)| !list.is_empty()) {
+            let used = if is_single { (0..arrays.count as u32).collect() } else { compacted(&mut list, arrays.count) };
+            let corner = |vertex: &u32| Corner { vertex: *vertex as usize, set: 0, primitive: 0 };
+            let vertices = used.iter().map(|vertex| arrays.vertex(corner(vertex))).collect();
+            let attributes = self.attributes(geometry, &used, arrays)?;
+            meshes.push(Mesh { attributes, ..Mesh::new(vertices, list, topology) });
+        }
+        Ok(meshes)
+    }
+
+    /// Makes meshes in which each primitive set, or each primitive, has separate vertices.
+    fn separate_meshes(&mut self, geometry: &GeometryObject, arrays: &Arrays<'_>) -> Result<Vec<Mesh>> {
+        let mut parts: [(Vec<MeshVertex>, Vec<u32>); 3] = Default::default();
+        let mut primitive = 0;
+        let is_per_primitive = arrays.binds(Binding::PerPrimitive);
+        for (set_index, set) in geometry.primitives.iter().enumerate() {
+            for indices in self.runs(set, arrays.count)? {
+                // A primitive of a strip is a triangle of it; a polygon is one primitive.
+                let corners = corners_of_primitive(set.mode, indices.len());
+                let (topology, list) = self.assembled(set, indices)?;
+                let Some(at) = TOPOLOGIES.iter().position(|known| *known == topology) else { continue };
+                self.vertices = self.counted(self.vertices, list.len(), "vertices of an OpenSceneGraph file", 1)?;
+                let (vertices, indices) = &mut parts[at];
+                for (i, vertex) in list.iter().enumerate() {
+                    let within = if is_per_primitive { i / corners.max(1) } else { 0 };
+                    let corner = Corner { vertex: *vertex as usize, set: set_index, primitive: primitive + within };
+                    indices.push(vertices.len() as u32);
+                    vertices.push(arrays.vertex(corner));
+                }
+                primitive += list.len().div_ceil(corners.max(1));
+            }
+        }
+        let meshes = TOPOLOGIES.into_iter().zip(parts);
+        Ok(meshes.map(|(topology, (vertices, indices))| Mesh::new(vertices, indices, topology)).collect())
+    }
+
+    /// Returns the vertices of a primitive set: one list, or one for each length. Fails if one is outside of the arrays.
+    fn runs(&mut self, set: &PrimitiveObject, vertices: usize) -> Result<Vec<Vec<u32>>> {
+        if set.instances > 1 {
+            self.note("OpenSceneGraph: instances of a primitive set, which is drawn once");
+        }
+        let span = |first: i64, count: i64| -> Result<std::ops::Range<u32>> {
+            let end = first.checked_add(count).filter(|end| first >= 0 && count >= 0 && *end <= vertices as i64);
+            match end {
+                Some(end) => Ok(first as u32..end as u32),
+                None => {
+                    let reason =
+                        format!("a primitive set of {count} vertices from {first}, where there are {vertices}");
+                    Err(OsgError::Invalid(reason))
+                }
+            }
+        };
+        match &set.indices {
+            Indices::Arrays { first, count } => {
+                let span = span(*first, *count)?;
+                self.count_indices(span.len())?;
+                Ok(vec![span.collect()])
+            }
+            Indices::Lengths { first, lengths } => {
+                let mut first = *first;
+                let mut runs = Vec::with_capacity(lengths.len());
+                for length in lengths {
+                    let span = span(first, i64::from(*length))?;
+                    self.count_indices(span.len())?;
+                    first += i64::from(*length);
+                    runs.push(span.collect());
+                }
+                Ok(runs)
+            }
+            Indices::Elements(values) => {
+                self.count_indices(values.len())?;
+                let indices: Vec<u32> = (0..values.len()).map(|i| values.get(i) as u32).collect();
+                match indices.iter().find(|index| **index as usize >= vertices) {
+                    Some(index) => Err(OsgError::invalid(format!("index {index} of {vertices} vertices"))),
+                    None => Ok(vec![indices]),
+                }
+            }
+        }
+    }
+
+    /// Converts the vertices of a primitive set to a list of triangles, lines or points.
+    fn assembled(&mut self, set: &PrimitiveObject, indices: Vec<u32>) -> Result<(Topology, Arc<[u32]>)> {
+        use PrimitiveMode::{
+            LineLoop, LineStrip, Lines, Points, Polygon, QuadStrip, Quads, TriangleFan, TriangleStrip, Triangles,
+        };
+        let modes =
+            [Points, Lines, LineLoop, LineStrip, Triangles, TriangleStrip, TriangleFan, Quads, QuadStrip, Polygon];
+        let Some(mode) = modes.get(set.mode as usize) else {
+            self.note("OpenSceneGraph: primitives with adjacency, and patches");
+            return Ok((Topology::Points, Arc::default()));
+        };
+        self.count_indices(mode.assembled(indices.len()))?;
+        Ok(mode.assemble(indices.into()))
+    }
+
+    /// Returns the further texture coordinates that the options ask for.
+    fn attributes(&self, geometry: &GeometryObject, used: &[u32], arrays: &Arrays<'_>) -> Result<VertexAttributes> {
+        let mut attributes = VertexAttributes::default();
+        for (unit, array) in geometry.tex_coords.iter().enumerate().skip(1) {
+            let name = format!("TEXCOORD_{unit}");
+            let is_wanted = self.source.options.vertex_attributes.iter().any(|wanted| **wanted == *name);
+            let array = Attribute::new(array.as_ref(), arrays.count, geometry.primitives.len());
+            let Some(array) = array.filter(|_| is_wanted) else { continue };
+            let value = |vertex: &u32| {
+                let corner = Corner { vertex: *vertex as usize, set: 0, primitive: 0 };
+                [0, 1].map(|component| array.get(corner, component, array.array.is_normalized) as f32)
+            };
+            let values: Vec<[f32; 2]> = used.iter().map(value).collect();
+            let bytes = bytemuck::cast_slice(&values).into();
+            let pushed = attributes.push(used.len(), &name, AttributeFormat::Float32x2, bytes);
+            pushed.map_err(|error| OsgError::invalid(error.to_string()))?;
+        }
+        Ok(attributes)
+    }
+
+    fn count_indices(&mut self, more: usize) -> Result<()> {
+        self.indices = self.counted(self.indices, more, "indices of an OpenSceneGraph file", 8)?;
+        Ok(())
+    }
+
+    /// Adds to a counter, and fails beyond `factor` times the limit of elements.
+    fn counted(&self, counter: usize, more: usize, what: &'static str, factor: usize) -> Result<usize> {
+        let (got, limit) =
+            (counter.saturating_add(more), self.source.options.limits.max_elements.saturating_mul(factor));
+        match got <= limit {
+            true => Ok(got),
+            false => Err(OsgError::TooLarge { what, got: got as u64, limit: limit as u64 }),
+        }
+    }
+}
+
+/// Renumbers the indices of a list by the vertices that it uses, and returns those.
+fn compacted(list: &mut [u32], count: usize) -> Vec<u32> {
+    let mut numbers = vec![u32::MAX; count];
+    let mut used = Vec::new();
+    for index in list {
+        let number = &mut numbers[*index as usize];
+        if *number == u32::MAX {
+            *number = used.len() as u32;
+            used.push(*index);
+        }
+        *index = *number;
+    }
+    used
+}
+
+/// Returns the number of corners that a primitive has once its set is a list, for a set of `count` vertices.
+fn corners_of_primitive(mode: u32, count: usize) -> usize {
+    match mode {
+        0 => 1,
+        1..=3 => 2,
+        7 | 8 => 6,
+        9 => 3 * count.saturating_sub(2),
+        _ => 3,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::formats::osg::input::Number;
+
+    #[test]
+    fn lists_are_renumbered_in_their_order() {
+        let mut list = [7, 3, 7, 9, 3];
+        assert_eq!(compacted(&mut list, 10), [7, 3, 9]);
+        assert_eq!(list, [0, 1, 0, 2, 1]);
+    }
+
+    #[test]
+    fn numbers_are_scaled_by_the_largest_of_their_type() {
+        assert_eq!(Number::U8.one(), 255.0);
+        assert_eq!(Number::I16.one(), 32767.0);
+    }
+}

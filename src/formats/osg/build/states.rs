@@ -1,0 +1,204 @@
+//! State sets of the engine of those of a file.
+
+use std::sync::Arc;
+
+use super::Builder;
+use super::looks::{
+    GL_ALPHA_TEST, GL_BLEND, GL_CULL_FACE, GL_DEPTH_TEST, GL_LIGHTING, has_diffuse_vertex_colors, linear,
+    needs_surface_material,
+};
+use crate::formats::osg::objects::{AttributeObject, MaterialObject, StateObject};
+use crate::state::{
+    AlphaFunc, Attribute, BlendFactor, BlendFunc, ColorMask, CompareFunction, CullFace, Depth, FrontFace, Mode,
+    PolygonOffset, StateSet, StateValue, SurfaceMaterial,
+};
+
+/// OpenGL's modes that are read here alone.
+const GL_POLYGON_OFFSET_FILL: u32 = 0x8037;
+const GL_LIGHT0: u32 = 0x4000;
+/// Modes that change nothing here: the engine's normals have unit length, and vertex colours need no mode.
+const WITHOUT_EFFECT: [u32; 3] = [0xba1, 0x803a, 0xb57];
+const GL_MODULATE: u32 = 0x2100;
+
+/// The rendering hints of OSG.
+const HINT_OPAQUE: i32 = 1;
+const HINT_TRANSPARENT: i32 = 2;
+
+impl Builder<'_> {
+    /// Returns the state set of an object; `None` if nothing of it is left beside the materials of drawables.
+    pub(super) fn state_set(&mut self, object: &Arc<StateObject>) -> Option<Arc<StateSet>> {
+        let key = Arc::as_ptr(object).addr();
+        if let Some(known) = self.sets.get(&key) {
+            return known.clone();
+        }
+        let made = self.new_state_set(object);
+        let set = (made != StateSet::default()).then(|| Arc::new(StateSet { name: object.name.clone(), ..made }));
+        self.sets.insert(key, set.clone());
+        set
+    }
+
+    fn new_state_set(&self, object: &StateObject) -> StateSet {
+        let mut set = StateSet::default();
+        for (mode, flags) in &object.modes {
+            match *mode {
+                // It is in the materials of the drawables.
+                GL_ALPHA_TEST => {}
+                mode if WITHOUT_EFFECT.contains(&mode) => {}
+                mode => match mode_of(mode) {
+                    Some(mode) => drop(set.set_mode(mode, value(*flags))),
+                    None if *flags & 1 == 0 => {}
+                    None => self.note(format!("OpenSceneGraph: mode 0x{mode:x}")),
+                },
+            }
+        }
+        for (attribute, flags) in &object.attributes {
+            if let Some(attribute) = self.attribute(attribute) {
+                set.set_attribute(attribute, value(*flags | 1));
+            }
+        }
+        self.note_textures(object);
+        if object.uniforms > 0 {
+            self.note("OpenSceneGraph: uniforms");
+        }
+        let (number, name) = match object.hint {
+            _ if object.bin_mode != 0 => (object.bin_number, object.bin_name.as_str()),
+            HINT_OPAQUE => (0, "RenderBin"),
+            HINT_TRANSPARENT => (10, "DepthSortedBin"),
+            _ => (0, ""),
+        };
+        if let Err(error) = set.set_render_bin_details(number, name) {
+            self.note(format!("OpenSceneGraph: {error}"));
+        }
+        if object.bin_mode != 0 {
+            (set.bin_value, set.nest_bins) = (value(object.bin_mode | 1), object.nest_bins);
+        }
+        set
+    }
+
+    /// Notes what texture units have beside the texture of unit 0.
+    fn note_textures(&self, object: &StateObject) {
+        for (unit, attributes) in object.texture_attributes.iter().enumerate() {
+            for (attribute, _) in attributes {
+                match &**attribute {
+                    AttributeObject::Texture(_) if unit > 0 => self.note("OpenSceneGraph: texture of a unit above 0"),
+                    AttributeObject::TexEnv(mode) if unit == 0 && *mode != GL_MODULATE => {
+                        self.note("OpenSceneGraph: TexEnv that does not modulate");
+                    }
+                    AttributeObject::Other(name) => self.note(format!("OpenSceneGraph: attribute {name}")),
+                    _ => {}
+                }
+            }
+        }
+    }
+
+    fn attribute(&self, object: &AttributeObject) -> Option<Attribute> {
+        Some(match object {
+            AttributeObject::Material(material) if needs_surface_material(material) => {
+                Attribute::SurfaceMaterial(surface_material(material))
+            }
+            // They are in the materials of the drawables.
+            AttributeObject::Material(_) | AttributeObject::AlphaFunc { .. } => return None,
+            AttributeObject::BlendFunc(factors) => {
+                let [source, destination, source_alpha, destination_alpha] = factors.map(blend_factor);
+                Attribute::BlendFunc(BlendFunc {
+                    source: source?,
+                    destination: destination?,
+                    source_alpha: source_alpha?,
+                    destination_alpha: destination_alpha?,
+                })
+            }
+            AttributeObject::CullFace(face) => Attribute::CullFace(match face {
+                0x404 => CullFace::Front,
+                0x408 => CullFace::FrontAndBack,
+                _ => CullFace::Back,
+            }),
+            AttributeObject::FrontFace(winding) => Attribute::FrontFace(match winding {
+                0x900 => FrontFace::Clockwise,
+                _ => FrontFace::CounterClockwise,
+            }),
+            AttributeObject::Depth { function, range, write } => {
+                let range = range.map(|depth| if depth.is_finite() { depth.clamp(0.0, 1.0) as f32 } else { 0.0 });
+                Attribute::Depth(Depth { function: comparison(*function)?, write: *write, range })
+            }
+            AttributeObject::PolygonOffset { factor, units } => {
+                Attribute::PolygonOffset(PolygonOffset { factor: *factor, units: *units })
+            }
+            AttributeObject::ColorMask(mask) => Attribute::ColorMask(ColorMask(*mask)),
+            AttributeObject::Other(name) => {
+                self.note(format!("OpenSceneGraph: attribute {name}"));
+                return None;
+            }
+            // They belong to texture units.
+            AttributeObject::Texture(_) | AttributeObject::TexEnv(_) => return None,
+        })
+    }
+}
+
+/// Returns a state set with an alpha test.
+pub(super) fn alpha_test(function: u32, reference: f32) -> Arc<StateSet> {
+    let function = comparison(function).unwrap_or(CompareFunction::Always);
+    Arc::new(StateSet::default().with(Attribute::AlphaFunc(AlphaFunc { function, reference })))
+}
+
+fn mode_of(mode: u32) -> Option<Mode> {
+    Some(match mode {
+        GL_BLEND => Mode::Blend,
+        GL_CULL_FACE => Mode::CullFace,
+        GL_DEPTH_TEST => Mode::DepthTest,
+        GL_LIGHTING => Mode::Lighting,
+        GL_POLYGON_OFFSET_FILL => Mode::PolygonOffset,
+        GL_LIGHT0 => Mode::Light(0),
+        _ => return None,
+    })
+}
+
+/// Converts OSG's flags.
+fn value(flags: u32) -> StateValue {
+    let all = [StateValue::ON, StateValue::OVERRIDE, StateValue::PROTECTED, StateValue::INHERIT];
+    let set = all.iter().enumerate().filter(|(bit, _)| flags & 1 << bit != 0);
+    set.fold(StateValue::OFF, |value, (_, flag)| value | *flag)
+}
+
+fn comparison(function: u32) -> Option<CompareFunction> {
+    use CompareFunction::{Always, Equal, Greater, GreaterOrEqual, Less, LessOrEqual, Never, NotEqual};
+    let all = [Never, Less, Equal, LessOrEqual, Greater, NotEqual, GreaterOrEqual, Always];
+    all.get(function.checked_sub(0x200)? as usize).copied()
+}
+
+fn blend_factor(factor: u32) -> Option<BlendFactor> {
+    Some(match factor {
+        0 => BlendFactor::Zero,
+        1 => BlendFactor::One,
+        0x300 => BlendFactor::SrcColor,
+        0x301 => BlendFactor::OneMinusSrcColor,
+        0x302 => BlendFactor::SrcAlpha,
+        0x303 => BlendFactor::OneMinusSrcAlpha,
+        0x304 => BlendFactor::DstAlpha,
+        0x305 => BlendFactor::OneMinusDstAlpha,
+        0x306 => BlendFactor::DstColor,
+        0x307 => BlendFactor::OneMinusDstColor,
+        0x308 => BlendFactor::SrcAlphaSaturate,
+        0x8001 => BlendFactor::ConstantColor,
+        0x8002 => BlendFactor::OneMinusConstantColor,
+        0x8003 => BlendFactor::ConstantAlpha,
+        0x8004 => BlendFactor::OneMinusConstantAlpha,
+        _ => return None,
+    })
+}
+
+fn surface_material(material: &MaterialObject) -> SurfaceMaterial {
+    let color = |sides: &[[f32; 4]; 2]| linear(sides[0]);
+    let rgb = |sides: &[[f32; 4]; 2]| {
+        let [red, green, blue, _] = color(sides);
+        [red, green, blue]
+    };
+    // Vertex colours multiply what they replace in OpenGL.
+    let has_colors = has_diffuse_vertex_colors(material);
+    SurfaceMaterial {
+        ambient: rgb(&material.ambient),
+        diffuse: if has_colors { [1.0; 4] } else { color(&material.diffuse) },
+        specular: rgb(&material.specular),
+        emission: rgb(&material.emission),
+        shininess: material.shininess[0].clamp(0.0, 128.0),
+    }
+}

@@ -1,0 +1,249 @@
+//! Textures of the images of a file: inside of it or beside it.
+
+use std::collections::{BTreeSet, HashSet};
+use std::sync::Arc;
+
+use super::paging::escaped;
+use super::{Builder, Source};
+use crate::fetch::{IoError, Limits};
+use crate::formats::external_files::ExternalFiles;
+use crate::formats::image::{self, BlockKind, SharedTexture};
+use crate::formats::osg::objects::{
+    AttributeObject, ImageData, NodeObject, Object, RawImage, StateObject, TextureObject,
+};
+use crate::scene::{ContentKey, Sampling};
+use crate::state::{FilterMode, WrapMode};
+
+/// OpenGL's types and formats of pixels.
+const GL_UNSIGNED_BYTE: u32 = 0x1401;
+const GL_COMPRESSED_RGB_S3TC_DXT1: u32 = 0x83f0;
+const GL_COMPRESSED_RGBA_S3TC_DXT1: u32 = 0x83f1;
+const GL_COMPRESSED_RGBA_S3TC_DXT3: u32 = 0x83f2;
+const GL_COMPRESSED_RGBA_S3TC_DXT5: u32 = 0x83f3;
+
+/// A texture, and the end of it that texture coordinates start at.
+#[derive(Clone)]
+pub(super) struct BuiltTexture {
+    pub shared: SharedTexture,
+    /// True if t = 0 is at the first row, as for pixels in the file and for DDS, which OSG does not turn over.
+    pub starts_at_bottom: bool,
+}
+
+impl Builder<'_> {
+    /// Returns the texture of an attribute; `None` if it has no image that can be read, which is noted.
+    pub(super) fn texture(&mut self, attribute: &Arc<AttributeObject>) -> Result<Option<BuiltTexture>, IoError> {
+        let AttributeObject::Texture(texture) = &**attribute else { return Ok(None) };
+        let key = Arc::as_ptr(attribute).addr();
+        if let Some(known) = self.textures.get(&key) {
+            return Ok(known.clone());
+        }
+        let made = match self.new_texture(texture) {
+            Ok(made) => made,
+            Err(IoError::Unsupported { what, .. }) => {
+                self.note(format!("OpenSceneGraph: {what}"));
+                None
+            }
+            Err(IoError::Invalid { .. }) => {
+                self.note("OpenSceneGraph: an image that cannot be read");
+                None
+            }
+            Err(error) => return Err(error),
+        };
+        if let Some(texture) = &made {
+            let Source { uri, options, .. } = self.source;
+            self.image_bytes = self.image_bytes.saturating_add(texture.shared.0.size_bytes());
+            let (got, limit) = (self.image_bytes, options.limits.max_image_bytes.saturating_mul(4));
+            if got > limit {
+                let what = "images of an OpenSceneGraph file";
+                return Err(IoError::TooLarge { uri: uri.to_string(), what, got, limit });
+            }
+        }
+        self.textures.insert(key, made.clone());
+        Ok(made)
+    }
+
+    fn new_texture(&self, texture: &TextureObject) -> Result<Option<BuiltTexture>, IoError> {
+        let Source { uri, base, companions, options, notes } = self.source;
+        let Some(object) = &texture.image else { return Ok(None) };
+        let sampling = sampling(texture);
+        let decode = |uri: &str, bytes: &[u8]| {
+            let shared = image::decode_shared(uri, bytes, sampling, options.block_formats, options, notes)?;
+            Ok(Some(BuiltTexture { shared, starts_at_bottom: image::is_dds(bytes) }))
+        };
+        match &object.data {
+            ImageData::File(bytes) => decode(uri, bytes),
+            ImageData::Raw(raw) => {
+                let what = [raw.size[0], raw.size[1], raw.pixel_format as i32].map(i32::to_le_bytes).concat();
+                let key = ContentKey::of(&[&raw.bytes, &what, &sampling.key()]);
+                let make = || {
+                    let (width, height, texels) = rgba_of(uri, raw, &options.limits)?;
+                    Ok(image::texture_of_rgba(width, height, texels, sampling, &options.limits))
+                };
+                let shared = match &options.sharing {
+                    Some(sharing) => sharing.image(key, make)?,
+                    None => (make()?, None),
+                };
+                Ok(Some(BuiltTexture { shared, starts_at_bottom: true }))
+            }
+            ImageData::External => {
+                let files = ExternalFiles::new(base, &options.root, &options.limits, companions);
+                match files.get(&escaped(&object.file_name)) {
+                    Ok((uri, bytes)) => decode(&uri, &bytes),
+                    Err(error) if error.is_transient() && !error.is_doubtful() => Err(error),
+                    Err(error) => {
+                        notes.add_missing("OpenSceneGraph: external image that is missing", &error);
+                        Ok(None)
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Returns the references to the external images of a file.
+pub(in super::super) fn external_images(root: &Object) -> Vec<String> {
+    let mut found = BTreeSet::new();
+    collect(root, &mut HashSet::new(), &mut found);
+    found.into_iter().collect()
+}
+
+fn collect(object: &Object, seen: &mut HashSet<usize>, found: &mut BTreeSet<String>) {
+    let of_state = |state: &Option<Arc<StateObject>>, found: &mut BTreeSet<String>| {
+        let attributes = state.iter().flat_map(|state| state.texture_attributes.first()).flatten();
+        for (attribute, _) in attributes {
+            if let AttributeObject::Texture(TextureObject { image: Some(image), .. }) = &**attribute
+                && matches!(image.data, ImageData::External)
+            {
+                found.insert(escaped(&image.file_name));
+            }
+        }
+    };
+    match object {
+        Object::Node(node) if seen.insert(Arc::as_ptr(node).addr()) => {
+            let NodeObject { state, children, .. } = &**node;
+            of_state(state, found);
+            children.iter().for_each(|child| collect(child, seen, found));
+        }
+        Object::Drawable(drawable) if seen.insert(Arc::as_ptr(drawable).addr()) => {
+            of_state(&drawable.state, found);
+        }
+        _ => {}
+    }
+}
+
+fn sampling(texture: &TextureObject) -> Sampling {
+    let wrap = texture.wrap.map(|mode| match mode {
+        0x2901 => WrapMode::Repeat,
+        0x8370 => WrapMode::Mirror,
+        _ => WrapMode::ClampToEdge,
+    });
+    let (min, mip) = match texture.min_filter {
+        0x2600 => (FilterMode::Nearest, None),
+        0x2601 => (FilterMode::Linear, None),
+        0x2700 => (FilterMode::Nearest, Some(FilterMode::Nearest)),
+        0x2701 => (FilterMode::Linear, Some(FilterMode::Nearest)),
+        0x2702 => (FilterMode::Nearest, Some(FilterMode::Linear)),
+        _ => (FilterMode::Linear, Some(FilterMode::Linear)),
+    };
+    let mag = if texture.mag_filter == 0x2600 { FilterMode::Nearest } else { FilterMode::Linear };
+    Sampling { wrap, mag, min, mip }
+}
+
+/// Returns width, height and the RGBA8 texels of the first level of an image.
+fn rgba_of(uri: &str, raw: &RawImage, limits: &Limits) -> Result<(u32, u32, Vec<u8>), IoError> {
+    let bad = |reason: String| IoError::invalid(uri, format!("OpenSceneGraph file: image: {reason}"));
+    let [width, height, depth] = raw.size;
+    let (Ok(width), Ok(height)) = (u32::try_from(width), u32::try_from(height)) else {
+        return Err(bad(format!("{width} x {height} pixels")));
+    };
+    if depth > 1 {
+        return Err(IoError::unsupported(uri, "image with several layers"));
+    }
+    image::check_size(uri, width, height, limits)?;
+    let blocks = match raw.pixel_format {
+        GL_COMPRESSED_RGB_S3TC_DXT1 => Some(BlockKind::Bc1 { has_alpha: false }),
+        GL_COMPRESSED_RGBA_S3TC_DXT1 => Some(BlockKind::Bc1 { has_alpha: true }),
+        GL_COMPRESSED_RGBA_S3TC_DXT3 => Some(BlockKind::Bc2),
+        GL_COMPRESSED_RGBA_S3TC_DXT5 => Some(BlockKind::Bc3),
+        _ => None,
+    };
+    if let Some(kind) = blocks {
+        let texels = image::decode_blocks(kind, width, height, &raw.bytes);
+        return Ok((width, height, texels.ok_or_else(|| bad("too few blocks".to_owned()))?));
+    }
+    /// Indices that stand for the values 1 and 0, instead of a channel of a pixel.
+    const ONE: usize = 4;
+    const ZERO: usize = 5;
+    let (channels, order) = match raw.pixel_format {
+        0x1907 => (3, [0, 1, 2, ONE]),
+        0x1908 => (4, [0, 1, 2, 3]),
+        0x80e0 => (3, [2, 1, 0, ONE]),
+        0x80e1 => (4, [2, 1, 0, 3]),
+        0x1909 => (1, [0, 0, 0, ONE]),
+        0x190a => (2, [0, 0, 0, 1]),
+        0x8049 => (1, [0, 0, 0, 0]),
+        0x1906 => (1, [ONE, ONE, ONE, 0]),
+        0x1903 => (1, [0, ZERO, ZERO, ONE]),
+        0x8227 => (2, [0, 1, ZERO, ONE]),
+        format => return Err(IoError::unsupported(uri, format!("image of pixel format 0x{format:x}"))),
+    };
+    if raw.data_type != GL_UNSIGNED_BYTE {
+        return Err(IoError::unsupported(uri, format!("image of data type 0x{:x}", raw.data_type)));
+    }
+    let row = (width as usize * channels).next_multiple_of(raw.packing.max(1) as usize);
+    let needed = row * (height as usize - 1) + width as usize * channels;
+    if raw.bytes.len() < needed {
+        return Err(bad(format!("{} bytes of {needed}", raw.bytes.len())));
+    }
+    let mut texels = Vec::with_capacity(width as usize * height as usize * 4);
+    for y in 0..height as usize {
+        let pixels = &raw.bytes[y * row..y * row + width as usize * channels];
+        for pixel in pixels.chunks_exact(channels) {
+            texels.extend(order.map(|channel| match channel {
+                ONE => 255,
+                ZERO => 0,
+                channel => pixel[channel],
+            }));
+        }
+    }
+    Ok((width, height, texels))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn raw(size: [i32; 3], pixel_format: u32, packing: u32, bytes: &[u8]) -> RawImage {
+        RawImage { size, pixel_format, data_type: GL_UNSIGNED_BYTE, packing, bytes: bytes.to_vec() }
+    }
+
+    fn limits() -> Limits {
+        Limits { max_image_bytes: 100, ..Limits::default() }
+    }
+
+    #[test]
+    fn pixels_of_every_format_become_rgba() {
+        let texels = |format, bytes: &[u8]| rgba_of("t", &raw([1, 1, 1], format, 1, bytes), &limits()).unwrap().2;
+        assert_eq!(texels(0x1907, &[1, 2, 3]), [1, 2, 3, 255]);
+        assert_eq!(texels(0x80e1, &[1, 2, 3, 4]), [3, 2, 1, 4]);
+        assert_eq!(texels(0x190a, &[7, 8]), [7, 7, 7, 8]);
+        assert_eq!(texels(0x1906, &[9]), [255, 255, 255, 9]);
+        assert_eq!(texels(0x1903, &[9]), [9, 0, 0, 255]);
+    }
+
+    #[test]
+    fn rows_are_aligned_and_short_images_are_refused() {
+        let two_rows = [1, 2, 3, 0, 4, 5, 6];
+        let (width, height, texels) = rgba_of("t", &raw([1, 2, 1], 0x1907, 4, &two_rows), &limits()).unwrap();
+        assert_eq!((width, height, &texels[4..7]), (1, 2, &[4, 5, 6][..]));
+        for bad in [
+            raw([1, 2, 1], 0x1907, 4, &two_rows[..6]),
+            raw([-1, 2, 1], 0x1907, 4, &two_rows),
+            raw([0, 2, 1], 0x1907, 4, &two_rows),
+            raw([4, 4, 1], GL_COMPRESSED_RGBA_S3TC_DXT5, 1, &[0; 15]),
+            raw([1000, 1000, 1], 0x1907, 1, &two_rows),
+        ] {
+            assert!(rgba_of("t", &bad, &limits()).is_err(), "{bad:?}");
+        }
+    }
+}

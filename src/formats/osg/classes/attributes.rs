@@ -1,0 +1,225 @@
+//! The members of state attributes.
+
+use std::sync::Arc;
+
+use super::Reader;
+use crate::formats::osg::error::Result;
+use crate::formats::osg::input::{GL_NAMES, Names, Number};
+use crate::formats::osg::objects::{AttributeObject, ImageObject, MaterialObject, Object, TextureObject};
+
+const COMPARISONS: Names = &[
+    ("NEVER", 0x200),
+    ("LESS", 0x201),
+    ("EQUAL", 0x202),
+    ("LEQUAL", 0x203),
+    ("GREATER", 0x204),
+    ("NOTEQUAL", 0x205),
+    ("GEQUAL", 0x206),
+    ("ALWAYS", 0x207),
+];
+
+impl Reader<'_> {
+    /// Reads the members of an attribute; `None` if the class is none.
+    pub(super) fn attribute_of(&mut self, class: &str) -> Result<Option<Object>> {
+        let attribute = match class {
+            "Material" => self.material()?,
+            "Texture2D" => self.texture()?,
+            "BlendFunc" => {
+                self.attribute_members()?;
+                let source = self.gl_member("SourceRGB", 0)?;
+                let source_alpha = self.gl_member("SourceAlpha", 0)?;
+                let destination = self.gl_member("DestinationRGB", 0)?;
+                let destination_alpha = self.gl_member("DestinationAlpha", 0)?;
+                AttributeObject::BlendFunc([source, destination, source_alpha, destination_alpha])
+            }
+            "AlphaFunc" => {
+                self.attribute_members()?;
+                let function = self.named_member("Function", COMPARISONS, 0x207)?;
+                AttributeObject::AlphaFunc { function, reference: self.float_member("ReferenceValue", 1.0)? }
+            }
+            "CullFace" => {
+                const FACES: Names = &[("FRONT", 0x404), ("BACK", 0x405), ("FRONT_AND_BACK", 0x408)];
+                self.attribute_members()?;
+                AttributeObject::CullFace(self.named_member("Mode", FACES, 0x405)?)
+            }
+            "FrontFace" => {
+                const WINDINGS: Names = &[("CLOCKWISE", 0x900), ("COUNTER_CLOCKWISE", 0x901)];
+                self.attribute_members()?;
+                AttributeObject::FrontFace(self.named_member("Mode", WINDINGS, 0x901)?)
+            }
+            "Depth" => {
+                self.attribute_members()?;
+                let function = self.named_member("Function", COMPARISONS, 0x201)?;
+                let range = [self.double_member("ZNear", 0.0)?, self.double_member("ZFar", 1.0)?];
+                AttributeObject::Depth { function, range, write: self.boolean_member("WriteMask", true)? }
+            }
+            "PolygonOffset" => {
+                self.attribute_members()?;
+                let factor = self.float_member("Factor", 0.0)?;
+                AttributeObject::PolygonOffset { factor, units: self.float_member("Units", 0.0)? }
+            }
+            "ColorMask" => {
+                self.attribute_members()?;
+                let mut mask = [true; 4];
+                for (is_written, name) in mask.iter_mut().zip(["RedMask", "GreenMask", "BlueMask", "AlphaMask"]) {
+                    *is_written = self.boolean_member(name, true)?;
+                }
+                AttributeObject::ColorMask(mask)
+            }
+            "TexEnv" => {
+                const MODES: Names =
+                    &[("DECAL", 0x2101), ("MODULATE", 0x2100), ("BLEND", 0xbe2), ("REPLACE", 0x1e01), ("ADD", 0x104)];
+                self.attribute_members()?;
+                let mode = self.named_member("Mode", MODES, 0x2100)?;
+                self.floats_member("Color", [0.0; 4])?;
+                AttributeObject::TexEnv(mode)
+            }
+            "ShadeModel" => {
+                const MODES: Names = &[("FLAT", 0x1d00), ("SMOOTH", 0x1d01)];
+                self.attribute_members()?;
+                self.named_member("Mode", MODES, 0x1d01)?;
+                AttributeObject::Other("ShadeModel")
+            }
+            "LineWidth" => {
+                self.attribute_members()?;
+                self.float_member("Width", 1.0)?;
+                AttributeObject::Other("LineWidth")
+            }
+            "Point" => {
+                self.attribute_members()?;
+                self.float_member("Size", 0.0)?;
+                self.float_member("FadeThresholdSize", 0.0)?;
+                self.floats_member("DistanceAttenuation", [0.0; 3])?;
+                self.float_member("MinSize", 0.0)?;
+                self.float_member("MaxSize", 0.0)?;
+                AttributeObject::Other("Point")
+            }
+            "LightModel" => {
+                const CONTROLS: Names = &[("SEPARATE_SPECULAR_COLOR", 0x81fa), ("SINGLE_COLOR", 0x81f9)];
+                self.attribute_members()?;
+                self.floats_member("AmbientIntensity", [0.0; 4])?;
+                self.named_member("ColorControl", CONTROLS, 0x81f9)?;
+                self.boolean_member("LocalViewer", false)?;
+                self.boolean_member("TwoSided", false)?;
+                AttributeObject::Other("LightModel")
+            }
+            _ => return Ok(None),
+        };
+        Ok(Some(Object::Attribute(Arc::new(attribute))))
+    }
+
+    /// Reads the members of the classes Object and StateAttribute.
+    fn attribute_members(&mut self) -> Result<()> {
+        self.object_members()?;
+        for callback in ["UpdateCallback", "EventCallback"] {
+            self.object_member(callback)?;
+        }
+        Ok(())
+    }
+
+    fn material(&mut self) -> Result<AttributeObject> {
+        /// The value of OFF is OSG's own.
+        const COLOR_MODES: Names = &[
+            ("AMBIENT", 0x1200),
+            ("DIFFUSE", 0x1201),
+            ("SPECULAR", 0x1202),
+            ("EMISSION", 0x1600),
+            ("AMBIENT_AND_DIFFUSE", 0x1602),
+            ("OFF", 0x1603),
+        ];
+        self.attribute_members()?;
+        let color_mode = self.named_member("ColorMode", COLOR_MODES, 0x1603)?;
+        let ambient = self.sides("Ambient", [0.2, 0.2, 0.2, 1.0])?;
+        let diffuse = self.sides("Diffuse", [0.8, 0.8, 0.8, 1.0])?;
+        let specular = self.sides("Specular", [0.0, 0.0, 0.0, 1.0])?;
+        let emission = self.sides("Emission", [0.0, 0.0, 0.0, 1.0])?;
+        let shininess = self.sides("Shininess", [0.0])?.map(|[value]| value);
+        Ok(AttributeObject::Material(MaterialObject { color_mode, ambient, diffuse, specular, emission, shininess }))
+    }
+
+    /// Reads a value of front and back.
+    fn sides<const N: usize>(&mut self, name: &str, default: [f32; N]) -> Result<[[f32; N]; 2]> {
+        if !self.marked_member(name)? {
+            return Ok([default; 2]);
+        }
+        let is_same = self.input.boolean()?;
+        self.input.keyword("Front")?;
+        let front = self.floats()?;
+        self.input.keyword("Back")?;
+        let back = self.floats()?;
+        Ok(if is_same { [front; 2] } else { [front, back] })
+    }
+
+    fn texture(&mut self) -> Result<AttributeObject> {
+        const FORMAT_MODES: Names = &[
+            ("USE_IMAGE_DATA_FORMAT", 0),
+            ("USE_USER_DEFINED_FORMAT", 1),
+            ("USE_ARB_COMPRESSION", 2),
+            ("USE_S3TC_DXT1_COMPRESSION", 3),
+            ("USE_S3TC_DXT3_COMPRESSION", 4),
+            ("USE_S3TC_DXT5_COMPRESSION", 5),
+            ("USE_PVRTC_2BPP_COMPRESSION", 6),
+            ("USE_PVRTC_4BPP_COMPRESSION", 7),
+            ("USE_ETC_COMPRESSION", 8),
+            ("USE_RGTC1_COMPRESSION", 9),
+            ("USE_RGTC2_COMPRESSION", 10),
+            ("USE_S3TC_DXT1c_COMPRESSION", 11),
+            ("USE_S3TC_DXT1a_COMPRESSION", 12),
+        ];
+        const SHADOW_MODES: Names = &[("LUMINANCE", 0x1909), ("INTENSITY", 0x8049), ("ALPHA", 0x1906), ("NONE", 0)];
+        self.attribute_members()?;
+        let [wrap_s, wrap_t, _] = self.gl_members(["WRAP_S", "WRAP_T", "WRAP_R"], 0x2900)?;
+        let [min_filter] = self.gl_members(["MIN_FILTER"], 0x2703)?;
+        let [mag_filter] = self.gl_members(["MAG_FILTER"], 0x2601)?;
+        self.float_member("MaxAnisotropy", 1.0)?;
+        self.boolean_member("UseHardwareMipMapGeneration", true)?;
+        self.boolean_member("UnRefImageDataAfterApply", false)?;
+        self.boolean_member("ClientStorageHint", false)?;
+        self.boolean_member("ResizeNonPowerOfTwoHint", true)?;
+        if self.member("BorderColor")? {
+            self.doubles::<4>()?;
+        }
+        self.integer_member("BorderWidth", 0)?;
+        self.named_member("InternalFormatMode", FORMAT_MODES, 0)?;
+        self.gl_members(["InternalFormat", "SourceFormat", "SourceType"], 0)?;
+        self.boolean_member("ShadowComparison", false)?;
+        self.named_member("ShadowCompareFunc", COMPARISONS, 0x203)?;
+        self.named_member("ShadowTextureMode", SHADOW_MODES, 0x1909)?;
+        self.float_member("ShadowAmbient", 0.0)?;
+        if (95..154).contains(&self.version) && self.marked_member("ImageAttachment")? {
+            for number in [Number::U32, Number::I32, Number::U8, Number::I32, Number::U32, Number::U32] {
+                self.input.number(number)?;
+            }
+        }
+        if self.version >= 98 && self.marked_member("Swizzle")? {
+            self.input.word()?;
+        }
+        if self.version >= 155 {
+            for name in ["MinLOD", "MaxLOD", "LODBias"] {
+                self.float_member(name, 0.0)?;
+            }
+        }
+        let image = self.image_member("Image")?;
+        self.integer_member("TextureWidth", 0)?;
+        self.integer_member("TextureHeight", 0)?;
+        Ok(AttributeObject::Texture(TextureObject { wrap: [wrap_s, wrap_t], min_filter, mag_filter, image }))
+    }
+
+    /// Reads OpenGL's constants that are marked in binary.
+    fn gl_members<const N: usize>(&mut self, names: [&str; N], default: u32) -> Result<[u32; N]> {
+        let mut values = [default; N];
+        for (value, name) in values.iter_mut().zip(names) {
+            if self.marked_member(name)? {
+                *value = self.input.named(GL_NAMES)?;
+            }
+        }
+        Ok(values)
+    }
+
+    fn image_member(&mut self, name: &str) -> Result<Option<Arc<ImageObject>>> {
+        if !self.member(name)? || !self.input.boolean()? {
+            return Ok(None);
+        }
+        self.in_braces(Self::image)
+    }
+}

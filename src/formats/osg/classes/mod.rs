@@ -1,0 +1,150 @@
+//! One function per class of OpenSceneGraph reads its members, in OSG's order and by the version of the file.
+//!
+//! The layout is that of OSG 2.9.9 to 3.7, whose numbers of versions (SOVERSION) are 65 to 162. A class that is unknown is
+//! skipped where the file has the sizes of its blocks; elsewhere it is an error, since what follows cannot be found.
+
+mod arrays;
+mod attributes;
+mod geometry;
+mod images;
+mod lods;
+mod members;
+mod nodes;
+mod shapes;
+mod states;
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use super::error::{OsgError, Result};
+use super::input::{Input, Opened, open};
+use super::objects::{ArrayObject, Object};
+use crate::fetch::Limits;
+
+/// Classes without effect on what is drawn, which are skipped without a note.
+const SILENT: [&str; 6] = [
+    "osg::VertexBufferObject",
+    "osg::ElementBufferObject",
+    "osg::PixelBufferObject",
+    "osg::DefaultUserDataContainer",
+    "osg::TessellationHints",
+    "osg::EllipsoidModel",
+];
+
+/// Reads the objects of one file. One thread.
+pub(super) struct Reader<'a> {
+    input: Box<dyn Input + 'a>,
+    version: u32,
+    objects: HashMap<u32, Object>,
+    /// Arrays of versions below 112, by their separate ids.
+    arrays: HashMap<u32, Arc<ArrayObject>>,
+    /// The ids of the objects that are being read, outermost first.
+    open: Vec<u32>,
+    max_depth: usize,
+    /// Takes what is left out.
+    note: &'a dyn Fn(String),
+}
+
+/// The root object of a file, and the version of OSG that wrote it.
+pub(super) struct ReadFile {
+    pub root: Object,
+    pub version: u32,
+}
+
+/// Reads a file. `note` takes what is left out.
+pub(super) fn read_file(bytes: &[u8], limits: &Limits, note: &dyn Fn(String)) -> Result<ReadFile> {
+    let Opened { input, version } = open(bytes, limits.max_file_bytes)?;
+    let mut reader = Reader {
+        input,
+        version,
+        objects: HashMap::new(),
+        arrays: HashMap::new(),
+        open: Vec::new(),
+        max_depth: limits.max_depth as usize,
+        note,
+    };
+    Ok(ReadFile { root: reader.object()?, version })
+}
+
+impl Reader<'_> {
+    /// Reads an object, or returns the one that was read before if its id is known.
+    fn object(&mut self) -> Result<Object> {
+        let class = self.input.word()?;
+        if class == "NULL" {
+            return Ok(Object::Nothing);
+        }
+        self.input.begin()?;
+        self.input.keyword("UniqueID")?;
+        let id = self.unsigned()?;
+        if let Some(known) = self.objects.get(&id).cloned() {
+            self.input.leave()?;
+            return Ok(known);
+        }
+        if self.open.contains(&id) || self.input.is_at_end_of_block() {
+            // A reference to an object above, or to a part of something that was skipped.
+            (self.note)(format!("OpenSceneGraph: a reference to {} that cannot be followed", shortened(&class)));
+            self.input.leave()?;
+            return Ok(Object::Nothing);
+        }
+        if self.open.len() >= self.max_depth {
+            let (got, limit) = (self.open.len() as u64 + 1, self.max_depth as u64);
+            return Err(OsgError::TooLarge { what: "depth of objects", got, limit });
+        }
+        self.open.push(id);
+        let object = self.members_of(&class)?;
+        if object.height() > self.max_depth {
+            // References to nodes that were read before can be deeper than the nesting of the file.
+            let (got, limit) = (object.height() as u64, self.max_depth as u64);
+            return Err(OsgError::TooLarge { what: "depth of nodes", got, limit });
+        }
+        self.open.pop();
+        self.input.leave()?;
+        self.objects.insert(id, object.clone());
+        Ok(object)
+    }
+
+    /// Reads the members of a class.
+    fn members_of(&mut self, class: &str) -> Result<Object> {
+        let short = class.strip_prefix("osg::").unwrap_or(class);
+        if let Some(object) = self.node_of(class, short)? {
+            return Ok(object);
+        }
+        if let Some(object) = self.attribute_of(short)? {
+            return Ok(object);
+        }
+        match short {
+            "Geometry" => self.geometry(),
+            "ShapeDrawable" => self.shape_drawable(),
+            "StateSet" => self.state_set(),
+            "DrawArrays" | "DrawArrayLengths" | "DrawElementsUByte" | "DrawElementsUShort" | "DrawElementsUInt" => {
+                self.primitive_set(short)
+            }
+            "Box" | "Sphere" | "Cone" | "Cylinder" | "Capsule" | "CompositeShape" => self.shape(short),
+            _ => match self.array_of(short)? {
+                Some(array) => Ok(array),
+                None => self.unknown(class),
+            },
+        }
+    }
+
+    /// Leaves out an object of a class that is not read.
+    fn unknown(&mut self, class: &str) -> Result<Object> {
+        if class == "osg::DefaultUserDataContainer" && !self.input.can_skip() {
+            self.user_data()?;
+            return Ok(Object::Nothing);
+        }
+        if !self.input.can_skip() {
+            let what = format!("class {} in a file without sizes of blocks", shortened(class));
+            return Err(OsgError::Unsupported(what));
+        }
+        if !SILENT.contains(&class) {
+            (self.note)(format!("OpenSceneGraph class {}", shortened(class)));
+        }
+        Ok(Object::Nothing)
+    }
+}
+
+/// Returns the beginning of a name from a file.
+fn shortened(name: &str) -> String {
+    name.chars().take(60).collect()
+}

@@ -1,0 +1,187 @@
+//! The members of nodes.
+
+use std::sync::Arc;
+
+use glam::{DAffine3, DMat4, DVec3, DVec4};
+
+use super::Reader;
+use crate::formats::osg::error::Result;
+use crate::formats::osg::input::{Names, Number};
+use crate::formats::osg::objects::{NodeClass, NodeObject, Object, StateObject};
+
+/// Classes whose members begin like those of a Group. Their own members are left out.
+const LIKE_GROUPS: [&str; 8] = [
+    "osg::CoordinateSystemNode",
+    "osg::LightSource",
+    "osg::ClipNode",
+    "osg::TexGenNode",
+    "osg::ClearNode",
+    "osg::OccluderNode",
+    "osg::OcclusionQueryNode",
+    "osg::Sequence",
+];
+
+/// The members that all nodes have.
+pub(super) struct NodeMembers {
+    pub name: String,
+    mask: u32,
+    culling_active: bool,
+    pub state: Option<Arc<StateObject>>,
+}
+
+impl NodeMembers {
+    /// Returns the node with the members of its class.
+    pub fn with(self, class: NodeClass, children: Vec<Object>) -> Object {
+        let Self { name, mask, culling_active, state } = self;
+        let height = 1 + children.iter().map(Object::height).max().unwrap_or(0);
+        Object::Node(Arc::new(NodeObject { name, mask, culling_active, state, class, children, height }))
+    }
+}
+
+impl Reader<'_> {
+    /// Reads the members of a node; `None` if the class is none. `short` is the class without its namespace.
+    pub(super) fn node_of(&mut self, class: &str, short: &str) -> Result<Option<Object>> {
+        Ok(Some(match short {
+            "Node" => self.node_members()?.with(NodeClass::Group, Vec::new()),
+            "Group" => self.group(NodeClass::Group)?,
+            "Geode" => self.geode()?,
+            "Transform" => {
+                let (node, children) = self.group_members()?;
+                let is_absolute = self.reference_frame()?;
+                let parent_from_child = Some(DAffine3::IDENTITY);
+                node.with(NodeClass::Transform { parent_from_child, is_absolute }, children)
+            }
+            "MatrixTransform" => self.matrix_transform()?,
+            "PositionAttitudeTransform" => self.position_attitude_transform()?,
+            "Switch" => self.switch()?,
+            "LOD" => self.lod()?,
+            "PagedLOD" => self.paged_lod()?,
+            "ProxyNode" => self.proxy_node()?,
+            "Billboard" if self.input.can_skip() => {
+                (self.note)("OpenSceneGraph: billboards that do not turn towards the eye".to_owned());
+                self.geode()?
+            }
+            _ if LIKE_GROUPS.contains(&class) && self.input.can_skip() => {
+                if class != "osg::CoordinateSystemNode" {
+                    (self.note)(format!("OpenSceneGraph class {class} (its children are drawn)"));
+                }
+                self.group(NodeClass::Group)?
+            }
+            "CoordinateSystemNode" => {
+                let (node, children) = self.group_members()?;
+                self.string_member("Format")?;
+                self.string_member("CoordinateSystem")?;
+                self.object_member("EllipsoidModel")?;
+                node.with(NodeClass::Group, children)
+            }
+            _ => return Ok(None),
+        }))
+    }
+
+    fn group(&mut self, class: NodeClass) -> Result<Object> {
+        let (node, children) = self.group_members()?;
+        Ok(node.with(class, children))
+    }
+
+    fn geode(&mut self) -> Result<Object> {
+        let node = self.node_members()?;
+        let drawables = if self.marked_member("Drawables")? { self.list(Self::object)? } else { Vec::new() };
+        Ok(node.with(NodeClass::Group, drawables))
+    }
+
+    /// Reads the members of the classes Object and Node.
+    pub(super) fn node_members(&mut self) -> Result<NodeMembers> {
+        let name = self.object_members()?;
+        self.members_of_node_alone(name)
+    }
+
+    /// Reads the members of the class Node, for a name that was read.
+    pub(super) fn members_of_node_alone(&mut self, name: String) -> Result<NodeMembers> {
+        if self.marked_member("InitialBound")? {
+            self.block(|reader| {
+                reader.input.keyword("Center")?;
+                reader.doubles::<3>()?;
+                reader.input.keyword("Radius")?;
+                reader.double()
+            })?;
+        }
+        for callback in ["ComputeBoundingSphereCallback", "UpdateCallback", "EventCallback", "CullCallback"] {
+            self.object_member(callback)?;
+        }
+        let culling_active = self.boolean_member("CullingActive", true)?;
+        let mask = self.unsigned_member("NodeMask", u32::MAX)?;
+        if self.version < 77 && self.marked_member("Descriptions")? {
+            self.list(|reader| reader.input.quoted())?;
+        }
+        let state = self.state_member("StateSet")?;
+        Ok(NodeMembers { name, mask, culling_active, state })
+    }
+
+    /// Reads the members of the classes Object, Node and Group.
+    pub(super) fn group_members(&mut self) -> Result<(NodeMembers, Vec<Object>)> {
+        let node = self.node_members()?;
+        let children = if self.marked_member("Children")? { self.list(Self::object)? } else { Vec::new() };
+        Ok((node, children))
+    }
+
+    pub(super) fn state_member(&mut self, name: &str) -> Result<Option<Arc<StateObject>>> {
+        Ok(match self.object_member(name)? {
+            Object::State(state) => Some(state),
+            _ => None,
+        })
+    }
+
+    /// Reads the reference frame of a transform. Returns true if it is not relative to the nodes above.
+    fn reference_frame(&mut self) -> Result<bool> {
+        const FRAMES: Names = &[("RELATIVE_RF", 0), ("ABSOLUTE_RF", 1), ("ABSOLUTE_RF_INHERIT_VIEWPOINT", 2)];
+        Ok(self.named_member("ReferenceFrame", FRAMES, 0)? != 0)
+    }
+
+    fn matrix_transform(&mut self) -> Result<Object> {
+        let (node, children) = self.group_members()?;
+        let is_absolute = self.reference_frame()?;
+        let matrix = if self.member("Matrix")? { self.matrix()? } else { DMat4::IDENTITY };
+        let is_affine = matrix.is_finite() && matrix.row(3) == DVec4::W;
+        if !is_affine {
+            (self.note)("OpenSceneGraph: a matrix that is not affine".to_owned());
+        }
+        let parent_from_child = is_affine.then(|| DAffine3::from_mat4(matrix));
+        Ok(node.with(NodeClass::Transform { parent_from_child, is_absolute }, children))
+    }
+
+    /// Reads a matrix. OSG multiplies rows, so that its rows are the columns of ours.
+    fn matrix(&mut self) -> Result<DMat4> {
+        // Old text files name the type.
+        if self.input.is_text() && !self.input.matches("Matrixd")? {
+            self.input.matches("Matrixf")?;
+        }
+        self.block(|reader| reader.doubles().map(|rows| DMat4::from_cols_array(&rows)))
+    }
+
+    fn position_attitude_transform(&mut self) -> Result<Object> {
+        let (node, children) = self.group_members()?;
+        let is_absolute = self.reference_frame()?;
+        let position = self.point_member("Position", DVec3::ZERO)?;
+        let rotation = self.rotation_member("Attitude")?;
+        // Text leaves out a scale of zero, which OSG's own default is not.
+        let scale = self.point_member("Scale", DVec3::ONE)?;
+        let pivot = self.point_member("PivotPoint", DVec3::ZERO)?;
+        let map =
+            DAffine3::from_scale_rotation_translation(scale, rotation, position) * DAffine3::from_translation(-pivot);
+        let parent_from_child = map.is_finite().then_some(map);
+        Ok(node.with(NodeClass::Transform { parent_from_child, is_absolute }, children))
+    }
+
+    fn switch(&mut self) -> Result<Object> {
+        let (node, children) = self.group_members()?;
+        let default = self.boolean_member("NewChildDefaultValue", true)?;
+        let mut shown = self.vector_member("ValueList", |reader| reader.input.boolean())?;
+        shown.resize(children.len(), default);
+        Ok(node.with(NodeClass::Switch(shown), children))
+    }
+
+    /// Reads a number of a type as an integer.
+    pub(super) fn integer(&mut self, number: Number) -> Result<i64> {
+        Ok(self.input.number(number)? as i64)
+    }
+}

@@ -1,0 +1,116 @@
+//! Folders of oblique photogrammetry: a `metadata.xml` with the reference system, and `Data/Tile_*/Tile_*.osgb`.
+//!
+//! The tiles are not listed anywhere, so that the folder `Data` is listed, which only works on disk. Each tile is placed by
+//! the map around its centre: a grid is bent over the earth, and one map for all would lift distant tiles.
+
+mod metadata;
+mod placement;
+
+use std::sync::Arc;
+
+use glam::{DAffine3, DVec3};
+
+pub(in crate::formats) use self::metadata::is_metadata;
+
+use self::metadata::Metadata;
+use self::placement::Placement;
+use super::build::escaped;
+use super::sphere_of;
+use crate::fetch::{IoError, is_remote, resolve};
+use crate::formats::ignored::Notes;
+use crate::formats::options::{Fetched, ReadOptions};
+use crate::math::BoundingSphere;
+use crate::scene::{Node, NodeKind, ProxyLoading, ProxyNode};
+
+/// The reference to the list of what is in the folder of the tiles.
+const LISTING: &str = "Data/*";
+/// The maximum number of tiles whose top files are read for their bounds before anything is drawn. Further ones are drawn
+/// and requested from anywhere until they are loaded.
+const MAX_READ_FIRST: usize = 512;
+
+/// Returns the files that the metadata of a folder needs: the list of its tiles, and then the top files of the first tiles.
+pub(in crate::formats) fn tile_files(base: &str, known: &[Fetched], options: &ReadOptions) -> Vec<Arc<str>> {
+    let Ok(listing) = resolve(base, LISTING, &options.root) else { return Vec::new() };
+    match known.iter().find(|(uri, _)| *uri == listing) {
+        None => vec![listing],
+        Some((_, Ok(names))) => {
+            let tiles = tiles(names).into_iter().take(MAX_READ_FIRST);
+            tiles.filter_map(|tile| resolve(base, &reference(&tile), &options.root).ok()).collect()
+        }
+        Some((_, Err(_))) => Vec::new(),
+    }
+}
+
+/// Returns the names of the tiles in a list of what is in their folder.
+fn tiles(names: &[u8]) -> Vec<String> {
+    let names = String::from_utf8_lossy(names);
+    let folders: Vec<String> = names.lines().filter_map(|name| name.strip_suffix('/')).map(str::to_owned).collect();
+    let is_tile = |name: &String| name.get(..5).is_some_and(|start| start.eq_ignore_ascii_case("tile_"));
+    if folders.iter().any(is_tile) { folders.into_iter().filter(is_tile).collect() } else { folders }
+}
+
+/// Returns the reference to the top file of a tile.
+fn reference(tile: &str) -> String {
+    let tile = escaped(tile);
+    format!("Data/{tile}/{tile}.osgb")
+}
+
+/// Reads the metadata of a folder: one proxy for each tile, placed on the earth.
+pub(in crate::formats) fn read_folder(
+    (uri, base): (&Arc<str>, &str),
+    bytes: &[u8],
+    companions: &[Fetched],
+    options: &ReadOptions,
+    notes: &Notes,
+) -> Result<Node, IoError> {
+    let metadata = Metadata::parse(bytes).map_err(|reason| IoError::invalid(uri, format!("metadata.xml: {reason}")))?;
+    let placement = Placement::new(&metadata)
+        .map_err(|what| IoError::unsupported(uri, format!("metadata.xml: reference system {what}")))?;
+    if metadata.srs.is_empty() {
+        notes.add("oblique photogrammetry: no reference system (its own frame is kept)");
+    }
+    let listing = resolve(base, LISTING, &options.root)?;
+    let names = match companions.iter().find(|(known, _)| *known == listing) {
+        Some((_, Ok(names))) => names,
+        _ if is_remote(&listing) => {
+            return Err(IoError::unsupported(uri, "a folder of tiles on a server, which cannot list them"));
+        }
+        Some((_, Err(error))) => return Err(error.clone()),
+        None => return Err(IoError::NotFound { uri: listing.to_string() }),
+    };
+    let mut nodes = Vec::new();
+    for tile in tiles(names) {
+        let uri = resolve(base, &reference(&tile), &options.root)?;
+        let top = companions.iter().find(|(known, _)| *known == uri).and_then(|(_, top)| top.as_ref().ok());
+        let sphere = top.and_then(|bytes| sphere_of(bytes, &options.limits));
+        let ecef_from_tile = placement.ecef_from_local(sphere.map_or(DVec3::ZERO, |sphere| sphere.center));
+        let proxy = ProxyNode {
+            uri,
+            bounds: sphere.unwrap_or(BoundingSphere::EVERYTHING),
+            content_transform: DAffine3::IDENTITY,
+            loading: ProxyLoading::DeferToPager,
+        };
+        let proxy = Node::new(NodeKind::ProxyNode(Box::new(proxy)));
+        nodes.push(Node::transform(ecef_from_tile, vec![proxy]).named(&tile));
+    }
+    if nodes.is_empty() {
+        return Err(IoError::invalid(uri, "metadata.xml: no folder of a tile in Data"));
+    }
+    Ok(Node::group(nodes))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn folders_of_tiles_are_found_among_others() {
+        assert_eq!(
+            tiles(b"Tile_+000_+001/\nnotes.txt\nTile_-001_+000/\nthumbs/\n"),
+            ["Tile_+000_+001", "Tile_-001_+000"]
+        );
+        assert_eq!(tiles(b"a/\nb/\nc.osgb\n"), ["a", "b"]);
+        assert!(tiles(b"").is_empty());
+        assert_eq!(reference("Tile_+1#2"), "Data/Tile_+1%232/Tile_+1%232.osgb");
+    }
+}

@@ -1,0 +1,324 @@
+//! The objects of a file as plain values, shared as they are in the file. [`build`](super::build) makes nodes of them.
+
+use std::sync::Arc;
+
+use glam::{DAffine3, DQuat, DVec3};
+
+use super::input::Values;
+
+/// An object of a file. Objects with the same id are the same value.
+#[derive(Clone, Debug)]
+pub(super) enum Object {
+    /// Nothing that is drawn: a null pointer, a class that is skipped, or one without effect.
+    Nothing,
+    Node(Arc<NodeObject>),
+    Drawable(Arc<DrawableObject>),
+    State(Arc<StateObject>),
+    Attribute(Arc<AttributeObject>),
+    Image(Arc<ImageObject>),
+    Array(Arc<ArrayObject>),
+    Primitives(Arc<PrimitiveObject>),
+    Shape(Arc<ShapeObject>),
+}
+
+impl Object {
+    /// Returns the number of nodes on the longest way down; 0 for what is no node.
+    pub fn height(&self) -> usize {
+        if let Self::Node(node) = self { node.height } else { 0 }
+    }
+}
+
+/// A node.
+#[derive(Debug)]
+pub(super) struct NodeObject {
+    pub name: String,
+    pub mask: u32,
+    pub culling_active: bool,
+    pub state: Option<Arc<StateObject>>,
+    pub class: NodeClass,
+    /// The children in order, those of classes that are skipped included: ranges and switches count them.
+    pub children: Vec<Object>,
+    /// The number of nodes on the longest way down, this one included.
+    pub height: usize,
+}
+
+/// The class of a node with its own members.
+#[derive(Debug)]
+pub(super) enum NodeClass {
+    /// Group, Geode and everything that is read like them.
+    Group,
+    Transform {
+        /// `None` if the matrix is not affine.
+        parent_from_child: Option<DAffine3>,
+        is_absolute: bool,
+    },
+    Switch(Vec<bool>),
+    Lod(LodObject),
+    PagedLod(LodObject, PagedObject),
+    Proxy(ProxyObject),
+}
+
+/// The centre that ranges are measured from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) enum CenterMode {
+    #[default]
+    BoundingSphere,
+    UserDefined,
+    Union,
+}
+
+/// The members of an LOD.
+#[derive(Debug, Default)]
+pub(super) struct LodObject {
+    pub center_mode: CenterMode,
+    /// Centre and radius, as far as the centre mode needs them.
+    pub user_center: Option<(DVec3, f64)>,
+    pub is_by_pixel_size: bool,
+    /// The range of each child, metres or pixels.
+    pub ranges: Vec<[f64; 2]>,
+}
+
+/// The members of a PagedLOD beside those of an LOD.
+#[derive(Debug, Default)]
+pub(super) struct PagedObject {
+    pub database_path: String,
+    /// The file of each child; empty for children that are in this file.
+    pub files: Vec<String>,
+    /// Offset and scale of each child's priority.
+    pub priorities: Vec<[f32; 2]>,
+    pub children_that_cannot_expire: u32,
+}
+
+/// The members of a ProxyNode.
+#[derive(Debug, Default)]
+pub(super) struct ProxyObject {
+    pub files: Vec<String>,
+    pub database_path: String,
+    pub loading: ProxyMode,
+    pub center_mode: CenterMode,
+    pub user_center: Option<(DVec3, f64)>,
+}
+
+/// When a ProxyNode loads its files.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) enum ProxyMode {
+    #[default]
+    Immediately,
+    DeferToPager,
+    Never,
+}
+
+/// A drawable.
+#[derive(Debug)]
+pub(super) struct DrawableObject {
+    pub name: String,
+    pub mask: u32,
+    pub state: Option<Arc<StateObject>>,
+    pub class: DrawableClass,
+}
+
+#[derive(Debug)]
+pub(super) enum DrawableClass {
+    Geometry(GeometryObject),
+    Shape { shape: Option<Arc<ShapeObject>>, color: [f32; 4] },
+}
+
+/// The members of a Geometry.
+#[derive(Debug, Default)]
+pub(super) struct GeometryObject {
+    pub primitives: Vec<Arc<PrimitiveObject>>,
+    pub vertices: Option<BoundArray>,
+    pub normals: Option<BoundArray>,
+    pub colors: Option<BoundArray>,
+    pub tex_coords: Vec<Option<BoundArray>>,
+}
+
+/// An array with what its elements belong to.
+#[derive(Clone, Debug)]
+pub(super) struct BoundArray {
+    pub array: Arc<ArrayObject>,
+    /// The indices of the elements, in versions below 112.
+    pub indices: Option<Arc<ArrayObject>>,
+    /// `None` lets the number of elements decide.
+    pub binding: Option<Binding>,
+    /// Integers are scaled to 0..1 or -1..1.
+    pub is_normalized: bool,
+}
+
+/// The kind of thing that each element of an array belongs to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Binding {
+    Off,
+    Overall,
+    PerPrimitiveSet,
+    PerPrimitive,
+    PerVertex,
+}
+
+/// An array.
+#[derive(Debug)]
+pub(super) struct ArrayObject {
+    /// Values of an element.
+    pub width: usize,
+    pub values: Values,
+    pub binding: Option<Binding>,
+    pub is_normalized: bool,
+}
+
+impl ArrayObject {
+    /// Returns the number of elements.
+    pub fn count(&self) -> usize {
+        self.values.len() / self.width
+    }
+
+    /// Returns a value of an element; 0 for those that it lacks.
+    pub fn get(&self, element: usize, component: usize) -> f64 {
+        if component < self.width { self.values.get(element * self.width + component) } else { 0.0 }
+    }
+}
+
+/// A primitive set.
+#[derive(Debug)]
+pub(super) struct PrimitiveObject {
+    /// OpenGL's number of the mode.
+    pub mode: u32,
+    pub instances: u32,
+    pub indices: Indices,
+}
+
+/// The vertices of a primitive set.
+#[derive(Debug)]
+pub(super) enum Indices {
+    Arrays { first: i64, count: i64 },
+    Lengths { first: i64, lengths: Vec<i32> },
+    Elements(Values),
+}
+
+/// A state set.
+#[derive(Debug, Default)]
+pub(super) struct StateObject {
+    pub name: String,
+    /// Modes as OpenGL's numbers with OSG's flags.
+    pub modes: Vec<(u32, u32)>,
+    pub attributes: Vec<(Arc<AttributeObject>, u32)>,
+    /// By texture unit.
+    pub texture_modes: Vec<Vec<(u32, u32)>>,
+    pub texture_attributes: Vec<Vec<(Arc<AttributeObject>, u32)>>,
+    pub uniforms: usize,
+    pub hint: i32,
+    pub bin_mode: u32,
+    pub bin_number: i32,
+    pub bin_name: String,
+    pub nest_bins: bool,
+}
+
+/// An attribute of a state set.
+#[derive(Debug)]
+pub(super) enum AttributeObject {
+    Material(MaterialObject),
+    Texture(TextureObject),
+    /// Source and destination of colour, then of alpha: OpenGL's numbers.
+    BlendFunc([u32; 4]),
+    AlphaFunc {
+        function: u32,
+        reference: f32,
+    },
+    CullFace(u32),
+    Depth {
+        function: u32,
+        range: [f64; 2],
+        write: bool,
+    },
+    FrontFace(u32),
+    PolygonOffset {
+        factor: f32,
+        units: f32,
+    },
+    ColorMask([bool; 4]),
+    TexEnv(u32),
+    /// Attributes without effect here.
+    Other(&'static str),
+}
+
+/// Front and back of each colour, as far as they differ.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct MaterialObject {
+    pub color_mode: u32,
+    pub ambient: [[f32; 4]; 2],
+    pub diffuse: [[f32; 4]; 2],
+    pub specular: [[f32; 4]; 2],
+    pub emission: [[f32; 4]; 2],
+    pub shininess: [f32; 2],
+}
+
+/// A Texture2D.
+#[derive(Debug)]
+pub(super) struct TextureObject {
+    /// Along s and t: OpenGL's numbers.
+    pub wrap: [u32; 2],
+    pub min_filter: u32,
+    pub mag_filter: u32,
+    pub image: Option<Arc<ImageObject>>,
+}
+
+/// An image.
+#[derive(Debug)]
+pub(super) struct ImageObject {
+    pub file_name: String,
+    pub data: ImageData,
+}
+
+/// The pixels of an image.
+#[derive(Debug)]
+pub(super) enum ImageData {
+    /// In the file of its name.
+    External,
+    /// Here, as the bytes of an image file.
+    File(Vec<u8>),
+    /// Here, uncompressed or in blocks.
+    Raw(RawImage),
+}
+
+/// Pixels as OpenGL takes them.
+#[derive(Debug)]
+pub(super) struct RawImage {
+    /// Width, height and depth.
+    pub size: [i32; 3],
+    pub pixel_format: u32,
+    pub data_type: u32,
+    /// The alignment of rows in bytes.
+    pub packing: u32,
+    /// All levels.
+    pub bytes: Vec<u8>,
+}
+
+/// A shape of a ShapeDrawable. Lengths in metres.
+#[derive(Debug)]
+pub(super) enum ShapeObject {
+    Box {
+        center: DVec3,
+        half_lengths: DVec3,
+        rotation: DQuat,
+    },
+    Sphere {
+        center: DVec3,
+        radius: f64,
+    },
+    /// Around the z axis before it is rotated.
+    Round {
+        profile: Profile,
+        center: DVec3,
+        radius: f64,
+        height: f64,
+        rotation: DQuat,
+    },
+    Composite(Vec<Arc<ShapeObject>>),
+}
+
+/// The silhouette of a round shape.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Profile {
+    Cone,
+    Cylinder,
+    Capsule,
+}
