@@ -40,7 +40,8 @@ impl RootScope {
 }
 
 /// Converts user input to the URI of a tile set's root. A folder, an archive, and a URL that ends in `/` or in the name of
-/// an archive mean the tileset.json inside. Any other path or URL means itself.
+/// an archive mean the tileset.json inside; a folder on disk that lacks it means its layer.json. Any other path or URL means
+/// itself.
 pub fn root_uri(source: &str) -> Result<Arc<str>, IoError> {
     let no_set = |path: &str| match is_pmtiles(path) {
         true => Err(IoError::unsupported(source, "PMTiles as a tile set (its tiles are contents: NAME.pmtiles/z/x/y)")),
@@ -63,7 +64,12 @@ pub fn root_uri(source: &str) -> Result<Arc<str>, IoError> {
     no_set(source)?;
     let path = std::path::absolute(source).map_err(|e| bad(source, e.to_string()))?;
     let is_inside = path.is_dir() || (path.is_file() && path.to_str().is_some_and(is_archive));
-    let path = if is_inside { path.join("tileset.json") } else { path };
+    let path = match is_inside {
+        // A folder of terrain tiles.
+        true if !path.join("tileset.json").exists() && path.join("layer.json").is_file() => path.join("layer.json"),
+        true => path.join("tileset.json"),
+        false => path,
+    };
     path.to_str().map(Arc::from).ok_or_else(|| bad(source, "the path is not UTF-8"))
 }
 

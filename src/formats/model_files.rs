@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use super::options::{Fetched, ReadOptions};
-use super::{b3dm, cmpt, gltf, i3dm, tileset};
+use super::{b3dm, cmpt, gltf, i3dm, terrain, tileset};
 use crate::fetch::markup::text_and_first_byte;
 use crate::fetch::{encoding, resolve};
 
@@ -34,6 +34,7 @@ fn of_part(base: &str, bytes: &[u8], known: &[Fetched], options: &ReadOptions, d
             let parts = cmpt::parts(base, bytes, depth).unwrap_or_default();
             parts.into_iter().flat_map(|part| of_part(base, part, known, options, depth + 1)).collect()
         }
+        _ if first == Some(b'{') && terrain::is_layer_text(text) => terrain::parent_files(base, text, known, options),
         _ if first == Some(b'{') => {
             let schema = tileset::schema_reference(text, &options.limits);
             let schema = schema.and_then(|reference| resolve(base, &reference, &options.root).ok());

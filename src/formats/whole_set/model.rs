@@ -11,6 +11,7 @@ use crate::fetch::markup::text_and_first_byte;
 use crate::fetch::{IoError, Source, encoding};
 use crate::formats::options::{Content, ReadOptions};
 use crate::formats::read::decode_node;
+use crate::formats::terrain;
 use crate::scene::{Geometry, Node, NodeKind, Page, Topology};
 
 /// Counts of a single content. A mesh that several nodes draw counts once for each of them.
@@ -36,7 +37,7 @@ pub(super) fn inspect_model(
     from: &Source,
 ) -> Result<Info, IoError> {
     let bytes = encoding::gunzip(uri, bytes, &options.limits)?;
-    let mut info = Info { format: format_name(&bytes).to_owned(), contents: 1, ..Info::default() };
+    let mut info = Info { format: format_name(uri, &bytes).to_owned(), contents: 1, ..Info::default() };
     info.bytes = bytes.len() as u64;
     let mut options = options.clone();
     let companions = read_companions(from, uri, &bytes, None, &mut options, &mut info.bytes);
@@ -74,8 +75,8 @@ impl ModelInfo {
     }
 }
 
-/// Returns the name of a format, by its magic bytes.
-fn format_name(bytes: &[u8]) -> &'static str {
+/// Returns the name of a format, by its magic bytes or, for a format without them, by its name.
+fn format_name(uri: &str, bytes: &[u8]) -> &'static str {
     match bytes.get(..4) {
         Some(b"glTF") => "glTF (glb)",
         Some(b"b3dm") => "3D Tiles content (b3dm)",
@@ -84,6 +85,7 @@ fn format_name(bytes: &[u8]) -> &'static str {
         Some(b"pnts") => "3D Tiles content (pnts)",
         Some(&[0x76, 0x2f, 0x31, 0x01]) => "height tile (EXR)",
         _ if text_and_first_byte(bytes).1 == Some(b'{') => "glTF (JSON)",
+        _ if terrain::is_tile_name(uri) => "quantized-mesh tile",
         _ => "unknown",
     }
 }

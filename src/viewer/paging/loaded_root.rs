@@ -4,10 +4,15 @@ use std::sync::Arc;
 
 use crate::fetch;
 use crate::formats;
-use crate::math::BoundingVolume;
+use crate::math::{BoundingVolume, Region};
 use crate::pager::{DatabasePager, PagerConfig};
 use crate::scene::{BlockFormats, NodeKind, Page};
 use crate::viewer::ViewerError;
+
+/// The name of the root that [`LoadedRoot::ellipsoid`] returns.
+const ELLIPSOID: &str = "globe";
+/// The depth below the ellipsoid that its coarsest triangles stay above, metres.
+const ELLIPSOID_DEPTH_M: f64 = 10_000.0;
 
 /// A root tile set that was read, and the pager that loads the rest of it. It can be read before a viewer exists, for
 /// example while a window opens; see [`Viewer::set_root`](crate::viewer::Viewer::set_root).
@@ -28,6 +33,26 @@ impl LoadedRoot {
     /// [`Viewer::load`](crate::viewer::Viewer::load) holds them compressed. Tiles below a root are compressed in either case.
     pub fn read(source: &str, config: &PagerConfig) -> Result<Self, ViewerError> {
         Self::read_for(source, config, BlockFormats::NONE)
+    }
+
+    /// Returns the surface of WGS84 as a root. Nothing is read: its tiles are computed when they are wanted, and a pager is
+    /// started for them.
+    pub fn ellipsoid(config: &PagerConfig) -> Result<Self, ViewerError> {
+        let uri: Arc<str> = ELLIPSOID.into();
+        let options = formats::ReadOptions::for_root(&uri, config.limits);
+        let pager = DatabasePager::new(config.clone(), options)?;
+        let page = Page::from_node(formats::ellipsoid());
+        let page = page.map_err(|error| fetch::IoError::Uri { uri: uri.to_string(), reason: error.to_string() })?;
+        let half_turn = std::f64::consts::PI;
+        let region = Region {
+            west: -half_turn,
+            south: -0.5 * half_turn,
+            east: half_turn,
+            north: 0.5 * half_turn,
+            min_height_m: -ELLIPSOID_DEPTH_M,
+            max_height_m: 0.0,
+        };
+        Ok(Self { pager, page, uri, region: Some(BoundingVolume::Region(region)) })
     }
 
     /// Does the same as [`Self::read`], with the compressed formats that a root's own images may have.
