@@ -15,4 +15,5 @@ mod gltf_version1;
 mod instances;
 mod styles;
 mod surface_properties;
+mod terrain;
 mod tiles;

@@ -35,7 +35,7 @@ pub(super) struct Availability {
     levels: Vec<Vec<TileRange>>,
 }
 
-/// What is wrong with ranges that are used nevertheless.
+/// The faults of ranges that are used nevertheless.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct RangeFaults {
     /// Some ranges have tiles that their level lacks.
@@ -44,6 +44,8 @@ pub(super) struct RangeFaults {
     pub is_orphaned: bool,
 }
 
+/// The maximum number of pairs of ranges that are compared to find tiles without a parent.
+const MAX_COMPARED: usize = 1 << 22;
 /// The largest level whose tiles are looked at: coordinates have 32 bits.
 pub(super) const MAX_LEVEL: u32 = 30;
 
@@ -148,13 +150,17 @@ impl Availability {
         self.levels.get(level as usize).map_or(&[], Vec::as_slice)
     }
 
-    /// Returns true if a corner of a range has no parent in the level above. The first level is known to have its own.
+    /// Returns true if a corner of a range has no parent in the level above. The first level is known to have its own. Levels
+    /// with very many ranges are not checked.
     fn has_orphans(&self, first_level: u32) -> bool {
         let is_orphan = |level: u32, x: u32, y: u32| {
             let parent = TileCoordinates { level: level - 1, x: x / 2, y: y / 2, z: 0 };
             !self.has(parent)
         };
         (first_level + 1..self.levels.len() as u32).any(|level| {
+            if self.level(level).len().saturating_mul(self.level(level - 1).len()) > MAX_COMPARED {
+                return false;
+            }
             self.level(level).iter().any(|TileRange { first, last }| {
                 let corners = [[first[0], first[1]], [last[0], first[1]], [first[0], last[1]], [last[0], last[1]]];
                 corners.iter().any(|[x, y]| is_orphan(level, *x, *y))

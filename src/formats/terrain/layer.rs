@@ -14,7 +14,7 @@ use crate::formats::implicit::{TileCoordinates, UriTemplate};
 use crate::formats::lenient::{Number, Numbers, Text, texts};
 use crate::formats::options::{Fetched, ReadOptions};
 
-/// The maximum number of layers: a loader asks for further files only so many times.
+/// The maximum number of layers: a loader asks for further files a limited number of times.
 const MAX_LAYERS: usize = crate::formats::read::MAX_DEPENDENCY_ROUNDS + 1;
 /// The finest level of a layer that names neither its tiles nor a level.
 const USUAL_MAX_ZOOM: u32 = 18;
@@ -61,7 +61,7 @@ pub(in crate::formats) struct Layer {
     counts_from_north: bool,
     /// The tiles that layer.json names. With `metadata_levels` those of level 0.
     pub(super) available: Availability,
-    /// Tiles of each so many levels name the tiles below them in their metadata.
+    /// Tiles of the levels that this number divides name the tiles below them in their metadata.
     pub(super) metadata_levels: Option<u32>,
     /// The version of the data.
     pub version: Option<String>,

@@ -10,7 +10,7 @@
 //! | `quantized` | the file of a tile |
 //! | `surface` | triangles over the unit square, and parts of them |
 //! | `mesh` | vertices on WGS84, normals, skirts |
-//! | `tiling` | the places of tiles and the errors of levels |
+//! | `tiling` | the rectangles of tiles and the errors of levels |
 
 mod availability;
 mod layer;

@@ -35,7 +35,7 @@ pub(in crate::formats) struct TerrainPage {
     set: Arc<TerrainSet>,
     /// The first tile.
     tile: TileCoordinates,
-    /// What is known about that tile and those below it, for each layer.
+    /// The tiles that are known to exist, that tile and those below it, for each layer.
     known: Arc<[Availability]>,
     /// The nearest mesh above, for tiles that no layer has.
     above: TileMesh,
@@ -201,7 +201,7 @@ struct PageReader<'a> {
 }
 
 impl PageReader<'_> {
-    /// Returns a tile with the levels below it. `known` is what is known about it and below. `is_held` tells that its file is
+    /// Returns a tile with the levels below it. `known` are the tiles that exist there. `is_held` tells that its file is
     /// the mesh of the page.
     fn tile(&self, tile: TileCoordinates, known: &[Availability], is_held: bool) -> Tile {
         let set = &self.page.set;
@@ -247,13 +247,13 @@ impl PageReader<'_> {
         Continuation { bounds: self.bounds(tile, &page.known), content: page.content() }
     }
 
-    /// Returns true if a tile has children. Where there is only the ellipsoid, that goes on to its finest level.
+    /// Returns true if a tile has children. A part of the ellipsoid is divided down to its finest level.
     fn is_divided(&self, tile: TileCoordinates, known: &[Availability], has_file: bool) -> bool {
         let is_ellipsoid = !has_file && matches!(self.mesh, TileMesh::Ellipsoid);
         (is_ellipsoid && tile.level < MAX_ELLIPSOID_LEVEL) || known.iter().any(|known| known.has_below(tile))
     }
 
-    /// Returns true if a tile begins a page of its own.
+    /// Returns true if a tile begins another page.
     fn begins_page(&self, tile: TileCoordinates, known: &[Availability]) -> bool {
         let has_file = TerrainSet::layer_of(known, tile).is_some();
         if self.page.set.layers_with_metadata(known, tile).next().is_some() {

@@ -84,7 +84,8 @@ impl<'a> Reader<'a> {
 pub(super) fn header_heights_m(bytes: &[u8]) -> Result<[f64; 2], String> {
     let word = |at: usize| bytes.get(at..at + 4).and_then(|b| b.try_into().ok()).map(f32::from_le_bytes);
     let too_short = || format!("{} bytes, a header has {HEADER_BYTES}", bytes.len());
-    let (low, high) = word(HEIGHTS_AT).zip(word(HEIGHTS_AT + 4)).ok_or_else(too_short)?;
+    let heights = word(HEIGHTS_AT).zip(word(HEIGHTS_AT + 4)).filter(|_| bytes.len() >= HEADER_BYTES);
+    let (low, high) = heights.ok_or_else(too_short)?;
     if !(low <= high && low.abs() <= MAX_HEIGHT_M && high.abs() <= MAX_HEIGHT_M) {
         return Err(format!("header: heights from {low} to {high} m"));
     }

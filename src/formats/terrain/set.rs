@@ -13,7 +13,7 @@ use crate::formats::options::{Fetched, ReadOptions};
 use crate::formats::tile::{Tile, node_of};
 use crate::scene::Node;
 
-/// The name of the ellipsoid where a service has one of its own.
+/// The name of the ellipsoid in the names of its tiles.
 const ELLIPSOID: &str = "ellipsoid";
 
 /// The layers of a terrain service.

@@ -17,7 +17,7 @@ pub(super) struct SurfaceVertex {
     pub normal: Vec3,
 }
 
-/// Where the normals of a surface come from.
+/// The origin of the normals of a surface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Normals {
     /// They follow from the triangles.
@@ -95,7 +95,7 @@ impl Cut {
 }
 
 impl Surface {
-    /// Returns a part of the ellipsoid as a grid of so many cells along its width and height.
+    /// Returns a part of the ellipsoid as a grid. The arguments are the numbers of cells along its width and height.
     pub fn of_ellipsoid([width, height]: [u32; 2]) -> Self {
         let side = width + 1;
         let share = |i: u32, of: u32| f64::from(i) / f64::from(of);

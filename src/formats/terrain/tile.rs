@@ -20,6 +20,9 @@ use crate::scene::{Drawable, Geometry, Material, Mesh, Node, ReaderData, ReaderV
 /// The height of skirts as a multiple of the level's error, as in CesiumJS.
 const SKIRT_ERRORS: f64 = 5.0;
 
+/// The colour of ground without an image, linear.
+const GROUND: [f32; 4] = [0.42, 0.41, 0.38, 1.0];
+
 /// The file of a tile in memory.
 #[derive(Debug)]
 pub(super) struct HeldMesh {
@@ -122,16 +125,16 @@ pub(super) fn unpacked(uri: &str, bytes: Vec<u8>, options: &ReadOptions) -> Resu
     Ok(bytes)
 }
 
-/// Reads a terrain file that no set refers to. Its place follows from the end of its path, `LEVEL/X/Y.terrain` in the
-/// scheme TMS of EPSG:4326: the file itself does not name it.
+/// Reads a terrain file that no set refers to. The end of its path, `LEVEL/X/Y.terrain`, tells
+/// its coordinates in the scheme TMS of EPSG:4326: the file itself does not.
 pub(in crate::formats) fn read_alone(
     uri: &str,
     bytes: &[u8],
     options: &ReadOptions,
     notes: &Notes,
 ) -> Result<Node, IoError> {
-    let no_place = || IoError::unsupported(uri, "a terrain tile whose path does not end in LEVEL/X/Y.terrain");
-    let tile = place_in(path_of(uri)).ok_or_else(no_place)?;
+    let no_coordinates = || IoError::unsupported(uri, "a terrain tile whose path does not end in LEVEL/X/Y.terrain");
+    let tile = coordinates_in(path_of(uri)).ok_or_else(no_coordinates)?;
     refuse_markup(uri, bytes)?;
     Ok(node_of(&surface_of(uri, bytes, options, notes)?, Tiling::Geographic, tile))
 }
@@ -141,14 +144,14 @@ pub(in crate::formats) fn is_tile_name(uri: &str) -> bool {
     path_of(uri).ends_with(".terrain")
 }
 
-fn place_in(path: &str) -> Option<TileCoordinates> {
+fn coordinates_in(path: &str) -> Option<TileCoordinates> {
     let mut parts = path.strip_suffix(".terrain")?.rsplit('/').map(str::parse::<u32>);
     let (y, x, level) = (parts.next()?.ok()?, parts.next()?.ok()?, parts.next()?.ok()?);
-    let is_place = level <= super::availability::MAX_LEVEL && {
+    let exists = level <= super::availability::MAX_LEVEL && {
         let [columns, rows] = Tiling::Geographic.size(level);
         u64::from(x) < columns && u64::from(y) < rows
     };
-    is_place.then_some(TileCoordinates { level, x, y, z: 0 })
+    exists.then_some(TileCoordinates { level, x, y, z: 0 })
 }
 
 fn surface_of(uri: &str, bytes: &[u8], options: &ReadOptions, notes: &Notes) -> Result<Surface, IoError> {
@@ -174,7 +177,8 @@ fn part_of(above: TileCoordinates, tile: TileCoordinates) -> [f64; 4] {
 fn node_of(surface: &Surface, tiling: Tiling, tile: TileCoordinates) -> Node {
     let skirt_m = SKIRT_ERRORS * tiling.level_error_m(tile.level);
     let (origin, mesh) = mesh::build(surface, &tiling.rectangle(tile), skirt_m);
-    let drawable = Drawable::new(Geometry::Mesh(Arc::<Mesh>::new(mesh)), Material::default());
+    let drawable =
+        Drawable::new(Geometry::Mesh(Arc::<Mesh>::new(mesh)), Material { base_color: GROUND, ..Material::default() });
     Node::transform(DAffine3::from_translation(origin), vec![Node::geode(vec![drawable])])
 }
 
@@ -187,8 +191,8 @@ mod tests {
         let tile = |level, x, y| TileCoordinates { level, x, y, z: 0 };
         assert_eq!(part_of(tile(3, 5, 2), tile(4, 11, 4)), [0.5, 0.0, 1.0, 0.5]);
         assert_eq!(part_of(tile(3, 5, 2), tile(5, 20, 11)), [0.0, 0.75, 0.25, 1.0]);
-        assert_eq!(place_in("/set/10/17/5.terrain"), Some(tile(10, 17, 5)));
-        assert_eq!(place_in("/set/1/4/0.terrain"), None);
-        assert_eq!(place_in("/set/a.terrain"), None);
+        assert_eq!(coordinates_in("/set/10/17/5.terrain"), Some(tile(10, 17, 5)));
+        assert_eq!(coordinates_in("/set/1/4/0.terrain"), None);
+        assert_eq!(coordinates_in("/set/a.terrain"), None);
     }
 }

@@ -4,10 +4,11 @@ use std::sync::Arc;
 
 use crate::fetch;
 use crate::formats;
-use crate::math::{BoundingVolume, Region};
+use crate::math::BoundingVolume;
 use crate::pager::{DatabasePager, PagerConfig};
 use crate::scene::{BlockFormats, NodeKind, Page};
 use crate::viewer::ViewerError;
+use crate::viewer::view::set_bounds::{HIGHEST_GROUND_M, LOWEST_GROUND_M, earth, is_globe};
 
 /// The name of the root that [`LoadedRoot::ellipsoid`] returns.
 const ELLIPSOID: &str = "globe";
@@ -43,16 +44,7 @@ impl LoadedRoot {
         let pager = DatabasePager::new(config.clone(), options)?;
         let page = Page::from_node(formats::ellipsoid());
         let page = page.map_err(|error| fetch::IoError::Uri { uri: uri.to_string(), reason: error.to_string() })?;
-        let half_turn = std::f64::consts::PI;
-        let region = Region {
-            west: -half_turn,
-            south: -0.5 * half_turn,
-            east: half_turn,
-            north: 0.5 * half_turn,
-            min_height_m: -ELLIPSOID_DEPTH_M,
-            max_height_m: 0.0,
-        };
-        Ok(Self { pager, page, uri, region: Some(BoundingVolume::Region(region)) })
+        Ok(Self { pager, page, uri, region: Some(earth(-ELLIPSOID_DEPTH_M, 0.0)) })
     }
 
     /// Does the same as [`Self::read`], with the compressed formats that a root's own images may have.
@@ -64,7 +56,12 @@ impl LoadedRoot {
         let page = pager.read_root(&uri)?;
         // The second read of the root adds nothing to the list of what is left out.
         let options = formats::ReadOptions { ignored: formats::IgnoredLog::default(), ..options };
-        let region = declared_region(&uri, &options);
+        // Several trees together may cover the earth.
+        let is_globe = page.tiles().roots().len() > 1 && is_globe(&page.bounding_sphere());
+        let region = match is_globe {
+            true => Some(earth(LOWEST_GROUND_M, HIGHEST_GROUND_M)),
+            false => declared_region(&uri, &options),
+        };
         Ok(Self { pager, page, uri, region })
     }
 }

@@ -8,6 +8,7 @@ pub mod compressed;
 pub mod contents;
 pub mod fuzz;
 pub mod pager;
+pub mod quantized;
 pub mod server;
 pub mod subtrees;
 
