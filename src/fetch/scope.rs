@@ -48,8 +48,8 @@ fn is_oblique(folder: &Path) -> bool {
 }
 
 /// Converts user input to the URI of a tile set's root. A folder, an archive, and a URL that ends in `/` or in the name of
-/// an archive mean the tileset.json inside; a folder on disk without one means its metadata.xml, if it has that. Any other
-/// path or URL means itself.
+/// an archive mean the tileset.json inside; a folder on disk without one means its metadata.xml or layer.json, if it has that.
+/// Any other path or URL means itself.
 pub fn root_uri(source: &str) -> Result<Arc<str>, IoError> {
     let no_set = |path: &str| match is_pmtiles(path) {
         true => Err(IoError::unsupported(source, "PMTiles as a tile set (its tiles are contents: NAME.pmtiles/z/x/y)")),
@@ -74,6 +74,8 @@ pub fn root_uri(source: &str) -> Result<Arc<str>, IoError> {
     let is_inside = path.is_dir() || (path.is_file() && path.to_str().is_some_and(is_archive));
     let path = match is_inside {
         true if is_oblique(&path) => path.join(OBLIQUE_ROOT),
+        // A folder of terrain tiles.
+        true if !path.join("tileset.json").exists() && path.join("layer.json").is_file() => path.join("layer.json"),
         true => path.join("tileset.json"),
         false => path,
     };

@@ -1,4 +1,5 @@
-//! Bytes to pages and back: 3D Tiles, glTF, OpenSceneGraph's files, EXR height tiles, point clouds, images.
+//! Bytes to pages and back: 3D Tiles, glTF, OpenSceneGraph's files, quantized-mesh terrain, EXR height tiles, point clouds,
+//! images.
 //!
 //! Called by the pager's decode threads, never by the threads of the frame. The decoders do no I/O; only the functions
 //! about whole tile sets ([`inspect`], [`verify`], `fill`) ask [`fetch`](crate::fetch) for bytes. No input is trusted:
@@ -25,6 +26,7 @@ mod properties;
 mod read;
 mod style;
 mod subset;
+mod terrain;
 mod tile;
 mod tileset;
 mod whole_set;
@@ -39,6 +41,7 @@ pub(crate) use read::MAX_DEPENDENCY_ROUNDS;
 pub(crate) use read::has_slow_dependencies;
 pub use read::{companion_fallback, companions, decode, decode_node, decode_noting, dependencies};
 pub use style::{Style, StyleError};
+pub use terrain::ellipsoid;
 pub use tile::UpAxis;
 pub use whole_set::{BoundsInfo, Info, InfoError, LevelInfo, MetadataInfo, ModelInfo, Verified, inspect, verify};
 #[cfg(feature = "http")]

@@ -1,4 +1,5 @@
-//! Decodes the bytes of one content to a page. Formats are recognized by magic bytes, never by file extension.
+//! Decodes the bytes of one content to a page. Formats are recognized by magic bytes, never by file extension, but for
+//! quantized-mesh, which has none.
 
 use std::sync::Arc;
 
@@ -6,11 +7,12 @@ use super::gltf::GltfSource;
 use super::ignored::{Ignored, Notes};
 use super::implicit::{SubtreePart, SubtreeSource};
 use super::options::{Content, Fetched, ReadOptions};
+use super::terrain::{self, TerrainPage, TerrainTile};
 use super::tile::{ContentBytes, ContentData, TileContent, node_of};
 use super::{b3dm, cmpt, embedded, gltf, height, i3dm, image, implicit, model_files, osg, point_cloud, style, tileset};
 use crate::fetch::markup::{refuse_markup, text_and_first_byte};
 use crate::fetch::{IoError, encoding, guarded};
-use crate::scene::{Node, Page, ReaderData};
+use crate::scene::{Node, Page, ReaderData, ReaderValue};
 
 /// The maximum number of files that one content may refer to.
 const MAX_DEPENDENCIES: usize = 4096;
@@ -26,6 +28,9 @@ pub fn companions(uri: &Arc<str>, reader_data: Option<&ReaderData>) -> Vec<Arc<s
         // The first is the content itself.
         fetched.next();
         return fetched.map(|content| content.uri.clone()).collect();
+    }
+    if let Some(page) = value::<TerrainPage>(reader_data) {
+        return page.companions();
     }
     height::companions(uri, reader_data.and_then(ReaderData::text))
 }
@@ -48,6 +53,9 @@ pub fn dependencies(
     known: &[Fetched],
     options: &ReadOptions,
 ) -> Vec<Arc<str>> {
+    if value::<TerrainPage>(reader_data).is_some() || value::<TerrainTile>(reader_data).is_some() {
+        return Vec::new();
+    }
     let base = options.base.as_deref().unwrap_or(uri);
     let needed = if let Some(source) = reader_data.and_then(|data| data.value::<SubtreeSource>()) {
         implicit::external_buffers(source, uri, bytes, options)
@@ -142,6 +150,12 @@ fn read_node(content: Content, options: &ReadOptions, notes: &Notes) -> Result<N
     if let Some(part) = reader_data.as_ref().and_then(|data| data.value::<osg::InlinePart>()) {
         return part.read(options, notes);
     }
+    if let Some(page) = value::<TerrainPage>(reader_data.as_ref()) {
+        return page.read(&uri, bytes, &companions, options).map(node_of);
+    }
+    if let Some(tile) = value::<TerrainTile>(reader_data.as_ref()) {
+        return tile.read(&uri, bytes, options, notes);
+    }
     let Some(data) = content_data(reader_data.as_ref()) else {
         let text = reader_data.as_ref().and_then(ReaderData::text);
         return read_bytes(&uri, bytes, text, companions, options, notes);
@@ -159,6 +173,10 @@ fn read_node(content: Content, options: &ReadOptions, notes: &Notes) -> Result<N
 }
 
 fn content_data(reader_data: Option<&ReaderData>) -> Option<&ContentData> {
+    reader_data?.value()
+}
+
+fn value<T: ReaderValue>(reader_data: Option<&ReaderData>) -> Option<&T> {
     reader_data?.value()
 }
 
@@ -279,6 +297,8 @@ impl ModelReader<'_> {
         if first == Some(b'{') {
             return if tileset::is_tileset_text(uri, json)? {
                 tileset::read(uri, json, companions, options)
+            } else if terrain::is_layer_text(json) {
+                terrain::read(uri, json, companions, options)
             } else {
                 read_gltf(json, None, None)
             };
@@ -286,6 +306,9 @@ impl ModelReader<'_> {
         refuse_markup(uri, bytes)?;
         if image::is_image(bytes) {
             return Err(IoError::unsupported(uri, "an image as the content of a tile"));
+        }
+        if terrain::is_tile_name(uri) {
+            return terrain::read_alone(uri, bytes, options, notes);
         }
         Err(IoError::invalid(uri, format!("unknown magic {:02x?}", bytes.get(..4.min(bytes.len())).unwrap_or(&[]))))
     }

@@ -16,4 +16,5 @@ mod instances;
 mod osg;
 mod styles;
 mod surface_properties;
+mod terrain;
 mod tiles;

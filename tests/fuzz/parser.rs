@@ -11,6 +11,8 @@ mod files;
 mod parsers;
 #[path = "../../data-gen/tests/generate/fuzz_rasters.rs"]
 mod rasters;
+#[path = "../formats/terrain/fuzz_parsers.rs"]
+mod terrain;
 
 type Parse = Box<dyn FnMut(&[u8])>;
 
@@ -22,6 +24,7 @@ fn chosen() -> Parse {
     let wanted = std::env::var("FUZZ_PARSER").unwrap_or_default();
     let known = parsers::all().into_iter().map(|p| (p.name, p.seeds, p.parse));
     let known = known.chain(rasters::all().into_iter().map(|p| (p.name, p.seeds, p.parse)));
+    let known = known.chain(terrain::all().into_iter().map(|p| (p.name, p.seeds, p.parse)));
     let mut names = Vec::new();
     for (name, seeds, parse) in known {
         if name == wanted {

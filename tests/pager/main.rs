@@ -19,3 +19,4 @@ mod scenes;
 #[cfg(feature = "http")]
 mod states;
 mod stream;
+mod terrain;

@@ -69,6 +69,9 @@ fn text(info: &Info, verified: Option<&Verified>) -> String {
         let names: Vec<&str> = info.extensions.iter().map(String::as_str).collect();
         let _ = writeln!(out, "uses     {}", names.join(", "));
     }
+    if let Some(attribution) = &info.attribution {
+        let _ = writeln!(out, "credit   {attribution}");
+    }
     if let Some(metadata) = &info.metadata {
         out.push_str(&metadata_text(metadata));
     }

@@ -11,7 +11,9 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, SystemTime};
 
 use reqwest::Version;
-use reqwest::header::{COOKIE, HeaderMap, IF_MODIFIED_SINCE, IF_NONE_MATCH, LOCATION, RANGE, VARY};
+use reqwest::header::{
+    ACCEPT, COOKIE, HeaderMap, HeaderValue, IF_MODIFIED_SINCE, IF_NONE_MATCH, LOCATION, RANGE, VARY,
+};
 use url::Url;
 
 use super::config::HttpConfig;
@@ -30,6 +32,12 @@ const MAX_DRAINED_BYTES: u64 = 16 << 10;
 const MAX_DRAIN_TIME: Duration = Duration::from_millis(200);
 /// The maximum number of redirects of one request.
 const MAX_REDIRECTS: usize = 8;
+
+/// The end of the paths of terrain tiles.
+const TERRAIN_SUFFIX: &str = ".terrain";
+/// The types that terrain tiles are asked for. Servers leave out the extensions that are not named.
+const TERRAIN_ACCEPT: &str = "application/vnd.quantized-mesh;extensions=octvertexnormals-watermask-metadata,\
+    application/octet-stream;q=0.9,*/*;q=0.01";
 
 /// The parameters of a request besides its URI.
 pub(in crate::fetch) struct Exchange<'a> {
@@ -205,6 +213,9 @@ impl Exchange<'_> {
             {
                 url.query_pairs_mut().append_pair(name, value);
             }
+        }
+        if url.path().ends_with(TERRAIN_SUFFIX) {
+            headers.insert(ACCEPT, HeaderValue::from_static(TERRAIN_ACCEPT));
         }
         self.first_byte(uri, client.get(url).headers(headers)).await
     }

@@ -19,8 +19,10 @@ mod subtree;
 mod template;
 mod tiling;
 
+pub(super) use coordinates::TileCoordinates;
 pub(super) use json::ImplicitTilingJson;
 pub(super) use pages::{SubtreePart, SubtreeSource};
+pub(super) use template::UriTemplate;
 pub(super) use tiling::{ContentTemplate, ImplicitRoot, ImplicitTiling, RootVolume};
 
 use std::sync::Arc;

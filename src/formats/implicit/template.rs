@@ -30,7 +30,7 @@ const PLACEHOLDERS: [(&str, Variable); 8] = [
 
 /// An absolute URI with placeholders. It is resolved once, so that the URI of a tile costs only the text.
 #[derive(Clone, Debug)]
-pub(super) struct UriTemplate {
+pub(in crate::formats) struct UriTemplate {
     uri: Template,
     /// The URI without the redirects that led to the file, if it differs.
     fallback: Option<Template>,

@@ -19,6 +19,7 @@ use crate::fetch::{
 };
 use crate::formats::options::{Content, Fetched, ReadOptions};
 use crate::formats::read::{companion_fallback, companions, decode_node, dependencies};
+use crate::formats::terrain;
 use crate::formats::tile::{Tile, TileContent};
 use crate::formats::tileset::{is_tileset, may_be_tileset, may_refer_to_files, read_tiles};
 use crate::math::{BoundingVolume, Region};
@@ -337,7 +338,7 @@ impl Fill<'_> {
     ) -> Result<(), IoError> {
         let others = self.in_flight.remove(&job.uri).unwrap_or_default();
         let mut add = |position: &Position| match &job.subtree {
-            Some(content) => self.add_subtree(content, read, position),
+            Some(content) => self.add_pages(content, read, position),
             None => self.add_tileset(&job.uri, read, position),
         };
         let mut revisited = add(first)? * u64::from(job.is_again);
@@ -348,13 +349,18 @@ impl Fill<'_> {
         Ok(())
     }
 
-    /// Queues the files that a subtree in one position refers to. Returns its number of tiles and contents.
-    fn add_subtree(&mut self, content: &TileContent, read: &ReadFile<'_>, position: &Position) -> Result<u64, IoError> {
-        let Known::Subtree(source) = Known::of(content) else { return Ok(0) };
+    /// Queues the files that a subtree, or a page of terrain, in one position refers to. Returns its number of tiles and
+    /// contents.
+    fn add_pages(&mut self, content: &TileContent, read: &ReadFile<'_>, position: &Position) -> Result<u64, IoError> {
         let bytes = encoding::gunzip(&content.uri, read.bytes.clone(), &self.options.limits)?;
         let (root, base) = (self.scope.clone(), read.location.clone());
         let options = ReadOptions { root, base, ..ReadOptions::for_root(&content.uri, self.options.limits) };
-        let tiles = guarded(&content.uri, || source.read(&content.uri, bytes, read.companions, &options))?;
+        let tiles = guarded(&content.uri, || match Known::of(content) {
+            Known::Subtree(source) => source.read(&content.uri, bytes, read.companions, &options),
+            // The ellipsoid has no files, and goes on to a very fine level.
+            Known::Terrain(page) if !page.is_ellipsoid() => page.read(&content.uri, bytes, read.companions, &options),
+            _ => Ok(Vec::new()),
+        })?;
         Ok(tiles.iter().map(|tile| self.add_tile(tile, position)).sum())
     }
 
@@ -373,13 +379,14 @@ impl Fill<'_> {
             // Regions must stay regions to be compared with the wanted one: the set's frame is taken for the content's.
             ..ReadOptions::for_root(uri, self.options.limits)
         };
-        let Some(tile) = read_root_tile(uri, read, &options)? else { return Ok(1) };
+        let Some(tiles) = read_root_tiles(uri, read, &options)? else { return Ok(1) };
         let is_root = position.chain.is_empty();
-        if is_root && self.options.region.is_some() && !region::is_on_earth(&tile.bounds, &position.world) {
+        let is_on_earth = || tiles.iter().all(|tile| region::is_on_earth(&tile.bounds, &position.world));
+        if is_root && self.options.region.is_some() && !is_on_earth() {
             return Err(IoError::unsupported(uri, "a region of a set that is not on the earth"));
         }
         let below = Position { chain: options.below(uri).chain, ..position.clone() };
-        Ok(self.add_tile(&tile, &below))
+        Ok(tiles.iter().map(|tile| self.add_tile(tile, &below)).sum())
     }
 
     /// Queues the wanted files of a tile and its descendants. `position.level` is the level of the tile. Returns the number of
@@ -440,7 +447,14 @@ impl Fill<'_> {
                 let options = ReadOptions { root, ..ReadOptions::for_root(&content.uri, self.options.limits) };
                 part.read(&options).iter().map(|tile| self.add_tile(tile, position)).sum()
             }
-            Known::Subtree(_) => {
+            Known::Terrain(_) if content.is_in_memory() => {
+                let read = ReadFile { bytes: Vec::new(), location: None, companions: &[] };
+                self.add_pages(content, &read, position).unwrap_or_else(|error| {
+                    self.fail(&error);
+                    0
+                })
+            }
+            Known::Subtree(_) | Known::Terrain(_) => {
                 self.add_position(content.uri.clone(), position.clone(), Some(content.clone()));
                 1
             }
@@ -454,12 +468,16 @@ impl Fill<'_> {
     }
 }
 
-/// Parses the root tile of a tileset. Returns `None` for another content, such as a glTF that a tile refers to as `.json`.
-fn read_root_tile(uri: &Arc<str>, read: &ReadFile<'_>, options: &ReadOptions) -> Result<Option<Tile>, IoError> {
+/// Parses the root tile of a tileset, or those of a terrain service. Returns `None` for another content, such as a glTF that
+/// a tile refers to as `.json`.
+fn read_root_tiles(uri: &Arc<str>, read: &ReadFile<'_>, options: &ReadOptions) -> Result<Option<Vec<Tile>>, IoError> {
     guarded(uri, || {
         let bytes = encoding::gunzip(uri, read.bytes.clone(), &options.limits)?;
         if is_tileset(uri, &bytes, &options.limits) {
-            return read_tiles(uri, &bytes, read.companions, options).map(Some);
+            return read_tiles(uri, &bytes, read.companions, options).map(|tile| Some(vec![tile]));
+        }
+        if terrain::is_layer(uri, &bytes, &options.limits) {
+            return terrain::read_tiles(uri, &bytes, read.companions, options).map(Some);
         }
         let content = Content { uri: uri.clone(), bytes, reader_data: None, companions: Vec::new() };
         decode_node(content, options).map(|_| None)
@@ -511,7 +529,7 @@ async fn with_companions(client: &HttpClient, scope: &RootScope, limits: &Limits
     if is_part {
         let options = options_of(job, scope, done.location.clone(), *limits);
         let data = job.subtree.as_ref().and_then(|content| content.reader_data.as_ref());
-        for uri in dependencies(&job.uri, bytes, data, &[], &options) {
+        for uri in companions(&job.uri, data).into_iter().chain(dependencies(&job.uri, bytes, data, &[], &options)) {
             let body = client.get(&uri, limits).await;
             done.network_bytes += body.as_ref().map_or(0, |body| body.network_bytes);
             done.companions.push((uri, body.map(|body| body.bytes)));

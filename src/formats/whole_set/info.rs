@@ -8,6 +8,7 @@ use serde::Serialize;
 use super::metadata::MetadataInfo;
 use super::model::{ModelInfo, inspect_model};
 use super::report::{InfoError, record, too_many};
+use super::terrain::inspect_terrain;
 use super::tree::{Known, load, read_companions, read_subtree};
 #[cfg(feature = "http")]
 use crate::fetch::HttpConfig;
@@ -16,13 +17,14 @@ use crate::formats::height::SetExtras;
 use crate::formats::options::{Fetched, ReadOptions};
 use crate::formats::osg;
 use crate::formats::read::companions;
+use crate::formats::terrain;
 use crate::formats::tile::{Tile, TileContent};
 use crate::formats::tileset::{self, may_be_tileset, read_tiles};
 
 /// Summary of a tile set.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Info {
-    /// "3D Tiles", or "3D Tiles with heights".
+    /// "3D Tiles", "3D Tiles with heights", "quantized-mesh terrain", or the format of a single content.
     pub format: String,
     /// The version of the asset.
     pub version: String,
@@ -47,6 +49,9 @@ pub struct Info {
     pub tiles_with_metadata: u64,
     /// The bounds of the whole set.
     pub bounds: BoundsInfo,
+    /// The credit that a terrain service asks for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub attribution: Option<String>,
     /// Properties of the tilesets that their reader leaves out, counted by kind.
     pub ignored: BTreeMap<String, u64>,
     /// Number of failures.
@@ -98,7 +103,10 @@ fn inspect_from(root: &Arc<str>, limits: &Limits, from: Source) -> Result<Info, 
     let Loaded { bytes, location, .. } = from.load(root)?;
     // Metadata is described, and that which is invalid is named.
     let options = ReadOptions { base: location, keep_features: true, ..options };
-    if may_be_model(&bytes) && !tileset::is_tileset(root, &bytes, limits) {
+    if terrain::is_layer(root, &bytes, limits) {
+        return inspect_terrain(root, &bytes, &options, &from);
+    }
+    if (may_be_model(&bytes) || terrain::is_tile_name(root)) && !tileset::is_tileset(root, &bytes, limits) {
         return inspect_model(root, bytes, &options, &from);
     }
     let json = tileset::parse(root, &bytes, limits)?;
@@ -150,7 +158,7 @@ fn has_asset(bytes: &[u8]) -> bool {
 }
 
 impl Info {
-    fn fail(&mut self, error: &IoError) {
+    pub(super) fn fail(&mut self, error: &IoError) {
         record(error, &mut self.failed, &mut self.errors);
     }
 
@@ -234,7 +242,8 @@ impl Walk<'_> {
                 self.info.fail(error);
                 return true;
             }
-            Known::Embedded => {
+            // A terrain service has a summary of its own.
+            Known::Embedded | Known::Terrain(_) => {
                 self.info.contents += 1;
                 self.info.level(level).contents += 1;
                 return true;
@@ -342,6 +351,9 @@ impl std::fmt::Display for Info {
         if !self.extensions.is_empty() {
             let list: Vec<&str> = self.extensions.iter().map(String::as_str).collect();
             writeln!(f, "extensions: {}", list.join(", "))?;
+        }
+        if let Some(attribution) = &self.attribution {
+            writeln!(f, "attribution: {attribution}")?;
         }
         write!(f, "errors: {}", self.failed)?;
         for e in &self.errors {

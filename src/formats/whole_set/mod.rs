@@ -8,6 +8,7 @@ mod model;
 #[cfg(feature = "http")]
 mod region;
 mod report;
+mod terrain;
 mod tree;
 mod verify;
 

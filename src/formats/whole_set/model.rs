@@ -12,6 +12,7 @@ use crate::fetch::{IoError, Limits, Source, encoding};
 use crate::formats::options::{Content, ReadOptions};
 use crate::formats::osg;
 use crate::formats::read::decode_node;
+use crate::formats::terrain;
 use crate::scene::{Drawable, Geometry, Node, NodeKind, Page, ReaderData, Topology};
 
 /// Counts of a single content. A mesh that several nodes draw counts once for each of them.
@@ -39,7 +40,7 @@ pub(super) fn inspect_model(
     from: &Source,
 ) -> Result<Info, IoError> {
     let bytes = encoding::gunzip(uri, bytes, &options.limits)?;
-    let mut info = Info { format: format_name(&bytes, &options.limits), contents: 1, ..Info::default() };
+    let mut info = Info { format: format_name(uri, &bytes, &options.limits), contents: 1, ..Info::default() };
     info.bytes = bytes.len() as u64;
     let mut options = options.clone();
     let companions = read_companions(from, uri, &bytes, None, &mut options, &mut info.bytes);
@@ -98,8 +99,8 @@ impl ModelInfo {
     }
 }
 
-/// Returns the name of a format, by its magic bytes.
-fn format_name(bytes: &[u8], limits: &Limits) -> String {
+/// Returns the name of a format, by its magic bytes or, for a format without them, by its name.
+fn format_name(uri: &str, bytes: &[u8], limits: &Limits) -> String {
     if osg::is_native(bytes) {
         return osg::format_name(bytes, limits);
     }
@@ -112,6 +113,7 @@ fn format_name(bytes: &[u8], limits: &Limits) -> String {
         Some(&[0x76, 0x2f, 0x31, 0x01]) => "height tile (EXR)",
         _ if osg::is_metadata(bytes) => "oblique photogrammetry (metadata.xml)",
         _ if text_and_first_byte(bytes).1 == Some(b'{') => "glTF (JSON)",
+        _ if terrain::is_tile_name(uri) => "quantized-mesh tile",
         _ => "unknown",
     };
     name.to_owned()

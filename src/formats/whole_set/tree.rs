@@ -6,6 +6,7 @@ use crate::fetch::{IoError, Loaded, Source, encoding};
 use crate::formats::implicit::{SubtreePart, SubtreeSource};
 use crate::formats::options::{Fetched, ReadOptions};
 use crate::formats::read::{self, MAX_DEPENDENCY_ROUNDS, dependencies};
+use crate::formats::terrain::{TerrainPage, TerrainTile};
 use crate::formats::tile::{ContentBytes, ContentData, Tile, TileContent};
 use crate::scene::ReaderData;
 
@@ -15,6 +16,8 @@ pub(super) enum Known<'a> {
     Part(&'a SubtreePart),
     /// A subtree file.
     Subtree(&'a SubtreeSource),
+    /// A part of a terrain tree.
+    Terrain(&'a TerrainPage),
     /// A content that cannot be loaded.
     Refused(&'a IoError),
     /// A content in the tileset itself.
@@ -31,6 +34,12 @@ impl<'a> Known<'a> {
         }
         if let Some(source) = data.and_then(ReaderData::value) {
             return Self::Subtree(source);
+        }
+        if let Some(page) = data.and_then(ReaderData::value) {
+            return Self::Terrain(page);
+        }
+        if data.and_then(ReaderData::value::<TerrainTile>).is_some_and(TerrainTile::is_in_memory) {
+            return Self::Embedded;
         }
         match data.and_then(ReaderData::value::<ContentData>).map(|data| &data.bytes) {
             Some(ContentBytes::Refused(error)) => Self::Refused(error),

@@ -13,6 +13,7 @@ use crate::fetch::{IoError, Limits, Loaded, Source, root_uri};
 use crate::formats::options::{Content, Fetched, ReadOptions};
 use crate::formats::osg;
 use crate::formats::read::{self, decode, decode_node};
+use crate::formats::terrain::{self, TerrainPage};
 use crate::formats::tileset;
 use crate::scene::{Node, NodeKind, ReaderData};
 
@@ -74,7 +75,7 @@ fn verify_from(
     verified.bytes += bytes.len() as u64;
     let limit = limits.max_elements as u64;
     let mut nodes = 0;
-    if tileset::is_tileset(root, &bytes, limits) {
+    if tileset::is_tileset(root, &bytes, limits) || terrain::is_layer(root, &bytes, limits) {
         let companions = read_companions(from, root, &bytes, None, &mut options, &mut verified.bytes);
         verified.fail_each(&companions);
         let content = Content { uri: root.clone(), bytes, reader_data: None, companions };
@@ -132,7 +133,7 @@ impl Verified {
         self.bytes += bytes.len() as u64;
         // Other contents of the same tile are read without it.
         let is_joined = data.is_some_and(|data| data.text().is_none()) && !read::companions(&uri, data).is_empty();
-        if is_no_content && !is_joined {
+        if is_no_content && !is_joined && !data.is_some_and(ReaderData::needs_content) {
             return Ok(0);
         }
         let mut options = ReadOptions { base: location, ..options };
@@ -163,7 +164,10 @@ fn collect(node: &Node, options: &ReadOptions, jobs: &mut Vec<Job>) -> u64 {
     };
     match &node.kind {
         NodeKind::PagedLod(tile) => {
-            if let Some(uri) = &tile.content {
+            let page = tile.reader_data.as_ref().and_then(ReaderData::value::<TerrainPage>);
+            // The ellipsoid has no files, and goes on to a very fine level.
+            let is_ellipsoid = page.is_some_and(TerrainPage::is_ellipsoid);
+            if let Some(uri) = tile.content.as_ref().filter(|_| !is_ellipsoid) {
                 push(uri, tile.reader_data.clone(), false);
             }
         }

@@ -212,7 +212,8 @@ impl LoadJob for PageJob {
         let Loaded { bytes, location, is_no_content, companion_locations } = loaded;
         // Other contents of the same tile are drawn without it.
         let is_joined = !companions.is_empty() && self.reader_data.as_ref().and_then(ReaderData::text).is_none();
-        if is_no_content && !is_joined {
+        let is_error = self.reader_data.as_ref().is_some_and(ReaderData::needs_content);
+        if is_no_content && !is_joined && !is_error {
             let empty = Page::from_node(Node::group(Vec::new()));
             return empty.map_err(|error| IoError::invalid(&self.uri, error.to_string()));
         }

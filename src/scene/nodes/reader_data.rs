@@ -18,6 +18,11 @@ pub trait ReaderValue: Any + Debug + Send + Sync {
         false
     }
 
+    /// Returns true if an answer without content (status 204) is an error. Otherwise the tile is empty.
+    fn needs_content(&self) -> bool {
+        false
+    }
+
     /// Returns the URI at which the content is looked for if its own has none.
     fn fallback_uri(&self) -> Option<Arc<str>> {
         None
@@ -66,6 +71,11 @@ impl ReaderData {
     /// Returns true if the content continues the tile tree of the tile's own tileset.
     pub fn continues_tileset(&self) -> bool {
         matches!(self, Self::Value(value) if value.continues_tileset())
+    }
+
+    /// Returns true if an answer without content (status 204) is an error.
+    pub fn needs_content(&self) -> bool {
+        matches!(self, Self::Value(value) if value.needs_content())
     }
 
     /// Returns the URI at which the content is looked for if its own has none.

@@ -5,12 +5,15 @@ use glam::{DAffine3, DMat3, DVec3, Vec3};
 
 use super::camera::{Camera, world_from_eye};
 
-use crate::math::{BoundingSphere, BoundingVolume, Ellipsoid, OrientedBox, WGS84};
+use crate::math::{BoundingSphere, BoundingVolume, Ellipsoid, OrientedBox, Region, WGS84};
 use crate::scene::{DistanceFog, Environment, Page};
 use crate::viewer::camera_path::{AnimationPath, ControlPoint};
 
-/// A set counts as earth-centred when the centre of its bounding sphere is farther than this from the origin.
+/// A set counts as earth-centred when the centre of its bounding sphere is farther than this from the origin, metres.
 const GEOREFERENCED_BEYOND_M: f64 = 1.0e6;
+
+/// A set around the origin is a globe if the radius of its bounding sphere is in this range, metres.
+const GLOBE_RADII_M: std::ops::RangeInclusive<f64> = 6.3e6..=2.0e7;
 
 /// The axes east (x), north (y) and up (z) at a point.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -80,6 +83,8 @@ impl Default for ViewFrom {
 
 /// A height below the deepest ocean trench, metres above the ellipsoid.
 pub(in crate::viewer) const LOWEST_GROUND_M: f64 = -12_000.0;
+/// A height above the highest mountain, metres above the ellipsoid.
+pub(in crate::viewer) const HIGHEST_GROUND_M: f64 = 9_000.0;
 
 impl SetBounds {
     /// Creates bounds from a sphere alone.
@@ -91,7 +96,11 @@ impl SetBounds {
     pub fn new(sphere: BoundingSphere, volume: Option<BoundingVolume>) -> Self {
         let usable = sphere.center.is_finite() && sphere.radius_m.is_finite() && sphere.radius_m > 0.0;
         let sphere = if usable { sphere } else { BoundingSphere::new(DVec3::ZERO, 1.0) };
-        let frame = LocalFrame::at(sphere.center, sphere.center.length() > GEOREFERENCED_BEYOND_M);
+        let frame = match is_globe(&sphere) {
+            // There is no up at the middle of the earth: the axes are those of the world.
+            true => LocalFrame { georeferenced: true, ..LocalFrame::at(sphere.center, false) },
+            false => LocalFrame::at(sphere.center, sphere.center.length() > GEOREFERENCED_BEYOND_M),
+        };
         let local_from_world = frame.world_from_local.inverse();
         let local_box = volume.and_then(|v| v.oriented_box()).map(|b| b.transformed(&local_from_world).aabb());
         let (middle_m, half_size_m) = match local_box {
@@ -213,6 +222,19 @@ pub fn environment_for(bounds: &SetBounds) -> Environment {
     }
 }
 
+/// Returns true for the sphere around a set that covers the earth.
+pub(in crate::viewer) fn is_globe(sphere: &BoundingSphere) -> bool {
+    sphere.center.length() <= GEOREFERENCED_BEYOND_M && GLOBE_RADII_M.contains(&sphere.radius_m)
+}
+
+/// Returns the volume of all ground of the earth between two heights, metres.
+pub(in crate::viewer) fn earth(min_height_m: f64, max_height_m: f64) -> BoundingVolume {
+    let half_turn = std::f64::consts::PI;
+    let (west, east) = (-half_turn, half_turn);
+    let (south, north) = (-0.5 * half_turn, 0.5 * half_turn);
+    BoundingVolume::Region(Region { west, south, east, north, min_height_m, max_height_m })
+}
+
 /// Returns the volume that a page's root tile declares.
 pub(in crate::viewer) fn root_volume(page: &Page) -> Option<BoundingVolume> {
     let root = page.tiles().roots().first()?;
@@ -232,7 +254,6 @@ pub(in crate::viewer) fn root_volume(page: &Page) -> Option<BoundingVolume> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::math::Region;
 
     fn alps() -> SetBounds {
         let region =
@@ -271,6 +292,16 @@ mod tests {
             let extinction = DistanceFog::AIR_PER_M + f64::from(environment_for(&bounds).fog.density_per_m);
             assert!(3.912 / extinction > 99_900.0, "{radius_m} m: {extinction} per metre");
         }
+    }
+
+    #[test]
+    fn globe_is_earth_centred() {
+        let globe = SetBounds::from_sphere(BoundingSphere::new(DVec3::new(3e3, 0.0, -9e3), 9e6));
+        assert!(globe.frame.georeferenced && globe.body().is_some());
+        assert_eq!(globe.frame.up(), DVec3::Z);
+        let pose = globe.first_camera(&ViewFrom::default());
+        assert!(pose.translation.length() > 1.9e7 && pose.matrix3.z_axis.dot(pose.translation) > 0.0);
+        assert!(!SetBounds::from_sphere(BoundingSphere::new(DVec3::ZERO, 6.2e6)).frame.georeferenced);
     }
 
     #[test]

@@ -9,6 +9,7 @@ pub mod contents;
 pub mod fuzz;
 pub mod osg_files;
 pub mod pager;
+pub mod quantized;
 pub mod server;
 pub mod subtrees;
 

@@ -2,11 +2,12 @@
 
 use std::time::{Duration, Instant};
 
-use glam::{DAffine3, DVec3};
+use glam::{DAffine3, DMat3, DVec3};
 use terrane::cull::{CullCamera, CullVisitor, PageRequest, RenderStage};
 use terrane::fetch::{Limits, root_uri};
 use terrane::formats::ReadOptions;
 use terrane::gpu::{CompileBudget, CompileOperation, Compiled};
+use terrane::math::WGS84;
 use terrane::pager::{CompileContext, DatabasePager, PagerConfig};
 use terrane::scene::{BlockFormats, DrawSlot, Drawable, Geometry, Page, Scene, TexelFormat};
 
@@ -109,6 +110,10 @@ pub struct Run {
     pub root_bytes: u64,
     /// The largest screen-space error of a drawn tile, in pixels.
     pub max_sse_px: f64,
+    /// The camera looks at the middle of the earth instead.
+    pub is_globe: bool,
+    /// The earth hides what is behind its horizon, if the camera looks at it.
+    pub has_horizon: bool,
     visitor: CullVisitor,
 }
 
@@ -143,6 +148,8 @@ impl Run {
             time_s: 0.0,
             root_bytes,
             max_sse_px,
+            is_globe: false,
+            has_horizon: true,
             visitor,
         }
     }
@@ -172,6 +179,13 @@ impl Run {
         self.time_s += self.frame_s;
         let eye_from_world = DAffine3::from_translation(-eye);
         let mut camera = CullCamera { eye_from_world, frame: self.frame, ..CullCamera::default() };
+        if self.is_globe {
+            let back = eye.normalize();
+            let up = back.any_orthonormal_vector();
+            let matrix3 = DMat3::from_cols(up.cross(back), up, back);
+            camera.eye_from_world = DAffine3 { matrix3, translation: eye }.inverse();
+            camera.horizon = self.has_horizon.then_some(WGS84);
+        }
         camera.settings.max_sse_px = self.max_sse_px;
         self.visitor.cull(&self.scene, &camera, &mut self.stage);
     }

@@ -17,10 +17,11 @@ use anyhow::{Context as _, Result, anyhow, bail};
 use glam::{DAffine3, DMat4, DVec3};
 use terrane::fetch::shown;
 use terrane::formats::Style;
+use terrane::pager::PagerConfig;
 use terrane::trace::Recording;
 use terrane::viewer::{
     AnimationPath, Arrangement, DisplaySettingError, DisplaySettings, LoadedRoot, ParentWindow, PathError, SlaveWindow,
-    Viewer, ViewerConfig, WindowOptions, has_display, run_window,
+    Viewer, ViewerConfig, ViewerError, WindowOptions, has_display, run_window,
 };
 
 use self::errors::into_viewer_error;
@@ -29,6 +30,9 @@ use self::interrupt::Interrupt;
 use crate::args::FlyArgs;
 use crate::default_set;
 use crate::net::Opened;
+
+/// The source that means the ellipsoid. A folder of this name is `./globe`.
+const GLOBE: &str = "globe";
 
 /// Runs `terrane fly` or `terrane view`. `settings` come from the environment and the command line.
 pub fn run(args: Box<FlyArgs>, settings: Result<DisplaySettings, DisplaySettingError>) -> Result<()> {
@@ -96,10 +100,10 @@ fn fly(args: Box<FlyArgs>, mut settings: DisplaySettings) -> Result<()> {
     let interrupt = Interrupt::new();
     // The root is read before a window opens or an adapter is requested, so that an invalid source ends the program here.
     if let Some(views) = views {
-        let root = if views.needs_root() { Some(LoadedRoot::read(&source, &config.pager)?) } else { None };
+        let root = if views.needs_root() { Some(read_root(&source, &config.pager)?) } else { None };
         return views::run(*args, config, views, root, interrupt);
     }
-    let root = LoadedRoot::read(&source, &config.pager)?;
+    let root = read_root(&source, &config.pager)?;
     interrupt.stop_in_order();
     let mut flight = Flight::new(*args, path, interrupt.stop)?;
     flight.eyes = config.stereo;
@@ -124,6 +128,14 @@ fn fly(args: Box<FlyArgs>, mut settings: DisplaySettings) -> Result<()> {
         (false, _) => "in a window",
     };
     flight.finish(&mut viewer, where_drawn)
+}
+
+/// Reads the root of a source. The word `globe` means the ellipsoid.
+fn read_root(source: &str, config: &PagerConfig) -> Result<LoadedRoot, ViewerError> {
+    match source {
+        GLOBE => LoadedRoot::ellipsoid(config),
+        source => LoadedRoot::read(source, config),
+    }
 }
 
 /// Reads a style from a file.

@@ -1,0 +1,29 @@
+//! Terrain services of layer.json with tiles of the format quantized-mesh-1.0, and the ellipsoid where there is none. Called
+//! by decode threads.
+//!
+//! | file | contents |
+//! |---|---|
+//! | `layer` | layer.json, and the layers that it is laid over |
+//! | `set`, `pages` | the tree: root tiles, and pages of tiles that are made when they are wanted |
+//! | `availability` | which tiles there are |
+//! | `tile` | the content of a tile |
+//! | `quantized` | the file of a tile |
+//! | `surface` | triangles over the unit square, and parts of them |
+//! | `mesh` | vertices on WGS84, normals, skirts |
+//! | `tiling` | the rectangles of tiles and the errors of levels |
+
+mod availability;
+mod layer;
+mod mesh;
+mod pages;
+mod quantized;
+mod set;
+mod surface;
+mod tile;
+mod tiling;
+
+pub(super) use layer::{Layer, is_layer, is_layer_text, parent_files, read_layers};
+pub(super) use pages::TerrainPage;
+pub use set::ellipsoid;
+pub(super) use set::{read, read_tiles};
+pub(super) use tile::{TerrainTile, is_tile_name, read_alone};

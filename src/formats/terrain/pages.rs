@@ -1,0 +1,276 @@
+//! Parts of a terrain tree as pages of tiles. Decode threads.
+//!
+//! A page begins with a tile and has the levels below it. It is made from the file of that tile, so that the heights of the
+//! tiles below are known, and the tiles below if the file names them. One fetch serves both: the mesh of the tile is a
+//! content in memory. A tile has all four children or none. Where no layer has a child, it is cut out of the mesh of the
+//! page's first tile; so a tile with such a child begins a page.
+
+use std::sync::Arc;
+
+use glam::DAffine3;
+use serde::Deserialize;
+
+use super::availability::{Availability, RangeJson};
+use super::quantized;
+use super::set::TerrainSet;
+use super::tile::{HeldMesh, TerrainTile, TileMesh, unpacked};
+use crate::fetch::IoError;
+use crate::formats::ignored::Notes;
+use crate::formats::implicit::TileCoordinates;
+use crate::formats::options::{Fetched, ReadOptions};
+use crate::formats::tile::{Continuation, Tile, TileContent};
+use crate::math::BoundingVolume;
+use crate::scene::{ReaderData, ReaderValue, Refine};
+
+/// A page begins at each level that this number divides. Five levels are up to 341 tiles.
+const PAGE_LEVELS: u32 = 5;
+/// The finest level of the ellipsoid. Its tiles are 5 m high.
+const MAX_ELLIPSOID_LEVEL: u32 = 22;
+/// The heights of the earth's surface, from the deepest sea to the highest mountain, metres above the ellipsoid.
+const EARTH_HEIGHTS_M: [f64; 2] = [-12_000.0, 9_000.0];
+
+/// A page that is not made yet. The reader data of a tile whose content it is.
+#[derive(Clone, Debug)]
+pub(in crate::formats) struct TerrainPage {
+    set: Arc<TerrainSet>,
+    /// The first tile.
+    tile: TileCoordinates,
+    /// The tiles that are known to exist, that tile and those below it, for each layer.
+    known: Arc<[Availability]>,
+    /// The nearest mesh above, for tiles that no layer has.
+    above: TileMesh,
+    heights_m: [f64; 2],
+}
+
+/// The extension `metadata` of a tile.
+#[derive(Deserialize)]
+struct MetadataJson {
+    available: Option<Vec<Vec<RangeJson>>>,
+}
+
+impl TerrainPage {
+    /// Returns the page of a root tile.
+    pub(super) fn root(set: Arc<TerrainSet>, tile: TileCoordinates, known: Arc<[Availability]>) -> Self {
+        let heights_m = if set.layers.is_empty() { [0.0; 2] } else { EARTH_HEIGHTS_M };
+        Self { set, tile, known, above: TileMesh::Ellipsoid, heights_m }
+    }
+
+    /// Returns true if there is nothing but the ellipsoid in the page and below.
+    pub fn is_ellipsoid(&self) -> bool {
+        matches!(self.above, TileMesh::Ellipsoid)
+            && self.layer().is_none()
+            && !self.known.iter().any(|layer| layer.has_below(self.tile))
+    }
+
+    /// Returns the tile that stands for the page.
+    pub(super) fn into_tile(self) -> Tile {
+        Tile {
+            bounds: bounds(&self.set, self.tile, self.heights_m),
+            request_volume: None,
+            refine: Refine::Replace,
+            geometric_error_m: self.set.tiling.geometric_error_m(self.tile),
+            content_transform: DAffine3::IDENTITY,
+            contents: vec![self.content()],
+            external_tilesets: Vec::new(),
+            continuations: Vec::new(),
+            metadata: None,
+            children: Vec::new(),
+        }
+    }
+
+    fn content(self) -> TileContent {
+        let TileCoordinates { level, x, y, .. } = self.tile;
+        let uri = match self.layer() {
+            Some(layer) => self.set.layers[layer].tile_uri(self.tile).0,
+            // Only a name: nothing is fetched.
+            None => format!("{}#page-{level}/{x}/{y}", self.set.uri).into(),
+        };
+        TileContent::new(uri, Some(ReaderData::of(self)))
+    }
+
+    /// Returns the layer that the first tile is fetched from.
+    fn layer(&self) -> Option<usize> {
+        TerrainSet::layer_of(&self.known, self.tile)
+    }
+
+    /// Returns the files of the first tile in further layers, which name the tiles below it too.
+    pub fn companions(&self) -> Vec<Arc<str>> {
+        let own = self.layer();
+        let others = self.set.layers_with_metadata(&self.known, self.tile).filter(|layer| Some(*layer) != own);
+        others.map(|layer| self.set.layers[layer].tile_uri(self.tile).0).collect()
+    }
+
+    /// Returns the tiles of the page: its first one with the levels below it.
+    pub fn read(
+        &self,
+        uri: &Arc<str>,
+        bytes: Vec<u8>,
+        companions: &[Fetched],
+        options: &ReadOptions,
+    ) -> Result<Vec<Tile>, IoError> {
+        let notes = Notes::default();
+        let mut reader = PageReader { page: self, mesh: self.above.clone(), heights_m: self.heights_m };
+        let mut known = self.known.to_vec();
+        if let Some(own) = self.layer() {
+            let bytes = unpacked(uri, bytes, options)?;
+            let [low, high] = quantized::header_heights_m(&bytes).map_err(|reason| IoError::invalid(uri, reason))?;
+            let error_m = self.set.tiling.level_error_m(self.tile.level);
+            // The tiles below are finer, and may be higher or lower by the error of this one.
+            reader.heights_m =
+                [(low - error_m).max(EARTH_HEIGHTS_M[0]).min(low), (high + error_m).min(EARTH_HEIGHTS_M[1]).max(high)];
+            for layer in self.set.layers_with_metadata(&self.known, self.tile) {
+                let file = self.set.layers[layer].tile_uri(self.tile).0;
+                let other = || {
+                    let found = companions.iter().find(|(fetched, _)| *fetched == file);
+                    found.map_or_else(|| Err(IoError::NotFound { uri: file.to_string() }), |(_, read)| read.clone())
+                };
+                let below = if layer == own {
+                    self.named_below(uri, &bytes, options, &notes)?
+                } else {
+                    let read = other().and_then(|bytes| unpacked(&file, bytes, options));
+                    // Another layer is drawn without it.
+                    let below = read.and_then(|bytes| self.named_below(&file, &bytes, options, &notes));
+                    below.unwrap_or_else(|error| {
+                        notes.add_missing("terrain: a tile of another layer that cannot be read", &error);
+                        Availability::default()
+                    })
+                };
+                known[layer] = below;
+            }
+            reader.mesh = TileMesh::Held(Arc::new(HeldMesh { tile: self.tile, uri: uri.clone(), bytes }));
+        }
+        options.ignored.add(&notes.into_ignored());
+        Ok(vec![reader.tile(self.tile, &known, self.layer().is_some())])
+    }
+
+    /// Returns the tiles that the metadata in a file of the first tile names below it.
+    fn named_below(
+        &self,
+        uri: &str,
+        bytes: &[u8],
+        options: &ReadOptions,
+        notes: &Notes,
+    ) -> Result<Availability, IoError> {
+        let bad = |reason: String| IoError::invalid(uri, format!("quantized-mesh: {reason}"));
+        let mesh = quantized::parse(bytes, options.limits.max_elements).map_err(bad)?;
+        let Some(json) = mesh.metadata else {
+            notes.add("terrain: a tile without the metadata that layer.json announces");
+            return Ok(Availability::default());
+        };
+        options.limits.check_json(uri, json)?;
+        let json: MetadataJson = serde_json::from_slice(json).map_err(|e| bad(format!("metadata: {e}")))?;
+        let ranges = json.available.unwrap_or_default();
+        let (below, faults) = Availability::of_ranges(&ranges, self.tile.level + 1, self.set.tiling)
+            .map_err(|reason| bad(format!("metadata: available: {reason}")))?;
+        if faults.is_outside || faults.is_orphaned {
+            notes.add("terrain: metadata with tiles that a level lacks, or without a parent");
+        }
+        Ok(below.within(self.tile))
+    }
+}
+
+impl ReaderValue for TerrainPage {
+    fn is_whole_content(&self) -> bool {
+        self.layer().is_none()
+    }
+
+    fn continues_tileset(&self) -> bool {
+        true
+    }
+
+    fn needs_content(&self) -> bool {
+        true
+    }
+
+    fn fallback_uri(&self) -> Option<Arc<str>> {
+        self.set.layers[self.layer()?].tile_uri(self.tile).1
+    }
+
+    fn size_bytes(&self) -> u64 {
+        let known: u64 = self.known.iter().map(Availability::size_bytes).sum();
+        size_of::<Self>() as u64 + known + if self.tile.level == 0 { self.set.size_bytes() } else { 0 }
+    }
+}
+
+/// Makes the tiles of a page.
+struct PageReader<'a> {
+    page: &'a TerrainPage,
+    /// The mesh of the first tile, or the nearest above it.
+    mesh: TileMesh,
+    heights_m: [f64; 2],
+}
+
+impl PageReader<'_> {
+    /// Returns a tile with the levels below it. `known` are the tiles that exist there. `is_held` tells that its file is
+    /// the mesh of the page.
+    fn tile(&self, tile: TileCoordinates, known: &[Availability], is_held: bool) -> Tile {
+        let set = &self.page.set;
+        let layer = TerrainSet::layer_of(known, tile);
+        let (mut children, mut continuations) = (Vec::new(), Vec::new());
+        if self.is_divided(tile, known, is_held || layer.is_some()) {
+            for child in (0..4).map(|child| tile.child(child)) {
+                let below: Vec<Availability> = known.iter().map(|known| known.within(child)).collect();
+                if self.begins_page(child, &below) {
+                    continuations.push(self.continuation(child, below));
+                } else {
+                    children.push(self.tile(child, &below, false));
+                }
+            }
+        }
+        let is_finest = children.is_empty() && continuations.is_empty();
+        let geometric_error_m = if is_finest { 0.0 } else { set.tiling.geometric_error_m(tile) };
+        let mesh = if layer.is_some() && !is_held { TileMesh::File } else { self.mesh.clone() };
+        let fetched = layer.filter(|_| !is_held).map(|layer| set.layers[layer].tile_uri(tile));
+        Tile {
+            bounds: self.bounds(tile, known),
+            request_volume: None,
+            refine: Refine::Replace,
+            geometric_error_m,
+            content_transform: DAffine3::IDENTITY,
+            contents: vec![TerrainTile::new(set.clone(), tile, mesh).content(fetched)],
+            external_tilesets: Vec::new(),
+            continuations,
+            metadata: None,
+            children,
+        }
+    }
+
+    /// Returns the page that begins with a tile.
+    fn continuation(&self, tile: TileCoordinates, known: Vec<Availability>) -> Continuation {
+        let page = TerrainPage {
+            set: self.page.set.clone(),
+            tile,
+            known: known.into(),
+            above: self.mesh.clone(),
+            heights_m: self.heights_m,
+        };
+        Continuation { bounds: self.bounds(tile, &page.known), content: page.content() }
+    }
+
+    /// Returns true if a tile has children. A part of the ellipsoid is divided down to its finest level.
+    fn is_divided(&self, tile: TileCoordinates, known: &[Availability], has_file: bool) -> bool {
+        let is_ellipsoid = !has_file && matches!(self.mesh, TileMesh::Ellipsoid);
+        (is_ellipsoid && tile.level < MAX_ELLIPSOID_LEVEL) || known.iter().any(|known| known.has_below(tile))
+    }
+
+    /// Returns true if a tile begins another page.
+    fn begins_page(&self, tile: TileCoordinates, known: &[Availability]) -> bool {
+        let has_file = TerrainSet::layer_of(known, tile).is_some();
+        if self.page.set.layers_with_metadata(known, tile).next().is_some() {
+            return true;
+        }
+        let lacks_child = || (0..4).any(|child| TerrainSet::layer_of(known, tile.child(child)).is_none());
+        self.is_divided(tile, known, has_file)
+            && (tile.level.is_multiple_of(PAGE_LEVELS) || (has_file && lacks_child()))
+    }
+
+    fn bounds(&self, tile: TileCoordinates, known: &[Availability]) -> BoundingVolume {
+        let is_ellipsoid = matches!(self.mesh, TileMesh::Ellipsoid)
+            && !known.iter().any(|known| known.has(tile) || known.has_below(tile));
+        bounds(&self.page.set, tile, if is_ellipsoid { [0.0; 2] } else { self.heights_m })
+    }
+}
+
+fn bounds(set: &TerrainSet, tile: TileCoordinates, heights_m: [f64; 2]) -> BoundingVolume {
+    BoundingVolume::Region(set.tiling.rectangle(tile).region(heights_m))
+}

@@ -1,0 +1,269 @@
+//! Terrain services and the ellipsoid through the pager: which tiles are loaded from where. No GPU.
+
+use glam::DVec3;
+use kit::pager::Run;
+use kit::quantized::{TerrainTile, layer_json, ranges, tile_at, tile_in, write_set};
+use terrane::formats::ellipsoid;
+use terrane::math::{Geodetic, WGS84};
+use terrane::pager::PagerConfig;
+use terrane::scene::{Page, ReaderData, SlotState};
+
+#[cfg(feature = "http")]
+use kit::server::{How, Reply, Request, Server};
+
+/// A place in the Alps, radians.
+const PLACE: [f64; 2] = [0.141, 0.802];
+
+fn height(longitude: f64, latitude: f64) -> f64 {
+    500.0 + 300.0 * (40.0 * longitude).sin() * (30.0 * latitude).cos()
+}
+
+/// Returns a point above the place, ECEF metres.
+fn eye([longitude, latitude]: [f64; 2], height_m: f64) -> DVec3 {
+    WGS84.ecef(&Geodetic { longitude, latitude, height_m })
+}
+
+/// Returns true for the tiles that contain the place.
+fn contains([level, x, y]: [u32; 3]) -> bool {
+    tile_at(level, PLACE[0], PLACE[1]) == [level, x, y]
+}
+
+/// Returns true for all tiles of the first levels, and for the children of those that contain the place.
+fn has_quads([level, x, y]: [u32; 3]) -> bool {
+    level < 2 || contains([level - 1, x / 2, y / 2])
+}
+
+/// Returns the names of the contents that are resident, without their folder.
+fn resident(run: &Run) -> Vec<String> {
+    let tiles = run.scene.tiles().filter_map(|tile| {
+        let slot = run.scene.slot(tile.node).filter(|slot| matches!(slot.state, SlotState::Resident(_)))?;
+        let is_page = slot.reader_data.is_some_and(ReaderData::continues_tileset);
+        let name: Vec<&str> = slot.uri.rsplitn(4, '/').collect();
+        (!is_page).then(|| name.iter().take(3).rev().copied().collect::<Vec<_>>().join("/"))
+    });
+    let mut names: Vec<String> = tiles.collect();
+    names.sort_unstable();
+    names
+}
+
+fn globe(mut run: Run) -> Run {
+    run.is_globe = true;
+    run
+}
+
+fn folder_run(folder: &std::path::Path) -> Run {
+    globe(Run::new(folder.to_str().unwrap(), PagerConfig::default()))
+}
+
+fn name([level, x, y]: [u32; 3]) -> String {
+    format!("{level}/{x}/{y}.terrain")
+}
+
+#[test]
+fn finest_tiles_below_the_eye_are_loaded() {
+    let folder = tempfile::tempdir().unwrap();
+    write_set(folder.path(), 9, has_quads, height);
+    let mut run = folder_run(folder.path());
+    run.settle(eye(PLACE, 1500.0));
+    assert!(run.pager.errors().is_empty(), "{:?}", run.pager.errors());
+    let names = resident(&run);
+    for level in 0..9 {
+        let tile = name(tile_at(level, PLACE[0], PLACE[1]));
+        assert!(names.contains(&tile), "{tile} is missing: {names:?}");
+    }
+    assert!(names.iter().all(|name| !name.contains('#')), "every tile has a file: {names:?}");
+    assert!(run.stage.leaf_count() >= 4);
+    // From far away the root tiles are enough.
+    let mut run = folder_run(folder.path());
+    run.settle(eye(PLACE, 4e7));
+    assert_eq!(resident(&run), ["0/0/0.terrain", "0/1/0.terrain"]);
+    assert_eq!(run.stage.leaf_count(), 2);
+}
+
+/// Children without a file are parts of their parent. They are made without a further read.
+#[test]
+fn tiles_without_a_file_are_cut_out_of_the_tile_above() {
+    let folder = tempfile::tempdir().unwrap();
+    write_set(folder.path(), 9, |at| at[0] == 0 || contains(at), height);
+    let mut run = folder_run(folder.path());
+    run.settle(eye(PLACE, 1500.0));
+    assert!(run.pager.errors().is_empty(), "{:?}", run.pager.errors());
+    let names = resident(&run);
+    let [level, x, y] = tile_at(8, PLACE[0], PLACE[1]);
+    let above = tile_at(7, PLACE[0], PLACE[1]);
+    assert!(names.contains(&name([level, x, y])), "{names:?}");
+    let siblings = [[x ^ 1, y], [x, y ^ 1], [x ^ 1, y ^ 1]];
+    for [x, y] in siblings {
+        let cut = format!("{}.terrain#{level}/{x}/{y}", above[2]);
+        let is_cut = |name: &String| name.ends_with(&format!("#{level}/{x}/{y}")) || *name == cut;
+        assert!(names.iter().any(is_cut), "{cut} is missing: {names:?}");
+    }
+    let bytes: u64 = (0..9).map(|level| file_bytes(folder.path(), tile_at(level, PLACE[0], PLACE[1]))).sum();
+    let others = file_bytes(folder.path(), [0, 0, 0]);
+    assert_eq!(run.pager.stats().bytes_read - run.root_bytes, bytes + others, "each file is read once");
+}
+
+fn file_bytes(folder: &std::path::Path, at: [u32; 3]) -> u64 {
+    std::fs::metadata(folder.join(name(at))).unwrap().len()
+}
+
+/// The ellipsoid needs no server, and has tiles down to metres. Tiles behind the horizon are not drawn.
+#[test]
+fn ellipsoid_is_made_from_orbit_to_the_ground() {
+    for place in [PLACE, [std::f64::consts::PI, -0.3], [1.0, -1.2]] {
+        let mut run = globe(Run::of_page(Page::from_node(ellipsoid()).unwrap(), "/", PagerConfig::default()));
+        let mut drawn = Vec::new();
+        for height_m in [2e7, 1e6, 1e4, 100.0, 2.0] {
+            run.settle(eye(place, height_m));
+            assert!(run.pager.errors().is_empty(), "{:?}", run.pager.errors());
+            drawn.push(run.stage.leaf_count());
+        }
+        assert!(drawn[0] <= 8 && drawn.iter().all(|count| (1..200).contains(count)), "{drawn:?}");
+        let finest = run.scene.tiles().map(|tile| tile.depth).max().unwrap();
+        let names = resident(&run);
+        let level = |name: &String| name.rsplit('#').next().unwrap().split('/').next().unwrap().parse::<u32>().unwrap();
+        let last = names.iter().filter(|name| name.contains('#')).map(level).max().unwrap();
+        assert!(last >= 20 && finest > 20, "level {last}");
+        assert_eq!(run.pager.stats().bytes_read, 0);
+    }
+}
+
+#[test]
+fn tiles_behind_the_horizon_are_not_loaded() {
+    let counts = [true, false].map(|is_globe| {
+        let mut run = globe(Run::of_page(Page::from_node(ellipsoid()).unwrap(), "/", PagerConfig::default()));
+        run.has_horizon = is_globe;
+        // The frustum is wide: the whole earth is in it, and near enough for tiles of 11 degrees.
+        run.max_sse_px = 2.0;
+        run.settle(eye(PLACE, 2e7));
+        (run.stage.leaf_count(), run.pager.stats().loaded)
+    });
+    let [(drawn, loaded), (all, all_loaded)] = counts;
+    assert!(drawn > 20 && 3 * drawn < 2 * all && 5 * loaded < 4 * all_loaded, "{counts:?}");
+}
+
+/// All columns of a level meet at a pole. Their number stays within reason.
+#[test]
+fn pole_has_few_tiles() {
+    let mut run = globe(Run::of_page(Page::from_node(ellipsoid()).unwrap(), "/", PagerConfig::default()));
+    run.settle(eye([0.0, std::f64::consts::FRAC_PI_2], 10_000.0));
+    assert!(run.pager.errors().is_empty(), "{:?}", run.pager.errors());
+    let count = run.stage.leaf_count();
+    assert!((100..3000).contains(&count), "{count} tiles");
+}
+
+/// Serves a set of the first levels whose tiles name the tiles below them.
+#[cfg(feature = "http")]
+fn metadata_reply(request: &Request, levels: u32, interval: u32) -> Reply {
+    if request.path() == "/layer.json" {
+        return Reply::ok(layer_json(&format!(r#""metadataAvailability":{interval},"extensions":["metadata"]"#)));
+    }
+    let Some(at) = tile_in(request.path()).filter(|at| at[0] < levels && has_quads(*at)) else {
+        return Reply::new(404, "");
+    };
+    let mut tile = TerrainTile { has_normals: true, ..TerrainTile::new(at, height) };
+    if at[0].is_multiple_of(interval) {
+        let below = interval.min(levels - 1 - at[0]);
+        let is_below = |of: [u32; 3]| [of[1] >> (of[0] - at[0]), of[2] >> (of[0] - at[0])] == [at[1], at[2]];
+        let available = ranges(at[0] + 1, below, |of| has_quads(of) && is_below(of));
+        tile.metadata = Some(format!(r#"{{"available":{available}}}"#));
+    }
+    Reply::ok(tile.bytes())
+}
+
+#[cfg(feature = "http")]
+#[test]
+fn tiles_name_the_tiles_below_them() {
+    for interval in [1, 3, 10] {
+        let server = Server::start(move |request| metadata_reply(request, 9, interval));
+        let mut run = globe(Run::new(&format!("{}/layer.json", server.url), PagerConfig::default()));
+        run.settle(eye(PLACE, 1500.0));
+        assert!(run.pager.errors().is_empty(), "{:?}", run.pager.errors());
+        let names = resident(&run);
+        let finest = name(tile_at(8, PLACE[0], PLACE[1]));
+        assert!(names.iter().any(|name| name.starts_with(&finest)), "{interval}: {names:?}");
+        let seen = server.seen();
+        assert!(seen.iter().all(|request| request.nth == 0), "{interval}: a file was requested twice");
+        let tiles = seen.iter().filter(|request| request.path().ends_with(".terrain"));
+        for request in tiles {
+            let accept = request.header("accept").unwrap();
+            let wanted = "application/vnd.quantized-mesh;extensions=octvertexnormals-watermask-metadata";
+            assert!(accept.starts_with(wanted), "{accept}");
+            assert!(request.target.ends_with("?v=1.0.0"), "{}", request.target);
+        }
+    }
+}
+
+/// A tile that the upper layer lacks comes from the layer below it.
+#[cfg(feature = "http")]
+#[test]
+fn layers_are_laid_over_their_parents() {
+    let server = Server::start(|request| {
+        let (levels, folder): (_, fn([u32; 3]) -> bool) = match request.path().starts_with("/base/") {
+            true => (5, |_| true),
+            false => (9, |at| at[0] == 0 || contains(at)),
+        };
+        if request.path().ends_with("/layer.json") {
+            let parent = if levels == 9 { r#","parentUrl":"../base""# } else { "" };
+            let available = ranges(0, levels, folder);
+            return Reply::ok(layer_json(&format!(r#""available":{available}{parent}"#)));
+        }
+        let tile = tile_in(request.path()).filter(|at| at[0] < levels && folder(*at));
+        tile.map_or(Reply::new(404, ""), |at| Reply::ok(TerrainTile::new(at, height).bytes()))
+    });
+    let mut run = globe(Run::new(&format!("{}/top/layer.json", server.url), PagerConfig::default()));
+    run.settle(eye(PLACE, 1500.0));
+    assert!(run.pager.errors().is_empty(), "{:?}", run.pager.errors());
+    let seen: Vec<String> = server.seen().iter().map(|request| request.path().to_owned()).collect();
+    for level in 0..9 {
+        let own = name(tile_at(level, PLACE[0], PLACE[1]));
+        assert!(seen.contains(&format!("/top/{own}")), "{own}: {seen:?}");
+        assert!(!seen.contains(&format!("/base/{own}")), "{own}: {seen:?}");
+    }
+    let [level, x, y] = tile_at(4, PLACE[0], PLACE[1]);
+    assert!(seen.contains(&format!("/base/{}", name([level, x ^ 1, y]))), "{seen:?}");
+    assert!(server.seen().iter().all(|request| request.nth == 0));
+}
+
+/// Each fault is one error that names the tile; the tile above is drawn in its place, and its siblings are.
+#[cfg(feature = "http")]
+#[test]
+fn failed_tiles_keep_the_tile_above() {
+    for (reply, reason) in [
+        (Reply::new(404, ""), "not found"),
+        (Reply::new(204, ""), "0 bytes"),
+        (Reply::ok("<html>Log in</html>"), "a web page"),
+        (Reply::ok(vec![0; 50]), "50 bytes"),
+        (Reply::ok(TerrainTile::new([4, 0, 0], height).bytes()[..500].to_vec()), "follow"),
+        (Reply::ok(TerrainTile::new([4, 0, 0], height).bytes()).how(How::Cut), ""),
+    ] {
+        let bad = tile_at(4, PLACE[0], PLACE[1]);
+        let answer = reply.clone();
+        let server = Server::start(move |request| {
+            if request.path() == "/layer.json" {
+                return Reply::ok(layer_json(&format!(r#""available":{}"#, ranges(0, 5, has_quads))));
+            }
+            match tile_in(request.path()) {
+                Some(at) if at == bad => answer.clone(),
+                Some(at) => Reply::ok(TerrainTile::new(at, height).bytes()),
+                None => Reply::new(404, ""),
+            }
+        });
+        let mut config = PagerConfig::default();
+        config.http.max_retries = 0;
+        config.max_tries = Some(1);
+        let mut run = globe(Run::new(&format!("{}/layer.json", server.url), config));
+        let eye = eye(PLACE, 1500.0);
+        run.until(eye, "does not fail", |run| run.pager.stats().failed > 0 && run.pager.is_idle());
+        run.settle(eye);
+        let errors = run.pager.errors();
+        assert_eq!((errors.len(), errors[0].count), (1, 1), "{errors:?}");
+        assert!(errors[0].uri.contains(&name(bad)) && errors[0].reason.contains(reason), "{reason}: {errors:?}");
+        let names = resident(&run);
+        let above = name(tile_at(3, PLACE[0], PLACE[1]));
+        assert!(names.iter().any(|name| name.starts_with(&above)), "{names:?}");
+        let sibling = name([4, bad[1] ^ 1, bad[2]]);
+        assert!(names.iter().any(|name| name.starts_with(&sibling)), "{names:?}");
+        assert!(run.stage.counters.stand_ins > 0, "{reason}");
+    }
+}
