@@ -19,6 +19,7 @@ mod implicit;
 mod lenient;
 mod model_files;
 mod options;
+mod overlay;
 mod point_cloud;
 mod properties;
 mod read;
@@ -33,6 +34,9 @@ pub use database_path::set_database_path;
 pub use ignored::{Ignored, IgnoredLog};
 pub(crate) use image::decode_file as decode_image;
 pub use options::{Content, Fetched, ReadOptions};
+pub use overlay::{
+    GeoRectangle, MissingImage, OverlayError, OverlaySet, OverlaySource, RasterOverlay, TileVolume, Tiling,
+};
 pub(crate) use read::MAX_DEPENDENCY_ROUNDS;
 #[cfg(feature = "http")]
 pub(crate) use read::has_slow_dependencies;

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use crate::fetch::{IoError, Limits};
-use crate::formats::Style;
+use crate::formats::{OverlaySet, Style};
 use crate::scene::ShareModes;
 
 /// The time limit for reading a local file by default: longer than a disk that was stopped takes to start.
@@ -90,6 +90,9 @@ pub struct PagerConfig {
     pub keep_features: bool,
     /// The style of scenes whose own options have none; see [`ReadOptions::style`](crate::formats::ReadOptions::style).
     pub style: Option<Arc<Style>>,
+    /// Overlays that are draped over scenes whose own options have none; see
+    /// [`ReadOptions::overlays`](crate::formats::ReadOptions::overlays).
+    pub overlays: Option<Arc<OverlaySet>>,
     /// Which equal contents of different tiles are shared; see [`SharedStateManager`](crate::scene::SharedStateManager).
     pub sharing: ShareModes,
 }
@@ -125,6 +128,7 @@ impl Default for PagerConfig {
             vertex_attributes: Arc::default(),
             keep_features: false,
             style: None,
+            overlays: None,
             sharing: ShareModes::default(),
         }
     }

@@ -7,5 +7,5 @@ mod mips;
 mod rgba;
 
 pub(crate) use decode::decode_file;
-pub(super) use decode::{SharedTexture, decode_shared, is_image};
+pub(super) use decode::{SharedTexture, decode_shared, is_image, size_of};
 pub(super) use mips::mips;
