@@ -49,6 +49,8 @@ mod documents {
     mod paging_and_budgets {}
     #[doc = include_str!("../docs/guide/state-and-shading.md")]
     mod state_and_shading {}
+    #[doc = include_str!("../docs/guide/overlays.md")]
+    mod overlays {}
     #[doc = include_str!("../docs/guide/callbacks-and-picking.md")]
     mod callbacks_and_picking {}
 }

@@ -12,6 +12,8 @@ use crate::fetch::IoError;
 
 /// The maximum number of kinds: names of extensions are outside data. Further kinds count as [`OTHERS`].
 const MAX_KINDS: usize = 256;
+/// The maximum number of attributions of a content.
+const MAX_CREDITS: usize = 64;
 /// The kind that replaces all kinds beyond [`MAX_KINDS`].
 const OTHERS: &str = "further kinds";
 /// The maximum length of a kind in bytes. Longer names are cut.
@@ -82,7 +84,11 @@ impl IgnoredLog {
 
 /// The list of the content that is being read. All parts of its reader share it; one thread.
 #[derive(Debug, Default)]
-pub(super) struct Notes(RefCell<Ignored>);
+pub(super) struct Notes {
+    ignored: RefCell<Ignored>,
+    /// The attributions of the content.
+    credits: RefCell<Vec<Arc<str>>>,
+}
 
 impl Notes {
     /// Adds one occurrence of a kind of file that is missing for a reason. A host that the set may not reach is named, since
@@ -96,12 +102,26 @@ impl Notes {
 
     /// Adds one occurrence of a kind.
     pub fn add(&self, kind: impl Into<Cow<'static, str>>) {
-        self.0.borrow_mut().add(kind, 1);
+        self.ignored.borrow_mut().add(kind, 1);
+    }
+
+    /// Adds an attribution of the content, once.
+    pub fn add_credit(&self, credit: &str) {
+        let credit = credit.trim();
+        let mut credits = self.credits.borrow_mut();
+        if !credit.is_empty() && credits.len() < MAX_CREDITS && !credits.iter().any(|known| **known == *credit) {
+            credits.push(credit.into());
+        }
+    }
+
+    /// Returns the attributions, and removes them.
+    pub fn take_credits(&self) -> Vec<Arc<str>> {
+        self.credits.take()
     }
 
     /// Returns the list.
     pub fn into_ignored(self) -> Ignored {
-        self.0.into_inner()
+        self.ignored.into_inner()
     }
 }
 

@@ -21,6 +21,7 @@ mod lenient;
 mod model_files;
 mod options;
 mod osg;
+mod overlay;
 mod point_cloud;
 mod properties;
 mod read;
@@ -36,6 +37,9 @@ pub use database_path::set_database_path;
 pub use ignored::{Ignored, IgnoredLog};
 pub(crate) use image::decode_file as decode_image;
 pub use options::{Content, ContentReader, Fetched, ReadOptions};
+pub use overlay::{
+    GeoRectangle, MissingImage, OverlayError, OverlaySet, OverlaySource, RasterOverlay, TileVolume, Tiling,
+};
 pub(crate) use read::MAX_DEPENDENCY_ROUNDS;
 #[cfg(feature = "http")]
 pub(crate) use read::has_slow_dependencies;

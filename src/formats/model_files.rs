@@ -56,7 +56,7 @@ fn of_part(base: &str, bytes: &[u8], known: &[Fetched], options: &ReadOptions, d
 }
 
 /// Returns true if a property that only tilesets have is among the first kilobytes.
-fn begins_like_tileset(text: &[u8]) -> bool {
+pub(super) fn begins_like_tileset(text: &[u8]) -> bool {
     const PROPERTY: &[u8] = b"\"geometricError\"";
     text[..text.len().min(4096)].windows(PROPERTY.len()).any(|window| window == PROPERTY)
 }

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use glam::DAffine3;
 
 use super::ignored::IgnoredLog;
+use super::overlay::{OverlaySet, TileVolume};
 use super::style::Style;
 use super::tile::UpAxis;
 use crate::fetch::{IoError, Limits, RootScope, resolve, shown};
@@ -54,6 +55,10 @@ pub struct ReadOptions {
     pub readers: Arc<[Arc<dyn ContentReader>]>,
     /// Shares equal images, meshes and states between contents; `None` by default. A pager sets its own.
     pub sharing: Option<Arc<SharedStateManager>>,
+    /// Overlays that are draped over contents of tiles on the earth; `None` by default. They need [`Self::tile`].
+    pub overlays: Option<Arc<OverlaySet>>,
+    /// The volume of the tile that a content is for, which overlays need. Pagers set it.
+    pub tile: Option<TileVolume>,
     /// Collects what contents ask for and their readers leave out. Copies of these options share it.
     pub ignored: IgnoredLog,
 }
@@ -77,6 +82,8 @@ impl ReadOptions {
             cluster_culling: true,
             readers: Arc::new([]),
             sharing: None,
+            overlays: None,
+            tile: None,
             ignored: IgnoredLog::default(),
         }
     }

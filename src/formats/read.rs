@@ -9,7 +9,9 @@ use super::implicit::{SubtreePart, SubtreeSource};
 use super::options::{Content, Fetched, ReadOptions};
 use super::terrain::{self, TerrainPage, TerrainTile};
 use super::tile::{ContentBytes, ContentData, TileContent, node_of};
-use super::{b3dm, cmpt, embedded, gltf, height, i3dm, image, implicit, model_files, osg, point_cloud, style, tileset};
+use super::{
+    b3dm, cmpt, embedded, gltf, height, i3dm, image, implicit, model_files, osg, overlay, point_cloud, style, tileset,
+};
 use crate::fetch::markup::{refuse_markup, text_and_first_byte};
 use crate::fetch::{IoError, encoding, guarded};
 use crate::scene::{Node, Page, ReaderData, ReaderValue};
@@ -18,7 +20,8 @@ use crate::scene::{Node, Page, ReaderData, ReaderValue};
 const MAX_DEPENDENCIES: usize = 4096;
 /// The maximum number of times that a loader asks for further dependencies of a content: an i3dm refers to a model, and the
 /// model to its buffers.
-pub const MAX_DEPENDENCY_ROUNDS: usize = 4;
+/// An overlay may have a document, and a few coarser levels in place of missing images.
+pub const MAX_DEPENDENCY_ROUNDS: usize = 10;
 
 /// Returns the other URIs that a content needs and that are known before it is read: the imagery of a height tile, or the
 /// other contents of a tile.
@@ -76,8 +79,9 @@ pub fn dependencies(
     } else {
         model_files::of_model(base, bytes, known, options)
     };
+    let of_overlays = overlay::needed(bytes, reader_data, known, options);
     let mut unknown: Vec<Arc<str>> = Vec::new();
-    for dependency in needed.into_iter().take(MAX_DEPENDENCIES) {
+    for dependency in needed.into_iter().take(MAX_DEPENDENCIES).chain(of_overlays) {
         if !known.iter().any(|(fetched, _)| *fetched == dependency) && !unknown.contains(&dependency) {
             unknown.push(dependency);
         }
@@ -102,8 +106,9 @@ pub(crate) fn has_slow_dependencies(bytes: &[u8]) -> bool {
 pub fn decode(content: Content, options: &ReadOptions) -> Result<Page, IoError> {
     let uri = content.uri.clone();
     let read = || {
-        let node = decode_node(content, options)?;
+        let Decoded { node, credits, .. } = decode_whole(content, options)?;
         let mut page = Page::from_node(node).map_err(|e| IoError::invalid(&uri, e.to_string()))?;
+        page.set_credits(credits);
         if options.build_kd_trees {
             page.build_kd_trees();
         }
@@ -123,8 +128,22 @@ pub fn decode_node(content: Content, options: &ReadOptions) -> Result<Node, IoEr
 
 /// Decodes a content to nodes, and returns what the reader left out.
 pub fn decode_noting(content: Content, options: &ReadOptions) -> Result<(Node, Ignored), IoError> {
+    decode_whole(content, options).map(|decoded| (decoded.node, decoded.ignored))
+}
+
+/// A content that was decoded.
+struct Decoded {
+    node: Node,
+    /// What the reader left out.
+    ignored: Ignored,
+    /// The attributions of the content and of its overlays.
+    credits: Vec<Arc<str>>,
+}
+
+fn decode_whole(content: Content, options: &ReadOptions) -> Result<Decoded, IoError> {
     let notes = Notes::default();
-    let node = match &options.style {
+    let overlays = overlay::Draping::new(&content, options);
+    let mut node = match &options.style {
         Some(style) => {
             let with_features = ReadOptions { keep_features: true, ..options.clone() };
             let mut node = read_node(content, &with_features, &notes)?;
@@ -133,9 +152,13 @@ pub fn decode_noting(content: Content, options: &ReadOptions) -> Result<(Node, I
         }
         None => read_node(content, options, &notes)?,
     };
+    if let Some(overlays) = overlays {
+        overlays.apply(&mut node, options, &notes);
+    }
+    let credits = notes.take_credits();
     let ignored = notes.into_ignored();
     options.ignored.add(&ignored);
-    Ok((node, ignored))
+    Ok(Decoded { node, ignored, credits })
 }
 
 fn read_node(content: Content, options: &ReadOptions, notes: &Notes) -> Result<Node, IoError> {

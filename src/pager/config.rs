@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use crate::fetch::{IoError, Limits};
-use crate::formats::{ContentReader, Style};
+use crate::formats::{ContentReader, OverlaySet, Style};
 use crate::scene::ShareModes;
 
 /// The time limit for reading a local file by default: longer than a disk that was stopped takes to start.
@@ -92,6 +92,9 @@ pub struct PagerConfig {
     pub style: Option<Arc<Style>>,
     /// Readers of an application's own formats, for all scenes.
     pub content_readers: Arc<[Arc<dyn ContentReader>]>,
+    /// Overlays that are draped over scenes whose own options have none; see
+    /// [`ReadOptions::overlays`](crate::formats::ReadOptions::overlays).
+    pub overlays: Option<Arc<OverlaySet>>,
     /// Which equal contents of different tiles are shared; see [`SharedStateManager`](crate::scene::SharedStateManager).
     pub sharing: ShareModes,
 }
@@ -128,6 +131,7 @@ impl Default for PagerConfig {
             keep_features: false,
             style: None,
             content_readers: Arc::new([]),
+            overlays: None,
             sharing: ShareModes::default(),
         }
     }

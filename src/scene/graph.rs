@@ -409,6 +409,11 @@ impl Scene {
         self.entries.get(at as usize)?.page.as_deref()
     }
 
+    /// Returns the number of positions of the page table, unused ones included.
+    pub(super) fn page_table_len(&self) -> u32 {
+        self.entries.len() as u32
+    }
+
     /// Returns the only drawable of the page at a position of the table; `None` if the page has others, may have changed,
     /// or is not uploaded to the context.
     pub(crate) fn single_drawable_at(&self, at: u32, context: u32) -> Option<&SingleDrawable> {

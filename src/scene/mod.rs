@@ -15,6 +15,7 @@
 //! | `settings` | culling, levels of detail, light and air of cameras |
 
 mod callback_pages;
+mod credits;
 mod draw_kinds;
 mod error;
 mod features;

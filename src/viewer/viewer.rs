@@ -233,6 +233,12 @@ impl Viewer {
         self.parts().2.is_height_set()
     }
 
+    /// Returns the attributions of what the last frame showed: the `asset.copyright` of tilesets and glTFs, and the credits of
+    /// overlays, those of most tiles first. A window shows them with [`CreditsHandler`](super::CreditsHandler).
+    pub fn credits(&self) -> Vec<std::sync::Arc<str>> {
+        self.scene().credits(self.frame_stamp().frame)
+    }
+
     /// Adds a callback for each update phase.
     pub fn on_update(&mut self, callback: SceneUpdate) {
         self.parts_mut().2.on_update(callback);

@@ -8,6 +8,7 @@ use terrane::fetch::is_remote;
 use terrane::viewer::ThreadingModel;
 
 use crate::net::{ByteSize, NetArgs};
+use crate::overlays::{OVERLAY_HELP, OverlayArg};
 use crate::values::{NotNegative, Positive, Rgb, Size, SunFrom, View, finite, not_negative, pace, samples, secs};
 
 /// Streams terrain that is larger than memory, and draws it without a hitch.
@@ -157,6 +158,9 @@ pub struct FlyArgs {
     /// Colour, hide and size the features of tiles by a style in the 3D Tiles Styling language (JSON)
     #[arg(long, value_name = "FILE")]
     pub style: Option<PathBuf>,
+    /// Drape images over the terrain
+    #[arg(long = "overlay", value_name = "ADDRESS[,KEY=VALUE...]", help = OVERLAY_HELP)]
+    pub overlays: Vec<OverlayArg>,
     /// Samples per pixel: 1, 2, 4, 8 or 16, as far as the adapter has them; 4 draws smooth edges
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = samples)]
     pub samples: u32,
@@ -228,6 +232,9 @@ pub struct ViewArgs {
     /// Colour, hide and size the features of tiles by a style in the 3D Tiles Styling language (JSON)
     #[arg(long, value_name = "FILE")]
     pub style: Option<PathBuf>,
+    /// Drape images over the terrain
+    #[arg(long = "overlay", value_name = "ADDRESS[,KEY=VALUE...]", help = OVERLAY_HELP)]
+    pub overlays: Vec<OverlayArg>,
     /// Show the stats overlay from the start
     #[arg(long)]
     pub stats: bool,
@@ -268,6 +275,7 @@ impl From<ViewArgs> for Box<FlyArgs> {
             threading,
             cpu_affinity,
             style,
+            overlays,
             stats,
             on_demand,
             max_fps,
@@ -289,6 +297,7 @@ impl From<ViewArgs> for Box<FlyArgs> {
             threading,
             cpu_affinity,
             style,
+            overlays,
             stats,
             on_demand,
             max_fps,

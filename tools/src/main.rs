@@ -7,6 +7,7 @@ mod default_set;
 mod fly;
 mod info;
 mod net;
+mod overlays;
 mod serve;
 mod stress;
 mod values;

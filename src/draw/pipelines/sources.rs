@@ -265,7 +265,7 @@ mod tests {
                 assert_eq!(span as usize, size_of::<SurfaceRecord>(), "{name}");
                 assert_eq!(
                     fields,
-                    offsets!(SurfaceRecord: layers, factors, emission, occlusion_and_uv_bits, uv_matrices, uv_offsets)
+                    offsets!(SurfaceRecord: layers, factors, emission, occlusion_uv_bits_overlay, uv_matrices, uv_offsets)
                 );
             }
             if name.starts_with("fixed") {

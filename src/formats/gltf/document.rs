@@ -46,6 +46,9 @@ pub(super) fn parse(context: &Context<'_>, chunks: &Chunks<'_>) -> Result<(gltf:
     if let Some(error) = refused(&root.extensions_required) {
         return Err(error);
     }
+    if let Some(copyright) = &root.asset.copyright {
+        context.notes.add_credit(copyright);
+    }
     root.extensions_required.clear();
     for name in root.extensions_used.iter().filter(|name| !extensions::is_supported(name)) {
         context.notes.add(format!("glTF extension {name}"));

@@ -6,4 +6,4 @@ mod tile;
 mod tile_data;
 
 pub(super) use tile::read;
-pub(super) use tile_data::{HeightSet, SetExtras, TileExtras, companions};
+pub(super) use tile_data::{HeightSet, SetExtras, TileExtras, companions, region};

@@ -12,7 +12,7 @@ use crate::formats::ignored::Notes;
 use crate::formats::image;
 use crate::formats::options::{Fetched, ReadOptions};
 use crate::math::Aabb;
-use crate::scene::{Drawable, Geometry, HeightTile, Material, Node, Sampling, SharedParts, Texture};
+use crate::scene::{BlockFormats, Drawable, Geometry, HeightTile, Material, Node, Sampling, SharedParts, Texture};
 
 /// Decodes an EXR with one channel of heights, and its imagery. Fails if the imagery is missing or invalid: the parent tile
 /// then stays visible with its colours, instead of a white tile.
@@ -32,8 +32,9 @@ pub(in crate::formats) fn read(
     let stride = data.side as usize + 2 * data.border as usize;
     let heights = decode_heights(uri, bytes, stride, &options.limits)?;
     let (mut texture, mut shared): (Option<Arc<Texture>>, _) = (None, None);
-    for (companion, bytes) in companions {
-        let formats = options.block_formats;
+    // Overlays are composed over the texels.
+    let formats = if options.overlays.is_some() { BlockFormats::NONE } else { options.block_formats };
+    for (companion, bytes) in companions.into_iter().filter(|(uri, _)| data.imagery.as_ref() == Some(uri)) {
         let decoded = image::decode_shared(&companion, &bytes?, Sampling::default(), formats, options, notes)?;
         (texture, shared) = (Some(decoded.0), decoded.1);
     }

@@ -140,6 +140,14 @@ impl HeightSet {
     }
 }
 
+/// Returns the region of a height tile on WGS84: west, south, east and north in radians.
+pub(in crate::formats) fn region(reader_data: &str) -> Option<[f64; 4]> {
+    match serde_json::from_str::<TileData>(reader_data).ok()?.placement {
+        Placement::Region(region) => Some(region),
+        Placement::Plane(_) => None,
+    }
+}
+
 /// Returns the URI of the imagery of a height tile.
 pub(in crate::formats) fn companions(_uri: &Arc<str>, reader_data: Option<&str>) -> Vec<Arc<str>> {
     let data = reader_data.and_then(|d| serde_json::from_str::<TileData>(d).ok());

@@ -46,6 +46,18 @@ pub(in crate::formats) fn is_image(bytes: &[u8]) -> bool {
     FileFormat::of(bytes).is_some()
 }
 
+/// Returns width and height of an image in pixels, without decoding it.
+pub(in crate::formats) fn size_of(uri: &str, bytes: &[u8], limits: &Limits) -> Result<[u32; 2], IoError> {
+    let Some(FileFormat::Raster(format)) = FileFormat::of(bytes) else {
+        refuse_markup(uri, bytes)?;
+        return Err(IoError::unsupported(uri, "image that is neither PNG, JPEG nor WebP"));
+    };
+    let size = ImageReader::with_format(Cursor::new(bytes), format).into_dimensions();
+    let (width, height) = size.map_err(|error| IoError::invalid(uri, format!("image: {error}")))?;
+    check_size(uri, width, height, limits)?;
+    Ok([width, height])
+}
+
 /// A texture and, if it is shared between contents, its reference count.
 pub(in crate::formats) type SharedTexture = (Arc<Texture>, Option<Arc<SharedContent>>);
 

@@ -11,5 +11,5 @@ mod rgba;
 pub(super) use block_decoder::{BlockKind, decode_blocks};
 pub(super) use dds::is_dds;
 pub(crate) use decode::decode_file;
-pub(super) use decode::{SharedTexture, check_size, decode_shared, is_image, texture_of_rgba};
+pub(super) use decode::{SharedTexture, check_size, decode_shared, is_image, size_of, texture_of_rgba};
 pub(super) use mips::mips;

@@ -65,6 +65,20 @@ pub(in crate::formats) struct ContentData {
     pub up_axis: UpAxis,
     /// The URI at which the content is looked for if its own has none.
     pub fallback: Option<Arc<str>>,
+    /// The region of the tile, kept for raster overlays: west, south, east and north in radians.
+    pub region: Option<[f64; 4]>,
+}
+
+/// Returns reader data with the region of its tile. That of other readers is returned as it is.
+pub(in crate::formats) fn with_region(data: Option<ReaderData>, region: [f64; 4]) -> Option<ReaderData> {
+    let known = match &data {
+        None => ContentData::default(),
+        Some(data) => match data.value::<ContentData>() {
+            Some(known) => known.clone(),
+            None => return Some(data.clone()),
+        },
+    };
+    Some(ReaderData::of(ContentData { region: Some(region), ..known }))
 }
 
 impl ReaderValue for ContentData {
@@ -78,6 +92,10 @@ impl ReaderValue for ContentData {
 
     fn fallback_uri(&self) -> Option<Arc<str>> {
         self.fallback.clone()
+    }
+
+    fn region(&self) -> Option<[f64; 4]> {
+        self.region
     }
 
     fn size_bytes(&self) -> u64 {

@@ -7,7 +7,7 @@ mod tile;
 mod transform;
 mod up_axis;
 
-pub(super) use content::{ContentBytes, ContentData, TileContent};
+pub(super) use content::{ContentBytes, ContentData, TileContent, with_region};
 pub(super) use s2::S2Cell;
 pub(super) use tile::{ALWAYS_REFINED_M, Continuation, Tile, node_of};
 pub(super) use transform::tile_transform;

@@ -96,6 +96,9 @@ struct MetadataExtension {
 pub(crate) struct AssetJson {
     #[serde(default)]
     version: Text,
+    /// The attribution of the set, which some writers add as glTF has it.
+    #[serde(default)]
+    pub copyright: Text,
     /// The up axis of glTF contents, in sets of old converters.
     #[serde(rename = "gltfUpAxis", default)]
     pub gltf_up_axis: Text,

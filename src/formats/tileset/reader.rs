@@ -98,6 +98,9 @@ fn note_ignored(tileset: &TilesetJson, notes: &Notes) {
             notes.add(format!("tileset extension {name}"));
         }
     }
+    if let Some(copyright) = &tileset.asset.copyright.0 {
+        notes.add_credit(copyright);
+    }
     if let Some(axis) = tileset.asset.gltf_up_axis.0.as_deref().filter(|axis| UpAxis::named(axis).is_none()) {
         notes.add(format!("asset.gltfUpAxis {axis}"));
     }
@@ -299,7 +302,7 @@ impl Reader<'_> {
         if matches!(bytes, ContentBytes::Fetched) && self.up_axis == UpAxis::Y && fallback.is_none() {
             return None;
         }
-        Some(ReaderData::of(ContentData { bytes, up_axis: self.up_axis, fallback }))
+        Some(ReaderData::of(ContentData { bytes, up_axis: self.up_axis, fallback, region: None }))
     }
 
     /// Returns a name for a content that has no URI: the tileset's with a number.

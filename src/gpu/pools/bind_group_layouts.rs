@@ -127,8 +127,8 @@ impl BindGroupLayouts {
             entries: &[array_texture(0, wgpu::ShaderStages::FRAGMENT, true), sampler(1)],
         });
         let maps =
-            (0..5).flat_map(|map| [array_texture(2 * map, wgpu::ShaderStages::FRAGMENT, true), sampler(2 * map + 1)]);
-        let records = wgpu::BindGroupLayoutEntry { binding: 10, visibility: wgpu::ShaderStages::FRAGMENT, ..tables };
+            (0..6).flat_map(|map| [array_texture(2 * map, wgpu::ShaderStages::FRAGMENT, true), sampler(2 * map + 1)]);
+        let records = wgpu::BindGroupLayoutEntry { binding: 12, visibility: wgpu::ShaderStages::FRAGMENT, ..tables };
         let surface_set = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
             label: Some("surface set"),
             entries: &maps.chain([records]).collect::<Vec<_>>(),

@@ -178,7 +178,8 @@ fn place_surface<'a>(
     images: &mut NewImages<'a>,
 ) -> Result<SurfaceSlot, String> {
     let mut layers = MapLayers::default();
-    let encodings = [TexelEncoding::Linear, TexelEncoding::Linear, TexelEncoding::Srgb, TexelEncoding::Linear];
+    let (srgb, linear) = (TexelEncoding::Srgb, TexelEncoding::Linear);
+    let encodings = [linear, linear, srgb, linear, srgb];
     let maps = surface.maps().into_iter().zip(encodings).zip(&drawable.shared.maps);
     for (layer, ((image, encoding), shared)) in layers.iter_mut().zip(maps) {
         let content = shared.as_ref().map(|s| &s.key);

@@ -30,7 +30,8 @@ impl DatabasePager {
                 continue;
             }
             let Some((ancestors, scope)) = self.scenes.origin(&slot) else { continue };
-            self.table.add(request, &slot, ancestors, scope, frame);
+            let tile = self.scenes.tile_volume(scenes, request.slot, &scope).filter(|_| !slot.is_proxy);
+            self.table.add(request, &slot, ancestors, scope, tile, frame);
             changes.requested += 1;
         }
         self.stats.requested += changes.requested;

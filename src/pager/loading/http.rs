@@ -14,7 +14,9 @@ use super::request_list::{HttpWork, RequestList};
 use super::server_limits::{Outcome, ServerLimits};
 use super::thread_set::follow_core;
 use super::ticket::Ticket;
-use crate::fetch::{ByteBudget, HttpBody, HttpClient, IoError, Limits, Loaded, NoRoom, Permit, guarded, server};
+use crate::fetch::{
+    ByteBudget, FileReader, HttpBody, HttpClient, IoError, Limits, Loaded, NoRoom, Permit, guarded, is_remote, server,
+};
 use crate::formats::{self, MAX_DEPENDENCY_ROUNDS};
 
 /// How long the thread waits at its end for received bodies to be written to the cache.
@@ -22,6 +24,8 @@ const FINAL_FLUSH_TIMEOUT: Duration = Duration::from_secs(2);
 /// The maximum number of a content's dependencies that are requested at the same time. They do not count in the limits of
 /// their servers.
 const MAX_DEPENDENCIES_IN_FLIGHT: usize = 8;
+/// How long a content waits for a dependency that it is whole without.
+const MAX_OPTIONAL_TIME: Duration = Duration::from_secs(10);
 
 /// The clients whose caches are flushed when the HTTP thread ends. Written by update, read by the HTTP thread.
 #[derive(Clone, Default)]
@@ -94,14 +98,44 @@ pub(super) struct Channels<'a, J: LoadJob> {
     pub answers: &'a Sender<Answer<J>>,
 }
 
+/// What bounds the requests, and reads the files of contents that are partly on a disk.
+#[derive(Clone)]
+pub(super) struct Reading {
+    pub limits: Limits,
+    /// Holds what was received.
+    pub bodies: ByteBudget,
+    pub files: Arc<FileReader>,
+    /// The time limit for reading a file.
+    pub file_timeout: Duration,
+}
+
+impl Reading {
+    /// Reads a file on a blocking thread of the runtime. A thread that hangs on a disk is left alone.
+    async fn file<J: LoadJob>(&self, job: &J, uri: &Arc<str>, permit: &Permit) -> Result<Vec<u8>, IoError> {
+        let (files, job, path) = (self.files.clone(), job.clone(), uri.clone());
+        let read = tokio::task::spawn_blocking(move || match job.root_scope() {
+            Some(scope) => files.read_within(&path, scope),
+            None => files.read(&path),
+        });
+        let seconds = self.file_timeout.as_secs_f64();
+        let Ok(read) = tokio::time::timeout(self.file_timeout, read).await else {
+            return Err(IoError::Timeout { uri: uri.to_string(), phase: "reading the file", seconds });
+        };
+        let stopped = |error| IoError::Network { uri: uri.to_string(), reason: format!("the read stopped: {error}") };
+        let bytes = read.map_err(stopped)??;
+        let size = bytes.len() as u64;
+        permit.claim(size).map_err(|no_room| IoError::no_room(uri, no_room))?.keep(size);
+        Ok(bytes)
+    }
+}
+
 /// Runs until the list closes. Requests still in flight are dropped then.
 pub(super) fn run<J: LoadJob>(
     runtime: &tokio::runtime::Runtime,
     list: &RequestList<J>,
     channels: Channels<'_, J>,
-    bodies: &ByteBudget,
+    reading: &Reading,
     clients: &Clients,
-    limits: &Limits,
     range: LimitRange,
 ) {
     let Channels { loaded, answers } = channels;
@@ -129,10 +163,10 @@ pub(super) fn run<J: LoadJob>(
                 }
             }
             for job in jobs {
-                let (ticket, copy, limits, bodies) = (job.ticket(), job.clone(), *limits, bodies.clone());
+                let (ticket, copy, reading) = (job.ticket(), job.clone(), reading.clone());
                 let work = async move {
                     let _span = job.request_span();
-                    fetch(job, &limits, &bodies).await
+                    fetch(job, &reading).await
                 };
                 running.insert(ticket, Running { handle: tasks.spawn(work), job: copy });
             }
@@ -195,11 +229,11 @@ fn pass_on<J: LoadJob>(
 
 /// Requests a content and what belongs to it once there is room for it. What turns out to have no room is dropped, and
 /// requested again when as many bytes are free. Returns the outcome at each server too; waiting for room is no part of it.
-async fn fetch<J: LoadJob>(job: J, limits: &Limits, bodies: &ByteBudget) -> Fetched<J> {
-    let mut bytes = bodies.expected_bytes();
+async fn fetch<J: LoadJob>(job: J, reading: &Reading) -> Fetched<J> {
+    let mut bytes = reading.bodies.expected_bytes();
     loop {
-        let permit = bodies.reserve(bytes, job.is_prefetch()).await;
-        match fetch_holding(&job, limits, permit).await {
+        let permit = reading.bodies.reserve(bytes, job.is_prefetch()).await;
+        match fetch_holding(&job, reading, permit).await {
             Ok(fetched) => return fetched,
             Err(NoRoom { needed }) => bytes = needed,
         }
@@ -210,11 +244,18 @@ async fn fetch<J: LoadJob>(job: J, limits: &Limits, bodies: &ByteBudget) -> Fetc
 ///
 /// # Errors
 /// [`NoRoom`] if the bytes have no room.
-async fn fetch_holding<J: LoadJob>(job: &J, limits: &Limits, permit: Permit) -> Result<Fetched<J>, NoRoom> {
-    let own = server(job.uri()).to_owned();
+async fn fetch_holding<J: LoadJob>(job: &J, reading: &Reading, permit: Permit) -> Result<Fetched<J>, NoRoom> {
+    let limits = &reading.limits;
+    // That of a content on a disk is the server of its images.
+    let own = job.servers().first().cloned().unwrap_or_default();
     let client = job.client();
-    let timed = async |uri: &str, fallback: Option<Arc<str>>| {
+    let timed = async |uri: &Arc<str>, fallback: Option<Arc<str>>| {
         let mut start = Instant::now();
+        if !is_remote(uri) {
+            let bytes = reading.file(job, uri, &permit).await;
+            let body = bytes.map(|bytes| HttpBody { bytes, ..HttpBody::default() });
+            return (body, start.elapsed().as_secs_f64());
+        }
         let mut body = client.get_holding(uri, limits, &permit).await;
         if let Err(error) = &body
             && error.may_be_elsewhere()
@@ -245,7 +286,12 @@ async fn fetch_holding<J: LoadJob>(job: &J, limits: &Limits, permit: Permit) -> 
         }
         fetched
     };
-    let content = timed(job.uri(), job.fallback());
+    let content = async {
+        match job.is_in_memory() {
+            true => (Ok(HttpBody::default()), 0.0),
+            false => timed(job.address(), job.fallback()).await,
+        }
+    };
     let ((body, own_s), companions) = tokio::join!(content, companions);
     let bodies = companions.iter().map(|(_, body)| body).chain([&body]);
     if let Some(no_room) = bodies.filter_map(|body| body.as_ref().err().and_then(no_room)).max_by_key(|n| n.needed) {
@@ -283,10 +329,19 @@ async fn fetch_holding<J: LoadJob>(job: &J, limits: &Limits, permit: Permit) -> 
             let mut requests = JoinSet::new();
             loop {
                 for uri in waiting.by_ref().take(MAX_DEPENDENCIES_IN_FLIGHT - requests.len()) {
-                    let (client, limits, files) = (client.clone(), *limits, job.shared_files());
-                    let permit = permit.clone();
+                    let (client, files) = (job.client_of(&uri).clone(), job.shared_files());
+                    let (job, reading, permit) = (job.clone(), reading.clone(), permit.clone());
                     requests.spawn(async move {
-                        let (bytes, network_bytes) = files.get(&client, &uri, &limits, &permit).await;
+                        if !is_remote(&uri) {
+                            let bytes = reading.file(&job, &uri, &permit).await;
+                            return (uri, bytes, 0);
+                        }
+                        let request = files.get(&client, &uri, &reading.limits, &permit);
+                        let limit = if job.may_be_missing(&uri) { MAX_OPTIONAL_TIME } else { Duration::MAX };
+                        let (bytes, network_bytes) = tokio::time::timeout(limit, request).await.unwrap_or_else(|_| {
+                            let (phase, seconds) = ("an image beside the content", limit.as_secs_f64());
+                            (Err(IoError::Timeout { uri: uri.to_string(), phase, seconds }), 0)
+                        });
                         (uri, bytes, network_bytes)
                     });
                 }

@@ -48,6 +48,16 @@ pub(in crate::pager) trait LoadJob: Request + Send + Sync + 'static {
     /// Returns the client that asks servers for the content.
     #[cfg(feature = "http")]
     fn client(&self) -> &crate::fetch::HttpClient;
+    /// Returns the client that asks servers for a dependency.
+    #[cfg(feature = "http")]
+    fn client_of(&self, _dependency: &str) -> &crate::fetch::HttpClient {
+        self.client()
+    }
+    /// Returns true if the content is whole without a dependency, so that it does not wait long for it.
+    #[cfg(feature = "http")]
+    fn may_be_missing(&self, _dependency: &str) -> bool {
+        false
+    }
     /// Returns the files that several contents share.
     #[cfg(feature = "http")]
     fn shared_files(&self) -> SharedFiles {

@@ -9,7 +9,7 @@ use super::ticket::Ticket;
 #[cfg(feature = "http")]
 use crate::fetch;
 use crate::fetch::{IoError, Loaded, RootScope, is_remote};
-use crate::formats::{self, Content, Fetched, ReadOptions};
+use crate::formats::{self, Content, Fetched, ReadOptions, TileVolume};
 use crate::pager::scenes::read_scope::{ReadScope, TilesetAncestors};
 #[cfg(feature = "http")]
 use crate::pager::scenes::shared_files::SharedFiles;
@@ -30,6 +30,8 @@ pub(in crate::pager) struct PageJob {
     pub ancestors: TilesetAncestors,
     /// The read scope of the slot's scene.
     pub scope: Arc<ReadScope>,
+    /// The volume of the slot's tile, if its scene has overlays.
+    pub tile: Option<TileVolume>,
     /// True if the content was wanted in a later frame only, as of the last update before a thread took the job.
     pub is_prefetch: bool,
     /// Shared by all clones of the job.
@@ -91,8 +93,25 @@ impl PageJob {
             base: location,
             companion_bases: companion_locations.into(),
             block_formats,
+            tile: self.tile,
             ..self.scope.options.clone()
         }
+    }
+}
+
+impl PageJob {
+    fn has_remote_content(&self) -> bool {
+        is_remote(&self.uri) && !self.is_in_memory()
+    }
+
+    /// Returns true if a content on disk or in memory is covered by images on servers.
+    fn has_remote_overlay(&self) -> bool {
+        #[cfg(feature = "http")]
+        let has_server = self.scope.overlay_server().is_some();
+        #[cfg(not(feature = "http"))]
+        let has_server = false;
+        let continues_tileset = self.reader_data.as_ref().is_some_and(ReaderData::continues_tileset);
+        has_server && self.tile.is_some() && !continues_tileset
     }
 }
 
@@ -108,7 +127,7 @@ impl Request for PageJob {
     }
 
     fn is_remote(&self) -> bool {
-        is_remote(&self.uri) && !self.is_in_memory()
+        self.has_remote_content() || self.has_remote_overlay()
     }
 
     fn scene(&self) -> SceneNumber {
@@ -126,7 +145,12 @@ impl Request for PageJob {
     #[cfg(feature = "http")]
     fn servers(&self) -> &[String] {
         self.progress.servers.get_or_init(|| {
-            let mut servers = vec![fetch::server(&self.uri).to_owned()];
+            let own = match self.has_remote_content() {
+                true => fetch::server(&self.uri),
+                // Its images are all that is requested.
+                false => self.scope.overlay_server().unwrap_or_default(),
+            };
+            let mut servers = vec![own.to_owned()];
             for companion in self.companions() {
                 let server = fetch::server(&companion);
                 if !servers.iter().any(|known| known == server) {
@@ -183,6 +207,16 @@ impl LoadJob for PageJob {
     }
 
     #[cfg(feature = "http")]
+    fn client_of(&self, dependency: &str) -> &fetch::HttpClient {
+        self.scope.client_of(dependency)
+    }
+
+    #[cfg(feature = "http")]
+    fn may_be_missing(&self, dependency: &str) -> bool {
+        self.scope.is_of_overlay(dependency)
+    }
+
+    #[cfg(feature = "http")]
     fn shared_files(&self) -> SharedFiles {
         self.scope.shared_files.clone()
     }
@@ -233,14 +267,12 @@ pub(in crate::pager) mod tests {
     static PAGE: LazyLock<PageId> =
         LazyLock::new(|| Scene::new().add_root(Page::from_node(Node::group(Vec::new())).unwrap()));
     static SCOPE: LazyLock<Arc<ReadScope>> = LazyLock::new(|| {
-        Arc::new(ReadScope {
-            options: ReadOptions::for_root("/set/tileset.json", fetch::Limits::default()),
-            block_formats: Arc::default(),
+        Arc::new(ReadScope::new(
+            ReadOptions::for_root("/set/tileset.json", fetch::Limits::default()),
+            Arc::default(),
             #[cfg(feature = "http")]
-            client: fetch::HttpClient::new(&fetch::HttpConfig::default()).unwrap(),
-            #[cfg(feature = "http")]
-            shared_files: SharedFiles::default(),
-        })
+            &fetch::HttpClient::new(&fetch::HttpConfig::default()).unwrap(),
+        ))
     });
 
     /// Returns a job whose slot has the ticket's number as index.
@@ -252,6 +284,7 @@ pub(in crate::pager) mod tests {
             uri: uri.into(),
             reader_data: None,
             ancestors: TilesetAncestors::none(),
+            tile: None,
             is_prefetch: false,
             progress: Arc::default(),
         }

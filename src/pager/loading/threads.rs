@@ -74,8 +74,13 @@ impl<J: LoadJob> LoadThreads<J> {
         threads.spawn("watch", move || files.watch(&closed))?;
         #[cfg(feature = "http")]
         {
-            let (list, answers, limits) = (list.clone(), answer_sender.clone(), config.limits);
-            let bodies = budgets.bodies.clone();
+            let (list, answers) = (list.clone(), answer_sender.clone());
+            let reading = http::Reading {
+                limits: config.limits,
+                bodies: budgets.bodies.clone(),
+                files: Arc::new(fetch::FileReader::new(config.limits)),
+                file_timeout: config.file_timeout,
+            };
             let name = format!("{}-http", J::THREAD_PREFIX);
             let runtime = fetch::runtime(&name).map_err(|source| PagerError::Thread { name, source })?;
             let access = HttpAccess::new(&runtime);
@@ -83,7 +88,7 @@ impl<J: LoadJob> LoadThreads<J> {
             threads.http = Some(access);
             threads.spawn("http", move || {
                 let channels = http::Channels { loaded: &received_sender, answers: &answers };
-                http::run(&runtime, &list, channels, &bodies, &clients, &limits, range);
+                http::run(&runtime, &list, channels, &reading, &clients, range);
                 // Threads that hang on the cache are left alone.
                 runtime.shutdown_timeout(MAX_SHUTDOWN_TIME);
             })?;

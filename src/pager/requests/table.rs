@@ -10,6 +10,7 @@ use super::entry::{Entry, Progress};
 use super::listing::ListChanges;
 use super::retry_policy::RetryState;
 use crate::cull::PageRequest;
+use crate::formats::TileVolume;
 use crate::pager::loading::page_job::{LoadStage, PageJob};
 use crate::pager::loading::ticket::{RequestEnd, TicketIssuer};
 use crate::pager::loading::waiting_jobs::Urgency;
@@ -203,6 +204,7 @@ impl RequestTable {
         slot: &SlotInfo<'_>,
         ancestors: TilesetAncestors,
         scope: Arc<ReadScope>,
+        tile: Option<TileVolume>,
         frame: u32,
     ) {
         let job = PageJob {
@@ -212,6 +214,7 @@ impl RequestTable {
             reader_data: slot.reader_data.cloned(),
             ancestors,
             scope,
+            tile,
             is_prefetch: request.ahead_frames > 0,
             progress: Arc::default(),
         };

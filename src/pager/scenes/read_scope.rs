@@ -7,9 +7,9 @@ use glam::DAffine3;
 
 #[cfg(feature = "http")]
 use super::shared_files::SharedFiles;
-#[cfg(feature = "http")]
-use crate::fetch::HttpClient;
 use crate::fetch::IoError;
+#[cfg(feature = "http")]
+use crate::fetch::{HttpClient, RootScope, server};
 use crate::formats::ReadOptions;
 use crate::scene::BlockFormats;
 
@@ -22,12 +22,56 @@ pub(in crate::pager) struct ReadScope {
     /// Reaches what the set may reach.
     #[cfg(feature = "http")]
     pub client: HttpClient,
+    /// Reaches what each overlay may reach, by its server.
+    #[cfg(feature = "http")]
+    overlay_clients: Vec<(String, HttpClient)>,
     /// Files that several contents refer to.
     #[cfg(feature = "http")]
     pub shared_files: SharedFiles,
 }
 
 impl ReadScope {
+    /// Creates a scope. `client` is the pager's, which reaches everything.
+    pub fn new(
+        options: ReadOptions,
+        block_formats: Arc<SharedBlockFormats>,
+        #[cfg(feature = "http")] client: &HttpClient,
+    ) -> Self {
+        Self {
+            #[cfg(feature = "http")]
+            client: client.within(&options.root),
+            #[cfg(feature = "http")]
+            overlay_clients: {
+                let addresses = options.overlays.iter().flat_map(|set| set.remote_addresses());
+                let client_of =
+                    |address: String| (server(&address).to_owned(), client.within(&RootScope::of(&address)));
+                addresses.map(client_of).collect()
+            },
+            options,
+            block_formats,
+            #[cfg(feature = "http")]
+            shared_files: SharedFiles::default(),
+        }
+    }
+
+    /// Returns true if an address is an image or a document of an overlay, which the application has named itself.
+    pub fn is_of_overlay(&self, uri: &str) -> bool {
+        self.options.overlays.as_ref().is_some_and(|set| set.has_asked(uri))
+    }
+
+    /// Returns the client for what a content refers to. An overlay may be on a server that the set may not reach.
+    #[cfg(feature = "http")]
+    pub fn client_of(&self, uri: &str) -> &HttpClient {
+        let mut of_overlays = self.overlay_clients.iter().filter(|_| self.is_of_overlay(uri));
+        of_overlays.find(|(known, _)| known == server(uri)).map_or(&self.client, |(_, client)| client)
+    }
+
+    /// Returns a server of the overlays, if one is remote.
+    #[cfg(feature = "http")]
+    pub fn overlay_server(&self) -> Option<&str> {
+        self.overlay_clients.first().map(|(server, _)| &**server)
+    }
+
     /// Removes a remote file that could not be decoded from the HTTP cache if it is no content at all, such as an error
     /// page with status 200.
     pub fn forget_no_content(&self, error: &IoError) {

@@ -6,12 +6,10 @@ use std::sync::Arc;
 use super::read_scope::{ReadScope, SharedBlockFormats, TilesetAncestors};
 use super::scene_set::SceneSet;
 #[cfg(feature = "http")]
-use super::shared_files::SharedFiles;
-#[cfg(feature = "http")]
 use crate::fetch::{HttpClient, HttpConfig};
-use crate::formats::{ContentReader, IgnoredLog, ReadOptions, Style};
+use crate::formats::{ContentReader, IgnoredLog, OverlaySet, ReadOptions, Style, TileVolume};
 use crate::pager::config::PagerConfig;
-use crate::scene::{PageId, Scene, SceneNumber, SharedStateManager, SlotInfo};
+use crate::scene::{NodeId, PageId, Scene, SceneNumber, SharedStateManager, SlotInfo};
 
 /// A scene as the registry knows it.
 #[derive(Debug)]
@@ -38,6 +36,7 @@ struct CommonOptions {
     keep_features: bool,
     style: Option<Arc<Style>>,
     readers: Arc<[Arc<dyn ContentReader>]>,
+    overlays: Option<Arc<OverlaySet>>,
     sharing: Option<Arc<SharedStateManager>>,
     /// The properties that the contents of all scenes have and their readers leave out.
     ignored: IgnoredLog,
@@ -59,6 +58,7 @@ impl CommonOptions {
             true => self.readers.clone(),
             false => options.readers.clone(),
         };
+        let overlays = options.overlays.or_else(|| self.overlays.clone());
         ReadOptions {
             limits: self.limits,
             build_kd_trees,
@@ -66,6 +66,7 @@ impl CommonOptions {
             keep_features,
             style,
             readers,
+            overlays,
             sharing,
             ignored,
             ..options
@@ -111,18 +112,17 @@ impl SceneRegistry {
             keep_features: config.keep_features,
             style: config.style.clone(),
             readers: config.content_readers.clone(),
+            overlays: config.overlays.clone(),
             sharing,
             ignored: options.ignored.clone(),
         };
         let block_formats = Arc::<SharedBlockFormats>::default();
-        let scope = ReadScope {
+        let scope = ReadScope::new(
+            common.apply_to(options),
+            block_formats.clone(),
             #[cfg(feature = "http")]
-            client: client.within(&options.root),
-            options: common.apply_to(options),
-            block_formats: block_formats.clone(),
-            #[cfg(feature = "http")]
-            shared_files: SharedFiles::default(),
-        };
+            &client,
+        );
         Self {
             scenes: BTreeMap::new(),
             unclaimed: Some(SceneState::new(scope)),
@@ -186,14 +186,12 @@ impl SceneRegistry {
         options: ReadOptions,
         #[cfg(feature = "http")] client: HttpClient,
     ) -> (Arc<ReadScope>, Option<Arc<ReadScope>>) {
-        let scope = ReadScope {
+        let scope = ReadScope::new(
+            self.common.apply_to(options),
+            self.block_formats.clone(),
             #[cfg(feature = "http")]
-            client: client.within(&options.root),
-            options: self.common.apply_to(options),
-            block_formats: self.block_formats.clone(),
-            #[cfg(feature = "http")]
-            shared_files: SharedFiles::default(),
-        };
+            &client,
+        );
         self.serve(scene, SceneState::new(scope))
     }
 
@@ -268,6 +266,15 @@ impl SceneRegistry {
             ancestors.set_from_page *= slot.content_transform;
         }
         Some((ancestors, state.scope.clone()))
+    }
+
+    /// Returns the volume of a slot's tile in the frame of the whole set, if its scene has overlays.
+    pub fn tile_volume(&self, scenes: &dyn SceneSet, slot: NodeId, scope: &ReadScope) -> Option<TileVolume> {
+        scope.options.overlays.as_ref()?;
+        let state = self.scenes.get(&slot.page.scene)?;
+        let set_from_page = self.ancestors.get(&slot.page).unwrap_or(&state.root_ancestors).set_from_page;
+        let (in_page, geometric_error_m) = scenes.numbered(slot.page.scene)?.slot_volume(slot)?;
+        Some(TileVolume { bounds: in_page.transformed(&set_from_page), geometric_error_m })
     }
 
     /// Notes that a merged page is a tileset, whose contents have these ancestors.

@@ -44,6 +44,9 @@ pub struct MetallicRoughness {
     pub emissive_map: Option<Arc<Texture>>,
     /// The texture coordinates of maps that do not use those of the vertices.
     pub second_uv: SecondUv,
+    /// A picture over the base colour, by its alpha: sRGB, blended in linear light. It uses the second texture coordinates
+    /// as they are. [`Material::unlit`] shows it too. Raster overlays are such pictures.
+    pub overlay: Option<Arc<Texture>>,
 }
 
 /// The maps of a surface that use the second texture coordinates of its mesh: its attribute [`SecondUv::ATTRIBUTE`] of format
@@ -65,26 +68,33 @@ impl SecondUv {
     /// The name of the attribute with the second texture coordinates.
     pub const ATTRIBUTE: &str = "SECOND_UV";
 
-    /// Returns the transforms in the order of [`MetallicRoughness::maps`].
-    pub(crate) fn of_maps(&self) -> [Option<Affine2>; MetallicRoughness::MAPS] {
+    /// Returns the transforms in the order of [`MetallicRoughness::maps`], without that of the overlay.
+    pub(crate) fn of_maps(&self) -> [Option<Affine2>; MetallicRoughness::TRANSFORMED_MAPS] {
         [self.normal, self.occlusion_roughness_metallic, self.emissive, self.occlusion]
     }
 }
 
 impl MetallicRoughness {
     /// The number of maps.
-    pub(crate) const MAPS: usize = 4;
+    pub(crate) const MAPS: usize = 5;
+    /// The number of maps, the first ones, that may have a transform of texture coordinates.
+    pub(crate) const TRANSFORMED_MAPS: usize = 4;
 
-    /// Returns the maps: normals, occlusion-roughness-metallic, emission, occlusion.
+    /// Returns the maps: normals, occlusion-roughness-metallic, emission, occlusion, overlay.
     pub(crate) fn maps(&self) -> [Option<&Arc<Texture>>; Self::MAPS] {
-        [&self.normal_map, &self.occlusion_roughness_metallic, &self.emissive_map, &self.occlusion_map]
-            .map(Option::as_ref)
+        let Self { normal_map, occlusion_roughness_metallic, emissive_map, occlusion_map, overlay, .. } = self;
+        [normal_map, occlusion_roughness_metallic, emissive_map, occlusion_map, overlay].map(Option::as_ref)
+    }
+
+    /// Returns true if there are maps.
+    pub(crate) fn has_maps(&self) -> bool {
+        self.maps().iter().any(Option::is_some)
     }
 
     /// Returns the maps in the same order, to be replaced by equal ones.
     pub(crate) fn maps_mut(&mut self) -> [&mut Option<Arc<Texture>>; Self::MAPS] {
-        let Self { normal_map, occlusion_roughness_metallic, emissive_map, occlusion_map, .. } = self;
-        [normal_map, occlusion_roughness_metallic, emissive_map, occlusion_map]
+        let Self { normal_map, occlusion_roughness_metallic, emissive_map, occlusion_map, overlay, .. } = self;
+        [normal_map, occlusion_roughness_metallic, emissive_map, occlusion_map, overlay]
     }
 }
 
@@ -102,6 +112,7 @@ impl Default for MetallicRoughness {
             emissive: [0.0; 3],
             emissive_map: None,
             second_uv: SecondUv::default(),
+            overlay: None,
         }
     }
 }
@@ -109,7 +120,7 @@ impl Default for MetallicRoughness {
 /// The surface of a drawable.
 ///
 /// It has one of three models:
-/// - **Unlit** if `unlit` is true: the base colour as it is.
+/// - **Unlit** if `unlit` is true: the base colour as it is, below an overlay.
 /// - **Metallic-roughness** if `metallic_roughness` is set: glTF's model, with reflections of sun and sky.
 /// - **Matte** otherwise: light is reflected equally in all directions. It is the quickest lit model.
 ///
@@ -134,7 +145,7 @@ pub struct Material {
 impl Material {
     /// Returns the metallic-roughness model if the material is drawn with it.
     pub(crate) fn surface(&self) -> Option<&MetallicRoughness> {
-        self.metallic_roughness.as_ref().filter(|_| !self.unlit)
+        self.metallic_roughness.as_ref().filter(|surface| !self.unlit || surface.overlay.is_some())
     }
 
     /// Returns all textures: the base colour's and the maps.

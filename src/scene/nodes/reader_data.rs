@@ -28,6 +28,12 @@ pub trait ReaderValue: Any + Debug + Send + Sync {
         None
     }
 
+    /// Returns the region of the content on WGS84, if the reader knows it: west, south, east and north in radians. East is
+    /// beyond pi across the antimeridian. Raster overlays cover it.
+    fn region(&self) -> Option<[f64; 4]> {
+        None
+    }
+
     /// Returns the bytes of CPU memory that this value takes, without what it shares with other values.
     fn size_bytes(&self) -> u64;
 }
@@ -83,6 +89,14 @@ impl ReaderData {
         match self {
             Self::Text(_) => None,
             Self::Value(value) => value.fallback_uri(),
+        }
+    }
+
+    /// Returns the region of the content; see [`ReaderValue::region`].
+    pub fn region(&self) -> Option<[f64; 4]> {
+        match self {
+            Self::Text(_) => None,
+            Self::Value(value) => value.region(),
         }
     }
 

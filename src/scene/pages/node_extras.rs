@@ -17,11 +17,12 @@ pub(crate) struct NodeExtras {
     pub(super) event_callbacks: SparseList<EventCallback>,
 }
 
-/// Names and metadata. Apart from the page, since most pages have none.
+/// Names, metadata and attributions. Apart from the page, since most pages have none.
 #[derive(Debug, Default)]
 struct Labels {
     names: Vec<(Box<str>, u32)>,
     metadata: SparseList<Arc<TileMetadata>>,
+    credits: Box<[Arc<str>]>,
 }
 
 impl NodeExtras {
@@ -43,6 +44,18 @@ impl NodeExtras {
     /// Returns the metadata of a node, if it has any.
     pub(super) fn metadata(&self, node: u32) -> Option<&TileMetadata> {
         self.labels.as_ref()?.metadata.get(node).map(|metadata| &**metadata)
+    }
+
+    /// Stores the attributions of the page.
+    pub(super) fn set_credits(&mut self, credits: Vec<Arc<str>>) {
+        if !credits.is_empty() {
+            self.labels.get_or_insert_default().credits = credits.into();
+        }
+    }
+
+    /// Returns the attributions of the page.
+    pub fn credits(&self) -> &[Arc<str>] {
+        self.labels.as_ref().map_or(&[], |labels| &labels.credits)
     }
 
     /// Returns the bytes of CPU memory of the metadata; names and callbacks are few and not counted.

@@ -247,6 +247,16 @@ impl Page {
         self.extras.names()
     }
 
+    /// Returns the attributions of what the page shows: of its content, and of the overlays over it.
+    pub fn credits(&self) -> &[Arc<str>] {
+        self.extras.credits()
+    }
+
+    /// Sets the attributions.
+    pub(crate) fn set_credits(&mut self, credits: Vec<Arc<str>>) {
+        self.extras.set_credits(credits);
+    }
+
     /// Returns the metadata of a node, if it has any.
     pub(in crate::scene) fn metadata(&self, node: u32) -> Option<&TileMetadata> {
         self.extras.metadata(node)

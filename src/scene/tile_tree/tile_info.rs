@@ -5,10 +5,14 @@ use std::sync::atomic::Ordering;
 use glam::{DAffine3, DMat3, DVec3, Vec3};
 
 use super::slots::SlotState;
+use super::tile_record::flag;
 use crate::math::OrientedBox;
 use crate::scene::graph::Scene;
 use crate::scene::id::{NodeId, PageId};
 use crate::scene::pages::{Page, UNBOUNDED};
+
+/// Geometric errors from here on are those of tiles that are always refined.
+const MAX_ERROR_M: f64 = 1e9;
 
 /// A tile as debug views see it.
 #[derive(Clone, Debug)]
@@ -61,7 +65,37 @@ impl Scene {
 
     /// Returns the declared volume of a tile in the world; `None` if it is unbounded.
     pub(in crate::scene) fn tile_box(&self, page_id: PageId, tile: usize) -> Option<OrientedBox> {
-        let page = self.page(page_id)?;
+        let in_page = self.page(page_id)?.tile_box(tile)?;
+        Some(in_page.transformed(&self.world_from_page(page_id)?))
+    }
+
+    /// Returns the declared volume of the tile of a slot in the frame of its page, and its geometric error in metres. A tile
+    /// without an error of its own has half of that above it; it is 0 if none above has one.
+    pub(crate) fn slot_volume(&self, slot: NodeId) -> Option<(OrientedBox, f64)> {
+        let page = self.page(slot.page)?;
+        let first = page.tile_of(slot.index)?;
+        let (mut tile, mut scale, mut error_m) = (first, 1.0, 0.0);
+        while error_m == 0.0 {
+            let metric_m = f64::from(page.tiles().bounds().get(tile)?.metric_m());
+            let has_error = !page.tiles().records().get(tile)?.has(flag::DISTANCE);
+            // Tiles that are always refined have an error that says nothing.
+            if has_error && metric_m > 0.0 && metric_m < MAX_ERROR_M {
+                error_m = scale * metric_m;
+            }
+            scale *= 0.5;
+            match page.tiles().parents().get(tile) {
+                Some(parent) if (*parent as usize) < page.tiles().len() => tile = *parent as usize,
+                _ => break,
+            }
+        }
+        Some((page.tile_box(first)?, error_m))
+    }
+}
+
+impl Page {
+    /// Returns the declared volume of a tile in the frame of the page; `None` if it is unbounded.
+    fn tile_box(&self, tile: usize) -> Option<OrientedBox> {
+        let page = self;
         let bounds = page.tiles().bounds().get(tile)?;
         let half_axes = if bounds.is_sphere() {
             if bounds.radius_m() >= UNBOUNDED {
@@ -74,11 +108,9 @@ impl Scene {
             DMat3::from_cols(x * half.x, y * half.y, z * half.z)
         };
         let in_tile = OrientedBox { center: page.tiles().grid().center(bounds), half_axes };
-        Some(in_tile.transformed(&(self.world_from_page(page_id)? * page.page_from_tile(tile)?)))
+        Some(in_tile.transformed(&page.page_from_tile(tile)?))
     }
-}
 
-impl Page {
     /// Maps the frame of a tile tree's bounds to the page's.
     pub(in crate::scene) fn page_from_tile(&self, tile: usize) -> Option<DAffine3> {
         Some(self.transforms().page_from_node(self.tiles().root_of(tile as u32)?.transform))

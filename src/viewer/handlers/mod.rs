@@ -2,6 +2,7 @@
 //!
 //! Each handles its own keys and lists them in the help. An application adds the ones it wants, or all with [`add_usual`].
 
+mod credits;
 mod help;
 mod lod_scale;
 mod pager_debug;
@@ -13,6 +14,7 @@ mod threading;
 mod usual;
 mod window_size;
 
+pub use credits::CreditsHandler;
 pub use help::HelpHandler;
 pub use lod_scale::LodScaleHandler;
 pub use pager_debug::{PagerDebugHandler, TileColors, TileState};

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use super::credits::CreditsHandler;
 use super::help::HelpHandler;
 use super::lod_scale::LodScaleHandler;
 use super::pager_debug::PagerDebugHandler;
@@ -17,6 +18,7 @@ use crate::viewer::View;
 /// written into `folder`.
 pub fn add_usual(view: &mut View, folder: &Path, stats: StatsPage) {
     view.add_event_handler(HelpHandler::default());
+    view.add_event_handler(CreditsHandler::default());
     view.add_event_handler(StatsHandler { page: stats });
     view.add_event_handler(WindowSizeHandler);
     view.add_event_handler(ScreenCaptureHandler::new(folder));

@@ -16,7 +16,7 @@ use std::sync::Arc;
 use anyhow::{Context as _, Result, anyhow, bail};
 use glam::{DAffine3, DMat4, DVec3};
 use terrane::fetch::shown;
-use terrane::formats::Style;
+use terrane::formats::{OverlaySet, Style};
 use terrane::pager::PagerConfig;
 use terrane::trace::Recording;
 use terrane::viewer::{
@@ -97,6 +97,7 @@ fn fly(args: Box<FlyArgs>, mut settings: DisplaySettings) -> Result<()> {
     config.pager.limits = args.net.limits();
     config.pager.max_bytes_loading = args.max_loading.map_or(config.pager.max_bytes_loading, |size| size.0);
     config.pager.style = args.style.as_deref().map(read_style).transpose()?;
+    config.pager.overlays = overlays(&args)?;
     let interrupt = Interrupt::new();
     // The root is read before a window opens or an adapter is requested, so that an invalid source ends the program here.
     if let Some(views) = views {
@@ -136,6 +137,18 @@ fn read_root(source: &str, config: &PagerConfig) -> Result<LoadedRoot, ViewerErr
         GLOBE => LoadedRoot::ellipsoid(config),
         source => LoadedRoot::read(source, config),
     }
+}
+
+/// Returns the overlays of the command line; `None` without any.
+fn overlays(args: &FlyArgs) -> Result<Option<Arc<OverlaySet>>> {
+    if args.overlays.is_empty() {
+        return Ok(None);
+    }
+    let set = OverlaySet::new(args.overlays.iter().map(|overlay| overlay.0.clone()).collect())?;
+    Ok(Some(Arc::new(match args.sse {
+        Some(limit) => set.with_max_sse_px(limit.0),
+        None => set,
+    })))
 }
 
 /// Reads a style from a file.

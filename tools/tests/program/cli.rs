@@ -97,6 +97,7 @@ fn invalid_arguments_exit_with_2() {
         &["stress", "--faults", "error=0.9,reset=0.9"],
         &["stress", "http://localhost/set/", "--faults", "error=0.1"],
         &["fly", "--sun", "180,x,30"],
+        &["fly", "--overlay", "http://h/{z}/{x}.png"],
         &["stress", "--seeds", "0"],
         &["gen", "set", "--jobs", "0"],
         &["bench", "resident", "--tiles", "0"],

@@ -6,7 +6,7 @@ struct SurfaceRecord {
     layers: vec4<u32>,    // of base colour, normals, occlusion-roughness-metallic and emission; NO_LAYER without a map
     factors: vec4<f32>,   // metallic, roughness, strength of occlusion, scale of normals
     emission: vec4<f32>,  // linear, in units of lit colours
-    occlusion_and_uv_bits: vec4<u32>,  // layer of occlusion; a bit for each map that uses the second texture coordinates
+    occlusion_uv_bits_overlay: vec4<u32>,  // layer of occlusion; a bit for each map with second texture coordinates; layer of the overlay
     uv_matrices: array<vec4<f32>, 4>,  // columns, by map
     uv_offsets: array<vec4<f32>, 2>,   // two maps a vector
 }
@@ -29,7 +29,9 @@ const MIN_ROUGHNESS: f32 = 0.07;
 @group(1) @binding(7) var emission_sampler: sampler;
 @group(1) @binding(8) var occlusion_layers: texture_2d_array<f32>;
 @group(1) @binding(9) var occlusion_sampler: sampler;
-@group(1) @binding(10) var<storage, read> surface_records: array<SurfaceRecord>;
+@group(1) @binding(10) var overlay_layers: texture_2d_array<f32>;
+@group(1) @binding(11) var overlay_sampler: sampler;
+@group(1) @binding(12) var<storage, read> surface_records: array<SurfaceRecord>;
 
 // The shape of the surface around a pixel, from derivatives, which are not available after branches.
 struct MeshShape {
@@ -77,7 +79,7 @@ struct MapPoint {
 
 fn map_point(in: MeshFragment, shape: MeshShape, map: u32) -> MapPoint {
     let record = in.leaf.x;
-    if (surface_records[record].occlusion_and_uv_bits.y >> map & 1u) == 0u {
+    if (surface_records[record].occlusion_uv_bits_overlay.y >> map & 1u) == 0u {
         return MapPoint(vec2<f32>(in.in_eye_u.w, in.normal_v.w), shape.uv_x, shape.uv_y);
     }
     let columns = surface_records[record].uv_matrices[map];
@@ -90,7 +92,15 @@ fn map_point(in: MeshFragment, shape: MeshShape, map: u32) -> MapPoint {
 fn base_color(in: MeshFragment) -> vec4<f32> {
     let uv = vec2<f32>(in.in_eye_u.w, in.normal_v.w);
     let layer = surface_records[in.leaf.x].layers.x;
-    return texel(textureSample(color_layers, color_sampler, uv, layer), in.leaf.y) * in.color;
+    let base = texel(textureSample(color_layers, color_sampler, uv, layer), in.leaf.y) * in.color;
+    let overlay_x = dpdx(in.second_uv);
+    let overlay_y = dpdy(in.second_uv);
+    let overlay = surface_records[in.leaf.x].occlusion_uv_bits_overlay.z;
+    if overlay == NO_LAYER || (in.leaf.y & FLAG_UNTEXTURED) != 0u {
+        return base;
+    }
+    let above = textureSampleGrad(overlay_layers, overlay_sampler, in.second_uv, overlay, overlay_x, overlay_y);
+    return vec4<f32>(mix(base.rgb, above.rgb, above.a), base.a);
 }
 
 // Returns a normal bent by a texel of a normal map. The axes of the map follow from derivatives (C. Schueler, Followup:
@@ -166,7 +176,7 @@ fn shade(in: MeshFragment, is_front: bool, shape: MeshShape, base: vec4<f32>) ->
     // Parts of the record, since a copy of all of it for each pixel is slow.
     let layers = surface_records[in.leaf.x].layers;
     let factors = surface_records[in.leaf.x].factors;
-    let occlusion_layer = surface_records[in.leaf.x].occlusion_and_uv_bits.x;
+    let occlusion_layer = surface_records[in.leaf.x].occlusion_uv_bits_overlay.x;
     let has_maps = (in.leaf.y & FLAG_UNTEXTURED) == 0u;
     var metallic = factors.x;
     var roughness = factors.y;

@@ -126,8 +126,9 @@ impl<'a> Surfaces<'a> {
             emissive,
             emissive_map,
             second_uv: of.second_uv,
+            overlay: None,
         };
-        let shared = [shared_normal, shared_metallic, shared_emissive, shared_occlusion];
+        let shared = [shared_normal, shared_metallic, shared_emissive, shared_occlusion, None];
         Ok((model, shared.map(Option::flatten)))
     }
 }

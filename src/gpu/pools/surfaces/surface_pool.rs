@@ -108,8 +108,8 @@ impl SurfacePool {
         (color, white): (TextureLayer, TextureLayer),
         maps: &MapLayers,
     ) -> Result<SurfaceSlot, String> {
-        let [normal, metallic, emission, occlusion] = maps.map(|map| map.unwrap_or(white).block);
-        let blocks = [color.block, normal, metallic, emission, occlusion];
+        let [normal, metallic, emission, occlusion, overlay] = maps.map(|map| map.unwrap_or(white).block);
+        let blocks = [color.block, normal, metallic, emission, occlusion, overlay];
         let slot = self.take_slot(memory, layouts, textures, blocks)?;
         if let Some(set) = self.sets.get_mut(slot.set) {
             set.maps[slot.record as usize] = *maps;

@@ -14,12 +14,13 @@ pub(crate) struct SurfaceRecord {
     pub(crate) factors: [f32; 4],
     /// Emitted light, linear; the last element is unused.
     pub(crate) emission: [f32; 4],
-    /// The layer of occlusion, and a bit for each map that uses the second texture coordinates; the rest is unused.
-    pub(crate) occlusion_and_uv_bits: [u32; 4],
+    /// The layer of occlusion, a bit for each map that uses the second texture coordinates, and the layer of the overlay; the
+    /// rest is unused.
+    pub(crate) occlusion_uv_bits_overlay: [u32; 4],
     /// The columns of the matrices from the second texture coordinates to those of each map.
-    pub(crate) uv_matrices: [[f32; 4]; MetallicRoughness::MAPS],
+    pub(crate) uv_matrices: [[f32; 4]; MetallicRoughness::TRANSFORMED_MAPS],
     /// The offsets after the matrices; two maps a vector.
-    pub(crate) uv_offsets: [[f32; 4]; MetallicRoughness::MAPS / 2],
+    pub(crate) uv_offsets: [[f32; 4]; MetallicRoughness::TRANSFORMED_MAPS / 2],
 }
 
 impl SurfaceRecord {
@@ -27,7 +28,8 @@ impl SurfaceRecord {
     pub(crate) const NO_LAYER: u32 = u32::MAX;
 
     pub(super) fn new(surface: &MetallicRoughness, color: TextureLayer, maps: &MapLayers) -> Self {
-        let [normal, metallic, emission, occlusion] = maps.map(|map| map.map_or(Self::NO_LAYER, |map| map.layer));
+        let [normal, metallic, emission, occlusion, overlay] =
+            maps.map(|map| map.map_or(Self::NO_LAYER, |map| map.layer));
         let [r, g, b] = surface.emissive;
         let transforms = surface.second_uv.of_maps();
         let seconds = (0..).zip(transforms).filter(|(_, transform)| transform.is_some());
@@ -36,7 +38,7 @@ impl SurfaceRecord {
         let offsets = transforms.map(|transform| transform.translation.to_array());
         let pair = |map: usize| [offsets[map][0], offsets[map][1], offsets[map + 1][0], offsets[map + 1][1]];
         Self {
-            occlusion_and_uv_bits: [occlusion, seconds, 0, 0],
+            occlusion_uv_bits_overlay: [occlusion, seconds, overlay, 0],
             uv_matrices: transforms.map(|transform| transform.matrix2.to_cols_array()),
             uv_offsets: [pair(0), pair(2)],
             layers: [color.layer, normal, metallic, emission],

@@ -1,0 +1,73 @@
+//! The overlays of one content: what a loader fetches for it, and their part in its decoding. Decode and loading threads.
+
+use std::sync::Arc;
+
+use super::drape;
+use super::extent::Extent;
+use super::set::OverlaySet;
+use crate::fetch::markup::text_and_first_byte;
+use crate::formats::ignored::Notes;
+use crate::formats::model_files::begins_like_tileset;
+use crate::formats::options::{Content, Fetched, ReadOptions};
+use crate::scene::{Node, ReaderData};
+
+/// A content that is covered, with its overlays.
+struct Covered<'a> {
+    set: &'a OverlaySet,
+    extent: Extent,
+    is_height: bool,
+}
+
+impl<'a> Covered<'a> {
+    /// Returns `None` for contents that are tile trees, empty, or not on the earth.
+    fn new(bytes: &[u8], reader_data: Option<&ReaderData>, options: &'a ReadOptions) -> Option<Self> {
+        let (set, volume) = (options.overlays.as_deref()?, options.tile.as_ref()?);
+        let is_in_memory = reader_data.is_some_and(ReaderData::is_whole_content);
+        let (text, first) = text_and_first_byte(bytes);
+        let is_tree = reader_data.is_some_and(ReaderData::continues_tileset)
+            || bytes.starts_with(b"subt")
+            || (first == Some(b'{') && begins_like_tileset(text));
+        if is_tree || (bytes.is_empty() && !is_in_memory) {
+            return None;
+        }
+        let is_height = bytes.starts_with(&[0x76, 0x2f, 0x31, 0x01]);
+        Some(Self { set, extent: Extent::new(volume, reader_data)?, is_height })
+    }
+}
+
+/// Returns the documents and images that the overlays of a content need next; see [`OverlaySet`].
+pub(in crate::formats) fn needed(
+    bytes: &[u8],
+    reader_data: Option<&ReaderData>,
+    known: &[Fetched],
+    options: &ReadOptions,
+) -> Vec<Arc<str>> {
+    let covered = Covered::new(bytes, reader_data, options);
+    covered.map_or(Vec::new(), |of| of.set.needed(&of.extent, of.is_height, known, &options.limits))
+}
+
+/// The overlays of a content that is being decoded, with their images.
+pub(in crate::formats) struct Draping {
+    /// The extent and the images; `None` for a content that is not covered.
+    covered: Option<(Extent, Vec<Fetched>)>,
+}
+
+impl Draping {
+    /// Takes copies of the images among the companions of a content. Returns `None` without overlays.
+    pub fn new(content: &Content, options: &ReadOptions) -> Option<Self> {
+        options.overlays.as_ref()?;
+        let covered = Covered::new(&content.bytes, content.reader_data.as_ref(), options);
+        let covered = covered.map(|Covered { set, extent, is_height }| {
+            (extent, set.fetched(&extent, is_height, &content.companions, &options.limits))
+        });
+        Some(Self { covered })
+    }
+
+    /// Covers the drawables of the content, and keeps the regions of its tiles.
+    pub fn apply(self, node: &mut Node, options: &ReadOptions, notes: &Notes) {
+        drape::note_regions(node);
+        if let (Some((extent, images)), Some(set)) = (self.covered, &options.overlays) {
+            drape::apply(node, set, &extent, &images, options.set_from_content, &options.limits, notes);
+        }
+    }
+}
