@@ -4,7 +4,7 @@ use std::io::Write as _;
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
-use crate::Crs;
+use crate::{Crs, HeightEncoding, RasterOptions, VerticalDatum};
 
 /// Largest number of levels of a pyramid.
 pub(crate) const MAX_LEVELS: u32 = 9;
@@ -23,21 +23,55 @@ pub enum ContentKind {
     Mesh,
 }
 
+/// The treatment of positions without elevation inside the rectangle of the set.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum Voids {
+    /// Nothing is drawn there. Tiles on the border are meshes.
+    #[default]
+    Cut,
+    /// They continue the heights around them.
+    Fill,
+    /// They lie at a height of 0 m.
+    Sea,
+}
+
 /// Makes a tile set from elevation files, or from noise if none are given.
 #[derive(Clone, Debug, clap::Args)]
 pub struct GenArgs {
     /// Folder to write
     pub out: PathBuf,
-    /// Elevation: GeoTIFF, HGT, terrain-RGB PNG or EXR; where several overlap, the first with data wins
-    #[arg(long, value_name = "FILE")]
+    /// Elevation: GeoTIFF, HGT (also in a zip file), PNG, EXR or ASCII grid; a folder of them or of web tiles z/x/y.png; a
+    /// pattern such as "*.tif"; or a text file with a path in each line. Where files overlap, the first with data wins
+    #[arg(long, value_name = "FILE", num_args = 1..)]
     pub dem: Vec<PathBuf>,
+    /// Treatment of positions without elevation
+    #[arg(long, value_enum, default_value_t)]
+    pub voids: Voids,
+    /// Value of elevation samples without data, beside the one that a file declares
+    #[arg(long, value_name = "V", allow_negative_numbers = true)]
+    pub nodata: Option<f64>,
+    /// Channel with heights: a name in EXR files, after PART: if there are several parts; a number from 1 in GeoTIFF
+    #[arg(long, value_name = "NAME")]
+    pub channel: Option<String>,
+    /// Meaning of the colours of PNGs
+    #[arg(long, value_enum, default_value_t)]
+    pub encoding: HeightEncoding,
+    /// Metres for each step of grey PNGs, or for each unit of EXR files
+    #[arg(long, value_name = "M", allow_negative_numbers = true)]
+    pub height_scale: Option<f64>,
+    /// Metres that are added to the scaled heights of grey PNGs and EXR files
+    #[arg(long, value_name = "M", default_value_t = 0.0, allow_negative_numbers = true)]
+    pub height_offset: f64,
     /// Colour: GeoTIFF, or PNG or JPEG with a world file
     #[arg(long, value_name = "FILE")]
     pub imagery: Option<PathBuf>,
-    /// EPSG code of the reference system of rasters that do not name one, such as those with a world file: 4326, 3857,
-    /// or 326zz, 327zz, 258zz or 269zz for UTM zones
-    #[arg(long, value_name = "CODE", value_parser = reference_system)]
+    /// Reference system of rasters that do not name one, or one that is not supported: an EPSG code, or PROJ's notation
+    /// (+proj=...)
+    #[arg(long, value_name = "CODE", value_parser = Crs::parse)]
     pub epsg: Option<Crs>,
+    /// Surface that the heights of --dem are measured from: ellipsoid, egm96, egm2008, or a geoid grid of PROJ (GTX)
+    #[arg(long, value_name = "DATUM", default_value = "ellipsoid", value_parser = VerticalDatum::parse)]
+    pub vertical_datum: VerticalDatum,
     /// Content of the tiles
     #[arg(long, value_enum, default_value_t)]
     pub content: ContentKind,
@@ -67,8 +101,15 @@ impl GenArgs {
         Self {
             out: out.into(),
             dem: Vec::new(),
+            voids: Voids::Cut,
+            nodata: None,
+            channel: None,
+            encoding: HeightEncoding::TerrainRgb,
+            height_scale: None,
+            height_offset: 0.0,
             imagery: None,
             epsg: None,
+            vertical_datum: VerticalDatum::Ellipsoid,
             content: ContentKind::Height,
             float_vertices: false,
             levels: None,
@@ -79,11 +120,40 @@ impl GenArgs {
         }
     }
 
+    /// Returns what elevation files do not say themselves.
+    pub fn raster_options(&self) -> RasterOptions {
+        RasterOptions {
+            crs: self.epsg.clone(),
+            channel: self.channel.clone(),
+            nodata: self.nodata,
+            height_scale: self.height_scale,
+            height_offset: self.height_offset,
+            encoding: self.encoding,
+        }
+    }
+
     /// Checks options that have no effect together; the error names both. The command line also refuses `--size` and
     /// `--seed` beside `--dem`.
     pub(crate) fn check(&self) -> Result<(), String> {
         if self.dem.is_empty() && self.imagery.is_none() && self.epsg.is_some() {
             return Err("--epsg has no effect without --dem or --imagery".to_owned());
+        }
+        for (name, is_given) in [
+            ("--voids", self.voids != Voids::Cut),
+            ("--nodata", self.nodata.is_some()),
+            ("--channel", self.channel.is_some()),
+            ("--encoding", self.encoding != HeightEncoding::TerrainRgb),
+            ("--height-scale", self.height_scale.is_some()),
+            ("--height-offset", self.height_offset != 0.0),
+            ("--vertical-datum", self.vertical_datum != VerticalDatum::Ellipsoid),
+        ] {
+            if self.dem.is_empty() && is_given {
+                return Err(format!("{name} has no effect without --dem"));
+            }
+        }
+        let is_finite = self.height_scale.is_none_or(|scale| scale.is_finite() && scale != 0.0);
+        if !is_finite || !self.height_offset.is_finite() {
+            return Err("--height-scale and --height-offset must be finite, and the scale not 0".to_owned());
         }
         if self.content == ContentKind::Height && self.float_vertices {
             return Err("--float-vertices has no effect without --content mesh".to_owned());
@@ -102,12 +172,6 @@ fn jobs(text: &str) -> Result<usize, String> {
     jobs.ok_or_else(|| format!("expected a number of threads from {} to {}", JOBS.start(), JOBS.end()))
 }
 
-fn reference_system(code: &str) -> Result<Crs, String> {
-    let known = code.parse().ok().and_then(Crs::from_epsg);
-    known
-        .ok_or_else(|| "unknown code; supported are 4326, 3857 and 326zz, 327zz, 258zz, 269zz for UTM zones".to_owned())
-}
-
 /// The summary of a run, printed at its end.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Summary {
@@ -123,17 +187,25 @@ pub struct Summary {
     pub min_height_m: f64,
     /// Highest height in metres.
     pub max_height_m: f64,
-    /// The number of samples of the finest level without data; they were filled from their surroundings.
+    /// The number of samples of the finest level without data that were given heights.
     pub filled_samples: u64,
+    /// The number of samples of the finest level without data that were left out.
+    pub cut_samples: u64,
     /// Measured errors by level, root first, metres.
     pub level_errors_m: Vec<f64>,
     /// The duration of the run in seconds.
     pub seconds: f64,
+    /// Notes about the sources, each a sentence.
+    pub notes: Vec<String>,
 }
 
 impl Summary {
-    /// Writes the summary as one line to standard output. A closed pipe is not an error.
+    /// Writes the notes to standard error and the summary as one line to standard output. A closed pipe is not an error.
     pub fn print(&self) -> std::io::Result<()> {
+        for note in &self.notes {
+            // The set is complete even if the notes cannot be written.
+            let _ = writeln!(std::io::stderr(), "note: {note}");
+        }
         let mut out = std::io::stdout().lock();
         match writeln!(out, "{self}").and_then(|()| out.flush()) {
             Err(e) if e.kind() == std::io::ErrorKind::BrokenPipe => Ok(()),
@@ -146,13 +218,14 @@ impl std::fmt::Display for Summary {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(
             f,
-            "{} tiles on {} levels, {:.1} MB, heights {:.0} to {:.0} m, {} samples filled, {:.1} s: {}",
+            "{} tiles on {} levels, {:.1} MB, heights {:.0} to {:.0} m, {} samples without data {}, {:.1} s: {}",
             self.tiles,
             self.levels,
             self.bytes as f64 / 1e6,
             self.min_height_m,
             self.max_height_m,
-            self.filled_samples,
+            self.filled_samples + self.cut_samples,
+            if self.filled_samples > 0 { "filled" } else { "left out" },
             self.seconds,
             self.out.display()
         )

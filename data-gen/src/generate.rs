@@ -5,12 +5,14 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use crate::args::{JOBS, MAX_LEVELS, SIZES_M};
-use crate::color::{Imagery, Painter};
-use crate::elevation::Mosaic;
+use crate::color::{Imagery, Painter, TEXELS};
+use crate::elevation::{Mosaic, expand};
 use crate::georeference::ROUNDING;
 use crate::output::{PartialFolder, write_tiles};
 use crate::pyramid::CELLS;
-use crate::{ElevationSource, Extent, GenArgs, GenError, Grid, Procedural, Progress, Pyramid, Raster, Summary};
+use crate::{
+    ElevationSource, Extent, GenArgs, GenError, Grid, Procedural, Progress, Pyramid, Raster, Sampling, Summary,
+};
 
 /// Longitude and latitude of the middle of procedural terrain, in degrees.
 const PROCEDURAL_CENTER: [f64; 2] = [8.0, 47.0];
@@ -46,6 +48,7 @@ pub fn run(args: &GenArgs) -> Result<Summary, GenError> {
         return Err(GenError::Exists(out));
     }
     let out = if out.exists() { out.canonicalize().map_err(GenError::file(&out))? } else { out };
+    let args = &GenArgs { dem: expand(&args.dem)?, ..args.clone() };
     if occupied {
         check_replaceable(&out, args)?;
     }
@@ -92,10 +95,15 @@ struct Terrain {
     source: Box<dyn ElevationSource>,
     extent: Extent,
     levels: u32,
+    /// True if the finest level is as fine as the source.
+    is_fine: bool,
+    /// Notes about the sources, each a sentence.
+    notes: Vec<String>,
 }
 
-/// Reads the elevation files, or creates procedural terrain if there are none.
-fn terrain(args: &GenArgs) -> Result<Terrain, GenError> {
+/// Reads the elevation files, or creates procedural terrain if there are none. By default there are enough levels for all
+/// detail of the elevation and of the imagery.
+fn terrain(args: &GenArgs, imagery: Option<&Imagery>) -> Result<Terrain, GenError> {
     if args.dem.is_empty() {
         let [lon, lat] = PROCEDURAL_CENTER.map(f64::to_radians);
         let half = 0.5 * args.size / 6_371_000.0;
@@ -103,10 +111,19 @@ fn terrain(args: &GenArgs) -> Result<Terrain, GenError> {
         let extent = Extent { west: lon - half_lon, south: lat - half, east: lon + half_lon, north: lat + half };
         let source = Procedural { seed: args.seed, cos_latitude: lat.cos() };
         let levels = args.levels.unwrap_or(PROCEDURAL_LEVELS);
-        return Ok(Terrain { source: Box::new(source), extent, levels });
+        return Ok(Terrain { source: Box::new(source), extent, levels, is_fine: false, notes: Vec::new() });
     }
-    let rasters = args.dem.iter().map(|path| Raster::read_in(path, args.epsg)).collect::<Result<Vec<_>, _>>()?;
-    let rasters = unwrap_at_date_line(rasters);
+    let options = args.raster_options();
+    let rasters = args.dem.iter().map(|path| Raster::read_in(path, &options)).collect::<Result<Vec<_>, _>>()?;
+    let mut rasters = unwrap_at_date_line(rasters);
+    if let Some(geoid) = args.vertical_datum.geoid()? {
+        for (raster, path) in rasters.iter_mut().zip(&args.dem) {
+            if !raster.raise(&geoid) {
+                let reason = format!("reaches beyond the geoid grid {}", args.vertical_datum);
+                return Err(GenError::invalid(path, reason));
+            }
+        }
+    }
     let mut e = Extent { west: f64::MAX, south: f64::MAX, east: f64::MIN, north: f64::MIN };
     // The smallest step between samples, east and north, in radians.
     let mut step = [f64::INFINITY; 2];
@@ -118,8 +135,7 @@ fn terrain(args: &GenArgs) -> Result<Terrain, GenError> {
             east: e.east.max(east),
             north: e.north.max(north),
         };
-        let [w, h] = r.size();
-        let own = [(east - west) / (w.max(2) - 1) as f64, (north - south) / (h.max(2) - 1) as f64];
+        let own = r.sample_distance();
         step = [step[0].min(own[0]), step[1].min(own[1])];
     }
     const OUT_OF_RANGE: &str = "the elevation lies outside of the earth's coordinates or has no extent";
@@ -134,11 +150,40 @@ fn terrain(args: &GenArgs) -> Result<Terrain, GenError> {
     if let Some(problem) = problem {
         return Err(GenError::invalid(args.dem.first().cloned().unwrap_or_default(), problem));
     }
+    let needed = levels_for([e.east - e.west, e.north - e.south], step, CELLS);
+    let mut wanted = needed;
+    if let Some(imagery) = imagery {
+        wanted = wanted.max(levels_for([e.east - e.west, e.north - e.south], imagery.pixel_size(), TEXELS as usize));
+    }
+    let levels = args.levels.unwrap_or(wanted.min(MAX_LEVELS));
+    let mut notes = notes(&rasters);
+    if levels < wanted {
+        notes.push(format!("the sources have detail for {wanted} levels; {levels} are written"));
+    }
+    let source = Box::new(Mosaic::new(rasters));
+    Ok(Terrain { source, extent: e, levels, is_fine: levels >= needed, notes })
+}
+
+/// Returns the number of levels whose finest one has steps of at most a size, for a rectangle with these sides. A tile has
+/// `per_tile` steps along a side.
+fn levels_for(sides: [f64; 2], step: [f64; 2], per_tile: usize) -> u32 {
     // The tolerance makes 513 samples 512 cells in spite of rounding.
-    let cells = ((e.east - e.west) / step[0]).max((e.north - e.south) / step[1]) - 1e-6;
-    let detailed = ((cells / CELLS as f64).log2().ceil().max(0.0) as u32 + 1).clamp(1, MAX_LEVELS);
-    let levels = args.levels.unwrap_or(detailed);
-    Ok(Terrain { source: Box::new(Mosaic::new(rasters)), extent: e, levels })
+    let steps = (sides[0] / step[0]).max(sides[1] / step[1]) - 1e-6;
+    let levels = (steps / per_tile as f64).log2().ceil().max(0.0) + 1.0;
+    if levels.is_finite() { levels as u32 } else { 1 }
+}
+
+/// Heights of the earth in metres, with some room.
+const EARTH_M: [f32; 2] = [-12_000.0, 9_000.0];
+
+/// Returns notes about heights that the earth does not have.
+fn notes(rasters: &[Raster]) -> Vec<String> {
+    let ranges = rasters.iter().map(Raster::range_m);
+    let [low, high] = ranges.fold(EARTH_M, |[low, high], own| [low.min(own[0]), high.max(own[1])]);
+    let unusual = [(low < EARTH_M[0]).then_some(low), (high > EARTH_M[1]).then_some(high)];
+    let note =
+        |height_m| format!("a height of {height_m} m is not the earth's; the unit or the scale of a file may be wrong");
+    unusual.into_iter().flatten().map(note).collect()
 }
 
 /// Adds a turn to western longitudes if files lie on both sides of the date line or across it, so that all are one piece.
@@ -165,8 +210,8 @@ fn widest_gap(intervals: &mut [[f64; 2]]) -> f64 {
 
 /// Samples, measures and paints the terrain, and writes its tiles into `folder`.
 fn generate_into(args: &GenArgs, folder: &Path) -> Result<Summary, GenError> {
-    let Terrain { source, extent, levels } = terrain(args)?;
-    let imagery = args.imagery.as_deref().map(|path| Imagery::read(path, args.epsg)).transpose()?;
+    let imagery = args.imagery.as_deref().map(|path| Imagery::read(path, args.epsg.clone())).transpose()?;
+    let Terrain { source, extent, levels, is_fine, notes } = terrain(args, imagery.as_ref())?;
     if let (Some(image), Some(path)) = (&imagery, &args.imagery)
         && !image.covers(&extent)
     {
@@ -174,9 +219,16 @@ fn generate_into(args: &GenArgs, folder: &Path) -> Result<Summary, GenError> {
     }
     let side = (CELLS << (levels - 1)) + 1;
     let sampling = Progress::new("sampling the elevation", side as u64, "rows");
-    let grid = Grid::sample_rows(source.as_ref(), extent, side, &|| sampling.advance(1));
+    let row_done = || sampling.advance(1);
+    let how = Sampling { voids: args.voids, keep_extrema: is_fine, row_done: &row_done };
+    let grid = Grid::sample_rows(source.as_ref(), extent, side, &how);
     drop(sampling);
-    let pyramid = Pyramid::new(grid, levels);
+    let pyramid = Pyramid::new(grid, levels, source.as_ref());
+    if pyramid.keys().next().is_none() {
+        let reason = "no neighbouring samples have heights; --voids fill continues them";
+        return Err(GenError::invalid(args.dem.first().cloned().unwrap_or_default(), reason));
+    }
     let painter = Painter::new(&pyramid, imagery.as_ref());
-    write_tiles(args, &pyramid, &painter, folder)
+    let summary = write_tiles(args, &pyramid, &painter, folder)?;
+    Ok(Summary { notes, ..summary })
 }

@@ -19,10 +19,10 @@ mod output;
 mod progress;
 mod pyramid;
 
-pub use args::{ContentKind, GenArgs, Summary};
-pub use elevation::{ElevationSource, Procedural, Raster};
+pub use args::{ContentKind, GenArgs, Summary, Voids};
+pub use elevation::{ElevationSource, HeightEncoding, Procedural, Raster, RasterOptions, SourceSample};
 pub use error::GenError;
 pub use generate::{default_set, run};
-pub use georeference::{Crs, utm_from_geodetic, utm_to_geodetic};
+pub use georeference::{Crs, Projection, VerticalDatum, utm_from_geodetic, utm_to_geodetic};
 pub use progress::Progress;
-pub use pyramid::{Extent, Grid, Pyramid, TileKey};
+pub use pyramid::{Extent, Grid, Pyramid, Sampling, TileKey};

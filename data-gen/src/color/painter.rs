@@ -44,23 +44,25 @@ impl<'a> Painter<'a> {
         let u = [0.5, N as f64 - 0.5].map(|c| (f64::from(key.x) + c / N as f64) / tiles);
         let mut terrain = TerrainRow::new(self, key.level, u);
         let mut colors = [[0.0f32; N]; 3];
+        let texel = [e.east - e.west, e.north - e.south].map(|side| side / N as f64);
+        let image_level = self.imagery.map_or(0, |imagery| imagery.level(&e, texel));
         for row in 0..N {
             let v = (f64::from(key.y) + 1.0 - (row as f64 + 0.5) / N as f64) / tiles;
             let latitude = e.north - (e.north - e.south) * (row as f64 + 0.5) / N as f64;
             let mut has_terrain = false;
             for column in 0..N {
                 let longitude = e.west + (e.east - e.west) * (column as f64 + 0.5) / N as f64;
-                let color = match self.imagery.and_then(|i| i.at(longitude, latitude)) {
-                    Some(color) => color.map(|c| c as f32),
-                    None => {
-                        if !has_terrain {
-                            terrain.sample(self, v);
-                            terrain.color(self.low_m as f32, self.high_m as f32, &mut colors);
-                            has_terrain = true;
-                        }
-                        [colors[0][column], colors[1][column], colors[2][column]]
+                let image = self.imagery.and_then(|imagery| imagery.at(longitude, latitude, image_level));
+                let [r, g, b, opacity] = image.unwrap_or_default().map(|c| c as f32);
+                let mut color = [r, g, b];
+                if opacity < 1.0 {
+                    if !has_terrain {
+                        terrain.sample(self, v);
+                        terrain.color(self.low_m as f32, self.high_m as f32, &mut colors);
+                        has_terrain = true;
                     }
-                };
+                    color = [0, 1, 2].map(|k| colors[k][column] + (color[k] - colors[k][column]) * opacity);
+                }
                 rgb.extend(color.map(|c| (c + 0.5) as u8));
             }
         }

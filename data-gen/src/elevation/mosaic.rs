@@ -2,13 +2,15 @@
 //! are interpolated, so that there is no step.
 
 use super::raster::Raster;
-use super::source::ElevationSource;
+use super::source::{ElevationSource, SourceSample};
 
 /// Rasters in the order of their priority.
 pub(crate) struct Mosaic {
     rasters: Vec<Raster>,
     /// [`Raster::steps`] of each raster.
     steps: Vec<Option<[f64; 2]>>,
+    /// [`Raster::bounds`] of each raster, larger by a pixel of the coarsest one.
+    bounds: Vec<[f64; 4]>,
 }
 
 /// A raster near a position that lies between rasters.
@@ -25,7 +27,19 @@ struct Neighbor {
 impl Mosaic {
     pub fn new(rasters: Vec<Raster>) -> Self {
         let steps = rasters.iter().map(Raster::steps).collect();
-        Self { rasters, steps }
+        let distances = rasters.iter().map(Raster::sample_distance);
+        let [dx, dy] = distances.fold([0.0; 2], |a: [f64; 2], b| [a[0].max(b[0]), a[1].max(b[1])]);
+        let larger = |[west, south, east, north]: [f64; 4]| [west - dx, south - dy, east + dx, north + dy];
+        let bounds = rasters.iter().map(|raster| larger(raster.bounds())).collect();
+        Self { rasters, steps, bounds }
+    }
+
+    /// Returns the indices of the rasters whose bounds, larger by a pixel of the coarsest one, contain a position.
+    fn near(&self, longitude: f64, latitude: f64) -> impl Iterator<Item = usize> {
+        let contains = move |[west, south, east, north]: &[f64; 4]| {
+            (*west..=*east).contains(&longitude) && (*south..=*north).contains(&latitude)
+        };
+        self.bounds.iter().enumerate().filter(move |(_, bounds)| contains(bounds)).map(|(k, _)| k)
     }
 
     /// Interpolates at a position between the outermost sample centres of neighbours. The nearest raster in each of the
@@ -34,7 +48,7 @@ impl Mosaic {
     fn interpolate_between(&self, longitude: f64, latitude: f64) -> Option<f64> {
         let covers = |r: &&Raster| r.locate(longitude, latitude).is_some_and(|p| p.is_covered());
         let mut owner = None;
-        for (k, raster) in self.rasters.iter().enumerate().filter(|(_, r)| covers(r)) {
+        for (k, raster) in self.near(longitude, latitude).map(|k| (k, &self.rasters[k])).filter(|(_, r)| covers(r)) {
             let Some(neighbor) = self.neighbor(k, longitude, latitude) else {
                 match raster.height_m(longitude, latitude) {
                     Some(height_m) => return Some(height_m),
@@ -47,7 +61,7 @@ impl Mosaic {
         let owner = owner?;
         // South-west, south-east, north-west and north-east of the position.
         let mut quadrants: [Option<Neighbor>; 4] = [None; 4];
-        for n in (0..self.rasters.len()).filter_map(|k| self.neighbor(k, longitude, latitude)) {
+        for n in self.near(longitude, latitude).filter_map(|k| self.neighbor(k, longitude, latitude)) {
             // Between the sample centres of files that touch lies half a pixel of each; 0.505 allows for rounding.
             let touches = (0..2).all(|axis| {
                 let gap = (n.beyond[axis] - owner.beyond[axis]).abs();
@@ -93,11 +107,40 @@ impl ElevationSource for Mosaic {
         if let [one] = &self.rasters[..] {
             return one.height_m(longitude, latitude);
         }
-        let inside = self.rasters.iter().find_map(|raster| {
+        let inside = self.near(longitude, latitude).find_map(|k| {
+            let raster = &self.rasters[k];
             let position = raster.locate(longitude, latitude).filter(|p| p.beyond_px == [0.0; 2])?;
             raster.bilinear_m(position.nearest_px)
         });
         inside.or_else(|| self.interpolate_between(longitude, latitude))
+    }
+
+    fn sample_rows(&self) -> usize {
+        self.rasters.iter().map(|raster| raster.size()[1]).sum()
+    }
+
+    fn samples_of_row(&self, row: usize, call: &mut dyn FnMut(SourceSample)) {
+        let mut row = row;
+        for (k, raster) in self.rasters.iter().enumerate() {
+            let [columns, rows] = raster.size();
+            if row >= rows {
+                row -= rows;
+                continue;
+            }
+            for column in 0..columns {
+                let Some(([longitude, latitude], height_m)) = raster.sample(column, row) else { continue };
+                let is_hidden = self.near(longitude, latitude).take_while(|other| *other < k).any(|other| {
+                    let position = self.rasters[other].locate(longitude, latitude).filter(|p| p.beyond_px == [0.0; 2]);
+                    position.is_some_and(|p| self.rasters[other].bilinear_m(p.nearest_px).is_some())
+                });
+                if !is_hidden {
+                    let outside = |longitude: f64, latitude: f64| self.height_m(longitude, latitude);
+                    let is_extremum = raster.is_extremum(column, row, outside);
+                    call(SourceSample { longitude, latitude, height_m, is_extremum });
+                }
+            }
+            return;
+        }
     }
 }
 
@@ -197,7 +240,7 @@ mod tests {
         let mut first = mosaic(|_, _| 100.0, &[([8.0, 44.0], 0.25, 8)]);
         let second = mosaic(|_, _| 300.0, &[([9.0, 44.0], 0.25, 8)]);
         first.rasters.extend(second.rasters);
-        first.steps.extend(second.steps);
+        first = Mosaic::new(first.rasters);
         assert_eq!(
             [8.5, 9.5, 9.87, 9.88, 10.5].map(|x| at(&first, x, 43.0).unwrap()),
             [100.0, 100.0, 100.0, 300.0, 300.0]

@@ -1,15 +1,22 @@
 //! One elevation raster in memory: its samples, its position on the earth, and interpolation between samples.
 
-use super::source::ElevationSource;
-use crate::georeference::Placement;
+use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
-/// Heights above this are taken for missing data, such as SRTM's -32768. The earth has no such heights or depths.
-const MAX_ABS_HEIGHT_M: f32 = 12_000.0;
+use rayon::prelude::*;
+
+use super::source::ElevationSource;
+use crate::georeference::{Geoid, Placement, ROUNDING};
+
+/// Heights above this are taken for missing data, such as the lowest number of a format. Heights in decimetres are below
+/// it.
+const MAX_ABS_HEIGHT_M: f32 = 100_000.0;
 
 /// One elevation file in memory.
 pub struct Raster {
     width: usize,
     height: usize,
+    /// The number of columns once around the earth; `None` if the raster does not reach around it.
+    around: Option<usize>,
     /// Metres, north row first; NaN where unknown.
     samples: Vec<f32>,
     placement: Placement,
@@ -17,14 +24,29 @@ pub struct Raster {
 
 impl Raster {
     /// Creates a raster of heights in metres, NaN where they are unknown. Impossible heights count as unknown. A raster
-    /// beyond 180 degrees of longitude is moved by a whole turn onto the earth.
+    /// beyond 180 degrees of longitude is moved by a whole turn onto the earth; one around the earth has no ends.
     pub(super) fn new([width, height]: [usize; 2], mut samples: Vec<f32>, placement: Placement) -> Self {
         for h in samples.iter_mut().filter(|h| h.abs() > MAX_ABS_HEIGHT_M) {
             *h = f32::NAN;
         }
-        let mut raster = Self { width, height, samples, placement };
-        raster.placement = placement.wrapped(raster.bounds());
+        let mut raster = Self { width, height, around: None, samples, placement };
+        raster.around = raster.columns_around();
+        if raster.around.is_none() {
+            raster.placement = raster.placement.clone().wrapped(raster.bounds());
+        }
         raster
+    }
+
+    /// Returns the number of columns once around the earth if the raster reaches around it. Its last column may be the
+    /// first one again.
+    fn columns_around(&self) -> Option<usize> {
+        let (middle, columns) = (0.5 * self.height as f64, self.width as f64);
+        let longitude = |column: f64| self.placement.longitude_latitude(column, middle)[0];
+        let wide = longitude(columns - 0.5) - longitude(0.5);
+        let step = wide / (columns - 1.0);
+        let is_north_up = self.placement.longitude_latitude(0.5, 0.5)[0] == longitude(0.5);
+        let found = [self.width, self.width - 1].into_iter().find(|n| (step * *n as f64 - TAU).abs() < 0.01 * step);
+        found.filter(|columns| is_north_up && *columns >= 4)
     }
 
     /// Returns true if any sample has a height.
@@ -34,7 +56,22 @@ impl Raster {
 
     /// Adds a whole turn to the longitudes; the position on the earth stays the same.
     pub(crate) fn turn_east(&mut self) {
-        self.placement = self.placement.turned_east();
+        if self.around.is_none() {
+            self.placement = self.placement.clone().turned_east();
+        }
+    }
+
+    /// Adds the height of a geoid to each sample. Returns false if the geoid has no height at one of them.
+    pub(crate) fn raise(&mut self, geoid: &Geoid) -> bool {
+        let (placement, width) = (&self.placement, self.width);
+        self.samples.par_chunks_mut(width).enumerate().all(|(row, samples)| {
+            samples.iter_mut().enumerate().filter(|(_, h)| h.is_finite()).all(|(column, h)| {
+                let [longitude, latitude] = placement.longitude_latitude(column as f64 + 0.5, row as f64 + 0.5);
+                let Some(undulation_m) = geoid.height_m(longitude, latitude) else { return false };
+                *h = (f64::from(*h) + undulation_m) as f32;
+                true
+            })
+        })
     }
 
     /// Returns the width and height in samples.
@@ -48,7 +85,8 @@ impl Raster {
         finite.fold([f32::INFINITY, f32::NEG_INFINITY], |[a, b], h| [a.min(*h), b.max(*h)])
     }
 
-    /// Returns west, south, east and north of the outermost samples in radians.
+    /// Returns west, south, east and north of the outermost samples in radians. A raster around the earth reaches from
+    /// -180 to 180 degrees, and to the poles if its pixels do.
     pub fn bounds(&self) -> [f64; 4] {
         let mut b = [f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY];
         let (w, h) = (self.width as f64, self.height as f64);
@@ -60,38 +98,99 @@ impl Raster {
                 b = [b[0].min(lon), b[1].min(lat), b[2].max(lon), b[3].max(lat)];
             }
         }
+        if self.around.is_some() {
+            let edges = [0.0, h].map(|row| self.placement.longitude_latitude(0.5, row)[1]);
+            let [south, north] = [edges[0].min(edges[1]), edges[0].max(edges[1])];
+            let is_pole = |edge: f64| (edge.abs() - FRAC_PI_2).abs() < ROUNDING;
+            b = [
+                -PI,
+                if is_pole(south) { -FRAC_PI_2 } else { b[1] },
+                PI,
+                if is_pole(north) { FRAC_PI_2 } else { b[3] },
+            ];
+        }
         b
+    }
+
+    /// Returns the distance between samples along the longer sides of the bounds, east and north, in radians.
+    pub(crate) fn sample_distance(&self) -> [f64; 2] {
+        let [west, south, east, north] = self.bounds();
+        let columns = self.around.unwrap_or(self.width.max(2) - 1);
+        // Samples around the earth lie half a pixel from the poles.
+        let rows =
+            if self.around.is_some() && north - south > PI - ROUNDING { self.height } else { self.height.max(2) - 1 };
+        [(east - west) / columns as f64, (north - south) / rows as f64]
+    }
+
+    /// Returns a sample, and its longitude and latitude in radians; `None` without data.
+    pub(crate) fn sample(&self, column: usize, row: usize) -> Option<([f64; 2], f64)> {
+        let height_m = *self.samples.get(row * self.width + column).filter(|h| h.is_finite())?;
+        let [longitude, latitude] = self.placement.longitude_latitude(column as f64 + 0.5, row as f64 + 0.5);
+        let turns = if self.around.is_some() { (longitude / TAU).round() * TAU } else { 0.0 };
+        Some(([longitude - turns, latitude], height_m.into()))
+    }
+
+    /// Returns true if a sample is higher, or lower, than each of its neighbours with data. `outside` gives the heights in
+    /// metres of those beyond the edges, at a longitude and latitude in radians.
+    pub(crate) fn is_extremum(&self, column: usize, row: usize, outside: impl Fn(f64, f64) -> Option<f64>) -> bool {
+        let at = |dx: i64, dy: i64| {
+            let (x, y) = (column as i64 + dx, row as i64 + dy);
+            let x = self.around.map_or(x, |columns| x.rem_euclid(columns as i64));
+            if (0..self.width as i64).contains(&x) && (0..self.height as i64).contains(&y) {
+                return self.samples.get(y as usize * self.width + x as usize).map_or(f64::NAN, |h| f64::from(*h));
+            }
+            let [longitude, latitude] = self.placement.longitude_latitude(x as f64 + 0.5, y as f64 + 0.5);
+            outside(longitude, latitude).unwrap_or(f64::NAN)
+        };
+        let own = at(0, 0);
+        let around = [(-1, -1), (0, -1), (1, -1), (-1, 0), (1, 0), (-1, 1), (0, 1), (1, 1)].map(|(dx, dy)| at(dx, dy));
+        let is_none = |test: fn(f64, f64) -> bool| !around.iter().any(|other| test(*other, own));
+        // Heights beyond the edges are interpolated, with rounding errors.
+        own.is_finite() && (is_none(|other, own| other >= own - 1e-6) || is_none(|other, own| other <= own + 1e-6))
     }
 
     /// Locates a longitude and latitude in radians relative to the sample centres. `None` if the reference system has
     /// no coordinates there.
     pub(crate) fn locate(&self, longitude: f64, latitude: f64) -> Option<SamplePosition> {
         let [c, r] = self.placement.pixel(longitude, latitude)?;
-        let at = [c - 0.5, r - 0.5];
-        let last = [self.width as f64 - 1.0, self.height as f64 - 1.0];
+        let mut at = [c - 0.5, r - 0.5];
+        let mut last = [self.width as f64 - 1.0, self.height as f64 - 1.0];
+        if let Some(columns) = self.around {
+            // Rounding may give the number of columns itself.
+            at[0] = at[0].rem_euclid(columns as f64);
+            last[0] = columns as f64;
+        }
         let nearest_px = [0, 1].map(|k| at[k].clamp(0.0, last[k]));
         // Less than a thousandth of a pixel outside is a rounding error.
         let beyond_px = [0, 1].map(|k| at[k] - nearest_px[k]).map(|b: f64| if b.abs() < 1e-3 { 0.0 } else { b });
         Some(SamplePosition { nearest_px, beyond_px })
     }
 
-    /// Interpolates between the four samples around a column and row. Unknown samples are left out and the weights of
-    /// the others scaled up; `None` if all four are unknown.
+    /// Interpolates between the four samples around a column and row. Samples without data are left out and the weights of
+    /// the others scaled up; `None` if the nearest sample has no data.
     pub(crate) fn bilinear_m(&self, [x, y]: [f64; 2]) -> Option<f64> {
         let (x0, y0) = (x.floor(), y.floor());
         let (fx, fy) = (x - x0, y - y0);
-        let (mut sum, mut weights) = (0.0, 0.0);
+        let (mut sum, mut weights, mut nearest) = (0.0, 0.0, (0.0, f64::NAN));
         for (dx, dy, weight) in
             [(0, 0, (1.0 - fx) * (1.0 - fy)), (1, 0, fx * (1.0 - fy)), (0, 1, (1.0 - fx) * fy), (1, 1, fx * fy)]
         {
-            let (i, j) = ((x0 as usize + dx).min(self.width - 1), (y0 as usize + dy).min(self.height - 1));
+            let (i, j) = (self.column(x0 as usize + dx), (y0 as usize + dy).min(self.height - 1));
             let sample = f64::from(*self.samples.get(j * self.width + i)?);
+            if weight > nearest.0 {
+                nearest = (weight, sample);
+            }
             if weight > 0.0 && sample.is_finite() {
                 sum += weight * sample;
                 weights += weight;
             }
         }
-        (weights > 1e-6).then(|| sum / weights)
+        nearest.1.is_finite().then(|| sum / weights)
+    }
+
+    /// Returns the column of a sample: the last one, or the first again, if `column` is beyond the last.
+    fn column(&self, column: usize) -> usize {
+        self.around.map_or(column.min(self.width - 1), |columns| column % columns)
     }
 
     /// Returns a column's step east and a row's step north at the centre, in radians. `None` if the raster is rotated

@@ -5,8 +5,10 @@
 
 use terrane::math::WGS84;
 
+use super::projection::Projection;
+
 /// A supported coordinate reference system.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum Crs {
     /// Longitude and latitude in degrees, EPSG:4326. NAD83's 4269 and ETRS89's 4258 differ by less than two metres and
     /// are read as the same.
@@ -21,6 +23,8 @@ pub enum Crs {
         /// True for the northern hemisphere, which has no false northing.
         north: bool,
     },
+    /// Another system of EPSG, or one in PROJ's notation.
+    Projection(Projection),
 }
 
 impl Crs {
@@ -33,33 +37,70 @@ impl Crs {
             32701..=32760 => Some(Self::Utm { zone: code - 32700, north: false }),
             25828..=25838 => Some(Self::Utm { zone: code - 25800, north: true }),
             26901..=26923 => Some(Self::Utm { zone: code - 26900, north: true }),
-            _ => None,
+            _ if has_other_meridian(code) => None,
+            _ => {
+                let definition = crs_definitions::from_code(code.try_into().ok()?)?.proj4;
+                Projection::new(definition).ok().map(Self::Projection)
+            }
+        }
+    }
+
+    /// Reads a code (`2056`, `EPSG:2056`) or a definition in PROJ's notation (`+proj=...`). The error is the reason.
+    pub fn parse(text: &str) -> Result<Self, String> {
+        let text = text.trim();
+        if text.starts_with('+') {
+            return Projection::new(text).map(Self::Projection);
+        }
+        let code = text.strip_prefix("EPSG:").or_else(|| text.strip_prefix("epsg:")).unwrap_or(text);
+        let code =
+            code.parse().map_err(|_| format!("`{text}` is neither an EPSG code nor a definition like +proj=..."))?;
+        Self::from_epsg(code)
+            .ok_or_else(|| format!("EPSG:{code} is not supported; give it in PROJ's notation, +proj=..."))
+    }
+
+    /// Returns the EPSG codes of the system's unit of length; empty for degrees and for units that are not known.
+    pub(super) fn units_of_length(&self) -> &'static [u32] {
+        let Self::Projection(projection) = self else {
+            return if *self == Self::Geographic { &[] } else { &[9001] };
+        };
+        match projection.unit_m() {
+            Some(1.0) => &[9001],
+            Some(metres) if (metres - 0.3048).abs() < 1e-9 => &[9002],
+            Some(metres) if (metres - 1200.0 / 3937.0).abs() < 1e-9 => &[9003],
+            _ => &[],
         }
     }
 
     /// Converts a longitude and latitude in radians to coordinates in the system, in degrees or metres.
     pub fn project(&self, longitude: f64, latitude: f64) -> [f64; 2] {
-        match *self {
+        match self {
             Self::Geographic => [longitude.to_degrees(), latitude.to_degrees()],
             Self::WebMercator => {
                 let y = (std::f64::consts::FRAC_PI_4 + 0.5 * latitude).tan().ln();
                 [WGS84.semi_major_m * longitude, WGS84.semi_major_m * y]
             }
-            Self::Utm { zone, north } => utm_from_geodetic(zone, north, longitude, latitude),
+            Self::Utm { zone, north } => utm_from_geodetic(*zone, *north, longitude, latitude),
+            Self::Projection(projection) => projection.project(longitude, latitude),
         }
     }
 
     /// Converts coordinates in the system to a longitude and latitude in radians.
     pub fn unproject(&self, x: f64, y: f64) -> [f64; 2] {
-        match *self {
+        match self {
             Self::Geographic => [x.to_radians(), y.to_radians()],
             Self::WebMercator => {
                 let latitude = 2.0 * (y / WGS84.semi_major_m).exp().atan() - std::f64::consts::FRAC_PI_2;
                 [x / WGS84.semi_major_m, latitude]
             }
-            Self::Utm { zone, north } => utm_to_geodetic(zone, north, x, y),
+            Self::Utm { zone, north } => utm_to_geodetic(*zone, *north, x, y),
+            Self::Projection(projection) => projection.unproject(x, y),
         }
     }
+}
+
+/// Returns true for EPSG's geographic systems whose longitudes do not start at Greenwich. Some of them use grads.
+pub(super) fn has_other_meridian(code: u32) -> bool {
+    matches!(code, 4801..=4821 | 4901..=4904 | 5229 | 8042 | 8043)
 }
 
 /// The coefficients of Krüger's series.

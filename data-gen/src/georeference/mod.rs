@@ -1,10 +1,17 @@
-//! The position of rasters on the earth: reference systems, transforms from pixels, GeoTIFF tags and world files.
+//! The position of rasters on the earth: reference systems, transforms from pixels, GeoTIFF tags, world files
+//! and geoids.
 
 mod crs;
+mod geo_keys;
+mod geoid;
 pub(crate) mod geotiff;
 mod placement;
+mod projection;
 mod transform;
 
 pub use crs::{Crs, utm_from_geodetic, utm_to_geodetic};
+pub(crate) use geoid::Geoid;
+pub use geoid::VerticalDatum;
 pub(crate) use placement::{Placement, ROUNDING};
+pub use projection::Projection;
 pub(crate) use transform::GeoTransform;

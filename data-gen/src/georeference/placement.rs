@@ -17,7 +17,7 @@ const DEFAULT_PLACEMENT: ([f64; 2], f64) = ([8.0, 47.0], 1.0 / 3600.0);
 pub(crate) const ROUNDING: f64 = 1e-6;
 
 /// Converts between the pixels of a raster and longitude and latitude.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Placement {
     transform: GeoTransform,
     crs: Crs,
@@ -60,16 +60,32 @@ impl Placement {
     /// reference system of files that do not name one.
     pub fn of_tiff(path: &Path, tiff: &Tiff, given: Option<Crs>) -> Result<Option<Self>, GenError> {
         let Some(transform) = tiff.transform.or_else(|| world_file(path)) else { return Ok(None) };
-        let named = tiff.keys.crs(given).map_err(|reason| GenError::invalid(path, reason))?;
+        let named = tiff.keys.crs(given.clone()).map_err(|reason| GenError::invalid(path, reason))?;
         let crs = named.map_or_else(|| unnamed_crs(path, &transform, [tiff.width, tiff.height], given), Ok)?;
         Ok(Some(Self::new(transform, crs)))
+    }
+
+    /// Positions a raster with a transform that names no reference system: in the system `given`, or in degrees if its
+    /// coordinates can be degrees.
+    pub fn of_unnamed(
+        path: &Path,
+        transform: GeoTransform,
+        size: [usize; 2],
+        given: Option<Crs>,
+    ) -> Result<Self, GenError> {
+        Ok(Self::new(transform, unnamed_crs(path, &transform, size, given)?))
+    }
+
+    /// Returns true if a valid world file lies beside an image.
+    pub fn has_world_file(path: &Path) -> bool {
+        world_file(path).is_some()
     }
 
     /// Positions an image by the world file beside it, in the reference system `given`. Without a world file it lies at the
     /// default position.
     pub fn of_image(path: &Path, size: [usize; 2], given: Option<Crs>) -> Result<Self, GenError> {
         match world_file(path) {
-            Some(transform) => Ok(Self::new(transform, unnamed_crs(path, &transform, size, given)?)),
+            Some(transform) => Self::of_unnamed(path, transform, size, given),
             None => Ok(Self::default()),
         }
     }

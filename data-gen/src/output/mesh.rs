@@ -14,7 +14,8 @@ pub(crate) fn ecef_from_tile(pyramid: &Pyramid, key: TileKey) -> DAffine3 {
     WGS84.ecef_from_enu(&Geodetic { longitude: 0.5 * (e.west + e.east), latitude: 0.5 * (e.south + e.north), height_m })
 }
 
-/// Builds the mesh of a tile. Skirts hang `skirt_m` down from its edges; `image` is its JPEG texture.
+/// Builds the mesh of a tile, without triangles where there is no data. Skirts hang `skirt_m` down from its edges; `image` is
+/// its JPEG texture.
 pub(crate) fn build(pyramid: &Pyramid, key: TileKey, skirt_m: f64, image: Vec<u8>, quantized: bool) -> GlbMesh {
     let e = pyramid.extent(key);
     let tile_from_ecef = ecef_from_tile(pyramid, key).inverse();
@@ -44,7 +45,13 @@ pub(crate) fn build(pyramid: &Pyramid, key: TileKey, skirt_m: f64, image: Vec<u8
     for j in 0..CELLS {
         for i in 0..CELLS {
             let (sw, se, nw, ne) = (at(i, j), at(i + 1, j), at(i, j + 1), at(i + 1, j + 1));
-            mesh.indices.extend([sw, se, ne, sw, ne, nw]);
+            let [south_east, north_west] = pyramid.triangles(key, i, j);
+            if south_east {
+                mesh.indices.extend([sw, se, ne]);
+            }
+            if north_west {
+                mesh.indices.extend([sw, ne, nw]);
+            }
         }
     }
     // The edge runs counter-clockwise seen from above, so that the front of the skirt faces outwards.
@@ -64,7 +71,38 @@ pub(crate) fn build(pyramid: &Pyramid, key: TileKey, skirt_m: f64, image: Vec<u8
         let next = (k + 1) % ring.len();
         let (a, b) = (at(ring[k].0, ring[k].1), at(ring[next].0, ring[next].1));
         let (c, d) = ((first + k) as u16, (first + next) as u16);
-        mesh.indices.extend([a, c, d, a, d, b]);
+        // The southern and eastern edges belong to south-eastern triangles, the others to north-western ones.
+        let (i, j) = (ring[k].0.min(ring[next].0).min(CELLS - 1), ring[k].1.min(ring[next].1).min(CELLS - 1));
+        let [south_east, north_west] = pyramid.triangles(key, i, j);
+        let has_data = if k < 2 * CELLS { south_east } else { north_west };
+        if has_data {
+            mesh.indices.extend([a, c, d, a, d, b]);
+        }
     }
+    remove_unused(&mut mesh);
     mesh
+}
+
+/// Removes the vertices that no triangle uses.
+fn remove_unused(mesh: &mut GlbMesh) {
+    let mut is_used = vec![false; mesh.positions.len()];
+    mesh.indices.iter().for_each(|index| is_used[usize::from(*index)] = true);
+    if !is_used.contains(&false) {
+        return;
+    }
+    let mut kept = 0;
+    let new: Vec<u16> = is_used
+        .iter()
+        .map(|used| {
+            kept += u16::from(*used);
+            kept.saturating_sub(1)
+        })
+        .collect();
+    mesh.indices.iter_mut().for_each(|index| *index = new[usize::from(*index)]);
+    let mut used = is_used.iter();
+    mesh.positions.retain(|_| used.next() == Some(&true));
+    let mut used = is_used.iter();
+    mesh.normals.retain(|_| used.next() == Some(&true));
+    let mut used = is_used.iter();
+    mesh.uvs.retain(|_| used.next() == Some(&true));
 }

@@ -1,5 +1,6 @@
 //! Writes the tiles of a pyramid and `tileset.json`.
 
+use std::collections::BTreeSet;
 use std::f64::consts::{PI, TAU};
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -11,10 +12,10 @@ use serde_json::{Value, json};
 use terrane::formats::writers::{write_glb, write_height_exr};
 
 use super::mesh;
-use crate::args::{ContentKind, GenArgs, Summary};
+use crate::args::{ContentKind, GenArgs, Summary, Voids};
 use crate::color::{Painter, TEXELS};
 use crate::georeference::ROUNDING;
-use crate::pyramid::{CELLS, Pyramid, QUANTUM_M, TileKey};
+use crate::pyramid::{CELLS, Coverage, Pyramid, QUANTUM_M, TileKey};
 use crate::{GenError, Progress};
 
 const JPEG_QUALITY: u8 = 85;
@@ -29,11 +30,10 @@ pub(crate) fn write_tiles(
 ) -> Result<Summary, GenError> {
     let levels = pyramid.levels;
     let keys: Vec<TileKey> = pyramid.keys().collect();
-    for level in 0..levels {
-        for x in 0..1u32 << level {
-            let path = folder.join(level.to_string()).join(x.to_string());
-            std::fs::create_dir_all(&path).map_err(GenError::file(&path))?;
-        }
+    let columns: BTreeSet<(u32, u32)> = keys.iter().map(|key| (key.level, key.x)).collect();
+    for (level, x) in columns {
+        let path = folder.join(level.to_string()).join(x.to_string());
+        std::fs::create_dir_all(&path).map_err(GenError::file(&path))?;
     }
     let progress = Progress::new("writing", keys.len() as u64, "tiles");
     let bytes = AtomicU64::new(0);
@@ -48,6 +48,11 @@ pub(crate) fn write_tiles(
     let root = TileKey { level: 0, x: 0, y: 0 };
     let facts = pyramid.facts(root);
     let diagonal_m = 2.0 * (facts.error_m + f64::from(facts.max_height_m - facts.min_height_m)) + 1.0;
+    let [min_height_m, max_height_m] = pyramid.grid.range_m().map(f64::from);
+    let (cut_samples, filled_samples) = match args.voids {
+        Voids::Cut => (pyramid.grid.voids, 0),
+        Voids::Fill | Voids::Sea => (0, pyramid.grid.voids),
+    };
     let mut asset = json!({ "version": "1.1", "generator": "terrane" });
     if args.content == ContentKind::Height {
         asset["extras"] = json!({ "terrane": {
@@ -55,8 +60,15 @@ pub(crate) fn write_tiles(
             "quantum_m": QUANTUM_M, "level_errors_m": level_errors_m,
         } });
     }
+    // `terrane info` prints it.
+    let properties = json!({
+        "minimumHeight": min_height_m, "maximumHeight": max_height_m, "finestError": level_errors_m.last(),
+        "samplesLeftOut": cut_samples, "samplesFilled": filled_samples,
+        "sourceVerticalDatum": args.vertical_datum.to_string(),
+    });
     let tree = tile_json(args, pyramid, &level_errors_m, root, DAffine3::IDENTITY);
     let mut tileset = json!({ "asset": asset, "geometricError": diagonal_m.max(2.0 * facts.error_m), "root": tree });
+    (tileset["schema"], tileset["metadata"]) = (schema(), json!({ "class": "terrain", "properties": properties }));
     tileset["root"]["refine"] = "REPLACE".into();
     let text = tileset.to_string();
     let path = folder.join("tileset.json");
@@ -66,12 +78,28 @@ pub(crate) fn write_tiles(
         tiles: keys.len() as u64,
         levels,
         bytes: bytes.into_inner() + text.len() as u64,
-        min_height_m: facts.min_height_m.into(),
-        max_height_m: facts.max_height_m.into(),
-        filled_samples: pyramid.grid.filled,
+        min_height_m,
+        max_height_m,
+        filled_samples,
+        cut_samples,
+        notes: Vec::new(),
         level_errors_m,
         seconds: 0.0,
     })
+}
+
+/// Returns the schema of the set's metadata.
+fn schema() -> Value {
+    let number =
+        |kind: &str, description: &str| json!({ "type": "SCALAR", "componentType": kind, "description": description });
+    json!({ "id": "terrane", "classes": { "terrain": { "properties": {
+        "minimumHeight": number("FLOAT64", "Lowest sample in metres above the ellipsoid"),
+        "maximumHeight": number("FLOAT64", "Highest sample in metres above the ellipsoid"),
+        "finestError": number("FLOAT64", "Largest difference of the finest level and the source in metres"),
+        "samplesLeftOut": number("UINT64", "Samples of the finest level without data that were left out"),
+        "samplesFilled": number("UINT64", "Samples of the finest level without data that were given heights"),
+        "sourceVerticalDatum": { "type": "STRING", "description": "Surface that the source's heights are measured from" },
+    } } } })
 }
 
 /// Returns the depth of a tile's skirt in metres. It covers the step to a neighbour one level coarser.
@@ -99,7 +127,7 @@ fn write_tile(
         std::fs::write(&path, bytes).map_err(GenError::file(&path))?;
         Ok(bytes.len() as u64)
     };
-    match args.content {
+    match form(args, pyramid, key) {
         ContentKind::Height => {
             let last = CELLS as i64 + 1;
             let mut heights = Vec::with_capacity((CELLS + 3) * (CELLS + 3));
@@ -117,7 +145,16 @@ fn write_tile(
     }
 }
 
-/// Returns the tile and its descendants as 3D Tiles JSON.
+/// Returns the form of a tile's content. Heights cannot leave out a part of a tile, so that tiles on the border of the data
+/// are meshes.
+fn form(args: &GenArgs, pyramid: &Pyramid, key: TileKey) -> ContentKind {
+    match pyramid.facts(key).coverage {
+        Coverage::Part => ContentKind::Mesh,
+        Coverage::Whole | Coverage::None => args.content,
+    }
+}
+
+/// Returns the tile and its descendants with data as 3D Tiles JSON. `ecef_from_parent` is the parent's frame.
 fn tile_json(
     args: &GenArgs,
     pyramid: &Pyramid,
@@ -141,10 +178,10 @@ fn tile_json(
     let leaf = key.level + 1 == pyramid.levels;
     let mut tile = json!({
         "boundingVolume": { "region": region },
-        "geometricError": if leaf { 0.0 } else { f.error_m },
+        "geometricError": f.error_m,
     });
-    let mut ecef_from_tile = ecef_from_parent;
-    match args.content {
+    let mut ecef_from_tile = DAffine3::IDENTITY;
+    match form(args, pyramid, key) {
         ContentKind::Height => {
             tile["content"] = json!({ "uri": format!("{name}.exr") });
             tile["extras"] = json!({ "terrane": { "imagery": format!("{name}.jpg") } });
@@ -152,17 +189,19 @@ fn tile_json(
         ContentKind::Mesh => {
             tile["content"] = json!({ "uri": format!("{name}.glb") });
             ecef_from_tile = mesh::ecef_from_tile(pyramid, key);
-            let parent_from_tile = ecef_from_parent.inverse() * ecef_from_tile;
-            tile["transform"] = json!(DMat4::from(parent_from_tile).to_cols_array());
         }
+    }
+    // Height tiles are placed by their region: their frame is the earth's, also below meshes.
+    if ecef_from_tile != ecef_from_parent {
+        let parent_from_tile = ecef_from_parent.inverse() * ecef_from_tile;
+        tile["transform"] = json!(DMat4::from(parent_from_tile).to_cols_array());
     }
     if !leaf {
         let children: Vec<Value> = [(0, 0), (1, 0), (0, 1), (1, 1)]
             .into_iter()
-            .map(|(dx, dy)| {
-                let child = TileKey { level: key.level + 1, x: 2 * key.x + dx, y: 2 * key.y + dy };
-                tile_json(args, pyramid, level_errors_m, child, ecef_from_tile)
-            })
+            .map(|(dx, dy)| TileKey { level: key.level + 1, x: 2 * key.x + dx, y: 2 * key.y + dy })
+            .filter(|child| pyramid.facts(*child).coverage != Coverage::None)
+            .map(|child| tile_json(args, pyramid, level_errors_m, child, ecef_from_tile))
             .collect();
         tile["children"] = children.into();
     }

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use crate::ElevationSource;
+use crate::{ElevationSource, Voids};
 
 /// A rectangle of longitude and latitude in radians.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -27,7 +27,21 @@ pub struct Grid {
     /// `side * side` heights in metres, rows from south to north, each from west to east.
     pub heights: Vec<f32>,
     /// The number of samples for which the source had no data.
-    pub filled: u64,
+    pub voids: u64,
+    /// True for samples without data, in the order of `heights`; empty if there are none, or if they were given heights.
+    /// The heights of such samples continue their surroundings.
+    is_void: Vec<bool>,
+}
+
+/// How a grid is sampled.
+pub struct Sampling<'a> {
+    /// The treatment of samples without data.
+    pub voids: Voids,
+    /// Gives the grid's nearest samples the heights of the source's highest and lowest ones. The distance between samples
+    /// must be at most the source's.
+    pub keep_extrema: bool,
+    /// Is called on a worker thread after each of the grid's rows.
+    pub row_done: &'a (dyn Fn() + Sync),
 }
 
 /// Heights are rounded to 1/128 m, so that a shared sample has the same bits in every tile and level.
@@ -36,32 +50,89 @@ pub const QUANTUM_M: f64 = 1.0 / 128.0;
 impl Grid {
     /// Samples a source, fills gaps from their surroundings, and rounds to the quantum.
     pub fn sample(source: &dyn ElevationSource, extent: Extent, side: usize) -> Self {
-        Self::sample_rows(source, extent, side, &|| ())
+        let sampling = Sampling { voids: Voids::Fill, keep_extrema: false, row_done: &|| () };
+        Self::sample_rows(source, extent, side, &sampling)
     }
 
-    /// Like [`Self::sample`]; calls `row_done` on a worker thread after each of the `side` rows.
-    pub fn sample_rows(
-        source: &dyn ElevationSource,
-        extent: Extent,
-        side: usize,
-        row_done: &(dyn Fn() + Sync),
-    ) -> Self {
-        let mut heights = vec![0.0f32; side * side];
+    /// Samples a source and rounds to the quantum.
+    pub fn sample_rows(source: &dyn ElevationSource, extent: Extent, side: usize, sampling: &Sampling<'_>) -> Self {
+        let mut grid = Self { extent, side, heights: vec![0.0f32; side * side], voids: 0, is_void: Vec::new() };
         let cells = (side - 1) as f64;
-        heights.par_chunks_mut(side).enumerate().for_each(|(j, row)| {
+        grid.heights.par_chunks_mut(side).enumerate().for_each(|(j, row)| {
             let latitude = extent.south + (extent.north - extent.south) * (j as f64 / cells);
             for (i, h) in row.iter_mut().enumerate() {
                 let longitude = extent.west + (extent.east - extent.west) * (i as f64 / cells);
                 *h = source.height_m(longitude, latitude).map_or(f32::NAN, |h| h as f32);
             }
-            row_done();
+            (sampling.row_done)();
         });
-        let filled = heights.par_iter().filter(|h| !h.is_finite()).count() as u64;
-        if filled > 0 {
-            fill(&mut heights, side, side);
+        if sampling.keep_extrema {
+            grid.keep_extrema(source);
+        }
+        let heights = &mut grid.heights;
+        grid.voids = heights.par_iter().filter(|h| !h.is_finite()).count() as u64;
+        if grid.voids > 0 {
+            match sampling.voids {
+                Voids::Cut => grid.is_void = heights.par_iter().map(|h| !h.is_finite()).collect(),
+                Voids::Fill => {}
+                Voids::Sea => heights.par_iter_mut().filter(|h| !h.is_finite()).for_each(|h| *h = 0.0),
+            }
+            fill(heights, side, side);
         }
         heights.par_iter_mut().for_each(|h| *h = ((f64::from(*h) / QUANTUM_M).round() * QUANTUM_M) as f32);
-        Self { extent, side, heights, filled }
+        grid
+    }
+
+    /// Gives the samples nearest to the source's highest and lowest ones their heights, so that peaks between the grid's
+    /// samples are not lost.
+    fn keep_extrema(&mut self, source: &dyn ElevationSource) {
+        let rows = (0..source.sample_rows()).into_par_iter();
+        let found: Vec<(usize, f32)> = rows
+            .flat_map_iter(|row| {
+                let mut found = Vec::new();
+                source.samples_of_row(row, &mut |sample| {
+                    if sample.is_extremum {
+                        let [x, y] = self.position(sample.longitude, sample.latitude).map(|c| c.round() as usize);
+                        found.push((y * self.side + x, sample.height_m as f32));
+                    }
+                });
+                found
+            })
+            .collect();
+        for (at, height_m) in found {
+            self.heights[at] = height_m;
+        }
+    }
+
+    /// Returns the column and row of a longitude and latitude in radians, clamped to the grid.
+    pub(super) fn position(&self, longitude: f64, latitude: f64) -> [f64; 2] {
+        let (e, cells) = (self.extent, (self.side - 1) as f64);
+        let (s, t) = ((longitude - e.west) / (e.east - e.west), (latitude - e.south) / (e.north - e.south));
+        // Sample positions that coincide must do so in spite of rounding.
+        [s, t].map(|c| (c * cells).clamp(0.0, cells)).map(|c| if (c - c.round()).abs() < 1e-7 { c.round() } else { c })
+    }
+
+    /// Returns true if all samples have data, or have been given heights.
+    pub(super) fn is_whole(&self) -> bool {
+        self.is_void.is_empty()
+    }
+
+    /// Returns true for a sample without data.
+    pub(super) fn is_void(&self, column: usize, row: usize) -> bool {
+        !self.is_void.is_empty() && self.is_void[row * self.side + column]
+    }
+
+    /// Returns which triangles of a cell have data at each corner: the south-eastern and the north-western one.
+    pub(super) fn triangles(&self, column: usize, row: usize) -> [bool; 2] {
+        let known = |i: usize, j: usize| !self.is_void(column + i, row + j);
+        let diagonal = known(0, 0) && known(1, 1);
+        [diagonal && known(1, 0), diagonal && known(0, 1)]
+    }
+
+    /// Returns the lowest and the highest sample with data in metres.
+    pub fn range_m(&self) -> [f32; 2] {
+        let known = self.heights.iter().enumerate().filter(|(k, _)| self.is_whole() || !self.is_void[*k]);
+        known.fold([f32::INFINITY, f32::NEG_INFINITY], |[low, high], (_, h)| [low.min(*h), high.max(*h)])
     }
 }
 
@@ -130,10 +201,26 @@ mod tests {
     fn gaps_are_filled_from_surroundings_and_counted() {
         let extent = Extent { west: -1.0, south: -1.0, east: 1.0, north: 1.0 };
         let g = Grid::sample(&Gap, extent, 65);
-        assert!(g.filled > 100);
+        assert!(g.voids > 100 && g.is_whole());
         for h in &g.heights {
             assert!((98.5..=101.5).contains(h), "{h}");
             assert_eq!(f64::from(*h) / QUANTUM_M, (f64::from(*h) / QUANTUM_M).round());
         }
+    }
+
+    #[test]
+    fn voids_are_cut_or_become_sea() {
+        let extent = Extent { west: -1.0, south: -1.0, east: 1.0, north: 1.0 };
+        let of = |voids| {
+            let sampling = Sampling { voids, keep_extrema: false, row_done: &|| () };
+            Grid::sample_rows(&Gap, extent, 65, &sampling)
+        };
+        let (filled, cut, sea) = (of(Voids::Fill), of(Voids::Cut), of(Voids::Sea));
+        assert_eq!([cut.voids, sea.voids], [filled.voids; 2]);
+        // The middle of the grid lies in the gap, and its corner does not.
+        assert!(cut.is_void(32, 32) && !cut.is_void(0, 0) && sea.is_whole());
+        assert_eq!((cut.triangles(32, 32), cut.triangles(0, 0)), ([false; 2], [true; 2]));
+        assert_eq!((&cut.heights, sea.heights[32 * 65 + 32]), (&filled.heights, 0.0));
+        assert_eq!([cut.range_m()[0], sea.range_m()[0]], [99.0, 0.0]);
     }
 }

@@ -4,6 +4,6 @@ mod grid;
 mod tiles;
 
 pub(crate) use grid::QUANTUM_M;
-pub use grid::{Extent, Grid};
-pub(crate) use tiles::CELLS;
+pub use grid::{Extent, Grid, Sampling};
+pub(crate) use tiles::{CELLS, Coverage};
 pub use tiles::{Pyramid, TileKey};

@@ -1,14 +1,15 @@
 //! The quadtree over a grid. Level L takes every `2^(levels-1-L)`-th sample, so that coarse samples equal fine samples
 //! bit for bit.
 //!
-//! The error of a tile is measured: the largest height difference between its triangles (diagonal south-west to
-//! north-east) and all samples of the finest level inside it. The difference includes the bulge of the earth above flat
-//! triangles, which is metres where samples lie kilometres apart.
+//! The error of a tile is measured. It is the largest height difference between its triangles (diagonal south-west to
+//! north-east) and all samples of the finest level inside it. The difference of the finest level and the source is added.
+//! The differences include the bulge of the earth above flat triangles, which is metres where samples lie kilometres apart.
 
 use rayon::prelude::*;
 use terrane::math::WGS84;
 
 use super::grid::{Extent, Grid, QUANTUM_M};
+use crate::ElevationSource;
 
 /// The number of cells along a tile's side.
 pub const CELLS: usize = 64;
@@ -33,7 +34,23 @@ pub struct TileFacts {
     pub min_height_m: f32,
     /// The highest height of the finest samples inside the tile.
     pub max_height_m: f32,
+    /// The part of the tile that has data.
+    pub coverage: Coverage,
 }
+
+/// The part of a tile that has data.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Coverage {
+    /// No triangle has data.
+    None,
+    /// Some triangles have data.
+    Part,
+    /// All samples have data.
+    Whole,
+}
+
+/// The largest error that is rounding of positions, in metres.
+const ROUNDING_M: f64 = 1e-6;
 
 /// A grid as a quadtree of tiles.
 pub struct Pyramid {
@@ -46,25 +63,39 @@ pub struct Pyramid {
 }
 
 impl Pyramid {
-    /// Measures every tile on all threads. Panics unless the grid's side is `64 * 2^(levels-1) + 1`.
-    pub fn new(grid: Grid, levels: u32) -> Self {
+    /// Measures every tile on all threads against the samples of `source` and the grid. Panics unless the grid's side is
+    /// `64 * 2^(levels-1) + 1`.
+    pub fn new(grid: Grid, levels: u32, source: &dyn ElevationSource) -> Self {
         assert_eq!(grid.side, (CELLS << (levels - 1)) + 1, "the grid was sampled for this pyramid");
         let mut facts: Vec<Vec<TileFacts>> = Vec::new();
+        // The error of the finest level below each tile of the current level.
+        let mut finest_errors_m = finest_errors_m(&grid, 1 << (levels - 1), source);
         for level in (0..levels).rev() {
             let tiles = 1usize << level;
             let finer = facts.last();
+            let children = |t: usize| {
+                let (x, y) = (t % tiles, t / tiles);
+                [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(cx, cy)| (2 * y + cy) * 2 * tiles + 2 * x + cx)
+            };
+            if finer.is_some() {
+                let below = |t: usize| children(t).map(|child| finest_errors_m[child]).into_iter().fold(0.0, f64::max);
+                finest_errors_m = (0..tiles * tiles).map(below).collect();
+            }
             let measured: Vec<TileFacts> = (0..tiles * tiles)
                 .into_par_iter()
                 .map(|t| {
-                    let (x, y) = (t % tiles, t / tiles);
-                    let mut f = measure(&grid, levels, level, x, y);
+                    let mut f = measure(&grid, levels, level, t % tiles, t / tiles);
+                    f.error_m += finest_errors_m[t];
                     if let Some(finer) = finer {
-                        for (cx, cy) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
-                            let child = finer[(2 * y + cy) * 2 * tiles + 2 * x + cx];
-                            f.error_m = f.error_m.max(child.error_m);
-                        }
+                        let children = children(t).map(|child| finer[child]);
+                        f.error_m = children.iter().fold(f.error_m, |error_m, child| error_m.max(child.error_m));
                         // With an error of 0 a flat parent would never be refined.
                         f.error_m = f.error_m.max(QUANTUM_M);
+                        f.coverage = match children.map(|child| child.coverage) {
+                            [Coverage::None, Coverage::None, Coverage::None, Coverage::None] => Coverage::None,
+                            [Coverage::Whole, Coverage::Whole, Coverage::Whole, Coverage::Whole] => Coverage::Whole,
+                            _ => Coverage::Part,
+                        };
                     }
                     f
                 })
@@ -85,11 +116,27 @@ impl Pyramid {
         self.facts[key.level as usize][((key.y << key.level) + key.x) as usize]
     }
 
-    /// Returns the keys of all tiles, coarse levels first.
+    /// Returns the keys of all tiles with data, coarse levels first.
     pub fn keys(&self) -> impl Iterator<Item = TileKey> {
-        (0..self.levels).flat_map(|level| {
+        let all = (0..self.levels).flat_map(|level| {
             (0..1u32 << level).flat_map(move |y| (0..1 << level).map(move |x| TileKey { level, x, y }))
-        })
+        });
+        all.filter(|key| self.facts(*key).coverage != Coverage::None)
+    }
+
+    /// Returns which triangles of the cell (i, j) of a tile have data: the south-eastern and the north-western one. Above the
+    /// finest level, both have data if any triangle of the finest level in the cell has.
+    pub fn triangles(&self, key: TileKey, i: usize, j: usize) -> [bool; 2] {
+        if self.grid.is_whole() {
+            return [true; 2];
+        }
+        let stride = self.stride(key.level);
+        let [x, y] = [(key.x, i), (key.y, j)].map(|(tile, cell)| (tile as usize * CELLS + cell) * stride);
+        if stride == 1 {
+            return self.grid.triangles(x, y);
+        }
+        let mut cells = (y..y + stride).flat_map(|row| (x..x + stride).map(move |column| (column, row)));
+        [cells.any(|(column, row)| self.grid.triangles(column, row) != [false; 2]); 2]
     }
 
     /// Returns the rectangle of a tile.
@@ -112,18 +159,58 @@ impl Pyramid {
     }
 
     /// Returns an error for each level in metres, root first: the largest of its tiles, at least 1.5 times that of the
-    /// next finer level, and 0 for the finest. The factor keeps the ranges in which neighbouring levels morph apart.
+    /// next finer level. The factor keeps the ranges in which neighbouring levels morph apart.
     pub fn level_errors_m(&self) -> Vec<f64> {
         let mut errors = vec![0.0f64; self.levels as usize];
-        for level in (0..self.levels as usize - 1).rev() {
-            let largest = self.facts[level].iter().map(|f| f.error_m).fold(0.0, f64::max);
+        let last = self.levels as usize - 1;
+        let largest = |level: usize| self.facts[level].iter().map(|f| f.error_m).fold(0.0, f64::max);
+        errors[last] = largest(last);
+        for level in (0..last).rev() {
+            let largest = largest(level);
             errors[level] = largest.max(1.5 * errors[level + 1]).max(QUANTUM_M);
         }
         errors
     }
 }
 
-/// Measures a tile without regard to its children.
+/// Returns for each tile of the finest level, row-major from the south-west, the largest height difference in metres between
+/// its triangles and the samples of a source inside it.
+fn finest_errors_m(grid: &Grid, tiles: usize, source: &dyn ElevationSource) -> Vec<f64> {
+    let largest = |mut a: Vec<f64>, b: Vec<f64>| {
+        a.iter_mut().zip(b).for_each(|(a, b)| *a = a.max(b));
+        a
+    };
+    let none = || vec![0.0f64; tiles * tiles];
+    let rows = (0..source.sample_rows()).into_par_iter();
+    let measured = rows.fold(none, |mut errors, row| {
+        source.samples_of_row(row, &mut |sample| {
+            let [x, y] = grid.position(sample.longitude, sample.latitude);
+            let [i, j] = [x, y].map(|c| (c as usize).min(grid.side - 2));
+            let (u, v) = (x - i as f64, y - j as f64);
+            let [lower, upper] = grid.triangles(i, j);
+            if !(if u >= v { lower } else { upper }) {
+                return;
+            }
+            let at = |di: usize, dj: usize| f64::from(grid.heights[(j + dj) * grid.side + i + di]);
+            let surface = on_triangles([at(0, 0), at(1, 0), at(0, 1), at(1, 1)], u, v);
+            let [east, north] = bulges_m(grid, j, 1, sample.height_m);
+            let bulge = east * u * (1.0 - u) + north * v * (1.0 - v);
+            let error = (surface - bulge - sample.height_m).abs();
+            let tile = &mut errors[j / CELLS * tiles + i / CELLS];
+            *tile = tile.max(if error < ROUNDING_M { 0.0 } else { error });
+        });
+        errors
+    });
+    measured.reduce(none, largest)
+}
+
+/// Returns the height at a position in a cell, 0..1 from west and from south, on its two triangles. The corners are in the
+/// order south-west, south-east, north-west, north-east.
+fn on_triangles([sw, se, nw, ne]: [f64; 4], u: f64, v: f64) -> f64 {
+    if u >= v { sw + u * (se - sw) + v * (ne - se) } else { sw + v * (nw - sw) + u * (ne - nw) }
+}
+
+/// Measures a tile without regard to its children and to the source.
 fn measure(grid: &Grid, levels: u32, level: u32, x: usize, y: usize) -> TileFacts {
     let stride = 1usize << (levels - 1 - level);
     let (x0, y0) = (x * CELLS * stride, y * CELLS * stride);
@@ -147,11 +234,7 @@ fn measure(grid: &Grid, levels: u32, level: u32, x: usize, y: usize) -> TileFact
                 for b in 0..=stride {
                     for a in 0..=stride {
                         let (u, v) = (a as f64 * step, b as f64 * step);
-                        let surface = if u >= v {
-                            sw + u * (se - sw) + v * (ne - se)
-                        } else {
-                            sw + v * (nw - sw) + u * (ne - nw)
-                        };
+                        let surface = on_triangles([sw, se, nw, ne], u, v);
                         let bulge = bulge_east * u * (1.0 - u) + bulge_north * v * (1.0 - v);
                         error = error.max((surface - bulge - f64::from(at(i + a, j + b))).abs());
                     }
@@ -159,7 +242,17 @@ fn measure(grid: &Grid, levels: u32, level: u32, x: usize, y: usize) -> TileFact
             }
         }
     }
-    TileFacts { error_m: error, min_height_m: low, max_height_m: high }
+    let mut coverage = Coverage::Whole;
+    if !grid.is_whole() && stride == 1 {
+        let inside = || (y0..=y0 + CELLS).flat_map(|j| (x0..=x0 + CELLS).map(move |i| (i, j)));
+        let mut cells = inside().filter(|(i, j)| *i < x0 + CELLS && *j < y0 + CELLS);
+        coverage = match () {
+            () if inside().all(|(i, j)| !grid.is_void(i, j)) => Coverage::Whole,
+            () if cells.any(|(i, j)| grid.triangles(i, j) != [false; 2]) => Coverage::Part,
+            () => Coverage::None,
+        };
+    }
+    TileFacts { error_m: error, min_height_m: low, max_height_m: high, coverage }
 }
 
 /// Returns how far the earth rises above chords through cells of `stride` samples from row `j` on. The two values are
@@ -182,13 +275,13 @@ fn bulges_m(grid: &Grid, j: usize, stride: usize, height_m: f64) -> [f64; 2] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{ElevationSource, Procedural};
+    use crate::Procedural;
     use terrane::math::Geodetic;
 
     fn pyramid() -> Pyramid {
         let source = Procedural { seed: 7, cos_latitude: 0.68 };
         let extent = Extent { west: 0.139, south: 0.82, east: 0.141, north: 0.8215 };
-        Pyramid::new(Grid::sample(&source as &dyn ElevationSource, extent, 257), 3)
+        Pyramid::new(Grid::sample(&source as &dyn ElevationSource, extent, 257), 3, &source)
     }
 
     #[test]
@@ -265,7 +358,7 @@ mod tests {
     fn errors_include_the_bulge_of_the_earth() {
         for (south, wide) in [(-2.0f64, 5.0f64), (44.0, 6.0), (70.0, 10.0)] {
             let [west, south, east, north] = [10.0, south, 10.0 + wide, south + 4.0].map(f64::to_radians);
-            let p = Pyramid::new(Grid::sample(&Flat, Extent { west, south, east, north }, 257), 3);
+            let p = Pyramid::new(Grid::sample(&Flat, Extent { west, south, east, north }, 257), 3, &Flat);
             for key in p.keys().filter(|k| k.level + 1 < p.levels) {
                 let (error, brute) = (p.facts(key).error_m, farthest_m(&p, key));
                 assert!(error > 0.99 * brute && error < 1.02 * brute + 0.01, "{key:?} {error} {brute}");

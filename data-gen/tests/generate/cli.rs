@@ -19,7 +19,7 @@ fn invalid_values_are_usage_errors() {
         ["--size", "3e9"],
         ["--levels", "0"],
         ["--levels", "10"],
-        ["--epsg", "2056"],
+        ["--epsg", "4978"],
         ["--epsg", "utm"],
         ["--content", "stones"],
         ["--jobs", "0"],

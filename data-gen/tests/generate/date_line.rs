@@ -7,7 +7,7 @@ use std::path::Path;
 use crate::files::{SIDE, each_tile, heights, region, tile_heights, tileset};
 use terrane::formats::writers::write_height_exr;
 use terrane::math::Region;
-use terrane_data_gen::{ContentKind, GenArgs, GenError, run};
+use terrane_data_gen::{ContentKind, GenArgs, GenError, Voids, run};
 
 /// The distance between samples in degrees.
 const PIXEL: f64 = 0.001;
@@ -93,7 +93,7 @@ fn files_on_both_sides_are_one_set() {
         check_regions(&both.out, [180.0 - part, 2.0 * part - PIXEL]);
     }
     let later = at("later.exr", -180.0 + part, half);
-    let apart = args(vec![before, later], folder.path().join("c"));
+    let apart = GenArgs { voids: Voids::Fill, ..args(vec![before, later], folder.path().join("c")) };
     let filled = run(&apart).unwrap().filled_samples;
     assert!((20_000..25_000).contains(&filled), "expected a third of 257 x 257, found {filled}");
     check_regions(&apart.out, [180.0 - part, 3.0 * part - PIXEL]);
@@ -121,7 +121,7 @@ fn imagery_beyond_the_date_line_is_used() {
 fn terrain_around_half_the_earth_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let path = file(folder.path(), "world.exr", 0.0, 0, SIDE as usize);
-    std::fs::write(path.with_extension("wld"), "9\n0\n0\n-4\n4.5\n80\n").unwrap();
+    std::fs::write(path.with_extension("wld"), "6\n0\n0\n-4\n4.5\n80\n").unwrap();
     let error = run(&args(vec![path], folder.path().join("set"))).unwrap_err();
     assert!(matches!(error, GenError::Invalid { .. }), "{error}");
     assert!(error.to_string().contains("world.exr: the elevation reaches across the date line and half"), "{error}");

@@ -8,7 +8,7 @@ use crate::files::{
     tiff_int16_with_metadata, tiff_uint16, tile_heights, tileset,
 };
 use terrane::formats::writers::write_height_exr;
-use terrane_data_gen::{GenArgs, GenError, Summary, run};
+use terrane_data_gen::{GenArgs, GenError, Summary, Voids, run};
 
 /// Generates a set, and checks the root's region against `bounds` and its corner heights against `corners_m`.
 fn check_placement(args: &GenArgs, bounds: [f64; 4], corners_m: Option<[f32; 4]>) -> Summary {
@@ -84,7 +84,7 @@ fn voids_are_filled_from_surroundings_and_counted() {
             let world = format!("{dx}\n0\n0\n-{dy}\n{}\n{}\n", west + 0.5 * dx, north - 0.5 * dy);
             fs::write(folder.path().join("lowest.wld"), world).unwrap();
         }
-        let args = from_dem(folder.path(), name, &bytes);
+        let args = GenArgs { voids: Voids::Fill, ..from_dem(folder.path(), name, &bytes) };
         let summary = check_placement(&args, PLACE.bounds(), Some(corners(&heights(), n)));
         assert!(summary.min_height_m >= 195.0 && summary.max_height_m <= 820.0, "{name}: {summary}");
         assert!(summary.filled_samples > 1000, "{name}: {summary}");
@@ -117,6 +117,7 @@ fn heights_in_feet_are_converted_to_metres() {
     .enumerate()
     {
         let args = from_dem(folder.path(), &format!("{k}.tif"), &tiff_int16_keyed(&h, Some(PLACE), &more));
+        let args = GenArgs { voids: Voids::Fill, ..args };
         let expected = corners(&h, SIDE as usize).map(|h| (f64::from(h) * metres) as f32);
         let summary = check_placement(&args, PLACE.bounds(), Some(expected));
         assert!(summary.min_height_m > 190.0 * metres, "{more:?}: a void became a depth, {summary}");
@@ -170,6 +171,7 @@ fn scaled_samples_are_converted_to_metres() {
         let metadata = format!("<GDALMetadata>{}</GDALMetadata>", items.concat());
         let args =
             from_dem(folder.path(), &format!("{k}.tif"), &tiff_int16_with_metadata(&h, &metadata, "-9999", &keys));
+        let args = GenArgs { voids: Voids::Fill, ..args };
         let expected = corners(&h, SIDE as usize).map(|h| (f64::from(h) * factor + offset) as f32);
         let summary = check_placement(&args, PLACE.bounds(), Some(expected));
         assert!(summary.min_height_m > 190.0 * factor + offset, "{metadata}: a void became a depth, {summary}");
@@ -201,7 +203,7 @@ fn srtm_hgt_is_placed_by_its_name() {
     let bytes: Vec<u8> = (0..1201).flat_map(|j| (0..1201).flat_map(move |i| height(i, j).to_be_bytes())).collect();
     let expected = [height(0, 0), height(1200, 0), height(0, 1200), height(1200, 1200)].map(f32::from);
     for (name, [west, south]) in [("N42E001.hgt", [1.0, 42.0f64]), ("s09w070.HGT", [-70.0, -9.0])] {
-        let args = from_dem(folder.path(), name, &bytes);
+        let args = GenArgs { voids: Voids::Fill, ..from_dem(folder.path(), name, &bytes) };
         check_placement(&args, [west, south, west + 1.0, south + 1.0].map(f64::to_radians), Some(expected));
     }
 }
@@ -379,7 +381,8 @@ fn broken_elevation_is_one_error_that_names_the_file() {
         ("void.tif", tiff_int16(&vec![-32768.0; n], Some(PLACE), None), "no sample has a height"),
         ("nowhere.tif", tiff_int16(&heights(), Some(nowhere), None), "outside of the earth's coordinates"),
         ("flat.tif", tiff_int16(&heights(), Some(flat), None), "outside of the earth's coordinates"),
-        ("text.tif", b"ncols 40\nnrows 40\n".to_vec(), "neither GeoTIFF"),
+        ("text.tif", b"ncols 40\nnrows 40\n".to_vec(), "ASCII grid: no cellsize"),
+        ("words.tif", b"heights of hills".to_vec(), "neither GeoTIFF"),
         ("empty.tif", Vec::new(), "neither GeoTIFF"),
         ("N42E001.hgt", vec![0; 1000], "HGT of 1000 bytes"),
         ("somewhere.hgt", vec![0; 1201 * 1201 * 2], "the name is not like"),
@@ -404,10 +407,14 @@ fn paths_that_are_not_regular_files_are_refused() {
     let pipe = folder.path().join("pipe");
     let mode = rustix::fs::Mode::RUSR | rustix::fs::Mode::WUSR;
     rustix::fs::mkfifoat(rustix::fs::CWD, &pipe, mode).unwrap();
-    for path in [folder.path(), Path::new("/dev/null"), &pipe] {
+    for path in [Path::new("/dev/null"), &pipe] {
         refused(&GenArgs { dem: vec![path.to_owned()], ..good.clone() }, path, "is not a regular file");
         refused(&GenArgs { imagery: Some(path.to_owned()), ..good.clone() }, path, "is not a regular file");
     }
+    let empty = folder.path().join("empty");
+    fs::create_dir(&empty).unwrap();
+    refused(&GenArgs { dem: vec![empty.clone()], ..good.clone() }, &empty, "a folder without elevation files");
+    refused(&GenArgs { imagery: Some(empty.clone()), ..good.clone() }, &empty, "is not a regular file");
     // The error comes before anything is generated.
     let link = folder.path().join("link");
     std::os::unix::fs::symlink("nowhere", &link).unwrap();
@@ -440,35 +447,6 @@ fn a_file_cut_anywhere_is_refused() {
     }
 }
 
-/// Returns a TIFF of 2 x 2 pixels with red, green and blue in separate planes.
-fn planar_tiff() -> Vec<u8> {
-    let mut bytes = b"II*\0".to_vec();
-    bytes.extend(50u32.to_le_bytes());
-    bytes.extend([200u8; 12]);
-    bytes.extend([8u16; 3].iter().flat_map(|bits| bits.to_le_bytes()));
-    bytes.extend([8u32, 12, 16, 4, 4, 4].iter().flat_map(|strip| strip.to_le_bytes()));
-    // Tag, type (3 has 16 bits, 4 has 32), count, and the value or its offset.
-    let entries: [[u32; 4]; 10] = [
-        [256, 3, 1, 2],
-        [257, 3, 1, 2],
-        [258, 3, 3, 20],
-        [259, 3, 1, 1],
-        [262, 3, 1, 2],
-        [273, 4, 3, 26],
-        [277, 3, 1, 3],
-        [278, 3, 1, 2],
-        [279, 4, 3, 38],
-        [284, 3, 1, 2],
-    ];
-    bytes.extend((entries.len() as u16).to_le_bytes());
-    for [tag, kind, count, value] in entries {
-        bytes.extend([tag as u16, kind as u16].iter().flat_map(|half| half.to_le_bytes()));
-        bytes.extend([count, value].iter().flat_map(|word| word.to_le_bytes()));
-    }
-    bytes.extend([0; 4]);
-    bytes
-}
-
 #[test]
 fn bad_imagery_and_arguments_are_refused() {
     let folder = tempfile::tempdir().unwrap();
@@ -476,8 +454,6 @@ fn bad_imagery_and_arguments_are_refused() {
     let path = folder.path().join("picture.tif");
     fs::write(&path, tiff_int16(&heights(), Some(PLACE), None)).unwrap();
     refused(&GenArgs { imagery: Some(path.clone()), ..args.clone() }, &path, "8 bits per channel");
-    fs::write(&path, planar_tiff()).unwrap();
-    refused(&GenArgs { imagery: Some(path.clone()), ..args.clone() }, &path, "channels in separate planes");
     let path = folder.path().join("picture.jpg");
     fs::write(&path, b"\xff\xd8\xff\xe0 nothing").unwrap();
     refused(&GenArgs { imagery: Some(path.clone()), ..args.clone() }, &path, "");

@@ -5,8 +5,11 @@ mod cli;
 mod date_line;
 mod elevation_files;
 mod files;
+
 mod fuzz_rasters;
+mod nothing_lost;
 mod reference_systems;
 mod samples;
 mod sets;
+mod tiffs;
 mod tree;

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use crate::files::{PLACE, SIDE, from_dem, heights, tiff_int16, tiff_int16_keyed};
 use terrane::formats::writers::write_height_exr;
-use terrane_data_gen::{Crs, GenArgs, GenError, Raster, run, utm_to_geodetic};
+use terrane_data_gen::{Crs, GenArgs, GenError, Raster, VerticalDatum, run, utm_to_geodetic};
 
 /// Easting and northing of the north-western sample, and the pixel size, in metres; a point of the Alps in zone 32.
 const PLANE: ([f64; 2], f64) = ([499_000.0, 5_150_000.0], 30.0);
@@ -26,7 +26,7 @@ fn bounds(zone: u32) -> [f64; 4] {
 }
 
 fn lies(args: &GenArgs, expected: [f64; 4]) {
-    let found = Raster::read_in(&args.dem[0], args.epsg).unwrap().bounds();
+    let found = Raster::read_in(&args.dem[0], &args.raster_options()).unwrap().bounds();
     assert!((0..4).all(|k| (found[k] - expected[k]).abs() < 1e-9), "{found:?}, not {expected:?}");
     run(args).unwrap();
 }
@@ -81,7 +81,6 @@ fn geo_keys_name_the_system_of_a_world_file() {
         refused(&own, "a projection without a code; --epsg CODE");
         lies(&GenArgs { epsg: Some(UTM_32), ..own }, bounds(32));
     }
-    refused(&keyed("swiss.tif", &[[1024, 1], [3072, 2056]]), "EPSG:2056 is not supported");
     refused(&keyed("geocentric.tif", &[[1024, 3], [2048, 4978]]), "EPSG:4978 is not supported");
 }
 
@@ -99,7 +98,8 @@ fn utm_zones_of_each_datum_are_supported_in_metres_only() {
         for code in codes.clone() {
             assert_eq!(Crs::from_epsg(code), Some(Crs::Utm { zone: code - first, north: true }), "{code}");
         }
-        assert_eq!([codes.start() - 1, codes.end() + 1].map(Crs::from_epsg), [None; 2], "{first}");
+        let others = [codes.start() - 1, codes.end() + 1].map(Crs::from_epsg);
+        assert!(others.iter().all(|crs| !matches!(crs, Some(Crs::Utm { .. }))), "{first}");
     }
     for code in 32701..=32760 {
         assert_eq!(Crs::from_epsg(code), Some(Crs::Utm { zone: code - 32700, north: false }));
@@ -158,4 +158,91 @@ fn projected_images_need_a_named_system_as_well() {
     let args = GenArgs { imagery: Some(path), ..args };
     refused(&args, "--epsg CODE names it");
     run(&GenArgs { epsg: Some(UTM_32), ..args }).unwrap();
+}
+
+/// The origins of projections, in the plane and in degrees, are part of their definitions.
+#[test]
+fn projections_of_epsg_agree_with_proj() {
+    for (code, [x, y], [longitude, latitude]) in [
+        // Lambert conformal conic with two parallels: the origin of Lambert-93.
+        (2154, [700_000.0, 6_600_000.0], [3.0, 46.5]),
+        // Lambert azimuthal equal area of Europe: its origin.
+        (3035, [4_321_000.0, 3_210_000.0], [10.0, 52.0]),
+        // Polar stereographic: the pole.
+        (3413, [0.0, 0.0], [-45.0, 90.0]),
+        // Albers of the United States.
+        (5070, [0.0, 0.0], [-96.0, 23.0]),
+    ] {
+        let crs = Crs::from_epsg(code).unwrap();
+        let [lon, lat] = crs.unproject(x, y);
+        assert!((lat.to_degrees() - latitude).abs() < 1e-7, "EPSG:{code}: {}", lat.to_degrees());
+        if latitude < 90.0 {
+            assert!((lon.to_degrees() - longitude).abs() < 1e-7, "EPSG:{code}: {}", lon.to_degrees());
+            let back = crs.project(lon, lat);
+            assert!((back[0] - x).abs() < 1e-3 && (back[1] - y).abs() < 1e-3, "EPSG:{code}: {back:?}");
+        }
+    }
+    // Swiss coordinates: the old observatory of Bern is the origin. The datum moves it by 130 m.
+    let [lon, lat] = Crs::from_epsg(2056).unwrap().unproject(2_600_000.0, 1_200_000.0);
+    assert!(
+        (lon.to_degrees() - 7.438_632_4).abs() < 1e-6 && (lat.to_degrees() - 46.951_082_8).abs() < 1e-6,
+        "{lon} {lat}"
+    );
+    assert_eq!(Crs::parse("EPSG:2056"), Ok(Crs::from_epsg(2056).unwrap()));
+    let given = Crs::parse("+proj=laea +lat_0=52 +lon_0=10 +x_0=4321000 +y_0=3210000 +ellps=GRS80").unwrap();
+    let [lon, lat] = given.unproject(4_321_000.0, 3_210_000.0);
+    assert!((lon.to_degrees() - 10.0).abs() < 1e-9 && (lat.to_degrees() - 52.0).abs() < 1e-9);
+    for (text, why) in [
+        ("4978", "EPSG:4978 is not supported; give it in PROJ's notation"),
+        ("99999", "EPSG:99999 is not supported"),
+        ("utm", "neither an EPSG code nor"),
+        ("+proj=nonsense", "+proj=nonsense"),
+        ("+proj=geocent +datum=WGS84", "only geographic and projected"),
+    ] {
+        let error = Crs::parse(text).unwrap_err();
+        assert!(error.contains(why), "{error}");
+    }
+}
+
+#[test]
+fn files_in_a_projection_of_epsg_are_placed_and_unknown_ones_can_be_overridden() {
+    let folder = tempfile::tempdir().unwrap();
+    let keyed = |name: &str, keys: &[[u16; 2]]| {
+        let args = from_dem(folder.path(), name, &tiff_int16_keyed(&heights(), None, keys));
+        world(&args.dem[0], ([2_600_000.0, 1_200_000.0], 30.0));
+        args
+    };
+    let swiss = keyed("swiss.tif", &[[1024, 1], [3072, 2056]]);
+    let bounds = Raster::read(&swiss.dem[0]).unwrap().bounds().map(f64::to_degrees);
+    assert!((bounds[0] - 7.4386).abs() < 1e-3 && (bounds[3] - 46.9511).abs() < 1e-3, "{bounds:?}");
+    refused(&keyed("feet.tif", &[[1024, 1], [3072, 2056], [3076, 9003]]), "coordinates in units of EPSG:9003");
+    let unknown = keyed("unknown.tif", &[[1024, 1], [3072, 4979 + 60_000]]);
+    refused(&unknown, "EPSG:64979 is not supported; --epsg names another system");
+    let given = GenArgs { epsg: Crs::from_epsg(2056), ..unknown };
+    assert_eq!(Raster::read_in(&given.dem[0], &given.raster_options()).unwrap().bounds().map(f64::to_degrees), bounds);
+}
+
+#[test]
+fn heights_above_a_geoid_become_heights_above_the_ellipsoid() {
+    let folder = tempfile::tempdir().unwrap();
+    let args = from_dem(folder.path(), "a.tif", &tiff_int16(&heights(), Some(PLACE), None));
+    let plain = run(&args).unwrap();
+    let grid = |west: f64| {
+        // 3 x 3 points, 1 degree apart, all 48.5 m high.
+        let mut bytes: Vec<u8> = [46.0, west, 1.0, 1.0f64].iter().flat_map(|n| n.to_be_bytes()).collect();
+        bytes.extend([3i32, 3].iter().flat_map(|n| n.to_be_bytes()));
+        bytes.extend([48.5f32; 9].iter().flat_map(|n| n.to_be_bytes()));
+        let path = folder.path().join(format!("{west}.gtx"));
+        fs::write(&path, bytes).unwrap();
+        VerticalDatum::Geoid(path)
+    };
+    let raised = GenArgs { vertical_datum: grid(7.0), overwrite: true, ..args.clone() };
+    let summary = run(&raised).unwrap();
+    assert_eq!([summary.min_height_m, summary.max_height_m], [plain.min_height_m + 48.5, plain.max_height_m + 48.5]);
+    let properties = &crate::files::tileset(&raised.out)["metadata"]["properties"];
+    assert!(properties["sourceVerticalDatum"].as_str().unwrap().ends_with("7.gtx"), "{properties}");
+    assert_eq!(properties["maximumHeight"].as_f64(), Some(summary.max_height_m));
+    assert_eq!(properties["samplesLeftOut"].as_u64(), Some(0));
+    let error = run(&GenArgs { vertical_datum: grid(8.0), ..raised }).unwrap_err().to_string();
+    assert!(error.contains("a.tif: reaches beyond the geoid grid"), "{error}");
 }

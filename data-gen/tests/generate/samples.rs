@@ -82,3 +82,38 @@ fn each_sample_file_becomes_a_set_with_its_heights() {
         }
     }
 }
+
+/// Runs inputs that once failed, each with the result that its README asks for.
+#[test]
+fn inputs_that_failed_are_right() {
+    let Some(folder) = samples().map(|folder| folder.join("../cases")) else { return };
+    let out = tempfile::tempdir().unwrap();
+    let args = |name: &str, dem: &str| GenArgs {
+        dem: vec![folder.join(name).join(dem)],
+        ..GenArgs::new(out.path().join(name))
+    };
+    let globe = args("dem-globe-0-360", "globe.tif");
+    run(&globe).unwrap();
+    let found = region(&tileset(&globe.out)["root"]);
+    assert!((found[2] - found[0] - std::f64::consts::TAU).abs() < 1e-6, "{found:?}");
+    run(&args("dem-sparse-tiles", "sparse.tif")).unwrap();
+    let island = run(&args("dem-void-is-invented", "island.tif")).unwrap();
+    assert!(island.cut_samples > 10_000 && island.filled_samples == 0, "{island}");
+    let tall = run(&args("heights-over-12-km", "decimetres.tif")).unwrap();
+    assert!(tall.max_height_m > 12_000.0 && tall.cut_samples == 0 && !tall.notes.is_empty(), "{tall}");
+    let with_image = |name: &str, image: &str| {
+        let args = args(name, "dem.tif");
+        let args = GenArgs { imagery: Some(folder.join(name).join(image)), overwrite: true, ..args };
+        let levels = run(&args).unwrap().levels;
+        (levels, image::open(args.out.join("0/0/0.jpg")).unwrap().into_rgb8())
+    };
+    assert_eq!(with_image("imagery-finer-than-dem", "ortho.tif").0, 5);
+    let [(_, ycbcr), (_, rgb)] = ["ortho.tif", "same_rgb.tif"].map(|image| with_image("imagery-jpeg-ycbcr", image));
+    for (x, y) in [(60, 60), (190, 60), (60, 190), (190, 190)] {
+        let (a, b) = (ycbcr.get_pixel(x, y).0, rgb.get_pixel(x, y).0);
+        assert!((0..3).all(|c| a[c].abs_diff(b[c]) < 20), "{x} {y}: {a:?} and {b:?}");
+    }
+    let (_, collar) = with_image("imagery-nodata", "ortho.tif");
+    let black = collar.pixels().filter(|pixel| pixel.0.iter().all(|c| *c < 12)).count();
+    assert!(black < 500, "{black} black pixels");
+}

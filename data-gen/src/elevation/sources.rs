@@ -1,0 +1,90 @@
+//! The files that the values of `--dem` name: files, folders, patterns and lists.
+
+use std::path::{Path, PathBuf};
+
+use super::formats::is_folder_of_tiles;
+use crate::GenError;
+
+/// The extensions of elevation files in folders.
+const EXTENSIONS: [&str; 7] = ["tif", "tiff", "hgt", "zip", "asc", "png", "exr"];
+
+/// Returns the files that paths name, in their order. A folder stands for its elevation files by name, unless it is a
+/// folder of web tiles; a file name with `*` or `?` for the files that match it; a text file for the paths in its lines,
+/// relative to it.
+pub(crate) fn expand(paths: &[PathBuf]) -> Result<Vec<PathBuf>, GenError> {
+    let mut files = Vec::new();
+    for path in paths {
+        let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+        if path.is_dir() && !is_folder_of_tiles(path) {
+            let is_elevation = |file: &Path| {
+                let extension = file.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
+                file.is_file() && extension.is_some_and(|extension| EXTENSIONS.contains(&extension.as_str()))
+            };
+            let found = files_of(path, is_elevation)?;
+            if found.is_empty() {
+                return Err(GenError::invalid(path, "a folder without elevation files and without tiles z/x/y.png"));
+            }
+            files.extend(found);
+        } else if name.contains(['*', '?']) && !path.exists() {
+            let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+            let is_match = |file: &Path| {
+                file.file_name().is_some_and(|own| matches(name.as_bytes(), own.to_string_lossy().as_bytes()))
+            };
+            let found = files_of(folder, is_match)?;
+            if found.is_empty() {
+                return Err(GenError::invalid(path, "no file matches"));
+            }
+            files.extend(found);
+        } else if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("txt")) && path.is_file() {
+            let text = std::fs::read_to_string(path).map_err(GenError::file(path))?;
+            let lines = text.lines().map(str::trim).filter(|line| !line.is_empty());
+            let folder = path.parent().unwrap_or(Path::new(""));
+            let before = files.len();
+            files.extend(lines.map(|line| folder.join(line)));
+            if files.len() == before {
+                return Err(GenError::invalid(path, "a list without files"));
+            }
+        } else {
+            files.push(path.clone());
+        }
+    }
+    Ok(files)
+}
+
+/// Returns the entries of a folder that pass a test, by name.
+fn files_of(folder: &Path, is_wanted: impl Fn(&Path) -> bool) -> Result<Vec<PathBuf>, GenError> {
+    let entries = std::fs::read_dir(folder).map_err(GenError::file(folder))?;
+    let mut paths: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).filter(|path| is_wanted(path)).collect();
+    paths.sort();
+    Ok(paths)
+}
+
+/// Returns true if a name matches a pattern, in which `*` stands for any bytes and `?` for one.
+fn matches(pattern: &[u8], name: &[u8]) -> bool {
+    match (pattern, name) {
+        ([], []) => true,
+        ([b'*', rest @ ..], _) => (0..=name.len()).any(|skipped| matches(rest, &name[skipped..])),
+        ([b'?', pattern @ ..], [_, name @ ..]) => matches(pattern, name),
+        ([a, pattern @ ..], [b, name @ ..]) => a == b && matches(pattern, name),
+        _ => false,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn patterns_match_names() {
+        for (pattern, name, is_match) in [
+            ("*.tif", "a.tif", true),
+            ("*.tif", "a.tiff", false),
+            ("N4?E*.hgt", "N42E001.hgt", true),
+            ("N4?E*.hgt", "N52E001.hgt", false),
+            ("a*b*c", "axxbyyc", true),
+            ("a*b*c", "axxbyy", false),
+        ] {
+            assert_eq!(matches(pattern.as_bytes(), name.as_bytes()), is_match, "{pattern} {name}");
+        }
+    }
+}

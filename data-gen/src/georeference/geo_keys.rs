@@ -1,0 +1,121 @@
+//! The GeoKeys of a GeoTIFF (OGC 19-008): the reference system and the units of its coordinates and heights.
+
+use super::crs::{Crs, has_other_meridian};
+
+/// The value of a GeoKey whose system or unit has no EPSG code.
+const USER_DEFINED: u32 = 32767;
+/// The value of GTModelType for projected coordinates.
+const PROJECTED: u32 = 1;
+/// The value of GTModelType for longitude and latitude.
+const GEODETIC: u32 = 2;
+
+/// The international foot in metres.
+pub(super) const FOOT_M: f64 = 0.3048;
+/// The US survey foot in metres.
+pub(super) const US_SURVEY_FOOT_M: f64 = 1200.0 / 3937.0;
+
+/// EPSG codes of vertical systems that are positive downwards (dataset 11.022).
+const DEPTHS: &[u32] = &[
+    5336, 5612, 5614, 5706, 5715, 5734, 5739, 5789, 5831, 5861, 5862, 5863, 5864, 5865, 5866, 5867, 5873, 6357, 6358,
+    6359, 7976, 8051, 8053, 8358, 8378, 8897, 9287, 9288, 9672, 10150, 10151, 10349, 10364, 10370, 10371, 10372, 10373,
+    10374, 10375, 10376, 10377, 10378, 10379, 10547, 10548, 10549, 10550, 10551, 10552, 10649, 10650, 10678,
+];
+
+/// The tags GeoKeyDirectory and GeoDoubleParams.
+pub(crate) struct GeoKeys {
+    directory: Vec<u16>,
+    doubles: Vec<f64>,
+}
+
+impl GeoKeys {
+    pub(super) fn new(directory: Vec<u16>, doubles: Vec<f64>) -> Self {
+        Self { directory, doubles }
+    }
+
+    /// Returns the value of a key with a 16-bit number. 0 means undefined.
+    pub(super) fn number(&self, id: u16) -> Option<u32> {
+        let mut keys = self.directory.chunks_exact(4).skip(1);
+        keys.find(|k| k[0] == id && k[1] == 0).map(|k| u32::from(k[3])).filter(|value| *value != 0)
+    }
+
+    /// Returns the value of a key that is stored in GeoDoubleParams.
+    fn double(&self, id: u16) -> Option<f64> {
+        let mut keys = self.directory.chunks_exact(4).skip(1);
+        let key = keys.find(|k| k[0] == id && k[1] == 34736)?;
+        self.doubles.get(usize::from(key[3])).copied()
+    }
+
+    /// Returns the reference system; `given` if the keys name a projection without a code, `None` if they name no system.
+    /// The error is the reason.
+    pub fn crs(&self, given: Option<Crs>) -> Result<Option<Crs>, String> {
+        let crs = self.system(given)?;
+        // Units and a meridian that differ from those of the system make it another system.
+        let is_geographic = crs == Some(Crs::Geographic);
+        let length = crs.as_ref().map_or(&[][..], Crs::units_of_length);
+        let usual: [(u16, &str, &[u32]); 3] = [
+            // GeogAngularUnits: degrees; GeogPrimeMeridian: Greenwich; ProjLinearUnits.
+            (2054, "angles in units of", if is_geographic { &[9102, 9122] } else { &[] }),
+            (2051, "longitudes from the meridian", if is_geographic { &[8901] } else { &[] }),
+            (3076, "coordinates in units of", length),
+        ];
+        for (key, what, values) in usual {
+            if let Some(value) = self.number(key).filter(|value| !values.is_empty() && !values.contains(value)) {
+                return Err(format!("GeoTIFF: {what} EPSG:{value}, which is not supported"));
+            }
+        }
+        // GeogPrimeMeridianLongitude.
+        if let Some(east) = self.double(2061).filter(|east| is_geographic && *east != 0.0) {
+            return Err(format!("GeoTIFF: longitudes from a meridian at {east}, which is not supported"));
+        }
+        // GeogSemiMajorAxis, unless GeogLinearUnits is another unit than the metre.
+        match self.double(2057).filter(|axis_m| !(6.3e6..6.5e6).contains(axis_m)) {
+            Some(axis_m) if matches!(self.number(2052), None | Some(9001)) => {
+                Err(format!("GeoTIFF: an ellipsoid of {axis_m} m is not the earth's"))
+            }
+            _ => Ok(crs),
+        }
+    }
+
+    fn system(&self, given: Option<Crs>) -> Result<Option<Crs>, String> {
+        // GTModelType, ProjectedCRS and GeodeticCRS. With a projection the last is only its base.
+        let model = self.number(1024);
+        let code = self.number(3072).or_else(|| self.number(2048).filter(|_| model != Some(PROJECTED)));
+        match (code, model) {
+            (Some(code), model) if code != USER_DEFINED => Crs::from_epsg(code)
+                // Geodetic systems in degrees from Greenwich differ from WGS84 by a few hundred metres at most.
+                .or((model == Some(GEODETIC) && !has_other_meridian(code)).then_some(Crs::Geographic))
+                .or(given)
+                .map(Some)
+                .ok_or_else(|| format!("GeoTIFF: EPSG:{code} is not supported; --epsg names another system")),
+            (_, Some(GEODETIC)) => Ok(Some(Crs::Geographic)),
+            (None, None) => Ok(None),
+            (_, Some(PROJECTED) | None) if given.is_some() => Ok(given),
+            (_, Some(PROJECTED) | None) => {
+                Err("GeoTIFF: a projection without a code; --epsg CODE names it if it has one".to_owned())
+            }
+            (_, Some(model)) => Err(format!("GeoTIFF: model type {model} is not supported")),
+        }
+    }
+
+    /// Returns the unit of heights in metres, `None` if the keys do not name it. The error is the reason. The unit of the
+    /// plane (ProjLinearUnits, 3076) does not apply to heights.
+    pub(super) fn height_unit_m(&self) -> Result<Option<f64>, String> {
+        // VerticalUnits, or the unit of the system in Vertical: EPSG's systems that are not listed are in metres.
+        match (self.number(4099), self.number(4096)) {
+            (_, Some(system)) if DEPTHS.contains(&system) => {
+                Err(format!("GeoTIFF: depths in EPSG:{system}; only heights are supported"))
+            }
+            (Some(9001), _) => Ok(Some(1.0)),
+            (Some(9002), _) => Ok(Some(FOOT_M)),
+            (Some(9003), _) => Ok(Some(US_SURVEY_FOOT_M)),
+            (Some(unit), _) => Err(format!("GeoTIFF: heights in units of EPSG:{unit}, which is not supported")),
+            (None, Some(6130..=6132 | 8050 | 8228)) => Ok(Some(FOOT_M)),
+            (None, Some(5702 | 6360 | 8052)) => Ok(Some(US_SURVEY_FOOT_M)),
+            // EPSG:5754 uses the British foot of 1936.
+            (None, Some(5754)) => Err("GeoTIFF: heights in EPSG:5754, which is not supported".to_owned()),
+            (None, Some(USER_DEFINED)) => Err("GeoTIFF: user-defined heights without a unit".to_owned()),
+            (None, Some(_)) => Ok(Some(1.0)),
+            (None, None) => Ok(None),
+        }
+    }
+}
