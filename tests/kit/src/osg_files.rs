@@ -56,7 +56,8 @@ impl Osgb {
     }
 
     fn header(&mut self, compressor: &str) {
-        self.u32(0x6c91_0ea1).u32(0x1afb_4545).u32(1).u32(self.version);
+        let version = self.version;
+        self.u32(0x6c91_0ea1).u32(0x1afb_4545).u32(1).u32(version);
         self.u32(if self.has_sizes { 4 } else { 0 }).text(compressor);
     }
 
