@@ -1,4 +1,4 @@
-//! Detection of HTML and XML pages that servers and login portals send with status 200 instead of the content.
+//! HTML and XML: pages that servers and login portals send with status 200 instead of the content, and attributions.
 
 use super::IoError;
 
@@ -14,4 +14,43 @@ pub(crate) fn refuse_markup(uri: &str, bytes: &[u8]) -> Result<(), IoError> {
 pub(crate) fn text_and_first_byte(bytes: &[u8]) -> (&[u8], Option<u8>) {
     let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
     (text, text.iter().find(|b| !b.is_ascii_whitespace()).copied())
+}
+
+/// Returns the text of a piece of HTML: without tags, with the common entities replaced, and at most 500 characters.
+pub(crate) fn plain_text(html: &str) -> String {
+    const MAX_CHARS: usize = 500;
+    let mut text = String::new();
+    let mut in_tag = false;
+    for c in html.chars() {
+        match c {
+            '<' => in_tag = true,
+            '>' => in_tag = false,
+            _ if in_tag => {}
+            c if c.is_whitespace() => {
+                if !text.ends_with(' ') {
+                    text.push(' ');
+                }
+            }
+            c => text.push(c),
+        }
+    }
+    for (entity, c) in
+        [("&nbsp;", " "), ("&lt;", "<"), ("&gt;", ">"), ("&quot;", "\""), ("&copy;", "©"), ("&amp;", "&")]
+    {
+        text = text.replace(entity, c);
+    }
+    text.trim().chars().take(MAX_CHARS).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::plain_text;
+
+    #[test]
+    fn attributions_become_plain_text() {
+        let html = "<a href=\"https://x\"><img src=\"logo.png\" alt=\"X\"></a>\n  &copy; 2026 <b>Survey &amp;</b> Sons";
+        assert_eq!(plain_text(html), "© 2026 Survey & Sons");
+        assert_eq!(plain_text("an < unclosed tag"), "an");
+        assert_eq!(plain_text(&"ä".repeat(9_000)).chars().count(), 500);
+    }
 }

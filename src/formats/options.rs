@@ -53,6 +53,8 @@ pub struct ReadOptions {
     pub cluster_culling: bool,
     /// Readers of an application's own formats. Each content is offered to them in their order before the built-in readers.
     pub readers: Arc<[Arc<dyn ContentReader>]>,
+    /// Attributions that belong to every content, beside those that contents name themselves: those of a service.
+    pub credits: Arc<[Arc<str>]>,
     /// Shares equal images, meshes and states between contents; `None` by default. A pager sets its own.
     pub sharing: Option<Arc<SharedStateManager>>,
     /// Overlays that are draped over contents of tiles on the earth; `None` by default. They need [`Self::tile`].
@@ -81,6 +83,7 @@ impl ReadOptions {
             style: None,
             cluster_culling: true,
             readers: Arc::new([]),
+            credits: Arc::new([]),
             sharing: None,
             overlays: None,
             tile: None,

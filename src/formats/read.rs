@@ -142,6 +142,7 @@ struct Decoded {
 
 fn decode_whole(content: Content, options: &ReadOptions) -> Result<Decoded, IoError> {
     let notes = Notes::default();
+    options.credits.iter().for_each(|credit| notes.add_credit(credit));
     let overlays = overlay::Draping::new(&content, options);
     let mut node = match &options.style {
         Some(style) => {

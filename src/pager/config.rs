@@ -92,6 +92,8 @@ pub struct PagerConfig {
     pub style: Option<Arc<Style>>,
     /// Readers of an application's own formats, for all scenes.
     pub content_readers: Arc<[Arc<dyn ContentReader>]>,
+    /// Attributions of scenes whose own options have none; see [`ReadOptions::credits`](crate::formats::ReadOptions::credits).
+    pub credits: Arc<[Arc<str>]>,
     /// Overlays that are draped over scenes whose own options have none; see
     /// [`ReadOptions::overlays`](crate::formats::ReadOptions::overlays).
     pub overlays: Option<Arc<OverlaySet>>,
@@ -131,6 +133,7 @@ impl Default for PagerConfig {
             keep_features: false,
             style: None,
             content_readers: Arc::new([]),
+            credits: Arc::new([]),
             overlays: None,
             sharing: ShareModes::default(),
         }

@@ -5,8 +5,9 @@ use std::str::FromStr;
 
 use anyhow::{Context as _, Result, ensure};
 use clap::Args as ClapArgs;
-use terrane::fetch::services::{GOOGLE_SERVER, ION_SERVER, IonAsset, ServiceKind, google_tiles};
+use terrane::fetch::services::{GOOGLE_SERVER, ION_SERVER, IonAsset, ServiceKind, ServiceSource, google_tiles};
 use terrane::fetch::{AllowedHost, CacheConfig, Credential, HttpConfig, Limits, is_http};
+use terrane::formats::{OverlaySource, RasterOverlay};
 
 use crate::default_set;
 
@@ -67,26 +68,38 @@ pub struct Opened {
 impl NetArgs {
     /// Returns where a source is and how it is asked for. Asks the service of `ion:ASSET_ID`.
     pub fn open(&self, source: &str) -> Result<Opened> {
-        let asset = source.strip_prefix("ion:");
-        if asset.is_none() && source != "google" {
-            return Ok(Opened { source: source.to_owned(), http: self.http(source)?, attributions: Vec::new() });
-        }
         let mut http = self.http(source)?;
-        let found = match asset {
-            Some(id) => {
-                let id = id.parse().with_context(|| format!("{source}: not the number of an asset of Cesium ion"))?;
-                let token = secret(self.ion_token.as_ref(), "CESIUM_ION_TOKEN");
-                let token = token.with_context(|| format!("{source}: needs --ion-token or CESIUM_ION_TOKEN"))?;
-                IonAsset { id, token, server: self.ion_server.clone() }.open(&http)?
-            }
-            None => {
-                let key = secret(self.google_key.as_ref(), "GOOGLE_MAPS_API_KEY");
-                google_tiles(&self.google_server, &key.context("google: needs --google-key or GOOGLE_MAPS_API_KEY")?)?
-            }
+        let Some(found) = self.service(source, &http)? else {
+            return Ok(Opened { source: source.to_owned(), http, attributions: Vec::new() });
         };
-        ensure!(found.kind != ServiceKind::Imagery, "{source}: an asset of imagery, which is no terrain");
+        ensure!(found.kind != ServiceKind::Imagery, "{source}: an asset of imagery; --overlay drapes it over terrain");
         http.credentials.extend(found.credentials);
         Ok(Opened { source: found.uri, http, attributions: found.attributions })
+    }
+
+    /// Adds the credentials for an overlay `ion:ASSET_ID`. Returns the overlay as it is loaded.
+    pub fn open_overlay(&self, overlay: &RasterOverlay, http: &mut HttpConfig) -> Result<RasterOverlay> {
+        let mut overlay = overlay.clone();
+        let Some(found) = self.service(overlay.address(), http)? else { return Ok(overlay) };
+        ensure!(found.kind == ServiceKind::Imagery, "--overlay {}: an asset without imagery", overlay.address());
+        http.credentials.extend(found.credentials);
+        overlay.source = OverlaySource::Tms { document: in_folder(&found.uri, "tilemapresource.xml") };
+        overlay.credit = overlay.credit.or_else(|| Some(found.attributions.join(", ").into()));
+        Ok(overlay)
+    }
+
+    /// Asks a service where its data is; `None` for a source that is none of a service.
+    fn service(&self, source: &str, http: &HttpConfig) -> Result<Option<ServiceSource>> {
+        if source == "google" {
+            let key = secret(self.google_key.as_ref(), "GOOGLE_MAPS_API_KEY");
+            let key = key.context("google: needs --google-key or GOOGLE_MAPS_API_KEY")?;
+            return Ok(Some(google_tiles(&self.google_server, &key)?));
+        }
+        let Some(id) = source.strip_prefix("ion:") else { return Ok(None) };
+        let id = id.parse().with_context(|| format!("{source}: not the number of an asset of Cesium ion"))?;
+        let token = secret(self.ion_token.as_ref(), "CESIUM_ION_TOKEN");
+        let token = token.with_context(|| format!("{source}: needs --ion-token or CESIUM_ION_TOKEN"))?;
+        Ok(Some(IonAsset { id, token, server: self.ion_server.clone() }.open(http)?))
     }
 
     /// Returns the HTTP configuration for a source.
@@ -127,6 +140,13 @@ impl NetArgs {
         config.offline = self.offline;
         Ok(Some(config))
     }
+}
+
+/// Returns the URL of a file in a folder, whose query it inherits.
+fn in_folder(folder: &str, file: &str) -> String {
+    let (path, query) = folder.split_once('?').map_or((folder, None), |(path, query)| (path, Some(query)));
+    let query = query.map_or(String::new(), |query| format!("?{query}"));
+    format!("{}/{file}{query}", path.trim_end_matches('/'))
 }
 
 /// Returns a secret of the command line, or of the environment.

@@ -6,7 +6,7 @@ use terrane::formats::{GeoRectangle, OverlaySet, OverlaySource, RasterOverlay, T
 
 /// What the help says about the sub-options.
 pub const OVERLAY_HELP: &str = "Drape images over the terrain; again for further ones above. ADDRESS is a template with {z} {x} {y} \
-    (or {-y}, {s}), a tilemapresource.xml (TMS), WMTS capabilities, or one image. Sub-options follow after commas: opacity=0.5, \
+    (or {-y}, {s}), a tilemapresource.xml (TMS), WMTS capabilities, one image, or ion:ASSET_ID. Sub-options follow after commas: opacity=0.5, \
     levels=2-18, tiling=mercator|geographic, tile=512 (pixels), subdomains=a/b/c, rectangle=WEST/SOUTH/EAST/NORTH (degrees; \
     needed for an image), credit=TEXT; of WMTS layer=, style=, matrix-set=";
 
@@ -101,6 +101,8 @@ fn kind(address: &str, said: Option<&str>) -> Result<Kind, String> {
         Some("image") => Ok(Kind::Image),
         Some(other) => Err(format!("kind={other}, expected template, tms, wmts or image")),
         None if address.contains('{') => Ok(Kind::Template),
+        // The service says where the document is.
+        None if address.starts_with("ion:") => Ok(Kind::Tms),
         None if lower.contains("wmts") => Ok(Kind::Wmts),
         None if path.ends_with(".xml") => Ok(Kind::Tms),
         None if is_image => Ok(Kind::Image),

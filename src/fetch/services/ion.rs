@@ -8,8 +8,9 @@ use std::sync::Arc;
 use serde_json::Value;
 use url::Url;
 
-use super::{ExpiringToken, ServiceKind, ServiceSource, plain_text};
+use super::{ExpiringToken, ServiceKind, ServiceSource};
 use crate::fetch::http::BlockingHttpClient;
+use crate::fetch::markup::plain_text;
 use crate::fetch::{Credential, HttpConfig, IoError, Limits, RootScope, shown};
 
 /// The address of ion's API.

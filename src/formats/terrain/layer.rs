@@ -7,7 +7,7 @@ use serde::de::IgnoredAny;
 
 use super::availability::{Availability, MAX_LEVEL, RangeJson};
 use super::tiling::{Rectangle, Tiling};
-use crate::fetch::markup::refuse_markup;
+use crate::fetch::markup::{plain_text, refuse_markup};
 use crate::fetch::{IoError, Limits, encoding};
 use crate::formats::ignored::Notes;
 use crate::formats::implicit::{TileCoordinates, UriTemplate};
@@ -65,7 +65,7 @@ pub(in crate::formats) struct Layer {
     pub(super) metadata_levels: Option<u32>,
     /// The version of the data.
     pub version: Option<String>,
-    /// The credit that the service asks for.
+    /// The credit that the service asks for, as plain text.
     pub attribution: Option<String>,
     /// The extensions that the tiles have.
     pub extensions: Vec<String>,
@@ -294,10 +294,7 @@ impl Layer {
         for name in json.extensions.iter().filter(|name| !EXTENSIONS.contains(&name.as_str())) {
             notes.add(format!("layer.json: extension {name}"));
         }
-        let attribution = json.attribution.0.filter(|text| !text.is_empty());
-        if attribution.is_some() {
-            notes.add("layer.json: an attribution, which is not shown");
-        }
+        let attribution = json.attribution.0.map(|html| plain_text(&html)).filter(|text| !text.is_empty());
         let layer = Self {
             tiling,
             templates,

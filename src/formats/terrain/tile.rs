@@ -81,6 +81,9 @@ impl TerrainTile {
     /// Reads the mesh. `bytes` are those of the tile's own file if it is fetched.
     pub fn read(&self, uri: &str, bytes: Vec<u8>, options: &ReadOptions, notes: &Notes) -> Result<Node, IoError> {
         let tiling = self.set.tiling;
+        if !matches!(self.mesh, TileMesh::Ellipsoid) {
+            self.set.layers.iter().filter_map(|layer| layer.attribution.as_ref()).for_each(|text| notes.add_credit(text));
+        }
         let surface = match &self.mesh {
             TileMesh::File => surface_of(uri, &unpacked(uri, bytes, options)?, options, notes)?,
             TileMesh::Held(held) if held.tile == self.tile => surface_of(&held.uri, &held.bytes, options, notes)?,

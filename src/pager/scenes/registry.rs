@@ -36,6 +36,7 @@ struct CommonOptions {
     keep_features: bool,
     style: Option<Arc<Style>>,
     readers: Arc<[Arc<dyn ContentReader>]>,
+    credits: Arc<[Arc<str>]>,
     overlays: Option<Arc<OverlaySet>>,
     sharing: Option<Arc<SharedStateManager>>,
     /// The properties that the contents of all scenes have and their readers leave out.
@@ -54,10 +55,8 @@ impl CommonOptions {
         let ignored = self.ignored.clone();
         let keep_features = self.keep_features || options.keep_features;
         let style = options.style.or_else(|| self.style.clone());
-        let readers = match options.readers.is_empty() {
-            true => self.readers.clone(),
-            false => options.readers.clone(),
-        };
+        let readers = if options.readers.is_empty() { self.readers.clone() } else { options.readers.clone() };
+        let credits = if options.credits.is_empty() { self.credits.clone() } else { options.credits.clone() };
         let overlays = options.overlays.or_else(|| self.overlays.clone());
         ReadOptions {
             limits: self.limits,
@@ -66,6 +65,7 @@ impl CommonOptions {
             keep_features,
             style,
             readers,
+            credits,
             overlays,
             sharing,
             ignored,
@@ -112,6 +112,7 @@ impl SceneRegistry {
             keep_features: config.keep_features,
             style: config.style.clone(),
             readers: config.content_readers.clone(),
+            credits: config.credits.clone(),
             overlays: config.overlays.clone(),
             sharing,
             ignored: options.ignored.clone(),

@@ -15,7 +15,7 @@ use std::sync::Arc;
 
 use anyhow::{Context as _, Result, anyhow, bail};
 use glam::{DAffine3, DMat4, DVec3};
-use terrane::fetch::shown;
+use terrane::fetch::{HttpConfig, shown};
 use terrane::formats::{OverlaySet, Style};
 use terrane::pager::PagerConfig;
 use terrane::trace::Recording;
@@ -91,13 +91,11 @@ fn fly(args: Box<FlyArgs>, mut settings: DisplaySettings) -> Result<()> {
     config.pager.build_kd_trees = args.interactive;
     let Opened { source, http, attributions } = args.net.open(&source)?;
     config.pager.http = http;
-    if !attributions.is_empty() {
-        eprintln!("data: {}", attributions.join(", "));
-    }
+    config.pager.credits = attributions.into_iter().map(Arc::from).collect();
     config.pager.limits = args.net.limits();
     config.pager.max_bytes_loading = args.max_loading.map_or(config.pager.max_bytes_loading, |size| size.0);
     config.pager.style = args.style.as_deref().map(read_style).transpose()?;
-    config.pager.overlays = overlays(&args)?;
+    config.pager.overlays = overlays(&args, &mut config.pager.http)?;
     let interrupt = Interrupt::new();
     // The root is read before a window opens or an adapter is requested, so that an invalid source ends the program here.
     if let Some(views) = views {
@@ -140,11 +138,12 @@ fn read_root(source: &str, config: &PagerConfig) -> Result<LoadedRoot, ViewerErr
 }
 
 /// Returns the overlays of the command line; `None` without any.
-fn overlays(args: &FlyArgs) -> Result<Option<Arc<OverlaySet>>> {
+fn overlays(args: &FlyArgs, http: &mut HttpConfig) -> Result<Option<Arc<OverlaySet>>> {
     if args.overlays.is_empty() {
         return Ok(None);
     }
-    let set = OverlaySet::new(args.overlays.iter().map(|overlay| overlay.0.clone()).collect())?;
+    let overlays = args.overlays.iter().map(|overlay| args.net.open_overlay(&overlay.0, http));
+    let set = OverlaySet::new(overlays.collect::<Result<_>>()?)?;
     Ok(Some(Arc::new(match args.sse {
         Some(limit) => set.with_max_sse_px(limit.0),
         None => set,

@@ -50,3 +50,45 @@ fn sets_of_services_are_opened_by_name() {
         assert!(!out.status.success() && error.contains(reason) && !error.contains("secret"), "{args:?}: {error}");
     }
 }
+
+/// An asset of imagery as an overlay: its tile map and its images are asked for with the token of the asset.
+#[test]
+fn imagery_of_ion_is_draped_over_terrain() {
+    if kit::skip::no_adapter() {
+        return;
+    }
+    let mut png = std::io::Cursor::new(Vec::new());
+    let red = image::RgbImage::from_pixel(256, 256, image::Rgb([255, 0, 0]));
+    red.write_to(&mut png, image::ImageFormat::Png).unwrap();
+    let png = png.into_inner();
+    let server = Server::start(move |request| {
+        let host = request.header("host").unwrap();
+        let is_allowed = request.header("authorization") == Some("Bearer t");
+        match request.path() {
+            "/v1/assets/9/endpoint" => Reply::ok(format!(
+                r#"{{"type":"IMAGERY","url":"http://{host}/9/?v=1","accessToken":"t","attributions":[{{"html":"A"}}]}}"#
+            )),
+            "/9/tilemapresource.xml" if is_allowed => Reply::ok(
+                r#"<TileMap version="1.0.0"><SRS>EPSG:3857</SRS>
+                <BoundingBox minx="-20037508.34" miny="-20037508.34" maxx="20037508.34" maxy="20037508.34"/>
+                <Origin x="-20037508.34" y="-20037508.34"/><TileFormat width="256" height="256" extension="png"/>
+                <TileSets profile="global-mercator"><TileSet href="0" units-per-pixel="156543.0339" order="0"/>
+                <TileSet href="1" units-per-pixel="78271.51696" order="1"/></TileSets></TileMap>"#,
+            ),
+            path if is_allowed && path.ends_with(".png") => Reply::ok(png.clone()),
+            _ => Reply::new(401, ""),
+        }
+    });
+    let folder = tempfile::tempdir().unwrap();
+    let image = folder.path().join("view.png");
+    let out = terrane(&[
+        &["fly", "globe", "--offscreen", "--settle", "--size", "160x120", "--screenshot", image.to_str().unwrap()][..],
+        &["--overlay", "ion:9", "--ion-token", "secret", "--ion-server", &server.url],
+    ]
+    .concat());
+    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    assert!(server.seen().iter().any(|request| request.path().ends_with(".png")), "{:?}", server.seen());
+    let image = image::open(&image).unwrap().into_rgb8();
+    let reds = image.pixels().filter(|pixel| pixel.0[0] > 2 * pixel.0[1].max(pixel.0[2]).max(10)).count();
+    assert!(reds > 500, "{reds} red pixels");
+}
