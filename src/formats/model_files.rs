@@ -34,7 +34,9 @@ fn of_part(base: &str, bytes: &[u8], known: &[Fetched], options: &ReadOptions, d
             let parts = cmpt::parts(base, bytes, depth).unwrap_or_default();
             parts.into_iter().flat_map(|part| of_part(base, part, known, options, depth + 1)).collect()
         }
-        _ if first == Some(b'{') && terrain::is_layer_text(text) => terrain::parent_files(base, text, known, options),
+        _ if first == Some(b'{') && !begins_like_tileset(text) && terrain::is_layer_text(text) => {
+            terrain::parent_files(base, text, known, options)
+        }
         _ if first == Some(b'{') => {
             let schema = tileset::schema_reference(text, &options.limits);
             let schema = schema.and_then(|reference| resolve(base, &reference, &options.root).ok());

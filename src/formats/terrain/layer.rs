@@ -84,8 +84,8 @@ pub(in crate::formats) fn is_layer_text(text: &[u8]) -> bool {
         root: Option<IgnoredAny>,
     }
     // Other files are large, and few name one of these.
-    let names: [&[u8]; 3] = [b"\"tiles\"", b"\"tilejson\"", b"\"format\""];
-    if !names.iter().any(|name| text.windows(name.len()).any(|window| window == *name)) {
+    const NAMES: [&str; 3] = ["\"tiles\"", "\"tilejson\"", "\"format\""];
+    if !std::str::from_utf8(text).is_ok_and(|text| NAMES.iter().any(|name| text.contains(name))) {
         return false;
     }
     let Ok(Probe { tiles, tilejson, format, asset, root }) = serde_json::from_slice::<Probe>(text) else {
