@@ -133,7 +133,8 @@ fn parent_of(base: &str, text: &[u8], options: &ReadOptions) -> Option<Arc<str>>
     // The decoder returns the error.
     options.limits.check_json("", text).ok()?;
     let Probe { parent_url } = serde_json::from_slice(text).ok()?;
-    let (uri, _) = options.resolve(base, &file_in(&parent_url.0?)).ok()?;
+    let parent_url = parent_url.0.filter(|url| !url.is_empty())?;
+    let (uri, _) = options.resolve(base, &file_in(&parent_url)).ok()?;
     Some(uri)
 }
 
