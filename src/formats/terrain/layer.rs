@@ -193,7 +193,10 @@ pub(in crate::formats) fn read_layers(
                 layers.push(layer);
                 (base, parent) = ((uri.to_string(), below.clone()), next);
             }
-            Err(error) => notes.add_missing("layer.json: a parent layer that cannot be read", &error),
+            Err(error) => {
+                notes.add_missing("layer.json: a parent layer that cannot be read", &error);
+                notes.add(format!("layer.json: parent layer: {}", error.reason()));
+            }
         }
     }
     Ok(layers)
@@ -432,11 +435,11 @@ mod tests {
         assert_eq!(uris, ["https://h/t/0/0/0.terrain?key=1", "https://h/base/0/0/0.terrain?key=1"]);
         // A cycle, another projection, and a missing file.
         let (files, uris, notes) = read(&[(top, layer("../base/", geographic)), (base, layer("../base", geographic))]);
-        assert_eq!((files.len(), uris.len(), notes), (1, 2, 1));
+        assert_eq!((files.len(), uris.len(), notes), (1, 2, 2));
         let (_, uris, notes) = read(&[(top, layer("../base", geographic)), (base, layer("", "EPSG:3857"))]);
-        assert_eq!((uris.len(), notes), (1, 1));
+        assert_eq!((uris.len(), notes), (1, 2));
         let (files, uris, notes) = read(&[(top, layer("../base", geographic))]);
-        assert_eq!((files.len(), uris.len(), notes), (1, 1, 1));
+        assert_eq!((files.len(), uris.len(), notes), (1, 1, 2));
     }
 
     #[test]
