@@ -43,7 +43,9 @@ fn of_part(base: &str, bytes: &[u8], known: &[Fetched], options: &ReadOptions, d
             references.iter().filter_map(|reference| resolve(base, reference, &options.root).ok()).collect()
         }
         _ if osg::is_metadata(bytes) => osg::tile_files(base, known, options),
-        _ if first == Some(b'{') && terrain::is_layer_text(text) => terrain::parent_files(base, text, known, options),
+        _ if first == Some(b'{') && !begins_like_tileset(text) && terrain::is_layer_text(text) => {
+            terrain::parent_files(base, text, known, options)
+        }
         _ if first == Some(b'{') => {
             let schema = tileset::schema_reference(text, &options.limits);
             let schema = schema.and_then(|reference| resolve(base, &reference, &options.root).ok());

@@ -61,9 +61,10 @@ fn text(info: &Info, verified: Option<&Verified>) -> String {
     let _ = writeln!(out, "size     {:.1} MiB", mebibytes(info.bytes));
     let [x, y, z] = info.bounds.center;
     let _ = writeln!(out, "bounds   {:.1} m around {x:.1}, {y:.1}, {z:.1}", info.bounds.radius_m);
-    if let Some([west, south, east, north, low, high]) = info.bounds.region.as_deref() {
+    if let Some([west, south, east, north, heights @ ..]) = info.bounds.region.as_deref() {
         let [west, south, east, north] = [west, south, east, north].map(|angle| angle.to_degrees());
-        let _ = writeln!(out, "         {south:.5} to {north:.5} N, {west:.5} to {east:.5} E, {low:.1} to {high:.1} m");
+        let heights = if let [low, high] = heights { format!(", {low:.1} to {high:.1} m") } else { String::new() };
+        let _ = writeln!(out, "         {south:.5} to {north:.5} N, {west:.5} to {east:.5} E{heights}");
     }
     if !info.extensions.is_empty() {
         let names: Vec<&str> = info.extensions.iter().map(String::as_str).collect();

@@ -84,8 +84,8 @@ pub(in crate::formats) fn is_layer_text(text: &[u8]) -> bool {
         root: Option<IgnoredAny>,
     }
     // Other files are large, and few name one of these.
-    let names: [&[u8]; 3] = [b"\"tiles\"", b"\"tilejson\"", b"\"format\""];
-    if !names.iter().any(|name| text.windows(name.len()).any(|window| window == *name)) {
+    const NAMES: [&str; 3] = ["\"tiles\"", "\"tilejson\"", "\"format\""];
+    if !std::str::from_utf8(text).is_ok_and(|text| NAMES.iter().any(|name| text.contains(name))) {
         return false;
     }
     let Ok(Probe { tiles, tilejson, format, asset, root }) = serde_json::from_slice::<Probe>(text) else {
@@ -133,7 +133,8 @@ fn parent_of(base: &str, text: &[u8], options: &ReadOptions) -> Option<Arc<str>>
     // The decoder returns the error.
     options.limits.check_json("", text).ok()?;
     let Probe { parent_url } = serde_json::from_slice(text).ok()?;
-    let (uri, _) = options.resolve(base, &file_in(&parent_url.0?)).ok()?;
+    let parent_url = parent_url.0.filter(|url| !url.is_empty())?;
+    let (uri, _) = options.resolve(base, &file_in(&parent_url)).ok()?;
     Some(uri)
 }
 
@@ -192,7 +193,10 @@ pub(in crate::formats) fn read_layers(
                 layers.push(layer);
                 (base, parent) = ((uri.to_string(), below.clone()), next);
             }
-            Err(error) => notes.add_missing("layer.json: a parent layer that cannot be read", &error),
+            Err(error) => {
+                notes.add_missing("layer.json: a parent layer that cannot be read", &error);
+                notes.add(format!("layer.json: parent layer: {}", error.reason()));
+            }
         }
     }
     Ok(layers)
@@ -428,11 +432,11 @@ mod tests {
         assert_eq!(uris, ["https://h/t/0/0/0.terrain?key=1", "https://h/base/0/0/0.terrain?key=1"]);
         // A cycle, another projection, and a missing file.
         let (files, uris, notes) = read(&[(top, layer("../base/", geographic)), (base, layer("../base", geographic))]);
-        assert_eq!((files.len(), uris.len(), notes), (1, 2, 1));
+        assert_eq!((files.len(), uris.len(), notes), (1, 2, 2));
         let (_, uris, notes) = read(&[(top, layer("../base", geographic)), (base, layer("", "EPSG:3857"))]);
-        assert_eq!((uris.len(), notes), (1, 1));
+        assert_eq!((uris.len(), notes), (1, 2));
         let (files, uris, notes) = read(&[(top, layer("../base", geographic))]);
-        assert_eq!((files.len(), uris.len(), notes), (1, 1, 1));
+        assert_eq!((files.len(), uris.len(), notes), (1, 1, 2));
     }
 
     #[test]

@@ -18,7 +18,7 @@ use crate::fetch::IoError;
 use crate::formats::ignored::Notes;
 use crate::formats::implicit::TileCoordinates;
 use crate::formats::options::{Fetched, ReadOptions};
-use crate::formats::tile::{Continuation, Tile, TileContent};
+use crate::formats::tile::{ALWAYS_REFINED_M, Continuation, Tile, TileContent};
 use crate::math::BoundingVolume;
 use crate::scene::{ReaderData, ReaderValue, Refine};
 
@@ -62,17 +62,28 @@ impl TerrainPage {
             && !self.known.iter().any(|layer| layer.has_below(self.tile))
     }
 
-    /// Returns the tile that stands for the page.
-    pub(super) fn into_tile(self) -> Tile {
+    /// Returns the root tile above the page: a part of the ellipsoid that the page replaces. Where there is nothing but the
+    /// ellipsoid, the tile stands for the page.
+    pub(super) fn into_root(self) -> Tile {
+        let bounds = bounds(&self.set, self.tile, self.heights_m);
+        let mut geometric_error_m = self.set.tiling.geometric_error_m(self.tile);
+        let (mut contents, mut continuations) = (Vec::new(), Vec::new());
+        if self.is_ellipsoid() {
+            contents.push(self.content());
+        } else {
+            geometric_error_m = ALWAYS_REFINED_M;
+            contents.push(TerrainTile::new(self.set.clone(), self.tile, TileMesh::Ellipsoid).content(None));
+            continuations.push(Continuation { bounds, content: self.content() });
+        }
         Tile {
-            bounds: bounds(&self.set, self.tile, self.heights_m),
+            bounds,
             request_volume: None,
             refine: Refine::Replace,
-            geometric_error_m: self.set.tiling.geometric_error_m(self.tile),
+            geometric_error_m,
             content_transform: DAffine3::IDENTITY,
-            contents: vec![self.content()],
+            contents,
             external_tilesets: Vec::new(),
-            continuations: Vec::new(),
+            continuations,
             metadata: None,
             children: Vec::new(),
         }

@@ -37,13 +37,14 @@ impl TerrainSet {
         Arc::new(Self { uri: format!("{ELLIPSOID}{part}").into(), tiling, layers: Vec::new() })
     }
 
-    /// Returns the root tiles. Each stands for a page with the tile and the first levels below it.
+    /// Returns the root tiles, each with the page of its file and the first levels below it. Until that is read, and if it
+    /// cannot be, the ellipsoid is drawn.
     fn root_tiles(self: &Arc<Self>) -> Vec<Tile> {
         let columns = 0..self.tiling.root_columns();
         let roots = columns.map(|x| {
             let tile = TileCoordinates { level: 0, x, y: 0, z: 0 };
             let known: Arc<[Availability]> = self.layers.iter().map(|layer| layer.available.within(tile)).collect();
-            TerrainPage::root(self.clone(), tile, known).into_tile()
+            TerrainPage::root(self.clone(), tile, known).into_root()
         });
         roots.collect()
     }

@@ -80,7 +80,7 @@ pub struct BoundsInfo {
     pub center: [f64; 3],
     /// Radius in metres.
     pub radius_m: f64,
-    /// West, south, east and north in radians, lowest and highest height in metres.
+    /// West, south, east and north in radians, then lowest and highest height in metres if they are known.
     pub region: Option<Vec<f64>>,
 }
 
@@ -333,10 +333,14 @@ impl std::fmt::Display for Info {
         )?;
         let [x, y, z] = self.bounds.center;
         writeln!(f, "bounds: centre {x:.1} {y:.1} {z:.1}, radius {:.1} m", self.bounds.radius_m)?;
-        if let Some([west, south, east, north, low, high]) = self.bounds.region.as_deref() {
+        if let Some([west, south, east, north, heights @ ..]) = self.bounds.region.as_deref() {
             let d = |a: &f64| a.to_degrees();
             let (w, s, e, n) = (d(west), d(south), d(east), d(north));
-            writeln!(f, "region: {w:.5} {s:.5} to {e:.5} {n:.5} degrees, {low:.1} to {high:.1} m")?;
+            write!(f, "region: {w:.5} {s:.5} to {e:.5} {n:.5} degrees")?;
+            match heights {
+                [low, high] => writeln!(f, ", {low:.1} to {high:.1} m")?,
+                _ => writeln!(f)?,
+            }
         }
         for l in &self.levels {
             writeln!(

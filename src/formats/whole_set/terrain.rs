@@ -29,7 +29,7 @@ pub(super) fn inspect_terrain(
     }
     if let Some(layer) = layers.first() {
         info.version = layer.version.clone().unwrap_or_default();
-        info.bounds.region = layer.bounds.map(|bounds| bounds.into_iter().chain([0.0, 0.0]).collect());
+        info.bounds.region = layer.bounds.map(Vec::from);
     }
     let credits: Vec<&str> = layers.iter().filter_map(|layer| layer.attribution.as_deref()).collect();
     info.attribution = (!credits.is_empty()).then(|| credits.join("; "));

