@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 use terrane::formats::writers::{write_glb, write_height_exr};
 
 use super::mesh;
-use crate::args::{ContentKind, GenArgs, Summary, Voids};
+use crate::args::{Color, ContentKind, GenArgs, Summary, Voids};
 use crate::color::{Painter, TEXELS};
 use crate::georeference::ROUNDING;
 use crate::pyramid::{CELLS, Coverage, Pyramid, QUANTUM_M, TileKey};
@@ -117,10 +117,14 @@ fn write_tile(
     folder: &Path,
     key: TileKey,
 ) -> Result<u64, GenError> {
-    let mut jpeg = Vec::new();
-    JpegEncoder::new_with_quality(&mut jpeg, JPEG_QUALITY)
-        .encode(&painter.paint(key), TEXELS, TEXELS, image::ExtendedColorType::Rgb8)
-        .map_err(|e| GenError::Encode(format!("JPEG of tile {key:?}: {e}")))?;
+    let encode = || {
+        let mut jpeg = Vec::new();
+        JpegEncoder::new_with_quality(&mut jpeg, JPEG_QUALITY)
+            .encode(&painter.paint(key), TEXELS, TEXELS, image::ExtendedColorType::Rgb8)
+            .map_err(|e| GenError::Encode(format!("JPEG of tile {key:?}: {e}")))?;
+        Ok(jpeg)
+    };
+    let jpeg = (args.color != Color::None).then(encode).transpose()?;
     let stem = folder.join(format!("{}/{}/{}", key.level, key.x, key.y));
     let write = |extension: &str, bytes: &[u8]| -> Result<u64, GenError> {
         let path = stem.with_extension(extension);
@@ -136,7 +140,8 @@ fn write_tile(
             }
             let uri = format!("{}/{}/{}.exr", key.level, key.x, key.y);
             let exr = write_height_exr(&uri, CELLS + 3, heights).map_err(|e| GenError::Encode(e.to_string()))?;
-            Ok(write("exr", &exr)? + write("jpg", &jpeg)?)
+            let image_bytes = jpeg.map_or(Ok(0), |jpeg| write("jpg", &jpeg))?;
+            Ok(write("exr", &exr)? + image_bytes)
         }
         ContentKind::Mesh => {
             let glb = write_glb(&mesh::build(pyramid, key, skirt_m(level_errors_m, key), jpeg, !args.float_vertices));
@@ -184,7 +189,9 @@ fn tile_json(
     match form(args, pyramid, key) {
         ContentKind::Height => {
             tile["content"] = json!({ "uri": format!("{name}.exr") });
-            tile["extras"] = json!({ "terrane": { "imagery": format!("{name}.jpg") } });
+            if args.color != Color::None {
+                tile["extras"] = json!({ "terrane": { "imagery": format!("{name}.jpg") } });
+            }
         }
         ContentKind::Mesh => {
             tile["content"] = json!({ "uri": format!("{name}.glb") });
