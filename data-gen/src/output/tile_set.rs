@@ -67,7 +67,8 @@ pub(crate) fn write_tiles(
         "sourceVerticalDatum": args.vertical_datum.to_string(),
     });
     let tree = tile_json(args, pyramid, &level_errors_m, root, DAffine3::IDENTITY);
-    let mut tileset = json!({ "asset": asset, "geometricError": diagonal_m.max(2.0 * facts.error_m), "root": tree });
+    let root_error_m = tree["geometricError"].as_f64().unwrap_or(facts.error_m);
+    let mut tileset = json!({ "asset": asset, "geometricError": diagonal_m.max(2.0 * root_error_m), "root": tree });
     (tileset["schema"], tileset["metadata"]) = (schema(), json!({ "class": "terrain", "properties": properties }));
     tileset["root"]["refine"] = "REPLACE".into();
     let text = tileset.to_string();
@@ -174,8 +175,10 @@ fn tile_json(
     let sagitta_m = 6_378_137.0 * cell * cell / 4.0;
     let low_m = f64::from(f.min_height_m) - skirt_m(level_errors_m, key) - sagitta_m;
     let high_m = f64::from(f.max_height_m);
-    // Quantized vertices are off by at most half a step, which is added to the volume.
-    let slack_m = 0.1 + (6_378_137.0 * cell * CELLS as f64 + high_m - low_m) / 131_070.0;
+    // Quantized vertices are off by at most half a step, which is added to the volume and to the error.
+    let half_step_m = (6_378_137.0 * cell * CELLS as f64 + high_m - low_m) / 131_070.0;
+    let slack_m = 0.1 + half_step_m;
+    let is_quantized = form(args, pyramid, key) == ContentKind::Mesh && !args.float_vertices;
     // A region across the date line has its west edge east of its east edge in 3D Tiles.
     let [west, east] = [e.west, e.east].map(|l| if l > PI + ROUNDING { l - TAU } else { l });
     let region = [west, e.south, east, e.north, low_m - slack_m, high_m + slack_m];
@@ -183,7 +186,7 @@ fn tile_json(
     let leaf = key.level + 1 == pyramid.levels;
     let mut tile = json!({
         "boundingVolume": { "region": region },
-        "geometricError": f.error_m,
+        "geometricError": f.error_m + if is_quantized { half_step_m } else { 0.0 },
     });
     let mut ecef_from_tile = DAffine3::IDENTITY;
     match form(args, pyramid, key) {

@@ -172,6 +172,9 @@ fn tiles_without_data_are_left_out() {
     each_tile(&set["root"], None, &mut |tile, _| uris.push(tile["content"]["uri"].as_str().unwrap().to_owned()));
     assert_eq!(uris, ["0/0/0.glb", "1/0/0.glb", "2/0/0.exr", "2/1/0.glb", "2/0/1.glb", "2/1/1.glb"]);
     assert!(uris.iter().all(|uri| args.out.join(uri).is_file()));
+    let source = args.out.to_string_lossy();
+    let verified = terrane::formats::verify(&source, &terrane::fetch::Limits::default(), &mut |_| ()).unwrap();
+    assert_eq!((verified.contents, verified.failed, verified.ignored.len()), (6, 0, 0), "{verified:?}");
     // Height tiles are placed by their region, so the frames of the meshes above them must cancel.
     let matrix = |tile: &Value| {
         let numbers: Vec<f64> = serde_json::from_value(tile["transform"].clone()).unwrap();
