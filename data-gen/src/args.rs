@@ -23,6 +23,16 @@ pub enum ContentKind {
     Mesh,
 }
 
+/// The colour of tiles.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum Color {
+    /// Imagery, and natural colours where there is none.
+    #[default]
+    Natural,
+    /// Tiles have no texture.
+    None,
+}
+
 /// The treatment of positions without elevation inside the rectangle of the set.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum Voids {
@@ -65,6 +75,9 @@ pub struct GenArgs {
     /// Colour: GeoTIFF, or PNG or JPEG with a world file
     #[arg(long, value_name = "FILE")]
     pub imagery: Option<PathBuf>,
+    /// Colour of the tiles: natural colours by height and slope where there is no imagery, or none
+    #[arg(long, value_enum, default_value_t)]
+    pub color: Color,
     /// Reference system of rasters that do not name one, or one that is not supported: an EPSG code, or PROJ's notation
     /// (+proj=...)
     #[arg(long, value_name = "CODE", value_parser = Crs::parse)]
@@ -108,6 +121,7 @@ impl GenArgs {
             height_scale: None,
             height_offset: 0.0,
             imagery: None,
+            color: Color::Natural,
             epsg: None,
             vertical_datum: VerticalDatum::Ellipsoid,
             content: ContentKind::Height,
@@ -154,6 +168,9 @@ impl GenArgs {
         let is_finite = self.height_scale.is_none_or(|scale| scale.is_finite() && scale != 0.0);
         if !is_finite || !self.height_offset.is_finite() {
             return Err("--height-scale and --height-offset must be finite, and the scale not 0".to_owned());
+        }
+        if self.color == Color::None && self.imagery.is_some() {
+            return Err("--imagery has no effect with --color none".to_owned());
         }
         if self.content == ContentKind::Height && self.float_vertices {
             return Err("--float-vertices has no effect without --content mesh".to_owned());

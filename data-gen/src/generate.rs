@@ -224,6 +224,8 @@ fn generate_into(args: &GenArgs, folder: &Path) -> Result<Summary, GenError> {
     let grid = Grid::sample_rows(source.as_ref(), extent, side, &how);
     drop(sampling);
     let pyramid = Pyramid::new(grid, levels, source.as_ref());
+    // The memory of the source is free while tiles are written.
+    drop(source);
     if pyramid.keys().next().is_none() {
         let reason = "no neighbouring samples have heights; --voids fill continues them";
         return Err(GenError::invalid(args.dem.first().cloned().unwrap_or_default(), reason));

@@ -19,7 +19,7 @@ mod output;
 mod progress;
 mod pyramid;
 
-pub use args::{ContentKind, GenArgs, Summary, Voids};
+pub use args::{Color, ContentKind, GenArgs, Summary, Voids};
 pub use elevation::{ElevationSource, HeightEncoding, Procedural, Raster, RasterOptions, SourceSample};
 pub use error::GenError;
 pub use generate::{default_set, run};

@@ -15,7 +15,7 @@ const N: usize = TEXELS as usize;
 pub(crate) struct Painter<'a> {
     pub pyramid: &'a Pyramid,
     pub imagery: Option<&'a Imagery>,
-    /// The grid and smoothed copies of it, each half as fine as the one before, with the samples along a side.
+    /// Smoothed copies of the grid, each half as fine as the one before, with the samples along a side.
     smoothed: Vec<(usize, Vec<f32>)>,
     low_m: f64,
     high_m: f64,
@@ -23,17 +23,27 @@ pub(crate) struct Painter<'a> {
 
 impl<'a> Painter<'a> {
     pub fn new(pyramid: &'a Pyramid, imagery: Option<&'a Imagery>) -> Self {
-        let mut smoothed = vec![(pyramid.grid.side, pyramid.grid.heights.clone())];
-        while smoothed.len() < pyramid.levels as usize + 3 {
-            let Some((side, fine)) = smoothed.last() else { break };
-            if *side < 5 {
+        let mut smoothed: Vec<(usize, Vec<f32>)> = Vec::new();
+        while smoothed.len() + 1 < pyramid.levels as usize + 3 {
+            let grid = (pyramid.grid.side, pyramid.grid.heights.as_slice());
+            let (side, fine) = smoothed.last().map_or(grid, |(side, heights)| (*side, heights));
+            if side < 5 {
                 break;
             }
-            smoothed.push(halve(*side, fine));
+            smoothed.push(halve(side, fine));
         }
         let root = pyramid.facts(TileKey { level: 0, x: 0, y: 0 });
         let (low_m, high_m) = (f64::from(root.min_height_m), f64::from(root.max_height_m));
         Self { pyramid, imagery, smoothed, low_m, high_m }
+    }
+
+    /// Returns the samples along a side and the heights of the grid (depth 0) or of a smoothed copy; the coarsest one beyond
+    /// the last.
+    fn heights(&self, depth: usize) -> (usize, &[f32]) {
+        match self.smoothed.get(..depth).unwrap_or(&self.smoothed).last() {
+            Some((side, heights)) => (*side, heights),
+            None => (self.pyramid.grid.side, &self.pyramid.grid.heights),
+        }
     }
 
     /// Returns the RGB texels of a tile, north row first.
@@ -98,7 +108,7 @@ impl TerrainRow {
         // One texel is one cell two levels below the tile.
         let depth = (painter.pyramid.levels - 1 - level).saturating_sub(2) as usize;
         let levels = [0, 2, 4, 6].map(|coarser| LevelRow::new(painter, depth + coarser, u));
-        let cells = (painter.smoothed[levels[0].depth].0 - 1) as f64;
+        let cells = (painter.heights(levels[0].depth).0 - 1) as f64;
         Self {
             levels,
             x_m: [u[0] * sides_m[0], (u[1] - u[0]) / (N - 1) as f64 * sides_m[0]],
@@ -199,8 +209,7 @@ struct LevelRow {
 
 impl LevelRow {
     fn new(painter: &Painter<'_>, depth: usize, u: [f64; 2]) -> Self {
-        let depth = depth.min(painter.smoothed.len() - 1);
-        let side = painter.smoothed[depth].0;
+        let side = painter.heights(depth).0;
         let column = |k: usize| {
             let u = u[0] + (u[1] - u[0]) * (k as f64 / (N - 1) as f64);
             let x = (u * (side - 1) as f64).max(0.0);
@@ -216,7 +225,7 @@ impl LevelRow {
     /// Interpolates between the two rows of samples around `v` shifted by `rows`. Outside of the set the nearest column
     /// is repeated.
     fn line(&mut self, painter: &Painter<'_>, v: f64, which: usize, rows: f64) {
-        let (side, heights) = &painter.smoothed[self.depth];
+        let (side, heights) = painter.heights(self.depth);
         let last = (side - 1) as f64;
         let y = (v * last + rows).clamp(0.0, last);
         let y0 = (y as usize).min(side - 2);

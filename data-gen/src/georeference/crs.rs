@@ -45,9 +45,17 @@ impl Crs {
         }
     }
 
-    /// Reads a code (`2056`, `EPSG:2056`) or a definition in PROJ's notation (`+proj=...`). The error is the reason.
+    /// Reads a code (`2056`, `EPSG:2056`), a definition in PROJ's notation (`+proj=...`) or WKT. The error is the reason.
     pub fn parse(text: &str) -> Result<Self, String> {
         let text = text.trim();
+        if text.contains('[') {
+            // The definition of a code has the parameters of its datum, which WKT often lacks.
+            if let Some(known) = code_of_wkt(text).and_then(Self::from_epsg) {
+                return Ok(known);
+            }
+            let definition = proj4wkt::wkt_to_projstring(text).map_err(|e| format!("WKT: {e}"))?;
+            return Projection::new(&definition).map(Self::Projection);
+        }
         if text.starts_with('+') {
             return Projection::new(text).map(Self::Projection);
         }
@@ -96,6 +104,14 @@ impl Crs {
             Self::Projection(projection) => projection.unproject(x, y),
         }
     }
+}
+
+/// Returns the EPSG code of the system that a WKT defines: that of the authority (or id, in WKT 2) at its end.
+fn code_of_wkt(text: &str) -> Option<u32> {
+    let text: String = text.chars().filter(|c| !c.is_whitespace()).collect::<String>().to_ascii_uppercase();
+    let (_, last) = text.rsplit_once("[\"EPSG\",")?;
+    let digits = last.strip_suffix("]]")?.trim_matches('"');
+    digits.parse().ok()
 }
 
 /// Returns true for EPSG's geographic systems whose longitudes do not start at Greenwich. Some of them use grads.
@@ -187,6 +203,20 @@ mod tests {
         let lon = -(79.0 + 23.0 / 60.0 + 13.7 / 3600.0f64).to_radians();
         let [e, n] = utm_from_geodetic(17, true, lon, lat);
         assert!((e - 630_084.0).abs() < 1.0 && (n - 4_833_438.0).abs() < 1.0, "{e} {n}");
+    }
+
+    #[test]
+    fn wkt_is_read_by_its_code_or_its_parameters() {
+        let mercator = r#"PROJCS["a",GEOGCS["b",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,298.257223563]],
+            PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433],AUTHORITY["EPSG","4326"]],
+            PROJECTION["Transverse_Mercator"],PARAMETER["latitude_of_origin",0],PARAMETER["central_meridian",9],
+            PARAMETER["scale_factor",0.9996],PARAMETER["false_easting",500000],PARAMETER["false_northing",0],UNIT["metre",1]"#;
+        let coded = format!("{mercator},\n  AUTHORITY[\"EPSG\",\"32632\"]]");
+        assert_eq!(Crs::parse(&coded), Ok(Crs::Utm { zone: 32, north: true }));
+        let [x, y] = Crs::parse(&format!("{mercator}]")).unwrap().project(0.15, 0.82);
+        let expected = utm_from_geodetic(32, true, 0.15, 0.82);
+        assert!((x - expected[0]).abs() < 1e-3 && (y - expected[1]).abs() < 1e-3, "{x} {y}, not {expected:?}");
+        assert!(Crs::parse("PROJCS[\"nothing\"").is_err());
     }
 
     #[test]

@@ -89,11 +89,74 @@ impl GeoKeys {
                 .ok_or_else(|| format!("GeoTIFF: EPSG:{code} is not supported; --epsg names another system")),
             (_, Some(GEODETIC)) => Ok(Some(Crs::Geographic)),
             (None, None) => Ok(None),
-            (_, Some(PROJECTED) | None) if given.is_some() => Ok(given),
             (_, Some(PROJECTED) | None) => {
+                if let Some(own) = self.own_projection() {
+                    return Crs::parse(&own).map(Some).map_err(|reason| format!("GeoTIFF: {reason}"));
+                }
+                if given.is_some() {
+                    return Ok(given);
+                }
                 Err("GeoTIFF: a projection without a code; --epsg CODE names it if it has one".to_owned())
             }
             (_, Some(model)) => Err(format!("GeoTIFF: model type {model} is not supported")),
+        }
+    }
+
+    /// Returns the projection that the keys define by its method and parameters, in PROJ's notation. `None` without a known
+    /// method, unit or ellipsoid.
+    fn own_projection(&self) -> Option<String> {
+        let unit_m = match self.number(3076) {
+            None | Some(9001) => 1.0,
+            Some(9002) => FOOT_M,
+            Some(9003) => US_SURVEY_FOOT_M,
+            Some(_) => self.double(3077).filter(|unit_m| *unit_m > 0.0)?,
+        };
+        let first = |keys: &[u16]| keys.iter().find_map(|key| self.double(*key));
+        // The origin may be the natural one, the false one, or the centre.
+        let latitude = first(&[3081, 3085, 3089]).unwrap_or(0.0);
+        let longitude = first(&[3080, 3084, 3088, 3095]).unwrap_or(0.0);
+        let [parallel_1, parallel_2] = [3078, 3079].map(|key| self.double(key));
+        let scale = first(&[3092, 3093]).unwrap_or(1.0);
+        // ProjCoordTrans.
+        let method = match self.number(3075)? {
+            1 => format!("tmerc +lat_0={latitude} +k={scale}"),
+            7 => match parallel_1 {
+                Some(parallel) => format!("merc +lat_ts={parallel}"),
+                None => format!("merc +k={scale}"),
+            },
+            8 => format!("lcc +lat_0={latitude} +lat_1={} +lat_2={}", parallel_1?, parallel_2?),
+            9 => format!("lcc +lat_0={latitude} +lat_1={latitude} +k_0={scale}"),
+            10 => format!("laea +lat_0={latitude}"),
+            11 => format!("aea +lat_0={latitude} +lat_1={} +lat_2={}", parallel_1?, parallel_2?),
+            // The latitude of origin of a polar projection is where its scale is true.
+            15 if latitude != 0.0 => format!("stere +lat_0={} +lat_ts={latitude} +k={scale}", 90.0 * latitude.signum()),
+            16 => format!("sterea +lat_0={latitude} +k={scale}"),
+            17 => format!("eqc +lat_0={latitude} +lat_ts={}", parallel_1.unwrap_or(0.0)),
+            24 => "sinu".to_owned(),
+            28 => format!("cea +lat_ts={}", parallel_1.unwrap_or(0.0)),
+            _ => return None,
+        };
+        let [x_m, y_m] = [first(&[3082, 3086, 3090]), first(&[3083, 3087, 3091])].map(|v| v.unwrap_or(0.0) * unit_m);
+        let datum = self.datum()?;
+        Some(format!("+proj={method} +lon_0={longitude} +x_0={x_m} +y_0={y_m} {datum} +to_meter={unit_m}"))
+    }
+
+    /// Returns the datum or the ellipsoid in PROJ's notation.
+    fn datum(&self) -> Option<String> {
+        let code = self.number(2048).filter(|code| *code != USER_DEFINED && !has_other_meridian(*code));
+        if let Some(known) = code.and_then(|code| crs_definitions::from_code(code.try_into().ok()?)) {
+            let parts = known.proj4.split_whitespace().filter(|part| !matches!(*part, "+proj=longlat" | "+no_defs"));
+            return Some(parts.collect::<Vec<_>>().join(" "));
+        }
+        let axis_m = self.double(2057);
+        match (axis_m, self.double(2059), self.double(2058)) {
+            (Some(axis_m), Some(flattening), _) => Some(format!("+a={axis_m} +rf={flattening}")),
+            (Some(axis_m), None, Some(minor_m)) => Some(format!("+a={axis_m} +b={minor_m}")),
+            _ => match self.number(2056)? {
+                7030 => Some("+ellps=WGS84".to_owned()),
+                7019 => Some("+ellps=GRS80".to_owned()),
+                _ => None,
+            },
         }
     }
 

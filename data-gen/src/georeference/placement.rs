@@ -98,16 +98,22 @@ impl Default for Placement {
     }
 }
 
-/// Returns the reference system of a raster that does not name one: `given`, or degrees if its coordinates can be
-/// degrees.
+/// Returns the reference system of a raster that does not name one: that of the file beside it with the extension prj,
+/// `given`, or degrees if its coordinates can be degrees.
 fn unnamed_crs(
     path: &Path,
     transform: &GeoTransform,
     [width, height]: [usize; 2],
     given: Option<Crs>,
 ) -> Result<Crs, GenError> {
-    if let Some(crs) = given {
-        return Ok(crs);
+    let beside = path.with_extension("prj");
+    let named = std::fs::read_to_string(&beside).ok().map(|text| Crs::parse(&text));
+    match (named, given) {
+        (Some(Ok(crs)), _) | (_, Some(crs)) => return Ok(crs),
+        (Some(Err(reason)), None) => {
+            return Err(GenError::invalid(beside, format!("{reason}; --epsg names another system")));
+        }
+        (None, None) => {}
     }
     // The corners of the rectangle of sample centres. Longitudes may range from 0 to 360.
     let (right, bottom) = (width as f64 - 0.5, height as f64 - 0.5);

@@ -15,8 +15,8 @@ pub(crate) fn ecef_from_tile(pyramid: &Pyramid, key: TileKey) -> DAffine3 {
 }
 
 /// Builds the mesh of a tile, without triangles where there is no data. Skirts hang `skirt_m` down from its edges; `image` is
-/// its JPEG texture.
-pub(crate) fn build(pyramid: &Pyramid, key: TileKey, skirt_m: f64, image: Vec<u8>, quantized: bool) -> GlbMesh {
+/// its JPEG texture, if it has one.
+pub(crate) fn build(pyramid: &Pyramid, key: TileKey, skirt_m: f64, image: Option<Vec<u8>>, quantized: bool) -> GlbMesh {
     let e = pyramid.extent(key);
     let tile_from_ecef = ecef_from_tile(pyramid, key).inverse();
     let side = CELLS + 1;
@@ -30,7 +30,7 @@ pub(crate) fn build(pyramid: &Pyramid, key: TileKey, skirt_m: f64, image: Vec<u8
     };
     // glTF's y axis points up: x = east, y = up, z = -north.
     let y_up = |v: DVec3| [v.x as f32, v.z as f32, -v.y as f32];
-    let mut mesh = GlbMesh { base_color: [1.0; 4], image: Some(image), quantized, ..GlbMesh::default() };
+    let mut mesh = GlbMesh { base_color: [1.0; 4], image, quantized, ..GlbMesh::default() };
     let last = CELLS as i64;
     for j in 0..=last {
         for i in 0..=last {

@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 use terrane::formats::writers::{write_glb, write_height_exr};
 
 use super::mesh;
-use crate::args::{ContentKind, GenArgs, Summary, Voids};
+use crate::args::{Color, ContentKind, GenArgs, Summary, Voids};
 use crate::color::{Painter, TEXELS};
 use crate::georeference::ROUNDING;
 use crate::pyramid::{CELLS, Coverage, Pyramid, QUANTUM_M, TileKey};
@@ -67,7 +67,8 @@ pub(crate) fn write_tiles(
         "sourceVerticalDatum": args.vertical_datum.to_string(),
     });
     let tree = tile_json(args, pyramid, &level_errors_m, root, DAffine3::IDENTITY);
-    let mut tileset = json!({ "asset": asset, "geometricError": diagonal_m.max(2.0 * facts.error_m), "root": tree });
+    let root_error_m = tree["geometricError"].as_f64().unwrap_or(facts.error_m);
+    let mut tileset = json!({ "asset": asset, "geometricError": diagonal_m.max(2.0 * root_error_m), "root": tree });
     (tileset["schema"], tileset["metadata"]) = (schema(), json!({ "class": "terrain", "properties": properties }));
     tileset["root"]["refine"] = "REPLACE".into();
     let text = tileset.to_string();
@@ -117,10 +118,14 @@ fn write_tile(
     folder: &Path,
     key: TileKey,
 ) -> Result<u64, GenError> {
-    let mut jpeg = Vec::new();
-    JpegEncoder::new_with_quality(&mut jpeg, JPEG_QUALITY)
-        .encode(&painter.paint(key), TEXELS, TEXELS, image::ExtendedColorType::Rgb8)
-        .map_err(|e| GenError::Encode(format!("JPEG of tile {key:?}: {e}")))?;
+    let encode = || {
+        let mut jpeg = Vec::new();
+        JpegEncoder::new_with_quality(&mut jpeg, JPEG_QUALITY)
+            .encode(&painter.paint(key), TEXELS, TEXELS, image::ExtendedColorType::Rgb8)
+            .map_err(|e| GenError::Encode(format!("JPEG of tile {key:?}: {e}")))?;
+        Ok(jpeg)
+    };
+    let jpeg = (args.color != Color::None).then(encode).transpose()?;
     let stem = folder.join(format!("{}/{}/{}", key.level, key.x, key.y));
     let write = |extension: &str, bytes: &[u8]| -> Result<u64, GenError> {
         let path = stem.with_extension(extension);
@@ -136,7 +141,8 @@ fn write_tile(
             }
             let uri = format!("{}/{}/{}.exr", key.level, key.x, key.y);
             let exr = write_height_exr(&uri, CELLS + 3, heights).map_err(|e| GenError::Encode(e.to_string()))?;
-            Ok(write("exr", &exr)? + write("jpg", &jpeg)?)
+            let image_bytes = jpeg.map_or(Ok(0), |jpeg| write("jpg", &jpeg))?;
+            Ok(write("exr", &exr)? + image_bytes)
         }
         ContentKind::Mesh => {
             let glb = write_glb(&mesh::build(pyramid, key, skirt_m(level_errors_m, key), jpeg, !args.float_vertices));
@@ -169,8 +175,10 @@ fn tile_json(
     let sagitta_m = 6_378_137.0 * cell * cell / 4.0;
     let low_m = f64::from(f.min_height_m) - skirt_m(level_errors_m, key) - sagitta_m;
     let high_m = f64::from(f.max_height_m);
-    // Quantized vertices are off by at most half a step, which is added to the volume.
-    let slack_m = 0.1 + (6_378_137.0 * cell * CELLS as f64 + high_m - low_m) / 131_070.0;
+    // Quantized vertices are off by at most half a step, which is added to the volume and to the error.
+    let half_step_m = (6_378_137.0 * cell * CELLS as f64 + high_m - low_m) / 131_070.0;
+    let slack_m = 0.1 + half_step_m;
+    let is_quantized = form(args, pyramid, key) == ContentKind::Mesh && !args.float_vertices;
     // A region across the date line has its west edge east of its east edge in 3D Tiles.
     let [west, east] = [e.west, e.east].map(|l| if l > PI + ROUNDING { l - TAU } else { l });
     let region = [west, e.south, east, e.north, low_m - slack_m, high_m + slack_m];
@@ -178,13 +186,15 @@ fn tile_json(
     let leaf = key.level + 1 == pyramid.levels;
     let mut tile = json!({
         "boundingVolume": { "region": region },
-        "geometricError": f.error_m,
+        "geometricError": f.error_m + if is_quantized { half_step_m } else { 0.0 },
     });
     let mut ecef_from_tile = DAffine3::IDENTITY;
     match form(args, pyramid, key) {
         ContentKind::Height => {
             tile["content"] = json!({ "uri": format!("{name}.exr") });
-            tile["extras"] = json!({ "terrane": { "imagery": format!("{name}.jpg") } });
+            if args.color != Color::None {
+                tile["extras"] = json!({ "terrane": { "imagery": format!("{name}.jpg") } });
+            }
         }
         ContentKind::Mesh => {
             tile["content"] = json!({ "uri": format!("{name}.glb") });

@@ -8,7 +8,7 @@ use serde_json::Value;
 
 use crate::files::{each_tile, from_dem, region, tile_heights, tileset};
 use crate::tiffs::{COMPRESSION, Image, PHOTOMETRIC, Values, tiff};
-use terrane_data_gen::{GenArgs, Raster, Voids, run};
+use terrane_data_gen::{Color, ContentKind, GenArgs, Raster, Voids, run};
 
 /// The north-western corner and the size of a pixel of elevation in degrees.
 const CORNER: [f64; 2] = [7.0, 46.0];
@@ -126,11 +126,7 @@ fn triangles(folder: &Path, uri: &str, ecef_from_tile: glam::DMat4) -> Vec<[glam
 #[test]
 fn land_ends_where_the_data_ends() {
     let folder = tempfile::tempdir().unwrap();
-    let args = GenArgs {
-        content: terrane_data_gen::ContentKind::Mesh,
-        float_vertices: true,
-        ..island(folder.path(), "island.tif")
-    };
+    let args = GenArgs { content: ContentKind::Mesh, float_vertices: true, ..island(folder.path(), "island.tif") };
     let summary = run(&args).unwrap();
     let sea = (0..129 * 129).filter(|k| !is_land(k % 129, k / 129)).count();
     assert_eq!((summary.cut_samples, summary.levels, summary.tiles), (sea as u64, 2, 5));
@@ -176,6 +172,9 @@ fn tiles_without_data_are_left_out() {
     each_tile(&set["root"], None, &mut |tile, _| uris.push(tile["content"]["uri"].as_str().unwrap().to_owned()));
     assert_eq!(uris, ["0/0/0.glb", "1/0/0.glb", "2/0/0.exr", "2/1/0.glb", "2/0/1.glb", "2/1/1.glb"]);
     assert!(uris.iter().all(|uri| args.out.join(uri).is_file()));
+    let source = args.out.to_string_lossy();
+    let verified = terrane::formats::verify(&source, &terrane::fetch::Limits::default(), &mut |_| ()).unwrap();
+    assert_eq!((verified.contents, verified.failed, verified.ignored.len()), (6, 0, 0), "{verified:?}");
     // Height tiles are placed by their region, so the frames of the meshes above them must cancel.
     let matrix = |tile: &Value| {
         let numbers: Vec<f64> = serde_json::from_value(tile["transform"].clone()).unwrap();
@@ -367,6 +366,23 @@ fn imagery_finer_than_the_elevation_adds_levels() {
     assert!(coarse.iter().all(|v| v.abs_diff(128) < 40), "{coarse:?}");
     let few = run(&GenArgs { levels: Some(1), overwrite: true, ..args }).unwrap();
     assert!(few.notes[0].contains("detail for 3 levels; 1 are written"), "{:?}", few.notes);
+}
+
+#[test]
+fn sets_without_colour_have_no_images() {
+    let folder = tempfile::tempdir().unwrap();
+    let dem = args(folder.path(), "dem.tif", vec![elevation(slope)]);
+    let plain = GenArgs { color: Color::None, ..dem.clone() };
+    run(&plain).unwrap();
+    let names: Vec<String> = crate::files::files_below(&plain.out).into_keys().collect();
+    assert_eq!(names, ["0/0/0.exr", "tileset.json"]);
+    assert!(tileset(&plain.out)["root"]["extras"].is_null());
+    let meshes = GenArgs { color: Color::None, content: ContentKind::Mesh, overwrite: true, ..dem.clone() };
+    run(&meshes).unwrap();
+    let glb = fs::read(meshes.out.join("0/0/0.glb")).unwrap();
+    assert!(!glb.windows(6).any(|bytes| bytes == b"images"));
+    let both = GenArgs { imagery: Some(folder.path().join("a.png")), overwrite: true, ..plain };
+    assert!(run(&both).unwrap_err().to_string().contains("--imagery has no effect with --color none"));
 }
 
 /// Regression: a peak between the samples of the finest level was lost by hundreds of metres, and no error was declared.

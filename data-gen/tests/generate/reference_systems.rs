@@ -222,6 +222,38 @@ fn files_in_a_projection_of_epsg_are_placed_and_unknown_ones_can_be_overridden()
     assert_eq!(Raster::read_in(&given.dem[0], &given.raster_options()).unwrap().bounds().map(f64::to_degrees), bounds);
 }
 
+/// Regression: projections without a code were refused although the keys define them.
+#[test]
+fn geo_keys_define_projections_without_a_code() {
+    let folder = tempfile::tempdir().unwrap();
+    // Values of the keys' doubles: parallels of 29.5 and 45.5, the origin at 23 north and 96 west, easting and northing 0.
+    let doubles = [29.5, 45.5, 23.0, -96.0, 1_000_000.0];
+    let place = |method: u16, more: &[[u16; 2]]| {
+        let mut keys: Vec<[u16; 4]> = [[1024, 1], [3072, 32767], [2048, 4269], [3075, method]]
+            .iter()
+            .chain(more.iter().filter(|[key, _]| *key == 3076))
+            .map(|[key, value]| [*key, 0, 1, *value])
+            .collect();
+        keys.extend(more.iter().filter(|[key, _]| *key != 3076).map(|[key, index]| [*key, 34736, 1, *index]));
+        let directory = [vec![1, 1, 0, keys.len() as u16], keys.concat()].concat();
+        let image = crate::tiffs::Image::new([8; 2], 16, 1, [7, 0].repeat(64));
+        let image = image.with(34735, crate::tiffs::Values::Short(directory));
+        let image = image.with(34736, crate::tiffs::Values::Double(doubles.to_vec()));
+        let path = folder.path().join("own.tif");
+        fs::write(&path, crate::tiffs::tiff(vec![image])).unwrap();
+        world(&path, ([0.0, 0.0], 30.0));
+        Raster::read(&path).map(|raster| raster.bounds().map(f64::to_degrees))
+    };
+    let albers = place(11, &[[3078, 0], [3079, 1], [3081, 2], [3080, 3]]).unwrap();
+    assert!((albers[0] + 96.0).abs() < 1e-9 && (albers[3] - 23.0).abs() < 1e-6, "{albers:?}");
+    // An easting of a million survey feet.
+    let conic = place(8, &[[3076, 9003], [3078, 0], [3079, 1], [3085, 2], [3084, 3], [3086, 4]]).unwrap();
+    let west = -96.0 - 1e6 * 1200.0 / 3937.0 / (111_320.0 * 23f64.to_radians().cos());
+    assert!((conic[0] - west).abs() < 0.3, "{conic:?}, not {west}");
+    let unknown = place(3, &[]).unwrap_err().to_string();
+    assert!(unknown.contains("a projection without a code; --epsg CODE"), "{unknown}");
+}
+
 #[test]
 fn heights_above_a_geoid_become_heights_above_the_ellipsoid() {
     let folder = tempfile::tempdir().unwrap();
@@ -245,4 +277,20 @@ fn heights_above_a_geoid_become_heights_above_the_ellipsoid() {
     assert_eq!(properties["samplesLeftOut"].as_u64(), Some(0));
     let error = run(&GenArgs { vertical_datum: grid(8.0), ..raised }).unwrap_err().to_string();
     assert!(error.contains("a.tif: reaches beyond the geoid grid"), "{error}");
+}
+
+#[test]
+fn a_file_beside_a_raster_names_its_system() {
+    let folder = tempfile::tempdir().unwrap();
+    let args = from_dem(folder.path(), "a.tif", &tiff_int16(&heights(), None, None));
+    world(&args.dem[0], PLANE);
+    let beside = args.dem[0].with_extension("prj");
+    fs::write(&beside, "EPSG:32633").unwrap();
+    lies(&args, bounds(33));
+    // An argument does not override it, unless it is not understood.
+    lies(&GenArgs { epsg: Some(UTM_32), overwrite: true, ..args.clone() }, bounds(33));
+    fs::write(&beside, "Projection UTM\nZone 32\n").unwrap();
+    fs::remove_dir_all(&args.out).unwrap();
+    refused(&args, "a.prj: `Projection UTM Zone 32` is neither an EPSG code nor");
+    lies(&GenArgs { epsg: Some(UTM_32), ..args }, bounds(32));
 }
