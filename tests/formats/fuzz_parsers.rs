@@ -7,12 +7,10 @@ use std::sync::Arc;
 use kit::compressed::{Triangles, uastc_ktx2};
 use kit::contents::{GLTF_1, b3dm_bytes, cmpt_bytes, glb_1, padded, pnts_bytes, pnts_with_batches};
 use kit::fuzz::Parser;
-use kit::osg_files::{Osgb, VERSION, geode, group, osgt, triangle};
 use kit::subtrees::{Scheme, Subtree};
-use terrane::fetch::services::fuzz_ion_endpoint;
 use terrane::fetch::{DECODER_PANICKED, FileReader, IoError, Limits};
 use terrane::fetch::{RootScope, is_http, resolve, root_uri};
-use terrane::fetch::{fuzz_cache_entry, fuzz_encoding, fuzz_headers, fuzz_index, fuzz_pmtiles, fuzz_url};
+use terrane::fetch::{fuzz_index, fuzz_pmtiles, fuzz_url};
 use terrane::formats::writers::{GlbMesh, write_glb, write_height_exr};
 use terrane::formats::{Content, Fetched, ReadOptions, Style, decode, decode_node, dependencies, inspect};
 use terrane::scene::{Node, NodeKind, ReaderData};
@@ -534,95 +532,6 @@ fn display_settings() -> Parser {
     })
 }
 
-fn http_headers() -> Parser {
-    let seeds = [
-        "max-age=60, must-revalidate",
-        "no-store, private=\"x\", s-maxage=9",
-        "Sun, 06 Nov 1994 08:49:37 GMT",
-        "120",
-        "bytes 0-99/1000",
-        "gzip, br",
-        "*",
-    ];
-    Parser::new("http-headers", seeds, |bytes| {
-        fuzz_headers(&String::from_utf8_lossy(bytes));
-    })
-}
-
-fn ion_endpoints() -> Parser {
-    let seeds = [
-        r#"{"type":"3DTILES","url":"https://a/t.json","accessToken":"t","attributions":[{"html":"<b>A</b>"}]}"#,
-        r#"{"type":"TERRAIN","externalType":"3DTILES","options":{"url":"https://b/"}}"#,
-    ];
-    Parser::new("ion-endpoint", seeds, fuzz_ion_endpoint)
-}
-
-/// Files of OpenSceneGraph of all ages, in both encodings.
-fn osg() -> Parser {
-    let binary = |mut file: Osgb| {
-        file.triangle_geode(1);
-        file.bytes
-    };
-    let text = group(
-        1,
-        &[
-            geode(2, "StateSet TRUE { osg::StateSet { UniqueID 3 ModeList 1 { GL_BLEND ON } } }", &[triangle(10, "")]),
-            "osg::PagedLOD { UniqueID 20 CenterMode USER_DEFINED_CENTER UserCenter 0 0 0 9 RangeList 2 { 0 50 50 1e30 }
-            RangeDataList 2 { \"\" \"../a.osgb\" } PriorityList 2 { 0 1 0 1 } Children 1 { osg::Group { UniqueID 2 } } }"
-                .to_owned(),
-            "osg::Geode { UniqueID 30 Drawables 1 { osg::ShapeDrawable { UniqueID 31 Shape TRUE {
-            osg::Capsule { UniqueID 32 Radius 1 Height 2 } } Color 1 0 0 1 } } }"
-                .to_owned(),
-        ],
-    );
-    let seeds = [
-        binary(Osgb::new(VERSION, true)),
-        binary(Osgb::new(VERSION, false)),
-        binary(Osgb::new(80, false)),
-        binary(Osgb::new(100, true)),
-        osgt(VERSION, &text).into_bytes(),
-    ];
-    Parser::new("osg", seeds, move |bytes| {
-        dependencies("/set/tile", bytes, None, &[], &ReadOptions::for_root("/set/a", limits()));
-        content(bytes, None, Vec::new());
-    })
-}
-
-/// The metadata of a folder of oblique photogrammetry, with a list of its tiles.
-fn oblique() -> Parser {
-    let of = |srs: &str| {
-        format!("<?xml?><ModelMetadata version=\"1\"><SRS>{srs}</SRS><SRSOrigin>1,2,3</SRSOrigin></ModelMetadata>")
-    };
-    let wkt = r#"PROJCS["a",GEOGCS["b",DATUM["c",SPHEROID["d",6378137,298.257223563]]],PROJECTION["Transverse_Mercator"],
-        PARAMETER["central_meridian",9],PARAMETER["scale_factor",0.9996],UNIT["metre",1]]"#;
-    let seeds = [of("EPSG:32632"), of("ENU:47,8"), of("EPSG:4547"), of(wkt)];
-    Parser::new("oblique", seeds, move |bytes| {
-        let listing = ("/set/Data/*".into(), Ok(b"Tile_a/\nTile_b/\n".to_vec()));
-        content(bytes, None, vec![listing]);
-    })
-}
-
-fn encodings() -> Parser {
-    let text = TILESET.as_bytes();
-    let mut gzip = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
-    std::io::Write::write_all(&mut gzip, text).unwrap();
-    // A brotli stream with one uncompressed block, and a zstd frame with one raw block.
-    let brotli = [&[0x21, 0x14, 0x00, 0x04][..], b"hello", &[0x03]].concat();
-    let zstd = [&[0x28, 0xb5, 0x2f, 0xfd, 0x20, 0x05, 0x29, 0x00, 0x00][..], b"hello"].concat();
-    let limits = Limits { max_file_bytes: 1 << 16, ..Limits::default() };
-    Parser::new("encodings", [gzip.finish().unwrap(), brotli, zstd, text.to_vec()], move |bytes| {
-        for encoding in ["gzip", "br", "zstd", "zstd, gzip", "identity"] {
-            fuzz_encoding(encoding, bytes, &limits);
-        }
-        fuzz_encoding(&String::from_utf8_lossy(&bytes[..bytes.len().min(40)]), bytes, &limits);
-    })
-}
-
-fn cache_entries() -> Parser {
-    let seed = r#"{"uri":"http://h/a","blob":"2d711642b726b04401627ca9fbac32f5c8530fb1903cc4db02258717921a4881","size":1,"encoding":"gzip","etag":"\"1\"","last_modified":null,"checked_s":1000,"fresh_for_s":60}"#;
-    Parser::new("cache-entry", [seed], fuzz_cache_entry)
-}
-
 kit::parsers! {
     tileset,
     inspection,
@@ -648,10 +557,4 @@ kit::parsers! {
     camera_path,
     arrangements,
     display_settings,
-    osg,
-    oblique,
-    http_headers,
-    ion_endpoints,
-    encodings,
-    cache_entries,
 }

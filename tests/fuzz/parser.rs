@@ -7,6 +7,10 @@ use std::cell::RefCell;
 #[allow(dead_code, reason = "the parsers of elevation files use a part of these files")]
 #[path = "../../data-gen/tests/generate/files.rs"]
 mod files;
+#[path = "../http/fuzz_parsers.rs"]
+mod http;
+#[path = "../formats/osg/fuzz_parsers.rs"]
+mod osg;
 #[path = "../formats/fuzz_parsers.rs"]
 mod parsers;
 #[path = "../../data-gen/tests/generate/fuzz_rasters.rs"]
@@ -24,6 +28,8 @@ fn chosen() -> Parse {
     let wanted = std::env::var("FUZZ_PARSER").unwrap_or_default();
     let known = parsers::all().into_iter().map(|p| (p.name, p.seeds, p.parse));
     let known = known.chain(rasters::all().into_iter().map(|p| (p.name, p.seeds, p.parse)));
+    let known = known.chain(http::all().into_iter().map(|p| (p.name, p.seeds, p.parse)));
+    let known = known.chain(osg::all().into_iter().map(|p| (p.name, p.seeds, p.parse)));
     let known = known.chain(terrain::all().into_iter().map(|p| (p.name, p.seeds, p.parse)));
     let mut names = Vec::new();
     for (name, seeds, parse) in known {

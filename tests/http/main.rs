@@ -14,11 +14,14 @@ mod client;
 #[cfg(feature = "http")]
 mod fill;
 #[cfg(feature = "http")]
+mod fuzz_parsers;
+#[cfg(feature = "http")]
 mod hosts;
 #[cfg(feature = "http")]
 mod loading_budget;
 #[cfg(feature = "object-store")]
 mod object_stores;
+#[cfg(feature = "http")]
 mod services;
 #[cfg(feature = "http")]
 mod tls;

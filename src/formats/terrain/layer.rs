@@ -401,7 +401,6 @@ mod tests {
             ),
             (r#""bounds":[0,90,10,-90]"#, "invalid bounds"),
             (r#""extensions":["sparkle"]"#, "extension sparkle"),
-            (r#""attribution":"(c) A""#, "attribution"),
             (r#""maxzoom":3"#, "tiles up to maxzoom are tried"),
         ] {
             let notes = noted(members);

@@ -82,7 +82,11 @@ impl TerrainTile {
     pub fn read(&self, uri: &str, bytes: Vec<u8>, options: &ReadOptions, notes: &Notes) -> Result<Node, IoError> {
         let tiling = self.set.tiling;
         if !matches!(self.mesh, TileMesh::Ellipsoid) {
-            self.set.layers.iter().filter_map(|layer| layer.attribution.as_ref()).for_each(|text| notes.add_credit(text));
+            self.set
+                .layers
+                .iter()
+                .filter_map(|layer| layer.attribution.as_ref())
+                .for_each(|text| notes.add_credit(text));
         }
         let surface = match &self.mesh {
             TileMesh::File => surface_of(uri, &unpacked(uri, bytes, options)?, options, notes)?,

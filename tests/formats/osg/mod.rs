@@ -3,6 +3,7 @@
 
 mod bad_input;
 mod folders;
+mod fuzz_parsers;
 mod geometry;
 mod nodes;
 mod samples;

@@ -81,11 +81,14 @@ fn imagery_of_ion_is_draped_over_terrain() {
     });
     let folder = tempfile::tempdir().unwrap();
     let image = folder.path().join("view.png");
-    let out = terrane(&[
-        &["fly", "globe", "--offscreen", "--settle", "--size", "160x120", "--screenshot", image.to_str().unwrap()][..],
-        &["--overlay", "ion:9", "--ion-token", "secret", "--ion-server", &server.url],
-    ]
-    .concat());
+    let out = terrane(
+        &[
+            &["fly", "globe", "--offscreen", "--settle", "--size", "160x120", "--screenshot", image.to_str().unwrap()]
+                [..],
+            &["--overlay", "ion:9", "--ion-token", "secret", "--ion-server", &server.url],
+        ]
+        .concat(),
+    );
     assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
     assert!(server.seen().iter().any(|request| request.path().ends_with(".png")), "{:?}", server.seen());
     let image = image::open(&image).unwrap().into_rgb8();

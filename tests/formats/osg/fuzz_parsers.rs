@@ -1,0 +1,74 @@
+//! Fuzzed parsers of OpenSceneGraph's files and of the folders that are made of them. They are run like those of
+//! `tests/formats/fuzz_parsers.rs`, by tests and by `tools/fuzz`.
+
+use kit::fuzz::Parser;
+use kit::osg_files::{Osgb, VERSION, geode, group, osgt, triangle};
+use terrane::fetch::{DECODER_PANICKED, Limits};
+use terrane::formats::{Content, Fetched, ReadOptions, decode, dependencies};
+
+fn options() -> ReadOptions {
+    let limits = Limits { max_image_side_px: 256, max_file_bytes: 8 << 20, ..Limits::default() };
+    ReadOptions::for_root("/set/a", limits)
+}
+
+fn content(bytes: &[u8], companions: Vec<Fetched>) {
+    let mut options = options();
+    options.vertex_attributes = std::sync::Arc::new(["TEXCOORD_1".into()]);
+    dependencies("/set/tile", bytes, None, &companions, &options);
+    match decode(Content { uri: "/set/tile".into(), bytes: bytes.to_vec(), reader_data: None, companions }, &options) {
+        Ok(page) => assert!(page.size_bytes() < 1 << 30),
+        Err(error) => assert!(
+            !error.uri().is_empty() && !error.reason().is_empty() && error.reason() != DECODER_PANICKED,
+            "{error:?}"
+        ),
+    }
+}
+
+/// Files of OpenSceneGraph of all ages, in both encodings.
+fn osg() -> Parser {
+    let binary = |mut file: Osgb| {
+        file.triangle_geode(1);
+        file.bytes
+    };
+    let text = group(
+        1,
+        &[
+            geode(2, "StateSet TRUE { osg::StateSet { UniqueID 3 ModeList 1 { GL_BLEND ON } } }", &[triangle(10, "")]),
+            "osg::PagedLOD { UniqueID 20 CenterMode USER_DEFINED_CENTER UserCenter 0 0 0 9 RangeList 2 { 0 50 50 1e30 }
+            RangeDataList 2 { \"\" \"../a.osgb\" } PriorityList 2 { 0 1 0 1 } Children 1 { osg::Group { UniqueID 2 } } }"
+                .to_owned(),
+            "osg::Geode { UniqueID 30 Drawables 1 { osg::ShapeDrawable { UniqueID 31 Shape TRUE {
+            osg::Capsule { UniqueID 32 Radius 1 Height 2 } } Color 1 0 0 1 } } }"
+                .to_owned(),
+        ],
+    );
+    let seeds = [
+        binary(Osgb::new(VERSION, true)),
+        binary(Osgb::new(VERSION, false)),
+        binary(Osgb::new(80, false)),
+        binary(Osgb::new(100, true)),
+        osgt(VERSION, &text).into_bytes(),
+    ];
+    Parser::new("osg", seeds, |bytes| {
+        content(bytes, Vec::new());
+    })
+}
+
+/// The metadata of a folder of oblique photogrammetry, with a list of its tiles.
+fn oblique() -> Parser {
+    let of = |srs: &str| {
+        format!("<?xml?><ModelMetadata version=\"1\"><SRS>{srs}</SRS><SRSOrigin>1,2,3</SRSOrigin></ModelMetadata>")
+    };
+    let wkt = r#"PROJCS["a",GEOGCS["b",DATUM["c",SPHEROID["d",6378137,298.257223563]]],PROJECTION["Transverse_Mercator"],
+        PARAMETER["central_meridian",9],PARAMETER["scale_factor",0.9996],UNIT["metre",1]]"#;
+    let seeds = [of("EPSG:32632"), of("ENU:47,8"), of("EPSG:4547"), of(wkt)];
+    Parser::new("oblique", seeds, |bytes| {
+        let listing = ("/set/Data/*".into(), Ok(b"Tile_a/\nTile_b/\n".to_vec()));
+        content(bytes, vec![listing]);
+    })
+}
+
+kit::parsers! {
+    osg,
+    oblique,
+}
