@@ -193,7 +193,7 @@ fn on_a_known_path_the_page_needed_last_is_evicted() {
     for ahead_frames in [4.0, 10.0, 30.0] {
         let (missing_ahead, loaded_ahead) = flight(set, max_tiles, 40, ahead_frames);
         assert!(3 * missing_ahead < missing, "{ahead_frames} frames ahead: {missing_ahead} missing, else {missing}");
-        assert!(10 * loaded_ahead < 12 * loaded, "{ahead_frames} frames ahead: {loaded_ahead} loaded, {loaded} needed");
+        assert!(10 * loaded_ahead < 14 * loaded, "{ahead_frames} frames ahead: {loaded_ahead} loaded, {loaded} needed");
     }
 }
 
