@@ -56,11 +56,11 @@ pub fn dependencies(
     known: &[Fetched],
     options: &ReadOptions,
 ) -> Vec<Arc<str>> {
-    if value::<TerrainPage>(reader_data).is_some() || value::<TerrainTile>(reader_data).is_some() {
-        return Vec::new();
-    }
+    let is_terrain = value::<TerrainPage>(reader_data).is_some() || value::<TerrainTile>(reader_data).is_some();
     let base = options.base.as_deref().unwrap_or(uri);
-    let needed = if let Some(source) = reader_data.and_then(|data| data.value::<SubtreeSource>()) {
+    let needed = if is_terrain {
+        Vec::new()
+    } else if let Some(source) = reader_data.and_then(|data| data.value::<SubtreeSource>()) {
         implicit::external_buffers(source, uri, bytes, options)
     } else if let Some(ContentBytes::Several(contents)) = content_data(reader_data).map(|data| &data.bytes) {
         let fetched = contents.iter().filter(|content| !content.is_in_memory()).enumerate();

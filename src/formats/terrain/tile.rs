@@ -8,7 +8,7 @@ use super::mesh;
 use super::quantized;
 use super::set::TerrainSet;
 use super::surface::Surface;
-use super::tiling::Tiling;
+use super::tiling::{Rectangle, Tiling};
 use crate::fetch::markup::refuse_markup;
 use crate::fetch::{IoError, encoding, path_of};
 use crate::formats::ignored::Notes;
@@ -113,6 +113,11 @@ impl ReaderValue for TerrainTile {
 
     fn fallback_uri(&self) -> Option<Arc<str>> {
         self.fallback.clone()
+    }
+
+    fn region(&self) -> Option<[f64; 4]> {
+        let Rectangle { west, south, east, north } = self.set.tiling.rectangle(self.tile);
+        Some([west, south, east, north])
     }
 
     fn size_bytes(&self) -> u64 {
