@@ -7,7 +7,7 @@ use std::sync::Arc;
 use kit::compressed::{Triangles, uastc_ktx2};
 use kit::contents::{GLTF_1, b3dm_bytes, cmpt_bytes, glb_1, padded, pnts_bytes, pnts_with_batches};
 use kit::fuzz::Parser;
-use kit::osg_files::{Osgb, VERSION, geode, group, osgt, triangle};
+use kit::osg_parsers::{oblique, osg};
 use kit::subtrees::{Scheme, Subtree};
 use terrane::fetch::{DECODER_PANICKED, FileReader, IoError, Limits};
 use terrane::fetch::{RootScope, is_http, resolve, root_uri};
@@ -548,51 +548,6 @@ fn http_headers() -> Parser {
     })
 }
 
-/// Files of OpenSceneGraph of all ages, in both encodings.
-fn osg() -> Parser {
-    let binary = |mut file: Osgb| {
-        file.triangle_geode(1);
-        file.bytes
-    };
-    let text = group(
-        1,
-        &[
-            geode(2, "StateSet TRUE { osg::StateSet { UniqueID 3 ModeList 1 { GL_BLEND ON } } }", &[triangle(10, "")]),
-            "osg::PagedLOD { UniqueID 20 CenterMode USER_DEFINED_CENTER UserCenter 0 0 0 9 RangeList 2 { 0 50 50 1e30 }
-            RangeDataList 2 { \"\" \"../a.osgb\" } PriorityList 2 { 0 1 0 1 } Children 1 { osg::Group { UniqueID 2 } } }"
-                .to_owned(),
-            "osg::Geode { UniqueID 30 Drawables 1 { osg::ShapeDrawable { UniqueID 31 Shape TRUE {
-            osg::Capsule { UniqueID 32 Radius 1 Height 2 } } Color 1 0 0 1 } } }"
-                .to_owned(),
-        ],
-    );
-    let seeds = [
-        binary(Osgb::new(VERSION, true)),
-        binary(Osgb::new(VERSION, false)),
-        binary(Osgb::new(80, false)),
-        binary(Osgb::new(100, true)),
-        osgt(VERSION, &text).into_bytes(),
-    ];
-    Parser::new("osg", seeds, move |bytes| {
-        dependencies("/set/tile", bytes, None, &[], &ReadOptions::for_root("/set/a", limits()));
-        content(bytes, None, Vec::new());
-    })
-}
-
-/// The metadata of a folder of oblique photogrammetry, with a list of its tiles.
-fn oblique() -> Parser {
-    let of = |srs: &str| {
-        format!("<?xml?><ModelMetadata version=\"1\"><SRS>{srs}</SRS><SRSOrigin>1,2,3</SRSOrigin></ModelMetadata>")
-    };
-    let wkt = r#"PROJCS["a",GEOGCS["b",DATUM["c",SPHEROID["d",6378137,298.257223563]]],PROJECTION["Transverse_Mercator"],
-        PARAMETER["central_meridian",9],PARAMETER["scale_factor",0.9996],UNIT["metre",1]]"#;
-    let seeds = [of("EPSG:32632"), of("ENU:47,8"), of("EPSG:4547"), of(wkt)];
-    Parser::new("oblique", seeds, move |bytes| {
-        let listing = ("/set/Data/*".into(), Ok(b"Tile_a/\nTile_b/\n".to_vec()));
-        content(bytes, None, vec![listing]);
-    })
-}
-
 fn encodings() -> Parser {
     let text = TILESET.as_bytes();
     let mut gzip = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
@@ -639,9 +594,7 @@ kit::parsers! {
     camera_path,
     arrangements,
     display_settings,
-    osg,
-    oblique,
-    http_headers,
-    encodings,
+    osg, oblique,
+    http_headers, encodings,
     cache_entries,
 }

@@ -8,6 +8,7 @@ pub mod compressed;
 pub mod contents;
 pub mod fuzz;
 pub mod osg_files;
+pub mod osg_parsers;
 pub mod pager;
 pub mod server;
 pub mod subtrees;
