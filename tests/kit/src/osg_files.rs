@@ -56,9 +56,8 @@ impl Osgb {
     }
 
     fn header(&mut self, compressor: &str) {
-        let version = self.version;
-        self.u32(0x6c91_0ea1).u32(0x1afb_4545).u32(1).u32(version);
-        self.u32(if self.has_sizes { 4 } else { 0 }).text(compressor);
+        let (version, attributes) = (self.version, if self.has_sizes { 4 } else { 0 });
+        self.u32(0x6c91_0ea1).u32(0x1afb_4545).u32(1).u32(version).u32(attributes).text(compressor);
     }
 
     fn put<const N: usize>(&mut self, mut bytes: [u8; N]) -> &mut Self {

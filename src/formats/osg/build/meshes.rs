@@ -151,13 +151,13 @@ impl Builder<'_> {
             origin: DVec3::ZERO,
             starts_at_bottom,
         };
-        let bounds = Aabb::from_points((0..count).map(|vertex| arrays.position(vertex)));
-        if !(bounds.min.is_finite() && bounds.max.is_finite()) {
+        let points = || (0..count).map(|vertex| arrays.position(vertex));
+        if !points().all(|point| point.is_finite()) {
             return Err(OsgError::invalid("a vertex whose position is not finite"));
         }
         if matches!(positions.array.values, Values::F64(_)) {
             // Positions on the GPU have 24 bits, so that they must be near their origin.
-            arrays.origin = bounds.center();
+            arrays.origin = Aabb::from_points(points()).center();
         }
         let has_normals = arrays.normals.is_some();
         let meshes = if arrays.binds(Binding::PerPrimitiveSet) || arrays.binds(Binding::PerPrimitive) {
