@@ -18,6 +18,8 @@ use terrane::viewer::{Viewer, ViewerConfig};
 
 /// Width and height of all pictures.
 pub const SIDE: u32 = 256;
+/// The attributions of sets and of patches.
+pub const COPYRIGHTS: [&str; 2] = ["(c) Set", "(c) Patch"];
 /// The angle of view.
 const FIELD_OF_VIEW: f64 = std::f64::consts::FRAC_PI_3;
 
@@ -140,7 +142,7 @@ impl Patch {
             pbr = json!({ "baseColorTexture": { "index": 0 } });
         }
         let mut gltf = json!({
-            "asset": { "version": "2.0" }, "scenes": [{ "nodes": [0] }], "nodes": [{ "mesh": 0 }],
+            "asset": { "version": "2.0", "copyright": COPYRIGHTS[1] }, "scenes": [{ "nodes": [0] }], "nodes": [{ "mesh": 0 }],
             "extensionsUsed": ["KHR_materials_unlit"],
             "materials": [{ "pbrMetallicRoughness": pbr, "extensions": { "KHR_materials_unlit": {} } }],
             "meshes": [{ "primitives": [
@@ -168,6 +170,8 @@ impl Patch {
     /// Writes the content of the patch; returns its tile. `parent` maps the frame of the tile above to ECEF.
     pub fn tile(&self, folder: &Path, name: &str, error_m: f64, look: Look, parent: DAffine3) -> Value {
         let [west, south, east, north] = self.0.map(f64::to_radians);
+        // Across the antimeridian, east is less than west.
+        let east = if east > std::f64::consts::PI { east - std::f64::consts::TAU } else { east };
         let transform = parent.inverse() * self.frame();
         let matrix = glam::DMat4::from(transform).to_cols_array();
         json!({
@@ -191,7 +195,7 @@ impl Patch {
 /// Writes a tile set with a root tile; returns its path.
 pub fn write_set(folder: &Path, root: Value) -> String {
     let set = json!({
-        "asset": { "version": "1.0", "gltfUpAxis": "Z" }, "geometricError": 1e7, "root": root });
+        "asset": { "version": "1.0", "gltfUpAxis": "Z", "copyright": COPYRIGHTS[0] }, "geometricError": 1e7, "root": root });
     let file = folder.join("tileset.json");
     std::fs::write(&file, set.to_string()).unwrap();
     file.to_str().unwrap().to_owned()
@@ -229,7 +233,9 @@ impl Looking {
         viewer.frame().unwrap();
         viewer.finish().unwrap();
         let (_, picture) = viewer.take_pictures().pop().unwrap();
-        keep(name, &picture);
+        if !name.is_empty() {
+            keep(name, &picture);
+        }
         Some(Self { viewer, overlays, picture })
     }
 

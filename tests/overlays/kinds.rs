@@ -6,7 +6,10 @@ use serde_json::json;
 use terrane::formats::writers::write_height_exr;
 use terrane::formats::{GeoRectangle, OverlaySource, RasterOverlay, Tiling};
 
-use crate::earth::{Look, Looking, Patch, error_for, expected, mercator, mercator_pixel_m, numbered_server, png};
+use crate::earth::{
+    COPYRIGHTS, Look, Looking, Patch, error_for, expected, mercator, mercator_pixel_m, numbered_server, png, requests,
+    write_set,
+};
 
 const PATCH: Patch = Patch([8.0, 47.0, 8.6, 47.4]);
 const Z: u32 = 10;
@@ -127,4 +130,64 @@ fn invalid_images_of_the_application_are_reported_not_fatal() {
     let Some(looking) = Looking::at("", &set, vec![RasterOverlay::new(source)], &PATCH) else { return };
     looking.check(&PATCH, |_| Some([255; 3]));
     assert_eq!(looking.overlays.missing().len(), 1);
+}
+
+/// Attributions are those of what the last frames showed.
+#[test]
+fn credits_are_those_of_what_is_on_screen() {
+    let folder = tempfile::tempdir().unwrap();
+    let set = set(folder.path(), Look::White);
+    let elsewhere = Patch([100.0, 10.0, 101.0, 11.0]);
+    let overlays = vec![
+        RasterOverlay {
+            credit: Some("(c) Overlay".into()),
+            ..flat(folder.path(), "flat.png", [200, 100, 40], &PATCH, 1.0)
+        },
+        RasterOverlay {
+            credit: Some("(c) Elsewhere".into()),
+            ..flat(folder.path(), "other.png", [1, 2, 3], &elsewhere, 1.0)
+        },
+    ];
+    let Some(mut looking) = Looking::at("", &set, overlays, &PATCH) else { return };
+    let mut credits = looking.viewer.credits();
+    credits.sort();
+    assert_eq!(credits, ["(c) Overlay", COPYRIGHTS[1], COPYRIGHTS[0]].map(Into::into));
+    assert_eq!(looking.overlays.credits(), ["(c) Overlay".into()]);
+    // The patch is behind the camera; the set remains.
+    let pose = &mut looking.viewer.view_mut().camera.world_from_eye;
+    *pose *= glam::DAffine3::from_rotation_x(std::f64::consts::PI);
+    for _ in 0..5 {
+        looking.viewer.frame().unwrap();
+    }
+    assert_eq!(looking.viewer.credits(), [COPYRIGHTS[0].into()]);
+}
+
+/// Nothing of such a content is read, but for its images.
+#[test]
+fn content_inside_of_the_tileset_is_covered() {
+    use base64::Engine as _;
+    use terrane::formats::writers::{GlbMesh, write_glb};
+    let folder = tempfile::tempdir().unwrap();
+    let mut tile = PATCH.tile(
+        folder.path(),
+        "unused",
+        error_for(mercator_pixel_m(Z, 47.0)),
+        Look::White,
+        glam::DAffine3::IDENTITY,
+    );
+    let glb = write_glb(&GlbMesh {
+        positions: vec![[-2e4, -2e4, 0.0], [2e4, -2e4, 0.0], [0.0, 2e4, 0.0]],
+        indices: vec![0, 1, 2],
+        base_color: [1.0; 4],
+        ..GlbMesh::default()
+    });
+    let text = base64::engine::general_purpose::STANDARD.encode(glb);
+    tile["content"] = json!({ "uri": format!("data:model/gltf-binary;base64,{text}") });
+    let set = write_set(folder.path(), tile);
+    let (server, template) = numbered_server();
+    let Some(plain) = Looking::at("", &set, Vec::new(), &PATCH) else { return };
+    let Some(covered) = Looking::at("", &set, vec![RasterOverlay::template(&template)], &PATCH) else { return };
+    let middle = PATCH.place(0.5, 0.5);
+    assert_ne!(covered.color(middle), plain.color(middle));
+    assert!(requests(&server).keys().all(|path| path.starts_with("/10/")) && server.count() > 3);
 }

@@ -1,6 +1,6 @@
 //! Images that are missing or no images: a coarser one stands in, and the geometry is drawn in any case.
 
-use kit::server::{Reply, Server};
+use kit::server::{How, Reply, Server};
 use terrane::formats::RasterOverlay;
 
 use crate::earth::{
@@ -59,6 +59,19 @@ fn geometry_keeps_its_own_colours_without_images() {
     let Some(looking) = Looking::at("", &set(folder.path(), look), vec![overlay(&server)], &PATCH) else { return };
     looking.check(&PATCH, |_| Some([20, 200, 90]));
     assert!(looking.viewer.pager().unwrap().errors().is_empty());
+}
+
+/// A server that does not answer is asked once, and the tile is drawn after all.
+#[test]
+fn server_that_hangs_does_not_keep_geometry_from_appearing() {
+    let server = Server::start(|_| Reply::ok("").how(How::Silent));
+    let folder = tempfile::tempdir().unwrap();
+    let Some(looking) = Looking::at("", &set(folder.path(), Look::White), vec![overlay(&server)], &PATCH) else {
+        return;
+    };
+    looking.check(&PATCH, |_| Some([255; 3]));
+    assert!(server.seen().iter().all(|request| request.path().starts_with("/10/")), "no coarser level was asked for");
+    assert!(looking.overlays.missing_count() > 0);
 }
 
 /// The document of a service is as little needed as its images.

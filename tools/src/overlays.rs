@@ -4,7 +4,7 @@ use std::str::FromStr;
 
 use terrane::formats::{GeoRectangle, OverlaySet, OverlaySource, RasterOverlay, Tiling};
 
-/// What the help says about the sub-options.
+/// The help of `--overlay`.
 pub const OVERLAY_HELP: &str = "Drape images over the terrain; again for further ones above. ADDRESS is a template with {z} {x} {y} \
     (or {-y}, {s}), a tilemapresource.xml (TMS), WMTS capabilities, one image, or ion:ASSET_ID. Sub-options follow after commas: opacity=0.5, \
     levels=2-18, tiling=mercator|geographic, tile=512 (pixels), subdomains=a/b/c, rectangle=WEST/SOUTH/EAST/NORTH (degrees; \

@@ -22,7 +22,8 @@ pub(super) struct PlacedImage<'a> {
     pub area: Area,
 }
 
-/// Where a row or a column of texels is: in which row or column of the tiles, and its coordinate. `None` outside.
+/// The position of a row or a column of texels: the row or column of tiles that it is in, and its coordinate. It is `None`
+/// outside.
 type Place = Option<(u32, f64)>;
 
 impl Canvas {
@@ -244,7 +245,7 @@ mod tests {
         assert!(canvas.is_opaque());
     }
 
-    /// A row of the picture has the latitude that Web Mercator gives it, not a linear share of the tile.
+    /// A row of the canvas has the latitude that Web Mercator gives it, not a linear share of the tile.
     #[test]
     fn web_mercator_is_projected_row_by_row() {
         let grid = TileGrid::world(Tiling::WebMercator, 0..=0, 256);

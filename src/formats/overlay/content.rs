@@ -15,7 +15,6 @@ use crate::scene::{Node, ReaderData};
 struct Covered<'a> {
     set: &'a OverlaySet,
     extent: Extent,
-    is_height: bool,
 }
 
 impl<'a> Covered<'a> {
@@ -31,7 +30,7 @@ impl<'a> Covered<'a> {
             return None;
         }
         let is_height = bytes.starts_with(&[0x76, 0x2f, 0x31, 0x01]);
-        Some(Self { set, extent: Extent::new(volume, reader_data)?, is_height })
+        Some(Self { set, extent: Extent::new(volume, reader_data, is_height)? })
     }
 }
 
@@ -43,7 +42,7 @@ pub(in crate::formats) fn needed(
     options: &ReadOptions,
 ) -> Vec<Arc<str>> {
     let covered = Covered::new(bytes, reader_data, options);
-    covered.map_or(Vec::new(), |of| of.set.needed(&of.extent, of.is_height, known, &options.limits))
+    covered.map_or(Vec::new(), |of| of.set.needed(&of.extent, known, &options.limits))
 }
 
 /// The overlays of a content that is being decoded, with their images.
@@ -57,9 +56,8 @@ impl Draping {
     pub fn new(content: &Content, options: &ReadOptions) -> Option<Self> {
         options.overlays.as_ref()?;
         let covered = Covered::new(&content.bytes, content.reader_data.as_ref(), options);
-        let covered = covered.map(|Covered { set, extent, is_height }| {
-            (extent, set.fetched(&extent, is_height, &content.companions, &options.limits))
-        });
+        let covered =
+            covered.map(|Covered { set, extent }| (extent, set.fetched(&extent, &content.companions, &options.limits)));
         Some(Self { covered })
     }
 

@@ -1,8 +1,8 @@
 //! Drapes overlays over the drawables of a content. Decode threads.
 //!
-//! A height tile gets the composed texture in place of its own, which lies below it. A mesh gets texture coordinates from the
+//! A height tile gets the composed texture instead of its imagery, which is part of the composition. A mesh gets texture coordinates from the
 //! longitudes and latitudes of its vertices. Where the overlays hide everything below them, they are its base colour. Where
-//! they do not, they are a map of its own beside the base colour ([`MetallicRoughness::overlay`]).
+//! they do not, they are a separate map over the base colour ([`MetallicRoughness::overlay`]).
 
 use std::sync::Arc;
 
@@ -23,7 +23,7 @@ use crate::scene::{
 
 /// The maximum number of vertices of a content that are draped: each gets its own copy of its mesh.
 const MAX_VERTICES: usize = 4 << 20;
-/// At latitudes closer to a pole than this, in radians, a vertex has no longitude of its own.
+/// At latitudes closer to a pole than this, in radians, the longitude of a vertex has no meaning.
 const POLE: f64 = 1e-7;
 
 /// Stores the regions of tiles with their contents, so that the images of a content are those of its region and not of the
@@ -49,24 +49,24 @@ pub(super) fn apply(
     limits: &Limits,
     notes: &Notes,
 ) {
-    let mut found = Found { places: Vec::new(), vertices: 0, has_heights: false, notes };
-    found.node(node, set_from_content, extent);
-    let Found { places, has_heights, .. } = found;
-    if has_heights {
+    if extent.is_height {
         drape_heights(node, &mut |own| {
             let white = Texture::rgba8(1, 1, vec![vec![255; 4]]);
             let own = own.unwrap_or(&white);
-            let canvas = set.compose(extent, true, extent.rectangle, Some(own), images, limits, notes)?;
+            let canvas = set.compose(extent, extent.rectangle, Some(own), images, limits, notes)?;
             let (width, height, texels) = canvas.into_texels();
             Some(Arc::new(Texture::rgba8(width, height, mips(width, height, texels))))
         });
         return;
     }
     let middle = middle_of(&extent.rectangle);
+    let mut found = Found { places: Vec::new(), vertices: 0, middle, notes };
+    found.node(node, set_from_content);
+    let places = found.places;
     let points = places.iter().flatten().flat_map(|place| place.iter().copied());
     let Some(around) = GeoRectangle::around(middle, points) else { return };
     let area = within(around, &extent.rectangle);
-    let Some(canvas) = set.compose(extent, false, area, None, images, limits, notes) else { return };
+    let Some(canvas) = set.compose(extent, area, None, images, limits, notes) else { return };
     if canvas.is_empty() {
         return;
     }
@@ -95,40 +95,34 @@ fn within(rectangle: GeoRectangle, outer: &GeoRectangle) -> GeoRectangle {
 /// The longitudes and latitudes of a mesh's vertices; `None` for a drawable that is left as it is.
 type Places = Option<Vec<[f64; 2]>>;
 
-/// Finds the places of all meshes.
+/// Finds the longitudes and latitudes of the vertices of all meshes.
 struct Found<'a> {
     /// In the order of the walk, one for each drawable.
     places: Vec<Places>,
     vertices: usize,
-    has_heights: bool,
+    /// The longitude in the middle of the tile.
+    middle: f64,
     notes: &'a Notes,
 }
 
 impl Found<'_> {
-    fn node(&mut self, node: &Node, set_from_parent: DAffine3, extent: &Extent) {
+    fn node(&mut self, node: &Node, set_from_parent: DAffine3) {
         let mut set_from_node = set_from_parent;
         match &node.kind {
             NodeKind::Transform(map) => set_from_node = set_from_parent * *map,
             NodeKind::Geode(drawables) => {
                 for drawable in drawables {
-                    let places = self.drawable(drawable, &set_from_parent, middle_of(&extent.rectangle));
+                    let places = self.drawable(drawable, &set_from_parent);
                     self.places.push(places);
                 }
             }
             _ => {}
         }
-        node.children.iter().for_each(|child| self.node(child, set_from_node, extent));
+        node.children.iter().for_each(|child| self.node(child, set_from_node));
     }
 
-    fn drawable(&mut self, drawable: &Drawable, set_from_mesh: &DAffine3, middle: f64) -> Places {
-        let mesh = match &drawable.geometry {
-            Geometry::Mesh(mesh) => mesh,
-            Geometry::Height(_) => {
-                self.has_heights = true;
-                return None;
-            }
-            Geometry::Custom(_) => return None,
-        };
+    fn drawable(&mut self, drawable: &Drawable, set_from_mesh: &DAffine3) -> Places {
+        let Geometry::Mesh(mesh) = &drawable.geometry else { return None };
         if mesh.topology != Topology::Triangles {
             self.notes.add("overlay: lines or points, which it does not cover");
             return None;
@@ -138,6 +132,7 @@ impl Found<'_> {
             self.notes.add("overlay: mesh beyond four million vertices, which it does not cover");
             return None;
         }
+        let middle = self.middle;
         let place = |position: [f32; 3]| {
             let at = WGS84.geodetic(set_from_mesh.transform_point3(DVec3::from(position.map(f64::from))));
             let is_pole = at.latitude.abs() > std::f64::consts::FRAC_PI_2 - POLE;
@@ -165,7 +160,7 @@ fn drape_heights(node: &mut Node, compose: &mut impl FnMut(Option<&Texture>) -> 
 /// Gives meshes the composed texture.
 struct Draper<'a> {
     texture: Arc<Texture>,
-    /// What the texture covers.
+    /// The rectangle that the texture covers.
     area: GeoRectangle,
     middle: f64,
     is_opaque: bool,
@@ -184,7 +179,7 @@ impl Draper<'_> {
         node.children.iter_mut().for_each(|child| self.node(child, places));
     }
 
-    /// Returns the texture coordinates of a place. The outermost texels lie on the edges of the area.
+    /// Returns the texture coordinates of a longitude and a latitude. The outermost texels lie on the edges of the area.
     fn uv(&self, [longitude, latitude]: [f64; 2]) -> [f32; 2] {
         let along = |fraction: f64, texels: u32| {
             let texels = f64::from(texels);

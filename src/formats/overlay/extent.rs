@@ -28,19 +28,21 @@ pub struct TileVolume {
 pub(super) struct Extent {
     pub rectangle: GeoRectangle,
     pub geometric_error_m: f64,
+    /// True for a height tile.
+    pub is_height: bool,
 }
 
 impl Extent {
     /// Returns the extent of a tile; `None` if it is not on the earth. A region that its reader kept is exact, the rectangle
     /// around a box may be larger.
-    pub fn new(volume: &TileVolume, reader_data: Option<&ReaderData>) -> Option<Self> {
+    pub fn new(volume: &TileVolume, reader_data: Option<&ReaderData>, is_height: bool) -> Option<Self> {
         let of_height = || height::region(reader_data?.text()?);
         let region = reader_data.and_then(ReaderData::region).or_else(of_height);
         let rectangle = match region {
             Some(region) => GeoRectangle::from_degrees(region.map(f64::to_degrees)),
             None => rectangle_of(&volume.bounds),
         };
-        Some(Self { rectangle: rectangle?, geometric_error_m: volume.geometric_error_m })
+        Some(Self { rectangle: rectangle?, geometric_error_m: volume.geometric_error_m, is_height })
     }
 }
 

@@ -224,7 +224,7 @@ pub(crate) struct Cover {
     pub rows: u32,
     /// Added to the x of a longitude of the rectangle to get that of the cover.
     pub shift: f64,
-    /// Where the overlay has pixels.
+    /// The part of the rectangle that the overlay has pixels for.
     pub area: Area,
 }
 
@@ -240,7 +240,7 @@ pub(crate) struct TileGrid {
     pub tiling: Tiling,
     /// Coarse levels first; at least one.
     pub levels: Vec<GridLevel>,
-    /// Where there are images; `None` for the whole grid.
+    /// The rectangle that has images; `None` for the whole grid.
     pub rectangle: Option<GeoRectangle>,
 }
 

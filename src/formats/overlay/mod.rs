@@ -8,7 +8,7 @@
 //!
 //! The images of a content are its dependencies, as the external images of a glTF are: the pager's own threads load them, and
 //! the content is decoded when they have arrived or failed. What has failed is replaced by the next coarser level, and never
-//! fails a content. [`OverlaySet::level_of`] states the resolution. See docs/decisions/0051.
+//! fails a content. `OverlaySet::texel_m` states the resolution. See docs/decisions/0051.
 
 mod compose;
 mod content;
@@ -19,6 +19,7 @@ mod grid;
 mod images;
 mod options;
 mod set;
+mod source;
 mod template;
 mod xml;
 

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::grid::{GeoRectangle, Tiling};
 
-/// Where the images of an overlay come from. Addresses are http(s) URLs or paths of files.
+/// The source of an overlay's images. Addresses are http(s) URLs or paths of files.
 #[derive(Clone, Debug, PartialEq)]
 pub enum OverlaySource {
     /// Tiles with addresses that follow a template. Its placeholders are `{z}`, `{x}` and `{y}` for level, column and row
@@ -13,7 +13,7 @@ pub enum OverlaySource {
     Template {
         /// The template.
         url: String,
-        /// What replaces `{s}`, such as `a`, `b` and `c`.
+        /// The texts that replace `{s}` in turn, such as `a`, `b` and `c`.
         subdomains: Vec<String>,
     },
     /// A Tile Map Service, by its tilemapresource.xml.
@@ -36,7 +36,7 @@ pub enum OverlaySource {
     Image {
         /// The address of a PNG, JPEG or WebP, north up.
         address: String,
-        /// What it covers.
+        /// The longitudes and latitudes of its edges.
         rectangle: GeoRectangle,
     },
 }
@@ -44,7 +44,7 @@ pub enum OverlaySource {
 /// Images that are draped over tile sets.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RasterOverlay {
-    /// Where the images come from.
+    /// The source of the images.
     pub source: OverlaySource,
     /// The projection of a template or of an image. The documents of TMS and WMTS name their own.
     pub tiling: Tiling,
@@ -52,10 +52,10 @@ pub struct RasterOverlay {
     pub min_level: u32,
     /// The finest level that is requested, at most 30.
     pub max_level: u32,
-    /// Width and height of a template's tiles in pixels, as far as the level is concerned: images may be twice or four times
-    /// as large, or small, as those of dense screens are.
+    /// Width and height of a template's tiles in pixels, which the level is chosen by. Images may be two or four times as
+    /// large or as small.
     pub tile_px: u32,
-    /// Where there are images; `None` for all of the earth, or for what a document says.
+    /// The rectangle that has images; `None` for all of the earth, or for the bounds in a document.
     pub rectangle: Option<GeoRectangle>,
     /// The opacity, 0 to 1.
     pub opacity: f32,
@@ -99,6 +99,6 @@ impl RasterOverlay {
 pub struct OverlayError {
     /// The address of the overlay.
     pub address: String,
-    /// What is wrong.
+    /// The reason.
     pub reason: String,
 }

@@ -2,25 +2,23 @@
 
 use std::collections::BTreeMap;
 use std::num::NonZeroUsize;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use lru::LruCache;
 
 use super::compose::{Canvas, PlacedImage};
-use super::document::{self, ServerTiles, WmtsChoice};
+use super::document::ServerTiles;
 use super::extent::Extent;
-use super::grid::{Cover, GeoRectangle, MAX_TILES, TileGrid, TileIndex};
+use super::grid::{Area, Cover, GeoRectangle, MAX_TILES, TileIndex};
 use super::images::{self, ImageCache};
 use super::options::{OverlayError, OverlaySource, RasterOverlay};
-use super::template::Template;
-use crate::fetch::{IoError, Limits, RootScope, is_remote, resolve, server};
+use super::source::{Overlay, is_no_answer};
+use crate::fetch::{IoError, Limits, is_remote, server};
 use crate::formats::ignored::Notes;
 use crate::formats::options::Fetched;
 use crate::scene::Texture;
 
-/// The largest level that a template is asked for.
-const MAX_LEVEL: u32 = 30;
 /// The maximum number of overlays.
 const MAX_OVERLAYS: usize = 16;
 /// The maximum number of missing images that are named.
@@ -54,18 +52,6 @@ pub struct OverlaySet {
     missing_count: AtomicU64,
     /// The addresses that tiles needed last. Locked briefly by loading threads.
     asked: Mutex<LruCache<Arc<str>, ()>>,
-}
-
-/// An overlay at work.
-#[derive(Debug)]
-struct Overlay {
-    options: RasterOverlay,
-    /// The absolute address of the template, of the document or of the image.
-    address: Arc<str>,
-    /// Known from the beginning for templates and images, otherwise once the document was read.
-    tiles: OnceLock<Result<ServerTiles, IoError>>,
-    /// True once an image of it was composed onto a tile.
-    is_used: AtomicBool,
 }
 
 impl OverlaySet {
@@ -145,7 +131,7 @@ impl OverlaySet {
             }
             _ => vec![overlay.address.to_string()],
         });
-        // What follows the host may have placeholders, which are no part of a URL.
+        // Placeholders may follow the host. They are no part of a URL.
         let bare = |address: String| format!("{}/", server(&address));
         all.filter(|address| is_remote(address)).map(bare)
     }
@@ -154,17 +140,17 @@ impl OverlaySet {
     ///
     /// A tile is refined when its geometric error covers `max_sse_px` pixels. Just before, a texel may cover two pixels, as in
     /// CesiumJS and cesium-native: `texel_m = 2 * geometric_error_m / max_sse_px`.
-    fn texel_m(&self, extent: &Extent, is_height: bool) -> f64 {
-        let max_sse_px = self.max_sse_px.unwrap_or(if is_height { 3.0 } else { 16.0 });
+    fn texel_m(&self, extent: &Extent) -> f64 {
+        let max_sse_px = self.max_sse_px.unwrap_or(if extent.is_height { 3.0 } else { 16.0 });
         2.0 * extent.geometric_error_m / max_sse_px
     }
 
     /// Returns the addresses that a tile needs next and that are not in `known`: documents, then images, then coarser images in
     /// place of those that are missing.
-    pub(super) fn needed(&self, extent: &Extent, is_height: bool, known: &[Fetched], limits: &Limits) -> Vec<Arc<str>> {
+    pub(super) fn needed(&self, extent: &Extent, known: &[Fetched], limits: &Limits) -> Vec<Arc<str>> {
         let mut needed: Vec<Arc<str>> = Vec::new();
-        self.visit(extent, is_height, known, limits, |uri, known| {
-            if known.is_none() && !needed.contains(uri) {
+        self.visit(extent, known, limits, |overlay, uri, known| {
+            if known.is_none() && !needed.contains(uri) && !overlay.is_unreachable() {
                 needed.push(uri.clone());
             }
         });
@@ -176,9 +162,9 @@ impl OverlaySet {
     }
 
     /// Returns what was fetched for the overlays of a tile among what was fetched for its content.
-    pub(super) fn fetched(&self, extent: &Extent, is_height: bool, all: &[Fetched], limits: &Limits) -> Vec<Fetched> {
+    pub(super) fn fetched(&self, extent: &Extent, all: &[Fetched], limits: &Limits) -> Vec<Fetched> {
         let mut found: Vec<Fetched> = Vec::new();
-        self.visit(extent, is_height, all, limits, |uri, known| {
+        self.visit(extent, all, limits, |_, uri, known| {
             if let Some(known) = known
                 && !found.iter().any(|(found, _)| found == uri)
             {
@@ -193,18 +179,17 @@ impl OverlaySet {
     fn visit(
         &self,
         extent: &Extent,
-        is_height: bool,
         known: &[Fetched],
         limits: &Limits,
-        mut visit: impl FnMut(&Arc<str>, Option<&Result<Vec<u8>, IoError>>),
+        mut visit: impl FnMut(&Overlay, &Arc<str>, Option<&Result<Vec<u8>, IoError>>),
     ) {
-        let texel_m = self.texel_m(extent, is_height);
+        let texel_m = self.texel_m(extent);
         let known_of = |uri: &str| known.iter().find(|(known, _)| **known == *uri).map(|(_, bytes)| bytes);
         for overlay in &self.overlays {
             if overlay.has_document() {
                 let document = known_of(&overlay.address);
                 if overlay.tiles.get().is_none() || document.is_some() {
-                    visit(&overlay.address, document);
+                    visit(overlay, &overlay.address, document);
                 }
                 if let Some(Ok(bytes)) = document {
                     overlay.tiles.get_or_init(|| overlay.read_document(bytes));
@@ -217,11 +202,13 @@ impl OverlaySet {
                 while let Some(tile) = next {
                     let Ok(uri) = overlay.uri(tiles, tile) else { break };
                     let known = known_of(&uri);
-                    visit(&uri, known);
+                    visit(overlay, &uri, known);
                     next = match known {
                         None => None,
                         Some(Ok(bytes)) if images::check(&uri, bytes, tiles.tile_px(tile), limits).is_ok() => None,
                         Some(_) if self.images.contains(&uri) => None,
+                        // It would not answer for coarser images either.
+                        Some(Err(error)) if is_no_answer(error) => None,
                         Some(_) => tiles.grid.coarser(tile),
                     };
                 }
@@ -235,18 +222,17 @@ impl OverlaySet {
     }
 
     /// Composes the overlays of a tile onto a texture of the rectangle `area`, over `own`. Returns `None` if there is no image.
-    /// `extent` and `is_height` are those that the images were asked for with.
+    /// `extent` is that which the images were asked for with.
     pub(super) fn compose(
         &self,
         extent: &Extent,
-        is_height: bool,
         area: GeoRectangle,
         own: Option<&Texture>,
         fetched: &[Fetched],
         limits: &Limits,
         notes: &Notes,
     ) -> Option<Canvas> {
-        let texel_m = self.texel_m(extent, is_height);
+        let texel_m = self.texel_m(extent);
         let mut layers = Vec::new();
         let mut size = own.map_or([0.0; 2], |own| [f64::from(own.width), f64::from(own.height)]);
         for overlay in &self.overlays {
@@ -290,7 +276,7 @@ impl OverlaySet {
         fetched: &[Fetched],
         limits: &Limits,
         notes: &Notes,
-    ) -> Vec<Option<(Arc<Texture>, super::grid::Area)>> {
+    ) -> Vec<Option<(Arc<Texture>, Area)>> {
         let of_tile = |(column, row)| {
             let first = tiles.grid.tile_at(cover, column, row);
             let mut next = Some(first);
@@ -301,14 +287,14 @@ impl OverlaySet {
                         let shift =
                             tiles.grid.continuous_area(cover, column, row)?.left - tiles.grid.area_of(first)?.left;
                         let area = tiles.grid.area_of(tile)?;
-                        return Some((
-                            image,
-                            super::grid::Area { left: area.left + shift, right: area.right + shift, ..area },
-                        ));
+                        return Some((image, Area { left: area.left + shift, right: area.right + shift, ..area }));
                     }
-                    // It was not asked for.
-                    Ok(None) => return None,
-                    Err(error) => self.note_missing(error, notes),
+                    // It was not asked for. A coarser one may be decoded.
+                    Ok(None) => {}
+                    Err(error) => {
+                        overlay.note_answer(&error);
+                        self.note_missing(error, notes);
+                    }
                 }
                 next = tiles.grid.coarser(tile);
             }
@@ -337,7 +323,7 @@ impl OverlaySet {
     }
 
     /// Counts and names what is missing.
-    fn note_missing(&self, error: IoError, notes: &Notes) {
+    pub(super) fn note_missing(&self, error: IoError, notes: &Notes) {
         notes.add_missing(MISSING, &error);
         self.missing_count.fetch_add(1, Ordering::Relaxed);
         let mut missing = self.missing.lock().unwrap_or_else(PoisonError::into_inner);
@@ -358,127 +344,6 @@ fn tiles_of(cover: &Cover) -> impl Iterator<Item = (u32, u32)> + use<> {
     (0..rows).flat_map(move |row| (0..columns).map(move |column| (column, row))).take(MAX_TILES as usize)
 }
 
-impl ServerTiles {
-    fn tile_px(&self, tile: TileIndex) -> Option<[u32; 2]> {
-        self.grid.levels.get(tile.level)?.tile_px
-    }
-}
-
-impl Overlay {
-    /// Checks the options.
-    fn new(options: RasterOverlay) -> Result<Self, String> {
-        let RasterOverlay { min_level, max_level, tile_px, opacity, rectangle, tiling, .. } = options;
-        if min_level > max_level || max_level > MAX_LEVEL {
-            return Err(format!("levels {min_level} to {max_level} are not in order, or beyond {MAX_LEVEL}"));
-        }
-        if !(1..=8192).contains(&tile_px) {
-            return Err(format!("tiles of {tile_px} pixels, expected 1 to 8192"));
-        }
-        if !(0.0..=1.0).contains(&opacity) {
-            return Err(format!("opacity {opacity} is not from 0 to 1"));
-        }
-        let absolute = |address: &str| match is_remote(address) {
-            true => Ok(address.to_owned()),
-            false => {
-                let path = std::path::absolute(address).map_err(|error| error.to_string())?;
-                path.to_str().map(str::to_owned).ok_or_else(|| "the path is not UTF-8".to_owned())
-            }
-        };
-        let address = absolute(options.address())?;
-        let tiles = OnceLock::new();
-        let known = match &options.source {
-            OverlaySource::Template { subdomains, .. } => {
-                let template = Template::new(&address, subdomains)?;
-                let grid = TileGrid { rectangle, ..TileGrid::world(tiling, min_level..=max_level, tile_px) };
-                Some(ServerTiles { grid, template, credit: None })
-            }
-            OverlaySource::Image { rectangle, .. } => {
-                let is_valid = rectangle.width() > 0.0 && rectangle.height() > 0.0;
-                if !is_valid {
-                    return Err("the rectangle of the image is empty".to_owned());
-                }
-                let grid = TileGrid::image(tiling, *rectangle);
-                Some(ServerTiles { grid, template: Template::one(&address), credit: None })
-            }
-            OverlaySource::Tms { .. } | OverlaySource::Wmts { .. } => None,
-        };
-        if let Some(known) = known {
-            // The cell is empty.
-            let _ = tiles.set(Ok(known));
-        }
-        Ok(Self { address: address.into(), options, tiles, is_used: AtomicBool::new(false) })
-    }
-
-    /// Returns the attribution of the application, or that of the document.
-    fn credit(&self) -> Option<Arc<str>> {
-        let of_document = || self.tiles.get()?.as_ref().ok()?.credit.clone();
-        self.options.credit.clone().or_else(of_document)
-    }
-
-    /// Returns true if a document says what tiles there are.
-    fn has_document(&self) -> bool {
-        matches!(self.options.source, OverlaySource::Tms { .. } | OverlaySource::Wmts { .. })
-    }
-
-    /// Returns the tiles if they are known; counts and names a document that is missing or invalid.
-    fn known_tiles(&self, fetched: &[Fetched], set: &OverlaySet, notes: &Notes) -> Option<&ServerTiles> {
-        match self.tiles.get() {
-            Some(Ok(tiles)) => return Some(tiles),
-            Some(Err(error)) => set.note_missing(error.clone(), notes),
-            None => {
-                let document = fetched.iter().find(|(uri, _)| *uri == self.address);
-                if let Some((_, Err(error))) = document {
-                    set.note_missing(error.clone(), notes);
-                }
-            }
-        }
-        None
-    }
-
-    fn read_document(&self, bytes: &[u8]) -> Result<ServerTiles, IoError> {
-        let read = match &self.options.source {
-            OverlaySource::Wmts { layer, style, matrix_set, .. } => {
-                let choice =
-                    WmtsChoice { layer: layer.as_deref(), style: style.as_deref(), matrix_set: matrix_set.as_deref() };
-                document::read_wmts(bytes, choice)
-            }
-            _ => document::read_tms(bytes),
-        };
-        let mut tiles = read.map_err(|reason| IoError::invalid(&self.address, reason))?;
-        let RasterOverlay { min_level, max_level, rectangle, .. } = self.options;
-        let last = tiles.grid.levels.len().saturating_sub(1);
-        tiles.grid.levels.truncate((max_level as usize).min(last) + 1);
-        tiles.grid.levels.drain(..(min_level as usize).min(tiles.grid.levels.len() - 1));
-        tiles.grid.rectangle = rectangle.or(tiles.grid.rectangle);
-        // A reference that leads nowhere is an error of the document.
-        self.uri(&tiles, TileIndex { level: 0, column: 0, row: 0 })?;
-        Ok(tiles)
-    }
-
-    /// Returns the address of a tile. References of a document on a server lead to servers, those of a file to its folder
-    /// or to servers.
-    fn uri(&self, tiles: &ServerTiles, tile: TileIndex) -> Result<Arc<str>, IoError> {
-        let reference = tiles.template.url(&tiles.grid, tile);
-        if !self.has_document() {
-            return Ok(reference.into());
-        }
-        if !is_remote(&self.address) {
-            return match is_remote(&reference) {
-                true => Ok(reference.into()),
-                false => resolve(&self.address, &reference, &RootScope::of(&self.address)),
-            };
-        }
-        let bad = |reason: String| IoError::Uri { uri: reference.clone(), reason };
-        let base = url::Url::parse(&self.address).map_err(|error| bad(error.to_string()))?;
-        let url = base.join(&reference).map_err(|error| bad(error.to_string()))?;
-        match url.scheme() {
-            "https" => Ok(url.as_str().into()),
-            "http" if base.scheme() == "http" => Ok(url.as_str().into()),
-            scheme => Err(bad(format!("scheme {scheme} is not allowed in the overlay {}", self.address))),
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -488,7 +353,7 @@ mod tests {
     }
 
     fn extent(edges: [f64; 4], geometric_error_m: f64) -> Extent {
-        Extent { rectangle: GeoRectangle::from_degrees(edges).unwrap(), geometric_error_m }
+        Extent { rectangle: GeoRectangle::from_degrees(edges).unwrap(), geometric_error_m, is_height: false }
     }
 
     fn png(side: u32) -> Vec<u8> {
@@ -502,13 +367,13 @@ mod tests {
         let set = set("http://h/{z}/{x}/{y}.png");
         // At level 5, a pixel at the equator is 4,892 m; texels may be two of 16 pixels of error.
         let tile = extent([0.0, 0.0, 11.25, 10.0], 4892.0 * 8.0);
-        let needed = set.needed(&tile, false, &[], &Limits::default());
+        let needed = set.needed(&tile, &[], &Limits::default());
         assert_eq!(needed.iter().map(|uri| &**uri).collect::<Vec<_>>(), ["http://h/5/16/15.png"]);
         let finer = extent([0.0, 0.0, 11.25, 10.0], 4892.0 * 4.0);
-        assert_eq!(set.needed(&finer, false, &[], &Limits::default()).len(), 4);
+        assert_eq!(set.needed(&finer, &[], &Limits::default()).len(), 4);
         // Height tiles are refined at an error of three pixels.
-        let height = extent([0.0, 0.0, 11.25, 10.0], 4892.0 * 1.5);
-        assert_eq!(set.needed(&height, true, &[], &Limits::default()).len(), 1);
+        let height = Extent { is_height: true, ..extent([0.0, 0.0, 11.25, 10.0], 4892.0 * 1.5) };
+        assert_eq!(set.needed(&height, &[], &Limits::default()).len(), 1);
     }
 
     #[test]
@@ -523,19 +388,19 @@ mod tests {
             ("http://h/2/2/1.png", Ok(Vec::new())),
             ("http://h/1/1/0.png", Ok(png(256))),
         ] {
-            let needed = set.needed(&tile, false, &known, &Limits::default());
+            let needed = set.needed(&tile, &known, &Limits::default());
             assert_eq!(needed.iter().map(|uri| &**uri).collect::<Vec<_>>(), [expected]);
             known.push((expected.into(), answer));
         }
-        assert!(set.needed(&tile, false, &known, &Limits::default()).is_empty());
+        assert!(set.needed(&tile, &known, &Limits::default()).is_empty());
         let notes = Notes::default();
         let area = tile.rectangle;
-        let canvas = set.compose(&tile, false, area, None, &known, &Limits::default(), &notes).unwrap();
+        let canvas = set.compose(&tile, area, None, &known, &Limits::default(), &notes).unwrap();
         assert!(canvas.is_opaque());
         assert_eq!((set.missing_count(), set.missing().len()), (4, 4));
         assert_eq!(notes.into_ignored().count(MISSING), 4);
         known.push(("http://h/tile.bin".into(), Ok(Vec::new())));
-        assert_eq!(set.fetched(&tile, false, &known, &Limits::default()).len(), 5);
+        assert_eq!(set.fetched(&tile, &known, &Limits::default()).len(), 5);
         assert!(set.has_asked("http://h/4/8/7.png") && !set.has_asked("http://h/tile.bin"));
     }
 
@@ -564,10 +429,10 @@ mod tests {
         let set = OverlaySet::new(vec![RasterOverlay::new(source)]).unwrap();
         let tile = extent([0.0, 0.0, 11.25, 10.0], 1e6);
         let mut known = Vec::new();
-        let needed = set.needed(&tile, false, &known, &Limits::default());
+        let needed = set.needed(&tile, &known, &Limits::default());
         assert_eq!(&*needed[0], "http://h/a/tilemapresource.xml?key=1");
         known.push((needed[0].clone(), Ok(tms.as_bytes().to_vec())));
-        let needed = set.needed(&tile, false, &known, &Limits::default());
+        let needed = set.needed(&tile, &known, &Limits::default());
         assert_eq!(needed.iter().map(|uri| &**uri).collect::<Vec<_>>(), ["http://h/a/0/0/0.jpg"]);
     }
 }

@@ -24,7 +24,7 @@ const FINAL_FLUSH_TIMEOUT: Duration = Duration::from_secs(2);
 /// The maximum number of a content's dependencies that are requested at the same time. They do not count in the limits of
 /// their servers.
 const MAX_DEPENDENCIES_IN_FLIGHT: usize = 8;
-/// How long a content waits for a dependency that it is whole without.
+/// How long a content waits for all dependencies that it is whole without.
 const MAX_OPTIONAL_TIME: Duration = Duration::from_secs(10);
 
 /// The clients whose caches are flushed when the HTTP thread ends. Written by update, read by the HTTP thread.
@@ -318,6 +318,7 @@ async fn fetch_holding<J: LoadJob>(job: &J, reading: &Reading, permit: Permit) -
     if let Ok(loaded) = &mut loaded {
         loaded.companion_locations = locations;
     }
+    let optional_until = tokio::time::Instant::now() + MAX_OPTIONAL_TIME;
     if loaded.is_ok() {
         for _ in 0..MAX_DEPENDENCY_ROUNDS {
             let dependencies;
@@ -337,9 +338,13 @@ async fn fetch_holding<J: LoadJob>(job: &J, reading: &Reading, permit: Permit) -
                             return (uri, bytes, 0);
                         }
                         let request = files.get(&client, &uri, &reading.limits, &permit);
-                        let limit = if job.may_be_missing(&uri) { MAX_OPTIONAL_TIME } else { Duration::MAX };
-                        let (bytes, network_bytes) = tokio::time::timeout(limit, request).await.unwrap_or_else(|_| {
-                            let (phase, seconds) = ("an image beside the content", limit.as_secs_f64());
+                        if !job.may_be_missing(&uri) {
+                            let (bytes, network_bytes) = request.await;
+                            return (uri, bytes, network_bytes);
+                        }
+                        let got = tokio::time::timeout_at(optional_until, request).await;
+                        let (bytes, network_bytes) = got.unwrap_or_else(|_| {
+                            let (phase, seconds) = ("an image beside the content", MAX_OPTIONAL_TIME.as_secs_f64());
                             (Err(IoError::Timeout { uri: uri.to_string(), phase, seconds }), 0)
                         });
                         (uri, bytes, network_bytes)

@@ -273,9 +273,13 @@ impl SceneRegistry {
     pub fn tile_volume(&self, scenes: &dyn SceneSet, slot: NodeId, scope: &ReadScope) -> Option<TileVolume> {
         scope.options.overlays.as_ref()?;
         let state = self.scenes.get(&slot.page.scene)?;
-        let set_from_page = self.ancestors.get(&slot.page).unwrap_or(&state.root_ancestors).set_from_page;
+        let TilesetAncestors { chain, set_from_page } = self.ancestors.get(&slot.page).unwrap_or(&state.root_ancestors);
+        // The place of contents outside of a tileset is not known.
+        if chain.is_empty() {
+            return None;
+        }
         let (in_page, geometric_error_m) = scenes.numbered(slot.page.scene)?.slot_volume(slot)?;
-        Some(TileVolume { bounds: in_page.transformed(&set_from_page), geometric_error_m })
+        Some(TileVolume { bounds: in_page.transformed(set_from_page), geometric_error_m })
     }
 
     /// Notes that a merged page is a tileset, whose contents have these ancestors.
