@@ -31,7 +31,7 @@ pub fn group(id: u32, children: &[String]) -> String {
 
 /// Writes a binary file.
 pub struct Osgb {
-    /// What is written so far.
+    /// The bytes so far.
     pub bytes: Vec<u8>,
     version: u32,
     has_sizes: bool,
@@ -44,14 +44,14 @@ impl Osgb {
         Self::with_compressor(version, has_sizes, "0")
     }
 
-    /// Begins a file whose header names a compressor.
+    /// Begins a file that names a compressor. What follows is written as it is.
     pub fn with_compressor(version: u32, has_sizes: bool, compressor: &str) -> Self {
         let mut file = Self { bytes: Vec::new(), version, has_sizes, is_big_endian: false };
         file.header(compressor);
         file
     }
 
-    /// Begins a file with sizes of blocks and the highest byte of numbers first.
+    /// Begins a file of a machine with the other byte order.
     pub fn big_endian(version: u32) -> Self {
         let mut file = Self { bytes: Vec::new(), version, has_sizes: true, is_big_endian: true };
         file.header("0");
@@ -71,12 +71,12 @@ impl Osgb {
         self
     }
 
-    /// Writes a number.
+    /// Writes a number, which may be a mode or an index.
     pub fn u32(&mut self, value: u32) -> &mut Self {
         self.put(value.to_le_bytes())
     }
 
-    /// Writes numbers.
+    /// Writes floats.
     pub fn f32s(&mut self, values: &[f32]) -> &mut Self {
         for value in values {
             self.put(value.to_le_bytes());
@@ -84,7 +84,7 @@ impl Osgb {
         self
     }
 
-    /// Writes numbers of twice the size.
+    /// Writes doubles.
     pub fn f64s(&mut self, values: &[f64]) -> &mut Self {
         for value in values {
             self.put(value.to_le_bytes());
@@ -98,7 +98,7 @@ impl Osgb {
         self
     }
 
-    /// Writes a string.
+    /// Writes a string with its length.
     pub fn text(&mut self, text: &str) -> &mut Self {
         self.u32(text.len() as u32).raw(text.as_bytes())
     }
