@@ -193,7 +193,8 @@ mod tests {
     /// Returns the points of an edge: the coordinate along it, and the height.
     fn edge(surface: &Surface, edge: usize) -> Vec<[f64; 2]> {
         let vertices = surface.edges[edge].iter().map(|i| surface.vertices[*i as usize]);
-        let mut points: Vec<_> = vertices.map(|p| [if edge % 2 == 0 { p.v } else { p.u }, p.height_m]).collect();
+        let mut points: Vec<_> =
+            vertices.map(|p| [if edge.is_multiple_of(2) { p.v } else { p.u }, p.height_m]).collect();
         points.sort_by(|a, b| a.partial_cmp(b).unwrap());
         points
     }

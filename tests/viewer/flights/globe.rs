@@ -11,7 +11,7 @@ use terrane::viewer::{HoleCheck, KEY_COLOR, LoadedRoot, ViewerConfig, world_from
 
 const FRAMES: u32 = 30;
 /// A place near the antimeridian, radians.
-const PLACE: [f64; 2] = [3.1415, -0.52];
+const PLACE: [f64; 2] = [3.1413, -0.52];
 
 fn height(longitude: f64, latitude: f64) -> f64 {
     900.0 + 800.0 * (90.0 * longitude).sin() * (80.0 * latitude).cos()
