@@ -40,7 +40,11 @@ impl LoadedRoot {
     /// started for them.
     pub fn ellipsoid(config: &PagerConfig) -> Result<Self, ViewerError> {
         let uri: Arc<str> = ELLIPSOID.into();
-        let options = formats::ReadOptions::for_root(&uri, config.limits);
+        // The contents of a tileset have a place on the earth, which overlays ask for.
+        let options = formats::ReadOptions {
+            chain: Arc::new([uri.clone()]),
+            ..formats::ReadOptions::for_root(&uri, config.limits)
+        };
         let pager = DatabasePager::new(config.clone(), options)?;
         let page = Page::from_node(formats::ellipsoid());
         let page = page.map_err(|error| fetch::IoError::Uri { uri: uri.to_string(), reason: error.to_string() })?;

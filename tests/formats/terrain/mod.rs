@@ -288,7 +288,7 @@ fn unusual_parts_are_noted() {
     assert_eq!(info.attribution.as_deref(), Some("Survey of A"));
     let verified = verify(source, &Limits::default(), &mut |_| {}).unwrap();
     assert_eq!((verified.failed, verified.contents), (0, 2 + 4 + 2), "{verified:?}");
-    for kind in ["watermask", "attribution", "parent layer", "metadata that layer.json announces"] {
+    for kind in ["watermask", "parent layer", "metadata that layer.json announces"] {
         assert!(verified.ignored.keys().any(|noted| noted.contains(kind)), "{kind}: {:?}", verified.ignored);
     }
 }
