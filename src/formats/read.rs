@@ -320,7 +320,7 @@ impl ModelReader<'_> {
         }
         if first == Some(b'{') {
             return if tileset::is_tileset_text(uri, json)? {
-                tileset::read(uri, json, companions, options)
+                tileset::read(uri, json, companions, options, notes)
             } else if terrain::is_layer_text(json) {
                 terrain::read(uri, json, companions, options)
             } else {

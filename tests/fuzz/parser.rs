@@ -11,6 +11,8 @@ mod files;
 mod http;
 #[path = "../formats/osg/fuzz_parsers.rs"]
 mod osg;
+#[path = "../overlays/fuzz_parsers.rs"]
+mod overlays;
 #[path = "../formats/fuzz_parsers.rs"]
 mod parsers;
 #[path = "../../data-gen/tests/generate/fuzz_rasters.rs"]
@@ -29,6 +31,7 @@ fn chosen() -> Parse {
     let known = parsers::all().into_iter().map(|p| (p.name, p.seeds, p.parse));
     let known = known.chain(rasters::all().into_iter().map(|p| (p.name, p.seeds, p.parse)));
     let known = known.chain(http::all().into_iter().map(|p| (p.name, p.seeds, p.parse)));
+    let known = known.chain(overlays::all().into_iter().map(|p| (p.name, p.seeds, p.parse)));
     let known = known.chain(osg::all().into_iter().map(|p| (p.name, p.seeds, p.parse)));
     let known = known.chain(terrain::all().into_iter().map(|p| (p.name, p.seeds, p.parse)));
     let mut names = Vec::new();

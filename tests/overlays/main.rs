@@ -5,6 +5,7 @@
 
 mod documents;
 mod earth;
+mod fuzz_parsers;
 mod kinds;
 mod missing;
 mod tiles;

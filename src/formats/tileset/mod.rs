@@ -15,6 +15,7 @@ pub(super) use reader::read_tiles;
 
 use std::sync::Arc;
 
+use super::ignored::Notes;
 use super::options::{Fetched, ReadOptions};
 use super::tile::Tile;
 use crate::fetch::IoError;
@@ -26,6 +27,7 @@ pub(super) fn read(
     bytes: &[u8],
     companions: &[Fetched],
     options: &ReadOptions,
+    notes: &Notes,
 ) -> Result<Node, IoError> {
-    read_tiles(uri, bytes, companions, options).map(Tile::into_node)
+    reader::read_noting(uri, bytes, companions, options, notes).map(Tile::into_node)
 }

@@ -46,6 +46,20 @@ pub(in crate::formats) fn read_tiles(
     companions: &[Fetched],
     options: &ReadOptions,
 ) -> Result<Tile, IoError> {
+    let notes = Notes::default();
+    let root = read_noting(uri, bytes, companions, options, &notes);
+    options.ignored.add(&notes.into_ignored());
+    root
+}
+
+/// Does the same as [`read_tiles`], and adds what is left out, and the attribution, to notes.
+pub(super) fn read_noting(
+    uri: &Arc<str>,
+    bytes: &[u8],
+    companions: &[Fetched],
+    options: &ReadOptions,
+    notes: &Notes,
+) -> Result<Tile, IoError> {
     if options.chain.iter().any(|above| above == uri) {
         return Err(IoError::unsupported(uri, "the tileset contains itself"));
     }
@@ -58,8 +72,7 @@ pub(in crate::formats) fn read_tiles(
         });
     }
     let tileset = json::parse(uri, bytes, &options.limits)?;
-    let notes = Notes::default();
-    note_ignored(&tileset, &notes);
+    note_ignored(&tileset, notes);
     let files = ExternalFiles::new(options.base.as_ref().unwrap_or(uri), &options.root, &options.limits, companions);
     let (json, reference) = tileset.schema();
     let schema = properties::read_schema(uri, json, reference, &files).unwrap_or_else(|error| {
@@ -70,7 +83,7 @@ pub(in crate::formats) fn read_tiles(
     let schema = schema.map(Arc::new);
     let no_schema = Schema::default();
     let known = schema.as_deref().unwrap_or(&no_schema);
-    let metadata = options.keep_features.then(|| SetMetadata::new(&tileset, known, &notes));
+    let metadata = options.keep_features.then(|| SetMetadata::new(&tileset, known, notes));
     let up_axis = tileset.asset.gltf_up_axis.0.as_deref().and_then(UpAxis::named).unwrap_or_default();
     let heights = HeightSet::from_extras(uri, tileset.asset.extras.0)?;
     let schema = schema.clone();
@@ -83,10 +96,7 @@ pub(in crate::formats) fn read_tiles(
         geometric_error: tileset.geometric_error.map_or(0.0, |error| error.0),
         bounds: None,
     };
-    let root = reader.tile(tileset.root, DAffine3::IDENTITY, inherited);
-    drop(reader);
-    options.ignored.add(&notes.into_ignored());
-    root
+    reader.tile(tileset.root, DAffine3::IDENTITY, inherited)
 }
 
 /// Lists what the tileset asks for and this reader leaves out.
