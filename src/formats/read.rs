@@ -134,7 +134,7 @@ pub fn decode_noting(content: Content, options: &ReadOptions) -> Result<(Node, I
 /// A content that was decoded.
 struct Decoded {
     node: Node,
-    /// What the reader left out.
+    /// The properties that the reader left out.
     ignored: Ignored,
     /// The attributions of the content and of its overlays.
     credits: Vec<Arc<str>>,

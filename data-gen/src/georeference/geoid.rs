@@ -11,7 +11,7 @@ use crate::GenError;
 /// The value of points without data.
 const NODATA: f32 = -88.8888;
 const HEADER_BYTES: usize = 40;
-/// Where PROJ's grids are, unless the environment says where.
+/// The folders of PROJ's grids, unless the environment names others.
 const FOLDERS: [&str; 2] = ["/usr/share/proj", "/usr/local/share/proj"];
 
 /// The surface that heights of elevation files are measured from.

@@ -150,7 +150,7 @@ impl Credential {
         let (kind, name, value) = match &self.kind {
             Kind::Header(name, value) => (b'h', name.as_str(), value.as_bytes()),
             Kind::Query(name, value) => (b'q', name.as_str(), value.as_bytes()),
-            // Who asks stays the same when the token is renewed.
+            // The user stays the same when the token is renewed.
             Kind::Token(token) => (b't', AUTHORIZATION.as_str(), token.endpoint().as_bytes()),
         };
         bytes.push(kind);

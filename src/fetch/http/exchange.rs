@@ -54,7 +54,7 @@ pub(in crate::fetch) struct Exchange<'a> {
     pub progress: Arc<Progress>,
 }
 
-/// What happens to an answer.
+/// The progress of one answer.
 #[derive(Debug, Default)]
 pub(in crate::fetch) struct Progress {
     /// Bytes of the body received so far. They extend the total timeout.

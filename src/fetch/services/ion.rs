@@ -50,7 +50,7 @@ impl IonAsset {
         let mut url = Url::parse(&path).map_err(bad)?;
         url.query_pairs_mut().append_pair("access_token", &self.token);
         let endpoint = String::from(url);
-        // What is behind the token changes, and belongs to the user.
+        // The answer changes with each token, and is for this user alone.
         let http = HttpConfig { cache: None, ..http.clone() };
         let limits = Limits { max_file_bytes: MAX_ENDPOINT_BYTES, ..Limits::default() };
         let client = BlockingHttpClient::new(&http, &RootScope::of(&endpoint))?;

@@ -13,7 +13,7 @@ pub(in crate::fetch) use token::ExpiringToken;
 
 use super::Credential;
 
-/// What a service offers under an address.
+/// The kind of data that a service offers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ServiceKind {
     /// A tile set: 3D Tiles.
@@ -24,10 +24,10 @@ pub enum ServiceKind {
     Imagery,
 }
 
-/// Where the data of a service is and how it is asked for.
+/// The address of a service's data, and the credentials of its requests.
 #[derive(Clone, Debug)]
 pub struct ServiceSource {
-    /// What it is.
+    /// The kind of the data.
     pub kind: ServiceKind,
     /// Its URL.
     pub uri: String,

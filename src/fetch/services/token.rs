@@ -10,7 +10,7 @@ use crate::fetch::{IoError, Limits};
 
 /// A token for the header `Authorization`. Shared by all requests that carry it.
 pub(in crate::fetch) struct ExpiringToken {
-    /// Where it is issued. Its query has the user's own key.
+    /// The address that issues it. Its query has the user's own key.
     endpoint: String,
     /// The number of renewals so far, and the header. Locked briefly.
     current: Mutex<(u32, HeaderValue)>,

@@ -303,7 +303,7 @@ mod tests {
     use super::super::grid::TileIndex;
     use super::*;
 
-    /// As gdal2tiles writes it.
+    /// A document as gdal2tiles writes it.
     const TMS: &str = r#"<?xml version="1.0" encoding="utf-8"?>
     <TileMap version="1.0.0" tilemapservice="http://tms.osgeo.org/1.0.0">
       <Title>a.tif</Title><Abstract></Abstract><SRS>EPSG:3857</SRS>

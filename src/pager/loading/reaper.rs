@@ -29,7 +29,7 @@ impl Dropper {
     }
 }
 
-/// Drops pages, on a thread of its own or at once.
+/// Drops pages, on a separate thread or at once.
 pub(in crate::pager) enum Reaper {
     /// On a thread. Dropping the reaper drops all queued pages and joins the thread.
     Thread {

@@ -11,7 +11,7 @@ use terrane::scene::{Node, NodeKind, Page};
 
 use super::read_part;
 
-/// What a file holds.
+/// The contents of a file.
 #[derive(Default)]
 struct Found {
     paged: BTreeSet<String>,
