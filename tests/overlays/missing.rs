@@ -40,7 +40,7 @@ fn coarser_image_stands_in_for_one_that_is_missing() {
         looking.check(&PATCH, |place| {
             let tile = mercator(Z, place);
             let own = expected(|at| mercator(Z, at), place, 0.006)?;
-            Some(if tile[1] % 2 == 0 { color_of(mercator(Z - 2, place)) } else { own })
+            Some(if tile[1].is_multiple_of(2) { color_of(mercator(Z - 2, place)) } else { own })
         });
         let missing = looking.overlays.missing();
         assert!(looking.overlays.missing_count() >= 2 && !missing.is_empty(), "{what}: {missing:?}");

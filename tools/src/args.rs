@@ -50,7 +50,7 @@ pub enum Command {
     Fly(Box<FlyArgs>),
     /// Open a window on a tile set and navigate in it
     #[command(after_help = DISPLAY_HELP)]
-    View(ViewArgs),
+    View(Box<ViewArgs>),
     /// Generate a tile set from noise or from elevation files
     Gen(Box<terrane_data_gen::GenArgs>),
     /// Describe the content of a tile set
@@ -441,7 +441,7 @@ pub enum Bench {
         #[arg(long, value_name = "URL")]
         url: Option<String>,
         #[command(flatten)]
-        net: NetArgs,
+        net: Box<NetArgs>,
     },
 }
 

@@ -31,7 +31,7 @@ pub enum CacheCommand {
     /// Read all entries and remove corrupt ones
     Verify(FolderArgs),
     /// Fetch a part of a tile set for offline use; a stopped run continues where it ended
-    Fill(FillArgs),
+    Fill(Box<FillArgs>),
 }
 
 #[derive(Clone, Debug, ClapArgs)]

@@ -42,7 +42,7 @@ fn main() -> ExitCode {
     }
     let (name, result) = match args.command {
         args::Command::Fly(args) => ("fly", fly::run(args, display)),
-        args::Command::View(args) => ("view", fly::run(args.into(), display)),
+        args::Command::View(args) => ("view", fly::run((*args).into(), display)),
         args::Command::Gen(args) => {
             let made = terrane_data_gen::run(&args).map_err(anyhow::Error::from);
             ("gen", made.and_then(|summary| summary.print().context("standard output")))

@@ -46,7 +46,7 @@ fn tiling_of(crs: &str) -> Result<Tiling, String> {
 
 /// Returns a count of tiles.
 fn count(number: f64) -> Option<u32> {
-    (number >= 1.0 && number <= MAX_SIDE).then_some(number as u32)
+    (1.0..=MAX_SIDE).contains(&number).then_some(number as u32)
 }
 
 /// Returns a side of a tile in pixels.
@@ -276,7 +276,8 @@ fn wmts_template(
         }
         return Template::new(&text, &[]);
     }
-    let operations = root.child("OperationsMetadata").map(|of| of.all("Operation").collect()).unwrap_or(Vec::new());
+    let operations: Vec<_> =
+        root.child("OperationsMetadata").map(|of| of.all("Operation").collect()).unwrap_or_default();
     let get_tile = operations.iter().find(|of| of.attribute("name") == Some("GetTile"));
     let address = get_tile.and_then(|of| of.at(&["DCP", "HTTP", "Get"])?.attribute("href"));
     let address =

@@ -51,7 +51,7 @@ pub fn run(args: &BenchArgs) -> Result<()> {
                 skip_sse_factor: skip_sse.0,
                 by_motion: *by_motion,
                 url: url.clone(),
-                net: net.clone(),
+                net: (**net).clone(),
             })
         }
     }
