@@ -6,7 +6,7 @@ use std::sync::Arc;
 use super::options::{Fetched, ReadOptions};
 use super::{b3dm, cmpt, gltf, i3dm, osg, terrain, tileset};
 use crate::fetch::markup::text_and_first_byte;
-use crate::fetch::{encoding, resolve};
+use crate::fetch::{encoding, guarded, resolve};
 
 /// Returns the files that a model or a tileset refers to, known or not. `base` is the address that references are relative to.
 pub(super) fn of_model(base: &str, bytes: &[u8], known: &[Fetched], options: &ReadOptions) -> Vec<Arc<str>> {
@@ -25,9 +25,14 @@ fn of_part(base: &str, bytes: &[u8], known: &[Fetched], options: &ReadOptions, d
         let references = gltf::references(base, bytes, options);
         references.iter().filter_map(|reference| resolve(base, reference, &options.root).ok()).collect()
     };
-    if let Some(reader) = options.reader_of(base, bytes) {
-        let references = reader.references(base, bytes);
-        return references.iter().filter_map(|reference| resolve(base, reference, &options.root).ok()).collect();
+    let of_application = || Ok(options.reader_of(base, bytes).map(|reader| reader.references(base, bytes)));
+    // A reader that panics has no files here; it panics again in the decoder, which reports it.
+    match guarded(base, of_application) {
+        Ok(None) => {}
+        Ok(Some(references)) => {
+            return references.iter().filter_map(|reference| resolve(base, reference, &options.root).ok()).collect();
+        }
+        Err(_) => return Vec::new(),
     }
     let (text, first) = text_and_first_byte(bytes);
     match bytes.get(..4) {

@@ -27,6 +27,7 @@ impl ContentReader for Lines {
     }
 
     fn references(&self, _uri: &str, bytes: &[u8]) -> Vec<String> {
+        assert!(!bytes.ends_with(b"broken references\n"), "another error of the application");
         lines(bytes).filter(|(what, _)| *what == "quad").map(|(_, file)| file.to_owned()).collect()
     }
 
@@ -67,10 +68,11 @@ impl ContentReader for Lines {
 fn own_formats_are_read_as_roots_and_tiles() {
     let folder = tempfile::tempdir().unwrap();
     let write = |file: &str, bytes: &[u8]| std::fs::write(folder.path().join(file), bytes).unwrap();
-    write("root.lines", b"LINES\ntile good.lines\ntile bad.lines\ntile broken.lines\n");
+    write("root.lines", b"LINES\ntile good.lines\ntile bad.lines\ntile broken.lines\ntile unlisted.lines\n");
     write("good.lines", b"LINES\nquad color.bin\nquad color.bin\n");
     write("bad.lines", b"LINES\ncircle 1\n");
     write("broken.lines", b"LINES\npanic 1\n");
+    write("unlisted.lines", b"LINES\nquad color.bin\nbroken references\n");
     write("color.bin", &[255, 0, 0]);
     let config = ViewerConfig {
         size_px: [64, 64],
@@ -88,7 +90,7 @@ fn own_formats_are_read_as_roots_and_tiles() {
     viewer.finish().unwrap();
     let pager = viewer.pager().unwrap();
     let stats = pager.stats();
-    assert_eq!((stats.merged, stats.failed), (1, 2), "{stats:?}");
+    assert_eq!((stats.merged, stats.failed), (1, 3), "{stats:?}");
     assert_eq!(viewer.stats().last().unwrap().triangles, 4);
     let reasons: Vec<String> = pager.errors().iter().map(|error| error.reason.to_string()).collect();
     assert!(reasons.iter().any(|reason| reason.contains("unknown line circle")), "{reasons:?}");
