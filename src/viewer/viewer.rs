@@ -234,7 +234,7 @@ impl Viewer {
     }
 
     /// Returns the attributions of what the last frame showed: the `asset.copyright` of tilesets and glTFs, and the credits of
-    /// overlays, those of most tiles first. A window shows them with [`CreditsHandler`](super::CreditsHandler).
+    /// overlays, those of most tiles first. A window shows them with [`CreditsHandler`](super::handlers::CreditsHandler).
     pub fn credits(&self) -> Vec<std::sync::Arc<str>> {
         self.scene().credits(self.frame_stamp().frame)
     }

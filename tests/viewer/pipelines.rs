@@ -4,13 +4,15 @@ use std::path::Path;
 use std::sync::Arc;
 
 use glam::{DAffine3, DVec3};
+use kit::shapes::quad;
 use kit::viewer::offscreen;
 
 use terrane::formats::writers::{GlbMesh, write_glb};
+use terrane::formats::{ContentReader, Fetched, ReadOptions};
 use terrane::math::{BoundingSphere, BoundingVolume};
 use terrane::pager::PagerConfig;
 use terrane::scene::{Node, NodeKind, Page, PagedLod, PagingOptions, RangeMode, Refine, SunShadows};
-use terrane::state::{Attribute, CullFace, Program, StateSet, SurfaceMaterial};
+use terrane::state::{Attribute, ColorMask, CullFace, Depth, Program, StateSet, SurfaceMaterial};
 use terrane::viewer::{ThreadingModel, Viewer, ViewerConfig};
 
 fn viewer(threading: ThreadingModel, blocking: bool) -> Option<Viewer> {
@@ -19,7 +21,12 @@ fn viewer(threading: ThreadingModel, blocking: bool) -> Option<Viewer> {
         threading,
         adapter: kit::adapter(),
         validation: false,
-        pager: PagerConfig { blocking, vertex_attributes: ["_HEAT".into()].into(), ..PagerConfig::default() },
+        pager: PagerConfig {
+            blocking,
+            vertex_attributes: ["_HEAT".into()].into(),
+            content_readers: Arc::new([Arc::new(States)]),
+            ..PagerConfig::default()
+        },
         ..ViewerConfig::default()
     };
     offscreen(&config)
@@ -164,32 +171,26 @@ fn first_draw_of_a_merged_tile_creates_no_pipeline() {
     std::fs::remove_dir_all(&folder).unwrap();
 }
 
-/// Returns a glTF of triangles, lines and points under each kind of material, each with pipelines of its own.
-fn many_kinds() -> String {
-    use base64::Engine as _;
-    let positions: [[f32; 3]; 3] = [[-2.0, 0.0, 2.0], [2.0, 0.0, 2.0], [0.0, 0.0, -2.0]];
-    let buffer: Vec<u8> = positions.concat().iter().flat_map(|x| x.to_le_bytes()).collect();
-    let uri = base64::engine::general_purpose::STANDARD.encode(&buffer);
-    let materials: Vec<String> = (0..12)
-        .map(|n| {
-            let (mode, two_sided) = (["OPAQUE", "MASK", "BLEND"][n % 3], n / 3 % 2 == 1);
-            let unlit = if n < 6 { "" } else { r#","extensions":{"KHR_materials_unlit":{}}"# };
-            format!(r#"{{"alphaMode":"{mode}","doubleSided":{two_sided}{unlit}}}"#)
-        })
-        .collect();
-    let primitives: Vec<String> = (0..12)
-        .flat_map(|material| [0, 1, 4].map(|mode| (material, mode)))
-        .map(|(material, mode)| format!(r#"{{"attributes":{{"POSITION":0}},"mode":{mode},"material":{material}}}"#))
-        .collect();
-    format!(
-        r#"{{"asset":{{"version":"2.0"}},"extensionsUsed":["KHR_materials_unlit"],"materials":[{}],
-        "meshes":[{{"primitives":[{}]}}],"nodes":[{{"mesh":0}}],"scenes":[{{"nodes":[0]}}],"scene":0,
-        "buffers":[{{"byteLength":36,"uri":"data:application/octet-stream;base64,{uri}"}}],
-        "bufferViews":[{{"buffer":0,"byteLength":36}}],
-        "accessors":[{{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3","min":[-2,0,-2],"max":[2,0,2]}}]}}"#,
-        materials.join(","),
-        primitives.join(","),
-    )
+/// Reads any content that begins with `STATES` as squares under 32 states, each with pipelines of its own, for fades too.
+#[derive(Debug)]
+struct States;
+
+impl ContentReader for States {
+    fn accepts(&self, _uri: &str, bytes: &[u8]) -> bool {
+        bytes.starts_with(b"STATES")
+    }
+
+    fn read(&self, _uri: &str, _bytes: &[u8], _files: &[Fetched], _options: &ReadOptions) -> Result<Node, String> {
+        let states = (0..32u8).map(|n| {
+            let bit = |index: u8| n >> index & 1 == 1;
+            let set = StateSet::default()
+                .with(Attribute::ColorMask(ColorMask([bit(0), bit(1), bit(2), true])))
+                .with(Attribute::CullFace(if bit(3) { CullFace::Back } else { CullFace::Front }))
+                .with(Attribute::Depth(Depth { write: bit(4), ..Depth::default() }));
+            Node::geode(vec![quad([0.0; 3], [1.0; 2], [1.0; 4])]).with_state_set(Arc::new(set))
+        });
+        Ok(Node::group(states.collect()))
+    }
 }
 
 /// Regression: all pipelines of a page were created before the next frame, which took as long as they did.
@@ -198,7 +199,7 @@ fn pipelines_of_many_states_are_created_over_several_frames() {
     let Some(mut viewer) = viewer(ThreadingModel::SingleThreaded, false) else { return };
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("coarse.glb"), write_glb(&fan(6, [0.5, 0.5, 0.5, 1.0]))).unwrap();
-    std::fs::write(folder.path().join("kinds.gltf"), many_kinds()).unwrap();
+    std::fs::write(folder.path().join("many.states"), "STATES").unwrap();
     viewer.page_files_in(folder.path()).unwrap();
     viewer.view_mut().camera.look_at(DVec3::new(0.0, 0.0, 10.0), DVec3::ZERO, DVec3::Y);
     let root = |file: &str| {
@@ -210,7 +211,7 @@ fn pipelines_of_many_states_are_created_over_several_frames() {
     frames(&mut viewer, &mut time_s, 1.0);
     let before = viewer.stats().last().unwrap().triangles;
     assert!(before > 0);
-    viewer.add_root(root("kinds.gltf")).unwrap();
+    viewer.add_root(root("many.states")).unwrap();
     let (mut frame, mut compiling, mut seen) = (0, 0, Vec::new());
     while viewer.pager().unwrap().stats().merged < 2 {
         time_s += 0.05;

@@ -14,7 +14,9 @@ use super::grid::{Area, Cover, GeoRectangle, MAX_TILES, TileIndex};
 use super::images::{self, ImageCache};
 use super::options::{OverlayError, OverlaySource, RasterOverlay};
 use super::source::{Overlay, is_no_answer};
-use crate::fetch::{IoError, Limits, is_remote, server};
+use crate::fetch::{IoError, Limits};
+#[cfg(feature = "http")]
+use crate::fetch::{is_remote, server};
 use crate::formats::ignored::Notes;
 use crate::formats::options::Fetched;
 use crate::scene::Texture;
@@ -124,6 +126,7 @@ impl OverlaySet {
     }
 
     /// Returns the addresses of the overlays on servers, one for each subdomain.
+    #[cfg(feature = "http")]
     pub(crate) fn remote_addresses(&self) -> impl Iterator<Item = String> {
         let all = self.overlays.iter().flat_map(|overlay| match &overlay.options.source {
             OverlaySource::Template { url, subdomains } if url.contains("{s}") => {
@@ -217,6 +220,7 @@ impl OverlaySet {
     }
 
     /// Returns true if an address is one that a tile needed lately.
+    #[cfg(any(test, feature = "http"))]
     pub(crate) fn has_asked(&self, uri: &str) -> bool {
         self.asked.lock().unwrap_or_else(PoisonError::into_inner).contains(uri)
     }

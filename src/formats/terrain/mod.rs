@@ -25,5 +25,7 @@ mod tiling;
 pub(super) use layer::{Layer, is_layer, is_layer_text, parent_files, read_layers};
 pub(super) use pages::TerrainPage;
 pub use set::ellipsoid;
-pub(super) use set::{read, read_tiles};
+pub(super) use set::read;
+#[cfg(feature = "http")]
+pub(super) use set::read_tiles;
 pub(super) use tile::{TerrainTile, is_tile_name, read_alone};

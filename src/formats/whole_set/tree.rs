@@ -17,6 +17,7 @@ pub(super) enum Known<'a> {
     /// A subtree file.
     Subtree(&'a SubtreeSource),
     /// A part of a terrain tree.
+    #[cfg_attr(not(feature = "http"), allow(dead_code, reason = "the page is read to fill a cache"))]
     Terrain(&'a TerrainPage),
     /// A content that cannot be loaded.
     Refused(&'a IoError),

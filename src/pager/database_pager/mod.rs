@@ -44,7 +44,8 @@ use super::upload::context::CompileContext;
 use super::upload::merge_order::MergeOrder;
 use crate::cull::PageRequest;
 #[cfg(feature = "http")]
-use crate::fetch::{self, LoadRoom};
+use crate::fetch;
+use crate::fetch::LoadRoom;
 use crate::formats::ReadOptions;
 use crate::gpu::CompileBudget;
 use crate::scene::{BlockFormats, SharedStateManager};

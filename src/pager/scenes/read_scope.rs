@@ -55,6 +55,7 @@ impl ReadScope {
     }
 
     /// Returns true if an address is an image or a document of an overlay, which the application has named itself.
+    #[cfg(feature = "http")]
     pub fn is_of_overlay(&self, uri: &str) -> bool {
         self.options.overlays.as_ref().is_some_and(|set| set.has_asked(uri))
     }
