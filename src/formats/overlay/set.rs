@@ -12,7 +12,9 @@ use super::document::ServerTiles;
 use super::extent::Extent;
 use super::grid::{Area, Cover, GeoRectangle, MAX_TILES, TileIndex};
 use super::images::{self, ImageCache};
-use super::options::{OverlayError, OverlaySource, RasterOverlay};
+#[cfg(feature = "http")]
+use super::options::OverlaySource;
+use super::options::{OverlayError, RasterOverlay};
 use super::source::{Overlay, is_no_answer};
 use crate::fetch::{IoError, Limits};
 #[cfg(feature = "http")]
