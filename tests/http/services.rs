@@ -1,6 +1,6 @@
 //! Services with keys, against a server that speaks their protocols.
 
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 
 use kit::server::{Reply, Server};
@@ -16,16 +16,19 @@ struct Ion {
     server: Server,
     valid: Arc<AtomicUsize>,
     issued: Arc<AtomicUsize>,
+    is_revoked: Arc<AtomicBool>,
 }
 
 impl Ion {
     fn start() -> Self {
         let (valid, issued) = (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicUsize::new(0)));
         let (now, count) = (valid.clone(), issued.clone());
+        let is_revoked = Arc::new(AtomicBool::new(false));
+        let revoked = is_revoked.clone();
         let server = Server::start(move |request| {
             let now = now.load(Ordering::SeqCst);
             match request.target.as_str() {
-                "/v1/assets/7/endpoint?access_token=key" => {
+                "/v1/assets/7/endpoint?access_token=key" if !revoked.load(Ordering::SeqCst) => {
                     count.fetch_add(1, Ordering::SeqCst);
                     let host = request.header("host").unwrap();
                     Reply::ok(format!(
@@ -34,13 +37,14 @@ impl Ion {
                     ))
                 }
                 target if target.contains("/endpoint") => {
-                    Reply::new(if target.contains("access_token=key") { 404 } else { 401 }, "")
+                    let is_unknown = target.contains("access_token=key") && !revoked.load(Ordering::SeqCst);
+                    Reply::new(if is_unknown { 404 } else { 401 }, "")
                 }
                 _ if request.header("authorization") == Some(&format!("Bearer t{now}")) => Reply::ok("content"),
                 _ => Reply::new(401, ""),
             }
         });
-        Self { server, valid, issued }
+        Self { server, valid, issued, is_revoked }
     }
 
     fn asset(&self, id: u64, token: &str) -> IonAsset {
@@ -73,6 +77,11 @@ fn ion_names_the_set_and_renews_its_token() {
         }
         assert!(tasks.join_all().await.iter().all(|bytes| bytes == b"content"));
         assert_eq!(ion.issued.load(Ordering::SeqCst), 2);
+        // Regression: the renewal waited for itself when the service, on the same server, refused the user's key.
+        ion.is_revoked.store(true, Ordering::SeqCst);
+        ion.valid.store(2, Ordering::SeqCst);
+        let refused = tokio::time::timeout(std::time::Duration::from_secs(60), get("/7/b")).await;
+        assert!(matches!(refused, Ok(Err(IoError::Status { status: 401, .. }))), "{refused:?}");
     });
 }
 

@@ -39,7 +39,7 @@ impl Image {
         self
     }
 
-    /// Places the north-western pixel's corner at a longitude and latitude in degrees.
+    /// Puts the north-western pixel's corner at a longitude and latitude in degrees.
     pub fn at(self, [west, north]: [f64; 2], [dx, dy]: [f64; 2]) -> Self {
         let image = self.with(33550, Values::Double(vec![dx, dy, 0.0]));
         let image = image.with(33922, Values::Double(vec![0.0, 0.0, 0.0, west, north, 0.0]));

@@ -104,7 +104,9 @@ impl Transport {
             false => origin(uri)?,
         };
         let (mut retries_left, mut lost_left) = (config.max_retries, MAX_LOST_CONNECTIONS);
+        // Its own endpoint may be on the same server. A refusal there ends the renewal that waits for it.
         let token = config.credentials.iter().find_map(|credential| credential.token_for(&server));
+        let token = token.filter(|token| token.endpoint() != uri);
         let mut renewals_left = MAX_RENEWALS;
         loop {
             // An answer to another request may have asked for a pause, also while this one waited.

@@ -457,7 +457,7 @@ mod tests {
             let rectangle = degrees([180.0 - wide, 1.0, wide - 180.0, 2.0]);
             let found = tiles(&grid, 3, &rectangle);
             assert_eq!(found.iter().map(|tile| tile[0]).collect::<Vec<_>>(), [columns - 1, 0], "{tiling:?}");
-            // The same place, named from the other side.
+            // The same area, with longitudes from the other side of the antimeridian.
             let other = GeoRectangle { west: rectangle.west - TAU, east: rectangle.east - TAU, ..rectangle };
             assert_eq!(tiles(&grid, 3, &other), found);
         }

@@ -357,7 +357,7 @@ impl Fill<'_> {
         let options = ReadOptions { root, base, ..ReadOptions::for_root(&content.uri, self.options.limits) };
         let tiles = guarded(&content.uri, || match Known::of(content) {
             Known::Subtree(source) => source.read(&content.uri, bytes, read.companions, &options),
-            // The ellipsoid has no files, and goes on to a very fine level.
+            // The ellipsoid has no files, and its levels continue to a very fine one.
             Known::Terrain(page) if !page.is_ellipsoid() => page.read(&content.uri, bytes, read.companions, &options),
             _ => Ok(Vec::new()),
         })?;

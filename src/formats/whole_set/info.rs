@@ -242,7 +242,7 @@ impl Walk<'_> {
                 self.info.fail(error);
                 return true;
             }
-            // A terrain service has a summary of its own.
+            // A terrain service has a separate summary.
             Known::Embedded | Known::Terrain(_) => {
                 self.info.contents += 1;
                 self.info.level(level).contents += 1;

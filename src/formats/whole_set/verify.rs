@@ -165,7 +165,7 @@ fn collect(node: &Node, options: &ReadOptions, jobs: &mut Vec<Job>) -> u64 {
     match &node.kind {
         NodeKind::PagedLod(tile) => {
             let page = tile.reader_data.as_ref().and_then(ReaderData::value::<TerrainPage>);
-            // The ellipsoid has no files, and goes on to a very fine level.
+            // The ellipsoid has no files, and its levels continue to a very fine one.
             let is_ellipsoid = page.is_some_and(TerrainPage::is_ellipsoid);
             if let Some(uri) = tile.content.as_ref().filter(|_| !is_ellipsoid) {
                 push(uri, tile.reader_data.clone(), false);

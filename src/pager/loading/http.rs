@@ -98,7 +98,7 @@ pub(super) struct Channels<'a, J: LoadJob> {
     pub answers: &'a Sender<Answer<J>>,
 }
 
-/// What bounds the requests, and reads the files of contents that are partly on a disk.
+/// The limits of requests, and the reader for contents on a disk whose images are on servers.
 #[derive(Clone)]
 pub(super) struct Reading {
     pub limits: Limits,
@@ -246,7 +246,7 @@ async fn fetch<J: LoadJob>(job: J, reading: &Reading) -> Fetched<J> {
 /// [`NoRoom`] if the bytes have no room.
 async fn fetch_holding<J: LoadJob>(job: &J, reading: &Reading, permit: Permit) -> Result<Fetched<J>, NoRoom> {
     let limits = &reading.limits;
-    // That of a content on a disk is the server of its images.
+    // A content on a disk counts at the server of its images.
     let own = job.servers().first().cloned().unwrap_or_default();
     let client = job.client();
     let timed = async |uri: &Arc<str>, fallback: Option<Arc<str>>| {

@@ -274,7 +274,7 @@ impl SceneRegistry {
         scope.options.overlays.as_ref()?;
         let state = self.scenes.get(&slot.page.scene)?;
         let TilesetAncestors { chain, set_from_page } = self.ancestors.get(&slot.page).unwrap_or(&state.root_ancestors);
-        // The place of contents outside of a tileset is not known.
+        // The position on the earth of contents outside of a tileset is not known.
         if chain.is_empty() {
             return None;
         }

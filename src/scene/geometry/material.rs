@@ -44,8 +44,8 @@ pub struct MetallicRoughness {
     pub emissive_map: Option<Arc<Texture>>,
     /// The texture coordinates of maps that do not use those of the vertices.
     pub second_uv: SecondUv,
-    /// A picture over the base colour, by its alpha: sRGB, blended in linear light. It uses the second texture coordinates
-    /// as they are. [`Material::unlit`] shows it too. Raster overlays are such pictures.
+    /// An image over the base colour, by its alpha: sRGB, blended in linear light. It uses the second texture coordinates
+    /// as they are. [`Material::unlit`] shows it too. Raster overlays are such images.
     pub overlay: Option<Arc<Texture>>,
 }
 

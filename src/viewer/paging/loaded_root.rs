@@ -40,7 +40,7 @@ impl LoadedRoot {
     /// started for them.
     pub fn ellipsoid(config: &PagerConfig) -> Result<Self, ViewerError> {
         let uri: Arc<str> = ELLIPSOID.into();
-        // The contents of a tileset have a place on the earth, which overlays ask for.
+        // Overlays ask for the position on the earth, which only the contents of a tileset have.
         let options = formats::ReadOptions {
             chain: Arc::new([uri.clone()]),
             ..formats::ReadOptions::for_root(&uri, config.limits)

@@ -14,7 +14,7 @@ pub(super) fn read(path: &Path) -> Result<Raster, GenError> {
     decode(path, name, &bytes)
 }
 
-/// Reads the first HGT file of a zip file. The position is that of its own name, or of the zip file's name.
+/// Reads the first HGT file of a zip file. The name of that file, or of the zip file, tells the position.
 pub(super) fn read_zip(path: &Path) -> Result<Raster, GenError> {
     let bad = |reason: String| GenError::invalid(path, format!("zip: {reason}"));
     let mut file = std::fs::File::open(path).map_err(GenError::file(path))?;

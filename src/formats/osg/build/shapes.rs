@@ -73,7 +73,7 @@ fn append((vertices, indices): &mut Lists, mesh: &Mesh, map: &DAffine3) {
 /// A point of an outline: distance from the axis and height, then the same of the normal.
 type OutlinePoint = [f64; 4];
 
-/// Returns the outline of a shape from bottom to top. Two points at one place make an edge.
+/// Returns the outline of a shape from bottom to top. Two points at the same position make an edge.
 fn outline(profile: Profile, radius: f64, height: f64) -> Vec<OutlinePoint> {
     let half = 0.5 * height;
     match profile {
