@@ -31,6 +31,8 @@ const TIMEOUT: Duration = Duration::from_secs(300);
 const SPACING_M: f64 = 10.0;
 /// Contents that arrive at once while others wait.
 const ANSWERS: usize = 1_000;
+/// Contents that are loaded before the cases, so that the pager knows how large a content is.
+const KNOWN: usize = 8;
 /// The number of decode threads that allows [`ANSWERS`] contents to be under way.
 const DECODE_THREADS: usize = 96;
 /// The least number of updates measured in each case.
@@ -127,13 +129,24 @@ struct Crowd {
 
 impl Crowd {
     fn new(uri: &Arc<str>, requests: usize) -> Result<Self> {
-        let config = PagerConfig { max_tiles: ANSWERS, decode_threads: DECODE_THREADS, ..PagerConfig::default() };
-        let mut pager = DatabasePager::new(config, ReadOptions::for_root(uri, Limits::default()))?;
-        pager.set_paused(true);
+        let max_tiles = ANSWERS + KNOWN;
+        let config = PagerConfig { max_tiles, decode_threads: DECODE_THREADS, ..PagerConfig::default() };
+        let pager = DatabasePager::new(config, ReadOptions::for_root(uri, Limits::default()))?;
         let mut scene = Scene::new();
-        let root = scene.add_root(grid(uri, requests)?);
-        let slots = scene.slots_of_page(root).collect();
-        Ok(Self { scene, pager, context: noop()?, slots, requests: Vec::new(), frame: 0, position: 0 })
+        let root = scene.add_root(grid(uri, requests + KNOWN)?);
+        let slots: Vec<_> = scene.slots_of_page(root).collect();
+        let (first, others) = slots.split_at(KNOWN);
+        let mut crowd =
+            Self { scene, pager, context: noop()?, slots: first.to_vec(), requests: Vec::new(), frame: 0, position: 0 };
+        let start = Instant::now();
+        while crowd.pager.stats().merged < KNOWN as u64 {
+            crowd.update();
+            ensure!(start.elapsed() < TIMEOUT, "not all contents were merged: {:?}", crowd.pager.stats());
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        crowd.slots = others.to_vec();
+        crowd.pager.set_paused(true);
+        Ok(crowd)
     }
 
     /// Makes the requests of a cull, which lists every tile that is missing, and runs the update. Returns its microseconds.
