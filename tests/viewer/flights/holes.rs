@@ -10,7 +10,10 @@ use terrane_data_gen::ContentKind;
 use terrane::pager::PagerConfig;
 use terrane::viewer::{HoleCheck, KEY_COLOR, ThreadingModel, Viewer, ViewerConfig};
 
-const FRAMES: u32 = 100;
+/// Returns the number of frames of a flight.
+fn frames() -> u32 {
+    if kit::long_tests() { 100 } else { 40 }
+}
 
 /// A set and how it is flown over.
 #[derive(Clone, Copy, Debug)]
@@ -94,8 +97,8 @@ fn fly_low(set: &str, flight: &Flight) -> Option<(u64, u64)> {
         viewer.frame().unwrap();
     }
     let (mut holes, mut judged) = (0, 0);
-    for frame in 0..FRAMES {
-        let share = f64::from(frame) / f64::from(FRAMES - 1);
+    for frame in 0..frames() {
+        let share = f64::from(frame) / f64::from(frames() - 1);
         viewer.view_mut().camera.world_from_eye = pose(&bounds, eye_at(share), 0.6 * (share * 12.0).sin());
         viewer.want_picture();
         viewer.frame().unwrap();
@@ -142,7 +145,7 @@ fn no_holes_while_loading_nor_when_settled() {
         let folder = tempfile::tempdir().unwrap();
         let set = flight.write_set(folder.path());
         let Some((holes, judged)) = fly_low(&set, &flight) else { return };
-        assert!(judged > u64::from(FRAMES) * 320 * 180 / 10, "hardly any pixel was checked: {judged}, {flight:?}");
+        assert!(judged > u64::from(frames()) * 320 * 180 / 10, "hardly any pixel was checked: {judged}, {flight:?}");
         assert_eq!(holes, 0, "{flight:?}");
     }
 }
