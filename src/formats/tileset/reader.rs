@@ -13,12 +13,14 @@ use glam::DAffine3;
 use super::json::{self, KNOWN_EXTENSIONS, TileJson, TilesetJson};
 use super::set_metadata::SetMetadata;
 use super::volume::{affine, bounding_volume, inverse, root_volume};
-use crate::fetch::{IoError, path_of};
+use crate::fetch::{IoError, path_of, resolve};
 use crate::formats::embedded::is_data_uri;
 use crate::formats::external_files::ExternalFiles;
 use crate::formats::height::HeightSet;
 use crate::formats::ignored::Notes;
-use crate::formats::implicit::{ContentTemplate, ImplicitRoot, ImplicitTiling, ImplicitTilingJson, SubtreeSource};
+use crate::formats::implicit::{
+    ContentTemplate, HeightTemplate, ImplicitRoot, ImplicitTiling, ImplicitTilingJson, SubtreeSource,
+};
 use crate::formats::options::{Fetched, ReadOptions};
 use crate::formats::properties::{self, Schema};
 use crate::formats::tile::{ALWAYS_REFINED_M, ContentBytes, ContentData, Tile, TileContent, UpAxis};
@@ -183,7 +185,9 @@ impl Reader<'_> {
             geometric_error_m = heights.level_error_m(level).unwrap_or(geometric_error_m);
             let extras = json.extras.0.as_ref();
             let base = self.options.base.as_ref().unwrap_or(self.uri);
-            height_data = heights.tile_data(base, level, &bounds, extras, &self.options.root)?;
+            let imagery = extras.and_then(|own| own.imagery.as_deref());
+            let imagery = imagery.map(|reference| resolve(base, reference, &self.options.root)).transpose()?;
+            height_data = Some(heights.tile_data(base, level, &bounds, extras.and_then(|own| own.plane), imagery)?);
         }
         let References { mut contents, external_tilesets } = self.references(&json);
         if let Some(first) = contents.first_mut()
@@ -231,9 +235,13 @@ impl Reader<'_> {
         parent: DAffine3,
         inherited: Inherited,
     ) -> Result<Tile, IoError> {
-        if self.heights.is_some() {
-            return Err(IoError::unsupported(self.uri, "implicit tiling of height tiles"));
-        }
+        let extras = json.extras.0.as_ref();
+        let heights = self.heights.as_ref().map(|set| HeightTemplate {
+            set: set.clone(),
+            root_level: inherited.level,
+            plane: extras.and_then(|own| own.plane),
+            imagery: extras.and_then(|own| own.imagery.as_deref()),
+        });
         let missing = || IoError::invalid(self.uri, "content without a uri");
         let mut contents = Vec::new();
         for content in json.contents() {
@@ -254,6 +262,7 @@ impl Reader<'_> {
                 is_replaced: inherited.is_replaced,
                 contents,
                 up_axis: self.up_axis,
+                heights,
                 schema: self.schema.clone(),
                 groups: self.metadata.as_ref().map(SetMetadata::groups).unwrap_or_default(),
             },

@@ -18,6 +18,11 @@ pub trait ReaderValue: Any + Debug + Send + Sync {
         false
     }
 
+    /// Returns true if the tiles of the content have height tiles.
+    fn has_heights(&self) -> bool {
+        false
+    }
+
     /// Returns true if an answer without content (status 204) is an error. Otherwise the tile is empty.
     fn needs_content(&self) -> bool {
         false
@@ -72,6 +77,14 @@ impl ReaderData {
     /// Returns true if the content is made of this data alone: nothing is fetched for it.
     pub fn is_whole_content(&self) -> bool {
         matches!(self, Self::Value(value) if value.is_whole_content())
+    }
+
+    /// Returns true if the content is a height tile, or its tiles have height tiles.
+    pub fn has_heights(&self) -> bool {
+        match self {
+            Self::Text(_) => true,
+            Self::Value(value) => value.has_heights(),
+        }
     }
 
     /// Returns true if the content continues the tile tree of the tile's own tileset.

@@ -12,7 +12,7 @@ use crate::cull::{CullCounters, PageRequest};
 use crate::formats::ReadOptions;
 use crate::math::{BoundingVolume, Ellipsoid};
 use crate::pager::{DatabasePager, ImagePager, ImagePagerConfig, ImageSequence, PagerConfig};
-use crate::scene::{DrawSlot, Page, PageId, Scene, UpdateInfo};
+use crate::scene::{DrawSlot, Page, PageId, ReaderData, Scene, UpdateInfo};
 use crate::viewer::ViewerError;
 use crate::viewer::frame::FrameStamp;
 use crate::viewer::ids::PagerId;
@@ -281,7 +281,8 @@ impl PagedScene {
     pub(in crate::viewer) fn is_height_set(&self) -> bool {
         let root = self.loaded().map(|loaded| loaded.root).or_else(|| self.scene.roots().first().copied());
         root.is_some_and(|root| {
-            let is_height = |id| self.scene.slot(id).and_then(|slot| slot.reader_data?.text()).is_some();
+            let is_height =
+                |id| self.scene.slot(id).and_then(|slot| slot.reader_data).is_some_and(ReaderData::has_heights);
             self.scene.slots_of_page(root).any(is_height)
         })
     }
