@@ -11,7 +11,7 @@ use crate::pager::loading::page_job::PageJob;
 use crate::pager::loading::ticket::{RequestEnd, Ticket};
 use crate::pager::requests::entry::{Entry, Progress};
 use crate::pager::requests::retry_policy::{RetryPolicy, RetryState, retry_moment};
-use crate::pager::residency::budget::{Budget, MemoryUse};
+use crate::pager::residency::budget::MemoryUse;
 use crate::pager::scenes::scene_set::SceneSet;
 use crate::pager::upload::Uploaded;
 use crate::pager::upload::context::CompileContext;
@@ -201,7 +201,7 @@ impl DatabasePager {
     ) -> bool {
         let Some(arrived) = self.arrivals.get(slot) else { return false };
         let size = arrived.bytes() + self.residency.shared_bytes(arrived.page());
-        let budget = Budget::new(&self.config);
+        let budget = self.residency.budget();
         if !budget.is_exceeded_by(size) {
             return false;
         }

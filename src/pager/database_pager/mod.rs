@@ -181,6 +181,7 @@ impl DatabasePager {
     ) {
         self.begin_frame(frame, time_s);
         self.note_formats(contexts);
+        self.residency.count_roots(scenes, Budget::new(&self.config));
         self.accept(scenes, requests);
         self.accept_forced(scenes);
         self.merge_arrived(scenes, contexts);
