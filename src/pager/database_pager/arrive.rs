@@ -104,7 +104,7 @@ impl DatabasePager {
             let backoff = entry.retries.fail(error, policy).map(|backoff| backoff.mul_f64(spread(job.ticket)));
             entry.progress = Progress::Failed { retry_at: retry_moment(backoff) };
         });
-        scenes.set_failed(job.slot, true);
+        self.mark_failed(scenes, job.slot);
     }
 
     fn arrived(
@@ -215,7 +215,7 @@ impl DatabasePager {
         let Some(uri) = failed else { return true };
         self.stats.failed += 1;
         self.errors.add(&too_large(uri, size, budget.bytes));
-        scenes.set_failed(slot, true);
+        self.mark_failed(scenes, slot);
         true
     }
 }

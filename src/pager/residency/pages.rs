@@ -6,7 +6,7 @@ use super::residents::{RemovedByApplication, Resident, Residents};
 use super::shared_content::SharedContent;
 use crate::pager::frame_times::FrameTimes;
 use crate::pager::scenes::scene_set::SceneSet;
-use crate::scene::{ContentKey, Page, PageId, Scene};
+use crate::scene::{ContentKey, NodeId, Page, PageId, Scene, SceneNumber};
 
 /// The merged pages, what they and arrived pages share, and the sizes of recent pages. Update thread.
 pub(in crate::pager) struct Residency {
@@ -175,6 +175,16 @@ impl Residency {
     /// Adds a page that was attached.
     pub fn insert(&mut self, id: PageId, resident: Resident) {
         self.residents.insert(id, resident);
+    }
+
+    /// Returns the pages of a scene with their slots, in no order.
+    pub fn slots_of(&self, scene: SceneNumber) -> impl Iterator<Item = (PageId, NodeId)> {
+        self.residents.slots().filter(move |(page, _)| page.scene == scene)
+    }
+
+    /// Removes a page, which the caller detaches with [`Self::detach`].
+    pub fn remove(&mut self, id: PageId) {
+        self.residents.remove(id);
     }
 
     /// Returns how many pages this frame may examine for expiry; the maximum when room is short.

@@ -9,7 +9,7 @@ use std::sync::Arc;
 use super::loaded_root::LoadedRoot;
 use super::own_pages::OwnPages;
 use crate::cull::{CullCounters, PageRequest};
-use crate::formats::ReadOptions;
+use crate::formats::{OverlaySet, ReadOptions};
 use crate::math::{BoundingVolume, Ellipsoid};
 use crate::pager::{DatabasePager, ImagePager, ImagePagerConfig, ImageSequence, PagerConfig};
 use crate::scene::{DrawSlot, Page, PageId, ReaderData, Scene, UpdateInfo};
@@ -262,6 +262,16 @@ impl PagedScene {
         for (device, slots) in self.scene_mut().take_draw_slots() {
             rendering.release(device, slots);
         }
+    }
+
+    /// Returns the overlays of the scene.
+    pub(in crate::viewer) fn overlays(&self) -> Option<&Arc<OverlaySet>> {
+        self.pager_config.overlays.as_ref()
+    }
+
+    /// Sets the overlays of pagers that are created from now on.
+    pub(in crate::viewer) fn set_overlays(&mut self, overlays: Option<Arc<OverlaySet>>) {
+        self.pager_config.overlays = overlays;
     }
 
     /// Creates a pager that may read the files in a folder and below.
