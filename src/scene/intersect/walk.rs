@@ -464,7 +464,8 @@ impl<P: Probe> Walk<'_, P> {
             };
             // Cull draws an ancestor instead of an unavailable tile, cut to the tile's volume. Here the whole ancestor is
             // visited.
-            let is_unavailable = record.has(flag::UNAVAILABLE) && !draws && !(descends && ready);
+            let shows_children = descends && ready && record.has_children();
+            let is_unavailable = record.has(flag::UNAVAILABLE) && !draws && !shows_children;
             let above = (is_unavailable || record.has(flag::EXTERNAL))
                 .then(|| replaced_above(here, tiles, tile, &world_from_tile))
                 .flatten();
