@@ -94,7 +94,7 @@ pub enum IoError {
         folder: PathBuf,
     },
     /// A reference of a set on disk leads out of the folder of its root, or to a server. `Limits::allow_outside` allows it.
-    #[error("{}: leads out of the set's folder {}; --allow-outside allows it", shown(.uri), .folder.display())]
+    #[error("{}: leaves the tile set's folder {}; --allow-outside allows it", shown(.uri), .folder.display())]
     OutsideRefused {
         /// The reference as written.
         uri: String,

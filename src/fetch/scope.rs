@@ -251,7 +251,7 @@ mod tests {
         for odd in ["/etc/passwd", "file:///etc/passwd", "s3://b/x", "data:,x"] {
             assert!(ok(odd).is_err(), "{odd}");
         }
-        // What is on a server is written by others.
+        // Others write what is on a server.
         let below = |reference: &str| resolve("https://h/s/t.json", reference, &scope);
         assert_eq!(&*below("../../../a.glb").unwrap(), "https://h/a.glb");
         assert!(below("file:///etc/passwd").is_err() && below("http://h/a").is_err());
