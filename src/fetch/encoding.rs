@@ -121,6 +121,7 @@ mod tests {
         max_external_depth: 1,
         max_json_bytes: 0,
         follow_links: false,
+        allow_outside: false,
     };
 
     fn text() -> Vec<u8> {

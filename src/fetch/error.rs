@@ -93,6 +93,14 @@ pub enum IoError {
         /// The folder of the set's root, links resolved.
         folder: PathBuf,
     },
+    /// A reference of a set on disk leads out of the folder of its root, or to a server. `Limits::allow_outside` allows it.
+    #[error("{}: leaves the tile set's folder {}; --allow-outside allows it", shown(.uri), .folder.display())]
+    OutsideRefused {
+        /// The reference as written.
+        uri: String,
+        /// The folder of the set's root.
+        folder: PathBuf,
+    },
     /// The URI is malformed or not allowed.
     #[error("{}: {reason}", shown(.uri))]
     Uri {
@@ -159,6 +167,7 @@ impl IoError {
             | Self::Offline { uri }
             | Self::HostRefused { uri, .. }
             | Self::LinkRefused { uri, .. }
+            | Self::OutsideRefused { uri, .. }
             | Self::Uri { uri, .. }
             | Self::Invalid { uri, .. }
             | Self::Markup { uri }

@@ -24,6 +24,10 @@ pub struct Limits {
     /// Reads files of a set on disk also if symbolic links lead to them out of the folder of its root. Off by default, since
     /// a set from a stranger could so name any file of this machine.
     pub follow_links: bool,
+    /// Lets a set on disk refer to files outside of the folder of its root (`../`, and over links) and to servers with public
+    /// addresses. Off by default, since a set from a stranger could so read any file of this machine, and tell a server who
+    /// opens it.
+    pub allow_outside: bool,
 }
 
 impl Default for Limits {
@@ -37,6 +41,7 @@ impl Default for Limits {
             max_external_depth: 32,
             max_json_bytes: 2 << 30,
             follow_links: false,
+            allow_outside: false,
         }
     }
 }

@@ -2,13 +2,15 @@
 //!
 //! References must stay below the folder of the root (files), on http(s) (servers), or in its bucket (object stores).
 //! So a foreign tile set can neither open local files nor misuse the user's keys for other buckets. Which servers it reaches
-//! is checked when a request is sent, since that depends on their addresses.
+//! is checked when a request is sent, since that depends on their addresses. A user may let a set on disk lead outside of its
+//! folder ([`Limits::allow_outside`]).
 
 use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 
 use super::archive::{is_archive, is_pmtiles};
 use super::error::IoError;
+use super::limits::Limits;
 use super::percent::percent_decode;
 use super::uri::{is_http, is_remote, is_store, server};
 
@@ -17,6 +19,9 @@ use super::uri::{is_http, is_remote, is_store, server};
 pub enum RootScope {
     /// Files below this absolute folder.
     Folder(PathBuf),
+    /// Files anywhere and any http(s) URL, for a root on disk with [`Limits::allow_outside`]. Servers are reached if they are
+    /// public. What is on a server leads to servers only.
+    Anywhere,
     /// Any http(s) URL, for a root on this server, as `https://host:port`. Its servers are reached if they are public or this
     /// very server.
     Server(String),
@@ -35,6 +40,14 @@ impl RootScope {
             Self::Bucket(server(root_uri).to_owned())
         } else {
             Self::Folder(Path::new(root_uri).parent().unwrap_or(Path::new("/")).to_path_buf())
+        }
+    }
+
+    /// Returns the scope of a tile set like [`Self::of`], as far as the limits widen it.
+    pub fn of_set(root_uri: &str, limits: &Limits) -> Self {
+        match Self::of(root_uri) {
+            Self::Folder(_) if limits.allow_outside => Self::Anywhere,
+            scope => scope,
         }
     }
 }
@@ -86,76 +99,93 @@ pub fn root_uri(source: &str) -> Result<Arc<str>, IoError> {
 /// inside it.
 ///
 /// # Errors
-/// [`IoError::Uri`] if the reference is malformed or leaves the scope.
+/// [`IoError::Uri`] if the reference is malformed or leaves the scope, [`IoError::OutsideRefused`] if
+/// [`Limits::allow_outside`] would allow it.
 pub fn resolve(base_uri: &str, reference: &str, scope: &RootScope) -> Result<Arc<str>, IoError> {
     match scope {
-        RootScope::Server(_) => {
-            let base = url::Url::parse(base_uri).map_err(|e| bad(base_uri, e.to_string()))?;
-            let mut url = base.join(reference).map_err(|e| bad(reference, e.to_string()))?;
-            if !matches!(url.scheme(), "http" | "https") {
-                return Err(bad(
-                    reference,
-                    format!("scheme {} is not allowed in a tile set on a server", url.scheme()),
-                ));
-            }
-            if base.scheme() == "https" && url.scheme() != "https" {
-                return Err(bad(reference, "an open connection is not allowed in a tile set on an encrypted one"));
-            }
-            if is_3tz(url.path()) {
-                url.set_path(&format!("{}/tileset.json", url.path()));
-            }
-            if let Some(from_base) = base.query().filter(|query| !query.is_empty() && url.origin() == base.origin()) {
-                url.set_query(Some(&with_inherited(url.query().unwrap_or(""), from_base)));
-            }
-            Ok(url.as_str().into())
-        }
-        RootScope::Bucket(bucket) => {
-            let base = url::Url::parse(base_uri).map_err(|e| bad(base_uri, e.to_string()))?;
-            let mut url = base.join(reference).map_err(|e| bad(reference, e.to_string()))?;
-            // Names of objects have no query.
-            url.set_query(None);
-            url.set_fragment(None);
-            if server(url.as_str()) != bucket {
-                return Err(bad(reference, format!("leaves the tile set's bucket {bucket}")));
-            }
-            if is_3tz(url.path()) {
-                url.set_path(&format!("{}/tileset.json", url.path()));
-            }
-            Ok(url.as_str().into())
-        }
+        RootScope::Server(_) => url_on_server(base_uri, reference),
+        RootScope::Bucket(bucket) => object_in(bucket, base_uri, reference),
         RootScope::Folder(folder) => {
-            let scheme = reference.split_once(':').map(|(s, _)| s);
-            if scheme.is_some_and(|s| s.len() > 1 && s.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'+')) {
-                return Err(bad(reference, "only relative references are allowed in a tile set on disk"));
+            let outside = || IoError::OutsideRefused { uri: reference.to_owned(), folder: folder.clone() };
+            if is_http(reference) {
+                return Err(outside());
             }
-            let path_text = reference.split(['?', '#']).next().unwrap_or(reference);
-            let decoded = percent_decode(path_text).ok_or_else(|| bad(reference, "bad percent escape"))?;
-            let relative = Path::new(&decoded);
-            if relative.is_absolute() || decoded.starts_with('\\') || decoded.contains('\0') {
-                return Err(bad(reference, "absolute paths are not allowed"));
+            let path = file_beside(base_uri, reference)?;
+            path.starts_with(folder).then_some(()).ok_or_else(outside)?;
+            as_uri(&path, reference)
+        }
+        RootScope::Anywhere if is_http(base_uri) => url_on_server(base_uri, reference),
+        RootScope::Anywhere if is_http(reference) => url_on_server(reference, reference),
+        RootScope::Anywhere => as_uri(&file_beside(base_uri, reference)?, reference),
+    }
+}
+
+/// Resolves a reference in a file on a server.
+fn url_on_server(base_uri: &str, reference: &str) -> Result<Arc<str>, IoError> {
+    let base = url::Url::parse(base_uri).map_err(|e| bad(base_uri, e.to_string()))?;
+    let mut url = base.join(reference).map_err(|e| bad(reference, e.to_string()))?;
+    if !matches!(url.scheme(), "http" | "https") {
+        return Err(bad(reference, format!("scheme {} is not allowed in a tile set on a server", url.scheme())));
+    }
+    if base.scheme() == "https" && url.scheme() != "https" {
+        return Err(bad(reference, "an open connection is not allowed in a tile set on an encrypted one"));
+    }
+    if is_3tz(url.path()) {
+        url.set_path(&format!("{}/tileset.json", url.path()));
+    }
+    if let Some(from_base) = base.query().filter(|query| !query.is_empty() && url.origin() == base.origin()) {
+        url.set_query(Some(&with_inherited(url.query().unwrap_or(""), from_base)));
+    }
+    Ok(url.as_str().into())
+}
+
+/// Resolves a reference in an object of a bucket.
+fn object_in(bucket: &str, base_uri: &str, reference: &str) -> Result<Arc<str>, IoError> {
+    let base = url::Url::parse(base_uri).map_err(|e| bad(base_uri, e.to_string()))?;
+    let mut url = base.join(reference).map_err(|e| bad(reference, e.to_string()))?;
+    // Names of objects have no query.
+    url.set_query(None);
+    url.set_fragment(None);
+    if server(url.as_str()) != bucket {
+        return Err(bad(reference, format!("leaves the tile set's bucket {bucket}")));
+    }
+    if is_3tz(url.path()) {
+        url.set_path(&format!("{}/tileset.json", url.path()));
+    }
+    Ok(url.as_str().into())
+}
+
+/// Resolves a relative reference in a file on disk.
+fn file_beside(base_uri: &str, reference: &str) -> Result<PathBuf, IoError> {
+    let scheme = reference.split_once(':').map(|(s, _)| s);
+    if scheme.is_some_and(|s| s.len() > 1 && s.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'+')) {
+        return Err(bad(reference, "only relative references are allowed in a tile set on disk"));
+    }
+    let path_text = reference.split(['?', '#']).next().unwrap_or(reference);
+    let decoded = percent_decode(path_text).ok_or_else(|| bad(reference, "bad percent escape"))?;
+    let relative = Path::new(&decoded);
+    if relative.is_absolute() || decoded.starts_with('\\') || decoded.contains('\0') {
+        return Err(bad(reference, "absolute paths are not allowed"));
+    }
+    let mut path = Path::new(base_uri).parent().unwrap_or(Path::new("/")).to_path_buf();
+    for component in relative.components() {
+        match component {
+            Component::Normal(part) => path.push(part),
+            Component::CurDir => {}
+            Component::ParentDir => {
+                path.pop();
             }
-            let mut path = Path::new(base_uri).parent().unwrap_or(Path::new("/")).to_path_buf();
-            for component in relative.components() {
-                match component {
-                    Component::Normal(part) => path.push(part),
-                    Component::CurDir => {}
-                    Component::ParentDir => {
-                        path.pop();
-                    }
-                    Component::RootDir | Component::Prefix(_) => {
-                        return Err(bad(reference, "absolute paths are not allowed"));
-                    }
-                }
-            }
-            if is_3tz(&decoded) {
-                path.push("tileset.json");
-            }
-            if !path.starts_with(folder) {
-                return Err(bad(reference, format!("leaves the tile set's folder {}", folder.display())));
-            }
-            path.to_str().map(Arc::from).ok_or_else(|| bad(reference, "the path is not UTF-8"))
+            Component::RootDir | Component::Prefix(_) => return Err(bad(reference, "absolute paths are not allowed")),
         }
     }
+    if is_3tz(&decoded) {
+        path.push("tileset.json");
+    }
+    Ok(path)
+}
+
+fn as_uri(path: &Path, reference: &str) -> Result<Arc<str>, IoError> {
+    path.to_str().map(Arc::from).ok_or_else(|| bad(reference, "the path is not UTF-8"))
 }
 
 /// Adds to a query the parameters of the referring file's query that it lacks. Access keys of the root and session tokens
@@ -202,6 +232,32 @@ mod tests {
         assert_eq!(&*ok("more.3tz").unwrap(), "/data/set/sub/more.3tz/tileset.json");
         for escape in ["../../a.glb", "/etc/passwd", "file:///etc/passwd", "http://x/y", "%2e%2e/%2e%2e/x", "%2Fetc"] {
             assert!(ok(escape).is_err(), "{escape}");
+        }
+    }
+
+    #[test]
+    fn sets_on_disk_lead_outside_if_they_may() {
+        let root = "/data/set/tileset.json";
+        let limits = Limits { allow_outside: true, ..Limits::default() };
+        let scope = RootScope::of_set(root, &limits);
+        assert_eq!(scope, RootScope::Anywhere);
+        for remote in ["http://h/t.json", "s3://b/t.json"] {
+            assert_eq!(RootScope::of_set(remote, &limits), RootScope::of(remote), "{remote}");
+        }
+        let ok = |reference: &str| resolve(root, reference, &scope);
+        assert_eq!(&*ok("../models/a.glb").unwrap(), "/data/models/a.glb");
+        assert_eq!(&*ok("http://h/a b.glb?k=1").unwrap(), "http://h/a%20b.glb?k=1");
+        assert_eq!(&*ok("https://h/a.3tz").unwrap(), "https://h/a.3tz/tileset.json");
+        for odd in ["/etc/passwd", "file:///etc/passwd", "s3://b/x", "data:,x"] {
+            assert!(ok(odd).is_err(), "{odd}");
+        }
+        // Others write what is on a server.
+        let below = |reference: &str| resolve("https://h/s/t.json", reference, &scope);
+        assert_eq!(&*below("../../../a.glb").unwrap(), "https://h/a.glb");
+        assert!(below("file:///etc/passwd").is_err() && below("http://h/a").is_err());
+        for (reference, narrow) in [("../a.glb", RootScope::of(root)), ("http://h/a.glb", RootScope::of(root))] {
+            let error = resolve(root, reference, &narrow).unwrap_err();
+            assert!(error.to_string().contains("--allow-outside allows it"), "{error}");
         }
     }
 

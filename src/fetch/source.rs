@@ -69,7 +69,7 @@ impl Source {
             #[cfg(feature = "http")]
             config: HttpConfig::default(),
             root: root_uri.to_owned(),
-            scope: RootScope::of(root_uri),
+            scope: RootScope::of_set(root_uri, &limits),
             #[cfg(feature = "http")]
             http: std::cell::OnceCell::new(),
         }

@@ -91,12 +91,16 @@ pub(super) struct Notes {
 }
 
 impl Notes {
-    /// Adds one occurrence of a kind of file that is missing for a reason. A host that the set may not reach is named, since
-    /// the user can allow it.
+    /// Adds one occurrence of a kind of file that is missing for a reason. What the user can allow is named with its option.
     pub fn add_missing(&self, kind: &'static str, error: &IoError) {
         self.add(kind);
-        if let IoError::HostRefused { host, .. } = error {
-            self.add(format!("a file on {host}, which --allow-host allows"));
+        match error {
+            IoError::HostRefused { host, .. } => self.add(format!("a file on {host}, which --allow-host allows")),
+            IoError::LinkRefused { .. } => self.add("a file behind a link, which --follow-links allows"),
+            IoError::OutsideRefused { .. } => {
+                self.add("a file outside of the set's folder, which --allow-outside allows")
+            }
+            _ => {}
         }
     }
 

@@ -69,7 +69,7 @@ impl ReadOptions {
     /// Returns options for a tile set whose root is `root_uri`, as [`root_uri`](crate::fetch::root_uri) returned it.
     pub fn for_root(root_uri: &str, limits: Limits) -> Self {
         Self {
-            root: RootScope::of(root_uri),
+            root: RootScope::of_set(root_uri, &limits),
             limits,
             chain: Arc::new([]),
             set_from_content: DAffine3::IDENTITY,

@@ -90,12 +90,14 @@ pub fn dependencies(
 }
 
 /// Returns true if [`dependencies`] may take longer than a thread that serves requests should be held up: for large texts,
-/// compressed contents and subtrees.
+/// compressed contents and subtrees, and for the XML documents of map servers among the files that were fetched.
 #[cfg(feature = "http")]
-pub(crate) fn has_slow_dependencies(bytes: &[u8]) -> bool {
+pub(crate) fn has_slow_dependencies(bytes: &[u8], known: &[Fetched]) -> bool {
     const MAX_QUICK_BYTES: usize = 64 << 10;
     const QUICK: [&[u8]; 6] = [b"glTF", b"b3dm", b"i3dm", b"cmpt", b"pnts", &[0x76, 0x2f, 0x31, 0x01]];
-    bytes.len() > MAX_QUICK_BYTES && !QUICK.iter().any(|magic| bytes.starts_with(magic))
+    let is_xml = |bytes: &Vec<u8>| text_and_first_byte(bytes).1 == Some(b'<');
+    (bytes.len() > MAX_QUICK_BYTES && !QUICK.iter().any(|magic| bytes.starts_with(magic)))
+        || known.iter().any(|(_, file)| file.as_ref().is_ok_and(is_xml))
 }
 
 /// Decodes a content to a page. CPU only, no I/O; any thread. What the content asks for and the reader leaves out is added
@@ -335,5 +337,19 @@ impl ModelReader<'_> {
             return terrain::read_alone(uri, bytes, options, notes);
         }
         Err(IoError::invalid(uri, format!("unknown magic {:02x?}", bytes.get(..4.min(bytes.len())).unwrap_or(&[]))))
+    }
+}
+
+#[cfg(all(test, feature = "http"))]
+mod tests {
+    use super::*;
+
+    /// The capabilities of a map server have megabytes.
+    #[test]
+    fn documents_of_map_servers_do_not_hold_up_requests() {
+        let known = |bytes: &[u8]| [(Arc::from("http://h/a"), Ok(bytes.to_vec()))];
+        assert!(has_slow_dependencies(b"glTF", &known(b"\xef\xbb\xbf <?xml version=\"1.0\"?><Capabilities/>")));
+        assert!(!has_slow_dependencies(b"glTF", &known(b"\x89PNG")) && !has_slow_dependencies(b"glTF", &[]));
+        assert!(has_slow_dependencies(&[b' '; 100_000], &[]));
     }
 }

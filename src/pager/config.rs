@@ -33,10 +33,12 @@ pub struct PagerConfig {
     /// server gets more of them as long as a quarter of its slots stays free. 0 disables prefetching.
     pub ahead_in_flight: usize,
     /// Maximum CPU bytes of pages that are merged or have arrived, and of tile trees, without what is yet to be uploaded.
+    /// The trees of roots cannot expire; they count up to half of it.
     pub max_bytes_cpu: u64,
     /// Maximum CPU bytes of what is on its way: half of it for files and answers of servers until they are decoded, half for
     /// pages until they are merged. Loads wait for room before they begin. A content that is larger than that is loaded
-    /// alone. Not counted: what a decoder needs while it decodes, and files that a local content refers to.
+    /// alone. While it is decoded, a page counts twice, for what its decoder needs. Not counted: files that a local content refers
+    /// to, and the file of a root.
     pub max_bytes_loading: u64,
     /// Maximum GPU bytes of pages that are merged or uploaded. A page's size is known after its upload; until then the mean
     /// of recent pages is reserved. A page that turns out larger than the free room is declined at once.

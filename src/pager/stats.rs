@@ -54,6 +54,9 @@ pub struct PagerStats {
     /// CPU bytes of merged pages and of those that wait for their uploads or their merge, without what is yet to be
     /// uploaded. Never exceeds [`PagerConfig::max_bytes_cpu`](super::PagerConfig::max_bytes_cpu).
     pub cpu_bytes_held: u64,
+    /// CPU bytes of the tile trees of roots. They count in [`PagerConfig::max_bytes_cpu`](super::PagerConfig::max_bytes_cpu), up
+    /// to half of it, beside `cpu_bytes_held`.
+    pub root_bytes: u64,
     /// Maximum of `cpu_bytes_held`, measured after room was made for an arrival.
     pub cpu_bytes_held_peak: u64,
     /// GPU bytes of merged pages and of those that are uploaded and wait for their merge. Never exceeds

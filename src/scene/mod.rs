@@ -79,4 +79,4 @@ pub(crate) use pages::{
 };
 pub(crate) use settings::{LodRanges, MORPH_START, has_parallel_rays, is_over_globe, px_per_radian};
 pub(crate) use sharing::{SharedContent, SharedParts};
-pub(crate) use tile_tree::{TileBounds, TileEye, TileRecord, TileRoot, Tiles, flag};
+pub(crate) use tile_tree::{ContentShape, TileBounds, TileEye, TileRecord, TileRoot, Tiles, flag};

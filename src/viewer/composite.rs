@@ -18,6 +18,7 @@ use super::view::set_bounds::SetBounds;
 use super::view::viewport::ViewArea;
 use super::view::{Slave, View};
 
+use crate::formats::OverlaySet;
 use crate::gpu::CompileBudget;
 use crate::pager::{DatabasePager, ImagePager, ImageSequence};
 use crate::scene::{Page, PageId, Scene};
@@ -200,6 +201,19 @@ impl CompositeViewer {
     pub fn clear_pages(&mut self, scene: SceneId) -> Result<(), ViewerError> {
         self.check_scene(scene)?;
         self.frame.pagers.clear_pages(&mut self.scenes, scene, &mut self.frame.rendering);
+        Ok(())
+    }
+
+    /// Returns the overlays of a scene; at first those of [`PagerConfig::overlays`](crate::pager::PagerConfig::overlays).
+    pub fn overlays(&self, scene: SceneId) -> Result<Option<&Arc<OverlaySet>>, ViewerError> {
+        Ok(self.paged(scene)?.overlays())
+    }
+
+    /// Replaces the overlays of a scene: adds and removes them, changes their order or opacity. What is on screen stays until
+    /// it is loaded again with the new ones, content by content. [`OverlaySet::with_overlays`] keeps decoded images.
+    pub fn set_overlays(&mut self, scene: SceneId, overlays: Option<Arc<OverlaySet>>) -> Result<(), ViewerError> {
+        self.check_scene(scene)?;
+        self.frame.pagers.set_overlays(&mut self.scenes, scene, overlays, &mut self.frame.rendering);
         Ok(())
     }
 

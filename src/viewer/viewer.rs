@@ -1,6 +1,7 @@
 //! [`Viewer`]: one view of one scene, in one context or several. Main thread.
 
 use std::path::Path;
+use std::sync::Arc;
 use std::time::Instant;
 
 use glam::DAffine3;
@@ -15,6 +16,7 @@ use super::manipulators::{CameraManipulator, ManipulatorView};
 use super::paging::{LoadedRoot, PagedScene, SceneUpdate};
 use super::view::set_bounds::SetBounds;
 use super::view::{Slave, View};
+use crate::formats::OverlaySet;
 use crate::gpu::{ContextTraits, GraphicsContext, HostDevice};
 use crate::pager::{DatabasePager, ImagePager, ImageSequence};
 use crate::scene::{Page, PageId, Scene};
@@ -208,6 +210,17 @@ impl Viewer {
         let _ = self.composite.clear_pages(self.scene);
     }
 
+    /// Returns the overlays; see [`CompositeViewer::overlays`].
+    pub fn overlays(&self) -> Option<&Arc<OverlaySet>> {
+        self.parts().2.overlays()
+    }
+
+    /// Replaces the overlays; see [`CompositeViewer::set_overlays`].
+    pub fn set_overlays(&mut self, overlays: Option<Arc<OverlaySet>>) {
+        // Fails for unknown scenes only.
+        let _ = self.composite.set_overlays(self.scene, overlays);
+    }
+
     /// Shows the images of a sequence in its texture, over simulation time; see [`ImageSequence`].
     pub fn add_image_sequence(&mut self, sequence: &ImageSequence) -> Result<(), ViewerError> {
         self.composite.add_image_sequence(self.scene, sequence)
@@ -235,7 +248,7 @@ impl Viewer {
 
     /// Returns the attributions of what the last frame showed: the `asset.copyright` of tilesets and glTFs, and the credits of
     /// overlays, those of most tiles first. A window shows them with [`CreditsHandler`](super::handlers::CreditsHandler).
-    pub fn credits(&self) -> Vec<std::sync::Arc<str>> {
+    pub fn credits(&self) -> Vec<Arc<str>> {
         self.scene().credits(self.frame_stamp().frame)
     }
 

@@ -443,7 +443,8 @@ fn uris() -> Parser {
             }
             Err(error) => assert!(!error.reason().is_empty()),
         }
-        for scope in [RootScope::of("http://h/a"), RootScope::of("s3://bucket/a"), RootScope::of("/data/set/t.json")] {
+        let root = |root: &str| RootScope::of(root);
+        for scope in [root("http://h/a"), root("s3://bucket/a"), root("/data/set/t.json"), RootScope::Anywhere] {
             match (resolve(base, reference, &scope), &scope) {
                 (Ok(uri), RootScope::Server(_)) => {
                     fuzz_url(&uri);
@@ -460,6 +461,9 @@ fn uris() -> Parser {
                     let path = std::path::Path::new(&*uri);
                     let climbs = path.components().any(|part| part == std::path::Component::ParentDir);
                     assert!(path.starts_with(folder) && (!climbs || base.contains("..")), "{base:?} {uri}");
+                }
+                (Ok(uri), RootScope::Anywhere) => {
+                    assert!(is_http(&uri) || !is_http(base), "{base:?} {reference:?} {uri}")
                 }
                 (Err(error), _) => assert!(!error.reason().is_empty()),
             }

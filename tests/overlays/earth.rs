@@ -228,15 +228,26 @@ impl Looking {
         viewer.load(set).unwrap();
         viewer.view_mut().environment = plain();
         viewer.view_mut().camera.world_from_eye = world_from_eye(patch, share);
-        viewer.settle(2);
-        viewer.want_picture();
-        viewer.frame().unwrap();
-        viewer.finish().unwrap();
-        let (_, picture) = viewer.take_pictures().pop().unwrap();
+        let mut looking = Self { viewer, overlays, picture: RgbaImage::new(0, 0) };
+        looking.settle();
         if !name.is_empty() {
-            keep(name, &picture);
+            keep(name, &looking.picture);
         }
-        Some(Self { viewer, overlays, picture })
+        Some(looking)
+    }
+
+    /// Draws until everything is loaded.
+    pub fn settle(&mut self) {
+        self.viewer.settle(2);
+        self.draw();
+    }
+
+    /// Draws one frame.
+    pub fn draw(&mut self) {
+        self.viewer.want_picture();
+        self.viewer.frame().unwrap();
+        self.viewer.finish().unwrap();
+        self.picture = self.viewer.take_pictures().pop().unwrap().1;
     }
 
     /// Returns the colour of the pixel at a place in degrees.

@@ -3,6 +3,7 @@
 #![cfg(feature = "http")]
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
+mod changes;
 mod documents;
 mod earth;
 mod fuzz_parsers;

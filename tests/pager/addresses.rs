@@ -294,3 +294,41 @@ fn no_way_takes_credentials_to_another_server() {
         assert!(own.iter().all(|request| request.header("x-key").is_some() && request.target.contains("token=query")));
     }
 }
+
+/// A set whose contents lie beside its folder or on a server was refused, without a way to allow it.
+#[test]
+fn sets_on_disk_lead_outside_only_on_request() {
+    let home = tempfile::tempdir().unwrap();
+    let server = Server::start(|request| match request.path() {
+        "/more/tileset.json" => Reply::ok(tileset(&["b.glb", "../c.glb"])),
+        "/more/b.glb" | "/c.glb" => Reply::ok(glb()),
+        _ => Reply::new(404, ""),
+    });
+    let file = |name: &str, bytes: &[u8]| {
+        let path = home.path().join(name);
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        std::fs::write(path, bytes).unwrap();
+    };
+    let remote = format!("{}/more/tileset.json", server.url);
+    file("set/tileset.json", tileset(&["own.glb", "../models/a.glb", &remote, "textured.gltf"]).as_bytes());
+    file("set/own.glb", &glb());
+    file("models/a.glb", &glb());
+    file("set/textured.gltf", MODEL.replace("bark.png", &format!("{}/bark.png", server.url)).as_bytes());
+    file("set/tree.bin", &[0; 36]);
+    let source = home.path().join("set").to_str().unwrap().to_owned();
+    let run = |allow_outside: bool| {
+        let limits = Limits { allow_outside, ..Limits::default() };
+        let http = HttpConfig { allowed_hosts: vec![server.host().parse().unwrap()], ..HttpConfig::default() };
+        let verified = verify_with(&source, &limits, http.clone(), &mut |_| {}).unwrap();
+        let mut run = Run::new(&source, PagerConfig { limits, http, ..PagerConfig::default() });
+        run.settle(above(100.0));
+        (run.pager.errors(), run.stage.leaf_count(), verified.failed)
+    };
+    let (errors, drawn, failed) = run(false);
+    assert_eq!((errors.len(), drawn, failed, server.count()), (2, 2, 2, 0), "{errors:?}");
+    assert!(errors.iter().all(|error| error.reason.contains("--allow-outside allows it")), "{errors:?}");
+    let (errors, drawn, failed) = run(true);
+    assert_eq!((errors.len(), drawn, failed), (0, 5, 0), "{errors:?}");
+    let images = server.seen().iter().filter(|request| request.path() == "/bark.png").count();
+    assert_eq!(images, 2, "by the pager and by the check");
+}

@@ -392,6 +392,7 @@ fn errors_of_all_kinds_name_the_problem_and_the_reason() {
         IoError::TooLarge { uri: uri(), what: "file", got: 2, limit: 1 },
         IoError::HostRefused { uri: uri(), host: "h".to_owned(), address: [10, 0, 0, 1].into(), kind: "private" },
         IoError::LinkRefused { uri: uri(), target: "/a/t.glb".into(), folder: "/b".into() },
+        IoError::OutsideRefused { uri: uri(), folder: "/b".into() },
     ] {
         assert!(error.uri() == "http://h/t.glb" && !error.reason().is_empty() && error.to_string().contains("t.glb"));
     }

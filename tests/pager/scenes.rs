@@ -165,7 +165,8 @@ fn one_budget_covers_all_scenes_and_evicts_the_least_recently_wanted() {
     write_quadtree(folder.path());
     let config = PagerConfig {
         max_bytes_gpu: 60 * PAGE_GPU_BYTES,
-        max_bytes_cpu: 96 << 10,
+        // Half of it are the trees of the roots.
+        max_bytes_cpu: 192 << 10,
         max_tiles: 50,
         expiry_time: Duration::ZERO,
         ..PagerConfig::default()

@@ -35,6 +35,9 @@ pub struct NetArgs {
     /// Read files of a set on disk also if symbolic links lead to them out of the set's folder
     #[arg(long)]
     pub follow_links: bool,
+    /// Let a set on disk refer to files outside of its folder and to servers
+    #[arg(long)]
+    pub allow_outside: bool,
     /// Access token for `ion:ASSET_ID`; never printed [default: environment variable CESIUM_ION_TOKEN]
     #[arg(long, value_name = "TOKEN")]
     pub ion_token: Option<Secret>,
@@ -127,7 +130,7 @@ impl NetArgs {
 
     /// Returns the limits for data from the source.
     pub fn limits(&self) -> Limits {
-        Limits { follow_links: self.follow_links, ..Limits::default() }
+        Limits { follow_links: self.follow_links, allow_outside: self.allow_outside, ..Limits::default() }
     }
 
     /// Returns the configuration of the cache, `None` if no option asks for one.

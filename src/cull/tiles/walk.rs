@@ -38,6 +38,7 @@ impl Traversal<'_> {
             tiles,
             root: tile_root,
             view: tile_view,
+            mask,
             ranges: view.ranges,
             max_sse_px2: view.max_sse_px * view.max_sse_px,
             // From outside of a request volume a tile is the finest that may be drawn, so that no level is skipped.
@@ -380,7 +381,7 @@ impl Traversal<'_> {
 
     /// Queues the content of a tile for its visit.
     pub(super) fn draw(&mut self, walk: &WalkContext, tile: u32, record: &TileRecord, mask: u8, fade: Fade) {
-        if fade.band().is_empty() {
+        if fade.band().is_empty() || walk.content_is_outside(tile, record) {
             return;
         }
         let state = self.states.path_state(walk.page, walk.state_path(tile, record));
@@ -390,7 +391,7 @@ impl Traversal<'_> {
         self.queue.push(QueuedPage { first: tile, end: tile + 1, attachment, state, fade, mask });
     }
 
-    /// Requests the content of a tile, unless it is resident or cannot be loaded. Returns the squared error of what is drawn
+    /// Requests the content of a tile, unless it is resident, cannot be loaded or is out of sight. Returns the squared error of what is drawn
     /// for the tiles below, which is less after a request, so that they are loaded later.
     #[inline(never)]
     pub(super) fn request_missing(
@@ -406,12 +407,19 @@ impl Traversal<'_> {
         if !may_load || fade.is_leaving() || !walk.requests {
             return shown_px2;
         }
+        let is_out_of_sight = purpose != Purpose::Keep && walk.content_is_outside(tile, record);
+        // The tile above is replaced only by children that are all ready.
+        let is_required = self.stacks.tiles.last().is_some_and(|above| above.required);
+        if is_out_of_sight && !is_required {
+            return shown_px2;
+        }
         let slot = NodeId { page: walk.page_id, index: walk.tiles.nodes()[tile as usize] };
         let bounds = &walk.tiles.bounds()[tile as usize];
         // The finest tiles have no error.
         let has_error = bounds.metric_m() > 0.0;
         let error_px2 = if has_error { walk.px2(walk.range_and_distance(tile, record, bounds)) } else { 0.0 };
-        let share = if purpose == Purpose::Keep { KEPT_SHARE } else { walk.view.priority_share(bounds) };
+        let share =
+            if purpose == Purpose::Keep || is_out_of_sight { KEPT_SHARE } else { walk.view.priority_share(bounds) };
         let finite = |px: f32| if px > 0.0 { px.min(MAX_ERROR_PX) } else { 0.0 };
         let priority = finite(shown_px2.sqrt() * share);
         let error_px = finite(error_px2.sqrt());

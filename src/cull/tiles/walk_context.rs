@@ -5,14 +5,14 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 use super::tile_view::TileView;
 use crate::cull::fading::{FadeStep, TileMark};
-use crate::scene::{LodRanges, Page, PageId, TileBounds, TileRecord, TileRoot, Tiles, flag};
+use crate::scene::{ContentShape, LodRanges, Page, PageId, TileBounds, TileRecord, TileRoot, Tiles, flag};
 
 /// Flags of the usual tile: content that its children replace.
 pub(super) const REPLACE_WITH_CONTENT: u16 = flag::CONTENT;
 /// Flags that tell the kinds of tiles apart.
 pub(super) const CONTENT_KINDS: u16 = flag::CONTENT | flag::PROXY | flag::EXTERNAL | flag::ADD;
 /// Flags that must equal [`REPLACE_WITH_CONTENT`] for the fast loops; all other tiles are visited one by one.
-pub(super) const SLOW_PATH: u16 = CONTENT_KINDS | flag::OWN_PATH | flag::VOLUMES_BELOW;
+pub(super) const SLOW_PATH: u16 = CONTENT_KINDS | flag::OWN_PATH | flag::VOLUMES_BELOW | flag::CONTENT_VOLUME;
 
 /// A tile tree under walk.
 pub(super) struct WalkContext<'a> {
@@ -21,6 +21,8 @@ pub(super) struct WalkContext<'a> {
     pub tiles: &'a Tiles,
     pub root: &'a TileRoot,
     pub view: TileView,
+    /// The planes that the tree may cross.
+    pub mask: u8,
     pub ranges: LodRanges,
     pub max_sse_px2: f32,
     /// Levels are skipped while the squared error of what is drawn, scaled by the tile's range and distance, is below this.
@@ -117,6 +119,23 @@ impl WalkContext<'_> {
         } else {
             self.view.planes.test_oriented(offset, self.tiles.axes_of(bounds), bounds.half_m(), mask)
         }
+    }
+
+    /// Returns true if a tile's content has a volume of its own, which is outside of the frustum. The tile may be inside.
+    #[inline(always)]
+    pub fn content_is_outside(&self, tile: u32, record: &TileRecord) -> bool {
+        record.has(flag::CONTENT_VOLUME) && self.content_volume_is_outside(tile)
+    }
+
+    #[cold]
+    fn content_volume_is_outside(&self, tile: u32) -> bool {
+        let Some(volume) = self.tiles.content_volume(tile) else { return false };
+        let (offset, shape) = volume.from_eye(self.view.eye.position);
+        let crossing = match shape {
+            ContentShape::Sphere { radius_m } => self.view.planes.test_sphere(offset.with_w(*radius_m), self.mask),
+            ContentShape::Box { axes, half_m } => self.view.planes.test_oriented(offset, axes, *half_m, self.mask),
+        };
+        crossing.is_none()
     }
 
     /// Returns the squared error of a tile in pixels; the root is taken only where a request needs it.

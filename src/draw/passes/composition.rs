@@ -3,6 +3,7 @@
 use crate::cull::{RenderStage, StereoMode};
 use std::sync::Arc;
 
+use super::fullscreen::FullscreenPipeline;
 use super::stage_input::LitStage;
 use crate::draw::pipelines::TargetFormats;
 use crate::draw::recorder::{DrawSources, PassRecorder};
@@ -110,25 +111,16 @@ impl Composite {
 
     /// Creates the pipeline for a target, without looking for errors of the device.
     fn pipeline(&self, ctx: &GraphicsContext, target: &TargetFormats) -> wgpu::RenderPipeline {
-        let device = ctx.device();
-        let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-            label: Some("composite"),
-            bind_group_layouts: &[Some(&self.layout)],
-            immediate_size: 0,
-        });
-        let states = target.colors.map(|format| {
+        let colors = target.colors.map(|format| {
             format.map(|format| wgpu::ColorTargetState { format, blend: None, write_mask: wgpu::ColorWrites::COLOR })
         });
-        device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
-            label: Some("composite"),
-            layout: Some(&layout),
-            vertex: wgpu::VertexState {
-                module: &self.module,
-                entry_point: Some("vs_composite"),
-                compilation_options: wgpu::PipelineCompilationOptions::default(),
-                buffers: &[],
-            },
-            primitive: wgpu::PrimitiveState::default(),
+        FullscreenPipeline {
+            label: "composite",
+            module: &self.module,
+            entry_points: ["vs_composite", "fs_composite"],
+            constants: &[],
+            bind_group_layouts: &[Some(&self.layout)],
+            colors: &colors[..1],
             depth_stencil: Some(wgpu::DepthStencilState {
                 format: target.depth,
                 depth_write_enabled: Some(false),
@@ -136,16 +128,9 @@ impl Composite {
                 stencil: wgpu::StencilState::default(),
                 bias: wgpu::DepthBiasState::default(),
             }),
-            multisample: wgpu::MultisampleState { count: target.samples, ..Default::default() },
-            fragment: Some(wgpu::FragmentState {
-                module: &self.module,
-                entry_point: Some("fs_composite"),
-                compilation_options: wgpu::PipelineCompilationOptions::default(),
-                targets: &states[..1],
-            }),
-            multiview_mask: None,
-            cache: ctx.pipeline_cache(),
-        })
+            samples: target.samples,
+        }
+        .create(ctx)
     }
 
     /// Records the draw of two images over the pass's viewport.

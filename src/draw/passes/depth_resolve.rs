@@ -6,6 +6,7 @@
 //! the same surface as the stencil; a mean would lie between surfaces. Shaders cannot write a stencil, so that each of its
 //! bits is a draw with a write mask.
 
+use super::fullscreen::FullscreenPipeline;
 use super::stage_input::StageInput;
 use crate::cull::RenderStage;
 use crate::draw::resources::Resources;
@@ -79,23 +80,15 @@ impl Resolver {
             label: Some("resolve"),
             entries: &read[..if has_stencil { 2 } else { 1 }],
         });
-        let pipeline_layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-            label: Some("resolve"),
-            bind_group_layouts: &[Some(&layout)],
-            immediate_size: 0,
-        });
         let pipeline = |entry_point, writes_depth, pass_op, write_mask| {
             let face = wgpu::StencilFaceState { pass_op, ..wgpu::StencilFaceState::IGNORE };
-            device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
-                label: Some("resolve"),
-                layout: Some(&pipeline_layout),
-                vertex: wgpu::VertexState {
-                    module: &self.module,
-                    entry_point: Some("vs_resolve"),
-                    compilation_options: wgpu::PipelineCompilationOptions::default(),
-                    buffers: &[],
-                },
-                primitive: wgpu::PrimitiveState::default(),
+            FullscreenPipeline {
+                label: "resolve",
+                module: &self.module,
+                entry_points: ["vs_resolve", entry_point],
+                constants: &[],
+                bind_group_layouts: &[Some(&layout)],
+                colors: &[],
                 depth_stencil: Some(wgpu::DepthStencilState {
                     format,
                     depth_write_enabled: Some(writes_depth),
@@ -103,16 +96,9 @@ impl Resolver {
                     stencil: wgpu::StencilState { front: face, back: face, read_mask: 0xff, write_mask },
                     bias: wgpu::DepthBiasState::default(),
                 }),
-                multisample: wgpu::MultisampleState::default(),
-                fragment: Some(wgpu::FragmentState {
-                    module: &self.module,
-                    entry_point: Some(entry_point),
-                    compilation_options: wgpu::PipelineCompilationOptions::default(),
-                    targets: &[],
-                }),
-                multiview_mask: None,
-                cache: ctx.pipeline_cache(),
-            })
+                samples: 1,
+            }
+            .create(ctx)
         };
         // The draw of the depth clears the stencil; the others set the bits of each pixel.
         let (zero, all_bits) = (wgpu::StencilOperation::Zero, 0xff);

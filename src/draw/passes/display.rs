@@ -1,6 +1,7 @@
 //! The display pass: shows an image of light on the context's target, with its tones mapped; and encodes the image of targets
 //! without an sRGB format. Draw thread.
 
+use super::fullscreen::FullscreenPipeline;
 use super::stage_input::StageInput;
 use crate::draw::pipelines::sources::DISPLAY_WGSL;
 use crate::draw::resources::Resources;
@@ -46,36 +47,17 @@ impl Display {
         frame_layout: &wgpu::BindGroupLayout,
         format: wgpu::TextureFormat,
     ) -> wgpu::RenderPipeline {
-        let device = ctx.device();
-        let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-            label: Some("display"),
+        FullscreenPipeline {
+            label: "display",
+            module: &self.module,
+            entry_points: ["vs_display", "fs_display"],
+            constants: &[("ENCODES", f64::from(u8::from(is_encoded_by_shader(format))))],
             bind_group_layouts: &[Some(frame_layout), Some(&self.layout)],
-            immediate_size: 0,
-        });
-        let constants = [("ENCODES", f64::from(u8::from(is_encoded_by_shader(format))))];
-        let options =
-            wgpu::PipelineCompilationOptions { constants: &constants, ..wgpu::PipelineCompilationOptions::default() };
-        device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
-            label: Some("display"),
-            layout: Some(&layout),
-            vertex: wgpu::VertexState {
-                module: &self.module,
-                entry_point: Some("vs_display"),
-                compilation_options: wgpu::PipelineCompilationOptions::default(),
-                buffers: &[],
-            },
-            primitive: wgpu::PrimitiveState::default(),
+            colors: &[Some(format.into())],
             depth_stencil: None,
-            multisample: wgpu::MultisampleState::default(),
-            fragment: Some(wgpu::FragmentState {
-                module: &self.module,
-                entry_point: Some("fs_display"),
-                compilation_options: options,
-                targets: &[Some(format.into())],
-            }),
-            multiview_mask: None,
-            cache: ctx.pipeline_cache(),
-        })
+            samples: 1,
+        }
+        .create(ctx)
     }
 }
 

@@ -28,6 +28,7 @@ pub(in crate::draw) mod composition;
 pub(in crate::draw) mod depth_resolve;
 pub(in crate::draw) mod display;
 pub(in crate::draw) mod frame_copy;
+mod fullscreen;
 pub(in crate::draw) mod leaves;
 pub(in crate::draw) mod queries;
 pub(in crate::draw) mod shading;

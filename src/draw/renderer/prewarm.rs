@@ -72,8 +72,9 @@ impl Renderer {
     /// kinds that are prewarmed later get the pipelines of both.
     ///
     /// Three kinds are not covered: drawables in new shadow maps whose state has a program, the fixed function or blending;
-    /// states that a light has lit, once the sun lights them again; and custom drawables. Frames create those when they draw
-    /// them, which [`DrawStats::pipelines_created`](crate::draw::DrawStats::pipelines_created) counts.
+    /// states that a light has lit, once the sun lights them again; and custom drawables. Their pipelines follow from states, which
+    /// the pipelines of before do not have; to keep the states of all that was ever drawn would keep their textures too. Frames
+    /// create those when they draw them, which [`DrawStats::pipelines_created`](crate::draw::DrawStats::pipelines_created) counts.
     pub fn prewarm_change(&mut self, ctx: &mut GraphicsContext, change: &ViewChange) {
         let ViewChange { environment, has_own_light, uses_stencil } = change;
         let (air, has_shadows) = (AirKind::of(environment), environment.shadows.is_some());

@@ -120,7 +120,7 @@ mod tests {
     use super::super::layout::Placement;
     use super::super::tile_data::HeightSet;
     use super::*;
-    use crate::fetch::{Limits, RootScope};
+    use crate::fetch::Limits;
     use crate::math::{BoundingVolume, Geodetic, Region, WGS84};
 
     #[test]
@@ -172,9 +172,8 @@ mod tests {
         let set = HeightSet::for_tests(5, 10.0);
         let tile = |west: f64, east: f64| {
             let region = Region { west, south: 0.2, east, north: 0.21, min_height_m: 0.0, max_height_m: 9.0 };
-            let scope = RootScope::of("/set/tileset.json");
-            let data = set.tile_data("/set/tileset.json", 0, &BoundingVolume::Region(region), None, &scope).unwrap();
-            let data: TileData = serde_json::from_str(&data.unwrap()).unwrap();
+            let data = set.tile_data("/set/tileset.json", 0, &BoundingVolume::Region(region), None, None).unwrap();
+            let data: TileData = serde_json::from_str(&data).unwrap();
             assert_eq!(data.check(), Ok(()));
             build(&data, (0..49).map(|i| i as f32).collect(), None)
         };

@@ -10,7 +10,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use super::layout::Placement;
-use crate::fetch::{IoError, RootScope, resolve};
+use crate::fetch::IoError;
 use crate::math::BoundingVolume;
 
 /// The JSON of `asset.extras.terrane`.
@@ -32,12 +32,14 @@ impl SetExtras {
 /// The JSON of `extras.terrane` of a tile.
 #[derive(Debug, Deserialize)]
 pub(in crate::formats) struct TileExtras {
-    plane: Option<[f64; 4]>,
+    /// The rectangle in the frame of the set: the smallest x and y, then the largest; metres.
+    pub plane: Option<[f64; 4]>,
     /// A reference to the image that covers the tile.
     pub imagery: Option<String>,
 }
 
 /// The checked properties that all tiles of a height tile set share.
+#[derive(Clone, Debug)]
 pub(in crate::formats) struct HeightSet {
     /// Samples along a side.
     side: u32,
@@ -108,16 +110,19 @@ impl HeightSet {
         self.level_errors_m.get(level as usize).copied()
     }
 
-    /// Returns the `reader_data` of a tile.
+    /// Returns the `reader_data` of a tile. The rectangle of the tile is that of its volume, if it is a region and the tile has no
+    /// plane. `imagery` is the URI of the image that covers the tile.
+    ///
+    /// # Errors
+    /// [`IoError::Invalid`] for a tile that has neither a region nor a plane.
     pub fn tile_data(
         &self,
         tileset_uri: &str,
         level: u32,
         bounds: &BoundingVolume,
-        extras: Option<&TileExtras>,
-        scope: &RootScope,
-    ) -> Result<Option<Arc<str>>, IoError> {
-        let plane = extras.and_then(|own| own.plane);
+        plane: Option<[f64; 4]>,
+        imagery: Option<Arc<str>>,
+    ) -> Result<Arc<str>, IoError> {
         let placement = match (bounds, plane) {
             (BoundingVolume::Region(r), None) => {
                 let east = if r.east < r.west { r.east + TAU } else { r.east };
@@ -126,17 +131,10 @@ impl HeightSet {
             (_, Some(p)) if Placement::Plane(p).is_valid() => Placement::Plane(p),
             _ => return Err(IoError::invalid(tileset_uri, "a height tile needs a region, or a plane in its extras")),
         };
-        let imagery = extras.and_then(|own| own.imagery.as_deref());
-        let data = TileData {
-            placement,
-            side: self.side,
-            border: self.border,
-            level,
-            errors_m: (0..=level).rev().take(7).filter_map(|l| self.level_error_m(l)).collect(),
-            imagery: imagery.map(|reference| resolve(tileset_uri, reference, scope)).transpose()?,
-        };
+        let errors_m = (0..=level).rev().take(7).filter_map(|l| self.level_error_m(l)).collect();
+        let data = TileData { placement, side: self.side, border: self.border, level, errors_m, imagery };
         let json = serde_json::to_string(&data).map_err(|e| IoError::invalid(tileset_uri, e.to_string()))?;
-        Ok(Some(json.into()))
+        Ok(json.into())
     }
 }
 

@@ -23,7 +23,7 @@ pub(super) use coordinates::TileCoordinates;
 pub(super) use json::ImplicitTilingJson;
 pub(super) use pages::{SubtreePart, SubtreeSource};
 pub(super) use template::UriTemplate;
-pub(super) use tiling::{ContentTemplate, ImplicitRoot, ImplicitTiling, RootVolume};
+pub(super) use tiling::{ContentTemplate, HeightTemplate, ImplicitRoot, ImplicitTiling, RootVolume};
 
 use std::sync::Arc;
 

@@ -120,6 +120,10 @@ impl ReaderValue for SubtreeSource {
         true
     }
 
+    fn has_heights(&self) -> bool {
+        self.tiling.has_heights()
+    }
+
     fn fallback_uri(&self) -> Option<Arc<str>> {
         self.tiling.subtree_fallback(self.root)
     }
@@ -291,6 +295,11 @@ impl PartReader {
         }
         let own = volume.of_content(&row.volume);
         content.bounds = own.map(|own| tiling.bounds(tile.coordinates, &own, transform));
+        match tiling.height_data(tile.coordinates, transform).filter(|_| number == 0) {
+            Some(Ok(data)) => content.reader_data = Some(data.into()),
+            Some(Err(error)) => content = TileContent::refused(content.uri, error),
+            None => {}
+        }
         content.metadata = tiling.content_metadata(number, row.group, metadata);
         Some(content)
     }

@@ -11,6 +11,7 @@ use super::semantics::{Overrides, Shape, VolumeOverrides};
 use super::subtree::SubtreeShape;
 use super::template::UriTemplate;
 use crate::fetch::IoError;
+use crate::formats::height::HeightSet;
 use crate::formats::options::ReadOptions;
 use crate::formats::properties::Schema;
 use crate::formats::tile::{ContentData, S2Cell, TileContent, UpAxis};
@@ -48,6 +49,8 @@ pub(in crate::formats) struct ImplicitRoot<'a> {
     pub is_replaced: bool,
     /// The contents.
     pub contents: Vec<ContentTemplate<'a>>,
+    /// The properties of height tiles, if the contents are some.
+    pub heights: Option<HeightTemplate<'a>>,
     /// The up axis of glTF contents.
     pub up_axis: UpAxis,
     /// The schema of the tileset's metadata.
@@ -62,6 +65,26 @@ pub(in crate::formats) struct ContentTemplate<'a> {
     pub reference: &'a str,
     /// The metadata of its group.
     pub group: Option<Arc<Metadata>>,
+}
+
+/// The properties that the height tiles of an implicit tree may have.
+pub(in crate::formats) struct HeightTemplate<'a> {
+    pub set: HeightSet,
+    /// The level of the root of the implicit tree in its tileset.
+    pub root_level: u32,
+    /// The rectangle of the root, which is halved for the tiles below; `None` for a root with a region.
+    pub plane: Option<[f64; 4]>,
+    /// The reference to the image of each tile, with placeholders.
+    pub imagery: Option<&'a str>,
+}
+
+/// The properties of the height tiles of an implicit tree.
+#[derive(Debug)]
+struct ImplicitHeights {
+    set: HeightSet,
+    root_level: u32,
+    plane: Option<[f64; 4]>,
+    imagery: Option<UriTemplate>,
 }
 
 /// The properties that all tiles of an implicit tree share. More than 16 fields: one for each property of the root.
@@ -89,6 +112,8 @@ pub(in crate::formats) struct ImplicitTiling {
     pub(super) is_replaced: bool,
     /// Reader data of all contents that need no other.
     content_data: Option<ReaderData>,
+    /// Present if the contents are height tiles.
+    heights: Option<ImplicitHeights>,
     up_axis: UpAxis,
     /// The schema of the tiles' metadata.
     schema: Option<Arc<Schema>>,
@@ -120,7 +145,14 @@ impl ImplicitTiling {
         let content_data = (root.up_axis != UpAxis::Y)
             .then(|| ReaderData::of(ContentData { up_axis: root.up_axis, ..ContentData::default() }));
         let contents = root.contents.iter().map(|of| resolve(of.reference)).collect::<Result<Vec<_>, _>>()?;
+        if root.heights.is_some() && subdivision == Subdivision::Octree {
+            return Err(IoError::unsupported(root.uri, "an octree of height tiles"));
+        }
+        let heights = root.heights.map(|HeightTemplate { set, root_level, plane, imagery }| {
+            Ok::<_, IoError>(ImplicitHeights { set, root_level, plane, imagery: imagery.map(resolve).transpose()? })
+        });
         Ok(Self {
+            heights: heights.transpose()?,
             uri: root.uri.clone(),
             base: root.options.base.clone(),
             content_groups: root.contents.into_iter().map(|of| of.group).collect(),
@@ -167,6 +199,26 @@ impl ImplicitTiling {
         Some(ReaderData::of(data))
     }
 
+    /// Returns the reader data of a height tile: its part of the root, whatever its metadata says, so that neighbours meet. `None`
+    /// if the contents are no height tiles.
+    pub(super) fn height_data(&self, tile: TileCoordinates, transform: &DAffine3) -> Option<Result<Arc<str>, IoError>> {
+        let heights = self.heights.as_ref()?;
+        let bounds = self.bounds(tile, &VolumeOverrides::default(), transform);
+        let plane = heights.plane.map(|[west, south, east, north]| {
+            let [x, y, _] = self.parts(tile);
+            let (width, height) = (east - west, north - south);
+            [west + width * x.0, south + height * y.0, west + width * x.1, south + height * y.1]
+        });
+        let imagery = heights.imagery.as_ref().map(|template| template.fill(tile));
+        let level = heights.root_level + tile.level;
+        Some(heights.set.tile_data(&self.uri, level, &bounds, plane, imagery))
+    }
+
+    /// Returns true if the contents are height tiles.
+    pub(super) fn has_heights(&self) -> bool {
+        self.heights.is_some()
+    }
+
     /// Returns the metadata of a content and of its group: that with the index `group`, or that of the template.
     pub(super) fn content_metadata(
         &self,
@@ -209,6 +261,11 @@ impl ImplicitTiling {
 
     /// Returns the geometric error of a tile of a level, metres of the tileset's frame.
     pub(super) fn geometric_error_m(&self, level: u32, overrides: &Overrides, transform: &DAffine3) -> f64 {
+        // The error of height tiles is the same for all of a level, so that neighbours morph alike.
+        let heights = self.heights.as_ref();
+        if let Some(error_m) = heights.and_then(|heights| heights.set.level_error_m(heights.root_level + level)) {
+            return error_m;
+        }
         let by_level = self.geometric_error / level_scale(level);
         overrides.geometric_error.unwrap_or(by_level) * max_scale(&transform.matrix3)
     }

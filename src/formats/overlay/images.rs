@@ -1,6 +1,7 @@
 //! [`ImageCache`]: decoded images that neighbouring tiles share. Decode threads.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::collections::HashSet;
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
 use lru::LruCache;
 
@@ -14,18 +15,36 @@ pub(super) struct ImageCache {
     max_bytes: u64,
     /// Locked briefly, never while an image is decoded.
     state: Mutex<State>,
+    /// Notified when a thread has decoded an image, or failed.
+    decoded: Condvar,
 }
 
 #[derive(Debug)]
 struct State {
     images: LruCache<Arc<str>, Arc<Texture>>,
     bytes: u64,
+    /// The images that threads decode now.
+    decoding: HashSet<Arc<str>>,
+}
+
+/// Ends the decoding of an image for other threads, also if a decoder panics.
+struct Decoding<'a> {
+    cache: &'a ImageCache,
+    uri: &'a Arc<str>,
+}
+
+impl Drop for Decoding<'_> {
+    fn drop(&mut self) {
+        self.cache.lock().decoding.remove(self.uri);
+        self.cache.decoded.notify_all();
+    }
 }
 
 impl ImageCache {
     /// Creates a cache for images of this many bytes together. The last image is kept if it is larger.
     pub fn new(max_bytes: u64) -> Self {
-        Self { max_bytes, state: Mutex::new(State { images: LruCache::unbounded(), bytes: 0 }) }
+        let state = State { images: LruCache::unbounded(), bytes: 0, decoding: HashSet::new() };
+        Self { max_bytes, state: Mutex::new(state), decoded: Condvar::new() }
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {
@@ -47,8 +66,19 @@ impl ImageCache {
         self.lock().bytes
     }
 
-    /// Decodes an image and keeps it. Two threads that ask for the same image at once both decode it.
+    /// Decodes an image and keeps it. Threads that ask for an image that another one decodes wait for it.
     pub fn decode(&self, uri: &Arc<str>, bytes: &[u8], limits: &Limits) -> Result<Arc<Texture>, IoError> {
+        let mut state = self.lock();
+        let _decoding = loop {
+            if let Some(image) = state.images.get(uri) {
+                return Ok(image.clone());
+            }
+            if state.decoding.insert(uri.clone()) {
+                break Decoding { cache: self, uri };
+            }
+            state = self.decoded.wait(state).unwrap_or_else(PoisonError::into_inner);
+        };
+        drop(state);
         let image = image::decode_file(uri, bytes, limits)?;
         let mut state = self.lock();
         state.bytes += image.size_bytes();
@@ -109,6 +139,28 @@ mod tests {
         assert_eq!(cache.bytes(), 2 * 1364, "a second decoder of the same image");
         cache.decode(&name(9), &png(64, 64), &Limits::default()).unwrap();
         assert!(cache.get(&name(9)).is_some() && !cache.contains(&name(3)), "larger than the cache");
+    }
+
+    /// Neighbouring tiles arrive together and need the same coarse image.
+    #[test]
+    fn threads_that_need_an_image_at_once_decode_it_once() {
+        let (cache, bytes) = (ImageCache::new(1 << 20), png(256, 256));
+        let uri = Arc::from("http://h/1.png");
+        let start = std::sync::Barrier::new(4);
+        let images: Vec<Arc<Texture>> = std::thread::scope(|scope| {
+            let decode = || {
+                start.wait();
+                cache.decode(&uri, &bytes, &Limits::default()).unwrap()
+            };
+            let threads: Vec<_> = (0..4).map(|_| scope.spawn(decode)).collect();
+            threads.into_iter().map(|thread| thread.join().unwrap()).collect()
+        });
+        assert!(images.iter().all(|image| Arc::ptr_eq(image, &images[0])));
+        // A failure lets the next thread try.
+        let broken = Arc::from("http://h/2.png");
+        for _ in 0..2 {
+            assert!(cache.decode(&broken, b"none", &Limits::default()).is_err());
+        }
     }
 
     #[test]

@@ -43,14 +43,15 @@ pub struct MissingImage {
 
 /// Overlays in order, the lowest first, for [`PagerConfig::overlays`](crate::pager::PagerConfig::overlays).
 ///
-/// They cover height tiles and triangles of tiles on the earth. Loads of tiles include their images, so that changes take a
-/// new pager, as changes of a style do. Clones of the `Arc` around it share decoded images. Any thread.
+/// They cover height tiles and triangles of tiles on the earth. Loads of tiles include their images, so that tiles are loaded again
+/// after a change ([`Viewer::set_overlays`](crate::viewer::Viewer::set_overlays)). Clones of the `Arc` around it share decoded
+/// images. Any thread.
 #[derive(Debug)]
 pub struct OverlaySet {
     overlays: Vec<Overlay>,
     max_sse_px: Option<f64>,
     max_texture_px: u32,
-    images: ImageCache,
+    images: Arc<ImageCache>,
     /// By URI. Locked briefly by decode threads.
     missing: Mutex<BTreeMap<String, MissingImage>>,
     missing_count: AtomicU64,
@@ -77,11 +78,33 @@ impl OverlaySet {
             overlays: overlays.collect::<Result<_, _>>()?,
             max_sse_px: None,
             max_texture_px: 1024,
-            images: ImageCache::new(64 << 20),
+            images: Arc::new(ImageCache::new(64 << 20)),
             missing: Mutex::default(),
             missing_count: AtomicU64::new(0),
             asked: Mutex::new(LruCache::new(MAX_ASKED)),
         })
+    }
+
+    /// Returns a set of other overlays with the settings of this one, which shares its decoded images. What is known of the tiles of
+    /// a server stays known, if only opacity or credit of its overlay differ.
+    ///
+    /// # Errors
+    /// Those of [`Self::new`].
+    pub fn with_overlays(&self, overlays: Vec<RasterOverlay>) -> Result<Self, OverlayError> {
+        let new = Self::new(overlays)?;
+        for overlay in &new.overlays {
+            if let Some(tiles) = self.overlays.iter().find_map(|known| known.tiles_of(&overlay.options)) {
+                // Templates and images know theirs already.
+                let _ = overlay.tiles.set(Ok(tiles.clone()));
+            }
+        }
+        let (max_sse_px, max_texture_px) = (self.max_sse_px, self.max_texture_px);
+        Ok(Self { images: self.images.clone(), max_sse_px, max_texture_px, ..new })
+    }
+
+    /// Returns the overlays, the lowest first.
+    pub fn overlays(&self) -> impl ExactSizeIterator<Item = &RasterOverlay> {
+        self.overlays.iter().map(|overlay| &overlay.options)
     }
 
     /// Sets the screen-space error in pixels at which tiles are refined, if it is not the usual one: 3 for height tiles, 16
@@ -99,7 +122,7 @@ impl OverlaySet {
 
     /// Sets the maximum bytes of decoded images that are kept for further tiles, 64 MiB by default.
     pub fn with_cache_bytes(mut self, cache_bytes: u64) -> Self {
-        self.images = ImageCache::new(cache_bytes);
+        self.images = Arc::new(ImageCache::new(cache_bytes));
         self
     }
 

@@ -108,6 +108,13 @@ impl Overlay {
         self.options.credit.clone().or_else(of_document)
     }
 
+    /// Returns the tiles if they are known and are those of `other`.
+    pub fn tiles_of(&self, other: &RasterOverlay) -> Option<&ServerTiles> {
+        let RasterOverlay { opacity, credit, .. } = self.options.clone();
+        let is_same = RasterOverlay { opacity, credit, ..other.clone() } == self.options;
+        self.tiles.get()?.as_ref().ok().filter(|_| is_same)
+    }
+
     /// Returns true if a document says what tiles there are.
     pub fn has_document(&self) -> bool {
         matches!(self.options.source, OverlaySource::Tms { .. } | OverlaySource::Wmts { .. })

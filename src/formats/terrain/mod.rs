@@ -10,6 +10,7 @@
 //! | `quantized` | the file of a tile |
 //! | `surface` | triangles over the unit square, and parts of them |
 //! | `mesh` | vertices on WGS84, normals, skirts |
+//! | `water` | which parts of a tile are water |
 //! | `tiling` | the rectangles of tiles and the errors of levels |
 
 mod availability;
@@ -21,6 +22,7 @@ mod set;
 mod surface;
 mod tile;
 mod tiling;
+mod water;
 
 pub(super) use layer::{Layer, is_layer, is_layer_text, parent_files, read_layers};
 pub(super) use pages::TerrainPage;

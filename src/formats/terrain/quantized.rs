@@ -6,6 +6,7 @@
 use glam::{Vec2, Vec3};
 
 use super::surface::{Normals, Surface, SurfaceVertex};
+use super::water::Water;
 
 /// The header: centre, lowest and highest height, bounding sphere, horizon occlusion point.
 const HEADER_BYTES: usize = 88;
@@ -23,17 +24,14 @@ const OCT_VERTEX_NORMALS: u8 = 1;
 const WATER_MASK: u8 = 2;
 const METADATA: u8 = 4;
 
-/// Bytes of a water mask with a value for each of 256 x 256 cells.
-const WATER_MASK_BYTES: usize = 256 * 256;
-
 /// A tile.
 #[derive(Debug)]
 pub(super) struct QuantizedMesh<'a> {
     pub surface: Surface,
     /// The JSON of the extension `metadata`.
     pub metadata: Option<&'a [u8]>,
-    /// True if some of the tile is water by the extension `watermask`.
-    pub has_water: bool,
+    /// The extension `watermask`.
+    pub water: Option<Water>,
     /// The number of extensions that are not known.
     pub unknown_extensions: u32,
 }
@@ -124,7 +122,7 @@ pub(super) fn parse(bytes: &[u8], max_vertices: usize) -> Result<QuantizedMesh<'
     };
     let vertices = places.map(vertex).collect();
     let surface = Surface { vertices, triangles, edges, normals: Normals::Computed };
-    let mut mesh = QuantizedMesh { surface, metadata: None, has_water: false, unknown_extensions: 0 };
+    let mut mesh = QuantizedMesh { surface, metadata: None, water: None, unknown_extensions: 0 };
     while reader.at < bytes.len() {
         let id = reader.take(1, "extension")?[0];
         let data = reader.elements(1, "extension")?;
@@ -151,10 +149,8 @@ impl<'a> QuantizedMesh<'a> {
                 self.surface.normals = Normals::Given;
             }
             WATER_MASK => {
-                if ![1, WATER_MASK_BYTES].contains(&data.len()) {
-                    return Err(format!("extension watermask: {} bytes, expected 1 or 65536", data.len()));
-                }
-                self.has_water = data.iter().any(|share| *share > 0);
+                let invalid = || format!("extension watermask: {} bytes, expected 1 or 65536", data.len());
+                self.water = Some(Water::of_mask(data).ok_or_else(invalid)?);
             }
             METADATA => {
                 let mut reader = Reader { bytes: data, at: 0 };
@@ -244,7 +240,7 @@ mod tests {
         assert_eq!(places, [(0.0, 0.0, -10.0), (1.0, 0.0, 40.0), (0.0, 1.0, 90.0), (1.0, 1.0, -10.0)]);
         assert_eq!(mesh.surface.triangles, [[0, 1, 2], [2, 1, 3]]);
         assert_eq!(mesh.surface.edges, [vec![0, 2], vec![0, 1], vec![1, 3], vec![2, 3]]);
-        assert_eq!((mesh.surface.normals, mesh.metadata, mesh.has_water), (Normals::Computed, None, false));
+        assert_eq!((mesh.surface.normals, mesh.metadata, mesh.water), (Normals::Computed, None, None));
     }
 
     #[test]
@@ -253,7 +249,8 @@ mod tests {
         let normals = vec![128, 128, 255, 128, 128, 0, 0, 0];
         let bytes = tile(&[(1, normals), (2, vec![255]), (9, vec![1, 2, 3]), (4, metadata)]);
         let mesh = parse(&bytes, 100).unwrap();
-        assert_eq!((mesh.metadata, mesh.has_water, mesh.unknown_extensions), (Some(&b"{}"[..]), true, 1));
+        assert_eq!((mesh.metadata, mesh.unknown_extensions), (Some(&b"{}"[..]), 1));
+        assert_eq!(mesh.water, Some(Water::Uniform(255)));
         let expected = [Vec3::Z, Vec3::X, Vec3::NEG_Y, Vec3::NEG_Z];
         for (vertex, expected) in mesh.surface.vertices.iter().zip(expected) {
             assert!(vertex.normal.distance(expected) < 0.02, "{} {expected}", vertex.normal);

@@ -9,6 +9,7 @@ use super::quantized;
 use super::set::TerrainSet;
 use super::surface::Surface;
 use super::tiling::{Rectangle, Tiling};
+use super::water::Water;
 use crate::fetch::markup::refuse_markup;
 use crate::fetch::{IoError, encoding, path_of};
 use crate::formats::ignored::Notes;
@@ -88,17 +89,19 @@ impl TerrainTile {
                 .filter_map(|layer| layer.attribution.as_ref())
                 .for_each(|text| notes.add_credit(text));
         }
-        let surface = match &self.mesh {
+        let (surface, water) = match &self.mesh {
             TileMesh::File => surface_of(uri, &unpacked(uri, bytes, options)?, options, notes)?,
             TileMesh::Held(held) if held.tile == self.tile => surface_of(&held.uri, &held.bytes, options, notes)?,
             TileMesh::Held(held) => {
-                let whole = surface_of(&held.uri, &held.bytes, options, &Notes::default())?;
-                let part = whole.part(part_of(held.tile, self.tile));
-                part.ok_or_else(|| IoError::invalid(uri, "quantized-mesh: the tile above has no triangles here"))?
+                let (whole, water) = surface_of(&held.uri, &held.bytes, options, &Notes::default())?;
+                let shares = part_of(held.tile, self.tile);
+                let part = whole.part(shares);
+                let none = || IoError::invalid(uri, "quantized-mesh: the tile above has no triangles here");
+                (part.ok_or_else(none)?, water.map(|water| water.part(shares)))
             }
-            TileMesh::Ellipsoid => Surface::of_ellipsoid(tiling.ellipsoid_segments(self.tile)),
+            TileMesh::Ellipsoid => (Surface::of_ellipsoid(tiling.ellipsoid_segments(self.tile)), None),
         };
-        Ok(node_of(&surface, tiling, self.tile))
+        Ok(node_of(&surface, water.as_ref(), tiling, self.tile))
     }
 }
 
@@ -148,7 +151,8 @@ pub(in crate::formats) fn read_alone(
     let no_coordinates = || IoError::unsupported(uri, "a terrain tile whose path does not end in LEVEL/X/Y.terrain");
     let tile = coordinates_in(path_of(uri)).ok_or_else(no_coordinates)?;
     refuse_markup(uri, bytes)?;
-    Ok(node_of(&surface_of(uri, bytes, options, notes)?, Tiling::Geographic, tile))
+    let (surface, water) = surface_of(uri, bytes, options, notes)?;
+    Ok(node_of(&surface, water.as_ref(), Tiling::Geographic, tile))
 }
 
 /// Returns true if the name of a file is that of a terrain tile, which has no magic bytes.
@@ -166,16 +170,18 @@ fn coordinates_in(path: &str) -> Option<TileCoordinates> {
     exists.then_some(TileCoordinates { level, x, y, z: 0 })
 }
 
-fn surface_of(uri: &str, bytes: &[u8], options: &ReadOptions, notes: &Notes) -> Result<Surface, IoError> {
+fn surface_of(
+    uri: &str,
+    bytes: &[u8],
+    options: &ReadOptions,
+    notes: &Notes,
+) -> Result<(Surface, Option<Water>), IoError> {
     let mesh = quantized::parse(bytes, options.limits.max_elements);
     let mesh = mesh.map_err(|reason| IoError::invalid(uri, format!("quantized-mesh: {reason}")))?;
-    if mesh.has_water {
-        notes.add("terrain: a watermask, which is not drawn");
-    }
     if mesh.unknown_extensions > 0 {
         notes.add("terrain: an unknown extension of a tile");
     }
-    Ok(mesh.surface)
+    Ok((mesh.surface, mesh.water))
 }
 
 /// Returns the part of a tile that a tile below it is: west, south, east and north as shares of its sides.
@@ -186,11 +192,12 @@ fn part_of(above: TileCoordinates, tile: TileCoordinates) -> [f64; 4] {
     [west, south, west + side, south + side]
 }
 
-fn node_of(surface: &Surface, tiling: Tiling, tile: TileCoordinates) -> Node {
+fn node_of(surface: &Surface, water: Option<&Water>, tiling: Tiling, tile: TileCoordinates) -> Node {
     let skirt_m = SKIRT_ERRORS * tiling.level_error_m(tile.level);
     let (origin, mesh) = mesh::build(surface, &tiling.rectangle(tile), skirt_m);
-    let drawable =
-        Drawable::new(Geometry::Mesh(Arc::<Mesh>::new(mesh)), Material { base_color: GROUND, ..Material::default() });
+    let metallic_roughness = water.map(Water::reflection);
+    let material = Material { base_color: GROUND, metallic_roughness, ..Material::default() };
+    let drawable = Drawable::new(Geometry::Mesh(Arc::<Mesh>::new(mesh)), material);
     Node::transform(DAffine3::from_translation(origin), vec![Node::geode(vec![drawable])])
 }
 

@@ -65,20 +65,31 @@ pub(in crate::formats) struct ContentData {
     pub up_axis: UpAxis,
     /// The URI at which the content is looked for if its own has none.
     pub fallback: Option<Arc<str>>,
+    /// A volume around the content that is smaller than the tile's, for a tile with others below.
+    pub bounds: Option<Box<BoundingVolume>>,
     /// The region of the tile, kept for raster overlays: west, south, east and north in radians.
     pub region: Option<[f64; 4]>,
 }
 
 /// Returns reader data with the region of its tile. That of other readers is returned as it is.
 pub(in crate::formats) fn with_region(data: Option<ReaderData>, region: [f64; 4]) -> Option<ReaderData> {
+    changed(data, |known| ContentData { region: Some(region), ..known })
+}
+
+/// Returns reader data with the volume of its content. That of other readers is returned as it is.
+pub(super) fn with_bounds(data: Option<ReaderData>, bounds: BoundingVolume) -> Option<ReaderData> {
+    changed(data, |known| ContentData { bounds: Some(Box::new(bounds)), ..known })
+}
+
+fn changed(data: Option<ReaderData>, change: impl FnOnce(ContentData) -> ContentData) -> Option<ReaderData> {
     let known = match &data {
         None => ContentData::default(),
-        Some(data) => match data.value::<ContentData>() {
+        Some(of_reader) => match of_reader.value::<ContentData>() {
             Some(known) => known.clone(),
-            None => return Some(data.clone()),
+            None => return data,
         },
     };
-    Some(ReaderData::of(ContentData { region: Some(region), ..known }))
+    Some(ReaderData::of(change(known)))
 }
 
 impl ReaderValue for ContentData {
@@ -98,14 +109,19 @@ impl ReaderValue for ContentData {
         self.region
     }
 
+    fn content_bounds(&self) -> Option<&BoundingVolume> {
+        self.bounds.as_deref()
+    }
+
     fn size_bytes(&self) -> u64 {
+        let bounds = self.bounds.as_ref().map_or(0, |_| size_of::<BoundingVolume>());
         let own = match &self.bytes {
             ContentBytes::Fetched => 0,
             ContentBytes::Embedded(text) => text.len() as u64,
             ContentBytes::Refused(error) => error.uri().len() as u64,
             ContentBytes::Several(contents) => contents.iter().map(|content| content.uri.len() as u64 + 40).sum(),
         };
-        size_of::<Self>() as u64 + own
+        (size_of::<Self>() + bounds) as u64 + own
     }
 }
 

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use glam::DAffine3;
 
-use super::content::{TileContent, joined};
+use super::content::{TileContent, joined, with_bounds};
 use crate::fetch::IoError;
 use crate::math::BoundingVolume;
 use crate::scene::{Node, NodeKind, PagedLod, PagingOptions, ProxyLoading, ProxyNode, RangeMode, Refine, TileMetadata};
@@ -65,8 +65,8 @@ impl Tile {
     /// above one tile per content. So its contents are loaded and drawn together, and fail alone. Contents that children
     /// replace become one content, since they must leave in the same frame.
     ///
-    /// A content below which nothing is has its own volume, so that it is not requested while that is out of sight. Other
-    /// contents are culled by the bounds of what they contain once they are loaded.
+    /// A content below which nothing is has its own volume in place of the tile's. Another content keeps its volume beside the
+    /// tile's, unless they are about as large.
     pub fn into_node(mut self) -> Node {
         let is_leaf = self.children.is_empty() && self.external_tilesets.is_empty() && self.continuations.is_empty();
         if self.contents.len() > 1 && !is_leaf && self.refine == Refine::Replace {
@@ -103,7 +103,15 @@ impl Tile {
         };
         let node_with = |geometric_error_m, content: Option<TileContent>, children: Vec<Node>| {
             let metadata = content.as_ref().and_then(|content| content.metadata.clone());
-            let own = content.as_ref().and_then(|content| content.bounds).filter(|_| children.is_empty());
+            let mut content = content;
+            let mut own = content.as_ref().and_then(|content| content.bounds);
+            if !children.is_empty()
+                && let Some(volume) = own.take()
+                && is_smaller(&volume, &bounds)
+                && let Some(content) = &mut content
+            {
+                content.reader_data = with_bounds(content.reader_data.take(), volume);
+            }
             let tile = paged_lod(own.unwrap_or(bounds), geometric_error_m, refine, content);
             Node { metadata, children, ..Node::new(NodeKind::PagedLod(tile)) }
         };
@@ -143,4 +151,12 @@ fn paging(in_tree: bool) -> PagingOptions {
 /// Returns tiles as one node.
 pub(in crate::formats) fn node_of(tiles: Vec<Tile>) -> Node {
     Node::group(tiles.into_iter().map(Tile::into_node).collect())
+}
+
+/// The share of a tile's radius up to which the volume of its content is worth a test of its own.
+const MAX_RADIUS_SHARE: f64 = 0.9;
+
+/// Returns true if a volume may be out of sight while the larger one around it is mostly in sight.
+fn is_smaller(volume: &BoundingVolume, around: &BoundingVolume) -> bool {
+    volume.bounding_sphere().radius_m < MAX_RADIUS_SHARE * around.bounding_sphere().radius_m
 }

@@ -212,11 +212,15 @@ pub(crate) struct S2Json {
 }
 
 #[derive(Default, Deserialize)]
+#[serde(rename_all = "camelCase")]
 pub(crate) struct ContentJson {
     #[serde(default)]
     uri: Text,
     #[serde(default)]
     url: Text,
+    /// In a box, since few tiles have it.
+    #[serde(default, deserialize_with = "optional_object")]
+    pub bounding_volume: Option<Box<VolumeJson>>,
     metadata: Option<Value>,
     group: Option<Value>,
     #[serde(default, deserialize_with = "valid_or_default")]

@@ -10,15 +10,17 @@ use std::sync::Arc;
 
 use glam::DAffine3;
 
-use super::json::{self, KNOWN_EXTENSIONS, TileJson, TilesetJson};
+use super::json::{self, ContentJson, KNOWN_EXTENSIONS, TileJson, TilesetJson};
 use super::set_metadata::SetMetadata;
 use super::volume::{affine, bounding_volume, inverse, root_volume};
-use crate::fetch::{IoError, path_of};
+use crate::fetch::{IoError, path_of, resolve};
 use crate::formats::embedded::is_data_uri;
 use crate::formats::external_files::ExternalFiles;
 use crate::formats::height::HeightSet;
 use crate::formats::ignored::Notes;
-use crate::formats::implicit::{ContentTemplate, ImplicitRoot, ImplicitTiling, ImplicitTilingJson, SubtreeSource};
+use crate::formats::implicit::{
+    ContentTemplate, HeightTemplate, ImplicitRoot, ImplicitTiling, ImplicitTilingJson, SubtreeSource,
+};
 use crate::formats::options::{Fetched, ReadOptions};
 use crate::formats::properties::{self, Schema};
 use crate::formats::tile::{ALWAYS_REFINED_M, ContentBytes, ContentData, Tile, TileContent, UpAxis};
@@ -87,7 +89,7 @@ pub(super) fn read_noting(
     let up_axis = tileset.asset.gltf_up_axis.0.as_deref().and_then(UpAxis::named).unwrap_or_default();
     let heights = HeightSet::from_extras(uri, tileset.asset.extras.0)?;
     let schema = schema.clone();
-    let mut reader = Reader { uri, options, heights, up_axis, schema, metadata, tiles: 0, contents: 0 };
+    let mut reader = Reader { uri, options, heights, up_axis, schema, metadata, notes, tiles: 0, contents: 0 };
     // An external tileset does not know the tiles above it, so it assumes that it replaces a content.
     let inherited = Inherited {
         refine: Refine::Replace,
@@ -124,6 +126,7 @@ struct Reader<'a> {
     schema: Option<Arc<Schema>>,
     /// `None` if metadata is not kept.
     metadata: Option<SetMetadata<'a>>,
+    notes: &'a Notes,
     /// Number of tiles so far.
     tiles: usize,
     /// Number of contents without a URI of their own so far.
@@ -183,9 +186,11 @@ impl Reader<'_> {
             geometric_error_m = heights.level_error_m(level).unwrap_or(geometric_error_m);
             let extras = json.extras.0.as_ref();
             let base = self.options.base.as_ref().unwrap_or(self.uri);
-            height_data = heights.tile_data(base, level, &bounds, extras, &self.options.root)?;
+            let imagery = extras.and_then(|own| own.imagery.as_deref());
+            let imagery = imagery.map(|reference| resolve(base, reference, &self.options.root)).transpose()?;
+            height_data = Some(heights.tile_data(base, level, &bounds, extras.and_then(|own| own.plane), imagery)?);
         }
-        let References { mut contents, external_tilesets } = self.references(&json);
+        let References { mut contents, external_tilesets } = self.references(&json, &content_transform);
         if let Some(first) = contents.first_mut()
             && height_data.is_some()
         {
@@ -231,9 +236,13 @@ impl Reader<'_> {
         parent: DAffine3,
         inherited: Inherited,
     ) -> Result<Tile, IoError> {
-        if self.heights.is_some() {
-            return Err(IoError::unsupported(self.uri, "implicit tiling of height tiles"));
-        }
+        let extras = json.extras.0.as_ref();
+        let heights = self.heights.as_ref().map(|set| HeightTemplate {
+            set: set.clone(),
+            root_level: inherited.level,
+            plane: extras.and_then(|own| own.plane),
+            imagery: extras.and_then(|own| own.imagery.as_deref()),
+        });
         let missing = || IoError::invalid(self.uri, "content without a uri");
         let mut contents = Vec::new();
         for content in json.contents() {
@@ -253,6 +262,7 @@ impl Reader<'_> {
                 parent_transform: parent,
                 is_replaced: inherited.is_replaced,
                 contents,
+                heights,
                 up_axis: self.up_axis,
                 schema: self.schema.clone(),
                 groups: self.metadata.as_ref().map(SetMetadata::groups).unwrap_or_default(),
@@ -279,7 +289,7 @@ impl Reader<'_> {
 
     /// Returns a tile's contents and its external tilesets. A reference that is invalid becomes a
     /// content that cannot be loaded.
-    fn references(&mut self, json: &TileJson) -> References {
+    fn references(&mut self, json: &TileJson, transform: &DAffine3) -> References {
         let References { mut contents, mut external_tilesets } = References::default();
         for content in json.contents() {
             let metadata = self.metadata.as_mut().and_then(|set| set.of_content(content));
@@ -288,9 +298,10 @@ impl Reader<'_> {
                 contents.push(TileContent::refused(self.name_content(), error));
                 continue;
             };
+            let bounds = self.content_bounds(content, transform);
             if is_data_uri(reference) {
                 let reader_data = self.content_data(ContentBytes::Embedded(reference.into()), None);
-                contents.push(TileContent { metadata, ..TileContent::new(self.name_content(), reader_data) });
+                contents.push(TileContent { bounds, metadata, ..TileContent::new(self.name_content(), reader_data) });
                 continue;
             }
             match self.options.resolve(self.uri, reference) {
@@ -299,7 +310,7 @@ impl Reader<'_> {
                 }
                 Ok((uri, fallback)) => {
                     let reader_data = self.content_data(ContentBytes::Fetched, fallback);
-                    contents.push(TileContent { metadata, ..TileContent::new(uri, reader_data) });
+                    contents.push(TileContent { bounds, metadata, ..TileContent::new(uri, reader_data) });
                 }
                 Err(error) => contents.push(TileContent::refused(self.name_content(), error)),
             }
@@ -307,12 +318,19 @@ impl Reader<'_> {
         References { contents, external_tilesets }
     }
 
+    /// Returns the volume of a content that has one. An invalid one is left out, which is noted.
+    fn content_bounds(&self, content: &ContentJson, transform: &DAffine3) -> Option<BoundingVolume> {
+        let volume = content.bounding_volume.as_ref()?;
+        let bounds = bounding_volume(self.uri, volume, transform, &self.options.set_from_content);
+        bounds.inspect_err(|_| self.notes.add("content.boundingVolume that is invalid")).ok()
+    }
+
     /// Returns the reader data of a content; `None` if its URI says everything.
     fn content_data(&self, bytes: ContentBytes, fallback: Option<Arc<str>>) -> Option<ReaderData> {
         if matches!(bytes, ContentBytes::Fetched) && self.up_axis == UpAxis::Y && fallback.is_none() {
             return None;
         }
-        Some(ReaderData::of(ContentData { bytes, up_axis: self.up_axis, fallback, region: None }))
+        Some(ReaderData::of(ContentData { bytes, up_axis: self.up_axis, fallback, ..ContentData::default() }))
     }
 
     /// Returns a name for a content that has no URI: the tileset's with a number.

@@ -26,7 +26,12 @@ impl DatabasePager {
                 continue;
             }
             let Some(slot) = scenes.slot(request.slot) else { continue };
-            if slot.state != SlotState::Empty || !self.control.takes_requests {
+            let is_open = match slot.state {
+                SlotState::Empty => true,
+                SlotState::Resident(page) => self.outdated.contains_key(&page),
+                SlotState::Failed => false,
+            };
+            if !is_open || !self.control.takes_requests {
                 continue;
             }
             let Some((ancestors, scope)) = self.scenes.origin(&slot) else { continue };

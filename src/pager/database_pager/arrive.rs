@@ -11,7 +11,7 @@ use crate::pager::loading::page_job::PageJob;
 use crate::pager::loading::ticket::{RequestEnd, Ticket};
 use crate::pager::requests::entry::{Entry, Progress};
 use crate::pager::requests::retry_policy::{RetryPolicy, RetryState, retry_moment};
-use crate::pager::residency::budget::{Budget, MemoryUse};
+use crate::pager::residency::budget::MemoryUse;
 use crate::pager::scenes::scene_set::SceneSet;
 use crate::pager::upload::Uploaded;
 use crate::pager::upload::context::CompileContext;
@@ -104,7 +104,7 @@ impl DatabasePager {
             let backoff = entry.retries.fail(error, policy).map(|backoff| backoff.mul_f64(spread(job.ticket)));
             entry.progress = Progress::Failed { retry_at: retry_moment(backoff) };
         });
-        scenes.set_failed(job.slot, true);
+        self.mark_failed(scenes, job.slot);
     }
 
     fn arrived(
@@ -201,7 +201,7 @@ impl DatabasePager {
     ) -> bool {
         let Some(arrived) = self.arrivals.get(slot) else { return false };
         let size = arrived.bytes() + self.residency.shared_bytes(arrived.page());
-        let budget = Budget::new(&self.config);
+        let budget = self.residency.budget();
         if !budget.is_exceeded_by(size) {
             return false;
         }
@@ -215,7 +215,7 @@ impl DatabasePager {
         let Some(uri) = failed else { return true };
         self.stats.failed += 1;
         self.errors.add(&too_large(uri, size, budget.bytes));
-        scenes.set_failed(slot, true);
+        self.mark_failed(scenes, slot);
         true
     }
 }

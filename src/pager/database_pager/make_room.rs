@@ -4,7 +4,7 @@ use super::DatabasePager;
 use crate::pager::loading::ticket::RequestEnd;
 use crate::pager::requests::entry::Entry;
 use crate::pager::residency::Unused;
-use crate::pager::residency::budget::{Budget, MemoryUse};
+use crate::pager::residency::budget::MemoryUse;
 use crate::pager::scenes::scene_set::SceneSet;
 use crate::pager::upload::context::CompileContext;
 use crate::scene::{NodeId, Page, PageId};
@@ -48,7 +48,7 @@ impl DatabasePager {
     /// Pages expire also for GPU memory that is allocated and unused, since blocks are freed with their last slot. No arrival
     /// is declined for it: the next upload may use it.
     pub(super) fn keep_budgets(&mut self, scenes: &mut dyn SceneSet, contexts: &mut [&mut dyn CompileContext]) {
-        let budget = Budget::new(&self.config);
+        let budget = self.residency.budget();
         let mut looks = self.residency.urgent_looks();
         while self.residency.is_over_budget_allocated(self.arrivals.total()) {
             let (merged, pages) = (self.residency.bytes_without_arrived(), self.residency.len() as u64);

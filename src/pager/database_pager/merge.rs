@@ -58,6 +58,7 @@ impl DatabasePager {
             self.drop_page(page, contexts);
             return false;
         }
+        self.detach_outdated(scenes, slot, contexts);
         self.residency.begin_merge(&page);
         let shared = page.shared_contents().iter().map(|used| used.content.key).collect();
         match self.attach(scenes, slot, page, &entry, Held { cpu_bytes, gpu_bytes, shared }) {

@@ -17,6 +17,7 @@ mod arrive;
 mod blocking;
 mod make_room;
 mod merge;
+mod refresh;
 mod remove;
 mod serve;
 mod status;
@@ -24,6 +25,7 @@ mod status;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use self::refresh::Outdated;
 use super::config::{PagerConfig, PagerError};
 use super::frame_times::FrameTimes;
 use super::loading::config::{LimitRange, LoadConfig};
@@ -71,6 +73,8 @@ pub struct DatabasePager {
     arrivals: Arrivals,
     merge_order: MergeOrder,
     residency: Residency,
+    /// Pages that were loaded before the overlays of their scene changed.
+    outdated: Outdated,
     stats: PagerStats,
     errors: Errors,
     control: Control,
@@ -136,6 +140,7 @@ impl DatabasePager {
             arrivals: Arrivals::default(),
             merge_order: MergeOrder::default(),
             residency: Residency::new(Budget::new(&config)),
+            outdated: Outdated::default(),
             stats: PagerStats::default(),
             errors: Errors::default(),
             control: Control {
@@ -181,8 +186,10 @@ impl DatabasePager {
     ) {
         self.begin_frame(frame, time_s);
         self.note_formats(contexts);
+        self.residency.count_roots(scenes, Budget::new(&self.config));
         self.accept(scenes, requests);
         self.accept_forced(scenes);
+        self.refresh(scenes, contexts);
         self.merge_arrived(scenes, contexts);
         self.retry_failures(scenes);
         self.write_list();

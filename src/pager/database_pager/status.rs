@@ -120,6 +120,7 @@ impl DatabasePager {
         if let Some(sharing) = self.sharing() {
             s.sharing = sharing.stats();
         }
+        s.root_bytes = self.residency.root_bytes();
         s.resident = self.residency.len() as u64;
         let loading = self.threads.budgets().total();
         (s.loading_bytes, s.loading_bytes_peak) = (loading.bytes, loading.peak);

@@ -384,7 +384,7 @@ fn no_room(error: &IoError) -> Option<NoRoom> {
     }
 }
 
-/// Asks a job for the dependencies of a content. A large text is parsed on a blocking thread of the runtime, so that
+/// Asks a job for the dependencies of a content. Large texts and XML are parsed on a blocking thread of the runtime, so that
 /// requests go on meanwhile.
 async fn dependencies_of<J: LoadJob>(
     job: &J,
@@ -392,7 +392,7 @@ async fn dependencies_of<J: LoadJob>(
     companions: Vec<formats::Fetched>,
 ) -> (Vec<Arc<str>>, Result<Loaded, IoError>, Vec<formats::Fetched>) {
     let Ok(content) = loaded else { return (Vec::new(), loaded, companions) };
-    if !formats::has_slow_dependencies(&content.bytes) {
+    if !formats::has_slow_dependencies(&content.bytes, &companions) {
         return (job.dependencies(&content, &companions), Ok(content), companions);
     }
     let (uri, job) = (job.address().to_string(), job.clone());

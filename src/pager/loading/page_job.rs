@@ -104,14 +104,15 @@ impl PageJob {
         is_remote(&self.uri) && !self.is_in_memory()
     }
 
-    /// Returns true if a content on disk or in memory is covered by images on servers.
-    fn has_remote_overlay(&self) -> bool {
+    /// Returns true if a content on disk or in memory is covered by images on servers, or may refer to servers.
+    fn may_need_servers(&self) -> bool {
         #[cfg(feature = "http")]
-        let has_server = self.scope.overlay_server().is_some();
+        let (has_server, is_free) =
+            (self.scope.overlay_server().is_some(), self.scope.options.root == RootScope::Anywhere);
         #[cfg(not(feature = "http"))]
-        let has_server = false;
+        let (has_server, is_free) = (false, false);
         let continues_tileset = self.reader_data.as_ref().is_some_and(ReaderData::continues_tileset);
-        has_server && self.tile.is_some() && !continues_tileset
+        is_free || has_server && self.tile.is_some() && !continues_tileset
     }
 }
 
@@ -127,7 +128,7 @@ impl Request for PageJob {
     }
 
     fn is_remote(&self) -> bool {
-        self.has_remote_content() || self.has_remote_overlay()
+        self.has_remote_content() || self.may_need_servers()
     }
 
     fn scene(&self) -> SceneNumber {
@@ -147,7 +148,7 @@ impl Request for PageJob {
         self.progress.servers.get_or_init(|| {
             let own = match self.has_remote_content() {
                 true => fetch::server(&self.uri),
-                // Its images are all that is requested.
+                // Only files that it refers to are requested.
                 false => self.scope.overlay_server().unwrap_or_default(),
             };
             let mut servers = vec![own.to_owned()];

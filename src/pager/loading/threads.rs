@@ -189,8 +189,9 @@ impl<J> Intake<J> {
 fn decode<J: LoadJob>(mut intake: Intake<J>, sender: &Sender<Answer<J>>, contents: &ByteBudget) {
     while let Some(LoadedBytes { job, loaded, companions, bytes_read, bytes_http, permit }) = intake.next() {
         follow_core();
-        // A content is rarely smaller than its bytes.
-        let expected_bytes = bytes_read.max(contents.expected_bytes());
+        // A content is rarely smaller than its bytes. Its decoder needs about as much again, such as for decompressed bytes and
+        // for images before they have their final format.
+        let expected_bytes = bytes_read.max(contents.expected_bytes()).saturating_mul(2);
         let held = loaded.is_ok().then(|| contents.reserve_blocking(expected_bytes, job.is_prefetch()));
         let span = job.decode_span();
         let content = loaded.and_then(|loaded| job.decode(loaded, companions));

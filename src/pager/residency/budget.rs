@@ -39,6 +39,12 @@ impl Budget {
         Self { bytes, pages: config.max_tiles as u64 }
     }
 
+    /// Returns the budgets without some bytes of CPU memory.
+    pub fn without_cpu(self, bytes: u64) -> Self {
+        let cpu = self.bytes.cpu.saturating_sub(bytes);
+        Self { bytes: MemoryUse { cpu, ..self.bytes }, ..self }
+    }
+
     /// Returns true if a page of this size exceeds a budget alone.
     pub fn is_exceeded_by(&self, bytes: MemoryUse) -> bool {
         bytes.cpu > self.bytes.cpu || bytes.gpu > self.bytes.gpu

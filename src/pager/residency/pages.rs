@@ -6,11 +6,13 @@ use super::residents::{RemovedByApplication, Resident, Residents};
 use super::shared_content::SharedContent;
 use crate::pager::frame_times::FrameTimes;
 use crate::pager::scenes::scene_set::SceneSet;
-use crate::scene::{ContentKey, Page, PageId, Scene};
+use crate::scene::{ContentKey, NodeId, Page, PageId, Scene, SceneNumber};
 
 /// The merged pages, what they and arrived pages share, and the sizes of recent pages. Update thread.
 pub(in crate::pager) struct Residency {
+    /// The budgets of the configuration, without what the trees of roots take.
     budget: Budget,
+    roots: RootTrees,
     residents: Residents,
     shared: SharedContent,
     /// Mean size of recent pages, to reserve budget before a size is known; 0 before the first.
@@ -20,11 +22,52 @@ pub(in crate::pager) struct Residency {
     unused_gpu: Vec<(u32, u64)>,
 }
 
+/// The tile trees that applications added to their scenes: the roots of tile sets.
+#[derive(Default)]
+struct RootTrees {
+    ids: Vec<PageId>,
+    /// CPU bytes of all of them.
+    bytes: u64,
+}
+
 impl Residency {
     pub fn new(budget: Budget) -> Self {
         let (shared, search) = (SharedContent::default(), ExpirySearch::default());
         let residents = Residents::new();
-        Self { budget, residents, shared, mean: MemoryUse::default(), search, unused_gpu: Vec::new() }
+        Self {
+            budget,
+            roots: RootTrees::default(),
+            residents,
+            shared,
+            mean: MemoryUse::default(),
+            search,
+            unused_gpu: Vec::new(),
+        }
+    }
+
+    /// Takes the trees of the scenes' roots out of the budget of `configured` for CPU memory, but at most half of it: they cannot
+    /// expire, and something must be drawn.
+    pub fn count_roots(&mut self, scenes: &dyn SceneSet, configured: Budget) {
+        let roots = || scenes.all().flat_map(|scene| scene.roots().iter().copied());
+        if roots().eq(self.roots.ids.iter().copied()) {
+            return;
+        }
+        let bytes_of = |scene: &Scene| {
+            let pages = scene.roots().iter().filter_map(|id| scene.page(*id));
+            pages.filter(|page| page.is_tile_tree()).map(Page::own_bytes).sum::<u64>()
+        };
+        self.roots = RootTrees { ids: roots().collect(), bytes: scenes.all().map(bytes_of).sum() };
+        self.budget = configured.without_cpu(self.roots.bytes.min(configured.bytes.cpu / 2));
+    }
+
+    /// Returns the CPU bytes of the trees of roots.
+    pub fn root_bytes(&self) -> u64 {
+        self.roots.bytes
+    }
+
+    /// Returns the budgets of pages.
+    pub fn budget(&self) -> Budget {
+        self.budget
     }
 
     /// Returns the number of merged pages.
@@ -132,6 +175,16 @@ impl Residency {
     /// Adds a page that was attached.
     pub fn insert(&mut self, id: PageId, resident: Resident) {
         self.residents.insert(id, resident);
+    }
+
+    /// Returns the pages of a scene with their slots, in no order.
+    pub fn slots_of(&self, scene: SceneNumber) -> impl Iterator<Item = (PageId, NodeId)> {
+        self.residents.slots().filter(move |(page, _)| page.scene == scene)
+    }
+
+    /// Removes a page, which the caller detaches with [`Self::detach`].
+    pub fn remove(&mut self, id: PageId) {
+        self.residents.remove(id);
     }
 
     /// Returns how many pages this frame may examine for expiry; the maximum when room is short.

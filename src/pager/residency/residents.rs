@@ -106,6 +106,16 @@ impl Residents {
         self.pages.insert(id, resident);
     }
 
+    /// Returns all pages with their slots, in no order.
+    pub fn slots(&self) -> impl Iterator<Item = (PageId, NodeId)> {
+        self.pages.iter().map(|(id, resident)| (*id, resident.slot))
+    }
+
+    /// Removes a page.
+    pub fn remove(&mut self, id: PageId) {
+        self.pop(id);
+    }
+
     /// Removes and returns all pages for which `condition` holds, the least recently used first.
     pub fn take_if(&mut self, condition: impl Fn(PageId) -> bool) -> Vec<PageId> {
         let taken: Vec<PageId> = self.order.iter().map(|(_, _, id)| *id).filter(|id| condition(*id)).collect();

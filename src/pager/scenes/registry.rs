@@ -230,6 +230,19 @@ impl SceneRegistry {
         self.scenes.remove(&scene).map(|state| state.scope)
     }
 
+    /// Replaces the overlays of a scene for what is loaded from now on. Returns false if the scene is not served.
+    pub fn set_overlays(&mut self, scene: SceneNumber, overlays: Option<Arc<OverlaySet>>) -> bool {
+        let Some(state) = self.scenes.get_mut(&scene) else { return false };
+        let scope = ReadScope::new(
+            ReadOptions { overlays, ..state.scope.options.clone() },
+            self.block_formats.clone(),
+            #[cfg(feature = "http")]
+            &state.scope.client,
+        );
+        state.scope = Arc::new(scope);
+        true
+    }
+
     /// Returns true if neither the pager nor a scene has a client configured like this one.
     #[cfg(feature = "http")]
     pub fn is_unused(&self, client: &HttpClient) -> bool {

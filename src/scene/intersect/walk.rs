@@ -22,6 +22,15 @@ struct InPage<'a, L> {
     /// The shape in the page's frame; `None` if the shape is outside this view, though it may be inside other views below.
     local: Option<L>,
     stands_in: bool,
+    ancestor: Option<Ancestor>,
+}
+
+/// A content that is drawn instead of unavailable tiles below it.
+#[derive(Clone, Copy, PartialEq)]
+struct Ancestor {
+    place: u32,
+    world_from_page: DAffine3,
+    stands_in: bool,
 }
 
 /// A page that must still be visited.
@@ -32,6 +41,8 @@ struct Visit {
     /// True if the page replaces content above it: as in cull, its top tiles are then visited also from outside their request
     /// volumes.
     stands_in: bool,
+    /// The nearest resident content above, if the page is a tileset below one that it replaces.
+    ancestor: Option<Ancestor>,
 }
 
 /// The number of a view that the shape is not in.
@@ -66,6 +77,8 @@ struct Walk<'a, P: Probe> {
     view: View,
     probe: &'a mut P,
     pages: Vec<Visit>,
+    /// The ancestors that were visited instead of unavailable tiles, and the shape's number of the view.
+    ancestors: Vec<(Ancestor, u32)>,
     /// The drawing order; number 0 is the image itself.
     stages: Vec<Stage>,
     views: usize,
@@ -77,14 +90,15 @@ pub fn candidates<P: Probe>(scene: &Scene, rules: &Rules, probe: &mut P, found: 
     found.clear();
     let view = View { rules: *rules, window: probe.window(), shape: 0, stage: 0, in_scene_camera: false };
     let stages = vec![Stage { above: 0, is_after: false, order: 0 }];
-    let mut walk = Walk { scene, view, probe, pages: Vec::new(), stages, views: 1, found };
+    let mut walk = Walk { scene, view, probe, pages: Vec::new(), ancestors: Vec::new(), stages, views: 1, found };
     walk.roots(DAffine3::IDENTITY);
-    while let Some(Visit { place, world_from_page, view, stands_in }) = walk.pages.pop() {
+    while let Some(Visit { place, world_from_page, view, stands_in, ancestor }) = walk.pages.pop() {
         let Some(page) = scene.page_at(place) else { continue };
         walk.view = view;
         let local = walk.probe.local(view.shape, &world_from_page);
         if local.is_some() {
-            walk.nodes(&InPage { page, place, world_from_page, local, stands_in }, 0, page.node_count() as u32);
+            let here = InPage { page, place, world_from_page, local, stands_in, ancestor };
+            walk.nodes(&here, 0, page.node_count() as u32);
         }
     }
     if walk.stages.len() > 1 {
@@ -333,8 +347,13 @@ impl<P: Probe> Walk<'_, P> {
     fn roots(&mut self, world_from_root: DAffine3) {
         if world_from_root.is_finite() {
             let view = self.view;
-            let visit =
-                |root: &PageId| Visit { place: root.slot, world_from_page: world_from_root, view, stands_in: false };
+            let visit = |root: &PageId| Visit {
+                place: root.slot,
+                world_from_page: world_from_root,
+                view,
+                stands_in: false,
+                ancestor: None,
+            };
             self.pages.extend(self.scene.roots().iter().rev().map(visit));
         }
     }
@@ -398,7 +417,8 @@ impl<P: Probe> Walk<'_, P> {
         let local = self.probe.local(self.view.shape, &world_from_page);
         if local.is_some() || self.view.shape == NOWHERE {
             let end = node + here.page.nodes()[node as usize].skip;
-            let below = InPage { page: here.page, place: here.place, world_from_page, local, stands_in: false };
+            let (page, place) = (here.page, here.place);
+            let below = InPage { page, place, world_from_page, local, stands_in: false, ancestor: None };
             self.nodes(&below, node + 1, end);
         }
     }
@@ -412,7 +432,6 @@ impl<P: Probe> Walk<'_, P> {
         let Some(local) = self.probe.local(self.view.shape, &world_from_tile) else { return };
         let eye = self.view.rules.eye.map(|eye| tiles.grid().eye(in_frame(&world_from_tile, eye.position())));
         let base_depth = self.scene.base_depth(self.scene.page_id_at(here.place));
-        let first_page = self.pages.len();
         let mut tile = first;
         while tile != NONE {
             let index = tile as usize;
@@ -445,20 +464,34 @@ impl<P: Probe> Walk<'_, P> {
             };
             // Cull draws an ancestor instead of an unavailable tile, cut to the tile's volume. Here the whole ancestor is
             // visited.
-            let is_unavailable = record.has(flag::UNAVAILABLE) && !draws && !(descends && ready);
-            let drawn = if is_unavailable { replaced_above(tiles, tile) } else { draws.then_some(tile) };
-            if let Some(drawn) = drawn {
-                let place = tiles.resident(drawn as usize);
-                if !is_unavailable || self.pages[first_page..].iter().all(|visit| visit.place != place) {
-                    self.pages.push(Visit {
-                        place,
-                        world_from_page: world_from_tile * tiles.content_transform(drawn as usize),
-                        view: self.view,
-                        stands_in: stands_in(tiles, drawn, here.stands_in),
-                    });
-                }
+            let shows_children = descends && ready && record.has_children();
+            let is_unavailable = record.has(flag::UNAVAILABLE) && !draws && !shows_children;
+            let above = (is_unavailable || record.has(flag::EXTERNAL))
+                .then(|| replaced_above(here, tiles, tile, &world_from_tile))
+                .flatten();
+            if is_unavailable {
+                self.visit_ancestor(above);
+            } else if draws {
+                self.pages.push(Visit {
+                    place: tiles.resident(index),
+                    world_from_page: world_from_tile * tiles.content_transform(index),
+                    view: self.view,
+                    stands_in: stands_in(tiles, tile, here.stands_in),
+                    ancestor: above,
+                });
             }
             tile = if descends && record.has_children() { record.first_child } else { tiles.behind(tile) };
+        }
+    }
+
+    /// Visits a content instead of an unavailable tile, once.
+    fn visit_ancestor(&mut self, ancestor: Option<Ancestor>) {
+        let Some(ancestor) = ancestor else { return };
+        let key = (ancestor, self.view.shape);
+        if !self.ancestors.contains(&key) {
+            self.ancestors.push(key);
+            let Ancestor { place, world_from_page, stands_in } = ancestor;
+            self.pages.push(Visit { place, world_from_page, view: self.view, stands_in, ancestor: None });
         }
     }
 
@@ -476,10 +509,14 @@ impl<P: Probe> Walk<'_, P> {
     }
 }
 
-/// Returns the nearest ancestor with resident content that its children replace.
-fn replaced_above(tiles: &Tiles, tile: u32) -> Option<u32> {
-    let above = tiles.resident_from(tiles.parents()[tile as usize])?;
-    (!tiles.records()[above as usize].has(flag::ADD)).then_some(above)
+/// Returns the nearest ancestor with resident content that its children replace, across pages.
+fn replaced_above<L>(here: &InPage<'_, L>, tiles: &Tiles, tile: u32, world_from_tile: &DAffine3) -> Option<Ancestor> {
+    let Some(above) = tiles.resident_from(tiles.parents()[tile as usize]) else { return here.ancestor };
+    (!tiles.records()[above as usize].has(flag::ADD)).then(|| Ancestor {
+        place: tiles.resident(above as usize),
+        world_from_page: *world_from_tile * tiles.content_transform(above as usize),
+        stands_in: stands_in(tiles, above, here.stands_in),
+    })
 }
 
 /// Returns true if a tile replaces content above it. `page_stands_in` tells whether the page does.

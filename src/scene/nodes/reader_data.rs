@@ -5,6 +5,8 @@ use std::any::Any;
 use std::fmt::Debug;
 use std::sync::Arc;
 
+use crate::math::BoundingVolume;
+
 /// A value that a reader attaches to a tile, known to that reader alone.
 pub trait ReaderValue: Any + Debug + Send + Sync {
     /// Returns true if the content is made of this value alone: nothing is fetched for it, and its URI is only a name.
@@ -15,6 +17,11 @@ pub trait ReaderValue: Any + Debug + Send + Sync {
     /// Returns true if the content continues the tile tree of the tile's own tileset, as a subtree of implicit tiling does.
     /// Such a page does not count as a nested tileset.
     fn continues_tileset(&self) -> bool {
+        false
+    }
+
+    /// Returns true if the tiles of the content have height tiles.
+    fn has_heights(&self) -> bool {
         false
     }
 
@@ -31,6 +38,12 @@ pub trait ReaderValue: Any + Debug + Send + Sync {
     /// Returns the region of the content on WGS84, if the reader knows it: west, south, east and north in radians. East is
     /// beyond pi across the antimeridian. Raster overlays cover it.
     fn region(&self) -> Option<[f64; 4]> {
+        None
+    }
+
+    /// Returns a volume around the content in the frame of the tile's volume, if it is smaller than that one. The content is
+    /// neither requested nor drawn while this volume is out of sight.
+    fn content_bounds(&self) -> Option<&BoundingVolume> {
         None
     }
 
@@ -72,6 +85,22 @@ impl ReaderData {
     /// Returns true if the content is made of this data alone: nothing is fetched for it.
     pub fn is_whole_content(&self) -> bool {
         matches!(self, Self::Value(value) if value.is_whole_content())
+    }
+
+    /// Returns true if the content is a height tile, or its tiles have height tiles.
+    pub fn has_heights(&self) -> bool {
+        match self {
+            Self::Text(_) => true,
+            Self::Value(value) => value.has_heights(),
+        }
+    }
+
+    /// Returns a volume around the content in the frame of the tile's volume, if it is smaller than that one.
+    pub fn content_bounds(&self) -> Option<&BoundingVolume> {
+        match self {
+            Self::Text(_) => None,
+            Self::Value(value) => value.content_bounds(),
+        }
     }
 
     /// Returns true if the content continues the tile tree of the tile's own tileset.

@@ -5,6 +5,7 @@
 //! tiles that are not ready, so that a cull reads one integer to know whether children can be drawn.
 
 mod attach;
+mod content_volume;
 mod external_volume;
 mod rare_tiles;
 mod readiness;
@@ -16,6 +17,7 @@ mod tile_record;
 mod tile_tree_builder;
 mod tiles;
 
+pub(crate) use content_volume::ContentShape;
 pub(crate) use tile_bounds::{TileBounds, TileEye};
 pub(crate) use tile_record::{TileRecord, flag};
 pub(crate) use tile_tree_builder::TileTreeBuilder;

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use glam::DVec3;
 
+use super::content_volume::ContentVolume;
 use super::external_volume::ExternalVolume;
 use super::readiness::ChildCounts;
 use crate::math::BoundingVolume;
@@ -17,6 +18,8 @@ pub(super) struct RareTiles {
     pub distance_centers: SparseList<DVec3>,
     /// The volumes of tiles with [`flag::REQUEST_VOLUME`](super::flag::REQUEST_VOLUME).
     pub request_volumes: SparseList<BoundingVolume>,
+    /// The volumes of the contents of tiles with [`flag::CONTENT_VOLUME`](super::flag::CONTENT_VOLUME).
+    pub content_volumes: SparseList<ContentVolume>,
     /// Copies of the volumes of tilesets that are or were attached to a tile.
     pub external_volumes: BTreeMap<u32, Vec<ExternalVolume>>,
     /// The counts of children, by parent (`NONE` for top tiles), where some child is unavailable.
@@ -34,6 +37,7 @@ impl RareTiles {
     pub fn renumber(&mut self, new_index: &[u32]) {
         self.distance_centers.renumber(new_index);
         self.request_volumes.renumber(new_index);
+        self.content_volumes.renumber(new_index);
         self.own_paths.renumber(new_index);
         self.paging.renumber(new_index);
     }

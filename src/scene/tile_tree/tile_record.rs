@@ -34,6 +34,8 @@ pub(crate) mod flag {
     /// A load failed and none has succeeded since, whether or not it is repeated: within the tile's volume, the content of
     /// an ancestor is drawn instead, so that the tile holds back none of its siblings.
     pub const UNAVAILABLE: u16 = 16384;
+    /// The content has a smaller volume than the tile; a separate table holds it.
+    pub const CONTENT_VOLUME: u16 = 32768;
 }
 
 /// A tile as the tile walk reads it, 16 bytes.

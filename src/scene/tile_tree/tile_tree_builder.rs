@@ -5,6 +5,7 @@ use std::sync::atomic::AtomicU32;
 
 use glam::{DAffine3, DVec3};
 
+use super::content_volume::ContentVolume;
 use super::readiness::Readiness;
 use super::tile_bounds::DeclaredBounds;
 use super::tile_record::{TileRecord, flag};
@@ -63,6 +64,10 @@ impl TileTreeBuilder {
         if let Some(volume) = tile.request_volume {
             flags |= flag::REQUEST_VOLUME;
             self.tiles.rare_mut().request_volumes.push(index, volume);
+        }
+        if let Some(volume) = tile.reader_data.as_ref().and_then(ReaderData::content_bounds) {
+            flags |= flag::CONTENT_VOLUME;
+            self.tiles.rare_mut().content_volumes.push(index, ContentVolume::new(volume));
         }
         if tile.paging != PagingOptions::default() {
             self.tiles.rare_mut().paging.push(index, tile.paging);

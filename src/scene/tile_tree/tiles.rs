@@ -8,6 +8,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 use glam::{DAffine3, DVec3, Vec3, Vec4};
 
+use super::content_volume::ContentVolume;
 use super::external_volume::ExternalVolume;
 use super::rare_tiles::RareTiles;
 use super::readiness::{ChildCounts, Readiness};
@@ -157,6 +158,11 @@ impl Tiles {
     /// Returns true if some tile is only for eyes inside a volume.
     pub fn has_request_volumes(&self) -> bool {
         self.rare.as_ref().is_some_and(|rare| !rare.request_volumes.is_empty())
+    }
+
+    /// Returns the volume of a tile's content, if it has one of its own.
+    pub fn content_volume(&self, tile: u32) -> Option<&ContentVolume> {
+        self.rare.as_ref()?.content_volumes.get(tile)
     }
 
     /// Returns the nodes of proxies that are loaded as soon as the page is in a scene.

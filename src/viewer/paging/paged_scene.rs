@@ -9,10 +9,10 @@ use std::sync::Arc;
 use super::loaded_root::LoadedRoot;
 use super::own_pages::OwnPages;
 use crate::cull::{CullCounters, PageRequest};
-use crate::formats::ReadOptions;
+use crate::formats::{OverlaySet, ReadOptions};
 use crate::math::{BoundingVolume, Ellipsoid};
 use crate::pager::{DatabasePager, ImagePager, ImagePagerConfig, ImageSequence, PagerConfig};
-use crate::scene::{DrawSlot, Page, PageId, Scene, UpdateInfo};
+use crate::scene::{DrawSlot, Page, PageId, ReaderData, Scene, UpdateInfo};
 use crate::viewer::ViewerError;
 use crate::viewer::frame::FrameStamp;
 use crate::viewer::ids::PagerId;
@@ -264,6 +264,16 @@ impl PagedScene {
         }
     }
 
+    /// Returns the overlays of the scene.
+    pub(in crate::viewer) fn overlays(&self) -> Option<&Arc<OverlaySet>> {
+        self.pager_config.overlays.as_ref()
+    }
+
+    /// Sets the overlays of pagers that are created from now on.
+    pub(in crate::viewer) fn set_overlays(&mut self, overlays: Option<Arc<OverlaySet>>) {
+        self.pager_config.overlays = overlays;
+    }
+
     /// Creates a pager that may read the files in a folder and below.
     pub(in crate::viewer) fn new_folder_pager(&self, folder: &Path) -> Result<DatabasePager, ViewerError> {
         // The scope of a root is the folder that holds it.
@@ -281,7 +291,8 @@ impl PagedScene {
     pub(in crate::viewer) fn is_height_set(&self) -> bool {
         let root = self.loaded().map(|loaded| loaded.root).or_else(|| self.scene.roots().first().copied());
         root.is_some_and(|root| {
-            let is_height = |id| self.scene.slot(id).and_then(|slot| slot.reader_data?.text()).is_some();
+            let is_height =
+                |id| self.scene.slot(id).and_then(|slot| slot.reader_data).is_some_and(ReaderData::has_heights);
             self.scene.slots_of_page(root).any(is_height)
         })
     }

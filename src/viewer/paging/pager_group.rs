@@ -2,11 +2,13 @@
 //! Main thread.
 
 use std::hash::{DefaultHasher, Hash as _, Hasher as _};
+use std::sync::Arc;
 use std::time::Instant;
 
 use super::SceneList;
 use super::paged_scene::PagedScene;
 use crate::cull::PageRequest;
+use crate::formats::OverlaySet;
 use crate::pager::{DatabasePager, SceneSet};
 use crate::scene::Scene;
 use crate::viewer::ViewerError;
@@ -275,6 +277,23 @@ impl PagerGroup {
         scene.findings_mut().clear_requests();
         if let Some(pager) = &mut self.pager {
             rendering.compile_for(self.owner, |contexts| pager.clear(scene.scene_mut(), contexts));
+        }
+    }
+
+    /// Replaces the overlays of a scene.
+    pub(super) fn set_overlays(
+        &mut self,
+        scenes: &mut SceneList,
+        scene: SceneId,
+        overlays: Option<Arc<OverlaySet>>,
+        rendering: &mut Rendering,
+    ) {
+        (self.is_idle, self.quiet_frames) = (false, 0);
+        let scene = &mut scenes[scene];
+        scene.set_overlays(overlays.clone());
+        scene.findings_mut().clear_requests();
+        if let Some(pager) = &mut self.pager {
+            rendering.compile_for(self.owner, |contexts| pager.set_overlays(scene.scene_mut(), overlays, contexts));
         }
     }
 

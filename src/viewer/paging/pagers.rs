@@ -2,11 +2,13 @@
 //! thread, with all frames drawn.
 
 use std::collections::HashSet;
+use std::sync::Arc;
 
 use super::SceneList;
 use super::loaded_root::LoadedRoot;
 use super::paged_scene::PagedScene;
 use super::pager_group::PagerGroup;
+use crate::formats::OverlaySet;
 use crate::pager::DatabasePager;
 use crate::scene::PageId;
 use crate::viewer::ViewerError;
@@ -90,6 +92,18 @@ impl Pagers {
     pub(in crate::viewer) fn clear_pages(&mut self, scenes: &mut SceneList, scene: SceneId, rendering: &mut Rendering) {
         let group = scenes[scene].pager();
         self.groups[group].clear_pages(scenes, scene, rendering);
+    }
+
+    /// Replaces the overlays of a scene.
+    pub(in crate::viewer) fn set_overlays(
+        &mut self,
+        scenes: &mut SceneList,
+        scene: SceneId,
+        overlays: Option<Arc<OverlaySet>>,
+        rendering: &mut Rendering,
+    ) {
+        let group = scenes[scene].pager();
+        self.groups[group].set_overlays(scenes, scene, overlays, rendering);
     }
 
     /// Removes a scene with everything that it has on devices, and its pager when no other scene uses it.

@@ -1,5 +1,6 @@
-//! Cull of tile trees: coverage, rules of selection, priorities of requests and request volumes.
+//! Cull of tile trees: volumes of contents, coverage, rules of selection, priorities of requests and request volumes.
 
+mod content_volumes;
 mod coverage;
 mod model;
 mod priorities;

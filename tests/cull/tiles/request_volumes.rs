@@ -249,3 +249,30 @@ fn children_stand_in_for_a_tile_outside_of_a_request_volume() {
         assert_eq!(casters(&scene, &from_above(600.0)), 2, "drawn tiles cast shadows");
     }
 }
+
+/// Lines passed through where cull draws the content above a tileset, since a tile of the tileset failed.
+#[test]
+fn content_above_a_tileset_is_met_where_a_tile_of_the_tileset_failed() {
+    let near = from_above(400.0);
+    let mut scene = with_a_tileset(Refine::Replace);
+    for frame in 1..5 {
+        let mut stage = RenderStage::new();
+        CullVisitor::new().cull(&scene, &CullCamera { frame, ..near }, &mut stage);
+        for request in &stage.requests {
+            let uri = scene.slot(request.slot).unwrap().uri.to_string();
+            match uri == "right" {
+                true => scene.set_failed(request.slot, true),
+                false => assert!(scene.attach(request.slot, plain(&uri)).is_ok()),
+            }
+        }
+    }
+    let mut stage = RenderStage::new();
+    CullVisitor::new().cull(&scene, &CullCamera { frame: 5, ..near }, &mut stage);
+    assert_eq!((stage.requests.len(), stage.counters.stand_ins), (0, 1));
+    let mut line = LineSegmentIntersector::new(DVec3::new(40.0, 1.0, 1.0), DVec3::new(40.0, 1.0, -1.0));
+    IntersectionVisitor::as_seen_from(near.eye_point()).traverse(&scene, &mut line);
+    let page = |hit: &Intersection| hit.node().unwrap().page;
+    let uris: Vec<_> = line.intersections().iter().map(|hit| scene.slot_of(page(hit)).unwrap()).collect();
+    let uris: Vec<_> = uris.into_iter().map(|slot| scene.slot(slot).unwrap().uri.to_string()).collect();
+    assert_eq!(uris, ["parent"], "once");
+}

@@ -288,7 +288,25 @@ fn unusual_parts_are_noted() {
     assert_eq!(info.attribution.as_deref(), Some("Survey of A"));
     let verified = verify(source, &Limits::default(), &mut |_| {}).unwrap();
     assert_eq!((verified.failed, verified.contents), (0, 2 + 4 + 2), "{verified:?}");
-    for kind in ["watermask", "parent layer", "metadata that layer.json announces"] {
+    for kind in ["parent layer", "metadata that layer.json announces"] {
         assert!(verified.ignored.keys().any(|noted| noted.contains(kind)), "{kind}: {:?}", verified.ignored);
     }
+}
+
+/// Water was left out, and noted.
+#[test]
+fn water_is_smooth_in_tiles_and_in_parts_of_tiles() {
+    // The northern half is water.
+    let mask = (0..256 * 256).map(|cell| if cell < 128 * 256 { 255 } else { 0 }).collect();
+    let tile = TerrainTile { water: Some(mask), ..TerrainTile::new([0, 1, 0], height) };
+    let options = ReadOptions::for_root("/set/layer.json", Limits::default());
+    let node = decode("/set/0/1/0.terrain", tile.bytes(), None, &options);
+    let NodeKind::Geode(drawables) = &node.children[0].kind else { panic!("a geode") };
+    let reflection = drawables[0].material.metallic_roughness.as_ref().expect("a reflection");
+    let map = reflection.occlusion_roughness_metallic.as_ref().expect("a map");
+    let roughness = |row: usize| f32::from(map.mips[0][4 * (row * 256 + 100) + 1]) / 255.0 * reflection.roughness;
+    assert!(roughness(10) < 0.3 && roughness(245) == 1.0, "{} {}", roughness(10), roughness(245));
+    let Geometry::Mesh(mesh) = &drawables[0].geometry else { panic!("a mesh") };
+    let northmost = mesh.vertices.iter().max_by(|a, b| a.position[2].total_cmp(&b.position[2])).unwrap();
+    assert!(northmost.uv[1] < 0.1, "the first row of the mask is in the north: {:?}", northmost.uv);
 }

@@ -2,6 +2,7 @@
 
 mod bad_input;
 mod implicit;
+mod implicit_heights;
 mod metadata;
 mod read;
 mod samples;

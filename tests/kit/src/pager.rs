@@ -121,7 +121,8 @@ impl Run {
     /// Reads the root tileset of a folder or a URL.
     pub fn new(source: &str, config: PagerConfig) -> Self {
         let uri = root_uri(source).unwrap();
-        let mut pager = DatabasePager::new(config, ReadOptions::for_root(&uri, Limits::default())).unwrap();
+        let options = ReadOptions::for_root(&uri, config.limits);
+        let mut pager = DatabasePager::new(config, options).unwrap();
         let root = pager.read_root(&uri).unwrap();
         Self::with(pager, root)
     }

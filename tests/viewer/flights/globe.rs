@@ -6,8 +6,9 @@ use kit::quantized::{tile_at, write_set};
 use kit::viewer::offscreen;
 use terrane::math::{Geodetic, WGS84};
 use terrane::pager::PagerConfig;
-use terrane::scene::Sky;
-use terrane::viewer::{HoleCheck, KEY_COLOR, LoadedRoot, ViewerConfig, world_from_eye};
+use terrane::viewer::{LoadedRoot, ViewerConfig, world_from_eye};
+
+use super::holes::{count_holes, show_holes};
 
 const FRAMES: u32 = 30;
 /// A place near the antimeridian, radians.
@@ -21,39 +22,18 @@ fn height(longitude: f64, latitude: f64) -> f64 {
 fn fly_down(root: LoadedRoot, config: &ViewerConfig, ground_m: f64) -> Option<(u64, u64)> {
     let mut viewer = offscreen(config)?;
     viewer.set_root(root).unwrap();
-    viewer.view_mut().environment.sky = Sky::Background(KEY_COLOR);
-    viewer.view_mut().environment.fog.enabled = false;
-    let bounds = *viewer.bounds().unwrap();
-    assert!(bounds.frame.georeferenced, "a globe is on the earth");
-    let check = HoleCheck::new(&bounds).expect("a globe has known bounds");
+    show_holes(&mut viewer);
+    assert!(viewer.bounds().unwrap().frame.georeferenced, "a globe is on the earth");
     let [longitude, latitude] = PLACE;
-    let (mut holes, mut judged) = (0, 0);
-    for frame in 0..FRAMES {
-        let share = f64::from(frame) / f64::from(FRAMES - 1);
+    let pose_at = |share: f64| {
         let height_m = ground_m + 2e7 * (5e-6f64).powf(share);
-        let eye = Geodetic { longitude, latitude, height_m };
-        let local = WGS84.ecef_from_enu(&eye);
+        let local = WGS84.ecef_from_enu(&Geodetic { longitude, latitude, height_m });
         // Straight down from space, and along the ground in the end.
         let pitch = (1.0 - share) * -1.5 - 0.1;
         let direction = local.matrix3 * DVec3::new(0.3 * pitch.cos(), pitch.cos(), pitch.sin());
-        viewer.view_mut().camera.world_from_eye = world_from_eye(local.translation, direction, local.matrix3.z_axis);
-        viewer.want_picture();
-        viewer.frame().unwrap();
-        let camera = viewer.view().camera;
-        viewer.finish().unwrap();
-        for (number, picture) in viewer.take_pictures() {
-            let found = check.count(&picture, &camera, KEY_COLOR);
-            if found > 0 && holes == 0 {
-                let file = std::env::temp_dir().join(format!("viewer_globe-{number}.actual.png"));
-                picture.save(&file).unwrap();
-                eprintln!("frame {number}: {found} hole pixels, see {}", file.display());
-            }
-            holes += found;
-            let all = image::RgbaImage::from_pixel(32, 18, image::Rgba([255, 0, 255, 255]));
-            judged += 100 * check.count(&all, &camera, KEY_COLOR);
-        }
-    }
-    Some((holes, judged))
+        world_from_eye(local.translation, direction, local.matrix3.z_axis)
+    };
+    Some(count_holes(&mut viewer, "viewer_globe", FRAMES, pose_at))
 }
 
 #[test]

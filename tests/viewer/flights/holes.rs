@@ -2,13 +2,13 @@
 //! and when all are loaded. Needs a GPU; a software adapter suffices.
 
 use std::path::Path;
-use terrane::scene::{Sky, SlotState};
 
+use glam::{DAffine3, DVec3};
 use kit::viewer::offscreen;
-use terrane_data_gen::ContentKind;
-
 use terrane::pager::PagerConfig;
+use terrane::scene::{Sky, SlotState};
 use terrane::viewer::{HoleCheck, KEY_COLOR, ThreadingModel, Viewer, ViewerConfig};
+use terrane_data_gen::ContentKind;
 
 /// Returns the number of frames of a flight.
 fn frames() -> u32 {
@@ -78,15 +78,13 @@ fn fly_low(set: &str, flight: &Flight) -> Option<(u64, u64)> {
     };
     let mut viewer = offscreen(&config)?;
     viewer.load(set).unwrap();
-    viewer.view_mut().environment.sky = Sky::Background(KEY_COLOR);
-    viewer.view_mut().environment.fog.enabled = false;
+    show_holes(&mut viewer);
     let bounds = *viewer.bounds().unwrap();
-    let check = HoleCheck::new(&bounds).expect("a height set has known bounds");
     // The path leads from edge to edge just above the highest point, looking down a little.
     let half = bounds.half_size_m;
     let eye_at = |share: f64| {
         let z = bounds.middle_m.z + half.z + 0.02 * half.y;
-        glam::DVec3::new(bounds.middle_m.x + 0.1 * half.x, bounds.middle_m.y + half.y * (1.6 * share - 0.9), z)
+        DVec3::new(bounds.middle_m.x + 0.1 * half.x, bounds.middle_m.y + half.y * (1.6 * share - 0.9), z)
     };
     // The root is loaded before the first frame that is checked.
     viewer.view_mut().camera.world_from_eye = pose(&bounds, eye_at(0.0), 0.0);
@@ -96,10 +94,28 @@ fn fly_low(set: &str, flight: &Flight) -> Option<(u64, u64)> {
     {
         viewer.frame().unwrap();
     }
+    let pose_at = |share: f64| pose(&bounds, eye_at(share), 0.6 * (share * 12.0).sin());
+    Some(count_holes(&mut viewer, "viewer_holes", frames(), pose_at))
+}
+
+/// Replaces sky and air by a colour that is seen through holes.
+pub(super) fn show_holes(viewer: &mut Viewer) {
+    viewer.view_mut().environment.sky = Sky::Background(KEY_COLOR);
+    viewer.view_mut().environment.fog.enabled = false;
+}
+
+/// Draws the frames of a flight, whose camera `pose_at` a share of the flight has. Returns the number of hole pixels, and that
+/// of checked pixels. The first picture with a hole is kept under a name.
+pub(super) fn count_holes(
+    viewer: &mut Viewer,
+    name: &str,
+    frames: u32,
+    pose_at: impl Fn(f64) -> DAffine3,
+) -> (u64, u64) {
+    let check = HoleCheck::new(viewer.bounds().unwrap()).expect("a set with known bounds");
     let (mut holes, mut judged) = (0, 0);
-    for frame in 0..frames() {
-        let share = f64::from(frame) / f64::from(frames() - 1);
-        viewer.view_mut().camera.world_from_eye = pose(&bounds, eye_at(share), 0.6 * (share * 12.0).sin());
+    for frame in 0..frames {
+        viewer.view_mut().camera.world_from_eye = pose_at(f64::from(frame) / f64::from(frames - 1));
         viewer.want_picture();
         viewer.frame().unwrap();
         let camera = viewer.view().camera;
@@ -107,7 +123,7 @@ fn fly_low(set: &str, flight: &Flight) -> Option<(u64, u64)> {
         for (number, picture) in viewer.take_pictures() {
             let found = check.count(&picture, &camera, KEY_COLOR);
             if found > 0 && holes == 0 {
-                let file = std::env::temp_dir().join(format!("viewer_holes-{number}.actual.png"));
+                let file = std::env::temp_dir().join(format!("{name}-{number}.actual.png"));
                 picture.save(&file).unwrap();
                 eprintln!("frame {number}: {found} hole pixels, see {}", file.display());
             }
@@ -116,12 +132,12 @@ fn fly_low(set: &str, flight: &Flight) -> Option<(u64, u64)> {
             judged += 100 * check.count(&all, &camera, KEY_COLOR);
         }
     }
-    Some((holes, judged))
+    (holes, judged)
 }
 
-fn pose(bounds: &terrane::viewer::SetBounds, eye: glam::DVec3, turn: f64) -> glam::DAffine3 {
-    let direction = glam::DVec3::new(turn.sin(), turn.cos(), -0.35);
-    bounds.frame.world_from_local * terrane::viewer::world_from_eye(eye, direction, glam::DVec3::Z)
+fn pose(bounds: &terrane::viewer::SetBounds, eye: DVec3, turn: f64) -> DAffine3 {
+    let direction = DVec3::new(turn.sin(), turn.cos(), -0.35);
+    bounds.frame.world_from_local * terrane::viewer::world_from_eye(eye, direction, DVec3::Z)
 }
 
 /// Flights over both kinds of content, both rules of refinement, skipped levels and missing tiles, each over another

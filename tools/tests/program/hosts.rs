@@ -85,3 +85,23 @@ fn links_out_of_a_set_are_refused_with_advice() {
     let (out, text) = verify(source, &["--follow-links"], "");
     assert!(out.status.success(), "{text}");
 }
+
+#[test]
+fn references_out_of_a_set_are_refused_with_advice() {
+    let home = tempfile::tempdir().unwrap();
+    let server = Server::start(|_| Reply::ok(glb()));
+    let set = home.path().join("set");
+    std::fs::create_dir(&set).unwrap();
+    std::fs::write(home.path().join("a.glb"), glb()).unwrap();
+    let contents = ["../a.glb".to_owned(), format!("{}/b.glb", server.url)];
+    std::fs::write(set.join("tileset.json"), tileset(&contents)).unwrap();
+    let source = set.to_str().unwrap();
+    let (out, text) = verify(source, &[], "");
+    assert!(out.status.code() == Some(1) && text.matches("--allow-outside allows it").count() == 2, "{text}");
+    assert_eq!(server.count(), 0);
+    // The server has an address of this machine, which is another question.
+    let (out, text) = verify(source, &["--allow-outside"], "");
+    assert!(out.status.code() == Some(1) && text.contains("--allow-host 127.0.0.1"), "{text}");
+    let (out, text) = verify(source, &["--allow-outside", "--allow-host", server.host()], "");
+    assert!(out.status.success(), "{text}");
+}

@@ -7,6 +7,7 @@ mod msaa_restore;
 pub(in crate::draw) use mipmaps::Mipmaps;
 pub(in crate::draw) use msaa_restore::MsaaRestore;
 
+use super::fullscreen::FullscreenPipeline;
 use crate::gpu::{GraphicsContext, catch_errors};
 
 /// Format and samples a pixel of a target.
@@ -72,34 +73,18 @@ impl TextureDraw {
     }
 
     /// Creates the pipeline of a kind, without looking for errors of the device.
-    fn pipeline(&self, ctx: &GraphicsContext, (format, count): Kind) -> wgpu::RenderPipeline {
-        let device = ctx.device();
-        let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-            label: Some(self.label),
+    fn pipeline(&self, ctx: &GraphicsContext, (format, samples): Kind) -> wgpu::RenderPipeline {
+        FullscreenPipeline {
+            label: self.label,
+            module: &self.module,
+            entry_points: ["vs_cover", "fs_main"],
+            constants: &[],
             bind_group_layouts: &[Some(&self.layout)],
-            immediate_size: 0,
-        });
-        device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
-            label: Some(self.label),
-            layout: Some(&layout),
-            vertex: wgpu::VertexState {
-                module: &self.module,
-                entry_point: Some("vs_cover"),
-                compilation_options: wgpu::PipelineCompilationOptions::default(),
-                buffers: &[],
-            },
-            primitive: wgpu::PrimitiveState::default(),
+            colors: &[Some(format.into())],
             depth_stencil: None,
-            multisample: wgpu::MultisampleState { count, ..Default::default() },
-            fragment: Some(wgpu::FragmentState {
-                module: &self.module,
-                entry_point: Some("fs_main"),
-                compilation_options: wgpu::PipelineCompilationOptions::default(),
-                targets: &[Some(wgpu::ColorTargetState { format, blend: None, write_mask: wgpu::ColorWrites::ALL })],
-            }),
-            multiview_mask: None,
-            cache: ctx.pipeline_cache(),
-        })
+            samples,
+        }
+        .create(ctx)
     }
 
     /// Records the pass that draws a texture over a target of a kind. Does nothing if there is no pipeline of the kind.
