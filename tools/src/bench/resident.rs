@@ -130,7 +130,13 @@ struct Crowd {
 impl Crowd {
     fn new(uri: &Arc<str>, requests: usize) -> Result<Self> {
         let max_tiles = ANSWERS + KNOWN;
-        let config = PagerConfig { max_tiles, decode_threads: DECODE_THREADS, ..PagerConfig::default() };
+        // All contents of the burst may be under way at once.
+        let config = PagerConfig {
+            max_tiles,
+            decode_threads: DECODE_THREADS,
+            max_bytes_loading: 8 << 30,
+            ..PagerConfig::default()
+        };
         let pager = DatabasePager::new(config, ReadOptions::for_root(uri, Limits::default()))?;
         let mut scene = Scene::new();
         let root = scene.add_root(grid(uri, requests + KNOWN)?);
