@@ -20,6 +20,7 @@ pub(in crate::formats) struct SetExtras {
     side: Option<u32>,
     border: Option<u32>,
     level_errors_m: Option<Vec<f64>>,
+    level: Option<u32>,
 }
 
 impl SetExtras {
@@ -43,8 +44,10 @@ pub(in crate::formats) struct HeightSet {
     side: u32,
     /// Additional samples beyond each edge.
     border: u32,
-    /// Geometric errors by level, in metres.
+    /// Geometric errors by level of the whole set, in metres.
     level_errors_m: Vec<f64>,
+    /// The level of the tileset's root in the whole set: above 0 in external tilesets.
+    root_level: u32,
 }
 
 /// The properties of one height tile that its decoder needs beside the EXR.
@@ -82,6 +85,9 @@ fn is_side(side: u32) -> bool {
     (3..=257).contains(&side) && (side - 1).is_power_of_two()
 }
 
+/// The highest level of a tileset's root.
+const MAX_LEVEL: u32 = 63;
+
 fn are_errors(errors_m: &[f64]) -> bool {
     errors_m.len() <= 64 && errors_m.iter().all(|e| e.is_finite() && *e >= 0.0)
 }
@@ -89,7 +95,7 @@ fn are_errors(errors_m: &[f64]) -> bool {
 impl HeightSet {
     #[cfg(test)]
     pub(super) fn for_tests(side: u32, error_m: f64) -> Self {
-        Self { side, border: 1, level_errors_m: vec![error_m] }
+        Self { side, border: 1, level_errors_m: vec![error_m], root_level: 0 }
     }
 
     /// Checks the extras of a tileset. Returns `None` if its contents are not height tiles.
@@ -100,15 +106,24 @@ impl HeightSet {
             side: extras.side.filter(|side| is_side(*side)).ok_or_else(|| bad("side"))?,
             border: extras.border.filter(|border| *border == 1).ok_or_else(|| bad("border"))?,
             level_errors_m: extras.level_errors_m.filter(|e| are_errors(e)).ok_or_else(|| bad("level_errors_m"))?,
+            root_level: extras
+                .level
+                .map_or(Ok(0), |level| if level <= MAX_LEVEL { Ok(level) } else { Err(bad("level")) })?,
         }))
     }
 
-    /// Returns the geometric error in metres of all tiles of a level. It is the same for all, so that neighbours morph alike.
+    /// Returns the geometric error in metres of all tiles of a level, which counts from the tileset's root. It is the same for
+    /// all, so that neighbours morph alike.
     pub fn level_error_m(&self, level: u32) -> Option<f64> {
+        self.set_error_m(self.root_level + level)
+    }
+
+    /// Returns the geometric error in metres of all tiles of a level of the whole set.
+    fn set_error_m(&self, level: u32) -> Option<f64> {
         self.level_errors_m.get(level as usize).copied()
     }
 
-    /// Returns the `reader_data` of a tile.
+    /// Returns the `reader_data` of a tile. Its level counts from the tileset's root.
     pub fn tile_data(
         &self,
         tileset_uri: &str,
@@ -127,12 +142,13 @@ impl HeightSet {
             _ => return Err(IoError::invalid(tileset_uri, "a height tile needs a region, or a plane in its extras")),
         };
         let imagery = extras.and_then(|own| own.imagery.as_deref());
+        let level = self.root_level + level;
         let data = TileData {
             placement,
             side: self.side,
             border: self.border,
             level,
-            errors_m: (0..=level).rev().take(7).filter_map(|l| self.level_error_m(l)).collect(),
+            errors_m: (0..=level).rev().take(7).filter_map(|l| self.set_error_m(l)).collect(),
             imagery: imagery.map(|reference| resolve(tileset_uri, reference, scope)).transpose()?,
         };
         let json = serde_json::to_string(&data).map_err(|e| IoError::invalid(tileset_uri, e.to_string()))?;
