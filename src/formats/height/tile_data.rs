@@ -169,3 +169,28 @@ pub(in crate::formats) fn companions(_uri: &Arc<str>, reader_data: Option<&str>)
     let data = reader_data.and_then(|d| serde_json::from_str::<TileData>(d).ok());
     data.and_then(|d| d.imagery).into_iter().collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::Region;
+
+    #[test]
+    fn levels_of_external_tilesets_count_from_the_root_of_the_set() {
+        let extras = |level: &str| {
+            let json = format!(r#"{{"content":"height","side":65,"border":1,"level_errors_m":[90,50,20,5]{level}}}"#);
+            HeightSet::from_extras("set", Some(serde_json::from_str(&json).unwrap()))
+        };
+        let of = |set: HeightSet, level: u32| {
+            let (south, north) = (0.8, 0.81);
+            let bounds = Region { west: 0.1, south, east: 0.11, north, min_height_m: 0.0, max_height_m: 9.0 };
+            let scope = RootScope::of("/set/tileset.json");
+            let data = set.tile_data("/set/tileset.json", level, &BoundingVolume::Region(bounds), None, &scope);
+            let data: TileData = serde_json::from_str(&data.unwrap().unwrap()).unwrap();
+            (data.level, data.errors_m, set.level_error_m(level))
+        };
+        assert_eq!(of(extras("").unwrap().unwrap(), 1), (1, vec![50.0, 90.0], Some(50.0)));
+        assert_eq!(of(extras(r#","level":2"#).unwrap().unwrap(), 1), (3, vec![5.0, 20.0, 50.0, 90.0], Some(5.0)));
+        assert!(extras(r#","level":64"#).is_err());
+    }
+}
