@@ -50,6 +50,9 @@ impl<'a> Builder<'a> {
                 totals.add(&self.make(*layer, *key)?.totals);
             }
         }
+        // Blocks that were not made have no data at any vertex.
+        let made: u64 = blocks.first().into_iter().flatten().map(|key| vertices_of(self.grid, *key)).sum();
+        totals.voids += vertices_of(self.grid, TileKey::ROOT) - made;
         let Some(layer) = self.plan.layers.last() else { return Ok(totals) };
         self.make_root(*layer, totals, &blocks)
     }
@@ -124,4 +127,12 @@ impl<'a> Builder<'a> {
 /// Returns the roots of a layer's blocks in Morton order, without those that have no data.
 pub(crate) fn blocks(grid: &Grid<'_>, layer: Layer) -> Vec<TileKey> {
     tiles_with_data(layer.root, &|key| grid.voids != Voids::Cut || grid.may_have_data_in_tile(key))
+}
+
+/// Returns the number of vertices of the finest level in a tile. Those on its eastern and northern edges belong to its neighbours,
+/// except at the edges of the set.
+fn vertices_of(grid: &Grid<'_>, key: TileKey) -> u64 {
+    let side = grid.cells(0) as u64 >> key.level;
+    let along = |c: u32| side + u64::from(c + 1 == 1 << key.level);
+    along(key.x) * along(key.y)
 }
