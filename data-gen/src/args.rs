@@ -4,10 +4,10 @@ use std::io::Write as _;
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
-use crate::{Crs, HeightEncoding, RasterOptions, VerticalDatum};
+use crate::{Crs, HeightEncoding, RasterOptions, Sharding, VerticalDatum};
 
 /// Largest number of levels of a pyramid.
-pub(crate) const MAX_LEVELS: u32 = 9;
+pub(crate) const MAX_LEVELS: u32 = 24;
 /// Valid numbers of threads.
 pub(crate) const JOBS: RangeInclusive<usize> = 1..=256;
 /// Valid sides of procedural terrain in metres.
@@ -106,6 +106,9 @@ pub struct GenArgs {
     /// Replace the tile set in OUT
     #[arg(long)]
     pub overwrite: bool,
+    /// The part of the set to make.
+    #[command(flatten)]
+    pub sharding: Sharding,
 }
 
 impl GenArgs {
@@ -131,6 +134,7 @@ impl GenArgs {
             seed: 1,
             jobs: None,
             overwrite: false,
+            sharding: Sharding::default(),
         }
     }
 
@@ -190,7 +194,7 @@ fn jobs(text: &str) -> Result<usize, String> {
 }
 
 /// The summary of a run, printed at its end.
-#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
 pub struct Summary {
     /// The folder of the tile set.
     pub out: PathBuf,

@@ -24,6 +24,28 @@ pub enum GenError {
     /// The output folder is not empty.
     #[error("{}: already exists; --overwrite replaces it", .0.display())]
     Exists(PathBuf),
+    /// Another run writes to the output folder.
+    #[error("{}: another run writes it", .0.display())]
+    Busy(PathBuf),
+    /// A source changed while the set was made.
+    #[error("a source changed while it was read; nothing was written to {}", .0.display())]
+    Changed(PathBuf),
+    /// The run failed after parts were complete.
+    #[error("{reason}; the same command continues (parts are in {})", folder.display())]
+    Unfinished {
+        /// The reason.
+        reason: Box<GenError>,
+        /// The folder with the parts.
+        folder: PathBuf,
+    },
+    /// Shards are missing, or not complete.
+    #[error("{}: {reason}", out.display())]
+    Shards {
+        /// The output folder.
+        out: PathBuf,
+        /// The shards by name, and what to do.
+        reason: String,
+    },
     /// An option is invalid.
     #[error("{0}")]
     Argument(String),

@@ -1,18 +1,19 @@
 //! Generates a tile set from its options: checks them, reads the sources, and writes the folder.
 
 use std::f64::consts::PI;
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use crate::args::{JOBS, MAX_LEVELS, SIZES_M};
-use crate::color::{Imagery, Painter, TEXELS};
+use crate::color::{Imagery, TEXELS};
 use crate::elevation::{Mosaic, expand};
+use crate::fingerprint::fingerprint;
 use crate::georeference::ROUNDING;
-use crate::output::{PartialFolder, write_tiles};
-use crate::pyramid::CELLS;
-use crate::{
-    ElevationSource, Extent, GenArgs, GenError, Grid, Procedural, Progress, Pyramid, Raster, Sampling, Summary,
-};
+use crate::output::{Builder, Journal, PartialFolder, blocks, level_errors_m, voids};
+use crate::pyramid::{CELLS, Grid, Layer, Plan, TileKey};
+use crate::shards;
+use crate::{ElevationSource, Extent, GenArgs, GenError, Procedural, Raster, Summary};
 
 /// Longitude and latitude of the middle of procedural terrain, in degrees.
 const PROCEDURAL_CENTER: [f64; 2] = [8.0, 47.0];
@@ -27,15 +28,60 @@ pub fn default_set(folder: &Path) -> Result<PathBuf, GenError> {
     let out = folder.join(DEFAULT_SET);
     if !out.join("tileset.json").is_file() {
         let args = GenArgs { overwrite: true, levels: Some(5), size: 40_000.0, ..GenArgs::new(&out) };
-        run(&args)?;
+        match run(&args) {
+            // Another program makes it now.
+            Err(GenError::Busy(_)) => {
+                std::thread::sleep(Duration::from_millis(100));
+                return default_set(folder);
+            }
+            made => drop(made?),
+        }
     }
     Ok(out)
 }
 
-/// Generates a tile set. Files are written to a temporary folder beside OUT, which is moved to OUT when all are complete.
+/// What a command made.
+#[derive(Clone, Debug)]
+pub enum Outcome {
+    /// A set, or a shard of it.
+    Set(Box<Summary>),
+    /// A plan of shards, as JSON.
+    Plan(String),
+}
+
+impl Outcome {
+    /// Writes the outcome to standard output. A closed pipe is not an error.
+    pub fn print(&self) -> std::io::Result<()> {
+        match self {
+            Self::Set(summary) => summary.print(),
+            Self::Plan(json) => match writeln!(std::io::stdout(), "{json}") {
+                Err(e) if e.kind() == std::io::ErrorKind::BrokenPipe => Ok(()),
+                written => written,
+            },
+        }
+    }
+}
+
+/// Does what the options ask for: makes a set or a shard, or plans shards.
+pub fn execute(args: &GenArgs) -> Result<Outcome, GenError> {
+    let Some(count) = args.sharding.plan else { return run(args).map(|summary| Outcome::Set(Box::new(summary))) };
+    let args = &GenArgs { dem: expand(&args.dem)?, ..args.clone() };
+    check(args)?;
+    let fingerprint = fingerprint(args)?;
+    with_grid(args, |grid, _, _| {
+        let plan = Plan::new(grid.levels);
+        let layer = plan.finest();
+        let tiles = layer.tiles_per_block();
+        Ok(Outcome::Plan(shards::plan(count, fingerprint, grid.levels, &blocks_below_root(grid, layer), tiles)))
+    })
+}
+
+/// Generates a tile set, or a shard of one. Files are written to a temporary folder beside OUT, which is moved to OUT when all are
+/// complete. If the run is killed, the same options continue it.
 pub fn run(args: &GenArgs) -> Result<Summary, GenError> {
     let start = Instant::now();
     let out = std::path::absolute(&args.out).map_err(GenError::file(&args.out))?;
+    let out = args.sharding.shard.map_or(out.clone(), |shard| shard.folder(&out));
     let occupied = match std::fs::read_dir(&out) {
         Ok(mut entries) => entries.next().is_some(),
         Err(e) if e.kind() == std::io::ErrorKind::NotFound => false,
@@ -44,15 +90,54 @@ pub fn run(args: &GenArgs) -> Result<Summary, GenError> {
     if out.is_symlink() && !out.exists() {
         return Err(GenError::invalid(out, "is a link whose target does not exist"));
     }
-    if occupied && !args.overwrite {
+    let args = &GenArgs { dem: expand(&args.dem)?, ..args.clone() };
+    let is_shard = args.sharding.shard.is_some();
+    if occupied && !args.overwrite && !is_shard {
         return Err(GenError::Exists(out));
     }
     let out = if out.exists() { out.canonicalize().map_err(GenError::file(&out))? } else { out };
-    let args = &GenArgs { dem: expand(&args.dem)?, ..args.clone() };
-    if occupied {
+    if occupied && !is_shard {
         check_replaceable(&out, args)?;
     }
-    // The command line checks these as well, but programs may call this function directly.
+    check(args)?;
+    let fingerprint = fingerprint(args)?;
+    // With 0 rayon starts one thread per core.
+    let threads = args.jobs.unwrap_or(0);
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build()
+        .map_err(|e| GenError::Argument(format!("--jobs {threads}: {e}")))?;
+    if occupied && is_shard {
+        if !shards::is_made(&out, fingerprint) {
+            return Err(GenError::Exists(out));
+        }
+        return Ok(Summary { out, notes: vec!["the shard was complete".to_owned()], ..Summary::default() });
+    }
+    let partial = PartialFolder::beside(&out, fingerprint)?;
+    let made = pool.install(|| make(args, &out, fingerprint, partial.path()));
+    let is_same = || self::fingerprint(args).is_ok_and(|now| now == fingerprint);
+    let (mut summary, shards) = match made {
+        Ok(_) if !is_same() => return Err(GenError::Changed(out)),
+        Ok(made) => made,
+        Err(reason @ (GenError::File { .. } | GenError::Shards { .. }))
+            if Journal::new(partial.path()).has_blocks() && is_same() =>
+        {
+            return Err(GenError::Unfinished { reason: Box::new(reason), folder: partial.keep() });
+        }
+        Err(error) => return Err(error),
+    };
+    partial.put_in_place(&out)?;
+    for shard in shards {
+        // The set is complete; a later merge would find the shards empty.
+        std::fs::remove_dir_all(&shard).map_err(GenError::file(&shard))?;
+    }
+    summary.out = out;
+    summary.seconds = start.elapsed().as_secs_f64();
+    Ok(summary)
+}
+
+/// Checks options. The command line checks some of them as well, but programs may call [`run`] directly.
+fn check(args: &GenArgs) -> Result<(), GenError> {
     if !SIZES_M.contains(&args.size) {
         return Err(GenError::Argument(format!("--size {} m is not within 100 m and 2,000 km", args.size)));
     }
@@ -63,18 +148,50 @@ pub fn run(args: &GenArgs) -> Result<Summary, GenError> {
     if args.jobs.is_some_and(|jobs| !JOBS.contains(&jobs)) {
         return Err(GenError::Argument(format!("--jobs must be {} to {}", JOBS.start(), JOBS.end())));
     }
-    // With 0 rayon starts one thread per core.
-    let threads = args.jobs.unwrap_or(0);
-    let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(threads)
-        .build()
-        .map_err(|e| GenError::Argument(format!("--jobs {threads}: {e}")))?;
-    let partial = PartialFolder::beside(&out)?;
-    let mut summary = pool.install(|| generate_into(args, partial.path()))?;
-    partial.put_in_place(&out)?;
-    summary.out = out;
-    summary.seconds = start.elapsed().as_secs_f64();
-    Ok(summary)
+    Ok(())
+}
+
+/// Makes a set or a shard in a folder. Returns the folders of the shards that were merged as well.
+fn make(args: &GenArgs, out: &Path, fingerprint: u64, folder: &Path) -> Result<(Summary, Vec<PathBuf>), GenError> {
+    let shards = if args.sharding.merge { shards::gather(out, fingerprint, folder)? } else { Vec::new() };
+    with_grid(args, |grid, imagery, notes| {
+        let plan = Plan::new(grid.levels);
+        let mut builder = Builder::new(args, grid, imagery, &plan, folder)?;
+        let totals = match args.sharding.shard {
+            Some(shard) => {
+                let blocks = blocks_below_root(grid, plan.finest());
+                let totals = builder.make_blocks(plan.finest(), shard.part_of(&blocks))?;
+                shards::write_manifest(folder, shard, fingerprint)?;
+                totals
+            }
+            None => {
+                let totals = builder.make_set()?;
+                Journal::new(folder).remove()?;
+                totals
+            }
+        };
+        let [min_height_m, max_height_m] = totals.range_m.map(f64::from);
+        let [cut_samples, filled_samples] = voids(args, &totals);
+        let summary = Summary {
+            out: folder.to_path_buf(),
+            tiles: totals.tiles,
+            levels: grid.levels,
+            bytes: totals.bytes,
+            min_height_m,
+            max_height_m,
+            filled_samples,
+            cut_samples,
+            level_errors_m: level_errors_m(&totals),
+            seconds: 0.0,
+            notes,
+        };
+        Ok((summary, shards))
+    })
+}
+
+/// Returns the roots of the finest layer's blocks. The only block of a small set is left out: it is made when shards are merged.
+fn blocks_below_root(grid: &Grid<'_>, layer: Layer) -> Vec<TileKey> {
+    if layer.root == 0 { Vec::new() } else { blocks(grid, layer) }
 }
 
 /// Refuses to replace a folder that is no tile set, or that contains one of the source files.
@@ -208,8 +325,11 @@ fn widest_gap(intervals: &mut [[f64; 2]]) -> f64 {
     gap
 }
 
-/// Samples, measures and paints the terrain, and writes its tiles into `folder`.
-fn generate_into(args: &GenArgs, folder: &Path) -> Result<Summary, GenError> {
+/// Opens the sources and calls with the grid, the imagery and notes about the sources.
+fn with_grid<T>(
+    args: &GenArgs,
+    call: impl FnOnce(&Grid<'_>, Option<&Imagery>, Vec<String>) -> Result<T, GenError>,
+) -> Result<T, GenError> {
     let imagery = args.imagery.as_deref().map(|path| Imagery::read(path, args.epsg.clone())).transpose()?;
     let Terrain { source, extent, levels, is_fine, notes } = terrain(args, imagery.as_ref())?;
     if let (Some(image), Some(path)) = (&imagery, &args.imagery)
@@ -217,20 +337,5 @@ fn generate_into(args: &GenArgs, folder: &Path) -> Result<Summary, GenError> {
     {
         return Err(GenError::invalid(path, "does not overlap the elevation"));
     }
-    let side = (CELLS << (levels - 1)) + 1;
-    let sampling = Progress::new("sampling the elevation", side as u64, "rows");
-    let row_done = || sampling.advance(1);
-    let how = Sampling { voids: args.voids, keep_extrema: is_fine, row_done: &row_done };
-    let grid = Grid::sample_rows(source.as_ref(), extent, side, &how);
-    drop(sampling);
-    let pyramid = Pyramid::new(grid, levels, source.as_ref());
-    // The memory of the source is free while tiles are written.
-    drop(source);
-    if pyramid.keys().next().is_none() {
-        let reason = "no neighbouring samples have heights; --voids fill continues them";
-        return Err(GenError::invalid(args.dem.first().cloned().unwrap_or_default(), reason));
-    }
-    let painter = Painter::new(&pyramid, imagery.as_ref());
-    let summary = write_tiles(args, &pyramid, &painter, folder)?;
-    Ok(Summary { notes, ..summary })
+    call(&Grid::new(source.as_ref(), extent, levels, args.voids, is_fine), imagery.as_ref(), notes)
 }

@@ -1,10 +1,13 @@
 //! Generates tiled terrain from noise or from elevation files.
 //!
 //! ```text
-//! elevation (noise, raster files) -> pyramid::Grid: the finest level's samples on WGS84, rounded, gaps filled
-//!                                 -> pyramid::Pyramid: each level an exact subset; measured errors, height ranges
-//! color (imagery, noise)          -> output: EXR heights and JPEG, or glb meshes; tileset.json
+//! elevation (noise, raster files) -> pyramid::Grid: heights of vertices on WGS84, rounded, gaps filled
+//!                                 -> pyramid::Block: a subtree of tiles; each level an exact subset; measured errors
+//! color (imagery, noise)          -> output: EXR heights and JPEG, or glb meshes; tilesets
 //! ```
+//!
+//! Blocks are made one after the other, and each leaves a record for the blocks above it, so that memory does not depend on the
+//! size of the set.
 //!
 //! All cores work (rayon), and the number of threads does not change the bytes that are written. No GPU is used.
 
@@ -12,17 +15,20 @@ mod args;
 mod color;
 mod elevation;
 mod error;
+mod fingerprint;
 mod generate;
 mod georeference;
 mod noise;
 mod output;
 mod progress;
 mod pyramid;
+mod shards;
 
 pub use args::{Color, ContentKind, GenArgs, Summary, Voids};
 pub use elevation::{ElevationSource, HeightEncoding, Procedural, Raster, RasterOptions, SourceSample};
 pub use error::GenError;
-pub use generate::{default_set, run};
+pub use generate::{Outcome, default_set, execute, run};
 pub use georeference::{Crs, Projection, VerticalDatum, utm_from_geodetic, utm_to_geodetic};
 pub use progress::Progress;
-pub use pyramid::{Extent, Grid, Pyramid, Sampling, TileKey};
+pub use pyramid::{Extent, TileKey};
+pub use shards::{Shard, Sharding};

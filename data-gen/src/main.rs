@@ -16,8 +16,8 @@ struct Args {
 fn main() -> ExitCode {
     // Invalid arguments end the program here, with clap's message and exit code 2.
     let args = Args::parse();
-    let done = terrane_data_gen::run(&args.gen_args).map_err(|e| e.to_string());
-    match done.and_then(|summary| summary.print().map_err(|e| format!("standard output: {e}"))) {
+    let done = terrane_data_gen::execute(&args.gen_args).map_err(|e| e.to_string());
+    match done.and_then(|made| made.print().map_err(|e| format!("standard output: {e}"))) {
         Ok(()) => ExitCode::SUCCESS,
         Err(e) => {
             // If standard error cannot be written either, only the exit code reports the failure.

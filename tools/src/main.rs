@@ -44,8 +44,8 @@ fn main() -> ExitCode {
         args::Command::Fly(args) => ("fly", fly::run(args, display)),
         args::Command::View(args) => ("view", fly::run((*args).into(), display)),
         args::Command::Gen(args) => {
-            let made = terrane_data_gen::run(&args).map_err(anyhow::Error::from);
-            ("gen", made.and_then(|summary| summary.print().context("standard output")))
+            let made = terrane_data_gen::execute(&args).map_err(anyhow::Error::from);
+            ("gen", made.and_then(|made| made.print().context("standard output")))
         }
         args::Command::Info(args) => ("info", info::run(&args)),
         args::Command::Serve(args) => ("serve", serve::run(args)),

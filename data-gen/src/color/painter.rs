@@ -3,56 +3,44 @@
 //! A texel depends on its position in the world only, so the edges of neighbouring tiles agree. The renderer adds
 //! sunlight; the baked shading is the share of the sky that is visible from a point.
 
+use rayon::prelude::*;
+
 use super::imagery::Imagery;
+use crate::Extent;
 use crate::noise::{add_gradient_row, fbm_row};
-use crate::pyramid::{Pyramid, TileKey};
+use crate::pyramid::{Block, Lattice, Surface, TileKey};
 
 /// The number of texels along a tile's side.
 pub(crate) const TEXELS: u32 = 256;
 const N: usize = TEXELS as usize;
 
-/// Paints tiles. Threads share one painter.
+/// Paints the tiles of a block. Threads share one painter.
 pub(crate) struct Painter<'a> {
-    pub pyramid: &'a Pyramid,
-    pub imagery: Option<&'a Imagery>,
-    /// Smoothed copies of the grid, each half as fine as the one before, with the samples along a side.
-    smoothed: Vec<(usize, Vec<f32>)>,
-    low_m: f64,
-    high_m: f64,
+    set: &'a Extent,
+    imagery: Option<&'a Imagery>,
+    /// The heights for each level of the block, root first.
+    surfaces: Vec<Surface<'a>>,
+    root_level: u32,
+    /// About the lowest and the highest height of the set in metres.
+    range_m: [f32; 2],
 }
 
 impl<'a> Painter<'a> {
-    pub fn new(pyramid: &'a Pyramid, imagery: Option<&'a Imagery>) -> Self {
-        let mut smoothed: Vec<(usize, Vec<f32>)> = Vec::new();
-        while smoothed.len() + 1 < pyramid.levels as usize + 3 {
-            let grid = (pyramid.grid.side, pyramid.grid.heights.as_slice());
-            let (side, fine) = smoothed.last().map_or(grid, |(side, heights)| (*side, heights));
-            if side < 5 {
-                break;
-            }
-            smoothed.push(halve(side, fine));
-        }
-        let root = pyramid.facts(TileKey { level: 0, x: 0, y: 0 });
-        let (low_m, high_m) = (f64::from(root.min_height_m), f64::from(root.max_height_m));
-        Self { pyramid, imagery, smoothed, low_m, high_m }
-    }
-
-    /// Returns the samples along a side and the heights of the grid (depth 0) or of a smoothed copy; the coarsest one beyond
-    /// the last.
-    fn heights(&self, depth: usize) -> (usize, &[f32]) {
-        match self.smoothed.get(..depth).unwrap_or(&self.smoothed).last() {
-            Some((side, heights)) => (*side, heights),
-            None => (self.pyramid.grid.side, &self.pyramid.grid.heights),
-        }
+    /// Creates the painter of a block of a set with a rectangle. The block was made for painting.
+    pub fn new(block: &'a Block<'_>, set: &'a Extent, imagery: Option<&'a Imagery>, range_m: [f32; 2]) -> Self {
+        let levels = (block.root.level..=block.layer.finest).into_par_iter();
+        let surfaces = levels.map(|level| block.surface(level)).collect();
+        Self { set, imagery, surfaces, root_level: block.root.level, range_m }
     }
 
     /// Returns the RGB texels of a tile, north row first.
     pub fn paint(&self, key: TileKey) -> Vec<u8> {
-        let e = self.pyramid.extent(key);
+        let e = key.extent(self.set);
+        let surface = &self.surfaces[(key.level - self.root_level) as usize];
         let mut rgb = Vec::with_capacity(N * N * 3);
         let tiles = f64::from(1u32 << key.level);
         let u = [0.5, N as f64 - 0.5].map(|c| (f64::from(key.x) + c / N as f64) / tiles);
-        let mut terrain = TerrainRow::new(self, key.level, u);
+        let mut terrain = TerrainRow::new(surface, self.set, u);
         let mut colors = [[0.0f32; N]; 3];
         let texel = [e.east - e.west, e.north - e.south].map(|side| side / N as f64);
         let image_level = self.imagery.map_or(0, |imagery| imagery.level(&e, texel));
@@ -67,8 +55,8 @@ impl<'a> Painter<'a> {
                 let mut color = [r, g, b];
                 if opacity < 1.0 {
                     if !has_terrain {
-                        terrain.sample(self, v);
-                        terrain.color(self.low_m as f32, self.high_m as f32, &mut colors);
+                        terrain.sample(surface, v);
+                        terrain.color(self.range_m, &mut colors);
                         has_terrain = true;
                     }
                     color = [0, 1, 2].map(|k| colors[k][column] + (color[k] - colors[k][column]) * opacity);
@@ -82,8 +70,10 @@ impl<'a> Painter<'a> {
 
 /// The heights, slopes and noise of one row of texels. Each buffer has one value per texel.
 struct TerrainRow {
-    /// The smoothed level whose cells are texels, and three coarser ones for the ambient shading.
-    levels: [LevelRow; 4],
+    /// The lattice whose cells are texels.
+    fine: LevelRow,
+    /// Three coarser ones for the ambient shading.
+    coarser: [LevelRow; 3],
     /// The distance from the set's western edge to the first texel, and that between texels, in metres.
     x_m: [f64; 2],
     /// The sides of the set in metres.
@@ -100,17 +90,15 @@ struct TerrainRow {
 
 impl TerrainRow {
     /// Creates the row. `u` is the position of the first and the last texel, 0..1 over the set.
-    fn new(painter: &Painter<'_>, level: u32, u: [f64; 2]) -> Self {
-        let extent = painter.pyramid.grid.extent;
+    fn new(surface: &Surface<'_>, extent: &Extent, u: [f64; 2]) -> Self {
         let mean_lat = 0.5 * (extent.south + extent.north);
         let sides_m =
             [6_371_000.0 * mean_lat.cos() * (extent.east - extent.west), 6_371_000.0 * (extent.north - extent.south)];
-        // One texel is one cell two levels below the tile.
-        let depth = (painter.pyramid.levels - 1 - level).saturating_sub(2) as usize;
-        let levels = [0, 2, 4, 6].map(|coarser| LevelRow::new(painter, depth + coarser, u));
-        let cells = (painter.heights(levels[0].depth).0 - 1) as f64;
+        let [fine, coarser @ ..] = surface.lattices();
+        let cells = fine.cells as f64;
         Self {
-            levels,
+            fine: LevelRow::new(fine, u),
+            coarser: coarser.each_ref().map(|lattice| LevelRow::new(lattice, u)),
             x_m: [u[0] * sides_m[0], (u[1] - u[0]) / (N - 1) as f64 * sides_m[0]],
             sides_m,
             step_m: sides_m.map(|m| m / cells),
@@ -124,14 +112,14 @@ impl TerrainRow {
     }
 
     /// Computes heights, slopes and noise at the row `v`, 0..1 over the set.
-    fn sample(&mut self, painter: &Painter<'_>, v: f64) {
-        let [fine, coarser @ ..] = &mut self.levels;
-        fine.slopes(painter, v, &mut self.height, &mut self.east, &mut self.north);
+    fn sample(&mut self, surface: &Surface<'_>, v: f64) {
+        let [fine, coarser @ ..] = surface.lattices();
+        self.fine.slopes(fine, v, &mut self.height, &mut self.east, &mut self.north);
         let per_m = self.step_m.map(|m| (0.5 / m) as f32);
         self.east.iter_mut().for_each(|d| *d *= per_m[0]);
         self.north.iter_mut().for_each(|d| *d *= per_m[1]);
-        for (level, around) in coarser.iter_mut().zip(&mut self.around) {
-            level.heights(painter, v, around);
+        for ((row, lattice), around) in self.coarser.iter_mut().zip(coarser).zip(&mut self.around) {
+            row.heights(lattice, v, around);
         }
         let ([x, step], y) = (self.x_m, v * self.sides_m[1]);
         fbm_row(&mut self.patch, x / 1700.0, step / 1700.0, y / 1700.0, 6, 901);
@@ -141,9 +129,9 @@ impl TerrainRow {
         }
     }
 
-    /// Computes the sRGB colour, 0..255, of terrain in a temperate climate. `low_m` and `high_m` are the lowest and the
-    /// highest point of the set. The loop has no branches and separate arrays, so that the compiler can vectorise it.
-    fn color(&self, low_m: f32, high_m: f32, out: &mut [[f32; N]; 3]) {
+    /// Computes the sRGB colour, 0..255, of terrain in a temperate climate. The range is that of the set's heights. The loop has
+    /// no branches and separate arrays, so that the compiler can vectorise it.
+    fn color(&self, [low_m, high_m]: [f32; 2], out: &mut [[f32; N]; 3]) {
         // Heights are relative to the set, so that all mountains have meadows at the foot and rock above.
         let span = (high_m - low_m).max(1.0);
         let tall = smooth(300.0, 1800.0, span);
@@ -196,11 +184,10 @@ const ROCK: [[f32; 3]; 2] = [[112.0, 106.0, 98.0], [140.0, 132.0, 120.0]];
 const SCREE: [f32; 3] = [148.0, 142.0, 132.0];
 const SNOW: [f32; 3] = [240.0, 244.0, 250.0];
 
-/// Interpolates one smoothed level along a row of texels: first between two rows of samples, then along them.
+/// Interpolates one lattice along a row of texels: first between two rows of samples, then along them.
 struct LevelRow {
-    depth: usize,
     /// The column of the first sample in `lines`, one left of the first that is needed.
-    first: usize,
+    first: i64,
     /// For each texel the index in `lines` of the sample left of it, and its distance from there to the next, 0..1.
     columns: Vec<(usize, f32)>,
     /// Samples at the latitude of the texels, and those one row south and one row north of it.
@@ -208,38 +195,37 @@ struct LevelRow {
 }
 
 impl LevelRow {
-    fn new(painter: &Painter<'_>, depth: usize, u: [f64; 2]) -> Self {
-        let side = painter.heights(depth).0;
+    fn new(lattice: &Lattice<'_>, u: [f64; 2]) -> Self {
+        let cells = lattice.cells;
         let column = |k: usize| {
             let u = u[0] + (u[1] - u[0]) * (k as f64 / (N - 1) as f64);
-            let x = (u * (side - 1) as f64).max(0.0);
-            let left = (x as usize).min(side - 2);
+            let x = (u * cells as f64).max(0.0);
+            let left = (x as i64).min(cells - 1);
             (left, (x - left as f64).min(1.0) as f32)
         };
         let (first, last) = (column(0).0, column(N - 1).0);
-        let columns = (0..N).map(column).map(|(left, f)| (left - first + 1, f)).collect();
+        let columns = (0..N).map(column).map(|(left, f)| ((left - first) as usize + 1, f)).collect();
         // One more sample on the left, and two on the right: the last texel's neighbour and one for its slope.
-        Self { depth, first, columns, lines: [0; 3].map(|_| vec![0.0; last - first + 4]) }
+        Self { first: first - 1, columns, lines: [0; 3].map(|_| vec![0.0; (last - first) as usize + 4]) }
     }
 
     /// Interpolates between the two rows of samples around `v` shifted by `rows`. Outside of the set the nearest column
     /// is repeated.
-    fn line(&mut self, painter: &Painter<'_>, v: f64, which: usize, rows: f64) {
-        let (side, heights) = painter.heights(self.depth);
-        let last = (side - 1) as f64;
+    fn line(&mut self, lattice: &Lattice<'_>, v: f64, which: usize, rows: f64) {
+        let last = lattice.cells as f64;
         let y = (v * last + rows).clamp(0.0, last);
-        let y0 = (y as usize).min(side - 2);
+        let y0 = (y as i64).min(lattice.cells - 1);
         let f = (y - y0 as f64) as f32;
         for (k, out) in self.lines[which].iter_mut().enumerate() {
-            let x = (self.first + k).saturating_sub(1).min(side - 1);
-            let (a, b) = (heights[y0 * side + x], heights[(y0 + 1) * side + x]);
+            let x = self.first + k as i64;
+            let (a, b) = (lattice.samples.at(x, y0), lattice.samples.at(x, y0 + 1));
             *out = a + (b - a) * f;
         }
     }
 
     /// Computes the heights of the texels in the row `v`.
-    fn heights(&mut self, painter: &Painter<'_>, v: f64, out: &mut [f32; N]) {
-        self.line(painter, v, 0, 0.0);
+    fn heights(&mut self, lattice: &Lattice<'_>, v: f64, out: &mut [f32; N]) {
+        self.line(lattice, v, 0, 0.0);
         let line = &self.lines[0];
         for ((left, f), out) in self.columns.iter().zip(out) {
             *out = line[*left] + (line[left + 1] - line[*left]) * f;
@@ -247,10 +233,10 @@ impl LevelRow {
     }
 
     /// Computes the heights, and their differences over two samples eastwards and northwards.
-    fn slopes(&mut self, painter: &Painter<'_>, v: f64, out: &mut [f32; N], east: &mut [f32; N], north: &mut [f32; N]) {
-        self.heights(painter, v, out);
-        self.line(painter, v, 1, -1.0);
-        self.line(painter, v, 2, 1.0);
+    fn slopes(&mut self, lattice: &Lattice<'_>, v: f64, out: &mut [f32; N], east: &mut [f32; N], north: &mut [f32; N]) {
+        self.heights(lattice, v, out);
+        self.line(lattice, v, 1, -1.0);
+        self.line(lattice, v, 2, 1.0);
         let [line, below, above] = &self.lines;
         for (k, (left, f)) in self.columns.iter().enumerate() {
             let i = *left;
@@ -266,26 +252,4 @@ impl LevelRow {
 fn smooth(low: f32, high: f32, x: f32) -> f32 {
     let t = ((x - low) / (high - low)).clamp(0.0, 1.0);
     t * t * (3.0 - 2.0 * t)
-}
-
-/// Blurs with the kernel `[1 2 1]` and keeps every second sample.
-fn halve(side: usize, fine: &[f32]) -> (usize, Vec<f32>) {
-    let half = (side - 1) / 2 + 1;
-    let at = |x: i64, y: i64| {
-        let c = |v: i64| v.clamp(0, side as i64 - 1) as usize;
-        fine[c(y) * side + c(x)]
-    };
-    let mut out = Vec::with_capacity(half * half);
-    for j in 0..half as i64 {
-        for i in 0..half as i64 {
-            let mut sum = 0.0;
-            for (dy, wy) in [(-1, 1.0), (0, 2.0), (1, 1.0)] {
-                for (dx, wx) in [(-1, 1.0), (0, 2.0), (1, 1.0)] {
-                    sum += wx * wy * at(2 * i + dx, 2 * j + dy);
-                }
-            }
-            out.push(sum / 16.0);
-        }
-    }
-    (half, out)
 }

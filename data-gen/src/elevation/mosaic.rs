@@ -3,6 +3,7 @@
 
 use super::raster::Raster;
 use super::source::{ElevationSource, SourceSample};
+use crate::{Extent, GenError};
 
 /// Rasters in the order of their priority.
 pub(crate) struct Mosaic {
@@ -50,7 +51,7 @@ impl Mosaic {
         let mut owner = None;
         for (k, raster) in self.near(longitude, latitude).map(|k| (k, &self.rasters[k])).filter(|(_, r)| covers(r)) {
             let Some(neighbor) = self.neighbor(k, longitude, latitude) else {
-                match raster.height_m(longitude, latitude) {
+                match raster.at(longitude, latitude) {
                     Some(height_m) => return Some(height_m),
                     None => continue,
                 }
@@ -102,10 +103,11 @@ impl Mosaic {
     }
 }
 
-impl ElevationSource for Mosaic {
-    fn height_m(&self, longitude: f64, latitude: f64) -> Option<f64> {
+impl Mosaic {
+    /// Returns the height in metres at a longitude and latitude in radians, `None` without data.
+    fn at(&self, longitude: f64, latitude: f64) -> Option<f64> {
         if let [one] = &self.rasters[..] {
-            return one.height_m(longitude, latitude);
+            return one.at(longitude, latitude);
         }
         let inside = self.near(longitude, latitude).find_map(|k| {
             let raster = &self.rasters[k];
@@ -114,34 +116,45 @@ impl ElevationSource for Mosaic {
         });
         inside.or_else(|| self.interpolate_between(longitude, latitude))
     }
+}
 
-    fn sample_rows(&self) -> usize {
-        self.rasters.iter().map(|raster| raster.size()[1]).sum()
+impl ElevationSource for Mosaic {
+    fn height_m(&self, longitude: f64, latitude: f64) -> Result<Option<f64>, GenError> {
+        Ok(self.at(longitude, latitude))
     }
 
-    fn samples_of_row(&self, row: usize, call: &mut dyn FnMut(SourceSample)) {
-        let mut row = row;
-        for (k, raster) in self.rasters.iter().enumerate() {
-            let [columns, rows] = raster.size();
-            if row >= rows {
-                row -= rows;
-                continue;
-            }
-            for column in 0..columns {
+    fn samples_in(&self, extent: &Extent, call: &mut dyn FnMut(SourceSample)) -> Result<(), GenError> {
+        for (k, raster) in self.rasters.iter().enumerate().filter(|(k, _)| overlaps(&self.bounds[*k], extent)) {
+            let [columns, rows] = raster.samples_within(extent);
+            for (column, row) in rows.flat_map(|row| columns.clone().map(move |column| (column, row))) {
                 let Some(([longitude, latitude], height_m)) = raster.sample(column, row) else { continue };
-                let is_hidden = self.near(longitude, latitude).take_while(|other| *other < k).any(|other| {
-                    let position = self.rasters[other].locate(longitude, latitude).filter(|p| p.beyond_px == [0.0; 2]);
-                    position.is_some_and(|p| self.rasters[other].bilinear_m(p.nearest_px).is_some())
-                });
-                if !is_hidden {
-                    let outside = |longitude: f64, latitude: f64| self.height_m(longitude, latitude);
-                    let is_extremum = raster.is_extremum(column, row, outside);
+                let is_inside = (extent.west..=extent.east).contains(&longitude)
+                    && (extent.south..=extent.north).contains(&latitude);
+                let is_hidden = || {
+                    self.near(longitude, latitude).take_while(|other| *other < k).any(|other| {
+                        let other = &self.rasters[other];
+                        let position = other.locate(longitude, latitude).filter(|p| p.beyond_px == [0.0; 2]);
+                        position.is_some_and(|p| other.bilinear_m(p.nearest_px).is_some())
+                    })
+                };
+                if is_inside && !is_hidden() {
+                    let is_extremum =
+                        raster.is_extremum(column, row, |longitude, latitude| self.at(longitude, latitude));
                     call(SourceSample { longitude, latitude, height_m, is_extremum });
                 }
             }
-            return;
         }
+        Ok(())
     }
+
+    fn may_have_data_in(&self, extent: &Extent) -> bool {
+        self.bounds.iter().any(|bounds| overlaps(bounds, extent))
+    }
+}
+
+/// Returns true if bounds (west, south, east, north) and a rectangle have a point in common.
+fn overlaps([west, south, east, north]: &[f64; 4], extent: &Extent) -> bool {
+    extent.west <= *east && extent.east >= *west && extent.south <= *north && extent.north >= *south
 }
 
 #[cfg(test)]
@@ -166,7 +179,7 @@ mod tests {
     }
 
     fn at(source: &Mosaic, longitude: f64, latitude: f64) -> Option<f64> {
-        source.height_m(longitude.to_radians(), latitude.to_radians())
+        source.height_m(longitude.to_radians(), latitude.to_radians()).unwrap()
     }
 
     fn bumps(x: f64, y: f64) -> f64 {

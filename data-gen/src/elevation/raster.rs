@@ -1,11 +1,13 @@
 //! One elevation raster in memory: its samples, its position on the earth, and interpolation between samples.
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
+use std::ops::Range;
 
 use rayon::prelude::*;
 
 use super::source::ElevationSource;
 use crate::georeference::{Geoid, Placement, ROUNDING};
+use crate::{Extent, GenError};
 
 /// Heights above this are taken for missing data, such as the lowest number of a format. Heights in decimetres are below
 /// it.
@@ -149,6 +151,38 @@ impl Raster {
         own.is_finite() && (is_none(|other, own| other >= own - 1e-6) || is_none(|other, own| other <= own + 1e-6))
     }
 
+    /// Returns the height in metres at a longitude and latitude in radians, `None` without data.
+    pub(crate) fn at(&self, longitude: f64, latitude: f64) -> Option<f64> {
+        let position = self.locate(longitude, latitude).filter(SamplePosition::is_covered)?;
+        self.bilinear_m(position.nearest_px)
+    }
+
+    /// Returns the columns and rows around the samples in a rectangle.
+    pub(crate) fn samples_within(&self, e: &Extent) -> [Range<usize>; 2] {
+        let sides = [self.width, self.height];
+        if self.around.is_some() {
+            return sides.map(|side| 0..side);
+        }
+        let range_of = |steps: i32| {
+            let mut range = [[f64::INFINITY, f64::NEG_INFINITY]; 2];
+            for (i, j) in (0..=steps).flat_map(|j| (0..=steps).map(move |i| (i, j))) {
+                let [s, t] = [i, j].map(|c| f64::from(c) / f64::from(steps));
+                let at = self.placement.pixel(e.west + s * (e.east - e.west), e.south + t * (e.north - e.south))?;
+                range = [0, 1].map(|k| [range[k][0].min(at[k]), range[k][1].max(at[k])]);
+            }
+            Some(range)
+        };
+        // Rows of the reference system are straight over a few pixels.
+        let is_small = |range: &[[f64; 2]; 2]| range.iter().all(|[first, last]| last - first < 8.0);
+        let Some(range) = range_of(1).filter(is_small).or_else(|| range_of(16)) else {
+            return sides.map(|side| 0..side);
+        };
+        [0, 1].map(|k| {
+            let [first, last] = [range[k][0] - 2.0, range[k][1] + 2.0].map(|c| c.clamp(0.0, sides[k] as f64) as usize);
+            first..last
+        })
+    }
+
     /// Locates a longitude and latitude in radians relative to the sample centres. `None` if the reference system has
     /// no coordinates there.
     pub(crate) fn locate(&self, longitude: f64, latitude: f64) -> Option<SamplePosition> {
@@ -208,9 +242,8 @@ impl Raster {
 }
 
 impl ElevationSource for Raster {
-    fn height_m(&self, longitude: f64, latitude: f64) -> Option<f64> {
-        let position = self.locate(longitude, latitude).filter(SamplePosition::is_covered)?;
-        self.bilinear_m(position.nearest_px)
+    fn height_m(&self, longitude: f64, latitude: f64) -> Result<Option<f64>, GenError> {
+        Ok(self.at(longitude, latitude))
     }
 }
 

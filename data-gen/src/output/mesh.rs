@@ -4,27 +4,27 @@ use glam::{DAffine3, DVec3};
 use terrane::formats::writers::GlbMesh;
 use terrane::math::{Geodetic, WGS84};
 
-use crate::pyramid::{CELLS, Pyramid, TileKey};
+use crate::pyramid::{Block, CELLS, TileKey};
 
 /// Returns the transform from the frame of a tile's mesh to ECEF.
-pub(crate) fn ecef_from_tile(pyramid: &Pyramid, key: TileKey) -> DAffine3 {
-    let e = pyramid.extent(key);
-    let f = pyramid.facts(key);
+pub(crate) fn ecef_from_tile(block: &Block<'_>, key: TileKey) -> DAffine3 {
+    let e = block.extent(key);
+    let f = block.facts(key);
     let height_m = 0.5 * (f64::from(f.min_height_m) + f64::from(f.max_height_m));
     WGS84.ecef_from_enu(&Geodetic { longitude: 0.5 * (e.west + e.east), latitude: 0.5 * (e.south + e.north), height_m })
 }
 
 /// Builds the mesh of a tile, without triangles where there is no data. Skirts hang `skirt_m` down from its edges; `image` is
 /// its JPEG texture, if it has one.
-pub(crate) fn build(pyramid: &Pyramid, key: TileKey, skirt_m: f64, image: Option<Vec<u8>>, quantized: bool) -> GlbMesh {
-    let e = pyramid.extent(key);
-    let tile_from_ecef = ecef_from_tile(pyramid, key).inverse();
+pub(crate) fn build(block: &Block<'_>, key: TileKey, skirt_m: f64, image: Option<Vec<u8>>, quantized: bool) -> GlbMesh {
+    let e = block.extent(key);
+    let tile_from_ecef = ecef_from_tile(block, key).inverse();
     let side = CELLS + 1;
     let vertex = |i: i64, j: i64, drop_m: f64| -> DVec3 {
         let g = Geodetic {
             longitude: e.west + (e.east - e.west) * (i as f64 / CELLS as f64),
             latitude: e.south + (e.north - e.south) * (j as f64 / CELLS as f64),
-            height_m: f64::from(pyramid.height_m(key, i, j)) - drop_m,
+            height_m: f64::from(block.height_m(key, i, j)) - drop_m,
         };
         tile_from_ecef.transform_point3(WGS84.ecef(&g))
     };
@@ -45,7 +45,7 @@ pub(crate) fn build(pyramid: &Pyramid, key: TileKey, skirt_m: f64, image: Option
     for j in 0..CELLS {
         for i in 0..CELLS {
             let (sw, se, nw, ne) = (at(i, j), at(i + 1, j), at(i, j + 1), at(i + 1, j + 1));
-            let [south_east, north_west] = pyramid.triangles(key, i, j);
+            let [south_east, north_west] = block.triangles(key, i, j);
             if south_east {
                 mesh.indices.extend([sw, se, ne]);
             }
@@ -73,7 +73,7 @@ pub(crate) fn build(pyramid: &Pyramid, key: TileKey, skirt_m: f64, image: Option
         let (c, d) = ((first + k) as u16, (first + next) as u16);
         // The southern and eastern edges belong to south-eastern triangles, the others to north-western ones.
         let (i, j) = (ring[k].0.min(ring[next].0).min(CELLS - 1), ring[k].1.min(ring[next].1).min(CELLS - 1));
-        let [south_east, north_west] = pyramid.triangles(key, i, j);
+        let [south_east, north_west] = block.triangles(key, i, j);
         let has_data = if k < 2 * CELLS { south_east } else { north_west };
         if has_data {
             mesh.indices.extend([a, c, d, a, d, b]);

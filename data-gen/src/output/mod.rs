@@ -1,8 +1,14 @@
-//! Writes a tile set: its tiles and `tileset.json`, in a temporary folder that is moved to OUT when it is complete.
+//! Writes a tile set: its tiles and tilesets, in a temporary folder that is moved to OUT when it is complete.
 
+mod builder;
+mod journal;
 mod mesh;
 mod partial_folder;
 mod tile_set;
+mod tree;
 
-pub(crate) use partial_folder::PartialFolder;
-pub(crate) use tile_set::write_tiles;
+pub(crate) use builder::{Builder, blocks};
+pub(crate) use journal::Journal;
+pub(crate) use partial_folder::{MARKER, PartialFolder};
+pub(crate) use tile_set::write_whole;
+pub(crate) use tree::{level_errors_m, voids};

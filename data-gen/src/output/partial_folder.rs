@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use crate::GenError;
 
 /// The marker file, locked by the run that writes the folder. It is removed before the set is moved to OUT.
-const MARKER: &str = ".terrane-gen";
+pub(crate) const MARKER: &str = ".terrane-gen";
 /// The content of the marker, so that other files of the same name are not taken for one.
 const MARKER_TEXT: &str = "terrane gen writes here\n";
 
@@ -23,23 +23,29 @@ pub(crate) struct PartialFolder {
 }
 
 impl PartialFolder {
-    /// Creates the folder, and removes folders of killed runs for the same OUT.
-    pub fn beside(out: &Path) -> Result<Self, GenError> {
+    /// Creates the folder for a run with a fingerprint, or takes the one of a killed run with the same fingerprint. Removes folders
+    /// of other killed runs for the same OUT. Fails if another run writes to OUT.
+    pub fn beside(out: &Path, fingerprint: u64) -> Result<Self, GenError> {
         let name = out.file_name().map_or_else(|| "set".into(), |n| n.to_string_lossy().into_owned());
         let prefix = format!(".{name}.partial-");
+        let own = format!("{prefix}{fingerprint:016x}");
         if let Some(parent) = out.parent() {
             fs::create_dir_all(parent).map_err(GenError::file(parent))?;
-            remove_abandoned(parent, &prefix);
+            remove_abandoned(parent, &prefix, &own).map_err(|()| GenError::Busy(out.to_path_buf()))?;
         }
-        let mut path = out.with_file_name(format!("{prefix}{}", std::process::id()));
+        let mut path = out.with_file_name(&own);
         for k in 2.. {
             match fs::create_dir(&path) {
                 Ok(()) => break,
-                // The folder belongs to another run in this process, or to another program.
-                Err(e) if e.kind() == ErrorKind::AlreadyExists && k < 1000 => {
-                    path = out.with_file_name(format!("{prefix}{}-{k}", std::process::id()));
-                }
+                Err(e) if e.kind() == ErrorKind::AlreadyExists => {}
                 Err(reason) => return Err(GenError::File { path, reason }),
+            }
+            match marker_of(&path) {
+                Marker::Unlocked(marker) => return Ok(Self { path, marker: Some(marker), is_done: false }),
+                Marker::Locked => return Err(GenError::Busy(out.to_path_buf())),
+                // The folder belongs to another program, or its run was killed before it wrote the marker.
+                Marker::None if k < 1000 => path = out.with_file_name(format!("{own}-{k}")),
+                Marker::None => return Err(GenError::File { path, reason: ErrorKind::AlreadyExists.into() }),
             }
         }
         let mut partial = Self { path, marker: None, is_done: false };
@@ -51,6 +57,12 @@ impl PartialFolder {
         (&marker).write_all(MARKER_TEXT.as_bytes()).map_err(GenError::file(&at))?;
         partial.marker = Some(marker);
         Ok(partial)
+    }
+
+    /// Leaves the folder where it is, so that a run with the same fingerprint continues. Returns its path.
+    pub fn keep(mut self) -> PathBuf {
+        self.is_done = true;
+        self.path.clone()
     }
 
     /// Returns the path of the folder.
@@ -103,24 +115,47 @@ fn empty(folder: &Path) -> io::Result<()> {
     Ok(())
 }
 
-/// Removes folders with an unlocked marker. Failures are ignored, because the new run does not depend on it.
-fn remove_abandoned(parent: &Path, prefix: &str) {
+/// Removes folders with an unlocked marker, except the one with the name `own`. Failures are ignored, because the new run does not
+/// depend on it. Fails if a run has locked one of the folders.
+fn remove_abandoned(parent: &Path, prefix: &str, own: &str) -> Result<(), ()> {
     for entry in fs::read_dir(parent).into_iter().flatten().flatten() {
-        let is_folder = entry.file_type().is_ok_and(|kind| kind.is_dir());
-        if is_folder && entry.file_name().to_string_lossy().starts_with(prefix) && is_abandoned(&entry.path()) {
-            let _ = fs::remove_dir_all(entry.path());
+        let (is_folder, name) = (entry.file_type().is_ok_and(|kind| kind.is_dir()), entry.file_name());
+        if !is_folder || !name.to_string_lossy().starts_with(prefix) {
+            continue;
+        }
+        match marker_of(&entry.path()) {
+            Marker::Locked => return Err(()),
+            Marker::Unlocked(_) if name != *own => {
+                let _ = fs::remove_dir_all(entry.path());
+            }
+            Marker::Unlocked(_) | Marker::None => {}
         }
     }
+    Ok(())
 }
 
-/// Returns true if the folder has a marker that no process has locked.
-fn is_abandoned(folder: &Path) -> bool {
+/// The marker of a folder.
+enum Marker {
+    /// There is none, or it is not one of ours, or files cannot be locked.
+    None,
+    /// A run has locked it.
+    Locked,
+    /// Its run was killed. This process has locked it now, until the file is dropped.
+    Unlocked(File),
+}
+
+fn marker_of(folder: &Path) -> Marker {
     let at = folder.join(MARKER);
     // Links are not followed, and opening a pipe would block.
     let is_file = fs::symlink_metadata(&at).is_ok_and(|m| m.is_file());
-    let Some(mut marker) = is_file.then(|| File::open(&at).ok()).flatten() else { return false };
+    let Some(marker) = is_file.then(|| File::open(&at).ok()).flatten() else { return Marker::None };
     let mut text = String::new();
-    marker.try_lock().is_ok() && (&mut marker).take(100).read_to_string(&mut text).is_ok() && text == MARKER_TEXT
+    let is_ours = |text: &mut String| (&marker).take(100).read_to_string(text).is_ok() && text == MARKER_TEXT;
+    match marker.try_lock() {
+        Ok(()) if is_ours(&mut text) => Marker::Unlocked(marker),
+        Err(std::fs::TryLockError::WouldBlock) => Marker::Locked,
+        Ok(()) | Err(_) => Marker::None,
+    }
 }
 
 /// Moves a folder to a path that may hold an empty folder. If it does, the entries of `from` are moved into it, because
@@ -192,24 +227,37 @@ mod tests {
         fs::remove_file(unmarked.join(MARKER)).unwrap();
         fs::write(abandoned_folder(folder.path(), ".set.partial-2").join(MARKER), "mine").unwrap();
         fs::write(folder.path().join(".set.partial-3"), "a file").unwrap();
-        // A run in another process, and one in this process.
+        let first = PartialFolder::beside(&out, 7).unwrap();
+        let mut expected = [".other.partial-999999", ".set.partial-1", ".set.partial-2", ".set.partial-3"].to_vec();
+        let own = first.path().file_name().unwrap().to_str().unwrap().to_owned();
+        expected.extend(["set.partial-1", &own]);
+        expected.sort_unstable();
+        assert_eq!(names(folder.path()), expected);
+        drop(first);
+        assert_eq!(names(folder.path()).len(), 5);
+        // A run in this process or another one has locked a folder.
         let busy = abandoned_folder(folder.path(), ".set.partial-4");
         let lock = File::open(busy.join(MARKER)).unwrap();
         lock.lock().unwrap();
-        let first = PartialFolder::beside(&out).unwrap();
-        let second = PartialFolder::beside(&out).unwrap();
-        assert_ne!(first.path(), second.path());
-        let mut expected = [".other.partial-999999", ".set.partial-1", ".set.partial-2", ".set.partial-3"].to_vec();
-        let own = [first.path(), second.path()].map(|p| p.file_name().unwrap().to_str().unwrap().to_owned());
-        expected.extend([".set.partial-4", "set.partial-1", &own[0], &own[1]]);
-        expected.sort_unstable();
-        assert_eq!(names(folder.path()), expected);
+        assert!(matches!(PartialFolder::beside(&out, 7), Err(GenError::Busy(_))));
         drop(lock);
-        drop((first, second));
-        let third = PartialFolder::beside(&out).unwrap();
+        drop(PartialFolder::beside(&out, 7).unwrap());
         assert!(!busy.exists(), "its marker is not locked any more");
-        drop(third);
-        assert_eq!(names(folder.path()).len(), 5);
+    }
+
+    #[test]
+    fn run_with_the_same_fingerprint_takes_the_folder_of_a_killed_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let out = folder.path().join("set");
+        let path = PartialFolder::beside(&out, 7).unwrap().keep();
+        fs::write(path.join("done"), "tiles").unwrap();
+        let second = PartialFolder::beside(&out, 7).unwrap();
+        assert_eq!((second.path(), names(&path)), (&*path, vec![MARKER.into(), "done".into()]));
+        assert!(matches!(PartialFolder::beside(&out, 7), Err(GenError::Busy(_))), "two writers");
+        assert!(matches!(PartialFolder::beside(&out, 8), Err(GenError::Busy(_))), "two writers");
+        let path = second.keep();
+        let other = PartialFolder::beside(&out, 8).unwrap();
+        assert!(!path.exists() && other.path() != path);
     }
 
     #[test]
@@ -217,7 +265,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path().join("below/set");
         for text in ["one", "two"] {
-            let partial = PartialFolder::beside(&out).unwrap();
+            let partial = PartialFolder::beside(&out, 7).unwrap();
             fs::write(partial.path().join("tileset.json"), text).unwrap();
             partial.put_in_place(&out).unwrap();
             assert_eq!((names(&out), names(out.parent().unwrap())), (vec!["tileset.json".into()], vec!["set".into()]));
@@ -230,7 +278,7 @@ mod tests {
     fn marker_stays_until_the_old_set_is_removed() {
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path().join("set");
-        let partial = PartialFolder::beside(&out).unwrap();
+        let partial = PartialFolder::beside(&out, 7).unwrap();
         let marker = partial.path().join(MARKER);
         fs::create_dir(&out).unwrap();
         fs::write(out.join("old"), "old").unwrap();
@@ -242,7 +290,7 @@ mod tests {
         assert!(is_empty_folder(&out));
         // A set that cannot be moved to OUT is complete, and no later run may remove it.
         fs::write(out.join("old"), "old").unwrap();
-        let partial = PartialFolder::beside(&out).unwrap();
+        let partial = PartialFolder::beside(&out, 7).unwrap();
         let path = partial.path().to_owned();
         let error = partial.put_after(&out, || Err(ErrorKind::PermissionDenied.into())).unwrap_err().to_string();
         assert!(error.contains(&*path.to_string_lossy()) && is_empty_folder(&path), "{error}");
@@ -258,7 +306,7 @@ mod tests {
         fs::create_dir(&out).unwrap();
         let number = fs::metadata(&out).unwrap().ino();
         for text in ["1", "2"] {
-            let partial = PartialFolder::beside(&out).unwrap();
+            let partial = PartialFolder::beside(&out, 7).unwrap();
             fs::create_dir(partial.path().join(text)).unwrap();
             fs::write(partial.path().join("tileset.json"), text).unwrap();
             partial.put_in_place(&out).unwrap();

@@ -1,143 +1,86 @@
-//! Writes the tiles of a pyramid and `tileset.json`.
+//! Writes the files of a block's tiles.
 
-use std::collections::BTreeSet;
-use std::f64::consts::{PI, TAU};
 use std::path::Path;
-use std::sync::atomic::{AtomicU64, Ordering};
 
-use glam::{DAffine3, DMat4};
 use image::codecs::jpeg::JpegEncoder;
 use rayon::prelude::*;
-use serde_json::{Value, json};
 use terrane::formats::writers::{write_glb, write_height_exr};
 
 use super::mesh;
-use crate::args::{Color, ContentKind, GenArgs, Summary, Voids};
+use crate::args::{Color, ContentKind, GenArgs};
 use crate::color::{Painter, TEXELS};
-use crate::georeference::ROUNDING;
-use crate::pyramid::{CELLS, Coverage, Pyramid, QUANTUM_M, TileKey};
+use crate::pyramid::{Block, CELLS, Coverage, TileKey};
 use crate::{GenError, Progress};
 
 const JPEG_QUALITY: u8 = 85;
 
-/// Writes all tiles of a pyramid and the tileset into a folder, on the threads of the current rayon pool. The caller
-/// fills in the duration and the final folder of the summary.
+/// Writes the tiles of a block into a folder, on the threads of the current rayon pool, and returns their size in bytes. Tiles
+/// whose files are there are not made again: a file has its name only when it is complete. Without a painter tiles have no colour.
 pub(crate) fn write_tiles(
     args: &GenArgs,
-    pyramid: &Pyramid,
-    painter: &Painter<'_>,
+    block: &Block<'_>,
+    painter: Option<&Painter<'_>>,
     folder: &Path,
-) -> Result<Summary, GenError> {
-    let levels = pyramid.levels;
-    let keys: Vec<TileKey> = pyramid.keys().collect();
-    let columns: BTreeSet<(u32, u32)> = keys.iter().map(|key| (key.level, key.x)).collect();
+    progress: &Progress,
+) -> Result<u64, GenError> {
+    let keys: Vec<TileKey> = block.keys().collect();
+    let mut columns: Vec<(u32, u32)> = keys.iter().map(|key| (key.level, key.x)).collect();
+    columns.sort_unstable();
+    columns.dedup();
     for (level, x) in columns {
         let path = folder.join(level.to_string()).join(x.to_string());
         std::fs::create_dir_all(&path).map_err(GenError::file(&path))?;
     }
-    let progress = Progress::new("writing", keys.len() as u64, "tiles");
-    let bytes = AtomicU64::new(0);
-    let level_errors_m = pyramid.level_errors_m();
-    keys.par_iter().try_for_each(|&key| {
-        let written = write_tile(args, pyramid, painter, &level_errors_m, folder, key)?;
-        bytes.fetch_add(written, Ordering::Relaxed);
-        progress.advance(1);
-        Ok::<_, GenError>(())
-    })?;
-    drop(progress);
-    let root = TileKey { level: 0, x: 0, y: 0 };
-    let facts = pyramid.facts(root);
-    let diagonal_m = 2.0 * (facts.error_m + f64::from(facts.max_height_m - facts.min_height_m)) + 1.0;
-    let [min_height_m, max_height_m] = pyramid.grid.range_m().map(f64::from);
-    let (cut_samples, filled_samples) = match args.voids {
-        Voids::Cut => (pyramid.grid.voids, 0),
-        Voids::Fill | Voids::Sea => (0, pyramid.grid.voids),
-    };
-    let mut asset = json!({ "version": "1.1", "generator": "terrane" });
-    if args.content == ContentKind::Height {
-        asset["extras"] = json!({ "terrane": {
-            "format": 1, "content": "height", "layout": "wgs84", "side": CELLS + 1, "border": 1,
-            "quantum_m": QUANTUM_M, "level_errors_m": level_errors_m,
-        } });
-    }
-    // `terrane info` prints it.
-    let properties = json!({
-        "minimumHeight": min_height_m, "maximumHeight": max_height_m, "finestError": level_errors_m.last(),
-        "samplesLeftOut": cut_samples, "samplesFilled": filled_samples,
-        "sourceVerticalDatum": args.vertical_datum.to_string(),
-    });
-    let tree = tile_json(args, pyramid, &level_errors_m, root, DAffine3::IDENTITY);
-    let root_error_m = tree["geometricError"].as_f64().unwrap_or(facts.error_m);
-    let mut tileset = json!({ "asset": asset, "geometricError": diagonal_m.max(2.0 * root_error_m), "root": tree });
-    (tileset["schema"], tileset["metadata"]) = (schema(), json!({ "class": "terrain", "properties": properties }));
-    tileset["root"]["refine"] = "REPLACE".into();
-    let text = tileset.to_string();
-    let path = folder.join("tileset.json");
-    std::fs::write(&path, &text).map_err(GenError::file(&path))?;
-    Ok(Summary {
-        out: folder.to_path_buf(),
-        tiles: keys.len() as u64,
-        levels,
-        bytes: bytes.into_inner() + text.len() as u64,
-        min_height_m,
-        max_height_m,
-        filled_samples,
-        cut_samples,
-        notes: Vec::new(),
-        level_errors_m,
-        seconds: 0.0,
-    })
+    let written: Result<Vec<u64>, GenError> = keys
+        .par_iter()
+        .map(|&key| {
+            let bytes = write_tile(args, block, painter, folder, key)?;
+            progress.advance(1);
+            Ok(bytes)
+        })
+        .collect();
+    Ok(written?.iter().sum())
 }
 
-/// Returns the schema of the set's metadata.
-fn schema() -> Value {
-    let number =
-        |kind: &str, description: &str| json!({ "type": "SCALAR", "componentType": kind, "description": description });
-    json!({ "id": "terrane", "classes": { "terrain": { "properties": {
-        "minimumHeight": number("FLOAT64", "Lowest sample in metres above the ellipsoid"),
-        "maximumHeight": number("FLOAT64", "Highest sample in metres above the ellipsoid"),
-        "finestError": number("FLOAT64", "Largest difference of the finest level and the source in metres"),
-        "samplesLeftOut": number("UINT64", "Samples of the finest level without data that were left out"),
-        "samplesFilled": number("UINT64", "Samples of the finest level without data that were given heights"),
-        "sourceVerticalDatum": { "type": "STRING", "description": "Surface that the source's heights are measured from" },
-    } } } })
-}
-
-/// Returns the depth of a tile's skirt in metres. It covers the step to a neighbour one level coarser.
-fn skirt_m(level_errors_m: &[f64], key: TileKey) -> f64 {
-    let coarser = level_errors_m[key.level.saturating_sub(1) as usize];
-    2.0 * coarser + 1.0
+/// Returns the depth of a tile's skirt in metres. It covers the step to a neighbour two levels coarser, and to any finer one.
+pub(super) fn skirt_m(block: &Block<'_>, key: TileKey) -> f64 {
+    1.0 + block.facts(key).error_m + 2.0 * block.edge_step_m(key)
 }
 
 /// Writes the files of one tile and returns their size in bytes.
 fn write_tile(
     args: &GenArgs,
-    pyramid: &Pyramid,
-    painter: &Painter<'_>,
-    level_errors_m: &[f64],
+    block: &Block<'_>,
+    painter: Option<&Painter<'_>>,
     folder: &Path,
     key: TileKey,
 ) -> Result<u64, GenError> {
-    let encode = || {
+    let stem = folder.join(format!("{}/{}/{}", key.level, key.x, key.y));
+    let form = form(args, block, key);
+    let extensions = match form {
+        ContentKind::Height if args.color != Color::None => &["jpg", "exr"][..],
+        ContentKind::Height => &["exr"],
+        ContentKind::Mesh => &["glb"],
+    };
+    let sizes = extensions.iter().map(|extension| Some(stem.with_extension(extension).metadata().ok()?.len()));
+    if let Some(bytes) = sizes.sum() {
+        return Ok(bytes);
+    }
+    let encode = |painter: &Painter<'_>| {
         let mut jpeg = Vec::new();
         JpegEncoder::new_with_quality(&mut jpeg, JPEG_QUALITY)
             .encode(&painter.paint(key), TEXELS, TEXELS, image::ExtendedColorType::Rgb8)
             .map_err(|e| GenError::Encode(format!("JPEG of tile {key:?}: {e}")))?;
         Ok(jpeg)
     };
-    let jpeg = (args.color != Color::None).then(encode).transpose()?;
-    let stem = folder.join(format!("{}/{}/{}", key.level, key.x, key.y));
-    let write = |extension: &str, bytes: &[u8]| -> Result<u64, GenError> {
-        let path = stem.with_extension(extension);
-        std::fs::write(&path, bytes).map_err(GenError::file(&path))?;
-        Ok(bytes.len() as u64)
-    };
-    match form(args, pyramid, key) {
+    let jpeg = painter.map(encode).transpose()?;
+    let write = |extension: &str, bytes: &[u8]| write_whole(&stem.with_extension(extension), bytes);
+    match form {
         ContentKind::Height => {
             let last = CELLS as i64 + 1;
             let mut heights = Vec::with_capacity((CELLS + 3) * (CELLS + 3));
             for j in (-1..=last).rev() {
-                heights.extend((-1..=last).map(|i| pyramid.height_m(key, i, j)));
+                heights.extend((-1..=last).map(|i| block.height_m(key, i, j)));
             }
             let uri = format!("{}/{}/{}.exr", key.level, key.x, key.y);
             let exr = write_height_exr(&uri, CELLS + 3, heights).map_err(|e| GenError::Encode(e.to_string()))?;
@@ -145,75 +88,27 @@ fn write_tile(
             Ok(write("exr", &exr)? + image_bytes)
         }
         ContentKind::Mesh => {
-            let glb = write_glb(&mesh::build(pyramid, key, skirt_m(level_errors_m, key), jpeg, !args.float_vertices));
+            let glb = write_glb(&mesh::build(block, key, skirt_m(block, key), jpeg, !args.float_vertices));
             write("glb", &glb)
         }
     }
 }
 
+/// Writes a file under another name and renames it, so that a killed run leaves no part of a file under its name. Returns the
+/// number of bytes.
+pub(crate) fn write_whole(path: &Path, bytes: &[u8]) -> Result<u64, GenError> {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let unfinished = path.with_file_name(format!(".{name}.unfinished"));
+    std::fs::write(&unfinished, bytes).map_err(GenError::file(path))?;
+    std::fs::rename(&unfinished, path).map_err(GenError::file(path))?;
+    Ok(bytes.len() as u64)
+}
+
 /// Returns the form of a tile's content. Heights cannot leave out a part of a tile, so that tiles on the border of the data
 /// are meshes.
-fn form(args: &GenArgs, pyramid: &Pyramid, key: TileKey) -> ContentKind {
-    match pyramid.facts(key).coverage {
+pub(super) fn form(args: &GenArgs, block: &Block<'_>, key: TileKey) -> ContentKind {
+    match block.facts(key).coverage {
         Coverage::Part => ContentKind::Mesh,
         Coverage::Whole | Coverage::None => args.content,
     }
-}
-
-/// Returns the tile and its descendants with data as 3D Tiles JSON. `ecef_from_parent` is the parent's frame.
-fn tile_json(
-    args: &GenArgs,
-    pyramid: &Pyramid,
-    level_errors_m: &[f64],
-    key: TileKey,
-    ecef_from_parent: DAffine3,
-) -> Value {
-    let e = pyramid.extent(key);
-    let f = pyramid.facts(key);
-    // Meshes lie below the ellipsoid between their vertices, by the height of the arc above its chord.
-    let cell = (e.east - e.west).max(e.north - e.south) / CELLS as f64;
-    let sagitta_m = 6_378_137.0 * cell * cell / 4.0;
-    let low_m = f64::from(f.min_height_m) - skirt_m(level_errors_m, key) - sagitta_m;
-    let high_m = f64::from(f.max_height_m);
-    // Quantized vertices are off by at most half a step, which is added to the volume and to the error.
-    let half_step_m = (6_378_137.0 * cell * CELLS as f64 + high_m - low_m) / 131_070.0;
-    let slack_m = 0.1 + half_step_m;
-    let is_quantized = form(args, pyramid, key) == ContentKind::Mesh && !args.float_vertices;
-    // A region across the date line has its west edge east of its east edge in 3D Tiles.
-    let [west, east] = [e.west, e.east].map(|l| if l > PI + ROUNDING { l - TAU } else { l });
-    let region = [west, e.south, east, e.north, low_m - slack_m, high_m + slack_m];
-    let name = format!("{}/{}/{}", key.level, key.x, key.y);
-    let leaf = key.level + 1 == pyramid.levels;
-    let mut tile = json!({
-        "boundingVolume": { "region": region },
-        "geometricError": f.error_m + if is_quantized { half_step_m } else { 0.0 },
-    });
-    let mut ecef_from_tile = DAffine3::IDENTITY;
-    match form(args, pyramid, key) {
-        ContentKind::Height => {
-            tile["content"] = json!({ "uri": format!("{name}.exr") });
-            if args.color != Color::None {
-                tile["extras"] = json!({ "terrane": { "imagery": format!("{name}.jpg") } });
-            }
-        }
-        ContentKind::Mesh => {
-            tile["content"] = json!({ "uri": format!("{name}.glb") });
-            ecef_from_tile = mesh::ecef_from_tile(pyramid, key);
-        }
-    }
-    // Height tiles are placed by their region: their frame is the earth's, also below meshes.
-    if ecef_from_tile != ecef_from_parent {
-        let parent_from_tile = ecef_from_parent.inverse() * ecef_from_tile;
-        tile["transform"] = json!(DMat4::from(parent_from_tile).to_cols_array());
-    }
-    if !leaf {
-        let children: Vec<Value> = [(0, 0), (1, 0), (0, 1), (1, 1)]
-            .into_iter()
-            .map(|(dx, dy)| TileKey { level: key.level + 1, x: 2 * key.x + dx, y: 2 * key.y + dy })
-            .filter(|child| pyramid.facts(*child).coverage != Coverage::None)
-            .map(|child| tile_json(args, pyramid, level_errors_m, child, ecef_from_tile))
-            .collect();
-        tile["children"] = children.into();
-    }
-    tile
 }

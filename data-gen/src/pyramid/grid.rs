@@ -1,8 +1,18 @@
-//! The finest level: a square grid of samples over a rectangle of longitude and latitude, rounded to a common quantum.
+//! The heights of the grid: a square of vertices over a rectangle of longitude and latitude, `64 * 2^(levels-1)` cells a side.
+//!
+//! A height is a function of the vertex and the source, so that it has the same bits in every block and every run. It is the
+//! source's height at the vertex, or that of the source's extremum nearest to the vertex, rounded to the quantum. Vertices
+//! without data are filled by [`super::fill`].
+
+use std::collections::{BTreeSet, HashMap};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use rayon::prelude::*;
 
-use crate::{ElevationSource, Voids};
+use super::fill::{self, BOX, BoxMeans};
+use super::samples::{Samples, Window};
+use super::tile::{CELLS, TileKey};
+use crate::{ElevationSource, GenError, Voids};
 
 /// A rectangle of longitude and latitude in radians.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -17,171 +27,353 @@ pub struct Extent {
     pub north: f64,
 }
 
-/// A square grid of heights. Each height is a multiple of 1/128 m.
-#[derive(Clone, Debug)]
-pub struct Grid {
-    /// The rectangle of the outermost samples.
-    pub extent: Extent,
-    /// The number of samples along a side, `64 * 2^n + 1`.
-    pub side: usize,
-    /// `side * side` heights in metres, rows from south to north, each from west to east.
-    pub heights: Vec<f32>,
-    /// The number of samples for which the source had no data.
-    pub voids: u64,
-    /// True for samples without data, in the order of `heights`; empty if there are none, or if they were given heights.
-    /// The heights of such samples continue their surroundings.
-    is_void: Vec<bool>,
-}
-
-/// How a grid is sampled.
-pub struct Sampling<'a> {
-    /// The treatment of samples without data.
-    pub voids: Voids,
-    /// Gives the grid's nearest samples the heights of the source's highest and lowest ones. The distance between samples
-    /// must be at most the source's.
-    pub keep_extrema: bool,
-    /// Is called on a worker thread after each of the grid's rows.
-    pub row_done: &'a (dyn Fn() + Sync),
-}
-
 /// Heights are rounded to 1/128 m, so that a shared sample has the same bits in every tile and level.
 pub const QUANTUM_M: f64 = 1.0 / 128.0;
 
-impl Grid {
-    /// Samples a source, fills gaps from their surroundings, and rounds to the quantum.
-    pub fn sample(source: &dyn ElevationSource, extent: Extent, side: usize) -> Self {
-        let sampling = Sampling { voids: Voids::Fill, keep_extrema: false, row_done: &|| () };
-        Self::sample_rows(source, extent, side, &sampling)
+/// Positions along a row are computed from the column of the last multiple of this number.
+const SEGMENT: i64 = 64;
+/// The cells along a side of the lattice for what depends on the whole set: a range of heights, and surroundings of wide gaps.
+const COARSE_CELLS: i64 = 256;
+/// The number of boxes whose averages are kept.
+const MAX_BOXES: usize = 4096;
+
+/// The depth of a lattice and the column and row of a box of it.
+type BoxKey = (u32, i64, i64);
+
+/// The heights of a grid. Threads share it.
+pub(crate) struct Grid<'a> {
+    source: &'a dyn ElevationSource,
+    pub extent: Extent,
+    pub levels: u32,
+    pub voids: Voids,
+    /// Gives the vertices nearest to the source's highest and lowest samples their heights. The distance between vertices must
+    /// be at most the source's.
+    keep_extrema: bool,
+    /// Rows from south to north; NaN where there is no data.
+    coarse: OnceLock<Vec<f32>>,
+    /// [`Self::coarse`] with its gaps filled.
+    coarse_filled: OnceLock<Vec<f32>>,
+    /// Averages of boxes that were computed before. Any thread locks it for the time of a look-up.
+    boxes: Mutex<HashMap<BoxKey, Arc<BoxMeans>>>,
+}
+
+impl<'a> Grid<'a> {
+    pub fn new(source: &'a dyn ElevationSource, extent: Extent, levels: u32, voids: Voids, keep_extrema: bool) -> Self {
+        let (coarse, coarse_filled) = (OnceLock::new(), OnceLock::new());
+        Self { source, extent, levels, voids, keep_extrema, coarse, coarse_filled, boxes: Mutex::default() }
     }
 
-    /// Samples a source and rounds to the quantum.
-    pub fn sample_rows(source: &dyn ElevationSource, extent: Extent, side: usize, sampling: &Sampling<'_>) -> Self {
-        let mut grid = Self { extent, side, heights: vec![0.0f32; side * side], voids: 0, is_void: Vec::new() };
-        let cells = (side - 1) as f64;
-        grid.heights.par_chunks_mut(side).enumerate().for_each(|(j, row)| {
-            let latitude = extent.south + (extent.north - extent.south) * (j as f64 / cells);
-            for (i, h) in row.iter_mut().enumerate() {
-                let longitude = extent.west + (extent.east - extent.west) * (i as f64 / cells);
-                *h = source.height_m(longitude, latitude).map_or(f32::NAN, |h| h as f32);
-            }
-            (sampling.row_done)();
-        });
-        if sampling.keep_extrema {
-            grid.keep_extrema(source);
-        }
-        let heights = &mut grid.heights;
-        grid.voids = heights.par_iter().filter(|h| !h.is_finite()).count() as u64;
-        if grid.voids > 0 {
-            match sampling.voids {
-                Voids::Cut => grid.is_void = heights.par_iter().map(|h| !h.is_finite()).collect(),
-                Voids::Fill => {}
-                Voids::Sea => heights.par_iter_mut().filter(|h| !h.is_finite()).for_each(|h| *h = 0.0),
-            }
-            fill(heights, side, side);
-        }
-        heights.par_iter_mut().for_each(|h| *h = ((f64::from(*h) / QUANTUM_M).round() * QUANTUM_M) as f32);
-        grid
+    /// Returns the number of cells along a side of the lattice of a depth.
+    pub fn cells(&self, depth: u32) -> i64 {
+        ((CELLS as i64) << (self.levels - 1)) >> depth
     }
 
-    /// Gives the samples nearest to the source's highest and lowest ones their heights, so that peaks between the grid's
-    /// samples are not lost.
-    fn keep_extrema(&mut self, source: &dyn ElevationSource) {
-        let rows = (0..source.sample_rows()).into_par_iter();
-        let found: Vec<(usize, f32)> = rows
-            .flat_map_iter(|row| {
-                let mut found = Vec::new();
-                source.samples_of_row(row, &mut |sample| {
-                    if sample.is_extremum {
-                        let [x, y] = self.position(sample.longitude, sample.latitude).map(|c| c.round() as usize);
-                        found.push((y * self.side + x, sample.height_m as f32));
-                    }
-                });
-                found
-            })
-            .collect();
-        for (at, height_m) in found {
-            self.heights[at] = height_m;
+    fn longitude(&self, column: i64) -> f64 {
+        let wide = self.extent.east - self.extent.west;
+        let (first, cells) = (column & !(SEGMENT - 1), self.cells(0) as f64);
+        self.extent.west + wide * (first as f64 / cells) + wide / cells * (column - first) as f64
+    }
+
+    fn latitude(&self, row: i64) -> f64 {
+        self.extent.south + (self.extent.north - self.extent.south) * (row as f64 / self.cells(0) as f64)
+    }
+
+    /// Returns the rectangle of a window of the finest lattice.
+    pub fn extent_of(&self, window: &Window) -> Extent {
+        let Window { first, last } = *window;
+        Extent {
+            west: self.longitude(first[0]),
+            south: self.latitude(first[1]),
+            east: self.longitude(last[0]),
+            north: self.latitude(last[1]),
         }
     }
 
     /// Returns the column and row of a longitude and latitude in radians, clamped to the grid.
-    pub(super) fn position(&self, longitude: f64, latitude: f64) -> [f64; 2] {
-        let (e, cells) = (self.extent, (self.side - 1) as f64);
+    pub fn position(&self, longitude: f64, latitude: f64) -> [f64; 2] {
+        let (e, cells) = (self.extent, self.cells(0) as f64);
         let (s, t) = ((longitude - e.west) / (e.east - e.west), (latitude - e.south) / (e.north - e.south));
         // Sample positions that coincide must do so in spite of rounding.
-        [s, t].map(|c| (c * cells).clamp(0.0, cells)).map(|c| if (c - c.round()).abs() < 1e-7 { c.round() } else { c })
+        let rounding = (cells * 1e-15).max(1e-7);
+        [s, t].map(|c| (c * cells).clamp(0.0, cells)).map(|c| {
+            let nearest = c.round();
+            if (c - nearest).abs() < rounding { nearest } else { c }
+        })
     }
 
-    /// Returns true if all samples have data, or have been given heights.
-    pub(super) fn is_whole(&self) -> bool {
-        self.is_void.is_empty()
+    /// Calls with each sample of the source in a window of the finest lattice, widened by `margin` cells, and with its column
+    /// and row.
+    pub fn source_samples(
+        &self,
+        window: &Window,
+        margin: f64,
+        call: &mut dyn FnMut([f64; 2], crate::SourceSample),
+    ) -> Result<(), GenError> {
+        let mut e = self.extent_of(window);
+        let cells = self.cells(0) as f64;
+        // Samples at an edge may lie beyond it by a rounding error.
+        let [dx, dy] = [self.extent.east - self.extent.west, self.extent.north - self.extent.south]
+            .map(|side| side / cells * (margin + 1e-3));
+        (e.west, e.east, e.south, e.north) = (e.west - dx, e.east + dx, e.south - dy, e.north + dy);
+        self.source.samples_in(&e, &mut |sample| call(self.position(sample.longitude, sample.latitude), sample))
     }
 
-    /// Returns true for a sample without data.
-    pub(super) fn is_void(&self, column: usize, row: usize) -> bool {
-        !self.is_void.is_empty() && self.is_void[row * self.side + column]
+    /// Returns false if the source has no data in a window of the lattice of a depth.
+    pub fn may_have_data_in(&self, depth: u32, window: &Window) -> bool {
+        let fine = |at: [i64; 2], beyond: i64| at.map(|c| ((c << depth) + beyond).clamp(0, self.cells(0)));
+        // Extrema move by less than a cell.
+        let window = Window { first: fine(window.first, -1), last: fine(window.last, 1) };
+        self.source.may_have_data_in(&self.extent_of(&window))
     }
 
-    /// Returns which triangles of a cell have data at each corner: the south-eastern and the north-western one.
-    pub(super) fn triangles(&self, column: usize, row: usize) -> [bool; 2] {
-        let known = |i: usize, j: usize| !self.is_void(column + i, row + j);
-        let diagonal = known(0, 0) && known(1, 1);
-        [diagonal && known(1, 0), diagonal && known(0, 1)]
+    /// Returns false if the source has no data in a tile.
+    pub fn may_have_data_in_tile(&self, key: TileKey) -> bool {
+        let side = CELLS as i64;
+        let first = [key.x, key.y].map(|c| i64::from(c) * side);
+        self.may_have_data_in(key.depth(self), &Window { first, last: first.map(|c| c + side) })
     }
 
-    /// Returns the lowest and the highest sample with data in metres.
-    pub fn range_m(&self) -> [f32; 2] {
-        let known = self.heights.iter().enumerate().filter(|(k, _)| self.is_whole() || !self.is_void[*k]);
-        known.fold([f32::INFINITY, f32::NEG_INFINITY], |[low, high], (_, h)| [low.min(*h), high.max(*h)])
+    /// Computes the heights in a window of the lattice of a depth. NaN marks vertices without data, also if they shall be sea.
+    pub fn sample(&self, depth: u32, window: Window) -> Result<Samples, GenError> {
+        let mut out = Samples::unknown(window);
+        if !self.may_have_data_in(depth, &window) {
+            return Ok(out);
+        }
+        let width = window.width();
+        out.values.par_chunks_mut(width).enumerate().try_for_each(|(row, heights)| {
+            let latitude = self.latitude((window.first[1] + row as i64) << depth);
+            if depth == 0 {
+                self.sample_row(window.first[0], latitude, heights)
+            } else {
+                heights.iter_mut().enumerate().try_for_each(|(k, h)| {
+                    let longitude = self.longitude((window.first[0] + k as i64) << depth);
+                    *h = self.source.height_m(longitude, latitude)?.map_or(f32::NAN, |h| h as f32);
+                    Ok(())
+                })
+            }
+        })?;
+        if self.keep_extrema {
+            self.keep_extrema(depth, &mut out)?;
+        }
+        for h in &mut out.values {
+            *h = if h.is_finite() { rounded(*h) } else { f32::NAN };
+        }
+        Ok(out)
     }
-}
 
-/// Replaces NaN by the push-pull method: known samples are averaged on coarser and coarser grids, then interpolated
-/// bilinearly back, so that gaps continue their surroundings smoothly. If all samples are unknown, they become 0.
-fn fill(heights: &mut [f32], width: usize, height: usize) {
-    if !heights.iter().any(|h| !h.is_finite()) {
-        return;
+    /// Samples neighbouring vertices of a row, in segments that start at multiples of [`SEGMENT`].
+    fn sample_row(&self, first: i64, latitude: f64, heights: &mut [f32]) -> Result<(), GenError> {
+        let step = (self.extent.east - self.extent.west) / self.cells(0) as f64;
+        let mut segment = [0.0f32; SEGMENT as usize];
+        let mut done = 0;
+        while done < heights.len() {
+            let column = first + done as i64;
+            let skipped = (column & (SEGMENT - 1)) as usize;
+            let count = (SEGMENT as usize - skipped).min(heights.len() - done);
+            let out = &mut heights[done..done + count];
+            if skipped == 0 {
+                self.source.heights_of_row(self.longitude(column), step, latitude, out)?;
+            } else {
+                let part = &mut segment[..skipped + count];
+                self.source.heights_of_row(self.longitude(column - skipped as i64), step, latitude, part)?;
+                out.copy_from_slice(&part[skipped..]);
+            }
+            done += count;
+        }
+        Ok(())
     }
-    if width <= 1 && height <= 1 {
-        heights.fill(0.0);
-        return;
+
+    /// Replaces the heights of vertices that are nearest to an extremum of the source. If it is nearest to several, the
+    /// nearest one counts.
+    fn keep_extrema(&self, depth: u32, out: &mut Samples) -> Result<(), GenError> {
+        let window = out.window;
+        let in_part = |part: Window| {
+            let mut found = Vec::new();
+            if !self.may_have_data_in(0, &part) {
+                return Ok(found);
+            }
+            self.source_samples(&part, 0.5, &mut |[x, y], sample| {
+                let at = [x, y].map(|c| c.round() as i64);
+                let is_inside = (0..2).all(|k| (part.first[k]..=part.last[k]).contains(&at[k]));
+                if sample.is_extremum && is_inside {
+                    let far = (x - at[0] as f64).hypot(y - at[1] as f64);
+                    found.push((at, far, [sample.longitude, sample.latitude], sample.height_m as f32));
+                }
+            })?;
+            Ok(found)
+        };
+        let rows = window.first[1]..=window.last[1];
+        let parts: Vec<Window> = match depth {
+            0 => rows
+                .step_by(64)
+                .map(|y| Window { first: [window.first[0], y], last: [window.last[0], (y + 63).min(window.last[1])] })
+                .collect(),
+            _ => rows
+                .flat_map(|y| (window.first[0]..=window.last[0]).map(move |x| [x << depth, y << depth]))
+                .map(|at| Window { first: at, last: at })
+                .collect(),
+        };
+        let found: Result<Vec<_>, GenError> = parts.into_par_iter().map(in_part).collect();
+        let mut found = found?.concat();
+        found.sort_by(|a, b| {
+            let place = |p: &[f64; 2], q: &[f64; 2]| p[0].total_cmp(&q[0]).then(p[1].total_cmp(&q[1]));
+            a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)).then_with(|| place(&a.2, &b.2))
+        });
+        found.dedup_by_key(|(at, ..)| *at);
+        for ([x, y], _, _, height_m) in found {
+            out.set(x >> depth, y >> depth, height_m);
+        }
+        Ok(())
     }
-    let (w, h) = (width.div_ceil(2), height.div_ceil(2));
-    let mut coarse = vec![f32::NAN; w * h];
-    for (j, row) in coarse.chunks_mut(w).enumerate() {
-        for (i, out) in row.iter_mut().enumerate() {
-            let (mut sum, mut count) = (0.0f64, 0);
-            for y in 2 * j..(2 * j + 2).min(height) {
-                for x in 2 * i..(2 * i + 2).min(width) {
-                    let v = heights[y * width + x];
-                    if v.is_finite() {
-                        sum += f64::from(v);
-                        count += 1;
+
+    /// Gives vertices without data a height of 0 if they shall be sea.
+    pub fn flood(&self, samples: &mut Samples) {
+        if self.voids == Voids::Sea {
+            samples.values.iter_mut().filter(|h| h.is_nan()).for_each(|h| *h = 0.0);
+        }
+    }
+
+    /// Computes the heights in a window of the lattice of a depth, without data for voids that are not sea.
+    pub fn sample_flooded(&self, depth: u32, window: Window) -> Result<Samples, GenError> {
+        let mut out = self.sample(depth, window)?;
+        self.flood(&mut out);
+        Ok(out)
+    }
+
+    /// Returns samples of the lattice of a depth with the vertices without data filled from their surroundings on that lattice.
+    pub fn filled(&self, depth: u32, known: &Samples) -> Result<Samples, GenError> {
+        let mut out = known.clone();
+        let (window, width) = (known.window, known.window.width());
+        let unknown = known.values.iter().enumerate().filter(|(_, h)| h.is_nan());
+        let at = |k: usize| [window.first[0] + (k % width) as i64, window.first[1] + (k / width) as i64];
+        let patches: BTreeSet<[i64; 2]> = unknown.map(|(k, _)| at(k).map(|c| c / BOX)).collect();
+        let boxes = (self.cells(depth) / BOX) + 1;
+        let around = |[x, y]: &[i64; 2]| {
+            let columns = (x - 1).max(0)..=(x + 1).min(boxes - 1);
+            let rows = (y - 1).max(0)..=(y + 1).min(boxes - 1);
+            rows.flat_map(move |y| columns.clone().map(move |x| [x, y])).collect::<Vec<_>>()
+        };
+        let needed: BTreeSet<[i64; 2]> = patches.iter().flat_map(around).collect();
+        let means: Result<HashMap<[i64; 2], Arc<BoxMeans>>, GenError> =
+            needed.into_par_iter().map(|at| Ok((at, self.means(depth, at, known)?))).collect();
+        let means = means?;
+        if patches.is_empty() {
+            return Ok(out);
+        }
+        // Without wide gaps it is not needed.
+        let cells = self.cells(depth);
+        let pulled: Result<Vec<_>, GenError> = patches
+            .into_par_iter()
+            .map(|at| {
+                let is_empty = around(&at).iter().any(|at| means[at].is_empty());
+                let coarse = if is_empty { Some(self.coarse_filled()?) } else { None };
+                let height = |[x, y]: [f64; 2]| coarse.map_or(0.0, |coarse| self.coarse_at(coarse, depth, [x, y]));
+                Ok((at, fill::pull(at, cells, |x, y| &*means[&[x, y]], height)))
+            })
+            .collect();
+        for (at, heights) in pulled? {
+            let first = at.map(|c| c * BOX);
+            let patch = Window { first, last: first.map(|c| (c + BOX - 1).min(cells)) };
+            let Some(both) = patch.intersection(&window) else { continue };
+            for y in both.first[1]..=both.last[1] {
+                for x in both.first[0]..=both.last[0] {
+                    if known.at(x, y).is_nan() {
+                        let height_m = heights[((y - first[1]) as usize) * patch.width() + (x - first[0]) as usize];
+                        out.set(x, y, rounded(height_m));
                     }
                 }
             }
-            if count > 0 {
-                *out = (sum / f64::from(count)) as f32;
-            }
         }
+        Ok(out)
     }
-    fill(&mut coarse, w, h);
-    for j in 0..height {
-        for i in 0..width {
-            if heights[j * width + i].is_finite() {
-                continue;
-            }
-            let (x, y) = ((i as f64 - 0.5) / 2.0, (j as f64 - 0.5) / 2.0);
-            let (x, y) = (x.clamp(0.0, (w - 1) as f64), y.clamp(0.0, (h - 1) as f64));
-            let (x0, y0) = (x as usize, y as usize);
-            let (x1, y1) = ((x0 + 1).min(w - 1), (y0 + 1).min(h - 1));
-            let (fx, fy) = (x - x0 as f64, y - y0 as f64);
-            let at = |x: usize, y: usize| f64::from(coarse[y * w + x]);
-            let low = at(x0, y0) * (1.0 - fx) + at(x1, y0) * fx;
-            let high = at(x0, y1) * (1.0 - fx) + at(x1, y1) * fx;
-            heights[j * width + i] = (low * (1.0 - fy) + high * fy) as f32;
+
+    /// Returns the averages of a box. Those of its vertices that `known` contains are not sampled again.
+    fn means(&self, depth: u32, at: [i64; 2], known: &Samples) -> Result<Arc<BoxMeans>, GenError> {
+        let key = (depth, at[0], at[1]);
+        let lock = || self.boxes.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(means) = lock().get(&key) {
+            return Ok(means.clone());
         }
+        let first = at.map(|c| c * BOX);
+        let inside = Window { first, last: first.map(|c| (c + BOX - 1).min(self.cells(depth))) };
+        let samples = match known.window.contains(&inside) {
+            true => None,
+            false => Some(self.sample_flooded(depth, inside)?),
+        };
+        let mut vertices = Samples::unknown(Window { first, last: first.map(|c| c + BOX - 1) });
+        vertices.copy_from(samples.as_ref().unwrap_or(known));
+        let means = Arc::new(BoxMeans::new(&vertices.values));
+        let mut boxes = lock();
+        if boxes.len() >= MAX_BOXES {
+            boxes.clear();
+        }
+        boxes.insert(key, means.clone());
+        Ok(means)
     }
+
+    /// Returns the height of a vertex of the lattice of a depth. Vertices without data that are cut continue their
+    /// surroundings on this lattice, and those that are filled continue them on the finest one.
+    pub fn vertex(&self, depth: u32, at: [i64; 2]) -> Result<f32, GenError> {
+        let known = self.sample_flooded(depth, Window { first: at, last: at })?;
+        if !known.has_unknown() {
+            return Ok(known.values[0]);
+        }
+        let (depth, at) = if self.voids == Voids::Fill { (0, at.map(|c| c << depth)) } else { (depth, at) };
+        let unknown = Samples::unknown(Window { first: at, last: at });
+        Ok(self.filled(depth, &unknown)?.values[0])
+    }
+
+    /// Returns the number of cells along a side of the coarse lattice.
+    fn coarse_cells(&self) -> i64 {
+        self.cells(0).min(COARSE_CELLS)
+    }
+
+    /// Samples the coarse lattice, without regard to extrema.
+    fn coarse(&self) -> Result<&Vec<f32>, GenError> {
+        if let Some(coarse) = self.coarse.get() {
+            return Ok(coarse);
+        }
+        let (cells, stride) = (self.coarse_cells(), self.cells(0) / self.coarse_cells());
+        let side = cells as usize + 1;
+        let sea = if self.voids == Voids::Sea { 0.0 } else { f32::NAN };
+        let mut heights = vec![sea; side * side];
+        heights.par_chunks_mut(side).enumerate().try_for_each(|(row, heights)| {
+            let latitude = self.latitude(row as i64 * stride);
+            heights.iter_mut().enumerate().try_for_each(|(column, h)| {
+                let known = self.source.height_m(self.longitude(column as i64 * stride), latitude)?;
+                *h = known.filter(|h| h.is_finite()).map_or(sea, |h| h as f32);
+                Ok::<_, GenError>(())
+            })
+        })?;
+        // Another thread may have been quicker, with the same heights.
+        Ok(self.coarse.get_or_init(|| heights))
+    }
+
+    fn coarse_filled(&self) -> Result<&Vec<f32>, GenError> {
+        if let Some(filled) = self.coarse_filled.get() {
+            return Ok(filled);
+        }
+        let (mut heights, side) = (self.coarse()?.clone(), self.coarse_cells() as usize + 1);
+        fill::fill_whole(&mut heights, side, side);
+        Ok(self.coarse_filled.get_or_init(|| heights))
+    }
+
+    fn coarse_at(&self, coarse: &[f32], depth: u32, at: [f64; 2]) -> f64 {
+        let (side, scale) = (self.coarse_cells() as usize + 1, self.coarse_cells() as f64 / self.cells(depth) as f64);
+        fill::bilinear(coarse, [side; 2], at.map(|c| c * scale))
+    }
+
+    /// Returns the lowest and the highest sample of the coarse lattice in metres; 0 without any data.
+    pub fn coarse_range_m(&self) -> Result<[f32; 2], GenError> {
+        let known = self.coarse()?.iter().filter(|h| !h.is_nan());
+        let range = known.fold([f32::INFINITY, f32::NEG_INFINITY], |[a, b], h| [a.min(*h), b.max(*h)]);
+        Ok(if range[0] <= range[1] { range } else { [0.0; 2] })
+    }
+}
+
+/// Rounds a height to the quantum.
+fn rounded(height_m: f32) -> f32 {
+    ((f64::from(height_m) / QUANTUM_M).round() * QUANTUM_M) as f32
 }
 
 #[cfg(test)]
@@ -191,36 +383,56 @@ mod tests {
     struct Gap;
 
     impl ElevationSource for Gap {
-        fn height_m(&self, longitude: f64, latitude: f64) -> Option<f64> {
+        fn height_m(&self, longitude: f64, latitude: f64) -> Result<Option<f64>, GenError> {
             let inside = longitude.hypot(latitude) < 0.3;
-            (!inside).then_some(100.0 + longitude)
+            Ok((!inside).then_some(100.0 + longitude))
+        }
+    }
+
+    fn grid(voids: Voids, levels: u32) -> Grid<'static> {
+        let extent = Extent { west: -1.0, south: -1.0, east: 1.0, north: 1.0 };
+        Grid::new(&Gap, extent, levels, voids, false)
+    }
+
+    fn whole(grid: &Grid<'_>) -> Window {
+        Window::around([0; 2], grid.cells(0), 0, grid.cells(0))
+    }
+
+    #[test]
+    fn gaps_are_filled_from_surroundings() {
+        for levels in [1, 4] {
+            let grid = grid(Voids::Fill, levels);
+            let known = grid.sample_flooded(0, whole(&grid)).unwrap();
+            assert!(known.values.iter().filter(|h| h.is_nan()).count() > 100);
+            let filled = grid.filled(0, &known).unwrap();
+            for h in &filled.values {
+                assert!((98.5..=101.5).contains(h), "{h}");
+                assert_eq!(f64::from(*h) / QUANTUM_M, (f64::from(*h) / QUANTUM_M).round());
+            }
         }
     }
 
     #[test]
-    fn gaps_are_filled_from_surroundings_and_counted() {
-        let extent = Extent { west: -1.0, south: -1.0, east: 1.0, north: 1.0 };
-        let g = Grid::sample(&Gap, extent, 65);
-        assert!(g.voids > 100 && g.is_whole());
-        for h in &g.heights {
-            assert!((98.5..=101.5).contains(h), "{h}");
-            assert_eq!(f64::from(*h) / QUANTUM_M, (f64::from(*h) / QUANTUM_M).round());
+    fn heights_do_not_depend_on_the_window() {
+        for (voids, depth) in [(Voids::Fill, 0), (Voids::Cut, 1), (Voids::Sea, 2)] {
+            let whole = {
+                let grid = grid(voids, 4);
+                let window = Window::around([0; 2], grid.cells(depth), 0, grid.cells(depth));
+                grid.filled(depth, &grid.sample_flooded(depth, window).unwrap()).unwrap()
+            };
+            let grid = grid(voids, 4);
+            for (first, side) in [([70, 41], 40), ([128, 128], 0), ([1, 90], 37)] {
+                let window = Window::around(first, side, 0, grid.cells(depth));
+                let part = grid.filled(depth, &grid.sample_flooded(depth, window).unwrap()).unwrap();
+                for y in window.first[1]..=window.last[1] {
+                    for x in window.first[0]..=window.last[0] {
+                        assert_eq!(part.at(x, y), whole.at(x, y), "{x} {y}");
+                        if (x + y) % 13 == 0 {
+                            assert_eq!(grid.vertex(depth, [x, y]).unwrap(), whole.at(x, y), "{x} {y}");
+                        }
+                    }
+                }
+            }
         }
-    }
-
-    #[test]
-    fn voids_are_cut_or_become_sea() {
-        let extent = Extent { west: -1.0, south: -1.0, east: 1.0, north: 1.0 };
-        let of = |voids| {
-            let sampling = Sampling { voids, keep_extrema: false, row_done: &|| () };
-            Grid::sample_rows(&Gap, extent, 65, &sampling)
-        };
-        let (filled, cut, sea) = (of(Voids::Fill), of(Voids::Cut), of(Voids::Sea));
-        assert_eq!([cut.voids, sea.voids], [filled.voids; 2]);
-        // The middle of the grid lies in the gap, and its corner does not.
-        assert!(cut.is_void(32, 32) && !cut.is_void(0, 0) && sea.is_whole());
-        assert_eq!((cut.triangles(32, 32), cut.triangles(0, 0)), ([false; 2], [true; 2]));
-        assert_eq!((&cut.heights, sea.heights[32 * 65 + 32]), (&filled.heights, 0.0));
-        assert_eq!([cut.range_m()[0], sea.range_m()[0]], [99.0, 0.0]);
     }
 }

@@ -1,9 +1,22 @@
-//! The samples of the finest level, and the quadtree of tiles over them with measured errors.
+//! The grid of heights, and the quadtree of tiles over it, block by block, with measured errors.
 
+mod block;
+mod fill;
 mod grid;
-mod tiles;
+mod plan;
+mod record;
+mod samples;
+mod surface;
+mod tile;
 
-pub(crate) use grid::QUANTUM_M;
-pub use grid::{Extent, Grid, Sampling};
-pub(crate) use tiles::{CELLS, Coverage};
-pub use tiles::{Pyramid, TileKey};
+pub(crate) use block::{Below, Block};
+pub use grid::Extent;
+pub(crate) use grid::{Grid, QUANTUM_M};
+pub(crate) use plan::{Layer, Plan, tiles_with_data};
+pub(crate) use record::{Record, Totals, checksum};
+pub(crate) use surface::{Lattice, Surface};
+pub use tile::TileKey;
+pub(crate) use tile::{CELLS, Coverage};
+
+#[cfg(test)]
+mod tests;

@@ -18,7 +18,7 @@ fn invalid_values_are_usage_errors() {
         ["--size", "nan"],
         ["--size", "3e9"],
         ["--levels", "0"],
-        ["--levels", "10"],
+        ["--levels", "25"],
         ["--epsg", "4978"],
         ["--epsg", "utm"],
         ["--content", "stones"],

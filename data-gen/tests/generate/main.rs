@@ -9,6 +9,7 @@ mod files;
 mod fuzz_rasters;
 mod nothing_lost;
 mod reference_systems;
+mod running;
 mod samples;
 mod sets;
 mod tiffs;

@@ -20,6 +20,7 @@ pub(in crate::formats) struct SetExtras {
     side: Option<u32>,
     border: Option<u32>,
     level_errors_m: Option<Vec<f64>>,
+    level: Option<u32>,
 }
 
 impl SetExtras {
@@ -45,8 +46,10 @@ pub(in crate::formats) struct HeightSet {
     side: u32,
     /// Additional samples beyond each edge.
     border: u32,
-    /// Geometric errors by level, in metres.
+    /// Geometric errors by level of the whole set, in metres.
     level_errors_m: Vec<f64>,
+    /// The level of the tileset's root in the whole set: above 0 in external tilesets.
+    root_level: u32,
 }
 
 /// The properties of one height tile that its decoder needs beside the EXR.
@@ -84,6 +87,9 @@ fn is_side(side: u32) -> bool {
     (3..=257).contains(&side) && (side - 1).is_power_of_two()
 }
 
+/// The highest level of a tileset's root.
+const MAX_LEVEL: u32 = 63;
+
 fn are_errors(errors_m: &[f64]) -> bool {
     errors_m.len() <= 64 && errors_m.iter().all(|e| e.is_finite() && *e >= 0.0)
 }
@@ -91,7 +97,7 @@ fn are_errors(errors_m: &[f64]) -> bool {
 impl HeightSet {
     #[cfg(test)]
     pub(super) fn for_tests(side: u32, error_m: f64) -> Self {
-        Self { side, border: 1, level_errors_m: vec![error_m] }
+        Self { side, border: 1, level_errors_m: vec![error_m], root_level: 0 }
     }
 
     /// Checks the extras of a tileset. Returns `None` if its contents are not height tiles.
@@ -102,16 +108,25 @@ impl HeightSet {
             side: extras.side.filter(|side| is_side(*side)).ok_or_else(|| bad("side"))?,
             border: extras.border.filter(|border| *border == 1).ok_or_else(|| bad("border"))?,
             level_errors_m: extras.level_errors_m.filter(|e| are_errors(e)).ok_or_else(|| bad("level_errors_m"))?,
+            root_level: extras
+                .level
+                .map_or(Ok(0), |level| if level <= MAX_LEVEL { Ok(level) } else { Err(bad("level")) })?,
         }))
     }
 
-    /// Returns the geometric error in metres of all tiles of a level. It is the same for all, so that neighbours morph alike.
+    /// Returns the geometric error in metres of all tiles of a level, which counts from the tileset's root. It is the same for
+    /// all, so that neighbours morph alike.
     pub fn level_error_m(&self, level: u32) -> Option<f64> {
+        self.set_error_m(self.root_level + level)
+    }
+
+    /// Returns the geometric error in metres of all tiles of a level of the whole set.
+    fn set_error_m(&self, level: u32) -> Option<f64> {
         self.level_errors_m.get(level as usize).copied()
     }
 
-    /// Returns the `reader_data` of a tile. The rectangle of the tile is that of its volume, if it is a region and the tile has no
-    /// plane. `imagery` is the URI of the image that covers the tile.
+    /// Returns the `reader_data` of a tile, whose level counts from the tileset's root. The rectangle of the tile is that of its
+    /// volume, if it is a region and the tile has no plane. `imagery` is the URI of the image that covers the tile.
     ///
     /// # Errors
     /// [`IoError::Invalid`] for a tile that has neither a region nor a plane.
@@ -131,7 +146,8 @@ impl HeightSet {
             (_, Some(p)) if Placement::Plane(p).is_valid() => Placement::Plane(p),
             _ => return Err(IoError::invalid(tileset_uri, "a height tile needs a region, or a plane in its extras")),
         };
-        let errors_m = (0..=level).rev().take(7).filter_map(|l| self.level_error_m(l)).collect();
+        let level = self.root_level + level;
+        let errors_m = (0..=level).rev().take(7).filter_map(|l| self.set_error_m(l)).collect();
         let data = TileData { placement, side: self.side, border: self.border, level, errors_m, imagery };
         let json = serde_json::to_string(&data).map_err(|e| IoError::invalid(tileset_uri, e.to_string()))?;
         Ok(json.into())
@@ -150,4 +166,28 @@ pub(in crate::formats) fn region(reader_data: &str) -> Option<[f64; 4]> {
 pub(in crate::formats) fn companions(_uri: &Arc<str>, reader_data: Option<&str>) -> Vec<Arc<str>> {
     let data = reader_data.and_then(|d| serde_json::from_str::<TileData>(d).ok());
     data.and_then(|d| d.imagery).into_iter().collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::Region;
+
+    #[test]
+    fn levels_of_external_tilesets_count_from_the_root_of_the_set() {
+        let extras = |level: &str| {
+            let json = format!(r#"{{"content":"height","side":65,"border":1,"level_errors_m":[90,50,20,5]{level}}}"#);
+            HeightSet::from_extras("set", Some(serde_json::from_str(&json).unwrap()))
+        };
+        let of = |set: HeightSet, level: u32| {
+            let (south, north) = (0.8, 0.81);
+            let bounds = Region { west: 0.1, south, east: 0.11, north, min_height_m: 0.0, max_height_m: 9.0 };
+            let data = set.tile_data("/set/tileset.json", level, &BoundingVolume::Region(bounds), None, None);
+            let data: TileData = serde_json::from_str(&data.unwrap()).unwrap();
+            (data.level, data.errors_m, set.level_error_m(level))
+        };
+        assert_eq!(of(extras("").unwrap().unwrap(), 1), (1, vec![50.0, 90.0], Some(50.0)));
+        assert_eq!(of(extras(r#","level":2"#).unwrap().unwrap(), 1), (3, vec![5.0, 20.0, 50.0, 90.0], Some(5.0)));
+        assert!(extras(r#","level":64"#).is_err());
+    }
 }

@@ -1,0 +1,69 @@
+//! The fingerprint of a run: a hash of the options that change the bytes of the set, of the sources, and of this version. Runs with equal
+//! fingerprints make equal sets, so that one continues what another has begun.
+
+use std::path::{Path, PathBuf};
+use std::time::UNIX_EPOCH;
+
+use crate::pyramid::checksum;
+use crate::{GenArgs, GenError, Sharding};
+
+/// Names of files that place a raster, beside those that the raster's own name begins.
+const BESIDE: [&str; 6] = ["wld", "tfw", "pgw", "jgw", "prj", "aux.xml"];
+
+/// Returns the fingerprint of a run. The sources are files: lists and patterns have been expanded.
+pub(crate) fn fingerprint(args: &GenArgs) -> Result<u64, GenError> {
+    let same =
+        GenArgs { out: PathBuf::new(), jobs: None, overwrite: false, sharding: Sharding::default(), ..args.clone() };
+    let mut text = format!("{} {same:?}", env!("CARGO_PKG_VERSION"));
+    let grids = Some(PathBuf::from(args.vertical_datum.to_string())).filter(|path| path.is_file());
+    for path in args.dem.iter().chain(&args.imagery).chain(&grids) {
+        add_file(path, &mut text)?;
+        for extension in BESIDE {
+            let beside = path.with_extension(extension);
+            if beside.is_file() {
+                add_file(&beside, &mut text)?;
+            }
+        }
+    }
+    Ok(checksum(text.as_bytes()))
+}
+
+/// Adds the name, size and time of modification of a file, or of all files below a folder.
+fn add_file(path: &Path, text: &mut String) -> Result<(), GenError> {
+    let file = path.metadata().map_err(GenError::file(path))?;
+    if file.is_dir() {
+        let entries = std::fs::read_dir(path).map_err(GenError::file(path))?;
+        let names: Result<Vec<PathBuf>, _> = entries.map(|entry| entry.map(|entry| entry.path())).collect();
+        let mut names = names.map_err(GenError::file(path))?;
+        names.sort();
+        return names.iter().try_for_each(|name| add_file(name, text));
+    }
+    let changed = file.modified().map_err(GenError::file(path))?.duration_since(UNIX_EPOCH).unwrap_or_default();
+    let path = path.canonicalize().map_err(GenError::file(path))?;
+    text.push_str(&format!("\n{path:?} {} {}", file.len(), changed.as_nanos()));
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn fingerprints_change_with_options_and_sources() {
+        let folder = tempfile::tempdir().unwrap();
+        let dem = folder.path().join("a.asc");
+        std::fs::write(&dem, "one").unwrap();
+        let args = GenArgs { dem: vec![dem.clone()], ..GenArgs::new(folder.path().join("set")) };
+        let first = fingerprint(&args).unwrap();
+        let same = GenArgs { jobs: Some(3), overwrite: true, out: PathBuf::from("other"), ..args.clone() };
+        assert_eq!(fingerprint(&same).unwrap(), first);
+        assert_ne!(fingerprint(&GenArgs { levels: Some(2), ..args.clone() }).unwrap(), first);
+        std::fs::write(folder.path().join("a.wld"), "1").unwrap();
+        let placed = fingerprint(&args).unwrap();
+        assert_ne!(placed, first);
+        std::fs::write(&dem, "other").unwrap();
+        assert_ne!(fingerprint(&args).unwrap(), placed);
+        std::fs::remove_file(&dem).unwrap();
+        assert!(fingerprint(&args).unwrap_err().to_string().contains("a.asc"));
+    }
+}

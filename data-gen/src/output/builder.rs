@@ -1,0 +1,138 @@
+//! Makes the blocks of a set, layer by layer.
+
+use std::path::Path;
+
+use rayon::prelude::*;
+
+use super::journal::Journal;
+use super::tile_set::{write_tiles, write_whole};
+use super::tree::{Tree, external_name, external_tileset};
+use crate::args::{Color, GenArgs};
+use crate::color::{Imagery, Painter};
+use crate::pyramid::{Block, Coverage, Grid, Layer, Plan, Record, TileKey, Totals, tiles_with_data};
+use crate::{GenError, Progress, Voids};
+
+/// Makes the blocks of a set in a folder. One block is in memory at a time; the threads of the current rayon pool share its work.
+pub(crate) struct Builder<'a> {
+    args: &'a GenArgs,
+    grid: &'a Grid<'a>,
+    imagery: Option<&'a Imagery>,
+    plan: &'a Plan,
+    folder: &'a Path,
+    journal: Journal,
+    /// About the lowest and the highest height of the set in metres, for colours.
+    range_m: [f32; 2],
+    progress: Progress,
+}
+
+impl<'a> Builder<'a> {
+    pub fn new(
+        args: &'a GenArgs,
+        grid: &'a Grid<'a>,
+        imagery: Option<&'a Imagery>,
+        plan: &'a Plan,
+        folder: &'a Path,
+    ) -> Result<Self, GenError> {
+        let range_m = if args.color == Color::None { [0.0; 2] } else { grid.coarse_range_m()? };
+        let progress = Progress::new("writing", 0, "tiles");
+        Ok(Self { args, grid, imagery, plan, folder, journal: Journal::new(folder), range_m, progress })
+    }
+
+    /// Makes the whole set and its `tileset.json`. Returns the totals.
+    pub fn make_set(&mut self) -> Result<Totals, GenError> {
+        let blocks: Vec<Vec<TileKey>> = self.plan.layers.iter().map(|layer| blocks(self.grid, *layer)).collect();
+        let tiles =
+            self.plan.layers.iter().zip(&blocks).map(|(layer, keys)| layer.tiles_per_block() * keys.len() as u64);
+        self.progress.set_total(tiles.sum());
+        let mut totals = Totals::new(self.grid.levels);
+        for (layer, keys) in self.plan.layers.iter().zip(&blocks) {
+            for key in keys.iter().filter(|key| key.level > 0) {
+                totals.add(&self.make(*layer, *key)?.totals);
+            }
+        }
+        // Blocks that were not made have no data at any vertex.
+        let made: u64 = blocks.first().into_iter().flatten().map(|key| vertices_of(self.grid, *key)).sum();
+        totals.voids += vertices_of(self.grid, TileKey::ROOT) - made;
+        let Some(layer) = self.plan.layers.last() else { return Ok(totals) };
+        self.make_root(*layer, totals, &blocks)
+    }
+
+    /// Makes some blocks of a layer below the root's. Returns their totals.
+    pub fn make_blocks(&mut self, layer: Layer, roots: &[TileKey]) -> Result<Totals, GenError> {
+        self.progress.set_total(layer.tiles_per_block() * roots.len() as u64);
+        let mut totals = Totals::new(self.grid.levels);
+        for root in roots {
+            totals.add(&self.make(layer, *root)?.totals);
+        }
+        Ok(totals)
+    }
+
+    /// Makes a block that is not the root's, unless the journal has it, and returns its record.
+    fn make(&self, layer: Layer, root: TileKey) -> Result<Record, GenError> {
+        if let Some(record) = self.journal.load(root)? {
+            self.progress.advance(record.totals.tiles);
+            return Ok(record);
+        }
+        let block = self.block(layer, root)?;
+        let bytes = self.write(&block)?;
+        let tree = Tree::new(self.args, &block);
+        let (mut geometric_error_m, mut json) = (0.0, String::new());
+        if block.facts(root).coverage != Coverage::None {
+            (geometric_error_m, json) = (tree.geometric_error_m(root), tree.external_root());
+        }
+        let record = block.record(bytes, tree.root_region(), geometric_error_m);
+        self.journal.save(root, &record, &json)?;
+        Ok(record)
+    }
+
+    /// Makes the block of the root and all tilesets. `totals` are those of all other blocks, `blocks` their roots.
+    fn make_root(&self, layer: Layer, mut totals: Totals, blocks: &[Vec<TileKey>]) -> Result<Totals, GenError> {
+        let block = self.block(layer, TileKey::ROOT)?;
+        if block.facts(TileKey::ROOT).coverage == Coverage::None {
+            let reason = "no neighbouring samples have heights; --voids fill continues them";
+            return Err(GenError::invalid(self.args.dem.first().cloned().unwrap_or_default(), reason));
+        }
+        totals.add(&block.totals(self.write(&block)?));
+        let text = Tree::new(self.args, &block).tileset(&totals);
+        let external =
+            blocks.iter().flatten().filter(|key| key.level > 0).collect::<Vec<_>>().into_par_iter().map(|key| {
+                let Some(record) = self.journal.load(*key)?.filter(|record| record.facts.coverage != Coverage::None)
+                else {
+                    return Ok(0);
+                };
+                let text = external_tileset(self.args, &totals, *key, &record, &self.journal.load_tree(*key)?);
+                write_whole(&self.folder.join(external_name(*key)), text.as_bytes())
+            });
+        let bytes: u64 = external.collect::<Result<Vec<u64>, GenError>>()?.iter().sum();
+        totals.bytes += bytes + write_whole(&self.folder.join("tileset.json"), text.as_bytes())?;
+        Ok(totals)
+    }
+
+    fn block(&self, layer: Layer, root: TileKey) -> Result<Block<'a>, GenError> {
+        let paints = self.args.color != Color::None;
+        if layer.finest + 1 == self.grid.levels {
+            return Block::sample(self.grid, layer, root, paints);
+        }
+        Block::assemble(self.grid, layer, root, paints, &|key| self.journal.load(key))
+    }
+
+    fn write(&self, block: &Block<'_>) -> Result<u64, GenError> {
+        let has_data = block.facts(block.root).coverage != Coverage::None;
+        let paints = has_data && self.args.color != Color::None;
+        let painter = paints.then(|| Painter::new(block, &self.grid.extent, self.imagery, self.range_m));
+        write_tiles(self.args, block, painter.as_ref(), self.folder, &self.progress)
+    }
+}
+
+/// Returns the roots of a layer's blocks in Morton order, without those that have no data.
+pub(crate) fn blocks(grid: &Grid<'_>, layer: Layer) -> Vec<TileKey> {
+    tiles_with_data(layer.root, &|key| grid.voids != Voids::Cut || grid.may_have_data_in_tile(key))
+}
+
+/// Returns the number of vertices of the finest level in a tile. Those on its eastern and northern edges belong to its neighbours,
+/// except at the edges of the set.
+fn vertices_of(grid: &Grid<'_>, key: TileKey) -> u64 {
+    let side = grid.cells(0) as u64 >> key.level;
+    let along = |c: u32| side + u64::from(c + 1 == 1 << key.level);
+    along(key.x) * along(key.y)
+}

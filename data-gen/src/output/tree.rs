@@ -1,0 +1,216 @@
+//! Describes tiles as 3D Tiles JSON. Each block has a tileset of its own: `tileset.json` of the root's, and the others are external
+//! tilesets, so that neither writers nor readers hold the whole tree.
+
+use std::collections::HashMap;
+use std::f64::consts::{PI, TAU};
+
+use glam::{DAffine3, DMat4};
+use serde_json::{Value, json};
+
+use super::mesh;
+use super::tile_set::{form, skirt_m};
+use crate::args::{Color, ContentKind, GenArgs, Voids};
+use crate::georeference::ROUNDING;
+use crate::pyramid::{Below, Block, CELLS, Coverage, QUANTUM_M, Record, TileKey, Totals};
+
+/// Describes the tiles of a block.
+pub(crate) struct Tree<'a> {
+    args: &'a GenArgs,
+    block: &'a Block<'a>,
+    /// The region of each tile: west, south, east and north in radians, lowest and highest height in metres.
+    regions: HashMap<TileKey, [f64; 6]>,
+    below: HashMap<TileKey, Below>,
+}
+
+impl<'a> Tree<'a> {
+    pub fn new(args: &'a GenArgs, block: &'a Block<'a>) -> Self {
+        let below = block.below.iter().map(|below| (below.root, *below)).collect();
+        let mut tree = Self { args, block, regions: HashMap::new(), below };
+        let mut keys: Vec<TileKey> = block.keys().collect();
+        keys.reverse();
+        for key in keys {
+            let mut region = tree.own_region(key);
+            // The skirts of fine tiles may be the deeper ones.
+            for child in key.children() {
+                if let Some(child) = tree.regions.get(&child).or(tree.below.get(&child).map(|below| &below.region)) {
+                    (region[4], region[5]) = (region[4].min(child[4]), region[5].max(child[5]));
+                }
+            }
+            tree.regions.insert(key, region);
+        }
+        tree
+    }
+
+    /// Returns the region of the block's root tile; an empty one if it has no data.
+    pub fn root_region(&self) -> [f64; 6] {
+        self.regions.get(&self.block.root).copied().unwrap_or_default()
+    }
+
+    fn own_region(&self, key: TileKey) -> [f64; 6] {
+        let e = self.block.extent(key);
+        let f = self.block.facts(key);
+        let cell = (e.east - e.west).max(e.north - e.south) / CELLS as f64;
+        // Meshes lie below the ellipsoid between their vertices, by the height of the arc above its chord.
+        let sagitta_m = 6_378_137.0 * cell * cell / 4.0;
+        let low_m = f64::from(f.min_height_m) - skirt_m(self.block, key) - sagitta_m;
+        let high_m = f64::from(f.max_height_m);
+        let slack_m = 0.1 + self.half_step_m(key);
+        // A region across the date line has its west edge east of its east edge in 3D Tiles.
+        let [west, east] = [e.west, e.east].map(|l| if l > PI + ROUNDING { l - TAU } else { l });
+        [west, e.south, east, e.north, low_m - slack_m, high_m + slack_m]
+    }
+
+    /// Returns the largest rounding of quantized vertices in metres. It is added to the volume and to the error.
+    fn half_step_m(&self, key: TileKey) -> f64 {
+        let (e, f) = (self.block.extent(key), self.block.facts(key));
+        let side = (e.east - e.west).max(e.north - e.south);
+        let high_m = f64::from(f.max_height_m - f.min_height_m) + skirt_m(self.block, key);
+        let cell = side / CELLS as f64;
+        (6_378_137.0 * side + high_m + 6_378_137.0 * cell * cell / 4.0) / 131_070.0
+    }
+
+    /// Returns the geometric error of a tile in metres.
+    pub fn geometric_error_m(&self, key: TileKey) -> f64 {
+        let is_quantized = form(self.args, self.block, key) == ContentKind::Mesh && !self.args.float_vertices;
+        self.block.facts(key).error_m + if is_quantized { self.half_step_m(key) } else { 0.0 }
+    }
+
+    /// Returns the tile of the block's root with its descendants in an external tileset, as JSON.
+    pub fn external_root(&self) -> String {
+        let mut tree = self.tile(self.block.root, DAffine3::IDENTITY, "../../");
+        tree["refine"] = "REPLACE".into();
+        tree.to_string()
+    }
+
+    /// Returns the tileset of the root's block.
+    pub fn tileset(&self, totals: &Totals) -> String {
+        let args = self.args;
+        let facts = self.block.facts(TileKey::ROOT);
+        let diagonal_m = 2.0 * (facts.error_m + f64::from(facts.max_height_m - facts.min_height_m)) + 1.0;
+        let [min_height_m, max_height_m] = totals.range_m.map(f64::from);
+        let [cut_samples, filled_samples] = voids(args, totals);
+        // `terrane info` prints it.
+        let properties = json!({
+            "minimumHeight": min_height_m, "maximumHeight": max_height_m,
+            "finestError": totals.level_errors_m.last(),
+            "samplesLeftOut": cut_samples, "samplesFilled": filled_samples,
+            "sourceVerticalDatum": args.vertical_datum.to_string(),
+        });
+        let tree = self.tile(TileKey::ROOT, DAffine3::IDENTITY, "");
+        let root_error_m = tree["geometricError"].as_f64().unwrap_or(facts.error_m);
+        let mut tileset = json!({ "asset": asset(args, totals, 0), "geometricError": diagonal_m.max(2.0 * root_error_m), "root": tree });
+        (tileset["schema"], tileset["metadata"]) = (schema(), json!({ "class": "terrain", "properties": properties }));
+        tileset["root"]["refine"] = "REPLACE".into();
+        tileset.to_string()
+    }
+
+    /// Returns the tile and its descendants with data. `ecef_from_parent` is the parent's frame, `up` the way from the tileset to
+    /// the folder of the set.
+    fn tile(&self, key: TileKey, ecef_from_parent: DAffine3, up: &str) -> Value {
+        let name = format!("{up}{}/{}/{}", key.level, key.x, key.y);
+        let mut tile = json!({
+            "boundingVolume": { "region": self.regions.get(&key) },
+            "geometricError": self.geometric_error_m(key),
+        });
+        let mut ecef_from_tile = DAffine3::IDENTITY;
+        match form(self.args, self.block, key) {
+            ContentKind::Height => {
+                tile["content"] = json!({ "uri": format!("{name}.exr") });
+                if self.args.color != Color::None {
+                    tile["extras"] = json!({ "terrane": { "imagery": format!("{name}.jpg") } });
+                }
+            }
+            ContentKind::Mesh => {
+                tile["content"] = json!({ "uri": format!("{name}.glb") });
+                ecef_from_tile = mesh::ecef_from_tile(self.block, key);
+            }
+        }
+        set_transform(&mut tile, ecef_from_parent, ecef_from_tile);
+        let mut children = Vec::new();
+        for child in key.children() {
+            if key.level < self.block.layer.finest {
+                if self.block.facts(child).coverage != Coverage::None {
+                    children.push(self.tile(child, ecef_from_tile, up));
+                }
+            } else if let Some(below) = self.below.get(&child) {
+                let mut tile = json!({
+                    "boundingVolume": { "region": below.region },
+                    "geometricError": below.geometric_error_m,
+                    "content": { "uri": format!("{up}{}", external_name(child)) },
+                });
+                set_transform(&mut tile, ecef_from_tile, DAffine3::IDENTITY);
+                children.push(tile);
+            }
+        }
+        if !children.is_empty() {
+            tile["children"] = children.into();
+        }
+        tile
+    }
+}
+
+/// Returns the external tileset of a block, from the JSON of its root tile. Its errors are those of the whole set, so that it is
+/// written when all blocks are complete.
+pub(crate) fn external_tileset(args: &GenArgs, totals: &Totals, root: TileKey, record: &Record, tile: &str) -> String {
+    let (asset, error_m) = (asset(args, totals, root.level), json!(record.geometric_error_m));
+    format!(r#"{{"asset":{asset},"geometricError":{error_m},"root":{tile}}}"#)
+}
+
+/// Returns the asset of a tileset whose root has a level of the set.
+fn asset(args: &GenArgs, totals: &Totals, level: u32) -> Value {
+    let mut asset = json!({ "version": "1.1", "generator": "terrane" });
+    if args.content == ContentKind::Height {
+        asset["extras"] = json!({ "terrane": {
+            "format": 1, "content": "height", "layout": "wgs84", "side": CELLS + 1, "border": 1,
+            "quantum_m": QUANTUM_M, "level_errors_m": level_errors_m(totals),
+        } });
+        if level > 0 {
+            asset["extras"]["terrane"]["level"] = level.into();
+        }
+    }
+    asset
+}
+
+/// Sets the transform between two frames. Height tiles are placed by their region: their frame is the earth's, also below meshes.
+fn set_transform(tile: &mut Value, ecef_from_parent: DAffine3, ecef_from_tile: DAffine3) {
+    if ecef_from_tile != ecef_from_parent {
+        tile["transform"] = json!(DMat4::from(ecef_from_parent.inverse() * ecef_from_tile).to_cols_array());
+    }
+}
+
+/// Returns the name of the external tileset of a block, relative to the folder of the set.
+pub(crate) fn external_name(root: TileKey) -> String {
+    format!("{}/{}/{}.json", root.level, root.x, root.y)
+}
+
+/// Returns an error for each level in metres, root first: the largest of its tiles, at least 1.5 times that of the
+/// next finer level. The factor keeps the ranges in which neighbouring levels morph apart.
+pub(crate) fn level_errors_m(totals: &Totals) -> Vec<f64> {
+    let mut errors = totals.level_errors_m.clone();
+    for level in (0..errors.len().saturating_sub(1)).rev() {
+        errors[level] = errors[level].max(1.5 * errors[level + 1]).max(QUANTUM_M);
+    }
+    errors
+}
+
+/// Returns the number of samples without data that were left out, and that were filled.
+pub(crate) fn voids(args: &GenArgs, totals: &Totals) -> [u64; 2] {
+    match args.voids {
+        Voids::Cut => [totals.voids, 0],
+        Voids::Fill | Voids::Sea => [0, totals.voids],
+    }
+}
+
+/// Returns the schema of the set's metadata.
+fn schema() -> Value {
+    let number =
+        |kind: &str, description: &str| json!({ "type": "SCALAR", "componentType": kind, "description": description });
+    json!({ "id": "terrane", "classes": { "terrain": { "properties": {
+        "minimumHeight": number("FLOAT64", "Lowest sample in metres above the ellipsoid"),
+        "maximumHeight": number("FLOAT64", "Highest sample in metres above the ellipsoid"),
+        "finestError": number("FLOAT64", "Largest difference of the finest level and the source in metres"),
+        "samplesLeftOut": number("UINT64", "Samples of the finest level without data that were left out"),
+        "samplesFilled": number("UINT64", "Samples of the finest level without data that were given heights"),
+        "sourceVerticalDatum": { "type": "STRING", "description": "Surface that the source's heights are measured from" },
+    } } } })
+}
