@@ -1,24 +1,22 @@
 //! Writes the tiles of a pyramid and `tileset.json`.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashMap};
 use std::f64::consts::{PI, TAU};
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::{DAffine3, DMat4};
-use image::codecs::jpeg::JpegEncoder;
 use rayon::prelude::*;
 use serde_json::{Value, json};
-use terrane::formats::writers::{write_glb, write_height_exr};
+use terrane::formats::writers::{write_compressed_glb, write_glb, write_height_exr};
 
-use super::mesh;
+use super::encoding::Triangles;
+use super::{mesh, tin};
 use crate::args::{Color, ContentKind, GenArgs, Summary, Voids};
 use crate::color::{Painter, TEXELS};
 use crate::georeference::ROUNDING;
 use crate::pyramid::{CELLS, Coverage, Pyramid, QUANTUM_M, TileKey};
 use crate::{GenError, Progress};
-
-const JPEG_QUALITY: u8 = 85;
 
 /// Writes all tiles of a pyramid and the tileset into a folder, on the threads of the current rayon pool. The caller
 /// fills in the duration and the final folder of the summary.
@@ -38,12 +36,13 @@ pub(crate) fn write_tiles(
     let progress = Progress::new("writing", keys.len() as u64, "tiles");
     let bytes = AtomicU64::new(0);
     let level_errors_m = pyramid.level_errors_m();
-    keys.par_iter().try_for_each(|&key| {
-        let written = write_tile(args, pyramid, painter, &level_errors_m, folder, key)?;
-        bytes.fetch_add(written, Ordering::Relaxed);
+    let written = keys.par_iter().map(|&key| {
+        let Written { bytes: of_tile, distance_m } = write_tile(args, pyramid, painter, &level_errors_m, folder, key)?;
+        bytes.fetch_add(of_tile, Ordering::Relaxed);
         progress.advance(1);
-        Ok::<_, GenError>(())
-    })?;
+        Ok((key, distance_m))
+    });
+    let distances_m = written.collect::<Result<HashMap<TileKey, f64>, GenError>>()?;
     drop(progress);
     let root = TileKey { level: 0, x: 0, y: 0 };
     let facts = pyramid.facts(root);
@@ -66,7 +65,7 @@ pub(crate) fn write_tiles(
         "samplesLeftOut": cut_samples, "samplesFilled": filled_samples,
         "sourceVerticalDatum": args.vertical_datum.to_string(),
     });
-    let tree = tile_json(args, pyramid, &level_errors_m, root, DAffine3::IDENTITY);
+    let tree = tile_json(args, pyramid, &level_errors_m, &distances_m, root, DAffine3::IDENTITY);
     let root_error_m = tree["geometricError"].as_f64().unwrap_or(facts.error_m);
     let mut tileset = json!({ "asset": asset, "geometricError": diagonal_m.max(2.0 * root_error_m), "root": tree });
     (tileset["schema"], tileset["metadata"]) = (schema(), json!({ "class": "terrain", "properties": properties }));
@@ -103,13 +102,26 @@ fn schema() -> Value {
     } } } })
 }
 
-/// Returns the depth of a tile's skirt in metres. It covers the step to a neighbour one level coarser.
-fn skirt_m(level_errors_m: &[f64], key: TileKey) -> f64 {
-    let coarser = level_errors_m[key.level.saturating_sub(1) as usize];
-    2.0 * coarser + 1.0
+/// Returns the depth of a tile's skirt in metres. It covers the step to a neighbour one level coarser. Triangulated edges of that
+/// neighbour deviate by at most a share of the error of the level above it, and those of the tile by less.
+fn skirt_m(args: &GenArgs, level_errors_m: &[f64], key: TileKey) -> f64 {
+    let above = |levels: u32| level_errors_m[key.level.saturating_sub(levels) as usize];
+    let triangulation_m = match args.tiles.triangles {
+        Triangles::Tin => 2.0 * tin::ALLOWED_SHARE * above(2),
+        Triangles::Grid => 0.0,
+    };
+    2.0 * above(1) + triangulation_m + 1.0
 }
 
-/// Writes the files of one tile and returns their size in bytes.
+/// What was written of a tile.
+struct Written {
+    /// The size of its files.
+    bytes: u64,
+    /// The largest distance of its triangles from those of the grid, in metres.
+    distance_m: f64,
+}
+
+/// Writes the files of one tile.
 fn write_tile(
     args: &GenArgs,
     pyramid: &Pyramid,
@@ -117,15 +129,13 @@ fn write_tile(
     level_errors_m: &[f64],
     folder: &Path,
     key: TileKey,
-) -> Result<u64, GenError> {
+) -> Result<Written, GenError> {
+    let format = args.tiles.texture;
     let encode = || {
-        let mut jpeg = Vec::new();
-        JpegEncoder::new_with_quality(&mut jpeg, JPEG_QUALITY)
-            .encode(&painter.paint(key), TEXELS, TEXELS, image::ExtendedColorType::Rgb8)
-            .map_err(|e| GenError::Encode(format!("JPEG of tile {key:?}: {e}")))?;
-        Ok(jpeg)
+        let encoded = format.encode(&painter.paint(key), TEXELS);
+        encoded.map_err(|e| GenError::Encode(format!("texture of tile {key:?}: {e}")))
     };
-    let jpeg = (args.color != Color::None).then(encode).transpose()?;
+    let image = (args.color != Color::None).then(encode).transpose()?;
     let stem = folder.join(format!("{}/{}/{}", key.level, key.x, key.y));
     let write = |extension: &str, bytes: &[u8]| -> Result<u64, GenError> {
         let path = stem.with_extension(extension);
@@ -141,13 +151,25 @@ fn write_tile(
             }
             let uri = format!("{}/{}/{}.exr", key.level, key.x, key.y);
             let exr = write_height_exr(&uri, CELLS + 3, heights).map_err(|e| GenError::Encode(e.to_string()))?;
-            let image_bytes = jpeg.map_or(Ok(0), |jpeg| write("jpg", &jpeg))?;
-            Ok(write("exr", &exr)? + image_bytes)
+            let image_bytes = image.map_or(Ok(0), |image| write(format.extension(), &image))?;
+            Ok(Written { bytes: write("exr", &exr)? + image_bytes, distance_m: 0.0 })
         }
         ContentKind::Mesh => {
-            let glb = write_glb(&mesh::build(pyramid, key, skirt_m(level_errors_m, key), jpeg, !args.float_vertices));
-            write("glb", &glb)
+            let tin = mesh::triangles(pyramid, key, triangles(args));
+            let skirt_m = skirt_m(args, level_errors_m, key);
+            let mesh = mesh::build(pyramid, key, &tin, skirt_m, image, !args.float_vertices);
+            let is_compressed = !args.float_vertices && !args.tiles.no_meshopt;
+            let glb = if is_compressed { write_compressed_glb(&mesh) } else { write_glb(&mesh) };
+            Ok(Written { bytes: write("glb", &glb)?, distance_m: tin.distance_m })
         }
+    }
+}
+
+/// Returns the triangles of meshes. Beside height tiles they have all vertices of a common edge.
+fn triangles(args: &GenArgs) -> Triangles {
+    match args.content {
+        ContentKind::Mesh => args.tiles.triangles,
+        ContentKind::Height => Triangles::Grid,
     }
 }
 
@@ -165,6 +187,7 @@ fn tile_json(
     args: &GenArgs,
     pyramid: &Pyramid,
     level_errors_m: &[f64],
+    distances_m: &HashMap<TileKey, f64>,
     key: TileKey,
     ecef_from_parent: DAffine3,
 ) -> Value {
@@ -173,7 +196,8 @@ fn tile_json(
     // Meshes lie below the ellipsoid between their vertices, by the height of the arc above its chord.
     let cell = (e.east - e.west).max(e.north - e.south) / CELLS as f64;
     let sagitta_m = 6_378_137.0 * cell * cell / 4.0;
-    let low_m = f64::from(f.min_height_m) - skirt_m(level_errors_m, key) - sagitta_m;
+    let distance_m = distances_m.get(&key).copied().unwrap_or(0.0);
+    let low_m = f64::from(f.min_height_m) - skirt_m(args, level_errors_m, key) - sagitta_m - distance_m;
     let high_m = f64::from(f.max_height_m);
     // Quantized vertices are off by at most half a step, which is added to the volume and to the error.
     let half_step_m = (6_378_137.0 * cell * CELLS as f64 + high_m - low_m) / 131_070.0;
@@ -184,16 +208,15 @@ fn tile_json(
     let region = [west, e.south, east, e.north, low_m - slack_m, high_m + slack_m];
     let name = format!("{}/{}/{}", key.level, key.x, key.y);
     let leaf = key.level + 1 == pyramid.levels;
-    let mut tile = json!({
-        "boundingVolume": { "region": region },
-        "geometricError": f.error_m + if is_quantized { half_step_m } else { 0.0 },
-    });
+    let mut error_m = f.error_m + distance_m + if is_quantized { half_step_m } else { 0.0 };
+    let mut tile = json!({ "boundingVolume": { "region": region } });
     let mut ecef_from_tile = DAffine3::IDENTITY;
     match form(args, pyramid, key) {
         ContentKind::Height => {
             tile["content"] = json!({ "uri": format!("{name}.exr") });
             if args.color != Color::None {
-                tile["extras"] = json!({ "terrane": { "imagery": format!("{name}.jpg") } });
+                tile["extras"] =
+                    json!({ "terrane": { "imagery": format!("{name}.{}", args.tiles.texture.extension()) } });
             }
         }
         ContentKind::Mesh => {
@@ -211,9 +234,11 @@ fn tile_json(
             .into_iter()
             .map(|(dx, dy)| TileKey { level: key.level + 1, x: 2 * key.x + dx, y: 2 * key.y + dy })
             .filter(|child| pyramid.facts(*child).coverage != Coverage::None)
-            .map(|child| tile_json(args, pyramid, level_errors_m, child, ecef_from_tile))
+            .map(|child| tile_json(args, pyramid, level_errors_m, distances_m, child, ecef_from_tile))
             .collect();
+        error_m = children.iter().filter_map(|child| child["geometricError"].as_f64()).fold(error_m, f64::max);
         tile["children"] = children.into();
     }
+    tile["geometricError"] = error_m.into();
     tile
 }
