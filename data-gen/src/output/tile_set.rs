@@ -113,7 +113,7 @@ fn skirt_m(args: &GenArgs, level_errors_m: &[f64], key: TileKey) -> f64 {
     2.0 * above(1) + triangulation_m + 1.0
 }
 
-/// What was written of a tile.
+/// The files of a tile that were written.
 struct Written {
     /// The size of its files.
     bytes: u64,

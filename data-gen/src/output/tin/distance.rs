@@ -4,9 +4,8 @@ use super::Surface;
 use super::insertion::Plane;
 use super::triangulation::{Point, Triangulation, rows};
 
-/// Returns the largest vertical distance in metres between some triangles and the grid. Both surfaces are flat inside of the
-/// parts that their edges divide each other into, so the largest distance is at a sample or where an edge of a triangle crosses
-/// an edge of the grid.
+/// Returns the largest vertical distance in metres between some triangles and the grid. The edges of both surfaces divide them
+/// into flat parts. So the largest distance is at a sample, or where an edge of a triangle crosses an edge of the grid.
 pub(super) fn largest_distance_m(surface: &Surface, net: &Triangulation, triangles: &[u32]) -> f64 {
     let mut largest_m = 0.0f64;
     for &triangle in triangles {
@@ -43,17 +42,17 @@ fn at_crossings_m(surface: &Surface, from: Point, to: Point) -> f64 {
         for line in 1..lines.abs() {
             let t = f64::from(line) / f64::from(lines.abs());
             let number = first + line * lines.signum();
-            // The place along the line, in samples: the row on columns and diagonals, else the column.
+            // The position along the line, in samples: the row on columns and diagonals, else the column.
             let (start, change) = if step == [1, 0] { (from[0], dx) } else { (from[1], dy) };
-            let place = f64::from(start) + t * f64::from(change);
-            let sample = place.floor();
+            let position = f64::from(start) + t * f64::from(change);
+            let sample = position.floor();
             let k = sample as i32;
             let on_line = match step {
                 [0, _] => [number, k],
                 [_, 0] => [k, number],
                 _ => [number + k, k],
             };
-            let beside = place - sample;
+            let beside = position - sample;
             let value_m = surface.at(on_line);
             let grid_m = match beside > 1e-9 && beside < 1.0 - 1e-9 {
                 true => value_m + beside * (surface.at([on_line[0] + step[0], on_line[1] + step[1]]) - value_m),

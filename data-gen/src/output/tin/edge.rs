@@ -2,7 +2,7 @@
 
 use super::{ALLOWED_SHARE, MIN_ALLOWED_M};
 
-/// Returns the places of the vertices on an edge, both ends included, from its heights in metres (from west to east, or from
+/// Returns the positions of the vertices on an edge, both ends included, from its heights in metres (from west to east, or from
 /// south to north). The result depends on the arguments alone, which two tiles at the edge have in common. `curvature_m` is the
 /// height by which the earth falls below its tangent within one cell; `is_kept` says which samples must be vertices.
 pub(crate) fn edge_vertices(heights_m: &[f32], curvature_m: f64, is_kept: impl Fn(usize) -> bool) -> Vec<u16> {
@@ -27,7 +27,7 @@ pub(crate) fn edge_vertices(heights_m: &[f32], curvature_m: f64, is_kept: impl F
     vertices
 }
 
-/// Adds the vertices between two places so that all samples lie within the allowed distance of the line through them (Douglas
+/// Adds the vertices between two positions so that all samples lie within the allowed distance of the line through them (Douglas
 /// and Peucker). Of equal distances the first is taken.
 fn subdivide(values_m: &[f64], from: usize, to: usize, allowed_m: f64, vertices: &mut Vec<u16>) {
     let slope = (values_m[to] - values_m[from]) / (to - from) as f64;

@@ -17,11 +17,11 @@ struct Candidate {
     version: u32,
 }
 
-/// Triangulates a tile. `edges` are the places of the vertices on the southern, eastern, northern and western edge, counted from
+/// Triangulates a tile. `edges` are the positions of the vertices on the southern, eastern, northern and western edge, counted from
 /// the west or the south.
 ///
-/// No sample with data is farther than the allowed distance from the triangles: [`ALLOWED_SHARE`] of the error of a grid with
-/// half as many cells, at least half a step of the heights. Between samples the distance may be larger where a triangle's edge
+/// No sample with data is farther from the triangles than the allowed distance. That is [`ALLOWED_SHARE`] of the error of a grid
+/// with half as many cells, and at least half a step of the heights. Between samples the distance may be larger where a triangle's edge
 /// crosses a ridge; [`Tin::distance_m`] is the largest of all.
 pub(crate) fn triangulate(surface: &Surface, edges: &[Vec<u16>; 4]) -> Tin {
     let last = (surface.side() - 1) as i32;
@@ -166,7 +166,7 @@ mod tests {
         (surface, edges, tin)
     }
 
-    /// Returns the value of the triangles at a place, if one covers it.
+    /// Returns the value of the triangles at a position, if one covers it.
     fn value_at(surface: &Surface, tin: &Tin, [x, y]: [f64; 2]) -> Option<f64> {
         tin.triangles.iter().find_map(|triangle| {
             let corners = triangle.map(|v| tin.vertices[usize::from(v)].map(i32::from));
@@ -181,7 +181,7 @@ mod tests {
         })
     }
 
-    /// Returns the value of the grid's triangles at a place.
+    /// Returns the value of the grid's triangles at a position.
     fn grid_at(surface: &Surface, [x, y]: [f64; 2]) -> f64 {
         let last = SIDE as i32 - 2;
         let (i, j) = ((x as i32).min(last), (y as i32).min(last));

@@ -37,6 +37,6 @@ pub(crate) struct Tin {
     pub vertices: Vec<[u16; 2]>,
     /// The vertices of each triangle, counter-clockwise seen from above. Triangles without data are left out.
     pub triangles: Vec<[u16; 3]>,
-    /// The largest vertical distance in metres between the triangles and those of the whole grid, at any place.
+    /// The largest vertical distance in metres between the triangles and those of the whole grid, at any position.
     pub distance_m: f64,
 }

@@ -1,7 +1,7 @@
 //! [`Surface`]: the samples of a tile as a surface whose triangles are flat.
 
-/// The samples of a tile. Triangles between them are flat in space while the earth is round: heights are lowered by the bulge
-/// of the earth above a plane, so that a flat triangle is linear in column and row. The vertical distance of two surfaces is
+/// The samples of a tile. Triangles between them are flat in space, but the earth is round. Heights are lowered by the
+/// bulge of the earth above a plane, so that a flat triangle is linear in column and row. The vertical distance of two surfaces is
 /// then the difference of their values.
 pub(crate) struct Surface {
     side: usize,

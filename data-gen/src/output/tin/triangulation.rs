@@ -18,7 +18,7 @@ pub(super) struct Triangulation {
     changed: Vec<u32>,
     /// True for those triangles.
     is_changed: Vec<bool>,
-    /// Triangles whose edge opposite to the newest point is to be checked.
+    /// Triangles whose edge opposite to the newest point must be checked.
     open: Vec<u32>,
     /// A triangle near the newest point.
     near: u32,
