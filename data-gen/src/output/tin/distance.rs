@@ -53,12 +53,13 @@ fn at_crossings_m(surface: &Surface, from: Point, to: Point) -> f64 {
                 _ => [number + k, k],
             };
             let beside = position - sample;
+            // At a sample, which was measured. Rounding may put it just before the sample, outside of the tile.
+            if !(1e-9..1.0 - 1e-9).contains(&beside) {
+                continue;
+            }
             let value_m = surface.at(on_line);
-            let grid_m = match beside > 1e-9 && beside < 1.0 - 1e-9 {
-                true => value_m + beside * (surface.at([on_line[0] + step[0], on_line[1] + step[1]]) - value_m),
-                // At a sample, which was measured.
-                false => continue,
-            };
+            let next_m = surface.at([on_line[0] + step[0], on_line[1] + step[1]]);
+            let grid_m = value_m + beside * (next_m - value_m);
             largest_m = largest_m.max((start_m + t * rise_m - grid_m).abs());
         }
     }
