@@ -2,7 +2,7 @@
 #![allow(missing_docs, reason = "criterion's macros make undocumented items")]
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
-use terrane_data_gen::{ContentKind, ElevationSource as _, GenArgs, Procedural, run};
+use terrane_data_gen::{Color, ContentKind, ElevationSource as _, GenArgs, Procedural, TileArgs, Triangles, run};
 
 fn noise(criterion: &mut Criterion) {
     let source = Procedural { seed: 1, cos_latitude: 0.7 };
@@ -41,5 +41,26 @@ fn generate(criterion: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, noise, generate);
+/// Meshes without colour on one thread: the difference of both is the triangulation and the smaller files.
+fn triangles(criterion: &mut Criterion) {
+    let Ok(folder) = tempfile::tempdir() else { return };
+    let mut group = criterion.benchmark_group("triangles");
+    group.sample_size(10).throughput(Throughput::Elements(341));
+    for triangles in [Triangles::Tin, Triangles::Grid] {
+        let args = GenArgs {
+            content: ContentKind::Mesh,
+            color: Color::None,
+            tiles: TileArgs { triangles, ..TileArgs::default() },
+            jobs: Some(1),
+            levels: Some(5),
+            size: 40_000.0,
+            overwrite: true,
+            ..GenArgs::new(folder.path().join(format!("{triangles:?}")))
+        };
+        group.bench_function(format!("{triangles:?}"), |b| b.iter(|| run(&args)));
+    }
+    group.finish();
+}
+
+criterion_group!(benches, noise, generate, triangles);
 criterion_main!(benches);

@@ -4,7 +4,7 @@ use std::io::Write as _;
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
-use crate::{Crs, HeightEncoding, RasterOptions, Sharding, VerticalDatum};
+use crate::{Crs, HeightEncoding, RasterOptions, Sharding, TileArgs, VerticalDatum};
 
 /// Largest number of levels of a pyramid.
 pub(crate) const MAX_LEVELS: u32 = 24;
@@ -16,10 +16,10 @@ pub(crate) const SIZES_M: RangeInclusive<f64> = 100.0..=2_000_000.0;
 /// The form of the tiles' content.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum ContentKind {
-    /// EXR heights and JPEG colour. The renderer draws all tiles with one shared grid.
+    /// EXR heights and images of colour. The renderer draws all tiles with one shared grid.
     #[default]
     Height,
-    /// glb meshes with skirts, for any 3D Tiles client that supports KHR_mesh_quantization.
+    /// glb meshes with skirts, for any 3D Tiles client that supports KHR_mesh_quantization and EXT_meshopt_compression.
     Mesh,
 }
 
@@ -88,9 +88,12 @@ pub struct GenArgs {
     /// Content of the tiles
     #[arg(long, value_enum, default_value_t)]
     pub content: ContentKind,
-    /// Write mesh vertices as floats, for clients without KHR_mesh_quantization; vertices take twice the bytes
+    /// Write mesh vertices as floats and without compression, for clients without KHR_mesh_quantization
     #[arg(long)]
     pub float_vertices: bool,
+    #[command(flatten)]
+    #[allow(missing_docs, reason = "clap would print a comment as a heading")]
+    pub tiles: TileArgs,
     /// Levels of the pyramid; by default enough for all detail of the elevation
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=i64::from(MAX_LEVELS)))]
     pub levels: Option<u32>,
@@ -129,6 +132,7 @@ impl GenArgs {
             vertical_datum: VerticalDatum::Ellipsoid,
             content: ContentKind::Height,
             float_vertices: false,
+            tiles: TileArgs::default(),
             levels: None,
             size: 60_000.0,
             seed: 1,
@@ -179,7 +183,7 @@ impl GenArgs {
         if self.content == ContentKind::Height && self.float_vertices {
             return Err("--float-vertices has no effect without --content mesh".to_owned());
         }
-        Ok(())
+        self.tiles.check(self)
     }
 }
 

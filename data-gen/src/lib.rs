@@ -3,7 +3,7 @@
 //! ```text
 //! elevation (noise, raster files) -> pyramid::Grid: heights of vertices on WGS84, rounded, gaps filled
 //!                                 -> pyramid::Block: a subtree of tiles; each level an exact subset; measured errors
-//! color (imagery, noise)          -> output: EXR heights and JPEG, or glb meshes; tilesets
+//! color (imagery, noise)          -> output: EXR heights and images, or glb meshes; tilesets
 //! ```
 //!
 //! Blocks are made one after the other, and each leaves a record for the blocks above it, so that memory does not depend on the
@@ -29,6 +29,7 @@ pub use elevation::{ElevationSource, HeightEncoding, Procedural, Raster, RasterO
 pub use error::GenError;
 pub use generate::{Outcome, default_set, execute, run};
 pub use georeference::{Crs, Projection, VerticalDatum, utm_from_geodetic, utm_to_geodetic};
+pub use output::{TextureFormat, TileArgs, Triangles};
 pub use progress::Progress;
 pub use pyramid::{Extent, TileKey};
 pub use shards::{Shard, Sharding};

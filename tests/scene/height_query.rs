@@ -106,11 +106,17 @@ fn heights_and_meshes_of_the_same_ground_agree_on_the_earth() {
     let mut region = [0.0; 4];
     for content in [terrane_data_gen::ContentKind::Height, terrane_data_gen::ContentKind::Mesh] {
         let set = folder.path().join(format!("{content:?}"));
+        // The meshes of height tiles.
+        let triangles = match content {
+            terrane_data_gen::ContentKind::Mesh => terrane_data_gen::Triangles::Grid,
+            terrane_data_gen::ContentKind::Height => terrane_data_gen::Triangles::default(),
+        };
         let args = terrane_data_gen::GenArgs {
             levels: Some(3),
             seed: 5,
             size: 10_000.0,
             content,
+            tiles: terrane_data_gen::TileArgs { triangles, ..Default::default() },
             ..terrane_data_gen::GenArgs::new(&set)
         };
         terrane_data_gen::run(&args).unwrap();

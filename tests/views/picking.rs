@@ -49,11 +49,17 @@ fn picks_hit_the_visible_ground() {
     let folder = tempfile::tempdir().unwrap();
     for content in [terrane_data_gen::ContentKind::Height, terrane_data_gen::ContentKind::Mesh] {
         let set = folder.path().join(format!("{content:?}"));
+        // The meshes of height tiles.
+        let triangles = match content {
+            terrane_data_gen::ContentKind::Mesh => terrane_data_gen::Triangles::Grid,
+            terrane_data_gen::ContentKind::Height => terrane_data_gen::Triangles::default(),
+        };
         let args = terrane_data_gen::GenArgs {
             levels: Some(4),
             seed: 3,
             size: 20_000.0,
             content,
+            tiles: terrane_data_gen::TileArgs { triangles, ..Default::default() },
             ..terrane_data_gen::GenArgs::new(&set)
         };
         terrane_data_gen::run(&args).unwrap();

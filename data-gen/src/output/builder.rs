@@ -5,7 +5,7 @@ use std::path::Path;
 use rayon::prelude::*;
 
 use super::journal::Journal;
-use super::tile_set::{write_tiles, write_whole};
+use super::tile_set::{Written, write_tiles, write_whole};
 use super::tree::{Tree, external_name, external_tileset};
 use crate::args::{Color, GenArgs};
 use crate::color::{Imagery, Painter};
@@ -74,8 +74,8 @@ impl<'a> Builder<'a> {
             return Ok(record);
         }
         let block = self.block(layer, root)?;
-        let bytes = self.write(&block)?;
-        let tree = Tree::new(self.args, &block);
+        let Written { bytes, distances_m } = self.write(&block)?;
+        let tree = Tree::new(self.args, &block, distances_m);
         let (mut geometric_error_m, mut json) = (0.0, String::new());
         if block.facts(root).coverage != Coverage::None {
             (geometric_error_m, json) = (tree.geometric_error_m(root), tree.external_root());
@@ -92,8 +92,9 @@ impl<'a> Builder<'a> {
             let reason = "no neighbouring samples have heights; --voids fill continues them";
             return Err(GenError::invalid(self.args.dem.first().cloned().unwrap_or_default(), reason));
         }
-        totals.add(&block.totals(self.write(&block)?));
-        let text = Tree::new(self.args, &block).tileset(&totals);
+        let Written { bytes, distances_m } = self.write(&block)?;
+        totals.add(&block.totals(bytes));
+        let text = Tree::new(self.args, &block, distances_m).tileset(&totals);
         let external =
             blocks.iter().flatten().filter(|key| key.level > 0).collect::<Vec<_>>().into_par_iter().map(|key| {
                 let Some(record) = self.journal.load(*key)?.filter(|record| record.facts.coverage != Coverage::None)
@@ -116,7 +117,7 @@ impl<'a> Builder<'a> {
         Block::assemble(self.grid, layer, root, paints, &|key| self.journal.load(key))
     }
 
-    fn write(&self, block: &Block<'_>) -> Result<u64, GenError> {
+    fn write(&self, block: &Block<'_>) -> Result<Written, GenError> {
         let has_data = block.facts(block.root).coverage != Coverage::None;
         let paints = has_data && self.args.color != Color::None;
         let painter = paints.then(|| Painter::new(block, &self.grid.extent, self.imagery, self.range_m));

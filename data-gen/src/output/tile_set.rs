@@ -1,20 +1,27 @@
 //! Writes the files of a block's tiles.
 
+use std::collections::HashMap;
 use std::path::Path;
 
-use image::codecs::jpeg::JpegEncoder;
 use rayon::prelude::*;
-use terrane::formats::writers::{write_glb, write_height_exr};
+use terrane::formats::writers::{write_compressed_glb, write_glb, write_height_exr};
 
+use super::encoding::Triangles;
 use super::mesh;
 use crate::args::{Color, ContentKind, GenArgs};
 use crate::color::{Painter, TEXELS};
 use crate::pyramid::{Block, CELLS, Coverage, TileKey};
 use crate::{GenError, Progress};
 
-const JPEG_QUALITY: u8 = 85;
+/// The files of a block's tiles that were written.
+pub(super) struct Written {
+    /// The size of all files in bytes.
+    pub bytes: u64,
+    /// The largest distance of a mesh's triangles from those of the whole grid, in metres, for tiles that have fewer.
+    pub distances_m: HashMap<TileKey, f64>,
+}
 
-/// Writes the tiles of a block into a folder, on the threads of the current rayon pool, and returns their size in bytes. Tiles
+/// Writes the tiles of a block into a folder, on the threads of the current rayon pool, and returns what it wrote. Tiles
 /// whose files are there are not made again: a file has its name only when it is complete. Without a painter tiles have no colour.
 pub(crate) fn write_tiles(
     args: &GenArgs,
@@ -22,7 +29,7 @@ pub(crate) fn write_tiles(
     painter: Option<&Painter<'_>>,
     folder: &Path,
     progress: &Progress,
-) -> Result<u64, GenError> {
+) -> Result<Written, GenError> {
     let keys: Vec<TileKey> = block.keys().collect();
     let mut columns: Vec<(u32, u32)> = keys.iter().map(|key| (key.level, key.x)).collect();
     columns.sort_unstable();
@@ -31,52 +38,63 @@ pub(crate) fn write_tiles(
         let path = folder.join(level.to_string()).join(x.to_string());
         std::fs::create_dir_all(&path).map_err(GenError::file(&path))?;
     }
-    let written: Result<Vec<u64>, GenError> = keys
-        .par_iter()
-        .map(|&key| {
-            let bytes = write_tile(args, block, painter, folder, key)?;
-            progress.advance(1);
-            Ok(bytes)
-        })
-        .collect();
-    Ok(written?.iter().sum())
+    let written = keys.par_iter().map(|&key| {
+        let of_tile = write_tile(args, block, painter, folder, key)?;
+        progress.advance(1);
+        Ok::<_, GenError>((key, of_tile))
+    });
+    let tiles: Vec<(TileKey, TileFiles)> = written.collect::<Result<_, _>>()?;
+    let bytes = tiles.iter().map(|(_, files)| files.bytes).sum();
+    let distances_m =
+        tiles.iter().filter(|(_, files)| files.distance_m > 0.0).map(|(key, files)| (*key, files.distance_m));
+    Ok(Written { bytes, distances_m: distances_m.collect() })
 }
 
 /// Returns the depth of a tile's skirt in metres. It covers the step to a neighbour two levels coarser, and to any finer one.
-pub(super) fn skirt_m(block: &Block<'_>, key: TileKey) -> f64 {
-    1.0 + block.facts(key).error_m + 2.0 * block.edge_step_m(key)
+/// The edges of triangulations deviate from those of grids by a share of the same steps.
+pub(super) fn skirt_m(args: &GenArgs, block: &Block<'_>, key: TileKey) -> f64 {
+    let steps = if triangles(args) == Triangles::Tin { 3.0 } else { 2.0 };
+    1.0 + block.facts(key).error_m + steps * block.edge_step_m(key)
 }
 
-/// Writes the files of one tile and returns their size in bytes.
+/// The files of a tile.
+struct TileFiles {
+    /// Their size.
+    bytes: u64,
+    /// The largest distance of its triangles from those of the grid, in metres.
+    distance_m: f64,
+}
+
+/// Writes the files of one tile, unless they are there.
 fn write_tile(
     args: &GenArgs,
     block: &Block<'_>,
     painter: Option<&Painter<'_>>,
     folder: &Path,
     key: TileKey,
-) -> Result<u64, GenError> {
+) -> Result<TileFiles, GenError> {
     let stem = folder.join(format!("{}/{}/{}", key.level, key.x, key.y));
+    let format = args.tiles.texture;
     let form = form(args, block, key);
     let extensions = match form {
-        ContentKind::Height if args.color != Color::None => &["jpg", "exr"][..],
+        ContentKind::Height if args.color != Color::None => &[format.extension(), "exr"][..],
         ContentKind::Height => &["exr"],
         ContentKind::Mesh => &["glb"],
     };
+    let tin = (form == ContentKind::Mesh).then(|| mesh::triangles(block, key, triangles(args)));
+    let distance_m = tin.as_ref().map_or(0.0, |tin| tin.distance_m);
     let sizes = extensions.iter().map(|extension| Some(stem.with_extension(extension).metadata().ok()?.len()));
     if let Some(bytes) = sizes.sum() {
-        return Ok(bytes);
+        return Ok(TileFiles { bytes, distance_m });
     }
     let encode = |painter: &Painter<'_>| {
-        let mut jpeg = Vec::new();
-        JpegEncoder::new_with_quality(&mut jpeg, JPEG_QUALITY)
-            .encode(&painter.paint(key), TEXELS, TEXELS, image::ExtendedColorType::Rgb8)
-            .map_err(|e| GenError::Encode(format!("JPEG of tile {key:?}: {e}")))?;
-        Ok(jpeg)
+        let encoded = format.encode(&painter.paint(key), TEXELS);
+        encoded.map_err(|e| GenError::Encode(format!("texture of tile {key:?}: {e}")))
     };
-    let jpeg = painter.map(encode).transpose()?;
+    let image = painter.map(encode).transpose()?;
     let write = |extension: &str, bytes: &[u8]| write_whole(&stem.with_extension(extension), bytes);
-    match form {
-        ContentKind::Height => {
+    let bytes = match tin {
+        None => {
             let last = CELLS as i64 + 1;
             let mut heights = Vec::with_capacity((CELLS + 3) * (CELLS + 3));
             for j in (-1..=last).rev() {
@@ -84,13 +102,22 @@ fn write_tile(
             }
             let uri = format!("{}/{}/{}.exr", key.level, key.x, key.y);
             let exr = write_height_exr(&uri, CELLS + 3, heights).map_err(|e| GenError::Encode(e.to_string()))?;
-            let image_bytes = jpeg.map_or(Ok(0), |jpeg| write("jpg", &jpeg))?;
-            Ok(write("exr", &exr)? + image_bytes)
+            image.map_or(Ok(0), |image| write(format.extension(), &image))? + write("exr", &exr)?
         }
-        ContentKind::Mesh => {
-            let glb = write_glb(&mesh::build(block, key, skirt_m(block, key), jpeg, !args.float_vertices));
-            write("glb", &glb)
+        Some(tin) => {
+            let mesh = mesh::build(block, key, &tin, skirt_m(args, block, key), image, !args.float_vertices);
+            let is_compressed = !args.float_vertices && !args.tiles.no_meshopt;
+            write("glb", &if is_compressed { write_compressed_glb(&mesh) } else { write_glb(&mesh) })?
         }
+    };
+    Ok(TileFiles { bytes, distance_m })
+}
+
+/// Returns the triangles of meshes. Beside height tiles they have all vertices of a common edge.
+fn triangles(args: &GenArgs) -> Triangles {
+    match args.content {
+        ContentKind::Mesh => args.tiles.triangles,
+        ContentKind::Height => Triangles::Grid,
     }
 }
 

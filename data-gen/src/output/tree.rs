@@ -20,23 +20,32 @@ pub(crate) struct Tree<'a> {
     /// The region of each tile: west, south, east and north in radians, lowest and highest height in metres.
     regions: HashMap<TileKey, [f64; 6]>,
     below: HashMap<TileKey, Below>,
+    /// [`Written::distances_m`](super::tile_set::Written::distances_m).
+    distances_m: HashMap<TileKey, f64>,
+    /// The geometric error of each tile in metres.
+    errors_m: HashMap<TileKey, f64>,
 }
 
 impl<'a> Tree<'a> {
-    pub fn new(args: &'a GenArgs, block: &'a Block<'a>) -> Self {
+    pub fn new(args: &'a GenArgs, block: &'a Block<'a>, distances_m: HashMap<TileKey, f64>) -> Self {
         let below = block.below.iter().map(|below| (below.root, *below)).collect();
-        let mut tree = Self { args, block, regions: HashMap::new(), below };
+        let mut tree = Self { args, block, regions: HashMap::new(), below, distances_m, errors_m: HashMap::new() };
         let mut keys: Vec<TileKey> = block.keys().collect();
         keys.reverse();
         for key in keys {
             let mut region = tree.own_region(key);
+            let mut error_m = tree.own_error_m(key);
             // The skirts of fine tiles may be the deeper ones.
             for child in key.children() {
                 if let Some(child) = tree.regions.get(&child).or(tree.below.get(&child).map(|below| &below.region)) {
                     (region[4], region[5]) = (region[4].min(child[4]), region[5].max(child[5]));
                 }
+                let of_child = tree.errors_m.get(&child).copied();
+                let of_child = of_child.or(tree.below.get(&child).map(|below| below.geometric_error_m));
+                error_m = error_m.max(of_child.unwrap_or(0.0));
             }
             tree.regions.insert(key, region);
+            tree.errors_m.insert(key, error_m);
         }
         tree
     }
@@ -52,7 +61,7 @@ impl<'a> Tree<'a> {
         let cell = (e.east - e.west).max(e.north - e.south) / CELLS as f64;
         // Meshes lie below the ellipsoid between their vertices, by the height of the arc above its chord.
         let sagitta_m = 6_378_137.0 * cell * cell / 4.0;
-        let low_m = f64::from(f.min_height_m) - skirt_m(self.block, key) - sagitta_m;
+        let low_m = f64::from(f.min_height_m) - skirt_m(self.args, self.block, key) - sagitta_m - self.distance_m(key);
         let high_m = f64::from(f.max_height_m);
         let slack_m = 0.1 + self.half_step_m(key);
         // A region across the date line has its west edge east of its east edge in 3D Tiles.
@@ -64,15 +73,25 @@ impl<'a> Tree<'a> {
     fn half_step_m(&self, key: TileKey) -> f64 {
         let (e, f) = (self.block.extent(key), self.block.facts(key));
         let side = (e.east - e.west).max(e.north - e.south);
-        let high_m = f64::from(f.max_height_m - f.min_height_m) + skirt_m(self.block, key);
+        let high_m = f64::from(f.max_height_m - f.min_height_m) + skirt_m(self.args, self.block, key);
         let cell = side / CELLS as f64;
         (6_378_137.0 * side + high_m + 6_378_137.0 * cell * cell / 4.0) / 131_070.0
     }
 
-    /// Returns the geometric error of a tile in metres.
-    pub fn geometric_error_m(&self, key: TileKey) -> f64 {
+    /// Returns the largest distance of a tile's triangles from those of the whole grid, in metres.
+    fn distance_m(&self, key: TileKey) -> f64 {
+        self.distances_m.get(&key).copied().unwrap_or(0.0)
+    }
+
+    fn own_error_m(&self, key: TileKey) -> f64 {
         let is_quantized = form(self.args, self.block, key) == ContentKind::Mesh && !self.args.float_vertices;
-        self.block.facts(key).error_m + if is_quantized { self.half_step_m(key) } else { 0.0 }
+        let rounding_m = if is_quantized { self.half_step_m(key) } else { 0.0 };
+        self.block.facts(key).error_m + self.distance_m(key) + rounding_m
+    }
+
+    /// Returns the geometric error of a tile with data in metres, at least that of each child.
+    pub fn geometric_error_m(&self, key: TileKey) -> f64 {
+        self.errors_m.get(&key).copied().unwrap_or(0.0)
     }
 
     /// Returns the tile of the block's root with its descendants in an external tileset, as JSON.
@@ -117,7 +136,8 @@ impl<'a> Tree<'a> {
             ContentKind::Height => {
                 tile["content"] = json!({ "uri": format!("{name}.exr") });
                 if self.args.color != Color::None {
-                    tile["extras"] = json!({ "terrane": { "imagery": format!("{name}.jpg") } });
+                    tile["extras"] =
+                        json!({ "terrane": { "imagery": format!("{name}.{}", self.args.tiles.texture.extension()) } });
                 }
             }
             ContentKind::Mesh => {

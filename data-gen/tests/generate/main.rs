@@ -5,6 +5,7 @@ mod cli;
 mod date_line;
 mod elevation_files;
 mod files;
+mod meshes;
 
 mod fuzz_rasters;
 mod nothing_lost;

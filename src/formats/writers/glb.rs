@@ -1,7 +1,9 @@
-//! Writes a minimal glb: one mesh, one material, at most one embedded image (glTF 2.0, section "GLB File Format", and
-//! KHR_mesh_quantization).
+//! Writes a minimal glb: one mesh, one material, at most one embedded image (glTF 2.0, section "GLB File Format",
+//! KHR_mesh_quantization and EXT_meshopt_compression).
 
-use serde_json::json;
+use serde_json::{Value, json};
+
+use super::meshopt::{Compression, compress};
 
 /// A triangle mesh in the conventions of glTF: y-up, counter-clockwise.
 #[derive(Clone, Debug, Default)]
@@ -14,7 +16,7 @@ pub struct GlbMesh {
     pub uvs: Vec<[f32; 2]>,
     /// Vertex indices, three per triangle.
     pub indices: Vec<u16>,
-    /// The JPEG or PNG file of the base colour texture.
+    /// The file of the base colour texture: JPEG, PNG, WebP (EXT_texture_webp) or KTX2 (KHR_texture_basisu).
     pub image: Option<Vec<u8>>,
     /// Linear factor of the base colour.
     pub base_color: [f32; 4],
@@ -72,28 +74,87 @@ fn snorm8(x: f32) -> i8 {
     (x * 127.0).round() as i8
 }
 
+/// Returns the MIME type of an image file, and the extension that a texture of it needs.
+fn image_kind(file: &[u8]) -> (&'static str, Option<&'static str>) {
+    match file {
+        [0x89, b'P', b'N', b'G', ..] => ("image/png", None),
+        [b'R', b'I', b'F', b'F', _, _, _, _, b'W', b'E', b'B', b'P', ..] => ("image/webp", Some("EXT_texture_webp")),
+        [0xab, b'K', b'T', b'X', b' ', b'2', ..] => ("image/ktx2", Some("KHR_texture_basisu")),
+        _ => ("image/jpeg", None),
+    }
+}
+
+/// The buffer views of a file and their bytes.
+struct Views {
+    views: Vec<Value>,
+    binary: Vec<u8>,
+    /// Compresses attributes and indices.
+    compressed: bool,
+    /// The bytes of the compressed views after decompression, at multiples of 4.
+    decompressed: usize,
+}
+
+impl Views {
+    /// Adds the bytes at a multiple of 4 and returns where they begin.
+    fn append(&mut self, bytes: &[u8]) -> usize {
+        self.binary.resize(self.binary.len().next_multiple_of(4), 0);
+        let at = self.binary.len();
+        self.binary.extend_from_slice(bytes);
+        at
+    }
+
+    /// Adds a view of an image and returns its index.
+    fn image(&mut self, bytes: &[u8]) -> usize {
+        let at = self.append(bytes);
+        self.views.push(json!({ "buffer": 0, "byteOffset": at, "byteLength": bytes.len() }));
+        self.views.len() - 1
+    }
+
+    /// Adds a view of elements of one size and returns its index. Views of attributes name their stride.
+    fn elements(&mut self, bytes: &[u8], target: u32, compression: Compression) -> usize {
+        let packed = if self.compressed { compress(bytes, compression) } else { None };
+        let mut view = json!({ "byteLength": bytes.len(), "target": target });
+        if let Compression::Attributes { stride } | Compression::Normals { stride } = compression {
+            view["byteStride"] = stride.into();
+        }
+        match packed {
+            Some(packed) => {
+                let mut extension = compression.properties(bytes.len());
+                (extension["buffer"], extension["byteLength"]) = (0.into(), packed.len().into());
+                extension["byteOffset"] = self.append(&packed).into();
+                (view["buffer"], view["byteOffset"]) = (1.into(), self.decompressed.into());
+                view["extensions"] = json!({ "EXT_meshopt_compression": extension });
+                self.decompressed += bytes.len().next_multiple_of(4);
+            }
+            None => (view["buffer"], view["byteOffset"]) = (0.into(), self.append(bytes).into()),
+        }
+        self.views.push(view);
+        self.views.len() - 1
+    }
+}
+
 /// Returns the bytes of a glb file. Chunks are padded to 4 bytes, and the position accessor has the bounds that glTF requires.
 pub fn write_glb(mesh: &GlbMesh) -> Vec<u8> {
-    let mut binary: Vec<u8> = Vec::new();
-    let mut views = Vec::new();
+    write(mesh, false)
+}
+
+/// Like [`write_glb`], with vertices and indices compressed by EXT_meshopt_compression, which readers must support. The normals
+/// of a quantized mesh are off by about half a degree more. [`GlbMesh::optimize_order`] before makes the file smaller.
+pub fn write_compressed_glb(mesh: &GlbMesh) -> Vec<u8> {
+    write(mesh, true)
+}
+
+fn write(mesh: &GlbMesh, compressed: bool) -> Vec<u8> {
+    let mut views = Views { views: Vec::new(), binary: Vec::new(), compressed, decompressed: 0 };
     let mut accessors = Vec::new();
     let mut attributes = serde_json::Map::new();
-    let mut view = |binary: &mut Vec<u8>, bytes: &[u8], target: Option<u32>, stride: Option<usize>| {
-        binary.resize(binary.len().next_multiple_of(4), 0);
-        let mut v = json!({ "buffer": 0, "byteOffset": binary.len(), "byteLength": bytes.len() });
-        if let Some(target) = target {
-            v["target"] = target.into();
-        }
-        if let Some(stride) = stride {
-            v["byteStride"] = stride.into();
-        }
-        binary.extend_from_slice(bytes);
-        views.push(v);
-        views.len() - 1
-    };
     // Strides are multiples of 4 bytes, as glTF requires.
     let mut attribute = |name: &str, kind: &str, component: u32, stride: usize, bytes: &[u8]| {
-        let index = view(&mut binary, bytes, Some(34962), Some(stride));
+        let compression = match (name, component) {
+            ("NORMAL", BYTE) => Compression::Normals { stride },
+            _ => Compression::Attributes { stride },
+        };
+        let index = views.elements(bytes, 34962, compression);
         attributes.insert(name.into(), accessors.len().into());
         accessors.push(json!({
             "bufferView": index, "componentType": component, "count": bytes.len() / stride, "type": kind,
@@ -146,7 +207,8 @@ pub fn write_glb(mesh: &GlbMesh) -> Vec<u8> {
         true => (UNSIGNED_SHORT, bytemuck::cast_slice(&mesh.indices)),
         false => (UNSIGNED_INT, bytemuck::cast_slice(&long)),
     };
-    let index = view(&mut binary, bytes, Some(34963), None);
+    let size = bytes.len() / mesh.indices.len().max(1);
+    let index = views.elements(bytes, 34963, Compression::Triangles { size });
     let indices = accessors.len();
     accessors.push(
         json!({ "bufferView": index, "componentType": component, "count": mesh.indices.len(), "type": "SCALAR" }),
@@ -157,25 +219,40 @@ pub fn write_glb(mesh: &GlbMesh) -> Vec<u8> {
         "scene": 0, "scenes": [{ "nodes": [0] }], "nodes": [{ "mesh": 0 }],
         "meshes": [{ "primitives": [{ "attributes": attributes, "indices": indices, "material": 0 }] }],
     });
+    let mut extensions = Vec::new();
     if let Some(Grid { low, side }) = grid {
         root["nodes"][0]["translation"] = json!(low);
         root["nodes"][0]["scale"] = json!([side, side, side]);
-        root["extensionsUsed"] = json!(["KHR_mesh_quantization"]);
-        root["extensionsRequired"] = json!(["KHR_mesh_quantization"]);
+        extensions.push("KHR_mesh_quantization");
+    }
+    if views.decompressed > 0 {
+        extensions.push("EXT_meshopt_compression");
     }
     if let Some(image) = &mesh.image {
-        let index = view(&mut binary, image, None, None);
-        let mime = if image.starts_with(b"\x89PNG") { "image/png" } else { "image/jpeg" };
-        root["images"] = json!([{ "bufferView": index, "mimeType": mime }]);
+        let (mime, extension) = image_kind(image);
+        root["images"] = json!([{ "bufferView": views.image(image), "mimeType": mime }]);
         root["samplers"] = json!([{ "magFilter": 9729, "minFilter": 9987, "wrapS": 33071, "wrapT": 33071 }]);
-        root["textures"] = json!([{ "source": 0, "sampler": 0 }]);
+        root["textures"] = json!([match extension {
+            Some(name) => json!({ "sampler": 0, "extensions": { name: { "source": 0 } } }),
+            None => json!({ "source": 0, "sampler": 0 }),
+        }]);
+        extensions.extend(extension);
         pbr["baseColorTexture"] = json!({ "index": 0 });
     }
+    if !extensions.is_empty() {
+        (root["extensionsUsed"], root["extensionsRequired"]) = (json!(extensions), json!(extensions));
+    }
     root["materials"] = json!([{ "pbrMetallicRoughness": pbr }]);
-    root["bufferViews"] = views.into();
     root["accessors"] = accessors.into();
+    let Views { views, mut binary, decompressed, .. } = views;
+    root["bufferViews"] = views.into();
     binary.resize(binary.len().next_multiple_of(4), 0);
     root["buffers"] = json!([{ "byteLength": binary.len() }]);
+    if decompressed > 0 {
+        // Its bytes exist only after decompression.
+        let fallback = json!({ "EXT_meshopt_compression": { "fallback": true } });
+        root["buffers"] = json!([root["buffers"][0], { "byteLength": decompressed, "extensions": fallback }]);
+    }
     let mut text = root.to_string().into_bytes();
     text.resize(text.len().next_multiple_of(4), b' ');
     let length = 12 + 8 + text.len() + 8 + binary.len();

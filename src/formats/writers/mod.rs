@@ -3,6 +3,7 @@
 
 mod glb;
 mod height;
+mod meshopt;
 
-pub use glb::{GlbMesh, write_glb};
+pub use glb::{GlbMesh, write_compressed_glb, write_glb};
 pub use height::write_height_exr;

@@ -1,0 +1,89 @@
+//! The options of the encodings of one tile: triangles, compression, texture.
+
+use image::codecs::jpeg::JpegEncoder;
+use image::codecs::png::PngEncoder;
+use image::codecs::webp::WebPEncoder;
+use image::{ExtendedColorType, ImageEncoder as _};
+
+use crate::{Color, ContentKind, GenArgs};
+
+const JPEG_QUALITY: u8 = 85;
+
+/// The triangles of mesh tiles.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum Triangles {
+    /// Few triangles where the terrain is flat. The declared error includes their distance from the grid.
+    #[default]
+    Tin,
+    /// Two triangles for each of 64 x 64 cells.
+    Grid,
+}
+
+/// The file format of textures.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum TextureFormat {
+    /// JPEG of quality 85.
+    #[default]
+    Jpeg,
+    /// PNG, without loss.
+    Png,
+    /// WebP, without loss. In glb files it needs EXT_texture_webp.
+    Webp,
+}
+
+impl TextureFormat {
+    /// Returns the extension of the file name.
+    pub(crate) fn extension(self) -> &'static str {
+        match self {
+            Self::Jpeg => "jpg",
+            Self::Png => "png",
+            Self::Webp => "webp",
+        }
+    }
+
+    /// Encodes a square of RGB texels, northern row first.
+    pub(crate) fn encode(self, texels: &[u8], side: u32) -> Result<Vec<u8>, image::ImageError> {
+        let mut file = Vec::new();
+        match self {
+            Self::Jpeg => JpegEncoder::new_with_quality(&mut file, JPEG_QUALITY).write_image(
+                texels,
+                side,
+                side,
+                ExtendedColorType::Rgb8,
+            ),
+            Self::Png => PngEncoder::new(&mut file).write_image(texels, side, side, ExtendedColorType::Rgb8),
+            Self::Webp => WebPEncoder::new_lossless(&mut file).write_image(texels, side, side, ExtendedColorType::Rgb8),
+        }?;
+        Ok(file)
+    }
+}
+
+/// The encodings of tiles.
+#[derive(Clone, Debug, Default, PartialEq, clap::Args)]
+pub struct TileArgs {
+    /// Triangles of mesh tiles; not for the meshes on the borders of height sets, which are grids
+    #[arg(long = "mesh", value_name = "TRIANGLES", value_enum, default_value_t)]
+    pub triangles: Triangles,
+    /// Write meshes without EXT_meshopt_compression, for clients that do not support it
+    #[arg(long)]
+    pub no_meshopt: bool,
+    /// File format of textures
+    #[arg(long, value_enum, default_value_t)]
+    pub texture: TextureFormat,
+}
+
+impl TileArgs {
+    /// Checks options that have no effect together with others.
+    pub(crate) fn check(&self, args: &GenArgs) -> Result<(), String> {
+        if args.content == ContentKind::Height && self.triangles != Triangles::default() {
+            return Err("--mesh has no effect without --content mesh".to_owned());
+        }
+        if args.float_vertices && self.no_meshopt {
+            return Err("--no-meshopt has no effect with --float-vertices".to_owned());
+        }
+        if args.color == Color::None && self.texture != TextureFormat::default() {
+            return Err("--texture has no effect with --color none".to_owned());
+        }
+        Ok(())
+    }
+}
