@@ -11,7 +11,7 @@ pub(crate) fn edge_vertices(heights_m: &[f32], curvature_m: f64, is_kept: impl F
     let lowered = |(k, h): (usize, &f32)| f64::from(*h) - curvature_m * (k as f64 - middle).powi(2);
     let values_m: Vec<f64> = heights_m.iter().enumerate().map(lowered).collect();
     let mut halved_error_m = 0.0f64;
-    if last % 2 == 0 {
+    if last.is_multiple_of(2) {
         for k in (1..last).step_by(2) {
             halved_error_m = halved_error_m.max((values_m[k] - 0.5 * (values_m[k - 1] + values_m[k + 1])).abs());
         }
