@@ -10,6 +10,7 @@ use crate::elevation::{Mosaic, expand};
 use crate::georeference::ROUNDING;
 use crate::output::{PartialFolder, write_tiles};
 use crate::pyramid::CELLS;
+use crate::world::{check_world, world_set, write_world};
 use crate::{
     ElevationSource, Extent, GenArgs, GenError, Grid, Procedural, Progress, Pyramid, Raster, Sampling, Summary,
 };
@@ -57,6 +58,7 @@ pub fn run(args: &GenArgs) -> Result<Summary, GenError> {
         return Err(GenError::Argument(format!("--size {} m is not within 100 m and 2,000 km", args.size)));
     }
     args.check().map_err(GenError::Argument)?;
+    check_world(args).map_err(GenError::Argument)?;
     if args.levels.is_some_and(|l| l == 0 || l > MAX_LEVELS) {
         return Err(GenError::Argument(format!("--levels must be 1 to {MAX_LEVELS}")));
     }
@@ -70,7 +72,10 @@ pub fn run(args: &GenArgs) -> Result<Summary, GenError> {
         .build()
         .map_err(|e| GenError::Argument(format!("--jobs {threads}: {e}")))?;
     let partial = PartialFolder::beside(&out)?;
-    let mut summary = pool.install(|| generate_into(args, partial.path()))?;
+    let mut summary = pool.install(|| match world_set(args, PROCEDURAL_LEVELS) {
+        Some(set) => write_world(&set, partial.path()),
+        None => generate_into(args, partial.path()),
+    })?;
     partial.put_in_place(&out)?;
     summary.out = out;
     summary.seconds = start.elapsed().as_secs_f64();

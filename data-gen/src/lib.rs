@@ -18,6 +18,7 @@ mod noise;
 mod output;
 mod progress;
 mod pyramid;
+mod world;
 
 pub use args::{Color, ContentKind, GenArgs, Summary, Voids};
 pub use elevation::{ElevationSource, HeightEncoding, Procedural, Raster, RasterOptions, SourceSample};
@@ -26,3 +27,4 @@ pub use generate::{default_set, run};
 pub use georeference::{Crs, Projection, VerticalDatum, utm_from_geodetic, utm_to_geodetic};
 pub use progress::Progress;
 pub use pyramid::{Extent, Grid, Pyramid, Sampling, TileKey};
+pub use world::{World, WorldArgs, WorldPreset, WorldSet, WorldTile};

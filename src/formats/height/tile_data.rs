@@ -19,6 +19,8 @@ pub(in crate::formats) struct SetExtras {
     content: Option<String>,
     side: Option<u32>,
     border: Option<u32>,
+    /// The level of the tileset's root in the set; 0 if it is missing. External tilesets continue the levels of others.
+    level: Option<u32>,
     level_errors_m: Option<Vec<f64>>,
 }
 
@@ -43,6 +45,8 @@ pub(in crate::formats) struct HeightSet {
     side: u32,
     /// Additional samples beyond each edge.
     border: u32,
+    /// The level of the root of the tileset.
+    root_level: u32,
     /// Geometric errors by level, in metres.
     level_errors_m: Vec<f64>,
 }
@@ -89,7 +93,7 @@ fn are_errors(errors_m: &[f64]) -> bool {
 impl HeightSet {
     #[cfg(test)]
     pub(super) fn for_tests(side: u32, error_m: f64) -> Self {
-        Self { side, border: 1, level_errors_m: vec![error_m] }
+        Self { side, border: 1, root_level: 0, level_errors_m: vec![error_m] }
     }
 
     /// Checks the extras of a tileset. Returns `None` if its contents are not height tiles.
@@ -98,9 +102,15 @@ impl HeightSet {
         let bad = |what: &str| IoError::invalid(uri, format!("asset.extras.terrane.{what} is missing or invalid"));
         Ok(Some(Self {
             side: extras.side.filter(|side| is_side(*side)).ok_or_else(|| bad("side"))?,
+            root_level: extras.level.unwrap_or(0),
             border: extras.border.filter(|border| *border == 1).ok_or_else(|| bad("border"))?,
             level_errors_m: extras.level_errors_m.filter(|e| are_errors(e)).ok_or_else(|| bad("level_errors_m"))?,
         }))
+    }
+
+    /// Returns the level of the root of the tileset, counted from the root of the set.
+    pub fn root_level(&self) -> u32 {
+        self.root_level
     }
 
     /// Returns the geometric error in metres of all tiles of a level. It is the same for all, so that neighbours morph alike.

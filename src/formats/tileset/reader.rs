@@ -87,12 +87,13 @@ pub(super) fn read_noting(
     let up_axis = tileset.asset.gltf_up_axis.0.as_deref().and_then(UpAxis::named).unwrap_or_default();
     let heights = HeightSet::from_extras(uri, tileset.asset.extras.0)?;
     let schema = schema.clone();
+    let level = heights.as_ref().map_or(0, HeightSet::root_level);
     let mut reader = Reader { uri, options, heights, up_axis, schema, metadata, tiles: 0, contents: 0 };
     // An external tileset does not know the tiles above it, so it assumes that it replaces a content.
     let inherited = Inherited {
         refine: Refine::Replace,
         is_replaced: !options.chain.is_empty(),
-        level: 0,
+        level,
         geometric_error: tileset.geometric_error.map_or(0.0, |error| error.0),
         bounds: None,
     };
@@ -162,7 +163,7 @@ impl Reader<'_> {
             return Err(IoError::invalid(self.uri, reason));
         }
         let mut geometric_error_m = geometric_error * crate::math::max_scale(&content_transform.matrix3);
-        let metadata = self.metadata.as_mut().and_then(|set| set.of_tile(&json, level == 0));
+        let metadata = self.metadata.as_mut().and_then(|set| set.of_tile(&json, inherited.bounds.is_none()));
         if let Some(tiling) = json.implicit_tiling() {
             let root = Tile {
                 bounds,
