@@ -100,6 +100,7 @@ pub struct GenArgs {
     /// Seed of procedural terrain; not with --dem
     #[arg(long, default_value_t = 1, conflicts_with = "dem")]
     pub seed: u64,
+    /// The kind of procedural terrain, and its place.
     #[command(flatten)]
     pub world: WorldArgs,
     /// Number of threads; by default one per core

@@ -3,7 +3,7 @@
 //! ```text
 //! place of a tile -> points on the sphere -> relief (continents, mountains, canyons, dunes, craters)
 //!                                         -> climate (temperature, moisture) -> colours (biomes, rock, water)
-//!                                         -> EXR and JPEG of the tile; tilesets of four levels
+//!                                         -> EXR and JPEG of the tile; tilesets of three levels
 //! ```
 //!
 //! Noise is sampled in space, so that the poles and the antimeridian have no seams. A tile is computed alone, on any thread

@@ -164,14 +164,7 @@ pub(super) fn stripes(
 
 /// Adds craters to `out`: one for a share of the lattice points near the sphere. A radius is at most 0.36 cells. Heights
 /// are `amplitude` for each cell of a crater's radius.
-pub(super) fn add_craters(
-    points: &Points,
-    frequency: f64,
-    seed: u32,
-    share: f32,
-    amplitude: f32,
-    out: &mut [f32],
-) {
+pub(super) fn add_craters(points: &Points, frequency: f64, seed: u32, share: f32, amplitude: f32, out: &mut [f32]) {
     let n = out.len();
     let (px, py, pz) = (&points.x[..n], &points.y[..n], &points.z[..n]);
     let missing = (1.0 - share) * 1024.0 - 512.0;
@@ -220,7 +213,8 @@ mod tests {
 
     fn row(longitude: f64, step: f64, latitude: f64) -> Points {
         let mut points = Points::default();
-        let meridians: Vec<_> = (0..64).map(|k| super::super::points::sin_cos(longitude + step * f64::from(k))).collect();
+        let meridians: Vec<_> =
+            (0..64).map(|k| super::super::points::sin_cos(longitude + step * f64::from(k))).collect();
         points.set_row(&meridians, latitude);
         points
     }
@@ -238,8 +232,13 @@ mod tests {
             assert!((values[k] - plain[k]).abs() < 1e-5);
             let d = |p: &[f64]| ((p[k + 1] - p[k]) * 7.0) as f32;
             let mid = |g: &[f32]| 0.5 * (g[k] + g[k + 1]);
-            let expected = d(&points.x) * mid(&gradient.x) + d(&points.y) * mid(&gradient.y) + d(&points.z) * mid(&gradient.z);
-            assert!((values[k + 1] - values[k] - expected).abs() < 2e-3, "{k}: {} {expected}", values[k + 1] - values[k]);
+            let expected =
+                d(&points.x) * mid(&gradient.x) + d(&points.y) * mid(&gradient.y) + d(&points.z) * mid(&gradient.z);
+            assert!(
+                (values[k + 1] - values[k] - expected).abs() < 2e-3,
+                "{k}: {} {expected}",
+                values[k + 1] - values[k]
+            );
         }
     }
 

@@ -8,7 +8,6 @@ use super::relief::{Ground, Scratch};
 /// A planet made from a preset and a seed. Everything about a position depends on these and on the position only.
 #[derive(Clone, Debug)]
 pub struct World {
-    pub(super) preset: WorldPreset,
     pub(super) seed: u64,
     pub(super) parameters: Parameters,
 }
@@ -24,7 +23,7 @@ pub(super) struct RowBuffers {
 impl World {
     /// Creates a world.
     pub fn new(preset: WorldPreset, seed: u64) -> Self {
-        Self { preset, seed, parameters: preset.parameters() }
+        Self { seed, parameters: preset.parameters() }
     }
 
     /// Returns the longitude and latitude in radians of a place with much relief around the preset's place, for a square
@@ -48,7 +47,7 @@ impl World {
                 land += row.ground.bed_m.iter().filter(|bed| **bed > self.water_m()).count() as f32 / 27.0;
             }
             // A coast in the picture is better than land alone.
-            let score = uneven * if (0.3..0.9).contains(&land) { 1.5 } else { 1.0 };
+            let score = uneven * if (0.25..0.8).contains(&land) { 3.0 } else { 1.0 };
             if score > best.0 {
                 best = (score, here);
             }

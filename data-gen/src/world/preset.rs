@@ -108,9 +108,9 @@ const EARTH: Parameters = Parameters {
         ocean_m: 4_200.0,
         range_m: 2_600_000.0,
         range_width: 0.32,
-        mountain_m: 4_600.0,
+        mountain_m: 4_200.0,
         massif_m: 38_000.0,
-        gullies: 0.16,
+        gullies: 0.24,
         hill_m: 260.0,
         rough_m: 1.2,
         dune_m: 0.0,
@@ -137,16 +137,8 @@ const EARTH: Parameters = Parameters {
 
 impl WorldPreset {
     /// All presets.
-    pub const ALL: [Self; 8] = [
-        Self::Earthlike,
-        Self::Alps,
-        Self::Desert,
-        Self::Islands,
-        Self::Moon,
-        Self::Mars,
-        Self::Ice,
-        Self::Canyon,
-    ];
+    pub const ALL: [Self; 8] =
+        [Self::Earthlike, Self::Alps, Self::Desert, Self::Islands, Self::Moon, Self::Mars, Self::Ice, Self::Canyon];
 
     /// Returns the name on the command line.
     pub fn name(self) -> &'static str {
@@ -167,8 +159,15 @@ impl WorldPreset {
         match self {
             Self::Earthlike => EARTH,
             Self::Alps => Parameters {
-                relief: Relief { land: 0.55, range_width: 0.85, mountain_m: 3_800.0, massif_m: 26_000.0, gullies: 0.2, ..relief },
-                climate: Climate { equator_c: 22.0, pole_c: -10.0, wet: 0.22, ..climate },
+                relief: Relief {
+                    land: 0.55,
+                    range_width: 0.85,
+                    mountain_m: 3_800.0,
+                    massif_m: 26_000.0,
+                    gullies: 0.25,
+                    ..relief
+                },
+                climate: Climate { equator_c: 22.0, pole_c: -10.0, wet: 0.08, ..climate },
                 palette,
                 place: [8.0, 47.0],
             },
@@ -204,7 +203,7 @@ impl WorldPreset {
                     range_width: 0.55,
                     mountain_m: 1_900.0,
                     massif_m: 17_000.0,
-                    gullies: 0.24,
+                    gullies: 0.32,
                     hill_m: 120.0,
                     ..relief
                 },
@@ -272,10 +271,10 @@ impl WorldPreset {
                 relief: Relief {
                     land: 0.3,
                     range_width: 0.6,
-                    mountain_m: 2_900.0,
+                    mountain_m: 4_400.0,
                     massif_m: 24_000.0,
                     hill_m: 140.0,
-                    glacier_m: 900.0,
+                    glacier_m: 350.0,
                     ..relief
                 },
                 climate: Climate { equator_c: -9.0, pole_c: -45.0, wet: 0.3, ..climate },

@@ -30,10 +30,14 @@ pub(crate) struct Scratch {
     other: Vec<f32>,
     detail: Vec<f32>,
     slope: Vec<f32>,
+    strength: Vec<f32>,
     gradient: Vectors,
     total: Vectors,
     across: Vectors,
 }
+
+/// Half the width of crests, as a value of the noise that makes them.
+const CREST: f32 = 0.07;
 
 /// Clears a buffer and gives it a length.
 fn reset(buffer: &mut Vec<f32>, len: usize) {
@@ -42,12 +46,14 @@ fn reset(buffer: &mut Vec<f32>, len: usize) {
 }
 
 /// Returns 0 below `low`, 1 above `high`, and a smooth step between them.
+#[inline(always)]
 pub(super) fn smooth(low: f32, high: f32, x: f32) -> f32 {
     let t = ((x - low) / (high - low)).clamp(0.0, 1.0);
     t * t * (3.0 - 2.0 * t)
 }
 
 /// Returns the larger value, blended smoothly where they differ by less than `width`.
+#[inline(always)]
 fn smooth_max(a: f32, b: f32, width: f32) -> f32 {
     let t = (0.5 + 0.5 * (a - b) / width).clamp(0.0, 1.0);
     b + (a - b) * t + width * t * (1.0 - t)
@@ -155,7 +161,7 @@ impl Relief {
         for v in [&mut s.gradient, &mut s.total] {
             v.reset(n);
         }
-        let (mut wavelength_m, mut amplitude) = (self.massif_m, 0.62f32);
+        let (mut wavelength_m, mut amplitude) = (self.massif_m, 1.0f32);
         for octave in 0..4 {
             let frequency = RADIUS_M / wavelength_m;
             noise_gradient(points, frequency, part_seed(seed, 10 + octave), &mut s.noise, &mut s.gradient);
@@ -163,16 +169,17 @@ impl Relief {
             let rise = amplitude * self.mountain_m / wavelength_m as f32;
             for k in 0..n {
                 let steep = s.total.x[k] * s.total.x[k] + s.total.y[k] * s.total.y[k] + s.total.z[k] * s.total.z[k];
-                let damping = 1.0 / (1.0 + 3.0 * steep);
-                // Crests are sharp: they lie where the noise changes its sign.
-                s.other[k] += amplitude * damping * (0.55 - 1.9 * s.noise[k].abs());
-                let rise = -1.9 * rise * damping * s.noise[k].signum();
+                let damping = 1.0 / (1.0 + 1.5 * steep);
+                // Crests lie where the noise changes its sign. They are round, so that gullies continue across them.
+                let from_crest = (s.noise[k] * s.noise[k] + CREST * CREST).sqrt();
+                s.other[k] += amplitude * damping * (0.6 - 1.9 * from_crest);
+                let rise = -1.9 * rise * damping * s.noise[k] / from_crest;
                 s.total.x[k] += rise * s.gradient.x[k];
                 s.total.y[k] += rise * s.gradient.y[k];
                 s.total.z[k] += rise * s.gradient.z[k];
             }
             wavelength_m *= 0.47;
-            amplitude *= 0.46;
+            amplitude *= 0.5;
         }
         for k in 0..n {
             let m = out.mountain[k];
@@ -182,7 +189,8 @@ impl Relief {
         }
         self.add_gullies(seed, points, s, out);
         for k in 0..n {
-            out.bed_m[k] += self.mountain_m * s.detail[k];
+            // The floors of valleys are flat.
+            out.bed_m[k] += self.mountain_m * (smooth_max(s.detail[k], 0.0, 0.02) - 0.01);
         }
         if self.glacier_m > 0.0 {
             self.fill_valleys(seed, points, s, out);
@@ -194,6 +202,11 @@ impl Relief {
         let n = points.len();
         s.across.reset(n);
         reset(&mut s.slope, n);
+        reset(&mut s.strength, n);
+        for k in 0..n {
+            let (x, y, z) = (s.total.x[k], s.total.y[k], s.total.z[k]);
+            s.strength[k] = smooth(0.01, 0.2, x * x + y * y + z * z) * smooth(0.0, 0.06, s.detail[k]);
+        }
         let (mut wavelength_m, mut amplitude) = (0.14 * self.massif_m, self.gullies);
         for octave in 0..5 {
             for k in 0..n {
@@ -216,7 +229,7 @@ impl Relief {
             let rise = 0.5 * amplitude * self.mountain_m / wavelength_m as f32;
             for k in 0..n {
                 let (ax, ay, az) = (s.across.x[k], s.across.y[k], s.across.z[k]);
-                let strength = smooth(0.02, 0.3, ax * ax + ay * ay + az * az) * smooth(0.05, 0.5, out.mountain[k]);
+                let strength = s.strength[k] * smooth(0.05, 0.5, out.mountain[k]);
                 s.detail[k] += amplitude * strength * 0.5 * s.noise[k];
                 out.ridge[k] += amplitude / self.gullies * 0.5 * strength * s.noise[k];
                 let rise = rise * strength * s.slope[k];

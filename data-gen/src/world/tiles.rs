@@ -8,7 +8,7 @@ use terrane::formats::writers::write_height_exr;
 
 use super::errors::level_errors_m;
 use super::patch::{Lattice, Patch, TEXELS_PER_CELL};
-use super::planet::{RowBuffers, World};
+use super::planet::{RowBuffers, World, meridians};
 use super::points::{RADIUS_M, sin_cos};
 use crate::pyramid::{CELLS, QUANTUM_M};
 use crate::{Extent, GenError, TileKey};
@@ -31,6 +31,8 @@ pub struct WorldTile {
     pub exr: Vec<u8>,
     /// Colours, as JPEG.
     pub jpeg: Vec<u8>,
+    /// The lowest and the highest height in metres, that of the border included.
+    pub range_m: [f32; 2],
 }
 
 impl WorldSet {
@@ -107,20 +109,35 @@ impl WorldSet {
         let mut buffers = RowBuffers::default();
         let mut patch = self.patch(key, &mut buffers);
         let name = format!("{}/{}/{}.exr", key.level, key.x, key.y);
-        let exr = write_height_exr(&name, CELLS + 3, heights_m(&patch)).map_err(|e| GenError::Encode(e.to_string()))?;
+        let heights = heights_m(&patch);
+        let range_m = heights.iter().fold([f32::INFINITY, f32::NEG_INFINITY], |[l, h], m| [l.min(*m), h.max(*m)]);
+        let exr = write_height_exr(&name, CELLS + 3, heights).map_err(|e| GenError::Encode(e.to_string()))?;
         let side = (TEXELS_PER_CELL * CELLS) as u32;
         let rgb = patch.paint(&self.world, &mut buffers);
         let mut jpeg = Vec::new();
         JpegEncoder::new_with_quality(&mut jpeg, JPEG_QUALITY)
             .encode(&rgb, side, side, image::ExtendedColorType::Rgb8)
             .map_err(|e| GenError::Encode(format!("JPEG of tile {key:?}: {e}")))?;
-        Ok(WorldTile { exr, jpeg })
+        Ok(WorldTile { exr, jpeg, range_m })
     }
 
-    /// Returns the lowest and the highest height of a tile's vertices in metres.
-    pub(super) fn range_m(&self, key: TileKey) -> [f32; 2] {
-        let heights = self.heights_m(key);
-        heights.iter().fold([f32::INFINITY, f32::NEG_INFINITY], |[low, high], h| [low.min(*h), high.max(*h)])
+    /// Returns bounds of the heights in a tile, in metres. They are those of every fourth vertex, which are the vertices of
+    /// two levels above, with the error of that level: finer vertices are off by at most that.
+    pub(super) fn bounds_m(&self, key: TileKey) -> [f64; 2] {
+        let lattice = self.lattice(key, 0);
+        let every = || (0..=CELLS as i64).step_by(4);
+        let longitudes = meridians(every().map(|column| lattice.longitude(column)));
+        let mut buffers = RowBuffers::default();
+        let (mut low_m, mut high_m) = (f32::INFINITY, f32::NEG_INFINITY);
+        for row in every() {
+            self.world.ground_row(&longitudes, lattice.latitude(row), &mut buffers);
+            for bed in &buffers.ground.bed_m {
+                let surface_m = bed.max(self.world.water_m());
+                (low_m, high_m) = (low_m.min(surface_m), high_m.max(surface_m));
+            }
+        }
+        let error_m = self.level_errors_m()[key.level.saturating_sub(2) as usize];
+        [f64::from(low_m) - error_m - 1.0, f64::from(high_m) + error_m + 1.0]
     }
 }
 

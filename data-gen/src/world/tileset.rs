@@ -1,4 +1,4 @@
-//! Describes the tiles of a world as 3D Tiles JSON: one tileset for each subtree of four levels, so that each can be written
+//! Describes the tiles of a world as 3D Tiles JSON: one tileset for each subtree of three levels, so that each can be written
 //! without the others.
 
 use serde_json::{Value, json};
@@ -8,7 +8,7 @@ use crate::TileKey;
 use crate::pyramid::{CELLS, QUANTUM_M};
 
 /// The number of levels in a tileset.
-pub(super) const LEVELS_PER_TILESET: u32 = 4;
+pub(super) const LEVELS_PER_TILESET: u32 = 3;
 
 impl WorldSet {
     /// Returns the path of the tileset whose root is a tile, relative to the folder of the set. `None` if the tile is not
@@ -45,9 +45,8 @@ impl WorldSet {
     fn tile_json(&self, key: TileKey, end: u32, up: &str) -> Value {
         let e = self.extent(key);
         let error_m = self.level_errors_m()[key.level as usize];
-        let [low_m, high_m] = self.range_m(key).map(f64::from);
-        // Vertices of finer levels are above and below those of the tile by at most its error. The skirts reach further down.
-        let region = [e.west, e.south, e.east, e.north, low_m - 3.0 * error_m - 1.0, high_m + error_m];
+        let [low_m, high_m] = self.bounds_m(key);
+        let region = [e.west, e.south, e.east, e.north, low_m, high_m];
         let mut tile = json!({ "boundingVolume": { "region": region }, "geometricError": error_m });
         if key.level == end {
             let path = self.tileset_path(key).unwrap_or_default();
@@ -58,8 +57,11 @@ impl WorldSet {
         tile["content"] = json!({ "uri": format!("{name}.exr") });
         tile["extras"] = json!({ "terrane": { "imagery": format!("{name}.jpg") } });
         if key.level + 1 < self.levels() {
-            let children = [(0, 0), (1, 0), (0, 1), (1, 1)]
-                .map(|(dx, dy)| TileKey { level: key.level + 1, x: 2 * key.x + dx, y: 2 * key.y + dy });
+            let children = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(dx, dy)| TileKey {
+                level: key.level + 1,
+                x: 2 * key.x + dx,
+                y: 2 * key.y + dy,
+            });
             tile["children"] = children.map(|child| self.tile_json(child, end, up)).to_vec().into();
         }
         tile

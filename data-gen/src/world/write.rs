@@ -28,7 +28,9 @@ pub(crate) fn world_set(args: &GenArgs, default_levels: u32) -> Option<WorldSet>
 /// Checks options that have no effect with `--world`.
 pub(crate) fn check_world(args: &GenArgs) -> Result<(), String> {
     match args.world.world {
-        Some(_) if args.content == ContentKind::Mesh => Err("--world makes height tiles; --content mesh is not supported".to_owned()),
+        Some(_) if args.content == ContentKind::Mesh => {
+            Err("--world makes height tiles; --content mesh is not supported".to_owned())
+        }
         Some(_) if args.color == Color::None => Err("--color none is not supported with --world".to_owned()),
         Some(_) if args.imagery.is_some() => Err("--imagery has no effect with --world".to_owned()),
         None if args.world.center.is_some() || args.world.globe => {
@@ -66,7 +68,7 @@ pub(crate) fn write_world(set: &WorldSet, folder: &Path) -> Result<Summary, GenE
             write(&path, tileset.as_bytes())?;
         }
         progress.advance(1);
-        Ok::<_, GenError>(set.range_m(key))
+        Ok::<_, GenError>(tile.range_m)
     });
     let both = |a: [f32; 2], b: [f32; 2]| Ok([a[0].min(b[0]), a[1].max(b[1])]);
     let [low_m, high_m] = ranges.try_reduce(|| [f32::INFINITY, f32::NEG_INFINITY], both)?;

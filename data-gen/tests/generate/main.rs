@@ -13,3 +13,4 @@ mod samples;
 mod sets;
 mod tiffs;
 mod tree;
+mod worlds;
