@@ -96,7 +96,7 @@ impl Parameters {
             let desert = living * (1.0 - smooth(0.12, 0.3, wet)) * (1.0 - smooth(0.08, 0.3, slope)) * warm;
             let snow =
                 smooth(0.0, -3.5, celsius - freezing + 3.0 * patch + 1.2 * grain + 6.0 * smooth(0.5, 1.0, slope))
-                    * (1.0 - smooth(0.6, 1.05, slope));
+                    * (1.0 - smooth(0.45, 0.85, slope));
             let ice = texels.cover[k] * glaciers;
             let strata =
                 0.5 * zigzag(h / 83.0 + 0.15 * patch) + 0.3 * zigzag(h / 29.0 + 0.1 * grain) + 0.2 * zigzag(h / 211.0);

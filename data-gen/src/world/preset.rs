@@ -110,7 +110,7 @@ const EARTH: Parameters = Parameters {
         range_width: 0.32,
         mountain_m: 4_200.0,
         massif_m: 38_000.0,
-        gullies: 0.24,
+        gullies: 0.12,
         hill_m: 260.0,
         rough_m: 1.2,
         dune_m: 0.0,
@@ -164,7 +164,7 @@ impl WorldPreset {
                     range_width: 0.85,
                     mountain_m: 3_800.0,
                     massif_m: 26_000.0,
-                    gullies: 0.25,
+                    gullies: 0.13,
                     ..relief
                 },
                 climate: Climate { equator_c: 22.0, pole_c: -10.0, wet: 0.08, ..climate },
@@ -203,7 +203,7 @@ impl WorldPreset {
                     range_width: 0.55,
                     mountain_m: 1_900.0,
                     massif_m: 17_000.0,
-                    gullies: 0.32,
+                    gullies: 0.16,
                     hill_m: 120.0,
                     ..relief
                 },

@@ -37,7 +37,7 @@ pub(crate) struct Scratch {
 }
 
 /// Half the width of crests, as a value of the noise that makes them.
-const CREST: f32 = 0.07;
+const CREST: f32 = 0.1;
 
 /// Clears a buffer and gives it a length.
 fn reset(buffer: &mut Vec<f32>, len: usize) {
@@ -172,7 +172,7 @@ impl Relief {
                 let damping = 1.0 / (1.0 + 1.5 * steep);
                 // Crests lie where the noise changes its sign. They are round, so that gullies continue across them.
                 let from_crest = (s.noise[k] * s.noise[k] + CREST * CREST).sqrt();
-                s.other[k] += amplitude * damping * (0.6 - 1.9 * from_crest);
+                s.other[k] += amplitude * damping * (0.64 - 1.9 * from_crest);
                 let rise = -1.9 * rise * damping * s.noise[k] / from_crest;
                 s.total.x[k] += rise * s.gradient.x[k];
                 s.total.y[k] += rise * s.gradient.y[k];
@@ -205,7 +205,7 @@ impl Relief {
         reset(&mut s.strength, n);
         for k in 0..n {
             let (x, y, z) = (s.total.x[k], s.total.y[k], s.total.z[k]);
-            s.strength[k] = smooth(0.01, 0.2, x * x + y * y + z * z) * smooth(0.0, 0.06, s.detail[k]);
+            s.strength[k] = smooth(0.0, 0.25, x * x + y * y + z * z) * smooth(0.0, 0.06, s.detail[k]);
         }
         let (mut wavelength_m, mut amplitude) = (0.14 * self.massif_m, self.gullies);
         for octave in 0..5 {
@@ -312,7 +312,7 @@ impl Relief {
         reset(&mut s.other, n);
         add_octaves(points, 60_000.0, 3, 0.5, 1.0, part_seed(seed, 50), &mut s.other);
         for k in 0..n {
-            out.cover[k] = smooth(-0.1, 0.3, s.other[k]) * (1.0 - smooth(0.02, 0.15, out.mountain[k]));
+            out.cover[k] = smooth(-0.35, 0.1, s.other[k]) * (1.0 - smooth(0.1, 0.5, out.mountain[k]));
         }
         if out.cover.iter().all(|c| *c == 0.0) {
             return;

@@ -25,7 +25,9 @@ fn tiles_are_those_of_the_library_and_other_paths_are_missing() {
     let (_, _, body) = server.ask("GET", "/tileset.json", "");
     let tileset: Value = serde_json::from_slice(&body).unwrap();
     assert_eq!(tileset["root"]["content"]["uri"], "0/0/0.exr");
-    for path in ["/", "/22/0/0.exr", "/1/2/0.exr", "/1/01/0.exr", "/2/0/0.json", "/0/0/0.json", "/1/0/0.png", "/1/0.exr"] {
+    for path in
+        ["/", "/22/0/0.exr", "/1/2/0.exr", "/1/01/0.exr", "/2/0/0.json", "/0/0/0.json", "/1/0/0.png", "/1/0.exr"]
+    {
         assert_eq!(server.ask("GET", path, "").0, 404, "{path}");
     }
 }
