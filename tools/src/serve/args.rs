@@ -12,8 +12,8 @@ use crate::values::{amount, share};
 #[derive(Clone, Debug, ClapArgs)]
 pub struct ServeArgs {
     /// Folder to serve; not with --procedural
-    #[arg(default_value = "", hide_default_value = true, conflicts_with = "procedural")]
-    pub folder: PathBuf,
+    #[arg(required_unless_present = "procedural", conflicts_with = "procedural")]
+    pub folder: Option<PathBuf>,
     /// Serve a planet of 22 levels from --seed instead of a folder. Its tiles are made when they are requested
     #[arg(long, value_enum, value_name = "PRESET")]
     pub procedural: Option<WorldPreset>,
@@ -77,9 +77,6 @@ pub struct ServeArgs {
 impl ServeArgs {
     /// Checks combinations of arguments.
     pub fn check(&self) -> Result<(), String> {
-        if self.folder.as_os_str().is_empty() && self.procedural.is_none() {
-            return Err("a folder to serve, or --procedural, is required".to_owned());
-        }
         let all: f64 = self.rates().iter().map(|(rate, _)| rate).sum();
         if all <= 1.0 { Ok(()) } else { Err(format!("the rates are {all} together, more than 1")) }
     }
@@ -100,7 +97,7 @@ impl ServeArgs {
     /// Returns the defaults for a folder, on a free port of the loopback address.
     pub fn new(folder: impl Into<PathBuf>) -> Self {
         Self {
-            folder: folder.into(),
+            folder: Some(folder.into()),
             procedural: None,
             port: 0,
             bind: "127.0.0.1".to_owned(),

@@ -48,9 +48,9 @@ impl Listening {
     fn new(args: ServeArgs) -> Result<Self> {
         args.check().map_err(Error::msg)?;
         let procedural = args.procedural.map(|preset| Procedural::new(preset, args.seed));
-        let folder = match procedural {
-            Some(_) => PathBuf::new(),
-            None => args.folder.canonicalize().with_context(|| args.folder.display().to_string())?,
+        let folder = match &args.folder {
+            Some(folder) => folder.canonicalize().with_context(|| folder.display().to_string())?,
+            None => PathBuf::new(),
         };
         ensure!(procedural.is_some() || folder.is_dir(), "{}: is not a folder", folder.display());
         let address = format!("{}:{}", args.bind, args.port);
