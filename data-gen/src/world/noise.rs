@@ -4,6 +4,8 @@
 //! The loops have no branches and no calls, so that the compiler can vectorise them. Neither fused multiply-add nor
 //! functions of the C library are used, so that the bits are the same on every machine.
 
+#![allow(clippy::needless_range_loop, reason = "one number indexes positions, weights and outputs")]
+
 use super::points::{Points, ROUND};
 
 /// A vector for each position of a row, as three arrays.

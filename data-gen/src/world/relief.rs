@@ -108,6 +108,9 @@ impl Relief {
             out.bed_m[k] = bed + (smooth_max(bed, dry, 40.0) - bed) * there;
         }
         self.add_mountains(seed, points, scratch, out);
+        if self.glacier_m > 0.0 {
+            self.fill_valleys(seed, points, scratch, out);
+        }
         self.add_canyons(seed, points, scratch, out);
         self.add_dunes(seed, points, scratch, out);
         self.add_craters(seed, points, out);
@@ -139,9 +142,9 @@ impl Relief {
         reset(noise, n);
         add_octaves(points, self.range_m, 4, 0.45, 1.0, part_seed(seed, 4), noise);
         let mut highest = 0.0f32;
-        for k in 0..n {
+        for (k, value) in noise.iter().enumerate() {
             let on_land = if self.has_sea { smooth(-0.02, 0.14, out.inland[k]) } else { 1.0 };
-            let near = 1.0 - smooth(0.1 * self.range_width, self.range_width, noise[k].abs());
+            let near = 1.0 - smooth(0.1 * self.range_width, self.range_width, value.abs());
             out.mountain[k] = near * on_land;
             highest = highest.max(out.mountain[k]);
         }
@@ -189,11 +192,8 @@ impl Relief {
         }
         self.add_gullies(seed, points, s, out);
         for k in 0..n {
-            // The floors of valleys are flat.
-            out.bed_m[k] += self.mountain_m * (smooth_max(s.detail[k], 0.0, 0.02) - 0.01);
-        }
-        if self.glacier_m > 0.0 {
-            self.fill_valleys(seed, points, s, out);
+            // The floors of valleys are flat. A detail of 0 adds exactly 0, as rows without mountains do.
+            out.bed_m[k] += self.mountain_m * (smooth_max(s.detail[k], 0.0, 0.02) - 0.005);
         }
     }
 

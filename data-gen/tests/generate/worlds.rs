@@ -41,6 +41,7 @@ fn tile_computed_alone_has_the_bytes_of_the_set() {
 fn edges_of_all_levels_and_across_the_antimeridian_have_equal_bits() {
     for preset in WorldPreset::ALL {
         let set = WorldSet::globe(World::new(preset, 3), 22);
+        // Rows of the finer tile are shorter: a height may not depend on the other positions of its row.
         let (x, y) = (1_234, 2_301);
         let west = set.heights_m(tile(12, x, y));
         let [east, north] = [set.heights_m(tile(12, x + 1, y)), set.heights_m(tile(12, x, y + 1))];
