@@ -4,7 +4,7 @@ use std::io::Write as _;
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
-use crate::{Crs, HeightEncoding, RasterOptions, Sharding, TileArgs, VerticalDatum};
+use crate::{Crs, HeightEncoding, RasterOptions, Sharding, TileArgs, VerticalDatum, WorldArgs};
 
 /// Largest number of levels of a pyramid.
 pub(crate) const MAX_LEVELS: u32 = 24;
@@ -103,6 +103,9 @@ pub struct GenArgs {
     /// Seed of procedural terrain; not with --dem
     #[arg(long, default_value_t = 1, conflicts_with = "dem")]
     pub seed: u64,
+    /// The kind of procedural terrain, and its place.
+    #[command(flatten)]
+    pub world: WorldArgs,
     /// Number of threads; by default one per core
     #[arg(long, value_parser = jobs)]
     pub jobs: Option<usize>,
@@ -136,6 +139,7 @@ impl GenArgs {
             levels: None,
             size: 60_000.0,
             seed: 1,
+            world: WorldArgs::default(),
             jobs: None,
             overwrite: false,
             sharding: Sharding::default(),

@@ -13,6 +13,7 @@ use crate::georeference::ROUNDING;
 use crate::output::{Builder, Journal, PartialFolder, blocks, level_errors_m, voids};
 use crate::pyramid::{CELLS, Grid, Layer, Plan, TileKey};
 use crate::shards;
+use crate::world::{check_world, world_set, write_world};
 use crate::{ElevationSource, Extent, GenArgs, GenError, Procedural, Raster, Summary};
 
 /// Longitude and latitude of the middle of procedural terrain, in degrees.
@@ -142,6 +143,7 @@ fn check(args: &GenArgs) -> Result<(), GenError> {
         return Err(GenError::Argument(format!("--size {} m is not within 100 m and 2,000 km", args.size)));
     }
     args.check().map_err(GenError::Argument)?;
+    check_world(args).map_err(GenError::Argument)?;
     if args.levels.is_some_and(|l| l == 0 || l > MAX_LEVELS) {
         return Err(GenError::Argument(format!("--levels must be 1 to {MAX_LEVELS}")));
     }
@@ -153,6 +155,9 @@ fn check(args: &GenArgs) -> Result<(), GenError> {
 
 /// Makes a set or a shard in a folder. Returns the folders of the shards that were merged as well.
 fn make(args: &GenArgs, out: &Path, fingerprint: u64, folder: &Path) -> Result<(Summary, Vec<PathBuf>), GenError> {
+    if let Some(set) = world_set(args, PROCEDURAL_LEVELS) {
+        return Ok((write_world(&set, folder)?, Vec::new()));
+    }
     let shards = if args.sharding.merge { shards::gather(out, fingerprint, folder)? } else { Vec::new() };
     with_grid(args, |grid, imagery, notes| {
         let plan = Plan::new(grid.levels);

@@ -23,6 +23,7 @@ mod output;
 mod progress;
 mod pyramid;
 mod shards;
+mod world;
 
 pub use args::{Color, ContentKind, GenArgs, Summary, Voids};
 pub use elevation::{ElevationSource, HeightEncoding, Procedural, Raster, RasterOptions, SourceSample};
@@ -33,3 +34,4 @@ pub use output::{TextureFormat, TileArgs, Triangles};
 pub use progress::Progress;
 pub use pyramid::{Extent, TileKey};
 pub use shards::{Shard, Sharding};
+pub use world::{World, WorldArgs, WorldPreset, WorldSet, WorldTile};

@@ -15,3 +15,4 @@ mod samples;
 mod sets;
 mod tiffs;
 mod tree;
+mod worlds;

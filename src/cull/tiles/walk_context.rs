@@ -130,7 +130,7 @@ impl WalkContext<'_> {
     #[cold]
     fn content_volume_is_outside(&self, tile: u32) -> bool {
         let Some(volume) = self.tiles.content_volume(tile) else { return false };
-        let (offset, shape) = volume.from_eye(self.view.eye.position);
+        let (offset, shape) = volume.seen_from(self.view.eye.position);
         let crossing = match shape {
             ContentShape::Sphere { radius_m } => self.view.planes.test_sphere(offset.with_w(*radius_m), self.mask),
             ContentShape::Box { axes, half_m } => self.view.planes.test_oriented(offset, axes, *half_m, self.mask),

@@ -20,6 +20,7 @@ pub(in crate::formats) struct SetExtras {
     side: Option<u32>,
     border: Option<u32>,
     level_errors_m: Option<Vec<f64>>,
+    /// The level of the tileset's root in the set; 0 if it is missing. External tilesets continue the levels of others.
     level: Option<u32>,
 }
 

@@ -50,7 +50,10 @@ impl Water {
     /// Returns the reflection of the tile: water is smooth, land is rough. Land has the same model, so that tiles with and
     /// without water look alike at their edge.
     pub fn reflection(&self) -> MetallicRoughness {
-        let roughness = |water: u8| 1.0 - (1.0 - ROUGHNESS) * f32::from(water) / 255.0;
+        let roughness = |water: u8| {
+            let share = f32::from(water) / 255.0;
+            share * ROUGHNESS + (1.0 - share)
+        };
         match self {
             Self::Uniform(water) => MetallicRoughness { roughness: roughness(*water), ..MetallicRoughness::default() },
             Self::Cells(cells) => {

@@ -40,7 +40,7 @@ impl ContentVolume {
     }
 
     /// Returns the offset from an eye to the centre, both in the frame of the tile, and the shape around it.
-    pub fn from_eye(&self, eye: DVec3) -> (Vec4, &ContentShape) {
+    pub fn seen_from(&self, eye: DVec3) -> (Vec4, &ContentShape) {
         ((self.center - eye).as_vec3().extend(0.0), &self.shape)
     }
 }

@@ -2,12 +2,14 @@
 //! are called on the threads of connections.
 
 use std::fs::File;
-use std::io::{ErrorKind, Read, Result, Seek as _, SeekFrom};
+use std::io::{Cursor, ErrorKind, Read, Result, Seek, SeekFrom};
 use std::path::{Component, Path, PathBuf};
 use std::sync::atomic::Ordering;
 use std::time::{Duration, UNIX_EPOCH};
 
 use http::{Method, StatusCode};
+use terrane::math::random::fnv1a;
+use terrane_data_gen::GenError;
 
 use super::faults::{Fault, FaultRandom};
 use super::server::Server;
@@ -201,12 +203,13 @@ impl Server {
 
     /// Returns the requested file or a part of it.
     fn file_answer(&self, request: &Request, fault: Fault, random: &mut FaultRandom) -> Result<Answer> {
-        let Some((mut file, is_gzip)) = self.open(request) else { return Ok(Answer::empty(StatusCode::NOT_FOUND)) };
-        let metadata = file.metadata()?;
-        let length = metadata.len();
-        let modified = metadata.modified().ok().filter(|t| *t > UNIX_EPOCH).unwrap_or(UNIX_EPOCH);
-        let nanoseconds = modified.duration_since(UNIX_EPOCH).map_or(0, |d| d.as_nanos());
-        let (tag, date) = (format!("\"{length:x}-{nanoseconds:x}\""), httpdate::fmt_http_date(modified));
+        let found = match &self.procedural {
+            Some(procedural) => procedural.file(request.path.trim_start_matches('/')).map(Found::made).transpose()?,
+            None => self.open(request).map(|(file, is_gzip)| Found::file(file, is_gzip)).transpose()?,
+        };
+        let Some(Found { mut bytes, length, tag, date, is_gzip }) = found else {
+            return Ok(Answer::empty(StatusCode::NOT_FOUND));
+        };
         // With If-Range, a part is sent only if the client's copy is current.
         let wanted =
             request.range.as_deref().filter(|_| request.if_range.as_ref().is_none_or(|i| *i == tag || *i == date));
@@ -244,7 +247,7 @@ impl Server {
             return Ok(answer);
         }
         if first > 0 {
-            file.seek(SeekFrom::Start(first))?;
+            bytes.seek(SeekFrom::Start(first))?;
         }
         let corrupt_at = (fault == Fault::Corrupted).then(|| (random.share() * count as f64) as u64);
         answer.end = match fault {
@@ -254,7 +257,7 @@ impl Server {
             _ => End::Whole,
         };
         let sent = if answer.end == End::Whole { count } else { count / 2 };
-        answer.content = Some(Content { bytes: Box::new(file), at: 0, length: sent, corrupt_at });
+        answer.content = Some(Content { bytes: Box::new(bytes), at: 0, length: sent, corrupt_at });
         Ok(answer)
     }
 
@@ -279,6 +282,40 @@ impl Server {
             Some(file) => Some((file, true)),
             None => open(path).map(|file| (file, false)),
         }
+    }
+}
+
+/// Bytes to send, of a file or made for the request.
+trait Bytes: Read + Seek + Send {}
+
+impl<T: Read + Seek + Send> Bytes for T {}
+
+/// What is served at a path.
+struct Found {
+    bytes: Box<dyn Bytes>,
+    length: u64,
+    tag: String,
+    /// The time of the last change.
+    date: String,
+    is_gzip: bool,
+}
+
+impl Found {
+    fn file(file: File, is_gzip: bool) -> Result<Self> {
+        let metadata = file.metadata()?;
+        let length = metadata.len();
+        let modified = metadata.modified().ok().filter(|t| *t > UNIX_EPOCH).unwrap_or(UNIX_EPOCH);
+        let nanoseconds = modified.duration_since(UNIX_EPOCH).map_or(0, |d| d.as_nanos());
+        let (tag, date) = (format!("\"{length:x}-{nanoseconds:x}\""), httpdate::fmt_http_date(modified));
+        Ok(Self { bytes: Box::new(file), length, tag, date, is_gzip })
+    }
+
+    /// Takes bytes that were made for the request. Their tag is a hash, because they are the same after a restart.
+    fn made(bytes: std::result::Result<Vec<u8>, GenError>) -> Result<Self> {
+        let bytes = bytes.map_err(std::io::Error::other)?;
+        let (length, tag) = (bytes.len() as u64, format!("\"{:x}\"", fnv1a(&bytes)));
+        let date = httpdate::fmt_http_date(UNIX_EPOCH);
+        Ok(Self { bytes: Box::new(Cursor::new(bytes)), length, tag, date, is_gzip: false })
     }
 }
 

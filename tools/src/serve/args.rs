@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::Args as ClapArgs;
+use terrane_data_gen::WorldPreset;
 
 use super::faults::Fault;
 use crate::values::{amount, share};
@@ -10,8 +11,12 @@ use crate::values::{amount, share};
 // More than 16 fields: one for each option.
 #[derive(Clone, Debug, ClapArgs)]
 pub struct ServeArgs {
-    /// Folder to serve
-    pub folder: PathBuf,
+    /// Folder to serve; not with --procedural
+    #[arg(required_unless_present = "procedural", conflicts_with = "procedural")]
+    pub folder: Option<PathBuf>,
+    /// Serve a planet of 22 levels from --seed instead of a folder. Its tiles are made when they are requested
+    #[arg(long, value_enum, value_name = "PRESET")]
+    pub procedural: Option<WorldPreset>,
     /// Port; 0 selects a free one
     #[arg(long, default_value_t = 8080)]
     pub port: u16,
@@ -64,7 +69,7 @@ pub struct ServeArgs {
     /// Seconds for which answers are fresh (`Cache-Control: max-age`) [default: no such header]
     #[arg(long, value_name = "SECONDS")]
     pub max_age: Option<u32>,
-    /// Seed of the faults, which are a function of seed, path, range and number of the request for them
+    /// Seed of --procedural, and of the faults, which are a function of seed, path, range and number of the request for them
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
 }
@@ -92,7 +97,8 @@ impl ServeArgs {
     /// Returns the defaults for a folder, on a free port of the loopback address.
     pub fn new(folder: impl Into<PathBuf>) -> Self {
         Self {
-            folder: folder.into(),
+            folder: Some(folder.into()),
+            procedural: None,
             port: 0,
             bind: "127.0.0.1".to_owned(),
             http2: false,

@@ -3,7 +3,7 @@
 //!
 //! ```text
 //! connection -> http1 (blocking) --\
-//!            -> http2 (async) ------+-> answer (the file or a part of it, and its fault) -> bandwidth
+//!            -> http2 (async) ------+-> answer (the file, or a tile of a procedural planet, or a part of it, and its fault) -> bandwidth
 //!            -> tls -> either one -/
 //! ```
 //! Each connection has a thread, which is enough for one client; a real web server suits many. HTTP/1.1 blocks its thread
@@ -15,11 +15,13 @@ mod bandwidth;
 mod faults;
 mod http1;
 mod http2;
+mod procedural;
 mod server;
 mod tls;
 
 use std::io::Write as _;
 use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -28,6 +30,7 @@ use anyhow::{Context as _, Error, Result, ensure};
 
 pub use self::args::ServeArgs;
 use self::faults::RequestCounts;
+use self::procedural::Procedural;
 use self::server::Server;
 use self::tls::Tls;
 
@@ -44,14 +47,19 @@ impl Listening {
     /// Opens the port.
     fn new(args: ServeArgs) -> Result<Self> {
         args.check().map_err(Error::msg)?;
-        let folder = args.folder.canonicalize().with_context(|| args.folder.display().to_string())?;
-        ensure!(folder.is_dir(), "{}: is not a folder", folder.display());
+        let procedural = args.procedural.map(|preset| Procedural::new(preset, args.seed));
+        let folder = match &args.folder {
+            Some(folder) => folder.canonicalize().with_context(|| folder.display().to_string())?,
+            None => PathBuf::new(),
+        };
+        ensure!(procedural.is_some() || folder.is_dir(), "{}: is not a folder", folder.display());
         let address = format!("{}:{}", args.bind, args.port);
         let listener = TcpListener::bind(&address).with_context(|| format!("cannot listen on {address}"))?;
         let address = listener.local_addr()?;
         let tls = args.tls.as_deref().map(|file| Tls::new(file, &args)).transpose()?.map(Arc::new);
         let (is_faulty, is_stopped) = (AtomicBool::new(true), AtomicBool::new(false));
-        let server = Arc::new(Server { args, folder, counts: RequestCounts::default(), is_faulty, is_stopped });
+        let server =
+            Arc::new(Server { args, folder, procedural, counts: RequestCounts::default(), is_faulty, is_stopped });
         Ok(Self { server, tls, listener, address })
     }
 
@@ -97,7 +105,12 @@ fn connection(server: &Arc<Server>, tls: Option<&Tls>, stream: TcpStream) -> std
 /// Runs `terrane serve`, until the process ends.
 pub fn run(args: ServeArgs) -> Result<()> {
     let listening = Listening::new(args)?;
-    let line = format!("serving {} at {}", listening.server.folder.display(), listening.url());
+    let server = &listening.server;
+    let what = match server.args.procedural {
+        Some(preset) => format!("the world {} with seed {}", preset.name(), server.args.seed),
+        None => server.folder.display().to_string(),
+    };
+    let line = format!("serving {what} at {}", listening.url());
     // The line is for information only; standard output may be closed.
     let _ = writeln!(std::io::stdout(), "{line}");
     listening.run();

@@ -5,6 +5,7 @@ mod cache;
 mod cli;
 mod hosts;
 mod object_stores;
+mod procedural;
 mod samples;
 mod serve;
 mod serve_http2;

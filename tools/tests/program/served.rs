@@ -15,9 +15,11 @@ pub struct Server {
 }
 
 impl Server {
+    /// Starts the server for a folder; for none if the path is empty.
     pub fn start(folder: &Path, options: &[&str]) -> Self {
         let mut child = Command::new(env!("CARGO_BIN_EXE_terrane"))
-            .args(["serve", folder.to_str().unwrap(), "--port", "0"])
+            .args(["serve", "--port", "0"])
+            .args(Some(folder).filter(|folder| !folder.as_os_str().is_empty()))
             .args(options)
             .stdout(Stdio::piped())
             .spawn()

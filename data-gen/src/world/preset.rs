@@ -1,0 +1,310 @@
+//! The presets of worlds: the parameters of their relief, climate and colours.
+
+/// A kind of world.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum WorldPreset {
+    /// Continents, oceans, mountain ranges, and all climates.
+    Earthlike,
+    /// High eroded mountains with forests, lakes and snow.
+    Alps,
+    /// Dunes, plains of stones and dry mountains.
+    Desert,
+    /// Green islands in a shallow sea.
+    Islands,
+    /// Craters on plains and highlands, without air.
+    Moon,
+    /// Red plains with craters, canyons and dust.
+    Mars,
+    /// Ice sheets and glaciers between mountains.
+    Ice,
+    /// Plateaus of layered rock, cut by canyons.
+    Canyon,
+}
+
+/// The relief of a world. Lengths and heights are in metres.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Relief {
+    /// True if positions below 0 m are sea.
+    pub has_sea: bool,
+    /// Wavelength of the largest continents.
+    pub continent_m: f64,
+    /// Share of land: 0 makes half of the world land, 1 all of it.
+    pub land: f32,
+    /// Heights of plains far from the coast.
+    pub plain_m: f32,
+    /// Depth of the ocean.
+    pub ocean_m: f32,
+    /// Wavelength of the pattern of mountain ranges.
+    pub range_m: f64,
+    /// Width of the ranges, 0..1: with 1 mountains are everywhere.
+    pub range_width: f32,
+    /// Height of mountains.
+    pub mountain_m: f32,
+    /// Wavelength of the largest mountains.
+    pub massif_m: f64,
+    /// Depth of the largest gullies as a share of the mountains' height.
+    pub gullies: f32,
+    /// Height of hills on plains.
+    pub hill_m: f32,
+    /// Height of small bumps and boulders.
+    pub rough_m: f32,
+    /// Height of dunes.
+    pub dune_m: f32,
+    /// Depth of craters as a share of their radius; 0 for none.
+    pub craters: f32,
+    /// Depth of canyons in plateaus.
+    pub canyon_m: f32,
+    /// Height of the layers that slopes are stepped by; 0 for none.
+    pub layer_m: f32,
+    /// Height up to which glaciers fill the valleys of mountains; 0 for none.
+    pub glacier_m: f32,
+}
+
+/// The climate of a world.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Climate {
+    /// Temperature at sea level on the equator in degrees Celsius.
+    pub equator_c: f32,
+    /// Temperature at sea level at the poles in degrees Celsius.
+    pub pole_c: f32,
+    /// Moisture that is added everywhere; moisture is about 0 in deserts and 1 in rain forests.
+    pub wet: f32,
+    /// False for worlds without plants, snow and water.
+    pub has_life: bool,
+}
+
+/// The colours of a world, sRGB 0..255. Pairs are mixed by noise.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Palette {
+    pub bare: [[f32; 3]; 2],
+    pub sand: [[f32; 3]; 2],
+    pub dry_grass: [[f32; 3]; 2],
+    pub grass: [[f32; 3]; 2],
+    pub forest: [[f32; 3]; 2],
+    pub rock: [[f32; 3]; 2],
+    pub snow: [f32; 3],
+    pub shallow: [f32; 3],
+    pub deep: [f32; 3],
+    /// Strength of the layers' colours on slopes, 0..1.
+    pub layers: f32,
+}
+
+/// All parameters of a world.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Parameters {
+    pub relief: Relief,
+    pub climate: Climate,
+    pub palette: Palette,
+    /// Longitude and latitude in degrees around which the default place is searched.
+    pub place: [f64; 2],
+}
+
+const EARTH: Parameters = Parameters {
+    relief: Relief {
+        has_sea: true,
+        continent_m: 5_200_000.0,
+        land: 0.12,
+        plain_m: 420.0,
+        ocean_m: 4_200.0,
+        range_m: 2_600_000.0,
+        range_width: 0.32,
+        mountain_m: 4_200.0,
+        massif_m: 38_000.0,
+        gullies: 0.12,
+        hill_m: 260.0,
+        rough_m: 1.2,
+        dune_m: 0.0,
+        craters: 0.0,
+        canyon_m: 0.0,
+        layer_m: 0.0,
+        glacier_m: 0.0,
+    },
+    climate: Climate { equator_c: 29.0, pole_c: -24.0, wet: 0.0, has_life: true },
+    palette: Palette {
+        bare: [[140.0, 126.0, 104.0], [166.0, 148.0, 120.0]],
+        sand: [[202.0, 178.0, 132.0], [218.0, 196.0, 152.0]],
+        dry_grass: [[148.0, 138.0, 86.0], [170.0, 156.0, 100.0]],
+        grass: [[96.0, 116.0, 58.0], [126.0, 136.0, 76.0]],
+        forest: [[44.0, 68.0, 38.0], [66.0, 88.0, 48.0]],
+        rock: [[104.0, 98.0, 92.0], [142.0, 134.0, 124.0]],
+        snow: [242.0, 246.0, 251.0],
+        shallow: [70.0, 140.0, 150.0],
+        deep: [18.0, 44.0, 82.0],
+        layers: 0.12,
+    },
+    place: [8.0, 47.0],
+};
+
+impl WorldPreset {
+    /// All presets.
+    pub const ALL: [Self; 8] =
+        [Self::Earthlike, Self::Alps, Self::Desert, Self::Islands, Self::Moon, Self::Mars, Self::Ice, Self::Canyon];
+
+    /// Returns the name on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Earthlike => "earthlike",
+            Self::Alps => "alps",
+            Self::Desert => "desert",
+            Self::Islands => "islands",
+            Self::Moon => "moon",
+            Self::Mars => "mars",
+            Self::Ice => "ice",
+            Self::Canyon => "canyon",
+        }
+    }
+
+    pub(super) fn parameters(self) -> Parameters {
+        let Parameters { relief, climate, palette, .. } = EARTH;
+        match self {
+            Self::Earthlike => EARTH,
+            Self::Alps => Parameters {
+                relief: Relief {
+                    land: 0.55,
+                    range_width: 0.85,
+                    mountain_m: 3_800.0,
+                    massif_m: 26_000.0,
+                    gullies: 0.13,
+                    ..relief
+                },
+                climate: Climate { equator_c: 22.0, pole_c: -10.0, wet: 0.08, ..climate },
+                palette,
+                place: [8.0, 47.0],
+            },
+            Self::Desert => Parameters {
+                relief: Relief {
+                    has_sea: false,
+                    land: 0.7,
+                    range_width: 0.22,
+                    mountain_m: 1_700.0,
+                    massif_m: 22_000.0,
+                    hill_m: 120.0,
+                    dune_m: 130.0,
+                    layer_m: 60.0,
+                    ..relief
+                },
+                climate: Climate { equator_c: 38.0, pole_c: 8.0, wet: -0.6, ..climate },
+                palette: Palette {
+                    sand: [[206.0, 150.0, 92.0], [224.0, 174.0, 114.0]],
+                    bare: [[150.0, 112.0, 80.0], [176.0, 134.0, 96.0]],
+                    rock: [[124.0, 84.0, 62.0], [158.0, 112.0, 82.0]],
+                    layers: 0.3,
+                    ..palette
+                },
+                place: [8.0, 24.0],
+            },
+            Self::Islands => Parameters {
+                relief: Relief {
+                    continent_m: 420_000.0,
+                    land: -0.16,
+                    plain_m: 160.0,
+                    ocean_m: 1_400.0,
+                    range_m: 240_000.0,
+                    range_width: 0.55,
+                    mountain_m: 1_900.0,
+                    massif_m: 17_000.0,
+                    gullies: 0.16,
+                    hill_m: 120.0,
+                    ..relief
+                },
+                climate: Climate { equator_c: 29.0, pole_c: 14.0, wet: 0.4, ..climate },
+                palette: Palette {
+                    shallow: [88.0, 190.0, 184.0],
+                    deep: [16.0, 66.0, 110.0],
+                    grass: [[92.0, 124.0, 54.0], [118.0, 146.0, 70.0]],
+                    forest: [[38.0, 78.0, 36.0], [58.0, 98.0, 46.0]],
+                    sand: [[226.0, 210.0, 172.0], [238.0, 224.0, 190.0]],
+                    ..palette
+                },
+                place: [8.0, 12.0],
+            },
+            Self::Moon => Parameters {
+                relief: Relief {
+                    has_sea: false,
+                    land: 0.2,
+                    plain_m: 900.0,
+                    ocean_m: 1_500.0,
+                    range_width: 0.0,
+                    mountain_m: 0.0,
+                    hill_m: 160.0,
+                    rough_m: 0.8,
+                    craters: 1.0,
+                    ..relief
+                },
+                climate: Climate { equator_c: 0.0, pole_c: 0.0, wet: 0.0, has_life: false },
+                palette: Palette {
+                    bare: [[112.0, 110.0, 108.0], [150.0, 147.0, 142.0]],
+                    sand: [[78.0, 78.0, 80.0], [96.0, 95.0, 96.0]],
+                    rock: [[140.0, 138.0, 134.0], [172.0, 169.0, 164.0]],
+                    layers: 0.0,
+                    ..palette
+                },
+                place: [8.0, 30.0],
+            },
+            Self::Mars => Parameters {
+                relief: Relief {
+                    has_sea: false,
+                    land: 0.3,
+                    plain_m: 1_200.0,
+                    ocean_m: 2_500.0,
+                    range_width: 0.2,
+                    mountain_m: 3_000.0,
+                    massif_m: 34_000.0,
+                    hill_m: 200.0,
+                    dune_m: 25.0,
+                    craters: 0.75,
+                    canyon_m: 1_900.0,
+                    layer_m: 150.0,
+                    ..relief
+                },
+                climate: Climate { equator_c: -20.0, pole_c: -120.0, wet: 0.0, has_life: false },
+                palette: Palette {
+                    bare: [[152.0, 92.0, 60.0], [184.0, 118.0, 78.0]],
+                    sand: [[110.0, 74.0, 58.0], [132.0, 88.0, 66.0]],
+                    rock: [[126.0, 74.0, 52.0], [170.0, 110.0, 76.0]],
+                    layers: 0.35,
+                    ..palette
+                },
+                place: [8.0, 8.0],
+            },
+            Self::Ice => Parameters {
+                relief: Relief {
+                    land: 0.3,
+                    range_width: 0.6,
+                    mountain_m: 4_400.0,
+                    massif_m: 24_000.0,
+                    hill_m: 140.0,
+                    glacier_m: 350.0,
+                    ..relief
+                },
+                climate: Climate { equator_c: -9.0, pole_c: -45.0, wet: 0.3, ..climate },
+                palette: Palette { shallow: [92.0, 152.0, 170.0], deep: [22.0, 58.0, 88.0], ..palette },
+                place: [8.0, 60.0],
+            },
+            Self::Canyon => Parameters {
+                relief: Relief {
+                    has_sea: false,
+                    land: 0.8,
+                    plain_m: 1_900.0,
+                    range_width: 0.12,
+                    mountain_m: 1_600.0,
+                    hill_m: 180.0,
+                    canyon_m: 1_500.0,
+                    layer_m: 130.0,
+                    ..relief
+                },
+                climate: Climate { equator_c: 30.0, pole_c: 6.0, wet: -0.28, ..climate },
+                palette: Palette {
+                    bare: [[176.0, 120.0, 84.0], [196.0, 144.0, 104.0]],
+                    sand: [[196.0, 146.0, 104.0], [212.0, 166.0, 124.0]],
+                    rock: [[150.0, 88.0, 60.0], [198.0, 140.0, 100.0]],
+                    dry_grass: [[150.0, 128.0, 88.0], [172.0, 146.0, 102.0]],
+                    grass: [[112.0, 112.0, 70.0], [136.0, 128.0, 84.0]],
+                    layers: 0.8,
+                    ..palette
+                },
+                place: [8.0, 36.0],
+            },
+        }
+    }
+}

@@ -1,0 +1,153 @@
+//! A set of tiles of a world: each tile is computed alone from its place, with the same bytes in every program.
+
+use std::f64::consts::PI;
+use std::sync::OnceLock;
+
+use image::codecs::jpeg::JpegEncoder;
+use terrane::formats::writers::write_height_exr;
+
+use super::errors::level_errors_m;
+use super::patch::{Lattice, Patch, TEXELS_PER_CELL};
+use super::planet::{RowBuffers, World, meridians};
+use super::points::{RADIUS_M, sin_cos};
+use crate::pyramid::{CELLS, QUANTUM_M};
+use crate::{Extent, GenError, TileKey};
+
+const JPEG_QUALITY: u8 = 85;
+
+/// A rectangle of a world as a quadtree of tiles.
+#[derive(Debug)]
+pub struct WorldSet {
+    world: World,
+    extent: Extent,
+    levels: u32,
+    level_errors_m: OnceLock<Vec<f64>>,
+}
+
+/// The files of a tile.
+#[derive(Clone, Debug, PartialEq)]
+pub struct WorldTile {
+    /// Heights with a border of one sample, as EXR.
+    pub exr: Vec<u8>,
+    /// Colours, as JPEG.
+    pub jpeg: Vec<u8>,
+    /// The lowest and the highest height in metres, that of the border included.
+    pub range_m: [f32; 2],
+}
+
+impl WorldSet {
+    /// Creates the set of the whole planet with a number of levels, at most 22.
+    pub fn globe(world: World, levels: u32) -> Self {
+        let extent = Extent { west: -PI, south: -0.5 * PI, east: PI, north: 0.5 * PI };
+        Self { world, extent, levels, level_errors_m: OnceLock::new() }
+    }
+
+    /// Creates the set of a square around a longitude and latitude in radians, with sides in metres. The latitude is moved
+    /// so that the square does not reach over a pole.
+    pub fn square(world: World, [longitude, latitude]: [f64; 2], size_m: f64, levels: u32) -> Self {
+        let half = 0.5 * size_m / RADIUS_M;
+        let latitude = latitude.clamp(half - 0.49 * PI, 0.49 * PI - half);
+        let half_longitude = (half / sin_cos(latitude).1).min(PI);
+        let west = longitude - half_longitude;
+        let extent = Extent { west, south: latitude - half, east: west + 2.0 * half_longitude, north: latitude + half };
+        Self { world, extent, levels, level_errors_m: OnceLock::new() }
+    }
+
+    /// Returns the world.
+    pub fn world(&self) -> &World {
+        &self.world
+    }
+
+    /// Returns the number of levels.
+    pub fn levels(&self) -> u32 {
+        self.levels
+    }
+
+    /// Returns the errors of levels in metres, root first. The first call measures them on the threads of the rayon pool.
+    pub fn level_errors_m(&self) -> &[f64] {
+        self.level_errors_m.get_or_init(|| level_errors_m(self))
+    }
+
+    /// Returns true if the set has a tile.
+    pub fn contains(&self, key: TileKey) -> bool {
+        key.level < self.levels && key.x >> key.level == 0 && key.y >> key.level == 0
+    }
+
+    /// Returns the rectangle of a tile.
+    pub fn extent(&self, key: TileKey) -> Extent {
+        let lattice = self.lattice(key, 0);
+        let cells = CELLS as i64;
+        let (west, south) = (lattice.longitude(0), lattice.latitude(0));
+        Extent { west, south, east: lattice.longitude(cells), north: lattice.latitude(cells) }
+    }
+
+    /// Returns the positions of a tile's vertices, or of those a number of levels finer.
+    pub(super) fn lattice(&self, key: TileKey, finer: u32) -> Lattice {
+        let e = self.extent;
+        let cells = (CELLS as i64) << finer;
+        Lattice {
+            origin: [e.west, e.south],
+            side: [e.east - e.west, e.north - e.south],
+            steps: (cells << key.level) as f64,
+            column: i64::from(key.x) * cells,
+            row: i64::from(key.y) * cells,
+        }
+    }
+
+    /// Computes the samples of a tile.
+    fn patch(&self, key: TileKey, buffers: &mut RowBuffers) -> Patch {
+        Patch::new(&self.world, self.lattice(key, 0), CELLS, buffers)
+    }
+
+    /// Returns the heights of a tile's vertices in metres, row by row from the north, with a border of one sample.
+    pub fn heights_m(&self, key: TileKey) -> Vec<f32> {
+        heights_m(&self.patch(key, &mut RowBuffers::default()))
+    }
+
+    /// Computes the files of a tile.
+    pub fn tile(&self, key: TileKey) -> Result<WorldTile, GenError> {
+        let mut buffers = RowBuffers::default();
+        let mut patch = self.patch(key, &mut buffers);
+        let name = format!("{}/{}/{}.exr", key.level, key.x, key.y);
+        let heights = heights_m(&patch);
+        let range_m = heights.iter().fold([f32::INFINITY, f32::NEG_INFINITY], |[l, h], m| [l.min(*m), h.max(*m)]);
+        let exr = write_height_exr(&name, CELLS + 3, heights).map_err(|e| GenError::Encode(e.to_string()))?;
+        let side = (TEXELS_PER_CELL * CELLS) as u32;
+        let rgb = patch.paint(&self.world, &mut buffers);
+        let mut jpeg = Vec::new();
+        JpegEncoder::new_with_quality(&mut jpeg, JPEG_QUALITY)
+            .encode(&rgb, side, side, image::ExtendedColorType::Rgb8)
+            .map_err(|e| GenError::Encode(format!("JPEG of tile {key:?}: {e}")))?;
+        Ok(WorldTile { exr, jpeg, range_m })
+    }
+
+    /// Returns bounds of the heights in a tile, in metres. They are those of every fourth vertex, which are the vertices of
+    /// two levels above, with the error of that level: finer vertices are off by at most that.
+    pub(super) fn bounds_m(&self, key: TileKey) -> [f64; 2] {
+        let lattice = self.lattice(key, 0);
+        let every = || (0..=CELLS as i64).step_by(4);
+        let longitudes = meridians(every().map(|column| lattice.longitude(column)));
+        let mut buffers = RowBuffers::default();
+        let (mut low_m, mut high_m) = (f32::INFINITY, f32::NEG_INFINITY);
+        for row in every() {
+            self.world.ground_row(&longitudes, lattice.latitude(row), &mut buffers);
+            for bed in &buffers.ground.bed_m {
+                let surface_m = bed.max(self.world.water_m());
+                (low_m, high_m) = (low_m.min(surface_m), high_m.max(surface_m));
+            }
+        }
+        let error_m = self.level_errors_m()[key.level.saturating_sub(2) as usize];
+        [f64::from(low_m) - error_m - 1.0, f64::from(high_m) + error_m + 1.0]
+    }
+}
+
+/// Rounds a height to the quantum of height tiles.
+pub(super) fn rounded(height_m: f32) -> f32 {
+    ((f64::from(height_m) / QUANTUM_M).round() * QUANTUM_M) as f32
+}
+
+fn heights_m(patch: &Patch) -> Vec<f32> {
+    let last = CELLS as i64 + 1;
+    let rows = (-1..=last).rev();
+    rows.flat_map(|row| (-1..=last).map(move |column| rounded(patch.surface_m(column, row)))).collect()
+}

@@ -1,0 +1,57 @@
+//! `terrane serve --procedural`: a planet whose tiles are made when they are requested.
+
+use std::path::Path;
+use std::process::Command;
+
+use crate::served::Server;
+use kit::skip::no_adapter;
+use serde_json::Value;
+use terrane_data_gen::{TileKey, World, WorldPreset, WorldSet};
+
+#[test]
+fn tiles_are_those_of_the_library_and_other_paths_are_missing() {
+    let server = Server::start(Path::new(""), &["--procedural", "canyon", "--seed", "4"]);
+    let set = WorldSet::globe(World::new(WorldPreset::Canyon, 4), 22);
+    let key = TileKey { level: 17, x: 70_000, y: 90_000 };
+    let tile = set.tile(key).unwrap();
+    let (status, head, body) = server.ask("GET", "/17/70000/90000.exr", "");
+    assert!(status == 200 && body == tile.exr, "{head}");
+    let (status, head, body) = server.ask("GET", "/17/70000/90000.jpg", "");
+    assert!(status == 200 && body == tile.jpeg && head.contains("image/jpeg"), "{head}");
+    let (_, head, body) = server.ask("GET", "/17/70000/90000.jpg", "Range: bytes=2-5\r\n");
+    assert!(head.contains("206") && body == tile.jpeg[2..6], "{head}");
+    let tag = head.lines().find_map(|l| l.strip_prefix("ETag: ")).unwrap();
+    assert_eq!(server.ask("GET", "/17/70000/90000.jpg", &format!("If-None-Match: {tag}\r\n")).0, 304);
+    let (_, _, body) = server.ask("GET", "/tileset.json", "");
+    let tileset: Value = serde_json::from_slice(&body).unwrap();
+    assert_eq!(tileset["root"]["content"]["uri"], "0/0/0.exr");
+    for path in
+        ["/", "/22/0/0.exr", "/1/2/0.exr", "/1/01/0.exr", "/2/0/0.json", "/0/0/0.json", "/1/0/0.png", "/1/0.exr"]
+    {
+        assert_eq!(server.ask("GET", path, "").0, 404, "{path}");
+    }
+}
+
+#[test]
+fn planet_is_flown_over() {
+    if no_adapter() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let (report, picture) = (folder.path().join("report.json"), folder.path().join("picture.png"));
+    let server = Server::start(Path::new(""), &["--procedural", "moon"]);
+    let flown = Command::new(env!("CARGO_BIN_EXE_terrane"))
+        .args(["fly", &format!("{}tileset.json", server.url), "--offscreen", "--settle", "--size", "96x64", "--report"])
+        .arg(&report)
+        .arg("--screenshot")
+        .arg(&picture)
+        .output()
+        .unwrap();
+    let errors = String::from_utf8_lossy(&flown.stderr);
+    assert!(flown.status.success(), "{errors}");
+    assert!(!errors.contains("failed"), "{errors}");
+    let image = image::open(&picture).unwrap().to_rgb8();
+    // The moon is grey, and fills the middle of the picture.
+    let [r, g, b] = image.get_pixel(48, 32).0;
+    assert!(r > 20 && r.abs_diff(g) < 40 && g.abs_diff(b) < 40, "{r} {g} {b}");
+}
