@@ -2,11 +2,12 @@
 
 use std::f64::consts::PI;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Instant;
 
 use crate::args::{JOBS, MAX_LEVELS, SIZES_M};
 use crate::color::{Imagery, Painter, TEXELS};
-use crate::elevation::{Mosaic, expand};
+use crate::elevation::{DEFAULT_CACHE_BYTES, Mosaic, SourceContext, expand, open_all};
 use crate::georeference::ROUNDING;
 use crate::output::{PartialFolder, write_tiles};
 use crate::pyramid::CELLS;
@@ -99,6 +100,8 @@ struct Terrain {
     is_fine: bool,
     /// Notes about the sources, each a sentence.
     notes: Vec<String>,
+    /// What the files of the elevation share; `None` for procedural terrain.
+    context: Option<Arc<SourceContext>>,
 }
 
 /// Reads the elevation files, or creates procedural terrain if there are none. By default there are enough levels for all
@@ -111,19 +114,18 @@ fn terrain(args: &GenArgs, imagery: Option<&Imagery>) -> Result<Terrain, GenErro
         let extent = Extent { west: lon - half_lon, south: lat - half, east: lon + half_lon, north: lat + half };
         let source = Procedural { seed: args.seed, cos_latitude: lat.cos() };
         let levels = args.levels.unwrap_or(PROCEDURAL_LEVELS);
-        return Ok(Terrain { source: Box::new(source), extent, levels, is_fine: false, notes: Vec::new() });
+        return Ok(Terrain {
+            source: Box::new(source),
+            extent,
+            levels,
+            is_fine: false,
+            notes: Vec::new(),
+            context: None,
+        });
     }
     let options = args.raster_options();
-    let rasters = args.dem.iter().map(|path| Raster::read_in(path, &options)).collect::<Result<Vec<_>, _>>()?;
-    let mut rasters = unwrap_at_date_line(rasters);
-    if let Some(geoid) = args.vertical_datum.geoid()? {
-        for (raster, path) in rasters.iter_mut().zip(&args.dem) {
-            if !raster.raise(&geoid) {
-                let reason = format!("reaches beyond the geoid grid {}", args.vertical_datum);
-                return Err(GenError::invalid(path, reason));
-            }
-        }
-    }
+    let context = SourceContext::new(DEFAULT_CACHE_BYTES, args.vertical_datum.geoid()?);
+    let rasters = unwrap_at_date_line(open_all(&args.dem, &options, &context)?);
     let mut e = Extent { west: f64::MAX, south: f64::MAX, east: f64::MIN, north: f64::MIN };
     // The smallest step between samples, east and north, in radians.
     let mut step = [f64::INFINITY; 2];
@@ -156,12 +158,12 @@ fn terrain(args: &GenArgs, imagery: Option<&Imagery>) -> Result<Terrain, GenErro
         wanted = wanted.max(levels_for([e.east - e.west, e.north - e.south], imagery.pixel_size(), TEXELS as usize));
     }
     let levels = args.levels.unwrap_or(wanted.min(MAX_LEVELS));
-    let mut notes = notes(&rasters);
+    let mut notes = Vec::new();
     if levels < wanted {
         notes.push(format!("the sources have detail for {wanted} levels; {levels} are written"));
     }
     let source = Box::new(Mosaic::new(rasters));
-    Ok(Terrain { source, extent: e, levels, is_fine: levels >= needed, notes })
+    Ok(Terrain { source, extent: e, levels, is_fine: levels >= needed, notes, context: Some(context) })
 }
 
 /// Returns the number of levels whose finest one has steps of at most a size, for a rectangle with these sides. A tile has
@@ -176,10 +178,9 @@ fn levels_for(sides: [f64; 2], step: [f64; 2], per_tile: usize) -> u32 {
 /// Heights of the earth in metres, with some room.
 const EARTH_M: [f32; 2] = [-12_000.0, 9_000.0];
 
-/// Returns notes about heights that the earth does not have.
-fn notes(rasters: &[Raster]) -> Vec<String> {
-    let ranges = rasters.iter().map(Raster::range_m);
-    let [low, high] = ranges.fold(EARTH_M, |[low, high], own| [low.min(own[0]), high.max(own[1])]);
+/// Returns notes about heights that were read and that the earth does not have.
+fn notes(context: &SourceContext) -> Vec<String> {
+    let [low, high] = context.seen.range_m().unwrap_or(EARTH_M);
     let unusual = [(low < EARTH_M[0]).then_some(low), (high > EARTH_M[1]).then_some(high)];
     let note =
         |height_m| format!("a height of {height_m} m is not the earth's; the unit or the scale of a file may be wrong");
@@ -211,7 +212,7 @@ fn widest_gap(intervals: &mut [[f64; 2]]) -> f64 {
 /// Samples, measures and paints the terrain, and writes its tiles into `folder`.
 fn generate_into(args: &GenArgs, folder: &Path) -> Result<Summary, GenError> {
     let imagery = args.imagery.as_deref().map(|path| Imagery::read(path, args.epsg.clone())).transpose()?;
-    let Terrain { source, extent, levels, is_fine, notes } = terrain(args, imagery.as_ref())?;
+    let Terrain { source, extent, levels, is_fine, mut notes, context } = terrain(args, imagery.as_ref())?;
     if let (Some(image), Some(path)) = (&imagery, &args.imagery)
         && !image.covers(&extent)
     {
@@ -221,11 +222,12 @@ fn generate_into(args: &GenArgs, folder: &Path) -> Result<Summary, GenError> {
     let sampling = Progress::new("sampling the elevation", side as u64, "rows");
     let row_done = || sampling.advance(1);
     let how = Sampling { voids: args.voids, keep_extrema: is_fine, row_done: &row_done };
-    let grid = Grid::sample_rows(source.as_ref(), extent, side, &how);
+    let grid = Grid::sample_rows(source.as_ref(), extent, side, &how)?;
     drop(sampling);
-    let pyramid = Pyramid::new(grid, levels, source.as_ref());
+    let pyramid = Pyramid::new(grid, levels, source.as_ref())?;
+    notes.extend(context.iter().flat_map(|context| self::notes(context)));
     // The memory of the source is free while tiles are written.
-    drop(source);
+    drop((source, context));
     if pyramid.keys().next().is_none() {
         let reason = "no neighbouring samples have heights; --voids fill continues them";
         return Err(GenError::invalid(args.dem.first().cloned().unwrap_or_default(), reason));

@@ -18,9 +18,12 @@ mod noise;
 mod output;
 mod progress;
 mod pyramid;
+mod store;
 
 pub use args::{Color, ContentKind, GenArgs, Summary, Voids};
-pub use elevation::{ElevationSource, HeightEncoding, Procedural, Raster, RasterOptions, SourceSample};
+pub use elevation::{
+    DEFAULT_CACHE_BYTES, ElevationSource, HeightEncoding, Procedural, Raster, RasterOptions, SourceSample,
+};
 pub use error::GenError;
 pub use generate::{default_set, run};
 pub use georeference::{Crs, Projection, VerticalDatum, utm_from_geodetic, utm_to_geodetic};

@@ -6,6 +6,7 @@ use std::path::Path;
 use crate::GenError;
 use crate::georeference::{Crs, Placement, geotiff};
 use crate::pyramid::Extent;
+use crate::store::Rect;
 
 /// Offsets to try for a longitude, in radians: imagery of the whole world may span 0 to 360 degrees.
 const TURNS: [f64; 3] = [0.0, TAU, -TAU];
@@ -33,7 +34,8 @@ impl Imagery {
         let (size, rgba, placement) = if is_tiff {
             let t = geotiff::Tiff::open(path)?;
             let placement = Placement::of_tiff(path, &t, given)?.unwrap_or_default();
-            ([t.width, t.height], t.rgba(path)?, placement)
+            let all = Rect { column: 0, row: 0, width: t.width, height: t.height };
+            ([t.width, t.height], t.rgba(all)?.into_flattened(), placement)
         } else {
             // The format is recognised by the content, because extensions may be wrong.
             let reader = image::ImageReader::open(path).and_then(|r| r.with_guessed_format());

@@ -1,6 +1,7 @@
 //! Procedural terrain: domain-warped ridged mountains that rise out of plains with hills and lakes.
 
 use super::source::ElevationSource;
+use crate::GenError;
 use crate::noise::{fbm, ridged};
 
 /// Mean radius of the earth, to convert angles to metres. Noise does not need an ellipsoid.
@@ -16,7 +17,7 @@ pub struct Procedural {
 }
 
 impl ElevationSource for Procedural {
-    fn height_m(&self, longitude: f64, latitude: f64) -> Option<f64> {
+    fn height_m(&self, longitude: f64, latitude: f64) -> Result<Option<f64>, GenError> {
         let x = longitude * RADIUS_M * self.cos_latitude;
         let y = latitude * RADIUS_M;
         let s = self.seed.wrapping_mul(0x0100_0000_01b3);
@@ -29,10 +30,10 @@ impl ElevationSource for Procedural {
         let broad = fbm(x / 52_000.0, y / 52_000.0, 3, s ^ 0x66);
         let plain = 520.0 + 420.0 * broad + 170.0 * hills * (0.35 + 0.65 * mask);
         if mask == 0.0 {
-            return Some(plain);
+            return Ok(Some(plain));
         }
         let ridges = ridged(wx / 13_000.0, wy / 13_000.0, 10, s ^ 0x44);
-        Some(plain + mask * (2900.0 * ridges * (0.35 + 0.65 * mask) - 350.0 * (1.0 - mask)))
+        Ok(Some(plain + mask * (2900.0 * ridges * (0.35 + 0.65 * mask) - 350.0 * (1.0 - mask))))
     }
 }
 

@@ -1,18 +1,32 @@
 //! The interface between elevation data and the sampling of the grid.
 
-/// Heights as a function of position. Called from several threads at the same time.
+use crate::{Extent, GenError};
+
+/// Heights as a function of position. Called from several threads at the same time; a source may read files in a call.
 pub trait ElevationSource: Sync {
     /// Returns the height in metres above the ellipsoid at a longitude and latitude in radians, `None` where the
-    /// source has no data.
-    fn height_m(&self, longitude: f64, latitude: f64) -> Option<f64>;
+    /// source has no data. The result depends on the position alone.
+    fn height_m(&self, longitude: f64, latitude: f64) -> Result<Option<f64>, GenError>;
 
-    /// Returns the number of rows of samples that the source was measured at; 0 if it is a formula.
-    fn sample_rows(&self) -> usize {
-        0
+    /// Computes the heights along a row of positions at one latitude, `longitude + k * step`, in radians: NaN where the
+    /// source has no data. The results are those of [`Self::height_m`], rounded to `f32`.
+    fn heights_of_row(&self, longitude: f64, step: f64, latitude: f64, out: &mut [f32]) -> Result<(), GenError> {
+        for (k, height_m) in out.iter_mut().enumerate() {
+            *height_m = self.height_m(longitude + step * k as f64, latitude)?.map_or(f32::NAN, |h| h as f32);
+        }
+        Ok(())
     }
 
-    /// Calls with the samples of a row that [`Self::height_m`] interpolates between.
-    fn samples_of_row(&self, _row: usize, _call: &mut dyn FnMut(SourceSample)) {}
+    /// Calls with each sample inside a rectangle, its edges included, that [`Self::height_m`] interpolates between. A
+    /// formula has no samples.
+    fn samples_in(&self, _extent: &Extent, _call: &mut dyn FnMut(SourceSample)) -> Result<(), GenError> {
+        Ok(())
+    }
+
+    /// Returns false if the source has no data anywhere in a rectangle. True if it may have.
+    fn may_have_data_in(&self, _extent: &Extent) -> bool {
+        true
+    }
 }
 
 /// A sample of a source.

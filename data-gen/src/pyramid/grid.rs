@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use crate::{ElevationSource, Voids};
+use crate::{ElevationSource, GenError, Voids};
 
 /// A rectangle of longitude and latitude in radians.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -49,25 +49,29 @@ pub const QUANTUM_M: f64 = 1.0 / 128.0;
 
 impl Grid {
     /// Samples a source, fills gaps from their surroundings, and rounds to the quantum.
-    pub fn sample(source: &dyn ElevationSource, extent: Extent, side: usize) -> Self {
+    pub fn sample(source: &dyn ElevationSource, extent: Extent, side: usize) -> Result<Self, GenError> {
         let sampling = Sampling { voids: Voids::Fill, keep_extrema: false, row_done: &|| () };
         Self::sample_rows(source, extent, side, &sampling)
     }
 
     /// Samples a source and rounds to the quantum.
-    pub fn sample_rows(source: &dyn ElevationSource, extent: Extent, side: usize, sampling: &Sampling<'_>) -> Self {
+    pub fn sample_rows(
+        source: &dyn ElevationSource,
+        extent: Extent,
+        side: usize,
+        sampling: &Sampling<'_>,
+    ) -> Result<Self, GenError> {
         let mut grid = Self { extent, side, heights: vec![0.0f32; side * side], voids: 0, is_void: Vec::new() };
         let cells = (side - 1) as f64;
-        grid.heights.par_chunks_mut(side).enumerate().for_each(|(j, row)| {
+        let step = (extent.east - extent.west) / cells;
+        grid.heights.par_chunks_mut(side).enumerate().try_for_each(|(j, row)| {
             let latitude = extent.south + (extent.north - extent.south) * (j as f64 / cells);
-            for (i, h) in row.iter_mut().enumerate() {
-                let longitude = extent.west + (extent.east - extent.west) * (i as f64 / cells);
-                *h = source.height_m(longitude, latitude).map_or(f32::NAN, |h| h as f32);
-            }
+            source.heights_of_row(extent.west, step, latitude, row)?;
             (sampling.row_done)();
-        });
+            Ok(())
+        })?;
         if sampling.keep_extrema {
-            grid.keep_extrema(source);
+            grid.keep_extrema(source)?;
         }
         let heights = &mut grid.heights;
         grid.voids = heights.par_iter().filter(|h| !h.is_finite()).count() as u64;
@@ -80,28 +84,43 @@ impl Grid {
             fill(heights, side, side);
         }
         heights.par_iter_mut().for_each(|h| *h = ((f64::from(*h) / QUANTUM_M).round() * QUANTUM_M) as f32);
-        grid
+        Ok(grid)
     }
 
     /// Gives the samples nearest to the source's highest and lowest ones their heights, so that peaks between the grid's
     /// samples are not lost.
-    fn keep_extrema(&mut self, source: &dyn ElevationSource) {
-        let rows = (0..source.sample_rows()).into_par_iter();
-        let found: Vec<(usize, f32)> = rows
-            .flat_map_iter(|row| {
-                let mut found = Vec::new();
-                source.samples_of_row(row, &mut |sample| {
-                    if sample.is_extremum {
-                        let [x, y] = self.position(sample.longitude, sample.latitude).map(|c| c.round() as usize);
-                        found.push((y * self.side + x, sample.height_m as f32));
-                    }
-                });
-                found
-            })
-            .collect();
-        for (at, height_m) in found {
+    fn keep_extrema(&mut self, source: &dyn ElevationSource) -> Result<(), GenError> {
+        let found = self.bands().into_par_iter().map(|band| {
+            let mut found: Vec<(usize, f32)> = Vec::new();
+            source.samples_in(&band, &mut |sample| {
+                if sample.is_extremum {
+                    let [x, y] = self.position(sample.longitude, sample.latitude).map(|c| c.round() as usize);
+                    found.push((y * self.side + x, sample.height_m as f32));
+                }
+            })?;
+            Ok(found)
+        });
+        let found: Vec<Vec<(usize, f32)>> = found.collect::<Result<_, GenError>>()?;
+        for (at, height_m) in found.into_iter().flatten() {
             self.heights[at] = height_m;
         }
+        Ok(())
+    }
+
+    /// Returns the grid's rectangle in bands from south to north, for the threads. Bands share their edges.
+    pub(super) fn bands(&self) -> Vec<Extent> {
+        const BANDS: usize = 64;
+        let e = self.extent;
+        let latitude = |k: usize| e.south + (e.north - e.south) * (k as f64 / BANDS as f64);
+        // Samples on the edges of the rectangle may lie outside of it by a rounding error.
+        let (south, north) = (e.south - 1e-9, e.north + 1e-9);
+        let edge = |k: usize| match k {
+            0 => south,
+            BANDS => north,
+            _ => latitude(k),
+        };
+        let (west, east) = (e.west - 1e-9, e.east + 1e-9);
+        (0..BANDS).map(|k| Extent { west, south: edge(k), east, north: edge(k + 1) }).collect()
     }
 
     /// Returns the column and row of a longitude and latitude in radians, clamped to the grid.
@@ -191,16 +210,16 @@ mod tests {
     struct Gap;
 
     impl ElevationSource for Gap {
-        fn height_m(&self, longitude: f64, latitude: f64) -> Option<f64> {
+        fn height_m(&self, longitude: f64, latitude: f64) -> Result<Option<f64>, GenError> {
             let inside = longitude.hypot(latitude) < 0.3;
-            (!inside).then_some(100.0 + longitude)
+            Ok((!inside).then_some(100.0 + longitude))
         }
     }
 
     #[test]
     fn gaps_are_filled_from_surroundings_and_counted() {
         let extent = Extent { west: -1.0, south: -1.0, east: 1.0, north: 1.0 };
-        let g = Grid::sample(&Gap, extent, 65);
+        let g = Grid::sample(&Gap, extent, 65).unwrap();
         assert!(g.voids > 100 && g.is_whole());
         for h in &g.heights {
             assert!((98.5..=101.5).contains(h), "{h}");
@@ -213,7 +232,7 @@ mod tests {
         let extent = Extent { west: -1.0, south: -1.0, east: 1.0, north: 1.0 };
         let of = |voids| {
             let sampling = Sampling { voids, keep_extrema: false, row_done: &|| () };
-            Grid::sample_rows(&Gap, extent, 65, &sampling)
+            Grid::sample_rows(&Gap, extent, 65, &sampling).unwrap()
         };
         let (filled, cut, sea) = (of(Voids::Fill), of(Voids::Cut), of(Voids::Sea));
         assert_eq!([cut.voids, sea.voids], [filled.voids; 2]);

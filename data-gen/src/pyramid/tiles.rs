@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use terrane::math::WGS84;
 
 use super::grid::{Extent, Grid, QUANTUM_M};
-use crate::ElevationSource;
+use crate::{ElevationSource, GenError};
 
 /// The number of cells along a tile's side.
 pub const CELLS: usize = 64;
@@ -65,11 +65,11 @@ pub struct Pyramid {
 impl Pyramid {
     /// Measures every tile on all threads against the samples of `source` and the grid. Panics unless the grid's side is
     /// `64 * 2^(levels-1) + 1`.
-    pub fn new(grid: Grid, levels: u32, source: &dyn ElevationSource) -> Self {
+    pub fn new(grid: Grid, levels: u32, source: &dyn ElevationSource) -> Result<Self, GenError> {
         assert_eq!(grid.side, (CELLS << (levels - 1)) + 1, "the grid was sampled for this pyramid");
         let mut facts: Vec<Vec<TileFacts>> = Vec::new();
         // The error of the finest level below each tile of the current level.
-        let mut finest_errors_m = finest_errors_m(&grid, 1 << (levels - 1), source);
+        let mut finest_errors_m = finest_errors_m(&grid, 1 << (levels - 1), source)?;
         for level in (0..levels).rev() {
             let tiles = 1usize << level;
             let finer = facts.last();
@@ -103,7 +103,7 @@ impl Pyramid {
             facts.push(measured);
         }
         facts.reverse();
-        Self { grid, levels, facts }
+        Ok(Self { grid, levels, facts })
     }
 
     /// Returns the distance between neighbouring vertices of a level, in samples of the finest level.
@@ -175,15 +175,15 @@ impl Pyramid {
 
 /// Returns for each tile of the finest level, row-major from the south-west, the largest height difference in metres between
 /// its triangles and the samples of a source inside it.
-fn finest_errors_m(grid: &Grid, tiles: usize, source: &dyn ElevationSource) -> Vec<f64> {
+fn finest_errors_m(grid: &Grid, tiles: usize, source: &dyn ElevationSource) -> Result<Vec<f64>, GenError> {
     let largest = |mut a: Vec<f64>, b: Vec<f64>| {
         a.iter_mut().zip(b).for_each(|(a, b)| *a = a.max(b));
         a
     };
     let none = || vec![0.0f64; tiles * tiles];
-    let rows = (0..source.sample_rows()).into_par_iter();
-    let measured = rows.fold(none, |mut errors, row| {
-        source.samples_of_row(row, &mut |sample| {
+    let measured = grid.bands().into_par_iter().map(|band| {
+        let mut errors = none();
+        source.samples_in(&band, &mut |sample| {
             let [x, y] = grid.position(sample.longitude, sample.latitude);
             let [i, j] = [x, y].map(|c| (c as usize).min(grid.side - 2));
             let (u, v) = (x - i as f64, y - j as f64);
@@ -198,10 +198,10 @@ fn finest_errors_m(grid: &Grid, tiles: usize, source: &dyn ElevationSource) -> V
             let error = (surface - bulge - sample.height_m).abs();
             let tile = &mut errors[j / CELLS * tiles + i / CELLS];
             *tile = tile.max(if error < ROUNDING_M { 0.0 } else { error });
-        });
-        errors
+        })?;
+        Ok(errors)
     });
-    measured.reduce(none, largest)
+    measured.try_reduce(none, |a, b| Ok(largest(a, b)))
 }
 
 /// Returns the height at a position in a cell, 0..1 from west and from south, on its two triangles. The corners are in the
@@ -281,7 +281,7 @@ mod tests {
     fn pyramid() -> Pyramid {
         let source = Procedural { seed: 7, cos_latitude: 0.68 };
         let extent = Extent { west: 0.139, south: 0.82, east: 0.141, north: 0.8215 };
-        Pyramid::new(Grid::sample(&source as &dyn ElevationSource, extent, 257), 3, &source)
+        Pyramid::new(Grid::sample(&source as &dyn ElevationSource, extent, 257).unwrap(), 3, &source).unwrap()
     }
 
     #[test]
@@ -348,8 +348,8 @@ mod tests {
     struct Flat;
 
     impl ElevationSource for Flat {
-        fn height_m(&self, _: f64, _: f64) -> Option<f64> {
-            Some(1000.0)
+        fn height_m(&self, _: f64, _: f64) -> Result<Option<f64>, GenError> {
+            Ok(Some(1000.0))
         }
     }
 
@@ -358,7 +358,8 @@ mod tests {
     fn errors_include_the_bulge_of_the_earth() {
         for (south, wide) in [(-2.0f64, 5.0f64), (44.0, 6.0), (70.0, 10.0)] {
             let [west, south, east, north] = [10.0, south, 10.0 + wide, south + 4.0].map(f64::to_radians);
-            let p = Pyramid::new(Grid::sample(&Flat, Extent { west, south, east, north }, 257), 3, &Flat);
+            let grid = Grid::sample(&Flat, Extent { west, south, east, north }, 257).unwrap();
+            let p = Pyramid::new(grid, 3, &Flat).unwrap();
             for key in p.keys().filter(|k| k.level + 1 < p.levels) {
                 let (error, brute) = (p.facts(key).error_m, farthest_m(&p, key));
                 assert!(error > 0.99 * brute && error < 1.02 * brute + 0.01, "{key:?} {error} {brute}");

@@ -8,6 +8,7 @@ mod files;
 
 mod fuzz_rasters;
 mod nothing_lost;
+mod proj_points;
 mod reference_systems;
 mod samples;
 mod sets;

@@ -1,12 +1,14 @@
 //! Web tiles in the scheme of XYZ: `z/x/y.png` in Web Mercator, row 0 in the north.
 
+use std::collections::HashMap;
 use std::f64::consts::PI;
+use std::io::{BufReader, Seek as _};
 use std::path::{Path, PathBuf};
 
-use super::super::raster::Raster;
-use super::{MAX_SAMPLES, RasterOptions, png};
+use super::{Opened, RasterOptions, png};
 use crate::GenError;
 use crate::georeference::{Crs, GeoTransform, Placement};
+use crate::store::{BlockGrid, BlockReader, Rect};
 use terrane::math::WGS84;
 
 /// The position of a tile.
@@ -60,11 +62,25 @@ fn tiles(zoom: &Path) -> Vec<(WebTile, PathBuf)> {
     tiles
 }
 
-/// Reads the tiles of the finest zoom level of a folder as one raster. Missing tiles have no data.
-pub(super) fn read(folder: &Path, options: &RasterOptions) -> Result<Raster, GenError> {
+/// The tiles of one zoom level of a folder as one image, read tile by tile.
+struct Folder {
+    /// The folder of the zoom level.
+    zoom: PathBuf,
+    /// The column and row of the north-western tile.
+    corner: [u32; 2],
+    /// The size of a tile in pixels.
+    size: [usize; 2],
+    options: RasterOptions,
+    /// The files of tiles, by column and row, whose names are not plain numbers and `png`, such as `07.PNG`.
+    unusual: HashMap<[usize; 2], PathBuf>,
+}
+
+/// Opens the tiles of the finest zoom level of a folder as one image. Missing tiles have no data.
+pub(super) fn open(folder: &Path, options: &RasterOptions) -> Result<Opened, GenError> {
     let mut zooms = numbered(folder, 25);
     zooms.sort_by_key(|(zoom, _)| std::cmp::Reverse(*zoom));
-    let tiles = zooms.iter().map(|(_, path)| tiles(path)).find(|tiles| !tiles.is_empty()).unwrap_or_default();
+    let finest = zooms.into_iter().map(|(_, zoom)| (tiles(&zoom), zoom)).find(|(tiles, _)| !tiles.is_empty());
+    let (tiles, zoom) = finest.unwrap_or_default();
     let range = |of: fn(&WebTile) -> u32| {
         let all = || tiles.iter().map(|(tile, _)| of(tile));
         Some([all().min()?, all().max()?])
@@ -74,27 +90,65 @@ pub(super) fn read(folder: &Path, options: &RasterOptions) -> Result<Raster, Gen
     else {
         return Err(GenError::invalid(folder, "no tiles z/x/y.png in it"));
     };
-    let (size, _) = png::heights(path, options)?;
-    let width = ((east - west + 1) as usize).checked_mul(size[0]);
-    let height = ((south - north + 1) as usize).checked_mul(size[1]);
-    let count = width.zip(height).and_then(|(w, h)| w.checked_mul(h)).filter(|count| *count <= MAX_SAMPLES);
-    let (Some(width), Some(height), Some(count)) = (width, height, count) else {
-        let reason = format!("tiles from {west}, {north} to {east}, {south} are more than 2^30 samples");
-        return Err(GenError::invalid(folder, reason));
-    };
-    let mut samples = vec![f32::NAN; count];
+    let file = std::fs::File::open(path).map_err(GenError::file(path))?;
+    let bytes = file.metadata().map_err(GenError::file(path))?.len();
+    let size = png::size(BufReader::new(file), path, options, bytes)?;
+    let pixels = |tiles: u32, size: usize| (tiles as usize).saturating_mul(size);
+    let whole = [pixels(east - west + 1, size[0]), pixels(south - north + 1, size[1])];
+    let corner = WebTile { zoom: first.zoom, x: west, y: north };
+    let placement = corner.placement(size);
+    let unusual = HashMap::new();
+    let mut folder = Folder { zoom, corner: [west, north], size, options: options.clone(), unusual };
     for (tile, path) in &tiles {
-        let (own, heights) = png::heights(path, options)?;
-        if own != size {
-            let reason = format!("{} x {} pixels, but other tiles have {} x {}", own[0], own[1], size[0], size[1]);
-            return Err(GenError::invalid(path, reason));
-        }
-        let (left, top) = ((tile.x - west) as usize * size[0], (tile.y - north) as usize * size[1]);
-        for (row, heights) in heights.chunks_exact(size[0]).enumerate() {
-            let at = (top + row) * width + left;
-            samples[at..at + size[0]].copy_from_slice(heights);
+        let at = [tile.x as usize, tile.y as usize];
+        if *path != folder.path(at) {
+            folder.unusual.insert(at, path.clone());
         }
     }
-    let corner = WebTile { zoom: first.zoom, x: west, y: north };
-    Ok(Raster::new([width, height], samples, corner.placement(size)))
+    Ok(Opened { grid: BlockGrid::new(whole, size), reader: Box::new(folder), placement })
+}
+
+impl Folder {
+    /// Returns the column and row of the tile that a block is.
+    fn tile(&self, block: Rect) -> [usize; 2] {
+        [block.column / self.size[0] + self.corner[0] as usize, block.row / self.size[1] + self.corner[1] as usize]
+    }
+
+    /// Returns the file of a tile.
+    fn path(&self, [x, y]: [usize; 2]) -> PathBuf {
+        let usual = || self.zoom.join(x.to_string()).join(format!("{y}.png"));
+        self.unusual.get(&[x, y]).cloned().unwrap_or_else(usual)
+    }
+}
+
+impl BlockReader for Folder {
+    fn read(&self, block: Rect) -> Result<Vec<u32>, GenError> {
+        let path = self.path(self.tile(block));
+        let file = match std::fs::File::open(&path) {
+            Ok(file) => file,
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => {
+                return Ok(vec![f32::NAN.to_bits(); block.pixels()]);
+            }
+            Err(e) => return Err(GenError::file(path)(e)),
+        };
+        let mut file = BufReader::new(file);
+        let bytes = file.get_ref().metadata().map_err(GenError::file(&path))?.len();
+        let own = png::size(&mut file, &path, &self.options, bytes)?;
+        if own != self.size {
+            let [width, height] = self.size;
+            let reason = format!("{} x {} pixels, but other tiles have {width} x {height}", own[0], own[1]);
+            return Err(GenError::invalid(path, reason));
+        }
+        file.rewind().map_err(GenError::file(&path))?;
+        let mut heights = Vec::with_capacity(block.pixels());
+        png::heights(file, &path, &self.options, &mut |row| {
+            heights.extend_from_slice(row);
+            Ok(())
+        })?;
+        Ok(heights)
+    }
+
+    fn is_known_empty(&self, block: Rect) -> bool {
+        !self.path(self.tile(block)).exists()
+    }
 }
