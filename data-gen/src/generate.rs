@@ -11,6 +11,7 @@ use crate::elevation::{DEFAULT_CACHE_BYTES, Mosaic, SourceContext, expand, open_
 use crate::georeference::ROUNDING;
 use crate::output::{PartialFolder, write_tiles};
 use crate::pyramid::CELLS;
+use crate::store::BlockCache;
 use crate::{
     ElevationSource, Extent, GenArgs, GenError, Grid, Procedural, Progress, Pyramid, Raster, Sampling, Summary,
 };
@@ -106,7 +107,7 @@ struct Terrain {
 
 /// Reads the elevation files, or creates procedural terrain if there are none. By default there are enough levels for all
 /// detail of the elevation and of the imagery.
-fn terrain(args: &GenArgs, imagery: Option<&Imagery>) -> Result<Terrain, GenError> {
+fn terrain(args: &GenArgs, imagery: Option<&Imagery>, cache: &Arc<BlockCache>) -> Result<Terrain, GenError> {
     if args.dem.is_empty() {
         let [lon, lat] = PROCEDURAL_CENTER.map(f64::to_radians);
         let half = 0.5 * args.size / 6_371_000.0;
@@ -124,7 +125,7 @@ fn terrain(args: &GenArgs, imagery: Option<&Imagery>) -> Result<Terrain, GenErro
         });
     }
     let options = args.raster_options();
-    let context = SourceContext::new(DEFAULT_CACHE_BYTES, args.vertical_datum.geoid()?);
+    let context = SourceContext::new(Arc::clone(cache), args.vertical_datum.geoid()?);
     let rasters = unwrap_at_date_line(open_all(&args.dem, &options, &context)?);
     let mut e = Extent { west: f64::MAX, south: f64::MAX, east: f64::MIN, north: f64::MIN };
     // The smallest step between samples, east and north, in radians.
@@ -211,10 +212,12 @@ fn widest_gap(intervals: &mut [[f64; 2]]) -> f64 {
 
 /// Samples, measures and paints the terrain, and writes its tiles into `folder`.
 fn generate_into(args: &GenArgs, folder: &Path) -> Result<Summary, GenError> {
-    let imagery = args.imagery.as_deref().map(|path| Imagery::read(path, args.epsg.clone())).transpose()?;
-    let Terrain { source, extent, levels, is_fine, mut notes, context } = terrain(args, imagery.as_ref())?;
+    let cache = Arc::new(BlockCache::new(DEFAULT_CACHE_BYTES));
+    let open = |path: &PathBuf| Imagery::open(&expand(std::slice::from_ref(path))?, args.epsg.as_ref(), &cache);
+    let imagery = args.imagery.as_ref().map(open).transpose()?;
+    let Terrain { source, extent, levels, is_fine, mut notes, context } = terrain(args, imagery.as_ref(), &cache)?;
     if let (Some(image), Some(path)) = (&imagery, &args.imagery)
-        && !image.covers(&extent)
+        && !image.covers(&extent)?
     {
         return Err(GenError::invalid(path, "does not overlap the elevation"));
     }

@@ -21,9 +21,8 @@ pub(crate) struct SourceContext {
 }
 
 impl SourceContext {
-    /// Creates the context of a run that keeps this many bytes of decoded blocks.
-    pub fn new(cache_bytes: usize, geoid: Option<Geoid>) -> Arc<Self> {
-        let cache = Arc::new(BlockCache::new(cache_bytes));
+    /// Creates the context of a run that keeps decoded blocks in a cache.
+    pub fn new(cache: Arc<BlockCache>, geoid: Option<Geoid>) -> Arc<Self> {
         Arc::new(Self { cache, tiffs: Pool::new(), geoid, seen: HeightRange::default() })
     }
 }

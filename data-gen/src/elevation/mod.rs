@@ -18,6 +18,7 @@ mod window;
 
 pub use context::DEFAULT_CACHE_BYTES;
 pub(crate) use context::SourceContext;
+pub(crate) use formats::png_rows;
 pub use formats::{HeightEncoding, RasterOptions};
 pub(crate) use mosaic::Mosaic;
 pub use procedural::Procedural;

@@ -26,9 +26,7 @@ impl Nearby {
         let mut nearby = Self { bounds, all, cells, found: vec![Vec::new(); cells * cells] };
         for k in 0..nearby.bounds.len() {
             let [west, south, east, north] = nearby.bounds[k];
-            let [[x0, x1], [y0, y1]] = [[west, east], [south, north]].map(|range| range);
-            let [x0, y0] = nearby.cell(x0, y0);
-            let [x1, y1] = nearby.cell(x1, y1);
+            let ([x0, y0], [x1, y1]) = (nearby.cell(west, south), nearby.cell(east, north));
             for cell in (y0..=y1).flat_map(|y| (x0..=x1).map(move |x| y * cells + x)) {
                 nearby.found[cell].push(k as u32);
             }

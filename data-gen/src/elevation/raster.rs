@@ -10,7 +10,7 @@ use super::formats::{self, Opened, RasterOptions};
 use super::source::{ElevationSource, SourceSample};
 use super::window::Window;
 use crate::georeference::{Placement, ROUNDING};
-use crate::store::{BlockReader, Cursor, PixelImage, Rect};
+use crate::store::{BlockCache, BlockReader, Cursor, PixelImage, Rect};
 use crate::{Extent, GenError};
 
 /// Heights above this are taken for missing data, such as the lowest number of a format. Heights in decimetres are below
@@ -78,7 +78,8 @@ impl Raster {
     /// Like [`Raster::read`], with what the file does not say itself. Opens a folder of web tiles as well. Samples are decoded
     /// when they are needed, and a number of them stays in memory. A raster without any height is an error.
     pub fn read_in(path: &Path, options: &RasterOptions) -> Result<Self, GenError> {
-        let raster = Self::open(path, options, &SourceContext::new(DEFAULT_CACHE_BYTES, None))?;
+        let raster =
+            Self::open(path, options, &SourceContext::new(Arc::new(BlockCache::new(DEFAULT_CACHE_BYTES)), None))?;
         if raster.has_heights()? { Ok(raster) } else { Err(raster.without_heights()) }
     }
 

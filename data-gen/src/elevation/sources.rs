@@ -11,7 +11,7 @@ use super::raster::Raster;
 use crate::GenError;
 
 /// The extensions of elevation files in folders.
-const EXTENSIONS: [&str; 7] = ["tif", "tiff", "hgt", "zip", "asc", "png", "exr"];
+const EXTENSIONS: [&str; 8] = ["tif", "tiff", "hgt", "zip", "asc", "png", "exr", "pmtiles"];
 
 /// Returns the files that paths name, in their order. A folder stands for its elevation files by name, unless it is a
 /// folder of web tiles; a file name with `*` or `?` for the files that match it; a text file for the paths in its lines,

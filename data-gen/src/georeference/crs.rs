@@ -7,15 +7,11 @@ use terrane::math::WGS84;
 
 use super::projection::Projection;
 
-/// Datums as the definitions of the crate name them, and with the parameters of EPSG that PROJ uses.
-const DATUMS: [[&str; 2]; 2] = [
-    // Amersfoort: EPSG:15934 replaced the parameters of EPSG:1672.
-    [
-        "+towgs84=565.2369,50.0087,465.658,-0.406857,0.350733,-1.87035,4.0812",
-        "+towgs84=565.4171,50.3319,465.5524,-0.398957388243134,0.343987817378283,-1.87740163998045,4.0725",
-    ],
-    // MGI: EPSG:1618.
-    ["+datum=hermannskogel", "+ellps=bessel +towgs84=577.326,90.129,463.919,5.137,1.474,5.297,2.4232"],
+/// The parameters of the datum Amersfoort as the crate's definitions name them (EPSG:1672), and those that replaced them
+/// (EPSG:15934), which PROJ uses.
+const AMERSFOORT: [&str; 2] = [
+    "+towgs84=565.2369,50.0087,465.658,-0.406857,0.350733,-1.87035,4.0812",
+    "+towgs84=565.4171,50.3319,465.5524,-0.398957388243134,0.343987817378283,-1.87740163998045,4.0725",
 ];
 
 /// A supported coordinate reference system.
@@ -51,7 +47,7 @@ impl Crs {
             _ if has_other_meridian(code) => None,
             _ => {
                 let definition = crs_definitions::from_code(code.try_into().ok()?)?.proj4;
-                let definition = DATUMS.iter().fold(definition.to_owned(), |d, [old, new]| d.replace(old, new));
+                let definition = definition.replace(AMERSFOORT[0], AMERSFOORT[1]);
                 Projection::new(&definition).ok().map(Self::Projection)
             }
         }

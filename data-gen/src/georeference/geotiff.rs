@@ -118,9 +118,10 @@ impl Tiff {
 
     /// Returns the grid of the blocks that are decoded at once: several tiles or strips if they are small. `None` if a single
     /// tile or strip is so large that the file has to be decoded as a whole, in [`Self::row_steps`].
-    pub fn grid(&self) -> Option<BlockGrid> {
+    /// `by_rows` is true for a caller that reads rows of strips without compression alone ([`Self::heights`]).
+    pub fn grid(&self, by_rows: bool) -> Option<BlockGrid> {
         let [width, mut height] = self.missing.size;
-        if self.has_plain_rows() {
+        if by_rows && self.has_plain_rows() {
             height = 1;
         }
         let size = [self.width, self.height];
@@ -184,6 +185,8 @@ impl Tiff {
             (Some(metres), _) => Ok(metres),
             (None, None | Some("" | "m" | "metre" | "metres" | "meter" | "meters")) => Ok(1.0),
             (None, Some("ft" | "foot" | "feet")) => Ok(FOOT_M),
+            (None, Some("km" | "kilometre" | "kilometres" | "kilometer" | "kilometers")) => Ok(1000.0),
+            (None, Some("cm" | "centimetre" | "centimetres" | "centimeter" | "centimeters")) => Ok(0.01),
             (None, Some("US survey foot" | "US survey feet" | "ftUS" | "us-ft" | "sfoot")) => Ok(US_SURVEY_FOOT_M),
             (None, Some(other)) => Err(format!("heights in units of `{other}`")),
         };

@@ -121,7 +121,7 @@ fn write_tile(
     let encode = || {
         let mut jpeg = Vec::new();
         JpegEncoder::new_with_quality(&mut jpeg, JPEG_QUALITY)
-            .encode(&painter.paint(key), TEXELS, TEXELS, image::ExtendedColorType::Rgb8)
+            .encode(&painter.paint(key)?, TEXELS, TEXELS, image::ExtendedColorType::Rgb8)
             .map_err(|e| GenError::Encode(format!("JPEG of tile {key:?}: {e}")))?;
         Ok(jpeg)
     };

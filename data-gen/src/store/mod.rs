@@ -18,4 +18,4 @@ pub(crate) use cache::BlockCache;
 pub(crate) use file_state::FileState;
 pub(crate) use image::{BlockGrid, BlockReader, Cursor, PixelImage, Rect};
 pub(crate) use pool::Pool;
-pub(crate) use spill::{WholeReader, whole};
+pub(crate) use spill::{SpillPart, WholeReader, first_pixel, whole};

@@ -83,7 +83,7 @@ fn web_tiles_are_placed_by_their_path() {
     // The same bytes in the default encoding.
     assert!(read(&tile(4, 10, 5), usual()).range_m().unwrap()[0] > 90_000.0 / 10.0);
     terrarium(&tile(4, 10, 6), 400.0, 16);
-    let reason = Raster::read_in(&set, &options).err().unwrap().to_string();
+    let reason = read(&set, options).range_m().unwrap_err().to_string();
     assert!(reason.contains("10/6.png: 16 x 16 pixels, but other tiles have 8 x 8"), "{reason}");
 }
 

@@ -5,12 +5,12 @@ mod cli;
 mod date_line;
 mod elevation_files;
 mod files;
-
+mod formats;
 mod fuzz_rasters;
 mod nothing_lost;
-mod proj_points;
 mod reference_systems;
 mod samples;
 mod sets;
+mod sources;
 mod tiffs;
 mod tree;

@@ -163,15 +163,13 @@ const MAX_NAMES: usize = 32;
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::elevation::context::{DEFAULT_CACHE_BYTES, SourceContext};
     use crate::store::Rect;
 
     fn heights(text: &str) -> Result<(GeoTransform, Vec<f32>), String> {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.asc");
         std::fs::write(&path, text).unwrap();
-        let context = SourceContext::new(DEFAULT_CACHE_BYTES, None);
-        let opened = open(&path, &RasterOptions::default(), &context.cache).map_err(|e| e.to_string())?;
+        let opened = open(&path, &RasterOptions::default(), &BlockCache::new(0)).map_err(|e| e.to_string())?;
         let [width, height] = opened.grid.size;
         let block = Rect { column: 0, row: 0, width, height };
         let samples = opened.reader.read(block).map_err(|e| e.to_string())?;

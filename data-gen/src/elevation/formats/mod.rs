@@ -1,8 +1,9 @@
-//! Readers of elevation files: GeoTIFF, HGT, PNG, EXR, ASCII grids and folders of web tiles.
+//! Readers of elevation files: GeoTIFF, HGT, PNG, EXR, ASCII grids, PMTiles and folders of web tiles.
 
 mod ascii_grid;
 mod exr;
 mod hgt;
+mod pmtiles;
 mod png;
 mod tiff;
 mod web_tiles;
@@ -15,6 +16,7 @@ use super::context::SourceContext;
 use crate::GenError;
 use crate::georeference::{Crs, Placement};
 use crate::store::{BlockGrid, BlockReader};
+pub(crate) use png::rows as png_rows;
 pub(crate) use web_tiles::is_folder_of_tiles;
 
 /// Largest number of samples in a file that is decoded as a whole.
@@ -92,10 +94,14 @@ pub(super) fn open(path: &Path, options: &RasterOptions, context: &Arc<SourceCon
         [b'I', b'I', 42 | 43, 0, ..] | [b'M', b'M', 0, 42 | 43, ..] => tiff::open(path, options, context),
         [0x89, b'P', b'N', b'G', ..] => png::open(path, options, &context.cache),
         [0x76, 0x2f, 0x31, 0x01, ..] => exr::open(path, options, &context.cache),
+        [b'P', b'M', b'T', b'i', b'l', b'e', b's', ..] => pmtiles::open(path, options),
         [b'P', b'K', 3, 4, ..] => hgt::open_zip(path, &context.cache),
         [n, c, ..] if n.eq_ignore_ascii_case(&b'n') && c.eq_ignore_ascii_case(&b'c') => {
             ascii_grid::open(path, options, &context.cache)
         }
-        _ => Err(GenError::invalid(path, "neither GeoTIFF, HGT (or a zip file of one), PNG, EXR nor an ASCII grid")),
+        _ => Err(GenError::invalid(
+            path,
+            "neither GeoTIFF, HGT (or a zip file of one), PNG, EXR, PMTiles nor an ASCII grid",
+        )),
     }
 }

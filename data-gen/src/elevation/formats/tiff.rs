@@ -49,7 +49,7 @@ pub(super) fn open(path: &Path, options: &RasterOptions, context: &Arc<SourceCon
         nodata: options.nodata,
         context: Arc::clone(context),
     };
-    let (grid, reader): (_, Box<dyn BlockReader>) = match t.grid() {
+    let (grid, reader): (_, Box<dyn BlockReader>) = match t.grid(true) {
         Some(grid) => (grid, Box::new(channel)),
         None => whole(Box::new(channel), [t.width, t.height], &context.cache),
     };

@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 use std::f64::consts::PI;
-use std::io::{BufReader, Seek as _};
+use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
 use super::{Opened, RasterOptions, png};
@@ -62,15 +62,85 @@ fn tiles(zoom: &Path) -> Vec<(WebTile, PathBuf)> {
     tiles
 }
 
-/// The tiles of one zoom level of a folder as one image, read tile by tile.
-struct Folder {
-    /// The folder of the zoom level.
-    zoom: PathBuf,
+/// The encoded tiles of one zoom level.
+pub(super) trait TileBytes: Send + Sync {
+    /// Reads a tile, `None` if it is missing.
+    fn read(&self, tile: [usize; 2]) -> Result<Option<Vec<u8>>, GenError>;
+
+    /// Returns the path of a tile for error messages.
+    fn path(&self, tile: [usize; 2]) -> PathBuf;
+
+    /// Returns true if a tile is missing, as far as this is known without reading it.
+    fn is_missing(&self, tile: [usize; 2]) -> bool;
+}
+
+/// The tiles of one zoom level as one image, read tile by tile. Missing tiles have no data.
+struct Tiles {
+    bytes: Box<dyn TileBytes>,
     /// The column and row of the north-western tile.
-    corner: [u32; 2],
+    corner: [usize; 2],
     /// The size of a tile in pixels.
     size: [usize; 2],
     options: RasterOptions,
+}
+
+/// Returns tiles as one image. `columns` and `rows` are the first and the last ones that exist, `first` is a tile that exists.
+pub(super) fn image(
+    bytes: Box<dyn TileBytes>,
+    zoom: u32,
+    [columns, rows]: [[usize; 2]; 2],
+    first: [usize; 2],
+    options: &RasterOptions,
+) -> Result<Opened, GenError> {
+    let path = bytes.path(first);
+    let tile = bytes.read(first)?.ok_or_else(|| GenError::invalid(&path, "the tile is missing"))?;
+    let size = png::size(Cursor::new(&tile), &path, options, tile.len() as u64)?;
+    let whole = [columns, rows].map(|[first, last]| last - first + 1);
+    let whole = [0, 1].map(|k| whole[k].saturating_mul(size[k]));
+    let corner = [columns[0], rows[0]];
+    let placement = WebTile { zoom, x: corner[0] as u32, y: corner[1] as u32 }.placement(size);
+    let reader = Box::new(Tiles { bytes, corner, size, options: options.clone() });
+    Ok(Opened { grid: BlockGrid::new(whole, size), reader, placement })
+}
+
+impl Tiles {
+    /// Returns the column and row of the tile that a block is.
+    fn tile(&self, block: Rect) -> [usize; 2] {
+        [block.column / self.size[0] + self.corner[0], block.row / self.size[1] + self.corner[1]]
+    }
+}
+
+impl BlockReader for Tiles {
+    fn read(&self, block: Rect) -> Result<Vec<u32>, GenError> {
+        let tile = self.tile(block);
+        let Some(bytes) = self.bytes.read(tile)? else { return Ok(vec![f32::NAN.to_bits(); block.pixels()]) };
+        let path = self.bytes.path(tile);
+        let own = png::size(Cursor::new(&bytes), &path, &self.options, bytes.len() as u64)?;
+        if own != self.size {
+            let [width, height] = self.size;
+            let reason = format!("{} x {} pixels, but other tiles have {width} x {height}", own[0], own[1]);
+            return Err(GenError::invalid(path, reason));
+        }
+        let mut heights = Vec::with_capacity(block.pixels());
+        png::heights(Cursor::new(&bytes), &path, &self.options, &mut |row| {
+            heights.extend_from_slice(row);
+            Ok(())
+        })?;
+        match heights.len() == block.pixels() {
+            true => Ok(heights),
+            false => Err(GenError::invalid(path, format!("{} pixels, expected {}", heights.len(), block.pixels()))),
+        }
+    }
+
+    fn is_known_empty(&self, block: Rect) -> bool {
+        self.bytes.is_missing(self.tile(block))
+    }
+}
+
+/// The tiles of one zoom level of a folder.
+struct Folder {
+    /// The folder of the zoom level.
+    zoom: PathBuf,
     /// The files of tiles, by column and row, whose names are not plain numbers and `png`, such as `07.PNG`.
     unusual: HashMap<[usize; 2], PathBuf>,
 }
@@ -85,70 +155,38 @@ pub(super) fn open(folder: &Path, options: &RasterOptions) -> Result<Opened, Gen
         let all = || tiles.iter().map(|(tile, _)| of(tile));
         Some([all().min()?, all().max()?])
     };
-    let (Some([west, east]), Some([north, south]), Some((first, path))) =
+    let (Some([west, east]), Some([north, south]), Some((first, _))) =
         (range(|tile| tile.x), range(|tile| tile.y), tiles.first())
     else {
         return Err(GenError::invalid(folder, "no tiles z/x/y.png in it"));
     };
-    let file = std::fs::File::open(path).map_err(GenError::file(path))?;
-    let bytes = file.metadata().map_err(GenError::file(path))?.len();
-    let size = png::size(BufReader::new(file), path, options, bytes)?;
-    let pixels = |tiles: u32, size: usize| (tiles as usize).saturating_mul(size);
-    let whole = [pixels(east - west + 1, size[0]), pixels(south - north + 1, size[1])];
-    let corner = WebTile { zoom: first.zoom, x: west, y: north };
-    let placement = corner.placement(size);
-    let unusual = HashMap::new();
-    let mut folder = Folder { zoom, corner: [west, north], size, options: options.clone(), unusual };
+    let mut folder = Folder { zoom, unusual: HashMap::new() };
     for (tile, path) in &tiles {
         let at = [tile.x as usize, tile.y as usize];
         if *path != folder.path(at) {
             folder.unusual.insert(at, path.clone());
         }
     }
-    Ok(Opened { grid: BlockGrid::new(whole, size), reader: Box::new(folder), placement })
+    let range = [[west, east], [north, south]].map(|range| range.map(|tile| tile as usize));
+    image(Box::new(folder), first.zoom, range, [first.x as usize, first.y as usize], options)
 }
 
-impl Folder {
-    /// Returns the column and row of the tile that a block is.
-    fn tile(&self, block: Rect) -> [usize; 2] {
-        [block.column / self.size[0] + self.corner[0] as usize, block.row / self.size[1] + self.corner[1] as usize]
+impl TileBytes for Folder {
+    fn read(&self, tile: [usize; 2]) -> Result<Option<Vec<u8>>, GenError> {
+        let path = self.path(tile);
+        match std::fs::read(&path) {
+            Ok(bytes) => Ok(Some(bytes)),
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(None),
+            Err(e) => Err(GenError::file(path)(e)),
+        }
     }
 
-    /// Returns the file of a tile.
     fn path(&self, [x, y]: [usize; 2]) -> PathBuf {
         let usual = || self.zoom.join(x.to_string()).join(format!("{y}.png"));
         self.unusual.get(&[x, y]).cloned().unwrap_or_else(usual)
     }
-}
 
-impl BlockReader for Folder {
-    fn read(&self, block: Rect) -> Result<Vec<u32>, GenError> {
-        let path = self.path(self.tile(block));
-        let file = match std::fs::File::open(&path) {
-            Ok(file) => file,
-            Err(e) if e.kind() == std::io::ErrorKind::NotFound => {
-                return Ok(vec![f32::NAN.to_bits(); block.pixels()]);
-            }
-            Err(e) => return Err(GenError::file(path)(e)),
-        };
-        let mut file = BufReader::new(file);
-        let bytes = file.get_ref().metadata().map_err(GenError::file(&path))?.len();
-        let own = png::size(&mut file, &path, &self.options, bytes)?;
-        if own != self.size {
-            let [width, height] = self.size;
-            let reason = format!("{} x {} pixels, but other tiles have {width} x {height}", own[0], own[1]);
-            return Err(GenError::invalid(path, reason));
-        }
-        file.rewind().map_err(GenError::file(&path))?;
-        let mut heights = Vec::with_capacity(block.pixels());
-        png::heights(file, &path, &self.options, &mut |row| {
-            heights.extend_from_slice(row);
-            Ok(())
-        })?;
-        Ok(heights)
-    }
-
-    fn is_known_empty(&self, block: Rect) -> bool {
-        !self.path(self.tile(block)).exists()
+    fn is_missing(&self, tile: [usize; 2]) -> bool {
+        !self.path(tile).exists()
     }
 }

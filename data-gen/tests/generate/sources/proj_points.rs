@@ -29,5 +29,5 @@ fn systems_agree_with_proj_over_their_areas_of_use() {
         assert!(forward_m <= MAX_ERROR_M && back_m <= MAX_ERROR_M, "{line}: {forward_m} m, {back_m} m back");
         codes.insert(code as u32);
     }
-    assert_eq!(codes.len(), 31);
+    assert_eq!(codes.len(), 30);
 }
