@@ -5,9 +5,9 @@ use std::path::Path;
 
 use terrane_data_gen::{ElevationSource as _, Extent, HeightEncoding, Raster, RasterOptions};
 
+use super::tile_archives::{pmtiles, terrarium};
 use crate::files::{PLACE, SIDE, heights, tiff_int16};
 use crate::tiffs::{Image, Values, tiff};
-use super::tile_archives::{pmtiles, terrarium};
 
 /// A pixel of test images in degrees, exact in binary.
 const PIXEL: [f64; 2] = [1.0 / 1024.0, 1.0 / 512.0];
