@@ -213,7 +213,11 @@ fn widest_gap(intervals: &mut [[f64; 2]]) -> f64 {
 /// Samples, measures and paints the terrain, and writes its tiles into `folder`.
 fn generate_into(args: &GenArgs, folder: &Path) -> Result<Summary, GenError> {
     let cache = Arc::new(BlockCache::new(DEFAULT_CACHE_BYTES));
-    let open = |path: &PathBuf| Imagery::open(&expand(std::slice::from_ref(path))?, args.epsg.as_ref(), &cache);
+    let open = |path: &PathBuf| {
+        // A folder of imagery is refused as any other file that is none.
+        let files = if path.is_dir() { vec![path.clone()] } else { expand(std::slice::from_ref(path))? };
+        Imagery::open(&files, args.epsg.as_ref(), &cache)
+    };
     let imagery = args.imagery.as_ref().map(open).transpose()?;
     let Terrain { source, extent, levels, is_fine, mut notes, context } = terrain(args, imagery.as_ref(), &cache)?;
     if let (Some(image), Some(path)) = (&imagery, &args.imagery)
