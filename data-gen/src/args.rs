@@ -50,7 +50,7 @@ pub enum Voids {
 pub struct GenArgs {
     /// Folder to write
     pub out: PathBuf,
-    /// Elevation: GeoTIFF, HGT (also in a zip file), PNG, EXR or ASCII grid; a folder of them or of web tiles z/x/y.png; a
+    /// Elevation: GeoTIFF, HGT (also in a zip file), PNG, PMTiles, EXR or ASCII grid; a folder of them or of web tiles z/x/y.png; a
     /// pattern such as "*.tif"; or a text file with a path in each line. Where files overlap, the first with data wins
     #[arg(long, value_name = "FILE", num_args = 1..)]
     pub dem: Vec<PathBuf>,
@@ -72,7 +72,7 @@ pub struct GenArgs {
     /// Metres that are added to the scaled heights of grey PNGs and EXR files
     #[arg(long, value_name = "M", default_value_t = 0.0, allow_negative_numbers = true)]
     pub height_offset: f64,
-    /// Colour: GeoTIFF, or PNG or JPEG with a world file
+    /// Colour: GeoTIFF, or PNG or JPEG with a world file; a pattern or list of them, the first above the others
     #[arg(long, value_name = "FILE")]
     pub imagery: Option<PathBuf>,
     /// Colour of the tiles: natural colours by height and slope where there is no imagery, or none

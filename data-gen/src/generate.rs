@@ -3,16 +3,18 @@
 use std::f64::consts::PI;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crate::args::{JOBS, MAX_LEVELS, SIZES_M};
 use crate::color::{Imagery, TEXELS};
-use crate::elevation::{Mosaic, expand};
+use crate::elevation::{DEFAULT_CACHE_BYTES, Mosaic, SourceContext, expand, open_all};
 use crate::fingerprint::fingerprint;
 use crate::georeference::ROUNDING;
 use crate::output::{Builder, Journal, PartialFolder, blocks, level_errors_m, voids};
 use crate::pyramid::{CELLS, Grid, Layer, Plan, TileKey};
 use crate::shards;
+use crate::store::BlockCache;
 use crate::world::{check_world, world_set, write_world};
 use crate::{ElevationSource, Extent, GenArgs, GenError, Procedural, Raster, Summary};
 
@@ -188,7 +190,7 @@ fn make(args: &GenArgs, out: &Path, fingerprint: u64, folder: &Path) -> Result<(
             cut_samples,
             level_errors_m: level_errors_m(&totals),
             seconds: 0.0,
-            notes,
+            notes: notes(),
         };
         Ok((summary, shards))
     })
@@ -221,11 +223,13 @@ struct Terrain {
     is_fine: bool,
     /// Notes about the sources, each a sentence.
     notes: Vec<String>,
+    /// What the files of the elevation share; `None` for procedural terrain.
+    context: Option<Arc<SourceContext>>,
 }
 
 /// Reads the elevation files, or creates procedural terrain if there are none. By default there are enough levels for all
 /// detail of the elevation and of the imagery.
-fn terrain(args: &GenArgs, imagery: Option<&Imagery>) -> Result<Terrain, GenError> {
+fn terrain(args: &GenArgs, imagery: Option<&Imagery>, cache: &Arc<BlockCache>) -> Result<Terrain, GenError> {
     if args.dem.is_empty() {
         let [lon, lat] = PROCEDURAL_CENTER.map(f64::to_radians);
         let half = 0.5 * args.size / 6_371_000.0;
@@ -233,19 +237,18 @@ fn terrain(args: &GenArgs, imagery: Option<&Imagery>) -> Result<Terrain, GenErro
         let extent = Extent { west: lon - half_lon, south: lat - half, east: lon + half_lon, north: lat + half };
         let source = Procedural { seed: args.seed, cos_latitude: lat.cos() };
         let levels = args.levels.unwrap_or(PROCEDURAL_LEVELS);
-        return Ok(Terrain { source: Box::new(source), extent, levels, is_fine: false, notes: Vec::new() });
+        return Ok(Terrain {
+            source: Box::new(source),
+            extent,
+            levels,
+            is_fine: false,
+            notes: Vec::new(),
+            context: None,
+        });
     }
     let options = args.raster_options();
-    let rasters = args.dem.iter().map(|path| Raster::read_in(path, &options)).collect::<Result<Vec<_>, _>>()?;
-    let mut rasters = unwrap_at_date_line(rasters);
-    if let Some(geoid) = args.vertical_datum.geoid()? {
-        for (raster, path) in rasters.iter_mut().zip(&args.dem) {
-            if !raster.raise(&geoid) {
-                let reason = format!("reaches beyond the geoid grid {}", args.vertical_datum);
-                return Err(GenError::invalid(path, reason));
-            }
-        }
-    }
+    let context = SourceContext::new(Arc::clone(cache), args.vertical_datum.geoid()?);
+    let rasters = unwrap_at_date_line(open_all(&args.dem, &options, &context)?);
     let mut e = Extent { west: f64::MAX, south: f64::MAX, east: f64::MIN, north: f64::MIN };
     // The smallest step between samples, east and north, in radians.
     let mut step = [f64::INFINITY; 2];
@@ -278,12 +281,12 @@ fn terrain(args: &GenArgs, imagery: Option<&Imagery>) -> Result<Terrain, GenErro
         wanted = wanted.max(levels_for([e.east - e.west, e.north - e.south], imagery.pixel_size(), TEXELS as usize));
     }
     let levels = args.levels.unwrap_or(wanted.min(MAX_LEVELS));
-    let mut notes = notes(&rasters);
+    let mut notes = Vec::new();
     if levels < wanted {
         notes.push(format!("the sources have detail for {wanted} levels; {levels} are written"));
     }
     let source = Box::new(Mosaic::new(rasters));
-    Ok(Terrain { source, extent: e, levels, is_fine: levels >= needed, notes })
+    Ok(Terrain { source, extent: e, levels, is_fine: levels >= needed, notes, context: Some(context) })
 }
 
 /// Returns the number of levels whose finest one has steps of at most a size, for a rectangle with these sides. A tile has
@@ -298,10 +301,9 @@ fn levels_for(sides: [f64; 2], step: [f64; 2], per_tile: usize) -> u32 {
 /// Heights of the earth in metres, with some room.
 const EARTH_M: [f32; 2] = [-12_000.0, 9_000.0];
 
-/// Returns notes about heights that the earth does not have.
-fn notes(rasters: &[Raster]) -> Vec<String> {
-    let ranges = rasters.iter().map(Raster::range_m);
-    let [low, high] = ranges.fold(EARTH_M, |[low, high], own| [low.min(own[0]), high.max(own[1])]);
+/// Returns notes about heights that were read and that the earth does not have.
+fn notes(context: &SourceContext) -> Vec<String> {
+    let [low, high] = context.seen.range_m().unwrap_or(EARTH_M);
     let unusual = [(low < EARTH_M[0]).then_some(low), (high > EARTH_M[1]).then_some(high)];
     let note =
         |height_m| format!("a height of {height_m} m is not the earth's; the unit or the scale of a file may be wrong");
@@ -330,17 +332,25 @@ fn widest_gap(intervals: &mut [[f64; 2]]) -> f64 {
     gap
 }
 
-/// Opens the sources and calls with the grid, the imagery and notes about the sources.
+/// Opens the sources and calls with the grid, the imagery, and a function that returns notes about the sources: what was read
+/// since is among them.
 fn with_grid<T>(
     args: &GenArgs,
-    call: impl FnOnce(&Grid<'_>, Option<&Imagery>, Vec<String>) -> Result<T, GenError>,
+    call: impl FnOnce(&Grid<'_>, Option<&Imagery>, &dyn Fn() -> Vec<String>) -> Result<T, GenError>,
 ) -> Result<T, GenError> {
-    let imagery = args.imagery.as_deref().map(|path| Imagery::read(path, args.epsg.clone())).transpose()?;
-    let Terrain { source, extent, levels, is_fine, notes } = terrain(args, imagery.as_ref())?;
+    let cache = Arc::new(BlockCache::new(DEFAULT_CACHE_BYTES));
+    let open = |path: &PathBuf| {
+        // A folder of imagery is refused as any other file that is none.
+        let files = if path.is_dir() { vec![path.clone()] } else { expand(std::slice::from_ref(path))? };
+        Imagery::open(&files, args.epsg.as_ref(), &cache)
+    };
+    let imagery = args.imagery.as_ref().map(open).transpose()?;
+    let Terrain { source, extent, levels, is_fine, notes, context } = terrain(args, imagery.as_ref(), &cache)?;
     if let (Some(image), Some(path)) = (&imagery, &args.imagery)
-        && !image.covers(&extent)
+        && !image.covers(&extent)?
     {
         return Err(GenError::invalid(path, "does not overlap the elevation"));
     }
-    call(&Grid::new(source.as_ref(), extent, levels, args.voids, is_fine), imagery.as_ref(), notes)
+    let all_notes = || notes.iter().cloned().chain(context.iter().flat_map(|context| self::notes(context))).collect();
+    call(&Grid::new(source.as_ref(), extent, levels, args.voids, is_fine), imagery.as_ref(), &all_notes)
 }

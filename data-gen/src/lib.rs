@@ -23,10 +23,13 @@ mod output;
 mod progress;
 mod pyramid;
 mod shards;
+mod store;
 mod world;
 
 pub use args::{Color, ContentKind, GenArgs, Summary, Voids};
-pub use elevation::{ElevationSource, HeightEncoding, Procedural, Raster, RasterOptions, SourceSample};
+pub use elevation::{
+    DEFAULT_CACHE_BYTES, ElevationSource, HeightEncoding, Procedural, Raster, RasterOptions, SourceSample,
+};
 pub use error::GenError;
 pub use generate::{Outcome, default_set, execute, run};
 pub use georeference::{Crs, Projection, VerticalDatum, utm_from_geodetic, utm_to_geodetic};

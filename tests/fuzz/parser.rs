@@ -19,6 +19,11 @@ mod parsers;
 mod rasters;
 #[path = "../formats/terrain/fuzz_parsers.rs"]
 mod terrain;
+/// The part of data-gen's tests that writes archives.
+mod sources {
+    #[path = "../../../data-gen/tests/generate/sources/tile_archives.rs"]
+    pub mod tile_archives;
+}
 
 type Parse = Box<dyn FnMut(&[u8])>;
 

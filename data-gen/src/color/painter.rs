@@ -6,9 +6,9 @@
 use rayon::prelude::*;
 
 use super::imagery::Imagery;
-use crate::Extent;
 use crate::noise::{add_gradient_row, fbm_row};
 use crate::pyramid::{Block, Lattice, Surface, TileKey};
+use crate::{Extent, GenError};
 
 /// The number of texels along a tile's side.
 pub(crate) const TEXELS: u32 = 256;
@@ -34,7 +34,7 @@ impl<'a> Painter<'a> {
     }
 
     /// Returns the RGB texels of a tile, north row first.
-    pub fn paint(&self, key: TileKey) -> Vec<u8> {
+    pub fn paint(&self, key: TileKey) -> Result<Vec<u8>, GenError> {
         let e = key.extent(self.set);
         let surface = &self.surfaces[(key.level - self.root_level) as usize];
         let mut rgb = Vec::with_capacity(N * N * 3);
@@ -43,14 +43,14 @@ impl<'a> Painter<'a> {
         let mut terrain = TerrainRow::new(surface, self.set, u);
         let mut colors = [[0.0f32; N]; 3];
         let texel = [e.east - e.west, e.north - e.south].map(|side| side / N as f64);
-        let image_level = self.imagery.map_or(0, |imagery| imagery.level(&e, texel));
+        let mut imagery = self.imagery.map(|imagery| imagery.sampler(&e, texel));
         for row in 0..N {
             let v = (f64::from(key.y) + 1.0 - (row as f64 + 0.5) / N as f64) / tiles;
             let latitude = e.north - (e.north - e.south) * (row as f64 + 0.5) / N as f64;
             let mut has_terrain = false;
             for column in 0..N {
                 let longitude = e.west + (e.east - e.west) * (column as f64 + 0.5) / N as f64;
-                let image = self.imagery.and_then(|imagery| imagery.at(longitude, latitude, image_level));
+                let image = imagery.as_mut().map(|imagery| imagery.at(longitude, latitude)).transpose()?.flatten();
                 let [r, g, b, opacity] = image.unwrap_or_default().map(|c| c as f32);
                 let mut color = [r, g, b];
                 if opacity < 1.0 {
@@ -64,7 +64,7 @@ impl<'a> Painter<'a> {
                 rgb.extend(color.map(|c| (c + 0.5) as u8));
             }
         }
-        rgb
+        Ok(rgb)
     }
 }
 

@@ -1,8 +1,11 @@
 //! Several rasters as one elevation source. Where they overlap, the first with data wins; between neighbours heights
 //! are interpolated, so that there is no step.
 
-use super::raster::Raster;
+use super::nearby::Nearby;
+use super::raster::{Raster, SamplePosition};
 use super::source::{ElevationSource, SourceSample};
+use super::window::Window;
+use crate::store::Cursor;
 use crate::{Extent, GenError};
 
 /// Rasters in the order of their priority.
@@ -10,8 +13,10 @@ pub(crate) struct Mosaic {
     rasters: Vec<Raster>,
     /// [`Raster::steps`] of each raster.
     steps: Vec<Option<[f64; 2]>>,
-    /// [`Raster::bounds`] of each raster, larger by a pixel of the coarsest one.
-    bounds: Vec<[f64; 4]>,
+    /// The longitude and latitude of a pixel of the coarsest raster.
+    margin: [f64; 2],
+    /// [`Raster::bounds`] of each raster, larger by the margin.
+    nearby: Nearby,
 }
 
 /// A raster near a position that lies between rasters.
@@ -31,38 +36,81 @@ impl Mosaic {
         let distances = rasters.iter().map(Raster::sample_distance);
         let [dx, dy] = distances.fold([0.0; 2], |a: [f64; 2], b| [a[0].max(b[0]), a[1].max(b[1])]);
         let larger = |[west, south, east, north]: [f64; 4]| [west - dx, south - dy, east + dx, north + dy];
-        let bounds = rasters.iter().map(|raster| larger(raster.bounds())).collect();
-        Self { rasters, steps, bounds }
+        let nearby = Nearby::new(rasters.iter().map(|raster| larger(raster.bounds())).collect());
+        Self { rasters, steps, margin: [dx, dy], nearby }
     }
 
-    /// Returns the indices of the rasters whose bounds, larger by a pixel of the coarsest one, contain a position.
-    fn near(&self, longitude: f64, latitude: f64) -> impl Iterator<Item = usize> {
-        let contains = move |[west, south, east, north]: &[f64; 4]| {
-            (*west..=*east).contains(&longitude) && (*south..=*north).contains(&latitude)
-        };
-        self.bounds.iter().enumerate().filter(move |(_, bounds)| contains(bounds)).map(|(k, _)| k)
+    fn height_at<'a>(
+        &'a self,
+        cursors: &mut Cursors<'a>,
+        longitude: f64,
+        latitude: f64,
+    ) -> Result<Option<f64>, GenError> {
+        if let [one] = &self.rasters[..] {
+            return one.height_m(longitude, latitude);
+        }
+        for k in self.nearby.at(longitude, latitude) {
+            if let Some(height_m) = self.inside_m(cursors, k, longitude, latitude)? {
+                return Ok(Some(height_m));
+            }
+        }
+        self.interpolate_between(cursors, longitude, latitude)
+    }
+
+    /// Returns the height of a raster at a position between its sample centres.
+    fn inside_m<'a>(
+        &'a self,
+        cursors: &mut Cursors<'a>,
+        k: usize,
+        longitude: f64,
+        latitude: f64,
+    ) -> Result<Option<f64>, GenError> {
+        let position = self.rasters[k].locate(longitude, latitude).filter(SamplePosition::is_inside);
+        let Some(position) = position else { return Ok(None) };
+        self.rasters[k].bilinear_m(cursors.of(self, k), position.nearest_px)
+    }
+
+    /// Returns true if a raster before another one has data at a position.
+    fn is_hidden<'a>(
+        &'a self,
+        cursors: &mut Cursors<'a>,
+        raster: usize,
+        longitude: f64,
+        latitude: f64,
+    ) -> Result<bool, GenError> {
+        for k in self.nearby.at(longitude, latitude).take_while(|k| *k < raster) {
+            if self.inside_m(cursors, k, longitude, latitude)?.is_some() {
+                return Ok(true);
+            }
+        }
+        Ok(false)
     }
 
     /// Interpolates at a position between the outermost sample centres of neighbours. The nearest raster in each of the
     /// four quadrants around the position is weighted by its distance along both axes. Between files cut from one grid
     /// the result is that of the uncut file.
-    fn interpolate_between(&self, longitude: f64, latitude: f64) -> Option<f64> {
-        let covers = |r: &&Raster| r.locate(longitude, latitude).is_some_and(|p| p.is_covered());
+    fn interpolate_between<'a>(
+        &'a self,
+        cursors: &mut Cursors<'a>,
+        longitude: f64,
+        latitude: f64,
+    ) -> Result<Option<f64>, GenError> {
+        let covers = |r: &Raster| r.locate(longitude, latitude).is_some_and(|p| p.is_covered());
         let mut owner = None;
-        for (k, raster) in self.near(longitude, latitude).map(|k| (k, &self.rasters[k])).filter(|(_, r)| covers(r)) {
-            let Some(neighbor) = self.neighbor(k, longitude, latitude) else {
-                match raster.at(longitude, latitude) {
-                    Some(height_m) => return Some(height_m),
-                    None => continue,
-                }
-            };
-            owner = Some(neighbor);
-            break;
+        for k in self.nearby.at(longitude, latitude).filter(|k| covers(&self.rasters[*k])) {
+            owner = self.neighbor(cursors, k, longitude, latitude)?;
+            if owner.is_some() {
+                break;
+            }
+            if let Some(height_m) = self.rasters[k].height_m(longitude, latitude)? {
+                return Ok(Some(height_m));
+            }
         }
-        let owner = owner?;
+        let Some(owner) = owner else { return Ok(None) };
         // South-west, south-east, north-west and north-east of the position.
         let mut quadrants: [Option<Neighbor>; 4] = [None; 4];
-        for n in self.near(longitude, latitude).filter_map(|k| self.neighbor(k, longitude, latitude)) {
+        for k in self.nearby.at(longitude, latitude) {
+            let Some(n) = self.neighbor(cursors, k, longitude, latitude)? else { continue };
             // Between the sample centres of files that touch lies half a pixel of each; 0.505 allows for rounding.
             let touches = (0..2).all(|axis| {
                 let gap = (n.beyond[axis] - owner.beyond[axis]).abs();
@@ -91,70 +139,95 @@ impl Mosaic {
             sum += weight * n.height_m;
             weights += weight;
         }
-        (weights > 1e-6).then(|| sum / weights)
+        Ok((weights > 1e-6).then(|| sum / weights))
     }
 
     /// Returns a raster's height and offset near a position. `None` if it has no data there or is rotated.
-    fn neighbor(&self, k: usize, longitude: f64, latitude: f64) -> Option<Neighbor> {
-        let step = self.steps[k]?;
-        let position = self.rasters[k].locate(longitude, latitude)?;
-        let height_m = self.rasters[k].bilinear_m(position.nearest_px)?;
-        Some(Neighbor { height_m, beyond: [0, 1].map(|axis| position.beyond_px[axis] * step[axis]), step })
-    }
-}
-
-impl Mosaic {
-    /// Returns the height in metres at a longitude and latitude in radians, `None` without data.
-    fn at(&self, longitude: f64, latitude: f64) -> Option<f64> {
-        if let [one] = &self.rasters[..] {
-            return one.at(longitude, latitude);
-        }
-        let inside = self.near(longitude, latitude).find_map(|k| {
-            let raster = &self.rasters[k];
-            let position = raster.locate(longitude, latitude).filter(|p| p.beyond_px == [0.0; 2])?;
-            raster.bilinear_m(position.nearest_px)
-        });
-        inside.or_else(|| self.interpolate_between(longitude, latitude))
+    fn neighbor<'a>(
+        &'a self,
+        cursors: &mut Cursors<'a>,
+        k: usize,
+        longitude: f64,
+        latitude: f64,
+    ) -> Result<Option<Neighbor>, GenError> {
+        let (Some(step), Some(position)) = (self.steps[k], self.rasters[k].locate(longitude, latitude)) else {
+            return Ok(None);
+        };
+        let height_m = self.rasters[k].bilinear_m(cursors.of(self, k), position.nearest_px)?;
+        let beyond = [0, 1].map(|axis| position.beyond_px[axis] * step[axis]);
+        Ok(height_m.map(|height_m| Neighbor { height_m, beyond, step }))
     }
 }
 
 impl ElevationSource for Mosaic {
     fn height_m(&self, longitude: f64, latitude: f64) -> Result<Option<f64>, GenError> {
-        Ok(self.at(longitude, latitude))
+        self.height_at(&mut Cursors::default(), longitude, latitude)
+    }
+
+    fn heights_of_row(&self, longitude: f64, step: f64, latitude: f64, out: &mut [f32]) -> Result<(), GenError> {
+        if let [one] = &self.rasters[..] {
+            return one.heights_of_row(longitude, step, latitude, out);
+        }
+        out.fill(f32::NAN);
+        let end = longitude + step * out.len().saturating_sub(1) as f64;
+        let mut cursors = Cursors::default();
+        for k in self.nearby.within([longitude.min(end), latitude, longitude.max(end), latitude]) {
+            let raster = &self.rasters[k];
+            raster.fill_row(cursors.of(self, k), [longitude, step, latitude], out, SamplePosition::is_inside)?;
+        }
+        for (k, height_m) in out.iter_mut().enumerate().filter(|(_, h)| h.is_nan()) {
+            let between = self.interpolate_between(&mut cursors, longitude + step * k as f64, latitude)?;
+            *height_m = between.map_or(f32::NAN, |h| h as f32);
+        }
+        Ok(())
     }
 
     fn samples_in(&self, extent: &Extent, call: &mut dyn FnMut(SourceSample)) -> Result<(), GenError> {
-        for (k, raster) in self.rasters.iter().enumerate().filter(|(k, _)| overlaps(&self.bounds[*k], extent)) {
-            let [columns, rows] = raster.samples_within(extent);
-            for (column, row) in rows.flat_map(|row| columns.clone().map(move |column| (column, row))) {
-                let Some(([longitude, latitude], height_m)) = raster.sample(column, row) else { continue };
-                let is_inside = (extent.west..=extent.east).contains(&longitude)
-                    && (extent.south..=extent.north).contains(&latitude);
-                let is_hidden = || {
-                    self.near(longitude, latitude).take_while(|other| *other < k).any(|other| {
-                        let other = &self.rasters[other];
-                        let position = other.locate(longitude, latitude).filter(|p| p.beyond_px == [0.0; 2]);
-                        position.is_some_and(|p| other.bilinear_m(p.nearest_px).is_some())
-                    })
-                };
-                if is_inside && !is_hidden() {
-                    let is_extremum =
-                        raster.is_extremum(column, row, |longitude, latitude| self.at(longitude, latitude));
-                    call(SourceSample { longitude, latitude, height_m, is_extremum });
+        for k in self.nearby.within([extent.west, extent.south, extent.east, extent.north]) {
+            let raster = &self.rasters[k];
+            let Some(window) = Window::of(raster, extent) else { continue };
+            let [west, south, east, north] = raster.bounds();
+            let hides = self.nearby.within([west, south, east, north]).into_iter().any(|other| other < k);
+            let mut cursors = Cursors::default();
+            let outside = |longitude: f64, latitude: f64| self.height_m(longitude, latitude);
+            window.samples(extent, outside, |sample| {
+                if !hides || !self.is_hidden(&mut cursors, k, sample.longitude, sample.latitude)? {
+                    call(sample);
                 }
-            }
+                Ok(())
+            })?;
         }
         Ok(())
     }
 
     fn may_have_data_in(&self, extent: &Extent) -> bool {
-        self.bounds.iter().any(|bounds| overlaps(bounds, extent))
+        let [dx, dy] = self.margin;
+        let e = Extent {
+            west: extent.west - dx,
+            south: extent.south - dy,
+            east: extent.east + dx,
+            north: extent.north + dy,
+        };
+        let near = self.nearby.within([e.west, e.south, e.east, e.north]);
+        near.into_iter().any(|k| Window::of(&self.rasters[k], &e).is_some_and(|window| window.may_have_data()))
     }
 }
 
-/// Returns true if bounds (west, south, east, north) and a rectangle have a point in common.
-fn overlaps([west, south, east, north]: &[f64; 4], extent: &Extent) -> bool {
-    extent.west <= *east && extent.east >= *west && extent.south <= *north && extent.north >= *south
+/// A cursor for each raster that was read.
+#[derive(Default)]
+struct Cursors<'a> {
+    read: Vec<(usize, Cursor<'a>)>,
+}
+
+impl<'a> Cursors<'a> {
+    /// Returns the cursor of a raster.
+    fn of(&mut self, mosaic: &'a Mosaic, raster: usize) -> &mut Cursor<'a> {
+        let at = self.read.iter().position(|(k, _)| *k == raster).unwrap_or_else(|| {
+            self.read.push((raster, mosaic.rasters[raster].cursor()));
+            self.read.len() - 1
+        });
+        &mut self.read[at].1
+    }
 }
 
 #[cfg(test)]
@@ -166,6 +239,7 @@ mod tests {
     /// size in degrees, and a side in pixels.
     fn mosaic(height: impl Fn(f64, f64) -> f64, places: &[([f64; 2], f64, usize)]) -> Mosaic {
         let folder = tempfile::tempdir().unwrap();
+        // Reading decodes a small file, and its only block stays in the cache.
         let read = |&([west, north], pixel, side): &([f64; 2], f64, usize)| {
             let center = |k: usize| (k as f64 + 0.5) * pixel;
             let at = |k: usize| height(west + center(k % side), north - center(k / side)) as f32;

@@ -1,42 +1,110 @@
-//! One elevation raster in memory: its samples, its position on the earth, and interpolation between samples.
+//! One elevation raster: its samples, decoded by blocks when they are needed, its position on the earth, and interpolation
+//! between samples.
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
-use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
-use rayon::prelude::*;
-
-use super::source::ElevationSource;
-use crate::georeference::{Geoid, Placement, ROUNDING};
+use super::context::{DEFAULT_CACHE_BYTES, SourceContext};
+use super::formats::{self, Opened, RasterOptions};
+use super::source::{ElevationSource, SourceSample};
+use super::window::Window;
+use crate::georeference::{Placement, ROUNDING};
+use crate::store::{BlockCache, BlockReader, Cursor, PixelImage, Rect};
 use crate::{Extent, GenError};
 
 /// Heights above this are taken for missing data, such as the lowest number of a format. Heights in decimetres are below
 /// it.
 const MAX_ABS_HEIGHT_M: f32 = 100_000.0;
 
-/// One elevation file in memory.
+/// One elevation file, opened.
 pub struct Raster {
+    /// The heights in metres above the ellipsoid, north row first; NaN where unknown.
+    image: PixelImage,
     width: usize,
     height: usize,
     /// The number of columns once around the earth; `None` if the raster does not reach around it.
     around: Option<usize>,
-    /// Metres, north row first; NaN where unknown.
-    samples: Vec<f32>,
     placement: Placement,
+    /// See [`Raster::bounds`].
+    bounds: [f64; 4],
+    path: PathBuf,
+}
+
+/// Completes the blocks of a file: impossible heights count as unknown, and the height of the geoid is added.
+struct Heights {
+    path: PathBuf,
+    file: Box<dyn BlockReader>,
+    placement: Placement,
+    context: Arc<SourceContext>,
+}
+
+impl BlockReader for Heights {
+    fn read(&self, block: Rect) -> Result<Vec<u32>, GenError> {
+        let mut pixels = self.file.read(block)?;
+        let (mut low, mut high) = (f32::INFINITY, f32::NEG_INFINITY);
+        for (k, pixel) in pixels.iter_mut().enumerate() {
+            let mut height_m = f32::from_bits(*pixel);
+            if height_m.is_nan() || height_m.abs() > MAX_ABS_HEIGHT_M {
+                *pixel = f32::NAN.to_bits();
+                continue;
+            }
+            if let Some(geoid) = &self.context.geoid {
+                let (column, row) = (block.column + k % block.width, block.row + k / block.width);
+                let [longitude, latitude] = self.placement.longitude_latitude(column as f64 + 0.5, row as f64 + 0.5);
+                let Some(undulation_m) = geoid.height_m(longitude, latitude) else {
+                    return Err(GenError::invalid(&self.path, "reaches beyond the geoid grid of --vertical-datum"));
+                };
+                height_m = (f64::from(height_m) + undulation_m) as f32;
+                *pixel = height_m.to_bits();
+            }
+            (low, high) = (low.min(height_m), high.max(height_m));
+        }
+        self.context.seen.add([low, high]);
+        Ok(pixels)
+    }
+
+    fn is_known_empty(&self, block: Rect) -> bool {
+        self.file.is_known_empty(block)
+    }
 }
 
 impl Raster {
-    /// Creates a raster of heights in metres, NaN where they are unknown. Impossible heights count as unknown. A raster
-    /// beyond 180 degrees of longitude is moved by a whole turn onto the earth; one around the earth has no ends.
-    pub(super) fn new([width, height]: [usize; 2], mut samples: Vec<f32>, placement: Placement) -> Self {
-        for h in samples.iter_mut().filter(|h| h.abs() > MAX_ABS_HEIGHT_M) {
-            *h = f32::NAN;
-        }
-        let mut raster = Self { width, height, around: None, samples, placement };
+    /// Opens an elevation file. Its format is recognised by its first bytes, HGT by the extension of its name.
+    pub fn read(path: &Path) -> Result<Self, GenError> {
+        Self::read_in(path, &RasterOptions::default())
+    }
+
+    /// Like [`Raster::read`], with what the file does not say itself. Opens a folder of web tiles as well. Samples are decoded
+    /// when they are needed, and a number of them stays in memory. A raster without any height is an error.
+    pub fn read_in(path: &Path, options: &RasterOptions) -> Result<Self, GenError> {
+        let raster =
+            Self::open(path, options, &SourceContext::new(Arc::new(BlockCache::new(DEFAULT_CACHE_BYTES)), None))?;
+        if raster.has_heights()? { Ok(raster) } else { Err(raster.without_heights()) }
+    }
+
+    /// Opens an elevation file or a folder of web tiles and reads its header.
+    pub(crate) fn open(path: &Path, options: &RasterOptions, context: &Arc<SourceContext>) -> Result<Self, GenError> {
+        let Opened { grid, reader, placement } = formats::open(path, options, context)?;
+        let heights =
+            Heights { path: path.to_owned(), file: reader, placement: placement.clone(), context: Arc::clone(context) };
+        let image = PixelImage::new(grid, Box::new(heights), &context.cache);
+        let [width, height] = grid.size;
+        let (bounds, path) = ([0.0; 4], path.to_owned());
+        let mut raster = Self { image, width, height, around: None, placement, bounds, path };
         raster.around = raster.columns_around();
+        raster.bounds = raster.measure_bounds();
+        // A raster beyond 180 degrees of longitude is moved by a whole turn onto the earth; one around it has no ends.
         if raster.around.is_none() {
-            raster.placement = raster.placement.clone().wrapped(raster.bounds());
+            raster.placement = raster.placement.clone().wrapped(raster.bounds);
+            raster.bounds = raster.measure_bounds();
         }
-        raster
+        Ok(raster)
+    }
+
+    /// Returns the error of a raster without heights.
+    pub(crate) fn without_heights(&self) -> GenError {
+        GenError::invalid(&self.path, "no sample has a height")
     }
 
     /// Returns the number of columns once around the earth if the raster reaches around it. Its last column may be the
@@ -51,29 +119,43 @@ impl Raster {
         found.filter(|columns| is_north_up && *columns >= 4)
     }
 
-    /// Returns true if any sample has a height.
-    pub(super) fn has_heights(&self) -> bool {
-        self.samples.iter().any(|h| h.is_finite())
+    /// Returns true if any sample has a height. Blocks are decoded until one has.
+    pub(crate) fn has_heights(&self) -> Result<bool, GenError> {
+        let mut found = false;
+        self.each_block(|heights| {
+            found = heights.iter().any(|bits| f32::from_bits(*bits).is_finite());
+            !found
+        })?;
+        Ok(found)
+    }
+
+    /// Returns the lowest and the highest sample in metres. All blocks are decoded.
+    pub fn range_m(&self) -> Result<[f32; 2], GenError> {
+        let mut range = [f32::INFINITY, f32::NEG_INFINITY];
+        self.each_block(|heights| {
+            let finite = heights.iter().map(|bits| f32::from_bits(*bits)).filter(|h| h.is_finite());
+            range = finite.fold(range, |[low, high], h| [low.min(h), high.max(h)]);
+            true
+        })?;
+        Ok(range)
+    }
+
+    /// Calls with the bits of the heights of each block that may have data, until the call returns false.
+    fn each_block(&self, mut call: impl FnMut(&[u32]) -> bool) -> Result<(), GenError> {
+        for rect in self.image.grid().rects().filter(|rect| !self.image.reader().is_known_empty(*rect)) {
+            if !call(&self.image.block(rect.column, rect.row)?.1) {
+                break;
+            }
+        }
+        Ok(())
     }
 
     /// Adds a whole turn to the longitudes; the position on the earth stays the same.
     pub(crate) fn turn_east(&mut self) {
         if self.around.is_none() {
             self.placement = self.placement.clone().turned_east();
+            self.bounds = self.measure_bounds();
         }
-    }
-
-    /// Adds the height of a geoid to each sample. Returns false if the geoid has no height at one of them.
-    pub(crate) fn raise(&mut self, geoid: &Geoid) -> bool {
-        let (placement, width) = (&self.placement, self.width);
-        self.samples.par_chunks_mut(width).enumerate().all(|(row, samples)| {
-            samples.iter_mut().enumerate().filter(|(_, h)| h.is_finite()).all(|(column, h)| {
-                let [longitude, latitude] = placement.longitude_latitude(column as f64 + 0.5, row as f64 + 0.5);
-                let Some(undulation_m) = geoid.height_m(longitude, latitude) else { return false };
-                *h = (f64::from(*h) + undulation_m) as f32;
-                true
-            })
-        })
     }
 
     /// Returns the width and height in samples.
@@ -81,15 +163,13 @@ impl Raster {
         [self.width, self.height]
     }
 
-    /// Returns the lowest and the highest sample in metres.
-    pub fn range_m(&self) -> [f32; 2] {
-        let finite = self.samples.iter().filter(|h| h.is_finite());
-        finite.fold([f32::INFINITY, f32::NEG_INFINITY], |[a, b], h| [a.min(*h), b.max(*h)])
-    }
-
     /// Returns west, south, east and north of the outermost samples in radians. A raster around the earth reaches from
     /// -180 to 180 degrees, and to the poles if its pixels do.
     pub fn bounds(&self) -> [f64; 4] {
+        self.bounds
+    }
+
+    fn measure_bounds(&self) -> [f64; 4] {
         let mut b = [f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY];
         let (w, h) = (self.width as f64, self.height as f64);
         for i in 0..=16 {
@@ -116,7 +196,7 @@ impl Raster {
 
     /// Returns the distance between samples along the longer sides of the bounds, east and north, in radians.
     pub(crate) fn sample_distance(&self) -> [f64; 2] {
-        let [west, south, east, north] = self.bounds();
+        let [west, south, east, north] = self.bounds;
         let columns = self.around.unwrap_or(self.width.max(2) - 1);
         // Samples around the earth lie half a pixel from the poles.
         let rows =
@@ -124,69 +204,38 @@ impl Raster {
         [(east - west) / columns as f64, (north - south) / rows as f64]
     }
 
-    /// Returns a sample, and its longitude and latitude in radians; `None` without data.
-    pub(crate) fn sample(&self, column: usize, row: usize) -> Option<([f64; 2], f64)> {
-        let height_m = *self.samples.get(row * self.width + column).filter(|h| h.is_finite())?;
-        let [longitude, latitude] = self.placement.longitude_latitude(column as f64 + 0.5, row as f64 + 0.5);
-        let turns = if self.around.is_some() { (longitude / TAU).round() * TAU } else { 0.0 };
-        Some(([longitude - turns, latitude], height_m.into()))
+    /// Returns the columns that the raster has once around the earth, `None` if it has ends.
+    pub(super) fn around(&self) -> Option<usize> {
+        self.around
     }
 
-    /// Returns true if a sample is higher, or lower, than each of its neighbours with data. `outside` gives the heights in
-    /// metres of those beyond the edges, at a longitude and latitude in radians.
-    pub(crate) fn is_extremum(&self, column: usize, row: usize, outside: impl Fn(f64, f64) -> Option<f64>) -> bool {
-        let at = |dx: i64, dy: i64| {
-            let (x, y) = (column as i64 + dx, row as i64 + dy);
-            let x = self.around.map_or(x, |columns| x.rem_euclid(columns as i64));
-            if (0..self.width as i64).contains(&x) && (0..self.height as i64).contains(&y) {
-                return self.samples.get(y as usize * self.width + x as usize).map_or(f64::NAN, |h| f64::from(*h));
-            }
-            let [longitude, latitude] = self.placement.longitude_latitude(x as f64 + 0.5, y as f64 + 0.5);
-            outside(longitude, latitude).unwrap_or(f64::NAN)
-        };
-        let own = at(0, 0);
-        let around = [(-1, -1), (0, -1), (1, -1), (-1, 0), (1, 0), (-1, 1), (0, 1), (1, 1)].map(|(dx, dy)| at(dx, dy));
-        let is_none = |test: fn(f64, f64) -> bool| !around.iter().any(|other| test(*other, own));
-        // Heights beyond the edges are interpolated, with rounding errors.
-        own.is_finite() && (is_none(|other, own| other >= own - 1e-6) || is_none(|other, own| other <= own + 1e-6))
+    /// Returns a cursor that reads samples.
+    pub(crate) fn cursor(&self) -> Cursor<'_> {
+        Cursor::new(&self.image)
     }
 
-    /// Returns the height in metres at a longitude and latitude in radians, `None` without data.
-    pub(crate) fn at(&self, longitude: f64, latitude: f64) -> Option<f64> {
-        let position = self.locate(longitude, latitude).filter(SamplePosition::is_covered)?;
-        self.bilinear_m(position.nearest_px)
+    pub(super) fn image(&self) -> &PixelImage {
+        &self.image
     }
 
-    /// Returns the columns and rows around the samples in a rectangle.
-    pub(crate) fn samples_within(&self, e: &Extent) -> [Range<usize>; 2] {
-        let sides = [self.width, self.height];
-        if self.around.is_some() {
-            return sides.map(|side| 0..side);
-        }
-        let range_of = |steps: i32| {
-            let mut range = [[f64::INFINITY, f64::NEG_INFINITY]; 2];
-            for (i, j) in (0..=steps).flat_map(|j| (0..=steps).map(move |i| (i, j))) {
-                let [s, t] = [i, j].map(|c| f64::from(c) / f64::from(steps));
-                let at = self.placement.pixel(e.west + s * (e.east - e.west), e.south + t * (e.north - e.south))?;
-                range = [0, 1].map(|k| [range[k][0].min(at[k]), range[k][1].max(at[k])]);
-            }
-            Some(range)
-        };
-        // Rows of the reference system are straight over a few pixels.
-        let is_small = |range: &[[f64; 2]; 2]| range.iter().all(|[first, last]| last - first < 8.0);
-        let Some(range) = range_of(1).filter(is_small).or_else(|| range_of(16)) else {
-            return sides.map(|side| 0..side);
-        };
-        [0, 1].map(|k| {
-            let [first, last] = [range[k][0] - 2.0, range[k][1] + 2.0].map(|c| c.clamp(0.0, sides[k] as f64) as usize);
-            first..last
-        })
+    /// Returns the column and row of a longitude and latitude in radians; whole numbers are pixel corners.
+    pub(super) fn pixel(&self, longitude: f64, latitude: f64) -> Option<[f64; 2]> {
+        self.placement.pixel(longitude, latitude)
+    }
+
+    /// Returns the longitude and latitude of a sample in radians, or of one beyond the edges.
+    pub(super) fn position(&self, column: i64, row: i64) -> [f64; 2] {
+        self.placement.longitude_latitude(column as f64 + 0.5, row as f64 + 0.5)
     }
 
     /// Locates a longitude and latitude in radians relative to the sample centres. `None` if the reference system has
     /// no coordinates there.
     pub(crate) fn locate(&self, longitude: f64, latitude: f64) -> Option<SamplePosition> {
-        let [c, r] = self.placement.pixel(longitude, latitude)?;
+        Some(self.locate_pixel(self.placement.pixel(longitude, latitude)?))
+    }
+
+    /// Locates a column and row, of which whole numbers are pixel corners, relative to the sample centres.
+    fn locate_pixel(&self, [c, r]: [f64; 2]) -> SamplePosition {
         let mut at = [c - 0.5, r - 0.5];
         let mut last = [self.width as f64 - 1.0, self.height as f64 - 1.0];
         if let Some(columns) = self.around {
@@ -197,29 +246,51 @@ impl Raster {
         let nearest_px = [0, 1].map(|k| at[k].clamp(0.0, last[k]));
         // Less than a thousandth of a pixel outside is a rounding error.
         let beyond_px = [0, 1].map(|k| at[k] - nearest_px[k]).map(|b: f64| if b.abs() < 1e-3 { 0.0 } else { b });
-        Some(SamplePosition { nearest_px, beyond_px })
+        SamplePosition { nearest_px, beyond_px }
     }
 
     /// Interpolates between the four samples around a column and row. Samples without data are left out and the weights of
     /// the others scaled up; `None` if the nearest sample has no data.
-    pub(crate) fn bilinear_m(&self, [x, y]: [f64; 2]) -> Option<f64> {
+    pub(crate) fn bilinear_m(&self, cursor: &mut Cursor<'_>, [x, y]: [f64; 2]) -> Result<Option<f64>, GenError> {
         let (x0, y0) = (x.floor(), y.floor());
         let (fx, fy) = (x - x0, y - y0);
-        let (mut sum, mut weights, mut nearest) = (0.0, 0.0, (0.0, f64::NAN));
-        for (dx, dy, weight) in
-            [(0, 0, (1.0 - fx) * (1.0 - fy)), (1, 0, fx * (1.0 - fy)), (0, 1, (1.0 - fx) * fy), (1, 1, fx * fy)]
-        {
-            let (i, j) = (self.column(x0 as usize + dx), (y0 as usize + dy).min(self.height - 1));
-            let sample = f64::from(*self.samples.get(j * self.width + i)?);
+        let [i0, i1] = [0, 1].map(|dx| self.column(x0 as usize + dx));
+        let [j0, j1] = [0, 1].map(|dy| (y0 as usize + dy).min(self.height - 1));
+        let samples = cursor.corners([i0, i1], [j0, j1])?.map(|bits| f64::from(f32::from_bits(bits)));
+        let weights = [(1.0 - fx) * (1.0 - fy), fx * (1.0 - fy), (1.0 - fx) * fy, fx * fy];
+        let (mut sum, mut total, mut nearest) = (0.0, 0.0, (0.0, f64::NAN));
+        for (sample, weight) in samples.into_iter().zip(weights) {
             if weight > nearest.0 {
                 nearest = (weight, sample);
             }
             if weight > 0.0 && sample.is_finite() {
                 sum += weight * sample;
-                weights += weight;
+                total += weight;
             }
         }
-        nearest.1.is_finite().then(|| sum / weights)
+        Ok(nearest.1.is_finite().then(|| sum / total))
+    }
+
+    /// Computes those heights along a row of positions ([`ElevationSource::heights_of_row`]) that are NaN so far, where
+    /// `is_wanted` is true for the position.
+    pub(super) fn fill_row(
+        &self,
+        cursor: &mut Cursor<'_>,
+        [longitude, step, latitude]: [f64; 3],
+        out: &mut [f32],
+        is_wanted: impl Fn(&SamplePosition) -> bool,
+    ) -> Result<(), GenError> {
+        let row = self.placement.row(latitude);
+        for (k, height_m) in out.iter_mut().enumerate().filter(|(_, h)| h.is_nan()) {
+            let Some(pixel) = row.pixel(longitude + step * k as f64) else { continue };
+            let position = self.locate_pixel(pixel);
+            if is_wanted(&position)
+                && let Some(found) = self.bilinear_m(cursor, position.nearest_px)?
+            {
+                *height_m = found as f32;
+            }
+        }
+        Ok(())
     }
 
     /// Returns the column of a sample: the last one, or the first again, if `column` is beyond the last.
@@ -243,7 +314,31 @@ impl Raster {
 
 impl ElevationSource for Raster {
     fn height_m(&self, longitude: f64, latitude: f64) -> Result<Option<f64>, GenError> {
-        Ok(self.at(longitude, latitude))
+        match self.locate(longitude, latitude).filter(SamplePosition::is_covered) {
+            Some(position) => self.bilinear_m(&mut self.cursor(), position.nearest_px),
+            None => Ok(None),
+        }
+    }
+
+    fn heights_of_row(&self, longitude: f64, step: f64, latitude: f64, out: &mut [f32]) -> Result<(), GenError> {
+        out.fill(f32::NAN);
+        self.fill_row(&mut self.cursor(), [longitude, step, latitude], out, SamplePosition::is_covered)
+    }
+
+    fn samples_in(&self, extent: &Extent, call: &mut dyn FnMut(SourceSample)) -> Result<(), GenError> {
+        let Some(window) = Window::of(self, extent) else { return Ok(()) };
+        window.samples(
+            extent,
+            |_, _| Ok(None),
+            |sample| {
+                call(sample);
+                Ok(())
+            },
+        )
+    }
+
+    fn may_have_data_in(&self, extent: &Extent) -> bool {
+        Window::of(self, extent).is_some_and(|window| window.may_have_data())
     }
 }
 
@@ -257,6 +352,11 @@ pub(crate) struct SamplePosition {
 }
 
 impl SamplePosition {
+    /// Returns true if the position lies inside the rectangle of the sample centres.
+    pub fn is_inside(&self) -> bool {
+        self.beyond_px == [0.0; 2]
+    }
+
     /// Returns true if the position lies inside the raster. The area of the outermost samples ends half a pixel beyond
     /// their centres; the excess over 0.5 allows for rounding.
     pub fn is_covered(&self) -> bool {

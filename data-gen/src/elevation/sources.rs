@@ -1,12 +1,17 @@
 //! The files that the values of `--dem` name: files, folders, patterns and lists.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
-use super::formats::is_folder_of_tiles;
+use rayon::prelude::*;
+
+use super::context::SourceContext;
+use super::formats::{RasterOptions, is_folder_of_tiles};
+use super::raster::Raster;
 use crate::GenError;
 
 /// The extensions of elevation files in folders.
-const EXTENSIONS: [&str; 7] = ["tif", "tiff", "hgt", "zip", "asc", "png", "exr"];
+const EXTENSIONS: [&str; 8] = ["tif", "tiff", "hgt", "zip", "asc", "png", "exr", "pmtiles"];
 
 /// Returns the files that paths name, in their order. A folder stands for its elevation files by name, unless it is a
 /// folder of web tiles; a file name with `*` or `?` for the files that match it; a text file for the paths in its lines,
@@ -49,6 +54,22 @@ pub(crate) fn expand(paths: &[PathBuf]) -> Result<Vec<PathBuf>, GenError> {
         }
     }
     Ok(files)
+}
+
+/// Opens elevation files in their order. Only their headers are read, and blocks of one file until one has a height.
+pub(crate) fn open_all(
+    paths: &[PathBuf],
+    options: &RasterOptions,
+    context: &Arc<SourceContext>,
+) -> Result<Vec<Raster>, GenError> {
+    let open = |path: &PathBuf| Raster::open(path, options, context);
+    let rasters: Vec<Raster> = paths.par_iter().map(open).collect::<Result<_, _>>()?;
+    for raster in &rasters {
+        if raster.has_heights()? {
+            return Ok(rasters);
+        }
+    }
+    Err(rasters.first().map_or_else(|| GenError::Argument("--dem names no file".to_owned()), Raster::without_heights))
 }
 
 /// Returns the entries of a folder that pass a test, by name.

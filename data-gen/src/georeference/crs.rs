@@ -7,6 +7,13 @@ use terrane::math::WGS84;
 
 use super::projection::Projection;
 
+/// The parameters of the datum Amersfoort as the crate's definitions name them (EPSG:1672), and those that replaced them
+/// (EPSG:15934), which PROJ uses.
+const AMERSFOORT: [&str; 2] = [
+    "+towgs84=565.2369,50.0087,465.658,-0.406857,0.350733,-1.87035,4.0812",
+    "+towgs84=565.4171,50.3319,465.5524,-0.398957388243134,0.343987817378283,-1.87740163998045,4.0725",
+];
+
 /// A supported coordinate reference system.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Crs {
@@ -40,7 +47,8 @@ impl Crs {
             _ if has_other_meridian(code) => None,
             _ => {
                 let definition = crs_definitions::from_code(code.try_into().ok()?)?.proj4;
-                Projection::new(definition).ok().map(Self::Projection)
+                let definition = definition.replace(AMERSFOORT[0], AMERSFOORT[1]);
+                Projection::new(&definition).ok().map(Self::Projection)
             }
         }
     }
@@ -82,14 +90,27 @@ impl Crs {
     /// Converts a longitude and latitude in radians to coordinates in the system, in degrees or metres.
     pub fn project(&self, longitude: f64, latitude: f64) -> [f64; 2] {
         match self {
-            Self::Geographic => [longitude.to_degrees(), latitude.to_degrees()],
-            Self::WebMercator => {
-                let y = (std::f64::consts::FRAC_PI_4 + 0.5 * latitude).tan().ln();
-                [WGS84.semi_major_m * longitude, WGS84.semi_major_m * y]
+            Self::Geographic | Self::WebMercator => {
+                [self.x_of_longitude(longitude), self.y_of_latitude(latitude).unwrap_or(f64::NAN)]
             }
             Self::Utm { zone, north } => utm_from_geodetic(*zone, *north, longitude, latitude),
             Self::Projection(projection) => projection.project(longitude, latitude),
         }
+    }
+
+    /// Returns the second coordinate of a latitude in radians if it is the same at all longitudes, in degrees or metres.
+    pub(super) fn y_of_latitude(&self, latitude: f64) -> Option<f64> {
+        match self {
+            Self::Geographic => Some(latitude.to_degrees()),
+            Self::WebMercator => Some(WGS84.semi_major_m * (std::f64::consts::FRAC_PI_4 + 0.5 * latitude).tan().ln()),
+            Self::Utm { .. } | Self::Projection(_) => None,
+        }
+    }
+
+    /// Returns the first coordinate of a longitude in radians, in degrees or metres, in systems in which it is the same at
+    /// all latitudes.
+    pub(super) fn x_of_longitude(&self, longitude: f64) -> f64 {
+        if *self == Self::Geographic { longitude.to_degrees() } else { WGS84.semi_major_m * longitude }
     }
 
     /// Converts coordinates in the system to a longitude and latitude in radians.

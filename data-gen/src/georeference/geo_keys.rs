@@ -14,6 +14,28 @@ pub(super) const FOOT_M: f64 = 0.3048;
 /// The US survey foot in metres.
 pub(super) const US_SURVEY_FOOT_M: f64 = 1200.0 / 3937.0;
 
+/// Returns EPSG's units of length in metres, `None` for other codes.
+fn unit_m(code: u32) -> Option<f64> {
+    Some(match code {
+        1025 => 0.001,
+        1033 => 0.01,
+        9001 => 1.0,
+        9002 => FOOT_M,
+        9003 => US_SURVEY_FOOT_M,
+        // Clarke's foot, the German legal metre, the kilometre.
+        9005 => 0.304_797_265_4,
+        9031 => 1.000_013_596_5,
+        9036 => 1000.0,
+        // The British foot (Sears 1922), the Indian foot, the foot of the Gold Coast, the British foot of 1936, the yard.
+        9041 => 12.0 / 39.370_147,
+        9080 => 12.0 * 0.025_399_956_415_78,
+        9094 => 6_378_300.0 / 20_926_201.0,
+        9095 => 0.304_800_749_1,
+        9096 => 0.9144,
+        _ => return None,
+    })
+}
+
 /// EPSG codes of vertical systems that are positive downwards (dataset 11.022).
 const DEPTHS: &[u32] = &[
     5336, 5612, 5614, 5706, 5715, 5734, 5739, 5789, 5831, 5861, 5862, 5863, 5864, 5865, 5866, 5867, 5873, 6357, 6358,
@@ -106,10 +128,8 @@ impl GeoKeys {
     /// method, unit or ellipsoid.
     fn own_projection(&self) -> Option<String> {
         let unit_m = match self.number(3076) {
-            None | Some(9001) => 1.0,
-            Some(9002) => FOOT_M,
-            Some(9003) => US_SURVEY_FOOT_M,
-            Some(_) => self.double(3077).filter(|unit_m| *unit_m > 0.0)?,
+            None => 1.0,
+            Some(unit) => unit_m(unit).or_else(|| self.double(3077).filter(|unit_m| *unit_m > 0.0))?,
         };
         let first = |keys: &[u16]| keys.iter().find_map(|key| self.double(*key));
         // The origin may be the natural one, the false one, or the centre.
@@ -168,14 +188,13 @@ impl GeoKeys {
             (_, Some(system)) if DEPTHS.contains(&system) => {
                 Err(format!("GeoTIFF: depths in EPSG:{system}; only heights are supported"))
             }
-            (Some(9001), _) => Ok(Some(1.0)),
-            (Some(9002), _) => Ok(Some(FOOT_M)),
-            (Some(9003), _) => Ok(Some(US_SURVEY_FOOT_M)),
-            (Some(unit), _) => Err(format!("GeoTIFF: heights in units of EPSG:{unit}, which is not supported")),
+            (Some(unit), _) => unit_m(unit)
+                .map(Some)
+                .ok_or_else(|| format!("GeoTIFF: heights in units of EPSG:{unit}, which is not supported")),
             (None, Some(6130..=6132 | 8050 | 8228)) => Ok(Some(FOOT_M)),
             (None, Some(5702 | 6360 | 8052)) => Ok(Some(US_SURVEY_FOOT_M)),
-            // EPSG:5754 uses the British foot of 1936.
-            (None, Some(5754)) => Err("GeoTIFF: heights in EPSG:5754, which is not supported".to_owned()),
+            // The British foot of 1936.
+            (None, Some(5754)) => Ok(unit_m(9095)),
             (None, Some(USER_DEFINED)) => Err("GeoTIFF: user-defined heights without a unit".to_owned()),
             (None, Some(_)) => Ok(Some(1.0)),
             (None, None) => Ok(None),

@@ -7,6 +7,7 @@ mod geoid;
 pub(crate) mod geotiff;
 mod placement;
 mod projection;
+mod tiff_samples;
 mod transform;
 
 pub use crs::{Crs, utm_from_geodetic, utm_to_geodetic};

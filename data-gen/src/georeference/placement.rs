@@ -56,6 +56,11 @@ impl Placement {
         self.transform.pixel(self.crs.project(longitude - self.turn, latitude))
     }
 
+    /// Returns the row of positions at a latitude in radians.
+    pub fn row(&self, latitude: f64) -> PixelRow<'_> {
+        PixelRow { placement: self, latitude, y: self.crs.y_of_latitude(latitude) }
+    }
+
     /// Positions a TIFF by its tags, or by the world file beside it if it has none; `None` without both. `given` is the
     /// reference system of files that do not name one.
     pub fn of_tiff(path: &Path, tiff: &Tiff, given: Option<Crs>) -> Result<Option<Self>, GenError> {
@@ -87,6 +92,25 @@ impl Placement {
         match world_file(path) {
             Some(transform) => Self::of_unnamed(path, transform, size, given),
             None => Ok(Self::default()),
+        }
+    }
+}
+
+/// Positions at one latitude.
+pub(crate) struct PixelRow<'a> {
+    placement: &'a Placement,
+    latitude: f64,
+    /// The second coordinate in the reference system, if it depends on the latitude alone.
+    y: Option<f64>,
+}
+
+impl PixelRow<'_> {
+    /// Returns the column and row of a longitude in radians, the same as [`Placement::pixel`].
+    pub fn pixel(&self, longitude: f64) -> Option<[f64; 2]> {
+        let Placement { transform, crs, turn } = self.placement;
+        match self.y {
+            Some(y) => transform.pixel([crs.x_of_longitude(longitude - turn), y]),
+            None => self.placement.pixel(longitude, self.latitude),
         }
     }
 }

@@ -88,7 +88,7 @@ fn write_tile(
         return Ok(TileFiles { bytes, distance_m });
     }
     let encode = |painter: &Painter<'_>| {
-        let encoded = format.encode(&painter.paint(key), TEXELS);
+        let encoded = format.encode(&painter.paint(key)?, TEXELS);
         encoded.map_err(|e| GenError::Encode(format!("texture of tile {key:?}: {e}")))
     };
     let image = painter.map(encode).transpose()?;

@@ -3,16 +3,14 @@
 
 mod cli;
 mod date_line;
-mod elevation_files;
 mod files;
-mod meshes;
-
 mod fuzz_rasters;
-mod nothing_lost;
+mod meshes;
 mod reference_systems;
 mod running;
 mod samples;
 mod sets;
+mod sources;
 mod tiffs;
 mod tree;
 mod worlds;

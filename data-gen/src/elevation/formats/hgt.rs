@@ -1,42 +1,108 @@
 //! SRTM tiles: big-endian int16 over one degree, with samples on the edges. Their name gives the south-west corner.
 
-use std::io::{Read as _, Seek as _, SeekFrom};
-use std::path::Path;
+use std::io::{BufReader, Read as _, Seek as _, SeekFrom};
+use std::path::{Path, PathBuf};
 
-use super::super::raster::Raster;
+use super::Opened;
 use crate::GenError;
 use crate::georeference::{Crs, GeoTransform, Placement};
+use crate::store::{BlockCache, BlockGrid, BlockReader, FileState, Rect, WholeReader, whole};
 
-/// Reads an HGT file.
-pub(super) fn read(path: &Path) -> Result<Raster, GenError> {
-    let bytes = std::fs::read(path).map_err(GenError::file(path))?;
+/// An HGT file, read by seeking.
+struct Hgt {
+    path: PathBuf,
+    side: usize,
+    state: FileState,
+}
+
+/// Opens an HGT file.
+pub(super) fn open(path: &Path) -> Result<Opened, GenError> {
     let name = path.file_stem().and_then(|s| s.to_str()).unwrap_or("");
-    decode(path, name, &bytes)
+    let state = FileState::of(path)?;
+    let (side, placement) = place(path, name, state.bytes())?;
+    let grid = BlockGrid::new([side; 2], [side, ROWS]);
+    Ok(Opened { grid, reader: Box::new(Hgt { path: path.to_owned(), side, state }), placement })
 }
 
-/// Reads the first HGT file of a zip file. The name of that file, or of the zip file, tells the position.
-pub(super) fn read_zip(path: &Path) -> Result<Raster, GenError> {
+/// The number of rows of a block.
+const ROWS: usize = 64;
+
+impl BlockReader for Hgt {
+    fn read(&self, block: Rect) -> Result<Vec<u32>, GenError> {
+        let failed = GenError::file(&self.path);
+        let read = || {
+            let mut file = std::fs::File::open(&self.path)?;
+            // A block is as wide as the file.
+            file.seek(SeekFrom::Start(2 * (block.row * self.side) as u64))?;
+            let mut bytes = vec![0; 2 * block.pixels()];
+            file.read_exact(&mut bytes)?;
+            Ok(bytes)
+        };
+        self.state.check(&self.path)?;
+        read().map(|bytes| samples(&bytes)).map_err(failed)
+    }
+}
+
+/// Returns the bits of the heights of big-endian samples.
+fn samples(bytes: &[u8]) -> Vec<u32> {
+    let height_m = |b: &[u8; 2]| match i16::from_be_bytes(*b) {
+        i16::MIN => f32::NAN,
+        h => f32::from(h),
+    };
+    bytes.as_chunks().0.iter().map(height_m).map(f32::to_bits).collect()
+}
+
+/// The first HGT file of a zip file.
+struct Zipped {
+    path: PathBuf,
+    member: String,
+    side: usize,
+}
+
+/// Opens the first HGT file of a zip file. The name of that file, or of the zip file, tells the position.
+pub(super) fn open_zip(path: &Path, cache: &BlockCache) -> Result<Opened, GenError> {
     let bad = |reason: String| GenError::invalid(path, format!("zip: {reason}"));
-    let mut file = std::fs::File::open(path).map_err(GenError::file(path))?;
-    file.seek(SeekFrom::Start(0)).map_err(GenError::file(path))?;
-    let mut archive = zip::ZipArchive::new(std::io::BufReader::new(file)).map_err(|e| bad(e.to_string()))?;
+    let mut archive = archive(path)?;
     let names = archive.file_names().filter_map(|name| Some(name.ok()?.into_owned()));
-    let name = names.filter(|name| name.to_ascii_lowercase().ends_with(".hgt")).min();
-    let name = name.ok_or_else(|| bad("no HGT file in it".to_owned()))?;
-    let member = archive.by_name(&name).map_err(|e| bad(e.to_string()))?;
-    let mut bytes = Vec::new();
-    member.take(MAX_BYTES).read_to_end(&mut bytes).map_err(|e| bad(format!("{name}: {e}")))?;
-    let stem = name.rsplit(['/', '\\']).next().unwrap_or(&name);
+    let member = names.filter(|name| name.to_ascii_lowercase().ends_with(".hgt")).min();
+    let member = member.ok_or_else(|| bad("no HGT file in it".to_owned()))?;
+    let bytes = archive.by_name(&member).map_err(|e| bad(e.to_string()))?.size();
+    let stem = member.rsplit(['/', '\\']).next().unwrap_or(&member);
     let own = path.file_name().and_then(|s| s.to_str()).unwrap_or("");
-    decode(path, if corner(stem).is_some() { stem } else { own }, &bytes)
+    let (side, placement) = place(path, if corner(stem).is_some() { stem } else { own }, bytes)?;
+    let zipped = Zipped { path: path.to_owned(), member, side };
+    let (grid, reader) = whole(Box::new(zipped), [side; 2], cache);
+    Ok(Opened { grid, reader, placement })
 }
 
-/// A byte more than the largest file that is read.
-const MAX_BYTES: u64 = 3602 * 3602 * 2;
+fn archive(path: &Path) -> Result<zip::ZipArchive<BufReader<std::fs::File>>, GenError> {
+    let file = std::fs::File::open(path).map_err(GenError::file(path))?;
+    zip::ZipArchive::new(BufReader::new(file)).map_err(|e| GenError::invalid(path, format!("zip: {e}")))
+}
 
-/// Decodes the bytes of a file whose name begins with its south-west corner, such as N42E001.
-fn decode(path: &Path, name: &str, bytes: &[u8]) -> Result<Raster, GenError> {
-    let side = match bytes.len() {
+impl WholeReader for Zipped {
+    fn read_all(&self, call: &mut dyn FnMut(&[u32]) -> Result<(), GenError>) -> Result<(), GenError> {
+        let bad = |e: &dyn std::fmt::Display| GenError::invalid(&self.path, format!("zip: {}: {e}", self.member));
+        let mut archive = archive(&self.path)?;
+        let mut member = archive.by_name(&self.member).map_err(|e| bad(&e))?;
+        let mut row = vec![0; 2 * self.side];
+        for _ in 0..self.side {
+            member.read_exact(&mut row).map_err(|e| bad(&e))?;
+            call(&samples(&row))?;
+        }
+        // The checksum of the member is compared at its end.
+        std::io::copy(&mut member, &mut std::io::sink()).map(|_| ()).map_err(|e| bad(&e))
+    }
+
+    fn path(&self) -> &Path {
+        &self.path
+    }
+}
+
+/// Returns the samples along a side and the placement of a file of a size, whose name begins with its south-west corner, such
+/// as N42E001.
+fn place(path: &Path, name: &str, bytes: u64) -> Result<(usize, Placement), GenError> {
+    let side = match bytes {
         // Some distributors append a few bytes to the samples.
         n if (1201 * 1201 * 2..1202 * 1202 * 2).contains(&n) => 1201,
         n if (3601 * 3601 * 2..3602 * 3602 * 2).contains(&n) => 3601,
@@ -44,17 +110,9 @@ fn decode(path: &Path, name: &str, bytes: &[u8]) -> Result<Raster, GenError> {
     };
     let [west, south] = corner(name).ok_or_else(|| GenError::invalid(path, "HGT: the name is not like N42E001"))?;
     let pixel = 1.0 / (side - 1) as f64;
-    let samples = bytes
-        .chunks_exact(2)
-        .take(side * side)
-        .map(|b| match i16::from_be_bytes([b[0], b[1]]) {
-            i16::MIN => f32::NAN,
-            h => f32::from(h),
-        })
-        .collect();
     let origin = [west - 0.5 * pixel, south + 1.0 + 0.5 * pixel];
     let transform = GeoTransform { origin, dx: [pixel, 0.0], dy: [0.0, -pixel] };
-    Ok(Raster::new([side, side], samples, Placement::new(transform, Crs::Geographic)))
+    Ok((side, Placement::new(transform, Crs::Geographic)))
 }
 
 /// Returns the longitude and latitude of the south-west corner in degrees.

@@ -1,21 +1,28 @@
-//! Readers of elevation files: GeoTIFF, HGT, PNG, EXR, ASCII grids and folders of web tiles.
+//! Readers of elevation files: GeoTIFF, HGT, PNG, EXR, ASCII grids, PMTiles and folders of web tiles.
 
 mod ascii_grid;
 mod exr;
 mod hgt;
+mod pmtiles;
 mod png;
+mod tiff;
 mod web_tiles;
 
 use std::io::Read as _;
 use std::path::Path;
+use std::sync::Arc;
 
-use super::raster::Raster;
+use super::context::SourceContext;
 use crate::GenError;
-use crate::georeference::{Crs, Placement, geotiff};
+use crate::georeference::{Crs, Placement};
+use crate::store::{BlockGrid, BlockReader};
+pub(crate) use png::rows as png_rows;
 pub(crate) use web_tiles::is_folder_of_tiles;
 
-/// Largest number of samples in one raster.
-const MAX_SAMPLES: usize = 1 << 30;
+/// Largest number of samples in a file that is decoded as a whole.
+const MAX_SAMPLES: usize = 1 << 36;
+/// Largest number of samples that one byte of a compressed file can hold: deflate packs at most 1,032 bytes into one.
+const MAX_SAMPLES_PER_BYTE: u64 = 1032;
 
 /// The meaning of the colours of a PNG with elevation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
@@ -58,58 +65,43 @@ impl RasterOptions {
     }
 }
 
-impl Raster {
-    /// Reads an elevation file. Its format is recognised by its first bytes, HGT by the extension of its name.
-    pub fn read(path: &Path) -> Result<Self, GenError> {
-        Self::read_in(path, &RasterOptions::default())
-    }
-
-    /// Like [`Raster::read`], with what the file does not say itself. Reads a folder of web tiles as well.
-    pub fn read_in(path: &Path, options: &RasterOptions) -> Result<Self, GenError> {
-        let raster = if path.is_dir() && is_folder_of_tiles(path) {
-            web_tiles::read(path, options)?
-        } else {
-            read_file(path, options)?
-        };
-        if raster.has_heights() { Ok(raster) } else { Err(GenError::invalid(path, "no sample has a height")) }
-    }
+/// An elevation file whose header was read.
+pub(super) struct Opened {
+    pub grid: BlockGrid,
+    /// Decodes heights in metres, as bits; NaN where they are unknown.
+    pub reader: Box<dyn BlockReader>,
+    pub placement: Placement,
 }
 
-fn read_file(path: &Path, options: &RasterOptions) -> Result<Raster, GenError> {
+/// Returns the bits of heights.
+fn height_bits(heights: Vec<f32>) -> Vec<u32> {
+    heights.into_iter().map(f32::to_bits).collect()
+}
+
+/// Opens an elevation file or a folder of web tiles, and reads its header. The format is recognised by the first bytes, HGT by
+/// the extension of its name.
+pub(super) fn open(path: &Path, options: &RasterOptions, context: &Arc<SourceContext>) -> Result<Opened, GenError> {
+    if path.is_dir() && is_folder_of_tiles(path) {
+        return web_tiles::open(path, options);
+    }
     GenError::if_not_regular(path)?;
     let mut magic = [0u8; 8];
     let mut file = std::fs::File::open(path).map_err(GenError::file(path))?;
     let got = file.read(&mut magic).map_err(GenError::file(path))?;
     let is_hgt = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("hgt"));
     match &magic[..got] {
-        _ if is_hgt => hgt::read(path),
-        [b'I', b'I', 42 | 43, 0, ..] | [b'M', b'M', 0, 42 | 43, ..] => tiff(path, options),
-        [0x89, b'P', b'N', b'G', ..] => png::read(path, options),
-        [0x76, 0x2f, 0x31, 0x01, ..] => exr::read(path, options),
-        [b'P', b'K', 3, 4, ..] => hgt::read_zip(path),
-        [n, c, ..] if n.eq_ignore_ascii_case(&b'n') && c.eq_ignore_ascii_case(&b'c') => ascii_grid::read(path, options),
-        _ => Err(GenError::invalid(path, "neither GeoTIFF, HGT (or a zip file of one), PNG, EXR nor an ASCII grid")),
+        _ if is_hgt => hgt::open(path),
+        [b'I', b'I', 42 | 43, 0, ..] | [b'M', b'M', 0, 42 | 43, ..] => tiff::open(path, options, context),
+        [0x89, b'P', b'N', b'G', ..] => png::open(path, options, &context.cache),
+        [0x76, 0x2f, 0x31, 0x01, ..] => exr::open(path, options, &context.cache),
+        [b'P', b'M', b'T', b'i', b'l', b'e', b's', ..] => pmtiles::open(path, options),
+        [b'P', b'K', 3, 4, ..] => hgt::open_zip(path, &context.cache),
+        [n, c, ..] if n.eq_ignore_ascii_case(&b'n') && c.eq_ignore_ascii_case(&b'c') => {
+            ascii_grid::open(path, options, &context.cache)
+        }
+        _ => Err(GenError::invalid(
+            path,
+            "neither GeoTIFF, HGT (or a zip file of one), PNG, EXR, PMTiles nor an ASCII grid",
+        )),
     }
-}
-
-fn tiff(path: &Path, options: &RasterOptions) -> Result<Raster, GenError> {
-    let t = geotiff::Tiff::open(path)?;
-    let channel = match (&options.channel, t.channels()) {
-        (None, 1) => 1,
-        (None, count) => {
-            let reason = format!("TIFF with {count} channels; elevation has one channel, --channel N chooses it");
-            return Err(GenError::invalid(path, reason));
-        }
-        (Some(name), count) => {
-            let number = name.parse().ok().filter(|n| (1..=count).contains(n));
-            number.ok_or_else(|| {
-                GenError::invalid(path, format!("--channel {name}: the TIFF has channels 1 to {count}"))
-            })?
-        }
-    };
-    // PNG and EXR files have a default position; a TIFF must have a georeference.
-    let placement = Placement::of_tiff(path, &t, options.crs.clone())?
-        .ok_or_else(|| GenError::invalid(path, "no georeference: neither GeoTIFF tags nor a world file beside it"))?;
-    let samples = t.heights(path, channel - 1, options.nodata)?;
-    Ok(Raster::new([t.width, t.height], samples, placement))
 }

@@ -1,79 +1,144 @@
 //! PNGs with elevation: heights in the colours of RGB, or in the values of grey pixels.
 
-use std::io::{BufReader, Read as _};
-use std::path::Path;
+use std::io::{BufRead, BufReader, Seek};
+use std::path::{Path, PathBuf};
 
-use super::super::raster::Raster;
-use super::{HeightEncoding, RasterOptions, web_tiles};
+use png::{BitDepth, ColorType, Decoder, Transformations};
+
+use super::{HeightEncoding, MAX_SAMPLES_PER_BYTE, Opened, RasterOptions, web_tiles};
 use crate::GenError;
 use crate::georeference::Placement;
+use crate::store::{BlockCache, FileState, WholeReader, whole};
 
-/// Reads a PNG. It is placed by its world file, or by its path if that ends like a web tile's, `z/x/y.png`.
-pub(super) fn read(path: &Path, options: &RasterOptions) -> Result<Raster, GenError> {
-    let (size, samples) = heights(path, options)?;
+/// A PNG file with heights.
+struct PngFile {
+    path: PathBuf,
+    options: RasterOptions,
+    state: FileState,
+}
+
+/// Opens a PNG. It is placed by its world file, or by its path if that ends like a web tile's, `z/x/y.png`.
+pub(super) fn open(path: &Path, options: &RasterOptions, cache: &BlockCache) -> Result<Opened, GenError> {
+    let state = FileState::of(path)?;
+    let reader = || Ok(BufReader::new(std::fs::File::open(path).map_err(GenError::file(path))?));
+    let size = size(reader()?, path, options, state.bytes())?;
     let placement = match web_tiles::tile_of(path).filter(|_| !Placement::has_world_file(path)) {
         Some(tile) => tile.placement(size),
         None => Placement::of_image(path, size, options.crs.clone())?,
     };
-    Ok(Raster::new(size, samples, placement))
+    let file = PngFile { path: path.to_owned(), options: options.clone(), state };
+    let (grid, reader) = whole(Box::new(file), size, cache);
+    Ok(Opened { grid, reader, placement })
 }
 
-/// Reads the size and the heights in metres, north row first; NaN for transparent pixels. RGB and RGBA have the encoding of
-/// the options; grey pixels need a height scale. PNGs of other kinds hold something else and are refused.
-pub(super) fn heights(path: &Path, options: &RasterOptions) -> Result<([usize; 2], Vec<f32>), GenError> {
-    let kind = kind(path)?.unwrap_or((8, "RGB"));
-    let is_grey = matches!(kind, (8 | 16, "grey" | "grey with alpha")) && options.height_scale.is_some();
-    if !is_grey && !matches!(kind, (8, "RGB" | "RGBA")) {
-        let (bits, color) = kind;
+impl WholeReader for PngFile {
+    fn read_all(&self, call: &mut dyn FnMut(&[u32]) -> Result<(), GenError>) -> Result<(), GenError> {
+        self.state.check(&self.path)?;
+        let file = std::fs::File::open(&self.path).map_err(GenError::file(&self.path))?;
+        heights(BufReader::new(file), &self.path, &self.options, call)
+    }
+
+    fn path(&self) -> &Path {
+        &self.path
+    }
+}
+
+/// Reads the size of a PNG of a number of bytes. A PNG whose pixels are not heights is refused.
+pub(super) fn size(
+    png: impl BufRead + Seek,
+    path: &Path,
+    options: &RasterOptions,
+    bytes: u64,
+) -> Result<[usize; 2], GenError> {
+    let bad = |reason: String| GenError::invalid(path, format!("PNG: {reason}"));
+    let mut decoder = Decoder::new(png);
+    let info = decoder.read_header_info().map_err(|e| bad(e.to_string()))?;
+    let color = match info.color_type {
+        ColorType::Grayscale => "grey",
+        ColorType::Rgb => "RGB",
+        ColorType::Indexed => "palette",
+        ColorType::GrayscaleAlpha => "grey with alpha",
+        ColorType::Rgba => "RGBA",
+    };
+    let bits = info.bit_depth as u8;
+    let is_grey = options.height_scale.is_some() && matches!((bits, color), (8 | 16, "grey" | "grey with alpha"));
+    if !is_grey && !matches!((bits, color), (8, "RGB" | "RGBA")) {
         let reason = format!(
             "PNG of {bits}-bit {color}: heights are read from 8-bit RGB or RGBA (see --encoding), and from grey with \
              --height-scale"
         );
         return Err(GenError::invalid(path, reason));
     }
-    let file = std::fs::File::open(path).map_err(GenError::file(path))?;
-    let reader = image::ImageReader::with_format(BufReader::new(file), image::ImageFormat::Png);
-    let image = reader.decode().map_err(|e| GenError::invalid(path, format!("PNG: {e}")))?;
-    let size = [image.width() as usize, image.height() as usize];
-    if is_grey {
-        let (is_wide, image) = (kind.0 == 16, image.into_luma_alpha16());
-        let samples = image.pixels().map(|p| match p.0 {
-            [_, 0] => f32::NAN,
-            // 8-bit values were widened by the factor 257.
-            [v, _] => options.height_m(f32::from(if is_wide { v } else { v / 257 })),
-        });
-        return Ok((size, samples.collect()));
+    let (width, height) = (info.width, info.height);
+    if u64::from(width) * u64::from(height) > bytes.saturating_mul(MAX_SAMPLES_PER_BYTE) {
+        return Err(bad(format!("{width} x {height} pixels in {bytes} bytes")));
     }
-    let height_m = match options.encoding {
-        HeightEncoding::TerrainRgb => |[r, g, b]: [f64; 3]| -10_000.0 + 0.1 * (r * 65536.0 + g * 256.0 + b),
-        HeightEncoding::Terrarium => |[r, g, b]: [f64; 3]| r * 256.0 + g + b / 256.0 - 32768.0,
-    };
-    let image = image.into_rgba8();
-    let samples = image.pixels().map(|p| match p.0 {
-        [.., 0] => f32::NAN,
-        [r, g, b, _] => {
-            let height_m = height_m([r, g, b].map(f64::from));
-            if options.nodata == Some(height_m) { f32::NAN } else { height_m as f32 }
-        }
-    });
-    Ok((size, samples.collect()))
+    Ok([width as usize, height as usize])
 }
 
-/// Returns the bits of a sample (of a palette index, if there is a palette) and the colour type from the IHDR chunk,
-/// which is always the first. `None` if the file is too short. The decoder reports the format after its conversion, so
-/// the chunk is read here.
-fn kind(path: &Path) -> Result<Option<(u8, &'static str)>, GenError> {
-    let mut header = Vec::new();
-    let file = std::fs::File::open(path).map_err(GenError::file(path))?;
-    file.take(26).read_to_end(&mut header).map_err(GenError::file(path))?;
-    let Some(&[bits, color]) = header.get(24..26) else { return Ok(None) };
-    let color = match color {
-        0 => "grey",
-        2 => "RGB",
-        3 => "palette",
-        4 => "grey with alpha",
-        6 => "RGBA",
-        _ => "unknown colour type",
-    };
-    Ok(Some((bits, color)))
+/// Calls with the bits of the heights in metres, north row first; NaN for transparent pixels. RGB and RGBA have the encoding of
+/// the options; grey pixels have their height scale.
+pub(super) fn heights(
+    png: impl BufRead + Seek,
+    path: &Path,
+    options: &RasterOptions,
+    call: &mut dyn FnMut(&[u32]) -> Result<(), GenError>,
+) -> Result<(), GenError> {
+    let mut heights: Vec<u32> = Vec::new();
+    rows(png, path, &mut |row, color, depth| {
+        heights.clear();
+        let (channels, wide) = (color.samples(), depth == BitDepth::Sixteen);
+        let value = |bytes: &[u8], k: usize| match wide {
+            true => u16::from_be_bytes([bytes[2 * k], bytes[2 * k + 1]]),
+            false => bytes[k].into(),
+        };
+        let is_opaque = |pixel: &[u8]| match color {
+            ColorType::GrayscaleAlpha | ColorType::Rgba => value(pixel, channels - 1) > 0,
+            _ => true,
+        };
+        let pixels = row.chunks_exact(channels * if wide { 2 } else { 1 });
+        let found = pixels.map(|pixel| match color {
+            _ if !is_opaque(pixel) => f32::NAN,
+            ColorType::Grayscale | ColorType::GrayscaleAlpha => options.height_m(value(pixel, 0).into()),
+            _ => {
+                let [r, g, b] = [0, 1, 2].map(|k| f64::from(value(pixel, k)));
+                let height_m = match options.encoding {
+                    HeightEncoding::TerrainRgb => -10_000.0 + 0.1 * (r * 65536.0 + g * 256.0 + b),
+                    HeightEncoding::Terrarium => r * 256.0 + g + b / 256.0 - 32768.0,
+                };
+                if options.nodata == Some(height_m) { f32::NAN } else { height_m as f32 }
+            }
+        });
+        heights.extend(found.map(f32::to_bits));
+        call(&heights)
+    })
 }
+
+/// Calls with the bytes of each row of a PNG, palettes and transparent colours expanded.
+pub(crate) fn rows(
+    png: impl BufRead + Seek,
+    path: &Path,
+    call: &mut dyn FnMut(&[u8], ColorType, BitDepth) -> Result<(), GenError>,
+) -> Result<(), GenError> {
+    let bad = |e: &dyn std::fmt::Display| GenError::invalid(path, format!("PNG: {e}"));
+    let mut decoder = Decoder::new(png);
+    decoder.set_transformations(Transformations::EXPAND);
+    decoder.set_ignore_text_chunk(true);
+    let mut reader = decoder.read_info().map_err(|e| bad(&e))?;
+    let (color, depth) = reader.output_color_type();
+    if reader.info().interlaced {
+        // The rows of an interlaced image are complete after its last pass.
+        let bytes = reader.output_buffer_size().filter(|bytes| *bytes <= MAX_INTERLACED_BYTES);
+        let bytes = bytes.ok_or_else(|| bad(&"an interlaced image of more than 1 GiB"))?;
+        let mut image = vec![0; bytes];
+        let info = reader.next_frame(&mut image).map_err(|e| bad(&e))?;
+        return image.chunks_exact(info.line_size).try_for_each(|row| call(row, color, depth));
+    }
+    while let Some(row) = reader.next_row().map_err(|e| bad(&e))? {
+        call(row.data(), color, depth)?;
+    }
+    Ok(())
+}
+
+/// The largest interlaced image in bytes, which is decoded in memory.
+const MAX_INTERLACED_BYTES: usize = 1 << 30;

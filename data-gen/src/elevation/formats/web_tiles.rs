@@ -1,12 +1,14 @@
 //! Web tiles in the scheme of XYZ: `z/x/y.png` in Web Mercator, row 0 in the north.
 
+use std::collections::HashMap;
 use std::f64::consts::PI;
+use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
-use super::super::raster::Raster;
-use super::{MAX_SAMPLES, RasterOptions, png};
+use super::{Opened, RasterOptions, png};
 use crate::GenError;
 use crate::georeference::{Crs, GeoTransform, Placement};
+use crate::store::{BlockGrid, BlockReader, Rect};
 use terrane::math::WGS84;
 
 /// The position of a tile.
@@ -60,41 +62,131 @@ fn tiles(zoom: &Path) -> Vec<(WebTile, PathBuf)> {
     tiles
 }
 
-/// Reads the tiles of the finest zoom level of a folder as one raster. Missing tiles have no data.
-pub(super) fn read(folder: &Path, options: &RasterOptions) -> Result<Raster, GenError> {
+/// The encoded tiles of one zoom level.
+pub(super) trait TileBytes: Send + Sync {
+    /// Reads a tile, `None` if it is missing.
+    fn read(&self, tile: [usize; 2]) -> Result<Option<Vec<u8>>, GenError>;
+
+    /// Returns the path of a tile for error messages.
+    fn path(&self, tile: [usize; 2]) -> PathBuf;
+
+    /// Returns true if a tile is missing, as far as this is known without reading it.
+    fn is_missing(&self, tile: [usize; 2]) -> bool;
+}
+
+/// The tiles of one zoom level as one image, read tile by tile. Missing tiles have no data.
+struct Tiles {
+    bytes: Box<dyn TileBytes>,
+    /// The column and row of the north-western tile.
+    corner: [usize; 2],
+    /// The size of a tile in pixels.
+    size: [usize; 2],
+    options: RasterOptions,
+}
+
+/// Returns tiles as one image. `columns` and `rows` are the first and the last ones that exist, `first` is a tile that exists.
+pub(super) fn image(
+    bytes: Box<dyn TileBytes>,
+    zoom: u32,
+    [columns, rows]: [[usize; 2]; 2],
+    first: [usize; 2],
+    options: &RasterOptions,
+) -> Result<Opened, GenError> {
+    let path = bytes.path(first);
+    let tile = bytes.read(first)?.ok_or_else(|| GenError::invalid(&path, "the tile is missing"))?;
+    let size = png::size(Cursor::new(&tile), &path, options, tile.len() as u64)?;
+    let whole = [columns, rows].map(|[first, last]| last - first + 1);
+    let whole = [0, 1].map(|k| whole[k].saturating_mul(size[k]));
+    let corner = [columns[0], rows[0]];
+    let placement = WebTile { zoom, x: corner[0] as u32, y: corner[1] as u32 }.placement(size);
+    let reader = Box::new(Tiles { bytes, corner, size, options: options.clone() });
+    Ok(Opened { grid: BlockGrid::new(whole, size), reader, placement })
+}
+
+impl Tiles {
+    /// Returns the column and row of the tile that a block is.
+    fn tile(&self, block: Rect) -> [usize; 2] {
+        [block.column / self.size[0] + self.corner[0], block.row / self.size[1] + self.corner[1]]
+    }
+}
+
+impl BlockReader for Tiles {
+    fn read(&self, block: Rect) -> Result<Vec<u32>, GenError> {
+        let tile = self.tile(block);
+        let Some(bytes) = self.bytes.read(tile)? else { return Ok(vec![f32::NAN.to_bits(); block.pixels()]) };
+        let path = self.bytes.path(tile);
+        let own = png::size(Cursor::new(&bytes), &path, &self.options, bytes.len() as u64)?;
+        if own != self.size {
+            let [width, height] = self.size;
+            let reason = format!("{} x {} pixels, but other tiles have {width} x {height}", own[0], own[1]);
+            return Err(GenError::invalid(path, reason));
+        }
+        let mut heights = Vec::with_capacity(block.pixels());
+        png::heights(Cursor::new(&bytes), &path, &self.options, &mut |row| {
+            heights.extend_from_slice(row);
+            Ok(())
+        })?;
+        match heights.len() == block.pixels() {
+            true => Ok(heights),
+            false => Err(GenError::invalid(path, format!("{} pixels, expected {}", heights.len(), block.pixels()))),
+        }
+    }
+
+    fn is_known_empty(&self, block: Rect) -> bool {
+        self.bytes.is_missing(self.tile(block))
+    }
+}
+
+/// The tiles of one zoom level of a folder.
+struct Folder {
+    /// The folder of the zoom level.
+    zoom: PathBuf,
+    /// The files of tiles, by column and row, whose names are not plain numbers and `png`, such as `07.PNG`.
+    unusual: HashMap<[usize; 2], PathBuf>,
+}
+
+/// Opens the tiles of the finest zoom level of a folder as one image. Missing tiles have no data.
+pub(super) fn open(folder: &Path, options: &RasterOptions) -> Result<Opened, GenError> {
     let mut zooms = numbered(folder, 25);
     zooms.sort_by_key(|(zoom, _)| std::cmp::Reverse(*zoom));
-    let tiles = zooms.iter().map(|(_, path)| tiles(path)).find(|tiles| !tiles.is_empty()).unwrap_or_default();
+    let finest = zooms.into_iter().map(|(_, zoom)| (tiles(&zoom), zoom)).find(|(tiles, _)| !tiles.is_empty());
+    let (tiles, zoom) = finest.unwrap_or_default();
     let range = |of: fn(&WebTile) -> u32| {
         let all = || tiles.iter().map(|(tile, _)| of(tile));
         Some([all().min()?, all().max()?])
     };
-    let (Some([west, east]), Some([north, south]), Some((first, path))) =
+    let (Some([west, east]), Some([north, south]), Some((first, _))) =
         (range(|tile| tile.x), range(|tile| tile.y), tiles.first())
     else {
         return Err(GenError::invalid(folder, "no tiles z/x/y.png in it"));
     };
-    let (size, _) = png::heights(path, options)?;
-    let width = ((east - west + 1) as usize).checked_mul(size[0]);
-    let height = ((south - north + 1) as usize).checked_mul(size[1]);
-    let count = width.zip(height).and_then(|(w, h)| w.checked_mul(h)).filter(|count| *count <= MAX_SAMPLES);
-    let (Some(width), Some(height), Some(count)) = (width, height, count) else {
-        let reason = format!("tiles from {west}, {north} to {east}, {south} are more than 2^30 samples");
-        return Err(GenError::invalid(folder, reason));
-    };
-    let mut samples = vec![f32::NAN; count];
+    let mut folder = Folder { zoom, unusual: HashMap::new() };
     for (tile, path) in &tiles {
-        let (own, heights) = png::heights(path, options)?;
-        if own != size {
-            let reason = format!("{} x {} pixels, but other tiles have {} x {}", own[0], own[1], size[0], size[1]);
-            return Err(GenError::invalid(path, reason));
-        }
-        let (left, top) = ((tile.x - west) as usize * size[0], (tile.y - north) as usize * size[1]);
-        for (row, heights) in heights.chunks_exact(size[0]).enumerate() {
-            let at = (top + row) * width + left;
-            samples[at..at + size[0]].copy_from_slice(heights);
+        let at = [tile.x as usize, tile.y as usize];
+        if *path != folder.path(at) {
+            folder.unusual.insert(at, path.clone());
         }
     }
-    let corner = WebTile { zoom: first.zoom, x: west, y: north };
-    Ok(Raster::new([width, height], samples, corner.placement(size)))
+    let range = [[west, east], [north, south]].map(|range| range.map(|tile| tile as usize));
+    image(Box::new(folder), first.zoom, range, [first.x as usize, first.y as usize], options)
+}
+
+impl TileBytes for Folder {
+    fn read(&self, tile: [usize; 2]) -> Result<Option<Vec<u8>>, GenError> {
+        let path = self.path(tile);
+        match std::fs::read(&path) {
+            Ok(bytes) => Ok(Some(bytes)),
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(None),
+            Err(e) => Err(GenError::file(path)(e)),
+        }
+    }
+
+    fn path(&self, [x, y]: [usize; 2]) -> PathBuf {
+        let usual = || self.zoom.join(x.to_string()).join(format!("{y}.png"));
+        self.unusual.get(&[x, y]).cloned().unwrap_or_else(usual)
+    }
+
+    fn is_missing(&self, tile: [usize; 2]) -> bool {
+        !self.path(tile).exists()
+    }
 }

@@ -104,6 +104,8 @@ fn heights_in_feet_are_converted_to_metres() {
     for (k, (more, metres)) in [
         (vec![[4099, 9001]], 1.0),
         (vec![[4099, 9002]], foot),
+        (vec![[4099, 1033]], 0.01),
+        (vec![[4096, 5754]], 0.304_800_749_1),
         (vec![[4096, 5703], [4099, 9003]], us_foot),
         (vec![[4096, 6360]], us_foot),
         (vec![[4096, 8228]], foot),
@@ -125,7 +127,6 @@ fn heights_in_feet_are_converted_to_metres() {
     for (more, why) in [
         (vec![[4099, 9014]], "EPSG:9014"),
         (vec![[4096, 5703], [4099, 32767]], "EPSG:32767"),
-        (vec![[4096, 5754]], "EPSG:5754"),
         (vec![[4096, 32767]], "without a unit"),
     ] {
         let args = from_dem(folder.path(), "other.tif", &tiff_int16_keyed(&h, Some(PLACE), &more));

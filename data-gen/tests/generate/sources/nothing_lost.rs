@@ -400,7 +400,7 @@ fn peaks_of_rasters_of_any_size_are_kept_within_the_declared_error() {
         let args = GenArgs { levels: None, ..from_dem(folder.path(), &format!("{side}.tif"), &dem) };
         let summary = run(&args).unwrap();
         let raster = Raster::read(&args.dem[0]).unwrap();
-        assert_eq!([summary.min_height_m, summary.max_height_m], raster.range_m().map(f64::from), "{side}");
+        assert_eq!([summary.min_height_m, summary.max_height_m], raster.range_m().unwrap().map(f64::from), "{side}");
         // Each sample lies within the declared error of the triangles of its leaf.
         let tiles = 1u32 << (summary.levels - 1);
         let set = tileset(&args.out);

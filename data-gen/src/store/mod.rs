@@ -1,0 +1,21 @@
+//! Images of any size as blocks that are decoded when they are needed.
+//!
+//! ```text
+//! a reader (BlockReader) decodes one block of a file -> BlockCache: one for all files of a run, with a byte budget
+//! PixelImage: the grid of blocks of one file         -> Cursor: single pixels and parts of rows, held by one thread
+//! whole: files that can only be decoded as a whole    -> one block, or blocks in a temporary file
+//! ```
+//!
+//! A pixel is a word of 32 bits: the bits of a height in metres (`f32`), or the bytes of red, green, blue and opacity.
+
+mod cache;
+mod file_state;
+mod image;
+mod pool;
+mod spill;
+
+pub(crate) use cache::BlockCache;
+pub(crate) use file_state::FileState;
+pub(crate) use image::{BlockGrid, BlockReader, Cursor, PixelImage, Rect};
+pub(crate) use pool::Pool;
+pub(crate) use spill::{SpillPart, WholeReader, first_pixel, whole};
