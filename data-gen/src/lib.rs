@@ -24,5 +24,6 @@ pub use elevation::{ElevationSource, HeightEncoding, Procedural, Raster, RasterO
 pub use error::GenError;
 pub use generate::{default_set, run};
 pub use georeference::{Crs, Projection, VerticalDatum, utm_from_geodetic, utm_to_geodetic};
+pub use output::PartialFolder;
 pub use progress::Progress;
 pub use pyramid::{Extent, Grid, Pyramid, Sampling, TileKey};

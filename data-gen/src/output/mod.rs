@@ -4,5 +4,5 @@ mod mesh;
 mod partial_folder;
 mod tile_set;
 
-pub(crate) use partial_folder::PartialFolder;
+pub use partial_folder::PartialFolder;
 pub(crate) use tile_set::write_tiles;

@@ -14,8 +14,9 @@ const MARKER: &str = ".terrane-gen";
 /// The content of the marker, so that other files of the same name are not taken for one.
 const MARKER_TEXT: &str = "terrane gen writes here\n";
 
-/// A temporary folder beside OUT. Dropping it before [`Self::put_in_place`] removes it.
-pub(crate) struct PartialFolder {
+/// A temporary folder beside the folder OUT of a set. Dropping it before [`Self::put_in_place`] removes it.
+#[derive(Debug)]
+pub struct PartialFolder {
     path: PathBuf,
     /// The marker, kept open for its lock.
     marker: Option<File>,

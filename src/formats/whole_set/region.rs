@@ -10,7 +10,7 @@ use crate::math::{BoundingVolume, Region, WGS84};
 const MIN_RADIUS_M: f64 = 6.2e6;
 
 /// Returns true if the volume, in the frame `world` of its tileset, overlaps the region. Heights are ignored.
-pub(super) fn overlaps(volume: &BoundingVolume, world: &DAffine3, region: &Region) -> bool {
+pub(in crate::formats) fn overlaps(volume: &BoundingVolume, world: &DAffine3, region: &Region) -> bool {
     if let BoundingVolume::Region(r) = volume {
         return latitudes_overlap(r.south, r.north, region) && longitudes_overlap(r.west, r.width(), region);
     }
