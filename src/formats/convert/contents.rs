@@ -81,7 +81,8 @@ impl ContentWriter<'_> {
         let data = data.as_ref();
         let is_endless = data.and_then(ReaderData::value::<TerrainPage>).is_some_and(TerrainPage::is_ellipsoid);
         if is_endless {
-            return Err(IoError::unsupported(&uri, "terrain without a file: the ellipsoid, whose levels do not end"));
+            notes.add("terrain without a file: the ellipsoid");
+            return Ok(read);
         }
         let is_in_memory = data.is_some_and(ReaderData::is_whole_content);
         let Loaded { bytes, location, is_no_content, .. } =

@@ -14,8 +14,8 @@ use crate::math::{BoundingSphere, BoundingVolume};
 use crate::scene::{Drawable, Node, NodeKind, PagedLod, ProxyNode, RangeMode, ReaderData, Refine};
 use crate::state::{Attribute, StateSet, SurfaceMaterial};
 
-/// Ranges end here or above for what is shown from anywhere.
-const ENDLESS: f64 = 1e29;
+/// Ranges end here or above for what is shown from anywhere on the earth and around it. OSG's tools write 1e10 and more.
+const ENDLESS: f64 = 1e9;
 
 /// A tile of the source whose content is not converted yet.
 #[derive(Debug)]

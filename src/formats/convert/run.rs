@@ -16,7 +16,7 @@ use super::written::levels_of;
 use crate::fetch::{Source, root_uri};
 use crate::formats::ignored::{Ignored, Notes};
 use crate::formats::options::ReadOptions;
-use crate::formats::whole_set::overlaps;
+use crate::formats::whole_set::{is_on_earth, overlaps};
 use crate::math::{Aabb, BoundingVolume, max_scale};
 
 /// A part of the tree with this number of tiles gets a file of its own.
@@ -219,9 +219,10 @@ impl Shared<'_> {
         children.extend(below.drain(..).map(|child| (child, options.clone(), level_below)));
         children.extend(items.into_iter().map(|child| (child, options_below.clone(), level)));
         if let Some(region) = &self.options.region {
-            children.retain(|(child, ..)| {
-                child.bounds.is_none_or(|bounds| overlaps(&bounds, &child.set_from_item, region))
-            });
+            let is_over = |bounds: BoundingVolume, frame: &DAffine3| {
+                is_on_earth(&bounds, frame) && overlaps(&bounds, frame, region)
+            };
+            children.retain(|(child, ..)| child.bounds.is_none_or(|bounds| is_over(bounds, &child.set_from_item)));
         }
         {
             let mut state = self.lock();

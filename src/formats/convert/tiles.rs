@@ -56,6 +56,8 @@ pub(super) struct OutTile {
     set_from_tile: DAffine3,
     /// In the frame of the tile; a region in that of the set.
     bounds: BoundingVolume,
+    /// The box around the contents of this tile and of all below it, in the frame of the tile.
+    hull: Aabb,
     request_volume: Option<BoundingVolume>,
     /// Metres of the set's frame.
     error_m: f64,
@@ -69,57 +71,50 @@ pub(super) struct OutTile {
 impl Draft {
     /// Returns the tile with its children; `None` if nothing is left of it.
     pub fn finish(self, children: Vec<OutTile>, errors: &ErrorScale) -> Option<OutTile> {
-        if self.content.is_none() && children.is_empty() {
+        let scale = max_scale(&self.set_from_tile.matrix3);
+        let tile_from_set = self.set_from_tile.inverse();
+        let hulls =
+            children.iter().map(|child| child.hull.transformed(&child.in_frame(&tile_from_set, self.set_from_tile)));
+        let hull = hulls.fold(self.content_box, |all, one| all.union(&one));
+        if hull.is_empty() {
             return None;
         }
-        let scale = max_scale(&self.set_from_tile.matrix3);
         let below_m = children.iter().map(|child| child.error_m).fold(0.0, f64::max);
         let (bounds, error_m) = match self.refinement {
             Refinement::Nearer { center, distance_m } => {
-                let sphere = self.sphere(center, &children);
+                // Spheres around spheres would grow with each level.
+                let radius_m = hull.corners().iter().map(|corner| corner.distance(center)).fold(0.0, f64::max);
+                let sphere = BoundingSphere::new(center, radius_m);
                 // Errors do not grow downwards, so a tile is refined no later than those below it.
                 let own_m = scale * errors.error_m(distance_m, sphere.radius_m);
                 (BoundingVolume::Sphere(sphere), own_m.max(below_m))
             }
-            Refinement::Error { error_m } => (self.volume(&children)?, scale * error_m),
+            Refinement::Error { error_m } => (self.volume(&hull, &children), scale * error_m),
             Refinement::Always => {
-                let bounds = self.volume(&children)?;
+                let bounds = self.volume(&hull, &children);
                 let always_m = if children.is_empty() { 0.0 } else { scale * diameter_m(&bounds) };
                 (bounds, always_m.max(2.0 * below_m))
             }
         };
         let count = 1 + children.iter().map(|child| child.count).sum::<usize>();
         let Self { name, set_from_tile, request_volume, refine, content, .. } = self;
-        Some(OutTile { name, set_from_tile, bounds, request_volume, error_m, refine, content, children, count })
+        Some(OutTile { name, set_from_tile, bounds, hull, request_volume, error_m, refine, content, children, count })
     }
 
-    /// Returns the sphere around a centre that holds the content and the children.
-    fn sphere(&self, center: DVec3, children: &[OutTile]) -> BoundingSphere {
-        let corners = self.content_box.corners();
-        let own_m = corners.iter().map(|corner| corner.distance(center)).fold(0.0, f64::max);
-        let own_m = if self.content_box.is_empty() { 0.0 } else { own_m };
-        let tile_from_set = self.set_from_tile.inverse();
-        let radius_m = children.iter().map(|child| child.reach(&tile_from_set, center)).fold(own_m, f64::max);
-        BoundingSphere::new(center, radius_m)
-    }
-
-    /// Returns the declared volume, or one around the content and the children; `None` if there is neither.
-    fn volume(&self, children: &[OutTile]) -> Option<BoundingVolume> {
-        if self.declared.is_some() {
-            return self.declared;
+    /// Returns the declared volume, or one around the contents.
+    fn volume(&self, hull: &Aabb, children: &[OutTile]) -> BoundingVolume {
+        if let Some(declared) = self.declared {
+            return declared;
         }
         let regions: Vec<Region> = children.iter().filter_map(OutTile::region).collect();
         if self.content_box.is_empty()
             && regions.len() == children.len()
             && let Some(region) = united(&regions)
         {
-            return Some(BoundingVolume::Region(region));
+            return BoundingVolume::Region(region);
         }
-        let tile_from_set = self.set_from_tile.inverse();
-        let boxes = children.iter().map(|child| child.aabb(&tile_from_set));
-        let all = boxes.fold(self.content_box, |all, one| all.union(&one));
-        let oriented = OrientedBox { center: all.center(), half_axes: DMat3::from_diagonal(all.half_size()) };
-        (!all.is_empty()).then_some(BoundingVolume::Box(oriented))
+        let half_axes = DMat3::from_diagonal(hull.half_size());
+        BoundingVolume::Box(OrientedBox { center: hull.center(), half_axes })
     }
 }
 
@@ -157,39 +152,9 @@ impl OutTile {
         }
     }
 
-    /// Returns the map from the frame of the bounds to another one.
-    fn frame_from_bounds(&self, frame_from_set: &DAffine3) -> DAffine3 {
-        if self.region().is_some() { *frame_from_set } else { *frame_from_set * self.set_from_tile }
-    }
-
-    /// Returns the box around the bounds in another frame.
-    fn aabb(&self, frame_from_set: &DAffine3) -> Aabb {
-        let map = self.frame_from_bounds(frame_from_set);
-        match self.bounds.oriented_box() {
-            Some(bounds) => bounds.transformed(&map).aabb(),
-            None => {
-                let BoundingSphere { center, radius_m } = self.bounds.bounding_sphere().transformed(&map);
-                Aabb { min: center - radius_m, max: center + radius_m }
-            }
-        }
-    }
-
-    /// Returns the distance of the farthest point of the bounds from a point of another frame.
-    fn reach(&self, frame_from_set: &DAffine3, from: DVec3) -> f64 {
-        let map = self.frame_from_bounds(frame_from_set);
-        match self.bounds.oriented_box() {
-            Some(bounds) => {
-                let OrientedBox { center, half_axes: m } = bounds.transformed(&map);
-                let signs = [1.0, -1.0];
-                let corners = signs.iter().flat_map(|x| signs.iter().flat_map(|y| signs.iter().map(|z| (*x, *y, *z))));
-                let corners = corners.map(|(x, y, z)| center + m.x_axis * x + m.y_axis * y + m.z_axis * z);
-                corners.map(|corner| corner.distance(from)).fold(0.0, f64::max)
-            }
-            None => {
-                let sphere = self.bounds.bounding_sphere().transformed(&map);
-                sphere.center.distance(from) + sphere.radius_m
-            }
-        }
+    /// Returns the map from the frame of the tile to another one.
+    fn in_frame(&self, frame_from_set: &DAffine3, set_from_frame: DAffine3) -> DAffine3 {
+        if self.set_from_tile == set_from_frame { DAffine3::IDENTITY } else { *frame_from_set * self.set_from_tile }
     }
 
     /// Returns a tile that refers to a file with this one.
@@ -304,7 +269,7 @@ mod tests {
         let refinement = Refinement::Nearer { center: DVec3::ZERO, distance_m: 100.0 };
         let tile = draft("0", 1.0, refinement).finish(vec![leaf("0/0", 2.0)], &ERRORS).unwrap();
         let BoundingVolume::Sphere(sphere) = tile.bounds else { panic!("{:?}", tile.bounds) };
-        assert!((sphere.radius_m - 12f64.sqrt()).abs() < 1e-12, "it holds the larger child");
+        assert!((sphere.radius_m - 12f64.sqrt()).abs() < 1e-12, "it holds the larger child, and no more");
         let sse_px = |distance_m: f64| tile.error_m * ERRORS.px_per_radian / (distance_m - sphere.radius_m);
         assert!((sse_px(100.0) - 16.0).abs() < 1e-9 && sse_px(99.0) > 16.0 && sse_px(101.0) < 16.0);
         assert_eq!(tile.count, 2);

@@ -36,7 +36,7 @@ pub(in crate::formats) fn overlaps(volume: &BoundingVolume, world: &DAffine3, re
 }
 
 /// Returns true if the volume is on the earth, false if its tileset has a local frame.
-pub(super) fn is_on_earth(volume: &BoundingVolume, world: &DAffine3) -> bool {
+pub(in crate::formats) fn is_on_earth(volume: &BoundingVolume, world: &DAffine3) -> bool {
     let sphere = volume.bounding_sphere().transformed(world);
     matches!(volume, BoundingVolume::Region(_)) || sphere.center.length() + sphere.radius_m > MIN_RADIUS_M
 }
