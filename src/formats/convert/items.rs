@@ -16,6 +16,8 @@ use crate::state::{Attribute, StateSet, SurfaceMaterial};
 
 /// Ranges end here or above for what is shown from anywhere on the earth and around it. OSG's tools write 1e10 and more.
 const ENDLESS: f64 = 1e9;
+/// Ranges begin here or below for what is shown however near the eye is, metres.
+const NEAREST_M: f64 = 1e-3;
 
 /// A tile of the source whose content is not converted yet.
 #[derive(Debug)]
@@ -287,7 +289,7 @@ impl Splitter<'_> {
         // The finest first.
         levels.sort_by(|((_, a), _), ((_, b), _)| a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])));
         let Some(((_, [nearest, _]), _)) = levels.first() else { return };
-        if *nearest > 0.0 || levels.last().is_some_and(|((_, range), _)| range[1] < ENDLESS) {
+        if *nearest > NEAREST_M || levels.last().is_some_and(|((_, range), _)| range[1] < ENDLESS) {
             self.notes.add("levels of detail that nothing replaces nearby or far away");
         }
         // Children with the same range are one level.
