@@ -1,6 +1,6 @@
 //! [`OutTile`]: a tile of the output with its bounds, its geometric error and its JSON. Any thread.
 
-use glam::{DAffine3, DMat3, DMat4, DVec3};
+use glam::{DAffine3, DMat3, DMat4};
 use serde_json::{Value, json};
 
 use super::items::Refinement;
@@ -242,6 +242,8 @@ fn united(regions: &[Region]) -> Option<Region> {
 
 #[cfg(test)]
 mod tests {
+    use glam::DVec3;
+
     use super::*;
 
     const ERRORS: ErrorScale = ErrorScale { max_sse_px: 16.0, px_per_radian: 1000.0 };
