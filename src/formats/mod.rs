@@ -7,6 +7,7 @@
 
 mod b3dm;
 mod cmpt;
+mod convert;
 mod database_path;
 mod embedded;
 mod external_files;
@@ -33,8 +34,10 @@ mod tileset;
 mod whole_set;
 pub mod writers;
 
+pub use convert::{ConvertError, ConvertOptions, Converted, Counts, convert};
 pub use database_path::set_database_path;
 pub use ignored::{Ignored, IgnoredLog};
+pub use image::ImageFiles;
 pub(crate) use image::decode_file as decode_image;
 pub use options::{Content, ContentReader, Fetched, ReadOptions};
 pub use overlay::{

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use glam::DAffine3;
 
 use super::ignored::IgnoredLog;
+use super::image::ImageFiles;
 use super::overlay::{OverlaySet, TileVolume};
 use super::style::Style;
 use super::tile::UpAxis;
@@ -61,6 +62,8 @@ pub struct ReadOptions {
     pub overlays: Option<Arc<OverlaySet>>,
     /// The volume of the tile that a content is for, which overlays need. Pagers set it.
     pub tile: Option<TileVolume>,
+    /// Keeps the files of the images that are decoded; `None` by default.
+    pub image_files: Option<ImageFiles>,
     /// Collects what contents ask for and their readers leave out. Copies of these options share it.
     pub ignored: IgnoredLog,
 }
@@ -87,6 +90,7 @@ impl ReadOptions {
             sharing: None,
             overlays: None,
             tile: None,
+            image_files: None,
             ignored: IgnoredLog::default(),
         }
     }

@@ -134,15 +134,16 @@ pub fn decode_noting(content: Content, options: &ReadOptions) -> Result<(Node, I
 }
 
 /// A content that was decoded.
-struct Decoded {
-    node: Node,
+pub(super) struct Decoded {
+    pub node: Node,
     /// The properties that the reader left out.
     ignored: Ignored,
     /// The attributions of the content and of its overlays.
-    credits: Vec<Arc<str>>,
+    pub credits: Vec<Arc<str>>,
 }
 
-fn decode_whole(content: Content, options: &ReadOptions) -> Result<Decoded, IoError> {
+/// Decodes a content to nodes with its attributions.
+pub(super) fn decode_whole(content: Content, options: &ReadOptions) -> Result<Decoded, IoError> {
     let notes = Notes::default();
     options.credits.iter().for_each(|credit| notes.add_credit(credit));
     let overlays = overlay::Draping::new(&content, options);

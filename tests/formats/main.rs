@@ -1,6 +1,7 @@
 //! Readers of tile contents: glTF attributes, bad input, sample files, and fuzzing of every parser.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
+mod convert;
 mod features;
 mod fuzz_parsers;
 mod gltf_attributes;

@@ -53,6 +53,12 @@ pub enum Command {
     View(Box<ViewArgs>),
     /// Generate a tile set from noise or from elevation files
     Gen(Box<terrane_data_gen::GenArgs>),
+    /// Convert a set or model of any format that is read to 3D Tiles 1.1
+    Convert(crate::convert::ConvertArgs),
+    /// Join several 3D Tiles sets under one root
+    Merge(crate::convert::MergeArgs),
+    /// Keep the part of a set over a region, as 3D Tiles 1.1
+    Crop(crate::convert::CropArgs),
     /// Describe the content of a tile set
     Info(InfoArgs),
     /// Serve a folder over HTTP, with a chosen latency, bandwidth and rate of faults

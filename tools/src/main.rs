@@ -1,8 +1,9 @@
-//! `terrane`: the command line to fly over, view, generate, inspect and serve tile sets.
+//! `terrane`: the command line to fly over, view, generate, convert, inspect and serve tile sets.
 
 mod args;
 mod bench;
 mod cache;
+mod convert;
 mod default_set;
 mod fly;
 mod info;
@@ -47,6 +48,9 @@ fn main() -> ExitCode {
             let made = terrane_data_gen::execute(&args).map_err(anyhow::Error::from);
             ("gen", made.and_then(|made| made.print().context("standard output")))
         }
+        args::Command::Convert(args) => ("convert", convert::run(&args)),
+        args::Command::Merge(args) => ("merge", convert::merge(&args)),
+        args::Command::Crop(args) => ("crop", convert::crop(&args)),
         args::Command::Info(args) => ("info", info::run(&args)),
         args::Command::Serve(args) => ("serve", serve::run(args)),
         args::Command::Stress(args) => ("stress", stress::run(args)),

@@ -12,6 +12,7 @@ mod tree;
 pub(crate) use builder::{Builder, blocks};
 pub use encoding::{TextureFormat, TileArgs, Triangles};
 pub(crate) use journal::Journal;
-pub(crate) use partial_folder::{MARKER, PartialFolder};
+pub(crate) use partial_folder::MARKER;
+pub use partial_folder::PartialFolder;
 pub(crate) use tile_set::write_whole;
 pub(crate) use tree::{level_errors_m, voids};

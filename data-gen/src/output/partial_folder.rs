@@ -14,8 +14,9 @@ pub(crate) const MARKER: &str = ".terrane-gen";
 /// The content of the marker, so that other files of the same name are not taken for one.
 const MARKER_TEXT: &str = "terrane gen writes here\n";
 
-/// A temporary folder beside OUT. Dropping it before [`Self::put_in_place`] removes it.
-pub(crate) struct PartialFolder {
+/// A temporary folder beside the folder OUT of a set. Dropping it before [`Self::put_in_place`] removes it.
+#[derive(Debug)]
+pub struct PartialFolder {
     path: PathBuf,
     /// The marker, kept open for its lock.
     marker: Option<File>,
@@ -57,6 +58,12 @@ impl PartialFolder {
         (&marker).write_all(MARKER_TEXT.as_bytes()).map_err(GenError::file(&at))?;
         partial.marker = Some(marker);
         Ok(partial)
+    }
+
+    /// Creates the folder for a run that no other continues. Otherwise as [`Self::beside`].
+    pub fn fresh(out: &Path) -> Result<Self, GenError> {
+        let since = std::time::UNIX_EPOCH.elapsed().unwrap_or_default();
+        Self::beside(out, (since.as_nanos() as u64) ^ (u64::from(std::process::id()) << 32))
     }
 
     /// Leaves the folder where it is, so that a run with the same fingerprint continues. Returns its path.

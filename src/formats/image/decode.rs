@@ -80,10 +80,14 @@ pub(in crate::formats) fn decode_shared(
         notes.add(note);
     }
     let decode = || decode(uri, bytes, format, sampling, limits);
-    match &options.sharing {
-        Some(sharing) => sharing.image(ContentKey::of(&[bytes, &sampling.key(), &[format as u8]]), decode),
-        None => Ok((decode()?, None)),
+    let shared = match &options.sharing {
+        Some(sharing) => sharing.image(ContentKey::of(&[bytes, &sampling.key(), &[format as u8]]), decode)?,
+        None => (decode()?, None),
+    };
+    if let Some(files) = &options.image_files {
+        files.add(&shared.0, bytes);
     }
+    Ok(shared)
 }
 
 /// Decodes an image with its mip levels. An image whose sides are longer than the limit is halved until it fits.

@@ -56,6 +56,57 @@ pub(super) enum NodeClass {
     Lod(LodObject),
     PagedLod(LodObject, PagedObject),
     Proxy(ProxyObject),
+    Billboard(BillboardObject),
+    AutoTransform(AutoObject),
+}
+
+/// The members of a Billboard. Its children are drawables.
+#[derive(Debug)]
+pub(super) struct BillboardObject {
+    pub mode: BillboardTurn,
+    /// The direction that the drawables keep, if they turn about it.
+    pub axis: DVec3,
+    /// The direction of the drawables that turns towards the eye.
+    pub normal: DVec3,
+    /// The position of each drawable.
+    pub positions: Vec<DVec3>,
+}
+
+/// How a Billboard turns.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum BillboardTurn {
+    Eye,
+    World,
+    Axis,
+}
+
+/// The members of an AutoTransform.
+#[derive(Debug)]
+pub(super) struct AutoObject {
+    pub is_absolute: bool,
+    pub position: DVec3,
+    pub rotation: DQuat,
+    pub scale: DVec3,
+    pub pivot: DVec3,
+    pub turn: AutoTurn,
+    /// The smallest and the largest scale, if the size on the screen is kept.
+    pub screen_scales: Option<[f64; 2]>,
+}
+
+impl AutoObject {
+    /// Returns the map while nothing turns or scales.
+    pub fn parent_from_child(&self) -> DAffine3 {
+        let map = DAffine3::from_scale_rotation_translation(self.scale, self.rotation, self.position);
+        map * DAffine3::from_translation(-self.pivot)
+    }
+}
+
+/// How an AutoTransform turns.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum AutoTurn {
+    No,
+    Screen,
+    Camera,
 }
 
 /// The centre that ranges are measured from.
@@ -313,6 +364,34 @@ pub(super) enum ShapeObject {
         rotation: DQuat,
     },
     Composite(Vec<Arc<ShapeObject>>),
+    Triangles {
+        positions: Arc<ArrayObject>,
+        indices: Arc<ArrayObject>,
+    },
+    HeightField(HeightFieldObject),
+}
+
+/// A grid of heights: `rows` rows from south to north, of `columns` heights from west to east.
+#[derive(Debug)]
+pub(super) struct HeightFieldObject {
+    pub columns: usize,
+    pub rows: usize,
+    pub origin: DVec3,
+    /// Metres between columns and between rows.
+    pub interval: [f64; 2],
+    pub skirt_height: f64,
+    pub rotation: DQuat,
+    /// A height for each column of each row, or more.
+    pub heights: Arc<ArrayObject>,
+}
+
+impl HeightFieldObject {
+    /// Returns a point of the surface.
+    pub fn position(&self, column: usize, row: usize) -> DVec3 {
+        let [dx, dy] = self.interval;
+        let height = self.heights.get(row * self.columns + column, 0);
+        self.origin + self.rotation * DVec3::new(dx * column as f64, dy * row as f64, height)
+    }
 }
 
 /// The silhouette of a round shape.

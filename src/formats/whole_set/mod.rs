@@ -5,7 +5,6 @@ mod fill;
 mod info;
 mod metadata;
 mod model;
-#[cfg(feature = "http")]
 mod region;
 mod report;
 mod terrain;
@@ -19,7 +18,9 @@ pub use info::inspect_with;
 pub use info::{BoundsInfo, Info, LevelInfo, inspect};
 pub use metadata::MetadataInfo;
 pub use model::ModelInfo;
+pub(super) use region::{is_on_earth, overlaps};
 pub use report::InfoError;
+pub(super) use tree::{load, read_companions};
 #[cfg(feature = "http")]
 pub use verify::verify_with;
 pub use verify::{Verified, verify};

@@ -10,7 +10,7 @@ use crate::math::{BoundingVolume, Region, WGS84};
 const MIN_RADIUS_M: f64 = 6.2e6;
 
 /// Returns true if the volume, in the frame `world` of its tileset, overlaps the region. Heights are ignored.
-pub(super) fn overlaps(volume: &BoundingVolume, world: &DAffine3, region: &Region) -> bool {
+pub(in crate::formats) fn overlaps(volume: &BoundingVolume, world: &DAffine3, region: &Region) -> bool {
     if let BoundingVolume::Region(r) = volume {
         return latitudes_overlap(r.south, r.north, region) && longitudes_overlap(r.west, r.width(), region);
     }
@@ -36,7 +36,7 @@ pub(super) fn overlaps(volume: &BoundingVolume, world: &DAffine3, region: &Regio
 }
 
 /// Returns true if the volume is on the earth, false if its tileset has a local frame.
-pub(super) fn is_on_earth(volume: &BoundingVolume, world: &DAffine3) -> bool {
+pub(in crate::formats) fn is_on_earth(volume: &BoundingVolume, world: &DAffine3) -> bool {
     let sphere = volume.bounding_sphere().transformed(world);
     matches!(volume, BoundingVolume::Region(_)) || sphere.center.length() + sphere.radius_m > MIN_RADIUS_M
 }

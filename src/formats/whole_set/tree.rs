@@ -51,7 +51,7 @@ impl<'a> Known<'a> {
 }
 
 /// Reads the file of a content: at its URI, or where else the server may have it.
-pub(super) fn load(from: &Source, uri: &str, reader_data: Option<&ReaderData>) -> Result<Loaded, IoError> {
+pub(in crate::formats) fn load(from: &Source, uri: &str, reader_data: Option<&ReaderData>) -> Result<Loaded, IoError> {
     load_or(from, uri, reader_data.and_then(ReaderData::fallback_uri))
 }
 
@@ -63,7 +63,7 @@ fn load_or(from: &Source, uri: &str, fallback: Option<Arc<str>>) -> Result<Loade
 }
 
 /// Reads the files that a content needs, and adds the bytes that were read, and to the options where redirects led.
-pub(super) fn read_companions(
+pub(in crate::formats) fn read_companions(
     from: &Source,
     uri: &Arc<str>,
     bytes: &[u8],

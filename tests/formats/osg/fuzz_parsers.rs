@@ -40,6 +40,15 @@ fn osg() -> Parser {
             "osg::Geode { UniqueID 30 Drawables 1 { osg::ShapeDrawable { UniqueID 31 Shape TRUE {
             osg::Capsule { UniqueID 32 Radius 1 Height 2 } } Color 1 0 0 1 } } }"
                 .to_owned(),
+            "osg::Billboard { UniqueID 40 Drawables 1 { osg::ShapeDrawable { UniqueID 41 Shape TRUE {
+            osg::HeightField { UniqueID 42 Area 2 2 XInterval 1 YInterval 1 SkirtHeight 1 Heights ArrayID 1 FloatArray 4
+            { 0 0 0 7 } } } } } Mode POINT_ROT_EYE Normal 1 0 0 PositionList 1 { 1 2 3 } }"
+                .to_owned(),
+            "osg::AutoTransform { UniqueID 50 Children 1 { osg::Geode { UniqueID 51 Drawables 1 { osg::ShapeDrawable {
+            UniqueID 52 Shape TRUE { osg::TriangleMesh { UniqueID 53 Vertices osg::Vec3Array { UniqueID 54 vector 3
+            { 0 0 0 1 0 0 0 1 0 } } Indices osg::UIntArray { UniqueID 55 vector 3 { 0 1 2 } } } } } } } }
+            MaximumScale 9 AutoRotateMode ROTATE_TO_SCREEN AutoScaleToScreen TRUE }"
+                .to_owned(),
         ],
     );
     let seeds = [

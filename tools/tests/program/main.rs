@@ -3,6 +3,7 @@
 
 mod cache;
 mod cli;
+mod convert;
 mod hosts;
 mod object_stores;
 mod procedural;

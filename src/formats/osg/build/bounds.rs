@@ -6,7 +6,8 @@ use std::sync::Arc;
 use glam::{DAffine3, DVec3};
 
 use crate::formats::osg::objects::{
-    CenterMode, DrawableClass, DrawableObject, LodObject, NodeClass, NodeObject, Object, ProxyObject, ShapeObject,
+    AutoObject, CenterMode, DrawableClass, DrawableObject, LodObject, NodeClass, NodeObject, Object, ProxyObject,
+    ShapeObject,
 };
 use crate::math::{Aabb, BoundingSphere};
 
@@ -56,6 +57,20 @@ fn of_node(node: &NodeObject, known: &mut HashMap<usize, BoundingSphere>) -> Bou
             // Children that move with the eye have no position.
             if *is_absolute || sphere.is_empty() { BoundingSphere::EMPTY } else { sphere.transformed(&map) }
         }
+        NodeClass::AutoTransform(AutoObject { is_absolute: true, .. }) => BoundingSphere::EMPTY,
+        NodeClass::AutoTransform(auto) => {
+            let sphere = children();
+            if sphere.is_empty() { sphere } else { sphere.transformed(&auto.parent_from_child()) }
+        }
+        NodeClass::Billboard(billboard) => {
+            let spheres = node.children.iter().zip(&billboard.positions).map(|(drawable, position)| {
+                let BoundingSphere { center, radius_m } = sphere(drawable, known);
+                // It turns about its position.
+                let reach_m = if radius_m < 0.0 { radius_m } else { center.length() + radius_m };
+                BoundingSphere::new(*position, reach_m)
+            });
+            spheres.fold(BoundingSphere::EMPTY, |all, sphere| all.union(&sphere))
+        }
         NodeClass::Lod(lod) | NodeClass::PagedLod(lod, _) => of_lod(lod, children),
         NodeClass::Proxy(ProxyObject { center_mode, user_center, .. }) => {
             of_center(*center_mode, *user_center, children)
@@ -88,6 +103,15 @@ fn of_shape(shape: &ShapeObject) -> BoundingSphere {
         ShapeObject::Box { center, half_lengths, .. } => BoundingSphere::new(*center, half_lengths.length()),
         ShapeObject::Sphere { center, radius } => BoundingSphere::new(*center, radius.abs()),
         ShapeObject::Round { center, radius, height, .. } => BoundingSphere::new(*center, radius.abs() + height.abs()),
+        ShapeObject::Triangles { positions, .. } => {
+            let point = |i| DVec3::new(positions.get(i, 0), positions.get(i, 1), positions.get(i, 2));
+            box_sphere(&Aabb::from_points((0..positions.count()).map(point).filter(|point| point.is_finite())))
+        }
+        ShapeObject::HeightField(field) => {
+            let places = (0..field.rows).flat_map(|row| (0..field.columns).map(move |column| (column, row)));
+            let points = places.map(|(column, row)| field.position(column, row));
+            box_sphere(&Aabb::from_points(points.filter(|point| point.is_finite())))
+        }
         ShapeObject::Composite(parts) => {
             parts.iter().fold(BoundingSphere::EMPTY, |all, part| all.union(&of_shape(part)))
         }

@@ -5,6 +5,7 @@
 //! draw it, and images are shared and paged as those of other formats. Decode threads.
 
 mod bounds;
+mod facing;
 mod looks;
 mod meshes;
 mod paging;
@@ -188,6 +189,8 @@ impl<'a> Builder<'a> {
             NodeClass::Lod(lod) => return self.lod(object, lod),
             NodeClass::PagedLod(lod, paged) => return self.paged_lod(object, lod, paged),
             NodeClass::Proxy(proxy) => return self.proxy(object, proxy),
+            NodeClass::Billboard(billboard) => return self.billboard(object, billboard),
+            NodeClass::AutoTransform(auto) => return self.auto_transform(object, auto),
         };
         Ok(Node { children: self.children(&object.children)?, ..Node::new(kind) })
     }

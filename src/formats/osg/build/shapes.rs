@@ -7,7 +7,7 @@ use glam::{DAffine3, DMat3, DVec3};
 
 use super::looks::linear;
 use super::{Builder, Meshes};
-use crate::formats::osg::objects::{Profile, ShapeObject};
+use crate::formats::osg::objects::{ArrayObject, HeightFieldObject, Profile, ShapeObject};
 use crate::math::Aabb;
 use crate::scene::{Mesh, MeshVertex, Topology};
 
@@ -53,7 +53,70 @@ fn add(shape: &ShapeObject, all: &mut Lists) {
             let map = DAffine3::from_rotation_translation(*rotation, *center);
             append(all, &turned(&outline), &map);
         }
+        ShapeObject::Triangles { positions, indices } => add_triangles(all, positions, indices),
+        ShapeObject::HeightField(field) => add_height_field(all, field),
         ShapeObject::Composite(parts) => parts.iter().for_each(|part| add(part, all)),
+    }
+}
+
+/// Adds the triangles of a TriangleMesh, those with an index that is out of range left out. Without normals they have those
+/// of their facets, as in OSG.
+fn add_triangles((vertices, indices): &mut Lists, positions: &ArrayObject, of_triangles: &ArrayObject) {
+    let (first, count) = (vertices.len() as u32, positions.count());
+    let position = |i| [0, 1, 2].map(|component| positions.get(i, component) as f32);
+    vertices.extend((0..count).map(|i| MeshVertex { position: position(i), color: [255; 4], ..MeshVertex::default() }));
+    for triangle in 0..of_triangles.count() / 3 {
+        let corners = [0, 1, 2].map(|corner| of_triangles.get(3 * triangle + corner, 0));
+        if corners.iter().all(|corner| *corner >= 0.0 && *corner < count as f64) {
+            indices.extend(corners.map(|corner| first + corner as u32));
+        }
+    }
+}
+
+/// Adds the cells of a HeightField, two triangles each, and its skirts.
+fn add_height_field((vertices, indices): &mut Lists, field: &HeightFieldObject) {
+    let (columns, rows) = (field.columns, field.rows);
+    if columns < 2 || rows < 2 {
+        return;
+    }
+    let vertex = |column: usize, row: usize, lowered: f64| {
+        let at = |column: usize, row: usize| field.position(column, row);
+        let (west, east) = (at(column.saturating_sub(1), row), at((column + 1).min(columns - 1), row));
+        let (south, north) = (at(column, row.saturating_sub(1)), at(column, (row + 1).min(rows - 1)));
+        let up = field.rotation * DVec3::Z;
+        let normal = (east - west).cross(north - south).normalize_or(up);
+        let [x, y, z] = normal.to_array().map(|part| (part * 127.0).round() as i8);
+        let position = (at(column, row) - up * lowered).as_vec3().to_array();
+        let uv = [column as f32 / (columns - 1) as f32, 1.0 - row as f32 / (rows - 1) as f32];
+        MeshVertex { position, uv, normal: [x, y, z, 0], color: [255; 4] }
+    };
+    let first = vertices.len() as u32;
+    vertices.extend(
+        (0..rows).flat_map(|row| (0..columns).map(move |column| (column, row))).map(|(c, r)| vertex(c, r, 0.0)),
+    );
+    let at = |column: usize, row: usize| first + (row * columns + column) as u32;
+    for row in 0..rows - 1 {
+        for column in 0..columns - 1 {
+            let [sw, se] = [at(column, row), at(column + 1, row)];
+            let [nw, ne] = [at(column, row + 1), at(column + 1, row + 1)];
+            indices.extend([sw, se, ne, sw, ne, nw]);
+        }
+    }
+    if field.skirt_height <= 0.0 {
+        return;
+    }
+    // Counter-clockwise seen from above, so that the skirts face outwards.
+    let mut ring: Vec<(usize, usize)> = (0..columns - 1).map(|column| (column, 0)).collect();
+    ring.extend((0..rows - 1).map(|row| (columns - 1, row)));
+    ring.extend((1..columns).rev().map(|column| (column, rows - 1)));
+    ring.extend((1..rows).rev().map(|row| (0, row)));
+    let lower = vertices.len() as u32;
+    vertices.extend(ring.iter().map(|(column, row)| vertex(*column, *row, field.skirt_height)));
+    for (k, (column, row)) in ring.iter().enumerate() {
+        let next = (k + 1) % ring.len();
+        let [a, b] = [at(*column, *row), at(ring[next].0, ring[next].1)];
+        let [below_a, below_b] = [lower + k as u32, lower + next as u32];
+        indices.extend([a, below_a, below_b, a, below_b, b]);
     }
 }
 

@@ -4,7 +4,8 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use crate::formats::osg::objects::{
-    AttributeObject, BoundArray, DrawableClass, DrawableObject, ImageData, Indices, Object, StateObject, TextureObject,
+    AttributeObject, BoundArray, DrawableClass, DrawableObject, ImageData, Indices, Object, ShapeObject, StateObject,
+    TextureObject,
 };
 
 /// The bytes of an object without its arrays and images.
@@ -46,7 +47,10 @@ pub(super) fn of_object(object: &Object, known: &mut HashMap<usize, Size>) -> Si
 }
 
 fn of_drawable(drawable: &DrawableObject) -> u64 {
-    let DrawableClass::Geometry(geometry) = &drawable.class else { return 0 };
+    let geometry = match &drawable.class {
+        DrawableClass::Geometry(geometry) => geometry,
+        DrawableClass::Shape { shape, .. } => return shape.as_deref().map_or(0, of_shape),
+    };
     let of_array = |array: &Option<BoundArray>| array.as_ref().map_or(0, |array| array.array.values.size_bytes());
     let sets = geometry.primitives.iter().map(|set| match &set.indices {
         Indices::Elements(values) => values.size_bytes(),
@@ -56,6 +60,15 @@ fn of_drawable(drawable: &DrawableObject) -> u64 {
     let arrays = [&geometry.vertices, &geometry.normals, &geometry.colors].into_iter();
     let arrays = arrays.chain(&geometry.tex_coords).map(of_array);
     sets.sum::<u64>() + arrays.sum::<u64>()
+}
+
+fn of_shape(shape: &ShapeObject) -> u64 {
+    match shape {
+        ShapeObject::Triangles { positions, indices } => positions.values.size_bytes() + indices.values.size_bytes(),
+        ShapeObject::HeightField(field) => field.heights.values.size_bytes(),
+        ShapeObject::Composite(parts) => parts.iter().map(|part| of_shape(part)).sum(),
+        ShapeObject::Box { .. } | ShapeObject::Sphere { .. } | ShapeObject::Round { .. } => 0,
+    }
 }
 
 fn of_state(state: &StateObject) -> u64 {

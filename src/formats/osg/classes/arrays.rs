@@ -108,7 +108,8 @@ impl Reader<'_> {
         Ok(array.map(|array| BoundArray { array, indices, binding, is_normalized }))
     }
 
-    fn old_array(&mut self) -> Result<Arc<ArrayObject>> {
+    /// Reads an array with a number of its own, as versions below 112 write all arrays.
+    pub(super) fn old_array(&mut self) -> Result<Arc<ArrayObject>> {
         self.input.keyword("ArrayID")?;
         let id = self.unsigned()?;
         if let Some(known) = self.arrays.get(&id) {

@@ -119,7 +119,9 @@ impl Reader<'_> {
             "DrawArrays" | "DrawArrayLengths" | "DrawElementsUByte" | "DrawElementsUShort" | "DrawElementsUInt" => {
                 self.primitive_set(short)
             }
-            "Box" | "Sphere" | "Cone" | "Cylinder" | "Capsule" | "CompositeShape" => self.shape(short),
+            "Box" | "Sphere" | "Cone" | "Cylinder" | "Capsule" | "CompositeShape" | "TriangleMesh" | "HeightField" => {
+                self.shape(short)
+            }
             _ => match self.array_of(short)? {
                 Some(array) => Ok(array),
                 None => self.unknown(class),

@@ -7,7 +7,9 @@ use glam::{DAffine3, DMat4, DVec3, DVec4};
 use super::Reader;
 use crate::formats::osg::error::Result;
 use crate::formats::osg::input::{Names, Number};
-use crate::formats::osg::objects::{NodeClass, NodeObject, Object, StateObject};
+use crate::formats::osg::objects::{
+    AutoObject, AutoTurn, BillboardObject, BillboardTurn, NodeClass, NodeObject, Object, StateObject,
+};
 
 /// Classes whose members begin like those of a Group. Their own members are left out.
 const LIKE_GROUPS: [&str; 8] = [
@@ -57,10 +59,8 @@ impl Reader<'_> {
             "LOD" => self.lod()?,
             "PagedLOD" => self.paged_lod()?,
             "ProxyNode" => self.proxy_node()?,
-            "Billboard" if self.input.can_skip() => {
-                (self.note)("OpenSceneGraph: billboards that do not turn towards the eye".to_owned());
-                self.geode()?
-            }
+            "Billboard" => self.billboard()?,
+            "AutoTransform" => self.auto_transform()?,
             _ if LIKE_GROUPS.contains(&class) && self.input.can_skip() => {
                 if class != "osg::CoordinateSystemNode" {
                     (self.note)(format!("OpenSceneGraph class {class} (its children are drawn)"));
@@ -84,9 +84,54 @@ impl Reader<'_> {
     }
 
     fn geode(&mut self) -> Result<Object> {
+        let (node, drawables) = self.geode_members()?;
+        Ok(node.with(NodeClass::Group, drawables))
+    }
+
+    fn geode_members(&mut self) -> Result<(NodeMembers, Vec<Object>)> {
         let node = self.node_members()?;
         let drawables = if self.marked_member("Drawables")? { self.list(Self::object)? } else { Vec::new() };
-        Ok(node.with(NodeClass::Group, drawables))
+        Ok((node, drawables))
+    }
+
+    fn billboard(&mut self) -> Result<Object> {
+        const MODES: Names = &[("POINT_ROT_EYE", 0), ("POINT_ROT_WORLD", 1), ("AXIAL_ROT", 2)];
+        let (node, drawables) = self.geode_members()?;
+        let mode = match self.named_member("Mode", MODES, 2)? {
+            0 => BillboardTurn::Eye,
+            1 => BillboardTurn::World,
+            _ => BillboardTurn::Axis,
+        };
+        let point = |point: [f32; 3]| DVec3::from_array(point.map(f64::from));
+        let axis = point(self.floats_member("Axis", [0.0, 0.0, 1.0])?);
+        let normal = point(self.floats_member("Normal", [0.0, -1.0, 0.0])?);
+        let mut positions = Vec::new();
+        if self.marked_member("PositionList")? {
+            positions = self.list(|reader| reader.doubles().map(DVec3::from_array))?;
+        }
+        Ok(node.with(NodeClass::Billboard(BillboardObject { mode, axis, normal, positions }), drawables))
+    }
+
+    fn auto_transform(&mut self) -> Result<Object> {
+        const TURNS: Names = &[("NO_ROTATION", 0), ("ROTATE_TO_SCREEN", 1), ("ROTATE_TO_CAMERA", 2)];
+        let (node, children) = self.group_members()?;
+        let is_absolute = self.reference_frame()?;
+        let scales = [self.double_member("MinimumScale", 0.0)?, self.double_member("MaximumScale", f64::MAX)?];
+        let position = self.point_member("Position", DVec3::ZERO)?;
+        let scale = self.point_member("Scale", DVec3::ONE)?;
+        let pivot = self.point_member("PivotPoint", DVec3::ZERO)?;
+        self.float_member("AutoUpdateEyeMovementTolerance", 0.0)?;
+        let turn = match self.named_member("AutoRotateMode", TURNS, 0)? {
+            0 => AutoTurn::No,
+            2 => AutoTurn::Camera,
+            _ => AutoTurn::Screen,
+        };
+        let keeps_size = self.boolean_member("AutoScaleToScreen", false)?;
+        let rotation = self.rotation_member("Rotation")?;
+        self.float_member("AutoScaleTransitionWidthRatio", 0.25)?;
+        let screen_scales = keeps_size.then_some(scales);
+        let auto = AutoObject { is_absolute, position, rotation, scale, pivot, turn, screen_scales };
+        Ok(node.with(NodeClass::AutoTransform(auto), children))
     }
 
     /// Reads the members of the classes Object and Node.

@@ -1,0 +1,20 @@
+//! Converts sets of every format that is read to 3D Tiles 1.1: the job of `terrane convert`. Blocking; for tools, not for
+//! frames.
+//!
+//! ```text
+//! items     a content is divided into what it draws and the tiles below it
+//! contents  reads a content, writes what it draws as a glb, and decodes that for comparison
+//! tiles     bounds, geometric errors and JSON of the tiles, from the leaves upwards
+//! run       the threads that take items
+//! written   counts the levels of the written set
+//! ```
+
+mod contents;
+mod items;
+mod report;
+mod run;
+mod tiles;
+mod written;
+
+pub use report::{ConvertError, ConvertOptions, Converted, Counts};
+pub use run::convert;

@@ -1,0 +1,125 @@
+//! `terrane merge`: copies sets into one folder, under a root that refers to all of them.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, Result, ensure};
+use clap::Args as ClapArgs;
+use glam::DVec3;
+use serde_json::{Value, json};
+use terrane::fetch::Limits;
+use terrane::formats;
+use terrane::math::BoundingSphere;
+use terrane_data_gen::Progress;
+
+use super::out::Output;
+
+/// The root is refined until the whole appears smaller than a pixel.
+const ROOT_DIAMETERS: f64 = 16.0;
+
+#[derive(Clone, Debug, ClapArgs)]
+pub struct MergeArgs {
+    /// Folder of the new set
+    pub out: PathBuf,
+    /// Folders of 3D Tiles sets, or their tileset.json; `terrane convert` makes them of other formats
+    #[arg(required = true)]
+    pub sources: Vec<PathBuf>,
+    /// Replace the tile set in OUT
+    #[arg(long)]
+    pub overwrite: bool,
+}
+
+/// A set to be copied.
+struct Part {
+    folder: PathBuf,
+    /// The name of the root in its folder.
+    root: String,
+    sphere: BoundingSphere,
+    region: Option<[f64; 6]>,
+    geometric_error: f64,
+}
+
+pub fn merge(args: &MergeArgs) -> Result<()> {
+    let output = Output::new(&args.out, args.overwrite)?;
+    output.check_sources(&args.sources)?;
+    let parts = args.sources.iter().map(|source| Part::read(source)).collect::<Result<Vec<_>>>()?;
+    let progress = Progress::new("copying", 0, "files");
+    output.write(|out| {
+        for (number, part) in parts.iter().enumerate() {
+            copy(&part.folder, &out.join(number.to_string()), &progress)?;
+        }
+        let root = out.join("tileset.json");
+        std::fs::write(&root, tileset(&parts).to_string()).with_context(|| format!("{}", root.display()))
+    })
+}
+
+impl Part {
+    fn read(source: &Path) -> Result<Self> {
+        let shown = source.display().to_string();
+        let root = if source.is_dir() { source.join("tileset.json") } else { source.to_path_buf() };
+        let bytes = std::fs::read(&root).with_context(|| format!("{}: not a 3D Tiles set", root.display()))?;
+        let path = root.to_str().with_context(|| format!("{shown}: the path is not UTF-8"))?;
+        // The reader names the field that is invalid.
+        let info = formats::inspect(path, &Limits::default())?;
+        let json: Value = serde_json::from_slice(&bytes).with_context(|| shown.clone())?;
+        ensure!(json.get("root").is_some(), "{shown}: not a 3D Tiles set; `terrane convert` makes one of it");
+        let name = root.file_name().and_then(|name| name.to_str()).context("a file without a name")?;
+        let sphere = BoundingSphere::new(DVec3::from_array(info.bounds.center), info.bounds.radius_m);
+        let region = info.bounds.region.as_deref().and_then(|region| region.try_into().ok());
+        let error_of = |value: &Value| value["geometricError"].as_f64();
+        let geometric_error = error_of(&json).or_else(|| error_of(&json["root"])).unwrap_or(0.0);
+        let folder = root.parent().unwrap_or(Path::new(".")).to_path_buf();
+        Ok(Self { folder, root: name.to_owned(), sphere, region, geometric_error })
+    }
+
+    fn volume(&self) -> Value {
+        match self.region {
+            Some(region) => json!({ "region": region }),
+            None => sphere_json(&self.sphere),
+        }
+    }
+}
+
+/// Returns the root over all parts.
+fn tileset(parts: &[Part]) -> Value {
+    let sphere = parts.iter().fold(BoundingSphere::EMPTY, |all, part| all.union(&part.sphere));
+    let largest = parts.iter().map(|part| part.geometric_error).fold(0.0, f64::max);
+    let error = (ROOT_DIAMETERS * 2.0 * sphere.radius_m).max(largest);
+    let child = |(number, part): (usize, &Part)| {
+        json!({
+            "boundingVolume": part.volume(), "geometricError": part.geometric_error,
+            "content": { "uri": format!("{number}/{}", part.root) },
+        })
+    };
+    let children: Vec<Value> = parts.iter().enumerate().map(child).collect();
+    json!({
+        "asset": { "version": "1.1", "generator": "terrane" },
+        "geometricError": error,
+        "root": {
+            "boundingVolume": sphere_json(&sphere), "geometricError": error, "refine": "ADD", "children": children,
+        },
+    })
+}
+
+fn sphere_json(sphere: &BoundingSphere) -> Value {
+    let [x, y, z] = sphere.center.to_array();
+    json!({ "sphere": [x, y, z, sphere.radius_m] })
+}
+
+/// Copies a folder with everything in it.
+fn copy(from: &Path, to: &Path, progress: &Progress) -> Result<()> {
+    let name = |path: &Path| path.display().to_string();
+    std::fs::create_dir_all(to).with_context(|| name(to))?;
+    for entry in std::fs::read_dir(from).with_context(|| name(from))? {
+        let entry = entry.with_context(|| name(from))?;
+        let (source, target) = (entry.path(), to.join(entry.file_name()));
+        // Links may lead out of the set, and are left out as the reader of the set does.
+        let kind = entry.file_type().with_context(|| name(&source))?;
+        if kind.is_dir() {
+            copy(&source, &target, progress)?;
+        } else if kind.is_file() {
+            std::fs::copy(&source, &target).with_context(|| name(&source))?;
+            progress.advance(1);
+        }
+    }
+    Ok(())
+}

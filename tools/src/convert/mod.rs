@@ -1,0 +1,146 @@
+//! `terrane convert`, `merge` and `crop`: make 3D Tiles 1.1 of other sets.
+
+mod merge;
+mod out;
+
+use std::io::Write as _;
+use std::path::PathBuf;
+
+use anyhow::{Context as _, Result, ensure};
+use clap::Args as ClapArgs;
+use terrane::fetch::{is_remote, shown};
+use terrane::formats::{self, ConvertOptions, Converted, Counts};
+use terrane::math::Region;
+use terrane_data_gen::Progress;
+
+use self::out::Output;
+use crate::cache::RegionArg;
+use crate::net::NetArgs;
+use crate::values::Positive;
+
+pub use self::merge::{MergeArgs, merge};
+
+#[derive(Clone, Debug, ClapArgs)]
+pub struct ConvertArgs {
+    /// Folder, tileset.json, layer.json, metadata.xml, .osgb, .glb or other model, archive, http(s) URL, s3://, gs:// or az://
+    /// URI, ion:ASSET_ID, google
+    pub source: String,
+    /// Folder of the new set
+    pub out: PathBuf,
+    #[command(flatten)]
+    how: HowArgs,
+}
+
+#[derive(Clone, Debug, ClapArgs)]
+pub struct CropArgs {
+    /// Set of any format that `terrane convert` reads
+    pub source: String,
+    /// Folder of the new set
+    pub out: PathBuf,
+    /// Only tiles that overlap this region, in degrees; each is kept as a whole
+    #[arg(long, value_name = "W,S,E,N", allow_hyphen_values = true)]
+    region: RegionArg,
+    #[command(flatten)]
+    how: HowArgs,
+}
+
+/// The arguments of both commands.
+#[derive(Clone, Debug, ClapArgs)]
+struct HowArgs {
+    /// Compress vertices and indices (EXT_meshopt_compression)
+    #[arg(long)]
+    meshopt: bool,
+    /// Replace the tile set in OUT
+    #[arg(long)]
+    overwrite: bool,
+    /// Do not decode the written contents to count what they hold
+    #[arg(long)]
+    no_check: bool,
+    /// Error in pixels at which the viewer refines, for levels that switch at a distance
+    #[arg(long, value_name = "PX", default_value = "16")]
+    sse: Positive,
+    /// Number of threads [default: one for each core]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    jobs: Option<u16>,
+    /// Print one JSON document instead of text
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    net: NetArgs,
+}
+
+/// Converts a set.
+pub fn run(args: &ConvertArgs) -> Result<()> {
+    convert(&args.source, &args.out, &args.how, None)
+}
+
+/// Converts the part of a set over a region.
+pub fn crop(args: &CropArgs) -> Result<()> {
+    let RegionArg(degrees) = args.region;
+    let [west, south, east, north] = degrees.map(f64::to_radians);
+    let region = Region { west, south, east, north, min_height_m: 0.0, max_height_m: 0.0 };
+    convert(&args.source, &args.out, &args.how, Some(region))
+}
+
+fn convert(source: &str, out: &std::path::Path, how: &HowArgs, region: Option<Region>) -> Result<()> {
+    let output = Output::new(out, how.overwrite)?;
+    if !is_remote(source) {
+        output.check_sources([source])?;
+    }
+    let opened = how.net.open(source)?;
+    let options = ConvertOptions {
+        meshopt: how.meshopt,
+        region,
+        max_sse_px: how.sse.0,
+        check: !how.no_check,
+        threads: how.jobs.map(usize::from),
+        limits: how.net.limits(),
+        http: opened.http,
+        ..ConvertOptions::default()
+    };
+    let progress = Progress::new("converting", 0, "contents");
+    let converted = output.write(|folder| {
+        let mut show = |converted: &Converted| progress.set_done(converted.source.contents());
+        Ok(formats::convert(&opened.source, folder, &options, &mut show)?)
+    })?;
+    drop(progress);
+    let text = match how.json {
+        true => serde_json::to_string_pretty(&converted)? + "\n",
+        false => text(&converted, how.no_check),
+    };
+    std::io::stdout().write_all(text.as_bytes()).context("stdout")?;
+    let Converted { source: read, written, failed, .. } = &converted;
+    ensure!(*failed == 0, "{}: {failed} could not be read; the set has the others", shown(source));
+    let is_same = how.no_check || read == written;
+    ensure!(is_same, "{}: the written set differs from the source", shown(source));
+    Ok(())
+}
+
+fn text(converted: &Converted, is_unchecked: bool) -> String {
+    let Converted { source, written, files, bytes, errors, failed, left_out } = converted;
+    let mut lines = vec![format!("files     {files}, {:.1} MiB", *bytes as f64 / f64::from(1 << 20))];
+    lines.push(format!("          {:>14} {:>14}", "source", "written"));
+    let rows: [(&str, fn(&Counts) -> u64); 7] = [
+        ("contents", Counts::contents),
+        ("levels", |counts| counts.levels.len() as u64),
+        ("triangles", |counts| counts.triangles),
+        ("segments", |counts| counts.segments),
+        ("points", |counts| counts.points),
+        ("textures", |counts| counts.textures),
+        ("pixels", |counts| counts.texture_pixels),
+    ];
+    for (number, (name, count)) in rows.into_iter().enumerate() {
+        let (of_source, of_written) = (count(source), count(written));
+        if is_unchecked && number > 1 {
+            lines.push(format!("{name:<9} {of_source:>14} {:>14}", "-"));
+        } else if of_source != 0 || of_written != 0 {
+            lines.push(format!("{name:<9} {of_source:>14} {of_written:>14}"));
+        }
+    }
+    lines.extend(left_out.iter().map(|(kind, count)| format!("left out  {kind}: {count}")));
+    lines.extend(errors.iter().map(|(uri, reason)| format!("error     {uri}: {reason}")));
+    if let more @ 1.. = failed - errors.len() as u64 {
+        lines.push(format!("          and {more} more"));
+    }
+    lines.join("\n") + "\n"
+}

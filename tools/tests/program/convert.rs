@@ -1,0 +1,64 @@
+//! `terrane convert`, `merge` and `crop`.
+
+use std::path::Path;
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+fn terrane(args: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_terrane")).args(args).output().unwrap()
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().unwrap()
+}
+
+#[test]
+fn sets_are_converted_merged_and_cropped() {
+    let folder = tempfile::tempdir().unwrap();
+    let (quadtree, out) = (folder.path().join("quadtree"), folder.path().join("out"));
+    std::fs::create_dir(&quadtree).unwrap();
+    kit::tile_sets::write_quadtree(&quadtree);
+    let done = terrane(&["convert", text(&quadtree), text(&out), "--json"]);
+    assert!(done.status.success(), "{done:?}");
+    let report: Value = serde_json::from_slice(&done.stdout).unwrap();
+    assert_eq!((&report["source"], &report["source"]["triangles"]), (&report["written"], &341.into()));
+    assert_eq!(report["files"], 342);
+
+    // An existing set is only replaced on demand, and never one that holds the source.
+    let again = terrane(&["convert", text(&quadtree), text(&out)]);
+    assert_eq!(again.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&again.stderr).contains("--overwrite replaces it"), "{again:?}");
+    let own = terrane(&["convert", text(&out), text(&out), "--overwrite"]);
+    assert!(String::from_utf8_lossy(&own.stderr).contains("would be replaced"), "{own:?}");
+
+    // A tile that is missing is named, and the others replace the set.
+    std::fs::remove_file(quadtree.join("4_0_0.glb")).unwrap();
+    let broken = terrane(&["convert", text(&quadtree), text(&out), "--overwrite", "--meshopt"]);
+    let said = String::from_utf8_lossy(&broken.stdout).into_owned();
+    assert_eq!(broken.status.code(), Some(1), "{broken:?}");
+    assert!(
+        said.contains("4_0_0.glb: not found") && said.contains(&format!("contents  {:>14} {:>14}", 340, 340)),
+        "{said}"
+    );
+    let names = std::fs::read_dir(folder.path()).unwrap().count();
+    assert_eq!(names, 2, "no temporary folder is left");
+
+    let merged = folder.path().join("merged");
+    let done = terrane(&["merge", text(&merged), text(&out), text(&out.join("tileset.json"))]);
+    assert!(done.status.success(), "{done:?}");
+    let info = terrane(&["info", text(&merged), "--verify", "--json"]);
+    let info: Value = serde_json::from_slice(&info.stdout).unwrap();
+    assert_eq!((&info["verified"]["contents"], &info["verified"]["failed"]), (&680.into(), &0.into()), "{info}");
+    let refused = terrane(&["merge", text(&folder.path().join("x")), text(folder.path())]);
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("not a 3D Tiles set"), "{refused:?}");
+
+    // Nothing of a set in a local frame is over the region.
+    let cropped = folder.path().join("cropped");
+    let done = terrane(&["crop", text(&out), text(&cropped), "--region=7,46,8,47"]);
+    assert_eq!(done.status.code(), Some(1), "{done:?}");
+    assert!(
+        !cropped.exists() && String::from_utf8_lossy(&done.stderr).contains("no tile could be converted"),
+        "{done:?}"
+    );
+}
