@@ -164,6 +164,8 @@ impl Relief {
         for v in [&mut s.gradient, &mut s.total] {
             v.reset(n);
         }
+        reset(&mut s.strength, n);
+        s.strength.fill(1.0);
         let (mut wavelength_m, mut amplitude) = (self.massif_m, 1.0f32);
         for octave in 0..4 {
             let frequency = RADIUS_M / wavelength_m;
@@ -176,6 +178,10 @@ impl Relief {
                 // Crests lie where the noise changes its sign. They are round, so that gullies continue across them.
                 let from_crest = (s.noise[k] * s.noise[k] + CREST * CREST).sqrt();
                 s.other[k] += amplitude * damping * (0.64 - 1.9 * from_crest);
+                // The slope turns around at crests. Gullies in both directions would meet there like teeth.
+                if octave < 2 {
+                    s.strength[k] *= smooth(0.0, 0.14, s.noise[k].abs());
+                }
                 let rise = -1.9 * rise * damping * s.noise[k] / from_crest;
                 s.total.x[k] += rise * s.gradient.x[k];
                 s.total.y[k] += rise * s.gradient.y[k];
@@ -197,15 +203,14 @@ impl Relief {
         }
     }
 
-    /// Adds gullies to `scratch.detail`. Their direction follows the slope of `scratch.total` and of the larger gullies.
+    /// Adds gullies to `scratch.detail`, where `scratch.strength` is above 0. Their direction follows the slope of `scratch.total` and of the larger gullies.
     fn add_gullies(&self, seed: u64, points: &Points, s: &mut Scratch, out: &mut Ground) {
         let n = points.len();
         s.across.reset(n);
         reset(&mut s.slope, n);
-        reset(&mut s.strength, n);
         for k in 0..n {
             let (x, y, z) = (s.total.x[k], s.total.y[k], s.total.z[k]);
-            s.strength[k] = smooth(0.0, 0.25, x * x + y * y + z * z) * smooth(0.0, 0.06, s.detail[k]);
+            s.strength[k] *= smooth(0.0, 0.25, x * x + y * y + z * z) * smooth(0.0, 0.06, s.detail[k]);
         }
         let (mut wavelength_m, mut amplitude) = (0.14 * self.massif_m, self.gullies);
         for octave in 0..5 {

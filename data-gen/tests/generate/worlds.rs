@@ -18,13 +18,13 @@ fn vertex(heights: &[f32], column: i64, row: i64) -> f32 {
 fn tile_computed_alone_has_the_bytes_of_the_set() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("set");
-    let world = WorldArgs { world: Some(WorldPreset::Islands), center: Some([9.0, 12.0]), globe: false };
+    let world = WorldArgs { world: Some(WorldPreset::Islands), ..WorldArgs::default() };
     let args = GenArgs { world, seed: 5, size: 40_000.0, levels: Some(3), ..GenArgs::new(&out) };
     let summary = run(&args).unwrap();
     assert_eq!((summary.tiles, summary.levels), (21, 3));
     assert!(summary.min_height_m < summary.max_height_m, "{summary:?}");
     let world = World::new(WorldPreset::Islands, 5);
-    let center = [9.0f64, 12.0].map(f64::to_radians);
+    let center = world.place(40_000.0);
     let set = WorldSet::square(world, center, 40_000.0, 3);
     for key in [tile(0, 0, 0), tile(1, 1, 0), tile(2, 3, 2)] {
         let tile = set.tile(key).unwrap();

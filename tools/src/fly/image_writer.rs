@@ -1,4 +1,4 @@
-//! Writes PNG files on a separate thread, so that encoding does not count as frame time.
+//! Writes image files on a separate thread, so that encoding does not count as frame time.
 
 use std::path::PathBuf;
 use std::thread::JoinHandle;
@@ -66,14 +66,23 @@ impl Drop for ImageWriter {
     }
 }
 
-/// Writes one image as RGB. Frames are opaque, so alpha is left out.
+/// Quality of JPEG files.
+const JPEG_QUALITY: u8 = 85;
+
+/// Writes one image as RGB: JPEG if the name ends in .jpg or .jpeg, otherwise PNG. Frames are opaque, so alpha is left out.
 pub fn write(path: &std::path::Path, image: &RgbaImage) -> Result<()> {
     if let Some(folder) = path.parent() {
         std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
     }
     let rgb = image::DynamicImage::ImageRgba8(image.clone()).into_rgb8();
     // The file is written from memory, because a buffered writer would ignore errors when it is dropped.
-    let mut png = std::io::Cursor::new(Vec::new());
-    rgb.write_to(&mut png, image::ImageFormat::Png).with_context(|| path.display().to_string())?;
-    std::fs::write(path, png.into_inner()).with_context(|| path.display().to_string())
+    let mut bytes = std::io::Cursor::new(Vec::new());
+    let is_jpeg = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("jpg") || e.eq_ignore_ascii_case("jpeg"));
+    let encoded = if is_jpeg {
+        rgb.write_with_encoder(image::codecs::jpeg::JpegEncoder::new_with_quality(&mut bytes, JPEG_QUALITY))
+    } else {
+        rgb.write_to(&mut bytes, image::ImageFormat::Png)
+    };
+    encoded.with_context(|| path.display().to_string())?;
+    std::fs::write(path, bytes.into_inner()).with_context(|| path.display().to_string())
 }
