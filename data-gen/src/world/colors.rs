@@ -77,7 +77,7 @@ impl Parameters {
             let (h, slope) = (texels.surface_m[k], texels.slope[k]);
             let (patch, grain) = (texels.patch[k], texels.grain[k]);
             let celsius = texels.sea_level_c[k] - LAPSE_C * h.max(0.0);
-            let wet = texels.moisture[k] + 0.12 * patch + 0.1 * texels.open[k].clamp(-0.3, 0.3) * -1.0;
+            let wet = texels.moisture[k] + 0.12 * patch - 0.1 * texels.open[k].clamp(-0.3, 0.3);
             let steep = smooth(0.48, 0.85, slope + 0.10 * grain + 0.06 * patch);
             let warm = smooth(-2.0, 5.0, celsius + 1.5 * patch);
             let green_share = living * warm * smooth(0.22, 0.42, wet);

@@ -18,7 +18,7 @@ const MEASURED: usize = 4;
 /// The rows of cells that are measured in each tile.
 const ROWS: [i64; 3] = [9, 31, 52];
 /// Factor for places that were not measured.
-const MARGIN: f64 = 1.4;
+const MARGIN: f64 = 2.0;
 /// Levels beyond the finest one that count as its error.
 const BEYOND: u32 = 2;
 

@@ -180,7 +180,7 @@ impl Relief {
                 s.other[k] += amplitude * damping * (0.64 - 1.9 * from_crest);
                 // The slope turns around at crests. Gullies in both directions would meet there like teeth.
                 if octave < 2 {
-                    s.strength[k] *= smooth(0.0, 0.14, s.noise[k].abs());
+                    s.strength[k] *= smooth(0.0, 0.05, s.noise[k].abs());
                 }
                 let rise = -1.9 * rise * damping * s.noise[k] / from_crest;
                 s.total.x[k] += rise * s.gradient.x[k];

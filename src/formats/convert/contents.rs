@@ -121,7 +121,7 @@ impl ContentWriter<'_> {
         let mut set_from_tile = read.set_from_model;
         let first = leaves.first().map_or(DVec3::ZERO, |leaf| leaf.model_from_drawable.translation);
         if first.length() > MAX_OFFSET_M {
-            set_from_tile = set_from_tile * DAffine3::from_translation(first);
+            set_from_tile *= DAffine3::from_translation(first);
             leaves.iter_mut().for_each(|leaf| leaf.model_from_drawable.translation -= first);
         }
         let boxes = leaves.iter().map(|leaf| leaf.mesh.bounds.transformed(&leaf.model_from_drawable));

@@ -110,7 +110,7 @@ impl Splitter<'_> {
         let Node { kind, children, .. } = node;
         match kind {
             NodeKind::Group => {}
-            NodeKind::Transform(map) => place.model_from_node = place.model_from_node * map,
+            NodeKind::Transform(map) => place.model_from_node *= map,
             NodeKind::Geode(drawables) => {
                 drawables.into_iter().for_each(|drawable| self.add_drawable(drawable, DVec3::ZERO, place, split));
             }

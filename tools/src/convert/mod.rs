@@ -116,11 +116,14 @@ fn convert(source: &str, out: &std::path::Path, how: &HowArgs, region: Option<Re
     Ok(())
 }
 
+/// A row of the printed table: its name and what it counts.
+type Row = (&'static str, fn(&Counts) -> u64);
+
 fn text(converted: &Converted, is_unchecked: bool) -> String {
     let Converted { source, written, files, bytes, errors, failed, left_out } = converted;
     let mut lines = vec![format!("files     {files}, {:.1} MiB", *bytes as f64 / f64::from(1 << 20))];
     lines.push(format!("          {:>14} {:>14}", "source", "written"));
-    let rows: [(&str, fn(&Counts) -> u64); 7] = [
+    let rows: [Row; 7] = [
         ("contents", Counts::contents),
         ("levels", |counts| counts.levels.len() as u64),
         ("triangles", |counts| counts.triangles),

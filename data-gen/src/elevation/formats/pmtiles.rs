@@ -70,7 +70,7 @@ fn tile_range(header: &[u8; HEADER_BYTES], zoom: u8) -> [[usize; 2]; 2] {
     let column = |longitude: f64| side * (longitude + 180.0) / 360.0;
     // An edge of the bounds may lie on an edge of tiles, but for rounding.
     let tiles = |low: f64, high: f64| {
-        let tolerance = 1e-6 * side.max(1.0).min(1e3);
+        let tolerance = 1e-6 * side.clamp(1.0, 1e3);
         let first = (low + tolerance).floor().clamp(0.0, side - 1.0);
         let last = ((high - tolerance).ceil() - 1.0).clamp(first, side - 1.0);
         [first as usize, last as usize]

@@ -114,12 +114,11 @@ pub(super) fn heights(
     })
 }
 
+/// Is called with the bytes of each row of an image, and the colour type and the bits of its samples.
+type RowCall<'a> = &'a mut dyn FnMut(&[u8], ColorType, BitDepth) -> Result<(), GenError>;
+
 /// Calls with the bytes of each row of a PNG, palettes and transparent colours expanded.
-pub(crate) fn rows(
-    png: impl BufRead + Seek,
-    path: &Path,
-    call: &mut dyn FnMut(&[u8], ColorType, BitDepth) -> Result<(), GenError>,
-) -> Result<(), GenError> {
+pub(crate) fn rows(png: impl BufRead + Seek, path: &Path, call: RowCall<'_>) -> Result<(), GenError> {
     let bad = |e: &dyn std::fmt::Display| GenError::invalid(path, format!("PNG: {e}"));
     let mut decoder = Decoder::new(png);
     decoder.set_transformations(Transformations::EXPAND);

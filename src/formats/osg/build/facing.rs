@@ -126,7 +126,7 @@ impl Builder<'_> {
         let mut map = *pivot_from_drawable;
         if let NodeKind::Transform(own) = &geode.kind {
             // Positions of doubles have an origin of their own.
-            map = map * *own;
+            map *= *own;
             geode = geode.children.pop().unwrap_or_else(|| Node::group(Vec::new()));
         }
         let kind = std::mem::replace(&mut geode.kind, NodeKind::Group);
