@@ -19,10 +19,11 @@ mod parsers;
 mod rasters;
 #[path = "../formats/terrain/fuzz_parsers.rs"]
 mod terrain;
-/// The part of data-gen's tests that writes archives.
+#[path = "../../data-gen/tests/generate/sources/tile_archives.rs"]
+mod tile_archives;
+/// The name under which data-gen's tests have the module.
 mod sources {
-    #[path = "../../../data-gen/tests/generate/sources/tile_archives.rs"]
-    pub mod tile_archives;
+    pub(crate) use super::tile_archives;
 }
 
 type Parse = Box<dyn FnMut(&[u8])>;
