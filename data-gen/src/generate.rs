@@ -43,7 +43,7 @@ pub fn default_set(folder: &Path) -> Result<PathBuf, GenError> {
     Ok(out)
 }
 
-/// What a command made.
+/// The result of a command.
 #[derive(Clone, Debug)]
 pub enum Outcome {
     /// A set, or a shard of it.
@@ -223,7 +223,7 @@ struct Terrain {
     is_fine: bool,
     /// Notes about the sources, each a sentence.
     notes: Vec<String>,
-    /// What the files of the elevation share; `None` for procedural terrain.
+    /// The context that the elevation files share; `None` for procedural terrain.
     context: Option<Arc<SourceContext>>,
 }
 

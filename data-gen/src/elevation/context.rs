@@ -1,4 +1,4 @@
-//! What all rasters of a run share: the cache of decoded blocks, the open files, the geoid, and the heights that were seen.
+//! Holds what all rasters of a run share: the cache of decoded blocks, the open files, the geoid, and the heights that were seen.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -10,7 +10,7 @@ use crate::store::{BlockCache, Pool};
 /// The default number of bytes for decoded blocks.
 pub const DEFAULT_CACHE_BYTES: usize = 256 << 20;
 
-/// What all rasters of a run share.
+/// Is shared by all rasters of a run.
 pub(crate) struct SourceContext {
     pub cache: Arc<BlockCache>,
     pub tiffs: Pool<Tiff>,

@@ -1,4 +1,5 @@
-//! What a block leaves for the blocks above it and for the set's description: facts, and samples of the lattices of its parent.
+//! [`Record`]: a block leaves it for the blocks above it and for the set's description. It holds facts, and samples
+//! of the lattices of its parent.
 //!
 //! A record is a file of the run's journal. Integers and floats are little-endian; a checksum is at the end.
 

@@ -4,7 +4,7 @@ use super::climate::LAPSE_C;
 use super::preset::{Palette, Parameters};
 use super::relief::smooth;
 
-/// What is known about the ground at each texel of a row, as separate arrays, so that the loop can be vectorised.
+/// The properties of the ground at each texel of a row, as separate arrays, so that the loop can be vectorised.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Texels {
     /// Height of the visible surface in metres.

@@ -36,6 +36,17 @@ const HASH_X: u32 = 0x9e37_79b1;
 const HASH_Y: u32 = 0x85eb_ca77;
 const HASH_Z: u32 = 0xc2b2_ae3d;
 
+/// Returns, for a point and each axis, the products of the coordinates of both lattice points around it for [`mix`], and the position
+/// between them, 0..1.
+#[inline(always)]
+fn cell_at(point: [f64; 3], frequency: f64, seed: u32) -> ([[u32; 2]; 3], [f32; 3]) {
+    let [(ix, fx), (iy, fy), (iz, fz)] = point.map(|c| cell(c * frequency));
+    let x = [ix.wrapping_mul(HASH_X), ix.wrapping_mul(HASH_X).wrapping_add(HASH_X)];
+    let y = [iy.wrapping_mul(HASH_Y), iy.wrapping_mul(HASH_Y).wrapping_add(HASH_Y)];
+    let z = [iz.wrapping_mul(HASH_Z) ^ seed, iz.wrapping_mul(HASH_Z).wrapping_add(HASH_Z) ^ seed];
+    ([x, y, z], [fx, fy, fz])
+}
+
 /// Mixes the products of a lattice point's coordinates.
 #[inline(always)]
 fn mix(x: u32, y: u32, z: u32) -> u32 {
@@ -59,12 +70,7 @@ pub(super) fn add_noise(points: &Points, frequency: f64, seed: u32, amplitude: f
     let (px, py, pz) = (&points.x[..n], &points.y[..n], &points.z[..n]);
     let amplitude = amplitude * SCALE;
     for k in 0..n {
-        let (ix, fx) = cell(px[k] * frequency);
-        let (iy, fy) = cell(py[k] * frequency);
-        let (iz, fz) = cell(pz[k] * frequency);
-        let x = [ix.wrapping_mul(HASH_X), ix.wrapping_mul(HASH_X).wrapping_add(HASH_X)];
-        let y = [iy.wrapping_mul(HASH_Y), iy.wrapping_mul(HASH_Y).wrapping_add(HASH_Y)];
-        let z = [iz.wrapping_mul(HASH_Z) ^ seed, iz.wrapping_mul(HASH_Z).wrapping_add(HASH_Z) ^ seed];
+        let ([x, y, z], [fx, fy, fz]) = cell_at([px[k], py[k], pz[k]], frequency, seed);
         let corner = |a: usize, b: usize, c: usize| {
             let h = mix(x[a], y[b], z[c]);
             part(h, 22) * (fx - a as f32) + part(h, 12) * (fy - b as f32) + part(h, 2) * (fz - c as f32)
@@ -83,12 +89,7 @@ pub(super) fn noise_gradient(points: &Points, frequency: f64, seed: u32, out: &m
     let (px, py, pz) = (&points.x[..n], &points.y[..n], &points.z[..n]);
     let (gx, gy, gz) = (&mut gradient.x[..n], &mut gradient.y[..n], &mut gradient.z[..n]);
     for k in 0..n {
-        let (ix, fx) = cell(px[k] * frequency);
-        let (iy, fy) = cell(py[k] * frequency);
-        let (iz, fz) = cell(pz[k] * frequency);
-        let x = [ix.wrapping_mul(HASH_X), ix.wrapping_mul(HASH_X).wrapping_add(HASH_X)];
-        let y = [iy.wrapping_mul(HASH_Y), iy.wrapping_mul(HASH_Y).wrapping_add(HASH_Y)];
-        let z = [iz.wrapping_mul(HASH_Z) ^ seed, iz.wrapping_mul(HASH_Z).wrapping_add(HASH_Z) ^ seed];
+        let ([x, y, z], [fx, fy, fz]) = cell_at([px[k], py[k], pz[k]], frequency, seed);
         let fade = |t: f32| t * t * t * (t * (t * 6.0 - 15.0) + 10.0);
         let slope = |t: f32| 30.0 * t * t * (t * (t - 2.0) + 1.0);
         let (u, v, w) = ([1.0 - fade(fx), fade(fx)], [1.0 - fade(fy), fade(fy)], [1.0 - fade(fz), fade(fz)]);
@@ -132,12 +133,7 @@ pub(super) fn stripes(
     let (qx, qy, qz) = (&across.x[..n], &across.y[..n], &across.z[..n]);
     let derivative = &mut derivative[..n];
     for k in 0..n {
-        let (ix, fx) = cell(px[k] * frequency);
-        let (iy, fy) = cell(py[k] * frequency);
-        let (iz, fz) = cell(pz[k] * frequency);
-        let x = [ix.wrapping_mul(HASH_X), ix.wrapping_mul(HASH_X).wrapping_add(HASH_X)];
-        let y = [iy.wrapping_mul(HASH_Y), iy.wrapping_mul(HASH_Y).wrapping_add(HASH_Y)];
-        let z = [iz.wrapping_mul(HASH_Z) ^ seed, iz.wrapping_mul(HASH_Z).wrapping_add(HASH_Z) ^ seed];
+        let ([x, y, z], [fx, fy, fz]) = cell_at([px[k], py[k], pz[k]], frequency, seed);
         let fade = |t: f32| t * t * t * (t * (t * 6.0 - 15.0) + 10.0);
         let (u, v, w) = ([1.0 - fade(fx), fade(fx)], [1.0 - fade(fy), fade(fy)], [1.0 - fade(fz), fade(fz)]);
         let (mut value, mut slope) = (0.0f32, 0.0f32);
@@ -172,12 +168,7 @@ pub(super) fn add_craters(points: &Points, frequency: f64, seed: u32, share: f32
     let missing = (1.0 - share) * 1024.0 - 512.0;
     for k in 0..n {
         let (nx, ny, nz) = (px[k] as f32, py[k] as f32, pz[k] as f32);
-        let (ix, fx) = cell(px[k] * frequency);
-        let (iy, fy) = cell(py[k] * frequency);
-        let (iz, fz) = cell(pz[k] * frequency);
-        let x = [ix.wrapping_mul(HASH_X), ix.wrapping_mul(HASH_X).wrapping_add(HASH_X)];
-        let y = [iy.wrapping_mul(HASH_Y), iy.wrapping_mul(HASH_Y).wrapping_add(HASH_Y)];
-        let z = [iz.wrapping_mul(HASH_Z) ^ seed, iz.wrapping_mul(HASH_Z).wrapping_add(HASH_Z) ^ seed];
+        let ([x, y, z], [fx, fy, fz]) = cell_at([px[k], py[k], pz[k]], frequency, seed);
         let mut sum = 0.0f32;
         for c in 0..2 {
             for b in 0..2 {

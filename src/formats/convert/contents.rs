@@ -28,7 +28,7 @@ pub(super) struct ContentWriter<'a> {
     pub options: &'a ConvertOptions,
 }
 
-/// What was read at an item.
+/// The result of reading an item.
 pub(super) struct ReadContent {
     pub split: Split,
     /// Maps what is drawn to the frame of the set.

@@ -35,7 +35,7 @@ pub(super) struct Item {
     pub children: Vec<Item>,
 }
 
-/// What an item draws.
+/// The content of an item.
 #[derive(Debug)]
 pub(super) enum ItemContent {
     Nothing,
@@ -62,7 +62,7 @@ pub(super) enum Refinement {
 /// The parts of a content.
 #[derive(Debug, Default)]
 pub(super) struct Split {
-    /// What the content draws itself, in its own frame.
+    /// The drawables of the content itself, in its own frame.
     pub leaves: Vec<Leaf>,
     pub items: Vec<Item>,
 }

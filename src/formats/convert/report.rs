@@ -51,7 +51,7 @@ impl Default for ConvertOptions {
     }
 }
 
-/// What contents hold.
+/// Sums over contents.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Counts {
     /// The number of contents on each level. The level of a content is the number of contents above it.
@@ -119,9 +119,9 @@ impl Counts {
 /// Progress of [`convert`](super::convert), and its result at the end.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Converted {
-    /// What was read.
+    /// The sums over what was read.
     pub source: Counts,
-    /// What was written, as a reader of the written files finds it. Without [`ConvertOptions::check`] only its levels.
+    /// The sums over what was written, as a reader of the written files finds it. Without [`ConvertOptions::check`] only its levels.
     pub written: Counts,
     /// The number of files written.
     pub files: u64,

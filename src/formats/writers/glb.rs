@@ -253,9 +253,16 @@ fn write(mesh: &GlbMesh, compressed: bool) -> Vec<u8> {
         let fallback = json!({ "EXT_meshopt_compression": { "fallback": true } });
         root["buffers"] = json!([root["buffers"][0], { "byteLength": decompressed, "extensions": fallback }]);
     }
-    let mut text = root.to_string().into_bytes();
+    container(&root, &binary)
+}
+
+/// Returns a glb file of a document and its binary chunk, which is left out if it is empty. The length of the chunk is a multiple
+/// of 4.
+pub(super) fn container(document: &Value, binary: &[u8]) -> Vec<u8> {
+    let mut text = document.to_string().into_bytes();
     text.resize(text.len().next_multiple_of(4), b' ');
-    let length = 12 + 8 + text.len() + 8 + binary.len();
+    let binary_length = if binary.is_empty() { 0 } else { 8 + binary.len() };
+    let length = 12 + 8 + text.len() + binary_length;
     let mut out = Vec::with_capacity(length);
     out.extend_from_slice(b"glTF");
     out.extend_from_slice(&2u32.to_le_bytes());
@@ -263,8 +270,10 @@ fn write(mesh: &GlbMesh, compressed: bool) -> Vec<u8> {
     out.extend_from_slice(&(text.len() as u32).to_le_bytes());
     out.extend_from_slice(b"JSON");
     out.extend_from_slice(&text);
-    out.extend_from_slice(&(binary.len() as u32).to_le_bytes());
-    out.extend_from_slice(b"BIN\0");
-    out.extend_from_slice(&binary);
+    if !binary.is_empty() {
+        out.extend_from_slice(&(binary.len() as u32).to_le_bytes());
+        out.extend_from_slice(b"BIN\0");
+        out.extend_from_slice(binary);
+    }
     out
 }

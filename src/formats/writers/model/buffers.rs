@@ -6,6 +6,8 @@ use meshoptimizer_rs::codec::{
 };
 use serde_json::{Value, json};
 
+use crate::formats::writers::glb::container;
+
 /// The extension of compressed views.
 pub(super) const MESHOPT: &str = "EXT_meshopt_compression";
 
@@ -178,23 +180,7 @@ impl Buffers {
                 document[name] = list.into();
             }
         }
-        let mut text = document.to_string().into_bytes();
-        text.resize(text.len().next_multiple_of(4), b' ');
-        let binary_length = if self.binary.is_empty() { 0 } else { 8 + self.binary.len() };
-        let length = 12 + 8 + text.len() + binary_length;
-        let mut out = Vec::with_capacity(length);
-        out.extend_from_slice(b"glTF");
-        out.extend_from_slice(&2u32.to_le_bytes());
-        out.extend_from_slice(&(length as u32).to_le_bytes());
-        out.extend_from_slice(&(text.len() as u32).to_le_bytes());
-        out.extend_from_slice(b"JSON");
-        out.extend_from_slice(&text);
-        if !self.binary.is_empty() {
-            out.extend_from_slice(&(self.binary.len() as u32).to_le_bytes());
-            out.extend_from_slice(b"BIN\0");
-            out.extend_from_slice(&self.binary);
-        }
-        out
+        container(&document, &self.binary)
     }
 }
 
