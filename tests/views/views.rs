@@ -137,6 +137,40 @@ fn tiles_are_counted_for_each_view() {
     assert_eq!(viewer.view_mut(seeing).unwrap().tiles_drawn(), 0);
 }
 
+/// Regression: a view that showed nothing but ancestors in place of failed tiles counted as a view that shows nothing.
+#[test]
+fn stand_ins_count_as_drawn_tiles() {
+    let folder = tempfile::tempdir().unwrap();
+    let set = small_set(folder.path());
+    // One tile of each four is left.
+    for (column, row) in (0..16).map(|place| (place % 4, place / 4)).filter(|(column, row)| column % 2 + row % 2 > 0) {
+        let tile = Path::new(&set).join(format!("2/{column}/{row}.exr"));
+        assert!(tile.exists());
+        std::fs::write(tile, "no heights").unwrap();
+    }
+    let mut config = ViewerConfig { adapter: AdapterChoice::Noop, validation: false, ..ViewerConfig::default() };
+    config.pager.blocking = true;
+    let mut viewer = CompositeViewer::new(&config).unwrap();
+    let context = viewer.open_context(GraphicsContext::new_offscreen(&config.traits()).unwrap()).unwrap();
+    let scene = viewer.add_scene().unwrap();
+    viewer.load(scene, &set).unwrap();
+    let bounds = *viewer.bounds(scene).unwrap().unwrap();
+    let view = viewer.add_view(scene, context, None).unwrap();
+    let up = bounds.frame.direction(0.0, 0.0);
+    let mut only_stand_ins = 0;
+    for place in 0..16 {
+        let [east, north] = [place % 4, place / 4].map(|number| (f64::from(number) - 1.5) / 2.0);
+        let ground = bounds.middle_m + DVec3::new(east, north, 0.0) * bounds.half_size_m;
+        let world = |up_m: f64| bounds.frame.world_from_local.transform_point3(ground + DVec3::Z * up_m);
+        let eye = world(2.0 * bounds.half_size_m.z);
+        viewer.view_mut(view).unwrap().camera.look_at(eye, world(0.0), up);
+        viewer.settle(10);
+        assert!(viewer.view_mut(view).unwrap().tiles_drawn() > 0, "nothing is shown at {east} {north}");
+        only_stand_ins += u32::from(viewer.stats().last().unwrap().tiles_drawn == 0);
+    }
+    assert!(only_stand_ins > 0, "each view shows a tile of its own");
+}
+
 #[test]
 fn parts_follow_their_window_by_their_policy() {
     let folder = tempfile::tempdir().unwrap();

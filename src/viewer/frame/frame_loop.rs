@@ -307,7 +307,7 @@ impl FrameLoop {
         scenes.values_mut().for_each(|scene| scene.findings_mut().begin_frame());
         for (camera, CullOutcome { requests, counters, cull_ms, .. }) in self.rendering.outcomes() {
             let Some(view) = views.values_mut().find(|view| view.has_camera(camera)) else { continue };
-            view.set_culled(camera, counters.tiles_drawn);
+            view.set_culled(camera, counters.tiles_drawn + counters.stand_ins);
             scenes[view.scene()].findings_mut().add(requests, counters);
             stats.tiles_drawn += counters.tiles_drawn;
             stats.tiles_visited += counters.tiles_visited;

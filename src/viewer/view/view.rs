@@ -90,7 +90,7 @@ impl View {
     }
 
     /// Returns the number of tiles that the master camera's image of the last frame shows, including those of cameras in
-    /// the scene graph; 0 without a context.
+    /// the scene graph and ancestors drawn in place of tiles that failed to load; 0 without a context.
     pub fn tiles_drawn(&self) -> u32 {
         if self.master.is_some() { self.tiles_drawn } else { 0 }
     }
