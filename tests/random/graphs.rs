@@ -119,9 +119,19 @@ impl Maker {
         maker
     }
 
-    /// Returns the whole scene, within 20 metres of the origin.
+    /// Returns a scene of about a hundred nodes, within 20 metres of the origin.
     pub fn scene(&mut self) -> Node {
-        let mut children: Vec<Node> = (0..4 + self.random.below(8)).map(|_| self.node(3)).collect();
+        let children = 4 + self.random.below(8);
+        self.scene_of(children, 3)
+    }
+
+    /// Returns a scene of about a dozen nodes, which needs few pipelines.
+    pub fn small_scene(&mut self) -> Node {
+        self.scene_of(3, 2)
+    }
+
+    fn scene_of(&mut self, children: u64, depth: u32) -> Node {
+        let mut children: Vec<Node> = (0..children).map(|_| self.node(depth)).collect();
         if self.random.percent(50) {
             children.push(self.camera_to_texture());
         }
