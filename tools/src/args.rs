@@ -71,6 +71,43 @@ pub enum Command {
     Bench(BenchArgs),
 }
 
+// Options of `fly` and `view`: what is loaded, and how it is refined and drawn. A doc comment would become help text.
+#[derive(Clone, Debug, Default, ClapArgs)]
+pub struct SceneArgs {
+    /// Refine tiles whose error projects to more pixels [default: 3 for height tiles, otherwise 16 as in CesiumJS]
+    #[arg(long, value_name = "PX")]
+    pub sse: Option<Positive>,
+    /// While refining, load only tiles whose error is smaller by this factor than that of the visible tile: with 16, one
+    /// in four levels of a quadtree [default: 1, every level]
+    #[arg(long, value_name = "FACTOR")]
+    pub skip_sse: Option<Positive>,
+    /// Maximum memory of tiles that are on their way, such as 500MB: read and not decoded, or decoded and not drawn
+    /// [default: 384MiB]
+    #[arg(long, value_name = "SIZE")]
+    pub max_loading: Option<ByteSize>,
+    /// Duration of the fade between levels of detail in seconds; 0 switches without a fade
+    #[arg(long, value_name = "SECONDS", default_value = "0.25")]
+    pub lod_fade: NotNegative,
+    /// Threading model: SingleThreaded, CullDrawThreadPerContext, DrawThreadPerContext,
+    /// CullThreadPerCameraDrawThreadPerContext, or AutomaticSelection (that of TERRANE_THREADING, or the best)
+    #[arg(long, value_name = "MODEL", default_value = "AutomaticSelection")]
+    pub threading: ThreadingModel,
+    /// Pin each thread of the threading model to a core
+    #[arg(long)]
+    pub cpu_affinity: bool,
+    /// Colour, hide and size the features of tiles by a style in the 3D Tiles Styling language (JSON)
+    #[arg(long, value_name = "FILE")]
+    pub style: Option<PathBuf>,
+    /// Drape images over the terrain
+    #[arg(long = "overlay", value_name = "ADDRESS[,KEY=VALUE...]", help = OVERLAY_HELP)]
+    pub overlays: Vec<OverlayArg>,
+    /// Do not use the cache of compiled pipelines (terrane/pipelines in the user's cache folder)
+    #[arg(long)]
+    pub no_pipeline_cache: bool,
+    #[command(flatten)]
+    pub net: NetArgs,
+}
+
 // More than 16 fields: one for each option.
 #[derive(Clone, Debug, Default, ClapArgs)]
 pub struct FlyArgs {
@@ -96,27 +133,8 @@ pub struct FlyArgs {
     /// [default: 0,-35,2.2 radii]
     #[arg(long, value_name = "HEADING_DEG,PITCH_DEG,RANGE_M", allow_hyphen_values = true)]
     pub view: Option<View>,
-    /// Refine tiles whose error projects to more pixels [default: 3 for height tiles, otherwise 16 as in CesiumJS]
-    #[arg(long, value_name = "PX")]
-    pub sse: Option<Positive>,
-    /// While refining, load only tiles whose error is smaller by this factor than that of the visible tile: with 16, one
-    /// in four levels of a quadtree [default: 1, every level]
-    #[arg(long, value_name = "FACTOR")]
-    pub skip_sse: Option<Positive>,
-    /// Maximum memory of tiles that are on their way, such as 500MB: read and not decoded, or decoded and not drawn
-    /// [default: 384MiB]
-    #[arg(long, value_name = "SIZE")]
-    pub max_loading: Option<ByteSize>,
-    /// Duration of the fade between levels of detail in seconds; 0 switches without a fade
-    #[arg(long, value_name = "SECONDS", default_value = "0.25")]
-    pub lod_fade: NotNegative,
-    /// Threading model: SingleThreaded, CullDrawThreadPerContext, DrawThreadPerContext,
-    /// CullThreadPerCameraDrawThreadPerContext, or AutomaticSelection (that of TERRANE_THREADING, or the best)
-    #[arg(long, value_name = "MODEL", default_value = "AutomaticSelection")]
-    pub threading: ThreadingModel,
-    /// Pin each thread of the threading model to a core
-    #[arg(long)]
-    pub cpu_affinity: bool,
+    #[command(flatten)]
+    pub scene: SceneArgs,
     /// Prefetch tiles that the camera will need within this many seconds, after those it needs now; 0 turns prefetch off
     /// [default: 1]
     #[arg(long, value_name = "SECONDS", value_parser = not_negative)]
@@ -161,23 +179,12 @@ pub struct FlyArgs {
     /// VERTICAL_INTERLACE or CHECKERBOARD; objects as far as the middle of the set appear at the depth of the screen
     #[arg(long, value_name = "MODE")]
     pub stereo: Option<StereoMode>,
-    /// Colour, hide and size the features of tiles by a style in the 3D Tiles Styling language (JSON)
-    #[arg(long, value_name = "FILE")]
-    pub style: Option<PathBuf>,
-    /// Drape images over the terrain
-    #[arg(long = "overlay", value_name = "ADDRESS[,KEY=VALUE...]", help = OVERLAY_HELP)]
-    pub overlays: Vec<OverlayArg>,
     /// Samples per pixel: 1, 2, 4, 8 or 16, as far as the adapter has them; 4 draws smooth edges
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = samples)]
     pub samples: u32,
     /// Show the stats overlay from the start (window only)
     #[arg(long, conflicts_with = "offscreen")]
     pub stats: bool,
-    /// Do not use the cache of compiled pipelines (terrane/pipelines in the user's cache folder)
-    #[arg(long)]
-    pub no_pipeline_cache: bool,
-    #[command(flatten)]
-    pub net: NetArgs,
     /// True for `terrane view`: the user moves the camera.
     #[arg(skip)]
     pub interactive: bool,
@@ -199,7 +206,6 @@ pub struct FlyArgs {
     pub parent: Option<u32>,
 }
 
-// More than 16 fields: one for each option.
 #[derive(Clone, Debug, ClapArgs)]
 pub struct ViewArgs {
     /// Folder, tileset.json, layer.json, archive (.3tz, .zip), http(s) URL, s3://, gs:// or az:// URI, ion:ASSET_ID, google or globe
@@ -214,33 +220,8 @@ pub struct ViewArgs {
     /// Camera path that key 7 plays
     #[arg(long, value_name = "FILE")]
     pub path: Option<PathBuf>,
-    /// Refine tiles whose error projects to more pixels [default: 3 for height tiles, otherwise 16 as in CesiumJS]
-    #[arg(long, value_name = "PX")]
-    pub sse: Option<Positive>,
-    /// While refining, load only tiles whose error is smaller by this factor than that of the visible tile: with 16, one
-    /// in four levels of a quadtree [default: 1, every level]
-    #[arg(long, value_name = "FACTOR")]
-    pub skip_sse: Option<Positive>,
-    /// Maximum memory of tiles that are on their way, such as 500MB: read and not decoded, or decoded and not drawn
-    /// [default: 384MiB]
-    #[arg(long, value_name = "SIZE")]
-    pub max_loading: Option<ByteSize>,
-    /// Duration of the fade between levels of detail in seconds; 0 switches without a fade
-    #[arg(long, value_name = "SECONDS", default_value = "0.25")]
-    pub lod_fade: NotNegative,
-    /// Threading model: SingleThreaded, CullDrawThreadPerContext, DrawThreadPerContext,
-    /// CullThreadPerCameraDrawThreadPerContext, or AutomaticSelection (that of TERRANE_THREADING, or the best)
-    #[arg(long, value_name = "MODEL", default_value = "AutomaticSelection")]
-    pub threading: ThreadingModel,
-    /// Pin each thread of the threading model to a core
-    #[arg(long)]
-    pub cpu_affinity: bool,
-    /// Colour, hide and size the features of tiles by a style in the 3D Tiles Styling language (JSON)
-    #[arg(long, value_name = "FILE")]
-    pub style: Option<PathBuf>,
-    /// Drape images over the terrain
-    #[arg(long = "overlay", value_name = "ADDRESS[,KEY=VALUE...]", help = OVERLAY_HELP)]
-    pub overlays: Vec<OverlayArg>,
+    #[command(flatten)]
+    pub scene: SceneArgs,
     /// Show the stats overlay from the start
     #[arg(long)]
     pub stats: bool,
@@ -257,61 +238,26 @@ pub struct ViewArgs {
     /// TERRANE_SCREEN
     #[arg(long, value_name = "FILE", conflicts_with_all = ["beside", "parent"])]
     pub config: Option<PathBuf>,
-    /// Do not use the cache of compiled pipelines (terrane/pipelines in the user's cache folder)
-    #[arg(long)]
-    pub no_pipeline_cache: bool,
     /// Open inside the X11 window with this number (decimal), for example a window of another toolkit
     #[arg(long, value_name = "WINDOW")]
     pub parent: Option<u32>,
-    #[command(flatten)]
-    pub net: NetArgs,
 }
 
 impl From<ViewArgs> for Box<FlyArgs> {
     fn from(args: ViewArgs) -> Self {
-        let ViewArgs {
-            source,
-            size,
-            view,
-            path,
-            sse,
-            skip_sse,
-            max_loading,
-            lod_fade,
-            threading,
-            cpu_affinity,
-            style,
-            overlays,
-            stats,
-            on_demand,
-            max_fps,
-            beside,
-            config,
-            no_pipeline_cache,
-            parent,
-            net,
-        } = args;
+        let ViewArgs { source, size, view, path, scene, stats, on_demand, max_fps, beside, config, parent } = args;
         Box::new(FlyArgs {
             source,
             size,
             view,
             path,
-            sse,
-            skip_sse,
-            max_loading,
-            lod_fade,
-            threading,
-            cpu_affinity,
-            style,
-            overlays,
+            scene,
             stats,
             on_demand,
             max_fps,
             beside,
             config,
-            no_pipeline_cache,
             parent,
-            net,
             interactive: true,
             ..FlyArgs::default()
         })

@@ -8,157 +8,76 @@ macro_rules! wgsl {
     };
 }
 
-pub(super) const HEIGHT_WGSL: &str = wgsl![
-    shared / air,
-    shared / frame,
-    shared / no_shadows,
-    shared / facets,
-    heights / height,
-    heights / height_shading
-];
-pub(super) const SHADOWED_HEIGHT_WGSL: &str =
-    wgsl![shared / air, shared / frame, shared / shadows, shared / facets, heights / height, heights / height_shading];
-pub(super) const MESH_WGSL: &str = wgsl![
-    shared / air,
-    shared / frame,
-    shared / no_shadows,
-    shared / facets,
-    meshes / mesh_vertex,
-    meshes / matte_fragment,
-    meshes / mesh_pull,
-    meshes / mesh,
-    meshes / matte
-];
-pub(super) const SHADOWED_MESH_WGSL: &str = wgsl![
-    shared / air,
-    shared / frame,
-    shared / shadows,
-    shared / facets,
-    meshes / mesh_vertex,
-    meshes / matte_fragment,
-    meshes / mesh_pull,
-    meshes / mesh,
-    meshes / matte,
-    meshes / mesh_casters
-];
-pub(super) const SURFACE_WGSL: &str = wgsl![
-    shared / air,
-    shared / frame,
-    shared / no_shadows,
-    shared / facets,
-    meshes / surface_vertex,
-    meshes / surface_fragment,
-    meshes / mesh_pull,
-    meshes / mesh,
-    meshes / surface
-];
-pub(super) const SHADOWED_SURFACE_WGSL: &str = wgsl![
-    shared / air,
-    shared / frame,
-    shared / shadows,
-    shared / facets,
-    meshes / surface_vertex,
-    meshes / surface_fragment,
-    meshes / mesh_pull,
-    meshes / mesh,
-    meshes / surface
-];
-pub(super) const FIXED_HEIGHT_WGSL: &str = wgsl![
-    shared / air,
-    shared / frame,
-    shared / no_shadows,
-    shared / facets,
-    heights / height,
-    fixed_function / fixed,
-    fixed_function / fixed_no_units,
-    fixed_function / fixed_height
-];
-pub(super) const SHADOWED_FIXED_HEIGHT_WGSL: &str = wgsl![
-    shared / air,
-    shared / frame,
-    shared / shadows,
-    shared / facets,
-    heights / height,
-    fixed_function / fixed,
-    fixed_function / fixed_no_units,
-    fixed_function / fixed_height
-];
-pub(super) const TEXTURED_HEIGHT_WGSL: &str = wgsl![
-    shared / air,
-    shared / frame,
-    shared / no_shadows,
-    shared / facets,
-    heights / height,
-    fixed_function / fixed,
-    fixed_function / fixed_units,
-    fixed_function / fixed_height
-];
-pub(super) const SHADOWED_TEXTURED_HEIGHT_WGSL: &str = wgsl![
-    shared / air,
-    shared / frame,
-    shared / shadows,
-    shared / facets,
-    heights / height,
-    fixed_function / fixed,
-    fixed_function / fixed_units,
-    fixed_function / fixed_height
-];
-pub(super) const FIXED_MESH_WGSL: &str = wgsl![
-    shared / air,
-    shared / frame,
-    shared / no_shadows,
-    shared / facets,
-    meshes / mesh_vertex,
-    meshes / matte_fragment,
-    meshes / mesh_pull,
-    meshes / mesh,
-    meshes / matte,
-    fixed_function / fixed,
-    fixed_function / fixed_no_units,
-    fixed_function / fixed_mesh
-];
-pub(super) const SHADOWED_FIXED_MESH_WGSL: &str = wgsl![
-    shared / air,
-    shared / frame,
-    shared / shadows,
-    shared / facets,
-    meshes / mesh_vertex,
-    meshes / matte_fragment,
-    meshes / mesh_pull,
-    meshes / mesh,
-    meshes / matte,
-    fixed_function / fixed,
-    fixed_function / fixed_no_units,
-    fixed_function / fixed_mesh
-];
-pub(super) const TEXTURED_MESH_WGSL: &str = wgsl![
-    shared / air,
-    shared / frame,
-    shared / no_shadows,
-    shared / facets,
-    meshes / mesh_vertex,
-    meshes / matte_fragment,
-    meshes / mesh_pull,
-    meshes / mesh,
-    meshes / matte,
-    fixed_function / fixed,
-    fixed_function / fixed_units,
-    fixed_function / fixed_mesh
-];
-pub(super) const SHADOWED_TEXTURED_MESH_WGSL: &str = wgsl![
-    shared / air,
-    shared / frame,
-    shared / shadows,
-    shared / facets,
-    meshes / mesh_vertex,
-    meshes / matte_fragment,
-    meshes / mesh_pull,
-    meshes / mesh,
-    meshes / matte,
-    fixed_function / fixed,
-    fixed_function / fixed_units,
-    fixed_function / fixed_mesh
-];
+/// The source of height tiles, followed by further files.
+macro_rules! height_wgsl {
+    [$shadows:ident, $($folder:ident / $name:ident),+] => {
+        wgsl![shared / air, shared / frame, shared / $shadows, shared / facets, heights / height, $($folder / $name),+]
+    };
+}
+
+/// The source of meshes without glTF's materials, followed by further files.
+macro_rules! mesh_wgsl {
+    [$shadows:ident $(, $folder:ident / $name:ident)*] => {
+        wgsl![
+            shared / air,
+            shared / frame,
+            shared / $shadows,
+            shared / facets,
+            meshes / mesh_vertex,
+            meshes / matte_fragment,
+            meshes / mesh_pull,
+            meshes / mesh,
+            meshes / matte
+            $(, $folder / $name)*
+        ]
+    };
+}
+
+/// The source of meshes with glTF's materials.
+macro_rules! surface_wgsl {
+    [$shadows:ident] => {
+        wgsl![
+            shared / air,
+            shared / frame,
+            shared / $shadows,
+            shared / facets,
+            meshes / surface_vertex,
+            meshes / surface_fragment,
+            meshes / mesh_pull,
+            meshes / mesh,
+            meshes / surface
+        ]
+    };
+}
+
+/// The source of height tiles in fixed function.
+macro_rules! fixed_height_wgsl {
+    [$shadows:ident, $units:ident] => {
+        height_wgsl![$shadows, fixed_function / fixed, fixed_function / $units, fixed_function / fixed_height]
+    };
+}
+
+/// The source of meshes in fixed function.
+macro_rules! fixed_mesh_wgsl {
+    [$shadows:ident, $units:ident] => {
+        mesh_wgsl![$shadows, fixed_function / fixed, fixed_function / $units, fixed_function / fixed_mesh]
+    };
+}
+
+pub(super) const HEIGHT_WGSL: &str = height_wgsl![no_shadows, heights / height_shading];
+pub(super) const SHADOWED_HEIGHT_WGSL: &str = height_wgsl![shadows, heights / height_shading];
+pub(super) const MESH_WGSL: &str = mesh_wgsl![no_shadows];
+pub(super) const SHADOWED_MESH_WGSL: &str = mesh_wgsl![shadows, meshes / mesh_casters];
+pub(super) const SURFACE_WGSL: &str = surface_wgsl![no_shadows];
+pub(super) const SHADOWED_SURFACE_WGSL: &str = surface_wgsl![shadows];
+pub(super) const FIXED_HEIGHT_WGSL: &str = fixed_height_wgsl![no_shadows, fixed_no_units];
+pub(super) const SHADOWED_FIXED_HEIGHT_WGSL: &str = fixed_height_wgsl![shadows, fixed_no_units];
+pub(super) const TEXTURED_HEIGHT_WGSL: &str = fixed_height_wgsl![no_shadows, fixed_units];
+pub(super) const SHADOWED_TEXTURED_HEIGHT_WGSL: &str = fixed_height_wgsl![shadows, fixed_units];
+pub(super) const FIXED_MESH_WGSL: &str = fixed_mesh_wgsl![no_shadows, fixed_no_units];
+pub(super) const SHADOWED_FIXED_MESH_WGSL: &str = fixed_mesh_wgsl![shadows, fixed_no_units];
+pub(super) const TEXTURED_MESH_WGSL: &str = fixed_mesh_wgsl![no_shadows, fixed_units];
+pub(super) const SHADOWED_TEXTURED_MESH_WGSL: &str = fixed_mesh_wgsl![shadows, fixed_units];
 pub(super) const FILL_WGSL: &str = wgsl![shared / air, shared / frame, passes / fill];
 pub(super) const SKY_WGSL: &str = wgsl![shared / air, shared / frame, passes / sky];
 pub(super) const WATER_WGSL: &str =

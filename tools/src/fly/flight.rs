@@ -95,13 +95,13 @@ impl Flight {
             );
         }
         viewer.set_root(root)?;
-        viewer.view_mut().camera.settings.max_sse_px = match self.args.sse {
+        viewer.view_mut().camera.settings.max_sse_px = match self.args.scene.sse {
             Some(limit) => limit.0,
             None if viewer.is_height_set() => HEIGHT_SSE_PX,
             None => MESH_SSE_PX,
         };
-        viewer.view_mut().camera.settings.skip_sse_factor = self.args.skip_sse.map_or(1.0, |factor| factor.0);
-        viewer.view_mut().camera.settings.lod_fade_s = self.args.lod_fade.0;
+        viewer.view_mut().camera.settings.skip_sse_factor = self.args.scene.skip_sse.map_or(1.0, |factor| factor.0);
+        viewer.view_mut().camera.settings.lod_fade_s = self.args.scene.lod_fade.0;
         if let Some(color) = self.args.background {
             viewer.view_mut().environment.sky = Sky::Background(color.0);
             viewer.view_mut().environment.fog.enabled = false;

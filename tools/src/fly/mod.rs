@@ -77,24 +77,28 @@ fn fly(args: Box<FlyArgs>, mut settings: DisplaySettings) -> Result<()> {
     if let Some(mode) = args.stereo {
         (settings.stereo, settings.stereo_mode) = (true, mode);
     }
-    let mut config =
-        ViewerConfig { size_px: args.size.0, threading: args.threading, validation: false, ..ViewerConfig::default() };
+    let mut config = ViewerConfig {
+        size_px: args.size.0,
+        threading: args.scene.threading,
+        validation: false,
+        ..ViewerConfig::default()
+    };
     settings.configure(&mut config);
-    config.cpu_affinity = args.cpu_affinity;
+    config.cpu_affinity = args.scene.cpu_affinity;
     config.pager.blocking = args.blocking;
     config.vsync = !args.no_vsync;
-    if !args.no_pipeline_cache {
+    if !args.scene.no_pipeline_cache {
         config.pipeline_cache = default_set::cache_folder().map(|folder| folder.join("terrane").join("pipelines"));
     }
     config.look_ahead_s = args.look_ahead.unwrap_or(config.look_ahead_s);
     // Manipulators need the k-d trees to stay above the ground.
     config.pager.build_kd_trees = args.interactive;
-    let Opened { source, http, attributions } = args.net.open(&source)?;
+    let Opened { source, http, attributions } = args.scene.net.open(&source)?;
     config.pager.http = http;
     config.pager.credits = attributions.into_iter().map(Arc::from).collect();
-    config.pager.limits = args.net.limits();
-    config.pager.max_bytes_loading = args.max_loading.map_or(config.pager.max_bytes_loading, |size| size.0);
-    config.pager.style = args.style.as_deref().map(read_style).transpose()?;
+    config.pager.limits = args.scene.net.limits();
+    config.pager.max_bytes_loading = args.scene.max_loading.map_or(config.pager.max_bytes_loading, |size| size.0);
+    config.pager.style = args.scene.style.as_deref().map(read_style).transpose()?;
     config.pager.overlays = overlays(&args, &mut config.pager.http)?;
     let interrupt = Interrupt::new();
     // The root is read before a window opens or an adapter is requested, so that an invalid source ends the program here.
@@ -139,12 +143,12 @@ fn read_root(source: &str, config: &PagerConfig) -> Result<LoadedRoot, ViewerErr
 
 /// Returns the overlays of the command line; `None` without any.
 fn overlays(args: &FlyArgs, http: &mut HttpConfig) -> Result<Option<Arc<OverlaySet>>> {
-    if args.overlays.is_empty() {
+    if args.scene.overlays.is_empty() {
         return Ok(None);
     }
-    let overlays = args.overlays.iter().map(|overlay| args.net.open_overlay(&overlay.0, http));
+    let overlays = args.scene.overlays.iter().map(|overlay| args.scene.net.open_overlay(&overlay.0, http));
     let set = OverlaySet::new(overlays.collect::<Result<_>>()?)?;
-    Ok(Some(Arc::new(match args.sse {
+    Ok(Some(Arc::new(match args.scene.sse {
         Some(limit) => set.with_max_sse_px(limit.0),
         None => set,
     })))

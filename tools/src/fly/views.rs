@@ -69,9 +69,9 @@ fn open(arranged: &mut ArrangedViews, args: &FlyArgs) -> Result<()> {
         let default_sse_px = if viewer.is_height_set(scene)? { HEIGHT_SSE_PX } else { MESH_SSE_PX };
         let bounds = viewer.bounds(scene)?.copied();
         let view = viewer.view_mut(id)?;
-        view.camera.settings.max_sse_px = args.sse.map_or(default_sse_px, |limit| limit.0);
-        view.camera.settings.skip_sse_factor = args.skip_sse.map_or(1.0, |factor| factor.0);
-        view.camera.settings.lod_fade_s = args.lod_fade.0;
+        view.camera.settings.max_sse_px = args.scene.sse.map_or(default_sse_px, |limit| limit.0);
+        view.camera.settings.skip_sse_factor = args.scene.skip_sse.map_or(1.0, |factor| factor.0);
+        view.camera.settings.lod_fade_s = args.scene.lod_fade.0;
         if let (Some(sun), Some(bounds)) = (args.sun, bounds) {
             view.environment.sun_direction = bounds.frame.direction(sun.azimuth, sun.height);
         }
