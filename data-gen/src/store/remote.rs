@@ -15,17 +15,19 @@ use crate::GenError;
 const PAGE_BYTES: usize = 64 << 10;
 /// The number of bytes that tell formats apart.
 const MAGIC_BYTES: usize = 8;
-
 /// The number of files whose first bytes and versions are kept.
 const MAX_OPEN: NonZeroUsize = NonZeroUsize::new(256).expect("256 is not 0");
+
+/// A file, and its number in the cache.
+type Opened = (Arc<RemoteFile>, u64);
 
 /// The client for the files on servers of a run, and the files that were opened last. All threads share it.
 #[derive(Default)]
 pub(crate) struct Servers {
     /// Created when the first file is opened.
     client: OnceLock<Arc<RemoteFiles>>,
-    /// The files, with their numbers in the cache, by address. Locked for moments only; `None` before the first one.
-    open: Mutex<Option<LruCache<String, (Arc<RemoteFile>, u64)>>>,
+    /// The files by address. Locked for moments only; `None` before the first one.
+    open: Mutex<Option<LruCache<String, Opened>>>,
 }
 
 impl Servers {
@@ -49,7 +51,7 @@ impl Servers {
     }
 
     /// Opens a file, unless it is open.
-    fn open(&self, path: &Path, new_number: impl FnOnce() -> u64) -> Result<(Arc<RemoteFile>, u64), GenError> {
+    fn open(&self, path: &Path, new_number: impl FnOnce() -> u64) -> Result<Opened, GenError> {
         let uri = path.to_str().ok_or_else(|| GenError::invalid(path, "an address that is not UTF-8"))?;
         let lock = || self.open.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(found) = lock().as_mut().and_then(|open| open.get(uri)) {

@@ -1,4 +1,5 @@
-//! Folders of tiles in the scheme of XYZ: `z/x/y.png`.
+//! Folders of tiles in the scheme of XYZ, `z/x/y.png`, or of TMS, whose rows count from the south: a folder with the file
+//! `tilemapresource.xml`.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -10,9 +11,14 @@ use crate::GenError;
 /// The extensions of tiles of any content.
 const EXTENSIONS: &[&str] = &["png", "jpg", "jpeg", "webp"];
 
+/// The file that describes a folder of TMS.
+const TMS: &str = "tilemapresource.xml";
+
 /// A folder of tiles.
 struct Folder {
     path: PathBuf,
+    /// True if the rows of files count from the south.
+    is_tms: bool,
     zooms: Vec<Zoom>,
     first: WebTile,
     /// The extension of most tiles.
@@ -42,6 +48,23 @@ pub(crate) fn is_folder_of_tiles(folder: &Path) -> bool {
     numbered(folder, MAX_ZOOM + 1).into_iter().any(|(_, zoom)| !tiles(&zoom, EXTENSIONS).is_empty())
 }
 
+/// Returns whether a folder is one of TMS. Other tiles than those of Web Mercator are an error.
+fn is_tms(folder: &Path) -> Result<bool, GenError> {
+    let path = folder.join(TMS);
+    let Ok(text) = std::fs::read_to_string(&path) else { return Ok(false) };
+    let is_mercator =
+        ["EPSG:3857", "EPSG:900913", "OSGEO:41001", "profile=\"mercator\"", "profile=\"global-mercator\""];
+    match is_mercator.iter().any(|name| text.contains(name)) {
+        true => Ok(true),
+        false => Err(GenError::invalid(path, "tiles of another system than Web Mercator, which are not supported")),
+    }
+}
+
+/// Returns the tile of a file in a folder, or that of the file with another row.
+fn turned(tile: WebTile, is_tms: bool) -> WebTile {
+    WebTile { y: if is_tms { (1 << tile.zoom) - 1 - tile.y } else { tile.y }, ..tile }
+}
+
 /// Returns the tiles of a zoom level's folder, in the order of their columns and rows.
 fn tiles(zoom: &Path, extensions: &[&str]) -> Vec<(WebTile, PathBuf)> {
     let columns = numbered(zoom, 1 << MAX_ZOOM).into_iter();
@@ -60,13 +83,15 @@ pub(super) fn open(path: &Path, content: TileContent) -> Result<Arc<dyn WebTiles
     zooms.sort_by_key(|(zoom, _)| std::cmp::Reverse(*zoom));
     let mut folder = Folder {
         path: path.to_owned(),
+        is_tms: is_tms(path)?,
         zooms: Vec::new(),
         first: WebTile { zoom: 0, x: 0, y: 0 },
         extension: String::new(),
         unusual: HashMap::new(),
     };
     for (zoom, below) in zooms {
-        let tiles = tiles(&below, content.extensions());
+        let mut tiles = tiles(&below, content.extensions());
+        tiles.iter_mut().for_each(|(tile, _)| *tile = turned(*tile, folder.is_tms));
         let Some((first, name)) = tiles.first() else { continue };
         if folder.zooms.is_empty() {
             folder.first = *first;
@@ -90,7 +115,8 @@ pub(super) fn open(path: &Path, content: TileContent) -> Result<Arc<dyn WebTiles
 }
 
 impl Folder {
-    fn usual(&self, WebTile { zoom, x, y }: WebTile) -> PathBuf {
+    fn usual(&self, tile: WebTile) -> PathBuf {
+        let WebTile { zoom, x, y } = turned(tile, self.is_tms);
         self.path.join(zoom.to_string()).join(x.to_string()).join(format!("{y}.{}", self.extension))
     }
 }

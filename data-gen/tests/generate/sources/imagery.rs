@@ -129,6 +129,30 @@ fn web_tiles_have_a_resolution_of_their_own_and_are_transparent_where_they_are_m
     }
 }
 
+/// Regression: the rows of TMS counted from the north.
+#[test]
+fn rows_of_tms_count_from_the_south() {
+    let folder = tempfile::tempdir().unwrap();
+    let set = folder.path().join("set");
+    // The northern hemisphere of zoom level 1 is row 1, and that of its eastern half is red.
+    for (x, y, color) in [(0, 1, [20, 240, 20, 255]), (1, 1, [240, 20, 20, 255]), (1, 0, [20, 20, 240, 255])] {
+        write(set.join(format!("1/{x}/{y}.png")), encoded(color, ImageFormat::Png));
+    }
+    let describe = |srs: &str| {
+        let text = format!("<TileMap><SRS>{srs}</SRS><TileSets></TileSets></TileMap>");
+        fs::write(set.join("tilemapresource.xml"), text).unwrap();
+    };
+    let args = GenArgs { imagery: vec![set.clone()], overwrite: true, ..over_tile(folder.path(), 1) };
+    for (srs, expected) in [(None, [20, 20, 240]), (Some("EPSG:3857"), [240, 20, 20])] {
+        srs.into_iter().for_each(describe);
+        run(&args).unwrap();
+        assert!(is_near(color(&args, "0/0/0.jpg", [128, 128]), expected), "{srs:?}");
+    }
+    describe("EPSG:4326");
+    let error = run(&args).unwrap_err().to_string();
+    assert!(error.contains("tilemapresource.xml: tiles of another system than Web Mercator"), "{error}");
+}
+
 #[test]
 fn imagery_is_read_from_pmtiles() {
     let folder = tempfile::tempdir().unwrap();
