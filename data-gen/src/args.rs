@@ -12,6 +12,8 @@ pub(crate) const MAX_LEVELS: u32 = 24;
 pub(crate) const JOBS: RangeInclusive<usize> = 1..=256;
 /// Valid sides of procedural terrain in metres.
 pub(crate) const SIZES_M: RangeInclusive<f64> = 100.0..=2_000_000.0;
+/// Largest width of the band between elevation files.
+const MAX_BLEND_M: f64 = 1_000_000.0;
 
 /// The form of the tiles' content.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
@@ -50,8 +52,9 @@ pub enum Voids {
 pub struct GenArgs {
     /// Folder to write
     pub out: PathBuf,
-    /// Elevation: GeoTIFF, HGT (also in a zip file), PNG, PMTiles, EXR or ASCII grid; a folder of them or of web tiles z/x/y.png; a
-    /// pattern such as "*.tif"; or a text file with a path in each line. Where files overlap, the first with data wins
+    /// Elevation: GeoTIFF, HGT (also in a zip file), PNG, PMTiles, MBTiles, EXR or ASCII grid; a folder of them or of web tiles
+    /// z/x/y.png; a pattern such as "*.tif"; a text file with a path in each line; the address of a GeoTIFF or of PMTiles
+    /// (https, s3). Where files overlap, the first with data wins
     #[arg(long, value_name = "FILE", num_args = 1..)]
     pub dem: Vec<PathBuf>,
     /// Treatment of positions without elevation
@@ -72,9 +75,13 @@ pub struct GenArgs {
     /// Metres that are added to the scaled heights of grey PNGs and EXR files
     #[arg(long, value_name = "M", default_value_t = 0.0, allow_negative_numbers = true)]
     pub height_offset: f64,
-    /// Colour: GeoTIFF, or PNG or JPEG with a world file; a pattern or list of them, the first above the others
-    #[arg(long, value_name = "FILE")]
-    pub imagery: Option<PathBuf>,
+    /// Width in metres of the band in which an elevation file blends into those below it
+    #[arg(long, value_name = "M", default_value_t = 0.0)]
+    pub blend: f64,
+    /// Colour: GeoTIFF, PMTiles or MBTiles; PNG, JPEG or WebP with a world file; a folder of them or of web tiles z/x/y.png; a
+    /// pattern or a list. The first is above the others
+    #[arg(long, value_name = "FILE", num_args = 1..)]
+    pub imagery: Vec<PathBuf>,
     /// Colour of the tiles: natural colours by height and slope where there is no imagery, or none
     #[arg(long, value_enum, default_value_t)]
     pub color: Color,
@@ -82,6 +89,9 @@ pub struct GenArgs {
     /// (+proj=...)
     #[arg(long, value_name = "CODE", value_parser = Crs::parse)]
     pub epsg: Option<Crs>,
+    /// Grid in the format NTv2 (.gsb) that shifts the datum of sources to WGS84, in place of EPSG's parameters
+    #[arg(long, value_name = "FILE")]
+    pub datum_grid: Option<PathBuf>,
     /// Surface that the heights of --dem are measured from: ellipsoid, egm96, egm2008, or a geoid grid of PROJ (GTX)
     #[arg(long, value_name = "DATUM", default_value = "ellipsoid", value_parser = VerticalDatum::parse)]
     pub vertical_datum: VerticalDatum,
@@ -129,9 +139,11 @@ impl GenArgs {
             encoding: HeightEncoding::TerrainRgb,
             height_scale: None,
             height_offset: 0.0,
-            imagery: None,
+            blend: 0.0,
+            imagery: Vec::new(),
             color: Color::Natural,
             epsg: None,
+            datum_grid: None,
             vertical_datum: VerticalDatum::Ellipsoid,
             content: ContentKind::Height,
             float_vertices: false,
@@ -161,8 +173,11 @@ impl GenArgs {
     /// Checks options that have no effect together; the error names both. The command line also refuses `--size` and
     /// `--seed` beside `--dem`.
     pub(crate) fn check(&self) -> Result<(), String> {
-        if self.dem.is_empty() && self.imagery.is_none() && self.epsg.is_some() {
+        if self.dem.is_empty() && self.imagery.is_empty() && self.epsg.is_some() {
             return Err("--epsg has no effect without --dem or --imagery".to_owned());
+        }
+        if self.dem.is_empty() && self.imagery.is_empty() && self.datum_grid.is_some() {
+            return Err("--datum-grid has no effect without --dem or --imagery".to_owned());
         }
         for (name, is_given) in [
             ("--voids", self.voids != Voids::Cut),
@@ -171,17 +186,21 @@ impl GenArgs {
             ("--encoding", self.encoding != HeightEncoding::TerrainRgb),
             ("--height-scale", self.height_scale.is_some()),
             ("--height-offset", self.height_offset != 0.0),
+            ("--blend", self.blend != 0.0),
             ("--vertical-datum", self.vertical_datum != VerticalDatum::Ellipsoid),
         ] {
             if self.dem.is_empty() && is_given {
                 return Err(format!("{name} has no effect without --dem"));
             }
         }
+        if !(0.0..=MAX_BLEND_M).contains(&self.blend) {
+            return Err(format!("--blend must be 0 to {MAX_BLEND_M} m"));
+        }
         let is_finite = self.height_scale.is_none_or(|scale| scale.is_finite() && scale != 0.0);
         if !is_finite || !self.height_offset.is_finite() {
             return Err("--height-scale and --height-offset must be finite, and the scale not 0".to_owned());
         }
-        if self.color == Color::None && self.imagery.is_some() {
+        if self.color == Color::None && !self.imagery.is_empty() {
             return Err("--imagery has no effect with --color none".to_owned());
         }
         if self.content == ContentKind::Height && self.float_vertices {

@@ -2,11 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
+use terrane::fetch::IoError;
+
 /// The reason why a tile set could not be made.
 #[derive(Debug, thiserror::Error)]
 pub enum GenError {
     /// A file could not be read or written.
-    #[error("{}: {reason}", path.display())]
+    #[error("{}: {reason}", shown(path))]
     File {
         /// The file.
         path: PathBuf,
@@ -14,7 +16,7 @@ pub enum GenError {
         reason: std::io::Error,
     },
     /// The content of a file is invalid or not supported.
-    #[error("{}: {reason}", path.display())]
+    #[error("{}: {reason}", shown(path))]
     Invalid {
         /// The file.
         path: PathBuf,
@@ -60,6 +62,23 @@ impl GenError {
         move |reason| Self::File { path, reason }
     }
 
+    /// Returns the error of a file on a server. What may pass is an error of reading, after which a run can be continued.
+    pub(crate) fn remote(path: &Path, error: &IoError) -> Self {
+        let reason = match error {
+            IoError::HostRefused { host, address, kind, .. } => {
+                format!("redirected to {host}, whose address {address} is {kind}; this is not followed")
+            }
+            error => error.reason(),
+        };
+        match error {
+            IoError::Invalid { .. } | IoError::Markup { .. } => Self::invalid(path, reason),
+            error if error.is_transient() => {
+                Self::File { path: path.to_owned(), reason: std::io::Error::other(reason) }
+            }
+            _ => Self::invalid(path, reason),
+        }
+    }
+
     /// Refuses pipes and devices: opening or reading one may block forever.
     pub(crate) fn if_not_regular(path: &Path) -> Result<(), Self> {
         match std::fs::metadata(path).map_err(Self::file(path))?.is_file() {
@@ -73,4 +92,9 @@ impl GenError {
         let reason = reason.into().split_whitespace().collect::<Vec<_>>().join(" ");
         Self::Invalid { path: path.into(), reason }
     }
+}
+
+/// Returns a path, or the address of a file on a server without its secrets.
+fn shown(path: &Path) -> String {
+    terrane::fetch::shown(&path.to_string_lossy()).into_owned()
 }

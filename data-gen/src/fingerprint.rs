@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::UNIX_EPOCH;
 
 use crate::pyramid::checksum;
+use crate::store::{is_remote, remote_version};
 use crate::{GenArgs, GenError, Sharding};
 
 /// Names of files that place a raster, beside those that the raster's own name begins.
@@ -16,7 +17,7 @@ pub(crate) fn fingerprint(args: &GenArgs) -> Result<u64, GenError> {
         GenArgs { out: PathBuf::new(), jobs: None, overwrite: false, sharding: Sharding::default(), ..args.clone() };
     let mut text = format!("{} {same:?}", env!("CARGO_PKG_VERSION"));
     let grids = Some(PathBuf::from(args.vertical_datum.to_string())).filter(|path| path.is_file());
-    for path in args.dem.iter().chain(&args.imagery).chain(&grids) {
+    for path in args.dem.iter().chain(&args.imagery).chain(&grids).chain(&args.datum_grid) {
         add_file(path, &mut text)?;
         for extension in BESIDE {
             let beside = path.with_extension(extension);
@@ -30,6 +31,10 @@ pub(crate) fn fingerprint(args: &GenArgs) -> Result<u64, GenError> {
 
 /// Adds the name, size and time of modification of a file, or of all files below a folder.
 fn add_file(path: &Path, text: &mut String) -> Result<(), GenError> {
+    if is_remote(path) {
+        text.push_str(&format!("\n{path:?} {}", remote_version(path)?));
+        return Ok(());
+    }
     let file = path.metadata().map_err(GenError::file(path))?;
     if file.is_dir() {
         let entries = std::fs::read_dir(path).map_err(GenError::file(path))?;

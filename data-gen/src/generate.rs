@@ -8,13 +8,14 @@ use std::time::{Duration, Instant};
 
 use crate::args::{JOBS, MAX_LEVELS, SIZES_M};
 use crate::color::{Imagery, TEXELS};
-use crate::elevation::{DEFAULT_CACHE_BYTES, Mosaic, SourceContext, expand, open_all};
+use crate::elevation::{DEFAULT_CACHE_BYTES, Mosaic, SourceContext, expand, open_all, use_overviews};
 use crate::fingerprint::fingerprint;
-use crate::georeference::ROUNDING;
+use crate::georeference::{DatumGrid, ROUNDING};
 use crate::output::{Builder, Journal, PartialFolder, blocks, level_errors_m, voids};
 use crate::pyramid::{CELLS, Grid, Layer, Plan, TileKey};
 use crate::shards;
 use crate::store::BlockCache;
+use crate::web_tiles::TileContent;
 use crate::world::{check_world, world_set, write_world};
 use crate::{ElevationSource, Extent, GenArgs, GenError, Procedural, Raster, Summary};
 
@@ -68,7 +69,7 @@ impl Outcome {
 /// Does what the options ask for: makes a set or a shard, or plans shards.
 pub fn execute(args: &GenArgs) -> Result<Outcome, GenError> {
     let Some(count) = args.sharding.plan else { return run(args).map(|summary| Outcome::Set(Box::new(summary))) };
-    let args = &GenArgs { dem: expand(&args.dem)?, ..args.clone() };
+    let args = &expanded(args)?;
     check(args)?;
     let fingerprint = fingerprint(args)?;
     with_grid(args, |grid, _, _| {
@@ -93,7 +94,7 @@ pub fn run(args: &GenArgs) -> Result<Summary, GenError> {
     if out.is_symlink() && !out.exists() {
         return Err(GenError::invalid(out, "is a link whose target does not exist"));
     }
-    let args = &GenArgs { dem: expand(&args.dem)?, ..args.clone() };
+    let args = &expanded(args)?;
     let is_shard = args.sharding.shard.is_some();
     if occupied && !args.overwrite && !is_shard {
         return Err(GenError::Exists(out));
@@ -137,6 +138,12 @@ pub fn run(args: &GenArgs) -> Result<Summary, GenError> {
     summary.out = out;
     summary.seconds = start.elapsed().as_secs_f64();
     Ok(summary)
+}
+
+/// Returns the options with the files that folders, patterns and lists name.
+fn expanded(args: &GenArgs) -> Result<GenArgs, GenError> {
+    let dem = expand(&args.dem, TileContent::Heights)?;
+    Ok(GenArgs { dem, imagery: expand(&args.imagery, TileContent::Colors)?, ..args.clone() })
 }
 
 /// Checks options. The command line checks some of them as well, but programs may call [`run`] directly.
@@ -229,7 +236,12 @@ struct Terrain {
 
 /// Reads the elevation files, or creates procedural terrain if there are none. By default there are enough levels for all
 /// detail of the elevation and of the imagery.
-fn terrain(args: &GenArgs, imagery: Option<&Imagery>, cache: &Arc<BlockCache>) -> Result<Terrain, GenError> {
+fn terrain(
+    args: &GenArgs,
+    imagery: Option<&Imagery>,
+    datum_grid: Option<&Arc<DatumGrid>>,
+    cache: &Arc<BlockCache>,
+) -> Result<Terrain, GenError> {
     if args.dem.is_empty() {
         let [lon, lat] = PROCEDURAL_CENTER.map(f64::to_radians);
         let half = 0.5 * args.size / 6_371_000.0;
@@ -247,8 +259,8 @@ fn terrain(args: &GenArgs, imagery: Option<&Imagery>, cache: &Arc<BlockCache>) -
         });
     }
     let options = args.raster_options();
-    let context = SourceContext::new(Arc::clone(cache), args.vertical_datum.geoid()?);
-    let rasters = unwrap_at_date_line(open_all(&args.dem, &options, &context)?);
+    let context = SourceContext::new(Arc::clone(cache), args.vertical_datum.geoid()?, datum_grid.cloned());
+    let mut rasters = unwrap_at_date_line(open_all(&args.dem, &options, &context)?);
     let mut e = Extent { west: f64::MAX, south: f64::MAX, east: f64::MIN, north: f64::MIN };
     // The smallest step between samples, east and north, in radians.
     let mut step = [f64::INFINITY; 2];
@@ -285,7 +297,18 @@ fn terrain(args: &GenArgs, imagery: Option<&Imagery>, cache: &Arc<BlockCache>) -
     if levels < wanted {
         notes.push(format!("the sources have detail for {wanted} levels; {levels} are written"));
     }
-    let source = Box::new(Mosaic::new(rasters));
+    if levels < needed {
+        let cells = (CELLS as f64) * f64::from(levels - 1).exp2();
+        let replaced = use_overviews(&mut rasters, [wide, high].map(|side| side / cells), &options, &context)?;
+        if replaced > 0 {
+            notes.push(format!(
+                "{replaced} of {} elevation files are read by their overviews, as the finest level is coarser; errors are \
+                 measured against these",
+                rasters.len()
+            ));
+        }
+    }
+    let source = Box::new(Mosaic::new(rasters, args.blend));
     Ok(Terrain { source, extent: e, levels, is_fine: levels >= needed, notes, context: Some(context) })
 }
 
@@ -339,14 +362,17 @@ fn with_grid<T>(
     call: impl FnOnce(&Grid<'_>, Option<&Imagery>, &dyn Fn() -> Vec<String>) -> Result<T, GenError>,
 ) -> Result<T, GenError> {
     let cache = Arc::new(BlockCache::new(DEFAULT_CACHE_BYTES));
-    let open = |path: &PathBuf| {
-        // A folder of imagery is refused as any other file that is none.
-        let files = if path.is_dir() { vec![path.clone()] } else { expand(std::slice::from_ref(path))? };
-        Imagery::open(&files, args.epsg.as_ref(), &cache)
+    let datum_grid = args.datum_grid.as_deref().map(DatumGrid::read).transpose()?.map(Arc::new);
+    let imagery = match args.imagery.is_empty() {
+        true => None,
+        false => Some(Imagery::open(&args.imagery, args.epsg.as_ref(), datum_grid.as_deref(), &cache)?),
     };
-    let imagery = args.imagery.as_ref().map(open).transpose()?;
-    let Terrain { source, extent, levels, is_fine, notes, context } = terrain(args, imagery.as_ref(), &cache)?;
-    if let (Some(image), Some(path)) = (&imagery, &args.imagery)
+    let Terrain { source, extent, levels, is_fine, notes, context } =
+        terrain(args, imagery.as_ref(), datum_grid.as_ref(), &cache)?;
+    if datum_grid.is_some_and(|grid| !grid.is_used()) {
+        return Err(GenError::Argument("--datum-grid has no effect: the datum of all sources is WGS84".to_owned()));
+    }
+    if let (Some(image), Some(path)) = (&imagery, args.imagery.first())
         && !image.covers(&extent)?
     {
         return Err(GenError::invalid(path, "does not overlap the elevation"));

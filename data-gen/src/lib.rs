@@ -24,6 +24,7 @@ mod progress;
 mod pyramid;
 mod shards;
 mod store;
+mod web_tiles;
 mod world;
 
 pub use args::{Color, ContentKind, GenArgs, Summary, Voids};

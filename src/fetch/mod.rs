@@ -26,6 +26,8 @@ mod source;
 mod time_limit;
 mod uri;
 
+#[cfg(feature = "http")]
+pub use archive::{RemoteFile, RemoteFiles};
 #[cfg(feature = "testing")]
 pub use archive::{fuzz_index, fuzz_pmtiles};
 pub(crate) use byte_budget::{BudgetUse, ByteBudget, LoadRoom, Permit};

@@ -1,24 +1,20 @@
 //! Imagery files: RGBA images with a position on the earth, read by blocks, and smaller copies of them for coarse tiles.
 
 use std::f64::consts::TAU;
-use std::io::BufReader;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
+use rayon::prelude::*;
+
+use super::files::{self, Opened};
+use super::levels::{Level, completed};
 use crate::GenError;
-use crate::elevation::png_rows;
-use crate::georeference::{Crs, Placement, geotiff::Tiff};
+use crate::georeference::{Crs, DatumGrid, Placement};
 use crate::pyramid::Extent;
-use crate::store::{BlockCache, BlockGrid, BlockReader, Cursor, FileState, PixelImage, Rect, SpillPart, WholeReader};
-use crate::store::{first_pixel, whole};
+use crate::store::{BlockCache, Cursor};
 
 /// Offsets to try for a longitude, in radians: imagery of the whole world may span 0 to 360 degrees.
 const TURNS: [f64; 3] = [0.0, TAU, -TAU];
-/// The side of the blocks of smaller copies.
-const BLOCK: usize = 256;
-/// The bytes of decoded tiles that the reader of a TIFF keeps: those of one block are read once for each channel.
-const TIFF_CACHE_BYTES: usize = 8 << 20;
-
 /// Images in the order of their priority. Where an image is transparent, the next one is seen.
 pub(crate) struct Imagery {
     images: Vec<Image>,
@@ -26,16 +22,22 @@ pub(crate) struct Imagery {
 
 /// An image with its position on the earth.
 struct Image {
-    /// The image, and copies of it, each half as fine as the one before.
-    levels: Vec<Arc<PixelImage>>,
+    /// The image, and copies of it, each about half as fine as the one before.
+    levels: Vec<Level>,
     placement: Placement,
 }
 
 impl Imagery {
-    /// Opens image files. `given` is the reference system of files that do not name their own. Pixels with the nodata value of
+    /// Opens image files. `given` is the reference system of files that do not name their own, `grid` shifts
+    /// datums to WGS84. Pixels with the nodata value of
     /// a file, and those that its mask hides, are transparent.
-    pub fn open(paths: &[PathBuf], given: Option<&Crs>, cache: &Arc<BlockCache>) -> Result<Self, GenError> {
-        let images = paths.iter().map(|path| Image::open(path, given.cloned(), cache));
+    pub fn open(
+        paths: &[PathBuf],
+        given: Option<&Crs>,
+        grid: Option<&DatumGrid>,
+        cache: &Arc<BlockCache>,
+    ) -> Result<Self, GenError> {
+        let images = paths.par_iter().map(|path| Image::open(path, given.cloned(), grid, cache));
         Ok(Self { images: images.collect::<Result<_, _>>()? })
     }
 
@@ -60,7 +62,7 @@ impl Imagery {
         let layer = |image: &'_ Image| image.level(extent, texel);
         let layers = self.images.iter().map(|image| {
             let level = layer(image);
-            (image, level, Cursor::new(&image.levels[level]))
+            (image, level, Cursor::new(&image.levels[level].image))
         });
         ImagerySampler { layers: layers.collect() }
     }
@@ -93,40 +95,24 @@ impl ImagerySampler<'_> {
 }
 
 impl Image {
-    fn open(path: &Path, given: Option<Crs>, cache: &Arc<BlockCache>) -> Result<Self, GenError> {
-        GenError::if_not_regular(path)?;
-        let is_tiff = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("tif") || e.eq_ignore_ascii_case("tiff"));
-        let (grid, reader, placement) = if is_tiff {
-            let t = Arc::new(Tiff::open_caching(path, TIFF_CACHE_BYTES)?);
-            let placement = Placement::of_tiff(path, &t, given)?.unwrap_or_default();
-            let (grid, reader): (_, Box<dyn BlockReader>) = match t.grid(false) {
-                Some(grid) => (grid, Box::new(TiffImage { tiff: t })),
-                None => whole(Box::new(WholeTiff { path: path.to_owned() }), [t.width, t.height], cache),
-            };
-            (grid, reader, placement)
-        } else {
-            // The format is recognised by the content, because extensions may be wrong.
-            let reader = image::ImageReader::open(path).and_then(|r| r.with_guessed_format());
-            let reader = reader.map_err(GenError::file(path))?;
-            let is_png = reader.format() == Some(image::ImageFormat::Png);
-            let size = reader.into_dimensions().map_err(|e| GenError::invalid(path, e.to_string()))?;
-            let size = [size.0 as usize, size.1 as usize];
-            let placement = Placement::of_image(path, size, given)?;
-            let file = Photo { path: path.to_owned(), is_png, state: FileState::of(path)? };
-            let (grid, reader) = whole(Box::new(file), size, cache);
-            (grid, reader, placement)
-        };
-        let mut levels = vec![Arc::new(PixelImage::new(grid, reader, cache))];
-        while let Some(coarser) = levels.last().and_then(|finer| halved(finer, cache)) {
-            levels.push(Arc::new(coarser));
+    fn open(
+        path: &Path,
+        given: Option<Crs>,
+        grid: Option<&DatumGrid>,
+        cache: &Arc<BlockCache>,
+    ) -> Result<Self, GenError> {
+        let Opened { levels, mut placement } = files::open(path, given, cache)?;
+        if let Some(grid) = grid {
+            let size = levels.first().map_or([1; 2], |level| level.image.grid().size);
+            placement = placement.shifted_by(grid, size).map_err(|reason| GenError::invalid(path, reason))?;
         }
-        Ok(Self { levels, placement })
+        Ok(Self { levels: completed(levels, cache), placement })
     }
 
     fn covers(&self, extent: &Extent) -> Result<bool, GenError> {
         let grid = (0..=32).flat_map(|j| (0..=32).map(move |i| [f64::from(i) / 32.0, f64::from(j) / 32.0]));
         let [width, height] = self.size();
-        let mut cursor = Cursor::new(&self.levels[0]);
+        let mut cursor = Cursor::new(&self.levels[0].image);
         for [s, t] in grid {
             let longitude = extent.west + s * (extent.east - extent.west);
             let latitude = extent.south + t * (extent.north - extent.south);
@@ -155,7 +141,8 @@ impl Image {
         let around = [at(longitude, latitude), at(longitude + texel[0], latitude), at(longitude, latitude + texel[1])];
         let [Some(a), Some(b), Some(c)] = around else { return 0 };
         let pixels = [b, c].map(|p| (p[0] - a[0]).hypot(p[1] - a[1])).into_iter().fold(1.0, f64::max);
-        (pixels.log2().round() as usize).min(self.levels.len() - 1)
+        let far = |level: &usize| (self.levels[*level].coarseness().log2() - pixels.log2()).abs();
+        (0..self.levels.len()).min_by(|a, b| far(a).total_cmp(&far(b))).unwrap_or(0)
     }
 
     /// Returns the colour at a longitude and latitude in radians of a level whose cursor is given.
@@ -170,13 +157,14 @@ impl Image {
         let is_inside = |[c, r]: &[f64; 2]| (0.0..=w).contains(c) && (0.0..=h).contains(r);
         let mut found = TURNS.iter().filter_map(|turn| self.placement.pixel(longitude + turn, latitude));
         let Some([c, r]) = found.find(is_inside) else { return Ok(None) };
-        let scale = 1.0 / (1u64 << level) as f64;
-        interpolate(cursor, self.levels[level].grid().size, c * scale, r * scale)
+        let level = &self.levels[level];
+        let [column, row] = [0, 1].map(|axis| level.origin[axis] + [c, r][axis] * level.scale[axis]);
+        interpolate(cursor, level.image.grid().size, column, row)
     }
 
     /// Returns the width and height in pixels.
     fn size(&self) -> [f64; 2] {
-        self.levels[0].grid().size.map(|side| side as f64)
+        self.levels[0].image.grid().size.map(|side| side as f64)
     }
 }
 
@@ -213,194 +201,18 @@ fn interpolate(
     Ok(Some([r, g, b, opacity / (255.0 * weights)]))
 }
 
-/// Returns an image at half the resolution. `None` if it is a single pixel.
-fn halved(finer: &Arc<PixelImage>, cache: &Arc<BlockCache>) -> Option<PixelImage> {
-    let size = finer.grid().size;
-    if size == [1, 1] {
-        return None;
-    }
-    let grid = BlockGrid::new(size.map(|side| side.div_ceil(2)), [BLOCK; 2]);
-    let stored = Stored { part: None, is_stored: Vec::new() };
-    let half = Half { finer: Arc::clone(finer), grid, cache: Arc::clone(cache), stored: Mutex::new(stored) };
-    Some(PixelImage::new(grid, Box::new(half), cache))
-}
-
-/// An image at half the resolution of another: averages of 2 x 2 pixels, weighted by their opacity. Each block is computed
-/// once, and kept in the temporary file.
-struct Half {
-    finer: Arc<PixelImage>,
-    grid: BlockGrid,
-    cache: Arc<BlockCache>,
-    /// Locked for moments only.
-    stored: Mutex<Stored>,
-}
-
-/// The blocks in the temporary file.
-struct Stored {
-    part: Option<Arc<SpillPart>>,
-    /// For each block, row-major, whether it is in the file.
-    is_stored: Vec<bool>,
-}
-
-impl Half {
-    /// Returns the part of the temporary file, and whether it has a block.
-    fn stored(&self, index: usize) -> std::io::Result<(Arc<SpillPart>, bool)> {
-        let mut stored = self.stored.lock().unwrap_or_else(PoisonError::into_inner);
-        let part = match &stored.part {
-            Some(part) => Arc::clone(part),
-            None => {
-                let part = Arc::new(self.cache.spill().part((self.grid.size[0] * self.grid.size[1]) as u64)?);
-                let [across, down] = self.grid.blocks();
-                stored.is_stored = vec![false; across * down];
-                Arc::clone(stored.part.insert(part))
-            }
-        };
-        Ok((part, stored.is_stored.get(index) == Some(&true)))
-    }
-
-    /// Computes a block from the finer image.
-    fn average(&self, block: Rect) -> Result<Vec<u32>, GenError> {
-        let [width, height] = self.finer.grid().size;
-        let mut cursor = Cursor::new(&self.finer);
-        let mut pixels = Vec::with_capacity(block.pixels());
-        let first = 2 * block.column;
-        let count = (2 * block.width).min(width - first);
-        let mut lines: [Vec<u32>; 2] = Default::default();
-        for y in block.row..block.row + block.height {
-            for (dy, line) in lines.iter_mut().enumerate() {
-                line.clear();
-                if 2 * y + dy < height {
-                    cursor.row(first, 2 * y + dy, count, |run| line.extend_from_slice(run))?;
-                }
-            }
-            pixels.extend((0..block.width).map(|x| {
-                let finer = lines.iter().flat_map(|line| line.iter().skip(2 * x).take(2));
-                average(finer.map(|pixel| pixel.to_ne_bytes().map(u32::from)))
-            }));
-        }
-        Ok(pixels)
-    }
-}
-
-/// Returns the average of pixels, weighted by their opacity.
-fn average(pixels: impl Iterator<Item = [u32; 4]>) -> u32 {
-    let (mut color, mut opacity, mut count) = ([0u32; 3], 0, 0);
-    for [r, g, b, alpha] in pixels {
-        for (sum, c) in color.iter_mut().zip([r, g, b]) {
-            *sum += alpha * c;
-        }
-        opacity += alpha;
-        count += 1;
-    }
-    let [r, g, b] = color.map(|c| ((c + opacity / 2) / opacity.max(1)) as u8);
-    u32::from_ne_bytes([r, g, b, ((opacity + count / 2) / count.max(1)) as u8])
-}
-
-impl BlockReader for Half {
-    fn read(&self, block: Rect) -> Result<Vec<u32>, GenError> {
-        let temporary = |reason| GenError::File { path: std::env::temp_dir(), reason };
-        let index = self.grid.block_of(block.column, block.row).1 as usize;
-        let (part, is_stored) = self.stored(index).map_err(temporary)?;
-        let first = first_pixel(self.grid, block);
-        if is_stored {
-            return part.read(first, block.pixels()).map_err(temporary);
-        }
-        let pixels = self.average(block)?;
-        part.write(first, &pixels).map_err(temporary)?;
-        self.stored.lock().unwrap_or_else(PoisonError::into_inner).is_stored[index] = true;
-        Ok(pixels)
-    }
-}
-
-/// A GeoTIFF, read by blocks.
-struct TiffImage {
-    tiff: Arc<Tiff>,
-}
-
-impl BlockReader for TiffImage {
-    fn read(&self, block: Rect) -> Result<Vec<u32>, GenError> {
-        Ok(self.tiff.rgba(block)?.into_iter().map(u32::from_ne_bytes).collect())
-    }
-}
-
-/// A GeoTIFF with a tile or strip that is too large to be a block.
-struct WholeTiff {
-    path: PathBuf,
-}
-
-impl WholeReader for WholeTiff {
-    fn read_all(&self, call: &mut dyn FnMut(&[u32]) -> Result<(), GenError>) -> Result<(), GenError> {
-        let bytes = Tiff::open(&self.path)?.row_bytes();
-        let tiff = Tiff::open_caching(&self.path, bytes)?;
-        for step in tiff.row_steps() {
-            let pixels: Vec<u32> = tiff.rgba(step)?.into_iter().map(u32::from_ne_bytes).collect();
-            call(&pixels)?;
-        }
-        Ok(())
-    }
-
-    fn path(&self) -> &Path {
-        &self.path
-    }
-}
-
-/// A PNG, JPEG or WebP file.
-struct Photo {
-    path: PathBuf,
-    is_png: bool,
-    state: FileState,
-}
-
-impl WholeReader for Photo {
-    fn read_all(&self, call: &mut dyn FnMut(&[u32]) -> Result<(), GenError>) -> Result<(), GenError> {
-        self.state.check(&self.path)?;
-        if self.is_png {
-            let file = std::fs::File::open(&self.path).map_err(GenError::file(&self.path))?;
-            return png_rows(BufReader::new(file), &self.path, &mut |row, color, depth| call(&rgba(row, color, depth)));
-        }
-        let reader = image::ImageReader::open(&self.path).and_then(|r| r.with_guessed_format());
-        let image = reader.map_err(GenError::file(&self.path))?.decode();
-        let image = image.map_err(|e| GenError::invalid(&self.path, e.to_string()))?.into_rgba8();
-        let pixels: Vec<u32> = image.as_raw().as_chunks().0.iter().map(|pixel| u32::from_ne_bytes(*pixel)).collect();
-        call(&pixels)
-    }
-
-    fn path(&self) -> &Path {
-        &self.path
-    }
-}
-
-/// Returns the pixels of a PNG's row.
-fn rgba(row: &[u8], color: png::ColorType, depth: png::BitDepth) -> Vec<u32> {
-    let (channels, bytes) = (color.samples(), if depth == png::BitDepth::Sixteen { 2 } else { 1 });
-    let value = |pixel: &[u8], channel: usize| match bytes {
-        1 => pixel[channel],
-        _ => ((u32::from(u16::from_be_bytes([pixel[2 * channel], pixel[2 * channel + 1]])) + 128) / 257) as u8,
-    };
-    let pixels = row.chunks_exact(channels * bytes).map(|pixel| {
-        let (r, last) = (value(pixel, 0), value(pixel, channels - 1));
-        match channels {
-            1 => [r, r, r, 255],
-            2 => [r, r, r, last],
-            3 => [r, value(pixel, 1), last, 255],
-            _ => [r, value(pixel, 1), value(pixel, 2), last],
-        }
-    });
-    pixels.map(u32::from_ne_bytes).collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     fn open(path: &Path) -> Imagery {
-        Imagery::open(&[path.to_owned()], None, &Arc::new(BlockCache::new(1 << 20))).unwrap()
+        Imagery::open(&[path.to_owned()], None, None, &Arc::new(BlockCache::new(1 << 20))).unwrap()
     }
 
     /// Samples a level of the first image at a position in degrees.
     fn at_level(imagery: &Imagery, longitude: f64, latitude: f64, level: usize) -> Option<[f64; 4]> {
         let image = &imagery.images[0];
-        let mut cursor = Cursor::new(&image.levels[level]);
+        let mut cursor = Cursor::new(&image.levels[level].image);
         image.at(&mut cursor, longitude.to_radians(), latitude.to_radians(), level).unwrap()
     }
 
@@ -412,11 +224,11 @@ mod tests {
         let pixel = |x: u32, y: u32| image::Rgb([(x / 8) as u8, (y / 8) as u8, ((x + y) % 2 * 200) as u8]);
         image::RgbImage::from_fn(1030, 1100, pixel).save(&path).unwrap();
         // No block stays in the cache.
-        let imagery = Imagery::open(&[path], None, &Arc::new(BlockCache::new(0))).unwrap();
+        let imagery = Imagery::open(&[path], None, None, &Arc::new(BlockCache::new(0))).unwrap();
         let levels = &imagery.images[0].levels;
         for _ in 0..2 {
             for (level, x, y) in [(1, 0, 0), (1, 514, 549), (1, 255, 256), (2, 100, 200), (3, 128, 137)] {
-                let [r, g, b, alpha] = Cursor::new(&levels[level]).pixel(x, y).unwrap().to_ne_bytes();
+                let [r, g, b, alpha] = Cursor::new(&levels[level].image).pixel(x, y).unwrap().to_ne_bytes();
                 let expected = [(x << level) / 8, (y << level) / 8].map(|v| v as u8);
                 assert_eq!(([r, g], b, alpha), (expected, 100, 255), "{level} {x} {y}");
             }
@@ -433,7 +245,7 @@ mod tests {
             path
         };
         let paths = [write("above.png", [200, 0, 0, 51], 0.5), write("below.png", [0, 100, 0, 255], 1.5)];
-        let imagery = Imagery::open(&paths, None, &Arc::new(BlockCache::new(1 << 20))).unwrap();
+        let imagery = Imagery::open(&paths, None, None, &Arc::new(BlockCache::new(1 << 20))).unwrap();
         let extent = Extent { west: 0.0, south: 0.0, east: 0.05, north: 0.03 };
         let mut sampler = imagery.sampler(&extent, [0.01; 2]);
         let mut at = |longitude: f64| sampler.at(longitude.to_radians(), 1f64.to_radians()).unwrap();
@@ -453,7 +265,7 @@ mod tests {
                 .save_with_format(&path, image::ImageFormat::Png)
                 .unwrap();
             let imagery = open(&path);
-            let mut cursor = Cursor::new(&imagery.images[0].levels[0]);
+            let mut cursor = Cursor::new(&imagery.images[0].levels[0].image);
             assert_eq!(cursor.pixel(0, 0).unwrap().to_ne_bytes(), [10, 20, 30, 255], "{name}");
         }
     }
@@ -492,7 +304,10 @@ mod tests {
         std::fs::write(path.with_extension("pgw"), "1\n0\n0\n-1\n0.5\n6.5\n").unwrap();
         let imagery = open(&path);
         let image = &imagery.images[0];
-        assert_eq!(image.levels.iter().map(|l| l.grid().size).collect::<Vec<_>>(), [[7, 7], [4, 4], [2, 2], [1, 1]]);
+        assert_eq!(
+            image.levels.iter().map(|l| l.image.grid().size).collect::<Vec<_>>(),
+            [[7, 7], [4, 4], [2, 2], [1, 1]]
+        );
         let at = |longitude: f64| at_level(&imagery, longitude, 5.0, 1).unwrap();
         assert_eq!(at(1.0), [150.0, 50.0, 25.0, 1.0]);
         let [r, g, b, alpha] = at(5.0);

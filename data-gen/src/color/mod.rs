@@ -1,7 +1,10 @@
 //! The colour of tiles: given imagery, and natural colours by height and slope where there is none.
 
+mod files;
 mod imagery;
+mod levels;
 mod painter;
+mod tiles;
 
 pub(crate) use imagery::Imagery;
 pub(crate) use painter::{Painter, TEXELS};

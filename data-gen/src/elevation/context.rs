@@ -3,8 +3,8 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-use crate::georeference::Geoid;
 use crate::georeference::geotiff::Tiff;
+use crate::georeference::{DatumGrid, Geoid};
 use crate::store::{BlockCache, Pool};
 
 /// The default number of bytes for decoded blocks.
@@ -16,14 +16,16 @@ pub(crate) struct SourceContext {
     pub tiffs: Pool<Tiff>,
     /// The surface that heights are measured from; `None` for the ellipsoid.
     pub geoid: Option<Geoid>,
+    /// The grid that shifts datums to WGS84.
+    pub datum_grid: Option<Arc<DatumGrid>>,
     /// The heights of all blocks that were decoded.
     pub seen: HeightRange,
 }
 
 impl SourceContext {
     /// Creates the context of a run that keeps decoded blocks in a cache.
-    pub fn new(cache: Arc<BlockCache>, geoid: Option<Geoid>) -> Arc<Self> {
-        Arc::new(Self { cache, tiffs: Pool::new(), geoid, seen: HeightRange::default() })
+    pub fn new(cache: Arc<BlockCache>, geoid: Option<Geoid>, datum_grid: Option<Arc<DatumGrid>>) -> Arc<Self> {
+        Arc::new(Self { cache, tiffs: Pool::new(), geoid, datum_grid, seen: HeightRange::default() })
     }
 }
 

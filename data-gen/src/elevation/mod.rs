@@ -1,11 +1,13 @@
 //! Elevation as a function of position: raster files, mosaics of them, and procedural terrain.
 //!
 //! ```text
-//! sources  the files that --dem names
+//! sources  the files that --dem and --imagery name
 //! formats  opens a file, decodes its blocks  -> raster: one file on the earth, blocks in the cache of the context
 //! nearby   finds rasters at a position       -> mosaic: several rasters as one source
+//! blend    the bands along the edges of overlapping ones
 //! ```
 
+mod blend;
 mod context;
 mod formats;
 mod mosaic;
@@ -24,4 +26,4 @@ pub(crate) use mosaic::Mosaic;
 pub use procedural::Procedural;
 pub use raster::Raster;
 pub use source::{ElevationSource, SourceSample};
-pub(crate) use sources::{expand, open_all};
+pub(crate) use sources::{expand, open_all, use_overviews};

@@ -1,6 +1,7 @@
-//! Several rasters as one elevation source. Where they overlap, the first with data wins; between neighbours heights
-//! are interpolated, so that there is no step.
+//! Several rasters as one elevation source. Where they overlap, the first with data wins, or they blend into each other along
+//! the edges of the upper one; between neighbours heights are interpolated, so that there is no step.
 
+use super::blend::{Blend, Edges};
 use super::nearby::Nearby;
 use super::raster::{Raster, SamplePosition};
 use super::source::{ElevationSource, SourceSample};
@@ -17,6 +18,8 @@ pub(crate) struct Mosaic {
     margin: [f64; 2],
     /// [`Raster::bounds`] of each raster, larger by the margin.
     nearby: Nearby,
+    /// The bands along the edges of rasters in which they blend; `None` for sharp edges.
+    edges: Option<Edges>,
 }
 
 /// A raster near a position that lies between rasters.
@@ -31,13 +34,15 @@ struct Neighbor {
 }
 
 impl Mosaic {
-    pub fn new(rasters: Vec<Raster>) -> Self {
+    /// Creates a source of rasters that blend into those below in bands of a width in metres. With 0 their edges are sharp.
+    pub fn new(rasters: Vec<Raster>, blend_m: f64) -> Self {
         let steps = rasters.iter().map(Raster::steps).collect();
         let distances = rasters.iter().map(Raster::sample_distance);
         let [dx, dy] = distances.fold([0.0; 2], |a: [f64; 2], b| [a[0].max(b[0]), a[1].max(b[1])]);
         let larger = |[west, south, east, north]: [f64; 4]| [west - dx, south - dy, east + dx, north + dy];
         let nearby = Nearby::new(rasters.iter().map(|raster| larger(raster.bounds())).collect());
-        Self { rasters, steps, margin: [dx, dy], nearby }
+        let edges = (blend_m > 0.0 && rasters.len() > 1).then(|| Edges::new(&rasters, blend_m));
+        Self { rasters, steps, margin: [dx, dy], nearby, edges }
     }
 
     fn height_at<'a>(
@@ -49,28 +54,25 @@ impl Mosaic {
         if let [one] = &self.rasters[..] {
             return one.height_m(longitude, latitude);
         }
+        let mut blend = Blend::default();
         for k in self.nearby.at(longitude, latitude) {
-            if let Some(height_m) = self.inside_m(cursors, k, longitude, latitude)? {
-                return Ok(Some(height_m));
+            let position = self.rasters[k].locate(longitude, latitude).filter(SamplePosition::is_covered);
+            let Some(position) = position else { continue };
+            let found = match position.is_inside() {
+                true => self.rasters[k].bilinear_m(cursors.of(self, k), position.nearest_px)?,
+                false => self.interpolate_beyond(cursors, k, longitude, latitude)?,
+            };
+            let Some(height_m) = found else { continue };
+            let Some(edges) = &self.edges else { return Ok(found) };
+            blend.add(height_m, edges.share(&self.rasters, &self.nearby, k, &position));
+            if blend.is_full() {
+                break;
             }
         }
-        self.interpolate_between(cursors, longitude, latitude)
+        Ok(blend.height_m())
     }
 
-    /// Returns the height of a raster at a position between its sample centres.
-    fn inside_m<'a>(
-        &'a self,
-        cursors: &mut Cursors<'a>,
-        k: usize,
-        longitude: f64,
-        latitude: f64,
-    ) -> Result<Option<f64>, GenError> {
-        let position = self.rasters[k].locate(longitude, latitude).filter(SamplePosition::is_inside);
-        let Some(position) = position else { return Ok(None) };
-        self.rasters[k].bilinear_m(cursors.of(self, k), position.nearest_px)
-    }
-
-    /// Returns true if a raster before another one has data at a position.
+    /// Returns true if a raster before another one has data at a position and does not blend into those below there.
     fn is_hidden<'a>(
         &'a self,
         cursors: &mut Cursors<'a>,
@@ -79,38 +81,40 @@ impl Mosaic {
         latitude: f64,
     ) -> Result<bool, GenError> {
         for k in self.nearby.at(longitude, latitude).take_while(|k| *k < raster) {
-            if self.inside_m(cursors, k, longitude, latitude)?.is_some() {
+            let position = self.rasters[k].locate(longitude, latitude).filter(SamplePosition::is_covered);
+            let Some(position) = position else { continue };
+            let is_full = |edges: &Edges| edges.share(&self.rasters, &self.nearby, k, &position) >= 1.0;
+            if self.edges.as_ref().is_none_or(is_full)
+                && self.rasters[k].bilinear_m(cursors.of(self, k), position.nearest_px)?.is_some()
+            {
                 return Ok(true);
             }
         }
         Ok(false)
     }
 
-    /// Interpolates at a position between the outermost sample centres of neighbours. The nearest raster in each of the
-    /// four quadrants around the position is weighted by its distance along both axes. Between files cut from one grid
-    /// the result is that of the uncut file.
-    fn interpolate_between<'a>(
+    /// Interpolates at a position beyond the outermost sample centres of a raster, by at most half a pixel. The nearest raster
+    /// in each of the four quadrants around the position is weighted by its distance along both axes. Between files cut from
+    /// one grid the result is that of the uncut file.
+    fn interpolate_beyond<'a>(
         &'a self,
         cursors: &mut Cursors<'a>,
+        raster: usize,
         longitude: f64,
         latitude: f64,
     ) -> Result<Option<f64>, GenError> {
-        let covers = |r: &Raster| r.locate(longitude, latitude).is_some_and(|p| p.is_covered());
-        let mut owner = None;
-        for k in self.nearby.at(longitude, latitude).filter(|k| covers(&self.rasters[*k])) {
-            owner = self.neighbor(cursors, k, longitude, latitude)?;
-            if owner.is_some() {
-                break;
-            }
-            if let Some(height_m) = self.rasters[k].height_m(longitude, latitude)? {
-                return Ok(Some(height_m));
-            }
-        }
-        let Some(owner) = owner else { return Ok(None) };
+        let Some(owner) = self.neighbor(cursors, raster, longitude, latitude)? else {
+            // It is rotated, or has no data there.
+            return self.rasters[raster].height_m(longitude, latitude);
+        };
         // South-west, south-east, north-west and north-east of the position.
         let mut quadrants: [Option<Neighbor>; 4] = [None; 4];
         for k in self.nearby.at(longitude, latitude) {
             let Some(n) = self.neighbor(cursors, k, longitude, latitude)? else { continue };
+            // A raster that reaches across the position lies above or below.
+            if n.beyond == [0.0; 2] {
+                continue;
+            }
             // Between the sample centres of files that touch lies half a pixel of each; 0.505 allows for rounding.
             let touches = (0..2).all(|axis| {
                 let gap = (n.beyond[axis] - owner.beyond[axis]).abs();
@@ -171,13 +175,26 @@ impl ElevationSource for Mosaic {
         out.fill(f32::NAN);
         let end = longitude + step * out.len().saturating_sub(1) as f64;
         let mut cursors = Cursors::default();
-        for k in self.nearby.within([longitude.min(end), latitude, longitude.max(end), latitude]) {
-            let raster = &self.rasters[k];
-            raster.fill_row(cursors.of(self, k), [longitude, step, latitude], out, SamplePosition::is_inside)?;
+        if self.edges.is_some() {
+            for (k, height_m) in out.iter_mut().enumerate() {
+                let found = self.height_at(&mut cursors, longitude + step * k as f64, latitude)?;
+                *height_m = found.map_or(f32::NAN, |h| h as f32);
+            }
+            return Ok(());
         }
-        for (k, height_m) in out.iter_mut().enumerate().filter(|(_, h)| h.is_nan()) {
-            let between = self.interpolate_between(&mut cursors, longitude + step * k as f64, latitude)?;
-            *height_m = between.map_or(f32::NAN, |h| h as f32);
+        for k in self.nearby.within([longitude.min(end), latitude, longitude.max(end), latitude]) {
+            let mut beyond = Vec::new();
+            self.rasters[k].fill_row(cursors.of(self, k), [longitude, step, latitude], out, |at, position| {
+                let is_inside = position.is_inside();
+                if !is_inside && position.is_covered() {
+                    beyond.push(at);
+                }
+                is_inside
+            })?;
+            for at in beyond {
+                let found = self.interpolate_beyond(&mut cursors, k, longitude + step * at as f64, latitude)?;
+                out[at] = found.map_or(f32::NAN, |h| h as f32);
+            }
         }
         Ok(())
     }
@@ -190,10 +207,18 @@ impl ElevationSource for Mosaic {
             let hides = self.nearby.within([west, south, east, north]).into_iter().any(|other| other < k);
             let mut cursors = Cursors::default();
             let outside = |longitude: f64, latitude: f64| self.height_m(longitude, latitude);
-            window.samples(extent, outside, |sample| {
-                if !hides || !self.is_hidden(&mut cursors, k, sample.longitude, sample.latitude)? {
-                    call(sample);
+            window.samples(extent, outside, |mut sample| {
+                let [x, y] = [sample.longitude, sample.latitude];
+                if hides && self.is_hidden(&mut cursors, k, x, y)? {
+                    return Ok(());
                 }
+                if self.edges.is_some()
+                    && let Some(height_m) = self.height_at(&mut cursors, x, y)?
+                    && (height_m as f32) != sample.height_m as f32
+                {
+                    (sample.height_m, sample.is_extremum) = (height_m, false);
+                }
+                call(sample);
                 Ok(())
             })?;
         }
@@ -249,7 +274,7 @@ mod tests {
             std::fs::write(path.with_extension("wld"), world).unwrap();
             Raster::read(&path).unwrap()
         };
-        Mosaic::new(places.iter().map(read).collect())
+        Mosaic::new(places.iter().map(read).collect(), 0.0)
     }
 
     fn at(source: &Mosaic, longitude: f64, latitude: f64) -> Option<f64> {
@@ -327,10 +352,84 @@ mod tests {
         let mut first = mosaic(|_, _| 100.0, &[([8.0, 44.0], 0.25, 8)]);
         let second = mosaic(|_, _| 300.0, &[([9.0, 44.0], 0.25, 8)]);
         first.rasters.extend(second.rasters);
-        first = Mosaic::new(first.rasters);
+        first = Mosaic::new(first.rasters, 0.0);
         assert_eq!(
-            [8.5, 9.5, 9.87, 9.88, 10.5].map(|x| at(&first, x, 43.0).unwrap()),
+            [8.5, 9.5, 9.99, 10.01, 10.5].map(|x| at(&first, x, 43.0).unwrap()),
             [100.0, 100.0, 100.0, 300.0, 300.0]
         );
+    }
+
+    /// Regression: between the sample centres of neighbours, heights were those of a file below both.
+    #[test]
+    fn files_below_are_not_seen_between_neighbours() {
+        let both = mosaic(|x, _| 3.0 * x, &[([8.0, 44.0], 0.25, 8), ([10.0, 44.0], 0.25, 8)]);
+        let below = mosaic(|_, _| 900.0, &[([4.0, 48.0], 1.0, 12)]);
+        let all = Mosaic::new(both.rasters.into_iter().chain(below.rasters).collect(), 0.0);
+        let mut row = [0.0; 101];
+        let (west, step) = (9.5f64.to_radians(), 0.01f64.to_radians());
+        all.heights_of_row(west, step, 43f64.to_radians(), &mut row).unwrap();
+        for (k, height_m) in row.iter().enumerate() {
+            let x = 9.5 + 0.01 * k as f64;
+            assert!((f64::from(*height_m) - 3.0 * x).abs() < 1e-3, "{x}: {height_m}");
+            assert_eq!(
+                all.height_m(west + step * k as f64, 43f64.to_radians()).unwrap().map(|h| h as f32),
+                Some(*height_m)
+            );
+        }
+        assert_eq!([12.1, 7.9].map(|x| at(&all, x, 43.0)), [Some(900.0); 2]);
+    }
+
+    #[test]
+    fn overlapping_files_blend_within_a_band() {
+        // Two degrees of overlap; a band of about one degree.
+        let files = || {
+            let upper = mosaic(|_, _| 100.0, &[([8.0, 44.0], 0.25, 16)]);
+            let lower = mosaic(|_, _| 300.0, &[([10.0, 46.0], 0.25, 32)]);
+            upper.rasters.into_iter().chain(lower.rasters).collect::<Vec<_>>()
+        };
+        let sharp = Mosaic::new(files(), 0.0);
+        assert!(steepest(&sharp, [11.0, 42.0], [12.5, 42.0]) > 190.0);
+        let band_m = 81_000.0;
+        let blended = Mosaic::new(files(), band_m);
+        for (from, to) in [([8.2, 42.0], [17.0, 42.0]), ([11.0, 40.2], [11.0, 45.8]), ([8.5, 40.5], [13.0, 45.0])] {
+            let found = steepest(&blended, from, to);
+            assert!(found < 1.0, "{from:?}: {found} m in 0.001 degrees");
+        }
+        // Each file is itself away from the band, and so is a file that no other one overlaps.
+        assert_eq!([8.2, 9.0, 10.0].map(|x| at(&blended, x, 42.0)), [Some(100.0); 3]);
+        assert_eq!([12.2, 14.0, 17.5].map(|x| at(&blended, x, 42.0)), [Some(300.0); 3]);
+        let half = at(&blended, 11.375, 42.0).unwrap();
+        assert!((half - 200.0).abs() < 10.0, "{half}");
+        let mut row = [0.0; 90];
+        let (west, step) = (8.2f64.to_radians(), 0.1f64.to_radians());
+        blended.heights_of_row(west, step, 42f64.to_radians(), &mut row).unwrap();
+        for (k, height_m) in row.iter().enumerate() {
+            let single = blended.height_m(west + step * k as f64, 42f64.to_radians()).unwrap();
+            assert_eq!(single.map(|h| h as f32), Some(*height_m).filter(|h| h.is_finite()));
+        }
+        // Samples are those of the blended surface, so that errors are measured against it.
+        let [west, south, east, north] = [8.0, 40.0, 18.0, 46.0f64].map(f64::to_radians);
+        let mut in_between = 0;
+        let mut check = |s: SourceSample| {
+            let surface = blended.height_m(s.longitude, s.latitude).unwrap().unwrap();
+            assert!((s.height_m - surface).abs() < 1e-3, "{s:?}, not {surface}");
+            in_between += usize::from((101.0..299.0).contains(&s.height_m));
+        };
+        blended.samples_in(&Extent { west, south, east, north }, &mut check).unwrap();
+        assert!(in_between > 20, "{in_between}");
+    }
+
+    /// Neighbours cut from one grid do not fade into a file below along their common edge.
+    #[test]
+    fn common_edges_of_neighbours_do_not_blend() {
+        let both = mosaic(|_, _| 100.0, &[([8.0, 44.0], 0.25, 16), ([12.0, 44.0], 0.25, 16)]);
+        let below = mosaic(|_, _| 300.0, &[([0.0, 52.0], 0.5, 48)]);
+        let all = Mosaic::new(both.rasters.into_iter().chain(below.rasters).collect(), 60_000.0);
+        for k in 0..200 {
+            let x = 11.0 + 0.01 * f64::from(k);
+            assert!((at(&all, x, 42.0).unwrap() - 100.0).abs() < 1e-9, "{x}");
+        }
+        assert!(steepest(&all, [7.0, 42.0], [9.0, 42.0]) < 1.0);
+        assert_eq!([at(&all, 7.9, 42.0), at(&all, 9.0, 42.0)], [Some(300.0), Some(100.0)]);
     }
 }

@@ -78,14 +78,37 @@ impl Raster {
     /// Like [`Raster::read`], with what the file does not say itself. Opens a folder of web tiles as well. Samples are decoded
     /// when they are needed, and a number of them stays in memory. A raster without any height is an error.
     pub fn read_in(path: &Path, options: &RasterOptions) -> Result<Self, GenError> {
-        let raster =
-            Self::open(path, options, &SourceContext::new(Arc::new(BlockCache::new(DEFAULT_CACHE_BYTES)), None))?;
+        let context = SourceContext::new(Arc::new(BlockCache::new(DEFAULT_CACHE_BYTES)), None, None);
+        let raster = Self::open(path, options, &context)?;
         if raster.has_heights()? { Ok(raster) } else { Err(raster.without_heights()) }
     }
 
     /// Opens an elevation file or a folder of web tiles and reads its header.
     pub(crate) fn open(path: &Path, options: &RasterOptions, context: &Arc<SourceContext>) -> Result<Self, GenError> {
-        let Opened { grid, reader, placement } = formats::open(path, options, context)?;
+        let mut opened = formats::open(path, options, context)?;
+        if let Some(grid) = &context.datum_grid {
+            let shifted = opened.placement.shifted_by(grid, opened.grid.size);
+            opened.placement = shifted.map_err(|reason| GenError::invalid(path, reason))?;
+        }
+        Ok(Self::of(path, opened, context))
+    }
+
+    /// Returns the coarsest overview of the file whose samples are at most as far apart as `step`, east and north, in radians.
+    /// `None` if it has none.
+    pub(crate) fn overview(
+        &self,
+        step: [f64; 2],
+        options: &RasterOptions,
+        context: &Arc<SourceContext>,
+    ) -> Result<Option<Self>, GenError> {
+        let own = self.sample_distance();
+        let factors = [0, 1].map(|axis| step[axis] / own[axis]);
+        let opened = formats::open_overview(&self.path, factors, options, context, &self.placement)?;
+        Ok(opened.map(|opened| Self::of(&self.path, opened, context)))
+    }
+
+    fn of(path: &Path, opened: Opened, context: &Arc<SourceContext>) -> Self {
+        let Opened { grid, reader, placement } = opened;
         let heights =
             Heights { path: path.to_owned(), file: reader, placement: placement.clone(), context: Arc::clone(context) };
         let image = PixelImage::new(grid, Box::new(heights), &context.cache);
@@ -99,7 +122,7 @@ impl Raster {
             raster.placement = raster.placement.clone().wrapped(raster.bounds);
             raster.bounds = raster.measure_bounds();
         }
-        Ok(raster)
+        raster
     }
 
     /// Returns the error of a raster without heights.
@@ -278,13 +301,13 @@ impl Raster {
         cursor: &mut Cursor<'_>,
         [longitude, step, latitude]: [f64; 3],
         out: &mut [f32],
-        is_wanted: impl Fn(&SamplePosition) -> bool,
+        mut is_wanted: impl FnMut(usize, &SamplePosition) -> bool,
     ) -> Result<(), GenError> {
         let row = self.placement.row(latitude);
         for (k, height_m) in out.iter_mut().enumerate().filter(|(_, h)| h.is_nan()) {
             let Some(pixel) = row.pixel(longitude + step * k as f64) else { continue };
             let position = self.locate_pixel(pixel);
-            if is_wanted(&position)
+            if is_wanted(k, &position)
                 && let Some(found) = self.bilinear_m(cursor, position.nearest_px)?
             {
                 *height_m = found as f32;
@@ -322,7 +345,7 @@ impl ElevationSource for Raster {
 
     fn heights_of_row(&self, longitude: f64, step: f64, latitude: f64, out: &mut [f32]) -> Result<(), GenError> {
         out.fill(f32::NAN);
-        self.fill_row(&mut self.cursor(), [longitude, step, latitude], out, SamplePosition::is_covered)
+        self.fill_row(&mut self.cursor(), [longitude, step, latitude], out, |_, position| position.is_covered())
     }
 
     fn samples_in(&self, extent: &Extent, call: &mut dyn FnMut(SourceSample)) -> Result<(), GenError> {

@@ -1,4 +1,4 @@
-//! The files that the values of `--dem` name: files, folders, patterns and lists.
+//! The files that the values of `--dem` and `--imagery` name: files, folders, patterns, lists and addresses.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -6,28 +6,38 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use super::context::SourceContext;
-use super::formats::{RasterOptions, is_folder_of_tiles};
+use super::formats::RasterOptions;
 use super::raster::Raster;
 use crate::GenError;
+use crate::store::is_remote;
+use crate::web_tiles::{TileContent, is_folder_of_tiles};
 
 /// The extensions of elevation files in folders.
-const EXTENSIONS: [&str; 8] = ["tif", "tiff", "hgt", "zip", "asc", "png", "exr", "pmtiles"];
+const ELEVATION: &[&str] = &["tif", "tiff", "hgt", "zip", "asc", "png", "exr", "pmtiles", "mbtiles"];
+/// The extensions of imagery in folders.
+const IMAGERY: &[&str] = &["tif", "tiff", "png", "jpg", "jpeg", "webp", "pmtiles", "mbtiles"];
 
-/// Returns the files that paths name, in their order. A folder stands for its elevation files by name, unless it is a
-/// folder of web tiles; a file name with `*` or `?` for the files that match it; a text file for the paths in its lines,
-/// relative to it.
-pub(crate) fn expand(paths: &[PathBuf]) -> Result<Vec<PathBuf>, GenError> {
+/// Returns the files that paths name, in their order. A folder stands for its files with elevation or imagery by name, unless
+/// it is a folder of web tiles; a file name with `*` or `?` for the files that match it; a text file for the paths in its
+/// lines, relative to it. Addresses stand for themselves.
+pub(crate) fn expand(paths: &[PathBuf], content: TileContent) -> Result<Vec<PathBuf>, GenError> {
+    let (extensions, none) = match content {
+        TileContent::Heights => (ELEVATION, "a folder without elevation files and without tiles z/x/y.png"),
+        TileContent::Colors => (IMAGERY, "a folder without images and without tiles z/x/y.png, .jpg or .webp"),
+    };
     let mut files = Vec::new();
     for path in paths {
         let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-        if path.is_dir() && !is_folder_of_tiles(path) {
-            let is_elevation = |file: &Path| {
+        if is_remote(path) {
+            files.push(path.clone());
+        } else if path.is_dir() && !is_folder_of_tiles(path) {
+            let is_wanted = |file: &Path| {
                 let extension = file.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
-                file.is_file() && extension.is_some_and(|extension| EXTENSIONS.contains(&extension.as_str()))
+                file.is_file() && extension.is_some_and(|extension| extensions.contains(&extension.as_str()))
             };
-            let found = files_of(path, is_elevation)?;
+            let found = files_of(path, is_wanted)?;
             if found.is_empty() {
-                return Err(GenError::invalid(path, "a folder without elevation files and without tiles z/x/y.png"));
+                return Err(GenError::invalid(path, none));
             }
             files.extend(found);
         } else if name.contains(['*', '?']) && !path.exists() {
@@ -45,7 +55,11 @@ pub(crate) fn expand(paths: &[PathBuf]) -> Result<Vec<PathBuf>, GenError> {
             let lines = text.lines().map(str::trim).filter(|line| !line.is_empty());
             let folder = path.parent().unwrap_or(Path::new(""));
             let before = files.len();
-            files.extend(lines.map(|line| folder.join(line)));
+            let file = |line: &str| match is_remote(Path::new(line)) {
+                true => PathBuf::from(line),
+                false => folder.join(line),
+            };
+            files.extend(lines.map(file));
             if files.len() == before {
                 return Err(GenError::invalid(path, "a list without files"));
             }
@@ -70,6 +84,24 @@ pub(crate) fn open_all(
         }
     }
     Err(rasters.first().map_or_else(|| GenError::Argument("--dem names no file".to_owned()), Raster::without_heights))
+}
+
+/// Replaces rasters by overviews of them, as coarse as samples at distances of `step` allow, east and north, in radians. Returns
+/// their number.
+pub(crate) fn use_overviews(
+    rasters: &mut [Raster],
+    step: [f64; 2],
+    options: &RasterOptions,
+    context: &Arc<SourceContext>,
+) -> Result<usize, GenError> {
+    let replace = |raster: &mut Raster| match raster.overview(step, options, context)? {
+        Some(overview) => {
+            *raster = overview;
+            Ok(1)
+        }
+        None => Ok(0),
+    };
+    rasters.par_iter_mut().map(replace).sum()
 }
 
 /// Returns the entries of a folder that pass a test, by name.

@@ -44,6 +44,7 @@ const DEPTHS: &[u32] = &[
 ];
 
 /// The tags GeoKeyDirectory and GeoDoubleParams.
+#[derive(Clone)]
 pub(crate) struct GeoKeys {
     directory: Vec<u16>,
     doubles: Vec<f64>,

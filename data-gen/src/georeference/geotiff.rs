@@ -5,12 +5,13 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use tiff_reader::source::{FileSource, TiffSource};
-use tiff_reader::{Ifd, OpenOptions, RasterLayout, TiffFile};
+use tiff_reader::{Ifd, OpenOptions, RasterLayout, TiffError, TiffFile};
 
 use super::geo_keys::{FOOT_M, GeoKeys, US_SURVEY_FOOT_M};
+use super::half_float;
 use super::transform::GeoTransform;
 use crate::GenError;
-use crate::store::{BlockGrid, FileState, Rect};
+use crate::store::{BlockCache, BlockGrid, FileState, Rect, RemoteBytes, is_remote};
 
 /// Largest number of pixels along a side.
 const MAX_SIDE: usize = 1 << 24;
@@ -19,6 +20,8 @@ const BLOCK_PIXELS: usize = 1 << 16;
 /// The largest tile or strip that is decoded by itself, in pixels. Files with larger ones are decoded as a whole.
 const MAX_BLOCK_PIXELS: usize = 1 << 22;
 
+/// The value of SampleFormat for floats.
+const FLOAT: u16 = 3;
 const NEW_SUBFILE_TYPE: u16 = 254;
 const MODEL_PIXEL_SCALE: u16 = 33550;
 const MODEL_TIEPOINT: u16 = 33922;
@@ -28,10 +31,13 @@ const GEO_DOUBLE_PARAMS: u16 = 34736;
 const GDAL_METADATA: u16 = 42112;
 const GDAL_NODATA: u16 = 42113;
 
-/// An open GeoTIFF. Its samples are read on request, by several threads at the same time.
+/// An image of an open GeoTIFF: the first one, or an overview of it. Its samples are read on request, by several threads at
+/// the same time.
 pub(crate) struct Tiff {
     pub(super) path: PathBuf,
-    pub(super) file: TiffFile,
+    pub(super) file: Arc<TiffFile>,
+    /// The number of the image in the file.
+    pub(super) index: usize,
     pub(super) layout: RasterLayout,
     /// The mask: a further image of the file, or the file beside it with the extension `msk`.
     pub(super) mask: Option<Mask>,
@@ -49,38 +55,64 @@ pub(crate) struct Tiff {
 
 /// An image whose samples other than 0 mark pixels with data.
 pub(super) struct Mask {
-    /// The file beside the image; `None` if the mask is an image of the same file.
-    pub beside: Option<TiffFile>,
+    pub file: Arc<TiffFile>,
     pub index: usize,
 }
 
+/// The bytes of a file on a server, for the decoder.
+struct RemoteSource(RemoteBytes);
+
+impl TiffSource for RemoteSource {
+    fn len(&self) -> u64 {
+        self.0.size()
+    }
+
+    fn read_exact_at(&self, offset: u64, len: usize) -> Result<Vec<u8>, TiffError> {
+        self.0.read(offset, len).map_err(|e| TiffError::Io(std::io::Error::other(e), String::new()))
+    }
+}
+
 impl Tiff {
-    /// Opens a TIFF and reads its tags.
-    pub fn open(path: &Path) -> Result<Self, GenError> {
-        Self::open_caching(path, 0)
+    /// Opens a TIFF, which may be on a server, and reads its tags.
+    pub fn open(path: &Path, cache: &Arc<BlockCache>) -> Result<Self, GenError> {
+        Self::open_caching(path, 0, cache)
     }
 
     /// Opens a TIFF whose reader keeps decoded tiles and strips of a number of bytes. Without them a tile is decoded again for
     /// each rectangle that is read from it.
-    pub fn open_caching(path: &Path, cache_bytes: usize) -> Result<Self, GenError> {
-        let state = FileState::of(path)?;
-        let source = FileSource::open(path).map_err(|e| GenError::invalid(path, format!("TIFF: {e}")))?;
-        let beside = mask_beside(path);
-        Self::of_source(path, Arc::new(source), beside, Some(state), cache_bytes)
+    pub fn open_caching(path: &Path, cache_bytes: usize, cache: &Arc<BlockCache>) -> Result<Self, GenError> {
+        let (source, state): (Arc<dyn TiffSource>, _) = match is_remote(path) {
+            true => (Arc::new(RemoteSource(RemoteBytes::open(path, cache)?)), None),
+            false => {
+                let state = FileState::of(path)?;
+                let source = FileSource::open(path).map_err(|e| failed(path, e))?;
+                (Arc::new(source), Some(state))
+            }
+        };
+        let options = OpenOptions { block_cache_bytes: cache_bytes, ..OpenOptions::default() };
+        let bad = |e| failed(path, e);
+        let file = TiffFile::from_source_with_options(Arc::clone(&source), options).map_err(bad)?;
+        let Some(integers) = half_float::as_integers(&file, &source).map_err(bad)? else {
+            return Self::of_image(path, Arc::new(file), 0, false, state);
+        };
+        let file = TiffFile::from_source_with_options(integers, options).map_err(bad)?;
+        Self::of_image(path, Arc::new(file), 0, true, state)
     }
 
-    fn of_source(
+    /// Reads the tags of an image.
+    fn of_image(
         path: &Path,
-        source: Arc<dyn TiffSource>,
-        beside: Option<TiffFile>,
+        file: Arc<TiffFile>,
+        index: usize,
+        is_half: bool,
         state: Option<FileState>,
-        cache_bytes: usize,
     ) -> Result<Self, GenError> {
-        let bad = |e: tiff_reader::TiffError| GenError::invalid(path, format!("TIFF: {e}"));
-        let options = OpenOptions { block_cache_bytes: cache_bytes, ..OpenOptions::default() };
-        let file = TiffFile::from_source_with_options(source, options).map_err(bad)?;
-        let ifd = file.ifd(0).map_err(bad)?;
-        let layout = ifd.raster_layout().map_err(bad)?;
+        let bad = |e: TiffError| failed(path, e);
+        let ifd = file.ifd(index).map_err(bad)?;
+        let mut layout = ifd.raster_layout().map_err(bad)?;
+        if is_half {
+            layout.sample_format = FLOAT;
+        }
         let (width, height) = (layout.width, layout.height);
         if width == 0 || height == 0 || width.max(height) > MAX_SIDE {
             return Err(GenError::invalid(
@@ -97,9 +129,47 @@ impl Tiff {
         let nodata =
             if nodata.contains("#IND") || nodata.contains("#QNAN") { Some(f64::NAN) } else { nodata.parse().ok() };
         let (transform, gdal) = (transform(ifd, &keys), text(GDAL_METADATA).to_owned());
-        let mask = mask(&file, beside, [width, height]);
+        let mask = mask(path, &file, [width, height]);
         let path = path.to_owned();
-        Ok(Self { path, layout, mask, missing, width, height, transform, keys, nodata, gdal, state, file })
+        Ok(Self { path, layout, mask, missing, width, height, transform, keys, nodata, gdal, state, file, index })
+    }
+
+    /// Returns the overviews, largest first: images of the file that say so, or those of the file beside it with the extension
+    /// `ovr`. Those with other channels are left out.
+    pub fn overviews(&self) -> Vec<Self> {
+        let is_overview = |ifd: &Ifd| {
+            let kind = ifd.tag(NEW_SUBFILE_TYPE).and_then(|tag| tag.value.as_u32()).unwrap_or(0);
+            // Bit 0 marks an image of a lower resolution, bit 2 a mask.
+            kind & 5 == 1
+        };
+        let own = self.file.ifds().iter().enumerate().filter(|(_, ifd)| is_overview(ifd));
+        let mut images: Vec<(Arc<TiffFile>, usize)> = own.map(|(index, _)| (self.file.clone(), index)).collect();
+        if images.is_empty()
+            && let Some(beside) = beside(&self.path, "ovr")
+        {
+            let is_mask =
+                |ifd: &Ifd| ifd.tag(NEW_SUBFILE_TYPE).and_then(|tag| tag.value.as_u32()).unwrap_or(0) & 4 != 0;
+            let found = beside.ifds().iter().enumerate().filter(|(_, ifd)| !is_mask(ifd));
+            images = found.map(|(index, _)| (beside.clone(), index)).collect();
+        }
+        let like = |l: &RasterLayout| (l.samples_per_pixel, l.bits_per_sample, l.sample_format);
+        let open = |(file, index): (Arc<TiffFile>, usize)| {
+            let is_half = self.is_half() && Arc::ptr_eq(&file, &self.file);
+            let image = Self::of_image(&self.path, file, index, is_half, self.state).ok()?;
+            let [own, full] = [[image.width, image.height], [self.width, self.height]];
+            let is_smaller = own[0] <= full[0] && own[1] <= full[1] && own != full;
+            let is_like = like(&image.layout) == like(&self.layout) && is_smaller;
+            let (transform, keys, gdal) = (self.transform, self.keys.clone(), self.gdal.clone());
+            is_like.then_some(Self { transform, keys, gdal, nodata: self.nodata, ..image })
+        };
+        let mut overviews: Vec<Self> = images.into_iter().filter_map(open).collect();
+        overviews.sort_by_key(|image| std::cmp::Reverse(image.width * image.height));
+        overviews
+    }
+
+    /// Returns true for 16-bit floats.
+    fn is_half(&self) -> bool {
+        (self.layout.sample_format, self.layout.bits_per_sample) == (FLOAT, 16)
     }
 
     /// Returns the number of channels.
@@ -248,27 +318,39 @@ impl MissingBlocks {
     }
 }
 
-/// Opens the mask beside an image.
-fn mask_beside(path: &Path) -> Option<TiffFile> {
+/// Returns the error of a decoder. Errors of a server are returned as they are.
+pub(super) fn failed(path: &Path, error: TiffError) -> GenError {
+    match error {
+        TiffError::Io(e, name) => match e.downcast::<GenError>() {
+            Ok(error) => error,
+            Err(e) => GenError::invalid(path, format!("TIFF: {}", TiffError::Io(e, name))),
+        },
+        e => GenError::invalid(path, format!("TIFF: {e}")),
+    }
+}
+
+/// Opens the file beside an image with one more extension.
+fn beside(path: &Path, extension: &str) -> Option<Arc<TiffFile>> {
     let mut beside = path.as_os_str().to_owned();
-    beside.push(".msk");
+    beside.push(".");
+    beside.push(extension);
     let beside = Path::new(&beside);
-    beside.is_file().then(|| TiffFile::open(beside).ok()).flatten()
+    beside.is_file().then(|| TiffFile::open(beside).ok().map(Arc::new)).flatten()
 }
 
 /// Finds the mask of an image of a size: an image of the file that says so, or the file beside it.
-fn mask(file: &TiffFile, beside: Option<TiffFile>, size: [usize; 2]) -> Option<Mask> {
+fn mask(path: &Path, file: &Arc<TiffFile>, size: [usize; 2]) -> Option<Mask> {
     let is_mask = |ifd: &Ifd| {
         let kind = ifd.tag(NEW_SUBFILE_TYPE).and_then(|tag| tag.value.as_u32()).unwrap_or(0);
-        // Bit 2 marks a mask, bit 0 an image of a lower resolution.
-        kind & 5 == 4 && is_image_of(ifd, size)
+        // Bit 2 marks a mask. Bit 0 marks that of an overview, which has another size.
+        kind & 4 == 4 && is_image_of(ifd, size)
     };
     if let Some(index) = file.ifds().iter().position(is_mask) {
-        return Some(Mask { beside: None, index });
+        return Some(Mask { file: file.clone(), index });
     }
-    let beside = beside?;
-    let is_mask = beside.ifd(0).is_ok_and(|ifd| is_image_of(ifd, size));
-    is_mask.then_some(Mask { beside: Some(beside), index: 0 })
+    let file = beside(path, "msk")?;
+    let index = file.ifds().iter().position(|ifd| is_image_of(ifd, size))?;
+    Some(Mask { file, index })
 }
 
 /// Returns true if an image has a size and samples of one byte at most.

@@ -5,6 +5,7 @@ use std::f64::consts::{PI, TAU};
 use std::path::Path;
 
 use super::crs::Crs;
+use super::datum_grid::DatumGrid;
 use super::geotiff::Tiff;
 use super::transform::GeoTransform;
 use crate::GenError;
@@ -42,6 +43,29 @@ impl Placement {
     /// Adds a whole turn to the longitudes.
     pub fn turned_east(self) -> Self {
         Self { turn: self.turn + TAU, ..self }
+    }
+
+    /// Returns the placement of an image of a size in a system that a grid shifts to WGS84, unless the system's datum is WGS84.
+    /// The error is the reason.
+    pub fn shifted_by(self, grid: &DatumGrid, size: [usize; 2]) -> Result<Self, String> {
+        let Crs::Projection(projection) = &self.crs else { return Ok(self) };
+        let Some(shifted) = projection.with_grid(&grid.name)? else { return Ok(self) };
+        let shifted = Self { crs: Crs::Projection(shifted), ..self };
+        grid.set_used();
+        let [width, height] = size.map(|side| side as f64);
+        let corners = [[0.5, 0.5], [width - 0.5, 0.5], [0.5, height - 0.5], [width - 0.5, height - 0.5]];
+        let is_inside = |[column, row]: [f64; 2]| shifted.longitude_latitude(column, row).iter().all(|c| c.is_finite());
+        match corners.into_iter().all(is_inside) {
+            true => Ok(shifted),
+            false => Err("reaches beyond the grid of --datum-grid".to_owned()),
+        }
+    }
+
+    /// Returns the placement of the same image with pixels that are wider and higher by factors.
+    pub fn scaled(&self, [wider, higher]: [f64; 2]) -> Self {
+        let GeoTransform { origin, dx, dy } = self.transform;
+        let transform = GeoTransform { origin, dx: dx.map(|d| d * wider), dy: dy.map(|d| d * higher) };
+        Self { transform, ..self.clone() }
     }
 
     /// Returns the longitude and latitude in radians of a column and row. Whole numbers are pixel corners.

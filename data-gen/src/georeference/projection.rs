@@ -1,6 +1,6 @@
 //! Projections and datums of EPSG by PROJ's formulas (crate `proj4rs`), from definitions in PROJ's notation.
 //!
-//! Datum shifts by grids are not applied; those by parameters (`+towgs84`) are.
+//! Datum shifts by parameters (`+towgs84`) are applied; those by grids if the user names one ([`super::DatumGrid`]).
 
 use std::sync::Arc;
 
@@ -38,6 +38,24 @@ impl Projection {
         Ok(Self { definition: definition.into(), systems: Arc::new(Systems { own, wgs84 }) })
     }
 
+    /// Returns the same system with the shift of a grid to WGS84, which has a name for `proj4rs`. `None` if its datum is WGS84 or
+    /// one that is read as the same. The error is the reason.
+    pub(super) fn with_grid(&self, name: &str) -> Result<Option<Self>, String> {
+        let parts = || self.definition.split_whitespace();
+        let value = |key: &str| parts().find_map(|part| part.strip_prefix(key));
+        let of_datum = value("+datum=").and_then(ellipsoid_of);
+        let is_shifted = value("+towgs84=").is_some_and(|shift| shift.split(',').any(|n| n.trim().parse() != Ok(0.0)));
+        let is_foreign = value("+ellps=").is_some_and(|name| !matches!(name, "WGS84" | "GRS80"));
+        if of_datum.is_none() && !is_shifted && !is_foreign && value("+nadgrids=").is_none() {
+            return Ok(None);
+        }
+        let is_kept = |part: &&str| !["+towgs84=", "+datum=", "+nadgrids="].iter().any(|key| part.starts_with(key));
+        let mut definition: Vec<String> = parts().filter(is_kept).map(str::to_owned).collect();
+        definition.extend(of_datum.map(|ellipsoid| format!("+ellps={ellipsoid}")));
+        definition.push(format!("+nadgrids={name}"));
+        Self::new(&definition.join(" ")).map(Some)
+    }
+
     /// Returns the size of the unit of coordinates in metres, `None` for degrees.
     pub fn unit_m(&self) -> Option<f64> {
         let own = &self.systems.own;
@@ -69,4 +87,17 @@ impl Projection {
             Err(_) => [f64::NAN; 2],
         }
     }
+}
+
+/// Returns the ellipsoid of a datum in PROJ's notation, if it is not that of WGS84 or nearly so.
+fn ellipsoid_of(datum: &str) -> Option<&'static str> {
+    Some(match datum {
+        "potsdam" | "hermannskogel" => "bessel",
+        "carthage" => "clrk80ign",
+        "NAD27" => "clrk66",
+        "ire65" => "mod_airy",
+        "nzgd49" => "intl",
+        "OSGB36" => "airy",
+        _ => return None,
+    })
 }

@@ -2,9 +2,10 @@
 //!
 //! Blocks that a sparse file leaves out, samples equal to the nodata value, and samples that a mask hides have no data.
 
+use exr::prelude::f16;
 use tiff_reader::{ByteOrder, ColorModel, ExtraSample, RasterLayout, TiffError};
 
-use super::geotiff::Tiff;
+use super::geotiff::{Tiff, failed};
 use crate::GenError;
 use crate::store::Rect;
 
@@ -48,20 +49,20 @@ impl Tiff {
         if self.has_plain_rows() {
             return self.plain_rows(channel, r);
         }
-        let read = self.file.read_band_window_bytes(0, channel, r.row, r.column, r.height, r.width);
-        read.map_err(|e| self.bad(e))
+        let read = self.file.read_band_window_bytes(self.index, channel, r.row, r.column, r.height, r.width);
+        read.map_err(|e| failed(&self.path, e))
     }
 
     /// Returns true if rows of the file can be read without the rows above: strips without compression.
     pub(super) fn has_plain_rows(&self) -> bool {
-        let Ok(ifd) = self.file.ifd(0) else { return false };
+        let Ok(ifd) = self.file.ifd(self.index) else { return false };
         let is_plain = ifd.compression() == 1 && ifd.predictor() == 1 && ifd.fill_order() == 1;
         is_plain && !ifd.is_tiled() && self.layout.bits_per_sample as usize == 8 * self.layout.bytes_per_sample
     }
 
     /// Reads rows of strips without compression.
     fn plain_rows(&self, channel: usize, r: Rect) -> Result<Vec<u8>, GenError> {
-        let ifd = self.file.ifd(0).map_err(|e| self.bad(e))?;
+        let ifd = self.file.ifd(self.index).map_err(|e| failed(&self.path, e))?;
         let (offsets, counts) = (ifd.strip_offsets().unwrap_or_default(), ifd.strip_byte_counts().unwrap_or_default());
         let (bytes, is_planar) = (self.layout.bytes_per_sample, self.layout.planar_configuration == 2);
         let (stride, first) = if is_planar { (bytes, 0) } else { (bytes * self.channels(), bytes * channel) };
@@ -83,7 +84,7 @@ impl Tiff {
                 return Err(self.bad(format!("row {row} ends beyond its strip of {count} bytes")));
             }
             let stored = self.file.source().read_exact_at(offset.saturating_add(start), length);
-            let stored = stored.map_err(|e| self.bad(e))?;
+            let stored = stored.map_err(|e| failed(&self.path, e))?;
             samples.extend(stored.chunks_exact(stride).flat_map(|pixel| &pixel[first..first + bytes]));
         }
         let is_native = (self.file.byte_order() == ByteOrder::LittleEndian) == cfg!(target_endian = "little");
@@ -97,15 +98,15 @@ impl Tiff {
     /// transparent.
     pub fn rgba(&self, r: Rect) -> Result<Vec<[u8; 4]>, GenError> {
         self.check_unchanged()?;
-        let bad = |e: TiffError| self.bad(e);
-        let ifd = self.file.ifd(0).map_err(bad)?;
+        let bad = |e: TiffError| failed(&self.path, e);
+        let ifd = self.file.ifd(self.index).map_err(bad)?;
         let decoded = ifd.decoded_raster_layout().map_err(bad)?;
-        if decoded.sample_format != 1 || !matches!(decoded.bytes_per_sample, 1 | 2) {
+        if decoded.sample_format != 1 || self.layout.sample_format == 3 || !matches!(decoded.bytes_per_sample, 1 | 2) {
             return Err(self.bad("imagery must have 8 bits per channel or 16, without sign"));
         }
         let channels = Channels::of(&ifd.color_model().map_err(bad)?).map_err(|e| GenError::invalid(&self.path, e))?;
         let (count, wide) = (decoded.samples_per_pixel, decoded.bytes_per_sample == 2);
-        let bytes = self.file.read_decoded_window_bytes(0, r.row, r.column, r.height, r.width).map_err(bad)?;
+        let bytes = self.file.read_decoded_window_bytes(self.index, r.row, r.column, r.height, r.width).map_err(bad)?;
         let mask = self.mask_in(r)?;
         let nodata = self.nodata_in(channels.stored_colors, r)?;
         let value = |pixel: usize, channel: usize| {
@@ -136,9 +137,8 @@ impl Tiff {
     /// Returns the samples of the mask in a rectangle, `None` without a mask.
     fn mask_in(&self, r: Rect) -> Result<Option<Vec<u8>>, GenError> {
         let Some(mask) = &self.mask else { return Ok(None) };
-        let file = mask.beside.as_ref().unwrap_or(&self.file);
-        let read = file.read_band_window_bytes(mask.index, 0, r.row, r.column, r.height, r.width);
-        read.map(Some).map_err(|e| self.bad(e))
+        let read = mask.file.read_band_window_bytes(mask.index, 0, r.row, r.column, r.height, r.width);
+        read.map(Some).map_err(|e| failed(&self.path, e))
     }
 
     /// Returns for each pixel of a rectangle whether its first `colors` stored channels all have the nodata value; `None`
@@ -147,8 +147,8 @@ impl Tiff {
         let Some(nodata) = self.nodata else { return Ok(None) };
         let mut all = vec![true; r.pixels()];
         for channel in 0..colors.min(self.channels()) {
-            let bytes = self.file.read_band_window_bytes(0, channel, r.row, r.column, r.height, r.width);
-            let bytes = bytes.map_err(|e| self.bad(e))?;
+            let bytes = self.file.read_band_window_bytes(self.index, channel, r.row, r.column, r.height, r.width);
+            let bytes = bytes.map_err(|e| failed(&self.path, e))?;
             for (all, value) in all.iter_mut().zip(values(&bytes, &self.layout).into_iter().flatten()) {
                 *all &= value == nodata;
             }
@@ -211,6 +211,7 @@ fn values<'a>(bytes: &'a [u8], layout: &RasterLayout) -> Option<Box<dyn Iterator
         (2, 2) => of(bytes, |b| i16::from_ne_bytes(b).into()),
         (2, 4) => of(bytes, |b| i32::from_ne_bytes(b).into()),
         (2, 8) => of(bytes, |b| i64::from_ne_bytes(b) as f64),
+        (3, 2) => of(bytes, |b| f16::from_ne_bytes(b).to_f64()),
         (3, 4) => of(bytes, |b| f32::from_ne_bytes(b).into()),
         (3, 8) => of(bytes, f64::from_ne_bytes),
         _ => return None,

@@ -5,6 +5,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use lru::LruCache;
 
+use super::remote::Servers;
 use super::spill::SpillFile;
 use crate::GenError;
 
@@ -25,6 +26,7 @@ pub(crate) struct BlockCache {
     budget_bytes: usize,
     images: AtomicU64,
     spill: Arc<SpillFile>,
+    servers: Servers,
     /// No thread decodes while it holds this lock.
     held: Mutex<Held>,
 }
@@ -45,12 +47,23 @@ impl BlockCache {
     /// Creates a cache for this many bytes of decoded blocks.
     pub fn new(budget_bytes: usize) -> Self {
         let held = Held { entries: LruCache::unbounded(), bytes: 0 };
-        Self { budget_bytes, images: AtomicU64::new(0), spill: Arc::default(), held: Mutex::new(held) }
+        Self {
+            budget_bytes,
+            images: AtomicU64::new(0),
+            spill: Arc::default(),
+            servers: Servers::default(),
+            held: Mutex::new(held),
+        }
     }
 
     /// Returns the temporary file for images that are decoded as a whole.
     pub fn spill(&self) -> &Arc<SpillFile> {
         &self.spill
+    }
+
+    /// Returns the files on servers.
+    pub fn servers(&self) -> &Servers {
+        &self.servers
     }
 
     /// Returns a number for an image that no other image of this cache has.

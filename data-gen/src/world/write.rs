@@ -44,7 +44,7 @@ pub(crate) fn check_world(args: &GenArgs) -> Result<(), String> {
         Some(_) if args.tiles != TileArgs::default() => {
             Err("--mesh, --no-meshopt and --texture have no effect with --world".to_owned())
         }
-        Some(_) if args.imagery.is_some() => Err("--imagery has no effect with --world".to_owned()),
+        Some(_) if !args.imagery.is_empty() => Err("--imagery has no effect with --world".to_owned()),
         None if args.world.center.is_some() || args.world.globe => {
             Err("--center and --globe have no effect without --world".to_owned())
         }

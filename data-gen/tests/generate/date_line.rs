@@ -107,7 +107,7 @@ fn imagery_beyond_the_date_line_is_used() {
     image::RgbImage::from_pixel(8, 8, image::Rgb([250, 10, 10])).save(&image_path).unwrap();
     // The image covers only the part beyond the date line.
     std::fs::write(image_path.with_extension("pgw"), "0.002\n0\n0\n-0.006\n-179.999\n46.5\n").unwrap();
-    let set = GenArgs { imagery: Some(image_path), ..args(dem, folder.path().join("set")) };
+    let set = GenArgs { imagery: vec![image_path], ..args(dem, folder.path().join("set")) };
     run(&set).unwrap();
     let red = |x: u32| {
         let tile = image::open(set.out.join(format!("2/{x}/2.jpg"))).unwrap().into_rgb8();

@@ -155,7 +155,7 @@ fn projected_images_need_a_named_system_as_well() {
     image::RgbImage::from_pixel(8, 8, image::Rgb([250, 10, 10])).save(&path).unwrap();
     let [x, y] = terrane_data_gen::utm_from_geodetic(32, true, 7.51f64.to_radians(), 46.49f64.to_radians());
     world(&path, ([x, y], 100.0));
-    let args = GenArgs { imagery: Some(path), ..args };
+    let args = GenArgs { imagery: vec![path], ..args };
     refused(&args, "--epsg CODE names it");
     run(&GenArgs { epsg: Some(UTM_32), ..args }).unwrap();
 }

@@ -67,7 +67,7 @@ fn each_sample_file_becomes_a_set_with_its_heights() {
         let raster = Raster::read(&path).unwrap();
         let args = GenArgs {
             dem: vec![path],
-            imagery: name.contains("rainier").then(|| imagery.clone()),
+            imagery: name.contains("rainier").then(|| imagery.clone()).into_iter().collect(),
             levels: Some(2),
             ..GenArgs::new(out.path().join(name))
         };
@@ -103,7 +103,7 @@ fn inputs_that_failed_are_right() {
     assert!(tall.max_height_m > 12_000.0 && tall.cut_samples == 0 && !tall.notes.is_empty(), "{tall}");
     let with_image = |name: &str, image: &str| {
         let args = args(name, "dem.tif");
-        let args = GenArgs { imagery: Some(folder.join(name).join(image)), overwrite: true, ..args };
+        let args = GenArgs { imagery: vec![folder.join(name).join(image)], overwrite: true, ..args };
         let levels = run(&args).unwrap().levels;
         (levels, image::open(args.out.join("0/0/0.jpg")).unwrap().into_rgb8())
     };

@@ -25,5 +25,7 @@ pub use pmtiles::fuzz_pmtiles;
 pub(crate) use remote::parse_content_range;
 #[cfg(feature = "http")]
 pub(crate) use remote::{MemberUri, RemoteArchives};
+#[cfg(feature = "http")]
+pub use remote::{RemoteFile, RemoteFiles};
 #[cfg(feature = "testing")]
 pub use zip::fuzz_index;

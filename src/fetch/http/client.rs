@@ -68,6 +68,11 @@ impl HttpClient {
         Self { cache_policy: CachePolicy::AlwaysRevalidate, ..self.clone() }
     }
 
+    /// Returns the transport that requests are sent by.
+    pub(in crate::fetch) fn transport(&self) -> &Transport {
+        &self.transport
+    }
+
     /// Returns the configuration.
     pub fn config(&self) -> &HttpConfig {
         self.transport.config()

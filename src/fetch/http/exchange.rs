@@ -252,7 +252,7 @@ impl Exchange<'_> {
             limit = limit.min(MAX_INSTEAD_OF_RANGE_BYTES);
         }
         let too_large = |got: u64| match is_instead {
-            true => IoError::unsupported(uri, "an archive on a server without range requests"),
+            true => IoError::unsupported(uri, "a large file on a server without range requests"),
             false => IoError::TooLarge { uri: uri.to_owned(), what: "answer", got, limit },
         };
         if let Some(length) = length.filter(|l| *l > limit) {

@@ -3,21 +3,19 @@
 mod ascii_grid;
 mod exr;
 mod hgt;
-mod pmtiles;
 mod png;
 mod tiff;
 mod web_tiles;
 
-use std::io::Read as _;
 use std::path::Path;
 use std::sync::Arc;
 
 use super::context::SourceContext;
 use crate::GenError;
 use crate::georeference::{Crs, Placement};
-use crate::store::{BlockGrid, BlockReader};
+use crate::store::{BlockGrid, BlockReader, first_bytes, is_remote};
+use crate::web_tiles::is_archive;
 pub(crate) use png::rows as png_rows;
-pub(crate) use web_tiles::is_folder_of_tiles;
 
 /// Largest number of samples in a file that is decoded as a whole.
 const MAX_SAMPLES: usize = 1 << 36;
@@ -81,27 +79,48 @@ fn height_bits(heights: Vec<f32>) -> Vec<u32> {
 /// Opens an elevation file or a folder of web tiles, and reads its header. The format is recognised by the first bytes, HGT by
 /// the extension of its name.
 pub(super) fn open(path: &Path, options: &RasterOptions, context: &Arc<SourceContext>) -> Result<Opened, GenError> {
-    if path.is_dir() && is_folder_of_tiles(path) {
-        return web_tiles::open(path, options);
+    if is_archive(path, &context.cache)? {
+        return web_tiles::open(path, options, &context.cache);
     }
-    GenError::if_not_regular(path)?;
-    let mut magic = [0u8; 8];
-    let mut file = std::fs::File::open(path).map_err(GenError::file(path))?;
-    let got = file.read(&mut magic).map_err(GenError::file(path))?;
+    let magic = first_bytes(path, &context.cache)?;
+    if is_remote(path) && !is_tiff(&magic) {
+        return Err(GenError::invalid(
+            path,
+            "neither GeoTIFF nor PMTiles; files of other formats are read from disks only",
+        ));
+    }
     let is_hgt = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("hgt"));
-    match &magic[..got] {
+    match &magic[..] {
         _ if is_hgt => hgt::open(path),
-        [b'I', b'I', 42 | 43, 0, ..] | [b'M', b'M', 0, 42 | 43, ..] => tiff::open(path, options, context),
+        _ if is_tiff(&magic) => tiff::open(path, options, context),
         [0x89, b'P', b'N', b'G', ..] => png::open(path, options, &context.cache),
         [0x76, 0x2f, 0x31, 0x01, ..] => exr::open(path, options, &context.cache),
-        [b'P', b'M', b'T', b'i', b'l', b'e', b's', ..] => pmtiles::open(path, options),
         [b'P', b'K', 3, 4, ..] => hgt::open_zip(path, &context.cache),
         [n, c, ..] if n.eq_ignore_ascii_case(&b'n') && c.eq_ignore_ascii_case(&b'c') => {
             ascii_grid::open(path, options, &context.cache)
         }
         _ => Err(GenError::invalid(
             path,
-            "neither GeoTIFF, HGT (or a zip file of one), PNG, EXR, PMTiles nor an ASCII grid",
+            "neither GeoTIFF, HGT (or a zip file of one), PNG, EXR, PMTiles, MBTiles nor an ASCII grid",
         )),
     }
+}
+
+/// Opens an overview of a TIFF ([`tiff::open_overview`]); `None` for other formats.
+pub(super) fn open_overview(
+    path: &Path,
+    factors: [f64; 2],
+    options: &RasterOptions,
+    context: &Arc<SourceContext>,
+    placement: &Placement,
+) -> Result<Option<Opened>, GenError> {
+    if is_archive(path, &context.cache)? || !is_tiff(&first_bytes(path, &context.cache)?) {
+        return Ok(None);
+    }
+    tiff::open_overview(path, factors, options, context, placement)
+}
+
+/// Returns true if a file begins like a TIFF.
+fn is_tiff(magic: &[u8]) -> bool {
+    matches!(magic, [b'I', b'I', 42 | 43, 0, ..] | [b'M', b'M', 0, 42 | 43, ..])
 }

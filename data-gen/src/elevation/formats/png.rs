@@ -5,10 +5,11 @@ use std::path::{Path, PathBuf};
 
 use png::{BitDepth, ColorType, Decoder, Transformations};
 
-use super::{HeightEncoding, MAX_SAMPLES_PER_BYTE, Opened, RasterOptions, web_tiles};
+use super::{HeightEncoding, MAX_SAMPLES_PER_BYTE, Opened, RasterOptions};
 use crate::GenError;
 use crate::georeference::Placement;
 use crate::store::{BlockCache, FileState, WholeReader, whole};
+use crate::web_tiles::tile_of;
 
 /// A PNG file with heights.
 struct PngFile {
@@ -22,7 +23,7 @@ pub(super) fn open(path: &Path, options: &RasterOptions, cache: &BlockCache) -> 
     let state = FileState::of(path)?;
     let reader = || Ok(BufReader::new(std::fs::File::open(path).map_err(GenError::file(path))?));
     let size = size(reader()?, path, options, state.bytes())?;
-    let placement = match web_tiles::tile_of(path).filter(|_| !Placement::has_world_file(path)) {
+    let placement = match tile_of(path).filter(|_| !Placement::has_world_file(path)) {
         Some(tile) => tile.placement(size),
         None => Placement::of_image(path, size, options.crs.clone())?,
     };

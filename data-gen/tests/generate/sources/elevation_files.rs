@@ -287,7 +287,7 @@ fn longitudes_beyond_180_degrees_wrap_around() {
         let imagery = folder.path().join("world.png");
         image::RgbImage::from_pixel(8, 4, image::Rgb([250, 10, 10])).save(&imagery).unwrap();
         fs::write(imagery.with_extension("pgw"), "45\n0\n0\n-45\n22.5\n67.5\n").unwrap();
-        run(&GenArgs { imagery: Some(imagery), overwrite: true, ..args }).unwrap();
+        run(&GenArgs { imagery: vec![imagery], overwrite: true, ..args }).unwrap();
     }
     for (name, west) in [("far.tif", 3600.0), ("far-too.tif", -3600.0)] {
         let place = Place { tie_deg: [west, 46.5], ..PLACE };
@@ -410,12 +410,12 @@ fn paths_that_are_not_regular_files_are_refused() {
     rustix::fs::mkfifoat(rustix::fs::CWD, &pipe, mode).unwrap();
     for path in [Path::new("/dev/null"), &pipe] {
         refused(&GenArgs { dem: vec![path.to_owned()], ..good.clone() }, path, "is not a regular file");
-        refused(&GenArgs { imagery: Some(path.to_owned()), ..good.clone() }, path, "is not a regular file");
+        refused(&GenArgs { imagery: vec![path.to_owned()], ..good.clone() }, path, "is not a regular file");
     }
     let empty = folder.path().join("empty");
     fs::create_dir(&empty).unwrap();
     refused(&GenArgs { dem: vec![empty.clone()], ..good.clone() }, &empty, "a folder without elevation files");
-    refused(&GenArgs { imagery: Some(empty.clone()), ..good.clone() }, &empty, "is not a regular file");
+    refused(&GenArgs { imagery: vec![empty.clone()], ..good.clone() }, &empty, "a folder without images");
     // The error comes before anything is generated.
     let link = folder.path().join("link");
     std::os::unix::fs::symlink("nowhere", &link).unwrap();
@@ -454,18 +454,18 @@ fn bad_imagery_and_arguments_are_refused() {
     let args = from_dem(folder.path(), "good.tif", &tiff_int16(&heights(), Some(PLACE), None));
     let path = folder.path().join("picture.tif");
     fs::write(&path, tiff_int16(&heights(), Some(PLACE), None)).unwrap();
-    refused(&GenArgs { imagery: Some(path.clone()), ..args.clone() }, &path, "8 bits per channel");
+    refused(&GenArgs { imagery: vec![path.clone()], ..args.clone() }, &path, "8 bits per channel");
     let path = folder.path().join("picture.jpg");
     fs::write(&path, b"\xff\xd8\xff\xe0 nothing").unwrap();
-    refused(&GenArgs { imagery: Some(path.clone()), ..args.clone() }, &path, "");
+    refused(&GenArgs { imagery: vec![path.clone()], ..args.clone() }, &path, "");
     let path = folder.path().join("elsewhere.png");
     image::RgbImage::from_pixel(8, 8, image::Rgb([250, 10, 10])).save(&path).unwrap();
     let world = |west: f64| fs::write(path.with_extension("pgw"), format!("0.0001\n0\n0\n-0.0001\n{west}\n46.48\n"));
     world(9.0).unwrap();
-    refused(&GenArgs { imagery: Some(path.clone()), ..args.clone() }, &path, "does not overlap the elevation");
+    refused(&GenArgs { imagery: vec![path.clone()], ..args.clone() }, &path, "does not overlap the elevation");
     // An image far smaller than a tile is used.
     world(7.52).unwrap();
-    run(&GenArgs { imagery: Some(path.clone()), overwrite: true, ..args.clone() }).unwrap();
+    run(&GenArgs { imagery: vec![path.clone()], overwrite: true, ..args.clone() }).unwrap();
     fs::remove_dir_all(&args.out).unwrap();
     for bad in [
         GenArgs { levels: Some(0), ..args.clone() },

@@ -1,8 +1,14 @@
-//! Elevation files of each kind and of any size, archives of tiles, what is kept of samples, and reference systems compared with PROJ.
+//! Elevation files of each kind and of any size, archives of tiles, files on servers, imagery, what is kept of samples, and reference systems compared with PROJ.
 
+mod bad_input;
+mod datum_grids;
 mod elevation_files;
 mod formats;
+mod imagery;
 mod large;
+#[cfg(feature = "mbtiles")]
+mod mbtiles;
 mod nothing_lost;
 mod proj_points;
+mod servers;
 pub mod tile_archives;

@@ -253,7 +253,7 @@ fn check_colors(folder: &Path, name: &str, imagery: Vec<Image>, expected: [Optio
     fs::write(&path, tiff(imagery)).unwrap();
     let plain = args(folder, &format!("{name}.dem.tif"), vec![elevation(slope)]);
     let ground = center_colors(&plain);
-    let found = center_colors(&GenArgs { imagery: Some(path), overwrite: true, ..plain });
+    let found = center_colors(&GenArgs { imagery: vec![path], overwrite: true, ..plain });
     for (k, expected) in expected.into_iter().enumerate() {
         let expected = expected.unwrap_or(ground[k]);
         let apart = (0..3).map(|c| found[k][c].abs_diff(expected[c])).max().unwrap();
@@ -355,7 +355,7 @@ fn imagery_finer_than_the_elevation_adds_levels() {
     let (dx, west, north) = (wide / f64::from(side), CORNER[0] + 0.5 * PIXEL[0], CORNER[1] - 0.5 * PIXEL[1]);
     let world = format!("{dx}\n0\n0\n-{}\n{}\n{}\n", wide / 8.0, west + 0.5 * dx, north - wide / 16.0);
     fs::write(path.with_extension("pgw"), world).unwrap();
-    let args = GenArgs { levels: None, imagery: Some(path), ..dem };
+    let args = GenArgs { levels: None, imagery: vec![path], ..dem };
     let summary = run(&args).unwrap();
     assert_eq!((summary.levels, summary.notes.len()), (3, 0));
     let luma = |file: PathBuf, x: u32| image::open(file).unwrap().into_luma8().get_pixel(x, 128).0[0];
@@ -384,7 +384,7 @@ fn sets_without_colour_have_no_images() {
     run(&meshes).unwrap();
     let glb = fs::read(meshes.out.join("0/0/0.glb")).unwrap();
     assert!(!glb.windows(6).any(|bytes| bytes == b"images"));
-    let both = GenArgs { imagery: Some(folder.path().join("a.png")), overwrite: true, ..plain };
+    let both = GenArgs { imagery: vec![folder.path().join("a.png")], overwrite: true, ..plain };
     assert!(run(&both).unwrap_err().to_string().contains("--imagery has no effect with --color none"));
 }
 

@@ -35,6 +35,10 @@ impl ArchiveIdentity {
         }
     }
 
+    pub fn etag(&self) -> Option<&str> {
+        self.etag.as_deref()
+    }
+
     pub fn is_stale(&self) -> bool {
         self.is_stale.load(Ordering::Relaxed)
     }

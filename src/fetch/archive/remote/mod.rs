@@ -1,4 +1,5 @@
-//! Archives on servers: directories and members by HTTP range requests. HTTP thread.
+//! Archives on servers: directories and members by HTTP range requests. HTTP thread. Parts of other files, for threads that
+//! may block.
 //!
 //! ```text
 //! RemoteArchives   which archives are open; the disk cache for their members
@@ -8,6 +9,7 @@
 //! ```
 
 mod archives;
+mod file;
 mod identity;
 mod part;
 mod pmtiles;
@@ -15,5 +17,6 @@ mod reread_limit;
 mod zip;
 
 pub(crate) use archives::{MemberUri, RemoteArchives};
+pub use file::{RemoteFile, RemoteFiles};
 #[cfg(feature = "testing")]
 pub(crate) use part::parse_content_range;

@@ -1,0 +1,137 @@
+//! Datum shifts by NTv2 grids that the user names.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use terrane_data_gen::{GenArgs, run};
+
+use crate::files::{from_dem, region, tileset};
+use crate::tiffs::{Image, Values, tiff};
+
+/// Returns an NTv2 grid of one shift in seconds, north and east, over degrees: west, south, east and north.
+fn ntv2(shift: [f32; 2], [west, south, east, north]: [f64; 4], is_little: bool) -> Vec<u8> {
+    let mut file = Vec::new();
+    let int = |n: u32| if is_little { n.to_le_bytes() } else { n.to_be_bytes() };
+    let double = |n: f64| if is_little { n.to_le_bytes() } else { n.to_be_bytes() };
+    let single = |n: f32| if is_little { n.to_le_bytes() } else { n.to_be_bytes() };
+    let mut record = |key: &str, value: &[u8]| {
+        file.extend(format!("{key:8}").bytes());
+        file.extend(value);
+        file.resize(file.len().next_multiple_of(16), 0);
+    };
+    for (key, n) in [("NUM_OREC", 11), ("NUM_SREC", 11), ("NUM_FILE", 1)] {
+        record(key, &int(n));
+    }
+    for (key, text) in
+        [("GS_TYPE", "SECONDS "), ("VERSION", "TEST    "), ("SYSTEM_F", "DHDN    "), ("SYSTEM_T", "ETRS89  ")]
+    {
+        record(key, text.as_bytes());
+    }
+    for key in ["MAJOR_F", "MINOR_F", "MAJOR_T", "MINOR_T"] {
+        record(key, &double(6_377_000.0));
+    }
+    for (key, text) in
+        [("SUB_NAME", "A       "), ("PARENT", "NONE    "), ("CREATED", "        "), ("UPDATED", "        ")]
+    {
+        record(key, text.as_bytes());
+    }
+    let seconds = [south, north, -east, -west, 1.0, 1.0].map(|degrees| degrees * 3600.0);
+    for (key, n) in ["S_LAT", "N_LAT", "E_LONG", "W_LONG", "LAT_INC", "LONG_INC"].into_iter().zip(seconds) {
+        record(key, &double(n));
+    }
+    let points = ((east - west + 1.0) * (north - south + 1.0)) as u32;
+    record("GS_COUNT", &int(points));
+    for _ in 0..points {
+        for n in [shift[0], -shift[1], 0.0, 0.0] {
+            file.extend(single(n));
+        }
+    }
+    file.extend(b"END     \0\0\0\0\0\0\0\0");
+    file
+}
+
+/// Returns options for a set from elevation in degrees of a datum, 8 to 8.6 degrees east and 46 degrees north.
+fn args(folder: &Path, datum: u16) -> GenArgs {
+    let keys = crate::files::geo_keys(&[[1024, 2], [1025, 1], [2048, datum]]);
+    let image = Image::new([60, 60], 16, 1, [1, 1].repeat(3600)).at([8.0, 46.0], [0.01; 2]);
+    from_dem(folder, "dem.tif", &tiff(vec![image.with(34735, Values::Short(keys))]))
+}
+
+fn write(folder: &Path, bytes: &[u8]) -> Option<PathBuf> {
+    let path = folder.join("grid.gsb");
+    fs::write(&path, bytes).unwrap();
+    Some(path)
+}
+
+#[test]
+fn grids_shift_datums_other_than_wgs84() {
+    let folder = tempfile::tempdir().unwrap();
+    // DHDN; without the grid EPSG's parameters shift by about 100 m.
+    let args = args(folder.path(), 4314);
+    let bounds = |args: &GenArgs| {
+        run(&GenArgs { overwrite: true, ..args.clone() }).unwrap();
+        region(&tileset(&args.out)["root"])
+    };
+    let plain = bounds(&args);
+    for is_little in [true, false] {
+        let grid = ntv2([3.6, 7.2], [5.0, 44.0, 12.0, 50.0], is_little);
+        let found = bounds(&GenArgs { datum_grid: write(folder.path(), &grid), ..args.clone() });
+        let expected = [8.007, 45.406, 8.597, 45.996f64].map(f64::to_radians);
+        assert!(found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-9), "{found:?}, not {expected:?}");
+        assert!((plain[0] - found[0]).abs() > 1e-7);
+    }
+}
+
+#[test]
+fn grids_without_effect_and_damaged_ones_are_errors() {
+    let folder = tempfile::tempdir().unwrap();
+    let grid = ntv2([3.6, 7.2], [5.0, 44.0, 12.0, 50.0], true);
+    let error = |datum: u16, bytes: &[u8]| {
+        let args = GenArgs { datum_grid: write(folder.path(), bytes), ..args(folder.path(), datum) };
+        run(&args).unwrap_err().to_string()
+    };
+    assert!(error(4326, &grid).contains("--datum-grid has no effect"));
+    let elsewhere = ntv2([3.6, 7.2], [15.0, 44.0, 22.0, 50.0], true);
+    assert!(error(4314, &elsewhere).contains("dem.tif: reaches beyond the grid of --datum-grid"));
+    for length in [0, 8, 100, 180, 400, grid.len() - 100] {
+        let reason = error(4314, &grid[..length]);
+        assert!(reason.contains("grid.gsb: NTv2 grid: "), "{length}: {reason}");
+    }
+    // Each number of the headers, replaced.
+    for at in (0..352).step_by(8) {
+        for value in [f64::NAN.to_le_bytes(), f64::INFINITY.to_le_bytes(), [255; 8], [0; 8]] {
+            let mut damaged = grid.clone();
+            damaged[at..at + 8].copy_from_slice(&value);
+            let args =
+                GenArgs { datum_grid: write(folder.path(), &damaged), overwrite: true, ..args(folder.path(), 4314) };
+            // What does not matter is not checked.
+            let _ = run(&args);
+        }
+    }
+    let none = GenArgs { datum_grid: write(folder.path(), &grid), ..GenArgs::new(folder.path().join("none")) };
+    assert!(run(&none).unwrap_err().to_string().contains("no effect without --dem or --imagery"));
+}
+
+/// Germany's grid, where PROJ's data is installed.
+#[test]
+fn positions_are_those_of_proj() {
+    let grid = Path::new("/usr/share/proj/BETA2007.gsb");
+    if !grid.is_file() {
+        println!("skipped: {} is not installed", grid.display());
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let header = "ncols 65\nnrows 65\nxllcenter 3500000\nyllcenter 5500000\ncellsize 30\n";
+    let heights: String = (0..65 * 65).map(|k| format!("{k} ")).collect();
+    let args = from_dem(folder.path(), "dem.asc", (header.to_owned() + &heights).as_bytes());
+    let epsg = terrane_data_gen::Crs::from_epsg(31467);
+    let args = GenArgs { epsg, datum_grid: Some(grid.to_owned()), ..args };
+    run(&args).unwrap();
+    // The corners by cs2cs with +proj=tmerc ... +nadgrids=BETA2007.gsb, PROJ 9.1.
+    let expected = [8.998_958_772_2, 49.636_705_371_3, 9.025_548_439_6, 49.653_971_034];
+    let found = region(&tileset(&args.out)["root"]);
+    for (found, expected) in found.iter().zip(expected) {
+        let apart_m = (found.to_degrees() - expected).abs() * 111_320.0;
+        assert!(apart_m < 0.005, "{found}: {apart_m} m");
+    }
+}
