@@ -8,7 +8,7 @@ use serde::Serialize;
 use super::info::{BoundsInfo, Info};
 use super::tree::read_companions;
 use crate::fetch::markup::text_and_first_byte;
-use crate::fetch::{IoError, Limits, Source, encoding};
+use crate::fetch::{IoError, Source, encoding};
 use crate::formats::options::{Content, ReadOptions};
 use crate::formats::osg;
 use crate::formats::read::decode_node;
@@ -40,7 +40,7 @@ pub(super) fn inspect_model(
     from: &Source,
 ) -> Result<Info, IoError> {
     let bytes = encoding::gunzip(uri, bytes, &options.limits)?;
-    let mut info = Info { format: format_name(uri, &bytes, &options.limits), contents: 1, ..Info::default() };
+    let mut info = Info { format: format_name(uri, &bytes, options), contents: 1, ..Info::default() };
     info.bytes = bytes.len() as u64;
     let mut options = options.clone();
     let companions = read_companions(from, uri, &bytes, None, &mut options, &mut info.bytes);
@@ -100,9 +100,9 @@ impl ModelInfo {
 }
 
 /// Returns the name of a format, by its magic bytes or, for a format without them, by its name.
-fn format_name(uri: &str, bytes: &[u8], limits: &Limits) -> String {
+fn format_name(uri: &str, bytes: &[u8], options: &ReadOptions) -> String {
     if osg::is_native(bytes) {
-        return osg::format_name(bytes, limits);
+        return osg::format_name(bytes, options);
     }
     let name = match bytes.get(..4) {
         Some(b"glTF") => "glTF (glb)",

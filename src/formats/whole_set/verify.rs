@@ -128,7 +128,8 @@ impl Verified {
         let is_osg = |loaded: &Loaded| osg::is_native(&loaded.bytes) || osg::is_metadata(&loaded.bytes);
         let is_osg = loaded.as_ref().is_ok_and(is_osg);
         let is_tileset = (is_tileset && !is_osg) || loaded.as_ref().is_ok_and(is_one);
-        self.contents += u64::from(!is_tileset && !continues);
+        let is_file = data.and_then(ReaderData::value::<osg::InlinePart>).is_some_and(osg::InlinePart::is_file);
+        self.contents += u64::from(!is_tileset && (!continues || is_file));
         let Loaded { bytes, location, is_no_content, .. } = loaded?;
         self.bytes += bytes.len() as u64;
         // Other contents of the same tile are read without it.

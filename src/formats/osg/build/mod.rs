@@ -21,7 +21,7 @@ use glam::{DAffine3, DVec3};
 
 use self::looks::Look;
 pub(in crate::formats) use self::paging::InlinePart;
-pub(super) use self::paging::escaped;
+pub(super) use self::paging::{HeldFile, escaped};
 pub(super) use self::textures::external_images;
 use super::error::OsgError;
 use super::objects::{DrawableClass, DrawableObject, NodeClass, NodeObject, Object, StateObject};
