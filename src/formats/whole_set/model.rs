@@ -18,6 +18,8 @@ use crate::scene::{Drawable, Geometry, Node, NodeKind, Page, ReaderData, Topolog
 /// Counts of a single content. A mesh that several nodes draw counts once for each of them.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct ModelInfo {
+    /// Number of nodes, those of parts in the file included.
+    pub nodes: u64,
     /// Number of drawables.
     pub drawables: u64,
     /// Number of vertices.
@@ -42,6 +44,12 @@ pub(super) fn inspect_model(
     let bytes = encoding::gunzip(uri, bytes, &options.limits)?;
     let mut info = Info { format: format_name(uri, &bytes, options), contents: 1, ..Info::default() };
     info.bytes = bytes.len() as u64;
+    if osg::is_metadata(&bytes)
+        && let Some((srs, [x, y, z])) = osg::reference_system(&bytes)
+    {
+        info.describe("srs", if srs.is_empty() { "none (its own frame)".to_owned() } else { srs });
+        info.describe("origin", format!("{x}, {y}, {z}"));
+    }
     let mut options = options.clone();
     let companions = read_companions(from, uri, &bytes, None, &mut options, &mut info.bytes);
     let node = decode_node(Content { uri: uri.clone(), bytes, reader_data: None, companions }, &options)?;
@@ -58,6 +66,7 @@ pub(super) fn inspect_model(
 
 impl ModelInfo {
     fn add(&mut self, node: &Node, options: &ReadOptions, images: &mut HashSet<usize>) {
+        self.nodes += 1;
         match &node.kind {
             NodeKind::Geode(drawables) => drawables.iter().for_each(|drawable| self.add_drawable(drawable, images)),
             NodeKind::ProxyNode(_) => self.paged_files += 1,
@@ -79,11 +88,12 @@ impl ModelInfo {
             let is_triangles = mesh.topology == Topology::Triangles;
             self.triangles += if is_triangles { mesh.indices.len() as u64 / 3 } else { 0 };
         }
-        if let Some(texture) = &drawable.material.texture
-            && images.insert(Arc::as_ptr(texture).addr())
-        {
-            self.images += 1;
-            self.image_bytes += texture.size_bytes();
+        let maps = drawable.material.metallic_roughness.iter().flat_map(|surface| surface.maps()).flatten();
+        for texture in drawable.material.texture.iter().chain(maps) {
+            if images.insert(Arc::as_ptr(texture).addr()) {
+                self.images += 1;
+                self.image_bytes += texture.size_bytes();
+            }
         }
     }
 
