@@ -2,10 +2,15 @@
 
 use super::IoError;
 
-/// Fails with [`IoError::Markup`] if the bytes begin like an HTML or XML document. No content format does.
+/// Fails with [`IoError::Markup`] if the bytes begin like an HTML or XML document. Terrain tiles begin with a number, whose
+/// first byte may be that of `<`.
 pub(crate) fn refuse_markup(uri: &str, bytes: &[u8]) -> Result<(), IoError> {
+    /// The number of bytes that must be text.
+    const LOOKED_AT: usize = 88;
+    let start = &bytes[..bytes.len().min(LOOKED_AT)];
+    let is_text = |byte: &u8| !byte.is_ascii_control() || byte.is_ascii_whitespace();
     match text_and_first_byte(bytes).1 {
-        Some(b'<') => Err(IoError::Markup { uri: uri.to_owned() }),
+        Some(b'<') if start.iter().all(is_text) => Err(IoError::Markup { uri: uri.to_owned() }),
         _ => Ok(()),
     }
 }

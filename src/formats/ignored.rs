@@ -109,6 +109,11 @@ impl Notes {
         self.ignored.borrow_mut().add(kind, 1);
     }
 
+    /// Adds to the counts of a list.
+    pub fn merge(&self, other: &Ignored) {
+        self.ignored.borrow_mut().merge(other);
+    }
+
     /// Adds an attribution of the content, once.
     pub fn add_credit(&self, credit: &str) {
         let credit = credit.trim();

@@ -40,6 +40,7 @@ pub use ignored::{Ignored, IgnoredLog};
 pub use image::ImageFiles;
 pub(crate) use image::decode_file as decode_image;
 pub use options::{Content, ContentReader, Fetched, ReadOptions};
+pub use osg::ReadAhead;
 pub use overlay::{
     GeoRectangle, MissingImage, OverlayError, OverlaySet, OverlaySource, RasterOverlay, TileVolume, Tiling,
 };

@@ -44,7 +44,7 @@ fn of_part(base: &str, bytes: &[u8], known: &[Fetched], options: &ReadOptions, d
             parts.into_iter().flat_map(|part| of_part(base, part, known, options, depth + 1)).collect()
         }
         _ if osg::is_native(bytes) => {
-            let references = osg::references(bytes, &options.limits);
+            let references = osg::references(bytes, options);
             references.iter().filter_map(|reference| resolve(base, reference, &options.root).ok()).collect()
         }
         _ if osg::is_metadata(bytes) => osg::tile_files(base, known, options),

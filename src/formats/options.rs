@@ -6,6 +6,7 @@ use glam::DAffine3;
 
 use super::ignored::IgnoredLog;
 use super::image::ImageFiles;
+use super::osg::ReadAhead;
 use super::overlay::{OverlaySet, TileVolume};
 use super::style::Style;
 use super::tile::UpAxis;
@@ -64,6 +65,9 @@ pub struct ReadOptions {
     pub tile: Option<TileVolume>,
     /// Keeps the files of the images that are decoded; `None` by default.
     pub image_files: Option<ImageFiles>,
+    /// Keeps what [`dependencies`](super::dependencies) has parsed of a content until it is decoded. A loader that loads
+    /// several contents at a time gives each a new one.
+    pub read_ahead: ReadAhead,
     /// Collects what contents ask for and their readers leave out. Copies of these options share it.
     pub ignored: IgnoredLog,
 }
@@ -91,6 +95,7 @@ impl ReadOptions {
             overlays: None,
             tile: None,
             image_files: None,
+            read_ahead: ReadAhead::default(),
             ignored: IgnoredLog::default(),
         }
     }

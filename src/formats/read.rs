@@ -321,6 +321,9 @@ impl ModelReader<'_> {
                 return Err(IoError::unsupported(uri, what));
             }
         }
+        if terrain::is_tile_name(uri) {
+            return terrain::read_alone(uri, bytes, options, notes);
+        }
         if first == Some(b'{') {
             return if tileset::is_tileset_text(uri, json)? {
                 tileset::read(uri, json, companions, options, notes)
@@ -333,9 +336,6 @@ impl ModelReader<'_> {
         refuse_markup(uri, bytes)?;
         if image::is_image(bytes) {
             return Err(IoError::unsupported(uri, "an image as the content of a tile"));
-        }
-        if terrain::is_tile_name(uri) {
-            return terrain::read_alone(uri, bytes, options, notes);
         }
         Err(IoError::invalid(uri, format!("unknown magic {:02x?}", bytes.get(..4.min(bytes.len())).unwrap_or(&[]))))
     }

@@ -43,8 +43,8 @@ pub use features::{
 pub use geometry::Font;
 pub use geometry::{
     AlphaMode, AttributeFormat, BlockFormats, CustomGeometry, Drawable, Geometry, HeightTile, MAX_ATTRIBUTES, Material,
-    Mesh, MeshVertex, MetallicRoughness, NormalCone, PrimitiveMode, Sampling, SecondUv, TexelFormat, Texture, Topology,
-    VertexAttributes, VertexFormat,
+    Mesh, MeshVertex, MetallicRoughness, NormalCone, OverlayMode, PrimitiveMode, Sampling, SecondUv, TexelFormat,
+    Texture, Topology, VertexAttributes, VertexFormat,
 };
 pub use graph::Scene;
 pub use id::{NodeId, PageId, SceneNumber};

@@ -9,7 +9,7 @@ use kit::rig::{Rig, camera, plain, rig, unit_camera};
 use kit::shapes::{quad, with_mips};
 use terrane::scene::{
     AlphaMode, AttributeFormat, DistanceFog, Drawable, Environment, Geometry, Material, Mesh, MetallicRoughness, Node,
-    SecondUv, SunShadows, Texture,
+    OverlayMode, SecondUv, SunShadows, Texture,
 };
 use terrane::state::{Attribute, Mode, StateSet, StateValue, SurfaceMaterial};
 
@@ -165,6 +165,30 @@ fn maps_use_second_texture_coordinates() {
             assert_eq!(sides(mirrored, attribute, is_fine), [(false, true), (true, false)], "{is_fine}");
         }
     }
+}
+
+/// Light maps are multiplied, decals lie over the surface, and glows are added as they are displayed.
+#[test]
+fn overlays_are_laid_over_multiplied_or_added() {
+    let Some(mut rig) = rig("overlays_are_laid_over_multiplied_or_added") else { return };
+    let shown = |rig: &mut Rig, overlay_mode: OverlayMode| {
+        let surface = MetallicRoughness { overlay: texels([128, 64, 255, 128]), overlay_mode, ..Default::default() };
+        let material = Material {
+            base_color: [1.0; 4],
+            texture: texels([100, 200, 40, 255]),
+            unlit: true,
+            metallic_roughness: Some(surface),
+            ..Material::default()
+        };
+        middle(rig, &material, &plain())
+    };
+    let near = |got: [u8; 3], expected: [u8; 3]| {
+        assert!(got.iter().zip(expected).all(|(a, b)| a.abs_diff(b) <= 4), "{got:?}, expected {expected:?}");
+    };
+    near(shown(&mut rig, OverlayMode::Multiply), [50, 50, 40]);
+    near(shown(&mut rig, OverlayMode::Add), [228, 255, 255]);
+    // Half of each in linear light.
+    near(shown(&mut rig, OverlayMode::Over), [115, 151, 188]);
 }
 
 #[test]

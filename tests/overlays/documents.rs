@@ -3,7 +3,8 @@
 use std::fmt::Write as _;
 
 use kit::server::{Reply, Server};
-use terrane::formats::{OverlaySource, RasterOverlay};
+use terrane::fetch::Limits;
+use terrane::formats::{OverlaySource, RasterOverlay, inspect, verify};
 
 use crate::earth::{
     Look, Looking, Patch, color_of, error_for, expected, geographic, mercator, mercator_pixel_m, png, requests,
@@ -47,6 +48,43 @@ fn tms_counts_rows_from_the_south() {
     let Some(looking) = Looking::at("overlay-tms", &set, vec![RasterOverlay::new(source)], &PATCH) else { return };
     looking.check(&PATCH, |place| expected(|at| of_tms(mercator(Z, at)), place, 0.006));
     assert_eq!(requests(&server)["/map/tilemapresource.xml"], 1);
+}
+
+#[test]
+fn documents_are_described() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("tilemapresource.xml");
+    let bounds = r#"<BoundingBox minx="0" miny="0" maxx="1000000" maxy="1000000"/><Origin"#;
+    std::fs::write(&file, tms().replace("<Origin", bounds)).unwrap();
+    let info = inspect(file.to_str().unwrap(), &Limits::default()).unwrap();
+    assert_eq!(info.format, "raster overlay (Tile Map Service)");
+    assert_eq!(info.details["tiling"], "EPSG:3857 (Web Mercator)");
+    assert_eq!(info.details["images"], "256 x 256 pixels");
+    assert_eq!(info.levels.len(), 13);
+    // A tile of level 6 is 626 km wide.
+    assert_eq!((info.levels[0].tiles, info.levels[6].tiles), (1, 4));
+    let region = info.bounds.region.unwrap();
+    assert!((region[2] - 1e6 / 6_378_137.0).abs() < 1e-9, "{region:?}");
+
+    // Two levels are there, one image of them is missing and one is broken.
+    let few = tms()
+        .lines()
+        .filter(|line| !line.contains("<TileSet href") || line.contains("order=\"0\"") || line.contains("order=\"1\""))
+        .collect::<String>();
+    std::fs::write(&file, few).unwrap();
+    for path in ["0/0/0", "1/0/0", "1/0/1", "1/1/0"] {
+        let image = folder.path().join(format!("{path}.png"));
+        std::fs::create_dir_all(image.parent().unwrap()).unwrap();
+        std::fs::write(image, if path == "1/1/0" { b"broken".to_vec() } else { png([1, 2, 3], 256) }).unwrap();
+    }
+    let verified = verify(file.to_str().unwrap(), &Limits::default(), &mut |_| {}).unwrap();
+    assert_eq!((verified.contents, verified.failed), (4, 1), "{verified:?}");
+    assert!(verified.errors[0].uri.ends_with("1/1/0.png"), "{verified:?}");
+    assert_eq!(verified.ignored["overlay: image that is missing"], 1);
+
+    std::fs::write(&file, tms().replace("EPSG:900913", "EPSG:2056")).unwrap();
+    let error = inspect(file.to_str().unwrap(), &Limits::default()).unwrap_err().to_string();
+    assert!(error.contains("EPSG:2056"), "{error}");
 }
 
 /// A set on a server is covered by files of this machine.

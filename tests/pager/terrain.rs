@@ -1,5 +1,8 @@
 //! Terrain services and the ellipsoid through the pager: which tiles are loaded from where. No GPU.
 
+#[cfg(feature = "http")]
+use std::sync::Arc;
+
 use glam::DVec3;
 use kit::pager::Run;
 use kit::quantized::{TerrainTile, layer_json, ranges, tile_at, tile_in, write_set};
@@ -10,6 +13,13 @@ use terrane::scene::{Page, ReaderData, SlotState};
 
 #[cfg(feature = "http")]
 use kit::server::{How, Reply, Request, Server};
+#[cfg(feature = "http")]
+use terrane::{
+    fetch::Limits,
+    formats::{Content, ReadOptions, decode_node},
+    math::BoundingVolume,
+    scene::NodeKind,
+};
 
 /// A place in the Alps, radians.
 const PLACE: [f64; 2] = [0.141, 0.802];
@@ -285,5 +295,141 @@ fn failed_tiles_keep_the_tile_above() {
         let sibling = name([4, bad[1] ^ 1, bad[2]]);
         assert!(names.iter().any(|name| name.starts_with(&sibling)), "{names:?}");
         assert!(run.stage.counters.stand_ins > 0, "{reason}");
+    }
+}
+
+/// The finest level of [`deep_reply`].
+#[cfg(feature = "http")]
+const DEEP: u32 = 15;
+
+/// Serves the children of all tiles above the place down to level 15. Either layer.json names them all, or tiles of the levels
+/// that `interval` divides name those below them.
+#[cfg(feature = "http")]
+fn deep_reply(request: &Request, interval: Option<u32>) -> Reply {
+    let ranges = |first: u32, last: u32| {
+        let quad = |level: u32| match tile_at(level - 1, PLACE[0], PLACE[1]) {
+            [_, x, y] => json_range([2 * x, 2 * y], [2 * x + 1, 2 * y + 1]),
+        };
+        let of_level = |level| if level == 0 { json_range([0, 0], [1, 0]) } else { quad(level) };
+        format!("[{}]", (first..=last).map(of_level).collect::<Vec<_>>().join(","))
+    };
+    if request.path() == "/layer.json" {
+        return Reply::ok(layer_json(&match interval {
+            None => format!(r#""available":{}"#, ranges(0, DEEP)),
+            Some(interval) => format!(r#""metadataAvailability":{interval},"extensions":["metadata"]"#),
+        }));
+    }
+    let has = |at: [u32; 3]| at[0] == 0 || at[0] <= DEEP && contains([at[0] - 1, at[1] / 2, at[2] / 2]);
+    let Some(at) = tile_in(request.path()).filter(|at| has(*at)) else { return Reply::new(404, "") };
+    let mut tile = TerrainTile::new(at, height);
+    if let Some(interval) = interval
+        && at[0].is_multiple_of(interval)
+        && contains(at)
+    {
+        let last = (at[0] + interval).min(DEEP);
+        let available = if last > at[0] { ranges(at[0] + 1, last) } else { "[]".to_owned() };
+        tile.metadata = Some(format!(r#"{{"available":{available}}}"#));
+    } else if interval.is_some_and(|interval| at[0].is_multiple_of(interval)) {
+        tile.metadata = Some(r#"{"available":[]}"#.to_owned());
+    }
+    Reply::ok(tile.bytes())
+}
+
+#[cfg(feature = "http")]
+fn json_range(first: [u32; 2], last: [u32; 2]) -> String {
+    let ([x, y], [end_x, end_y]) = (first, last);
+    format!(r#"[{{"startX":{x},"startY":{y},"endX":{end_x},"endY":{end_y}}}]"#)
+}
+
+/// Requests all tiles that are known above the place, then those that the answers name, and so on. Returns the levels of each
+/// of these rounds.
+#[cfg(feature = "http")]
+fn rounds(server: &Server) -> Vec<Vec<u32>> {
+    use std::io::{BufRead as _, BufReader, Read as _, Write as _};
+
+    let get = |uri: &str| {
+        let address = server.url.strip_prefix("http://").unwrap();
+        let mut stream = std::net::TcpStream::connect(address).unwrap();
+        let path = uri.strip_prefix(&server.url).unwrap();
+        write!(stream, "GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n").unwrap();
+        let mut answer = BufReader::new(stream);
+        let (mut line, mut length) = (String::new(), 0);
+        while line != "\r\n" {
+            line.clear();
+            answer.read_line(&mut line).unwrap();
+            let value = line.to_ascii_lowercase().strip_prefix("content-length:").map(|value| value.trim().to_owned());
+            length = value.map_or(length, |value| value.parse().unwrap());
+        }
+        let mut body = vec![0; length];
+        answer.read_exact(&mut body).unwrap();
+        body
+    };
+    let root: Arc<str> = format!("{}/layer.json", server.url).into();
+    let options = ReadOptions::for_root(&root, Limits::default());
+    let mut wanted = vec![(root, None::<ReaderData>)];
+    let mut rounds = Vec::new();
+    while !wanted.is_empty() {
+        let mut next = Vec::new();
+        while let Some((uri, reader_data)) = wanted.pop() {
+            let is_in_memory = reader_data.as_ref().is_some_and(ReaderData::is_whole_content);
+            let bytes = if is_in_memory { Vec::new() } else { get(&uri) };
+            let content = Content { uri, bytes, reader_data, companions: Vec::new() };
+            let mut nodes = vec![decode_node(content, &options).unwrap()];
+            while let Some(node) = nodes.pop() {
+                nodes.extend(node.children);
+                let NodeKind::PagedLod(tile) = node.kind else { continue };
+                let (BoundingVolume::Region(region), Some(uri)) = (&tile.bounds, tile.content) else { continue };
+                let is_above = (region.west..region.west + region.width()).contains(&PLACE[0])
+                    && (region.south..region.north).contains(&PLACE[1]);
+                let data = tile.reader_data.as_ref();
+                let continues = data.is_some_and(ReaderData::continues_tileset);
+                match is_above {
+                    // Pages in memory are made at once.
+                    true if continues && data.is_some_and(ReaderData::is_whole_content) => {
+                        wanted.push((uri, tile.reader_data));
+                    }
+                    true if continues || !data.is_some_and(ReaderData::is_whole_content) => {
+                        next.push((uri, tile.reader_data, continues));
+                    }
+                    _ => {}
+                }
+            }
+        }
+        let level_of = |uri: &str| {
+            let path = uri.strip_prefix(&server.url)?.split('?').next()?;
+            Some(tile_in(path)?[0])
+        };
+        let mut levels: Vec<u32> = next.iter().map(|(uri, ..)| level_of(uri).unwrap()).collect();
+        levels.sort_unstable();
+        levels.dedup();
+        rounds.extend((!levels.is_empty()).then_some(levels));
+        wanted = next.into_iter().filter(|(.., continues)| *continues).map(|(uri, data, _)| (uri, data)).collect();
+    }
+    rounds
+}
+
+/// Regression: each five levels waited for the answers of the five above.
+#[cfg(feature = "http")]
+#[test]
+fn levels_whose_tiles_are_known_are_requested_at_once() {
+    let levels = |range: std::ops::RangeInclusive<u32>| range.collect::<Vec<u32>>();
+    for (interval, expected) in [
+        // Heights at level 10 are needed to choose among the tiles below.
+        (None, vec![levels(0..=10), levels(11..=15)]),
+        (Some(10), vec![levels(0..=0), levels(1..=10), levels(11..=15)]),
+    ] {
+        let server = Server::start(move |request| deep_reply(request, interval));
+        assert_eq!(rounds(&server), expected, "{interval:?}");
+
+        // The pager requests each of these files once, and no others.
+        let server = Server::start(move |request| deep_reply(request, interval));
+        let mut run = globe(Run::new(&format!("{}/layer.json", server.url), PagerConfig::default()));
+        run.settle(eye(PLACE, height(PLACE[0], PLACE[1]) + 500.0));
+        assert!(run.pager.errors().is_empty(), "{:?}", run.pager.errors());
+        let finest = name(tile_at(DEEP, PLACE[0], PLACE[1]));
+        assert!(resident(&run).iter().any(|name| name.starts_with(&finest)), "{interval:?}");
+        let seen = server.seen();
+        assert!(seen.iter().all(|request| request.nth == 0));
+        assert!(seen.len() <= 1 + 2 + 4 * DEEP as usize, "{} requests", seen.len());
     }
 }

@@ -44,8 +44,11 @@ fn text(info: &Info, verified: Option<&Verified>) -> String {
     // Writing to a String cannot fail.
     let _ = writeln!(out, "{}", format!("format   {} {}", info.format, info.version).trim_end());
     match &info.model {
-        Some(ModelInfo { drawables, vertices, triangles, images, image_bytes, paged_files }) => {
-            let _ = writeln!(out, "model    {drawables} drawables, {vertices} vertices, {triangles} triangles");
+        Some(ModelInfo { nodes, drawables, vertices, triangles, images, image_bytes, paged_files }) => {
+            let _ = writeln!(
+                out,
+                "model    {nodes} nodes, {drawables} drawables, {vertices} vertices, {triangles} triangles"
+            );
             let _ = writeln!(out, "images   {images}, {:.1} MiB decoded", mebibytes(*image_bytes));
             if *paged_files > 0 {
                 let _ = writeln!(out, "paged    {paged_files} other files");
@@ -69,6 +72,9 @@ fn text(info: &Info, verified: Option<&Verified>) -> String {
     if !info.extensions.is_empty() {
         let names: Vec<&str> = info.extensions.iter().map(String::as_str).collect();
         let _ = writeln!(out, "uses     {}", names.join(", "));
+    }
+    for (name, detail) in &info.details {
+        let _ = writeln!(out, "{name:<8} {detail}");
     }
     if let Some(attribution) = &info.attribution {
         let _ = writeln!(out, "credit   {attribution}");

@@ -10,19 +10,19 @@ mod error;
 mod folder;
 mod input;
 mod objects;
+mod read_ahead;
 
 use std::sync::Arc;
 
 pub(super) use self::build::InlinePart;
-pub(super) use self::folder::{is_metadata, read_folder, tile_files};
+pub(super) use self::folder::{is_metadata, read_folder, reference_system, tile_files};
 pub(super) use self::input::is_native;
+pub use self::read_ahead::ReadAhead;
 
 use self::build::Source;
-use self::classes::read_file;
 use super::ignored::Notes;
 use super::options::{Fetched, ReadOptions};
-use crate::fetch::{IoError, Limits};
-use crate::math::BoundingSphere;
+use crate::fetch::IoError;
 use crate::scene::Node;
 
 /// Reads a file. `base` is the address that references are relative to, `companions` are the images that it refers to.
@@ -40,26 +40,21 @@ pub(super) fn read(
     if got >= limit {
         return Err(IoError::TooLarge { uri: uri.to_string(), what: "depth of files", got: got + 1, limit });
     }
-    let file = read_file(bytes, &options.limits, &|kind| notes.add(kind)).map_err(|error| error.at(uri))?;
+    let file = options.read_ahead.take(bytes, &options.limits).map_err(|error| error.at(uri))?;
+    notes.merge(&file.ignored);
     build::node_of_file(&file.root, Source { uri, base, companions, options, notes })
 }
 
 /// Returns the references to the external images of a file; none if it is invalid.
-pub(super) fn references(bytes: &[u8], limits: &Limits) -> Vec<String> {
-    let file = read_file(bytes, limits, &|_| {});
+pub(super) fn references(bytes: &[u8], options: &ReadOptions) -> Vec<String> {
+    let file = options.read_ahead.file(bytes, &options.limits);
     file.map_or(Vec::new(), |file| build::external_images(&file.root))
 }
 
-/// Returns the sphere around what a file holds, as its levels of detail declare it; `None` if it is unknown.
-fn sphere_of(bytes: &[u8], limits: &Limits) -> Option<BoundingSphere> {
-    let file = read_file(bytes, limits, &|_| {}).ok()?;
-    Some(build::sphere_of_file(&file.root)).filter(|sphere| !sphere.is_empty())
-}
-
 /// Returns the name of a file's format with the version of OSG that wrote it.
-pub(super) fn format_name(bytes: &[u8], limits: &Limits) -> String {
+pub(super) fn format_name(bytes: &[u8], options: &ReadOptions) -> String {
     let encoding = if bytes.starts_with(b"#") { "osgt" } else { "osgb" };
-    match read_file(bytes, limits, &|_| {}) {
+    match options.read_ahead.file(bytes, &options.limits) {
         Ok(file) => format!("OpenSceneGraph ({encoding}, version {})", file.version),
         Err(_) => format!("OpenSceneGraph ({encoding})"),
     }

@@ -9,6 +9,8 @@ use crate::fetch::markup::text_and_first_byte;
 use crate::formats::ignored::Notes;
 use crate::formats::model_files::begins_like_tileset;
 use crate::formats::options::{Content, Fetched, ReadOptions};
+use crate::formats::osg::InlinePart;
+use crate::formats::terrain::TerrainTile;
 use crate::scene::{Node, ReaderData};
 
 /// A content that is covered, with its overlays.
@@ -23,7 +25,9 @@ impl<'a> Covered<'a> {
         let (set, volume) = (options.overlays.as_deref()?, options.tile.as_ref()?);
         let is_in_memory = reader_data.is_some_and(ReaderData::is_whole_content);
         let (text, first) = text_and_first_byte(bytes);
-        let is_tree = reader_data.is_some_and(ReaderData::continues_tileset)
+        // The parts of an OSG file continue it, and are drawn.
+        let is_part = reader_data.is_some_and(|data| data.value::<InlinePart>().is_some());
+        let is_tree = (!is_part && reader_data.is_some_and(ReaderData::continues_tileset))
             || bytes.starts_with(b"subt")
             || (first == Some(b'{') && begins_like_tileset(text));
         if is_tree || (bytes.is_empty() && !is_in_memory) {
@@ -49,6 +53,8 @@ pub(in crate::formats) fn needed(
 pub(in crate::formats) struct Draping {
     /// The extent and the images; `None` for a content that is not covered.
     covered: Option<(Extent, Vec<Fetched>)>,
+    /// True if surfaces stay as smooth as they are below images: those of terrain, which has water.
+    keeps_reflection: bool,
 }
 
 impl Draping {
@@ -58,14 +64,18 @@ impl Draping {
         let covered = Covered::new(&content.bytes, content.reader_data.as_ref(), options);
         let covered =
             covered.map(|Covered { set, extent }| (extent, set.fetched(&extent, &content.companions, &options.limits)));
-        Some(Self { covered })
+        let data = content.reader_data.as_ref();
+        let keeps_reflection = data.is_some_and(|data| data.value::<TerrainTile>().is_some());
+        Some(Self { covered, keeps_reflection })
     }
 
     /// Covers the drawables of the content, and keeps the regions of its tiles.
     pub fn apply(self, node: &mut Node, options: &ReadOptions, notes: &Notes) {
         drape::note_regions(node);
-        if let (Some((extent, images)), Some(set)) = (self.covered, &options.overlays) {
-            drape::apply(node, set, &extent, &images, options.set_from_content, &options.limits, notes);
+        let Self { covered, keeps_reflection } = self;
+        if let (Some((extent, images)), Some(set)) = (covered, &options.overlays) {
+            let to = drape::Draped { set_from_content: options.set_from_content, keeps_reflection };
+            drape::apply(node, set, &extent, &images, to, &options.limits, notes);
         }
     }
 }

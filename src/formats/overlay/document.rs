@@ -6,6 +6,7 @@ use std::sync::Arc;
 use super::grid::{GeoRectangle, GridLevel, TileGrid, Tiling};
 use super::template::Template;
 use super::xml::{Element, finite, numbers};
+use crate::fetch::markup::text_and_first_byte;
 
 /// Metres of a pixel at scale 1 (OGC 07-057r7, 6.1).
 const PIXEL_M: f64 = 0.00028;
@@ -16,12 +17,75 @@ const MAX_SIDE: f64 = (1u32 << 31) as f64;
 
 /// The tiles of a server.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct ServerTiles {
-    pub grid: TileGrid,
+pub(in crate::formats) struct ServerTiles {
+    pub(super) grid: TileGrid,
     /// The reference to a tile, relative to the document.
-    pub template: Template,
+    pub(super) template: Template,
     /// The text that the service asks to show.
     pub credit: Option<Arc<str>>,
+}
+
+/// What a document describes.
+pub(in crate::formats) struct DocumentInfo {
+    /// The name of the format.
+    pub format: &'static str,
+    /// True for the capabilities of a WMTS.
+    pub is_wmts: bool,
+    /// The tiles, of the first layer with its usual choices.
+    pub tiles: ServerTiles,
+    /// The layers that there are to choose from.
+    pub layers: Vec<String>,
+}
+
+/// Describes the document of a map server; `None` for other bytes.
+pub(in crate::formats) fn describe(bytes: &[u8]) -> Option<Result<DocumentInfo, String>> {
+    let start = &bytes[..bytes.len().min(4096)];
+    let has = |name: &str| start.windows(name.len()).any(|window| window == name.as_bytes());
+    if text_and_first_byte(bytes).1 != Some(b'<') || !(has("<TileMap") || has("Capabilities")) {
+        return None;
+    }
+    let root = match Element::parse(bytes) {
+        Ok(root) => root,
+        Err(reason) => return Some(Err(reason)),
+    };
+    let layers = root.child("Contents").into_iter().flat_map(|contents| contents.all("Layer"));
+    let layers = layers.filter_map(identifier).map(str::to_owned).collect();
+    let is_wmts = root.name == "Capabilities";
+    let info = |format| move |tiles| DocumentInfo { format, is_wmts, tiles, layers };
+    match root.name.as_str() {
+        "TileMap" => Some(read_tms(bytes).map(info("raster overlay (Tile Map Service)"))),
+        "Capabilities" => Some(read_wmts(bytes, WmtsChoice::default()).map(info("raster overlay (WMTS)"))),
+        _ => None,
+    }
+}
+
+impl ServerTiles {
+    /// Returns the number of tiles of each level, the coarsest first: those in the rectangle if one is known.
+    pub fn level_counts(&self) -> Vec<u64> {
+        let count = |level: usize| match &self.grid.rectangle {
+            Some(rectangle) => self.grid.cover(level, rectangle).map_or(0, |cover| cover.tiles()),
+            None => u64::from(self.grid.levels[level].columns) * u64::from(self.grid.levels[level].rows),
+        };
+        (0..self.grid.levels.len()).map(count).collect()
+    }
+
+    /// Returns west, south, east and north of the rectangle with images, radians.
+    pub fn region(&self) -> Option<[f64; 4]> {
+        self.grid.rectangle.map(|GeoRectangle { west, south, east, north }| [west, south, east, north])
+    }
+
+    /// Returns the name of the projection.
+    pub fn projection(&self) -> &'static str {
+        match self.grid.tiling {
+            Tiling::WebMercator => "EPSG:3857 (Web Mercator)",
+            Tiling::Geographic => "EPSG:4326 (geographic)",
+        }
+    }
+
+    /// Returns width and height of a tile of the finest level, pixels.
+    pub fn finest_tile_px(&self) -> Option<[u32; 2]> {
+        self.grid.levels.last()?.tile_px
+    }
 }
 
 /// The parts of a WMTS that an application chooses.

@@ -39,13 +39,21 @@ pub(super) fn note_regions(node: &mut Node) {
     node.children.iter_mut().for_each(note_regions);
 }
 
+/// The content that overlays are draped over.
+#[derive(Clone, Copy)]
+pub(super) struct Draped {
+    pub set_from_content: DAffine3,
+    /// True if surfaces stay as smooth as they are.
+    pub keeps_reflection: bool,
+}
+
 /// Drapes the overlays over all drawables below the root node of a content. `images` were fetched for them.
 pub(super) fn apply(
     node: &mut Node,
     set: &OverlaySet,
     extent: &Extent,
     images: &[Fetched],
-    set_from_content: DAffine3,
+    to: Draped,
     limits: &Limits,
     notes: &Notes,
 ) {
@@ -61,7 +69,7 @@ pub(super) fn apply(
     }
     let middle = middle_of(&extent.rectangle);
     let mut found = Found { places: Vec::new(), vertices: 0, middle, notes };
-    found.node(node, set_from_content);
+    found.node(node, to.set_from_content);
     let places = found.places;
     let points = places.iter().flatten().flat_map(|place| place.iter().copied());
     let Some(around) = GeoRectangle::around(middle, points) else { return };
@@ -74,7 +82,7 @@ pub(super) fn apply(
     let (width, height, texels) = canvas.into_texels();
     let texture = Arc::new(Texture::rgba8(width, height, mips(width, height, texels)));
     let mut places = places.into_iter();
-    Draper { texture, area, middle, is_opaque, notes }.node(node, &mut places);
+    Draper { texture, area, middle, is_opaque, keeps_reflection: to.keeps_reflection, notes }.node(node, &mut places);
 }
 
 fn middle_of(rectangle: &GeoRectangle) -> f64 {
@@ -164,6 +172,7 @@ struct Draper<'a> {
     area: GeoRectangle,
     middle: f64,
     is_opaque: bool,
+    keeps_reflection: bool,
     notes: &'a Notes,
 }
 
@@ -203,7 +212,9 @@ impl Draper<'_> {
             }
             material.base_color = [1.0; 4];
             material.texture = Some(self.texture.clone());
-            material.metallic_roughness = None;
+            if !self.keeps_reflection {
+                material.metallic_roughness = None;
+            }
             drawable.shared.texture = None;
         } else {
             if mesh.attributes.get(SecondUv::ATTRIBUTE).is_some() {

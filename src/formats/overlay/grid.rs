@@ -229,7 +229,7 @@ pub(crate) struct Cover {
 }
 
 impl Cover {
-    fn tiles(&self) -> u64 {
+    pub fn tiles(&self) -> u64 {
         u64::from(self.columns) * u64::from(self.rows)
     }
 }

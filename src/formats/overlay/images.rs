@@ -95,7 +95,12 @@ impl ImageCache {
 
 /// Checks that bytes are an image of a tile's size, without decoding its pixels: `expected` pixels wide and high, or two or
 /// four times as many or as few. `None` allows any size.
-pub(super) fn check(uri: &str, bytes: &[u8], expected: Option<[u32; 2]>, limits: &Limits) -> Result<(), IoError> {
+pub(in crate::formats) fn check(
+    uri: &str,
+    bytes: &[u8],
+    expected: Option<[u32; 2]>,
+    limits: &Limits,
+) -> Result<(), IoError> {
     if bytes.is_empty() {
         return Err(IoError::NotFound { uri: uri.to_owned() });
     }

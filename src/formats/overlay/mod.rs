@@ -24,7 +24,10 @@ mod template;
 mod xml;
 
 pub(super) use content::{Draping, needed};
+pub(super) use document::{DocumentInfo, describe};
 pub use extent::TileVolume;
 pub use grid::{GeoRectangle, Tiling};
+pub(super) use images::check as check_image;
 pub use options::{OverlayError, OverlaySource, RasterOverlay};
 pub use set::{MissingImage, OverlaySet};
+pub(super) use source::DocumentImages;

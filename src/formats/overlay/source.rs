@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
 use super::document::{self, ServerTiles, WmtsChoice};
-use super::grid::{TileGrid, TileIndex};
+use super::grid::{GeoRectangle, TileGrid, TileIndex};
 use super::options::{OverlaySource, RasterOverlay};
 use super::set::OverlaySet;
 use super::template::Template;
@@ -35,6 +35,49 @@ pub(super) struct Overlay {
 impl ServerTiles {
     pub fn tile_px(&self, tile: TileIndex) -> Option<[u32; 2]> {
         self.grid.levels.get(tile.level)?.tile_px
+    }
+}
+
+/// The images that a document of a map server leads to.
+pub(in crate::formats) struct DocumentImages {
+    overlay: Overlay,
+    tiles: ServerTiles,
+}
+
+impl DocumentImages {
+    /// Reads a document.
+    pub fn new(uri: &str, bytes: &[u8], is_wmts: bool) -> Result<Self, IoError> {
+        let document = uri.to_owned();
+        let source = match is_wmts {
+            true => OverlaySource::Wmts { document, layer: None, style: None, matrix_set: None },
+            false => OverlaySource::Tms { document },
+        };
+        let options = RasterOverlay { max_level: MAX_LEVEL, ..RasterOverlay::new(source) };
+        let overlay = Overlay::new(options).map_err(|reason| IoError::invalid(uri, reason))?;
+        let tiles = overlay.read_document(bytes)?;
+        Ok(Self { overlay, tiles })
+    }
+
+    /// Returns the number of images.
+    pub fn count(&self) -> u64 {
+        self.tiles.level_counts().iter().fold(0, |all, count| all.saturating_add(*count))
+    }
+
+    /// Returns the addresses of the images, the coarsest first, with their size in pixels.
+    pub fn uris(&self) -> impl Iterator<Item = (Result<Arc<str>, IoError>, Option<[u32; 2]>)> + '_ {
+        let grid = &self.tiles.grid;
+        let rectangle = grid.rectangle.unwrap_or(GeoRectangle::WORLD);
+        let covers = (0..grid.levels.len()).filter_map(move |level| grid.cover(level, &rectangle));
+        covers.flat_map(move |cover| {
+            let level = &grid.levels[cover.level];
+            (0..cover.rows).flat_map(move |row| {
+                (0..cover.columns).map(move |column| {
+                    let column = (cover.first_column + i64::from(column)).rem_euclid(i64::from(level.columns)) as u32;
+                    let tile = TileIndex { level: cover.level, column, row: cover.first_row + row };
+                    (self.overlay.uri(&self.tiles, tile), level.tile_px)
+                })
+            })
+        })
     }
 }
 

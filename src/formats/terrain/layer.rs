@@ -8,7 +8,7 @@ use serde::de::IgnoredAny;
 use super::availability::{Availability, MAX_LEVEL, RangeJson};
 use super::tiling::{Rectangle, Tiling};
 use crate::fetch::markup::{plain_text, refuse_markup};
-use crate::fetch::{IoError, Limits, encoding};
+use crate::fetch::{IoError, Limits, encoding, shown};
 use crate::formats::ignored::Notes;
 use crate::formats::implicit::{TileCoordinates, UriTemplate};
 use crate::formats::lenient::{Number, Numbers, Text, texts};
@@ -322,6 +322,25 @@ impl Layer {
         // The placeholder {z} is the level.
         let named = TileCoordinates { level, x, y: row, z: level };
         (template.fill(named), template.fill_fallback(named))
+    }
+
+    /// Returns the name of the projection.
+    pub(in crate::formats) fn projection(&self) -> &'static str {
+        match self.tiling {
+            Tiling::Mercator => "EPSG:3857 (Web Mercator)",
+            _ => "EPSG:4326 (geographic)",
+        }
+    }
+
+    /// Returns the address of a tile of the first level, without secrets.
+    pub(in crate::formats) fn template(&self) -> String {
+        let (uri, _) = self.tile_uri(TileCoordinates { level: 0, x: 0, y: 0, z: 0 });
+        shown(&uri).into_owned()
+    }
+
+    /// Returns the interval of the levels whose tiles name others in their metadata.
+    pub(in crate::formats) fn metadata_levels(&self) -> Option<u32> {
+        self.metadata_levels
     }
 
     /// Returns the number of tiles that layer.json names, by level.

@@ -1,9 +1,10 @@
 //! Parts of a terrain tree as pages of tiles. Decode threads.
 //!
-//! A page begins with a tile and has the levels below it. It is made from the file of that tile, so that the heights of the
-//! tiles below are known, and the tiles below if the file names them. One fetch serves both: the mesh of the tile is a
-//! content in memory. A tile has all four children or none. Where no layer has a child, it is cut out of the mesh of the
-//! page's first tile; so a tile with such a child begins a page.
+//! A page begins with a tile and has the levels below it. It is made from the file of that tile if more must be known: the
+//! tiles below if the file names them, or their heights if those of the page above are too rough for tiles of this size. One
+//! fetch serves both: the mesh of the tile is a content in memory. Other pages are made at once, so that all tiles down to
+//! the next file are requested together. A tile has all four children or none. Where no layer has a child, it is cut out of
+//! the mesh of the page's first tile; so a tile with such a child begins a page with its file.
 
 use std::sync::Arc;
 
@@ -28,6 +29,9 @@ const PAGE_LEVELS: u32 = 5;
 const MAX_ELLIPSOID_LEVEL: u32 = 22;
 /// The heights of the earth's surface, from the deepest sea to the highest mountain, metres above the ellipsoid.
 const EARTH_HEIGHTS_M: [f64; 2] = [-12_000.0, 9_000.0];
+/// Heights are known well enough for a level if their range is at most this multiple of the level's error. A tile is refined
+/// at some 470 times its error (2 pixels, 60 degrees over 1080 rows), which the range makes uncertain.
+const MAX_ROUGHNESS: f64 = 150.0;
 
 /// A page that is not made yet. The reader data of a tile whose content it is.
 #[derive(Clone, Debug)]
@@ -40,6 +44,8 @@ pub(in crate::formats) struct TerrainPage {
     /// The nearest mesh above, for tiles that no layer has.
     above: TileMesh,
     heights_m: [f64; 2],
+    /// The layer that the file of the first tile is fetched from; `None` if the page is made without it.
+    file_layer: Option<usize>,
 }
 
 /// The extension `metadata` of a tile.
@@ -52,13 +58,28 @@ impl TerrainPage {
     /// Returns the page of a root tile.
     pub(super) fn root(set: Arc<TerrainSet>, tile: TileCoordinates, known: Arc<[Availability]>) -> Self {
         let heights_m = if set.layers.is_empty() { [0.0; 2] } else { EARTH_HEIGHTS_M };
-        Self { set, tile, known, above: TileMesh::Ellipsoid, heights_m }
+        Self::new(set, tile, known, TileMesh::Ellipsoid, heights_m)
+    }
+
+    fn new(
+        set: Arc<TerrainSet>,
+        tile: TileCoordinates,
+        known: Arc<[Availability]>,
+        above: TileMesh,
+        heights_m: [f64; 2],
+    ) -> Self {
+        let [low, high] = heights_m;
+        let needs_file = high - low > MAX_ROUGHNESS * set.tiling.level_error_m(tile.level)
+            || set.layers_with_metadata(&known, tile).next().is_some()
+            || (known.iter().any(|layer| layer.has_below(tile)) && TerrainSet::lacks_child(&known, tile));
+        let file_layer = TerrainSet::layer_of(&known, tile).filter(|_| needs_file);
+        Self { set, tile, known, above, heights_m, file_layer }
     }
 
     /// Returns true if there is nothing but the ellipsoid in the page and below.
     pub fn is_ellipsoid(&self) -> bool {
         matches!(self.above, TileMesh::Ellipsoid)
-            && self.layer().is_none()
+            && TerrainSet::layer_of(&self.known, self.tile).is_none()
             && !self.known.iter().any(|layer| layer.has_below(self.tile))
     }
 
@@ -91,7 +112,7 @@ impl TerrainPage {
 
     fn content(self) -> TileContent {
         let TileCoordinates { level, x, y, .. } = self.tile;
-        let uri = match self.layer() {
+        let uri = match self.file_layer {
             Some(layer) => self.set.layers[layer].tile_uri(self.tile).0,
             // Only a name: nothing is fetched.
             None => format!("{}#page-{level}/{x}/{y}", self.set.uri).into(),
@@ -99,14 +120,9 @@ impl TerrainPage {
         TileContent::new(uri, Some(ReaderData::of(self)))
     }
 
-    /// Returns the layer that the first tile is fetched from.
-    fn layer(&self) -> Option<usize> {
-        TerrainSet::layer_of(&self.known, self.tile)
-    }
-
     /// Returns the files of the first tile in further layers, which name the tiles below it too.
     pub fn companions(&self) -> Vec<Arc<str>> {
-        let own = self.layer();
+        let own = self.file_layer;
         let others = self.set.layers_with_metadata(&self.known, self.tile).filter(|layer| Some(*layer) != own);
         others.map(|layer| self.set.layers[layer].tile_uri(self.tile).0).collect()
     }
@@ -122,7 +138,7 @@ impl TerrainPage {
         let notes = Notes::default();
         let mut reader = PageReader { page: self, mesh: self.above.clone(), heights_m: self.heights_m };
         let mut known = self.known.to_vec();
-        if let Some(own) = self.layer() {
+        if let Some(own) = self.file_layer {
             let bytes = unpacked(uri, bytes, options)?;
             let [low, high] = quantized::header_heights_m(&bytes).map_err(|reason| IoError::invalid(uri, reason))?;
             let error_m = self.set.tiling.level_error_m(self.tile.level);
@@ -151,7 +167,7 @@ impl TerrainPage {
             reader.mesh = TileMesh::Held(Arc::new(HeldMesh { tile: self.tile, uri: uri.clone(), bytes }));
         }
         options.ignored.add(&notes.into_ignored());
-        Ok(vec![reader.tile(self.tile, &known, self.layer().is_some())])
+        Ok(vec![reader.tile(self.tile, &known, self.file_layer.is_some())])
     }
 
     /// Returns the tiles that the metadata in a file of the first tile names below it.
@@ -182,7 +198,7 @@ impl TerrainPage {
 
 impl ReaderValue for TerrainPage {
     fn is_whole_content(&self) -> bool {
-        self.layer().is_none()
+        self.file_layer.is_none()
     }
 
     fn continues_tileset(&self) -> bool {
@@ -194,7 +210,7 @@ impl ReaderValue for TerrainPage {
     }
 
     fn fallback_uri(&self) -> Option<Arc<str>> {
-        self.set.layers[self.layer()?].tile_uri(self.tile).1
+        self.set.layers[self.file_layer?].tile_uri(self.tile).1
     }
 
     fn size_bytes(&self) -> u64 {
@@ -248,13 +264,8 @@ impl PageReader<'_> {
 
     /// Returns the page that begins with a tile.
     fn continuation(&self, tile: TileCoordinates, known: Vec<Availability>) -> Continuation {
-        let page = TerrainPage {
-            set: self.page.set.clone(),
-            tile,
-            known: known.into(),
-            above: self.mesh.clone(),
-            heights_m: self.heights_m,
-        };
+        let (set, above) = (self.page.set.clone(), self.mesh.clone());
+        let page = TerrainPage::new(set, tile, known.into(), above, self.heights_m);
         Continuation { bounds: self.bounds(tile, &page.known), content: page.content() }
     }
 
@@ -270,9 +281,8 @@ impl PageReader<'_> {
         if self.page.set.layers_with_metadata(known, tile).next().is_some() {
             return true;
         }
-        let lacks_child = || (0..4).any(|child| TerrainSet::layer_of(known, tile.child(child)).is_none());
         self.is_divided(tile, known, has_file)
-            && (tile.level.is_multiple_of(PAGE_LEVELS) || (has_file && lacks_child()))
+            && (tile.level.is_multiple_of(PAGE_LEVELS) || (has_file && TerrainSet::lacks_child(known, tile)))
     }
 
     fn bounds(&self, tile: TileCoordinates, known: &[Availability]) -> BoundingVolume {

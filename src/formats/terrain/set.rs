@@ -54,6 +54,11 @@ impl TerrainSet {
         known.iter().position(|layer| layer.has(tile))
     }
 
+    /// Returns true if no layer has some child of a tile.
+    pub fn lacks_child(known: &[Availability], tile: TileCoordinates) -> bool {
+        (0..4).any(|child| Self::layer_of(known, tile.child(child)).is_none())
+    }
+
     /// Returns the layers whose tile names the tiles below it in its metadata.
     pub fn layers_with_metadata<'a>(
         &'a self,

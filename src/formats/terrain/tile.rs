@@ -135,7 +135,8 @@ impl ReaderValue for TerrainTile {
 
 /// Returns the bytes of a tile without compression. Fails for web pages.
 pub(super) fn unpacked(uri: &str, bytes: Vec<u8>, options: &ReadOptions) -> Result<Vec<u8>, IoError> {
-    let bytes = encoding::gunzip(uri, bytes, &options.limits)?;
+    // Tiles begin with a number, which may look like the magic of gzip; deflate, its only method, follows that.
+    let bytes = if bytes.get(2) == Some(&8) { encoding::gunzip(uri, bytes, &options.limits)? } else { bytes };
     refuse_markup(uri, &bytes)?;
     Ok(bytes)
 }
@@ -196,7 +197,8 @@ fn node_of(surface: &Surface, water: Option<&Water>, tiling: Tiling, tile: TileC
     let skirt_m = SKIRT_ERRORS * tiling.level_error_m(tile.level);
     let (origin, mesh) = mesh::build(surface, &tiling.rectangle(tile), skirt_m);
     let metallic_roughness = water.map(Water::reflection);
-    let material = Material { base_color: GROUND, metallic_roughness, ..Material::default() };
+    let (base_color, texture) = water.map_or((GROUND, None), |water| water.color(GROUND));
+    let material = Material { base_color, texture, metallic_roughness, ..Material::default() };
     let drawable = Drawable::new(Geometry::Mesh(Arc::<Mesh>::new(mesh)), material);
     Node::transform(DAffine3::from_translation(origin), vec![Node::geode(vec![drawable])])
 }

@@ -1,14 +1,17 @@
-//! [`Water`]: which parts of a terrain tile are water, and how they reflect. Plain values; decode threads.
+//! [`Water`]: which parts of a terrain tile are water, and how they look. Plain values; decode threads.
 
 use std::sync::Arc;
 
 use crate::formats::image::mips;
+use crate::math::color::srgb_from_linear;
 use crate::scene::{MetallicRoughness, Texture};
 
 /// Cells along a side of a mask.
 const SIDE: usize = 256;
 /// The roughness of water: the waves that are smaller than a pixel.
 const ROUGHNESS: f32 = 0.2;
+/// The colour of deep water from above without what it mirrors, linear.
+const DEEP: [f32; 4] = [0.008, 0.03, 0.05, 1.0];
 
 /// The water of a tile, as the extension `watermask` has it: 0 is land, 255 is water.
 #[derive(Clone, Debug, PartialEq)]
@@ -45,6 +48,29 @@ impl Water {
         };
         let cell = |row: usize, column: usize| cells[at(1.0 - north, 1.0 - south, row) * SIDE + at(west, east, column)];
         Self::of_cells((0..SIDE * SIDE).map(|i| cell(i / SIDE, i % SIDE)).collect())
+    }
+
+    /// Returns the colour of the tile, linear, and a map of it where there is water beside land, whose colour is `ground`.
+    pub fn color(&self, ground: [f32; 4]) -> ([f32; 4], Option<Arc<Texture>>) {
+        let mixed = |water: u8| {
+            let share = f32::from(water) / 255.0;
+            [0, 1, 2, 3].map(|i| ground[i] * (1.0 - share) + DEEP[i] * share)
+        };
+        let cells = match self {
+            Self::Uniform(water) => return (mixed(*water), None),
+            Self::Cells(cells) => cells,
+        };
+        let texels: Vec<[u8; 4]> = (0..=255)
+            .map(|water| {
+                let [red, green, blue, _] = mixed(water);
+                let [red, green, blue] =
+                    [red, green, blue].map(|part| (255.0 * srgb_from_linear(f64::from(part))).round() as u8);
+                [red, green, blue, 255]
+            })
+            .collect();
+        let texels = cells.iter().flat_map(|cell| texels[usize::from(*cell)]).collect();
+        let side = SIDE as u32;
+        ([1.0; 4], Some(Arc::new(Texture::rgba8(side, side, mips(side, side, texels)))))
     }
 
     /// Returns the reflection of the tile: water is smooth, land is rough. Land has the same model, so that tiles with and
@@ -85,6 +111,18 @@ mod tests {
         let Water::Cells(half) = quarter().part([0.5, 0.25, 1.0, 0.75]) else { panic!("land and water") };
         assert!(half.iter().enumerate().all(|(i, cell)| (*cell > 0) == (i / SIDE < SIDE / 2)));
         assert_eq!(Water::of_mask(&[7; 100]), None);
+    }
+
+    /// Regression: water had the colour of the ground, so that coasts were hardly seen.
+    #[test]
+    fn water_is_dark_and_land_keeps_its_color() {
+        let ground = [0.4, 0.4, 0.4, 1.0];
+        assert_eq!((Water::Uniform(255).color(ground).0, Water::Uniform(0).color(ground).0), (DEEP, ground));
+        let (factor, map) = quarter().color(ground);
+        let map = map.unwrap();
+        let at = |row: usize, column: usize| map.mips[0][4 * (row * SIDE + column)];
+        assert_eq!((factor, at(10, 50), at(200, 200)), ([1.0; 4], 170, 170));
+        assert!(at(10, 200) < 30);
     }
 
     #[test]

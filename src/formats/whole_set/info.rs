@@ -7,6 +7,7 @@ use serde::Serialize;
 
 use super::metadata::MetadataInfo;
 use super::model::{ModelInfo, inspect_model};
+use super::overlay::inspect_overlay;
 use super::report::{InfoError, record, too_many};
 use super::terrain::inspect_terrain;
 use super::tree::{Known, load, read_companions, read_subtree};
@@ -16,6 +17,7 @@ use crate::fetch::{IoError, Limits, Loaded, Source, is_remote, path_of, root_uri
 use crate::formats::height::SetExtras;
 use crate::formats::options::{Fetched, ReadOptions};
 use crate::formats::osg;
+use crate::formats::overlay;
 use crate::formats::read::companions;
 use crate::formats::terrain;
 use crate::formats::tile::{Tile, TileContent};
@@ -24,7 +26,8 @@ use crate::formats::tileset::{self, may_be_tileset, read_tiles};
 /// Summary of a tile set.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Info {
-    /// "3D Tiles", "3D Tiles with heights", "quantized-mesh terrain", or the format of a single content.
+    /// "3D Tiles", "3D Tiles with heights", "quantized-mesh terrain", "raster overlay (WMTS)", or the format of a single
+    /// content.
     pub format: String,
     /// The version of the asset.
     pub version: String,
@@ -49,7 +52,10 @@ pub struct Info {
     pub tiles_with_metadata: u64,
     /// The bounds of the whole set.
     pub bounds: BoundsInfo,
-    /// The credit that a terrain service asks for.
+    /// What is particular to the format, by name: its projection, reference system, layers.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub details: BTreeMap<String, String>,
+    /// The credit that a terrain service or a map server asks for.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub attribution: Option<String>,
     /// Properties of the tilesets that their reader leaves out, counted by kind.
@@ -103,6 +109,9 @@ fn inspect_from(root: &Arc<str>, limits: &Limits, from: Source) -> Result<Info, 
     let Loaded { bytes, location, .. } = from.load(root)?;
     // Metadata is described, and that which is invalid is named.
     let options = ReadOptions { base: location, keep_features: true, ..options };
+    if let Some(document) = overlay::describe(&bytes) {
+        return inspect_overlay(root, bytes.len(), document);
+    }
     if terrain::is_layer(root, &bytes, limits) {
         return inspect_terrain(root, &bytes, &options, &from);
     }
@@ -160,6 +169,13 @@ fn has_asset(bytes: &[u8]) -> bool {
 impl Info {
     pub(super) fn fail(&mut self, error: &IoError) {
         record(error, &mut self.failed, &mut self.errors);
+    }
+
+    /// Adds a detail. What comes from a file is cut at some length.
+    pub(super) fn describe(&mut self, name: &str, text: impl Into<String>) {
+        const MAX_CHARS: usize = 400;
+        let text: String = text.into();
+        self.details.insert(name.to_owned(), text.chars().take(MAX_CHARS).collect());
     }
 
     /// Reads the files that a tileset refers to, and lists those that cannot be read.
@@ -355,6 +371,9 @@ impl std::fmt::Display for Info {
         if !self.extensions.is_empty() {
             let list: Vec<&str> = self.extensions.iter().map(String::as_str).collect();
             writeln!(f, "extensions: {}", list.join(", "))?;
+        }
+        for (name, text) in &self.details {
+            writeln!(f, "{name}: {text}")?;
         }
         if let Some(attribution) = &self.attribution {
             writeln!(f, "attribution: {attribution}")?;

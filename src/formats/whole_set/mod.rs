@@ -5,6 +5,7 @@ mod fill;
 mod info;
 mod metadata;
 mod model;
+mod overlay;
 mod region;
 mod report;
 mod terrain;

@@ -8,7 +8,7 @@ use serde::Serialize;
 use super::info::{BoundsInfo, Info};
 use super::tree::read_companions;
 use crate::fetch::markup::text_and_first_byte;
-use crate::fetch::{IoError, Limits, Source, encoding};
+use crate::fetch::{IoError, Source, encoding};
 use crate::formats::options::{Content, ReadOptions};
 use crate::formats::osg;
 use crate::formats::read::decode_node;
@@ -18,6 +18,8 @@ use crate::scene::{Drawable, Geometry, Node, NodeKind, Page, ReaderData, Topolog
 /// Counts of a single content. A mesh that several nodes draw counts once for each of them.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct ModelInfo {
+    /// Number of nodes, those of parts in the file included.
+    pub nodes: u64,
     /// Number of drawables.
     pub drawables: u64,
     /// Number of vertices.
@@ -40,8 +42,14 @@ pub(super) fn inspect_model(
     from: &Source,
 ) -> Result<Info, IoError> {
     let bytes = encoding::gunzip(uri, bytes, &options.limits)?;
-    let mut info = Info { format: format_name(uri, &bytes, &options.limits), contents: 1, ..Info::default() };
+    let mut info = Info { format: format_name(uri, &bytes, options), contents: 1, ..Info::default() };
     info.bytes = bytes.len() as u64;
+    if osg::is_metadata(&bytes)
+        && let Some((srs, [x, y, z])) = osg::reference_system(&bytes)
+    {
+        info.describe("srs", if srs.is_empty() { "none (its own frame)".to_owned() } else { srs });
+        info.describe("origin", format!("{x}, {y}, {z}"));
+    }
     let mut options = options.clone();
     let companions = read_companions(from, uri, &bytes, None, &mut options, &mut info.bytes);
     let node = decode_node(Content { uri: uri.clone(), bytes, reader_data: None, companions }, &options)?;
@@ -58,6 +66,7 @@ pub(super) fn inspect_model(
 
 impl ModelInfo {
     fn add(&mut self, node: &Node, options: &ReadOptions, images: &mut HashSet<usize>) {
+        self.nodes += 1;
         match &node.kind {
             NodeKind::Geode(drawables) => drawables.iter().for_each(|drawable| self.add_drawable(drawable, images)),
             NodeKind::ProxyNode(_) => self.paged_files += 1,
@@ -79,11 +88,12 @@ impl ModelInfo {
             let is_triangles = mesh.topology == Topology::Triangles;
             self.triangles += if is_triangles { mesh.indices.len() as u64 / 3 } else { 0 };
         }
-        if let Some(texture) = &drawable.material.texture
-            && images.insert(Arc::as_ptr(texture).addr())
-        {
-            self.images += 1;
-            self.image_bytes += texture.size_bytes();
+        let maps = drawable.material.metallic_roughness.iter().flat_map(|surface| surface.maps()).flatten();
+        for texture in drawable.material.texture.iter().chain(maps) {
+            if images.insert(Arc::as_ptr(texture).addr()) {
+                self.images += 1;
+                self.image_bytes += texture.size_bytes();
+            }
         }
     }
 
@@ -100,9 +110,9 @@ impl ModelInfo {
 }
 
 /// Returns the name of a format, by its magic bytes or, for a format without them, by its name.
-fn format_name(uri: &str, bytes: &[u8], limits: &Limits) -> String {
+fn format_name(uri: &str, bytes: &[u8], options: &ReadOptions) -> String {
     if osg::is_native(bytes) {
-        return osg::format_name(bytes, limits);
+        return osg::format_name(bytes, options);
     }
     let name = match bytes.get(..4) {
         Some(b"glTF") => "glTF (glb)",

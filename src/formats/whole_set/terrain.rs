@@ -30,6 +30,15 @@ pub(super) fn inspect_terrain(
     if let Some(layer) = layers.first() {
         info.version = layer.version.clone().unwrap_or_default();
         info.bounds.region = layer.bounds.map(Vec::from);
+        info.describe("tiling", layer.projection());
+    }
+    let templates: Vec<String> = layers.iter().map(Layer::template).collect();
+    info.describe("layers", templates.join(", "));
+    if let Some(levels) = layers.iter().find_map(Layer::metadata_levels) {
+        info.describe(
+            "named",
+            format!("tiles of every level that {levels} divides name those below in their metadata"),
+        );
     }
     let credits: Vec<&str> = layers.iter().filter_map(|layer| layer.attribution.as_deref()).collect();
     info.attribution = (!credits.is_empty()).then(|| credits.join("; "));

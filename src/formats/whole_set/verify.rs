@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use serde::Serialize;
 
+use super::overlay::verify_overlay;
 use super::report::{InfoError, record, too_many};
 use super::tree::{load, read_companions};
 #[cfg(feature = "http")]
@@ -12,6 +13,7 @@ use crate::fetch::HttpConfig;
 use crate::fetch::{IoError, Limits, Loaded, Source, root_uri};
 use crate::formats::options::{Content, Fetched, ReadOptions};
 use crate::formats::osg;
+use crate::formats::overlay;
 use crate::formats::read::{self, decode, decode_node};
 use crate::formats::terrain::{self, TerrainPage};
 use crate::formats::tileset;
@@ -71,6 +73,9 @@ fn verify_from(
     let options = ReadOptions { keep_features: true, ..ReadOptions::for_root(root, *limits) };
     let (mut verified, mut jobs) = (Verified::default(), Vec::new());
     let Loaded { bytes, location, .. } = from.load(root)?;
+    if let Some(document) = overlay::describe(&bytes) {
+        return verify_overlay(root, &bytes, document, (from, limits), progress);
+    }
     let mut options = ReadOptions { base: location, ..options };
     verified.bytes += bytes.len() as u64;
     let limit = limits.max_elements as u64;
@@ -107,7 +112,7 @@ fn verify_from(
 }
 
 impl Verified {
-    fn fail(&mut self, error: &IoError) {
+    pub(super) fn fail(&mut self, error: &IoError) {
         record(error, &mut self.failed, &mut self.errors);
     }
 
@@ -128,7 +133,8 @@ impl Verified {
         let is_osg = |loaded: &Loaded| osg::is_native(&loaded.bytes) || osg::is_metadata(&loaded.bytes);
         let is_osg = loaded.as_ref().is_ok_and(is_osg);
         let is_tileset = (is_tileset && !is_osg) || loaded.as_ref().is_ok_and(is_one);
-        self.contents += u64::from(!is_tileset && !continues);
+        let is_file = data.and_then(ReaderData::value::<osg::InlinePart>).is_some_and(osg::InlinePart::is_file);
+        self.contents += u64::from(!is_tileset && (!continues || is_file));
         let Loaded { bytes, location, is_no_content, .. } = loaded?;
         self.bytes += bytes.len() as u64;
         // Other contents of the same tile are read without it.

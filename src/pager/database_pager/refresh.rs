@@ -10,7 +10,7 @@ use crate::formats::OverlaySet;
 use crate::pager::requests::entry::Entry;
 use crate::pager::scenes::scene_set::SceneSet;
 use crate::pager::upload::context::CompileContext;
-use crate::scene::{NodeId, PageId, ProxyLoading, Scene, SlotState};
+use crate::scene::{NodeId, Page, PageId, ProxyLoading, Scene, SlotState};
 
 /// The priority of successors in pixels of error: after what is missing on screen, before prefetches.
 const PRIORITY_PX: f32 = 1.0;
@@ -22,8 +22,8 @@ pub(super) type Outdated = BTreeMap<PageId, NodeId>;
 
 impl DatabasePager {
     /// Replaces the overlays of a scene. Contents on screen stay until each is loaded with the new ones; others leave, and are
-    /// loaded when they are wanted. A content that has tiles below it in the same file (OpenSceneGraph's databases) keeps the old
-    /// overlays until it expires.
+    /// loaded when they are wanted. A content that has tiles below it in the same file (OpenSceneGraph's databases) leaves with
+    /// them once its successor is there.
     pub fn set_overlays(
         &mut self,
         scene: &mut Scene,
@@ -46,7 +46,8 @@ impl DatabasePager {
             self.forced.extend(is_asked.then_some(slot));
         }
         self.drop_requests(contexts, |slot, _| slot.page.scene == number);
-        let is_content = |page: &PageId| scene.page(*page).is_some_and(|page| !page.is_tile_tree());
+        let has_content = |page: &Page| !page.is_tile_tree() || page.drawable_count() > 0;
+        let is_content = |page: &PageId| scene.page(*page).is_some_and(has_content);
         self.outdated.extend(self.residency.slots_of(number).filter(|(page, _)| is_content(page)));
     }
 
@@ -85,11 +86,22 @@ impl DatabasePager {
         contexts: &mut [&mut dyn CompileContext],
     ) {
         if let Some(SlotState::Resident(page)) = scenes.slot(slot).map(|slot| slot.state)
-            && self.outdated.remove(&page).is_some()
+            && self.outdated.contains_key(&page)
         {
-            self.residency.remove(page);
-            self.detach(scenes, page, contexts);
+            self.detach_with_below(scenes, page, contexts);
         }
+    }
+
+    /// Detaches a page, and before it the pages in its slots, which would be lost with it.
+    fn detach_with_below(&mut self, scenes: &mut dyn SceneSet, page: PageId, contexts: &mut [&mut dyn CompileContext]) {
+        let is_below = |(below, slot): (PageId, NodeId)| (slot.page == page).then_some(below);
+        let below: Vec<PageId> = self.residency.slots_of(page.scene).filter_map(is_below).collect();
+        for below in below {
+            self.detach_with_below(scenes, below, contexts);
+        }
+        self.outdated.remove(&page);
+        self.residency.remove(page);
+        self.detach(scenes, page, contexts);
     }
 
     /// Marks a slot whose load has failed. If it was for a successor, the outdated page stays: for good, unless there will be

@@ -9,7 +9,7 @@ use super::ticket::Ticket;
 #[cfg(feature = "http")]
 use crate::fetch;
 use crate::fetch::{IoError, Loaded, RootScope, is_remote};
-use crate::formats::{self, Content, Fetched, ReadOptions, TileVolume};
+use crate::formats::{self, Content, Fetched, ReadAhead, ReadOptions, TileVolume};
 use crate::pager::scenes::read_scope::{ReadScope, TilesetAncestors};
 #[cfg(feature = "http")]
 use crate::pager::scenes::shared_files::SharedFiles;
@@ -55,6 +55,8 @@ pub(in crate::pager) enum LoadStage {
 pub(in crate::pager) struct LoadProgress {
     /// A [`LoadStage`]. Relaxed: it is only shown, no other memory depends on it.
     stage: AtomicU8,
+    /// What a loading thread has parsed, for the decode thread.
+    read_ahead: ReadAhead,
     /// Used by the HTTP thread alone, which computes it once.
     #[cfg(feature = "http")]
     servers: std::sync::OnceLock<Vec<String>>,
@@ -94,6 +96,7 @@ impl PageJob {
             companion_bases: companion_locations.into(),
             block_formats,
             tile: self.tile,
+            read_ahead: self.progress.read_ahead.clone(),
             ..self.scope.options.clone()
         }
     }

@@ -44,9 +44,23 @@ pub struct MetallicRoughness {
     pub emissive_map: Option<Arc<Texture>>,
     /// The texture coordinates of maps that do not use those of the vertices.
     pub second_uv: SecondUv,
-    /// An image over the base colour, by its alpha: sRGB, blended in linear light. It uses the second texture coordinates
-    /// as they are. [`Material::unlit`] shows it too. Raster overlays are such images.
+    /// An image over the base colour: sRGB. It uses the second texture coordinates as they are. [`Material::unlit`] shows it
+    /// too. Raster overlays are such images.
     pub overlay: Option<Arc<Texture>>,
+    /// How the overlay changes the base colour.
+    pub overlay_mode: OverlayMode,
+}
+
+/// How [`MetallicRoughness::overlay`] changes the base colour, whose alpha it keeps.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum OverlayMode {
+    /// It lies over it by its own alpha, blended in linear light.
+    #[default]
+    Over,
+    /// It is multiplied with it, such as a light map or a detail map.
+    Multiply,
+    /// It is added to it. The values are added as they are displayed, and clamped to 1.
+    Add,
 }
 
 /// The maps of a surface that use the second texture coordinates of its mesh: its attribute [`SecondUv::ATTRIBUTE`] of format
@@ -77,6 +91,8 @@ impl SecondUv {
 impl MetallicRoughness {
     /// The number of maps.
     pub(crate) const MAPS: usize = 5;
+    /// The number of the overlay among the maps.
+    pub(crate) const OVERLAY: usize = 4;
     /// The number of maps, the first ones, that may have a transform of texture coordinates.
     pub(crate) const TRANSFORMED_MAPS: usize = 4;
 
@@ -113,6 +129,7 @@ impl Default for MetallicRoughness {
             emissive_map: None,
             second_uv: SecondUv::default(),
             overlay: None,
+            overlay_mode: OverlayMode::default(),
         }
     }
 }

@@ -54,7 +54,9 @@ fn folders_open_by_their_path_and_lie_on_the_earth() {
 
     let info = inspect(path, &Limits::default()).unwrap();
     assert_eq!(info.format, "oblique photogrammetry (metadata.xml)");
-    assert_eq!(info.model.map(|model| model.paged_files), Some(2));
+    assert_eq!((info.details["srs"].as_str(), info.details["origin"].as_str()), ("EPSG:32632", "463900, 5248700, 400"));
+    let model = info.model.unwrap();
+    assert_eq!((model.paged_files, model.drawables, model.triangles), (2, 2, 2), "{model:?}");
     // Both tiles are inside of the bounds, which lie where the grid says.
     let grid = TransverseMercator::utm(32, false);
     let center = DVec3::from_array(info.bounds.center);
@@ -99,6 +101,17 @@ fn broken_tiles_leave_the_others() {
     let verified = verify(folder.path().to_str().unwrap(), &Limits::default(), &mut |_| {}).unwrap();
     assert_eq!((verified.contents, verified.failed), (3, 1), "{verified:?}");
     assert!(verified.errors[0].uri.ends_with("Tile_a.osgb"));
+}
+
+/// Regression: the top files were read for their bounds, and once more when they were drawn.
+#[test]
+fn top_files_are_read_once() {
+    let folder = tempfile::tempdir().unwrap();
+    set(folder.path(), "", &[("Tile_+000_+000", [0.5, 0.5, 0.0])]);
+    let mut run = Run::new(folder.path().to_str().unwrap(), PagerConfig::default());
+    std::fs::remove_file(folder.path().join("Data/Tile_+000_+000/Tile_+000_+000.osgb")).unwrap();
+    run.settle(above(100.0));
+    assert_eq!((run.stage.leaf_count(), run.pager.stats().bytes_read), (1, run.root_bytes));
 }
 
 /// From far away the triangle in the top file is drawn, and nearby the two of the file that replaces it.

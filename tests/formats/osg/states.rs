@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use base64::Engine as _;
-use terrane::scene::{AlphaMode, Texture};
+use terrane::scene::{AlphaMode, OverlayMode, SecondUv, Texture};
 use terrane::state::{
     Attribute, BinDetails, BlendFactor, CompareFunction, CullFace, FilterMode, Mode, SortMode, StateSet, StateValue,
     WrapMode,
@@ -161,6 +161,94 @@ fn pixels_in_text_are_a_texture_that_starts_at_the_bottom() {
     let off = textured(&image).replace("GL_TEXTURE_2D ON", "GL_TEXTURE_2D OFF");
     let (node, _) = read(osgt(VERSION, &geode(1, &state_set(2, &off), &[triangle(10, uvs)])));
     assert!(self::texture(&node).is_none());
+}
+
+/// A state set in text with a texture of each unit: the red of its only pixel, and the mode of its environment.
+fn units(units: &[(u8, &str)]) -> String {
+    let image = |(unit, (red, _)): (usize, &(u8, &str))| {
+        let pixel = base64::engine::general_purpose::STANDARD.encode([*red, 0, 0]);
+        format!(
+            "Image TRUE {{ ClassName osg::Image UniqueID {} FileName \"\" WriteHint 0 0 Origin 0 Size 1 1 1
+            InternalTextureFormat 6407 PixelFormat 6407 DataType 5121 Packing 1 AllocationMode 2 Data 1 {{ \"{pixel}\" }} }}",
+            40 + unit
+        )
+    };
+    let of_unit = |(unit, of): (usize, &(u8, &str))| {
+        let (texture, environment) = (50 + unit, 60 + unit);
+        format!(
+            "Data 2 {{ osg::Texture2D {{ UniqueID {texture} {} }} Value OFF
+            osg::TexEnv {{ UniqueID {environment} Mode {} }} Value OFF }}",
+            image((unit, of)),
+            of.1
+        )
+    };
+    let count = units.len();
+    let modes = "Data 1 { GL_TEXTURE_2D ON } ".repeat(count);
+    let attributes: Vec<String> = units.iter().enumerate().map(of_unit).collect();
+    format!("TextureModeList {count} {{ {modes} }} TextureAttributeList {count} {{ {} }}", attributes.join(" "))
+}
+
+/// Texture coordinates of two units; in the second one t differs.
+const TWO_UVS: &str = "TexCoordArrayList 2 { osg::Vec2Array { UniqueID 20 vector 3 { 0 0 \n 1 0 \n 0 1 } }
+    osg::Vec2Array { UniqueID 21 vector 3 { 0 0.25 \n 1 0.5 \n 0 1 } } }";
+
+#[test]
+fn second_texture_changes_the_first_by_its_environment() {
+    let graph =
+        |of: &[(u8, &str)], uvs: &str| read(osgt(VERSION, &geode(1, &state_set(2, &units(of)), &[triangle(10, uvs)])));
+    let second_uv = |node: &Node| {
+        let bytes = mesh(drawables(node)[0]).attributes.get(SecondUv::ATTRIBUTE).map(|found| found.1.to_vec());
+        bytes
+            .map(|bytes| bytes.chunks_exact(4).map(|b| f32::from_le_bytes(b.try_into().unwrap())).collect::<Vec<f32>>())
+    };
+    for (environment, mode) in
+        [("MODULATE", OverlayMode::Multiply), ("DECAL", OverlayMode::Over), ("ADD", OverlayMode::Add)]
+    {
+        let (node, ignored) = graph(&[(100, "MODULATE"), (200, environment)], TWO_UVS);
+        assert!(ignored.is_empty(), "{ignored:?}");
+        let material = &drawables(&node)[0].material;
+        assert_eq!(material.texture.as_ref().unwrap().mips[0][0], 100);
+        let surface = material.metallic_roughness.as_ref().unwrap();
+        assert_eq!((surface.overlay.as_ref().unwrap().mips[0][0], surface.overlay_mode), (200, mode));
+        // Pixels in the file begin with t = 0.
+        assert_eq!(mesh(drawables(&node)[0]).vertices[2].uv, [0.0, 1.0]);
+        assert_eq!(second_uv(&node).unwrap(), [0.0, 0.25, 1.0, 0.5, 0.0, 1.0]);
+    }
+    // A texture that replaces everything is shown without light and with its own coordinates.
+    let (node, _) = graph(&[(100, "MODULATE"), (200, "REPLACE")], TWO_UVS);
+    let drawable = drawables(&node)[0];
+    let material = &drawable.material;
+    assert!(material.unlit && material.metallic_roughness.is_none());
+    assert_eq!((material.texture.as_ref().unwrap().mips[0][0], mesh(drawable).vertices[1].uv), (200, [1.0, 0.5]));
+
+    // What is beyond has a name.
+    let left_out = |of: &[(u8, &str)], uvs: &str| {
+        let (node, ignored) = graph(of, uvs);
+        assert!(drawables(&node)[0].material.metallic_roughness.is_none());
+        ignored.iter().map(|(kind, _)| kind.to_owned()).collect::<Vec<_>>()
+    };
+    assert_eq!(left_out(&[(1, "MODULATE"), (2, "BLEND")], TWO_UVS), ["OpenSceneGraph: TexEnv BLEND"]);
+    let one_uv = "TexCoordArrayList 1 { osg::Vec2Array { UniqueID 20 vector 3 { 0 0 \n 1 0 \n 0 1 } } }";
+    assert_eq!(
+        left_out(&[(1, "MODULATE"), (2, "ADD")], one_uv),
+        ["OpenSceneGraph: texture of a unit without texture coordinates"]
+    );
+    let (_, ignored) = graph(&[(1, "MODULATE"), (2, "MODULATE"), (3, "MODULATE")], TWO_UVS);
+    assert_eq!(ignored.iter().collect::<Vec<_>>(), [("OpenSceneGraph: texture of a unit above 1", 1)]);
+}
+
+/// Photographs of a surface without normals have their light in them.
+#[test]
+fn textures_without_normals_are_not_lit() {
+    let uvs = "TexCoordArrayList 1 { osg::Vec2Array { UniqueID 20 vector 3 { 0 0 \n 1 0 \n 0 1 } } }";
+    let normals = "NormalArray TRUE { osg::Vec3Array { UniqueID 22 Binding BIND_OVERALL vector 1 { 0 0 1 } } }";
+    let is_unlit = |state: &str, members: &str| {
+        let (node, _) = read(osgt(VERSION, &geode(1, &state_set(2, state), &[triangle(10, members)])));
+        drawables(&node)[0].material.unlit
+    };
+    let textured = units(&[(100, "MODULATE")]);
+    assert!(is_unlit(&textured, uvs));
+    assert!(!is_unlit(&textured, &format!("{normals} {uvs}")) && !is_unlit("", uvs));
 }
 
 #[test]

@@ -242,6 +242,20 @@ fn assert_reaches_pole(page: &PagedLod, options: &ReadOptions) {
     assert!((highest - WGS84.semi_minor_m).abs() < 1.0, "{highest}");
 }
 
+/// Regression: one tile in 256 was refused as a web page.
+#[test]
+fn tile_whose_first_byte_is_that_of_markup_is_read() {
+    let mut bytes = TerrainTile::new([3, 5, 4], height).bytes();
+    let options = ReadOptions::for_root("/set/layer.json", Limits::default());
+    for first in [b'<', b'{'] {
+        bytes[0] = first;
+        decode("/set/3/5/4.terrain", bytes.clone(), None, &options);
+    }
+    let page = b"<html><head><title>503 Service Unavailable</title></head></html>".to_vec();
+    let content = Content { uri: "/set/3/5/4.terrain".into(), bytes: page, reader_data: None, companions: Vec::new() };
+    assert!(decode_node(content, &options).unwrap_err().to_string().contains("a web page"));
+}
+
 #[test]
 fn files_are_described_and_verified() {
     let folder = tempfile::tempdir().unwrap();
@@ -250,6 +264,8 @@ fn files_are_described_and_verified() {
     let info = inspect(source, &Limits::default()).unwrap();
     assert_eq!((&*info.format, &*info.version, info.tiles, info.failed), ("quantized-mesh terrain", "1.0.0", 6, 0));
     assert_eq!(info.levels.iter().map(|level| level.tiles).collect::<Vec<_>>(), [2, 1, 1, 1, 1]);
+    assert_eq!(info.details["tiling"], "EPSG:4326 (geographic)");
+    assert!(info.details["layers"].contains("/0/0/0.terrain"), "{:?}", info.details);
     let verified = verify(source, &Limits::default(), &mut |_| {}).unwrap();
     assert_eq!((verified.failed, verified.ignored.len()), (0, 0), "{verified:?}");
     // 6 files, 3 parts of the tile above on each of 4 levels, and the ellipsoid above the roots.
@@ -286,6 +302,7 @@ fn unusual_parts_are_noted() {
     let source = folder.path().to_str().unwrap();
     let info = inspect(source, &Limits::default()).unwrap();
     assert_eq!(info.attribution.as_deref(), Some("Survey of A"));
+    assert!(info.details["named"].contains("that 2 divides"), "{:?}", info.details);
     let verified = verify(source, &Limits::default(), &mut |_| {}).unwrap();
     assert_eq!((verified.failed, verified.contents), (0, 2 + 4 + 2), "{verified:?}");
     for kind in ["parent layer", "metadata that layer.json announces"] {

@@ -89,6 +89,13 @@ fn map_point(in: MeshFragment, shape: MeshShape, map: u32) -> MapPoint {
     return MapPoint(matrix * in.second_uv + offset, matrix * shape.second_uv_x, matrix * shape.second_uv_y);
 }
 
+// Returns the linear colour of the sum of two colours as they are displayed.
+fn displayed_sum(a: vec3<f32>, b: vec3<f32>) -> vec3<f32> {
+    let gamma = vec3<f32>(2.2);
+    let sum = pow(max(a, vec3<f32>(0.0)), 1.0 / gamma) + pow(max(b, vec3<f32>(0.0)), 1.0 / gamma);
+    return pow(min(sum, vec3<f32>(1.0)), gamma);
+}
+
 fn base_color(in: MeshFragment) -> vec4<f32> {
     let uv = vec2<f32>(in.in_eye_u.w, in.normal_v.w);
     let layer = surface_records[in.leaf.x].layers.x;
@@ -100,7 +107,11 @@ fn base_color(in: MeshFragment) -> vec4<f32> {
         return base;
     }
     let above = textureSampleGrad(overlay_layers, overlay_sampler, in.second_uv, overlay, overlay_x, overlay_y);
-    return vec4<f32>(mix(base.rgb, above.rgb, above.a), base.a);
+    switch surface_records[in.leaf.x].occlusion_uv_bits_overlay.w {
+        case 1u: { return vec4<f32>(base.rgb * above.rgb, base.a); }
+        case 2u: { return vec4<f32>(displayed_sum(base.rgb, above.rgb), base.a); }
+        default: { return vec4<f32>(mix(base.rgb, above.rgb, above.a), base.a); }
+    }
 }
 
 // Returns a normal bent by a texel of a normal map. The axes of the map follow from derivatives (C. Schueler, Followup:

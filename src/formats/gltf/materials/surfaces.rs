@@ -126,7 +126,7 @@ impl<'a> Surfaces<'a> {
             emissive,
             emissive_map,
             second_uv: of.second_uv,
-            overlay: None,
+            ..MetallicRoughness::default()
         };
         let shared = [shared_normal, shared_metallic, shared_emissive, shared_occlusion, None];
         Ok((model, shared.map(Option::flatten)))

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use super::units::Units;
 use crate::formats::osg::objects::{AttributeObject, MaterialObject, StateObject};
 use crate::math::color::linear_from_srgb;
 use crate::scene::AlphaMode;
@@ -21,24 +22,24 @@ const GL_ALWAYS: u32 = 0x207;
 const DIFFUSE_COLOR_MODES: [u32; 2] = [0x1201, 0x1602];
 
 /// OSG's flags.
-const ON: u32 = 1;
+pub(super) const ON: u32 = 1;
 const OVERRIDE: u32 = 2;
 const PROTECTED: u32 = 4;
 const INHERIT: u32 = 8;
 
 /// A value that state sets pass on to what is below.
 #[derive(Clone)]
-struct Inherited<T> {
-    value: T,
+pub(super) struct Inherited<T> {
+    pub value: T,
     is_overridden: bool,
 }
 
 impl<T> Inherited<T> {
-    fn new(value: T) -> Self {
+    pub fn new(value: T) -> Self {
         Self { value, is_overridden: false }
     }
 
-    fn apply(&mut self, value: T, flags: u32) {
+    pub fn apply(&mut self, value: T, flags: u32) {
         if flags & INHERIT == 0 && (!self.is_overridden || flags & PROTECTED != 0) {
             self.value = value;
             self.is_overridden = flags & OVERRIDE != 0;
@@ -48,8 +49,7 @@ impl<T> Inherited<T> {
 
 /// The state that a drawable's material takes from the state sets above it.
 pub(super) struct Look {
-    /// The attribute with the texture of unit 0.
-    pub texture: Option<Arc<AttributeObject>>,
+    pub units: Units,
     pub is_lit: bool,
     pub culls_faces: bool,
     is_blended: bool,
@@ -67,8 +67,7 @@ impl Look {
             (GL_BLEND, Inherited::new(false)),
             (GL_ALPHA_TEST, Inherited::new(false)),
         ];
-        let mut is_textured = Inherited::new(false);
-        let (mut texture, mut material) = (Inherited::new(None), Inherited::new(None));
+        let mut material = Inherited::new(None);
         let mut alpha_func = Inherited::new((GL_ALWAYS, 1.0));
         for state in states {
             for (mode, flags) in &state.modes {
@@ -85,20 +84,13 @@ impl Look {
                     _ => {}
                 }
             }
-            let unit_modes = state.texture_modes.first().into_iter().flatten();
-            for (_, flags) in unit_modes.filter(|(mode, _)| *mode == GL_TEXTURE_2D) {
-                is_textured.apply(flags & ON != 0, *flags);
-            }
-            let unit_attributes = state.texture_attributes.first().into_iter().flatten();
-            for (attribute, flags) in unit_attributes.filter(|(attribute, _)| is_texture(attribute)) {
-                texture.apply(Some(attribute.clone()), *flags);
-            }
         }
         let [is_lit, culls_faces, is_blended, tests_alpha] = modes.map(|(_, mode)| mode.value);
         let test = Some(alpha_func.value).filter(|(function, _)| tests_alpha && *function != GL_ALWAYS);
+        let units = Units::resolve(states);
         Self {
-            texture: texture.value.filter(|_| is_textured.value),
-            is_lit,
+            is_lit: is_lit && !units.replaces_light,
+            units,
             culls_faces,
             is_blended,
             alpha_test: test,
@@ -109,14 +101,19 @@ impl Look {
     /// Returns true if vertex colours are shown: without lighting, without a material, or if the material says so.
     pub fn has_vertex_colors(&self) -> bool {
         let shows = |material: &MaterialObject| DIFFUSE_COLOR_MODES.contains(&material.color_mode);
-        !self.is_lit || self.material.as_ref().is_none_or(shows)
+        !self.units.replaces_light && (!self.is_lit || self.material.as_ref().is_none_or(shows))
+    }
+
+    /// Returns true if only the fixed function draws the highlights or glows of the material.
+    pub fn has_fixed_material(&self) -> bool {
+        self.material.as_ref().is_some_and(needs_surface_material)
     }
 
     /// Returns the linear colour factor of the material.
     pub fn base_color(&self) -> [f32; 4] {
         match &self.material {
             // A material in the state set has the colour already.
-            Some(material) if !self.has_vertex_colors() && !needs_surface_material(material) => {
+            Some(material) if self.is_lit && !self.has_vertex_colors() && !needs_surface_material(material) => {
                 linear(material.diffuse[0])
             }
             _ => [1.0; 4],
@@ -138,10 +135,6 @@ impl Look {
         let is_mask = |function| matches!(function, GL_GREATER | GL_GEQUAL);
         self.alpha_test.filter(|(function, _)| self.is_blended || !is_mask(*function))
     }
-}
-
-fn is_texture(attribute: &AttributeObject) -> bool {
-    matches!(attribute, AttributeObject::Texture(_))
 }
 
 /// Returns true if a material has highlights or glows, which only OpenGL's fixed function draws.

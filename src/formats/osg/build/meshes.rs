@@ -10,7 +10,7 @@ use crate::formats::osg::error::{OsgError, Result};
 use crate::formats::osg::input::Values;
 use crate::formats::osg::objects::{Binding, BoundArray, GeometryObject, Indices, PrimitiveObject};
 use crate::math::Aabb;
-use crate::scene::{AttributeFormat, Mesh, MeshVertex, PrimitiveMode, Topology, VertexAttributes};
+use crate::scene::{AttributeFormat, Mesh, MeshVertex, PrimitiveMode, SecondUv, Topology, VertexAttributes};
 
 const TOPOLOGIES: [Topology; 3] = [Topology::Triangles, Topology::Lines, Topology::Points];
 
@@ -22,6 +22,51 @@ struct Corner {
     primitive: usize,
 }
 
+/// The texture coordinates of a texture.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub(super) struct UvSet {
+    /// The texture unit.
+    pub unit: usize,
+    /// True if t = 0 is at the first row of the image.
+    pub starts_at_bottom: bool,
+}
+
+impl UvSet {
+    /// Returns the coordinates from the first row of the image.
+    fn point(self, array: &Attribute<'_>, corner: Corner) -> [f32; 2] {
+        let [s, t] = [0, 1].map(|component| array.get(corner, component, array.array.is_normalized) as f32);
+        // OSG's t goes up, Terrane's v down from the first row of an image.
+        [s, if self.starts_at_bottom { t } else { 1.0 - t }]
+    }
+}
+
+/// The texture coordinates of a mesh.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub(super) struct UvSets {
+    /// Those of the vertices.
+    pub first: UvSet,
+    /// The second ones, if they differ.
+    pub second: Option<UvSet>,
+}
+
+impl GeometryObject {
+    /// Returns true if there are coordinates of a unit.
+    pub(super) fn has_uvs(&self, unit: usize) -> bool {
+        self.uvs(unit).is_some()
+    }
+
+    /// Returns true if two sets are the same coordinates.
+    pub(super) fn has_equal_uvs(&self, a: UvSet, b: UvSet) -> bool {
+        let is_same = |a: &BoundArray, b: &BoundArray| Arc::ptr_eq(&a.array, &b.array);
+        a.starts_at_bottom == b.starts_at_bottom
+            && (a.unit == b.unit || self.uvs(a.unit).zip(self.uvs(b.unit)).is_some_and(|(a, b)| is_same(a, b)))
+    }
+
+    fn uvs(&self, unit: usize) -> Option<&BoundArray> {
+        self.tex_coords.get(unit)?.as_ref()
+    }
+}
+
 /// The arrays of a geometry.
 struct Arrays<'a> {
     count: usize,
@@ -30,7 +75,7 @@ struct Arrays<'a> {
     colors: Option<Attribute<'a>>,
     uvs: Option<Attribute<'a>>,
     origin: DVec3,
-    starts_at_bottom: bool,
+    uv_sets: UvSets,
 }
 
 /// An array with the binding that applies.
@@ -102,12 +147,7 @@ impl Arrays<'_> {
 
     fn vertex(&self, corner: Corner) -> MeshVertex {
         let position = (self.position(corner.vertex) - self.origin).as_vec3().to_array();
-        let uv = self.uvs.map_or([0.0; 2], |uvs| {
-            let part = |component| uvs.get(corner, component, uvs.array.is_normalized) as f32;
-            let [s, t] = [part(0), part(1)];
-            // OSG's t goes up, Terrane's v down from the first row of an image.
-            [s, if self.starts_at_bottom { t } else { 1.0 - t }]
-        });
+        let uv = self.uvs.map_or([0.0; 2], |uvs| self.uv_sets.first.point(&uvs, corner));
         let normal = self.normals.map_or([0; 4], |normals| {
             let part = |component| normals.get(corner, component, true);
             let normal = DVec3::new(part(0), part(1), part(2)).normalize_or_zero();
@@ -132,12 +172,7 @@ impl Arrays<'_> {
 
 impl Builder<'_> {
     /// Makes the meshes of a geometry: at most one for each topology.
-    pub(super) fn geometry(
-        &mut self,
-        geometry: &GeometryObject,
-        starts_at_bottom: bool,
-        has_colors: bool,
-    ) -> Result<Meshes> {
+    pub(super) fn geometry(&mut self, geometry: &GeometryObject, uv_sets: UvSets, has_colors: bool) -> Result<Meshes> {
         let empty = Meshes { origin: DVec3::ZERO, meshes: Vec::new() };
         let Some(positions) = geometry.vertices.as_ref().filter(|array| array.count() > 0) else { return Ok(empty) };
         let (count, sets) = (positions.count(), geometry.primitives.len());
@@ -147,9 +182,9 @@ impl Builder<'_> {
             positions,
             normals: Attribute::new(geometry.normals.as_ref(), count, sets),
             colors: Attribute::new(geometry.colors.as_ref(), count, sets).filter(|_| has_colors),
-            uvs: Attribute::new(geometry.tex_coords.first().and_then(Option::as_ref), count, sets),
+            uvs: Attribute::new(geometry.uvs(uv_sets.first.unit), count, sets),
             origin: DVec3::ZERO,
-            starts_at_bottom,
+            uv_sets,
         };
         let points = || (0..count).map(|vertex| arrays.position(vertex));
         if !points().all(|point| point.is_finite()) {
@@ -277,22 +312,31 @@ impl Builder<'_> {
         Ok(mode.assemble(indices.into()))
     }
 
-    /// Returns the further texture coordinates that the options ask for.
+    /// Returns the second texture coordinates, and the further ones that the options ask for.
     fn attributes(&self, geometry: &GeometryObject, used: &[u32], arrays: &Arrays<'_>) -> Result<VertexAttributes> {
         let mut attributes = VertexAttributes::default();
+        let mut add = |name: &str, array: &BoundArray, value: &dyn Fn(&Attribute<'_>, Corner) -> [f32; 2]| {
+            let array = Attribute::new(Some(array), arrays.count, geometry.primitives.len());
+            let Some(array) = array else { return Ok(()) };
+            let corner = |vertex: &u32| Corner { vertex: *vertex as usize, set: 0, primitive: 0 };
+            let values: Vec<[f32; 2]> = used.iter().map(|vertex| value(&array, corner(vertex))).collect();
+            let bytes = bytemuck::cast_slice(&values).into();
+            let pushed = attributes.push(used.len(), name, AttributeFormat::Float32x2, bytes);
+            pushed.map_err(|error| OsgError::invalid(error.to_string()))
+        };
+        if let Some(second) = arrays.uv_sets.second
+            && let Some(array) = geometry.uvs(second.unit)
+        {
+            add(SecondUv::ATTRIBUTE, array, &|array, corner| second.point(array, corner))?;
+        }
         for (unit, array) in geometry.tex_coords.iter().enumerate().skip(1) {
             let name = format!("TEXCOORD_{unit}");
             let is_wanted = self.source.options.vertex_attributes.iter().any(|wanted| **wanted == *name);
-            let array = Attribute::new(array.as_ref(), arrays.count, geometry.primitives.len());
-            let Some(array) = array.filter(|_| is_wanted) else { continue };
-            let value = |vertex: &u32| {
-                let corner = Corner { vertex: *vertex as usize, set: 0, primitive: 0 };
+            let Some(array) = array.as_ref().filter(|_| is_wanted) else { continue };
+            let plain = |array: &Attribute<'_>, corner| {
                 [0, 1].map(|component| array.get(corner, component, array.array.is_normalized) as f32)
             };
-            let values: Vec<[f32; 2]> = used.iter().map(value).collect();
-            let bytes = bytemuck::cast_slice(&values).into();
-            let pushed = attributes.push(used.len(), &name, AttributeFormat::Float32x2, bytes);
-            pushed.map_err(|error| OsgError::invalid(error.to_string()))?;
+            add(&name, array, &plain)?;
         }
         Ok(attributes)
     }

@@ -1,7 +1,7 @@
 //! Makes nodes of the engine of the objects of a file.
 //!
 //! State sets stay state sets. What a drawable's material says is resolved here from the state sets above the drawable in
-//! its file: texture of unit 0, diffuse colour, lighting, blending, alpha test and culling of faces. So the quick shaders
+//! its file: textures of units 0 and 1, diffuse colour, lighting, blending, alpha test and culling of faces. So the quick shaders
 //! draw it, and images are shared and paged as those of other formats. Decode threads.
 
 mod bounds;
@@ -13,6 +13,7 @@ mod shapes;
 mod sizes;
 mod states;
 mod textures;
+mod units;
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -20,8 +21,9 @@ use std::sync::Arc;
 use glam::{DAffine3, DVec3};
 
 use self::looks::Look;
+use self::meshes::{UvSet, UvSets};
 pub(in crate::formats) use self::paging::InlinePart;
-pub(super) use self::paging::escaped;
+pub(super) use self::paging::{HeldFile, escaped};
 pub(super) use self::textures::external_images;
 use super::error::OsgError;
 use super::objects::{DrawableClass, DrawableObject, NodeClass, NodeObject, Object, StateObject};
@@ -29,7 +31,7 @@ use crate::fetch::IoError;
 use crate::formats::ignored::Notes;
 use crate::formats::options::{Fetched, ReadOptions};
 use crate::math::BoundingSphere;
-use crate::scene::{Drawable, Material, Mesh, Node, NodeKind, Topology};
+use crate::scene::{Drawable, Material, Mesh, MetallicRoughness, Node, NodeKind, OverlayMode, Topology};
 use crate::state::StateSet;
 
 /// A file may have one node for this number of [`Limits::max_elements`](crate::fetch::Limits). A shared node counts at each
@@ -55,13 +57,21 @@ struct Meshes {
     meshes: Vec<(Arc<Mesh>, bool)>,
 }
 
+/// The textures of a drawable.
+#[derive(Default)]
+struct Shown {
+    texture: Option<textures::BuiltTexture>,
+    overlay: Option<(textures::BuiltTexture, OverlayMode)>,
+    uv_sets: UvSets,
+}
+
 /// Makes the nodes of one file. One thread.
 struct Builder<'a> {
     source: Source<'a>,
     /// By address: objects that the file shares stay shared.
     sets: HashMap<usize, Option<Arc<StateSet>>>,
     textures: HashMap<usize, Option<textures::BuiltTexture>>,
-    meshes: HashMap<(usize, bool, bool), Meshes>,
+    meshes: HashMap<(usize, UvSets, bool), Meshes>,
     alpha_tests: HashMap<(u32, u32), Arc<StateSet>>,
     spheres: HashMap<usize, BoundingSphere>,
     sizes: HashMap<usize, sizes::Size>,
@@ -219,13 +229,8 @@ impl<'a> Builder<'a> {
     /// Makes the drawables of a drawable: one for triangles, one for lines, and one for points.
     fn drawables(&mut self, object: &Arc<DrawableObject>) -> Result<(DVec3, Vec<Drawable>), IoError> {
         let look = Look::resolve(&self.states);
-        let texture = match &look.texture {
-            Some(attribute) => self.texture(attribute)?,
-            None => None,
-        };
-        let starts_at_bottom = texture.as_ref().is_some_and(|texture| texture.starts_at_bottom);
-        let Some(Meshes { origin, meshes }) = self.meshes_of(object, starts_at_bottom, look.has_vertex_colors())?
-        else {
+        let Shown { texture, overlay, uv_sets } = self.shown(object, &look)?;
+        let Some(Meshes { origin, meshes }) = self.meshes_of(object, uv_sets, look.has_vertex_colors())? else {
             return Ok((DVec3::ZERO, Vec::new()));
         };
         let state_set = look.alpha_test_beside_material().map(|(function, reference)| {
@@ -233,37 +238,79 @@ impl<'a> Builder<'a> {
             self.alpha_tests.entry(key).or_insert_with(|| states::alpha_test(function, reference)).clone()
         });
         let options = self.source.options;
+        let surface = overlay.as_ref().map(|(texture, overlay_mode)| MetallicRoughness {
+            overlay: Some(texture.shared.0.clone()),
+            overlay_mode: *overlay_mode,
+            ..MetallicRoughness::default()
+        });
         let drawable = |(mesh, has_normals): (Arc<Mesh>, bool)| {
             let is_thin = mesh.topology != Topology::Triangles;
+            // Photographs show the light that they were taken in. OSG has one normal for all of such a surface.
+            let is_photo = texture.is_some() && !has_normals;
             let material = Material {
                 base_color: look.base_color(),
                 texture: texture.as_ref().map(|texture| texture.shared.0.clone()),
                 alpha: look.alpha_mode(),
                 double_sided: !look.culls_faces,
-                unlit: !look.is_lit || (is_thin && !has_normals),
-                metallic_roughness: None,
+                unlit: !look.is_lit || is_photo || (is_thin && !has_normals),
+                metallic_roughness: surface.clone(),
             };
             let mut drawable = Drawable::new(crate::scene::Geometry::Mesh(mesh), material);
             drawable.shared.texture = texture.as_ref().and_then(|texture| texture.shared.1.clone());
+            if let Some((texture, _)) = &overlay {
+                drawable.shared.maps[MetallicRoughness::OVERLAY].clone_from(&texture.shared.1);
+            }
             drawable.state_set.clone_from(&state_set);
             if options.cluster_culling { drawable.with_cluster_culling() } else { drawable }
         };
         Ok((origin, meshes.into_iter().map(drawable).collect()))
     }
 
+    /// Returns the textures of a drawable with the coordinates that they need.
+    fn shown(&mut self, object: &DrawableObject, look: &Look) -> Result<Shown, IoError> {
+        let units = &look.units;
+        units.left_out.iter().for_each(|what| self.note(*what));
+        let mut shown = Shown::default();
+        if let Some(base) = &units.base {
+            shown.texture = self.texture(&base.texture)?;
+            let starts_at_bottom = shown.texture.as_ref().is_some_and(|texture| texture.starts_at_bottom);
+            shown.uv_sets.first = UvSet { unit: base.number, starts_at_bottom };
+        }
+        let Some((unit, mode)) = &units.overlay else { return Ok(shown) };
+        let Some(texture) = self.texture(&unit.texture)? else { return Ok(shown) };
+        let uv_set = UvSet { unit: unit.number, starts_at_bottom: texture.starts_at_bottom };
+        let geometry = match &object.class {
+            DrawableClass::Geometry(geometry) if geometry.has_uvs(unit.number) => geometry,
+            _ => {
+                self.note("OpenSceneGraph: texture of a unit without texture coordinates");
+                return Ok(shown);
+            }
+        };
+        if look.has_fixed_material() {
+            self.note("OpenSceneGraph: second texture of a material with highlights");
+        }
+        match &units.base {
+            None => shown.uv_sets.first = uv_set,
+            Some(_) if geometry.has_equal_uvs(shown.uv_sets.first, uv_set) => {}
+            Some(_) => shown.uv_sets.second = Some(uv_set),
+        }
+        shown.overlay = Some((texture, *mode));
+        Ok(shown)
+    }
+
     /// Returns the meshes of a drawable; `None` if it is left out, which is noted.
     fn meshes_of(
         &mut self,
         object: &Arc<DrawableObject>,
-        starts_at_bottom: bool,
+        uv_sets: UvSets,
         has_colors: bool,
     ) -> Result<Option<Meshes>, IoError> {
-        let key = (Arc::as_ptr(object).addr(), starts_at_bottom, has_colors);
+        let key = (Arc::as_ptr(object).addr(), uv_sets, has_colors);
         if let Some(known) = self.meshes.get(&key) {
             return Ok(Some(known.clone()));
         }
         let made = match &object.class {
-            DrawableClass::Geometry(geometry) => self.geometry(geometry, starts_at_bottom, has_colors),
+            DrawableClass::Geometry(geometry) => self.geometry(geometry, uv_sets, has_colors),
             DrawableClass::Shape { shape: Some(shape), color } => Ok(self.shape(shape, *color, has_colors)),
             DrawableClass::Shape { shape: None, .. } => {
                 self.note("OpenSceneGraph: a ShapeDrawable without a shape that is read");

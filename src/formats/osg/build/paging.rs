@@ -10,6 +10,7 @@ use std::sync::Arc;
 use glam::{DAffine3, DVec3};
 
 use super::sizes::{self, Size};
+use super::textures::external_images;
 use super::{Builder, Source, bounds};
 use crate::fetch::IoError;
 use crate::formats::ignored::Notes;
@@ -35,9 +36,35 @@ pub(in crate::formats) struct InlinePart {
     objects: Vec<Object>,
     /// The state sets above, outermost first: they say how drawables look.
     states: Vec<Arc<StateObject>>,
-    /// The name of the part in its file.
+    /// The name of the part in its file; empty for the whole file.
     name: String,
     size_bytes: u64,
+}
+
+/// A file that was read before it is wanted. Its objects stay in memory, so that it is not read again.
+pub(in super::super) struct HeldFile {
+    root: Object,
+    /// The bytes that its objects take.
+    pub size_bytes: u64,
+}
+
+impl HeldFile {
+    /// Returns `None` if the file refers to images, which are not in memory, or has nothing to draw.
+    pub fn new(root: &Object) -> Option<Self> {
+        let is_whole = matches!(root, Object::Node(_)) && external_images(root).is_empty();
+        let size_bytes = sizes::of_object(root, &mut HashMap::new()).bytes;
+        is_whole.then(|| Self { root: root.clone(), size_bytes })
+    }
+
+    /// Returns a tile whose content is the file.
+    pub fn into_tile(self, uri: &Arc<str>, sphere: BoundingSphere) -> Node {
+        let file = Arc::new(PartFile { uri: uri.clone(), base: uri.clone(), companions: Vec::new() });
+        let (objects, size_bytes) = (vec![self.root], self.size_bytes);
+        let part = InlinePart { file, objects, states: Vec::new(), name: String::new(), size_bytes };
+        let content = TileContent::new(uri.clone(), Some(ReaderData::of(part)));
+        let reach = Reach { sphere, center: sphere.center, is_by_pixel_size: false };
+        reach.tile(reach.range_mode(None), content, PagingOptions::default())
+    }
 }
 
 /// The address and images of a file, which its parts share.
@@ -63,6 +90,11 @@ impl ReaderValue for InlinePart {
 }
 
 impl InlinePart {
+    /// Returns true for a whole file.
+    pub fn is_file(&self) -> bool {
+        self.name.is_empty()
+    }
+
     /// Makes the nodes of the part.
     pub fn read(&self, options: &ReadOptions, notes: &Notes) -> Result<Node, IoError> {
         let PartFile { uri, base, companions } = &*self.file;
@@ -102,6 +134,21 @@ impl Reach {
             false => NodeKind::Lod { center, ranges_m: ranges },
         };
         Node { children, ..Node::new(kind) }
+    }
+
+    /// Returns a tile.
+    fn tile(&self, range_mode: RangeMode, content: TileContent, paging: PagingOptions) -> Node {
+        let sphere = if self.sphere.radius_m > 0.0 { self.sphere } else { BoundingSphere::EVERYTHING };
+        Node::new(NodeKind::PagedLod(Box::new(PagedLod {
+            bounds: BoundingVolume::Sphere(sphere),
+            range_mode,
+            refine: Refine::Replace,
+            content: Some(content.uri),
+            content_transform: DAffine3::IDENTITY,
+            reader_data: content.reader_data,
+            request_volume: None,
+            paging,
+        })))
     }
 
     /// Returns when a level is replaced by the next finer one, if there is one.
@@ -166,7 +213,7 @@ impl Builder<'_> {
             let range_mode = reach.range_mode(finer);
             let mut below = std::mem::take(&mut tiles);
             for (content, child) in contents {
-                let tile = self.tile(&reach, range_mode, content, paging(paged, child));
+                let tile = reach.tile(range_mode, content, paging(paged, child));
                 tiles.push(Node { children: std::mem::take(&mut below), ..tile });
             }
             finer = Some(level.range);
@@ -179,20 +226,6 @@ impl Builder<'_> {
             return Ok(reach.node(vec![all], vec![Node::group(tiles)]));
         }
         Ok(if tiles.len() == 1 { tiles.swap_remove(0) } else { Node::group(tiles) })
-    }
-
-    fn tile(&self, reach: &Reach, range_mode: RangeMode, content: TileContent, paging: PagingOptions) -> Node {
-        let sphere = if reach.sphere.radius_m > 0.0 { reach.sphere } else { BoundingSphere::EVERYTHING };
-        Node::new(NodeKind::PagedLod(Box::new(PagedLod {
-            bounds: BoundingVolume::Sphere(sphere),
-            range_mode,
-            refine: Refine::Replace,
-            content: Some(content.uri),
-            content_transform: DAffine3::IDENTITY,
-            reader_data: content.reader_data,
-            request_volume: None,
-            paging,
-        })))
     }
 
     /// Returns a content that is in the file itself.
@@ -256,7 +289,7 @@ impl Builder<'_> {
             let content = self.file(&proxy.database_path, name);
             if content.is_in_memory() {
                 let reach = Reach { sphere, center: DVec3::ZERO, is_by_pixel_size: false };
-                nodes.push(self.tile(&reach, reach.range_mode(None), content, PagingOptions::default()));
+                nodes.push(reach.tile(reach.range_mode(None), content, PagingOptions::default()));
                 continue;
             }
             let proxy = ProxyNode { uri: content.uri, bounds: sphere, content_transform: DAffine3::IDENTITY, loading };

@@ -7,6 +7,7 @@ use super::looks::{
     GL_ALPHA_TEST, GL_BLEND, GL_CULL_FACE, GL_DEPTH_TEST, GL_LIGHTING, has_diffuse_vertex_colors, linear,
     needs_surface_material,
 };
+use super::units::MAX_UNITS;
 use crate::formats::osg::objects::{AttributeObject, MaterialObject, StateObject};
 use crate::state::{
     AlphaFunc, Attribute, BlendFactor, BlendFunc, ColorMask, CompareFunction, CullFace, Depth, FrontFace, Mode,
@@ -18,7 +19,6 @@ const GL_POLYGON_OFFSET_FILL: u32 = 0x8037;
 const GL_LIGHT0: u32 = 0x4000;
 /// Modes that change nothing here: the engine's normals have unit length, and vertex colours need no mode.
 const WITHOUT_EFFECT: [u32; 3] = [0xba1, 0x803a, 0xb57];
-const GL_MODULATE: u32 = 0x2100;
 
 /// The rendering hints of OSG.
 const HINT_OPAQUE: i32 = 1;
@@ -75,14 +75,13 @@ impl Builder<'_> {
         set
     }
 
-    /// Notes what texture units have beside the texture of unit 0.
+    /// Notes what texture units have beside the textures that are drawn.
     fn note_textures(&self, object: &StateObject) {
         for (unit, attributes) in object.texture_attributes.iter().enumerate() {
             for (attribute, _) in attributes {
                 match &**attribute {
-                    AttributeObject::Texture(_) if unit > 0 => self.note("OpenSceneGraph: texture of a unit above 0"),
-                    AttributeObject::TexEnv(mode) if unit == 0 && *mode != GL_MODULATE => {
-                        self.note("OpenSceneGraph: TexEnv that does not modulate");
+                    AttributeObject::Texture(_) if unit >= MAX_UNITS => {
+                        self.note("OpenSceneGraph: texture of a unit above 1");
                     }
                     AttributeObject::Other(name) => self.note(format!("OpenSceneGraph: attribute {name}")),
                     _ => {}

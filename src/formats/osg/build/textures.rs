@@ -4,6 +4,7 @@ use std::collections::{BTreeSet, HashSet};
 use std::sync::Arc;
 
 use super::paging::escaped;
+use super::units::MAX_UNITS;
 use super::{Builder, Source};
 use crate::fetch::{IoError, Limits};
 use crate::formats::external_files::ExternalFiles;
@@ -109,7 +110,7 @@ pub(in super::super) fn external_images(root: &Object) -> Vec<String> {
 
 fn collect(object: &Object, seen: &mut HashSet<usize>, found: &mut BTreeSet<String>) {
     let of_state = |state: &Option<Arc<StateObject>>, found: &mut BTreeSet<String>| {
-        let attributes = state.iter().flat_map(|state| state.texture_attributes.first()).flatten();
+        let attributes = state.iter().flat_map(|state| state.texture_attributes.iter().take(MAX_UNITS)).flatten();
         for (attribute, _) in attributes {
             if let AttributeObject::Texture(TextureObject { image: Some(image), .. }) = &**attribute
                 && matches!(image.data, ImageData::External)

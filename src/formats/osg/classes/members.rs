@@ -112,7 +112,7 @@ impl Reader<'_> {
         }
         let word = self.input.word()?;
         Ok(value_of(names, &word).unwrap_or_else(|| {
-            (self.note)(format!("OpenSceneGraph: {name} {}", super::shortened(&word)));
+            self.notes.add(format!("OpenSceneGraph: {name} {}", super::shortened(&word)));
             default
         }))
     }

@@ -20,6 +20,7 @@ use super::error::{OsgError, Result};
 use super::input::{Input, Opened, open};
 use super::objects::{ArrayObject, Object};
 use crate::fetch::Limits;
+use crate::formats::ignored::{Ignored, Notes};
 
 /// Classes without effect on what is drawn, which are skipped without a note.
 const SILENT: [&str; 6] = [
@@ -41,18 +42,27 @@ pub(super) struct Reader<'a> {
     /// The ids of the objects that are being read, outermost first.
     open: Vec<u32>,
     max_depth: usize,
-    /// Takes what is left out.
-    note: &'a dyn Fn(String),
+    notes: Notes,
 }
 
-/// The root object of a file, and the version of OSG that wrote it.
+/// The root object of a file, the version of OSG that wrote it, and what was left out.
+#[derive(Debug)]
 pub(super) struct ReadFile {
     pub root: Object,
     pub version: u32,
+    pub ignored: Ignored,
 }
 
-/// Reads a file. `note` takes what is left out.
-pub(super) fn read_file(bytes: &[u8], limits: &Limits, note: &dyn Fn(String)) -> Result<ReadFile> {
+#[cfg(test)]
+thread_local! {
+    /// The number of files that were parsed on a thread.
+    pub(super) static PARSED: std::cell::Cell<u32> = const { std::cell::Cell::new(0) };
+}
+
+/// Reads a file.
+pub(super) fn read_file(bytes: &[u8], limits: &Limits) -> Result<ReadFile> {
+    #[cfg(test)]
+    PARSED.set(PARSED.get() + 1);
     let Opened { input, version } = open(bytes, limits.max_file_bytes)?;
     let mut reader = Reader {
         input,
@@ -61,9 +71,10 @@ pub(super) fn read_file(bytes: &[u8], limits: &Limits, note: &dyn Fn(String)) ->
         arrays: HashMap::new(),
         open: Vec::new(),
         max_depth: limits.max_depth as usize,
-        note,
+        notes: Notes::default(),
     };
-    Ok(ReadFile { root: reader.object()?, version })
+    let root = reader.object()?;
+    Ok(ReadFile { root, version, ignored: reader.notes.into_ignored() })
 }
 
 impl Reader<'_> {
@@ -82,7 +93,7 @@ impl Reader<'_> {
         }
         if self.open.contains(&id) || self.input.is_at_end_of_block() {
             // A reference to an object above, or to a part of something that was skipped.
-            (self.note)(format!("OpenSceneGraph: a reference to {} that cannot be followed", shortened(&class)));
+            self.notes.add(format!("OpenSceneGraph: a reference to {} that cannot be followed", shortened(&class)));
             self.input.leave()?;
             return Ok(Object::Nothing);
         }
@@ -140,7 +151,7 @@ impl Reader<'_> {
             return Err(OsgError::Unsupported(what));
         }
         if !SILENT.contains(&class) {
-            (self.note)(format!("OpenSceneGraph class {}", shortened(class)));
+            self.notes.add(format!("OpenSceneGraph class {}", shortened(class)));
         }
         Ok(Object::Nothing)
     }

@@ -63,7 +63,7 @@ impl Reader<'_> {
             "AutoTransform" => self.auto_transform()?,
             _ if LIKE_GROUPS.contains(&class) && self.input.can_skip() => {
                 if class != "osg::CoordinateSystemNode" {
-                    (self.note)(format!("OpenSceneGraph class {class} (its children are drawn)"));
+                    self.notes.add(format!("OpenSceneGraph class {class} (its children are drawn)"));
                 }
                 self.group(NodeClass::Group)?
             }
@@ -188,7 +188,7 @@ impl Reader<'_> {
         let matrix = if self.member("Matrix")? { self.matrix()? } else { DMat4::IDENTITY };
         let is_affine = matrix.is_finite() && matrix.row(3) == DVec4::W;
         if !is_affine {
-            (self.note)("OpenSceneGraph: a matrix that is not affine".to_owned());
+            self.notes.add("OpenSceneGraph: a matrix that is not affine".to_owned());
         }
         let parent_from_child = is_affine.then(|| DAffine3::from_mat4(matrix));
         Ok(node.with(NodeClass::Transform { parent_from_child, is_absolute }, children))

@@ -14,8 +14,8 @@ pub(in crate::formats) use self::metadata::is_metadata;
 
 use self::metadata::Metadata;
 use self::placement::Placement;
-use super::build::escaped;
-use super::sphere_of;
+use super::build::{self, HeldFile, escaped};
+use super::classes::read_file;
 use crate::fetch::{IoError, is_remote, resolve};
 use crate::formats::ignored::Notes;
 use crate::formats::options::{Fetched, ReadOptions};
@@ -27,6 +27,9 @@ const LISTING: &str = "Data/*";
 /// The maximum number of tiles whose top files are read for their bounds before anything is drawn. Further ones are drawn
 /// and requested from anywhere until they are loaded.
 const MAX_READ_FIRST: usize = 512;
+/// The maximum number of bytes of the objects of top files that stay in memory. Further ones are read again when they are
+/// wanted.
+const MAX_HELD_BYTES: u64 = 64 << 20;
 
 /// Returns the files that the metadata of a folder needs: the list of its tiles, and then the top files of the first tiles.
 pub(in crate::formats) fn tile_files(base: &str, known: &[Fetched], options: &ReadOptions) -> Vec<Arc<str>> {
@@ -39,6 +42,12 @@ pub(in crate::formats) fn tile_files(base: &str, known: &[Fetched], options: &Re
         }
         Some((_, Err(_))) => Vec::new(),
     }
+}
+
+/// Returns the reference system and the origin that a `metadata.xml` names.
+pub(in crate::formats) fn reference_system(bytes: &[u8]) -> Option<(String, [f64; 3])> {
+    let Metadata { srs, origin } = Metadata::parse(bytes).ok()?;
+    Some((srs, origin.to_array()))
 }
 
 /// Returns the names of the tiles in a list of what is in their folder.
@@ -78,20 +87,28 @@ pub(in crate::formats) fn read_folder(
         Some((_, Err(error))) => return Err(error.clone()),
         None => return Err(IoError::NotFound { uri: listing.to_string() }),
     };
-    let mut nodes = Vec::new();
+    let (mut nodes, mut held_bytes) = (Vec::new(), 0u64);
     for tile in tiles(names) {
         let uri = resolve(base, &reference(&tile), &options.root)?;
         let top = companions.iter().find(|(known, _)| *known == uri).and_then(|(_, top)| top.as_ref().ok());
-        let sphere = top.and_then(|bytes| sphere_of(bytes, &options.limits));
-        let ecef_from_tile = placement.ecef_from_local(sphere.map_or(DVec3::ZERO, |sphere| sphere.center));
-        let proxy = ProxyNode {
-            uri,
-            bounds: sphere.unwrap_or(BoundingSphere::EVERYTHING),
-            content_transform: DAffine3::IDENTITY,
-            loading: ProxyLoading::DeferToPager,
+        // The loader of a broken file reports its error.
+        let top = top.and_then(|bytes| read_file(bytes, &options.limits).ok());
+        let sphere = top.as_ref().map_or(BoundingSphere::EMPTY, |top| build::sphere_of_file(&top.root));
+        let (center, bounds) = match sphere.is_empty() {
+            true => (DVec3::ZERO, BoundingSphere::EVERYTHING),
+            false => (sphere.center, sphere),
         };
-        let proxy = Node::new(NodeKind::ProxyNode(Box::new(proxy)));
-        nodes.push(Node::transform(ecef_from_tile, vec![proxy]).named(&tile));
+        let held = top.as_ref().and_then(|top| HeldFile::new(&top.root));
+        let held = held.filter(|held| held_bytes.saturating_add(held.size_bytes) <= MAX_HELD_BYTES);
+        let node = if let (Some(held), Some(top)) = (held, &top) {
+            held_bytes += held.size_bytes;
+            notes.merge(&top.ignored);
+            held.into_tile(&uri, bounds)
+        } else {
+            let (content_transform, loading) = (DAffine3::IDENTITY, ProxyLoading::DeferToPager);
+            Node::new(NodeKind::ProxyNode(Box::new(ProxyNode { uri, bounds, content_transform, loading })))
+        };
+        nodes.push(Node::transform(placement.ecef_from_local(center), vec![node]).named(&tile));
     }
     if nodes.is_empty() {
         return Err(IoError::invalid(uri, "metadata.xml: no folder of a tile in Data"));

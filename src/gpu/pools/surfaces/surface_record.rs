@@ -2,7 +2,7 @@
 
 use super::surface_pool::MapLayers;
 use crate::gpu::pools::textures::TextureLayer;
-use crate::scene::MetallicRoughness;
+use crate::scene::{MetallicRoughness, OverlayMode};
 
 /// A surface; mirrors `SurfaceRecord` in surface.wgsl. A test compares them with naga's layout.
 #[repr(C)]
@@ -14,8 +14,8 @@ pub(crate) struct SurfaceRecord {
     pub(crate) factors: [f32; 4],
     /// Emitted light, linear; the last element is unused.
     pub(crate) emission: [f32; 4],
-    /// The layer of occlusion, a bit for each map that uses the second texture coordinates, and the layer of the overlay; the
-    /// rest is unused.
+    /// The layer of occlusion, a bit for each map that uses the second texture coordinates, the layer of the overlay, and its
+    /// mode: 0 over, 1 multiplied, 2 added.
     pub(crate) occlusion_uv_bits_overlay: [u32; 4],
     /// The columns of the matrices from the second texture coordinates to those of each map.
     pub(crate) uv_matrices: [[f32; 4]; MetallicRoughness::TRANSFORMED_MAPS],
@@ -35,10 +35,15 @@ impl SurfaceRecord {
         let seconds = (0..).zip(transforms).filter(|(_, transform)| transform.is_some());
         let seconds = seconds.fold(0, |bits, (map, _)| bits | 1 << map);
         let transforms = transforms.map(Option::unwrap_or_default);
+        let mode = match surface.overlay_mode {
+            OverlayMode::Over => 0,
+            OverlayMode::Multiply => 1,
+            OverlayMode::Add => 2,
+        };
         let offsets = transforms.map(|transform| transform.translation.to_array());
         let pair = |map: usize| [offsets[map][0], offsets[map][1], offsets[map + 1][0], offsets[map + 1][1]];
         Self {
-            occlusion_uv_bits_overlay: [occlusion, seconds, overlay, 0],
+            occlusion_uv_bits_overlay: [occlusion, seconds, overlay, mode],
             uv_matrices: transforms.map(|transform| transform.matrix2.to_cols_array()),
             uv_offsets: [pair(0), pair(2)],
             layers: [color.layer, normal, metallic, emission],
