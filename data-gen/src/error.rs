@@ -27,6 +27,19 @@ pub enum GenError {
     /// Another run writes to the output folder.
     #[error("{}: another run writes it", .0.display())]
     Busy(PathBuf),
+    /// The set does not fit on the disk.
+    #[error(
+        "{}: the set needs about {:.1} GB, and {:.1} GB are free; nothing was written",
+        out.display(), *needed as f64 / 1e9, *free as f64 / 1e9
+    )]
+    Space {
+        /// The output folder.
+        out: PathBuf,
+        /// The bytes that the set needs.
+        needed: u64,
+        /// The bytes that are free.
+        free: u64,
+    },
     /// A source changed while the set was made.
     #[error("a source changed while it was read; nothing was written to {}", .0.display())]
     Changed(PathBuf),
