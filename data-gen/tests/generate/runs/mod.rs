@@ -2,4 +2,5 @@
 
 mod kills;
 mod predictions;
+mod slurm;
 mod updates;
