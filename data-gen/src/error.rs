@@ -29,8 +29,8 @@ pub enum GenError {
     Busy(PathBuf),
     /// The set does not fit on the disk.
     #[error(
-        "{}: the set needs about {:.1} GB, and {:.1} GB are free; nothing was written",
-        out.display(), *needed as f64 / 1e9, *free as f64 / 1e9
+        "{}: the set needs about {:.1} MB, and {:.1} MB are free; nothing was written",
+        out.display(), *needed as f64 / 1e6, *free as f64 / 1e6
     )]
     Space {
         /// The output folder.

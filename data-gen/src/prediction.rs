@@ -334,7 +334,7 @@ mod tests {
             free_bytes,
         };
         let error = of(5_000_000_000, Some(2_500_000_000)).check_space(out).unwrap_err().to_string();
-        assert_eq!(error, "/target/set: the set needs about 5.0 GB, and 2.5 GB are free; nothing was written");
+        assert_eq!(error, "/target/set: the set needs about 5000.0 MB, and 2500.0 MB are free; nothing was written");
         assert!(of(5, Some(5)).check_space(out).is_ok() && of(5, None).check_space(out).is_ok());
     }
 }

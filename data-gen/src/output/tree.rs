@@ -172,6 +172,9 @@ pub(crate) fn external_tileset(args: &GenArgs, totals: &Totals, root: TileKey, r
     format!(r#"{{"asset":{asset},"geometricError":{error_m},"root":{tile}}}"#)
 }
 
+/// The error of a tile without content in metres: it is refined at any distance.
+const EMPTY_ERROR_M: f64 = 1e8;
+
 /// Returns the tileset of a set whose coarsest tiles are the roots of external tilesets.
 pub(crate) fn trunk_tileset(args: &GenArgs, totals: &Totals, below: &[Below]) -> String {
     let child = |below: &Below| {
@@ -181,7 +184,7 @@ pub(crate) fn trunk_tileset(args: &GenArgs, totals: &Totals, below: &[Below]) ->
             "content": { "uri": external_name(below.root) },
         })
     };
-    let error_m = below.iter().fold(QUANTUM_M, |error_m, below| error_m.max(below.geometric_error_m));
+    let error_m = below.iter().fold(EMPTY_ERROR_M, |error_m, below| error_m.max(2.0 * below.geometric_error_m));
     let mut region = below[0].region;
     for own in below.iter().map(|below| below.region) {
         // Neighbours are at most two, so that the western one begins west of the other also across the date line.
@@ -197,10 +200,10 @@ pub(crate) fn trunk_tileset(args: &GenArgs, totals: &Totals, below: &[Below]) ->
     let children: Vec<Value> = below.iter().map(child).collect();
     json!({
         "asset": { "version": "1.1", "generator": "terrane" },
-        "geometricError": 4.0 * error_m,
+        "geometricError": error_m,
         "schema": schema(), "metadata": metadata(args, totals),
         "root": {
-            "boundingVolume": { "region": region }, "geometricError": 2.0 * error_m, "refine": "REPLACE", "children": children,
+            "boundingVolume": { "region": region }, "geometricError": error_m, "refine": "REPLACE", "children": children,
         },
     })
     .to_string()

@@ -94,6 +94,9 @@ fn aligned_set_grows_beyond_its_bounds() {
     let set = |dem: &[&PathBuf]| args(dem, folder.path().join("set"), true);
     let summary = run(&set(&[&first])).unwrap();
     assert!(summary.min_height_m > 400.0 && summary.max_height_m < 600.0, "{summary:?}");
+    // The root has no content, so that it has to be refined at any distance.
+    let root = crate::files::tileset(&folder.path().join("set"))["root"].clone();
+    assert!(root["content"].is_null() && root["geometricError"].as_f64() > Some(1e7), "{root}");
     for dem in [vec![&first, &east], vec![&first, &east, &far], vec![&far, &first]] {
         let [kept, made] = counts(&check(&set(&dem)));
         assert!(kept > 0 && made > 0, "{dem:?}: {kept} {made}");
