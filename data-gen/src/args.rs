@@ -4,7 +4,7 @@ use std::io::Write as _;
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
-use crate::{Crs, HeightEncoding, RasterOptions, Sharding, TileArgs, VerticalDatum, WorldArgs};
+use crate::{Crs, HeightEncoding, RasterOptions, RunArgs, Sharding, TileArgs, VerticalDatum, WorldArgs};
 
 /// Largest number of levels of a pyramid.
 pub(crate) const MAX_LEVELS: u32 = 24;
@@ -125,6 +125,9 @@ pub struct GenArgs {
     /// The part of the set to make.
     #[command(flatten)]
     pub sharding: Sharding,
+    /// How the run goes.
+    #[command(flatten)]
+    pub run: RunArgs,
 }
 
 impl GenArgs {
@@ -155,6 +158,7 @@ impl GenArgs {
             jobs: None,
             overwrite: false,
             sharding: Sharding::default(),
+            run: RunArgs::default(),
         }
     }
 
@@ -206,6 +210,7 @@ impl GenArgs {
         if self.content == ContentKind::Height && self.float_vertices {
             return Err("--float-vertices has no effect without --content mesh".to_owned());
         }
+        self.run.check(self)?;
         self.tiles.check(self)
     }
 }

@@ -29,6 +29,19 @@ pub enum GenError {
     /// Another run writes to the output folder.
     #[error("{}: another run writes it", .0.display())]
     Busy(PathBuf),
+    /// The set does not fit on the disk.
+    #[error(
+        "{}: the set needs about {:.1} MB, and {:.1} MB are free; nothing was written",
+        out.display(), *needed as f64 / 1e6, *free as f64 / 1e6
+    )]
+    Space {
+        /// The output folder.
+        out: PathBuf,
+        /// The bytes that the set needs.
+        needed: u64,
+        /// The bytes that are free.
+        free: u64,
+    },
     /// A source changed while the set was made.
     #[error("a source changed while it was read; nothing was written to {}", .0.display())]
     Changed(PathBuf),

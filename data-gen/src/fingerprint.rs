@@ -6,27 +6,50 @@ use std::time::UNIX_EPOCH;
 
 use crate::pyramid::checksum;
 use crate::store::{is_remote, remote_version};
-use crate::{GenArgs, GenError, Sharding};
+use crate::{GenArgs, GenError, RunArgs, Sharding};
 
 /// Names of files that place a raster, beside those that the raster's own name begins.
 const BESIDE: [&str; 6] = ["wld", "tfw", "pgw", "jgw", "prj", "aux.xml"];
 
 /// Returns the fingerprint of a run. The sources are files: lists and patterns have been expanded.
 pub(crate) fn fingerprint(args: &GenArgs) -> Result<u64, GenError> {
-    let same =
-        GenArgs { out: PathBuf::new(), jobs: None, overwrite: false, sharding: Sharding::default(), ..args.clone() };
-    let mut text = format!("{} {same:?}", env!("CARGO_PKG_VERSION"));
-    let grids = Some(PathBuf::from(args.vertical_datum.to_string())).filter(|path| path.is_file());
-    for path in args.dem.iter().chain(&args.imagery).chain(&grids).chain(&args.datum_grid) {
-        add_file(path, &mut text)?;
-        for extension in BESIDE {
-            let beside = path.with_extension(extension);
-            if beside.is_file() {
-                add_file(&beside, &mut text)?;
-            }
-        }
+    let mut text = options_text(args)?;
+    for path in &args.dem {
+        text.push_str(&source_text(path)?);
     }
     Ok(checksum(text.as_bytes()))
+}
+
+/// Returns the version, the options that change the bytes of the set, and the states of the imagery and the grids.
+pub(crate) fn options_text(args: &GenArgs) -> Result<String, GenError> {
+    let same = GenArgs {
+        out: PathBuf::new(),
+        dem: Vec::new(),
+        jobs: None,
+        overwrite: false,
+        sharding: Sharding::default(),
+        run: RunArgs { aligned: args.run.aligned, ..RunArgs::default() },
+        ..args.clone()
+    };
+    let mut text = format!("{} {same:?}", env!("CARGO_PKG_VERSION"));
+    let grids = Some(PathBuf::from(args.vertical_datum.to_string())).filter(|path| path.is_file());
+    for path in args.imagery.iter().chain(&grids).chain(&args.datum_grid) {
+        text.push_str(&source_text(path)?);
+    }
+    Ok(text)
+}
+
+/// Returns the name, the size and the time of a source and of the files that place it.
+pub(crate) fn source_text(path: &Path) -> Result<String, GenError> {
+    let mut text = String::new();
+    add_file(path, &mut text)?;
+    for extension in BESIDE {
+        let beside = path.with_extension(extension);
+        if beside.is_file() {
+            add_file(&beside, &mut text)?;
+        }
+    }
+    Ok(text)
 }
 
 /// Adds the name, size and time of modification of a file, or of all files below a folder.
@@ -60,7 +83,8 @@ mod tests {
         std::fs::write(&dem, "one").unwrap();
         let args = GenArgs { dem: vec![dem.clone()], ..GenArgs::new(folder.path().join("set")) };
         let first = fingerprint(&args).unwrap();
-        let same = GenArgs { jobs: Some(3), overwrite: true, out: PathBuf::from("other"), ..args.clone() };
+        let run = RunArgs { memory: Some(1 << 30), update: true, ..RunArgs::default() };
+        let same = GenArgs { run, jobs: Some(3), overwrite: true, out: PathBuf::from("other"), ..args.clone() };
         assert_eq!(fingerprint(&same).unwrap(), first);
         assert_ne!(fingerprint(&GenArgs { levels: Some(2), ..args.clone() }).unwrap(), first);
         std::fs::write(folder.path().join("a.wld"), "1").unwrap();

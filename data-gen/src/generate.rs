@@ -12,12 +12,16 @@ use crate::elevation::{DEFAULT_CACHE_BYTES, Mosaic, SourceContext, expand, open_
 use crate::fingerprint::fingerprint;
 use crate::georeference::{DatumGrid, ROUNDING};
 use crate::output::{Builder, Journal, PartialFolder, blocks, level_errors_m, voids};
-use crate::pyramid::{CELLS, Grid, Layer, Plan, TileKey};
-use crate::shards;
+use crate::pyramid::{ALIGNED, CELLS, Grid, Layer, Plan, TileKey};
 use crate::store::BlockCache;
+use crate::update::{Manifest, keep_blocks};
 use crate::web_tiles::TileContent;
 use crate::world::{check_world, world_set, write_world};
-use crate::{ElevationSource, Extent, GenArgs, GenError, Procedural, Raster, Summary};
+use crate::{
+    Color, ElevationSource, Extent, GenArgs, GenError, Prediction, PredictionFormat, Procedural, Raster, Sharding,
+    Summary,
+};
+use crate::{prediction, shards};
 
 /// Longitude and latitude of the middle of procedural terrain, in degrees.
 const PROCEDURAL_CENTER: [f64; 2] = [8.0, 47.0];
@@ -25,6 +29,8 @@ const PROCEDURAL_CENTER: [f64; 2] = [8.0, 47.0];
 const PROCEDURAL_LEVELS: u32 = 5;
 /// The folder of the default set. The number changes with the content of the set, so that old sets are not used.
 const DEFAULT_SET: &str = "default-set-2";
+/// The number of places where a run that may not fit on the disk makes a sample.
+const SPACE_PLACES: usize = 2;
 
 /// Returns the folder of the small set that `terrane fly` shows by default. Generates the set in `folder` unless it is
 /// there.
@@ -51,39 +57,59 @@ pub enum Outcome {
     Set(Box<Summary>),
     /// A plan of shards, as JSON.
     Plan(String),
+    /// A prediction, and its form.
+    Prediction(Box<Prediction>, PredictionFormat),
 }
 
 impl Outcome {
     /// Writes the outcome to standard output. A closed pipe is not an error.
     pub fn print(&self) -> std::io::Result<()> {
-        match self {
-            Self::Set(summary) => summary.print(),
-            Self::Plan(json) => match writeln!(std::io::stdout(), "{json}") {
-                Err(e) if e.kind() == std::io::ErrorKind::BrokenPipe => Ok(()),
-                written => written,
-            },
+        let text = match self {
+            Self::Set(summary) => return summary.print(),
+            Self::Plan(json) => json.clone(),
+            Self::Prediction(prediction, PredictionFormat::Table) => prediction.to_string(),
+            Self::Prediction(prediction, PredictionFormat::Json) => serde_json::to_string_pretty(prediction)?,
+        };
+        match writeln!(std::io::stdout(), "{text}") {
+            Err(e) if e.kind() == std::io::ErrorKind::BrokenPipe => Ok(()),
+            written => written,
         }
     }
 }
 
-/// Does what the options ask for: makes a set or a shard, or plans shards.
+/// Does what the options ask for: makes a set or a shard, plans shards, or predicts a run.
 pub fn execute(args: &GenArgs) -> Result<Outcome, GenError> {
+    if let Some(format) = args.run.dry_run {
+        return predict(args).map(|prediction| Outcome::Prediction(Box::new(prediction), format));
+    }
     let Some(count) = args.sharding.plan else { return run(args).map(|summary| Outcome::Set(Box::new(summary))) };
     let args = &expanded(args)?;
     check(args)?;
     let fingerprint = fingerprint(args)?;
-    with_grid(args, |grid, _, _| {
-        let plan = Plan::new(grid.levels);
-        let layer = plan.finest();
-        let tiles = layer.tiles_per_block();
-        Ok(Outcome::Plan(shards::plan(count, fingerprint, grid.levels, &blocks_below_root(grid, layer), tiles)))
+    let out = std::path::absolute(&args.out).map_err(GenError::file(&args.out))?;
+    with_grid(args, |opened| {
+        let layer = opened.plan.finest();
+        let blocks = blocks_below_root(opened.grid, layer);
+        Ok(Outcome::Plan(shards::plan(count, fingerprint, opened.grid.levels, &blocks, layer.tiles_per_block(), &out)))
     })
 }
 
-/// Generates a tile set, or a shard of one. Files are written to a temporary folder beside OUT, which is moved to OUT when all are
-/// complete. If the run is killed, the same options continue it.
-pub fn run(args: &GenArgs) -> Result<Summary, GenError> {
-    let start = Instant::now();
+/// Predicts a run: its tiles, bytes and time. Fails as the run would, as far as that is known before; writes nothing.
+pub fn predict(args: &GenArgs) -> Result<Prediction, GenError> {
+    let args = &expanded(args)?;
+    let (out, _) = target(args)?;
+    check(args)?;
+    prediction::check_writable(&out)?;
+    let predicted = thread_pool(args)?.install(|| match world_set(args, PROCEDURAL_LEVELS) {
+        Some(set) => prediction::predict_world(&set, &out),
+        None => with_grid(args, |opened| prediction::predict(args, opened, &out, prediction::PLACES)),
+    })?;
+    predicted.check_space(&out)?;
+    Ok(predicted)
+}
+
+/// Returns the absolute path of OUT, or of the shard beside it, and whether there are files in it. Fails if they may not be replaced.
+fn target(args: &GenArgs) -> Result<(PathBuf, bool), GenError> {
     let out = std::path::absolute(&args.out).map_err(GenError::file(&args.out))?;
     let out = args.sharding.shard.map_or(out.clone(), |shard| shard.folder(&out));
     let occupied = match std::fs::read_dir(&out) {
@@ -94,23 +120,34 @@ pub fn run(args: &GenArgs) -> Result<Summary, GenError> {
     if out.is_symlink() && !out.exists() {
         return Err(GenError::invalid(out, "is a link whose target does not exist"));
     }
-    let args = &expanded(args)?;
     let is_shard = args.sharding.shard.is_some();
-    if occupied && !args.overwrite && !is_shard {
+    if occupied && !args.overwrite && !args.run.update && !is_shard {
         return Err(GenError::Exists(out));
     }
     let out = if out.exists() { out.canonicalize().map_err(GenError::file(&out))? } else { out };
     if occupied && !is_shard {
         check_replaceable(&out, args)?;
     }
-    check(args)?;
-    let fingerprint = fingerprint(args)?;
+    Ok((out, occupied))
+}
+
+fn thread_pool(args: &GenArgs) -> Result<rayon::ThreadPool, GenError> {
     // With 0 rayon starts one thread per core.
     let threads = args.jobs.unwrap_or(0);
-    let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(threads)
-        .build()
-        .map_err(|e| GenError::Argument(format!("--jobs {threads}: {e}")))?;
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+    pool.map_err(|e| GenError::Argument(format!("--jobs {threads}: {e}")))
+}
+
+/// Generates a tile set, or a shard of one. Files are written to a temporary folder beside OUT, which is moved to OUT when all are
+/// complete. If the run is killed, the same options continue it.
+pub fn run(args: &GenArgs) -> Result<Summary, GenError> {
+    let start = Instant::now();
+    let args = &expanded(args)?;
+    let (out, occupied) = target(args)?;
+    let is_shard = args.sharding.shard.is_some();
+    check(args)?;
+    let fingerprint = fingerprint(args)?;
+    let pool = thread_pool(args)?;
     if occupied && is_shard {
         if !shards::is_made(&out, fingerprint) {
             return Err(GenError::Exists(out));
@@ -164,13 +201,25 @@ fn check(args: &GenArgs) -> Result<(), GenError> {
 
 /// Makes a set or a shard in a folder. Returns the folders of the shards that were merged as well.
 fn make(args: &GenArgs, out: &Path, fingerprint: u64, folder: &Path) -> Result<(Summary, Vec<PathBuf>), GenError> {
+    let is_fresh = !Journal::new(folder).has_blocks();
     if let Some(set) = world_set(args, PROCEDURAL_LEVELS) {
+        if is_fresh {
+            let tiles = (0..set.levels()).map(|level| 1u64 << (2 * level)).sum();
+            prediction::check_space(out, tiles, || prediction::predict_world(&set, out))?;
+        }
         return Ok((write_world(&set, folder)?, Vec::new()));
     }
     let shards = if args.sharding.merge { shards::gather(out, fingerprint, folder)? } else { Vec::new() };
-    with_grid(args, |grid, imagery, notes| {
-        let plan = Plan::new(grid.levels);
-        let mut builder = Builder::new(args, grid, imagery, &plan, folder)?;
+    with_grid(args, |opened| {
+        let (grid, plan) = (opened.grid, &opened.plan);
+        let mut notes = Vec::new();
+        if args.run.update && out.join("tileset.json").is_file() {
+            notes.push(keep_blocks(args, opened, out, folder)?);
+        } else if is_fresh && args.sharding == Sharding::default() {
+            let predict = || prediction::predict(args, opened, out, SPACE_PLACES);
+            prediction::check_space(out, prediction::max_tiles(grid, plan), predict)?;
+        }
+        let mut builder = Builder::new(args, grid, opened.imagery, plan, folder)?;
         let totals = match args.sharding.shard {
             Some(shard) => {
                 let blocks = blocks_below_root(grid, plan.finest());
@@ -180,10 +229,13 @@ fn make(args: &GenArgs, out: &Path, fingerprint: u64, folder: &Path) -> Result<(
             }
             None => {
                 let totals = builder.make_set()?;
-                Journal::new(folder).remove()?;
+                if Journal::new(folder).has_blocks() {
+                    Manifest::new(args, opened)?.save(folder)?;
+                }
                 totals
             }
         };
+        notes.extend((opened.notes)());
         let [min_height_m, max_height_m] = totals.range_m.map(f64::from);
         let [cut_samples, filled_samples] = voids(args, &totals);
         let summary = Summary {
@@ -197,7 +249,7 @@ fn make(args: &GenArgs, out: &Path, fingerprint: u64, folder: &Path) -> Result<(
             cut_samples,
             level_errors_m: level_errors_m(&totals),
             seconds: 0.0,
-            notes: notes(),
+            notes,
         };
         Ok((summary, shards))
     })
@@ -205,7 +257,7 @@ fn make(args: &GenArgs, out: &Path, fingerprint: u64, folder: &Path) -> Result<(
 
 /// Returns the roots of the finest layer's blocks. The only block of a small set is left out: it is made when shards are merged.
 fn blocks_below_root(grid: &Grid<'_>, layer: Layer) -> Vec<TileKey> {
-    if layer.root == 0 { Vec::new() } else { blocks(grid, layer) }
+    if layer.root == 0 && !grid.is_aligned() { Vec::new() } else { blocks(grid, layer) }
 }
 
 /// Refuses to replace a folder that is no tile set, or that contains one of the source files.
@@ -228,6 +280,10 @@ struct Terrain {
     levels: u32,
     /// True if the finest level is as fine as the source.
     is_fine: bool,
+    /// The bounds of each elevation file: west, south, east and north in radians.
+    places: Vec<[f64; 4]>,
+    /// The largest pixel of the elevation files, east and north, in radians.
+    pixel: [f64; 2],
     /// Notes about the sources, each a sentence.
     notes: Vec<String>,
     /// The context that the elevation files share; `None` for procedural terrain.
@@ -254,6 +310,8 @@ fn terrain(
             extent,
             levels,
             is_fine: false,
+            places: Vec::new(),
+            pixel: [0.0; 2],
             notes: Vec::new(),
             context: None,
         });
@@ -287,10 +345,15 @@ fn terrain(
     if let Some(problem) = problem {
         return Err(GenError::invalid(args.dem.first().cloned().unwrap_or_default(), problem));
     }
-    let needed = levels_for([e.east - e.west, e.north - e.south], step, CELLS);
+    if args.run.aligned && wide >= 2.0 * PI - ROUNDING {
+        return Err(GenError::Argument("--aligned has no effect for elevation around the whole earth".to_owned()));
+    }
+    let grid = if args.run.aligned { ALIGNED } else { e };
+    let sides = [grid.east - grid.west, grid.north - grid.south];
+    let needed = levels_for(sides, step, CELLS);
     let mut wanted = needed;
     if let Some(imagery) = imagery {
-        wanted = wanted.max(levels_for([e.east - e.west, e.north - e.south], imagery.pixel_size(), TEXELS as usize));
+        wanted = wanted.max(levels_for(sides, imagery.pixel_size(), TEXELS as usize));
     }
     let levels = args.levels.unwrap_or(wanted.min(MAX_LEVELS));
     let mut notes = Vec::new();
@@ -299,7 +362,7 @@ fn terrain(
     }
     if levels < needed {
         let cells = (CELLS as f64) * f64::from(levels - 1).exp2();
-        let replaced = use_overviews(&mut rasters, [wide, high].map(|side| side / cells), &options, &context)?;
+        let replaced = use_overviews(&mut rasters, sides.map(|side| side / cells), &options, &context)?;
         if replaced > 0 {
             notes.push(format!(
                 "{replaced} of {} elevation files are read by their overviews, as the finest level is coarser; errors are \
@@ -308,8 +371,12 @@ fn terrain(
             ));
         }
     }
+    let places = rasters.iter().map(Raster::bounds).collect();
+    let distances = rasters.iter().map(Raster::sample_distance);
+    let pixel = distances.fold([0.0f64; 2], |widest, own| [widest[0].max(own[0]), widest[1].max(own[1])]);
     let source = Box::new(Mosaic::new(rasters, args.blend));
-    Ok(Terrain { source, extent: e, levels, is_fine: levels >= needed, notes, context: Some(context) })
+    let is_fine = levels >= needed;
+    Ok(Terrain { source, extent: e, levels, is_fine, places, pixel, notes, context: Some(context) })
 }
 
 /// Returns the number of levels whose finest one has steps of at most a size, for a rectangle with these sides. A tile has
@@ -355,19 +422,31 @@ fn widest_gap(intervals: &mut [[f64; 2]]) -> f64 {
     gap
 }
 
-/// Opens the sources and calls with the grid, the imagery, and a function that returns notes about the sources: what was read
-/// since is among them.
-fn with_grid<T>(
+/// The opened sources of a run.
+pub(crate) struct Opened<'a> {
+    pub grid: &'a Grid<'a>,
+    pub imagery: Option<&'a Imagery>,
+    pub plan: Plan,
+    /// [`Terrain::is_fine`], [`Terrain::places`] and [`Terrain::pixel`].
+    pub is_fine: bool,
+    pub places: Vec<[f64; 4]>,
+    pub pixel: [f64; 2],
+    /// Returns notes about the sources; what was read since is among them.
+    pub notes: &'a (dyn Fn() -> Vec<String> + Sync),
+}
+
+/// Opens the sources and calls with them.
+pub(crate) fn with_grid<T>(
     args: &GenArgs,
-    call: impl FnOnce(&Grid<'_>, Option<&Imagery>, &dyn Fn() -> Vec<String>) -> Result<T, GenError>,
+    call: impl FnOnce(&Opened<'_>) -> Result<T, GenError>,
 ) -> Result<T, GenError> {
-    let cache = Arc::new(BlockCache::new(DEFAULT_CACHE_BYTES));
+    let cache = Arc::new(BlockCache::new(args.run.memory.map_or(DEFAULT_CACHE_BYTES, |_| MIN_CACHE_BYTES)));
     let datum_grid = args.datum_grid.as_deref().map(DatumGrid::read).transpose()?.map(Arc::new);
     let imagery = match args.imagery.is_empty() {
         true => None,
         false => Some(Imagery::open(&args.imagery, args.epsg.as_ref(), datum_grid.as_deref(), &cache)?),
     };
-    let Terrain { source, extent, levels, is_fine, notes, context } =
+    let Terrain { source, extent, levels, is_fine, places, pixel, notes, context } =
         terrain(args, imagery.as_ref(), datum_grid.as_ref(), &cache)?;
     if datum_grid.is_some_and(|grid| !grid.is_used()) {
         return Err(GenError::Argument("--datum-grid has no effect: the datum of all sources is WGS84".to_owned()));
@@ -378,5 +457,72 @@ fn with_grid<T>(
         return Err(GenError::invalid(path, "does not overlap the elevation"));
     }
     let all_notes = || notes.iter().cloned().chain(context.iter().flat_map(|context| self::notes(context))).collect();
-    call(&Grid::new(source.as_ref(), extent, levels, args.voids, is_fine), imagery.as_ref(), &all_notes)
+    let (grid, plan) = if args.run.aligned {
+        (Grid::aligned(source.as_ref(), levels, is_fine), Plan::aligned(levels, &extent))
+    } else {
+        (Grid::new(source.as_ref(), extent, levels, args.voids, is_fine), Plan::new(levels))
+    };
+    if let Some(memory) = args.run.memory {
+        cache.set_budget(cache_bytes(memory, &plan, args)?);
+    }
+    call(&Opened { grid: &grid, imagery: imagery.as_ref(), plan, is_fine, places, pixel, notes: &all_notes })
+}
+
+/// The bytes of blocks of sources that a run needs at least.
+const MIN_CACHE_BYTES: usize = 16 << 20;
+/// The bytes that a thread takes for a tile.
+const TILE_BYTES: u64 = 2 << 20;
+
+/// Returns the part of the memory that is left for blocks of sources.
+fn cache_bytes(memory: u64, plan: &Plan, args: &GenArgs) -> Result<usize, GenError> {
+    let work = plan.work_bytes(args.color != Color::None) + TILE_BYTES * rayon::current_num_threads() as u64;
+    match memory.checked_sub(work) {
+        Some(rest) if rest >= MIN_CACHE_BYTES as u64 => Ok(usize::try_from(rest).unwrap_or(usize::MAX)),
+        _ => {
+            let least = (work + MIN_CACHE_BYTES as u64).div_ceil(1 << 20);
+            Err(GenError::Argument(format!("--memory is too small for this set, which needs at least {least}M")))
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::elevation::SourceContext;
+    use crate::pyramid::Window;
+
+    #[test]
+    fn memory_is_shared_by_sources_and_tiles() {
+        let args = GenArgs::new("set");
+        for levels in [3, 6, 12, 20] {
+            let plan = Plan::new(levels);
+            let work = plan.work_bytes(true);
+            let rest = cache_bytes(1 << 30, &plan, &args).unwrap();
+            assert!(rest >= MIN_CACHE_BYTES && rest as u64 + work <= 1 << 30, "{levels}: {rest} {work}");
+            assert!(cache_bytes(work, &plan, &args).unwrap_err().to_string().contains("at least"));
+        }
+    }
+
+    /// The file has 26 MB, and 52 MB as heights.
+    #[test]
+    fn larger_source_stays_within_the_bytes_of_the_cache() {
+        const BUDGET_BYTES: usize = 3 << 20;
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("N46E007.hgt");
+        let heights: Vec<u8> =
+            (0..3601u32 * 3601).flat_map(|k| ((k % 3601 + k / 3601) as i16 / 4).to_be_bytes()).collect();
+        std::fs::write(&path, heights).unwrap();
+        let cache = Arc::new(BlockCache::new(1 << 20));
+        cache.set_budget(BUDGET_BYTES);
+        let context = SourceContext::new(Arc::clone(&cache), None, None);
+        let rasters = open_all(&[path], &GenArgs::new("set").raster_options(), &context).unwrap();
+        let [west, south, east, north] = rasters[0].bounds();
+        let mosaic = Mosaic::new(rasters, 0.0);
+        let grid = Grid::new(&mosaic, Extent { west, south, east, north }, 6, crate::Voids::Cut, false);
+        for column in [0, 256, 0] {
+            let window = Window { first: [column, 0], last: [column + 40, 512] };
+            assert!(!grid.sample(2, window).unwrap().has_unknown());
+        }
+        assert!((1 << 20..=BUDGET_BYTES).contains(&cache.peak_bytes()), "{}", cache.peak_bytes());
+    }
 }

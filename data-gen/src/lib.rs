@@ -20,10 +20,13 @@ mod generate;
 mod georeference;
 mod noise;
 mod output;
+mod prediction;
 mod progress;
 mod pyramid;
+mod run_args;
 mod shards;
 mod store;
+mod update;
 mod web_tiles;
 mod world;
 
@@ -32,10 +35,12 @@ pub use elevation::{
     DEFAULT_CACHE_BYTES, ElevationSource, HeightEncoding, Procedural, Raster, RasterOptions, SourceSample,
 };
 pub use error::GenError;
-pub use generate::{Outcome, default_set, execute, run};
+pub use generate::{Outcome, default_set, execute, predict, run};
 pub use georeference::{Crs, Projection, VerticalDatum, utm_from_geodetic, utm_to_geodetic};
 pub use output::{PartialFolder, TextureFormat, TileArgs, Triangles};
+pub use prediction::{LevelPrediction, Prediction};
 pub use progress::Progress;
 pub use pyramid::{Extent, TileKey};
+pub use run_args::{PredictionFormat, RunArgs};
 pub use shards::{Shard, Sharding};
 pub use world::{World, WorldArgs, WorldPreset, WorldSet, WorldTile};

@@ -86,14 +86,16 @@ impl Shard {
 }
 
 /// Returns the plan of the shards of a set as JSON. `blocks` are the roots of the finest layer's blocks, `tiles` the number of tiles of
-/// each at most.
-pub(crate) fn plan(count: u32, fingerprint: u64, levels: u32, blocks: &[TileKey], tiles: u64) -> String {
+/// each at most. Shards whose folders beside OUT are complete are marked.
+pub(crate) fn plan(count: u32, fingerprint: u64, levels: u32, blocks: &[TileKey], tiles: u64, out: &Path) -> String {
     let shards: Vec<Value> = (1..=count)
         .map(|number| {
             let shard = Shard { number, count };
             let part = shard.part_of(blocks);
             let roots: Vec<String> = part.iter().map(|root| format!("{}/{}/{}", root.level, root.x, root.y)).collect();
-            json!({ "shard": shard.to_string(), "tilesAtMost": tiles * part.len() as u64, "subtrees": roots })
+            let is_made = is_made(&shard.folder(out), fingerprint);
+            let tiles = tiles * part.len() as u64;
+            json!({ "shard": shard.to_string(), "complete": is_made, "tilesAtMost": tiles, "subtrees": roots })
         })
         .collect();
     let plan = json!({ "fingerprint": format!("{fingerprint:016x}"), "levels": levels, "shards": shards });

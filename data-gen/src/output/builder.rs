@@ -6,10 +6,10 @@ use rayon::prelude::*;
 
 use super::journal::Journal;
 use super::tile_set::{Written, write_tiles, write_whole};
-use super::tree::{Tree, external_name, external_tileset};
+use super::tree::{Tree, external_name, external_tileset, trunk_tileset};
 use crate::args::{Color, GenArgs};
 use crate::color::{Imagery, Painter};
-use crate::pyramid::{Block, Coverage, Grid, Layer, Plan, Record, TileKey, Totals, tiles_with_data};
+use crate::pyramid::{Below, Block, Coverage, Grid, Layer, Plan, Record, TileKey, Totals, tiles_with_data};
 use crate::{GenError, Progress, Voids};
 
 /// Makes the blocks of a set in a folder. One block is in memory at a time; the threads of the current rayon pool share its work.
@@ -46,9 +46,12 @@ impl<'a> Builder<'a> {
         self.progress.set_total(tiles.sum());
         let mut totals = Totals::new(self.grid.levels);
         for (layer, keys) in self.plan.layers.iter().zip(&blocks) {
-            for key in keys.iter().filter(|key| key.level > 0) {
+            for key in keys.iter().filter(|key| key.level > 0 || self.grid.is_aligned()) {
                 totals.add(&self.make(*layer, *key)?.totals);
             }
+        }
+        if self.grid.is_aligned() {
+            return self.make_trunk(totals, &blocks);
         }
         // Blocks that were not made have no data at any vertex.
         let made: u64 = blocks.first().into_iter().flatten().map(|key| vertices_of(self.grid, *key)).sum();
@@ -80,8 +83,8 @@ impl<'a> Builder<'a> {
         if block.facts(root).coverage != Coverage::None {
             (geometric_error_m, json) = (tree.geometric_error_m(root), tree.external_root());
         }
-        let record = block.record(bytes, tree.root_region(), geometric_error_m);
-        self.journal.save(root, &record, &json)?;
+        let record = block.record(bytes, tree.root_region(), geometric_error_m, json);
+        self.journal.save(root, &record)?;
         Ok(record)
     }
 
@@ -89,24 +92,50 @@ impl<'a> Builder<'a> {
     fn make_root(&self, layer: Layer, mut totals: Totals, blocks: &[Vec<TileKey>]) -> Result<Totals, GenError> {
         let block = self.block(layer, TileKey::ROOT)?;
         if block.facts(TileKey::ROOT).coverage == Coverage::None {
-            let reason = "no neighbouring samples have heights; --voids fill continues them";
-            return Err(GenError::invalid(self.args.dem.first().cloned().unwrap_or_default(), reason));
+            return Err(self.without_data());
         }
         let Written { bytes, distances_m } = self.write(&block)?;
         totals.add(&block.totals(bytes));
         let text = Tree::new(self.args, &block, distances_m).tileset(&totals);
-        let external =
-            blocks.iter().flatten().filter(|key| key.level > 0).collect::<Vec<_>>().into_par_iter().map(|key| {
-                let Some(record) = self.journal.load(*key)?.filter(|record| record.facts.coverage != Coverage::None)
-                else {
-                    return Ok(0);
-                };
-                let text = external_tileset(self.args, &totals, *key, &record, &self.journal.load_tree(*key)?);
-                write_whole(&self.folder.join(external_name(*key)), text.as_bytes())
-            });
-        let bytes: u64 = external.collect::<Result<Vec<u64>, GenError>>()?.iter().sum();
+        let bytes = self.write_external(&totals, blocks.iter().flatten().filter(|key| key.level > 0))?;
         totals.bytes += bytes + write_whole(&self.folder.join("tileset.json"), text.as_bytes())?;
         Ok(totals)
+    }
+
+    /// Makes the tilesets of an aligned set, whose coarsest tiles are the roots of blocks.
+    fn make_trunk(&self, mut totals: Totals, blocks: &[Vec<TileKey>]) -> Result<Totals, GenError> {
+        let mut below = Vec::new();
+        for key in blocks.last().into_iter().flatten() {
+            let record = self.journal.load(*key)?.filter(|record| record.facts.coverage != Coverage::None);
+            below.extend(record.map(|record| Below {
+                root: *key,
+                region: record.region,
+                geometric_error_m: record.geometric_error_m,
+            }));
+        }
+        if below.is_empty() {
+            return Err(self.without_data());
+        }
+        let text = trunk_tileset(self.args, &totals, &below);
+        let bytes = self.write_external(&totals, blocks.iter().flatten())?;
+        totals.bytes += bytes + write_whole(&self.folder.join("tileset.json"), text.as_bytes())?;
+        Ok(totals)
+    }
+
+    fn without_data(&self) -> GenError {
+        let reason = "no neighbouring samples have heights; --voids fill continues them";
+        GenError::invalid(self.args.dem.first().cloned().unwrap_or_default(), reason)
+    }
+
+    /// Writes the external tilesets of blocks, and returns their bytes.
+    fn write_external<'k>(&self, totals: &Totals, blocks: impl Iterator<Item = &'k TileKey>) -> Result<u64, GenError> {
+        let external = blocks.collect::<Vec<_>>().into_par_iter().map(|key| {
+            let record = self.journal.load(*key)?.filter(|record| record.facts.coverage != Coverage::None);
+            let Some(record) = record else { return Ok(0) };
+            let text = external_tileset(self.args, totals, *key, &record, &record.tree);
+            write_whole(&self.folder.join(external_name(*key)), text.as_bytes())
+        });
+        Ok(external.collect::<Result<Vec<u64>, GenError>>()?.iter().sum())
     }
 
     fn block(&self, layer: Layer, root: TileKey) -> Result<Block<'a>, GenError> {

@@ -11,7 +11,7 @@ mod tree;
 
 pub(crate) use builder::{Builder, blocks};
 pub use encoding::{TextureFormat, TileArgs, Triangles};
-pub(crate) use journal::Journal;
+pub(crate) use journal::{CompleteTile, Journal};
 pub(crate) use partial_folder::MARKER;
 pub use partial_folder::PartialFolder;
 pub(crate) use tile_set::write_whole;

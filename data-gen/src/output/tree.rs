@@ -2,7 +2,7 @@
 //! tilesets, so that neither writers nor readers hold the whole tree.
 
 use std::collections::HashMap;
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 use glam::{DAffine3, DMat4};
 use serde_json::{Value, json};
@@ -65,8 +65,13 @@ impl<'a> Tree<'a> {
         let high_m = f64::from(f.max_height_m);
         let slack_m = 0.1 + self.half_step_m(key);
         // A region across the date line has its west edge east of its east edge in 3D Tiles.
-        let [west, east] = [e.west, e.east].map(|l| if l > PI + ROUNDING { l - TAU } else { l });
-        [west, e.south, east, e.north, low_m - slack_m, high_m + slack_m]
+        let [mut west, mut east] = [e.west, e.east].map(|l| if l > PI + ROUNDING { l - TAU } else { l });
+        // Tiles of aligned sets reach beyond the earth's coordinates.
+        if e.east - e.west >= TAU {
+            (west, east) = (-PI, PI);
+        }
+        let [south, north] = [e.south, e.north].map(|l| l.clamp(-FRAC_PI_2, FRAC_PI_2));
+        [west.max(-PI), south, east, north, low_m - slack_m, high_m + slack_m]
     }
 
     /// Returns the largest rounding of quantized vertices in metres. It is added to the volume and to the error.
@@ -106,19 +111,10 @@ impl<'a> Tree<'a> {
         let args = self.args;
         let facts = self.block.facts(TileKey::ROOT);
         let diagonal_m = 2.0 * (facts.error_m + f64::from(facts.max_height_m - facts.min_height_m)) + 1.0;
-        let [min_height_m, max_height_m] = totals.range_m.map(f64::from);
-        let [cut_samples, filled_samples] = voids(args, totals);
-        // `terrane info` prints it.
-        let properties = json!({
-            "minimumHeight": min_height_m, "maximumHeight": max_height_m,
-            "finestError": totals.level_errors_m.last(),
-            "samplesLeftOut": cut_samples, "samplesFilled": filled_samples,
-            "sourceVerticalDatum": args.vertical_datum.to_string(),
-        });
         let tree = self.tile(TileKey::ROOT, DAffine3::IDENTITY, "");
         let root_error_m = tree["geometricError"].as_f64().unwrap_or(facts.error_m);
         let mut tileset = json!({ "asset": asset(args, totals, 0), "geometricError": diagonal_m.max(2.0 * root_error_m), "root": tree });
-        (tileset["schema"], tileset["metadata"]) = (schema(), json!({ "class": "terrain", "properties": properties }));
+        (tileset["schema"], tileset["metadata"]) = (schema(), metadata(args, totals));
         tileset["root"]["refine"] = "REPLACE".into();
         tileset.to_string()
     }
@@ -174,6 +170,56 @@ impl<'a> Tree<'a> {
 pub(crate) fn external_tileset(args: &GenArgs, totals: &Totals, root: TileKey, record: &Record, tile: &str) -> String {
     let (asset, error_m) = (asset(args, totals, root.level), json!(record.geometric_error_m));
     format!(r#"{{"asset":{asset},"geometricError":{error_m},"root":{tile}}}"#)
+}
+
+/// The error of a tile without content in metres: it is refined at any distance.
+const EMPTY_ERROR_M: f64 = 1e8;
+
+/// Returns the tileset of a set whose coarsest tiles are the roots of external tilesets.
+pub(crate) fn trunk_tileset(args: &GenArgs, totals: &Totals, below: &[Below]) -> String {
+    let child = |below: &Below| {
+        json!({
+            "boundingVolume": { "region": below.region },
+            "geometricError": below.geometric_error_m,
+            "content": { "uri": external_name(below.root) },
+        })
+    };
+    let error_m = below.iter().fold(EMPTY_ERROR_M, |error_m, below| error_m.max(2.0 * below.geometric_error_m));
+    let mut region = below[0].region;
+    for own in below.iter().map(|below| below.region) {
+        // Neighbours are at most two, so that the western one begins west of the other also across the date line.
+        let is_west_of = |a: f64, b: f64| (b - a).rem_euclid(TAU) < PI;
+        region[0] = if is_west_of(own[0], region[0]) { own[0] } else { region[0] };
+        region[2] = if is_west_of(region[2], own[2]) { own[2] } else { region[2] };
+        (region[1], region[3]) = (region[1].min(own[1]), region[3].max(own[3]));
+        (region[4], region[5]) = (region[4].min(own[4]), region[5].max(own[5]));
+    }
+    if below.iter().any(|below| below.root.level < 2) {
+        (region[0], region[2]) = (-PI, PI);
+    }
+    let children: Vec<Value> = below.iter().map(child).collect();
+    json!({
+        "asset": { "version": "1.1", "generator": "terrane" },
+        "geometricError": error_m,
+        "schema": schema(), "metadata": metadata(args, totals),
+        "root": {
+            "boundingVolume": { "region": region }, "geometricError": error_m, "refine": "REPLACE", "children": children,
+        },
+    })
+    .to_string()
+}
+
+/// Returns the metadata of a set, which `terrane info` prints.
+fn metadata(args: &GenArgs, totals: &Totals) -> Value {
+    let [min_height_m, max_height_m] = totals.range_m.map(f64::from);
+    let [cut_samples, filled_samples] = voids(args, totals);
+    let properties = json!({
+        "minimumHeight": min_height_m, "maximumHeight": max_height_m,
+        "finestError": totals.level_errors_m.last(),
+        "samplesLeftOut": cut_samples, "samplesFilled": filled_samples,
+        "sourceVerticalDatum": args.vertical_datum.to_string(),
+    });
+    json!({ "class": "terrain", "properties": properties })
 }
 
 /// Returns the asset of a tileset whose root has a level of the set.

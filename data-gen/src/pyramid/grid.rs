@@ -9,6 +9,7 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use rayon::prelude::*;
 
+use super::dependencies::HeightAt;
 use super::fill::{self, BOX, BoxMeans};
 use super::samples::{Samples, Window};
 use super::tile::{CELLS, TileKey};
@@ -30,6 +31,18 @@ pub struct Extent {
 /// Heights are rounded to 1/128 m, so that a shared sample has the same bits in every tile and level.
 pub const QUANTUM_M: f64 = 1.0 / 128.0;
 
+/// The side of an aligned grid in radians: 64 cells of 2^15 seconds of arc.
+const ALIGNED_SIDE: f64 = 64.0 * 32_768.0 / 3600.0 * std::f64::consts::PI / 180.0;
+/// The rectangle of an aligned grid. It is larger than the earth.
+pub(crate) const ALIGNED: Extent = Extent {
+    west: -0.5 * ALIGNED_SIDE,
+    south: -0.5 * ALIGNED_SIDE,
+    east: 0.5 * ALIGNED_SIDE,
+    north: 0.5 * ALIGNED_SIDE,
+};
+/// The heights in metres that stand for the lowest and the highest one in the colours of an aligned grid.
+const ALIGNED_RANGE_M: [f32; 2] = [0.0, 3000.0];
+
 /// Positions along a row are computed from the column of the last multiple of this number.
 const SEGMENT: i64 = 64;
 /// The cells along a side of the lattice for what depends on the whole set: a range of heights, and surroundings of wide gaps.
@@ -49,6 +62,8 @@ pub(crate) struct Grid<'a> {
     /// Gives the vertices nearest to the source's highest and lowest samples their heights. The distance between vertices must
     /// be at most the source's.
     keep_extrema: bool,
+    /// True if nothing depends on the whole source; see [`Self::aligned`].
+    is_aligned: bool,
     /// Rows from south to north; NaN where there is no data.
     coarse: OnceLock<Vec<f32>>,
     /// [`Self::coarse`] with its gaps filled.
@@ -60,7 +75,20 @@ pub(crate) struct Grid<'a> {
 impl<'a> Grid<'a> {
     pub fn new(source: &'a dyn ElevationSource, extent: Extent, levels: u32, voids: Voids, keep_extrema: bool) -> Self {
         let (coarse, coarse_filled) = (OnceLock::new(), OnceLock::new());
-        Self { source, extent, levels, voids, keep_extrema, coarse, coarse_filled, boxes: Mutex::default() }
+        let boxes = Mutex::default();
+        Self { source, extent, levels, voids, keep_extrema, is_aligned: false, coarse, coarse_filled, boxes }
+    }
+
+    /// Creates a grid whose vertices do not depend on the source: seconds of arc and their halves, or several of them, around the
+    /// whole earth. Boxes without data count as 0 m.
+    pub fn aligned(source: &'a dyn ElevationSource, levels: u32, keep_extrema: bool) -> Self {
+        let grid = Self::new(source, ALIGNED, levels, Voids::Cut, keep_extrema);
+        Self { is_aligned: true, ..grid }
+    }
+
+    /// Returns true if the grid does not depend on the source.
+    pub fn is_aligned(&self) -> bool {
+        self.is_aligned
     }
 
     /// Returns the number of cells along a side of the lattice of a depth.
@@ -242,6 +270,11 @@ impl<'a> Grid<'a> {
 
     /// Returns samples of the lattice of a depth with the vertices without data filled from their surroundings on that lattice.
     pub fn filled(&self, depth: u32, known: &Samples) -> Result<Samples, GenError> {
+        Ok(self.filled_with_gaps(depth, known)?.0)
+    }
+
+    /// Like [`Self::filled`]; also returns the boxes without data whose heights may have been used.
+    pub fn filled_with_gaps(&self, depth: u32, known: &Samples) -> Result<(Samples, Vec<HeightAt>), GenError> {
         let mut out = known.clone();
         let (window, width) = (known.window, known.window.width());
         let unknown = known.values.iter().enumerate().filter(|(_, h)| h.is_nan());
@@ -258,14 +291,17 @@ impl<'a> Grid<'a> {
             needed.into_par_iter().map(|at| Ok((at, self.means(depth, at, known)?))).collect();
         let means = means?;
         if patches.is_empty() {
-            return Ok(out);
+            return Ok((out, Vec::new()));
         }
+        let empty = means.iter().filter(|(_, means)| !self.is_aligned && means.is_empty());
+        let gaps: Result<Vec<HeightAt>, GenError> =
+            empty.map(|(at, _)| Ok(HeightAt { depth, at: *at, height_m: self.gap_height_m(depth, *at)? })).collect();
         // Without wide gaps it is not needed.
         let cells = self.cells(depth);
         let pulled: Result<Vec<_>, GenError> = patches
             .into_par_iter()
             .map(|at| {
-                let is_empty = around(&at).iter().any(|at| means[at].is_empty());
+                let is_empty = !self.is_aligned && around(&at).iter().any(|at| means[at].is_empty());
                 let coarse = if is_empty { Some(self.coarse_filled()?) } else { None };
                 let height = |[x, y]: [f64; 2]| coarse.map_or(0.0, |coarse| self.coarse_at(coarse, depth, [x, y]));
                 Ok((at, fill::pull(at, cells, |x, y| &*means[&[x, y]], height)))
@@ -284,7 +320,16 @@ impl<'a> Grid<'a> {
                 }
             }
         }
-        Ok(out)
+        Ok((out, gaps?))
+    }
+
+    /// Returns the height in metres that stands for a box without data.
+    pub fn gap_height_m(&self, depth: u32, at: [i64; 2]) -> Result<f32, GenError> {
+        if self.is_aligned {
+            return Ok(0.0);
+        }
+        let middle = at.map(|c| (c * BOX) as f64 + 0.5 * (BOX - 1) as f64);
+        Ok(self.coarse_at(self.coarse_filled()?, depth, middle) as f32)
     }
 
     /// Returns the averages of a box. Those of its vertices that `known` contains are not sampled again.
@@ -365,6 +410,9 @@ impl<'a> Grid<'a> {
 
     /// Returns the lowest and the highest sample of the coarse lattice in metres; 0 without any data.
     pub fn coarse_range_m(&self) -> Result<[f32; 2], GenError> {
+        if self.is_aligned {
+            return Ok(ALIGNED_RANGE_M);
+        }
         let known = self.coarse()?.iter().filter(|h| !h.is_nan());
         let range = known.fold([f32::INFINITY, f32::NEG_INFINITY], |[a, b], h| [a.min(*h), b.max(*h)]);
         Ok(if range[0] <= range[1] { range } else { [0.0; 2] })

@@ -1,6 +1,7 @@
 //! The grid of heights, and the quadtree of tiles over it, block by block, with measured errors.
 
 mod block;
+mod dependencies;
 mod fill;
 mod grid;
 mod plan;
@@ -11,9 +12,10 @@ mod tile;
 
 pub(crate) use block::{Below, Block};
 pub use grid::Extent;
-pub(crate) use grid::{Grid, QUANTUM_M};
+pub(crate) use grid::{ALIGNED, Grid, QUANTUM_M};
 pub(crate) use plan::{Layer, Plan, tiles_with_data};
 pub(crate) use record::{Record, Totals, checksum};
+pub(crate) use samples::Window;
 pub(crate) use surface::{Lattice, Surface};
 pub use tile::TileKey;
 pub(crate) use tile::{CELLS, Coverage};

@@ -3,12 +3,16 @@
 //! The finest levels form the first layer of blocks, the next coarser ones the second, and so on up to the root. Blocks of a layer
 //! are made before those of the next, which are made of what they recorded.
 
-use super::tile::TileKey;
+use super::grid::{ALIGNED, Extent};
+use super::tile::{CELLS, TileKey};
 
 /// Levels of a block. A block of the finest layer has 1024 x 1024 cells.
 const BLOCK_LEVELS: u32 = 5;
 /// Sets with at most this many levels are one block.
 const ONE_BLOCK_LEVELS: u32 = 6;
+
+/// Bytes of the records that a block loads at a time, and of the averages that the grid keeps.
+const RECORDS_BYTES: u64 = 48 << 20;
 
 /// Levels that form blocks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -40,6 +44,44 @@ pub(crate) struct Plan {
 impl Plan {
     pub fn new(levels: u32) -> Self {
         Self::with_block_levels(levels, if levels <= ONE_BLOCK_LEVELS { levels } else { BLOCK_LEVELS })
+    }
+
+    /// Returns the plan of an aligned grid: its coarsest level is the finest one on which a rectangle touches at most two tiles
+    /// along each side, but leaves whole blocks below it.
+    pub fn aligned(levels: u32, bounds: &Extent) -> Self {
+        let tiles = |level: u32| {
+            let side = (ALIGNED.east - ALIGNED.west) / f64::from(1u32 << level);
+            let along =
+                |low: f64, high: f64, first: f64| ((high - first) / side).floor() - ((low - first) / side).floor();
+            along(bounds.west, bounds.east, ALIGNED.west).max(along(bounds.south, bounds.north, ALIGNED.south))
+        };
+        let first = (0..=levels.saturating_sub(BLOCK_LEVELS)).rev().find(|level| tiles(*level) < 2.0).unwrap_or(0);
+        let mut plan = Self::with_block_levels(levels, BLOCK_LEVELS);
+        plan.layers.retain(|layer| layer.finest >= first);
+        if let Some(layer) = plan.layers.last_mut() {
+            layer.root = layer.root.max(first);
+        }
+        plan
+    }
+
+    /// Returns the coarsest level.
+    pub fn first_level(&self) -> u32 {
+        self.layers.last().map_or(0, |layer| layer.root)
+    }
+
+    /// Returns the bytes that making a block takes at most, beside the blocks of the sources. `paints` is true if tiles have colours.
+    pub fn work_bytes(&self, paints: bool) -> u64 {
+        let of_layer = |(k, layer): (usize, &Layer)| {
+            let cells = (CELLS as u64) << (layer.levels() - 1);
+            let side = cells + (if paints { 34 } else { 4 } << (layer.levels() - 1)) + 2;
+            // All lattices of a block have a third more samples than the finest one. There are samples with data, with voids
+            // filled in two ways, and one more copy while they are filled.
+            let heights = 4 * 4 * side * side * 4 / 3;
+            let texels = if k == 0 { side } else { 4 * cells + (6 << (layer.levels() - 1)) + 1 };
+            let colors = if paints { 2 * 4 * texels * texels * 4 / 3 } else { 0 };
+            heights + colors + 2 * cells * cells * 4 / 3 + RECORDS_BYTES
+        };
+        self.layers.iter().enumerate().map(of_layer).max().unwrap_or(0)
     }
 
     /// Returns the finest layer.

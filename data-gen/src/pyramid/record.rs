@@ -3,10 +3,11 @@
 //!
 //! A record is a file of the run's journal. Integers and floats are little-endian; a checksum is at the end.
 
+use super::dependencies::{Dependencies, HeightAt};
 use super::samples::{Samples, Window};
 use super::tile::{Coverage, TileFacts};
 
-const MAGIC: &[u8; 8] = b"terrblk1";
+const MAGIC: &[u8; 8] = b"terrblk2";
 /// The largest number of samples in an array.
 const MAX_SAMPLES: usize = 1 << 22;
 
@@ -33,6 +34,9 @@ pub(crate) struct Record {
     pub region: [f64; 6],
     /// The geometric error of the root tile in metres.
     pub geometric_error_m: f64,
+    /// The JSON of the root tile with its descendants; empty without data.
+    pub tree: String,
+    pub dependencies: Dependencies,
 }
 
 /// Sums and extremes over the tiles of blocks.
@@ -98,6 +102,11 @@ impl Record {
         out.f64s(&totals.level_errors_m);
         out.f64s(&self.region);
         out.f64(self.geometric_error_m);
+        out.u64(self.tree.len() as u64);
+        out.0.extend(self.tree.as_bytes());
+        out.u64(self.dependencies.reach as u64);
+        out.heights(&self.dependencies.vertices);
+        out.heights(&self.dependencies.gaps);
         let sum = checksum(&out.0);
         out.u64(sum);
         out.0
@@ -129,7 +138,24 @@ impl Record {
         let totals = Totals { tiles, bytes: size_bytes, voids, range_m, level_errors_m: input.f64s()? };
         let region = input.f64s()?.try_into().ok()?;
         let geometric_error_m = input.f64()?;
-        Some(Self { facts, finest_error_m, above_m, known, filled, texels, cells, totals, region, geometric_error_m })
+        let length = usize::try_from(input.u64()?).ok()?;
+        let tree = String::from_utf8(input.bytes(length)?.to_vec()).ok()?;
+        let dependencies =
+            Dependencies { reach: input.u64()? as i64, vertices: input.heights()?, gaps: input.heights()? };
+        Some(Self {
+            facts,
+            finest_error_m,
+            above_m,
+            known,
+            filled,
+            texels,
+            cells,
+            totals,
+            region,
+            geometric_error_m,
+            tree,
+            dependencies,
+        })
     }
 }
 
@@ -157,6 +183,15 @@ impl Writer {
     fn f32s(&mut self, values: &[f32]) {
         self.u64(values.len() as u64);
         values.iter().for_each(|value| self.0.extend(value.to_bits().to_le_bytes()));
+    }
+
+    fn heights(&mut self, heights: &[HeightAt]) {
+        self.u64(heights.len() as u64);
+        for HeightAt { depth, at: [x, y], height_m } in heights {
+            for number in [u64::from(*depth), *x as u64, *y as u64, height_m.to_bits().into()] {
+                self.u64(number);
+            }
+        }
     }
 
     fn samples(&mut self, samples: &Samples) {
@@ -198,6 +233,15 @@ impl<'a> Reader<'a> {
         Some(values.iter().map(|bytes| f32::from_bits(u32::from_le_bytes(*bytes))).collect())
     }
 
+    fn heights(&mut self) -> Option<Vec<HeightAt>> {
+        let count = self.count()?;
+        let mut height = || {
+            let (depth, x, y) = (u32::try_from(self.u64()?).ok()?, self.u64()? as i64, self.u64()? as i64);
+            Some(HeightAt { depth, at: [x, y], height_m: f32::from_bits(self.u64()? as u32) })
+        };
+        (0..count).map(|_| height()).collect()
+    }
+
     fn samples(&mut self) -> Option<Samples> {
         let mut corner = || Some([self.u64()? as i64, self.u64()? as i64]);
         let window = Window { first: corner()?, last: corner()? };
@@ -232,6 +276,12 @@ mod tests {
             totals,
             region: [0.1, 0.2, 0.3, 0.4, -5.0, 9.0],
             geometric_error_m: 3.6,
+            tree: "{}".to_owned(),
+            dependencies: Dependencies {
+                reach: 276,
+                vertices: vec![HeightAt { depth: 3, at: [5, 6], height_m: 7.5 }],
+                gaps: Vec::new(),
+            },
         };
         let bytes = record.to_bytes();
         assert_eq!(Record::from_bytes(&bytes), Some(record));

@@ -83,6 +83,12 @@ impl Samples {
         self.values.iter().any(|h| h.is_nan())
     }
 
+    /// Returns true if any sample in a window inside this one has data.
+    pub fn has_data_in(&self, part: &Window) -> bool {
+        let rows = part.first[1]..=part.last[1];
+        rows.into_iter().any(|y| self.row_from(part.first[0], y)[..part.width()].iter().any(|h| !h.is_nan()))
+    }
+
     /// Copies the samples that another window of the same lattice has in common with this one.
     pub fn copy_from(&mut self, other: &Self) {
         let Some(both) = self.window.intersection(&other.window) else { return };

@@ -31,7 +31,7 @@ fn make(grid: &Grid<'_>, block_levels: u32) -> Tiles {
             for key in block.keys() {
                 add(&mut tiles, &block, key);
             }
-            let record = block.record(0, [0.0; 6], 0.0);
+            let record = block.record(0, [0.0; 6], 0.0, String::new());
             records.insert(root, Record::from_bytes(&record.to_bytes()).unwrap());
         }
     }
@@ -150,6 +150,73 @@ fn many_blocks_equal_one() {
             );
         }
     }
+}
+
+/// `--memory` counts on it.
+#[test]
+fn blocks_take_at_most_the_bytes_of_the_plan() {
+    for (source, voids) in [(&HILLS as &dyn ElevationSource, Voids::Cut), (&Island, Voids::Fill), (&Island, Voids::Cut)]
+    {
+        for paints in [true, false] {
+            let grid = Grid::new(source, EXTENT, 4, voids, false);
+            let plan = Plan::with_block_levels(4, 2);
+            let mut records: HashMap<TileKey, Record> = HashMap::new();
+            for (k, layer) in plan.layers.iter().enumerate() {
+                let only = Plan { layers: plan.layers[..=k].to_vec() };
+                for root in tiles_with_data(layer.root, &|_| true) {
+                    let block = match k {
+                        0 => Block::sample(&grid, *layer, root, paints).unwrap(),
+                        _ => {
+                            Block::assemble(&grid, *layer, root, paints, &|key| Ok(records.get(&key).cloned())).unwrap()
+                        }
+                    };
+                    assert!(
+                        block.bytes() > 0 && block.bytes() <= only.work_bytes(paints),
+                        "{root:?} {}",
+                        block.bytes()
+                    );
+                    records.insert(root, block.record(0, [0.0; 6], 0.0, String::new()));
+                }
+            }
+        }
+    }
+}
+
+/// Blocks beside the data are known to have none only when they are sampled.
+#[test]
+fn block_without_data_leaves_the_record_of_its_voids() {
+    struct Half;
+    impl ElevationSource for Half {
+        fn height_m(&self, longitude: f64, _: f64) -> Result<Option<f64>, GenError> {
+            Ok((longitude < 0.13999).then_some(700.0))
+        }
+    }
+    for paints in [true, false] {
+        let grid = Grid::new(&Half, EXTENT, 3, Voids::Cut, false);
+        let layer = Plan::with_block_levels(3, 2).finest();
+        // The margin of this block has data.
+        let root = TileKey { level: 1, x: 1, y: 0 };
+        let east = Block::sample(&grid, layer, root, paints).unwrap();
+        assert_eq!((east.keys().count(), east.facts(root).coverage), (0, Coverage::None));
+        let record = east.record(0, [0.0; 6], 0.0, String::new());
+        assert_eq!((record.totals.tiles, record.totals.voids), (0, 129 * 128));
+        assert!(record.known.values.len() == 33 * 33 && !record.known.has_data_in(&record.known.window));
+        assert_eq!((record.above_m, record.cells), (vec![0.0], Some(vec![false; 32 * 32])));
+        assert_eq!(record.texels.map(|texels| texels.values.len()), paints.then_some(129 * 129));
+    }
+}
+
+/// The root of a set of the whole earth declares the distance that is measured, and no more.
+#[test]
+fn error_of_the_whole_earth_is_the_measured_one() {
+    // At the poles triangles have no area.
+    let [west, south, east, north] = [-180.0, -85.0, 180.0, 85.0].map(f64::to_radians);
+    let globe = Extent { west, south, east, north };
+    let grid = Grid::new(&Flat, globe, 3, Voids::Cut, false);
+    let (error, brute) = (whole(&grid).facts(TileKey::ROOT).error_m, farthest_m(&grid, TileKey::ROOT));
+    // 5.6 x 2.7 degrees at the equator: the square of the diagonal by eight radii.
+    assert!((9_100.0..9_700.0).contains(&error), "{error}");
+    assert!(error > 0.99 * brute && error < 1.03 * brute, "{error} {brute}");
 }
 
 /// A set in one block.

@@ -1,6 +1,6 @@
 //! The cache of decoded blocks. All threads share it.
 
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use lru::LruCache;
@@ -23,7 +23,7 @@ pub(super) struct BlockKey {
 /// Decoded blocks of all images of a run. The least recently used ones are evicted when their bytes exceed the budget;
 /// blocks that a [`super::Cursor`] holds stay in memory until it lets go of them.
 pub(crate) struct BlockCache {
-    budget_bytes: usize,
+    budget_bytes: AtomicUsize,
     images: AtomicU64,
     spill: Arc<SpillFile>,
     servers: Servers,
@@ -34,6 +34,8 @@ pub(crate) struct BlockCache {
 struct Held {
     entries: LruCache<BlockKey, Entry>,
     bytes: usize,
+    /// The most bytes that stayed after an eviction.
+    peak_bytes: usize,
 }
 
 struct Entry {
@@ -46,14 +48,19 @@ struct Entry {
 impl BlockCache {
     /// Creates a cache for this many bytes of decoded blocks.
     pub fn new(budget_bytes: usize) -> Self {
-        let held = Held { entries: LruCache::unbounded(), bytes: 0 };
+        let held = Held { entries: LruCache::unbounded(), bytes: 0, peak_bytes: 0 };
         Self {
-            budget_bytes,
+            budget_bytes: AtomicUsize::new(budget_bytes),
             images: AtomicU64::new(0),
             spill: Arc::default(),
             servers: Servers::default(),
             held: Mutex::new(held),
         }
+    }
+
+    /// Changes the number of bytes of decoded blocks. Blocks beyond it leave when the next one is decoded.
+    pub fn set_budget(&self, bytes: usize) {
+        self.budget_bytes.store(bytes, Ordering::Relaxed);
     }
 
     /// Returns the temporary file for images that are decoded as a whole.
@@ -107,15 +114,16 @@ impl BlockCache {
         let mut evicted = Vec::new();
         {
             let mut held = self.held();
-            let Held { entries, bytes: total } = &mut *held;
+            let Held { entries, bytes: total, peak_bytes } = &mut *held;
             let Some(entry) = entries.peek_mut(&key) else { return };
             *total += bytes - std::mem::replace(&mut entry.bytes, bytes).min(bytes);
-            while *total > self.budget_bytes
+            while *total > self.budget_bytes.load(Ordering::Relaxed)
                 && let Some((_, entry)) = entries.pop_lru()
             {
                 *total -= entry.bytes;
                 evicted.push(entry);
             }
+            *peak_bytes = (*peak_bytes).max(*total);
         }
         // Memory is freed here, without the lock.
         drop(evicted);
@@ -123,6 +131,12 @@ impl BlockCache {
 
     fn held(&self) -> MutexGuard<'_, Held> {
         self.held.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Returns the most bytes that the blocks in the cache have had.
+    #[cfg(test)]
+    pub fn peak_bytes(&self) -> usize {
+        self.held().peak_bytes
     }
 
     /// Returns the bytes of the blocks in the cache.
@@ -136,7 +150,6 @@ impl BlockCache {
 mod tests {
     use super::*;
     use std::sync::Barrier;
-    use std::sync::atomic::AtomicUsize;
 
     fn key(index: u64) -> BlockKey {
         BlockKey { image: 0, index }

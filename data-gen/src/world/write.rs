@@ -1,13 +1,13 @@
 //! Writes a set of a world into a folder.
 
 use std::path::Path;
-use std::sync::atomic::{AtomicU64, Ordering};
 
 use rayon::prelude::*;
 
 use super::planet::World;
 use super::tiles::WorldSet;
 use crate::args::{Color, ContentKind, GenArgs};
+use crate::output::{CompleteTile, Journal, write_whole};
 use crate::{GenError, Progress, Sharding, Summary, TileArgs, TileKey};
 
 /// Returns the set that the options describe; `None` without `--world`.
@@ -52,8 +52,8 @@ pub(crate) fn check_world(args: &GenArgs) -> Result<(), String> {
     }
 }
 
-/// Writes all tiles and tilesets of a set into a folder, on the threads of the current rayon pool. The caller fills in the
-/// duration and the final folder of the summary.
+/// Writes all tiles and tilesets of a set into a folder, on the threads of the current rayon pool. Tiles that a killed run has
+/// completed are not made again. The caller fills in the duration and the final folder of the summary.
 pub(crate) fn write_world(set: &WorldSet, folder: &Path) -> Result<Summary, GenError> {
     let keys: Vec<TileKey> = (0..set.levels())
         .flat_map(|level| (0..1u32 << level).flat_map(move |x| (0..1 << level).map(move |y| TileKey { level, x, y })))
@@ -65,31 +65,39 @@ pub(crate) fn write_world(set: &WorldSet, folder: &Path) -> Result<Summary, GenE
         }
     }
     let progress = Progress::new("writing", keys.len() as u64, "tiles");
-    let bytes = AtomicU64::new(0);
-    let write = |name: &str, content: &[u8]| {
-        let path = folder.join(name);
-        bytes.fetch_add(content.len() as u64, Ordering::Relaxed);
-        std::fs::write(&path, content).map_err(GenError::file(&path))
-    };
-    let ranges = keys.par_iter().map(|&key| {
+    let journal = Journal::new(folder);
+    let list = journal.tiles()?;
+    let write = |name: &str, content: &[u8]| write_whole(&folder.join(name), content);
+    let make = |key: TileKey| {
         let tile = set.tile(key)?;
         let stem = format!("{}/{}/{}", key.level, key.x, key.y);
-        write(&format!("{stem}.exr"), &tile.exr)?;
-        write(&format!("{stem}.jpg"), &tile.jpeg)?;
+        let mut bytes = write(&format!("{stem}.exr"), &tile.exr)? + write(&format!("{stem}.jpg"), &tile.jpeg)?;
         if let (Some(path), Some(tileset)) = (set.tileset_path(key), set.tileset(key)) {
-            write(&path, tileset.as_bytes())?;
+            bytes += write(&path, tileset.as_bytes())?;
         }
+        let complete = CompleteTile { bytes, range_m: tile.range_m };
+        list.add(key, &complete)?;
+        Ok::<_, GenError>(complete)
+    };
+    let tiles = keys.par_iter().map(|&key| {
+        let complete = list.get(key).map_or_else(|| make(key), Ok)?;
         progress.advance(1);
-        Ok::<_, GenError>(tile.range_m)
+        Ok::<_, GenError>(complete)
     });
-    let both = |a: [f32; 2], b: [f32; 2]| Ok([a[0].min(b[0]), a[1].max(b[1])]);
-    let [low_m, high_m] = ranges.try_reduce(|| [f32::INFINITY, f32::NEG_INFINITY], both)?;
+    let none = || CompleteTile { bytes: 0, range_m: [f32::INFINITY, f32::NEG_INFINITY] };
+    let both = |a: CompleteTile, b: CompleteTile| {
+        let range_m = [a.range_m[0].min(b.range_m[0]), a.range_m[1].max(b.range_m[1])];
+        Ok(CompleteTile { bytes: a.bytes + b.bytes, range_m })
+    };
+    let CompleteTile { bytes, range_m: [low_m, high_m] } = tiles.try_reduce(none, both)?;
     drop(progress);
+    drop(list);
+    journal.remove()?;
     Ok(Summary {
         out: folder.to_path_buf(),
         tiles: keys.len() as u64,
         levels: set.levels(),
-        bytes: bytes.into_inner(),
+        bytes,
         min_height_m: low_m.into(),
         max_height_m: high_m.into(),
         filled_samples: 0,

@@ -8,6 +8,7 @@ mod fuzz_rasters;
 mod meshes;
 mod reference_systems;
 mod running;
+mod runs;
 mod samples;
 mod sets;
 mod sources;

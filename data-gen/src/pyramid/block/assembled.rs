@@ -24,9 +24,8 @@ impl<'a> Block<'a> {
     ) -> Result<Self, GenError> {
         let mut block = Self::new(grid, layer, root);
         let depth = block.finest_depth();
-        let ring = if paints { AMBIENT_MARGIN } else { 1 };
         let (first, side) = (block.first(depth), block.side(depth));
-        let window = Window::around(first, side, ring << (layer.levels() - 1), grid.cells(depth));
+        let window = block.assembled_window(paints);
         let mut known = Samples::unknown(window);
         grid.flood(&mut known);
         let mut filled = None;
@@ -39,11 +38,7 @@ impl<'a> Block<'a> {
         });
         // A block below has half as many cells of this lattice along a side as a tile.
         let half = CELLS as i64 / 2;
-        let below = |c: i64| (c / half).min((1 << (layer.finest + 1)) - 1) as u32;
-        let keys: Vec<TileKey> = (below(window.first[1])..=below(window.last[1]))
-            .flat_map(|y| (below(window.first[0])..=below(window.last[0])).map(move |x| (x, y)))
-            .map(|(x, y)| TileKey { level: layer.finest + 1, x, y })
-            .collect();
+        let keys = Self::records_of(grid, layer, root, paints);
         let is_own = |key: &TileKey| {
             let up = key.level - root.level;
             (key.x >> up, key.y >> up) == (root.x, root.y)
@@ -96,5 +91,24 @@ impl<'a> Block<'a> {
         block.triangles = has_data.map(|cells| coarser_triangles(cells.iter().map(|has| [*has; 2]).collect(), layer));
         block.measure_from(&below);
         Ok(block)
+    }
+
+    /// Returns the window of a block above the finest layer on the lattice of its finest tiles.
+    fn assembled_window(&self, paints: bool) -> Window {
+        let depth = self.finest_depth();
+        let ring = if paints { AMBIENT_MARGIN } else { 1 };
+        Window::around(self.first(depth), self.side(depth), ring << (self.layer.levels() - 1), self.grid.cells(depth))
+    }
+
+    /// Returns the blocks of the layer below whose records [`Self::assemble`] loads, those of neighbours included.
+    pub fn records_of(grid: &'a Grid<'a>, layer: Layer, root: TileKey, paints: bool) -> Vec<TileKey> {
+        let window = Self::new(grid, layer, root).assembled_window(paints);
+        // A block below has half as many cells of this lattice along a side as a tile.
+        let half = CELLS as i64 / 2;
+        let below = |c: i64| (c / half).min((1 << (layer.finest + 1)) - 1) as u32;
+        (below(window.first[1])..=below(window.last[1]))
+            .flat_map(|y| (below(window.first[0])..=below(window.last[0])).map(move |x| (x, y)))
+            .map(|(x, y)| TileKey { level: layer.finest + 1, x, y })
+            .collect()
     }
 }

@@ -5,6 +5,7 @@ use rayon::prelude::*;
 use super::Block;
 use super::cell::{Bulge, Cell};
 use crate::GenError;
+use crate::pyramid::dependencies::HeightAt;
 use crate::pyramid::grid::QUANTUM_M;
 use crate::pyramid::samples::Window;
 use crate::pyramid::tile::{CELLS, Coverage, TileFacts, TileKey};
@@ -165,21 +166,30 @@ impl Block<'_> {
         error_m
     }
 
-    /// Measures the block's part of every tile above it; by level.
-    pub(super) fn measure_above(&self) -> Result<Vec<f64>, GenError> {
+    /// Measures the block's part of every tile above it; by level. Also returns the vertices outside of the block that it asked for.
+    pub(super) fn measure_above(&self) -> Result<(Vec<f64>, Vec<HeightAt>), GenError> {
         let (finest, first, side) = (self.measured(), self.first(0), self.side(0));
         let window = Window { first, last: first.map(|c| c + side) };
-        (0..self.root.level)
+        let measured: Result<Vec<(f64, Vec<HeightAt>)>, GenError> = (0..self.root.level)
             .into_par_iter()
             .map(|level| {
+                let mut asked: Vec<HeightAt> = Vec::new();
                 let depth = self.grid.levels - 1 - level;
                 let stride = 1i64 << depth;
                 let cells = (side / stride).max(1);
-                let corner = |at: [i64; 2]| -> Result<f64, GenError> {
+                let mut corner = |at: [i64; 2]| -> Result<f64, GenError> {
                     let fine = at.map(|c| c * stride);
                     let is_inside = (0..2).all(|k| (window.first[k]..=window.last[k]).contains(&fine[k]));
                     let own = if is_inside { finest.at(fine[0], fine[1]) } else { f32::NAN };
-                    Ok(f64::from(if own.is_nan() { self.grid.vertex(depth, at)? } else { own }))
+                    if !own.is_nan() {
+                        return Ok(f64::from(own));
+                    }
+                    let known = asked.iter().find(|vertex| vertex.at == at).map(|vertex| vertex.height_m);
+                    let height_m = known.map_or_else(|| self.grid.vertex(depth, at), Ok)?;
+                    if known.is_none() {
+                        asked.push(HeightAt { depth, at, height_m });
+                    }
+                    Ok(f64::from(height_m))
                 };
                 let mut error_m = 0.0f64;
                 for k in 0..cells * cells {
@@ -192,9 +202,11 @@ impl Block<'_> {
                         error_m = error_m.max(cell.error_m(&bulge, finest, &part));
                     }
                 }
-                Ok(error_m)
+                Ok((error_m, asked))
             })
-            .collect()
+            .collect();
+        let (above_m, vertices): (Vec<f64>, Vec<_>) = measured?.into_iter().unzip();
+        Ok((above_m, vertices.concat()))
     }
 }
 

@@ -8,6 +8,8 @@ mod cell;
 mod measured;
 
 use self::cell::Bulge;
+use super::dependencies::Dependencies;
+use super::fill::BOX;
 use super::grid::{Extent, Grid};
 use super::plan::Layer;
 use super::record::{Record, Totals};
@@ -57,6 +59,7 @@ pub(crate) struct Block<'a> {
     /// Vertices of the finest level without data, and the range of those with data. Zero and none above the finest layer.
     voids: u64,
     range_m: [f32; 2],
+    dependencies: Dependencies,
 }
 
 impl<'a> Block<'a> {
@@ -70,6 +73,11 @@ impl<'a> Block<'a> {
         let mut known = grid.sample(0, window)?;
         block.count_voids(&known);
         grid.flood(&mut known);
+        let own = Window { first, last: first.map(|c| c + side) };
+        if grid.voids == Voids::Cut && !known.has_data_in(&own) {
+            block.leave_out(known, margin, paints);
+            return Ok(block);
+        }
         let depths = if paints { layer.levels().max(FINEST_AMBIENT + 1) } else { layer.levels() };
         block.known.push(known);
         for depth in 1..depths {
@@ -78,13 +86,15 @@ impl<'a> Block<'a> {
             let inner = block.known[depth as usize - 1].every_second();
             block.known.push(with_ring(grid, depth, window, &inner)?);
         }
+        // One cell for extrema that moved, and some for rounding.
+        block.dependencies.reach = margin.max(AMBIENT_MARGIN << (depths - 1)) + 4;
         block.fill_voids(None)?;
         block.smooth(paints, None);
         block.find_triangles();
         let finest_errors_m = block.finest_errors_m()?;
         block.finest_error_m = finest_errors_m.iter().copied().fold(0.0, f64::max);
         block.measure(&finest_errors_m);
-        block.above_m = block.measure_above()?;
+        (block.above_m, block.dependencies.vertices) = block.measure_above()?;
         Ok(block)
     }
 
@@ -104,6 +114,7 @@ impl<'a> Block<'a> {
             below: Vec::new(),
             voids: 0,
             range_m: [f32::INFINITY, f32::NEG_INFINITY],
+            dependencies: Dependencies::default(),
         }
     }
 
@@ -120,6 +131,24 @@ impl<'a> Block<'a> {
     /// Returns the cells along the block's side on the lattice of a depth.
     fn side(&self, depth: u32) -> i64 {
         ((CELLS as i64) << (self.grid.levels - 1 - self.root.level)) >> depth
+    }
+
+    /// Describes a block without data at any vertex, whose voids nobody sees: they are not filled, and nothing is measured.
+    fn leave_out(&mut self, known: Samples, margin: i64, paints: bool) {
+        let cells = self.side(0) as usize;
+        self.dependencies.reach = margin + 4;
+        self.above_m = vec![0.0; self.root.level as usize];
+        self.triangles = Some(coarser_triangles(vec![[false; 2]; cells * cells], self.layer));
+        self.facts = (0..self.layer.levels()).map(|level| vec![TileFacts::NONE; 1 << (2 * level)]).collect();
+        if paints {
+            self.texels.push(Samples::unknown(Window { first: [0; 2], last: [0; 2] }));
+        }
+        self.known.push(known);
+        for depth in 1..self.layer.levels() as usize {
+            self.known.push(self.known[depth - 1].every_second());
+        }
+        self.continued.resize(self.known.len(), None);
+        self.filled.resize(self.known.len(), None);
     }
 
     fn count_voids(&mut self, known: &Samples) {
@@ -143,7 +172,19 @@ impl<'a> Block<'a> {
         let finest = self.finest_depth();
         for (k, known) in self.known.iter().enumerate() {
             let has_unknown = known.has_unknown();
-            let continued = has_unknown.then(|| self.grid.filled(finest + k as u32, known)).transpose()?;
+            let depth = finest + k as u32;
+            let mut continued = None;
+            if has_unknown {
+                let (heights, gaps) = self.grid.filled_with_gaps(depth, known)?;
+                continued = Some(heights);
+                // A height depends on the boxes around its own.
+                let (first, side, Window { first: low, last: high }) =
+                    (self.first(depth), self.side(depth), known.window);
+                let margins = [0, 1].map(|c| (first[c] - low[c]).max(high[c] - first[c] - side));
+                let reach = (margins[0].max(margins[1]) + 2 * BOX) << depth;
+                self.dependencies.reach = self.dependencies.reach.max(reach + 4);
+                self.dependencies.add_gaps(gaps);
+            }
             let filled = if self.grid.voids != Voids::Fill {
                 None
             } else if k == 0 {
@@ -289,6 +330,22 @@ impl<'a> Block<'a> {
         Surface::new(self.grid, (texels, smooth), (ambient, around))
     }
 
+    /// Returns the record of a block of the finest layer whose tiles are the same, with the errors of the tiles above as this block
+    /// has measured them.
+    pub fn measured_again(self, record: Record) -> Record {
+        Record { above_m: self.above_m, dependencies: self.dependencies, ..record }
+    }
+
+    /// Returns the bytes of the block's samples.
+    #[cfg(test)]
+    pub fn bytes(&self) -> u64 {
+        let some = self.continued.iter().chain(&self.filled).flatten();
+        let samples: usize =
+            self.known.iter().chain(some).chain(&self.texels).map(|samples| samples.values.len()).sum();
+        let triangles: usize = self.triangles.iter().flatten().map(Vec::len).sum();
+        (4 * samples + 2 * triangles) as u64
+    }
+
     /// Returns the totals of the block's tiles, whose files have `bytes` bytes.
     pub fn totals(&self, bytes: u64) -> Totals {
         let mut totals = Totals::new(self.grid.levels);
@@ -302,7 +359,7 @@ impl<'a> Block<'a> {
     }
 
     /// Returns the record of the block. The caller adds what depends on the form of the tiles.
-    pub fn record(&self, bytes: u64, region: [f64; 6], geometric_error_m: f64) -> Record {
+    pub fn record(&self, bytes: u64, region: [f64; 6], geometric_error_m: f64, tree: String) -> Record {
         let depth = self.grid.levels - 1 - self.root.level;
         let part = |samples: &Samples, scale: i64| {
             // The lattice of the parent has half as many cells along the block's side.
@@ -333,6 +390,8 @@ impl<'a> Block<'a> {
             totals: self.totals(bytes),
             region,
             geometric_error_m,
+            tree,
+            dependencies: self.dependencies.clone(),
         }
     }
 }

@@ -1,0 +1,88 @@
+//! Runs that are killed at random moments, and continued by the same command.
+
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::Duration;
+
+use crate::files::files_below;
+use crate::runs::updates::hills;
+use terrane::math::random::SplitMix64;
+
+/// Runs a command until it has been killed `kills` times, then to its end. Calls after each kill.
+fn run_with_kills(command: &mut Command, kills: u32, longest: Duration, mut after_kill: impl FnMut()) {
+    let mut random = SplitMix64::new(7);
+    command.stdout(Stdio::null()).stderr(Stdio::piped());
+    for _ in 0..kills {
+        let mut run = command.spawn().unwrap();
+        std::thread::sleep(longest.mul_f64((random.next_u64() % 1000) as f64 / 1000.0));
+        run.kill().unwrap();
+        if run.wait().unwrap().success() {
+            return;
+        }
+        after_kill();
+    }
+    let output = command.output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+}
+
+/// Returns the time of modification of each file below the temporary folder of a run.
+fn times(folder: &Path) -> Vec<(String, std::time::SystemTime)> {
+    let partial = std::fs::read_dir(folder).unwrap().flatten();
+    let partial = partial
+        .map(|entry| entry.path())
+        .find(|path| path.file_name().unwrap().to_string_lossy().starts_with(".set.partial-"));
+    let Some(partial) = partial else { return Vec::new() };
+    let names = files_below(&partial).into_keys().filter(|name| name.ends_with(".exr"));
+    names.map(|name| (name.clone(), partial.join(&name).metadata().unwrap().modified().unwrap())).collect()
+}
+
+#[test]
+fn world_that_is_killed_keeps_its_complete_tiles() {
+    let folder = tempfile::tempdir().unwrap();
+    let [whole, out] = ["whole", "set"].map(|name| folder.path().join(name));
+    let command = |out: &Path| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_terrane-gen"));
+        command.arg(out).args(["--world", "islands", "--size", "40000", "--levels", "3", "--seed", "5", "--jobs", "2"]);
+        command
+    };
+    run_with_kills(&mut command(&whole), 0, Duration::ZERO, || {});
+    let mut complete = Vec::new();
+    run_with_kills(&mut command(&out), 5, Duration::from_secs(4), || {
+        let list = std::fs::read_dir(folder.path())
+            .unwrap()
+            .flatten()
+            .find_map(|entry| std::fs::read_to_string(entry.path().join(".terrane-gen-journal/tiles")).ok());
+        // The tiles in the list are complete; others may be made again.
+        let listed: Vec<String> = list
+            .iter()
+            .flat_map(|list| list.lines())
+            .filter_map(|line| {
+                let words: Vec<&str> = line.split(' ').collect();
+                (words.len() == 7).then(|| format!("{}/{}/{}.exr", words[0], words[1], words[2]))
+            })
+            .collect();
+        complete = times(folder.path());
+        complete.retain(|(name, _)| listed.contains(name));
+    });
+    assert!(files_below(&out) == files_below(&whole));
+    for (name, time) in complete {
+        assert_eq!(out.join(&name).metadata().unwrap().modified().unwrap(), time, "{name} was made again");
+    }
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 2, "two sets");
+}
+
+#[test]
+fn set_that_is_killed_at_random_moments_has_the_bytes_of_one_run() {
+    let folder = tempfile::tempdir().unwrap();
+    let dem = hills(folder.path(), "a.tif", [7.0, 46.4], 12, 1);
+    let [whole, out] = ["whole", "set"].map(|name| folder.path().join(name));
+    let command = |out: &Path| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_terrane-gen"));
+        command.arg(out).args(["--levels", "7", "--color", "none", "--jobs", "2", "--dem"]).arg(&dem);
+        command
+    };
+    run_with_kills(&mut command(&whole), 0, Duration::ZERO, || {});
+    run_with_kills(&mut command(&out), 6, Duration::from_secs(3), || {});
+    assert!(files_below(&out) == files_below(&whole));
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 3, "a file and two sets");
+}

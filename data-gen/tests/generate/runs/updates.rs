@@ -1,0 +1,132 @@
+//! `--update`: changed, added and removed sources. The bytes are always those of a fresh run.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use crate::files::files_below;
+use crate::tiffs::{Image, Values, tiff};
+use terrane_data_gen::{Color, ContentKind, GenArgs, RunArgs, run};
+
+/// The size of a pixel in degrees: 10 seconds.
+const PIXEL: f64 = 1.0 / 360.0;
+
+/// Writes a square of hills with a north-western corner in degrees and a side in pixels.
+pub fn hills(folder: &Path, name: &str, [west, north]: [f64; 2], side: u32, seed: u32) -> PathBuf {
+    let height = |k: u32| {
+        let (x, y) = (f64::from(k % side), f64::from(k / side));
+        let wave = f64::from(seed) * 3.0;
+        (500.0 + 80.0 * (x / 5.0 + wave).sin() * (y / 7.0).cos() + f64::from(k * (seed + 2) % 11)) as f32
+    };
+    let bytes = (0..side * side).flat_map(|k| height(k).to_le_bytes()).collect();
+    let image =
+        Image::new([side as u16; 2], 32, 1, bytes).with(339, Values::Short(vec![3])).at([west, north], [PIXEL; 2]);
+    let path = folder.join(name);
+    fs::write(&path, tiff(vec![image])).unwrap();
+    path
+}
+
+fn args(dem: &[&PathBuf], out: PathBuf, aligned: bool) -> GenArgs {
+    let run = RunArgs { aligned, ..RunArgs::default() };
+    GenArgs { dem: dem.iter().copied().cloned().collect(), color: Color::None, run, jobs: Some(2), ..GenArgs::new(out) }
+}
+
+/// Updates a set, makes a fresh one, and compares them. Returns the note of the update.
+fn check(update: &GenArgs) -> String {
+    let run_args = RunArgs { update: true, ..update.run.clone() };
+    let made = run(&GenArgs { run: run_args, ..update.clone() }).unwrap();
+    let fresh = GenArgs { out: update.out.with_file_name("fresh"), overwrite: true, ..update.clone() };
+    let expected = run(&fresh).unwrap();
+    let [own, other] = [&update.out, &fresh.out].map(|out| files_below(out));
+    let names = |files: &std::collections::BTreeMap<String, Vec<u8>>| files.keys().cloned().collect::<Vec<_>>();
+    assert_eq!(names(&own), names(&other));
+    let different: Vec<&String> =
+        own.iter().filter(|(name, bytes)| other[*name] != **bytes).map(|(name, _)| name).collect();
+    assert!(different.is_empty(), "{different:?}");
+    assert_eq!(
+        (made.tiles, made.bytes, made.level_errors_m),
+        (expected.tiles, expected.bytes, expected.level_errors_m)
+    );
+    made.notes[0].clone()
+}
+
+/// Returns the numbers of blocks that were kept and made.
+fn counts(note: &str) -> [u32; 2] {
+    let numbers: Vec<u32> = note.split(' ').filter_map(|word| word.parse().ok()).collect();
+    let [kept, _, made] = numbers.try_into().unwrap_or_else(|_| panic!("{note}"));
+    [kept, made]
+}
+
+/// Sets of eight levels have 64 blocks of the finest layer; files in the corners and in the middle touch a few of them.
+#[test]
+fn changed_source_makes_only_the_blocks_that_it_touches_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str, corner: [f64; 2], seed: u32| hills(folder.path(), name, corner, 8, seed);
+    let south_west = at("a.tif", [7.0, 46.0], 1);
+    let north_east = at("b.tif", [7.4, 46.4], 2);
+    let middle = at("c.tif", [7.2, 46.2], 3);
+    let set = |dem: &[&PathBuf]| GenArgs { levels: Some(8), ..args(dem, folder.path().join("set"), false) };
+    let all = set(&[&south_west, &north_east, &middle]);
+    run(&all).unwrap();
+    let [kept, made] = counts(&check(&all));
+    assert!(kept > 4 && made == 1, "nothing has changed: {kept} {made}");
+    at("c.tif", [7.2, 46.2], 4);
+    // Gaps continue all heights of a set, so that blocks beside them are made as well.
+    let [_, made] = counts(&check(&all));
+    assert!(made >= 2, "{made}");
+    // The first file wins where files overlap.
+    let other = at("d.tif", [7.205, 46.195], 5);
+    check(&set(&[&other, &south_west, &north_east, &middle]));
+    // Other options keep nothing, and the result is right.
+    let options = GenArgs { content: ContentKind::Mesh, ..all.clone() };
+    assert!(check(&options).contains("options"), "other options");
+    let wider = at("e.tif", [7.6, 46.4], 6);
+    let note = check(&GenArgs { content: ContentKind::Mesh, ..set(&[&south_west, &north_east, &wider]) });
+    assert!(note.contains("bounds") && note.contains("--aligned"), "{note}");
+}
+
+#[test]
+fn aligned_set_grows_beyond_its_bounds() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str, corner: [f64; 2], seed: u32| hills(folder.path(), name, corner, 40, seed);
+    let first = at("a.tif", [7.0, 46.0], 1);
+    let east = at("b.tif", [18.0, 46.3], 2);
+    let far = at("c.tif", [-3.0, 51.0], 3);
+    let set = |dem: &[&PathBuf]| args(dem, folder.path().join("set"), true);
+    let summary = run(&set(&[&first])).unwrap();
+    assert!(summary.min_height_m > 400.0 && summary.max_height_m < 600.0, "{summary:?}");
+    // The root has no content, so that it has to be refined at any distance.
+    let root = crate::files::tileset(&folder.path().join("set"))["root"].clone();
+    assert!(root["content"].is_null() && root["geometricError"].as_f64() > Some(1e7), "{root}");
+    for dem in [vec![&first, &east], vec![&first, &east, &far], vec![&far, &first]] {
+        let [kept, made] = counts(&check(&set(&dem)));
+        assert!(kept > 0 && made > 0, "{dem:?}: {kept} {made}");
+    }
+    // A changed file leaves the blocks of the other.
+    at("a.tif", [7.0, 46.0], 4);
+    let [kept, made] = counts(&check(&set(&[&far, &first])));
+    assert!(kept > 0 && made > 0, "{kept} {made}");
+}
+
+#[test]
+fn natural_colours_are_kept_in_aligned_sets() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str, corner: [f64; 2], seed: u32| hills(folder.path(), name, corner, 12, seed);
+    let (first, second) = (at("a.tif", [7.0, 46.0], 1), at("b.tif", [20.0, 46.3], 2));
+    let set = |dem: &[&PathBuf]| GenArgs { color: Color::Natural, ..args(dem, folder.path().join("set"), true) };
+    run(&set(&[&first])).unwrap();
+    let [kept, made] = counts(&check(&set(&[&first, &second])));
+    assert!(kept > 0 && made > 0, "{kept} {made}");
+}
+
+#[test]
+fn update_without_a_set_makes_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let dem = hills(folder.path(), "a.tif", [7.0, 46.0], 8, 1);
+    let mut args = args(&[&dem], folder.path().join("set"), false);
+    args.run.update = true;
+    let first = run(&args).unwrap();
+    assert!(args.out.join("tileset.json").is_file());
+    // A set of one block has no journal.
+    let second = run(&args).unwrap();
+    assert!(second.notes[0].contains("no journal") && second.tiles == first.tiles, "{:?}", second.notes);
+}
