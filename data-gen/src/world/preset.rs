@@ -340,7 +340,13 @@ impl WorldPreset {
                     ..relief
                 },
                 climate: Climate { equator_c: 4.0, pole_c: -30.0, wet: 0.3, ..climate },
-                palette: Palette { shallow: [92.0, 152.0, 170.0], deep: [22.0, 58.0, 88.0], ..palette },
+                palette: Palette {
+                    bare: [[88.0, 86.0, 85.0], [122.0, 117.0, 111.0]],
+                    rock: [[78.0, 76.0, 76.0], [124.0, 118.0, 112.0]],
+                    shallow: [92.0, 152.0, 170.0],
+                    deep: [22.0, 58.0, 88.0],
+                    ..palette
+                },
                 place: [8.0, 60.0],
             },
             Self::Canyon => Parameters {
