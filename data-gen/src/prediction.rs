@@ -240,7 +240,8 @@ pub(crate) fn predict_world(set: &WorldSet, out: &Path) -> Result<Prediction, Ge
         .par_iter()
         .map(|key| {
             let tile = set.tile(*key)?;
-            Ok((tile.exr.len() + tile.jpeg.len() + set.tileset(*key).map_or(0, |json| json.len())) as u64)
+            let (scatter, tileset) = (tile.scatter.as_ref().map_or(0, |glb| glb.len()), set.tileset(*key));
+            Ok((tile.exr.len() + tile.jpeg.len() + scatter + tileset.map_or(0, |json| json.len())) as u64)
         })
         .collect();
     let (sizes, work) = (sizes?, begin.elapsed());

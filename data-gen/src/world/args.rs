@@ -14,6 +14,9 @@ pub struct WorldArgs {
     /// Make the whole planet
     #[arg(long, requires = "world", conflicts_with_all = ["center", "size"])]
     pub globe: bool,
+    /// Put trees and rocks on the levels whose cells are at most 60 m high
+    #[arg(long, requires = "world")]
+    pub scatter: bool,
 }
 
 fn center(text: &str) -> Result<[f64; 2], String> {

@@ -1,13 +1,15 @@
 //! The errors of the levels of a set, measured.
 //!
-//! The difference between a level and the next finer one is measured along rows of several tiles, among them the ones with
-//! the highest mountains of those that are tried. The differences of all finer levels are added up, with a factor for
-//! places that were not measured, and the bulge of the earth above flat triangles. The test compares with other places.
+//! The difference between a level and one three levels finer is measured along rows of several tiles, among them the ones
+//! with the highest mountains of those that are tried. A level's error is that difference with a factor for places that were
+//! not measured, the error of the finer level, and the bulge of the earth above flat triangles, but no more than the relief of
+//! the whole world. Each is at least 1.45 times the next, so that the ranges in which neighbouring levels morph lie apart: that
+//! decides the errors of the coarsest levels of a globe. The test compares with other places.
 
 use rayon::prelude::*;
 
-use super::planet::{RowBuffers, World, meridians};
-use super::points::RADIUS_M;
+use super::planet::RowBuffers;
+use super::points::{RADIUS_M, meridians};
 use super::tiles::WorldSet;
 use crate::TileKey;
 use crate::pyramid::{CELLS, QUANTUM_M};
@@ -17,78 +19,104 @@ const TRIED: usize = 48;
 const MEASURED: usize = 4;
 /// The rows of cells that are measured in each tile.
 const ROWS: [i64; 3] = [9, 31, 52];
-/// Factor for places that were not measured.
-const MARGIN: f64 = 2.0;
-/// Levels beyond the finest one that count as its error.
-const BEYOND: u32 = 2;
+/// Levels from a level to the one that it is compared with.
+const FINER: u32 = 3;
+/// Factors for places that were not measured: of differences and of the relief.
+const MARGIN: f64 = 1.6;
+const RELIEF_MARGIN: f64 = 1.25;
+/// The least ratio between the errors of two levels.
+const RATIO: f64 = 1.45;
 
-/// Returns the errors of a set's levels in metres, root first, each at least 1.5 times the next.
+/// What was measured of a level: the largest difference from the finer one, and the lowest and the highest surface.
+struct Measure {
+    error_m: f64,
+    range_m: [f32; 2],
+}
+
+/// Returns the errors of a set's levels in metres, root first.
 pub(super) fn level_errors_m(set: &WorldSet) -> Vec<f64> {
     let levels = set.levels();
-    let steps: Vec<f64> = (0..levels + BEYOND).into_par_iter().map(|level| step_error_m(set, level)).collect();
+    let measures: Vec<Measure> = (0..levels).into_par_iter().map(|level| measure(set, level)).collect();
+    let [low_m, high_m] = measures.iter().fold(NO_RANGE, |range, measure| both(range, measure.range_m));
+    let relief_m = RELIEF_MARGIN * f64::from(high_m - low_m);
     let mut errors = vec![0.0; levels as usize];
-    let mut finer_m: f64 = steps[levels as usize..].iter().sum();
-    let mut last_m = 0.0;
-    for level in (0..levels).rev() {
-        finer_m += steps[level as usize];
-        let e = set.extent(TileKey { level, x: 0, y: 0 });
+    for level in (0..levels as usize).rev() {
+        let finer_m = errors.get(level + FINER as usize).copied().unwrap_or_default();
+        let next_m = errors.get(level + 1).copied().unwrap_or_default();
+        let e = set.extent(TileKey { level: level as u32, x: 0, y: 0 });
         let cell = [e.east - e.west, e.north - e.south].map(|side| side / CELLS as f64);
         // The height of arcs above their chords, along both sides of a cell.
         let bulge_m: f64 = cell.iter().map(|side| RADIUS_M * side * side / 8.0).sum();
-        let error_m = (MARGIN * finer_m + bulge_m).max(1.5 * last_m).max(QUANTUM_M);
-        errors[level as usize] = error_m;
-        last_m = error_m;
+        let measured_m = (MARGIN * measures[level].error_m + finer_m).min(relief_m);
+        errors[level] = (measured_m + bulge_m).max(RATIO * next_m).max(QUANTUM_M);
     }
     errors
 }
 
-/// Measures the largest difference between a level and the next finer one.
-fn step_error_m(set: &WorldSet, level: u32) -> f64 {
+const NO_RANGE: [f32; 2] = [f32::INFINITY, f32::NEG_INFINITY];
+
+/// Returns the range of two ranges.
+fn both(a: [f32; 2], b: [f32; 2]) -> [f32; 2] {
+    [a[0].min(b[0]), a[1].max(b[1])]
+}
+
+/// Measures a level.
+fn measure(set: &WorldSet, level: u32) -> Measure {
     let mut random = terrane::math::random::SplitMix64::new(u64::from(level));
     let mut buffers = RowBuffers::default();
+    let mut range_m = NO_RANGE;
     let tiles = 1u64 << level;
     let pick = |random: &mut terrane::math::random::SplitMix64| (random.next_u64() % tiles) as u32;
     let tried = (0..TRIED).map(|_| TileKey { level, x: pick(&mut random), y: pick(&mut random) });
-    let mut keys: Vec<(f32, TileKey)> = tried.map(|key| (unevenness_m(set, key, &mut buffers), key)).collect();
+    let mut keys = Vec::with_capacity(TRIED);
+    for key in tried {
+        keys.push((unevenness_m(set, key, &mut buffers), key));
+        range_m = buffers.ground.surface_m.iter().fold(range_m, |range, surface_m| both(range, [*surface_m; 2]));
+    }
     keys.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
     keys.dedup_by_key(|(_, key)| *key);
-    let measured = keys.iter().take(MEASURED).flat_map(|(_, key)| ROWS.map(|row| (*key, row)));
-    measured.map(|(key, row)| row_error_m(set, key, row, &mut buffers)).fold(0.0, f64::max)
+    let mut error_m = 0.0f64;
+    for (key, row) in keys.iter().take(MEASURED).flat_map(|(_, key)| ROWS.map(|row| (*key, row))) {
+        error_m = error_m.max(row_error_m(set, key, row, &mut buffers));
+        range_m = buffers.ground.surface_m.iter().fold(range_m, |range, surface_m| both(range, [*surface_m; 2]));
+    }
+    Measure { error_m, range_m }
 }
 
 /// Returns the sum of the differences between neighbouring samples of a row, as a measure to choose tiles by.
 fn unevenness_m(set: &WorldSet, key: TileKey, buffers: &mut RowBuffers) -> f32 {
     let lattice = set.lattice(key, 0);
     let longitudes = meridians((0..=8).map(|k| lattice.longitude(8 * k)));
-    set.world().ground_row(&longitudes, lattice.latitude(CELLS as i64 / 2), buffers);
-    let heights = surface(set.world(), buffers);
-    heights.windows(2).map(|pair| (pair[1] - pair[0]).abs()).sum()
+    set.world().ground_row_of(&longitudes, lattice.latitude(CELLS as i64 / 2), lattice.step_m(), buffers);
+    buffers.ground.surface_m.windows(2).map(|pair| (pair[1] - pair[0]).abs()).sum()
 }
 
-fn surface(world: &World, buffers: &RowBuffers) -> Vec<f32> {
-    buffers.ground.bed_m.iter().map(|bed| bed.max(world.water_m())).collect()
-}
-
-/// Returns the largest difference between the triangles of a row of cells and the samples of the next finer level.
+/// Returns the largest difference between the triangles of a row of cells and the samples of the finer level, along five
+/// lines.
 fn row_error_m(set: &WorldSet, key: TileKey, row: i64, buffers: &mut RowBuffers) -> f64 {
-    let lattice = set.lattice(key, 1);
-    let longitudes = meridians((0..=2 * CELLS as i64).map(|k| lattice.longitude(k)));
-    let lines = [0, 1, 2].map(|k| {
-        set.world().ground_row(&longitudes, lattice.latitude(2 * row + k), buffers);
-        surface(set.world(), buffers)
-    });
+    let lattice = set.lattice(key, FINER);
+    let steps = 1usize << FINER;
+    let longitudes = meridians((0..=(CELLS * steps) as i64).map(|k| lattice.longitude(k)));
+    let lines: Vec<Vec<f32>> = (0..=steps as i64)
+        .step_by(steps / 4)
+        .map(|k| {
+            set.world().ground_row_of(&longitudes, lattice.latitude((row << FINER) + k), lattice.step_m(), buffers);
+            buffers.ground.surface_m.clone()
+        })
+        .collect();
     let mut error = 0.0f32;
-    for i in (0..2 * CELLS).step_by(2) {
-        let [south, middle, north] = [&lines[0][i..], &lines[1][i..], &lines[2][i..]];
-        // The diagonal runs from south-west to north-east.
-        for (sample, ends) in [
-            (south[1], [south[0], south[2]]),
-            (north[1], [north[0], north[2]]),
-            (middle[0], [south[0], north[0]]),
-            (middle[2], [south[2], north[2]]),
-            (middle[1], [south[0], north[2]]),
-        ] {
-            error = error.max((sample - 0.5 * (ends[0] + ends[1])).abs());
+    for i in (0..CELLS * steps).step_by(steps) {
+        let corner = |right: usize, up: usize| lines[4 * up][i + steps * right];
+        for (line, v) in lines.iter().zip([0.0, 0.25, 0.5, 0.75, 1.0f32]) {
+            for k in 0..=steps {
+                let u = k as f32 / steps as f32;
+                // The diagonal runs from south-west to north-east.
+                let surface = match u >= v {
+                    true => corner(0, 0) + u * (corner(1, 0) - corner(0, 0)) + v * (corner(1, 1) - corner(1, 0)),
+                    false => corner(0, 0) + v * (corner(0, 1) - corner(0, 0)) + u * (corner(1, 1) - corner(0, 1)),
+                };
+                error = error.max((line[i + k] - surface).abs());
+            }
         }
     }
     f64::from(error) + QUANTUM_M

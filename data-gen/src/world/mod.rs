@@ -1,24 +1,24 @@
 //! Worlds from a seed: planets whose heights and colours are pure functions of the position.
 //!
 //! ```text
-//! place of a tile -> points on the sphere -> relief (continents, mountains, canyons, dunes, craters)
-//!                                         -> climate (temperature, moisture) -> colours (biomes, rock, water)
-//!                                         -> EXR and JPEG of the tile; tilesets of three levels
+//! place of a tile -> points on the sphere -> relief: continents, mountains, hills, dunes, craters; the drainage around
+//!                                            the points, whose rivers and glaciers cut valleys
+//!                                         -> surface: climate, and colours by biome, slope, water and ice
+//!                                         -> scatter: trees and rocks
+//!                                         -> EXR, JPEG and glb of the tile; tilesets of three levels
 //! ```
 //!
 //! Noise is sampled in space, so that the poles and the antimeridian have no seams. A tile is computed alone, on any thread
 //! and machine, with the same bytes: `terrane serve --procedural` makes those that clients ask for.
 
 mod args;
-mod climate;
-mod colors;
 mod errors;
-mod noise;
-mod patch;
 mod planet;
 mod points;
 mod preset;
 mod relief;
+mod scatter;
+mod surface;
 mod tiles;
 mod tileset;
 mod write;

@@ -1,15 +1,16 @@
 //! A world: rows of heights and of all properties of the ground, from a preset and a seed.
 
-use super::climate::{WINDWARD, Weather};
-use super::points::{Points, RADIUS_M, sin_cos};
+use super::points::{Meridian, Points, RADIUS_M, meridians};
 use super::preset::{Parameters, WorldPreset};
-use super::relief::{Ground, Scratch};
+use super::relief::{Basin, Drainage, Ground, Network, Scratch};
+use super::surface::{WINDWARD, Weather};
 
 /// A planet made from a preset and a seed. Everything about a position depends on these and on the position only.
 #[derive(Clone, Debug)]
 pub struct World {
     pub(super) seed: u64,
     pub(super) parameters: Parameters,
+    drainage: Drainage,
 }
 
 /// Buffers for rows. Each thread has its own.
@@ -17,13 +18,16 @@ pub struct World {
 pub(super) struct RowBuffers {
     points: Points,
     scratch: Scratch,
+    pub network: Network,
     pub ground: Ground,
 }
 
 impl World {
     /// Creates a world.
     pub fn new(preset: WorldPreset, seed: u64) -> Self {
-        Self { seed, parameters: preset.parameters() }
+        let parameters = preset.parameters();
+        let drainage = Drainage::new(parameters.relief.rivers.spacing_m.max(1_000.0));
+        Self { seed, parameters, drainage }
     }
 
     /// Returns the longitude and latitude in radians of a place with much relief around the preset's place, for a square
@@ -41,10 +45,9 @@ impl World {
             let (mut uneven, mut land) = (0.0f32, 0.0f32);
             for k in [-2, 0, 2] {
                 self.ground_row(&longitudes, here[1] + side * f64::from(k) / 8.0, &mut row);
-                let heights = row.ground.bed_m.iter().map(|bed| bed.max(self.water_m()));
-                let heights: Vec<f32> = heights.collect();
+                let heights = &row.ground.surface_m;
                 uneven += heights.windows(2).map(|pair| (pair[1] - pair[0]).abs()).sum::<f32>();
-                land += row.ground.bed_m.iter().filter(|bed| **bed > self.water_m()).count() as f32 / 27.0;
+                land += row.ground.depth_m.iter().filter(|depth| **depth < 0.0).count() as f32 / 27.0;
             }
             // A coast in the picture is better than land alone.
             let score = uneven * if (0.25..0.8).contains(&land) { 3.0 } else { 1.0 };
@@ -55,22 +58,32 @@ impl World {
         best.1
     }
 
-    /// Returns the height of the water in metres; none is below all ground.
-    pub(super) fn water_m(&self) -> f32 {
-        if self.parameters.relief.has_sea { 0.0 } else { f32::MIN }
+    pub(super) fn basin(&self) -> Basin<'_> {
+        Basin { relief: &self.parameters.relief, drainage: &self.drainage, seed: self.seed }
     }
 
     /// Computes the ground of a row.
-    pub(super) fn ground_row(&self, meridians: &[(f64, f64)], latitude: f64, row: &mut RowBuffers) {
+    pub(super) fn ground_row(&self, meridians: &[Meridian], latitude: f64, row: &mut RowBuffers) {
         row.points.set_row(meridians, latitude);
-        self.parameters.relief.row(self.seed, &row.points, &mut row.scratch, &mut row.ground);
+        let relief = &self.parameters.relief;
+        relief.row(self.basin(), &row.points, &mut row.network, &mut row.scratch, &mut row.ground);
+    }
+
+    /// Computes the ground of a row of samples that are some metres apart, without rivers where these are much closer: the
+    /// relief decides what such samples miss.
+    pub(super) fn ground_row_of(&self, meridians: &[Meridian], latitude: f64, step_m: f64, row: &mut RowBuffers) {
+        if step_m < 0.5 * self.drainage.spacing_m() {
+            return self.ground_row(meridians, latitude, row);
+        }
+        row.points.set_row(meridians, latitude);
+        self.parameters.relief.dry_row(self.seed, &row.points, &mut row.scratch, &mut row.ground);
     }
 
     /// Computes the climate of a row from its ground; `windward` are meridians some way against the wind.
     pub(super) fn weather_row(
         &self,
         points: &Points,
-        windward: &[(f64, f64)],
+        windward: &[Meridian],
         latitude: f64,
         ground: &Ground,
         row: &mut RowBuffers,
@@ -82,12 +95,7 @@ impl World {
     }
 }
 
-/// Returns the sines and cosines of longitudes.
-pub(super) fn meridians(longitudes: impl Iterator<Item = f64>) -> Vec<(f64, f64)> {
-    longitudes.map(sin_cos).collect()
-}
-
-/// Returns the sines and cosines of longitudes some way against the wind.
-pub(super) fn windward(longitudes: impl Iterator<Item = f64>) -> Vec<(f64, f64)> {
+/// Returns the meridians of longitudes some way against the wind.
+pub(super) fn windward(longitudes: impl Iterator<Item = f64>) -> Vec<Meridian> {
     meridians(longitudes.map(|longitude| longitude + WINDWARD))
 }

@@ -36,27 +36,70 @@ pub(super) fn sin_cos(angle: f64) -> (f64, f64) {
     }
 }
 
-/// A row of points on the unit sphere, and the direction north at each.
+/// A longitude with its sine and cosine.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Meridian {
+    pub longitude: f64,
+    pub sin: f64,
+    pub cos: f64,
+}
+
+/// Returns the meridians of longitudes.
+pub(super) fn meridians(longitudes: impl Iterator<Item = f64>) -> Vec<Meridian> {
+    let meridian = |longitude| {
+        let (sin, cos) = sin_cos(longitude);
+        Meridian { longitude, sin, cos }
+    };
+    longitudes.map(meridian).collect()
+}
+
+/// Returns the point of the unit sphere at a longitude and latitude.
+pub(super) fn unit_vector(longitude: f64, latitude: f64) -> [f64; 3] {
+    let ((sin_lon, cos_lon), (sin, cos)) = (sin_cos(longitude), sin_cos(latitude));
+    [cos_lon * cos, sin_lon * cos, sin]
+}
+
+/// Points on the unit sphere. Those of a row of a patch have one latitude.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Points {
     pub x: Vec<f64>,
     pub y: Vec<f64>,
     pub z: Vec<f64>,
-    /// The sine of the latitude, the same for the whole row.
+    /// The longitudes of a row in radians; empty for other points.
+    pub longitudes: Vec<f64>,
+    /// The latitude of a row in radians, and its sine.
+    pub latitude: f64,
     pub sin_latitude: f64,
 }
 
 impl Points {
-    /// Computes the points of a row. `meridians` are the sines and cosines of its longitudes.
-    pub fn set_row(&mut self, meridians: &[(f64, f64)], latitude: f64) {
+    /// Computes the points of a row.
+    pub fn set_row(&mut self, meridians: &[Meridian], latitude: f64) {
         let (sin, cos) = sin_cos(latitude);
-        self.x.clear();
-        self.y.clear();
-        self.z.clear();
-        self.x.extend(meridians.iter().map(|(_, c)| c * cos));
-        self.y.extend(meridians.iter().map(|(s, _)| s * cos));
+        self.clear();
+        self.x.extend(meridians.iter().map(|m| m.cos * cos));
+        self.y.extend(meridians.iter().map(|m| m.sin * cos));
         self.z.resize(meridians.len(), sin);
+        self.longitudes.extend(meridians.iter().map(|m| m.longitude));
+        self.latitude = latitude;
         self.sin_latitude = sin;
+    }
+
+    pub fn clear(&mut self) {
+        for buffer in [&mut self.x, &mut self.y, &mut self.z, &mut self.longitudes] {
+            buffer.clear();
+        }
+    }
+
+    /// Adds a point that belongs to no row.
+    pub fn push(&mut self, [x, y, z]: [f64; 3]) {
+        self.x.push(x);
+        self.y.push(y);
+        self.z.push(z);
+    }
+
+    pub fn at(&self, k: usize) -> [f64; 3] {
+        [self.x[k], self.y[k], self.z[k]]
     }
 
     pub fn len(&self) -> usize {

@@ -52,12 +52,47 @@ pub(super) struct Relief {
     pub dune_m: f32,
     /// Depth of craters as a share of their radius; 0 for none.
     pub craters: f32,
-    /// Depth of canyons in plateaus.
-    pub canyon_m: f32,
     /// Height of the layers that slopes are stepped by; 0 for none.
     pub layer_m: f32,
-    /// Height up to which glaciers fill the valleys of mountains; 0 for none.
-    pub glacier_m: f32,
+    pub rivers: Rivers,
+}
+
+/// The rivers and lakes of a world, and their valleys.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Rivers {
+    /// Distance between rivers in metres; 0 for none.
+    pub spacing_m: f64,
+    /// Half the width of a river with one tributary in metres.
+    pub half_m: f32,
+    /// Depth of valleys below the ground of mountains in metres, and the share of it in plains.
+    pub incision_m: f32,
+    pub in_plains: f32,
+    /// The slope of the sides of valleys.
+    pub slope: f32,
+    /// Radius of lakes, 0..1; 0 for none.
+    pub lakes: f32,
+    pub flow: Flow,
+}
+
+/// What flows in the valleys of a world.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Flow {
+    Water,
+    Ice,
+    /// Nothing any more.
+    Dry,
+}
+
+impl Rivers {
+    const NONE: Self = Self {
+        spacing_m: 0.0,
+        half_m: 0.0,
+        incision_m: 0.0,
+        in_plains: 0.0,
+        slope: 0.0,
+        lakes: 0.0,
+        flow: Flow::Water,
+    };
 }
 
 /// The climate of a world.
@@ -110,14 +145,21 @@ const EARTH: Parameters = Parameters {
         range_width: 0.32,
         mountain_m: 4_200.0,
         massif_m: 38_000.0,
-        gullies: 0.12,
+        gullies: 0.17,
         hill_m: 260.0,
         rough_m: 1.2,
         dune_m: 0.0,
         craters: 0.0,
-        canyon_m: 0.0,
         layer_m: 0.0,
-        glacier_m: 0.0,
+        rivers: Rivers {
+            spacing_m: 4_000.0,
+            half_m: 16.0,
+            incision_m: 60.0,
+            in_plains: 0.2,
+            slope: 0.55,
+            lakes: 0.8,
+            flow: Flow::Water,
+        },
     },
     climate: Climate { equator_c: 29.0, pole_c: -24.0, wet: 0.0, has_life: true },
     palette: Palette {
@@ -164,7 +206,8 @@ impl WorldPreset {
                     range_width: 0.85,
                     mountain_m: 3_800.0,
                     massif_m: 26_000.0,
-                    gullies: 0.13,
+                    gullies: 0.19,
+                    rivers: Rivers { spacing_m: 3_000.0, incision_m: 90.0, lakes: 0.9, ..relief.rivers },
                     ..relief
                 },
                 climate: Climate { equator_c: 22.0, pole_c: -10.0, wet: 0.08, ..climate },
@@ -181,6 +224,7 @@ impl WorldPreset {
                     hill_m: 120.0,
                     dune_m: 130.0,
                     layer_m: 60.0,
+                    rivers: Rivers::NONE,
                     ..relief
                 },
                 climate: Climate { equator_c: 38.0, pole_c: 8.0, wet: -0.6, ..climate },
@@ -203,8 +247,9 @@ impl WorldPreset {
                     range_width: 0.55,
                     mountain_m: 1_900.0,
                     massif_m: 17_000.0,
-                    gullies: 0.16,
+                    gullies: 0.2,
                     hill_m: 120.0,
+                    rivers: Rivers { spacing_m: 2_400.0, half_m: 12.0, incision_m: 40.0, ..relief.rivers },
                     ..relief
                 },
                 climate: Climate { equator_c: 29.0, pole_c: 14.0, wet: 0.4, ..climate },
@@ -229,6 +274,7 @@ impl WorldPreset {
                     hill_m: 160.0,
                     rough_m: 0.8,
                     craters: 1.0,
+                    rivers: Rivers::NONE,
                     ..relief
                 },
                 climate: Climate { equator_c: 0.0, pole_c: 0.0, wet: 0.0, has_life: false },
@@ -253,8 +299,16 @@ impl WorldPreset {
                     hill_m: 200.0,
                     dune_m: 25.0,
                     craters: 0.75,
-                    canyon_m: 1_900.0,
                     layer_m: 150.0,
+                    rivers: Rivers {
+                        spacing_m: 11_000.0,
+                        half_m: 90.0,
+                        incision_m: 750.0,
+                        in_plains: 0.6,
+                        slope: 0.6,
+                        lakes: 0.0,
+                        flow: Flow::Dry,
+                    },
                     ..relief
                 },
                 climate: Climate { equator_c: -20.0, pole_c: -120.0, wet: 0.0, has_life: false },
@@ -269,16 +323,30 @@ impl WorldPreset {
             },
             Self::Ice => Parameters {
                 relief: Relief {
-                    land: 0.3,
-                    range_width: 0.6,
+                    land: 0.45,
+                    range_width: 0.9,
                     mountain_m: 4_400.0,
                     massif_m: 24_000.0,
                     hill_m: 140.0,
-                    glacier_m: 350.0,
+                    rivers: Rivers {
+                        spacing_m: 5_500.0,
+                        half_m: 260.0,
+                        incision_m: 260.0,
+                        in_plains: 0.5,
+                        slope: 1.0,
+                        lakes: 0.0,
+                        flow: Flow::Ice,
+                    },
                     ..relief
                 },
-                climate: Climate { equator_c: -9.0, pole_c: -45.0, wet: 0.3, ..climate },
-                palette: Palette { shallow: [92.0, 152.0, 170.0], deep: [22.0, 58.0, 88.0], ..palette },
+                climate: Climate { equator_c: 4.0, pole_c: -30.0, wet: 0.3, ..climate },
+                palette: Palette {
+                    bare: [[88.0, 86.0, 85.0], [122.0, 117.0, 111.0]],
+                    rock: [[78.0, 76.0, 76.0], [124.0, 118.0, 112.0]],
+                    shallow: [92.0, 152.0, 170.0],
+                    deep: [22.0, 58.0, 88.0],
+                    ..palette
+                },
                 place: [8.0, 60.0],
             },
             Self::Canyon => Parameters {
@@ -289,8 +357,16 @@ impl WorldPreset {
                     range_width: 0.12,
                     mountain_m: 1_600.0,
                     hill_m: 180.0,
-                    canyon_m: 1_500.0,
                     layer_m: 130.0,
+                    rivers: Rivers {
+                        spacing_m: 4_500.0,
+                        half_m: 14.0,
+                        incision_m: 900.0,
+                        in_plains: 1.0,
+                        slope: 0.9,
+                        lakes: 0.0,
+                        flow: Flow::Water,
+                    },
                     ..relief
                 },
                 climate: Climate { equator_c: 30.0, pole_c: 6.0, wet: -0.28, ..climate },

@@ -7,9 +7,10 @@ use image::codecs::jpeg::JpegEncoder;
 use terrane::formats::writers::write_height_exr;
 
 use super::errors::level_errors_m;
-use super::patch::{Lattice, Patch, TEXELS_PER_CELL};
-use super::planet::{RowBuffers, World, meridians};
-use super::points::{RADIUS_M, sin_cos};
+use super::planet::{RowBuffers, World};
+use super::points::{RADIUS_M, meridians, sin_cos};
+use super::scatter::{MAX_CELL_M, Scatter, Sites, TALLEST_M};
+use super::surface::{Lattice, Patch, TEXELS_PER_CELL};
 use crate::pyramid::{CELLS, QUANTUM_M};
 use crate::{Extent, GenError, TileKey};
 
@@ -21,6 +22,7 @@ pub struct WorldSet {
     world: World,
     extent: Extent,
     levels: u32,
+    has_scatter: bool,
     level_errors_m: OnceLock<Vec<f64>>,
 }
 
@@ -31,6 +33,8 @@ pub struct WorldTile {
     pub exr: Vec<u8>,
     /// Colours, as JPEG.
     pub jpeg: Vec<u8>,
+    /// Trees and rocks as glb, on levels that have them.
+    pub scatter: Option<Vec<u8>>,
     /// The lowest and the highest height in metres, that of the border included.
     pub range_m: [f32; 2],
 }
@@ -39,7 +43,7 @@ impl WorldSet {
     /// Creates the set of the whole planet with a number of levels, at most 22.
     pub fn globe(world: World, levels: u32) -> Self {
         let extent = Extent { west: -PI, south: -0.5 * PI, east: PI, north: 0.5 * PI };
-        Self { world, extent, levels, level_errors_m: OnceLock::new() }
+        Self { world, extent, levels, has_scatter: false, level_errors_m: OnceLock::new() }
     }
 
     /// Creates the set of a square around a longitude and latitude in radians, with sides in metres. The latitude is moved
@@ -50,7 +54,30 @@ impl WorldSet {
         let half_longitude = (half / sin_cos(latitude).1).min(PI);
         let west = longitude - half_longitude;
         let extent = Extent { west, south: latitude - half, east: west + 2.0 * half_longitude, north: latitude + half };
-        Self { world, extent, levels, level_errors_m: OnceLock::new() }
+        Self { world, extent, levels, has_scatter: false, level_errors_m: OnceLock::new() }
+    }
+
+    /// Adds trees and rocks to the levels whose cells are at most 60 m high.
+    #[must_use]
+    pub fn with_scatter(self) -> Self {
+        Self { has_scatter: true, ..self }
+    }
+
+    /// Returns true if the tiles of a level have trees and rocks.
+    pub fn has_scatter(&self, level: u32) -> bool {
+        self.has_scatter && self.lattice(TileKey { level, x: 0, y: 0 }, 0).step_m() <= MAX_CELL_M
+    }
+
+    /// Returns the number of conifers, of broadleaf trees and of rocks on a tile.
+    pub fn scatter_counts(&self, key: TileKey) -> [usize; 3] {
+        let mut buffers = RowBuffers::default();
+        let mut patch = self.patch(key, &mut buffers);
+        patch.paint(&self.world, &mut buffers);
+        self.scatter(&patch).counts()
+    }
+
+    fn scatter(&self, patch: &Patch) -> Scatter {
+        Scatter::new(&self.world, patch, Sites::new(&self.lattice(TileKey { level: 0, x: 0, y: 0 }, 0)))
     }
 
     /// Returns the world.
@@ -118,7 +145,8 @@ impl WorldSet {
         JpegEncoder::new_with_quality(&mut jpeg, JPEG_QUALITY)
             .encode(&rgb, side, side, image::ExtendedColorType::Rgb8)
             .map_err(|e| GenError::Encode(format!("JPEG of tile {key:?}: {e}")))?;
-        Ok(WorldTile { exr, jpeg, range_m })
+        let scatter = self.has_scatter(key.level).then(|| self.scatter(&patch).glb());
+        Ok(WorldTile { exr, jpeg, scatter, range_m })
     }
 
     /// Returns bounds of the heights in a tile, in metres. They are those of every fourth vertex, which are the vertices of
@@ -130,14 +158,15 @@ impl WorldSet {
         let mut buffers = RowBuffers::default();
         let (mut low_m, mut high_m) = (f32::INFINITY, f32::NEG_INFINITY);
         for row in every() {
-            self.world.ground_row(&longitudes, lattice.latitude(row), &mut buffers);
-            for bed in &buffers.ground.bed_m {
-                let surface_m = bed.max(self.world.water_m());
-                (low_m, high_m) = (low_m.min(surface_m), high_m.max(surface_m));
+            let step_m = 4.0 * lattice.step_m();
+            self.world.ground_row_of(&longitudes, lattice.latitude(row), step_m, &mut buffers);
+            for surface_m in &buffers.ground.surface_m {
+                (low_m, high_m) = (low_m.min(*surface_m), high_m.max(*surface_m));
             }
         }
         let error_m = self.level_errors_m()[key.level.saturating_sub(2) as usize];
-        [f64::from(low_m) - error_m - 1.0, f64::from(high_m) + error_m + 1.0]
+        let above_m = if self.has_scatter(key.level) { TALLEST_M } else { 1.0 };
+        [f64::from(low_m) - error_m - 1.0, f64::from(high_m) + error_m + above_m]
     }
 }
 

@@ -54,7 +54,11 @@ impl WorldSet {
             return tile;
         }
         let name = format!("{up}{}/{}/{}", key.level, key.x, key.y);
-        tile["content"] = json!({ "uri": format!("{name}.exr") });
+        let heights = json!({ "uri": format!("{name}.exr") });
+        match self.has_scatter(key.level) {
+            true => tile["contents"] = json!([heights, { "uri": format!("{name}.glb") }]),
+            false => tile["content"] = heights,
+        }
         tile["extras"] = json!({ "terrane": { "imagery": format!("{name}.jpg") } });
         if key.level + 1 < self.levels() {
             let children = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(dx, dy)| TileKey {

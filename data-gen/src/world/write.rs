@@ -15,14 +15,15 @@ pub(crate) fn world_set(args: &GenArgs, default_levels: u32) -> Option<WorldSet>
     let preset = args.world.world?;
     let world = World::new(preset, args.seed);
     let levels = args.levels.unwrap_or(default_levels);
-    if args.world.globe {
-        return Some(WorldSet::globe(world, levels));
-    }
-    let center = match args.world.center {
-        Some(degrees) => degrees.map(f64::to_radians),
-        None => world.place(args.size),
+    let set = match args.world.center {
+        _ if args.world.globe => WorldSet::globe(world, levels),
+        Some(degrees) => WorldSet::square(world, degrees.map(f64::to_radians), args.size, levels),
+        None => {
+            let place = world.place(args.size);
+            WorldSet::square(world, place, args.size, levels)
+        }
     };
-    Some(WorldSet::square(world, center, args.size, levels))
+    Some(if args.world.scatter { set.with_scatter() } else { set })
 }
 
 /// The largest number of levels of a world in a folder. `terrane serve --procedural` makes tiles of finer ones on demand.
@@ -45,8 +46,8 @@ pub(crate) fn check_world(args: &GenArgs) -> Result<(), String> {
             Err("--mesh, --no-meshopt and --texture have no effect with --world".to_owned())
         }
         Some(_) if !args.imagery.is_empty() => Err("--imagery has no effect with --world".to_owned()),
-        None if args.world.center.is_some() || args.world.globe => {
-            Err("--center and --globe have no effect without --world".to_owned())
+        None if args.world.center.is_some() || args.world.globe || args.world.scatter => {
+            Err("--center, --globe and --scatter have no effect without --world".to_owned())
         }
         _ => Ok(()),
     }
@@ -72,6 +73,9 @@ pub(crate) fn write_world(set: &WorldSet, folder: &Path) -> Result<Summary, GenE
         let tile = set.tile(key)?;
         let stem = format!("{}/{}/{}", key.level, key.x, key.y);
         let mut bytes = write(&format!("{stem}.exr"), &tile.exr)? + write(&format!("{stem}.jpg"), &tile.jpeg)?;
+        if let Some(scatter) = &tile.scatter {
+            bytes += write(&format!("{stem}.glb"), scatter)?;
+        }
         if let (Some(path), Some(tileset)) = (set.tileset_path(key), set.tileset(key)) {
             bytes += write(&path, tileset.as_bytes())?;
         }

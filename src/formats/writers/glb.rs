@@ -258,7 +258,7 @@ fn write(mesh: &GlbMesh, compressed: bool) -> Vec<u8> {
 
 /// Returns a glb file of a document and its binary chunk, which is left out if it is empty. The length of the chunk is a multiple
 /// of 4.
-pub(super) fn container(document: &Value, binary: &[u8]) -> Vec<u8> {
+pub fn container(document: &Value, binary: &[u8]) -> Vec<u8> {
     let mut text = document.to_string().into_bytes();
     text.resize(text.len().next_multiple_of(4), b' ');
     let binary_length = if binary.is_empty() { 0 } else { 8 + binary.len() };

@@ -6,6 +6,6 @@ mod height;
 mod meshopt;
 mod model;
 
-pub use glb::{GlbMesh, write_compressed_glb, write_glb};
+pub use glb::{GlbMesh, container as glb_container, write_compressed_glb, write_glb};
 pub use height::write_height_exr;
 pub(in crate::formats) use model::{Leaf, Model, write_model};

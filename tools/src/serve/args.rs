@@ -17,6 +17,9 @@ pub struct ServeArgs {
     /// Serve a planet of 22 levels from --seed instead of a folder. Its tiles are made when they are requested
     #[arg(long, value_enum, value_name = "PRESET")]
     pub procedural: Option<WorldPreset>,
+    /// Put trees and rocks on the planet
+    #[arg(long, requires = "procedural")]
+    pub scatter: bool,
     /// Port; 0 selects a free one
     #[arg(long, default_value_t = 8080)]
     pub port: u16,
@@ -99,6 +102,7 @@ impl ServeArgs {
         Self {
             folder: Some(folder.into()),
             procedural: None,
+            scatter: false,
             port: 0,
             bind: "127.0.0.1".to_owned(),
             http2: false,

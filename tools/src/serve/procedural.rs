@@ -19,8 +19,9 @@ pub(super) struct Procedural {
 }
 
 impl Procedural {
-    pub(super) fn new(preset: WorldPreset, seed: u64) -> Self {
-        Self { set: WorldSet::globe(World::new(preset, seed), LEVELS), kept: Mutex::default() }
+    pub(super) fn new(preset: WorldPreset, seed: u64, scatter: bool) -> Self {
+        let set = WorldSet::globe(World::new(preset, seed), LEVELS);
+        Self { set: if scatter { set.with_scatter() } else { set }, kept: Mutex::default() }
     }
 
     /// Returns the bytes of a file by its path relative to the folder of the set. `None` if the set does not have it.
@@ -38,6 +39,9 @@ impl Procedural {
         match extension {
             "exr" => Some(self.tile(key).map(|tile| tile.exr.clone())),
             "jpg" => Some(self.tile(key).map(|tile| tile.jpeg.clone())),
+            "glb" if self.set.has_scatter(key.level) => {
+                Some(self.tile(key).map(|tile| tile.scatter.clone().unwrap_or_default()))
+            }
             "json" if key.level > 0 => self.set.tileset(key).map(|text| Ok(text.into_bytes())),
             _ => None,
         }

@@ -33,6 +33,17 @@ fn tiles_are_those_of_the_library_and_other_paths_are_missing() {
 }
 
 #[test]
+fn rocks_are_served_on_fine_levels_with_scatter() {
+    let server = Server::start(Path::new(""), &["--procedural", "moon", "--scatter"]);
+    let set = WorldSet::globe(World::new(WorldPreset::Moon, 1), 22).with_scatter();
+    let key = TileKey { level: 14, x: 9_000, y: 9_000 };
+    let rocks = set.tile(key).unwrap().scatter.unwrap();
+    let (status, head, body) = server.ask("GET", "/14/9000/9000.glb", "");
+    assert!(status == 200 && body == rocks && head.contains("model/gltf-binary"), "{head}");
+    assert_eq!(server.ask("GET", "/12/2000/2000.glb", "").0, 404, "cells of 76 m have none");
+}
+
+#[test]
 fn planet_is_flown_over() {
     if no_adapter() {
         return;

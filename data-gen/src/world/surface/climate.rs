@@ -1,12 +1,12 @@
 //! The climate along a row of points: temperature at sea level and moisture.
 
-use super::points::{Points, RADIUS_M};
-use super::preset::Climate;
-use super::relief::{Ground, add_octaves, part_seed, smooth};
+use super::super::points::{Points, RADIUS_M};
+use super::super::preset::Climate;
+use super::super::relief::{Ground, add_octaves, part_seed, smooth};
 
 /// The climate of a row.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Weather {
+pub(crate) struct Weather {
     /// Temperature at sea level in degrees Celsius.
     pub sea_level_c: Vec<f32>,
     /// Moisture: about 0 in deserts, 1 in rain forests.
@@ -14,7 +14,7 @@ pub(super) struct Weather {
 }
 
 /// Decrease of the temperature in degrees Celsius for each metre of height.
-pub(super) const LAPSE_C: f32 = 0.0065;
+pub(crate) const LAPSE_C: f32 = 0.0065;
 
 impl Climate {
     /// Computes the weather of a row. `windward` is the ground of the points some way against the wind: high mountains there
@@ -49,4 +49,4 @@ fn bump(x: f32, middle: f32, width: f32) -> f32 {
 }
 
 /// The step against the wind in radians of longitude: the wind blows from the west.
-pub(super) const WINDWARD: f64 = -250_000.0 / RADIUS_M;
+pub(crate) const WINDWARD: f64 = -250_000.0 / RADIUS_M;

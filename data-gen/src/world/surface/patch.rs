@@ -2,17 +2,18 @@
 //!
 //! Climate and the long waves of the colours' variation are computed at every fourth sample and interpolated.
 
-use super::climate::Weather;
-use super::colors::Texels;
-use super::noise::add_noise;
-use super::planet::{RowBuffers, World, meridians, windward};
-use super::points::{Points, RADIUS_M, sin_cos};
-use super::relief::{Ground, add_octaves, part_seed};
+use super::super::planet::{RowBuffers, World, windward};
+use super::super::points::{Points, RADIUS_M, meridians, sin_cos};
+use super::super::preset::Flow;
+use super::super::relief::{Covers, Ground, add_noise, add_octaves, bent, part_seed, wide};
+use super::super::tiles::rounded;
+use super::climate::{LAPSE_C, Weather};
+use super::colors::{Texels, wood};
 
 /// Samples beyond each edge, for slopes and the shade of surroundings.
-pub(super) const MARGIN: usize = 4;
+pub(crate) const MARGIN: usize = 4;
 /// The number of texels along a cell.
-pub(super) const TEXELS_PER_CELL: usize = 4;
+pub(crate) const TEXELS_PER_CELL: usize = 4;
 /// The distance between the samples of the climate, in cells.
 const COARSE: usize = 4;
 /// The wavelength of the coarsest variation of colours in metres; each octave is a quarter as long.
@@ -24,7 +25,7 @@ const VARIATIONS: u32 = 10;
 /// `(column, row)` steps from the origin. Positions are computed from whole numbers, so that they have the same bits in all
 /// patches.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Lattice {
+pub(crate) struct Lattice {
     pub origin: [f64; 2],
     pub side: [f64; 2],
     /// The number of steps along the whole side.
@@ -38,6 +39,16 @@ impl Lattice {
         self.origin[0] + self.side[0] * ((self.column + column) as f64 / self.steps)
     }
 
+    /// Returns the longitude of a place between samples.
+    pub fn at_longitude(&self, column: f64) -> f64 {
+        self.origin[0] + self.side[0] * ((self.column as f64 + column) / self.steps)
+    }
+
+    /// Returns the latitude of a place between samples.
+    pub fn at_latitude(&self, row: f64) -> f64 {
+        self.origin[1] + self.side[1] * ((self.row as f64 + row) / self.steps)
+    }
+
     pub fn latitude(&self, row: i64) -> f64 {
         self.origin[1] + self.side[1] * ((self.row + row) as f64 / self.steps)
     }
@@ -48,8 +59,20 @@ impl Lattice {
     }
 }
 
+/// The ground of a place where a tree or a rock may stand.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Site {
+    pub surface_m: f32,
+    pub slope: f32,
+    pub celsius: f32,
+    /// Shares of forest and of ground without trees and ice.
+    pub wood: f32,
+    pub bare: f32,
+    pub is_dry: bool,
+}
+
 /// The samples of a patch, rows from south to north.
-pub(super) struct Patch {
+pub(crate) struct Patch {
     /// Samples along a side, the margins included.
     stride: usize,
     samples: Texels,
@@ -73,12 +96,14 @@ impl Patch {
         let stride = cells + 1 + 2 * MARGIN;
         let meridians = meridians((0..stride as i64).map(|k| lattice.longitude(k - MARGIN as i64)));
         let mut samples = Texels::default();
-        let water_m = world.water_m();
         for row in 0..stride {
             world.ground_row(&meridians, lattice.latitude(row as i64 - MARGIN as i64), buffers);
             let ground = &buffers.ground;
-            samples.surface_m.extend(ground.bed_m.iter().map(|bed| bed.max(water_m)));
-            samples.depth_m.extend(ground.bed_m.iter().map(|bed| water_m - bed));
+            samples.surface_m.extend_from_slice(&ground.surface_m);
+            samples.depth_m.extend_from_slice(&ground.depth_m);
+            samples.stream_m.extend_from_slice(&ground.stream_m);
+            let bend_m = [&ground.bend_m.x, &ground.bend_m.y, &ground.bend_m.z];
+            samples.marks.iter_mut().zip(bend_m).for_each(|(mark, bend_m)| mark.extend_from_slice(bend_m));
             samples.inland.extend_from_slice(&ground.inland);
             samples.mountain.extend_from_slice(&ground.mountain);
             samples.ridge.extend_from_slice(&ground.ridge);
@@ -90,6 +115,36 @@ impl Patch {
     /// Returns the surface at a sample relative to the first one inside the margin.
     pub fn surface_m(&self, column: i64, row: i64) -> f32 {
         self.samples.surface_m[(row + MARGIN as i64) as usize * self.stride + (column + MARGIN as i64) as usize]
+    }
+
+    pub fn lattice(&self) -> Lattice {
+        self.lattice
+    }
+
+    /// Returns the ground at a place between samples, `x` and `y` cells from the first one inside the margin, on the
+    /// triangles that are drawn. The colours were painted before.
+    pub fn site(&self, world: &World, x: f64, y: f64) -> Site {
+        let (column, row) = (x.floor() as i64, y.floor() as i64);
+        let (u, v) = ((x - x.floor()) as f32, (y - y.floor()) as f32);
+        let corner = |i: i64, j: i64| rounded(self.surface_m(column + i, row + j));
+        let (south_west, north_east) = (corner(0, 0), corner(1, 1));
+        let surface_m = match u >= v {
+            true => south_west + u * (corner(1, 0) - south_west) + v * (north_east - corner(1, 0)),
+            false => south_west + v * (corner(0, 1) - south_west) + u * (north_east - corner(0, 1)),
+        };
+        let nearest = |t: f32| i64::from(t >= 0.5) + MARGIN as i64;
+        let at = (row + nearest(v)) as usize * self.stride + (column + nearest(u)) as usize;
+        let s = &self.samples;
+        let celsius = s.sea_level_c[at] - LAPSE_C * surface_m.max(0.0);
+        let living = if world.parameters.climate.has_life { 1.0 } else { 0.0 };
+        let wood = wood(living, celsius, s.moisture[at] + 0.12 * s.patch[at], s.slope[at], s.patch[at], 0.0);
+        let all_dry = (0..=1).flat_map(|j| (0..=1).map(move |i| (i, j))).all(|(i, j)| {
+            let at = (row + j + MARGIN as i64) as usize * self.stride + (column + i) as usize + MARGIN;
+            s.depth_m[at] < -0.3 && s.stream_m[at] > 1.0
+        });
+        let glaciers = if world.parameters.relief.rivers.flow == Flow::Ice { s.cover[at] } else { 0.0 };
+        let bare = (1.0 - wood) * (1.0 - glaciers);
+        Site { surface_m, slope: s.slope[at], celsius, wood, bare, is_dry: all_dry }
     }
 
     /// Computes the slopes, and how far points lie above their surroundings.
@@ -165,6 +220,32 @@ impl Patch {
         }
     }
 
+    /// Replaces the bends of a row of texels by what rivers and glaciers cover of them.
+    fn cover_rivers(&self, world: &World, buffers: &RowBuffers, points: &Points, texel_m: f32, texels: &mut Texels) {
+        // Rivers are too narrow for large texels.
+        let basin = world.basin();
+        let near_m = 1.5 * TEXELS_PER_CELL as f32 * texel_m + 50.0;
+        let is_fine = f64::from(near_m) < 0.4 * basin.drainage.spacing_m();
+        let mut waters = None;
+        let [x, y, z] = &mut texels.marks;
+        for (k, stream_m) in texels.stream_m.iter().enumerate() {
+            let mut covers = Covers::default();
+            if *stream_m < near_m && is_fine {
+                let cell = basin.drainage.cell(points.longitudes[k], points.latitude);
+                if waters.as_ref().is_none_or(|(last, _)| *last != cell) {
+                    waters = buffers.network.waters(cell).map(|found| (cell, found)).or(waters);
+                }
+                let at = bent(points.at(k), [x[k], y[k], z[k]]);
+                covers = match &waters {
+                    Some((_, waters)) if basin.relief.rivers.flow == Flow::Ice => waters.glacier_covers(at, texel_m),
+                    Some((_, waters)) => waters.river_covers(at, texel_m),
+                    None => covers,
+                };
+            }
+            (x[k], y[k], z[k]) = (covers.water, covers.moraine, covers.crevasse);
+        }
+    }
+
     /// Paints the texels as RGB, north row first. A texel's colour depends on the position and the size of cells only.
     pub fn paint(&mut self, world: &World, buffers: &mut RowBuffers) -> Vec<u8> {
         self.add_slopes();
@@ -191,22 +272,30 @@ impl Patch {
         self.samples.grain.resize(stride * stride, 0.0);
         let mut rgb = Vec::with_capacity(3 * side * side);
         let share = |k: usize| ((2 * (k % TEXELS_PER_CELL) + 1) as f32) / scale as f32;
+        let shares: [f32; TEXELS_PER_CELL] = std::array::from_fn(share);
         for row in (0..side).rev() {
             let (first, t) = (row / TEXELS_PER_CELL + MARGIN, share(row));
             for (samples, out) in self.samples.all().into_iter().zip(texels.all()) {
                 let (low, high) = samples[first * stride..(first + 2) * stride].split_at(stride);
-                for ((l, low), high) in line.iter_mut().zip(low).zip(high) {
-                    *l = low + (high - low) * t;
-                }
-                for (texels, ends) in out.chunks_exact_mut(TEXELS_PER_CELL).zip(line[MARGIN..].windows(2)) {
-                    for (k, texel) in texels.iter_mut().enumerate() {
-                        *texel = ends[0] + (ends[1] - ends[0]) * share(k);
-                    }
-                }
+                wide(
+                    #[inline(always)]
+                    || {
+                        for ((l, low), high) in line.iter_mut().zip(low).zip(high) {
+                            *l = low + (high - low) * t;
+                        }
+                        let (ends, next) = (&line[MARGIN..], &line[MARGIN + 1..]);
+                        for ((texels, end), next) in
+                            out.as_chunks_mut::<TEXELS_PER_CELL>().0.iter_mut().zip(ends).zip(next)
+                        {
+                            *texels = shares.map(|share| end + (next - end) * share);
+                        }
+                    },
+                );
             }
             points.set_row(&columns, fine.latitude(2 * row as i64 + 1));
             add_variation(&points, seed, 2.0 * texel_m..8.0 * texel_m, 0.7, &mut texels.grain);
             add_octaves(&points, 3.0 * texel_m, 1, 0.5, 0.35, seed.wrapping_add(77), &mut texels.grain);
+            self.cover_rivers(world, buffers, &points, texel_m as f32, &mut texels);
             world.parameters.color(&texels, &mut colors);
             let [red, green, blue] = &colors;
             for k in 0..side {

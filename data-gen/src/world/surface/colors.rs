@@ -1,0 +1,229 @@
+//! The colours of the ground: biomes by climate, rock by slope, water by depth, with variation at all scales.
+
+use super::super::preset::{Flow, Palette, Parameters};
+use super::super::relief::{smooth, wide};
+use super::climate::LAPSE_C;
+
+/// The properties of the ground at each texel of a row, as separate arrays, so that the loop can be vectorised.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Texels {
+    /// Height of the visible surface in metres.
+    pub surface_m: Vec<f32>,
+    /// Depth of the water in metres; below 0 on land.
+    pub depth_m: Vec<f32>,
+    /// Distance from the bank of the nearest river in metres.
+    pub stream_m: Vec<f32>,
+    /// At samples, the bends of rivers in metres along each axis; at texels, the shares of water, moraines and crevasses.
+    pub marks: [Vec<f32>; 3],
+    /// The tangent of the slope.
+    pub slope: Vec<f32>,
+    /// How far the point lies above its surroundings, as a share of their distance.
+    pub open: Vec<f32>,
+    pub inland: Vec<f32>,
+    pub mountain: Vec<f32>,
+    pub ridge: Vec<f32>,
+    pub cover: Vec<f32>,
+    pub sea_level_c: Vec<f32>,
+    pub moisture: Vec<f32>,
+    /// Noise within about -1..1 of long and of short wavelengths.
+    pub patch: Vec<f32>,
+    pub grain: Vec<f32>,
+}
+
+impl Texels {
+    /// The buffers in a fixed order.
+    pub fn all(&mut self) -> [&mut Vec<f32>; 16] {
+        let [x, y, z] = &mut self.marks;
+        [
+            &mut self.surface_m,
+            &mut self.depth_m,
+            &mut self.stream_m,
+            x,
+            y,
+            z,
+            &mut self.slope,
+            &mut self.open,
+            &mut self.inland,
+            &mut self.mountain,
+            &mut self.ridge,
+            &mut self.cover,
+            &mut self.sea_level_c,
+            &mut self.moisture,
+            &mut self.patch,
+            &mut self.grain,
+        ]
+    }
+}
+
+/// Returns a wave of straight lines within 0..1 with a period of 1.
+#[inline(always)]
+fn zigzag(x: f32) -> f32 {
+    let turn = x - ((x + 12_582_912.0) - 12_582_912.0);
+    2.0 * turn.abs()
+}
+
+/// Returns the share of forest.
+#[inline(always)]
+pub(super) fn wood(living: f32, celsius: f32, wet: f32, slope: f32, patch: f32, grain: f32) -> f32 {
+    living
+        * smooth(1.5, 5.0, celsius + 2.0 * patch + grain)
+        * smooth(0.44, 0.60, wet + 0.2 * patch + 0.06 * grain)
+        * (1.0 - smooth(0.55, 0.85, slope))
+}
+
+/// The channels of two colours of ice without snow, and those of the ice in crevasses.
+const BARE_ICE: [[f32; 2]; 3] = [[142.0, 196.0], [182.0, 214.0], [206.0, 226.0]];
+const CREVASSE: [f32; 3] = [52.0, 122.0, 168.0];
+
+#[inline(always)]
+fn mix(a: f32, b: f32, t: f32) -> f32 {
+    a + (b - a) * t
+}
+
+impl Parameters {
+    /// Computes the sRGB colours, 0..255, of a row of texels.
+    pub(crate) fn color(&self, texels: &Texels, out: &mut [Vec<f32>; 3]) {
+        let n = texels.surface_m.len();
+        for channel in out.iter_mut() {
+            channel.clear();
+            channel.resize(n, 0.0);
+        }
+        let (p, has_life) = (&self.palette, self.climate.has_life);
+        let share = |is_there: bool| if is_there { 1.0f32 } else { 0.0 };
+        let (living, coasts) = (share(has_life), share(self.relief.has_sea));
+        let glaciers = share(self.relief.rivers.flow == Flow::Ice);
+        // Without life there is snow only at the poles, of carbon dioxide.
+        let freezing = if has_life { 0.0 } else { -98.0 };
+        let [red, green, blue] = out;
+        let (red, green, blue) = (&mut red[..n], &mut green[..n], &mut blue[..n]);
+        let surface_m = &texels.surface_m[..n];
+        let depth_m = &texels.depth_m[..n];
+        let [streams, moraines, crevasses] = [0, 1, 2].map(|k| &texels.marks[k][..n]);
+        let slopes = &texels.slope[..n];
+        let open = &texels.open[..n];
+        let inland = &texels.inland[..n];
+        let ridge = &texels.ridge[..n];
+        let covers = &texels.cover[..n];
+        let sea_level_c = &texels.sea_level_c[..n];
+        let moisture = &texels.moisture[..n];
+        let patches = &texels.patch[..n];
+        let grains = &texels.grain[..n];
+        wide(
+            #[inline(always)]
+            move || {
+                for k in 0..n {
+                    let (h, slope) = (surface_m[k], slopes[k]);
+                    let (patch, grain) = (patches[k], grains[k]);
+                    let celsius = sea_level_c[k] - LAPSE_C * h.max(0.0);
+                    let wet = moisture[k] + 0.12 * patch - 0.1 * open[k].clamp(-0.3, 0.3);
+                    let steep = smooth(0.48, 0.85, slope + 0.10 * grain + 0.06 * patch);
+                    let warm = smooth(-2.0, 5.0, celsius + 1.5 * patch);
+                    let green_share = living * warm * smooth(0.22, 0.42, wet);
+                    let lush = smooth(0.35, 0.75, wet);
+                    let wood = wood(living, celsius, wet, slope, patch, grain);
+                    let sandy = covers[k] * smooth(-15.0, -5.0, celsius).max(1.0 - living);
+                    let maria = (1.0 - living) * smooth(0.05, -0.25, inland[k] + 0.05 * patch);
+                    let beach = living
+                        * (1.0 - smooth(3.0, 9.0, h + 2.0 * patch + grain))
+                        * smooth(-1.0, 4.0, celsius)
+                        * (1.0 - smooth(0.2, 0.4, slope))
+                        * coasts;
+                    let desert = living * (1.0 - smooth(0.12, 0.3, wet)) * (1.0 - smooth(0.08, 0.3, slope)) * warm;
+                    let snow = smooth(
+                        0.0,
+                        -3.5,
+                        celsius - freezing + 3.0 * patch + 1.2 * grain + 6.0 * smooth(0.5, 1.0, slope),
+                    ) * (1.0 - smooth(0.45, 0.85, slope));
+                    let ice = covers[k] * glaciers;
+                    // Wind and melting bare the ice of low glaciers; rocks stand out of snow.
+                    let bare_ice = ice * smooth(-25.0, -15.0, celsius + 5.0 * patch + grain);
+                    let snow = snow * (1.0 - bare_ice) * (1.0 - glaciers * smooth(0.30, 0.55, slope + 0.1 * grain));
+                    let strata = 0.5 * zigzag(h / 83.0 + 0.15 * patch)
+                        + 0.3 * zigzag(h / 29.0 + 0.1 * grain)
+                        + 0.2 * zigzag(h / 211.0);
+                    let strata = p.layers * (strata - 0.5) * smooth(0.12, 0.5, slope);
+                    let shade = 1.0 + 0.5 * (open[k] / (0.3 + open[k].abs())) + 0.08 * ridge[k].clamp(-1.0, 1.0);
+                    let variation = [0.5 + 0.5 * patch, 0.5 + 0.4 * patch + 0.35 * grain].map(|v| v.clamp(0.0, 1.0));
+                    let stream = streams[k];
+                    let depth = depth_m[k].max(14.0 * stream);
+                    let water = smooth(-0.15, 0.15, depth_m[k]).max(stream) * living;
+                    let shallow = 1.0 / (1.0 + depth / 14.0);
+                    let deep = 1.0 / (1.0 + depth / 900.0);
+                    let frozen = smooth(-8.0, -12.0, sea_level_c[k] + 2.0 * patch + grain) * water;
+                    let shade = mix(shade.clamp(0.6, 1.25), 1.0, water) * (1.0 + 0.045 * grain);
+                    let shares = Shares {
+                        variation,
+                        ground: (maria + desert).min(1.0),
+                        green: green_share,
+                        lush,
+                        wood,
+                        beach,
+                        sandy: sandy * (1.0 - ice),
+                        strata,
+                        steep,
+                        ice,
+                        moraine: moraines[k] * (1.0 - 0.6 * snow),
+                        crevasse: crevasses[k],
+                        snow,
+                        shade,
+                        water,
+                        shallow,
+                        deep,
+                        frozen,
+                    };
+                    red[k] = shares.channel(p, 0);
+                    green[k] = shares.channel(p, 1);
+                    blue[k] = shares.channel(p, 2);
+                }
+            },
+        );
+    }
+}
+
+/// The shares of the covers of a texel, each laid over those before it.
+#[derive(Clone, Copy)]
+struct Shares {
+    /// Two mixtures of noise that vary the colours.
+    variation: [f32; 2],
+    ground: f32,
+    green: f32,
+    lush: f32,
+    wood: f32,
+    beach: f32,
+    sandy: f32,
+    strata: f32,
+    steep: f32,
+    ice: f32,
+    moraine: f32,
+    crevasse: f32,
+    snow: f32,
+    shade: f32,
+    water: f32,
+    shallow: f32,
+    deep: f32,
+    frozen: f32,
+}
+
+impl Shares {
+    /// Returns a channel of the colour. Inlined, so that the loop over texels can be vectorised.
+    #[inline(always)]
+    fn channel(&self, p: &Palette, c: usize) -> f32 {
+        let pair = |p: &[[f32; 3]; 2], t: f32| mix(p[0][c], p[1][c], t);
+        let [broad, fine] = self.variation;
+        let mut color = mix(pair(&p.bare, fine), pair(&p.sand, broad), self.ground);
+        color = mix(color, mix(pair(&p.dry_grass, fine), pair(&p.grass, fine), self.lush), self.green);
+        color = mix(color, pair(&p.forest, fine), self.wood);
+        color = mix(color, pair(&p.sand, fine), self.beach);
+        color = mix(color, pair(&p.sand, broad), self.sandy);
+        let rock = pair(&p.rock, fine) * (1.0 + 0.9 * self.strata);
+        color = mix(color * (1.0 + 0.5 * self.strata), rock, self.steep);
+        color = mix(color, mix(BARE_ICE[c][0], BARE_ICE[c][1], broad), self.ice);
+        color = mix(color, p.snow[c], self.snow);
+        color = mix(color, pair(&p.rock, fine) * 0.8, self.moraine);
+        color = mix(color, CREVASSE[c], self.crevasse) * self.shade;
+        let floor = mix(p.shallow[c], p.sand[1][c] * 0.8, 0.45 * self.shallow * self.shallow);
+        let sea = mix(p.deep[c] * (0.65 + 0.35 * self.deep), floor, self.shallow);
+        color = mix(color, sea, self.water);
+        mix(color, p.snow[c] * 0.95, self.frozen).clamp(0.0, 255.0)
+    }
+}

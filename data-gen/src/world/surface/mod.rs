@@ -1,0 +1,8 @@
+//! What the ground looks like: climate, and the colours of a patch.
+
+mod climate;
+mod colors;
+mod patch;
+
+pub(super) use climate::{WINDWARD, Weather};
+pub(super) use patch::{Lattice, Patch, TEXELS_PER_CELL};
