@@ -11,12 +11,14 @@ use crate::color::{Imagery, TEXELS};
 use crate::elevation::{DEFAULT_CACHE_BYTES, Mosaic, SourceContext, expand, open_all};
 use crate::fingerprint::fingerprint;
 use crate::georeference::ROUNDING;
-use crate::output::{Builder, Journal, PartialFolder, blocks, level_errors_m, voids};
+use crate::output::{
+    Builder, Journal, PartialFolder, ROOTS, blocks, finish, is_archive_at, level_errors_m, voids, write_terrain,
+};
 use crate::pyramid::{CELLS, Grid, Layer, Plan, TileKey};
 use crate::shards;
 use crate::store::BlockCache;
 use crate::world::{check_world, world_set, write_world};
-use crate::{ElevationSource, Extent, GenArgs, GenError, Procedural, Raster, Summary};
+use crate::{ContentKind, ElevationSource, Extent, GenArgs, GenError, Procedural, Raster, Summary};
 
 /// Longitude and latitude of the middle of procedural terrain, in degrees.
 const PROCEDURAL_CENTER: [f64; 2] = [8.0, 47.0];
@@ -85,7 +87,10 @@ pub fn run(args: &GenArgs) -> Result<Summary, GenError> {
     let start = Instant::now();
     let out = std::path::absolute(&args.out).map_err(GenError::file(&args.out))?;
     let out = args.sharding.shard.map_or(out.clone(), |shard| shard.folder(&out));
+    let is_shard = args.sharding.shard.is_some();
+    let is_archive = args.output.archive.is_some() && !is_shard;
     let occupied = match std::fs::read_dir(&out) {
+        _ if is_archive => is_archive_at(args, &out)?,
         Ok(mut entries) => entries.next().is_some(),
         Err(e) if e.kind() == std::io::ErrorKind::NotFound => false,
         Err(e) => return Err(GenError::File { path: out, reason: e }),
@@ -94,13 +99,12 @@ pub fn run(args: &GenArgs) -> Result<Summary, GenError> {
         return Err(GenError::invalid(out, "is a link whose target does not exist"));
     }
     let args = &GenArgs { dem: expand(&args.dem)?, ..args.clone() };
-    let is_shard = args.sharding.shard.is_some();
     if occupied && !args.overwrite && !is_shard {
         return Err(GenError::Exists(out));
     }
     let out = if out.exists() { out.canonicalize().map_err(GenError::file(&out))? } else { out };
     if occupied && !is_shard {
-        check_replaceable(&out, args)?;
+        check_replaceable(&out, args, is_archive)?;
     }
     check(args)?;
     let fingerprint = fingerprint(args)?;
@@ -129,7 +133,7 @@ pub fn run(args: &GenArgs) -> Result<Summary, GenError> {
         }
         Err(error) => return Err(error),
     };
-    partial.put_in_place(&out)?;
+    summary.bytes = pool.install(|| finish(args, partial, &out, summary.bytes))?;
     for shard in shards {
         // The set is complete; a later merge would find the shards empty.
         std::fs::remove_dir_all(&shard).map_err(GenError::file(&shard))?;
@@ -159,6 +163,18 @@ fn check(args: &GenArgs) -> Result<(), GenError> {
 fn make(args: &GenArgs, out: &Path, fingerprint: u64, folder: &Path) -> Result<(Summary, Vec<PathBuf>), GenError> {
     if let Some(set) = world_set(args, PROCEDURAL_LEVELS) {
         return Ok((write_world(&set, folder)?, Vec::new()));
+    }
+    if args.content == ContentKind::QuantizedMesh {
+        let terrain = terrain(args, None, &Arc::new(BlockCache::new(DEFAULT_CACHE_BYTES)))?;
+        let needed = levels_for([PI; 2], terrain.step, CELLS);
+        let levels = args.levels.unwrap_or(needed.min(MAX_LEVELS));
+        let mut summary =
+            write_terrain(args, terrain.source.as_ref(), terrain.extent, (levels, levels >= needed), folder)?;
+        if levels < needed {
+            summary.notes.push(format!("the sources have detail for {needed} levels; {levels} are written"));
+        }
+        summary.notes.extend(terrain.context.iter().flat_map(|context| notes(context)));
+        return Ok((summary, Vec::new()));
     }
     let shards = if args.sharding.merge { shards::gather(out, fingerprint, folder)? } else { Vec::new() };
     with_grid(args, |grid, imagery, notes| {
@@ -202,8 +218,8 @@ fn blocks_below_root(grid: &Grid<'_>, layer: Layer) -> Vec<TileKey> {
 }
 
 /// Refuses to replace a folder that is no tile set, or that contains one of the source files.
-fn check_replaceable(out: &Path, args: &GenArgs) -> Result<(), GenError> {
-    if !out.join("tileset.json").is_file() {
+fn check_replaceable(out: &Path, args: &GenArgs, is_archive: bool) -> Result<(), GenError> {
+    if !is_archive && !ROOTS.iter().any(|root| out.join(root).is_file()) {
         let reason = format!("{} holds no tile set; --overwrite replaces tile sets only", out.display());
         return Err(GenError::Argument(reason));
     }
@@ -218,6 +234,8 @@ fn check_replaceable(out: &Path, args: &GenArgs) -> Result<(), GenError> {
 struct Terrain {
     source: Box<dyn ElevationSource>,
     extent: Extent,
+    /// The smallest step between samples, east and north, in radians.
+    step: [f64; 2],
     levels: u32,
     /// True if the finest level is as fine as the source.
     is_fine: bool,
@@ -237,9 +255,12 @@ fn terrain(args: &GenArgs, imagery: Option<&Imagery>, cache: &Arc<BlockCache>) -
         let extent = Extent { west: lon - half_lon, south: lat - half, east: lon + half_lon, north: lat + half };
         let source = Procedural { seed: args.seed, cos_latitude: lat.cos() };
         let levels = args.levels.unwrap_or(PROCEDURAL_LEVELS);
+        let cells = (CELLS << (PROCEDURAL_LEVELS - 1)) as f64;
+        let step = [2.0 * half_lon / cells, 2.0 * half / cells];
         return Ok(Terrain {
             source: Box::new(source),
             extent,
+            step,
             levels,
             is_fine: false,
             notes: Vec::new(),
@@ -286,7 +307,7 @@ fn terrain(args: &GenArgs, imagery: Option<&Imagery>, cache: &Arc<BlockCache>) -
         notes.push(format!("the sources have detail for {wanted} levels; {levels} are written"));
     }
     let source = Box::new(Mosaic::new(rasters));
-    Ok(Terrain { source, extent: e, levels, is_fine: levels >= needed, notes, context: Some(context) })
+    Ok(Terrain { source, extent: e, step, levels, is_fine: levels >= needed, notes, context: Some(context) })
 }
 
 /// Returns the number of levels whose finest one has steps of at most a size, for a rectangle with these sides. A tile has
@@ -345,7 +366,7 @@ fn with_grid<T>(
         Imagery::open(&files, args.epsg.as_ref(), &cache)
     };
     let imagery = args.imagery.as_ref().map(open).transpose()?;
-    let Terrain { source, extent, levels, is_fine, notes, context } = terrain(args, imagery.as_ref(), &cache)?;
+    let Terrain { source, extent, levels, is_fine, notes, context, .. } = terrain(args, imagery.as_ref(), &cache)?;
     if let (Some(image), Some(path)) = (&imagery, &args.imagery)
         && !image.covers(&extent)?
     {

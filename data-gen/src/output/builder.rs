@@ -4,7 +4,9 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
+use super::implicit::{self, Subtrees};
 use super::journal::Journal;
+use super::options::Tiling;
 use super::tile_set::{Written, write_tiles, write_whole};
 use super::tree::{Tree, external_name, external_tileset};
 use crate::args::{Color, GenArgs};
@@ -78,7 +80,11 @@ impl<'a> Builder<'a> {
         let tree = Tree::new(self.args, &block, distances_m);
         let (mut geometric_error_m, mut json) = (0.0, String::new());
         if block.facts(root).coverage != Coverage::None {
-            (geometric_error_m, json) = (tree.geometric_error_m(root), tree.external_root());
+            geometric_error_m = tree.geometric_error_m(root);
+            json = match self.is_implicit() {
+                true => implicit::list(&tree.entries()),
+                false => tree.external_root(),
+            };
         }
         let record = block.record(bytes, tree.root_region(), geometric_error_m);
         self.journal.save(root, &record, &json)?;
@@ -94,7 +100,15 @@ impl<'a> Builder<'a> {
         }
         let Written { bytes, distances_m } = self.write(&block)?;
         totals.add(&block.totals(bytes));
-        let text = Tree::new(self.args, &block, distances_m).tileset(&totals);
+        let tree = Tree::new(self.args, &block, distances_m);
+        let text = tree.tileset(&totals);
+        if self.is_implicit() {
+            let shape = (self.grid.levels, tree.contents().len());
+            let mut subtrees = Subtrees::new(self.plan, &self.journal, self.folder, shape, tree.entries());
+            totals.bytes += subtrees.write(TileKey::ROOT)?;
+            totals.bytes += write_whole(&self.folder.join("tileset.json"), text.as_bytes())?;
+            return Ok(totals);
+        }
         let external =
             blocks.iter().flatten().filter(|key| key.level > 0).collect::<Vec<_>>().into_par_iter().map(|key| {
                 let Some(record) = self.journal.load(*key)?.filter(|record| record.facts.coverage != Coverage::None)
@@ -107,6 +121,10 @@ impl<'a> Builder<'a> {
         let bytes: u64 = external.collect::<Result<Vec<u64>, GenError>>()?.iter().sum();
         totals.bytes += bytes + write_whole(&self.folder.join("tileset.json"), text.as_bytes())?;
         Ok(totals)
+    }
+
+    fn is_implicit(&self) -> bool {
+        self.args.output.tiling == Tiling::Implicit
     }
 
     fn block(&self, layer: Layer, root: TileKey) -> Result<Block<'a>, GenError> {
