@@ -10,6 +10,18 @@ pub(crate) fn refuse_markup(uri: &str, bytes: &[u8]) -> Result<(), IoError> {
     }
 }
 
+/// Like [`refuse_markup`], for binary files without magic bytes, which may begin with the same byte as markup. The first bytes of
+/// markup are text.
+pub(crate) fn refuse_markup_text(uri: &str, bytes: &[u8]) -> Result<(), IoError> {
+    const CHECKED_BYTES: usize = 12;
+    let is_text = |byte: &u8| byte.is_ascii_graphic() || byte.is_ascii_whitespace();
+    let start = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
+    match start.iter().take(CHECKED_BYTES).all(is_text) {
+        true => refuse_markup(uri, bytes),
+        false => Ok(()),
+    }
+}
+
 /// Returns the text without its UTF-8 byte order mark, and its first byte that is not white space.
 pub(crate) fn text_and_first_byte(bytes: &[u8]) -> (&[u8], Option<u8>) {
     let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
@@ -44,7 +56,21 @@ pub(crate) fn plain_text(html: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::plain_text;
+    use super::{plain_text, refuse_markup_text};
+
+    /// Regression: one of 256 terrain tiles begins with the byte of `<`.
+    #[test]
+    fn binary_files_may_begin_like_markup() {
+        for (bytes, is_markup) in [
+            (&b"<!DOCTYPE html>"[..], true),
+            (b"\xef\xbb\xbf\n <html><body>x", true),
+            (b"<a/>", true),
+            (b"<\x80\x11\x00\xa3{AA<html>", false),
+            (b"", false),
+        ] {
+            assert_eq!(refuse_markup_text("u", bytes).is_err(), is_markup, "{bytes:?}");
+        }
+    }
 
     #[test]
     fn attributions_become_plain_text() {

@@ -10,7 +10,7 @@ use super::set::TerrainSet;
 use super::surface::Surface;
 use super::tiling::{Rectangle, Tiling};
 use super::water::Water;
-use crate::fetch::markup::refuse_markup;
+use crate::fetch::markup::refuse_markup_text;
 use crate::fetch::{IoError, encoding, path_of};
 use crate::formats::ignored::Notes;
 use crate::formats::implicit::TileCoordinates;
@@ -136,7 +136,7 @@ impl ReaderValue for TerrainTile {
 /// Returns the bytes of a tile without compression. Fails for web pages.
 pub(super) fn unpacked(uri: &str, bytes: Vec<u8>, options: &ReadOptions) -> Result<Vec<u8>, IoError> {
     let bytes = encoding::gunzip(uri, bytes, &options.limits)?;
-    refuse_markup(uri, &bytes)?;
+    refuse_markup_text(uri, &bytes)?;
     Ok(bytes)
 }
 
@@ -150,7 +150,7 @@ pub(in crate::formats) fn read_alone(
 ) -> Result<Node, IoError> {
     let no_coordinates = || IoError::unsupported(uri, "a terrain tile whose path does not end in LEVEL/X/Y.terrain");
     let tile = coordinates_in(path_of(uri)).ok_or_else(no_coordinates)?;
-    refuse_markup(uri, bytes)?;
+    refuse_markup_text(uri, bytes)?;
     let (surface, water) = surface_of(uri, bytes, options, notes)?;
     Ok(node_of(&surface, water.as_ref(), Tiling::Geographic, tile))
 }

@@ -12,7 +12,7 @@ use tokio::task::JoinSet;
 
 use super::region;
 use super::tree::Known;
-use crate::fetch::markup::refuse_markup;
+use crate::fetch::markup::refuse_markup_text;
 use crate::fetch::{
     CacheStats, HttpBody, HttpClient, HttpConfig, IoError, Limits, RootScope, encoding, guarded, is_remote, root_uri,
     runtime, shown,
@@ -294,7 +294,7 @@ impl Fill<'_> {
     /// Checks a content, queues the files that it refers to, and reads it if it is a tileset. If it has several positions,
     /// only the first one counts.
     fn check_content(&mut self, job: &Job, read: &ReadFile<'_>) -> Result<(), IoError> {
-        refuse_markup(&job.uri, &read.bytes)?;
+        refuse_markup_text(&job.uri, &read.bytes)?;
         let options = options_of(job, &self.scope, read.location.clone(), self.options.limits);
         for dependency in dependencies(&job.uri, &read.bytes, None, read.companions, &options) {
             self.add_file(dependency, None, None);
