@@ -17,6 +17,7 @@ use crate::files::{PLACE, SIDE, each_tile, files_below, from_dem, heights, tiff_
 fn drawn(set: &Path, height_m: f64) -> (Vec<(String, OrientedBox)>, usize) {
     let mut run = Run::new(set.to_str().unwrap(), PagerConfig::default());
     run.is_globe = true;
+    run.max_sse_px = 2.0;
     let [west, south, east, _] = PLACE.bounds();
     let (longitude, latitude) = (west + 0.15 * (east - west), south + 0.15 * (east - west));
     run.settle(WGS84.ecef(&Geodetic { longitude, latitude, height_m }));
@@ -80,7 +81,7 @@ fn implicit_sets_are_drawn_like_explicit_ones() {
         })
         .collect();
     let dem = tiff_float32(&samples, Some(PLACE), Some("-9999"));
-    for (content, levels) in [(ContentKind::Height, 7), (ContentKind::Height, 3)] {
+    for (content, levels) in [(ContentKind::Height, 7), (ContentKind::Mesh, 6)] {
         let sets = [Tiling::Explicit, Tiling::Implicit].map(|tiling| {
             let args = GenArgs {
                 content,
@@ -100,7 +101,8 @@ fn implicit_sets_are_drawn_like_explicit_ones() {
         assert_eq!(verified[0], verified[1]);
         let errors = explicit_errors(&sets[0].1);
         assert!(errors.len() as u64 == sets[0].0 && errors == implicit_errors(&sets[1].1));
-        for height_m in [1_200.0, 3_000.0, 10_000.0, 60_000.0] {
+        let mut finest = 0;
+        for height_m in [1_000.0, 2_500.0, 40_000.0] {
             let [explicit, implicit] = sets.each_ref().map(|(_, set)| drawn(set, height_m));
             assert!(!explicit.0.is_empty() && explicit.1 > 0);
             assert_eq!(explicit.1, implicit.1, "{content:?} from {height_m} m");
@@ -109,6 +111,8 @@ fn implicit_sets_are_drawn_like_explicit_ones() {
                 assert!(a.0 == b.0 && a.1.center.distance(b.1.center) < 1e-3, "{a:?} {b:?}");
                 assert!(a.1.half_axes.abs_diff_eq(b.1.half_axes, 1e-3), "{a:?} {b:?}");
             }
+            finest += explicit.0.iter().filter(|tile| tile.0.starts_with(&format!("{}/", levels - 1))).count();
         }
+        assert!(finest > 0, "the finest level is seen");
     }
 }
