@@ -4,7 +4,7 @@ use std::io::Write as _;
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
-use crate::{Crs, HeightEncoding, RasterOptions, RunArgs, Sharding, TileArgs, VerticalDatum, WorldArgs};
+use crate::{Crs, HeightEncoding, OutputArgs, RasterOptions, RunArgs, Sharding, TileArgs, VerticalDatum, WorldArgs};
 
 /// Largest number of levels of a pyramid.
 pub(crate) const MAX_LEVELS: u32 = 24;
@@ -23,6 +23,8 @@ pub enum ContentKind {
     Height,
     /// glb meshes with skirts, for any 3D Tiles client that supports KHR_mesh_quantization and EXT_meshopt_compression.
     Mesh,
+    /// Terrain for globes without colour: quantized-mesh tiles in the geographic tiling, with a layer.json.
+    QuantizedMesh,
 }
 
 /// The colour of tiles.
@@ -104,6 +106,9 @@ pub struct GenArgs {
     #[command(flatten)]
     #[allow(missing_docs, reason = "clap would print a comment as a heading")]
     pub tiles: TileArgs,
+    #[command(flatten)]
+    #[allow(missing_docs, reason = "clap would print a comment as a heading")]
+    pub output: OutputArgs,
     /// Levels of the pyramid; by default enough for all detail of the elevation
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=i64::from(MAX_LEVELS)))]
     pub levels: Option<u32>,
@@ -151,6 +156,7 @@ impl GenArgs {
             content: ContentKind::Height,
             float_vertices: false,
             tiles: TileArgs::default(),
+            output: OutputArgs::default(),
             levels: None,
             size: 60_000.0,
             seed: 1,
@@ -207,11 +213,12 @@ impl GenArgs {
         if self.color == Color::None && !self.imagery.is_empty() {
             return Err("--imagery has no effect with --color none".to_owned());
         }
-        if self.content == ContentKind::Height && self.float_vertices {
+        if self.content != ContentKind::Mesh && self.float_vertices {
             return Err("--float-vertices has no effect without --content mesh".to_owned());
         }
         self.run.check(self)?;
-        self.tiles.check(self)
+        self.tiles.check(self)?;
+        self.output.check(self)
     }
 }
 

@@ -11,15 +11,17 @@ use crate::color::{Imagery, TEXELS};
 use crate::elevation::{DEFAULT_CACHE_BYTES, Mosaic, SourceContext, expand, open_all, use_overviews};
 use crate::fingerprint::fingerprint;
 use crate::georeference::{DatumGrid, ROUNDING};
-use crate::output::{Builder, Journal, PartialFolder, blocks, level_errors_m, voids};
+use crate::output::{
+    Builder, Journal, PartialFolder, ROOTS, blocks, finish, is_archive_at, level_errors_m, voids, write_terrain,
+};
 use crate::pyramid::{ALIGNED, CELLS, Grid, Layer, Plan, TileKey};
 use crate::store::BlockCache;
 use crate::update::{Manifest, keep_blocks};
 use crate::web_tiles::TileContent;
 use crate::world::{check_world, world_set, write_world};
 use crate::{
-    Color, ElevationSource, Extent, GenArgs, GenError, Prediction, PredictionFormat, Procedural, Raster, Sharding,
-    Summary,
+    Color, ContentKind, ElevationSource, Extent, GenArgs, GenError, Prediction, PredictionFormat, Procedural, Raster,
+    Sharding, Summary,
 };
 use crate::{prediction, shards};
 
@@ -112,7 +114,10 @@ pub fn predict(args: &GenArgs) -> Result<Prediction, GenError> {
 fn target(args: &GenArgs) -> Result<(PathBuf, bool), GenError> {
     let out = std::path::absolute(&args.out).map_err(GenError::file(&args.out))?;
     let out = args.sharding.shard.map_or(out.clone(), |shard| shard.folder(&out));
+    let is_shard = args.sharding.shard.is_some();
+    let is_archive = args.output.archive.is_some() && !is_shard;
     let occupied = match std::fs::read_dir(&out) {
+        _ if is_archive => is_archive_at(args, &out)?,
         Ok(mut entries) => entries.next().is_some(),
         Err(e) if e.kind() == std::io::ErrorKind::NotFound => false,
         Err(e) => return Err(GenError::File { path: out, reason: e }),
@@ -120,13 +125,12 @@ fn target(args: &GenArgs) -> Result<(PathBuf, bool), GenError> {
     if out.is_symlink() && !out.exists() {
         return Err(GenError::invalid(out, "is a link whose target does not exist"));
     }
-    let is_shard = args.sharding.shard.is_some();
     if occupied && !args.overwrite && !args.run.update && !is_shard {
         return Err(GenError::Exists(out));
     }
     let out = if out.exists() { out.canonicalize().map_err(GenError::file(&out))? } else { out };
     if occupied && !is_shard {
-        check_replaceable(&out, args)?;
+        check_replaceable(&out, args, is_archive)?;
     }
     Ok((out, occupied))
 }
@@ -167,7 +171,7 @@ pub fn run(args: &GenArgs) -> Result<Summary, GenError> {
         }
         Err(error) => return Err(error),
     };
-    partial.put_in_place(&out)?;
+    summary.bytes = pool.install(|| finish(args, partial, &out, summary.bytes))?;
     for shard in shards {
         // The set is complete; a later merge would find the shards empty.
         std::fs::remove_dir_all(&shard).map_err(GenError::file(&shard))?;
@@ -208,6 +212,19 @@ fn make(args: &GenArgs, out: &Path, fingerprint: u64, folder: &Path) -> Result<(
             prediction::check_space(out, tiles, || prediction::predict_world(&set, out))?;
         }
         return Ok((write_world(&set, folder)?, Vec::new()));
+    }
+    if args.content == ContentKind::QuantizedMesh {
+        let datum_grid = open_datum_grid(args)?;
+        let cache = Arc::new(BlockCache::new(DEFAULT_CACHE_BYTES));
+        let terrain = terrain(args, None, datum_grid.as_ref(), &cache)?;
+        check_use(datum_grid.as_deref())?;
+        let needed = levels_for([PI; 2], terrain.step, CELLS);
+        let levels = args.levels.unwrap_or(needed.min(MAX_LEVELS));
+        let mut summary =
+            write_terrain(args, terrain.source.as_ref(), terrain.extent, (levels, levels >= needed), folder)?;
+        summary.notes.extend(terrain.notes);
+        summary.notes.extend(terrain.context.iter().flat_map(|context| notes(context)));
+        return Ok((summary, Vec::new()));
     }
     let shards = if args.sharding.merge { shards::gather(out, fingerprint, folder)? } else { Vec::new() };
     with_grid(args, |opened| {
@@ -261,8 +278,8 @@ fn blocks_below_root(grid: &Grid<'_>, layer: Layer) -> Vec<TileKey> {
 }
 
 /// Refuses to replace a folder that is no tile set, or that contains one of the source files.
-fn check_replaceable(out: &Path, args: &GenArgs) -> Result<(), GenError> {
-    if !out.join("tileset.json").is_file() {
+fn check_replaceable(out: &Path, args: &GenArgs, is_archive: bool) -> Result<(), GenError> {
+    if !is_archive && !ROOTS.iter().any(|root| out.join(root).is_file()) {
         let reason = format!("{} holds no tile set; --overwrite replaces tile sets only", out.display());
         return Err(GenError::Argument(reason));
     }
@@ -277,6 +294,8 @@ fn check_replaceable(out: &Path, args: &GenArgs) -> Result<(), GenError> {
 struct Terrain {
     source: Box<dyn ElevationSource>,
     extent: Extent,
+    /// The smallest step between samples, east and north, in radians.
+    step: [f64; 2],
     levels: u32,
     /// True if the finest level is as fine as the source.
     is_fine: bool,
@@ -305,9 +324,12 @@ fn terrain(
         let extent = Extent { west: lon - half_lon, south: lat - half, east: lon + half_lon, north: lat + half };
         let source = Procedural { seed: args.seed, cos_latitude: lat.cos() };
         let levels = args.levels.unwrap_or(PROCEDURAL_LEVELS);
+        let cells = (CELLS << (PROCEDURAL_LEVELS - 1)) as f64;
+        let step = [2.0 * half_lon / cells, 2.0 * half / cells];
         return Ok(Terrain {
             source: Box::new(source),
             extent,
+            step,
             levels,
             is_fine: false,
             places: Vec::new(),
@@ -349,7 +371,11 @@ fn terrain(
         return Err(GenError::Argument("--aligned has no effect for elevation around the whole earth".to_owned()));
     }
     let grid = if args.run.aligned { ALIGNED } else { e };
-    let sides = [grid.east - grid.west, grid.north - grid.south];
+    let sides = match args.content {
+        // The tiles of the top level are half as wide as the earth.
+        ContentKind::QuantizedMesh => [PI; 2],
+        _ => [grid.east - grid.west, grid.north - grid.south],
+    };
     let needed = levels_for(sides, step, CELLS);
     let mut wanted = needed;
     if let Some(imagery) = imagery {
@@ -376,7 +402,7 @@ fn terrain(
     let pixel = distances.fold([0.0f64; 2], |widest, own| [widest[0].max(own[0]), widest[1].max(own[1])]);
     let source = Box::new(Mosaic::new(rasters, args.blend));
     let is_fine = levels >= needed;
-    Ok(Terrain { source, extent: e, levels, is_fine, places, pixel, notes, context: Some(context) })
+    Ok(Terrain { source, extent: e, step, levels, is_fine, places, pixel, notes, context: Some(context) })
 }
 
 /// Returns the number of levels whose finest one has steps of at most a size, for a rectangle with these sides. A tile has
@@ -435,22 +461,32 @@ pub(crate) struct Opened<'a> {
     pub notes: &'a (dyn Fn() -> Vec<String> + Sync),
 }
 
+fn open_datum_grid(args: &GenArgs) -> Result<Option<Arc<DatumGrid>>, GenError> {
+    Ok(args.datum_grid.as_deref().map(DatumGrid::read).transpose()?.map(Arc::new))
+}
+
+/// Fails if no source has the datum of a grid.
+fn check_use(datum_grid: Option<&DatumGrid>) -> Result<(), GenError> {
+    match datum_grid.is_some_and(|grid| !grid.is_used()) {
+        true => Err(GenError::Argument("--datum-grid has no effect: the datum of all sources is WGS84".to_owned())),
+        false => Ok(()),
+    }
+}
+
 /// Opens the sources and calls with them.
 pub(crate) fn with_grid<T>(
     args: &GenArgs,
     call: impl FnOnce(&Opened<'_>) -> Result<T, GenError>,
 ) -> Result<T, GenError> {
     let cache = Arc::new(BlockCache::new(args.run.memory.map_or(DEFAULT_CACHE_BYTES, |_| MIN_CACHE_BYTES)));
-    let datum_grid = args.datum_grid.as_deref().map(DatumGrid::read).transpose()?.map(Arc::new);
+    let datum_grid = open_datum_grid(args)?;
     let imagery = match args.imagery.is_empty() {
         true => None,
         false => Some(Imagery::open(&args.imagery, args.epsg.as_ref(), datum_grid.as_deref(), &cache)?),
     };
-    let Terrain { source, extent, levels, is_fine, places, pixel, notes, context } =
+    let Terrain { source, extent, levels, is_fine, places, pixel, notes, context, .. } =
         terrain(args, imagery.as_ref(), datum_grid.as_ref(), &cache)?;
-    if datum_grid.is_some_and(|grid| !grid.is_used()) {
-        return Err(GenError::Argument("--datum-grid has no effect: the datum of all sources is WGS84".to_owned()));
-    }
+    check_use(datum_grid.as_deref())?;
     if let (Some(image), Some(path)) = (&imagery, args.imagery.first())
         && !image.covers(&extent)?
     {

@@ -37,7 +37,7 @@ pub use elevation::{
 pub use error::GenError;
 pub use generate::{Outcome, default_set, execute, predict, run};
 pub use georeference::{Crs, Projection, VerticalDatum, utm_from_geodetic, utm_to_geodetic};
-pub use output::{PartialFolder, TextureFormat, TileArgs, Triangles};
+pub use output::{ArchiveFormat, OutputArgs, PartialFolder, TextureFormat, TileArgs, Tiling, Triangles};
 pub use prediction::{LevelPrediction, Prediction};
 pub use progress::Progress;
 pub use pyramid::{Extent, TileKey};

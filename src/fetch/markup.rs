@@ -49,7 +49,21 @@ pub(crate) fn plain_text(html: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::plain_text;
+    use super::{plain_text, refuse_markup};
+
+    /// Regression: one of 256 terrain tiles begins with the byte of `<`.
+    #[test]
+    fn binary_files_may_begin_like_markup() {
+        for (bytes, is_markup) in [
+            (&b"<!DOCTYPE html>"[..], true),
+            (b"\xef\xbb\xbf\n <html><body>x", true),
+            (b"<a/>", true),
+            (b"<\x80\x11\x00\xa3{AA<html>", false),
+            (b"", false),
+        ] {
+            assert_eq!(refuse_markup("u", bytes).is_err(), is_markup, "{bytes:?}");
+        }
+    }
 
     #[test]
     fn attributions_become_plain_text() {

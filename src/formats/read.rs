@@ -333,6 +333,9 @@ impl ModelReader<'_> {
                 read_gltf(json, None, None)
             };
         }
+        if terrain::is_tile_name(uri) {
+            return terrain::read_alone(uri, bytes, options, notes);
+        }
         refuse_markup(uri, bytes)?;
         if image::is_image(bytes) {
             return Err(IoError::unsupported(uri, "an image as the content of a tile"));

@@ -541,6 +541,7 @@ fn quantized_meshes_take_16_bytes_per_vertex_and_look_the_same() {
             image: None,
             base_color: [0.8, 0.6, 0.4, 1.0],
             quantized,
+            file_from_mesh: None,
         };
         let content = terrane::formats::Content {
             uri: "/ball.glb".into(),

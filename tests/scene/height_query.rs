@@ -109,7 +109,7 @@ fn heights_and_meshes_of_the_same_ground_agree_on_the_earth() {
         // The meshes of height tiles.
         let triangles = match content {
             terrane_data_gen::ContentKind::Mesh => terrane_data_gen::Triangles::Grid,
-            terrane_data_gen::ContentKind::Height => terrane_data_gen::Triangles::default(),
+            _ => terrane_data_gen::Triangles::default(),
         };
         let args = terrane_data_gen::GenArgs {
             levels: Some(3),

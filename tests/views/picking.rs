@@ -52,7 +52,7 @@ fn picks_hit_the_visible_ground() {
         // The meshes of height tiles.
         let triangles = match content {
             terrane_data_gen::ContentKind::Mesh => terrane_data_gen::Triangles::Grid,
-            terrane_data_gen::ContentKind::Height => terrane_data_gen::Triangles::default(),
+            _ => terrane_data_gen::Triangles::default(),
         };
         let args = terrane_data_gen::GenArgs {
             levels: Some(4),

@@ -4,7 +4,9 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
+use super::implicit::{self, Subtrees};
 use super::journal::Journal;
+use super::options::Tiling;
 use super::tile_set::{Written, write_tiles, write_whole};
 use super::tree::{Tree, external_name, external_tileset, trunk_tileset};
 use crate::args::{Color, GenArgs};
@@ -81,7 +83,11 @@ impl<'a> Builder<'a> {
         let tree = Tree::new(self.args, &block, distances_m);
         let (mut geometric_error_m, mut json) = (0.0, String::new());
         if block.facts(root).coverage != Coverage::None {
-            (geometric_error_m, json) = (tree.geometric_error_m(root), tree.external_root());
+            geometric_error_m = tree.geometric_error_m(root);
+            json = match self.is_implicit() {
+                true => implicit::list(&tree.entries()),
+                false => tree.external_root(),
+            };
         }
         let record = block.record(bytes, tree.root_region(), geometric_error_m, json);
         self.journal.save(root, &record)?;
@@ -96,10 +102,21 @@ impl<'a> Builder<'a> {
         }
         let Written { bytes, distances_m } = self.write(&block)?;
         totals.add(&block.totals(bytes));
-        let text = Tree::new(self.args, &block, distances_m).tileset(&totals);
-        let bytes = self.write_external(&totals, blocks.iter().flatten().filter(|key| key.level > 0))?;
-        totals.bytes += bytes + write_whole(&self.folder.join("tileset.json"), text.as_bytes())?;
+        let tree = Tree::new(self.args, &block, distances_m);
+        let text = tree.tileset(&totals);
+        let below = match self.is_implicit() {
+            true => {
+                let shape = (self.grid.levels, tree.contents().len());
+                Subtrees::new(self.plan, &self.journal, self.folder, shape, tree.entries()).write(TileKey::ROOT)?
+            }
+            false => self.write_external(&totals, blocks.iter().flatten().filter(|key| key.level > 0))?,
+        };
+        totals.bytes += below + write_whole(&self.folder.join("tileset.json"), text.as_bytes())?;
         Ok(totals)
+    }
+
+    fn is_implicit(&self) -> bool {
+        self.args.output.tiling == Tiling::Implicit
     }
 
     /// Makes the tilesets of an aligned set, whose coarsest tiles are the roots of blocks.

@@ -76,7 +76,7 @@ impl TileArgs {
     /// Checks options that have no effect together with others.
     pub(crate) fn check(&self, args: &GenArgs) -> Result<(), String> {
         if args.content == ContentKind::Height && self.triangles != Triangles::default() {
-            return Err("--mesh has no effect without --content mesh".to_owned());
+            return Err("--mesh has no effect without --content mesh or quantized-mesh".to_owned());
         }
         if args.float_vertices && self.no_meshopt {
             return Err("--no-meshopt has no effect with --float-vertices".to_owned());

@@ -1,12 +1,12 @@
 //! Builds mesh content: the triangles of a tile with skirts, in the east-north-up frame at the tile's centre.
 
-use glam::{DAffine3, DVec3};
+use glam::{DAffine3, DMat3, DMat4, DVec3};
 use terrane::formats::writers::GlbMesh;
 use terrane::math::{Geodetic, WGS84};
 
 use super::encoding::Triangles;
-use super::tin::{Surface, Tin, edge_vertices, triangulate};
-use crate::pyramid::{Block, CELLS, TileKey};
+use super::tin::Tin;
+use crate::pyramid::{Block, CELLS, Extent, TileKey};
 
 /// Returns the transform from the frame of a tile's mesh to ECEF.
 pub(crate) fn ecef_from_tile(block: &Block<'_>, key: TileKey) -> DAffine3 {
@@ -16,64 +16,40 @@ pub(crate) fn ecef_from_tile(block: &Block<'_>, key: TileKey) -> DAffine3 {
     WGS84.ecef_from_enu(&Geodetic { longitude: 0.5 * (e.west + e.east), latitude: 0.5 * (e.south + e.north), height_m })
 }
 
+/// Returns the transform from a tile's mesh to a file whose frame, y up, is the earth's.
+pub(crate) fn file_from_tile(block: &Block<'_>, key: TileKey) -> DMat4 {
+    // glTF's y axis points up; a quarter turn about x maps it to z.
+    let z_up_from_y_up = DAffine3::from_mat3(DMat3::from_cols(DVec3::X, DVec3::Z, DVec3::NEG_Y));
+    DMat4::from(z_up_from_y_up.inverse() * ecef_from_tile(block, key) * z_up_from_y_up)
+}
+
 /// Returns the triangles of a tile with data.
 pub(crate) fn triangles(block: &Block<'_>, key: TileKey, kind: Triangles) -> Tin {
     match kind {
-        Triangles::Grid => grid(block, key),
+        Triangles::Grid => Tin::grid(|i, j| block.triangles(key, i, j)),
         Triangles::Tin => tin(block, key),
     }
 }
 
-/// Returns two triangles for each cell.
-fn grid(block: &Block<'_>, key: TileKey) -> Tin {
-    let side = CELLS as u16 + 1;
-    let vertices = (0..side).flat_map(|j| (0..side).map(move |i| [i, j])).collect();
-    let mut triangles = Vec::with_capacity(2 * CELLS * CELLS);
-    for (i, j) in (0..CELLS * CELLS).map(|k| (k % CELLS, k / CELLS)) {
-        let at = |di: usize, dj: usize| ((j + dj) * (CELLS + 1) + i + di) as u16;
-        let [south_east, north_west] = block.triangles(key, i, j);
-        triangles.extend(south_east.then(|| [at(0, 0), at(1, 0), at(1, 1)]));
-        triangles.extend(north_west.then(|| [at(0, 0), at(1, 1), at(0, 1)]));
-    }
-    Tin { vertices, triangles, distance_m: 0.0 }
-}
-
 fn tin(block: &Block<'_>, key: TileKey) -> Tin {
-    let curvature_m = |row: i64| curvature_m(block, key, row);
-    let height_m = |i: i64, j: i64| block.height_m(key, i, j);
+    let cells = (CELLS as i64) << key.level;
     let has_data = |i: i64, j: i64| {
         // Cells beyond the edge belong to neighbours; beyond the edge of the block they repeat the nearest ones. So at borders of voids
         // on such an edge, tiles of two blocks may keep different vertices, within the allowed distance and covered by skirts.
-        let cells = (CELLS as i64) << key.level;
         let [x, y] = [(key.x, i), (key.y, j)].map(|(tile, c)| (i64::from(tile) * CELLS as i64 + c).clamp(0, cells - 1));
         let [(x, i), (y, j)] = [x, y].map(|c| ((c as usize / CELLS) as u32, c as usize % CELLS));
         block.triangles(TileKey { level: key.level, x, y }, i, j)
     };
-    let surface = Surface::new(CELLS + 1, height_m, curvature_m, Some(&has_data));
-    let last = CELLS as i64;
-    let edge = |at: fn(i64, i64) -> [i64; 2], curvature_m: f64| {
-        let places: Vec<[i64; 2]> = (0..=last).map(|k| at(k, last)).collect();
-        let heights_m: Vec<f32> = places.iter().map(|[i, j]| height_m(*i, *j)).collect();
-        edge_vertices(&heights_m, curvature_m, |k| surface.is_border(places[k].map(|c| c as i32)))
-    };
-    let north_m = curvature_m(last / 2)[1];
-    let edges = [
-        edge(|k, _| [k, 0], curvature_m(0)[0]),
-        edge(|k, last| [last, k], north_m),
-        edge(|k, last| [k, last], curvature_m(last)[0]),
-        edge(|k, _| [0, k], north_m),
-    ];
-    triangulate(&surface, &edges)
+    let set = block.extent(TileKey::ROOT);
+    let curvature_m = |row: i64| curvature_m(&set, cells, i64::from(key.y) * CELLS as i64 + row);
+    Tin::of_samples(&|i, j| block.height_m(key, i, j), &curvature_m, Some(&has_data), f64::INFINITY)
 }
 
 /// Returns the height in metres by which the earth falls below its tangent plane within one cell eastwards and one northwards at
-/// a row. Tiles that share the row get the same bits.
-fn curvature_m(block: &Block<'_>, key: TileKey, row: i64) -> [f64; 2] {
-    let set = block.extent(TileKey::ROOT);
-    let cells = ((CELLS as u64) << key.level) as f64;
-    let from_south = i64::from(key.y) * CELLS as i64 + row;
-    let latitude = set.south + (set.north - set.south) * (from_south as f64 / cells);
-    let [d_lon, d_lat] = [set.east - set.west, set.north - set.south].map(|side| side / cells);
+/// a row of a set with `cells` cells along a side. Tiles that share the row get the same bits.
+pub(crate) fn curvature_m(set: &Extent, cells: i64, row: i64) -> [f64; 2] {
+    let latitude = set.south + (set.north - set.south) * (row as f64 / cells as f64);
+    let [d_lon, d_lat] = [set.east - set.west, set.north - set.south].map(|side| side / cells as f64);
     let radius_m = WGS84.prime_vertical_radius_m(latitude);
     let flatter = 1.0 - WGS84.eccentricity_squared() * latitude.sin().powi(2);
     let meridian_m = radius_m * (1.0 - WGS84.eccentricity_squared()) / flatter;

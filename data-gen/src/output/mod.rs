@@ -1,18 +1,26 @@
 //! Writes a tile set: its tiles and tilesets, in a temporary folder that is moved to OUT when it is complete.
 
+mod archive;
 mod builder;
 mod encoding;
+mod finish;
+mod implicit;
 mod journal;
 mod mesh;
+mod options;
 mod partial_folder;
+mod terrain;
 mod tile_set;
 mod tin;
 mod tree;
 
 pub(crate) use builder::{Builder, blocks};
 pub use encoding::{TextureFormat, TileArgs, Triangles};
+pub(crate) use finish::{finish, is_archive_at};
 pub(crate) use journal::{CompleteTile, Journal};
-pub(crate) use partial_folder::MARKER;
+pub use options::{ArchiveFormat, OutputArgs, Tiling};
 pub use partial_folder::PartialFolder;
+pub(crate) use partial_folder::{MARKER, ROOTS};
+pub(crate) use terrain::write_terrain;
 pub(crate) use tile_set::write_whole;
 pub(crate) use tree::{level_errors_m, voids};

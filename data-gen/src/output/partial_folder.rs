@@ -14,6 +14,9 @@ pub(crate) const MARKER: &str = ".terrane-gen";
 /// The content of the marker, so that other files of the same name are not taken for one.
 const MARKER_TEXT: &str = "terrane gen writes here\n";
 
+/// The names of files that make a folder a set.
+pub(crate) const ROOTS: [&str; 2] = ["tileset.json", "layer.json"];
+
 /// A temporary folder beside the folder OUT of a set. Dropping it before [`Self::put_in_place`] removes it.
 #[derive(Debug)]
 pub struct PartialFolder {
@@ -166,14 +169,14 @@ fn marker_of(folder: &Path) -> Marker {
 }
 
 /// Moves a folder to a path that may hold an empty folder. If it does, the entries of `from` are moved into it, because
-/// the folder itself may be a mount point that cannot be replaced. `tileset.json` is moved last, so that an incomplete
-/// set is never visible as one. On failure the moved entries are removed.
+/// the folder itself may be a mount point that cannot be replaced. `tileset.json` or `layer.json` is moved last, so that an
+/// incomplete set is never visible as one. On failure the moved entries are removed.
 fn move_folder(from: &Path, to: &Path, rename: impl Fn(&Path, &Path) -> io::Result<()>) -> io::Result<()> {
     if !is_empty_folder(to) {
         return rename(from, to);
     }
     let mut names = fs::read_dir(from)?.map(|entry| entry.map(|e| e.file_name())).collect::<io::Result<Vec<_>>>()?;
-    names.sort_by_key(|name| name == "tileset.json");
+    names.sort_by_key(|name| ROOTS.iter().any(|root| name == root));
     let moved = names.iter().try_for_each(|name| {
         let (from, to) = (from.join(name), to.join(name));
         // Renaming fails between file systems.

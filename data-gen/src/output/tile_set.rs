@@ -8,6 +8,7 @@ use terrane::formats::writers::{write_compressed_glb, write_glb, write_height_ex
 
 use super::encoding::Triangles;
 use super::mesh;
+use super::options::Tiling;
 use crate::args::{Color, ContentKind, GenArgs};
 use crate::color::{Painter, TEXELS};
 use crate::pyramid::{Block, CELLS, Coverage, TileKey};
@@ -79,7 +80,7 @@ fn write_tile(
     let extensions = match form {
         ContentKind::Height if args.color != Color::None => &[format.extension(), "exr"][..],
         ContentKind::Height => &["exr"],
-        ContentKind::Mesh => &["glb"],
+        ContentKind::Mesh | ContentKind::QuantizedMesh => &["glb"],
     };
     let tin = (form == ContentKind::Mesh).then(|| mesh::triangles(block, key, triangles(args)));
     let distance_m = tin.as_ref().map_or(0.0, |tin| tin.distance_m);
@@ -105,7 +106,9 @@ fn write_tile(
             image.map_or(Ok(0), |image| write(format.extension(), &image))? + write("exr", &exr)?
         }
         Some(tin) => {
-            let mesh = mesh::build(block, key, &tin, skirt_m(args, block, key), image, !args.float_vertices);
+            let mut mesh = mesh::build(block, key, &tin, skirt_m(args, block, key), image, !args.float_vertices);
+            // Tiles of implicit tilings have no transform.
+            mesh.file_from_mesh = (args.output.tiling == Tiling::Implicit).then(|| mesh::file_from_tile(block, key));
             let is_compressed = !args.float_vertices && !args.tiles.no_meshopt;
             write("glb", &if is_compressed { write_compressed_glb(&mesh) } else { write_glb(&mesh) })?
         }
@@ -116,7 +119,7 @@ fn write_tile(
 /// Returns the triangles of meshes. Beside height tiles they have all vertices of a common edge.
 fn triangles(args: &GenArgs) -> Triangles {
     match args.content {
-        ContentKind::Mesh => args.tiles.triangles,
+        ContentKind::Mesh | ContentKind::QuantizedMesh => args.tiles.triangles,
         ContentKind::Height => Triangles::Grid,
     }
 }

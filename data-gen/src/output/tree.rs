@@ -7,7 +7,9 @@ use std::f64::consts::{FRAC_PI_2, PI, TAU};
 use glam::{DAffine3, DMat4};
 use serde_json::{Value, json};
 
+use super::implicit::{Entry, SUBTREE_LEVELS, SUBTREES, tile_class};
 use super::mesh;
+use super::options::Tiling;
 use super::tile_set::{form, skirt_m};
 use crate::args::{Color, ContentKind, GenArgs, Voids};
 use crate::georeference::ROUNDING;
@@ -106,15 +108,65 @@ impl<'a> Tree<'a> {
         tree.to_string()
     }
 
+    /// Returns the tiles of the block for subtree files.
+    pub fn entries(&self) -> Vec<Entry> {
+        let contents = self.contents();
+        let entry = |key: TileKey| {
+            let region = self.regions.get(&key)?;
+            let form = form(self.args, self.block, key);
+            let content = contents.iter().position(|content| *content == form)?;
+            let geometric_error_m = self.geometric_error_m(key);
+            Some(Entry { key, content, geometric_error_m, heights_m: [region[4], region[5]] })
+        };
+        self.block.keys().filter_map(entry).collect()
+    }
+
+    /// Returns the forms of content that tiles of the set may have.
+    pub fn contents(&self) -> &'static [ContentKind] {
+        match self.args.content {
+            ContentKind::Height => &[ContentKind::Height, ContentKind::Mesh],
+            _ => &[ContentKind::Mesh],
+        }
+    }
+
+    /// Returns the root tile of an implicit tiling.
+    fn implicit_root(&self) -> Value {
+        let levels = self.block.levels();
+        let template = |extension: &str| format!("{{level}}/{{x}}/{{y}}.{extension}");
+        let mut tile = json!({
+            "boundingVolume": { "region": self.regions.get(&TileKey::ROOT) },
+            "geometricError": self.geometric_error_m(TileKey::ROOT),
+            "implicitTiling": {
+                "subdivisionScheme": "QUADTREE", "subtreeLevels": SUBTREE_LEVELS, "availableLevels": levels,
+                "subtrees": { "uri": SUBTREES },
+            },
+        });
+        match self.args.content {
+            ContentKind::Height => {
+                tile["contents"] = json!([{ "uri": template("exr") }, { "uri": template("glb") }]);
+                if self.args.color != Color::None {
+                    let imagery = template(self.args.tiles.texture.extension());
+                    tile["extras"] = json!({ "terrane": { "imagery": imagery } });
+                }
+            }
+            _ => tile["content"] = json!({ "uri": template("glb") }),
+        }
+        tile
+    }
+
     /// Returns the tileset of the root's block.
     pub fn tileset(&self, totals: &Totals) -> String {
         let args = self.args;
+        let is_implicit = args.output.tiling == Tiling::Implicit;
         let facts = self.block.facts(TileKey::ROOT);
         let diagonal_m = 2.0 * (facts.error_m + f64::from(facts.max_height_m - facts.min_height_m)) + 1.0;
-        let tree = self.tile(TileKey::ROOT, DAffine3::IDENTITY, "");
+        let tree = if is_implicit { self.implicit_root() } else { self.tile(TileKey::ROOT, DAffine3::IDENTITY, "") };
         let root_error_m = tree["geometricError"].as_f64().unwrap_or(facts.error_m);
         let mut tileset = json!({ "asset": asset(args, totals, 0), "geometricError": diagonal_m.max(2.0 * root_error_m), "root": tree });
         (tileset["schema"], tileset["metadata"]) = (schema(), metadata(args, totals));
+        if is_implicit {
+            tileset["schema"]["classes"]["tile"] = tile_class();
+        }
         tileset["root"]["refine"] = "REPLACE".into();
         tileset.to_string()
     }
@@ -136,7 +188,7 @@ impl<'a> Tree<'a> {
                         json!({ "terrane": { "imagery": format!("{name}.{}", self.args.tiles.texture.extension()) } });
                 }
             }
-            ContentKind::Mesh => {
+            ContentKind::Mesh | ContentKind::QuantizedMesh => {
                 tile["content"] = json!({ "uri": format!("{name}.glb") });
                 ecef_from_tile = mesh::ecef_from_tile(self.block, key);
             }

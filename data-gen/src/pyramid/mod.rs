@@ -15,7 +15,7 @@ pub use grid::Extent;
 pub(crate) use grid::{ALIGNED, Grid, QUANTUM_M};
 pub(crate) use plan::{Layer, Plan, tiles_with_data};
 pub(crate) use record::{Record, Totals, checksum};
-pub(crate) use samples::Window;
+pub(crate) use samples::{Samples, Window};
 pub(crate) use surface::{Lattice, Surface};
 pub use tile::TileKey;
 pub(crate) use tile::{CELLS, Coverage};

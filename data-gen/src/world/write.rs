@@ -32,8 +32,8 @@ const MAX_LEVELS: u32 = 9;
 /// Checks options that have no effect with `--world`.
 pub(crate) fn check_world(args: &GenArgs) -> Result<(), String> {
     match args.world.world {
-        Some(_) if args.content == ContentKind::Mesh => {
-            Err("--world makes height tiles; --content mesh is not supported".to_owned())
+        Some(_) if args.content != ContentKind::Height => {
+            Err("--world makes height tiles; other values of --content are not supported".to_owned())
         }
         Some(_) if args.color == Color::None => Err("--color none is not supported with --world".to_owned()),
         Some(_) if args.levels.is_some_and(|levels| levels > MAX_LEVELS) => Err(format!(

@@ -6,6 +6,7 @@ mod date_line;
 mod files;
 mod fuzz_rasters;
 mod meshes;
+mod outputs;
 mod reference_systems;
 mod running;
 mod runs;

@@ -103,6 +103,9 @@ fn s2(uri: &str, json: &VolumeJson) -> Result<Option<(S2Cell, [f64; 2])>, IoErro
 
 /// Returns the map from the frame of the whole set to that of a tileset; `None` if they are the same or it has no inverse.
 pub(super) fn inverse(set_from_content: &DAffine3) -> Option<DAffine3> {
+    // A transform that undoes the one above it leaves rounding errors, which are micrometres on the earth.
+    let is_identity = set_from_content.matrix3.abs_diff_eq(DMat3::IDENTITY, 1e-12)
+        && set_from_content.translation.abs_diff_eq(DVec3::ZERO, 1e-5);
     let inverse = set_from_content.inverse();
-    (*set_from_content != DAffine3::IDENTITY && inverse.is_finite()).then_some(inverse)
+    (!is_identity && inverse.is_finite()).then_some(inverse)
 }

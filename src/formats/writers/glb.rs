@@ -1,9 +1,10 @@
 //! Writes a minimal glb: one mesh, one material, at most one embedded image (glTF 2.0, section "GLB File Format",
 //! KHR_mesh_quantization and EXT_meshopt_compression).
 
+use glam::{DMat4, DVec3, Vec3};
 use serde_json::{Value, json};
 
-use super::meshopt::{Compression, compress};
+use super::buffers::{Accuracy, Buffers, Component, Elements, MESHOPT, bounds};
 
 /// A triangle mesh in the conventions of glTF: y-up, counter-clockwise.
 #[derive(Clone, Debug, Default)]
@@ -25,20 +26,8 @@ pub struct GlbMesh {
     /// Texture coordinates outside of 0..1 stay floats. So does everything in a mesh without positions or with positions that
     /// are not finite.
     pub quantized: bool,
-}
-
-// Component types of accessors.
-const BYTE: u32 = 5120;
-const UNSIGNED_SHORT: u32 = 5123;
-const UNSIGNED_INT: u32 = 5125;
-const FLOAT: u32 = 5126;
-
-/// Returns the smallest and the largest coordinates.
-fn bounds(positions: &[[f32; 3]]) -> [[f32; 3]; 2] {
-    let fold = |start: f32, pick: fn(f32, f32) -> f32| {
-        positions.iter().fold([start; 3], |b, p| [pick(b[0], p[0]), pick(b[1], p[1]), pick(b[2], p[2])])
-    };
-    [fold(f32::INFINITY, f32::min), fold(f32::NEG_INFINITY, f32::max)]
+    /// Maps the mesh to the frame of the file, which is y-up too; `None` for the same frame.
+    pub file_from_mesh: Option<DMat4>,
 }
 
 /// Quantizes coordinates to 16 bits: `low` becomes 0, and `low + side` becomes 65,535.
@@ -84,55 +73,6 @@ fn image_kind(file: &[u8]) -> (&'static str, Option<&'static str>) {
     }
 }
 
-/// The buffer views of a file and their bytes.
-struct Views {
-    views: Vec<Value>,
-    binary: Vec<u8>,
-    /// Compresses attributes and indices.
-    compressed: bool,
-    /// The bytes of the compressed views after decompression, at multiples of 4.
-    decompressed: usize,
-}
-
-impl Views {
-    /// Adds the bytes at a multiple of 4 and returns where they begin.
-    fn append(&mut self, bytes: &[u8]) -> usize {
-        self.binary.resize(self.binary.len().next_multiple_of(4), 0);
-        let at = self.binary.len();
-        self.binary.extend_from_slice(bytes);
-        at
-    }
-
-    /// Adds a view of an image and returns its index.
-    fn image(&mut self, bytes: &[u8]) -> usize {
-        let at = self.append(bytes);
-        self.views.push(json!({ "buffer": 0, "byteOffset": at, "byteLength": bytes.len() }));
-        self.views.len() - 1
-    }
-
-    /// Adds a view of elements of one size and returns its index. Views of attributes name their stride.
-    fn elements(&mut self, bytes: &[u8], target: u32, compression: Compression) -> usize {
-        let packed = if self.compressed { compress(bytes, compression) } else { None };
-        let mut view = json!({ "byteLength": bytes.len(), "target": target });
-        if let Compression::Attributes { stride } | Compression::Normals { stride } = compression {
-            view["byteStride"] = stride.into();
-        }
-        match packed {
-            Some(packed) => {
-                let mut extension = compression.properties(bytes.len());
-                (extension["buffer"], extension["byteLength"]) = (0.into(), packed.len().into());
-                extension["byteOffset"] = self.append(&packed).into();
-                (view["buffer"], view["byteOffset"]) = (1.into(), self.decompressed.into());
-                view["extensions"] = json!({ "EXT_meshopt_compression": extension });
-                self.decompressed += bytes.len().next_multiple_of(4);
-            }
-            None => (view["buffer"], view["byteOffset"]) = (0.into(), self.append(bytes).into()),
-        }
-        self.views.push(view);
-        self.views.len() - 1
-    }
-}
-
 /// Returns the bytes of a glb file. Chunks are padded to 4 bytes, and the position accessor has the bounds that glTF requires.
 pub fn write_glb(mesh: &GlbMesh) -> Vec<u8> {
     write(mesh, false)
@@ -145,74 +85,46 @@ pub fn write_compressed_glb(mesh: &GlbMesh) -> Vec<u8> {
 }
 
 fn write(mesh: &GlbMesh, compressed: bool) -> Vec<u8> {
-    let mut views = Views { views: Vec::new(), binary: Vec::new(), compressed, decompressed: 0 };
-    let mut accessors = Vec::new();
+    let mut buffers = Buffers::new(compressed);
     let mut attributes = serde_json::Map::new();
-    // Strides are multiples of 4 bytes, as glTF requires.
-    let mut attribute = |name: &str, kind: &str, component: u32, stride: usize, bytes: &[u8]| {
-        let compression = match (name, component) {
-            ("NORMAL", BYTE) => Compression::Normals { stride },
-            _ => Compression::Attributes { stride },
-        };
-        let index = views.elements(bytes, 34962, compression);
-        attributes.insert(name.into(), accessors.len().into());
-        accessors.push(json!({
-            "bufferView": index, "componentType": component, "count": bytes.len() / stride, "type": kind,
-        }));
-        if let Some(last) = accessors.last_mut().filter(|_| component != FLOAT) {
-            last["normalized"] = true.into();
-        }
-    };
     let grid = Grid::of(mesh);
-    let [min, max] = match &grid {
+    // Strides are multiples of 4 bytes, as glTF requires.
+    let positions = match &grid {
         Some(grid) => {
             let steps: Vec<[u16; 4]> = mesh.positions.iter().map(|p| grid.steps(p)).collect();
-            attribute("POSITION", "VEC3", UNSIGNED_SHORT, 8, bytemuck::cast_slice(&steps));
+            let accessor = buffers.attribute(&elements("VEC3", Component::U16, 8, bytemuck::cast_slice(&steps)));
             let bound = |pick: fn(u16, u16) -> u16| {
                 let of_all = steps.iter().copied().reduce(|a, b| std::array::from_fn(|k| pick(a[k], b[k])));
                 json!(of_all.unwrap_or_default()[..3])
             };
-            [bound(u16::min), bound(u16::max)]
+            buffers.set_bounds(accessor, [bound(u16::min), bound(u16::max)]);
+            accessor
         }
-        None => {
-            attribute("POSITION", "VEC3", FLOAT, 12, bytemuck::cast_slice(&mesh.positions));
-            bounds(&mesh.positions).map(|bound| json!(bound))
-        }
+        None => buffers.positions(&mesh.positions),
     };
+    attributes.insert("POSITION".into(), positions.into());
     if !mesh.normals.is_empty() {
-        if grid.is_some() {
+        let accessor = if grid.is_some() {
             let padded: Vec<[i8; 4]> =
                 mesh.normals.iter().map(|n| n.map(snorm8)).map(|[x, y, z]| [x, y, z, 0]).collect();
-            attribute("NORMAL", "VEC3", BYTE, 4, bytemuck::cast_slice(&padded));
+            let elements = elements("VEC3", Component::I8, 4, bytemuck::cast_slice(&padded));
+            buffers.attribute(&Elements { accuracy: Accuracy::Octahedral, ..elements })
         } else {
-            attribute("NORMAL", "VEC3", FLOAT, 12, bytemuck::cast_slice(&mesh.normals));
-        }
+            buffers.attribute(&elements("VEC3", Component::F32, 12, bytemuck::cast_slice(&mesh.normals)))
+        };
+        attributes.insert("NORMAL".into(), accessor.into());
     }
     if !mesh.uvs.is_empty() {
-        if grid.is_some() && mesh.uvs.as_flattened().iter().all(|x| (0.0..=1.0).contains(x)) {
+        let accessor = if grid.is_some() && mesh.uvs.as_flattened().iter().all(|x| (0.0..=1.0).contains(x)) {
             let steps: Vec<[u16; 2]> = mesh.uvs.iter().map(|uv| uv.map(unorm16)).collect();
-            attribute("TEXCOORD_0", "VEC2", UNSIGNED_SHORT, 4, bytemuck::cast_slice(&steps));
+            buffers.attribute(&elements("VEC2", Component::U16, 4, bytemuck::cast_slice(&steps)))
         } else {
-            attribute("TEXCOORD_0", "VEC2", FLOAT, 8, bytemuck::cast_slice(&mesh.uvs));
-        }
+            buffers.attribute(&elements("VEC2", Component::F32, 8, bytemuck::cast_slice(&mesh.uvs)))
+        };
+        attributes.insert("TEXCOORD_0".into(), accessor.into());
     }
-    accessors[0]["min"] = min;
-    accessors[0]["max"] = max;
-    // The largest 16-bit index is reserved for primitive restart.
-    let long: Vec<u32> = match mesh.indices.contains(&u16::MAX) {
-        true => mesh.indices.iter().copied().map(u32::from).collect(),
-        false => Vec::new(),
-    };
-    let (component, bytes) = match long.is_empty() {
-        true => (UNSIGNED_SHORT, bytemuck::cast_slice(&mesh.indices)),
-        false => (UNSIGNED_INT, bytemuck::cast_slice(&long)),
-    };
-    let size = bytes.len() / mesh.indices.len().max(1);
-    let index = views.elements(bytes, 34963, Compression::Triangles { size });
-    let indices = accessors.len();
-    accessors.push(
-        json!({ "bufferView": index, "componentType": component, "count": mesh.indices.len(), "type": "SCALAR" }),
-    );
+    let indices: Vec<u32> = mesh.indices.iter().copied().map(u32::from).collect();
+    let indices = buffers.indices(&indices, mesh.positions.len(), true);
     let mut pbr = json!({ "metallicFactor": 0.0, "roughnessFactor": 1.0, "baseColorFactor": mesh.base_color });
     let mut root = json!({
         "asset": { "version": "2.0", "generator": "terrane" },
@@ -221,16 +133,25 @@ fn write(mesh: &GlbMesh, compressed: bool) -> Vec<u8> {
     });
     let mut extensions = Vec::new();
     if let Some(Grid { low, side }) = grid {
-        root["nodes"][0]["translation"] = json!(low);
-        root["nodes"][0]["scale"] = json!([side, side, side]);
+        match mesh.file_from_mesh {
+            None => {
+                root["nodes"][0]["translation"] = json!(low);
+                root["nodes"][0]["scale"] = json!([side, side, side]);
+            }
+            Some(map) => {
+                let mesh_from_steps = DMat4::from_translation(Vec3::from(low).as_dvec3())
+                    * DMat4::from_scale(DVec3::splat(f64::from(side)));
+                root["nodes"][0]["matrix"] = json!((map * mesh_from_steps).to_cols_array());
+            }
+        }
         extensions.push("KHR_mesh_quantization");
+    } else if let Some(map) = mesh.file_from_mesh {
+        root["nodes"][0]["matrix"] = json!(map.to_cols_array());
     }
-    if views.decompressed > 0 {
-        extensions.push("EXT_meshopt_compression");
-    }
+    extensions.extend(buffers.has_compressed().then_some(MESHOPT));
     if let Some(image) = &mesh.image {
         let (mime, extension) = image_kind(image);
-        root["images"] = json!([{ "bufferView": views.image(image), "mimeType": mime }]);
+        root["images"] = json!([{ "bufferView": buffers.view(image), "mimeType": mime }]);
         root["samplers"] = json!([{ "magFilter": 9729, "minFilter": 9987, "wrapS": 33071, "wrapT": 33071 }]);
         root["textures"] = json!([match extension {
             Some(name) => json!({ "sampler": 0, "extensions": { name: { "source": 0 } } }),
@@ -243,17 +164,13 @@ fn write(mesh: &GlbMesh, compressed: bool) -> Vec<u8> {
         (root["extensionsUsed"], root["extensionsRequired"]) = (json!(extensions), json!(extensions));
     }
     root["materials"] = json!([{ "pbrMetallicRoughness": pbr }]);
-    root["accessors"] = accessors.into();
-    let Views { views, mut binary, decompressed, .. } = views;
-    root["bufferViews"] = views.into();
-    binary.resize(binary.len().next_multiple_of(4), 0);
-    root["buffers"] = json!([{ "byteLength": binary.len() }]);
-    if decompressed > 0 {
-        // Its bytes exist only after decompression.
-        let fallback = json!({ "EXT_meshopt_compression": { "fallback": true } });
-        root["buffers"] = json!([root["buffers"][0], { "byteLength": decompressed, "extensions": fallback }]);
-    }
-    container(&root, &binary)
+    buffers.into_glb(root)
+}
+
+/// Returns elements, of which those of whole numbers are normalized.
+fn elements<'a>(kind: &'static str, component: Component, stride: usize, bytes: &'a [u8]) -> Elements<'a> {
+    let is_normalized = component != Component::F32;
+    Elements { kind, component, is_normalized, stride, bytes, accuracy: Accuracy::Exact }
 }
 
 /// Returns a glb file of a document and its binary chunk, which is left out if it is empty. The length of the chunk is a multiple

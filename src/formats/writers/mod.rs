@@ -1,11 +1,14 @@
-//! Writers of tiles: glb and EXR height tiles. Used by `data-gen`, by [`convert`](crate::formats::convert) and by applications
+//! Writers of tiles: glb, EXR height tiles and quantized-mesh terrain. Used by `data-gen`, by [`convert`](crate::formats::convert) and by applications
 //! that generate tiles; never called by the threads of the frame.
 
+mod buffers;
 mod glb;
 mod height;
-mod meshopt;
 mod model;
+mod order;
+mod quantized_mesh;
 
 pub use glb::{GlbMesh, container as glb_container, write_compressed_glb, write_glb};
 pub use height::write_height_exr;
 pub(in crate::formats) use model::{Leaf, Model, write_model};
+pub use quantized_mesh::{TerrainMesh, write_quantized_mesh};

@@ -44,6 +44,7 @@ fn triangle(image: Vec<u8>) -> Vec<u8> {
         image: Some(image),
         base_color: [1.0; 4],
         quantized: false,
+        file_from_mesh: None,
     })
 }
 

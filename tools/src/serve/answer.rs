@@ -261,8 +261,8 @@ impl Server {
         Ok(answer)
     }
 
-    /// Opens the requested file, or its `.gz` (then with true) if the client accepts that. Files outside of the folder are
-    /// refused, also through links.
+    /// Opens the requested file, or its `.gz` if the client accepts that. True for files that gzip has compressed, also under their
+    /// own names. Files outside of the folder are refused, also through links.
     fn open(&self, request: &Request) -> Option<(File, bool)> {
         let relative = Path::new(request.path.trim_start_matches('/'));
         if !relative.components().all(|c| matches!(c, Component::Normal(_))) {
@@ -280,7 +280,14 @@ impl Server {
         let gzip = if request.takes_gzip { open(packed.into()) } else { None };
         match gzip {
             Some(file) => Some((file, true)),
-            None => open(path).map(|file| (file, false)),
+            None => {
+                let mut file = open(path)?;
+                let mut magic = [0; 2];
+                let is_gzip = file.read_exact(&mut magic).is_ok() && magic == [0x1f, 0x8b];
+                file.rewind().ok()?;
+                // Without the header the client has to look at the content.
+                Some((file, is_gzip && request.takes_gzip && !request.path.ends_with("gz")))
+            }
         }
     }
 }
@@ -350,6 +357,7 @@ fn media_type(path: &str) -> &'static str {
         "png" => "image/png",
         "jpg" | "jpeg" => "image/jpeg",
         "exr" => "image/aces",
+        "terrain" => "application/vnd.quantized-mesh",
         "3tz" => "application/vnd.maxar.archive.3tz+zip",
         "zip" => "application/zip",
         _ => "application/octet-stream",

@@ -42,6 +42,7 @@ fn files_are_served_whole_and_in_parts() {
     std::fs::write(set.join("a b/tile.glb"), &bytes).unwrap();
     std::fs::write(set.join("tile.json"), "plain").unwrap();
     std::fs::write(set.join("tile.json.gz"), "packed").unwrap();
+    std::fs::write(set.join("own.json"), b"\x1f\x8bpacked").unwrap();
     std::fs::write(folder.path().join("secret"), "secret").unwrap();
     let server = Server::start(&set, &[]);
     let (status, head, body) = server.ask("GET", "/a%20b/tile.glb?v=1", "");
@@ -71,6 +72,12 @@ fn files_are_served_whole_and_in_parts() {
     assert_eq!(server.ask("GET", "/tile.json", "").2, b"plain");
     let (_, head, body) = server.ask("GET", "/tile.json", "Accept-Encoding: br, gzip\r\n");
     assert_eq!((&body[..], head.contains("Content-Encoding: gzip")), (&b"packed"[..], true));
+    // `terrane gen --gzip` keeps names.
+    for accepts in [true, false] {
+        let header = if accepts { "Accept-Encoding: gzip\r\n" } else { "" };
+        let (_, head, body) = server.ask("GET", "/own.json", header);
+        assert_eq!((&body[..], head.contains("Content-Encoding: gzip")), (&b"\x1f\x8bpacked"[..], accepts));
+    }
     for path in ["/none", "/", "/a%20b", "/../secret", "/%2e%2e/secret", "//etc/passwd", "/a%20b/../../secret"] {
         assert_eq!(server.ask("GET", path, "").0, 404, "{path}");
     }

@@ -21,9 +21,9 @@ struct Candidate {
 /// the west or the south.
 ///
 /// No sample with data is farther from the triangles than the allowed distance. That is [`ALLOWED_SHARE`] of the error of a grid
-/// with half as many cells, and at least half a step of the heights. Between samples the distance may be larger where a triangle's edge
+/// with half as many cells, at most `limit_m`, and at least half a step of the heights. Between samples the distance may be larger where a triangle's edge
 /// crosses a ridge; [`Tin::distance_m`] is the largest of all.
-pub(crate) fn triangulate(surface: &Surface, edges: &[Vec<u16>; 4]) -> Tin {
+pub(crate) fn triangulate(surface: &Surface, edges: &[Vec<u16>; 4], limit_m: f64) -> Tin {
     let last = (surface.side() - 1) as i32;
     let mut net = Triangulation::new(last);
     for (edge, places) in edges.iter().enumerate() {
@@ -36,7 +36,7 @@ pub(crate) fn triangulate(surface: &Surface, edges: &[Vec<u16>; 4]) -> Tin {
         let samples = (1..last).flat_map(|j| (1..last).map(move |i| [i, j]));
         samples.filter(|sample| surface.is_border(*sample)).for_each(|sample| net.insert(sample));
     }
-    let allowed_m = (ALLOWED_SHARE * surface.halved_error_m()).max(MIN_ALLOWED_M);
+    let allowed_m = (ALLOWED_SHARE * surface.halved_error_m()).min(limit_m).max(MIN_ALLOWED_M);
     let mut queue = BinaryHeap::new();
     let mut versions: Vec<u32> = Vec::new();
     let mut changed = Vec::new();
@@ -159,10 +159,10 @@ mod tests {
         let edge = |at: fn(i64, i64) -> [i64; 2]| {
             let places: Vec<[i64; 2]> = (0..=last).map(|k| at(k, last)).collect();
             let heights: Vec<f32> = places.iter().map(|[i, j]| height(*i, *j)).collect();
-            edge_vertices(&heights, 0.01, |k| surface.is_border(places[k].map(|c| c as i32)))
+            edge_vertices(&heights, 0.01, f64::INFINITY, |k| surface.is_border(places[k].map(|c| c as i32)))
         };
         let edges = [edge(|k, _| [k, 0]), edge(|k, l| [l, k]), edge(|k, l| [k, l]), edge(|k, _| [0, k])];
-        let tin = triangulate(&surface, &edges);
+        let tin = triangulate(&surface, &edges, f64::INFINITY);
         (surface, edges, tin)
     }
 
@@ -214,8 +214,8 @@ mod tests {
     fn flat_land_needs_two_triangles_or_those_of_the_round_earth() {
         let flat = |curvature_m: f64| {
             let surface = Surface::new(SIDE, |_, _| 100.0, |_| [curvature_m; 2], None);
-            let edge = edge_vertices(&[100.0; SIDE], curvature_m, |_| false);
-            triangulate(&surface, &[edge.clone(), edge.clone(), edge.clone(), edge])
+            let edge = edge_vertices(&[100.0; SIDE], curvature_m, f64::INFINITY, |_| false);
+            triangulate(&surface, &[edge.clone(), edge.clone(), edge.clone(), edge], f64::INFINITY)
         };
         let plain = flat(0.0);
         assert_eq!((plain.triangles.len(), plain.distance_m), (2, 0.0));

@@ -19,13 +19,15 @@ mod insertion;
 mod surface;
 mod triangulation;
 
-pub(crate) use edge::edge_vertices;
-pub(crate) use insertion::triangulate;
-pub(crate) use surface::Surface;
+use edge::edge_vertices;
+use insertion::triangulate;
+use surface::Surface;
+
+use crate::pyramid::CELLS;
 
 /// The allowed distance, as a share of the error that a grid with half as many cells would have against the same samples. That
 /// error is about the one of the next coarser level, so the triangles of a level are finer than those of the one above.
-pub(crate) const ALLOWED_SHARE: f64 = 0.25;
+const ALLOWED_SHARE: f64 = 0.25;
 
 /// The smallest allowed distance in metres, half a step of the heights.
 const MIN_ALLOWED_M: f64 = 1.0 / 256.0;
@@ -39,4 +41,45 @@ pub(crate) struct Tin {
     pub triangles: Vec<[u16; 3]>,
     /// The largest vertical distance in metres between the triangles and those of the whole grid, at any position.
     pub distance_m: f64,
+}
+
+impl Tin {
+    /// Returns two triangles for each cell. `has_data` returns which of them have data: the south-eastern and the north-western one.
+    pub fn grid(has_data: impl Fn(usize, usize) -> [bool; 2]) -> Self {
+        let side = CELLS as u16 + 1;
+        let vertices = (0..side).flat_map(|j| (0..side).map(move |i| [i, j])).collect();
+        let mut triangles = Vec::with_capacity(2 * CELLS * CELLS);
+        for (i, j) in (0..CELLS * CELLS).map(|k| (k % CELLS, k / CELLS)) {
+            let at = |di: usize, dj: usize| ((j + dj) * (CELLS + 1) + i + di) as u16;
+            let [south_east, north_west] = has_data(i, j);
+            triangles.extend(south_east.then(|| [at(0, 0), at(1, 0), at(1, 1)]));
+            triangles.extend(north_west.then(|| [at(0, 0), at(1, 1), at(0, 1)]));
+        }
+        Self { vertices, triangles, distance_m: 0.0 }
+    }
+
+    /// Returns few triangles for the samples of a tile, by the functions of [`Surface::new`]. Samples are at most `limit_m` from
+    /// them, and closer where the tile is smooth.
+    pub fn of_samples(
+        height_m: &dyn Fn(i64, i64) -> f32,
+        curvature_m: &dyn Fn(i64) -> [f64; 2],
+        has_data: Option<&dyn Fn(i64, i64) -> [bool; 2]>,
+        limit_m: f64,
+    ) -> Self {
+        let surface = Surface::new(CELLS + 1, height_m, curvature_m, has_data);
+        let last = CELLS as i64;
+        let edge = |at: fn(i64, i64) -> [i64; 2], curvature_m: f64| {
+            let places: Vec<[i64; 2]> = (0..=last).map(|k| at(k, last)).collect();
+            let heights_m: Vec<f32> = places.iter().map(|[i, j]| height_m(*i, *j)).collect();
+            edge_vertices(&heights_m, curvature_m, limit_m, |k| surface.is_border(places[k].map(|c| c as i32)))
+        };
+        let north_m = curvature_m(last / 2)[1];
+        let edges = [
+            edge(|k, _| [k, 0], curvature_m(0)[0]),
+            edge(|k, last| [last, k], north_m),
+            edge(|k, last| [k, last], curvature_m(last)[0]),
+            edge(|k, _| [0, k], north_m),
+        ];
+        triangulate(&surface, &edges, limit_m)
+    }
 }

@@ -275,6 +275,11 @@ impl<'a> Block<'a> {
         self.facts[up as usize][(y << up) + x]
     }
 
+    /// Returns the number of levels of the set.
+    pub fn levels(&self) -> u32 {
+        self.grid.levels
+    }
+
     /// Returns the rectangle of a tile.
     pub fn extent(&self, key: TileKey) -> Extent {
         key.extent(&self.grid.extent)

@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use serde_json::{Map, Value, json};
 
-use super::buffers::{Buffers, Component, Elements};
 use crate::formats::ignored::Notes;
+use crate::formats::writers::buffers::{Accuracy, Buffers, Component, Elements};
 use crate::scene::{DrawableFeatures, FeatureIds, PropertyTable, PropertyValue};
 
 pub(super) const MESH_FEATURES: &str = "EXT_mesh_features";
@@ -144,7 +144,9 @@ fn id_accessor(ids: &[u32], buffers: &mut Buffers) -> Option<usize> {
         }
         _ => return None,
     };
-    Some(buffers.attribute(&Elements { kind: "SCALAR", component, is_normalized: false, stride: 4, bytes: &bytes }))
+    let (is_normalized, accuracy) = (false, Accuracy::Exact);
+    let elements = Elements { kind: "SCALAR", component, is_normalized, stride: 4, bytes: &bytes, accuracy };
+    Some(buffers.attribute(&elements))
 }
 
 /// Returns true for a label that the extension allows: an identifier.

@@ -9,8 +9,8 @@ use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder as _};
 use serde_json::{Value, json};
 
-use super::buffers::Buffers;
 use crate::formats::image::ImageFiles;
+use crate::formats::writers::buffers::Buffers;
 use crate::scene::{Sampling, TexelFormat, Texture};
 use crate::state::{FilterMode, WrapMode};
 

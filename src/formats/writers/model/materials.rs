@@ -6,8 +6,8 @@ use std::sync::Arc;
 use glam::Affine2;
 use serde_json::{Value, json};
 
-use super::buffers::Buffers;
 use super::images::{Images, Texels};
+use crate::formats::writers::buffers::Buffers;
 use crate::scene::{AlphaMode, Material, MetallicRoughness, Texture};
 
 /// The materials of one glb. One thread.

@@ -2,14 +2,12 @@
 //! images as the files that they came as, features and their properties. Decode threads.
 //!
 //! ```text
-//! buffers    binary chunk, views and accessors, EXT_meshopt_compression
 //! height     height tiles as meshes
 //! images     files that are kept, and JPEG or PNG of other texels
 //! materials  metallic-roughness, unlit
 //! features   EXT_mesh_features, EXT_structural_metadata
 //! ```
 
-mod buffers;
 mod features;
 mod height;
 mod images;
@@ -21,12 +19,12 @@ use std::sync::Arc;
 use glam::{DAffine3, DMat3, DMat4, DVec3};
 use serde_json::{Map, Value, json};
 
-use self::buffers::{Buffers, Component, Elements};
 use self::features::Features;
 use self::images::Images;
 use self::materials::Materials;
 use crate::formats::ignored::Notes;
 use crate::formats::image::ImageFiles;
+use crate::formats::writers::buffers::{self, Accuracy, Buffers, Component, Elements};
 use crate::scene::{AttributeFormat, Drawable, DrawableFeatures, Geometry, Material, Mesh, SecondUv, Topology};
 
 /// The vertices of a point that is drawn as a square.
@@ -151,7 +149,8 @@ impl Writer<'_> {
         let positions: Vec<[f32; 3]> = mesh.vertices.iter().map(|vertex| vertex.position).collect();
         attributes.insert("POSITION".into(), self.buffers.positions(&positions).into());
         let mut add = |name: &str, kind, component, stride, bytes: &[u8]| {
-            let elements = Elements { kind, component, is_normalized: component != Component::F32, stride, bytes };
+            let (is_normalized, accuracy) = (component != Component::F32, Accuracy::Exact);
+            let elements = Elements { kind, component, is_normalized, stride, bytes, accuracy };
             attributes.insert(name.into(), self.buffers.attribute(&elements).into());
         };
         if mesh.vertices.iter().any(|vertex| vertex.normal[..3] != [0; 3]) {

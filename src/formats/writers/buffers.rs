@@ -1,12 +1,12 @@
-//! [`Buffers`]: the binary chunk of a glb with its buffer views and accessors, compressed or not.
+//! [`Buffers`]: the binary chunk of a glb with its buffer views and accessors, compressed by EXT_meshopt_compression or not.
 
 use meshoptimizer_rs::Workspace;
 use meshoptimizer_rs::codec::{
-    IndexEncoding, VertexEncoding, encode_index_buffer, encode_index_sequence, encode_vertex_buffer,
+    IndexEncoding, VertexEncoding, encode_filter_oct, encode_index_buffer, encode_index_sequence, encode_vertex_buffer,
 };
 use serde_json::{Value, json};
 
-use crate::formats::writers::glb::container;
+use super::glb::container;
 
 /// The extension of compressed views.
 pub(super) const MESHOPT: &str = "EXT_meshopt_compression";
@@ -34,6 +34,15 @@ pub(super) struct Elements<'a> {
     /// The bytes from one element to the next, a multiple of 4.
     pub stride: usize,
     pub bytes: &'a [u8],
+    pub accuracy: Accuracy,
+}
+
+/// What compression may change.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Accuracy {
+    Exact,
+    /// Normals of three signed bytes and a byte of padding may be stored as points of an octahedron, about half a degree off.
+    Octahedral,
 }
 
 /// The bytes of a glb so far. One thread.
@@ -77,21 +86,23 @@ impl Buffers {
         let count = bytes.len() / stride;
         let plain_stride = (target == ARRAY_BUFFER).then_some(stride);
         let coded = match self.decompressed {
-            Some(_) => self.encode(bytes, count, stride, mode),
-            None => None,
+            Some(_) if !bytes.is_empty() => self.encode(bytes, count, stride, mode),
+            _ => None,
         };
         let mut view = match coded {
             Some(coded) => {
                 let offset = self.append(&coded);
                 let start = self.decompressed.unwrap_or(0).next_multiple_of(8);
                 self.decompressed = Some(start + bytes.len());
-                json!({
-                    "buffer": 1, "byteOffset": start, "byteLength": bytes.len(),
-                    "extensions": { MESHOPT: {
-                        "buffer": 0, "byteOffset": offset, "byteLength": coded.len(),
-                        "byteStride": stride, "count": count, "mode": mode.name(),
-                    } },
-                })
+                let mut extension = json!({
+                    "buffer": 0, "byteOffset": offset, "byteLength": coded.len(),
+                    "byteStride": stride, "count": count, "mode": mode.name(),
+                });
+                if mode == Mode::Normals {
+                    extension["filter"] = "OCTAHEDRAL".into();
+                }
+                let extensions = json!({ MESHOPT: extension });
+                json!({ "buffer": 1, "byteOffset": start, "byteLength": bytes.len(), "extensions": extensions })
             }
             None => {
                 let offset = self.append(bytes);
@@ -112,11 +123,14 @@ impl Buffers {
             bytes.chunks_exact(stride).map(wide).collect()
         };
         let workspace = &mut self.workspace;
+        // EXT_meshopt_compression has version 0 of the format of attributes.
+        let encoding = VertexEncoding::new(0, 0).ok()?;
         match mode {
-            Mode::Attributes => {
-                // EXT_meshopt_compression has version 0 of the format of attributes.
-                let encoding = VertexEncoding::new(0, 0).ok()?;
-                encode_vertex_buffer(bytes, count, stride, encoding, workspace).ok()
+            Mode::Attributes => encode_vertex_buffer(bytes, count, stride, encoding, workspace).ok(),
+            Mode::Normals => {
+                let normals: Vec<f32> = bytes.iter().map(|byte| f32::from(byte.cast_signed()) / 127.0).collect();
+                let filtered = encode_filter_oct(count, stride, 8, &normals, workspace).ok()?;
+                encode_vertex_buffer(&filtered, count, stride, encoding, workspace).ok()
             }
             Mode::Triangles => encode_index_buffer(&indices(), IndexEncoding::default(), workspace).ok(),
             Mode::Indices => encode_index_sequence(&indices(), IndexEncoding::default(), workspace).ok(),
@@ -125,8 +139,12 @@ impl Buffers {
 
     /// Adds an attribute of vertices. Returns the index of its accessor.
     pub fn attribute(&mut self, elements: &Elements<'_>) -> usize {
-        let Elements { kind, component, is_normalized, stride, bytes } = *elements;
-        let view = self.coded_view(bytes, stride, ARRAY_BUFFER, Mode::Attributes);
+        let Elements { kind, component, is_normalized, stride, bytes, accuracy } = *elements;
+        let mode = match accuracy {
+            Accuracy::Exact => Mode::Attributes,
+            Accuracy::Octahedral => Mode::Normals,
+        };
+        let view = self.coded_view(bytes, stride, ARRAY_BUFFER, mode);
         let mut accessor = json!({
             "bufferView": view, "componentType": component as u32, "count": bytes.len() / stride, "type": kind,
         });
@@ -139,15 +157,17 @@ impl Buffers {
 
     /// Adds positions, whose accessor has their bounds. Returns its index.
     pub fn positions(&mut self, positions: &[[f32; 3]]) -> usize {
-        let fold = |start: f32, pick: fn(f32, f32) -> f32| {
-            positions.iter().fold([start; 3], |b, p| [pick(b[0], p[0]), pick(b[1], p[1]), pick(b[2], p[2])])
-        };
-        let (min, max) = (fold(f32::INFINITY, f32::min), fold(f32::NEG_INFINITY, f32::max));
         let bytes = bytemuck::cast_slice(positions);
-        let elements = Elements { kind: "VEC3", component: Component::F32, is_normalized: false, stride: 12, bytes };
+        let (component, accuracy) = (Component::F32, Accuracy::Exact);
+        let elements = Elements { kind: "VEC3", component, is_normalized: false, stride: 12, bytes, accuracy };
         let accessor = self.attribute(&elements);
-        (self.accessors[accessor]["min"], self.accessors[accessor]["max"]) = (json!(min), json!(max));
+        self.set_bounds(accessor, bounds(positions).map(|bound| json!(bound)));
         accessor
+    }
+
+    /// Adds the smallest and the largest coordinates to an accessor.
+    pub fn set_bounds(&mut self, accessor: usize, [min, max]: [Value; 2]) {
+        (self.accessors[accessor]["min"], self.accessors[accessor]["max"]) = (min, max);
     }
 
     /// Adds indices of a mesh with a number of vertices. Returns the index of their accessor.
@@ -184,10 +204,20 @@ impl Buffers {
     }
 }
 
+/// Returns the smallest and the largest coordinates.
+pub(super) fn bounds(positions: &[[f32; 3]]) -> [[f32; 3]; 2] {
+    let fold = |start: f32, pick: fn(f32, f32) -> f32| {
+        positions.iter().fold([start; 3], |b, p| [pick(b[0], p[0]), pick(b[1], p[1]), pick(b[2], p[2])])
+    };
+    [fold(f32::INFINITY, f32::min), fold(f32::NEG_INFINITY, f32::max)]
+}
+
 /// The mode of a compressed view.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, PartialEq)]
 enum Mode {
     Attributes,
+    /// Attributes with the octahedral filter.
+    Normals,
     Triangles,
     Indices,
 }
@@ -195,7 +225,7 @@ enum Mode {
 impl Mode {
     fn name(self) -> &'static str {
         match self {
-            Self::Attributes => "ATTRIBUTES",
+            Self::Attributes | Self::Normals => "ATTRIBUTES",
             Self::Triangles => "TRIANGLES",
             Self::Indices => "INDICES",
         }

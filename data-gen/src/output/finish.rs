@@ -1,0 +1,97 @@
+//! The last step of a run: a complete set is compressed or packed into an archive, and takes its place at OUT.
+
+use std::io::{Read as _, Write as _};
+use std::path::{Path, PathBuf};
+
+use flate2::Compression;
+use flate2::write::GzEncoder;
+use rayon::prelude::*;
+
+use super::PartialFolder;
+use super::archive::write_archive;
+use super::tile_set::write_whole;
+use crate::{GenArgs, GenError};
+
+/// Extensions of files that `--gzip` compresses. Images and EXR are compressed already.
+const GZIP_EXTENSIONS: [&str; 4] = ["json", "glb", "subtree", "terrain"];
+/// The first bytes of gzip.
+const GZIP_MAGIC: [u8; 2] = [0x1f, 0x8b];
+/// The name of an unfinished archive in the folder of its set.
+const UNFINISHED: &str = ".archive.unfinished";
+
+/// Puts a complete set, or a shard of one, in place at OUT. Returns the size of the set, which is `bytes` unless it is compressed. Called
+/// on the threads of the current rayon pool.
+pub(crate) fn finish(args: &GenArgs, partial: PartialFolder, out: &Path, bytes: u64) -> Result<u64, GenError> {
+    // Shards are compressed when they are merged.
+    let is_shard = args.sharding.shard.is_some();
+    if args.output.archive.is_some() && !is_shard {
+        let archive = partial.path().join(UNFINISHED);
+        let bytes = write_archive(partial.path(), &archive)?;
+        std::fs::rename(&archive, out).map_err(GenError::file(out))?;
+        // The folder of the set is removed with `partial`.
+        return Ok(bytes);
+    }
+    let bytes = if args.output.gzip && !is_shard { gzip(partial.path())? } else { bytes };
+    partial.put_in_place(out)?;
+    Ok(bytes)
+}
+
+/// Compresses the files of a set and keeps their names. Files that are compressed stay: another run may have been killed here.
+/// Returns the size of all files in bytes.
+fn gzip(folder: &Path) -> Result<u64, GenError> {
+    let mut total = 0;
+    each_folder(folder, &mut |files: &[PathBuf]| {
+        let compress = |path: &PathBuf| {
+            let size = || Ok(path.metadata().map_err(GenError::file(path))?.len());
+            if !path.extension().is_some_and(|extension| GZIP_EXTENSIONS.iter().any(|of| extension == *of)) {
+                return size();
+            }
+            let content = std::fs::read(path).map_err(GenError::file(path))?;
+            if content.starts_with(&GZIP_MAGIC) {
+                return size();
+            }
+            let mut encoder = GzEncoder::new(Vec::new(), Compression::default());
+            encoder.write_all(&content).map_err(GenError::file(path))?;
+            write_whole(path, &encoder.finish().map_err(GenError::file(path))?)
+        };
+        let sizes: Vec<u64> = files.par_iter().map(compress).collect::<Result<_, GenError>>()?;
+        total += sizes.iter().sum::<u64>();
+        Ok(())
+    })?;
+    Ok(total)
+}
+
+/// Calls with the files of each folder below one, in the order of their names, but not with those whose names begin with a dot.
+pub(super) fn each_folder(
+    folder: &Path,
+    call: &mut dyn FnMut(&[PathBuf]) -> Result<(), GenError>,
+) -> Result<(), GenError> {
+    let (mut files, mut folders) = (Vec::new(), Vec::new());
+    for entry in std::fs::read_dir(folder).map_err(GenError::file(folder))? {
+        let entry = entry.map_err(GenError::file(folder))?;
+        if entry.file_name().to_string_lossy().starts_with('.') {
+            continue;
+        }
+        let is_folder = entry.file_type().map_err(GenError::file(entry.path()))?.is_dir();
+        if is_folder { folders.push(entry.path()) } else { files.push(entry.path()) }
+    }
+    files.sort();
+    folders.sort();
+    call(&files)?;
+    folders.iter().try_for_each(|folder| each_folder(folder, call))
+}
+
+/// Returns true if an archive is at OUT. Fails for anything else there, and for an archive that shall not be replaced.
+pub(crate) fn is_archive_at(args: &GenArgs, out: &Path) -> Result<bool, GenError> {
+    if !out.exists() {
+        return Ok(false);
+    }
+    let mut magic = [0; 2];
+    let is_zip = out.is_file()
+        && std::fs::File::open(out).and_then(|mut file| file.read_exact(&mut magic)).is_ok_and(|()| magic == *b"PK");
+    match is_zip {
+        true if args.overwrite => Ok(true),
+        true => Err(GenError::Exists(out.to_path_buf())),
+        false => Err(GenError::invalid(out, "is no archive; --overwrite replaces archives only")),
+    }
+}

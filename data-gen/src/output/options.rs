@@ -1,0 +1,88 @@
+//! The options of the form in which a set is written.
+
+use crate::{Color, ContentKind, GenArgs, RunArgs, Sharding, TextureFormat};
+
+/// The description of the tile tree.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum Tiling {
+    /// JSON names each tile. Sets of more than six levels have an external tileset for each block.
+    #[default]
+    Explicit,
+    /// Subtree files have bits and metadata of five levels of tiles.
+    Implicit,
+}
+
+/// The format of an archive.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum ArchiveFormat {
+    /// A 3D Tiles archive: a zip file with an index.
+    #[value(name = "3tz")]
+    ThreeTz,
+}
+
+/// The form of a set.
+#[derive(Clone, Debug, Default, PartialEq, clap::Args)]
+pub struct OutputArgs {
+    /// Attribution that clients of quantized-mesh terrain show
+    #[arg(long, value_name = "TEXT")]
+    pub attribution: Option<String>,
+    /// Description of the tile tree
+    #[arg(long, value_enum, default_value_t)]
+    pub tiling: Tiling,
+    /// Write one file, OUT, instead of a folder; its name ends in .3tz
+    #[arg(long, value_enum, value_name = "FORMAT")]
+    pub archive: Option<ArchiveFormat>,
+    /// Compress JSON, glb, subtree and terrain files with gzip under their names; servers must send them with
+    /// `Content-Encoding: gzip`
+    #[arg(long)]
+    pub gzip: bool,
+}
+
+impl OutputArgs {
+    /// Checks options that have no effect together with others.
+    pub(crate) fn check(&self, args: &GenArgs) -> Result<(), String> {
+        let is_terrain = args.content == ContentKind::QuantizedMesh;
+        if self.attribution.is_some() && !is_terrain {
+            return Err("--attribution has no effect without --content quantized-mesh".to_owned());
+        }
+        for (name, is_given) in [
+            ("--imagery", !args.imagery.is_empty()),
+            ("--texture", args.tiles.texture != TextureFormat::default()),
+            ("--color", args.color != Color::Natural),
+            ("--no-meshopt", args.tiles.no_meshopt),
+            ("--tiling", self.tiling != Tiling::default()),
+        ] {
+            if is_terrain && is_given {
+                return Err(format!("{name} has no effect with --content quantized-mesh"));
+            }
+        }
+        if is_terrain && args.sharding != Sharding::default() {
+            return Err("--plan, --shard and --merge are not supported with --content quantized-mesh".to_owned());
+        }
+        if is_terrain && args.run != RunArgs::default() {
+            return Err("--dry-run, --memory, --update and --aligned are not supported with --content quantized-mesh"
+                .to_owned());
+        }
+        if self.tiling != Tiling::default() && args.run.aligned {
+            return Err("--tiling implicit is not supported with --aligned".to_owned());
+        }
+        if args.run.update && (self.gzip || self.archive.is_some()) {
+            return Err("--update is not supported with --gzip and --archive".to_owned());
+        }
+        if self.tiling != Tiling::default() && args.world.world.is_some() {
+            return Err("--tiling implicit is not supported with --world".to_owned());
+        }
+        if self.archive.is_some() {
+            if is_terrain {
+                return Err("--archive is not supported with --content quantized-mesh".to_owned());
+            }
+            if self.gzip {
+                return Err("--gzip has no effect with --archive, whose files are compressed".to_owned());
+            }
+            if !args.out.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("3tz")) {
+                return Err(format!("--archive 3tz: the name of {} must end in .3tz", args.out.display()));
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,118 @@
+//! Implicit tiling: the same tiles are drawn as from an explicit set, with the same volumes and errors.
+
+use std::path::Path;
+
+use kit::pager::Run;
+use serde_json::Value;
+use terrane::fetch::Limits;
+use terrane::formats::verify;
+use terrane::math::{Geodetic, OrientedBox, WGS84};
+use terrane::pager::PagerConfig;
+use terrane::scene::SlotState;
+use terrane_data_gen::{ContentKind, GenArgs, OutputArgs, Tiling, run};
+
+use crate::files::{PLACE, SIDE, each_tile, files_below, from_dem, heights, tiff_float32};
+
+/// The name of each resident tile with the corners of its volume, and the number of leaves.
+fn drawn(set: &Path, height_m: f64) -> (Vec<(String, OrientedBox)>, usize) {
+    let mut run = Run::new(set.to_str().unwrap(), PagerConfig::default());
+    run.is_globe = true;
+    run.max_sse_px = 2.0;
+    let [west, south, east, _] = PLACE.bounds();
+    let (longitude, latitude) = (west + 0.15 * (east - west), south + 0.15 * (east - west));
+    run.settle(WGS84.ecef(&Geodetic { longitude, latitude, height_m }));
+    assert!(run.pager.errors().is_empty(), "{:?}", run.pager.errors());
+    let mut tiles = Vec::new();
+    for tile in run.scene.tiles() {
+        let Some(slot) = run.scene.slot(tile.node).filter(|slot| matches!(slot.state, SlotState::Resident(_))) else {
+            continue;
+        };
+        if slot.uri.ends_with("exr") || slot.uri.ends_with("glb") {
+            let name = Path::new(&**slot.uri).strip_prefix(set).unwrap();
+            tiles.push((name.to_str().unwrap().to_owned(), tile.bounds));
+        }
+    }
+    tiles.sort_by(|a, b| a.0.cmp(&b.0));
+    (tiles, run.stage.leaf_count())
+}
+
+/// The errors of all tiles in the tilesets of an explicit set.
+fn explicit_errors(set: &Path) -> Vec<f64> {
+    let mut errors = Vec::new();
+    for (name, bytes) in files_below(set).iter().filter(|(name, _)| name.ends_with("json")) {
+        let tileset: Value = serde_json::from_slice(bytes).unwrap();
+        each_tile(&tileset["root"], None, &mut |tile, _| {
+            // A tile that stands for an external tileset is its root.
+            if !tile["content"]["uri"].as_str().unwrap().ends_with("json") {
+                errors.push(tile["geometricError"].as_f64().unwrap());
+            }
+        });
+        assert!(!errors.is_empty(), "{name}");
+    }
+    errors.sort_by(f64::total_cmp);
+    errors
+}
+
+/// The errors of all tiles in the subtrees of an implicit set.
+fn implicit_errors(set: &Path) -> Vec<f64> {
+    let mut errors = Vec::new();
+    for (_, bytes) in files_below(set).iter().filter(|(name, _)| name.ends_with("subtree")) {
+        let length = u64::from_le_bytes(bytes[8..16].try_into().unwrap()) as usize;
+        let json: Value = serde_json::from_slice(&bytes[24..24 + length]).unwrap();
+        let view = json["propertyTables"][0]["properties"]["geometricError"]["values"].as_u64().unwrap() as usize;
+        let number = |name: &str| json["bufferViews"][view][name].as_u64().unwrap() as usize;
+        let values = &bytes[24 + length..][number("byteOffset")..][..number("byteLength")];
+        errors.extend(values.as_chunks::<8>().0.iter().map(|bytes| f64::from_le_bytes(*bytes)));
+    }
+    errors.sort_by(f64::total_cmp);
+    errors
+}
+
+#[test]
+fn implicit_sets_are_drawn_like_explicit_ones() {
+    let folder = tempfile::tempdir().unwrap();
+    // Data in a corner only, so that most of seven levels is empty and the tiles on the border of the data are meshes.
+    let samples: Vec<f32> = heights()
+        .into_iter()
+        .enumerate()
+        .map(|(k, h)| {
+            let [i, j] = [k as u32 % SIDE, k as u32 / SIDE];
+            if i < 8 && j + 8 >= SIDE { h } else { -9999.0 }
+        })
+        .collect();
+    let dem = tiff_float32(&samples, Some(PLACE), Some("-9999"));
+    for (content, levels) in [(ContentKind::Height, 7), (ContentKind::Mesh, 6)] {
+        let sets = [Tiling::Explicit, Tiling::Implicit].map(|tiling| {
+            let args = GenArgs {
+                content,
+                levels: Some(levels),
+                output: OutputArgs { tiling, ..OutputArgs::default() },
+                out: folder.path().join(format!("{content:?}-{tiling:?}")),
+                ..from_dem(folder.path(), "dem.tif", &dem)
+            };
+            (run(&args).unwrap().tiles, args.out)
+        });
+        assert_eq!(sets[0].0, sets[1].0);
+        let verified = sets.each_ref().map(|(_, set)| {
+            let verified = verify(set.to_str().unwrap(), &Limits::default(), &mut |_| ()).unwrap();
+            assert!(verified.failed == 0 && verified.ignored.is_empty(), "{verified:?}");
+            verified.contents
+        });
+        assert_eq!(verified[0], verified[1]);
+        let errors = explicit_errors(&sets[0].1);
+        assert!(errors.len() as u64 == sets[0].0 && errors == implicit_errors(&sets[1].1));
+        let mut finest = 0;
+        for height_m in [1_000.0, 2_500.0, 40_000.0] {
+            let [explicit, implicit] = sets.each_ref().map(|(_, set)| drawn(set, height_m));
+            assert!(!explicit.0.is_empty() && explicit.1 > 0);
+            assert_eq!(explicit.1, implicit.1, "{content:?} from {height_m} m");
+            assert_eq!(explicit.0.len(), implicit.0.len());
+            for (a, b) in explicit.0.iter().zip(&implicit.0) {
+                assert!(a.0 == b.0 && a.1.center.distance(b.1.center) < 1e-3, "{a:?} {b:?}");
+                assert!(a.1.half_axes.abs_diff_eq(b.1.half_axes, 1e-3), "{a:?} {b:?}");
+            }
+            finest += explicit.0.iter().filter(|tile| tile.0.starts_with(&format!("{}/", levels - 1))).count();
+        }
+        assert!(finest > 0, "the finest level is seen");
+    }
+}

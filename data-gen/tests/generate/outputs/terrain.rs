@@ -1,0 +1,203 @@
+//! Quantized-mesh terrain, read back by the library.
+
+use std::path::Path;
+
+use glam::{DAffine3, Vec3};
+use serde_json::Value;
+use terrane::fetch::Limits;
+use terrane::formats::{Content, ReadOptions, decode_node, inspect, verify};
+use terrane::math::WGS84;
+use terrane::scene::{Geometry, Node, NodeKind};
+use terrane_data_gen::{
+    Color, ContentKind, ElevationSource as _, GenArgs, OutputArgs, Procedural, TileArgs, Triangles, Voids, run,
+};
+
+use crate::files::{files_below, from_dem, heights, tiff_float32};
+
+fn terrain(folder: &Path, name: &str) -> GenArgs {
+    GenArgs { content: ContentKind::QuantizedMesh, levels: Some(14), size: 5_000.0, ..GenArgs::new(folder.join(name)) }
+}
+
+/// Returns the vertices of a tile: longitude and latitude in radians and height in metres, without skirts.
+fn vertices(set: &Path, name: &str) -> Vec<[f64; 3]> {
+    fn collect(node: &Node, parent: DAffine3, out: &mut Vec<[f64; 3]>) {
+        let own = match &node.kind {
+            NodeKind::Transform(transform) => parent * *transform,
+            NodeKind::Geode(drawables) => {
+                let Geometry::Mesh(mesh) = &drawables[0].geometry else { panic!("a mesh") };
+                out.extend(mesh.vertices.iter().map(|vertex| {
+                    let position = parent.transform_point3(Vec3::from_array(vertex.position).as_dvec3());
+                    let g = WGS84.geodetic(position);
+                    [g.longitude, g.latitude, g.height_m]
+                }));
+                parent
+            }
+            _ => parent,
+        };
+        node.children.iter().for_each(|child| collect(child, own, out));
+    }
+    let path = set.join(name);
+    let uri = path.to_str().unwrap();
+    let bytes = std::fs::read(&path).unwrap();
+    let content = Content { uri: uri.into(), bytes, reader_data: None, companions: Vec::new() };
+    let node = decode_node(content, &ReadOptions::for_root(uri, Limits::default())).unwrap();
+    let mut all = Vec::new();
+    collect(&node, DAffine3::IDENTITY, &mut all);
+    // The vertices of skirts lie below others.
+    let mut found: Vec<[f64; 3]> = Vec::new();
+    all.sort_by(|a, b| b[2].total_cmp(&a[2]));
+    for vertex in all {
+        if !found.iter().any(|of| (of[0] - vertex[0]).abs().max((of[1] - vertex[1]).abs()) < 1e-9) {
+            found.push(vertex);
+        }
+    }
+    found
+}
+
+fn layer(set: &Path) -> Value {
+    serde_json::from_slice(&std::fs::read(set.join("layer.json")).unwrap()).unwrap()
+}
+
+/// The tiles of a level by layer.json.
+fn tiles(layer: &Value, level: usize) -> Vec<[u64; 2]> {
+    let mut tiles = Vec::new();
+    for range in layer["available"][level].as_array().unwrap() {
+        let number = |name: &str| range[name].as_u64().unwrap();
+        for y in number("startY")..=number("endY") {
+            tiles.extend((number("startX")..=number("endX")).map(|x| [x, y]));
+        }
+    }
+    tiles
+}
+
+#[test]
+fn heights_are_those_of_the_source_to_the_quantum() {
+    let folder = tempfile::tempdir().unwrap();
+    let source = Procedural { seed: 1, cos_latitude: 47f64.to_radians().cos() };
+    let grid = TileArgs { triangles: Triangles::Grid, ..TileArgs::default() };
+    let args = GenArgs { tiles: grid, ..terrain(folder.path(), "grid") };
+    let summary = run(&args).unwrap();
+    assert!(summary.max_height_m > summary.min_height_m + 100.0, "{summary}");
+    let layer = layer(&args.out);
+    let bounds: Vec<f64> = layer["bounds"].as_array().unwrap().iter().map(|b| b.as_f64().unwrap()).collect();
+    let [x, y] = *tiles(&layer, 13)
+        .iter()
+        .find(|[x, y]| {
+            // A tile wholly inside of the source.
+            let side = 180.0 / 8192.0;
+            let [west, south] = [*x as f64 * side - 180.0, *y as f64 * side - 90.0];
+            west > bounds[0] && south > bounds[1] && west + side < bounds[2] && south + side < bounds[3]
+        })
+        .unwrap();
+    let read = vertices(&args.out, &format!("13/{x}/{y}.terrain"));
+    assert_eq!(read.len(), 65 * 65);
+    let range = [f64::MAX, f64::MIN];
+    let range = read.iter().fold(range, |r, v| [r[0].min(v[2]), r[1].max(v[2])]);
+    let quantum_m = (range[1] - range[0]) / 32767.0;
+    let cell = 180f64.to_radians() / 8192.0 / 64.0;
+    for [longitude, latitude, height_m] in read {
+        // Positions have steps of 1/32,767 of a side; the height is that of the next vertex of the lattice.
+        let [longitude, latitude] = [longitude, latitude].map(|c| ((c + 90f64.to_radians()) / cell).round() * cell);
+        let [longitude, latitude] = [longitude, latitude].map(|c| c - 90f64.to_radians());
+        let expected_m = source.height_m(longitude, latitude).unwrap().unwrap();
+        let off_m = (height_m - expected_m).abs();
+        assert!(off_m <= 0.5 * quantum_m + 1.0 / 256.0 + 1e-3, "{height_m} instead of {expected_m}");
+    }
+}
+
+#[test]
+fn sets_are_whole_and_do_not_depend_on_the_number_of_threads() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = OutputArgs { attribution: Some("© the noise".to_owned()), ..OutputArgs::default() };
+    let args = |name: &str, jobs| GenArgs {
+        jobs: Some(jobs),
+        levels: Some(13),
+        output: output.clone(),
+        ..terrain(folder.path(), name)
+    };
+    let (one, four) = (args("one", 1), args("four", 4));
+    let summary = run(&one).unwrap();
+    run(&four).unwrap();
+    let files = files_below(&one.out);
+    assert!(files == files_below(&four.out));
+    assert_eq!(summary.bytes, files.values().map(|bytes| bytes.len() as u64).sum::<u64>());
+    let layer = layer(&one.out);
+    assert_eq!(layer["attribution"], "© the noise");
+    let count: usize = (0..13).map(|level| tiles(&layer, level).len()).sum();
+    assert_eq!((count as u64, files.len()), (summary.tiles, count + 1));
+    for [x, y] in tiles(&layer, 12) {
+        assert!(files.contains_key(&format!("12/{x}/{y}.terrain")));
+    }
+    let source = one.out.to_string_lossy();
+    let info = inspect(&source, &Limits::default()).unwrap();
+    assert!(info.errors.is_empty() && info.ignored.is_empty(), "{info:?}");
+    let verified = verify(&source, &Limits::default(), &mut |_| ()).unwrap();
+    assert!(verified.failed == 0 && verified.ignored.is_empty(), "{verified:?}");
+    assert!(verified.contents >= summary.tiles, "{verified:?}");
+    // Triangles are few, and a set is replaced by another.
+    let grid = TileArgs { triangles: Triangles::Grid, ..TileArgs::default() };
+    let replaced = run(&GenArgs { tiles: grid, overwrite: true, ..args("one", 2) }).unwrap();
+    assert!(replaced.bytes > 2 * summary.bytes, "{} {}", replaced.bytes, summary.bytes);
+}
+
+/// Clients cull a tile that is not loaded yet by the heights of the tile above.
+#[test]
+fn headers_have_the_heights_of_finer_tiles() {
+    let folder = tempfile::tempdir().unwrap();
+    let args = GenArgs { levels: Some(13), ..terrain(folder.path(), "set") };
+    run(&args).unwrap();
+    let layer = layer(&args.out);
+    let range = |level: usize, [x, y]: [u64; 2]| {
+        let bytes = std::fs::read(args.out.join(format!("{level}/{x}/{y}.terrain"))).unwrap();
+        [24, 28].map(|at| f32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()))
+    };
+    for level in 1..13 {
+        for [x, y] in tiles(&layer, level) {
+            let (own, above) = (range(level, [x, y]), range(level - 1, [x / 2, y / 2]));
+            assert!(above[0] <= own[0] && own[1] <= above[1], "{level}/{x}/{y}: {own:?} in {above:?}");
+        }
+    }
+}
+
+#[test]
+fn samples_of_a_file_have_their_heights_and_voids_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut samples = heights();
+    for k in [820, 821, 822, 860, 861, 862] {
+        samples[k] = -9999.0;
+    }
+    let dem = tiff_float32(&samples, Some(crate::files::PLACE), Some("-9999"));
+    let args =
+        GenArgs { content: ContentKind::QuantizedMesh, levels: None, ..from_dem(folder.path(), "dem.tif", &dem) };
+    // The cells of few levels are larger than the source.
+    let error = run(&GenArgs { levels: Some(2), ..args.clone() }).unwrap_err().to_string();
+    assert!(error.contains("--levels"), "{error}");
+    let summary = run(&args).unwrap();
+    let known = samples.iter().filter(|h| **h > 0.0);
+    let highest = known.fold(0.0f32, |a, b| a.max(*b));
+    assert!((summary.max_height_m - f64::from(highest)).abs() < 0.01, "{summary}");
+    assert!(summary.filled_samples > 0 && summary.notes.iter().any(|note| note.contains("no holes")));
+    let sea = run(&GenArgs { voids: Voids::Sea, overwrite: true, ..args }).unwrap();
+    assert!(sea.notes.is_empty() && sea.filled_samples == summary.filled_samples, "{sea:?}");
+}
+
+#[test]
+fn options_without_effect_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let of = |change: &dyn Fn(&mut GenArgs)| {
+        let mut args = terrain(folder.path(), "set");
+        change(&mut args);
+        run(&args).unwrap_err().to_string()
+    };
+    assert!(of(&|args| args.color = Color::None).contains("--color"));
+    assert!(of(&|args| args.tiles.no_meshopt = true).contains("--no-meshopt"));
+    assert!(of(&|args| args.float_vertices = true).contains("--float-vertices"));
+    assert!(of(&|args| args.sharding.merge = true).contains("--merge"));
+    assert!(
+        of(&|args| {
+            args.content = ContentKind::Mesh;
+            args.output.attribution = Some("me".to_owned());
+        })
+        .contains("--attribution")
+    );
+}
