@@ -94,6 +94,13 @@ fn unevenness_m(set: &WorldSet, key: TileKey, buffers: &mut RowBuffers) -> f32 {
 /// Returns the largest difference between the triangles of a row of cells and the samples of the finer level, along five
 /// lines.
 fn row_error_m(set: &WorldSet, key: TileKey, row: i64, buffers: &mut RowBuffers) -> f64 {
+    let lattice = set.lattice(key, 0);
+    let longitudes = meridians((0..=CELLS as i64).map(|k| lattice.longitude(k)));
+    // The vertices of the triangles: coarse levels have no rivers, the finer one may have some.
+    let vertices = [row, row + 1].map(|row| {
+        set.world().ground_row_of(&longitudes, lattice.latitude(row), lattice.step_m(), buffers);
+        buffers.ground.surface_m.clone()
+    });
     let lattice = set.lattice(key, FINER);
     let steps = 1usize << FINER;
     let longitudes = meridians((0..=(CELLS * steps) as i64).map(|k| lattice.longitude(k)));
@@ -106,7 +113,7 @@ fn row_error_m(set: &WorldSet, key: TileKey, row: i64, buffers: &mut RowBuffers)
         .collect();
     let mut error = 0.0f32;
     for i in (0..CELLS * steps).step_by(steps) {
-        let corner = |right: usize, up: usize| lines[4 * up][i + steps * right];
+        let corner = |right: usize, up: usize| vertices[up][i / steps + right];
         for (line, v) in lines.iter().zip([0.0, 0.25, 0.5, 0.75, 1.0f32]) {
             for k in 0..=steps {
                 let u = k as f32 / steps as f32;

@@ -5,6 +5,9 @@ use super::preset::{Parameters, WorldPreset};
 use super::relief::{Basin, Drainage, Ground, Network, Scratch};
 use super::surface::{WINDWARD, Weather};
 
+/// The distance between samples, in distances of rivers, from which on there are no rivers.
+const MAX_STEP: f64 = 0.5;
+
 /// A planet made from a preset and a seed. Everything about a position depends on these and on the position only.
 #[derive(Clone, Debug)]
 pub struct World {
@@ -69,10 +72,10 @@ impl World {
         relief.row(self.basin(), &row.points, &mut row.network, &mut row.scratch, &mut row.ground);
     }
 
-    /// Computes the ground of a row of samples that are some metres apart, without rivers where these are much closer: the
-    /// relief decides what such samples miss.
+    /// Computes the ground of a row of samples that are some metres apart, without rivers and lakes where these are closer
+    /// than [`MAX_STEP`]: each sample would need a network of its own, and a cell could not show what it finds.
     pub(super) fn ground_row_of(&self, meridians: &[Meridian], latitude: f64, step_m: f64, row: &mut RowBuffers) {
-        if step_m < 0.5 * self.drainage.spacing_m() {
+        if step_m < MAX_STEP * self.drainage.spacing_m() {
             return self.ground_row(meridians, latitude, row);
         }
         row.points.set_row(meridians, latitude);

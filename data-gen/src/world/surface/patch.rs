@@ -97,7 +97,8 @@ impl Patch {
         let meridians = meridians((0..stride as i64).map(|k| lattice.longitude(k - MARGIN as i64)));
         let mut samples = Texels::default();
         for row in 0..stride {
-            world.ground_row(&meridians, lattice.latitude(row as i64 - MARGIN as i64), buffers);
+            let latitude = lattice.latitude(row as i64 - MARGIN as i64);
+            world.ground_row_of(&meridians, latitude, lattice.step_m(), buffers);
             let ground = &buffers.ground;
             samples.surface_m.extend_from_slice(&ground.surface_m);
             samples.depth_m.extend_from_slice(&ground.depth_m);

@@ -39,7 +39,9 @@ fn drawn(set: &Path, height_m: f64) -> (Vec<(String, OrientedBox)>, usize) {
 /// The errors of all tiles in the tilesets of an explicit set.
 fn explicit_errors(set: &Path) -> Vec<f64> {
     let mut errors = Vec::new();
-    for (name, bytes) in files_below(set).iter().filter(|(name, _)| name.ends_with("json")) {
+    // The journal of blocks is beside the tilesets.
+    let is_tileset = |name: &str| name.ends_with("json") && !name.starts_with('.');
+    for (name, bytes) in files_below(set).iter().filter(|(name, _)| is_tileset(name)) {
         let tileset: Value = serde_json::from_slice(bytes).unwrap();
         each_tile(&tileset["root"], None, &mut |tile, _| {
             // A tile that stands for an external tileset is its root.
