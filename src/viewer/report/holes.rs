@@ -58,14 +58,16 @@ impl HoleCheck {
                 [start, end].iter().all(|q| q.x.abs().max(q.y.abs()) <= 1.0 - rim)
             }
             Slab::Region(region) => {
-                if WGS84.geodetic(eye).height_m < region.min_height_m {
+                // First what tells most rays apart: those into the sky.
+                let Some(end) = ellipsoid_hit(eye, direction, region.min_height_m) else { return false };
+                let height_m = WGS84.geodetic(eye).height_m;
+                if height_m < region.min_height_m {
                     return false;
                 }
-                let inside = |t: f64| in_footprint(&region, eye + direction * t);
-                let above = WGS84.geodetic(eye).height_m > region.max_height_m;
+                let above = height_m > region.max_height_m;
                 let start = if above { ellipsoid_hit(eye, direction, region.max_height_m) } else { Some(0.0) };
-                let end = ellipsoid_hit(eye, direction, region.min_height_m);
-                matches!((start, end), (Some(a), Some(b)) if inside(a) && inside(b))
+                let inside = |t: f64| in_footprint(&region, eye + direction * t);
+                start.is_some_and(inside) && inside(end)
             }
         }
     }

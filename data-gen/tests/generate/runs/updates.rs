@@ -56,7 +56,7 @@ fn counts(note: &str) -> [u32; 2] {
     [kept, made]
 }
 
-/// Sets of eight levels have 64 blocks of the finest layer; files in the corners and in the middle touch a few of them.
+/// Sets of seven levels have 16 blocks of the finest layer; files in the corners and in the middle touch a few of them.
 #[test]
 fn changed_source_makes_only_the_blocks_that_it_touches_again() {
     let folder = tempfile::tempdir().unwrap();
@@ -64,7 +64,7 @@ fn changed_source_makes_only_the_blocks_that_it_touches_again() {
     let south_west = at("a.tif", [7.0, 46.0], 1);
     let north_east = at("b.tif", [7.4, 46.4], 2);
     let middle = at("c.tif", [7.2, 46.2], 3);
-    let set = |dem: &[&PathBuf]| GenArgs { levels: Some(8), ..args(dem, folder.path().join("set"), false) };
+    let set = |dem: &[&PathBuf]| GenArgs { levels: Some(7), ..args(dem, folder.path().join("set"), false) };
     let all = set(&[&south_west, &north_east, &middle]);
     run(&all).unwrap();
     let [kept, made] = counts(&check(&all));

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use kit::server::{How, Reply, Request, Server};
-use terrane_data_gen::{ElevationSource as _, GenArgs, GenError, HeightEncoding, Raster, RasterOptions, run};
+use terrane_data_gen::{Color, ElevationSource as _, GenArgs, GenError, HeightEncoding, Raster, RasterOptions, run};
 
 use super::tile_archives::{pmtiles, terrarium};
 use crate::files::{files_below, from_dem};
@@ -201,6 +201,7 @@ fn coarse_sets_read_the_overview_that_suffices() {
         dem: vec![address(&server, "a.tif")],
         levels: Some(levels),
         overwrite: true,
+        color: Color::None,
         ..GenArgs::new(folder.path().join("set"))
     };
     // Levels, cells along a side, and the overview with samples at most as far apart.
