@@ -25,7 +25,7 @@ const WORLD_TILES: u64 = 4;
 /// More bytes than a tile has.
 const MAX_TILE_BYTES: u64 = 400_000;
 
-/// What a run would make.
+/// Describes the set that a run would make.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "camelCase")]
 pub struct Prediction {

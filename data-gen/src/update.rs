@@ -24,7 +24,7 @@ const MANIFEST: &str = "sources.json";
 /// The extensions of the files of tiles.
 const EXTENSIONS: [&str; 5] = ["exr", "glb", "jpg", "png", "webp"];
 
-/// What the blocks of a set were made of.
+/// Records the options and sources that the blocks of a set were made of.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Manifest {
     /// The version, the options, and what is not a source of elevation.

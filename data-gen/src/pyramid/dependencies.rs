@@ -1,9 +1,9 @@
-//! What a block was made of beside the samples of its own part: `--update` keeps a block if none of it has changed.
+//! Records the inputs of a block beside the samples of its own part: `--update` keeps a block if none of them has changed.
 
 use super::grid::Grid;
 use crate::GenError;
 
-/// What a block depends on beyond its rectangle.
+/// Lists the inputs of a block beyond its rectangle.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Dependencies {
     /// How far from the block the source was read, in cells of the finest lattice.

@@ -30,7 +30,7 @@ struct Archive {
     bytes: Bytes,
 }
 
-/// Where the archive is.
+/// The place of an archive: on a disk or on a server.
 enum Bytes {
     File(FileReader, FileState),
     Server(Arc<BlockCache>),

@@ -27,7 +27,7 @@ const RELIEF_MARGIN: f64 = 1.25;
 /// The least ratio between the errors of two levels.
 const RATIO: f64 = 1.45;
 
-/// What was measured of a level: the largest difference from the finer one, and the lowest and the highest surface.
+/// The measurement of a level: the largest difference from the finer one, and the lowest and the highest surface.
 struct Measure {
     error_m: f64,
     range_m: [f32; 2],

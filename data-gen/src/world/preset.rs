@@ -74,7 +74,7 @@ pub(super) struct Rivers {
     pub flow: Flow,
 }
 
-/// What flows in the valleys of a world.
+/// The kind of flow in the valleys of a world.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Flow {
     Water,

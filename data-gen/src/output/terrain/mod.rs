@@ -36,7 +36,7 @@ const LEVEL_0_ERROR_M: f64 = 77_067.34;
 /// The allowed distance of samples and triangles as a share of the level's error: half a pixel with the usual limit of 2.
 const SHARE_OF_LEVEL: f64 = 0.25;
 
-/// What was written of a tile, or found complete.
+/// Describes a tile that was written, or found complete.
 struct Written {
     key: TileKey,
     /// The lowest and the highest height of the tile and of the finer tiles inside.

@@ -1,4 +1,4 @@
-//! What rivers and glaciers cover of a texel, and the shape of a glacier.
+//! The shares of a texel that rivers and glaciers cover, and the shape of a glacier.
 
 use super::drainage::{Channel, Waters, dot};
 use super::smooth;

@@ -1,4 +1,4 @@
-//! What wind and impacts leave: dunes and craters.
+//! The traces of wind and impacts: dunes and craters.
 
 use super::super::points::{Points, RADIUS_M};
 use super::super::preset::Relief;

@@ -117,7 +117,7 @@ pub(crate) struct Node {
     pub level_m: f32,
 }
 
-/// Where a node's water goes.
+/// The way of a node's water.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Course {
     pub down: Option<Cell>,
@@ -141,7 +141,7 @@ pub(crate) struct Channel {
     pub floor_m: f32,
     /// True if no river comes from above.
     pub is_source: bool,
-    /// Where stones lie on a glacier, within -1..1 across it.
+    /// The place of stones on a glacier, within -1..1 across it.
     pub moraines: [f32; 2],
 }
 
