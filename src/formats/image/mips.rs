@@ -15,11 +15,11 @@ pub(in crate::formats) fn mips(width: u32, height: u32, level_0: Vec<u8>) -> Vec
         if w > 1 && h > 1 {
             for rows in above.chunks_exact(2 * w * 4) {
                 let (upper, lower) = rows.split_at(w * 4);
-                next.extend(halved(upper, lower));
+                halve(upper, lower, &mut next);
             }
         } else {
             // A row or a column: the filter reads the same two pixels twice.
-            next.extend(halved(above, above));
+            halve(above, above, &mut next);
         }
         levels.push(next.into_flattened());
         (w, h) = (nw, nh);
@@ -27,19 +27,23 @@ pub(in crate::formats) fn mips(width: u32, height: u32, level_0: Vec<u8>) -> Vec
     levels
 }
 
-/// Averages two rows to one of half the width. The last pixel of an odd width is ignored.
-fn halved(upper: &[u8], lower: &[u8]) -> impl Iterator<Item = [u8; 4]> {
+/// Appends the average of two rows, which has half their width. The last pixel of an odd width is ignored.
+fn halve(upper: &[u8], lower: &[u8], into: &mut Vec<[u8; 4]>) {
     let (to_linear, to_srgb) = srgb_tables();
-    let pairs = upper.as_chunks::<8>().0.iter().zip(lower.as_chunks::<8>().0);
-    pairs.map(|(a, b)| {
-        let color = |c: usize| {
-            let linear = |of: &[u8; 8]| to_linear[usize::from(of[c])] + to_linear[usize::from(of[c + 4])];
+    let (upper, lower) = (upper.as_chunks::<8>().0, lower.as_chunks::<8>().0);
+    // Plain loops, because iterators and closures are slow in the builds of tests.
+    for i in 0..upper.len().min(lower.len()) {
+        let (a, b) = (&upper[i], &lower[i]);
+        let mut texel = [0; 4];
+        for c in 0..3 {
+            let upper = to_linear[a[c] as usize] + to_linear[a[c + 4] as usize];
+            let lower = to_linear[b[c] as usize] + to_linear[b[c + 4] as usize];
             // The sum of four 16-bit values has 18 bits; the table is indexed by the upper 12.
-            to_srgb[((linear(a) + linear(b)) >> 6) as usize & 4095]
-        };
-        let alpha = [a[3], a[7], b[3], b[7]].map(u32::from).iter().sum::<u32>();
-        [color(0), color(1), color(2), ((alpha + 2) / 4) as u8]
-    })
+            texel[c] = to_srgb[((upper + lower) >> 6) as usize & 4095];
+        }
+        texel[3] = ((a[3] as u32 + a[7] as u32 + b[3] as u32 + b[7] as u32 + 2) / 4) as u8;
+        into.push(texel);
+    }
 }
 
 /// Tables from sRGB to linear and back.

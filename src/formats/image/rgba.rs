@@ -22,19 +22,19 @@ pub(super) fn decode_rgb<E>(bytes: usize, read: impl FnOnce(&mut [u8]) -> Result
     })
 }
 
-/// Converts RGB to RGBA, four pixels at a time.
+/// Converts RGB to RGBA, four pixels at a time. The loops are plain, because iterators are slow in the builds of tests.
 fn with_alpha(rgb: &[u8]) -> Vec<u8> {
-    const ALPHA: u32 = 0xff00_0000;
     let (threes, rest) = rgb.as_chunks::<12>();
-    let mut fours: Vec<[[u8; 4]; 4]> = Vec::with_capacity(rgb.len().div_ceil(12));
-    fours.extend(threes.iter().map(|three| {
-        let word = |k: usize| u32::from_le_bytes([three[k], three[k + 1], three[k + 2], three[k + 3]]);
-        let [a, b, c] = [word(0), word(4), word(8)];
-        [a, a >> 24 | b << 8, b >> 16 | c << 16, c >> 8].map(|pixel| (pixel | ALPHA).to_le_bytes())
-    }));
+    let mut fours = vec![[255; 16]; threes.len()];
+    for i in 0..threes.len() {
+        let [r0, g0, b0, r1, g1, b1, r2, g2, b2, r3, g3, b3] = threes[i];
+        fours[i] = [r0, g0, b0, 255, r1, g1, b1, 255, r2, g2, b2, 255, r3, g3, b3, 255];
+    }
     let mut out = fours.into_flattened();
-    out.extend(rest.as_chunks::<3>().0.iter().map(|&[r, g, b]| [r, g, b, 255]));
-    out.into_flattened()
+    for &[r, g, b] in rest.as_chunks::<3>().0 {
+        out.extend([r, g, b, 255]);
+    }
+    out
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! The program `terrane`, without windows.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
+mod benches;
 mod cache;
 mod cli;
 mod convert;
