@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 
 use image::{GenericImageView as _, RgbImage};
 use kit::display::Display;
+use kit::frames::{differing, rgb_of_bgra};
 use kit::skip::no_adapter;
 use x11rb::connection::Connection as _;
 use x11rb::protocol::xproto::{
@@ -92,10 +93,7 @@ impl Driven {
         let (width, height) = (size.width, size.height);
         let image = self.x.get_image(ImageFormat::Z_PIXMAP, self.window, 0, 0, width, height, u32::MAX);
         let data = image.unwrap().reply().unwrap().data;
-        RgbImage::from_fn(u32::from(width), u32::from(height), |x, y| {
-            let at = 4 * (y as usize * usize::from(width) + x as usize);
-            image::Rgb([data[at + 2], data[at + 1], data[at]])
-        })
+        rgb_of_bgra([width, height].map(u32::from), &data)
     }
 
     /// Returns the window's position and size on the display: x, y, width and height.
@@ -234,21 +232,6 @@ pub fn keep(name: &str, picture: &RgbImage) {
     if let Some(folder) = std::env::var_os("KEEP_IMAGES") {
         picture.save(Path::new(&folder).join(format!("window-{name}.png"))).unwrap();
     }
-}
-
-/// Returns the share of the pixels that differ visibly.
-pub fn differing(a: &RgbImage, b: &RgbImage) -> f64 {
-    if a.dimensions() != b.dimensions() {
-        return 1.0;
-    }
-    let differ = |(p, q): (&image::Rgb<u8>, &image::Rgb<u8>)| p.0.iter().zip(q.0).any(|(p, q)| p.abs_diff(q) > 12);
-    a.pixels().zip(b.pixels()).filter(|pair| differ(*pair)).count() as f64 / f64::from(a.width() * a.height())
-}
-
-/// Returns the number of colours in steps of 8; a sky alone has few.
-pub fn colours(picture: &RgbImage) -> usize {
-    let of = |p: &image::Rgb<u8>| p.0.map(|c| c / 8);
-    picture.pixels().map(of).collect::<std::collections::BTreeSet<_>>().len()
 }
 
 pub fn part(picture: &RgbImage, [x, y, width, height]: [u32; 4]) -> RgbImage {

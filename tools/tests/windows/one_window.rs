@@ -4,11 +4,11 @@
 use std::time::Duration;
 
 use crate::driven::{
-    BUTTON_PRESS, BUTTON_RELEASE, Driven, ESCAPE, KEY_PRESS, KEY_RELEASE, MOTION, SPACE, UP, colours, differing, part,
-    tile_set,
+    BUTTON_PRESS, BUTTON_RELEASE, Driven, ESCAPE, KEY_PRESS, KEY_RELEASE, MOTION, SPACE, UP, part, tile_set,
 };
 use image::RgbImage;
 use kit::display::Display;
+use kit::frames::{colours, differing};
 
 #[test]
 fn user_moves_looks_around_and_closes_the_window() {

@@ -4,9 +4,10 @@
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-use crate::driven::{BUTTON_PRESS, BUTTON_RELEASE, Driven, ESCAPE, MOTION, SPACE, colours, differing, part, tile_set};
+use crate::driven::{BUTTON_PRESS, BUTTON_RELEASE, Driven, ESCAPE, MOTION, SPACE, part, tile_set};
 use image::RgbImage;
 use kit::display::Display;
+use kit::frames::{colours, differing};
 use x11rb::connection::Connection as _;
 use x11rb::protocol::xproto::{ConfigureWindowAux, ConnectionExt as _, CreateWindowAux, InputFocus, WindowClass};
 use x11rb::wrapper::ConnectionExt as _;

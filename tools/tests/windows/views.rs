@@ -5,11 +5,11 @@ use std::process::Command;
 use std::time::{Duration, Instant};
 
 use crate::driven::{
-    BUTTON_PRESS, BUTTON_RELEASE, Driven, ESCAPE, KEY_PRESS, KEY_RELEASE, MOTION, SPACE, UP, colours, differing, part,
-    tile_set,
+    BUTTON_PRESS, BUTTON_RELEASE, Driven, ESCAPE, KEY_PRESS, KEY_RELEASE, MOTION, SPACE, UP, part, tile_set,
 };
 use image::RgbImage;
 use kit::display::Display;
+use kit::frames::{colours, differing};
 use x11rb::protocol::xproto::{ConnectionExt as _, InputFocus};
 use x11rb::wrapper::ConnectionExt as _;
 

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use image::RgbaImage;
+use image::{RgbImage, RgbaImage};
 use terrane::gpu::AdapterChoice;
 
 /// The background of [`crate::rig::plain`]: a color that no test draws on purpose.
@@ -70,4 +70,29 @@ pub fn differ(a: &RgbaImage, b: &RgbaImage, by: u8) -> usize {
     assert_eq!(a.dimensions(), b.dimensions());
     let far = |a: &[u8], b: &[u8]| a.iter().zip(b).take(3).any(|(a, b)| a.abs_diff(*b) > by);
     a.pixels().zip(b.pixels()).filter(|(a, b)| far(&a.0, &b.0)).count()
+}
+
+/// Returns a picture of the X server's 32-bit pixels: blue, green, red and padding.
+pub fn rgb_of_bgra([width, height]: [u32; 2], pixels: &[u8]) -> RgbImage {
+    let rgb = pixels.as_chunks::<4>().0.iter().map(|&[b, g, r, _]| [r, g, b]).collect::<Vec<_>>().into_flattened();
+    RgbImage::from_raw(width, height, rgb).unwrap()
+}
+
+/// Returns the share of the pixels that differ visibly, 0..1; 1 for pictures of different sizes.
+pub fn differing(a: &RgbImage, b: &RgbImage) -> f64 {
+    if a.dimensions() != b.dimensions() {
+        return 1.0;
+    }
+    let differ = |(p, q): &(&image::Rgb<u8>, &image::Rgb<u8>)| (0..3).any(|c| p.0[c].abs_diff(q.0[c]) > 12);
+    a.pixels().zip(b.pixels()).filter(differ).count() as f64 / f64::from(a.width() * a.height())
+}
+
+/// Returns the number of colours in steps of 8; a sky alone has few.
+pub fn colours(picture: &RgbImage) -> usize {
+    let mut is_found = vec![false; 32 * 32 * 32];
+    for p in picture.pixels() {
+        let [r, g, b] = p.0.map(|c| usize::from(c / 8));
+        is_found[(r * 32 + g) * 32 + b] = true;
+    }
+    is_found.iter().filter(|found| **found).count()
 }
