@@ -24,7 +24,7 @@ use crate::fetch::{IoError, Limits, Permit, shown};
 
 /// The maximum memory reserved for a body before its bytes arrive.
 const MAX_RESERVED_BYTES: u64 = 1 << 20;
-/// The maximum size of a whole archive that is accepted as the answer to a range request.
+/// The maximum size of a whole file that is accepted as the answer to a range request.
 const MAX_INSTEAD_OF_RANGE_BYTES: u64 = 4 << 20;
 /// The maximum size of a body of a failure or redirect that is read to its end, so that the connection can be reused.
 const MAX_DRAINED_BYTES: u64 = 16 << 10;

@@ -283,8 +283,8 @@ impl TileGrid {
         (width / self.tiling.world_width() - 1.0).abs() < 1e-6 && level.columns > 0
     }
 
-    /// Returns the coarsest level whose pixels are at most about as large as `texel_m`, metres on the ground: at most larger by
-    /// the square root of two. It is the finest level if all are coarser.
+    /// Returns the coarsest level whose pixels are at most the square root of two times `texel_m`, metres on the ground; the
+    /// finest level if all are coarser.
     pub fn level_of(&self, texel_m: f64, rectangle: &GeoRectangle) -> usize {
         let metres = self.tiling.metres_per_unit(rectangle.latitude_near_equator());
         let is_fine = |level: &GridLevel| level.pixel() * metres <= texel_m * std::f64::consts::SQRT_2;

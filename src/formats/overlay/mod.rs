@@ -8,7 +8,8 @@
 //!
 //! The images of a content are its dependencies, as the external images of a glTF are: the pager's own threads load them, and
 //! the content is decoded when they have arrived or failed. What has failed is replaced by the next coarser level, and never
-//! fails a content. `OverlaySet::texel_m` states the resolution. See docs/decisions/0051.
+//! fails a content. `OverlaySet::texel_m` sets the size of a
+//! tile's texels and `TileGrid::cover_for` the level of its images. See docs/decisions/0051.
 
 mod compose;
 mod content;

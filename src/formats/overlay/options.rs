@@ -52,8 +52,8 @@ pub struct RasterOverlay {
     pub min_level: u32,
     /// The finest level that is requested, at most 30.
     pub max_level: u32,
-    /// Width and height of a template's tiles in pixels, which the level is chosen by. Images may be two or four times as
-    /// large or as small.
+    /// Width and height of a template's tiles in pixels. With a level's extent they give the size of a pixel on the ground,
+    /// which is compared with the texels that a tile needs. Images may be two or four times as large or as small.
     pub tile_px: u32,
     /// The rectangle that has images; `None` for all of the earth, or for the bounds in a document.
     pub rectangle: Option<GeoRectangle>,

@@ -107,8 +107,8 @@ impl OverlaySet {
         self.overlays.iter().map(|overlay| &overlay.options)
     }
 
-    /// Sets the screen-space error in pixels at which tiles are refined, if it is not the usual one: 3 for height tiles, 16
-    /// for others. Images are chosen by it.
+    /// Tells the overlays at which screen-space error in pixels the viewer refines tiles, if it is not the usual one: 3 for
+    /// height tiles, 16 for others. Twice the value takes images one level coarser; refinement does not change.
     pub fn with_max_sse_px(mut self, max_sse_px: f64) -> Self {
         self.max_sse_px = Some(max_sse_px).filter(|px| *px > 0.0);
         self

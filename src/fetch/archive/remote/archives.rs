@@ -5,7 +5,7 @@ use std::time::{Instant, SystemTime};
 
 use lru::LruCache;
 
-use super::identity::ArchiveIdentity;
+use super::identity::RemoteIdentity;
 use super::part::{MemberName, Part, PartReader};
 use super::pmtiles::RemotePmtiles;
 use super::reread_limit::RereadLimit;
@@ -39,7 +39,7 @@ impl RemoteArchive {
         }))
     }
 
-    fn identity(&self) -> &ArchiveIdentity {
+    fn identity(&self) -> &RemoteIdentity {
         match self {
             Self::Zip(zip) => &zip.identity,
             Self::Pmtiles(tiles) => &tiles.identity,

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use reqwest::header::LAST_MODIFIED;
 
-use super::identity::ArchiveIdentity;
+use super::identity::RemoteIdentity;
 use super::part::{Part, PartReader, range_of};
 use crate::fetch::archive::span::Span;
 use crate::fetch::http::runtime;
@@ -28,7 +28,7 @@ pub struct RemoteFiles {
 pub struct RemoteFile {
     files: Arc<RemoteFiles>,
     uri: String,
-    identity: ArchiveIdentity,
+    identity: RemoteIdentity,
     modified: Option<String>,
     bytes: u64,
     /// The first bytes, or all bytes of a small file on a server without range requests.
@@ -55,7 +55,7 @@ impl RemoteFiles {
         if first.offset != 0 || first.bytes.is_empty() {
             return Err(IoError::invalid(uri, "another part of the file than was asked for"));
         }
-        let (identity, modified, bytes) = (ArchiveIdentity::of(&first), modified(&first), first.archive_bytes);
+        let (identity, modified, bytes) = (RemoteIdentity::of(&first), modified(&first), first.file_bytes);
         Ok(RemoteFile { files: self.clone(), uri: uri.to_owned(), identity, modified, bytes, head: first.bytes })
     }
 

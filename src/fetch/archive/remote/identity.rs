@@ -1,4 +1,4 @@
-//! [`ArchiveIdentity`]: recognizes whether an archive on a server is still the one whose directory was read.
+//! [`RemoteIdentity`]: recognizes whether an archive on a server is still the one whose directory was read.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -15,8 +15,8 @@ const VALIDATOR_HOLDS_FOR: Duration = Duration::from_secs(60);
 
 /// Size and validator of an archive when its directory was read. Shared by the requests of a client.
 #[derive(Debug)]
-pub(super) struct ArchiveIdentity {
-    archive_bytes: u64,
+pub(super) struct RemoteIdentity {
+    file_bytes: u64,
     etag: Option<String>,
     /// The time of the last request whose answer had this validator. Locked briefly.
     seen_at: Mutex<Instant>,
@@ -24,11 +24,11 @@ pub(super) struct ArchiveIdentity {
     is_stale: AtomicBool,
 }
 
-impl ArchiveIdentity {
+impl RemoteIdentity {
     /// Creates the identity of the archive that a part came from.
     pub fn of(part: &Part) -> Self {
         Self {
-            archive_bytes: part.archive_bytes,
+            file_bytes: part.file_bytes,
             etag: part.etag(),
             seen_at: Mutex::new(part.requested_at),
             is_stale: AtomicBool::new(false),
@@ -76,7 +76,7 @@ impl ArchiveIdentity {
             }
             other => other?,
         };
-        if part.offset == 0 && part.bytes.len() as u64 == part.archive_bytes {
+        if part.offset == 0 && part.bytes.len() as u64 == part.file_bytes {
             // A server without range requests has sent the whole archive.
             let end = span.offset.saturating_add(span.size);
             let bytes = part.bytes.get(span.offset as usize..end as usize).map(<[u8]>::to_vec);
@@ -95,7 +95,7 @@ impl ArchiveIdentity {
     /// Checks that a part has the requested span and comes from this archive.
     pub fn check(&self, url: &str, part: &Part, span: Span) -> Result<(), IoError> {
         let etags_differ = matches!((part.etag(), &self.etag), (Some(a), Some(b)) if a != *b);
-        if part.archive_bytes != self.archive_bytes || etags_differ {
+        if part.file_bytes != self.file_bytes || etags_differ {
             return Err(changed(url));
         }
         if part.offset != span.offset || part.bytes.len() as u64 != span.size {
@@ -117,8 +117,8 @@ mod tests {
     #[test]
     fn an_archive_vouches_for_its_cached_members_for_a_while() {
         let now = Instant::now();
-        let archive = |etag: &str| ArchiveIdentity {
-            archive_bytes: 9,
+        let archive = |etag: &str| RemoteIdentity {
+            file_bytes: 9,
             etag: Some(etag.to_owned()),
             seen_at: Mutex::new(now),
             is_stale: AtomicBool::new(false),

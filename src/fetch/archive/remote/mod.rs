@@ -4,7 +4,7 @@
 //! ```text
 //! RemoteArchives   which archives are open; the disk cache for their members
 //!   RemoteZip, RemotePmtiles   which span holds a member
-//!     ArchiveIdentity          is the archive still the one whose directory was read?
+//!     RemoteIdentity          is the archive still the one whose directory was read?
 //!       PartReader             one range request
 //! ```
 

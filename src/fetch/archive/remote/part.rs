@@ -17,7 +17,7 @@ pub(super) struct Part {
     /// Offset of the first byte in the archive.
     pub offset: u64,
     /// Size of the whole archive in bytes.
-    pub archive_bytes: u64,
+    pub file_bytes: u64,
     /// The time before the request was sent.
     pub requested_at: Instant,
     pub headers: HeaderMap,
@@ -73,7 +73,7 @@ impl<'a> PartReader<'a> {
         let requested_at = Instant::now();
         let answer = self.transport.exchange(url, &headers, None, limits).await?;
         self.network_bytes.fetch_add(answer.body.len() as u64, Ordering::Relaxed);
-        let (offset, archive_bytes) = match answer.status {
+        let (offset, file_bytes) = match answer.status {
             206 => {
                 let text = answer.headers.get(CONTENT_RANGE).and_then(|v| v.to_str().ok());
                 let received = text.and_then(parse_content_range).filter(|(first, last, length)| {
@@ -91,7 +91,7 @@ impl<'a> PartReader<'a> {
             _ => return Err(answer.error(url)),
         };
         let Answer { body: bytes, headers, freshness, .. } = answer;
-        Ok(Part { bytes, offset, archive_bytes, requested_at, headers, freshness })
+        Ok(Part { bytes, offset, file_bytes, requested_at, headers, freshness })
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::identity::ArchiveIdentity;
+use super::identity::RemoteIdentity;
 use super::part::{MemberName, Part, PartReader, range_of};
 use crate::fetch::archive::pmtiles::{
     DirectoryCache, HEAD_BYTES, Lookup, MAX_DIRECTORY_DEPTH, TileDirectory, TileHeader, check_span_size, tile_id,
@@ -15,7 +15,7 @@ use crate::fetch::{IoError, encoding};
 /// An archive whose header and root directory have been read.
 #[derive(Debug)]
 pub(super) struct RemotePmtiles {
-    pub identity: ArchiveIdentity,
+    pub identity: RemoteIdentity,
     header: TileHeader,
     root: TileDirectory,
     /// Nested directories. Several requests may wait for the same one.
@@ -38,7 +38,7 @@ impl RemotePmtiles {
             None => return Err(IoError::invalid(url, "PMTiles: the root directory is not at the beginning")),
         };
         let root = header.directory(url, root, limits)?;
-        Ok(Self { identity: ArchiveIdentity::of(&head), header, root, leaves: DirectoryCache::new() })
+        Ok(Self { identity: RemoteIdentity::of(&head), header, root, leaves: DirectoryCache::new() })
     }
 
     /// Returns the memory that the cached directories take, in bytes.

@@ -1,6 +1,6 @@
 //! A zip archive or 3D Tiles archive on a server.
 
-use super::identity::ArchiveIdentity;
+use super::identity::RemoteIdentity;
 use super::part::{MemberName, Part, PartReader, range_of};
 use crate::fetch::archive::span::Span;
 use crate::fetch::archive::zip::{
@@ -13,7 +13,7 @@ use crate::fetch::{IoError, Limits, encoding};
 /// An archive whose directory or index has been read.
 #[derive(Debug)]
 pub(super) struct RemoteZip {
-    pub identity: ArchiveIdentity,
+    pub identity: RemoteIdentity,
     /// The span of the directory. Members lie before it.
     directory_span: Span,
     index: Option<ZipIndex>,
@@ -28,7 +28,7 @@ impl RemoteZip {
     pub async fn open(reader: &PartReader<'_>) -> Result<Self, IoError> {
         let (url, limits) = (reader.url, reader.limits);
         let tail = read_tail(reader).await?;
-        let identity = ArchiveIdentity::of(&tail);
+        let identity = RemoteIdentity::of(&tail);
         let at = async |span: Span| match span.slice_of(&tail.bytes, tail.offset) {
             Some(bytes) => Ok(bytes.to_vec()),
             None => {
@@ -170,20 +170,20 @@ impl RemoteZip {
 
 /// Reads the end of an archive.
 async fn read_tail(reader: &PartReader<'_>) -> Result<Part, IoError> {
-    let tail_of = |archive_bytes: u64| {
-        let size = archive_bytes.min(TAIL_BYTES);
-        range_of(Span { offset: archive_bytes - size, size })
+    let tail_of = |file_bytes: u64| {
+        let size = file_bytes.min(TAIL_BYTES);
+        range_of(Span { offset: file_bytes - size, size })
     };
     let limits = reader.limits;
     match reader.read(&format!("bytes=-{TAIL_BYTES}"), limits).await {
         // Some servers (Azure's) support no range relative to the end. Any other range tells the size of the archive.
         Err(IoError::Unsupported { .. } | IoError::Status { status: 400 | 416, .. }) => {
-            let archive_bytes = reader.read("bytes=0-0", limits).await?.archive_bytes;
-            reader.read(&tail_of(archive_bytes), limits).await
+            let file_bytes = reader.read("bytes=0-0", limits).await?.file_bytes;
+            reader.read(&tail_of(file_bytes), limits).await
         }
         // Others read it as a range from the beginning.
-        Ok(part) if part.offset + part.bytes.len() as u64 != part.archive_bytes => {
-            reader.read(&tail_of(part.archive_bytes), limits).await
+        Ok(part) if part.offset + part.bytes.len() as u64 != part.file_bytes => {
+            reader.read(&tail_of(part.file_bytes), limits).await
         }
         other => other,
     }
