@@ -269,6 +269,10 @@ impl TableReader<'_> {
         for (i, position) in positions.into_iter().enumerate() {
             let rotation = match (&up, &right) {
                 (Some(up), Some(right)) => basis(up[i], right[i]),
+                // The centre of the earth has no directions; these are Cesium's there.
+                _ if table.east_north_up && origin + position == DVec3::ZERO => {
+                    DMat3::from_cols(DVec3::Y, DVec3::NEG_X, DVec3::Z)
+                }
                 _ if table.east_north_up => WGS84.ecef_from_enu(&WGS84.geodetic(origin + position)).matrix3,
                 _ => DMat3::IDENTITY,
             };

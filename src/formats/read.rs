@@ -315,6 +315,8 @@ impl ModelReader<'_> {
         for (magic, what) in [
             (&b"subt"[..], "a subtree outside of implicit tiling"),
             (b"PMTiles", "a whole PMTiles file as the content of a tile"),
+            (b"vctr", "a vector tile (vctr)"),
+            (b"geom", "a geometry tile (geom)"),
             (&[4, 3, 2, 1], "OpenSceneGraph's .ive (its osgconv makes .osgb of it)"),
         ] {
             if bytes.starts_with(magic) {
@@ -339,6 +341,9 @@ impl ModelReader<'_> {
         refuse_markup(uri, bytes)?;
         if image::is_image(bytes) {
             return Err(IoError::unsupported(uri, "an image as the content of a tile"));
+        }
+        if bytes.is_empty() {
+            return Err(IoError::invalid(uri, "the file is empty"));
         }
         Err(IoError::invalid(uri, format!("unknown magic {:02x?}", bytes.get(..4.min(bytes.len())).unwrap_or(&[]))))
     }

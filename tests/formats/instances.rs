@@ -177,6 +177,10 @@ fn i3dm_quantized_positions_and_east_north_up() {
     assert_eq!(found[0][0], [6_378_137.0, 20.0, 0.0]);
     assert_eq!(found[1][0], [6_378_147.0, 0.0, 30.0]);
     assert_eq!(found[1][1..], [[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]);
+    // The centre of the earth has no directions.
+    let table_of_center = r#"{"INSTANCES_LENGTH":1,"POSITION":{"byteOffset":0},"EAST_NORTH_UP":true}"#;
+    let center = frames(&instances(i3dm(table_of_center, &floats(&[0.0; 3]), 1, &model()), Vec::new()).unwrap());
+    assert_eq!(center[0], [[0.0; 3], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]);
     let broken = table.replace(r#""QUANTIZED_VOLUME_SCALE":[10,20,30],"#, "");
     assert!(instances(i3dm(&broken, &binary, 1, &model()), Vec::new()).is_err());
 }

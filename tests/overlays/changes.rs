@@ -140,3 +140,34 @@ fn overlays_of_osg_files_change_too() {
     looking.check(&PATCH, all(WHITE));
     assert!(looking.viewer.pager().unwrap().errors().is_empty());
 }
+
+/// Regression: a file of OpenSceneGraph that is opened alone showed no overlays, since no tile says where it is.
+#[test]
+fn osg_file_that_is_opened_alone_is_covered() {
+    let folder = tempfile::tempdir().unwrap();
+    let (server, template) = numbered_server();
+    let ((west, _), (east, _)) = (osg_part(10, [0.0, 0.5]), osg_part(20, [0.5, 1.0]));
+    let matrix = glam::DMat4::from(PATCH.ecef_from_tile()).to_cols_array().map(|number| number.to_string()).join(" ");
+    let placed = format!(
+        "osg::MatrixTransform {{ UniqueID 2 Children 2 {{ {west} {east} }} ReferenceFrame RELATIVE_RF Matrix {{ {matrix} }} }}"
+    );
+    let file = folder.path().join("patch.osgt");
+    let open = |root: &str| {
+        std::fs::write(&file, osgt(VERSION, root)).unwrap();
+        Looking::at("", file.to_str().unwrap(), vec![RasterOverlay::template(&template)], &PATCH)
+    };
+    let Some(looking) = open(&group(1, std::slice::from_ref(&placed))) else { return };
+    let (shown, missing) = (looking.color(PATCH.place(0.25, 0.5)), looking.overlays.missing());
+    assert!(missing.is_empty() && shown != WHITE, "{shown:?}: {missing:?}");
+    // Images of a level near the resolution of the file, each where it belongs.
+    let levels: std::collections::BTreeSet<String> =
+        requests(&server).keys().filter_map(|path| Some(path.split('/').nth(1)?.to_owned())).collect();
+    let [level] = levels.iter().collect::<Vec<_>>()[..] else { panic!("{levels:?}") };
+    let level: u32 = level.parse().unwrap();
+    assert!((8..=12).contains(&level), "{level}");
+    looking.check(&PATCH, |place| expected(|at| mercator(level, at), place, 0.006));
+    // A local frame is not on the earth.
+    let asked = requests(&server).len();
+    let Some(_local) = open(&group(1, &[placed.replace(&matrix, &"0 ".repeat(16))])) else { return };
+    assert_eq!(requests(&server).len(), asked);
+}

@@ -33,7 +33,7 @@ pub(super) fn parse(context: &Context<'_>, chunks: &Chunks<'_>) -> Result<(gltf:
         parsed = json::Root::from_slice(&json);
     }
     if parsed.is_err()
-        && let Some(repaired) = repaired(&json)
+        && let Some(repaired) = repaired(&json, context)
         && let Ok(root) = json::Root::from_slice(&repaired)
     {
         (parsed, json) = (Ok(root), repaired.into());
@@ -60,12 +60,16 @@ pub(super) fn parse(context: &Context<'_>, chunks: &Chunks<'_>) -> Result<(gltf:
             return Err(context.bad(format_args!("accessor {index} of {accessors}")));
         }
     }
-    for (i, image) in root.images.iter().enumerate() {
-        let named = if image.buffer_view.is_some() { image.mime_type.is_some() } else { image.uri.is_some() };
-        if !named {
-            return Err(context.bad(format_args!("image {i} has no source, or no mimeType for its bufferView")));
+    for image in &mut root.images {
+        if image.buffer_view.is_some() {
+            // The bytes say what they are.
+            image.mime_type.get_or_insert_with(|| json::image::MimeType("application/octet-stream".to_owned()));
+        } else {
+            // An image without a source cannot be read; the mesh is drawn without it.
+            image.uri.get_or_insert_with(|| "data:,".to_owned());
         }
     }
+    remove_unused(context, &mut root);
     if root.scene.is_some_and(|scene| scene.value() >= root.scenes.len()) {
         context.notes.add("glTF: default scene that does not exist");
         root.scene = None;
@@ -85,26 +89,47 @@ pub(super) fn parse(context: &Context<'_>, chunks: &Chunks<'_>) -> Result<(gltf:
     if !errors.is_empty() {
         return Err(context.bad(gltf::Error::Validation(errors)));
     }
-    let document = gltf::Document::from_json_without_validation(root);
-    note_unused(context, &document);
-    Ok((document, double))
+    Ok((gltf::Document::from_json_without_validation(root), double))
 }
 
+/// The kinds of what a still scene does not draw.
+const ANIMATIONS: &str = "glTF: animations (drawn at rest)";
+const CAMERAS: &str = "glTF: cameras";
+
 /// Returns JSON that the crate can read, from JSON of which it refuses valid or harmless parts: members that are `null` are
-/// removed, and a scene may lack nodes. Returns `None` if the text is not JSON.
-fn repaired(json: &[u8]) -> Option<Vec<u8>> {
-    fn remove_nulls(value: &mut Value) {
+/// removed, integers may be written as floats, a scene may lack nodes, and animations, which may target other things than
+/// nodes (KHR_animation_pointer), and cameras are left out. Returns `None` if the text is not JSON.
+fn repaired(json: &[u8], context: &Context<'_>) -> Option<Vec<u8>> {
+    /// Floats below this are exact as integers.
+    const MAX_EXACT: f64 = 9_007_199_254_740_992.0;
+    fn repair(value: &mut Value) {
         match value {
             Value::Object(members) => {
                 members.retain(|_, member| !member.is_null());
-                members.values_mut().for_each(remove_nulls);
+                members.values_mut().for_each(repair);
             }
-            Value::Array(elements) => elements.iter_mut().for_each(remove_nulls),
+            Value::Array(elements) => elements.iter_mut().for_each(repair),
+            Value::Number(number) if number.is_f64() => {
+                let whole = number.as_f64().filter(|float| float.fract() == 0.0 && float.abs() < MAX_EXACT);
+                if let Some(whole) = whole {
+                    *number = (whole as i64).into();
+                }
+            }
             _ => {}
         }
     }
     let mut root: Value = serde_json::from_slice(json).ok()?;
-    remove_nulls(&mut root);
+    repair(&mut root);
+    let members = root.as_object_mut()?;
+    for (name, kind) in [("animations", ANIMATIONS), ("cameras", CAMERAS)] {
+        if members.remove(name).is_some_and(|list| list.as_array().is_none_or(|list| !list.is_empty())) {
+            context.notes.add(kind);
+        }
+    }
+    let nodes = root.get_mut("nodes").and_then(Value::as_array_mut);
+    for node in nodes.into_iter().flatten().filter_map(Value::as_object_mut) {
+        node.remove("camera");
+    }
     let scenes = root.get_mut("scenes").and_then(Value::as_array_mut);
     for scene in scenes.into_iter().flatten().filter_map(Value::as_object_mut) {
         scene.entry("nodes").or_insert_with(|| Value::Array(Vec::new()));
@@ -124,15 +149,18 @@ fn is_harmless(path: &str, error: Error) -> bool {
     }
 }
 
-/// Notes the parts of a document that a still scene does not draw.
-fn note_unused(context: &Context<'_>, document: &gltf::Document) {
+/// Removes and notes the parts of a document that a still scene does not draw, valid or not.
+fn remove_unused(context: &Context<'_>, root: &mut json::Root) {
     for (is_used, kind) in [
-        (document.animations().len() > 0, "glTF: animations (drawn at rest)"),
-        (document.cameras().len() > 0, "glTF: cameras"),
-        (document.scenes().len() > 1, "glTF: scenes besides the default one"),
+        (!root.animations.is_empty(), ANIMATIONS),
+        (!root.cameras.is_empty(), CAMERAS),
+        (root.scenes.len() > 1, "glTF: scenes besides the default one"),
     ] {
         if is_used {
             context.notes.add(kind);
         }
     }
+    root.animations.clear();
+    root.cameras.clear();
+    root.nodes.iter_mut().for_each(|node| node.camera = None);
 }

@@ -5,6 +5,7 @@ const SUPPORTED: &[&str] = &[
     "CESIUM_RTC",
     "CESIUM_primitive_outline",
     "EXT_mesh_gpu_instancing",
+    "EXT_mesh_primitive_restart",
     "EXT_meshopt_compression",
     "EXT_texture_webp",
     "KHR_draco_mesh_compression",
@@ -14,25 +15,26 @@ const SUPPORTED: &[&str] = &[
     "KHR_materials_unlit",
     "KHR_mesh_quantization",
     "KHR_meshopt_compression",
+    "KHR_node_visibility",
     "KHR_texture_basisu",
     "KHR_texture_transform",
+    "MSFT_texture_dds",
     "WEB3D_quantized_attributes",
 ];
 
-/// Extensions without which a glTF is still drawn sensibly, so that it is not refused if it requires them. They are noted.
+/// Extensions without which a glTF is still drawn sensibly, so that it is not refused if it requires them; so are all that
+/// refine materials. They are noted.
 const DISPENSABLE: &[&str] = &[
-    "KHR_materials_anisotropy",
-    "KHR_materials_clearcoat",
-    "KHR_materials_dispersion",
-    "KHR_materials_ior",
-    "KHR_materials_iridescence",
-    "KHR_materials_sheen",
-    "KHR_materials_specular",
-    "KHR_materials_transmission",
-    "KHR_materials_variants",
-    "KHR_materials_volume",
+    "EXT_lights_ies",
+    "EXT_lights_image_based",
+    "FB_ngon_encoding",
+    "KHR_animation_pointer",
+    "KHR_interactivity",
+    "KHR_node_hoverability",
+    "KHR_node_selectability",
     "KHR_techniques_webgl",
     "KHR_xmp_json_ld",
+    "MSFT_lod",
 ];
 
 /// Extensions that are read if features are kept, and need no note otherwise: the application did not ask for them.
@@ -45,5 +47,5 @@ pub(super) fn is_supported(name: &str) -> bool {
 
 /// Returns true if a glTF may require the extension.
 pub(super) fn may_be_required(name: &str) -> bool {
-    is_supported(name) || DISPENSABLE.contains(&name)
+    is_supported(name) || DISPENSABLE.contains(&name) || name.starts_with("KHR_materials_")
 }

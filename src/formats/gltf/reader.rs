@@ -138,6 +138,10 @@ impl Reader<'_> {
         if self.is_visited.get_mut(node.index()).is_none_or(|is_visited| std::mem::replace(is_visited, true)) {
             return Err(self.context.bad(format_args!("node {} has two parents", node.index())));
         }
+        let visibility = node.extension_value("KHR_node_visibility");
+        if visibility.and_then(|of| of.get("visible")?.as_bool()) == Some(false) {
+            return Ok(Node::group(Vec::new()));
+        }
         let transform = self.double.transform(node.index());
         let transform = transform.ok_or_else(|| self.context.bad("transform of a node is not affine and finite"))?;
         let mut children = Vec::new();

@@ -1,11 +1,12 @@
-//! OpenSceneGraph's own files, .osgb and .osgt, and the folders of oblique photogrammetry that are made of them.
+//! OpenSceneGraph's own files, .osgb, .osgt and .osg, and the folders of oblique photogrammetry that are made of them.
 //!
-//! [`input`] reads values in both encodings, [`classes`] the members of OSG's classes, and [`build`] makes nodes of the
+//! [`input`] reads values in both encodings, [`classes`] the members of OSG's classes, [`dot_osg`] the older text format, and [`build`] makes nodes of the
 //! objects. A PagedLOD or ProxyNode becomes the node of the same name, whose other files the pager loads. Layouts follow
 //! OSG's `src/osgDB/InputStream.cpp` and `src/osgWrappers/serializers/osg`. Decode threads.
 
 mod build;
 mod classes;
+mod dot_osg;
 mod error;
 mod folder;
 mod input;
@@ -14,16 +15,24 @@ mod read_ahead;
 
 use std::sync::Arc;
 
+use glam::{DMat3, DVec3};
+
 pub(super) use self::build::InlinePart;
 pub(super) use self::folder::{is_metadata, read_folder, reference_system, tile_files};
-pub(super) use self::input::is_native;
 pub use self::read_ahead::ReadAhead;
 
 use self::build::Source;
 use super::ignored::Notes;
 use super::options::{Fetched, ReadOptions};
+use super::overlay::TileVolume;
 use crate::fetch::IoError;
+use crate::math::OrientedBox;
 use crate::scene::Node;
+
+/// Returns true for the first bytes of an .osgb, .osgt or .osg file.
+pub(super) fn is_native(bytes: &[u8]) -> bool {
+    input::is_native(bytes) || dot_osg::is_dot_osg(bytes)
+}
 
 /// Reads a file. `base` is the address that references are relative to, `companions` are the images that it refers to.
 pub(super) fn read(
@@ -51,8 +60,30 @@ pub(super) fn references(bytes: &[u8], options: &ReadOptions) -> Vec<String> {
     file.map_or(Vec::new(), |file| build::external_images(&file.root))
 }
 
+/// Returns a box around the objects of a file that no tile declares a volume for, and the geometric error that overlays
+/// choose their resolution by. `None` for other formats and for files without a bound.
+pub(super) fn own_volume(bytes: &[u8], options: &ReadOptions) -> Option<TileVolume> {
+    /// Twice the error over the 16 pixels of a screen error is a texel, so that the file is some 1,000 texels wide.
+    const RADIUS_PER_ERROR: f64 = 64.0;
+    if !is_native(bytes) {
+        return None;
+    }
+    let file = options.read_ahead.file(bytes, &options.limits).ok()?;
+    let sphere = build::sphere_of_file(&file.root);
+    if sphere.is_empty() {
+        return None;
+    }
+    let sphere = sphere.transformed(&options.set_from_content);
+    let half_axes = DMat3::from_diagonal(DVec3::splat(sphere.radius_m));
+    let bounds = OrientedBox { center: sphere.center, half_axes };
+    Some(TileVolume { bounds, geometric_error_m: sphere.radius_m / RADIUS_PER_ERROR })
+}
+
 /// Returns the name of a file's format with the version of OSG that wrote it.
 pub(super) fn format_name(bytes: &[u8], options: &ReadOptions) -> String {
+    if dot_osg::is_dot_osg(bytes) {
+        return "OpenSceneGraph (osg)".to_owned();
+    }
     let encoding = if bytes.starts_with(b"#") { "osgt" } else { "osgb" };
     match options.read_ahead.file(bytes, &options.limits) {
         Ok(file) => format!("OpenSceneGraph ({encoding}, version {})", file.version),

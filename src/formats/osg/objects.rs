@@ -287,8 +287,18 @@ pub(super) enum AttributeObject {
     },
     ColorMask([bool; 4]),
     TexEnv(u32),
+    Combine(CombineObject),
     /// Attributes without effect here.
     Other(&'static str),
+}
+
+/// The colour part of a TexEnvCombine: OpenGL's numbers.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct CombineObject {
+    pub function: u32,
+    pub sources: [u32; 3],
+    pub operands: [u32; 3],
+    pub scale: f32,
 }
 
 /// Front and back of each colour, as far as they differ.

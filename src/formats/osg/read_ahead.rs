@@ -2,7 +2,9 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
+use super::build::size_bytes;
 use super::classes::{ReadFile, read_file};
+use super::dot_osg;
 use super::error::Result;
 use crate::fetch::Limits;
 use crate::scene::ContentKey;
@@ -22,6 +24,13 @@ struct Kept {
     /// Stands for the bytes: a server may answer a second request with others.
     key: ContentKey,
     file: Arc<ReadFile>,
+    /// About the memory that the objects take.
+    size_bytes: u64,
+}
+
+/// Parses a file of any of the formats.
+fn parse(bytes: &[u8], limits: &Limits) -> Result<ReadFile> {
+    if dot_osg::is_dot_osg(bytes) { dot_osg::read(bytes, limits) } else { read_file(bytes, limits) }
 }
 
 impl ReadAhead {
@@ -31,9 +40,9 @@ impl ReadAhead {
         if let Some(file) = self.kept().as_ref().filter(|kept| kept.key == key).map(|kept| kept.file.clone()) {
             return Ok(file);
         }
-        let file = Arc::new(read_file(bytes, limits)?);
+        let file = Arc::new(parse(bytes, limits)?);
         if bytes.len() <= MAX_KEPT_BYTES {
-            *self.kept() = Some(Kept { key, file: file.clone() });
+            *self.kept() = Some(Kept { key, file: file.clone(), size_bytes: size_bytes(&file.root) });
         }
         Ok(file)
     }
@@ -41,9 +50,19 @@ impl ReadAhead {
     /// Returns the objects of a file, and keeps nothing any longer.
     pub(super) fn take(&self, bytes: &[u8], limits: &Limits) -> Result<Arc<ReadFile>> {
         match self.kept().take() {
-            Some(Kept { key, file }) if key == ContentKey::of(&[bytes]) => Ok(file),
-            _ => read_file(bytes, limits).map(Arc::new),
+            Some(Kept { key, file, .. }) if key == ContentKey::of(&[bytes]) => Ok(file),
+            _ => parse(bytes, limits).map(Arc::new),
         }
+    }
+
+    /// Returns about the bytes of the objects that are kept.
+    pub(crate) fn size_bytes(&self) -> u64 {
+        self.kept().as_ref().map_or(0, |kept| kept.size_bytes)
+    }
+
+    /// Drops what is kept: the content is loaded again later.
+    pub(crate) fn forget(&self) {
+        *self.kept() = None;
     }
 
     fn kept(&self) -> std::sync::MutexGuard<'_, Option<Kept>> {
@@ -88,6 +107,25 @@ mod tests {
         });
         assert_eq!(count, 1);
         assert!(options.read_ahead.kept().is_none(), "the decoder has taken it");
+    }
+
+    #[test]
+    fn kept_objects_have_a_size_until_they_are_taken() {
+        let geometry = format!(
+            "osg::Geode {{ UniqueID 5 Drawables 1 {{ osg::Geometry {{ UniqueID 8 VertexArray TRUE {{
+                osg::Vec3Array {{ UniqueID 9 vector 1000 {{ {} }} }} }} }} }} }}",
+            "0 ".repeat(3000)
+        );
+        let group = FILE.replace("osg::Geode { UniqueID 5 }", &geometry);
+        let ahead = ReadAhead::default();
+        assert_eq!(ahead.size_bytes(), 0);
+        ahead.file(group.as_bytes(), &Limits::default()).unwrap();
+        assert!((12_000..14_000).contains(&ahead.size_bytes()), "{}", ahead.size_bytes());
+        ahead.take(group.as_bytes(), &Limits::default()).unwrap();
+        assert_eq!(ahead.size_bytes(), 0);
+        ahead.file(group.as_bytes(), &Limits::default()).unwrap();
+        ahead.forget();
+        assert_eq!(ahead.size_bytes(), 0);
     }
 
     #[test]

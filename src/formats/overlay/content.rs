@@ -9,7 +9,7 @@ use crate::fetch::markup::text_and_first_byte;
 use crate::formats::ignored::Notes;
 use crate::formats::model_files::begins_like_tileset;
 use crate::formats::options::{Content, Fetched, ReadOptions};
-use crate::formats::osg::InlinePart;
+use crate::formats::osg::{self, InlinePart};
 use crate::formats::terrain::TerrainTile;
 use crate::scene::{Node, ReaderData};
 
@@ -20,9 +20,11 @@ struct Covered<'a> {
 }
 
 impl<'a> Covered<'a> {
+    /// A file of OpenSceneGraph that is opened alone is where its geometry is.
     /// Returns `None` for contents that are tile trees, empty, or not on the earth.
     fn new(bytes: &[u8], reader_data: Option<&ReaderData>, options: &'a ReadOptions) -> Option<Self> {
-        let (set, volume) = (options.overlays.as_deref()?, options.tile.as_ref()?);
+        let set = options.overlays.as_deref()?;
+        let volume = options.tile.or_else(|| osg::own_volume(bytes, options))?;
         let is_in_memory = reader_data.is_some_and(ReaderData::is_whole_content);
         let (text, first) = text_and_first_byte(bytes);
         // The parts of an OSG file continue it, and are drawn.
@@ -34,7 +36,7 @@ impl<'a> Covered<'a> {
             return None;
         }
         let is_height = bytes.starts_with(&[0x76, 0x2f, 0x31, 0x01]);
-        Some(Self { set, extent: Extent::new(volume, reader_data, is_height)? })
+        Some(Self { set, extent: Extent::new(&volume, reader_data, is_height)? })
     }
 }
 

@@ -13,6 +13,7 @@ use super::terrain::inspect_terrain;
 use super::tree::{Known, load, read_companions, read_subtree};
 #[cfg(feature = "http")]
 use crate::fetch::HttpConfig;
+use crate::fetch::markup::text_and_first_byte;
 use crate::fetch::{IoError, Limits, Loaded, Source, is_remote, path_of, root_uri};
 use crate::formats::height::SetExtras;
 use crate::formats::options::{Fetched, ReadOptions};
@@ -153,7 +154,9 @@ fn may_be_model(bytes: &[u8]) -> bool {
     const MAGICS: [&[u8]; 8] =
         [b"glTF", b"b3dm", b"i3dm", b"cmpt", b"pnts", &[0x76, 0x2f, 0x31, 0x01], &[0x1f, 0x8b], &[4, 3, 2, 1]];
     let is_model = MAGICS.iter().any(|magic| bytes.starts_with(magic));
-    is_model || osg::is_native(bytes) || osg::is_metadata(bytes) || has_asset(bytes)
+    // A file that is no JSON gets the error of the readers of contents, which know more formats.
+    let is_json = text_and_first_byte(bytes).1 == Some(b'{');
+    is_model || !is_json || osg::is_metadata(bytes) || has_asset(bytes)
 }
 
 /// Returns true for JSON with an asset, as glTF and tilesets have it.

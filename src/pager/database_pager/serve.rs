@@ -177,7 +177,7 @@ impl DatabasePager {
     fn fetch(&mut self, scope: &ReadScope, root: &str, uri: &str) -> Result<Loaded, IoError> {
         #[cfg(feature = "http")]
         if let Some(http) = self.threads.http().filter(|_| fetch::is_remote(uri)) {
-            let body = http.get(&scope.client, uri, &self.config.limits)?;
+            let body = http.get(scope.client_of(uri), uri, &self.config.limits)?;
             self.stats.bytes_http += body.network_bytes;
             return Ok(body.into());
         }

@@ -205,7 +205,7 @@ impl<J: LoadJob> FileThreads<J> {
             }
         }
         let bytes_read = total_bytes(&loaded, &companions);
-        permit.set_bytes(bytes_read);
+        permit.set_bytes(bytes_read.saturating_add(job.bytes_ahead()));
         if loaded.is_ok() && bytes_read > 0 {
             self.bodies.learn(bytes_read);
         }
@@ -310,6 +310,31 @@ mod tests {
             let loaded = read.recv_timeout(Duration::from_secs(60)).expect("the thread continues");
             assert_eq!(loaded.loaded.unwrap_err().reason(), fetch::DECODER_PANICKED);
         }
+        list.close();
+        threads.close();
+        threads.join();
+    }
+
+    /// Regression: what was parsed ahead of the decoder, up to several times the size of its file, counted in no budget.
+    #[test]
+    fn objects_that_are_parsed_ahead_count_with_the_bytes() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("a.osgt");
+        std::fs::write(
+            &file,
+            "#Ascii Scene \n#Version 161 \n#Generator OpenSceneGraph 3.6.5 \n\nosg::Geode { UniqueID 1 }",
+        )
+        .unwrap();
+        let (list, (sender, read)) = (Arc::new(RequestList::new(4, 4)), bounded(4));
+        list.lock().set_jobs([job(1, file.to_str().unwrap())]);
+        let (files, bodies) = (FileReader::new(fetch::Limits::default()), ByteBudget::new(1 << 20));
+        let threads = FileThreads::new(list.clone(), sender, files, bodies.clone(), 1, Duration::from_secs(60));
+        threads.start().unwrap();
+        let loaded = read.recv_timeout(Duration::from_secs(60)).unwrap();
+        let ahead = loaded.job.bytes_ahead();
+        assert!(ahead > 0 && bodies.total().bytes == loaded.bytes_read + ahead, "{ahead} {:?}", bodies.total());
+        drop(loaded);
+        assert_eq!(bodies.total().bytes, 0);
         list.close();
         threads.close();
         threads.join();

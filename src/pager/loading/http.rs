@@ -235,7 +235,10 @@ async fn fetch<J: LoadJob>(job: J, reading: &Reading) -> Fetched<J> {
         let permit = reading.bodies.reserve(bytes, job.is_prefetch()).await;
         match fetch_holding(&job, reading, permit).await {
             Ok(fetched) => return fetched,
-            Err(NoRoom { needed }) => bytes = needed,
+            Err(NoRoom { needed }) => {
+                job.forget_ahead();
+                bytes = needed;
+            }
         }
     }
 }
@@ -318,6 +321,7 @@ async fn fetch_holding<J: LoadJob>(job: &J, reading: &Reading, permit: Permit) -
     if let Ok(loaded) = &mut loaded {
         loaded.companion_locations = locations;
     }
+    let mut bytes_ahead = 0;
     let optional_until = tokio::time::Instant::now() + MAX_OPTIONAL_TIME;
     if loaded.is_ok() {
         for _ in 0..MAX_DEPENDENCY_ROUNDS {
@@ -326,6 +330,10 @@ async fn fetch_holding<J: LoadJob>(job: &J, reading: &Reading, permit: Permit) -
             if dependencies.is_empty() {
                 break;
             }
+            // The job keeps objects of the content in memory while its dependencies are requested.
+            let more = job.bytes_ahead().saturating_sub(bytes_ahead);
+            bytes_ahead += more;
+            permit.claim(more)?.keep(more);
             let mut waiting = dependencies.into_iter();
             let mut requests = JoinSet::new();
             loop {
@@ -366,7 +374,7 @@ async fn fetch_holding<J: LoadJob>(job: &J, reading: &Reading, permit: Permit) -
         }
     }
     let bytes_read = total_bytes(&loaded, &companions);
-    permit.set_bytes(bytes_read);
+    permit.set_bytes(bytes_read.saturating_add(job.bytes_ahead()));
     if loaded.is_ok() {
         permit.budget().learn(bytes_read);
     }

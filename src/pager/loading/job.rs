@@ -45,6 +45,13 @@ pub(in crate::pager) trait LoadJob: Request + Send + Sync + 'static {
     fn dependencies(&self, _loaded: &Loaded, _known: &[Fetched]) -> Vec<Arc<str>> {
         Vec::new()
     }
+    /// Returns the bytes of what [`Self::dependencies`] keeps for [`Self::decode`].
+    fn bytes_ahead(&self) -> u64 {
+        0
+    }
+    /// Drops it, since the content is requested again later.
+    #[cfg(feature = "http")]
+    fn forget_ahead(&self) {}
     /// Returns the client that asks servers for the content.
     #[cfg(feature = "http")]
     fn client(&self) -> &crate::fetch::HttpClient;

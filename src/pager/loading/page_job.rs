@@ -205,6 +205,15 @@ impl LoadJob for PageJob {
         formats::dependencies(&self.uri, &loaded.bytes, self.reader_data.as_ref(), known, &options)
     }
 
+    fn bytes_ahead(&self) -> u64 {
+        self.progress.read_ahead.size_bytes()
+    }
+
+    #[cfg(feature = "http")]
+    fn forget_ahead(&self) {
+        self.progress.read_ahead.forget();
+    }
+
     #[cfg(feature = "http")]
     fn client(&self) -> &fetch::HttpClient {
         &self.scope.client

@@ -51,7 +51,14 @@ fn osg() -> Parser {
                 .to_owned(),
         ],
     );
+    let older = "Group {\n UniqueID g\n description {\n \"a\"\n }\n MatrixTransform {\n Matrix {\n 1 0 0 0 0 1 0 0 0 0 1 0 5 6 7 1\n }
+        Geode {\n Geometry {\n StateSet {\n GL_BLEND OVERRIDE|ON\n Material {\n diffuseColor FRONT 1 0 0\n }\n textureUnit 0 {
+        GL_TEXTURE_2D ON\n Texture2D {\n file \"a.png\"\n }\n }\n }\n PrimitiveSets 2 {\n DrawArrays QUADS 0 4\n DrawElementsUInt TRIANGLES 3 {
+        0 1 2\n }\n }\n VertexArray UniqueID v Vec3Array 4 {\n 0 0 0\n 1 0 0\n 0 1 0\n 1 1 0\n }\n NormalArray Use v\n
+        TexCoordArray 1 Vec2Array 1 {\n 0 0\n }\n }\n ShapeDrawable {\n Cone {\n Radius 1\n }\n }\n }\n }\n PagedLOD {\n Center 0 0 0
+        Radius 3\n RangeList 1 {\n 0 9\n }\n FileNameList 1 {\n \"b.osg\"\n }\n Use g\n }\n}\n";
     let seeds = [
+        older.as_bytes().to_vec(),
         binary(Osgb::new(VERSION, true)),
         binary(Osgb::new(VERSION, false)),
         binary(Osgb::new(80, false)),

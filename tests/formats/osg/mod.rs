@@ -2,6 +2,7 @@
 //! writers where they are present.
 
 mod bad_input;
+mod dot_osg;
 mod facing;
 mod folders;
 mod fuzz_parsers;

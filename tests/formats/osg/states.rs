@@ -237,6 +237,100 @@ fn second_texture_changes_the_first_by_its_environment() {
     assert_eq!(ignored.iter().collect::<Vec<_>>(), [("OpenSceneGraph: texture of a unit above 1", 1)]);
 }
 
+/// The first unit has the lit colour below it.
+#[test]
+fn one_texture_covers_or_adds_to_the_material_by_its_environment() {
+    for (environment, mode) in [("DECAL", OverlayMode::Over), ("ADD", OverlayMode::Add)] {
+        let members = units(&[(100, environment)]);
+        let (node, ignored) = read(osgt(VERSION, &geode(1, &state_set(2, &members), &[triangle(10, TWO_UVS)])));
+        assert!(ignored.is_empty(), "{ignored:?}");
+        let drawable = drawables(&node)[0];
+        let surface = drawable.material.metallic_roughness.as_ref().unwrap();
+        assert!(drawable.material.texture.is_none());
+        assert_eq!((surface.overlay.as_ref().unwrap().mips[0][0], surface.overlay_mode), (100, mode));
+        // Its coordinates are the only ones.
+        assert_eq!(mesh(drawable).vertices[2].uv, [0.0, 1.0]);
+        assert!(mesh(drawable).attributes.get(SecondUv::ATTRIBUTE).is_none());
+    }
+}
+
+/// Regression: the texture of a reflection was drawn with the coordinates that the surface does not have.
+#[test]
+fn texture_with_generated_coordinates_is_left_out() {
+    let state = units(&[(100, "MODULATE")])
+        .replace("Data 1 { GL_TEXTURE_2D ON }", "Data 2 { GL_TEXTURE_2D ON GL_TEXTURE_GEN_S ON }");
+    let (node, ignored) = read(osgt(VERSION, &geode(1, &state_set(2, &state), &[triangle(10, TWO_UVS)])));
+    assert!(texture(&node).is_none());
+    assert_eq!(
+        ignored.iter().collect::<Vec<_>>(),
+        [("OpenSceneGraph: texture with generated coordinates (TexGen)", 1)]
+    );
+}
+
+/// A state set with two textures, the second of which has a TexEnvCombine.
+fn combined(members: &str) -> (Node, Ignored) {
+    let environment = "osg::TexEnv { UniqueID 61 Mode COMBINE }";
+    let state = units(&[(100, "MODULATE"), (200, "COMBINE")]);
+    assert!(state.contains(environment));
+    let state = state.replace(environment, &format!("osg::TexEnvCombine {{ UniqueID 61 {members} }}"));
+    read(osgt(VERSION, &geode(1, &state_set(2, &state), &[triangle(10, TWO_UVS)])))
+}
+
+#[test]
+fn tex_env_combine_is_the_environment_that_it_equals() {
+    let overlay = |members: &str| {
+        let (node, ignored) = combined(members);
+        assert!(ignored.is_empty(), "{members}: {ignored:?}");
+        let material = drawables(&node)[0].material.clone();
+        let of_surface =
+            |surface: &terrane::scene::MetallicRoughness| Some((surface.overlay.clone()?, surface.overlay_mode));
+        let found =
+            material.metallic_roughness.as_ref().and_then(of_surface).map(|(image, mode)| (image.mips[0][0], mode));
+        (material.texture.unwrap().mips[0][0], found)
+    };
+    let own = "Source0_RGB TEXTURE1 Source1_RGB PREVIOUS";
+    let colors = "Operand0_RGB SRC_COLOR Operand1_RGB SRC_COLOR";
+    for (members, mode) in [
+        // OSG's defaults: the texture by the colour below.
+        ("", OverlayMode::Multiply),
+        ("Combine_RGB MODULATE Source0_RGB PREVIOUS Source1_RGB TEXTURE", OverlayMode::Multiply),
+        (&format!("Combine_RGB ADD {own} {colors}"), OverlayMode::Add),
+        (
+            &format!("Combine_RGB INTERPOLATE {own} Source2_RGB TEXTURE {colors} Operand2_RGB SRC_ALPHA"),
+            OverlayMode::Over,
+        ),
+        (
+            "Combine_RGB INTERPOLATE Source0_RGB PREVIOUS Source1_RGB TEXTURE Source2_RGB TEXTURE
+             Operand2_RGB ONE_MINUS_SRC_ALPHA",
+            OverlayMode::Over,
+        ),
+    ] {
+        assert_eq!(overlay(members), (100, Some((200, mode))), "{members}");
+    }
+    assert_eq!(overlay("Combine_RGB REPLACE"), (200, None));
+    assert_eq!(overlay("Combine_RGB REPLACE Source0_RGB PREVIOUS"), (100, None), "the texture is not used");
+    assert_eq!(overlay("Source1_RGB PRIMARY_COLOR"), (200, None), "the first texture is not used");
+
+    let left_out = |members: &str| {
+        let (node, ignored) = combined(members);
+        let material = &drawables(&node)[0].material;
+        assert_eq!(material.texture.as_ref().unwrap().mips[0][0], 100, "the first texture stays");
+        assert!(material.metallic_roughness.is_none());
+        ignored.iter().map(|(kind, _)| kind.to_owned()).collect::<Vec<_>>()
+    };
+    let other = "OpenSceneGraph: TexEnvCombine of another function or other sources";
+    for (members, kind) in [
+        ("Combine_RGB DOT3_RGB", "OpenSceneGraph: TexEnvCombine with a dot product (bump map)"),
+        ("Combine_RGB SUBTRACT", other),
+        ("Combine_RGB INTERPOLATE", other),
+        ("Operand0_RGB SRC_ALPHA", other),
+        ("Source0_RGB CONSTANT", other),
+        ("Scale_RGB 2", "OpenSceneGraph: scale of a TexEnvCombine"),
+    ] {
+        assert_eq!(left_out(members), [kind], "{members}");
+    }
+}
+
 /// Photographs of a surface without normals have their light in them.
 #[test]
 fn textures_without_normals_are_not_lit() {

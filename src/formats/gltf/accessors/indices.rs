@@ -67,6 +67,51 @@ impl<'a> IndexLists<'a> {
         vertices: usize,
         elements: impl FnOnce() -> Result<Option<Elements<'e>>, IoError>,
     ) -> Result<Option<(IndexList, ContentKey)>, IoError> {
+        let indices = self.read(accessor, elements)?;
+        if let Some((list, _)) = &indices {
+            self.check(list.largest, vertices)?;
+        }
+        Ok(indices)
+    }
+
+    /// Does the same for a primitive whose indices may restart it (EXT_mesh_primitive_restart). The last value is the index
+    /// that does, if there is one: the largest one of its type, unless it is a vertex.
+    pub fn get_restarting<'e>(
+        &mut self,
+        accessor: &gltf::Accessor<'_>,
+        vertices: usize,
+        elements: impl FnOnce() -> Result<Option<Elements<'e>>, IoError>,
+    ) -> Result<Option<(IndexList, ContentKey, Option<u32>)>, IoError> {
+        let Some((list, key)) = self.read(accessor, elements)? else { return Ok(None) };
+        let largest_of_type = match accessor.data_type() {
+            DataType::U8 => u32::from(u8::MAX),
+            DataType::U16 => u32::from(u16::MAX),
+            _ => u32::MAX,
+        };
+        let restarts = largest_of_type as usize >= vertices && list.largest == Some(largest_of_type);
+        let restart = restarts.then_some(largest_of_type);
+        let largest = match restart {
+            Some(restart) => list.list.iter().copied().filter(|index| *index != restart).max(),
+            None => list.largest,
+        };
+        self.check(largest, vertices)?;
+        Ok(Some((list, key, restart)))
+    }
+
+    fn check(&self, largest: Option<u32>, vertices: usize) -> Result<(), IoError> {
+        match largest {
+            Some(largest) if largest as usize >= vertices => {
+                Err(self.context.bad(format_args!("index {largest} of {vertices} vertices")))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn read<'e>(
+        &mut self,
+        accessor: &gltf::Accessor<'_>,
+        elements: impl FnOnce() -> Result<Option<Elements<'e>>, IoError>,
+    ) -> Result<Option<(IndexList, ContentKey)>, IoError> {
         let indices = match self.read.get(&accessor.index()).cloned() {
             Some(indices) => indices,
             None => {
@@ -88,12 +133,7 @@ impl<'a> IndexLists<'a> {
                 (list, key)
             }
         };
-        match indices.0.largest {
-            Some(largest) if largest as usize >= vertices => {
-                Err(self.context.bad(format_args!("index {largest} of {vertices} vertices")))
-            }
-            _ => Ok(Some(indices)),
-        }
+        Ok(Some(indices))
     }
 }
 

@@ -15,7 +15,7 @@ use crate::scene::{BlockFormats, Sampling, Texture};
 use crate::state::{FilterMode, WrapMode};
 
 /// Extensions that name another image of a texture, the best first. The plain source comes after them.
-const SOURCE_EXTENSIONS: [&str; 2] = ["KHR_texture_basisu", "EXT_texture_webp"];
+const SOURCE_EXTENSIONS: [&str; 3] = ["KHR_texture_basisu", "EXT_texture_webp", "MSFT_texture_dds"];
 
 /// The textures decoded so far. Primitives share them.
 pub(super) struct Textures<'a> {
@@ -118,7 +118,7 @@ impl<'a> Textures<'a> {
                 self.decode_bytes(self.context.uri, bytes, key)
             }
             (None, Some(reference)) => match data_uri(self.context.uri, reference) {
-                Some(bytes) => self.decode_bytes(self.context.uri, &bytes?, key),
+                Some(bytes) => bytes.and_then(|bytes| self.decode_bytes(self.context.uri, &bytes, key)),
                 None => match self.context.files.get(reference) {
                     Ok((uri, bytes)) => self.decode_bytes(&uri, &bytes, key),
                     Err(error) => {
@@ -136,6 +136,11 @@ impl<'a> Textures<'a> {
             }
             Err(IoError::Unsupported { what, .. }) => {
                 self.context.notes.add(format!("glTF: {what}"));
+                Ok(None)
+            }
+            // The mesh is drawn without it, as without a file that is missing.
+            Err(IoError::Invalid { .. }) if key.reader != TexelReader::Data => {
+                self.context.notes.add("glTF: image that cannot be read");
                 Ok(None)
             }
             Err(error) => Err(error),

@@ -69,6 +69,11 @@ impl<'a> PrimitiveData<'a> {
         }
     }
 
+    /// Returns true if the primitive has normals that are no vectors of three components.
+    pub fn has_odd_normals(&self) -> bool {
+        self.primitive.get(&Semantic::Normals).is_some_and(|accessor| accessor.dimensions() != Dimensions::Vec3)
+    }
+
     /// Returns the elements of a displacement of a morph target.
     pub fn displacement(&self, accessor: &gltf::Accessor<'_>) -> Result<Option<Elements<'_>>, IoError> {
         if accessor.dimensions() != Dimensions::Vec3 || accessor.count() != self.count {

@@ -121,17 +121,26 @@ impl<'a> MeshReader<'a> {
         let sharing = context.options.sharing.as_deref();
         // Hashed here, while the vertices are in the CPU cache.
         let vertices_key = sharing.map(|_| ContentKey::of_vertices(&vertices.list, &attributes));
+        let mut restart = None;
         let (mode, read, list_key) = match (data.triangles()?, primitive.indices()) {
             (Some(triangles), _) => (PrimitiveMode::Triangles, triangles, None),
             (None, Some(accessor)) => {
-                let list = index_lists.get(&accessor, data.count, || data.index_elements(&accessor))?;
-                let Some((list, key)) = list else { return not_drawn() };
+                let elements = || data.index_elements(&accessor);
+                let list = match has_runs(primitive.mode()) {
+                    true => index_lists.get_restarting(&accessor, data.count, elements)?,
+                    false => index_lists.get(&accessor, data.count, elements)?.map(|(list, key)| (list, key, None)),
+                };
+                let Some((list, key, restarts)) = list else { return not_drawn() };
+                restart = restarts;
                 (mode(primitive.mode()), list.list, Some(key))
             }
             (None, None) => (mode(primitive.mode()), (0..data.count as u32).collect(), None),
         };
         context.budget.add_indices(mode.assembled(read.len()))?;
-        let (topology, indices) = mode.assemble(read.clone());
+        let (topology, indices) = match restart {
+            Some(restart) => assemble_runs(mode, &read, restart),
+            None => mode.assemble(read.clone()),
+        };
         let list_key = list_key.filter(|_| Arc::ptr_eq(&read, &indices));
         // Points and lines without normals are not lit (glTF 2.0, 3.7.2.1).
         surface.unlit |= topology != Topology::Triangles && !vertices.has_normals;
@@ -167,6 +176,18 @@ impl<'a> MeshReader<'a> {
         let outline = edges.map(|edges| outline::lines(context, &edges, &drawable)).transpose()?.flatten();
         Ok(Some((drawable, outline)))
     }
+}
+
+/// Returns true if the primitives of a mode go on until they are restarted.
+fn has_runs(mode: Mode) -> bool {
+    matches!(mode, Mode::LineStrip | Mode::LineLoop | Mode::TriangleStrip | Mode::TriangleFan)
+}
+
+/// Assembles the primitives between the indices that restart them.
+fn assemble_runs(mode: PrimitiveMode, list: &[u32], restart: u32) -> (Topology, Arc<[u32]>) {
+    let topology = mode.assemble([].into()).0;
+    let runs = list.split(|index| *index == restart).map(|run| mode.assemble(run.into()).1);
+    (topology, runs.flat_map(|run| run.to_vec()).collect())
 }
 
 /// Converts the mode of a primitive.

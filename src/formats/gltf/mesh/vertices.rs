@@ -31,7 +31,14 @@ impl Vertices {
         deformation: Deformation<'_>,
     ) -> Result<Option<Self>, IoError> {
         let Some(positions) = data.attribute(&Semantic::Positions, &[Dimensions::Vec3])? else { return Ok(None) };
-        let normals = data.attribute(&Semantic::Normals, &[Dimensions::Vec3])?;
+        let normals = match data.has_odd_normals() {
+            // Exporters of buildings write those of walls with two components, which mean nothing.
+            true => {
+                context.notes.add("glTF: normals that have not three components");
+                None
+            }
+            false => data.attribute(&Semantic::Normals, &[Dimensions::Vec3])?,
+        };
         let uv_set = texture.map_or(0, |texture| texture.uv_set);
         let uvs = data.attribute(&Semantic::TexCoords(uv_set), &[Dimensions::Vec2])?;
         let colors = data.attribute(&Semantic::Colors(0), &[Dimensions::Vec3, Dimensions::Vec4])?;

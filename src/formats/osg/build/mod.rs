@@ -8,6 +8,7 @@ mod bounds;
 mod facing;
 mod looks;
 mod meshes;
+mod old_images;
 mod paging;
 mod shapes;
 mod sizes;
@@ -100,6 +101,11 @@ pub(super) fn node_of_file(root: &Object, source: Source<'_>) -> Result<Node, Io
     let mut builder = Builder::new(source);
     let node = builder.node(root)?;
     builder.finish(node)
+}
+
+/// Returns about the memory that an object takes with everything below it, in bytes.
+pub(super) fn size_bytes(root: &Object) -> u64 {
+    sizes::of_object(root, &mut HashMap::new()).bytes
 }
 
 /// Returns a sphere around the root object of a file, as its PagedLODs declare it; empty if it is unknown.

@@ -128,7 +128,7 @@ impl Builder<'_> {
                 return None;
             }
             // They belong to texture units.
-            AttributeObject::Texture(_) | AttributeObject::TexEnv(_) => return None,
+            AttributeObject::Texture(_) | AttributeObject::TexEnv(_) | AttributeObject::Combine(_) => return None,
         })
     }
 }

@@ -3,6 +3,7 @@
 use std::collections::{BTreeSet, HashSet};
 use std::sync::Arc;
 
+use super::old_images::{self, OldImage};
 use super::paging::escaped;
 use super::units::MAX_UNITS;
 use super::{Builder, Source};
@@ -26,7 +27,8 @@ const GL_COMPRESSED_RGBA_S3TC_DXT5: u32 = 0x83f3;
 #[derive(Clone)]
 pub(super) struct BuiltTexture {
     pub shared: SharedTexture,
-    /// True if t = 0 is at the first row, as for pixels in the file and for DDS, which OSG does not turn over.
+    /// True if t = 0 is at the first row, as for pixels in the file, for DDS, which OSG does not turn over, and for
+    /// [`old_images`].
     pub starts_at_bottom: bool,
 }
 
@@ -67,12 +69,17 @@ impl Builder<'_> {
         let Source { uri, base, companions, options, notes } = self.source;
         let Some(object) = &texture.image else { return Ok(None) };
         let sampling = sampling(texture);
-        let decode = |uri: &str, bytes: &[u8]| {
+        let decode = |uri: &str, bytes: &[u8], name: &str| {
+            if let Some(image) = old_images::decode(name, bytes, &options.limits) {
+                let OldImage { width, height, texels } = image?;
+                let shared = (image::texture_of_rgba(width, height, texels, sampling, &options.limits), None);
+                return Ok(Some(BuiltTexture { shared, starts_at_bottom: true }));
+            }
             let shared = image::decode_shared(uri, bytes, sampling, options.block_formats, options, notes)?;
             Ok(Some(BuiltTexture { shared, starts_at_bottom: image::is_dds(bytes) }))
         };
         match &object.data {
-            ImageData::File(bytes) => decode(uri, bytes),
+            ImageData::File(bytes) => decode(uri, bytes, &object.file_name),
             ImageData::Raw(raw) => {
                 let what = [raw.size[0], raw.size[1], raw.pixel_format as i32].map(i32::to_le_bytes).concat();
                 let key = ContentKey::of(&[&raw.bytes, &what, &sampling.key()]);
@@ -89,7 +96,7 @@ impl Builder<'_> {
             ImageData::External => {
                 let files = ExternalFiles::new(base, &options.root, &options.limits, companions);
                 match files.get(&escaped(&object.file_name)) {
-                    Ok((uri, bytes)) => decode(&uri, &bytes),
+                    Ok((uri, bytes)) => decode(&uri, &bytes, &uri),
                     Err(error) if error.is_transient() && !error.is_doubtful() => Err(error),
                     Err(error) => {
                         notes.add_missing("OpenSceneGraph: external image that is missing", &error);

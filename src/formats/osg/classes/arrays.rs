@@ -44,6 +44,13 @@ const TYPES: [(&str, Number, usize); 32] = [
     ("Vec4uiArray", Number::U32, 4),
 ];
 
+/// Returns the type of the values of an array's class, and how many an element has.
+pub(in super::super) fn array_type(class: &str) -> Option<(Number, usize)> {
+    // The name of the first versions.
+    let class = if class == "UVec4bArray" { "Vec4ubArray" } else { class };
+    TYPES.iter().find(|(name, ..)| *name == class).map(|(_, number, width)| (*number, *width))
+}
+
 impl Reader<'_> {
     /// Reads the members of an array; `None` if the class is none.
     pub(super) fn array_of(&mut self, class: &str) -> Result<Option<Object>> {

@@ -74,6 +74,7 @@ impl Reader<'_> {
                 self.floats_member("Color", [0.0; 4])?;
                 AttributeObject::TexEnv(mode)
             }
+            "TexEnvCombine" => self.tex_env_combine()?,
             "ShadeModel" => {
                 const MODES: Names = &[("FLAT", 0x1d00), ("SMOOTH", 0x1d01)];
                 self.attribute_members()?;
@@ -109,7 +110,7 @@ impl Reader<'_> {
     }
 
     /// Reads the members of the classes Object and StateAttribute.
-    fn attribute_members(&mut self) -> Result<()> {
+    pub(super) fn attribute_members(&mut self) -> Result<()> {
         self.object_members()?;
         for callback in ["UpdateCallback", "EventCallback"] {
             self.object_member(callback)?;

@@ -5,6 +5,7 @@
 
 mod arrays;
 mod attributes;
+mod combine;
 mod geometry;
 mod images;
 mod lods;
@@ -15,6 +16,8 @@ mod states;
 
 use std::collections::HashMap;
 use std::sync::Arc;
+
+pub(super) use self::arrays::array_type;
 
 use super::error::{OsgError, Result};
 use super::input::{Input, Opened, open};

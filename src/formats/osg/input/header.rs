@@ -30,7 +30,7 @@ pub(in super::super) struct Opened<'a> {
 }
 
 /// Returns true for the first bytes of an .osgb or .osgt file.
-pub(in crate::formats) fn is_native(bytes: &[u8]) -> bool {
+pub(in super::super) fn is_native(bytes: &[u8]) -> bool {
     [&MAGIC[..], &MAGIC_BIG_ENDIAN, MAGIC_TEXT].iter().any(|magic| bytes.starts_with(magic))
 }
 

@@ -9,7 +9,7 @@ mod names;
 mod text;
 mod values;
 
-pub(in crate::formats) use header::is_native;
+pub(super) use header::is_native;
 pub(super) use header::{Opened, open};
 pub(super) use names::{ARRAY_TYPES, GL_NAMES, Names, PRIMITIVE_TYPES, value_of};
 pub(super) use values::{Number, Values};

@@ -1,0 +1,238 @@
+//! Nodes of an .osg file.
+
+use std::sync::Arc;
+
+use glam::{DAffine3, DMat4, DQuat, DVec3, DVec4};
+
+use super::Reader;
+use super::fields::{Block, number_of};
+use crate::formats::osg::error::{OsgError, Result};
+use crate::formats::osg::objects::{
+    AutoObject, AutoTurn, BillboardObject, BillboardTurn, CenterMode, LodObject, NodeClass, NodeObject, Object,
+    PagedObject, ProxyMode, ProxyObject,
+};
+
+/// The classes of nodes that are read.
+const CLASSES: [&str; 13] = [
+    "Node",
+    "Group",
+    "Geode",
+    "Transform",
+    "MatrixTransform",
+    "PositionAttitudeTransform",
+    "Switch",
+    "LOD",
+    "PagedLOD",
+    "ProxyNode",
+    "Billboard",
+    "AutoTransform",
+    "Sequence",
+];
+/// Classes whose children are drawn, without what the class adds.
+const LIKE_GROUPS: [&str; 7] = [
+    "CoordinateSystemNode",
+    "LightSource",
+    "ClipNode",
+    "TexGenNode",
+    "ClearNode",
+    "OccluderNode",
+    "OcclusionQueryNode",
+];
+/// Bones in their rest pose.
+const LIKE_TRANSFORMS: [&str; 2] = ["osgAnimation::Skeleton", "osgAnimation::Bone"];
+/// Fields of nodes with a block that is no object.
+const LISTS: [&str; 6] = ["Matrix", "Ranges", "RangeList", "FileNameList", "Positions", "ValueList"];
+
+/// Returns true for a class of nodes.
+pub(super) fn is_node(class: &str) -> bool {
+    CLASSES.contains(&class) || LIKE_GROUPS.contains(&class)
+}
+
+/// Returns true for a field of a node that is no object.
+pub(super) fn is_list(name: &str) -> bool {
+    LISTS.contains(&name)
+}
+
+/// Returns a group of objects.
+pub(super) fn group_of(children: Vec<Object>) -> Object {
+    let height = 1 + children.iter().map(Object::height).max().unwrap_or(0);
+    let (name, class) = (String::new(), NodeClass::Group);
+    Object::Node(Arc::new(NodeObject {
+        name,
+        mask: u32::MAX,
+        culling_active: true,
+        state: None,
+        class,
+        children,
+        height,
+    }))
+}
+
+impl Reader {
+    /// Reads a node; `None` if the class is none.
+    pub(super) fn node(&mut self, class: &str, block: &Block<'_>) -> Result<Option<Object>> {
+        let is_bone = LIKE_TRANSFORMS.contains(&class);
+        if !is_bone && !is_node(class) {
+            return Ok(None);
+        }
+        if is_bone || class == "Sequence" || (LIKE_GROUPS.contains(&class) && class != "CoordinateSystemNode") {
+            self.notes.add(format!("OpenSceneGraph class {class} (its children are drawn)"));
+        }
+        let mut children = self.objects(block)?;
+        let state = Self::take_state(&mut children);
+        // Lights and clip planes are fields of their nodes.
+        children.retain(|child| !matches!(child, Object::Attribute(_)));
+        let class = match class {
+            "Transform" => transform(block, Some(DAffine3::IDENTITY)),
+            "MatrixTransform" => self.matrix_transform(block),
+            _ if is_bone => self.matrix_transform(block),
+            "PositionAttitudeTransform" => transform(block, Some(placement(block)).filter(|map| map.is_finite())),
+            "AutoTransform" => NodeClass::AutoTransform(auto(block)),
+            "Switch" => NodeClass::Switch(switch(block, children.len())),
+            "LOD" => NodeClass::Lod(lod(block)),
+            "PagedLOD" => NodeClass::PagedLod(lod(block), paged(block)),
+            "ProxyNode" => NodeClass::Proxy(proxy(block)),
+            "Billboard" => NodeClass::Billboard(billboard(block)),
+            _ => NodeClass::Group,
+        };
+        let height = 1 + children.iter().map(Object::height).max().unwrap_or(0);
+        if height > self.max_depth {
+            // References to nodes that were read before can be deeper than the nesting of the file.
+            let (got, limit) = (height as u64, self.max_depth as u64);
+            return Err(OsgError::TooLarge { what: "depth of nodes", got, limit });
+        }
+        let (name, culling_active) = (block.word("name").to_owned(), block.is_true("cullingActive"));
+        let mask = block.value("nodeMask").map_or(u32::MAX, |mask| mask as i64 as u32);
+        Ok(Some(Object::Node(Arc::new(NodeObject { name, mask, culling_active, state, class, children, height }))))
+    }
+
+    fn matrix_transform(&mut self, block: &Block<'_>) -> NodeClass {
+        // OSG multiplies rows, so that its rows are the columns of ours.
+        let numbers: [f64; 16] = block.list("Matrix").try_into().unwrap_or(DMat4::IDENTITY.to_cols_array());
+        let matrix = DMat4::from_cols_array(&numbers);
+        let is_affine = matrix.is_finite() && matrix.row(3) == DVec4::W;
+        if !is_affine {
+            self.notes.add("OpenSceneGraph: a matrix that is not affine");
+        }
+        transform(block, is_affine.then(|| DAffine3::from_mat4(matrix)))
+    }
+}
+
+fn transform(block: &Block<'_>, parent_from_child: Option<DAffine3>) -> NodeClass {
+    NodeClass::Transform { parent_from_child, is_absolute: is_absolute(block) }
+}
+
+fn is_absolute(block: &Block<'_>) -> bool {
+    let frame = block.word("referenceFrame");
+    frame == "RELATIVE_TO_ABSOLUTE" || frame.starts_with("ABSOLUTE")
+}
+
+fn point(block: &Block<'_>, name: &str, default: DVec3) -> DVec3 {
+    block.values(name).map_or(default, DVec3::from_array)
+}
+
+/// Returns a rotation; the identity for one that is none.
+pub(super) fn rotation(block: &Block<'_>, name: &str) -> DQuat {
+    let quat = block.values(name).map_or(DQuat::IDENTITY, DQuat::from_array);
+    if quat.is_finite() && quat.length_squared() > 0.0 { quat.normalize() } else { DQuat::IDENTITY }
+}
+
+fn placement(block: &Block<'_>) -> DAffine3 {
+    let [position, scale, pivot] = [("position", DVec3::ZERO), ("scale", DVec3::ONE), ("pivotPoint", DVec3::ZERO)]
+        .map(|(name, default)| point(block, name, default));
+    let map = DAffine3::from_scale_rotation_translation(scale, rotation(block, "attitude"), position);
+    map * DAffine3::from_translation(-pivot)
+}
+
+fn auto(block: &Block<'_>) -> AutoObject {
+    let limit = |name, default| block.value(name).unwrap_or(default);
+    let scales = [limit("minimumScale", 0.0), limit("maximumScale", f64::MAX)];
+    AutoObject {
+        is_absolute: is_absolute(block),
+        position: point(block, "position", DVec3::ZERO),
+        rotation: rotation(block, "rotation"),
+        scale: point(block, "scale", DVec3::ONE),
+        pivot: point(block, "pivotPoint", DVec3::ZERO),
+        turn: match block.word("autoRotateMode") {
+            "ROTATE_TO_SCREEN" => AutoTurn::Screen,
+            "ROTATE_TO_CAMERA" => AutoTurn::Camera,
+            _ => AutoTurn::No,
+        },
+        screen_scales: (block.word("autoScaleToScreen") == "TRUE").then_some(scales),
+    }
+}
+
+/// Returns which children are shown.
+fn switch(block: &Block<'_>, count: usize) -> Vec<bool> {
+    let mut shown: Vec<bool> = block.list("ValueList").iter().map(|value| *value != 0.0).collect();
+    shown.resize(count, block.is_true("NewChildDefaultValue"));
+    match block.word("value") {
+        "ALL_CHILDREN_ON" => shown.fill(true),
+        "ALL_CHILDREN_OFF" => shown.fill(false),
+        // A child alone, in files of the first versions.
+        word => {
+            if let Some(only) = number_of(word) {
+                shown.iter_mut().enumerate().for_each(|(i, is_shown)| *is_shown = i as f64 == only);
+            }
+        }
+    }
+    shown
+}
+
+/// Returns the centre mode with centre and radius.
+fn center(block: &Block<'_>) -> (CenterMode, Option<(DVec3, f64)>) {
+    let radius = block.value("Radius").unwrap_or(-1.0);
+    match block.values("Center").map(DVec3::from_array).filter(|center| center.is_finite()) {
+        Some(center) => (CenterMode::UserDefined, Some((center, radius))),
+        None => (CenterMode::BoundingSphere, None),
+    }
+}
+
+fn lod(block: &Block<'_>) -> LodObject {
+    let (center_mode, user_center) = center(block);
+    // Files before 2002 have the ends of the ranges.
+    let ends = block.list("Ranges");
+    let mut ranges: Vec<[f64; 2]> = ends.windows(2).map(|range| [range[0], range[1]]).collect();
+    if ranges.is_empty() {
+        ranges = block.list("RangeList").chunks_exact(2).map(|range| [range[0], range[1]]).collect();
+    }
+    let is_by_pixel_size = block.word("RangeMode") == "PIXEL_SIZE_ON_SCREEN";
+    LodObject { center_mode, user_center, is_by_pixel_size, ranges }
+}
+
+/// Returns the files of a PagedLOD or ProxyNode; empty for children in this file.
+fn files(block: &Block<'_>) -> Vec<String> {
+    let list = block.field("FileNameList").and_then(|field| field.block.as_ref());
+    let words = list.iter().flat_map(|list| &list.fields).flat_map(|field| &field.words);
+    words.map(|word| word.to_string()).collect()
+}
+
+fn paged(block: &Block<'_>) -> PagedObject {
+    PagedObject {
+        database_path: block.word("DatabasePath").to_owned(),
+        files: files(block),
+        priorities: Vec::new(),
+        children_that_cannot_expire: block.value("NumChildrenThatCannotBeExpired").unwrap_or(0.0) as u32,
+    }
+}
+
+fn proxy(block: &Block<'_>) -> ProxyObject {
+    let (center_mode, user_center) = center(block);
+    let loading = match block.word("ExtRefMode") {
+        "DEFER_LOADING_TO_DATABASE_PAGER" => ProxyMode::DeferToPager,
+        "NO_AUTOMATIC_LOADING" => ProxyMode::Never,
+        _ => ProxyMode::Immediately,
+    };
+    ProxyObject { files: files(block), database_path: String::new(), loading, center_mode, user_center }
+}
+
+fn billboard(block: &Block<'_>) -> BillboardObject {
+    let mode = match block.word("Mode") {
+        "POINT_ROT_EYE" => BillboardTurn::Eye,
+        "POINT_ROT_WORLD" => BillboardTurn::World,
+        _ => BillboardTurn::Axis,
+    };
+    let positions = block.list("Positions").chunks_exact(3).map(DVec3::from_slice).collect();
+    let (axis, normal) = (point(block, "Axis", DVec3::Z), point(block, "Normal", -DVec3::Y));
+    BillboardObject { mode, axis, normal, positions }
+}

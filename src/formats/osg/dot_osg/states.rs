@@ -1,0 +1,219 @@
+//! State sets and attributes of an .osg file.
+
+use std::sync::Arc;
+
+use super::Reader;
+use super::fields::{Block, Field, number_of};
+use crate::formats::osg::error::Result;
+use crate::formats::osg::input::{GL_NAMES, Names, value_of};
+use crate::formats::osg::objects::{
+    AttributeObject, CombineObject, ImageData, ImageObject, MaterialObject, Object, StateObject, TextureObject,
+};
+
+/// The number of texture units that a state set can have.
+const MAX_UNITS: usize = 16;
+/// Modes that belong to a texture unit.
+const TEXTURE_MODES: [u32; 9] = [0xde0, 0xde1, 0x806f, 0x8513, 0x84f5, 0xc60, 0xc61, 0xc62, 0xc63];
+/// Modes of the first versions, by the names of what they do.
+const NAMED_MODES: Names = &[
+    ("transparency", 0xbe2),
+    ("face_culling", 0xb44),
+    ("lighting", 0xb50),
+    ("texturing", 0xde1),
+    ("fogging", 0xb60),
+    ("alpha_test", 0xbc0),
+];
+/// Attributes without effect here.
+const OTHERS: [&str; 5] = ["ShadeModel", "LineWidth", "Point", "LightModel", "Light"];
+
+impl Reader {
+    pub(super) fn state_set(&mut self, block: &Block<'_>) -> Result<StateObject> {
+        let mut state = StateObject { name: block.word("name").to_owned(), ..StateObject::default() };
+        self.add_states(&mut state, block, None)?;
+        state.hint = match block.word("rendering_hint") {
+            "OPAQUE_BIN" => 1,
+            "TRANSPARENT_BIN" => 2,
+            word => number_of(word).unwrap_or(0.0) as i32,
+        };
+        // The first versions sort what is transparent.
+        if block.word("transparency") == "ON" {
+            state.hint = 2;
+        }
+        state.bin_mode = match block.word("renderBinMode") {
+            "USE" | "ENCLOSE" => 1,
+            "OVERRIDE" => 2,
+            "PROTECTED" => 4,
+            "OVERRIDE|PROTECTED" => 6,
+            _ => 0,
+        };
+        state.bin_number = block.value("binNumber").unwrap_or(0.0) as i32;
+        state.bin_name = block.word("binName").to_owned();
+        state.nest_bins = true;
+        Ok(state)
+    }
+
+    /// Adds the modes and attributes of a block: those of a texture unit, or of the state set itself.
+    fn add_states(&mut self, state: &mut StateObject, block: &Block<'_>, unit: Option<usize>) -> Result<()> {
+        for field in &block.fields {
+            let inner = field.block.as_ref().zip(number_of(field.word(1)));
+            if let Some((inner, number)) = inner.filter(|_| unit.is_none() && field.word(0) == "textureUnit") {
+                if (number as usize) < MAX_UNITS {
+                    self.add_states(state, inner, Some(number as usize))?;
+                }
+                continue;
+            }
+            if let Some((mode, flags)) = mode_of(field) {
+                match unit.or(TEXTURE_MODES.contains(&mode).then_some(0)) {
+                    Some(unit) => of_unit(&mut state.texture_modes, unit).push((mode, flags)),
+                    None => state.modes.push((mode, flags)),
+                }
+                continue;
+            }
+            let Some(Object::Attribute(attribute)) = self.object(field)? else { continue };
+            let is_of_texture = matches!(
+                *attribute,
+                AttributeObject::Texture(_) | AttributeObject::TexEnv(_) | AttributeObject::Combine(_)
+            );
+            match unit.or(is_of_texture.then_some(0)) {
+                Some(unit) => of_unit(&mut state.texture_attributes, unit).push((attribute, 0)),
+                None => state.attributes.push((attribute, 0)),
+            }
+        }
+        Ok(())
+    }
+
+    /// Reads an attribute; `None` if the class is none that is read.
+    pub(super) fn attribute(&mut self, class: &str, block: &Block<'_>) -> Option<AttributeObject> {
+        let gl = |name: &str, default: u32| value_of(GL_NAMES, block.word(name)).unwrap_or(default);
+        Some(match class {
+            "Material" => AttributeObject::Material(material(block)),
+            "Texture2D" => AttributeObject::Texture(texture(block)),
+            "TexEnv" => {
+                const MODES: Names =
+                    &[("DECAL", 0x2101), ("MODULATE", 0x2100), ("BLEND", 0xbe2), ("REPLACE", 0x1e01), ("ADD", 0x104)];
+                AttributeObject::TexEnv(value_of(MODES, block.word("mode")).unwrap_or(0x2100))
+            }
+            "TexEnvCombine" => {
+                let names = |kind: &str| [0, 1, 2].map(|i| format!("{kind}{i}_RGB"));
+                let [sources, operands] = [("source", [0x1702, 0x8578, 0x8576]), ("operand", [0x300, 0x300, 0x302])]
+                    .map(|(kind, defaults)| {
+                        let mut values = defaults;
+                        values.iter_mut().zip(names(kind)).for_each(|(value, name)| *value = gl(&name, *value));
+                        values
+                    });
+                let scale = block.value("scale_RGB").unwrap_or(1.0) as f32;
+                AttributeObject::Combine(CombineObject {
+                    function: gl("combine_RGB", 0x2100),
+                    sources,
+                    operands,
+                    scale,
+                })
+            }
+            "BlendFunc" => {
+                let (source, destination) = (gl("source", 0x302), gl("destination", 0x303));
+                let alpha = [gl("sourceAlpha", source), gl("destinationAlpha", destination)];
+                AttributeObject::BlendFunc([source, destination, alpha[0], alpha[1]])
+            }
+            "AlphaFunc" => {
+                let reference = block.value("referenceValue").unwrap_or(1.0) as f32;
+                AttributeObject::AlphaFunc { function: gl("comparisonFunc", 0x207), reference }
+            }
+            "CullFace" => AttributeObject::CullFace(match block.word("mode") {
+                "FRONT" => 0x404,
+                "FRONT_AND_BACK" => 0x408,
+                _ => 0x405,
+            }),
+            "FrontFace" => AttributeObject::FrontFace(if block.word("mode") == "CLOCKWISE" { 0x900 } else { 0x901 }),
+            "Depth" => {
+                let range = block.values("range").unwrap_or([0.0, 1.0]);
+                AttributeObject::Depth { function: gl("function", 0x201), range, write: block.is_true("writeMask") }
+            }
+            "PolygonOffset" => {
+                let number = |name| block.value(name).unwrap_or(0.0) as f32;
+                AttributeObject::PolygonOffset { factor: number("factor"), units: number("units") }
+            }
+            "ColorMask" => {
+                let names = ["redMask", "greenMask", "blueMask", "alphaMask"];
+                AttributeObject::ColorMask(names.map(|name| block.is_true(name)))
+            }
+            _ => AttributeObject::Other(OTHERS.iter().find(|other| **other == class)?),
+        })
+    }
+}
+
+/// Returns the list of a unit.
+fn of_unit<T>(units: &mut Vec<Vec<T>>, unit: usize) -> &mut Vec<T> {
+    if units.len() <= unit {
+        units.resize_with(unit + 1, Vec::new);
+    }
+    &mut units[unit]
+}
+
+/// Returns the mode of a field with its flags; `None` if it is none.
+fn mode_of(field: &Field<'_>) -> Option<(u32, u32)> {
+    const FLAGS: Names = &[("OFF", 0), ("ON", 1), ("OVERRIDE", 2), ("PROTECTED", 4), ("INHERIT", 8)];
+    let name = field.word(0);
+    let mode = value_of(GL_NAMES, name).filter(|_| name.starts_with("GL_"));
+    let mode = mode.or(value_of(NAMED_MODES, name)).or(number_of(name).map(|mode| mode as u32))?;
+    let flags = field.word(1).split(['|', '_']).map(|flag| value_of(FLAGS, flag)).sum::<Option<u32>>()?;
+    Some((mode, flags))
+}
+
+fn material(block: &Block<'_>) -> MaterialObject {
+    const COLOR_MODES: Names = &[
+        ("AMBIENT", 0x1200),
+        ("DIFFUSE", 0x1201),
+        ("SPECULAR", 0x1202),
+        ("EMISSION", 0x1600),
+        ("AMBIENT_AND_DIFFUSE", 0x1602),
+    ];
+    /// The value of OFF is OSG's own.
+    const OFF: u32 = 0x1603;
+    /// Front and back of a value that fields set for one or both.
+    fn sides<const N: usize>(block: &Block<'_>, name: &str, default: [f32; N]) -> [[f32; N]; 2] {
+        let mut sides = [default; 2];
+        for field in block.fields.iter().filter(|field| field.word(0) == name) {
+            let (from, of) = match field.word(1) {
+                "FRONT" => (2, 0..1),
+                "BACK" => (2, 1..2),
+                _ => (1, 0..2),
+            };
+            for side in &mut sides[of] {
+                for (i, part) in side.iter_mut().enumerate() {
+                    // The alpha of a colour may be left out.
+                    *part =
+                        number_of(field.word(from + i)).map_or(if i == 3 { 1.0 } else { *part }, |value| value as f32);
+                }
+            }
+        }
+        sides
+    }
+    let mut colors = [
+        sides(block, "ambientColor", [0.2, 0.2, 0.2, 1.0]),
+        sides(block, "diffuseColor", [0.8, 0.8, 0.8, 1.0]),
+        sides(block, "specularColor", [0.0, 0.0, 0.0, 1.0]),
+        sides(block, "emissionColor", [0.0, 0.0, 0.0, 1.0]),
+    ];
+    if block.field("emissiveColor").is_some() {
+        colors[3] = sides(block, "emissiveColor", [0.0, 0.0, 0.0, 1.0]);
+    }
+    if let Some(transparency) = block.value("transparency") {
+        colors.iter_mut().flatten().for_each(|color| color[3] = 1.0 - transparency as f32);
+    }
+    let [ambient, diffuse, specular, emission] = colors;
+    let color_mode = value_of(COLOR_MODES, block.word("ColorMode")).unwrap_or(OFF);
+    let shininess = sides(block, "shininess", [0.0]).map(|[value]| value);
+    MaterialObject { color_mode, ambient, diffuse, specular, emission, shininess }
+}
+
+fn texture(block: &Block<'_>) -> TextureObject {
+    let gl = |name: &str, default: u32| value_of(GL_NAMES, block.word(name)).unwrap_or(default);
+    let file_name = block.word("file").to_owned();
+    let image = (!file_name.is_empty()).then(|| Arc::new(ImageObject { file_name, data: ImageData::External }));
+    TextureObject {
+        wrap: ["wrap_s", "wrap_t"].map(|name| gl(name, 0x2900)),
+        min_filter: gl("min_filter", 0x2703),
+        mag_filter: gl("mag_filter", 0x2601),
+        image,
+    }
+}
