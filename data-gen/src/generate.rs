@@ -211,7 +211,7 @@ fn make(args: &GenArgs, out: &Path, fingerprint: u64, folder: &Path) -> Result<(
             let tiles = (0..set.levels()).map(|level| 1u64 << (2 * level)).sum();
             prediction::check_space(out, tiles, || prediction::predict_world(&set, out))?;
         }
-        return Ok((write_world(&set, folder)?, Vec::new()));
+        return Ok((write_world(&set, args.output.tiling, folder)?, Vec::new()));
     }
     if args.content == ContentKind::QuantizedMesh {
         let datum_grid = open_datum_grid(args)?;

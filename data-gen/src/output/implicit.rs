@@ -17,18 +17,18 @@ use crate::GenError;
 use crate::pyramid::{Plan, TileKey};
 
 /// Levels of a subtree file.
-pub(super) const SUBTREE_LEVELS: u32 = 5;
+pub(crate) const SUBTREE_LEVELS: u32 = 5;
 /// The lists of blocks in memory: more than the blocks that a subtree has tiles of.
 const MAX_LISTS: usize = 2048;
 /// The template of subtree files.
-pub(super) const SUBTREES: &str = "subtrees/{level}/{x}/{y}.subtree";
+pub(crate) const SUBTREES: &str = "subtrees/{level}/{x}/{y}.subtree";
 
 /// A tile with data.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Entry {
     pub key: TileKey,
-    /// The number of its content among those of the set.
-    pub content: usize,
+    /// Bit n is set if the tile has the content n of the set.
+    pub contents: u32,
     pub geometric_error_m: f64,
     /// The lowest and the highest height of its volume in metres.
     pub heights_m: [f64; 2],
@@ -38,7 +38,7 @@ pub(crate) struct Entry {
 pub(super) fn list(entries: &[Entry]) -> String {
     let row = |e: &Entry| {
         let [error, low, high] = [e.geometric_error_m, e.heights_m[0], e.heights_m[1]].map(f64::to_bits);
-        json!([e.key.level, e.key.x, e.key.y, e.content, error, low, high])
+        json!([e.key.level, e.key.x, e.key.y, e.contents, error, low, high])
     };
     Value::from(entries.iter().map(row).collect::<Vec<_>>()).to_string()
 }
@@ -48,11 +48,11 @@ fn entries(text: &str) -> Option<Vec<Entry>> {
     let rows: Vec<[u64; 7]> = serde_json::from_str(text).ok()?;
     let mut entries = rows
         .into_iter()
-        .map(|[level, x, y, content, error, low, high]| {
-            let [level, x, y] = [level, x, y].map(|c| u32::try_from(c).ok());
+        .map(|[level, x, y, contents, error, low, high]| {
+            let [level, x, y, contents] = [level, x, y, contents].map(|c| u32::try_from(c).ok());
             let [geometric_error_m, low_m, high_m] = [error, low, high].map(f64::from_bits);
             let key = TileKey { level: level?, x: x?, y: y? };
-            Some(Entry { key, content: content as usize, geometric_error_m, heights_m: [low_m, high_m] })
+            Some(Entry { key, contents: contents?, geometric_error_m, heights_m: [low_m, high_m] })
         })
         .collect::<Option<Vec<_>>>()?;
     entries.sort_by_key(|entry| entry.key);
@@ -90,19 +90,18 @@ impl<'a> Subtrees<'a> {
         let last = SUBTREE_LEVELS.min(self.levels - root.level);
         let mut tiles = Vec::new();
         for level in 0..SUBTREE_LEVELS {
-            for morton in 0..1u64 << (2 * level) {
-                tiles.push(if level < last { self.entry(below(root, level, morton))? } else { None });
+            for key in descendants(root, level) {
+                tiles.push(if level < last { self.entry(key)? } else { None });
             }
         }
         let mut children = Vec::new();
-        for morton in 0..1u64 << (2 * SUBTREE_LEVELS) {
-            let child = below(root, SUBTREE_LEVELS, morton);
+        for child in descendants(root, SUBTREE_LEVELS) {
             let is_there = child.level < self.levels && self.entry(child)?.is_some();
             children.push(is_there.then_some(child));
         }
         let has_child: Vec<bool> = children.iter().map(Option::is_some).collect();
         let bytes = subtree(&tiles, &has_child, self.contents);
-        let path = self.folder.join(format!("subtrees/{}/{}/{}.subtree", root.level, root.x, root.y));
+        let path = self.folder.join(subtree_name(root));
         if let Some(folder) = path.parent() {
             std::fs::create_dir_all(folder).map_err(GenError::file(folder))?;
         }
@@ -144,6 +143,16 @@ impl<'a> Subtrees<'a> {
     }
 }
 
+/// Returns the name of a subtree file.
+pub(crate) fn subtree_name(root: TileKey) -> String {
+    format!("subtrees/{}/{}/{}.subtree", root.level, root.x, root.y)
+}
+
+/// Returns the tiles that are some levels below another one, in Morton order.
+pub(crate) fn descendants(root: TileKey, level: u32) -> impl Iterator<Item = TileKey> {
+    (0..1u64 << (2 * level)).map(move |morton| below(root, level, morton))
+}
+
 /// Returns the tile below another one with a Morton index among those of its level.
 fn below(root: TileKey, level: u32, morton: u64) -> TileKey {
     let bits = |first: u32| (0..level).map(|bit| ((morton >> (2 * bit + first)) as u32 & 1) << bit).sum::<u32>();
@@ -151,7 +160,7 @@ fn below(root: TileKey, level: u32, morton: u64) -> TileKey {
 }
 
 /// Returns the bytes of a subtree file, from its tiles level by level in Morton order, and its child subtrees.
-fn subtree(tiles: &[Option<Entry>], children: &[bool], contents: usize) -> Vec<u8> {
+pub(crate) fn subtree(tiles: &[Option<Entry>], children: &[bool], contents: usize) -> Vec<u8> {
     let (mut binary, mut views) = (Vec::<u8>::new(), Vec::<Value>::new());
     let mut view = |bytes: &[u8]| {
         binary.resize(binary.len().next_multiple_of(8), 0);
@@ -171,7 +180,7 @@ fn subtree(tiles: &[Option<Entry>], children: &[bool], contents: usize) -> Vec<u
     let of_tiles = availability(&tiles.iter().map(Option::is_some).collect::<Vec<_>>());
     let of_contents: Vec<Value> = (0..contents)
         .map(|content| {
-            let has = |tile: &Option<Entry>| tile.is_some_and(|entry| entry.content == content);
+            let has = |tile: &Option<Entry>| tile.is_some_and(|entry| entry.contents >> content & 1 == 1);
             availability(&tiles.iter().map(has).collect::<Vec<_>>())
         })
         .collect();
@@ -204,7 +213,7 @@ fn subtree(tiles: &[Option<Entry>], children: &[bool], contents: usize) -> Vec<u
 }
 
 /// Returns the class of the tiles' metadata.
-pub(super) fn tile_class() -> Value {
+pub(crate) fn tile_class() -> Value {
     let number = |semantic: &str| json!({ "type": "SCALAR", "componentType": "FLOAT64", "semantic": semantic });
     json!({ "properties": {
         "geometricError": number("TILE_GEOMETRIC_ERROR"),
@@ -220,7 +229,7 @@ mod tests {
     #[test]
     fn lists_are_read_back_and_tiles_are_found_by_morton_index() {
         let key = |level, x, y| TileKey { level, x, y };
-        let entry = |key, content| Entry { key, content, geometric_error_m: 0.1, heights_m: [-3.7, 1e9 / 7.0] };
+        let entry = |key, contents| Entry { key, contents, geometric_error_m: 0.1, heights_m: [-3.7, 1e9 / 7.0] };
         let all = vec![entry(key(3, 1, 7), 0), entry(key(2, 0, 3), 1)];
         let read = entries(&list(&all)).unwrap();
         assert_eq!(read, [all[1], all[0]]);

@@ -17,6 +17,7 @@ mod tree;
 pub(crate) use builder::{Builder, blocks};
 pub use encoding::{TextureFormat, TileArgs, Triangles};
 pub(crate) use finish::{finish, is_archive_at};
+pub(crate) use implicit::{Entry, SUBTREE_LEVELS, SUBTREES, descendants, subtree, subtree_name, tile_class};
 pub(crate) use journal::{CompleteTile, Journal};
 pub use options::{ArchiveFormat, OutputArgs, Tiling};
 pub use partial_folder::PartialFolder;

@@ -69,9 +69,6 @@ impl OutputArgs {
         if args.run.update && (self.gzip || self.archive.is_some()) {
             return Err("--update is not supported with --gzip and --archive".to_owned());
         }
-        if self.tiling != Tiling::default() && args.world.world.is_some() {
-            return Err("--tiling implicit is not supported with --world".to_owned());
-        }
         if self.archive.is_some() {
             if is_terrain {
                 return Err("--archive is not supported with --content quantized-mesh".to_owned());

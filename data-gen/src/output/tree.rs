@@ -116,7 +116,7 @@ impl<'a> Tree<'a> {
             let form = form(self.args, self.block, key);
             let content = contents.iter().position(|content| *content == form)?;
             let geometric_error_m = self.geometric_error_m(key);
-            Some(Entry { key, content, geometric_error_m, heights_m: [region[4], region[5]] })
+            Some(Entry { key, contents: 1 << content, geometric_error_m, heights_m: [region[4], region[5]] })
         };
         self.block.keys().filter_map(entry).collect()
     }

@@ -46,15 +46,25 @@ pub(super) struct Relief {
     pub gullies: f32,
     /// Height of hills on plains.
     pub hill_m: f32,
-    /// Height of small bumps and boulders.
-    pub rough_m: f32,
-    /// Height of dunes.
-    pub dune_m: f32,
-    /// Depth of craters as a share of their radius; 0 for none.
-    pub craters: f32,
     /// Height of the layers that slopes are stepped by; 0 for none.
     pub layer_m: f32,
+    pub forms: Landforms,
     pub rivers: Rivers,
+}
+
+/// Landforms that some worlds have. Heights are in metres, and 0 for none.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Landforms {
+    /// Height of small bumps and boulders.
+    pub rough_m: f32,
+    /// Height of the largest dunes.
+    pub dune_m: f32,
+    /// Height of table mountains above the plain around them.
+    pub mesa_m: f32,
+    /// Depth of craters as a share of their radius.
+    pub craters: f32,
+    /// Depth of the lagoons behind reefs.
+    pub lagoon_m: f32,
 }
 
 /// The rivers and lakes of a world, and their valleys.
@@ -147,10 +157,8 @@ const EARTH: Parameters = Parameters {
         massif_m: 38_000.0,
         gullies: 0.17,
         hill_m: 260.0,
-        rough_m: 1.2,
-        dune_m: 0.0,
-        craters: 0.0,
         layer_m: 0.0,
+        forms: Landforms { rough_m: 1.2, dune_m: 0.0, mesa_m: 0.0, craters: 0.0, lagoon_m: 0.0 },
         rivers: Rivers {
             spacing_m: 4_000.0,
             half_m: 16.0,
@@ -221,10 +229,17 @@ impl WorldPreset {
                     range_width: 0.22,
                     mountain_m: 1_700.0,
                     massif_m: 22_000.0,
-                    hill_m: 120.0,
-                    dune_m: 130.0,
-                    layer_m: 60.0,
-                    rivers: Rivers::NONE,
+                    hill_m: 90.0,
+                    forms: Landforms { dune_m: 120.0, mesa_m: 190.0, ..relief.forms },
+                    rivers: Rivers {
+                        spacing_m: 7_000.0,
+                        half_m: 22.0,
+                        incision_m: 45.0,
+                        in_plains: 0.4,
+                        slope: 0.25,
+                        lakes: 0.9,
+                        flow: Flow::Dry,
+                    },
                     ..relief
                 },
                 climate: Climate { equator_c: 38.0, pole_c: 8.0, wet: -0.6, ..climate },
@@ -249,10 +264,11 @@ impl WorldPreset {
                     massif_m: 17_000.0,
                     gullies: 0.2,
                     hill_m: 120.0,
+                    forms: Landforms { lagoon_m: 11.0, ..relief.forms },
                     rivers: Rivers { spacing_m: 2_400.0, half_m: 12.0, incision_m: 40.0, ..relief.rivers },
                     ..relief
                 },
-                climate: Climate { equator_c: 29.0, pole_c: 14.0, wet: 0.4, ..climate },
+                climate: Climate { equator_c: 29.0, pole_c: 14.0, wet: 0.16, ..climate },
                 palette: Palette {
                     shallow: [88.0, 190.0, 184.0],
                     deep: [16.0, 66.0, 110.0],
@@ -272,8 +288,7 @@ impl WorldPreset {
                     range_width: 0.0,
                     mountain_m: 0.0,
                     hill_m: 160.0,
-                    rough_m: 0.8,
-                    craters: 1.0,
+                    forms: Landforms { rough_m: 0.8, craters: 1.0, ..relief.forms },
                     rivers: Rivers::NONE,
                     ..relief
                 },
@@ -297,9 +312,8 @@ impl WorldPreset {
                     mountain_m: 3_000.0,
                     massif_m: 34_000.0,
                     hill_m: 200.0,
-                    dune_m: 25.0,
-                    craters: 0.75,
                     layer_m: 150.0,
+                    forms: Landforms { dune_m: 25.0, craters: 0.75, ..relief.forms },
                     rivers: Rivers {
                         spacing_m: 11_000.0,
                         half_m: 90.0,

@@ -9,7 +9,7 @@ use terrane::formats::writers::write_height_exr;
 use super::errors::level_errors_m;
 use super::planet::{RowBuffers, World};
 use super::points::{RADIUS_M, meridians, sin_cos};
-use super::scatter::{MAX_CELL_M, Scatter, Sites, TALLEST_M};
+use super::scatter::{MAX_CELL_M, Scatter, TALLEST_M};
 use super::surface::{Lattice, Patch, TEXELS_PER_CELL};
 use crate::pyramid::{CELLS, QUANTUM_M};
 use crate::{Extent, GenError, TileKey};
@@ -68,8 +68,13 @@ impl WorldSet {
         self.has_scatter && self.lattice(TileKey { level, x: 0, y: 0 }, 0).step_m() <= MAX_CELL_M
     }
 
-    /// Returns the number of conifers, of broadleaf trees and of rocks on a tile.
-    pub fn scatter_counts(&self, key: TileKey) -> [usize; 3] {
+    /// Returns true if any tiles have trees and rocks.
+    pub(super) fn has_instances(&self) -> bool {
+        self.levels > 0 && self.has_scatter(self.levels - 1)
+    }
+
+    /// Returns the number of conifers, broadleaf trees, rocks, shrubs and stones on a tile.
+    pub fn scatter_counts(&self, key: TileKey) -> [usize; 5] {
         let mut buffers = RowBuffers::default();
         let mut patch = self.patch(key, &mut buffers);
         patch.paint(&self.world, &mut buffers);
@@ -77,7 +82,7 @@ impl WorldSet {
     }
 
     fn scatter(&self, patch: &Patch) -> Scatter {
-        Scatter::new(&self.world, patch, Sites::new(&self.lattice(TileKey { level: 0, x: 0, y: 0 }, 0)))
+        Scatter::new(&self.world, patch, &self.lattice(TileKey { level: 0, x: 0, y: 0 }, 0))
     }
 
     /// Returns the world.

@@ -1,10 +1,11 @@
-//! Describes the tiles of a world as 3D Tiles JSON: one tileset for each subtree of three levels, so that each can be written
-//! without the others.
+//! Describes the tiles of a world: one tileset of 3D Tiles for each subtree of three levels, so that each can be written without the
+//! others, or one tileset with implicit tiling and its subtree files.
 
 use serde_json::{Value, json};
 
 use super::tiles::WorldSet;
 use crate::TileKey;
+use crate::output::{Entry, SUBTREE_LEVELS, SUBTREES, descendants, subtree, subtree_name, tile_class};
 use crate::pyramid::{CELLS, QUANTUM_M};
 
 /// The number of levels in a tileset.
@@ -25,20 +26,68 @@ impl WorldSet {
     pub fn tileset(&self, key: TileKey) -> Option<String> {
         self.tileset_path(key)?;
         let up = if key.level == 0 { "" } else { "../../" };
+        Some(self.tileset_of(key.level, self.tile_json(key, key.level + LEVELS_PER_TILESET, up)).to_string())
+    }
+
+    /// Returns the tileset around a root tile of a level.
+    fn tileset_of(&self, level: u32, mut root: Value) -> Value {
         let errors_m = self.level_errors_m();
-        let root_error_m = errors_m[key.level as usize];
         let extras = json!({ "terrane": {
             "format": 1, "content": "height", "layout": "wgs84", "side": CELLS + 1, "border": 1,
-            "quantum_m": QUANTUM_M, "level": key.level, "level_errors_m": errors_m,
+            "quantum_m": QUANTUM_M, "level": level, "level_errors_m": errors_m,
         } });
-        let mut root = self.tile_json(key, key.level + LEVELS_PER_TILESET, up);
         root["refine"] = "REPLACE".into();
-        let tileset = json!({
+        json!({
             "asset": { "version": "1.1", "generator": "terrane", "extras": extras },
-            "geometricError": 2.0 * root_error_m,
+            "geometricError": 2.0 * errors_m[level as usize],
             "root": root,
+        })
+    }
+
+    /// Returns the tileset of implicit tiling. The trees and rocks of tiles are a second content.
+    pub(super) fn implicit_tileset(&self) -> String {
+        let root = TileKey { level: 0, x: 0, y: 0 };
+        let e = self.extent(root);
+        let [low_m, high_m] = self.bounds_m(root);
+        let template = |extension: &str| json!({ "uri": format!("{{level}}/{{x}}/{{y}}.{extension}") });
+        let mut tile = json!({
+            "boundingVolume": { "region": [e.west, e.south, e.east, e.north, low_m, high_m] },
+            "geometricError": self.level_errors_m()[0],
+            "implicitTiling": {
+                "subdivisionScheme": "QUADTREE", "subtreeLevels": SUBTREE_LEVELS, "availableLevels": self.levels(),
+                "subtrees": { "uri": SUBTREES },
+            },
+            "contents": [template("exr")],
+            "extras": { "terrane": { "imagery": "{level}/{x}/{y}.jpg" } },
         });
-        Some(tileset.to_string())
+        if self.has_instances() {
+            tile["contents"] = json!([template("exr"), template("glb")]);
+        }
+        let mut tileset = self.tileset_of(0, tile);
+        tileset["schema"] = json!({ "id": "terrane", "classes": { "tile": tile_class() } });
+        tileset.to_string()
+    }
+
+    /// Returns the name and the bytes of the subtree file whose root is a tile. `None` if the tile is not the root of one.
+    pub(super) fn subtree(&self, root: TileKey) -> Option<(String, Vec<u8>)> {
+        if !self.contains(root) || !root.level.is_multiple_of(SUBTREE_LEVELS) {
+            return None;
+        }
+        let errors_m = self.level_errors_m();
+        let tiles: Vec<Option<Entry>> = (0..SUBTREE_LEVELS)
+            .flat_map(|level| descendants(root, level))
+            .map(|key| {
+                self.contains(key).then(|| Entry {
+                    key,
+                    contents: if self.has_scatter(key.level) { 0b11 } else { 0b01 },
+                    geometric_error_m: errors_m[key.level as usize],
+                    heights_m: self.bounds_m(key),
+                })
+            })
+            .collect();
+        let has_child: Vec<bool> = descendants(root, SUBTREE_LEVELS).map(|child| self.contains(child)).collect();
+        let contents = if self.has_instances() { 2 } else { 1 };
+        Some((subtree_name(root), subtree(&tiles, &has_child, contents)))
     }
 
     /// Returns a tile and its descendants on the levels before `end`. Their children there are external tilesets.

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use super::planet::World;
 use super::tiles::WorldSet;
 use crate::args::{Color, ContentKind, GenArgs};
-use crate::output::{CompleteTile, Journal, write_whole};
+use crate::output::{CompleteTile, Journal, SUBTREE_LEVELS, Tiling, write_whole};
 use crate::{GenError, Progress, Sharding, Summary, TileArgs, TileKey};
 
 /// Returns the set that the options describe; `None` without `--world`.
@@ -55,7 +55,7 @@ pub(crate) fn check_world(args: &GenArgs) -> Result<(), String> {
 
 /// Writes all tiles and tilesets of a set into a folder, on the threads of the current rayon pool. Tiles that a killed run has
 /// completed are not made again. The caller fills in the duration and the final folder of the summary.
-pub(crate) fn write_world(set: &WorldSet, folder: &Path) -> Result<Summary, GenError> {
+pub(crate) fn write_world(set: &WorldSet, tiling: Tiling, folder: &Path) -> Result<Summary, GenError> {
     let keys: Vec<TileKey> = (0..set.levels())
         .flat_map(|level| (0..1u32 << level).flat_map(move |x| (0..1 << level).map(move |y| TileKey { level, x, y })))
         .collect();
@@ -64,6 +64,16 @@ pub(crate) fn write_world(set: &WorldSet, folder: &Path) -> Result<Summary, GenE
             let path = folder.join(format!("{level}/{x}"));
             std::fs::create_dir_all(&path).map_err(GenError::file(&path))?;
         }
+    }
+    let mut tileset_bytes = 0;
+    if tiling == Tiling::Implicit {
+        for (level, x) in (0..set.levels()).flat_map(|level| (0..1u32 << level).map(move |x| (level, x))) {
+            if level.is_multiple_of(SUBTREE_LEVELS) {
+                let path = folder.join(format!("subtrees/{level}/{x}"));
+                std::fs::create_dir_all(&path).map_err(GenError::file(&path))?;
+            }
+        }
+        tileset_bytes = write_whole(&folder.join("tileset.json"), set.implicit_tileset().as_bytes())?;
     }
     let progress = Progress::new("writing", keys.len() as u64, "tiles");
     let journal = Journal::new(folder);
@@ -76,8 +86,17 @@ pub(crate) fn write_world(set: &WorldSet, folder: &Path) -> Result<Summary, GenE
         if let Some(scatter) = &tile.scatter {
             bytes += write(&format!("{stem}.glb"), scatter)?;
         }
-        if let (Some(path), Some(tileset)) = (set.tileset_path(key), set.tileset(key)) {
-            bytes += write(&path, tileset.as_bytes())?;
+        match tiling {
+            Tiling::Explicit => {
+                if let (Some(path), Some(tileset)) = (set.tileset_path(key), set.tileset(key)) {
+                    bytes += write(&path, tileset.as_bytes())?;
+                }
+            }
+            Tiling::Implicit => {
+                if let Some((name, subtree)) = set.subtree(key) {
+                    bytes += write(&name, &subtree)?;
+                }
+            }
         }
         let complete = CompleteTile { bytes, range_m: tile.range_m };
         list.add(key, &complete)?;
@@ -101,7 +120,7 @@ pub(crate) fn write_world(set: &WorldSet, folder: &Path) -> Result<Summary, GenE
         out: folder.to_path_buf(),
         tiles: keys.len() as u64,
         levels: set.levels(),
-        bytes,
+        bytes: bytes + tileset_bytes,
         min_height_m: low_m.into(),
         max_height_m: high_m.into(),
         filled_samples: 0,

@@ -413,7 +413,9 @@ impl Network {
 /// Returns the way from one place to another in metres.
 #[inline(always)]
 pub(super) fn difference_m(from: [f64; 3], to: [f64; 3]) -> [f32; 3] {
-    [0, 1, 2].map(|k| ((to[k] - from[k]) * RADIUS_M) as f32)
+    let along = |k: usize| ((to[k] - from[k]) * RADIUS_M) as f32;
+    // Not `map`, which the compiler does not always inline here: a quarter of the time of a tile was spent in it.
+    [along(0), along(1), along(2)]
 }
 
 #[inline(always)]

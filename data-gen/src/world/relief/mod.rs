@@ -1,12 +1,15 @@
-//! The heights of a world along a row of points: continents, ranges of eroded mountains, hills, layers of rock, dunes,
-//! craters, and the valleys of rivers and glaciers.
+//! The heights of a world along a row of points: continents, ranges of eroded mountains, hills, layers of rock,
+//! craters, the valleys of rivers and glaciers, mesas, and dunes.
 //!
 //! Each height is a function of the seed and the position. Parts whose mask is 0 along a whole row are left out, which does
 //! not change the bits: they would add 0.
 
+mod coasts;
 mod covers;
-mod deposits;
+mod craters;
 mod drainage;
+mod dunes;
+mod mesas;
 mod mountains;
 mod noise;
 mod rivers;
@@ -29,9 +32,9 @@ pub(crate) struct Ground {
     pub inland: Vec<f32>,
     /// Mountains: 0 in plains, 1 in the middle of ranges.
     pub mountain: Vec<f32>,
-    /// Height of the surface above the floor of gullies, about -1..1.
+    /// Height of the surface above the floor of gullies or above the foot of dunes, about -1..1.
     pub ridge: Vec<f32>,
-    /// Share of dunes or of glaciers, 0..1.
+    /// Share of sand or of glaciers, 0..1.
     pub cover: Vec<f32>,
     /// Height of the ground, or of the water where there is some.
     pub surface_m: Vec<f32>,
@@ -46,6 +49,9 @@ pub(crate) struct Ground {
 /// The distance from rivers beyond which it does not matter.
 pub(super) const FAR_M: f32 = 1_500.0;
 
+/// The slope of loose sand and stones: the tangent of 32 degrees.
+const REPOSE: f32 = 0.62;
+
 /// Buffers for the evaluation of one row. They are kept between rows.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Scratch {
@@ -54,6 +60,8 @@ pub(crate) struct Scratch {
     detail: Vec<f32>,
     slope: Vec<f32>,
     strength: Vec<f32>,
+    /// The thickness of sand: below 0 there are at most single dunes, at 0.5 sand covers everything.
+    sand: Vec<f32>,
     gradient: Vectors,
     total: Vectors,
     across: Vectors,
@@ -112,25 +120,35 @@ impl Relief {
         scratch: &mut Scratch,
         out: &mut Ground,
     ) {
-        self.dry_row(basin.seed, points, scratch, out);
+        self.add_rock(basin.seed, points, scratch, out);
         self.add_rivers(basin, points, network, scratch, out);
+        self.add_mesas(basin.seed, points, scratch, out);
+        self.add_dunes(basin.seed, points, scratch, out);
     }
 
     /// Computes the ground of a row without rivers.
     pub fn dry_row(&self, seed: u64, points: &Points, scratch: &mut Scratch, out: &mut Ground) {
+        self.add_rock(seed, points, scratch, out);
+        self.add_mesas(seed, points, scratch, out);
+        self.add_dunes(seed, points, scratch, out);
+    }
+
+    /// Computes the ground of a row before rivers cut it and sand covers it.
+    fn add_rock(&self, seed: u64, points: &Points, scratch: &mut Scratch, out: &mut Ground) {
         let n = points.len();
         self.add_continents(seed, points, 8, scratch, out);
         self.add_mountains(seed, points, true, scratch, out);
+        self.add_sand(seed, points, scratch, out);
         if self.layer_m > 0.0 {
             out.bed_m.iter_mut().for_each(|bed| *bed = self.stepped(*bed));
         }
-        self.add_dunes(seed, points, scratch, out);
         self.add_craters(seed, points, out);
+        self.add_reefs(seed, points, scratch, out);
         // Small bumps; they are higher on mountains.
         reset(&mut scratch.noise, n);
-        add_octaves(points, 120.0, 6, 0.5, self.rough_m, part_seed(seed, 3), &mut scratch.noise);
+        add_octaves(points, 120.0, 6, 0.5, self.forms.rough_m, part_seed(seed, 3), &mut scratch.noise);
         for k in 0..n {
-            let smoothness = 1.0 - 0.85 * out.cover[k];
+            let smoothness = 1.0 - 0.9 * smooth(-0.1, 0.2, scratch.sand[k]);
             scratch.noise[k] *= smoothness * (1.0 + 5.0 * out.mountain[k]);
             out.bed_m[k] += scratch.noise[k];
         }

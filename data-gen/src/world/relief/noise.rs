@@ -1,5 +1,5 @@
 //! Noise in space from a hash, evaluated along rows of positions: gradient noise with and without its derivative, stripes
-//! that follow a slope, and craters.
+//! that follow a slope, waves, barchans and craters.
 //!
 //! The loops have no branches and no calls, so that the compiler can vectorise them. Neither fused multiply-add nor
 //! functions of the C library are used, so that the bits are the same on every machine.
@@ -44,7 +44,9 @@ const HASH_Z: u32 = 0xc2b2_ae3d;
 /// between them, 0..1.
 #[inline(always)]
 fn cell_at(point: [f64; 3], frequency: f64, seed: u32) -> ([[u32; 2]; 3], [f32; 3]) {
-    let [(ix, fx), (iy, fy), (iz, fz)] = point.map(|c| cell(c * frequency));
+    let (ix, fx) = cell(point[0] * frequency);
+    let (iy, fy) = cell(point[1] * frequency);
+    let (iz, fz) = cell(point[2] * frequency);
     let x = [ix.wrapping_mul(HASH_X), ix.wrapping_mul(HASH_X).wrapping_add(HASH_X)];
     let y = [iy.wrapping_mul(HASH_Y), iy.wrapping_mul(HASH_Y).wrapping_add(HASH_Y)];
     let z = [iz.wrapping_mul(HASH_Z) ^ seed, iz.wrapping_mul(HASH_Z).wrapping_add(HASH_Z) ^ seed];
@@ -88,7 +90,8 @@ pub(crate) fn add_noise(points: &Points, frequency: f64, seed: u32, amplitude: f
                     let h = mix(x[a], y[b], z[c]);
                     part(h, 22) * (fx - a as f32) + part(h, 12) * (fy - b as f32) + part(h, 2) * (fz - c as f32)
                 };
-                let [u, v, w] = [fx, fy, fz].map(|t| t * t * t * (t * (t * 6.0 - 15.0) + 10.0));
+                let fade = |t: f32| t * t * t * (t * (t * 6.0 - 15.0) + 10.0);
+                let (u, v, w) = (fade(fx), fade(fy), fade(fz));
                 let lerp = |a: f32, b: f32, t: f32| a + (b - a) * t;
                 let low = lerp(lerp(corner(0, 0, 0), corner(1, 0, 0), u), lerp(corner(0, 1, 0), corner(1, 1, 0), u), v);
                 let high =
@@ -231,6 +234,124 @@ pub(crate) fn add_craters(points: &Points, frequency: f64, seed: u32, share: f32
     );
 }
 
+/// Returns the distance of a number from the nearest whole one.
+#[inline(always)]
+pub(crate) fn from_whole(x: f32) -> f32 {
+    x - ((x + 12_582_912.0) - 12_582_912.0)
+}
+
+/// Returns the sine of a number of turns within -0.5..0.5, to 0.001.
+#[inline(always)]
+fn sine(turn: f32) -> f32 {
+    let arc = 8.0 * turn * (1.0 - 2.0 * turn.abs());
+    arc * (0.775 + 0.225 * arc.abs())
+}
+
+/// Writes the phase of waves in turns, -0.5..0.5, which advances by `along` turns per lattice cell, and their strength, 0..1.
+/// Each lattice point has waves with a phase of its own; where those of neighbours cancel each other, crests end or branch,
+/// and the strength is 0. (Phasor noise: Tricard and others, 2019.)
+pub(crate) fn waves(
+    points: &Points,
+    frequency: f64,
+    seed: u32,
+    along: &Vectors,
+    turns: &mut [f32],
+    strength: &mut [f32],
+) {
+    let n = turns.len();
+    let (px, py, pz) = (&points.x[..n], &points.y[..n], &points.z[..n]);
+    let (qx, qy, qz) = (&along.x[..n], &along.y[..n], &along.z[..n]);
+    let strength = &mut strength[..n];
+    wide(
+        #[inline(always)]
+        move || {
+            for k in 0..n {
+                let ([x, y, z], [fx, fy, fz]) = cell_at([px[k], py[k], pz[k]], frequency, seed);
+                let fade = |t: f32| t * t * t * (t * (t * 6.0 - 15.0) + 10.0);
+                let (u, v, w) = ([1.0 - fade(fx), fade(fx)], [1.0 - fade(fy), fade(fy)], [1.0 - fade(fz), fade(fz)]);
+                let (mut re, mut im) = (0.0f32, 0.0f32);
+                for c in 0..2 {
+                    for b in 0..2 {
+                        for a in 0..2 {
+                            let h = mix(x[a], y[b], z[c]);
+                            let jitter = |shift: u32| part(h, shift) * (0.5 / 512.0);
+                            let phase = (fx - a as f32 + jitter(22)) * qx[k]
+                                + (fy - b as f32 + jitter(12)) * qy[k]
+                                + (fz - c as f32 + jitter(2)) * qz[k];
+                            let weight = u[a] * v[b] * w[c];
+                            re += weight * sine(from_whole(phase + 0.25));
+                            im += weight * sine(from_whole(phase));
+                        }
+                    }
+                }
+                // The angle of (re, im) from that within an eighth of a turn, to 0.001 turns.
+                let (large, small) = (re.abs().max(im.abs()), re.abs().min(im.abs()));
+                let q = small / (large + 1e-9);
+                let eighth = q * (0.125 + 0.0433 * (1.0 - q));
+                let quarter = if im.abs() > re.abs() { 0.25 - eighth } else { eighth };
+                let half = if re < 0.0 { 0.5 - quarter } else { quarter };
+                turns[k] = if im < 0.0 { -half } else { half };
+                strength[k] = (re * re + im * im).sqrt();
+            }
+        },
+    );
+}
+
+/// Adds barchans to `out`, at most one for each lattice point near the sphere: heaps with a gentle side towards the wind, a lee
+/// with the slope `repose`, and horns downwind. Heights are `amplitude` for each cell.
+pub(crate) fn add_barchans(
+    points: &Points,
+    frequency: f64,
+    seed: u32,
+    wind: &Vectors,
+    repose: f32,
+    amplitude: f32,
+    out: &mut [f32],
+) {
+    let n = out.len();
+    let (px, py, pz) = (&points.x[..n], &points.y[..n], &points.z[..n]);
+    let (wx, wy, wz) = (&wind.x[..n], &wind.y[..n], &wind.z[..n]);
+    wide(
+        #[inline(always)]
+        move || {
+            for k in 0..n {
+                let (nx, ny, nz) = (px[k] as f32, py[k] as f32, pz[k] as f32);
+                let (lx, ly, lz) = (ny * wz[k] - nz * wy[k], nz * wx[k] - nx * wz[k], nx * wy[k] - ny * wx[k]);
+                let ([x, y, z], [fx, fy, fz]) = cell_at([px[k], py[k], pz[k]], frequency, seed);
+                let mut highest = 0.0f32;
+                for c in 0..2 {
+                    for b in 0..2 {
+                        for a in 0..2 {
+                            let h = mix(x[a], y[b], z[c]);
+                            let jitter = |shift: u32| part(h, shift) * (0.25 / 512.0);
+                            let d = [fx - a as f32 + jitter(22), fy - b as f32 + jitter(12), fz - c as f32 + jitter(2)];
+                            let above = d[0] * nx + d[1] * ny + d[2] * nz;
+                            let other = h.wrapping_mul(0x9e37_79b1);
+                            let size = ((other >> 12) & 0x3ff) as i32 as f32 / 1024.0;
+                            // Half the width; the height is a tenth of the width.
+                            let half = 0.07 + 0.17 * size * size;
+                            let across = (d[0] * lx + d[1] * ly + d[2] * lz) / half;
+                            let inside = (1.0 - across * across).max(0.0);
+                            let crest_height = 0.24 * half * inside * (0.4 + 0.6 * inside);
+                            // Downwind of the crest, which is bent.
+                            let behind =
+                                d[0] * wx[k] + d[1] * wy[k] + d[2] * wz[k] - half * (1.25 * across * across - 0.3);
+                            let length = half * (0.25 + 1.55 * inside);
+                            let up = (1.0 + behind / length).clamp(0.0, 1.0);
+                            let windward = crest_height * up * (0.4 + up * (1.2 - 0.6 * up));
+                            let lee = (crest_height - repose * behind.max(0.0)).max(0.0);
+                            // Lattice points that are far above or below the ground have none.
+                            let near = 1.0 - ((above.abs() - 0.3) * 20.0).clamp(0.0, 1.0);
+                            highest = highest.max(near * windward.min(lee));
+                        }
+                    }
+                }
+                out[k] += amplitude * highest;
+            }
+        },
+    );
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -281,5 +402,27 @@ mod tests {
                 assert!(a.windows(2).all(|w| (w[0] - w[1]).abs() < 1e-4 * frequency as f32 * 4.0), "{frequency}");
             }
         }
+    }
+
+    /// Phases advance as they are told to, and strengths vanish where they do not.
+    #[test]
+    fn waves_advance_along_their_direction() {
+        let points = row(0.1, 2e-6, 0.6);
+        let mut along = Vectors::default();
+        along.reset(64);
+        along.y.fill(3.0);
+        let (mut turns, mut strength) = (vec![0.0; 64], vec![0.0; 64]);
+        waves(&points, 2_000.0, 9, &along, &mut turns, &mut strength);
+        assert!(
+            turns.iter().all(|t| (-0.501..=0.501).contains(t)) && strength.iter().all(|s| (0.0..=1.01).contains(s))
+        );
+        let mut advanced = 0.0;
+        for k in 0..63 {
+            let step = from_whole(turns[k + 1] - turns[k]);
+            assert!(step.abs() < 0.08, "{k}: {step}");
+            advanced += step;
+        }
+        let expected = (points.y[63] - points.y[0]) as f32 * 2_000.0 * 3.0;
+        assert!((advanced - expected).abs() < 0.4, "{advanced} turns, {expected} expected");
     }
 }

@@ -28,10 +28,12 @@ struct Effect {
 impl Channel {
     /// Returns the share of the way from the upper to the lower end, the distance from the river's middle, and the way from
     /// there.
+    #[inline]
     pub(super) fn nearest(&self, at: [f64; 3]) -> (f32, f32, [f32; 3]) {
         let to = difference_m(self.from, at);
         let t = (dot(to, self.along_m) * self.per_length2).clamp(0.0, 1.0);
-        let off = [0, 1, 2].map(|k| to[k] - t * self.along_m[k]);
+        let a = self.along_m;
+        let off = [to[0] - t * a[0], to[1] - t * a[1], to[2] - t * a[2]];
         (t, dot(off, off).sqrt(), off)
     }
 
@@ -57,6 +59,7 @@ impl Channel {
         [distance_m - half_m, half_m]
     }
 
+    #[inline]
     fn effect(&self, relief: &Relief, at: [f64; 3], ground_m: f32) -> Effect {
         let rivers = &relief.rivers;
         let (t, distance_m, _) = self.nearest(at);
@@ -179,6 +182,15 @@ impl Relief {
             }
             let width_m = 12.0 * smooth(5.0, 200.0, stream_m.min(shore_m.max(0.0))) + 0.1;
             bed_m = -round_max(-bed_m, -cut_m, width_m);
+            // Sand buries valleys.
+            let buried = smooth(0.0, 0.2, s.sand[k]);
+            bed_m += (ground_m - bed_m) * buried;
+            stream_m += (FAR_M - stream_m) * buried;
+            let dried_up_m = bed_m;
+            if self.rivers.flow == Flow::Dry && shore_m < 0.0 {
+                // Salt fills the basins of lakes up to their shores.
+                bed_m += (lake_m - 0.3 - bed_m).max(0.0) * (1.0 - buried);
+            }
             out.bed_m[k] = bed_m;
             let sea_m = if self.has_sea { 0.0 } else { f32::MIN };
             let mut surface_m = bed_m.max(sea_m);
@@ -187,7 +199,8 @@ impl Relief {
                 surface_m = surface_m.max(lake_m);
             }
             if lake_m > f32::MIN {
-                out.depth_m[k] = out.depth_m[k].max((lake_m - bed_m).min(-0.2 * shore_m));
+                let depth_m = (lake_m - dried_up_m).min(-0.2 * shore_m);
+                out.depth_m[k] = out.depth_m[k].max(depth_m - 30.0 * buried);
             }
             if stream_m < 0.0 {
                 surface_m = surface_m.max(river_m);
@@ -219,7 +232,8 @@ impl Relief {
 
 /// Returns a point moved by a bend in metres.
 pub(crate) fn bent(at: [f64; 3], bend_m: [f32; 3]) -> [f64; 3] {
-    [0, 1, 2].map(|axis| at[axis] + f64::from(bend_m[axis]) / RADIUS_M)
+    let along = |axis: usize| at[axis] + f64::from(bend_m[axis]) / RADIUS_M;
+    [along(0), along(1), along(2)]
 }
 
 #[cfg(test)]

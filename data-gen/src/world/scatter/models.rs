@@ -10,6 +10,8 @@ pub(super) enum Kind {
     Conifer,
     Broadleaf,
     Rock,
+    Shrub,
+    Stone,
 }
 
 /// Triangles of one colour.
@@ -19,7 +21,7 @@ struct Part {
 }
 
 impl Kind {
-    pub const ALL: [Self; 3] = [Self::Conifer, Self::Broadleaf, Self::Rock];
+    pub const ALL: [Self; 5] = [Self::Conifer, Self::Broadleaf, Self::Rock, Self::Shrub, Self::Stone];
 
     /// Returns the size of an instance by a share of 0..1: the height of trees, half the length of rocks, in metres.
     pub fn scale(self, share: f32) -> f32 {
@@ -28,6 +30,8 @@ impl Kind {
             Self::Broadleaf => 8.0 + 14.0 * share * share,
             // Many small ones, few large ones.
             Self::Rock => 0.5 + 5.0 * share * share * share * share,
+            Self::Shrub => 0.4 + 1.4 * share * share,
+            Self::Stone => 0.08 + 0.4 * share * share,
         }
     }
 
@@ -43,7 +47,11 @@ impl Kind {
                 let crown = ball(|[x, y, z]| [0.34 * x, 0.64 + 0.36 * y, 0.34 * z], 0.22);
                 vec![trunk(0.4), Part { color: [0.06, 0.115, 0.03], triangles: crown }]
             }
-            Self::Rock => {
+            Self::Shrub => {
+                let crown = ball(|[x, y, z]| [0.6 * x, 0.35 + 0.5 * y, 0.6 * z], 0.4);
+                vec![Part { color: [0.075, 0.11, 0.04], triangles: crown }]
+            }
+            Self::Rock | Self::Stone => {
                 let stone = ball(|[x, y, z]| [x, 0.25 + 0.6 * y, 0.8 * z], 0.45);
                 vec![Part { color: [0.16, 0.145, 0.13], triangles: stone }]
             }

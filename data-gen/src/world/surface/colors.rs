@@ -62,18 +62,31 @@ fn zigzag(x: f32) -> f32 {
     2.0 * turn.abs()
 }
 
-/// Returns the share of forest.
+/// Returns the moisture of the ground: hollows, gullies and the banks of rivers are wetter than ridges.
+#[inline(always)]
+pub(super) fn wetness(moisture: f32, patch: f32, open: f32, ridge: f32, stream_m: f32) -> f32 {
+    moisture + 0.12 * patch - 0.1 * open.clamp(-0.3, 0.3) - 0.07 * ridge.clamp(-1.0, 1.0)
+        + 0.11 * smooth(320.0, 20.0, stream_m)
+}
+
+/// Returns the share of forest. Its edges break up into groups of trees, and there are clearings.
 #[inline(always)]
 pub(super) fn wood(living: f32, celsius: f32, wet: f32, slope: f32, patch: f32, grain: f32) -> f32 {
-    living
-        * smooth(1.5, 5.0, celsius + 2.0 * patch + grain)
-        * smooth(0.44, 0.60, wet + 0.2 * patch + 0.06 * grain)
-        * (1.0 - smooth(0.55, 0.85, slope))
+    let density = living
+        * smooth(0.5, 5.0, celsius + 2.0 * patch)
+        * smooth(0.42, 0.66, wet + 0.25 * patch)
+        * (1.0 - smooth(0.6, 0.9, slope));
+    let clearing = smooth(0.42, 0.55, patch + 0.05 * grain);
+    let threshold = 0.5 + 0.25 * grain.clamp(-1.2, 1.2);
+    smooth(threshold - 0.2, threshold + 0.2, density * (1.0 - 0.9 * clearing)) * smooth(0.02, 0.15, density)
 }
 
 /// The channels of two colours of ice without snow, and those of the ice in crevasses.
 const BARE_ICE: [[f32; 2]; 3] = [[142.0, 196.0], [182.0, 214.0], [206.0, 226.0]];
 const CREVASSE: [f32; 3] = [52.0, 122.0, 168.0];
+/// The channels of salt, and the shares by which conifers are darker than other trees.
+const SALT: [f32; 3] = [232.0, 226.0, 214.0];
+const CONIFERS: [f32; 3] = [0.22, 0.16, 0.02];
 
 #[inline(always)]
 fn mix(a: f32, b: f32, t: f32) -> f32 {
@@ -92,12 +105,14 @@ impl Parameters {
         let share = |is_there: bool| if is_there { 1.0f32 } else { 0.0 };
         let (living, coasts) = (share(has_life), share(self.relief.has_sea));
         let glaciers = share(self.relief.rivers.flow == Flow::Ice);
+        let dry = living * share(self.relief.rivers.flow == Flow::Dry);
         // Without life there is snow only at the poles, of carbon dioxide.
         let freezing = if has_life { 0.0 } else { -98.0 };
         let [red, green, blue] = out;
         let (red, green, blue) = (&mut red[..n], &mut green[..n], &mut blue[..n]);
         let surface_m = &texels.surface_m[..n];
         let depth_m = &texels.depth_m[..n];
+        let stream_m = &texels.stream_m[..n];
         let [streams, moraines, crevasses] = [0, 1, 2].map(|k| &texels.marks[k][..n]);
         let slopes = &texels.slope[..n];
         let open = &texels.open[..n];
@@ -115,7 +130,7 @@ impl Parameters {
                     let (h, slope) = (surface_m[k], slopes[k]);
                     let (patch, grain) = (patches[k], grains[k]);
                     let celsius = sea_level_c[k] - LAPSE_C * h.max(0.0);
-                    let wet = moisture[k] + 0.12 * patch - 0.1 * open[k].clamp(-0.3, 0.3);
+                    let wet = wetness(moisture[k], patch, open[k], ridge[k], stream_m[k]);
                     let steep = smooth(0.48, 0.85, slope + 0.10 * grain + 0.06 * patch);
                     let warm = smooth(-2.0, 5.0, celsius + 1.5 * patch);
                     let green_share = living * warm * smooth(0.22, 0.42, wet);
@@ -124,11 +139,20 @@ impl Parameters {
                     let sandy = covers[k] * smooth(-15.0, -5.0, celsius).max(1.0 - living);
                     let maria = (1.0 - living) * smooth(0.05, -0.25, inland[k] + 0.05 * patch);
                     let beach = living
-                        * (1.0 - smooth(3.0, 9.0, h + 2.0 * patch + grain))
+                        * (1.0 - smooth(2.5, 5.5, h + 2.0 * patch + grain))
                         * smooth(-1.0, 4.0, celsius)
                         * (1.0 - smooth(0.2, 0.4, slope))
                         * coasts;
-                    let desert = living * (1.0 - smooth(0.12, 0.3, wet)) * (1.0 - smooth(0.08, 0.3, slope)) * warm;
+                    // Wind has carried the sand away from plains of dark stones.
+                    let stony = dry * smooth(-0.3, 0.1, patch + 0.15 * grain) * (1.0 - smooth(0.1, 0.3, slope));
+                    let desert = living
+                        * (1.0 - smooth(0.12, 0.3, wet))
+                        * (1.0 - smooth(0.08, 0.3, slope))
+                        * warm
+                        * (1.0 - stony);
+                    // Stones that fell from cliffs, at the angle of repose, in hollows and gullies.
+                    let hollow = smooth(0.05, -0.08, open[k] + 0.25 * ridge[k] + 0.04 * grain);
+                    let scree = smooth(0.36, 0.5, slope + 0.05 * grain) * (1.0 - smooth(0.68, 0.9, slope)) * hollow;
                     let snow = smooth(
                         0.0,
                         -3.5,
@@ -141,19 +165,41 @@ impl Parameters {
                     let strata = 0.5 * zigzag(h / 83.0 + 0.15 * patch)
                         + 0.3 * zigzag(h / 29.0 + 0.1 * grain)
                         + 0.2 * zigzag(h / 211.0);
-                    let strata = p.layers * (strata - 0.5) * smooth(0.12, 0.5, slope);
+                    let strata = p.layers * (strata - 0.5) * smooth(0.25, 0.6, slope);
                     let shade = 1.0 + 0.5 * (open[k] / (0.3 + open[k].abs())) + 0.08 * ridge[k].clamp(-1.0, 1.0);
-                    let variation = [0.5 + 0.5 * patch, 0.5 + 0.4 * patch + 0.35 * grain].map(|v| v.clamp(0.0, 1.0));
+                    let variation =
+                        [(0.5 + 0.5 * patch).clamp(0.0, 1.0), (0.5 + 0.4 * patch + 0.35 * grain).clamp(0.0, 1.0)];
                     let stream = streams[k];
                     let depth = depth_m[k].max(14.0 * stream);
-                    let water = smooth(-0.15, 0.15, depth_m[k]).max(stream) * living;
+                    let filled = smooth(-0.15, 0.15, depth_m[k]) * living;
+                    let water = filled.max(stream * living) * (1.0 - dry);
+                    // Where rivers and lakes have dried up there are gravel and salt.
+                    let gravel = dry * stream.max(0.8 * smooth(30.0, 0.0, stream_m[k] + 12.0 * grain));
+                    let salt = dry * filled * smooth(-0.3, 1.5, depth_m[k] + 0.8 * grain + patch);
+                    // Waves break on reefs and beaches.
+                    let is_sea = if h.abs() < 0.05 { coasts } else { 0.0 };
+                    let foam = is_sea * smooth(1.4, 0.3, depth) * smooth(-0.2, 0.6, grain) * filled;
                     let shallow = 1.0 / (1.0 + depth / 14.0);
                     let deep = 1.0 / (1.0 + depth / 900.0);
                     let frozen = smooth(-8.0, -12.0, sea_level_c[k] + 2.0 * patch + grain) * water;
-                    let shade = mix(shade.clamp(0.6, 1.25), 1.0, water) * (1.0 + 0.045 * grain);
+                    let rough =
+                        (0.045 + 0.09 * steep + 0.08 * scree + 0.07 * wood) * (1.0 - 0.7 * snow) * (1.0 - water);
+                    let shade = mix(shade.clamp(0.6, 1.25), 1.0, water.max(salt)) * (1.0 + rough * grain);
+                    // Stands of trees of one age and kind; conifers where it is cold.
+                    let stand = smooth(-0.3, 0.3, patch + 0.25 * grain);
+                    let conifer = living * smooth(9.0, 4.0, celsius + patch);
+                    let crest = 0.12 * ridge[k].clamp(-1.0, 1.0);
                     let shares = Shares {
                         variation,
                         ground: (maria + desert).min(1.0),
+                        stony,
+                        scree: scree * (1.0 - 0.8 * wood),
+                        gravel,
+                        salt,
+                        foam,
+                        stand,
+                        conifer,
+                        crest,
                         green: green_share,
                         lush,
                         wood,
@@ -186,6 +232,14 @@ struct Shares {
     /// Two mixtures of noise that vary the colours.
     variation: [f32; 2],
     ground: f32,
+    stony: f32,
+    scree: f32,
+    gravel: f32,
+    salt: f32,
+    foam: f32,
+    stand: f32,
+    conifer: f32,
+    crest: f32,
     green: f32,
     lush: f32,
     wood: f32,
@@ -210,20 +264,25 @@ impl Shares {
     fn channel(&self, p: &Palette, c: usize) -> f32 {
         let pair = |p: &[[f32; 3]; 2], t: f32| mix(p[0][c], p[1][c], t);
         let [broad, fine] = self.variation;
-        let mut color = mix(pair(&p.bare, fine), pair(&p.sand, broad), self.ground);
-        color = mix(color, mix(pair(&p.dry_grass, fine), pair(&p.grass, fine), self.lush), self.green);
-        color = mix(color, pair(&p.forest, fine), self.wood);
+        let mut color = mix(pair(&p.bare, fine) * (1.0 - 0.12 * self.stony), pair(&p.sand, broad), self.ground);
+        color =
+            mix(color, mix(pair(&p.dry_grass, fine), pair(&p.grass, 0.5 * (fine + self.stand)), self.lush), self.green);
+        let trees = pair(&p.forest, 0.65 * self.stand + 0.35 * fine) * (1.0 - CONIFERS[c] * self.conifer);
+        color = mix(color, trees, self.wood);
         color = mix(color, pair(&p.sand, fine), self.beach);
-        color = mix(color, pair(&p.sand, broad), self.sandy);
+        color = mix(color, pair(&p.sand, broad) * (1.0 + self.crest), self.sandy);
         let rock = pair(&p.rock, fine) * (1.0 + 0.9 * self.strata);
         color = mix(color * (1.0 + 0.5 * self.strata), rock, self.steep);
+        color = mix(color, mix(p.rock[1][c], p.bare[0][c], 0.4) * 1.04, 0.8 * self.scree);
+        color = mix(color, p.sand[1][c] * 0.97 + 4.0, 0.75 * self.gravel);
+        color = mix(color, SALT[c] * (0.93 + 0.07 * broad), 0.9 * self.salt);
         color = mix(color, mix(BARE_ICE[c][0], BARE_ICE[c][1], broad), self.ice);
         color = mix(color, p.snow[c], self.snow);
         color = mix(color, pair(&p.rock, fine) * 0.8, self.moraine);
         color = mix(color, CREVASSE[c], self.crevasse) * self.shade;
         let floor = mix(p.shallow[c], p.sand[1][c] * 0.8, 0.45 * self.shallow * self.shallow);
         let sea = mix(p.deep[c] * (0.65 + 0.35 * self.deep), floor, self.shallow);
-        color = mix(color, sea, self.water);
+        color = mix(color, mix(sea, 236.0, 0.6 * self.foam), self.water);
         mix(color, p.snow[c] * 0.95, self.frozen).clamp(0.0, 255.0)
     }
 }

@@ -5,10 +5,10 @@
 use super::super::planet::{RowBuffers, World, windward};
 use super::super::points::{Points, RADIUS_M, meridians, sin_cos};
 use super::super::preset::Flow;
-use super::super::relief::{Covers, Ground, add_noise, add_octaves, bent, part_seed, wide};
+use super::super::relief::{Covers, Ground, add_noise, add_octaves, bent, part_seed, smooth, wide};
 use super::super::tiles::rounded;
 use super::climate::{LAPSE_C, Weather};
-use super::colors::{Texels, wood};
+use super::colors::{Texels, wetness, wood};
 
 /// Samples beyond each edge, for slopes and the shade of surroundings.
 pub(crate) const MARGIN: usize = 4;
@@ -68,6 +68,8 @@ pub(crate) struct Site {
     /// Shares of forest and of ground without trees and ice.
     pub wood: f32,
     pub bare: f32,
+    /// The share of grass and herbs.
+    pub green: f32,
     pub is_dry: bool,
 }
 
@@ -138,14 +140,16 @@ impl Patch {
         let s = &self.samples;
         let celsius = s.sea_level_c[at] - LAPSE_C * surface_m.max(0.0);
         let living = if world.parameters.climate.has_life { 1.0 } else { 0.0 };
-        let wood = wood(living, celsius, s.moisture[at] + 0.12 * s.patch[at], s.slope[at], s.patch[at], 0.0);
+        let wet = wetness(s.moisture[at], s.patch[at], s.open[at], s.ridge[at], s.stream_m[at]);
+        let wood = wood(living, celsius, wet, s.slope[at], s.patch[at], 0.0);
         let all_dry = (0..=1).flat_map(|j| (0..=1).map(move |i| (i, j))).all(|(i, j)| {
             let at = (row + j + MARGIN as i64) as usize * self.stride + (column + i) as usize + MARGIN;
             s.depth_m[at] < -0.3 && s.stream_m[at] > 1.0
         });
         let glaciers = if world.parameters.relief.rivers.flow == Flow::Ice { s.cover[at] } else { 0.0 };
         let bare = (1.0 - wood) * (1.0 - glaciers);
-        Site { surface_m, slope: s.slope[at], celsius, wood, bare, is_dry: all_dry }
+        let green = living * bare * smooth(0.22, 0.5, wet) * smooth(-1.0, 4.0, celsius) * smooth(0.8, 0.5, s.slope[at]);
+        Site { surface_m, slope: s.slope[at], celsius, wood, bare, green, is_dry: all_dry }
     }
 
     /// Computes the slopes, and how far points lie above their surroundings.
@@ -288,7 +292,9 @@ impl Patch {
                         for ((texels, end), next) in
                             out.as_chunks_mut::<TEXELS_PER_CELL>().0.iter_mut().zip(ends).zip(next)
                         {
-                            *texels = shares.map(|share| end + (next - end) * share);
+                            for (texel, share) in texels.iter_mut().zip(shares) {
+                                *texel = end + (next - end) * share;
+                            }
                         }
                     },
                 );
@@ -300,7 +306,8 @@ impl Patch {
             world.parameters.color(&texels, &mut colors);
             let [red, green, blue] = &colors;
             for k in 0..side {
-                rgb.extend([red[k], green[k], blue[k]].map(|c| (c + 0.5) as u8));
+                let byte = |c: f32| (c + 0.5) as u8;
+                rgb.extend_from_slice(&[byte(red[k]), byte(green[k]), byte(blue[k])]);
             }
         }
         rgb

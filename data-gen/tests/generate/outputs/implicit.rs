@@ -1,6 +1,6 @@
 //! Implicit tiling: the same tiles are drawn as from an explicit set, with the same volumes and errors.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use kit::pager::Run;
 use serde_json::Value;
@@ -9,18 +9,16 @@ use terrane::formats::verify;
 use terrane::math::{Geodetic, OrientedBox, WGS84};
 use terrane::pager::PagerConfig;
 use terrane::scene::SlotState;
-use terrane_data_gen::{ContentKind, GenArgs, OutputArgs, Tiling, run};
+use terrane_data_gen::{ContentKind, GenArgs, OutputArgs, Tiling, WorldArgs, WorldPreset, run};
 
 use crate::files::{PLACE, SIDE, each_tile, files_below, from_dem, heights, tiff_float32};
 
 /// The name of each resident tile with the corners of its volume, and the number of leaves.
-fn drawn(set: &Path, height_m: f64) -> (Vec<(String, OrientedBox)>, usize) {
+fn drawn(set: &Path, eye: Geodetic) -> (Vec<(String, OrientedBox)>, usize) {
     let mut run = Run::new(set.to_str().unwrap(), PagerConfig::default());
     run.is_globe = true;
     run.max_sse_px = 2.0;
-    let [west, south, east, _] = PLACE.bounds();
-    let (longitude, latitude) = (west + 0.15 * (east - west), south + 0.15 * (east - west));
-    run.settle(WGS84.ecef(&Geodetic { longitude, latitude, height_m }));
+    run.settle(WGS84.ecef(&eye));
     assert!(run.pager.errors().is_empty(), "{:?}", run.pager.errors());
     let mut tiles = Vec::new();
     for tile in run.scene.tiles() {
@@ -45,7 +43,8 @@ fn explicit_errors(set: &Path) -> Vec<f64> {
         let tileset: Value = serde_json::from_slice(bytes).unwrap();
         each_tile(&tileset["root"], None, &mut |tile, _| {
             // A tile that stands for an external tileset is its root.
-            if !tile["content"]["uri"].as_str().unwrap().ends_with("json") {
+            let content = tile.get("content").unwrap_or(&tile["contents"][0]);
+            if !content["uri"].as_str().unwrap().ends_with("json") {
                 errors.push(tile["geometricError"].as_f64().unwrap());
             }
         });
@@ -68,6 +67,59 @@ fn implicit_errors(set: &Path) -> Vec<f64> {
     }
     errors.sort_by(f64::total_cmp);
     errors
+}
+
+/// Asserts that two sets, with their numbers of tiles, have the same contents and errors.
+fn assert_same_tiles(sets: &[(u64, PathBuf); 2]) {
+    let verified = sets.each_ref().map(|(_, set)| {
+        let verified = verify(set.to_str().unwrap(), &Limits::default(), &mut |_| ()).unwrap();
+        assert!(verified.failed == 0 && verified.ignored.is_empty(), "{verified:?}");
+        verified.contents
+    });
+    assert_eq!(verified[0], verified[1]);
+    let errors = explicit_errors(&sets[0].1);
+    assert!(errors.len() as u64 == sets[0].0 && errors == implicit_errors(&sets[1].1));
+}
+
+/// Asserts that the same tiles are drawn of two sets, with the same volumes, and returns their names.
+fn assert_drawn_alike(sets: &[(u64, PathBuf); 2], eye: Geodetic) -> Vec<String> {
+    let [explicit, implicit] = sets.each_ref().map(|(_, set)| drawn(set, eye));
+    assert!(!explicit.0.is_empty() && explicit.1 > 0);
+    assert_eq!(explicit.1, implicit.1, "{eye:?}");
+    assert_eq!(explicit.0.len(), implicit.0.len());
+    for (a, b) in explicit.0.iter().zip(&implicit.0) {
+        assert!(a.0 == b.0 && a.1.center.distance(b.1.center) < 1e-3, "{a:?} {b:?}");
+        assert!(a.1.half_axes.abs_diff_eq(b.1.half_axes, 1e-3), "{a:?} {b:?}");
+    }
+    explicit.0.into_iter().map(|(name, _)| name).collect()
+}
+
+#[test]
+fn implicit_worlds_are_drawn_like_explicit_ones() {
+    let folder = tempfile::tempdir().unwrap();
+    let (longitude, latitude) = (8f64.to_radians(), 30f64.to_radians());
+    let sets = [Tiling::Explicit, Tiling::Implicit].map(|tiling| {
+        let args = GenArgs {
+            world: WorldArgs {
+                world: Some(WorldPreset::Moon),
+                center: Some([8.0, 30.0]),
+                scatter: true,
+                ..WorldArgs::default()
+            },
+            levels: Some(6),
+            size: 6_000.0,
+            output: OutputArgs { tiling, ..OutputArgs::default() },
+            ..GenArgs::new(folder.path().join(format!("{tiling:?}")))
+        };
+        (run(&args).unwrap().tiles, args.out)
+    });
+    assert_same_tiles(&sets);
+    let mut rocks = 0;
+    for height_m in [-800.0, 3_000.0, 40_000.0] {
+        let names = assert_drawn_alike(&sets, Geodetic { longitude, latitude, height_m });
+        rocks += names.iter().filter(|name| name.ends_with("glb")).count();
+    }
+    assert!(rocks > 0, "no second contents are seen");
 }
 
 #[test]
@@ -95,25 +147,13 @@ fn implicit_sets_are_drawn_like_explicit_ones() {
             (run(&args).unwrap().tiles, args.out)
         });
         assert_eq!(sets[0].0, sets[1].0);
-        let verified = sets.each_ref().map(|(_, set)| {
-            let verified = verify(set.to_str().unwrap(), &Limits::default(), &mut |_| ()).unwrap();
-            assert!(verified.failed == 0 && verified.ignored.is_empty(), "{verified:?}");
-            verified.contents
-        });
-        assert_eq!(verified[0], verified[1]);
-        let errors = explicit_errors(&sets[0].1);
-        assert!(errors.len() as u64 == sets[0].0 && errors == implicit_errors(&sets[1].1));
+        assert_same_tiles(&sets);
         let mut finest = 0;
         for height_m in [1_000.0, 2_500.0, 40_000.0] {
-            let [explicit, implicit] = sets.each_ref().map(|(_, set)| drawn(set, height_m));
-            assert!(!explicit.0.is_empty() && explicit.1 > 0);
-            assert_eq!(explicit.1, implicit.1, "{content:?} from {height_m} m");
-            assert_eq!(explicit.0.len(), implicit.0.len());
-            for (a, b) in explicit.0.iter().zip(&implicit.0) {
-                assert!(a.0 == b.0 && a.1.center.distance(b.1.center) < 1e-3, "{a:?} {b:?}");
-                assert!(a.1.half_axes.abs_diff_eq(b.1.half_axes, 1e-3), "{a:?} {b:?}");
-            }
-            finest += explicit.0.iter().filter(|tile| tile.0.starts_with(&format!("{}/", levels - 1))).count();
+            let [west, south, east, _] = PLACE.bounds();
+            let (longitude, latitude) = (west + 0.15 * (east - west), south + 0.15 * (east - west));
+            let explicit = assert_drawn_alike(&sets, Geodetic { longitude, latitude, height_m });
+            finest += explicit.iter().filter(|name| name.starts_with(&format!("{}/", levels - 1))).count();
         }
         assert!(finest > 0, "the finest level is seen");
     }
