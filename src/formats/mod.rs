@@ -51,6 +51,9 @@ pub use read::{companion_fallback, companions, decode, decode_node, decode_notin
 pub use style::{Style, StyleError};
 pub use terrain::ellipsoid;
 pub use tile::UpAxis;
-pub use whole_set::{BoundsInfo, Info, InfoError, LevelInfo, MetadataInfo, ModelInfo, Verified, inspect, verify};
+pub use whole_set::{
+    BoundsInfo, Info, InfoError, LevelInfo, LevelMeasures, MapFrame, MetadataInfo, ModelInfo, Problem, Spread,
+    SurveyEvent, SurveyOptions, SurveyedTile, Verified, inspect, survey, verify,
+};
 #[cfg(feature = "http")]
-pub use whole_set::{FillOptions, Filled, fill, inspect_with, verify_with};
+pub use whole_set::{FillOptions, Filled, fill, inspect_root_with, inspect_with, verify_with};

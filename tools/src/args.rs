@@ -7,6 +7,7 @@ use terrane::cull::StereoMode;
 use terrane::fetch::is_remote;
 use terrane::viewer::ThreadingModel;
 
+use crate::info::MapOf;
 use crate::net::{ByteSize, NetArgs};
 use crate::overlays::{OVERLAY_HELP, OverlayArg};
 use crate::values::{NotNegative, Positive, Rgb, Size, SunFrom, View, finite, not_negative, pace, samples, secs};
@@ -28,6 +29,9 @@ impl Args {
             }
             Command::Bench(BenchArgs { bench: Bench::Page { url: Some(url), .. } }) if !is_remote(url) => {
                 Err(format!("--url {url}: neither an http(s) URL nor an s3://, gs:// or az:// URI"))
+            }
+            Command::Info(args) if args.map_of == MapOf::Problems && !args.verify => {
+                Err("--map-of problems needs --verify".to_owned())
             }
             Command::Serve(args) => args.check(),
             Command::Stress(args) => args.check(),
@@ -271,9 +275,15 @@ pub struct InfoArgs {
     /// Print one JSON document instead of text
     #[arg(long)]
     pub json: bool,
-    /// Read and decode all contents as well; exit code 1 if one fails
+    /// Read, decode and measure all contents as well: bytes, errors, edges, bounds; exit code 1 if something is wrong
     #[arg(long)]
     pub verify: bool,
+    /// Draw a map of the tiles as PNG
+    #[arg(long, value_name = "FILE")]
+    pub map: Option<PathBuf>,
+    /// What the colours of the map mean
+    #[arg(long, value_name = "WHAT", value_enum, default_value_t, requires = "map")]
+    pub map_of: MapOf,
     #[command(flatten)]
     pub net: NetArgs,
 }

@@ -66,18 +66,31 @@ pub struct Opened {
     pub http: HttpConfig,
     /// The owners that its service names.
     pub attributions: Vec<String>,
+    /// What it is to its service, if it has one.
+    pub kind: Option<ServiceKind>,
 }
 
 impl NetArgs {
     /// Returns where a source is and how it is asked for. Asks the service of `ion:ASSET_ID`.
     pub fn open(&self, source: &str) -> Result<Opened> {
+        let opened = self.open_any(source)?;
+        let is_imagery = opened.kind == Some(ServiceKind::Imagery);
+        ensure!(!is_imagery, "{source}: an asset of imagery; --overlay drapes it over terrain");
+        Ok(opened)
+    }
+
+    /// Like [`Self::open`], also for an asset of imagery: its document.
+    pub fn open_any(&self, source: &str) -> Result<Opened> {
         let mut http = self.http(source)?;
         let Some(found) = self.service(source, &http)? else {
-            return Ok(Opened { source: source.to_owned(), http, attributions: Vec::new() });
+            return Ok(Opened { source: source.to_owned(), http, attributions: Vec::new(), kind: None });
         };
-        ensure!(found.kind != ServiceKind::Imagery, "{source}: an asset of imagery; --overlay drapes it over terrain");
         http.credentials.extend(found.credentials);
-        Ok(Opened { source: found.uri, http, attributions: found.attributions })
+        let source = match found.kind {
+            ServiceKind::Imagery => in_folder(&found.uri, "tilemapresource.xml"),
+            ServiceKind::Tiles | ServiceKind::Terrain => found.uri,
+        };
+        Ok(Opened { source, http, attributions: found.attributions, kind: Some(found.kind) })
     }
 
     /// Adds the credentials for an overlay `ion:ASSET_ID`. Returns the overlay as it is loaded.

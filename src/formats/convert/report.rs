@@ -19,6 +19,9 @@ pub struct ConvertOptions {
     /// Only tiles over this region of the earth, whatever their height. A tile is kept or left out as a whole. `None` means
     /// all tiles.
     pub region: Option<Region>,
+    /// Only tiles over this rectangle of a set that is not on the earth: the smallest x and y in its frame, then the largest,
+    /// metres. `None` means all tiles.
+    pub rectangle_m: Option<[f64; 4]>,
     /// The error in pixels at which a viewer refines; the default of CesiumJS and of Terrane is 16.
     pub max_sse_px: f64,
     /// The number of pixels that one metre covers at a distance of one metre in that viewer:
@@ -40,6 +43,7 @@ impl Default for ConvertOptions {
         Self {
             meshopt: false,
             region: None,
+            rectangle_m: None,
             max_sse_px: 16.0,
             px_per_radian: 0.5 * 1080.0 / 0.26,
             check: true,

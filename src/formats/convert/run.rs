@@ -6,7 +6,7 @@ use std::path::Path;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use glam::DAffine3;
+use glam::{DAffine3, DVec3};
 
 use super::contents::{ContentError, ContentWriter, Written, write_file};
 use super::items::{Item, ItemContent, Refinement};
@@ -224,6 +224,10 @@ impl Shared<'_> {
             };
             children.retain(|(child, ..)| child.bounds.is_none_or(|bounds| is_over(bounds, &child.set_from_item)));
         }
+        if let Some(rectangle_m) = &self.options.rectangle_m {
+            let is_over = |bounds: BoundingVolume, frame: &DAffine3| is_over_rectangle(bounds, frame, rectangle_m);
+            children.retain(|(child, ..)| child.bounds.is_none_or(|bounds| is_over(bounds, &child.set_from_item)));
+        }
         {
             let mut state = self.lock();
             state.left_out.merge(&notes.into_ignored());
@@ -361,6 +365,21 @@ impl Refinement {
             Self::Always => Self::Always,
         }
     }
+}
+
+/// Returns true if a volume overlaps a rectangle of x and y. A region of the earth does not.
+fn is_over_rectangle(volume: BoundingVolume, set_from_item: &DAffine3, rectangle_m: &[f64; 4]) -> bool {
+    let [min_x, min_y, max_x, max_y] = *rectangle_m;
+    let bounds = match volume {
+        BoundingVolume::Region(_) => return false,
+        BoundingVolume::Box(b) => b.transformed(set_from_item).aabb(),
+        BoundingVolume::Sphere(sphere) => {
+            let sphere = sphere.transformed(set_from_item);
+            let reach = DVec3::splat(sphere.radius_m);
+            Aabb { min: sphere.center - reach, max: sphere.center + reach }
+        }
+    };
+    bounds.min.x < max_x && bounds.max.x > min_x && bounds.min.y < max_y && bounds.max.y > min_y
 }
 
 /// Returns a volume in another frame. Transforms do not move regions.

@@ -94,17 +94,24 @@ pub struct BoundsInfo {
 /// Summarizes a tile set. Fails only if the root cannot be read; other failures are listed in [`Info::errors`].
 pub fn inspect(source: &str, limits: &Limits) -> Result<Info, IoError> {
     let root = root_uri(source)?;
-    inspect_from(&root, limits, Source::new(*limits, &root))
+    inspect_from(&root, limits, Source::new(*limits, &root), true)
 }
 
 /// Like [`inspect`], with a configuration for servers.
 #[cfg(feature = "http")]
 pub fn inspect_with(source: &str, limits: &Limits, http: HttpConfig) -> Result<Info, IoError> {
     let root = root_uri(source)?;
-    inspect_from(&root, limits, Source::new(*limits, &root).with_http(http))
+    inspect_from(&root, limits, Source::new(*limits, &root).with_http(http), true)
 }
 
-fn inspect_from(root: &Arc<str>, limits: &Limits, from: Source) -> Result<Info, IoError> {
+/// Like [`inspect_with`], but reads the root alone and no tileset that it refers to, for sets that no one reads as a whole.
+#[cfg(feature = "http")]
+pub fn inspect_root_with(source: &str, limits: &Limits, http: HttpConfig) -> Result<Info, IoError> {
+    let root = root_uri(source)?;
+    inspect_from(&root, limits, Source::new(*limits, &root).with_http(http), false)
+}
+
+fn inspect_from(root: &Arc<str>, limits: &Limits, from: Source, follows: bool) -> Result<Info, IoError> {
     let options = ReadOptions::for_root(root, *limits);
     let mut info = Info { format: "3D Tiles".to_owned(), ..Info::default() };
     let Loaded { bytes, location, .. } = from.load(root)?;
@@ -140,9 +147,12 @@ fn inspect_from(root: &Arc<str>, limits: &Limits, from: Source) -> Result<Info, 
     let sphere = tile.bounds.bounding_sphere();
     (info.bounds.center, info.bounds.radius_m) = (sphere.center.to_array(), sphere.radius_m);
     let limit = limits.max_elements as u64;
-    let mut walk = Walk { info, from: &from, visited: 0, limit };
+    let mut walk = Walk { info, from: &from, follows, unread: 0, visited: 0, limit };
     if !walk.tile(&tile, 0, &At { tileset: root, options: &options }) {
         walk.info.fail(&too_many(root, limit));
+    }
+    if walk.unread > 0 {
+        walk.info.describe("below", format!("{} further tilesets, which were not read", walk.unread));
     }
     let ignored = options.ignored.snapshot();
     walk.info.ignored = ignored.iter().map(|(kind, count)| (kind.to_owned(), count)).collect();
@@ -200,6 +210,10 @@ impl Info {
 struct Walk<'a> {
     info: Info,
     from: &'a Source,
+    /// Reads external tilesets.
+    follows: bool,
+    /// Number of external tilesets that were not read.
+    unread: u64,
     /// Number of tiles and tilesets so far.
     visited: u64,
     /// The maximum of `visited`.
@@ -239,6 +253,10 @@ impl Walk<'_> {
         self.info.level(level).tiles += 1;
         tile.contents.iter().all(|content| self.content(content, level, at))
             && (tile.external_tilesets.iter()).all(|TileContent { uri, .. }| {
+                if !self.follows {
+                    self.unread += 1;
+                    return true;
+                }
                 self.visit() && self.external_or_fail(uri, self.from.load(uri), level, at)
             })
             && tile.continuations.iter().all(|below| self.content(&below.content, level + 1, at))
@@ -279,6 +297,10 @@ impl Walk<'_> {
             true => path_of(&content.uri).ends_with(".json"),
             false => may_be_tileset(&content.uri),
         };
+        if may_be_tileset && !self.follows {
+            self.unread += 1;
+            return true;
+        }
         if may_be_tileset {
             let loaded = load(self.from, &content.uri, content.reader_data.as_ref());
             let is_tileset = |loaded: &Loaded| tileset::is_tileset(&content.uri, &loaded.bytes, &at.options.limits);

@@ -1,27 +1,31 @@
-//! Jobs that walk a whole tile set: summary, verification, filling the cache. Blocking; for tools, not for frames.
+//! Jobs that walk a whole tile set: summary, verification with measures, filling the cache. Blocking; for tools, not for frames.
 
 #[cfg(feature = "http")]
 mod fill;
 mod info;
+mod measure;
 mod metadata;
 mod model;
 mod overlay;
 mod region;
 mod report;
+mod survey;
 mod terrain;
 mod tree;
 mod verify;
 
 #[cfg(feature = "http")]
 pub use fill::{FillOptions, Filled, fill};
-#[cfg(feature = "http")]
-pub use info::inspect_with;
 pub use info::{BoundsInfo, Info, LevelInfo, inspect};
+#[cfg(feature = "http")]
+pub use info::{inspect_root_with, inspect_with};
+pub use measure::{LevelMeasures, MapFrame, Problem, Spread, SurveyedTile};
 pub use metadata::MetadataInfo;
 pub use model::ModelInfo;
 pub(super) use region::{is_on_earth, overlaps};
 pub use report::InfoError;
+pub use survey::{SurveyOptions, survey};
 pub(super) use tree::{load, read_companions};
 #[cfg(feature = "http")]
 pub use verify::verify_with;
-pub use verify::{Verified, verify};
+pub use verify::{SurveyEvent, Verified, verify};

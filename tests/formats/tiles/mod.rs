@@ -3,6 +3,7 @@
 mod bad_input;
 mod implicit;
 mod implicit_heights;
+mod measures;
 mod metadata;
 mod read;
 mod samples;

@@ -38,8 +38,12 @@ pub struct CropArgs {
     /// Folder of the new set
     pub out: PathBuf,
     /// Only tiles that overlap this region, in degrees; each is kept as a whole
-    #[arg(long, value_name = "W,S,E,N", allow_hyphen_values = true)]
-    region: RegionArg,
+    #[arg(long, value_name = "W,S,E,N", allow_hyphen_values = true, required_unless_present = "metres")]
+    region: Option<RegionArg>,
+    /// Only tiles that overlap this rectangle of a set that is not on the earth, in metres of its x and y
+    #[arg(long, value_name = "X0,Y0,X1,Y1", allow_hyphen_values = true, value_parser = rectangle,
+        conflicts_with = "region")]
+    metres: Option<Rectangle>,
     #[command(flatten)]
     how: HowArgs,
 }
@@ -71,18 +75,34 @@ struct HowArgs {
 
 /// Converts a set.
 pub fn run(args: &ConvertArgs) -> Result<()> {
-    convert(&args.source, &args.out, &args.how, None)
+    convert(&args.source, &args.out, &args.how, ConvertOptions::default())
+}
+
+/// The smallest x and y, then the largest, metres.
+#[derive(Clone, Copy, Debug)]
+struct Rectangle([f64; 4]);
+
+fn rectangle(text: &str) -> Result<Rectangle, String> {
+    let numbers: Option<Vec<f64>> = text.split(',').map(|number| number.trim().parse().ok()).collect();
+    match numbers.as_deref() {
+        Some(&[x0, y0, x1, y1]) if x0 < x1 && y0 < y1 && (x1 - x0).is_finite() && (y1 - y0).is_finite() => {
+            Ok(Rectangle([x0, y0, x1, y1]))
+        }
+        _ => Err("expected the smallest x and y, then the largest, in metres, such as 0,0,500,250".to_owned()),
+    }
 }
 
 /// Converts the part of a set over a region.
 pub fn crop(args: &CropArgs) -> Result<()> {
-    let RegionArg(degrees) = args.region;
-    let [west, south, east, north] = degrees.map(f64::to_radians);
-    let region = Region { west, south, east, north, min_height_m: 0.0, max_height_m: 0.0 };
-    convert(&args.source, &args.out, &args.how, Some(region))
+    let region = args.region.map(|RegionArg(degrees)| {
+        let [west, south, east, north] = degrees.map(f64::to_radians);
+        Region { west, south, east, north, min_height_m: 0.0, max_height_m: 0.0 }
+    });
+    let rectangle_m = args.metres.map(|Rectangle(metres)| metres);
+    convert(&args.source, &args.out, &args.how, ConvertOptions { region, rectangle_m, ..ConvertOptions::default() })
 }
 
-fn convert(source: &str, out: &std::path::Path, how: &HowArgs, region: Option<Region>) -> Result<()> {
+fn convert(source: &str, out: &std::path::Path, how: &HowArgs, part: ConvertOptions) -> Result<()> {
     let output = Output::new(out, how.overwrite)?;
     if !is_remote(source) {
         output.check_sources([source])?;
@@ -90,13 +110,12 @@ fn convert(source: &str, out: &std::path::Path, how: &HowArgs, region: Option<Re
     let opened = how.net.open(source)?;
     let options = ConvertOptions {
         meshopt: how.meshopt,
-        region,
         max_sse_px: how.sse.0,
         check: !how.no_check,
         threads: how.jobs.map(usize::from),
         limits: how.net.limits(),
         http: opened.http,
-        ..ConvertOptions::default()
+        ..part
     };
     let progress = Progress::new("converting", 0, "contents");
     let converted = output.write(|folder| {

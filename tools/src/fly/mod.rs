@@ -93,7 +93,7 @@ fn fly(args: Box<FlyArgs>, mut settings: DisplaySettings) -> Result<()> {
     config.look_ahead_s = args.look_ahead.unwrap_or(config.look_ahead_s);
     // Manipulators need the k-d trees to stay above the ground.
     config.pager.build_kd_trees = args.interactive;
-    let Opened { source, http, attributions } = args.scene.net.open(&source)?;
+    let Opened { source, http, attributions, .. } = args.scene.net.open(&source)?;
     config.pager.http = http;
     config.pager.credits = attributions.into_iter().map(Arc::from).collect();
     config.pager.limits = args.scene.net.limits();

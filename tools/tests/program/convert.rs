@@ -53,8 +53,19 @@ fn sets_are_converted_merged_and_cropped() {
     let refused = terrane(&["merge", text(&folder.path().join("x")), text(folder.path())]);
     assert!(String::from_utf8_lossy(&refused.stderr).contains("not a 3D Tiles set"), "{refused:?}");
 
-    // Nothing of a set in a local frame is over the region.
+    // A quarter of a set in a local frame, without its edges: the root, a quarter of each level, and no neighbour.
     let cropped = folder.path().join("cropped");
+    let half = kit::tile_sets::WORLD_M / 2.0;
+    let metres = format!("--metres=1,1,{},{}", half - 1.0, half - 1.0);
+    let done = terrane(&["crop", text(&quadtree), text(&cropped), &metres, "--json"]);
+    assert!(String::from_utf8_lossy(&done.stderr).contains("1 could not be read"), "one is missing: {done:?}");
+    let report: Value = serde_json::from_slice(&done.stdout).unwrap();
+    assert_eq!(report["written"]["levels"], serde_json::json!([1, 1, 4, 16, 63]), "{report}");
+    std::fs::remove_dir_all(&cropped).unwrap();
+    let bad = terrane(&["crop", text(&quadtree), text(&cropped), "--metres=1,1,0,0"]);
+    assert_eq!(bad.status.code(), Some(2), "{bad:?}");
+
+    // Nothing of a set in a local frame is over the region.
     let done = terrane(&["crop", text(&out), text(&cropped), "--region=7,46,8,47"]);
     assert_eq!(done.status.code(), Some(1), "{done:?}");
     assert!(

@@ -6,6 +6,7 @@ mod cache;
 mod cli;
 mod convert;
 mod hosts;
+mod info;
 mod object_stores;
 mod procedural;
 mod samples;

@@ -39,6 +39,11 @@ fn sets_of_services_are_opened_by_name() {
         let text = String::from_utf8_lossy(&out.stdout);
         assert!(out.status.success() && text.contains("tiles"), "{text}{}", String::from_utf8_lossy(&out.stderr));
     }
+    let out = terrane(&["info", "google", "--google-key", "k", "--google-server", &server.url]);
+    let text = String::from_utf8_lossy(&out.stdout);
+    for part in ["service  Google, Photorealistic 3D Tiles", "GOOGLE_MAPS_API_KEY", "credit   Google"] {
+        assert!(text.contains(part), "{part}: {text}");
+    }
     for (args, reason) in [
         (&["info", "ion:5"][..], "--ion-token"),
         (&["info", "ion:x", "--ion-token", "secret"], "not the number of an asset"),
@@ -79,6 +84,10 @@ fn imagery_of_ion_is_draped_over_terrain() {
             _ => Reply::new(401, ""),
         }
     });
+    let out = terrane(&["info", "ion:9", "--ion-token", "secret", "--ion-server", &server.url]);
+    let said = String::from_utf8_lossy(&out.stdout).into_owned();
+    assert!(said.contains("Cesium ion, asset 9: imagery") && said.contains("credit   A"), "{said}{out:?}");
+    assert!(!said.contains("secret"), "{said}");
     let folder = tempfile::tempdir().unwrap();
     let image = folder.path().join("view.png");
     let out = terrane(

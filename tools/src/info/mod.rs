@@ -1,41 +1,89 @@
 //! `terrane info`: describes the content of a tile set, as text or JSON.
 
+mod map;
+mod measures;
+mod services;
+
 use std::fmt::Write as _;
 use std::io::Write as _;
 
 use anyhow::{Context as _, Result, ensure};
+use serde_json::json;
 use terrane::fetch;
-use terrane::formats::{self, Info, MetadataInfo, ModelInfo, Verified};
+use terrane::formats::{self, Info, MetadataInfo, ModelInfo, Problem, SurveyEvent, SurveyOptions, Verified};
 use terrane_data_gen::Progress;
 
+use self::map::{Map, Swatch};
 use crate::args::InfoArgs;
 use crate::net::Opened;
 
+pub use self::map::MapOf;
+
 pub fn run(args: &InfoArgs) -> Result<()> {
-    let opened = args.net.open(&args.source)?;
-    let info = formats::inspect_with(&opened.source, &args.net.limits(), opened.http.clone())?;
-    let verified = if args.verify { Some(verify(args, opened, info.contents)?) } else { None };
+    if services::is_template(&args.source) {
+        return print(&services::of_template(args)?, args);
+    }
+    let opened = args.net.open_any(&args.source)?;
+    // No one reads all of the earth.
+    let inspect = if args.source == "google" { formats::inspect_root_with } else { formats::inspect_with };
+    let mut info = inspect(&opened.source, &args.net.limits(), opened.http.clone())?;
+    services::add_service(&mut info, &args.source, &opened);
+    let mut map = args.map.as_ref().map(|file| (file, Map::new(args.map_of)));
+    let surveyed = match args.verify || map.is_some() {
+        true => Some(survey(args, opened, info.contents, map.as_mut().map(|(_, map)| map))?),
+        false => None,
+    };
+    let map = map.map(|(file, map)| map.write(file).map(|drawn| (file, drawn))).transpose()?;
+    let verified = surveyed.filter(|_| args.verify);
     let text = if args.json {
         let mut json = serde_json::to_value(&info)?;
         if let Some(verified) = &verified {
             json["verified"] = serde_json::to_value(verified)?;
         }
+        if let Some((file, ([width, height], legend))) = &map {
+            let colors = legend.iter().map(|Swatch { color, text }| json!({ "color": hex(*color), "text": text }));
+            let colors: Vec<_> = colors.collect();
+            json["map"] = json!({ "file": file, "size": [width, height], "legend": colors });
+        }
         serde_json::to_string_pretty(&json)? + "\n"
     } else {
-        text(&info, verified.as_ref())
+        let mut text = text(&info, verified.as_ref());
+        if let Some((file, ([width, height], legend))) = &map {
+            let colors = legend.iter().map(|Swatch { color, text }| format!("{text} {}", hex(*color)));
+            let colors = colors.collect::<Vec<_>>().join(", ");
+            let _ = writeln!(text, "map      {}, {width} x {height} pixels: {colors}", file.display());
+        }
+        text
     };
     std::io::stdout().write_all(text.as_bytes()).context("stdout")?;
-    let failed = verified.map_or(0, |verified| verified.failed);
-    ensure!(failed == 0, "{}: {failed} could not be read", fetch::shown(&args.source));
+    let Verified { failed, problems, .. } = verified.unwrap_or_default();
+    let shown = fetch::shown(&args.source);
+    ensure!(failed == 0, "{shown}: {failed} could not be read");
+    let wrong: u64 = problems.iter().map(|problem: &Problem| problem.count).sum();
+    ensure!(wrong == 0, "{shown}: {wrong} problems");
     Ok(())
 }
 
-fn verify(args: &InfoArgs, opened: Opened, contents: u64) -> Result<Verified> {
-    let progress = Progress::new("verifying", contents, "contents");
-    let verified = formats::verify_with(&opened.source, &args.net.limits(), opened.http, &mut |verified| {
-        progress.set_done(verified.contents)
-    });
-    Ok(verified?)
+/// Prints a description of what has no tiles to read.
+fn print(info: &Info, args: &InfoArgs) -> Result<()> {
+    let text = if args.json { serde_json::to_string_pretty(info)? + "\n" } else { text(info, None) };
+    std::io::stdout().write_all(text.as_bytes()).context("stdout")
+}
+
+fn hex([r, g, b]: [u8; 3]) -> String {
+    format!("#{r:02x}{g:02x}{b:02x}")
+}
+
+/// Walks all tiles, and reads their contents with `--verify`.
+fn survey(args: &InfoArgs, opened: Opened, contents: u64, mut map: Option<&mut Map>) -> Result<Verified> {
+    let work = if args.verify { "verifying" } else { "listing" };
+    let progress = Progress::new(work, contents, "contents");
+    let options = SurveyOptions { reads_contents: args.verify, limits: args.net.limits(), http: opened.http };
+    let mut watch = |event: SurveyEvent<'_>| match event {
+        SurveyEvent::Read(verified) => progress.set_done(verified.contents),
+        SurveyEvent::Tile(tile) => map.iter_mut().for_each(|map| map.add(tile)),
+    };
+    Ok(formats::survey(&opened.source, &options, &mut watch)?)
 }
 
 fn text(info: &Info, verified: Option<&Verified>) -> String {
@@ -92,6 +140,7 @@ fn text(info: &Info, verified: Option<&Verified>) -> String {
     if let Some(Verified { contents, bytes, failed, .. }) = verified {
         let _ = writeln!(out, "verified {contents} contents, {:.1} MiB, {failed} failures", mebibytes(*bytes));
     }
+    verified.into_iter().for_each(|verified| out.push_str(&measures::text(verified)));
     // The verification counts what the tilesets ask for, too.
     for (kind, count) in verified.map_or(&info.ignored, |verified| &verified.ignored) {
         let _ = writeln!(out, "ignored  {kind}: {count}");
