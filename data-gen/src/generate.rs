@@ -98,6 +98,10 @@ pub fn execute(args: &GenArgs) -> Result<Outcome, GenError> {
 
 /// Predicts a run: its tiles, bytes and time. Fails as the run would, as far as that is known before; writes nothing.
 pub fn predict(args: &GenArgs) -> Result<Prediction, GenError> {
+    #[cfg(feature = "object-store")]
+    if crate::store::is_remote(&args.out) {
+        return crate::bucket::predict(args);
+    }
     let args = &expanded(args)?;
     let (out, _) = target(args)?;
     check(args)?;
@@ -143,8 +147,13 @@ fn thread_pool(args: &GenArgs) -> Result<rayon::ThreadPool, GenError> {
 }
 
 /// Generates a tile set, or a shard of one. Files are written to a temporary folder beside OUT, which is moved to OUT when all are
-/// complete. If the run is killed, the same options continue it.
+/// complete; those of a bucket to one in the folder of temporary files, and are uploaded. If the run is killed, the same options
+/// continue it.
 pub fn run(args: &GenArgs) -> Result<Summary, GenError> {
+    #[cfg(feature = "object-store")]
+    if crate::store::is_remote(&args.out) {
+        return crate::bucket::run(args);
+    }
     let start = Instant::now();
     let args = &expanded(args)?;
     let (out, occupied) = target(args)?;
@@ -182,13 +191,13 @@ pub fn run(args: &GenArgs) -> Result<Summary, GenError> {
 }
 
 /// Returns the options with the files that folders, patterns and lists name.
-fn expanded(args: &GenArgs) -> Result<GenArgs, GenError> {
+pub(crate) fn expanded(args: &GenArgs) -> Result<GenArgs, GenError> {
     let dem = expand(&args.dem, TileContent::Heights)?;
     Ok(GenArgs { dem, imagery: expand(&args.imagery, TileContent::Colors)?, ..args.clone() })
 }
 
 /// Checks options. The command line checks some of them as well, but programs may call [`run`] directly.
-fn check(args: &GenArgs) -> Result<(), GenError> {
+pub(crate) fn check(args: &GenArgs) -> Result<(), GenError> {
     if !SIZES_M.contains(&args.size) {
         return Err(GenError::Argument(format!("--size {} m is not within 100 m and 2,000 km", args.size)));
     }

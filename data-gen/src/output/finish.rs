@@ -43,7 +43,7 @@ fn gzip(folder: &Path) -> Result<u64, GenError> {
     each_folder(folder, &mut |files: &[PathBuf]| {
         let compress = |path: &PathBuf| {
             let size = || Ok(path.metadata().map_err(GenError::file(path))?.len());
-            if !path.extension().is_some_and(|extension| GZIP_EXTENSIONS.iter().any(|of| extension == *of)) {
+            if !is_compressible(path) {
                 return size();
             }
             let content = std::fs::read(path).map_err(GenError::file(path))?;
@@ -61,8 +61,13 @@ fn gzip(folder: &Path) -> Result<u64, GenError> {
     Ok(total)
 }
 
+/// Returns true for files that `--gzip` compresses.
+pub(crate) fn is_compressible(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| GZIP_EXTENSIONS.iter().any(|of| extension == *of))
+}
+
 /// Calls with the files of each folder below one, in the order of their names, but not with those whose names begin with a dot.
-pub(super) fn each_folder(
+pub(crate) fn each_folder(
     folder: &Path,
     call: &mut dyn FnMut(&[PathBuf]) -> Result<(), GenError>,
 ) -> Result<(), GenError> {

@@ -16,7 +16,11 @@ mod tree;
 
 pub(crate) use builder::{Builder, blocks};
 pub use encoding::{TextureFormat, TileArgs, Triangles};
+#[cfg(feature = "object-store")]
+pub(crate) use finish::{each_folder, is_compressible};
 pub(crate) use finish::{finish, is_archive_at};
+#[cfg(feature = "object-store")]
+pub(crate) use journal::JOURNAL;
 pub(crate) use journal::{CompleteTile, Journal};
 pub use options::{ArchiveFormat, OutputArgs, Tiling};
 pub use partial_folder::PartialFolder;

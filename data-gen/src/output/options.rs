@@ -1,5 +1,8 @@
 //! The options of the form in which a set is written.
 
+use terrane::fetch::{is_store, shown};
+
+use crate::store::is_remote;
 use crate::{Color, ContentKind, GenArgs, RunArgs, Sharding, TextureFormat};
 
 /// The description of the tile tree.
@@ -41,6 +44,9 @@ pub struct OutputArgs {
 impl OutputArgs {
     /// Checks options that have no effect together with others.
     pub(crate) fn check(&self, args: &GenArgs) -> Result<(), String> {
+        if is_remote(&args.out) {
+            self.check_bucket(args)?;
+        }
         let is_terrain = args.content == ContentKind::QuantizedMesh;
         if self.attribution.is_some() && !is_terrain {
             return Err("--attribution has no effect without --content quantized-mesh".to_owned());
@@ -82,6 +88,23 @@ impl OutputArgs {
             if !args.out.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("3tz")) {
                 return Err(format!("--archive 3tz: the name of {} must end in .3tz", args.out.display()));
             }
+        }
+        Ok(())
+    }
+
+    /// Checks an OUT that is an address.
+    fn check_bucket(&self, args: &GenArgs) -> Result<(), String> {
+        let out = shown(&args.out.to_string_lossy()).into_owned();
+        if !is_store(&args.out.to_string_lossy()) {
+            return Err(format!("{out}: sets are written to folders and to s3://, gs:// and az://"));
+        }
+        if !cfg!(feature = "object-store") {
+            return Err(format!("{out}: this program is built without the feature object-store"));
+        }
+        if args.run.update || args.sharding != Sharding::default() {
+            return Err(format!(
+                "{out}: --update, --plan, --shard and --merge need a folder as OUT, which can be copied afterwards"
+            ));
         }
         Ok(())
     }
