@@ -10,7 +10,7 @@ use terrane::fetch::{HttpConfig, IoError, ObjectFolder, ObjectHeaders};
 
 use crate::fingerprint::fingerprint;
 use crate::generate::{check, expanded};
-use crate::output::{JOURNAL, ROOTS, each_folder, write_whole};
+use crate::output::{ROOTS, each_folder, write_whole};
 use crate::pyramid::checksum;
 use crate::{GenArgs, GenError, PartialFolder, Prediction, Progress, Summary, generate};
 
@@ -198,9 +198,6 @@ impl Bucket {
                 let parts: Vec<_> =
                     path.strip_prefix(set).unwrap_or(path).iter().map(|part| part.to_string_lossy()).collect();
                 let name = parts.join("/");
-                if parts[0] == JOURNAL {
-                    continue;
-                }
                 let is_root = ROOTS.contains(&&*name);
                 if is_root { &mut roots } else { &mut names }.push((path.clone(), name));
             }

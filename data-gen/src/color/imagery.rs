@@ -57,6 +57,11 @@ impl Imagery {
         sizes.fold([f64::INFINITY; 2], |a, b| [a[0].min(b[0]), a[1].min(b[1])])
     }
 
+    /// Returns the bounds of each image, found at points on its edges: west, south, east and north in radians.
+    pub fn bounds(&self) -> Vec<[f64; 4]> {
+        self.images.iter().map(Image::bounds).collect()
+    }
+
     /// Returns a sampler for texels of a size in radians inside `extent`, on one thread.
     pub fn sampler(&self, extent: &Extent, texel: [f64; 2]) -> ImagerySampler<'_> {
         let layer = |image: &'_ Image| image.level(extent, texel);
@@ -124,6 +129,15 @@ impl Image {
             }
         }
         Ok(false)
+    }
+
+    fn bounds(&self) -> [f64; 4] {
+        let [width, height] = self.size();
+        let sides = (0..=32).map(|k| f64::from(k) / 32.0).flat_map(|t| [[t, 0.0], [t, 1.0], [0.0, t], [1.0, t]]);
+        let places = sides.map(|[s, t]| self.placement.longitude_latitude(s * width, t * height));
+        places.fold([f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY], |[w, s, e, n], [lon, lat]| {
+            [w.min(lon), s.min(lat), e.max(lon), n.max(lat)]
+        })
     }
 
     fn pixel_size(&self) -> [f64; 2] {

@@ -19,12 +19,10 @@ pub use encoding::{TextureFormat, TileArgs, Triangles};
 #[cfg(feature = "object-store")]
 pub(crate) use finish::{each_folder, is_compressible};
 pub(crate) use finish::{finish, is_archive_at};
-#[cfg(feature = "object-store")]
-pub(crate) use journal::JOURNAL;
 pub(crate) use journal::{CompleteTile, Journal};
 pub use options::{ArchiveFormat, OutputArgs, Tiling};
 pub use partial_folder::PartialFolder;
 pub(crate) use partial_folder::{MARKER, ROOTS};
-pub(crate) use terrain::write_terrain;
+pub(crate) use terrain::TerrainSet;
 pub(crate) use tile_set::write_whole;
 pub(crate) use tree::{level_errors_m, voids};

@@ -3,7 +3,7 @@
 use terrane::fetch::{is_store, shown};
 
 use crate::store::is_remote;
-use crate::{Color, ContentKind, GenArgs, RunArgs, Sharding, TextureFormat};
+use crate::{Color, ContentKind, GenArgs, Sharding, TextureFormat};
 
 /// The description of the tile tree.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
@@ -29,6 +29,9 @@ pub struct OutputArgs {
     /// Attribution that clients of quantized-mesh terrain show
     #[arg(long, value_name = "TEXT")]
     pub attribution: Option<String>,
+    /// Write which tiles exist into tiles of quantized-mesh, each tenth level, instead of into layer.json
+    #[arg(long)]
+    pub tile_availability: bool,
     /// Description of the tile tree
     #[arg(long, value_enum, default_value_t)]
     pub tiling: Tiling,
@@ -62,25 +65,29 @@ impl OutputArgs {
                 return Err(format!("{name} has no effect with --content quantized-mesh"));
             }
         }
-        if is_terrain && args.sharding != Sharding::default() {
-            return Err("--plan, --shard and --merge are not supported with --content quantized-mesh".to_owned());
+        if self.tile_availability && !is_terrain {
+            return Err("--tile-availability has no effect without --content quantized-mesh".to_owned());
         }
-        if is_terrain && args.run != RunArgs::default() {
+        let run = &args.run;
+        if is_terrain && (run.dry_run.is_some() || run.memory.is_some() || run.update || run.aligned) {
             return Err("--dry-run, --memory, --update and --aligned are not supported with --content quantized-mesh"
                 .to_owned());
         }
         if self.tiling != Tiling::default() && args.run.aligned {
             return Err("--tiling implicit is not supported with --aligned".to_owned());
         }
-        if args.run.update && (self.gzip || self.archive.is_some()) {
-            return Err("--update is not supported with --gzip and --archive".to_owned());
+        if args.run.update && self.archive.is_some() {
+            return Err("--update changes folders, not archives; leave out --archive".to_owned());
         }
         if self.tiling != Tiling::default() && args.world.world.is_some() {
             return Err("--tiling implicit is not supported with --world".to_owned());
         }
         if self.archive.is_some() {
             if is_terrain {
-                return Err("--archive is not supported with --content quantized-mesh".to_owned());
+                return Err(
+                    "--archive is not supported with --content quantized-mesh: clients of terrain read folders"
+                        .to_owned(),
+                );
             }
             if self.gzip {
                 return Err("--gzip has no effect with --archive, whose files are compressed".to_owned());
