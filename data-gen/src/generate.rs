@@ -291,7 +291,7 @@ fn with_terrain(
     call: impl FnOnce(&TerrainSet<'_>) -> Result<Summary, GenError>,
 ) -> Result<Summary, GenError> {
     let datum_grid = open_datum_grid(args)?;
-    let cache = Arc::new(BlockCache::new(DEFAULT_CACHE_BYTES));
+    let cache = Arc::new(BlockCache::new(DEFAULT_CACHE_BYTES).allowing(&args.run.allow_host));
     let terrain = terrain(args, None, datum_grid.as_ref(), &cache)?;
     check_use(datum_grid.as_deref())?;
     let needed = levels_for([PI; 2], terrain.step, CELLS);
@@ -509,7 +509,8 @@ pub(crate) fn with_grid<T>(
     args: &GenArgs,
     call: impl FnOnce(&Opened<'_>) -> Result<T, GenError>,
 ) -> Result<T, GenError> {
-    let cache = Arc::new(BlockCache::new(args.run.memory.map_or(DEFAULT_CACHE_BYTES, |_| MIN_CACHE_BYTES)));
+    let cache = BlockCache::new(args.run.memory.map_or(DEFAULT_CACHE_BYTES, |_| MIN_CACHE_BYTES));
+    let cache = Arc::new(cache.allowing(&args.run.allow_host));
     let datum_grid = open_datum_grid(args)?;
     let imagery = match args.imagery.is_empty() {
         true => None,

@@ -61,7 +61,11 @@ impl Manifest {
         // Colours depend on the heights of the whole set.
         let range_m = if args.color == Color::None { [0.0; 2] } else { grid.coarse_range_m()? };
         let source = |(path, bounds): (&PathBuf, &[f64; 4])| {
-            Ok(Source { file: source_text(path)?, bounds: *bounds, bits: format!("{:x?}", bounds.map(f64::to_bits)) })
+            Ok(Source {
+                file: source_text(path, args)?,
+                bounds: *bounds,
+                bits: format!("{:x?}", bounds.map(f64::to_bits)),
+            })
         };
         let images = opened.imagery.map(Imagery::bounds).unwrap_or_default();
         Ok(Self {
