@@ -52,7 +52,7 @@ pub enum Voids {
 /// Makes a tile set from elevation files, or from noise if none are given.
 #[derive(Clone, Debug, clap::Args)]
 pub struct GenArgs {
-    /// Folder to write
+    /// Folder to write, or a folder in a bucket: s3://BUCKET/FOLDER, gs://... or az://...
     pub out: PathBuf,
     /// Elevation: GeoTIFF, HGT (also in a zip file), PNG, PMTiles, MBTiles, EXR or ASCII grid; a folder of them or of web tiles
     /// z/x/y.png; a pattern such as "*.tif"; a text file with a path in each line; the address of a GeoTIFF or of PMTiles
@@ -233,7 +233,7 @@ fn jobs(text: &str) -> Result<usize, String> {
 }
 
 /// The summary of a run, printed at its end.
-#[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Summary {
     /// The folder of the tile set.
     pub out: PathBuf,

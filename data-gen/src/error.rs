@@ -79,7 +79,7 @@ impl GenError {
     pub(crate) fn remote(path: &Path, error: &IoError) -> Self {
         let reason = match error {
             IoError::HostRefused { host, address, kind, .. } => {
-                format!("redirected to {host}, whose address {address} is {kind}; this is not followed")
+                format!("redirected to {host}, whose address {address} is {kind}; --allow-host {host} allows it")
             }
             error => error.reason(),
         };

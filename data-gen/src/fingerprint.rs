@@ -14,17 +14,21 @@ const BESIDE: [&str; 6] = ["wld", "tfw", "pgw", "jgw", "prj", "aux.xml"];
 /// Returns the fingerprint of a run. The sources are files: lists and patterns have been expanded.
 pub(crate) fn fingerprint(args: &GenArgs) -> Result<u64, GenError> {
     let mut text = options_text(args)?;
-    for path in &args.dem {
-        text.push_str(&source_text(path)?);
+    for (kind, paths) in [("elevation", &args.dem), ("imagery", &args.imagery)] {
+        text.push_str(&format!("\n{kind}"));
+        for path in paths {
+            text.push_str(&source_text(path, args)?);
+        }
     }
     Ok(checksum(text.as_bytes()))
 }
 
-/// Returns the version, the options that change the bytes of the set, and the states of the imagery and the grids.
+/// Returns the version, the options that change the bytes of the set, and the states of the grids; not the sources.
 pub(crate) fn options_text(args: &GenArgs) -> Result<String, GenError> {
     let same = GenArgs {
         out: PathBuf::new(),
         dem: Vec::new(),
+        imagery: Vec::new(),
         jobs: None,
         overwrite: false,
         sharding: Sharding::default(),
@@ -33,15 +37,18 @@ pub(crate) fn options_text(args: &GenArgs) -> Result<String, GenError> {
     };
     let mut text = format!("{} {same:?}", env!("CARGO_PKG_VERSION"));
     let grids = Some(PathBuf::from(args.vertical_datum.to_string())).filter(|path| path.is_file());
-    for path in args.imagery.iter().chain(&grids).chain(&args.datum_grid) {
-        text.push_str(&source_text(path)?);
+    for path in grids.iter().chain(&args.datum_grid) {
+        text.push_str(&source_text(path, args)?);
     }
     Ok(text)
 }
 
 /// Returns the name, the size and the time of a source and of the files that place it.
-pub(crate) fn source_text(path: &Path) -> Result<String, GenError> {
+pub(crate) fn source_text(path: &Path, args: &GenArgs) -> Result<String, GenError> {
     let mut text = String::new();
+    if is_remote(path) {
+        return Ok(format!("\n{path:?} {}", remote_version(path, &args.run.allow_host)?));
+    }
     add_file(path, &mut text)?;
     for extension in BESIDE {
         let beside = path.with_extension(extension);
@@ -54,10 +61,6 @@ pub(crate) fn source_text(path: &Path) -> Result<String, GenError> {
 
 /// Adds the name, size and time of modification of a file, or of all files below a folder.
 fn add_file(path: &Path, text: &mut String) -> Result<(), GenError> {
-    if is_remote(path) {
-        text.push_str(&format!("\n{path:?} {}", remote_version(path)?));
-        return Ok(());
-    }
     let file = path.metadata().map_err(GenError::file(path))?;
     if file.is_dir() {
         let entries = std::fs::read_dir(path).map_err(GenError::file(path))?;

@@ -12,7 +12,7 @@ use crate::elevation::{DEFAULT_CACHE_BYTES, Mosaic, SourceContext, expand, open_
 use crate::fingerprint::fingerprint;
 use crate::georeference::{DatumGrid, ROUNDING};
 use crate::output::{
-    Builder, Journal, PartialFolder, ROOTS, blocks, finish, is_archive_at, level_errors_m, voids, write_terrain,
+    Builder, Journal, PartialFolder, ROOTS, TerrainSet, blocks, finish, is_archive_at, level_errors_m, voids,
 };
 use crate::pyramid::{ALIGNED, CELLS, Grid, Layer, Plan, TileKey};
 use crate::store::BlockCache;
@@ -89,15 +89,28 @@ pub fn execute(args: &GenArgs) -> Result<Outcome, GenError> {
     check(args)?;
     let fingerprint = fingerprint(args)?;
     let out = std::path::absolute(&args.out).map_err(GenError::file(&args.out))?;
+    let print = |levels, roots: &[TileKey], tiles| shards::plan(count, fingerprint, levels, roots, tiles, &out);
+    if args.content == ContentKind::QuantizedMesh {
+        let mut plan = String::new();
+        with_terrain(args, |set| {
+            plan = print(set.levels, &set.roots(args), set.tiles_per_root());
+            Ok(Summary::default())
+        })?;
+        return Ok(Outcome::Plan(plan));
+    }
     with_grid(args, |opened| {
         let layer = opened.plan.finest();
         let blocks = blocks_below_root(opened.grid, layer);
-        Ok(Outcome::Plan(shards::plan(count, fingerprint, opened.grid.levels, &blocks, layer.tiles_per_block(), &out)))
+        Ok(Outcome::Plan(print(opened.grid.levels, &blocks, layer.tiles_per_block())))
     })
 }
 
 /// Predicts a run: its tiles, bytes and time. Fails as the run would, as far as that is known before; writes nothing.
 pub fn predict(args: &GenArgs) -> Result<Prediction, GenError> {
+    #[cfg(feature = "object-store")]
+    if crate::store::is_remote(&args.out) {
+        return crate::bucket::predict(args);
+    }
     let args = &expanded(args)?;
     let (out, _) = target(args)?;
     check(args)?;
@@ -143,8 +156,13 @@ fn thread_pool(args: &GenArgs) -> Result<rayon::ThreadPool, GenError> {
 }
 
 /// Generates a tile set, or a shard of one. Files are written to a temporary folder beside OUT, which is moved to OUT when all are
-/// complete. If the run is killed, the same options continue it.
+/// complete; those of a bucket to one in the folder of temporary files, and are uploaded. If the run is killed, the same options
+/// continue it.
 pub fn run(args: &GenArgs) -> Result<Summary, GenError> {
+    #[cfg(feature = "object-store")]
+    if crate::store::is_remote(&args.out) {
+        return crate::bucket::run(args);
+    }
     let start = Instant::now();
     let args = &expanded(args)?;
     let (out, occupied) = target(args)?;
@@ -182,13 +200,13 @@ pub fn run(args: &GenArgs) -> Result<Summary, GenError> {
 }
 
 /// Returns the options with the files that folders, patterns and lists name.
-fn expanded(args: &GenArgs) -> Result<GenArgs, GenError> {
+pub(crate) fn expanded(args: &GenArgs) -> Result<GenArgs, GenError> {
     let dem = expand(&args.dem, TileContent::Heights)?;
     Ok(GenArgs { dem, imagery: expand(&args.imagery, TileContent::Colors)?, ..args.clone() })
 }
 
 /// Checks options. The command line checks some of them as well, but programs may call [`run`] directly.
-fn check(args: &GenArgs) -> Result<(), GenError> {
+pub(crate) fn check(args: &GenArgs) -> Result<(), GenError> {
     if !SIZES_M.contains(&args.size) {
         return Err(GenError::Argument(format!("--size {} m is not within 100 m and 2,000 km", args.size)));
     }
@@ -213,20 +231,15 @@ fn make(args: &GenArgs, out: &Path, fingerprint: u64, folder: &Path) -> Result<(
         }
         return Ok((write_world(&set, args.output.tiling, folder)?, Vec::new()));
     }
-    if args.content == ContentKind::QuantizedMesh {
-        let datum_grid = open_datum_grid(args)?;
-        let cache = Arc::new(BlockCache::new(DEFAULT_CACHE_BYTES));
-        let terrain = terrain(args, None, datum_grid.as_ref(), &cache)?;
-        check_use(datum_grid.as_deref())?;
-        let needed = levels_for([PI; 2], terrain.step, CELLS);
-        let levels = args.levels.unwrap_or(needed.min(MAX_LEVELS));
-        let mut summary =
-            write_terrain(args, terrain.source.as_ref(), terrain.extent, (levels, levels >= needed), folder)?;
-        summary.notes.extend(terrain.notes);
-        summary.notes.extend(terrain.context.iter().flat_map(|context| notes(context)));
-        return Ok((summary, Vec::new()));
-    }
     let shards = if args.sharding.merge { shards::gather(out, fingerprint, folder)? } else { Vec::new() };
+    if args.content == ContentKind::QuantizedMesh {
+        let summary = with_terrain(args, |set| {
+            let summary = set.write(args, folder, args.sharding.shard)?;
+            args.sharding.shard.map_or(Ok(()), |shard| shards::write_manifest(folder, shard, fingerprint))?;
+            Ok(summary)
+        })?;
+        return Ok((summary, shards));
+    }
     with_grid(args, |opened| {
         let (grid, plan) = (opened.grid, &opened.plan);
         let mut notes = Vec::new();
@@ -246,7 +259,7 @@ fn make(args: &GenArgs, out: &Path, fingerprint: u64, folder: &Path) -> Result<(
             }
             None => {
                 let totals = builder.make_set()?;
-                if Journal::new(folder).has_blocks() {
+                if !args.dem.is_empty() {
                     Manifest::new(args, opened)?.save(folder)?;
                 }
                 totals
@@ -270,6 +283,24 @@ fn make(args: &GenArgs, out: &Path, fingerprint: u64, folder: &Path) -> Result<(
         };
         Ok((summary, shards))
     })
+}
+
+/// Opens the sources of terrain for globes and calls with them. Their notes are added to the summary.
+fn with_terrain(
+    args: &GenArgs,
+    call: impl FnOnce(&TerrainSet<'_>) -> Result<Summary, GenError>,
+) -> Result<Summary, GenError> {
+    let datum_grid = open_datum_grid(args)?;
+    let cache = Arc::new(BlockCache::new(DEFAULT_CACHE_BYTES).allowing(&args.run.allow_host));
+    let terrain = terrain(args, None, datum_grid.as_ref(), &cache)?;
+    check_use(datum_grid.as_deref())?;
+    let needed = levels_for([PI; 2], terrain.step, CELLS);
+    let levels = args.levels.unwrap_or(needed.min(MAX_LEVELS));
+    let (source, is_fine) = (terrain.source.as_ref(), levels >= needed);
+    let mut summary = call(&TerrainSet { source, extent: terrain.extent, levels, is_fine })?;
+    summary.notes.extend(terrain.notes);
+    summary.notes.extend(terrain.context.iter().flat_map(|context| notes(context)));
+    Ok(summary)
 }
 
 /// Returns the roots of the finest layer's blocks. The only block of a small set is left out: it is made when shards are merged.
@@ -478,7 +509,8 @@ pub(crate) fn with_grid<T>(
     args: &GenArgs,
     call: impl FnOnce(&Opened<'_>) -> Result<T, GenError>,
 ) -> Result<T, GenError> {
-    let cache = Arc::new(BlockCache::new(args.run.memory.map_or(DEFAULT_CACHE_BYTES, |_| MIN_CACHE_BYTES)));
+    let cache = BlockCache::new(args.run.memory.map_or(DEFAULT_CACHE_BYTES, |_| MIN_CACHE_BYTES));
+    let cache = Arc::new(cache.allowing(&args.run.allow_host));
     let datum_grid = open_datum_grid(args)?;
     let imagery = match args.imagery.is_empty() {
         true => None,

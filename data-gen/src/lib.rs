@@ -12,6 +12,8 @@
 //! All cores work (rayon), and the number of threads does not change the bytes that are written. No GPU is used.
 
 mod args;
+#[cfg(feature = "object-store")]
+mod bucket;
 mod color;
 mod elevation;
 mod error;

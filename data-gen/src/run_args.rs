@@ -1,5 +1,7 @@
 //! The options of `terrane gen` about how a run goes.
 
+use terrane::fetch::AllowedHost;
+
 use crate::{GenArgs, Sharding, Voids};
 
 /// Selects what a run does, and what it may use.
@@ -17,6 +19,9 @@ pub struct RunArgs {
     /// Place tiles on a grid around the whole earth, so that --update can add sources beyond the bounds of the set
     #[arg(long, requires = "dem", conflicts_with = "world")]
     pub aligned: bool,
+    /// Host that a source's server may redirect to although its address is private, loopback or link-local; may be repeated
+    #[arg(long, value_name = "HOST[:PORT]")]
+    pub allow_host: Vec<AllowedHost>,
 }
 
 /// The form of a prediction.

@@ -83,6 +83,14 @@ pub enum IoError {
         /// The kind of the address, such as `loopback`. It is `public` if the root's host had only local addresses before.
         kind: &'static str,
     },
+    /// An object store refused a request, such as to write into a bucket.
+    #[error("{}: {reason}", shown(.uri))]
+    Refused {
+        /// The object or the folder.
+        uri: String,
+        /// The answer of the store.
+        reason: String,
+    },
     /// A symbolic link leads out of the folder of a set on disk. `Limits::follow_links` allows it.
     #[error("{uri}: a symbolic link leads to {}, out of the set's folder {}; --follow-links allows it", .target.display(), .folder.display())]
     LinkRefused {
@@ -163,6 +171,7 @@ impl IoError {
             | Self::Status { uri, .. }
             | Self::Network { uri, .. }
             | Self::Tls { uri, .. }
+            | Self::Refused { uri, .. }
             | Self::Timeout { uri, .. }
             | Self::Offline { uri }
             | Self::HostRefused { uri, .. }

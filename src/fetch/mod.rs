@@ -54,6 +54,8 @@ pub(crate) use http::runtime;
 pub use http::{AllowedHost, Credential, HttpBody, HttpClient, HttpConfig, StoreOption};
 pub(crate) use limits::JSON_OBJECT_BYTES;
 pub use limits::Limits;
+#[cfg(feature = "object-store")]
+pub use object_store::{ObjectFolder, ObjectHeaders, ObjectList};
 pub use panic_guard::DECODER_PANICKED;
 pub(crate) use panic_guard::guarded;
 pub use scope::{RootScope, resolve, root_uri};

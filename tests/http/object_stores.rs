@@ -3,13 +3,15 @@
 use std::collections::BTreeMap;
 use std::io::{Cursor, Write as _};
 use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+use kit::buckets::Buckets;
 use kit::pager::{Run, above};
 use kit::server::{How, Reply, Request, Server};
 use kit::skip::skipped;
 use kit::tile_sets::{WORLD_M, write_quadtree};
-use terrane::fetch::{CacheConfig, HttpClient, HttpConfig, IoError, Limits, StoreOption};
+use terrane::fetch::{CacheConfig, HttpClient, HttpConfig, IoError, Limits, ObjectFolder, ObjectHeaders, StoreOption};
 use terrane::formats::inspect_with;
 use terrane::pager::PagerConfig;
 
@@ -401,4 +403,50 @@ fn set_in_a_bucket_cannot_refer_to_other_buckets() {
     run.until(above(20.0), "no answer", |run| !run.pager.errors().is_empty());
     let errors = run.pager.errors();
     assert!(errors[0].uri.contains("s3://b/etc/passwd") && errors[0].reason.contains("not found"), "{errors:?}");
+}
+
+const HEADERS: ObjectHeaders = ObjectHeaders { content_type: "application/zip", is_gzip: false };
+
+#[test]
+fn objects_are_written_in_parts_listed_and_removed() {
+    let fails = AtomicBool::new(true);
+    // The second part fails once for a reason that passes.
+    let buckets = Buckets::start(move |request| {
+        let is_second = request.target.contains("partNumber=2");
+        (is_second && fails.swap(false, Ordering::Relaxed)).then(|| Reply::new(503, ""))
+    });
+    let folder = ObjectFolder::open("s3://tiles/a/sets/", &s3(&buckets.server.url)).unwrap();
+    let file = tempfile::NamedTempFile::new().unwrap();
+    let bytes: Vec<u8> = (0..40u32 << 20).map(|k| (k >> 12 ^ k) as u8).collect();
+    std::fs::write(file.path(), &bytes).unwrap();
+    assert_eq!(folder.write_file("big one.3tz", file.path(), HEADERS).unwrap(), 40 << 20);
+    folder.write("b/c.json", b"{}".to_vec(), HEADERS).unwrap();
+    let objects = buckets.objects();
+    assert_eq!(objects.keys().collect::<Vec<_>>(), ["/tiles/a/sets/b/c.json", "/tiles/a/sets/big%20one.3tz"]);
+    assert!(objects["/tiles/a/sets/big%20one.3tz"].body == bytes);
+    assert_eq!(objects["/tiles/a/sets/b/c.json"].content_type, "application/zip");
+    let list = folder.list("b").unwrap();
+    assert_eq!((list.objects, list.folders), (vec!["c.json".to_owned()], Vec::new()));
+    assert_eq!(folder.list("").unwrap().folders, ["b"]);
+    assert!(folder.has("b/c.json").unwrap() && !folder.has("b/d.json").unwrap());
+    folder.remove("b/c.json").unwrap();
+    folder.remove("b/c.json").unwrap();
+    assert_eq!(buckets.objects().len(), 1);
+}
+
+#[test]
+fn failed_parts_are_removed() {
+    let buckets = Buckets::start(|request| request.target.contains("partNumber=2").then(|| Reply::new(403, "")));
+    let folder = ObjectFolder::open("s3://tiles", &s3(&buckets.server.url)).unwrap();
+    let file = tempfile::NamedTempFile::new().unwrap();
+    file.as_file().set_len(33 << 20).unwrap();
+    let error = folder.write_file("a.3tz", file.path(), HEADERS).unwrap_err();
+    assert!(matches!(&error, IoError::Refused { uri, .. } if uri == "s3://tiles/a.3tz"), "{error:?}");
+    assert!(buckets.objects().is_empty(), "{:?}", buckets.objects().keys());
+    for (uri, reason) in
+        [("https://h/a", "address of a bucket"), ("s3:///a", "address of a bucket"), ("s3://b/../c", "..")]
+    {
+        let error = ObjectFolder::open(uri, &HttpConfig::default()).unwrap_err().to_string();
+        assert!(error.contains(reason), "{uri}: {error}");
+    }
 }

@@ -11,7 +11,7 @@ use super::levels::{Level, completed};
 use crate::GenError;
 use crate::georeference::{Crs, DatumGrid, Placement};
 use crate::pyramid::Extent;
-use crate::store::{BlockCache, Cursor};
+use crate::store::{BlockCache, Cursor, is_remote};
 
 /// Offsets to try for a longitude, in radians: imagery of the whole world may span 0 to 360 degrees.
 const TURNS: [f64; 3] = [0.0, TAU, -TAU];
@@ -25,6 +25,7 @@ struct Image {
     /// The image, and copies of it, each about half as fine as the one before.
     levels: Vec<Level>,
     placement: Placement,
+    is_remote: bool,
 }
 
 impl Imagery {
@@ -57,11 +58,17 @@ impl Imagery {
         sizes.fold([f64::INFINITY; 2], |a, b| [a[0].min(b[0]), a[1].min(b[1])])
     }
 
+    /// Returns the bounds of each image, found at points on its edges: west, south, east and north in radians.
+    pub fn bounds(&self) -> Vec<[f64; 4]> {
+        self.images.iter().map(Image::bounds).collect()
+    }
+
     /// Returns a sampler for texels of a size in radians inside `extent`, on one thread.
     pub fn sampler(&self, extent: &Extent, texel: [f64; 2]) -> ImagerySampler<'_> {
         let layer = |image: &'_ Image| image.level(extent, texel);
         let layers = self.images.iter().map(|image| {
             let level = layer(image);
+            image.read_ahead(extent, level);
             (image, level, Cursor::new(&image.levels[level].image))
         });
         ImagerySampler { layers: layers.collect() }
@@ -106,7 +113,29 @@ impl Image {
             let size = levels.first().map_or([1; 2], |level| level.image.grid().size);
             placement = placement.shifted_by(grid, size).map_err(|reason| GenError::invalid(path, reason))?;
         }
-        Ok(Self { levels: completed(levels, cache), placement })
+        Ok(Self { levels: completed(levels, cache), placement, is_remote: is_remote(path) })
+    }
+
+    /// Reads the blocks of a level inside of a rectangle, several at the same time, if the image is on a server.
+    fn read_ahead(&self, extent: &Extent, level: usize) {
+        if !self.is_remote {
+            return;
+        }
+        let level = &self.levels[level];
+        let parts = (0..=8).map(|k| f64::from(k) / 8.0);
+        let places = parts.clone().flat_map(|s| parts.clone().map(move |t| [s, t])).filter_map(|[s, t]| {
+            let longitude = extent.west + s * (extent.east - extent.west);
+            let [c, r] = self.placement.pixel(longitude, extent.south + t * (extent.north - extent.south))?;
+            Some([0, 1].map(|axis| level.origin[axis] + [c, r][axis] * level.scale[axis]))
+        });
+        let ends = places.fold([f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY], |e, [c, r]| {
+            [e[0].min(c), e[1].min(r), e[2].max(c), e[3].max(r)]
+        });
+        let [width, height] = level.image.grid().size.map(|side| side as f64);
+        if ends[0] <= width && ends[1] <= height && ends[2] >= 0.0 && ends[3] >= 0.0 {
+            // Casts of numbers clamp them.
+            level.image.read_ahead(ends[0] as usize..=ends[2] as usize, ends[1] as usize..=ends[3] as usize);
+        }
     }
 
     fn covers(&self, extent: &Extent) -> Result<bool, GenError> {
@@ -124,6 +153,15 @@ impl Image {
             }
         }
         Ok(false)
+    }
+
+    fn bounds(&self) -> [f64; 4] {
+        let [width, height] = self.size();
+        let sides = (0..=32).map(|k| f64::from(k) / 32.0).flat_map(|t| [[t, 0.0], [t, 1.0], [0.0, t], [1.0, t]]);
+        let places = sides.map(|[s, t]| self.placement.longitude_latitude(s * width, t * height));
+        places.fold([f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY], |[w, s, e, n], [lon, lat]| {
+            [w.min(lon), s.min(lat), e.max(lon), n.max(lat)]
+        })
     }
 
     fn pixel_size(&self) -> [f64; 2] {

@@ -225,6 +225,16 @@ impl ElevationSource for Mosaic {
         Ok(())
     }
 
+    fn prepare(&self, extent: &Extent) {
+        for k in self.nearby.within([extent.west, extent.south, extent.east, extent.north]) {
+            if self.rasters[k].is_remote()
+                && let Some(window) = Window::of(&self.rasters[k], extent)
+            {
+                window.read_ahead();
+            }
+        }
+    }
+
     fn may_have_data_in(&self, extent: &Extent) -> bool {
         let [dx, dy] = self.margin;
         let e = Extent {

@@ -10,7 +10,7 @@ use super::formats::{self, Opened, RasterOptions};
 use super::source::{ElevationSource, SourceSample};
 use super::window::Window;
 use crate::georeference::{Placement, ROUNDING};
-use crate::store::{BlockCache, BlockReader, Cursor, PixelImage, Rect};
+use crate::store::{BlockCache, BlockReader, Cursor, PixelImage, Rect, is_remote};
 use crate::{Extent, GenError};
 
 /// Heights above this are taken for missing data, such as the lowest number of a format. Heights in decimetres are below
@@ -230,6 +230,11 @@ impl Raster {
     /// Returns the columns that the raster has once around the earth, `None` if it has ends.
     pub(super) fn around(&self) -> Option<usize> {
         self.around
+    }
+
+    /// Returns true if the file is on a server.
+    pub(super) fn is_remote(&self) -> bool {
+        is_remote(&self.path)
     }
 
     /// Returns a cursor that reads samples.

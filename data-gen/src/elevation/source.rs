@@ -23,6 +23,9 @@ pub trait ElevationSource: Sync {
         Ok(())
     }
 
+    /// Announces that heights in a rectangle will be asked for. A source on a server reads them ahead.
+    fn prepare(&self, _extent: &Extent) {}
+
     /// Returns false if the source has no data anywhere in a rectangle. True if it may have.
     fn may_have_data_in(&self, _extent: &Extent) -> bool {
         true

@@ -90,6 +90,14 @@ impl<'a> Window<'a> {
             })
     }
 
+    /// Reads the blocks with the samples, several at the same time.
+    pub fn read_ahead(&self) {
+        let rows = *self.rows.start() as usize..=*self.rows.end() as usize;
+        for run in self.runs() {
+            self.raster.image().read_ahead(*run.start() as usize..=*run.end() as usize, rows.clone());
+        }
+    }
+
     /// Returns the columns as ranges inside the raster.
     fn runs(&self) -> Vec<RangeInclusive<i64>> {
         let Some(around) = self.raster.around().map(|around| around as i64) else { return vec![self.columns.clone()] };

@@ -9,6 +9,7 @@ use rayon::prelude::*;
 
 use super::PartialFolder;
 use super::archive::write_archive;
+use super::journal::{Journal, MANIFEST};
 use super::tile_set::write_whole;
 use crate::{GenArgs, GenError};
 
@@ -32,6 +33,11 @@ pub(crate) fn finish(args: &GenArgs, partial: PartialFolder, out: &Path, bytes: 
         return Ok(bytes);
     }
     let bytes = if args.output.gzip && !is_shard { gzip(partial.path())? } else { bytes };
+    if !is_shard {
+        let journal = Journal::new(partial.path());
+        // Procedural terrain is not updated.
+        if args.dem.is_empty() { journal.remove()? } else { journal.pack()? }
+    }
     partial.put_in_place(out)?;
     Ok(bytes)
 }
@@ -43,7 +49,7 @@ fn gzip(folder: &Path) -> Result<u64, GenError> {
     each_folder(folder, &mut |files: &[PathBuf]| {
         let compress = |path: &PathBuf| {
             let size = || Ok(path.metadata().map_err(GenError::file(path))?.len());
-            if !path.extension().is_some_and(|extension| GZIP_EXTENSIONS.iter().any(|of| extension == *of)) {
+            if !is_compressible(path) {
                 return size();
             }
             let content = std::fs::read(path).map_err(GenError::file(path))?;
@@ -61,15 +67,21 @@ fn gzip(folder: &Path) -> Result<u64, GenError> {
     Ok(total)
 }
 
-/// Calls with the files of each folder below one, in the order of their names, but not with those whose names begin with a dot.
-pub(super) fn each_folder(
+/// Returns true for files that `--gzip` compresses.
+pub(crate) fn is_compressible(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| GZIP_EXTENSIONS.iter().any(|of| extension == *of))
+}
+
+/// Calls with the files of each folder below one, in the order of their names, but not with the manifest and with those whose names
+/// begin with a dot.
+pub(crate) fn each_folder(
     folder: &Path,
     call: &mut dyn FnMut(&[PathBuf]) -> Result<(), GenError>,
 ) -> Result<(), GenError> {
     let (mut files, mut folders) = (Vec::new(), Vec::new());
     for entry in std::fs::read_dir(folder).map_err(GenError::file(folder))? {
         let entry = entry.map_err(GenError::file(folder))?;
-        if entry.file_name().to_string_lossy().starts_with('.') {
+        if entry.file_name().to_string_lossy().starts_with('.') || entry.file_name() == *MANIFEST {
             continue;
         }
         let is_folder = entry.file_type().map_err(GenError::file(entry.path()))?.is_dir();

@@ -1,57 +1,82 @@
 //! The journal of a run: one file for each block that is complete, with its record. It lies in the folder that the run writes, so that
-//! a run that was killed is continued from it. It stays in the set, so that `--update` finds what it can keep.
+//! a run that was killed is continued from it. When the set is complete, the records of a set that `--update` can change are packed into
+//! one file, a zip archive, and the folder is removed.
 //!
 //! Worlds have a list of complete tiles instead, which is removed with the journal when the set is complete.
 
 use std::collections::HashMap;
 use std::fs::File;
-use std::io::{ErrorKind, Write as _};
+use std::io::{BufReader, ErrorKind, Read as _, Write as _};
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 
+use zip::ZipArchive;
+use zip::result::ZipError;
+
+use super::archive::write_archive;
 use super::tile_set::write_whole;
-use crate::GenError;
 use crate::pyramid::{Record, TileKey, checksum};
+use crate::{GenError, Shard};
 
 /// The journal's folder inside the folder of the set.
 pub(crate) const JOURNAL: &str = ".terrane-gen-journal";
-/// The list of complete tiles in it.
+/// The file of a complete set that the journal is packed into.
+pub(crate) const MANIFEST: &str = "manifest.zip";
+/// Its name while it is written.
+const UNFINISHED: &str = ".manifest.unfinished";
+/// The list of complete tiles in the journal.
 const TILES: &str = "tiles";
+/// Packed files are not larger.
+const MAX_FILE_BYTES: u64 = 1 << 30;
 
 /// The records of the blocks that are complete. Threads share it.
 pub(crate) struct Journal {
+    set: PathBuf,
     folder: PathBuf,
+    /// The journal of a complete set. Locked while a file is read.
+    packed: Option<Mutex<ZipArchive<BufReader<File>>>>,
 }
 
 impl Journal {
-    /// Opens the journal in the folder of a set.
+    /// Opens the journal in the folder of a set. A packed one that cannot be read counts as missing.
     pub fn new(set: &Path) -> Self {
-        Self { folder: set.join(JOURNAL) }
+        let packed = File::open(set.join(MANIFEST)).ok().and_then(|file| ZipArchive::new(BufReader::new(file)).ok());
+        Self { set: set.to_path_buf(), folder: set.join(JOURNAL), packed: packed.map(Mutex::new) }
     }
 
-    /// Returns the path of a file beside the records.
-    pub fn file(&self, name: &str) -> PathBuf {
+    fn file(&self, name: &str) -> PathBuf {
         self.folder.join(name)
     }
 
-    fn path(&self, root: TileKey) -> PathBuf {
-        self.folder.join(format!("{}/{}/{}", root.level, root.x, root.y))
+    /// Returns the content of a file of the journal; `None` if it is missing.
+    pub fn load_file(&self, name: &str) -> Result<Option<Vec<u8>>, GenError> {
+        let path = self.file(name);
+        match std::fs::read(&path) {
+            Ok(bytes) => return Ok(Some(bytes)),
+            Err(e) if [ErrorKind::NotFound, ErrorKind::NotADirectory].contains(&e.kind()) => {}
+            Err(reason) => return Err(GenError::File { path, reason }),
+        }
+        let Some(packed) = &self.packed else { return Ok(None) };
+        let mut packed = packed.lock().unwrap_or_else(PoisonError::into_inner);
+        let failed = |reason: String| GenError::invalid(self.set.join(MANIFEST), format!("{name}: {reason}"));
+        let file = match packed.by_name(name) {
+            Ok(file) => file,
+            Err(ZipError::FileNotFound) => return Ok(None),
+            Err(error) => return Err(failed(error.to_string())),
+        };
+        let mut bytes = Vec::new();
+        file.take(MAX_FILE_BYTES).read_to_end(&mut bytes).map_err(|e| failed(e.to_string()))?;
+        Ok(Some(bytes))
     }
 
     /// Returns the record of a block; `None` if the block is not complete, or if its file is damaged.
     pub fn load(&self, root: TileKey) -> Result<Option<Record>, GenError> {
-        let path = self.path(root);
-        match std::fs::read(&path) {
-            Ok(bytes) => Ok(Record::from_bytes(&bytes)),
-            Err(e) if e.kind() == ErrorKind::NotFound => Ok(None),
-            Err(reason) => Err(GenError::File { path, reason }),
-        }
+        Ok(self.load_file(&name(root))?.and_then(|bytes| Record::from_bytes(&bytes)))
     }
 
     /// Stores the record of a block. Its tiles have been written.
     pub fn save(&self, root: TileKey, record: &Record) -> Result<(), GenError> {
-        let path = self.path(root);
-        self.make_folder(&path)?;
-        write_whole(&path, &record.to_bytes()).map(|_| ())
+        self.save_file(&name(root), &record.to_bytes())
     }
 
     /// Stores a file beside the records.
@@ -68,7 +93,32 @@ impl Journal {
 
     /// Returns true if any block or tile is complete.
     pub fn has_blocks(&self) -> bool {
-        self.folder.is_dir()
+        self.folder.is_dir() || self.packed.is_some()
+    }
+
+    /// Packs the journal of a complete set into one file and removes its folder.
+    pub fn pack(&self) -> Result<(), GenError> {
+        if !self.folder.is_dir() {
+            return Ok(());
+        }
+        // A run that was killed has packed it, and perhaps removed a part of the folder.
+        let names: Vec<String> = match &self.packed {
+            Some(packed) => {
+                let packed = packed.lock().unwrap_or_else(PoisonError::into_inner);
+                packed.file_names().flatten().map(|name| name.into_owned()).collect()
+            }
+            None => Vec::new(),
+        };
+        for name in names.iter().filter(|name| !name.starts_with('@') && !self.file(name).is_file()) {
+            if let Some(bytes) = self.load_file(name)? {
+                self.save_file(name, &bytes)?;
+            }
+        }
+        let unfinished = self.set.join(UNFINISHED);
+        write_archive(&self.folder, &unfinished)?;
+        let packed = self.set.join(MANIFEST);
+        std::fs::rename(&unfinished, &packed).map_err(GenError::file(&packed))?;
+        self.remove()
     }
 
     /// Removes the journal.
@@ -81,16 +131,20 @@ impl Journal {
         }
     }
 
-    /// Opens the list of complete tiles.
-    pub fn tiles(&self) -> Result<TileList, GenError> {
-        let path = self.file(TILES);
+    /// Opens the list of complete tiles. Those of shards that were merged, whose names have their numbers, are in it.
+    pub fn tiles(&self, shard: Option<Shard>) -> Result<TileList, GenError> {
+        let own = shard.map_or_else(|| TILES.to_owned(), |shard| format!("{TILES}-{shard}").replace('/', "-of-"));
+        let path = self.file(&own);
         self.make_folder(&path)?;
-        let text = match std::fs::read(&path) {
-            Ok(bytes) => String::from_utf8_lossy(&bytes).into_owned(),
-            Err(e) if e.kind() == ErrorKind::NotFound => String::new(),
-            Err(reason) => return Err(GenError::File { path, reason }),
-        };
-        let complete = text.split('\n').filter_map(CompleteTile::parse).collect();
+        let mut complete = HashMap::new();
+        for entry in std::fs::read_dir(&self.folder).map_err(GenError::file(&self.folder))? {
+            let path = entry.map_err(GenError::file(&self.folder))?.path();
+            if !path.file_name().is_some_and(|name| name.to_string_lossy().starts_with(TILES)) {
+                continue;
+            }
+            let bytes = std::fs::read(&path).map_err(GenError::file(&path))?;
+            complete.extend(String::from_utf8_lossy(&bytes).split('\n').filter_map(CompleteTile::parse));
+        }
         let mut file = File::options().append(true).create(true).open(&path).map_err(GenError::file(&path))?;
         // The last line of a killed run may be incomplete.
         file.write_all(b"\n").map_err(GenError::file(&path))?;
@@ -98,20 +152,32 @@ impl Journal {
     }
 }
 
+/// Returns the name of the file of a block's record.
+fn name(root: TileKey) -> String {
+    format!("{}/{}/{}", root.level, root.x, root.y)
+}
+
 /// A tile whose files are complete.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct CompleteTile {
     /// The size of its files in bytes.
     pub bytes: u64,
-    /// The lowest and the highest height in metres.
+    /// The lowest and the highest height in metres, those of finer tiles included where clients cull by them.
     pub range_m: [f32; 2],
+    /// The lowest and the highest vertex with data in metres.
+    pub data_m: [f32; 2],
+    /// Vertices without data.
+    pub voids: u64,
 }
 
 impl CompleteTile {
     /// Returns a line of the list, with a checksum at the end.
     fn line(&self, key: TileKey) -> String {
         let [low, high] = self.range_m.map(f32::to_bits);
-        let text = format!("{} {} {} {} {low:x} {high:x}", key.level, key.x, key.y, self.bytes);
+        let [data_low, data_high] = self.data_m.map(f32::to_bits);
+        let TileKey { level, x, y } = key;
+        let heights = format!("{low:x} {high:x} {data_low:x} {data_high:x}");
+        let text = format!("{level} {x} {y} {} {heights} {}", self.bytes, self.voids);
         format!("{text} {:016x}\n", checksum(text.as_bytes()))
     }
 
@@ -122,10 +188,16 @@ impl CompleteTile {
             return None;
         }
         let words: Vec<&str> = text.split(' ').collect();
-        let [level, x, y, bytes, low, high] = words[..] else { return None };
+        let [level, x, y, bytes, low, high, data_low, data_high, voids] = words[..] else { return None };
         let key = TileKey { level: level.parse().ok()?, x: x.parse().ok()?, y: y.parse().ok()? };
         let height = |bits: &str| Some(f32::from_bits(u32::from_str_radix(bits, 16).ok()?));
-        Some((key, Self { bytes: bytes.parse().ok()?, range_m: [height(low)?, height(high)?] }))
+        let complete = Self {
+            bytes: bytes.parse().ok()?,
+            range_m: [height(low)?, height(high)?],
+            data_m: [height(data_low)?, height(data_high)?],
+            voids: voids.parse().ok()?,
+        };
+        Some((key, complete))
     }
 }
 
@@ -158,8 +230,13 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let journal = Journal::new(folder.path());
         let key = |x: u32| TileKey { level: 3, x, y: 7 };
-        let tile = |k: u32| CompleteTile { bytes: u64::from(k), range_m: [-0.5, k as f32] };
-        let list = journal.tiles().unwrap();
+        let tile = |k: u32| CompleteTile {
+            bytes: u64::from(k),
+            range_m: [-0.5, k as f32],
+            data_m: [f32::INFINITY, f32::NEG_INFINITY],
+            voids: 7,
+        };
+        let list = journal.tiles(None).unwrap();
         (0..5).for_each(|x| list.add(key(x), &tile(x)).unwrap());
         let path = journal.file(TILES);
         let mut bytes = std::fs::read(&path).unwrap();
@@ -167,9 +244,10 @@ mod tests {
         bytes.truncate(bytes.len() - 9);
         bytes[4] ^= 1;
         std::fs::write(&path, bytes).unwrap();
-        let list = journal.tiles().unwrap();
+        let list = journal.tiles(Some("2/3".parse().unwrap())).unwrap();
         list.add(key(5), &tile(5)).unwrap();
-        let list = journal.tiles().unwrap();
+        assert!(folder.path().join(JOURNAL).join("tiles-2-of-3").is_file());
+        let list = journal.tiles(None).unwrap();
         let found: Vec<_> = (0..6).map(|x| list.get(key(x))).collect();
         assert_eq!(found, [None, Some(tile(1)), Some(tile(2)), Some(tile(3)), None, Some(tile(5))]);
     }

@@ -16,12 +16,14 @@ mod tree;
 
 pub(crate) use builder::{Builder, blocks};
 pub use encoding::{TextureFormat, TileArgs, Triangles};
+#[cfg(feature = "object-store")]
+pub(crate) use finish::{each_folder, is_compressible};
 pub(crate) use finish::{finish, is_archive_at};
 pub(crate) use implicit::{Entry, SUBTREE_LEVELS, SUBTREES, descendants, subtree, subtree_name, tile_class};
 pub(crate) use journal::{CompleteTile, Journal};
 pub use options::{ArchiveFormat, OutputArgs, Tiling};
 pub use partial_folder::PartialFolder;
 pub(crate) use partial_folder::{MARKER, ROOTS};
-pub(crate) use terrain::write_terrain;
+pub(crate) use terrain::TerrainSet;
 pub(crate) use tile_set::write_whole;
 pub(crate) use tree::{level_errors_m, voids};

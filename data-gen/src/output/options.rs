@@ -1,6 +1,9 @@
 //! The options of the form in which a set is written.
 
-use crate::{Color, ContentKind, GenArgs, RunArgs, Sharding, TextureFormat};
+use terrane::fetch::{is_store, shown};
+
+use crate::store::is_remote;
+use crate::{Color, ContentKind, GenArgs, Sharding, TextureFormat};
 
 /// The description of the tile tree.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
@@ -26,6 +29,9 @@ pub struct OutputArgs {
     /// Attribution that clients of quantized-mesh terrain show
     #[arg(long, value_name = "TEXT")]
     pub attribution: Option<String>,
+    /// Write which tiles exist into tiles of quantized-mesh, each tenth level, instead of into layer.json
+    #[arg(long)]
+    pub tile_availability: bool,
     /// Description of the tile tree
     #[arg(long, value_enum, default_value_t)]
     pub tiling: Tiling,
@@ -41,6 +47,9 @@ pub struct OutputArgs {
 impl OutputArgs {
     /// Checks options that have no effect together with others.
     pub(crate) fn check(&self, args: &GenArgs) -> Result<(), String> {
+        if is_remote(&args.out) {
+            self.check_bucket(args)?;
+        }
         let is_terrain = args.content == ContentKind::QuantizedMesh;
         if self.attribution.is_some() && !is_terrain {
             return Err("--attribution has no effect without --content quantized-mesh".to_owned());
@@ -56,22 +65,26 @@ impl OutputArgs {
                 return Err(format!("{name} has no effect with --content quantized-mesh"));
             }
         }
-        if is_terrain && args.sharding != Sharding::default() {
-            return Err("--plan, --shard and --merge are not supported with --content quantized-mesh".to_owned());
+        if self.tile_availability && !is_terrain {
+            return Err("--tile-availability has no effect without --content quantized-mesh".to_owned());
         }
-        if is_terrain && args.run != RunArgs::default() {
+        let run = &args.run;
+        if is_terrain && (run.dry_run.is_some() || run.memory.is_some() || run.update || run.aligned) {
             return Err("--dry-run, --memory, --update and --aligned are not supported with --content quantized-mesh"
                 .to_owned());
         }
         if self.tiling != Tiling::default() && args.run.aligned {
             return Err("--tiling implicit is not supported with --aligned".to_owned());
         }
-        if args.run.update && (self.gzip || self.archive.is_some()) {
-            return Err("--update is not supported with --gzip and --archive".to_owned());
+        if args.run.update && self.archive.is_some() {
+            return Err("--update changes folders, not archives; leave out --archive".to_owned());
         }
         if self.archive.is_some() {
             if is_terrain {
-                return Err("--archive is not supported with --content quantized-mesh".to_owned());
+                return Err(
+                    "--archive is not supported with --content quantized-mesh: clients of terrain read folders"
+                        .to_owned(),
+                );
             }
             if self.gzip {
                 return Err("--gzip has no effect with --archive, whose files are compressed".to_owned());
@@ -79,6 +92,23 @@ impl OutputArgs {
             if !args.out.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("3tz")) {
                 return Err(format!("--archive 3tz: the name of {} must end in .3tz", args.out.display()));
             }
+        }
+        Ok(())
+    }
+
+    /// Checks an OUT that is an address.
+    fn check_bucket(&self, args: &GenArgs) -> Result<(), String> {
+        let out = shown(&args.out.to_string_lossy()).into_owned();
+        if !is_store(&args.out.to_string_lossy()) {
+            return Err(format!("{out}: sets are written to folders and to s3://, gs:// and az://"));
+        }
+        if !cfg!(feature = "object-store") {
+            return Err(format!("{out}: this program is built without the feature object-store"));
+        }
+        if args.run.update || args.sharding != Sharding::default() {
+            return Err(format!(
+                "{out}: --update, --plan, --shard and --merge need a folder as OUT, which can be copied afterwards"
+            ));
         }
         Ok(())
     }

@@ -167,6 +167,8 @@ impl<'a> Grid<'a> {
         if !self.may_have_data_in(depth, &window) {
             return Ok(out);
         }
+        let fine = |c: [i64; 2]| c.map(|c| c << depth);
+        self.source.prepare(&self.extent_of(&Window { first: fine(window.first), last: fine(window.last) }));
         let width = window.width();
         out.values.par_chunks_mut(width).enumerate().try_for_each(|(row, heights)| {
             let latitude = self.latitude((window.first[1] + row as i64) << depth);

@@ -4,6 +4,7 @@ use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use lru::LruCache;
+use terrane::fetch::AllowedHost;
 
 use super::remote::Servers;
 use super::spill::SpillFile;
@@ -58,9 +59,19 @@ impl BlockCache {
         }
     }
 
+    /// Lets the redirects of servers lead to some hosts whatever their addresses are.
+    pub fn allowing(self, hosts: &[AllowedHost]) -> Self {
+        Self { servers: Servers::new(hosts), ..self }
+    }
+
     /// Changes the number of bytes of decoded blocks. Blocks beyond it leave when the next one is decoded.
     pub fn set_budget(&self, bytes: usize) {
         self.budget_bytes.store(bytes, Ordering::Relaxed);
+    }
+
+    /// Returns the number of bytes of decoded blocks.
+    pub fn budget(&self) -> usize {
+        self.budget_bytes.load(Ordering::Relaxed)
     }
 
     /// Returns the temporary file for images that are decoded as a whole.

@@ -1,6 +1,8 @@
 //! An image as a grid of blocks, and the cursor that reads its pixels.
 
+use std::ops::RangeInclusive;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use super::cache::{Block, BlockCache, BlockKey};
 use crate::GenError;
@@ -108,6 +110,51 @@ impl PixelImage {
             Ok(pixels)
         })?;
         Ok((rect, block))
+    }
+}
+
+/// The number of blocks that are read ahead at the same time.
+const AHEAD: usize = 16;
+/// Larger numbers of blocks are not read ahead: samples of coarse levels lie in few of them.
+const MAX_AHEAD: usize = 256;
+
+impl PixelImage {
+    /// Reads the blocks of a rectangle of pixels, several at the same time, as far as they fit into half of the cache. For images on
+    /// servers, whose blocks would be asked for one after another. Blocks that cannot be read are left to who needs them.
+    pub fn read_ahead(&self, columns: RangeInclusive<usize>, rows: RangeInclusive<usize>) {
+        let ends = [(columns, 0), (rows, 1)].map(|(range, axis)| {
+            let last = self.grid.size[axis].saturating_sub(1);
+            [*range.start(), *range.end()].map(|c| c.min(last) / self.grid.block[axis])
+        });
+        let [[x0, x1], [y0, y1]] = ends;
+        if x1 < x0 || y1 < y0 {
+            return;
+        }
+        let (across, down) = (x1 - x0 + 1, y1 - y0 + 1);
+        let block_bytes = 4 * self.grid.block[0] * self.grid.block[1];
+        let count = across.saturating_mul(down);
+        if count < 2 || count > MAX_AHEAD || count * block_bytes > self.cache.budget() / 2 {
+            return;
+        }
+        let next = AtomicUsize::new(0);
+        std::thread::scope(|scope| {
+            for _ in 0..count.min(AHEAD) {
+                scope.spawn(|| {
+                    loop {
+                        let k = next.fetch_add(1, Ordering::Relaxed);
+                        if k >= count {
+                            return;
+                        }
+                        let [x, y] = [x0 + k % across, y0 + k / across];
+                        let [column, row] = [x * self.grid.block[0], y * self.grid.block[1]];
+                        let is_empty = self.reader.is_known_empty(self.grid.block_of(column, row).0);
+                        if !is_empty && self.block(column, row).is_err() {
+                            return;
+                        }
+                    }
+                });
+            }
+        });
     }
 }
 

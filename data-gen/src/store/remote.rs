@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use lru::LruCache;
-use terrane::fetch::{HttpConfig, IoError, RemoteFile, RemoteFiles};
+use terrane::fetch::{AllowedHost, HttpConfig, IoError, RemoteFile, RemoteFiles};
 
 use super::cache::{BlockCache, BlockKey};
 use crate::GenError;
@@ -24,6 +24,8 @@ type Opened = (Arc<RemoteFile>, u64);
 /// The client for the files on servers of a run, and the files that were opened last. All threads share it.
 #[derive(Default)]
 pub(crate) struct Servers {
+    /// Hosts that redirects may lead to whatever their addresses are.
+    allowed_hosts: Vec<AllowedHost>,
     /// Created when the first file is opened.
     client: OnceLock<Arc<RemoteFiles>>,
     /// The files by address. Locked for moments only; `None` before the first one.
@@ -31,12 +33,18 @@ pub(crate) struct Servers {
 }
 
 impl Servers {
+    /// Creates the client of a run that is allowed to reach some hosts.
+    pub fn new(allowed_hosts: &[AllowedHost]) -> Self {
+        Self { allowed_hosts: allowed_hosts.to_vec(), ..Self::default() }
+    }
+
     /// Returns the client. An error names the file for which it is created.
     fn client(&self, path: &Path) -> Result<&Arc<RemoteFiles>, GenError> {
         if let Some(client) = self.client.get() {
             return Ok(client);
         }
-        let client = RemoteFiles::new(&HttpConfig::default()).map_err(|e| GenError::remote(path, &e))?;
+        let config = HttpConfig { allowed_hosts: self.allowed_hosts.clone(), ..HttpConfig::default() };
+        let client = RemoteFiles::new(&config).map_err(|e| GenError::remote(path, &e))?;
         // Another thread may have been quicker.
         Ok(self.client.get_or_init(|| Arc::new(client)))
     }
@@ -66,8 +74,8 @@ impl Servers {
 }
 
 /// Returns the version of a file on a server at this moment.
-pub(crate) fn remote_version(path: &Path) -> Result<String, GenError> {
-    Ok(Servers::default().open(path, || 0)?.0.version())
+pub(crate) fn remote_version(path: &Path, allowed_hosts: &[AllowedHost]) -> Result<String, GenError> {
+    Ok(Servers::new(allowed_hosts).open(path, || 0)?.0.version())
 }
 
 /// Returns true for a path that is the address of a file on a server or in an object store.

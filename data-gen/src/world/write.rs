@@ -77,7 +77,7 @@ pub(crate) fn write_world(set: &WorldSet, tiling: Tiling, folder: &Path) -> Resu
     }
     let progress = Progress::new("writing", keys.len() as u64, "tiles");
     let journal = Journal::new(folder);
-    let list = journal.tiles()?;
+    let list = journal.tiles(None)?;
     let write = |name: &str, content: &[u8]| write_whole(&folder.join(name), content);
     let make = |key: TileKey| {
         let tile = set.tile(key)?;
@@ -98,7 +98,7 @@ pub(crate) fn write_world(set: &WorldSet, tiling: Tiling, folder: &Path) -> Resu
                 }
             }
         }
-        let complete = CompleteTile { bytes, range_m: tile.range_m };
+        let complete = CompleteTile { bytes, range_m: tile.range_m, data_m: tile.range_m, voids: 0 };
         list.add(key, &complete)?;
         Ok::<_, GenError>(complete)
     };
@@ -107,12 +107,10 @@ pub(crate) fn write_world(set: &WorldSet, tiling: Tiling, folder: &Path) -> Resu
         progress.advance(1);
         Ok::<_, GenError>(complete)
     });
-    let none = || CompleteTile { bytes: 0, range_m: [f32::INFINITY, f32::NEG_INFINITY] };
-    let both = |a: CompleteTile, b: CompleteTile| {
-        let range_m = [a.range_m[0].min(b.range_m[0]), a.range_m[1].max(b.range_m[1])];
-        Ok(CompleteTile { bytes: a.bytes + b.bytes, range_m })
-    };
-    let CompleteTile { bytes, range_m: [low_m, high_m] } = tiles.try_reduce(none, both)?;
+    let tiles = tiles.map(|tile| tile.map(|tile| (tile.bytes, tile.range_m)));
+    let none = || (0, [f32::INFINITY, f32::NEG_INFINITY]);
+    let both = |a: (u64, [f32; 2]), b: (u64, [f32; 2])| Ok((a.0 + b.0, [a.1[0].min(b.1[0]), a.1[1].max(b.1[1])]));
+    let (bytes, [low_m, high_m]) = tiles.try_reduce(none, both)?;
     drop(progress);
     drop(list);
     journal.remove()?;

@@ -142,6 +142,9 @@ pub fn from_dem(folder: &Path, name: &str, bytes: &[u8]) -> GenArgs {
     GenArgs { dem: vec![path], levels: Some(2), jobs: Some(1), ..GenArgs::new(folder.join(format!("{name}.set"))) }
 }
 
+/// What `--update` needs, with the names and times of the sources.
+pub const MANIFEST: &str = "manifest.zip";
+
 /// Returns the content of all files below a folder by their paths.
 pub fn files_below(folder: &Path) -> BTreeMap<String, Vec<u8>> {
     let mut found = BTreeMap::new();
@@ -153,7 +156,9 @@ pub fn files_below(folder: &Path) -> BTreeMap<String, Vec<u8>> {
                 folders.push(path);
             } else {
                 let name = path.strip_prefix(folder).unwrap().to_string_lossy().into_owned();
-                found.insert(name, fs::read(&path).unwrap());
+                if name != MANIFEST {
+                    found.insert(name, fs::read(&path).unwrap());
+                }
             }
         }
     }

@@ -88,6 +88,12 @@ impl Transport {
         &self.shared.config
     }
 
+    /// Returns the connections.
+    #[cfg(feature = "object-store")]
+    pub fn connections(&self) -> &Arc<Connections> {
+        &self.shared.connections
+    }
+
     /// Requests a URI until it succeeds, fails permanently, or the retries are used up. `validated_at` is the URL, after
     /// redirects, that validators in `headers` belong to; `None` means `uri` itself.
     pub async fn exchange(

@@ -5,11 +5,13 @@
 //! public buckets expect.
 
 use std::path::PathBuf;
+use std::sync::Arc;
 
-use object_store::Error;
 use object_store::aws::{AmazonS3Builder, AmazonS3ConfigKey as S3Key};
 use object_store::azure::{AzureConfigKey as AzureKey, MicrosoftAzureBuilder};
+use object_store::client::HttpConnector;
 use object_store::gcp::{GoogleCloudStorageBuilder, GoogleConfigKey as GoogleKey};
+use object_store::{Error, ObjectStore, RetryConfig};
 
 use crate::fetch::StoreOption;
 use crate::fetch::cache::StoreAsker;
@@ -52,8 +54,27 @@ const AZURE_KEYS: [AzureKey; 9] = [
     AzureKey::CredentialType,
 ];
 
+/// Returns the store of a bucket, such as `s3://tiles`, whose requests a connector sends.
+pub(super) fn store(
+    bucket: &str,
+    options: &[StoreOption],
+    retry: RetryConfig,
+    connector: impl HttpConnector,
+) -> Result<Arc<dyn ObjectStore>, Error> {
+    macro_rules! built {
+        ($configured:expr) => {
+            Arc::new($configured?.with_url(bucket).with_retry(retry).with_http_connector(connector).build()?)
+        };
+    }
+    Ok(match bucket.split_once(':').map(|(scheme, _)| scheme.to_ascii_lowercase()).as_deref() {
+        Some("s3") => built!(s3(options)),
+        Some("gs") => built!(google(options)),
+        _ => built!(azure(options)),
+    })
+}
+
 /// Returns the builder for S3. Requests are not signed without keys.
-pub(super) fn s3(options: &[StoreOption]) -> Result<AmazonS3Builder, Error> {
+fn s3(options: &[StoreOption]) -> Result<AmazonS3Builder, Error> {
     let builder: Result<AmazonS3Builder, Error> = configured!(AmazonS3Builder, "aws_", options);
     let builder = builder?;
     let has_keys = S3_KEYS.iter().any(|key| builder.get_config_value(key).is_some());
@@ -62,7 +83,7 @@ pub(super) fn s3(options: &[StoreOption]) -> Result<AmazonS3Builder, Error> {
 }
 
 /// Returns the builder for Google Cloud Storage. Requests are not signed without keys.
-pub(super) fn google(options: &[StoreOption]) -> Result<GoogleCloudStorageBuilder, Error> {
+fn google(options: &[StoreOption]) -> Result<GoogleCloudStorageBuilder, Error> {
     let builder: Result<GoogleCloudStorageBuilder, Error> = configured!(GoogleCloudStorageBuilder, "google_", options);
     let builder = builder?;
     let has_keys =
@@ -73,7 +94,7 @@ pub(super) fn google(options: &[StoreOption]) -> Result<GoogleCloudStorageBuilde
 }
 
 /// Returns the builder for Azure. Requests are not signed without keys.
-pub(super) fn azure(options: &[StoreOption]) -> Result<MicrosoftAzureBuilder, Error> {
+fn azure(options: &[StoreOption]) -> Result<MicrosoftAzureBuilder, Error> {
     let builder: Result<MicrosoftAzureBuilder, Error> = configured!(MicrosoftAzureBuilder, "azure_", options);
     let builder = builder?;
     let is_on = |key: AzureKey| builder.get_config_value(&key).as_deref().is_some_and(is_true);

@@ -101,18 +101,7 @@ impl Stores {
         let retry = RetryConfig { max_retries: 0, ..RetryConfig::default() };
         let options = &exchange.config.store_options;
         let bad = |e: Error| IoError::Uri { uri: uri.to_owned(), reason: error_chain(&e) };
-        macro_rules! built {
-            ($configured:path) => {{
-                let builder = $configured(options).map_err(bad)?;
-                let builder = builder.with_url(bucket).with_retry(retry).with_http_connector(transport);
-                Arc::new(builder.build().map_err(bad)?) as Arc<dyn ObjectStore>
-            }};
-        }
-        let store = match bucket.split_once(':').map(|(scheme, _)| scheme.to_ascii_lowercase()).as_deref() {
-            Some("s3") => built!(config::s3),
-            Some("gs") => built!(config::google),
-            _ => built!(config::azure),
-        };
+        let store = config::store(bucket, options, retry, transport).map_err(bad)?;
         stores.put(bucket.to_owned(), store.clone());
         Ok(store)
     }

@@ -11,6 +11,7 @@ const MAX_COORDINATE: f64 = 32767.0;
 const MAX_SHORT_VERTICES: usize = 1 << 16;
 /// The extension octvertexnormals.
 const OCT_VERTEX_NORMALS: u8 = 1;
+const METADATA: u8 = 4;
 /// The parts along a side of the points that the header's sphere and occlusion point contain.
 const PARTS: u32 = 16;
 /// The largest distance of the occlusion point from the earth's centre, in radii.
@@ -30,6 +31,8 @@ pub struct TerrainMesh {
     pub normals: Vec<DVec3>,
     /// Three vertices for each triangle, counter-clockwise seen from above.
     pub triangles: Vec<u32>,
+    /// The JSON of the extension `metadata`, such as the tiles that exist below; empty for none.
+    pub metadata: String,
 }
 
 /// Returns the bytes of a quantized-mesh tile. Vertices that no triangle uses are left out. Returns `None` for incomplete triangles,
@@ -85,6 +88,13 @@ pub fn write_quantized_mesh(mesh: &TerrainMesh) -> Option<Vec<u8>> {
         out.push(OCT_VERTEX_NORMALS);
         out.extend((2 * places.len() as u32).to_le_bytes());
         out.extend(old_of_new.iter().flat_map(|old| oct_code(mesh.normals[*old])));
+    }
+    if !mesh.metadata.is_empty() {
+        let length = u32::try_from(mesh.metadata.len()).ok()?;
+        out.push(METADATA);
+        out.extend(length.checked_add(4)?.to_le_bytes());
+        out.extend(length.to_le_bytes());
+        out.extend(mesh.metadata.as_bytes());
     }
     Some(out)
 }

@@ -4,6 +4,7 @@
 //! [`skip`], so that it is printed and counted.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
+pub mod buckets;
 pub mod compressed;
 pub mod contents;
 pub mod fuzz;

@@ -10,10 +10,14 @@ use std::time::Duration;
 /// A request as it arrived.
 #[derive(Clone, Debug)]
 pub struct Request {
+    /// The method, such as `GET`.
+    pub method: String,
     /// The target of the request line, with the query; an absolute URL if the client uses the server as its proxy.
     pub target: String,
     /// Header names, in lower case, and values.
     pub headers: Vec<(String, String)>,
+    /// The content, if the request says how long it is.
+    pub body: Vec<u8>,
     /// The number of the connection, from 0.
     pub connection: usize,
     /// The number of earlier requests for the same target.
@@ -188,11 +192,15 @@ fn serve(
             let Some((name, value)) = line.trim_end().split_once(':') else { break };
             headers.push((name.to_ascii_lowercase(), value.trim().to_owned()));
         }
-        let target = first.split(' ').nth(1).unwrap_or("").to_owned();
+        let mut words = first.split(' ').map(str::to_owned);
+        let (method, target) = (words.next().unwrap_or_default(), words.next().unwrap_or_default());
+        let length = headers.iter().find(|(name, _)| name == "content-length").map(|(_, length)| length.parse::<u64>());
+        let mut body = Vec::new();
+        (&mut reader).take(length.and_then(Result::ok).unwrap_or(0)).read_to_end(&mut body)?;
         let request = {
             let mut log = log.lock().unwrap();
             let nth = log.iter().filter(|r| r.target == target).count();
-            log.push(Request { target, headers, connection, nth });
+            log.push(Request { method, target, headers, body, connection, nth });
             log.last().unwrap().clone()
         };
         let reply = answer(&request);

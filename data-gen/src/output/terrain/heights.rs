@@ -71,6 +71,20 @@ impl<'a> Heights<'a> {
         found
     }
 
+    /// Returns the tiles of a level at or below a tile that are written, in Morton order.
+    pub fn tiles_below(&self, key: TileKey, level: u32) -> Vec<TileKey> {
+        let mut found = Vec::new();
+        if key.level <= level {
+            self.collect(key, level, &mut found);
+        }
+        found
+    }
+
+    /// Returns the number of levels.
+    pub fn levels(&self) -> u32 {
+        self.levels
+    }
+
     fn collect(&self, key: TileKey, level: u32, found: &mut Vec<TileKey>) {
         if key.level > 0 && !self.is_written(key) {
             return;
@@ -172,7 +186,7 @@ impl<'a> Heights<'a> {
 }
 
 /// The heights before any is known.
-const NO_HEIGHTS_M: [f32; 2] = [f32::INFINITY, f32::NEG_INFINITY];
+pub(super) const NO_HEIGHTS_M: [f32; 2] = [f32::INFINITY, f32::NEG_INFINITY];
 
 /// A part of the source's own lattice without voids.
 struct Filled<'g, 'a> {

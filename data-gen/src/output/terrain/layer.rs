@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use serde_json::{Value, json};
 
+use super::METADATA_LEVELS;
 use crate::pyramid::TileKey;
 use crate::{Extent, GenArgs};
 
@@ -18,10 +19,20 @@ pub(super) fn layer_json(args: &GenArgs, extent: &Extent, tiles: &[Vec<TileKey>]
         "minzoom": 0, "maxzoom": tiles.len().saturating_sub(1), "extensions": ["octvertexnormals"],
         "available": tiles.iter().map(|keys| ranges(keys)).collect::<Vec<_>>(),
     });
+    if args.output.tile_availability {
+        layer["metadataAvailability"] = METADATA_LEVELS.into();
+        layer["extensions"] = json!(["octvertexnormals", "metadata"]);
+        layer["available"] = tiles.iter().take(1).map(|keys| ranges(keys)).collect();
+    }
     if let Some(text) = &args.output.attribution {
         layer["attribution"] = text.as_str().into();
     }
     layer.to_string()
+}
+
+/// Returns the JSON of a tile's metadata: the tiles of the levels below it.
+pub(super) fn metadata_json(below: &[Vec<TileKey>]) -> String {
+    json!({ "available": below.iter().map(|keys| ranges(keys)).collect::<Vec<_>>() }).to_string()
 }
 
 /// Returns rectangles of columns and rows that contain each tile of a level once.

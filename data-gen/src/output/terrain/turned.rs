@@ -53,6 +53,13 @@ impl ElevationSource for Turned<'_> {
         })
     }
 
+    fn prepare(&self, extent: &Extent) {
+        self.source.prepare(extent);
+        if self.west.is_some() {
+            self.source.prepare(&Extent { west: extent.west + TAU, east: extent.east + TAU, ..*extent });
+        }
+    }
+
     fn may_have_data_in(&self, extent: &Extent) -> bool {
         let turned = Extent { west: extent.west + TAU, east: extent.east + TAU, ..*extent };
         self.source.may_have_data_in(extent) || self.west.is_some() && self.source.may_have_data_in(&turned)

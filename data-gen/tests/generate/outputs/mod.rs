@@ -1,5 +1,7 @@
-//! The forms of sets: terrain for globes, implicit tiling, archives and gzip.
+//! The forms of sets: terrain for globes, implicit tiling, archives, gzip and buckets.
 
 mod archives;
+#[cfg(unix)]
+mod buckets;
 mod implicit;
 mod terrain;

@@ -13,6 +13,7 @@ use terrane_data_gen::{
 };
 
 use crate::files::{files_below, from_dem, heights, tiff_float32};
+use crate::runs::updates::hills;
 
 fn terrain(folder: &Path, name: &str) -> GenArgs {
     GenArgs { content: ContentKind::QuantizedMesh, levels: Some(14), size: 5_000.0, ..GenArgs::new(folder.join(name)) }
@@ -192,7 +193,7 @@ fn options_without_effect_are_refused() {
     assert!(of(&|args| args.color = Color::None).contains("--color"));
     assert!(of(&|args| args.tiles.no_meshopt = true).contains("--no-meshopt"));
     assert!(of(&|args| args.float_vertices = true).contains("--float-vertices"));
-    assert!(of(&|args| args.sharding.merge = true).contains("--merge"));
+    assert!(of(&|args| args.run.memory = Some(1 << 30)).contains("--memory"));
     assert!(
         of(&|args| {
             args.content = ContentKind::Mesh;
@@ -200,4 +201,106 @@ fn options_without_effect_are_refused() {
         })
         .contains("--attribution")
     );
+}
+
+#[test]
+fn shards_merge_to_the_bytes_of_one_run() {
+    let folder = tempfile::tempdir().unwrap();
+    let args = |name: &str| GenArgs { levels: Some(13), ..terrain(folder.path(), name) };
+    let whole = run(&args("whole")).unwrap();
+    let shard = |text: &str| {
+        let mut args = args("parts");
+        args.jobs = Some(1);
+        args.sharding.shard = Some(text.parse().unwrap());
+        run(&args)
+    };
+    let mut merge = args("parts");
+    merge.sharding.merge = true;
+    let made: Vec<_> = ["1/3", "3/3"].map(|text| shard(text).unwrap()).into();
+    let error = run(&merge).unwrap_err().to_string();
+    assert!(error.contains("2/3; make them with --shard"), "{error}");
+    shard("2/3").unwrap();
+    assert!(made.iter().any(|shard| shard.tiles > 0));
+    let merged = run(&merge).unwrap();
+    assert_eq!((merged.tiles, merged.bytes), (whole.tiles, whole.bytes));
+    assert_eq!((merged.min_height_m, merged.max_height_m), (whole.min_height_m, whole.max_height_m));
+    assert!(files_below(&merged.out) == files_below(&whole.out));
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 2, "two sets");
+}
+
+/// Clients find the finer tiles by the metadata of each tenth level.
+#[test]
+fn tiles_name_the_finer_tiles() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = OutputArgs { tile_availability: true, ..OutputArgs::default() };
+    let args = GenArgs { levels: Some(13), output, ..terrain(folder.path(), "set") };
+    let summary = run(&args).unwrap();
+    let plain = GenArgs { levels: Some(13), ..terrain(folder.path(), "plain") };
+    run(&plain).unwrap();
+    let (own, other) = (layer(&args.out), layer(&plain.out));
+    assert_eq!((&own["metadataAvailability"], own["available"].as_array().unwrap().len()), (&10.into(), 1));
+    assert!(files_below(&args.out).keys().eq(files_below(&plain.out).keys()));
+    // The JSON is at the end of the tile.
+    let metadata = |name: &str| -> Option<Value> {
+        let bytes = std::fs::read(args.out.join(name)).unwrap();
+        let start = bytes.windows(14).position(|part| part == b"{\"available\":[")?;
+        Some(serde_json::from_slice(&bytes[start..]).unwrap())
+    };
+    let below: Vec<Value> =
+        (0..2).map(|x| metadata(&format!("0/{x}/0.terrain")).unwrap()["available"].clone()).collect();
+    let halves = below.iter().map(|below| tiles(&serde_json::json!({ "available": below }), 0).len());
+    assert_eq!(halves.sum::<usize>(), tiles(&other, 1).len());
+    let [x, y] = tiles(&other, 10)[0];
+    let below = metadata(&format!("10/{x}/{y}.terrain")).unwrap();
+    assert_eq!(below["available"].as_array().unwrap().len(), 2);
+    assert!(metadata(&format!("1/{}/{}.terrain", x >> 9, y >> 9)).is_none());
+    let source = args.out.to_string_lossy();
+    let verified = verify(&source, &Limits::default(), &mut |_| ()).unwrap();
+    assert!(verified.failed == 0 && verified.ignored.is_empty(), "{verified:?}");
+    assert!(verified.contents >= summary.tiles, "{} {verified:?}", summary.tiles);
+}
+
+#[test]
+fn tiles_meet_at_the_date_line_and_reach_the_pole() {
+    let folder = tempfile::tempdir().unwrap();
+    let terrain = |name: &str, corner: [f64; 2]| {
+        let dem = vec![hills(folder.path(), &format!("{name}.tif"), corner, 40, 1)];
+        let args = GenArgs { dem, content: ContentKind::QuantizedMesh, ..GenArgs::new(folder.path().join(name)) };
+        run(&args).unwrap();
+        let verified = verify(&args.out.to_string_lossy(), &Limits::default(), &mut |_| ()).unwrap();
+        assert!(verified.failed == 0 && verified.ignored.is_empty(), "{verified:?}");
+        args.out
+    };
+    let set = terrain("line", [179.945, -16.0]);
+    let layer_json = layer(&set);
+    let level = layer_json["maxzoom"].as_u64().unwrap() as usize;
+    let last = (2 << level) - 1;
+    let mut edges = 0;
+    for [_, y] in tiles(&layer_json, level).into_iter().filter(|[x, _]| *x == 0) {
+        let edge = |x: u64| {
+            let vertices = vertices(&set, &format!("{level}/{x}/{y}.terrain")).into_iter();
+            let mut edge: Vec<[f64; 2]> = vertices
+                .filter(|[longitude, ..]| longitude.abs() > std::f64::consts::PI - 1e-9)
+                .map(|[_, latitude, height_m]| [latitude, height_m])
+                .collect();
+            edge.sort_by(|a, b| a[0].total_cmp(&b[0]));
+            edge
+        };
+        let (west, east) = (edge(last), edge(0));
+        assert_eq!(west.len(), east.len());
+        assert!(east.iter().zip(&west).all(|(a, b)| (a[0] - b[0]).abs() < 1e-8 && (a[1] - b[1]).abs() < 0.05));
+        edges += usize::from(east.iter().any(|[_, height_m]| *height_m > 300.0));
+    }
+    assert!(edges > 0, "the source lies on both sides");
+    let set = terrain("pole", [10.0, 90.0]);
+    let layer_json = layer(&set);
+    let level = layer_json["maxzoom"].as_u64().unwrap() as usize;
+    let top = tiles(&layer_json, level).into_iter().filter(|[_, y]| *y + 1 == 1 << level);
+    let heights: Vec<f64> = top
+        .flat_map(|[x, y]| vertices(&set, &format!("{level}/{x}/{y}.terrain")))
+        // The outermost samples lie half a pixel from the pole.
+        .filter(|[_, latitude, _]| *latitude > std::f64::consts::FRAC_PI_2 - 2e-4)
+        .map(|[.., height_m]| height_m)
+        .collect();
+    assert!(heights.iter().any(|height_m| (400.0..700.0).contains(height_m)), "{heights:?}");
 }

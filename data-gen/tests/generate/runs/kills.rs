@@ -32,7 +32,8 @@ fn times(folder: &Path) -> Vec<(String, std::time::SystemTime)> {
         .map(|entry| entry.path())
         .find(|path| path.file_name().unwrap().to_string_lossy().starts_with(".set.partial-"));
     let Some(partial) = partial else { return Vec::new() };
-    let names = files_below(&partial).into_keys().filter(|name| name.ends_with(".exr"));
+    let is_tile = |name: &String| name.ends_with(".exr") || name.ends_with(".glb");
+    let names = files_below(&partial).into_keys().filter(is_tile);
     names.map(|name| (name.clone(), partial.join(&name).metadata().unwrap().modified().unwrap())).collect()
 }
 
@@ -58,7 +59,7 @@ fn world_that_is_killed_keeps_its_complete_tiles() {
             .flat_map(|list| list.lines())
             .filter_map(|line| {
                 let words: Vec<&str> = line.split(' ').collect();
-                (words.len() == 7).then(|| format!("{}/{}/{}.exr", words[0], words[1], words[2]))
+                (words.len() == 10).then(|| format!("{}/{}/{}.exr", words[0], words[1], words[2]))
             })
             .collect();
         complete = times(folder.path());
@@ -82,7 +83,60 @@ fn set_that_is_killed_at_random_moments_has_the_bytes_of_one_run() {
         command
     };
     run_with_kills(&mut command(&whole), 0, Duration::ZERO, || {});
-    run_with_kills(&mut command(&out), 6, Duration::from_secs(3), || {});
+    let mut complete = Vec::new();
+    run_with_kills(&mut command(&out), 6, Duration::from_secs(3), || complete = times(folder.path()));
     assert!(files_below(&out) == files_below(&whole));
+    // A kill loses the tiles in work, one for each thread, and no other.
+    for (name, time) in complete {
+        assert_eq!(out.join(&name).metadata().unwrap().modified().unwrap(), time, "{name} was made again");
+    }
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 3, "a file and two sets");
+}
+
+/// Runs the commands of the contract for batch systems: plan, shards in several processes of which some are killed, merge.
+#[test]
+fn shards_that_are_killed_are_continued_and_merged() {
+    let folder = tempfile::tempdir().unwrap();
+    let dem = [[7.0, 46.4], [7.3, 46.1], [7.1, 46.25]].map(|corner| {
+        let name = format!("{}.tif", corner[0]);
+        hills(folder.path(), &name, corner, 12, 1)
+    });
+    for content in ["height", "quantized-mesh"] {
+        let out = |name: &str| folder.path().join(format!("{content}-{name}"));
+        let command = |out: &Path, more: &[&str]| {
+            let mut command = Command::new(env!("CARGO_BIN_EXE_terrane-gen"));
+            command.arg(out).args(["--jobs", "1", "--content", content]).args(more).arg("--dem").args(&dem);
+            let levels =
+                if content == "height" { ["--color", "none", "--levels", "7"].as_slice() } else { &["--levels", "12"] };
+            command.args(levels);
+            command
+        };
+        run_with_kills(&mut command(&out("whole"), &[]), 0, Duration::ZERO, || {});
+        let plan = || {
+            let output = command(&out("set"), &["--plan", "3"]).output().unwrap();
+            assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+            let plan: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+            plan["shards"].as_array().unwrap().clone()
+        };
+        assert!(plan().iter().all(|shard| shard["complete"] == false));
+        std::thread::scope(|scope| {
+            for number in 1..=3 {
+                let (command, out) = (&command, &out);
+                scope.spawn(move || {
+                    let shard = format!("{number}/3");
+                    let kills = if number == 2 { 4 } else { 0 };
+                    run_with_kills(
+                        &mut command(&out("set"), &["--shard", &shard]),
+                        kills,
+                        Duration::from_secs(2),
+                        || {},
+                    );
+                });
+            }
+        });
+        assert!(plan().iter().all(|shard| shard["complete"] == true));
+        run_with_kills(&mut command(&out("set"), &["--merge"]), 2, Duration::from_secs(1), || {});
+        assert!(files_below(&out("set")) == files_below(&out("whole")), "{content}");
+    }
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 7, "three files and four sets");
 }

@@ -3,4 +3,4 @@
 mod kills;
 mod predictions;
 mod slurm;
-mod updates;
+pub mod updates;

@@ -3,9 +3,9 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use crate::files::files_below;
+use crate::files::{MANIFEST, files_below};
 use crate::tiffs::{Image, Values, tiff};
-use terrane_data_gen::{Color, ContentKind, GenArgs, RunArgs, run};
+use terrane_data_gen::{Color, ContentKind, GenArgs, OutputArgs, RunArgs, run};
 
 /// The size of a pixel in degrees: 10 seconds.
 const PIXEL: f64 = 1.0 / 360.0;
@@ -42,6 +42,8 @@ fn check(update: &GenArgs) -> String {
     let different: Vec<&String> =
         own.iter().filter(|(name, bytes)| other[*name] != **bytes).map(|(name, _)| name).collect();
     assert!(different.is_empty(), "{different:?}");
+    let [own, other] = [&update.out, &fresh.out].map(|out| fs::read(out.join(MANIFEST)).unwrap());
+    assert!(own == other, "the manifests differ");
     assert_eq!(
         (made.tiles, made.bytes, made.level_errors_m),
         (expected.tiles, expected.bytes, expected.level_errors_m)
@@ -51,9 +53,15 @@ fn check(update: &GenArgs) -> String {
 
 /// Returns the numbers of blocks that were kept and made.
 fn counts(note: &str) -> [u32; 2] {
-    let numbers: Vec<u32> = note.split(' ').filter_map(|word| word.parse().ok()).collect();
-    let [kept, _, made] = numbers.try_into().unwrap_or_else(|_| panic!("{note}"));
+    let [kept, made, _] = all_counts(note);
     [kept, made]
+}
+
+/// Returns the same, and the number of tiles of the blocks that were made whose files were kept.
+fn all_counts(note: &str) -> [u32; 3] {
+    let numbers: Vec<u32> = note.split(' ').filter_map(|word| word.parse().ok()).collect();
+    let [kept, _, made, tiles] = numbers.try_into().unwrap_or_else(|_| panic!("{note}"));
+    [kept, made, tiles]
 }
 
 /// Sets of seven levels have 16 blocks of the finest layer; files in the corners and in the middle touch a few of them.
@@ -126,7 +134,70 @@ fn update_without_a_set_makes_one() {
     args.run.update = true;
     let first = run(&args).unwrap();
     assert!(args.out.join("tileset.json").is_file());
-    // A set of one block has no journal.
+    // A set of one block keeps its tiles if nothing has changed.
     let second = run(&args).unwrap();
-    assert!(second.notes[0].contains("no journal") && second.tiles == first.tiles, "{:?}", second.notes);
+    assert_eq!(all_counts(&second.notes[0]), [0, 1, first.tiles as u32]);
+    assert_eq!(second.tiles, first.tiles);
+    fs::remove_file(args.out.join("manifest.zip")).unwrap();
+    let third = run(&args).unwrap();
+    assert!(third.notes[0].contains("no manifest") && third.tiles == first.tiles, "{:?}", third.notes);
+}
+
+/// Files are compressed when the set is complete. Those that are kept are not compressed twice.
+#[test]
+fn compressed_set_is_updated() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str, corner: [f64; 2], seed: u32| hills(folder.path(), name, corner, 8, seed);
+    let (south_west, north_east) = (at("a.tif", [7.0, 46.0], 1), at("b.tif", [7.4, 46.4], 2));
+    let set = |dem: &[&PathBuf]| {
+        let output = OutputArgs { gzip: true, ..OutputArgs::default() };
+        let args = args(dem, folder.path().join("set"), false);
+        GenArgs { levels: Some(7), content: ContentKind::Mesh, output, ..args }
+    };
+    let all = set(&[&south_west, &north_east]);
+    run(&all).unwrap();
+    let [kept, made, tiles] = all_counts(&check(&all));
+    assert!(kept >= 2 && made == 1 && tiles > 2, "nothing has changed: {kept} {made} {tiles}");
+    at("b.tif", [7.4, 46.4], 4);
+    check(&all);
+}
+
+/// Writes an image of one colour with a north-western corner in degrees and a side in pixels of 10 seconds.
+fn photo(folder: &Path, name: &str, [west, north]: [f64; 2], side: u16, color: [u8; 3]) -> PathBuf {
+    let bytes = color.repeat(usize::from(side) * usize::from(side));
+    let image = Image::new([side; 2], 8, 3, bytes).at([west, north], [PIXEL; 2]);
+    let path = folder.join(name);
+    fs::write(&path, tiff(vec![image])).unwrap();
+    path
+}
+
+#[test]
+fn changed_imagery_makes_only_the_tiles_that_it_touches_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str, corner: [f64; 2], seed: u32| hills(folder.path(), name, corner, 8, seed);
+    let dem = [at("a.tif", [7.0, 46.0], 1), at("b.tif", [7.4, 46.4], 2), at("c.tif", [7.2, 46.2], 3)];
+    let photo_at =
+        |name: &str, corner: [f64; 2], side: u16, blue: u8| photo(folder.path(), name, corner, side, [200, 90, blue]);
+    // Images over one of the three files and over a part of another one.
+    let (south_west, middle) = (photo_at("p.tif", [7.0, 46.0], 8, 10), photo_at("q.tif", [7.2, 46.2], 3, 10));
+    for (content, gzip) in [(ContentKind::Height, false), (ContentKind::Mesh, true)] {
+        let output = OutputArgs { gzip, ..OutputArgs::default() };
+        let set = |imagery: &[&PathBuf]| GenArgs {
+            imagery: imagery.iter().copied().cloned().collect(),
+            color: Color::Natural,
+            levels: Some(7),
+            overwrite: true,
+            content,
+            output: output.clone(),
+            ..args(&dem.each_ref(), folder.path().join("set"), false)
+        };
+        photo_at("q.tif", [7.2, 46.2], 3, 10);
+        run(&set(&[&south_west, &middle])).unwrap();
+        photo_at("q.tif", [7.2, 46.2], 3, 240);
+        let update = |imagery: &[&PathBuf]| all_counts(&check(&GenArgs { overwrite: false, ..set(imagery) }));
+        for imagery in [vec![&south_west, &middle], vec![&south_west], vec![&middle, &south_west]] {
+            let [kept, made, tiles] = update(&imagery);
+            assert!(kept > 0 && made > 1 && tiles > 1, "{imagery:?}: {kept} {made} {tiles}");
+        }
+    }
 }

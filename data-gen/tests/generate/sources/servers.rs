@@ -1,6 +1,8 @@
 //! Sources on servers, read by ranges of bytes, and overviews of large files.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use kit::server::{How, Reply, Request, Server};
 use terrane_data_gen::{Color, ElevationSource as _, GenArgs, GenError, HeightEncoding, Raster, RasterOptions, run};
@@ -235,4 +237,47 @@ fn coarse_tiles_take_the_overviews_of_imagery() {
     assert!(read < size / 3, "{read} of {size} bytes");
     let red = |name: &str| image::open(args.out.join(name)).unwrap().into_rgb8().get_pixel(128, 128).0[0];
     assert!(red("0/0/0.jpg").abs_diff(200) < 8 && red("1/0/0.jpg").abs_diff(150) < 8);
+}
+
+#[test]
+fn redirects_lead_to_allowed_hosts() {
+    let folder = tempfile::tempdir().unwrap();
+    let image = tiled(256, 16, 1, |x, y| height(x, y).to_le_bytes().to_vec()).at(CORNER, [PIXEL; 2]);
+    let file = tiff(vec![image]);
+    let local = from_dem(folder.path(), "dem.tif", &file);
+    run(&local).unwrap();
+    let other = serve(file);
+    let target = format!("{}/dem.tif", other.url);
+    let server = Server::start(move |_| Reply::new(302, "").with("Location", &target));
+    let mut remote = local.clone();
+    (remote.dem, remote.out) = (vec![address(&server, "dem.tif")], folder.path().join("remote"));
+    let error = run(&remote).unwrap_err().to_string();
+    assert!(error.contains(&format!("--allow-host {} allows it", other.host())), "{error}");
+    assert_eq!(other.count(), 0);
+    remote.run.allow_host = vec![other.host().parse().unwrap()];
+    run(&remote).unwrap();
+    assert!(files_below(&remote.out) == files_below(&local.out));
+}
+
+/// One thread samples; the blocks of the file are asked for together.
+#[test]
+fn blocks_on_servers_are_read_ahead() {
+    let folder = tempfile::tempdir().unwrap();
+    let image = tiled(1024, 16, 1, |x, y| height(x, y).to_le_bytes().to_vec()).at(CORNER, [PIXEL; 2]);
+    let file = tiff(vec![image]);
+    let local = GenArgs { jobs: Some(1), color: Color::None, ..from_dem(folder.path(), "dem.tif", &file) };
+    run(&local).unwrap();
+    let (now, most) = (AtomicUsize::new(0), Arc::new(AtomicUsize::new(0)));
+    let seen = most.clone();
+    let server = Server::start(move |request| {
+        seen.fetch_max(now.fetch_add(1, Ordering::Relaxed) + 1, Ordering::Relaxed);
+        std::thread::sleep(std::time::Duration::from_millis(20));
+        now.fetch_sub(1, Ordering::Relaxed);
+        Reply::ok(file.clone()).with("ETag", "\"1\"").ranged(request)
+    });
+    let mut remote = local.clone();
+    (remote.dem, remote.out) = (vec![address(&server, "dem.tif")], folder.path().join("remote"));
+    run(&remote).unwrap();
+    assert!(files_below(&remote.out) == files_below(&local.out));
+    assert!(most.load(Ordering::Relaxed) > 4, "{} requests at the same time", most.load(Ordering::Relaxed));
 }
