@@ -91,10 +91,10 @@ pub struct GenArgs {
     /// (+proj=...)
     #[arg(long, value_name = "CODE", value_parser = Crs::parse)]
     pub epsg: Option<Crs>,
-    /// Grid in the format NTv2 (.gsb) that shifts the datum of sources to WGS84, in place of EPSG's parameters
+    /// Grid in the format NTv2 (.gsb) or GeoTIFF (of PROJ) that shifts the datum of sources to WGS84, in place of EPSG's parameters
     #[arg(long, value_name = "FILE")]
     pub datum_grid: Option<PathBuf>,
-    /// Surface that the heights of --dem are measured from: ellipsoid, egm96, egm2008, or a geoid grid of PROJ (GTX)
+    /// Surface that the heights of --dem are measured from: ellipsoid, egm96, egm2008, or a geoid grid of PROJ (GTX, GeoTIFF)
     #[arg(long, value_name = "DATUM", default_value = "ellipsoid", value_parser = VerticalDatum::parse)]
     pub vertical_datum: VerticalDatum,
     /// Content of the tiles

@@ -4,12 +4,10 @@
 use std::path::{Path, PathBuf};
 use std::time::UNIX_EPOCH;
 
+use crate::georeference::files_beside;
 use crate::pyramid::checksum;
 use crate::store::{is_remote, remote_version};
 use crate::{GenArgs, GenError, RunArgs, Sharding};
-
-/// Names of files that place a raster, beside those that the raster's own name begins.
-const BESIDE: [&str; 6] = ["wld", "tfw", "pgw", "jgw", "prj", "aux.xml"];
 
 /// Returns the fingerprint of a run. The sources are files: lists and patterns have been expanded.
 pub(crate) fn fingerprint(args: &GenArgs) -> Result<u64, GenError> {
@@ -50,11 +48,8 @@ pub(crate) fn source_text(path: &Path, args: &GenArgs) -> Result<String, GenErro
         return Ok(format!("\n{path:?} {}", remote_version(path, &args.run.allow_host)?));
     }
     add_file(path, &mut text)?;
-    for extension in BESIDE {
-        let beside = path.with_extension(extension);
-        if beside.is_file() {
-            add_file(&beside, &mut text)?;
-        }
+    for beside in files_beside(path) {
+        add_file(&beside, &mut text)?;
     }
     Ok(text)
 }

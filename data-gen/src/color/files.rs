@@ -47,7 +47,7 @@ pub(super) fn open(path: &Path, given: Option<Crs>, cache: &Arc<BlockCache>) -> 
     let is_png = reader.format() == Some(image::ImageFormat::Png);
     let size = reader.into_dimensions().map_err(|e| GenError::invalid(path, e.to_string()))?;
     let size = [size.0 as usize, size.1 as usize];
-    let placement = Placement::of_image(path, size, given)?;
+    let placement = Placement::of_image(path, size, given, cache)?.unwrap_or_default();
     let file = Photo { path: path.to_owned(), is_png, state: FileState::of(path)? };
     let (grid, reader) = whole(Box::new(file), size, cache);
     Ok(Opened { levels: vec![Level::finest(PixelImage::new(grid, reader, cache))], placement })
@@ -56,7 +56,7 @@ pub(super) fn open(path: &Path, given: Option<Crs>, cache: &Arc<BlockCache>) -> 
 /// Opens a GeoTIFF, and its overviews that can be read by blocks.
 fn open_tiff(path: &Path, given: Option<Crs>, cache: &Arc<BlockCache>) -> Result<Opened, GenError> {
     let t = Tiff::open_caching(path, TIFF_CACHE_BYTES, cache)?;
-    let placement = Placement::of_tiff(path, &t, given)?.unwrap_or_default();
+    let placement = Placement::of_tiff(path, &t, given, cache)?.unwrap_or_default();
     let size = [t.width, t.height];
     let overview = |overview: Tiff| {
         let own = [overview.width, overview.height];
@@ -64,7 +64,7 @@ fn open_tiff(path: &Path, given: Option<Crs>, cache: &Arc<BlockCache>) -> Result
         let scale = [0, 1].map(|axis| own[axis] as f64 / size[axis] as f64);
         Some(Level { image: Arc::new(image), scale, origin: [0.0; 2] })
     };
-    let overviews: Vec<Level> = t.overviews().into_iter().filter_map(overview).collect();
+    let overviews: Vec<Level> = t.overviews()?.into_iter().filter_map(overview).collect();
     let (grid, reader): (_, Box<dyn BlockReader>) = match t.grid(false) {
         Some(grid) => (grid, Box::new(TiffImage { tiff: t })),
         None => whole(Box::new(WholeTiff { path: path.to_owned(), cache: Arc::clone(cache) }), size, cache),

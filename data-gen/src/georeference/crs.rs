@@ -6,12 +6,21 @@
 use terrane::math::WGS84;
 
 use super::projection::Projection;
+use super::wkt;
 
-/// The parameters of the datum Amersfoort as the crate's definitions name them (EPSG:1672), and those that replaced them
-/// (EPSG:15934), which PROJ uses.
-const AMERSFOORT: [&str; 2] = [
-    "+towgs84=565.2369,50.0087,465.658,-0.406857,0.350733,-1.87035,4.0812",
-    "+towgs84=565.4171,50.3319,465.5524,-0.398957388243134,0.343987817378283,-1.87740163998045,4.0725",
+/// Parameters of datums as the crate's definitions name them, and those that PROJ uses: Amersfoort (EPSG:1672 and the newer
+/// EPSG:15934), and Romania's Pulkovo 1942(58) (EPSG:15995, whose rotations have the other sign in the definitions), and
+/// Israel 1993 (the more exact EPSG:9676).
+const DATUMS: [[&str; 2]; 3] = [
+    [
+        "+towgs84=565.2369,50.0087,465.658,-0.406857,0.350733,-1.87035,4.0812",
+        "+towgs84=565.4171,50.3319,465.5524,-0.398957388243134,0.343987817378283,-1.87740163998045,4.0725",
+    ],
+    [
+        "+towgs84=2.329,-147.042,-92.08,0.309,-0.325,-0.497,5.69",
+        "+towgs84=2.329,-147.042,-92.08,-0.309,0.325,0.497,5.69",
+    ],
+    ["+towgs84=-48,55,52,0,0,0,0", "+towgs84=23.772,17.49,17.859,-0.3132,-1.85274,1.67299,-5.4262"],
 ];
 
 /// A supported coordinate reference system.
@@ -44,12 +53,16 @@ impl Crs {
             32701..=32760 => Some(Self::Utm { zone: code - 32700, north: false }),
             25828..=25838 => Some(Self::Utm { zone: code - 25800, north: true }),
             26901..=26923 => Some(Self::Utm { zone: code - 26900, north: true }),
-            _ if has_other_meridian(code) => None,
-            _ => {
-                let definition = crs_definitions::from_code(code.try_into().ok()?)?.proj4;
-                let definition = definition.replace(AMERSFOORT[0], AMERSFOORT[1]);
-                Projection::new(&definition).ok().map(Self::Projection)
+            // NAD83(CSRS) of several years.
+            22207..=22222 | 22307..=22322 | 22407..=22422 | 22607..=22622 | 22707..=22722 | 22807..=22822 => {
+                Some(Self::Utm { zone: code % 100, north: true })
             }
+            // Saudi Arabia (KSA-GRF17) and Indonesia (SRGI2013).
+            9356..=9360 => Some(Self::Utm { zone: code - 9320, north: true }),
+            9476..=9482 => Some(Self::Utm { zone: code - 9430, north: true }),
+            9487..=9494 => Some(Self::Utm { zone: code - 9440, north: false }),
+            _ if has_other_meridian(code) || WRONG.contains(&code) => None,
+            _ => Projection::new(&definition(code)?).ok().map(Self::Projection),
         }
     }
 
@@ -57,12 +70,10 @@ impl Crs {
     pub fn parse(text: &str) -> Result<Self, String> {
         let text = text.trim();
         if text.contains('[') {
-            // The definition of a code has the parameters of its datum, which WKT often lacks.
-            if let Some(known) = code_of_wkt(text).and_then(Self::from_epsg) {
-                return Ok(known);
-            }
-            let definition = proj4wkt::wkt_to_projstring(text).map_err(|e| format!("WKT: {e}"))?;
-            return Projection::new(&definition).map(Self::Projection);
+            return wkt::crs(text);
+        }
+        if let Some(code) = text.strip_prefix("+init=epsg:") {
+            return Self::parse(code.split_whitespace().next().unwrap_or_default());
         }
         if text.starts_with('+') {
             return Projection::new(text).map(Self::Projection);
@@ -127,12 +138,36 @@ impl Crs {
     }
 }
 
-/// Returns the EPSG code of the system that a WKT defines: that of the authority (or id, in WKT 2) at its end.
-fn code_of_wkt(text: &str) -> Option<u32> {
-    let text: String = text.chars().filter(|c| !c.is_whitespace()).collect::<String>().to_ascii_uppercase();
-    let (_, last) = text.rsplit_once("[\"EPSG\",")?;
-    let digits = last.strip_suffix("]]")?.trim_matches('"');
-    digits.parse().ok()
+/// Codes whose definitions in the crate place them elsewhere: axes to the south and west, or units of length that are chains.
+const WRONG: [u32; 5] = [2065, 3167, 5513, 8044, 8045];
+
+/// Definitions of codes that the crate does not know yet: the Southern Ocean's and Colombia's systems, the Albers projections of
+/// Australia and New Zealand's waters, and Alabama's zones in feet.
+const NEW: [(u32, &str); 6] = [
+    (9191, "+proj=aea +lat_0=-40 +lon_0=175 +lat_1=-30 +lat_2=-50 +datum=WGS84"),
+    (9354, "+proj=stere +lat_0=-90 +lat_ts=-65 +lon_0=0 +datum=WGS84"),
+    (9377, "+proj=tmerc +lat_0=4 +lon_0=-73 +k=0.9992 +x_0=5000000 +y_0=2000000 +ellps=GRS80"),
+    (9473, "+proj=aea +lat_0=0 +lon_0=132 +lat_1=-18 +lat_2=-36 +ellps=GRS80"),
+    (9748, "+proj=tmerc +lat_0=30.5 +lon_0=-85.8333333333333 +k=0.99996 +x_0=200000.0001016 +ellps=GRS80 +units=us-ft"),
+    (9749, "+proj=tmerc +lat_0=30 +lon_0=-87.5 +k=0.999933333 +x_0=600000 +ellps=GRS80 +units=us-ft"),
+];
+
+/// Returns the definition of an EPSG code in PROJ's notation.
+pub(super) fn definition(code: u32) -> Option<String> {
+    // New realizations of a datum that differ by centimetres.
+    let code = match code {
+        8888 | 9053..=9057 | 9755 | 10604..=10606 => 4326,
+        // RGF93 v2 and v2b: Lambert-93, and its nine zones.
+        9793 | 9794 => 2154,
+        9822..=9830 => code - 9822 + 3942,
+        9842..=9850 => code - 9842 + 3942,
+        code => code,
+    };
+    let definition = match NEW.iter().find(|(new, _)| *new == code) {
+        Some((_, definition)) => definition,
+        None => crs_definitions::from_code(code.try_into().ok()?)?.proj4,
+    };
+    Some(DATUMS.iter().fold(definition.to_owned(), |definition, [known, used]| definition.replace(known, used)))
 }
 
 /// Returns true for EPSG's geographic systems whose longitudes do not start at Greenwich. Some of them use grads.

@@ -1,6 +1,6 @@
 //! The GeoKeys of a GeoTIFF (OGC 19-008): the reference system and the units of its coordinates and heights.
 
-use super::crs::{Crs, has_other_meridian};
+use super::crs::{Crs, definition, has_other_meridian};
 
 /// The value of a GeoKey whose system or unit has no EPSG code.
 const USER_DEFINED: u32 = 32767;
@@ -43,22 +43,37 @@ const DEPTHS: &[u32] = &[
     10374, 10375, 10376, 10377, 10378, 10379, 10547, 10548, 10549, 10550, 10551, 10552, 10649, 10650, 10678,
 ];
 
-/// The tags GeoKeyDirectory and GeoDoubleParams.
+/// What ArcGIS writes before a system that has no keys, in WKT.
+const ESRI_WKT: &str = "ESRI PE String = ";
+
+/// The tags GeoKeyDirectory, GeoDoubleParams and GeoAsciiParams.
 #[derive(Clone)]
 pub(crate) struct GeoKeys {
     directory: Vec<u16>,
     doubles: Vec<f64>,
+    texts: String,
 }
 
 impl GeoKeys {
-    pub(super) fn new(directory: Vec<u16>, doubles: Vec<f64>) -> Self {
-        Self { directory, doubles }
+    pub(super) fn new(directory: Vec<u16>, doubles: Vec<f64>, texts: String) -> Self {
+        Self { directory, doubles, texts }
+    }
+
+    /// Returns the WKT of ArcGIS.
+    fn esri_wkt(&self) -> Option<&str> {
+        let (_, wkt) = self.texts.split_once(ESRI_WKT)?;
+        wkt.split('|').next()
     }
 
     /// Returns the value of a key with a 16-bit number. 0 means undefined.
     pub(super) fn number(&self, id: u16) -> Option<u32> {
         let mut keys = self.directory.chunks_exact(4).skip(1);
         keys.find(|k| k[0] == id && k[1] == 0).map(|k| u32::from(k[3])).filter(|value| *value != 0)
+    }
+
+    /// Returns GTModelType.
+    pub(super) fn model(&self) -> Option<u32> {
+        self.number(1024)
     }
 
     /// Returns the value of a key that is stored in GeoDoubleParams.
@@ -101,7 +116,7 @@ impl GeoKeys {
 
     fn system(&self, given: Option<Crs>) -> Result<Option<Crs>, String> {
         // GTModelType, ProjectedCRS and GeodeticCRS. With a projection the last is only its base.
-        let model = self.number(1024);
+        let model = self.model();
         let code = self.number(3072).or_else(|| self.number(2048).filter(|_| model != Some(PROJECTED)));
         match (code, model) {
             (Some(code), model) if code != USER_DEFINED => Crs::from_epsg(code)
@@ -110,6 +125,15 @@ impl GeoKeys {
                 .or(given)
                 .map(Some)
                 .ok_or_else(|| format!("GeoTIFF: EPSG:{code} is not supported; --epsg names another system")),
+            (_, Some(USER_DEFINED | PROJECTED)) if self.esri_wkt().is_some() => {
+                let system = Crs::parse(self.esri_wkt().unwrap_or_default());
+                system.or_else(|reason| given.ok_or(reason)).map(Some).map_err(|reason| format!("GeoTIFF: {reason}"))
+            }
+            // GeogTOWGS84: the shift of a datum without a code.
+            (_, Some(GEODETIC)) if self.shift().is_some() => {
+                let datum = self.datum().unwrap_or_default();
+                Crs::parse(&format!("+proj=longlat {datum}")).map(Some).map_err(|reason| format!("GeoTIFF: {reason}"))
+            }
             (_, Some(GEODETIC)) => Ok(Some(Crs::Geographic)),
             (None, None) => Ok(None),
             (_, Some(PROJECTED) | None) => {
@@ -128,6 +152,20 @@ impl GeoKeys {
     /// Returns the projection that the keys define by its method and parameters, in PROJ's notation. `None` without a known
     /// method, unit or ellipsoid.
     fn own_projection(&self) -> Option<String> {
+        // GeodeticCRS, and the PrimeMeridian of a system without a code.
+        let is_elsewhere = self.number(2048).is_some_and(has_other_meridian)
+            || self.number(2051).is_some_and(|meridian| ![8901, USER_DEFINED].contains(&meridian))
+            || self.double(2061).is_some_and(|east| east != 0.0);
+        if is_elsewhere {
+            return None;
+        }
+        let datum = self.datum()?;
+        // Projection: the zones of UTM.
+        match self.number(3074) {
+            Some(zone @ 16001..=16060) => return Some(format!("+proj=utm +zone={} {datum}", zone - 16000)),
+            Some(zone @ 16101..=16160) => return Some(format!("+proj=utm +zone={} +south {datum}", zone - 16100)),
+            _ => {}
+        }
         let unit_m = match self.number(3076) {
             None => 1.0,
             Some(unit) => unit_m(unit).or_else(|| self.double(3077).filter(|unit_m| *unit_m > 0.0))?,
@@ -152,21 +190,43 @@ impl GeoKeys {
             // The latitude of origin of a polar projection is where its scale is true.
             15 if latitude != 0.0 => format!("stere +lat_0={} +lat_ts={latitude} +k={scale}", 90.0 * latitude.signum()),
             16 => format!("sterea +lat_0={latitude} +k={scale}"),
+            13 => format!("eqdc +lat_0={latitude} +lat_1={} +lat_2={}", parallel_1?, parallel_2?),
+            18 => format!("cass +lat_0={latitude}"),
+            22 => format!("poly +lat_0={latitude}"),
             17 => format!("eqc +lat_0={latitude} +lat_ts={}", parallel_1.unwrap_or(0.0)),
             24 => "sinu".to_owned(),
             28 => format!("cea +lat_ts={}", parallel_1.unwrap_or(0.0)),
             _ => return None,
         };
         let [x_m, y_m] = [first(&[3082, 3086, 3090]), first(&[3083, 3087, 3091])].map(|v| v.unwrap_or(0.0) * unit_m);
-        let datum = self.datum()?;
         Some(format!("+proj={method} +lon_0={longitude} +x_0={x_m} +y_0={y_m} {datum} +to_meter={unit_m}"))
+    }
+
+    /// Returns the shift to WGS84 in PROJ's notation.
+    fn shift(&self) -> Option<String> {
+        let mut keys = self.directory.chunks_exact(4).skip(1);
+        let key = keys.find(|k| k[0] == 2062 && k[1] == 34736 && matches!(k[2], 3 | 7))?;
+        let first = usize::from(key[3]);
+        let numbers = self.doubles.get(first..first + usize::from(key[2]))?;
+        Some(format!("+towgs84={}", numbers.iter().map(f64::to_string).collect::<Vec<_>>().join(",")))
     }
 
     /// Returns the datum or the ellipsoid in PROJ's notation.
     fn datum(&self) -> Option<String> {
-        let code = self.number(2048).filter(|code| *code != USER_DEFINED && !has_other_meridian(*code));
-        if let Some(known) = code.and_then(|code| crs_definitions::from_code(code.try_into().ok()?)) {
-            let parts = known.proj4.split_whitespace().filter(|part| !matches!(*part, "+proj=longlat" | "+no_defs"));
+        let ellipsoid = self.ellipsoid()?;
+        Some(match self.shift() {
+            Some(shift) if !ellipsoid.contains("+towgs84=") => format!("{ellipsoid} {shift}"),
+            _ => ellipsoid,
+        })
+    }
+
+    /// Returns the datum of a code, or the ellipsoid, in PROJ's notation.
+    fn ellipsoid(&self) -> Option<String> {
+        // GeodeticCRS, or GeodeticDatum: a datum's code is larger by 2000 than that of the system in degrees.
+        let datum = || self.number(2050).filter(|code| (6001..=6999).contains(code)).map(|code| code - 2000);
+        let code = self.number(2048).filter(|code| *code != USER_DEFINED).or_else(datum);
+        if let Some(known) = code.filter(|code| !has_other_meridian(*code)).and_then(definition) {
+            let parts = known.split_whitespace().filter(|part| !matches!(*part, "+proj=longlat" | "+no_defs"));
             return Some(parts.collect::<Vec<_>>().join(" "));
         }
         let axis_m = self.double(2057);
@@ -176,6 +236,11 @@ impl GeoKeys {
             _ => match self.number(2056)? {
                 7030 => Some("+ellps=WGS84".to_owned()),
                 7019 => Some("+ellps=GRS80".to_owned()),
+                7001 => Some("+ellps=airy".to_owned()),
+                7004 => Some("+ellps=bessel".to_owned()),
+                7008 => Some("+ellps=clrk66".to_owned()),
+                7022 => Some("+ellps=intl".to_owned()),
+                7024 => Some("+ellps=krass".to_owned()),
                 _ => None,
             },
         }
@@ -198,7 +263,21 @@ impl GeoKeys {
             (None, Some(5754)) => Ok(unit_m(9095)),
             (None, Some(USER_DEFINED)) => Err("GeoTIFF: user-defined heights without a unit".to_owned()),
             (None, Some(_)) => Ok(Some(1.0)),
-            (None, None) => Ok(None),
+            (None, None) => self.esri_height_unit_m(),
         }
+    }
+
+    /// Returns the unit of heights in the WKT of ArcGIS, `None` without a vertical system. The error is the reason.
+    fn esri_height_unit_m(&self) -> Result<Option<f64>, String> {
+        let Some((_, system)) = self.esri_wkt().and_then(|wkt| wkt.split_once("VERTCS[")) else { return Ok(None) };
+        let after = |key: &str| {
+            let (_, rest) = system.rsplit_once(key)?;
+            rest.split_once(',')?.1.split(']').next()?.trim().parse::<f64>().ok()
+        };
+        let direction = system.split_once("\"Direction\",").and_then(|(_, rest)| rest.split(']').next());
+        if direction.is_some_and(|direction| direction.trim().starts_with('-')) {
+            return Err("GeoTIFF: depths; only heights are supported".to_owned());
+        }
+        Ok(after("UNIT["))
     }
 }

@@ -7,11 +7,12 @@ use std::sync::Arc;
 use tiff_reader::source::{FileSource, TiffSource};
 use tiff_reader::{Ifd, OpenOptions, RasterLayout, TiffError, TiffFile};
 
+use super::beside::Metadata;
 use super::geo_keys::{FOOT_M, GeoKeys, US_SURVEY_FOOT_M};
 use super::half_float;
 use super::transform::GeoTransform;
 use crate::GenError;
-use crate::store::{BlockCache, BlockGrid, FileState, Rect, RemoteBytes, is_remote};
+use crate::store::{BlockCache, BlockGrid, FileState, Rect, RemoteBytes, is_remote, with_more};
 
 /// Largest number of pixels along a side.
 const MAX_SIDE: usize = 1 << 24;
@@ -28,6 +29,7 @@ const MODEL_TIEPOINT: u16 = 33922;
 const MODEL_TRANSFORMATION: u16 = 34264;
 const GEO_KEY_DIRECTORY: u16 = 34735;
 const GEO_DOUBLE_PARAMS: u16 = 34736;
+const GEO_ASCII_PARAMS: u16 = 34737;
 const GDAL_METADATA: u16 = 42112;
 const GDAL_NODATA: u16 = 42113;
 
@@ -49,6 +51,9 @@ pub(crate) struct Tiff {
     pub(super) nodata: Option<f64>,
     /// GDAL's metadata about the samples, XML.
     gdal: String,
+    /// The metadata in the file beside it.
+    pub metadata: Metadata,
+    cache: Arc<BlockCache>,
     /// The state of the file when it was opened; `None` for files of servers.
     state: Option<FileState>,
 }
@@ -89,24 +94,20 @@ impl Tiff {
                 (Arc::new(source), Some(state))
             }
         };
+        let own = Own { path, cache, state, metadata: Metadata::beside(path, cache)? };
         let options = OpenOptions { block_cache_bytes: cache_bytes, ..OpenOptions::default() };
         let bad = |e| failed(path, e);
         let file = TiffFile::from_source_with_options(Arc::clone(&source), options).map_err(bad)?;
         let Some(integers) = half_float::as_integers(&file, &source).map_err(bad)? else {
-            return Self::of_image(path, Arc::new(file), 0, false, state);
+            return Self::of_image(own, Arc::new(file), 0, false);
         };
         let file = TiffFile::from_source_with_options(integers, options).map_err(bad)?;
-        Self::of_image(path, Arc::new(file), 0, true, state)
+        Self::of_image(own, Arc::new(file), 0, true)
     }
 
     /// Reads the tags of an image.
-    fn of_image(
-        path: &Path,
-        file: Arc<TiffFile>,
-        index: usize,
-        is_half: bool,
-        state: Option<FileState>,
-    ) -> Result<Self, GenError> {
+    fn of_image(own: Own<'_>, file: Arc<TiffFile>, index: usize, is_half: bool) -> Result<Self, GenError> {
+        let Own { path, cache, state, metadata } = own;
         let bad = |e: TiffError| failed(path, e);
         let ifd = file.ifd(index).map_err(bad)?;
         let mut layout = ifd.raster_layout().map_err(bad)?;
@@ -124,19 +125,40 @@ impl Tiff {
         let missing = missing.map_err(|reason| GenError::invalid(path, format!("TIFF: {reason}")))?;
         let text = |tag: u16| ifd.tag(tag).and_then(|tag| tag.value.as_str()).unwrap_or_default();
         let directory = ifd.tag(GEO_KEY_DIRECTORY).and_then(|tag| tag.value.as_u16_slice()).unwrap_or_default();
-        let keys = GeoKeys::new(directory.to_vec(), numbers(ifd, GEO_DOUBLE_PARAMS).unwrap_or_default());
+        let keys = GeoKeys::new(
+            directory.to_vec(),
+            numbers(ifd, GEO_DOUBLE_PARAMS).unwrap_or_default(),
+            text(GEO_ASCII_PARAMS).to_owned(),
+        );
         let nodata = text(GDAL_NODATA).trim_matches(|c: char| c == '\0' || c.is_whitespace());
         let nodata =
             if nodata.contains("#IND") || nodata.contains("#QNAN") { Some(f64::NAN) } else { nodata.parse().ok() };
+        let nodata = metadata.nodata().or(nodata);
         let (transform, gdal) = (transform(ifd, &keys), text(GDAL_METADATA).to_owned());
-        let mask = mask(path, &file, [width, height]);
-        let path = path.to_owned();
-        Ok(Self { path, layout, mask, missing, width, height, transform, keys, nodata, gdal, state, file, index })
+        let mask = mask(path, &file, [width, height], cache)?;
+        let (path, cache) = (path.to_owned(), Arc::clone(cache));
+        Ok(Self {
+            path,
+            layout,
+            mask,
+            missing,
+            width,
+            height,
+            transform,
+            keys,
+            nodata,
+            gdal,
+            metadata,
+            cache,
+            state,
+            file,
+            index,
+        })
     }
 
     /// Returns the overviews, largest first: images of the file that say so, or those of the file beside it with the extension
-    /// `ovr`. Those with other channels are left out.
-    pub fn overviews(&self) -> Vec<Self> {
+    /// `ovr`. Those with other channels are left out, and those without a mask if the image has one.
+    pub fn overviews(&self) -> Result<Vec<Self>, GenError> {
         let is_overview = |ifd: &Ifd| {
             let kind = ifd.tag(NEW_SUBFILE_TYPE).and_then(|tag| tag.value.as_u32()).unwrap_or(0);
             // Bit 0 marks an image of a lower resolution, bit 2 a mask.
@@ -145,7 +167,7 @@ impl Tiff {
         let own = self.file.ifds().iter().enumerate().filter(|(_, ifd)| is_overview(ifd));
         let mut images: Vec<(Arc<TiffFile>, usize)> = own.map(|(index, _)| (self.file.clone(), index)).collect();
         if images.is_empty()
-            && let Some(beside) = beside(&self.path, "ovr")
+            && let Some(beside) = beside(&self.path, "ovr", &self.cache)?
         {
             let is_mask =
                 |ifd: &Ifd| ifd.tag(NEW_SUBFILE_TYPE).and_then(|tag| tag.value.as_u32()).unwrap_or(0) & 4 != 0;
@@ -155,7 +177,11 @@ impl Tiff {
         let like = |l: &RasterLayout| (l.samples_per_pixel, l.bits_per_sample, l.sample_format);
         let open = |(file, index): (Arc<TiffFile>, usize)| {
             let is_half = self.is_half() && Arc::ptr_eq(&file, &self.file);
-            let image = Self::of_image(&self.path, file, index, is_half, self.state).ok()?;
+            let own = Own { path: &self.path, cache: &self.cache, state: self.state, metadata: self.metadata.clone() };
+            let image = Self::of_image(own, file, index, is_half).ok()?;
+            if self.mask.is_some() && image.mask.is_none() {
+                return None;
+            }
             let [own, full] = [[image.width, image.height], [self.width, self.height]];
             let is_smaller = own[0] <= full[0] && own[1] <= full[1] && own != full;
             let is_like = like(&image.layout) == like(&self.layout) && is_smaller;
@@ -164,12 +190,44 @@ impl Tiff {
         };
         let mut overviews: Vec<Self> = images.into_iter().filter_map(open).collect();
         overviews.sort_by_key(|image| std::cmp::Reverse(image.width * image.height));
-        overviews
+        Ok(overviews)
+    }
+
+    /// Returns the images of the file that are neither overviews nor masks.
+    pub(super) fn images(&self) -> Result<Vec<Self>, GenError> {
+        let kind = |ifd: &Ifd| ifd.tag(NEW_SUBFILE_TYPE).and_then(|tag| tag.value.as_u32()).unwrap_or(0);
+        let images = self.file.ifds().iter().enumerate().filter(|(_, ifd)| kind(ifd) & 5 == 0);
+        let open = |(index, _)| {
+            let own = Own { path: &self.path, cache: &self.cache, state: self.state, metadata: self.metadata.clone() };
+            Self::of_image(own, self.file.clone(), index, self.is_half())
+        };
+        images.map(open).collect()
+    }
+
+    /// Returns a text of GDAL's metadata in the file: of the item with an attribute such as `role="scale"`, of a channel.
+    pub(super) fn item(&self, attribute: &str, channel: Option<usize>) -> Option<String> {
+        item_of(&self.gdal, attribute, channel)
+    }
+
+    /// Returns GDAL's metadata in the file, XML.
+    pub(super) fn gdal_metadata(&self) -> &str {
+        &self.gdal
     }
 
     /// Returns true for 16-bit floats.
     fn is_half(&self) -> bool {
         (self.layout.sample_format, self.layout.bits_per_sample) == (FLOAT, 16)
+    }
+
+    /// Returns true if the file has points on the earth, but no transform.
+    pub fn has_control_points(&self) -> bool {
+        let ifd = self.file.ifd(self.index).ok();
+        self.transform.is_none() && ifd.is_some_and(|ifd| numbers(ifd, MODEL_TIEPOINT).is_some_and(|n| n.len() >= 12))
+    }
+
+    /// Returns the width and height of a tile or strip.
+    pub(super) fn block_size(&self) -> [usize; 2] {
+        self.missing.size
     }
 
     /// Returns the number of channels.
@@ -245,13 +303,11 @@ impl Tiff {
         self.nodata.is_some()
     }
 
-    /// Returns the factor and the offset that convert samples to heights in metres. The error is the reason.
-    pub(super) fn factor_and_offset_m(&self) -> Result<[f64; 2], String> {
-        let number = |role: &str, usual: f64| match gdal_item(&self.gdal, role) {
-            None => Ok(usual),
-            Some(text) => text.parse().ok().filter(|n: &f64| n.is_finite()).ok_or_else(|| format!("{role} `{text}`")),
-        };
-        let unit = match (self.keys.height_unit_m()?, gdal_item(&self.gdal, "unittype")) {
+    /// Returns the factor and the offset that convert samples of a channel to heights in metres. The error is the reason.
+    pub(super) fn factor_and_offset_m(&self, channel: usize) -> Result<[f64; 2], String> {
+        let band = self.metadata.band(channel + 1).cloned().unwrap_or_default();
+        let unit = band.unit.or_else(|| self.item("role=\"unittype\"", Some(channel)));
+        let unit = match (self.keys.height_unit_m()?, unit.as_deref()) {
             (Some(metres), _) => Ok(metres),
             (None, None | Some("" | "m" | "metre" | "metres" | "meter" | "meters")) => Ok(1.0),
             (None, Some("ft" | "foot" | "feet")) => Ok(FOOT_M),
@@ -260,11 +316,19 @@ impl Tiff {
             (None, Some("US survey foot" | "US survey feet" | "ftUS" | "us-ft" | "sfoot")) => Ok(US_SURVEY_FOOT_M),
             (None, Some(other)) => Err(format!("heights in units of `{other}`")),
         };
-        let (scale, offset) = (number("scale", 1.0), number("offset", 0.0));
-        let unsupported = |what: String| format!("GDAL's metadata: {what}, which is not supported");
-        let [scale, offset, unit] = [scale, offset, unit].map(|n| n.map_err(unsupported));
-        let unit = unit?;
-        Ok([scale? * unit, offset? * unit])
+        let unit = unit.map_err(|what: String| format!("GDAL's metadata: {what}, which is not supported"))?;
+        Ok(self.scale_and_offset(channel)?.map(|n| n * unit))
+    }
+
+    /// Returns the factor and the offset of a channel's samples, without a unit. The error is the reason.
+    pub(super) fn scale_and_offset(&self, channel: usize) -> Result<[f64; 2], String> {
+        let band = self.metadata.band(channel + 1).cloned().unwrap_or_default();
+        let number = |role: &str, beside: Option<String>, usual: f64| {
+            let text = beside.or_else(|| self.item(&format!("role=\"{role}\""), Some(channel)));
+            let bad = |text: &str| format!("GDAL's metadata: {role} `{text}`, which is not supported");
+            text.map_or(Ok(usual), |text| text.parse().ok().filter(|n: &f64| n.is_finite()).ok_or_else(|| bad(&text)))
+        };
+        Ok([number("scale", band.scale, 1.0)?, number("offset", band.offset, 0.0)?])
     }
 }
 
@@ -325,47 +389,105 @@ pub(super) fn failed(path: &Path, error: TiffError) -> GenError {
             Ok(error) => error,
             Err(e) => GenError::invalid(path, format!("TIFF: {}", TiffError::Io(e, name))),
         },
-        e => GenError::invalid(path, format!("TIFF: {e}")),
+        e => {
+            let reason = e.to_string();
+            let known = COMPRESSIONS
+                .iter()
+                .find(|(code, _)| reason.contains("unsupported compression") && reason.ends_with(&format!("({code})")));
+            let reason = known.map(|(_, name)| format!("samples compressed as {name} are not supported; {CONVERT}"));
+            GenError::invalid(path, format!("TIFF: {}", reason.unwrap_or_else(|| e.to_string())))
+        }
     }
 }
 
-/// Opens the file beside an image with one more extension.
-fn beside(path: &Path, extension: &str) -> Option<Arc<TiffFile>> {
-    let mut beside = path.as_os_str().to_owned();
-    beside.push(".");
-    beside.push(extension);
-    let beside = Path::new(&beside);
-    beside.is_file().then(|| TiffFile::open(beside).ok().map(Arc::new)).flatten()
+/// What converts a file whose compression is not supported.
+const CONVERT: &str = "gdal_translate -co COMPRESS=DEFLATE converts the file";
+
+/// Compressions that are not supported, by TIFF's code.
+const COMPRESSIONS: [(u16, &str); 11] = [
+    (2, "CCITT RLE"),
+    (3, "CCITT fax 3"),
+    (4, "CCITT fax 4"),
+    (6, "JPEG of TIFF 6.0"),
+    (33003, "JPEG 2000"),
+    (33005, "JPEG 2000"),
+    (34661, "JBIG"),
+    (34712, "JPEG 2000"),
+    (34925, "LZMA"),
+    (50002, "JPEG XL"),
+    (52546, "JPEG XL"),
+];
+
+/// What the images of a file share.
+struct Own<'a> {
+    path: &'a Path,
+    cache: &'a Arc<BlockCache>,
+    state: Option<FileState>,
+    metadata: Metadata,
 }
 
-/// Finds the mask of an image of a size: an image of the file that says so, or the file beside it.
-fn mask(path: &Path, file: &Arc<TiffFile>, size: [usize; 2]) -> Option<Mask> {
+/// Opens the TIFF beside an image with one more extension; `None` if there is none. Some servers answer with other content.
+fn beside(path: &Path, extension: &str, cache: &Arc<BlockCache>) -> Result<Option<Arc<TiffFile>>, GenError> {
+    let beside = with_more(path, extension);
+    let source: Arc<dyn TiffSource> = if is_remote(&beside) {
+        let Some(file) = RemoteBytes::open_if_present(&beside, cache)? else { return Ok(None) };
+        if !matches!(file.head(), [b'I', b'I', ..] | [b'M', b'M', ..]) {
+            return Ok(None);
+        }
+        Arc::new(RemoteSource(file))
+    } else {
+        if !beside.is_file() {
+            return Ok(None);
+        }
+        Arc::new(FileSource::open(&beside).map_err(|e| failed(&beside, e))?)
+    };
+    let options = OpenOptions { block_cache_bytes: 0, ..OpenOptions::default() };
+    let file = TiffFile::from_source_with_options(source, options).map_err(|e| failed(&beside, e))?;
+    Ok(Some(Arc::new(file)))
+}
+
+/// Finds the mask of an image of a size: an image of the file that says so, or the file beside it. Overviews of that file lie
+/// in it, or beside it.
+fn mask(
+    path: &Path,
+    file: &Arc<TiffFile>,
+    size: [usize; 2],
+    cache: &Arc<BlockCache>,
+) -> Result<Option<Mask>, GenError> {
     let is_mask = |ifd: &Ifd| {
         let kind = ifd.tag(NEW_SUBFILE_TYPE).and_then(|tag| tag.value.as_u32()).unwrap_or(0);
         // Bit 2 marks a mask. Bit 0 marks that of an overview, which has another size.
         kind & 4 == 4 && is_image_of(ifd, size)
     };
     if let Some(index) = file.ifds().iter().position(is_mask) {
-        return Some(Mask { file: file.clone(), index });
+        return Ok(Some(Mask { file: file.clone(), index }));
     }
-    let file = beside(path, "msk")?;
-    let index = file.ifds().iter().position(|ifd| is_image_of(ifd, size))?;
-    Some(Mask { file, index })
+    let Some(whole) = beside(path, "msk", cache)? else { return Ok(None) };
+    let of_size = |file: &Arc<TiffFile>| file.ifds().iter().position(|ifd| is_image_of(ifd, size));
+    if let Some(index) = of_size(&whole) {
+        return Ok(Some(Mask { file: whole, index }));
+    }
+    let Some(smaller) = beside(path, "msk.ovr", cache)? else { return Ok(None) };
+    Ok(of_size(&smaller).map(|index| Mask { file: smaller, index }))
 }
 
-/// Returns true if an image has a size and samples of one byte at most.
+/// Returns true if an image has a size and one channel of one byte at most.
 fn is_image_of(ifd: &Ifd, size: [usize; 2]) -> bool {
-    ifd.raster_layout().is_ok_and(|layout| [layout.width, layout.height] == size && layout.bytes_per_sample == 1)
+    ifd.raster_layout().is_ok_and(|layout| {
+        [layout.width, layout.height] == size && layout.bytes_per_sample == 1 && layout.samples_per_pixel == 1
+    })
 }
 
-/// Returns the value of a role ("scale", "offset", "unittype") of the first band in GDAL's metadata.
-fn gdal_item<'a>(xml: &'a str, role: &str) -> Option<&'a str> {
+/// Returns the text of the item of GDAL's metadata with an attribute, of a channel.
+pub(super) fn item_of(xml: &str, attribute: &str, channel: Option<usize>) -> Option<String> {
     let items = xml.split("<Item ").skip(1).filter_map(|item| item.split('<').next()?.split_once('>'));
-    let mut found = items.filter(|(attributes, _)| {
-        attributes.contains(&format!("role=\"{role}\""))
-            && (attributes.contains("sample=\"0\"") || !attributes.contains("sample="))
-    });
-    found.next().map(|(_, value)| value.trim())
+    let sample = channel.map(|channel| format!("sample=\"{channel}\""));
+    let is_of_channel = |attributes: &str| match &sample {
+        Some(sample) => attributes.contains(sample) || !attributes.contains("sample="),
+        None => true,
+    };
+    let mut found = items.filter(|(attributes, _)| attributes.contains(attribute) && is_of_channel(attributes));
+    found.next().map(|(_, value)| value.trim().to_owned())
 }
 
 /// Returns the numbers of a tag.
@@ -378,6 +500,8 @@ fn transform(ifd: &Ifd, keys: &GeoKeys) -> Option<GeoTransform> {
     let [scale, tie, matrix] = [MODEL_PIXEL_SCALE, MODEL_TIEPOINT, MODEL_TRANSFORMATION].map(|tag| numbers(ifd, tag));
     let mut transform = match (scale.as_deref(), tie.as_deref(), matrix.as_deref()) {
         (Some([sx, sy, ..]), Some([i, j, _, x, y, ..]), _) => {
+            // Files with a negative scale have their north on top nevertheless, as GDAL reads them.
+            let sy = sy.abs();
             GeoTransform { origin: [x - i * sx, y + j * sy], dx: [*sx, 0.0], dy: [0.0, -sy] }
         }
         (_, _, Some(m)) if m.len() >= 8 => GeoTransform { origin: [m[3], m[7]], dx: [m[0], m[4]], dy: [m[1], m[5]] },

@@ -1,21 +1,23 @@
 //! The position of rasters on the earth: reference systems, transforms from pixels, GeoTIFF tags, world files,
 //! geoids and datum grids.
 
+mod beside;
 mod crs;
-mod datum_grid;
 mod geo_keys;
-mod geoid;
 pub(crate) mod geotiff;
+mod grids;
 mod half_float;
 mod placement;
 mod projection;
 mod tiff_samples;
+mod tiff_webp;
 mod transform;
+mod wkt;
 
+pub(crate) use beside::{Metadata, files_beside};
 pub use crs::{Crs, utm_from_geodetic, utm_to_geodetic};
-pub(crate) use datum_grid::DatumGrid;
-pub(crate) use geoid::Geoid;
-pub use geoid::VerticalDatum;
+pub use grids::VerticalDatum;
+pub(crate) use grids::{DatumGrid, Geoid};
 pub(crate) use placement::{Placement, ROUNDING};
 pub use projection::Projection;
 pub(crate) use transform::GeoTransform;

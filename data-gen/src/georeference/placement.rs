@@ -3,12 +3,15 @@
 
 use std::f64::consts::{PI, TAU};
 use std::path::Path;
+use std::sync::Arc;
 
+use super::beside::{Metadata, system_file, world_file};
 use super::crs::Crs;
-use super::datum_grid::DatumGrid;
 use super::geotiff::Tiff;
+use super::grids::DatumGrid;
 use super::transform::GeoTransform;
 use crate::GenError;
+use crate::store::BlockCache;
 
 /// The placement of files without a georeference: longitude and latitude of the north-west corner, and the pixel size,
 /// in degrees.
@@ -85,38 +88,64 @@ impl Placement {
         PixelRow { placement: self, latitude, y: self.crs.y_of_latitude(latitude) }
     }
 
-    /// Positions a TIFF by its tags, or by the world file beside it if it has none; `None` without both. `given` is the
-    /// reference system of files that do not name one.
-    pub fn of_tiff(path: &Path, tiff: &Tiff, given: Option<Crs>) -> Result<Option<Self>, GenError> {
-        let Some(transform) = tiff.transform.or_else(|| world_file(path)) else { return Ok(None) };
-        let named = tiff.keys.crs(given.clone()).map_err(|reason| GenError::invalid(path, reason))?;
-        let crs = named.map_or_else(|| unnamed_crs(path, &transform, [tiff.width, tiff.height], given), Ok)?;
+    /// Positions a TIFF by its tags and its metadata, or by the world file beside it if they do not; `None` without all of
+    /// them. `given` is the reference system of files that do not name one.
+    pub fn of_tiff(
+        path: &Path,
+        tiff: &Tiff,
+        given: Option<Crs>,
+        cache: &Arc<BlockCache>,
+    ) -> Result<Option<Self>, GenError> {
+        let transform = match tiff.metadata.transform.or(tiff.transform) {
+            Some(transform) => transform,
+            None => match world_file(path, cache)? {
+                Some(transform) => transform,
+                None => return Ok(None),
+            },
+        };
+        let keyed = tiff.keys.crs(given.clone());
+        let fallback = keyed.as_ref().ok().and_then(Option::as_ref).or(given.as_ref());
+        let named = match tiff.metadata.crs(fallback)? {
+            Some(crs) => Some(crs),
+            None => keyed.map_err(|reason| GenError::invalid(path, reason))?,
+        };
+        let size = [tiff.width, tiff.height];
+        let unnamed = || unnamed_crs(path, &transform, size, given, &Metadata::default(), cache);
+        let crs = named.map_or_else(unnamed, Ok)?;
         Ok(Some(Self::new(transform, crs)))
     }
 
-    /// Positions a raster with a transform that names no reference system: in the system `given`, or in degrees if its
-    /// coordinates can be degrees.
+    /// Positions a raster with a transform that names no reference system: in that of the files beside it, or in the system
+    /// `given`, or in degrees if its coordinates can be degrees.
     pub fn of_unnamed(
         path: &Path,
         transform: GeoTransform,
         size: [usize; 2],
         given: Option<Crs>,
+        cache: &Arc<BlockCache>,
     ) -> Result<Self, GenError> {
-        Ok(Self::new(transform, unnamed_crs(path, &transform, size, given)?))
+        let metadata = Metadata::beside(path, cache)?;
+        Ok(Self::new(transform, unnamed_crs(path, &transform, size, given, &metadata, cache)?))
     }
 
-    /// Returns true if a valid world file lies beside an image.
-    pub fn has_world_file(path: &Path) -> bool {
-        world_file(path).is_some()
-    }
-
-    /// Positions an image by the world file beside it, in the reference system `given`. Without a world file it lies at the
-    /// default position.
-    pub fn of_image(path: &Path, size: [usize; 2], given: Option<Crs>) -> Result<Self, GenError> {
-        match world_file(path) {
-            Some(transform) => Self::of_unnamed(path, transform, size, given),
-            None => Ok(Self::default()),
-        }
+    /// Positions an image by the metadata or the world file beside it, in the reference system that the files beside it name,
+    /// or in the system `given`. `None` without such a file.
+    pub fn of_image(
+        path: &Path,
+        size: [usize; 2],
+        given: Option<Crs>,
+        cache: &Arc<BlockCache>,
+    ) -> Result<Option<Self>, GenError> {
+        let metadata = Metadata::beside(path, cache)?;
+        let transform = match metadata.transform {
+            Some(transform) => transform,
+            None => match world_file(path, cache)? {
+                Some(transform) => transform,
+                None => return Ok(None),
+            },
+        };
+        let crs = unnamed_crs(path, &transform, size, given, &metadata, cache)?;
+        Ok(Some(Self::new(transform, crs)))
     }
 }
 
@@ -146,22 +175,21 @@ impl Default for Placement {
     }
 }
 
-/// Returns the reference system of a raster that does not name one: that of the file beside it with the extension prj,
-/// `given`, or degrees if its coordinates can be degrees.
+/// Returns the reference system of a raster that does not name one: that of the file beside it with the extension prj, that of
+/// its metadata, `given`, or degrees if its coordinates can be degrees.
 fn unnamed_crs(
     path: &Path,
     transform: &GeoTransform,
     [width, height]: [usize; 2],
     given: Option<Crs>,
+    metadata: &Metadata,
+    cache: &Arc<BlockCache>,
 ) -> Result<Crs, GenError> {
-    let beside = path.with_extension("prj");
-    let named = std::fs::read_to_string(&beside).ok().map(|text| Crs::parse(&text));
-    match (named, given) {
-        (Some(Ok(crs)), _) | (_, Some(crs)) => return Ok(crs),
-        (Some(Err(reason)), None) => {
-            return Err(GenError::invalid(beside, format!("{reason}; --epsg names another system")));
-        }
-        (None, None) => {}
+    if let Some(crs) = system_file(path, given.as_ref(), cache)? {
+        return Ok(crs);
+    }
+    if let Some(crs) = metadata.crs(given.as_ref())?.or(given) {
+        return Ok(crs);
     }
     // The corners of the rectangle of sample centres. Longitudes may range from 0 to 360.
     let (right, bottom) = (width as f64 - 0.5, height as f64 - 0.5);
@@ -174,17 +202,4 @@ fn unnamed_crs(
         }
     }
     Ok(Crs::Geographic)
-}
-
-/// Reads the world file beside an image, with the extension pgw, jgw, tfw, wld or exw. `None` if there is no valid one.
-fn world_file(path: &Path) -> Option<GeoTransform> {
-    for extension in ["pgw", "jgw", "tfw", "wld", "exw"] {
-        let Ok(text) = std::fs::read_to_string(path.with_extension(extension)) else { continue };
-        let n: Vec<f64> = text.split_whitespace().filter_map(|t| t.parse().ok()).collect();
-        if let [a, d, b, e, x, y] = n[..] {
-            let origin = [x - 0.5 * (a + b), y - 0.5 * (d + e)];
-            return Some(GeoTransform { origin, dx: [a, d], dy: [b, e] });
-        }
-    }
-    None
 }

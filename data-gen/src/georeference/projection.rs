@@ -7,6 +7,9 @@ use std::sync::Arc;
 use proj4rs::Proj;
 use proj4rs::transform::transform;
 
+/// The names of the grids that [`super::DatumGrid`] reads begin so.
+pub(super) const OWN_GRID: &str = "terrane";
+
 /// A reference system with a definition in PROJ's notation. Coordinates are degrees, or the system's unit of length.
 #[derive(Clone, Debug)]
 pub struct Projection {
@@ -28,7 +31,20 @@ impl PartialEq for Projection {
 
 impl Projection {
     /// Creates a system from a definition such as `+proj=laea +lat_0=52 +lon_0=10`. The error is the reason.
+    ///
+    /// Grids that only PROJ has are left out. NAD27 is shifted by the parameters for the contiguous United States then
+    /// (EPSG:1173), which are good to ten metres there.
     pub fn new(definition: &str) -> Result<Self, String> {
+        let is_known =
+            |part: &&str| !part.starts_with("+nadgrids=") || part.contains(OWN_GRID) || part.contains("@null");
+        let parts = definition.split_whitespace().filter(is_known);
+        let has_grid = definition.contains(OWN_GRID);
+        let parts = parts.map(|part| match part {
+            "+datum=NAD27" if has_grid => "+ellps=clrk66",
+            "+datum=NAD27" => "+ellps=clrk66 +towgs84=-8,160,176",
+            part => part,
+        });
+        let definition = &*parts.collect::<Vec<_>>().join(" ");
         let bad = |e: proj4rs::errors::Error| format!("`{definition}`: {e}");
         let own = Proj::from_proj_string(definition).map_err(bad)?;
         if own.is_geocent() || !own.has_inverse() || !own.has_forward() {

@@ -13,8 +13,19 @@ impl Tiff {
     /// Reads a rectangle of a channel as heights in metres, row-major, north row first; NaN without data. `more_nodata` is
     /// another value that marks samples without data.
     pub fn heights(&self, channel: usize, more_nodata: Option<f64>, r: Rect) -> Result<Vec<f32>, GenError> {
+        let scaled = self.factor_and_offset_m(channel).map_err(|reason| GenError::invalid(&self.path, reason))?;
+        self.samples(channel, more_nodata, r, scaled)
+    }
+
+    /// Reads a rectangle of a channel's samples, multiplied by a factor and with an offset added; NaN without data.
+    pub(super) fn samples(
+        &self,
+        channel: usize,
+        more_nodata: Option<f64>,
+        r: Rect,
+        [factor, offset]: [f64; 2],
+    ) -> Result<Vec<f32>, GenError> {
         self.check_unchanged()?;
-        let [factor, offset] = self.factor_and_offset_m().map_err(|reason| GenError::invalid(&self.path, reason))?;
         // A nodata value is written with more digits than a 32-bit sample has.
         let is_single = (self.layout.sample_format, self.layout.bytes_per_sample) == (3, 4);
         let narrow = |v: f64| if is_single { f64::from(v as f32) } else { v };
@@ -22,6 +33,11 @@ impl Tiff {
         let is_nodata = |h: f64| nodata.iter().flatten().any(|[exact, narrow]| h == *exact || h == *narrow);
         let bytes = self.band(channel, r)?;
         let mask = self.mask_in(r)?;
+        let opacity = match self.alpha().filter(|alpha| *alpha != channel) {
+            Some(alpha) => Some(self.band(alpha, r)?),
+            None => None,
+        };
+        let opacity: Option<Vec<f64>> = opacity.and_then(|bytes| Some(values(&bytes, &self.layout)?.collect()));
         let values = values(&bytes, &self.layout)
             .ok_or_else(|| self.bad(format!("samples of {} bits", self.layout.bits_per_sample)))?;
         let plane = self.plane(channel);
@@ -30,6 +46,7 @@ impl Tiff {
                 // It marks missing data in SRTM. In feet it would become a depth above the limit for impossible heights.
                 || h == f64::from(i16::MIN)
                 || mask.as_ref().is_some_and(|mask| mask.get(k) == Some(&0))
+                || opacity.as_ref().is_some_and(|opacity| opacity.get(k) == Some(&0.0))
                 // Without a nodata value the samples of missing blocks are 0, as GDAL reads them.
                 || (self.nodata.is_some() && self.missing.has(plane, r.column + k % r.width, r.row + k / r.width));
             if is_void { f32::NAN } else { (h * factor + offset) as f32 }
@@ -37,9 +54,16 @@ impl Tiff {
         Ok(heights.collect())
     }
 
+    /// Returns the channel of the opacity, which tells where a grey image has data.
+    pub fn alpha(&self) -> Option<usize> {
+        let model = self.file.ifd(self.index).ok()?.color_model().ok()?;
+        let ColorModel::Grayscale { extra_samples, .. } = &model else { return None };
+        extra_samples.iter().position(is_alpha).map(|k| k + 1)
+    }
+
     /// Returns an error for samples of a kind that is not supported, and for units of heights that are not known.
     pub fn check_samples(&self) -> Result<(), GenError> {
-        self.factor_and_offset_m().map_err(|reason| GenError::invalid(&self.path, reason))?;
+        self.factor_and_offset_m(0).map_err(|reason| GenError::invalid(&self.path, reason))?;
         let unsupported = || self.bad(format!("samples of {} bits", self.layout.bits_per_sample));
         values(&[], &self.layout).map(|_| ()).ok_or_else(unsupported)
     }
@@ -98,11 +122,16 @@ impl Tiff {
     /// transparent.
     pub fn rgba(&self, r: Rect) -> Result<Vec<[u8; 4]>, GenError> {
         self.check_unchanged()?;
+        if let Some(pixels) = self.webp(r)? {
+            return self.hidden(pixels, r);
+        }
         let bad = |e: TiffError| failed(&self.path, e);
         let ifd = self.file.ifd(self.index).map_err(bad)?;
         let decoded = ifd.decoded_raster_layout().map_err(bad)?;
         if decoded.sample_format != 1 || self.layout.sample_format == 3 || !matches!(decoded.bytes_per_sample, 1 | 2) {
-            return Err(self.bad("imagery must have 8 bits per channel or 16, without sign"));
+            return Err(self.bad(
+                "imagery must have 8 bits per channel or 16, without sign; gdal_translate -ot Byte -scale converts it",
+            ));
         }
         let channels = Channels::of(&ifd.color_model().map_err(bad)?).map_err(|e| GenError::invalid(&self.path, e))?;
         let (count, wide) = (decoded.samples_per_pixel, decoded.bytes_per_sample == 2);
@@ -134,6 +163,21 @@ impl Tiff {
         Ok(pixels.collect())
     }
 
+    /// Makes the pixels of a rectangle transparent that have the nodata value or that the mask hides.
+    fn hidden(&self, mut pixels: Vec<[u8; 4]>, r: Rect) -> Result<Vec<[u8; 4]>, GenError> {
+        let mask = self.mask_in(r)?;
+        let nodata = self.nodata.filter(|_| self.channels() == 3);
+        for (k, pixel) in pixels.iter_mut().enumerate() {
+            let is_hidden = mask.as_ref().is_some_and(|mask| mask.get(k) == Some(&0))
+                || nodata.is_some_and(|nodata| pixel[..3].iter().all(|color| f64::from(*color) == nodata))
+                || self.missing.has(0, r.column + k % r.width, r.row + k / r.width);
+            if is_hidden {
+                pixel[3] = 0;
+            }
+        }
+        Ok(pixels)
+    }
+
     /// Returns the samples of the mask in a rectangle, `None` without a mask.
     fn mask_in(&self, r: Rect) -> Result<Option<Vec<u8>>, GenError> {
         let Some(mask) = &self.mask else { return Ok(None) };
@@ -155,6 +199,10 @@ impl Tiff {
         }
         Ok(Some(all))
     }
+}
+
+fn is_alpha(kind: &ExtraSample) -> bool {
+    matches!(kind, ExtraSample::AssociatedAlpha | ExtraSample::UnassociatedAlpha)
 }
 
 /// The channels of a decoded image.
@@ -182,8 +230,6 @@ impl Channels {
             ColorModel::TransparencyMask => (1, 1, [].as_slice()),
             ColorModel::Separated { .. } => return Err("TIFF: inks other than CMYK are not supported".to_owned()),
         };
-        let is_alpha =
-            |kind: &ExtraSample| matches!(kind, ExtraSample::AssociatedAlpha | ExtraSample::UnassociatedAlpha);
         let alpha = extra.iter().position(is_alpha);
         let others = extra.iter().filter(|kind| !is_alpha(kind)).count();
         // Satellite images often call their bands grey and two of unknown meaning.

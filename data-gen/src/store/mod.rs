@@ -9,6 +9,7 @@
 //!
 //! A pixel is a word of 32 bits: the bits of a height in metres (`f32`), or the bytes of red, green, blue and opacity.
 
+mod beside;
 mod cache;
 mod file_state;
 mod image;
@@ -16,6 +17,7 @@ mod pool;
 mod remote;
 mod spill;
 
+pub(crate) use beside::{text_of, with_extension, with_more};
 pub(crate) use cache::BlockCache;
 pub(crate) use file_state::FileState;
 pub(crate) use image::{BlockGrid, BlockReader, Cursor, PixelImage, Rect};

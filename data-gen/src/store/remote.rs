@@ -15,8 +15,8 @@ use crate::GenError;
 const PAGE_BYTES: usize = 64 << 10;
 /// The number of bytes that tell formats apart.
 const MAGIC_BYTES: usize = 8;
-/// The number of files whose first bytes and versions are kept.
-const MAX_OPEN: NonZeroUsize = NonZeroUsize::new(256).expect("256 is not 0");
+/// The number of files whose first bytes and versions are kept, and of files that are missing.
+const MAX_OPEN: NonZeroUsize = NonZeroUsize::new(1024).expect("1024 is not 0");
 
 /// A file, and its number in the cache.
 type Opened = (Arc<RemoteFile>, u64);
@@ -28,8 +28,8 @@ pub(crate) struct Servers {
     allowed_hosts: Vec<AllowedHost>,
     /// Created when the first file is opened.
     client: OnceLock<Arc<RemoteFiles>>,
-    /// The files by address. Locked for moments only; `None` before the first one.
-    open: Mutex<Option<LruCache<String, Opened>>>,
+    /// The files by address, and `None` for those that are missing. Locked for moments only; `None` before the first one.
+    open: Mutex<Option<LruCache<String, Option<Opened>>>>,
 }
 
 impl Servers {
@@ -60,16 +60,31 @@ impl Servers {
 
     /// Opens a file, unless it is open.
     fn open(&self, path: &Path, new_number: impl FnOnce() -> u64) -> Result<Opened, GenError> {
+        let opened = self.look_up(path, new_number, |_| false)?;
+        opened.ok_or_else(|| GenError::invalid(path, "not found"))
+    }
+
+    /// Opens a file, unless it is open. `None` if it cannot be opened for a reason that `is_missing` accepts.
+    fn look_up(
+        &self,
+        path: &Path,
+        new_number: impl FnOnce() -> u64,
+        is_missing: impl FnOnce(&IoError) -> bool,
+    ) -> Result<Option<Opened>, GenError> {
         let uri = path.to_str().ok_or_else(|| GenError::invalid(path, "an address that is not UTF-8"))?;
         let lock = || self.open.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(found) = lock().as_mut().and_then(|open| open.get(uri)) {
             return Ok(found.clone());
         }
-        let file = Arc::new(self.client(path)?.open(uri).map_err(|e| GenError::remote(path, &e))?);
+        let file = match self.client(path)?.open(uri) {
+            Ok(file) => Some(Arc::new(file)),
+            Err(e) if is_missing(&e) => None,
+            Err(e) => return Err(GenError::remote(path, &e)),
+        };
         let mut open = lock();
         let open = open.get_or_insert_with(|| LruCache::new(MAX_OPEN));
         // Another thread may have been quicker.
-        Ok(open.get_or_insert(uri.to_owned(), || (file, new_number())).clone())
+        Ok(open.get_or_insert(uri.to_owned(), || file.map(|file| (file, new_number()))).clone())
     }
 }
 
@@ -110,6 +125,17 @@ impl RemoteBytes {
     pub fn open(path: &Path, cache: &Arc<BlockCache>) -> Result<Self, GenError> {
         let (file, number) = cache.servers().open(path, || cache.new_image())?;
         Ok(Self { path: path.to_owned(), file, cache: Arc::clone(cache), number })
+    }
+
+    /// Like [`Self::open`]; `None` if the server has no such file, or does not show it. Servers without a file answer with
+    /// several states, and some with a page of theirs.
+    pub fn open_if_present(path: &Path, cache: &Arc<BlockCache>) -> Result<Option<Self>, GenError> {
+        let is_missing = |error: &IoError| match error {
+            IoError::Status { status, .. } => (400..500).contains(status) && !error.is_transient(),
+            error => matches!(error, IoError::NotFound { .. } | IoError::Invalid { .. } | IoError::Markup { .. }),
+        };
+        let found = cache.servers().look_up(path, || cache.new_image(), is_missing)?;
+        Ok(found.map(|(file, number)| Self { path: path.to_owned(), file, cache: Arc::clone(cache), number }))
     }
 
     /// Returns the length of the file in bytes.

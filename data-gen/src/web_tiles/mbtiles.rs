@@ -3,14 +3,12 @@
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
-use rusqlite::{Connection, OpenFlags, OptionalExtension as _};
+use rusqlite::OptionalExtension as _;
 
-use super::{MAX_ZOOM, TileContent, WebTile, WebTiles, Zoom};
+use super::database::Database;
+use super::{MAX_TILE_BYTES, MAX_ZOOM, TileContent, WebTile, WebTiles, Zoom};
 use crate::GenError;
 use crate::store::FileState;
-
-/// The largest encoded tile in bytes.
-const MAX_TILE_BYTES: usize = 64 << 20;
 
 /// An archive.
 struct Archive {
@@ -20,51 +18,66 @@ struct Archive {
     zooms: Vec<Zoom>,
     first: WebTile,
     /// Locked while the bytes of a tile are read.
-    database: Mutex<Connection>,
+    database: Mutex<Database>,
 }
 
 /// Opens an archive and finds its zoom levels.
 pub(super) fn open(path: &Path, content: TileContent) -> Result<Arc<dyn WebTiles>, GenError> {
     let bad = |reason: String| GenError::invalid(path, format!("MBTiles: {reason}"));
-    let failed = |e: rusqlite::Error| bad(e.to_string());
     let state = FileState::of(path)?;
-    let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
-    let database = Connection::open_with_flags(path, flags).map_err(failed)?;
-    let format = database.query_row("SELECT value FROM metadata WHERE name = 'format'", [], |row| row.get(0));
-    let format: Option<String> = format.optional().unwrap_or_default();
+    let database = Database::open(path, state.bytes()).map_err(bad)?;
+    let format = database.query(|database| {
+        let query = "SELECT value FROM metadata WHERE name = 'format'";
+        database.query_row(query, [], |row| row.get::<_, String>(0)).optional()
+    });
+    let format = format.unwrap_or_default();
     let extension = format.unwrap_or_else(|| "png".to_owned()).to_ascii_lowercase();
     if !content.extensions().contains(&extension.as_str()) {
         let known = content.extensions().join(", ");
         return Err(bad(format!("tiles of format {extension}; {known} are read")));
     }
-    let mut zooms = Vec::new();
-    {
-        let ranges = "SELECT zoom_level, min(tile_column), max(tile_column), min(tile_row), max(tile_row) FROM tiles \
-                      GROUP BY zoom_level ORDER BY zoom_level DESC";
-        let mut statement = database.prepare(ranges).map_err(failed)?;
-        let mut rows = statement.query([]).map_err(failed)?;
-        while let Some(row) = rows.next().map_err(failed)? {
-            let number = |k: usize| row.get::<_, i64>(k);
-            let found = (|| Ok([number(0)?, number(1)?, number(2)?, number(3)?, number(4)?]))().map_err(failed)?;
-            let [zoom, first_column, last_column, southern, northern] = found;
-            let zoom = u32::try_from(zoom).ok().filter(|zoom| *zoom <= MAX_ZOOM);
-            let zoom = zoom.ok_or_else(|| bad(format!("zoom level {}; 0 to {MAX_ZOOM} are supported", found[0])))?;
-            let side = 1i64 << zoom;
-            if first_column < 0 || last_column >= side || southern < 0 || northern >= side {
-                return Err(bad(format!("a tile of zoom level {zoom} outside of its {side} columns and rows")));
-            }
-            let columns = [first_column as usize, last_column as usize];
-            let rows = [(side - 1 - northern) as usize, (side - 1 - southern) as usize];
-            zooms.push(Zoom { zoom, columns, rows });
-        }
-    }
-    let Some(finest) = zooms.first() else { return Err(bad("no tiles in it".to_owned())) };
-    let first = "SELECT tile_column, tile_row FROM tiles WHERE zoom_level = ?1 LIMIT 1";
-    let first = database.query_row(first, [finest.zoom], |row| Ok([row.get::<_, i64>(0)?, row.get(1)?]));
-    let [x, row] = first.map_err(failed)?;
-    let first = WebTile { zoom: finest.zoom, x: x as usize, y: ((1i64 << finest.zoom) - 1 - row) as usize };
+    let (zooms, first) = zooms(&database).map_err(bad)?;
     let (path, database) = (path.to_owned(), Mutex::new(database));
     Ok(Arc::new(Archive { path, state, extension, zooms, first, database }))
+}
+
+/// Returns the zoom levels, finest first, and a tile of the finest one. The error is the reason.
+fn zooms(database: &Database) -> Result<(Vec<Zoom>, WebTile), String> {
+    // One pass over all tiles, in which SQLite sorts nothing.
+    let tiles = database.query(|database| {
+        let mut statement = database.prepare("SELECT zoom_level, tile_column, tile_row FROM tiles")?;
+        let mut rows = statement.query([])?;
+        let mut found: [Option<Zoom>; MAX_ZOOM as usize + 1] = [None; MAX_ZOOM as usize + 1];
+        let mut first: Option<WebTile> = None;
+        while let Some(row) = rows.next()? {
+            let [zoom, x, row]: [i64; 3] = [row.get(0)?, row.get(1)?, row.get(2)?];
+            let tile = match tile(zoom, x, row) {
+                Ok(tile) => tile,
+                Err(reason) => return Ok(Err(reason)),
+            };
+            let one = Zoom { zoom: tile.zoom, columns: [tile.x; 2], rows: [tile.y; 2] };
+            let level = found[tile.zoom as usize].get_or_insert(one);
+            let larger = |[low, high]: [usize; 2], n: usize| [low.min(n), high.max(n)];
+            (level.columns, level.rows) = (larger(level.columns, tile.x), larger(level.rows, tile.y));
+            if first.is_none_or(|first| tile.zoom > first.zoom) {
+                first = Some(tile);
+            }
+        }
+        Ok(Ok((found, first)))
+    });
+    let (found, first) = tiles??;
+    Ok((found.into_iter().rev().flatten().collect(), first.ok_or("no tiles in it")?))
+}
+
+/// Returns the tile of a row of the table. The error is the reason.
+fn tile(zoom: i64, x: i64, row: i64) -> Result<WebTile, String> {
+    let level = u32::try_from(zoom).ok().filter(|zoom| *zoom <= MAX_ZOOM);
+    let level = level.ok_or_else(|| format!("zoom level {zoom}; 0 to {MAX_ZOOM} are supported"))?;
+    let side = 1i64 << level;
+    match (0..side).contains(&x) && (0..side).contains(&row) {
+        true => Ok(WebTile { zoom: level, x: x as usize, y: (side - 1 - row) as usize }),
+        false => Err(format!("a tile of zoom level {zoom} outside of its {side} columns and rows")),
+    }
 }
 
 impl WebTiles for Archive {
@@ -81,7 +94,8 @@ impl WebTiles for Archive {
         let row = (1u64 << zoom) - 1 - y as u64;
         let database = self.database.lock().unwrap_or_else(PoisonError::into_inner);
         let query = "SELECT tile_data FROM tiles WHERE zoom_level = ?1 AND tile_column = ?2 AND tile_row = ?3";
-        let found = database.prepare_cached(query).and_then(|mut statement| {
+        let found = database.query(|database| {
+            let mut statement = database.prepare_cached(query)?;
             let bytes = |row: &rusqlite::Row<'_>| {
                 let bytes = row.get_ref(0)?.as_blob()?;
                 Ok((bytes.len() <= MAX_TILE_BYTES).then(|| bytes.to_vec()))

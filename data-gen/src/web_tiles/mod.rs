@@ -1,5 +1,7 @@
 //! Web tiles in Web Mercator, in folders `z/x/y.png` and in archives: which zoom levels there are, and the bytes of each tile.
 
+#[cfg(feature = "mbtiles")]
+mod database;
 mod folder;
 #[cfg(feature = "mbtiles")]
 mod mbtiles;
@@ -18,6 +20,9 @@ pub(crate) use folder::{is_folder_of_tiles, tile_of};
 
 /// The deepest zoom level that is read.
 const MAX_ZOOM: u32 = 24;
+/// The largest encoded tile of a database in bytes.
+#[cfg(feature = "mbtiles")]
+const MAX_TILE_BYTES: usize = 64 << 20;
 
 /// The position of a tile: row 0 is in the north.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

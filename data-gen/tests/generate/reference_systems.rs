@@ -140,7 +140,7 @@ fn geographic_systems_are_supported_in_degrees_from_greenwich_only() {
     let expected = [7.0, 46.0 - last, 7.0 + last, 46.0].map(f64::to_radians);
     for keys in [
         &[[1024, 2], [2048, 4258]][..],
-        &[[1024, 2], [2048, 4267], [2054, 9102], [2051, 8901], [3076, 9002]],
+        &[[1024, 2], [2048, 4269], [2054, 9102], [2051, 8901], [3076, 9002]],
         &[[1024, 2], [2048, 32767], [2054, 9122], [2061, 3]],
     ] {
         lies(&keyed(keys), expected);
@@ -252,6 +252,38 @@ fn geo_keys_define_projections_without_a_code() {
     assert!((conic[0] - west).abs() < 0.3, "{conic:?}, not {west}");
     let unknown = place(3, &[]).unwrap_err().to_string();
     assert!(unknown.contains("a projection without a code; --epsg CODE"), "{unknown}");
+}
+
+/// Regression: systems of ArcGIS and UTM's zones without a code were refused.
+#[test]
+fn texts_and_zones_define_systems_without_a_code() {
+    let folder = tempfile::tempdir().unwrap();
+    let place = |keys: &[[u16; 4]], text: &str| {
+        let directory = [vec![1, 1, 0, keys.len() as u16], keys.concat()].concat();
+        let image = crate::tiffs::Image::new([8; 2], 16, 1, [7, 0].repeat(64));
+        let image = image.with(34735, crate::tiffs::Values::Short(directory));
+        let image = image.with(34737, crate::tiffs::Values::Text(format!("{text}\0")));
+        let path = folder.path().join("own.tif");
+        fs::write(&path, crate::tiffs::tiff(vec![image])).unwrap();
+        world(&path, ([500_000.0, 4_000_000.0], 30.0));
+        Raster::read(&path).map(|raster| (raster.bounds().map(f64::to_degrees), raster.range_m().unwrap()))
+    };
+    let keys = [[1024, 0, 1, 1], [2048, 0, 1, 32767], [2056, 0, 1, 7030], [3072, 0, 1, 32767], [3074, 0, 1, 16018]];
+    let (zone, _) = place(&keys, "").unwrap();
+    let [longitude, latitude] = utm_to_geodetic(18, true, 500_000.0, 4_000_000.0).map(f64::to_degrees);
+    assert!((zone[0] - longitude).abs() < 1e-7 && (zone[3] - latitude).abs() < 1e-5, "{zone:?}");
+    let wkt = "PROJCS[\"a\",GEOGCS[\"b\",DATUM[\"D_North_American_1983\",SPHEROID[\"GRS_1980\",6378137.0,298.257222101]],\
+        PRIMEM[\"Greenwich\",0.0],UNIT[\"Degree\",0.0174532925199433]],PROJECTION[\"Transverse_Mercator\"],PARAMETER[\
+        \"False_Easting\",500000.0],PARAMETER[\"False_Northing\",0.0],PARAMETER[\"Central_Meridian\",-75.0],PARAMETER[\
+        \"Scale_Factor\",0.9996],PARAMETER[\"Latitude_Of_Origin\",0.0],UNIT[\"Meter\",1.0],VERTCS[\"NAVD_1988\",VDATUM[\
+        \"NAVD_1988\"],PARAMETER[\"Vertical_Shift\",0.0],PARAMETER[\"Direction\",1.0],UNIT[\"Centimeter\",0.01]]]";
+    let text = format!("own|ESRI PE String = {wkt}|");
+    let keys = [[1024, 0, 1, 32767], [2048, 0, 1, 32767], [3073, 34737, text.len() as u16, 0]];
+    let (esri, heights_m) = place(&keys, &text).unwrap();
+    assert!(esri.iter().zip(zone).all(|(a, b)| (a - b).abs() < 1e-7), "{esri:?}, not {zone:?}");
+    assert!((heights_m[0] - 0.07).abs() < 1e-6, "{heights_m:?}");
+    let depths = place(&keys, &text.replace("\"Direction\",1.0", "\"Direction\",-1.0")).unwrap_err().to_string();
+    assert!(depths.contains("depths; only heights"), "{depths}");
 }
 
 #[test]

@@ -2,6 +2,7 @@
 
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use super::{MAX_SAMPLES, Opened, RasterOptions};
 use crate::GenError;
@@ -26,7 +27,7 @@ struct AsciiGrid {
 }
 
 /// Opens an ASCII grid and reads its header.
-pub(super) fn open(path: &Path, options: &RasterOptions, cache: &BlockCache) -> Result<Opened, GenError> {
+pub(super) fn open(path: &Path, options: &RasterOptions, cache: &Arc<BlockCache>) -> Result<Opened, GenError> {
     let state = FileState::of(path)?;
     let header = Header::read(&mut words(path)?).map_err(|reason| bad(path, reason))?;
     // A sample has a digit and a space at least.
@@ -34,7 +35,7 @@ pub(super) fn open(path: &Path, options: &RasterOptions, cache: &BlockCache) -> 
         let reason = format!("{} bytes for {} x {} samples", state.bytes(), header.size[0], header.size[1]);
         return Err(bad(path, reason));
     }
-    let placement = Placement::of_unnamed(path, header.transform, header.size, options.crs.clone())?;
+    let placement = Placement::of_unnamed(path, header.transform, header.size, options.crs.clone(), cache)?;
     let size = header.size;
     let grid = AsciiGrid { path: path.to_owned(), options: options.clone(), size, state };
     let (grid, reader) = whole(Box::new(grid), size, cache);
@@ -59,7 +60,7 @@ impl WholeReader for AsciiGrid {
         let (mut row, mut found) = (Vec::new(), 0);
         while let Some(word) = words.next().map_err(bad)? {
             found += 1;
-            let sample: f64 = word.parse().map_err(|_| bad(format!("sample {found} is `{word}`")))?;
+            let sample = number(&word).ok_or_else(|| bad(format!("sample {found} is `{word}`")))?;
             let height_m = if sample == header.nodata { f32::NAN } else { self.options.height_m(sample as f32) };
             row.push(height_m.to_bits());
             if row.len() == self.size[0] {
@@ -118,18 +119,20 @@ impl<R: BufRead> Words<R> {
 impl Header {
     /// Reads the header. The error is the reason.
     fn read<R: BufRead>(words: &mut Words<R>) -> Result<Self, String> {
-        let mut header: Vec<(String, f64)> = Vec::new();
+        let mut header: Vec<(String, String)> = Vec::new();
         // The first word that is a number begins the samples; the header's words are names such as "ncols".
         while let Some(name) = words.next()? {
-            if name.parse::<f64>().is_ok() || header.len() >= MAX_NAMES {
+            if number(&name).is_some() || header.len() >= MAX_NAMES {
                 words.next = Some(name);
                 break;
             }
             let value = words.next()?.ok_or_else(|| format!("no value of {name}"))?;
-            let number = value.parse().map_err(|_| format!("{name} is `{value}`, not a number"))?;
-            header.push((name.to_ascii_lowercase(), number));
+            header.push((name.trim_start_matches('\u{feff}').to_ascii_lowercase(), value));
         }
-        let value = |name: &str| header.iter().find(|(other, _)| other == name).map(|(_, value)| *value);
+        for (name, value) in header.iter().filter(|(name, _)| NAMES.contains(&name.as_str())) {
+            number(value).ok_or_else(|| format!("{name} is `{value}`, not a number"))?;
+        }
+        let value = |name: &str| header.iter().find(|(other, _)| other == name).and_then(|(_, value)| number(value));
         let needed = |name: &str| value(name).ok_or_else(|| format!("no {name} in the header"));
         let side = |name: &str| {
             let count = needed(name)?;
@@ -157,6 +160,25 @@ impl Header {
     }
 }
 
+/// The names whose values are numbers. Others, such as `byteorder`, do not matter.
+const NAMES: [&str; 10] =
+    ["ncols", "nrows", "xllcorner", "yllcorner", "xllcenter", "yllcenter", "cellsize", "dx", "dy", "nodata_value"];
+
+/// Returns true for the first bytes of an ASCII grid.
+pub(super) fn is_ascii_grid(magic: &[u8]) -> bool {
+    let magic = magic.strip_prefix(b"\xef\xbb\xbf").unwrap_or(magic).trim_ascii_start().to_ascii_lowercase();
+    [&b"nco"[..], b"nro", b"xll", b"yll", b"dx ", b"cel"].iter().any(|start| magic.starts_with(start))
+}
+
+/// Reads a number, which may have a decimal comma. Words of C for what is not a number are NaN.
+fn number(word: &str) -> Option<f64> {
+    match word.parse() {
+        Ok(number) => Some(number),
+        Err(_) if ["#IND", "#QNAN", "#INF"].iter().any(|name| word.contains(name)) => Some(f64::NAN),
+        Err(_) => word.replace(',', ".").parse().ok(),
+    }
+}
+
 /// The largest number of names in a header.
 const MAX_NAMES: usize = 32;
 
@@ -169,7 +191,8 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.asc");
         std::fs::write(&path, text).unwrap();
-        let opened = open(&path, &RasterOptions::default(), &BlockCache::new(0)).map_err(|e| e.to_string())?;
+        let opened =
+            open(&path, &RasterOptions::default(), &Arc::new(BlockCache::new(0))).map_err(|e| e.to_string())?;
         let [width, height] = opened.grid.size;
         let block = Rect { column: 0, row: 0, width, height };
         let samples = opened.reader.read(block).map_err(|e| e.to_string())?;
@@ -186,6 +209,23 @@ mod tests {
         assert!(samples.len() == 6 && samples[4].is_nan() && samples[5] == 6.5);
         let (centred, _) = heights(&grid("xllcenter 7.25\nyllcenter 45.25\ndx 0.5\ndy 0.5")).unwrap();
         assert_eq!(centred, transform);
+    }
+
+    /// Regression: decimal commas, byte order marks, C's words for NaN and names of other programs were errors.
+    #[test]
+    fn grids_of_many_programs_are_read() {
+        let grid =
+            |header: &str, samples: &str| format!("{header}ncols 2\r\nnrows 1\r\nxllcorner 7\nyllcorner 45\n{samples}");
+        for text in [
+            grid("\u{feff}", "cellsize 0.5\n1.5 nan"),
+            grid("\n  ", "cellsize 0,5\nNODATA_value -9999\n1,5 -1.#IND"),
+            grid("", "cellsize 0.5\nbyteorder LSBFIRST\nnodata_value NaN\n15e-1 NaN"),
+        ] {
+            assert!(is_ascii_grid(&text.as_bytes()[..8]), "{text}");
+            let (transform, samples) = heights(&text).unwrap();
+            assert_eq!((transform.origin, samples[0], samples[1].is_nan()), ([7.0, 45.5], 1.5, true), "{text}");
+        }
+        assert!(is_ascii_grid(b"NROWS 12") && !is_ascii_grid(b"notes on"));
     }
 
     #[test]

@@ -2,6 +2,7 @@
 
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use exr::image::FlatSamples;
 use exr::meta::header::Header;
@@ -25,7 +26,7 @@ struct ExrFile {
 }
 
 /// Opens the channel that the options name; without a name the only one, or Y, or one of equal channels R, G and B.
-pub(super) fn open(path: &Path, options: &RasterOptions, cache: &BlockCache) -> Result<Opened, GenError> {
+pub(super) fn open(path: &Path, options: &RasterOptions, cache: &Arc<BlockCache>) -> Result<Opened, GenError> {
     let state = FileState::of(path)?;
     let chunks = chunks(path, state.bytes())?;
     let chosen = choose(chunks.headers(), options.channel.as_deref()).map_err(|reason| bad(path, reason))?;
@@ -34,7 +35,7 @@ pub(super) fn open(path: &Path, options: &RasterOptions, cache: &BlockCache) -> 
     if size.contains(&0) {
         return Err(bad(path, format!("{} x {} samples", size[0], size[1])));
     }
-    let placement = Placement::of_image(path, size, options.crs.clone())?;
+    let placement = Placement::of_image(path, size, options.crs.clone(), cache)?.unwrap_or_default();
     let file = ExrFile { path: path.to_owned(), options: options.clone(), chosen, size, state };
     let (grid, reader) = whole(Box::new(file), size, cache);
     Ok(Opened { grid, reader, placement })

@@ -3,6 +3,8 @@
 use std::io::{BufReader, Read as _, Seek as _, SeekFrom};
 use std::path::{Path, PathBuf};
 
+use flate2::bufread::MultiGzDecoder;
+
 use super::Opened;
 use crate::GenError;
 use crate::georeference::{Crs, GeoTransform, Placement};
@@ -92,6 +94,51 @@ impl WholeReader for Zipped {
         }
         // The checksum of the member is compared at its end.
         std::io::copy(&mut member, &mut std::io::sink()).map(|_| ()).map_err(|e| bad(&e))
+    }
+
+    fn path(&self) -> &Path {
+        &self.path
+    }
+}
+
+/// An HGT file that was compressed by gzip.
+struct Gzipped {
+    path: PathBuf,
+    side: usize,
+}
+
+/// The largest number of bytes that follow the samples.
+const MAX_MORE_BYTES: u64 = 64 << 10;
+
+/// Opens an HGT file that was compressed by gzip. The name tells the position.
+pub(super) fn open_gzip(path: &Path, cache: &BlockCache) -> Result<Opened, GenError> {
+    // A file ends with the length of its content.
+    let length = || {
+        let mut file = std::fs::File::open(path)?;
+        file.seek(SeekFrom::End(-4))?;
+        let mut bytes = [0; 4];
+        file.read_exact(&mut bytes)?;
+        Ok(u32::from_le_bytes(bytes))
+    };
+    let length = length().map_err(GenError::file(path))?;
+    let name = path.file_name().and_then(|name| name.to_str()).unwrap_or("");
+    let (side, placement) = place(path, name, length.into())?;
+    let (grid, reader) = whole(Box::new(Gzipped { path: path.to_owned(), side }), [side; 2], cache);
+    Ok(Opened { grid, reader, placement })
+}
+
+impl WholeReader for Gzipped {
+    fn read_all(&self, call: &mut dyn FnMut(&[u32]) -> Result<(), GenError>) -> Result<(), GenError> {
+        let bad = |e: std::io::Error| GenError::invalid(&self.path, format!("gzip: {e}"));
+        let file = std::fs::File::open(&self.path).map_err(GenError::file(&self.path))?;
+        let mut content = MultiGzDecoder::new(BufReader::new(file));
+        let mut row = vec![0; 2 * self.side];
+        for _ in 0..self.side {
+            content.read_exact(&mut row).map_err(bad)?;
+            call(&samples(&row))?;
+        }
+        // The checksum is compared at the end.
+        std::io::copy(&mut content.take(MAX_MORE_BYTES), &mut std::io::sink()).map(|_| ()).map_err(bad)
     }
 
     fn path(&self) -> &Path {

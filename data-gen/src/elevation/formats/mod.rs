@@ -95,13 +95,12 @@ pub(super) fn open(path: &Path, options: &RasterOptions, context: &Arc<SourceCon
         _ if is_tiff(&magic) => tiff::open(path, options, context),
         [0x89, b'P', b'N', b'G', ..] => png::open(path, options, &context.cache),
         [0x76, 0x2f, 0x31, 0x01, ..] => exr::open(path, options, &context.cache),
+        [0x1f, 0x8b, ..] => hgt::open_gzip(path, &context.cache),
         [b'P', b'K', 3, 4, ..] => hgt::open_zip(path, &context.cache),
-        [n, c, ..] if n.eq_ignore_ascii_case(&b'n') && c.eq_ignore_ascii_case(&b'c') => {
-            ascii_grid::open(path, options, &context.cache)
-        }
+        _ if ascii_grid::is_ascii_grid(&magic) => ascii_grid::open(path, options, &context.cache),
         _ => Err(GenError::invalid(
             path,
-            "neither GeoTIFF, HGT (or a zip file of one), PNG, EXR, PMTiles, MBTiles nor an ASCII grid",
+            "neither GeoTIFF, HGT (or a zip or gzip file of one), PNG, EXR, PMTiles, MBTiles nor an ASCII grid",
         )),
     }
 }

@@ -2,12 +2,13 @@
 
 use std::io::{BufRead, BufReader, Seek};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use png::{BitDepth, ColorType, Decoder, Transformations};
 
 use super::{HeightEncoding, MAX_SAMPLES_PER_BYTE, Opened, RasterOptions};
 use crate::GenError;
-use crate::georeference::Placement;
+use crate::georeference::{Metadata, Placement};
 use crate::store::{BlockCache, FileState, WholeReader, whole};
 use crate::web_tiles::tile_of;
 
@@ -18,16 +19,16 @@ struct PngFile {
     state: FileState,
 }
 
-/// Opens a PNG. It is placed by its world file, or by its path if that ends like a web tile's, `z/x/y.png`.
-pub(super) fn open(path: &Path, options: &RasterOptions, cache: &BlockCache) -> Result<Opened, GenError> {
+/// Opens a PNG. It is placed by a file beside it, or by its path if that ends like a web tile's, `z/x/y.png`.
+pub(super) fn open(path: &Path, options: &RasterOptions, cache: &Arc<BlockCache>) -> Result<Opened, GenError> {
     let state = FileState::of(path)?;
     let reader = || Ok(BufReader::new(std::fs::File::open(path).map_err(GenError::file(path))?));
     let size = size(reader()?, path, options, state.bytes())?;
-    let placement = match tile_of(path).filter(|_| !Placement::has_world_file(path)) {
-        Some(tile) => tile.placement(size),
-        None => Placement::of_image(path, size, options.crs.clone())?,
-    };
-    let file = PngFile { path: path.to_owned(), options: options.clone(), state };
+    let beside = Placement::of_image(path, size, options.crs.clone(), cache)?;
+    let placement = beside.or_else(|| Some(tile_of(path)?.placement(size))).unwrap_or_default();
+    let nodata = options.nodata.or(Metadata::beside(path, cache)?.nodata());
+    let options = RasterOptions { nodata, ..options.clone() };
+    let file = PngFile { path: path.to_owned(), options, state };
     let (grid, reader) = whole(Box::new(file), size, cache);
     Ok(Opened { grid, reader, placement })
 }

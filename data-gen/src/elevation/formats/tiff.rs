@@ -36,7 +36,7 @@ impl Channel {
         let tiff = Tiff::open_caching(&self.path, cache_bytes, &self.context.cache)?;
         let Some(number) = self.overview else { return Ok(tiff) };
         let gone = || GenError::invalid(&self.path, "TIFF: an overview that was there is missing");
-        tiff.overviews().into_iter().nth(number).ok_or_else(gone)
+        tiff.overviews()?.into_iter().nth(number).ok_or_else(gone)
     }
 }
 
@@ -45,10 +45,18 @@ pub(super) fn open(path: &Path, options: &RasterOptions, context: &Arc<SourceCon
     let number = context.tiffs.new_file();
     let t = context.tiffs.file(number, || Tiff::open(path, &context.cache))?;
     // PNG and EXR files have a default position; a TIFF must have a georeference.
-    let placement = Placement::of_tiff(path, &t, options.crs.clone())?
-        .ok_or_else(|| GenError::invalid(path, "no georeference: neither GeoTIFF tags nor a world file beside it"))?;
+    let placement = Placement::of_tiff(path, &t, options.crs.clone(), &context.cache)?
+        .ok_or_else(|| GenError::invalid(path, no_place(&t)))?;
     t.check_samples()?;
     opened(path, number, None, options, context, placement)
+}
+
+/// Returns the reason why a file has no place.
+fn no_place(tiff: &Tiff) -> &'static str {
+    match tiff.has_control_points() {
+        true => "placed by ground control points, which are not supported; gdalwarp converts the file",
+        false => "no georeference: neither GeoTIFF tags nor a world file beside it",
+    }
 }
 
 /// Opens the coarsest overview of a file whose pixels are at most `factors` times as wide and as high as those of the file.
@@ -63,7 +71,7 @@ pub(super) fn open_overview(
     let full = Tiff::open(path, &context.cache)?;
     let factors_of = |image: &Tiff| [full.width as f64 / image.width as f64, full.height as f64 / image.height as f64];
     let suffices = |image: &Tiff| (0..2).all(|axis| factors_of(image)[axis] <= MAX_EXCESS * factors[axis]);
-    let overviews = full.overviews();
+    let overviews = full.overviews()?;
     let Some(chosen) = overviews.iter().rposition(suffices) else { return Ok(None) };
     let placement = placement.scaled(factors_of(&overviews[chosen]));
     opened(path, context.tiffs.new_file(), Some(chosen), options, context, placement).map(Some)
@@ -82,6 +90,7 @@ fn opened(
     let t = channel.tiff()?;
     channel.channel = match (&options.channel, t.channels()) {
         (None, 1) => 0,
+        (None, 2) if t.alpha() == Some(1) => 0,
         (None, count) => {
             let reason = format!("TIFF with {count} channels; elevation has one channel, --channel N chooses it");
             return Err(GenError::invalid(&channel.path, reason));

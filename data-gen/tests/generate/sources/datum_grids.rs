@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use terrane_data_gen::{GenArgs, run};
+use terrane_data_gen::{GenArgs, VerticalDatum, run};
 
 use crate::files::{from_dem, region, tileset};
 use crate::tiffs::{Image, Values, tiff};
@@ -80,6 +80,76 @@ fn grids_shift_datums_other_than_wgs84() {
         assert!(found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-9), "{found:?}, not {expected:?}");
         assert!((plain[0] - found[0]).abs() > 1e-7);
     }
+}
+
+/// Returns a GeoTIFF of PROJ with channels of one value each, over degrees: west, south, east and north.
+fn grid_tiff(channels: &[(f32, &str)], [west, south, east, north]: [f64; 4], items: &str) -> Vec<u8> {
+    let [columns, rows] = [east - west + 1.0, north - south + 1.0].map(|n| n as u16);
+    let point: Vec<u8> = channels.iter().flat_map(|(value, _)| value.to_le_bytes()).collect();
+    let count = channels.len() as u16;
+    let image = Image::new([columns, rows], 32, count, point.repeat(usize::from(columns) * usize::from(rows)));
+    let described = channels
+        .iter()
+        .enumerate()
+        .map(|(k, (_, name))| format!("<Item name=\"DESCRIPTION\" sample=\"{k}\" role=\"description\">{name}</Item>"));
+    let xml = format!("<GDALMetadata>{}{items}</GDALMetadata>\0", described.collect::<String>());
+    let image = image.at([west - 0.5, north + 0.5], [1.0; 2]).with(339, Values::Short(vec![3; channels.len()]));
+    tiff(vec![image.with(262, Values::Short(vec![1])).with(42112, Values::Text(xml))])
+}
+
+#[test]
+fn grids_in_geotiff_shift_as_those_in_ntv2() {
+    let folder = tempfile::tempdir().unwrap();
+    let args = args(folder.path(), 4314);
+    let area = [5.0, 44.0, 12.0, 50.0];
+    let bounds = |bytes: &[u8]| {
+        let args = GenArgs { datum_grid: write(folder.path(), bytes), overwrite: true, ..args.clone() };
+        run(&args).map(|_| region(&tileset(&args.out)["root"])).map_err(|e| e.to_string())
+    };
+    let expected = bounds(&ntv2([3.6, 7.2], area, true)).unwrap();
+    let [north, east] = ["latitude_offset", "longitude_offset"];
+    let west = "<Item name=\"positive_value\" sample=\"1\">west</Item>";
+    let degrees: String =
+        (0..2).map(|k| format!("<Item name=\"UNITTYPE\" sample=\"{k}\" role=\"unittype\">degree</Item>")).collect();
+    for grid in [
+        grid_tiff(&[(3.6, north), (7.2, east)], area, "<Item name=\"TYPE\">HORIZONTAL_OFFSET</Item>"),
+        grid_tiff(&[(7.2, east), (3.6, north)], area, ""),
+        grid_tiff(&[(3.6, north), (-7.2, east)], area, west),
+        grid_tiff(&[(0.001, north), (0.002, east)], area, &degrees),
+    ] {
+        let found = bounds(&grid).unwrap();
+        assert!(found.iter().zip(&expected).all(|(a, b)| (a - b).abs() < 1e-9), "{found:?}, not {expected:?}");
+    }
+    for (grid, why) in [
+        (grid_tiff(&[(1.0, "geoid_undulation")], area, ""), "no channel latitude_offset"),
+        (grid_tiff(&[(1.0, north), (1.0, east)], area, "<Item name=\"TYPE\">VELOCITY</Item>"), "of the type VELOCITY"),
+    ] {
+        let error = bounds(&grid).unwrap_err();
+        assert!(error.contains("grid.gsb: ") && error.contains(why), "{error}");
+    }
+    let whole = grid_tiff(&[(3.6, north), (7.2, east)], area, "");
+    for cut in (0..whole.len()).step_by(37) {
+        let error = bounds(&whole[..cut]).unwrap_err();
+        assert!(error.contains("grid.gsb"), "{cut}: {error}");
+    }
+}
+
+/// The heights of geoids of NOAA and other agencies are GeoTIFFs.
+#[test]
+fn geoids_in_geotiff_raise_heights() {
+    let folder = tempfile::tempdir().unwrap();
+    let args = args(folder.path(), 4326);
+    let plain = run(&args).unwrap();
+    let raised = |bytes: &[u8]| {
+        let vertical_datum = VerticalDatum::Geoid(write(folder.path(), bytes).unwrap());
+        run(&GenArgs { vertical_datum, overwrite: true, ..args.clone() }).map_err(|e| e.to_string())
+    };
+    let area = [5.0, 44.0, 12.0, 50.0];
+    let grid = grid_tiff(&[(1.0, "other"), (48.5, "geoid_undulation")], area, "");
+    assert_eq!(raised(&grid).unwrap().max_height_m, plain.max_height_m + 48.5);
+    let shift =
+        grid_tiff(&[(0.5, "vertical_offset")], area, "<Item name=\"TYPE\">VERTICAL_OFFSET_VERTICAL_TO_VERTICAL</Item>");
+    assert!(raised(&shift).unwrap_err().contains("not VERTICAL_OFFSET_GEOGRAPHIC_TO_VERTICAL"));
 }
 
 #[test]

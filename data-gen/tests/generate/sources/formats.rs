@@ -25,6 +25,30 @@ fn usual() -> RasterOptions {
     RasterOptions::default()
 }
 
+/// As the public copies of SRTM are stored.
+#[test]
+fn gzipped_hgt_is_placed_by_its_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("N42E001.hgt.gz");
+    let samples: Vec<u8> = (0..1201 * 1201i32).flat_map(|k| ((k % 1201) as i16).to_be_bytes()).collect();
+    let mut gzip = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+    gzip.write_all(&samples).unwrap();
+    let whole = gzip.finish().unwrap();
+    fs::write(&path, &whole).unwrap();
+    let raster = read(&path, usual());
+    let bounds = raster.bounds().map(f64::to_degrees);
+    assert!(bounds.iter().zip([1.0, 42.0, 2.0, 43.0]).all(|(a, b)| (a - b).abs() < 1e-9), "{bounds:?}");
+    assert_eq!(raster.range_m().unwrap(), [0.0, 1200.0]);
+    let mut damaged = whole.clone();
+    let middle = damaged.len() / 2;
+    damaged[middle] ^= 0xff;
+    for bytes in [&whole[..whole.len() / 2], &whole[..3], &damaged] {
+        fs::write(&path, bytes).unwrap();
+        let found = Raster::read(&path).and_then(|raster| raster.range_m());
+        assert!(found.unwrap_err().to_string().contains("N42E001.hgt.gz"));
+    }
+}
+
 #[test]
 fn zipped_hgt_is_placed_by_the_name_of_its_member_or_its_own() {
     let folder = tempfile::tempdir().unwrap();

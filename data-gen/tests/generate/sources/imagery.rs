@@ -224,3 +224,64 @@ fn half_floats_and_packed_samples_are_heights() {
     let args = GenArgs { imagery: vec![path.clone()], ..over_tile(folder.path(), 1) };
     assert!(run(&args).unwrap_err().to_string().contains("8 bits per channel or 16"));
 }
+
+/// Regression: GDAL writes opaque tiles of images with opacity as RGB, which was an error.
+#[test]
+fn webp_tiles_with_and_without_opacity_are_drawn() {
+    let folder = tempfile::tempdir().unwrap();
+    let opaque = {
+        let mut bytes = Cursor::new(Vec::new());
+        let image = image::RgbImage::from_pixel(16, 16, image::Rgb([240, 20, 20]));
+        image.write_to(&mut bytes, ImageFormat::WebP).unwrap();
+        bytes.into_inner()
+    };
+    let tile = [Values::Short(vec![16]), Values::Short(vec![16])];
+    let [width, height] = tile;
+    let image = Image {
+        blocks: vec![opaque, encoded([20, 20, 240, 0], ImageFormat::WebP)],
+        ..Image::new([32, 16], 8, 4, vec![])
+    };
+    let image = image.with(322, width).with(323, height).with(338, Values::Short(vec![2]));
+    let image =
+        image.with(crate::tiffs::COMPRESSION, Values::Short(vec![50001])).at([0.0, 66.5], [45.0 / 32.0, 25.5 / 16.0]);
+    let path = folder.path().join("webp.tif");
+    write(path.clone(), tiff(vec![image]));
+    let below = folder.path().join("below.png");
+    write(below.clone(), encoded([20, 240, 20, 255], ImageFormat::Png));
+    fs::write(below.with_extension("wld"), "3\n0\n0\n-2\n1.5\n66\n").unwrap();
+    let args = GenArgs { imagery: vec![path.clone(), below], ..over_tile(folder.path(), 1) };
+    run(&args).unwrap();
+    assert!(is_near(color(&args, "0/0/0.jpg", [60, 128]), [240, 20, 20]));
+    assert!(is_near(color(&args, "0/0/0.jpg", [200, 128]), [20, 240, 20]), "transparent pixels show what lies below");
+    let whole = fs::read(&path).unwrap();
+    for at in (0..whole.len()).step_by(41) {
+        let mut damaged = whole.clone();
+        damaged[at] ^= 0x5a;
+        write(path.clone(), damaged);
+        if let Err(error) = run(&GenArgs { overwrite: true, ..args.clone() }) {
+            assert!(error.to_string().contains("webp.tif"), "{at}: {error}");
+        }
+    }
+}
+
+#[test]
+fn compressions_that_are_not_supported_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    for (code, name) in [(34925, "LZMA"), (50002, "JPEG XL"), (34712, "JPEG 2000"), (4, "CCITT fax 4")] {
+        let image = Image::new([8; 2], 8, 1, vec![7; 64]).at([8.0, 46.0], [0.1; 2]);
+        let image = image.with(crate::tiffs::COMPRESSION, Values::Short(vec![code]));
+        let error = run(&from_dem(folder.path(), "a.tif", &tiff(vec![image]))).unwrap_err().to_string();
+        assert!(error.contains("a.tif: TIFF: samples compressed as ") && error.contains(name), "{error}");
+    }
+}
+
+/// `gdalwarp -dstalpha` marks the samples without data so.
+#[test]
+fn opacity_of_elevation_marks_samples_without_data() {
+    let folder = tempfile::tempdir().unwrap();
+    let samples =
+        (1..=64u16).flat_map(|h| [h.to_le_bytes(), (if h == 64 { 0u16 } else { 65535 }).to_le_bytes()].concat());
+    let image = Image::new([8; 2], 16, 2, samples.collect()).at([8.0, 46.0], [0.1; 2]);
+    let args = from_dem(folder.path(), "a.tif", &tiff(vec![image.with(338, Values::Short(vec![2]))]));
+    assert_eq!(Raster::read(&args.dem[0]).unwrap().range_m().unwrap(), [1.0, 63.0]);
+}

@@ -99,3 +99,45 @@ fn archives_that_are_not_valid_are_errors() {
     fs::write(folder.path().join("cut.mbtiles"), &whole[..5000]).unwrap();
     error(&folder.path().join("cut.mbtiles"));
 }
+
+/// Regression: a view of a stranger is SQL, and some never end or take all memory.
+#[test]
+fn views_that_do_not_end_are_errors() {
+    let folder = tempfile::tempdir().unwrap();
+    let of_view = |name: &str, view: &str| {
+        let path = folder.path().join(name);
+        let database = Connection::open(&path).unwrap();
+        database.execute_batch(&format!("CREATE TABLE one (b blob); CREATE VIEW tiles AS {view};")).unwrap();
+        Raster::read_in(&path, &terrarium_options()).err().unwrap().to_string()
+    };
+    let endless = "WITH RECURSIVE n(k) AS (SELECT 0 UNION ALL SELECT k + 1 FROM n)";
+    let columns = "1 AS zoom_level, 0 AS tile_column, 0 AS tile_row";
+    for (name, view) in [
+        ("count.mbtiles", format!("{endless} SELECT {columns}, zeroblob(9) AS tile_data FROM n")),
+        ("none.mbtiles", format!("{endless} SELECT {columns}, zeroblob(9) AS tile_data FROM n WHERE k < 0")),
+    ] {
+        let error = of_view(name, &view);
+        assert!(error.contains(&format!("{name}: MBTiles: a query takes more time")), "{error}");
+    }
+    // All numbers and a megabyte with each are kept, to find equal ones.
+    let large = "WITH RECURSIVE n(k, b) AS (SELECT 0, NULL UNION SELECT k + 1, zeroblob(1000000) FROM n)";
+    let error = of_view("memory.mbtiles", &format!("{large} SELECT {columns}, b AS tile_data FROM n WHERE k < 0"));
+    assert!(error.contains("memory.mbtiles: MBTiles: a query needs more than 268435456 bytes"), "{error}");
+}
+
+/// Tiles in one table without an index, larger than a page.
+#[test]
+fn plain_tables_are_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("plain.mbtiles");
+    let database = Connection::open(&path).unwrap();
+    let table = "CREATE TABLE tiles (zoom_level integer, tile_column integer, tile_row integer, tile_data blob)";
+    database.execute_batch(table).unwrap();
+    for (x, row) in [(0, 1), (1, 0), (1, 1)] {
+        let mut tile = terrarium(f64::from(100 * x + 10 * row));
+        tile.resize(3 << 20, 0);
+        database.execute("INSERT INTO tiles VALUES (1, ?1, ?2, ?3)", (x, row, tile)).unwrap();
+    }
+    let raster = Raster::read_in(&path, &terrarium_options()).unwrap();
+    assert_eq!((raster.size(), raster.range_m().unwrap()), ([16, 16], [10.0, 110.0]));
+}

@@ -1,6 +1,7 @@
 //! Elevation files of each kind and of any size, archives of tiles, files on servers, imagery, what is kept of samples, and reference systems compared with PROJ.
 
 mod bad_input;
+mod beside;
 mod datum_grids;
 mod elevation_files;
 mod formats;

@@ -1,4 +1,4 @@
-//! Heights of a geoid above the ellipsoid, from the grids of PROJ in the format GTX.
+//! Heights of a geoid above the ellipsoid, from the grids of PROJ in the formats GTX and GeoTIFF.
 //!
 //! A GTX file has a header of big-endian numbers (south and west in degrees, the steps north and east in degrees as f64; rows
 //! and columns as i32), then f32 heights in metres, southern row first.
@@ -6,20 +6,26 @@
 use std::f64::consts::TAU;
 use std::path::{Path, PathBuf};
 
+use super::grid_tiff;
 use crate::GenError;
 
 /// The value of points without data.
 const NODATA: f32 = -88.8888;
 const HEADER_BYTES: usize = 40;
-/// The folders of PROJ's grids, unless the environment names others.
+/// The folders of PROJ's grids, beside those that the environment names.
 const FOLDERS: [&str; 2] = ["/usr/share/proj", "/usr/local/share/proj"];
+/// The type of GeoTIFFs with heights of a geoid.
+const GEOID: &str = "VERTICAL_OFFSET_GEOGRAPHIC_TO_VERTICAL";
+/// The names of their channel.
+const CHANNELS: [&str; 2] = ["geoid_undulation", "hydroid_height"];
 
 /// The surface that heights of elevation files are measured from.
 #[derive(Clone, Debug, PartialEq)]
 pub enum VerticalDatum {
     /// The ellipsoid of WGS84: heights are used as they are.
     Ellipsoid,
-    /// A geoid: its height above the ellipsoid is added. The name of a grid of PROJ (`egm96`, `egm2008`), or a file.
+    /// A geoid: its height above the ellipsoid is added. The name of a grid of PROJ (`egm96`, `egm2008`,
+    /// `us_noaa_g2018u0.tif`), or a file, GTX or GeoTIFF.
     Geoid(PathBuf),
 }
 
@@ -32,18 +38,23 @@ impl VerticalDatum {
     /// Reads the grid; `None` for the ellipsoid.
     pub(crate) fn geoid(&self) -> Result<Option<Geoid>, GenError> {
         let Self::Geoid(path) = self else { return Ok(None) };
-        let name = match path.to_str().map(str::to_ascii_lowercase).as_deref() {
-            Some("egm96") => "egm96_15.gtx",
-            Some("egm2008") => "egm08_25.gtx",
+        let names = match path.to_str().map(str::to_ascii_lowercase).as_deref() {
+            Some("egm96") => vec![Path::new("egm96_15.gtx"), Path::new("us_nga_egm96_15.tif")],
+            Some("egm2008") => vec![Path::new("egm08_25.gtx"), Path::new("us_nga_egm08_25.tif")],
+            _ if path.components().count() == 1 && !path.exists() => vec![path.as_path()],
             _ => return Geoid::read(path).map(Some),
         };
-        let variables = ["PROJ_DATA", "PROJ_LIB"].into_iter().filter_map(std::env::var_os);
-        let folders = variables.map(PathBuf::from).chain(FOLDERS.map(PathBuf::from));
-        match folders.map(|folder| folder.join(name)).find(|path| path.is_file()) {
+        let variables = ["PROJ_DATA", "PROJ_LIB"].into_iter().filter_map(std::env::var_os).map(PathBuf::from);
+        let user = std::env::var_os("HOME").map(|home| PathBuf::from(home).join(".local/share/proj"));
+        let folders: Vec<PathBuf> = variables.chain(user).chain(FOLDERS.map(PathBuf::from)).collect();
+        let paths = names.iter().flat_map(|name| folders.iter().map(move |folder| folder.join(name)));
+        match paths.into_iter().find(|path| path.is_file()) {
             Some(path) => Geoid::read(&path).map(Some),
             None => {
-                let places = format!("PROJ_DATA, PROJ_LIB, {}", FOLDERS.join(" or "));
-                Err(GenError::Argument(format!("--vertical-datum {}: no {name} in {places}", path.display())))
+                let names: Vec<_> = names.iter().map(|name| name.display().to_string()).collect();
+                let places = format!("PROJ_DATA, PROJ_LIB, ~/.local/share/proj, {}", FOLDERS.join(" or "));
+                let names = names.join(" or ");
+                Err(GenError::Argument(format!("--vertical-datum {}: no {names} in {places}", path.display())))
             }
         }
     }
@@ -58,8 +69,13 @@ impl std::fmt::Display for VerticalDatum {
     }
 }
 
-/// A grid of geoid heights in memory.
+/// Grids of geoid heights in memory. Where they overlap, the later one is the finer one.
 pub(crate) struct Geoid {
+    grids: Vec<Grid>,
+}
+
+/// A grid of geoid heights.
+struct Grid {
     /// Longitude and latitude of the south-western point in radians.
     origin: [f64; 2],
     /// The distance between points, east and north, in radians.
@@ -72,13 +88,42 @@ pub(crate) struct Geoid {
 }
 
 impl Geoid {
-    /// Reads a GTX file.
+    /// Reads a GTX or a GeoTIFF file.
     pub fn read(path: &Path) -> Result<Self, GenError> {
         GenError::if_not_regular(path)?;
         let bytes = std::fs::read(path).map_err(GenError::file(path))?;
-        Self::decode(&bytes).map_err(|reason| GenError::invalid(path, format!("GTX grid: {reason}")))
+        if !grid_tiff::is_tiff(&bytes) {
+            let grid = Grid::decode(&bytes);
+            let grid = grid.map_err(|reason| GenError::invalid(path, format!("GTX grid: {reason}")))?;
+            return Ok(Self { grids: vec![grid] });
+        }
+        drop(bytes);
+        let mut grids = Vec::new();
+        for image in grid_tiff::open(path, GEOID)? {
+            let none = || GenError::invalid(path, format!("no channel {}", CHANNELS.join(" or ")));
+            let channel = image.channel(&CHANNELS, 0).ok_or_else(none)?;
+            let heights_m = image.values(channel, 1.0)?;
+            let ([columns, rows], step) = (image.size, image.step.map(f64::to_radians));
+            grids.push(Grid {
+                origin: image.south_west.map(f64::to_radians),
+                step,
+                columns,
+                rows,
+                is_global: step[0] * columns as f64 > TAU - 0.5 * step[0],
+                heights_m,
+            });
+        }
+        Ok(Self { grids })
     }
 
+    /// Returns the height of the geoid above the ellipsoid in metres at a longitude and latitude in radians, interpolated
+    /// between four points. `None` outside of the grids and beside points without data.
+    pub fn height_m(&self, longitude: f64, latitude: f64) -> Option<f64> {
+        self.grids.iter().rev().find_map(|grid| grid.height_m(longitude, latitude))
+    }
+}
+
+impl Grid {
     fn decode(bytes: &[u8]) -> Result<Self, String> {
         let (header, data) = bytes.split_at_checked(HEADER_BYTES).ok_or("shorter than its header")?;
         let (numbers, counts) = header.split_at(32);
@@ -97,9 +142,8 @@ impl Geoid {
         Ok(Self { origin: [west, south], step: [dx, dy], columns, rows, is_global, heights_m })
     }
 
-    /// Returns the height of the geoid above the ellipsoid in metres at a longitude and latitude in radians, interpolated
-    /// between four points. `None` outside of the grid and beside points without data.
-    pub fn height_m(&self, longitude: f64, latitude: f64) -> Option<f64> {
+    /// Like [`Geoid::height_m`].
+    fn height_m(&self, longitude: f64, latitude: f64) -> Option<f64> {
         let mut east = (longitude - self.origin[0]).rem_euclid(TAU);
         if !self.is_global && east > TAU - 1e-9 {
             east = 0.0;
@@ -140,7 +184,7 @@ mod tests {
 
     #[test]
     fn heights_are_interpolated_and_end_at_the_edges() {
-        let geoid = Geoid::decode(&grid([40.0, 5.0], 0.5, [5, 9])).unwrap();
+        let geoid = Grid::decode(&grid([40.0, 5.0], 0.5, [5, 9])).unwrap();
         let at = |longitude: f64, latitude: f64| geoid.height_m(longitude.to_radians(), latitude.to_radians());
         for (x, y) in [(0.0, 0.0), (4.0, 2.0), (1.25, 0.75), (3.9, 1.1)] {
             let found = at(5.0 + x, 40.0 + y).unwrap();
@@ -150,13 +194,13 @@ mod tests {
         assert_eq!([at(4.9, 41.0), at(9.1, 41.0), at(6.0, 39.9), at(6.0, 42.1)], [None; 4]);
         let mut holes = grid([40.0, 5.0], 0.5, [5, 9]);
         holes[HEADER_BYTES..HEADER_BYTES + 4].copy_from_slice(&NODATA.to_be_bytes());
-        let geoid = Geoid::decode(&holes).unwrap();
+        let geoid = Grid::decode(&holes).unwrap();
         assert_eq!(geoid.height_m(5.1f64.to_radians(), 40.1f64.to_radians()), None);
     }
 
     #[test]
     fn global_grids_have_no_ends() {
-        let geoid = Geoid::decode(&grid([-90.0, -180.0], 10.0, [19, 36])).unwrap();
+        let geoid = Grid::decode(&grid([-90.0, -180.0], 10.0, [19, 36])).unwrap();
         let at = |longitude: f64| geoid.height_m(longitude.to_radians(), 0.0).unwrap();
         // Halfway between the last column and the first.
         assert!((at(175.0) - 0.5 * (at(170.0) + at(-180.0))).abs() < 1e-6);
@@ -167,16 +211,16 @@ mod tests {
     fn broken_grids_are_refused() {
         let good = grid([40.0, 5.0], 0.5, [5, 9]);
         for length in 0..good.len() {
-            assert!(Geoid::decode(&good[..length]).is_err(), "{length}");
+            assert!(Grid::decode(&good[..length]).is_err(), "{length}");
         }
         for [rows, columns] in [[0, 9], [-5, 9], [i32::MAX, i32::MAX]] {
             let mut bytes = good.clone();
             bytes[32..36].copy_from_slice(&rows.to_be_bytes());
             bytes[36..40].copy_from_slice(&columns.to_be_bytes());
-            assert!(Geoid::decode(&bytes).is_err());
+            assert!(Grid::decode(&bytes).is_err());
         }
         let mut bytes = good;
         bytes[0..8].copy_from_slice(&f64::NAN.to_be_bytes());
-        assert!(Geoid::decode(&bytes).is_err());
+        assert!(Grid::decode(&bytes).is_err());
     }
 }
