@@ -133,7 +133,7 @@ impl PixelImage {
         let (across, down) = (x1 - x0 + 1, y1 - y0 + 1);
         let block_bytes = 4 * self.grid.block[0] * self.grid.block[1];
         let count = across.saturating_mul(down);
-        if count < 2 || count > MAX_AHEAD || count * block_bytes > self.cache.budget() / 2 {
+        if !(2..=MAX_AHEAD).contains(&count) || count * block_bytes > self.cache.budget() / 2 {
             return;
         }
         let next = AtomicUsize::new(0);
