@@ -183,7 +183,7 @@ pub fn run(args: &GenArgs) -> Result<Summary, GenError> {
         Ok(_) if !is_same() => return Err(GenError::Changed(out)),
         Ok(made) => made,
         Err(reason @ (GenError::File { .. } | GenError::Shards { .. }))
-            if Journal::new(partial.path()).has_blocks() && is_same() =>
+            if Journal::new(partial.path()).exists() && is_same() =>
         {
             return Err(GenError::Unfinished { reason: Box::new(reason), folder: partial.keep() });
         }
@@ -223,7 +223,7 @@ pub(crate) fn check(args: &GenArgs) -> Result<(), GenError> {
 
 /// Makes a set or a shard in a folder. Returns the folders of the shards that were merged as well.
 fn make(args: &GenArgs, out: &Path, fingerprint: u64, folder: &Path) -> Result<(Summary, Vec<PathBuf>), GenError> {
-    let is_fresh = !Journal::new(folder).has_blocks();
+    let is_fresh = !Journal::new(folder).exists();
     if let Some(set) = world_set(args, PROCEDURAL_LEVELS) {
         if is_fresh {
             let tiles = (0..set.levels()).map(|level| 1u64 << (2 * level)).sum();

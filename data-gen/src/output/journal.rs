@@ -91,8 +91,8 @@ impl Journal {
         std::fs::create_dir_all(folder).map_err(GenError::file(folder))
     }
 
-    /// Returns true if any block or tile is complete.
-    pub fn has_blocks(&self) -> bool {
+    /// Returns true if a run has begun a journal.
+    pub fn exists(&self) -> bool {
         self.folder.is_dir() || self.packed.is_some()
     }
 

@@ -1,7 +1,7 @@
 //! The temporary folder beside OUT in which a set is written, and its move to OUT when it is complete.
 //!
-//! The folder contains a marker file that its run keeps locked. A later run removes folders whose marker is not locked:
-//! their run was killed.
+//! The folder contains a marker file that its run keeps locked. The run of a folder whose marker is not locked was killed.
+//! A later run continues that folder if it has the run's fingerprint, and removes it otherwise.
 
 use std::fs::{self, File};
 use std::io::{self, ErrorKind, Read as _, Write as _};
