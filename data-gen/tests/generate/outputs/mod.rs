@@ -2,4 +2,5 @@
 
 mod archives;
 mod implicit;
+mod packed;
 mod terrain;
