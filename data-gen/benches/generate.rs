@@ -1,10 +1,11 @@
-//! Benchmarks the noise, the generation of a tile set from noise on one thread and on all, and tiles of worlds.
+//! Benchmarks the noise, the generation of a tile set from noise on one thread and on all, from a GeoTIFF in all forms, and tiles of
+//! worlds. `tools/peers/generate` compares with other programs.
 #![allow(missing_docs, reason = "criterion's macros make undocumented items")]
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use terrane_data_gen::{
-    Color, ContentKind, ElevationSource as _, GenArgs, Procedural, TileArgs, TileKey, Triangles, World, WorldPreset,
-    WorldSet, run,
+    ArchiveFormat, Color, ContentKind, ElevationSource as _, GenArgs, OutputArgs, Procedural, TileArgs, TileKey,
+    Triangles, World, WorldPreset, WorldSet, run,
 };
 
 fn noise(criterion: &mut Criterion) {
@@ -65,6 +66,47 @@ fn triangles(criterion: &mut Criterion) {
     group.finish();
 }
 
+/// Sets of a GeoTIFF of floats on one thread, without colour: EXR heights, packed heights, and meshes.
+fn forms(criterion: &mut Criterion) {
+    let Ok(folder) = tempfile::tempdir() else { return };
+    let side = 1025u32;
+    let source = Procedural { seed: 3, cos_latitude: 0.7 };
+    let mut heights = vec![0.0f32; (side * side) as usize];
+    for (row, heights) in heights.chunks_exact_mut(side as usize).enumerate() {
+        let latitude = 0.8 - 5e-6 * row as f64;
+        assert!(source.heights_of_row(0.1, 5e-6, latitude, heights).is_ok(), "noise has heights everywhere");
+    }
+    let dem = folder.path().join("dem.tif");
+    let written = std::fs::File::create(&dem).map_err(tiff::TiffError::from).and_then(|file| {
+        tiff::encoder::TiffEncoder::new(file)?
+            .write_image::<tiff::encoder::colortype::Gray32Float>(side, side, &heights)
+    });
+    let placed = std::fs::write(dem.with_extension("tfw"), "0.0003\n0\n0\n-0.0003\n7\n47\n");
+    assert!(written.is_ok() && placed.is_ok(), "the folder can be written");
+    let mut group = criterion.benchmark_group("forms");
+    group.sample_size(10).throughput(Throughput::Elements(341));
+    let packed = OutputArgs { archive: Some(ArchiveFormat::Packed), ..OutputArgs::default() };
+    for (name, content, output) in [
+        ("exr", ContentKind::Height, OutputArgs::default()),
+        ("packed.terrane", ContentKind::Height, packed),
+        ("tin", ContentKind::Mesh, OutputArgs::default()),
+    ] {
+        let args = GenArgs {
+            dem: vec![dem.clone()],
+            content,
+            output,
+            color: Color::None,
+            jobs: Some(1),
+            overwrite: true,
+            ..GenArgs::new(folder.path().join(name))
+        };
+        group.bench_function(name, |b| {
+            b.iter(|| assert!(run(&args).is_ok_and(|s| s.tiles == 341), "generation failed"))
+        });
+    }
+    group.finish();
+}
+
 /// Tiles of worlds on one thread: the heights alone, and with the colours and both files.
 fn worlds(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("worlds");
@@ -84,5 +126,5 @@ fn worlds(criterion: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, noise, generate, triangles, worlds);
+criterion_group!(benches, noise, generate, triangles, forms, worlds);
 criterion_main!(benches);

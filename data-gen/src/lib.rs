@@ -34,7 +34,7 @@ mod world;
 
 pub use args::{Color, ContentKind, GenArgs, Summary, Voids};
 pub use elevation::{
-    DEFAULT_CACHE_BYTES, ElevationSource, HeightEncoding, Procedural, Raster, RasterOptions, SourceSample,
+    DEFAULT_CACHE_BYTES, ElevationSource, HeightEncoding, Procedural, Raster, RasterOptions, SampleRow, SourceSample,
 };
 pub use error::GenError;
 pub use generate::{Outcome, default_set, execute, predict, run};

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::generate::Opened;
-use crate::output::{Builder, Journal};
+use crate::output::{Builder, Journal, tiles_and_bytes};
 use crate::pyramid::{Grid, Layer, Plan, TileKey, tiles_with_data};
 use crate::{GenArgs, GenError, Voids, WorldSet};
 
@@ -194,14 +194,17 @@ fn sample(args: &GenArgs, opened: &Opened<'_>, blocks: &[TileKey], places: usize
     }
     for level in layer.root..=layer.finest {
         let [_, made, bytes] = &mut levels[level as usize];
-        (*made, *bytes) = tiles_and_bytes(&folder.path().join(level.to_string()))?;
+        (*made, *bytes) = match args.output.is_packed() {
+            true => tiles_and_bytes(folder.path(), level)?,
+            false => files_of_level(&folder.path().join(level.to_string()))?,
+        };
     }
     let made: u64 = levels.iter().map(|[_, made, _]| made).sum();
     Ok(Sample { levels, start, work, json_bytes: json_bytes / made.max(1) })
 }
 
 /// Returns the number of tiles in the folder of a level, and the bytes of their files.
-fn tiles_and_bytes(folder: &Path) -> Result<(u64, u64), GenError> {
+fn files_of_level(folder: &Path) -> Result<(u64, u64), GenError> {
     let (mut stems, mut bytes) = (HashSet::new(), 0);
     let entries = |folder: &Path| -> Result<Vec<PathBuf>, GenError> {
         let entries = match std::fs::read_dir(folder) {

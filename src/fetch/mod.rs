@@ -29,7 +29,7 @@ mod uri;
 #[cfg(feature = "http")]
 pub use archive::{RemoteFile, RemoteFiles};
 #[cfg(feature = "testing")]
-pub use archive::{fuzz_index, fuzz_pmtiles};
+pub use archive::{fuzz_index, fuzz_packed, fuzz_pmtiles};
 pub(crate) use byte_budget::{BudgetUse, ByteBudget, LoadRoom, Permit};
 #[cfg(feature = "http")]
 pub(crate) use byte_budget::{Claim, NoRoom};

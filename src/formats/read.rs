@@ -94,7 +94,8 @@ pub fn dependencies(
 #[cfg(feature = "http")]
 pub(crate) fn has_slow_dependencies(bytes: &[u8], known: &[Fetched]) -> bool {
     const MAX_QUICK_BYTES: usize = 64 << 10;
-    const QUICK: [&[u8]; 6] = [b"glTF", b"b3dm", b"i3dm", b"cmpt", b"pnts", &[0x76, 0x2f, 0x31, 0x01]];
+    const QUICK: [&[u8]; 7] =
+        [b"glTF", b"b3dm", b"i3dm", b"cmpt", b"pnts", &[0x76, 0x2f, 0x31, 0x01], height::PACKED_MAGIC];
     let is_xml = |bytes: &Vec<u8>| text_and_first_byte(bytes).1 == Some(b'<');
     (bytes.len() > MAX_QUICK_BYTES && !QUICK.iter().any(|magic| bytes.starts_with(magic)))
         || known.iter().any(|(_, file)| file.as_ref().is_ok_and(is_xml))
@@ -258,7 +259,7 @@ fn read_bytes(
     if let Some(reader) = options.reader_of(uri, &bytes) {
         return reader.read(uri, &bytes, &companions, options).map_err(|reason| IoError::invalid(uri, reason));
     }
-    if bytes.starts_with(&[0x76, 0x2f, 0x31, 0x01]) {
+    if bytes.starts_with(&[0x76, 0x2f, 0x31, 0x01]) || bytes.starts_with(height::PACKED_MAGIC) {
         return height::read(uri, &bytes, text, companions, options, notes);
     }
     ModelReader { uri, companions: &companions, options, notes }.read(&bytes, 0)

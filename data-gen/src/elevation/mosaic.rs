@@ -4,7 +4,7 @@
 use super::blend::{Blend, Edges};
 use super::nearby::Nearby;
 use super::raster::{Raster, SamplePosition};
-use super::source::{ElevationSource, SourceSample};
+use super::source::{ElevationSource, SampleRow, SourceSample};
 use super::window::Window;
 use crate::store::Cursor;
 use crate::{Extent, GenError};
@@ -43,6 +43,18 @@ impl Mosaic {
         let nearby = Nearby::new(rasters.iter().map(|raster| larger(raster.bounds())).collect());
         let edges = (blend_m > 0.0 && rasters.len() > 1).then(|| Edges::new(&rasters, blend_m));
         Self { rasters, steps, margin: [dx, dy], nearby, edges }
+    }
+
+    /// Returns the raster that alone decides the heights and extrema in a rectangle; `None` if there are several, or none.
+    fn only_raster_in(&self, [west, south, east, north]: [f64; 4]) -> Option<&Raster> {
+        if let [one] = &self.rasters[..] {
+            return Some(one);
+        }
+        let [dx, dy] = self.margin;
+        let [one] = self.nearby.within([west - dx, south - dy, east + dx, north + dy])[..] else { return None };
+        let b = self.rasters[one].bounds();
+        let is_inside = b[0] <= west - dx && b[1] <= south - dy && east + dx <= b[2] && north + dy <= b[3];
+        is_inside.then_some(&self.rasters[one])
     }
 
     fn height_at<'a>(
@@ -197,6 +209,26 @@ impl ElevationSource for Mosaic {
             }
         }
         Ok(())
+    }
+
+    fn heights_of_grid(&self, longitudes: &[f64], latitudes: &[f64], out: &mut [f32]) -> Result<bool, GenError> {
+        let ([west, .., east], [south, .., north]) = (longitudes, latitudes) else { return Ok(false) };
+        match self.only_raster_in([*west, *south, *east, *north]) {
+            Some(raster) => raster.heights_of_grid(longitudes, latitudes, out),
+            None => Ok(false),
+        }
+    }
+
+    fn sample_rows(
+        &self,
+        extent: &Extent,
+        finds_extrema: bool,
+        call: &mut dyn FnMut(SampleRow<'_>),
+    ) -> Result<bool, GenError> {
+        match self.only_raster_in([extent.west, extent.south, extent.east, extent.north]) {
+            Some(raster) => raster.sample_rows(extent, finds_extrema, call),
+            None => Ok(false),
+        }
     }
 
     fn samples_in(&self, extent: &Extent, call: &mut dyn FnMut(SourceSample)) -> Result<(), GenError> {

@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use super::context::{DEFAULT_CACHE_BYTES, SourceContext};
 use super::formats::{self, Opened, RasterOptions};
-use super::source::{ElevationSource, SourceSample};
+use super::source::{ElevationSource, SampleRow, SourceSample};
 use super::window::Window;
 use crate::georeference::{Placement, ROUNDING};
 use crate::store::{BlockCache, BlockReader, Cursor, PixelImage, Rect, is_remote};
@@ -285,18 +285,12 @@ impl Raster {
         let [i0, i1] = [0, 1].map(|dx| self.column(x0 as usize + dx));
         let [j0, j1] = [0, 1].map(|dy| (y0 as usize + dy).min(self.height - 1));
         let samples = cursor.corners([i0, i1], [j0, j1])?.map(|bits| f64::from(f32::from_bits(bits)));
-        let weights = [(1.0 - fx) * (1.0 - fy), fx * (1.0 - fy), (1.0 - fx) * fy, fx * fy];
-        let (mut sum, mut total, mut nearest) = (0.0, 0.0, (0.0, f64::NAN));
-        for (sample, weight) in samples.into_iter().zip(weights) {
-            if weight > nearest.0 {
-                nearest = (weight, sample);
-            }
-            if weight > 0.0 && sample.is_finite() {
-                sum += weight * sample;
-                total += weight;
-            }
-        }
-        Ok(nearest.1.is_finite().then(|| sum / total))
+        Ok(weighted_m(samples, [(1.0 - fx) * (1.0 - fy), fx * (1.0 - fy), (1.0 - fx) * fy, fx * fy]))
+    }
+
+    /// Returns true if columns are meridians and rows are parallels, and the raster has ends.
+    pub(super) fn has_straight_axes(&self) -> bool {
+        self.around.is_none() && self.placement.has_straight_axes()
     }
 
     /// Computes those heights along a row of positions ([`ElevationSource::heights_of_row`]) that are NaN so far, where
@@ -340,6 +334,21 @@ impl Raster {
     }
 }
 
+/// Returns the mean of samples with weights. Samples without data are left out; `None` if the one of the most weight has none.
+pub(super) fn weighted_m(samples: [f64; 4], weights: [f64; 4]) -> Option<f64> {
+    let (mut sum, mut total, mut nearest) = (0.0, 0.0, (0.0, f64::NAN));
+    for (sample, weight) in samples.into_iter().zip(weights) {
+        if weight > nearest.0 {
+            nearest = (weight, sample);
+        }
+        if weight > 0.0 && sample.is_finite() {
+            sum += weight * sample;
+            total += weight;
+        }
+    }
+    nearest.1.is_finite().then(|| sum / total)
+}
+
 impl ElevationSource for Raster {
     fn height_m(&self, longitude: f64, latitude: f64) -> Result<Option<f64>, GenError> {
         match self.locate(longitude, latitude).filter(SamplePosition::is_covered) {
@@ -351,6 +360,19 @@ impl ElevationSource for Raster {
     fn heights_of_row(&self, longitude: f64, step: f64, latitude: f64, out: &mut [f32]) -> Result<(), GenError> {
         out.fill(f32::NAN);
         self.fill_row(&mut self.cursor(), [longitude, step, latitude], out, |_, position| position.is_covered())
+    }
+
+    fn heights_of_grid(&self, longitudes: &[f64], latitudes: &[f64], out: &mut [f32]) -> Result<bool, GenError> {
+        self.lattice_heights(longitudes, latitudes, out)
+    }
+
+    fn sample_rows(
+        &self,
+        extent: &Extent,
+        finds_extrema: bool,
+        call: &mut dyn FnMut(SampleRow<'_>),
+    ) -> Result<bool, GenError> {
+        self.lattice_samples(extent, finds_extrema, call)
     }
 
     fn samples_in(&self, extent: &Extent, call: &mut dyn FnMut(SourceSample)) -> Result<(), GenError> {
@@ -388,6 +410,11 @@ impl SamplePosition {
     /// Returns true if the position lies inside the raster. The area of the outermost samples ends half a pixel beyond
     /// their centres; the excess over 0.5 allows for rounding.
     pub fn is_covered(&self) -> bool {
-        self.beyond_px.iter().all(|b| b.abs() <= 0.501)
+        (0..2).all(|axis| self.is_covered_along(axis))
+    }
+
+    /// Returns true if the position lies inside the raster along an axis.
+    pub fn is_covered_along(&self, axis: usize) -> bool {
+        self.beyond_px[axis].abs() <= 0.501
     }
 }

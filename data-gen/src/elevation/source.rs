@@ -17,6 +17,23 @@ pub trait ElevationSource: Sync {
         Ok(())
     }
 
+    /// Computes the heights at all pairs of longitudes and latitudes in radians, row by row in the order of the latitudes, with the
+    /// bits of [`Self::heights_of_row`]. Returns false if the source has no quicker way than rows; `out` is then unchanged.
+    fn heights_of_grid(&self, _longitudes: &[f64], _latitudes: &[f64], _out: &mut [f32]) -> Result<bool, GenError> {
+        Ok(false)
+    }
+
+    /// Calls with the samples of [`Self::samples_in`] in rows, if all rows have the same longitudes. Returns false, without a
+    /// call, if they have not. [`SampleRow::is_extremum`] is empty unless `finds_extrema`.
+    fn sample_rows(
+        &self,
+        _extent: &Extent,
+        _finds_extrema: bool,
+        _call: &mut dyn FnMut(SampleRow<'_>),
+    ) -> Result<bool, GenError> {
+        Ok(false)
+    }
+
     /// Calls with each sample inside a rectangle, its edges included, that [`Self::height_m`] interpolates between. A
     /// formula has no samples.
     fn samples_in(&self, _extent: &Extent, _call: &mut dyn FnMut(SourceSample)) -> Result<(), GenError> {
@@ -30,6 +47,19 @@ pub trait ElevationSource: Sync {
     fn may_have_data_in(&self, _extent: &Extent) -> bool {
         true
     }
+}
+
+/// Samples of a source at one latitude.
+#[derive(Clone, Copy, Debug)]
+pub struct SampleRow<'a> {
+    /// The latitude in radians.
+    pub latitude: f64,
+    /// The longitudes in radians, the same in all rows of a call.
+    pub longitudes: &'a [f64],
+    /// The heights in metres above the ellipsoid, NaN for samples without data.
+    pub heights_m: &'a [f32],
+    /// [`SourceSample::is_extremum`] of each sample.
+    pub is_extremum: &'a [bool],
 }
 
 /// A sample of a source.

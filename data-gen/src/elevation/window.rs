@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 use std::ops::RangeInclusive;
 
 use super::raster::Raster;
-use super::source::SourceSample;
+use super::source::{SampleRow, SourceSample};
 use crate::store::Cursor;
 use crate::{Extent, GenError};
 
@@ -148,6 +148,58 @@ impl<'a> Window<'a> {
             }
         }
         Ok(())
+    }
+}
+
+impl Window<'_> {
+    /// Calls with each row of the samples inside a rectangle. The raster has straight axes, and no other raster beside it.
+    pub fn sample_rows(
+        &self,
+        extent: &Extent,
+        finds_extrema: bool,
+        call: &mut dyn FnMut(SampleRow<'_>),
+    ) -> Result<(), GenError> {
+        let longitude = |column: i64| self.raster.position(column, *self.rows.start())[0];
+        let is_inside = |column: &i64| (extent.west..=extent.east).contains(&longitude(*column));
+        let (Some(first), Some(last)) =
+            (self.columns.clone().find(is_inside), self.columns.clone().rev().find(is_inside))
+        else {
+            return Ok(());
+        };
+        let longitudes: Vec<f64> = (first..=last).map(longitude).collect();
+        let mut lines = Lines::new(self.raster, first..=last);
+        let mut is_extremum = vec![false; if finds_extrema { longitudes.len() } else { 0 }];
+        for row in self.rows.clone() {
+            let latitude = self.raster.position(first, row)[1];
+            if !(extent.south..=extent.north).contains(&latitude) {
+                continue;
+            }
+            lines.move_to(row)?;
+            if finds_extrema {
+                pulp::Arch::new().dispatch(|| find_extrema(&lines.lines, &mut is_extremum));
+            }
+            let heights_m = &lines.lines[1][1..=longitudes.len()];
+            call(SampleRow { latitude, longitudes: &longitudes, heights_m, is_extremum: &is_extremum });
+        }
+        Ok(())
+    }
+}
+
+/// Finds the samples of the second of three lines that are higher, or lower, than each of their neighbours with data. Lines have one
+/// more sample at both ends.
+#[inline(always)]
+fn find_extrema(lines: &[Vec<f32>; 3], out: &mut [bool]) {
+    let count = out.len();
+    let [above, own, below] = lines.each_ref().map(|line| &line[..count + 2]);
+    for (k, out) in out.iter_mut().enumerate() {
+        // Comparisons with NaN are false.
+        let larger = |most: f32, h: f32| if h > most { h } else { most };
+        let smaller = |least: f32, h: f32| if h < least { h } else { least };
+        let around = [above[k], above[k + 1], above[k + 2], own[k], own[k + 2], below[k], below[k + 1], below[k + 2]];
+        let (most, least) =
+            (around.into_iter().fold(f32::NEG_INFINITY, larger), around.into_iter().fold(f32::INFINITY, smaller));
+        let own = f64::from(own[k + 1]);
+        *out = (f64::from(most) < own - 1e-6) | (f64::from(least) > own + 1e-6);
     }
 }
 

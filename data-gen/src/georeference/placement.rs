@@ -83,6 +83,12 @@ impl Placement {
         self.transform.pixel(self.crs.project(longitude - self.turn, latitude))
     }
 
+    /// Returns true if a column depends on the longitude alone, and a row on the latitude.
+    pub fn has_straight_axes(&self) -> bool {
+        let GeoTransform { dx, dy, .. } = self.transform;
+        dx[1] == 0.0 && dy[0] == 0.0 && self.crs.y_of_latitude(0.0).is_some()
+    }
+
     /// Returns the row of positions at a latitude in radians.
     pub fn row(&self, latitude: f64) -> PixelRow<'_> {
         PixelRow { placement: self, latitude, y: self.crs.y_of_latitude(latitude) }

@@ -79,8 +79,7 @@ impl<'a> Builder<'a> {
             return Ok(record);
         }
         let block = self.block(layer, root)?;
-        let Written { bytes, distances_m } = self.write(&block)?;
-        let tree = Tree::new(self.args, &block, distances_m);
+        let (bytes, tree) = self.write(&block)?;
         let (mut geometric_error_m, mut json) = (0.0, String::new());
         if block.facts(root).coverage != Coverage::None {
             geometric_error_m = tree.geometric_error_m(root);
@@ -100,9 +99,8 @@ impl<'a> Builder<'a> {
         if block.facts(TileKey::ROOT).coverage == Coverage::None {
             return Err(self.without_data());
         }
-        let Written { bytes, distances_m } = self.write(&block)?;
+        let (bytes, tree) = self.write(&block)?;
         totals.add(&block.totals(bytes));
-        let tree = Tree::new(self.args, &block, distances_m);
         let text = tree.tileset(&totals);
         let below = match self.is_implicit() {
             true => {
@@ -150,7 +148,12 @@ impl<'a> Builder<'a> {
             let record = self.journal.load(*key)?.filter(|record| record.facts.coverage != Coverage::None);
             let Some(record) = record else { return Ok(0) };
             let text = external_tileset(self.args, totals, *key, &record, &record.tree);
-            write_whole(&self.folder.join(external_name(*key)), text.as_bytes())
+            let path = self.folder.join(external_name(*key));
+            if let Some(folder) = path.parent() {
+                // The tiles of packed sets lie in other folders.
+                std::fs::create_dir_all(folder).map_err(GenError::file(folder))?;
+            }
+            write_whole(&path, text.as_bytes())
         });
         Ok(external.collect::<Result<Vec<u64>, GenError>>()?.iter().sum())
     }
@@ -163,11 +166,21 @@ impl<'a> Builder<'a> {
         Block::assemble(self.grid, layer, root, paints, &|key| self.journal.load(key))
     }
 
-    fn write(&self, block: &Block<'_>) -> Result<Written, GenError> {
+    /// Writes the files of a block's tiles, and returns their bytes and the description of the tiles.
+    fn write<'b>(&'b self, block: &'b Block<'b>) -> Result<(u64, Tree<'b>), GenError> {
         let has_data = block.facts(block.root).coverage != Coverage::None;
         let paints = has_data && self.args.color != Color::None;
         let painter = paints.then(|| Painter::new(block, &self.grid.extent, self.imagery, self.range_m));
-        write_tiles(self.args, block, painter.as_ref(), self.folder, &self.progress)
+        let Written { bytes, distances_m, packed } =
+            write_tiles(self.args, block, painter.as_ref(), self.folder, &self.progress)?;
+        let tree = Tree::new(self.args, block, distances_m);
+        if let Some(file) = packed {
+            file.finish(|key| {
+                let facts = block.facts(key);
+                (tree.geometric_error_m(key), [facts.min_height_m, facts.max_height_m])
+            })?;
+        }
+        Ok((bytes, tree))
     }
 }
 

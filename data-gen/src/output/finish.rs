@@ -10,8 +10,9 @@ use rayon::prelude::*;
 use super::PartialFolder;
 use super::archive::write_archive;
 use super::journal::{Journal, MANIFEST};
+use super::packed::{self, write_packed_set};
 use super::tile_set::write_whole;
-use crate::{GenArgs, GenError};
+use crate::{ArchiveFormat, GenArgs, GenError};
 
 /// Extensions of files that `--gzip` compresses. Images and EXR are compressed already.
 const GZIP_EXTENSIONS: [&str; 4] = ["json", "glb", "subtree", "terrain"];
@@ -25,9 +26,12 @@ const UNFINISHED: &str = ".archive.unfinished";
 pub(crate) fn finish(args: &GenArgs, partial: PartialFolder, out: &Path, bytes: u64) -> Result<u64, GenError> {
     // Shards are compressed when they are merged.
     let is_shard = args.sharding.shard.is_some();
-    if args.output.archive.is_some() && !is_shard {
+    if let Some(format) = args.output.archive.filter(|_| !is_shard) {
         let archive = partial.path().join(UNFINISHED);
-        let bytes = write_archive(partial.path(), &archive)?;
+        let bytes = match format {
+            ArchiveFormat::ThreeTz => write_archive(partial.path(), &archive)?,
+            ArchiveFormat::Packed => write_packed_set(partial.path(), &archive)?,
+        };
         std::fs::rename(&archive, out).map_err(GenError::file(out))?;
         // The folder of the set is removed with `partial`.
         return Ok(bytes);
@@ -98,10 +102,11 @@ pub(crate) fn is_archive_at(args: &GenArgs, out: &Path) -> Result<bool, GenError
     if !out.exists() {
         return Ok(false);
     }
-    let mut magic = [0; 2];
-    let is_zip = out.is_file()
-        && std::fs::File::open(out).and_then(|mut file| file.read_exact(&mut magic)).is_ok_and(|()| magic == *b"PK");
-    match is_zip {
+    let mut magic = [0; 8];
+    let is_archive = out.is_file()
+        && std::fs::File::open(out).and_then(|mut file| file.read_exact(&mut magic)).is_ok()
+        && (magic.starts_with(b"PK") || magic == *packed::MAGIC);
+    match is_archive {
         true if args.overwrite => Ok(true),
         true => Err(GenError::Exists(out.to_path_buf())),
         false => Err(GenError::invalid(out, "is no archive; --overwrite replaces archives only")),

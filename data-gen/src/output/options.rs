@@ -21,6 +21,18 @@ pub enum ArchiveFormat {
     /// A 3D Tiles archive: a zip file with an index.
     #[value(name = "3tz")]
     ThreeTz,
+    /// A packed set for Terrane: heights in a third of the bytes of EXR, found by an index with errors and checksums.
+    Packed,
+}
+
+impl ArchiveFormat {
+    /// Returns the extension of the name of an archive.
+    pub(super) fn extension(self) -> &'static str {
+        match self {
+            Self::ThreeTz => "3tz",
+            Self::Packed => "terrane",
+        }
+    }
 }
 
 /// The form of a set.
@@ -35,7 +47,7 @@ pub struct OutputArgs {
     /// Description of the tile tree
     #[arg(long, value_enum, default_value_t)]
     pub tiling: Tiling,
-    /// Write one file, OUT, instead of a folder; its name ends in .3tz
+    /// Write one file, OUT, instead of a folder: 3tz for any client (its name ends in .3tz), or packed for Terrane (.terrane)
     #[arg(long, value_enum, value_name = "FORMAT")]
     pub archive: Option<ArchiveFormat>,
     /// Compress JSON, glb, subtree and terrain files with gzip under their names; servers must send them with
@@ -45,6 +57,16 @@ pub struct OutputArgs {
 }
 
 impl OutputArgs {
+    /// Returns true if the set is packed.
+    pub(crate) fn is_packed(&self) -> bool {
+        self.archive == Some(ArchiveFormat::Packed)
+    }
+
+    /// Returns the extension of the files of heights.
+    pub(super) fn heights(&self) -> &'static str {
+        if self.is_packed() { "heights" } else { "exr" }
+    }
+
     /// Checks options that have no effect together with others.
     pub(crate) fn check(&self, args: &GenArgs) -> Result<(), String> {
         if is_remote(&args.out) {
@@ -79,7 +101,7 @@ impl OutputArgs {
         if args.run.update && self.archive.is_some() {
             return Err("--update changes folders, not archives; leave out --archive".to_owned());
         }
-        if self.archive.is_some() {
+        if let Some(archive) = self.archive {
             if is_terrain {
                 return Err(
                     "--archive is not supported with --content quantized-mesh: clients of terrain read folders"
@@ -89,8 +111,13 @@ impl OutputArgs {
             if self.gzip {
                 return Err("--gzip has no effect with --archive, whose files are compressed".to_owned());
             }
-            if !args.out.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("3tz")) {
-                return Err(format!("--archive 3tz: the name of {} must end in .3tz", args.out.display()));
+            if archive == ArchiveFormat::Packed && args.world.world.is_some() {
+                return Err("--archive packed is not supported with --world".to_owned());
+            }
+            let extension = archive.extension();
+            if !args.out.extension().is_some_and(|own| own.eq_ignore_ascii_case(extension)) {
+                let name = if archive == ArchiveFormat::Packed { "packed" } else { extension };
+                return Err(format!("--archive {name}: the name of {} must end in .{extension}", args.out.display()));
             }
         }
         Ok(())

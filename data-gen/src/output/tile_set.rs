@@ -1,18 +1,26 @@
 //! Writes the files of a block's tiles.
 
+use std::cell::RefCell;
 use std::collections::HashMap;
 use std::path::Path;
 
 use rayon::prelude::*;
-use terrane::formats::writers::{write_compressed_glb, write_glb, write_height_exr};
+use terrane::formats::writers::{write_compressed_glb, write_glb, write_height_exr, write_packed_heights};
+
+use zstd::bulk::Compressor;
 
 use super::encoding::Triangles;
 use super::mesh;
 use super::options::Tiling;
+use super::packed::{BlockFile, Kind};
+use super::tin::Tin;
 use crate::args::{Color, ContentKind, GenArgs};
 use crate::color::{Painter, TEXELS};
-use crate::pyramid::{Block, CELLS, Coverage, TileKey};
+use crate::pyramid::{Block, CELLS, Coverage, QUANTUM_M, TileKey};
 use crate::{GenError, Progress};
+
+/// Tiles of a packed set that are in memory at a time.
+const MAX_PACKED_TILES: usize = 64;
 
 /// The files of a block's tiles that were written.
 pub(super) struct Written {
@@ -20,6 +28,8 @@ pub(super) struct Written {
     pub bytes: u64,
     /// The largest distance of a mesh's triangles from those of the whole grid, in metres, for tiles that have fewer.
     pub distances_m: HashMap<TileKey, f64>,
+    /// The file of all tiles in a packed set. The caller completes it.
+    pub packed: Option<BlockFile>,
 }
 
 /// Writes the tiles of a block into a folder, on the threads of the current rayon pool, and returns what it wrote. Tiles
@@ -31,7 +41,12 @@ pub(crate) fn write_tiles(
     folder: &Path,
     progress: &Progress,
 ) -> Result<Written, GenError> {
-    let keys: Vec<TileKey> = block.keys().collect();
+    let mut keys: Vec<TileKey> = block.keys().collect();
+    let maker = TileMaker { args, block, painter };
+    if args.output.is_packed() {
+        keys.sort_by_key(|key| (key.level, key.morton()));
+        return write_packed_tiles(&maker, &keys, folder, progress);
+    }
     let mut columns: Vec<(u32, u32)> = keys.iter().map(|key| (key.level, key.x)).collect();
     columns.sort_unstable();
     columns.dedup();
@@ -40,15 +55,42 @@ pub(crate) fn write_tiles(
         std::fs::create_dir_all(&path).map_err(GenError::file(&path))?;
     }
     let written = keys.par_iter().map(|&key| {
-        let of_tile = write_tile(args, block, painter, folder, key)?;
+        let (bytes, distance_m) = maker.write(folder, key)?;
         progress.advance(1);
-        Ok::<_, GenError>((key, of_tile))
+        Ok::<_, GenError>((key, bytes, distance_m))
     });
-    let tiles: Vec<(TileKey, TileFiles)> = written.collect::<Result<_, _>>()?;
-    let bytes = tiles.iter().map(|(_, files)| files.bytes).sum();
-    let distances_m =
-        tiles.iter().filter(|(_, files)| files.distance_m > 0.0).map(|(key, files)| (*key, files.distance_m));
-    Ok(Written { bytes, distances_m: distances_m.collect() })
+    let tiles: Vec<(TileKey, u64, f64)> = written.collect::<Result<_, _>>()?;
+    let bytes = tiles.iter().map(|(_, bytes, _)| bytes).sum();
+    let distances_m = tiles.iter().filter(|(.., far_m)| *far_m > 0.0).map(|(key, _, far_m)| (*key, *far_m)).collect();
+    Ok(Written { bytes, distances_m, packed: None })
+}
+
+/// Writes the tiles of a block into one file, in the order of its keys.
+fn write_packed_tiles(
+    maker: &TileMaker<'_>,
+    keys: &[TileKey],
+    folder: &Path,
+    progress: &Progress,
+) -> Result<Written, GenError> {
+    let mut file = BlockFile::create(folder, maker.block.root)?;
+    let (mut bytes, mut distances_m) = (0, HashMap::new());
+    for keys in keys.chunks(MAX_PACKED_TILES) {
+        let tiles: Vec<TileFiles> = keys.par_iter().map(|key| maker.make(*key)).collect::<Result<_, _>>()?;
+        for (key, TileFiles { mut files, distance_m }) in keys.iter().zip(tiles) {
+            // Heights come before their image, and all files of a tile in the order of their kinds.
+            files.reverse();
+            for (extension, content) in files {
+                let no_kind = || GenError::Encode(format!("a packed set has no files of the kind {extension}"));
+                file.add(*key, Kind::of_extension(extension).ok_or_else(no_kind)?, &content)?;
+                bytes += content.len() as u64;
+            }
+            if distance_m > 0.0 {
+                distances_m.insert(*key, distance_m);
+            }
+        }
+        progress.advance(keys.len() as u64);
+    }
+    Ok(Written { bytes, distances_m, packed: Some(file) })
 }
 
 /// Returns the depth of a tile's skirt in metres. It covers the step to a neighbour two levels coarser, and to any finer one.
@@ -60,60 +102,97 @@ pub(super) fn skirt_m(args: &GenArgs, block: &Block<'_>, key: TileKey) -> f64 {
 
 /// The files of a tile.
 struct TileFiles {
-    /// Their size.
-    bytes: u64,
-    /// The largest distance of its triangles from those of the grid, in metres.
+    /// The extension of each file and its content. An image comes before the heights, which make a tile complete.
+    files: Vec<(&'static str, Vec<u8>)>,
+    /// The largest distance of the tile's triangles from those of the grid, in metres.
     distance_m: f64,
 }
 
-/// Writes the files of one tile, unless they are there.
-fn write_tile(
-    args: &GenArgs,
-    block: &Block<'_>,
-    painter: Option<&Painter<'_>>,
-    folder: &Path,
-    key: TileKey,
-) -> Result<TileFiles, GenError> {
-    let stem = folder.join(format!("{}/{}/{}", key.level, key.x, key.y));
-    let format = args.tiles.texture;
-    let form = form(args, block, key);
-    let extensions = match form {
-        ContentKind::Height if args.color != Color::None => &[format.extension(), "exr"][..],
-        ContentKind::Height => &["exr"],
-        ContentKind::Mesh | ContentKind::QuantizedMesh => &["glb"],
-    };
-    let tin = (form == ContentKind::Mesh).then(|| mesh::triangles(block, key, triangles(args)));
-    let distance_m = tin.as_ref().map_or(0.0, |tin| tin.distance_m);
-    let sizes = extensions.iter().map(|extension| Some(stem.with_extension(extension).metadata().ok()?.len()));
-    if let Some(bytes) = sizes.sum() {
-        return Ok(TileFiles { bytes, distance_m });
+/// Makes the files of a block's tiles. Threads share it.
+struct TileMaker<'a> {
+    args: &'a GenArgs,
+    block: &'a Block<'a>,
+    painter: Option<&'a Painter<'a>>,
+}
+
+impl TileMaker<'_> {
+    /// Writes the files of a tile into a folder, unless they are there. Returns their bytes and [`TileFiles::distance_m`].
+    fn write(&self, folder: &Path, key: TileKey) -> Result<(u64, f64), GenError> {
+        let stem = folder.join(format!("{}/{}/{}", key.level, key.x, key.y));
+        let image = self.args.tiles.texture.extension();
+        let extensions = match form(self.args, self.block, key) {
+            ContentKind::Height if self.args.color != Color::None => &[image, "exr"][..],
+            ContentKind::Height => &["exr"],
+            ContentKind::Mesh | ContentKind::QuantizedMesh => &["glb"],
+        };
+        let sizes = extensions.iter().map(|extension| Some(stem.with_extension(extension).metadata().ok()?.len()));
+        if let Some(bytes) = sizes.sum() {
+            return Ok((bytes, self.triangles(key).map_or(0.0, |tin| tin.distance_m)));
+        }
+        let TileFiles { files, distance_m } = self.make(key)?;
+        let written = files.iter().map(|(extension, bytes)| write_whole(&stem.with_extension(extension), bytes));
+        Ok((written.sum::<Result<u64, GenError>>()?, distance_m))
     }
-    let encode = |painter: &Painter<'_>| {
-        let encoded = format.encode(&painter.paint(key)?, TEXELS);
-        encoded.map_err(|e| GenError::Encode(format!("texture of tile {key:?}: {e}")))
-    };
-    let image = painter.map(encode).transpose()?;
-    let write = |extension: &str, bytes: &[u8]| write_whole(&stem.with_extension(extension), bytes);
-    let bytes = match tin {
-        None => {
-            let last = CELLS as i64 + 1;
-            let mut heights = Vec::with_capacity((CELLS + 3) * (CELLS + 3));
-            for j in (-1..=last).rev() {
-                heights.extend((-1..=last).map(|i| block.height_m(key, i, j)));
-            }
-            let uri = format!("{}/{}/{}.exr", key.level, key.x, key.y);
-            let exr = write_height_exr(&uri, CELLS + 3, heights).map_err(|e| GenError::Encode(e.to_string()))?;
-            image.map_or(Ok(0), |image| write(format.extension(), &image))? + write("exr", &exr)?
-        }
-        Some(tin) => {
-            let mut mesh = mesh::build(block, key, &tin, skirt_m(args, block, key), image, !args.float_vertices);
-            // Tiles of implicit tilings have no transform.
-            mesh.file_from_mesh = (args.output.tiling == Tiling::Implicit).then(|| mesh::file_from_tile(block, key));
-            let is_compressed = !args.float_vertices && !args.tiles.no_meshopt;
-            write("glb", &if is_compressed { write_compressed_glb(&mesh) } else { write_glb(&mesh) })?
-        }
-    };
-    Ok(TileFiles { bytes, distance_m })
+
+    /// Makes the files of a tile.
+    fn make(&self, key: TileKey) -> Result<TileFiles, GenError> {
+        let format = self.args.tiles.texture;
+        let encode = |painter: &Painter<'_>| {
+            let encoded = format.encode(&painter.paint(key)?, TEXELS);
+            encoded.map_err(|e| GenError::Encode(format!("texture of tile {key:?}: {e}")))
+        };
+        let image = self.painter.map(encode).transpose()?;
+        let Some(tin) = self.triangles(key) else {
+            let mut files: Vec<_> = image.into_iter().map(|image| (format.extension(), image)).collect();
+            files.push((self.args.output.heights(), self.heights(key)?));
+            return Ok(TileFiles { files, distance_m: 0.0 });
+        };
+        let Self { args, block, .. } = *self;
+        let mut mesh = mesh::build(block, key, &tin, skirt_m(args, block, key), image, !args.float_vertices);
+        // Tiles of implicit tilings have no transform.
+        mesh.file_from_mesh = (args.output.tiling == Tiling::Implicit).then(|| mesh::file_from_tile(block, key));
+        let is_compressed = !args.float_vertices && !args.tiles.no_meshopt;
+        let glb = if is_compressed { write_compressed_glb(&mesh) } else { write_glb(&mesh) };
+        Ok(TileFiles { files: vec![("glb", glb)], distance_m: tin.distance_m })
+    }
+
+    /// Returns the file of a tile's heights, with those of the vertices next to the tile.
+    fn heights(&self, key: TileKey) -> Result<Vec<u8>, GenError> {
+        let side = CELLS + 3;
+        let uri = format!("{}/{}/{}.{}", key.level, key.x, key.y, self.args.output.heights());
+        let mut heights = Vec::with_capacity(side * side);
+        let last = CELLS as i64 + 1;
+        let file = if self.args.output.is_packed() {
+            (-1..=last).for_each(|j| self.block.add_heights(key, -1..=last, j, &mut heights));
+            write_packed_heights(&uri, side, QUANTUM_M, &heights, compress)
+        } else {
+            (-1..=last).rev().for_each(|j| self.block.add_heights(key, -1..=last, j, &mut heights));
+            write_height_exr(&uri, side, heights)
+        };
+        file.map_err(|e| GenError::Encode(e.to_string()))
+    }
+
+    /// Returns the triangles of a tile that is a mesh.
+    fn triangles(&self, key: TileKey) -> Option<Tin> {
+        let is_mesh = form(self.args, self.block, key) == ContentKind::Mesh;
+        is_mesh.then(|| mesh::triangles(self.block, key, triangles(self.args)))
+    }
+}
+
+thread_local! {
+    /// Its buffers are used again for each tile.
+    static COMPRESSOR: RefCell<Option<Compressor<'static>>> = const { RefCell::new(None) };
+}
+
+/// Returns bytes as a zstd frame. Higher levels take longer, and save 2 % of the bytes.
+fn compress(bytes: &[u8]) -> std::io::Result<Vec<u8>> {
+    COMPRESSOR.with_borrow_mut(|kept| {
+        let compressor = match kept {
+            Some(compressor) => compressor,
+            None => kept.insert(Compressor::new(1)?),
+        };
+        compressor.compress(bytes)
+    })
 }
 
 /// Returns the triangles of meshes. Beside height tiles they have all vertices of a common edge.

@@ -5,6 +5,7 @@ use std::collections::HashMap;
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 use glam::{DAffine3, DMat4};
+use rayon::prelude::*;
 use serde_json::{Value, json};
 
 use super::implicit::{Entry, SUBTREE_LEVELS, SUBTREES, tile_class};
@@ -24,6 +25,8 @@ pub(crate) struct Tree<'a> {
     below: HashMap<TileKey, Below>,
     /// [`Written::distances_m`](super::tile_set::Written::distances_m).
     distances_m: HashMap<TileKey, f64>,
+    /// The depth of each tile's skirt in metres.
+    skirts_m: HashMap<TileKey, f64>,
     /// The geometric error of each tile in metres.
     errors_m: HashMap<TileKey, f64>,
 }
@@ -31,8 +34,10 @@ pub(crate) struct Tree<'a> {
 impl<'a> Tree<'a> {
     pub fn new(args: &'a GenArgs, block: &'a Block<'a>, distances_m: HashMap<TileKey, f64>) -> Self {
         let below = block.below.iter().map(|below| (below.root, *below)).collect();
-        let mut tree = Self { args, block, regions: HashMap::new(), below, distances_m, errors_m: HashMap::new() };
         let mut keys: Vec<TileKey> = block.keys().collect();
+        let skirts_m = keys.par_iter().map(|key| (*key, skirt_m(args, block, *key))).collect();
+        let (regions, errors_m) = (HashMap::new(), HashMap::new());
+        let mut tree = Self { args, block, regions, below, distances_m, skirts_m, errors_m };
         keys.reverse();
         for key in keys {
             let mut region = tree.own_region(key);
@@ -63,7 +68,7 @@ impl<'a> Tree<'a> {
         let cell = (e.east - e.west).max(e.north - e.south) / CELLS as f64;
         // Meshes lie below the ellipsoid between their vertices, by the height of the arc above its chord.
         let sagitta_m = 6_378_137.0 * cell * cell / 4.0;
-        let low_m = f64::from(f.min_height_m) - skirt_m(self.args, self.block, key) - sagitta_m - self.distance_m(key);
+        let low_m = f64::from(f.min_height_m) - self.skirt_m(key) - sagitta_m - self.distance_m(key);
         let high_m = f64::from(f.max_height_m);
         let slack_m = 0.1 + self.half_step_m(key);
         // A region across the date line has its west edge east of its east edge in 3D Tiles.
@@ -80,9 +85,13 @@ impl<'a> Tree<'a> {
     fn half_step_m(&self, key: TileKey) -> f64 {
         let (e, f) = (self.block.extent(key), self.block.facts(key));
         let side = (e.east - e.west).max(e.north - e.south);
-        let high_m = f64::from(f.max_height_m - f.min_height_m) + skirt_m(self.args, self.block, key);
+        let high_m = f64::from(f.max_height_m - f.min_height_m) + self.skirt_m(key);
         let cell = side / CELLS as f64;
         (6_378_137.0 * side + high_m + 6_378_137.0 * cell * cell / 4.0) / 131_070.0
+    }
+
+    fn skirt_m(&self, key: TileKey) -> f64 {
+        self.skirts_m.get(&key).copied().unwrap_or(0.0)
     }
 
     /// Returns the largest distance of a tile's triangles from those of the whole grid, in metres.
@@ -143,7 +152,7 @@ impl<'a> Tree<'a> {
         });
         match self.args.content {
             ContentKind::Height => {
-                tile["contents"] = json!([{ "uri": template("exr") }, { "uri": template("glb") }]);
+                tile["contents"] = json!([{ "uri": template(self.args.output.heights()) }, { "uri": template("glb") }]);
                 if self.args.color != Color::None {
                     let imagery = template(self.args.tiles.texture.extension());
                     tile["extras"] = json!({ "terrane": { "imagery": imagery } });
@@ -182,7 +191,7 @@ impl<'a> Tree<'a> {
         let mut ecef_from_tile = DAffine3::IDENTITY;
         match form(self.args, self.block, key) {
             ContentKind::Height => {
-                tile["content"] = json!({ "uri": format!("{name}.exr") });
+                tile["content"] = json!({ "uri": format!("{name}.{}", self.args.output.heights()) });
                 if self.args.color != Color::None {
                     tile["extras"] =
                         json!({ "terrane": { "imagery": format!("{name}.{}", self.args.tiles.texture.extension()) } });

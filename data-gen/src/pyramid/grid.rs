@@ -13,7 +13,7 @@ use super::dependencies::HeightAt;
 use super::fill::{self, BOX, BoxMeans};
 use super::samples::{Samples, Window};
 use super::tile::{CELLS, TileKey};
-use crate::{ElevationSource, GenError, Voids};
+use crate::{ElevationSource, GenError, SampleRow, Voids};
 
 /// A rectangle of longitude and latitude in radians.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -129,6 +129,33 @@ impl<'a> Grid<'a> {
         })
     }
 
+    /// Returns the rectangle of a window of the finest lattice, widened by `margin` cells.
+    fn extent_around(&self, window: &Window, margin: f64) -> Extent {
+        let (e, cells) = (self.extent_of(window), self.cells(0) as f64);
+        // Samples at an edge may lie beyond it by a rounding error.
+        let [dx, dy] = [self.extent.east - self.extent.west, self.extent.north - self.extent.south]
+            .map(|side| side / cells * (margin + 1e-3));
+        Extent { west: e.west - dx, east: e.east + dx, south: e.south - dy, north: e.north + dy }
+    }
+
+    /// Like [`Self::source_samples`], with rows of samples, their columns and their row. Returns false, without a call, if the
+    /// source has no rows.
+    pub fn source_rows(
+        &self,
+        window: &Window,
+        margin: f64,
+        finds_extrema: bool,
+        call: &mut dyn FnMut(&[f64], f64, SampleRow<'_>),
+    ) -> Result<bool, GenError> {
+        let mut columns: Vec<f64> = Vec::new();
+        self.source.sample_rows(&self.extent_around(window, margin), finds_extrema, &mut |row| {
+            if columns.is_empty() {
+                columns.extend(row.longitudes.iter().map(|longitude| self.position(*longitude, row.latitude)[0]));
+            }
+            call(&columns, self.position(self.extent.west, row.latitude)[1], row);
+        })
+    }
+
     /// Calls with each sample of the source in a window of the finest lattice, widened by `margin` cells, and with its column
     /// and row.
     pub fn source_samples(
@@ -137,13 +164,8 @@ impl<'a> Grid<'a> {
         margin: f64,
         call: &mut dyn FnMut([f64; 2], crate::SourceSample),
     ) -> Result<(), GenError> {
-        let mut e = self.extent_of(window);
-        let cells = self.cells(0) as f64;
-        // Samples at an edge may lie beyond it by a rounding error.
-        let [dx, dy] = [self.extent.east - self.extent.west, self.extent.north - self.extent.south]
-            .map(|side| side / cells * (margin + 1e-3));
-        (e.west, e.east, e.south, e.north) = (e.west - dx, e.east + dx, e.south - dy, e.north + dy);
-        self.source.samples_in(&e, &mut |sample| call(self.position(sample.longitude, sample.latitude), sample))
+        let extent = self.extent_around(window, margin);
+        self.source.samples_in(&extent, &mut |sample| call(self.position(sample.longitude, sample.latitude), sample))
     }
 
     /// Returns false if the source has no data in a window of the lattice of a depth.
@@ -170,6 +192,21 @@ impl<'a> Grid<'a> {
         let fine = |c: [i64; 2]| c.map(|c| c << depth);
         self.source.prepare(&self.extent_of(&Window { first: fine(window.first), last: fine(window.last) }));
         let width = window.width();
+        let longitudes: Vec<f64> = (window.first[0]..=window.last[0]).map(|x| self.longitude(x << depth)).collect();
+        let latitudes: Vec<f64> = (window.first[1]..=window.last[1]).map(|y| self.latitude(y << depth)).collect();
+        if !self.source.heights_of_grid(&longitudes, &latitudes, &mut out.values)? {
+            self.sample_rows(depth, &mut out)?;
+        }
+        if self.keep_extrema {
+            self.keep_extrema(depth, &mut out)?;
+        }
+        out.values.par_chunks_mut(width).for_each(|heights| pulp::Arch::new().dispatch(|| round(heights)));
+        Ok(out)
+    }
+
+    /// Samples a window row by row.
+    fn sample_rows(&self, depth: u32, out: &mut Samples) -> Result<(), GenError> {
+        let (window, width) = (out.window, out.window.width());
         out.values.par_chunks_mut(width).enumerate().try_for_each(|(row, heights)| {
             let latitude = self.latitude((window.first[1] + row as i64) << depth);
             if depth == 0 {
@@ -181,14 +218,7 @@ impl<'a> Grid<'a> {
                     Ok(())
                 })
             }
-        })?;
-        if self.keep_extrema {
-            self.keep_extrema(depth, &mut out)?;
-        }
-        for h in &mut out.values {
-            *h = if h.is_finite() { rounded(*h) } else { f32::NAN };
-        }
-        Ok(out)
+        })
     }
 
     /// Samples neighbouring vertices of a row, in segments that start at multiples of [`SEGMENT`].
@@ -218,19 +248,23 @@ impl<'a> Grid<'a> {
     fn keep_extrema(&self, depth: u32, out: &mut Samples) -> Result<(), GenError> {
         let window = out.window;
         let in_part = |part: Window| {
-            let mut found = Vec::new();
             if !self.may_have_data_in(0, &part) {
-                return Ok(found);
+                return Ok(Vec::new());
             }
-            self.source_samples(&part, 0.5, &mut |[x, y], sample| {
-                let at = [x, y].map(|c| c.round() as i64);
-                let is_inside = (0..2).all(|k| (part.first[k]..=part.last[k]).contains(&at[k]));
-                if sample.is_extremum && is_inside {
-                    let far = (x - at[0] as f64).hypot(y - at[1] as f64);
-                    found.push((at, far, [sample.longitude, sample.latitude], sample.height_m as f32));
+            let mut found = Extrema::new(part);
+            let has_rows = self.source_rows(&part, 0.5, true, &mut |columns, y, row| {
+                for (k, x) in columns.iter().enumerate().filter(|(k, _)| row.is_extremum[*k]) {
+                    found.add([*x, y], [row.longitudes[k], row.latitude], row.heights_m[k]);
                 }
             })?;
-            Ok(found)
+            if !has_rows {
+                self.source_samples(&part, 0.5, &mut |at, sample| {
+                    if sample.is_extremum {
+                        found.add(at, [sample.longitude, sample.latitude], sample.height_m as f32);
+                    }
+                })?;
+            }
+            Ok(found.found)
         };
         let rows = window.first[1]..=window.last[1];
         let parts: Vec<Window> = match depth {
@@ -244,13 +278,7 @@ impl<'a> Grid<'a> {
                 .collect(),
         };
         let found: Result<Vec<_>, GenError> = parts.into_par_iter().map(in_part).collect();
-        let mut found = found?.concat();
-        found.sort_by(|a, b| {
-            let place = |p: &[f64; 2], q: &[f64; 2]| p[0].total_cmp(&q[0]).then(p[1].total_cmp(&q[1]));
-            a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)).then_with(|| place(&a.2, &b.2))
-        });
-        found.dedup_by_key(|(at, ..)| *at);
-        for ([x, y], _, _, height_m) in found {
+        for Extremum { at: [x, y], height_m, .. } in found?.into_iter().flatten() {
             out.set(x >> depth, y >> depth, height_m);
         }
         Ok(())
@@ -418,6 +446,63 @@ impl<'a> Grid<'a> {
         let known = self.coarse()?.iter().filter(|h| !h.is_nan());
         let range = known.fold([f32::INFINITY, f32::NEG_INFINITY], |[a, b], h| [a.min(*h), b.max(*h)]);
         Ok(if range[0] <= range[1] { range } else { [0.0; 2] })
+    }
+}
+
+/// An extremum of the source and the vertex that is nearest to it.
+#[derive(Clone, Copy)]
+struct Extremum {
+    at: [i64; 2],
+    /// Its distance from the vertex, in cells.
+    far: f64,
+    /// Its longitude and latitude in radians.
+    place: [f64; 2],
+    height_m: f32,
+}
+
+/// The extrema nearest to the vertices of a window, one for each.
+struct Extrema {
+    window: Window,
+    found: Vec<Extremum>,
+    /// For each vertex the number of its extremum, from 1 on; 0 without one.
+    numbers: Vec<u32>,
+}
+
+impl Extrema {
+    fn new(window: Window) -> Self {
+        Self { window, found: Vec::new(), numbers: vec![0; window.width() * window.height()] }
+    }
+
+    /// Adds an extremum by its column and row. Of several at a vertex the nearest one counts, and of those the first by its place.
+    fn add(&mut self, [x, y]: [f64; 2], place: [f64; 2], height_m: f32) {
+        let (at, Window { first, last }) = ([x, y].map(|c| c.round() as i64), self.window);
+        if !(0..2).all(|k| (first[k]..=last[k]).contains(&at[k])) {
+            return;
+        }
+        let new = Extremum { at, far: (x - at[0] as f64).hypot(y - at[1] as f64), place, height_m };
+        let number = &mut self.numbers[(at[1] - first[1]) as usize * self.window.width() + (at[0] - first[0]) as usize];
+        if *number == 0 {
+            self.found.push(new);
+            *number = self.found.len() as u32;
+            return;
+        }
+        let old = &mut self.found[*number as usize - 1];
+        let by_place = || new.place[0].total_cmp(&old.place[0]).then(new.place[1].total_cmp(&old.place[1]));
+        if new.far.total_cmp(&old.far).then_with(by_place).is_lt() {
+            *old = new;
+        }
+    }
+}
+
+/// Rounds heights to the quantum, and makes NaN of those that are not finite.
+#[inline(always)]
+fn round(heights: &mut [f32]) {
+    for h in heights {
+        let scaled = f64::from(*h) / QUANTUM_M;
+        // Adding half away from zero and cutting is what `round` does, without a call for each height.
+        let half = (0.5f64 - f64::EPSILON / 4.0).copysign(scaled);
+        let rounded = ((scaled + half).trunc() * QUANTUM_M) as f32;
+        *h = if h.is_finite() { rounded } else { f32::NAN };
     }
 }
 

@@ -29,6 +29,12 @@ impl TileKey {
         })
     }
 
+    /// Returns the place of the tile on the Morton curve of its level: the bits of column and row in turns, the column's first.
+    pub(crate) fn morton(self) -> u64 {
+        let spread = |c: u32| (0..self.level).fold(0u64, |bits, k| bits | u64::from(c >> k & 1) << (2 * k));
+        spread(self.x) | spread(self.y) << 1
+    }
+
     /// Returns the rectangle of the tile in a set with a rectangle.
     pub fn extent(self, e: &Extent) -> Extent {
         let n = f64::from(1u32 << self.level);

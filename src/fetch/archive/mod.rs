@@ -1,13 +1,15 @@
-//! Archives as folders: 3D Tiles archives (`.3tz`), plain zip and PMTiles, read without unpacking them.
+//! Archives as folders: 3D Tiles archives (`.3tz`), plain zip, packed sets (`.terrane`) and PMTiles, read without unpacking
+//! them.
 //!
 //! A URI continues inside the archive: `set.3tz/tileset.json`, `imagery.pmtiles/3/1/2.png`. A reader loads the directory
 //! of an archive once, or the much smaller index of a 3D Tiles archive, and then each member by one read of a span.
-//! `zip` and `pmtiles` parse bytes and do no I/O. `local` reads files on the file threads, `remote` sends range requests
+//! `zip`, `packed` and `pmtiles` parse bytes and do no I/O. `local` reads files on the file threads, `remote` sends range requests
 //! on the HTTP thread.
 
 mod local;
 mod lru;
 mod names;
+mod packed;
 mod pmtiles;
 #[cfg(feature = "http")]
 mod remote;
@@ -18,7 +20,9 @@ pub(crate) use local::LocalArchive;
 pub(crate) use lru::{MAX_CACHED_ARCHIVES, MAX_CACHED_DIRECTORY_BYTES, evict_lru};
 #[cfg(feature = "http")]
 pub(crate) use names::split_url;
-pub(crate) use names::{is_archive, is_pmtiles, split_path};
+pub(crate) use names::{is_archive, is_packed, is_pmtiles, split_path};
+#[cfg(feature = "testing")]
+pub use packed::fuzz_packed;
 #[cfg(feature = "testing")]
 pub use pmtiles::fuzz_pmtiles;
 #[cfg(all(feature = "http", feature = "testing"))]

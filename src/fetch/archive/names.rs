@@ -5,9 +5,14 @@ use std::path::{Path, PathBuf};
 #[cfg(feature = "http")]
 use crate::fetch::percent::percent_decode;
 
-/// Returns true for the name of an archive that may hold a tile set (`.3tz`, `.zip`).
+/// Returns true for the name of an archive that may hold a tile set (`.3tz`, `.zip`, `.terrane`).
 pub(crate) fn is_archive(name: &str) -> bool {
-    ends_with(name, ".3tz") || ends_with(name, ".zip")
+    ends_with(name, ".3tz") || ends_with(name, ".zip") || is_packed(name)
+}
+
+/// Returns true for the name of a packed set.
+pub(crate) fn is_packed(name: &str) -> bool {
+    ends_with(name, ".terrane")
 }
 
 /// Returns true for the name of a PMTiles file.

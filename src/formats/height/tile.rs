@@ -1,12 +1,12 @@
-//! Decodes a height tile: EXR heights, placement and imagery to a [`HeightTile`].
+//! Decodes a height tile: heights, placement and imagery to a [`HeightTile`].
 
 use std::sync::Arc;
 
 use glam::{DAffine3, DVec3, Vec4};
 
-use super::exr::decode_heights;
 use super::layout::Layout;
 use super::tile_data::TileData;
+use super::{exr, packed};
 use crate::fetch::IoError;
 use crate::formats::ignored::Notes;
 use crate::formats::image;
@@ -14,7 +14,7 @@ use crate::formats::options::{Fetched, ReadOptions};
 use crate::math::Aabb;
 use crate::scene::{BlockFormats, Drawable, Geometry, HeightTile, Material, Node, Sampling, SharedParts, Texture};
 
-/// Decodes an EXR with one channel of heights, and its imagery. Fails if the imagery is missing or invalid: the parent tile
+/// Decodes an EXR with one channel of heights, or packed heights, and the imagery. Fails if the imagery is missing or invalid: the parent tile
 /// then stays visible with its colours, instead of a white tile.
 pub(in crate::formats) fn read(
     uri: &str,
@@ -26,11 +26,14 @@ pub(in crate::formats) fn read(
 ) -> Result<Node, IoError> {
     let data: TileData = match reader_data {
         Some(text) => serde_json::from_str(text).map_err(|e| IoError::invalid(uri, format!("tile data: {e}")))?,
-        None => return Err(IoError::unsupported(uri, "EXR outside a height tile set")),
+        None => return Err(IoError::unsupported(uri, "heights outside a height tile set")),
     };
     data.check().map_err(|part| IoError::invalid(uri, format!("tile data: {part} is invalid")))?;
     let stride = data.side as usize + 2 * data.border as usize;
-    let heights = decode_heights(uri, bytes, stride, &options.limits)?;
+    let heights = match bytes.starts_with(packed::MAGIC) {
+        true => packed::decode_heights(uri, bytes, stride, &options.limits)?,
+        false => exr::decode_heights(uri, bytes, stride, &options.limits)?,
+    };
     let (mut texture, mut shared): (Option<Arc<Texture>>, _) = (None, None);
     // Overlays are composed over the texels.
     let formats = if options.overlays.is_some() { BlockFormats::NONE } else { options.block_formats };

@@ -29,9 +29,9 @@ pub(crate) fn is_tileset(uri: &str, bytes: &[u8], limits: &Limits) -> bool {
 
 /// Returns false only if the file extension rules out a tileset.
 pub(crate) fn may_be_tileset(uri: &str) -> bool {
-    const OTHERS: [&str; 16] = [
+    const OTHERS: [&str; 17] = [
         "glb", "gltf", "b3dm", "i3dm", "pnts", "cmpt", "subtree", "exr", "png", "jpg", "jpeg", "webp", "tif", "ktx2",
-        "terrain", "bin",
+        "terrain", "bin", "heights",
     ];
     !has_extension(uri, &OTHERS)
 }
@@ -39,7 +39,7 @@ pub(crate) fn may_be_tileset(uri: &str) -> bool {
 /// Returns false only if the file extension rules out that the file refers to other files.
 #[cfg(feature = "http")]
 pub(crate) fn may_refer_to_files(uri: &str) -> bool {
-    !has_extension(uri, &["pnts", "exr", "png", "jpg", "jpeg", "webp", "tif", "ktx2", "terrain", "bin"])
+    !has_extension(uri, &["pnts", "exr", "heights", "png", "jpg", "jpeg", "webp", "tif", "ktx2", "terrain", "bin"])
 }
 
 fn has_extension(uri: &str, extensions: &[&str]) -> bool {

@@ -9,6 +9,7 @@ use super::info::{BoundsInfo, Info};
 use super::tree::read_companions;
 use crate::fetch::markup::text_and_first_byte;
 use crate::fetch::{IoError, Source, encoding};
+use crate::formats::height;
 use crate::formats::options::{Content, ReadOptions};
 use crate::formats::osg;
 use crate::formats::read::decode_node;
@@ -121,6 +122,7 @@ fn format_name(uri: &str, bytes: &[u8], options: &ReadOptions) -> String {
         Some(b"cmpt") => "3D Tiles content (cmpt)",
         Some(b"pnts") => "3D Tiles content (pnts)",
         Some(&[0x76, 0x2f, 0x31, 0x01]) => "height tile (EXR)",
+        Some(bytes) if bytes == height::PACKED_MAGIC => "height tile (packed)",
         _ if osg::is_metadata(bytes) => "oblique photogrammetry (metadata.xml)",
         _ if text_and_first_byte(bytes).1 == Some(b'{') => "glTF (JSON)",
         _ if terrain::is_tile_name(uri) => "quantized-mesh tile",

@@ -53,18 +53,101 @@ impl Cell {
 }
 
 /// Returns the largest distance between samples of a row and a surface: `start + slope * u - east * u * (1 - u)`, where `u` of the
-/// k-th sample is `(first + k) * step`.
+/// k-th sample is `(first + k) * step`. Samples without data do not count.
+#[inline(always)]
 fn farthest(row: &[f32], first: i64, step: f64, [start, slope, east]: [f64; 3]) -> f64 {
-    let mut farthest = 0.0f64;
-    for (k, h) in row.iter().enumerate() {
-        let u = (first + k as i64) as f64 * step;
-        let distance = (start + u * slope - east * u * (1.0 - u) - f64::from(*h)).abs();
-        // The comparison is false for samples without data.
-        if distance > farthest {
-            farthest = distance;
+    let distance = |at: f64, h: f32| {
+        let u = at * step;
+        (start + u * slope - east * u * (1.0 - u) - f64::from(h)).abs()
+    };
+    let (fours, rest) = row.as_chunks::<4>();
+    let mut at = [0.0, 1.0, 2.0, 3.0].map(|k| first as f64 + k);
+    let mut far = [0.0f64; 4];
+    for four in fours {
+        for lane in 0..4 {
+            far[lane] = larger(distance(at[lane], four[lane]), far[lane]);
+            at[lane] += 4.0;
         }
     }
-    farthest
+    let far = far.into_iter().fold(0.0, |most, own| larger(own, most));
+    rest.iter().enumerate().fold(far, |most, (k, h)| larger(distance(at[0] + k as f64, *h), most))
+}
+
+/// Returns the larger one of two distances: the second one if the first is NaN.
+#[inline(always)]
+fn larger(distance: f64, most: f64) -> f64 {
+    if distance > most { distance } else { most }
+}
+
+/// A row of neighbouring cells of a tile. Distances are those of [`Cell`], bit for bit: a tile is measured in parts as well.
+pub(super) struct CellRow<'a> {
+    /// The heights of the southern and of the northern corners, one more than cells.
+    pub corners: [&'a [f32]; 2],
+    /// The first column and row, in columns and rows of the finest lattice.
+    pub first: [i64; 2],
+    pub stride: i64,
+    /// True for the northernmost row of a tile, which has the samples on its northern edge.
+    pub is_last: bool,
+}
+
+/// From this side on, cells are measured one by one, and below it all cells of a row together.
+const WIDE_STRIDE: i64 = 8;
+
+impl CellRow<'_> {
+    /// Returns the largest distance between the triangles of the cells and the finest samples, those on the eastern edge of the last
+    /// cell included.
+    #[inline(always)]
+    pub fn error_m(&self, bulge: &Bulge, finest: &Samples, rises: &mut Vec<[f64; 2]>) -> f64 {
+        let [south, north] = self.corners;
+        let (step, stride) = (1.0 / self.stride as f64, self.stride as usize);
+        let corners = |x: usize| [south[x], south[x + 1], north[x], north[x + 1]].map(f64::from);
+        let cells = south.len() - 1;
+        rises.clear();
+        rises.extend((0..cells).map(|x| {
+            let [sw, se, nw, ne] = corners(x);
+            bulge.at(0.25 * (sw + se + nw + ne))
+        }));
+        let mut error_m = 0.0f64;
+        for b in 0..self.stride + i64::from(self.is_last) {
+            let row = &finest.row_from(self.first[0], self.first[1] + b)[..cells * stride + 1];
+            let v = b as f64 * step;
+            // The surfaces of the upper and of the lower triangle of a cell.
+            let upper = |x: usize| {
+                let ([sw, _, nw, ne], [east, north]) = (corners(x), rises[x]);
+                [sw + v * (nw - sw) - north * v * (1.0 - v), ne - nw, east]
+            };
+            let lower = |x: usize| {
+                let ([sw, se, _, ne], [east, north]) = (corners(x), rises[x]);
+                [sw + v * (ne - se) - north * v * (1.0 - v), se - sw, east]
+            };
+            // The last sample of the row lies in the lower triangle, unless the row is the northern edge.
+            let split = b.min(self.stride) as usize;
+            if self.stride < WIDE_STRIDE {
+                let (own, _) = row.split_at(cells * stride);
+                for k in 0..stride {
+                    let u = k as f64 * step;
+                    let at = |[start, slope, east]: [f64; 3]| start + u * slope - east * u * (1.0 - u);
+                    let mut far = [0.0f64; 4];
+                    for x in 0..cells {
+                        let surface = if k < split { at(upper(x)) } else { at(lower(x)) };
+                        let distance = (surface - f64::from(own[x * stride + k])).abs();
+                        far[x % 4] = larger(distance, far[x % 4]);
+                    }
+                    error_m = far.into_iter().fold(error_m, |most, own| larger(own, most));
+                }
+            } else {
+                for x in 0..cells {
+                    let own = &row[x * stride..(x + 1) * stride];
+                    let of_upper = farthest(&own[..split], 0, step, upper(x));
+                    let of_lower = farthest(&own[split..], split as i64, step, lower(x));
+                    error_m = larger(of_lower, larger(of_upper, error_m));
+                }
+            }
+            let last = farthest(&row[cells * stride..], self.stride, step, lower(cells - 1));
+            error_m = larger(last, error_m);
+        }
+        error_m
+    }
 }
 
 /// How far the earth rises above chords through the cells of a row.

@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use super::Block;
-use super::cell::{Bulge, Cell};
+use super::cell::{Bulge, Cell, CellRow};
 use crate::GenError;
 use crate::pyramid::dependencies::HeightAt;
 use crate::pyramid::grid::QUANTUM_M;
@@ -27,6 +27,43 @@ impl Block<'_> {
             let first = [i64::from(keys[0].x) * side, i64::from(keys[0].y) * side];
             let window = Window { first, last: [first[0] + side * keys.len() as i64, first[1] + side] };
             let mut errors_m = vec![0.0f64; keys.len()];
+            // Each sample by its column and row of cells, and its position in its cell.
+            let mut columns: Vec<(i64, f64)> = Vec::new();
+            let cell_of = |c: f64, k: usize| {
+                let cell = (c as i64).clamp(window.first[k], window.last[k] - 1);
+                (cell, c - cell as f64)
+            };
+            let has_rows = self.grid.source_rows(&window, 0.0, false, &mut |xs, y, row| {
+                if columns.is_empty() {
+                    columns.extend(xs.iter().map(|x| cell_of(*x, 0)));
+                }
+                let (j, v) = cell_of(y, 1);
+                if !(0.0..=1.0).contains(&v) {
+                    return;
+                }
+                let bulge = Bulge::of_row(self.grid, j, 1);
+                let [south, north] = [j, j + 1].map(|j| heights.row_from(first[0], j));
+                for ((i, u), h) in columns.iter().zip(row.heights_m) {
+                    if h.is_nan() || !(0.0..=1.0).contains(u) {
+                        continue;
+                    }
+                    let [lower, upper] = self.triangles_at(level, [*i, j]);
+                    if !(if *u >= v { lower } else { upper }) {
+                        continue;
+                    }
+                    let k = (i - first[0]) as usize;
+                    let corners = [south[k], south[k + 1], north[k], north[k + 1]].map(f64::from);
+                    let cell = Cell { first: [*i, j], stride: 1, corners };
+                    let error_m = cell.distance_m(&bulge, [*u, v], f64::from(*h));
+                    if error_m >= ROUNDING_M {
+                        let tile = &mut errors_m[k / CELLS];
+                        *tile = tile.max(error_m);
+                    }
+                }
+            })?;
+            if has_rows {
+                return Ok(errors_m);
+            }
             self.grid.source_samples(&window, 0.0, &mut |[x, y], sample| {
                 let [i, j] = [0, 1].map(|k| ([x, y][k] as i64).clamp(window.first[k], window.last[k] - 1));
                 let (u, v) = (x - i as f64, y - j as f64);
@@ -154,14 +191,14 @@ impl Block<'_> {
         let stride = 1i64 << key.depth(self.grid);
         let first = [key.x, key.y].map(|c| i64::from(c) * CELLS as i64);
         let (heights, finest) = (self.heights(key.level), self.measured());
-        let mut error_m = 0.0f64;
+        let (mut error_m, mut rises) = (0.0f64, Vec::with_capacity(CELLS));
         for y in first[1]..first[1] + CELLS as i64 {
             let bulge = Bulge::of_row(self.grid, y * stride, stride);
-            for x in first[0]..first[0] + CELLS as i64 {
-                let corners = [[0, 0], [1, 0], [0, 1], [1, 1]].map(|[dx, dy]| f64::from(heights.at(x + dx, y + dy)));
-                let cell = Cell { first: [x * stride, y * stride], stride, corners };
-                error_m = error_m.max(cell.error_m(&bulge, finest, &own_samples(&cell)));
-            }
+            let corners = [y, y + 1].map(|y| &heights.row_from(first[0], y)[..=CELLS]);
+            let is_last = y + 1 == first[1] + CELLS as i64;
+            let row = CellRow { corners, first: [first[0] * stride, y * stride], stride, is_last };
+            let of_row = pulp::Arch::new().dispatch(|| row.error_m(&bulge, finest, &mut rises));
+            error_m = error_m.max(of_row);
         }
         error_m
     }

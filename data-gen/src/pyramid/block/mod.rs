@@ -7,6 +7,8 @@ mod assembled;
 mod cell;
 mod measured;
 
+use std::ops::RangeInclusive;
+
 use self::cell::Bulge;
 use super::dependencies::Dependencies;
 use super::fill::BOX;
@@ -299,6 +301,19 @@ impl<'a> Block<'a> {
     pub fn height_m(&self, key: TileKey, i: i64, j: i64) -> f32 {
         let at = |tile: u32, v: i64| i64::from(tile) * CELLS as i64 + v;
         self.heights(key.level).at(at(key.x, i), at(key.y, j))
+    }
+
+    /// Adds the heights of a row of a tile's vertices, as [`Self::height_m`] returns them.
+    pub fn add_heights(&self, key: TileKey, columns: RangeInclusive<i64>, j: i64, out: &mut Vec<f32>) {
+        let at = |tile: u32, v: i64| i64::from(tile) * CELLS as i64 + v;
+        let (heights, first, last) = (self.heights(key.level), at(key.x, *columns.start()), at(key.x, *columns.end()));
+        let Window { first: low, last: high } = heights.window;
+        let inside = heights.row_from(first, at(key.y, j));
+        let [before, behind] = [(low[0] - first).max(0), (last - high[0]).max(0)].map(|count| count as usize);
+        let count = (last - first + 1) as usize - before - behind;
+        out.extend(std::iter::repeat_n(inside[0], before));
+        out.extend_from_slice(&inside[..count]);
+        out.extend(std::iter::repeat_n(inside[count - 1], behind));
     }
 
     /// Returns the largest vertical distance between the edges of a tile and those that tiles one or two levels coarser have there,

@@ -4,4 +4,5 @@ mod archives;
 #[cfg(unix)]
 mod buckets;
 mod implicit;
+mod packed;
 mod terrain;

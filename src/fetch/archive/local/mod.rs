@@ -1,21 +1,24 @@
 //! Archives in local files. Blocking; called on the pager's file threads.
 
+mod packed;
 mod pmtiles;
 mod span;
 mod zip;
 
 use std::path::Path;
 
-use crate::fetch::archive::names::is_pmtiles;
+use crate::fetch::archive::names::{is_packed, is_pmtiles};
 use crate::fetch::{IoError, Limits};
+use packed::LocalPacked;
 use pmtiles::LocalPmtiles;
 use zip::LocalZip;
 
-/// An open archive file of either kind.
+/// An open archive file of any kind.
 #[derive(Debug)]
 pub(crate) enum LocalArchive {
     Zip(LocalZip),
     Pmtiles(LocalPmtiles),
+    Packed(LocalPacked),
 }
 
 impl LocalArchive {
@@ -23,6 +26,9 @@ impl LocalArchive {
     pub fn open(path: &Path, limits: &Limits) -> Result<Self, IoError> {
         if path.to_str().is_some_and(is_pmtiles) {
             return LocalPmtiles::open(path, limits).map(Self::Pmtiles);
+        }
+        if path.to_str().is_some_and(is_packed) {
+            return LocalPacked::open(path, limits).map(Self::Packed);
         }
         LocalZip::open(path, limits).map(Self::Zip)
     }
@@ -32,6 +38,7 @@ impl LocalArchive {
         match self {
             Self::Zip(archive) => archive.bytes(),
             Self::Pmtiles(tiles) => tiles.bytes(),
+            Self::Packed(set) => set.bytes(),
         }
     }
 
@@ -40,6 +47,7 @@ impl LocalArchive {
         match self {
             Self::Zip(archive) => archive.is_current(),
             Self::Pmtiles(tiles) => tiles.is_current(),
+            Self::Packed(set) => set.is_current(),
         }
     }
 
@@ -48,6 +56,7 @@ impl LocalArchive {
         match self {
             Self::Zip(archive) => archive.read(uri, name, limits),
             Self::Pmtiles(tiles) => tiles.read(uri, name, limits),
+            Self::Packed(set) => set.read(uri, name, limits),
         }
     }
 
@@ -56,6 +65,7 @@ impl LocalArchive {
         match self {
             Self::Zip(archive) => archive.size(uri, name, limits),
             Self::Pmtiles(tiles) => tiles.size(uri, name, limits),
+            Self::Packed(set) => set.size(uri, name),
         }
     }
 }

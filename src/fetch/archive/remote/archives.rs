@@ -6,11 +6,12 @@ use std::time::{Instant, SystemTime};
 use lru::LruCache;
 
 use super::identity::RemoteIdentity;
+use super::packed::RemotePacked;
 use super::part::{MemberName, Part, PartReader};
 use super::pmtiles::RemotePmtiles;
 use super::reread_limit::RereadLimit;
 use super::zip::RemoteZip;
-use crate::fetch::archive::{MAX_CACHED_ARCHIVES, MAX_CACHED_DIRECTORY_BYTES, evict_lru, is_pmtiles};
+use crate::fetch::archive::{MAX_CACHED_ARCHIVES, MAX_CACHED_DIRECTORY_BYTES, evict_lru, is_packed, is_pmtiles};
 use crate::fetch::cache::Entry;
 use crate::fetch::http::{CachePolicy, HttpBody, HttpCache, SharedRead, Transport, copy_validators};
 use crate::fetch::{ByteBudget, IoError, Limits, shown};
@@ -23,19 +24,23 @@ pub(crate) struct MemberUri<'a> {
     pub name: &'a str,
 }
 
-/// An open archive of either kind.
+/// An open archive of any kind.
 #[derive(Debug)]
 enum RemoteArchive {
     Zip(Box<RemoteZip>),
     Pmtiles(Box<RemotePmtiles>),
+    Packed(Box<RemotePacked>),
 }
 
 impl RemoteArchive {
     async fn open(reader: &PartReader<'_>) -> Result<Arc<Self>, IoError> {
         let path = reader.url.split('?').next().unwrap_or(reader.url);
-        Ok(Arc::new(match is_pmtiles(path) {
-            true => Self::Pmtiles(Box::new(RemotePmtiles::open(reader).await?)),
-            false => Self::Zip(Box::new(RemoteZip::open(reader).await?)),
+        Ok(Arc::new(if is_pmtiles(path) {
+            Self::Pmtiles(Box::new(RemotePmtiles::open(reader).await?))
+        } else if is_packed(path) {
+            Self::Packed(Box::new(RemotePacked::open(reader).await?))
+        } else {
+            Self::Zip(Box::new(RemoteZip::open(reader).await?))
         }))
     }
 
@@ -43,6 +48,7 @@ impl RemoteArchive {
         match self {
             Self::Zip(zip) => &zip.identity,
             Self::Pmtiles(tiles) => &tiles.identity,
+            Self::Packed(set) => &set.identity,
         }
     }
 
@@ -51,6 +57,7 @@ impl RemoteArchive {
         match self {
             Self::Zip(zip) => zip.bytes(),
             Self::Pmtiles(tiles) => tiles.bytes(),
+            Self::Packed(set) => set.bytes(),
         }
     }
 
@@ -58,6 +65,7 @@ impl RemoteArchive {
         match self {
             Self::Zip(zip) => zip.read(reader, member).await,
             Self::Pmtiles(tiles) => tiles.read(reader, member).await,
+            Self::Packed(set) => set.read(reader, member).await,
         }
     }
 }

@@ -3,7 +3,7 @@
 //!
 //! ```text
 //! RemoteArchives   which archives are open; the disk cache for their members
-//!   RemoteZip, RemotePmtiles   which span holds a member
+//!   RemoteZip, RemotePacked, RemotePmtiles   which span holds a member
 //!     RemoteIdentity          is the archive still the one whose directory was read?
 //!       PartReader             one range request
 //! ```
@@ -11,6 +11,7 @@
 mod archives;
 mod file;
 mod identity;
+mod packed;
 mod part;
 mod pmtiles;
 mod reread_limit;
