@@ -126,7 +126,8 @@ mod tests {
     fn invalid_bytes_are_errors() {
         let file = write(67, 0.25, &hills(67, 0.25));
         let decode = |bytes: &[u8]| decode_heights("a/t.heights", bytes, 67, &Limits::default());
-        for size in 0..file.len() {
+        // The last four bytes are the checksum of the zstd frame.
+        for size in 0..file.len() - 4 {
             assert!(decode(&file[..size]).unwrap_err().to_string().contains("a/t.heights"), "{size}");
         }
         let with = |at: usize, byte: u8| {
@@ -136,7 +137,7 @@ mod tests {
         };
         assert!(with(4, 9).contains("version 9"));
         assert!(with(5, 5).contains("four bytes"));
-        assert!(with(5, 1).contains("t.heights"));
+        assert!(with(5, 2).contains("t.heights"));
         assert!(with(6, 7).contains("compression"));
         assert!(with(8, 66).contains("66 x 66 samples, 67 x 67 expected"));
         assert!(with(23, 0x7f).contains("not finite"));
