@@ -58,11 +58,13 @@ impl Relief {
             return;
         }
         add_octaves(points, 90_000.0, 4, 0.5, 1.0, part_seed(seed, 50), &mut s.sand);
+        // Worlds with craters have little sand: it would have buried them.
+        let share = if self.forms.craters > 0.0 { -0.4 } else { 0.06 };
         for k in 0..n {
             // Two places on the earth have no direction across the axis that the wind turns around.
             let [x, y, z] = cross(AXIS, place(points, k));
             let poles = smooth(0.05, 0.02, x * x + y * y + z * z);
-            s.sand[k] += 0.06 - 1.6 * smooth(0.02, 0.4, out.mountain[k]) - 2.0 * poles;
+            s.sand[k] += share - 1.6 * smooth(0.02, 0.4, out.mountain[k]) - 2.0 * poles;
         }
     }
 

@@ -32,7 +32,7 @@ impl Relief {
         // Around seas of sand, as far as the sand was carried from them.
         reset(&mut s.other, n);
         for (region, (mountain, sand)) in s.other.iter_mut().zip(out.mountain.iter().zip(&s.sand)) {
-            *region = smooth(-0.75, -0.5, *sand) * smooth(0.0, -0.12, *sand) * (1.0 - smooth(0.02, 0.15, *mountain));
+            *region = smooth(-1.5, -1.0, *sand) * smooth(0.0, -0.12, *sand) * (1.0 - smooth(0.25, 0.6, *mountain));
         }
         if s.other.iter().all(|region| *region == 0.0) {
             return;
