@@ -202,3 +202,22 @@ fn tiles_follow_those_below_them_with_their_rectangles() {
     }
     assert!((read[4].measured_m.unwrap() - 30.0).abs() < 1e-9 && listed[4].measured_m.is_none());
 }
+
+/// Tiles of half the earth with skirts of hundreds of kilometres, and poles.
+#[test]
+fn terrain_of_the_whole_earth_has_no_problems() {
+    let folder = tempfile::tempdir().unwrap();
+    kit::quantized::write_set(
+        folder.path(),
+        3,
+        |_| true,
+        |longitude, latitude| 1000.0 * (2.0 * longitude).sin() * latitude.cos(),
+    );
+    let found = verify(folder.path().join("layer.json").to_str().unwrap(), &Limits::default(), &mut |_| {}).unwrap();
+    assert_eq!((problems(&found), found.failed), (Vec::new(), 0));
+    let finest = found.levels.last().unwrap();
+    assert!(finest.edges > 32 && finest.edge_m.unwrap() < 1.0, "{finest:?}");
+    assert!(finest.skirt_m.unwrap()[0] > 1000.0, "{finest:?}");
+    let [low, high] = finest.heights_m.unwrap();
+    assert!(low > -1001.0 && high < 1001.0, "{finest:?}");
+}

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use super::place::MapFrame;
-use super::surface::{EAST, NORTH, SOUTH, Surface, WEST, wrapped};
+use super::surface::{EAST, NORTH, Profile, SOUTH, Surface, WEST, wrapped};
 
 /// The maximum number of points of edges that wait for their neighbour. Further edges are not compared.
 const MAX_WAITING_POINTS: usize = 4_000_000;
@@ -16,7 +16,7 @@ struct Edge {
     uri: Arc<str>,
     /// Where it lies across its direction.
     across: f64,
-    points: Vec<[f64; 2]>,
+    profile: Profile,
     /// The declared error of its tile, metres.
     error_m: f64,
     /// The depth of its skirt, metres; 0 without one.
@@ -51,7 +51,7 @@ impl Edges {
         let size = (east - west).max(north - south);
         let step = *self.steps.entry(level).or_insert(1e-3 * size);
         let mut found = Vec::new();
-        if !(step > 0.0) {
+        if step.is_nan() || step <= 0.0 {
             return found;
         }
         let skirt_m = surface.skirt_m.map_or(0.0, |[_, deepest]| deepest);
@@ -61,8 +61,8 @@ impl Edges {
                 (WEST | EAST, MapFrame::Earth) => wrapped(surface.rectangle[side]),
                 _ => surface.rectangle[side],
             };
-            let points = &surface.profiles[side];
-            if points.len() < 2 {
+            let profile = &surface.profiles[side];
+            if profile.points.len() < 2 {
                 continue;
             }
             let key = |across: f64| (across / step).round() as i64;
@@ -70,12 +70,12 @@ impl Edges {
             let mut covered = 0.0;
             for number in key(across) - 1..=key(across) + 1 {
                 let Some(list) = self.waiting.get_mut(&(level, opposite, number)) else { continue };
-                let points_before: usize = list.iter().map(|edge| edge.points.len()).sum();
+                let points_before: usize = list.iter().map(|edge| edge.profile.points.len()).sum();
                 list.retain(|other| {
                     if (other.across - across).abs() > step {
                         return true;
                     }
-                    let Some((largest_m, share)) = difference(points, &other.points) else { return true };
+                    let Some((largest_m, share)) = difference(profile, &other.profile) else { return true };
                     covered += share;
                     found.push(Difference {
                         largest_m,
@@ -85,7 +85,7 @@ impl Edges {
                     });
                     share < 0.99
                 });
-                self.points -= points_before - list.iter().map(|edge| edge.points.len()).sum::<usize>();
+                self.points -= points_before - list.iter().map(|edge| edge.profile.points.len()).sum::<usize>();
                 if list.is_empty() {
                     self.waiting.remove(&(level, opposite, number));
                 }
@@ -93,12 +93,12 @@ impl Edges {
             if covered > 0.99 {
                 continue;
             }
-            if self.points + points.len() > MAX_WAITING_POINTS {
+            if self.points + profile.points.len() > MAX_WAITING_POINTS {
                 self.dropped += 1;
                 continue;
             }
-            self.points += points.len();
-            let edge = Edge { uri: uri.clone(), across, points: points.clone(), error_m, skirt_m };
+            self.points += profile.points.len();
+            let edge = Edge { uri: uri.clone(), across, profile: profile.clone(), error_m, skirt_m };
             self.waiting.entry((level, side, key(across))).or_default().push(edge);
         }
         found
@@ -120,8 +120,11 @@ pub(super) fn difference_to_coarser_m(fine: &Surface, coarse: &Surface) -> Optio
         if (a - b).abs() > 1e-3 * size {
             continue;
         }
-        let shifted: Vec<[f64; 2]> =
-            coarse.profiles[side].iter().map(|[at, height_m]| [at + shift, *height_m]).collect();
+        let moved = |list: &[[f64; 2]], is_place: bool| -> Vec<[f64; 2]> {
+            list.iter().map(|[a, b]| [a + shift, if is_place { b + shift } else { *b }]).collect()
+        };
+        let Profile { points, covered } = &coarse.profiles[side];
+        let shifted = Profile { points: moved(points, false), covered: moved(covered, true) };
         if let Some((found, _)) = difference(&fine.profiles[side], &shifted) {
             largest = Some(largest.map_or(found, |known| known.max(found)));
         }
@@ -129,43 +132,40 @@ pub(super) fn difference_to_coarser_m(fine: &Surface, coarse: &Surface) -> Optio
     largest
 }
 
-/// Returns the largest difference of two lines of heights where both are known, and the share of the shorter one that this is;
-/// `None` if they hardly overlap.
-fn difference(a: &[[f64; 2]], b: &[[f64; 2]]) -> Option<(f64, f64)> {
-    let ends = |line: &[[f64; 2]]| Some((line.first()?[0], line.last()?[0]));
+/// Returns the largest difference of two edges where both have triangles, and the share of the shorter one that they have in
+/// common; `None` if that is hardly anything.
+fn difference(a: &Profile, b: &Profile) -> Option<(f64, f64)> {
+    let ends = |profile: &Profile| Some((profile.points.first()?[0], profile.points.last()?[0]));
     let ((a0, a1), (b0, b1)) = (ends(a)?, ends(b)?);
     let (from, to) = (a0.max(b0), a1.min(b1));
-    let share = (to - from) / (a1 - a0).min(b1 - b0);
-    if !(share >= MIN_OVERLAP) {
+    let length = (a1 - a0).min(b1 - b0);
+    let share = (to - from) / length;
+    if share.is_nan() || share < MIN_OVERLAP {
         return None;
     }
-    let mut largest_m = 0.0f64;
     // Places of neighbours are rounded.
-    let slack = 1e-4 * (a1 - a0).min(b1 - b0);
-    for (line, other) in [(a, b), (b, a)] {
-        let inside = line.iter().filter(|[at, _]| (from - slack..=to + slack).contains(at));
-        for [at, height_m] in inside {
-            largest_m = largest_m.max(distance_m(other, *at, *height_m, slack));
+    let slack = 1e-4 * length;
+    let mut largest_m: Option<f64> = None;
+    for (one, other) in [(a, b), (b, a)] {
+        for [at, height_m] in &one.points {
+            if let Some(distance_m) = distance_m(other, *at, *height_m, slack) {
+                largest_m = Some(largest_m.map_or(distance_m, |known| known.max(distance_m)));
+            }
         }
     }
-    Some((largest_m, share))
+    Some((largest_m?, share))
 }
 
-/// Returns the distance of a height from a line of heights at a place. Where the line has several heights, the nearest counts.
-fn distance_m(line: &[[f64; 2]], at: f64, height_m: f64, slack: f64) -> f64 {
+/// Returns the distance of a height from an edge at a place; `None` if the edge has no triangle there. Where it has several
+/// heights, the nearest counts.
+fn distance_m(profile: &Profile, at: f64, height_m: f64, slack: f64) -> Option<f64> {
+    let line = &profile.points;
     let first = line.partition_point(|point| point[0] < at - slack);
-    let mut nearest = f64::INFINITY;
-    // Points at the place itself.
-    for [_, other] in line[first..].iter().take_while(|point| point[0] <= at + slack) {
-        nearest = nearest.min((other - height_m).abs());
+    let there = line[first..].iter().take_while(|point| point[0] <= at + slack);
+    if let Some(nearest) = there.map(|[_, other]| (other - height_m).abs()).min_by(f64::total_cmp) {
+        return Some(nearest);
     }
-    if nearest.is_finite() {
-        return nearest;
-    }
-    match (first.checked_sub(1).map(|before| line[before]), line.get(first)) {
-        (Some([x0, h0]), Some([x1, h1])) => (h0 + (h1 - h0) * (at - x0) / (x1 - x0) - height_m).abs(),
-        (Some([_, h]), None) => (h - height_m).abs(),
-        (None, Some([_, h])) => (h - height_m).abs(),
-        (None, None) => 0.0,
-    }
+    let is_covered = profile.covered.iter().any(|[from, to]| (*from..=*to).contains(&at));
+    let ([x0, h0], [x1, h1]) = (line[first.checked_sub(1)?], line.get(first)?);
+    is_covered.then(|| (h0 + (h1 - h0) * (at - x0) / (x1 - x0) - height_m).abs())
 }

@@ -25,8 +25,8 @@ pub(super) struct Place {
     pub height_m: f64,
 }
 
-/// Latitudes that differ by less from a pole's are that pole's, radians.
-const POLE_WIDTH: f64 = 1e-9;
+/// Latitudes that differ by less from a pole's are that pole's, radians: some metres, since positions are `f32` in their tile.
+const POLE_WIDTH: f64 = 1e-6;
 
 impl MapFrame {
     pub(super) fn place(self, position: DVec3) -> Place {
@@ -91,7 +91,7 @@ impl MapFrame {
             return Some([r.west, r.south, r.west + r.width(), r.north]);
         }
         let sphere = volume.bounding_sphere();
-        if !sphere.center.is_finite() || !(sphere.radius_m < 1e15) || sphere.radius_m < 0.0 {
+        if !sphere.center.is_finite() || !(0.0..1e15).contains(&sphere.radius_m) {
             return None;
         }
         let corners: Vec<DVec3> = match volume.oriented_box() {

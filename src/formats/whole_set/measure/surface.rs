@@ -23,6 +23,15 @@ pub(super) const SOUTH: usize = 1;
 pub(super) const EAST: usize = 2;
 pub(super) const NORTH: usize = 3;
 
+/// The heights along an edge of a tile.
+#[derive(Clone, Default)]
+pub(super) struct Profile {
+    /// The place along the edge and the height of each vertex, in order.
+    pub points: Vec<[f64; 2]>,
+    /// The parts of the edge that triangles lie on, in order: a tile with voids has gaps.
+    pub covered: Vec<[f64; 2]>,
+}
+
 /// The triangles of a content.
 pub(super) struct Surface {
     pub frame: MapFrame,
@@ -32,8 +41,8 @@ pub(super) struct Surface {
     pub rectangle: [f64; 4],
     /// Depths of the skirts, smallest and largest.
     pub skirt_m: Option<[f64; 2]>,
-    /// Heights along the edges: the place along the edge and the height, in order.
-    pub profiles: [Vec<[f64; 2]>; 4],
+    /// The four edges.
+    pub profiles: [Profile; 4],
     /// True if a place has one height, so that heights are compared; otherwise distances are.
     pub is_height_field: bool,
     /// True for the samples of a height tile: those of coarser tiles are among those of finer ones.
@@ -154,7 +163,7 @@ impl Surface {
             (rectangle[0], rectangle[2]) = (west, rectangle[2] + shift);
             vertices.iter_mut().for_each(|vertex| vertex.at[0] += shift);
         }
-        let profiles = profiles(frame, &vertices, rectangle);
+        let profiles = profiles(frame, &vertices, &triangles, rectangle);
         let is_height_field = is_height_field(frame, &vertices, &triangles);
         let grid = Grid::new(frame, &vertices, &triangles, rectangle);
         let is_samples = false;
@@ -278,17 +287,36 @@ fn rectangle_of(frame: MapFrame, vertices: &[Place]) -> [f64; 4] {
     rectangle
 }
 
-/// Returns the heights of the vertices on each edge of a rectangle.
-fn profiles(frame: MapFrame, vertices: &[Place], [west, south, east, north]: [f64; 4]) -> [Vec<[f64; 2]>; 4] {
+/// Returns the heights along each edge of a rectangle.
+fn profiles(
+    frame: MapFrame,
+    vertices: &[Place],
+    triangles: &[[u32; 3]],
+    [west, south, east, north]: [f64; 4],
+) -> [Profile; 4] {
     let near = EDGE_SHARE * (east - west).max(north - south);
     let on = |of: fn([f64; 2]) -> [f64; 2], edge: f64| {
-        let on_edge = vertices.iter().filter(|vertex| (of(vertex.at)[0] - edge).abs() <= near);
+        let is_on = |vertex: &Place| (of(vertex.at)[0] - edge).abs() <= near;
+        let on_edge = vertices.iter().filter(|vertex| is_on(vertex));
         let mut points: Vec<[f64; 2]> = on_edge.map(|vertex| [of(vertex.at)[1], vertex.height_m]).collect();
         points.sort_by(|a, b| a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])));
         points.dedup();
-        points
+        let sides = triangles.iter().flat_map(|[a, b, c]| [[*a, *b], [*b, *c], [*c, *a]]);
+        let sides = sides.map(|side| side.map(|i| &vertices[i as usize]));
+        let sides = sides.filter(|side| side.iter().all(|vertex| is_on(vertex)));
+        let mut parts: Vec<[f64; 2]> =
+            sides.map(|[a, b]| [of(a.at)[1], of(b.at)[1]]).map(|[from, to]| [from.min(to), from.max(to)]).collect();
+        parts.sort_by(|a, b| a[0].total_cmp(&b[0]));
+        let mut covered: Vec<[f64; 2]> = Vec::new();
+        for [from, to] in parts {
+            match covered.last_mut() {
+                Some(last) if from <= last[1] + 1e-2 * near => last[1] = last[1].max(to),
+                _ => covered.push([from, to]),
+            }
+        }
+        Profile { points, covered }
     };
-    let across = |edge: f64| if frame.is_pole(edge) { Vec::new() } else { on(|[x, y]| [y, x], edge) };
+    let across = |edge: f64| if frame.is_pole(edge) { Profile::default() } else { on(|[x, y]| [y, x], edge) };
     [on(|at| at, west), across(south), on(|at| at, east), across(north)]
 }
 
@@ -320,6 +348,8 @@ impl Skirts {
         let [west, south, east, north] = rectangle_of(frame, vertices);
         let size = (east - west).max(north - south);
         let (near, above) = (EDGE_SHARE * size, ABOVE_SHARE * size);
+        // Vertices that differ by less are rounded.
+        let min_depth_m = 0.02 + 1e-6 * size * frame.metres(0.0)[1];
         let is_on_edge = |[x, y]: [f64; 2]| [x - west, east - x, y - south, north - y].iter().any(|d| d.abs() <= near);
         let mut skirts = Self { is_bottom: vec![false; vertices.len()], depth_m: [f64::INFINITY, 0.0] };
         for t in triangles {
@@ -327,7 +357,7 @@ impl Skirts {
                 let [a, b] = [i, j].map(|i| &vertices[i as usize]);
                 let is_above = (a.at[0] - b.at[0]).abs() <= above && (a.at[1] - b.at[1]).abs() <= above;
                 let depth_m = (a.height_m - b.height_m).abs();
-                if is_above && depth_m > 0.0 && t.iter().all(|i| is_on_edge(vertices[*i as usize].at)) {
+                if is_above && depth_m > min_depth_m && t.iter().all(|i| is_on_edge(vertices[*i as usize].at)) {
                     skirts.is_bottom[if a.height_m < b.height_m { i } else { j } as usize] = true;
                     skirts.depth_m = [skirts.depth_m[0].min(depth_m), skirts.depth_m[1].max(depth_m)];
                 }
