@@ -10,7 +10,7 @@ use kit::fuzz::Parser;
 use kit::subtrees::{Scheme, Subtree};
 use terrane::fetch::{DECODER_PANICKED, FileReader, IoError, Limits};
 use terrane::fetch::{RootScope, is_http, resolve, root_uri};
-use terrane::fetch::{fuzz_index, fuzz_packed, fuzz_pmtiles, fuzz_url};
+use terrane::fetch::{fuzz_index, fuzz_pmtiles, fuzz_url};
 use terrane::formats::writers::{GlbMesh, write_glb, write_height_exr, write_packed_heights};
 use terrane::formats::{Content, Fetched, ReadOptions, Style, decode, decode_node, dependencies, inspect};
 use terrane::scene::{Node, NodeKind, ReaderData};
@@ -341,32 +341,6 @@ fn packed_heights() -> Parser {
     Parser::new("packed-heights", seeds, move |bytes| content(bytes, Some(HEIGHT_DATA), Vec::new()))
 }
 
-fn packed_set() -> Parser {
-    // A set of two files without bytes.
-    let index: Vec<u8> = [0u64, 9].iter().flat_map(|key| [*key, 144, 0, 0, 0]).flat_map(u64::to_le_bytes).collect();
-    let table = [&[0; 8][..], &crc32fast::hash(&index).to_le_bytes(), &[0; 4]].concat();
-    let mut bytes = b"TERRPACK".to_vec();
-    [1u32, 512].iter().for_each(|field| bytes.extend(field.to_le_bytes()));
-    [2u64, 64, 80].iter().for_each(|field| bytes.extend(field.to_le_bytes()));
-    bytes.extend(crc32fast::hash(&table).to_le_bytes());
-    bytes.resize(60, 0);
-    bytes.extend(crc32fast::hash(&bytes).to_le_bytes());
-    bytes.extend(table);
-    bytes.extend(index);
-    Parser::new("packed-set", [bytes], |bytes| {
-        fuzz_packed(bytes, &limits());
-        // Most changes are those of bytes that have checksums: these are made right.
-        let mut bytes = bytes.to_vec();
-        if bytes.len() >= 80 {
-            let table = crc32fast::hash(&bytes[64..80]).to_le_bytes();
-            bytes[40..44].copy_from_slice(&table);
-            let header = crc32fast::hash(&bytes[..60]).to_le_bytes();
-            bytes[60..64].copy_from_slice(&header);
-            fuzz_packed(&bytes, &limits());
-        }
-    })
-}
-
 fn height_data() -> Parser {
     let exr = write_height_exr("t", 7, vec![5.0; 49]).unwrap();
     let seeds = [HEIGHT_DATA.as_bytes().to_vec(), HEIGHT_DATA.replace("0.8,", "-1.5,").into_bytes()];
@@ -595,7 +569,6 @@ kit::parsers! {
     style,
     height_tile,
     packed_heights,
-    packed_set,
     height_data,
     imagery,
     gzip,

@@ -1,9 +1,9 @@
-//! Fuzzed parsers of what servers answer, headers and bodies, and of the files of the cache. They are run like those of
+//! Fuzzed parsers of what servers answer, headers and bodies, of the files of the cache, and of packed sets. They are run like those of
 //! `tests/formats/fuzz_parsers.rs`, by tests and by `tools/fuzz`.
 
 use kit::fuzz::Parser;
 use terrane::fetch::services::fuzz_ion_endpoint;
-use terrane::fetch::{Limits, fuzz_cache_entry, fuzz_encoding, fuzz_headers};
+use terrane::fetch::{Limits, fuzz_cache_entry, fuzz_encoding, fuzz_headers, fuzz_packed};
 
 fn http_headers() -> Parser {
     let seeds = [
@@ -49,9 +49,36 @@ fn cache_entries() -> Parser {
     Parser::new("cache-entry", [seed], fuzz_cache_entry)
 }
 
+fn packed_set() -> Parser {
+    // A set of two files without bytes.
+    let index: Vec<u8> = [0u64, 9].iter().flat_map(|key| [*key, 144, 0, 0, 0]).flat_map(u64::to_le_bytes).collect();
+    let table = [&[0; 8][..], &crc32fast::hash(&index).to_le_bytes(), &[0; 4]].concat();
+    let mut bytes = b"TERRPACK".to_vec();
+    [1u32, 512].iter().for_each(|field| bytes.extend(field.to_le_bytes()));
+    [2u64, 64, 80].iter().for_each(|field| bytes.extend(field.to_le_bytes()));
+    bytes.extend(crc32fast::hash(&table).to_le_bytes());
+    bytes.resize(60, 0);
+    bytes.extend(crc32fast::hash(&bytes).to_le_bytes());
+    bytes.extend(table);
+    bytes.extend(index);
+    Parser::new("packed-set", [bytes], |bytes| {
+        fuzz_packed(bytes, &Limits::default());
+        // Most changes are those of bytes that have checksums: these are made right.
+        let mut bytes = bytes.to_vec();
+        if bytes.len() >= 80 {
+            let table = crc32fast::hash(&bytes[64..80]).to_le_bytes();
+            bytes[40..44].copy_from_slice(&table);
+            let header = crc32fast::hash(&bytes[..60]).to_le_bytes();
+            bytes[60..64].copy_from_slice(&header);
+            fuzz_packed(&bytes, &Limits::default());
+        }
+    })
+}
+
 kit::parsers! {
     http_headers,
     ion_endpoints,
     encodings,
     cache_entries,
+    packed_set,
 }

@@ -90,7 +90,14 @@ fn decompression_bombs_are_refused() {
         base_color: [1.0; 4],
         ..GlbMesh::default()
     });
-    refused(with_image, limits);
+    // It is not decoded, and the mesh is drawn without it.
+    let folder = tempfile::tempdir().unwrap();
+    write_set(folder.path(), &[("child.glb", with_image)]);
+    let mut run = Run::new(folder.path().to_str().unwrap(), PagerConfig { limits, ..PagerConfig::default() });
+    run.settle(above(10.0));
+    assert_eq!((run.pager.stats().failed, run.stage.counters.tiles_drawn), (0, 1));
+    let ignored = run.pager.ignored();
+    assert!(ignored.iter().any(|(kind, _)| kind == "glTF: image that cannot be read"), "{ignored:?}");
     assert!(start.elapsed() < Duration::from_secs(20));
 }
 

@@ -209,11 +209,6 @@ impl Tiff {
         item_of(&self.gdal, attribute, channel)
     }
 
-    /// Returns GDAL's metadata in the file, XML.
-    pub(super) fn gdal_metadata(&self) -> &str {
-        &self.gdal
-    }
-
     /// Returns true for 16-bit floats.
     fn is_half(&self) -> bool {
         (self.layout.sample_format, self.layout.bits_per_sample) == (FLOAT, 16)
@@ -479,7 +474,7 @@ fn is_image_of(ifd: &Ifd, size: [usize; 2]) -> bool {
 }
 
 /// Returns the text of the item of GDAL's metadata with an attribute, of a channel.
-pub(super) fn item_of(xml: &str, attribute: &str, channel: Option<usize>) -> Option<String> {
+fn item_of(xml: &str, attribute: &str, channel: Option<usize>) -> Option<String> {
     let items = xml.split("<Item ").skip(1).filter_map(|item| item.split('<').next()?.split_once('>'));
     let sample = channel.map(|channel| format!("sample=\"{channel}\""));
     let is_of_channel = |attributes: &str| match &sample {

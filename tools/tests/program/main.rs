@@ -11,7 +11,5 @@ mod object_stores;
 mod procedural;
 mod samples;
 mod serve;
-mod serve_http2;
-mod served;
 mod services;
 mod stress;

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::process::Command;
 
-use crate::served::Server;
+use crate::serve::served::Server;
 use kit::skip::no_adapter;
 use serde_json::Value;
 use terrane_data_gen::{TileKey, World, WorldPreset, WorldSet};

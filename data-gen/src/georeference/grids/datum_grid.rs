@@ -68,7 +68,7 @@ impl DatumGrid {
 
 /// Converts the images of a GeoTIFF to the grids of an NTv2 file.
 fn ntv2_of_tiff(path: &Path) -> Result<Vec<u8>, GenError> {
-    let images = grid_tiff::open(path, SHIFT)?;
+    let images = described(path, grid_tiff::open(path, SHIFT)?)?;
     let mut file = Vec::new();
     let text = |text: &str| {
         let mut bytes = [b' '; 8];
@@ -85,13 +85,13 @@ fn ntv2_of_tiff(path: &Path) -> Result<Vec<u8>, GenError> {
     record(&mut file, "NUM_FILE", int(images.len() as u32));
     record(&mut file, "GS_TYPE", text("SECONDS"));
     file.resize(HEADER_BYTES, 0);
-    for (number, image) in images.iter().enumerate() {
+    for (number, (image, channels)) in images.iter().enumerate() {
         let [columns, rows] = image.size;
         let start = image.south_west.map(|degrees| degrees * 3600.0);
         let step = image.step.map(|degrees| degrees * 3600.0);
         let end = [0, 1].map(|k| start[k] + step[k] * (image.size[k] - 1) as f64);
         // A finer grid lies inside of the one that it refines, which comes before it.
-        let around = images[..number].iter().rposition(|other| contains(other, image));
+        let around = images[..number].iter().rposition(|(other, _)| contains(other, image));
         let parent = around.map_or_else(|| "NONE".to_owned(), |parent| format!("GRID{parent}"));
         for (key, value) in [
             ("SUB_NAME", text(&format!("GRID{number}"))),
@@ -108,8 +108,8 @@ fn ntv2_of_tiff(path: &Path) -> Result<Vec<u8>, GenError> {
         ] {
             record(&mut file, key, value);
         }
-        let north = shifts(path, image, "latitude_offset", 0)?;
-        let east = shifts(path, image, "longitude_offset", 1)?;
+        let north = image.values(channels.north, channels.seconds)?;
+        let east = image.values(channels.east, if channels.is_west { -channels.seconds } else { channels.seconds })?;
         // Points count from the south-eastern one to the west, and shifts to the west.
         for row in 0..rows {
             for point in (0..columns).rev().map(|column| row * columns + column) {
@@ -133,19 +133,50 @@ fn contains(outer: &GridImage, inner: &GridImage) -> bool {
     })
 }
 
-/// Returns the shifts of a channel in seconds, north or east. Points without data are not shifted to any place.
-fn shifts(path: &Path, image: &GridImage, name: &str, usual: usize) -> Result<Vec<f32>, GenError> {
-    let channel = image.channel(&[name], usual);
-    let channel = channel.ok_or_else(|| GenError::invalid(path, format!("no channel {name}")))?;
-    let unit = image.item("role=\"unittype\"", channel);
-    let seconds = match unit.as_deref() {
-        None | Some("arc-second") => 1.0,
-        Some("degree") => 3600.0,
-        Some("radian") => 3600.0 * 1f64.to_degrees(),
-        Some(other) => return Err(GenError::invalid(path, format!("shifts in units of `{other}`"))),
-    };
-    let is_west = image.item("name=\"positive_value\"", channel).as_deref() == Some("west");
-    image.values(channel, if is_west { -seconds } else { seconds })
+/// The channels of an image with shifts to the north and to the east.
+#[derive(Clone, Copy)]
+struct Channels {
+    north: usize,
+    east: usize,
+    /// The unit in seconds.
+    seconds: f64,
+    /// True if shifts to the west are positive.
+    is_west: bool,
+}
+
+/// Finds the channels of images. What an image does not name is as in those before it, and images of other values are left
+/// out, as PROJ reads them.
+fn described(path: &Path, images: Vec<GridImage>) -> Result<Vec<(GridImage, Channels)>, GenError> {
+    let mut channels = Channels { north: 0, east: 1, seconds: 1.0, is_west: false };
+    let mut found = Vec::new();
+    for image in images {
+        let bad = |reason: String| GenError::invalid(path, reason);
+        match (image.channel(&["latitude_offset"]), image.channel(&["longitude_offset"])) {
+            (Some(north), Some(east)) => {
+                let positive = image.item("name=\"positive_value\"", east);
+                let is_west = positive.map_or(channels.is_west, |positive| positive == "west");
+                channels = Channels { north, east, is_west, ..channels };
+            }
+            (None, None) if !image.has_names() => {}
+            (None, None) if !found.is_empty() => continue,
+            (north, _) => {
+                let name = if north.is_none() { "latitude_offset" } else { "longitude_offset" };
+                return Err(bad(format!("no channel {name}")));
+            }
+        }
+        if channels.north.max(channels.east) >= image.channels() {
+            return Err(bad("no channel longitude_offset".to_owned()));
+        }
+        channels.seconds = match image.item("role=\"unittype\"", channels.east).as_deref() {
+            None => channels.seconds,
+            Some("arc-second") => 1.0,
+            Some("degree") => 3600.0,
+            Some("radian") => 3600.0 * 1f64.to_degrees(),
+            Some(other) => return Err(bad(format!("shifts in units of `{other}`"))),
+        };
+        found.push((image, channels));
+    }
+    Ok(found)
 }
 
 /// Checks the headers of a file, which `proj4rs` trusts. The error is the reason.

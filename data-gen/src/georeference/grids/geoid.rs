@@ -98,10 +98,17 @@ impl Geoid {
             return Ok(Self { grids: vec![grid] });
         }
         drop(bytes);
-        let mut grids = Vec::new();
+        let (mut grids, mut channel) = (Vec::new(), 0);
         for image in grid_tiff::open(path, GEOID)? {
-            let none = || GenError::invalid(path, format!("no channel {}", CHANNELS.join(" or ")));
-            let channel = image.channel(&CHANNELS, 0).ok_or_else(none)?;
+            match image.channel(&CHANNELS) {
+                Some(named) => channel = named,
+                // A further image may have other values.
+                None if image.has_names() && !grids.is_empty() => continue,
+                None if image.has_names() || channel >= image.channels() => {
+                    return Err(GenError::invalid(path, format!("no channel {}", CHANNELS.join(" or "))));
+                }
+                None => {}
+            }
             let heights_m = image.values(channel, 1.0)?;
             let ([columns, rows], step) = (image.size, image.step.map(f64::to_radians));
             grids.push(Grid {

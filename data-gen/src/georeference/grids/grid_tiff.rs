@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use super::super::geotiff::{Tiff, item_of};
+use super::super::geotiff::Tiff;
 use crate::GenError;
 use crate::store::BlockCache;
 
@@ -15,8 +15,6 @@ const GEODETIC: u32 = 2;
 /// An image of points.
 pub(super) struct GridImage {
     tiff: Tiff,
-    /// The metadata of the first image, which hold for the channels of those that do not have their own.
-    inherited: String,
     /// The longitude and latitude of the south-western point, and the distances of points, in degrees.
     pub south_west: [f64; 2],
     pub step: [f64; 2],
@@ -38,15 +36,12 @@ pub(super) fn open(path: &Path, kind: &str) -> Result<Vec<GridImage>, GenError> 
         return Err(GenError::invalid(path, format!("a grid of the type {found}, not {kind}")));
     }
     let images = first.images()?.into_iter();
-    let inherited = first.gdal_metadata().to_owned();
-    images
-        .map(|tiff| GridImage::of(tiff, inherited.clone()).map_err(|reason| GenError::invalid(path, reason)))
-        .collect()
+    images.map(|tiff| GridImage::of(tiff).map_err(|reason| GenError::invalid(path, reason))).collect()
 }
 
 impl GridImage {
     /// The error is the reason.
-    fn of(tiff: Tiff, inherited: String) -> Result<Self, String> {
+    fn of(tiff: Tiff) -> Result<Self, String> {
         if tiff.keys.model().is_some_and(|model| model != GEODETIC) {
             return Err("a grid over projected coordinates; longitude and latitude are supported".to_owned());
         }
@@ -64,23 +59,31 @@ impl GridImage {
         // Longitudes may count from 0 to 360.
         let middle = west + 0.5 * t.dx[0] * (size[0] - 1) as f64;
         let west = west - 360.0 * ((middle + 180.0) / 360.0).floor();
-        Ok(Self { south_west: [west, south], step: [t.dx[0], t.dy[1].abs()], size, is_north_first, tiff, inherited })
+        Ok(Self { south_west: [west, south], step: [t.dx[0], t.dy[1].abs()], size, is_north_first, tiff })
     }
 
-    /// Returns the channel of a name, or the usual one if no channel has a name.
-    pub fn channel(&self, names: &[&str], usual: usize) -> Option<usize> {
-        let name = |channel: usize| self.item("role=\"description\"", channel);
-        let mut all = (0..self.tiff.channels()).map(name);
-        match all.clone().all(|name| name.is_none()) {
-            true => Some(usual).filter(|usual| *usual < self.tiff.channels()),
-            false => all.position(|name| name.is_some_and(|name| names.contains(&name.as_str()))),
-        }
+    /// Returns the channel of one of some names.
+    pub fn channel(&self, names: &[&str]) -> Option<usize> {
+        self.descriptions().position(|name| name.is_some_and(|name| names.contains(&name.as_str())))
+    }
+
+    /// Returns true if a channel has a name. The images after the first one may leave the names out.
+    pub fn has_names(&self) -> bool {
+        self.descriptions().any(|name| name.is_some())
+    }
+
+    fn descriptions(&self) -> impl Iterator<Item = Option<String>> {
+        (0..self.tiff.channels()).map(|channel| self.item("role=\"description\"", channel))
+    }
+
+    /// Returns the number of channels.
+    pub fn channels(&self) -> usize {
+        self.tiff.channels()
     }
 
     /// Returns a text of the metadata of a channel.
     pub fn item(&self, attribute: &str, channel: usize) -> Option<String> {
-        let own = self.tiff.item(attribute, Some(channel));
-        own.or_else(|| item_of(&self.inherited, attribute, Some(channel)))
+        self.tiff.item(attribute, Some(channel))
     }
 
     /// Returns a channel's values by their scale and offset, southern row first; NaN without data.

@@ -1,11 +1,14 @@
 //! `terrane serve`, and a flight over a server with faults.
 
+mod http2;
+pub mod served;
+
 use std::io::{Read as _, Write as _};
 use std::net::TcpStream;
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-use crate::served::Server;
+use crate::serve::served::Server;
 use kit::skip::no_adapter;
 use serde_json::Value;
 use terrane::fetch::IoError;
