@@ -17,7 +17,6 @@ pub struct Spread {
 
 /// Measures of the tiles of one level; what cannot be measured is `None`. Errors are measured at the vertices, so the true ones
 /// may be larger: by vertical distances where a place has one height, else by distances.
-// More than 16 fields would be needed for each measure alone; these are the columns of the printed table.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct LevelMeasures {
     /// The level; see [`LevelInfo::level`](crate::formats::LevelInfo::level).
@@ -65,7 +64,7 @@ pub struct Problem {
 #[derive(Default)]
 pub(super) struct LevelSums {
     pub measures: LevelMeasures,
-    /// Of each tile. Four bytes each are the only memory that grows with the number of tiles.
+    /// Of each tile; four bytes a tile, as in the next list.
     bytes: Vec<u32>,
     triangles: Vec<u32>,
 }
