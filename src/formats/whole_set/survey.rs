@@ -30,9 +30,11 @@ use crate::scene::{Node, NodeKind, Page, PagedLod, PagingOptions, RangeMode, Rea
 /// How a set is surveyed.
 #[derive(Clone, Debug)]
 pub struct SurveyOptions {
-    /// Reads, decodes and measures contents, as [`verify`](super::verify) does. On by default. Otherwise only files with tiles
-    /// are read, and the sizes of local contents.
+    /// Reads and decodes contents, as [`verify`](super::verify) does. On by default. Otherwise only files with tiles are
+    /// read, and the sizes of local contents.
     pub reads_contents: bool,
+    /// Measures the contents that are read, which takes most of the time. On by default.
+    pub measures: bool,
     /// Upper limits on the data.
     pub limits: Limits,
     /// The configuration for sources on servers.
@@ -44,6 +46,7 @@ impl Default for SurveyOptions {
     fn default() -> Self {
         Self {
             reads_contents: true,
+            measures: true,
             limits: Limits::default(),
             #[cfg(feature = "http")]
             http: HttpConfig::default(),
@@ -75,6 +78,7 @@ pub fn survey(
         verified: Verified::default(),
         measuring: None,
         reads_contents: options.reads_contents,
+        measures: options.measures,
         has_own_errors: !terrain::is_layer(&root, &bytes, limits),
         steps: Vec::new(),
         known: HashSet::new(),
@@ -135,6 +139,7 @@ struct Walk<'a> {
     /// `None` until the first volume tells the frame.
     measuring: Option<Measuring>,
     reads_contents: bool,
+    measures: bool,
     has_own_errors: bool,
     /// Last in, first out.
     steps: Vec<Step>,
@@ -366,7 +371,11 @@ impl Walk<'_> {
             return Ok(());
         }
         if let Some(measuring) = &mut self.measuring {
-            measuring.add_content(&node, &place.set_from_node, data, &files, self.verified.bytes - before);
+            let bytes = self.verified.bytes - before;
+            match self.measures {
+                true => measuring.add_content(&node, &place.set_from_node, data, &files, bytes),
+                false => measuring.add_bytes(bytes),
+            }
         }
         if is_osg {
             let below = Place { level: place.level + 1, ..place };

@@ -78,7 +78,12 @@ fn hex([r, g, b]: [u8; 3]) -> String {
 fn survey(args: &InfoArgs, opened: Opened, contents: u64, mut map: Option<&mut Map>) -> Result<Verified> {
     let work = if args.verify { "verifying" } else { "listing" };
     let progress = Progress::new(work, contents, "contents");
-    let options = SurveyOptions { reads_contents: args.verify, limits: args.net.limits(), http: opened.http };
+    let options = SurveyOptions {
+        reads_contents: args.verify,
+        limits: args.net.limits(),
+        http: opened.http,
+        ..SurveyOptions::default()
+    };
     let mut watch = |event: SurveyEvent<'_>| match event {
         SurveyEvent::Read(verified) => progress.set_done(verified.contents),
         SurveyEvent::Tile(tile) => map.iter_mut().for_each(|map| map.add(tile)),
