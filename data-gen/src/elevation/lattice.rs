@@ -129,14 +129,13 @@ impl<'a> TwoLines<'a> {
             self.rows.swap(0, 1);
         }
         let [first, last] = self.columns;
-        for k in 0..2 {
-            if self.rows[k] != rows[k] {
-                let line = &mut self.lines[k];
+        for ((row, line), wanted) in self.rows.iter_mut().zip(&mut self.lines).zip(rows) {
+            if *row != wanted {
                 line.clear();
-                self.cursor.row(first, rows[k], last - first + 1, |pixels| {
+                self.cursor.row(first, wanted, last - first + 1, |pixels| {
                     line.extend(pixels.iter().map(|bits| f32::from_bits(*bits)));
                 })?;
-                self.rows[k] = rows[k];
+                *row = wanted;
             }
         }
         let [upper, lower] = &self.lines;

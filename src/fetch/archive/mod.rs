@@ -18,9 +18,9 @@ mod zip;
 
 pub(crate) use local::LocalArchive;
 pub(crate) use lru::{MAX_CACHED_ARCHIVES, MAX_CACHED_DIRECTORY_BYTES, evict_lru};
+pub(crate) use names::{is_archive, is_pmtiles, split_path};
 #[cfg(feature = "http")]
-pub(crate) use names::split_url;
-pub(crate) use names::{is_archive, is_packed, is_pmtiles, split_path};
+pub(crate) use names::{is_packed, split_url};
 #[cfg(feature = "testing")]
 pub use packed::fuzz_packed;
 #[cfg(feature = "testing")]

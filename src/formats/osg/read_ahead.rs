@@ -61,6 +61,7 @@ impl ReadAhead {
     }
 
     /// Drops what is kept: the content is loaded again later.
+    #[cfg(any(feature = "http", test))]
     pub(crate) fn forget(&self) {
         *self.kept() = None;
     }

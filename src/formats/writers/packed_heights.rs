@@ -35,7 +35,7 @@ pub fn write_packed_heights(
     if side == 0 || side > MAX_SIDE || heights.len() != side * side {
         return Err(invalid(format!("{} heights for {side} x {side}", heights.len())));
     }
-    if !(step_m.is_finite() && step_m > 0.0) || !heights.iter().all(|h| h.is_finite()) {
+    if !(step_m.is_finite() && step_m > 0.0 && heights.iter().all(|h| h.is_finite())) {
         return Err(invalid("heights or their step are not finite".to_owned()));
     }
     BUFFERS.with_borrow_mut(|Buffers { steps, differences, planes }| {

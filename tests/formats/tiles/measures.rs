@@ -101,9 +101,8 @@ fn edges_that_differ_are_found_beyond_skirts() {
     let found = verified(folder.path());
     assert_eq!((problems(&found), found.levels[1].edge_m), (Vec::new(), Some(20.0)));
     write_heights(folder.path(), [60.0, 1.0], step(70.0));
-    let expected = vec![("edge that differs from that of a neighbour by more than errors and skirts", 1, "child1.exr")];
     let found = problems(&verified(folder.path())).into_iter().filter(|(kind, ..)| kind.starts_with("edge")).count();
-    assert_eq!((found, expected.len()), (1, 1));
+    assert_eq!(found, 1);
 }
 
 #[test]
