@@ -1,5 +1,5 @@
-//! What the files beside a raster say about it: world files, reference systems (`.prj`), and the metadata that GDAL and
-//! ArcGIS write (`.aux.xml`).
+//! Reads the files beside a raster when it is opened: world files, reference systems (`.prj`), and the metadata that GDAL
+//! and ArcGIS write (`.aux.xml`).
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

@@ -43,7 +43,7 @@ const DEPTHS: &[u32] = &[
     10374, 10375, 10376, 10377, 10378, 10379, 10547, 10548, 10549, 10550, 10551, 10552, 10649, 10650, 10678,
 ];
 
-/// What ArcGIS writes before a system that has no keys, in WKT.
+/// The words that ArcGIS writes before the WKT of a system that has no keys.
 const ESRI_WKT: &str = "ESRI PE String = ";
 
 /// The tags GeoKeyDirectory, GeoDoubleParams and GeoAsciiParams.

@@ -395,7 +395,7 @@ pub(super) fn failed(path: &Path, error: TiffError) -> GenError {
     }
 }
 
-/// What converts a file whose compression is not supported.
+/// The end of the error about a compression that is not supported.
 const CONVERT: &str = "gdal_translate -co COMPRESS=DEFLATE converts the file";
 
 /// Compressions that are not supported, by TIFF's code.
@@ -413,7 +413,7 @@ const COMPRESSIONS: [(u16, &str); 11] = [
     (52546, "JPEG XL"),
 ];
 
-/// What the images of a file share.
+/// The parts that the images of a file share.
 struct Own<'a> {
     path: &'a Path,
     cache: &'a Arc<BlockCache>,

@@ -83,7 +83,7 @@ impl Database {
             let checked = Arc::clone(&limits);
             connection.progress_handler(STEPS_AT_ONCE as i32, Some(move || checked.is_over()))?;
             limits.restart();
-            // What a query sorts is memory, which has a limit, not a file without one.
+            // Queries sort in memory, which has a limit, and not in a file, which has none.
             connection.execute_batch(&format!(
                 "PRAGMA query_only = ON; PRAGMA temp_store = MEMORY; PRAGMA cell_size_check = ON; \
                  PRAGMA hard_heap_limit = {MAX_MEMORY_BYTES};"

@@ -142,7 +142,7 @@ pub fn from_dem(folder: &Path, name: &str, bytes: &[u8]) -> GenArgs {
     GenArgs { dem: vec![path], levels: Some(2), jobs: Some(1), ..GenArgs::new(folder.join(format!("{name}.set"))) }
 }
 
-/// What `--update` needs, with the names and times of the sources.
+/// The file that `--update` needs; it has the names and times of the sources.
 pub const MANIFEST: &str = "manifest.zip";
 
 /// Returns the content of all files below a folder by their paths.

@@ -40,7 +40,7 @@ impl Relief {
             let wall_m = if t < -1.0 { 45.0 * (t + 1.0) } else { 0.0 };
             let floor_m =
                 top_m + (-lagoon_m + head_m - top_m) * inside + wall_m - (1.0 - inside) * 18.0 * pass.min(1.0);
-            // Where there is no reef there is no lagoon.
+            // A lagoon needs a reef.
             let there = warm * (1.0 - smooth(-0.1, -0.4, s.detail[k])) * smooth(0.0, -1.5, out.bed_m[k]);
             out.bed_m[k] += (floor_m - out.bed_m[k]).max(0.0) * there;
         }

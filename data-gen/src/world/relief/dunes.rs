@@ -113,7 +113,7 @@ impl Relief {
     /// Adds the dunes of thick sand to `scratch.slope`. `scratch.gradient` is the wind.
     fn add_long_dunes(&self, seed: u64, points: &Points, scale: f32, s: &mut Scratch) {
         let n = points.len();
-        // Where the winds of two seasons meet, and how much crests vary in height.
+        // The noises say where the winds of two seasons meet, and how much crests vary in height.
         add_octaves(points, 150_000.0, 2, 0.5, 1.0, part_seed(seed, 42), &mut s.detail);
         add_octaves(points, 2_600.0, 2, 0.5, 1.0, part_seed(seed, 43), &mut s.strength);
         for family in &FAMILIES {

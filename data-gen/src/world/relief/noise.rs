@@ -161,18 +161,14 @@ pub(crate) fn stripes(
         move || {
             for k in 0..n {
                 let ([x, y, z], [fx, fy, fz]) = cell_at([px[k], py[k], pz[k]], frequency, seed);
-                let fade = |t: f32| t * t * t * (t * (t * 6.0 - 15.0) + 10.0);
-                let (u, v, w) = ([1.0 - fade(fx), fade(fx)], [1.0 - fade(fy), fade(fy)], [1.0 - fade(fz), fade(fz)]);
+                let (u, v, w) = (weights(fx), weights(fy), weights(fz));
                 let (mut value, mut slope) = (0.0f32, 0.0f32);
                 for c in 0..2 {
                     for b in 0..2 {
                         for a in 0..2 {
                             let h = mix(x[a], y[b], z[c]);
-                            // The stripes of a lattice point pass through a random point within half a cell around it.
-                            let jitter = |shift: u32| part(h, shift) * (0.5 / 512.0);
-                            let phase = (fx - a as f32 + jitter(22)) * qx[k]
-                                + (fy - b as f32 + jitter(12)) * qy[k]
-                                + (fz - c as f32 + jitter(2)) * qz[k];
+                            let offset = [fx - a as f32, fy - b as f32, fz - c as f32];
+                            let phase = phase_of(h, offset, [qx[k], qy[k], qz[k]]);
                             // A cosine of polynomials: 1 at whole turns, -1 between them.
                             let turn = phase - ((phase + 12_582_912.0) - 12_582_912.0);
                             let t = 2.0 * turn.abs();
@@ -247,6 +243,23 @@ fn sine(turn: f32) -> f32 {
     arc * (0.775 + 0.225 * arc.abs())
 }
 
+/// Returns the weights of the two lattice points around a place between them, 0..1.
+#[inline(always)]
+fn weights(place: f32) -> [f32; 2] {
+    let fade = place * place * place * (place * (place * 6.0 - 15.0) + 10.0);
+    [1.0 - fade, fade]
+}
+
+/// Returns the phase of a lattice point's stripes at an offset from it, in turns. The stripes pass through a random point
+/// within half a cell around the lattice point.
+#[inline(always)]
+fn phase_of(hash: u32, offset: [f32; 3], turns_per_cell: [f32; 3]) -> f32 {
+    let jitter = |shift: u32| part(hash, shift) * (0.5 / 512.0);
+    (offset[0] + jitter(22)) * turns_per_cell[0]
+        + (offset[1] + jitter(12)) * turns_per_cell[1]
+        + (offset[2] + jitter(2)) * turns_per_cell[2]
+}
+
 /// Writes the phase of waves in turns, -0.5..0.5, which advances by `along` turns per lattice cell, and their strength, 0..1.
 /// Each lattice point has waves with a phase of its own; where those of neighbours cancel each other, crests end or branch,
 /// and the strength is 0. (Phasor noise: Tricard and others, 2019.)
@@ -267,17 +280,14 @@ pub(crate) fn waves(
         move || {
             for k in 0..n {
                 let ([x, y, z], [fx, fy, fz]) = cell_at([px[k], py[k], pz[k]], frequency, seed);
-                let fade = |t: f32| t * t * t * (t * (t * 6.0 - 15.0) + 10.0);
-                let (u, v, w) = ([1.0 - fade(fx), fade(fx)], [1.0 - fade(fy), fade(fy)], [1.0 - fade(fz), fade(fz)]);
+                let (u, v, w) = (weights(fx), weights(fy), weights(fz));
                 let (mut re, mut im) = (0.0f32, 0.0f32);
                 for c in 0..2 {
                     for b in 0..2 {
                         for a in 0..2 {
                             let h = mix(x[a], y[b], z[c]);
-                            let jitter = |shift: u32| part(h, shift) * (0.5 / 512.0);
-                            let phase = (fx - a as f32 + jitter(22)) * qx[k]
-                                + (fy - b as f32 + jitter(12)) * qy[k]
-                                + (fz - c as f32 + jitter(2)) * qz[k];
+                            let offset = [fx - a as f32, fy - b as f32, fz - c as f32];
+                            let phase = phase_of(h, offset, [qx[k], qy[k], qz[k]]);
                             let weight = u[a] * v[b] * w[c];
                             re += weight * sine(from_whole(phase + 0.25));
                             im += weight * sine(from_whole(phase));

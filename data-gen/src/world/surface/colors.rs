@@ -173,7 +173,7 @@ impl Parameters {
                     let depth = depth_m[k].max(14.0 * stream);
                     let filled = smooth(-0.15, 0.15, depth_m[k]) * living;
                     let water = filled.max(stream * living) * (1.0 - dry);
-                    // Where rivers and lakes have dried up there are gravel and salt.
+                    // Dry rivers leave gravel, and dry lakes salt.
                     let gravel = dry * stream.max(0.8 * smooth(30.0, 0.0, stream_m[k] + 12.0 * grain));
                     let salt = dry * filled * smooth(-0.3, 1.5, depth_m[k] + 0.8 * grain + patch);
                     // Waves break on reefs and beaches.

@@ -60,7 +60,7 @@ fn metadata_and_world_files_place_files_on_disks() {
     let placed = write("placed.tif", &tiff(vec![elevation()]));
     write("placed.tif.aux.xml", metadata("").as_bytes());
     lies(&placed, &usual, false);
-    // As GDAL's PNG driver leaves the place of elevation.
+    // GDAL's PNG driver writes the place of elevation like this.
     let png = folder.path().join("grey.png");
     let samples = (1..=SIDE * SIDE).collect::<Vec<u16>>();
     let image = image::ImageBuffer::<image::Luma<u16>, _>::from_raw(SIDE.into(), SIDE.into(), samples).unwrap();

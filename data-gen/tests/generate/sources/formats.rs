@@ -25,7 +25,7 @@ fn usual() -> RasterOptions {
     RasterOptions::default()
 }
 
-/// As the public copies of SRTM are stored.
+/// The public copies of SRTM are stored like this.
 #[test]
 fn gzipped_hgt_is_placed_by_its_name() {
     let folder = tempfile::tempdir().unwrap();

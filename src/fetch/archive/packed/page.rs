@@ -5,7 +5,7 @@ use crate::fetch::archive::span::{Span, le_uint};
 /// The bytes of an entry: key, offset, length, checksum, geometric error, lowest and highest height.
 pub(super) const ENTRY_BYTES: u64 = 40;
 
-/// What a reader needs of an entry. The errors and heights of tiles are for programs that read the index alone.
+/// The part of an entry that a reader needs. The errors and heights of tiles are for programs that read the index alone.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(in crate::fetch::archive) struct PackedEntry {
     pub span: Span,
