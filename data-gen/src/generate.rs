@@ -165,18 +165,20 @@ pub fn run(args: &GenArgs) -> Result<Summary, GenError> {
     }
     let start = Instant::now();
     let args = &expanded(args)?;
-    let (out, occupied) = target(args)?;
+    let (out, _) = target(args)?;
     let is_shard = args.sharding.shard.is_some();
     check(args)?;
     let fingerprint = fingerprint(args)?;
     let pool = thread_pool(args)?;
+    let partial = PartialFolder::beside(&out, fingerprint)?;
+    // Another run may have completed OUT before this one locked its folder.
+    let (_, occupied) = target(args)?;
     if occupied && is_shard {
         if !shards::is_made(&out, fingerprint) {
             return Err(GenError::Exists(out));
         }
         return Ok(Summary { out, notes: vec!["the shard was complete".to_owned()], ..Summary::default() });
     }
-    let partial = PartialFolder::beside(&out, fingerprint)?;
     let made = pool.install(|| make(args, &out, fingerprint, partial.path()));
     let is_same = || self::fingerprint(args).is_ok_and(|now| now == fingerprint);
     let (mut summary, shards) = match made {

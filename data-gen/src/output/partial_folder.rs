@@ -45,7 +45,14 @@ impl PartialFolder {
                 Err(reason) => return Err(GenError::File { path, reason }),
             }
             match marker_of(&path) {
-                Marker::Unlocked(marker) => return Ok(Self { path, marker: Some(marker), is_done: false }),
+                Marker::Unlocked(marker) => {
+                    let partial = Self { path, marker: Some(marker), is_done: false };
+                    if partial.has_rival(&prefix) {
+                        partial.keep();
+                        return Err(GenError::Busy(out.to_path_buf()));
+                    }
+                    return Ok(partial);
+                }
                 Marker::Locked => return Err(GenError::Busy(out.to_path_buf())),
                 // The folder belongs to another program, or its run was killed before it wrote the marker.
                 Marker::None if k < 1000 => path = out.with_file_name(format!("{own}-{k}")),
@@ -60,7 +67,19 @@ impl PartialFolder {
         let _ = marker.lock();
         (&marker).write_all(MARKER_TEXT.as_bytes()).map_err(GenError::file(&at))?;
         partial.marker = Some(marker);
-        Ok(partial)
+        // A run that started at the same time may have created its marker before this one looked, and locked it after. Each run
+        // looks again when its own marker is locked, so that two runs never both continue; both may be refused.
+        if partial.has_rival(&prefix) { Err(GenError::Busy(out.to_path_buf())) } else { Ok(partial) }
+    }
+
+    /// Returns whether another run has locked a folder beside this one whose name starts with `prefix`.
+    fn has_rival(&self, prefix: &str) -> bool {
+        let folders = self.path.parent().and_then(|parent| fs::read_dir(parent).ok());
+        folders.into_iter().flatten().flatten().any(|entry| {
+            entry.file_name().to_string_lossy().starts_with(prefix)
+                && entry.path() != self.path
+                && matches!(marker_of(&entry.path()), Marker::Locked)
+        })
     }
 
     /// Creates the folder for a run that no other continues. Otherwise as [`Self::beside`].
@@ -253,6 +272,29 @@ mod tests {
         drop(lock);
         drop(PartialFolder::beside(&out, 7).unwrap());
         assert!(!busy.exists(), "its marker is not locked any more");
+    }
+
+    #[test]
+    fn of_runs_that_start_at_once_at_most_one_continues() {
+        let folder = tempfile::tempdir().unwrap();
+        let barrier = std::sync::Barrier::new(4);
+        let mut continued = 0;
+        for round in 0..100 {
+            let out = folder.path().join(format!("set{round}"));
+            let begin = &|fingerprint: u64| {
+                barrier.wait();
+                let partial = PartialFolder::beside(&out, fingerprint);
+                barrier.wait();
+                partial.is_ok()
+            };
+            let running = std::thread::scope(|scope| {
+                let runs: Vec<_> = (0..4).map(|k| scope.spawn(move || begin(k))).collect();
+                runs.into_iter().filter_map(|run| run.join().unwrap().then_some(())).count()
+            });
+            assert!(running <= 1, "{running} runs write to {}", out.display());
+            continued += running;
+        }
+        assert!(continued > 0);
     }
 
     #[test]

@@ -194,6 +194,10 @@ fn second_writer_of_a_set_is_refused() {
     let out = folder.path().join("set");
     let mut first = start(folder.path(), &out, &["--voids", "fill"]);
     let marker = wait_for(folder.path(), ".terrane-gen", &mut first);
+    // The text is written when the marker is locked.
+    while marker.as_ref().is_some_and(|path| fs::read(path).is_ok_and(|text| text.is_empty())) {
+        std::thread::sleep(Duration::from_millis(1));
+    }
     let error = run(&GenArgs { levels: Some(1), ..GenArgs::new(&out) }).unwrap_err();
     first.kill().unwrap();
     first.wait().unwrap();
