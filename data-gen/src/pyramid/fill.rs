@@ -52,6 +52,40 @@ impl BoxMeans {
     }
 }
 
+/// The squares of one depth that a box needs along one axis: its own, and at depths from 1 on one on each side.
+#[derive(Clone, Copy)]
+struct Span {
+    first: i64,
+    last: i64,
+    /// The squares along the whole set.
+    squares: i64,
+}
+
+impl Span {
+    fn new(box_at: i64, cells: i64, depth: usize) -> Self {
+        let squares = (cells >> depth) + 1;
+        let (first, last) = ((box_at * BOX) >> depth, (box_at * BOX + BOX - 1) >> depth);
+        let margin = i64::from(depth > 0);
+        Self { first: (first - margin).max(0), last: (last + margin).min(squares - 1), squares }
+    }
+
+    fn len(self) -> usize {
+        (self.last - self.first + 1) as usize
+    }
+
+    /// Returns for each square the two squares of the next depth between whose middles its own middle lies, as indices into
+    /// `coarser`, and the fraction from the first to the second.
+    fn neighbours(self, coarser: Self) -> Vec<([usize; 2], f64)> {
+        let neighbours = |square: i64| {
+            let at = ((square as f64 - 0.5) / 2.0).clamp(0.0, (coarser.squares - 1) as f64);
+            let left = at as i64;
+            let right = (left + 1).min(coarser.squares - 1);
+            ([left, right].map(|k| (k - coarser.first) as usize), at - left as f64)
+        };
+        (self.first..=self.last).map(neighbours).collect()
+    }
+}
+
 /// Computes the heights of all vertices of a box as if none had data. `means` returns the averages of a box by its column and row,
 /// `coarse` the height at a vertex of a lattice that has fractions. `cells` is the number of cells along the set's side.
 pub(super) fn pull<'a>(
@@ -60,48 +94,50 @@ pub(super) fn pull<'a>(
     means: impl Fn(i64, i64) -> &'a BoxMeans,
     coarse: impl Fn([f64; 2]) -> f64,
 ) -> Vec<f32> {
-    // The squares of a depth that the box needs: its own and one on each side.
-    let window = |depth: usize, k: usize| {
-        let squares = (cells >> depth) + 1;
-        let (first, last) = ((at[k] * BOX) >> depth, (at[k] * BOX + BOX - 1) >> depth);
-        let margin = i64::from(depth > 0);
-        ((first - margin).max(0), (last + margin).min(squares - 1), squares)
-    };
-    let mut coarser: Vec<f32> = Vec::new();
-    for depth in (0..=DEPTHS).rev() {
-        let [(x0, x1, _), (y0, y1, _)] = [0, 1].map(|k| window(depth, k));
-        let mut heights = Vec::with_capacity(((x1 - x0 + 1) * (y1 - y0 + 1)) as usize);
+    let spans = |depth: usize| at.map(|box_at| Span::new(box_at, cells, depth));
+    let [columns, rows] = spans(DEPTHS);
+    let boxes: Vec<&BoxMeans> = (rows.first..=rows.last)
+        .flat_map(|y| (columns.first..=columns.last).map(move |x| (x, y)))
+        .map(|(x, y)| means(x, y))
+        .collect();
+    // The mean of a square at a depth from 1 on. The column and the row count from the corner of the set.
+    let own = |depth: usize, x: i64, y: i64| {
         let side = BOX >> depth;
-        for y in y0..=y1 {
-            for x in x0..=x1 {
-                let own = match depth {
-                    0 => f32::NAN,
-                    _ => means(x / side, y / side).at(depth, (x % side) as usize, (y % side) as usize),
-                };
-                heights.push(if !own.is_nan() {
-                    own
-                } else if depth == DEPTHS {
-                    let middle = |box_at: i64| (box_at * BOX) as f64 + 0.5 * (BOX - 1) as f64;
-                    coarse([middle(x), middle(y)]) as f32
-                } else {
-                    let [(cx, cx1, nx), (cy, _, ny)] = [0, 1].map(|k| window(depth + 1, k));
-                    let width = cx1 - cx + 1;
-                    let along = |c: i64, squares: i64| {
-                        let c = ((c as f64 - 0.5) / 2.0).clamp(0.0, (squares - 1) as f64);
-                        let left = c as i64;
-                        (left, (left + 1).min(squares - 1), c - left as f64)
-                    };
-                    let ((xa, xb, fx), (ya, yb, fy)) = (along(x, nx), along(y, ny));
-                    let of = |x: i64, y: i64| f64::from(coarser[((y - cy) * width + x - cx) as usize]);
-                    let low = of(xa, ya) * (1.0 - fx) + of(xb, ya) * fx;
-                    let high = of(xa, yb) * (1.0 - fx) + of(xb, yb) * fx;
-                    (low * (1.0 - fy) + high * fy) as f32
-                });
+        let of = (y / side - rows.first) as usize * columns.len() + (x / side - columns.first) as usize;
+        boxes[of].at(depth, (x % side) as usize, (y % side) as usize)
+    };
+    let middle = |box_at: i64| (box_at * BOX) as f64 + 0.5 * (BOX - 1) as f64;
+    let mut heights = Vec::with_capacity(columns.len() * rows.len());
+    for y in rows.first..=rows.last {
+        heights.extend((columns.first..=columns.last).map(|x| {
+            let mean = own(DEPTHS, x, y);
+            if mean.is_nan() { coarse([middle(x), middle(y)]) as f32 } else { mean }
+        }));
+    }
+    for depth in (0..DEPTHS).rev() {
+        let ([columns, rows], [coarser_columns, coarser_rows]) = (spans(depth), spans(depth + 1));
+        let width = coarser_columns.len();
+        let (across, up) = (columns.neighbours(coarser_columns), rows.neighbours(coarser_rows));
+        let mut finer = Vec::with_capacity(columns.len() * rows.len());
+        for (y, &(lines, fy)) in (rows.first..).zip(&up) {
+            let [low, high] = lines.map(|line| &heights[line * width..][..width]);
+            let start = finer.len();
+            finer.extend(across.iter().map(|&([left, right], fx)| {
+                let along = |line: &[f32]| f64::from(line[left]) * (1.0 - fx) + f64::from(line[right]) * fx;
+                (along(low) * (1.0 - fy) + along(high) * fy) as f32
+            }));
+            if depth > 0 {
+                for (x, height) in (columns.first..).zip(&mut finer[start..]) {
+                    let mean = own(depth, x, y);
+                    if !mean.is_nan() {
+                        *height = mean;
+                    }
+                }
             }
         }
-        coarser = heights;
+        heights = finer;
     }
-    coarser
+    heights
 }
 
 /// Replaces NaN by the push-pull method over a whole grid. If all samples are unknown, they become 0.
