@@ -79,14 +79,22 @@ fn lit(s: Surface, base: vec3<f32>) -> Reflected {
     let diffuse = base * side.diffuse.rgb;
     var color = side.emission.rgb + fixed_state.model_ambient.rgb * ambient;
     var highlights = vec3<f32>(0.0);
+    let to_eye = select(vec3<f32>(0.0, 0.0, 1.0), towards_eye(s.in_eye), fixed_state.model.x == 1u);
     if (fixed_state.flags.x & 1u) != 0u && fixed_state.flags.w == 0u {
-        var sun = light_of_sun(s.normal, s.up, above_ground(s.in_eye).w);
-        if dot(s.normal, frame.sun_direction.xyz) > 0.0 {
-            sun *= sun_shadow(s.in_eye, s.facing);
+        let to_sun = frame.sun_direction.xyz;
+        let height_m = above_ground(s.in_eye).w;
+        var sun = light_of_sun(s.normal, s.up, height_m);
+        if dot(s.normal, to_sun) > 0.0 {
+            let visible = sun_shadow(s.in_eye, s.facing);
+            sun *= visible;
+            if side.specular.w > 0.0 {
+                let half_way = normalize(to_sun + to_eye);
+                let shine = pow(max(dot(s.normal, half_way), 0.0), side.specular.w);
+                highlights += visible * shine * light_of_sun(to_sun, s.up, height_m) * side.specular.rgb;
+            }
         }
         color += diffuse * (sun + light_of_sky(s.normal, s.up));
     }
-    let to_eye = select(vec3<f32>(0.0, 0.0, 1.0), towards_eye(s.in_eye), fixed_state.model.x == 1u);
     for (var i = 0u; i < stage.light_count.x; i++) {
         let l = stage.lights[i];
         if (i < STAGE_LIGHTS && (fixed_state.flags.x >> i & 1u) == 0u) || l.diffuse.w < 0.5 {
