@@ -10,7 +10,7 @@ pub struct SurfaceMaterial {
     pub ambient: [f32; 3],
     /// Diffuse reflection; w is alpha.
     pub diffuse: [f32; 4],
-    /// Specular reflection.
+    /// Specular reflection, of lights and of the environment's sun.
     pub specular: [f32; 3],
     /// Emitted light.
     pub emission: [f32; 3],

@@ -18,6 +18,11 @@ pub enum TexGen {
     NormalMap,
     /// The reflected view direction in eye space.
     ReflectionMap,
+    /// The coordinates of the mesh's attribute [`SecondUv::ATTRIBUTE`](crate::scene::SecondUv::ATTRIBUTE), which is
+    /// `SECOND_UV`; the first ones if it has none. Height tiles have the first ones too.
+    SecondUv,
+    /// The coordinates of the mesh's attribute `THIRD_UV`, likewise.
+    ThirdUv,
 }
 
 impl TexGen {
@@ -99,6 +104,9 @@ pub struct TexEnvCombine {
     pub alpha_scale: f32,
     /// Linear colour of [`CombineSource::Constant`].
     pub constant: [f32; 4],
+    /// Combines values from 0 to 1 as they are displayed (sRGB), as OpenGL does without a conversion of colours, instead of
+    /// light. Bump maps and sums of old files look as they were authored.
+    pub is_displayed: bool,
 }
 
 impl Default for TexEnvCombine {
@@ -114,6 +122,7 @@ impl Default for TexEnvCombine {
             alpha_arguments: arguments(CombineOperand::Alpha),
             alpha_scale: 1.0,
             constant: [0.0; 4],
+            is_displayed: false,
         }
     }
 }

@@ -95,6 +95,31 @@ fn materials_reflect_light() {
     assert_near(with(shiny, [0.0; 3]), [0.5, 0.25, 0.0], "specular");
 }
 
+/// Regression: glossy materials of old files were dull, since lights of state sets alone made highlights.
+#[test]
+fn sun_makes_highlights() {
+    let Some(mut rig) = rig("sun_makes_highlights") else { return };
+    let mut shown = |sun_direction: DVec3, shininess: f32| {
+        let shiny = SurfaceMaterial {
+            ambient: [0.0; 3],
+            diffuse: [0.0, 0.0, 0.0, 1.0],
+            specular: [0.5, 0.25, 0.0],
+            shininess,
+            ..SurfaceMaterial::default()
+        };
+        let scene = rig.scene(node(square(WHITE), StateSet::default().with(Attribute::SurfaceMaterial(shiny))));
+        let environment = terrane::scene::Environment { sun_direction, sun_color: [0.5, 1.0, 1.0], ..plain() };
+        let picture = rig.picture(&scene, &unit_camera(SIDE), &environment);
+        rig.release(scene);
+        pixel(&picture, SIDE / 2, SIDE / 2)
+    };
+    assert_near(shown(DVec3::Z, 20.0), [0.25, 0.25, 0.0], "towards the eye");
+    // Half way between 60 degrees and the eye, the cosine is 0.866.
+    let slanted = DVec3::new(0.75f64.sqrt(), 0.0, 0.5);
+    assert_near(shown(slanted, 2.0), [0.1875, 0.1875, 0.0], "0.75 of it");
+    assert_eq!(shown(DVec3::NEG_Z, 20.0), [0; 3], "from behind");
+}
+
 /// Regression: lines had the normal of level ground.
 #[test]
 fn lines_are_lit_by_their_normals() {

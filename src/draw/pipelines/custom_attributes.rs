@@ -8,8 +8,9 @@ use super::programs::inputs::Input;
 use crate::gpu::{MAX_ATTRIBUTE_LAYOUTS, VertexFormat};
 use crate::scene::{AttributeFormat, AttributeLayout, SecondUv};
 
-/// The location of the second texture coordinates in surface_vertex.wgsl.
-const SECOND_UV_LOCATION: u32 = 4;
+/// The locations of further texture coordinates in surface_vertex.wgsl and textured_mesh.wgsl, with the names of their
+/// attributes.
+const FURTHER_UVS: [(u32, &str); 2] = [(4, SecondUv::ATTRIBUTE), (5, SecondUv::THIRD_ATTRIBUTE)];
 
 /// The layouts of custom attributes by index, as the context numbers them from 1 on.
 #[derive(Default)]
@@ -52,25 +53,30 @@ pub(super) fn bind_attributes(
     })
 }
 
-/// Returns the input of surfaces for the second texture coordinates: the attribute of a layout, or else the first ones, which
-/// are at location 1 of `attributes`. Returns `None` without vertex buffers.
-pub(super) fn second_uv(
+/// Returns the inputs for further texture coordinates of a key: second ones of surfaces, second and third ones of texture
+/// units. They are attributes of a layout, or else the first coordinates, which are at location 1 of `attributes`.
+pub(super) fn further_uvs(
+    key: PipelineKey,
     layout: &AttributeLayout,
     attributes: &[wgpu::VertexAttribute],
-) -> Option<wgpu::VertexAttribute> {
-    let mut offset = VertexFormat::Full.stride();
-    for (name, format) in layout {
-        if **name == *SecondUv::ATTRIBUTE && *format == AttributeFormat::Float32x2 {
-            return Some(wgpu::VertexAttribute {
-                format: wgpu_format(*format),
-                offset: offset as u64,
-                shader_location: SECOND_UV_LOCATION,
-            });
+) -> Vec<wgpu::VertexAttribute> {
+    let count = match key.shading() {
+        Shading::FixedTextured => FURTHER_UVS.len(),
+        _ => usize::from(key.has_surface()),
+    };
+    let Some(first) = attributes.iter().find(|attribute| attribute.shader_location == 1) else { return Vec::new() };
+    let input = |(location, wanted): &(u32, &str)| {
+        let mut offset = VertexFormat::Full.stride();
+        for (name, format) in layout {
+            if **name == **wanted && *format == AttributeFormat::Float32x2 {
+                let (format, offset) = (wgpu_format(*format), offset as u64);
+                return wgpu::VertexAttribute { format, offset, shader_location: *location };
+            }
+            offset += format.size_bytes();
         }
-        offset += format.size_bytes();
-    }
-    let first = attributes.iter().find(|attribute| attribute.shader_location == 1)?;
-    Some(wgpu::VertexAttribute { shader_location: SECOND_UV_LOCATION, ..*first })
+        wgpu::VertexAttribute { shader_location: *location, ..*first }
+    };
+    FURTHER_UVS.iter().take(count).map(input).collect()
 }
 
 /// Returns the attribute of a layout with the name of an input, at the input's location.

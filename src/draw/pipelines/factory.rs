@@ -2,7 +2,7 @@
 
 use super::builder::{PipelineBuilder, Variant};
 use super::convert::{bias, factor, operation, reversed, stencil_face};
-use super::custom_attributes::{AttributeLayouts, bind_attributes, second_uv};
+use super::custom_attributes::{AttributeLayouts, bind_attributes, further_uvs};
 use super::key::{AirKind, Alpha, Kind, PipelineKey, Shading};
 use super::key_parts::{Blending, PartIndices, Parts};
 use super::programs::{HEIGHT_ENTRY, Programs};
@@ -157,7 +157,7 @@ impl Factory {
             QUANTIZED_ATTRIBUTES.into(),
         ]
         .map(|mut attributes: Vec<wgpu::VertexAttribute>| {
-            attributes.extend(key.has_surface().then(|| second_uv(layout, &attributes)).flatten());
+            attributes.extend(further_uvs(key, layout, &attributes));
             attributes
         });
         let full_stride = (VertexFormat::Full.stride() + added_stride(layout)) as u64;

@@ -57,10 +57,35 @@ macro_rules! fixed_height_wgsl {
     };
 }
 
-/// The source of meshes in fixed function.
+/// The source of meshes in fixed function without texture units.
 macro_rules! fixed_mesh_wgsl {
-    [$shadows:ident, $units:ident] => {
-        mesh_wgsl![$shadows, fixed_function / fixed, fixed_function / $units, fixed_function / fixed_mesh]
+    [$shadows:ident] => {
+        mesh_wgsl![
+            $shadows,
+            fixed_function / fixed,
+            fixed_function / fixed_no_units,
+            fixed_function / untextured_mesh,
+            fixed_function / fixed_mesh
+        ]
+    };
+}
+
+/// The source of meshes in fixed function with texture units.
+macro_rules! textured_mesh_wgsl {
+    [$shadows:ident] => {
+        wgsl![
+            shared / air,
+            shared / frame,
+            shared / $shadows,
+            shared / facets,
+            fixed_function / textured_mesh,
+            meshes / mesh_pull,
+            meshes / mesh,
+            meshes / matte,
+            fixed_function / fixed,
+            fixed_function / fixed_units,
+            fixed_function / fixed_mesh
+        ]
     };
 }
 
@@ -74,10 +99,10 @@ pub(super) const FIXED_HEIGHT_WGSL: &str = fixed_height_wgsl![no_shadows, fixed_
 pub(super) const SHADOWED_FIXED_HEIGHT_WGSL: &str = fixed_height_wgsl![shadows, fixed_no_units];
 pub(super) const TEXTURED_HEIGHT_WGSL: &str = fixed_height_wgsl![no_shadows, fixed_units];
 pub(super) const SHADOWED_TEXTURED_HEIGHT_WGSL: &str = fixed_height_wgsl![shadows, fixed_units];
-pub(super) const FIXED_MESH_WGSL: &str = fixed_mesh_wgsl![no_shadows, fixed_no_units];
-pub(super) const SHADOWED_FIXED_MESH_WGSL: &str = fixed_mesh_wgsl![shadows, fixed_no_units];
-pub(super) const TEXTURED_MESH_WGSL: &str = fixed_mesh_wgsl![no_shadows, fixed_units];
-pub(super) const SHADOWED_TEXTURED_MESH_WGSL: &str = fixed_mesh_wgsl![shadows, fixed_units];
+pub(super) const FIXED_MESH_WGSL: &str = fixed_mesh_wgsl![no_shadows];
+pub(super) const SHADOWED_FIXED_MESH_WGSL: &str = fixed_mesh_wgsl![shadows];
+pub(super) const TEXTURED_MESH_WGSL: &str = textured_mesh_wgsl![no_shadows];
+pub(super) const SHADOWED_TEXTURED_MESH_WGSL: &str = textured_mesh_wgsl![shadows];
 pub(super) const FILL_WGSL: &str = wgsl![shared / air, shared / frame, passes / fill];
 pub(super) const SKY_WGSL: &str = wgsl![shared / air, shared / frame, passes / sky];
 pub(super) const WATER_WGSL: &str =

@@ -60,7 +60,7 @@ pub(in crate::draw) struct FixedUniform {
     /// By unit: 0 off, 1 plane, 2 cube, 3 volume, 4 array.
     pub(in crate::draw) units: [u32; 4],
     /// The source of coordinates by unit: 0 the mesh, 1 object linear, 2 eye linear, 3 sphere map, 4 normal map,
-    /// 5 reflection map; 16 more if a matrix follows.
+    /// 5 reflection map, 6 the mesh's second ones, 7 the third ones; 16 more if a matrix follows.
     pub(in crate::draw) texgens: [u32; 4],
     /// The bias of the mip level by unit.
     pub(in crate::draw) bias: [f32; 4],
@@ -96,7 +96,7 @@ pub(in crate::draw) fn taken_by(state: &ResolvedState, unit: usize) -> Option<us
 }
 
 /// Returns a combination as the shader reads it. A function has 4 bits, followed by 6 for each argument: 4 bits of the
-/// source and 2 of the operand.
+/// source and 2 of the operand. The highest bit of the first word says that values are combined as they are displayed.
 fn combination(combine: &TexEnvCombine) -> [u32; 4] {
     let part = |function: CombineFunction, arguments: &[(CombineSource, CombineOperand); 3]| {
         let of = |(source, operand): &(CombineSource, CombineOperand)| {
@@ -113,7 +113,8 @@ fn combination(combine: &TexEnvCombine) -> [u32; 4] {
         function as u32 | arguments.sum::<u32>()
     };
     let scales = [combine.color_scale, combine.alpha_scale].map(f32::to_bits);
-    [part(combine.color, &combine.color_arguments), part(combine.alpha, &combine.alpha_arguments), scales[0], scales[1]]
+    let color = part(combine.color, &combine.color_arguments) | u32::from(combine.is_displayed) << 31;
+    [color, part(combine.alpha, &combine.alpha_arguments), scales[0], scales[1]]
 }
 
 /// Returns the axes along which a sampler takes the border colour, as bits.
@@ -201,6 +202,8 @@ impl FixedUniform {
                 (TexGen::SphereMap, _) => (3, [[0.0; 4]; 4]),
                 (TexGen::NormalMap, _) => (4, [[0.0; 4]; 4]),
                 (TexGen::ReflectionMap, _) => (5, [[0.0; 4]; 4]),
+                (TexGen::SecondUv, _) => (6, [[0.0; 4]; 4]),
+                (TexGen::ThirdUv, _) => (7, [[0.0; 4]; 4]),
             };
             uniform.texgens[unit] |= kind;
             uniform.planes[4 * unit..4 * unit + 4].copy_from_slice(&planes);

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use glam::{DAffine3, DQuat, DVec3};
+use glam::{DAffine3, DMat4, DQuat, DVec3};
 
 use super::input::Values;
 
@@ -19,6 +19,8 @@ pub(super) enum Object {
     Array(Arc<ArrayObject>),
     Primitives(Arc<PrimitiveObject>),
     Shape(Arc<ShapeObject>),
+    /// The pose that an animation of a transform begins with. Objects stay small, since reading nests.
+    Pose(Box<DAffine3>),
 }
 
 impl Object {
@@ -222,6 +224,11 @@ impl ArrayObject {
         self.values.len() / self.width
     }
 
+    /// Returns true if the arrays hold the same for a texture.
+    pub fn has_equal_values(&self, other: &Self) -> bool {
+        (self.width, self.is_normalized) == (other.width, other.is_normalized) && self.values == other.values
+    }
+
     /// Returns a value of an element; 0 for those that it lacks.
     pub fn get(&self, element: usize, component: usize) -> f64 {
         if component < self.width { self.values.get(element * self.width + component) } else { 0.0 }
@@ -255,7 +262,6 @@ pub(super) struct StateObject {
     /// By texture unit.
     pub texture_modes: Vec<Vec<(u32, u32)>>,
     pub texture_attributes: Vec<Vec<(Arc<AttributeObject>, u32)>>,
-    pub uniforms: usize,
     pub hint: i32,
     pub bin_mode: u32,
     pub bin_number: i32,
@@ -286,19 +292,53 @@ pub(super) enum AttributeObject {
         units: f32,
     },
     ColorMask([bool; 4]),
-    TexEnv(u32),
+    /// OpenGL's number of the mode, and the colour of BLEND.
+    TexEnv {
+        mode: u32,
+        color: [f32; 4],
+    },
     Combine(CombineObject),
+    /// OpenGL's number of the mode, and the planes of s, t, r and q.
+    TexGen {
+        mode: u32,
+        planes: [[f64; 4]; 4],
+    },
+    TexMat(TexMatObject),
     /// Attributes without effect here.
     Other(&'static str),
 }
 
-/// The colour part of a TexEnvCombine: OpenGL's numbers.
-#[derive(Clone, Copy, Debug)]
+/// A TexEnvCombine: one combination for colour and one for alpha.
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct CombineObject {
+    pub color: CombinePart,
+    pub alpha: CombinePart,
+    pub constant: [f32; 4],
+}
+
+impl Default for CombineObject {
+    /// Returns OSG's defaults: the product of the texture and the colour below.
+    fn default() -> Self {
+        let part = |operands| CombinePart { function: 0x2100, sources: [0x1702, 0x8578, 0x8576], operands, scale: 1.0 };
+        Self { color: part([0x300, 0x300, 0x302]), alpha: part([0x302; 3]), constant: [0.0; 4] }
+    }
+}
+
+/// The combination of three arguments: OpenGL's numbers.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct CombinePart {
     pub function: u32,
     pub sources: [u32; 3],
     pub operands: [u32; 3],
     pub scale: f32,
+}
+
+/// A TexMat.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct TexMatObject {
+    pub matrix: DMat4,
+    /// The matrix of a TextureRectangle is for coordinates of 0 to 1.
+    pub scales_by_size: bool,
 }
 
 /// Front and back of each colour, as far as they differ.
@@ -312,14 +352,35 @@ pub(super) struct MaterialObject {
     pub shininess: [f32; 2],
 }
 
-/// A Texture2D.
+/// A texture.
 #[derive(Debug)]
 pub(super) struct TextureObject {
+    pub target: TextureTarget,
     /// Along s and t: OpenGL's numbers.
     pub wrap: [u32; 2],
     pub min_filter: u32,
     pub mag_filter: u32,
-    pub image: Option<Arc<ImageObject>>,
+    pub border_color: [f32; 4],
+    /// One image, or the faces of a cube: +x, -x, +y, -y, +z, -z.
+    pub images: Vec<Option<Arc<ImageObject>>>,
+}
+
+impl TextureObject {
+    /// Returns the images that there are.
+    pub fn all_images(&self) -> impl Iterator<Item = &Arc<ImageObject>> {
+        self.images.iter().flatten()
+    }
+}
+
+/// The kind of a texture, as OpenGL's mode that switches it on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u32)]
+pub(super) enum TextureTarget {
+    D1 = 0xde0,
+    D2 = 0xde1,
+    /// Its coordinates are texels.
+    Rectangle = 0x84f5,
+    Cube = 0x8513,
 }
 
 /// An image.

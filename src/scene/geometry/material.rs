@@ -81,6 +81,9 @@ pub struct SecondUv {
 impl SecondUv {
     /// The name of the attribute with the second texture coordinates.
     pub const ATTRIBUTE: &str = "SECOND_UV";
+    /// The name of the attribute with third texture coordinates, which texture units of state sets alone can use:
+    /// [`TexGen::ThirdUv`](crate::state::TexGen::ThirdUv).
+    pub const THIRD_ATTRIBUTE: &str = "THIRD_UV";
 
     /// Returns the transforms in the order of [`MetallicRoughness::maps`], without that of the overlay.
     pub(crate) fn of_maps(&self) -> [Option<Affine2>; MetallicRoughness::TRANSFORMED_MAPS] {

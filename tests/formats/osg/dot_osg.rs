@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use glam::DVec3;
 use terrane::scene::{AlphaMode, OverlayMode, Topology};
-use terrane::state::WrapMode;
+use terrane::state::{Attribute, TexEnv, TexGen, TextureDimension, WrapMode};
 
 use super::*;
 
@@ -182,4 +182,64 @@ fn broken_files_are_errors_of_one_sentence() {
     for other in ["Group\n", "{}", "<html>", "name {", ""] {
         assert!(!error(other).contains("OpenSceneGraph"), "{other}");
     }
+}
+
+#[test]
+fn texture_units_of_every_kind_are_read() {
+    let unit = |members: &str| {
+        let state = format!("    textureUnit 1 {{\n{members}\n    }}\n  }}\n  useDisplayList TRUE",);
+        let geometry = TRIANGLE.replacen("  }\n  useDisplayList TRUE", &state, 1);
+        let text = format!("Geode {{\n{geometry}\n}}\n");
+        let png = crate::gltf_builder::png(4, [1, 2, 3]);
+        let needed = terrane::formats::dependencies(URI, text.as_bytes(), None, &[], &options());
+        let companions = needed.iter().map(|uri| (uri.clone(), Ok(png.clone()))).collect();
+        let (node, ignored) = read_with(text.as_bytes(), companions, &options()).unwrap();
+        assert!(ignored.is_empty(), "{ignored:?}");
+        (drawables(&node)[0].state_set.clone().unwrap(), needed.len())
+    };
+    let faces = ["POSITIVE_X", "NEGATIVE_X", "POSITIVE_Y", "NEGATIVE_Y", "POSITIVE_Z", "NEGATIVE_Z"];
+    let faces: Vec<String> = faces.iter().map(|face| format!("image {face} \"{face}.png\"")).collect();
+    let cube = format!(
+        "GL_TEXTURE_CUBE_MAP ON\nGL_TEXTURE_GEN_S ON\nTextureCubeMap {{\nwrap_s CLAMP\n{}\n}}\nTexGen {{\nmode REFLECTION_MAP\n}}",
+        faces.join("\n")
+    );
+    let (set, images) = unit(&cube);
+    assert_eq!(images, 7);
+    // The base colour is laid over the material, so that it takes a unit too.
+    let of = |slot: u8, kind: fn(u8, &Attribute) -> bool| set.attributes.iter().any(|(found, _)| kind(slot, found));
+    assert!(of(1, |slot, found| matches!(found, Attribute::TexGen(at, TexGen::ReflectionMap) if *at == slot)));
+    assert!(of(1, |slot, found| matches!(found, Attribute::Texture(at, binding)
+        if *at == slot && binding.texture.dimension == TextureDimension::Cube && binding.texture.size == [4, 4, 6])));
+    let (set, _) = unit(
+        "GL_TEXTURE_2D ON\nGL_TEXTURE_GEN_S ON\nTexture2D {\nImageSequence {\nFileNames {\n\"a.png\"\n\"b.png\"\n}\n}\n}\n
+        TexGen {\nmode EYE_LINEAR\nplane_s 2 0 0 0.5\nplane_t 0 1 0 0\n}\nTexMat {\nDataVariance STATIC\n1 0 0 0\n0 3 0 0\n0 0 1 0\n0 0 0 1\n}\n
+        TexEnv {\nmode BLEND\ncolor 1 0 0 1\n}",
+    );
+    let planes = set.attributes.iter().find_map(|(found, _)| match found {
+        Attribute::TexGen(1, TexGen::EyeLinear(planes)) => Some(planes[0]),
+        _ => None,
+    });
+    assert_eq!(planes, Some([2.0, 0.0, 0.0, 0.5]));
+    assert!(
+        set.attributes.iter().any(|(found, _)| matches!(found, Attribute::TexMat(1, matrix) if matrix[1][1] == -3.0))
+    );
+    assert!(set.attributes.iter().any(|(found, _)| matches!(found, Attribute::TexEnv(1, TexEnv::Combine(combine))
+        if combine.constant == [1.0, 0.0, 0.0, 1.0])));
+}
+
+#[test]
+fn sequences_show_the_first_child_that_plays_and_programs_have_one_name() {
+    let geode = format!("Geode {{\n{TRIANGLE}\n}}");
+    let sequence = with(
+        "Sequence",
+        "  defaultTime 1\n  frameTime {\n    1\n    2\n  }\n  interval LOOP 1 -1\n  mode START",
+        &[&geode, &geode],
+    );
+    let program = "StateSet {\n  Program {\n    num_shaders 1\n    Shader {\n      type VERTEX\n      code {\n        \"void main() {}\"\n      }\n    }\n  }\n  Uniform {\n    name \"a\"\n    float 1\n  }\n}";
+    let (node, ignored) = read(with("Group", program, &[&sequence]));
+    let NodeKind::Switch(shown) = &node.children[0].kind else { panic!("{node:?}") };
+    assert_eq!(shown, &[false, true]);
+    assert_eq!(ignored.count("OpenSceneGraph class osg::Sequence (its first child is drawn)"), 1);
+    assert_eq!(ignored.count("OpenSceneGraph: shader programs in GLSL (not run)"), 1);
+    assert_eq!(ignored.iter().count(), 3, "and the images that are missing: {ignored:?}");
 }

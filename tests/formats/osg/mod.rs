@@ -10,6 +10,7 @@ mod geometry;
 mod nodes;
 mod samples;
 mod states;
+mod units;
 
 use terrane::fetch::{IoError, Limits};
 use terrane::formats::{Content, Fetched, Ignored, ReadOptions, decode_noting};

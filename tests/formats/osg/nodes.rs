@@ -160,3 +160,57 @@ fn proxies_load_as_they_say() {
         assert_eq!((&*proxy.uri, proxy.loading, proxy.bounds.radius_m), ("/set/b c.osgt", loading, radius_m));
     }
 }
+
+#[test]
+fn sequences_show_the_first_child_that_plays() {
+    let children = [geode(10, "", &[triangle(11, "")]), geode(20, "", &[triangle(21, "")])];
+    let sequence = group(1, &children).replace("osg::Group", "osg::Sequence");
+    let end = sequence.rfind('}').unwrap();
+    let with = |members: &str| read(osgt(VERSION, &format!("{} {members} }}", &sequence[..end])));
+    for (members, expected) in [
+        ("TimeList 2 { 1 2 } LoopMode SWING", [true, false]),
+        ("TimeList 2 { 1 2 } Begin 1 Speed 2 NumRepeats 3 DefaultTime 2 Mode START Sync TRUE", [false, true]),
+        ("Begin -1", [false, true]),
+        ("Begin 77", [false, true]),
+    ] {
+        let (node, ignored) = with(members);
+        let NodeKind::Switch(shown) = &node.kind else { panic!("{node:?}") };
+        assert_eq!(shown, &expected, "{members}");
+        let kinds: Vec<_> = ignored.iter().collect();
+        assert_eq!(kinds, [("OpenSceneGraph class osg::Sequence (its first child is drawn)", 1)]);
+    }
+}
+
+#[test]
+fn programs_have_one_name() {
+    let state = "StateSet TRUE { osg::StateSet { UniqueID 30 AttributeList 1 { osg::Program { UniqueID 31 AttribBinding 0 } Value OFF }
+        UniformList 1 { osg::Uniform { UniqueID 32 Type FLOAT } Value ON } } }";
+    let (node, ignored) = read(osgt(VERSION, &geode(10, state, &[triangle(11, "")])));
+    assert_eq!(drawables(&node).len(), 1);
+    let kinds: Vec<_> = ignored.iter().collect();
+    assert_eq!(kinds, [("OpenSceneGraph: shader programs in GLSL (not run)", 1)]);
+}
+
+#[test]
+fn animated_transforms_have_their_first_pose() {
+    let point = |time: u32, x: u32| format!("Time {time} {{ Position {x} 0 0 Rotation 0 0 1 0 Scale 2 2 2 }}");
+    let path = format!(
+        "osg::AnimationPath {{ UniqueID 4 TimeControlPointMap 2 {{ {} {} }} LoopMode SWING }}",
+        point(5, 9),
+        point(0, 3)
+    );
+    let callback = format!(
+        "UpdateCallback TRUE {{ osg::AnimationPathCallback {{ UniqueID 3 AnimationPath TRUE {{ {path} }} PivotPoint 1 0 0
+        TimeMultiplier 2 }} }}"
+    );
+    let text = format!(
+        "osg::MatrixTransform {{ UniqueID 2 {callback} Children 1 {{ {} }} Matrix {{ 1 0 0 0 \n 0 1 0 0 \n 0 0 1 0 \n 7 7 7 1 }} }}",
+        geode(10, "", &[triangle(11, "")])
+    );
+    let (node, ignored) = read(osgt(VERSION, &text));
+    let NodeKind::Transform(map) = node.kind else { panic!("{node:?}") };
+    // Half a turn about z after the pivot was moved to the origin, twice the size, and the position.
+    assert!(map.transform_point3(DVec3::new(2.0, 1.0, 0.0)).distance(DVec3::new(1.0, -2.0, 0.0)) < 1e-12, "{map:?}");
+    let kinds: Vec<_> = ignored.iter().collect();
+    assert_eq!(kinds, [("OpenSceneGraph class osg::AnimationPathCallback (its first pose is drawn)", 1)]);
+}

@@ -18,8 +18,8 @@ struct Fixed {
     model: vec4<u32>,          // 1 for a local viewer; the lit side (below); 1 if highlights are added after textures
     flags: vec4<u32>,          // bits of lights, bits of clip planes, alpha test, 1 if a light replaces the sun
     units: vec4<u32>,          // 0 off, 1 plane, 2 cube, 3 volume, 4 array
-    texgens: vec4<u32>,        // 0 the mesh's coordinates, 1 object linear, 2 eye linear, 3 sphere, 4 normal, 5 reflection;
-                               // 16 more if a matrix follows
+    texgens: vec4<u32>,        // 0 the mesh's coordinates, 1 object linear, 2 eye linear, 3 sphere, 4 normal, 5 reflection,
+                               // 6 the second and 7 the third ones of the mesh; 16 more if a matrix follows
     bias: vec4<f32>,           // added to the mip level
     planes: array<vec4<f32>, 16>,      // of s, t, r and q, by unit
     envs: array<vec4<u32>, 4>,         // by unit: combination of colour and of alpha, bits of the two scales; 0 multiplies
@@ -40,7 +40,7 @@ fn is_back(is_front: bool) -> bool {
     return fixed_state.model.y == BOTH_SIDES && !is_front;
 }
 
-// A point to be shaded. All vectors but `object` and `uv` are in eye space.
+// A point to be shaded. All vectors but `object` and texture coordinates are in eye space.
 struct Surface {
     in_eye: vec3<f32>,
     normal: vec3<f32>,
@@ -48,6 +48,7 @@ struct Surface {
     up: vec3<f32>,
     object: vec3<f32>,
     uv: vec2<f32>,
+    other_uvs: vec4<f32>,  // the second and the third texture coordinates
     texel: vec4<f32>,   // of the drawable's own texture
     color: vec4<f32>,
     is_lit: bool,
@@ -78,14 +79,22 @@ fn lit(s: Surface, base: vec3<f32>) -> Reflected {
     let diffuse = base * side.diffuse.rgb;
     var color = side.emission.rgb + fixed_state.model_ambient.rgb * ambient;
     var highlights = vec3<f32>(0.0);
+    let to_eye = select(vec3<f32>(0.0, 0.0, 1.0), towards_eye(s.in_eye), fixed_state.model.x == 1u);
     if (fixed_state.flags.x & 1u) != 0u && fixed_state.flags.w == 0u {
-        var sun = light_of_sun(s.normal, s.up, above_ground(s.in_eye).w);
-        if dot(s.normal, frame.sun_direction.xyz) > 0.0 {
-            sun *= sun_shadow(s.in_eye, s.facing);
+        let to_sun = frame.sun_direction.xyz;
+        let height_m = above_ground(s.in_eye).w;
+        var sun = light_of_sun(s.normal, s.up, height_m);
+        if dot(s.normal, to_sun) > 0.0 {
+            let visible = sun_shadow(s.in_eye, s.facing);
+            sun *= visible;
+            if side.specular.w > 0.0 {
+                let half_way = normalize(to_sun + to_eye);
+                let shine = pow(max(dot(s.normal, half_way), 0.0), side.specular.w);
+                highlights += visible * shine * light_of_sun(to_sun, s.up, height_m) * side.specular.rgb;
+            }
         }
         color += diffuse * (sun + light_of_sky(s.normal, s.up));
     }
-    let to_eye = select(vec3<f32>(0.0, 0.0, 1.0), towards_eye(s.in_eye), fixed_state.model.x == 1u);
     for (var i = 0u; i < stage.light_count.x; i++) {
         let l = stage.lights[i];
         if (i < STAGE_LIGHTS && (fixed_state.flags.x >> i & 1u) == 0u) || l.diffuse.w < 0.5 {

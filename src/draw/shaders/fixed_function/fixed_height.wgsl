@@ -37,7 +37,7 @@ fn fixed_height_surface(in: FixedHeightFragment, is_front: bool) -> Surface {
     let normal = select(smooth_normal, -smooth_normal, is_back);
     let facing = towards_sun(normal, facet_normal(in.in_eye));
     let up = normalize(in.up);
-    return Surface(in.in_eye, normal, facing, up, in.in_tile, in.uv, texel, in.color, is_lit, is_back, 0.0);
+    return Surface(in.in_eye, normal, facing, up, in.in_tile, in.uv, in.uv.xyxy, texel, in.color, is_lit, is_back, 0.0);
 }
 
 @fragment

@@ -1,23 +1,13 @@
-// Meshes, lines and points under the fixed function.
-
-struct FixedMeshFragment {
-    @builtin(position) position: vec4<f32>,
-    @location(0) in_eye_u: vec4<f32>,
-    @location(1) normal_v: vec4<f32>,
-    @location(2) color: vec4<f32>,
-    @location(3) @interpolate(flat) leaf: vec3<u32>,
-    @location(4) object: vec3<f32>,
-}
+// Meshes, lines and points under the fixed function. What a fragment has is in untextured_mesh.wgsl or textured_mesh.wgsl:
+// `FixedMeshFragment`, `fixed_fragment` and `other_uvs`.
 
 fn fixed_mesh_fragment(vertex: MeshVertex, leaf: Leaf, alpha_cutoff: u32) -> FixedMeshFragment {
-    let f = mesh_fragment(vertex, leaf, alpha_cutoff);
-    return FixedMeshFragment(f.position, f.in_eye_u, f.normal_v, f.color, f.leaf, vertex.position);
+    return fixed_fragment(mesh_fragment(vertex, leaf, alpha_cutoff), vertex.position);
 }
 
 @vertex
 fn vs_fixed_square(vertex: MeshVertex, @builtin(instance_index) instance: u32) -> FixedMeshFragment {
-    let f = square_fragment(vertex, leaves[instance]);
-    return FixedMeshFragment(f.position, f.in_eye_u, f.normal_v, f.color, f.leaf, vertex.position);
+    return fixed_fragment(square_fragment(vertex, leaves[instance]), vertex.position);
 }
 
 @vertex
@@ -39,7 +29,8 @@ fn mesh_surface(in: FixedMeshFragment, normal: vec3<f32>, facing: vec3<f32>, is_
     let cutoff = bitcast<f32>(in.leaf.z);
     let in_eye = in.in_eye_u.xyz;
     let up = above_ground(in_eye).xyz;
-    return Surface(in_eye, normal, facing, up, in.object, uv, texel, in.color, is_lit, is_back(is_front), cutoff);
+    let others = other_uvs(in);
+    return Surface(in_eye, normal, facing, up, in.object, uv, others, texel, in.color, is_lit, is_back(is_front), cutoff);
 }
 
 // Returns the normal of the lit side.

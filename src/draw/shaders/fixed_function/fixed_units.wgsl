@@ -49,6 +49,8 @@ fn given_coordinates(unit: u32, s: Surface) -> vec4<f32> {
         }
         case 4u: { return vec4<f32>(s.normal, 1.0); }
         case 5u: { return vec4<f32>(mirrored, 1.0); }
+        case 6u: { return vec4<f32>(s.other_uvs.xy, 0.0, 1.0); }
+        case 7u: { return vec4<f32>(s.other_uvs.zw, 0.0, 1.0); }
         default: { return vec4<f32>(s.uv, 0.0, 1.0); }
     }
 }
@@ -91,6 +93,7 @@ fn sampled_color(unit: u32, c: vec4<f32>) -> vec4<f32> {
 fn argument(
     code: u32,
     unit: u32,
+    constant: vec4<f32>,
     primary: vec4<f32>,
     previous: vec4<f32>,
     textures: array<vec4<f32>, 4>,
@@ -100,7 +103,7 @@ fn argument(
     let source = code & 15u;
     switch source {
         case 0u: { color = all[unit]; }
-        case 1u: { color = fixed_state.env_colors[unit]; }
+        case 1u: { color = constant; }
         case 2u: { color = primary; }
         case 3u: { color = previous; }
         case 4u, 5u, 6u, 7u: { color = all[source - 4u]; }
@@ -127,6 +130,28 @@ fn combined(code: u32, a: vec4<f32>, b: vec4<f32>, c: vec4<f32>) -> vec4<f32> {
     }
 }
 
+// Set in the code of colours that are combined as they are displayed.
+const AS_DISPLAYED: u32 = 0x80000000u;
+
+// Returns a colour as it is displayed (sRGB) under an exposure, from 0 to 1.
+fn encoded(color: vec4<f32>, exposure: f32) -> vec4<f32> {
+    let c = clamp(color.rgb * exposure, vec3<f32>(0.0), vec3<f32>(1.0));
+    let high = 1.055 * pow(c, vec3<f32>(1.0 / 2.4)) - 0.055;
+    return vec4<f32>(select(high, 12.92 * c, c <= vec3<f32>(0.0031308)), color.a);
+}
+
+// The inverse of `encoded`.
+fn decoded(color: vec3<f32>, exposure: f32) -> vec3<f32> {
+    let c = clamp(color, vec3<f32>(0.0), vec3<f32>(1.0));
+    let high = pow((c + 0.055) / 1.055, vec3<f32>(2.4));
+    return select(high, c / 12.92, c <= vec3<f32>(0.04045)) / exposure;
+}
+
+// Returns the factor from the light of a surface to its displayed colour.
+fn exposure_of(s: Surface) -> f32 {
+    return select(1.0, abs(frame.shape.y), s.is_lit && frame.shape.y != 0.0);
+}
+
 // Only pipelines of states that do more than multiply textures have the code for it, which takes long to compile.
 override HAS_COMBINATIONS: bool = false;
 
@@ -144,10 +169,24 @@ fn textured(s: Surface, primary: vec4<f32>, textures: array<vec4<f32>, 4>) -> ve
             color *= all[unit];
             continue;
         }
+        let is_displayed = (env.x & AS_DISPLAYED) != 0u;
+        let exposure = exposure_of(s);
+        var constant = fixed_state.env_colors[unit];
+        var lit = primary;
+        var previous = color;
+        var sampled = textures;
+        if is_displayed {
+            constant = encoded(constant, 1.0);
+            lit = encoded(lit, exposure);
+            previous = encoded(previous, exposure);
+            for (var i = 0u; i < 4u; i++) {
+                sampled[i] = encoded(sampled[i], 1.0);
+            }
+        }
         var arguments: array<vec4<f32>, 6>;
         for (var i = 0u; i < 3u; i++) {
-            arguments[i] = argument(env.x >> (4u + 6u * i), unit, primary, color, textures);
-            arguments[3u + i] = argument(env.y >> (4u + 6u * i), unit, primary, color, textures);
+            arguments[i] = argument(env.x >> (4u + 6u * i), unit, constant, lit, previous, sampled);
+            arguments[3u + i] = argument(env.y >> (4u + 6u * i), unit, constant, lit, previous, sampled);
         }
         let rgb = combined(env.x, arguments[0], arguments[1], arguments[2]);
         // The alpha of a dot product is that of a product, unless the colour is a dot product with alpha.
@@ -156,10 +195,12 @@ fn textured(s: Surface, primary: vec4<f32>, textures: array<vec4<f32>, 4>) -> ve
         if (env.x & 15u) == 7u {
             alpha = rgb.r;
         }
-        color = vec4<f32>(
-            max(rgb.rgb * bitcast<f32>(env.z), vec3<f32>(0.0)),
-            clamp(alpha * bitcast<f32>(env.w), 0.0, 1.0),
-        );
+        let scaled = rgb.rgb * bitcast<f32>(env.z);
+        var light = max(scaled, vec3<f32>(0.0));
+        if is_displayed {
+            light = decoded(scaled, exposure);
+        }
+        color = vec4<f32>(light, clamp(alpha * bitcast<f32>(env.w), 0.0, 1.0));
     }
     return color;
 }

@@ -13,7 +13,6 @@ pub(super) const GL_LIGHTING: u32 = 0xb50;
 pub(super) const GL_DEPTH_TEST: u32 = 0xb71;
 pub(super) const GL_ALPHA_TEST: u32 = 0xbc0;
 pub(super) const GL_BLEND: u32 = 0xbe2;
-pub(super) const GL_TEXTURE_2D: u32 = 0xde1;
 /// OpenGL's comparisons.
 const GL_GREATER: u32 = 0x204;
 const GL_GEQUAL: u32 = 0x206;
@@ -35,7 +34,7 @@ pub(super) struct Inherited<T> {
 }
 
 impl<T> Inherited<T> {
-    pub fn new(value: T) -> Self {
+    pub const fn new(value: T) -> Self {
         Self { value, is_overridden: false }
     }
 
@@ -87,26 +86,22 @@ impl Look {
         }
         let [is_lit, culls_faces, is_blended, tests_alpha] = modes.map(|(_, mode)| mode.value);
         let test = Some(alpha_func.value).filter(|(function, _)| tests_alpha && *function != GL_ALWAYS);
-        let units = Units::resolve(states);
-        Self {
-            is_lit: is_lit && !units.replaces_light,
-            units,
-            culls_faces,
-            is_blended,
-            alpha_test: test,
-            material: material.value,
-        }
+        let (units, alpha_test, material) = (Units::default(), test, material.value);
+        let mut look = Self { units, is_lit, culls_faces, is_blended, alpha_test, material };
+        look.units = Units::resolve(states, look.is_fixed());
+        look.is_lit &= !look.units.replaces_light;
+        look
+    }
+
+    /// Returns true if only the fixed function draws the highlights or glows of the material, or the alpha test.
+    fn is_fixed(&self) -> bool {
+        self.material.as_ref().is_some_and(needs_surface_material) || self.alpha_test_beside_material().is_some()
     }
 
     /// Returns true if vertex colours are shown: without lighting, without a material, or if the material says so.
     pub fn has_vertex_colors(&self) -> bool {
         let shows = |material: &MaterialObject| DIFFUSE_COLOR_MODES.contains(&material.color_mode);
         !self.units.replaces_light && (!self.is_lit || self.material.as_ref().is_none_or(shows))
-    }
-
-    /// Returns true if only the fixed function draws the highlights or glows of the material.
-    pub fn has_fixed_material(&self) -> bool {
-        self.material.as_ref().is_some_and(needs_surface_material)
     }
 
     /// Returns the linear colour factor of the material.

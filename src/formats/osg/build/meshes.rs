@@ -4,7 +4,10 @@ use std::sync::Arc;
 
 use glam::DVec3;
 
+use super::coordinates::UvMap;
 use super::looks::linear;
+use super::textures::BuiltTexture;
+use super::units::Unit;
 use super::{Builder, Meshes};
 use crate::formats::osg::error::{OsgError, Result};
 use crate::formats::osg::input::Values;
@@ -26,15 +29,32 @@ struct Corner {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub(super) struct UvSet {
     /// The texture unit.
-    pub unit: usize,
+    unit: usize,
     /// True if t = 0 is at the first row of the image.
     pub starts_at_bottom: bool,
+    /// The map to the coordinates; `None` for those of the geometry as they are.
+    map: Option<UvMap>,
 }
 
 impl UvSet {
-    /// Returns the coordinates from the first row of the image.
-    fn point(self, array: &Attribute<'_>, corner: Corner) -> [f32; 2] {
-        let [s, t] = [0, 1].map(|component| array.get(corner, component, array.array.is_normalized) as f32);
+    /// Returns the coordinates of a unit, which meshes can make, for its texture.
+    pub fn of(unit: &Unit, texture: Option<&BuiltTexture>) -> Self {
+        let starts_at_bottom = texture.is_some_and(|texture| texture.starts_at_bottom);
+        let coordinates = match texture.filter(|_| unit.is_in_texels) {
+            Some(texture) => unit.coordinates.of_rectangle([texture.shared.0.width, texture.shared.0.height]),
+            None => unit.coordinates,
+        };
+        Self { unit: unit.number, starts_at_bottom, map: coordinates.of_meshes().flatten() }
+    }
+
+    /// Returns true if positions decide and not the geometry's own coordinates.
+    pub fn is_of_positions(&self) -> bool {
+        self.map.is_some_and(|map| map.is_of_positions)
+    }
+
+    /// Returns the coordinates from the first row of the image, for a position or for the geometry's own s and t.
+    pub fn mapped(&self, of: DVec3) -> [f32; 2] {
+        let [s, t] = self.map.map_or([of.x, of.y], |map| map.point(of)).map(|part| part as f32);
         // OSG's t goes up, Terrane's v down from the first row of an image.
         [s, if self.starts_at_bottom { t } else { 1.0 - t }]
     }
@@ -47,6 +67,8 @@ pub(super) struct UvSets {
     pub first: UvSet,
     /// The second ones, if they differ.
     pub second: Option<UvSet>,
+    /// The third ones, for the fixed function.
+    pub third: Option<UvSet>,
 }
 
 impl GeometryObject {
@@ -57,9 +79,29 @@ impl GeometryObject {
 
     /// Returns true if two sets are the same coordinates.
     pub(super) fn has_equal_uvs(&self, a: UvSet, b: UvSet) -> bool {
-        let is_same = |a: &BoundArray, b: &BoundArray| Arc::ptr_eq(&a.array, &b.array);
-        a.starts_at_bottom == b.starts_at_bottom
-            && (a.unit == b.unit || self.uvs(a.unit).zip(self.uvs(b.unit)).is_some_and(|(a, b)| is_same(a, b)))
+        (a.starts_at_bottom, a.map) == (b.starts_at_bottom, b.map) && self.has_equal_arrays(a.unit, b.unit)
+    }
+
+    /// Returns the index of a unit's own coordinates among the sets of a mesh, to which they are added if they are new;
+    /// `None` if a mesh has no more.
+    pub(super) fn place_of_uvs(&self, unit: usize, sets: &mut Vec<UvSet>) -> Option<usize> {
+        /// The number of sets of a mesh.
+        const MAX_SETS: usize = 3;
+        let known = sets.iter().position(|set| set.map.is_none() && self.has_equal_arrays(set.unit, unit));
+        if known.is_some() || sets.len() >= MAX_SETS {
+            return known;
+        }
+        sets.push(UvSet { unit, starts_at_bottom: true, map: None });
+        Some(sets.len() - 1)
+    }
+
+    fn has_equal_arrays(&self, a: usize, b: usize) -> bool {
+        let is_same = |a: &BoundArray, b: &BoundArray| match (&a.indices, &b.indices) {
+            (None, None) => Arc::ptr_eq(&a.array, &b.array) || a.array.has_equal_values(&b.array),
+            (Some(of_a), Some(of_b)) => Arc::ptr_eq(&a.array, &b.array) && Arc::ptr_eq(of_a, of_b),
+            _ => false,
+        };
+        a == b || self.uvs(a).zip(self.uvs(b)).is_some_and(|(a, b)| is_same(a, b))
     }
 
     fn uvs(&self, unit: usize) -> Option<&BoundArray> {
@@ -73,9 +115,17 @@ struct Arrays<'a> {
     positions: &'a BoundArray,
     normals: Option<Attribute<'a>>,
     colors: Option<Attribute<'a>>,
-    uvs: Option<Attribute<'a>>,
+    uvs: Uvs<'a>,
+    second: Option<Uvs<'a>>,
+    third: Option<Uvs<'a>>,
     origin: DVec3,
-    uv_sets: UvSets,
+}
+
+/// A set of texture coordinates with the array that they come from.
+#[derive(Clone, Copy)]
+struct Uvs<'a> {
+    set: UvSet,
+    array: Option<Attribute<'a>>,
 }
 
 /// An array with the binding that applies.
@@ -145,9 +195,21 @@ impl Arrays<'_> {
         DVec3::new(part(0), part(1), part(2))
     }
 
+    /// Returns texture coordinates; zeros if the geometry has none.
+    fn uv(&self, uvs: &Uvs<'_>, corner: Corner) -> [f32; 2] {
+        match &uvs.array {
+            _ if uvs.set.is_of_positions() => uvs.set.mapped(self.position(corner.vertex)),
+            Some(array) => {
+                let [s, t] = [0, 1].map(|component| array.get(corner, component, array.array.is_normalized));
+                uvs.set.mapped(DVec3::new(s, t, 0.0))
+            }
+            None => [0.0; 2],
+        }
+    }
+
     fn vertex(&self, corner: Corner) -> MeshVertex {
         let position = (self.position(corner.vertex) - self.origin).as_vec3().to_array();
-        let uv = self.uvs.map_or([0.0; 2], |uvs| self.uv_sets.first.point(&uvs, corner));
+        let uv = self.uv(&self.uvs, corner);
         let normal = self.normals.map_or([0; 4], |normals| {
             let part = |component| normals.get(corner, component, true);
             let normal = DVec3::new(part(0), part(1), part(2)).normalize_or_zero();
@@ -166,7 +228,7 @@ impl Arrays<'_> {
 
     /// Returns true if some array has an element for each primitive set or primitive: vertices differ between them.
     fn binds(&self, binding: Binding) -> bool {
-        [self.normals, self.colors, self.uvs].into_iter().flatten().any(|attribute| attribute.binding == binding)
+        [self.normals, self.colors, self.uvs.array].into_iter().flatten().any(|attribute| attribute.binding == binding)
     }
 }
 
@@ -177,14 +239,16 @@ impl Builder<'_> {
         let Some(positions) = geometry.vertices.as_ref().filter(|array| array.count() > 0) else { return Ok(empty) };
         let (count, sets) = (positions.count(), geometry.primitives.len());
         self.vertices = self.counted(self.vertices, count, "vertices of an OpenSceneGraph file", 1)?;
+        let uvs = |set: UvSet| Uvs { set, array: Attribute::new(geometry.uvs(set.unit), count, sets) };
         let mut arrays = Arrays {
             count,
             positions,
             normals: Attribute::new(geometry.normals.as_ref(), count, sets),
             colors: Attribute::new(geometry.colors.as_ref(), count, sets).filter(|_| has_colors),
-            uvs: Attribute::new(geometry.uvs(uv_sets.first.unit), count, sets),
+            uvs: uvs(uv_sets.first),
+            second: uv_sets.second.map(uvs),
+            third: uv_sets.third.map(uvs),
             origin: DVec3::ZERO,
-            uv_sets,
         };
         let points = || (0..count).map(|vertex| arrays.position(vertex));
         if !points().all(|point| point.is_finite()) {
@@ -220,8 +284,9 @@ impl Builder<'_> {
         for (topology, mut list) in TOPOLOGIES.into_iter().zip(lists).filter(|(_, list)| !list.is_empty()) {
             let used = if is_single { (0..arrays.count as u32).collect() } else { compacted(&mut list, arrays.count) };
             let corner = |vertex: &u32| Corner { vertex: *vertex as usize, set: 0, primitive: 0 };
-            let vertices = used.iter().map(|vertex| arrays.vertex(corner(vertex))).collect();
-            let attributes = self.attributes(geometry, &used, arrays)?;
+            let corners: Vec<Corner> = used.iter().map(corner).collect();
+            let vertices = corners.iter().map(|corner| arrays.vertex(*corner)).collect();
+            let attributes = self.attributes(geometry, &corners, arrays)?;
             meshes.push(Mesh { attributes, ..Mesh::new(vertices, list, topology) });
         }
         Ok(meshes)
@@ -229,7 +294,7 @@ impl Builder<'_> {
 
     /// Makes meshes in which each primitive set, or each primitive, has separate vertices.
     fn separate_meshes(&mut self, geometry: &GeometryObject, arrays: &Arrays<'_>) -> Result<Vec<Mesh>> {
-        let mut parts: [(Vec<MeshVertex>, Vec<u32>); 3] = Default::default();
+        let mut parts: [(Vec<Corner>, Vec<u32>); 3] = Default::default();
         let mut primitive = 0;
         let is_per_primitive = arrays.binds(Binding::PerPrimitive);
         for (set_index, set) in geometry.primitives.iter().enumerate() {
@@ -239,18 +304,23 @@ impl Builder<'_> {
                 let (topology, list) = self.assembled(set, indices)?;
                 let Some(at) = TOPOLOGIES.iter().position(|known| *known == topology) else { continue };
                 self.vertices = self.counted(self.vertices, list.len(), "vertices of an OpenSceneGraph file", 1)?;
-                let (vertices, indices) = &mut parts[at];
+                let (corners_of_part, indices) = &mut parts[at];
                 for (i, vertex) in list.iter().enumerate() {
                     let within = if is_per_primitive { i / corners.max(1) } else { 0 };
                     let corner = Corner { vertex: *vertex as usize, set: set_index, primitive: primitive + within };
-                    indices.push(vertices.len() as u32);
-                    vertices.push(arrays.vertex(corner));
+                    indices.push(corners_of_part.len() as u32);
+                    corners_of_part.push(corner);
                 }
                 primitive += list.len().div_ceil(corners.max(1));
             }
         }
-        let meshes = TOPOLOGIES.into_iter().zip(parts);
-        Ok(meshes.map(|(topology, (vertices, indices))| Mesh::new(vertices, indices, topology)).collect())
+        let mut meshes = Vec::new();
+        for (topology, (corners, indices)) in TOPOLOGIES.into_iter().zip(parts) {
+            let vertices = corners.iter().map(|corner| arrays.vertex(*corner)).collect();
+            let attributes = self.attributes(geometry, &corners, arrays)?;
+            meshes.push(Mesh { attributes, ..Mesh::new(vertices, indices, topology) });
+        }
+        Ok(meshes)
     }
 
     /// Returns the vertices of a primitive set: one list, or one for each length. Fails if one is outside of the arrays.
@@ -312,31 +382,31 @@ impl Builder<'_> {
         Ok(mode.assemble(indices.into()))
     }
 
-    /// Returns the second texture coordinates, and the further ones that the options ask for.
-    fn attributes(&self, geometry: &GeometryObject, used: &[u32], arrays: &Arrays<'_>) -> Result<VertexAttributes> {
+    /// Returns the second and third texture coordinates, and the further ones that the options ask for.
+    fn attributes(&self, geometry: &GeometryObject, used: &[Corner], arrays: &Arrays<'_>) -> Result<VertexAttributes> {
         let mut attributes = VertexAttributes::default();
-        let mut add = |name: &str, array: &BoundArray, value: &dyn Fn(&Attribute<'_>, Corner) -> [f32; 2]| {
-            let array = Attribute::new(Some(array), arrays.count, geometry.primitives.len());
-            let Some(array) = array else { return Ok(()) };
-            let corner = |vertex: &u32| Corner { vertex: *vertex as usize, set: 0, primitive: 0 };
-            let values: Vec<[f32; 2]> = used.iter().map(|vertex| value(&array, corner(vertex))).collect();
+        let mut add = |name: &str, uvs: &Uvs<'_>| {
+            if uvs.array.is_none() && !uvs.set.is_of_positions() {
+                return Ok(());
+            }
+            let values: Vec<[f32; 2]> = used.iter().map(|corner| arrays.uv(uvs, *corner)).collect();
             let bytes = bytemuck::cast_slice(&values).into();
             let pushed = attributes.push(used.len(), name, AttributeFormat::Float32x2, bytes);
             pushed.map_err(|error| OsgError::invalid(error.to_string()))
         };
-        if let Some(second) = arrays.uv_sets.second
-            && let Some(array) = geometry.uvs(second.unit)
-        {
-            add(SecondUv::ATTRIBUTE, array, &|array, corner| second.point(array, corner))?;
+        let further = [(SecondUv::ATTRIBUTE, &arrays.second), (SecondUv::THIRD_ATTRIBUTE, &arrays.third)];
+        for (name, uvs) in further {
+            uvs.iter().try_for_each(|uvs| add(name, uvs))?;
         }
-        for (unit, array) in geometry.tex_coords.iter().enumerate().skip(1) {
+        for unit in 1..geometry.tex_coords.len() {
             let name = format!("TEXCOORD_{unit}");
             let is_wanted = self.source.options.vertex_attributes.iter().any(|wanted| **wanted == *name);
-            let Some(array) = array.as_ref().filter(|_| is_wanted) else { continue };
-            let plain = |array: &Attribute<'_>, corner| {
-                [0, 1].map(|component| array.get(corner, component, array.array.is_normalized) as f32)
-            };
-            add(&name, array, &plain)?;
+            if !is_wanted {
+                continue;
+            }
+            let set = UvSet { unit, starts_at_bottom: true, map: None };
+            let array = Attribute::new(geometry.uvs(unit), arrays.count, geometry.primitives.len());
+            add(&name, &Uvs { set, array })?;
         }
         Ok(attributes)
     }

@@ -1,10 +1,13 @@
 //! Makes nodes of the engine of the objects of a file.
 //!
 //! State sets stay state sets. What a drawable's material says is resolved here from the state sets above the drawable in
-//! its file: textures of units 0 and 1, diffuse colour, lighting, blending, alpha test and culling of faces. So the quick shaders
-//! draw it, and images are shared and paged as those of other formats. Decode threads.
+//! its file: textures of two units, diffuse colour, lighting, blending, alpha test and culling of faces. So the quick shaders
+//! draw it, and images are shared and paged as those of other formats. What they lack is in state sets of the drawables.
+//! Decode threads.
 
 mod bounds;
+mod coordinates;
+mod environments;
 mod facing;
 mod looks;
 mod meshes;
@@ -25,7 +28,9 @@ use self::looks::Look;
 use self::meshes::{UvSet, UvSets};
 pub(in crate::formats) use self::paging::InlinePart;
 pub(super) use self::paging::{HeldFile, escaped};
+use self::textures::FixedUnit;
 pub(super) use self::textures::external_images;
+use self::units::Unit;
 use super::error::OsgError;
 use super::objects::{DrawableClass, DrawableObject, NodeClass, NodeObject, Object, StateObject};
 use crate::fetch::IoError;
@@ -33,7 +38,7 @@ use crate::formats::ignored::Notes;
 use crate::formats::options::{Fetched, ReadOptions};
 use crate::math::BoundingSphere;
 use crate::scene::{Drawable, Material, Mesh, MetallicRoughness, Node, NodeKind, OverlayMode, Topology};
-use crate::state::StateSet;
+use crate::state::{StateSet, TexGen, TextureBinding};
 
 /// A file may have one node for this number of [`Limits::max_elements`](crate::fetch::Limits). A shared node counts at each
 /// place.
@@ -63,17 +68,23 @@ struct Meshes {
 struct Shown {
     texture: Option<textures::BuiltTexture>,
     overlay: Option<(textures::BuiltTexture, OverlayMode)>,
+    /// The units of the fixed function.
+    fixed: Vec<FixedUnit>,
     uv_sets: UvSets,
 }
 
-/// Makes the nodes of one file. One thread.
+/// Makes the nodes of one file. One thread. More than 16 fields: a cache for each kind of object that files share, and a counter
+/// for each limit.
 struct Builder<'a> {
     source: Source<'a>,
     /// By address: objects that the file shares stay shared.
     sets: HashMap<usize, Option<Arc<StateSet>>>,
     textures: HashMap<usize, Option<textures::BuiltTexture>>,
+    /// With true if t = 0 is at the first row.
+    unit_textures: HashMap<usize, Option<(TextureBinding, bool)>>,
     meshes: HashMap<(usize, UvSets, bool), Meshes>,
-    alpha_tests: HashMap<(u32, u32), Arc<StateSet>>,
+    /// The state sets of drawables in the order in which they were made.
+    drawable_sets: Vec<Arc<StateSet>>,
     spheres: HashMap<usize, BoundingSphere>,
     sizes: HashMap<usize, sizes::Size>,
     /// The state sets above the current object, outermost first.
@@ -119,8 +130,9 @@ impl<'a> Builder<'a> {
             source,
             sets: HashMap::new(),
             textures: HashMap::new(),
+            unit_textures: HashMap::new(),
             meshes: HashMap::new(),
-            alpha_tests: HashMap::new(),
+            drawable_sets: Vec::new(),
             spheres: HashMap::new(),
             sizes: HashMap::new(),
             states: Vec::new(),
@@ -235,14 +247,11 @@ impl<'a> Builder<'a> {
     /// Makes the drawables of a drawable: one for triangles, one for lines, and one for points.
     fn drawables(&mut self, object: &Arc<DrawableObject>) -> Result<(DVec3, Vec<Drawable>), IoError> {
         let look = Look::resolve(&self.states);
-        let Shown { texture, overlay, uv_sets } = self.shown(object, &look)?;
+        let Shown { texture, overlay, fixed, uv_sets } = self.shown(object, &look)?;
         let Some(Meshes { origin, meshes }) = self.meshes_of(object, uv_sets, look.has_vertex_colors())? else {
             return Ok((DVec3::ZERO, Vec::new()));
         };
-        let state_set = look.alpha_test_beside_material().map(|(function, reference)| {
-            let key = (function, reference.to_bits());
-            self.alpha_tests.entry(key).or_insert_with(|| states::alpha_test(function, reference)).clone()
-        });
+        let state_set = self.state_of_drawable(&fixed, origin, look.alpha_test_beside_material());
         let options = self.source.options;
         let surface = overlay.as_ref().map(|(texture, overlay_mode)| MetallicRoughness {
             overlay: Some(texture.shared.0.clone()),
@@ -252,7 +261,7 @@ impl<'a> Builder<'a> {
         let drawable = |(mesh, has_normals): (Arc<Mesh>, bool)| {
             let is_thin = mesh.topology != Topology::Triangles;
             // Photographs show the light that they were taken in. OSG has one normal for all of such a surface.
-            let is_photo = texture.is_some() && !has_normals;
+            let is_photo = (texture.is_some() || fixed.iter().any(|unit| unit.coordinates.needs_uvs())) && !has_normals;
             let material = Material {
                 base_color: look.base_color(),
                 texture: texture.as_ref().map(|texture| texture.shared.0.clone()),
@@ -279,28 +288,54 @@ impl<'a> Builder<'a> {
         let mut shown = Shown::default();
         if let Some(base) = &units.base {
             shown.texture = self.texture(&base.texture)?;
-            let starts_at_bottom = shown.texture.as_ref().is_some_and(|texture| texture.starts_at_bottom);
-            shown.uv_sets.first = UvSet { unit: base.number, starts_at_bottom };
+            shown.uv_sets.first = UvSet::of(base, shown.texture.as_ref());
         }
-        let Some((unit, mode)) = &units.overlay else { return Ok(shown) };
-        let Some(texture) = self.texture(&unit.texture)? else { return Ok(shown) };
-        let uv_set = UvSet { unit: unit.number, starts_at_bottom: texture.starts_at_bottom };
         let geometry = match &object.class {
-            DrawableClass::Geometry(geometry) if geometry.has_uvs(unit.number) => geometry,
-            _ => {
-                self.note("OpenSceneGraph: texture of a unit without texture coordinates");
-                return Ok(shown);
-            }
+            DrawableClass::Geometry(geometry) => Some(geometry),
+            DrawableClass::Shape { .. } => None,
         };
-        if look.has_fixed_material() {
-            self.note("OpenSceneGraph: second texture of a material with highlights");
+        let has_uvs = |unit: &Unit| {
+            !unit.coordinates.needs_uvs() || geometry.is_some_and(|geometry| geometry.has_uvs(unit.number))
+        };
+        let lacks_uvs = |unit: &&Unit| !has_uvs(unit);
+        let all = units.overlay.iter().map(|(unit, _)| unit).chain(units.fixed.iter().map(|(unit, _)| unit));
+        all.filter(lacks_uvs).for_each(|_| self.note("OpenSceneGraph: texture of a unit without texture coordinates"));
+        if let Some((unit, mode)) = units.overlay.as_ref().filter(|(unit, _)| has_uvs(unit)) {
+            let Some(texture) = self.texture(&unit.texture)? else { return Ok(shown) };
+            let uv_set = UvSet::of(unit, Some(&texture));
+            let first = shown.uv_sets.first;
+            match &units.base {
+                None => shown.uv_sets.first = uv_set,
+                Some(_) if geometry.is_some_and(|geometry| geometry.has_equal_uvs(first, uv_set)) => {}
+                Some(_) => shown.uv_sets.second = Some(uv_set),
+            }
+            shown.overlay = Some((texture, *mode));
         }
-        match &units.base {
-            None => shown.uv_sets.first = uv_set,
-            Some(_) if geometry.has_equal_uvs(shown.uv_sets.first, uv_set) => {}
-            Some(_) => shown.uv_sets.second = Some(uv_set),
+        let mut sets: Vec<UvSet> = units.base.iter().map(|_| shown.uv_sets.first).collect();
+        for (unit, environment) in units.fixed.iter().filter(|(unit, _)| has_uvs(unit)) {
+            let Some((binding, starts_at_bottom)) = self.unit_texture(&unit.texture)? else { continue };
+            let own = geometry.filter(|_| unit.coordinates.needs_uvs());
+            let set = own.map(|geometry| geometry.place_of_uvs(unit.number, &mut sets)).unwrap_or(Some(0));
+            let Some(set) = set else {
+                self.note("OpenSceneGraph: texture with a fourth set of coordinates");
+                continue;
+            };
+            let [width, height, _] = binding.texture.size;
+            let coordinates = unit.coordinates;
+            let coordinates = if unit.is_in_texels { coordinates.of_rectangle([width, height]) } else { coordinates };
+            shown.fixed.push(FixedUnit {
+                binding,
+                environment: *environment,
+                coordinates,
+                own_coordinates: [None, Some(TexGen::SecondUv), Some(TexGen::ThirdUv)][set],
+                are_turned_over: sets.get(set).is_some_and(|set| !set.starts_at_bottom),
+                is_turned_over: !starts_at_bottom,
+            });
         }
-        shown.overlay = Some((texture, *mode));
+        if !units.fixed.is_empty() {
+            let set = |at: usize| sets.get(at).copied();
+            shown.uv_sets = UvSets { first: set(0).unwrap_or_default(), second: set(1), third: set(2) };
+        }
         Ok(shown)
     }
 
@@ -317,7 +352,9 @@ impl<'a> Builder<'a> {
         }
         let made = match &object.class {
             DrawableClass::Geometry(geometry) => self.geometry(geometry, uv_sets, has_colors),
-            DrawableClass::Shape { shape: Some(shape), color } => Ok(self.shape(shape, *color, has_colors)),
+            DrawableClass::Shape { shape: Some(shape), color } => {
+                Ok(self.shape(shape, *color, has_colors, uv_sets.first))
+            }
             DrawableClass::Shape { shape: None, .. } => {
                 self.note("OpenSceneGraph: a ShapeDrawable without a shape that is read");
                 return Ok(None);

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use glam::{DAffine3, DMat3, DVec3};
 
 use super::looks::linear;
+use super::meshes::UvSet;
 use super::{Builder, Meshes};
 use crate::formats::osg::objects::{ArrayObject, HeightFieldObject, Profile, ShapeObject};
 use crate::math::Aabb;
@@ -18,10 +19,15 @@ const HEMISPHERE_ROWS: u32 = 10;
 
 impl Builder<'_> {
     /// Makes the mesh of a shape.
-    pub(super) fn shape(&mut self, shape: &ShapeObject, color: [f32; 4], has_colors: bool) -> Meshes {
+    pub(super) fn shape(&mut self, shape: &ShapeObject, color: [f32; 4], has_colors: bool, uv_set: UvSet) -> Meshes {
         let mut all = (Vec::new(), Vec::new());
         add(shape, &mut all);
         let (mut vertices, indices) = all;
+        if uv_set.is_of_positions() {
+            for vertex in &mut vertices {
+                vertex.uv = uv_set.mapped(DVec3::from_array(vertex.position.map(f64::from)));
+            }
+        }
         if has_colors {
             let color = linear(color).map(|part| (part * 255.0).round() as u8);
             vertices.iter_mut().for_each(|vertex| vertex.color = color);

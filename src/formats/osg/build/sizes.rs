@@ -73,13 +73,14 @@ fn of_shape(shape: &ShapeObject) -> u64 {
 
 fn of_state(state: &StateObject) -> u64 {
     let attributes = state.texture_attributes.iter().flatten();
-    let images = attributes.map(|(attribute, _)| match &**attribute {
-        AttributeObject::Texture(TextureObject { image: Some(image), .. }) => match &image.data {
-            ImageData::External => 0,
-            ImageData::File(bytes) => bytes.len() as u64,
-            ImageData::Raw(raw) => raw.bytes.len() as u64,
-        },
-        _ => 0,
+    let textures = attributes.filter_map(|(attribute, _)| match &**attribute {
+        AttributeObject::Texture(texture) => Some(texture),
+        _ => None,
+    });
+    let images = textures.flat_map(TextureObject::all_images).map(|image| match &image.data {
+        ImageData::External => 0,
+        ImageData::File(bytes) => bytes.len() as u64,
+        ImageData::Raw(raw) => raw.bytes.len() as u64,
     });
     OBJECT_BYTES + images.sum::<u64>()
 }

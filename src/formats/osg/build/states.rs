@@ -2,16 +2,19 @@
 
 use std::sync::Arc;
 
+use glam::DVec3;
+
 use super::Builder;
 use super::looks::{
     GL_ALPHA_TEST, GL_BLEND, GL_CULL_FACE, GL_DEPTH_TEST, GL_LIGHTING, has_diffuse_vertex_colors, linear,
     needs_surface_material,
 };
+use super::textures::FixedUnit;
 use super::units::MAX_UNITS;
 use crate::formats::osg::objects::{AttributeObject, MaterialObject, StateObject};
 use crate::state::{
     AlphaFunc, Attribute, BlendFactor, BlendFunc, ColorMask, CompareFunction, CullFace, Depth, FrontFace, Mode,
-    PolygonOffset, StateSet, StateValue, SurfaceMaterial,
+    PolygonOffset, StateSet, StateValue, SurfaceMaterial, TexEnv,
 };
 
 /// OpenGL's modes that are read here alone.
@@ -57,9 +60,6 @@ impl Builder<'_> {
             }
         }
         self.note_textures(object);
-        if object.uniforms > 0 {
-            self.note("OpenSceneGraph: uniforms");
-        }
         let (number, name) = match object.hint {
             _ if object.bin_mode != 0 => (object.bin_number, object.bin_name.as_str()),
             HINT_OPAQUE => (0, "RenderBin"),
@@ -81,7 +81,7 @@ impl Builder<'_> {
             for (attribute, _) in attributes {
                 match &**attribute {
                     AttributeObject::Texture(_) if unit >= MAX_UNITS => {
-                        self.note("OpenSceneGraph: texture of a unit above 1");
+                        self.note("OpenSceneGraph: texture of a unit above 7");
                     }
                     AttributeObject::Other(name) => self.note(format!("OpenSceneGraph: attribute {name}")),
                     _ => {}
@@ -128,15 +128,56 @@ impl Builder<'_> {
                 return None;
             }
             // They belong to texture units.
-            AttributeObject::Texture(_) | AttributeObject::TexEnv(_) | AttributeObject::Combine(_) => return None,
+            AttributeObject::Texture(_)
+            | AttributeObject::TexEnv { .. }
+            | AttributeObject::Combine(_)
+            | AttributeObject::TexGen { .. }
+            | AttributeObject::TexMat(_) => return None,
         })
     }
 }
 
-/// Returns a state set with an alpha test.
-pub(super) fn alpha_test(function: u32, reference: f32) -> Arc<StateSet> {
-    let function = comparison(function).unwrap_or(CompareFunction::Always);
-    Arc::new(StateSet::default().with(Attribute::AlphaFunc(AlphaFunc { function, reference })))
+impl Builder<'_> {
+    /// Returns the state set of drawables with texture units of the fixed function, or with an alpha test that their material
+    /// cannot express; `None` without either. `origin` is what the positions of the mesh are relative to.
+    pub(super) fn state_of_drawable(
+        &mut self,
+        units: &[FixedUnit],
+        origin: DVec3,
+        alpha_test: Option<(u32, f32)>,
+    ) -> Option<Arc<StateSet>> {
+        /// The number of sets that are compared with a new one.
+        const MAX_COMPARED: usize = 16;
+        if units.is_empty() && alpha_test.is_none() {
+            return None;
+        }
+        let mut set = StateSet::default();
+        for (slot, unit) in (0..).zip(units) {
+            set = set.with(Attribute::Texture(slot, unit.binding.clone()));
+            if unit.environment != TexEnv::Modulate {
+                set = set.with(Attribute::TexEnv(slot, unit.environment));
+            }
+            if let Some(generator) = unit.coordinates.generator(unit.own_coordinates, origin) {
+                set = set.with(Attribute::TexGen(slot, generator));
+            }
+            let matrix = unit.coordinates.fixed_matrix(unit.are_turned_over, unit.is_turned_over);
+            if let Some(matrix) = matrix {
+                set = set.with(Attribute::TexMat(slot, matrix));
+            }
+        }
+        if let Some((function, reference)) = alpha_test {
+            let function = comparison(function).unwrap_or(CompareFunction::Always);
+            set = set.with(Attribute::AlphaFunc(AlphaFunc { function, reference }));
+        }
+        // Drawables with equal state are drawn together.
+        let recent = self.drawable_sets.iter().rev().take(MAX_COMPARED);
+        if let Some(known) = recent.into_iter().find(|known| known.attributes == set.attributes) {
+            return Some(known.clone());
+        }
+        let set = Arc::new(set);
+        self.drawable_sets.push(set.clone());
+        Some(set)
+    }
 }
 
 fn mode_of(mode: u32) -> Option<Mode> {

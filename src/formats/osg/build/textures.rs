@@ -3,6 +3,8 @@
 use std::collections::{BTreeSet, HashSet};
 use std::sync::Arc;
 
+use super::coordinates::Coordinates;
+use super::looks::linear;
 use super::old_images::{self, OldImage};
 use super::paging::escaped;
 use super::units::MAX_UNITS;
@@ -11,11 +13,14 @@ use crate::fetch::{IoError, Limits};
 use crate::formats::external_files::ExternalFiles;
 use crate::formats::image::{self, BlockKind, SharedTexture};
 use crate::formats::osg::objects::{
-    AttributeObject, ImageData, NodeObject, Object, RawImage, StateObject, TextureObject,
+    AttributeObject, ImageData, ImageObject, NodeObject, Object, RawImage, StateObject, TextureObject, TextureTarget,
 };
-use crate::scene::{ContentKey, Sampling};
-use crate::state::{FilterMode, WrapMode};
+use crate::scene::{BlockFormats, ContentKey, Sampling, Texture};
+use crate::state::{
+    FilterMode, Sampler, TexEnv, TexGen, TextureBinding, TextureDimension, TextureObject as StateTexture, WrapMode,
+};
 
+const GL_CLAMP_TO_BORDER: u32 = 0x812d;
 /// OpenGL's types and formats of pixels.
 const GL_UNSIGNED_BYTE: u32 = 0x1401;
 const GL_COMPRESSED_RGB_S3TC_DXT1: u32 = 0x83f0;
@@ -32,6 +37,19 @@ pub(super) struct BuiltTexture {
     pub starts_at_bottom: bool,
 }
 
+/// A texture unit of the fixed function for one drawable.
+pub(super) struct FixedUnit {
+    pub binding: TextureBinding,
+    pub environment: TexEnv,
+    pub coordinates: Coordinates,
+    /// Which of the mesh's coordinates the geometry's ones of the unit are; `None` for the first.
+    pub own_coordinates: Option<TexGen>,
+    /// True if those go down from the first row of an image.
+    pub are_turned_over: bool,
+    /// True if the coordinates of the texture do.
+    pub is_turned_over: bool,
+}
+
 impl Builder<'_> {
     /// Returns the texture of an attribute; `None` if it has no image that can be read, which is noted.
     pub(super) fn texture(&mut self, attribute: &Arc<AttributeObject>) -> Result<Option<BuiltTexture>, IoError> {
@@ -40,7 +58,55 @@ impl Builder<'_> {
         if let Some(known) = self.textures.get(&key) {
             return Ok(known.clone());
         }
-        let made = match self.new_texture(texture) {
+        let image = texture.all_images().next();
+        let made = self.image(texture, image, self.source.options.block_formats)?;
+        self.textures.insert(key, made.clone());
+        Ok(made)
+    }
+
+    /// Returns the texture of an attribute for a unit of the fixed function, and true if t = 0 is at its first row.
+    pub(super) fn unit_texture(
+        &mut self,
+        attribute: &Arc<AttributeObject>,
+    ) -> Result<Option<(TextureBinding, bool)>, IoError> {
+        let AttributeObject::Texture(texture) = &**attribute else { return Ok(None) };
+        let key = Arc::as_ptr(attribute).addr();
+        if let Some(known) = self.unit_textures.get(&key) {
+            return Ok(known.clone());
+        }
+        // Textures of state sets are not compressed.
+        let mut images = Vec::with_capacity(texture.images.len());
+        for image in texture.all_images() {
+            images.extend(self.image(texture, Some(image), BlockFormats::NONE)?);
+        }
+        let made = match texture.target {
+            TextureTarget::Cube => {
+                let cube = cube_of(&images);
+                if cube.is_none() {
+                    self.note("OpenSceneGraph: cube map without six equal images");
+                }
+                // The rows of faces begin where OSG's do.
+                cube.map(|cube| (cube, true))
+            }
+            _ => images.first().map(|image| (plane_of(&image.shared.0), image.starts_at_bottom)),
+        };
+        let made = made.map(|(object, starts_at_bottom)| {
+            let binding = TextureBinding { sampler: sampler(texture), ..TextureBinding::new(Arc::new(object)) };
+            (binding, starts_at_bottom)
+        });
+        self.unit_textures.insert(key, made.clone());
+        Ok(made)
+    }
+
+    /// Returns an image of a texture; `None` if it cannot be read, which is noted.
+    fn image(
+        &mut self,
+        texture: &TextureObject,
+        image: Option<&Arc<ImageObject>>,
+        formats: BlockFormats,
+    ) -> Result<Option<BuiltTexture>, IoError> {
+        let Some(image) = image else { return Ok(None) };
+        let made = match self.new_texture(texture, image, formats) {
             Ok(made) => made,
             Err(IoError::Unsupported { what, .. }) => {
                 self.note(format!("OpenSceneGraph: {what}"));
@@ -61,13 +127,16 @@ impl Builder<'_> {
                 return Err(IoError::TooLarge { uri: uri.to_string(), what, got, limit });
             }
         }
-        self.textures.insert(key, made.clone());
         Ok(made)
     }
 
-    fn new_texture(&self, texture: &TextureObject) -> Result<Option<BuiltTexture>, IoError> {
+    fn new_texture(
+        &self,
+        texture: &TextureObject,
+        object: &ImageObject,
+        formats: BlockFormats,
+    ) -> Result<Option<BuiltTexture>, IoError> {
         let Source { uri, base, companions, options, notes } = self.source;
-        let Some(object) = &texture.image else { return Ok(None) };
         let sampling = sampling(texture);
         let decode = |uri: &str, bytes: &[u8], name: &str| {
             if let Some(image) = old_images::decode(name, bytes, &options.limits) {
@@ -75,7 +144,7 @@ impl Builder<'_> {
                 let shared = (image::texture_of_rgba(width, height, texels, sampling, &options.limits), None);
                 return Ok(Some(BuiltTexture { shared, starts_at_bottom: true }));
             }
-            let shared = image::decode_shared(uri, bytes, sampling, options.block_formats, options, notes)?;
+            let shared = image::decode_shared(uri, bytes, sampling, formats, options, notes)?;
             Ok(Some(BuiltTexture { shared, starts_at_bottom: image::is_dds(bytes) }))
         };
         match &object.data {
@@ -119,11 +188,9 @@ fn collect(object: &Object, seen: &mut HashSet<usize>, found: &mut BTreeSet<Stri
     let of_state = |state: &Option<Arc<StateObject>>, found: &mut BTreeSet<String>| {
         let attributes = state.iter().flat_map(|state| state.texture_attributes.iter().take(MAX_UNITS)).flatten();
         for (attribute, _) in attributes {
-            if let AttributeObject::Texture(TextureObject { image: Some(image), .. }) = &**attribute
-                && matches!(image.data, ImageData::External)
-            {
-                found.insert(escaped(&image.file_name));
-            }
+            let AttributeObject::Texture(texture) = &**attribute else { continue };
+            let external = texture.all_images().filter(|image| matches!(image.data, ImageData::External));
+            found.extend(external.map(|image| escaped(&image.file_name)));
         }
     };
     match object {
@@ -137,6 +204,62 @@ fn collect(object: &Object, seen: &mut HashSet<usize>, found: &mut BTreeSet<Stri
         }
         _ => {}
     }
+}
+
+/// Returns an image as a texture of a state set.
+fn plane_of(image: &Texture) -> StateTexture {
+    StateTexture {
+        size: [image.width, image.height, 1],
+        levels: image.mips.len() as u32,
+        texels: image.mips.clone(),
+        ..(*StateTexture::image("OpenSceneGraph", [0, 0], Vec::new())).clone()
+    }
+}
+
+/// Returns six images as a cube; `None` unless they are squares of one size. OpenGL takes the rows of OSG's images from the
+/// lowest on.
+fn cube_of(images: &[BuiltTexture]) -> Option<StateTexture> {
+    let first = &images.first().filter(|_| images.len() == 6)?.shared.0;
+    let is_alike = |image: &BuiltTexture| {
+        let image = &image.shared.0;
+        (image.width, image.height, image.mips.len()) == (first.width, first.width, first.mips.len())
+    };
+    if !images.iter().all(is_alike) {
+        return None;
+    }
+    let mut cube = plane_of(first);
+    (cube.dimension, cube.size[2]) = (TextureDimension::Cube, 6);
+    for (level, texels) in cube.texels.iter_mut().enumerate() {
+        texels.clear();
+        let row_bytes = 4 * (first.width >> level).max(1) as usize;
+        for image in images {
+            let rows = image.shared.0.mips[level].chunks_exact(row_bytes);
+            match image.starts_at_bottom {
+                true => texels.extend(rows.flatten()),
+                false => texels.extend(rows.rev().flatten()),
+            }
+        }
+    }
+    Some(cube)
+}
+
+/// Returns the sampler of a unit of the fixed function.
+fn sampler(texture: &TextureObject) -> Sampler {
+    let Sampling { wrap, mag, min, mip } = sampling(texture);
+    let mut sampler = Sampler {
+        min_filter: min,
+        mag_filter: mag,
+        mip_filter: mip.unwrap_or(FilterMode::Nearest),
+        wrap: [wrap[0], wrap[1], WrapMode::ClampToEdge],
+        border_color: linear(texture.border_color),
+        ..Sampler::default()
+    };
+    for (mode, of) in sampler.wrap.iter_mut().zip(texture.wrap) {
+        if of == GL_CLAMP_TO_BORDER {
+            *mode = WrapMode::ClampToBorder;
+        }
+    }
+    sampler
 }
 
 fn sampling(texture: &TextureObject) -> Sampling {

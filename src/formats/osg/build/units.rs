@@ -1,42 +1,45 @@
-//! [`Units`]: the textures of the first two texture units as a base colour and an image over it.
+//! [`Units`]: the texture units of a drawable, as a base colour with an image over it, or for the fixed function.
 //!
-//! OSG combines the units in order by their TexEnv. Here the first one that multiplies or replaces is the base colour, and
-//! one more is multiplied with it, laid over it or added: light maps, detail maps and decals. Each has its own texture coordinates.
-//! A TexEnvCombine counts as the TexEnv that it equals.
+//! OSG combines the units in order by their TexEnv. The quick shaders draw a texture that multiplies or replaces, and one more
+//! that is multiplied with it, laid over it or added: light maps, detail maps and decals. A TexEnvCombine counts as the TexEnv
+//! that it equals. Everything else takes the units of the fixed function: further textures, coordinates that follow the eye,
+//! cubes and other combinations.
 
 use std::sync::Arc;
 
-use super::looks::{GL_TEXTURE_2D, Inherited, ON};
-use crate::formats::osg::objects::{AttributeObject, CombineObject, StateObject};
+use super::coordinates::Coordinates;
+use super::environments::{Environment, Quick};
+use super::looks::{Inherited, ON};
+use crate::formats::osg::classes::PLANES;
+use crate::formats::osg::objects::{AttributeObject, StateObject, TextureTarget};
 use crate::scene::OverlayMode;
+use crate::state::{TEXTURE_UNITS, TexEnv};
 
 /// The number of units that are looked at.
-pub(super) const MAX_UNITS: usize = 2;
+pub(super) const MAX_UNITS: usize = 8;
 
-/// The mode of OpenGL that generates the first texture coordinate.
-const GL_TEXTURE_GEN_S: u32 = 0xc60;
-/// OpenGL's texture environments, and functions of TexEnvCombine.
-const GL_ADD: u32 = 0x104;
-const GL_BLEND: u32 = 0xbe2;
-const GL_REPLACE: u32 = 0x1e01;
-const GL_MODULATE: u32 = 0x2100;
-const GL_DECAL: u32 = 0x2101;
-const GL_INTERPOLATE: u32 = 0x8575;
-const GL_DOT3: [u32; 2] = [0x86ae, 0x86af];
-/// Sources and operands of TexEnvCombine.
-const GL_TEXTURE: u32 = 0x1702;
-const GL_TEXTURE0: u32 = 0x84c0;
-const GL_PRIMARY_COLOR: u32 = 0x8577;
-const GL_PREVIOUS: u32 = 0x8578;
-const GL_SRC_COLOR: u32 = 0x300;
-const GL_SRC_ALPHA: u32 = 0x302;
-const GL_ONE_MINUS_SRC_ALPHA: u32 = 0x303;
+/// The modes of OpenGL that switch on the kinds of textures and generate coordinates.
+const TARGETS: [TextureTarget; 4] =
+    [TextureTarget::D1, TextureTarget::D2, TextureTarget::Rectangle, TextureTarget::Cube];
+const GL_TEXTURE_GEN: [u32; 4] = [0xc60, 0xc61, 0xc62, 0xc63];
+const GL_EYE_LINEAR: u32 = 0x2400;
 
-/// The texture attribute of a unit.
+/// A texture unit that is on.
 #[derive(Clone)]
 pub(super) struct Unit {
     pub number: usize,
     pub texture: Arc<AttributeObject>,
+    pub target: TextureTarget,
+    pub coordinates: Coordinates,
+    /// The coordinates are texels of an image instead of shares of its size.
+    pub is_in_texels: bool,
+}
+
+impl Unit {
+    /// Returns true for an image whose coordinates meshes can make.
+    fn is_plain(&self) -> bool {
+        self.target != TextureTarget::Cube && self.coordinates.of_meshes().is_some()
+    }
 }
 
 /// What the units show.
@@ -44,8 +47,10 @@ pub(super) struct Unit {
 pub(super) struct Units {
     /// The texture of the base colour.
     pub base: Option<Unit>,
-    /// A texture that changes the base colour.
+    /// A texture that changes the base colour in the quick shaders.
     pub overlay: Option<(Unit, OverlayMode)>,
+    /// The units of the fixed function by their numbers there; without an overlay.
+    pub fixed: Vec<(Unit, TexEnv)>,
     /// True if a texture replaces the lit colour of the surface.
     pub replaces_light: bool,
     /// What is not drawn.
@@ -54,90 +59,132 @@ pub(super) struct Units {
 
 /// The state of a unit that state sets pass on.
 struct Inheriting {
-    is_on: Inherited<bool>,
-    /// True if the texture coordinates are generated, such as those of reflections.
-    is_generated: Inherited<bool>,
+    /// By the indices of [`TARGETS`].
+    is_on: [Inherited<bool>; 4],
+    /// True for the coordinates s, t, r and q that are generated.
+    is_generated: [Inherited<bool>; 4],
     texture: Inherited<Option<Arc<AttributeObject>>>,
-    environment: Inherited<Environment>,
-}
-
-/// How a unit combines its texture with the colour of the units below it.
-#[derive(Clone, Copy)]
-enum Environment {
-    Replace,
-    Modulate,
-    /// The texture is multiplied with the lit colour alone, whatever the units below show.
-    ModulateLight,
-    Over,
-    Add,
-    /// The texture is not shown.
-    Hidden,
-    LeftOut(&'static str),
+    generator: Inherited<(u32, [[f64; 4]; 4])>,
+    matrix: Inherited<Option<Arc<AttributeObject>>>,
+    environment: Inherited<Option<Environment>>,
 }
 
 impl Units {
-    /// Resolves a chain of state sets, outermost first.
-    pub fn resolve(states: &[Arc<StateObject>]) -> Self {
-        let mut units = Self::default();
-        for number in 0..MAX_UNITS {
-            let unit = Inheriting::resolve(states, number);
-            let Some(texture) = unit.texture.value.filter(|_| unit.is_on.value) else { continue };
-            if unit.is_generated.value {
-                units.left_out.push("OpenSceneGraph: texture with generated coordinates (TexGen)");
-            } else {
-                units.add(Unit { number, texture }, unit.environment.value);
+    /// Resolves a chain of state sets, outermost first. `is_fixed` says that the fixed function draws the surface anyhow.
+    pub fn resolve(states: &[Arc<StateObject>], is_fixed: bool) -> Self {
+        let count = states.iter().map(|state| state.texture_modes.len()).max().unwrap_or(0);
+        let mut left_out = Vec::new();
+        let mut found = Vec::new();
+        for number in 0..count.min(MAX_UNITS) {
+            match Inheriting::resolve(states, number).into_unit(number) {
+                Ok(Some((_, Environment { quick: Some(Quick::Hidden), .. }))) | Ok(None) => {}
+                Ok(Some(unit)) => found.push(unit),
+                Err(what) => left_out.push(what),
             }
         }
-        units
+        // What a unit covers is not drawn, unless a unit behind it reads its texture.
+        let covers = |(_, environment): &(Unit, Environment)| {
+            matches!(environment.quick, Some(Quick::Replace | Quick::ModulateLight))
+        };
+        let first = found.iter().rposition(covers).unwrap_or(0);
+        let is_read = |number: usize| found[first..].iter().any(|(_, environment)| environment.reads(number));
+        if !found[..first].iter().any(|(unit, _)| is_read(unit.number)) {
+            found.drain(..first);
+        }
+        let simple = Self::simple(&found).filter(|units| !is_fixed || units.overlay.is_none());
+        let units = simple.unwrap_or_else(|| Self::fixed(found, &mut left_out));
+        Self { left_out, ..units }
     }
 
-    fn add(&mut self, unit: Unit, environment: Environment) {
-        let mode = match environment {
-            Environment::Hidden => return,
-            Environment::Replace => {
-                (self.base, self.overlay, self.replaces_light) = (Some(unit), None, true);
-                return;
+    /// Returns the units for the quick shaders; `None` if they cannot draw them.
+    fn simple(found: &[(Unit, Environment)]) -> Option<Self> {
+        let mut units = Self::default();
+        for (unit, environment) in found {
+            let quick = environment.quick.filter(|_| unit.is_plain())?;
+            let is_first = units.base.is_none() && units.overlay.is_none();
+            let mode = match quick {
+                Quick::Replace | Quick::ModulateLight if is_first => {
+                    (units.base, units.replaces_light) = (Some(unit.clone()), quick == Quick::Replace);
+                    continue;
+                }
+                Quick::Modulate if is_first => {
+                    units.base = Some(unit.clone());
+                    continue;
+                }
+                Quick::Modulate => OverlayMode::Multiply,
+                Quick::Over => OverlayMode::Over,
+                Quick::Add => OverlayMode::Add,
+                Quick::Replace | Quick::ModulateLight | Quick::Hidden => return None,
+            };
+            if units.overlay.is_some() {
+                return None;
             }
-            Environment::ModulateLight => {
-                (self.base, self.overlay, self.replaces_light) = (Some(unit), None, false);
-                return;
-            }
-            Environment::Modulate if self.base.is_none() && self.overlay.is_none() => {
-                self.base = Some(unit);
-                return;
-            }
-            Environment::Modulate => OverlayMode::Multiply,
-            Environment::Over => OverlayMode::Over,
-            Environment::Add => OverlayMode::Add,
-            Environment::LeftOut(what) => return self.left_out.push(what),
-        };
-        if self.overlay.is_some() {
-            return self.left_out.push("OpenSceneGraph: texture of unit 1 over one that is no base colour");
+            units.overlay = Some((unit.clone(), mode));
         }
-        self.overlay = Some((unit, mode));
+        Some(units)
+    }
+
+    /// Returns the units for the fixed function. The first one stays the base colour if nothing else needs its texture, since
+    /// other formats have base colours too.
+    fn fixed(mut found: Vec<(Unit, Environment)>, left_out: &mut Vec<&'static str>) -> Self {
+        let mut units = Self::default();
+        let uses_light = found.iter().skip(1).any(|(_, environment)| environment.uses_light);
+        if let Some((unit, environment)) = found.first() {
+            let is_replacing = environment.quick == Some(Quick::Replace);
+            units.replaces_light = is_replacing && !uses_light;
+            let multiplies = matches!(environment.quick, Some(Quick::Modulate | Quick::ModulateLight));
+            let is_read = found.iter().any(|(_, environment)| environment.reads(unit.number));
+            if unit.is_plain() && !is_read && (multiplies || units.replaces_light) {
+                units.base = Some(found.remove(0).0);
+            }
+        }
+        let mut has_cube = false;
+        found.retain(|(unit, _)| {
+            let is_cube = unit.target == TextureTarget::Cube;
+            let is_drawn = !is_cube || !has_cube;
+            has_cube |= is_cube;
+            if !is_drawn {
+                left_out.push("OpenSceneGraph: second cube map of a surface");
+            }
+            is_drawn
+        });
+        if found.len() > TEXTURE_UNITS {
+            left_out.push("OpenSceneGraph: texture of a fifth unit");
+            found.truncate(TEXTURE_UNITS);
+        }
+        let numbers: Vec<usize> = found.iter().map(|(unit, _)| unit.number).collect();
+        units.fixed = found.into_iter().map(|(unit, environment)| (unit, environment.renumbered(&numbers))).collect();
+        units
     }
 }
 
 impl Inheriting {
     fn resolve(states: &[Arc<StateObject>], number: usize) -> Self {
         let mut unit = Self {
-            is_on: Inherited::new(false),
-            is_generated: Inherited::new(false),
+            is_on: [const { Inherited::new(false) }; 4],
+            is_generated: [const { Inherited::new(false) }; 4],
             texture: Inherited::new(None),
-            environment: Inherited::new(Environment::Modulate),
+            generator: Inherited::new((GL_EYE_LINEAR, PLANES)),
+            matrix: Inherited::new(None),
+            environment: Inherited::new(Some(Environment::of_mode(Environment::GL_MODULATE, [0.0; 4]))),
         };
         for state in states {
             for (mode, flags) in state.texture_modes.get(number).into_iter().flatten() {
-                match *mode {
-                    GL_TEXTURE_2D => unit.is_on.apply(flags & ON != 0, *flags),
-                    GL_TEXTURE_GEN_S => unit.is_generated.apply(flags & ON != 0, *flags),
-                    _ => {}
+                let is_on = flags & ON != 0;
+                if let Some(at) = TARGETS.iter().position(|target| *target as u32 == *mode) {
+                    unit.is_on[at].apply(is_on, *flags);
+                } else if let Some(at) = GL_TEXTURE_GEN.iter().position(|of| of == mode) {
+                    unit.is_generated[at].apply(is_on, *flags);
                 }
             }
             for (attribute, flags) in state.texture_attributes.get(number).into_iter().flatten() {
                 match &**attribute {
                     AttributeObject::Texture(_) => unit.texture.apply(Some(attribute.clone()), *flags),
-                    AttributeObject::TexEnv(mode) => unit.environment.apply(Environment::of_mode(*mode), *flags),
+                    AttributeObject::TexGen { mode, planes } => unit.generator.apply((*mode, *planes), *flags),
+                    AttributeObject::TexMat(_) => unit.matrix.apply(Some(attribute.clone()), *flags),
+                    AttributeObject::TexEnv { mode, color } => {
+                        unit.environment.apply(Some(Environment::of_mode(*mode, *color)), *flags);
+                    }
                     AttributeObject::Combine(combine) => {
                         unit.environment.apply(Environment::of_combine(combine, number), *flags);
                     }
@@ -147,51 +194,30 @@ impl Inheriting {
         }
         unit
     }
-}
 
-impl Environment {
-    fn of_mode(mode: u32) -> Self {
-        match mode {
-            GL_REPLACE => Self::Replace,
-            GL_MODULATE => Self::Modulate,
-            GL_DECAL => Self::Over,
-            GL_ADD => Self::Add,
-            GL_BLEND => Self::LeftOut("OpenSceneGraph: TexEnv BLEND"),
-            _ => Self::LeftOut("OpenSceneGraph: unknown TexEnv"),
+    /// Returns the unit with its environment; `None` if it is off. The error says what is not drawn.
+    fn into_unit(self, number: usize) -> Result<Option<(Unit, Environment)>, &'static str> {
+        let Some(texture) = self.texture.value else { return Ok(None) };
+        let AttributeObject::Texture(object) = &*texture else { return Ok(None) };
+        let target = object.target;
+        let is_on = TARGETS.iter().zip(&self.is_on).any(|(of, is_on)| *of == target && is_on.value);
+        if !is_on {
+            return Ok(None);
         }
-    }
-
-    /// Returns the environment that a TexEnvCombine of a unit equals.
-    fn of_combine(combine: &CombineObject, number: usize) -> Self {
-        let CombineObject { function, sources, operands, scale } = *combine;
-        let of = |i: usize| match sources[i] {
-            // A unit can name its own texture by its number.
-            source if source.checked_sub(GL_TEXTURE0) == Some(number as u32) => (GL_TEXTURE, operands[i]),
-            // The first unit has the lit colour below it.
-            GL_PRIMARY_COLOR if number == 0 => (GL_PREVIOUS, operands[i]),
-            source => (source, operands[i]),
+        let [has_s, _, has_r, has_q] = self.is_generated.map(|mode| mode.value);
+        let (mode, planes) = self.generator.value;
+        let mut coordinates = match has_s {
+            true => Coordinates::generated(mode, planes, [has_r, has_q])
+                .ok_or("OpenSceneGraph: texture with generated coordinates (TexGen) of an unknown kind")?,
+            false => Coordinates::GEOMETRY,
         };
-        const TEXTURE: (u32, u32) = (GL_TEXTURE, GL_SRC_COLOR);
-        const PREVIOUS: (u32, u32) = (GL_PREVIOUS, GL_SRC_COLOR);
-        const LIGHT: (u32, u32) = (GL_PRIMARY_COLOR, GL_SRC_COLOR);
-        let is_pair = |other| [of(0), of(1)] == [TEXTURE, other] || [of(0), of(1)] == [other, TEXTURE];
-        let is_over = |other: (u32, u32)| match [of(0), of(1), of(2)] {
-            [TEXTURE, below, (GL_TEXTURE, GL_SRC_ALPHA)] => below == other,
-            [below, TEXTURE, (GL_TEXTURE, GL_ONE_MINUS_SRC_ALPHA)] => below == other,
-            _ => false,
-        };
-        match function {
-            _ if scale != 1.0 => Self::LeftOut("OpenSceneGraph: scale of a TexEnvCombine"),
-            GL_REPLACE if of(0) == TEXTURE => Self::Replace,
-            GL_REPLACE if of(0) == PREVIOUS => Self::Hidden,
-            GL_MODULATE if is_pair(PREVIOUS) => Self::Modulate,
-            GL_MODULATE if is_pair(LIGHT) => Self::ModulateLight,
-            GL_ADD if is_pair(PREVIOUS) => Self::Add,
-            GL_INTERPOLATE if is_over(PREVIOUS) => Self::Over,
-            function if GL_DOT3.contains(&function) => {
-                Self::LeftOut("OpenSceneGraph: TexEnvCombine with a dot product (bump map)")
-            }
-            _ => Self::LeftOut("OpenSceneGraph: TexEnvCombine of another function or other sources"),
+        let mut is_in_texels = target == TextureTarget::Rectangle;
+        if let Some(AttributeObject::TexMat(matrix)) = self.matrix.value.as_deref() {
+            coordinates =
+                coordinates.moved(matrix).ok_or("OpenSceneGraph: texture with a TexMat that is not finite")?;
+            is_in_texels &= !matrix.scales_by_size;
         }
+        let environment = self.environment.value.ok_or("OpenSceneGraph: TexEnvCombine of an unknown function")?;
+        Ok(Some((Unit { number, texture, target, coordinates, is_in_texels }, environment)))
     }
 }

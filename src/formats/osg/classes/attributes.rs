@@ -4,10 +4,10 @@ use std::sync::Arc;
 
 use super::Reader;
 use crate::formats::osg::error::Result;
-use crate::formats::osg::input::{GL_NAMES, Names, Number};
-use crate::formats::osg::objects::{AttributeObject, ImageObject, MaterialObject, Object, TextureObject};
+use crate::formats::osg::input::Names;
+use crate::formats::osg::objects::{AttributeObject, MaterialObject, Object, TextureTarget};
 
-const COMPARISONS: Names = &[
+pub(super) const COMPARISONS: Names = &[
     ("NEVER", 0x200),
     ("LESS", 0x201),
     ("EQUAL", 0x202),
@@ -23,7 +23,10 @@ impl Reader<'_> {
     pub(super) fn attribute_of(&mut self, class: &str) -> Result<Option<Object>> {
         let attribute = match class {
             "Material" => self.material()?,
-            "Texture2D" => self.texture()?,
+            "Texture1D" => self.texture(TextureTarget::D1)?,
+            "Texture2D" => self.texture(TextureTarget::D2)?,
+            "TextureRectangle" => self.texture(TextureTarget::Rectangle)?,
+            "TextureCubeMap" => self.texture(TextureTarget::Cube)?,
             "BlendFunc" => {
                 self.attribute_members()?;
                 let source = self.gl_member("SourceRGB", 0)?;
@@ -71,10 +74,11 @@ impl Reader<'_> {
                     &[("DECAL", 0x2101), ("MODULATE", 0x2100), ("BLEND", 0xbe2), ("REPLACE", 0x1e01), ("ADD", 0x104)];
                 self.attribute_members()?;
                 let mode = self.named_member("Mode", MODES, 0x2100)?;
-                self.floats_member("Color", [0.0; 4])?;
-                AttributeObject::TexEnv(mode)
+                AttributeObject::TexEnv { mode, color: self.floats_member("Color", [0.0; 4])? }
             }
             "TexEnvCombine" => self.tex_env_combine()?,
+            "TexGen" => self.tex_gen()?,
+            "TexMat" => self.tex_mat()?,
             "ShadeModel" => {
                 const MODES: Names = &[("FLAT", 0x1d00), ("SMOOTH", 0x1d01)];
                 self.attribute_members()?;
@@ -149,78 +153,5 @@ impl Reader<'_> {
         self.input.keyword("Back")?;
         let back = self.floats()?;
         Ok(if is_same { [front; 2] } else { [front, back] })
-    }
-
-    fn texture(&mut self) -> Result<AttributeObject> {
-        const FORMAT_MODES: Names = &[
-            ("USE_IMAGE_DATA_FORMAT", 0),
-            ("USE_USER_DEFINED_FORMAT", 1),
-            ("USE_ARB_COMPRESSION", 2),
-            ("USE_S3TC_DXT1_COMPRESSION", 3),
-            ("USE_S3TC_DXT3_COMPRESSION", 4),
-            ("USE_S3TC_DXT5_COMPRESSION", 5),
-            ("USE_PVRTC_2BPP_COMPRESSION", 6),
-            ("USE_PVRTC_4BPP_COMPRESSION", 7),
-            ("USE_ETC_COMPRESSION", 8),
-            ("USE_RGTC1_COMPRESSION", 9),
-            ("USE_RGTC2_COMPRESSION", 10),
-            ("USE_S3TC_DXT1c_COMPRESSION", 11),
-            ("USE_S3TC_DXT1a_COMPRESSION", 12),
-        ];
-        const SHADOW_MODES: Names = &[("LUMINANCE", 0x1909), ("INTENSITY", 0x8049), ("ALPHA", 0x1906), ("NONE", 0)];
-        self.attribute_members()?;
-        let [wrap_s, wrap_t, _] = self.gl_members(["WRAP_S", "WRAP_T", "WRAP_R"], 0x2900)?;
-        let [min_filter] = self.gl_members(["MIN_FILTER"], 0x2703)?;
-        let [mag_filter] = self.gl_members(["MAG_FILTER"], 0x2601)?;
-        self.float_member("MaxAnisotropy", 1.0)?;
-        self.boolean_member("UseHardwareMipMapGeneration", true)?;
-        self.boolean_member("UnRefImageDataAfterApply", false)?;
-        self.boolean_member("ClientStorageHint", false)?;
-        self.boolean_member("ResizeNonPowerOfTwoHint", true)?;
-        if self.member("BorderColor")? {
-            self.doubles::<4>()?;
-        }
-        self.integer_member("BorderWidth", 0)?;
-        self.named_member("InternalFormatMode", FORMAT_MODES, 0)?;
-        self.gl_members(["InternalFormat", "SourceFormat", "SourceType"], 0)?;
-        self.boolean_member("ShadowComparison", false)?;
-        self.named_member("ShadowCompareFunc", COMPARISONS, 0x203)?;
-        self.named_member("ShadowTextureMode", SHADOW_MODES, 0x1909)?;
-        self.float_member("ShadowAmbient", 0.0)?;
-        if (95..154).contains(&self.version) && self.marked_member("ImageAttachment")? {
-            for number in [Number::U32, Number::I32, Number::U8, Number::I32, Number::U32, Number::U32] {
-                self.input.number(number)?;
-            }
-        }
-        if self.version >= 98 && self.marked_member("Swizzle")? {
-            self.input.word()?;
-        }
-        if self.version >= 155 {
-            for name in ["MinLOD", "MaxLOD", "LODBias"] {
-                self.float_member(name, 0.0)?;
-            }
-        }
-        let image = self.image_member("Image")?;
-        self.integer_member("TextureWidth", 0)?;
-        self.integer_member("TextureHeight", 0)?;
-        Ok(AttributeObject::Texture(TextureObject { wrap: [wrap_s, wrap_t], min_filter, mag_filter, image }))
-    }
-
-    /// Reads OpenGL's constants that are marked in binary.
-    fn gl_members<const N: usize>(&mut self, names: [&str; N], default: u32) -> Result<[u32; N]> {
-        let mut values = [default; N];
-        for (value, name) in values.iter_mut().zip(names) {
-            if self.marked_member(name)? {
-                *value = self.input.named(GL_NAMES)?;
-            }
-        }
-        Ok(values)
-    }
-
-    fn image_member(&mut self, name: &str) -> Result<Option<Arc<ImageObject>>> {
-        if !self.member(name)? || !self.input.boolean()? {
-            return Ok(None);
-        }
-        self.in_braces(Self::image)
     }
 }

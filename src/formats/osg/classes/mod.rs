@@ -3,6 +3,7 @@
 //! The layout is that of OSG 2.9.9 to 3.7, whose numbers of versions (SOVERSION) are 65 to 162. A class that is unknown is
 //! skipped where the file has the sizes of its blocks; elsewhere it is an error, since what follows cannot be found.
 
+mod animation;
 mod arrays;
 mod attributes;
 mod combine;
@@ -13,11 +14,14 @@ mod members;
 mod nodes;
 mod shapes;
 mod states;
+mod textures;
 
 use std::collections::HashMap;
 use std::sync::Arc;
 
 pub(super) use self::arrays::array_type;
+pub(super) use self::nodes::{SEQUENCES, first_of_sequence};
+pub(super) use self::textures::{PLANES, TEX_GEN_MODES};
 
 use super::error::{OsgError, Result};
 use super::input::{Input, Opened, open};
@@ -26,14 +30,19 @@ use crate::fetch::Limits;
 use crate::formats::ignored::{Ignored, Notes};
 
 /// Classes without effect on what is drawn, which are skipped without a note.
-const SILENT: [&str; 6] = [
+const SILENT: [&str; 8] = [
     "osg::VertexBufferObject",
     "osg::ElementBufferObject",
     "osg::PixelBufferObject",
     "osg::DefaultUserDataContainer",
     "osg::TessellationHints",
     "osg::EllipsoidModel",
+    // They belong to programs, which are noted.
+    "osg::Shader",
+    "osg::Uniform",
 ];
+/// What is said of programs, in all encodings.
+pub(super) const PROGRAMS: &str = "OpenSceneGraph: shader programs in GLSL (not run)";
 
 /// Reads the objects of one file. One thread.
 pub(super) struct Reader<'a> {
@@ -126,6 +135,9 @@ impl Reader<'_> {
         if let Some(object) = self.attribute_of(short)? {
             return Ok(object);
         }
+        if let Some(object) = self.pose_of(short)? {
+            return Ok(object);
+        }
         match short {
             "Geometry" => self.geometry(),
             "ShapeDrawable" => self.shape_drawable(),
@@ -153,7 +165,9 @@ impl Reader<'_> {
             let what = format!("class {} in a file without sizes of blocks", shortened(class));
             return Err(OsgError::Unsupported(what));
         }
-        if !SILENT.contains(&class) {
+        if class == "osg::Program" {
+            self.notes.add(PROGRAMS);
+        } else if !SILENT.contains(&class) {
             self.notes.add(format!("OpenSceneGraph class {}", shortened(class)));
         }
         Ok(Object::Nothing)

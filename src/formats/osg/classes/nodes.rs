@@ -12,7 +12,7 @@ use crate::formats::osg::objects::{
 };
 
 /// Classes whose members begin like those of a Group. Their own members are left out.
-const LIKE_GROUPS: [&str; 8] = [
+const LIKE_GROUPS: [&str; 7] = [
     "osg::CoordinateSystemNode",
     "osg::LightSource",
     "osg::ClipNode",
@@ -20,8 +20,17 @@ const LIKE_GROUPS: [&str; 8] = [
     "osg::ClearNode",
     "osg::OccluderNode",
     "osg::OcclusionQueryNode",
-    "osg::Sequence",
 ];
+
+/// What is said of Sequences, in all encodings.
+pub(in crate::formats::osg) const SEQUENCES: &str = "OpenSceneGraph class osg::Sequence (its first child is drawn)";
+
+/// Returns a Switch that shows one child of a Sequence: the first one that plays. A negative number counts from the end.
+pub(in crate::formats::osg) fn first_of_sequence(begin: f64, count: usize) -> NodeClass {
+    let first = if begin < 0.0 { count as f64 + begin } else { begin };
+    let first = (first.max(0.0) as usize).min(count.saturating_sub(1));
+    NodeClass::Switch((0..count).map(|child| child == first).collect())
+}
 
 /// The members that all nodes have.
 pub(super) struct NodeMembers {
@@ -29,12 +38,14 @@ pub(super) struct NodeMembers {
     mask: u32,
     culling_active: bool,
     pub state: Option<Arc<StateObject>>,
+    /// The pose of an animation, which replaces that of a transform.
+    pose: Option<Box<DAffine3>>,
 }
 
 impl NodeMembers {
     /// Returns the node with the members of its class.
     pub fn with(self, class: NodeClass, children: Vec<Object>) -> Object {
-        let Self { name, mask, culling_active, state } = self;
+        let Self { name, mask, culling_active, state, .. } = self;
         let height = 1 + children.iter().map(Object::height).max().unwrap_or(0);
         Object::Node(Arc::new(NodeObject { name, mask, culling_active, state, class, children, height }))
     }
@@ -59,6 +70,7 @@ impl Reader<'_> {
             "LOD" => self.lod()?,
             "PagedLOD" => self.paged_lod()?,
             "ProxyNode" => self.proxy_node()?,
+            "Sequence" => self.sequence()?,
             "Billboard" => self.billboard()?,
             "AutoTransform" => self.auto_transform()?,
             _ if LIKE_GROUPS.contains(&class) && self.input.can_skip() => {
@@ -150,8 +162,11 @@ impl Reader<'_> {
                 reader.double()
             })?;
         }
+        let mut pose = None;
         for callback in ["ComputeBoundingSphereCallback", "UpdateCallback", "EventCallback", "CullCallback"] {
-            self.object_member(callback)?;
+            if let Object::Pose(of_callback) = self.object_member(callback)? {
+                pose = Some(of_callback);
+            }
         }
         let culling_active = self.boolean_member("CullingActive", true)?;
         let mask = self.unsigned_member("NodeMask", u32::MAX)?;
@@ -159,7 +174,7 @@ impl Reader<'_> {
             self.list(|reader| reader.input.quoted())?;
         }
         let state = self.state_member("StateSet")?;
-        Ok(NodeMembers { name, mask, culling_active, state })
+        Ok(NodeMembers { name, mask, culling_active, state, pose })
     }
 
     /// Reads the members of the classes Object, Node and Group.
@@ -190,12 +205,13 @@ impl Reader<'_> {
         if !is_affine {
             self.notes.add("OpenSceneGraph: a matrix that is not affine".to_owned());
         }
-        let parent_from_child = is_affine.then(|| DAffine3::from_mat4(matrix));
+        let parent_from_child =
+            node.pose.as_deref().copied().or_else(|| is_affine.then(|| DAffine3::from_mat4(matrix)));
         Ok(node.with(NodeClass::Transform { parent_from_child, is_absolute }, children))
     }
 
     /// Reads a matrix. OSG multiplies rows, so that its rows are the columns of ours.
-    fn matrix(&mut self) -> Result<DMat4> {
+    pub(super) fn matrix(&mut self) -> Result<DMat4> {
         // Old text files name the type.
         if self.input.is_text() && !self.input.matches("Matrixd")? {
             self.input.matches("Matrixf")?;
@@ -213,7 +229,7 @@ impl Reader<'_> {
         let pivot = self.point_member("PivotPoint", DVec3::ZERO)?;
         let map =
             DAffine3::from_scale_rotation_translation(scale, rotation, position) * DAffine3::from_translation(-pivot);
-        let parent_from_child = map.is_finite().then_some(map);
+        let parent_from_child = node.pose.as_deref().copied().or(Some(map).filter(|map| map.is_finite()));
         Ok(node.with(NodeClass::Transform { parent_from_child, is_absolute }, children))
     }
 
@@ -223,6 +239,26 @@ impl Reader<'_> {
         let mut shown = self.vector_member("ValueList", |reader| reader.input.boolean())?;
         shown.resize(children.len(), default);
         Ok(node.with(NodeClass::Switch(shown), children))
+    }
+
+    /// Reads a Sequence as a Switch that shows its first child.
+    fn sequence(&mut self) -> Result<Object> {
+        const LOOPS: Names = &[("LOOP", 0), ("SWING", 1)];
+        const MODES: Names = &[("START", 0), ("STOP", 1), ("PAUSE", 2), ("RESUME", 3)];
+        let (node, children) = self.group_members()?;
+        self.vector_member("TimeList", Self::double)?;
+        self.named_member("LoopMode", LOOPS, 0)?;
+        let begin = self.integer_member("Begin", 0)?;
+        self.integer_member("End", -1)?;
+        self.float_member("Speed", 0.0)?;
+        self.integer_member("NumRepeats", -1)?;
+        self.double_member("DefaultTime", 1.0)?;
+        self.double_member("LastFrameTime", 0.0)?;
+        self.named_member("Mode", MODES, 1)?;
+        self.boolean_member("Sync", false)?;
+        self.boolean_member("ClearOnStop", false)?;
+        self.notes.add(SEQUENCES);
+        Ok(node.with(first_of_sequence(f64::from(begin), children.len()), children))
     }
 
     /// Reads a number of a type as an integer.

@@ -36,7 +36,7 @@ impl Reader<'_> {
             state.texture_attributes = self.list(|reader| reader.of_unit(Self::attributes))?;
         }
         if self.marked_member("UniformList")? {
-            state.uniforms = self.list(|reader| reader.with_flags(Self::object))?.len();
+            self.list(|reader| reader.with_flags(Self::object))?;
         }
         state.hint = self.integer_member("RenderingHint", 0)?;
         state.bin_mode = self.named_member("RenderBinMode", BIN_MODES, 0)?;

@@ -15,7 +15,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use self::fields::{Block, Field};
-use super::classes::ReadFile;
+use super::classes::{PROGRAMS, ReadFile};
 use super::error::{OsgError, Result};
 use super::objects::{ArrayObject, Object, StateObject};
 use crate::fetch::Limits;
@@ -112,6 +112,11 @@ impl Reader {
             Object::Shape(Arc::new(shape))
         } else if short == "StateSet" || short == "GeoState" {
             Object::State(Arc::new(self.state_set(block)?))
+        } else if short == "Program" {
+            self.notes.add(PROGRAMS);
+            Object::Nothing
+        } else if matches!(short, "Uniform" | "Shader") {
+            Object::Nothing
         } else {
             self.notes.add(format!("OpenSceneGraph class {}", class.chars().take(60).collect::<String>()));
             Object::Nothing

@@ -6,6 +6,7 @@ use glam::{DAffine3, DMat4, DQuat, DVec3, DVec4};
 
 use super::Reader;
 use super::fields::{Block, number_of};
+use crate::formats::osg::classes::{SEQUENCES, first_of_sequence};
 use crate::formats::osg::error::{OsgError, Result};
 use crate::formats::osg::objects::{
     AutoObject, AutoTurn, BillboardObject, BillboardTurn, CenterMode, LodObject, NodeClass, NodeObject, Object,
@@ -41,7 +42,7 @@ const LIKE_GROUPS: [&str; 7] = [
 /// Bones in their rest pose.
 const LIKE_TRANSFORMS: [&str; 2] = ["osgAnimation::Skeleton", "osgAnimation::Bone"];
 /// Fields of nodes with a block that is no object.
-const LISTS: [&str; 6] = ["Matrix", "Ranges", "RangeList", "FileNameList", "Positions", "ValueList"];
+const LISTS: [&str; 7] = ["Matrix", "Ranges", "RangeList", "FileNameList", "Positions", "ValueList", "frameTime"];
 
 /// Returns true for a class of nodes.
 pub(super) fn is_node(class: &str) -> bool {
@@ -75,7 +76,9 @@ impl Reader {
         if !is_bone && !is_node(class) {
             return Ok(None);
         }
-        if is_bone || class == "Sequence" || (LIKE_GROUPS.contains(&class) && class != "CoordinateSystemNode") {
+        if class == "Sequence" {
+            self.notes.add(SEQUENCES);
+        } else if is_bone || (LIKE_GROUPS.contains(&class) && class != "CoordinateSystemNode") {
             self.notes.add(format!("OpenSceneGraph class {class} (its children are drawn)"));
         }
         let mut children = self.objects(block)?;
@@ -89,6 +92,11 @@ impl Reader {
             "PositionAttitudeTransform" => transform(block, Some(placement(block)).filter(|map| map.is_finite())),
             "AutoTransform" => NodeClass::AutoTransform(auto(block)),
             "Switch" => NodeClass::Switch(switch(block, children.len())),
+            "Sequence" => {
+                // `interval LOOP 0 -1`: the first child that plays follows the mode.
+                let interval = block.field("interval").and_then(|field| field.numbers(2));
+                first_of_sequence(interval.map_or(0.0, |[begin]| begin), children.len())
+            }
             "LOD" => NodeClass::Lod(lod(block)),
             "PagedLOD" => NodeClass::PagedLod(lod(block), paged(block)),
             "ProxyNode" => NodeClass::Proxy(proxy(block)),

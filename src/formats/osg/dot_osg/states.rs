@@ -2,12 +2,16 @@
 
 use std::sync::Arc;
 
+use glam::DMat4;
+
 use super::Reader;
 use super::fields::{Block, Field, number_of};
+use crate::formats::osg::classes::{PLANES, TEX_GEN_MODES};
 use crate::formats::osg::error::Result;
 use crate::formats::osg::input::{GL_NAMES, Names, value_of};
 use crate::formats::osg::objects::{
-    AttributeObject, CombineObject, ImageData, ImageObject, MaterialObject, Object, StateObject, TextureObject,
+    AttributeObject, CombineObject, CombinePart, ImageData, ImageObject, MaterialObject, Object, StateObject,
+    TexMatObject, TextureObject, TextureTarget,
 };
 
 /// The number of texture units that a state set can have.
@@ -72,7 +76,11 @@ impl Reader {
             let Some(Object::Attribute(attribute)) = self.object(field)? else { continue };
             let is_of_texture = matches!(
                 *attribute,
-                AttributeObject::Texture(_) | AttributeObject::TexEnv(_) | AttributeObject::Combine(_)
+                AttributeObject::Texture(_)
+                    | AttributeObject::TexEnv { .. }
+                    | AttributeObject::Combine(_)
+                    | AttributeObject::TexGen { .. }
+                    | AttributeObject::TexMat(_)
             );
             match unit.or(is_of_texture.then_some(0)) {
                 Some(unit) => of_unit(&mut state.texture_attributes, unit).push((attribute, 0)),
@@ -87,27 +95,51 @@ impl Reader {
         let gl = |name: &str, default: u32| value_of(GL_NAMES, block.word(name)).unwrap_or(default);
         Some(match class {
             "Material" => AttributeObject::Material(material(block)),
-            "Texture2D" => AttributeObject::Texture(texture(block)),
+            "Texture1D" => AttributeObject::Texture(texture(block, TextureTarget::D1)),
+            "Texture2D" | "Texture" => AttributeObject::Texture(texture(block, TextureTarget::D2)),
+            "TextureRectangle" => AttributeObject::Texture(texture(block, TextureTarget::Rectangle)),
+            "TextureCubeMap" => AttributeObject::Texture(texture(block, TextureTarget::Cube)),
             "TexEnv" => {
                 const MODES: Names =
                     &[("DECAL", 0x2101), ("MODULATE", 0x2100), ("BLEND", 0xbe2), ("REPLACE", 0x1e01), ("ADD", 0x104)];
-                AttributeObject::TexEnv(value_of(MODES, block.word("mode")).unwrap_or(0x2100))
+                let mode = value_of(MODES, block.word("mode")).unwrap_or(0x2100);
+                AttributeObject::TexEnv { mode, color: color(block, "color") }
             }
             "TexEnvCombine" => {
-                let names = |kind: &str| [0, 1, 2].map(|i| format!("{kind}{i}_RGB"));
-                let [sources, operands] = [("source", [0x1702, 0x8578, 0x8576]), ("operand", [0x300, 0x300, 0x302])]
-                    .map(|(kind, defaults)| {
-                        let mut values = defaults;
-                        values.iter_mut().zip(names(kind)).for_each(|(value, name)| *value = gl(&name, *value));
-                        values
-                    });
-                let scale = block.value("scale_RGB").unwrap_or(1.0) as f32;
+                let part = |mut part: CombinePart, kind: &str| {
+                    part.function = gl(&format!("combine_{kind}"), part.function);
+                    for i in 0..3 {
+                        part.sources[i] = gl(&format!("source{i}_{kind}"), part.sources[i]);
+                        part.operands[i] = gl(&format!("operand{i}_{kind}"), part.operands[i]);
+                    }
+                    part.scale = block.value(&format!("scale_{kind}")).map_or(part.scale, |scale| scale as f32);
+                    part
+                };
+                let CombineObject { color: of_color, alpha, .. } = CombineObject::default();
+                let constant = color(block, "constantColor");
                 AttributeObject::Combine(CombineObject {
-                    function: gl("combine_RGB", 0x2100),
-                    sources,
-                    operands,
-                    scale,
+                    color: part(of_color, "RGB"),
+                    alpha: part(alpha, "Alpha"),
+                    constant,
                 })
+            }
+            "TexGen" => {
+                let names = ["plane_s", "plane_t", "plane_r", "plane_q"];
+                let mut planes = PLANES;
+                for (plane, name) in planes.iter_mut().zip(names) {
+                    *plane = block.values(name).unwrap_or(*plane);
+                }
+                AttributeObject::TexGen { mode: value_of(TEX_GEN_MODES, block.word("mode")).unwrap_or(0x2401), planes }
+            }
+            "TexMat" => {
+                // The numbers stand in the TexMat itself, as lines behind its other fields.
+                let lines = block.fields.iter().filter(|field| number_of(field.word(0)).is_some());
+                let lines = lines.flat_map(|field| &field.words).filter_map(|word| number_of(word));
+                let numbers: Vec<f64> = block.numbers.iter().copied().chain(lines).collect();
+                let numbers: Option<[f64; 16]> = numbers.try_into().ok();
+                let matrix = numbers.map_or(DMat4::IDENTITY, |numbers| DMat4::from_cols_array(&numbers));
+                let scales_by_size = block.word("scaleByTextureRectangleSize") == "TRUE";
+                AttributeObject::TexMat(TexMatObject { matrix, scales_by_size })
             }
             "BlendFunc" => {
                 let (source, destination) = (gl("source", 0x302), gl("destination", 0x303));
@@ -206,14 +238,36 @@ fn material(block: &Block<'_>) -> MaterialObject {
     MaterialObject { color_mode, ambient, diffuse, specular, emission, shininess }
 }
 
-fn texture(block: &Block<'_>) -> TextureObject {
+/// Returns the colour behind a name; black without alpha without it.
+fn color(block: &Block<'_>, name: &str) -> [f32; 4] {
+    block.values(name).unwrap_or([0.0; 4]).map(|part| part as f32)
+}
+
+fn texture(block: &Block<'_>, target: TextureTarget) -> TextureObject {
+    const FACES: [&str; 6] = ["POSITIVE_X", "NEGATIVE_X", "POSITIVE_Y", "NEGATIVE_Y", "POSITIVE_Z", "NEGATIVE_Z"];
     let gl = |name: &str, default: u32| value_of(GL_NAMES, block.word(name)).unwrap_or(default);
-    let file_name = block.word("file").to_owned();
-    let image = (!file_name.is_empty()).then(|| Arc::new(ImageObject { file_name, data: ImageData::External }));
+    let image = |file_name: &str| {
+        let file_name = file_name.to_owned();
+        (!file_name.is_empty()).then(|| Arc::new(ImageObject { file_name, data: ImageData::External }))
+    };
+    let face = |name: &str| block.fields.iter().find(|field| field.word(0) == "image" && field.word(1) == name);
+    let images = match target {
+        TextureTarget::Cube => FACES.iter().map(|name| image(face(name)?.word(2))).collect(),
+        _ => vec![image(block.word("file")).or_else(|| image(&first_of_sequence(block)?))],
+    };
     TextureObject {
+        target,
         wrap: ["wrap_s", "wrap_t"].map(|name| gl(name, 0x2900)),
         min_filter: gl("min_filter", 0x2703),
         mag_filter: gl("mag_filter", 0x2601),
-        image,
+        border_color: color(block, "borderColor"),
+        images,
     }
+}
+
+/// Returns the name of the first image of an ImageSequence.
+fn first_of_sequence(block: &Block<'_>) -> Option<String> {
+    let sequence = block.field("ImageSequence")?.block.as_ref()?;
+    let names = sequence.field("FileNames")?.block.as_ref()?;
+    names.fields.first()?.words.first().map(|word| word.to_string())
 }

@@ -173,7 +173,8 @@ impl Writer<'_> {
             let colors: Vec<[u8; 4]> = mesh.vertices.iter().map(|vertex| vertex.color).collect();
             add("COLOR_0", "VEC4", Component::U8, 4, bytemuck::cast_slice(&colors));
         }
-        for (name, ..) in mesh.attributes.iter().filter(|(name, ..)| *name != SecondUv::ATTRIBUTE) {
+        let further_uvs = [SecondUv::ATTRIBUTE, SecondUv::THIRD_ATTRIBUTE];
+        for (name, ..) in mesh.attributes.iter().filter(|(name, ..)| !further_uvs.contains(name)) {
             self.notes.add(format!("vertex attribute {name}"));
         }
         let mut primitive = json!({ "material": material, "mode": mode });
