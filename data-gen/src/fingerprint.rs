@@ -6,7 +6,7 @@ use std::time::UNIX_EPOCH;
 
 use crate::georeference::files_beside;
 use crate::pyramid::checksum;
-use crate::store::{is_remote, remote_version};
+use crate::store::{is_remote, remote_versions};
 use crate::{GenArgs, GenError, RunArgs, Sharding};
 
 /// Returns the fingerprint of a run. The sources are files: lists and patterns have been expanded.
@@ -45,7 +45,8 @@ pub(crate) fn options_text(args: &GenArgs) -> Result<String, GenError> {
 pub(crate) fn source_text(path: &Path, args: &GenArgs) -> Result<String, GenError> {
     let mut text = String::new();
     if is_remote(path) {
-        return Ok(format!("\n{path:?} {}", remote_version(path, &args.run.allow_host)?));
+        let files = remote_versions(path, &files_beside(path), &args.run.allow_host)?;
+        return Ok(files.iter().map(|(path, version)| format!("\n{path:?} {version}")).collect());
     }
     add_file(path, &mut text)?;
     for beside in files_beside(path) {

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::generate::Opened;
-use crate::output::{Builder, Journal, tiles_and_bytes};
+use crate::output::{Builder, Journal, TerrainSet, spread, tiles_and_bytes};
 use crate::pyramid::{Grid, Layer, Plan, TileKey, tiles_with_data};
 use crate::{GenArgs, GenError, Voids, WorldSet};
 
@@ -147,12 +147,6 @@ fn count_tiles(grid: &Grid<'_>, plan: &Plan) -> (Vec<u64>, Vec<TileKey>) {
     (counts, roots)
 }
 
-/// Returns some of a list of tiles, with equal distances.
-fn spread(keys: &[TileKey], count: usize) -> Vec<TileKey> {
-    let count = count.min(keys.len());
-    (0..count).map(|k| keys[(2 * k + 1) * keys.len() / (2 * count)]).collect()
-}
-
 /// Makes subtrees of the finest levels inside some blocks.
 fn sample(args: &GenArgs, opened: &Opened<'_>, blocks: &[TileKey], places: usize) -> Result<Sample, GenError> {
     let grid = opened.grid;
@@ -223,6 +217,40 @@ fn files_of_level(folder: &Path) -> Result<(u64, u64), GenError> {
     Ok((stems.len() as u64, bytes))
 }
 
+/// Predicts terrain for globes, from subtrees at a number of places.
+pub(crate) fn predict_terrain(
+    args: &GenArgs,
+    set: &TerrainSet<'_>,
+    out: &Path,
+    places: usize,
+) -> Result<Prediction, GenError> {
+    let begin = Instant::now();
+    let counts = set.count_tiles(args);
+    let start = begin.elapsed();
+    let root = set.levels.saturating_sub(SAMPLE_LEVELS);
+    let folder = tempfile::tempdir().map_err(GenError::file(std::env::temp_dir()))?;
+    let begin = Instant::now();
+    let sample = set.sample(args, root, places, folder.path())?;
+    let work = begin.elapsed();
+    let level = |(level, tiles): (usize, u64)| {
+        // Coarser tiles are like the coarsest ones of the sample.
+        let [made, bytes] = sample[level.saturating_sub(root as usize)];
+        LevelPrediction { level: level as u32, tiles, bytes: (bytes as f64 / made.max(1) as f64 * tiles as f64) as u64 }
+    };
+    let levels: Vec<LevelPrediction> = counts.into_iter().enumerate().map(level).collect();
+    let sampled_tiles: u64 = sample.iter().map(|[made, _]| made).sum();
+    let tiles: u64 = levels.iter().map(|level| level.tiles).sum();
+    Ok(Prediction {
+        bytes: levels.iter().map(|level| level.bytes).sum(),
+        seconds: start.as_secs_f64() + work.as_secs_f64() / sampled_tiles.max(1) as f64 * tiles as f64,
+        levels,
+        tiles,
+        threads: rayon::current_num_threads(),
+        sampled_tiles,
+        free_bytes: free_bytes(out),
+    })
+}
+
 /// Predicts a set of a world.
 pub(crate) fn predict_world(set: &WorldSet, out: &Path) -> Result<Prediction, GenError> {
     let begin = Instant::now();
@@ -244,7 +272,7 @@ pub(crate) fn predict_world(set: &WorldSet, out: &Path) -> Result<Prediction, Ge
         .map(|key| {
             let tile = set.tile(*key)?;
             let (scatter, tileset) = (tile.scatter.as_ref().map_or(0, |glb| glb.len()), set.tileset(*key));
-            Ok((tile.exr.len() + tile.jpeg.len() + scatter + tileset.map_or(0, |json| json.len())) as u64)
+            Ok((tile.heights.len() + tile.jpeg.len() + scatter + tileset.map_or(0, |json| json.len())) as u64)
         })
         .collect();
     let (sizes, work) = (sizes?, begin.elapsed());

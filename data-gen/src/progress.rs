@@ -51,8 +51,11 @@ impl Progress {
         self.print_line();
     }
 
-    /// Sets the number of steps that are done.
+    /// Sets the number of steps that are done. A job that turns out to have more than it began with is longer.
     pub fn set_done(&self, steps: u64) {
+        if self.bar.length().is_some_and(|length| 0 < length && length < steps) {
+            self.bar.set_length(steps);
+        }
         self.bar.set_position(steps);
         self.print_line();
     }

@@ -12,7 +12,7 @@ use crate::output::write_whole;
 use crate::pyramid::{TileKey, checksum};
 
 /// The manifest in a shard's folder.
-const MANIFEST: &str = "shard.json";
+pub(crate) const MANIFEST: &str = "shard.json";
 
 /// The part of a set to make.
 #[derive(Clone, Debug, Default, PartialEq, clap::Args)]
@@ -70,6 +70,12 @@ impl Shard {
         out.with_file_name(format!("{name}.shard-{}-of-{}", self.number, self.count))
     }
 
+    /// Returns the shard that a folder beside a set is by its name; `None` for other folders.
+    pub fn of_folder(set: &str, folder: &str) -> Option<Self> {
+        let numbers = folder.strip_prefix(set)?.strip_prefix(".shard-")?;
+        numbers.replacen("-of-", "/", 1).parse().ok()
+    }
+
     /// Returns the shards whose folders lie beside the folder of a set, in order.
     fn beside(out: &Path) -> Result<Vec<Self>, GenError> {
         let name = out.file_name().unwrap_or_default().to_string_lossy().into_owned();
@@ -77,8 +83,7 @@ impl Shard {
         let mut found = Vec::new();
         for entry in std::fs::read_dir(parent).map_err(GenError::file(parent))? {
             let entry = entry.map_err(GenError::file(parent))?.file_name().to_string_lossy().into_owned();
-            let numbers = entry.strip_prefix(&name).and_then(|rest| rest.strip_prefix(".shard-"));
-            found.extend(numbers.and_then(|numbers| numbers.replacen("-of-", "/", 1).parse::<Self>().ok()));
+            found.extend(Self::of_folder(&name, &entry));
         }
         found.sort();
         Ok(found)
@@ -86,20 +91,33 @@ impl Shard {
 }
 
 /// Returns the plan of the shards of a set as JSON. `blocks` are the roots of the finest layer's blocks, `tiles` the number of tiles of
-/// each at most. Shards whose folders beside OUT are complete are marked.
-pub(crate) fn plan(count: u32, fingerprint: u64, levels: u32, blocks: &[TileKey], tiles: u64, out: &Path) -> String {
+/// each at most. Those that are `complete` are marked.
+pub(crate) fn plan(
+    count: u32,
+    fingerprint: u64,
+    levels: u32,
+    blocks: &[TileKey],
+    tiles: u64,
+    complete: &[Shard],
+) -> String {
     let shards: Vec<Value> = (1..=count)
         .map(|number| {
             let shard = Shard { number, count };
             let part = shard.part_of(blocks);
             let roots: Vec<String> = part.iter().map(|root| format!("{}/{}/{}", root.level, root.x, root.y)).collect();
-            let is_made = is_made(&shard.folder(out), fingerprint);
+            let is_made = complete.contains(&shard);
             let tiles = tiles * part.len() as u64;
             json!({ "shard": shard.to_string(), "complete": is_made, "tilesAtMost": tiles, "subtrees": roots })
         })
         .collect();
     let plan = json!({ "fingerprint": format!("{fingerprint:016x}"), "levels": levels, "shards": shards });
     format!("{plan:#}")
+}
+
+/// Returns the shards of a plan whose folders beside OUT are complete and were made with the fingerprint.
+pub(crate) fn complete(out: &Path, count: u32, fingerprint: u64) -> Vec<Shard> {
+    let all = (1..=count).map(|number| Shard { number, count });
+    all.filter(|shard| is_made(&shard.folder(out), fingerprint)).collect()
 }
 
 /// Writes the manifest of a shard: its files with their size and hash.
@@ -133,18 +151,23 @@ fn list(folder: &Path, prefix: &str, names: &mut Vec<String>) -> Result<(), GenE
 }
 
 /// The manifest of a shard: its fingerprint and files.
-struct Manifest {
+pub(crate) struct Manifest {
     fingerprint: String,
     /// The name of each file, its size in bytes and its hash.
     files: Vec<(String, u64, String)>,
 }
 
 impl Manifest {
-    fn read(folder: &Path) -> Result<Self, GenError> {
+    pub fn read(folder: &Path) -> Result<Self, GenError> {
         let path = folder.join(MANIFEST);
         let bytes = std::fs::read(&path).map_err(GenError::file(&path))?;
+        Self::parse(&path, &bytes)
+    }
+
+    /// Reads the JSON of the manifest at a path.
+    pub fn parse(path: &Path, bytes: &[u8]) -> Result<Self, GenError> {
         let parse = || {
-            let json: Value = serde_json::from_slice(&bytes).ok()?;
+            let json: Value = serde_json::from_slice(bytes).ok()?;
             let files = json["files"].as_array()?.iter().map(|file| {
                 let name = file[0].as_str()?;
                 // Names lead nowhere else.
@@ -153,13 +176,30 @@ impl Manifest {
             });
             Some(Self { fingerprint: json["fingerprint"].as_str()?.to_owned(), files: files.collect::<Option<_>>()? })
         };
-        parse().ok_or_else(|| GenError::invalid(&path, "is no manifest of a shard"))
+        parse().ok_or_else(|| GenError::invalid(path, "is no manifest of a shard"))
+    }
+
+    /// Returns true if the shard was made with a fingerprint.
+    pub fn is_of(&self, fingerprint: u64) -> bool {
+        self.fingerprint == format!("{fingerprint:016x}")
+    }
+
+    /// Returns the names of the files.
+    #[cfg(feature = "object-store")]
+    pub fn names(self) -> Vec<String> {
+        self.files.into_iter().map(|(name, ..)| name).collect()
     }
 }
 
 /// Returns true if the folder of a shard is complete and was made with the fingerprint.
 pub(crate) fn is_made(folder: &Path, fingerprint: u64) -> bool {
-    Manifest::read(folder).is_ok_and(|manifest| manifest.fingerprint == format!("{fingerprint:016x}"))
+    Manifest::read(folder).is_ok_and(|manifest| manifest.is_of(fingerprint))
+}
+
+/// Returns the folders of shards whose files a merge has moved into a complete set.
+pub(crate) fn left_over(out: &Path, fingerprint: u64) -> Result<Vec<PathBuf>, GenError> {
+    let is_left = |folder: &PathBuf| is_made(folder, fingerprint) || !folder.join(MANIFEST).exists();
+    Ok(Shard::beside(out)?.into_iter().map(|shard| shard.folder(out)).filter(is_left).collect())
 }
 
 /// Moves the files of all shards into the folder of a set. Fails, and names the shards, if some are missing, were made with other
@@ -210,4 +250,24 @@ pub(crate) fn gather(out: &Path, fingerprint: u64, folder: &Path) -> Result<Vec<
         return Err(problem(format!("{} files are missing or changed, such as {}", damaged.len(), first.join(", "))));
     }
     Ok(found.iter().map(|shard| shard.folder(out)).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Regression: the folders of shards stayed if a merge was killed when the set was in place.
+    #[test]
+    fn shards_of_a_complete_set_are_left_over_unless_they_are_of_other_options() {
+        let parent = tempfile::tempdir().unwrap();
+        let out = parent.path().join("set");
+        let shard = |text: &str| text.parse::<Shard>().unwrap().folder(&out);
+        for (text, fingerprint) in [("1/4", 7), ("2/4", 8), ("3/4", 7)] {
+            std::fs::create_dir_all(shard(text).join("3/1")).unwrap();
+            write_manifest(&shard(text), text.parse().unwrap(), fingerprint).unwrap();
+        }
+        // The removal of a folder was killed when its manifest was gone.
+        std::fs::remove_file(shard("3/4").join(MANIFEST)).unwrap();
+        assert_eq!(left_over(&out, 7).unwrap(), [shard("1/4"), shard("3/4")]);
+    }
 }

@@ -74,7 +74,13 @@ impl FileReader {
         }
         let Some(metadata) = self.metadata(uri)? else {
             let (archive, name) = self.open_archive_of(uri)?;
-            return gunzip(uri, archive.read(uri, &name, limits)?, limits);
+            let read = archive.read(uri, &name, limits).map_err(|error| match error {
+                IoError::NotFound { .. } if name.to_ascii_lowercase().contains(".3tz/") => {
+                    IoError::unsupported(uri, "a 3tz archive that another archive refers to; unpack the outer one")
+                }
+                error => error,
+            })?;
+            return gunzip(uri, read, limits);
         };
         let refused = |reason: &str| IoError::File { uri: uri.to_owned(), reason: reason.to_owned(), may_pass: false };
         if metadata.is_dir() {

@@ -58,6 +58,7 @@ pub use limits::Limits;
 pub use object_store::{ObjectFolder, ObjectHeaders, ObjectList};
 pub use panic_guard::DECODER_PANICKED;
 pub(crate) use panic_guard::guarded;
+pub(crate) use percent::percent_decode;
 pub use scope::{RootScope, resolve, root_uri};
 pub(crate) use source::{Loaded, Source};
 pub(crate) use time_limit::run_within;

@@ -34,7 +34,7 @@ mod tileset;
 mod whole_set;
 pub mod writers;
 
-pub use convert::{ConvertError, ConvertOptions, Converted, Counts, convert};
+pub use convert::{ConvertError, ConvertOptions, Converted, Counts, convert, crop};
 pub use database_path::set_database_path;
 pub use ignored::{Ignored, IgnoredLog};
 pub use image::ImageFiles;

@@ -150,6 +150,14 @@ fn decompression_bombs_are_refused() {
 }
 
 #[test]
+fn archive_that_an_archive_refers_to_is_named() {
+    let archive = Archive::new(&zipped(&contents(), options()));
+    let error = archive.read("below/other.3tz/tileset.json").unwrap_err().to_string();
+    assert!(error.contains("other.3tz") && error.contains("unpack the outer one"), "{error}");
+    assert!(matches!(archive.read("below/tileset.json"), Err(IoError::NotFound { .. })));
+}
+
+#[test]
 fn replaced_archive_is_read_again() {
     let of = |text: &str| zipped(&BTreeMap::from([("f".to_owned(), text.as_bytes().to_vec())]), options());
     let archive = Archive::new(&of("first"));

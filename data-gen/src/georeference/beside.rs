@@ -139,15 +139,12 @@ pub(super) fn world_file(raster: &Path, cache: &Arc<BlockCache>) -> Result<Optio
     Ok(None)
 }
 
-/// Returns the files on a disk that lie beside a raster and change what it shows.
+/// Returns the files that lie beside a raster and change what it shows; of those on servers all that may be there.
 pub(crate) fn files_beside(raster: &Path) -> Vec<PathBuf> {
-    if is_remote(raster) {
-        return Vec::new();
-    }
     let replaced = world_extensions(raster).into_iter().chain(["prj".to_owned()]);
     let replaced = replaced.map(|extension| with_extension(raster, &extension));
     let more = ["aux.xml", "msk", "ovr", "msk.ovr"].map(|extension| with_more(raster, extension));
-    replaced.chain(more).filter(|path| path.is_file()).collect()
+    replaced.chain(more).filter(|path| is_remote(path) || path.is_file()).collect()
 }
 
 /// Returns the attributes and the content of the first element of a name.

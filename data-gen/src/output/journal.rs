@@ -131,6 +131,28 @@ impl Journal {
         }
     }
 
+    /// Returns the tiles of a complete set.
+    pub fn kept_tiles(&self) -> Result<HashMap<TileKey, CompleteTile>, GenError> {
+        let bytes = self.load_file(TILES)?.unwrap_or_default();
+        Ok(String::from_utf8_lossy(&bytes).split('\n').filter_map(CompleteTile::parse).collect())
+    }
+
+    /// Replaces the lists of complete tiles by one whose bytes do not depend on the order in which tiles were made, for a later update.
+    pub fn sort_tiles(&self) -> Result<(), GenError> {
+        let complete = self.tiles(None)?.complete;
+        let mut tiles: Vec<(TileKey, CompleteTile)> = complete.into_iter().collect();
+        tiles.sort_unstable_by_key(|(key, _)| *key);
+        let text: String = tiles.iter().map(|(key, tile)| tile.line(*key)).collect();
+        self.save_file(TILES, text.as_bytes())?;
+        for entry in std::fs::read_dir(&self.folder).map_err(GenError::file(&self.folder))? {
+            let path = entry.map_err(GenError::file(&self.folder))?.path();
+            if path.file_name().is_some_and(|name| name.to_string_lossy().starts_with(&format!("{TILES}-"))) {
+                std::fs::remove_file(&path).map_err(GenError::file(&path))?;
+            }
+        }
+        Ok(())
+    }
+
     /// Opens the list of complete tiles. Those of shards that were merged, whose names have their numbers, are in it.
     pub fn tiles(&self, shard: Option<Shard>) -> Result<TileList, GenError> {
         let own = shard.map_or_else(|| TILES.to_owned(), |shard| format!("{TILES}-{shard}").replace('/', "-of-"));
@@ -166,8 +188,23 @@ pub(crate) struct CompleteTile {
     pub range_m: [f32; 2],
     /// The lowest and the highest vertex with data in metres.
     pub data_m: [f32; 2],
+    /// The lowest and the highest vertex in metres, those without data included.
+    pub own_m: [f32; 2],
     /// Vertices without data.
     pub voids: u64,
+    /// What the tile depends on.
+    pub inputs: Inputs,
+}
+
+/// What the heights of a tile depend on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Inputs {
+    /// Sources with data at all vertices of the tile and around it.
+    Data,
+    /// Sources around the tile that fill its voids, and the rectangle of all sources.
+    Surroundings,
+    /// Heights of the whole set as well, which wide gaps continue.
+    Gaps,
 }
 
 impl CompleteTile {
@@ -176,8 +213,14 @@ impl CompleteTile {
         let [low, high] = self.range_m.map(f32::to_bits);
         let [data_low, data_high] = self.data_m.map(f32::to_bits);
         let TileKey { level, x, y } = key;
-        let heights = format!("{low:x} {high:x} {data_low:x} {data_high:x}");
-        let text = format!("{level} {x} {y} {} {heights} {}", self.bytes, self.voids);
+        let [own_low, own_high] = self.own_m.map(f32::to_bits);
+        let heights = format!("{low:x} {high:x} {data_low:x} {data_high:x} {own_low:x} {own_high:x}");
+        let inputs = match self.inputs {
+            Inputs::Data => "d",
+            Inputs::Surroundings => "s",
+            Inputs::Gaps => "g",
+        };
+        let text = format!("{level} {x} {y} {} {heights} {} {inputs}", self.bytes, self.voids);
         format!("{text} {:016x}\n", checksum(text.as_bytes()))
     }
 
@@ -188,14 +231,23 @@ impl CompleteTile {
             return None;
         }
         let words: Vec<&str> = text.split(' ').collect();
-        let [level, x, y, bytes, low, high, data_low, data_high, voids] = words[..] else { return None };
+        let [level, x, y, bytes, low, high, data_low, data_high, own_low, own_high, voids, inputs] = words[..] else {
+            return None;
+        };
         let key = TileKey { level: level.parse().ok()?, x: x.parse().ok()?, y: y.parse().ok()? };
         let height = |bits: &str| Some(f32::from_bits(u32::from_str_radix(bits, 16).ok()?));
         let complete = Self {
             bytes: bytes.parse().ok()?,
             range_m: [height(low)?, height(high)?],
             data_m: [height(data_low)?, height(data_high)?],
+            own_m: [height(own_low)?, height(own_high)?],
             voids: voids.parse().ok()?,
+            inputs: match inputs {
+                "d" => Inputs::Data,
+                "s" => Inputs::Surroundings,
+                "g" => Inputs::Gaps,
+                _ => return None,
+            },
         };
         Some((key, complete))
     }
@@ -234,7 +286,9 @@ mod tests {
             bytes: u64::from(k),
             range_m: [-0.5, k as f32],
             data_m: [f32::INFINITY, f32::NEG_INFINITY],
+            own_m: [0.25, 0.5],
             voids: 7,
+            inputs: [Inputs::Data, Inputs::Surroundings, Inputs::Gaps][k as usize % 3],
         };
         let list = journal.tiles(None).unwrap();
         (0..5).for_each(|x| list.add(key(x), &tile(x)).unwrap());
@@ -249,6 +303,12 @@ mod tests {
         assert!(folder.path().join(JOURNAL).join("tiles-2-of-3").is_file());
         let list = journal.tiles(None).unwrap();
         let found: Vec<_> = (0..6).map(|x| list.get(key(x))).collect();
-        assert_eq!(found, [None, Some(tile(1)), Some(tile(2)), Some(tile(3)), None, Some(tile(5))]);
+        let expected = [None, Some(tile(1)), Some(tile(2)), Some(tile(3)), None, Some(tile(5))];
+        assert_eq!(found, expected);
+        drop(list);
+        journal.sort_tiles().unwrap();
+        let kept = journal.kept_tiles().unwrap();
+        assert_eq!([0, 1, 2, 3, 4, 5].map(|x| kept.get(&key(x)).copied()), expected);
+        assert!(!folder.path().join(JOURNAL).join("tiles-2-of-3").exists());
     }
 }

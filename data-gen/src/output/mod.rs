@@ -21,11 +21,13 @@ pub use encoding::{TextureFormat, TileArgs, Triangles};
 pub(crate) use finish::{each_folder, is_compressible};
 pub(crate) use finish::{finish, is_archive_at};
 pub(crate) use implicit::{Entry, SUBTREE_LEVELS, SUBTREES, descendants, subtree, subtree_name, tile_class};
-pub(crate) use journal::{CompleteTile, Journal};
+#[cfg(feature = "object-store")]
+pub(crate) use journal::MANIFEST;
+pub(crate) use journal::{CompleteTile, Inputs, Journal, TileList};
 pub use options::{ArchiveFormat, OutputArgs, Tiling};
-pub(crate) use packed::tiles_and_bytes;
+pub(crate) use packed::{BlockFile, Kind, tiles_and_bytes};
 pub use partial_folder::PartialFolder;
 pub(crate) use partial_folder::{MARKER, ROOTS};
-pub(crate) use terrain::TerrainSet;
-pub(crate) use tile_set::write_whole;
+pub(crate) use terrain::{METADATA_LEVELS, TerrainSet, Written, spread};
+pub(crate) use tile_set::{compress, write_whole};
 pub(crate) use tree::{level_errors_m, voids};

@@ -3,7 +3,7 @@
 use terrane::fetch::{is_store, shown};
 
 use crate::store::is_remote;
-use crate::{Color, ContentKind, GenArgs, Sharding, TextureFormat};
+use crate::{Color, ContentKind, GenArgs, TextureFormat};
 
 /// The description of the tile tree.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
@@ -63,14 +63,14 @@ impl OutputArgs {
     }
 
     /// Returns the extension of the files of heights.
-    pub(super) fn heights(&self) -> &'static str {
+    pub(crate) fn heights(&self) -> &'static str {
         if self.is_packed() { "heights" } else { "exr" }
     }
 
     /// Checks options that have no effect together with others.
     pub(crate) fn check(&self, args: &GenArgs) -> Result<(), String> {
         if is_remote(&args.out) {
-            self.check_bucket(args)?;
+            Self::check_bucket(args)?;
         }
         let is_terrain = args.content == ContentKind::QuantizedMesh;
         if self.attribution.is_some() && !is_terrain {
@@ -90,10 +90,12 @@ impl OutputArgs {
         if self.tile_availability && !is_terrain {
             return Err("--tile-availability has no effect without --content quantized-mesh".to_owned());
         }
-        let run = &args.run;
-        if is_terrain && (run.dry_run.is_some() || run.memory.is_some() || run.update || run.aligned) {
-            return Err("--dry-run, --memory, --update and --aligned are not supported with --content quantized-mesh"
-                .to_owned());
+        if is_terrain && args.run.aligned {
+            return Err(
+                "--aligned has no effect with --content quantized-mesh, whose tiles always lie on a grid around \
+                        the earth"
+                    .to_owned(),
+            );
         }
         if self.tiling != Tiling::default() && args.run.aligned {
             return Err("--tiling implicit is not supported with --aligned".to_owned());
@@ -111,9 +113,6 @@ impl OutputArgs {
             if self.gzip {
                 return Err("--gzip has no effect with --archive, whose files are compressed".to_owned());
             }
-            if archive == ArchiveFormat::Packed && args.world.world.is_some() {
-                return Err("--archive packed is not supported with --world".to_owned());
-            }
             let extension = archive.extension();
             if !args.out.extension().is_some_and(|own| own.eq_ignore_ascii_case(extension)) {
                 let name = if archive == ArchiveFormat::Packed { "packed" } else { extension };
@@ -124,18 +123,13 @@ impl OutputArgs {
     }
 
     /// Checks an OUT that is an address.
-    fn check_bucket(&self, args: &GenArgs) -> Result<(), String> {
+    fn check_bucket(args: &GenArgs) -> Result<(), String> {
         let out = shown(&args.out.to_string_lossy()).into_owned();
         if !is_store(&args.out.to_string_lossy()) {
             return Err(format!("{out}: sets are written to folders and to s3://, gs:// and az://"));
         }
         if !cfg!(feature = "object-store") {
             return Err(format!("{out}: this program is built without the feature object-store"));
-        }
-        if args.run.update || args.sharding != Sharding::default() {
-            return Err(format!(
-                "{out}: --update, --plan, --shard and --merge need a folder as OUT, which can be copied afterwards"
-            ));
         }
         Ok(())
     }

@@ -185,7 +185,7 @@ thread_local! {
 }
 
 /// Returns bytes as a zstd frame. Higher levels take longer, and save 2 % of the bytes.
-fn compress(bytes: &[u8]) -> std::io::Result<Vec<u8>> {
+pub(crate) fn compress(bytes: &[u8]) -> std::io::Result<Vec<u8>> {
     COMPRESSOR.with_borrow_mut(|kept| {
         let compressor = match kept {
             Some(compressor) => compressor,

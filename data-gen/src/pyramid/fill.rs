@@ -5,7 +5,7 @@
 //! So a height depends on the 3 x 3 boxes around it and on that lattice, whichever window it is computed in.
 
 /// The vertices along a side of a box.
-pub(super) const BOX: i64 = 64;
+pub(crate) const BOX: i64 = 64;
 /// The halvings from vertices to one square for a whole box.
 const DEPTHS: usize = 6;
 

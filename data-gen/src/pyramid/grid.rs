@@ -11,6 +11,7 @@ use rayon::prelude::*;
 
 use super::dependencies::HeightAt;
 use super::fill::{self, BOX, BoxMeans};
+use super::record::checksum;
 use super::samples::{Samples, Window};
 use super::tile::{CELLS, TileKey};
 use crate::{ElevationSource, GenError, SampleRow, Voids};
@@ -431,6 +432,12 @@ impl<'a> Grid<'a> {
         let (mut heights, side) = (self.coarse()?.clone(), self.coarse_cells() as usize + 1);
         fill::fill_whole(&mut heights, side, side);
         Ok(self.coarse_filled.get_or_init(|| heights))
+    }
+
+    /// Returns a checksum of the heights that wide gaps continue.
+    pub fn gaps_checksum(&self) -> Result<u64, GenError> {
+        let bytes: Vec<u8> = self.coarse_filled()?.iter().flat_map(|h| h.to_bits().to_le_bytes()).collect();
+        Ok(checksum(&bytes))
     }
 
     fn coarse_at(&self, coarse: &[f32], depth: u32, at: [f64; 2]) -> f64 {

@@ -11,6 +11,7 @@ mod surface;
 mod tile;
 
 pub(crate) use block::{Below, Block};
+pub(crate) use fill::BOX;
 pub use grid::Extent;
 pub(crate) use grid::{ALIGNED, Grid, QUANTUM_M};
 pub(crate) use plan::{Layer, Plan, tiles_with_data};

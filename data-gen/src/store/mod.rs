@@ -22,5 +22,5 @@ pub(crate) use cache::BlockCache;
 pub(crate) use file_state::FileState;
 pub(crate) use image::{BlockGrid, BlockReader, Cursor, PixelImage, Rect};
 pub(crate) use pool::Pool;
-pub(crate) use remote::{RemoteBytes, first_bytes, is_remote, remote_version};
+pub(crate) use remote::{RemoteBytes, first_bytes, is_remote, remote_versions};
 pub(crate) use spill::{SpillPart, WholeReader, first_pixel, whole};

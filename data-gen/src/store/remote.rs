@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use lru::LruCache;
+use rayon::prelude::*;
 use terrane::fetch::{AllowedHost, HttpConfig, IoError, RemoteFile, RemoteFiles};
 
 use super::cache::{BlockCache, BlockKey};
@@ -88,9 +89,29 @@ impl Servers {
     }
 }
 
-/// Returns the version of a file on a server at this moment.
-pub(crate) fn remote_version(path: &Path, allowed_hosts: &[AllowedHost]) -> Result<String, GenError> {
-    Ok(Servers::new(allowed_hosts).open(path, || 0)?.0.version())
+/// Returns the version of a file on a server at this moment, and those of files beside it that are there, with their names.
+pub(crate) fn remote_versions(
+    path: &Path,
+    beside: &[PathBuf],
+    allowed_hosts: &[AllowedHost],
+) -> Result<Vec<(PathBuf, String)>, GenError> {
+    let servers = Servers::new(allowed_hosts);
+    let own = (path.to_owned(), servers.open(path, || 0)?.0.version());
+    let beside = beside.par_iter().map(|path| {
+        let found = servers.look_up(path, || 0, is_missing)?;
+        Ok(found.map(|(file, _)| (path.clone(), file.version())))
+    });
+    let beside: Vec<Option<(PathBuf, String)>> = beside.collect::<Result<_, GenError>>()?;
+    Ok(std::iter::once(own).chain(beside.into_iter().flatten()).collect())
+}
+
+/// Returns true if a server has no such file, or does not show it. Servers without a file answer with several states, and some with a
+/// page of theirs.
+fn is_missing(error: &IoError) -> bool {
+    match error {
+        IoError::Status { status, .. } => (400..500).contains(status) && !error.is_transient(),
+        error => matches!(error, IoError::NotFound { .. } | IoError::Invalid { .. } | IoError::Markup { .. }),
+    }
 }
 
 /// Returns true for a path that is the address of a file on a server or in an object store.
@@ -127,13 +148,8 @@ impl RemoteBytes {
         Ok(Self { path: path.to_owned(), file, cache: Arc::clone(cache), number })
     }
 
-    /// Like [`Self::open`]; `None` if the server has no such file, or does not show it. Servers without a file answer with
-    /// several states, and some with a page of theirs.
+    /// Like [`Self::open`]; `None` if the server has no such file, or does not show it.
     pub fn open_if_present(path: &Path, cache: &Arc<BlockCache>) -> Result<Option<Self>, GenError> {
-        let is_missing = |error: &IoError| match error {
-            IoError::Status { status, .. } => (400..500).contains(status) && !error.is_transient(),
-            error => matches!(error, IoError::NotFound { .. } | IoError::Invalid { .. } | IoError::Markup { .. }),
-        };
         let found = cache.servers().look_up(path, || cache.new_image(), is_missing)?;
         Ok(found.map(|(file, number)| Self { path: path.to_owned(), file, cache: Arc::clone(cache), number }))
     }

@@ -4,13 +4,14 @@ use std::f64::consts::PI;
 use std::sync::OnceLock;
 
 use image::codecs::jpeg::JpegEncoder;
-use terrane::formats::writers::write_height_exr;
+use terrane::formats::writers::{write_height_exr, write_packed_heights};
 
 use super::errors::level_errors_m;
 use super::planet::{RowBuffers, World};
 use super::points::{RADIUS_M, meridians, sin_cos};
 use super::scatter::{MAX_CELL_M, Scatter, TALLEST_M};
 use super::surface::{Lattice, Patch, TEXELS_PER_CELL};
+use crate::output::compress;
 use crate::pyramid::{CELLS, QUANTUM_M};
 use crate::{Extent, GenError, TileKey};
 
@@ -23,14 +24,16 @@ pub struct WorldSet {
     extent: Extent,
     levels: u32,
     has_scatter: bool,
+    /// True if heights are packed instead of EXR.
+    is_packed: bool,
     level_errors_m: OnceLock<Vec<f64>>,
 }
 
 /// The files of a tile.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WorldTile {
-    /// Heights with a border of one sample, as EXR.
-    pub exr: Vec<u8>,
+    /// Heights with a border of one sample, as EXR or packed.
+    pub heights: Vec<u8>,
     /// Colours, as JPEG.
     pub jpeg: Vec<u8>,
     /// Trees and rocks as glb, on levels that have them.
@@ -43,7 +46,7 @@ impl WorldSet {
     /// Creates the set of the whole planet with a number of levels, at most 22.
     pub fn globe(world: World, levels: u32) -> Self {
         let extent = Extent { west: -PI, south: -0.5 * PI, east: PI, north: 0.5 * PI };
-        Self { world, extent, levels, has_scatter: false, level_errors_m: OnceLock::new() }
+        Self { world, extent, levels, has_scatter: false, is_packed: false, level_errors_m: OnceLock::new() }
     }
 
     /// Creates the set of a square around a longitude and latitude in radians, with sides in metres. The latitude is moved
@@ -54,13 +57,24 @@ impl WorldSet {
         let half_longitude = (half / sin_cos(latitude).1).min(PI);
         let west = longitude - half_longitude;
         let extent = Extent { west, south: latitude - half, east: west + 2.0 * half_longitude, north: latitude + half };
-        Self { world, extent, levels, has_scatter: false, level_errors_m: OnceLock::new() }
+        Self { world, extent, levels, has_scatter: false, is_packed: false, level_errors_m: OnceLock::new() }
     }
 
     /// Adds trees and rocks to the levels whose cells are at most 60 m high.
     #[must_use]
     pub fn with_scatter(self) -> Self {
         Self { has_scatter: true, ..self }
+    }
+
+    /// Writes heights in the packed form, for [`ArchiveFormat::Packed`](crate::ArchiveFormat::Packed).
+    #[must_use]
+    pub(super) fn with_packed_heights(self) -> Self {
+        Self { is_packed: true, ..self }
+    }
+
+    /// Returns the extension of the files of heights.
+    pub(super) fn heights_extension(&self) -> &'static str {
+        if self.is_packed { "heights" } else { "exr" }
     }
 
     /// Returns true if the tiles of a level have trees and rocks.
@@ -140,10 +154,19 @@ impl WorldSet {
     pub fn tile(&self, key: TileKey) -> Result<WorldTile, GenError> {
         let mut buffers = RowBuffers::default();
         let mut patch = self.patch(key, &mut buffers);
-        let name = format!("{}/{}/{}.exr", key.level, key.x, key.y);
+        let name = format!("{}/{}/{}.{}", key.level, key.x, key.y, self.heights_extension());
         let heights = heights_m(&patch);
         let range_m = heights.iter().fold([f32::INFINITY, f32::NEG_INFINITY], |[l, h], m| [l.min(*m), h.max(*m)]);
-        let exr = write_height_exr(&name, CELLS + 3, heights).map_err(|e| GenError::Encode(e.to_string()))?;
+        let side = CELLS + 3;
+        let heights = match self.is_packed {
+            true => {
+                // The rows of packed heights begin in the south.
+                let rows: Vec<f32> = heights.chunks(side).rev().flatten().copied().collect();
+                write_packed_heights(&name, side, QUANTUM_M, &rows, compress)
+            }
+            false => write_height_exr(&name, side, heights),
+        };
+        let heights = heights.map_err(|e| GenError::Encode(e.to_string()))?;
         let side = (TEXELS_PER_CELL * CELLS) as u32;
         let rgb = patch.paint(&self.world, &mut buffers);
         let mut jpeg = Vec::new();
@@ -151,7 +174,7 @@ impl WorldSet {
             .encode(&rgb, side, side, image::ExtendedColorType::Rgb8)
             .map_err(|e| GenError::Encode(format!("JPEG of tile {key:?}: {e}")))?;
         let scatter = self.has_scatter(key.level).then(|| self.scatter(&patch).glb());
-        Ok(WorldTile { exr, jpeg, scatter, range_m })
+        Ok(WorldTile { heights, jpeg, scatter, range_m })
     }
 
     /// Returns bounds of the heights in a tile, in metres. They are those of every fourth vertex, which are the vertices of

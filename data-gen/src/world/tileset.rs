@@ -45,7 +45,7 @@ impl WorldSet {
     }
 
     /// Returns the tileset of implicit tiling. The trees and rocks of tiles are a second content.
-    pub(super) fn implicit_tileset(&self) -> String {
+    pub fn implicit_tileset(&self) -> String {
         let root = TileKey { level: 0, x: 0, y: 0 };
         let e = self.extent(root);
         let [low_m, high_m] = self.bounds_m(root);
@@ -57,11 +57,11 @@ impl WorldSet {
                 "subdivisionScheme": "QUADTREE", "subtreeLevels": SUBTREE_LEVELS, "availableLevels": self.levels(),
                 "subtrees": { "uri": SUBTREES },
             },
-            "contents": [template("exr")],
+            "contents": [template(self.heights_extension())],
             "extras": { "terrane": { "imagery": "{level}/{x}/{y}.jpg" } },
         });
         if self.has_instances() {
-            tile["contents"] = json!([template("exr"), template("glb")]);
+            tile["contents"] = json!([template(self.heights_extension()), template("glb")]);
         }
         let mut tileset = self.tileset_of(0, tile);
         tileset["schema"] = json!({ "id": "terrane", "classes": { "tile": tile_class() } });
@@ -69,7 +69,7 @@ impl WorldSet {
     }
 
     /// Returns the name and the bytes of the subtree file whose root is a tile. `None` if the tile is not the root of one.
-    pub(super) fn subtree(&self, root: TileKey) -> Option<(String, Vec<u8>)> {
+    pub fn subtree(&self, root: TileKey) -> Option<(String, Vec<u8>)> {
         if !self.contains(root) || !root.level.is_multiple_of(SUBTREE_LEVELS) {
             return None;
         }
@@ -103,7 +103,7 @@ impl WorldSet {
             return tile;
         }
         let name = format!("{up}{}/{}/{}", key.level, key.x, key.y);
-        let heights = json!({ "uri": format!("{name}.exr") });
+        let heights = json!({ "uri": format!("{name}.{}", self.heights_extension()) });
         match self.has_scatter(key.level) {
             true => tile["contents"] = json!([heights, { "uri": format!("{name}.glb") }]),
             false => tile["content"] = heights,

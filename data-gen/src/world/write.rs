@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use super::planet::World;
 use super::tiles::WorldSet;
 use crate::args::{Color, ContentKind, GenArgs};
-use crate::output::{CompleteTile, Journal, SUBTREE_LEVELS, Tiling, write_whole};
+use crate::output::{BlockFile, CompleteTile, Inputs, Journal, Kind, SUBTREE_LEVELS, TileList, Tiling, write_whole};
 use crate::{GenError, Progress, Sharding, Summary, TileArgs, TileKey};
 
 /// Returns the set that the options describe; `None` without `--world`.
@@ -23,8 +23,12 @@ pub(crate) fn world_set(args: &GenArgs, default_levels: u32) -> Option<WorldSet>
             WorldSet::square(world, place, args.size, levels)
         }
     };
+    let set = if args.output.is_packed() { set.with_packed_heights() } else { set };
     Some(if args.world.scatter { set.with_scatter() } else { set })
 }
+
+/// The folder of the files of tiles of a packed set, inside the folder of the run.
+const LOOSE: &str = ".tiles";
 
 /// The largest number of levels of a world in a folder. `terrane serve --procedural` makes tiles of finer ones on demand.
 const MAX_LEVELS: u32 = 9;
@@ -59,8 +63,11 @@ pub(crate) fn write_world(set: &WorldSet, tiling: Tiling, folder: &Path) -> Resu
     let keys: Vec<TileKey> = (0..set.levels())
         .flat_map(|level| (0..1u32 << level).flat_map(move |x| (0..1 << level).map(move |y| TileKey { level, x, y })))
         .collect();
-    for level in 0..set.levels() {
-        for x in 0..1u32 << level {
+    let is_packed = set.heights_extension() == "heights";
+    // Tilesets lie in the folder of the set, and so do tiles that are not packed.
+    let loose = if is_packed { folder.join(LOOSE) } else { folder.to_path_buf() };
+    for folder in [folder, &loose] {
+        for (level, x) in (0..set.levels()).flat_map(|level| (0..1u32 << level).map(move |x| (level, x))) {
             let path = folder.join(format!("{level}/{x}"));
             std::fs::create_dir_all(&path).map_err(GenError::file(&path))?;
         }
@@ -81,10 +88,11 @@ pub(crate) fn write_world(set: &WorldSet, tiling: Tiling, folder: &Path) -> Resu
     let write = |name: &str, content: &[u8]| write_whole(&folder.join(name), content);
     let make = |key: TileKey| {
         let tile = set.tile(key)?;
-        let stem = format!("{}/{}/{}", key.level, key.x, key.y);
-        let mut bytes = write(&format!("{stem}.exr"), &tile.exr)? + write(&format!("{stem}.jpg"), &tile.jpeg)?;
+        let stem = loose.join(format!("{}/{}/{}", key.level, key.x, key.y));
+        let write_tile = |extension: &str, content: &[u8]| write_whole(&stem.with_extension(extension), content);
+        let mut bytes = write_tile(set.heights_extension(), &tile.heights)? + write_tile("jpg", &tile.jpeg)?;
         if let Some(scatter) = &tile.scatter {
-            bytes += write(&format!("{stem}.glb"), scatter)?;
+            bytes += write_tile("glb", scatter)?;
         }
         match tiling {
             Tiling::Explicit => {
@@ -98,7 +106,8 @@ pub(crate) fn write_world(set: &WorldSet, tiling: Tiling, folder: &Path) -> Resu
                 }
             }
         }
-        let complete = CompleteTile { bytes, range_m: tile.range_m, data_m: tile.range_m, voids: 0 };
+        let (range_m, inputs) = (tile.range_m, Inputs::Data);
+        let complete = CompleteTile { bytes, range_m, data_m: range_m, own_m: range_m, voids: 0, inputs };
         list.add(key, &complete)?;
         Ok::<_, GenError>(complete)
     };
@@ -113,6 +122,9 @@ pub(crate) fn write_world(set: &WorldSet, tiling: Tiling, folder: &Path) -> Resu
     let (bytes, [low_m, high_m]) = tiles.try_reduce(none, both)?;
     drop(progress);
     drop(list);
+    if is_packed {
+        pack(set, &journal.tiles(None)?, &loose, folder)?;
+    }
     journal.remove()?;
     Ok(Summary {
         out: folder.to_path_buf(),
@@ -126,5 +138,29 @@ pub(crate) fn write_world(set: &WorldSet, tiling: Tiling, folder: &Path) -> Resu
         notes: Vec::new(),
         level_errors_m: set.level_errors_m().to_vec(),
         seconds: 0.0,
+    })
+}
+
+/// Puts the files of all tiles into the file of one block, level by level.
+fn pack(set: &WorldSet, list: &TileList, loose: &Path, folder: &Path) -> Result<(), GenError> {
+    let mut block = BlockFile::create(folder, TileKey::ROOT)?;
+    for level in 0..set.levels() {
+        let side = 1u32 << level;
+        let mut keys: Vec<TileKey> = (0..side).flat_map(|x| (0..side).map(move |y| TileKey { level, x, y })).collect();
+        keys.sort_by_key(|key| key.morton());
+        let files = [(Kind::Heights, "heights"), (Kind::Glb, "glb"), (Kind::Jpeg, "jpg")];
+        for key in keys {
+            let stem = loose.join(format!("{level}/{}/{}", key.x, key.y));
+            for (kind, extension) in files.into_iter().filter(|(kind, _)| *kind != Kind::Glb || set.has_scatter(level))
+            {
+                let path = stem.with_extension(extension);
+                block.add(key, kind, &std::fs::read(&path).map_err(GenError::file(&path))?)?;
+            }
+        }
+    }
+    let errors_m = set.level_errors_m();
+    block.finish(|key| {
+        let range_m = list.get(key).map_or([0.0; 2], |tile| tile.range_m);
+        (errors_m.get(key.level as usize).copied().unwrap_or(0.0), range_m)
     })
 }

@@ -29,7 +29,7 @@ fn tile_computed_alone_has_the_bytes_of_the_set() {
     for key in [tile(0, 0, 0), tile(1, 1, 0), tile(2, 3, 2)] {
         let tile = set.tile(key).unwrap();
         let file = |end: &str| std::fs::read(out.join(format!("{}/{}/{}.{end}", key.level, key.x, key.y))).unwrap();
-        assert!(file("exr") == tile.exr && file("jpg") == tile.jpeg, "{key:?}");
+        assert!(file("exr") == tile.heights && file("jpg") == tile.jpeg, "{key:?}");
     }
     let written = std::fs::read_to_string(out.join("tileset.json")).unwrap();
     assert_eq!(Some(written), set.tileset(tile(0, 0, 0)));

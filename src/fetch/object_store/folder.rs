@@ -1,7 +1,7 @@
-//! [`ObjectFolder`]: writes, lists and removes the objects below a prefix of a bucket. Called by programs that make sets, on any of
+//! [`ObjectFolder`]: writes, reads, lists and removes the objects below a prefix of a bucket. Called by programs that make sets, on any of
 //! their threads, which block; never by the pager.
 
-use std::io::Read as _;
+use std::io::{Read as _, Write as _};
 use std::path::Path as FilePath;
 use std::sync::Arc;
 use std::time::Duration;
@@ -36,7 +36,7 @@ const MAX_RETRIES: usize = 8;
 /// No retry begins after this time. Keys and tokens may expire later.
 const RETRY_TIMEOUT: Duration = Duration::from_secs(180);
 
-/// Writes, lists and removes the objects below a prefix of a bucket. Several threads may call it at the same time; each blocks until
+/// Writes, reads, lists and removes the objects below a prefix of a bucket. Several threads may call it at the same time; each blocks until
 /// its request is done. Requests that fail for a reason that may pass are sent again.
 #[derive(Debug)]
 pub struct ObjectFolder {
@@ -62,6 +62,8 @@ pub struct ObjectHeaders {
 pub struct ObjectList {
     /// The names of the objects.
     pub objects: Vec<String>,
+    /// The size of each object in bytes.
+    pub sizes: Vec<u64>,
     /// The names of the folders.
     pub folders: Vec<String>,
 }
@@ -165,6 +167,40 @@ impl ObjectFolder {
         sent.map(|()| size)
     }
 
+    /// Returns the bytes of an object.
+    pub fn read(&self, name: &str) -> Result<Vec<u8>, IoError> {
+        let key = self.key(name)?;
+        self.block_on(name, async { Ok(self.store.get(&key).await?.bytes().await?.to_vec()) })
+    }
+
+    /// Writes an object to a file, in parts if it is large: one is in memory. The file has its name only when it is complete.
+    pub fn read_file(&self, name: &str, file: &FilePath) -> Result<(), IoError> {
+        let path = file.to_string_lossy();
+        let of_file = |e: std::io::Error| IoError::of_file(&path, &e);
+        let key = self.key(name)?;
+        let (size, whole) = self.block_on(name, async {
+            let found = self.store.get(&key).await?;
+            let size = found.meta.size;
+            let whole = if size <= MIN_PART_BYTES { Some(found.bytes().await?) } else { None };
+            Ok((size, whole))
+        })?;
+        let mut unfinished = file.as_os_str().to_owned();
+        unfinished.push(".unfinished");
+        let mut output = std::fs::File::create(&unfinished).map_err(of_file)?;
+        let mut at = 0;
+        if let Some(whole) = &whole {
+            output.write_all(whole).map_err(of_file)?;
+            at = size;
+        }
+        while at < size {
+            let end = size.min(at + MIN_PART_BYTES);
+            let part = self.block_on(name, self.store.get_range(&key, at..end))?;
+            output.write_all(&part).map_err(of_file)?;
+            at = end;
+        }
+        std::fs::rename(&unfinished, file).map_err(of_file)
+    }
+
     /// Returns true if there is an object of that name.
     pub fn has(&self, name: &str) -> Result<bool, IoError> {
         let key = self.key(name)?;
@@ -190,13 +226,13 @@ impl ObjectFolder {
         let at = (!key.as_ref().is_empty()).then_some(&key);
         let found = self.block_on(folder, self.store.list_with_delimiter(at))?;
         let name = |path: &Path| path.filename().map(str::to_owned);
-        let mut list = ObjectList {
-            objects: found.objects.iter().filter_map(|object| name(&object.location)).collect(),
-            folders: found.common_prefixes.iter().filter_map(name).collect(),
-        };
-        list.objects.sort();
-        list.folders.sort();
-        Ok(list)
+        let mut objects: Vec<(String, u64)> =
+            found.objects.iter().filter_map(|object| Some((name(&object.location)?, object.size))).collect();
+        objects.sort();
+        let (objects, sizes) = objects.into_iter().unzip();
+        let mut folders: Vec<String> = found.common_prefixes.iter().filter_map(name).collect();
+        folders.sort();
+        Ok(ObjectList { objects, sizes, folders })
     }
 
     fn key(&self, name: &str) -> Result<Path, IoError> {

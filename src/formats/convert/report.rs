@@ -131,6 +131,8 @@ pub struct Converted {
     pub files: u64,
     /// Their bytes.
     pub bytes: u64,
+    /// The number of files that are copied as they are, by [`crop`](super::crop). Only the levels of their contents are counted.
+    pub copied: u64,
     /// The number of contents that could not be read. They are left out.
     pub failed: u64,
     /// The first failures: URI, as [`shown`](crate::fetch::shown) returns it, and reason.

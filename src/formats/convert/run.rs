@@ -17,7 +17,7 @@ use crate::fetch::{Source, root_uri};
 use crate::formats::ignored::{Ignored, Notes};
 use crate::formats::options::ReadOptions;
 use crate::formats::whole_set::{is_on_earth, overlaps};
-use crate::math::{Aabb, BoundingVolume, max_scale};
+use crate::math::{Aabb, BoundingVolume, Region, max_scale};
 
 /// A part of the tree with this number of tiles gets a file of its own.
 const TILES_PER_FILE: usize = 500;
@@ -218,16 +218,8 @@ impl Shared<'_> {
         let mut children: Vec<(Item, Arc<ReadOptions>, usize)> = Vec::new();
         children.extend(below.drain(..).map(|child| (child, options.clone(), level_below)));
         children.extend(items.into_iter().map(|child| (child, options_below.clone(), level)));
-        if let Some(region) = &self.options.region {
-            let is_over = |bounds: BoundingVolume, frame: &DAffine3| {
-                is_on_earth(&bounds, frame) && overlaps(&bounds, frame, region)
-            };
-            children.retain(|(child, ..)| child.bounds.is_none_or(|bounds| is_over(bounds, &child.set_from_item)));
-        }
-        if let Some(rectangle_m) = &self.options.rectangle_m {
-            let is_over = |bounds: BoundingVolume, frame: &DAffine3| is_over_rectangle(bounds, frame, rectangle_m);
-            children.retain(|(child, ..)| child.bounds.is_none_or(|bounds| is_over(bounds, &child.set_from_item)));
-        }
+        let is_over = |item: &Item| item.bounds.is_none_or(|of| is_wanted(self.options, &of, &item.set_from_item));
+        children.retain(|(child, ..)| is_over(child));
         {
             let mut state = self.lock();
             state.left_out.merge(&notes.into_ignored());
@@ -365,6 +357,14 @@ impl Refinement {
             Self::Always => Self::Always,
         }
     }
+}
+
+/// Returns true if a volume overlaps the region and the rectangle of the options, as far as there are some. `set_from_item` is the frame
+/// of the volume.
+pub(super) fn is_wanted(options: &ConvertOptions, volume: &BoundingVolume, set_from_item: &DAffine3) -> bool {
+    let is_over = |region: &Region| is_on_earth(volume, set_from_item) && overlaps(volume, set_from_item, region);
+    options.region.as_ref().is_none_or(is_over)
+        && options.rectangle_m.as_ref().is_none_or(|of| is_over_rectangle(*volume, set_from_item, of))
 }
 
 /// Returns true if a volume overlaps a rectangle of x and y. A region of the earth does not.

@@ -12,6 +12,7 @@ pub(super) use detect::may_refer_to_files;
 pub(super) use detect::{is_tileset, is_tileset_text, may_be_tileset};
 pub(super) use json::{parse, schema_reference};
 pub(super) use reader::read_tiles;
+pub(super) use volume::volume_and_frame;
 
 use std::sync::Arc;
 

@@ -1,10 +1,13 @@
 //! Bounding volumes and transforms of tiles.
 
 use glam::{DAffine3, DMat3, DVec3};
+use serde::Deserialize;
+use serde_json::Value;
 
 use super::json::VolumeJson;
 use crate::fetch::IoError;
 use crate::formats::implicit::RootVolume;
+use crate::formats::lenient::{Numbers, object};
 use crate::formats::tile::{S2Cell, tile_transform};
 use crate::math::{BoundingSphere, BoundingVolume, OrientedBox, Region};
 
@@ -53,6 +56,25 @@ pub(super) fn bounding_volume(
         return Ok(BoundingVolume::Sphere(s.transformed(world)));
     }
     Err(IoError::invalid(uri, "boundingVolume has neither box, region nor sphere"))
+}
+
+/// Returns the volume of a tile in the frame of the set, and the frame of the tile, from its JSON.
+pub(in crate::formats) fn volume_and_frame(
+    uri: &str,
+    tile: &Value,
+    set_from_parent: &DAffine3,
+) -> Result<(BoundingVolume, DAffine3), IoError> {
+    #[derive(Default, Deserialize)]
+    #[serde(rename_all = "camelCase")]
+    struct Placed {
+        #[serde(default, deserialize_with = "object")]
+        bounding_volume: VolumeJson,
+        transform: Option<Numbers>,
+    }
+    let placed = Placed::deserialize(tile).map_err(|e| IoError::invalid(uri, format!("tile: {e}")))?;
+    let own = placed.transform.map_or(Ok(DAffine3::IDENTITY), |transform| affine(uri, &transform.0))?;
+    let set_from_tile = *set_from_parent * own;
+    Ok((bounding_volume(uri, &placed.bounding_volume, &set_from_tile, &DAffine3::IDENTITY)?, set_from_tile))
 }
 
 /// Returns the volume of the root of an implicit tree.

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use serde::Serialize;
 
+use super::measure::LevelMeasures;
 use super::metadata::MetadataInfo;
 use super::model::{ModelInfo, inspect_model};
 use super::overlay::inspect_overlay;
@@ -87,8 +88,26 @@ pub struct BoundsInfo {
     pub center: [f64; 3],
     /// Radius in metres.
     pub radius_m: f64,
-    /// West, south, east and north in radians, then lowest and highest height in metres if they are known.
+    /// West, south, east and north in radians, then lowest and highest height in metres if they are known: those of the terrain if
+    /// the metadata of the set says them, else those of the root's volume, which holds skirts too.
     pub region: Option<Vec<f64>>,
+}
+
+impl BoundsInfo {
+    /// Replaces the heights of the region by those that [`survey`](super::survey) has measured.
+    pub fn measure(&mut self, levels: &[LevelMeasures]) {
+        let measured = levels.iter().filter_map(|level| level.heights_m);
+        let both = |a: [f64; 2], b: [f64; 2]| [a[0].min(b[0]), a[1].max(b[1])];
+        self.set_heights(measured.reduce(both));
+    }
+
+    fn set_heights(&mut self, heights_m: Option<[f64; 2]>) {
+        if let (Some([_, _, _, _, low, high]), Some([lowest, highest])) = (self.region.as_deref_mut(), heights_m)
+            && lowest <= highest
+        {
+            (*low, *high) = (lowest, highest);
+        }
+    }
 }
 
 /// Summarizes a tile set. Fails only if the root cannot be read; other failures are listed in [`Info::errors`].
@@ -135,6 +154,7 @@ fn inspect_from(root: &Arc<str>, limits: &Limits, from: Source, follows: bool) -
     info.bytes += bytes.len() as u64;
     info.extensions.extend(json.extensions_used.iter().cloned());
     info.metadata = MetadataInfo::read(&bytes);
+    info.bounds.set_heights(info.metadata.as_ref().and_then(MetadataInfo::terrain_heights_m));
     drop(json);
     let companions = info.tileset_files(&from, root, &bytes, &options);
     let tile = match read_tiles(root, &bytes, &companions, &options) {

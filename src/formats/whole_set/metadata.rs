@@ -51,6 +51,16 @@ impl MetadataInfo {
         (all != Self::default()).then_some(all)
     }
 
+    /// Returns the lowest and the highest sample of terrain, as `terrane gen` writes them, in metres; `None` for other sets.
+    pub(super) fn terrain_heights_m(&self) -> Option<[f64; 2]> {
+        if self.schema.as_ref()?.get("id")? != "terrane" {
+            return None;
+        }
+        let properties = self.tileset.as_ref()?.get("properties")?;
+        let number = |name: &str| properties.get(name)?.as_f64();
+        Some([number("minimumHeight")?, number("maximumHeight")?])
+    }
+
     /// Returns the names of the schema's classes.
     pub fn class_names(&self) -> Vec<&str> {
         let classes = self.schema.as_ref().and_then(|schema| schema.get("classes")?.as_object());
@@ -94,7 +104,10 @@ mod tests {
         );
         let found = MetadataInfo::read(of_1_0.as_bytes()).unwrap();
         assert_eq!((found.class_names().len(), found.groups()[0].0.as_str()), (2, "a"));
+        assert_eq!(found.terrain_heights_m(), None);
         assert_eq!(found.properties.unwrap()["h"]["minimum"], 1);
+        let own = r#"{"schema":{"id":"terrane"},"metadata":{"properties":{"minimumHeight":-3.5,"maximumHeight":9}}}"#;
+        assert_eq!(MetadataInfo::read(own.as_bytes()).unwrap().terrain_heights_m(), Some([-3.5, 9.0]));
         assert_eq!(MetadataInfo::read(br#"{"asset":{},"root":{}}"#), None);
         assert_eq!(MetadataInfo::read(b"["), None);
     }

@@ -24,6 +24,7 @@ pub use metadata::MetadataInfo;
 pub use model::ModelInfo;
 pub(super) use region::{is_on_earth, overlaps};
 pub use report::InfoError;
+pub(super) use report::too_many;
 pub use survey::{SurveyOptions, survey};
 pub(super) use tree::{load, read_companions};
 #[cfg(feature = "http")]

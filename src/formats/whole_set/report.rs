@@ -26,6 +26,6 @@ pub(super) fn record(error: &IoError, failed: &mut u64, errors: &mut Vec<InfoErr
 
 /// Returns the error for a set with too many tiles. A few files that refer to each other often enough form a tree that would
 /// take forever to walk.
-pub(super) fn too_many(root: &str, limit: u64) -> IoError {
+pub(in crate::formats) fn too_many(root: &str, limit: u64) -> IoError {
     IoError::TooLarge { uri: root.to_owned(), what: "tiles and tilesets together", got: limit + 1, limit }
 }

@@ -1,5 +1,6 @@
 //! Conversion to 3D Tiles 1.1: what is read and what is written hold the same.
 
+mod crop;
 mod kinds;
 mod levels;
 

@@ -4,12 +4,12 @@ mod merge;
 mod out;
 
 use std::io::Write as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, ensure};
 use clap::Args as ClapArgs;
 use terrane::fetch::{is_remote, shown};
-use terrane::formats::{self, ConvertOptions, Converted, Counts};
+use terrane::formats::{self, ConvertError, ConvertOptions, Converted, Counts};
 use terrane::math::Region;
 use terrane_data_gen::Progress;
 
@@ -75,7 +75,7 @@ struct HowArgs {
 
 /// Converts a set.
 pub fn run(args: &ConvertArgs) -> Result<()> {
-    convert(&args.source, &args.out, &args.how, ConvertOptions::default())
+    convert(&args.source, &args.out, &args.how, ConvertOptions::default(), formats::convert)
 }
 
 /// The smallest x and y, then the largest, metres.
@@ -92,17 +92,21 @@ fn rectangle(text: &str) -> Result<Rectangle, String> {
     }
 }
 
-/// Converts the part of a set over a region.
+/// Copies the part of a set over a region, or converts it.
 pub fn crop(args: &CropArgs) -> Result<()> {
     let region = args.region.map(|RegionArg(degrees)| {
         let [west, south, east, north] = degrees.map(f64::to_radians);
         Region { west, south, east, north, min_height_m: 0.0, max_height_m: 0.0 }
     });
     let rectangle_m = args.metres.map(|Rectangle(metres)| metres);
-    convert(&args.source, &args.out, &args.how, ConvertOptions { region, rectangle_m, ..ConvertOptions::default() })
+    let part = ConvertOptions { region, rectangle_m, ..ConvertOptions::default() };
+    convert(&args.source, &args.out, &args.how, part, formats::crop)
 }
 
-fn convert(source: &str, out: &std::path::Path, how: &HowArgs, part: ConvertOptions) -> Result<()> {
+/// [`formats::convert`] or [`formats::crop`].
+type Job = fn(&str, &Path, &ConvertOptions, &mut dyn FnMut(&Converted)) -> Result<Converted, ConvertError>;
+
+fn convert(source: &str, out: &Path, how: &HowArgs, part: ConvertOptions, job: Job) -> Result<()> {
     let output = Output::new(out, how.overwrite)?;
     if !is_remote(source) {
         output.check_sources([source])?;
@@ -120,7 +124,7 @@ fn convert(source: &str, out: &std::path::Path, how: &HowArgs, part: ConvertOpti
     let progress = Progress::new("converting", 0, "contents");
     let converted = output.write(|folder| {
         let mut show = |converted: &Converted| progress.set_done(converted.source.contents());
-        Ok(formats::convert(&opened.source, folder, &options, &mut show)?)
+        Ok(job(&opened.source, folder, &options, &mut show)?)
     })?;
     drop(progress);
     let text = match how.json {
@@ -139,8 +143,11 @@ fn convert(source: &str, out: &std::path::Path, how: &HowArgs, part: ConvertOpti
 type Row = (&'static str, fn(&Counts) -> u64);
 
 fn text(converted: &Converted, is_unchecked: bool) -> String {
-    let Converted { source, written, files, bytes, errors, failed, left_out } = converted;
+    let Converted { source, written, files, bytes, copied, errors, failed, left_out } = converted;
     let mut lines = vec![format!("files     {files}, {:.1} MiB", *bytes as f64 / f64::from(1 << 20))];
+    if *copied > 0 {
+        lines.push(format!("copied    {copied} as they are"));
+    }
     lines.push(format!("          {:>14} {:>14}", "source", "written"));
     let rows: [Row; 7] = [
         ("contents", Counts::contents),

@@ -8,9 +8,11 @@ use terrane::formats::{LevelMeasures, Problem, Spread, Verified};
 pub fn text(verified: &Verified) -> String {
     let mut out = String::new();
     let Verified { levels, problems, edges_left_out, .. } = verified;
-    if levels.iter().any(|level| level.tiles > 0) {
-        out.push_str(&contents(levels));
-        out.push_str(&errors(levels));
+    // Tiles whose content is another tileset have a level of their own, without anything to measure.
+    let levels: Vec<&LevelMeasures> = levels.iter().filter(|level| level.tiles > 0).collect();
+    if !levels.is_empty() {
+        out.push_str(&contents(&levels));
+        out.push_str(&errors(&levels));
     }
     // Writing to a String cannot fail.
     if *edges_left_out > 0 {
@@ -23,7 +25,7 @@ pub fn text(verified: &Verified) -> String {
     out
 }
 
-fn contents(levels: &[LevelMeasures]) -> String {
+fn contents(levels: &[&LevelMeasures]) -> String {
     let mut rows = vec![row(["level", "tiles", "bytes", "triangles", "heights m", "textures"])];
     for level in levels {
         let spread = |spread: Spread| format!("{} / {} / {}", spread.min, spread.median, spread.max);
@@ -31,7 +33,7 @@ fn contents(levels: &[LevelMeasures]) -> String {
         rows.push([
             level.level.to_string(),
             level.tiles.to_string(),
-            if level.tiles > 0 { spread(level.bytes) } else { none() },
+            spread(level.bytes),
             level.triangles.map_or_else(none, spread),
             level.heights_m.map_or_else(none, range),
             textures.collect::<Vec<_>>().join(", "),
@@ -40,7 +42,7 @@ fn contents(levels: &[LevelMeasures]) -> String {
     "measured, bytes and triangles as smallest / median / largest\n".to_owned() + &table(&rows)
 }
 
-fn errors(levels: &[LevelMeasures]) -> String {
+fn errors(levels: &[&LevelMeasures]) -> String {
     let head = ["level", "declared m", "to next m", "to finest m", "edges", "same level m", "to coarser m", "skirts m"];
     let mut rows = vec![row(head)];
     for level in levels {

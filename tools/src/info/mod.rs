@@ -30,11 +30,18 @@ pub fn run(args: &InfoArgs) -> Result<()> {
     services::add_service(&mut info, &args.source, &opened);
     let mut map = args.map.as_ref().map(|file| (file, Map::new(args.map_of)));
     let surveyed = match args.verify || map.is_some() {
-        true => Some(survey(args, opened, info.contents, map.as_mut().map(|(_, map)| map))?),
+        true => {
+            // A model may refer to any number of other files.
+            let contents = if info.model.is_some() { 0 } else { info.contents };
+            Some(survey(args, opened, contents, map.as_mut().map(|(_, map)| map))?)
+        }
         false => None,
     };
     let map = map.map(|(file, map)| map.write(file).map(|drawn| (file, drawn))).transpose()?;
     let verified = surveyed.filter(|_| args.verify);
+    if let Some(verified) = &verified {
+        info.bounds.measure(&verified.levels);
+    }
     let text = if args.json {
         let mut json = serde_json::to_value(&info)?;
         if let Some(verified) = &verified {

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::Args as ClapArgs;
-use terrane_data_gen::WorldPreset;
+use terrane_data_gen::{Tiling, WorldPreset};
 
 use super::faults::Fault;
 use crate::values::{amount, share};
@@ -20,6 +20,9 @@ pub struct ServeArgs {
     /// Put trees and rocks on the planet
     #[arg(long, requires = "procedural")]
     pub scatter: bool,
+    /// Description of the planet's tile tree
+    #[arg(long, value_enum, default_value_t, requires = "procedural")]
+    pub tiling: Tiling,
     /// Port; 0 selects a free one
     #[arg(long, default_value_t = 8080)]
     pub port: u16,
@@ -103,6 +106,7 @@ impl ServeArgs {
             folder: Some(folder.into()),
             procedural: None,
             scatter: false,
+            tiling: Tiling::default(),
             port: 0,
             bind: "127.0.0.1".to_owned(),
             http2: false,

@@ -4,7 +4,7 @@
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use terrane_data_gen::{GenError, TileKey, World, WorldPreset, WorldSet, WorldTile};
+use terrane_data_gen::{GenError, TileKey, Tiling, World, WorldPreset, WorldSet, WorldTile};
 
 /// The number of levels of a served planet. Cells of the finest level are about 0.15 m high and 0.3 m wide.
 const LEVELS: u32 = 22;
@@ -14,22 +14,31 @@ const KEPT: usize = 64;
 /// A planet, and the tiles that were made last.
 pub(super) struct Procedural {
     set: WorldSet,
+    tiling: Tiling,
     /// Written and read by the threads of connections.
     kept: Mutex<VecDeque<(TileKey, Arc<WorldTile>)>>,
 }
 
 impl Procedural {
-    pub(super) fn new(preset: WorldPreset, seed: u64, scatter: bool) -> Self {
+    pub(super) fn new(preset: WorldPreset, seed: u64, scatter: bool, tiling: Tiling) -> Self {
         let set = WorldSet::globe(World::new(preset, seed), LEVELS);
-        Self { set: if scatter { set.with_scatter() } else { set }, kept: Mutex::default() }
+        Self { set: if scatter { set.with_scatter() } else { set }, tiling, kept: Mutex::default() }
     }
 
     /// Returns the bytes of a file by its path relative to the folder of the set. `None` if the set does not have it.
     pub(super) fn file(&self, path: &str) -> Option<Result<Vec<u8>, GenError>> {
+        let is_implicit = self.tiling == Tiling::Implicit;
+        if path == "tileset.json" && is_implicit {
+            return Some(Ok(self.set.implicit_tileset().into_bytes()));
+        }
         if path == "tileset.json" {
             return self.set.tileset(TileKey { level: 0, x: 0, y: 0 }).map(|text| Ok(text.into_bytes()));
         }
-        let (stem, extension) = path.rsplit_once('.')?;
+        let subtree = path.strip_prefix("subtrees/").filter(|_| is_implicit);
+        let (stem, extension) = subtree.unwrap_or(path).rsplit_once('.')?;
+        if (extension == "subtree") != subtree.is_some() {
+            return None;
+        }
         let [level, x, y] = stem.split('/').collect::<Vec<_>>().try_into().ok()?;
         let number = |text: &str| text.parse::<u32>().ok().filter(|number| number.to_string() == text);
         let key = TileKey { level: number(level)?, x: number(x)?, y: number(y)? };
@@ -37,12 +46,13 @@ impl Procedural {
             return None;
         }
         match extension {
-            "exr" => Some(self.tile(key).map(|tile| tile.exr.clone())),
+            "exr" => Some(self.tile(key).map(|tile| tile.heights.clone())),
             "jpg" => Some(self.tile(key).map(|tile| tile.jpeg.clone())),
             "glb" if self.set.has_scatter(key.level) => {
                 Some(self.tile(key).map(|tile| tile.scatter.clone().unwrap_or_default()))
             }
-            "json" if key.level > 0 => self.set.tileset(key).map(|text| Ok(text.into_bytes())),
+            "subtree" => self.set.subtree(key).map(|(_, bytes)| Ok(bytes)),
+            "json" if key.level > 0 && !is_implicit => self.set.tileset(key).map(|text| Ok(text.into_bytes())),
             _ => None,
         }
     }

@@ -34,6 +34,14 @@ fn generated_sets_are_measured_without_problems() {
         let verified = &info["verified"];
         assert!(out.status.success(), "{content}: {verified:#}");
         assert_eq!(verified["problems"], Value::Array(Vec::new()), "{content}");
+        // The heights of the terrain are those of the samples, without the skirts that the volume of the root holds.
+        let tileset: Value = serde_json::from_slice(&std::fs::read(set.join("tileset.json")).unwrap()).unwrap();
+        let [low, high] = [4, 5].map(|k| info["bounds"]["region"][k].as_f64().unwrap());
+        let [lowest, highest] = [4, 5].map(|k| tileset["root"]["boundingVolume"]["region"][k].as_f64().unwrap());
+        assert!(
+            lowest + 1.0 < low && low < high && high < highest,
+            "{content}: {low} to {high}, {lowest} to {highest}"
+        );
         let levels = verified["levels"].as_array().unwrap();
         let finest = levels.last().unwrap();
         assert!(finest["edges"].as_u64().unwrap() > 0, "{content}: {finest}");

@@ -15,7 +15,7 @@ fn tiles_are_those_of_the_library_and_other_paths_are_missing() {
     let key = TileKey { level: 17, x: 70_000, y: 90_000 };
     let tile = set.tile(key).unwrap();
     let (status, head, body) = server.ask("GET", "/17/70000/90000.exr", "");
-    assert!(status == 200 && body == tile.exr, "{head}");
+    assert!(status == 200 && body == tile.heights, "{head}");
     let (status, head, body) = server.ask("GET", "/17/70000/90000.jpg", "");
     assert!(status == 200 && body == tile.jpeg && head.contains("image/jpeg"), "{head}");
     let (_, head, body) = server.ask("GET", "/17/70000/90000.jpg", "Range: bytes=2-5\r\n");
@@ -28,6 +28,21 @@ fn tiles_are_those_of_the_library_and_other_paths_are_missing() {
     for path in
         ["/", "/22/0/0.exr", "/1/2/0.exr", "/1/01/0.exr", "/2/0/0.json", "/0/0/0.json", "/1/0/0.png", "/1/0.exr"]
     {
+        assert_eq!(server.ask("GET", path, "").0, 404, "{path}");
+    }
+}
+
+#[test]
+fn planet_with_implicit_tiling_has_subtrees_instead_of_tilesets() {
+    let server = Server::start(Path::new(""), &["--procedural", "canyon", "--seed", "4", "--tiling", "implicit"]);
+    let set = WorldSet::globe(World::new(WorldPreset::Canyon, 4), 22);
+    let (_, _, body) = server.ask("GET", "/tileset.json", "");
+    let tileset: Value = serde_json::from_slice(&body).unwrap();
+    assert_eq!(tileset["root"]["implicitTiling"]["availableLevels"], 22, "{tileset}");
+    let (status, _, body) = server.ask("GET", "/subtrees/15/700/900.subtree", "");
+    let (_, expected) = set.subtree(TileKey { level: 15, x: 700, y: 900 }).unwrap();
+    assert!(status == 200 && body == expected);
+    for path in ["/subtrees/3/0/0.subtree", "/15/700/900.subtree", "/subtrees/15/700/900.exr", "/3/0/0.json"] {
         assert_eq!(server.ask("GET", path, "").0, 404, "{path}");
     }
 }

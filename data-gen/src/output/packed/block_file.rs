@@ -16,7 +16,7 @@ const FOLDER: &str = ".packed";
 const TRAILER_BYTES: u64 = 16;
 
 /// A block's file that is written. Files are added in the order of their keys.
-pub(in crate::output) struct BlockFile {
+pub(crate) struct BlockFile {
     path: PathBuf,
     unfinished: PathBuf,
     out: BufWriter<File>,

@@ -10,7 +10,7 @@ const MAX_LEVEL: u32 = 25;
 /// The kind of a file; the number is its code.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
-pub(in crate::output) enum Kind {
+pub(crate) enum Kind {
     Tileset = 0,
     Heights = 1,
     Glb = 3,

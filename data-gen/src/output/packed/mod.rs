@@ -7,7 +7,6 @@ mod block_file;
 mod entry;
 mod set_file;
 
-pub(super) use block_file::BlockFile;
-pub(crate) use block_file::tiles_and_bytes;
-pub(super) use entry::Kind;
+pub(crate) use block_file::{BlockFile, tiles_and_bytes};
+pub(crate) use entry::Kind;
 pub(super) use set_file::{MAGIC, write_packed_set};

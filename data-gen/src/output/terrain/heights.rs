@@ -6,7 +6,8 @@
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 use crate::georeference::ROUNDING;
-use crate::pyramid::{CELLS, Grid, Samples, TileKey, Window};
+use crate::output::Inputs;
+use crate::pyramid::{BOX, CELLS, Grid, Samples, TileKey, Window};
 use crate::{ElevationSource, Extent, GenError, Voids};
 
 /// The square whose southern half is the tiling.
@@ -40,6 +41,8 @@ pub(super) struct TileHeights {
     pub data_m: [f32; 2],
     /// Vertices inside of the source's rectangle without data. Those on the eastern and northern edge belong to neighbours.
     pub voids: u64,
+    /// What the heights depend on.
+    pub inputs: Inputs,
 }
 
 impl<'a> Heights<'a> {
@@ -117,14 +120,13 @@ impl<'a> Heights<'a> {
         let depth = self.levels - 1 - key.level;
         let (cells, side) = (self.grid.cells(depth), CELLS as i64);
         let first = [key.x, key.y].map(|c| i64::from(c) * side);
-        let mut window = Window::around(first, side, 1, cells);
-        // Beyond the pole there is no earth.
-        window.last[1] = window.last[1].min(cells / 2);
+        let window = self.window(key);
         let grid = if depth == 0 { &self.grid } else { &self.coarse };
         let mut samples = grid.sample(depth, window)?;
         let extent = in_square(key).extent(&SQUARE);
+        let (data_m, inputs) = (NO_HEIGHTS_M, Inputs::Data);
         let mut tile =
-            TileHeights { samples: Samples::unknown(window), extent, first, cells, data_m: NO_HEIGHTS_M, voids: 0 };
+            TileHeights { samples: Samples::unknown(window), extent, first, cells, data_m, voids: 0, inputs };
         let step = TAU / cells as f64;
         let filled = self.fill(&extent, step, &samples)?;
         for y in window.first[1]..=window.last[1] {
@@ -139,6 +141,10 @@ impl<'a> Heights<'a> {
                     tile.voids += 1;
                 }
                 if !is_inside || height_m.is_nan() {
+                    tile.inputs = match &filled {
+                        Some(filled) if filled.has_gaps => Inputs::Gaps,
+                        _ => Inputs::Surroundings,
+                    };
                     let filled = filled.as_ref().filter(|_| is_inside);
                     samples.set(x, y, filled.map_or(0.0, |filled| filled.at(longitude, latitude)));
                 } else if own.iter().all(|c| (0..=side).contains(c)) {
@@ -148,6 +154,54 @@ impl<'a> Heights<'a> {
         }
         tile.samples = samples;
         Ok(tile)
+    }
+
+    /// Returns the vertices of a tile and one around them, on the lattice of its level.
+    fn window(&self, key: TileKey) -> Window {
+        let cells = self.grid.cells(self.levels - 1 - key.level);
+        let first = [key.x, key.y].map(|c| i64::from(c) * CELLS as i64);
+        let mut window = Window::around(first, CELLS as i64, 1, cells);
+        // Beyond the pole there is no earth.
+        window.last[1] = window.last[1].min(cells / 2);
+        window
+    }
+
+    /// Returns the rectangle of what the heights of a tile with some inputs depend on, which may have longitudes beyond 180 degrees.
+    /// `None` if the heights depend on data alone, but vertices lie outside of the source's rectangle.
+    pub fn near(&self, key: TileKey, inputs: Inputs) -> Option<Extent> {
+        let depth = self.levels - 1 - key.level;
+        let (window, step) = (self.window(key), TAU / self.grid.cells(depth) as f64);
+        let at = |[x, y]: [i64; 2]| [SQUARE.west + step * x as f64, SQUARE.south + step * y as f64];
+        let ([west, south], [east, north]) = (at(window.first), at(window.last));
+        let margin = if depth == 0 { 0.0 } else { step };
+        let corners = [[west, south], [east, south], [west, north], [east, north]];
+        let is_inside = || corners.iter().all(|[longitude, latitude]| self.is_inside(*longitude, *latitude, margin));
+        if inputs == Inputs::Data && !is_inside() {
+            return None;
+        }
+        // Extrema move by less than a cell.
+        let mut reach = [step; 2];
+        if let Some(grid) = self.filled.as_ref().filter(|_| inputs != Inputs::Data) {
+            // A filled height depends on the boxes around its own.
+            let (fine, depth) = self.filled_depth(grid, step);
+            let boxes = f64::from(depth).exp2() * (2 * BOX + 4) as f64;
+            reach = [reach[0] + fine[0] * boxes, reach[1] + fine[1] * boxes];
+        }
+        let [dx, dy] = reach;
+        Some(Extent { west: west - dx, south: south - dy, east: east + dx, north: north + dy })
+    }
+
+    /// Returns a checksum of the heights that wide gaps continue.
+    pub fn gaps_checksum(&self) -> Result<Option<u64>, GenError> {
+        self.filled.as_ref().map(Grid::gaps_checksum).transpose()
+    }
+
+    /// Returns the steps of the source's own lattice in radians, and the depth of the one of it that fills tiles with a step.
+    fn filled_depth(&self, grid: &Grid<'_>, step: f64) -> ([f64; 2], u32) {
+        let cells = grid.cells(0) as f64;
+        let [dx, dy] =
+            [self.extent.east - self.extent.west, self.extent.north - self.extent.south].map(|side| side / cells);
+        ([dx, dy], (step / dx.max(dy)).log2().floor().clamp(0.0, f64::from(grid.levels + 5)) as u32)
     }
 
     /// Returns true if a position lies in the source's rectangle, at least `margin` radians from its borders.
@@ -166,10 +220,7 @@ impl<'a> Heights<'a> {
     /// Returns the source's own lattice around a tile with filled voids, if the tile has some and they shall be filled.
     fn fill(&self, tile: &Extent, step: f64, samples: &Samples) -> Result<Option<Filled<'_, 'a>>, GenError> {
         let Some(grid) = self.filled.as_ref().filter(|_| samples.has_unknown()) else { return Ok(None) };
-        let cells = grid.cells(0) as f64;
-        let [dx, dy] =
-            [self.extent.east - self.extent.west, self.extent.north - self.extent.south].map(|side| side / cells);
-        let depth = (step / dx.max(dy)).log2().floor().clamp(0.0, f64::from(grid.levels + 5)) as u32;
+        let (_, depth) = self.filled_depth(grid, step);
         let turn = if tile.east <= self.extent.west { TAU } else { 0.0 };
         let corners = [[tile.west, tile.south], [tile.east, tile.north]].map(|[longitude, latitude]| {
             grid.position(longitude + turn, latitude).map(|c| c / f64::from(depth).exp2())
@@ -180,8 +231,11 @@ impl<'a> Heights<'a> {
             last: corners[1].map(|c| (c.ceil() as i64 + 2).clamp(0, last)),
         };
         let known = grid.sample_flooded(depth, window)?;
-        let samples = if known.has_unknown() { grid.filled(depth, &known)? } else { known };
-        Ok(Some(Filled { grid, depth, samples, west: self.extent.west }))
+        let (samples, gaps) = match known.has_unknown() {
+            true => grid.filled_with_gaps(depth, &known)?,
+            false => (known, Vec::new()),
+        };
+        Ok(Some(Filled { grid, depth, samples, west: self.extent.west, has_gaps: !gaps.is_empty() }))
     }
 }
 
@@ -194,6 +248,8 @@ struct Filled<'g, 'a> {
     depth: u32,
     samples: Samples,
     west: f64,
+    /// True if boxes around have no data.
+    has_gaps: bool,
 }
 
 impl Filled<'_, '_> {

@@ -1,7 +1,7 @@
 //! Sets that are written into buckets of a server that acts like S3. Keys and address come from the environment.
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -10,6 +10,7 @@ use kit::buckets::Buckets;
 use kit::server::{How, Reply, Request};
 
 use crate::files::files_below;
+use crate::runs::updates::hills;
 
 /// Returns the command that writes a small set; its scratch files are made in `folder`.
 fn command(buckets: &Buckets, folder: &Path, out: &str, more: &[&str]) -> Command {
@@ -126,7 +127,7 @@ fn bucket_that_refuses_is_one_error_before_work_starts() {
     );
     for (out, more, expected) in [
         ("https://h/set", &[][..], "sets are written to folders and to s3://"),
-        ("s3://tiles/set", &["--merge"], "need a folder as OUT"),
+        ("s3://tiles/set", &["--update"], "--update has no effect without --dem"),
         ("s3://", &[], "expected the address of a bucket"),
         ("s3://tiles/set?a", &[], "expected the address of a bucket"),
     ] {
@@ -196,4 +197,85 @@ fn killed_upload_is_continued() {
     let output = command.output().unwrap();
     assert!(output.status.success(), "{}", said(&output));
     assert!(set(&buckets, "/tiles/set/") == plain(folder.path(), &[]) && is_empty(scratch.path()));
+}
+
+/// Runs the program on elevation files.
+fn from_files(buckets: &Buckets, folder: &Path, out: &str, dem: &[PathBuf], more: &[&str]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_terrane-gen"));
+    command.arg(out).args(["--jobs", "2"]).args(more);
+    for dem in dem {
+        command.arg("--dem").arg(dem);
+    }
+    command.envs(buckets.environment()).env("TMPDIR", folder).output().unwrap()
+}
+
+/// Returns the files of the set that a run in a folder makes.
+fn fresh(folder: &Path, dem: &[PathBuf], more: &[&str]) -> BTreeMap<String, Vec<u8>> {
+    let out = folder.join("fresh");
+    let mut command = Command::new(env!("CARGO_BIN_EXE_terrane-gen"));
+    command.arg(&out).args(["--jobs", "2", "--overwrite"]).args(more);
+    for dem in dem {
+        command.arg("--dem").arg(dem);
+    }
+    let output = command.output().unwrap();
+    assert!(output.status.success(), "{}", said(&output));
+    files_below(&out)
+}
+
+/// Kept tiles are neither read nor written, and the others replace those of the old set.
+#[test]
+fn update_in_a_bucket_sends_only_what_has_changed() {
+    let [folder, scratch] = [(); 2].map(|()| tempfile::tempdir().unwrap());
+    let buckets = Buckets::start(|_| None);
+    for (name, side, more) in [
+        ("mesh", 12, &["--content", "mesh", "--color", "none", "--gzip", "--aligned"][..]),
+        ("globe", 72, &["--content", "quantized-mesh", "--gzip", "--levels", "11"]),
+    ] {
+        let out = format!("s3://tiles/{name}");
+        let at = |name: &str, west: f64, seed: u32| hills(folder.path(), name, [west, 46.0], side, seed);
+        let dem = [at("a.tif", 7.0, 1), at("b.tif", 20.0, 2)];
+        let run = |more: &[&str]| from_files(&buckets, scratch.path(), &out, &dem, more);
+        let made = run(more);
+        assert!(made.status.success(), "{}", said(&made));
+        at("b.tif", 20.0, 3);
+        let before = buckets.server.count();
+        let updated = run(&[more, &["--update"]].concat());
+        assert!(updated.status.success(), "{}", said(&updated));
+        let seen = buckets.server.seen();
+        let sent = seen[before..].iter().filter(|request| request.method == "PUT").count();
+        let mut own = set(&buckets, &format!("/tiles/{name}/"));
+        assert!(own.remove("manifest.zip").is_some());
+        let expected = fresh(folder.path(), &dem, more);
+        assert!(own == expected, "{:?} {:?}", own.keys(), expected.keys());
+        assert!(sent < expected.len(), "{sent} of {} files were sent", expected.len());
+        assert!(is_empty(scratch.path()), "scratch files are left");
+    }
+}
+
+#[test]
+fn shards_in_a_bucket_merge_to_the_bytes_of_one_run() {
+    let [folder, scratch] = [(); 2].map(|()| tempfile::tempdir().unwrap());
+    let dem = [([7.0, 46.0], "a.tif"), ([7.4, 46.4], "b.tif")].map(|(at, name)| hills(folder.path(), name, at, 8, 1));
+    let buckets = Buckets::start(|_| None);
+    let run = |more: &[&str]| {
+        let more = [&["--levels", "7", "--content", "mesh", "--color", "none"], more].concat();
+        from_files(&buckets, scratch.path(), "s3://tiles/a/set", &dem, &more)
+    };
+    let done = run(&["--shard", "1/2"]);
+    assert!(done.status.success(), "{}", said(&done));
+    let again = run(&["--shard", "1/2"]);
+    assert!(again.status.success() && said(&again).contains("was complete"), "{again:?}");
+    let refused = run(&["--merge"]);
+    assert!(said(&refused).contains("2/2; make them with --shard"), "{}", said(&refused));
+    let plan = run(&["--plan", "2"]);
+    let plan: serde_json::Value = serde_json::from_slice(&plan.stdout).unwrap();
+    assert_eq!([0, 1].map(|shard| plan["shards"][shard]["complete"].as_bool()), [Some(true), Some(false)], "{plan}");
+    assert!(run(&["--shard", "2/2"]).status.success());
+    let merged = run(&["--merge"]);
+    assert!(merged.status.success(), "{}", said(&merged));
+    let mut own = set(&buckets, "/tiles/a/set/");
+    assert!(own.remove("manifest.zip").is_some());
+    assert!(own == fresh(folder.path(), &dem, &["--levels", "7", "--content", "mesh", "--color", "none"]));
+    assert!(set(&buckets, "/tiles/a/set.shard").is_empty(), "shards are removed");
+    assert!(is_empty(scratch.path()), "scratch files are left");
 }

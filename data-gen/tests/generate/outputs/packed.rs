@@ -184,12 +184,47 @@ fn contradictions_are_refused() {
             GenArgs { content: ContentKind::QuantizedMesh, color: Color::Natural, ..args.clone() },
             "--archive is not supported with --content quantized-mesh",
         ),
-        (
-            GenArgs { world: WorldArgs { world: Some(WorldPreset::Mars), ..WorldArgs::default() }, ..args.clone() },
-            "--archive packed is not supported with --world",
-        ),
     ] {
         let error = run(&args).unwrap_err().to_string();
         assert!(error.contains(part), "{error}");
+    }
+}
+
+#[test]
+fn worlds_are_packed_with_their_heights_colours_and_trees() {
+    let folder = tempfile::tempdir().unwrap();
+    let world = WorldArgs { world: Some(WorldPreset::Moon), scatter: true, ..WorldArgs::default() };
+    for tiling in [Tiling::Explicit, Tiling::Implicit] {
+        let output = OutputArgs { tiling, ..OutputArgs::default() };
+        let plain = GenArgs {
+            world: world.clone(),
+            output,
+            color: Color::Natural,
+            size: 2_000.0,
+            levels: Some(2),
+            ..GenArgs::new(folder.path().join("plain"))
+        };
+        let plain = GenArgs { overwrite: true, ..plain };
+        let wanted = run(&plain).unwrap();
+        let args = packed(&plain, "world.terrane");
+        let summary = run(&args).unwrap();
+        assert_eq!((summary.tiles, &summary.level_errors_m), (wanted.tiles, &wanted.level_errors_m));
+        for (level, x, y) in [(0, 0, 0), (1, 1, 0)] {
+            let read = heights(&args.out, &format!("{level}/{x}/{y}.heights"));
+            assert!(
+                read.chunks(TILE_SIDE).rev().flatten().eq(&tile_heights(&plain.out, level, x, y)),
+                "{level}/{x}/{y}"
+            );
+        }
+        let limits = Limits::default();
+        let [own, other] =
+            [&args.out, &plain.out].map(|set| verify(&set.to_string_lossy(), &limits, &mut |_| ()).unwrap());
+        assert_eq!((own.contents, own.failed, other.failed), (other.contents, 0, 0), "{own:?}");
+        let of = index(&std::fs::read(&args.out).unwrap());
+        let errors: Vec<f64> = of.values().map(|entry| entry.3).filter(|error_m| *error_m > 0.0).collect();
+        assert!(
+            !errors.is_empty() && errors.iter().all(|error_m| wanted.level_errors_m.contains(error_m)),
+            "{errors:?}"
+        );
     }
 }

@@ -9,7 +9,7 @@ use terrane::formats::{Content, ReadOptions, SurveyOptions, decode_node, inspect
 use terrane::math::WGS84;
 use terrane::scene::{Geometry, Node, NodeKind};
 use terrane_data_gen::{
-    Color, ContentKind, ElevationSource as _, GenArgs, OutputArgs, Procedural, TileArgs, Triangles, Voids, run,
+    Color, ContentKind, ElevationSource as _, GenArgs, OutputArgs, Procedural, TileArgs, Triangles, Voids, predict, run,
 };
 
 use crate::files::{files_below, from_dem, heights, tiff_float32};
@@ -193,7 +193,12 @@ fn options_without_effect_are_refused() {
     assert!(of(&|args| args.color = Color::None).contains("--color"));
     assert!(of(&|args| args.tiles.no_meshopt = true).contains("--no-meshopt"));
     assert!(of(&|args| args.float_vertices = true).contains("--float-vertices"));
-    assert!(of(&|args| args.run.memory = Some(1 << 30)).contains("--memory"));
+    let aligned = |args: &mut GenArgs| {
+        args.dem.push(folder.path().join("dem.tif"));
+        args.run.aligned = true;
+    };
+    assert!(of(&aligned).contains("--aligned has no effect"));
+    assert!(of(&|args| args.run.memory = Some(8 << 20)).contains("--memory is too small"));
     assert!(
         of(&|args| {
             args.content = ContentKind::Mesh;
@@ -201,6 +206,22 @@ fn options_without_effect_are_refused() {
         })
         .contains("--attribution")
     );
+}
+
+#[test]
+fn prediction_has_the_tiles_and_about_the_bytes_of_the_run_and_memory_changes_no_bytes() {
+    let folder = tempfile::tempdir().unwrap();
+    let args = GenArgs { levels: Some(14), ..terrain(folder.path(), "set") };
+    let predicted = predict(&args).unwrap();
+    let made = run(&args).unwrap();
+    assert_eq!((predicted.tiles, predicted.levels.len()), (made.tiles, 14), "{predicted:?}");
+    let share = predicted.bytes as f64 / made.bytes as f64;
+    assert!((0.5..2.0).contains(&share), "{} of {} bytes", predicted.bytes, made.bytes);
+    assert!(predicted.sampled_tiles > 0 && predicted.seconds > 0.0, "{predicted:?}");
+    let mut small = terrain(folder.path(), "small");
+    small.run.memory = Some(96 << 20);
+    run(&small).unwrap();
+    assert!(files_below(&args.out) == files_below(&small.out));
 }
 
 #[test]

@@ -162,6 +162,23 @@ fn compressed_set_is_updated() {
     check(&all);
 }
 
+#[test]
+fn untouched_blocks_of_a_compressed_set_are_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str, corner: [f64; 2], seed: u32| hills(folder.path(), name, corner, 12, seed);
+    let (first, second) = (at("a.tif", [7.0, 46.0], 1), at("b.tif", [20.0, 46.3], 2));
+    for content in [ContentKind::Mesh, ContentKind::Height] {
+        at("b.tif", [20.0, 46.3], 2);
+        let output = OutputArgs { gzip: true, ..OutputArgs::default() };
+        let all = args(&[&first, &second], folder.path().join("set"), true);
+        let all = GenArgs { content, output, overwrite: true, ..all };
+        run(&all).unwrap();
+        at("b.tif", [20.0, 46.3], 3);
+        let [kept, made] = counts(&check(&GenArgs { overwrite: false, ..all }));
+        assert!(kept > 0 && made > 0, "{content:?}: {kept} {made}");
+    }
+}
+
 /// Writes an image of one colour with a north-western corner in degrees and a side in pixels of 10 seconds.
 fn photo(folder: &Path, name: &str, [west, north]: [f64; 2], side: u16, color: [u8; 3]) -> PathBuf {
     let bytes = color.repeat(usize::from(side) * usize::from(side));
@@ -203,4 +220,52 @@ fn changed_imagery_makes_only_the_tiles_that_it_touches_again() {
             assert!(kept > 0 && made > 1 && tiles > 1, "{imagery:?}: {kept} {made} {tiles}");
         }
     }
+}
+
+/// Makes sets of terrain for globes on the tiling of the whole earth.
+fn terrain(dem: &[&PathBuf], out: PathBuf) -> GenArgs {
+    GenArgs { content: ContentKind::QuantizedMesh, color: Color::Natural, levels: Some(11), ..args(dem, out, false) }
+}
+
+/// Returns the numbers of tiles of terrain for globes that were kept and made.
+fn tile_counts(note: &str) -> [u32; 2] {
+    let numbers: Vec<u32> = note.split([' ', ';']).filter_map(|word| word.parse().ok()).collect();
+    numbers.try_into().unwrap_or_else(|_| panic!("{note}"))
+}
+
+#[test]
+fn changed_and_added_sources_make_only_the_terrain_tiles_that_they_touch_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str, corner: [f64; 2], seed: u32| hills(folder.path(), name, corner, 64, seed);
+    let side = 64.0 * PIXEL;
+    let (west, east) = (at("a.tif", [7.0, 46.0], 1), at("b.tif", [7.0 + side, 46.0], 2));
+    let set = |dem: &[&PathBuf]| {
+        let output = OutputArgs { gzip: true, ..OutputArgs::default() };
+        GenArgs { levels: Some(12), output, ..terrain(dem, folder.path().join("set")) }
+    };
+    let all = set(&[&west, &east]);
+    let tiles = run(&all).unwrap().tiles as u32;
+    at("b.tif", [7.0 + side, 46.0], 3);
+    let [kept, made] = tile_counts(&check(&all));
+    assert!(kept >= 1 && made >= 12 && kept + made == tiles, "{kept} {made}");
+    // The set grows: tiles on data are kept, those on its former border are not.
+    let north = at("c.tif", [7.0, 46.0 + side], 4);
+    let [kept, made] = tile_counts(&check(&set(&[&west, &east, &north])));
+    assert!(kept >= 1 && made >= 12, "{kept} {made}");
+}
+
+/// Heights of wide gaps continue those of the whole set.
+#[test]
+fn terrain_beside_wide_gaps_is_made_again_if_heights_far_away_change() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str, corner: [f64; 2], seed: u32| hills(folder.path(), name, corner, 40, seed);
+    let (south_west, north_east) = (at("a.tif", [7.0, 46.0], 1), at("b.tif", [9.0, 47.5], 2));
+    let availability = OutputArgs { tile_availability: true, ..OutputArgs::default() };
+    let all = GenArgs { output: availability, ..terrain(&[&south_west, &north_east], folder.path().join("set")) };
+    run(&all).unwrap();
+    at("b.tif", [9.0, 47.5], 5);
+    let [_, made] = tile_counts(&check(&all));
+    assert!(made > 11, "{made}");
+    fs::remove_file(all.out.join(MANIFEST)).unwrap();
+    assert!(check(&all).contains("no manifest"));
 }

@@ -5,7 +5,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use kit::server::{How, Reply, Request, Server};
-use terrane_data_gen::{Color, ElevationSource as _, GenArgs, GenError, HeightEncoding, Raster, RasterOptions, run};
+use terrane_data_gen::{
+    Color, Crs, ElevationSource as _, GenArgs, GenError, HeightEncoding, Raster, RasterOptions, run,
+};
 
 use super::tile_archives::{pmtiles, terrarium};
 use crate::files::{files_below, from_dem};
@@ -281,4 +283,40 @@ fn blocks_on_servers_are_read_ahead() {
     run(&remote).unwrap();
     assert!(files_below(&remote.out) == files_below(&local.out));
     assert!(most.load(Ordering::Relaxed) > 4, "{} requests at the same time", most.load(Ordering::Relaxed));
+}
+
+/// The world file of a raster on a server is a part of the source: `--update` makes again what it moves.
+#[test]
+fn changed_file_beside_a_raster_on_a_server_is_a_change() {
+    let folder = tempfile::tempdir().unwrap();
+    let image = tiled(256, 16, 1, |x, y| height(x, y).to_le_bytes().to_vec());
+    let file = tiff(vec![image]);
+    let corner = Arc::new(AtomicUsize::new(8));
+    let at = corner.clone();
+    let server = Server::start(move |request| match request.path() {
+        "/dem.tif" => Reply::ok(file.clone()).with("ETag", "\"1\"").ranged(request),
+        "/dem.tfw" => {
+            let west = at.load(Ordering::Relaxed);
+            let text = format!("{PIXEL}\n0\n0\n-{PIXEL}\n{west}\n46\n");
+            Reply::ok(text).with("ETag", &format!("\"{west}\"")).ranged(request)
+        }
+        _ => Reply::new(404, ""),
+    });
+    let args = GenArgs {
+        dem: vec![address(&server, "dem.tif")],
+        color: Color::None,
+        levels: Some(2),
+        epsg: Some(Crs::parse("EPSG:4326").unwrap()),
+        ..GenArgs::new(folder.path().join("set"))
+    };
+    run(&args).unwrap();
+    let update = || {
+        let mut args = args.clone();
+        args.run.update = true;
+        run(&args).unwrap().notes[0].clone()
+    };
+    assert!(update().contains("are kept"), "nothing has changed");
+    corner.store(9, Ordering::Relaxed);
+    let note = update();
+    assert!(note.contains("the bounds"), "{note}");
 }

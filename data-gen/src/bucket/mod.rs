@@ -2,22 +2,32 @@
 //! incomplete set is never visible as one. Files are removed from the scratch folder when they are uploaded: a run that was killed
 //! continues with the others.
 
+mod old_set;
+mod parts;
+
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 use terrane::fetch::{HttpConfig, IoError, ObjectFolder, ObjectHeaders};
 
+use self::old_set::BucketSet;
+use self::parts::ShardFolder;
+pub(crate) use self::parts::complete_shards;
 use crate::fingerprint::fingerprint;
 use crate::generate::{check, expanded};
-use crate::output::{ROOTS, each_folder, write_whole};
+use crate::output::{MANIFEST, ROOTS, each_folder, write_whole};
 use crate::pyramid::checksum;
-use crate::{GenArgs, GenError, PartialFolder, Prediction, Progress, Summary, generate};
+use crate::update::OldSet as _;
+use crate::{ArchiveFormat, GenArgs, GenError, PartialFolder, Prediction, Progress, RunArgs, Summary, generate};
 
 /// An object that is written and removed before work starts.
 const PROBE: &str = ".terrane-gen-probe";
 /// The summary of a set that is complete in the scratch folder.
 const SUMMARY: &str = "summary.json";
+/// The same, of an update.
+const UPDATE_SUMMARY: &str = "update.json";
 /// A file in the scratch folder that says that the old set has been removed from the bucket.
 const CLEARED: &str = "cleared";
 /// Files that are uploaded at the same time.
@@ -34,7 +44,15 @@ struct Bucket {
     out: PathBuf,
 }
 
-/// Makes a set and uploads it. The same options continue a run that was killed.
+/// A set that is complete in the scratch folder.
+#[derive(Serialize, Deserialize)]
+struct Made {
+    summary: Summary,
+    /// The files of the old set in the bucket that an update keeps.
+    kept: Vec<String>,
+}
+
+/// Makes a set, or a shard of one, and uploads it. The same options continue a run that was killed.
 pub(crate) fn run(args: &GenArgs) -> Result<Summary, GenError> {
     let start = Instant::now();
     let args = &expanded(args)?;
@@ -42,32 +60,44 @@ pub(crate) fn run(args: &GenArgs) -> Result<Summary, GenError> {
     let bucket = Bucket::open(args)?;
     bucket.check_writable()?;
     let fingerprint = fingerprint(args)?;
-    let partial = PartialFolder::beside(&scratch(&bucket.out), fingerprint)?;
+    let shard = args.sharding.shard.map(|shard| ShardFolder::beside(&bucket.out, shard)).transpose()?;
+    let out = shard.as_ref().map_or_else(|| bucket.out.clone(), |shard| shard.at.clone());
+    if let Some(shard) = &shard
+        && shard.is_made(fingerprint)?
+    {
+        return Ok(Summary { out, notes: vec!["the shard was complete".to_owned()], ..Summary::default() });
+    }
+    let partial = PartialFolder::beside(&scratch(&out), fingerprint)?;
     check_owner(partial.path())?;
-    let at = partial.path().join(SUMMARY);
-    let set = partial.path().join(if bucket.archive.is_some() { "set.3tz" } else { "set" });
-    let made: Option<Summary> = std::fs::read(&at).ok().and_then(|json| serde_json::from_slice(&json).ok());
-    let summary = match made {
-        Some(summary) => summary,
+    // The folder of an update has only a part of the set: no other run continues it.
+    let (at, set) = if args.run.update { (UPDATE_SUMMARY, "update") } else { (SUMMARY, bucket.set_name(args)) };
+    let (at, set) = (partial.path().join(at), partial.path().join(set));
+    let made: Option<Made> = std::fs::read(&at).ok().and_then(|json| serde_json::from_slice(&json).ok());
+    let made = match made {
+        Some(made) => made,
         None => {
-            bucket.check_free(args)?;
-            let local = GenArgs { out: set.clone(), overwrite: true, ..args.clone() };
-            let summary = match generate::run(&local) {
+            let made = match bucket.make(args, &set, partial.path()) {
                 Err(unfinished @ GenError::Unfinished { .. }) => {
                     partial.keep();
                     return Err(unfinished);
                 }
                 made => made?,
             };
-            let json = serde_json::to_vec(&summary).map_err(|e| GenError::Encode(e.to_string()))?;
+            let json = serde_json::to_vec(&made).map_err(|e| GenError::Encode(e.to_string()))?;
             write_whole(&at, &json)?;
-            summary
+            made
         }
     };
-    if let Err(reason) = bucket.upload(args, &set, partial.path()) {
+    let uploaded = match &shard {
+        Some(shard) => shard.upload(&shard.shard.folder(&set)),
+        None if args.run.update => bucket.upload_update(args, &set, &made.kept),
+        None => bucket.upload(args, &set, partial.path()),
+    };
+    let uploaded = uploaded.and_then(|()| if args.sharding.merge { parts::remove(&bucket) } else { Ok(()) });
+    if let Err(reason) = uploaded {
         return Err(GenError::Unfinished { reason: Box::new(reason), folder: partial.keep() });
     }
-    Ok(Summary { out: bucket.out, seconds: start.elapsed().as_secs_f64(), ..summary })
+    Ok(Summary { out, seconds: start.elapsed().as_secs_f64(), ..made.summary })
 }
 
 /// Predicts a run. Fails as it would, as far as that is known before.
@@ -75,9 +105,10 @@ pub(crate) fn predict(args: &GenArgs) -> Result<Prediction, GenError> {
     check(&expanded(args)?)?;
     let bucket = Bucket::open(args)?;
     bucket.check_writable()?;
-    bucket.check_free(args)?;
-    let out = scratch(&bucket.out);
-    let out = if bucket.archive.is_some() { out.with_extension("3tz") } else { out };
+    if !args.run.update {
+        bucket.check_free(args)?;
+    }
+    let out = scratch(&bucket.out).join(bucket.set_name(args));
     generate::predict(&GenArgs { out, ..args.clone() })
 }
 
@@ -126,6 +157,41 @@ impl Bucket {
         |e| GenError::remote(Path::new(e.uri()), &e)
     }
 
+    /// Returns the name of the set in the scratch folder.
+    fn set_name(&self, args: &GenArgs) -> &'static str {
+        match args.output.archive.filter(|_| self.archive.is_some()) {
+            None => "set",
+            Some(ArchiveFormat::ThreeTz) => "set.3tz",
+            Some(ArchiveFormat::Packed) => "set.terrane",
+        }
+    }
+
+    /// Makes a set, or a shard of one, in the scratch folder.
+    fn make(&self, args: &GenArgs, set: &Path, scratch: &Path) -> Result<Made, GenError> {
+        if args.run.update {
+            let old = BucketSet::open(self, &scratch.join("old"))?;
+            if old.exists() {
+                let local = GenArgs { out: set.to_path_buf(), ..args.clone() };
+                let mut summary = generate::run_with(&local, &old)?;
+                if args.output.gzip {
+                    // The folder has only the files that were made.
+                    summary.bytes += old.bytes_of_kept();
+                }
+                return Ok(Made { summary, kept: old.into_kept() });
+            }
+        }
+        if args.sharding.shard.is_none() {
+            self.check_free(args)?;
+        }
+        if args.sharding.merge {
+            parts::download(self, set)?;
+        }
+        let overwrite = args.sharding.shard.is_none();
+        let run = RunArgs { update: false, ..args.run.clone() };
+        let local = GenArgs { out: set.to_path_buf(), overwrite, run, ..args.clone() };
+        Ok(Made { summary: generate::run(&local)?, kept: Vec::new() })
+    }
+
     /// Writes a small object and removes it.
     fn check_writable(&self) -> Result<(), GenError> {
         let headers = ObjectHeaders { content_type: "text/plain", is_gzip: false };
@@ -167,22 +233,21 @@ impl Bucket {
             // A run that was killed may have uploaded it.
             return if set.exists() { self.upload_file(args, set, name) } else { Ok(()) };
         }
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(MAX_UPLOADS).build();
-        let pool = pool.map_err(|e| GenError::Argument(format!("{MAX_UPLOADS} threads for uploads: {e}")))?;
         let cleared = scratch.join(CLEARED);
         if args.overwrite && !cleared.is_file() {
             for root in ROOTS {
                 self.folder.remove(root).map_err(self.error())?;
             }
-            pool.install(|| self.clear(""))?;
+            pool_of(MAX_UPLOADS)?.install(|| self.clear(""))?;
             write_whole(&cleared, b"")?;
         }
-        let mut count = 0;
-        each_folder(set, &mut |files: &[PathBuf]| {
-            count += files.len() as u64;
-            Ok(())
-        })?;
-        let progress = Progress::new("uploading", count, "files");
+        self.send(args, set)
+    }
+
+    /// Uploads the files of a set, its root last but for its manifest, and removes each from the folder.
+    fn send(&self, args: &GenArgs, set: &Path) -> Result<(), GenError> {
+        let pool = pool_of(MAX_UPLOADS)?;
+        let progress = Progress::new("uploading", names_of(set)?.len() as u64, "files");
         let (mut names, mut roots) = (Vec::new(), Vec::new());
         let send = |names: &mut Vec<(PathBuf, String)>| {
             pool.install(|| {
@@ -195,16 +260,16 @@ impl Bucket {
         };
         each_folder(set, &mut |files: &[PathBuf]| {
             for path in files {
-                let parts: Vec<_> =
-                    path.strip_prefix(set).unwrap_or(path).iter().map(|part| part.to_string_lossy()).collect();
-                let name = parts.join("/");
+                let name = name_in(set, path);
                 let is_root = ROOTS.contains(&&*name);
                 if is_root { &mut roots } else { &mut names }.push((path.clone(), name));
             }
             if names.len() >= MAX_NAMES { send(&mut names) } else { Ok(()) }
         })?;
         send(&mut names)?;
-        send(&mut roots)
+        send(&mut roots)?;
+        let manifest = set.join(MANIFEST);
+        if manifest.is_file() { self.upload_file(args, &manifest, MANIFEST) } else { Ok(()) }
     }
 
     /// Removes all objects below a folder.
@@ -219,6 +284,28 @@ impl Bucket {
         self.folder.write_file(name, path, headers(args, path)).map_err(self.error())?;
         std::fs::remove_file(path).map_err(GenError::file(path))
     }
+}
+
+/// Returns the names of the files of a set, relative to its folder.
+fn names_of(set: &Path) -> Result<Vec<String>, GenError> {
+    let mut names = Vec::new();
+    let own = set.join(MANIFEST);
+    each_folder(set, &mut |files: &[PathBuf]| {
+        names.extend(files.iter().map(|path| name_in(set, path)));
+        Ok(())
+    })?;
+    names.extend(own.is_file().then(|| MANIFEST.to_owned()));
+    Ok(names)
+}
+
+fn name_in(set: &Path, path: &Path) -> String {
+    let parts = path.strip_prefix(set).unwrap_or(path).iter().map(|part| part.to_string_lossy());
+    parts.collect::<Vec<_>>().join("/")
+}
+
+fn pool_of(threads: usize) -> Result<rayon::ThreadPool, GenError> {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+    pool.map_err(|e| GenError::Argument(format!("{threads} threads for uploads: {e}")))
 }
 
 /// Returns what the store says about a file of a set.
