@@ -73,7 +73,7 @@ impl OldSet for LocalSet {
 
     fn size(&self, name: &str) -> Option<u64> {
         let file = self.0.join(name).symlink_metadata().ok()?;
-        file.is_file().then(|| file.len())
+        file.is_file().then_some(file.len())
     }
 
     /// A compressed file ends with it.

@@ -223,7 +223,7 @@ impl<'a> Plan<'a> {
                             kept.push(content);
                         }
                     }
-                    (!kept.is_empty()).then(|| Value::Array(kept))
+                    (!kept.is_empty()).then_some(Value::Array(kept))
                 }
                 Some(one) => self.content(&one, set_from_tile, level, at, found)?.then_some(one),
             };

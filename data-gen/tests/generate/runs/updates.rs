@@ -162,23 +162,6 @@ fn compressed_set_is_updated() {
     check(&all);
 }
 
-#[test]
-fn untouched_blocks_of_a_compressed_set_are_kept() {
-    let folder = tempfile::tempdir().unwrap();
-    let at = |name: &str, corner: [f64; 2], seed: u32| hills(folder.path(), name, corner, 12, seed);
-    let (first, second) = (at("a.tif", [7.0, 46.0], 1), at("b.tif", [20.0, 46.3], 2));
-    for content in [ContentKind::Mesh, ContentKind::Height] {
-        at("b.tif", [20.0, 46.3], 2);
-        let output = OutputArgs { gzip: true, ..OutputArgs::default() };
-        let all = args(&[&first, &second], folder.path().join("set"), true);
-        let all = GenArgs { content, output, overwrite: true, ..all };
-        run(&all).unwrap();
-        at("b.tif", [20.0, 46.3], 3);
-        let [kept, made] = counts(&check(&GenArgs { overwrite: false, ..all }));
-        assert!(kept > 0 && made > 0, "{content:?}: {kept} {made}");
-    }
-}
-
 /// Writes an image of one colour with a north-western corner in degrees and a side in pixels of 10 seconds.
 fn photo(folder: &Path, name: &str, [west, north]: [f64; 2], side: u16, color: [u8; 3]) -> PathBuf {
     let bytes = color.repeat(usize::from(side) * usize::from(side));
