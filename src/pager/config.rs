@@ -63,10 +63,12 @@ pub struct PagerConfig {
     /// uploaded whole in the update that finds it, however long that takes: for offscreen images, or applications that
     /// load behind a loading screen.
     pub pre_compile: bool,
-    /// Time for merging per update; one page is always merged. The blocking mode has no such budget.
+    /// The time of [`Self::update_time`] that merging may take at most; one page is always merged.
     pub merge_time: Duration,
-    /// Time per update for accepting loaded contents, and as much for expiring pages. One of each is always done, and the
-    /// others wait for the next update or for the time before it. The blocking mode has no such budget.
+    /// Time per update for all that has arrived: accepting loaded contents and finished uploads, beginning uploads, merging and
+    /// expiring pages. Each step has a share of it and what the steps before it leave. One of each is always done, and the
+    /// others wait for the next update or for the time before it. In frames longer than 1/60 s it grows with them, up to
+    /// eight times. The blocking mode has no such budget.
     pub update_time: Duration,
     /// Back-off before a failed load is retried while it is wanted; doubled each time, up to five minutes.
     pub retry_after: Duration,
@@ -123,7 +125,7 @@ impl Default for PagerConfig {
             abort_time: Duration::from_millis(500),
             pre_compile: true,
             merge_time: Duration::from_millis(1),
-            update_time: Duration::from_millis(1),
+            update_time: Duration::from_micros(500),
             retry_after: Duration::from_secs(5),
             max_tries: None,
             limits: Limits::default(),

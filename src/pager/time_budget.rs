@@ -1,4 +1,4 @@
-//! [`TimeBudget`]: how long a step of update may take, by a clock that tests replace. Update thread.
+//! [`TimeBudget`]: how long the steps of update may take, by a clock that tests replace. Update thread.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -26,20 +26,21 @@ impl WorkClock {
 
     /// Returns a budget of this much time from now on; `None` has no end.
     pub fn budget(&self, time: Option<Duration>) -> TimeBudget {
-        let end = time.and_then(|time| (self.0)().checked_add(time));
-        TimeBudget { clock: self.clone(), end }
+        TimeBudget { clock: self.clone(), start: (self.0)(), time }
     }
 }
 
-/// The time that a step may take.
+/// The time that several steps may take together.
 pub(in crate::pager) struct TimeBudget {
     clock: WorkClock,
-    end: Option<Duration>,
+    start: Duration,
+    time: Option<Duration>,
 }
 
 impl TimeBudget {
-    /// Returns true once the time has passed.
-    pub fn is_over(&self) -> bool {
-        self.end.is_some_and(|end| (self.clock.0)() >= end)
+    /// Returns true once this many tenths of the time have passed. Steps that follow each other end at ascending tenths: what
+    /// one leaves, the next may use.
+    pub fn is_over_at(&self, tenths: u32) -> bool {
+        self.time.is_some_and(|time| (self.clock.0)().saturating_sub(self.start) >= time / 10 * tenths)
     }
 }

@@ -411,7 +411,7 @@ impl CompositeViewer {
     /// Merges and uploads arrived pages until `deadline`, instead of sleeping until the next frame is due, so that frames
     /// have less to do. For loops with a frame rate.
     pub fn work_until(&mut self, deadline: Instant) {
-        self.frame.work_until(&mut self.scenes, deadline);
+        self.frame.work_until(&self.views, &mut self.scenes, deadline);
     }
 
     /// Waits until all frames are drawn, so that statistics and images are complete. A frame that was lost with its device

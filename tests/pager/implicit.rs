@@ -1,46 +1,13 @@
 //! Implicit tiling through the pager: subtrees are pages that are loaded, refined and expired like others. No GPU.
 
-use std::path::Path;
 use std::time::Duration;
 
 use kit::pager::{Run, above};
-use kit::subtrees::{Availability, Scheme, Subtree};
-use terrane::formats::writers::{GlbMesh, write_glb};
+use kit::server::{Reply, Server};
+use kit::subtrees::{Scheme, Subtree};
+use kit::tile_sets::{WORLD_M, write_implicit};
 use terrane::pager::PagerConfig;
 use terrane::scene::{ReaderData, SlotState};
-
-/// Side of the world, metres.
-const WORLD_M: f64 = 4096.0;
-
-/// Writes a full quadtree with a triangle per tile: `subtrees` levels of subtrees with `levels` levels each.
-fn write_set(folder: &Path, levels: u32, subtrees: u32) {
-    let glb = write_glb(&GlbMesh {
-        positions: vec![[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]],
-        indices: vec![0, 1, 2],
-        base_color: [1.0; 4],
-        ..GlbMesh::default()
-    });
-    let half = WORLD_M / 2.0;
-    let all = levels * subtrees;
-    let json = format!(
-        r#"{{"asset":{{"version":"1.1"}},"geometricError":1000,"root":{{
-        "boundingVolume":{{"box":[{half},{half},0,{half},0,0,0,{half},0,0,0,1]}},"geometricError":256,"refine":"REPLACE",
-        "content":{{"uri":"{{level}}_{{x}}_{{y}}.glb"}},"implicitTiling":{{"subdivisionScheme":"QUADTREE",
-        "subtreeLevels":{levels},"availableLevels":{all},"subtrees":{{"uri":"{{level}}.{{x}}.{{y}}.subtree"}}}}}}}}"#
-    );
-    std::fs::write(folder.join("tileset.json"), json).unwrap();
-    for level in 0..all {
-        for (x, y) in (0..1 << level).flat_map(|x| (0..1 << level).map(move |y| (x, y))) {
-            std::fs::write(folder.join(format!("{level}_{x}_{y}.glb")), &glb).unwrap();
-            if level % levels == 0 {
-                let mut subtree = Subtree::new(Scheme::Quadtree, levels, 1);
-                subtree.fill();
-                subtree.set_children(Availability::Constant(level + levels < all));
-                std::fs::write(folder.join(format!("{level}.{x}.{y}.subtree")), subtree.binary()).unwrap();
-            }
-        }
-    }
-}
 
 /// Contents that are resident, and pages of tiles.
 fn resident(run: &Run) -> (Vec<String>, usize) {
@@ -65,7 +32,7 @@ fn implicit_trees_settle_on_the_same_tiles_however_they_are_cut() {
     let mut settled = Vec::new();
     for (levels, subtrees) in [(6, 1), (3, 2), (2, 3), (1, 6)] {
         let folder = tempfile::tempdir().unwrap();
-        write_set(folder.path(), levels, subtrees);
+        write_implicit(folder.path(), levels, subtrees);
         let mut run = Run::new(folder.path().to_str().unwrap(), PagerConfig::default());
         run.settle(above(40.0));
         assert!(run.pager.errors().is_empty(), "{:?}", run.pager.errors());
@@ -84,7 +51,7 @@ fn implicit_trees_settle_on_the_same_tiles_however_they_are_cut() {
 #[test]
 fn subtrees_that_are_not_looked_at_expire() {
     let folder = tempfile::tempdir().unwrap();
-    write_set(folder.path(), 2, 3);
+    write_implicit(folder.path(), 2, 3);
     let config = PagerConfig { expiry_time: Duration::ZERO, max_tiles: 60, ..PagerConfig::default() };
     let mut run = Run::new(folder.path().to_str().unwrap(), config);
     let corners = [(100.0, 100.0), (4000.0, 4000.0), (100.0, 4000.0), (4000.0, 100.0)];
@@ -112,7 +79,7 @@ fn subtrees_that_are_not_looked_at_expire() {
 fn missing_subtrees_keep_the_tile_above() {
     for damage in [None, Some(&b"rubbish"[..])] {
         let folder = tempfile::tempdir().unwrap();
-        write_set(folder.path(), 2, 3);
+        write_implicit(folder.path(), 2, 3);
         let file = folder.path().join("2.0.0.subtree");
         match damage {
             None => std::fs::remove_file(&file).unwrap(),
@@ -150,4 +117,26 @@ fn many_levels_of_subtrees_are_no_nested_tilesets() {
     run.settle(above(10.0));
     assert!(run.pager.errors().is_empty(), "{:?}", run.pager.errors());
     assert_eq!(resident(&run).1, 32);
+}
+
+/// A subtree holds up everything in it: with one request at a time it comes before the contents beside it.
+#[cfg(feature = "http")]
+#[test]
+fn subtrees_are_requested_before_the_contents_beside_them() {
+    let folder = tempfile::tempdir().unwrap();
+    write_implicit(folder.path(), 2, 2);
+    let files = folder.path().to_owned();
+    let server =
+        Server::start(move |request| match std::fs::read(files.join(request.path().trim_start_matches('/'))) {
+            Ok(bytes) => Reply::ok(bytes),
+            Err(_) => Reply::new(404, ""),
+        });
+    let config = PagerConfig { http_in_flight: 1, http_in_flight_max: 1, ..PagerConfig::default() };
+    let mut run = Run::new(&format!("{}/tileset.json", server.url), config);
+    run.settle(above(40.0));
+    assert!(run.pager.errors().is_empty(), "{:?}", run.pager.errors());
+    let paths: Vec<String> = server.seen().iter().map(|request| request.path().to_owned()).collect();
+    let position =
+        |name: &str| paths.iter().position(|path| path == name).unwrap_or_else(|| panic!("{name}: {paths:?}"));
+    assert!(position("/2.0.0.subtree") < position("/1_0_0.glb"), "{paths:?}");
 }

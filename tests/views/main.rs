@@ -2,6 +2,8 @@
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 mod contexts;
+#[cfg(feature = "http")]
+mod new_tiles;
 #[cfg(feature = "window")]
 mod overlays;
 mod pager_sharing;

@@ -25,6 +25,10 @@ impl BlockCopy {
     pub(in crate::gpu) fn record(&self, encoder: &mut wgpu::CommandEncoder) {
         match self {
             Self::Layers { from, to } => {
+                // wgpu-core 30 panics where the layers of a copy are in more than two states, as after uploads into some of them.
+                let texture =
+                    wgpu::TextureTransition { texture: from, selector: None, state: wgpu::TextureUses::COPY_SRC };
+                encoder.transition_resources(std::iter::empty(), std::iter::once(texture));
                 for level in 0..from.mip_level_count() {
                     let side = |side: u32| (side >> level).max(1);
                     let (block_width, block_height) = from.format().block_dimensions();
@@ -136,6 +140,44 @@ impl BlockLimits {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
+
+    /// Regression: the copy panicked in wgpu when other than the first layers had been written.
+    #[test]
+    fn layers_are_copied_also_after_uploads_with_gaps() {
+        let traits = ContextTraits { size_px: [4, 4], adapter: AdapterChoice::Noop, ..ContextTraits::default() };
+        let context = GraphicsContext::new_offscreen(&traits).unwrap();
+        let device = context.device();
+        let size = wgpu::Extent3d { width: 4, height: 4, depth_or_array_layers: 8 };
+        let texture = |depth_or_array_layers| {
+            device.create_texture(&wgpu::TextureDescriptor {
+                label: None,
+                size: wgpu::Extent3d { depth_or_array_layers, ..size },
+                mip_level_count: 1,
+                sample_count: 1,
+                dimension: wgpu::TextureDimension::D2,
+                format: wgpu::TextureFormat::Rgba8Unorm,
+                usage: wgpu::TextureUsages::COPY_SRC | wgpu::TextureUsages::COPY_DST,
+                view_formats: &[],
+            })
+        };
+        let (from, to) = (texture(8), texture(12));
+        let usage = wgpu::BufferUsages::COPY_SRC;
+        let buffer =
+            device.create_buffer(&wgpu::BufferDescriptor { label: None, size: 1024, usage, mapped_at_creation: false });
+        let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        for layer in [1, 3, 5, 7] {
+            let layout = wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(256), rows_per_image: None };
+            let origin = wgpu::Origin3d { z: layer, ..wgpu::Origin3d::ZERO };
+            encoder.copy_buffer_to_texture(
+                wgpu::TexelCopyBufferInfo { buffer: &buffer, layout },
+                wgpu::TexelCopyTextureInfo { origin, ..from.as_image_copy() },
+                wgpu::Extent3d { depth_or_array_layers: 1, ..size },
+            );
+        }
+        BlockCopy::Layers { from, to }.record(&mut encoder);
+        encoder.finish();
+    }
 
     #[test]
     fn blocks_start_small_and_grow_by_a_half() {

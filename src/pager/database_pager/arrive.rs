@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use super::DatabasePager;
+use super::{ANSWERS_END, DatabasePager, UPLOADED_END};
 use crate::fetch::{IoError, Permit};
 use crate::gpu::Compiled;
 use crate::pager::loading::job::Answer;
@@ -13,21 +13,24 @@ use crate::pager::requests::entry::{Entry, Progress};
 use crate::pager::requests::retry_policy::{RetryPolicy, RetryState, retry_moment};
 use crate::pager::residency::budget::MemoryUse;
 use crate::pager::scenes::scene_set::SceneSet;
+use crate::pager::time_budget::TimeBudget;
 use crate::pager::upload::Uploaded;
 use crate::pager::upload::context::CompileContext;
 use crate::scene::{DrawKind, NodeId, Page};
 
 impl DatabasePager {
-    /// Takes answers of the loading threads, at least one and then for as long as [`PagerConfig::update_time`] allows. The
-    /// others stay in their channel, which has room for all.
-    ///
-    /// [`PagerConfig::update_time`]: crate::pager::PagerConfig::update_time
-    pub(super) fn take_answers(&mut self, scenes: &mut dyn SceneSet, contexts: &mut [&mut dyn CompileContext]) {
-        let budget = self.budget(self.config.update_time);
+    /// Takes answers of the loading threads, at least one and then as the budget allows. The others stay in their channel,
+    /// which has room for all.
+    pub(super) fn take_answers(
+        &mut self,
+        scenes: &mut dyn SceneSet,
+        contexts: &mut [&mut dyn CompileContext],
+        budget: &TimeBudget,
+    ) {
         while let Some(answer) = self.threads.try_answer() {
             self.received(&answer);
             self.answer(scenes, answer, contexts);
-            if budget.is_over() {
+            if budget.is_over_at(ANSWERS_END) {
                 break;
             }
         }
@@ -132,19 +135,30 @@ impl DatabasePager {
         }
     }
 
-    /// Takes what the contexts have uploaded.
-    pub(super) fn take_compiled(&mut self, scenes: &mut dyn SceneSet, contexts: &mut [&mut dyn CompileContext]) {
-        let taken = contexts.iter_mut().map(|context| (context.id(), context.take_compiled()));
-        let each = taken.flat_map(|(id, compiled)| compiled.into_iter().map(move |compiled| (id, compiled)));
-        let compiled = each.collect();
-        self.note_compiled(scenes, compiled, contexts);
+    /// Takes what the contexts have uploaded, at least one page and then as the budget allows. The others wait in
+    /// [`Arrivals`](crate::pager::upload::Arrivals).
+    pub(super) fn take_compiled(
+        &mut self,
+        scenes: &mut dyn SceneSet,
+        contexts: &mut [&mut dyn CompileContext],
+        budget: &TimeBudget,
+    ) {
+        for context in contexts.iter_mut() {
+            self.arrivals.add_finished(context.id(), context.take_compiled());
+        }
+        while let Some(finished) = self.arrivals.next_finished() {
+            self.note_compiled(scenes, [finished], contexts);
+            if budget.is_over_at(UPLOADED_END) {
+                break;
+            }
+        }
     }
 
     /// Acts on compile operations that contexts, by their ids, have finished.
     pub(super) fn note_compiled(
         &mut self,
         scenes: &mut dyn SceneSet,
-        compiled: Vec<(u32, Compiled)>,
+        compiled: impl IntoIterator<Item = (u32, Compiled)>,
         contexts: &mut [&mut dyn CompileContext],
     ) {
         let mut complete = Vec::new();

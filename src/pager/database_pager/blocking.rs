@@ -30,8 +30,10 @@ impl DatabasePager {
                 self.answer(scenes, answer, contexts);
             }
             self.take_all_compiled(scenes, contexts);
-            self.merge(scenes, contexts);
-            self.expire(scenes, contexts);
+            // Without an end in this mode.
+            let budget = self.update_budget();
+            self.merge(scenes, contexts, &budget);
+            self.expire(scenes, contexts, &budget);
             self.accept_forced(scenes);
             self.write_list();
             self.threads.list().ring_if_due();
@@ -56,7 +58,8 @@ impl DatabasePager {
 
     /// Uploads what waits for it: begins what has room, waits for all contexts, and begins the next.
     fn take_all_compiled(&mut self, scenes: &mut dyn SceneSet, contexts: &mut [&mut dyn CompileContext]) {
-        self.begin_uploads(scenes, contexts);
+        let budget = self.update_budget();
+        self.begin_uploads(scenes, contexts, &budget);
         while self.arrivals.total().uploading > 0 && are_alive(contexts) {
             let (mut compiled, mut left) = (Vec::new(), self.arrivals.operations_left());
             while left > 0 && are_alive(contexts) {
@@ -74,8 +77,8 @@ impl DatabasePager {
             }
             compiled.sort_by_key(|(context, compiled): &(u32, Compiled)| (compiled.ticket, *context));
             self.note_compiled(scenes, compiled, contexts);
-            self.merge(scenes, contexts);
-            self.begin_uploads(scenes, contexts);
+            self.merge(scenes, contexts, &budget);
+            self.begin_uploads(scenes, contexts, &budget);
         }
     }
 }

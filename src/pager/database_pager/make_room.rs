@@ -1,18 +1,24 @@
 //! Room in the budgets: uploads begin where there is room, pages expire, and arrivals without room are declined.
 
-use super::DatabasePager;
+use super::{BEGIN_UPLOADS_END, DatabasePager, EXPIRY_END};
 use crate::pager::loading::ticket::RequestEnd;
 use crate::pager::requests::entry::Entry;
 use crate::pager::residency::Unused;
 use crate::pager::residency::budget::MemoryUse;
 use crate::pager::scenes::scene_set::SceneSet;
+use crate::pager::time_budget::TimeBudget;
 use crate::pager::upload::context::CompileContext;
 use crate::scene::{NodeId, Page, PageId};
 
 impl DatabasePager {
     /// Begins uploads, the most urgent first, as far as there is room. If nothing is uploading, one upload starts even
-    /// without room; its size is checked afterwards.
-    pub(super) fn begin_uploads(&mut self, scenes: &mut dyn SceneSet, contexts: &mut [&mut dyn CompileContext]) {
+    /// without room; its size is checked afterwards. At least one begins that may, and the others as the budget allows.
+    pub(super) fn begin_uploads(
+        &mut self,
+        scenes: &mut dyn SceneSet,
+        contexts: &mut [&mut dyn CompileContext],
+        budget: &TimeBudget,
+    ) {
         if self.arrivals.next_upload().is_some() {
             let max_bytes = self.config.max_bytes_gpu / contexts.len().max(1) as u64;
             contexts.iter_mut().for_each(|context| context.set_max_bytes(max_bytes));
@@ -31,6 +37,9 @@ impl DatabasePager {
                 break;
             }
             self.arrivals.begin_upload(slot, reserved, contexts, self.config.pre_compile);
+            if budget.is_over_at(BEGIN_UPLOADS_END) {
+                break;
+            }
         }
     }
 
@@ -103,19 +112,21 @@ impl DatabasePager {
 
     /// Expires pages that were not wanted for long while the reserved tenths of a budget are not free. Shorter times hold
     /// if there is no room for prefetches, and the shortest if a frame lacks something that has no room. At least one page
-    /// expires if it may, and then as many as [`PagerConfig::update_time`] allows.
-    ///
-    /// [`PagerConfig::update_time`]: crate::pager::PagerConfig::update_time
-    pub(super) fn expire(&mut self, scenes: &mut dyn SceneSet, contexts: &mut [&mut dyn CompileContext]) {
+    /// expires if it may, and then as many as the budget allows.
+    pub(super) fn expire(
+        &mut self,
+        scenes: &mut dyn SceneSet,
+        contexts: &mut [&mut dyn CompileContext],
+        budget: &TimeBudget,
+    ) {
         let unused = self.scheduler.shortage().unused(&self.config, &self.control.times);
-        let budget = self.budget(self.config.update_time);
         let mut looks = self.residency.start_search(self.scheduler.shortage().is_any());
         let expired_before = self.stats.expired;
         while self.needs_room() {
             let expired = self.residency.pop_expired(scenes, &self.control.times, unused, &mut looks);
             let Some(id) = expired else { break };
             self.detach(scenes, id, contexts);
-            if budget.is_over() {
+            if budget.is_over_at(EXPIRY_END) {
                 break;
             }
         }

@@ -2,12 +2,13 @@
 
 use std::collections::BTreeMap;
 
-use super::DatabasePager;
+use super::{DatabasePager, MERGES_END};
 use crate::pager::loading::ticket::RequestEnd;
 use crate::pager::requests::entry::Entry;
 use crate::pager::residency::Resident;
 use crate::pager::residency::budget::RESERVED_TENTHS;
 use crate::pager::scenes::scene_set::SceneSet;
+use crate::pager::time_budget::TimeBudget;
 use crate::pager::upload::context::CompileContext;
 use crate::scene::{ContentKey, NodeId, Page, ReaderData, SceneError, SceneNumber};
 use crate::trace;
@@ -21,19 +22,27 @@ struct Held {
 }
 
 impl DatabasePager {
-    /// Merges uploaded pages in order of priority within the time budget of a frame; their room is already counted.
-    pub(super) fn merge(&mut self, scenes: &mut dyn SceneSet, contexts: &mut [&mut dyn CompileContext]) {
+    /// Merges uploaded pages in order of priority, at least one and then as the budget and [`PagerConfig::merge_time`] allow;
+    /// their room is already counted.
+    ///
+    /// [`PagerConfig::merge_time`]: crate::pager::PagerConfig::merge_time
+    pub(super) fn merge(
+        &mut self,
+        scenes: &mut dyn SceneSet,
+        contexts: &mut [&mut dyn CompileContext],
+        budget: &TimeBudget,
+    ) {
         if !self.arrivals.has_ready() {
             return;
         }
         let _span = trace::span("merge pages");
-        let budget = self.budget(self.config.merge_time);
+        let merging = self.budget(self.config.merge_time);
         let has_several = self.scenes.has_several();
         let ready = self.merge_order.arrange(self.arrivals.ready_to_merge().collect(), has_several);
         let mut merged: BTreeMap<SceneNumber, u32> = BTreeMap::new();
         let mut left = Vec::new();
         for slot in ready {
-            if !merged.is_empty() && budget.is_over() {
+            if !merged.is_empty() && (merging.is_over_at(10) || budget.is_over_at(MERGES_END)) {
                 left.push(slot);
             } else if self.merge_one(scenes, slot, contexts) {
                 *merged.entry(slot.page.scene).or_default() += 1;
@@ -98,6 +107,7 @@ impl DatabasePager {
             self.residency.insert(id, Resident::new(slot, &info, cpu_bytes, gpu_bytes, shared));
         }
         if is_tileset {
+            self.control.has_new_tiles = true;
             let ancestors = entry.job.ancestors.clone();
             // A further part of a tileset is no tileset of its own.
             let continues = entry.job.reader_data.as_ref().is_some_and(ReaderData::continues_tileset);

@@ -56,6 +56,17 @@ use crate::scene::{BlockFormats, SharedStateManager};
 const COMPILE_POLL: Duration = Duration::from_micros(200);
 /// Time kept free before a deadline: the longest single step, the upload of one slice or the merge of a page.
 const WORK_MARGIN: Duration = Duration::from_micros(500);
+/// The tenths of an update's time at which each step for what has arrived ends. A step uses what those before it have left, and
+/// does at least one item. No step can take all: a burst of answers keeps no page from its merge.
+const ANSWERS_END: u32 = 3;
+const UPLOADED_END: u32 = 5;
+const BEGIN_UPLOADS_END: u32 = 7;
+const MERGES_END: u32 = 9;
+const EXPIRY_END: u32 = 10;
+/// The frame for which the time of an update is configured. In longer frames, up to this many times, the time grows with them:
+/// otherwise slow frames would load few pages.
+const BUDGETED_FRAME: Duration = Duration::from_nanos(1_000_000_000 / 60);
+const MAX_BUDGET_GROWTH: f64 = 8.0;
 /// Decoded pages that may wait for the update thread while files are read, per decode thread: as many as are accepted in
 /// a frame of 1/60 s.
 const DECODED_AHEAD: usize = 12;
@@ -90,6 +101,8 @@ struct Control {
     takes_requests: bool,
     /// True if it was resumed since the last update.
     is_resumed: bool,
+    /// True if tiles were merged since requests were last accepted, so that a cull may want contents that none has seen.
+    has_new_tiles: bool,
 }
 
 impl DatabasePager {
@@ -148,6 +161,8 @@ impl DatabasePager {
                 is_paused: false,
                 takes_requests: true,
                 is_resumed: false,
+                // Those of the root.
+                has_new_tiles: true,
             },
             clock: WorkClock::default(),
             config,
@@ -165,17 +180,27 @@ impl DatabasePager {
         self.clock = WorkClock::new(clock);
     }
 
-    /// Returns a budget of this much time from now on. The blocking mode has none, so that equal flights give equal tiles.
+    /// Returns a budget of this much time in a frame of 60 Hz from now on. The blocking mode has none, so that equal flights give
+    /// equal tiles.
     fn budget(&self, time: Duration) -> TimeBudget {
+        let times = &self.control.times;
+        let frame = times.distance(times.frame().saturating_sub(1));
+        let growth = frame.div_duration_f64(BUDGETED_FRAME).clamp(1.0, MAX_BUDGET_GROWTH);
+        let time = Duration::try_from_secs_f64(time.as_secs_f64() * growth).unwrap_or(Duration::MAX);
         self.clock.budget((!self.config.blocking).then_some(time))
+    }
+
+    /// Returns the budget of the steps for what has arrived, from now on.
+    fn update_budget(&self) -> TimeBudget {
+        self.budget(self.config.update_time)
     }
 
     /// Runs the pager's turn with all its scenes, once a frame. `time_s` is the reference time of the frame in seconds, by
     /// which pages expire. `requests` are the last culls' requests, all cameras and scenes together; all scenes count frames
     /// alike.
     ///
-    /// The cost follows the requests, what has arrived since the last update within [`PagerConfig::update_time`] and
-    /// [`PagerConfig::merge_time`], and the number of loads under way; neither the waiting requests nor the resident pages.
+    /// The cost follows the requests, what has arrived since the last update within [`PagerConfig::update_time`], and the number
+    /// of loads under way; neither the waiting requests nor the resident pages.
     pub fn update_scene_graph(
         &mut self,
         scenes: &mut dyn SceneSet,
@@ -215,18 +240,31 @@ impl DatabasePager {
     /// [`Self::work_until`] or update, because waking one may take longer than the frame's cull. Optional, after a cull;
     /// the next [`Self::update_scene_graph`] may get the same requests again.
     pub fn request(&mut self, scenes: &dyn SceneSet, requests: &[PageRequest]) {
+        self.control.has_new_tiles = false;
         if self.accept(scenes, requests) {
             self.write_list();
         }
     }
 
+    /// Returns true if tiles were merged since the last [`Self::request`]: a cull may find contents in them to request.
+    pub(crate) fn has_new_tiles(&self) -> bool {
+        self.control.has_new_tiles
+    }
+
+    /// Accepts the requests of a cull as [`Self::request`] does, and wakes the threads.
+    pub(crate) fn request_now(&mut self, scenes: &dyn SceneSet, requests: &[PageRequest]) {
+        self.request(scenes, requests);
+        self.threads.list().ring_if_due();
+    }
+
     /// Takes what was loaded and uploaded, merges and expires. May be called more than once a frame.
     pub fn merge_arrived(&mut self, scenes: &mut dyn SceneSet, contexts: &mut [&mut dyn CompileContext]) {
-        self.take_answers(scenes, contexts);
-        self.take_compiled(scenes, contexts);
-        self.begin_uploads(scenes, contexts);
-        self.merge(scenes, contexts);
-        self.expire(scenes, contexts);
+        let budget = self.update_budget();
+        self.take_answers(scenes, contexts, &budget);
+        self.take_compiled(scenes, contexts, &budget);
+        self.begin_uploads(scenes, contexts, &budget);
+        self.merge(scenes, contexts, &budget);
+        self.expire(scenes, contexts, &budget);
         // In the blocking mode threads take only from a list that was just written.
         if !self.config.blocking {
             self.update_limits();
@@ -241,19 +279,39 @@ impl DatabasePager {
         contexts: &mut [&mut dyn CompileContext],
         deadline: Instant,
     ) {
+        self.work_while(scenes, contexts, deadline, |_| true);
+    }
+
+    /// Works as [`Self::work_until`] does until there are new tiles ([`Self::has_new_tiles`]).
+    pub(crate) fn work_until_new_tiles(
+        &mut self,
+        scenes: &mut dyn SceneSet,
+        contexts: &mut [&mut dyn CompileContext],
+        deadline: Instant,
+    ) {
+        self.work_while(scenes, contexts, deadline, |pager| !pager.has_new_tiles());
+    }
+
+    fn work_while(
+        &mut self,
+        scenes: &mut dyn SceneSet,
+        contexts: &mut [&mut dyn CompileContext],
+        deadline: Instant,
+        goes_on: impl Fn(&Self) -> bool,
+    ) {
         // Requests since the last expiry may need room.
-        self.expire(scenes, contexts);
+        self.expire(scenes, contexts, &self.update_budget());
         self.update_limits();
         let left = || deadline.saturating_duration_since(Instant::now()).saturating_sub(WORK_MARGIN);
-        while self.is_under_way() && !left().is_zero() {
-            let timeout = match (self.arrivals.has_ready(), self.arrivals.has_uploads()) {
-                // More pages are ready than one merge may take.
+        while goes_on(self) && self.is_under_way() && !left().is_zero() {
+            let timeout = match (self.arrivals.has_ready() || self.arrivals.has_finished(), self.arrivals.has_uploads())
+            {
+                // More pages are ready than one turn may take.
                 (true, _) => Duration::ZERO,
                 (false, true) => left().min(COMPILE_POLL),
                 (false, false) => left(),
             };
             self.wait_for_answer(scenes, contexts, timeout);
-            self.take_answers(scenes, contexts);
             let time = left();
             for context in contexts.iter_mut() {
                 context.run_compiles(&CompileBudget { time, bytes: u64::MAX });

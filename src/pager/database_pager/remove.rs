@@ -46,6 +46,12 @@ impl DatabasePager {
         let is_immediate = |slot| scene.proxy_loading(slot) == Some(ProxyLoading::Immediately);
         self.forced.retain(|slot| slot.page.scene != number || is_immediate(slot));
         self.drop_requests(contexts, |slot, _| slot.page.scene == number);
+        // The pager may have no further update.
+        for (id, slots) in self.arrivals.take_late() {
+            if let Some(context) = contexts.iter_mut().find(|context| context.id() == id) {
+                context.release(slots);
+            }
+        }
         self.write_list();
         self.threads.list().ring_if_due();
         self.count();
@@ -55,6 +61,7 @@ impl DatabasePager {
     /// merge is dropped, to be requested again. `contexts` are those that stay.
     pub fn forget_context(&mut self, context: u32, contexts: &mut [&mut dyn CompileContext]) {
         self.drop_uploads(contexts);
+        self.arrivals.forget_context(context);
         self.residency.forget_context(context);
         self.count();
     }

@@ -129,7 +129,7 @@ impl ImagePager {
     fn request(&mut self, now: Instant) {
         let list = self.threads.list();
         let mut state = list.lock();
-        let mut forgotten: HashSet<Ticket> = state.drain_taken().map(|job| job.ticket()).collect();
+        let mut forgotten: HashSet<Ticket> = state.drain_taken(usize::MAX).map(|job| job.ticket()).collect();
         self.store.mark_loading(&mut forgotten);
         self.store.admit();
         self.store.page_out(now, &mut self.stats);

@@ -8,6 +8,7 @@
 //!
 //! `tests/models/pager_models.rs` runs this very file under thousands of schedules.
 
+use std::collections::BTreeMap;
 use std::sync::PoisonError;
 
 #[cfg(feature = "http")]
@@ -118,7 +119,7 @@ pub(crate) struct ListState<J: Request> {
     /// Written by update, taken by the threads.
     waiting: WaitingJobs<J>,
     /// Jobs taken since update last looked and not yet answered. Written by the takers, drained by update.
-    taken: Vec<J>,
+    taken: BTreeMap<Ticket, J>,
     /// Tickets of running HTTP requests to abort. Written by update, drained by the HTTP thread.
     abort: Vec<Ticket>,
     usage: Usage,
@@ -131,7 +132,7 @@ impl<J: Request> ListState<J> {
         let limits = Limits { outstanding: capacity, prefetch_room: 0, prefetch_beside_others: 0, aged_before: 0 };
         Self {
             waiting: WaitingJobs::new(),
-            taken: Vec::new(),
+            taken: BTreeMap::new(),
             abort: Vec::new(),
             usage: Usage { outstanding: 0, files: 0, prefetches: 0, capacity, limits },
             is_closed: false,
@@ -164,9 +165,9 @@ impl<J: Request> ListState<J> {
         self.usage.limits = limits;
     }
 
-    /// Returns the jobs taken since the last call and not yet answered.
-    pub fn drain_taken(&mut self) -> impl Iterator<Item = J> + '_ {
-        self.taken.drain(..)
+    /// Returns at most `max` of the jobs that were taken, not yet answered, and not returned before, the oldest first.
+    pub fn drain_taken(&mut self, max: usize) -> impl Iterator<Item = J> + '_ {
+        std::iter::from_fn(|| self.taken.pop_first()).take(max).map(|(_, job)| job)
     }
 
     /// Aborts a running HTTP request; its answer has no content. Has no effect on other jobs.
@@ -186,7 +187,7 @@ impl<J: Request> ListState<J> {
 
     /// Returns the number of jobs taken since update last looked that are not prefetches.
     pub fn taken_now(&self) -> usize {
-        self.taken.iter().filter(|job| !job.is_prefetch()).count()
+        self.taken.values().filter(|job| !job.is_prefetch()).count()
     }
 
     /// Returns the number of outstanding jobs that are prefetches.
@@ -213,13 +214,13 @@ impl<J: Request> ListState<J> {
     /// Counts a job as answered. With `has_content` the content takes room in the budgets from now on.
     pub fn answered(&mut self, job: &J, has_content: bool) {
         self.usage.answered(job, has_content);
-        self.taken.retain(|taken| taken.ticket() != job.ticket());
+        self.taken.remove(&job.ticket());
     }
 
     /// Counts a job as taken.
     fn took(&mut self, job: &J) {
         self.usage.took(job);
-        self.taken.push(job.clone());
+        self.taken.insert(job.ticket(), job.clone());
         job.mark_reading();
     }
 

@@ -30,6 +30,10 @@ const MIN_UNWANTED_FRAMES: u32 = 2;
 /// A page wanted within this many frames of another is not worth replacing by it.
 const PREFETCH_MARGIN_FRAMES: u32 = 2;
 
+/// The number of jobs that one update marks as taken. Threads may take thousands between two updates; what is left counts as
+/// waiting until the next one.
+const MAX_TAKEN: usize = 256;
+
 /// After a trial load had no room, the next one waits for this many frames, doubled each time.
 const TRIAL_BACKOFF_FRAMES: RangeInclusive<u32> = 8..=128;
 
@@ -164,7 +168,8 @@ impl Scheduler {
     /// Drops stale requests, aborts what is no longer wanted, and writes the changes to the list. Returns the number of stale
     /// requests.
     pub fn write_list(&mut self, table: &mut RequestTable, list: &RequestList<PageJob>, at: &Conditions<'_>) -> u64 {
-        let taken: Vec<PageJob> = list.lock().drain_taken().collect();
+        let max_taken = if at.config.blocking { usize::MAX } else { MAX_TAKEN };
+        let taken: Vec<PageJob> = list.lock().drain_taken(max_taken).collect();
         // Jobs that have lost their entries meanwhile are aborted.
         let mut aborted: Vec<_> = taken.iter().filter(|job| !table.mark_loading(job)).map(|job| job.ticket).collect();
         let stale = table.drop_stale(|wanted_frame| at.is_unwanted(wanted_frame, at.config.stale_time));

@@ -16,10 +16,14 @@ use crate::pager::loading::ticket::{RequestEnd, TicketIssuer};
 use crate::pager::loading::waiting_jobs::Urgency;
 use crate::pager::scenes::read_scope::{ReadScope, TilesetAncestors};
 use crate::pager::scenes::scene_set::SceneSet;
-use crate::scene::{NodeId, SceneNumber, SlotInfo};
+use crate::scene::{NodeId, ReaderData, SceneNumber, SlotInfo};
 
 /// Failures that are remembered: each frame iterates over them. Beyond that, those are forgotten that no camera meets.
 const MAX_FAILURES: usize = 4096;
+
+/// The priority of a content that continues a tile tree, in multiples of that of its tile. It is small, and the contents of the
+/// tiles in it cannot be requested before: each of them costs one round trip more.
+const TREE_PRIORITY_SCALE: f32 = 4.0;
 
 /// The effect of accepting requests.
 #[derive(Debug, Default)]
@@ -219,10 +223,14 @@ impl RequestTable {
             progress: Arc::default(),
         };
         job.ticket.trace_begin(&job.uri);
+        let mut paging = slot.paging;
+        if slot.reader_data.is_some_and(ReaderData::continues_tileset) {
+            paging.priority_scale *= TREE_PRIORITY_SCALE;
+        }
         let entry = Entry {
             job,
-            priority: slot.paging.priority(request.priority),
-            paging: slot.paging,
+            priority: paging.priority(request.priority),
+            paging,
             first_frame: frame,
             wanted_frame: frame,
             ahead_frames: request.ahead_frames,

@@ -1,7 +1,7 @@
 //! [`Arrivals`]: pages that were loaded and wait for their upload or their merge.
 
 use std::cmp::Reverse;
-use std::collections::{BTreeSet, HashMap};
+use std::collections::{BTreeSet, HashMap, VecDeque};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -108,6 +108,8 @@ pub(in crate::pager) struct Arrivals {
     ready: BTreeSet<Place>,
     /// The number of prefetches.
     prefetches: usize,
+    /// Compile operations that contexts, by their ids, have finished and that update has not taken, the oldest first.
+    finished: VecDeque<(u32, Compiled)>,
 }
 
 impl Arrivals {
@@ -131,6 +133,36 @@ impl Arrivals {
     pub fn operations_left(&self) -> usize {
         let uploading = self.pages.values().filter(|arrived| arrived.is_uploading());
         uploading.map(|arrived| arrived.contexts_left).sum()
+    }
+
+    /// Adds compile operations that a context has finished.
+    pub fn add_finished(&mut self, context: u32, compiled: Vec<Compiled>) {
+        self.finished.extend(compiled.into_iter().map(|compiled| (context, compiled)));
+    }
+
+    /// Takes the oldest compile operation that was finished and not taken, with the id of its context.
+    pub fn next_finished(&mut self) -> Option<(u32, Compiled)> {
+        self.finished.pop_front()
+    }
+
+    /// Returns true if a compile operation was finished and not taken.
+    pub fn has_finished(&self) -> bool {
+        !self.finished.is_empty()
+    }
+
+    /// Takes the finished compile operations whose pages are gone: context ids and slots to release.
+    pub fn take_late(&mut self) -> Vec<(u32, Vec<DrawSlot>)> {
+        let (kept, late) = std::mem::take(&mut self.finished)
+            .into_iter()
+            .partition(|(_, compiled)| self.by_ticket.contains_key(&compiled.ticket));
+        self.finished = kept;
+        let late: VecDeque<(u32, Compiled)> = late;
+        late.into_iter().map(|(context, compiled)| (context, compiled.slots)).collect()
+    }
+
+    /// Forgets what a context has finished that has closed.
+    pub fn forget_context(&mut self, context: u32) {
+        self.finished.retain(|(id, _)| *id != context);
     }
 
     /// Returns true if a page waits for its merge.

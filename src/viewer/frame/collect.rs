@@ -40,8 +40,8 @@ impl FrameLoop {
         self.collect(done)
     }
 
-    /// Waits until each camera has a free render stage, and merges arrived pages meanwhile.
-    pub(super) fn wait_for_stage(&mut self, scenes: &mut SceneList) -> Result<(), ViewerError> {
+    /// Waits until each camera has a free render stage. Meanwhile arrived pages are merged and the contents of new tiles requested.
+    pub(super) fn wait_for_stage(&mut self, views: &ViewList, scenes: &mut SceneList) -> Result<(), ViewerError> {
         let _span = trace::span("wait for stage");
         for device in 0..self.rendering.device_count() {
             while self.rendering.in_flight(device) >= FRAMES_IN_FLIGHT {
@@ -52,6 +52,7 @@ impl FrameLoop {
                 for group in self.pagers.iter_mut().filter(|group| group.is_paging()) {
                     group.merge_arrived(scenes, &mut self.rendering);
                 }
+                self.look_early(views, scenes, None);
                 let start = Instant::now();
                 let Some(device) = self.rendering.device_at(device) else { break };
                 if let Some(done) = device.wait_done_for(ARRIVAL_POLL)? {

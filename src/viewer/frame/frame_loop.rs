@@ -24,7 +24,7 @@ use crate::gpu::{CompileBudget, GpuError};
 use crate::trace::{self, Span};
 use crate::viewer::ViewerError;
 use crate::viewer::ids::{ContextId, KeyedList, ViewId};
-use crate::viewer::paging::{LookAheads, LookFrom, PagedScene, PagerGroup, Pagers, SceneList, load_all};
+use crate::viewer::paging::{EarlyLook, LookAheads, LookFrom, PagedScene, PagerGroup, Pagers, SceneList, load_all};
 use crate::viewer::rendering::{CullOutcome, CullTask, FrameJob, Rendering, ThreadingModel, millis};
 use crate::viewer::view::{Probe, View};
 
@@ -49,6 +49,7 @@ pub(in crate::viewer) struct FrameLoop {
     #[cfg(feature = "window")]
     pub(in crate::viewer) screens: Vec<crate::viewer::Screen>,
     pub(super) probe: Probe,
+    pub(super) early_look: EarlyLook,
     pub(super) timer: FrameTimer,
     pub(super) device_loss: DeviceLoss,
     pub(super) query_answers: QueryAnswers,
@@ -92,6 +93,7 @@ impl FrameLoop {
             #[cfg(feature = "window")]
             screens: Vec::new(),
             probe: Probe::new(),
+            early_look: EarlyLook::new(),
             timer: FrameTimer::default(),
             device_loss: DeviceLoss::default(),
             query_answers: QueryAnswers::default(),
@@ -209,7 +211,7 @@ impl FrameLoop {
         stats.update_ms = millis(start.elapsed()) - stats.event_ms;
         drop(phase);
 
-        self.wait_for_stage(scenes)?;
+        self.wait_for_stage(views, scenes)?;
         self.device_loss.report()?;
         for view in views.values_mut() {
             view.prepare(&self.rendering, scenes[view.scene()].bounds());
@@ -219,6 +221,10 @@ impl FrameLoop {
             for group in self.pagers.iter_mut() {
                 stats.merge_ms += load_all(group, views, scenes, &mut self.rendering, &mut self.probe, &stamp);
             }
+        }
+        if !self.rendering.overlaps() {
+            // Otherwise these requests would wait until the frame is drawn.
+            self.look_early(views, scenes, None);
         }
         self.cull_and_draw(views, scenes, is_dynamic)?;
         self.take_culled(views, scenes, &mut stats);
@@ -322,6 +328,14 @@ impl FrameLoop {
         }
     }
 
+    /// Requests the contents of tiles that were merged since the last culls.
+    pub(super) fn look_early(&mut self, views: &ViewList, scenes: &SceneList, deadline: Option<Instant>) {
+        let frame = self.stamp().frame;
+        for group in self.pagers.iter_mut() {
+            self.early_look.look(group, views, scenes, &mut self.probe, frame, deadline);
+        }
+    }
+
     /// The job of a context for the current frame: to draw what its cameras cull.
     pub(super) fn job(&self) -> FrameJob {
         let busy = self.results.history().busy(self.rendering.model());
@@ -335,11 +349,12 @@ impl FrameLoop {
     }
 
     /// Merges and uploads arrived pages until shortly before `deadline`, then sleeps until it.
-    pub(in crate::viewer) fn work_until(&mut self, scenes: &mut SceneList, deadline: Instant) {
+    pub(in crate::viewer) fn work_until(&mut self, views: &ViewList, scenes: &mut SceneList, deadline: Instant) {
         let _span = trace::span("between frames");
         // A pager that waits for its server leaves its time to the others.
         while self.pagers.iter().filter(|group| group.is_paging()).count() > 1 && Instant::now() < deadline {
             let begun = Instant::now();
+            self.look_early(views, scenes, Some(deadline));
             for group in self.pagers.iter_mut() {
                 group.work_until(scenes, &mut self.rendering, deadline.min(Instant::now() + WORK_SLICE));
             }
@@ -347,7 +362,20 @@ impl FrameLoop {
                 break; // no pager has anything in flight
             }
         }
+        let frame = self.stamp().frame;
         for group in self.pagers.iter_mut() {
+            loop {
+                group.work_until_new_tiles(scenes, &mut self.rendering, deadline);
+                let due = self.early_look.next();
+                if !group.has_new_tiles() || due >= deadline {
+                    break;
+                }
+                group.work_until(scenes, &mut self.rendering, due);
+                std::thread::sleep(due.saturating_duration_since(Instant::now()));
+                if !self.early_look.look(group, views, scenes, &mut self.probe, frame, Some(deadline)) {
+                    break;
+                }
+            }
             group.work_until(scenes, &mut self.rendering, deadline);
         }
         std::thread::sleep(deadline.saturating_duration_since(Instant::now()));

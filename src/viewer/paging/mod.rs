@@ -7,9 +7,11 @@
 //! | [`PagerGroup`] | one `DatabasePager` with the scenes that share it: its turns in a frame, whether it is at rest |
 //! | [`Pagers`] | all groups of a viewer: which scene has which pager, as scenes and devices are added and removed |
 //! | [`LookAheads`] | finds the pages that cameras will need soon, for prefetching |
+//! | [`EarlyLook`] | requests the contents of new tiles while the main thread waits |
 //! | `pager::SceneSet` | the trait through which a pager sees the scenes of its group |
 
 mod blocking;
+mod early_look;
 mod loaded_root;
 mod look_ahead;
 mod own_pages;
@@ -18,6 +20,7 @@ mod pager_group;
 mod pagers;
 
 pub(super) use self::blocking::load_all;
+pub(super) use self::early_look::EarlyLook;
 pub use self::loaded_root::LoadedRoot;
 pub(super) use self::look_ahead::{LookAheads, LookFrom};
 pub(super) use self::paged_scene::PagedScene;

@@ -238,6 +238,28 @@ impl PagerGroup {
         self.quiet_frames = if is_quiet { self.quiet_frames.saturating_add(1) } else { 0 };
     }
 
+    /// True when tiles were merged that no cull has seen. The blocking mode culls in rounds anyway.
+    pub(in crate::viewer) fn has_new_tiles(&self) -> bool {
+        !self.blocking && self.pager.as_ref().is_some_and(DatabasePager::has_new_tiles)
+    }
+
+    /// Begins to collect requests for [`Self::request_now`].
+    pub(super) fn begin_requests(&mut self) {
+        self.requests.clear();
+    }
+
+    /// Adds requests to those that [`Self::request_now`] hands over.
+    pub(super) fn add_requests(&mut self, requests: &[PageRequest]) {
+        self.requests.extend_from_slice(requests);
+    }
+
+    /// Hands the collected requests to the pager, and lets its threads begin.
+    pub(super) fn request_now(&mut self, scenes: &SceneList) {
+        if let Some(pager) = &mut self.pager {
+            pager.request_now(&MembersView { scenes, ids: &self.members }, &self.requests);
+        }
+    }
+
     /// True when pages may arrive and be merged while the main thread waits.
     pub(in crate::viewer) fn is_paging(&self) -> bool {
         !self.blocking && self.pager.as_ref().is_some_and(|pager| !pager.is_idle())
@@ -247,6 +269,19 @@ impl PagerGroup {
         if let Some(pager) = &mut self.pager {
             let mut scenes = Members { scenes, ids: &self.members };
             rendering.compile_for(self.owner, |contexts| pager.merge_arrived(&mut scenes, contexts));
+        }
+    }
+
+    /// Uploads, merges and expires pages until there are new tiles, or until shortly before `deadline`.
+    pub(in crate::viewer) fn work_until_new_tiles(
+        &mut self,
+        scenes: &mut SceneList,
+        rendering: &mut Rendering,
+        deadline: Instant,
+    ) {
+        if let (Some(pager), false) = (&mut self.pager, self.blocking) {
+            let mut scenes = Members { scenes, ids: &self.members };
+            rendering.compile_for(self.owner, |contexts| pager.work_until_new_tiles(&mut scenes, contexts, deadline));
         }
     }
 

@@ -39,6 +39,50 @@ fn slow_clock(run: &mut Run) {
     run.pager.set_work_clock(move || Duration::from_millis(time_ms.fetch_add(1, Ordering::Relaxed)));
 }
 
+/// Lets the clock run by a tenth of a millisecond each time that it is read.
+fn ticking_clock(run: &mut Run) {
+    let ticks = Arc::new(AtomicU64::new(0));
+    run.pager.set_work_clock(move || Duration::from_micros(100 * ticks.fetch_add(1, Ordering::Relaxed)));
+}
+
+/// Waits until this many contents are read.
+fn wait_until_read(run: &Run, count: usize) {
+    let end = Instant::now() + Duration::from_secs(60);
+    let read = || run.pager.request_states().filter(|(_, state)| *state == RequestState::Decoding).count();
+    while read() < count {
+        assert!(Instant::now() < end, "not all were read: {:?}", run.pager.stats());
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}
+
+/// Regression: each step had the whole time for itself, so that an update took several times as long; and where all share it,
+/// the first step must not take it from the others.
+#[test]
+fn steps_of_an_update_share_its_time() {
+    const TILES: usize = 40;
+    let folder = tempfile::tempdir().unwrap();
+    let update_time = Duration::from_millis(1);
+    let config = PagerConfig { decode_threads: 4, update_time, merge_time: update_time, ..PagerConfig::default() };
+    let mut run = tiles(folder.path(), TILES, config);
+    ticking_clock(&mut run);
+    run.frame(above(30.0));
+    wait_until_read(&run, TILES);
+    let (mut before, mut both) = (run.pager.stats().to_owned(), 0);
+    let end = Instant::now() + Duration::from_secs(60);
+    while before.merged < TILES as u64 {
+        assert!(Instant::now() < end, "not all were merged: {before:?}");
+        run.frame(above(30.0));
+        let now = run.pager.stats().to_owned();
+        let [loaded, merged] = [now.loaded - before.loaded, now.merged - before.merged];
+        // The clock is read after each step's item, ten times in an update; each step may do one item more.
+        assert!(loaded + merged <= 12, "{loaded} were accepted and {merged} merged in an update");
+        both += usize::from(loaded > 0 && merged > 0);
+        before = now;
+    }
+    assert!(both > 3, "updates accept and merge: {both} did both");
+    assert!(run.pager.is_idle(), "{:?}", run.pager.stats());
+}
+
 /// Regression: each update took all answers, however many had arrived.
 #[test]
 fn answers_beyond_the_time_of_an_update_wait_for_the_next() {
@@ -49,11 +93,7 @@ fn answers_beyond_the_time_of_an_update_wait_for_the_next() {
     slow_clock(&mut run);
     run.frame(above(30.0));
     let end = Instant::now() + Duration::from_secs(60);
-    let read = |run: &Run| run.pager.request_states().filter(|(_, state)| *state == RequestState::Decoding).count();
-    while read(&run) < TILES {
-        assert!(Instant::now() < end, "not all were read: {:?}", run.pager.stats());
-        std::thread::sleep(Duration::from_millis(1));
-    }
+    wait_until_read(&run, TILES);
     // Without the budget the next update would take what is decoded by now; with it this changes nothing.
     std::thread::sleep(Duration::from_millis(100));
     let mut loaded = 0;

@@ -376,6 +376,7 @@ fn pager(r: &mut Random, is_tiny: bool, blocking: bool) -> PagerConfig {
         blocking,
         ..PagerConfig::default()
     };
+    config.update_time = config.merge_time;
     if is_tiny {
         match r.whole(0, 3) {
             3 => config.max_bytes_loading = r.whole(2_000, 4_000_000),

@@ -1,8 +1,10 @@
-//! Tile sets on disk: a small generated terrain and a flat quadtree of triangles.
+//! Tile sets on disk: a small generated terrain, and flat quadtrees of triangles with explicit and implicit tiling.
 
 use std::path::Path;
 
 use terrane::formats::writers::{GlbMesh, write_glb};
+
+use crate::subtrees::{Availability, Scheme, Subtree};
 
 /// Generates three levels of height tiles, 20 km wide, in `folder/set`; returns that path.
 pub fn small_set(folder: &Path) -> String {
@@ -13,7 +15,7 @@ pub fn small_set(folder: &Path) -> String {
     set.display().to_string()
 }
 
-/// Side of the world of [`write_quadtree`], metres.
+/// Side of the world of [`write_quadtree`] and [`write_implicit`], metres.
 pub const WORLD_M: f64 = 4096.0;
 
 /// Levels of [`write_quadtree`] below the root.
@@ -51,4 +53,34 @@ pub fn write_quadtree(folder: &Path) -> u64 {
     );
     std::fs::write(folder.join("tileset.json"), json).unwrap();
     glb.len() as u64
+}
+
+/// Writes a full quadtree with a triangle per tile: `subtrees` levels of subtrees with `levels` levels each.
+pub fn write_implicit(folder: &Path, levels: u32, subtrees: u32) {
+    let glb = write_glb(&GlbMesh {
+        positions: vec![[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]],
+        indices: vec![0, 1, 2],
+        base_color: [1.0; 4],
+        ..GlbMesh::default()
+    });
+    let half = WORLD_M / 2.0;
+    let all = levels * subtrees;
+    let json = format!(
+        r#"{{"asset":{{"version":"1.1"}},"geometricError":1000,"root":{{
+        "boundingVolume":{{"box":[{half},{half},0,{half},0,0,0,{half},0,0,0,1]}},"geometricError":256,"refine":"REPLACE",
+        "content":{{"uri":"{{level}}_{{x}}_{{y}}.glb"}},"implicitTiling":{{"subdivisionScheme":"QUADTREE",
+        "subtreeLevels":{levels},"availableLevels":{all},"subtrees":{{"uri":"{{level}}.{{x}}.{{y}}.subtree"}}}}}}}}"#
+    );
+    std::fs::write(folder.join("tileset.json"), json).unwrap();
+    for level in 0..all {
+        for (x, y) in (0..1 << level).flat_map(|x| (0..1 << level).map(move |y| (x, y))) {
+            std::fs::write(folder.join(format!("{level}_{x}_{y}.glb")), &glb).unwrap();
+            if level % levels == 0 {
+                let mut subtree = Subtree::new(Scheme::Quadtree, levels, 1);
+                subtree.fill();
+                subtree.set_children(Availability::Constant(level + levels < all));
+                std::fs::write(folder.join(format!("{level}.{x}.{y}.subtree")), subtree.binary()).unwrap();
+            }
+        }
+    }
 }
