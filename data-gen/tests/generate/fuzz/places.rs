@@ -129,6 +129,17 @@ fn seeds_are_valid() {
     predict(&from_dem(folder.path(), "dem.tif", &dem)).unwrap();
 }
 
+/// Regression: the crate `proj4rs` cuts angles at bytes and panicked at characters of several bytes, such as the sign of degrees.
+#[test]
+fn angles_have_signs_of_degrees() {
+    let at = |angle: &str| Crs::parse(&format!("+proj=tmerc +lat_0={angle} +lon_0=9 +ellps=GRS80"));
+    let [found, expected] = ["38°30'9\"", "38.5025"].map(|angle| at(angle).unwrap().project(0.15, 0.7));
+    assert!((found[1] - expected[1]).abs() < 1e-6, "{found:?}, not {expected:?}");
+    for angle in ["38\u{fffd}30'9\"", "\u{fffd}o\"\"\"\"", "38º30'"] {
+        assert!(at(angle).unwrap_err().contains("a definition with the character"), "{angle}");
+    }
+}
+
 /// Regression: brackets in brackets overflowed the stack of the reader of WKT, and the process ended.
 #[test]
 fn wkt_of_many_brackets_is_refused() {

@@ -12,6 +12,9 @@ use terrane_data_gen::{
     ElevationSource as _, Extent, GenArgs, GenError, HeightEncoding, Raster, RasterOptions, predict,
 };
 
+/// The largest raster whose blocks are read.
+const MAX_SAMPLES: usize = 1 << 20;
+
 /// Heights in the colours of [`terrarium`].
 pub(super) fn terrarium_options() -> RasterOptions {
     RasterOptions { encoding: HeightEncoding::Terrarium, ..RasterOptions::default() }
@@ -23,6 +26,10 @@ pub(super) fn read(path: &Path, options: &RasterOptions) {
             let [width, height] = raster.size();
             assert!(width * height > 0);
             assert!(raster.bounds().iter().all(|b| !b.is_nan()), "{:?}", raster.bounds());
+            // Tiles may lie anywhere on the earth, with years of blocks between them.
+            if width.saturating_mul(height) > MAX_SAMPLES {
+                return;
+            }
             // Blocks behind the first one may be broken.
             match raster.range_m() {
                 Ok(range) => assert!(range.iter().all(|h| h.is_finite())),
@@ -247,6 +254,16 @@ kit::parsers! {
     tiff_layouts,
     packed_hgt,
     colour_files,
+}
+
+/// Regression: all places of the finest level were tried, which took years.
+#[test]
+fn pmtiles_without_tiles_of_their_finest_level_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.pmtiles");
+    std::fs::write(&path, pmtiles(24, [-180.0, -85.0, 180.0, 85.0], &[(1, terrarium(300.0))])).unwrap();
+    let error = Raster::read(&path).err().unwrap().to_string();
+    assert!(error.contains("a.pmtiles: PMTiles: no tile of zoom level 24"), "{error}");
 }
 
 /// Regression: the reader allocated 48 GB and the process was killed.
