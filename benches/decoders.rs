@@ -6,13 +6,14 @@
 
 use std::error::Error;
 use std::hint::black_box;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::{Duration, Instant};
 
 use basisu::{DecodeFlags, TargetFormat, Transcoder};
 use draco_core::{DecoderBuffer, Mesh, MeshDecoder};
-use kit::compressed::Triangles;
+use kit::compressed::{Triangles, uastc_mosaic};
+use kit::fuzz::Random;
 use meshoptimizer_rs::{Workspace, codec};
 
 /// The number of times that both decoders are measured in turns.
@@ -53,8 +54,10 @@ fn main() -> Result<(), Box<dyn Error>> {
     compare("meshopt indices", "meshopt-indices", &file, &[&indices.to_string()], || {
         codec::decode_index_buffer_into(&mut decoded, indices, 4, &bytes, &mut workspace)
     })?;
-    for file in std::env::var("KTX2_FILES").unwrap_or_default().split(':').filter(|file| !file.is_empty()) {
-        let file = Path::new(file);
+    let mut files = vec![written("UASTC of all modes", &uastc_of_all_modes())?];
+    let named = std::env::var("KTX2_FILES").unwrap_or_default();
+    files.extend(named.split(':').filter(|file| !file.is_empty()).map(PathBuf::from));
+    for file in &files {
         let bytes = std::fs::read(file)?;
         let name = file.file_name().unwrap_or_default().to_string_lossy();
         let formats = [("bc1", TargetFormat::Bc1Rgb), ("bc3", TargetFormat::Bc3Rgba), ("bc7", TargetFormat::Bc7Rgba)];
@@ -68,6 +71,26 @@ fn main() -> Result<(), Box<dyn Error>> {
         }
     }
     Ok(())
+}
+
+/// Returns a KTX2 file of random blocks of UASTC, which have all modes and partitions. Those that are not valid are left out.
+fn uastc_of_all_modes() -> Vec<u8> {
+    let mut random = Random(1);
+    let [mut one, mut file] = [4, 512].map(|side| uastc_mosaic([side, side], 1, |_| [0; 4]));
+    let at = file.len() - 512 * 512;
+    for block in file[at..].as_chunks_mut::<16>().0 {
+        loop {
+            block[..8].copy_from_slice(&random.next_u64().to_le_bytes());
+            block[8..].copy_from_slice(&random.next_u64().to_le_bytes());
+            let end = one.len() - 16;
+            one[end..].copy_from_slice(block);
+            let read = Transcoder::new(&one).map(|one| one.transcode(0, TargetFormat::Rgba32, DecodeFlags::NONE));
+            if matches!(read, Ok(Ok(_))) {
+                break;
+            }
+        }
+    }
+    file
 }
 
 /// Measures a decoder and the reference in turns, and prints a row.

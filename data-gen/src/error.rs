@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use terrane::fetch::IoError;
+use terrane::fetch::{IoError, printable};
 
 /// The reason why a tile set could not be made.
 #[derive(Debug, thiserror::Error)]
@@ -103,7 +103,7 @@ impl GenError {
     pub(crate) fn invalid(path: impl Into<PathBuf>, reason: impl Into<String>) -> Self {
         // Messages of decoders may have several lines; errors are printed on one line.
         let reason = reason.into().split_whitespace().collect::<Vec<_>>().join(" ");
-        Self::Invalid { path: path.into(), reason }
+        Self::Invalid { path: path.into(), reason: printable(&reason).into_owned() }
     }
 }
 

@@ -6,6 +6,7 @@ use std::time::Duration;
 
 #[cfg(feature = "http")]
 use super::byte_budget::NoRoom;
+use super::markup::printable;
 use super::uri::{is_remote, shown};
 
 /// The reason why a URI could not be read or decoded. Every variant names the URI. The error text omits the user name, the
@@ -246,7 +247,7 @@ impl IoError {
     }
 
     pub(crate) fn invalid(uri: &str, reason: impl Into<String>) -> Self {
-        Self::Invalid { uri: uri.to_owned(), reason: reason.into() }
+        Self::Invalid { uri: uri.to_owned(), reason: printable(&reason.into()).into_owned() }
     }
 
     #[cfg(feature = "http")]
@@ -255,6 +256,6 @@ impl IoError {
     }
 
     pub(crate) fn unsupported(uri: &str, what: impl Into<String>) -> Self {
-        Self::Unsupported { uri: uri.to_owned(), what: what.into() }
+        Self::Unsupported { uri: uri.to_owned(), what: printable(&what.into()).into_owned() }
     }
 }

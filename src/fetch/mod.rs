@@ -54,6 +54,7 @@ pub(crate) use http::runtime;
 pub use http::{AllowedHost, Credential, HttpBody, HttpClient, HttpConfig, StoreOption};
 pub(crate) use limits::JSON_OBJECT_BYTES;
 pub use limits::Limits;
+pub use markup::printable;
 #[cfg(feature = "object-store")]
 pub use object_store::{ObjectFolder, ObjectHeaders, ObjectList};
 pub use panic_guard::DECODER_PANICKED;

@@ -6,6 +6,7 @@ use std::borrow::Cow;
 
 #[cfg(all(feature = "http", feature = "testing"))]
 use super::archive::split_url;
+use super::markup::printable;
 
 /// Returns true for http and https URLs.
 pub fn is_http(uri: &str) -> bool {
@@ -37,7 +38,7 @@ pub(crate) fn server(uri: &str) -> &str {
 /// Returns a URI for errors, logs and reports. User name, password and query values of a URL are omitted.
 pub fn shown(uri: &str) -> Cow<'_, str> {
     if !is_remote(uri) {
-        return Cow::Borrowed(uri);
+        return printable(uri);
     }
     let (path, query) = uri.split_once('?').map_or((uri, None), |(path, query)| (path, Some(query)));
     let query = query.and_then(|query| query.split('#').next());

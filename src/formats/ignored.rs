@@ -8,7 +8,7 @@ use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use crate::fetch::IoError;
+use crate::fetch::{IoError, printable};
 
 /// The maximum number of kinds: names of extensions are outside data. Further kinds count as [`OTHERS`].
 const MAX_KINDS: usize = 256;
@@ -50,6 +50,9 @@ impl Ignored {
 
     pub(super) fn add(&mut self, kind: impl Into<Cow<'static, str>>, count: u64) {
         let mut kind = kind.into();
+        if let Cow::Owned(text) = printable(&kind) {
+            kind = text.into();
+        }
         if kind.len() > MAX_KIND_BYTES {
             let end = (0..=MAX_KIND_BYTES).rev().find(|end| kind.is_char_boundary(*end)).unwrap_or(0);
             kind = format!("{}...", &kind[..end]).into();

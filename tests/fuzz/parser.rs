@@ -7,6 +7,8 @@ use std::cell::RefCell;
 #[allow(dead_code, reason = "the parsers of elevation files use a part of these files")]
 #[path = "../../data-gen/tests/generate/files.rs"]
 mod files;
+#[path = "../../data-gen/tests/generate/grid_files.rs"]
+mod grid_files;
 #[path = "../http/fuzz_parsers.rs"]
 mod http;
 #[path = "../formats/osg/fuzz_parsers.rs"]
@@ -15,12 +17,17 @@ mod osg;
 mod overlays;
 #[path = "../formats/fuzz_parsers.rs"]
 mod parsers;
-#[path = "../../data-gen/tests/generate/fuzz_rasters.rs"]
+#[path = "../../data-gen/tests/generate/fuzz/places.rs"]
+mod places;
+#[path = "../../data-gen/tests/generate/fuzz/rasters.rs"]
 mod rasters;
 #[path = "../formats/terrain/fuzz_parsers.rs"]
 mod terrain;
 #[path = "../../data-gen/tests/generate/sources/tile_archives.rs"]
 mod tile_archives;
+#[allow(dead_code, reason = "the parsers use a part of this file")]
+#[path = "../../data-gen/tests/generate/tiffs.rs"]
+mod tiffs;
 /// The name under which data-gen's tests have the module.
 mod sources {
     pub(crate) use super::tile_archives;
@@ -35,6 +42,7 @@ thread_local! {
 fn chosen() -> Parse {
     let wanted = std::env::var("FUZZ_PARSER").unwrap_or_default();
     let known = parsers::all().into_iter().map(|p| (p.name, p.seeds, p.parse));
+    let known = known.chain(places::all().into_iter().map(|p| (p.name, p.seeds, p.parse)));
     let known = known.chain(rasters::all().into_iter().map(|p| (p.name, p.seeds, p.parse)));
     let known = known.chain(http::all().into_iter().map(|p| (p.name, p.seeds, p.parse)));
     let known = known.chain(overlays::all().into_iter().map(|p| (p.name, p.seeds, p.parse)));

@@ -19,6 +19,7 @@ use std::process::ExitCode;
 use anyhow::Context as _;
 use clap::error::ErrorKind;
 use clap::{CommandFactory as _, Parser as _};
+use terrane::fetch::printable;
 use terrane::viewer::DisplaySettings;
 
 fn main() -> ExitCode {
@@ -62,7 +63,7 @@ fn main() -> ExitCode {
         Err(error) => {
             // The error is printed on one line, although its causes may have several.
             let line = format!("{error:#}").split_whitespace().collect::<Vec<_>>().join(" ");
-            eprintln!("terrane {name}: {line}");
+            eprintln!("terrane {name}: {}", printable(&line));
             ExitCode::from(1)
         }
     }

@@ -35,6 +35,11 @@ impl Projection {
     /// Grids that only PROJ has are left out. NAD27 is shifted by the parameters for the contiguous United States then
     /// (EPSG:1173), which are good to ten metres there.
     pub fn new(definition: &str) -> Result<Self, String> {
+        // The crate cuts angles at bytes, which panics inside of other characters. It reads `d` as the sign of degrees.
+        let definition = &*definition.replace('°', "d");
+        if let Some(other) = definition.chars().find(|c| !c.is_ascii()) {
+            return Err(format!("a definition with the character `{other}`; ASCII and the sign of degrees are read"));
+        }
         let is_known =
             |part: &&str| !part.starts_with("+nadgrids=") || part.contains(OWN_GRID) || part.contains("@null");
         let parts = definition.split_whitespace().filter(is_known);

@@ -92,10 +92,13 @@ const SAME: &[&str] = &[
     "etrs1989",
 ];
 
+/// The most elements inside of one another. The crate `proj4wkt` calls itself for each; definitions in use have ten.
+const MAX_DEPTH: usize = 64;
+
 /// Reads a WKT. The error is the reason.
 pub(super) fn crs(text: &str) -> Result<Crs, String> {
     // ESRI writes a vertical system after the plane's.
-    let text = first_element(text);
+    let text = first_element(text)?;
     // The definition of a code has the parameters of its datum, which WKT often lacks.
     if let Some(known) = code(text).and_then(Crs::from_epsg) {
         return Ok(known);
@@ -148,23 +151,28 @@ fn with_datum(definition_of_wkt: &str, text: &str) -> Option<String> {
     Some(own.chain(known.split_whitespace().filter(is_datum)).collect::<Vec<_>>().join(" "))
 }
 
-/// Returns the first element of a WKT, up to the bracket that closes it.
-fn first_element(text: &str) -> &str {
-    let (mut depth, mut is_quoted) = (0, false);
+/// Returns the first element of a WKT, up to the bracket that closes it. The error is the reason.
+fn first_element(text: &str) -> Result<&str, String> {
+    let (mut depth, mut is_quoted) = (0usize, false);
     for (at, byte) in text.bytes().enumerate() {
         match byte {
             b'"' => is_quoted = !is_quoted,
-            b'[' | b'(' if !is_quoted => depth += 1,
+            b'[' | b'(' if !is_quoted => {
+                depth += 1;
+                if depth > MAX_DEPTH {
+                    return Err(format!("WKT: more than {MAX_DEPTH} elements inside of one another"));
+                }
+            }
             b']' | b')' if !is_quoted => {
-                depth -= 1;
+                depth = depth.saturating_sub(1);
                 if depth == 0 {
-                    return &text[..=at];
+                    return Ok(&text[..=at]);
                 }
             }
             _ => {}
         }
     }
-    text
+    Ok(text)
 }
 
 /// Returns the text in quotes that follows a key.

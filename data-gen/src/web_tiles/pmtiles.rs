@@ -16,6 +16,8 @@ const HEADER_BYTES: usize = 127;
 const PNG: u8 = 2;
 const JPEG: u8 = 3;
 const WEBP: u8 = 4;
+/// The most places of the finest zoom level that are tried to find a tile: 256 columns and rows.
+const MAX_TRIES: usize = 1 << 16;
 /// Steps of the bounds in the header: ten-millionths of a degree.
 const DEGREE: f64 = 1e7;
 
@@ -84,14 +86,25 @@ pub(super) fn open(path: &Path, content: TileContent, cache: &Arc<BlockCache>) -
     let mut archive = Archive { path: path.to_owned(), text, extension, zooms: zooms.collect(), first, bytes };
     let Zoom { columns, rows, .. } = archive.zooms[0];
     // Bounds may be larger than the tiles.
-    let mut tiles = (rows[0]..=rows[1]).flat_map(|y| (columns[0]..=columns[1]).map(move |x| [x, y]));
-    let first = tiles.find_map(|[x, y]| {
+    let first = spread(columns, rows).take(MAX_TRIES).find_map(|[x, y]| {
         let tile = WebTile { zoom: finest, x, y };
         archive.read(tile).map(|found| found.map(|_| tile)).transpose()
     });
     let none = || bad(format!("no tile of zoom level {finest} within the bounds of the header"));
     archive.first = first.transpose()?.ok_or_else(none)?;
     Ok(Arc::new(archive))
+}
+
+/// Returns all columns and rows of a range, those that lie far apart first.
+fn spread([west, east]: [usize; 2], [north, south]: [usize; 2]) -> impl Iterator<Item = [usize; 2]> {
+    let coarsest = ((east - west).max(south - north) + 1).next_power_of_two().ilog2();
+    (0..=coarsest).rev().flat_map(move |level| {
+        let step = 1 << level;
+        let rows = (north..=south).step_by(step);
+        let all = rows.flat_map(move |y| (west..=east).step_by(step).map(move |x| [x, y]));
+        // The coarser steps had every second column and row.
+        all.filter(move |[x, y]| level == coarsest || [x - west, y - north].iter().any(|n| n / step % 2 == 1))
+    })
 }
 
 /// Returns the first and the last column and row of the tiles that the bounds in a header touch. Bounds that are not valid stand
@@ -149,5 +162,21 @@ impl WebTiles for Archive {
 
     fn path(&self, WebTile { zoom, x, y }: WebTile) -> PathBuf {
         self.path.join(zoom.to_string()).join(x.to_string()).join(format!("{y}.{}", self.extension))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn all_places_are_tried_once() {
+        for (columns, rows) in [([0, 0], [0, 0]), ([3, 9], [5, 6]), ([0, 15], [0, 15]), ([7, 7], [0, 20])] {
+            let mut tried: Vec<_> = spread(columns, rows).collect();
+            assert_eq!(tried[0], [columns[0], rows[0]]);
+            tried.sort_unstable();
+            let all = (columns[0]..=columns[1]).flat_map(|x| (rows[0]..=rows[1]).map(move |y| [x, y]));
+            assert!(tried.into_iter().eq(all), "{columns:?} {rows:?}");
+        }
     }
 }

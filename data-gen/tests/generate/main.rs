@@ -4,7 +4,8 @@
 mod cli;
 mod date_line;
 mod files;
-mod fuzz_rasters;
+mod fuzz;
+mod grid_files;
 mod meshes;
 mod outputs;
 mod reference_systems;

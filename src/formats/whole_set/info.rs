@@ -15,7 +15,7 @@ use super::tree::{Known, load, read_companions, read_subtree};
 #[cfg(feature = "http")]
 use crate::fetch::HttpConfig;
 use crate::fetch::markup::text_and_first_byte;
-use crate::fetch::{IoError, Limits, Loaded, Source, is_remote, path_of, root_uri};
+use crate::fetch::{IoError, Limits, Loaded, Source, is_remote, path_of, printable, root_uri};
 use crate::formats::height::SetExtras;
 use crate::formats::options::{Fetched, ReadOptions};
 use crate::formats::osg;
@@ -146,13 +146,13 @@ fn inspect_from(root: &Arc<str>, limits: &Limits, from: Source, follows: bool) -
         return inspect_model(root, bytes, &options, &from);
     }
     let json = tileset::parse(root, &bytes, limits)?;
-    json.asset.version().clone_into(&mut info.version);
+    info.version = printable(json.asset.version()).into_owned();
     if json.asset.extras.0.as_ref().is_some_and(SetExtras::is_height) {
         info.format = "3D Tiles with heights".to_owned();
     }
     info.bounds.region = json.root.bounding_volume.region.as_ref().map(|region| region.0.clone());
     info.bytes += bytes.len() as u64;
-    info.extensions.extend(json.extensions_used.iter().cloned());
+    info.extensions.extend(json.extensions_used.iter().map(|name| printable(name).into_owned()));
     info.metadata = MetadataInfo::read(&bytes);
     info.bounds.set_heights(info.metadata.as_ref().and_then(MetadataInfo::terrain_heights_m));
     drop(json);
@@ -208,7 +208,7 @@ impl Info {
     pub(super) fn describe(&mut self, name: &str, text: impl Into<String>) {
         const MAX_CHARS: usize = 400;
         let text: String = text.into();
-        self.details.insert(name.to_owned(), text.chars().take(MAX_CHARS).collect());
+        self.details.insert(name.to_owned(), printable(&text).chars().take(MAX_CHARS).collect());
     }
 
     /// Reads the files that a tileset refers to, and lists those that cannot be read.
@@ -371,7 +371,7 @@ impl Walk<'_> {
         let Loaded { bytes, location, .. } = loaded?;
         let json = tileset::parse(uri, &bytes, &at.options.limits)?;
         self.info.bytes += bytes.len() as u64;
-        self.info.extensions.extend(json.extensions_used.iter().cloned());
+        self.info.extensions.extend(json.extensions_used.iter().map(|name| printable(name).into_owned()));
         drop(json);
         let below = ReadOptions { base: location, ..at.options.below(at.tileset) };
         let companions = self.info.tileset_files(self.from, uri, &bytes, &below);

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::info::{BoundsInfo, Info, LevelInfo};
 use super::tree::read_companions;
-use crate::fetch::{IoError, Source, encoding};
+use crate::fetch::{IoError, Source, encoding, printable};
 use crate::formats::ignored::Notes;
 use crate::formats::options::ReadOptions;
 use crate::formats::terrain::{Layer, read_layers};
@@ -56,7 +56,7 @@ impl Info {
             (known.tiles, known.contents) = (known.tiles + count, known.contents + count);
             (self.tiles, self.contents) = (self.tiles + count, self.contents + count);
         }
-        self.extensions.extend(layer.extensions.iter().cloned());
+        self.extensions.extend(layer.extensions.iter().map(|name| printable(name).into_owned()));
         self.bounds = BoundsInfo { radius_m: WGS84.semi_major_m, ..BoundsInfo::default() };
     }
 }

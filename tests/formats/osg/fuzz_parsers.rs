@@ -84,7 +84,55 @@ fn oblique() -> Parser {
     })
 }
 
+/// A node with a texture.
+const TEXTURED: &str = "Geode {\n StateSet {\n textureUnit 0 {\n GL_TEXTURE_2D ON\n Texture2D {\n file \"a.tga\"\n }\n }\n }\n
+    Geometry {\n PrimitiveSets 1 {\n DrawArrays TRIANGLES 0 3\n }\n VertexArray Vec3Array 3 {\n 0 0 0\n 1 0 0\n 0 1 0\n }\n
+    TexCoordArray 0 Vec2Array 3 {\n 0 0\n 1 0\n 0 1\n }\n }\n}\n";
+
+/// Images that old databases name: Targa and SGI, plain and in runs.
+fn old_images() -> Parser {
+    let targa = |kind: u8, map: &[u8], bits: u8, pixels: &[u8]| {
+        let entries = (map.len() / 3) as u8;
+        let has_map = u8::from(entries > 0);
+        let header = [0, has_map, kind, 0, 0, entries, 0, 24 * has_map, 0, 0, 0, 0, 4, 0, 2, 0, bits, 0x20];
+        [&header, map, pixels].concat()
+    };
+    let sgi = |packed: u8, channels: u8, data: &[u8]| {
+        let mut file = vec![1, 0xda, packed, 1, 0, 3, 0, 4, 0, 2, 0, channels];
+        file.resize(512, 0);
+        [&file, data].concat()
+    };
+    // The places of the rows, their lengths, and a run and a copy for each.
+    let rows: Vec<u8> = (0..6u32).flat_map(|row| (560 + row * 6).to_be_bytes()).collect();
+    let runs = [rows, [0, 0, 0, 5].repeat(6), [2, 7, 0x82, 8, 9, 0].repeat(6)].concat();
+    let seeds = [
+        targa(2, &[], 24, &[9; 24]),
+        targa(10, &[], 32, &[0x83, 1, 2, 3, 4, 3, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3, 4, 4, 4, 4]),
+        targa(1, &[1, 2, 3, 4, 5, 6], 8, &[0, 1, 0, 1, 0, 1, 0, 1]),
+        targa(11, &[], 16, &[0x87, 5, 200]),
+        sgi(0, 4, &[200; 32]),
+        sgi(1, 3, &runs),
+    ];
+    Parser::new("old-images", seeds, |bytes| {
+        content(TEXTURED.as_bytes(), vec![("/set/a.tga".into(), Ok(bytes.to_vec()))])
+    })
+}
+
+/// Otherwise the images are not decoded.
+#[test]
+fn seeds_of_images_are_decoded() {
+    let named = dependencies("/set/tile", TEXTURED.as_bytes(), None, &[], &options());
+    assert_eq!(named.iter().map(|uri| &**uri).collect::<Vec<_>>(), ["/set/a.tga"]);
+    for seed in old_images().seeds {
+        let companions = vec![("/set/a.tga".into(), Ok(seed))];
+        let content = Content { uri: "/set/tile".into(), bytes: TEXTURED.into(), reader_data: None, companions };
+        let (_, ignored) = terrane::formats::decode_noting(content, &options()).unwrap();
+        assert!(ignored.is_empty(), "{ignored:?}");
+    }
+}
+
 kit::parsers! {
     osg,
     oblique,
+    old_images,
 }

@@ -363,6 +363,32 @@ fn tilesets_with_any_name_are_verified() {
     assert!(verified.errors[0].uri.ends_with("missing.glb"), "{verified:?}");
 }
 
+/// Regression: names of extensions and versions moved the cursor of the terminal that they were printed to.
+#[test]
+fn names_of_strangers_have_no_control_characters() {
+    let evil = "x\u{1b}]0;t\u{7}\u{1b}[2J\nerror: none\u{9b}1A";
+    let set = |required: &str| {
+        let volume = r#""boundingVolume":{"sphere":[0,0,0,9]},"geometricError":1,"content":{"uri":"\u001b[31m.glb"}"#;
+        let name = serde_json::to_string(evil).unwrap();
+        format!(
+            r#"{{"asset":{{"version":"1.1","x":{name}}},"extensionsUsed":[{name}],{required}"geometricError":1,"root":{{{volume}}}}}"#
+        )
+    };
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("tileset.json"), set("")).unwrap();
+    let source = folder.path().to_str().unwrap();
+    let info = inspect(source, &Limits::default()).unwrap();
+    let verified = verify(source, &Limits::default(), &mut |_| {}).unwrap();
+    assert_eq!((info.extensions.len(), verified.ignored.len(), verified.errors.len()), (1, 1, 1));
+    let ignored = verified.ignored.keys().map(String::as_str);
+    let errors = verified.errors.iter().map(|error| error.uri.as_str());
+    let refused = refused(set(r#""extensionsRequired":["y\u001b[2J\u009b"],"#).as_bytes());
+    assert!(refused.contains('y'), "{refused}");
+    for text in ignored.chain(errors).chain(info.extensions.iter().map(String::as_str)).chain([&*refused]) {
+        assert!(!text.contains(char::is_control), "{text:?}");
+    }
+}
+
 #[test]
 fn tilesets_that_contain_themselves_are_refused() {
     let folder = tempfile::tempdir().unwrap();

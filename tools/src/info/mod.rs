@@ -9,7 +9,7 @@ use std::io::Write as _;
 
 use anyhow::{Context as _, Result, ensure};
 use serde_json::json;
-use terrane::fetch;
+use terrane::fetch::{self, printable};
 use terrane::formats::{self, Info, MetadataInfo, ModelInfo, Problem, SurveyEvent, SurveyOptions, Verified};
 use terrane_data_gen::Progress;
 
@@ -102,7 +102,7 @@ fn text(info: &Info, verified: Option<&Verified>) -> String {
     let mebibytes = |bytes: u64| bytes as f64 / f64::from(1 << 20);
     let mut out = String::new();
     // Writing to a String cannot fail.
-    let _ = writeln!(out, "{}", format!("format   {} {}", info.format, info.version).trim_end());
+    let _ = writeln!(out, "{}", printable(format!("format   {} {}", info.format, info.version).trim_end()));
     match &info.model {
         Some(ModelInfo { nodes, drawables, vertices, triangles, images, image_bytes, paged_files }) => {
             let _ = writeln!(
@@ -177,18 +177,18 @@ fn metadata_text(metadata: &MetadataInfo) -> String {
     let mut out = String::new();
     let classes = metadata.class_names();
     if !classes.is_empty() {
-        let _ = writeln!(out, "metadata classes {}", classes.join(", "));
+        let _ = writeln!(out, "metadata classes {}", printable(&classes.join(", ")));
     }
     let entities = metadata.tileset.iter().map(|tileset| ("tileset".to_owned(), tileset));
     let groups = metadata.groups().into_iter().map(|(name, group)| (format!("group {name}"), group));
     for (name, entity) in entities.chain(groups.take(MAX_GROUPS)) {
         let class = entity.get("class").and_then(|class| class.as_str()).unwrap_or("none");
-        let _ = write!(out, "metadata {name}, class {class}");
+        let mut line = format!("metadata {name}, class {class}");
         let properties = entity.get("properties").and_then(|properties| properties.as_object());
         for (name, value) in properties.into_iter().flatten() {
-            let _ = write!(out, ", {name} = {value}");
+            let _ = write!(line, ", {name} = {value}");
         }
-        out.push('\n');
+        let _ = writeln!(out, "{}", printable(&line));
     }
     if let more @ 1.. = metadata.group_count().saturating_sub(MAX_GROUPS) {
         let _ = writeln!(out, "metadata and {more} more groups");
