@@ -88,6 +88,22 @@ pub fn uastc_ktx2(color: [u8; 4], levels: u32) -> Vec<u8> {
     uastc_mosaic([4, 4], levels, |_| color)
 }
 
+/// Returns the nearest colour of ETC1 as UASTC stores it: the differential mode, the first table of modifiers, the index of one
+/// of its four modifiers, and five bits for each channel.
+fn etc1_of(color: [u8; 4]) -> u128 {
+    let nearest = |part: u8, modifier: i32| -> (i32, u128) {
+        let error = |bits: i32| ((bits << 3 | bits >> 2) + modifier).clamp(0, 255).abs_diff(part.into()) as i32;
+        (0..32).map(|bits| (error(bits), bits as u128)).min().unwrap_or_default()
+    };
+    let with = |index: usize| {
+        let parts = [0, 1, 2].map(|i| nearest(color[i], [-8, -2, 2, 8][index]));
+        let bits =
+            parts.iter().enumerate().fold(1 | (index as u128) << 4, |bits, (i, part)| bits | part.1 << (6 + 5 * i));
+        (parts.iter().map(|part| part.0).sum::<i32>(), bits)
+    };
+    (0..4).map(with).min().unwrap_or_default().1
+}
+
 /// Returns a KTX2 file of UASTC with alpha, whose blocks of 4 x 4 texels have one colour each. `color` gets the level, and
 /// the column and row of a block.
 pub fn uastc_mosaic([width, height]: [u32; 2], levels: u32, color: impl Fn([u32; 3]) -> [u8; 4]) -> Vec<u8> {
@@ -116,12 +132,13 @@ pub fn uastc_mosaic([width, height]: [u32; 2], levels: u32, color: impl Fn([u32;
     for level in 0..levels {
         let [columns, rows] = blocks(level);
         for (row, column) in (0..rows * columns).map(|i| (i / columns, i % columns)) {
-            // Mode 8 of UASTC: five bits of the mode, then the colour; the rest is for other formats.
+            // Mode 8 of UASTC: five bits of the mode, then the colour and its form in ETC1.
+            let color = color([level, column, row]);
             let mut block = u128::from(0x17u8);
-            for (i, part) in color([level, column, row]).into_iter().enumerate() {
+            for (i, part) in color.into_iter().enumerate() {
                 block |= u128::from(part) << (5 + 8 * i);
             }
-            file.extend(block.to_le_bytes());
+            file.extend((block | etc1_of(color) << 37).to_le_bytes());
         }
     }
     file
