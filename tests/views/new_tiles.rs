@@ -1,4 +1,4 @@
-//! The contents of new tiles are requested before the next frame. The noop adapter suffices.
+//! The contents of new tiles are requested before a frame is drawn. The noop adapter suffices.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -19,33 +19,6 @@ fn config(threading: ThreadingModel) -> ViewerConfig {
         threading,
         ..ViewerConfig::default()
     }
-}
-
-/// Regression: each level of subtrees waited for the next frame, although the main thread had nothing to do.
-#[test]
-fn subtrees_are_followed_between_two_frames() {
-    let folder = tempfile::tempdir().unwrap();
-    write_implicit(folder.path(), 1, 4);
-    let mut viewer = Viewer::new_offscreen(&config(ThreadingModel::SingleThreaded)).unwrap();
-    viewer.load(folder.path().to_str().unwrap()).unwrap();
-    viewer.frame().unwrap();
-    let end = Instant::now() + Duration::from_secs(60);
-    let (mut merged, mut since) = (0, Instant::now());
-    while since.elapsed() < Duration::from_millis(100) && Instant::now() < end {
-        viewer.work_until(Instant::now() + Duration::from_millis(5));
-        let now = viewer.pager().unwrap().stats().merged;
-        if now > merged {
-            (merged, since) = (now, Instant::now());
-        }
-    }
-    // The first frame requests the root's subtree alone.
-    let followed = merged;
-    while !viewer.is_settled() {
-        assert!(Instant::now() < end, "does not settle: {:?}", viewer.pager().unwrap().stats());
-        viewer.frame().unwrap();
-    }
-    let all = viewer.pager().unwrap().stats().merged;
-    assert!(all > 20 && followed == all, "{followed} of {all} were merged without a frame");
 }
 
 /// Regression: without a thread for drawing, requests waited until the frame was drawn.
