@@ -3,8 +3,8 @@
 //! A frame is [`viewer::Viewer::frame`]: advance, event, update, rendering. Update alone changes the [`scene::Scene`]:
 //! the [`pager::DatabasePager`] merges what was loaded and takes out what is not needed. Cull reads it:
 //! [`cull::CullVisitor`] turns scene and camera into a [`cull::RenderStage`], leaves sorted into bins, and a list of
-//! [`cull::PageRequest`]s for what is missing. [`draw::Renderer`] executes the stage on a [`gpu::GraphicsContext`],
-//! perhaps on a thread of its own, while the next frame is already being updated.
+//! [`cull::PageRequest`]s for what is missing. [`draw::Renderer`] executes the stage on a [`gpu::GraphicsContext`]; in most
+//! threading models a separate thread does that while the next frame is already being updated.
 //!
 //! To follow a tile from its URI to pixels, read [`fetch`] (bytes by URI), [`formats`] (bytes to [`scene::Page`]),
 //! [`pager`], [`scene`], [`cull`], [`gpu`] and [`draw`] in this order. World positions are metres in `f64`, z up

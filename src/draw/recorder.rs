@@ -250,12 +250,7 @@ impl<'p, 'e> PassRecorder<'p, 'e> {
             return false;
         };
         self.apply(sources, bucket.bound);
-        if changes(&mut self.stats, &mut self.known.pipeline, id) {
-            self.pass.set_pipeline(pipeline);
-        }
-        if changes(&mut self.stats, &mut self.known.block, (pool, bucket.block)) {
-            self.pass.set_bind_group(1, block, &[]);
-        }
+        self.set_pipeline_and_block((id, pipeline), (pool, bucket.block), block);
         let pool = if pool == Pool::Heights { pool } else { Pool::Meshes };
         if let Some(vertices) = vertices
             && changes(&mut self.stats, &mut self.known.vertex_chunk, bucket.vertex_chunk)
@@ -276,6 +271,21 @@ impl<'p, 'e> PassRecorder<'p, 'e> {
         true
     }
 
+    /// Sets a pipeline and the bind group of a pool's block where they change.
+    fn set_pipeline_and_block(
+        &mut self,
+        (id, pipeline): (PipelineId, &wgpu::RenderPipeline),
+        key: (Pool, u32),
+        block: &wgpu::BindGroup,
+    ) {
+        if changes(&mut self.stats, &mut self.known.pipeline, id) {
+            self.pass.set_pipeline(pipeline);
+        }
+        if changes(&mut self.stats, &mut self.known.block, key) {
+            self.pass.set_bind_group(1, block, &[]);
+        }
+    }
+
     /// Does the same as [`Self::bind`] for meshes whose shader fetches the vertices.
     fn bind_pulled(&mut self, sources: &DrawSources<'_>, bucket: &Bucket, pipeline_id: Option<PipelineId>) -> bool {
         let resources = sources.resources;
@@ -287,12 +297,7 @@ impl<'p, 'e> PassRecorder<'p, 'e> {
             return false;
         };
         self.apply(sources, bucket.bound);
-        if changes(&mut self.stats, &mut self.known.pipeline, id) {
-            self.pass.set_pipeline(pipeline);
-        }
-        if changes(&mut self.stats, &mut self.known.block, (pool, bucket.block)) {
-            self.pass.set_bind_group(1, block, &[]);
-        }
+        self.set_pipeline_and_block((id, pipeline), (pool, bucket.block), block);
         if changes(&mut self.stats, &mut self.known.third, ThirdGroup::Pulled(chunks)) {
             self.pass.set_bind_group(3, pulled, &[]);
         }

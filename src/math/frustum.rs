@@ -2,8 +2,6 @@
 
 use glam::{DMat4, DVec3, DVec4};
 
-use super::BoundingSphere;
-
 /// Planes `(normal, d)` with `normal . p + d >= 0` inside, unit normals, in the frame of the matrix they came from.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Frustum {
@@ -25,11 +23,6 @@ impl Frustum {
         Self { planes }
     }
 
-    /// Returns false only if the sphere is wholly outside of some plane.
-    pub fn intersects_sphere(&self, sphere: &BoundingSphere) -> bool {
-        self.planes.iter().all(|p| p.truncate().dot(sphere.center) + p.w >= -sphere.radius_m)
-    }
-
     /// Returns true if the point is inside all planes.
     pub fn contains(&self, point: DVec3) -> bool {
         self.planes.iter().all(|p| p.truncate().dot(point) + p.w >= 0.0)
@@ -46,6 +39,5 @@ mod tests {
         assert!(f.contains(DVec3::new(0.0, 0.0, -1.0)));
         assert!(!f.contains(DVec3::new(0.0, 0.0, 1.0)));
         assert!(!f.contains(DVec3::new(5.0, 0.0, -1.0)));
-        assert!(f.intersects_sphere(&BoundingSphere::new(DVec3::new(5.0, 0.0, -1.0), 5.0)));
     }
 }

@@ -19,7 +19,7 @@ pub struct SurfaceMaterial {
 }
 
 impl Default for SurfaceMaterial {
-    /// White and dull.
+    /// Returns a white material without highlights.
     fn default() -> Self {
         Self { ambient: [1.0; 3], diffuse: [1.0; 4], specular: [0.0; 3], emission: [0.0; 3], shininess: 0.0 }
     }

@@ -357,8 +357,8 @@ impl ResolvedState {
         self.mode(Mode::SampleMask).then_some(self.sample_mask.value)
     }
 
-    /// Returns true if blended leaves drop fragments of alpha 0, which would only write depth: they are in a bin that is
-    /// sorted back to front, as OSG's state set of such bins does with an alpha test.
+    /// Returns true if blended leaves drop fragments of alpha 0, which would only write depth. Leaves of bins that are sorted
+    /// back to front do; OSG's state set of such bins has an alpha test for it.
     pub(crate) fn drops_invisible(&self) -> bool {
         self.blends() && self.writes_depth() && self.bin().sort == SortMode::BackToFront
     }

@@ -8,6 +8,16 @@ use super::program::{Uniform, UniformValue};
 use super::variance::DataVariance;
 
 /// State for a node and everything below.
+///
+/// Nodes share sets by reference. Cull merges the sets above a drawable; a set below wins, unless a flag says otherwise.
+///
+/// ```
+/// use std::sync::Arc;
+/// use terrane::scene::Node;
+/// use terrane::state::{Mode, StateSet, StateValue};
+/// let unlit = StateSet::default().with_mode(Mode::Lighting, StateValue::OFF | StateValue::OVERRIDE);
+/// let node = Node::group(Vec::new()).with_state_set(Arc::new(unlit));
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct StateSet {
     /// The name in logs and errors; may be empty.

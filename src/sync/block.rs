@@ -1,7 +1,6 @@
 //! [`Block`] and [`BlockCount`]: threads wait until another thread releases them.
 
 use std::sync::PoisonError;
-use std::time::Duration;
 
 use super::primitives::{Condvar, Mutex, MutexGuard};
 
@@ -32,23 +31,17 @@ impl Block {
         }
     }
 
-    /// Waits until it is open, at most for a timeout. Returns false on timeout.
-    pub fn block_for(&self, timeout: Duration) -> bool {
-        let waited = self.changed.wait_timeout_while(self.open(), timeout, |open| !*open);
-        *waited.unwrap_or_else(PoisonError::into_inner).0
-    }
-
-    /// Opens it: all waiting threads continue, and later ones do not wait.
+    /// Opens the block: all waiting threads continue, and later ones do not wait.
     pub fn release(&self) {
         self.set(true);
     }
 
-    /// Closes it.
+    /// Closes the block.
     pub fn reset(&self) {
         self.set(false);
     }
 
-    /// Opens or closes it.
+    /// Opens or closes the block.
     pub fn set(&self, is_open: bool) {
         *self.open() = is_open;
         if is_open {
@@ -120,11 +113,6 @@ impl BlockCount {
         if count.left == 0 {
             self.changed.notify_all();
         }
-    }
-
-    /// Sets the number of completions, from the next reset on.
-    pub fn set_block_count(&self, count: usize) {
-        self.count().full = count;
     }
 
     /// Returns the number of missing completions.

@@ -20,8 +20,8 @@ impl Track {
         Self { name, joined: None, last_end_ns: 0 }
     }
 
-    /// During a recording, adds a span from `whole[0]` to `whole[1]` that contains the spans `inside`, one after the other.
-    /// Times before the recording or before the end of the previous span are clipped.
+    /// Adds a span from `whole[0]` to `whole[1]` that contains the spans `inside`, one after the other. Does nothing without a
+    /// recording. Times before the recording or before the end of the previous span are clipped.
     pub(crate) fn spans(
         &mut self,
         name: &'static str,

@@ -1,5 +1,5 @@
-//! [`CompositeViewer`]: several views, each of its own scene or of a shared one, and the contexts that they are drawn in.
-//! [`Viewer`](super::Viewer) is one with a single view. Main thread.
+//! [`CompositeViewer`]: several views of separate or shared scenes, and the contexts that they are drawn in.
+//! [`Viewer`](super::Viewer) is a composite viewer with a single view. Main thread.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -120,7 +120,7 @@ impl CompositeViewer {
         self.set_root(scene, root)
     }
 
-    /// Like [`Self::load`], with a root that was read earlier.
+    /// Does the same as [`Self::load`] with a root that was read earlier.
     pub fn set_root(&mut self, scene: SceneId, root: LoadedRoot) -> Result<PageId, ViewerError> {
         self.check_scene(scene)?;
         let root = self.frame.pagers.set_root(&mut self.scenes, scene, root, &mut self.frame.rendering)?;
@@ -388,7 +388,7 @@ impl CompositeViewer {
         }
     }
 
-    /// For applications that draw on demand: returns false while another frame would show the same images. True for
+    /// Returns false while another frame would show the same images, for applications that draw on demand. Returns true for
     /// waiting events, moving manipulators, tiles in flight, missing results of occlusion queries and read-backs, playing
     /// image sequences, update callbacks, overlays, and [`View::request_redraw`]. Tiles that find no memory, or wait for a
     /// paused pager, ask for no frame. A failed request asks for one after its back-off, so an idle loop should call this

@@ -156,7 +156,7 @@ impl Viewer {
         self.composite.load(self.scene, source)
     }
 
-    /// Like [`Self::load`], with a root that was read before the viewer was created.
+    /// Does the same as [`Self::load`] with a root that was read before the viewer was created.
     pub fn set_root(&mut self, root: LoadedRoot) -> Result<PageId, ViewerError> {
         self.composite.set_root(self.scene, root)
     }
@@ -346,7 +346,7 @@ impl Viewer {
         self.composite.is_settled()
     }
 
-    /// For applications that draw on demand; see [`CompositeViewer::check_need_to_do_frame`].
+    /// Returns false while another frame would show the same image; see [`CompositeViewer::check_need_to_do_frame`].
     pub fn check_need_to_do_frame(&self) -> bool {
         self.composite.check_need_to_do_frame()
     }

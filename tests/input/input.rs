@@ -152,6 +152,10 @@ fn quit_keys_closing_and_requests_end_the_loop() {
     viewer.view_mut().event_queue().close_window(0.0);
     viewer.frame().unwrap();
     assert!(viewer.view().is_done());
+    viewer.view_mut().set_done(false);
+    viewer.view_mut().event_queue().quit_application(0.0);
+    viewer.frame().unwrap();
+    assert!(viewer.view().is_done());
     // A handler that consumes the close event keeps the window open ("save first?").
     viewer.view_mut().set_done(false);
     let log = Rc::default();

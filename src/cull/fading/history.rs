@@ -216,13 +216,31 @@ fn before(cull: u32) -> u32 {
     cull.wrapping_sub(1).max(1)
 }
 
+/// The state towards which the fade of a tile moves.
+#[derive(Clone, Copy, Debug)]
+pub struct FadeTarget {
+    /// True if the children are drawn in the end.
+    pub is_refined: bool,
+    /// True if the tile's content is on the GPU.
+    pub is_resident: bool,
+}
+
+/// The circumstances of a tile's fade.
+#[derive(Clone, Copy, Debug)]
+pub struct FadeConditions {
+    /// False where only one of the tile and its children can be drawn.
+    pub can_fade: bool,
+    /// True if content above is drawn behind the tile's own, which then fades in; otherwise it appears at once.
+    pub is_covered: bool,
+}
+
 impl TileMark {
     /// Returns true if the tile's fade has finished and its refinement and residency have not changed: the usual case in
     /// a steady frame. The mark is then up to date.
     #[inline(always)]
-    pub fn is_settled(&mut self, step: FadeStep, is_refined: bool, is_resident: bool) -> bool {
+    pub fn is_settled(&mut self, step: FadeStep, target: FadeTarget) -> bool {
         let whole = |is: bool| if is { WHOLE } else { 0 };
-        let is_settled = self.shares == [whole(is_refined), whole(is_resident)];
+        let is_settled = self.shares == [whole(target.is_refined), whole(target.is_resident)];
         if is_settled {
             self.cull = step.cull;
         }
@@ -230,18 +248,10 @@ impl TileMark {
     }
 
     /// Advances the fade between a tile and its children and returns their shares.
-    ///
-    /// `can_fade` is false where only one of the two can be drawn. `is_covered` says that content above is drawn behind
-    /// the tile's own, which then fades in; otherwise it appears at once.
     #[cold]
-    pub fn advance(
-        &mut self,
-        step: FadeStep,
-        is_refined: bool,
-        can_fade: bool,
-        is_resident: bool,
-        is_covered: bool,
-    ) -> TileShares {
+    pub fn advance(&mut self, step: FadeStep, target: FadeTarget, conditions: FadeConditions) -> TileShares {
+        let FadeTarget { is_refined, is_resident } = target;
+        let FadeConditions { can_fade, is_covered } = conditions;
         let target = if is_refined { WHOLE } else { 0 };
         let [mut children, mut own] = self.shares;
         if self.cull != step.cull {
@@ -281,13 +291,16 @@ mod tests {
     fn tile_fades_to_its_children_and_back() {
         let mut fades = LodFades::default();
         let mut mark = TileMark::default();
+        let alone = FadeConditions { can_fade: true, is_covered: false };
         let mut shares = |times: &[f64], is_refined| -> Vec<u16> {
             let advance = |time: &f64| {
                 fades.start(*time);
                 let step = fades.step(0.25);
-                let share = mark.advance(step, is_refined, true, true, false).children;
-                assert_eq!(mark.advance(step, !is_refined, true, true, false).children, share, "met twice in one cull");
-                assert_eq!(mark.is_settled(step, is_refined, true), share == if is_refined { WHOLE } else { 0 });
+                let target = FadeTarget { is_refined, is_resident: true };
+                let share = mark.advance(step, target, alone).children;
+                let other = FadeTarget { is_refined: !is_refined, ..target };
+                assert_eq!(mark.advance(step, other, alone).children, share, "met twice in one cull");
+                assert_eq!(mark.is_settled(step, target), share == if is_refined { WHOLE } else { 0 });
                 share
             };
             times.iter().map(advance).collect()
@@ -304,7 +317,8 @@ mod tests {
         fades.start(11.8);
         fades.start(11.85);
         let step = fades.step(0.25);
-        assert_eq!(mark.advance(step, false, true, true, false).children, 0, "not met in the cull before");
+        let coarse = FadeTarget { is_refined: false, is_resident: true };
+        assert_eq!(mark.advance(step, coarse, alone).children, 0, "not met in the cull before");
     }
 
     #[test]

@@ -10,4 +10,4 @@ mod history;
 
 pub use band::FadeBand;
 pub(super) use band::{Fade, WHOLE};
-pub(super) use history::{FadeStep, LodFades, LodIndex, LodShares, TileMark, TilePart};
+pub(super) use history::{FadeConditions, FadeStep, FadeTarget, LodFades, LodIndex, LodShares, TileMark, TilePart};

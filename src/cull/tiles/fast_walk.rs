@@ -6,7 +6,7 @@ use std::ops::Range;
 
 use super::open_tile::{self, OpenTile};
 use super::walk_context::{REPLACE_WITH_CONTENT, SLOW_PATH, WalkContext, is_settled};
-use crate::cull::fading::{Fade, TileMark};
+use crate::cull::fading::{Fade, FadeTarget, TileMark};
 use crate::cull::visitor::{Purpose, QueuedPage, Traversal};
 use crate::scene::{TileBounds, TileRecord, flag};
 
@@ -92,7 +92,7 @@ impl Traversal<'_> {
                 }
                 continue;
             }
-            if !is_settled(marks, index, walk.step, wants, true) {
+            if !is_settled(marks, index, walk.step, FadeTarget { is_refined: wants, is_resident: true }) {
                 break;
             }
             visited += 1;
@@ -156,7 +156,8 @@ impl Traversal<'_> {
         above: OpenTile,
         marks: &mut [TileMark],
     ) -> Option<u32> {
-        if !is_settled(marks, tile as usize, walk.step, false, true) {
+        let as_drawn = FadeTarget { is_refined: false, is_resident: true };
+        if !is_settled(marks, tile as usize, walk.step, as_drawn) {
             return None;
         }
         let record = &walk.tiles.records()[tile as usize];

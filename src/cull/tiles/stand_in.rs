@@ -9,8 +9,8 @@ use crate::cull::stage::{CutVolume, DrawnPart};
 use crate::cull::visitor::{QueuedPage, Traversal};
 use crate::scene::{Tiles, flag};
 
-/// The volume is enlarged by this share of the tile's radius, or by the error of what is drawn in it, if that is more: the
-/// coarser surface may lie outside of the tile's own volume.
+/// The least margin around the volume, as a share of the tile's radius. The margin is the error of the coarser surface if
+/// that is more, since this surface may lie outside of the tile's volume.
 const MIN_MARGIN: f32 = 0.01;
 
 /// A resident content above a tile.
@@ -26,7 +26,7 @@ struct Ancestor {
 
 impl Traversal<'_> {
     /// Draws the nearest resident ancestor of a tile, cut to the tile's volume. Draws nothing if there is none, or if its
-    /// content is drawn beside its children's in any case, and nothing into shadow maps: a coarse surface would throw
+    /// content is drawn beside its children's in any case. Shadow maps get nothing, since a coarse surface would throw
     /// shadows on the finer ones beside it.
     #[cold]
     #[inline(never)]

@@ -10,7 +10,7 @@ use super::tile_view::{KEPT_SHARE, MAX_ERROR_PX, TileView};
 use super::walk_context::{
     CONTENT_KINDS, REPLACE_WITH_CONTENT, SLOW_PATH, UseStamp, WalkContext, is_settled, shows_children,
 };
-use crate::cull::fading::{Fade, TileMark, WHOLE};
+use crate::cull::fading::{Fade, FadeConditions, FadeTarget, TileMark, WHOLE};
 use crate::cull::stage::PageRequest;
 use crate::cull::visitor::{AttachmentFrame, PageVisit, Purpose, QueuedPage, Traversal, eye_in};
 use crate::scene::{NONE, NodeId, Page, TileBounds, TileRecord, TileRoot, UNBOUNDED, flag};
@@ -240,8 +240,8 @@ impl Traversal<'_> {
                     self.stand_in(walk, tile);
                 }
             }
-            let draws =
-                purpose == Purpose::Draw && (resident || !is_settled(marks, tile as usize, walk.step, false, false));
+            let gone = FadeTarget { is_refined: false, is_resident: false };
+            let draws = purpose == Purpose::Draw && (resident || !is_settled(marks, tile as usize, walk.step, gone));
             return draws && self.fade_tile(walk, tile, mask, above, marks);
         }
         let (range2, distance2) = walk.range_and_distance(tile, record, &walk.tiles.bounds()[tile as usize]);
@@ -257,7 +257,8 @@ impl Traversal<'_> {
         if purpose == Purpose::Draw && !resident && !is_refined && record.has(flag::UNAVAILABLE) {
             self.stand_in(walk, tile);
         }
-        if purpose == Purpose::Draw && (resident || !is_settled(marks, tile as usize, walk.step, is_refined, false)) {
+        let missing = FadeTarget { is_refined, is_resident: false };
+        if purpose == Purpose::Draw && (resident || !is_settled(marks, tile as usize, walk.step, missing)) {
             let above = OpenTile { shown_px2: above_px2, ..above.read() };
             return self.fade_tile(walk, tile, mask, &above, marks);
         }
@@ -281,11 +282,13 @@ impl Traversal<'_> {
         let is_refined = shows_children(record, is_near);
         let (mut shows_own, mut shows_children) = (!replaces || !is_refined, is_refined);
         let (mut own, mut children) = (fade.band(), fade.band());
+        let target = FadeTarget { is_refined, is_resident: resident };
         if let Some(mark) = marks.get_mut(tile as usize)
-            && !mark.is_settled(walk.step, is_refined, resident)
+            && !mark.is_settled(walk.step, target)
         {
             let can_fade = !replaces || (resident && ready);
-            let shares = mark.advance(walk.step, is_refined, can_fade, resident, fade.is_covered());
+            let conditions = FadeConditions { can_fade, is_covered: fade.is_covered() };
+            let shares = mark.advance(walk.step, target, conditions);
             self.counters.fading += u32::from(shares.is_fading);
             (children, own) = fade.band().split(shares.children);
             own = if replaces { own } else { fade.band() }.split(shares.own).0;

@@ -4,7 +4,7 @@
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use super::tile_view::TileView;
-use crate::cull::fading::{FadeStep, TileMark};
+use crate::cull::fading::{FadeStep, FadeTarget, TileMark};
 use crate::scene::{ContentShape, LodRanges, Page, PageId, TileBounds, TileRecord, TileRoot, Tiles, flag};
 
 /// Flags of the usual tile: content that its children replace.
@@ -71,14 +71,8 @@ pub(in crate::cull) fn shows_children(record: &TileRecord, is_near: bool) -> boo
 /// Returns true if a tile's fade has finished and its refinement and residency have not changed. Without marks nothing
 /// fades.
 #[inline(always)]
-pub(super) fn is_settled(
-    marks: &mut [TileMark],
-    tile: usize,
-    step: FadeStep,
-    is_refined: bool,
-    is_resident: bool,
-) -> bool {
-    marks.get_mut(tile).is_none_or(|mark| mark.is_settled(step, is_refined, is_resident))
+pub(super) fn is_settled(marks: &mut [TileMark], tile: usize, step: FadeStep, target: FadeTarget) -> bool {
+    marks.get_mut(tile).is_none_or(|mark| mark.is_settled(step, target))
 }
 
 impl WalkContext<'_> {
@@ -121,7 +115,7 @@ impl WalkContext<'_> {
         }
     }
 
-    /// Returns true if a tile's content has a volume of its own, which is outside of the frustum. The tile may be inside.
+    /// Returns true if the volume of a tile's content is smaller than the tile's, and outside of the frustum. The tile may be inside.
     #[inline(always)]
     pub fn content_is_outside(&self, tile: u32, record: &TileRecord) -> bool {
         record.has(flag::CONTENT_VOLUME) && self.content_volume_is_outside(tile)

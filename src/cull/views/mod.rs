@@ -1,4 +1,7 @@
-//! The views of a stage: a camera with the planes and measures that nodes and tiles are tested against.
+//! The views of a stage: a camera with the planes and measures that nodes and tiles are tested against. Culling thread.
+//!
+//! A stage begins with the view of its camera. Projection nodes and nested cameras add views, which the traversal pushes and
+//! pops as it enters and leaves them.
 
 mod planes;
 mod view;

@@ -120,39 +120,27 @@ impl Traversal<'_> {
         view == 0
     }
 
-    /// Visits a camera: scans a nested one at once, and queues one that has its own stage.
-    pub(super) fn visit_camera_node(
-        &mut self,
-        context: &PageContext,
-        node: u32,
-        camera: &CameraNode,
-        path: u32,
-        mask: u8,
-    ) {
-        let page = context.page;
-        if camera.shows_scene && self.views.current().in_scene_camera {
-            return;
-        }
-        let above = page.transforms().page_from_node(self.enclosing_transform(context, node));
-        let Some(node_from_page) = finite(above.inverse()) else { return };
+    /// Returns the view of a camera in the graph, with the eye's frame from that of the page. Returns `None` if a transform
+    /// above it cannot be inverted.
+    fn view_of_camera(&self, context: &PageContext, node: u32, camera: &CameraNode) -> Option<(View, DAffine3)> {
+        let page_from_above = context.page.transforms().page_from_node(self.enclosing_transform(context, node));
+        let above_from_page = finite(page_from_above.inverse())?;
         let mut view = *self.views.current();
         view.camera.settings = camera.settings.inheriting(&view.camera.settings, camera.inherit);
         let inherited = view.clamp_projection.filter(|_| camera.inherit.has(Inherit::CLAMP_PROJECTION));
         view.clamp_projection = camera.clamp_projection.or(inherited);
         view.inherits_projection = camera.projection.is_none() && camera.clamp_projection.is_none();
+        let eye_from_above = context.visit.eye_from_page * page_from_above;
+        // Nodes below an absolute camera lie in the world's frame.
         let eye_from_node = match camera.frame {
             ReferenceFrame::Absolute => camera.view,
-            ReferenceFrame::Relative => context.visit.eye_from_page * above * camera.view,
+            ReferenceFrame::Relative => eye_from_above * camera.view,
         };
-        // Nodes below an absolute camera lie in the world's frame.
         view.camera.eye_from_world = match camera.frame {
             ReferenceFrame::Absolute => camera.view,
-            ReferenceFrame::Relative => {
-                let eye_from_above = context.visit.eye_from_page * above;
-                eye_from_above * camera.view * eye_from_above.inverse() * self.views.current().camera.eye_from_world
-            }
+            ReferenceFrame::Relative => eye_from_node * eye_from_above.inverse() * view.camera.eye_from_world,
         };
-        let Some(eye_from_page) = finite(eye_from_node * node_from_page) else { return };
+        let eye_from_page = finite(eye_from_node * above_from_page)?;
         view.in_scene_camera |= camera.shows_scene;
         if view.in_scene_camera {
             // The marks of fades belong to the eye of the stage.
@@ -167,6 +155,23 @@ impl Traversal<'_> {
         if let Some(rect) = camera.viewport_px {
             (view.camera.viewport_px, view.viewport_rect) = ([rect[2], rect[3]], Some(rect));
         }
+        Some((view, eye_from_page))
+    }
+
+    /// Visits a camera: scans a nested one at once, and queues one that has its own stage.
+    pub(super) fn visit_camera_node(
+        &mut self,
+        context: &PageContext,
+        node: u32,
+        camera: &CameraNode,
+        path: u32,
+        mask: u8,
+    ) {
+        let page = context.page;
+        if camera.shows_scene && self.views.current().in_scene_camera {
+            return;
+        }
+        let Some((mut view, eye_from_page)) = self.view_of_camera(context, node, camera) else { return };
         let order = match camera.order {
             RenderOrder::Nested => {
                 let stage_view = self.stage.views.len();

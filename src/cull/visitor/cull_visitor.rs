@@ -17,6 +17,17 @@ use crate::state::{OpaqueDrawData, StateSet};
 /// Culls scenes and owns the memory that is reused from frame to frame.
 ///
 /// Each thread that culls has its own. The public fields are inputs of the next cull.
+///
+/// ```
+/// use terrane::cull::{CullCamera, CullVisitor, RenderStage};
+/// use terrane::scene::{Node, Page, Scene};
+/// let mut scene = Scene::new();
+/// scene.add_root(Page::from_node(Node::group(Vec::new())).unwrap());
+/// let (mut visitor, mut stage) = (CullVisitor::new(), RenderStage::new());
+/// // Both are reused for the camera's next frames.
+/// visitor.cull(&scene, &CullCamera::default(), &mut stage);
+/// assert!(stage.bins.is_empty() && stage.requests.is_empty());
+/// ```
 #[derive(Debug, Default)]
 pub struct CullVisitor {
     /// Viewport of the image in its target in pixels: x, y, width, height. `None` is the whole target.

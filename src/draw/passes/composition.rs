@@ -3,7 +3,7 @@
 use crate::cull::{RenderStage, StereoMode};
 use std::sync::Arc;
 
-use super::fullscreen::FullscreenPipeline;
+use super::fullscreen::{FullscreenPipeline, PipelinesByKind};
 use super::stage_input::LitStage;
 use crate::draw::pipelines::TargetFormats;
 use crate::draw::recorder::{DrawSources, PassRecorder};
@@ -22,8 +22,7 @@ struct Composite {
     uniforms: Vec<wgpu::Buffer>,
     /// The number of buffers used in this frame.
     used: usize,
-    /// `None` if the device refused the pipeline.
-    pipelines: Vec<(TargetFormats, Option<wgpu::RenderPipeline>)>,
+    pipelines: PipelinesByKind<TargetFormats>,
 }
 
 /// Returns the number of a mode in composition.wgsl.
@@ -69,7 +68,7 @@ impl Composite {
             }),
             uniforms: Vec::new(),
             used: 0,
-            pipelines: Vec::new(),
+            pipelines: PipelinesByKind::new(),
         }
     }
 
@@ -101,36 +100,33 @@ impl Composite {
         }
         self.used += 1;
         ctx.queue().write_buffer(&self.uniforms[index], 0, bytemuck::cast_slice(&[code(mode), gap_px, x, y]));
-        if self.pipelines.iter().any(|(key, _)| key == target) {
-            return Ok(index);
-        }
-        let (pipeline, error) = catch_errors(ctx.device(), || self.pipeline(ctx, target));
-        self.pipelines.push((*target, error.is_none().then_some(pipeline)));
-        error.map_or(Ok(index), |error| Err(format!("the images of two eyes cannot be composed: {error}")))
-    }
-
-    /// Creates the pipeline for a target, without looking for errors of the device.
-    fn pipeline(&self, ctx: &GraphicsContext, target: &TargetFormats) -> wgpu::RenderPipeline {
+        let Self { module, layout, pipelines, .. } = self;
         let colors = target.colors.map(|format| {
             format.map(|format| wgpu::ColorTargetState { format, blend: None, write_mask: wgpu::ColorWrites::COLOR })
         });
-        FullscreenPipeline {
-            label: "composite",
-            module: &self.module,
-            entry_points: ["vs_composite", "fs_composite"],
-            constants: &[],
-            bind_group_layouts: &[Some(&self.layout)],
-            colors: &colors[..1],
-            depth_stencil: Some(wgpu::DepthStencilState {
-                format: target.depth,
-                depth_write_enabled: Some(false),
-                depth_compare: Some(wgpu::CompareFunction::Always),
-                stencil: wgpu::StencilState::default(),
-                bias: wgpu::DepthBiasState::default(),
-            }),
-            samples: target.samples,
-        }
-        .create(ctx)
+        let create = || {
+            FullscreenPipeline {
+                label: "composite",
+                module,
+                entry_points: ["vs_composite", "fs_composite"],
+                constants: &[],
+                bind_group_layouts: &[Some(layout)],
+                colors: &colors[..1],
+                depth_stencil: Some(wgpu::DepthStencilState {
+                    format: target.depth,
+                    depth_write_enabled: Some(false),
+                    depth_compare: Some(wgpu::CompareFunction::Always),
+                    stencil: wgpu::StencilState::default(),
+                    bias: wgpu::DepthBiasState::default(),
+                }),
+                samples: target.samples,
+            }
+            .create(ctx)
+        };
+        pipelines
+            .ensure(ctx.device(), *target, create)
+            .map_err(|error| format!("the images of two eyes cannot be composed: {error}"))?;
+        Ok(index)
     }
 
     /// Records the draw of two images over the pass's viewport.
@@ -142,7 +138,7 @@ impl Composite {
         [left, right]: [&wgpu::TextureView; 2],
         index: usize,
     ) {
-        let Some((_, Some(pipeline))) = self.pipelines.iter().find(|(key, _)| key == target) else { return };
+        let Some(pipeline) = self.pipelines.get(target) else { return };
         let Some(uniforms) = self.uniforms.get(index) else { return };
         let view = |binding, view| wgpu::BindGroupEntry { binding, resource: wgpu::BindingResource::TextureView(view) };
         let eyes = device.create_bind_group(&wgpu::BindGroupDescriptor {

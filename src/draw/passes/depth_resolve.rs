@@ -6,7 +6,7 @@
 //! the same surface as the stencil; a mean would lie between surfaces. Shaders cannot write a stencil, so that each of its
 //! bits is a draw with a write mask.
 
-use super::fullscreen::FullscreenPipeline;
+use super::fullscreen::{FullscreenPipeline, PipelinesByKind};
 use super::stage_input::StageInput;
 use crate::cull::RenderStage;
 use crate::draw::resources::Resources;
@@ -28,41 +28,9 @@ struct ResolvePipelines {
     stencil: Vec<wgpu::RenderPipeline>,
 }
 
-/// The shader module and the pipelines for each kind of depth buffer.
-struct Resolver {
-    module: wgpu::ShaderModule,
-    /// `None` if the device refused the pipelines.
-    by_kind: Vec<(Kind, Option<ResolvePipelines>)>,
-}
-
-impl Resolver {
-    fn new(device: &wgpu::Device) -> Self {
-        Self {
-            module: device.create_shader_module(wgpu::ShaderModuleDescriptor {
-                label: Some("resolve"),
-                source: wgpu::ShaderSource::Wgsl(DEPTH_RESOLVE_WGSL.into()),
-            }),
-            by_kind: Vec::new(),
-        }
-    }
-
-    /// Returns the number of pipelines created so far.
-    fn created(&self) -> u32 {
-        self.by_kind.iter().flat_map(|(_, pipelines)| pipelines).map(|p| 1 + p.stencil.len() as u32).sum()
-    }
-
-    /// Creates the pipelines of a kind if needed. Pipelines that the device refuses are an error the first time only.
-    fn ensure(&mut self, ctx: &GraphicsContext, kind: Kind) -> Result<(), String> {
-        if self.by_kind.iter().any(|(known, _)| *known == kind) {
-            return Ok(());
-        }
-        let (pipelines, error) = catch_errors(ctx.device(), || self.pipelines(ctx, kind.0));
-        self.by_kind.push((kind, error.is_none().then_some(pipelines)));
-        error.map_or(Ok(()), |error| Err(format!("multisampled depth cannot be resolved into textures: {error}")))
-    }
-
+impl ResolvePipelines {
     /// Creates the pipelines for a format, without looking for errors of the device.
-    fn pipelines(&self, ctx: &GraphicsContext, format: wgpu::TextureFormat) -> ResolvePipelines {
+    fn new(ctx: &GraphicsContext, module: &wgpu::ShaderModule, format: wgpu::TextureFormat) -> Self {
         let device = ctx.device();
         let has_stencil = format.has_stencil_aspect();
         let samples = |(binding, sample_type)| wgpu::BindGroupLayoutEntry {
@@ -84,7 +52,7 @@ impl Resolver {
             let face = wgpu::StencilFaceState { pass_op, ..wgpu::StencilFaceState::IGNORE };
             FullscreenPipeline {
                 label: "resolve",
-                module: &self.module,
+                module,
                 entry_points: ["vs_resolve", entry_point],
                 constants: &[],
                 bind_group_layouts: &[Some(&layout)],
@@ -105,11 +73,38 @@ impl Resolver {
         let (clears, mask) = if has_stencil { (zero, all_bits) } else { (wgpu::StencilOperation::Keep, 0) };
         let bits = 0..if has_stencil { STENCIL_BITS } else { 0 };
         let stencil_bit = |bit: u32| pipeline("fs_stencil", false, wgpu::StencilOperation::Replace, 1 << bit);
-        ResolvePipelines {
-            depth: pipeline("fs_depth", true, clears, mask),
-            stencil: bits.map(stencil_bit).collect(),
-            layout,
+        Self { depth: pipeline("fs_depth", true, clears, mask), stencil: bits.map(stencil_bit).collect(), layout }
+    }
+}
+
+/// The shader module and the pipelines for each kind of depth buffer.
+struct Resolver {
+    module: wgpu::ShaderModule,
+    by_kind: PipelinesByKind<Kind, ResolvePipelines>,
+}
+
+impl Resolver {
+    fn new(device: &wgpu::Device) -> Self {
+        Self {
+            module: device.create_shader_module(wgpu::ShaderModuleDescriptor {
+                label: Some("resolve"),
+                source: wgpu::ShaderSource::Wgsl(DEPTH_RESOLVE_WGSL.into()),
+            }),
+            by_kind: PipelinesByKind::new(),
         }
+    }
+
+    /// Returns the number of pipelines created so far.
+    fn created(&self) -> u32 {
+        self.by_kind.iter().map(|p| 1 + p.stencil.len() as u32).sum()
+    }
+
+    /// Creates the pipelines of a kind if needed. Pipelines that the device refuses are an error the first time only.
+    fn ensure(&mut self, ctx: &GraphicsContext, kind: Kind) -> Result<(), String> {
+        let Self { module, by_kind } = self;
+        by_kind
+            .ensure(ctx.device(), kind, || ResolvePipelines::new(ctx, module, kind.0))
+            .map_err(|error| format!("multisampled depth cannot be resolved into textures: {error}"))
     }
 
     /// Records the render pass that resolves a depth buffer.
@@ -121,8 +116,7 @@ impl Resolver {
         resolving: &DepthSamples<'_>,
         timer: Option<&mut FrameTimer>,
     ) {
-        let known = self.by_kind.iter().find(|(known, _)| *known == kind);
-        let Some((_, Some(ResolvePipelines { layout, depth, stencil }))) = known else { return };
+        let Some(ResolvePipelines { layout, depth, stencil }) = self.by_kind.get(&kind) else { return };
         let DepthSamples { samples, texture, part_px: [x, y, width, height] } = *resolving;
         let aspects = [wgpu::TextureAspect::DepthOnly, wgpu::TextureAspect::StencilOnly];
         let views = aspects[..if stencil.is_empty() { 1 } else { 2 }].iter().map(|aspect| {

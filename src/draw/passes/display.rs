@@ -1,7 +1,7 @@
 //! The display pass: shows an image of light on the context's target, with its tones mapped; and encodes the image of targets
 //! without an sRGB format. Draw thread.
 
-use super::fullscreen::FullscreenPipeline;
+use super::fullscreen::{FullscreenPipeline, PipelinesByKind, image_layout};
 use super::stage_input::StageInput;
 use crate::draw::pipelines::sources::DISPLAY_WGSL;
 use crate::draw::resources::Resources;
@@ -12,8 +12,7 @@ use crate::gpu::{GraphicsContext, catch_errors, is_encoded_by_shader};
 struct Display {
     module: wgpu::ShaderModule,
     layout: wgpu::BindGroupLayout,
-    /// `None` if the device refused the pipeline.
-    pipelines: Vec<(wgpu::TextureFormat, Option<wgpu::RenderPipeline>)>,
+    pipelines: PipelinesByKind<wgpu::TextureFormat>,
 }
 
 impl Display {
@@ -23,41 +22,33 @@ impl Display {
                 label: Some("display"),
                 source: wgpu::ShaderSource::Wgsl(DISPLAY_WGSL.into()),
             }),
-            layout: device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-                label: Some("display"),
-                entries: &[wgpu::BindGroupLayoutEntry {
-                    binding: 0,
-                    visibility: wgpu::ShaderStages::FRAGMENT,
-                    ty: wgpu::BindingType::Texture {
-                        sample_type: wgpu::TextureSampleType::Float { filterable: false },
-                        view_dimension: wgpu::TextureViewDimension::D2,
-                        multisampled: false,
-                    },
-                    count: None,
-                }],
-            }),
-            pipelines: Vec::new(),
+            layout: image_layout(device, "display"),
+            pipelines: PipelinesByKind::new(),
         }
     }
 
-    /// Creates the pipeline of a format, without looking for errors of the device.
-    fn pipeline(
-        &self,
+    /// Creates the pipeline of a format if needed. A pipeline that the device refuses is an error the first time only.
+    fn ensure(
+        &mut self,
         ctx: &GraphicsContext,
         frame_layout: &wgpu::BindGroupLayout,
         format: wgpu::TextureFormat,
-    ) -> wgpu::RenderPipeline {
-        FullscreenPipeline {
-            label: "display",
-            module: &self.module,
-            entry_points: ["vs_display", "fs_display"],
-            constants: &[("ENCODES", f64::from(u8::from(is_encoded_by_shader(format))))],
-            bind_group_layouts: &[Some(frame_layout), Some(&self.layout)],
-            colors: &[Some(format.into())],
-            depth_stencil: None,
-            samples: 1,
-        }
-        .create(ctx)
+    ) -> Result<(), wgpu::Error> {
+        let Self { module, layout, pipelines } = self;
+        let create = || {
+            FullscreenPipeline {
+                label: "display",
+                module,
+                entry_points: ["vs_display", "fs_display"],
+                constants: &[("ENCODES", f64::from(u8::from(is_encoded_by_shader(format))))],
+                bind_group_layouts: &[Some(frame_layout), Some(layout)],
+                colors: &[Some(format.into())],
+                depth_stencil: None,
+                samples: 1,
+            }
+            .create(ctx)
+        };
+        pipelines.ensure(ctx.device(), format, create)
     }
 }
 
@@ -71,7 +62,7 @@ pub(in crate::draw) struct DisplayPass {
 impl DisplayPass {
     /// Returns the number of pipelines created so far.
     pub(in crate::draw) fn created(&self) -> u32 {
-        self.display.as_ref().map_or(0, |display| display.pipelines.len() as u32)
+        self.display.as_ref().map_or(0, |display| display.pipelines.tried())
     }
 
     /// Creates the pipeline for the image of a stage, if it has one. A pipeline that the device refuses is reported once.
@@ -80,13 +71,7 @@ impl DisplayPass {
         let device = input.ctx.device();
         // Errors of its module come up again when its pipelines are created.
         let display = self.display.get_or_insert_with(|| catch_errors(device, || Display::new(device)).0);
-        if display.pipelines.iter().any(|(known, _)| *known == format) {
-            return;
-        }
-        let layout = resources.pipelines.frame_layout();
-        let (pipeline, error) = catch_errors(device, || display.pipeline(input.ctx, layout, format));
-        display.pipelines.push((format, error.is_none().then_some(pipeline)));
-        if let Some(error) = error {
+        if let Err(error) = display.ensure(input.ctx, resources.pipelines.frame_layout(), format) {
             resources.errors.report_once(format!("images cannot be shown in {format:?}: {error}"));
         }
     }
@@ -101,8 +86,8 @@ impl DisplayPass {
         base_index: u32,
     ) {
         let (Some(display), Some(shown)) = (&self.display, &target.display) else { return };
-        let known = display.pipelines.iter().find(|(known, _)| *known == shown.format);
-        let (Some((_, Some(pipeline))), Some(base)) = (known, resources.bound_states.get(base_index)) else { return };
+        let pipeline = display.pipelines.get(&shown.format);
+        let (Some(pipeline), Some(base)) = (pipeline, resources.bound_states.get(base_index)) else { return };
         let Some(frame) = resources.frame_groups.by_air().get(usize::from(base.air)) else { return };
         let image = ctx.device().create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("display"),

@@ -1,6 +1,7 @@
-//! [`FullscreenPipeline`]: the description of pipelines that draw one triangle over the whole of a viewport. Draw thread.
+//! Pipelines that draw one triangle over the whole of a viewport: their description ([`FullscreenPipeline`]), and a pass's
+//! table of them ([`PipelinesByKind`]). Draw thread.
 
-use crate::gpu::GraphicsContext;
+use crate::gpu::{GraphicsContext, catch_errors};
 
 /// A pipeline that draws a triangle without vertex buffers, whose vertex shader makes it cover the viewport. Passes use it for
 /// images and depth that they draw into targets.
@@ -50,5 +51,60 @@ impl FullscreenPipeline<'_> {
             multiview_mask: None,
             cache: ctx.pipeline_cache(),
         })
+    }
+}
+
+/// Creates the layout of a bind group with one image at binding 0, which fragment shaders load texels of.
+pub(in crate::draw) fn image_layout(device: &wgpu::Device, label: &str) -> wgpu::BindGroupLayout {
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some(label),
+        entries: &[wgpu::BindGroupLayoutEntry {
+            binding: 0,
+            visibility: wgpu::ShaderStages::FRAGMENT,
+            ty: wgpu::BindingType::Texture {
+                sample_type: wgpu::TextureSampleType::Float { filterable: false },
+                view_dimension: wgpu::TextureViewDimension::D2,
+                multisampled: false,
+            },
+            count: None,
+        }],
+    })
+}
+
+/// The pipelines of a pass, one `P` for each kind `K` of target that it has met. The pass leaves out a kind whose pipeline the
+/// device has refused.
+pub(in crate::draw) struct PipelinesByKind<K, P = wgpu::RenderPipeline> {
+    /// `None` if the device refused the pipeline.
+    all: Vec<(K, Option<P>)>,
+}
+
+impl<K: PartialEq, P> PipelinesByKind<K, P> {
+    pub const fn new() -> Self {
+        Self { all: Vec::new() }
+    }
+
+    /// Creates the pipeline of a kind if needed. An error of the device is returned the first time only.
+    pub fn ensure(&mut self, device: &wgpu::Device, kind: K, create: impl FnOnce() -> P) -> Result<(), wgpu::Error> {
+        if self.all.iter().any(|(known, _)| *known == kind) {
+            return Ok(());
+        }
+        let (pipeline, error) = catch_errors(device, create);
+        self.all.push((kind, error.is_none().then_some(pipeline)));
+        error.map_or(Ok(()), Err)
+    }
+
+    /// Returns the pipeline of a kind; `None` if it was not created, or refused.
+    pub fn get(&self, kind: &K) -> Option<&P> {
+        self.all.iter().find(|(known, _)| known == kind)?.1.as_ref()
+    }
+
+    /// Returns the pipelines that the device has accepted.
+    pub fn iter(&self) -> impl Iterator<Item = &P> {
+        self.all.iter().filter_map(|(_, pipeline)| pipeline.as_ref())
+    }
+
+    /// Returns the number of kinds so far, refused ones included.
+    pub fn tried(&self) -> u32 {
+        self.all.len() as u32
     }
 }

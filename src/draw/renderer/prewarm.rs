@@ -49,7 +49,7 @@ impl Renderer {
         StageKinds(self.drawn_into.iter().copied().collect())
     }
 
-    /// Like [`Self::prewarm`], for given kinds of stages.
+    /// Does the same as [`Self::prewarm`] for given kinds of stages. Returns the number of pipelines that it created.
     pub(crate) fn prewarm_for(&mut self, ctx: &mut GraphicsContext, kinds: &[DrawKind], stages: &StageKinds) -> u32 {
         let before = self.resources.pipelines.created();
         self.announce_textures(ctx, kinds);
@@ -71,10 +71,15 @@ impl Renderer {
     /// Creates the pipelines that what was drawn and prewarmed so far needs once its views change, and expects the change:
     /// kinds that are prewarmed later get the pipelines of both.
     ///
-    /// Three kinds are not covered: drawables in new shadow maps whose state has a program, the fixed function or blending;
-    /// states that a light has lit, once the sun lights them again; and custom drawables. Their pipelines follow from states, which
-    /// the pipelines of before do not have; to keep the states of all that was ever drawn would keep their textures too. Frames
-    /// create those when they draw them, which [`DrawStats::pipelines_created`](crate::draw::DrawStats::pipelines_created) counts.
+    /// Three kinds are not covered:
+    ///
+    /// - drawables in new shadow maps whose state has a program, the fixed function or blending
+    /// - states that a light has lit, once the sun lights them again
+    /// - custom drawables
+    ///
+    /// Their pipelines follow from states that earlier pipelines do not name. Keeping all states that were ever drawn would
+    /// keep their textures too. Frames create these pipelines when they need them, and
+    /// [`DrawStats::pipelines_created`](crate::draw::DrawStats::pipelines_created) counts them.
     pub fn prewarm_change(&mut self, ctx: &mut GraphicsContext, change: &ViewChange) {
         let ViewChange { environment, has_own_light, uses_stencil } = change;
         let (air, has_shadows) = (AirKind::of(environment), environment.shadows.is_some());

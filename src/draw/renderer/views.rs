@@ -28,13 +28,13 @@ impl StageViews {
         &self.frames
     }
 
-    /// Returns, by state of the stage, the byte offset of the stage uniform with what its leaves alone have: local lights, lights
-    /// and planes of the state, the volume that they are cut to. Nothing if no state has any.
+    /// Returns the byte offset of the stage uniform of each state. States whose leaves have local lights, separate lights and
+    /// clip planes, or a volume to be cut to have separate uniforms. The list is empty if no state has any of these.
     pub(super) fn positioned_of_state(&self) -> &[u32] {
         &self.positioned_of_state
     }
 
-    /// Prepares the uniforms of states with local lights, of those with lights and clip planes of their own, and of those whose
+    /// Prepares the uniforms of states with local lights, of those with separate lights and clip planes, and of those whose
     /// leaves are cut to a volume.
     fn prepare_states(&mut self, resources: &mut Resources, stage: &RenderStage) {
         let Self { lit, frames, positioned_of_state } = self;

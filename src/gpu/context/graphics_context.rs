@@ -450,8 +450,8 @@ impl GraphicsContext {
         self.retired.free_all(&mut self.pools);
     }
 
-    /// Called by the renderer before it submits a frame, which takes along what the queue has written. `uploads` receives the
-    /// commands that the renderer must submit before its own.
+    /// Ends the uploads of a frame. The renderer calls it before it submits the frame, and submits the commands that `uploads`
+    /// receives before its own.
     pub(crate) fn before_submit(&mut self, uploads: &mut Vec<wgpu::CommandBuffer>) {
         self.uploads.take_commands(uploads);
         self.retired.start_frame(&mut self.pools);

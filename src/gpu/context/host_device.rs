@@ -23,8 +23,8 @@ const OPTIONAL_FEATURES: wgpu::Features = wgpu::Features::TIMESTAMP_QUERY
 /// The handles are reference counted by wgpu; clones name the same device. The application keeps its error and lost-device
 /// callbacks: Terrane sets none on this device, and does not replace it when it is lost.
 ///
-/// Only the thread that owns the context may submit to the queue or write textures and buffers through it, because in wgpu
-/// 30.0.1 writing a texture while another thread submits may deadlock (issue 9460). A viewer on such a device therefore
+/// Only the thread that owns the context may submit to the queue or write textures and buffers through it. In wgpu 30.0.1,
+/// writing a texture while another thread submits may deadlock (issue 9460). A viewer on such a device therefore
 /// draws on the thread that calls [`Viewer::frame`](crate::viewer::Viewer::frame).
 #[derive(Clone, Debug)]
 pub struct HostDevice {
@@ -39,12 +39,17 @@ pub struct HostDevice {
 }
 
 impl HostDevice {
-    /// Returns the features of an adapter that Terrane uses. A device without some of them draws too: without
-    /// `DEPTH32FLOAT_STENCIL8` there is no stencil, without `TIMESTAMP_QUERY` there are no GPU times, without
-    /// `POLYGON_MODE_LINE` and `POLYGON_MODE_POINT` polygons are filled, without `TEXTURE_ADAPTER_SPECIFIC_FORMAT_FEATURES`
-    /// targets have 1 or 4 samples, without `ADDRESS_MODE_CLAMP_TO_BORDER` borders of textures are emulated, without any of
-    /// `TEXTURE_COMPRESSION_BC`, `TEXTURE_COMPRESSION_ETC2` and `TEXTURE_COMPRESSION_ASTC` KTX2 images take four to eight times
-    /// the memory, and without the others frames take longer.
+    /// Returns the features of an adapter that Terrane uses. A device without some of them draws too:
+    ///
+    /// | without | effect |
+    /// |---|---|
+    /// | `DEPTH32FLOAT_STENCIL8` | there is no stencil |
+    /// | `TIMESTAMP_QUERY` | there are no GPU times |
+    /// | `POLYGON_MODE_LINE`, `POLYGON_MODE_POINT` | polygons are filled |
+    /// | `TEXTURE_ADAPTER_SPECIFIC_FORMAT_FEATURES` | targets have 1 or 4 samples |
+    /// | `ADDRESS_MODE_CLAMP_TO_BORDER` | borders of textures are emulated |
+    /// | all of `TEXTURE_COMPRESSION_BC`, `_ETC2`, `_ASTC` | KTX2 images take four to eight times the memory |
+    /// | others | frames take longer |
     pub fn features(adapter: &wgpu::Adapter) -> wgpu::Features {
         let features = adapter.features() & OPTIONAL_FEATURES;
         // The adapter that draws nothing offers its own usages of formats, and there are none.

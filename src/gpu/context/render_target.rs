@@ -115,8 +115,8 @@ pub(crate) fn is_encoded_by_shader(format: wgpu::TextureFormat) -> bool {
     !format.is_srgb() && !matches!(format, F::Rgba16Float | F::Rgba32Float | F::Rg11b10Ufloat)
 }
 
-/// Returns the format in which frames for a target are drawn: its own if the adapter encodes colours or nobody does, and
-/// otherwise one whose image is encoded afterwards.
+/// Returns the format in which frames for a target are drawn. It is the target's own format unless a shader must encode the
+/// colours; then it is one whose image is encoded afterwards.
 pub(super) fn drawn_format(format: wgpu::TextureFormat) -> wgpu::TextureFormat {
     use wgpu::TextureFormat as F;
     match format {

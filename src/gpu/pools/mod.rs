@@ -1,8 +1,13 @@
 //! The pools that geometry and textures are uploaded to, and the table of uploaded drawables. Draw thread.
 //!
-//! Height tiles and mesh textures have slots in blocks of array textures; meshes have slots in buffers of one size class
-//! each; surfaces of the metallic-roughness model have records in sets with one bind group each. Equal content shares a
-//! slot by reference count. A released slot is free at once: uploads run on the same queue, after the draws that used it.
+//! | content | memory |
+//! |---|---|
+//! | height tiles, mesh textures | slots in blocks of array textures |
+//! | meshes | slots in buffers of one size class each |
+//! | surfaces of the metallic-roughness model | records in sets with one bind group each |
+//!
+//! Equal content shares a slot by reference count. A released slot is free at once, since uploads run on the same queue,
+//! after the draws that used it.
 //!
 //! A block starts with the size of one image or mesh and grows in place (`block_memory.rs`). It is freed with its last slot.
 

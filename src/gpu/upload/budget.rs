@@ -13,7 +13,7 @@ pub struct CompileBudget {
 }
 
 impl Default for CompileBudget {
-    /// 2 ms and 4 MiB: about ten height tiles with colour per frame.
+    /// Returns 2 ms and 4 MiB: about ten height tiles with colour per frame.
     fn default() -> Self {
         Self { time: Duration::from_millis(2), bytes: 4 << 20 }
     }
@@ -65,7 +65,7 @@ pub struct CompilePace {
 }
 
 impl Default for CompilePace {
-    /// 60 frames a second, 1 ms, one half.
+    /// Returns 60 frames a second, 1 ms and one half.
     fn default() -> Self {
         Self { target_frame_rate: 60.0, minimum_time_available: Duration::from_millis(1), conservative_ratio: 0.5 }
     }

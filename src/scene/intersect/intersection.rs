@@ -23,6 +23,20 @@ pub enum IntersectionLimit {
     Nearest,
 }
 
+impl IntersectionLimit {
+    /// Returns true if a candidate cannot change the intersections to keep, of which `first` comes first.
+    pub(super) fn is_reached(self, first: Option<&Met>, candidate: &Candidate) -> bool {
+        match (self, first) {
+            (Self::Nearest, Some(nearest)) => {
+                candidate.layer > nearest.candidate.layer
+                    || candidate.layer == nearest.candidate.layer && candidate.enters > nearest.ratio
+            }
+            (Self::One, Some(_)) => true,
+            _ => false,
+        }
+    }
+}
+
 /// A primitive that an intersector meets.
 #[derive(Clone, Debug)]
 pub struct Intersection {

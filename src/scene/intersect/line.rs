@@ -66,17 +66,6 @@ impl Line {
         }
     }
 
-    fn is_done(&self, candidate: &Candidate) -> bool {
-        match (self.limit, self.met.first()) {
-            (IntersectionLimit::Nearest, Some(nearest)) => {
-                candidate.layer > nearest.candidate.layer
-                    || candidate.layer == nearest.candidate.layer && candidate.enters > nearest.ratio
-            }
-            (IntersectionLimit::One, Some(_)) => true,
-            _ => false,
-        }
-    }
-
     /// Returns the ratio up to which a candidate is searched.
     fn max_ratio(&self, candidate: &Candidate, ray: &Ray) -> f64 {
         match (self.limit, self.met.first()) {
@@ -182,7 +171,7 @@ macro_rules! intersects_as_line {
             }
 
             fn is_done(&self, candidate: &Candidate) -> bool {
-                self.line.is_done(candidate)
+                self.line.limit.is_reached(self.line.met.first(), candidate)
             }
 
             fn meet(&mut self, candidate: &Candidate, surface: &Surface) {

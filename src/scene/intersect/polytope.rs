@@ -253,14 +253,7 @@ impl Intersect for PolytopeIntersector {
     }
 
     fn is_done(&self, candidate: &Candidate) -> bool {
-        match (self.limit, self.met.first()) {
-            (IntersectionLimit::Nearest, Some(nearest)) => {
-                candidate.layer > nearest.candidate.layer
-                    || candidate.layer == nearest.candidate.layer && candidate.enters > nearest.ratio
-            }
-            (IntersectionLimit::One, Some(_)) => true,
-            _ => false,
-        }
+        self.limit.is_reached(self.met.first(), candidate)
     }
 
     fn meet(&mut self, candidate: &Candidate, surface: &Surface) {
@@ -347,6 +340,43 @@ fn weights_of(primitive: &Primitive, point: DVec3) -> [f64; 3] {
             let v = from_a.cross(c - a).dot(normal) / twice_area;
             let w = (b - a).cross(from_a).dot(normal) / twice_area;
             if v.is_finite() && w.is_finite() { [1.0 - v - w, v, w] } else { [1.0, 0.0, 0.0] }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::{Drawable, IntersectionVisitor, Material, Mesh, MeshVertex, Node, Page, Scene, Topology};
+
+    #[test]
+    fn only_the_wanted_dimensions_are_met() {
+        let drawable = |topology, indices: Vec<u32>| {
+            let corners = [DVec3::ZERO, DVec3::X, DVec3::Y].map(|corner| corner.as_vec3().to_array());
+            let vertices = corners.map(|position| MeshVertex { position, ..MeshVertex::default() }).to_vec();
+            Drawable::new(Mesh::new(vertices, indices, topology).into(), Material::default())
+        };
+        let drawables = vec![
+            drawable(Topology::Points, vec![0]),
+            drawable(Topology::Lines, vec![0, 1]),
+            drawable(Topology::Triangles, vec![0, 1, 2]),
+        ];
+        let mut scene = Scene::new();
+        scene.add_root(Page::from_node(Node::geode(drawables)).unwrap());
+        let none = Dimensions { points: false, lines: false, triangles: false };
+        for (dimensions, expected) in [
+            (Dimensions { points: true, ..none }, vec![0]),
+            (Dimensions { lines: true, ..none }, vec![1]),
+            (Dimensions { triangles: true, ..none }, vec![2]),
+            (Dimensions { triangles: false, ..Dimensions::ALL }, vec![0, 1]),
+            (none, vec![]),
+        ] {
+            let polytope = PolytopeIntersector::in_box(DVec3::splat(-2.0), DVec3::splat(2.0));
+            let mut polytope = polytope.with_dimensions(dimensions);
+            IntersectionVisitor::new().traverse(&scene, &mut polytope);
+            let mut met: Vec<u32> = polytope.intersections().iter().map(|hit| hit.drawable).collect();
+            met.sort_unstable();
+            assert_eq!(met, expected, "{dimensions:?}");
         }
     }
 }

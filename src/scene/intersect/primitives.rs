@@ -132,7 +132,8 @@ pub(super) struct Sight {
 }
 
 impl Sight {
-    /// `up` should be the direction in which the surface mostly faces; it separates triangles above and below the line best.
+    /// Creates the sight along a ray. `up` should be the direction in which the surface mostly faces, which separates triangles
+    /// above and below the line best.
     pub fn new(ray: &Ray, up: DVec3, room_m: f64) -> Self {
         let along = ray.direction.normalize_or(DVec3::Z);
         let right = along.cross(up).try_normalize().unwrap_or_else(|| along.any_orthonormal_vector());

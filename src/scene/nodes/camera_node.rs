@@ -135,8 +135,8 @@ pub struct CameraNode {
     /// Changes near and far after they are computed; `None` takes the function of the camera above, if [`Self::inherit`]
     /// has [`Inherit::CLAMP_PROJECTION`].
     pub clamp_projection: Option<ClampProjection>,
-    /// Receives a copy of what the camera's viewport in its target shows, once the camera and the cameras after it are drawn:
-    /// the frame buffer of a window for a camera without a target. Nested cameras copy nothing.
+    /// Receives a copy of what the camera's viewport in its target shows, once the camera and the cameras after it are drawn.
+    /// For a camera without a target, that is a part of the window's frame buffer. Nested cameras copy nothing.
     ///
     /// The texture, which [`TextureObject::target`] creates, takes size and format of the copied part, and is not drawn into
     /// otherwise. Draws that follow sample the copy; those before sample that of the frame before.

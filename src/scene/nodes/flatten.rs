@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use super::billboard::Billboard;
 use super::node::{Node, NodeKind};
+use super::node_payloads::ClipNode;
 use crate::math::BoundingSphere;
 use crate::scene::error::SceneError;
 use crate::scene::id::NONE;
@@ -150,15 +151,7 @@ fn add(builder: &mut PageBuilder, node: Node, above: Inherited) -> Result<Open, 
             kind::TILE
         }
         NodeKind::Billboard(billboard) => {
-            let Billboard { mode, auto_scale, drawables } = *billboard;
-            let mut positions = Vec::with_capacity(drawables.len());
-            let mut bounds = Vec::with_capacity(drawables.len());
-            for (position, drawable) in drawables {
-                bounds.push(drawable.bounds());
-                builder.push_drawable(drawable, transform, path);
-                positions.push(position);
-            }
-            payload = builder.push_rare(RareNode::Billboard { mode, auto_scale, positions, bounds });
+            payload = add_billboard(builder, *billboard, transform, path);
             kind::SPECIAL
         }
         NodeKind::LightSource(light) => {
@@ -173,12 +166,7 @@ fn add(builder: &mut PageBuilder, node: Node, above: Inherited) -> Result<Open, 
             kind::SPECIAL
         }
         NodeKind::ClipNode(clip) => {
-            let mut set = StateSet::default();
-            // Draw reports plane numbers that are out of range.
-            for (number, _) in clip.planes.iter().filter(|(number, _)| Mode::ClipPlane(*number).check().is_ok()) {
-                set.set_mode(Mode::ClipPlane(*number), StateValue::ON);
-            }
-            path = builder.path_below(path, Arc::new(set));
+            path = builder.path_below(path, Arc::new(modes_of(&clip)));
             payload = builder.push_rare(RareNode::ClipNode(*clip));
             kind::SPECIAL
         }
@@ -222,6 +210,28 @@ fn add(builder: &mut PageBuilder, node: Node, above: Inherited) -> Result<Open, 
     };
     builder.push_node(start, code, flags, parent, mask, payload);
     Ok(Open { children, inherited: Inherited { node: index, transform, path, tile } })
+}
+
+/// Adds the drawables of a billboard under a transform and a path of state sets; returns the payload of its node.
+fn add_billboard(builder: &mut PageBuilder, billboard: Billboard, transform: u32, path: u32) -> u32 {
+    let Billboard { mode, auto_scale, drawables } = billboard;
+    let mut positions = Vec::with_capacity(drawables.len());
+    let mut bounds = Vec::with_capacity(drawables.len());
+    for (position, drawable) in drawables {
+        bounds.push(drawable.bounds());
+        builder.push_drawable(drawable, transform, path);
+        positions.push(position);
+    }
+    builder.push_rare(RareNode::Billboard { mode, auto_scale, positions, bounds })
+}
+
+/// Returns a state set that switches the planes of a clip node on. Draw reports plane numbers that are out of range.
+fn modes_of(clip: &ClipNode) -> StateSet {
+    let mut set = StateSet::default();
+    for (number, _) in clip.planes.iter().filter(|(number, _)| Mode::ClipPlane(*number).check().is_ok()) {
+        set.set_mode(Mode::ClipPlane(*number), StateValue::ON);
+    }
+    set
 }
 
 fn is_tile(kind: &NodeKind) -> bool {

@@ -46,6 +46,25 @@ pub enum RangeMode {
 }
 
 /// A tile of a paged tree. Its children in [`Node::children`](crate::scene::Node::children) are tiles or proxies too.
+///
+/// Readers of tile sets create tiles; an application can too, and the pager loads their contents when a cull wants them:
+///
+/// ```
+/// use terrane::glam::{DAffine3, DVec3};
+/// use terrane::math::{BoundingSphere, BoundingVolume};
+/// use terrane::scene::{Node, NodeKind, Page, PagedLod, PagingOptions, RangeMode, Refine};
+/// let tile = PagedLod {
+///     bounds: BoundingVolume::Sphere(BoundingSphere::new(DVec3::ZERO, 100.0)),
+///     range_mode: RangeMode::Distance { center: DVec3::ZERO, range_m: 500.0 },
+///     refine: Refine::Replace,
+///     content: Some("/maps/house.glb".into()),
+///     content_transform: DAffine3::IDENTITY,
+///     reader_data: None,
+///     request_volume: None,
+///     paging: PagingOptions::default(),
+/// };
+/// let page = Page::from_node(Node::new(NodeKind::PagedLod(Box::new(tile)))).unwrap();
+/// ```
 #[derive(Clone, Debug)]
 pub struct PagedLod {
     /// The declared volume in the page's tile frame; loaded content does not change it (OSG's USER_DEFINED_CENTER). If it is

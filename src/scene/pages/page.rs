@@ -26,6 +26,19 @@ use crate::scene::tile_tree::Tiles;
 use crate::state::StateSet;
 
 /// The result of one load: nodes and drawables in flat depth-first arrays, tile trees in separate arrays.
+///
+/// A reader or an application builds it from a tree of nodes. A scene then owns it, as a root or in the slot of a tile.
+///
+/// ```
+/// use terrane::glam::DVec3;
+/// use terrane::scene::{Drawable, Material, Mesh, Node, Page, Scene};
+/// let floor = Mesh::rectangle(DVec3::ZERO, 10.0 * DVec3::X, 10.0 * DVec3::Y);
+/// let geode = Node::geode(vec![Drawable::new(floor.into(), Material::default())]);
+/// let mut scene = Scene::new();
+/// let id = scene.add_root(Page::from_node(geode)?);
+/// assert!(scene.page(id).is_some());
+/// # Ok::<(), terrane::scene::SceneError>(())
+/// ```
 #[derive(Debug)]
 pub struct Page {
     pub(super) nodes: NodeArrays,

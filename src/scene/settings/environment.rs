@@ -83,7 +83,7 @@ pub struct Environment {
     /// A factor on lit colours, whose highlights are then compressed (Khronos PBR Neutral); `None` clamps them at white. Unlit
     /// colours are not changed. The default is [`Self::EXPOSURE`].
     pub exposure: Option<f32>,
-    /// Where exposure and compression are applied.
+    /// The pass that applies exposure and compression.
     pub tone_mapping: ToneMapping,
     /// The unit vector away from the ground at the eye, in the world: z for a local scene, the ellipsoid's normal on a globe.
     pub up_in_world: DVec3,

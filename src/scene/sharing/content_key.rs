@@ -1,8 +1,9 @@
 //! [`ContentKey`]: a hash that stands for the bytes of an image or a mesh. Any thread.
 //!
-//! HighwayHash (Alakuijala, Cox, Wassenberg: "Fast keyed hash/pseudo-random function using SIMD multiply and
-//! permute"), 256 bits with a random key per process: an author of contents cannot construct two with equal keys, and random
-//! collisions do not happen. It hashes some GB/s; a cryptographic hash would double the time to decode a mesh.
+//! The hash is HighwayHash (Alakuijala, Cox, Wassenberg: "Fast keyed hash/pseudo-random function using SIMD multiply and
+//! permute") of 256 bits, with a random key per process. An author of contents therefore cannot construct two with equal
+//! keys, and random collisions do not happen. It hashes some GB/s; a cryptographic hash would double the time to decode a
+//! mesh.
 
 use std::hash::{BuildHasher as _, Hasher as _, RandomState};
 use std::sync::OnceLock;

@@ -69,8 +69,8 @@ impl Scene {
         page.attached_pages() == 0 && !holder.tiles().is_busy(tile)
     }
 
-    /// After a page was attached to a tile: the tile copies the request volumes of the page's roots, and so does each tile
-    /// above in which this tile is a root. Usually that is one step.
+    /// Copies the request volumes of the roots of a page that was attached to a tile: to the tile, and to each tile above of
+    /// whose page this tile is a root. Usually that is one step.
     fn note_external_volumes(&mut self, mut holder_at: u32, mut tile: usize) {
         loop {
             let Some(holder) = self.page_at(holder_at) else { return };

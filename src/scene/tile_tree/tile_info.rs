@@ -70,7 +70,7 @@ impl Scene {
     }
 
     /// Returns the declared volume of the tile of a slot in the frame of its page, and its geometric error in metres. A tile
-    /// without an error of its own has half of that above it; it is 0 if none above has one.
+    /// without an error has half of the error of the tile above, or 0 if no tile above has one.
     pub(crate) fn slot_volume(&self, slot: NodeId) -> Option<(OrientedBox, f64)> {
         let page = self.page(slot.page)?;
         let first = page.tile_of(slot.index)?;

@@ -31,8 +31,8 @@ pub(crate) mod flag {
     /// Some of the children that replace the content, or of the tilesets that were attached to them, are only for eyes
     /// inside volumes.
     pub const VOLUMES_BELOW: u16 = 8192;
-    /// A load failed and none has succeeded since, whether or not it is repeated: within the tile's volume, the content of
-    /// an ancestor is drawn instead, so that the tile holds back none of its siblings.
+    /// A load failed and none has succeeded since, whether or not it is repeated. Within the tile's volume the content of an
+    /// ancestor is drawn instead, so that the siblings can be drawn.
     pub const UNAVAILABLE: u16 = 16384;
     /// The content has a smaller volume than the tile; a separate table holds it.
     pub const CONTENT_VOLUME: u16 = 32768;

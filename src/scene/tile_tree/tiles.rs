@@ -160,7 +160,7 @@ impl Tiles {
         self.rare.as_ref().is_some_and(|rare| !rare.request_volumes.is_empty())
     }
 
-    /// Returns the volume of a tile's content, if it has one of its own.
+    /// Returns the volume of a tile's content, if it is declared and smaller than the tile's.
     pub fn content_volume(&self, tile: u32) -> Option<&ContentVolume> {
         self.rare.as_ref()?.content_volumes.get(tile)
     }

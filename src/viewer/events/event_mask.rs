@@ -43,8 +43,6 @@ impl EventMask {
     pub const USER: Self = Self(1 << 15);
     /// Every kind.
     pub const ALL: Self = Self(u32::MAX);
-    /// Every kind that the pointer causes.
-    pub const POINTER: Self = Self(1 | 1 << 1 | 1 << 2 | 1 << 3 | 1 << 4 | 1 << 9 | 1 << 10);
 
     /// Returns true when the sets have a kind in common.
     pub const fn intersects(self, other: Self) -> bool {

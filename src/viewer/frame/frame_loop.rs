@@ -239,7 +239,7 @@ impl FrameLoop {
         self.config.pager.blocking
     }
 
-    /// Update after the application's callbacks. Returns true when draw reads data that the next update overwrites.
+    /// Runs the part of update after the application's callbacks. Returns true when draw reads data that the next update overwrites.
     fn update(
         &mut self,
         views: &ViewList,

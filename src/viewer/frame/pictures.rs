@@ -85,7 +85,7 @@ impl PictureRequests {
         self.in_flight.retain(|of| *of != (context, frame));
     }
 
-    /// No frame is in flight any more: all captures wait for `next_frame` or a later one.
+    /// Makes all captures wait for `next_frame` or a later one, because no frame is in flight any more.
     pub(super) fn restart(&mut self, next_frame: u32) {
         self.captures.iter_mut().for_each(|capture| capture.frame = next_frame.max(capture.frame));
         self.in_flight.clear();

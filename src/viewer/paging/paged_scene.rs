@@ -118,7 +118,7 @@ pub(in crate::viewer) struct PagedScene {
 }
 
 impl PagedScene {
-    /// `owner` distinguishes the scene's uploads from those of other scenes.
+    /// Creates an empty scene for a pager. `owner` distinguishes the scene's uploads from those of other scenes.
     pub(in crate::viewer) fn new(owner: u16, pager: PagerId, pager_config: PagerConfig, keeps_drawables: bool) -> Self {
         Self {
             scene: Arc::new(Scene::new()),

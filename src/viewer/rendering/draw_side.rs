@@ -226,19 +226,7 @@ impl DrawSide {
             }
             DrawCommand::PrewarmChange(change) => return self.renderer.prewarm_change(&mut self.context, &change),
             DrawCommand::SetMaxBytes { owner, max_bytes } => return self.context.set_max_bytes(owner, max_bytes),
-            DrawCommand::CancelCompiles(tickets) => {
-                // The upload queue answers those that have not begun.
-                for _ in 0..self.uploads.len() {
-                    match self.uploads.pop_front() {
-                        Some(Upload::Compile(operation)) if tickets.contains(&operation.ticket) => {
-                            self.context.compile(operation);
-                        }
-                        other => self.uploads.extend(other),
-                    }
-                }
-                self.context.cancel_compiles(&tickets);
-                return self.pass_on_compiled();
-            }
+            DrawCommand::CancelCompiles(tickets) => return self.cancel_compiles(&tickets),
             DrawCommand::Rewrite { slot, mesh } => {
                 if let Err(error) = self.context.rewrite(slot, &mesh) {
                     self.renderer.report_once(error.to_string());
@@ -257,12 +245,7 @@ impl DrawSide {
                 return;
             }
             DrawCommand::RetainReleased { frames } => return self.retained.set_frames(frames),
-            DrawCommand::FlushReleased => {
-                while let Some(slots) = self.retained.take_any() {
-                    self.context.release(&slots);
-                }
-                return self.context.flush_released();
-            }
+            DrawCommand::FlushReleased => return self.flush_released(),
             DrawCommand::RunCompiles(budget) => {
                 self.begin_more_uploads(MAX_PIPELINES_AT_ONCE);
                 self.context.run_compiles(&budget);
@@ -306,6 +289,29 @@ impl DrawSide {
         };
         // Fails only while the viewer is dropped.
         let _ = self.replies.send(reply);
+    }
+
+    /// Frees all released slots at once, also those that are retained for some frames.
+    fn flush_released(&mut self) {
+        while let Some(slots) = self.retained.take_any() {
+            self.context.release(&slots);
+        }
+        self.context.flush_released();
+    }
+
+    /// Cancels operations by ticket, those that wait behind pipelines included.
+    fn cancel_compiles(&mut self, tickets: &[u64]) {
+        // The upload queue answers those that have not begun.
+        for _ in 0..self.uploads.len() {
+            match self.uploads.pop_front() {
+                Some(Upload::Compile(operation)) if tickets.contains(&operation.ticket) => {
+                    self.context.compile(operation);
+                }
+                other => self.uploads.extend(other),
+            }
+        }
+        self.context.cancel_compiles(tickets);
+        self.pass_on_compiled();
     }
 
     /// Selects the target of a context, and returns its index.

@@ -72,7 +72,7 @@ pub(in crate::viewer) struct FrameDone {
 pub(super) enum DrawCommand {
     /// Creates the pipelines for kinds of drawables that will be uploaded.
     Prewarm(Arc<[DrawKind]>),
-    /// The same at once, however long that takes.
+    /// Creates them at once, however long that takes.
     PrewarmNow(Arc<[DrawKind]>),
     /// Creates the pipelines for a change of views.
     PrewarmChange(Box<ViewChange>),

@@ -141,12 +141,12 @@ impl Rendering {
         self.devices.iter_mut().find(|d| d.size_px(context).is_some())
     }
 
-    /// Size of a context's target.
+    /// Returns the size of a context's target.
     pub(in crate::viewer) fn size_px(&self, context: u32) -> Option<[u32; 2]> {
         self.devices.iter().find_map(|d| d.size_px(context))
     }
 
-    /// Name of the first context's adapter.
+    /// Returns the name of the first context's adapter.
     pub(in crate::viewer) fn adapter_name(&self) -> &str {
         self.devices.first().map_or("", DeviceHandle::adapter_name)
     }
@@ -198,7 +198,7 @@ impl Rendering {
         last.compile_own(owner, number, drawables)
     }
 
-    /// Like [`Self::compile_own`], to one device.
+    /// Does the same as [`Self::compile_own`] for one device.
     pub(in crate::viewer) fn compile_own_in(
         &mut self,
         device: u32,

@@ -39,6 +39,16 @@ pub enum ResizePolicy {
 }
 
 /// Pose and lens of one view.
+///
+/// Manipulators write the pose in each update. Without one, the application does, before [`Viewer::frame`](crate::viewer::Viewer::frame):
+///
+/// ```
+/// use terrane::glam::DVec3;
+/// use terrane::viewer::{Camera, FieldOfView};
+/// let mut camera = Camera { field_of_view: FieldOfView::Vertical(0.8), ..Camera::default() };
+/// camera.look_at(DVec3::new(0.0, -100.0, 50.0), DVec3::ZERO, DVec3::Z);
+/// assert_eq!(camera.eye(), DVec3::new(0.0, -100.0, 50.0));
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Camera {
     /// The pose: a rotation and a translation from eye space to the world, without scale.
@@ -155,7 +165,7 @@ impl Camera {
     }
 }
 
-/// Width by height of an image.
+/// Returns the width of an image by its height.
 fn shape(size_px: [u32; 2]) -> f64 {
     f64::from(size_px[0].max(1)) / f64::from(size_px[1].max(1))
 }

@@ -116,7 +116,7 @@ impl SetBounds {
         self.body_below(self.lowest_ground_m())
     }
 
-    /// Like [`Self::body`], for a given lowest ground in metres above the ellipsoid.
+    /// Does the same as [`Self::body`] for a given lowest ground in metres above the ellipsoid.
     pub(in crate::viewer) fn body_below(&self, lowest_m: f64) -> Option<Ellipsoid> {
         let shrunk = |radius_m: f64| radius_m + lowest_m.max(LOWEST_GROUND_M);
         self.frame

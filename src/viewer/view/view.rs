@@ -89,8 +89,8 @@ impl View {
         self.master.map(|slot| ContextId(slot.context))
     }
 
-    /// Returns the number of tiles that the master camera's image of the last frame shows, including those of cameras in
-    /// the scene graph and ancestors drawn in place of tiles that failed to load; 0 without a context.
+    /// Returns the number of tiles that the master camera's image of the last frame shows, or 0 without a context. Tiles of
+    /// cameras in the scene graph count, and ancestors that are drawn instead of tiles that failed to load.
     pub fn tiles_drawn(&self) -> u32 {
         if self.master.is_some() { self.tiles_drawn } else { 0 }
     }

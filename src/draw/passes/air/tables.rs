@@ -1,10 +1,14 @@
 //! The tables of light scattered and absorbed by the air for one eye, and the compute pipelines that fill them
 //! (`shaders/passes/atmosphere.wgsl`; the layout is in `shaders/shared/air.wgsl`). Draw thread.
 //!
-//! Three tables hold for the whole earth: the share of sunlight that is left, light scattered more than once, and the sky's
-//! light on the ground relative to that under a sun in the zenith. They are computed once for a density of aerosols. The
-//! fourth has the light that the air adds and absorbs along every direction from the eye, up to 24 distances. It is computed
-//! when the eye's height or the sun's elevation has changed.
+//! Three tables hold for the whole earth, and are computed once for a density of aerosols:
+//!
+//! - the share of sunlight that is left
+//! - light scattered more than once
+//! - the sky's light on the ground, relative to that under a sun in the zenith
+//!
+//! The fourth table has the light that the air adds and absorbs along every direction from the eye, up to 24 distances. It is
+//! computed when the eye's height or the sun's elevation has changed.
 //!
 //! After S. Hillaire, A Scalable and Production Ready Sky and Atmosphere Rendering Technique (2020).
 

@@ -7,7 +7,7 @@ mod msaa_restore;
 pub(in crate::draw) use mipmaps::Mipmaps;
 pub(in crate::draw) use msaa_restore::MsaaRestore;
 
-use super::fullscreen::FullscreenPipeline;
+use super::fullscreen::{FullscreenPipeline, PipelinesByKind, image_layout};
 use crate::gpu::{GraphicsContext, catch_errors};
 
 /// Format and samples a pixel of a target.
@@ -26,8 +26,7 @@ struct TextureDraw {
     label: &'static str,
     module: wgpu::ShaderModule,
     layout: wgpu::BindGroupLayout,
-    /// `None` if the device refused the pipeline.
-    pipelines: Vec<(Kind, Option<wgpu::RenderPipeline>)>,
+    pipelines: PipelinesByKind<Kind>,
 }
 
 impl TextureDraw {
@@ -39,52 +38,34 @@ impl TextureDraw {
                 label: Some(label),
                 source: wgpu::ShaderSource::Wgsl(wgsl.into()),
             });
-            let layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-                label: Some(label),
-                entries: &[wgpu::BindGroupLayoutEntry {
-                    binding: 0,
-                    visibility: wgpu::ShaderStages::FRAGMENT,
-                    ty: wgpu::BindingType::Texture {
-                        sample_type: wgpu::TextureSampleType::Float { filterable: false },
-                        view_dimension: wgpu::TextureViewDimension::D2,
-                        multisampled: false,
-                    },
-                    count: None,
-                }],
-            });
-            Self { label, module, layout, pipelines: Vec::new() }
+            Self { label, module, layout: image_layout(device, label), pipelines: PipelinesByKind::new() }
         };
         catch_errors(device, create).0
     }
 
     /// Returns the number of pipelines created so far.
     fn created(&self) -> u32 {
-        self.pipelines.len() as u32
+        self.pipelines.tried()
     }
 
     /// Creates the pipeline of a kind if needed. A pipeline that the device refuses is an error the first time only.
     fn ensure(&mut self, ctx: &GraphicsContext, kind: Kind) -> Result<(), String> {
-        if self.pipelines.iter().any(|(known, _)| *known == kind) {
-            return Ok(());
-        }
-        let (pipeline, error) = catch_errors(ctx.device(), || self.pipeline(ctx, kind));
-        self.pipelines.push((kind, error.is_none().then_some(pipeline)));
-        error.map_or(Ok(()), |error| Err(error.to_string()))
-    }
-
-    /// Creates the pipeline of a kind, without looking for errors of the device.
-    fn pipeline(&self, ctx: &GraphicsContext, (format, samples): Kind) -> wgpu::RenderPipeline {
-        FullscreenPipeline {
-            label: self.label,
-            module: &self.module,
-            entry_points: ["vs_cover", "fs_main"],
-            constants: &[],
-            bind_group_layouts: &[Some(&self.layout)],
-            colors: &[Some(format.into())],
-            depth_stencil: None,
-            samples,
-        }
-        .create(ctx)
+        let Self { label, module, layout, pipelines } = self;
+        let (format, samples) = kind;
+        let create = || {
+            FullscreenPipeline {
+                label,
+                module,
+                entry_points: ["vs_cover", "fs_main"],
+                constants: &[],
+                bind_group_layouts: &[Some(layout)],
+                colors: &[Some(format.into())],
+                depth_stencil: None,
+                samples,
+            }
+            .create(ctx)
+        };
+        pipelines.ensure(ctx.device(), kind, create).map_err(|error| error.to_string())
     }
 
     /// Records the pass that draws a texture over a target of a kind. Does nothing if there is no pipeline of the kind.
@@ -96,8 +77,7 @@ impl TextureDraw {
         [texture, target]: [&wgpu::TextureView; 2],
         timestamp_writes: Option<wgpu::RenderPassTimestampWrites<'_>>,
     ) {
-        let known = self.pipelines.iter().find(|(known, _)| *known == kind);
-        let Some((_, Some(pipeline))) = known else { return };
+        let Some(pipeline) = self.pipelines.get(&kind) else { return };
         let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some(self.label),
             layout: &self.layout,

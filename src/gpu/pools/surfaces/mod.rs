@@ -3,7 +3,7 @@
 mod surface_pool;
 mod surface_record;
 
-pub(in crate::gpu) use surface_pool::MapLayers;
 pub(crate) use surface_pool::{SurfacePool, SurfaceSlot};
+pub(in crate::gpu) use surface_record::MapLayers;
 #[cfg(test)]
 pub(crate) use surface_record::SurfaceRecord;

@@ -3,7 +3,7 @@
 //! Surfaces whose textures lie in the same blocks of the texture pool share a set: a buffer of records and one bind
 //! group. So meshes that differ in their surface alone are drawn with one bind group.
 
-use super::surface_record::SurfaceRecord;
+use super::surface_record::{MapLayers, SurfaceRecord};
 use crate::gpu::memory::Memory;
 use crate::gpu::pools::bind_group_layouts::BindGroupLayouts;
 use crate::gpu::pools::slot_allocator::SlotAllocator;
@@ -16,9 +16,6 @@ const MIN_RECORDS: u32 = 16;
 /// The maximum number of records in a set.
 const MAX_RECORDS: u32 = 4096;
 const RECORD_BYTES: u64 = size_of::<SurfaceRecord>() as u64;
-
-/// The layers of a surface's maps, in the order of [`MetallicRoughness::maps`].
-pub(in crate::gpu) type MapLayers = [Option<TextureLayer>; MetallicRoughness::MAPS];
 
 /// The slot of a surface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

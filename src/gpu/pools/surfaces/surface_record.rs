@@ -1,8 +1,10 @@
 //! [`SurfaceRecord`]: the factors of a surface and the layers of its maps, as shaders read them. Plain values.
 
-use super::surface_pool::MapLayers;
 use crate::gpu::pools::textures::TextureLayer;
 use crate::scene::{MetallicRoughness, OverlayMode};
+
+/// The layers of a surface's maps, in the order of [`MetallicRoughness::maps`].
+pub(in crate::gpu) type MapLayers = [Option<TextureLayer>; MetallicRoughness::MAPS];
 
 /// A surface; mirrors `SurfaceRecord` in surface.wgsl. A test compares them with naga's layout.
 #[repr(C)]

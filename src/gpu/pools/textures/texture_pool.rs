@@ -169,7 +169,7 @@ impl TexturePool {
         }
         let (size, encoding) = (ImageSize::ONE_TEXEL, TexelEncoding::Srgb);
         let kind = ImageKind { size, encoding, sampling: Sampling::default() };
-        // A block of its own, which no copy overwrites.
+        // Its block is separate, so that no copy overwrites it.
         let white = self.take_layer_of_new_block(memory, layouts, kind, 1)?;
         if let Some(block) = self.blocks.get(white.block) {
             let texel = TextureRows { layer: white.layer, ..size.rows_of(0) };

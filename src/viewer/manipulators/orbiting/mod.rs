@@ -1,4 +1,7 @@
-//! Manipulators that look at a point and orbit it.
+//! Manipulators that look at a point and orbit it. Main thread.
+//!
+//! They share the angles, the distance and the handling of drags in `orbit_state`, and differ in the frame of the angles and
+//! in what keeps the point in place: the ground, a node, or nothing.
 
 mod node_tracker;
 mod orbit;

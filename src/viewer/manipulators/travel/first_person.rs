@@ -7,8 +7,7 @@ use super::move_keys::{MoveKeys, scaled_by_wheel};
 use crate::viewer::events::{EventKind, GuiEventAdapter, Usage};
 use crate::viewer::manipulators::manipulator::{CameraManipulator, ManipulatorView};
 use crate::viewer::manipulators::motion::{Pinch, PinchTracker, TouchResult, remaining_after, steps};
-use crate::viewer::manipulators::pose::{heading_change, transport_heading};
-use crate::viewer::view::set_bounds::LocalFrame;
+use crate::viewer::manipulators::pose::heading_change;
 
 /// The time constant with which the eye approaches its height above the ground, seconds.
 const RISE_S: f64 = 0.1;
@@ -63,19 +62,11 @@ impl FirstPersonManipulator {
 
     /// Moves by metres relative to the heading.
     fn walk(&mut self, right_m: f64, ahead_m: f64, up_m: f64, view: &ManipulatorView<'_>) {
-        let before = view.frame_at(self.position);
+        let up = view.frame_at(self.position).up();
         let (sin, cos) = self.look.heading.sin_cos();
         let (east_m, north_m) = (right_m * cos + ahead_m * sin, ahead_m * cos - right_m * sin);
-        let moved = view.moved_over(self.position, east_m, north_m) + before.up() * up_m;
-        self.move_to(moved, &before, view);
-    }
-
-    /// Moves to a position, and converts the heading to its frame.
-    fn move_to(&mut self, moved: DVec3, before: &LocalFrame, view: &ManipulatorView<'_>) {
-        if moved.is_finite() && moved != self.position {
-            self.position = moved;
-            self.look.heading = transport_heading(self.look.heading, before, &view.frame_at(moved));
-        }
+        let moved = view.moved_over(self.position, east_m, north_m) + up * up_m;
+        self.look.move_eye(&mut self.position, moved, view);
     }
 }
 
@@ -106,9 +97,9 @@ impl CameraManipulator for FirstPersonManipulator {
             if let Some(height_m) = view.height_above_ground_m(self.position) {
                 let off_m = height_m - self.eye_height_m;
                 self.is_rising = off_m.abs() > 1e-4;
-                let here = view.frame_at(self.position);
-                let risen = self.position - here.up() * (off_m * (1.0 - remaining_after(step_s, RISE_S)));
-                self.move_to(risen, &here, view);
+                let up = view.frame_at(self.position).up();
+                let risen = self.position - up * (off_m * (1.0 - remaining_after(step_s, RISE_S)));
+                self.look.move_eye(&mut self.position, risen, view);
             } else {
                 self.is_rising = false;
             }

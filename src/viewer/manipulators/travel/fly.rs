@@ -7,7 +7,7 @@ use super::move_keys::{MoveKeys, scaled_by_wheel};
 use crate::viewer::events::{EventKind, GuiEventAdapter, Usage};
 use crate::viewer::manipulators::manipulator::{CameraManipulator, ManipulatorView};
 use crate::viewer::manipulators::motion::{Pinch, PinchTracker, TouchResult, steps};
-use crate::viewer::manipulators::pose::{heading_change, transport_heading};
+use crate::viewer::manipulators::pose::heading_change;
 
 /// The time of flight to the point that fingers hold on to, seconds.
 const REACH_S: f64 = 2.0;
@@ -51,17 +51,13 @@ impl FlyManipulator {
 
     /// Applies a gesture so that points under the fingers stay there, at the distance that is flown in [`REACH_S`].
     fn pinch(&mut self, pinch: &Pinch, view: &ManipulatorView<'_>) {
-        let before = view.frame_at(self.position);
         let axes = self.look.pose(self.position, view).matrix3;
         let reach_m = REACH_S * self.speed_m_per_s(view);
         let ahead = (pinch.from * view.image_height_m()).extend(-1.0);
         let aside = (-pinch.shift() * view.image_height_m()).extend(0.0);
         self.look.turn(heading_change(pinch.twist, self.look.pitch), 0.0);
         let moved = self.position + axes * (ahead * pinch.stretch + aside) * reach_m;
-        if moved.is_finite() {
-            self.position = moved;
-            self.look.heading = transport_heading(self.look.heading, &before, &view.frame_at(moved));
-        }
+        self.look.move_eye(&mut self.position, moved, view);
     }
 }
 
@@ -88,13 +84,9 @@ impl CameraManipulator for FlyManipulator {
             if push == DVec3::ZERO {
                 continue;
             }
-            let before = view.frame_at(self.position);
             let moved = self.position
                 + self.look.pose(self.position, view).matrix3 * push * (self.speed_m_per_s(view) * step_s);
-            if moved.is_finite() {
-                self.position = moved;
-                self.look.heading = transport_heading(self.look.heading, &before, &view.frame_at(moved));
-            }
+            self.look.move_eye(&mut self.position, moved, view);
         }
         self.keys.end_frame(dt_s);
         self.look.pose(self.position, view)

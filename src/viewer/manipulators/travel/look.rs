@@ -6,7 +6,7 @@ use glam::{DAffine3, DVec3};
 
 use crate::viewer::events::{EventKind, GuiEventAdapter, MouseButton, YOrientation};
 use crate::viewer::manipulators::manipulator::ManipulatorView;
-use crate::viewer::manipulators::pose::{heading_and_pitch, pose_from_angles};
+use crate::viewer::manipulators::pose::{heading_and_pitch, pose_from_angles, transport_heading};
 
 /// The steepest direction of view up or down, radians.
 pub(super) const MAX_PITCH: f64 = 89.0 * PI / 180.0;
@@ -59,6 +59,14 @@ impl Look {
         if heading.is_finite() && pitch.is_finite() {
             self.heading = (self.heading + heading).rem_euclid(2.0 * PI);
             self.pitch = (self.pitch + pitch).clamp(-MAX_PITCH, MAX_PITCH);
+        }
+    }
+
+    /// Moves the eye to a position, and converts the heading to the frame there. A position that is not finite is ignored.
+    pub fn move_eye(&mut self, position: &mut DVec3, moved: DVec3, view: &ManipulatorView<'_>) {
+        if moved.is_finite() && moved != *position {
+            self.heading = transport_heading(self.heading, &view.frame_at(*position), &view.frame_at(moved));
+            *position = moved;
         }
     }
 
