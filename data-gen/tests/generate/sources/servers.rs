@@ -298,7 +298,7 @@ fn changed_file_beside_a_raster_on_a_server_is_a_change() {
         "/dem.tfw" => {
             let west = at.load(Ordering::Relaxed);
             let text = format!("{PIXEL}\n0\n0\n-{PIXEL}\n{west}\n46\n");
-            Reply::ok(text).with("ETag", &format!("\"{west}\"")).ranged(request)
+            Reply::ok(text).with("ETag", format!("\"{west}\"")).ranged(request)
         }
         _ => Reply::new(404, ""),
     });
