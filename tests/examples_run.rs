@@ -6,6 +6,9 @@ use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::process::Command;
 
+use kit::tile_sets::generate;
+use terrane::math::color::linear_from_srgb8;
+
 /// Returns the path of an example, beside the folder of this test's program, and builds it if missing.
 fn example(name: &str) -> PathBuf {
     let me = std::env::current_exe().unwrap();
@@ -62,19 +65,14 @@ fn run_and_listen(name: &str, arguments: &[&str], colours_at_least: usize) -> Op
 
 /// Returns a pixel as linear values, 0 to 1.
 fn linear(picture: &image::RgbImage, [x, y]: [u32; 2]) -> [f64; 3] {
-    picture.get_pixel(x, y).0.map(|s| {
-        let s = f64::from(s) / 255.0;
-        if s <= 0.040_45 { s / 12.92 } else { ((s + 0.055) / 1.055).powf(2.4) }
-    })
+    picture.get_pixel(x, y).0.map(linear_from_srgb8)
 }
 
 #[test]
 fn hello_terrain() {
     let folder = tempfile::tempdir().unwrap();
-    let set = folder.path().join("set");
-    let args = terrane_data_gen::GenArgs { levels: Some(3), size: 10_000.0, ..terrane_data_gen::GenArgs::new(&set) };
-    terrane_data_gen::run(&args).unwrap();
-    run("hello_terrain", &[set.to_str().unwrap()], 1000);
+    let set = generate(&folder.path().join("set"), |args| (args.levels, args.size) = (Some(3), 10_000.0));
+    run("hello_terrain", &[set.as_str()], 1000);
 }
 
 #[test]

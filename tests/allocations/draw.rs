@@ -3,12 +3,11 @@
 use std::sync::Arc;
 
 use glam::{DAffine3, DVec3};
-use kit::rig::{Rig, camera};
+use kit::rig::{Rig, camera, noop_traits};
 use kit::shapes::quad;
 use kit::terrain::Terrain;
 use terrane::cull::{CullVisitor, RenderStage};
-use terrane::draw::Renderer;
-use terrane::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
+use terrane::gpu::GraphicsContext;
 use terrane::scene::{
     AttributeFormat, Environment, Geometry, LocalLights, Mesh, Node, NodeKind, OcclusionQueryNode, SunShadows,
 };
@@ -18,15 +17,7 @@ use crate::attribution::allocations;
 
 #[test]
 fn steady_draw_allocates_nothing() {
-    let traits = ContextTraits {
-        size_px: [64, 64],
-        adapter: AdapterChoice::Noop,
-        validation: false,
-        ..ContextTraits::default()
-    };
-    let mut ctx = GraphicsContext::new_offscreen(&traits).unwrap();
-    let renderer = Renderer::new(&mut ctx);
-    let mut rig = Rig::new(ctx, renderer);
+    let mut rig = Rig::new(GraphicsContext::new_offscreen(&noop_traits([64, 64])).unwrap());
     let terrain =
         Terrain { west: 0.13, south: 0.8, width: 0.006, relief_m: 2600.0, root_error_m: 250.0, textured: true };
     let mut nodes: Vec<Node> = (0..16).map(|i| terrain.tile(2, i % 4, i / 4)).collect();

@@ -14,6 +14,8 @@ use terrane::scene::{
     PagedLod, PagingOptions, ProxyLoading, ProxyNode, RangeMode, ReferenceFrame, Refine, RenderOrder, Scene, SlotState,
 };
 
+use crate::tiles::slots_below;
+
 fn cube(center: DVec3) -> Node {
     Node::geode(vec![drawable(Aabb { min: center - 0.5, max: center + 0.5 })])
 }
@@ -438,20 +440,6 @@ impl World {
         };
         self.tiles.values().map(known).collect()
     }
-
-    fn slots(&self) -> Vec<NodeId> {
-        let mut found = Vec::new();
-        let mut pages = vec![self.root];
-        while let Some(id) = pages.pop() {
-            for slot in self.scene.slots_of_page(id) {
-                found.push(slot);
-                if let SlotState::Resident(page) = self.scene.slot(slot).unwrap().state {
-                    pages.push(page);
-                }
-            }
-        }
-        found
-    }
 }
 
 /// Returns how far inside the shadow of a wall a point is, relative to its distance. Negative values are outside.
@@ -494,7 +482,7 @@ proptest! {
         };
         for some in changes.chunks(20) {
             for (which, what) in some {
-                let slots = world.slots();
+                let slots = slots_below(&world.scene, world.root);
                 let slot = slots[which % slots.len()];
                 let info = world.scene.slot(slot).unwrap();
                 match info.state {

@@ -8,13 +8,14 @@ use glam::{DAffine3, DMat4, DVec3, Vec4};
 use image::RgbaImage;
 use kit::frames::{MAGENTA, count, pixel};
 use kit::rig::{Rig, new_rig, plain, rig, unit_camera};
+use kit::shadows::small_maps;
 use kit::shapes::quad;
 
 use terrane::draw::{CompiledDrawable, CustomDrawable, DRAWABLE_PRELUDE, DrawableInfo, custom_geometry};
 use terrane::gpu::{CompileBudget, CompileInfo, CompileOperation, CustomError, TargetFormats};
 use terrane::math::Aabb;
 use terrane::scene::{
-    AlphaMode, CameraNode, CullSettings, Drawable, Environment, Material, Node, NodeKind, Page, Scene, SunShadows,
+    AlphaMode, CameraNode, CullSettings, Drawable, Environment, Material, Node, NodeKind, Page, Scene,
 };
 use terrane::state::{
     Attribute, BinDetails, CompareFunction, Mode, Scissor, SortMode, StateSet, StateValue, Stencil, StencilFace,
@@ -424,11 +425,7 @@ fn drawable_casts_no_shadow_is_blended_late_and_does_not_fade() {
         at(0.0, 0.0, 1.0, vec![glass]),
         at(0.0, 0.0, 0.0, vec![quad([0.0; 3], [1.0, 1.0], [0.0, 0.0, 1.0, 1.0])]),
     ]));
-    let sunny = Environment {
-        sun_direction: DVec3::new(0.3, 0.2, 1.0).normalize(),
-        shadows: Some(SunShadows::default()),
-        ..plain()
-    };
+    let sunny = Environment { sun_direction: DVec3::new(0.3, 0.2, 1.0).normalize(), shadows: small_maps(), ..plain() };
     rig.draw(&scene, &unit_camera(SIDE), &sunny);
     assert_eq!(rig.stage.bins.len(), 2);
     assert!(!rig.stage.shadows.cascades.is_empty());

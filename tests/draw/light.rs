@@ -7,13 +7,8 @@ use kit::frames::{differ, keep, pixel};
 use kit::rig::{Rig, camera, rig};
 use kit::shapes::quad;
 use kit::terrain::Terrain;
+use terrane::math::color::linear_from_srgb8;
 use terrane::scene::{DistanceFog, Drawable, Environment, Node, Sky};
-
-/// Returns a linear value, 0 to 1, of an sRGB one.
-fn linear(srgb: u8) -> f64 {
-    let s = f64::from(srgb) / 255.0;
-    if s <= 0.040_45 { s / 12.92 } else { ((s + 0.055) / 1.055).powf(2.4) }
-}
 
 fn picture(rig: &mut Rig, root: Node, eye: DVec3, target: DVec3, up: DVec3, environment: &Environment) -> RgbaImage {
     let scene = rig.scene(root);
@@ -46,7 +41,7 @@ fn level_ground_has_the_colour_of_its_image() {
     let Some(mut rig) = rig("level_ground_has_the_colour_of_its_image") else { return };
     let environment = Environment::default();
     for albedo in [0.05f32, 0.1, 0.3] {
-        let ground = square(&mut rig, albedo, DVec3::Z, &environment).map(linear);
+        let ground = square(&mut rig, albedo, DVec3::Z, &environment).map(linear_from_srgb8);
         println!("{albedo}: {ground:?}");
         let mean = ground.iter().sum::<f64>() / 3.0 / f64::from(albedo);
         assert!((0.94..1.06).contains(&mean), "{albedo} is displayed as {ground:?}");
@@ -74,7 +69,7 @@ fn clear_air_shows_objects_up_to_100_km() {
         let root = Node::geode(vec![card(-1.0, 0.0), card(1.0, 1.0)]);
         let picture = picture(&mut rig, root, eye, eye + DVec3::NEG_Z, up, &environment);
         keep(&format!("contrast_{distance_m}"), &picture);
-        let [black, white] = [80, 175].map(|x| pixel(&picture, x, 128).map(linear));
+        let [black, white] = [80, 175].map(|x| pixel(&picture, x, 128).map(linear_from_srgb8));
         (0..3).map(|i| white[i] - black[i]).sum::<f64>() / 3.0
     };
     let [near, middle, far] = [1e3, 1e4, 1e5].map(&mut contrast);

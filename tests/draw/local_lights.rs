@@ -4,13 +4,14 @@ use std::sync::Arc;
 
 use glam::{DAffine3, DVec3};
 use image::RgbaImage;
-use kit::frames::{assert_picture, differ, keep, pixel};
+use kit::frames::{assert_picture, differ, keep, pixel, srgb};
 use kit::rig::{Rig, camera, plain, rig, unit_camera};
+use kit::shadows::small_maps;
 use kit::shapes::quad;
 use kit::terrain::Terrain;
 use terrane::scene::{
     CameraEnvironment, CameraNode, Drawable, Environment, LocalLights, Material, Mesh, MetallicRoughness, Node,
-    NodeKind, ReferenceFrame, RenderOrder, SunShadows,
+    NodeKind, ReferenceFrame, RenderOrder,
 };
 use terrane::state::{Attribute, Fog, FogMode, Light, Mode, StateSet, StateValue};
 
@@ -106,8 +107,7 @@ fn every_shader_is_lit() {
         pixel(&draw(&mut rig, vec![both]), SIDE / 2, SIDE / 2)
     };
     let matte = seen(at(0.0, 0.0));
-    let linear = |value: f32| (255.0 * (1.055 * value.powf(1.0 / 2.4) - 0.055)).round() as u8;
-    assert!(matte[0].abs_diff(linear(0.5)) <= 1 && matte[1].abs_diff(linear(0.7)) <= 1, "{matte:?}");
+    assert!(matte[0].abs_diff(srgb(0.5)) <= 1 && matte[1].abs_diff(srgb(0.7)) <= 1, "{matte:?}");
     assert_eq!(seen(at(0.0, 0.0).with_state_set(fixed)), matte);
     assert_eq!(seen(at(0.0, 0.0).with_state_set(blended)), matte);
     let rough = seen(Node::geode(vec![with_material(&surface)]));
@@ -161,11 +161,10 @@ fn lamps_end_at_their_range_and_spots_at_their_rim() {
     let picture = draw(rig, vec![lit_by(vec![lamp([0.0, 0.0, 0.5], range_m)], vec![wall()])]);
     keep("lamp_with_a_range", &picture);
     let share = |radius: f32| 0.5 / (0.25 + radius * radius).sqrt() * (1.0 - ((0.25 + radius * radius) / 0.61).powi(2));
-    let linear = |value: f32| 255.0 * (1.055 * value.powf(1.0 / 2.4) - 0.055);
     for x in SIDE / 2..SIDE {
         let radius = (x as f32 + 0.5) / 32.0 - 1.0;
         let red = f32::from(pixel(&picture, x, SIDE / 2)[0]);
-        let expected = if radius < 0.6 { linear(share(radius).max(0.0031)) } else { 0.0 };
+        let expected = if radius < 0.6 { f32::from(srgb(share(radius).max(0.0).into())) } else { 0.0 };
         assert!((red - expected).abs() < 12.0, "{red} instead of {expected} at {radius}");
         assert!(radius < 0.6 || red == 0.0, "beyond the range");
     }
@@ -298,7 +297,7 @@ fn lit_drawables_cast_and_receive_the_shadows_of_the_sun() {
         sun_direction: DVec3::new(-0.8, 0.0, 0.6),
         sun_color: [0.5; 3],
         ambient_color: [0.0; 3],
-        shadows: Some(SunShadows::default()),
+        shadows: small_maps(),
         ..plain()
     };
     let mut drawn = |lights| {

@@ -3,11 +3,11 @@
 use std::sync::Arc;
 
 use glam::{DAffine3, DMat4, DQuat, DVec3};
-use kit::rig::{Rig, camera, new_rig, plain, rig};
+use kit::rig::{Rig, camera, plain, rig, rig_with, traits};
 use proptest::strategy::{Strategy, ValueTree};
 use proptest::test_runner::TestRunner;
 use terrane::cull::CullCamera;
-use terrane::gpu::{ContextTraits, GraphicsContext};
+use terrane::gpu::ContextTraits;
 use terrane::scene::{AlphaMode, CullingMode, Drawable, Geometry, Material, Mesh, MeshVertex, Node, Scene, Topology};
 use terrane::state::{Attribute, BinDetails, PolygonMode, SortMode, StateSet, Viewport};
 
@@ -108,12 +108,7 @@ fn lines_points_and_wireframes_are_never_culled() {
 
 #[test]
 fn nothing_is_culled_with_several_samples_per_pixel() {
-    let Some(plain_rig) = new_rig([64, 64]) else { return };
-    drop(plain_rig);
-    let traits = ContextTraits { size_px: [64, 64], adapter: kit::adapter(), samples: 4, ..ContextTraits::default() };
-    let mut ctx = GraphicsContext::new_offscreen(&traits).unwrap();
-    let renderer = terrane::draw::Renderer::new(&mut ctx);
-    let mut rig = Rig::new(ctx, renderer);
+    let Some(mut rig) = rig_with(&ContextTraits { samples: 4, ..traits([64, 64]) }) else { return };
     let scene = rig.scene(dust(Topology::Triangles));
     let camera = camera([64, 64], DVec3::new(30.0, 5.0, 40.0), DVec3::ZERO, DVec3::Z);
     assert_eq!(left_out(&mut rig, &scene, &camera), 0);

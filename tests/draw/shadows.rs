@@ -5,9 +5,11 @@ use std::sync::Arc;
 use glam::dcamera::rh::proj::directx as proj;
 use glam::{DAffine3, DQuat, DVec3};
 use image::RgbaImage;
+use kit::frames::srgb;
 use kit::rig::{Rig, camera, rig};
-use kit::shadows::{check, cuboid, ground, meets, ray, solid, srgb, sunny, tower};
+use kit::shadows::{check, cuboid, ground, meets, ray, small_maps, solid, sunny, tower};
 use kit::terrain::Terrain;
+use kit::tile_sets::mountains;
 use terrane::cull::{CullCamera, RenderStage};
 use terrane::draw::CameraView;
 use terrane::math::{Aabb, Geodetic, WGS84};
@@ -490,10 +492,10 @@ fn shadow_culls_make_no_requests_and_keep_no_pages() {
     rig.release(scene);
 }
 
-/// Returns every tenth image of a short flight, with the requests.
+/// Returns every fifth image of a short flight, with the requests.
 fn fly(set: &str, threading: ThreadingModel, shadows: Option<SunShadows>) -> Option<(Vec<RgbaImage>, u64)> {
     let config = ViewerConfig {
-        size_px: [320, 180],
+        size_px: [240, 136],
         threading,
         adapter: kit::adapter(),
         max_sse_px: 3.0,
@@ -507,10 +509,10 @@ fn fly(set: &str, threading: ThreadingModel, shadows: Option<SunShadows>) -> Opt
     let side = up.any_orthonormal_vector();
     viewer.view_mut().environment.sun_direction = (0.15 * up - side).normalize();
     let path = viewer.bounds().unwrap().default_path(&viewer.view().camera.world_from_eye);
-    for frame in 0..30u32 {
-        let time_s = path.duration_s() * f64::from(frame) / 29.0;
+    for frame in 0..15u32 {
+        let time_s = path.duration_s() * f64::from(frame) / 14.0;
         viewer.view_mut().camera.world_from_eye = path.world_from_eye(time_s);
-        if frame % 10 == 0 {
+        if frame % 5 == 0 {
             viewer.want_picture();
         }
         viewer.frame_at(time_s).unwrap();
@@ -527,12 +529,8 @@ fn all_threading_models_draw_the_same_shadows() {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
-    let set = folder.path().join("set");
-    let args =
-        terrane_data_gen::GenArgs { levels: Some(4), seed: 3, size: 20_000.0, ..terrane_data_gen::GenArgs::new(&set) };
-    terrane_data_gen::run(&args).unwrap();
-    let set = set.display().to_string();
-    let shadows = Some(SunShadows { resolution_px: 512, ..SunShadows::default() });
+    let set = mountains(folder.path(), 4);
+    let shadows = small_maps();
     let (first, requested) = fly(&set, ThreadingModel::SingleThreaded, shadows).unwrap();
     let (without, requested_without) = fly(&set, ThreadingModel::SingleThreaded, None).unwrap();
     assert_eq!(requested, requested_without, "shadows request no tiles");

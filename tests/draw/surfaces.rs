@@ -6,10 +6,11 @@ use glam::{Affine2, DAffine3, DVec3, Mat2, Vec2};
 use image::RgbaImage;
 use kit::frames::{assert_picture, differ, pixel};
 use kit::rig::{Rig, camera, plain, rig, unit_camera};
+use kit::shadows::small_maps;
 use kit::shapes::{quad, with_mips};
 use terrane::scene::{
     AlphaMode, AttributeFormat, DistanceFog, Drawable, Environment, Geometry, Material, Mesh, MetallicRoughness, Node,
-    OverlayMode, SecondUv, SunShadows, Texture,
+    OverlayMode, SecondUv, Texture,
 };
 use terrane::state::{Attribute, Mode, StateSet, StateValue, SurfaceMaterial};
 
@@ -231,7 +232,7 @@ fn small_meshes_shadows_masks_and_other_states_draw() {
     let geode = |material: &Material, is_fine| Node::geode(vec![square(material, is_fine)]);
     let pulled = draw_node(&mut rig, geode(&full, false), &environment);
     assert_eq!(differ(&pulled, &draw_node(&mut rig, geode(&full, true), &environment), 0), 0);
-    let shadowed = Environment { shadows: Some(SunShadows::default()), ..environment };
+    let shadowed = Environment { shadows: small_maps(), ..environment };
     assert!(differ(&pulled, &draw_node(&mut rig, geode(&full, true), &shadowed), 2) < 40, "nothing casts on it");
 
     let holes = Material { texture: texels([255, 255, 255, 40]), alpha: AlphaMode::Mask(0.5), ..full.clone() };

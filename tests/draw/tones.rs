@@ -6,11 +6,9 @@ use std::sync::Arc;
 use glam::DVec3;
 use image::RgbaImage;
 use kit::frames::{count, pixel};
-use kit::rig::{Rig, camera, plain, unit_camera};
+use kit::rig::{Rig, camera, plain, rig_with, traits, unit_camera};
 use kit::shapes::{ball, quad};
-use kit::skip::or_skip;
-use terrane::draw::Renderer;
-use terrane::gpu::{ContextTraits, GraphicsContext};
+use terrane::gpu::ContextTraits;
 use terrane::scene::{
     AlphaMode, Attachment, CameraNode, CameraTarget, Drawable, Environment, Node, PictureSink, Sky, ToneMapping,
 };
@@ -21,16 +19,7 @@ const SIDE: u32 = 64;
 const LIGHT: f32 = 8.0;
 
 fn rig_of(samples: u32) -> Option<Rig> {
-    let traits = ContextTraits {
-        size_px: [SIDE; 2],
-        adapter: kit::adapter(),
-        samples,
-        validation: true,
-        ..ContextTraits::default()
-    };
-    let mut ctx = or_skip(GraphicsContext::new_offscreen(&traits))?;
-    let renderer = Renderer::new(&mut ctx);
-    Some(Rig::new(ctx, renderer))
+    rig_with(&ContextTraits { samples, validation: true, ..traits([SIDE; 2]) })
 }
 
 /// Returns a black background and a sun that gives surfaces that face +z a light of 8.
@@ -109,7 +98,7 @@ fn light_is_blended_before_tones_are_mapped() {
     assert!(in_own_pass.abs_diff(251) <= 2, "{in_own_pass}");
 }
 
-/// Where nothing is blended and pixels have one sample, both ways show the same.
+/// Both ways show the same where nothing is blended and pixels have one sample.
 #[test]
 fn own_pass_shows_the_same_as_shaders_without_blending() {
     let Some(mut rig) = rig_of(1) else { return };

@@ -4,7 +4,7 @@ use std::f32::consts::{FRAC_PI_2, FRAC_PI_4, PI};
 
 use glam::{DAffine3, DVec3};
 use image::RgbaImage;
-use kit::frames::{keep, pixel};
+use kit::frames::{keep, pixel, srgb};
 use kit::rig::{Rig, camera, plain, rig};
 use serde_json::{Value, json};
 use terrane::fetch::Limits;
@@ -220,18 +220,13 @@ fn seen(rig: &mut Rig, read: Read) -> RgbaImage {
     picture
 }
 
-fn srgb(linear: f32) -> u8 {
-    let s = if linear <= 0.003_130_8 { 12.92 * linear } else { 1.055 * linear.powf(1.0 / 2.4) - 0.055 };
-    (s * 255.0).round() as u8
-}
-
 /// Returns the pixel at a point of the wall, metres from its middle.
 fn at(picture: &RgbaImage, x: f32, y: f32) -> [u8; 3] {
     pixel(picture, (64.0 + 32.0 * x) as u32, (64.0 - 32.0 * y) as u32)
 }
 
 fn assert_near(got: [u8; 3], linear: [f32; 3]) {
-    let want = linear.map(srgb);
+    let want = linear.map(|value| srgb(value.into()));
     assert!(got.iter().zip(want).all(|(got, want)| got.abs_diff(want) <= 3), "{got:?} instead of {want:?}");
 }
 

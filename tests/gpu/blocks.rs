@@ -3,12 +3,10 @@
 use std::sync::Arc;
 
 use kit::frames::pixel;
-use kit::rig::{Rig, camera, new_rig, plain, unit_camera};
+use kit::rig::{Rig, camera, new_rig, plain, rig_with, traits, unit_camera};
 use kit::shapes::{quad, with_mips};
-use kit::skip::or_skip;
 use kit::terrain::Terrain;
-use terrane::draw::Renderer;
-use terrane::gpu::{CompileBudget, CompileOperation, Compiled, ContextTraits, GraphicsContext};
+use terrane::gpu::{CompileBudget, CompileOperation, Compiled, ContextTraits};
 use terrane::scene::{Drawable, Material, MetallicRoughness, Node, Page, Scene, Texture};
 
 const SIDE: u32 = 64;
@@ -54,16 +52,7 @@ fn showing(drawable: &Drawable, image: &Arc<Texture>) -> Drawable {
 }
 
 fn rig_of(compile_thread: bool) -> Option<Rig> {
-    let traits = ContextTraits {
-        size_px: [SIDE; 2],
-        adapter: kit::adapter(),
-        compile_thread,
-        validation: true,
-        ..ContextTraits::default()
-    };
-    let mut ctx = or_skip(GraphicsContext::new_offscreen(&traits))?;
-    let renderer = Renderer::new(&mut ctx);
-    Some(Rig::new(ctx, renderer))
+    rig_with(&ContextTraits { compile_thread, validation: true, ..traits([SIDE; 2]) })
 }
 
 /// Adds a page to a scene once its drawables are uploaded.
@@ -199,7 +188,7 @@ fn height_blocks_grow_and_keep_their_tiles() {
 #[test]
 fn odd_images_take_little_more_than_their_own_bytes() {
     let Some(mut rig) = new_rig([SIDE; 2]) else { return };
-    // What wgpu itself has allocated for blocks of textures, where it tells. Drivers align rows and levels.
+    // wgpu reports what it has allocated for blocks of textures on some adapters. Drivers align rows and levels.
     let by_allocator = |rig: &Rig| {
         let report = rig.ctx.device().generate_allocator_report()?;
         let blocks = report.allocations.iter().filter(|allocation| allocation.name.contains("texture block"));
@@ -248,7 +237,7 @@ fn what_is_allocated_stays_within_the_budget() {
         assert!(allocated <= budget, "{allocated} of {budget} bytes with {i} images");
         assert!(allocated >= rig.ctx.bytes_in_use());
     }
-    // What is needed beyond it is allocated all the same, without more.
+    // Memory beyond the limit is allocated if it is needed, without any reserve.
     let compiled = rig.compile(vec![showing(&mesh, &image(99))]);
     assert!(compiled.errors.is_empty());
     let over = rig.ctx.bytes_allocated() - budget;

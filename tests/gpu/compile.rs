@@ -4,11 +4,11 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use kit::frames::count;
-use kit::rig::{Rig, new_rig, plain, unit_camera};
+use kit::rig::{Rig, new_rig, noop_traits, plain, unit_camera};
 use kit::shapes::{mesh, quad, with_mips};
 use kit::skip::skipped;
 use kit::terrain::Terrain;
-use terrane::gpu::{AdapterChoice, CompileBudget, CompileOperation, ContextTraits, GraphicsContext};
+use terrane::gpu::{CompileBudget, CompileOperation, GraphicsContext};
 use terrane::scene::{DrawSlot, Drawable, Geometry, Material, MeshVertex, Node, Page, Scene, TexelFormat, Texture};
 
 fn fresh() -> Option<Rig> {
@@ -338,14 +338,7 @@ fn drawable_that_cannot_be_uploaded_is_one_error() {
 
 #[test]
 fn noop_backend_compiles_and_draws() {
-    let traits = ContextTraits {
-        size_px: [64, 64],
-        adapter: AdapterChoice::Noop,
-        validation: false,
-        ..ContextTraits::default()
-    };
-    let mut ctx = GraphicsContext::new_offscreen(&traits).unwrap();
-    let mut renderer = terrane::draw::Renderer::new(&mut ctx);
+    let Rig { mut ctx, mut renderer, .. } = Rig::new(GraphicsContext::new_offscreen(&noop_traits([64, 64])).unwrap());
     ctx.compile(CompileOperation { ticket: 1, drawables: vec![quad([0.0; 3], [1.0, 1.0], [1.0; 4])] });
     ctx.run_compiles(&CompileBudget::UNLIMITED);
     assert_eq!(ctx.take_compiled().len(), 1);

@@ -11,12 +11,14 @@ use image::RgbaImage;
 use kit::process::runs_alone;
 use kit::shapes::with_mips;
 use kit::skip::or_skip;
+use kit::tile_sets::{generate, mountains};
 use serde_json::Value;
 use terrane::gpu::{CompileBudget, CompileOperation, GraphicsContext};
 use terrane::pager::PagerConfig;
 use terrane::scene::{DrawSlot, Drawable, Geometry, Material, Mesh, Node, NodeId, Page, Texture};
 use terrane::trace::Recording;
 use terrane::viewer::{Slave, ThreadingModel, Viewer, ViewerConfig};
+use terrane_data_gen::ContentKind;
 
 const SIZE: [u32; 2] = [96, 72];
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -39,17 +41,10 @@ fn context(compile_thread: bool) -> Option<GraphicsContext> {
     or_skip(GraphicsContext::new_offscreen(&traits))
 }
 
-fn small_set(folder: &Path, content: terrane_data_gen::ContentKind) -> String {
-    let set = folder.join("set");
-    let args = terrane_data_gen::GenArgs {
-        levels: Some(4),
-        seed: 5,
-        size: 20_000.0,
-        content,
-        ..terrane_data_gen::GenArgs::new(&set)
-    };
-    terrane_data_gen::run(&args).unwrap();
-    set.display().to_string()
+fn small_set(folder: &Path, content: ContentKind) -> String {
+    generate(&folder.join("set"), |args| {
+        (args.levels, args.seed, args.size, args.content) = (Some(3), 5, 20_000.0, content);
+    })
 }
 
 fn textured(texture: &Arc<Texture>) -> Drawable {
@@ -98,11 +93,12 @@ fn uploads_larger_than_the_staging_memory_complete() {
 
 #[test]
 fn operations_dropped_in_flight_do_not_block_others() {
+    let texture = with_mips(1024, 1024, vec![200; 1024 * 1024 * 4]);
+    let drawables: Vec<Drawable> = (0..40).map(|_| textured(&Arc::new(texture.clone()))).collect();
     for calls in [0, 1, 3] {
         let Some(mut ctx) = context(true) else { return };
-        for ticket in 0..40 {
-            let texture = Arc::new(with_mips(1024, 1024, vec![ticket as u8; 1024 * 1024 * 4]));
-            ctx.compile(CompileOperation { ticket, drawables: vec![textured(&texture)] });
+        for (ticket, drawable) in (0..).zip(&drawables) {
+            ctx.compile(CompileOperation { ticket, drawables: vec![drawable.clone()] });
         }
         for _ in 0..calls {
             ctx.run_compiles(&CompileBudget { time: Duration::ZERO, bytes: 1 });
@@ -131,7 +127,7 @@ fn picture(viewer: &mut Viewer) -> RgbaImage {
 
 #[test]
 fn all_threading_models_draw_the_same_with_and_without_the_thread() {
-    for content in [terrane_data_gen::ContentKind::Height, terrane_data_gen::ContentKind::Mesh] {
+    for content in [ContentKind::Height, ContentKind::Mesh] {
         let folder = tempfile::tempdir().unwrap();
         let set = small_set(folder.path(), content);
         let Some(first) = context(false) else { return };
@@ -169,7 +165,7 @@ fn all_threading_models_draw_the_same_with_and_without_the_thread() {
 #[test]
 fn blocking_mode_waits_for_the_thread() {
     let folder = tempfile::tempdir().unwrap();
-    let set = small_set(folder.path(), terrane_data_gen::ContentKind::Height);
+    let set = small_set(folder.path(), ContentKind::Height);
     let mut pictures = Vec::new();
     for compile_contexts in [false, true] {
         let Some(context) = context(compile_contexts) else { return };
@@ -216,7 +212,7 @@ fn compile_thread_fills_staging_buffers_if_it_is_asked_for() {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
-    let set = small_set(folder.path(), terrane_data_gen::ContentKind::default());
+    let set = small_set(folder.path(), ContentKind::default());
     let file = folder.path().join("trace.json");
     for compile_contexts in [false, true] {
         let recording = Recording::start().unwrap();
@@ -245,14 +241,7 @@ fn compile_thread_fills_staging_buffers_if_it_is_asked_for() {
 #[ignore = "a measurement"]
 fn upload_cost() {
     let folder = tempfile::tempdir().unwrap();
-    let args = terrane_data_gen::GenArgs {
-        levels: Some(6),
-        seed: 5,
-        size: 20_000.0,
-        ..terrane_data_gen::GenArgs::new(folder.path().join("set"))
-    };
-    terrane_data_gen::run(&args).unwrap();
-    let set = folder.path().join("set").display().to_string();
+    let set = mountains(folder.path(), 6);
     for round in 0..4 {
         let compile_contexts = round % 2 == 1;
         let Some(context) = context(compile_contexts) else { return };
@@ -296,7 +285,7 @@ fn upload_cost() {
 #[test]
 fn blocking_mode_does_not_wait_for_uploads_that_cannot_complete() {
     let folder = tempfile::tempdir().unwrap();
-    let set = small_set(folder.path(), terrane_data_gen::ContentKind::Mesh);
+    let set = small_set(folder.path(), ContentKind::Mesh);
     for threading in [ThreadingModel::SingleThreaded, ThreadingModel::DrawThreadPerContext] {
         for compile_contexts in [false, true] {
             let mut config = config(threading, compile_contexts);

@@ -4,11 +4,10 @@
 use std::path::{Path, PathBuf};
 
 use kit::frames::count;
-use kit::rig::{Rig, plain, unit_camera};
+use kit::rig::{Rig, plain, traits, unit_camera};
 use kit::shapes::quad;
 use kit::skip::{or_skip, skipped};
-use terrane::draw::Renderer;
-use terrane::gpu::{ContextTraits, GpuError, GraphicsContext};
+use terrane::gpu::{GpuError, GraphicsContext};
 use terrane::scene::Node;
 use terrane::viewer::{Viewer, ViewerConfig};
 
@@ -17,8 +16,7 @@ const SIDE: u32 = 32;
 /// Returns a context with a pipeline cache in a folder, and the state of its cache. Skips the test if that is not
 /// possible.
 fn keeping(test: &str, folder: &Path) -> Option<(GraphicsContext, Result<u64, GpuError>)> {
-    let traits = ContextTraits { size_px: [SIDE, SIDE], adapter: kit::adapter(), ..ContextTraits::default() };
-    let mut ctx = or_skip(GraphicsContext::new_offscreen(&traits))?;
+    let mut ctx = or_skip(GraphicsContext::new_offscreen(&traits([SIDE, SIDE])))?;
     match ctx.keep_pipelines(folder) {
         Err(error @ GpuError::NoPipelineCache { .. }) => {
             skipped(format!("{test}: {error}"));
@@ -29,9 +27,8 @@ fn keeping(test: &str, folder: &Path) -> Option<(GraphicsContext, Result<u64, Gp
 }
 
 /// Draws a red square; the context is closed afterwards.
-fn draw(mut ctx: GraphicsContext) {
-    let renderer = Renderer::new(&mut ctx);
-    let mut rig = Rig::new(ctx, renderer);
+fn draw(ctx: GraphicsContext) {
+    let mut rig = Rig::new(ctx);
     let scene = rig.scene(Node::geode(vec![quad([0.0; 3], [0.5, 0.5], [1.0, 0.0, 0.0, 1.0])]));
     let picture = rig.picture(&scene, &unit_camera(SIDE), &plain());
     assert_eq!(count(&picture, [255, 0, 0]), (SIDE * SIDE / 4) as usize);

@@ -4,11 +4,12 @@ use std::sync::Arc;
 
 use glam::DVec3;
 use kit::rig::{Rig, camera, new_rig, plain};
+use kit::shadows::small_maps;
 use kit::shapes::{ball, quad};
 use terrane::draw::ViewChange;
 use terrane::scene::{
     AlphaMode, DistanceFog, Drawable, Environment, Geometry, LightSource, Material, Mesh, Node, NodeKind,
-    ReferenceFrame, Sky, SunShadows, Water,
+    ReferenceFrame, Sky, Water,
 };
 use terrane::state::{Attribute, Light, Mode, StateSet, StateValue, Stencil, SurfaceMaterial};
 
@@ -65,8 +66,8 @@ fn change_that_was_announced_creates_no_pipeline_in_its_frame() {
     let group = || Node::group(kinds());
     let haze = Environment { fog: DistanceFog { enabled: true, density_per_m: 0.001 }, ..plain() };
     let sky = Environment { sky: Sky::Atmosphere, water: Some(Water::at(-100.0)), ..plain() };
-    let shadows = Environment { shadows: Some(SunShadows::default()), sun_direction: DVec3::Z, ..plain() };
-    let both = Environment { shadows: Some(SunShadows::default()), sun_direction: DVec3::Z, ..haze };
+    let shadows = Environment { shadows: small_maps(), sun_direction: DVec3::Z, ..plain() };
+    let both = Environment { shadows: small_maps(), sun_direction: DVec3::Z, ..haze };
     let stencil = || {
         let set = StateSet::default()
             .with(Attribute::Stencil(Stencil::default()))

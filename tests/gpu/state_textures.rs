@@ -5,11 +5,9 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use kit::frames::pixel;
-use kit::rig::{Rig, plain, unit_camera};
+use kit::rig::{Rig, plain, rig_with, traits, unit_camera};
 use kit::shapes::quad;
-use kit::skip::or_skip;
-use terrane::draw::Renderer;
-use terrane::gpu::{CompileBudget, CompileOperation, ContextTraits, GraphicsContext};
+use terrane::gpu::{CompileBudget, CompileOperation, ContextTraits};
 use terrane::scene::{Node, Page, Scene};
 use terrane::state::{
     Attribute, FilterMode, Mode, Program, Sampler, StateSet, StateValue, TextureBinding, TextureDimension,
@@ -19,16 +17,7 @@ use terrane::state::{
 const SIDE: u32 = 64;
 
 fn rig_of(compile_thread: bool) -> Option<Rig> {
-    let traits = ContextTraits {
-        size_px: [SIDE; 2],
-        adapter: kit::adapter(),
-        compile_thread,
-        validation: true,
-        ..ContextTraits::default()
-    };
-    let mut ctx = or_skip(GraphicsContext::new_offscreen(&traits))?;
-    let renderer = Renderer::new(&mut ctx);
-    Some(Rig::new(ctx, renderer))
+    rig_with(&ContextTraits { compile_thread, validation: true, ..traits([SIDE; 2]) })
 }
 
 /// Returns a square over the whole picture that shows a texture.
@@ -87,9 +76,9 @@ fn texture_is_uploaded_in_slices_before_its_drawables_and_counted() {
         let side = 1024u32;
         let bytes = u64::from(side * side * 4);
         // The last rows differ, so that a missing slice is visible.
-        let texels =
-            (0..side * side).flat_map(|i| if i / side < side / 2 { [255, 0, 0, 255] } else { [0, 0, 255, 255] });
-        let texture = TextureObject::image("large", [side; 2], texels.collect());
+        let half = (side * side / 2) as usize;
+        let texels = [[255, 0, 0, 255].repeat(half), [0, 0, 255, 255].repeat(half)].concat();
+        let texture = TextureObject::image("large", [side; 2], texels);
         let (scene, calls, uploaded) = upload(&mut rig, shows(&texture), 300_000);
         assert!(uploaded >= bytes, "{uploaded} of {bytes}");
         if !compile_thread {

@@ -1,6 +1,7 @@
 //! Manipulators over loaded ground: the terrain manipulator stays above it, and walking follows it. No GPU.
 
 use glam::{DVec2, DVec3};
+use kit::tile_sets::generate;
 use terrane::gpu::AdapterChoice;
 use terrane::math::WGS84;
 use terrane::pager::PagerConfig;
@@ -9,9 +10,7 @@ use terrane::viewer::manipulators::{FirstPersonManipulator, GroundHeight as _, S
 use terrane::viewer::{MouseButton, Viewer, ViewerConfig};
 
 fn viewer(folder: &std::path::Path) -> Viewer {
-    let set = folder.join("set");
-    let args = terrane_data_gen::GenArgs { levels: Some(3), size: 10_000.0, ..terrane_data_gen::GenArgs::new(&set) };
-    terrane_data_gen::run(&args).unwrap();
+    let set = generate(&folder.join("set"), |args| (args.levels, args.size) = (Some(3), 10_000.0));
     let pager = PagerConfig { build_kd_trees: true, blocking: true, ..PagerConfig::default() };
     let config = ViewerConfig {
         size_px: [320, 240],
@@ -22,7 +21,7 @@ fn viewer(folder: &std::path::Path) -> Viewer {
         ..ViewerConfig::default()
     };
     let mut viewer = Viewer::new_offscreen(&config).unwrap();
-    viewer.load(set.to_str().unwrap()).unwrap();
+    viewer.load(&set).unwrap();
     viewer.view_mut().set_ground(Some(Box::new(SceneGround::default())));
     viewer.frame().unwrap();
     viewer

@@ -6,11 +6,12 @@ use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 use glam::{DAffine3, DVec3};
 use kit::pager::{Run, above};
+use kit::tile_sets::{generate, show_grid};
 use terrane::math::{Geodetic, WGS84};
 use terrane::pager::PagerConfig;
 use terrane::scene::{
-    Drawable, Geometry, HeightQuery, IntersectionLimit, IntersectionVisitor, LineSegmentIntersector, Material, Mesh,
-    Node, Page, Scene, Vertical,
+    Drawable, Geometry, HeightQuery, IntersectionLimit, IntersectionVisitor, LineSegmentIntersector, LodSelection,
+    Material, Mesh, Node, Page, Scene, Vertical,
 };
 
 fn square(z: f64) -> Page {
@@ -106,20 +107,10 @@ fn heights_and_meshes_of_the_same_ground_agree_on_the_earth() {
     let mut region = [0.0; 4];
     for content in [terrane_data_gen::ContentKind::Height, terrane_data_gen::ContentKind::Mesh] {
         let set = folder.path().join(format!("{content:?}"));
-        // The meshes of height tiles.
-        let triangles = match content {
-            terrane_data_gen::ContentKind::Mesh => terrane_data_gen::Triangles::Grid,
-            _ => terrane_data_gen::Triangles::default(),
-        };
-        let args = terrane_data_gen::GenArgs {
-            levels: Some(3),
-            seed: 5,
-            size: 10_000.0,
-            content,
-            tiles: terrane_data_gen::TileArgs { triangles, ..Default::default() },
-            ..terrane_data_gen::GenArgs::new(&set)
-        };
-        terrane_data_gen::run(&args).unwrap();
+        generate(&set, |args| {
+            (args.levels, args.seed, args.size) = (Some(3), 5, 10_000.0);
+            show_grid(args, content);
+        });
         region = region_of(&set);
         let eye = place(region, 0.5, 0.5, 500.0);
         // From inside, all levels are wanted.
@@ -147,6 +138,15 @@ fn heights_and_meshes_of_the_same_ground_agree_on_the_earth() {
             let under = query.height_above_terrain_m(low).unwrap();
             assert!((under + 9000.0 + ground.height_m).abs() < 1e-2, "{under}");
         }
+        // The root alone is another surface, for queries as for lines.
+        let of_root = HeightQuery::new(Vertical::Ellipsoid(WGS84)).with_lod_selection(LodSelection::Level(0));
+        of_root.publish(&run.scene);
+        visitor.lod_selection = LodSelection::Level(0);
+        let from = place(region, 0.313, 0.627, 9000.0);
+        let mut line = LineSegmentIntersector::new(from, place(region, 0.313, 0.627, -9000.0));
+        visitor.traverse(&run.scene, &mut line);
+        let (hit, found) = (line.first_intersection().unwrap().world_point(), of_root.ground_at(from).unwrap().point);
+        assert!(found.distance(hit) < 1e-3 && found.distance(query.ground_at(from).unwrap().point) > 0.1);
         assert_eq!(query.height_above_terrain_m(place(region, 1.5, 0.5, 100.0)), None, "beside the set");
         assert_eq!(query.height_above_terrain_m(-place(region, 0.5, 0.5, 100.0)), None, "on the other side");
         queries.push(query);

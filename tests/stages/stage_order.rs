@@ -8,11 +8,10 @@ use crate::small_targets::{
 use glam::dcamera::rh::proj::directx as proj;
 use glam::{DAffine3, DVec4};
 use kit::frames::{MAGENTA, count, pixel};
-use kit::rig::{Rig, plain, rig, unit_camera};
+use kit::rig::{plain, rig, rig_with, traits, unit_camera};
 use kit::shapes::quad;
-use kit::skip::or_skip;
-use terrane::draw::{CameraCallbacks, Renderer};
-use terrane::gpu::{ContextTraits, GraphicsContext};
+use terrane::draw::CameraCallbacks;
+use terrane::gpu::ContextTraits;
 use terrane::scene::{AlphaMode, CameraNode, ClearNode, Node, NodeKind, PictureSink, ReferenceFrame, RenderOrder};
 use terrane::state::{Mode, StateSet, StateValue, TextureObject};
 
@@ -252,10 +251,7 @@ fn callbacks_are_called_before_and_after_each_stage() {
 
 #[test]
 fn contexts_can_have_several_samples() {
-    let traits = ContextTraits { size_px: [64, 64], adapter: kit::adapter(), samples: 4, ..ContextTraits::default() };
-    let Some(mut ctx) = or_skip(GraphicsContext::new_offscreen(&traits)) else { return };
-    let renderer = Renderer::new(&mut ctx);
-    let mut rig = Rig::new(ctx, renderer);
+    let Some(mut rig) = rig_with(&ContextTraits { samples: 4, ..traits([64, 64]) }) else { return };
     let slanted = Node::transform(DAffine3::from_rotation_z(0.3), vec![Node::geode(vec![square(0.0, [255; 3])])]);
     let (view, projection) = view();
     let hud = CameraNode {

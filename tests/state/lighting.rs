@@ -6,6 +6,7 @@ use image::RgbaImage;
 use terrane::scene::{Drawable, LightSource, Node, NodeKind, ReferenceFrame};
 use terrane::state::{FilterMode, Light, Mode, Sampler, StateSet, StateValue, TextureBinding, TextureObject};
 
+use kit::frames::srgb;
 use kit::rig::{Rig, plain, unit_camera};
 use kit::shapes::quad;
 
@@ -39,14 +40,8 @@ pub fn middle(rig: &mut Rig, nodes: Vec<Node>) -> [u8; 3] {
     [r, g, b]
 }
 
-/// Returns the sRGB value of a linear one.
-pub fn srgb(linear: f32) -> u8 {
-    let s = if linear <= 0.003_130_8 { 12.92 * linear } else { 1.055 * linear.powf(1.0 / 2.4) - 0.055 };
-    (s * 255.0).round() as u8
-}
-
 pub fn assert_near(got: [u8; 3], linear: [f32; 3], what: &str) {
-    let want = linear.map(srgb);
+    let want = linear.map(|value| srgb(value.into()));
     assert!(got.iter().zip(want).all(|(g, w)| g.abs_diff(w) <= 2), "{what}: {got:?} instead of {want:?}");
 }
 

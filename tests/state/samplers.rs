@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use image::RgbaImage;
-use kit::frames::{MAGENTA, pixel};
+use kit::frames::{MAGENTA, pixel, srgb};
 use kit::rig::{Rig, plain, rig, unit_camera};
 use kit::shapes::quad;
 use kit::skip::skipped;
@@ -205,11 +205,6 @@ fn biases_apply_to_the_fixed_function_and_programs_add_their_own() {
 }
 
 /// Returns the sRGB value of a linear one.
-fn srgb(linear: f32) -> u8 {
-    let s = if linear <= 0.003_130_8 { 12.92 * linear } else { 1.055 * linear.powf(1.0 / 2.4) - 0.055 };
-    (s * 255.0).round() as u8
-}
-
 #[test]
 fn images_of_floats_keep_their_values() {
     let Some(mut rig) = rig("images_of_floats_keep_their_values") else { return };

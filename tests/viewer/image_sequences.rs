@@ -91,10 +91,15 @@ impl Theatre {
             .collect()
     }
 
+    /// Returns which of `count` images each square shows.
+    fn all_shown(&mut self, time_s: f64, count: usize) -> Vec<Option<usize>> {
+        let is = |k: usize, seen: [u8; 3]| shade(k).iter().zip(seen).all(|(a, b)| a.abs_diff(b) <= 2);
+        self.look(time_s).into_iter().map(|seen| (0..count).find(|k| is(*k, seen))).collect()
+    }
+
     /// Returns which of `count` images the first square shows.
     fn shown(&mut self, time_s: f64, count: usize) -> Option<usize> {
-        let seen = self.look(time_s)[0];
-        (0..count).find(|k| shade(*k).iter().zip(seen).all(|(a, b)| a.abs_diff(b) <= 2))
+        self.all_shown(time_s, count)[0]
     }
 
     fn pager(&self) -> &ImagePager {
@@ -124,12 +129,15 @@ fn looping_modes_show_the_correct_images_in_all_threading_models() {
         (LoopingMode::Swing, [0, 1, 2, 3, 3, 2, 1, 0, 0, 1]),
     ];
     for threading in ThreadingModel::ALL {
-        for (looping, images) in expected {
+        let sequences = expected.map(|(looping, _)| {
             let sequence = playing(files.clone(), looping, 4.0);
             sequence.seek(0.5);
-            let Some(mut theatre) = Theatre::open(&[&sequence], blocking(), threading) else { return };
-            let seen: Vec<_> = (0..10).map(|k| theatre.shown(f64::from(k), 4).unwrap_or(99)).collect();
-            assert_eq!(seen, images, "{looping:?} {threading}");
+            sequence
+        });
+        let Some(mut theatre) = Theatre::open(&sequences.each_ref(), blocking(), threading) else { return };
+        for k in 0..10 {
+            let seen = theatre.all_shown(k as f64, 4);
+            assert_eq!(seen, expected.map(|(_, images)| Some(images[k])), "at {k} s, {threading}");
         }
     }
 }

@@ -1,21 +1,15 @@
 //! Equal paths give equal images in blocking mode with every threading model, and stages and contexts end in order.
 //! Needs a GPU; a software adapter suffices.
 
-use std::path::Path;
-
 use image::RgbaImage;
+use kit::tile_sets::mountains;
 use kit::viewer::offscreen;
 use terrane::gpu::AdapterChoice;
 use terrane::pager::PagerConfig;
 use terrane::viewer::{ThreadingModel, Viewer, ViewerConfig, ViewerError};
 
-fn small_set(folder: &Path) -> String {
-    let set = folder.join("set");
-    let args =
-        terrane_data_gen::GenArgs { levels: Some(4), seed: 3, size: 20_000.0, ..terrane_data_gen::GenArgs::new(&set) };
-    terrane_data_gen::run(&args).unwrap();
-    set.display().to_string()
-}
+/// The number of frames of a flight.
+const FRAMES: u32 = 30;
 
 fn config(threading: ThreadingModel) -> ViewerConfig {
     ViewerConfig {
@@ -28,29 +22,29 @@ fn config(threading: ThreadingModel) -> ViewerConfig {
     }
 }
 
-/// Returns every tenth image of the default path.
+/// Returns every fifth image of the default path.
 fn fly(set: &str, threading: ThreadingModel) -> Option<Vec<RgbaImage>> {
     let mut viewer = offscreen(&config(threading))?;
     viewer.load(set).unwrap();
     let path = viewer.bounds().unwrap().default_path(&viewer.view().camera.world_from_eye);
-    for frame in 0..60u32 {
-        let time_s = path.duration_s() * f64::from(frame) / 59.0;
+    for frame in 0..FRAMES {
+        let time_s = path.duration_s() * f64::from(frame) / f64::from(FRAMES - 1);
         viewer.view_mut().camera.world_from_eye = path.world_from_eye(time_s);
-        if frame % 10 == 0 {
+        if frame % 5 == 0 {
             viewer.want_picture();
         }
         viewer.frame_at(time_s).unwrap();
         assert!(viewer.is_settled(), "frame {frame} of the blocking mode is not complete");
     }
     viewer.finish().unwrap();
-    assert_eq!(viewer.stats().iter().filter(|s| s.drawn).count(), 60);
+    assert_eq!(viewer.stats().iter().filter(|s| s.drawn).count(), FRAMES as usize);
     Some(viewer.take_pictures().into_iter().map(|(_, picture)| picture).collect())
 }
 
 #[test]
 fn same_path_gives_the_same_pixels_in_every_threading_model() {
     let folder = tempfile::tempdir().unwrap();
-    let set = small_set(folder.path());
+    let set = mountains(folder.path(), 4);
     let Some(first) = fly(&set, ThreadingModel::SingleThreaded) else { return };
     assert_eq!(first.len(), 6);
     let colours: std::collections::BTreeSet<_> = first[2].pixels().map(|p| p.0).collect();
@@ -67,26 +61,26 @@ fn same_path_gives_the_same_pixels_in_every_threading_model() {
 #[test]
 fn threading_model_changes_at_run_time() {
     let folder = tempfile::tempdir().unwrap();
-    let set = small_set(folder.path());
+    let set = mountains(folder.path(), 4);
     let Some(expected) = fly(&set, ThreadingModel::SingleThreaded) else { return };
     let mut viewer = offscreen(&config(ThreadingModel::SingleThreaded)).unwrap();
     viewer.load(&set).unwrap();
     let path = viewer.bounds().unwrap().default_path(&viewer.view().camera.world_from_eye);
     let models = ThreadingModel::ALL;
-    for frame in 0..60u32 {
+    for frame in 0..FRAMES {
         // Each model follows each other one, in the middle of the flight.
-        let model = models[(frame as usize * (1 + frame as usize / 20)) % 4];
+        let model = models[(frame as usize * (1 + frame as usize / 10)) % 4];
         viewer.composite_mut().set_threading_model(model).unwrap();
         assert_eq!(viewer.composite().threading_model(), model);
-        let time_s = path.duration_s() * f64::from(frame) / 59.0;
+        let time_s = path.duration_s() * f64::from(frame) / f64::from(FRAMES - 1);
         viewer.view_mut().camera.world_from_eye = path.world_from_eye(time_s);
-        if frame % 10 == 0 {
+        if frame % 5 == 0 {
             viewer.want_picture();
         }
         viewer.frame_at(time_s).unwrap();
     }
     viewer.finish().unwrap();
-    assert_eq!(viewer.stats().iter().filter(|s| s.drawn).count(), 60);
+    assert_eq!(viewer.stats().iter().filter(|s| s.drawn).count(), FRAMES as usize);
     let pictures = viewer.take_pictures();
     assert_eq!(pictures.len(), expected.len());
     for ((frame, picture), expected) in pictures.iter().zip(&expected) {
@@ -97,7 +91,7 @@ fn threading_model_changes_at_run_time() {
 #[test]
 fn settled_view_does_not_change() {
     let folder = tempfile::tempdir().unwrap();
-    let set = small_set(folder.path());
+    let set = mountains(folder.path(), 4);
     let Some(mut viewer) = offscreen(&config(ThreadingModel::DrawThreadPerContext)) else { return };
     viewer.load(&set).unwrap();
     viewer.frame().unwrap();
@@ -118,7 +112,7 @@ fn settled_view_does_not_change() {
 #[test]
 fn viewer_is_resized_and_dropped_at_any_time() {
     let folder = tempfile::tempdir().unwrap();
-    let set = small_set(folder.path());
+    let set = mountains(folder.path(), 4);
     for threading in ThreadingModel::ALL {
         let mut config = config(threading);
         config.pager.blocking = false;
@@ -139,7 +133,7 @@ fn viewer_is_resized_and_dropped_at_any_time() {
 #[test]
 fn frames_run_without_a_gpu() {
     let folder = tempfile::tempdir().unwrap();
-    let set = small_set(folder.path());
+    let set = mountains(folder.path(), 4);
     let mut viewer = Viewer::new_offscreen(&ViewerConfig {
         adapter: AdapterChoice::Noop,
         validation: false,

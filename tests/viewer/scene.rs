@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use glam::{DAffine3, DVec3};
-use kit::tile_sets::small_set;
+use kit::tile_sets::{generate, small_set};
 use kit::viewer::{Settle, offscreen};
 
 use terrane::gpu::{AdapterChoice, GraphicsContext};
@@ -150,9 +150,7 @@ fn removed_page_is_drawn_when_added_again() {
 }
 
 fn small_and_large(folder: &Path) -> [String; 2] {
-    let small = folder.join("small").display().to_string();
-    let args = terrane_data_gen::GenArgs { levels: Some(2), size: 500.0, ..terrane_data_gen::GenArgs::new(&small) };
-    terrane_data_gen::run(&args).unwrap();
+    let small = generate(&folder.join("small"), |args| (args.levels, args.size) = (Some(2), 500.0));
     [small, small_set(folder)]
 }
 

@@ -7,13 +7,13 @@ use glam::{DAffine3, DVec3};
 use image::RgbaImage;
 use kit::frames::{MAGENTA, count};
 use kit::rig::{camera, rig};
-use kit::shadows::{check, cuboid, ground, meets, ray, sunny, tower};
+use kit::shadows::{check, cuboid, ground, meets, ray, small_maps, sunny, tower};
 use kit::skip::skipped;
 use terrane::cull::{CullCamera, Stereo, StereoMode};
 
 use terrane::math::Aabb;
 use terrane::pager::PagerConfig;
-use terrane::scene::{Attachment, CameraTarget, Environment, Node, NodeKind, Page, SunShadows};
+use terrane::scene::{Attachment, CameraTarget, Environment, Node, NodeKind, Page};
 use terrane::state::{TextureFormat, TextureObject};
 use terrane::viewer::{Slave, ThreadingModel, ViewArea, Viewer, ViewerConfig};
 
@@ -149,8 +149,7 @@ fn open(viewer: &mut Viewer) {
     let root = Node::geode(vec![ground(200.0), cuboid(tower().min, tower().max)]);
     viewer.add_root(Page::from_node(root).unwrap()).unwrap();
     viewer.view_mut().camera.look_at(DVec3::new(-40.0, -50.0, 45.0), DVec3::ZERO, DVec3::Z);
-    viewer.view_mut().environment =
-        Environment { shadows: Some(SunShadows::default()), ..sunny(DVec3::new(1.0, 0.5, 1.0)) };
+    viewer.view_mut().environment = Environment { shadows: small_maps(), ..sunny(DVec3::new(1.0, 0.5, 1.0)) };
 }
 
 fn settled(viewer: &mut Viewer) -> RgbaImage {
@@ -219,7 +218,7 @@ fn gltf_tiles_cast_shadows() {
         let side = up.any_orthonormal_vector();
         viewer.view_mut().environment.sun_direction = (0.5 * up + side).normalize();
         let without = settled(&mut viewer);
-        viewer.view_mut().environment.shadows = Some(SunShadows::default());
+        viewer.view_mut().environment.shadows = small_maps();
         let with = settled(&mut viewer);
         let name = set.split('/').next().unwrap();
         keep(&format!("{name}-without"), &without);

@@ -202,7 +202,7 @@ fn stats_page_fits_into_a_small_image() {
     for size_px in [[320, 240], [480, 300], [800, 600], [240, 320]] {
         viewer.resize(size_px).unwrap();
         // The page is laid out in its second frame.
-        (0..30).for_each(|_| viewer.frame().unwrap());
+        (0..16).for_each(|_| viewer.frame().unwrap());
         let picture = viewer.read_back().unwrap();
         keep(&picture, &format!("stats-{}x{}.png", size_px[0], size_px[1]));
         let [width, height] = size_px;

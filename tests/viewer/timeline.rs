@@ -5,10 +5,14 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use kit::process::runs_alone;
 use kit::skip::or_skip;
+use kit::tile_sets::mountains;
 use kit::viewer::Settle;
 use serde_json::Value;
 use terrane::trace::{Recording, TraceError, span};
 use terrane::viewer::{Slave, ThreadingModel, Viewer, ViewerConfig};
+
+/// The number of frames of the flight.
+const FRAMES: u32 = 20;
 
 fn text<'a>(event: &'a Value, key: &str) -> &'a str {
     event[key].as_str().unwrap_or_else(|| panic!("{key} of {event}"))
@@ -41,10 +45,7 @@ fn flight_is_recorded_completely() {
     }
     let this_thread = std::thread::current().name().unwrap().to_owned();
     let folder = tempfile::tempdir().unwrap();
-    let set = folder.path().join("set");
-    let args =
-        terrane_data_gen::GenArgs { levels: Some(4), seed: 3, size: 20_000.0, ..terrane_data_gen::GenArgs::new(&set) };
-    terrane_data_gen::run(&args).unwrap();
+    let set = mountains(folder.path(), 4);
     let file = folder.path().join("trace.json");
     for threading in ThreadingModel::ALL {
         let config = ViewerConfig {
@@ -58,13 +59,13 @@ fn flight_is_recorded_completely() {
         let recording = Recording::start().unwrap();
         assert!(matches!(Recording::start(), Err(TraceError::AlreadyRecording)));
         let Some(mut viewer) = or_skip(Viewer::new_offscreen(&config)) else { return };
-        viewer.load(set.to_str().unwrap()).unwrap();
+        viewer.load(&set).unwrap();
         let first = viewer.contexts().next().unwrap();
         let second = viewer.composite_mut().open_offscreen_on(first, &config.traits()).unwrap();
         viewer.add_slave(Slave::new(second)).unwrap();
         let path = viewer.bounds().unwrap().default_path(&viewer.view().camera.world_from_eye);
-        for frame in 0..40 {
-            viewer.view_mut().camera.world_from_eye = path.world_from_eye(f64::from(frame) * 0.5);
+        for frame in 0..FRAMES {
+            viewer.view_mut().camera.world_from_eye = path.world_from_eye(f64::from(frame));
             viewer.frame().unwrap();
         }
         viewer.settle(1);
@@ -117,35 +118,37 @@ fn flight_is_recorded_completely() {
         // The barriers of the threading model.
         let meetings: &[(&str, &str, u32)] = match threading {
             ThreadingModel::CullDrawThreadPerContext => &[
-                (main, "start barrier", 40),
-                (main, "end barrier", 40),
-                ("draw 0", "start barrier", 40),
-                ("draw 0", "end barrier", 40),
+                (main, "start barrier", FRAMES),
+                (main, "end barrier", FRAMES),
+                ("draw 0", "start barrier", FRAMES),
+                ("draw 0", "end barrier", FRAMES),
             ],
-            ThreadingModel::DrawThreadPerContext => {
-                &[(main, "end of dynamic draws", 40), ("draw 0", "await frame", 40), ("draw 0", "swap ready", 40)]
-            }
+            ThreadingModel::DrawThreadPerContext => &[
+                (main, "end of dynamic draws", FRAMES),
+                ("draw 0", "await frame", FRAMES),
+                ("draw 0", "swap ready", FRAMES),
+            ],
             ThreadingModel::CullThreadPerCameraDrawThreadPerContext => &[
-                (main, "start barrier", 40),
-                (main, "end of dynamic draws", 40),
-                (main, "wait for culls", 40),
-                ("cull 0", "start barrier", 40),
-                ("draw 0", "wait for cull", 40),
+                (main, "start barrier", FRAMES),
+                (main, "end of dynamic draws", FRAMES),
+                (main, "wait for culls", FRAMES),
+                ("cull 0", "start barrier", FRAMES),
+                ("draw 0", "wait for cull", FRAMES),
             ],
             _ => &[],
         };
         for &(thread, stage, least) in meetings.iter().chain(&[
-            (main, "frame", 40),
-            (main, "event", 40),
-            (main, "update", 40),
-            (main, "merge", 40),
-            (main, "wait for stage", 40),
-            (cull, "cull", 40),
-            (cull, "traverse", 40),
-            (cull, "sort", 40),
-            (draw, "compile", 40),
-            (draw, "draw", 40),
-            (draw, "present", 40),
+            (main, "frame", FRAMES),
+            (main, "event", FRAMES),
+            (main, "update", FRAMES),
+            (main, "merge", FRAMES),
+            (main, "wait for stage", FRAMES),
+            (cull, "cull", FRAMES),
+            (cull, "traverse", FRAMES),
+            (cull, "sort", FRAMES),
+            (draw, "compile", FRAMES),
+            (draw, "draw", FRAMES),
+            (draw, "present", FRAMES),
         ]) {
             let count = stages.get(&(thread, stage)).copied().unwrap_or(0);
             assert!(count >= least, "{threading}: {count} of {stage} on {thread}");
@@ -168,7 +171,7 @@ fn flight_is_recorded_completely() {
         for line in ["gpu 0", "gpu 1"].into_iter().filter(|_| has_timestamps) {
             let drawn = frames_of(line);
             let pictures = stages.get(&(line, "picture")).copied().unwrap_or(0);
-            assert!(drawn.len() > 20 && drawn.len() as u32 == pictures, "{threading}: {} of {pictures}", drawn.len());
+            assert!(drawn.len() > 10 && drawn.len() as u32 == pictures, "{threading}: {} of {pictures}", drawn.len());
             for (frame, (from, to)) in &drawn {
                 assert!(*from >= begun[frame].0 && to > from, "{threading}: frame {frame} on {line} before it began");
                 let later = begun.get(&(frame + 6)).map_or(f64::INFINITY, |(at, _)| *at);

@@ -18,7 +18,11 @@ use terrane::viewer::{KEY_COLOR, ThreadingModel, Viewer, ViewerConfig};
 
 /// The number of vertices along a side. Uploading and drawing take as long as update.
 const SIDE: u32 = 48;
-const FRAMES: u32 = 80;
+
+/// Returns the number of frames of a run.
+fn frames() -> u32 {
+    if kit::long_tests() { 80 } else { 30 }
+}
 
 /// Returns a sheet of 4 m that faces -y, with moving waves.
 fn write_waves(mesh: &mut Mesh, frame: u32) {
@@ -107,7 +111,7 @@ fn run(threading: ThreadingModel, variance: DataVariance) -> Option<Run> {
         assert!(scene.replace_state_set(root, &old, new.clone()));
         old = new;
     }));
-    for _ in 0..FRAMES {
+    for _ in 0..frames() {
         viewer.want_picture();
         viewer.frame().unwrap();
     }
@@ -119,9 +123,9 @@ fn run(threading: ThreadingModel, variance: DataVariance) -> Option<Run> {
 #[test]
 fn changing_scenes_are_the_same_frame_for_frame() {
     let Some((expected, _)) = run(ThreadingModel::SingleThreaded, DataVariance::Static) else { return };
-    assert_eq!(expected.len() as u32, FRAMES);
+    assert_eq!(expected.len() as u32, frames());
     let different = expected.windows(2).filter(|w| w[0].1 != w[1].1).count() as u32;
-    assert_eq!(different, FRAMES - 1, "each frame must be different");
+    assert_eq!(different, frames() - 1, "each frame must be different");
     for variance in [DataVariance::Static, DataVariance::Dynamic] {
         for threading in ThreadingModel::ALL {
             let (pictures, shared) = run(threading, variance).unwrap();

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use glam::{DAffine3, DVec3};
 use image::RgbaImage;
+use kit::tile_sets::{generate, show_grid};
 use kit::viewer::{Settle, offscreen};
 
 use terrane::pager::PagerConfig;
@@ -48,23 +49,12 @@ fn balls(viewer: &Viewer, places: &[DVec3], beyond: f64) -> Page {
 fn picks_hit_the_visible_ground() {
     let folder = tempfile::tempdir().unwrap();
     for content in [terrane_data_gen::ContentKind::Height, terrane_data_gen::ContentKind::Mesh] {
-        let set = folder.path().join(format!("{content:?}"));
-        // The meshes of height tiles.
-        let triangles = match content {
-            terrane_data_gen::ContentKind::Mesh => terrane_data_gen::Triangles::Grid,
-            _ => terrane_data_gen::Triangles::default(),
-        };
-        let args = terrane_data_gen::GenArgs {
-            levels: Some(4),
-            seed: 3,
-            size: 20_000.0,
-            content,
-            tiles: terrane_data_gen::TileArgs { triangles, ..Default::default() },
-            ..terrane_data_gen::GenArgs::new(&set)
-        };
-        terrane_data_gen::run(&args).unwrap();
+        let set = generate(&folder.path().join(format!("{content:?}")), |args| {
+            (args.levels, args.seed, args.size) = (Some(4), 3, 20_000.0);
+            show_grid(args, content);
+        });
         let Some(mut viewer) = viewer() else { return };
-        viewer.load(set.to_str().unwrap()).unwrap();
+        viewer.load(&set).unwrap();
         // The eye is inside of the set, so that no outer skirt is visible.
         let bounds = *viewer.bounds().unwrap();
         let view = ViewFrom { heading: 0.3, pitch: -0.2, range_m: Some(0.25 * bounds.sphere.radius_m) };
@@ -76,8 +66,8 @@ fn picks_hit_the_visible_ground() {
 
         let (mut judged, mut sky) = (0, 0);
         let mut places = Vec::new();
-        for y in (3..SIZE_PX[1] - 3).step_by(3) {
-            for x in (3..SIZE_PX[0] - 3).step_by(4) {
+        for y in (3..SIZE_PX[1] - 3).step_by(6) {
+            for x in (3..SIZE_PX[0] - 3).step_by(8) {
                 let hits =
                     viewer.compute_intersections(f64::from(x) + 0.5, f64::from(y) + 0.5, IntersectionLimit::Nearest);
                 let around = [(-1, 0), (1, 0), (0, -1), (0, 1), (-1, -1), (1, 1), (-1, 1), (1, -1)];
@@ -100,7 +90,7 @@ fn picks_hit_the_visible_ground() {
                 }
             }
         }
-        assert!(judged > 3000 && sky > 200 && places.len() > 100, "{judged} {sky} {}", places.len());
+        assert!(judged > 750 && sky > 50 && places.len() > 100, "{judged} {sky} {}", places.len());
 
         // Balls at picked points are half in the ground and visible. Balls behind them are hidden, except where the
         // ground is seen along its slope.

@@ -7,6 +7,7 @@ use glam::{DAffine3, DMat4, DVec3, DVec4};
 use image::RgbaImage;
 use kit::cameras::like;
 use kit::frames::{differ, keep};
+use kit::shadows::small_maps;
 use kit::shapes::ball;
 use kit::tile_sets::small_set;
 use kit::viewer::{Settle, offscreen};
@@ -50,7 +51,7 @@ fn camera_at(viewer: &Viewer, world_from_eye: DAffine3, size_px: [u32; 2]) -> Cu
 /// Draws frames until everything is loaded, and a few more for fades.
 fn settle(viewer: &mut Viewer) {
     viewer.settle(1);
-    for frame in 0..8 {
+    for frame in 0..3 {
         viewer.frame_at(1000.0 + f64::from(frame)).unwrap();
     }
     assert!(viewer.is_settled());
@@ -66,7 +67,7 @@ fn camera_to_a_texture_shows_the_scene_with_the_tiles_it_requests() {
     let set = small_set(folder.path());
     let Some(mut expects) = viewer() else { return };
     expects.load(&set).unwrap();
-    expects.view_mut().environment.shadows = Some(Default::default());
+    expects.view_mut().environment.shadows = small_maps();
     let near = pose(&expects, 0.4, -0.3, 0.25);
     expects.view_mut().camera.world_from_eye = near;
     settle(&mut expects);
@@ -76,7 +77,7 @@ fn camera_to_a_texture_shows_the_scene_with_the_tiles_it_requests() {
     // The main camera is far away, where the whole set needs one or two tiles.
     let mut viewer = viewer().unwrap();
     viewer.load(&set).unwrap();
-    viewer.view_mut().environment.shadows = Some(Default::default());
+    viewer.view_mut().environment.shadows = small_maps();
     viewer.view_mut().camera.world_from_eye = pose(&viewer, 2.0, -0.6, 30.0);
     settle(&mut viewer);
     let before = viewer.stats().last().unwrap().gpu_bytes;
@@ -232,7 +233,7 @@ fn nested_camera_below_one_with_cleared_depth_gives_the_same_image() {
     let set = small_set(folder.path());
     let Some(mut viewer) = viewer() else { return };
     viewer.load(&set).unwrap();
-    viewer.view_mut().environment.shadows = Some(Default::default());
+    viewer.view_mut().environment.shadows = small_maps();
     let near = pose(&viewer, 0.4, -0.3, 0.25);
     let mut picture_of = |nested: bool| {
         let seen = camera_at(&viewer, near, SIZE_PX);

@@ -6,3 +6,5 @@ mod model;
 mod priorities;
 mod request_volumes;
 mod rules;
+
+pub use model::slots_below;

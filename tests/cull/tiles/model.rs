@@ -178,18 +178,23 @@ impl World {
 
     /// Returns all slots of all resident pages.
     pub fn all_slots(&self) -> Vec<NodeId> {
-        let mut found = Vec::new();
-        let mut pages = vec![self.root];
-        while let Some(id) = pages.pop() {
-            for slot in self.scene.slots_of_page(id) {
-                found.push(slot);
-                if let SlotState::Resident(page) = self.scene.slot(slot).unwrap().state {
-                    pages.push(page);
-                }
+        slots_below(&self.scene, self.root)
+    }
+}
+
+/// Returns the slots of a page, and those of all resident pages below it.
+pub fn slots_below(scene: &Scene, root: PageId) -> Vec<NodeId> {
+    let mut found = Vec::new();
+    let mut pages = vec![root];
+    while let Some(id) = pages.pop() {
+        for slot in scene.slots_of_page(id) {
+            found.push(slot);
+            if let SlotState::Resident(page) = scene.slot(slot).unwrap().state {
+                pages.push(page);
             }
         }
-        found
     }
+    found
 }
 
 pub fn collect(tile: &Tile, center: DVec3, half_m: f64, name: &str, tiles: &mut BTreeMap<String, (Tile, DVec3, f64)>) {

@@ -5,11 +5,9 @@ use std::sync::Arc;
 use glam::{DAffine3, DVec3};
 use image::RgbaImage;
 use kit::frames::pixel;
-use kit::rig::{Rig, camera, plain};
+use kit::rig::{camera, plain, rig_with, traits};
 use kit::shapes::with_mips;
-use kit::skip::or_skip;
-use terrane::draw::Renderer;
-use terrane::gpu::{ContextTraits, GraphicsContext};
+use terrane::gpu::ContextTraits;
 use terrane::math::Aabb;
 use terrane::scene::{Drawable, Geometry, HeightTile, Material, Mesh, Node, Texture};
 
@@ -58,15 +56,8 @@ fn contrast(picture: &RgbaImage) -> u8 {
 
 #[test]
 fn images_keep_detail_at_flat_angles() {
-    let traits = ContextTraits {
-        size_px: [SIDE, SIDE],
-        adapter: kit::adapter(),
-        max_anisotropy: Some(16),
-        ..ContextTraits::default()
-    };
-    let Some(mut ctx) = or_skip(GraphicsContext::new_offscreen(&traits)) else { return };
-    let renderer = Renderer::new(&mut ctx);
-    let mut rig = Rig::new(ctx, renderer);
+    let traits = ContextTraits { max_anisotropy: Some(16), ..traits([SIDE, SIDE]) };
+    let Some(mut rig) = rig_with(&traits) else { return };
     let [width, length] = GROUND;
     let corner = DVec3::new(-0.5 * width, -0.5 * length, 0.0);
     let mesh = Mesh::rectangle(corner, width * DVec3::X, length * DVec3::Y);

@@ -2,11 +2,10 @@
 //! The noop adapter suffices.
 
 use std::collections::BTreeSet;
-use std::path::Path;
 use std::time::Duration;
 
 use glam::{DAffine3, DVec3};
-
+use kit::tile_sets::mountains;
 use terrane::gpu::AdapterChoice;
 use terrane::pager::{PagerConfig, PagerStats};
 use terrane::scene::SlotState;
@@ -78,18 +77,10 @@ fn tiles(viewer: &Viewer) -> Tiles {
     Tiles { in_use, resident, counts }
 }
 
-fn height_set(folder: &Path) -> String {
-    let set = folder.join("set");
-    let args =
-        terrane_data_gen::GenArgs { levels: Some(5), seed: 3, size: 20_000.0, ..terrane_data_gen::GenArgs::new(&set) };
-    terrane_data_gen::run(&args).unwrap();
-    set.display().to_string()
-}
-
 #[test]
 fn repeated_flight_has_the_same_tiles_in_each_frame() {
     let folder = tempfile::tempdir().unwrap();
-    let set = height_set(folder.path());
+    let set = mountains(folder.path(), 5);
     let roomy = PagerConfig { file_threads: 3, decode_threads: 3, ..PagerConfig::default() };
     let (_, all) = fly(&set, roomy.clone(), ThreadingModel::SingleThreaded, Duration::ZERO);
     let few_pages = PagerConfig { max_tiles: 40, ..roomy.clone() };

@@ -4,6 +4,7 @@ use std::process::Command;
 use std::sync::{Arc, Mutex};
 
 use kit::process::{runs_alone, test_name};
+use kit::tile_sets::small_set;
 use terrane::gpu::AdapterChoice;
 use terrane::scene::{Node, Page};
 use terrane::viewer::{THREADING_VARIABLE, ThreadingModel, Viewer, ViewerConfig, ViewerError};
@@ -89,14 +90,12 @@ fn single_threaded_model_pins_main_thread_and_pagers_to_the_first_two_cores() {
         return println!("skipped: the process has one core");
     }
     let folder = tempfile::tempdir().unwrap();
-    let set = folder.path().join("set");
-    let args = terrane_data_gen::GenArgs { levels: Some(3), seed: 3, ..terrane_data_gen::GenArgs::new(&set) };
-    terrane_data_gen::run(&args).unwrap();
+    let set = small_set(folder.path());
     let mut config = config(ThreadingModel::SingleThreaded, true);
     // Threads without work are pinned later.
     (config.pager.file_threads, config.pager.decode_threads) = (1, 1);
     let mut viewer = Viewer::new_offscreen(&config).unwrap();
-    viewer.load(set.to_str().unwrap()).unwrap();
+    viewer.load(&set).unwrap();
     assert_eq!(mask(), cores, "nothing is pinned before the first frame");
     for _ in 0..2000 {
         viewer.frame().unwrap();

@@ -72,6 +72,11 @@ pub fn differ(a: &RgbaImage, b: &RgbaImage, by: u8) -> usize {
     a.pixels().zip(b.pixels()).filter(|(a, b)| far(&a.0, &b.0)).count()
 }
 
+/// Returns the sRGB component of a linear value, 0 to 1.
+pub fn srgb(linear: f64) -> u8 {
+    (terrane::math::color::srgb_from_linear(linear) * 255.0).round() as u8
+}
+
 /// Returns a picture of the X server's 32-bit pixels: blue, green, red and padding.
 pub fn rgb_of_bgra([width, height]: [u32; 2], pixels: &[u8]) -> RgbImage {
     let rgb = pixels.as_chunks::<4>().0.iter().map(|&[b, g, r, _]| [r, g, b]).collect::<Vec<_>>().into_flattened();

@@ -6,7 +6,7 @@ use glam::{DAffine3, DVec3};
 use image::RgbaImage;
 use terrane::cull::{CullCamera, CullVisitor, RenderStage};
 use terrane::draw::{DrawStats, Renderer};
-use terrane::gpu::{CompileBudget, CompileOperation, Compiled, ContextTraits, GraphicsContext};
+use terrane::gpu::{AdapterChoice, CompileBudget, CompileOperation, Compiled, ContextTraits, GraphicsContext};
 use terrane::scene::{DistanceFog, Drawable, Environment, Node, Page, Scene, Sky};
 
 use crate::frames::MAGENTA;
@@ -26,8 +26,9 @@ pub struct Rig {
 }
 
 impl Rig {
-    /// Creates a rig of a context and its renderer.
-    pub fn new(ctx: GraphicsContext, renderer: Renderer) -> Self {
+    /// Creates a rig of a context, with a renderer.
+    pub fn new(mut ctx: GraphicsContext) -> Self {
+        let renderer = Renderer::new(&mut ctx);
         Self { ctx, renderer, visitor: CullVisitor::new(), stage: RenderStage::new(), ticket: 0 }
     }
 
@@ -104,10 +105,22 @@ pub fn rig(test: &str) -> Option<MutexGuard<'static, Rig>> {
 
 /// Creates a rig on [`crate::adapter`]; returns `None`, and skips the test, if there is none.
 pub fn new_rig(size_px: [u32; 2]) -> Option<Rig> {
-    let traits = ContextTraits { size_px, adapter: crate::adapter(), validation: false, ..ContextTraits::default() };
-    let mut ctx = or_skip(GraphicsContext::new_offscreen(&traits))?;
-    let renderer = Renderer::new(&mut ctx);
-    Some(Rig::new(ctx, renderer))
+    rig_with(&ContextTraits { validation: false, ..traits(size_px) })
+}
+
+/// Creates a rig with given traits; returns `None`, and skips the test, if there is no adapter.
+pub fn rig_with(traits: &ContextTraits) -> Option<Rig> {
+    or_skip(GraphicsContext::new_offscreen(traits)).map(Rig::new)
+}
+
+/// Returns the traits of a context on [`crate::adapter`].
+pub fn traits(size_px: [u32; 2]) -> ContextTraits {
+    ContextTraits { size_px, adapter: crate::adapter(), ..ContextTraits::default() }
+}
+
+/// Returns the traits of a context on wgpu's backend that executes nothing.
+pub fn noop_traits(size_px: [u32; 2]) -> ContextTraits {
+    ContextTraits { size_px, adapter: AdapterChoice::Noop, validation: false, ..ContextTraits::default() }
 }
 
 /// Returns an environment without haze and tone mapping, with a magenta background and z up.

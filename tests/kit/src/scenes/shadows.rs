@@ -9,6 +9,7 @@ use terrane::cull::{CullCamera, StageShadows};
 use terrane::math::Aabb;
 use terrane::scene::{Drawable, Environment, Geometry, Material, Mesh, SunShadows};
 
+use crate::frames::srgb;
 use crate::rig::plain;
 
 /// Returns an environment with sun, shadows and even ambient light, without an atmosphere.
@@ -20,6 +21,11 @@ pub fn sunny(to_sun: DVec3) -> Environment {
         shadows: Some(SunShadows { resolution_px: 1024, ..SunShadows::default() }),
         ..plain()
     }
+}
+
+/// Returns shadows with maps that a software driver draws quickly.
+pub fn small_maps() -> Option<SunShadows> {
+    Some(SunShadows { resolution_px: 512, ..SunShadows::default() })
 }
 
 /// Returns a double-sided drawable of a mesh.
@@ -95,12 +101,6 @@ pub fn check(
         *(if expected { &mut dark_count } else { &mut lit_count }) += 1;
     }
     (dark_count, lit_count)
-}
-
-/// Converts a linear value to sRGB, 0 to 255.
-pub fn srgb(linear: f64) -> u8 {
-    let s = if linear <= 0.003_130_8 { 12.92 * linear } else { 1.055 * linear.powf(1.0 / 2.4) - 0.055 };
-    (s * 255.0).round() as u8
 }
 
 /// Returns the bounds of the tower, which casts the shadow.

@@ -3,16 +3,34 @@
 use std::path::Path;
 
 use terrane::formats::writers::{GlbMesh, write_glb};
+use terrane_data_gen::{ContentKind, GenArgs, Triangles};
+
+/// Generates a set in the folder `set` with the options that `change` sets; returns the folder's path.
+pub fn generate(set: &Path, change: impl FnOnce(&mut GenArgs)) -> String {
+    let mut args = GenArgs::new(set);
+    change(&mut args);
+    terrane_data_gen::run(&args).unwrap();
+    set.display().to_string()
+}
+
+/// Generates `levels` levels of mountains, 20 km wide, in `folder/set`; returns that path.
+pub fn mountains(folder: &Path, levels: u32) -> String {
+    generate(&folder.join("set"), |args| (args.levels, args.seed, args.size) = (Some(levels), 3, 20_000.0))
+}
 
 use crate::subtrees::{Availability, Scheme, Subtree};
 
 /// Generates three levels of height tiles, 20 km wide, in `folder/set`; returns that path.
 pub fn small_set(folder: &Path) -> String {
-    let set = folder.join("set");
-    let args =
-        terrane_data_gen::GenArgs { levels: Some(3), seed: 5, size: 20_000.0, ..terrane_data_gen::GenArgs::new(&set) };
-    terrane_data_gen::run(&args).unwrap();
-    set.display().to_string()
+    generate(&folder.join("set"), |args| (args.levels, args.seed, args.size) = (Some(3), 5, 20_000.0))
+}
+
+/// Sets the kind of content; meshes have the triangles of height tiles, so that both show the same ground.
+pub fn show_grid(args: &mut GenArgs, content: ContentKind) {
+    args.content = content;
+    if content == ContentKind::Mesh {
+        args.tiles.triangles = Triangles::Grid;
+    }
 }
 
 /// Side of the world of [`write_quadtree`] and [`write_implicit`], metres.
