@@ -16,7 +16,7 @@ use terrane_data_gen::Progress;
 use self::out::Output;
 use crate::cache::RegionArg;
 use crate::net::NetArgs;
-use crate::values::Positive;
+use crate::values::{Positive, shown_bytes};
 
 pub use self::merge::{MergeArgs, merge};
 
@@ -140,7 +140,7 @@ type Row = (&'static str, fn(&Counts) -> u64);
 
 fn text(converted: &Converted, is_unchecked: bool) -> String {
     let Converted { source, written, files, bytes, errors, failed, left_out } = converted;
-    let mut lines = vec![format!("files     {files}, {:.1} MiB", *bytes as f64 / f64::from(1 << 20))];
+    let mut lines = vec![format!("files     {files}, {}", shown_bytes(*bytes))];
     lines.push(format!("          {:>14} {:>14}", "source", "written"));
     let rows: [Row; 7] = [
         ("contents", Counts::contents),
