@@ -1,6 +1,7 @@
 //! Progress of a long job on standard error: a bar on a terminal, otherwise a line every few seconds. Any thread may
 //! report progress.
 
+use std::io::Write as _;
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -10,6 +11,8 @@ use indicatif::{ProgressBar, ProgressStyle};
 const FIRST_LINE_AFTER: Duration = Duration::from_secs(2);
 /// The time between two lines without a terminal.
 const LINE_INTERVAL: Duration = Duration::from_secs(5);
+/// The least share of the work that must be done before the rest is estimated.
+const MIN_ESTIMATED_SHARE: f64 = 0.02;
 
 /// The progress of one job. Dropping it clears the bar.
 pub struct Progress {
@@ -70,7 +73,8 @@ impl Progress {
             }
             *next_line = now + LINE_INTERVAL;
         }
-        eprintln!("{}", self.line(now - self.started));
+        // Work goes on without a reader of standard error.
+        let _ = writeln!(std::io::stderr(), "{}", self.line(now - self.started));
     }
 
     /// Returns one line, such as `tiles: 1200 of 5461 tiles, 22 %, 31 s left`.
@@ -80,7 +84,8 @@ impl Progress {
             Some(total) if total > 0 => {
                 let share = done as f64 / total as f64;
                 let left = match share {
-                    share if share > 0.0 => {
+                    // The first steps wait for sources to be read, so that an estimate would be far too long.
+                    share if share >= MIN_ESTIMATED_SHARE => {
                         format!(", {:.0} s left", elapsed.as_secs_f64() * (1.0 - share).max(0.0) / share)
                     }
                     _ => String::new(),
@@ -107,6 +112,9 @@ mod tests {
         let progress = Progress::new("writing", 200, "tiles");
         progress.set_done(50);
         assert_eq!(progress.line(Duration::from_secs(10)), "writing: 50 of 200 tiles, 25 %, 30 s left");
+        let begun = Progress::new("writing", 200, "tiles");
+        begun.set_done(1);
+        assert_eq!(begun.line(Duration::from_secs(10)), "writing: 1 of 200 tiles, 0 %");
         let unknown = Progress::new("waiting", 0, "tiles loaded");
         unknown.advance(7);
         assert_eq!(unknown.line(Duration::from_secs(4)), "waiting: 7 tiles loaded, 4 s");

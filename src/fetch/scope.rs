@@ -39,7 +39,9 @@ impl RootScope {
         } else if is_store(root_uri) {
             Self::Bucket(server(root_uri).to_owned())
         } else {
-            Self::Folder(Path::new(root_uri).parent().unwrap_or(Path::new("/")).to_path_buf())
+            // A root that is only a name, such as the ellipsoid's, refers to nothing. Overlays over it may be any file.
+            let folder = Path::new(root_uri).parent().filter(|folder| !folder.as_os_str().is_empty());
+            Self::Folder(folder.unwrap_or(Path::new("/")).to_path_buf())
         }
     }
 
@@ -83,12 +85,21 @@ pub fn root_uri(source: &str) -> Result<Arc<str>, IoError> {
         return Ok(url.as_str().into());
     }
     no_set(source)?;
+    if source.is_empty() {
+        return Err(bad(source, "the name of the source is empty"));
+    }
+    if let Some((scheme, _)) = source.split_once("://") {
+        return Err(IoError::unsupported(source, format!("the scheme {scheme}://")));
+    }
     let path = std::path::absolute(source).map_err(|e| bad(source, e.to_string()))?;
     let is_inside = path.is_dir() || (path.is_file() && path.to_str().is_some_and(is_archive));
     let path = match is_inside {
         true if is_oblique(&path) => path.join(OBLIQUE_ROOT),
         // A folder of terrain tiles.
         true if !path.join("tileset.json").exists() && path.join("layer.json").is_file() => path.join("layer.json"),
+        true if path.is_dir() && !path.join("tileset.json").exists() => {
+            return Err(bad(source, "the folder has no tileset.json, layer.json or metadata.xml"));
+        }
         true => path.join("tileset.json"),
         false => path,
     };
@@ -259,6 +270,26 @@ mod tests {
             let error = resolve(root, reference, &narrow).unwrap_err();
             assert!(error.to_string().contains("--allow-outside allows it"), "{error}");
         }
+    }
+
+    /// Regression: images on disk over the ellipsoid were refused.
+    #[test]
+    fn name_without_a_folder_covers_all_files() {
+        assert_eq!(RootScope::of("globe"), RootScope::Folder("/".into()));
+    }
+
+    #[test]
+    fn root_that_cannot_be_one_says_why() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().to_str().unwrap();
+        for (source, reason) in
+            [(path, "has no tileset.json, layer.json"), ("", "empty"), ("ftp://h/a", "scheme ftp://")]
+        {
+            let error = root_uri(source).unwrap_err().to_string();
+            assert!(error.contains(reason), "{error}");
+        }
+        std::fs::write(folder.path().join("tileset.json"), "{}").unwrap();
+        assert!(root_uri(path).unwrap().ends_with("/tileset.json"));
     }
 
     #[test]

@@ -49,7 +49,7 @@ pub(crate) use read::MAX_DEPENDENCY_ROUNDS;
 pub(crate) use read::has_slow_dependencies;
 pub use read::{companion_fallback, companions, decode, decode_node, decode_noting, dependencies};
 pub use style::{Style, StyleError};
-pub use terrain::ellipsoid;
+pub use terrain::{ellipsoid, terrain_extent};
 pub use tile::UpAxis;
 pub use whole_set::{
     BoundsInfo, Info, InfoError, LevelInfo, LevelMeasures, MapFrame, MetadataInfo, ModelInfo, Problem, Spread,

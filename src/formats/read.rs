@@ -346,7 +346,11 @@ impl ModelReader<'_> {
         if bytes.is_empty() {
             return Err(IoError::invalid(uri, "the file is empty"));
         }
-        Err(IoError::invalid(uri, format!("unknown magic {:02x?}", bytes.get(..4.min(bytes.len())).unwrap_or(&[]))))
+        let start = bytes.get(..4.min(bytes.len())).unwrap_or(&[]);
+        Err(IoError::invalid(
+            uri,
+            format!("of no known format: it begins with {start:02x?} ({:?})", start.escape_ascii().to_string()),
+        ))
     }
 }
 

@@ -79,7 +79,7 @@ pub enum Command {
 #[derive(Clone, Debug, Default, ClapArgs)]
 pub struct SceneArgs {
     /// Refine tiles whose error projects to more pixels [default: 3 for height tiles, otherwise 16 as in CesiumJS]
-    #[arg(long, value_name = "PX")]
+    #[arg(long, value_name = "PX", allow_hyphen_values = true)]
     pub sse: Option<Positive>,
     /// While refining, load only tiles whose error is smaller by this factor than that of the visible tile: with 16, one
     /// in four levels of a quadtree [default: 1, every level]

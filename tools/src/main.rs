@@ -14,6 +14,7 @@ mod stress;
 mod values;
 
 use std::ffi::OsString;
+use std::io::{ErrorKind as IoErrorKind, Write as _};
 use std::process::ExitCode;
 
 use anyhow::Context as _;
@@ -60,11 +61,21 @@ fn main() -> ExitCode {
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,
+        // `head` and pagers close the pipe when they have read enough.
+        Err(error) if is_closed_output(&error) => ExitCode::SUCCESS,
         Err(error) => {
             // The error is printed on one line, although its causes may have several.
             let line = format!("{error:#}").split_whitespace().collect::<Vec<_>>().join(" ");
-            eprintln!("terrane {name}: {}", printable(&line));
+            // Without a reader of standard error there is no one to tell.
+            let _ = writeln!(std::io::stderr(), "terrane {name}: {}", printable(&line));
             ExitCode::from(1)
         }
     }
+}
+
+/// Returns true if the reader of standard output has closed it.
+fn is_closed_output(error: &anyhow::Error) -> bool {
+    let is_output = ["stdout", "standard output"].contains(&error.to_string().as_str());
+    let cause = error.root_cause().downcast_ref::<std::io::Error>();
+    is_output && cause.is_some_and(|cause| cause.kind() == IoErrorKind::BrokenPipe)
 }

@@ -33,6 +33,15 @@ impl FromStr for Size {
     }
 }
 
+/// Returns a number of bytes for people, such as `12.3 MiB`.
+pub fn shown_bytes(bytes: u64) -> String {
+    match bytes {
+        0..1024 => format!("{bytes} B"),
+        1024..0x10_0000 => format!("{:.1} KiB", bytes as f64 / 1024.0),
+        _ => format!("{:.1} MiB", bytes as f64 / f64::from(1 << 20)),
+    }
+}
+
 /// A number above zero.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Positive(pub f64);

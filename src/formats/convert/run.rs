@@ -308,7 +308,11 @@ impl Shared<'_> {
         }
         let Some(root) = OutTile::group(std::mem::take(&mut state.root), &self.errors) else {
             let first = state.report.errors.first();
-            let reason = first.map_or("it draws nothing".to_owned(), |(uri, reason)| format!("{uri}: {reason}"));
+            let nothing = match (self.options.region, self.options.rectangle_m) {
+                (None, None) => "it draws nothing",
+                _ => "none overlaps the given part; `terrane info` prints the bounds of the set",
+            };
+            let reason = first.map_or(nothing.to_owned(), |(uri, reason)| format!("{uri}: {reason}"));
             return Err(ConvertError::Nothing { uri: crate::fetch::shown(uri).into_owned(), reason });
         };
         self.lock().report = state.report;

@@ -30,4 +30,5 @@ pub use set::ellipsoid;
 pub(super) use set::read;
 #[cfg(feature = "http")]
 pub(super) use set::read_tiles;
+pub use tile::terrain_extent;
 pub(super) use tile::{TerrainTile, is_tile_name, read_alone};

@@ -16,7 +16,7 @@ use crate::formats::ignored::Notes;
 use crate::formats::implicit::TileCoordinates;
 use crate::formats::options::ReadOptions;
 use crate::formats::tile::TileContent;
-use crate::scene::{Drawable, Geometry, Material, Mesh, Node, ReaderData, ReaderValue};
+use crate::scene::{Drawable, Geometry, Material, Mesh, Node, Page, ReaderData, ReaderValue};
 
 /// The height of skirts as a multiple of the level's error, as in CesiumJS.
 const SKIRT_ERRORS: f64 = 5.0;
@@ -31,6 +31,14 @@ pub(super) struct HeldMesh {
     pub uri: Arc<str>,
     /// The file without compression.
     pub bytes: Vec<u8>,
+}
+
+/// Returns the rectangle that the layer.json of a root page declares: west, south, east and north in radians. `None` if it
+/// declares none, and for other pages.
+pub fn terrain_extent(root: &Page) -> Option<[f64; 4]> {
+    let tiles = root.tiles();
+    let mut data = tiles.roots().iter().filter_map(|first| tiles.reader_data(first.tile as usize));
+    data.find_map(|data| data.value::<TerrainTile>())?.extent()
 }
 
 /// The origin of a mesh.
@@ -72,6 +80,11 @@ impl TerrainTile {
             (name, None)
         });
         TileContent::new(uri, Some(ReaderData::of(Self { fallback, ..self })))
+    }
+
+    /// Returns the rectangle that the uppermost layer declares: west, south, east and north in radians.
+    fn extent(&self) -> Option<[f64; 4]> {
+        self.set.layers.first()?.bounds
     }
 
     /// Returns true if nothing is fetched for the tile.

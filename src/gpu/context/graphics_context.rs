@@ -71,7 +71,7 @@ impl GraphicsContext {
     /// Opens a device for some targets. The traits of the first one decide on the adapter.
     fn open(requests: Vec<TargetRequest>) -> Result<Self, GpuError> {
         let traits = requests.first().map_or_else(ContextTraits::default, |(traits, _)| *traits);
-        let instance = create_instance(&traits);
+        let instance = create_instance(&traits, requests.iter().any(|(_, create)| create.is_some()));
         let surfaces = requests.iter().map(|(_, create)| create.as_ref().map(|create| create(&instance)).transpose());
         let surfaces = surfaces.collect::<Result<Vec<_>, _>>()?;
         let gpu = OpenDevice::request(instance, &traits, &surfaces)?;

@@ -16,13 +16,32 @@ pub(super) struct OpenDevice {
     pub(super) is_host_device: bool,
 }
 
-/// Creates an instance of the backends that the traits allow.
-pub(super) fn create_instance(traits: &ContextTraits) -> wgpu::Instance {
-    let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
-    descriptor.backends = match traits.adapter {
-        AdapterChoice::Noop => wgpu::Backends::NOOP,
+/// Creates an instance of the backends that the traits allow. Without windows it has OpenGL only where an adapter may need it:
+/// its libraries take time to load, and complain on standard error about a display that is not there.
+pub(super) fn create_instance(traits: &ContextTraits, has_windows: bool) -> wgpu::Instance {
+    let all = match traits.adapter {
+        AdapterChoice::Noop => return instance_of(wgpu::Backends::NOOP, traits),
         AdapterChoice::Any | AdapterChoice::Software => wgpu::Backends::all() & !wgpu::Backends::NOOP,
     };
+    if !has_windows {
+        let native = instance_of(all & !wgpu::Backends::GL, traits);
+        let adapters = pollster::block_on(native.enumerate_adapters(wgpu::Backends::all()));
+        let is_headless = cfg!(target_os = "linux") && std::env::var_os("XDG_RUNTIME_DIR").is_none();
+        let suffices = |adapter: &wgpu::Adapter| match adapter.get_info().device_type {
+            // OpenGL may reach a GPU that has no driver for the others.
+            wgpu::DeviceType::Cpu => is_headless || traits.adapter == AdapterChoice::Software,
+            _ => traits.adapter == AdapterChoice::Any,
+        };
+        if adapters.iter().any(suffices) {
+            return native;
+        }
+    }
+    instance_of(all, traits)
+}
+
+fn instance_of(backends: wgpu::Backends, traits: &ContextTraits) -> wgpu::Instance {
+    let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
+    descriptor.backends = backends;
     descriptor.backend_options.noop.enable = traits.adapter == AdapterChoice::Noop;
     descriptor.flags = if traits.validation { wgpu::InstanceFlags::debugging() } else { wgpu::InstanceFlags::empty() };
     wgpu::Instance::new(descriptor)
@@ -71,7 +90,12 @@ fn candidates(
     });
     adapters.sort_by_key(|adapter| rank(&adapter.get_info()));
     if adapters.is_empty() {
-        let reason = format!("none of {found} found fits {:?}", traits.adapter);
+        let reason = match found {
+            0 => {
+                "no driver was found; on Linux install a Vulkan driver, such as Mesa's (mesa-vulkan-drivers)".to_owned()
+            }
+            _ => format!("none of {found} found fits {:?} and the windows", traits.adapter),
+        };
         return Err(GpuError::NoAdapter { reason });
     }
     Ok(adapters)

@@ -17,7 +17,7 @@ use crate::viewer::ViewerError;
 use crate::viewer::frame::FrameStamp;
 use crate::viewer::ids::PagerId;
 use crate::viewer::rendering::{Rendering, UploadOwner};
-use crate::viewer::view::set_bounds::{LOWEST_GROUND_M, SetBounds, root_volume};
+use crate::viewer::view::set_bounds::{LOWEST_GROUND_M, SetBounds, part_of_globe, root_volume};
 
 /// A callback that changes the scene in the update phase of each frame, on the main thread.
 pub type SceneUpdate = Box<dyn FnMut(&mut Scene, &FrameStamp) + Send>;
@@ -209,9 +209,16 @@ impl PagedScene {
         region: Option<BoundingVolume>,
         rendering: &mut Rendering,
     ) -> Result<PageId, ViewerError> {
-        let bounds = SetBounds::new(page.bounding_sphere(), region.or_else(|| root_volume(&page)));
+        let (bounds, lowest_ground_m) = match part_of_globe(&page) {
+            // The ground goes on around the part.
+            Some(part) => (SetBounds::new(part.bounding_sphere(), Some(part)), LOWEST_GROUND_M),
+            None => {
+                let bounds = SetBounds::new(page.bounding_sphere(), region.or_else(|| root_volume(&page)));
+                (bounds, bounds.lowest_ground_m())
+            }
+        };
         let root = self.add_page(page, rendering)?;
-        self.loaded = Some(LoadedSet { root, uri, lowest_ground_m: bounds.lowest_ground_m() });
+        self.loaded = Some(LoadedSet { root, uri, lowest_ground_m });
         // The tile set decides the extent, whatever roots the application has beside it.
         self.bounds = Some(bounds);
         Ok(root)

@@ -5,6 +5,7 @@ use glam::{DAffine3, DMat3, DVec3, Vec3};
 
 use super::camera::{Camera, world_from_eye};
 
+use crate::formats;
 use crate::math::{BoundingSphere, BoundingVolume, Ellipsoid, OrientedBox, Region, WGS84};
 use crate::scene::{DistanceFog, Environment, Page};
 use crate::viewer::camera_path::{AnimationPath, ControlPoint};
@@ -14,6 +15,9 @@ const GEOREFERENCED_BEYOND_M: f64 = 1.0e6;
 
 /// A set around the origin is a globe if the radius of its bounding sphere is in this range, metres.
 const GLOBE_RADII_M: std::ops::RangeInclusive<f64> = 6.3e6..=2.0e7;
+
+/// The longest side of terrain that counts as a part of the earth, radians: larger terrain is looked at as a globe.
+const MAX_PART_RADIANS: f64 = 1.0;
 
 /// The axes east (x), north (y) and up (z) at a point.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -235,6 +239,22 @@ pub(in crate::viewer) fn earth(min_height_m: f64, max_height_m: f64) -> Bounding
     BoundingVolume::Region(Region { west, south, east, north, min_height_m, max_height_m })
 }
 
+/// Returns the volume that a viewer of terrain on a globe wants to see, where its layer.json declares a part of the earth.
+/// Its heights are not known before tiles are loaded: a twentieth of the extent stands for them.
+pub(in crate::viewer) fn part_of_globe(page: &Page) -> Option<BoundingVolume> {
+    let extent = formats::terrain_extent(page).filter(|_| is_globe(&page.bounding_sphere()))?;
+    part_of_earth(extent).map(BoundingVolume::Region)
+}
+
+fn part_of_earth([west, south, east, north]: [f64; 4]) -> Option<Region> {
+    let width = (east - west).rem_euclid(std::f64::consts::TAU);
+    let height = north - south;
+    let is_part = width > 0.0 && height > 0.0 && width.max(height) <= MAX_PART_RADIANS;
+    let diagonal_m = WGS84.semi_major_m * (width * (0.5 * (south + north)).cos()).hypot(height);
+    let max_height_m = (0.05 * diagonal_m).min(HIGHEST_GROUND_M);
+    is_part.then_some(Region { west, south, east, north, min_height_m: 0.0, max_height_m })
+}
+
 /// Returns the volume that a page's root tile declares.
 pub(in crate::viewer) fn root_volume(page: &Page) -> Option<BoundingVolume> {
     let root = page.tiles().roots().first()?;
@@ -302,6 +322,22 @@ mod tests {
         let pose = globe.first_camera(&ViewFrom::default());
         assert!(pose.translation.length() > 1.9e7 && pose.matrix3.z_axis.dot(pose.translation) > 0.0);
         assert!(!SetBounds::from_sphere(BoundingSphere::new(DVec3::ZERO, 6.2e6)).frame.georeferenced);
+    }
+
+    #[test]
+    fn part_of_the_earth_is_looked_at_and_a_globe_is_not() {
+        // Half a degree at 47 degrees north, 67 km across.
+        let part = part_of_earth([8f64, 47.0, 8.5, 47.5].map(f64::to_radians)).unwrap();
+        assert!((3.3e3..3.4e3).contains(&part.max_height_m) && part.min_height_m == 0.0, "{part:?}");
+        let bounds = SetBounds::new(BoundingVolume::Region(part).bounding_sphere(), Some(BoundingVolume::Region(part)));
+        let eye = WGS84.geodetic(bounds.first_camera(&ViewFrom::default()).translation);
+        assert!((eye.longitude.to_degrees() - 8.25).abs() < 0.01 && (2e4..8e4).contains(&eye.height_m), "{eye:?}");
+        // Across the antimeridian.
+        assert!(part_of_earth([3.1, -0.2, -3.1, 0.2]).is_some());
+        let half_turn = std::f64::consts::PI;
+        for globe in [[-half_turn, -0.5 * half_turn, half_turn, 0.5 * half_turn], [0.0, -0.7, 0.5, 0.7], [0.1; 4]] {
+            assert!(part_of_earth(globe).is_none(), "{globe:?}");
+        }
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! `terrane merge`: copies sets into one folder, under a root that refers to all of them.
 
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, ensure};
@@ -12,6 +13,7 @@ use terrane::math::BoundingSphere;
 use terrane_data_gen::Progress;
 
 use super::out::Output;
+use crate::values::shown_bytes;
 
 /// The root is refined until the whole appears smaller than a pixel.
 const ROOT_DIAMETERS: f64 = 16.0;
@@ -43,13 +45,17 @@ pub fn merge(args: &MergeArgs) -> Result<()> {
     output.check_sources(&args.sources)?;
     let parts = args.sources.iter().map(|source| Part::read(source)).collect::<Result<Vec<_>>>()?;
     let progress = Progress::new("copying", 0, "files");
+    let mut bytes = 0;
     output.write(|out| {
         for (number, part) in parts.iter().enumerate() {
-            copy(&part.folder, &out.join(number.to_string()), &progress)?;
+            bytes += copy(&part.folder, &out.join(number.to_string()), &progress)?;
         }
         let root = out.join("tileset.json");
         std::fs::write(&root, tileset(&parts).to_string()).with_context(|| format!("{}", root.display()))
-    })
+    })?;
+    drop(progress);
+    let line = format!("merged {} sets, {}: {}\n", parts.len(), shown_bytes(bytes), args.out.display());
+    std::io::stdout().write_all(line.as_bytes()).context("stdout")
 }
 
 impl Part {
@@ -105,8 +111,9 @@ fn sphere_json(sphere: &BoundingSphere) -> Value {
     json!({ "sphere": [x, y, z, sphere.radius_m] })
 }
 
-/// Copies a folder with everything in it.
-fn copy(from: &Path, to: &Path, progress: &Progress) -> Result<()> {
+/// Copies a folder with everything in it. Returns the number of bytes.
+fn copy(from: &Path, to: &Path, progress: &Progress) -> Result<u64> {
+    let mut bytes = 0;
     let name = |path: &Path| path.display().to_string();
     std::fs::create_dir_all(to).with_context(|| name(to))?;
     for entry in std::fs::read_dir(from).with_context(|| name(from))? {
@@ -115,11 +122,11 @@ fn copy(from: &Path, to: &Path, progress: &Progress) -> Result<()> {
         // Links may lead out of the set, and are left out as the reader of the set does.
         let kind = entry.file_type().with_context(|| name(&source))?;
         if kind.is_dir() {
-            copy(&source, &target, progress)?;
+            bytes += copy(&source, &target, progress)?;
         } else if kind.is_file() {
-            std::fs::copy(&source, &target).with_context(|| name(&source))?;
+            bytes += std::fs::copy(&source, &target).with_context(|| name(&source))?;
             progress.advance(1);
         }
     }
-    Ok(())
+    Ok(bytes)
 }

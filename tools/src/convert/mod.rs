@@ -16,7 +16,7 @@ use terrane_data_gen::Progress;
 use self::out::Output;
 use crate::cache::RegionArg;
 use crate::net::NetArgs;
-use crate::values::Positive;
+use crate::values::{Positive, shown_bytes};
 
 pub use self::merge::{MergeArgs, merge};
 
@@ -144,7 +144,7 @@ type Row = (&'static str, fn(&Counts) -> u64);
 
 fn text(converted: &Converted, is_unchecked: bool) -> String {
     let Converted { source, written, files, bytes, copied, errors, failed, left_out } = converted;
-    let mut lines = vec![format!("files     {files}, {:.1} MiB", *bytes as f64 / f64::from(1 << 20))];
+    let mut lines = vec![format!("files     {files}, {}", shown_bytes(*bytes))];
     if *copied > 0 {
         lines.push(format!("copied    {copied} as they are"));
     }

@@ -51,6 +51,9 @@ fn fly(args: Box<FlyArgs>, mut settings: DisplaySettings) -> Result<()> {
         bail!("there is no display to open a window on; `terrane fly` renders without one");
     }
     // Paths that cannot be written are reported before the flight, not after it.
+    if let Some(file) = args.screenshot.as_deref().filter(|file| is_other_image(file)) {
+        bail!("{}: the image is written as PNG; give it a name that ends in .png", file.display());
+    }
     let files = [&args.report, &args.selection, &args.screenshot];
     if let Some(folder) = files.into_iter().flatten().find(|file| file.is_dir()) {
         bail!("{}: is a folder", folder.display());
@@ -62,7 +65,8 @@ fn fly(args: Box<FlyArgs>, mut settings: DisplaySettings) -> Result<()> {
         })
     });
     let path = path.transpose()?;
-    let offscreen = args.offscreen || !display;
+    let is_asked_offscreen = args.offscreen;
+    let offscreen = is_asked_offscreen || !display;
     let mut arrangement = arrangement(&args, offscreen)?;
     let views = match &mut arrangement {
         Arrangement::Views(views) => Some(std::mem::take(views)),
@@ -125,12 +129,18 @@ fn fly(args: Box<FlyArgs>, mut settings: DisplaySettings) -> Result<()> {
         flight = back;
         viewer
     };
-    let where_drawn = match (offscreen, display) {
-        (true, true) => "offscreen",
-        (true, false) => "offscreen, as there is no display",
-        (false, _) => "in a window",
+    let where_drawn = match (is_asked_offscreen, offscreen) {
+        (true, _) => "offscreen",
+        (false, true) => "offscreen, as there is no display",
+        (false, false) => "in a window",
     };
     flight.finish(&mut viewer, where_drawn)
+}
+
+/// Returns true if a name promises an image of another format than PNG.
+fn is_other_image(file: &Path) -> bool {
+    let extension = file.extension().map(|extension| extension.to_string_lossy().to_ascii_lowercase());
+    extension.is_some_and(|e| ["jpg", "jpeg", "bmp", "webp", "tif", "tiff", "gif", "exr", "tga"].contains(&e.as_str()))
 }
 
 /// Reads the root of a source. The word `globe` means the ellipsoid.

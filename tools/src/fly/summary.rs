@@ -68,7 +68,12 @@ pub fn lines(report: &Report, notes: &Notes) -> String {
         results.push(format!("converged in {seconds:.2} s"));
     }
     if let Some(settled) = &report.settled {
-        results.push(format!("settled on {} tiles, {:.1} % covered", settled.tiles, 100.0 * settled.coverage));
+        results.push(format!(
+            "settled on {} tiles with {} triangles, {:.1} % covered",
+            settled.tiles,
+            settled.triangles,
+            100.0 * settled.coverage
+        ));
     }
     if let Some(holes) = report.holes {
         results.push(format!("{holes} hole pixels"));
@@ -79,8 +84,7 @@ pub fn lines(report: &Report, notes: &Notes) -> String {
     }
     if let Some(sharing) = report.sharing.filter(|s| s.gpu_bytes_saved_peak > 0) {
         let saved = mebibytes(sharing.gpu_bytes_saved_peak);
-        let hits = sharing.geometry_hits + sharing.texture_hits + sharing.state_set_hits;
-        results.push(format!("{hits} shared contents saved {saved:.1} MiB of the GPU"));
+        results.push(format!("sharing saved {saved:.1} MiB of the GPU"));
     }
     if notes.written.is_empty() && !notes.is_interactive {
         results.push(

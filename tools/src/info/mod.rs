@@ -16,6 +16,7 @@ use terrane_data_gen::Progress;
 use self::map::{Map, Swatch};
 use crate::args::InfoArgs;
 use crate::net::Opened;
+use crate::values::shown_bytes;
 
 pub use self::map::MapOf;
 
@@ -99,7 +100,6 @@ fn survey(args: &InfoArgs, opened: Opened, contents: u64, mut map: Option<&mut M
 }
 
 fn text(info: &Info, verified: Option<&Verified>) -> String {
-    let mebibytes = |bytes: u64| bytes as f64 / f64::from(1 << 20);
     let mut out = String::new();
     // Writing to a String cannot fail.
     let _ = writeln!(out, "{}", printable(format!("format   {} {}", info.format, info.version).trim_end()));
@@ -109,7 +109,7 @@ fn text(info: &Info, verified: Option<&Verified>) -> String {
                 out,
                 "model    {nodes} nodes, {drawables} drawables, {vertices} vertices, {triangles} triangles"
             );
-            let _ = writeln!(out, "images   {images}, {:.1} MiB decoded", mebibytes(*image_bytes));
+            let _ = writeln!(out, "images   {images}, {} decoded", shown_bytes(*image_bytes));
             if *paged_files > 0 {
                 let _ = writeln!(out, "paged    {paged_files} other files");
             }
@@ -121,7 +121,7 @@ fn text(info: &Info, verified: Option<&Verified>) -> String {
     if info.subtrees > 0 {
         let _ = writeln!(out, "implicit {} subtrees", info.subtrees);
     }
-    let _ = writeln!(out, "size     {:.1} MiB", mebibytes(info.bytes));
+    let _ = writeln!(out, "size     {}", shown_bytes(info.bytes));
     let [x, y, z] = info.bounds.center;
     let _ = writeln!(out, "bounds   {:.1} m around {x:.1}, {y:.1}, {z:.1}", info.bounds.radius_m);
     if let Some([west, south, east, north, heights @ ..]) = info.bounds.region.as_deref() {
@@ -146,11 +146,11 @@ fn text(info: &Info, verified: Option<&Verified>) -> String {
         let _ = writeln!(out, "metadata {} tiles have metadata", info.tiles_with_metadata);
     }
     for l in &info.levels {
-        let (level, size) = (l.level, mebibytes(l.bytes));
-        let _ = writeln!(out, "level {level:<2} {:>8} tiles {:>8} contents {size:>9.1} MiB", l.tiles, l.contents);
+        let (level, size) = (l.level, shown_bytes(l.bytes));
+        let _ = writeln!(out, "level {level:<2} {:>8} tiles {:>8} contents {size:>13}", l.tiles, l.contents);
     }
     if let Some(Verified { contents, bytes, failed, .. }) = verified {
-        let _ = writeln!(out, "verified {contents} contents, {:.1} MiB, {failed} failures", mebibytes(*bytes));
+        let _ = writeln!(out, "verified {contents} contents, {}, {failed} failures", shown_bytes(*bytes));
     }
     verified.into_iter().for_each(|verified| out.push_str(&measures::text(verified)));
     // The verification counts what the tilesets ask for, too.

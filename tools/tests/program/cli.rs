@@ -98,6 +98,7 @@ fn invalid_arguments_exit_with_2() {
         &["stress", "http://localhost/set/", "--faults", "error=0.1"],
         &["fly", "--sun", "180,x,30"],
         &["fly", "--overlay", "http://h/{z}/{x}.png"],
+        &["fly", "--sse", "-1"],
         &["stress", "--seeds", "0"],
         &["gen", "set", "--jobs", "0"],
         &["bench", "resident", "--tiles", "0"],
@@ -169,6 +170,46 @@ fn root_that_cannot_be_loaded_exits_with_1_and_one_line() {
         let says = lines(&out.stderr).join(" ");
         assert!(out.status.code() == Some(1) && says.contains("is a folder"), "{says}");
     }
+    let empty = tempfile::tempdir().unwrap();
+    let points = folder.path().join("points.las");
+    std::fs::write(&points, "LASF rest").unwrap();
+    for (source, reason) in [
+        (empty.path().to_str().unwrap(), "has no tileset.json, layer.json or metadata.xml"),
+        (points.to_str().unwrap(), "no known format: it begins with [4c, 41, 53, 46] (\"LASF\")"),
+        ("ftp://example.org/set", "scheme ftp:// is not supported"),
+        ("", "the name of the source is empty"),
+    ] {
+        for command in [&["info", source][..], &["fly", source, "--offscreen"]] {
+            let says = lines(&terrane(command).stderr);
+            assert!(says.len() == 1 && says[0].contains(reason), "{says:?}");
+        }
+    }
+}
+
+/// Regression: files with the names of other formats held PNG.
+#[test]
+fn image_of_another_format_is_refused() {
+    let out = terrane(&["fly", "anything", "--offscreen", "--screenshot", "shot.JPG"]);
+    let says = lines(&out.stderr).join(" ");
+    assert!(out.status.code() == Some(1) && says.contains("written as PNG"), "{says}");
+}
+
+/// Regression: the summary named the missing display although the user asked for a flight without one.
+#[test]
+fn summary_says_why_the_flight_is_offscreen() {
+    if no_adapter() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let set = tile_set(folder.path());
+    let flight = |more: &[&str]| {
+        let args = [&["fly", set.to_str().unwrap(), "--settle", "--size", "32x18"], more].concat();
+        lines(&terrane(&args).stdout)
+    };
+    let (asked, forced) = (flight(&["--offscreen"]), flight(&[]));
+    assert!(asked[0].contains("32x18 offscreen on "), "{asked:?}");
+    assert!(forced[0].contains("offscreen, as there is no display"), "{forced:?}");
+    assert!(asked[4].contains("settled on") && asked[4].contains(" triangles, "), "{asked:?}");
 }
 
 /// The error names the file and the reason. Regression: it named neither.
