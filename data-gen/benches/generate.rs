@@ -1,11 +1,10 @@
-//! Benchmarks the noise, the generation of a tile set from noise on one thread and on all, from a GeoTIFF in all forms, and tiles of
-//! worlds. `tools/peers/generate` compares with other programs.
+//! Benchmarks the noise, the generation of a tile set from noise on one thread and on all, and from a GeoTIFF in all
+//! forms. `tools/peers/generate` compares with other programs.
 #![allow(missing_docs, reason = "criterion's macros make undocumented items")]
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use terrane_data_gen::{
-    ArchiveFormat, Color, ContentKind, ElevationSource as _, GenArgs, OutputArgs, Procedural, TileArgs, TileKey,
-    Triangles, World, WorldPreset, WorldSet, run,
+    ArchiveFormat, Color, ContentKind, ElevationSource as _, GenArgs, OutputArgs, Procedural, TileArgs, Triangles, run,
 };
 
 fn noise(criterion: &mut Criterion) {
@@ -107,24 +106,5 @@ fn forms(criterion: &mut Criterion) {
     group.finish();
 }
 
-/// Tiles of worlds on one thread: the heights alone, and with the colours and both files.
-fn worlds(criterion: &mut Criterion) {
-    let mut group = criterion.benchmark_group("worlds");
-    group.throughput(Throughput::Elements(1));
-    for preset in WorldPreset::ALL {
-        let world = World::new(preset, 1);
-        let center = world.place(40_000.0);
-        let set = WorldSet::square(world, center, 40_000.0, 5);
-        let mut k = 0u32;
-        let mut next = || {
-            k = (k + 37) % 256;
-            TileKey { level: 4, x: k % 16, y: k / 16 }
-        };
-        group.bench_function(BenchmarkId::new("heights", preset.name()), |b| b.iter(|| set.heights_m(next())));
-        group.bench_function(BenchmarkId::new("tile", preset.name()), |b| b.iter(|| set.tile(next())));
-    }
-    group.finish();
-}
-
-criterion_group!(benches, noise, generate, triangles, forms, worlds);
+criterion_group!(benches, noise, generate, triangles, forms);
 criterion_main!(benches);

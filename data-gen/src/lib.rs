@@ -45,4 +45,4 @@ pub use progress::Progress;
 pub use pyramid::{Extent, TileKey};
 pub use run_args::{PredictionFormat, RunArgs};
 pub use shards::{Shard, Sharding};
-pub use world::{World, WorldArgs, WorldPreset, WorldSet, WorldTile};
+pub use world::{TileStep, World, WorldArgs, WorldPreset, WorldSet, WorldTile};

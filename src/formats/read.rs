@@ -24,13 +24,16 @@ const MAX_DEPENDENCIES: usize = 4096;
 pub const MAX_DEPENDENCY_ROUNDS: usize = 10;
 
 /// Returns the other URIs that a content needs and that are known before it is read: the imagery of a height tile, or the
-/// other contents of a tile.
+/// other contents of a tile and their imagery.
 pub fn companions(uri: &Arc<str>, reader_data: Option<&ReaderData>) -> Vec<Arc<str>> {
     if let Some(ContentBytes::Several(contents)) = content_data(reader_data).map(|data| &data.bytes) {
         let mut fetched = contents.iter().filter(|content| !content.is_in_memory());
         // The first is the content itself.
         fetched.next();
-        return fetched.map(|content| content.uri.clone()).collect();
+        let others = fetched.map(|content| content.uri.clone());
+        let text = |content: &TileContent| content.reader_data.as_ref().and_then(ReaderData::text).map(str::to_owned);
+        let imagery = contents.iter().flat_map(|content| height::companions(&content.uri, text(content).as_deref()));
+        return others.chain(imagery).collect();
     }
     if let Some(page) = value::<TerrainPage>(reader_data) {
         return page.companions();

@@ -1,33 +1,42 @@
 //! The errors of the levels of a set, measured.
 //!
-//! The difference between a level and one three levels finer is measured along rows of several tiles, among them the ones
-//! with the highest mountains of those that are tried. A level's error is that difference with a factor for places that were
-//! not measured, the error of the finer level, and the bulge of the earth above flat triangles, but no more than the relief of
-//! the whole world and the bulge. Each is a little larger than the next, so that no level is skipped. The test compares with other
-//! places.
+//! The difference between the triangles of a level and the surface itself is measured along rows of cells: in the most uneven of the
+//! tiles that are tried, and then in the rows beside the worst one, as long as they are worse. A level's error is the largest
+//! difference with a factor for places that were not measured, but at most the relief of the world, and the bulge of the earth above
+//! flat triangles. Levels without rivers have the depth of valleys besides. An error is at least the size of a small texel, so that
+//! images of flat ground are sharp near the eye, and a little larger than that of the next level, so that none is skipped. The tests compare with
+//! other places.
 
 use rayon::prelude::*;
+use terrane::math::random::SplitMix64;
 
 use super::planet::RowBuffers;
 use super::points::{RADIUS_M, meridians};
+use super::surface::TEXELS_PER_CELL;
 use super::tiles::WorldSet;
 use crate::TileKey;
 use crate::pyramid::{CELLS, QUANTUM_M};
 
 /// The number of tiles that are tried for each level, and of those that are measured.
-const TRIED: usize = 48;
-const MEASURED: usize = 4;
+const TRIED: usize = 64;
+const MEASURED: usize = 6;
 /// The rows of cells that are measured in each tile.
 const ROWS: [i64; 3] = [9, 31, 52];
-/// Levels from a level to the one that it is compared with.
-const FINER: u32 = 3;
-/// Factors for places that were not measured: of differences and of the relief.
-const MARGIN: f64 = 1.6;
+/// The rows that are measured to find a worse one beside the worst.
+const CLIMBED: usize = 8;
+/// Lines in a row of cells, and places in a cell along a line.
+const LINES: usize = 4;
+const PLACES: usize = 4;
+/// Factors for places that were not measured: of differences, of the depth of valleys, and of the relief.
+const MARGIN: f64 = 1.4;
+const VALLEY_MARGIN: f64 = 1.2;
 const RELIEF_MARGIN: f64 = 1.25;
+/// The largest texels that errors are at least as large as, so that flat ground near the eye is sharp.
+const MAX_SHARP_M: f64 = 5.0;
 /// The least ratio between the errors of two levels. Ranges in which levels morph may overlap: the shader follows six levels.
 const RATIO: f64 = 1.05;
 
-/// The measurement of a level: the largest difference from the finer one, and the lowest and the highest surface.
+/// The measurement of a level: the largest difference from the surface, and the lowest and the highest surface.
 struct Measure {
     error_m: f64,
     range_m: [f32; 2],
@@ -37,18 +46,22 @@ struct Measure {
 pub(super) fn level_errors_m(set: &WorldSet) -> Vec<f64> {
     let levels = set.levels();
     let measures: Vec<Measure> = (0..levels).into_par_iter().map(|level| measure(set, level)).collect();
+    let valley_m = VALLEY_MARGIN * valley_m(set);
     let [low_m, high_m] = measures.iter().fold(NO_RANGE, |range, measure| both(range, measure.range_m));
     let relief_m = RELIEF_MARGIN * f64::from(high_m - low_m);
     let mut errors = vec![0.0; levels as usize];
     for level in (0..levels as usize).rev() {
-        let finer_m = errors.get(level + FINER as usize).copied().unwrap_or_default();
         let next_m = errors.get(level + 1).copied().unwrap_or_default();
-        let e = set.extent(TileKey { level: level as u32, x: 0, y: 0 });
+        let root = TileKey { level: level as u32, x: 0, y: 0 };
+        let e = set.extent(root);
         let cell = [e.east - e.west, e.north - e.south].map(|side| side / CELLS as f64);
         // The height of arcs above their chords, along both sides of a cell.
         let bulge_m: f64 = cell.iter().map(|side| RADIUS_M * side * side / 8.0).sum();
-        let measured_m = (MARGIN * measures[level].error_m + finer_m).min(relief_m);
-        errors[level] = (measured_m + bulge_m).max(RATIO * next_m).max(QUANTUM_M);
+        let below_m = if set.world().has_rivers(set.lattice(root, 0).step_m()) { 0.0 } else { valley_m };
+        let measured_m = (MARGIN * measures[level].error_m).min(relief_m) + below_m;
+        let texel_m = set.lattice(root, 0).step_m() / TEXELS_PER_CELL as f64;
+        let sharp_m = if texel_m < MAX_SHARP_M { texel_m } else { 0.0 };
+        errors[level] = (measured_m + bulge_m).max(sharp_m).max(RATIO * next_m).max(QUANTUM_M);
     }
     errors
 }
@@ -60,27 +73,86 @@ fn both(a: [f32; 2], b: [f32; 2]) -> [f32; 2] {
     [a[0].min(b[0]), a[1].max(b[1])]
 }
 
-/// Measures a level.
-fn measure(set: &WorldSet, level: u32) -> Measure {
-    let mut random = terrane::math::random::SplitMix64::new(u64::from(level));
-    let mut buffers = RowBuffers::default();
-    let mut range_m = NO_RANGE;
+/// Returns the range of the surface of a row.
+fn range_m(buffers: &RowBuffers) -> [f32; 2] {
+    buffers.ground.surface_m.iter().fold(NO_RANGE, |range, surface_m| both(range, [*surface_m; 2]))
+}
+
+/// Returns some tiles of a level, most uneven first, and the range of their surface.
+fn uneven_tiles(set: &WorldSet, level: u32, buffers: &mut RowBuffers) -> (Vec<TileKey>, [f32; 2]) {
+    let mut random = SplitMix64::new(u64::from(level));
     let tiles = 1u64 << level;
-    let pick = |random: &mut terrane::math::random::SplitMix64| (random.next_u64() % tiles) as u32;
-    let tried = (0..TRIED).map(|_| TileKey { level, x: pick(&mut random), y: pick(&mut random) });
     let mut keys = Vec::with_capacity(TRIED);
-    for key in tried {
-        keys.push((unevenness_m(set, key, &mut buffers), key));
-        range_m = buffers.ground.surface_m.iter().fold(range_m, |range, surface_m| both(range, [*surface_m; 2]));
+    let mut range = NO_RANGE;
+    for _ in 0..TRIED {
+        let [x, y] = [0, 1].map(|_| (random.next_u64() % tiles) as u32);
+        let key = TileKey { level, x, y };
+        keys.push((unevenness_m(set, key, buffers), key));
+        range = both(range, range_m(buffers));
     }
     keys.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
     keys.dedup_by_key(|(_, key)| *key);
-    let mut error_m = 0.0f64;
-    for (key, row) in keys.iter().take(MEASURED).flat_map(|(_, key)| ROWS.map(|row| (*key, row))) {
-        error_m = error_m.max(row_error_m(set, key, row, &mut buffers));
-        range_m = buffers.ground.surface_m.iter().fold(range_m, |range, surface_m| both(range, [*surface_m; 2]));
+    (keys.into_iter().map(|(_, key)| key).collect(), range)
+}
+
+/// Measures a level.
+fn measure(set: &WorldSet, level: u32) -> Measure {
+    set.with_buffers(|buffers| {
+        let (keys, mut range) = uneven_tiles(set, level, buffers);
+        let mut worst = (0.0f64, TileKey { level, x: 0, y: 0 }, 0);
+        let mut of_row = |key: TileKey, row: i64, buffers: &mut RowBuffers| {
+            let error_m = row_error_m(set, key, row, buffers);
+            range = both(range, range_m(buffers));
+            error_m
+        };
+        for (key, row) in keys.iter().take(MEASURED).flat_map(|key| ROWS.map(|row| (*key, row))) {
+            let error_m = of_row(key, row, buffers);
+            if error_m > worst.0 {
+                worst = (error_m, key, row);
+            }
+        }
+        for toward in [1, -1] {
+            for _ in 0..CLIMBED / 2 {
+                let row = worst.2 + toward;
+                if !(0..CELLS as i64).contains(&row) {
+                    break;
+                }
+                let error_m = of_row(worst.1, row, buffers);
+                if error_m <= worst.0 {
+                    break;
+                }
+                worst = (error_m, worst.1, row);
+            }
+        }
+        Measure { error_m: worst.0, range_m: range }
+    })
+}
+
+/// Returns the largest effect of valleys and lakes on the surface, if there are levels without rivers.
+fn valley_m(set: &WorldSet) -> f64 {
+    let step_m = |level: u32| set.lattice(TileKey { level, x: 0, y: 0 }, 0).step_m();
+    let has_rivers = |level: u32| set.world().has_rivers(step_m(level));
+    let Some(level) = (1..32).find(|level| has_rivers(*level) && !has_rivers(level - 1)) else { return 0.0 };
+    if set.levels() == 0 || has_rivers(0) {
+        return 0.0;
     }
-    Measure { error_m, range_m }
+    let keys = set.with_buffers(|buffers| uneven_tiles(set, level, buffers).0);
+    let of_tile = |key: &TileKey| {
+        set.with_buffers(|buffers| {
+            let lattice = set.lattice(*key, 0);
+            // A valley is wider than the distance between these places.
+            let places = 16 * CELLS;
+            let longitudes = meridians((0..places).map(|k| lattice.at_longitude(k as f64 / 16.0)));
+            let latitude = lattice.at_latitude(0.5 * CELLS as f64);
+            set.world().ground_row(&longitudes, latitude, buffers);
+            let wet_m = buffers.ground.surface_m.clone();
+            set.world().ground_row_of(&longitudes, latitude, f64::MAX, buffers);
+            let differences = wet_m.iter().zip(&buffers.ground.surface_m).map(|(wet, dry)| (wet - dry).abs());
+            differences.fold(0.0f32, f32::max)
+        })
+    };
+    let deepest = keys[..keys.len().min(2 * MEASURED)].par_iter().map(of_tile).reduce(|| 0.0, f32::max);
+    f64::from(deepest)
 }
 
 /// Returns the sum of the differences between neighbouring samples of a row, as a measure to choose tiles by.
@@ -91,39 +163,33 @@ fn unevenness_m(set: &WorldSet, key: TileKey, buffers: &mut RowBuffers) -> f32 {
     buffers.ground.surface_m.windows(2).map(|pair| (pair[1] - pair[0]).abs()).sum()
 }
 
-/// Returns the largest difference between the triangles of a row of cells and the samples of the finer level, along five
-/// lines.
+/// Returns the largest difference between the triangles of a row of cells and the surface, at places along some lines.
 fn row_error_m(set: &WorldSet, key: TileKey, row: i64, buffers: &mut RowBuffers) -> f64 {
     let lattice = set.lattice(key, 0);
+    let step_m = lattice.step_m();
     let longitudes = meridians((0..=CELLS as i64).map(|k| lattice.longitude(k)));
-    // The vertices of the triangles: coarse levels have no rivers, the finer one may have some.
     let vertices = [row, row + 1].map(|row| {
-        set.world().ground_row_of(&longitudes, lattice.latitude(row), lattice.step_m(), buffers);
+        set.world().ground_row_of(&longitudes, lattice.latitude(row), step_m, buffers);
         buffers.ground.surface_m.clone()
     });
-    let lattice = set.lattice(key, FINER);
-    let steps = 1usize << FINER;
-    let longitudes = meridians((0..=(CELLS * steps) as i64).map(|k| lattice.longitude(k)));
-    let lines: Vec<Vec<f32>> = (0..=steps as i64)
-        .step_by(steps / 4)
-        .map(|k| {
-            set.world().ground_row_of(&longitudes, lattice.latitude((row << FINER) + k), lattice.step_m(), buffers);
-            buffers.ground.surface_m.clone()
-        })
-        .collect();
+    let mut random = SplitMix64::new(row as u64 ^ u64::from(key.x) << 32 ^ u64::from(key.y));
+    let mut within = || (random.next_u64() >> 11) as f64 / (1u64 << 53) as f64;
     let mut error = 0.0f32;
-    for i in (0..CELLS * steps).step_by(steps) {
-        let corner = |right: usize, up: usize| vertices[up][i / steps + right];
-        for (line, v) in lines.iter().zip([0.0, 0.25, 0.5, 0.75, 1.0f32]) {
-            for k in 0..=steps {
-                let u = k as f32 / steps as f32;
-                // The diagonal runs from south-west to north-east.
-                let surface = match u >= v {
-                    true => corner(0, 0) + u * (corner(1, 0) - corner(0, 0)) + v * (corner(1, 1) - corner(1, 0)),
-                    false => corner(0, 0) + v * (corner(0, 1) - corner(0, 0)) + u * (corner(1, 1) - corner(0, 1)),
-                };
-                error = error.max((line[i + k] - surface).abs());
-            }
+    for line in 0..LINES {
+        let v = (line as f64 + within()) / LINES as f64;
+        let columns: Vec<f64> = (0..CELLS * PLACES).map(|k| (k as f64 + within()) / PLACES as f64).collect();
+        let longitudes = meridians(columns.iter().map(|column| lattice.at_longitude(*column)));
+        set.world().ground_row_of(&longitudes, lattice.at_latitude(row as f64 + v), step_m, buffers);
+        let v = v as f32;
+        for (column, surface_m) in columns.iter().zip(&buffers.ground.surface_m) {
+            let (i, u) = (column.floor() as usize, column.fract() as f32);
+            let corner = |right: usize, up: usize| vertices[up][i + right];
+            // The diagonal runs from south-west to north-east.
+            let triangle = match u >= v {
+                true => corner(0, 0) + u * (corner(1, 0) - corner(0, 0)) + v * (corner(1, 1) - corner(1, 0)),
+                false => corner(0, 0) + v * (corner(0, 1) - corner(0, 0)) + u * (corner(1, 1) - corner(0, 1)),
+            };
+            error = error.max((surface_m - triangle).abs());
         }
     }
     f64::from(error) + QUANTUM_M

@@ -26,5 +26,5 @@ mod write;
 pub use args::WorldArgs;
 pub use planet::World;
 pub use preset::WorldPreset;
-pub use tiles::{WorldSet, WorldTile};
+pub use tiles::{TileStep, WorldSet, WorldTile};
 pub(crate) use write::{check_world, world_set, write_world};

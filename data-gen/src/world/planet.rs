@@ -3,7 +3,7 @@
 use super::points::{Meridian, Points, RADIUS_M, meridians};
 use super::preset::{Parameters, WorldPreset};
 use super::relief::{Basin, Drainage, Ground, Network, Scratch};
-use super::surface::{WINDWARD, Weather};
+use super::surface::{Lattice, MARGIN, WINDWARD, Weather};
 
 /// The distance between samples, in distances of rivers, from which on there are no rivers.
 const MAX_STEP: f64 = 0.5;
@@ -72,14 +72,47 @@ impl World {
         relief.row(self.basin(), &row.points, &mut row.network, &mut row.scratch, &mut row.ground);
     }
 
+    /// Returns true if samples that are some metres apart show rivers and lakes.
+    pub(super) fn has_rivers(&self, step_m: f64) -> bool {
+        self.parameters.relief.rivers.spacing_m <= 0.0 || step_m < MAX_STEP * self.drainage.spacing_m()
+    }
+
     /// Computes the ground of a row of samples that are some metres apart, without rivers and lakes where these are closer
     /// than [`MAX_STEP`]: each sample would need a network of its own, and a cell could not show what it finds.
     pub(super) fn ground_row_of(&self, meridians: &[Meridian], latitude: f64, step_m: f64, row: &mut RowBuffers) {
-        if step_m < MAX_STEP * self.drainage.spacing_m() {
+        if self.has_rivers(step_m) {
             return self.ground_row(meridians, latitude, row);
         }
         row.points.set_row(meridians, latitude);
         self.parameters.relief.dry_row(self.seed, &row.points, &mut row.scratch, &mut row.ground);
+    }
+
+    /// Finds the rivers and lakes of a patch of `cells` cells along a side. Rows that need more of them find these themselves.
+    pub(super) fn find_rivers(&self, lattice: &Lattice, cells: usize, row: &mut RowBuffers) {
+        let spacing_m = self.drainage.spacing_m();
+        let relief = &self.parameters.relief;
+        if relief.rivers.spacing_m <= 0.0 || !self.has_rivers(lattice.step_m()) {
+            return;
+        }
+        // A few places show whether there is land.
+        let (first, last) = (-(MARGIN as i64), (cells + MARGIN) as i64);
+        let every = |step: i64| (first..last).step_by(step as usize).chain(std::iter::once(last));
+        let is_land = |latitude: f64, row: &mut RowBuffers| {
+            let longitudes = meridians(every(8).map(|column| lattice.longitude(column)));
+            row.points.set_row(&longitudes, latitude);
+            relief.has_land(self.seed, &row.points, &mut row.scratch, &mut row.ground)
+        };
+        if relief.has_sea && !every(8).any(|j| is_land(lattice.latitude(j), row)) {
+            return;
+        }
+        // No cell lies between two of these places.
+        let step = ((0.4 * spacing_m / lattice.step_m()) as i64).clamp(1, last - first);
+        let places = every(step).flat_map(|j| every(step).map(move |i| (i, j)));
+        let mut found: Vec<_> =
+            places.map(|(i, j)| self.drainage.cell(lattice.longitude(i), lattice.latitude(j))).collect();
+        found.sort_unstable();
+        found.dedup();
+        row.network.prepare(self.basin(), &found);
     }
 
     /// Computes the climate of a row from its ground; `windward` are meridians some way against the wind.

@@ -61,6 +61,8 @@ pub(super) struct Landforms {
     pub dune_m: f32,
     /// Height of table mountains above the plain around them.
     pub mesa_m: f32,
+    /// Thickness of the layers of mountains that make cliffs.
+    pub cliff_m: f32,
     /// Depth of craters as a share of their radius.
     pub craters: f32,
     /// Depth of the lagoons behind reefs.
@@ -158,7 +160,7 @@ const EARTH: Parameters = Parameters {
         gullies: 0.17,
         hill_m: 260.0,
         layer_m: 0.0,
-        forms: Landforms { rough_m: 1.2, dune_m: 0.0, mesa_m: 0.0, craters: 0.0, lagoon_m: 0.0 },
+        forms: Landforms { rough_m: 1.2, dune_m: 0.0, mesa_m: 0.0, cliff_m: 300.0, craters: 0.0, lagoon_m: 0.0 },
         rivers: Rivers {
             spacing_m: 4_000.0,
             half_m: 16.0,
@@ -230,7 +232,7 @@ impl WorldPreset {
                     mountain_m: 1_700.0,
                     massif_m: 22_000.0,
                     hill_m: 90.0,
-                    forms: Landforms { dune_m: 120.0, mesa_m: 190.0, ..relief.forms },
+                    forms: Landforms { dune_m: 120.0, mesa_m: 190.0, cliff_m: 220.0, ..relief.forms },
                     rivers: Rivers {
                         spacing_m: 7_000.0,
                         half_m: 22.0,
@@ -264,7 +266,7 @@ impl WorldPreset {
                     massif_m: 17_000.0,
                     gullies: 0.2,
                     hill_m: 120.0,
-                    forms: Landforms { lagoon_m: 11.0, ..relief.forms },
+                    forms: Landforms { lagoon_m: 11.0, cliff_m: 0.0, ..relief.forms },
                     rivers: Rivers { spacing_m: 2_400.0, half_m: 12.0, incision_m: 40.0, ..relief.rivers },
                     ..relief
                 },
@@ -313,7 +315,7 @@ impl WorldPreset {
                     massif_m: 34_000.0,
                     hill_m: 200.0,
                     layer_m: 150.0,
-                    forms: Landforms { dune_m: 25.0, craters: 0.75, ..relief.forms },
+                    forms: Landforms { dune_m: 25.0, craters: 0.75, cliff_m: 0.0, ..relief.forms },
                     rivers: Rivers {
                         spacing_m: 11_000.0,
                         half_m: 90.0,

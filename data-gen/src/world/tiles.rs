@@ -1,9 +1,9 @@
 //! A set of tiles of a world: each tile is computed alone from its place, with the same bytes in every program.
 
 use std::f64::consts::PI;
-use std::sync::OnceLock;
+use std::sync::{Mutex, OnceLock, PoisonError};
 
-use image::codecs::jpeg::JpegEncoder;
+use jpeg_encoder::{ColorType, Encoder, SamplingFactor};
 use terrane::formats::writers::{write_height_exr, write_packed_heights};
 
 use super::errors::level_errors_m;
@@ -27,6 +27,8 @@ pub struct WorldSet {
     /// True if heights are packed instead of EXR.
     is_packed: bool,
     level_errors_m: OnceLock<Vec<f64>>,
+    /// Buffers of the threads that make tiles. Neighbouring tiles have rivers in common, which the buffers keep.
+    buffers: Mutex<Vec<RowBuffers>>,
 }
 
 /// The files of a tile.
@@ -42,11 +44,40 @@ pub struct WorldTile {
     pub range_m: [f32; 2],
 }
 
+/// A step of making a tile, in this order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TileStep {
+    /// The rivers and lakes around the tile were found.
+    Drainage,
+    /// The heights were computed from noise.
+    Heights,
+    /// The texels were painted.
+    Colors,
+    /// The image was encoded.
+    Image,
+    /// The heights were encoded.
+    HeightFile,
+    /// Trees and rocks were placed, on levels that have them.
+    Scatter,
+}
+
 impl WorldSet {
     /// Creates the set of the whole planet with a number of levels, at most 22.
     pub fn globe(world: World, levels: u32) -> Self {
         let extent = Extent { west: -PI, south: -0.5 * PI, east: PI, north: 0.5 * PI };
-        Self { world, extent, levels, has_scatter: false, is_packed: false, level_errors_m: OnceLock::new() }
+        Self::of(world, extent, levels)
+    }
+
+    fn of(world: World, extent: Extent, levels: u32) -> Self {
+        Self {
+            world,
+            extent,
+            levels,
+            has_scatter: false,
+            is_packed: false,
+            level_errors_m: OnceLock::new(),
+            buffers: Mutex::default(),
+        }
     }
 
     /// Creates the set of a square around a longitude and latitude in radians, with sides in metres. The latitude is moved
@@ -57,7 +88,17 @@ impl WorldSet {
         let half_longitude = (half / sin_cos(latitude).1).min(PI);
         let west = longitude - half_longitude;
         let extent = Extent { west, south: latitude - half, east: west + 2.0 * half_longitude, north: latitude + half };
-        Self { world, extent, levels, has_scatter: false, is_packed: false, level_errors_m: OnceLock::new() }
+        Self::of(world, extent, levels)
+    }
+
+    /// Calls `op` with buffers of this set, which no other thread uses meanwhile.
+    pub(super) fn with_buffers<R>(&self, op: impl FnOnce(&mut RowBuffers) -> R) -> R {
+        let all = || self.buffers.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut buffers = all().pop().unwrap_or_default();
+        buffers.network.bound();
+        let result = op(&mut buffers);
+        all().push(buffers);
+        result
     }
 
     /// Adds trees and rocks to the levels whose cells are at most 60 m high.
@@ -89,10 +130,11 @@ impl WorldSet {
 
     /// Returns the number of conifers, broadleaf trees, rocks, shrubs and stones on a tile.
     pub fn scatter_counts(&self, key: TileKey) -> [usize; 5] {
-        let mut buffers = RowBuffers::default();
-        let mut patch = self.patch(key, &mut buffers);
-        patch.paint(&self.world, &mut buffers);
-        self.scatter(&patch).counts()
+        self.with_buffers(|buffers| {
+            let mut patch = self.patch(key, buffers);
+            patch.paint(&self.world, buffers);
+            self.scatter(&patch).counts()
+        })
     }
 
     fn scatter(&self, patch: &Patch) -> Scatter {
@@ -147,13 +189,40 @@ impl WorldSet {
 
     /// Returns the heights of a tile's vertices in metres, row by row from the north, with a border of one sample.
     pub fn heights_m(&self, key: TileKey) -> Vec<f32> {
-        heights_m(&self.patch(key, &mut RowBuffers::default()))
+        self.with_buffers(|buffers| heights_m(&self.patch(key, buffers)))
     }
 
     /// Computes the files of a tile.
     pub fn tile(&self, key: TileKey) -> Result<WorldTile, GenError> {
-        let mut buffers = RowBuffers::default();
-        let mut patch = self.patch(key, &mut buffers);
+        self.tile_in_steps(key, &mut |_| ())
+    }
+
+    /// Computes the files of a tile, and calls `done` at the end of each step, for measurements.
+    pub fn tile_in_steps(&self, key: TileKey, done: &mut dyn FnMut(TileStep)) -> Result<WorldTile, GenError> {
+        self.with_buffers(|buffers| self.tile_with(key, buffers, done))
+    }
+
+    fn tile_with(
+        &self,
+        key: TileKey,
+        buffers: &mut RowBuffers,
+        done: &mut dyn FnMut(TileStep),
+    ) -> Result<WorldTile, GenError> {
+        let lattice = self.lattice(key, 0);
+        self.world.find_rivers(&lattice, CELLS, buffers);
+        done(TileStep::Drainage);
+        let mut patch = Patch::new(&self.world, lattice, CELLS, buffers);
+        done(TileStep::Heights);
+        let side = (TEXELS_PER_CELL * CELLS) as u16;
+        let rgb = patch.paint(&self.world, buffers);
+        done(TileStep::Colors);
+        let mut jpeg = Vec::new();
+        let mut encoder = Encoder::new(&mut jpeg, JPEG_QUALITY);
+        encoder.set_sampling_factor(SamplingFactor::F_2_2);
+        encoder
+            .encode(&rgb, side, side, ColorType::Rgb)
+            .map_err(|e| GenError::Encode(format!("JPEG of tile {key:?}: {e}")))?;
+        done(TileStep::Image);
         let name = format!("{}/{}/{}.{}", key.level, key.x, key.y, self.heights_extension());
         let heights = heights_m(&patch);
         let range_m = heights.iter().fold([f32::INFINITY, f32::NEG_INFINITY], |[l, h], m| [l.min(*m), h.max(*m)]);
@@ -167,13 +236,9 @@ impl WorldSet {
             false => write_height_exr(&name, side, heights),
         };
         let heights = heights.map_err(|e| GenError::Encode(e.to_string()))?;
-        let side = (TEXELS_PER_CELL * CELLS) as u32;
-        let rgb = patch.paint(&self.world, &mut buffers);
-        let mut jpeg = Vec::new();
-        JpegEncoder::new_with_quality(&mut jpeg, JPEG_QUALITY)
-            .encode(&rgb, side, side, image::ExtendedColorType::Rgb8)
-            .map_err(|e| GenError::Encode(format!("JPEG of tile {key:?}: {e}")))?;
+        done(TileStep::HeightFile);
         let scatter = self.has_scatter(key.level).then(|| self.scatter(&patch).glb());
+        done(TileStep::Scatter);
         Ok(WorldTile { heights, jpeg, scatter, range_m })
     }
 
@@ -183,15 +248,16 @@ impl WorldSet {
         let lattice = self.lattice(key, 0);
         let every = || (0..=CELLS as i64).step_by(4);
         let longitudes = meridians(every().map(|column| lattice.longitude(column)));
-        let mut buffers = RowBuffers::default();
         let (mut low_m, mut high_m) = (f32::INFINITY, f32::NEG_INFINITY);
-        for row in every() {
-            let step_m = 4.0 * lattice.step_m();
-            self.world.ground_row_of(&longitudes, lattice.latitude(row), step_m, &mut buffers);
-            for surface_m in &buffers.ground.surface_m {
-                (low_m, high_m) = (low_m.min(*surface_m), high_m.max(*surface_m));
+        self.with_buffers(|buffers| {
+            for row in every() {
+                let step_m = 4.0 * lattice.step_m();
+                self.world.ground_row_of(&longitudes, lattice.latitude(row), step_m, buffers);
+                for surface_m in &buffers.ground.surface_m {
+                    (low_m, high_m) = (low_m.min(*surface_m), high_m.max(*surface_m));
+                }
             }
-        }
+        });
         let error_m = self.level_errors_m()[key.level.saturating_sub(2) as usize];
         let above_m = if self.has_scatter(key.level) { TALLEST_M } else { 1.0 };
         [f64::from(low_m) - error_m - 1.0, f64::from(high_m) + error_m + above_m]

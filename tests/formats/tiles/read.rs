@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use glam::{DAffine3, DVec3};
 use terrane::fetch::{IoError, Limits};
-use terrane::formats::writers::{GlbMesh, write_glb};
+use terrane::formats::writers::{GlbMesh, write_glb, write_height_exr};
 use terrane::formats::{Content, ReadOptions, companions, decode, decode_node, inspect};
 use terrane::math::BoundingVolume;
 use terrane::scene::{AlphaMode, Drawable, Geometry, Node, NodeKind, PagedLod, RangeMode, Refine, Sampling, Topology};
@@ -149,6 +149,37 @@ fn several_contents_are_drawn_together() {
     let missing = IoError::NotFound { uri: "/data/set/b.glb".to_owned() };
     let one = Content { companions: vec![("/data/set/b.glb".into(), Err(missing.clone()))], ..both };
     assert_eq!(decode(one, &options).unwrap_err(), missing);
+}
+
+/// Regression: terrain with trees was white, as its images were not loaded.
+#[test]
+fn height_tile_beside_another_content_has_its_image() {
+    let heights = r#"{"terrane":{"content":"height","side":3,"border":1,"level_errors_m":[9,1]}}"#;
+    let region = r#""boundingVolume":{"region":[0.1,0.2,0.101,0.201,0,9]},"geometricError":1"#;
+    let node = read(format!(
+        r#"{{"asset":{{"version":"1.1","extras":{heights}}},"geometricError":9,"root":{{{region},"refine":"REPLACE",
+        "contents":[{{"uri":"0.exr"}},{{"uri":"0.glb"}}],"extras":{{"terrane":{{"imagery":"0.png"}}}},
+        "children":[{{{region},"content":{{"uri":"1.exr"}}}}]}}}}"#
+    ));
+    let tile = lod(&node);
+    let companions = companions(tile.content.as_ref().unwrap(), tile.reader_data.as_ref());
+    assert_eq!(companions, ["/data/set/0.glb".into(), "/data/set/0.png".into()]);
+    let mut png = std::io::Cursor::new(Vec::new());
+    image::RgbImage::new(4, 4).write_to(&mut png, image::ImageFormat::Png).unwrap();
+    let both = Content {
+        uri: "/data/set/0.exr".into(),
+        bytes: write_height_exr("0.exr", 5, vec![0.0; 25]).unwrap(),
+        reader_data: tile.reader_data.clone(),
+        companions: vec![(companions[0].clone(), Ok(triangle())), (companions[1].clone(), Ok(png.into_inner()))],
+    };
+    let node = decode_node(both, &ReadOptions::for_root(SET, Limits::default())).unwrap();
+    let mut found = Vec::new();
+    drawables(&node, DAffine3::IDENTITY, &mut found);
+    let heights = found.iter().find_map(|(_, drawable)| match &drawable.geometry {
+        Geometry::Height(tile) => Some(tile),
+        _ => None,
+    });
+    assert_eq!((found.len(), heights.unwrap().texture.is_some()), (2, true));
 }
 
 /// Regression: they were parsed but not read, so that errors of the reader were not reported and deep tilesets were

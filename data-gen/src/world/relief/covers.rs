@@ -1,6 +1,6 @@
 //! The shares of a texel that rivers and glaciers cover, and the shape of a glacier.
 
-use super::drainage::{Channel, Waters, dot};
+use super::drainage::{Channel, Waters, difference_m, dot};
 use super::smooth;
 
 /// The distance between crevasses in metres.
@@ -18,9 +18,13 @@ pub(crate) struct Covers {
 impl Waters {
     /// Returns the shares of a texel that rivers cover. Narrow ones are drawn a little wider, so that they are not dotted.
     pub fn river_covers(&self, at: [f64; 3], texel_m: f32) -> Covers {
+        let at_m = difference_m(self.middle, at);
         let mut water = 0.0f32;
         for channel in &self.channels {
-            let [bank_m, half_m] = channel.bank_m(at);
+            if channel.is_farther(at_m, 1.1 * texel_m) {
+                continue;
+            }
+            let [bank_m, half_m] = channel.bank_m(at_m);
             let wider_m = (0.6 * texel_m - half_m).max(0.0);
             let share = ((wider_m - bank_m) / texel_m + 0.5).clamp(0.0, 1.0);
             water = water.max(share * (3.0 * half_m / texel_m).min(1.0).sqrt());
@@ -30,10 +34,11 @@ impl Waters {
 
     /// Returns the shares of a texel of glaciers. Glaciers carry stones at their sides, and where two have met.
     pub fn glacier_covers(&self, at: [f64; 3], texel_m: f32) -> Covers {
+        let at_m = difference_m(self.middle, at);
         let mut covers = Covers::default();
         let mut nearest_m = f32::MAX;
         for channel in &self.channels {
-            let (t, distance_m, off) = channel.nearest(at);
+            let (t, distance_m, off) = channel.nearest(at_m);
             let half_m = channel.half_width_m(t);
             if distance_m - half_m > nearest_m || half_m < 1.0 {
                 continue;

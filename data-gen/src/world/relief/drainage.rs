@@ -20,8 +20,9 @@ const OUTLET: i32 = 3;
 const GATHERED: u32 = 4;
 /// The number of places of which the lowest is a cell's node.
 const CANDIDATES: u64 = 3;
-/// Nodes that are kept; when there are more, they are computed anew.
-const MAX_NODES: usize = 1 << 18;
+/// Nodes and rivers of cells that are kept from one tile to the next.
+const MAX_NODES: usize = 1 << 16;
+const MAX_WATERS: usize = 1 << 12;
 /// Rows with fewer cells, next to the poles, have no rivers.
 const MIN_COLUMNS: i64 = 64;
 
@@ -93,6 +94,12 @@ impl Drainage {
         [longitude, ((f64::from(cell.row) + v) / self.columns.len() as f64 - 0.5) * PI]
     }
 
+    /// Returns the point in the middle of a cell.
+    pub fn middle(&self, cell: Cell) -> [f64; 3] {
+        let [longitude, latitude] = self.place(cell, [0.5; 2]);
+        unit_vector(longitude, latitude)
+    }
+
     /// Returns the cells within some rows and columns, the cell itself included.
     pub fn around(&self, cell: Cell, rows: i32, columns: i32) -> impl Iterator<Item = Cell> {
         let own = self.columns[cell.row as usize];
@@ -128,6 +135,8 @@ pub(crate) struct Course {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Channel {
     pub from: [f64; 3],
+    /// The upper end in metres from the middle of the cell that the channel was found for.
+    pub from_m: [f32; 3],
     /// From the upper to the lower end in metres, and one over the square of its length.
     pub along_m: [f32; 3],
     pub per_length2: f32,
@@ -149,6 +158,8 @@ pub(crate) struct Channel {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Lake {
     pub at: [f64; 3],
+    /// Its middle in metres from the middle of the cell that the lake was found for.
+    pub at_m: [f32; 3],
     pub level_m: f32,
     pub radius_m: f32,
 }
@@ -156,6 +167,8 @@ pub(crate) struct Lake {
 /// The rivers and lakes that reach a cell.
 #[derive(Debug, Default)]
 pub(crate) struct Waters {
+    /// The middle of the cell.
+    pub middle: [f64; 3],
     pub channels: Vec<Channel>,
     pub lakes: Vec<Lake>,
 }
@@ -188,11 +201,16 @@ pub(crate) struct Network {
 }
 
 impl Network {
-    /// Computes the rivers that reach cells.
-    pub fn prepare(&mut self, basin: Basin<'_>, cells: &[Cell]) {
-        if self.nodes.len() > MAX_NODES {
+    /// Forgets what was computed if it is much. Called between tiles, of the same world: what a tile has computed stays until it
+    /// is complete.
+    pub fn bound(&mut self) {
+        if self.nodes.len() > MAX_NODES || self.waters.len() > MAX_WATERS {
             (self.nodes, self.courses, self.counts, self.waters) = Default::default();
         }
+    }
+
+    /// Computes the rivers that reach cells.
+    pub fn prepare(&mut self, basin: Basin<'_>, cells: &[Cell]) {
         let new = cells.iter().filter(|cell| !self.waters.contains_key(cell));
         let around = new.flat_map(|cell| basin.drainage.around(*cell, REACH + 1, REACH + 2));
         let around: Vec<Cell> = around.collect();
@@ -346,7 +364,7 @@ impl Network {
         let depth_m = (0.8 * (spill_m - node.level_m)).clamp(0.0, 60.0);
         let share = (basin.bits(cell, 101) & 0xffff) as f32 / 65_536.0;
         let radius_m = basin.relief.rivers.lakes * basin.drainage.spacing_m as f32 * (0.35 + 0.5 * share);
-        Some(Lake { at: node.at, level_m: node.level_m + depth_m, radius_m })
+        Some(Lake { at: node.at, at_m: [0.0; 3], level_m: node.level_m + depth_m, radius_m })
     }
 
     /// Returns the river from a node to the one that it drains into.
@@ -365,6 +383,7 @@ impl Network {
         let sea_m = if basin.relief.has_sea { 0.0 } else { f32::MIN };
         Some(Channel {
             from: node.at,
+            from_m: [0.0; 3],
             along_m,
             per_length2: 1.0 / length2,
             levels_m: [above.map_or(node.level_m, |lake| lake.level_m), end.level_m],
@@ -377,9 +396,8 @@ impl Network {
     }
 
     fn waters_of(&mut self, basin: Basin<'_>, cell: Cell) -> Waters {
-        let mut waters = Waters::default();
-        let [longitude, latitude] = basin.drainage.place(cell, [0.5; 2]);
-        let own = unit_vector(longitude, latitude);
+        let own = basin.drainage.middle(cell);
+        let mut waters = Waters { middle: own, ..Waters::default() };
         let spacing_m = basin.drainage.spacing_m as f32;
         // Half a diagonal of the cell, the width of valleys, and the bends.
         let reach_m = (0.71 + 0.75 + 0.2) * spacing_m;
@@ -392,7 +410,8 @@ impl Network {
             }
             let course = self.course(basin, near);
             if course.is_pit && far_m < 0.0 {
-                waters.lakes.extend(self.lake(basin, near));
+                let lake = self.lake(basin, near);
+                waters.lakes.extend(lake.map(|lake| Lake { at_m: difference_m(own, lake.at), ..lake }));
             }
             if !course.is_pit && far_m > 2.5 * spacing_m {
                 continue;
@@ -403,7 +422,9 @@ impl Network {
             let t = (dot(to, along) / dot(along, along).max(1.0)).clamp(0.0, 1.0);
             let off = [0, 1, 2].map(|k| to[k] - t * along[k]);
             if dot(off, off) < reach_m * reach_m {
-                waters.channels.extend(self.channel(basin, near));
+                let channel = self.channel(basin, near);
+                let placed = |channel: Channel| Channel { from_m: difference_m(own, channel.from), ..channel };
+                waters.channels.extend(channel.map(placed));
             }
         }
         waters
@@ -419,6 +440,11 @@ pub(super) fn difference_m(from: [f64; 3], to: [f64; 3]) -> [f32; 3] {
 }
 
 #[inline(always)]
+pub(super) fn minus(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
+    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
+}
+
+#[inline(always)]
 pub(super) fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
@@ -429,7 +455,6 @@ fn crosses(at: [f64; 3], end: [f32; 3], a: [f32; 3], b: [f32; 3]) -> bool {
     let side = |p: [f32; 3], q: [f32; 3]| {
         dot(up, [p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]])
     };
-    let minus = |p: [f32; 3], q: [f32; 3]| [p[0] - q[0], p[1] - q[1], p[2] - q[2]];
     let ends_differ = side(end, a) * side(end, b) < 0.0;
     ends_differ && side(minus(b, a), minus([0.0; 3], a)) * side(minus(b, a), minus(end, a)) < 0.0
 }

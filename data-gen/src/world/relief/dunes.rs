@@ -3,7 +3,9 @@
 
 use super::super::points::{Points, RADIUS_M};
 use super::super::preset::Relief;
-use super::noise::{Vectors, add_barchans, from_whole, waves};
+use super::barchans::add_barchans;
+use super::noise::Vectors;
+use super::waves::{from_whole, waves};
 use super::{Ground, REPOSE, Scratch, add_noise, add_octaves, part_seed, reset, smooth};
 
 /// Height of the largest dunes that the sizes below belong to.

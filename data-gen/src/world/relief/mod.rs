@@ -4,21 +4,28 @@
 //! Each height is a function of the seed and the position. Parts whose mask is 0 along a whole row are left out, which does
 //! not change the bits: they would add 0.
 
+mod barchans;
 mod coasts;
 mod covers;
 mod craters;
 mod drainage;
 mod dunes;
+mod lattice;
 mod mesas;
 mod mountains;
 mod noise;
 mod rivers;
+mod strata;
+mod waves;
 
 pub(super) use covers::Covers;
 pub(super) use drainage::{Basin, Drainage, Network};
+pub(super) use lattice::wide;
 use noise::Vectors;
-pub(super) use noise::{add_noise, wide};
+pub(super) use noise::add_noise;
+use rivers::Effects;
 pub(super) use rivers::bent;
+pub(super) use strata::Layer;
 
 use super::points::{Points, RADIUS_M};
 use super::preset::Relief;
@@ -42,6 +49,8 @@ pub(crate) struct Ground {
     pub depth_m: Vec<f32>,
     /// Distance from the bank of the nearest river in metres, below 0 in it, at most [`FAR_M`].
     pub stream_m: Vec<f32>,
+    /// The height in metres by which layers of rock lie lower here than elsewhere.
+    pub dip_m: Vec<f32>,
     /// The way in metres by which courses of rivers are bent here.
     pub bend_m: Vectors,
 }
@@ -62,9 +71,13 @@ pub(crate) struct Scratch {
     strength: Vec<f32>,
     /// The thickness of sand: below 0 there are at most single dunes, at 0.5 sand covers everything.
     sand: Vec<f32>,
+    /// The heights in metres by which layers of rock lie lower here than elsewhere, and by how much they are harder.
+    dip: Vec<f32>,
+    hard: Vec<f32>,
     gradient: Vectors,
     total: Vectors,
     across: Vectors,
+    effects: Effects,
 }
 
 /// Clears a buffer and gives it a length.
@@ -139,9 +152,12 @@ impl Relief {
         self.add_continents(seed, points, 8, scratch, out);
         self.add_mountains(seed, points, true, scratch, out);
         self.add_sand(seed, points, scratch, out);
-        if self.layer_m > 0.0 {
-            out.bed_m.iter_mut().for_each(|bed| *bed = self.stepped(*bed));
+        self.set_strata(seed, points, scratch);
+        for (k, bed) in out.bed_m.iter_mut().enumerate() {
+            *bed = self.stepped(*bed, scratch, k);
         }
+        out.dip_m.clear();
+        out.dip_m.extend_from_slice(&scratch.dip);
         self.add_craters(seed, points, out);
         self.add_reefs(seed, points, scratch, out);
         // Small bumps; they are higher on mountains.
@@ -168,17 +184,6 @@ impl Relief {
             let high = if out.mountain[k] > 0.0 { smooth(0.0, 0.2, scratch.detail[k]) } else { 0.0 };
             *bed -= self.rivers.incision_m * (self.rivers.in_plains + (1.0 - self.rivers.in_plains) * high);
         }
-    }
-
-    /// Steps a height by layers of rock: two hard ones in each step, slopes and then cliffs.
-    fn stepped(&self, height_m: f32) -> f32 {
-        if self.layer_m <= 0.0 {
-            return height_m;
-        }
-        let t = height_m / self.layer_m;
-        let floor = (t - 0.5 + 12_582_912.0) - 12_582_912.0;
-        let f = t - floor;
-        height_m + 0.8 * self.layer_m * (floor + 0.35 * f + 0.65 * smooth(0.45, 0.8, f) - t)
     }
 
     /// Starts with continents and the first octaves of hills, which also make the coast fractal.

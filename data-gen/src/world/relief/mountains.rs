@@ -2,7 +2,8 @@
 
 use super::super::points::{Points, RADIUS_M};
 use super::super::preset::Relief;
-use super::noise::{add_noise, noise_gradient, stripes};
+use super::noise::{add_noise, noise_gradient};
+use super::waves::stripes;
 use super::{Ground, Scratch, add_octaves, part_seed, reset, smooth, smooth_max};
 
 /// Half the width of crests, as a value of the noise that makes them.
@@ -99,6 +100,7 @@ impl Relief {
         if gullies {
             self.add_gullies(seed, points, s, out);
             self.add_crags(seed, points, s);
+            self.add_cliffs(seed, points, s);
         }
         for k in 0..n {
             // The floors of valleys are flat. A detail of 0 adds exactly 0, as rows without mountains do.

@@ -1,7 +1,7 @@
 //! The colours of the ground: biomes by climate, rock by slope, water by depth, with variation at all scales.
 
 use super::super::preset::{Flow, Palette, Parameters};
-use super::super::relief::{smooth, wide};
+use super::super::relief::{Layer, smooth, wide};
 use super::climate::LAPSE_C;
 
 /// The properties of the ground at each texel of a row, as separate arrays, so that the loop can be vectorised.
@@ -22,6 +22,8 @@ pub(crate) struct Texels {
     pub inland: Vec<f32>,
     pub mountain: Vec<f32>,
     pub ridge: Vec<f32>,
+    /// The height in metres by which layers of rock lie lower here than elsewhere.
+    pub dip_m: Vec<f32>,
     pub cover: Vec<f32>,
     pub sea_level_c: Vec<f32>,
     pub moisture: Vec<f32>,
@@ -32,7 +34,7 @@ pub(crate) struct Texels {
 
 impl Texels {
     /// The buffers in a fixed order.
-    pub fn all(&mut self) -> [&mut Vec<f32>; 16] {
+    pub fn all(&mut self) -> [&mut Vec<f32>; 17] {
         let [x, y, z] = &mut self.marks;
         [
             &mut self.surface_m,
@@ -46,6 +48,7 @@ impl Texels {
             &mut self.inland,
             &mut self.mountain,
             &mut self.ridge,
+            &mut self.dip_m,
             &mut self.cover,
             &mut self.sea_level_c,
             &mut self.moisture,
@@ -53,13 +56,6 @@ impl Texels {
             &mut self.grain,
         ]
     }
-}
-
-/// Returns a wave of straight lines within 0..1 with a period of 1.
-#[inline(always)]
-fn zigzag(x: f32) -> f32 {
-    let turn = x - ((x + 12_582_912.0) - 12_582_912.0);
-    2.0 * turn.abs()
 }
 
 /// Returns the moisture of the ground: hollows, gullies and the banks of rivers are wetter than ridges.
@@ -94,14 +90,16 @@ fn mix(a: f32, b: f32, t: f32) -> f32 {
 }
 
 impl Parameters {
-    /// Computes the sRGB colours, 0..255, of a row of texels.
-    pub(crate) fn color(&self, texels: &Texels, out: &mut [Vec<f32>; 3]) {
+    /// Computes the sRGB colours, 0..255, of a row of texels of a size in metres.
+    pub(crate) fn color(&self, texels: &Texels, texel_m: f32, out: &mut [Vec<f32>; 3]) {
         let n = texels.surface_m.len();
         for channel in out.iter_mut() {
             channel.clear();
             channel.resize(n, 0.0);
         }
         let (p, has_life) = (&self.palette, self.climate.has_life);
+        // Single stones and tufts are seen in small texels, which larger ones average.
+        let close = smooth(3.0, 0.3, texel_m);
         let share = |is_there: bool| if is_there { 1.0f32 } else { 0.0 };
         let (living, coasts) = (share(has_life), share(self.relief.has_sea));
         let glaciers = share(self.relief.rivers.flow == Flow::Ice);
@@ -118,6 +116,8 @@ impl Parameters {
         let open = &texels.open[..n];
         let inland = &texels.inland[..n];
         let ridge = &texels.ridge[..n];
+        let dip_m = &texels.dip_m[..n];
+        let per_layer = 1.0 / self.relief.strata_m();
         let covers = &texels.cover[..n];
         let sea_level_c = &texels.sea_level_c[..n];
         let moisture = &texels.moisture[..n];
@@ -162,13 +162,22 @@ impl Parameters {
                     // Wind and melting bare the ice of low glaciers; rocks stand out of snow.
                     let bare_ice = ice * smooth(-25.0, -15.0, celsius + 5.0 * patch + grain);
                     let snow = snow * (1.0 - bare_ice) * (1.0 - glaciers * smooth(0.30, 0.55, slope + 0.1 * grain));
-                    let strata = 0.5 * zigzag(h / 83.0 + 0.15 * patch)
-                        + 0.3 * zigzag(h / 29.0 + 0.1 * grain)
-                        + 0.2 * zigzag(h / 211.0);
-                    let strata = p.layers * (strata - 0.5) * smooth(0.25, 0.6, slope);
+                    // Beds of a fifth of a layer vary in it.
+                    let height = (h + dip_m[k]) * per_layer + 0.03 * patch;
+                    let tone = 0.6 * Layer::at(height).tone + 0.4 * Layer::at(5.0 * height + 0.08 * grain).tone;
+                    let strata = 0.6 * p.layers * tone * smooth(0.25, 0.6, slope);
                     let shade = 1.0 + 0.5 * (open[k] / (0.3 + open[k].abs())) + 0.08 * ridge[k].clamp(-1.0, 1.0);
-                    let variation =
-                        [(0.5 + 0.5 * patch).clamp(0.0, 1.0), (0.5 + 0.4 * patch + 0.35 * grain).clamp(0.0, 1.0)];
+                    let fine = 0.5 + 0.4 * patch + (0.35 + 0.35 * close) * grain;
+                    let variation = [(0.5 + 0.5 * patch).clamp(0.0, 1.0), fine.clamp(0.0, 1.0)];
+                    // Pebbles between grass, and many where nothing grows; none on sand, in woods and under snow.
+                    let pebble = close
+                        * smooth(0.5, 0.75, grain - 0.3 * patch)
+                        * (1.0 - 0.85 * green_share)
+                        * (1.0 - wood)
+                        * (1.0 - sandy)
+                        * (1.0 - snow);
+                    // Tufts: some grass is dry.
+                    let tuft = close * smooth(0.1, 0.7, -grain - 0.2 * patch);
                     let stream = streams[k];
                     let depth = depth_m[k].max(14.0 * stream);
                     let filled = smooth(-0.15, 0.15, depth_m[k]) * living;
@@ -182,8 +191,10 @@ impl Parameters {
                     let shallow = 1.0 / (1.0 + depth / 14.0);
                     let deep = 1.0 / (1.0 + depth / 900.0);
                     let frozen = smooth(-8.0, -12.0, sea_level_c[k] + 2.0 * patch + grain) * water;
-                    let rough =
-                        (0.045 + 0.09 * steep + 0.08 * scree + 0.07 * wood) * (1.0 - 0.7 * snow) * (1.0 - water);
+                    let rough = (0.045 + 0.09 * steep + 0.08 * scree + 0.07 * wood)
+                        * (1.0 + 1.2 * close)
+                        * (1.0 - 0.7 * snow)
+                        * (1.0 - water);
                     let shade = mix(shade.clamp(0.6, 1.25), 1.0, water.max(salt)) * (1.0 + rough * grain);
                     // Stands of trees of one age and kind; conifers where it is cold.
                     let stand = smooth(-0.3, 0.3, patch + 0.25 * grain);
@@ -201,7 +212,8 @@ impl Parameters {
                         conifer,
                         crest,
                         green: green_share,
-                        lush,
+                        lush: lush * (1.0 - 0.55 * tuft),
+                        pebble,
                         wood,
                         beach,
                         sandy: sandy * (1.0 - ice),
@@ -242,6 +254,7 @@ struct Shares {
     crest: f32,
     green: f32,
     lush: f32,
+    pebble: f32,
     wood: f32,
     beach: f32,
     sandy: f32,
@@ -268,6 +281,7 @@ impl Shares {
         color =
             mix(color, mix(pair(&p.dry_grass, fine), pair(&p.grass, 0.5 * (fine + self.stand)), self.lush), self.green);
         let trees = pair(&p.forest, 0.65 * self.stand + 0.35 * fine) * (1.0 - CONIFERS[c] * self.conifer);
+        color = mix(color, mix(p.rock[1][c], p.bare[1][c], 0.5) * 1.08, 0.7 * self.pebble);
         color = mix(color, trees, self.wood);
         color = mix(color, pair(&p.sand, fine), self.beach);
         color = mix(color, pair(&p.sand, broad) * (1.0 + self.crest), self.sandy);

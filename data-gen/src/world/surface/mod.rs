@@ -5,4 +5,4 @@ mod colors;
 mod patch;
 
 pub(super) use climate::{WINDWARD, Weather};
-pub(super) use patch::{Lattice, Patch, Site, TEXELS_PER_CELL};
+pub(super) use patch::{Lattice, MARGIN, Patch, Site, TEXELS_PER_CELL};

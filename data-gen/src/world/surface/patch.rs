@@ -110,6 +110,7 @@ impl Patch {
             samples.inland.extend_from_slice(&ground.inland);
             samples.mountain.extend_from_slice(&ground.mountain);
             samples.ridge.extend_from_slice(&ground.ridge);
+            samples.dip_m.extend_from_slice(&ground.dip_m);
             samples.cover.extend_from_slice(&ground.cover);
         }
         Self { stride, samples, lattice }
@@ -303,7 +304,7 @@ impl Patch {
             add_variation(&points, seed, 2.0 * texel_m..8.0 * texel_m, 0.7, &mut texels.grain);
             add_octaves(&points, 3.0 * texel_m, 1, 0.5, 0.35, seed.wrapping_add(77), &mut texels.grain);
             self.cover_rivers(world, buffers, &points, texel_m as f32, &mut texels);
-            world.parameters.color(&texels, &mut colors);
+            world.parameters.color(&texels, texel_m as f32, &mut colors);
             let [red, green, blue] = &colors;
             for k in 0..side {
                 let byte = |c: f32| (c + 0.5) as u8;
