@@ -146,7 +146,8 @@ fn heights_and_meshes_of_the_same_ground_agree_on_the_earth() {
         let mut line = LineSegmentIntersector::new(from, place(region, 0.313, 0.627, -9000.0));
         visitor.traverse(&run.scene, &mut line);
         let (hit, found) = (line.first_intersection().unwrap().world_point(), of_root.ground_at(from).unwrap().point);
-        assert!(found.distance(hit) < 1e-3 && found.distance(query.ground_at(from).unwrap().point) > 0.1);
+        let distances_m = [hit, query.ground_at(from).unwrap().point].map(|point| found.distance(point));
+        assert!(distances_m[0] < 1e-3 && distances_m[1] > 0.1, "{content:?}: {distances_m:?}");
         assert_eq!(query.height_above_terrain_m(place(region, 1.5, 0.5, 100.0)), None, "beside the set");
         assert_eq!(query.height_above_terrain_m(-place(region, 0.5, 0.5, 100.0)), None, "on the other side");
         queries.push(query);

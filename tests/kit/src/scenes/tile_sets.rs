@@ -5,6 +5,8 @@ use std::path::Path;
 use terrane::formats::writers::{GlbMesh, write_glb};
 use terrane_data_gen::{ContentKind, GenArgs, Triangles};
 
+use crate::subtrees::{Availability, Scheme, Subtree};
+
 /// Generates a set in the folder `set` with the options that `change` sets; returns the folder's path.
 pub fn generate(set: &Path, change: impl FnOnce(&mut GenArgs)) -> String {
     let mut args = GenArgs::new(set);
@@ -17,8 +19,6 @@ pub fn generate(set: &Path, change: impl FnOnce(&mut GenArgs)) -> String {
 pub fn mountains(folder: &Path, levels: u32) -> String {
     generate(&folder.join("set"), |args| (args.levels, args.seed, args.size) = (Some(levels), 3, 20_000.0))
 }
-
-use crate::subtrees::{Availability, Scheme, Subtree};
 
 /// Generates three levels of height tiles, 20 km wide, in `folder/set`; returns that path.
 pub fn small_set(folder: &Path) -> String {
