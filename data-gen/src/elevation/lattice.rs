@@ -64,7 +64,10 @@ impl Raster {
             for (out, row) in out.chunks_exact_mut(width).zip(rows) {
                 if row.is_covered {
                     let [upper, lower] = lines.at([row.first, row.second])?;
-                    pulp::Arch::new().dispatch(|| interpolate(&columns, range[0], [upper, lower], row.share, out));
+                    pulp::Arch::new().dispatch(
+                        #[inline(always)]
+                        || interpolate(&columns, range[0], [upper, lower], row.share, out),
+                    );
                 } else {
                     out.fill(f32::NAN);
                 }

@@ -43,6 +43,18 @@ impl BlockReader for Heights {
     fn read(&self, block: Rect) -> Result<Vec<u32>, GenError> {
         let mut pixels = self.file.read(block)?;
         let (mut low, mut high) = (f32::INFINITY, f32::NEG_INFINITY);
+        if self.context.geoid.is_none() {
+            for pixel in &mut pixels {
+                let height_m = f32::from_bits(*pixel);
+                let height_m = if height_m.abs() <= MAX_ABS_HEIGHT_M { height_m } else { f32::NAN };
+                *pixel = height_m.to_bits();
+                // Comparisons with NaN are false.
+                low = if height_m < low { height_m } else { low };
+                high = if height_m > high { height_m } else { high };
+            }
+            self.context.seen.add([low, high]);
+            return Ok(pixels);
+        }
         for (k, pixel) in pixels.iter_mut().enumerate() {
             let mut height_m = f32::from_bits(*pixel);
             if height_m.is_nan() || height_m.abs() > MAX_ABS_HEIGHT_M {

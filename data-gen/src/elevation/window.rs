@@ -176,7 +176,11 @@ impl Window<'_> {
             }
             lines.move_to(row)?;
             if finds_extrema {
-                pulp::Arch::new().dispatch(|| find_extrema(&lines.lines, &mut is_extremum));
+                // Without the attribute the loop would be compiled for any processor.
+                pulp::Arch::new().dispatch(
+                    #[inline(always)]
+                    || find_extrema(&lines.lines, &mut is_extremum),
+                );
             }
             let heights_m = &lines.lines[1][1..=longitudes.len()];
             call(SampleRow { latitude, longitudes: &longitudes, heights_m, is_extremum: &is_extremum });

@@ -260,6 +260,7 @@ pub(crate) fn with_grid<T>(
     } else {
         (Grid::new(source.as_ref(), extent, levels, args.voids, is_fine), Plan::new(levels))
     };
+    let grid = grid.with_step(args.tiles.step_m());
     if let Some(memory) = args.run.memory {
         cache.set_budget(cache_bytes(memory, plan.work_bytes(args.color != Color::None))?);
     }

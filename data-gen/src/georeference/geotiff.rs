@@ -339,6 +339,11 @@ pub(super) struct MissingBlocks {
 }
 
 impl MissingBlocks {
+    /// Returns true if no block is missing.
+    pub fn is_empty(&self) -> bool {
+        self.is_missing.is_empty()
+    }
+
     /// Finds the blocks in the tags. The error is the reason, if there are too few or if one lies beyond the end of the file.
     fn of(ifd: &Ifd, layout: &RasterLayout, file_bytes: u64) -> Result<Self, String> {
         let size = match (ifd.tile_width(), ifd.tile_height()) {

@@ -37,6 +37,13 @@ impl Tiff {
             Some(alpha) => Some(self.band(alpha, r)?),
             None => None,
         };
+        if is_single && mask.is_none() && opacity.is_none() && (self.nodata.is_none() || self.missing.is_empty()) {
+            let heights = bytes.as_chunks::<4>().0.iter().map(|bytes| {
+                let h = f64::from(f32::from_ne_bytes(*bytes));
+                if is_nodata(h) || h == f64::from(i16::MIN) { f32::NAN } else { (h * factor + offset) as f32 }
+            });
+            return Ok(heights.collect());
+        }
         let opacity: Option<Vec<f64>> = opacity.and_then(|bytes| Some(values(&bytes, &self.layout)?.collect()));
         let values = values(&bytes, &self.layout)
             .ok_or_else(|| self.bad(format!("samples of {} bits", self.layout.bits_per_sample)))?;
@@ -109,7 +116,10 @@ impl Tiff {
             }
             let stored = self.file.source().read_exact_at(offset.saturating_add(start), length);
             let stored = stored.map_err(|e| failed(&self.path, e))?;
-            samples.extend(stored.chunks_exact(stride).flat_map(|pixel| &pixel[first..first + bytes]));
+            match stride == bytes {
+                true => samples.extend_from_slice(&stored),
+                false => samples.extend(stored.chunks_exact(stride).flat_map(|pixel| &pixel[first..first + bytes])),
+            }
         }
         let is_native = (self.file.byte_order() == ByteOrder::LittleEndian) == cfg!(target_endian = "little");
         if !is_native {

@@ -5,9 +5,12 @@ use image::codecs::png::PngEncoder;
 use image::codecs::webp::WebPEncoder;
 use image::{ExtendedColorType, ImageEncoder as _};
 
+use crate::pyramid::QUANTUM_M;
 use crate::{Color, ContentKind, GenArgs};
 
 const JPEG_QUALITY: u8 = 85;
+/// The steps of heights in metres. With finer ones the heights of the earth would not fit into the numbers of packed tiles.
+const HEIGHT_STEPS_M: std::ops::RangeInclusive<f64> = 0.002..=100.0;
 
 /// The triangles of mesh tiles.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
@@ -67,12 +70,20 @@ pub struct TileArgs {
     /// Write meshes without EXT_meshopt_compression, for clients that do not support it
     #[arg(long)]
     pub no_meshopt: bool,
+    /// Round the heights of --dem to steps of this many metres, 0.002 to 100 (default 1/128): coarser ones take fewer bytes
+    #[arg(long, value_name = "M")]
+    pub height_step: Option<f64>,
     /// File format of textures
     #[arg(long, value_enum, default_value_t)]
     pub texture: TextureFormat,
 }
 
 impl TileArgs {
+    /// Returns the step in metres that heights are rounded to.
+    pub(crate) fn step_m(&self) -> f64 {
+        self.height_step.unwrap_or(QUANTUM_M)
+    }
+
     /// Checks options that have no effect together with others.
     pub(crate) fn check(&self, args: &GenArgs) -> Result<(), String> {
         if args.content == ContentKind::Height && self.triangles != Triangles::default() {
@@ -80,6 +91,19 @@ impl TileArgs {
         }
         if args.float_vertices && self.no_meshopt {
             return Err("--no-meshopt has no effect with --float-vertices".to_owned());
+        }
+        if let Some(step_m) = self.height_step {
+            if args.dem.is_empty() {
+                return Err("--height-step has no effect without --dem".to_owned());
+            }
+            if args.content == ContentKind::QuantizedMesh {
+                return Err("--height-step is not supported with --content quantized-mesh, whose tiles have own steps"
+                    .to_owned());
+            }
+            if !HEIGHT_STEPS_M.contains(&step_m) {
+                let (least, most) = (HEIGHT_STEPS_M.start(), HEIGHT_STEPS_M.end());
+                return Err(format!("--height-step must be {least} to {most} m"));
+            }
         }
         if args.color == Color::None && self.texture != TextureFormat::default() {
             return Err("--texture has no effect with --color none".to_owned());

@@ -42,7 +42,8 @@ fn tin(block: &Block<'_>, key: TileKey) -> Tin {
     };
     let set = block.extent(TileKey::ROOT);
     let curvature_m = |row: i64| curvature_m(&set, cells, i64::from(key.y) * CELLS as i64 + row);
-    Tin::of_samples(&|i, j| block.height_m(key, i, j), &curvature_m, Some(&has_data), f64::INFINITY)
+    let has_data: Option<&dyn Fn(i64, i64) -> [bool; 2]> = if block.is_whole() { None } else { Some(&has_data) };
+    Tin::of_samples(&|i, j| block.height_m(key, i, j), &curvature_m, has_data, f64::INFINITY)
 }
 
 /// Returns the height in metres by which the earth falls below its tangent plane within one cell eastwards and one northwards at
@@ -56,6 +57,81 @@ pub(crate) fn curvature_m(set: &Extent, cells: i64, row: i64) -> [f64; 2] {
     [0.5 * radius_m * (latitude.cos() * d_lon).powi(2), 0.5 * meridian_m * d_lat.powi(2)]
 }
 
+/// The samples along a side of a [`Lattice`].
+const SIDE: usize = CELLS + 3;
+
+/// The samples of a tile and those next to it, in the frame of the tile's mesh.
+struct Lattice {
+    /// Rows from south to north, each from west to east.
+    places: Vec<DVec3>,
+    /// The axes of ECEF in the frame of the mesh.
+    axes: DMat3,
+    /// Sine and cosine of the longitudes of columns, and of the latitudes of rows.
+    columns: [[f64; 2]; SIDE],
+    rows: [[f64; 2]; SIDE],
+}
+
+impl Lattice {
+    fn new(block: &Block<'_>, key: TileKey) -> Self {
+        let e = block.extent(key);
+        let angles = |from: f64, to: f64| {
+            std::array::from_fn::<f64, SIDE, _>(|k| from + (to - from) * ((k as f64 - 1.0) / CELLS as f64))
+        };
+        let (longitudes, latitudes) = (angles(e.west, e.east), angles(e.south, e.north));
+        let of = |angle: f64| <[f64; 2]>::from(angle.sin_cos());
+        let (columns, rows) = (longitudes.map(of), latitudes.map(of));
+        let tile_from_ecef = ecef_from_tile(block, key).inverse();
+        let (axes, centre) = (tile_from_ecef.matrix3, tile_from_ecef.translation);
+        let mut places = Vec::with_capacity(SIDE * SIDE);
+        let mut heights = Vec::with_capacity(SIDE);
+        for (j, ([sin_lat, cos_lat], latitude)) in (-1..).zip(rows.into_iter().zip(latitudes)) {
+            let radius_m = WGS84.prime_vertical_radius_m(latitude);
+            let polar_m = radius_m * (1.0 - WGS84.eccentricity_squared());
+            heights.clear();
+            block.add_heights(key, -1..=CELLS as i64 + 1, j, &mut heights);
+            places.extend(columns.iter().zip(&heights).map(|([sin_lon, cos_lon], height_m)| {
+                let height_m = f64::from(*height_m);
+                let r = (radius_m + height_m) * cos_lat;
+                axes * DVec3::new(r * cos_lon, r * sin_lon, (polar_m + height_m) * sin_lat) + centre
+            }));
+        }
+        Self { places, axes, columns, rows }
+    }
+
+    /// Returns the place of a sample; -1 and 65 are those next to the tile.
+    fn at(&self, i: i64, j: i64) -> DVec3 {
+        self.places[(j + 1) as usize * SIDE + (i + 1) as usize]
+    }
+
+    /// Returns the direction upwards at a sample.
+    fn up(&self, i: i64, j: i64) -> DVec3 {
+        let ([sin_lon, cos_lon], [sin_lat, cos_lat]) = (self.columns[(i + 1) as usize], self.rows[(j + 1) as usize]);
+        self.axes * DVec3::new(cos_lat * cos_lon, cos_lat * sin_lon, sin_lat)
+    }
+}
+
+/// The vertices of a mesh, numbered by their first use.
+struct Numbers {
+    /// The vertex of the triangles, and whether it is the one at the bottom of the skirt.
+    vertices: Vec<(u16, bool)>,
+    /// The numbers of the vertices of the triangles, at the top and at the bottom.
+    numbers: [Vec<Option<u16>>; 2],
+}
+
+impl Numbers {
+    fn new(tin: &Tin) -> Self {
+        let numbers = [0; 2].map(|_| vec![None; tin.vertices.len()]);
+        Self { vertices: Vec::with_capacity(tin.vertices.len() + 4 * CELLS), numbers }
+    }
+
+    fn of(&mut self, vertex: u16, is_bottom: bool) -> u16 {
+        *self.numbers[usize::from(is_bottom)][usize::from(vertex)].get_or_insert_with(|| {
+            self.vertices.push((vertex, is_bottom));
+            (self.vertices.len() - 1) as u16
+        })
+    }
+}
+
 /// Builds the mesh of triangles of a tile. Skirts hang `skirt_m` down from its edges; `image` is the file of its texture, if it
 /// has one. Normals are those of the tile's samples, also where there are fewer vertices.
 pub(crate) fn build(
@@ -66,49 +142,40 @@ pub(crate) fn build(
     image: Option<Vec<u8>>,
     quantized: bool,
 ) -> GlbMesh {
-    let e = block.extent(key);
-    let tile_from_ecef = ecef_from_tile(block, key).inverse();
-    let vertex = |i: i64, j: i64, drop_m: f64| -> DVec3 {
-        let g = Geodetic {
-            longitude: e.west + (e.east - e.west) * (i as f64 / CELLS as f64),
-            latitude: e.south + (e.north - e.south) * (j as f64 / CELLS as f64),
-            height_m: f64::from(block.height_m(key, i, j)) - drop_m,
-        };
-        tile_from_ecef.transform_point3(WGS84.ecef(&g))
-    };
-    // glTF's y axis points up: x = east, y = up, z = -north.
-    let y_up = |v: DVec3| [v.x as f32, v.z as f32, -v.y as f32];
-    let mut mesh = GlbMesh { base_color: [1.0; 4], image, quantized, ..GlbMesh::default() };
-    for [i, j] in &tin.vertices {
-        let (i, j) = (i64::from(*i), i64::from(*j));
-        let east = vertex(i + 1, j, 0.0) - vertex(i - 1, j, 0.0);
-        let north = vertex(i, j + 1, 0.0) - vertex(i, j - 1, 0.0);
-        mesh.positions.push(y_up(vertex(i, j, 0.0)));
-        mesh.normals.push(y_up(east.cross(north).normalize_or(DVec3::Z)));
-        mesh.uvs.push([i as f32 / CELLS as f32, 1.0 - j as f32 / CELLS as f32]);
-    }
-    mesh.indices.extend(tin.triangles.as_flattened());
     // A triangle whose edge lies on an edge of the tile has a skirt there. Its front faces outwards.
-    let mut bottoms: Vec<Option<u16>> = vec![None; tin.vertices.len()];
-    let mut bottom = |top: u16, mesh: &mut GlbMesh| {
-        *bottoms[usize::from(top)].get_or_insert_with(|| {
-            let [i, j] = tin.vertices[usize::from(top)].map(i64::from);
-            mesh.positions.push(y_up(vertex(i, j, skirt_m)));
-            mesh.normals.push(mesh.normals[usize::from(top)]);
-            mesh.uvs.push(mesh.uvs[usize::from(top)]);
-            (mesh.positions.len() - 1) as u16
-        })
-    };
+    let mut numbers = Numbers::new(tin);
+    let mut indices = Vec::with_capacity(3 * tin.triangles.len());
     for triangle in &tin.triangles {
-        for k in 0..3 {
-            let (a, b) = (triangle[k], triangle[(k + 1) % 3]);
-            let [from, to] = [a, b].map(|top| tin.vertices[usize::from(top)]);
+        let corners = triangle.map(|vertex| numbers.of(vertex, false));
+        indices.extend(corners);
+        for (k, next) in [(0, 1), (1, 2), (2, 0)] {
+            let [from, to] = [triangle[k], triangle[next]].map(|vertex| tin.vertices[usize::from(vertex)]);
             if (0..2).any(|c| from[c] == to[c] && (from[c] == 0 || usize::from(from[c]) == CELLS)) {
-                let (c, d) = (bottom(a, &mut mesh), bottom(b, &mut mesh));
-                mesh.indices.extend([a, c, d, a, d, b]);
+                let [a, b] = [corners[k], corners[next]];
+                let [c, d] = [triangle[k], triangle[next]].map(|vertex| numbers.of(vertex, true));
+                indices.extend([a, c, d, a, d, b]);
             }
         }
     }
-    mesh.optimize_order();
+    let lattice = Lattice::new(block, key);
+    // glTF's y axis points up: x = east, y = up, z = -north.
+    let y_up = |v: DVec3| [v.x as f32, v.z as f32, -v.y as f32];
+    let has_image = image.is_some();
+    let mut mesh = GlbMesh { base_color: [1.0; 4], image, quantized, indices, ..GlbMesh::default() };
+    for (vertex, is_bottom) in numbers.vertices {
+        let [i, j] = tin.vertices[usize::from(vertex)].map(i64::from);
+        let east = lattice.at(i + 1, j) - lattice.at(i - 1, j);
+        let north = lattice.at(i, j + 1) - lattice.at(i, j - 1);
+        let place = lattice.at(i, j);
+        mesh.positions.push(y_up(if is_bottom { place - skirt_m * lattice.up(i, j) } else { place }));
+        mesh.normals.push(y_up(east.cross(north).normalize_or(DVec3::Z)));
+        // Without a texture nothing reads its coordinates.
+        if has_image {
+            mesh.uvs.push([i as f32 / CELLS as f32, 1.0 - j as f32 / CELLS as f32]);
+        }
+    }
+    if !tin.is_ordered {
+        mesh.optimize_order();
+    }
     mesh
 }

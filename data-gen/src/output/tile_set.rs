@@ -16,7 +16,7 @@ use super::packed::{BlockFile, Kind};
 use super::tin::Tin;
 use crate::args::{Color, ContentKind, GenArgs};
 use crate::color::{Painter, TEXELS};
-use crate::pyramid::{Block, CELLS, Coverage, QUANTUM_M, TileKey};
+use crate::pyramid::{Block, CELLS, Coverage, TileKey};
 use crate::{GenError, Progress};
 
 /// Tiles of a packed set that are in memory at a time.
@@ -164,7 +164,7 @@ impl TileMaker<'_> {
         let last = CELLS as i64 + 1;
         let file = if self.args.output.is_packed() {
             (-1..=last).for_each(|j| self.block.add_heights(key, -1..=last, j, &mut heights));
-            write_packed_heights(&uri, side, QUANTUM_M, &heights, compress)
+            write_packed_heights(&uri, side, self.block.step_m(), &heights, compress)
         } else {
             (-1..=last).rev().for_each(|j| self.block.add_heights(key, -1..=last, j, &mut heights));
             write_height_exr(&uri, side, heights)

@@ -289,7 +289,7 @@ fn asset(args: &GenArgs, totals: &Totals, level: u32) -> Value {
     if args.content == ContentKind::Height {
         asset["extras"] = json!({ "terrane": {
             "format": 1, "content": "height", "layout": "wgs84", "side": CELLS + 1, "border": 1,
-            "quantum_m": QUANTUM_M, "level_errors_m": level_errors_m(totals),
+            "quantum_m": args.tiles.step_m(), "level_errors_m": level_errors_m(totals),
         } });
         if level > 0 {
             asset["extras"]["terrane"]["level"] = level.into();

@@ -10,6 +10,7 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use rayon::prelude::*;
 
 use super::dependencies::HeightAt;
+use super::extrema::{Extrema, Extremum, parts};
 use super::fill::{self, BOX, BoxMeans};
 use super::record::checksum;
 use super::samples::{Samples, Window};
@@ -29,7 +30,7 @@ pub struct Extent {
     pub north: f64,
 }
 
-/// Heights are rounded to 1/128 m, so that a shared sample has the same bits in every tile and level.
+/// Heights are rounded to 1/128 m by default, so that a shared sample has the same bits in every tile and level.
 pub const QUANTUM_M: f64 = 1.0 / 128.0;
 
 /// The side of an aligned grid in radians: 64 cells of 2^15 seconds of arc.
@@ -65,6 +66,8 @@ pub(crate) struct Grid<'a> {
     keep_extrema: bool,
     /// True if nothing depends on the whole source; see [`Self::aligned`].
     is_aligned: bool,
+    /// The step in metres that heights are rounded to.
+    step_m: f64,
     /// Rows from south to north; NaN where there is no data.
     coarse: OnceLock<Vec<f32>>,
     /// [`Self::coarse`] with its gaps filled.
@@ -77,7 +80,18 @@ impl<'a> Grid<'a> {
     pub fn new(source: &'a dyn ElevationSource, extent: Extent, levels: u32, voids: Voids, keep_extrema: bool) -> Self {
         let (coarse, coarse_filled) = (OnceLock::new(), OnceLock::new());
         let boxes = Mutex::default();
-        Self { source, extent, levels, voids, keep_extrema, is_aligned: false, coarse, coarse_filled, boxes }
+        let (is_aligned, step_m) = (false, QUANTUM_M);
+        Self { source, extent, levels, voids, keep_extrema, is_aligned, step_m, coarse, coarse_filled, boxes }
+    }
+
+    /// Rounds heights to steps of another size than [`QUANTUM_M`].
+    pub fn with_step(self, step_m: f64) -> Self {
+        Self { step_m, ..self }
+    }
+
+    /// Returns the step in metres that heights are rounded to.
+    pub fn step_m(&self) -> f64 {
+        self.step_m
     }
 
     /// Creates a grid whose vertices do not depend on the source: seconds of arc and their halves, or several of them, around the
@@ -201,7 +215,13 @@ impl<'a> Grid<'a> {
         if self.keep_extrema {
             self.keep_extrema(depth, &mut out)?;
         }
-        out.values.par_chunks_mut(width).for_each(|heights| pulp::Arch::new().dispatch(|| round(heights)));
+        let step_m = self.step_m;
+        out.values.par_chunks_mut(width).for_each(|heights| {
+            pulp::Arch::new().dispatch(
+                #[inline(always)]
+                || round(heights, step_m),
+            );
+        });
         Ok(out)
     }
 
@@ -267,20 +287,13 @@ impl<'a> Grid<'a> {
             }
             Ok(found.found)
         };
-        let rows = window.first[1]..=window.last[1];
-        let parts: Vec<Window> = match depth {
-            0 => rows
-                .step_by(64)
-                .map(|y| Window { first: [window.first[0], y], last: [window.last[0], (y + 63).min(window.last[1])] })
-                .collect(),
-            _ => rows
-                .flat_map(|y| (window.first[0]..=window.last[0]).map(move |x| [x << depth, y << depth]))
-                .map(|at| Window { first: at, last: at })
-                .collect(),
-        };
-        let found: Result<Vec<_>, GenError> = parts.into_par_iter().map(in_part).collect();
+        let found: Result<Vec<_>, GenError> = parts(depth, &window).into_par_iter().map(in_part).collect();
+        let between = (1i64 << depth) - 1;
         for Extremum { at: [x, y], height_m, .. } in found?.into_iter().flatten() {
-            out.set(x >> depth, y >> depth, height_m);
+            // A strip has vertices of the finest lattice between its own.
+            if (x | y) & between == 0 {
+                out.set(x >> depth, y >> depth, height_m);
+            }
         }
         Ok(())
     }
@@ -346,7 +359,7 @@ impl<'a> Grid<'a> {
                 for x in both.first[0]..=both.last[0] {
                     if known.at(x, y).is_nan() {
                         let height_m = heights[((y - first[1]) as usize) * patch.width() + (x - first[0]) as usize];
-                        out.set(x, y, rounded(height_m));
+                        out.set(x, y, rounded(height_m, self.step_m));
                     }
                 }
             }
@@ -456,66 +469,21 @@ impl<'a> Grid<'a> {
     }
 }
 
-/// An extremum of the source and the vertex that is nearest to it.
-#[derive(Clone, Copy)]
-struct Extremum {
-    at: [i64; 2],
-    /// Its distance from the vertex, in cells.
-    far: f64,
-    /// Its longitude and latitude in radians.
-    place: [f64; 2],
-    height_m: f32,
-}
-
-/// The extrema nearest to the vertices of a window, one for each.
-struct Extrema {
-    window: Window,
-    found: Vec<Extremum>,
-    /// For each vertex the number of its extremum, from 1 on; 0 without one.
-    numbers: Vec<u32>,
-}
-
-impl Extrema {
-    fn new(window: Window) -> Self {
-        Self { window, found: Vec::new(), numbers: vec![0; window.width() * window.height()] }
-    }
-
-    /// Adds an extremum by its column and row. Of several at a vertex the nearest one counts, and of those the first by its place.
-    fn add(&mut self, [x, y]: [f64; 2], place: [f64; 2], height_m: f32) {
-        let (at, Window { first, last }) = ([x, y].map(|c| c.round() as i64), self.window);
-        if !(0..2).all(|k| (first[k]..=last[k]).contains(&at[k])) {
-            return;
-        }
-        let new = Extremum { at, far: (x - at[0] as f64).hypot(y - at[1] as f64), place, height_m };
-        let number = &mut self.numbers[(at[1] - first[1]) as usize * self.window.width() + (at[0] - first[0]) as usize];
-        if *number == 0 {
-            self.found.push(new);
-            *number = self.found.len() as u32;
-            return;
-        }
-        let old = &mut self.found[*number as usize - 1];
-        let by_place = || new.place[0].total_cmp(&old.place[0]).then(new.place[1].total_cmp(&old.place[1]));
-        if new.far.total_cmp(&old.far).then_with(by_place).is_lt() {
-            *old = new;
-        }
-    }
-}
-
-/// Rounds heights to the quantum, and makes NaN of those that are not finite.
+/// Rounds heights to steps, and makes NaN of those that are not finite.
 #[inline(always)]
-fn round(heights: &mut [f32]) {
+fn round(heights: &mut [f32], step_m: f64) {
     for h in heights {
-        let scaled = f64::from(*h) / QUANTUM_M;
+        let scaled = f64::from(*h) / step_m;
         // Adding half away from zero and cutting is what `round` does, without a call for each height.
         let half = (0.5f64 - f64::EPSILON / 4.0).copysign(scaled);
-        let rounded = ((scaled + half).trunc() * QUANTUM_M) as f32;
+        let rounded = ((scaled + half).trunc() * step_m) as f32;
         *h = if h.is_finite() { rounded } else { f32::NAN };
     }
 }
 
-/// Rounds a height to the quantum.
-fn rounded(height_m: f32) -> f32 {
-    ((f64::from(height_m) / QUANTUM_M).round() * QUANTUM_M) as f32
+/// Rounds a height to steps.
+fn rounded(height_m: f32, step_m: f64) -> f32 {
+    ((f64::from(height_m) / step_m).round() * step_m) as f32
 }
 
 #[cfg(test)]

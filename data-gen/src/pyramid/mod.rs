@@ -2,6 +2,7 @@
 
 mod block;
 mod dependencies;
+mod extrema;
 mod fill;
 mod grid;
 mod plan;

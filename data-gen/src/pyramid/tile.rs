@@ -68,6 +68,21 @@ impl TileFacts {
     pub const NONE: Self =
         Self { error_m: 0.0, min_height_m: f32::INFINITY, max_height_m: f32::NEG_INFINITY, coverage: Coverage::None };
 
+    /// Widens the range of heights, by many at a time.
+    pub(super) fn add_row(&mut self, heights: &[f32]) {
+        let (mut low, mut high) = ([f32::INFINITY; 8], [f32::NEG_INFINITY; 8]);
+        let (eights, rest) = heights.as_chunks::<8>();
+        for eight in eights {
+            for (k, h) in eight.iter().enumerate() {
+                // Comparisons with NaN are false.
+                low[k] = if *h < low[k] { *h } else { low[k] };
+                high[k] = if *h > high[k] { *h } else { high[k] };
+            }
+        }
+        self.add_heights(low.into_iter().chain(high).filter(|h| h.is_finite()));
+        self.add_heights(rest.iter().copied());
+    }
+
     /// Widens the range of heights.
     pub(super) fn add_heights(&mut self, heights: impl IntoIterator<Item = f32>) {
         for h in heights {

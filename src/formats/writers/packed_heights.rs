@@ -68,9 +68,12 @@ pub fn write_packed_heights(
 
 /// Counts the steps of each height. Returns false if a height is not a whole number of them, or too many.
 fn count_steps(heights: &[f32], step_m: f64, steps: &mut Vec<i32>) -> bool {
+    /// Numbers from here on have steps of 1, so that adding it rounds, and the lowest bits are the sum.
+    const ROUNDER: f64 = (3u64 << 51) as f64;
     let per_m = 1.0 / step_m;
     steps.clear();
-    steps.extend(heights.iter().map(|h| (f64::from(*h) * per_m).round_ties_even() as i32));
+    // Steps of more than 31 bits become others, which are found below.
+    steps.extend(heights.iter().map(|h| (f64::from(*h) * per_m + ROUNDER).to_bits() as i32));
     // Negative zero has other bits than zero.
     heights.iter().zip(&*steps).fold(true, |all, (h, step)| {
         let is_same = ((f64::from(*step) * step_m) as f32).to_bits() == h.to_bits();

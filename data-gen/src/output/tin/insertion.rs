@@ -1,24 +1,22 @@
-//! Greedy insertion of samples into the triangulation of a tile.
-
-use std::collections::BinaryHeap;
+//! Greedy insertion of samples into the triangulation of a tile, in rounds.
 
 use super::distance::largest_distance_m;
-use super::triangulation::{Point, Triangulation, rows, turn};
+use super::triangulation::{Point, Rows, Triangulation, turn};
 use super::{ALLOWED_SHARE, MIN_ALLOWED_M, Surface, Tin};
 
-/// A sample to insert, the farthest of a triangle. The largest distance comes first, then the last sample.
-#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-struct Candidate {
-    /// The bits of the distance in metres, which order positive numbers.
-    distance: u32,
-    sample: [u16; 2],
-    triangle: u32,
-    /// The number of changes of the triangle when it was measured.
-    version: u32,
+/// The farthest sample of a triangle.
+#[derive(Clone, Copy, Default)]
+struct Farthest {
+    /// The distance in metres; 0 without samples.
+    distance_m: f64,
+    sample: Point,
 }
 
 /// Triangulates a tile. `edges` are the positions of the vertices on the southern, eastern, northern and western edge, counted from
 /// the west or the south.
+///
+/// Each round inserts the farthest sample of every triangle, the largest distance first, unless a sample before has moved the
+/// triangles close enough to it. That takes 2 % more vertices than one sample at a time, and a third of the measurements.
 ///
 /// No sample with data is farther from the triangles than the allowed distance. That is [`ALLOWED_SHARE`] of the error of a grid
 /// with half as many cells, at most `limit_m`, and at least half a step of the heights. Between samples the distance may be larger where a triangle's edge
@@ -29,89 +27,116 @@ pub(crate) fn triangulate(surface: &Surface, edges: &[Vec<u16>; 4], limit_m: f64
     for (edge, places) in edges.iter().enumerate() {
         for place in places {
             let k = i32::from(*place);
-            net.insert([[k, 0], [last, k], [k, last], [0, k]][edge]);
+            net.insert_anywhere([[k, 0], [last, k], [k, last], [0, k]][edge]);
         }
     }
     if !surface.is_whole() {
         let samples = (1..last).flat_map(|j| (1..last).map(move |i| [i, j]));
-        samples.filter(|sample| surface.is_border(*sample)).for_each(|sample| net.insert(sample));
+        samples.filter(|sample| surface.is_border(*sample)).for_each(|sample| net.insert_anywhere(sample));
     }
     let allowed_m = (ALLOWED_SHARE * surface.halved_error_m()).min(limit_m).max(MIN_ALLOWED_M);
-    let mut queue = BinaryHeap::new();
-    let mut versions: Vec<u32> = Vec::new();
     let mut changed = Vec::new();
     net.take_changed(&mut changed);
     // All triangles are new.
     changed = (0..net.triangles().len() as u32).collect();
-    loop {
-        versions.resize(net.triangles().len(), 0);
+    let mut far: Vec<Farthest> = Vec::new();
+    // The bits of the distance, which order positive numbers, above those of the triangle, of which the first comes first.
+    let mut round: Vec<u64> = Vec::new();
+    while !changed.is_empty() {
+        far.resize(net.triangles().len(), Farthest::default());
+        round.clear();
         for &triangle in &changed {
-            let version = &mut versions[triangle as usize];
-            *version += 1;
-            let found = farthest(surface, net.corners(triangle), last, allowed_m);
-            queue.extend(found.map(|(sample, distance_m)| Candidate {
-                distance: (distance_m as f32).to_bits(),
-                sample: sample.map(|c| c as u16),
-                triangle,
-                version: *version,
-            }));
+            let farthest = farthest(surface, net.corners(triangle), last);
+            far[triangle as usize] = farthest;
+            if farthest.distance_m > allowed_m {
+                round.push(u64::from((farthest.distance_m as f32).to_bits()) << 32 | u64::from(!triangle));
+            }
         }
-        let is_current = |c: &Candidate| versions[c.triangle as usize] == c.version;
-        let next = std::iter::from_fn(|| queue.pop()).find(is_current);
-        let Some(next) = next else { break };
-        net.insert(next.sample.map(i32::from));
+        round.sort_unstable();
+        for triangle in round.iter().rev().map(|key| !(*key as u32)) {
+            let sample = far[triangle as usize].sample;
+            let mut near = triangle;
+            if net.is_changed(triangle) {
+                near = net.find(sample, triangle);
+                let plane = Plane::new(surface, net.corners(near));
+                if (plane.at(sample) - surface.at(sample)).abs() <= allowed_m {
+                    continue;
+                }
+            }
+            net.insert(sample, near);
+        }
         net.take_changed(&mut changed);
     }
-    finish(surface, &net)
+    let at_samples_m = far.iter().map(|farthest| farthest.distance_m).fold(0.0, f64::max);
+    finish(surface, &net, at_samples_m)
 }
 
-/// Returns the triangles with data.
-fn finish(surface: &Surface, net: &Triangulation) -> Tin {
-    let kept: Vec<u32> = (0..net.triangles().len() as u32).filter(|t| has_data(surface, net.corners(*t))).collect();
+/// Returns the triangles with data, in strips. `at_samples_m` is the largest distance at samples inside of the tile.
+fn finish(surface: &Surface, net: &Triangulation, at_samples_m: f64) -> Tin {
+    let kept = net.in_strips(|triangle| has_data(surface, net.corners(triangle)));
     Tin {
         vertices: net.points().iter().map(|p| p.map(|c| c as u16)).collect(),
         triangles: kept.iter().map(|t| net.triangles()[*t as usize].map(|vertex| vertex as u16)).collect(),
-        distance_m: largest_distance_m(surface, net, &kept),
+        is_ordered: true,
+        distance_m: at_samples_m.max(largest_distance_m(surface, net, &kept)),
     }
 }
 
 /// Returns true if a triangle covers cells with data. All samples on borders of voids are vertices, so that a triangle covers
 /// only cells with data or only cells without: those at its centre decide.
 fn has_data(surface: &Surface, corners: [Point; 3]) -> bool {
+    if surface.is_whole() {
+        return true;
+    }
     let [x, y] = [0, 1].map(|k| corners.iter().map(|corner| corner[k]).sum::<i32>());
     let [south_east, north_west] = surface.data([x / 3, y / 3]);
     if x % 3 >= y % 3 { south_east } else { north_west }
 }
 
-/// Returns the sample inside of a triangle that is farthest from it and its distance in metres, if it is farther than allowed.
-/// The samples on the edges of the tile are not candidates.
-fn farthest(surface: &Surface, corners: [Point; 3], last: i32, allowed_m: f64) -> Option<(Point, f64)> {
+/// Returns the sample inside of a triangle or on its edges that is farthest from it. The samples on the edges of the tile do not
+/// count.
+#[inline]
+fn farthest(surface: &Surface, corners: [Point; 3], last: i32) -> Farthest {
+    let mut found = Farthest::default();
     // A small triangle has no samples but its corners.
-    if turn(corners[0], corners[1], corners[2]) == 1 || !has_data(surface, corners) {
-        return None;
+    let turn = turn(corners[0], corners[1], corners[2]);
+    if turn == 1 || !has_data(surface, corners) {
+        return found;
+    }
+    // The next larger ones have one in the middle of an edge.
+    if turn == 2 {
+        let [a, b, c] = corners;
+        let is_even = |p: Point, q: Point| ((p[0] ^ q[0]) | (p[1] ^ q[1])) & 1 == 0;
+        let (p, q) = if is_even(a, b) {
+            (a, b)
+        } else if is_even(b, c) {
+            (b, c)
+        } else {
+            (c, a)
+        };
+        let sample = [0, 1].map(|k| (p[k] + q[k]) / 2);
+        if sample.iter().all(|c| (1..last).contains(c)) {
+            let distance_m = (0.5 * (surface.at(p) + surface.at(q)) - surface.at(sample)).abs();
+            found = Farthest { distance_m, sample };
+        }
+        return found;
     }
     let plane = Plane::new(surface, corners);
-    let mut found = None;
-    let mut largest_m = allowed_m;
-    for (y, from, to) in rows(corners).filter(|(y, ..)| (1..last).contains(y)) {
-        let (from, to) = (from.max(1), to.min(last - 1));
-        if from > to {
-            continue;
-        }
+    for (y, from, to) in Rows::new(corners, last) {
         let mut value_m = plane.at([from, y]);
         for (x, height_m) in (from..).zip(surface.row(y, from, to)) {
             let distance_m = (value_m - height_m).abs();
-            if distance_m > largest_m && surface.is_used([x, y]) {
-                (found, largest_m) = (Some([x, y]), distance_m);
+            if distance_m > found.distance_m {
+                found = Farthest { distance_m, sample: [x, y] };
             }
             value_m += plane.east_m;
         }
     }
-    found.map(|sample| (sample, largest_m))
+    found
 }
 
 /// The plane of a triangle.
-pub(super) struct Plane {
+struct Plane {
     corner: Point,
     corner_m: f64,
     /// The rise in metres of a cell eastwards.
@@ -121,7 +146,7 @@ pub(super) struct Plane {
 }
 
 impl Plane {
-    pub fn new(surface: &Surface, [a, b, c]: [Point; 3]) -> Self {
+    fn new(surface: &Surface, [a, b, c]: [Point; 3]) -> Self {
         let [value_m, rise_b, rise_c] = [surface.at(a), surface.at(b) - surface.at(a), surface.at(c) - surface.at(a)];
         let [bx, by, cx, cy] = [b[0] - a[0], b[1] - a[1], c[0] - a[0], c[1] - a[1]].map(f64::from);
         let area = 1.0 / (bx * cy - by * cx);
@@ -130,7 +155,7 @@ impl Plane {
     }
 
     /// Returns the value at a sample in metres.
-    pub fn at(&self, [x, y]: Point) -> f64 {
+    fn at(&self, [x, y]: Point) -> f64 {
         self.corner_m + self.east_m * f64::from(x - self.corner[0]) + self.north_m * f64::from(y - self.corner[1])
     }
 }

@@ -39,6 +39,8 @@ pub(crate) struct Tin {
     pub vertices: Vec<[u16; 2]>,
     /// The vertices of each triangle, counter-clockwise seen from above. Triangles without data are left out.
     pub triangles: Vec<[u16; 3]>,
+    /// True if the triangles are in an order for GPUs.
+    pub is_ordered: bool,
     /// The largest vertical distance in metres between the triangles and those of the whole grid, at any position.
     pub distance_m: f64,
 }
@@ -55,7 +57,7 @@ impl Tin {
             triangles.extend(south_east.then(|| [at(0, 0), at(1, 0), at(1, 1)]));
             triangles.extend(north_west.then(|| [at(0, 0), at(1, 1), at(0, 1)]));
         }
-        Self { vertices, triangles, distance_m: 0.0 }
+        Self { vertices, triangles, is_ordered: false, distance_m: 0.0 }
     }
 
     /// Returns few triangles for the samples of a tile, by the functions of [`Surface::new`]. Samples are at most `limit_m` from

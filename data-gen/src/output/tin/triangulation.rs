@@ -58,6 +58,11 @@ impl Triangulation {
         self.neighbours[triangle as usize].map(|neighbour| neighbour == NONE || neighbour > triangle)
     }
 
+    /// Returns for each edge of a triangle true if it lies on an edge of the square.
+    pub fn outer_edges(&self, triangle: u32) -> [bool; 3] {
+        self.neighbours[triangle as usize].map(|neighbour| neighbour == NONE)
+    }
+
     /// Moves the numbers of the triangles that changed to `out`, each once.
     pub fn take_changed(&mut self, out: &mut Vec<u32>) {
         out.clear();
@@ -65,9 +70,19 @@ impl Triangulation {
         out.iter().for_each(|triangle| self.is_changed[*triangle as usize] = false);
     }
 
+    /// Returns true if a triangle has changed since [`Self::take_changed`].
+    pub fn is_changed(&self, triangle: u32) -> bool {
+        self.is_changed[triangle as usize]
+    }
+
     /// Inserts a point of the square. A point that is already a vertex changes nothing.
-    pub fn insert(&mut self, point: Point) {
-        let triangle = self.find(point);
+    pub fn insert_anywhere(&mut self, point: Point) {
+        self.insert(point, self.near);
+    }
+
+    /// As [`Self::insert_anywhere`], quick if the triangle `near` is near the point.
+    pub fn insert(&mut self, point: Point, near: u32) {
+        let triangle = self.find(point, near);
         let corners = self.corners(triangle);
         if corners.contains(&point) {
             return;
@@ -88,9 +103,9 @@ impl Triangulation {
         }
     }
 
-    /// Returns a triangle that contains the point, by walking towards it.
-    fn find(&self, point: Point) -> u32 {
-        let mut triangle = self.near;
+    /// Returns a triangle that contains the point, by walking towards it from another one.
+    pub fn find(&self, point: Point, near: u32) -> u32 {
+        let mut triangle = near;
         'walk: loop {
             let corners = self.corners(triangle);
             for k in 0..3 {
@@ -114,6 +129,39 @@ impl Triangulation {
     fn set(&mut self, triangle: u32, corners: [u32; 3], neighbours: [u32; 3]) {
         self.corners[triangle as usize] = corners;
         self.neighbours[triangle as usize] = neighbours;
+    }
+
+    /// Returns those triangles that are kept, each beside the one before where possible: the neighbour of which fewest neighbours
+    /// are left. So indices take few bytes, and vertices are used again while they are in a GPU's cache.
+    pub fn in_strips(&self, is_kept: impl Fn(u32) -> bool) -> Vec<u32> {
+        let count = self.corners.len() as u32;
+        let mut is_left: Vec<bool> = (0..count).map(is_kept).collect();
+        let is_open = |is_left: &[bool], triangle: u32| triangle != NONE && is_left[triangle as usize];
+        let (mut out, mut beside) = (Vec::with_capacity(count as usize), Vec::new());
+        for start in 0..count {
+            beside.push(start);
+            while let Some(mut triangle) = beside.pop() {
+                while is_open(&is_left, triangle) {
+                    is_left[triangle as usize] = false;
+                    out.push(triangle);
+                    let (mut next, mut fewest) = (NONE, usize::MAX);
+                    for neighbour in self.neighbours[triangle as usize] {
+                        if !is_open(&is_left, neighbour) {
+                            continue;
+                        }
+                        let around = self.neighbours[neighbour as usize];
+                        let left = around.iter().filter(|other| is_open(&is_left, **other)).count();
+                        let other = if left < fewest { std::mem::replace(&mut next, neighbour) } else { neighbour };
+                        fewest = fewest.min(left);
+                        if other != NONE {
+                            beside.push(other);
+                        }
+                    }
+                    triangle = next;
+                }
+            }
+        }
+        out
     }
 
     /// Tells a triangle that its neighbour `old` is now `new`.
@@ -162,7 +210,12 @@ impl Triangulation {
 
     /// Returns the edge of a triangle at which its neighbour `towards` lies.
     fn edge_towards(&self, triangle: u32, towards: u32) -> usize {
-        self.neighbours[triangle as usize].iter().position(|n| *n == towards).expect("neighbours know each other")
+        // Neighbours know each other.
+        let [first, second, _] = self.neighbours[triangle as usize];
+        if first == towards {
+            return 0;
+        }
+        if second == towards { 1 } else { 2 }
     }
 
     /// Flips the first edge of a triangle if the other diagonal is that of the Delaunay triangulation. The newest point is the
@@ -196,32 +249,103 @@ pub(super) fn turn(a: Point, b: Point, c: Point) -> i32 {
     (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 }
 
-/// Returns the rows of lattice points in a triangle with corners counter-clockwise, its edges included: the row, the first and
-/// the last column. Thin triangles may have rows whose first column is beyond the last.
-pub(super) fn rows(corners: [Point; 3]) -> impl Iterator<Item = (i32, i32, i32)> {
-    /// Beyond the coordinates of all edges, so that conversion to a whole number rounds down.
-    const OFFSET: f64 = 65536.0;
-    /// Less than the distance of a crossing that is no lattice point to the next one.
-    const ROUNDING: f64 = 1e-9;
-    let [a, b, c] = corners.map(|corner| corner[1]);
-    let edges = [0, 1, 2].map(|k| {
-        let (p, q) = (corners[k], corners[(k + 1) % 3]);
-        let dy = q[1] - p[1];
-        (p, dy, f64::from(q[0] - p[0]) / f64::from(dy))
-    });
-    (a.min(b).min(c)..=a.max(b).max(c)).map(move |y| {
-        let (mut from, mut to) = (i32::MIN, i32::MAX);
-        for (p, dy, slope) in edges {
-            let x = f64::from(p[0]) + slope * f64::from(y - p[1]);
-            // The triangle lies to the left of its edges: west of those that go north.
-            match dy {
-                0 => {}
-                1.. => to = to.min((OFFSET + x + ROUNDING) as i32 - OFFSET as i32),
-                _ => from = from.max(OFFSET as i32 - (OFFSET - x + ROUNDING) as i32),
+/// The largest number of cells along the side of a square whose triangles [`Rows`] divides.
+pub(super) const MAX_CELLS: i32 = 64;
+/// The bits behind the point of columns between samples.
+const FRACTION: u32 = 22;
+const ONE: i32 = 1 << FRACTION;
+/// Above the rounding of columns, and below the distance of a crossing that is no lattice point to the next one.
+const ROUNDING: i32 = 1 << 13;
+
+/// One over whole numbers, with [`FRACTION`] bits behind the point.
+const INVERSES: [i32; MAX_CELLS as usize + 1] = {
+    let mut inverses = [0; MAX_CELLS as usize + 1];
+    let mut number = 1;
+    while number <= MAX_CELLS {
+        inverses[number as usize] = (ONE + number / 2) / number;
+        number += 1;
+    }
+    inverses
+};
+
+/// A straight line from row to row: its column at row 0, and the columns from one row to the next.
+#[derive(Clone, Copy)]
+struct Side {
+    start: i32,
+    slope: i32,
+}
+
+impl Side {
+    #[inline(always)]
+    fn through(p: Point, q: Point) -> Self {
+        let rows = q[1] - p[1];
+        let slope = (q[0] - p[0]) * rows.signum() * INVERSES[rows.unsigned_abs() as usize];
+        Self { start: (p[0] << FRACTION).wrapping_sub(slope.wrapping_mul(p[1])), slope }
+    }
+
+    /// Returns the column at a row between the ends of the side. Other rows and level sides have none.
+    #[inline(always)]
+    fn at(self, y: i32) -> i32 {
+        self.start.wrapping_add(self.slope.wrapping_mul(y))
+    }
+}
+
+/// The rows of lattice points in a triangle with corners counter-clockwise, its edges included, without the samples on the edges
+/// of the square from 0 to `last`: the row, the first and the last column.
+pub(super) struct Rows {
+    /// The next row, and the last one.
+    y: i32,
+    end: i32,
+    /// The last row below the corner at which a side bends.
+    bend: i32,
+    west: [Side; 2],
+    east: [Side; 2],
+    last: i32,
+}
+
+impl Rows {
+    #[inline(always)]
+    pub fn new([a, b, c]: [Point; 3], last: i32) -> Self {
+        // The lowest corner first.
+        let [a, b, c] = if a[1] <= b[1] && a[1] <= c[1] {
+            [a, b, c]
+        } else if b[1] <= c[1] {
+            [b, c, a]
+        } else {
+            [c, a, b]
+        };
+        let (right, left, top) = (Side::through(a, b), Side::through(a, c), Side::through(b, c));
+        let bend = b[1].min(c[1]);
+        // Above the lower one of `b` and `c` the side between them continues the one that ended there.
+        let [west, east] = if b[1] <= c[1] { [[left, left], [right, top]] } else { [[left, top], [right, right]] };
+        Self {
+            y: a[1].max(1),
+            end: b[1].max(c[1]).min(last - 1),
+            bend: if bend == a[1] { -1 } else { bend },
+            west,
+            east,
+            last,
+        }
+    }
+}
+
+impl Iterator for Rows {
+    type Item = (i32, i32, i32);
+
+    #[inline(always)]
+    fn next(&mut self) -> Option<Self::Item> {
+        while self.y <= self.end {
+            let y = self.y;
+            self.y += 1;
+            let part = usize::from(y > self.bend);
+            let from = ((self.west[part].at(y) + (ONE - 1 - ROUNDING)) >> FRACTION).max(1);
+            let to = ((self.east[part].at(y) + ROUNDING) >> FRACTION).min(self.last - 1);
+            if from <= to {
+                return Some((y, from, to));
             }
         }
-        (y, from, to)
-    })
+        None
+    }
 }
 
 /// Returns a positive number if `d` lies inside of the circle through three points that are counter-clockwise, 0 on it.
@@ -247,7 +371,7 @@ mod tests {
         let mut net = Triangulation::new(16);
         for _ in 0..150 {
             // Also points on the border, and some twice.
-            net.insert([next(17), next(17)]);
+            net.insert_anywhere([next(17), next(17)]);
             let area: i32 = (0..net.triangles().len())
                 .map(|t| {
                     let [a, b, c] = net.corners(t as u32);
@@ -273,12 +397,54 @@ mod tests {
         }
     }
 
+    /// Every triangle of a small square, by its corners: the samples that are not outside of any edge.
+    #[test]
+    fn rows_have_all_samples_of_a_triangle() {
+        let last = 64;
+        let mut state = 1u64;
+        let mut next = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            ((state >> 33) % (last as u64 + 1)) as i32
+        };
+        for round in 0..3000 {
+            // Small ones as well, and some with corners in the same row.
+            let scale = [1, 4, 16][round % 3];
+            let [a, b, mut c] = [0; 3].map(|_| [next() / scale, next() / scale]);
+            if round % 5 == 0 {
+                c[1] = a[1];
+            }
+            let corners = match turn(a, b, c) {
+                0 => continue,
+                1.. => [a, b, c],
+                _ => [b, a, c],
+            };
+            let inside = |p: Point| (0..3).all(|k| turn(corners[k], corners[(k + 1) % 3], p) >= 0);
+            let all = (1..last).flat_map(|y| (1..last).map(move |x| [x, y])).filter(|p| inside(*p));
+            let rows = Rows::new(corners, last).flat_map(|(y, from, to)| (from..=to).map(move |x| [x, y]));
+            assert!(all.eq(rows), "{corners:?}");
+        }
+    }
+
+    #[test]
+    fn strips_have_each_kept_triangle_once() {
+        let mut net = Triangulation::new(16);
+        (0..90).for_each(|k| net.insert_anywhere([k * 7 % 17, k * k % 17]));
+        let is_kept = |triangle: u32| triangle % 5 != 0;
+        let strips = net.in_strips(is_kept);
+        let mut sorted = strips.clone();
+        sorted.sort_unstable();
+        assert!(sorted.into_iter().eq((0..net.triangles().len() as u32).filter(|t| is_kept(*t))));
+        let all = net.in_strips(|_| true);
+        let beside = all.windows(2).filter(|two| net.neighbours[two[0] as usize].contains(&two[1])).count();
+        assert!(10 * beside > 7 * all.len(), "{beside} of {}", all.len());
+    }
+
     #[test]
     fn whole_cells_have_the_diagonal_of_the_grid() {
         // In several orders.
         for step in [1, 7, 11, 13] {
             let mut net = Triangulation::new(4);
-            (0..25).map(|k| k * step % 25).for_each(|k| net.insert([k % 5, k / 5]));
+            (0..25).map(|k| k * step % 25).for_each(|k| net.insert_anywhere([k % 5, k / 5]));
             assert_eq!(net.triangles().len(), 32);
             for t in 0..32 {
                 let [a, b, c] = net.corners(t);

@@ -27,15 +27,18 @@ impl Block<'_> {
             let first = [i64::from(keys[0].x) * side, i64::from(keys[0].y) * side];
             let window = Window { first, last: [first[0] + side * keys.len() as i64, first[1] + side] };
             let mut errors_m = vec![0.0f64; keys.len()];
-            // Each sample by its column and row of cells, and its position in its cell.
-            let mut columns: Vec<(i64, f64)> = Vec::new();
+            // The samples inside of the window: their numbers in a row, their columns of cells from the first one on, and their
+            // positions in their cells.
+            let mut columns: Vec<(u32, u32, f64)> = Vec::new();
             let cell_of = |c: f64, k: usize| {
                 let cell = (c as i64).clamp(window.first[k], window.last[k] - 1);
                 (cell, c - cell as f64)
             };
             let has_rows = self.grid.source_rows(&window, 0.0, false, &mut |xs, y, row| {
                 if columns.is_empty() {
-                    columns.extend(xs.iter().map(|x| cell_of(*x, 0)));
+                    let cells = xs.iter().map(|x| cell_of(*x, 0)).zip(0..);
+                    let inside = cells.filter(|((_, u), _)| (0.0..=1.0).contains(u));
+                    columns.extend(inside.map(|((i, u), sample)| (sample, (i - first[0]) as u32, u)));
                 }
                 let (j, v) = cell_of(y, 1);
                 if !(0.0..=1.0).contains(&v) {
@@ -43,21 +46,22 @@ impl Block<'_> {
                 }
                 let bulge = Bulge::of_row(self.grid, j, 1);
                 let [south, north] = [j, j + 1].map(|j| heights.row_from(first[0], j));
-                for ((i, u), h) in columns.iter().zip(row.heights_m) {
-                    if h.is_nan() || !(0.0..=1.0).contains(u) {
-                        continue;
+                let is_whole = self.is_whole();
+                for (sample, k, u) in &columns {
+                    let (h, k) = (row.heights_m[*sample as usize], *k as usize);
+                    if !is_whole {
+                        let [lower, upper] = self.triangles_at(level, [first[0] + k as i64, j]);
+                        if !(if *u >= v { lower } else { upper }) {
+                            continue;
+                        }
                     }
-                    let [lower, upper] = self.triangles_at(level, [*i, j]);
-                    if !(if *u >= v { lower } else { upper }) {
-                        continue;
-                    }
-                    let k = (i - first[0]) as usize;
                     let corners = [south[k], south[k + 1], north[k], north[k + 1]].map(f64::from);
-                    let cell = Cell { first: [*i, j], stride: 1, corners };
-                    let error_m = cell.distance_m(&bulge, [*u, v], f64::from(*h));
-                    if error_m >= ROUNDING_M {
-                        let tile = &mut errors_m[k / CELLS];
-                        *tile = tile.max(error_m);
+                    let cell = Cell { first: [first[0] + k as i64, j], stride: 1, corners };
+                    let error_m = cell.distance_m(&bulge, [*u, v], f64::from(h));
+                    // Comparisons with NaN, of samples without data, are false.
+                    let tile = &mut errors_m[k / CELLS];
+                    if error_m > *tile && error_m >= ROUNDING_M {
+                        *tile = error_m;
                     }
                 }
             })?;
@@ -164,7 +168,7 @@ impl Block<'_> {
         let first = [key.x, key.y].map(|c| i64::from(c) * CELLS as i64);
         let heights = self.heights(key.level);
         for y in first[1]..=first[1] + CELLS as i64 {
-            facts.add_heights(heights.row_from(first[0], y)[..=CELLS].iter().copied());
+            facts.add_row(&heights.row_from(first[0], y)[..=CELLS]);
         }
     }
 
@@ -197,7 +201,10 @@ impl Block<'_> {
             let corners = [y, y + 1].map(|y| &heights.row_from(first[0], y)[..=CELLS]);
             let is_last = y + 1 == first[1] + CELLS as i64;
             let row = CellRow { corners, first: [first[0] * stride, y * stride], stride, is_last };
-            let of_row = pulp::Arch::new().dispatch(|| row.error_m(&bulge, finest, &mut rises));
+            let of_row = pulp::Arch::new().dispatch(
+                #[inline(always)]
+                || row.error_m(&bulge, finest, &mut rises),
+            );
             error_m = error_m.max(of_row);
         }
         error_m

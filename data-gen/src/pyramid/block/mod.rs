@@ -282,6 +282,16 @@ impl<'a> Block<'a> {
         self.grid.levels
     }
 
+    /// Returns the step in metres that heights are rounded to.
+    pub fn step_m(&self) -> f64 {
+        self.grid.step_m()
+    }
+
+    /// Returns true if all triangles of the block have data.
+    pub fn is_whole(&self) -> bool {
+        self.triangles.is_none()
+    }
+
     /// Returns the rectangle of a tile.
     pub fn extent(&self, key: TileKey) -> Extent {
         key.extent(&self.grid.extent)
@@ -324,7 +334,11 @@ impl<'a> Block<'a> {
         let edges: [[[i64; 2]; 2]; 4] = [[[0, 0], [1, 0]], [[0, last], [1, 0]], [[0, 0], [0, 1]], [[last, 0], [0, 1]]];
         let mut step_m = 0.0f64;
         for ([x, y], [dx, dy]) in edges.map(|[start, along]| (start, along)) {
-            let height = |k: i64| f64::from(self.height_m(key, x + k * dx, y + k * dy));
+            let mut heights = [0.0; CELLS + 1];
+            for (k, height) in (0..).zip(&mut heights) {
+                *height = f64::from(self.height_m(key, x + k * dx, y + k * dy));
+            }
+            let height = |k: i64| heights[k as usize];
             let row = (i64::from(key.y) * last + y) * stride;
             for coarser in [2, 4] {
                 let [east, north] = Bulge::of_row(self.grid, row, coarser * stride).at(height(0));

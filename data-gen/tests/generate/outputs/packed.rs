@@ -9,8 +9,8 @@ use terrane::fetch::{FileReader, Limits};
 use terrane::formats::{Content, ReadOptions, decode_node, verify};
 use terrane::scene::{Geometry, Node, NodeKind};
 use terrane_data_gen::{
-    ArchiveFormat, Color, ContentKind, GenArgs, GenError, OutputArgs, Sharding, Tiling, WorldArgs, WorldPreset,
-    predict, run,
+    ArchiveFormat, Color, ContentKind, GenArgs, GenError, OutputArgs, Sharding, TileArgs, Tiling, WorldArgs,
+    WorldPreset, predict, run,
 };
 
 use crate::files::{PLACE, SIDE, TILE_SIDE, files_below, from_dem, tiff_float32, tile_heights};
@@ -134,6 +134,24 @@ fn all_forms_of_sets_are_packed_and_read_from_disks_and_servers() {
 }
 
 #[test]
+fn coarser_steps_of_heights_take_fewer_bytes_and_are_declared() {
+    let folder = tempfile::tempdir().unwrap();
+    let samples: Vec<f32> = (0..SIDE * SIDE).map(|k| 500.0 + (k * 7919 % 1009) as f32 / 37.0).collect();
+    let dem = from_dem(folder.path(), "dem.tif", &tiff_float32(&samples, Some(PLACE), None));
+    let plain = GenArgs { levels: Some(3), color: Color::None, ..dem };
+    let coarse = TileArgs { height_step: Some(2.0), ..TileArgs::default() };
+    let coarse = GenArgs { tiles: coarse, ..packed(&plain, "coarse.terrane") };
+    let [finer, coarser] = [packed(&plain, "fine.terrane"), coarse.clone()].map(|args| run(&args).unwrap());
+    assert!(coarser.bytes * 3 < finer.bytes * 2, "{} bytes and {}", coarser.bytes, finer.bytes);
+    for name in ["0/0/0", "2/1/3"] {
+        assert!(heights(&coarse.out, &format!("{name}.heights")).iter().all(|h| h % 2.0 == 0.0));
+    }
+    // A height is rounded by at most half a step, and some height by nearly as much.
+    let [fine_m, coarse_m] = [&finer, &coarser].map(|summary| summary.level_errors_m[2]);
+    assert!((0.9..=fine_m + 1.01).contains(&coarse_m), "{coarse_m} m, {fine_m} m with fine steps");
+}
+
+#[test]
 fn damage_is_an_error_of_one_tile_that_names_it_and_the_set() {
     let folder = tempfile::tempdir().unwrap();
     let args = packed(&small(folder.path().join("plain")), "set.terrane");
@@ -178,7 +196,13 @@ fn contradictions_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let plain = small(folder.path().join("plain"));
     let args = packed(&plain, "a.terrane");
+    let steps = |step_m: f64| TileArgs { height_step: Some(step_m), ..TileArgs::default() };
     for (args, part) in [
+        (GenArgs { tiles: steps(1.0), ..args.clone() }, "--height-step has no effect without --dem"),
+        (
+            GenArgs { tiles: steps(f64::NAN), dem: vec!["a.tif".into()], ..args.clone() },
+            "--height-step must be 0.002 to",
+        ),
         (packed(&plain, "a.3tz"), "--archive packed: the name of"),
         (
             GenArgs { content: ContentKind::QuantizedMesh, color: Color::Natural, ..args.clone() },
