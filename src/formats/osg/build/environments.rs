@@ -180,11 +180,10 @@ fn quick_of(part: &CombinePart, number: usize) -> Option<Quick> {
         source => (source, part.operands[i]),
     };
     let is_pair = |other| [of(0), of(1)] == [TEXTURE, other] || [of(0), of(1)] == [other, TEXTURE];
-    let is_over = match [of(0), of(1), of(2)] {
-        [TEXTURE, PREVIOUS, (GL_TEXTURE, GL_SRC_ALPHA)] => true,
-        [PREVIOUS, TEXTURE, (GL_TEXTURE, GL_ONE_MINUS_SRC_ALPHA)] => true,
-        _ => false,
-    };
+    let is_over = matches!(
+        [of(0), of(1), of(2)],
+        [TEXTURE, PREVIOUS, (GL_TEXTURE, GL_SRC_ALPHA)] | [PREVIOUS, TEXTURE, (GL_TEXTURE, GL_ONE_MINUS_SRC_ALPHA)]
+    );
     match part.function {
         _ if part.scale != 1.0 => None,
         GL_REPLACE if of(0) == TEXTURE => Some(Quick::Replace),
