@@ -10,7 +10,7 @@ use serde_json::{Map, Value};
 
 use super::contents::write_file;
 use super::report::{ConvertError, ConvertOptions, Converted};
-use super::run::{convert, is_wanted};
+use super::run::{convert, is_wanted, reason_for_nothing};
 use crate::fetch::markup::text_and_first_byte;
 use crate::fetch::{IoError, Loaded, RootScope, Source, is_remote, percent_decode, resolve, root_uri};
 use crate::formats::embedded::is_data_uri;
@@ -111,7 +111,7 @@ impl<'a> Plan<'a> {
             Ok(true) => Ok(Some(plan)),
             Ok(false) => {
                 let uri = crate::fetch::shown(root).into_owned();
-                Err(ConvertError::Nothing { uri, reason: "it draws nothing".to_owned() })
+                Err(ConvertError::Nothing { uri, reason: reason_for_nothing(options).to_owned() })
             }
             Err(Refusal::NotCopied) => Ok(None),
             Err(Refusal::Failed(error)) => Err(error.into()),

@@ -308,11 +308,8 @@ impl Shared<'_> {
         }
         let Some(root) = OutTile::group(std::mem::take(&mut state.root), &self.errors) else {
             let first = state.report.errors.first();
-            let nothing = match (self.options.region, self.options.rectangle_m) {
-                (None, None) => "it draws nothing",
-                _ => "none overlaps the given part; `terrane info` prints the bounds of the set",
-            };
-            let reason = first.map_or(nothing.to_owned(), |(uri, reason)| format!("{uri}: {reason}"));
+            let nothing = reason_for_nothing(self.options).to_owned();
+            let reason = first.map_or(nothing, |(uri, reason)| format!("{uri}: {reason}"));
             return Err(ConvertError::Nothing { uri: crate::fetch::shown(uri).into_owned(), reason });
         };
         self.lock().report = state.report;
@@ -360,6 +357,14 @@ impl Refinement {
             }
             Self::Always => Self::Always,
         }
+    }
+}
+
+/// Returns why there is nothing to write although nothing failed.
+pub(super) fn reason_for_nothing(options: &ConvertOptions) -> &'static str {
+    match (options.region, options.rectangle_m) {
+        (None, None) => "it draws nothing",
+        _ => "none overlaps the given part; `terrane info` prints the bounds of the set",
     }
 }
 
