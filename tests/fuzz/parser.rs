@@ -23,11 +23,11 @@ mod places;
 mod rasters;
 #[path = "../formats/terrain/fuzz_parsers.rs"]
 mod terrain;
-#[path = "../../data-gen/tests/generate/sources/tile_archives.rs"]
-mod tile_archives;
 #[allow(dead_code, reason = "the parsers use a part of this file")]
 #[path = "../../data-gen/tests/generate/tiffs.rs"]
 mod tiffs;
+#[path = "../../data-gen/tests/generate/sources/tile_archives.rs"]
+mod tile_archives;
 /// The name under which data-gen's tests have the module.
 mod sources {
     pub(crate) use super::tile_archives;
