@@ -120,7 +120,7 @@ impl FileReader {
 
     /// Returns the archive that contains a path, and the name inside it.
     fn open_archive_of(&self, uri: &str) -> Result<(Arc<LocalArchive>, String), IoError> {
-        let (path, name) = split_path(uri).ok_or_else(|| IoError::NotFound { uri: uri.to_owned() })?;
+        let (path, name) = split_path(uri).ok_or_else(|| missing(uri))?;
         let cached = self.cached().get(&path).cloned();
         if let Some(archive) = cached.filter(|archive| archive.is_current()) {
             return Ok((archive, name));
@@ -176,6 +176,18 @@ mod hung_reads {
         while files.iter().any(|file| uri.contains(file)) {
             files = RELEASED.wait(files).unwrap_or_else(PoisonError::into_inner);
         }
+    }
+}
+
+/// Returns the error for a file that does not exist. A folder whose set is missing says which files would make it one.
+fn missing(uri: &str) -> IoError {
+    match uri.strip_suffix("/tileset.json") {
+        Some(folder) if Path::new(folder).is_dir() => IoError::File {
+            uri: folder.to_owned(),
+            reason: "the folder has no tileset.json, layer.json or metadata.xml".to_owned(),
+            may_pass: false,
+        },
+        _ => IoError::NotFound { uri: uri.to_owned() },
     }
 }
 

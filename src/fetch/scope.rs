@@ -97,9 +97,6 @@ pub fn root_uri(source: &str) -> Result<Arc<str>, IoError> {
         true if is_oblique(&path) => path.join(OBLIQUE_ROOT),
         // A folder of terrain tiles.
         true if !path.join("tileset.json").exists() && path.join("layer.json").is_file() => path.join("layer.json"),
-        true if path.is_dir() && !path.join("tileset.json").exists() => {
-            return Err(bad(source, "the folder has no tileset.json, layer.json or metadata.xml"));
-        }
         true => path.join("tileset.json"),
         false => path,
     };
@@ -280,16 +277,10 @@ mod tests {
 
     #[test]
     fn root_that_cannot_be_one_says_why() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().to_str().unwrap();
-        for (source, reason) in
-            [(path, "has no tileset.json, layer.json"), ("", "empty"), ("ftp://h/a", "scheme ftp://")]
-        {
+        for (source, reason) in [("", "empty"), ("ftp://h/a", "scheme ftp://")] {
             let error = root_uri(source).unwrap_err().to_string();
             assert!(error.contains(reason), "{error}");
         }
-        std::fs::write(folder.path().join("tileset.json"), "{}").unwrap();
-        assert!(root_uri(path).unwrap().ends_with("/tileset.json"));
     }
 
     #[test]
