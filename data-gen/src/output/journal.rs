@@ -192,11 +192,11 @@ pub(crate) struct CompleteTile {
     pub own_m: [f32; 2],
     /// Vertices without data.
     pub voids: u64,
-    /// What the tile depends on.
+    /// The sources that the tile depends on.
     pub inputs: Inputs,
 }
 
-/// What the heights of a tile depend on.
+/// The part of the sources that the heights of a tile depend on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Inputs {
     /// Sources with data at all vertices of the tile and around it.

@@ -29,7 +29,7 @@ pub(crate) struct Manifest {
     pub(super) terrain: Option<TerrainPlace>,
 }
 
-/// What terrain for globes takes from all sources together.
+/// The properties of all sources together that terrain for globes depends on.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct TerrainPlace {
     /// The rectangle of the sources: west, south, east and north in radians.

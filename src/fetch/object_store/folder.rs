@@ -48,7 +48,7 @@ pub struct ObjectFolder {
     prefix: Path,
 }
 
-/// What a store says about the content of an object when it hands it out.
+/// The headers that a store sends with the content of an object.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ObjectHeaders {
     /// The media type.

@@ -41,7 +41,7 @@ pub(super) struct TileHeights {
     pub data_m: [f32; 2],
     /// Vertices inside of the source's rectangle without data. Those on the eastern and northern edge belong to neighbours.
     pub voids: u64,
-    /// What the heights depend on.
+    /// The part of the sources that the heights depend on.
     pub inputs: Inputs,
 }
 

@@ -80,7 +80,7 @@ impl Triangulation {
         self.insert(point, self.near);
     }
 
-    /// As [`Self::insert_anywhere`], quick if the triangle `near` is near the point.
+    /// Inserts a point as [`Self::insert_anywhere`] does. It is quick if the triangle `near` is near the point.
     pub fn insert(&mut self, point: Point, near: u32) {
         let triangle = self.find(point, near);
         let corners = self.corners(triangle);

@@ -1,6 +1,6 @@
 //! Positions in the lattice of a noise, in blocks of as many as the widest registers hold.
 //!
-//! Where all positions of a block lie in one cell, as they do for long waves, its corners are hashed once for all of them. Neither
+//! The corners of a cell are hashed once for all positions of a block that lies in it, as blocks of long waves do. Neither
 //! this nor the width of registers changes the bits: each position is computed alike, and neither fused multiply-add nor
 //! functions of the C library are used.
 
@@ -30,7 +30,7 @@ fn cell(x: f64) -> (u32, f32) {
 /// Odd numbers that the coordinates of lattice points are multiplied with.
 const HASH: [u32; 3] = [0x9e37_79b1, 0x85eb_ca77, 0xc2b2_ae3d];
 
-/// Ten bits of a hash as a number within -511.5..511.5.
+/// Returns ten bits of a hash as a number within -511.5..511.5.
 #[inline(always)]
 pub(super) fn part(hash: u32, shift: u32) -> f32 {
     ((hash >> shift) & 0x3ff) as i32 as f32 - 511.5

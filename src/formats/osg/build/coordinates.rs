@@ -1,6 +1,7 @@
-//! Where the texture coordinates of a unit come from: the geometry, planes, or the eye.
+//! The sources of a texture unit's coordinates: the geometry, planes, or the eye. Decode threads.
 //!
-//! What does not depend on the eye is computed while meshes are made. The fixed function computes the rest for each pixel.
+//! Coordinates that do not depend on the eye are computed while meshes are made. The fixed function computes the others for
+//! each pixel.
 
 use glam::{DMat4, DVec3, DVec4};
 

@@ -1,4 +1,5 @@
-//! [`Environment`]: how a texture unit changes the colour of the units below it, as OSG's TexEnv and TexEnvCombine say.
+//! [`Environment`]: how a texture unit changes the colour of the units below it, as OSG's TexEnv and TexEnvCombine say. Decode
+//! threads.
 
 use super::looks::linear;
 use crate::formats::osg::objects::{CombineObject, CombinePart};
@@ -28,11 +29,11 @@ const GL_ONE_MINUS_SRC_ALPHA: u32 = 0x303;
 /// The environment of a unit.
 #[derive(Clone, Copy)]
 pub(super) struct Environment {
-    /// What it is for the quick shaders; `None` if only the fixed function has it.
+    /// Its counterpart in the quick shaders; `None` if only the fixed function has it.
     pub quick: Option<Quick>,
     /// True if the lit colour is an argument by itself.
     pub uses_light: bool,
-    /// The same for the fixed function. Textures of other units have OSG's numbers.
+    /// Its form for the fixed function. Textures of other units have OSG's numbers.
     full: TexEnv,
 }
 
