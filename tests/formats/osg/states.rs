@@ -288,7 +288,7 @@ fn tex_env_combine_is_the_environment_that_it_equals() {
     assert_eq!(overlay("Combine_RGB REPLACE Source0_RGB PREVIOUS"), (100, None), "the texture is not used");
     assert_eq!(overlay("Source1_RGB PRIMARY_COLOR"), (200, None), "the first texture is not used");
 
-    // What equals none takes the fixed function.
+    // Others take the fixed function.
     for members in [
         "Combine_RGB DOT3_RGB",
         "Combine_RGB SUBTRACT",

@@ -194,7 +194,7 @@ fn three_textures_have_coordinates_of_their_own() {
 #[test]
 fn generated_coordinates_are_opengls() {
     let textured = |members: &str| [unit(100, &QUARTERS).generated(members)];
-    // What meshes can make needs no fixed function.
+    // Coordinates that meshes can have need no fixed function.
     let object = textured(&format!("Mode OBJECT_LINEAR {PLANES}"));
     assert_quarters(&object, QUARTERS);
     assert!(state(&read(square(&object)).0).is_none());

@@ -159,7 +159,7 @@ fn no_holes_while_loading_nor_when_settled() {
                 judged > u64::from(frames()) * 320 * 180 / 10,
                 "hardly any pixel was checked: {judged}, {flight:?}"
             );
-            // What stands in for a missing tile is cut without skirts, so that single pixels beside it may be open on a ridge.
+            // The stand-in for a missing tile is cut without skirts, so that single pixels beside it may be open on a ridge.
             let allowed = if flight.has_gaps { judged / 50_000 } else { 0 };
             assert!(holes <= allowed, "{holes} hole pixels of {judged}, {content:?}, {flight:?}");
             if kit::long_tests() {

@@ -82,7 +82,7 @@ impl Units {
                 Err(what) => left_out.push(what),
             }
         }
-        // What a unit covers is not drawn, unless a unit behind it reads its texture.
+        // Units that a later one covers are not drawn, unless a unit behind it reads their textures.
         let covers = |(_, environment): &(Unit, Environment)| {
             matches!(environment.quick, Some(Quick::Replace | Quick::ModulateLight))
         };

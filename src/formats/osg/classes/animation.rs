@@ -6,7 +6,7 @@ use super::Reader;
 use crate::formats::osg::error::Result;
 use crate::formats::osg::objects::Object;
 
-/// What is said of the callback.
+/// The name under which the callback is counted.
 const NOTE: &str = "OpenSceneGraph class osg::AnimationPathCallback (its first pose is drawn)";
 
 impl Reader<'_> {

@@ -41,7 +41,7 @@ const SILENT: [&str; 8] = [
     "osg::Shader",
     "osg::Uniform",
 ];
-/// What is said of programs, in all encodings.
+/// The name under which programs are counted, in all encodings.
 pub(super) const PROGRAMS: &str = "OpenSceneGraph: shader programs in GLSL (not run)";
 
 /// Reads the objects of one file. One thread.

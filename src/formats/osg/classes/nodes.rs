@@ -22,7 +22,7 @@ const LIKE_GROUPS: [&str; 7] = [
     "osg::OcclusionQueryNode",
 ];
 
-/// What is said of Sequences, in all encodings.
+/// The name under which Sequences are counted, in all encodings.
 pub(in crate::formats::osg) const SEQUENCES: &str = "OpenSceneGraph class osg::Sequence (its first child is drawn)";
 
 /// Returns a Switch that shows one child of a Sequence: the first one that plays. A negative number counts from the end.
