@@ -158,9 +158,10 @@ impl ObjectFolder {
         };
         let sent = sent();
         if sent.is_err() {
-            // The store removes the parts. If it does not answer either, its rules for unfinished uploads do.
+            // The store removes the parts. If it does not answer either, its rules for unfinished uploads do. Parts in
+            // flight end first: a store may keep a part that arrives after the request to remove them.
             let _ = self.block_on(name, async {
-                parts.shutdown().await;
+                while parts.join_next().await.is_some() {}
                 MultipartUpload::abort(&mut *upload).await
             });
         }
