@@ -17,21 +17,22 @@ use crate::output::{
 use crate::pyramid::{Grid, Layer, TileKey};
 use crate::update::{LocalSet, Manifest, OldSet, TerrainUpdate, keep_blocks};
 use crate::web_tiles::TileContent;
-use crate::world::{check_world, world_set, write_world};
+use crate::world::{WorldArgs, WorldPreset, check_world, world_set, write_world};
 use crate::{ContentKind, GenArgs, GenError, Prediction, PredictionFormat, Shard, Sharding, Summary};
 use crate::{prediction, shards};
 
 /// The folder of the default set. The number changes with the content of the set, so that old sets are not used.
-const DEFAULT_SET: &str = "default-set-2";
+const DEFAULT_SET: &str = "default-set-3";
 /// The number of places where a run that may not fit on the disk makes a sample.
 const SPACE_PLACES: usize = 2;
 
-/// Returns the folder of the small set that `terrane fly` shows by default. Generates the set in `folder` unless it is
-/// there.
+/// Returns the folder of the small set that `terrane fly` shows by default, mountains of a world. Generates the set in
+/// `folder` unless it is there.
 pub fn default_set(folder: &Path) -> Result<PathBuf, GenError> {
     let out = folder.join(DEFAULT_SET);
     if !out.join("tileset.json").is_file() {
-        let args = GenArgs { overwrite: true, levels: Some(5), size: 40_000.0, ..GenArgs::new(&out) };
+        let world = WorldArgs { world: Some(WorldPreset::Alps), ..WorldArgs::default() };
+        let args = GenArgs { overwrite: true, levels: Some(5), size: 40_000.0, world, ..GenArgs::new(&out) };
         match run(&args) {
             // Another program makes it now.
             Err(GenError::Busy(_)) => {
