@@ -54,9 +54,9 @@ pub enum Voids {
 pub struct GenArgs {
     /// Folder to write, or a folder in a bucket: s3://BUCKET/FOLDER, gs://... or az://...
     pub out: PathBuf,
-    /// Elevation: GeoTIFF, HGT (also in a zip file), PNG, PMTiles, MBTiles, EXR or ASCII grid; a folder of them or of web tiles
-    /// z/x/y.png; a pattern such as "*.tif"; a text file with a path in each line; the address of a GeoTIFF or of PMTiles
-    /// (https, s3). Where files overlap, the first with data wins
+    /// Elevation: GeoTIFF, VRT, HGT (also in a zip file), DTED, PNG, PMTiles, MBTiles, EXR, ASCII grid, XYZ, or plain samples
+    /// with a .hdr file; a folder of them or of web tiles z/x/y.png; a pattern such as "*.tif"; a text file with a path in each
+    /// line; the address of a GeoTIFF or of PMTiles (https, s3). Where files overlap, the first with data wins
     #[arg(long, value_name = "FILE", num_args = 1..)]
     pub dem: Vec<PathBuf>,
     /// Treatment of positions without elevation
@@ -80,7 +80,7 @@ pub struct GenArgs {
     /// Width in metres of the band in which an elevation file blends into those below it
     #[arg(long, value_name = "M", default_value_t = 0.0)]
     pub blend: f64,
-    /// Colour: GeoTIFF, PMTiles or MBTiles; PNG, JPEG or WebP with a world file; a folder of them or of web tiles z/x/y.png; a
+    /// Colour: GeoTIFF, VRT, PMTiles or MBTiles; PNG, JPEG or WebP with a world file; a folder of them or of web tiles z/x/y.png; a
     /// pattern or a list. The first is above the others
     #[arg(long, value_name = "FILE", num_args = 1..)]
     pub imagery: Vec<PathBuf>,

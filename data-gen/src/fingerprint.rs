@@ -2,11 +2,13 @@
 //! fingerprints make equal sets, so that one continues what another has begun.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::UNIX_EPOCH;
 
 use crate::georeference::files_beside;
 use crate::pyramid::checksum;
-use crate::store::{is_remote, remote_versions};
+use crate::store::{BlockCache, is_remote, remote_versions};
+use crate::virtual_raster::{VirtualRaster, is_virtual};
 use crate::{GenArgs, GenError, RunArgs, Sharding};
 
 /// Returns the fingerprint of a run. The sources are files: lists and patterns have been expanded.
@@ -51,6 +53,10 @@ pub(crate) fn source_text(path: &Path, args: &GenArgs) -> Result<String, GenErro
     add_file(path, &mut text)?;
     for beside in files_beside(path) {
         add_file(&beside, &mut text)?;
+    }
+    if path.is_file() && is_virtual(path, b"<") {
+        let files = VirtualRaster::open(path, &Arc::new(BlockCache::new(0)))?.files();
+        files.iter().filter(|file| !is_remote(file)).try_for_each(|file| add_file(file, &mut text))?;
     }
     Ok(text)
 }

@@ -29,6 +29,7 @@ mod run_args;
 mod shards;
 mod store;
 mod update;
+mod virtual_raster;
 mod web_tiles;
 mod world;
 

@@ -5,11 +5,12 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::levels::Level;
-use super::tiles;
+use super::{tiles, virtual_raster};
 use crate::GenError;
 use crate::elevation::png_rows;
 use crate::georeference::{Crs, Placement, geotiff::Tiff};
-use crate::store::{BlockCache, BlockReader, FileState, PixelImage, Rect, WholeReader, is_remote, whole};
+use crate::store::{BlockCache, BlockReader, FileState, PixelImage, Rect, WholeReader, first_bytes, is_remote, whole};
+use crate::virtual_raster::is_virtual;
 use crate::web_tiles::is_archive;
 
 /// The bytes of decoded tiles that the reader of a TIFF keeps: those of one block are read once for each channel.
@@ -25,6 +26,16 @@ pub(super) struct Opened {
 /// Opens an image file, a folder of web tiles, or an archive of them. `given` is the reference system of files that do not
 /// name their own.
 pub(super) fn open(path: &Path, given: Option<Crs>, cache: &Arc<BlockCache>) -> Result<Opened, GenError> {
+    open_at(path, given, cache, 0)
+}
+
+/// Like [`open`], for a file that this many virtual rasters contain one another.
+pub(super) fn open_at(
+    path: &Path,
+    given: Option<Crs>,
+    cache: &Arc<BlockCache>,
+    depth: usize,
+) -> Result<Opened, GenError> {
     if is_archive(path, cache)? {
         return tiles::open(path, cache);
     }
@@ -39,6 +50,9 @@ pub(super) fn open(path: &Path, given: Option<Crs>, cache: &Arc<BlockCache>) -> 
             path,
             "neither .tif nor .pmtiles; files of other formats are read from disks only",
         ));
+    }
+    if is_virtual(path, &first_bytes(path, cache)?) {
+        return virtual_raster::open(path, given, cache, depth);
     }
     GenError::if_not_regular(path)?;
     // The format is recognised by the content, because extensions may be wrong.

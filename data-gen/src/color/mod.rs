@@ -5,6 +5,7 @@ mod imagery;
 mod levels;
 mod painter;
 mod tiles;
+mod virtual_raster;
 
 pub(crate) use imagery::Imagery;
 pub(crate) use painter::{Painter, TEXELS};

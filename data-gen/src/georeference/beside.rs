@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::crs::Crs;
+use super::geo_keys::named_unit_m;
 use super::transform::GeoTransform;
 use crate::GenError;
 use crate::store::{BlockCache, is_remote, text_of, with_extension, with_more};
@@ -37,15 +38,26 @@ impl Metadata {
         let path = with_more(raster, "aux.xml");
         let is_xml = |bytes: &[u8]| bytes.trim_ascii_start().starts_with(b"<") || bytes.starts_with(b"\xef\xbb\xbf<");
         let Some(text) = text_of(&path, cache, is_xml)? else { return Ok(Self::default()) };
-        Self::parse(path.clone(), &text).map_err(|reason| GenError::invalid(path, reason))
+        Self::parse(path.clone(), &text, ["<PAMDataset", "<PAMRasterBand"])
+            .map_err(|reason| GenError::invalid(path, reason))
     }
 
-    /// The error is the reason.
-    fn parse(path: PathBuf, text: &str) -> Result<Self, String> {
-        let Some(start) = text.find("<PAMDataset") else { return Ok(Self::default()) };
+    /// Reads the text of a virtual raster, which has the same elements. The error is the reason.
+    pub fn of_virtual(path: &Path, text: &str) -> Result<Self, String> {
+        Self::parse(path.to_owned(), text, ["<VRTDataset", "<VRTRasterBand"])
+    }
+
+    /// Returns the metadata of a raster whose header has the text of a reference system.
+    pub fn of_system(path: &Path, system: &str) -> Self {
+        Self { path: path.to_owned(), system: Some(system.to_owned()), ..Self::default() }
+    }
+
+    /// Reads the elements of a raster and its bands, which begin as `[raster, band]`. The error is the reason.
+    fn parse(path: PathBuf, text: &str, [raster, band]: [&str; 2]) -> Result<Self, String> {
+        let Some(start) = text.find(raster) else { return Ok(Self::default()) };
         // Subsets of the raster have metadata of their own.
         let text = text[start..].split("<Subdataset").next().unwrap_or_default();
-        let (own, bands) = text.split_at(text.find("<PAMRasterBand").unwrap_or(text.len()));
+        let (own, bands) = text.split_at(text.find(band).unwrap_or(text.len()));
         let transform = match element(own, "GeoTransform") {
             None => None,
             Some((_, numbers)) => {
@@ -57,7 +69,7 @@ impl Metadata {
             }
         };
         let system = element(own, "SRS").map(|(_, text)| plain(text)).filter(|text| !text.is_empty());
-        let bands = bands.split("<PAMRasterBand").skip(1).enumerate().map(|(k, band)| {
+        let bands = bands.split(band).skip(1).enumerate().map(|(k, band)| {
             let (attributes, _) = band.split_once('>').unwrap_or_default();
             let number = attribute(attributes, "band").and_then(|number| number.parse().ok()).unwrap_or(k + 1);
             let value = |name: &str| element(band, name).map(|(_, text)| plain(text)).filter(|text| !text.is_empty());
@@ -70,7 +82,20 @@ impl Metadata {
 
     /// Returns the nodata value of the first band.
     pub fn nodata(&self) -> Option<f64> {
-        self.band(1).and_then(|band| band.nodata)
+        self.nodata_of(1)
+    }
+
+    /// Returns the nodata value of a band, from 1 on.
+    pub fn nodata_of(&self, number: usize) -> Option<f64> {
+        self.band(number).and_then(|band| band.nodata)
+    }
+
+    /// Returns the factor and the offset that convert the values of a band to heights in metres. The error is the reason.
+    pub fn factor_and_offset_m(&self, number: usize) -> Result<[f64; 2], String> {
+        let band = self.band(number).cloned().unwrap_or_default();
+        let unit = unit_m(band.unit.as_deref())?;
+        let number = |role: &str, text: &Option<String>, usual: f64| number_of_band(role, text.as_deref(), usual);
+        Ok([number("scale", &band.scale, 1.0)? * unit, number("offset", &band.offset, 0.0)? * unit])
     }
 
     /// Returns the metadata of a band, from 1 on.
@@ -85,6 +110,20 @@ impl Metadata {
             None => Ok(None),
         }
     }
+}
+
+/// Returns a unit of GDAL's metadata in metres. The error is the reason.
+pub(super) fn unit_m(name: Option<&str>) -> Result<f64, String> {
+    let name = name.unwrap_or_default();
+    let unknown = || format!("GDAL's metadata: heights in units of `{name}`, which is not supported");
+    named_unit_m(name).ok_or_else(unknown)
+}
+
+/// Returns the number of a band in GDAL's metadata. The error is the reason.
+pub(super) fn number_of_band(role: &str, text: Option<&str>, usual: f64) -> Result<f64, String> {
+    let Some(text) = text else { return Ok(usual) };
+    let number = text.trim().parse().ok().filter(|n: &f64| n.is_finite());
+    number.ok_or_else(|| format!("GDAL's metadata: {role} `{text}`, which is not supported"))
 }
 
 /// Returns the reference system in the file beside a raster with the extension `prj`; `given` if it is not understood.
@@ -141,9 +180,9 @@ pub(super) fn world_file(raster: &Path, cache: &Arc<BlockCache>) -> Result<Optio
 
 /// Returns the files that lie beside a raster and change what it shows; of those on servers all that may be there.
 pub(crate) fn files_beside(raster: &Path) -> Vec<PathBuf> {
-    let replaced = world_extensions(raster).into_iter().chain(["prj".to_owned()]);
+    let replaced = world_extensions(raster).into_iter().chain(["prj", "hdr"].map(str::to_owned));
     let replaced = replaced.map(|extension| with_extension(raster, &extension));
-    let more = ["aux.xml", "msk", "ovr", "msk.ovr"].map(|extension| with_more(raster, extension));
+    let more = ["aux.xml", "hdr", "msk", "ovr", "msk.ovr"].map(|extension| with_more(raster, extension));
     replaced.chain(more).filter(|path| is_remote(path) || path.is_file()).collect()
 }
 
@@ -183,9 +222,13 @@ mod tests {
     <Offset>2</Offset><Scale>0.5</Scale><Metadata><MDI key="STATISTICS_MEAN">3</MDI></Metadata></PAMRasterBand>
 </PAMDataset>"#;
 
+    fn parse(path: &str, text: &str) -> Result<Metadata, String> {
+        Metadata::parse(PathBuf::from(path), text, ["<PAMDataset", "<PAMRasterBand"])
+    }
+
     #[test]
     fn metadata_of_gdal_is_read() {
-        let read = Metadata::parse(PathBuf::from("a.png.aux.xml"), GDAL).unwrap();
+        let read = parse("a.png.aux.xml", GDAL).unwrap();
         let transform = GeoTransform { origin: [5e5, 5.2e6], dx: [30.0, 0.0], dy: [0.0, -30.0] };
         assert_eq!((read.transform, read.system.as_deref()), (Some(transform), Some("PROJCS[\"a & b\"]")));
         let first = read.band(1).unwrap();
@@ -193,10 +236,10 @@ mod tests {
         assert_eq!([first.scale.as_deref(), first.offset.as_deref()], [Some("0.5"), Some("2")]);
         assert_eq!((read.band(2).unwrap().nodata, read.band(3)), (Some(7.0), None));
         let few = GDAL.replace("5.2e+06,", "");
-        assert!(Metadata::parse(PathBuf::new(), &few).unwrap_err().contains("has 5 numbers, expected 6"));
+        assert!(parse("", &few).unwrap_err().contains("has 5 numbers, expected 6"));
         for cut in 0..GDAL.len() {
-            let _ = Metadata::parse(PathBuf::new(), &GDAL[..cut]);
+            let _ = parse("", &GDAL[..cut]);
         }
-        assert_eq!(Metadata::parse(PathBuf::new(), "<html></html>"), Ok(Metadata::default()));
+        assert_eq!(parse("", "<html></html>"), Ok(Metadata::default()));
     }
 }

@@ -14,6 +14,18 @@ pub(super) const FOOT_M: f64 = 0.3048;
 /// The US survey foot in metres.
 pub(super) const US_SURVEY_FOOT_M: f64 = 1200.0 / 3937.0;
 
+/// Returns a unit of length in metres by a name that GDAL writes, `None` for other names.
+pub(super) fn named_unit_m(name: &str) -> Option<f64> {
+    Some(match name {
+        "" | "m" | "metre" | "metres" | "meter" | "meters" => 1.0,
+        "ft" | "foot" | "feet" => FOOT_M,
+        "km" | "kilometre" | "kilometres" | "kilometer" | "kilometers" => 1000.0,
+        "cm" | "centimetre" | "centimetres" | "centimeter" | "centimeters" => 0.01,
+        "US survey foot" | "US survey feet" | "ftUS" | "us-ft" | "sfoot" => US_SURVEY_FOOT_M,
+        _ => return None,
+    })
+}
+
 /// Returns EPSG's units of length in metres, `None` for other codes.
 fn unit_m(code: u32) -> Option<f64> {
     Some(match code {

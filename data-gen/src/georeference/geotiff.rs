@@ -7,8 +7,8 @@ use std::sync::Arc;
 use tiff_reader::source::{FileSource, TiffSource};
 use tiff_reader::{Ifd, OpenOptions, RasterLayout, TiffError, TiffFile};
 
-use super::beside::Metadata;
-use super::geo_keys::{FOOT_M, GeoKeys, US_SURVEY_FOOT_M};
+use super::beside::{Metadata, number_of_band, unit_m};
+use super::geo_keys::GeoKeys;
 use super::half_float;
 use super::transform::GeoTransform;
 use crate::GenError;
@@ -302,17 +302,16 @@ impl Tiff {
     pub(super) fn factor_and_offset_m(&self, channel: usize) -> Result<[f64; 2], String> {
         let band = self.metadata.band(channel + 1).cloned().unwrap_or_default();
         let unit = band.unit.or_else(|| self.item("role=\"unittype\"", Some(channel)));
-        let unit = match (self.keys.height_unit_m()?, unit.as_deref()) {
-            (Some(metres), _) => Ok(metres),
-            (None, None | Some("" | "m" | "metre" | "metres" | "meter" | "meters")) => Ok(1.0),
-            (None, Some("ft" | "foot" | "feet")) => Ok(FOOT_M),
-            (None, Some("km" | "kilometre" | "kilometres" | "kilometer" | "kilometers")) => Ok(1000.0),
-            (None, Some("cm" | "centimetre" | "centimetres" | "centimeter" | "centimeters")) => Ok(0.01),
-            (None, Some("US survey foot" | "US survey feet" | "ftUS" | "us-ft" | "sfoot")) => Ok(US_SURVEY_FOOT_M),
-            (None, Some(other)) => Err(format!("heights in units of `{other}`")),
+        let unit = match self.keys.height_unit_m()? {
+            Some(metres) => metres,
+            None => unit_m(unit.as_deref())?,
         };
-        let unit = unit.map_err(|what: String| format!("GDAL's metadata: {what}, which is not supported"))?;
         Ok(self.scale_and_offset(channel)?.map(|n| n * unit))
+    }
+
+    /// Returns true if the file says that samples of a channel are not heights in metres.
+    pub fn has_units(&self, channel: usize) -> bool {
+        self.factor_and_offset_m(channel) != Ok([1.0, 0.0])
     }
 
     /// Returns the factor and the offset of a channel's samples, without a unit. The error is the reason.
@@ -320,8 +319,7 @@ impl Tiff {
         let band = self.metadata.band(channel + 1).cloned().unwrap_or_default();
         let number = |role: &str, beside: Option<String>, usual: f64| {
             let text = beside.or_else(|| self.item(&format!("role=\"{role}\""), Some(channel)));
-            let bad = |text: &str| format!("GDAL's metadata: {role} `{text}`, which is not supported");
-            text.map_or(Ok(usual), |text| text.parse().ok().filter(|n: &f64| n.is_finite()).ok_or_else(|| bad(&text)))
+            number_of_band(role, text.as_deref(), usual)
         };
         Ok([number("scale", band.scale, 1.0)?, number("offset", band.offset, 0.0)?])
     }

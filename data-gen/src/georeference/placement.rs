@@ -130,8 +130,31 @@ impl Placement {
         given: Option<Crs>,
         cache: &Arc<BlockCache>,
     ) -> Result<Self, GenError> {
-        let metadata = Metadata::beside(path, cache)?;
-        Ok(Self::new(transform, unnamed_crs(path, &transform, size, given, &metadata, cache)?))
+        Self::of_header(path, transform, size, given, &Metadata::beside(path, cache)?, cache)
+    }
+
+    /// Like [`Placement::of_unnamed`], with metadata from elsewhere.
+    pub fn of_header(
+        path: &Path,
+        transform: GeoTransform,
+        size: [usize; 2],
+        given: Option<Crs>,
+        metadata: &Metadata,
+        cache: &Arc<BlockCache>,
+    ) -> Result<Self, GenError> {
+        Ok(Self::new(transform, unnamed_crs(path, &transform, size, given, metadata, cache)?))
+    }
+
+    /// Positions a virtual raster by its metadata. `None` if it has no transform.
+    pub fn of_virtual(
+        path: &Path,
+        metadata: &Metadata,
+        size: [usize; 2],
+        given: Option<Crs>,
+        cache: &Arc<BlockCache>,
+    ) -> Result<Option<Self>, GenError> {
+        let at = |transform| Self::of_header(path, transform, size, given, metadata, cache);
+        metadata.transform.map(at).transpose()
     }
 
     /// Positions an image by the metadata or the world file beside it, in the reference system that the files beside it name,

@@ -1,11 +1,16 @@
-//! Readers of elevation files: GeoTIFF, HGT, PNG, EXR, ASCII grids, PMTiles and folders of web tiles.
+//! Readers of elevation files: GeoTIFF, HGT, DTED, PNG, EXR, ASCII grids, points in text files, plain samples with a header, virtual
+//! rasters, PMTiles and folders of web tiles.
 
 mod ascii_grid;
+mod dted;
 mod exr;
 mod hgt;
+mod plain;
 mod png;
 mod tiff;
+mod virtual_raster;
 mod web_tiles;
+mod xyz;
 
 use std::path::Path;
 use std::sync::Arc;
@@ -14,6 +19,7 @@ use super::context::SourceContext;
 use crate::GenError;
 use crate::georeference::{Crs, Placement};
 use crate::store::{BlockGrid, BlockReader, first_bytes, is_remote};
+use crate::virtual_raster::is_virtual;
 use crate::web_tiles::is_archive;
 pub(crate) use png::rows as png_rows;
 
@@ -77,8 +83,18 @@ fn height_bits(heights: Vec<f32>) -> Vec<u32> {
 }
 
 /// Opens an elevation file or a folder of web tiles, and reads its header. The format is recognised by the first bytes, HGT by
-/// the extension of its name.
+/// the extension of its name, and plain samples by the header beside them.
 pub(super) fn open(path: &Path, options: &RasterOptions, context: &Arc<SourceContext>) -> Result<Opened, GenError> {
+    open_at(path, options, context, 0)
+}
+
+/// Like [`open`], for a file that this many virtual rasters contain one another.
+fn open_at(
+    path: &Path,
+    options: &RasterOptions,
+    context: &Arc<SourceContext>,
+    depth: usize,
+) -> Result<Opened, GenError> {
     if is_archive(path, &context.cache)? {
         return web_tiles::open(path, options, &context.cache);
     }
@@ -97,11 +113,15 @@ pub(super) fn open(path: &Path, options: &RasterOptions, context: &Arc<SourceCon
         [0x76, 0x2f, 0x31, 0x01, ..] => exr::open(path, options, &context.cache),
         [0x1f, 0x8b, ..] => hgt::open_gzip(path, &context.cache),
         [b'P', b'K', 3, 4, ..] => hgt::open_zip(path, &context.cache),
+        _ if dted::is_dted(&magic) => dted::open(path),
+        _ if is_virtual(path, &magic) => virtual_raster::open(path, options, context, depth),
         _ if ascii_grid::is_ascii_grid(&magic) => ascii_grid::open(path, options, &context.cache),
-        _ => Err(GenError::invalid(
-            path,
-            "neither GeoTIFF, HGT (or a zip or gzip file of one), PNG, EXR, PMTiles, MBTiles nor an ASCII grid",
-        )),
+        _ if xyz::is_xyz(path) => xyz::open(path, options, &context.cache),
+        _ => plain::open(path, options, &context.cache)?.ok_or_else(|| {
+            let formats = "neither GeoTIFF, HGT (or a zip or gzip file of one), DTED, PNG, EXR, PMTiles, MBTiles, VRT, an ASCII \
+                           grid, XYZ, nor plain samples with a .hdr file beside them";
+            GenError::invalid(path, formats)
+        }),
     }
 }
 

@@ -91,6 +91,59 @@ fn ascii_grid() -> Parser {
     raster("ascii-grid", "a.asc", false, &[format!("{header}1 2 3\n4 -1 6.5\n").into_bytes()])
 }
 
+fn points() -> Parser {
+    raster("elevation-points", "a.xyz", false, &[b"7 46 1\n7.5 46 2\n7 46.5 3\n7.5 46.5 4\n".to_vec()])
+}
+
+fn dted() -> Parser {
+    let mut bytes = format!("{:<47}00030002", "UHL10073000W0461500N03000300").into_bytes();
+    bytes.resize(3428, b' ');
+    for profile in 0..3 {
+        bytes.extend([0xaa, 0, 0, profile, 0, profile, 0, 0, 1, profile, 0x80, 7, 0, 0, 0, 0]);
+    }
+    raster("elevation-dted", "a.dt1", false, &[bytes])
+}
+
+/// Fuzzes the header; the samples stay.
+fn plain_samples() -> Parser {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.bil");
+    std::fs::write(&path, [7; 64]).unwrap();
+    let place = "ulxmap 7\nulymap 46\nxdim 0.5\nydim 0.5";
+    let seeds = [
+        format!("nrows 2\nncols 3\nnbits 16\nbyteorder M\nlayout BIL\n{place}\n"),
+        "ENVI\nsamples = 3\nlines = 2\nbands = 1\ndata type = 4\ninterleave = bsq\n\
+         map info = {Geographic Lat/Lon, 1, 1, 7, 47, 0.5, 0.5, WGS-84}\n"
+            .to_owned(),
+    ];
+    Parser::new("plain-samples", &seeds.map(String::into_bytes), move |bytes| {
+        let _ = &folder;
+        std::fs::write(path.with_extension("hdr"), bytes).unwrap();
+        read(&path, &RasterOptions::default());
+    })
+}
+
+/// Fuzzes the document; its source is a small file.
+fn virtual_raster() -> Parser {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("a.tif"), tiff_int16(&heights(), Some(PLACE), None)).unwrap();
+    let path = folder.path().join("a.vrt");
+    let seed = r#"<VRTDataset rasterXSize="40" rasterYSize="40"><GeoTransform>7, 0.1, 0, 47, 0, -0.1</GeoTransform>
+        <VRTRasterBand dataType="Int16" band="1"><NoDataValue>-1</NoDataValue><ComplexSource>
+        <SourceFilename relativeToVRT="1">a.tif</SourceFilename><SourceBand>1</SourceBand>
+        <SrcRect xOff="0" yOff="0" xSize="40" ySize="40"/><DstRect xOff="1" yOff="2" xSize="20" ySize="20"/>
+        <NODATA>5</NODATA><ScaleRatio>2</ScaleRatio></ComplexSource></VRTRasterBand></VRTDataset>"#;
+    Parser::new("virtual-raster", &[seed.as_bytes().to_vec()], move |bytes| {
+        std::fs::write(&path, bytes).unwrap();
+        // Errors may be those of a source.
+        if let Ok(raster) = Raster::read(&path)
+            && raster.size().iter().product::<usize>() <= MAX_SAMPLES
+        {
+            let _ = (raster.range_m(), &folder);
+        }
+    })
+}
+
 fn elevation_pmtiles() -> Parser {
     let tile = terrarium(300.0);
     let tiles = [(1, tile.clone()), (4, tile)];
@@ -248,6 +301,10 @@ kit::parsers! {
     elevation_png,
     elevation_exr,
     ascii_grid,
+    points,
+    dted,
+    plain_samples,
+    virtual_raster,
     elevation_pmtiles,
     mbtiles,
     lerc,

@@ -5,6 +5,7 @@ mod beside;
 mod datum_grids;
 mod elevation_files;
 mod formats;
+mod gdal_formats;
 mod imagery;
 mod large;
 #[cfg(feature = "mbtiles")]
