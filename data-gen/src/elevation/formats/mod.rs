@@ -116,6 +116,9 @@ fn open_at(
         _ if dted::is_dted(&magic) => dted::open(path),
         _ if is_virtual(path, &magic) => virtual_raster::open(path, options, context, depth),
         _ if ascii_grid::is_ascii_grid(&magic) => ascii_grid::open(path, options, &context.cache),
+        _ if let Some(format) = converted_first(&magic) => {
+            Err(GenError::invalid(path, format!("{format}; gdal_translate writes it as GeoTIFF")))
+        }
         _ if xyz::is_xyz(path) => xyz::open(path, options, &context.cache),
         _ => plain::open(path, options, &context.cache)?.ok_or_else(|| {
             let formats = "neither GeoTIFF, HGT (or a zip or gzip file of one), DTED, PNG, EXR, PMTiles, MBTiles, VRT, an ASCII \
@@ -137,6 +140,16 @@ pub(super) fn open_overview(
         return Ok(None);
     }
     tiff::open_overview(path, factors, options, context, placement)
+}
+
+/// Returns the name of a format that is not read, by a file's first bytes.
+fn converted_first(magic: &[u8]) -> Option<&'static str> {
+    Some(match magic {
+        [b'E', b'H', b'F', b'A', ..] => "Erdas Imagine",
+        [0x89, b'H', b'D', b'F', ..] | [b'C', b'D', b'F', ..] => "netCDF or HDF",
+        [0, 0, 0, 12, b'j', b'P', ..] => "JPEG 2000",
+        _ => return None,
+    })
 }
 
 /// Returns true if a file begins like a TIFF.

@@ -143,6 +143,10 @@ fn plain_samples_are_placed_by_the_header_beside_them() {
         let error = error(&float, &usual());
         assert!(error.contains(why), "{error}, not {why}");
     }
+    // The header of another raster of the same name does not count.
+    let erdas = float.with_extension("img");
+    fs::write(&erdas, b"EHFA_HEADER_TAG and more").unwrap();
+    assert!(error(&erdas, &usual()).contains("Erdas Imagine; gdal_translate writes it as GeoTIFF"));
     fs::remove_file(float.with_extension("hdr")).unwrap();
     assert!(error(&float, &usual()).contains("nor plain samples with a .hdr file beside them"));
 }
