@@ -12,6 +12,7 @@ mod folder;
 mod input;
 mod objects;
 mod read_ahead;
+mod terrain;
 
 use std::sync::Arc;
 

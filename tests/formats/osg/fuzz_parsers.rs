@@ -2,7 +2,7 @@
 //! `tests/formats/fuzz_parsers.rs`, by tests and by `tools/fuzz`.
 
 use kit::fuzz::Parser;
-use kit::osg_files::{Osgb, VERSION, geode, group, osgt, triangle};
+use kit::osg_files::{Osgb, VERSION, geode, group, osgt, terrain_tile, triangle};
 use terrane::fetch::{DECODER_PANICKED, Limits};
 use terrane::formats::{Content, Fetched, ReadOptions, decode, dependencies};
 
@@ -48,6 +48,19 @@ fn osg() -> Parser {
             UniqueID 52 Shape TRUE { osg::TriangleMesh { UniqueID 53 Vertices osg::Vec3Array { UniqueID 54 vector 3
             { 0 0 0 1 0 0 0 1 0 } } Indices osg::UIntArray { UniqueID 55 vector 3 { 0 1 2 } } } } } } } }
             MaximumScale 9 AutoRotateMode ROTATE_TO_SCREEN AutoScaleToScreen TRUE }"
+                .to_owned(),
+            terrain_tile(
+                60,
+                "CoordinateSystemType GEOCENTRIC Transform { 0.1 0 0 0 0 0.1 0 0 0 0 1 0 0 0 0 1 }",
+                [2, 2],
+                "SkirtHeight 3",
+                "0 1 2 -9",
+                "ColorLayers 1 { Layer 0 osgTerrain::SwitchLayer { UniqueID 70 Layers 2 { File \"set:a:b.png\" Object
+                osgTerrain::ImageLayer { UniqueID 71 ValidDataOperator 2 0 1 Image { ClassName osg::Image UniqueID 72
+                FileName \"c.png\" WriteHint 2 2 } } } ActiveLayer 1 } } BlendingPolicy ENABLE_BLENDING",
+            ),
+            "osgSim::LightPointNode { UniqueID 80 LightPointList 1 { LightPoint { Position 1 2 3 Color 1 0 0 1 Attributes
+            TRUE 0 1 1 Sector FALSE BlinkSequence FALSE } } }"
                 .to_owned(),
         ],
     );

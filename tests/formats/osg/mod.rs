@@ -7,9 +7,11 @@ mod facing;
 mod folders;
 mod fuzz_parsers;
 mod geometry;
+mod libraries;
 mod nodes;
 mod samples;
 mod states;
+mod terrain;
 mod units;
 
 use terrane::fetch::{IoError, Limits};
