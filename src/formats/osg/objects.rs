@@ -5,6 +5,8 @@ use std::sync::Arc;
 use glam::{DAffine3, DMat4, DQuat, DVec3};
 
 use super::input::Values;
+use super::terrain::{LayerObject, LocatorObject, TerrainSettings, TerrainTileObject};
+use crate::math::Ellipsoid;
 
 /// An object of a file. Objects with the same id are the same value.
 #[derive(Clone, Debug)]
@@ -21,6 +23,9 @@ pub(super) enum Object {
     Shape(Arc<ShapeObject>),
     /// The pose that an animation of a transform begins with. Objects stay small, since reading nests.
     Pose(Box<DAffine3>),
+    Locator(Arc<LocatorObject>),
+    Layer(Arc<LayerObject>),
+    Ellipsoid(Box<Ellipsoid>),
 }
 
 impl Object {
@@ -60,6 +65,10 @@ pub(super) enum NodeClass {
     Proxy(ProxyObject),
     Billboard(BillboardObject),
     AutoTransform(AutoObject),
+    /// An osgTerrain::Terrain: a group whose tiles have its settings.
+    Terrain(TerrainSettings),
+    /// An osgTerrain::TerrainTile, whose children OSG does not draw.
+    TerrainTile(TerrainTileObject),
 }
 
 /// The members of a Billboard. Its children are drawables.

@@ -2,7 +2,9 @@
 //! `tests/formats/fuzz_parsers.rs`, by tests and by `tools/fuzz`.
 
 use kit::fuzz::Parser;
-use kit::osg_files::{Osgb, VERSION, geode, group, osgt, triangle};
+use kit::ive_files::Ive;
+use kit::ive_files::scenes::{paged, terrain_tile as ive_tile, textured, unusual_nodes};
+use kit::osg_files::{Osgb, VERSION, geode, group, osgt, terrain_tile, triangle};
 use terrane::fetch::{DECODER_PANICKED, Limits};
 use terrane::formats::{Content, Fetched, ReadOptions, decode, dependencies};
 
@@ -49,6 +51,19 @@ fn osg() -> Parser {
             { 0 0 0 1 0 0 0 1 0 } } Indices osg::UIntArray { UniqueID 55 vector 3 { 0 1 2 } } } } } } } }
             MaximumScale 9 AutoRotateMode ROTATE_TO_SCREEN AutoScaleToScreen TRUE }"
                 .to_owned(),
+            terrain_tile(
+                60,
+                "CoordinateSystemType GEOCENTRIC Transform { 0.1 0 0 0 0 0.1 0 0 0 0 1 0 0 0 0 1 }",
+                [2, 2],
+                "SkirtHeight 3",
+                "0 1 2 -9",
+                "ColorLayers 1 { Layer 0 osgTerrain::SwitchLayer { UniqueID 70 Layers 2 { File \"set:a:b.png\" Object
+                osgTerrain::ImageLayer { UniqueID 71 ValidDataOperator 2 0 1 Image { ClassName osg::Image UniqueID 72
+                FileName \"c.png\" WriteHint 2 2 } } } ActiveLayer 1 } } BlendingPolicy ENABLE_BLENDING",
+            ),
+            "osgSim::LightPointNode { UniqueID 80 LightPointList 1 { LightPoint { Position 1 2 3 Color 1 0 0 1 Attributes
+            TRUE 0 1 1 Sector FALSE BlinkSequence FALSE } } }"
+                .to_owned(),
         ],
     );
     let older = "Group {\n UniqueID g\n description {\n \"a\"\n }\n MatrixTransform {\n Matrix {\n 1 0 0 0 0 1 0 0 0 0 1 0 5 6 7 1\n }
@@ -66,6 +81,23 @@ fn osg() -> Parser {
         osgt(VERSION, &text).into_bytes(),
     ];
     Parser::new("osg", seeds, |bytes| {
+        content(bytes, Vec::new());
+    })
+}
+
+/// Files in .ive of several versions.
+fn ive() -> Parser {
+    let seeds = [
+        textured(Ive::new(45)).bytes,
+        textured(Ive::new(45)).compressed(),
+        textured(Ive::big_endian(12)).bytes,
+        paged(Ive::new(20), true).bytes,
+        unusual_nodes(45).bytes,
+        unusual_nodes(5).bytes,
+        ive_tile(45).bytes,
+        ive_tile(22).bytes,
+    ];
+    Parser::new("ive", seeds, |bytes| {
         content(bytes, Vec::new());
     })
 }
@@ -133,6 +165,7 @@ fn seeds_of_images_are_decoded() {
 
 kit::parsers! {
     osg,
+    ive,
     oblique,
     old_images,
 }

@@ -7,9 +7,12 @@ mod facing;
 mod folders;
 mod fuzz_parsers;
 mod geometry;
+mod ive;
+mod libraries;
 mod nodes;
 mod samples;
 mod states;
+mod terrain;
 mod units;
 
 use terrane::fetch::{IoError, Limits};

@@ -29,6 +29,29 @@ pub fn group(id: u32, children: &[String]) -> String {
     format!("osg::Group {{ UniqueID {id} Children {} {{ {} }} }}", children.len(), children.join("\n"))
 }
 
+/// A tile of osgTerrain in text: the members of its Locator, the columns and rows of its HeightField, further members of that,
+/// the heights, and the members of the tile behind its elevation layer. It takes the ids up to `id + 3`.
+pub fn terrain_tile(
+    id: u32,
+    locator: &str,
+    [columns, rows]: [u32; 2],
+    field: &str,
+    heights: &str,
+    more: &str,
+) -> String {
+    let [locator_id, layer_id, field_id] = [id + 1, id + 2, id + 3];
+    let count = columns * rows;
+    format!(
+        "osgTerrain::TerrainTile {{ UniqueID {id} TileID 0 0 0
+        TerrainTechnique TRUE {{ osgTerrain::GeometryTechnique {{ UniqueID 99 FilterMatrix {{ 0 0 0 0 1 0 0 0 0 }} }} }}
+        Locator TRUE {{ osgTerrain::Locator {{ UniqueID {locator_id} {locator} }} }}
+        ElevationLayer TRUE {{ osgTerrain::HeightFieldLayer {{ UniqueID {layer_id}
+            Locator TRUE {{ osgTerrain::Locator {{ UniqueID {locator_id} }} }}
+            HeightField TRUE {{ osg::HeightField {{ UniqueID {field_id} Area {columns} {rows} {field}
+                Heights ArrayID {field_id} FloatArray {count} {{ {heights} }} }} }} }} }} {more} }}"
+    )
+}
+
 /// Writes a binary file.
 pub struct Osgb {
     /// The bytes so far.

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use glam::{DAffine3, DVec3};
 
+use super::terrain;
 use crate::formats::osg::objects::{
     AutoObject, CenterMode, DrawableClass, DrawableObject, LodObject, NodeClass, NodeObject, Object, ProxyObject,
     ShapeObject,
@@ -50,7 +51,8 @@ fn of_node(node: &NodeObject, known: &mut HashMap<usize, BoundingSphere>) -> Bou
         spheres.fold(BoundingSphere::EMPTY, |all, sphere| all.union(&sphere))
     };
     match &node.class {
-        NodeClass::Group | NodeClass::Switch(_) => children(),
+        NodeClass::Group | NodeClass::Switch(_) | NodeClass::Terrain(_) => children(),
+        NodeClass::TerrainTile(tile) => terrain::sphere(tile),
         NodeClass::Transform { parent_from_child, is_absolute } => {
             let map = parent_from_child.unwrap_or(DAffine3::IDENTITY);
             let sphere = children();

@@ -16,6 +16,7 @@ mod paging;
 mod shapes;
 mod sizes;
 mod states;
+mod terrain;
 mod textures;
 mod units;
 
@@ -33,6 +34,7 @@ pub(super) use self::textures::external_images;
 use self::units::Unit;
 use super::error::OsgError;
 use super::objects::{DrawableClass, DrawableObject, NodeClass, NodeObject, Object, StateObject};
+use super::terrain::TerrainSettings;
 use crate::fetch::IoError;
 use crate::formats::ignored::Notes;
 use crate::formats::options::{Fetched, ReadOptions};
@@ -85,6 +87,10 @@ struct Builder<'a> {
     meshes: HashMap<(usize, UvSets, bool), Meshes>,
     /// The state sets of drawables in the order in which they were made.
     drawable_sets: Vec<Arc<StateSet>>,
+    /// Tiles of osgTerrain; `None` for those that are not drawn.
+    tiles: HashMap<usize, Option<terrain::BuiltTile>>,
+    /// The settings of the Terrain above the current object.
+    terrain: TerrainSettings,
     spheres: HashMap<usize, BoundingSphere>,
     sizes: HashMap<usize, sizes::Size>,
     /// The state sets above the current object, outermost first.
@@ -133,6 +139,8 @@ impl<'a> Builder<'a> {
             unit_textures: HashMap::new(),
             meshes: HashMap::new(),
             drawable_sets: Vec::new(),
+            tiles: HashMap::new(),
+            terrain: TerrainSettings::default(),
             spheres: HashMap::new(),
             sizes: HashMap::new(),
             states: Vec::new(),
@@ -219,6 +227,8 @@ impl<'a> Builder<'a> {
             NodeClass::Proxy(proxy) => return self.proxy(object, proxy),
             NodeClass::Billboard(billboard) => return self.billboard(object, billboard),
             NodeClass::AutoTransform(auto) => return self.auto_transform(object, auto),
+            NodeClass::Terrain(settings) => return self.terrain(object, settings),
+            NodeClass::TerrainTile(tile) => return self.terrain_tile(object, tile),
         };
         Ok(Node { children: self.children(&object.children)?, ..Node::new(kind) })
     }

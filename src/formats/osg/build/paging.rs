@@ -18,6 +18,7 @@ use crate::formats::options::{Fetched, ReadOptions};
 use crate::formats::osg::objects::{
     CenterMode, LodObject, NodeObject, Object, PagedObject, ProxyMode, ProxyObject, StateObject,
 };
+use crate::formats::osg::terrain::TerrainSettings;
 use crate::formats::tile::{ContentData, TileContent};
 use crate::math::{BoundingSphere, BoundingVolume};
 use crate::scene::{
@@ -36,6 +37,8 @@ pub(in crate::formats) struct InlinePart {
     objects: Vec<Object>,
     /// The state sets above, outermost first: they say how drawables look.
     states: Vec<Arc<StateObject>>,
+    /// The settings of the Terrain above.
+    terrain: TerrainSettings,
     /// The name of the part in its file; empty for the whole file.
     name: String,
     size_bytes: u64,
@@ -60,7 +63,8 @@ impl HeldFile {
     pub fn into_tile(self, uri: &Arc<str>, sphere: BoundingSphere) -> Node {
         let file = Arc::new(PartFile { uri: uri.clone(), base: uri.clone(), companions: Vec::new() });
         let (objects, size_bytes) = (vec![self.root], self.size_bytes);
-        let part = InlinePart { file, objects, states: Vec::new(), name: String::new(), size_bytes };
+        let (states, terrain, name) = (Vec::new(), TerrainSettings::default(), String::new());
+        let part = InlinePart { file, objects, states, terrain, name, size_bytes };
         let content = TileContent::new(uri.clone(), Some(ReaderData::of(part)));
         let reach = Reach { sphere, center: sphere.center, is_by_pixel_size: false };
         reach.tile(reach.range_mode(None), content, PagingOptions::default())
@@ -100,6 +104,7 @@ impl InlinePart {
         let PartFile { uri, base, companions } = &*self.file;
         let mut builder = Builder::new(Source { uri, base, companions, options, notes });
         builder.states.clone_from(&self.states);
+        builder.terrain = self.terrain;
         builder.shared_file = Some(self.file.clone());
         builder.part.clone_from(&self.name);
         let nodes = builder.children(&self.objects)?;
@@ -243,7 +248,8 @@ impl Builder<'_> {
             Arc::new(PartFile { uri: uri.clone(), base: base.into(), companions: companions.to_vec() })
         });
         let states = self.states.clone();
-        let part = InlinePart { file: file.clone(), objects, states, name, size_bytes: size.bytes };
+        let (terrain, size_bytes) = (self.terrain, size.bytes);
+        let part = InlinePart { file: file.clone(), objects, states, terrain, name, size_bytes };
         let name = format!("{uri}#part-{}", part.name);
         Ok(TileContent::new(name.into(), Some(ReaderData::of(part))))
     }
@@ -255,6 +261,9 @@ impl Builder<'_> {
     }
 
     fn file(&self, database_path: &str, name: &str) -> TileContent {
+        if self.terrain != TerrainSettings::default() {
+            self.note("OpenSceneGraph: settings of a Terrain, which tiles in other files do not get");
+        }
         let Source { uri, options, .. } = self.source;
         match options.resolve(uri, &self.reference(database_path, name)) {
             Ok((uri, None)) => TileContent::new(uri, None),

@@ -4,9 +4,10 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use crate::formats::osg::objects::{
-    AttributeObject, BoundArray, DrawableClass, DrawableObject, ImageData, Indices, Object, ShapeObject, StateObject,
-    TextureObject,
+    AttributeObject, BoundArray, DrawableClass, DrawableObject, ImageData, ImageObject, Indices, NodeClass, Object,
+    ShapeObject, StateObject, TextureObject,
 };
+use crate::formats::osg::terrain::TerrainTileObject;
 
 /// The bytes of an object without its arrays and images.
 const OBJECT_BYTES: u64 = 200;
@@ -37,6 +38,11 @@ pub(super) fn of_object(object: &Object, known: &mut HashMap<usize, Size>) -> Si
     let mut size = Size { bytes: OBJECT_BYTES + state.map_or(0, of_state), nodes: 1 };
     match object {
         Object::Node(node) => {
+            if let NodeClass::TerrainTile(tile) = &node.class {
+                size.bytes = size.bytes.saturating_add(of_tile(tile));
+                // The transform and the drawable.
+                size.nodes += 2;
+            }
             size = node.children.iter().fold(size, |size, child| size.plus(of_object(child, known)));
         }
         Object::Drawable(drawable) => size.bytes = size.bytes.saturating_add(of_drawable(drawable)),
@@ -71,16 +77,26 @@ fn of_shape(shape: &ShapeObject) -> u64 {
     }
 }
 
+fn of_tile(tile: &TerrainTileObject) -> u64 {
+    let heights = tile.elevation.as_deref().and_then(|layer| layer.heights());
+    let images: u64 = tile.images().map(|(_, _, image)| of_image(image)).sum();
+    heights.map_or(0, |field| field.heights.values.size_bytes()) + images
+}
+
+fn of_image(image: &ImageObject) -> u64 {
+    match &image.data {
+        ImageData::External => 0,
+        ImageData::File(bytes) => bytes.len() as u64,
+        ImageData::Raw(raw) => raw.bytes.len() as u64,
+    }
+}
+
 fn of_state(state: &StateObject) -> u64 {
     let attributes = state.texture_attributes.iter().flatten();
     let textures = attributes.filter_map(|(attribute, _)| match &**attribute {
         AttributeObject::Texture(texture) => Some(texture),
         _ => None,
     });
-    let images = textures.flat_map(TextureObject::all_images).map(|image| match &image.data {
-        ImageData::External => 0,
-        ImageData::File(bytes) => bytes.len() as u64,
-        ImageData::Raw(raw) => raw.bytes.len() as u64,
-    });
+    let images = textures.flat_map(TextureObject::all_images).map(|image| of_image(image));
     OBJECT_BYTES + images.sum::<u64>()
 }

@@ -13,7 +13,8 @@ use crate::fetch::{IoError, Limits};
 use crate::formats::external_files::ExternalFiles;
 use crate::formats::image::{self, BlockKind, SharedTexture};
 use crate::formats::osg::objects::{
-    AttributeObject, ImageData, ImageObject, NodeObject, Object, RawImage, StateObject, TextureObject, TextureTarget,
+    AttributeObject, ImageData, ImageObject, NodeClass, NodeObject, Object, RawImage, StateObject, TextureObject,
+    TextureTarget,
 };
 use crate::scene::{BlockFormats, ContentKey, Sampling, Texture};
 use crate::state::{
@@ -195,8 +196,13 @@ fn collect(object: &Object, seen: &mut HashSet<usize>, found: &mut BTreeSet<Stri
     };
     match object {
         Object::Node(node) if seen.insert(Arc::as_ptr(node).addr()) => {
-            let NodeObject { state, children, .. } = &**node;
+            let NodeObject { state, children, class, .. } = &**node;
             of_state(state, found);
+            if let NodeClass::TerrainTile(tile) = class {
+                let images = tile.images().map(|(_, _, image)| image);
+                let external = images.filter(|image| matches!(image.data, ImageData::External));
+                found.extend(external.map(|image| escaped(&image.file_name)));
+            }
             children.iter().for_each(|child| collect(child, seen, found));
         }
         Object::Drawable(drawable) if seen.insert(Arc::as_ptr(drawable).addr()) => {

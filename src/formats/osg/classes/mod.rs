@@ -6,21 +6,27 @@
 mod animation;
 mod arrays;
 mod attributes;
-mod combine;
 mod geometry;
 mod images;
+mod libraries;
 mod lods;
 mod members;
 mod nodes;
 mod shapes;
 mod states;
+mod terrain;
 mod textures;
 
 use std::collections::HashMap;
 use std::sync::Arc;
 
 pub(super) use self::arrays::array_type;
+pub(super) use self::libraries::{Freedom, LIKE_GEODES, LIKE_GROUPS, LIKE_TRANSFORMS, ORDERS, light_points};
 pub(super) use self::nodes::{SEQUENCES, first_of_sequence};
+pub(super) use self::terrain::{
+    CHILDREN_OF_TILES, COMPOSITES, FURTHER_LAYERS, HEIGHTS_ELSEWHERE, LAYERS_ELSEWHERE, LAYERS_WITHOUT_COLORS,
+    image_of_file,
+};
 pub(super) use self::textures::{PLANES, TEX_GEN_MODES};
 
 use super::error::{OsgError, Result};
@@ -36,7 +42,8 @@ const SILENT: [&str; 8] = [
     "osg::PixelBufferObject",
     "osg::DefaultUserDataContainer",
     "osg::TessellationHints",
-    "osg::EllipsoidModel",
+    // Each frame decides by itself whether a tile shows only its back.
+    "osg::ClusterCullingCallback",
     // They belong to programs, which are noted.
     "osg::Shader",
     "osg::Uniform",
@@ -136,6 +143,9 @@ impl Reader<'_> {
             return Ok(object);
         }
         if let Some(object) = self.pose_of(short)? {
+            return Ok(object);
+        }
+        if let Some(object) = self.terrain_of(class)? {
             return Ok(object);
         }
         match short {

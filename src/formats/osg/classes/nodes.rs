@@ -11,17 +11,6 @@ use crate::formats::osg::objects::{
     AutoObject, AutoTurn, BillboardObject, BillboardTurn, NodeClass, NodeObject, Object, StateObject,
 };
 
-/// Classes whose members begin like those of a Group. Their own members are left out.
-const LIKE_GROUPS: [&str; 7] = [
-    "osg::CoordinateSystemNode",
-    "osg::LightSource",
-    "osg::ClipNode",
-    "osg::TexGenNode",
-    "osg::ClearNode",
-    "osg::OccluderNode",
-    "osg::OcclusionQueryNode",
-];
-
 /// The name under which Sequences are counted, in all encodings.
 pub(in crate::formats::osg) const SEQUENCES: &str = "OpenSceneGraph class osg::Sequence (its first child is drawn)";
 
@@ -73,29 +62,20 @@ impl Reader<'_> {
             "Sequence" => self.sequence()?,
             "Billboard" => self.billboard()?,
             "AutoTransform" => self.auto_transform()?,
-            _ if LIKE_GROUPS.contains(&class) && self.input.can_skip() => {
-                if class != "osg::CoordinateSystemNode" {
-                    self.notes.add(format!("OpenSceneGraph class {class} (its children are drawn)"));
-                }
-                self.group(NodeClass::Group)?
-            }
             "CoordinateSystemNode" => {
-                let (node, children) = self.group_members()?;
-                self.string_member("Format")?;
-                self.string_member("CoordinateSystem")?;
-                self.object_member("EllipsoidModel")?;
+                let (node, children) = self.coordinate_system_members()?;
                 node.with(NodeClass::Group, children)
             }
-            _ => return Ok(None),
+            _ => return self.of_library(class),
         }))
     }
 
-    fn group(&mut self, class: NodeClass) -> Result<Object> {
+    pub(super) fn group(&mut self, class: NodeClass) -> Result<Object> {
         let (node, children) = self.group_members()?;
         Ok(node.with(class, children))
     }
 
-    fn geode(&mut self) -> Result<Object> {
+    pub(super) fn geode(&mut self) -> Result<Object> {
         let (node, drawables) = self.geode_members()?;
         Ok(node.with(NodeClass::Group, drawables))
     }
@@ -184,6 +164,15 @@ impl Reader<'_> {
         Ok((node, children))
     }
 
+    /// Reads the members of a CoordinateSystemNode with those of the classes that it is made of.
+    pub(super) fn coordinate_system_members(&mut self) -> Result<(NodeMembers, Vec<Object>)> {
+        let members = self.group_members()?;
+        self.string_member("Format")?;
+        self.string_member("CoordinateSystem")?;
+        self.object_member("EllipsoidModel")?;
+        Ok(members)
+    }
+
     pub(super) fn state_member(&mut self, name: &str) -> Result<Option<Arc<StateObject>>> {
         Ok(match self.object_member(name)? {
             Object::State(state) => Some(state),
@@ -192,12 +181,12 @@ impl Reader<'_> {
     }
 
     /// Reads the reference frame of a transform. Returns true if it is not relative to the nodes above.
-    fn reference_frame(&mut self) -> Result<bool> {
+    pub(super) fn reference_frame(&mut self) -> Result<bool> {
         const FRAMES: Names = &[("RELATIVE_RF", 0), ("ABSOLUTE_RF", 1), ("ABSOLUTE_RF_INHERIT_VIEWPOINT", 2)];
         Ok(self.named_member("ReferenceFrame", FRAMES, 0)? != 0)
     }
 
-    fn matrix_transform(&mut self) -> Result<Object> {
+    pub(super) fn matrix_transform(&mut self) -> Result<Object> {
         let (node, children) = self.group_members()?;
         let is_absolute = self.reference_frame()?;
         let matrix = if self.member("Matrix")? { self.matrix()? } else { DMat4::IDENTITY };
@@ -212,11 +201,16 @@ impl Reader<'_> {
 
     /// Reads a matrix. OSG multiplies rows, so that its rows are the columns of ours.
     pub(super) fn matrix(&mut self) -> Result<DMat4> {
-        // Old text files name the type.
+        self.name_of_matrix()?;
+        self.block(|reader| reader.doubles().map(|rows| DMat4::from_cols_array(&rows)))
+    }
+
+    /// Reads the type of a matrix, which old text files name.
+    pub(super) fn name_of_matrix(&mut self) -> Result<()> {
         if self.input.is_text() && !self.input.matches("Matrixd")? {
             self.input.matches("Matrixf")?;
         }
-        self.block(|reader| reader.doubles().map(|rows| DMat4::from_cols_array(&rows)))
+        Ok(())
     }
 
     fn position_attitude_transform(&mut self) -> Result<Object> {

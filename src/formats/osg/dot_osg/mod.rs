@@ -10,6 +10,7 @@ mod geometry;
 mod nodes;
 mod shapes;
 mod states;
+mod terrain;
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -22,7 +23,7 @@ use crate::fetch::Limits;
 use crate::formats::ignored::Notes;
 
 /// Blocks of nodes and drawables that hold no object that is drawn, which are skipped without a note.
-const SILENT: [&str; 13] = [
+const SILENT: [&str; 12] = [
     "description",
     "UserData",
     "UpdateCallback",
@@ -34,7 +35,6 @@ const SILENT: [&str; 13] = [
     "ComputeBoundingSphereCallback",
     "ComputeBoundingBoxCallback",
     "TessellationHints",
-    "EllipsoidModel",
     "InvBindMatrixInSkeletonSpace",
 ];
 
@@ -98,7 +98,7 @@ impl Reader {
                 Object::Nothing
             })));
         };
-        let short = class.strip_prefix("osg::").unwrap_or(class);
+        let short = class.strip_prefix("osg::").or(class.strip_prefix("osgTerrain::")).unwrap_or(class);
         if field.words.len() != 1 || SILENT.contains(&short) || nodes::is_list(short) {
             return Ok(None);
         }
@@ -108,7 +108,9 @@ impl Reader {
             drawable
         } else if let Some(attribute) = self.attribute(short, block) {
             Object::Attribute(Arc::new(attribute))
-        } else if let Some(shape) = shapes::shape(short, block) {
+        } else if let Some(object) = self.terrain_object(short, block)? {
+            object
+        } else if let Some(shape) = shapes::shape(short, block)? {
             Object::Shape(Arc::new(shape))
         } else if short == "StateSet" || short == "GeoState" {
             Object::State(Arc::new(self.state_set(block)?))

@@ -5,16 +5,20 @@ use std::sync::Arc;
 use glam::{DAffine3, DMat4, DQuat, DVec3, DVec4};
 
 use super::Reader;
-use super::fields::{Block, number_of};
-use crate::formats::osg::classes::{SEQUENCES, first_of_sequence};
+use super::fields::{Block, Field, number_of};
+use super::terrain;
+use crate::formats::osg::classes::{
+    Freedom, LIKE_GEODES, LIKE_GROUPS, LIKE_TRANSFORMS, ORDERS, SEQUENCES, first_of_sequence, light_points,
+};
 use crate::formats::osg::error::{OsgError, Result};
+use crate::formats::osg::input::value_of;
 use crate::formats::osg::objects::{
     AutoObject, AutoTurn, BillboardObject, BillboardTurn, CenterMode, LodObject, NodeClass, NodeObject, Object,
     PagedObject, ProxyMode, ProxyObject,
 };
 
 /// The classes of nodes that are read.
-const CLASSES: [&str; 13] = [
+const CLASSES: [&str; 20] = [
     "Node",
     "Group",
     "Geode",
@@ -28,25 +32,37 @@ const CLASSES: [&str; 13] = [
     "Billboard",
     "AutoTransform",
     "Sequence",
-];
-/// Classes whose children are drawn, without what the class adds.
-const LIKE_GROUPS: [&str; 7] = [
     "CoordinateSystemNode",
-    "LightSource",
-    "ClipNode",
-    "TexGenNode",
-    "ClearNode",
-    "OccluderNode",
-    "OcclusionQueryNode",
+    "Terrain",
+    "TerrainTile",
+    "osgSim::MultiSwitch",
+    "osgSim::DOFTransform",
+    "osgSim::LightPointNode",
+    "osgSim::Impostor",
 ];
-/// Bones in their rest pose.
-const LIKE_TRANSFORMS: [&str; 2] = ["osgAnimation::Skeleton", "osgAnimation::Bone"];
 /// Fields of nodes with a block that is no object.
-const LISTS: [&str; 7] = ["Matrix", "Ranges", "RangeList", "FileNameList", "Positions", "ValueList", "frameTime"];
+const LISTS: [&str; 11] = [
+    "Matrix",
+    "PutMatrix",
+    "Ranges",
+    "RangeList",
+    "FileNameList",
+    "Positions",
+    "ValueList",
+    "frameTime",
+    "lightPoint",
+    "ElevationLayer",
+    "ColorLayer",
+];
 
 /// Returns true for a class of nodes.
 pub(super) fn is_node(class: &str) -> bool {
-    CLASSES.contains(&class) || LIKE_GROUPS.contains(&class)
+    CLASSES.contains(&class) || LIKE_GEODES.contains(&class) || is_like_group(class)
+}
+
+/// Returns true for a class whose children are drawn, without what the class adds.
+fn is_like_group(class: &str) -> bool {
+    LIKE_GROUPS.iter().any(|like| like.strip_prefix("osg::").unwrap_or(like) == class)
 }
 
 /// Returns true for a field of a node that is no object.
@@ -78,13 +94,13 @@ impl Reader {
         }
         if class == "Sequence" {
             self.notes.add(SEQUENCES);
-        } else if is_bone || (LIKE_GROUPS.contains(&class) && class != "CoordinateSystemNode") {
+        } else if is_bone || is_like_group(class) {
             self.notes.add(format!("OpenSceneGraph class {class} (its children are drawn)"));
         }
         let mut children = self.objects(block)?;
         let state = Self::take_state(&mut children);
-        // Lights and clip planes are fields of their nodes.
-        children.retain(|child| !matches!(child, Object::Attribute(_)));
+        // Lights, clip planes and ellipsoids are fields of their nodes.
+        children.retain(|child| !matches!(child, Object::Attribute(_) | Object::Ellipsoid(_)));
         let class = match class {
             "Transform" => transform(block, Some(DAffine3::IDENTITY)),
             "MatrixTransform" => self.matrix_transform(block),
@@ -97,7 +113,18 @@ impl Reader {
                 let interval = block.field("interval").and_then(|field| field.numbers(2));
                 first_of_sequence(interval.map_or(0.0, |[begin]| begin), children.len())
             }
-            "LOD" => NodeClass::Lod(lod(block)),
+            "LOD" | "osgSim::Impostor" => NodeClass::Lod(lod(block)),
+            "Terrain" => terrain::settings(block),
+            "TerrainTile" => self.terrain_tile(block, &mut children)?,
+            "osgSim::MultiSwitch" => NodeClass::Switch(multi_switch(block, children.len())),
+            "osgSim::DOFTransform" => transform(block, freedom(block).parent_from_child()),
+            "osgSim::LightPointNode" => {
+                let points: Vec<_> = block.fields.iter().filter_map(light_point).collect();
+                if !points.is_empty() {
+                    children.push(light_points(points));
+                }
+                NodeClass::Group
+            }
             "PagedLOD" => NodeClass::PagedLod(lod(block), paged(block)),
             "ProxyNode" => NodeClass::Proxy(proxy(block)),
             "Billboard" => NodeClass::Billboard(billboard(block)),
@@ -185,6 +212,36 @@ fn switch(block: &Block<'_>, count: usize) -> Vec<bool> {
         }
     }
     shown
+}
+
+/// Returns which children of a MultiSwitch are shown: those of its active set.
+fn multi_switch(block: &Block<'_>, count: usize) -> Vec<bool> {
+    let active = block.value("ActiveSwitchSet").unwrap_or(0.0);
+    let is_active = |field: &&Field<'_>| field.word(0) == "ValueList" && number_of(field.word(1)) == Some(active);
+    let set = block.fields.iter().find(is_active).and_then(|field| field.block.as_ref());
+    let default = !matches!(block.word("NewChildDefaultValue"), "FALSE" | "0");
+    let mut shown = set.map_or(vec![false; count], |set| set.numbers.iter().map(|value| *value != 0.0).collect());
+    shown.resize(count, default);
+    shown
+}
+
+fn freedom(block: &Block<'_>) -> Freedom {
+    let numbers: Option<[f64; 16]> = block.list("PutMatrix").try_into().ok();
+    Freedom {
+        put: numbers.map_or(DMat4::IDENTITY, |rows| DMat4::from_cols_array(&rows)),
+        turns: point(block, "currentHPR", DVec3::ZERO),
+        position: point(block, "currentTranslate", DVec3::ZERO),
+        scale: point(block, "currentScale", DVec3::ONE),
+        order: value_of(ORDERS, block.word("multOrder")).unwrap_or(0),
+    }
+}
+
+/// Returns position and colour of a light point; `None` for one that is off.
+fn light_point(field: &Field<'_>) -> Option<([f32; 3], [f32; 4])> {
+    let block = field.block.as_ref().filter(|_| field.word(0) == "lightPoint")?;
+    let position = block.values("position")?.map(|part: f64| part as f32);
+    let color = block.values("color").unwrap_or([1.0; 4]).map(|part| part as f32);
+    block.is_true("isOn").then_some((position, color))
 }
 
 /// Returns the centre mode with centre and radius.
