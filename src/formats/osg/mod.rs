@@ -17,13 +17,15 @@ mod terrain;
 
 use std::sync::Arc;
 
-use glam::{DMat3, DVec3};
+use glam::{DAffine3, DMat3, DVec3};
 
 pub(super) use self::build::InlinePart;
 pub(super) use self::folder::{is_metadata, read_folder, reference_system, tile_files};
 pub use self::read_ahead::ReadAhead;
 
 use self::build::Source;
+use self::folder::earth_from_system;
+use self::objects::{NodeClass, Object};
 use super::ignored::Notes;
 use super::options::{Fetched, ReadOptions};
 use super::overlay::TileVolume;
@@ -53,7 +55,30 @@ pub(super) fn read(
     }
     let file = options.read_ahead.take(bytes, &options.limits).map_err(|error| error.at(uri))?;
     notes.merge(&file.ignored);
-    build::node_of_file(&file.root, Source { uri, base, companions, options, notes })
+    let node = build::node_of_file(&file.root, Source { uri, base, companions, options, notes })?;
+    Ok(match set_from_file(&file.root, options, notes) {
+        Some(map) => Node::transform(map, vec![node]),
+        None => node,
+    })
+}
+
+/// Returns the map from the coordinate system of a file that is a whole set, such as the projection of a terrain: to the earth
+/// if the system is known, and else to the surroundings of the origin. `None` if it stays as it is.
+fn set_from_file(root: &Object, options: &ReadOptions, notes: &Notes) -> Option<DAffine3> {
+    /// Sets that are farther from the origin count as earth-centred, metres.
+    const MAX_LOCAL_M: f64 = 1e6;
+    let Object::Node(node) = root else { return None };
+    let (NodeClass::CoordinateSystem(system) | NodeClass::Terrain(_, system)) = &node.class else { return None };
+    if system.is_empty() || !options.chain.is_empty() {
+        return None;
+    }
+    let center = build::sphere_of_file(root).center;
+    let map = earth_from_system(system, center);
+    if map.is_none() && center.length() > MAX_LOCAL_M {
+        notes.add("OpenSceneGraph: an unknown coordinate system (what it has is drawn around the origin)");
+        return Some(DAffine3::from_translation(-center));
+    }
+    map
 }
 
 /// Returns the references to the external images of a file; none if it is invalid.
@@ -75,6 +100,10 @@ pub(super) fn own_volume(bytes: &[u8], options: &ReadOptions) -> Option<TileVolu
     if sphere.is_empty() {
         return None;
     }
+    let sphere = match set_from_file(&file.root, options, &Notes::default()) {
+        Some(map) => sphere.transformed(&map),
+        None => sphere,
+    };
     let sphere = sphere.transformed(&options.set_from_content);
     let half_axes = DMat3::from_diagonal(DVec3::splat(sphere.radius_m));
     let bounds = OrientedBox { center: sphere.center, half_axes };

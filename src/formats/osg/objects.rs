@@ -65,8 +65,10 @@ pub(super) enum NodeClass {
     Proxy(ProxyObject),
     Billboard(BillboardObject),
     AutoTransform(AutoObject),
-    /// An osgTerrain::Terrain: a group whose tiles have its settings.
-    Terrain(TerrainSettings),
+    /// A CoordinateSystemNode with its system: EPSG or WKT. Empty if the positions are earth-centred.
+    CoordinateSystem(String),
+    /// An osgTerrain::Terrain: a CoordinateSystemNode whose tiles have its settings.
+    Terrain(TerrainSettings, String),
     /// An osgTerrain::TerrainTile, whose children OSG does not draw.
     TerrainTile(TerrainTileObject),
 }

@@ -83,6 +83,12 @@ impl TerrainTileObject {
         true
     }
 
+    /// Returns the number of samples of the elevation layer.
+    pub fn sample_count(&self) -> usize {
+        let heights = self.elevation.as_deref().and_then(LayerObject::heights);
+        heights.map_or(0, |field| field.columns.saturating_mul(field.rows))
+    }
+
     /// Returns the images of the colour layers with their texture units.
     pub fn images(&self) -> impl Iterator<Item = (usize, &LayerObject, &Arc<ImageObject>)> {
         let layers = self.colors.iter().enumerate().filter_map(|(unit, layer)| Some((unit, layer.as_deref()?)));

@@ -37,7 +37,7 @@ fn effects_and_groups_keep_their_children() {
 
 #[test]
 fn multi_switches_show_their_active_set() {
-    let sets = "Values 2 { SwitchSet 2 { TRUE FALSE } SwitchSet 1 { FALSE } } ValueNames 2 { a b }";
+    let sets = "Values 2 { SwitchSet 2 { TRUE FALSE } SwitchSet 1 { FALSE } } ValueNames 2 { a \"b }\" }";
     for (members, expected) in [
         (format!("ActiveSwitchSet 1 {sets}"), [false, true]),
         (sets.to_owned(), [true, false]),
@@ -70,27 +70,38 @@ fn parts_with_degrees_of_freedom_stand_as_they_are() {
     assert!(matches!(node.kind, NodeKind::Group));
 }
 
-/// Two light points, of which one is on, without sizes of blocks.
+/// Two light points, of which one is on. Its sector, whose class is not read, needs the sizes of blocks.
 #[test]
 fn light_points_are_points() {
-    let mut file = Osgb::new(VERSION, false);
-    file.object("osgSim::LightPointNode", 1, |file| {
-        file.node_members("lights").raw(&[1]).u32(2).block(|file| {
-            for (is_on, x) in [(1, 3.0), (0, 4.0)] {
-                file.block(|file| {
-                    file.f32s(&[x, 2.0, 1.0]).f32s(&[1.0, 0.0, 0.0, 1.0]).raw(&[is_on]).u32(1).f32s(&[1.0, 0.5]);
-                    file.raw(&[0, 0]);
-                });
-            }
+    for has_sizes in [false, true] {
+        let mut file = Osgb::new(VERSION, has_sizes);
+        file.object("osgSim::LightPointNode", 1, |file| {
+            file.node_members("lights").raw(&[1]).u32(2).block(|file| {
+                for (is_on, x) in [(true, 3.0), (false, 4.0)] {
+                    file.block(|file| {
+                        file.f32s(&[x, 2.0, 1.0]).f32s(&[1.0, 0.0, 0.0, 1.0]).raw(&[u8::from(is_on)]).u32(1);
+                        file.f32s(&[1.0, 0.5]).raw(&[u8::from(has_sizes && is_on)]);
+                        if has_sizes && is_on {
+                            file.block(|file| {
+                                file.object("osgSim::ConeSector", 9, |file| {
+                                    file.raw(&[1, 2, 3]);
+                                });
+                            });
+                        }
+                        file.raw(&[0]);
+                    });
+                }
+            });
+            file.f32s(&[0.0, 30.0, 1e30]).raw(&[0, 0]);
         });
-        file.f32s(&[0.0, 30.0, 1e30]).raw(&[0, 0]);
-    });
-    let (node, ignored) = read(&file.bytes);
-    assert!(ignored.is_empty(), "{ignored:?}");
-    let drawable = drawables(&node)[0];
-    let mesh = mesh(drawable);
-    assert_eq!((mesh.topology, mesh.vertices.len(), mesh.vertices[0].position), (Topology::Points, 1, [3.0, 2.0, 1.0]));
-    assert_eq!((mesh.vertices[0].color, drawable.material.unlit), ([255, 0, 0, 255], true));
+        let (node, ignored) = read(&file.bytes);
+        assert_eq!(ignored.count("OpenSceneGraph class osgSim::ConeSector"), u64::from(has_sizes), "{ignored:?}");
+        let drawable = drawables(&node)[0];
+        let mesh = mesh(drawable);
+        assert_eq!((mesh.topology, mesh.vertices.len()), (Topology::Points, 1));
+        assert_eq!((mesh.vertices[0].position, mesh.vertices[0].color), ([3.0, 2.0, 1.0], [255, 0, 0, 255]));
+        assert!(drawable.material.unlit);
+    }
 }
 
 #[test]

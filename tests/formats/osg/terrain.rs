@@ -256,6 +256,67 @@ fn tiles_without_heights_or_place_are_drawn_flat_or_noted() {
     );
 }
 
+/// OSG writes all levels of a compressed image as one text, and counts them nevertheless.
+#[test]
+fn compressed_images_in_text_are_one_text() {
+    // Four texels of black, and of the levels below.
+    let image = "Image { ClassName osg::Image UniqueID 40 FileName \"a.dds\" WriteHint 0 0 Origin 0 Size 4 4 1
+        InternalTextureFormat 33776 PixelFormat 33776 DataType 5121 Packing 1 AllocationMode 1
+        Data 3 { \"AAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAA\" } DataVariance STATIC }";
+    let (node, ignored) = read(osgt(VERSION, &terrain_tile(1, PLANE, [2, 2], "", "0 0 0 0", &color_layer(image))));
+    assert!(ignored.is_empty(), "{ignored:?}");
+    let texture = drawables(&node)[0].material.texture.as_ref().unwrap();
+    assert_eq!((texture.width, texture.mips[0][..4].to_vec()), (4, vec![0, 0, 0, 255]));
+}
+
+/// A file that is a whole set in a projection lies on the earth; one in an unknown projection around the origin.
+#[test]
+fn projected_sets_are_placed_by_their_system() {
+    let far = "Transform { 2000 0 0 0 0 1000 0 0 0 0 1 0 460000 5248000 0 1 }";
+    let tile = terrain_tile(10, far, [2, 2], "", "400 400 400 400", "");
+    let utm = r#"CoordinateSystem "PROJCS[\"UTM 32N\",GEOGCS[\"WGS 84\",DATUM[\"WGS_1984\",SPHEROID[\"WGS 84\",6378137,
+        298.257223563]],UNIT[\"degree\",0.0174532925199433]],PROJECTION[\"Transverse_Mercator\"],
+        PARAMETER[\"latitude_of_origin\",0],PARAMETER[\"central_meridian\",9],PARAMETER[\"scale_factor\",0.9996],
+        PARAMETER[\"false_easting\",500000],PARAMETER[\"false_northing\",0],UNIT[\"metre\",1]]""#;
+    for class in ["osgTerrain::Terrain", "osg::CoordinateSystemNode"] {
+        let text = |system: &str| osgt(VERSION, &format!("{class} {{ UniqueID 1 Children 1 {{ {tile} }} {system} }}"));
+        let (node, ignored) = read(text(utm));
+        assert!(ignored.is_empty(), "{ignored:?}");
+        let NodeKind::Transform(map) = node.kind else { panic!("a transform: {node:?}") };
+        let geodetic = WGS84.geodetic(map.transform_point3(DVec3::new(461_000.0, 5_248_500.0, 400.0)));
+        assert!((geodetic.height_m - 400.0).abs() < 0.1, "{geodetic:?}");
+        let [easting, northing] = terrane::math::TransverseMercator::utm(32, false).project(&geodetic);
+        assert!((easting - 461_000.0).abs() < 0.01 && (northing - 5_248_500.0).abs() < 0.01, "{easting} {northing}");
+        // With an ellipsoid the positions are earth-centred, whatever the name of the system.
+        let ellipsoid = "EllipsoidModel TRUE { osg::EllipsoidModel { UniqueID 50 } }";
+        assert!(matches!(read(text(&format!("{utm} {ellipsoid}"))).0.kind, NodeKind::Group));
+        let (node, ignored) = read(text("CoordinateSystem \"PROJCS[Lambert]\""));
+        let note = "OpenSceneGraph: an unknown coordinate system (what it has is drawn around the origin)";
+        assert_eq!(ignored.count(note), 1, "{ignored:?}");
+        assert!(matches!(node.kind, NodeKind::Transform(map) if map.translation.y == -5_248_500.0));
+        // What is below another file has its frame.
+        let below = options().below(&"/set/tileset.json".into());
+        let (node, _) = read_with(text(utm).as_bytes(), Vec::new(), &below).unwrap();
+        assert!(matches!(node.kind, NodeKind::Group));
+    }
+}
+
+/// The volume of a tile of a PagedLOD holds its skirt, and its heights as they are drawn.
+#[test]
+fn tiles_of_paged_levels_hold_their_terrain() {
+    let paged = format!(
+        "osg::PagedLOD {{ UniqueID 5 RangeList 2 {{ 50 1e30 0 50 }} RangeDataList 2 {{ \"\" \"a.osgb\" }}
+        PriorityList 2 {{ 0 1 0 1 }} Children 1 {{ {} }} }}",
+        terrain_tile(10, PLANE, [2, 2], "SkirtHeight 40", "0 0 0 100", "")
+    );
+    let text = format!("osgTerrain::Terrain {{ UniqueID 1 Children 1 {{ {paged} }} VerticalScale 5 }}");
+    let (node, _) = read(osgt(VERSION, &text));
+    let terrane::math::BoundingVolume::Sphere(sphere) = tiles(&node)[0].bounds else { panic!("a sphere") };
+    for point in [[1000.0, 500.0, -40.0], [1200.0, 600.0, 500.0], [1200.0, 500.0, -40.0]].map(DVec3::from_array) {
+        assert!(sphere.center.distance(point) <= sphere.radius_m, "{point} in {sphere:?}");
+    }
+}
+
 /// Every member is present in binary, and blocks need no sizes.
 #[test]
 fn binary_tiles_are_read() {

@@ -10,17 +10,31 @@ use crate::formats::osg::objects::{
     AutoObject, CenterMode, DrawableClass, DrawableObject, LodObject, NodeClass, NodeObject, Object, ProxyObject,
     ShapeObject,
 };
+use crate::formats::osg::terrain::TerrainSettings;
 use crate::math::{Aabb, BoundingSphere};
+
+/// The spheres around nodes and drawables by address, since files may share them often.
+#[derive(Default)]
+pub(super) struct Spheres {
+    by_address: HashMap<usize, BoundingSphere>,
+    /// The settings of the Terrain above the current object.
+    pub terrain: TerrainSettings,
+    /// The samples of terrain that were looked at: tiles may share them.
+    samples: usize,
+}
+
+/// The maximum number of samples of terrain that are looked at for the spheres of a file. Further tiles have none.
+const MAX_SAMPLES: usize = 1 << 26;
 
 /// Returns a sphere around an object in the frame that it is in; empty if it has no bound. `known` keeps those of nodes
 /// and drawables by address, since files may share them often.
-pub(super) fn sphere(object: &Object, known: &mut HashMap<usize, BoundingSphere>) -> BoundingSphere {
+pub(super) fn sphere(object: &Object, known: &mut Spheres) -> BoundingSphere {
     let key = match object {
         Object::Node(node) => Arc::as_ptr(node).addr(),
         Object::Drawable(drawable) => Arc::as_ptr(drawable).addr(),
         _ => return BoundingSphere::EMPTY,
     };
-    if let Some(sphere) = known.get(&key) {
+    if let Some(sphere) = known.by_address.get(&key) {
         return *sphere;
     }
     let sphere = match object {
@@ -28,7 +42,7 @@ pub(super) fn sphere(object: &Object, known: &mut HashMap<usize, BoundingSphere>
         Object::Drawable(drawable) => of_drawable(drawable),
         _ => BoundingSphere::EMPTY,
     };
-    known.insert(key, sphere);
+    known.by_address.insert(key, sphere);
     sphere
 }
 
@@ -45,14 +59,25 @@ fn of_drawable(drawable: &DrawableObject) -> BoundingSphere {
     }
 }
 
-fn of_node(node: &NodeObject, known: &mut HashMap<usize, BoundingSphere>) -> BoundingSphere {
+fn of_node(node: &NodeObject, known: &mut Spheres) -> BoundingSphere {
     let mut children = || {
         let spheres = node.children.iter().map(|child| sphere(child, known));
         spheres.fold(BoundingSphere::EMPTY, |all, sphere| all.union(&sphere))
     };
     match &node.class {
-        NodeClass::Group | NodeClass::Switch(_) | NodeClass::Terrain(_) => children(),
-        NodeClass::TerrainTile(tile) => terrain::sphere(tile),
+        NodeClass::Group | NodeClass::Switch(_) | NodeClass::CoordinateSystem(_) => children(),
+        NodeClass::Terrain(settings, _) => {
+            let above = std::mem::replace(&mut known.terrain, *settings);
+            let spheres = node.children.iter().map(|child| sphere(child, known));
+            let all = spheres.fold(BoundingSphere::EMPTY, |all, sphere| all.union(&sphere));
+            known.terrain = above;
+            all
+        }
+        NodeClass::TerrainTile(tile) => {
+            known.samples = known.samples.saturating_add(tile.sample_count());
+            let is_affordable = known.samples <= MAX_SAMPLES;
+            if is_affordable { terrain::sphere(tile, &known.terrain) } else { BoundingSphere::EMPTY }
+        }
         NodeClass::Transform { parent_from_child, is_absolute } => {
             let map = parent_from_child.unwrap_or(DAffine3::IDENTITY);
             let sphere = children();

@@ -98,7 +98,7 @@ impl Builder<'_> {
             _ => return Ok(Node::group(Vec::new())),
         };
         let map = match &node.class {
-            NodeClass::Group => *pivot_from_node,
+            NodeClass::Group | NodeClass::CoordinateSystem(_) => *pivot_from_node,
             NodeClass::Transform { parent_from_child: Some(map), is_absolute: false } => *pivot_from_node * *map,
             _ => {
                 self.note("OpenSceneGraph: AutoTransform over a node that it does not turn");

@@ -34,7 +34,6 @@ pub(super) use self::textures::external_images;
 use self::units::Unit;
 use super::error::OsgError;
 use super::objects::{DrawableClass, DrawableObject, NodeClass, NodeObject, Object, StateObject};
-use super::terrain::TerrainSettings;
 use crate::fetch::IoError;
 use crate::formats::ignored::Notes;
 use crate::formats::options::{Fetched, ReadOptions};
@@ -89,9 +88,8 @@ struct Builder<'a> {
     drawable_sets: Vec<Arc<StateSet>>,
     /// Tiles of osgTerrain; `None` for those that are not drawn.
     tiles: HashMap<usize, Option<terrain::BuiltTile>>,
-    /// The settings of the Terrain above the current object.
-    terrain: TerrainSettings,
-    spheres: HashMap<usize, BoundingSphere>,
+    /// With the settings of the Terrain above the current object.
+    spheres: bounds::Spheres,
     sizes: HashMap<usize, sizes::Size>,
     /// The state sets above the current object, outermost first.
     states: Vec<Arc<StateObject>>,
@@ -127,7 +125,7 @@ pub(super) fn size_bytes(root: &Object) -> u64 {
 
 /// Returns a sphere around the root object of a file, as its PagedLODs declare it; empty if it is unknown.
 pub(super) fn sphere_of_file(root: &Object) -> BoundingSphere {
-    bounds::sphere(root, &mut HashMap::new())
+    bounds::sphere(root, &mut bounds::Spheres::default())
 }
 
 impl<'a> Builder<'a> {
@@ -140,8 +138,7 @@ impl<'a> Builder<'a> {
             meshes: HashMap::new(),
             drawable_sets: Vec::new(),
             tiles: HashMap::new(),
-            terrain: TerrainSettings::default(),
-            spheres: HashMap::new(),
+            spheres: bounds::Spheres::default(),
             sizes: HashMap::new(),
             states: Vec::new(),
             shared_file: None,
@@ -213,7 +210,7 @@ impl<'a> Builder<'a> {
 
     fn node_of_class(&mut self, object: &Arc<NodeObject>) -> Result<Node, IoError> {
         let kind = match &object.class {
-            NodeClass::Group => NodeKind::Group,
+            NodeClass::Group | NodeClass::CoordinateSystem(_) => NodeKind::Group,
             NodeClass::Transform { parent_from_child: Some(map), is_absolute: false } if *map == DAffine3::IDENTITY => {
                 NodeKind::Group
             }
@@ -227,7 +224,7 @@ impl<'a> Builder<'a> {
             NodeClass::Proxy(proxy) => return self.proxy(object, proxy),
             NodeClass::Billboard(billboard) => return self.billboard(object, billboard),
             NodeClass::AutoTransform(auto) => return self.auto_transform(object, auto),
-            NodeClass::Terrain(settings) => return self.terrain(object, settings),
+            NodeClass::Terrain(settings, _) => return self.terrain(object, settings),
             NodeClass::TerrainTile(tile) => return self.terrain_tile(object, tile),
         };
         Ok(Node { children: self.children(&object.children)?, ..Node::new(kind) })

@@ -104,7 +104,7 @@ impl InlinePart {
         let PartFile { uri, base, companions } = &*self.file;
         let mut builder = Builder::new(Source { uri, base, companions, options, notes });
         builder.states.clone_from(&self.states);
-        builder.terrain = self.terrain;
+        builder.spheres.terrain = self.terrain;
         builder.shared_file = Some(self.file.clone());
         builder.part.clone_from(&self.name);
         let nodes = builder.children(&self.objects)?;
@@ -248,7 +248,7 @@ impl Builder<'_> {
             Arc::new(PartFile { uri: uri.clone(), base: base.into(), companions: companions.to_vec() })
         });
         let states = self.states.clone();
-        let (terrain, size_bytes) = (self.terrain, size.bytes);
+        let (terrain, size_bytes) = (self.spheres.terrain, size.bytes);
         let part = InlinePart { file: file.clone(), objects, states, terrain, name, size_bytes };
         let name = format!("{uri}#part-{}", part.name);
         Ok(TileContent::new(name.into(), Some(ReaderData::of(part))))
@@ -261,7 +261,7 @@ impl Builder<'_> {
     }
 
     fn file(&self, database_path: &str, name: &str) -> TileContent {
-        if self.terrain != TerrainSettings::default() {
+        if self.spheres.terrain != TerrainSettings::default() {
             self.note("OpenSceneGraph: settings of a Terrain, which tiles in other files do not get");
         }
         let Source { uri, options, .. } = self.source;

@@ -61,6 +61,21 @@ impl Reader<'_> {
         Ok(raw([s, t, r], pixel_format, data_type, packing, bytes))
     }
 
+    /// Reads the texts of an image's levels. OSG says how many there are, and writes one for all of compressed images.
+    fn levels_of_text(&mut self) -> Result<Vec<String>> {
+        let count = self.count()?;
+        self.input.begin()?;
+        let mut levels = Vec::new();
+        while levels.len() < count {
+            if self.input.matches("}")? {
+                return Ok(levels);
+            }
+            levels.push(self.input.quoted()?);
+        }
+        self.input.end()?;
+        Ok(levels)
+    }
+
     fn raw_image_of_text(&mut self) -> Result<Option<ImageData>> {
         let mut values = |name: &str, count: usize| -> Result<[i64; 3]> {
             self.input.keyword(name)?;
@@ -78,7 +93,7 @@ impl Reader<'_> {
         let [packing, ..] = values("Packing", 1)?;
         values("AllocationMode", 1)?;
         self.input.keyword("Data")?;
-        let levels = self.list(|reader| reader.input.quoted())?;
+        let levels = self.levels_of_text()?;
         let engine = base64::engine::GeneralPurpose::new(
             &base64::alphabet::STANDARD,
             base64::engine::general_purpose::PAD

@@ -96,7 +96,7 @@ impl Reader<'_> {
     pub(super) fn of_library(&mut self, class: &str) -> Result<Option<Object>> {
         let note = |reader: &Self, what: &str| reader.notes.add(format!("OpenSceneGraph class {class} ({what})"));
         Ok(Some(match class {
-            "osgSim::MultiSwitch" => self.multi_switch()?,
+            "osgSim::MultiSwitch" if self.version < 160 || self.input.can_skip() => self.multi_switch()?,
             "osgSim::DOFTransform" => self.freedom_transform()?,
             "osgSim::LightPointNode" => self.light_point_node()?,
             "osgSim::Impostor" => {
@@ -133,9 +133,7 @@ impl Reader<'_> {
                 reader.list(|reader| reader.input.boolean())
             })?;
         }
-        if self.version >= 160 && self.marked_member("ValueNames")? {
-            self.list(|reader| reader.input.quoted())?;
-        }
+        // The names of the sets follow, in files of some versions from 160 on.
         // OSG draws nothing for a set that is missing.
         let mut shown = if active < sets.len() { sets.swap_remove(active) } else { vec![false; children.len()] };
         shown.resize(children.len(), default);
@@ -203,7 +201,10 @@ impl Reader<'_> {
             reader.integer(Number::I32)?;
             reader.floats::<2>()?;
             for name in ["Sector", "BlinkSequence"] {
-                reader.object_member(name)?;
+                reader.input.keyword(name)?;
+                if reader.input.boolean()? {
+                    reader.block(Self::object)?;
+                }
             }
             Ok(is_on.then_some((position, color)))
         })

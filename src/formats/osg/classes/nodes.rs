@@ -63,8 +63,8 @@ impl Reader<'_> {
             "Billboard" => self.billboard()?,
             "AutoTransform" => self.auto_transform()?,
             "CoordinateSystemNode" => {
-                let (node, children) = self.coordinate_system_members()?;
-                node.with(NodeClass::Group, children)
+                let (node, children, system) = self.coordinate_system_members()?;
+                node.with(NodeClass::CoordinateSystem(system), children)
             }
             _ => return self.of_library(class),
         }))
@@ -164,13 +164,14 @@ impl Reader<'_> {
         Ok((node, children))
     }
 
-    /// Reads the members of a CoordinateSystemNode with those of the classes that it is made of.
-    pub(super) fn coordinate_system_members(&mut self) -> Result<(NodeMembers, Vec<Object>)> {
-        let members = self.group_members()?;
+    /// Reads the members of a CoordinateSystemNode with those of the classes that it is made of, and returns its system at the
+    /// end: empty with an ellipsoid, on which the positions lie then.
+    pub(super) fn coordinate_system_members(&mut self) -> Result<(NodeMembers, Vec<Object>, String)> {
+        let (node, children) = self.group_members()?;
         self.string_member("Format")?;
-        self.string_member("CoordinateSystem")?;
-        self.object_member("EllipsoidModel")?;
-        Ok(members)
+        let system = self.string_member("CoordinateSystem")?;
+        let is_geocentric = matches!(self.object_member("EllipsoidModel")?, Object::Ellipsoid(_));
+        Ok((node, children, if is_geocentric { String::new() } else { system }))
     }
 
     pub(super) fn state_member(&mut self, name: &str) -> Result<Option<Arc<StateObject>>> {

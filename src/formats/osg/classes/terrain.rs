@@ -85,11 +85,11 @@ impl Reader<'_> {
     }
 
     fn terrain(&mut self) -> Result<Object> {
-        let (node, children) = self.coordinate_system_members()?;
+        let (node, children, system) = self.coordinate_system_members()?;
         let sample_ratio = self.float_member("SampleRatio", 1.0)?;
         let vertical_scale = self.float_member("VerticalScale", 1.0)?.into();
         let settings = TerrainSettings { sample_ratio, vertical_scale, blending: self.blending_policy()? };
-        Ok(node.with(NodeClass::Terrain(settings), children))
+        Ok(node.with(NodeClass::Terrain(settings, system), children))
     }
 
     fn terrain_tile(&mut self) -> Result<Object> {

@@ -114,7 +114,8 @@ impl Reader {
                 first_of_sequence(interval.map_or(0.0, |[begin]| begin), children.len())
             }
             "LOD" | "osgSim::Impostor" => NodeClass::Lod(lod(block)),
-            "Terrain" => terrain::settings(block),
+            "Terrain" => terrain::terrain(block),
+            "CoordinateSystemNode" => NodeClass::CoordinateSystem(terrain::coordinate_system(block)),
             "TerrainTile" => self.terrain_tile(block, &mut children)?,
             "osgSim::MultiSwitch" => NodeClass::Switch(multi_switch(block, children.len())),
             "osgSim::DOFTransform" => transform(block, freedom(block).parent_from_child()),

@@ -18,13 +18,20 @@ use crate::formats::osg::terrain::{
     BlendingPolicy, LayerContent, LayerObject, LocatorObject, TerrainSettings, TerrainTileObject, ellipsoid,
 };
 
-/// Returns the settings of a Terrain.
-pub(super) fn settings(block: &Block<'_>) -> NodeClass {
-    NodeClass::Terrain(TerrainSettings {
+/// Returns the system of a CoordinateSystemNode; empty with an ellipsoid, on which the positions lie then.
+pub(super) fn coordinate_system(block: &Block<'_>) -> String {
+    let is_geocentric = block.field("EllipsoidModel").is_some();
+    if is_geocentric { String::new() } else { block.word("CoordinateSystem").to_owned() }
+}
+
+/// Returns the class of a Terrain.
+pub(super) fn terrain(block: &Block<'_>) -> NodeClass {
+    let settings = TerrainSettings {
         sample_ratio: block.value("SampleRatio").unwrap_or(1.0) as f32,
         vertical_scale: block.value("VerticalScale").unwrap_or(1.0),
         blending: BlendingPolicy::of_name(block.word("BlendingPolicy")),
-    })
+    };
+    NodeClass::Terrain(settings, coordinate_system(block))
 }
 
 /// Reads a HeightField.

@@ -64,6 +64,15 @@ fn reference(tile: &str) -> String {
     format!("Data/{tile}/{tile}.osgb")
 }
 
+/// Returns the map from the surroundings of a point in a reference system, EPSG or WKT, to earth-centred coordinates; `None`
+/// if the system is unknown or local.
+pub(super) fn earth_from_system(system: &str, near: DVec3) -> Option<DAffine3> {
+    match Placement::new(&Metadata { srs: system.to_owned(), origin: DVec3::ZERO }) {
+        Ok(Placement::Local) | Err(_) => None,
+        Ok(placement) => Some(placement.ecef_from_local(near)),
+    }
+}
+
 /// Reads the metadata of a folder: one proxy for each tile, placed on the earth.
 pub(in crate::formats) fn read_folder(
     (uri, base): (&Arc<str>, &str),

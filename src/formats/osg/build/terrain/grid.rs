@@ -69,12 +69,17 @@ impl<'a> Grid<'a> {
         self.heights.map_or(0.0, |(field, _)| field.skirt_height)
     }
 
-    /// Returns a sphere around the samples.
+    /// Returns a sphere around the samples of the elevation layer with the skirt.
     pub fn sphere(&self) -> BoundingSphere {
+        let skirt = self.skirt_height().abs();
         let places = (0..self.rows).flat_map(|row| (0..self.columns).map(move |column| (column, row)));
         let points = places.filter_map(|(column, row)| Some(self.locator.model(self.sample(column, row)?)));
         let bounds = Aabb::from_points(points.filter(|point| point.is_finite()));
-        if bounds.is_empty() { BoundingSphere::EMPTY } else { bounds.bounding_sphere() }
+        if bounds.is_empty() {
+            return BoundingSphere::EMPTY;
+        }
+        let BoundingSphere { center, radius_m } = bounds.bounding_sphere();
+        BoundingSphere::new(center, radius_m + if skirt.is_finite() { skirt } else { 0.0 })
     }
 
     /// Returns a sample in the layer; `None` if it is not valid.

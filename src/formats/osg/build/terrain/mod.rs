@@ -8,7 +8,7 @@ use glam::{DAffine3, DVec3};
 
 use self::grid::{Grid, GridVertex};
 use super::Builder;
-use super::looks::{GL_BLEND, ON};
+use super::looks::{GL_BLEND, GL_CULL_FACE, ON};
 use crate::fetch::IoError;
 use crate::formats::osg::input::{Number, Values};
 use crate::formats::osg::objects::{
@@ -32,16 +32,18 @@ pub(super) struct BuiltTile {
 }
 
 /// Returns a sphere around a tile; empty if it has nothing to draw.
-pub(super) fn sphere(tile: &TerrainTileObject) -> BoundingSphere {
-    Grid::new(tile, &TerrainSettings::default()).map_or(BoundingSphere::EMPTY, |grid| grid.sphere())
+pub(super) fn sphere(tile: &TerrainTileObject, settings: &TerrainSettings) -> BoundingSphere {
+    // The samples of the file itself: their number is limited by its size.
+    let settings = TerrainSettings { sample_ratio: 1.0, ..*settings };
+    Grid::new(tile, &settings).map_or(BoundingSphere::EMPTY, |grid| grid.sphere())
 }
 
 impl Builder<'_> {
     /// Makes the node of a Terrain, whose settings hold for the tiles below it in its file.
     pub(super) fn terrain(&mut self, object: &NodeObject, settings: &TerrainSettings) -> Result<Node, IoError> {
-        let above = std::mem::replace(&mut self.terrain, *settings);
+        let above = std::mem::replace(&mut self.spheres.terrain, *settings);
         let children = self.children(&object.children);
-        self.terrain = above;
+        self.spheres.terrain = above;
         Ok(Node::group(children?))
     }
 
@@ -61,7 +63,7 @@ impl Builder<'_> {
     }
 
     fn new_tile(&mut self, tile: &TerrainTileObject) -> Result<Option<BuiltTile>, IoError> {
-        let settings = self.terrain;
+        let settings = self.spheres.terrain;
         let Some(grid) = Grid::new(tile, &settings) else { return Ok(None) };
         let limit = self.source.options.limits.max_elements;
         self.count(self.vertices, grid.vertex_count(), "vertices of an OpenSceneGraph file", limit)?;
@@ -109,6 +111,8 @@ impl Builder<'_> {
             BlendingPolicy::Always => true,
             BlendingPolicy::Inherit | BlendingPolicy::WhenAlphaIsPresent => is_translucent,
         };
+        // Where neighbours meet, a pixel can show the skirt of one from behind: it would face away from the light.
+        state.modes.push((GL_CULL_FACE, ON));
         if is_blended {
             state.modes.push((GL_BLEND, ON));
             state.hint = HINT_TRANSPARENT;
