@@ -17,6 +17,7 @@ mod osg;
 mod overlays;
 #[path = "../formats/fuzz_parsers.rs"]
 mod parsers;
+#[allow(unused_imports, reason = "the tests of this file use some of them alone")]
 #[path = "../../data-gen/tests/generate/fuzz/places.rs"]
 mod places;
 #[path = "../../data-gen/tests/generate/fuzz/rasters.rs"]

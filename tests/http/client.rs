@@ -7,10 +7,13 @@ use terrane::fetch::{Credential, HttpBody, HttpClient, HttpConfig, IoError, Limi
 
 const MS: Duration = Duration::from_millis(1);
 
+/// The timeout of requests to servers that answer: it does not end on a busy machine either.
+const LONG: Duration = Duration::from_secs(60);
+
 fn quick() -> HttpConfig {
     HttpConfig {
-        first_byte_timeout: 400 * MS,
-        read_timeout: 400 * MS,
+        first_byte_timeout: LONG,
+        read_timeout: LONG,
         retry_backoff: 4 * MS,
         max_wait: 1500 * MS,
         ..HttpConfig::default()
@@ -200,8 +203,15 @@ fn only_transient_failures_are_retried() {
     for status in [408, 429, 500, 502, 503, 504] {
         assert_eq!(asked(Reply::new(status, "")), whole, "{status}");
     }
-    for how in [How::Cut, How::Stall, How::Silent, How::Reset] {
+    for how in [How::Cut, How::Reset] {
         assert_eq!(asked(Reply::ok("a long body").how(how)), whole, "{how:?}");
+    }
+    // These end with a timeout, within which the second answer has to arrive too.
+    for how in [How::Stall, How::Silent] {
+        let server = Server::start(move |r| Reply::ok("a long body").how(if r.nth == 0 { how } else { How::Whole }));
+        let config = HttpConfig { first_byte_timeout: 1500 * MS, read_timeout: 1500 * MS, max_retries: 9, ..quick() };
+        assert_eq!(get_with(&config, &server.url).unwrap().bytes, b"a long body", "{how:?}");
+        assert!(server.count() >= 2, "{how:?}");
     }
     for status in [206, 304, 400, 401, 403, 404, 410, 416, 451] {
         let (result, count) = asked(Reply::new(status, ""));
@@ -225,13 +235,15 @@ fn each_timeout_names_its_phase() {
     let server =
         Server::start(|r| Reply::ok("a long body").how(if r.target == "/silent" { How::Silent } else { How::Stall }));
     let config = HttpConfig { max_retries: 0, ..quick() };
+    let first = HttpConfig { first_byte_timeout: 100 * MS, ..config.clone() };
+    let rest = HttpConfig { read_timeout: 100 * MS, ..config.clone() };
+    let whole = HttpConfig { total_timeout: 100 * MS, ..config };
     let phase = |config: &HttpConfig, path: &str| match get_with(config, &format!("{}{path}", server.url)) {
         Err(IoError::Timeout { phase, .. }) => phase,
         other => panic!("{other:?}"),
     };
-    assert_eq!(phase(&config, "/silent"), "waiting for the answer");
-    assert_eq!(phase(&config, "/stall"), "reading the answer");
-    let whole = HttpConfig { total_timeout: 100 * MS, ..config.clone() };
+    assert_eq!(phase(&first, "/silent"), "waiting for the answer");
+    assert_eq!(phase(&rest, "/stall"), "reading the answer");
     assert_eq!(phase(&whole, "/stall"), "the whole answer");
 }
 
@@ -263,7 +275,7 @@ fn steady_transfers_may_exceed_the_timeout() {
         let config = HttpConfig { total_timeout: 100 * MS, min_bytes_per_s, max_retries: 0, ..quick() };
         get_with(&config, &server.url)
     };
-    for rate in [0, 4] {
+    for rate in [0, 1] {
         assert_eq!(get(rate).unwrap().bytes.len(), 40, "{rate}");
     }
     let slower = get(100_000);
@@ -306,8 +318,8 @@ fn pause_applies_to_all_requests_to_the_server() {
     let client = HttpClient::new(&HttpConfig { max_retries: 0, ..quick() }).unwrap();
     runtime().block_on(async {
         let limits = Limits::default();
-        assert!(client.get(&format!("{}/first", server.url), &limits).await.is_err());
         let start = Instant::now();
+        assert!(client.get(&format!("{}/first", server.url), &limits).await.is_err());
         client.get(&format!("{}/second", server.url), &limits).await.unwrap();
         assert!(start.elapsed() > 800 * MS, "{:?}", start.elapsed());
     });

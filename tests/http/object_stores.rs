@@ -301,14 +301,17 @@ fn walk(folder: &Path) -> Vec<std::path::PathBuf> {
     paths.flat_map(|p| if p.is_dir() { walk(&p) } else { vec![p] }).collect()
 }
 
-/// Checks the error and the number of requests of each fault.
+/// Checks the error and the number of requests of a fault after which the server answers or closes the connection.
 fn fault(answer: impl Fn(&Request) -> Reply + Send + Sync + 'static) -> (Result<Vec<u8>, IoError>, usize) {
+    fault_within(Duration::from_secs(60), answer)
+}
+
+fn fault_within(
+    timeout: Duration,
+    answer: impl Fn(&Request) -> Reply + Send + Sync + 'static,
+) -> (Result<Vec<u8>, IoError>, usize) {
     let server = Server::start(answer);
-    let config = HttpConfig {
-        first_byte_timeout: Duration::from_millis(300),
-        read_timeout: Duration::from_millis(300),
-        ..s3(&server.url)
-    };
+    let config = HttpConfig { first_byte_timeout: timeout, read_timeout: timeout, ..s3(&server.url) };
     let result = get_with(&config, "s3://b/dir/tile.glb");
     if let Err(error) = &result {
         assert_eq!(error.uri(), "s3://b/dir/tile.glb");
@@ -336,7 +339,7 @@ fn faults_are_typed_and_transient_ones_are_retried() {
     let retry_after = result.unwrap_err().retry_after();
     assert_eq!(retry_after, Some(Duration::from_secs(3600)));
     for how in [How::Silent, How::Stall] {
-        let (result, _) = fault(move |_| good().how(how));
+        let (result, _) = fault_within(Duration::from_millis(200), move |_| good().how(how));
         assert!(matches!(result, Err(IoError::Timeout { .. })), "{result:?}");
     }
     // A redirect to another host is not followed, because the keys are not for it.

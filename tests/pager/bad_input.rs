@@ -300,7 +300,7 @@ fn thousands_of_failing_uris_cause_no_flood_of_requests_or_log_lines() {
     assert!(errors.len() <= 1001, "{} lines", errors.len());
     assert_eq!(errors.iter().map(|e| e.count).sum::<u64>(), CHILDREN as u64);
     assert_eq!(run.stage.counters.tiles_drawn, 1, "the root stays");
-    assert!(per_frame < Duration::from_millis(50), "{per_frame:?} a frame");
+    assert!(per_frame < Duration::from_millis(500), "{per_frame:?} a frame");
 
     // A failing server gets the configured number of requests for each URI, with growing pauses.
     let asked: Arc<Mutex<HashMap<String, u64>>> = Arc::default();

@@ -57,7 +57,7 @@ fn proxies(folder: &Path, blocking: bool, max_tiles: usize) -> (Viewer, PageId) 
 }
 
 fn settle(viewer: &mut Viewer) {
-    let end = Instant::now() + Duration::from_secs(60);
+    let end = Instant::now() + kit::MAX_WAIT;
     viewer.frame().unwrap();
     while !viewer.is_settled() {
         assert!(Instant::now() < end, "{:?}", viewer.pager().unwrap().stats());

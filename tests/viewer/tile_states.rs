@@ -83,7 +83,7 @@ fn states(viewer: &Viewer) -> Vec<TileState> {
 
 /// Draws frames until tiles have these states, in any order. Returns all states that occurred.
 fn until(viewer: &mut Viewer, expected: &[(TileState, usize)]) -> BTreeSet<&'static str> {
-    let end = Instant::now() + Duration::from_secs(60);
+    let end = Instant::now() + kit::MAX_WAIT;
     let mut met = BTreeSet::new();
     loop {
         viewer.frame().unwrap();

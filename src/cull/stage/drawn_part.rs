@@ -11,6 +11,18 @@ pub enum DrawnPart {
     Band(FadeBand),
     /// The fragments that lie inside a volume.
     Within(CutVolume),
+    /// The fragments that lie inside a volume, behind everything else: they are seen only where nothing else is drawn.
+    Backdrop(CutVolume),
+}
+
+impl DrawnPart {
+    /// Returns the volume that the leaves are cut to.
+    pub fn volume(&self) -> Option<&CutVolume> {
+        match self {
+            Self::Band(_) => None,
+            Self::Within(volume) | Self::Backdrop(volume) => Some(volume),
+        }
+    }
 }
 
 /// A box or a sphere that leaves are cut to: the map from the eye space of their view to the cube from -1 to 1, or to the

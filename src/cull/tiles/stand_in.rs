@@ -13,6 +13,11 @@ use crate::scene::{Tiles, flag};
 /// that is more, since this surface may lie outside of the tile's volume.
 const MIN_MARGIN: f32 = 0.01;
 
+/// The width of the backdrop around the volume: a share of the tile's radius, and a multiple of the coarser surface's error.
+/// Where that surface ends above a neighbour's, a ray that passes between the two has crossed it nearby.
+const BACKDROP_RADII: f32 = 1.0;
+const BACKDROP_ERRORS: f32 = 4.0;
+
 /// A resident content above a tile.
 struct Ancestor {
     tile: u32,
@@ -25,9 +30,9 @@ struct Ancestor {
 }
 
 impl Traversal<'_> {
-    /// Draws the nearest resident ancestor of a tile, cut to the tile's volume. Draws nothing if there is none, or if its
-    /// content is drawn beside its children's in any case. Shadow maps get nothing, since a coarse surface would throw
-    /// shadows on the finer ones beside it.
+    /// Draws the nearest resident ancestor of a tile, cut to the tile's volume, and a wider part of it behind everything
+    /// else, which closes the gaps along the cut. Draws nothing if there is none, or if its content is drawn beside its
+    /// children's in any case. Shadow maps get nothing, since a coarse surface would throw shadows on the finer ones beside it.
     #[cold]
     #[inline(never)]
     pub(super) fn stand_in(&mut self, walk: &WalkContext, tile: u32) {
@@ -37,20 +42,25 @@ impl Traversal<'_> {
         let Some(ancestor) = self.resident_above(walk, tile) else { return };
         let bounds = &walk.tiles.bounds()[tile as usize];
         let margin_m = ancestor.error_m.max(MIN_MARGIN * bounds.radius_m());
-        let half_m = (Vec3::from_array(bounds.half_m()) + margin_m).as_dvec3();
+        let backdrop_m = margin_m + BACKDROP_RADII * bounds.radius_m() + BACKDROP_ERRORS * ancestor.error_m;
         let center = walk.tiles.grid().center(bounds);
         let eye_from_frame = self.queue.frame(walk.view.attachment).eye_from_frame;
         let axes = walk.tiles.axes_of(bounds);
-        let volume = CutVolume::new(&eye_from_frame, center, axes, half_m, bounds.is_sphere());
+        let volume = |margin_m: f32| {
+            let half_m = (Vec3::from_array(bounds.half_m()) + margin_m).as_dvec3();
+            CutVolume::new(&eye_from_frame, center, axes, half_m, bounds.is_sphere())
+        };
         self.counters.stand_ins += 1;
-        self.queue.push(QueuedPage {
-            first: ancestor.tile,
-            end: ancestor.tile + 1,
-            attachment: ancestor.attachment,
-            state: self.states.part(ancestor.state, DrawnPart::Within(volume), self.stage),
-            fade: Fade::NONE,
-            mask: self.views.current().planes.mask,
-        });
+        for part in [DrawnPart::Within(volume(margin_m)), DrawnPart::Backdrop(volume(backdrop_m))] {
+            self.queue.push(QueuedPage {
+                first: ancestor.tile,
+                end: ancestor.tile + 1,
+                attachment: ancestor.attachment,
+                state: self.states.part(ancestor.state, part, self.stage),
+                fade: Fade::NONE,
+                mask: self.views.current().planes.mask,
+            });
+        }
     }
 
     /// Returns the nearest ancestor with resident content that its children replace, across pages.

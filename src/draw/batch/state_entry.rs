@@ -2,7 +2,7 @@
 
 use crate::cull::{DrawnPart, FadeBand};
 use crate::draw::pipelines::key::StateKey;
-use crate::draw::uniforms::frame::{BAND_OF_VOLUME, BAND_SHIFT, FLAG_UNLIT, FLAG_UNTEXTURED};
+use crate::draw::uniforms::frame::{BAND_OF_BACKDROP, BAND_OF_VOLUME, BAND_SHIFT, FLAG_UNLIT, FLAG_UNTEXTURED};
 use crate::gpu::{DrawableEntry, Shape};
 use crate::scene::Topology;
 use crate::state::ResolvedState;
@@ -18,7 +18,8 @@ pub(in crate::draw) struct StateEntry {
     pub(super) color: [f32; 4],
     /// Flags of leaves with a lit material, and with an unlit one.
     flags: [u32; 2],
-    /// True if the leaves are not drawn: those that cannot fade switch in the middle of a fade.
+    /// True if the leaves are not drawn: those that cannot fade switch in the middle of a fade, and those that blend have no
+    /// backdrop.
     is_hidden: bool,
     /// True if all leaves are drawn, whatever their shape; mostly so.
     shows_all: bool,
@@ -31,17 +32,21 @@ impl StateEntry {
         // Leaves that cannot be cut are drawn whole: a stand-in with too much is better than a hole.
         let (band, is_cut) = match part {
             DrawnPart::Band(band) => (band, false),
-            DrawnPart::Within(_) => (FadeBand::FULL, true),
+            DrawnPart::Within(_) | DrawnPart::Backdrop(_) => (FadeBand::FULL, true),
         };
+        // Only surfaces that can be cut and that hide what is behind them have a backdrop.
+        let is_backdrop = matches!(part, DrawnPart::Backdrop(_));
+        let has_none = is_backdrop && !(key.can_fade && key.order_is_free);
         let is_whole = (band.is_full() && !is_cut) || !key.can_fade;
-        let hides_customs = !(band.from..band.to).contains(&(u8::MAX / 2));
-        let is_hidden = !key.can_fade && hides_customs;
+        let hides_customs = is_backdrop || !(band.from..band.to).contains(&(u8::MAX / 2));
+        let is_hidden = has_none || (!key.can_fade && hides_customs);
         let key = if is_whole { key } else { key.fading() };
         let shows_all = !is_hidden && !hides_customs && !key.casts;
         let band = match part {
             _ if is_whole => 0,
             DrawnPart::Band(band) => (u32::from(band.from) | u32::from(band.to) << 8) << BAND_SHIFT,
             DrawnPart::Within(_) => BAND_OF_VOLUME << BAND_SHIFT,
+            DrawnPart::Backdrop(_) => BAND_OF_BACKDROP << BAND_SHIFT,
         };
         let common = band | if state.has_own_textures() { 0 } else { FLAG_UNTEXTURED };
         let flags = [false, true].map(|unlit| if state.is_lit(unlit) { common } else { common | FLAG_UNLIT });

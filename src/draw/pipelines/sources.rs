@@ -230,7 +230,7 @@ mod tests {
     #[test]
     fn constants_are_mirrored() {
         use crate::draw::uniforms::frame::{
-            BAND_OF_VOLUME, BAND_SHIFT, FLAG_UNLIT, FLAG_UNTEXTURED, INDEX_COUNT_SHIFT,
+            BAND_OF_BACKDROP, BAND_OF_VOLUME, BAND_SHIFT, FLAG_UNLIT, FLAG_UNTEXTURED, INDEX_COUNT_SHIFT,
         };
         let header = crate::gpu::TABLE_HEADER_VECTORS;
         assert!(HEIGHT_WGSL.contains(&format!("const HEADER: u32 = {header}u;")));
@@ -239,6 +239,7 @@ mod tests {
             ("STAGE_LIGHTS", crate::state::LIGHTS as u32),
             ("BAND_SHIFT", BAND_SHIFT),
             ("BAND_OF_VOLUME", BAND_OF_VOLUME),
+            ("BAND_OF_BACKDROP", BAND_OF_BACKDROP),
             ("FLAG_UNLIT", FLAG_UNLIT),
             ("FLAG_UNTEXTURED", FLAG_UNTEXTURED),
             ("INDEX_COUNT_SHIFT", INDEX_COUNT_SHIFT),

@@ -2,7 +2,7 @@
 
 use glam::DAffine3;
 
-use crate::cull::{CullCamera, DrawnPart, RenderStage};
+use crate::cull::{CullCamera, RenderStage};
 use crate::draw::passes::Passes;
 use crate::draw::passes::shadows::casters::{LayerAllocator, ShadowedView};
 use crate::draw::passes::stage_input::{LitView, StageInput, Surroundings, ViewFrame};
@@ -39,7 +39,7 @@ impl StageViews {
     fn prepare_states(&mut self, resources: &mut Resources, stage: &RenderStage) {
         let Self { lit, frames, positioned_of_state } = self;
         positioned_of_state.clear();
-        let has_volumes = stage.parts.iter().any(|part| matches!(part, DrawnPart::Within(_)));
+        let has_volumes = stage.parts.iter().any(|part| part.volume().is_some());
         let has_own = || stage.state_sets.iter().any(|state| has_own_uniform(state));
         if stage.light_groups.is_empty() && !has_volumes && !has_own() {
             return;
@@ -52,10 +52,7 @@ impl StageViews {
             let own = has_own_uniform(state).then_some(state);
             let range = (*group as usize).checked_sub(1).and_then(|index| stage.light_groups.get(index));
             let lights = range.and_then(|range| stage.local_lights.get(range.clone()));
-            let volume = match stage.part(*part) {
-                Some(DrawnPart::Within(volume)) => Some((*part, volume)),
-                _ => None,
-            };
+            let volume = stage.part(*part).and_then(|drawn| Some((*part, *drawn.volume()?)));
             let of = (*view, *group, volume.map(|(part, _)| part));
             let positioned = match last {
                 _ if lights.is_none() && own.is_none() && volume.is_none() => {

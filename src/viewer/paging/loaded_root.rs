@@ -1,8 +1,9 @@
 //! [`LoadedRoot`]: a root tile set that was read, with the pager that loads the rest of it. Any thread.
 
 use std::sync::Arc;
+use std::time::Duration;
 
-use crate::fetch;
+use crate::fetch::{self, IoError};
 use crate::formats;
 use crate::math::BoundingVolume;
 use crate::pager::{DatabasePager, PagerConfig};
@@ -47,13 +48,13 @@ impl LoadedRoot {
         };
         let pager = DatabasePager::new(config.clone(), options)?;
         let page = Page::from_node(formats::ellipsoid());
-        let page = page.map_err(|error| fetch::IoError::Uri { uri: uri.to_string(), reason: error.to_string() })?;
+        let page = page.map_err(|error| IoError::Uri { uri: uri.to_string(), reason: error.to_string() })?;
         Ok(Self { pager, page, uri, region: Some(earth(-ELLIPSOID_DEPTH_M, 0.0)) })
     }
 
     /// Does the same as [`Self::read`], with the compressed formats that a root's own images may have.
     pub(super) fn read_for(source: &str, config: &PagerConfig, formats: BlockFormats) -> Result<Self, ViewerError> {
-        let uri = fetch::root_uri(source)?;
+        let uri = root_uri_within(source, config.file_timeout)?;
         let options =
             formats::ReadOptions { block_formats: formats, ..formats::ReadOptions::for_root(&uri, config.limits) };
         let mut pager = DatabasePager::new(config.clone(), options.clone())?;
@@ -64,17 +65,30 @@ impl LoadedRoot {
         let is_globe = page.tiles().roots().len() > 1 && is_globe(&page.bounding_sphere());
         let region = match is_globe {
             true => Some(earth(LOWEST_GROUND_M, HIGHEST_GROUND_M)),
-            false => declared_region(&uri, &options),
+            false if fetch::is_remote(&uri) => None,
+            false => {
+                let uri = uri.clone();
+                fetch::run_within(config.file_timeout, move || declared_region(&uri, &options)).flatten()
+            }
         };
         Ok(Self { pager, page, uri, region })
     }
 }
 
-/// Reads a local root once more for the region that it declares. `None` for remote roots and those without a region.
-fn declared_region(uri: &Arc<str>, options: &formats::ReadOptions) -> Option<BoundingVolume> {
-    if fetch::is_remote(uri) {
-        return None;
+/// Returns the URI of a root. What looks for it on a disk that hangs gives up after a time limit, as reads do.
+fn root_uri_within(source: &str, limit: Duration) -> Result<Arc<str>, IoError> {
+    if fetch::is_remote(source) {
+        return fetch::root_uri(source);
     }
+    let path = source.to_owned();
+    fetch::run_within(limit, move || fetch::root_uri(&path)).unwrap_or_else(|| {
+        let (uri, seconds) = (source.to_owned(), limit.as_secs_f64());
+        Err(IoError::Timeout { uri, phase: "looking for the root", seconds })
+    })
+}
+
+/// Reads a local root once more for the region that it declares. `None` for those without a region.
+fn declared_region(uri: &Arc<str>, options: &formats::ReadOptions) -> Option<BoundingVolume> {
     let bytes = fetch::read_file(uri, &options.limits).ok()?;
     let content = formats::Content { uri: Arc::clone(uri), bytes, reader_data: None, companions: Vec::new() };
     match formats::decode_node(content, options).ok()?.kind {

@@ -166,13 +166,14 @@ impl World {
     }
 
     fn parts<'a>(&'a self, stage: &'a RenderStage) -> impl Iterator<Item = (&'a str, Option<CutVolume>)> {
-        stage.bins.iter().flat_map(|bin| &bin.leaves).map(|leaf| {
+        stage.bins.iter().flat_map(|bin| &bin.leaves).filter_map(|leaf| {
             let part = stage.part_of_state[leaf.state as usize];
             let volume = match part.checked_sub(1).map(|index| stage.parts[index as usize]) {
                 Some(DrawnPart::Within(volume)) => Some(volume),
+                Some(DrawnPart::Backdrop(_)) => return None,
                 _ => None,
             };
-            (self.slots[&leaf.slot.0].as_str(), volume)
+            Some((self.slots[&leaf.slot.0].as_str(), volume))
         })
     }
 

@@ -25,6 +25,10 @@ pub use drawing::{cameras, frames, rig, viewer};
 pub use host::{display, process, skip};
 pub use scenes::{cull_scenes, shadows, shapes, terrain, tile_sets};
 
+/// How long tests wait for what has to happen. It only ends a test that hangs: on a busy machine with many test programs side
+/// by side a test of a second took more than a minute.
+pub const MAX_WAIT: std::time::Duration = std::time::Duration::from_secs(600);
+
 /// Returns the adapter that tests draw with: the software driver, or any adapter with `TEST_ADAPTER=any`.
 pub fn adapter() -> AdapterChoice {
     if std::env::var_os("TEST_ADAPTER").is_some_and(|v| v == "any") {

@@ -201,9 +201,9 @@ impl Run {
         assert_eq!(reported, s.failed + s.drawables_failed, "{s:?}");
     }
 
-    /// Runs frames until `done` returns true; panics with `what` after a minute.
+    /// Runs frames until `done` returns true; panics with `what` after [`MAX_WAIT`](crate::MAX_WAIT).
     pub fn until(&mut self, eye: DVec3, what: &str, done: impl Fn(&Self) -> bool) {
-        let end = Instant::now() + Duration::from_secs(60);
+        let end = Instant::now() + crate::MAX_WAIT;
         while !done(self) {
             assert!(Instant::now() < end, "{what}: {:?} {:?}", self.pager.stats(), self.pager.errors());
             self.frame(eye);
@@ -211,10 +211,10 @@ impl Run {
         }
     }
 
-    /// Loads and merges all requested pages, for at most a minute.
+    /// Loads and merges all requested pages, for at most [`MAX_WAIT`](crate::MAX_WAIT).
     pub fn work_until_idle(&mut self) {
         let contexts: &mut [&mut dyn CompileContext] = &mut [&mut self.context];
-        self.pager.work_until(&mut self.scene, contexts, Instant::now() + Duration::from_secs(60));
+        self.pager.work_until(&mut self.scene, contexts, Instant::now() + crate::MAX_WAIT);
     }
 
     /// Runs frames until nothing is requested or in flight, and one more.

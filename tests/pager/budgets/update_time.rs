@@ -47,7 +47,7 @@ fn ticking_clock(run: &mut Run) {
 
 /// Waits until this many contents are read.
 fn wait_until_read(run: &Run, count: usize) {
-    let end = Instant::now() + Duration::from_secs(60);
+    let end = Instant::now() + kit::MAX_WAIT;
     let read = || run.pager.request_states().filter(|(_, state)| *state == RequestState::Decoding).count();
     while read() < count {
         assert!(Instant::now() < end, "not all were read: {:?}", run.pager.stats());
@@ -68,7 +68,7 @@ fn steps_of_an_update_share_its_time() {
     run.frame(above(30.0));
     wait_until_read(&run, TILES);
     let (mut before, mut both) = (run.pager.stats().to_owned(), 0);
-    let end = Instant::now() + Duration::from_secs(60);
+    let end = Instant::now() + kit::MAX_WAIT;
     while before.merged < TILES as u64 {
         assert!(Instant::now() < end, "not all were merged: {before:?}");
         run.frame(above(30.0));
@@ -92,7 +92,7 @@ fn answers_beyond_the_time_of_an_update_wait_for_the_next() {
     let mut run = tiles(folder.path(), TILES, config);
     slow_clock(&mut run);
     run.frame(above(30.0));
-    let end = Instant::now() + Duration::from_secs(60);
+    let end = Instant::now() + kit::MAX_WAIT;
     wait_until_read(&run, TILES);
     // Without the budget the next update would take what is decoded by now; with it this changes nothing.
     std::thread::sleep(Duration::from_millis(100));

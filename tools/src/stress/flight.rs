@@ -8,11 +8,12 @@ use terrane::scene::Sky;
 use anyhow::{Context as _, Result};
 use glam::{DAffine3, DVec3};
 
-use terrane::fetch::{CacheConfig, is_remote};
+use terrane::fetch::{CacheConfig, IoError, is_remote};
 use terrane::gpu::{AdapterChoice, GpuError, GraphicsContext};
 use terrane::pager::{PagerConfig, PagerStats};
 use terrane::viewer::{
     self, CompositeViewer, ContextId, HoleCheck, KEY_COLOR, SceneId, SetBounds, SlaveId, ViewId, ViewerConfig,
+    ViewerError,
 };
 
 use super::checks::invariants::{self, Failures, ImageChecks, RequestedImage};
@@ -34,6 +35,8 @@ const MAX_CLEAR_FRAMES: u32 = 100;
 const QUIET_FRAMES: u32 = 60;
 /// The size of the white texel of drawables without a texture.
 const WHITE_TEXEL_BYTES: u64 = 4;
+/// The number of attempts to load a root, whose server has no faults then.
+const MAX_ROOT_ATTEMPTS: u32 = 50;
 /// Maximum duration of closing a viewer with its threads and requests.
 const MAX_CLOSE_TIME: Duration = Duration::from_secs(10);
 
@@ -214,7 +217,14 @@ impl<'a> Flight<'a> {
             Some(scenes) => viewer.add_scene_with_pager_of(scenes[0])?,
             None => viewer.add_scene()?,
         };
-        viewer.load(scene, &self.source)?;
+        // A machine with much else to do may not answer within the short timeouts of plans.
+        let mut attempts = 1..MAX_ROOT_ATTEMPTS;
+        while let Err(error) = viewer.load(scene, &self.source) {
+            let is_late = matches!(error, ViewerError::Io(IoError::Timeout { .. }));
+            if !is_late || attempts.next().is_none() {
+                return Err(error.into());
+            }
+        }
         match shared {
             Some(scenes) => scenes.push(scene),
             None => self.pagers.push(vec![scene]),

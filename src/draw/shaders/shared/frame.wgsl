@@ -67,6 +67,10 @@ const FLAG_UNTEXTURED: u32 = 2u;
 const INDEX_COUNT_SHIFT: u32 = 8u;
 const BAND_SHIFT: u32 = 16u;
 const BAND_OF_VOLUME: u32 = 255u;
+const BAND_OF_BACKDROP: u32 = 511u;
+// The share of its depth value that a backdrop keeps: it stays in front of the cleared depth and behind all else, and its
+// own parts keep their order.
+const BACKDROP_DEPTH: f32 = 1e-6;
 
 @group(0) @binding(0) var<uniform> frame: Frame;
 @group(0) @binding(1) var<storage, read> leaves: array<Leaf>;
@@ -116,7 +120,8 @@ fn point_in_eye(leaf: Leaf, point: vec3<f32>) -> vec3<f32> {
 // missing ones with leaves of zeros. Those are put inside the clip volume, since otherwise all the vertices are clipped,
 // which is slow.
 fn clip_of(leaf: Leaf, in_eye: vec3<f32>) -> vec4<f32> {
-    let clip = frame.clip_from_eye * vec4<f32>(in_eye, 1.0);
+    var clip = frame.clip_from_eye * vec4<f32>(in_eye, 1.0);
+    clip.z *= select(1.0, BACKDROP_DEPTH, leaf.flags >> BAND_SHIFT == BAND_OF_BACKDROP);
     let is_there = any(leaf.eye_from_drawable_x.xyz != vec3<f32>(0.0));
     return select(vec4<f32>(0.0, 0.0, 0.0, 1.0), clip, is_there);
 }

@@ -272,18 +272,28 @@ fn faults_cause_the_same_errors_through_encryption() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("f"), vec![b'x'; 100_000]).unwrap();
     let file = folder.path().join("certificate.pem");
+    let long = Duration::from_secs(60);
     let config = HttpConfig {
         root_certificates: vec![file.clone()],
         max_retries: 0,
-        first_byte_timeout: Duration::from_millis(400),
-        read_timeout: Duration::from_millis(400),
+        first_byte_timeout: long,
+        read_timeout: long,
         ..HttpConfig::default()
     };
+    // Only where an answer does not arrive the client gives up soon.
+    let soon = Duration::from_millis(200);
+    let silent = HttpConfig { first_byte_timeout: soon, ..config.clone() };
+    let stalled = HttpConfig { read_timeout: soon, ..config.clone() };
     for version in ["--http1", "--http2"] {
         for fault in ["--truncate-rate", "--reset-rate", "--stall-rate", "--silent-rate", "--error-rate"] {
             let server = Server::start(folder.path(), &["--tls", file.to_str().unwrap(), version, fault, "1"]);
             within(async {
-                let client = HttpClient::new(&config).unwrap();
+                let config = match fault {
+                    "--stall-rate" => &stalled,
+                    "--silent-rate" => &silent,
+                    _ => &config,
+                };
+                let client = HttpClient::new(config).unwrap();
                 for _ in 0..3 {
                     let error = client.get(&format!("{}f", server.url), &Limits::default()).await.unwrap_err();
                     let is_it = match fault {
