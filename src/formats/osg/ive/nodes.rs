@@ -71,8 +71,8 @@ impl Reader<'_> {
             ids::PAGED_LOD => self.paged_lod(),
             ids::PROXY_NODE => self.proxy_node(),
             ids::COORDINATE_SYSTEM_NODE => {
-                let (node, children) = self.coordinate_system_members()?;
-                Ok(node.with(NodeClass::Group, children))
+                let (node, children, system) = self.coordinate_system_members()?;
+                Ok(node.with(NodeClass::CoordinateSystem(system), children))
             }
             ids::TERRAIN => self.terrain(),
             ids::TERRAIN_TILE => self.terrain_tile(),
@@ -199,14 +199,16 @@ impl Reader<'_> {
         Ok((node, children, self.integer()? != 0))
     }
 
-    /// Reads the members of a Group and of the class CoordinateSystemNode, which say where the earth is, not what is drawn.
-    pub(super) fn coordinate_system_members(&mut self) -> Result<(NodeMembers, Vec<Object>)> {
+    /// Reads the members of a Group and of the class CoordinateSystemNode, and returns its system at the end: empty if the
+    /// positions are earth-centred.
+    pub(super) fn coordinate_system_members(&mut self) -> Result<(NodeMembers, Vec<Object>, String)> {
         self.expect(ids::COORDINATE_SYSTEM_NODE)?;
-        let members = self.group_members()?;
+        let (node, children) = self.group_members()?;
+        // The format of the system.
         self.string()?;
-        self.string()?;
-        self.optional(Self::ellipsoid)?;
-        Ok(members)
+        let system = self.string()?;
+        let is_geocentric = self.optional(Self::ellipsoid)?.is_some();
+        Ok((node, children, if is_geocentric { String::new() } else { system }))
     }
 
     /// Reads an EllipsoidModel.

@@ -23,12 +23,12 @@ impl Reader<'_> {
     /// Reads a Terrain: a CoordinateSystemNode above tiles.
     pub(super) fn terrain(&mut self) -> Result<Object> {
         self.expect(ids::TERRAIN)?;
-        let (node, children) = self.coordinate_system_members()?;
+        let (node, children, system) = self.coordinate_system_members()?;
         let (sample_ratio, vertical_scale) = (self.float()?, self.float()?.into());
         let blending = BlendingPolicy::of_number(self.unsigned()?);
         self.technique()?;
         let settings = TerrainSettings { sample_ratio, vertical_scale, blending };
-        Ok(node.with(NodeClass::Terrain(settings), children))
+        Ok(node.with(NodeClass::Terrain(settings, system), children))
     }
 
     pub(super) fn terrain_tile(&mut self) -> Result<Object> {
