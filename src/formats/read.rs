@@ -321,7 +321,6 @@ impl ModelReader<'_> {
             (b"PMTiles", "a whole PMTiles file as the content of a tile"),
             (b"vctr", "a vector tile (vctr)"),
             (b"geom", "a geometry tile (geom)"),
-            (&[4, 3, 2, 1], "OpenSceneGraph's .ive (its osgconv makes .osgb of it)"),
         ] {
             if bytes.starts_with(magic) {
                 return Err(IoError::unsupported(uri, what));

@@ -1,7 +1,7 @@
-//! OpenSceneGraph's own files, .osgb, .osgt and .osg, and the folders of oblique photogrammetry that are made of them.
+//! OpenSceneGraph's own files, .osgb, .osgt, .ive and .osg, and the folders of oblique photogrammetry that are made of them.
 //!
-//! [`input`] reads values in both encodings, [`classes`] the members of OSG's classes, [`dot_osg`] the older text format, and [`build`] makes nodes of the
-//! objects. A PagedLOD or ProxyNode becomes the node of the same name, whose other files the pager loads. Layouts follow
+//! [`input`] reads values in both encodings, [`classes`] the members of OSG's classes, [`ive`] and [`dot_osg`] the older
+//! binary and text formats, and [`build`] makes nodes of the objects. A PagedLOD or ProxyNode becomes the node of the same name, whose other files the pager loads. Layouts follow
 //! OSG's `src/osgDB/InputStream.cpp` and `src/osgWrappers/serializers/osg`. Decode threads.
 
 mod build;
@@ -10,6 +10,7 @@ mod dot_osg;
 mod error;
 mod folder;
 mod input;
+mod ive;
 mod objects;
 mod read_ahead;
 mod terrain;
@@ -30,9 +31,9 @@ use crate::fetch::IoError;
 use crate::math::OrientedBox;
 use crate::scene::Node;
 
-/// Returns true for the first bytes of an .osgb, .osgt or .osg file.
+/// Returns true for the first bytes of an .osgb, .osgt, .ive or .osg file.
 pub(super) fn is_native(bytes: &[u8]) -> bool {
-    input::is_native(bytes) || dot_osg::is_dot_osg(bytes)
+    input::is_native(bytes) || ive::is_ive(bytes) || dot_osg::is_dot_osg(bytes)
 }
 
 /// Reads a file. `base` is the address that references are relative to, `companions` are the images that it refers to.
@@ -80,12 +81,16 @@ pub(super) fn own_volume(bytes: &[u8], options: &ReadOptions) -> Option<TileVolu
     Some(TileVolume { bounds, geometric_error_m: sphere.radius_m / RADIUS_PER_ERROR })
 }
 
-/// Returns the name of a file's format with the version of OSG that wrote it.
+/// Returns the name of a file's format with the version of OSG that wrote it, or of the format for .ive.
 pub(super) fn format_name(bytes: &[u8], options: &ReadOptions) -> String {
     if dot_osg::is_dot_osg(bytes) {
         return "OpenSceneGraph (osg)".to_owned();
     }
-    let encoding = if bytes.starts_with(b"#") { "osgt" } else { "osgb" };
+    let encoding = match bytes.first() {
+        _ if ive::is_ive(bytes) => "ive",
+        Some(b'#') => "osgt",
+        _ => "osgb",
+    };
     match options.read_ahead.file(bytes, &options.limits) {
         Ok(file) => format!("OpenSceneGraph ({encoding}, version {})", file.version),
         Err(_) => format!("OpenSceneGraph ({encoding})"),

@@ -4,8 +4,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use super::build::size_bytes;
 use super::classes::{ReadFile, read_file};
-use super::dot_osg;
 use super::error::Result;
+use super::{dot_osg, ive};
 use crate::fetch::Limits;
 use crate::scene::ContentKey;
 
@@ -30,7 +30,11 @@ struct Kept {
 
 /// Parses a file of any of the formats.
 fn parse(bytes: &[u8], limits: &Limits) -> Result<ReadFile> {
-    if dot_osg::is_dot_osg(bytes) { dot_osg::read(bytes, limits) } else { read_file(bytes, limits) }
+    match () {
+        () if ive::is_ive(bytes) => ive::read(bytes, limits),
+        () if dot_osg::is_dot_osg(bytes) => dot_osg::read(bytes, limits),
+        () => read_file(bytes, limits),
+    }
 }
 
 impl ReadAhead {

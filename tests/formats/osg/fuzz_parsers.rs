@@ -2,6 +2,8 @@
 //! `tests/formats/fuzz_parsers.rs`, by tests and by `tools/fuzz`.
 
 use kit::fuzz::Parser;
+use kit::ive_files::Ive;
+use kit::ive_files::scenes::{paged, terrain_tile as ive_tile, textured, unusual_nodes};
 use kit::osg_files::{Osgb, VERSION, geode, group, osgt, terrain_tile, triangle};
 use terrane::fetch::{DECODER_PANICKED, Limits};
 use terrane::formats::{Content, Fetched, ReadOptions, decode, dependencies};
@@ -83,6 +85,23 @@ fn osg() -> Parser {
     })
 }
 
+/// Files in .ive of several versions.
+fn ive() -> Parser {
+    let seeds = [
+        textured(Ive::new(45)).bytes,
+        textured(Ive::new(45)).compressed(),
+        textured(Ive::big_endian(12)).bytes,
+        paged(Ive::new(20), true).bytes,
+        unusual_nodes(45).bytes,
+        unusual_nodes(5).bytes,
+        ive_tile(45).bytes,
+        ive_tile(22).bytes,
+    ];
+    Parser::new("ive", seeds, |bytes| {
+        content(bytes, Vec::new());
+    })
+}
+
 /// The metadata of a folder of oblique photogrammetry, with a list of its tiles.
 fn oblique() -> Parser {
     let of = |srs: &str| {
@@ -146,6 +165,7 @@ fn seeds_of_images_are_decoded() {
 
 kit::parsers! {
     osg,
+    ive,
     oblique,
     old_images,
 }

@@ -7,6 +7,7 @@ mod facing;
 mod folders;
 mod fuzz_parsers;
 mod geometry;
+mod ive;
 mod libraries;
 mod nodes;
 mod samples;

@@ -8,6 +8,7 @@ pub mod buckets;
 pub mod compressed;
 pub mod contents;
 pub mod fuzz;
+pub mod ive_files;
 pub mod osg_files;
 pub mod pager;
 pub mod quantized;

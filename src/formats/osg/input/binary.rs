@@ -9,7 +9,7 @@ use crate::formats::osg::error::{OsgError, Result};
 const VERSION_OF_LONG_BLOCKS: u32 = 149;
 
 /// Reads the binary encoding.
-pub(super) struct BinaryInput<'a> {
+pub(in super::super) struct BinaryInput<'a> {
     bytes: std::borrow::Cow<'a, [u8]>,
     at: usize,
     is_big_endian: bool,
@@ -38,6 +38,19 @@ impl<'a> BinaryInput<'a> {
     /// Continues in other bytes: those that were compressed.
     pub fn replace(&mut self, bytes: Vec<u8>) {
         (self.bytes, self.at) = (bytes.into(), 0);
+    }
+
+    /// Returns the number that follows without reading it.
+    pub fn peek_unsigned(&mut self) -> Result<u32> {
+        let at = self.at;
+        let value = self.array().map(u32::from_le_bytes);
+        self.at = at;
+        value
+    }
+
+    /// Reads over a number of bytes.
+    pub fn skip(&mut self, count: usize) -> Result<()> {
+        self.take(count).map(drop)
     }
 
     fn take(&mut self, count: usize) -> Result<&[u8]> {

@@ -100,7 +100,7 @@ fn check_kind(is_image: bool) -> Result<()> {
 }
 
 /// Decompresses zlib or gzip.
-fn inflate(bytes: &[u8], max_bytes: u64) -> Result<Vec<u8>> {
+pub(in super::super) fn inflate(bytes: &[u8], max_bytes: u64) -> Result<Vec<u8>> {
     let mut plain = Vec::new();
     let limit = max_bytes.saturating_add(1);
     let read = match bytes.starts_with(&[0x1f, 0x8b]) {

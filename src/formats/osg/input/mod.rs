@@ -9,8 +9,8 @@ mod names;
 mod text;
 mod values;
 
-pub(super) use header::is_native;
-pub(super) use header::{Opened, open};
+pub(super) use binary::BinaryInput;
+pub(super) use header::{Opened, inflate, is_native, open};
 pub(super) use names::{ARRAY_TYPES, GL_NAMES, Names, PRIMITIVE_TYPES, value_of};
 pub(super) use values::{Number, Values};
 

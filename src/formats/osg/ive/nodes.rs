@@ -1,0 +1,405 @@
+//! Nodes.
+
+use std::sync::Arc;
+
+use glam::{DAffine3, DMat4, DVec3, DVec4};
+
+use super::{Kind, Reader, ids};
+use crate::formats::osg::classes::{Freedom, SEQUENCES, first_of_sequence};
+use crate::formats::osg::error::Result;
+use crate::formats::osg::objects::{
+    AutoObject, AutoTurn, BillboardObject, BillboardTurn, NodeClass, NodeObject, Object, StateObject,
+};
+use crate::formats::osg::terrain::ellipsoid;
+use crate::math::Ellipsoid;
+
+/// The bytes that a reference to a node or drawable takes.
+const REFERENCE_BYTES: usize = 4;
+
+/// The members that all nodes have.
+pub(super) struct NodeMembers {
+    name: String,
+    mask: u32,
+    culling_active: bool,
+    state: Option<Arc<StateObject>>,
+    /// The pose of an animation, which replaces that of a transform.
+    pose: Option<Box<DAffine3>>,
+}
+
+impl NodeMembers {
+    /// Returns the node with the members of its class.
+    pub fn with(self, class: NodeClass, children: Vec<Object>) -> Object {
+        let Self { name, mask, culling_active, state, .. } = self;
+        let height = 1 + children.iter().map(Object::height).max().unwrap_or(0);
+        Object::Node(Arc::new(NodeObject { name, mask, culling_active, state, class, children, height }))
+    }
+
+    /// Returns a transform, whose matrix an animation replaces.
+    fn transform(self, map: Option<DAffine3>, is_absolute: bool, children: Vec<Object>) -> Object {
+        let parent_from_child = self.pose.as_deref().copied().or(map.filter(|map| map.is_finite()));
+        self.with(NodeClass::Transform { parent_from_child, is_absolute }, children)
+    }
+}
+
+impl Reader<'_> {
+    /// Reads a node.
+    pub(super) fn node(&mut self) -> Result<Object> {
+        self.shared(Kind::Node, Self::new_node)
+    }
+
+    fn new_node(&mut self) -> Result<Object> {
+        match self.class()? {
+            ids::NODE => Ok(self.node_members()?.with(NodeClass::Group, Vec::new())),
+            ids::GROUP => self.group_members().map(|(node, children)| node.with(NodeClass::Group, children)),
+            ids::GEODE => self.geode_members().map(|(node, drawables)| node.with(NodeClass::Group, drawables)),
+            ids::TRANSFORM => {
+                let (node, children, is_absolute) = self.transform_members()?;
+                Ok(node.transform(Some(DAffine3::IDENTITY), is_absolute, children))
+            }
+            ids::MATRIX_TRANSFORM => self.matrix_transform(),
+            ids::POSITION_ATTITUDE_TRANSFORM => self.position_attitude_transform(),
+            ids::AUTO_TRANSFORM => self.auto_transform(),
+            ids::DOF_TRANSFORM => self.dof_transform(),
+            ids::CAMERA => self.camera(),
+            ids::CAMERA_VIEW => self.camera_view(),
+            ids::BILLBOARD => self.billboard(),
+            ids::SWITCH => self.switch(),
+            ids::MULTI_SWITCH => self.multi_switch(),
+            ids::SEQUENCE => self.sequence(),
+            ids::LOD => self.lod(),
+            ids::IMPOSTOR => self.impostor(),
+            ids::PAGED_LOD => self.paged_lod(),
+            ids::PROXY_NODE => self.proxy_node(),
+            ids::COORDINATE_SYSTEM_NODE => {
+                let (node, children) = self.coordinate_system_members()?;
+                Ok(node.with(NodeClass::Group, children))
+            }
+            ids::TERRAIN => self.terrain(),
+            ids::TERRAIN_TILE => self.terrain_tile(),
+            ids::LIGHT_POINT_NODE => self.light_points(),
+            // Its layers and properties are read by no class here.
+            ids::VOLUME_TILE => Err(Self::unknown("a node", ids::VOLUME_TILE)),
+            class => self.like_group(class),
+        }
+    }
+
+    /// Reads a node whose children are drawn without what its class adds.
+    fn like_group(&mut self, class: u32) -> Result<Object> {
+        self.unsigned()?;
+        if let ids::ANISOTROPIC_LIGHTING | ids::BUMP_MAPPING | ids::CARTOON | ids::SCRIBE | ids::SPECULAR_HIGHLIGHTS =
+            class
+        {
+            let (node, children) = self.effect(class)?;
+            return Ok(node.with(NodeClass::Group, children));
+        }
+        let (node, children) = match class {
+            ids::LIGHT_SOURCE
+            | ids::TEX_GEN_NODE
+            | ids::CLIP_NODE
+            | ids::OCCLUDER_NODE
+            | ids::OCCLUSION_QUERY_NODE
+            | ids::VISIBILITY_GROUP
+            | ids::VOLUME
+            | ids::MULTI_TEXTURE_CONTROL => self.group_members()?,
+            _ => return Err(Self::unknown("a node", class)),
+        };
+        self.note_children(class);
+        match class {
+            ids::LIGHT_SOURCE => {
+                self.optional(Self::attribute_in_place)?;
+                self.integer()?;
+            }
+            ids::TEX_GEN_NODE => {
+                self.unsigned()?;
+                self.optional(Self::attribute_in_place)?;
+            }
+            ids::CLIP_NODE => {
+                if self.version >= 37 {
+                    self.integer()?;
+                }
+                self.list(4, Self::attribute_in_place)?;
+            }
+            ids::OCCLUDER_NODE => drop(self.optional(Self::occluder)?),
+            ids::OCCLUSION_QUERY_NODE => {
+                self.boolean()?;
+                self.integers::<2>()?;
+                self.boolean()?;
+            }
+            ids::VISIBILITY_GROUP => {
+                self.node()?;
+                self.integers::<2>()?;
+            }
+            ids::MULTI_TEXTURE_CONTROL => drop(self.list(4, Self::float)?),
+            _ => {}
+        }
+        Ok(node.with(NodeClass::Group, children))
+    }
+
+    /// Reads over a ConvexPlanarOccluder.
+    fn occluder(&mut self) -> Result<()> {
+        self.expect(ids::CONVEX_PLANAR_OCCLUDER)?;
+        self.object_members()?;
+        self.planar_polygon()?;
+        for _ in 0..self.count(8)? {
+            self.planar_polygon()?;
+        }
+        Ok(())
+    }
+
+    fn planar_polygon(&mut self) -> Result<()> {
+        self.expect(ids::CONVEX_PLANAR_POLYGON)?;
+        let points = self.count(12)?;
+        self.skip(points * 12)
+    }
+
+    /// Reads the members of the classes Object and Node.
+    pub(super) fn node_members(&mut self) -> Result<NodeMembers> {
+        self.expect(ids::NODE)?;
+        let mut name = self.object_members()?;
+        if self.version < 12 {
+            name = self.string()?;
+        }
+        let culling_active = self.boolean()?;
+        // The descriptions.
+        for _ in 0..self.count(4)? {
+            self.string()?;
+        }
+        let state = self.optional_state_set()?;
+        let pose = self.optional(Self::animation)?.flatten();
+        if self.version >= 6 {
+            self.optional(Self::cluster_culling)?;
+        }
+        if self.version >= 39 {
+            self.optional(Self::property_adjustment)?;
+        }
+        if self.version >= 10 {
+            // The initial bound.
+            self.optional(Self::floats::<4>)?;
+        }
+        Ok(NodeMembers { name, mask: self.unsigned()?, culling_active, state, pose })
+    }
+
+    /// Reads the members of the classes Object, Node and Group.
+    pub(super) fn group_members(&mut self) -> Result<(NodeMembers, Vec<Object>)> {
+        self.expect(ids::GROUP)?;
+        let node = self.node_members()?;
+        Ok((node, self.list(REFERENCE_BYTES, Self::node)?))
+    }
+
+    fn geode_members(&mut self) -> Result<(NodeMembers, Vec<Object>)> {
+        self.expect(ids::GEODE)?;
+        let node = self.node_members()?;
+        Ok((node, self.list(REFERENCE_BYTES, Self::drawable)?))
+    }
+
+    /// Reads the members of a Group and of the class Transform, with true if it is not relative to the nodes above.
+    fn transform_members(&mut self) -> Result<(NodeMembers, Vec<Object>, bool)> {
+        self.expect(ids::TRANSFORM)?;
+        let (node, children) = self.group_members()?;
+        Ok((node, children, self.integer()? != 0))
+    }
+
+    /// Reads the members of a Group and of the class CoordinateSystemNode, which say where the earth is, not what is drawn.
+    pub(super) fn coordinate_system_members(&mut self) -> Result<(NodeMembers, Vec<Object>)> {
+        self.expect(ids::COORDINATE_SYSTEM_NODE)?;
+        let members = self.group_members()?;
+        self.string()?;
+        self.string()?;
+        self.optional(Self::ellipsoid)?;
+        Ok(members)
+    }
+
+    /// Reads an EllipsoidModel.
+    pub(super) fn ellipsoid(&mut self) -> Result<Ellipsoid> {
+        self.expect(ids::ELLIPSOID_MODEL)?;
+        self.object_members()?;
+        let [equator_m, polar_m] = self.doubles()?;
+        Ok(ellipsoid(equator_m, polar_m))
+    }
+
+    /// Returns the map of a matrix; `None`, noted, if it is not affine.
+    fn affine(&self, matrix: DMat4) -> Option<DAffine3> {
+        let is_affine = matrix.is_finite() && matrix.row(3) == DVec4::W;
+        if !is_affine {
+            self.notes.add("OpenSceneGraph: a matrix that is not affine");
+        }
+        is_affine.then(|| DAffine3::from_mat4(matrix))
+    }
+
+    fn matrix_transform(&mut self) -> Result<Object> {
+        self.expect(ids::MATRIX_TRANSFORM)?;
+        // It is written as a Group with a matrix, without the reference frame of a Transform.
+        let (node, children) = self.group_members()?;
+        let matrix = self.matrix()?;
+        let map = self.affine(matrix);
+        Ok(node.transform(map, false, children))
+    }
+
+    fn position_attitude_transform(&mut self) -> Result<Object> {
+        self.expect(ids::POSITION_ATTITUDE_TRANSFORM)?;
+        let (node, children, is_absolute) = self.transform_members()?;
+        let (position, rotation) = (self.point()?, self.rotation()?);
+        let (scale, pivot) = (self.point()?, self.point()?);
+        let map =
+            DAffine3::from_scale_rotation_translation(scale, rotation, position) * DAffine3::from_translation(-pivot);
+        Ok(node.transform(Some(map), is_absolute, children))
+    }
+
+    fn auto_transform(&mut self) -> Result<Object> {
+        self.expect(ids::AUTO_TRANSFORM)?;
+        let (node, children, is_absolute) = self.transform_members()?;
+        let (position, pivot) = (self.point()?, self.point()?);
+        // The tolerance of the eye's movement.
+        self.float()?;
+        let turn = match self.integer()? {
+            0 => AutoTurn::No,
+            2 => AutoTurn::Camera,
+            _ => AutoTurn::Screen,
+        };
+        let keeps_size = self.boolean()?;
+        let mut scales = [0.0, f64::MAX];
+        if self.version >= 25 {
+            let [min, max, _transition] = self.floats()?;
+            // The largest double is written as an infinite float.
+            scales = [f64::from(min), if max < f32::MAX { f64::from(max) } else { f64::MAX }];
+        }
+        let (rotation, scale) = (self.rotation()?, self.point()?);
+        let screen_scales = keeps_size.then_some(scales);
+        let auto = AutoObject { is_absolute, position, rotation, scale, pivot, turn, screen_scales };
+        Ok(node.with(NodeClass::AutoTransform(auto), children))
+    }
+
+    /// Reads a DOFTransform in its current position.
+    fn dof_transform(&mut self) -> Result<Object> {
+        self.expect(ids::DOF_TRANSFORM)?;
+        let (node, children, is_absolute) = self.transform_members()?;
+        let put = self.matrix()?;
+        // Minimum, maximum and increment before the current value.
+        let mut current = || -> Result<DVec3> {
+            self.floats::<9>()?;
+            self.point()
+        };
+        let (turns, position, scale) = (current()?, current()?, current()?);
+        let order = if self.version >= 11 { self.byte()?.into() } else { 0 };
+        // The limits, and whether it is animated.
+        self.unsigned()?;
+        self.boolean()?;
+        let parent_from_child = Freedom { put, turns, position, scale, order }.parent_from_child();
+        Ok(node.with(NodeClass::Transform { parent_from_child, is_absolute }, children))
+    }
+
+    /// Reads over a Camera with its children: what it draws is an image or an overlay of its own.
+    fn camera(&mut self) -> Result<Object> {
+        self.expect(ids::CAMERA)?;
+        self.transform_members()?;
+        // The colour and the mask that it clears with.
+        self.floats::<4>()?;
+        self.unsigned()?;
+        // The colour mask and the viewport.
+        self.optional(Self::attribute_of_camera)?;
+        self.optional(Self::attribute_of_camera)?;
+        // The order of the transform.
+        self.integer()?;
+        self.doubles::<32>()?;
+        // Render order, two implementations of the target, draw and read buffer.
+        self.integers::<5>()?;
+        for _ in 0..self.count(4)? {
+            // Buffer and internal format.
+            self.integers::<2>()?;
+            self.optional(Self::raw_image)?;
+            self.optional(Self::attribute_of_camera)?;
+            // Level, face, and whether mip levels are generated.
+            self.integers::<2>()?;
+            self.boolean()?;
+        }
+        self.note_class(ids::CAMERA);
+        Ok(Object::Nothing)
+    }
+
+    /// Reads an attribute that is left out with its Camera.
+    fn attribute_of_camera(&mut self) -> Result<Object> {
+        self.shared(Kind::Attribute, Self::attribute_in_place)
+    }
+
+    /// Reads a CameraView: a transform that marks a place to look from.
+    fn camera_view(&mut self) -> Result<Object> {
+        self.expect(ids::CAMERA_VIEW)?;
+        let (node, children, is_absolute) = self.transform_members()?;
+        let (position, rotation) = (self.point()?, self.rotation()?);
+        // The field of view with its mode, and the focal length.
+        self.double()?;
+        self.integer()?;
+        self.double()?;
+        let map = DAffine3::from_rotation_translation(rotation, position);
+        Ok(node.transform(Some(map), is_absolute, children))
+    }
+
+    fn billboard(&mut self) -> Result<Object> {
+        self.expect(ids::BILLBOARD)?;
+        let (node, drawables) = self.geode_members()?;
+        let mode = match self.integer()? {
+            0 => BillboardTurn::Eye,
+            1 => BillboardTurn::World,
+            _ => BillboardTurn::Axis,
+        };
+        let (axis, normal) = (self.point()?, self.point()?);
+        let positions = self.list(12, Self::point)?;
+        Ok(node.with(NodeClass::Billboard(BillboardObject { mode, axis, normal, positions }), drawables))
+    }
+
+    fn switch(&mut self) -> Result<Object> {
+        self.expect(ids::SWITCH)?;
+        let (node, children) = self.group_members()?;
+        let shown = self.shown(children.len())?;
+        Ok(node.with(NodeClass::Switch(shown), children))
+    }
+
+    /// Reads for each child whether it is shown.
+    fn shown(&mut self, count: usize) -> Result<Vec<bool>> {
+        (0..count).map(|_| self.boolean()).collect()
+    }
+
+    /// Reads a MultiSwitch as a Switch with its active set.
+    fn multi_switch(&mut self) -> Result<Object> {
+        self.expect(ids::MULTI_SWITCH)?;
+        let (node, children) = self.group_members()?;
+        // The value of new children.
+        self.boolean()?;
+        let active = self.unsigned()?;
+        // OSG draws nothing for a set that is missing.
+        let mut shown = vec![false; children.len()];
+        // Sets take no bytes where there are no children.
+        let sets = if children.is_empty() { self.integer().map(|_| 0) } else { self.count(children.len()) }?;
+        for set in 0..sets {
+            let of_set = self.shown(children.len())?;
+            if set == active as usize {
+                shown = of_set;
+            }
+        }
+        Ok(node.with(NodeClass::Switch(shown), children))
+    }
+
+    /// Reads a Sequence as a Switch that shows its first child.
+    fn sequence(&mut self) -> Result<Object> {
+        self.expect(ids::SEQUENCE)?;
+        let has_defaults = self.version >= 22;
+        let (node, children) = self.group_members()?;
+        if has_defaults {
+            self.float()?;
+        }
+        self.list(4, Self::float)?;
+        if has_defaults {
+            self.float()?;
+        }
+        // The loop mode.
+        self.integer()?;
+        let begin = self.integer()?;
+        // End, speed, repetitions and mode.
+        self.integers::<4>()?;
+        if has_defaults {
+            self.integers::<2>()?;
+        }
+        self.notes.add(SEQUENCES);
+        Ok(node.with(first_of_sequence(f64::from(begin), children.len()), children))
+    }
+}
