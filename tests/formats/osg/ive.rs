@@ -523,7 +523,7 @@ fn database_of_ive_files_is_followed_and_described() {
     std::fs::write(folder.path().join("tiles/fine.ive"), &fine.bytes).unwrap();
     let uri = root.to_str().unwrap();
     let verified = verify(uri, &Limits::default(), &mut |_| {}).unwrap();
-    assert_eq!((verified.failed, verified.ignored.iter().count()), (0, 0), "{verified:?}");
+    assert_eq!((verified.failed, verified.ignored.len()), (0, 0), "{verified:?}");
     let info = inspect(uri, &Limits::default()).unwrap();
     assert_eq!(info.format, "OpenSceneGraph (ive, version 45)");
     let bytes = std::fs::read(&root).unwrap();
