@@ -3,7 +3,6 @@
 use std::f64::consts::PI;
 use std::sync::{Mutex, OnceLock, PoisonError};
 
-use jpeg_encoder::{ColorType, Encoder, SamplingFactor};
 use terrane::formats::writers::{write_height_exr, write_packed_heights};
 
 use super::errors::level_errors_m;
@@ -13,9 +12,7 @@ use super::scatter::{MAX_CELL_M, Scatter, TALLEST_M};
 use super::surface::{Lattice, Patch, TEXELS_PER_CELL};
 use crate::output::compress;
 use crate::pyramid::{CELLS, QUANTUM_M};
-use crate::{Extent, GenError, TileKey};
-
-const JPEG_QUALITY: u8 = 85;
+use crate::{Extent, GenError, TextureFormat, TileKey};
 
 /// A rectangle of a world as a quadtree of tiles.
 #[derive(Debug)]
@@ -216,12 +213,8 @@ impl WorldSet {
         let side = (TEXELS_PER_CELL * CELLS) as u16;
         let rgb = patch.paint(&self.world, buffers);
         done(TileStep::Colors);
-        let mut jpeg = Vec::new();
-        let mut encoder = Encoder::new(&mut jpeg, JPEG_QUALITY);
-        encoder.set_sampling_factor(SamplingFactor::F_2_2);
-        encoder
-            .encode(&rgb, side, side, ColorType::Rgb)
-            .map_err(|e| GenError::Encode(format!("JPEG of tile {key:?}: {e}")))?;
+        let jpeg = TextureFormat::Jpeg.encode(&rgb, side);
+        let jpeg = jpeg.map_err(|e| GenError::Encode(format!("JPEG of tile {key:?}: {e}")))?;
         done(TileStep::Image);
         let name = format!("{}/{}/{}.{}", key.level, key.x, key.y, self.heights_extension());
         let heights = heights_m(&patch);
