@@ -236,22 +236,25 @@ impl WorldSet {
     }
 
     /// Returns bounds of the heights in a tile, in metres. They are those of every fourth vertex, which are the vertices of
-    /// two levels above, with the error of that level: finer vertices are off by at most that.
+    /// two levels above, with the error of that level: finer vertices are off by at most that. The first two levels have none above, and
+    /// take all vertices.
     pub(super) fn bounds_m(&self, key: TileKey) -> [f64; 2] {
         let lattice = self.lattice(key, 0);
-        let every = || (0..=CELLS as i64).step_by(4);
+        let up = if key.level < 2 { 0 } else { 2 };
+        let stride = 1usize << up;
+        let every = || (0..=CELLS as i64).step_by(stride);
         let longitudes = meridians(every().map(|column| lattice.longitude(column)));
         let (mut low_m, mut high_m) = (f32::INFINITY, f32::NEG_INFINITY);
         self.with_buffers(|buffers| {
             for row in every() {
-                let step_m = 4.0 * lattice.step_m();
+                let step_m = stride as f64 * lattice.step_m();
                 self.world.ground_row_of(&longitudes, lattice.latitude(row), step_m, buffers);
                 for surface_m in &buffers.ground.surface_m {
                     (low_m, high_m) = (low_m.min(*surface_m), high_m.max(*surface_m));
                 }
             }
         });
-        let error_m = self.level_errors_m()[key.level.saturating_sub(2) as usize];
+        let error_m = self.level_errors_m()[(key.level - up) as usize];
         let above_m = if self.has_scatter(key.level) { TALLEST_M } else { 1.0 };
         [f64::from(low_m) - error_m - 1.0, f64::from(high_m) + error_m + above_m]
     }
