@@ -276,18 +276,35 @@ impl Summary {
 
 impl std::fmt::Display for Summary {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{} tiles on {} levels, {:.1} MB, ", self.tiles, self.levels, self.bytes as f64 / 1e6)?;
+        // A shard may have no tiles.
+        match self.min_height_m <= self.max_height_m {
+            true => write!(f, "heights {:.0} to {:.0} m, ", self.min_height_m, self.max_height_m)?,
+            false => write!(f, "no heights, ")?,
+        }
         write!(
             f,
-            "{} tiles on {} levels, {:.1} MB, heights {:.0} to {:.0} m, {} samples without data {}, {:.1} s: {}",
-            self.tiles,
-            self.levels,
-            self.bytes as f64 / 1e6,
-            self.min_height_m,
-            self.max_height_m,
+            "{} samples without data {}, {:.1} s: {}",
             self.filled_samples + self.cut_samples,
             if self.filled_samples > 0 { "filled" } else { "left out" },
             self.seconds,
             self.out.display()
         )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Regression: an empty shard had "heights inf to -inf m".
+    #[test]
+    fn summary_without_tiles_has_no_heights() {
+        let heights = |min_height_m: f64, max_height_m: f64| {
+            let text = Summary { min_height_m, max_height_m, ..Summary::default() }.to_string();
+            text.split(", ").nth(2).map(str::to_owned)
+        };
+        assert_eq!(heights(f64::INFINITY, f64::NEG_INFINITY).as_deref(), Some("no heights"));
+        assert_eq!(heights(-2.0, 7.4).as_deref(), Some("heights -2 to 7 m"));
     }
 }

@@ -20,6 +20,7 @@ mod error;
 mod fingerprint;
 mod generate;
 mod georeference;
+mod interrupt;
 mod noise;
 mod output;
 mod prediction;
@@ -40,6 +41,7 @@ pub use elevation::{
 pub use error::GenError;
 pub use generate::{Outcome, default_set, execute, predict, run};
 pub use georeference::{Crs, Projection, VerticalDatum, utm_from_geodetic, utm_to_geodetic};
+pub use interrupt::exit_on_interrupt;
 pub use output::{ArchiveFormat, OutputArgs, PartialFolder, TextureFormat, TileArgs, Tiling, Triangles};
 pub use prediction::{LevelPrediction, Prediction};
 pub use progress::Progress;

@@ -16,7 +16,8 @@ struct Args {
 fn main() -> ExitCode {
     // Invalid arguments end the program here, with clap's message and exit code 2.
     let args = Args::parse();
-    let done = terrane_data_gen::execute(&args.gen_args).map_err(|e| e.to_string());
+    let ready = terrane_data_gen::exit_on_interrupt("terrane-gen").map_err(|e| format!("signals: {e}"));
+    let done = ready.and_then(|()| terrane_data_gen::execute(&args.gen_args).map_err(|e| e.to_string()));
     match done.and_then(|made| made.print().map_err(|e| format!("standard output: {e}"))) {
         Ok(()) => ExitCode::SUCCESS,
         Err(e) => {

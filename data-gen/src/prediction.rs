@@ -20,8 +20,10 @@ const SAMPLE_LEVELS: u32 = 3;
 pub(crate) const PLACES: usize = 8;
 /// The number of subtrees in which the tiles of the finest levels are counted.
 const COUNTED: usize = 64;
-/// The number of tiles of each level of a world that are made.
-const WORLD_TILES: u64 = 4;
+/// The number of blocks of the finest layer whose sampling is timed.
+const TIMED_BLOCKS: usize = 2;
+/// The number of places of each level of a world at which a tile and its neighbour are made.
+const WORLD_PLACES: u64 = 4;
 /// More bytes than a tile has.
 const MAX_TILE_BYTES: u64 = 400_000;
 
@@ -80,9 +82,10 @@ impl Display for Prediction {
 struct Sample {
     /// By level, the number of tiles that may have data, of those that have, and the bytes of their files.
     levels: Vec<[u64; 3]>,
-    /// The time before the first tile and that of all tiles.
+    /// The time before the first tile, that of sampling a block of the finest layer, and that of writing all tiles.
     start: Duration,
-    work: Duration,
+    per_block: Duration,
+    writing: Duration,
     /// The bytes of the JSON of a tile.
     json_bytes: u64,
 }
@@ -106,11 +109,12 @@ pub(crate) fn predict(args: &GenArgs, opened: &Opened<'_>, out: &Path, places: u
         levels.push(LevelPrediction { level: level as u32, tiles, bytes: bytes as u64 });
     }
     let sampled_tiles = sample.levels.iter().map(|[_, made, _]| made).sum::<u64>();
-    let per_tile = sample.work.as_secs_f64() / sampled_tiles.max(1) as f64;
+    let per_tile = sample.writing.as_secs_f64() / sampled_tiles.max(1) as f64;
     let tiles: u64 = levels.iter().map(|level| level.tiles).sum();
+    let work = sample.per_block.as_secs_f64() * roots.len() as f64 + per_tile * tiles as f64;
     Ok(Prediction {
         bytes: levels.iter().map(|level| level.bytes).sum(),
-        seconds: sample.start.as_secs_f64() + per_tile * tiles as f64,
+        seconds: sample.start.as_secs_f64() + work,
         levels,
         tiles,
         threads: rayon::current_num_threads(),
@@ -147,7 +151,8 @@ fn count_tiles(grid: &Grid<'_>, plan: &Plan) -> (Vec<u64>, Vec<TileKey>) {
     (counts, roots)
 }
 
-/// Makes subtrees of the finest levels inside some blocks.
+/// Makes subtrees of the finest levels inside some blocks. A run samples whole blocks, whose margins and sources cost less for each tile
+/// than those of small subtrees. So the sampling of blocks and the writing of tiles are timed each on its own.
 fn sample(args: &GenArgs, opened: &Opened<'_>, blocks: &[TileKey], places: usize) -> Result<Sample, GenError> {
     let grid = opened.grid;
     let layer = Layer { root: grid.levels.saturating_sub(SAMPLE_LEVELS), finest: grid.levels - 1 };
@@ -171,9 +176,21 @@ fn sample(args: &GenArgs, opened: &Opened<'_>, blocks: &[TileKey], places: usize
     let mut builder = Builder::new(args, grid, opened.imagery, &opened.plan, folder.path())?;
     let start = begin.elapsed();
     let mut levels = vec![[0; 3]; grid.levels as usize];
+    let timed = spread(blocks, TIMED_BLOCKS);
     let begin = Instant::now();
-    builder.make_blocks(layer, &roots)?;
-    let work = begin.elapsed();
+    timed.iter().try_for_each(|root| builder.sample_block(opened.plan.finest(), *root))?;
+    let per_block = begin.elapsed() / timed.len().max(1) as u32;
+    let mut writing = Duration::ZERO;
+    for root in &roots {
+        // The sources are read before the time counts.
+        builder.sample_block(layer, *root)?;
+        let begin = Instant::now();
+        builder.sample_block(layer, *root)?;
+        let sampling = begin.elapsed();
+        let begin = Instant::now();
+        builder.make_blocks(layer, &[*root])?;
+        writing += begin.elapsed().saturating_sub(sampling);
+    }
     let mut json_bytes = 0;
     let journal = Journal::new(folder.path());
     for root in &roots {
@@ -194,7 +211,7 @@ fn sample(args: &GenArgs, opened: &Opened<'_>, blocks: &[TileKey], places: usize
         };
     }
     let made: u64 = levels.iter().map(|[_, made, _]| made).sum();
-    Ok(Sample { levels, start, work, json_bytes: json_bytes / made.max(1) })
+    Ok(Sample { levels, start, per_block, writing, json_bytes: json_bytes / made.max(1) })
 }
 
 /// Returns the number of tiles in the folder of a level, and the bytes of their files.
@@ -251,14 +268,15 @@ pub(crate) fn predict_terrain(
     })
 }
 
-/// Predicts a set of a world.
+/// Predicts a set of a world. At each place a tile is made for its bytes, and then its neighbour for the time: a run makes neighbours one
+/// after the other too, which have rivers in common.
 pub(crate) fn predict_world(set: &WorldSet, out: &Path) -> Result<Prediction, GenError> {
     let begin = Instant::now();
     set.level_errors_m();
     let start = begin.elapsed();
     let keys = |level: u32| -> Vec<TileKey> {
         let (side, tiles) = (1u64 << level, 1u64 << (2 * level));
-        let count = WORLD_TILES.min(tiles);
+        let count = WORLD_PLACES.min(tiles);
         let key = |k: u64| {
             let n = (2 * k + 1) * tiles / (2 * count);
             TileKey { level, x: ((n + n / side) % side) as u32, y: (n / side) as u32 }
@@ -266,32 +284,40 @@ pub(crate) fn predict_world(set: &WorldSet, out: &Path) -> Result<Prediction, Ge
         (0..count).map(key).collect()
     };
     let all: Vec<TileKey> = (0..set.levels()).flat_map(keys).collect();
-    let begin = Instant::now();
-    let sizes: Result<Vec<u64>, GenError> = all
+    let made: Result<Vec<(u64, f64)>, GenError> = all
         .par_iter()
         .map(|key| {
             let tile = set.tile(*key)?;
+            let begin = Instant::now();
+            set.tile(TileKey { y: if key.level > 0 { key.y ^ 1 } else { 0 }, ..*key })?;
+            let seconds = begin.elapsed().as_secs_f64();
             let (scatter, tileset) = (tile.scatter.as_ref().map_or(0, |glb| glb.len()), set.tileset(*key));
-            Ok((tile.heights.len() + tile.jpeg.len() + scatter + tileset.map_or(0, |json| json.len())) as u64)
+            let bytes = tile.heights.len() + tile.jpeg.len() + scatter + tileset.map_or(0, |json| json.len());
+            Ok((bytes as u64, seconds))
         })
         .collect();
-    let (sizes, work) = (sizes?, begin.elapsed());
+    let made = made?;
+    let mut work = 0.0;
     let levels: Vec<LevelPrediction> = (0..set.levels())
         .map(|level| {
-            let own = all.iter().zip(&sizes).filter(|(key, _)| key.level == level).map(|(_, bytes)| *bytes);
-            let (count, sum) = own.fold((0, 0), |(count, sum), bytes| (count + 1, sum + bytes));
+            let own: Vec<_> =
+                all.iter().zip(&made).filter(|(key, _)| key.level == level).map(|(_, own)| *own).collect();
+            let (bytes, seconds) = own.iter().fold((0, 0.0), |sum, (bytes, seconds)| (sum.0 + bytes, sum.1 + seconds));
             let tiles = 1u64 << (2 * level);
-            LevelPrediction { level, tiles, bytes: (sum as f64 / f64::from(count.max(1)) * tiles as f64) as u64 }
+            let scale = tiles as f64 / own.len().max(1) as f64;
+            work += seconds * scale;
+            LevelPrediction { level, tiles, bytes: (bytes as f64 * scale) as u64 }
         })
         .collect();
     let tiles: u64 = levels.iter().map(|level| level.tiles).sum();
+    let threads = rayon::current_num_threads();
     Ok(Prediction {
         bytes: levels.iter().map(|level| level.bytes).sum(),
-        seconds: start.as_secs_f64() + work.as_secs_f64() / all.len() as f64 * tiles as f64,
+        seconds: start.as_secs_f64() + work / threads as f64,
         levels,
         tiles,
-        threads: rayon::current_num_threads(),
-        sampled_tiles: all.len() as u64,
+        threads,
+        sampled_tiles: 2 * all.len() as u64,
         free_bytes: free_bytes(out),
     })
 }

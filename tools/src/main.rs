@@ -46,13 +46,14 @@ fn main() -> ExitCode {
     let (name, result) = match args.command {
         args::Command::Fly(args) => ("fly", fly::run(args, display)),
         args::Command::View(args) => ("view", fly::run((*args).into(), display)),
-        args::Command::Gen(args) => {
-            let made = terrane_data_gen::execute(&args).map_err(anyhow::Error::from);
-            ("gen", made.and_then(|made| made.print().context("standard output")))
+        args::Command::Gen(args) => ("gen", exit_on_interrupt("terrane gen").and_then(|()| generate(&args))),
+        args::Command::Convert(args) => {
+            ("convert", exit_on_interrupt("terrane convert").and_then(|()| convert::run(&args)))
         }
-        args::Command::Convert(args) => ("convert", convert::run(&args)),
-        args::Command::Merge(args) => ("merge", convert::merge(&args)),
-        args::Command::Crop(args) => ("crop", convert::crop(&args)),
+        args::Command::Merge(args) => {
+            ("merge", exit_on_interrupt("terrane merge").and_then(|()| convert::merge(&args)))
+        }
+        args::Command::Crop(args) => ("crop", exit_on_interrupt("terrane crop").and_then(|()| convert::crop(&args))),
         args::Command::Info(args) => ("info", info::run(&args)),
         args::Command::Serve(args) => ("serve", serve::run(args)),
         args::Command::Stress(args) => ("stress", stress::run(args)),
@@ -71,6 +72,15 @@ fn main() -> ExitCode {
             ExitCode::from(1)
         }
     }
+}
+
+/// Makes Ctrl-C and SIGTERM say what the command `program` leaves unfinished.
+fn exit_on_interrupt(program: &'static str) -> anyhow::Result<()> {
+    terrane_data_gen::exit_on_interrupt(program).context("signals")
+}
+
+fn generate(args: &terrane_data_gen::GenArgs) -> anyhow::Result<()> {
+    terrane_data_gen::execute(args)?.print().context("standard output")
 }
 
 /// Returns true if the reader of standard output has closed it.

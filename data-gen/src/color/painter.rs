@@ -11,7 +11,7 @@ use crate::pyramid::{Block, Lattice, Surface, TileKey};
 use crate::{Extent, GenError};
 
 /// The number of texels along a tile's side.
-pub(crate) const TEXELS: u32 = 256;
+pub(crate) const TEXELS: u16 = 256;
 const N: usize = TEXELS as usize;
 
 /// Paints the tiles of a block. Threads share one painter.

@@ -72,6 +72,11 @@ impl<'a> Builder<'a> {
         Ok(totals)
     }
 
+    /// Samples and measures a block of the finest layer, and writes nothing. For measurements of time.
+    pub fn sample_block(&self, layer: Layer, root: TileKey) -> Result<(), GenError> {
+        self.block(layer, root).map(drop)
+    }
+
     /// Makes a block that is not the root's, unless the journal has it, and returns its record.
     fn make(&self, layer: Layer, root: TileKey) -> Result<Record, GenError> {
         if let Some(record) = self.journal.load(root)? {

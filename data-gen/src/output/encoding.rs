@@ -1,9 +1,9 @@
 //! The options of the encodings of one tile: triangles, compression, texture.
 
-use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::PngEncoder;
 use image::codecs::webp::WebPEncoder;
 use image::{ExtendedColorType, ImageEncoder as _};
+use jpeg_encoder::{ColorType, Encoder, SamplingFactor};
 
 use crate::pyramid::QUANTUM_M;
 use crate::{Color, ContentKind, GenArgs};
@@ -44,18 +44,21 @@ impl TextureFormat {
         }
     }
 
-    /// Encodes a square of RGB texels, northern row first.
-    pub(crate) fn encode(self, texels: &[u8], side: u32) -> Result<Vec<u8>, image::ImageError> {
+    /// Encodes a square of RGB texels, northern row first. On failure returns the reason.
+    pub(crate) fn encode(self, texels: &[u8], side: u16) -> Result<Vec<u8>, String> {
         let mut file = Vec::new();
+        let (width, rgb) = (u32::from(side), ExtendedColorType::Rgb8);
         match self {
-            Self::Jpeg => JpegEncoder::new_with_quality(&mut file, JPEG_QUALITY).write_image(
-                texels,
-                side,
-                side,
-                ExtendedColorType::Rgb8,
-            ),
-            Self::Png => PngEncoder::new(&mut file).write_image(texels, side, side, ExtendedColorType::Rgb8),
-            Self::Webp => WebPEncoder::new_lossless(&mut file).write_image(texels, side, side, ExtendedColorType::Rgb8),
+            Self::Jpeg => {
+                let mut encoder = Encoder::new(&mut file, JPEG_QUALITY);
+                encoder.set_sampling_factor(SamplingFactor::F_2_2);
+                encoder.encode(texels, side, side, ColorType::Rgb).map_err(|e| e.to_string())
+            }
+            Self::Png => PngEncoder::new(&mut file).write_image(texels, width, width, rgb).map_err(|e| e.to_string()),
+            Self::Webp => {
+                let encoder = WebPEncoder::new_lossless(&mut file);
+                encoder.write_image(texels, width, width, rgb).map_err(|e| e.to_string())
+            }
         }?;
         Ok(file)
     }

@@ -7,7 +7,7 @@ use std::fs::{self, File};
 use std::io::{self, ErrorKind, Read as _, Write as _};
 use std::path::{Path, PathBuf};
 
-use crate::GenError;
+use crate::{GenError, interrupt};
 
 /// The marker file, locked by the run that writes the folder. It is removed before the set is moved to OUT.
 pub(crate) const MARKER: &str = ".terrane-gen";
@@ -17,7 +17,8 @@ const MARKER_TEXT: &str = "terrane gen writes here\n";
 /// The names of files that make a folder a set.
 pub(crate) const ROOTS: [&str; 2] = ["tileset.json", "layer.json"];
 
-/// A temporary folder beside the folder OUT of a set. Dropping it before [`Self::put_in_place`] removes it.
+/// A temporary folder beside the folder OUT of a set. Dropping it before [`Self::put_in_place`] removes it. Until then
+/// [`exit_on_interrupt`](crate::exit_on_interrupt) knows it.
 #[derive(Debug)]
 pub struct PartialFolder {
     path: PathBuf,
@@ -30,6 +31,12 @@ impl PartialFolder {
     /// Creates the folder for a run with a fingerprint, or takes the one of a killed run with the same fingerprint. Removes folders
     /// of other killed runs for the same OUT. Fails if another run writes to OUT.
     pub fn beside(out: &Path, fingerprint: u64) -> Result<Self, GenError> {
+        let partial = Self::create(out, fingerprint)?;
+        interrupt::add(&partial.path, true);
+        Ok(partial)
+    }
+
+    fn create(out: &Path, fingerprint: u64) -> Result<Self, GenError> {
         let name = out.file_name().map_or_else(|| "set".into(), |n| n.to_string_lossy().into_owned());
         let prefix = format!(".{name}.partial-");
         let own = format!("{prefix}{fingerprint:016x}");
@@ -85,7 +92,9 @@ impl PartialFolder {
     /// Creates the folder for a run that no other continues. Otherwise as [`Self::beside`].
     pub fn fresh(out: &Path) -> Result<Self, GenError> {
         let since = std::time::UNIX_EPOCH.elapsed().unwrap_or_default();
-        Self::beside(out, (since.as_nanos() as u64) ^ (u64::from(std::process::id()) << 32))
+        let partial = Self::create(out, (since.as_nanos() as u64) ^ (u64::from(std::process::id()) << 32))?;
+        interrupt::add(&partial.path, false);
+        Ok(partial)
     }
 
     /// Leaves the folder where it is, so that a run with the same fingerprint continues. Returns its path.
@@ -123,6 +132,7 @@ impl PartialFolder {
 
 impl Drop for PartialFolder {
     fn drop(&mut self) {
+        interrupt::remove(&self.path);
         self.marker = None;
         if !self.is_done {
             // A failure to remove the incomplete set is harmless: a later run tries again.

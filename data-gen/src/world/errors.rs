@@ -1,7 +1,7 @@
 //! The errors of the levels of a set, measured.
 //!
-//! The difference between the triangles of a level and the surface itself is measured along rows of cells: in the most uneven of the
-//! tiles that are tried, and then in the rows beside the worst one, as long as they are worse. A level's error is the largest
+//! The difference between the triangles of a level and the surface itself is measured along rows of cells: in those rows of the most
+//! uneven tiles whose samples bend most, and then in the rows beside the worst one, as long as they are worse. A level's error is the largest
 //! difference with a factor for places that were not measured, but at most the relief of the world, and the bulge of the earth above
 //! flat triangles. Levels without rivers have the depth of valleys besides. An error is at least the size of a small texel, so that
 //! images of flat ground are sharp near the eye, and a little larger than that of the next level, so that none is skipped. The tests compare with
@@ -17,18 +17,22 @@ use super::tiles::WorldSet;
 use crate::TileKey;
 use crate::pyramid::{CELLS, QUANTUM_M};
 
-/// The number of tiles that are tried for each level, and of those that are measured.
-const TRIED: usize = 64;
-const MEASURED: usize = 6;
-/// The rows of cells that are measured in each tile.
-const ROWS: [i64; 3] = [9, 31, 52];
-/// The rows that are measured to find a worse one beside the worst.
+/// The largest numbers of tiles of a level whose unevenness is tried, and of those that are scanned.
+const MAX_TRIED: u64 = 256;
+const MAX_SCANNED: usize = 64;
+/// The rows of cells of a level that are scanned, as far as it has so many: the least number in a tile, and in all.
+const SCANNED_ROWS: usize = 4;
+const ALL_SCANNED_ROWS: usize = 256;
+/// The rows that are measured, and those that are measured to find a worse one beside the worst.
+const MEASURED: usize = 24;
 const CLIMBED: usize = 8;
+/// The tiles in which the depth of valleys is measured.
+const DEEP: usize = 12;
 /// Lines in a row of cells, and places in a cell along a line.
 const LINES: usize = 4;
 const PLACES: usize = 4;
 /// Factors for places that were not measured: of differences, of the depth of valleys, and of the relief.
-const MARGIN: f64 = 1.4;
+const MARGIN: f64 = 1.6;
 const VALLEY_MARGIN: f64 = 1.2;
 const RELIEF_MARGIN: f64 = 1.25;
 /// The largest texels that errors are at least as large as, so that flat ground near the eye is sharp.
@@ -81,12 +85,13 @@ fn range_m(buffers: &RowBuffers) -> [f32; 2] {
 /// Returns some tiles of a level, most uneven first, and the range of their surface.
 fn uneven_tiles(set: &WorldSet, level: u32, buffers: &mut RowBuffers) -> (Vec<TileKey>, [f32; 2]) {
     let mut random = SplitMix64::new(u64::from(level));
-    let tiles = 1u64 << level;
-    let mut keys = Vec::with_capacity(TRIED);
+    let side = 1u64 << level;
+    let all = side * side;
+    let mut keys = Vec::new();
     let mut range = NO_RANGE;
-    for _ in 0..TRIED {
-        let [x, y] = [0, 1].map(|_| (random.next_u64() % tiles) as u32);
-        let key = TileKey { level, x, y };
+    for k in 0..all.min(MAX_TRIED) {
+        let [x, y] = if all <= MAX_TRIED { [k % side, k / side] } else { [0, 1].map(|_| random.next_u64() % side) };
+        let key = TileKey { level, x: x as u32, y: y as u32 };
         keys.push((unevenness_m(set, key, buffers), key));
         range = both(range, range_m(buffers));
     }
@@ -95,17 +100,42 @@ fn uneven_tiles(set: &WorldSet, level: u32, buffers: &mut RowBuffers) -> (Vec<Ti
     (keys.into_iter().map(|(_, key)| key).collect(), range)
 }
 
+/// Returns how far the surface bends at the samples of a row, along it and across it, as a measure to choose rows by.
+fn bend_m(set: &WorldSet, key: TileKey, row: i64, buffers: &mut RowBuffers) -> f32 {
+    let lattice = set.lattice(key, 0);
+    let longitudes = meridians((0..=CELLS as i64).map(|k| lattice.longitude(k)));
+    let [south, own, north] = [row - 1, row, row + 1].map(|row| {
+        set.world().ground_row_of(&longitudes, lattice.latitude(row), lattice.step_m(), buffers);
+        buffers.ground.surface_m.clone()
+    });
+    let bend_m = |before: f32, here: f32, behind: f32| (before - 2.0 * here + behind).abs();
+    let along_m = own.windows(3).map(|three| bend_m(three[0], three[1], three[2])).fold(0.0, f32::max);
+    let across = own.iter().zip(&south).zip(&north);
+    across.map(|((own, south), north)| bend_m(*south, *own, *north)).fold(along_m, f32::max)
+}
+
 /// Measures a level.
 fn measure(set: &WorldSet, level: u32) -> Measure {
     set.with_buffers(|buffers| {
-        let (keys, mut range) = uneven_tiles(set, level, buffers);
+        let (mut keys, mut range) = uneven_tiles(set, level, buffers);
+        keys.truncate(MAX_SCANNED);
+        let rows = (ALL_SCANNED_ROWS / keys.len().max(1)).clamp(SCANNED_ROWS, CELLS);
+        let places = keys.iter().flat_map(|key| (0..rows).map(|k| (*key, ((2 * k + 1) * CELLS / (2 * rows)) as i64)));
+        let mut places: Vec<(f32, TileKey, i64)> = places
+            .map(|(key, row)| {
+                let bend_m = bend_m(set, key, row, buffers);
+                range = both(range, range_m(buffers));
+                (bend_m, key, row)
+            })
+            .collect();
+        places.sort_by(|a, b| b.0.total_cmp(&a.0).then((a.1, a.2).cmp(&(b.1, b.2))));
         let mut worst = (0.0f64, TileKey { level, x: 0, y: 0 }, 0);
         let mut of_row = |key: TileKey, row: i64, buffers: &mut RowBuffers| {
             let error_m = row_error_m(set, key, row, buffers);
             range = both(range, range_m(buffers));
             error_m
         };
-        for (key, row) in keys.iter().take(MEASURED).flat_map(|key| ROWS.map(|row| (*key, row))) {
+        for (_, key, row) in places.into_iter().take(MEASURED) {
             let error_m = of_row(key, row, buffers);
             if error_m > worst.0 {
                 worst = (error_m, key, row);
@@ -151,7 +181,7 @@ fn valley_m(set: &WorldSet) -> f64 {
             differences.fold(0.0f32, f32::max)
         })
     };
-    let deepest = keys[..keys.len().min(2 * MEASURED)].par_iter().map(of_tile).reduce(|| 0.0, f32::max);
+    let deepest = keys[..keys.len().min(DEEP)].par_iter().map(of_tile).reduce(|| 0.0, f32::max);
     f64::from(deepest)
 }
 

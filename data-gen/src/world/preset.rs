@@ -235,7 +235,7 @@ impl WorldPreset {
                     forms: Landforms { dune_m: 120.0, mesa_m: 190.0, cliff_m: 220.0, ..relief.forms },
                     rivers: Rivers {
                         spacing_m: 7_000.0,
-                        half_m: 22.0,
+                        half_m: 38.0,
                         incision_m: 45.0,
                         in_plains: 0.4,
                         slope: 0.25,

@@ -3,7 +3,6 @@
 use std::f64::consts::PI;
 use std::sync::{Mutex, OnceLock, PoisonError};
 
-use jpeg_encoder::{ColorType, Encoder, SamplingFactor};
 use terrane::formats::writers::{write_height_exr, write_packed_heights};
 
 use super::errors::level_errors_m;
@@ -13,9 +12,7 @@ use super::scatter::{MAX_CELL_M, Scatter, TALLEST_M};
 use super::surface::{Lattice, Patch, TEXELS_PER_CELL};
 use crate::output::compress;
 use crate::pyramid::{CELLS, QUANTUM_M};
-use crate::{Extent, GenError, TileKey};
-
-const JPEG_QUALITY: u8 = 85;
+use crate::{Extent, GenError, TextureFormat, TileKey};
 
 /// A rectangle of a world as a quadtree of tiles.
 #[derive(Debug)]
@@ -216,12 +213,8 @@ impl WorldSet {
         let side = (TEXELS_PER_CELL * CELLS) as u16;
         let rgb = patch.paint(&self.world, buffers);
         done(TileStep::Colors);
-        let mut jpeg = Vec::new();
-        let mut encoder = Encoder::new(&mut jpeg, JPEG_QUALITY);
-        encoder.set_sampling_factor(SamplingFactor::F_2_2);
-        encoder
-            .encode(&rgb, side, side, ColorType::Rgb)
-            .map_err(|e| GenError::Encode(format!("JPEG of tile {key:?}: {e}")))?;
+        let jpeg = TextureFormat::Jpeg.encode(&rgb, side);
+        let jpeg = jpeg.map_err(|e| GenError::Encode(format!("JPEG of tile {key:?}: {e}")))?;
         done(TileStep::Image);
         let name = format!("{}/{}/{}.{}", key.level, key.x, key.y, self.heights_extension());
         let heights = heights_m(&patch);
@@ -243,22 +236,25 @@ impl WorldSet {
     }
 
     /// Returns bounds of the heights in a tile, in metres. They are those of every fourth vertex, which are the vertices of
-    /// two levels above, with the error of that level: finer vertices are off by at most that.
+    /// two levels above, with the error of that level: finer vertices are off by at most that. The first two levels have none above, and
+    /// take all vertices.
     pub(super) fn bounds_m(&self, key: TileKey) -> [f64; 2] {
         let lattice = self.lattice(key, 0);
-        let every = || (0..=CELLS as i64).step_by(4);
+        let up = if key.level < 2 { 0 } else { 2 };
+        let stride = 1usize << up;
+        let every = || (0..=CELLS as i64).step_by(stride);
         let longitudes = meridians(every().map(|column| lattice.longitude(column)));
         let (mut low_m, mut high_m) = (f32::INFINITY, f32::NEG_INFINITY);
         self.with_buffers(|buffers| {
             for row in every() {
-                let step_m = 4.0 * lattice.step_m();
+                let step_m = stride as f64 * lattice.step_m();
                 self.world.ground_row_of(&longitudes, lattice.latitude(row), step_m, buffers);
                 for surface_m in &buffers.ground.surface_m {
                     (low_m, high_m) = (low_m.min(*surface_m), high_m.max(*surface_m));
                 }
             }
         });
-        let error_m = self.level_errors_m()[key.level.saturating_sub(2) as usize];
+        let error_m = self.level_errors_m()[(key.level - up) as usize];
         let above_m = if self.has_scatter(key.level) { TALLEST_M } else { 1.0 };
         [f64::from(low_m) - error_m - 1.0, f64::from(high_m) + error_m + above_m]
     }

@@ -295,3 +295,18 @@ fn trees_stand_on_the_ground_of_their_tile() {
     assert_eq!(fine["contents"][1]["uri"], "../../4/2/4.glb");
     assert_eq!(json["root"]["content"]["uri"], "../../3/1/2.exr", "cells of 78 m have none");
 }
+
+/// Regression: the bounds of the first levels were those of a level without rivers, with the error of one with canyons.
+#[test]
+fn bounds_of_small_sets_contain_the_heights() {
+    for preset in [WorldPreset::Canyon, WorldPreset::Mars] {
+        let world = World::new(preset, 1);
+        let set = WorldSet::square(world.clone(), world.place(40_000.0), 40_000.0, 3);
+        let tileset: Value = serde_json::from_str(&set.tileset(tile(0, 0, 0)).unwrap()).unwrap();
+        let region = tileset["root"]["boundingVolume"]["region"].as_array().unwrap();
+        let [low_m, high_m] = [4, 5].map(|k| region[k].as_f64().unwrap());
+        for height_m in [tile(0, 0, 0), tile(1, 0, 1), tile(1, 1, 1)].iter().flat_map(|key| set.heights_m(*key)) {
+            assert!((low_m..=high_m).contains(&f64::from(height_m)), "{preset:?}: {height_m} m, {low_m} to {high_m}");
+        }
+    }
+}

@@ -3,7 +3,7 @@
 #![allow(clippy::needless_range_loop, reason = "one number indexes positions, weights and outputs")]
 
 use super::super::points::Points;
-use super::lattice::{LANES, bit, for_blocks, lanes, part, wide};
+use super::lattice::{LANES, bit, for_blocks, lanes, part};
 use super::noise::Vectors;
 
 /// Adds barchans to `out`, at most one for each lattice point near the sphere: heaps with a gentle side towards the wind, a lee
@@ -19,65 +19,60 @@ pub(super) fn add_barchans(
 ) {
     let n = out.len();
     let (wx, wy, wz) = (&wind.x[..n], &wind.y[..n], &wind.z[..n]);
-    wide(
+    for_blocks(
+        points,
+        frequency,
+        seed,
+        n,
         #[inline(always)]
-        move || {
-            for_blocks(
-                points,
-                frequency,
-                seed,
-                n,
-                #[inline(always)]
-                |range, block| {
-                    let start = range.start;
-                    let up = [lanes(&points.x, start), lanes(&points.y, start), lanes(&points.z, start)];
-                    let wind = [lanes(wx, start), lanes(wy, start), lanes(wz, start)];
-                    let mut highest = [0.0f32; LANES];
-                    for corner in 0..8 {
-                        let hashes = block.hashes(corner);
-                        let [a, b, c] = [bit(corner, 0) as f32, bit(corner, 1) as f32, bit(corner, 2) as f32];
-                        let mut offs = [[0.0f32; LANES]; 3];
-                        let (mut nears, mut is_near) = ([0.0f32; LANES], 0u32);
-                        for k in 0..LANES {
-                            let h = hashes[k];
-                            let jitter = |shift: u32| part(h, shift) * (0.25 / 512.0);
-                            let (fx, fy, fz) = (block.at[0][k], block.at[1][k], block.at[2][k]);
-                            let d = [fx - a + jitter(22), fy - b + jitter(12), fz - c + jitter(2)];
-                            let above = d[0] * up[0][k] as f32 + d[1] * up[1][k] as f32 + d[2] * up[2][k] as f32;
-                            // Lattice points that are far above or below the ground have none.
-                            nears[k] = 1.0 - ((above.abs() - 0.3) * 20.0).clamp(0.0, 1.0);
-                            is_near |= u32::from(nears[k] > 0.0);
-                            (offs[0][k], offs[1][k], offs[2][k]) = (d[0], d[1], d[2]);
-                        }
-                        if is_near == 0 {
-                            continue;
-                        }
-                        for k in 0..LANES {
-                            let (nx, ny, nz) = (up[0][k] as f32, up[1][k] as f32, up[2][k] as f32);
-                            let (wx, wy, wz) = (wind[0][k], wind[1][k], wind[2][k]);
-                            let (lx, ly, lz) = (ny * wz - nz * wy, nz * wx - nx * wz, nx * wy - ny * wx);
-                            let d = [offs[0][k], offs[1][k], offs[2][k]];
-                            let other = hashes[k].wrapping_mul(0x9e37_79b1);
-                            let size = ((other >> 12) & 0x3ff) as i32 as f32 / 1024.0;
-                            // Half the width; the height is a tenth of the width.
-                            let half = 0.07 + 0.17 * size * size;
-                            let across = (d[0] * lx + d[1] * ly + d[2] * lz) / half;
-                            let inside = (1.0 - across * across).max(0.0);
-                            let crest_height = 0.24 * half * inside * (0.4 + 0.6 * inside);
-                            // Downwind of the crest, which is bent.
-                            let behind = d[0] * wx + d[1] * wy + d[2] * wz - half * (1.25 * across * across - 0.3);
-                            let length = half * (0.25 + 1.55 * inside);
-                            let up = (1.0 + behind / length).clamp(0.0, 1.0);
-                            let windward = crest_height * up * (0.4 + up * (1.2 - 0.6 * up));
-                            let lee = (crest_height - repose * behind.max(0.0)).max(0.0);
-                            highest[k] = highest[k].max(nears[k] * windward.min(lee));
-                        }
-                    }
-                    for (out, highest) in out[range].iter_mut().zip(highest) {
-                        *out += amplitude * highest;
-                    }
-                },
-            );
+        move |range, block| {
+            let start = range.start;
+            let up = [lanes(&points.x, start), lanes(&points.y, start), lanes(&points.z, start)];
+            let wind = [lanes(wx, start), lanes(wy, start), lanes(wz, start)];
+            let mut highest = [0.0f32; LANES];
+            for corner in 0..8 {
+                let hashes = block.hashes(corner);
+                let [a, b, c] = [bit(corner, 0) as f32, bit(corner, 1) as f32, bit(corner, 2) as f32];
+                let mut offs = [[0.0f32; LANES]; 3];
+                let (mut nears, mut is_near) = ([0.0f32; LANES], 0u32);
+                for k in 0..LANES {
+                    let h = hashes[k];
+                    let jitter = |shift: u32| part(h, shift) * (0.25 / 512.0);
+                    let (fx, fy, fz) = (block.at[0][k], block.at[1][k], block.at[2][k]);
+                    let d = [fx - a + jitter(22), fy - b + jitter(12), fz - c + jitter(2)];
+                    let above = d[0] * up[0][k] as f32 + d[1] * up[1][k] as f32 + d[2] * up[2][k] as f32;
+                    // Lattice points that are far above or below the ground have none.
+                    nears[k] = 1.0 - ((above.abs() - 0.3) * 20.0).clamp(0.0, 1.0);
+                    is_near |= u32::from(nears[k] > 0.0);
+                    (offs[0][k], offs[1][k], offs[2][k]) = (d[0], d[1], d[2]);
+                }
+                if is_near == 0 {
+                    continue;
+                }
+                for k in 0..LANES {
+                    let (nx, ny, nz) = (up[0][k] as f32, up[1][k] as f32, up[2][k] as f32);
+                    let (wx, wy, wz) = (wind[0][k], wind[1][k], wind[2][k]);
+                    let (lx, ly, lz) = (ny * wz - nz * wy, nz * wx - nx * wz, nx * wy - ny * wx);
+                    let d = [offs[0][k], offs[1][k], offs[2][k]];
+                    let other = hashes[k].wrapping_mul(0x9e37_79b1);
+                    let size = ((other >> 12) & 0x3ff) as i32 as f32 / 1024.0;
+                    // Half the width; the height is a tenth of the width.
+                    let half = 0.07 + 0.17 * size * size;
+                    let across = (d[0] * lx + d[1] * ly + d[2] * lz) / half;
+                    let inside = (1.0 - across * across).max(0.0);
+                    let crest_height = 0.24 * half * inside * (0.4 + 0.6 * inside);
+                    // Downwind of the crest, which is bent.
+                    let behind = d[0] * wx + d[1] * wy + d[2] * wz - half * (1.25 * across * across - 0.3);
+                    let length = half * (0.25 + 1.55 * inside);
+                    let up = (1.0 + behind / length).clamp(0.0, 1.0);
+                    let windward = crest_height * up * (0.4 + up * (1.2 - 0.6 * up));
+                    let lee = (crest_height - repose * behind.max(0.0)).max(0.0);
+                    highest[k] = highest[k].max(nears[k] * windward.min(lee));
+                }
+            }
+            for (out, highest) in out[range].iter_mut().zip(highest) {
+                *out += amplitude * highest;
+            }
         },
     );
 }

@@ -9,7 +9,7 @@
 use super::super::points::{Points, ROUND};
 
 /// The number of positions in a block.
-pub(super) const LANES: usize = 16;
+pub(crate) const LANES: usize = 16;
 
 /// A number for each position of a block.
 pub(super) type Lanes<T> = [T; LANES];
@@ -32,7 +32,7 @@ const HASH: [u32; 3] = [0x9e37_79b1, 0x85eb_ca77, 0xc2b2_ae3d];
 
 /// Returns ten bits of a hash as a number within -511.5..511.5.
 #[inline(always)]
-pub(super) fn part(hash: u32, shift: u32) -> f32 {
+pub(crate) fn part(hash: u32, shift: u32) -> f32 {
     ((hash >> shift) & 0x3ff) as i32 as f32 - 511.5
 }
 
@@ -44,7 +44,7 @@ pub(super) fn parts(hash: u32) -> [f32; 3] {
 
 /// Returns 1 for the upper lattice point along an axis of one of the eight corners of a cell, and 0 for the lower one.
 #[inline(always)]
-pub(super) fn bit(corner: usize, axis: usize) -> usize {
+pub(crate) fn bit(corner: usize, axis: usize) -> usize {
     corner >> axis & 1
 }
 
@@ -61,7 +61,7 @@ pub(super) fn lanes<T: Copy>(row: &[T], start: usize) -> Lanes<T> {
 }
 
 /// A block of positions.
-pub(super) struct Block {
+pub(crate) struct Block {
     /// The coordinates of the lower corner of each position's cell, each multiplied for the hash.
     lower: [Lanes<u32>; 3],
     /// The position in the cell along each axis, 0..1.
@@ -127,9 +127,9 @@ impl Block {
 }
 
 /// Calls `op` for each block of a row, with the range of the row that is in it. `frequency` is the number of lattice cells per
-/// radius.
+/// radius. Runs with the widest registers; `op` is inlined.
 #[inline(always)]
-pub(super) fn for_blocks(
+pub(crate) fn for_blocks(
     points: &Points,
     frequency: f64,
     seed: u32,
@@ -137,11 +137,13 @@ pub(super) fn for_blocks(
     mut op: impl FnMut(std::ops::Range<usize>, &Block),
 ) {
     let (x, y, z) = (&points.x[..len], &points.y[..len], &points.z[..len]);
-    let mut start = 0;
-    while start < len {
-        let block = Block::new([lanes(x, start), lanes(y, start), lanes(z, start)], frequency, seed);
-        let end = (start + LANES).min(len);
-        op(start..end, &block);
-        start = end;
-    }
+    wide(
+        #[inline(always)]
+        move || {
+            for start in (0..len).step_by(LANES) {
+                let block = Block::new([lanes(x, start), lanes(y, start), lanes(z, start)], frequency, seed);
+                op(start..(start + LANES).min(len), &block);
+            }
+        },
+    );
 }

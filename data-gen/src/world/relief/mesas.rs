@@ -9,8 +9,8 @@ use super::{Ground, REPOSE, Scratch, add_octaves, part_seed, reset, smooth};
 const PATTERN_M: f64 = 13_000.0;
 /// The distance from dry rivers to the cliffs beside them.
 const VALLEY_M: f32 = 420.0;
-/// The width of a cliff in metres.
-const CLIFF_M: f32 = 24.0;
+/// The width of a cliff in metres. Narrower ones are toothed where cells are as wide.
+const CLIFF_M: f32 = 40.0;
 /// Tiers: the value of the pattern at the edge, and the height as a share.
 const TIERS: [(f32, f32); 2] = [(0.16, 0.6), (0.36, 0.4)];
 

@@ -20,7 +20,7 @@ mod waves;
 
 pub(super) use covers::Covers;
 pub(super) use drainage::{Basin, Drainage, Network};
-pub(super) use lattice::wide;
+pub(super) use lattice::{LANES, bit, for_blocks, part, wide};
 use noise::Vectors;
 pub(super) use noise::add_noise;
 use rivers::Effects;
@@ -162,7 +162,7 @@ impl Relief {
         self.add_reefs(seed, points, scratch, out);
         // Small bumps; they are higher on mountains.
         reset(&mut scratch.noise, n);
-        add_octaves(points, 120.0, 6, 0.5, self.forms.rough_m, part_seed(seed, 3), &mut scratch.noise);
+        add_octaves(points, 120.0, 9, 0.5, self.forms.rough_m, part_seed(seed, 3), &mut scratch.noise);
         for k in 0..n {
             let smoothness = 1.0 - 0.9 * smooth(-0.1, 0.2, scratch.sand[k]);
             scratch.noise[k] *= smoothness * (1.0 + 5.0 * out.mountain[k]);

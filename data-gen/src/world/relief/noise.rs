@@ -3,7 +3,7 @@
 #![allow(clippy::needless_range_loop, reason = "one number indexes positions, weights and outputs")]
 
 use super::super::points::Points;
-use super::lattice::{Block, LANES, Lanes, bit, for_blocks, parts, wide};
+use super::lattice::{Block, LANES, Lanes, bit, for_blocks, parts};
 
 /// A vector for each position of a row, as three arrays.
 #[derive(Clone, Debug, Default)]
@@ -65,35 +65,30 @@ fn values(block: &Block, gradient: impl Fn(usize, usize) -> [f32; 3]) -> Lanes<f
 /// Adds `amplitude` times gradient noise to `out`. `frequency` is the number of lattice cells per radius.
 pub(crate) fn add_noise(points: &Points, frequency: f64, seed: u32, amplitude: f32, out: &mut [f32]) {
     let (n, amplitude) = (out.len(), amplitude * SCALE);
-    wide(
+    for_blocks(
+        points,
+        frequency,
+        seed,
+        n,
         #[inline(always)]
-        move || {
-            for_blocks(
-                points,
-                frequency,
-                seed,
-                n,
-                #[inline(always)]
-                |range, block| {
-                    let values = if block.is_one_cell {
-                        let corners = block.corners();
-                        values(
-                            block,
-                            #[inline(always)]
-                            |corner, _| corners[corner],
-                        )
-                    } else {
-                        values(
-                            block,
-                            #[inline(always)]
-                            |corner, k| parts(block.hash(corner, k)),
-                        )
-                    };
-                    for (out, value) in out[range].iter_mut().zip(values) {
-                        *out += amplitude * value;
-                    }
-                },
-            );
+        move |range, block| {
+            let values = if block.is_one_cell {
+                let corners = block.corners();
+                values(
+                    block,
+                    #[inline(always)]
+                    |corner, _| corners[corner],
+                )
+            } else {
+                values(
+                    block,
+                    #[inline(always)]
+                    |corner, k| parts(block.hash(corner, k)),
+                )
+            };
+            for (out, value) in out[range].iter_mut().zip(values) {
+                *out += amplitude * value;
+            }
         },
     );
 }
@@ -131,37 +126,32 @@ fn derivatives(block: &Block, gradient: impl Fn(usize, usize) -> [f32; 3]) -> [L
 pub(crate) fn noise_gradient(points: &Points, frequency: f64, seed: u32, out: &mut [f32], gradient: &mut Vectors) {
     let n = out.len();
     let (gx, gy, gz) = (&mut gradient.x[..n], &mut gradient.y[..n], &mut gradient.z[..n]);
-    wide(
+    for_blocks(
+        points,
+        frequency,
+        seed,
+        n,
         #[inline(always)]
-        move || {
-            for_blocks(
-                points,
-                frequency,
-                seed,
-                n,
-                #[inline(always)]
-                |range, block| {
-                    let [values, x, y, z] = if block.is_one_cell {
-                        let corners = block.corners();
-                        derivatives(
-                            block,
-                            #[inline(always)]
-                            |corner, _| corners[corner],
-                        )
-                    } else {
-                        derivatives(
-                            block,
-                            #[inline(always)]
-                            |corner, k| parts(block.hash(corner, k)),
-                        )
-                    };
-                    let len = range.len();
-                    out[range.clone()].copy_from_slice(&values[..len]);
-                    gx[range.clone()].copy_from_slice(&x[..len]);
-                    gy[range.clone()].copy_from_slice(&y[..len]);
-                    gz[range].copy_from_slice(&z[..len]);
-                },
-            );
+        move |range, block| {
+            let [values, x, y, z] = if block.is_one_cell {
+                let corners = block.corners();
+                derivatives(
+                    block,
+                    #[inline(always)]
+                    |corner, _| corners[corner],
+                )
+            } else {
+                derivatives(
+                    block,
+                    #[inline(always)]
+                    |corner, k| parts(block.hash(corner, k)),
+                )
+            };
+            let len = range.len();
+            out[range.clone()].copy_from_slice(&values[..len]);
+            gx[range.clone()].copy_from_slice(&x[..len]);
+            gy[range.clone()].copy_from_slice(&y[..len]);
+            gz[range].copy_from_slice(&z[..len]);
         },
     );
 }

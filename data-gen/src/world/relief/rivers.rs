@@ -149,6 +149,8 @@ impl Channel {
         let (mut lowest, mut highest) = (lanes(&e.lowest_m, start), lanes(&e.highest_m, start));
         let (mut river, mut stream) = (lanes(&e.river_m, start), lanes(&e.stream_m, start));
         let mut near = lanes(&e.near, start);
+        // The banks of dry rivers have crumbled.
+        let bank_slope = if rivers.flow == Flow::Dry { 0.06 } else { 0.5 };
         for k in 0..LANES {
             let (t, distance_m, _) = self.nearest([x[k], y[k], z[k]]);
             let half_m = self.half_width_m(t);
@@ -160,7 +162,7 @@ impl Channel {
                 self.ice_m(t, distance_m, half_m)
             } else {
                 let inside_m = (0.6 + 0.07 * half_m) * bank_m / (half_m + 0.01);
-                let outside_m = (0.5 * bank_m).min(1.5);
+                let outside_m = (bank_slope * bank_m).min(1.5);
                 if bank_m < 0.0 { inside_m } else { outside_m }
             };
             let plain_m = if ICE { 60.0 } else { 3.0 * half_m + 15.0 };

@@ -4,7 +4,7 @@
 #![allow(clippy::needless_range_loop, reason = "one number indexes positions, weights and outputs")]
 
 use super::super::points::Points;
-use super::lattice::{Block, LANES, Lanes, bit, for_blocks, lanes, parts, wide};
+use super::lattice::{Block, LANES, Lanes, bit, for_blocks, lanes, parts};
 use super::noise::{Vectors, weights};
 
 /// Returns the distance of a number from the nearest whole one.
@@ -67,38 +67,33 @@ pub(crate) fn stripes(
     let n = out.len();
     let (qx, qy, qz) = (&across.x[..n], &across.y[..n], &across.z[..n]);
     let derivative = &mut derivative[..n];
-    wide(
+    for_blocks(
+        points,
+        frequency,
+        seed,
+        n,
         #[inline(always)]
-        move || {
-            for_blocks(
-                points,
-                frequency,
-                seed,
-                n,
-                #[inline(always)]
-                |range, block| {
-                    let across = [lanes(qx, range.start), lanes(qy, range.start), lanes(qz, range.start)];
-                    let [value, slope] = if block.is_one_cell {
-                        let corners = block.corners();
-                        stripes_of(
-                            block,
-                            &across,
-                            #[inline(always)]
-                            |corner, _| corners[corner],
-                        )
-                    } else {
-                        stripes_of(
-                            block,
-                            &across,
-                            #[inline(always)]
-                            |corner, k| parts(block.hash(corner, k)),
-                        )
-                    };
-                    let len = range.len();
-                    out[range.clone()].copy_from_slice(&value[..len]);
-                    derivative[range].copy_from_slice(&slope[..len]);
-                },
-            );
+        move |range, block| {
+            let across = [lanes(qx, range.start), lanes(qy, range.start), lanes(qz, range.start)];
+            let [value, slope] = if block.is_one_cell {
+                let corners = block.corners();
+                stripes_of(
+                    block,
+                    &across,
+                    #[inline(always)]
+                    |corner, _| corners[corner],
+                )
+            } else {
+                stripes_of(
+                    block,
+                    &across,
+                    #[inline(always)]
+                    |corner, k| parts(block.hash(corner, k)),
+                )
+            };
+            let len = range.len();
+            out[range.clone()].copy_from_slice(&value[..len]);
+            derivative[range].copy_from_slice(&slope[..len]);
         },
     );
 }
@@ -117,47 +112,42 @@ pub(crate) fn waves(
     let n = turns.len();
     let (qx, qy, qz) = (&along.x[..n], &along.y[..n], &along.z[..n]);
     let strength = &mut strength[..n];
-    wide(
+    for_blocks(
+        points,
+        frequency,
+        seed,
+        n,
         #[inline(always)]
-        move || {
-            for_blocks(
-                points,
-                frequency,
-                seed,
-                n,
-                #[inline(always)]
-                |range, block| {
-                    let along = [lanes(qx, range.start), lanes(qy, range.start), lanes(qz, range.start)];
-                    let mut hashes = [[0u32; LANES]; 8];
-                    for corner in 0..8 {
-                        hashes[corner] = block.hashes(corner);
-                    }
-                    let (mut angles, mut lengths) = ([0.0; LANES], [0.0; LANES]);
-                    for k in 0..LANES {
-                        let (mut re, mut im) = (0.0f32, 0.0f32);
-                        let place = [block.at[0][k], block.at[1][k], block.at[2][k]];
-                        let turns_per_cell = [along[0][k], along[1][k], along[2][k]];
-                        let (u, v, w) = (weights(place[0]), weights(place[1]), weights(place[2]));
-                        for corner in 0..8 {
-                            let phase = phase_of(corner, place, parts(hashes[corner][k]), turns_per_cell);
-                            let weight = u[bit(corner, 0)] * v[bit(corner, 1)] * w[bit(corner, 2)];
-                            re += weight * sine(from_whole(phase + 0.25));
-                            im += weight * sine(from_whole(phase));
-                        }
-                        // The angle of (re, im) from that within an eighth of a turn, to 0.001 turns.
-                        let (large, small) = (re.abs().max(im.abs()), re.abs().min(im.abs()));
-                        let q = small / (large + 1e-9);
-                        let eighth = q * (0.125 + 0.0433 * (1.0 - q));
-                        let quarter = if im.abs() > re.abs() { 0.25 - eighth } else { eighth };
-                        let half = if re < 0.0 { 0.5 - quarter } else { quarter };
-                        angles[k] = if im < 0.0 { -half } else { half };
-                        lengths[k] = (re * re + im * im).sqrt();
-                    }
-                    let len = range.len();
-                    turns[range.clone()].copy_from_slice(&angles[..len]);
-                    strength[range].copy_from_slice(&lengths[..len]);
-                },
-            );
+        move |range, block| {
+            let along = [lanes(qx, range.start), lanes(qy, range.start), lanes(qz, range.start)];
+            let mut hashes = [[0u32; LANES]; 8];
+            for corner in 0..8 {
+                hashes[corner] = block.hashes(corner);
+            }
+            let (mut angles, mut lengths) = ([0.0; LANES], [0.0; LANES]);
+            for k in 0..LANES {
+                let (mut re, mut im) = (0.0f32, 0.0f32);
+                let place = [block.at[0][k], block.at[1][k], block.at[2][k]];
+                let turns_per_cell = [along[0][k], along[1][k], along[2][k]];
+                let (u, v, w) = (weights(place[0]), weights(place[1]), weights(place[2]));
+                for corner in 0..8 {
+                    let phase = phase_of(corner, place, parts(hashes[corner][k]), turns_per_cell);
+                    let weight = u[bit(corner, 0)] * v[bit(corner, 1)] * w[bit(corner, 2)];
+                    re += weight * sine(from_whole(phase + 0.25));
+                    im += weight * sine(from_whole(phase));
+                }
+                // The angle of (re, im) from that within an eighth of a turn, to 0.001 turns.
+                let (large, small) = (re.abs().max(im.abs()), re.abs().min(im.abs()));
+                let q = small / (large + 1e-9);
+                let eighth = q * (0.125 + 0.0433 * (1.0 - q));
+                let quarter = if im.abs() > re.abs() { 0.25 - eighth } else { eighth };
+                let half = if re < 0.0 { 0.5 - quarter } else { quarter };
+                angles[k] = if im < 0.0 { -half } else { half };
+                lengths[k] = (re * re + im * im).sqrt();
+            }
+            let len = range.len();
+            turns[range.clone()].copy_from_slice(&angles[..len]);
+            strength[range].copy_from_slice(&lengths[..len]);
         },
     );
 }

@@ -3,6 +3,7 @@
 use super::super::preset::{Flow, Palette, Parameters};
 use super::super::relief::{Layer, smooth, wide};
 use super::climate::LAPSE_C;
+use super::lumps::Details;
 
 /// The properties of the ground at each texel of a row, as separate arrays, so that the loop can be vectorised.
 #[derive(Clone, Debug, Default)]
@@ -91,7 +92,7 @@ fn mix(a: f32, b: f32, t: f32) -> f32 {
 
 impl Parameters {
     /// Computes the sRGB colours, 0..255, of a row of texels of a size in metres.
-    pub(crate) fn color(&self, texels: &Texels, texel_m: f32, out: &mut [Vec<f32>; 3]) {
+    pub(crate) fn color(&self, texels: &Texels, details: &Details, texel_m: f32, out: &mut [Vec<f32>; 3]) {
         let n = texels.surface_m.len();
         for channel in out.iter_mut() {
             channel.clear();
@@ -123,6 +124,7 @@ impl Parameters {
         let moisture = &texels.moisture[..n];
         let patches = &texels.patch[..n];
         let grains = &texels.grain[..n];
+        let [domes, tones, ripples] = [&details.dome, &details.tone, &details.ripple].map(|field| &field[..n]);
         wide(
             #[inline(always)]
             move || {
@@ -164,10 +166,11 @@ impl Parameters {
                     let snow = snow * (1.0 - bare_ice) * (1.0 - glaciers * smooth(0.30, 0.55, slope + 0.1 * grain));
                     // Beds of a fifth of a layer vary in it.
                     let height = (h + dip_m[k]) * per_layer + 0.03 * patch;
-                    let tone = 0.6 * Layer::at(height).tone + 0.4 * Layer::at(5.0 * height + 0.08 * grain).tone;
-                    let strata = 0.6 * p.layers * tone * smooth(0.25, 0.6, slope);
+                    let bed = 0.6 * Layer::at(height).tone + 0.4 * Layer::at(5.0 * height + 0.08 * grain).tone;
+                    let strata = 0.6 * p.layers * bed * smooth(0.25, 0.6, slope);
                     let shade = 1.0 + 0.5 * (open[k] / (0.3 + open[k].abs())) + 0.08 * ridge[k].clamp(-1.0, 1.0);
-                    let fine = 0.5 + 0.4 * patch + (0.35 + 0.35 * close) * grain;
+                    let (dome, tone) = (domes[k], tones[k]);
+                    let fine = 0.5 + 0.4 * patch + (0.35 + 0.35 * close) * grain + 0.16 * tone;
                     let variation = [(0.5 + 0.5 * patch).clamp(0.0, 1.0), fine.clamp(0.0, 1.0)];
                     // Pebbles between grass, and many where nothing grows; none on sand, in woods and under snow.
                     let pebble = close
@@ -195,7 +198,14 @@ impl Parameters {
                         * (1.0 + 1.2 * close)
                         * (1.0 - 0.7 * snow)
                         * (1.0 - water);
-                    let shade = mix(shade.clamp(0.6, 1.25), 1.0, water.max(salt)) * (1.0 + rough * grain);
+                    // Crowns and tufts stand high, stones on sand low.
+                    let lumps = (0.1 + 0.12 * wood + 0.06 * scree.max(gravel).max(stony).max(steep))
+                        * (1.0 - 0.85 * sandy.max(beach).max(salt))
+                        * (1.0 - 0.8 * snow.max(ice))
+                        * (1.0 - water);
+                    let rippled = 0.1 * sandy.max(0.6 * desert).max(0.5 * beach) * (1.0 - snow.max(water));
+                    let near = 1.0 + lumps * (0.8 * dome + 0.7 * tone) + rippled * ripples[k];
+                    let shade = mix(shade.clamp(0.6, 1.25), 1.0, water.max(salt)) * (1.0 + rough * grain) * near;
                     // Stands of trees of one age and kind; conifers where it is cold.
                     let stand = smooth(-0.3, 0.3, patch + 0.25 * grain);
                     let conifer = living * smooth(9.0, 4.0, celsius + patch);

@@ -2,6 +2,7 @@
 
 mod climate;
 mod colors;
+mod lumps;
 mod patch;
 
 pub(super) use climate::{WINDWARD, Weather};

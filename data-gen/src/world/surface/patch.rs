@@ -9,6 +9,7 @@ use super::super::relief::{Covers, Ground, add_noise, add_octaves, bent, part_se
 use super::super::tiles::rounded;
 use super::climate::{LAPSE_C, Weather};
 use super::colors::{Texels, wetness, wood};
+use super::lumps::Details;
 
 /// Samples beyond each edge, for slopes and the shade of surroundings.
 pub(crate) const MARGIN: usize = 4;
@@ -19,7 +20,7 @@ const COARSE: usize = 4;
 /// The wavelength of the coarsest variation of colours in metres; each octave is a quarter as long.
 const VARIATION_M: f64 = 160_000.0;
 /// The number of octaves of the variation.
-const VARIATIONS: u32 = 10;
+const VARIATIONS: u32 = 13;
 
 /// The rectangle of a patch: its cells are `step` radians of longitude and latitude, the first sample inside is at
 /// `(column, row)` steps from the origin. Positions are computed from whole numbers, so that they have the same bits in all
@@ -273,6 +274,7 @@ impl Patch {
         let mut line = vec![0.0f32; stride];
         let mut colors: [Vec<f32>; 3] = Default::default();
         let mut points = Points::default();
+        let mut details = Details::default();
         let seed = part_seed(world.seed, 90);
         let texel_m = lattice.step_m() / TEXELS_PER_CELL as f64;
         self.samples.grain.resize(stride * stride, 0.0);
@@ -304,7 +306,8 @@ impl Patch {
             add_variation(&points, seed, 2.0 * texel_m..8.0 * texel_m, 0.7, &mut texels.grain);
             add_octaves(&points, 3.0 * texel_m, 1, 0.5, 0.35, seed.wrapping_add(77), &mut texels.grain);
             self.cover_rivers(world, buffers, &points, texel_m as f32, &mut texels);
-            world.parameters.color(&texels, texel_m as f32, &mut colors);
+            details.set_row(world.seed, &points, texel_m);
+            world.parameters.color(&texels, &details, texel_m as f32, &mut colors);
             let [red, green, blue] = &colors;
             for k in 0..side {
                 let byte = |c: f32| (c + 0.5) as u8;

@@ -140,3 +140,37 @@ fn shards_that_are_killed_are_continued_and_merged() {
     }
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 7, "three files and four sets");
 }
+
+/// Regression: Ctrl-C left a hidden folder without a word.
+#[cfg(target_os = "linux")]
+#[test]
+fn interrupted_run_says_what_is_left() {
+    use rustix::process::{Pid, Signal, kill_process};
+    let folder = tempfile::tempdir().unwrap();
+    for (name, signal) in [("set", Signal::INT), ("other", Signal::TERM)] {
+        let out = folder.path().join(name);
+        let partial = || {
+            let mut entries = std::fs::read_dir(folder.path()).unwrap().flatten().map(|entry| entry.path());
+            let start = format!(".{name}.partial-");
+            entries.find(|path| path.file_name().unwrap().to_string_lossy().starts_with(&start))
+        };
+        let command = |levels: &str| {
+            let mut command = Command::new(env!("CARGO_BIN_EXE_terrane-gen"));
+            command.arg(&out).args(["--world", "moon", "--size", "20000", "--jobs", "1", "--levels", levels]);
+            command
+        };
+        let run = command("5").stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+        while !partial().is_some_and(|partial| partial.join("0").exists()) {
+            std::thread::yield_now();
+        }
+        kill_process(Pid::from_child(&run), signal).unwrap();
+        let output = run.wait_with_output().unwrap();
+        let text = String::from_utf8(output.stderr).unwrap();
+        let left = partial().unwrap();
+        let expected = "terrane-gen: interrupted; the same command continues (parts are in";
+        assert_eq!(output.status.code(), Some(130), "{text}");
+        assert_eq!(text.lines().last(), Some(&*format!("{expected} {})", left.display())));
+        let output = command("1").output().unwrap();
+        assert!(output.status.success() && partial().is_none(), "{output:?}");
+    }
+}
