@@ -79,4 +79,6 @@ pub(crate) use pages::{
 };
 pub(crate) use settings::{LodRanges, MORPH_START, has_parallel_rays, is_over_globe, px_per_radian};
 pub(crate) use sharing::{SharedContent, SharedParts};
-pub(crate) use tile_tree::{ContentShape, TileBounds, TileEye, TileRecord, TileRoot, Tiles, flag};
+pub(crate) use tile_tree::{
+    ContentShape, GroundTiles, Readiness, TileBounds, TileEye, TileRecord, TileRoot, Tiles, flag,
+};

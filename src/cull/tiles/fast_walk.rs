@@ -77,7 +77,7 @@ impl Traversal<'_> {
                 false => (0.0, 1.0),
             };
             let wants = distance2 < range2;
-            if wants && record.not_ready_children != 0 {
+            if wants && !self.can_be_replaced(walk, tile, record, mask) {
                 let next = Run { tiles: tile..tile, mask, fade: above.fade };
                 self.draw_run(walk, std::mem::replace(&mut run, next));
                 let far = (range2, distance2);
@@ -100,8 +100,9 @@ impl Traversal<'_> {
             if wants {
                 let shown_px2 = walk.below_px2(range2, distance2, above.shown_px2);
                 let (next, end) = (record.first_child, record.end_of_children());
-                above = OpenTile { next, end, mask, required: true, shown_px2, ..above };
+                above = OpenTile { next, end, mask, required: walk.requires_all(), shown_px2, ..above };
                 open_tile::open(&mut self.stacks.tiles, tile + 1, above);
+                walk.note_refined(tile);
                 tile = next;
                 if TESTS && mask == 0 && !needs_all_tests {
                     // Changing to the loop without tests pays where the children are replaced too, whose range is half
@@ -166,7 +167,8 @@ impl Traversal<'_> {
         self.draw(walk, tile, record, mask, above.fade);
         let shown_px2 = walk.below_px2(range2, distance2, above.shown_px2);
         let base = self.stacks.tiles.len();
-        if !self.open_tile(walk, tile, (Purpose::Want, mask), true, shown_px2, above.fade) {
+        let required = walk.requires_all();
+        if !self.open_tile(walk, tile, (Purpose::Want, mask), required, shown_px2, above.fade) {
             return Some(tile + 1);
         }
         let next = self.request_fast::<TESTS, AHEAD>(walk, record.first_child, base);
@@ -240,7 +242,7 @@ impl Traversal<'_> {
             if wants {
                 let shown_px2 = if is_skipped { above_px2 } else { walk.below_px2(range2, distance2, above_px2) };
                 let (next, end) = (record.first_child, record.end_of_children());
-                above = OpenTile { next, end, mask, shown_px2, required: true, ..above };
+                above = OpenTile { next, end, mask, shown_px2, required: walk.requires_all(), ..above };
                 open_tile::open(&mut self.stacks.tiles, tile + 1, above);
                 tile = next;
                 if TESTS && mask == 0 && !needs_all_tests {
@@ -271,6 +273,7 @@ impl Traversal<'_> {
             match walk.test(bounds, above.mask) {
                 Some(crossing) => Some((above.purpose, crossing)),
                 None if above.required && walk.requests => Some((Purpose::Keep, above.mask)),
+                None if walk.is_top_of_ground(tile) => Some((above.purpose, above.mask)),
                 None => {
                     self.counters.tiles_visited += 1;
                     None

@@ -23,7 +23,12 @@ pub(in crate::cull) struct Horizon {
     cos: f32,
     /// Upper limit of the scaled length of one metre of the frame.
     scale: f32,
+    /// The frame is that of the earth, which has the body in its middle.
+    is_ecef: bool,
 }
+
+/// The distances from the identity up to which a frame is that of the earth: of the matrix, and of the origin in metres.
+const IDENTITY: [f64; 2] = [1e-9, 0.1];
 
 /// Upper limit of the rounding error of f32, as a share of the distance.
 const ROUNDING: f32 = 5e-7;
@@ -51,7 +56,16 @@ impl Horizon {
             sin: (1.0 / distance) as f32,
             cos: ((distance2 - 1.0).sqrt() / distance) as f32,
             scale: (scale * (1.0 + 1e-6)) as f32,
+            is_ecef: world_from_frame.matrix3.abs_diff_eq(DMat3::IDENTITY, IDENTITY[0])
+                && world_from_frame.translation.abs_diff_eq(DVec3::ZERO, IDENTITY[1]),
         })
+    }
+
+    /// Returns true if a point that stands for a part of the earth is behind the horizon. `offset` is its offset from the eye
+    /// in ECEF metres; nothing is hidden in another frame.
+    #[inline]
+    pub fn hides_in_ecef(&self, offset: Vec3) -> bool {
+        self.is_ecef && self.hides(offset.to_array(), 0.0)
     }
 
     /// Returns true if a sphere lies wholly behind the horizon. `offset` is its centre relative to the eye, in the frame.
@@ -71,7 +85,7 @@ impl Horizon {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::math::WGS84;
+    use crate::math::{Region, WGS84, horizon_point};
     use glam::{DQuat, EulerRot};
     use proptest::prelude::*;
 
@@ -136,6 +150,44 @@ mod tests {
                 let highest = center + (radius * 1.05 + 30.0) * rim;
                 prop_assert!(grown.chain([highest]).any(|p| !hidden(eye, p)), "kept, and nothing of it is seen");
             }
+        }
+    }
+
+    proptest! {
+        /// A part of the earth is culled by its point only if nothing of it is seen, and is culled far behind the horizon.
+        #[test]
+        fn horizon_points_hide_exactly_what_is_not_seen(
+            (lon, lat) in (-3.1..3.1f64, -1.5..1.5f64),
+            height in 1.0..7.5f64,
+            (west, south) in (-3.1..3.1f64, -1.5..1.5f64),
+            (width, tall) in (0.001..0.8f64, 0.001..0.8f64),
+            highest in -50.0..9000.0f64,
+        ) {
+            let north = (south + tall).min(std::f64::consts::FRAC_PI_2);
+            let region = Region { west, south, east: west + width, north, min_height_m: -100.0, max_height_m: highest };
+            let eye = position(lon, lat, 10f64.powf(height));
+            let Some(horizon) = Horizon::new(&WGS84, &DAffine3::IDENTITY, eye) else { panic!("{eye}") };
+            let hides = horizon_point(&region).is_some_and(|point| horizon.hides_in_ecef((point - eye).as_vec3()));
+            let share = |i: u32| f64::from(i) / 12.0;
+            let samples = (0..=12).flat_map(|i| (0..=12).map(move |j| (i, j)));
+            let mut points = samples.map(|(i, j)| position(west + width * share(i), south + (north - south) * share(j), highest));
+            if hides {
+                prop_assert!(points.all(|point| hidden(eye, point)), "culled, and a part is seen from {eye}");
+            } else {
+                // From the horizon of the eye to that of the highest point, with the extent of the region and of the lowest body.
+                let reach = (WGS84.semi_major_m / eye.length()).min(1.0).acos() + 1.7 * (width + tall) + 0.3;
+                let seen = points.any(|point| eye.angle_between(point) < reach);
+                prop_assert!(seen, "kept, far behind the horizon");
+            }
+        }
+    }
+
+    #[test]
+    fn points_hide_nothing_in_another_frame() {
+        let turned = DAffine3::from_rotation_z(0.1);
+        for (frame, hides) in [(DAffine3::IDENTITY, true), (turned, false)] {
+            let horizon = Horizon::new(&WGS84, &frame, position(0.0, 0.0, 1000.0)).unwrap();
+            assert_eq!(horizon.hides_in_ecef(Vec3::new(-1.3e7, 0.0, 0.0)), hides);
         }
     }
 

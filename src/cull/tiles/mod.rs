@@ -9,10 +9,12 @@
 //! | `walk` | the rules for every kind of tile: refinement, replacement, requests |
 //! | `fast_walk` | the same rules for the usual tiles, in one loop each for drawing and requesting |
 //! | `walk_context`, `tile_view`, `open_tile` | what a walk knows of its page, of the eye, and of the tiles above |
+//! | `ground` | tiles of a globe, which are replaced as soon as the children in sight are ready |
 //! | `horizon` | tiles below the horizon of the ellipsoid |
 //! | `stand_in` | the content above a tile whose load has failed |
 
 mod fast_walk;
+mod ground;
 mod horizon;
 mod open_tile;
 mod stand_in;

@@ -5,11 +5,10 @@
 //! then it is drawn, and the walk continues below it only to request what is missing: all levels in one frame, coarse
 //! ones first.
 
+use super::ground::ranges_above;
 use super::open_tile::{self, OpenTile};
 use super::tile_view::{KEPT_SHARE, MAX_ERROR_PX, TileView};
-use super::walk_context::{
-    CONTENT_KINDS, REPLACE_WITH_CONTENT, SLOW_PATH, UseStamp, WalkContext, is_settled, shows_children,
-};
+use super::walk_context::{CONTENT_KINDS, REPLACE_WITH_CONTENT, SLOW_PATH, UseStamp, WalkContext, is_settled};
 use crate::cull::fading::{Fade, FadeConditions, FadeTarget, TileMark, WHOLE};
 use crate::cull::stage::PageRequest;
 use crate::cull::visitor::{AttachmentFrame, PageVisit, Purpose, QueuedPage, Traversal, eye_in};
@@ -39,7 +38,7 @@ impl Traversal<'_> {
             root: tile_root,
             view: tile_view,
             mask,
-            ranges: view.ranges,
+            ranges: tiles.ground().map_or(view.ranges, |of| ranges_above(of, view.ranges, tile_view.eye.position)),
             max_sse_px2: view.max_sse_px * view.max_sse_px,
             // From outside of a request volume a tile is the finest that may be drawn, so that no level is skipped.
             skip_px2: if has_volumes { 0.0 } else { view.skip_px2 },
@@ -139,6 +138,14 @@ impl Traversal<'_> {
         {
             seen = kept.map(|_| (Purpose::Keep, mask));
         }
+        if walk.tiles.ground().is_some() {
+            seen = match seen {
+                // The tile above waits for this one, since the slot of its page was in sight.
+                None if walk.is_top_of_ground(tile) => Some((above.purpose, above.mask)),
+                Some((_, mask)) if self.has_no_part_in_sight(walk, tile, mask) => None,
+                seen => seen,
+            };
+        }
         self.counters.tiles_visited += u32::from(seen.is_none());
         seen
     }
@@ -193,7 +200,7 @@ impl Traversal<'_> {
             } else if resident && purpose == Purpose::Draw {
                 self.draw(walk, tile, record, mask, above.fade);
             }
-            if !resident && purpose == Purpose::Draw && record.has(flag::UNAVAILABLE) {
+            if !resident && purpose == Purpose::Draw && walk.stands_in(record) {
                 self.stand_in(walk, tile);
             }
             return purpose != Purpose::Keep
@@ -236,7 +243,7 @@ impl Traversal<'_> {
         if purpose == Purpose::Keep || !record.has_children() {
             if !resident {
                 self.request_missing(walk, tile, purpose, above.shown_px2, above.fade);
-                if purpose == Purpose::Draw && record.has(flag::UNAVAILABLE) {
+                if purpose == Purpose::Draw && walk.stands_in(record) {
                     self.stand_in(walk, tile);
                 }
             }
@@ -246,15 +253,17 @@ impl Traversal<'_> {
         }
         let (range2, distance2) = walk.range_and_distance(tile, record, &walk.tiles.bounds()[tile as usize]);
         let wants = distance2 < range2 && walk.may_be_replaced(record);
-        let is_refined = purpose == Purpose::Draw && record.not_ready_children == 0 && (wants || !resident);
+        let is_refined =
+            purpose == Purpose::Draw && (wants || !resident) && self.can_be_replaced(walk, tile, record, mask);
         let mut above_px2 = above.shown_px2;
         let is_skipped = wants && !resident && walk.skips(record, (range2, distance2), above_px2);
-        // Without a failure below, nothing needs the content of a tile that is refined.
-        let is_replaced = is_refined && wants && !record.has(flag::FAILED_BELOW);
+        // Without a failure below, nothing needs the content of a tile that is refined, unless some child is not ready.
+        let is_whole = record.not_ready_children == 0 && !record.has(flag::FAILED_BELOW);
+        let is_replaced = is_refined && wants && is_whole;
         if !(resident || is_replaced || is_skipped) {
             above_px2 = self.request_missing(walk, tile, purpose, above.shown_px2, above.fade);
         }
-        if purpose == Purpose::Draw && !resident && !is_refined && record.has(flag::UNAVAILABLE) {
+        if purpose == Purpose::Draw && !resident && !is_refined && walk.stands_in(record) {
             self.stand_in(walk, tile);
         }
         let missing = FadeTarget { is_refined, is_resident: false };
@@ -264,7 +273,11 @@ impl Traversal<'_> {
         }
         let shown_px2 = if is_skipped { above_px2 } else { walk.below_px2(range2, distance2, above_px2) };
         let purpose = if is_refined { Purpose::Draw } else { Purpose::Want };
-        (is_refined || wants) && self.open_tile(walk, tile, (purpose, mask), true, shown_px2, above.fade)
+        if is_refined {
+            walk.note_refined(tile);
+        }
+        let required = walk.requires_all();
+        (is_refined || wants) && self.open_tile(walk, tile, (purpose, mask), required, shown_px2, above.fade)
     }
 
     /// Draws a tile with content and opens it if its children need a visit. While one replaces the other, both are
@@ -275,11 +288,11 @@ impl Traversal<'_> {
         let fade = above.fade;
         let resident = record.has(flag::RESIDENT);
         let replaces = !record.has(flag::ADD);
-        let ready = record.not_ready_children == 0;
         let (range2, distance2) = walk.range_and_distance(tile, record, &walk.tiles.bounds()[tile as usize]);
-        let is_near = distance2 < range2 && walk.may_be_replaced(record);
-        let wants = record.has_children() && is_near;
-        let is_refined = shows_children(record, is_near);
+        let wants = record.has_children() && distance2 < range2 && walk.may_be_replaced(record);
+        let ready = self.can_be_replaced(walk, tile, record, mask);
+        // Where its own content is not resident, ready children stand in for it even if it does not want them.
+        let is_refined = record.has_children() && (!replaces || ready) && (wants || (replaces && !resident));
         let (mut shows_own, mut shows_children) = (!replaces || !is_refined, is_refined);
         let (mut own, mut children) = (fade.band(), fade.band());
         let target = FadeTarget { is_refined, is_resident: resident };
@@ -302,9 +315,11 @@ impl Traversal<'_> {
             let is_covered = fade.is_covered() || (!replaces && resident);
             let is_leaving = fade.is_leaving() || !is_refined;
             let fade = Fade::new(children, is_covered, is_leaving);
-            self.open_tile(walk, tile, (Purpose::Draw, mask), replaces, shown_px2, fade)
+            walk.note_refined(tile);
+            let required = replaces && walk.requires_all();
+            self.open_tile(walk, tile, (Purpose::Draw, mask), required, shown_px2, fade)
         } else {
-            wants && self.open_tile(walk, tile, (Purpose::Want, mask), true, shown_px2, fade)
+            wants && self.open_tile(walk, tile, (Purpose::Want, mask), walk.requires_all(), shown_px2, fade)
         }
     }
 
@@ -359,10 +374,12 @@ impl Traversal<'_> {
 
     /// Returns true if a tile is behind the horizon or an occluder.
     #[inline]
-    fn is_behind(&mut self, walk: &WalkContext, tile: u32) -> bool {
+    pub(super) fn is_behind(&mut self, walk: &WalkContext, tile: u32) -> bool {
         let bounds = &walk.tiles.bounds()[tile as usize];
         let [x, y, z, _] = walk.view.eye.offset_to(bounds).to_array();
-        walk.view.horizon.as_ref().is_some_and(|h| h.hides([x, y, z], bounds.radius_m()))
+        let point = || walk.tiles.ground()?.offset_to_horizon_point(tile, walk.view.eye.position);
+        let horizon = walk.view.horizon.as_ref();
+        horizon.is_some_and(|h| h.hides([x, y, z], bounds.radius_m()) || point().is_some_and(|at| h.hides_in_ecef(at)))
             || (self.occlusion.is_active() && self.is_occluded_tile(walk, bounds, [x, y, z]))
     }
 

@@ -50,6 +50,11 @@ pub(super) struct UseStamp {
 }
 
 impl UseStamp {
+    /// Returns true for a cull that stamps, of a frame that is shown now.
+    pub fn shows(self) -> bool {
+        self.frame != 0 && self.frame == self.wanted_in
+    }
+
     /// Stamps a tile. A prefetch (`AHEAD`) leaves a tile that is in use or wanted sooner.
     #[inline(always)]
     pub fn put<const AHEAD: bool>(self, last_used: &AtomicU32) {
@@ -80,6 +85,33 @@ impl WalkContext<'_> {
     #[inline(always)]
     pub fn needs_all_tests(&self) -> bool {
         self.may_hide || self.may_be_behind
+    }
+
+    /// Returns true if a tile is replaced only by all its children together: culled ones are kept and requested too.
+    #[inline(always)]
+    pub fn requires_all(&self) -> bool {
+        self.tiles.ground().is_none()
+    }
+
+    /// Returns true for the top tile of a page with a part of a globe's surface. Its slot in the page above has the same
+    /// volume, as far as it was known there, and was tested.
+    #[inline]
+    pub fn is_top_of_ground(&self, tile: u32) -> bool {
+        self.tiles.ground().is_some() && self.tiles.records()[tile as usize].depth == 0
+    }
+
+    /// Notes for the surface of a globe that a camera sees the children of a tile.
+    #[inline(always)]
+    pub fn note_refined(&self, tile: u32) {
+        if let (Some(ground), true) = (self.tiles.ground(), self.stamp.shows()) {
+            ground.note_refined(tile, self.stamp.frame);
+        }
+    }
+
+    /// Returns true if a missing tile is drawn as a part of the content above it.
+    #[inline(always)]
+    pub fn stands_in(&self, record: &TileRecord) -> bool {
+        record.has(flag::UNAVAILABLE) || self.tiles.ground().is_some()
     }
 
     /// Returns the path of the state sets above a tile's content.
@@ -142,7 +174,10 @@ impl WalkContext<'_> {
     /// until then.
     #[inline(always)]
     pub fn skips(&self, record: &TileRecord, (range2, distance2): (f32, f32), shown_px2: f32) -> bool {
+        // The tile above cannot tell whether what is below the top tile of another page is in sight.
+        let is_top_of_ground = record.depth == 0 && self.tiles.ground().is_some();
         shown_px2 * distance2 < self.skip_px2 * range2
+            && !is_top_of_ground
             && record.flags & (flag::CONTENT_BELOW | flag::FAILED_BELOW) == flag::CONTENT_BELOW
     }
 

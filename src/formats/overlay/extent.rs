@@ -42,7 +42,9 @@ impl Extent {
             Some(region) => GeoRectangle::from_degrees(region.map(f64::to_degrees)),
             None => rectangle_of(&volume.bounds),
         };
-        Some(Self { rectangle: rectangle?, geometric_error_m: volume.geometric_error_m, is_height })
+        let of_content = reader_data.and_then(ReaderData::geometric_error_m);
+        let geometric_error_m = of_content.unwrap_or(volume.geometric_error_m);
+        Some(Self { rectangle: rectangle?, geometric_error_m, is_height })
     }
 }
 

@@ -209,6 +209,10 @@ impl ReaderValue for TerrainPage {
         true
     }
 
+    fn is_ground_of_globe(&self) -> bool {
+        true
+    }
+
     fn fallback_uri(&self) -> Option<Arc<str>> {
         self.set.layers[self.file_layer?].tile_uri(self.tile).1
     }

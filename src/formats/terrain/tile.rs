@@ -136,6 +136,14 @@ impl ReaderValue for TerrainTile {
         Some([west, south, east, north])
     }
 
+    fn is_ground_of_globe(&self) -> bool {
+        true
+    }
+
+    fn geometric_error_m(&self) -> Option<f64> {
+        Some(self.set.tiling.geometric_error_m(self.tile))
+    }
+
     fn size_bytes(&self) -> u64 {
         let held = match &self.mesh {
             // The first tile of a page counts the bytes that its parts share.

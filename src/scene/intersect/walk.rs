@@ -449,7 +449,9 @@ impl<P: Probe> Walk<'_, P> {
             let may_be_replaced = eye.is_none_or(|eye| tiles.may_be_replaced(record, eye.position));
             let wants =
                 record.has_children() && may_be_replaced && self.wants_children(tiles, tile, eye.as_ref(), base_depth);
-            let ready = record.not_ready_children == 0;
+            // Cull draws ready children of the ground beside parts of the tile above those that are missing.
+            let is_ground = tiles.ground().is_some();
+            let ready = record.not_ready_children == 0 || (is_ground && tiles.has_resident_child(record));
             let (draws, descends) = if record.has(flag::PROXY | flag::EXTERNAL) {
                 (resident, true)
             } else if !record.has(flag::CONTENT) {
@@ -465,7 +467,8 @@ impl<P: Probe> Walk<'_, P> {
             // Cull draws an ancestor instead of an unavailable tile, cut to the tile's volume. Here the whole ancestor is
             // visited.
             let shows_children = descends && ready && record.has_children();
-            let is_unavailable = record.has(flag::UNAVAILABLE) && !draws && !shows_children;
+            let is_unavailable =
+                (record.has(flag::UNAVAILABLE) || (is_ground && !resident)) && !draws && !shows_children;
             let above = (is_unavailable || record.has(flag::EXTERNAL))
                 .then(|| replaced_above(here, tiles, tile, &world_from_tile))
                 .flatten();

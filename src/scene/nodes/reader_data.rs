@@ -47,6 +47,18 @@ pub trait ReaderValue: Any + Debug + Send + Sync {
         None
     }
 
+    /// Returns true for a tile of a globe's surface, whose volume is a region. Such a tile is replaced by its children as soon
+    /// as those in sight are ready: children out of sight are not loaded. One that comes into sight later is drawn as a part
+    /// of the tile above until it is loaded.
+    fn is_ground_of_globe(&self) -> bool {
+        false
+    }
+
+    /// Returns the geometric error of the content in metres, if it is not that of the tile. Raster overlays follow it.
+    fn geometric_error_m(&self) -> Option<f64> {
+        None
+    }
+
     /// Returns the bytes of CPU memory that this value takes, without what it shares with other values.
     fn size_bytes(&self) -> u64;
 }
@@ -126,6 +138,19 @@ impl ReaderData {
         match self {
             Self::Text(_) => None,
             Self::Value(value) => value.region(),
+        }
+    }
+
+    /// Returns true for a tile of a globe's surface; see [`ReaderValue::is_ground_of_globe`].
+    pub fn is_ground_of_globe(&self) -> bool {
+        matches!(self, Self::Value(value) if value.is_ground_of_globe())
+    }
+
+    /// Returns the geometric error of the content; see [`ReaderValue::geometric_error_m`].
+    pub fn geometric_error_m(&self) -> Option<f64> {
+        match self {
+            Self::Text(_) => None,
+            Self::Value(value) => value.geometric_error_m(),
         }
     }
 

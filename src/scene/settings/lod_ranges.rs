@@ -41,6 +41,12 @@ impl LodRanges {
         }
     }
 
+    /// Returns ranges for which distances in metres below a limit count as the limit.
+    pub fn not_nearer_than(self, distance_m: f64) -> Self {
+        let min_distance2 = (distance_m.max(0.0).powi(2) as f32).min(f32::MAX);
+        if self.is_parallel { self } else { Self { min_distance2: self.min_distance2.max(min_distance2), ..self } }
+    }
+
     /// Returns true if rays are parallel: the view does not depend on the eye's position along them.
     pub fn is_parallel(&self) -> bool {
         self.is_parallel

@@ -7,6 +7,7 @@
 mod attach;
 mod content_volume;
 mod external_volume;
+mod ground_tiles;
 mod rare_tiles;
 mod readiness;
 mod slots;
@@ -18,6 +19,8 @@ mod tile_tree_builder;
 mod tiles;
 
 pub(crate) use content_volume::ContentShape;
+pub(crate) use ground_tiles::GroundTiles;
+pub(crate) use readiness::Readiness;
 pub(crate) use tile_bounds::{TileBounds, TileEye};
 pub(crate) use tile_record::{TileRecord, flag};
 pub(crate) use tile_tree_builder::TileTreeBuilder;

@@ -125,7 +125,7 @@ impl Scene {
     }
 
     /// Returns whether a tile can be drawn instead of its parent.
-    pub(super) fn readiness(&self, page_at: u32, tile: usize) -> Readiness {
+    pub(crate) fn readiness(&self, page_at: u32, tile: usize) -> Readiness {
         let Some(page) = self.page_at(page_at) else { return Readiness::Missing };
         let record = &page.tiles().records()[tile];
         if !record.has(flag::RESIDENT) {

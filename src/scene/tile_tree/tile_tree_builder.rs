@@ -6,11 +6,12 @@ use std::sync::atomic::AtomicU32;
 use glam::{DAffine3, DVec3};
 
 use super::content_volume::ContentVolume;
+use super::ground_tiles::{GroundTile, GroundTiles};
 use super::readiness::Readiness;
 use super::tile_bounds::DeclaredBounds;
 use super::tile_record::{TileRecord, flag};
 use super::tiles::{TileRoot, Tiles};
-use crate::math::{BoundingSphere, OrientedBox};
+use crate::math::{BoundingSphere, BoundingVolume, OrientedBox, horizon_point};
 use crate::scene::id::NONE;
 use crate::scene::nodes::{PagedLod, PagingOptions, ProxyLoading, ProxyNode, RangeMode, ReaderData, Refine};
 
@@ -19,6 +20,7 @@ use crate::scene::nodes::{PagedLod, PagingOptions, ProxyLoading, ProxyNode, Rang
 pub(crate) struct TileTreeBuilder {
     tiles: Tiles,
     declared: Vec<DeclaredBounds>,
+    ground: Vec<GroundTile>,
 }
 
 /// The position of a tile in the graph of its page.
@@ -68,6 +70,12 @@ impl TileTreeBuilder {
         if let Some(volume) = tile.reader_data.as_ref().and_then(ReaderData::content_bounds) {
             flags |= flag::CONTENT_VOLUME;
             self.tiles.rare_mut().content_volumes.push(index, ContentVolume::new(volume));
+        }
+        if let (true, BoundingVolume::Region(region)) =
+            (tile.reader_data.as_ref().is_some_and(ReaderData::is_ground_of_globe), &tile.bounds)
+        {
+            let horizon_point = horizon_point(region);
+            self.ground.push(GroundTile { tile: index, ceiling_m: region.max_height_m, horizon_point });
         }
         if tile.paging != PagingOptions::default() {
             self.tiles.rare_mut().paging.push(index, tile.paging);
@@ -140,6 +148,9 @@ impl TileTreeBuilder {
     pub fn finish(mut self) -> (Tiles, Vec<u32>) {
         self.tiles.volumes.fit(&self.declared);
         let new_index = self.tiles.lay_siblings_together();
+        if !self.ground.is_empty() {
+            self.tiles.ground = Some(Box::new(GroundTiles::new(&self.ground, &new_index)));
+        }
         count_readiness(&mut self.tiles);
         (self.tiles, new_index)
     }

@@ -10,6 +10,7 @@ use glam::{DAffine3, DVec3, Vec3, Vec4};
 
 use super::content_volume::ContentVolume;
 use super::external_volume::ExternalVolume;
+use super::ground_tiles::GroundTiles;
 use super::rare_tiles::RareTiles;
 use super::readiness::{ChildCounts, Readiness};
 use super::tile_bounds::{BoxAxes, TileBounds, TileEye, TileGrid, TileVolumes};
@@ -35,6 +36,8 @@ pub(crate) struct Tiles {
     pub(super) busy_children: Vec<u32>,
     pub(super) nodes: Vec<u32>,
     pub(super) rare: Option<Box<RareTiles>>,
+    /// What is known of the surface of a globe.
+    pub(super) ground: Option<Box<GroundTiles>>,
     pub(super) roots: Vec<TileRoot>,
     /// Declared spheres of the top tiles in their own frames, by root.
     pub(super) root_spheres: Vec<BoundingSphere>,
@@ -96,6 +99,12 @@ impl Tiles {
         &self.nodes
     }
 
+    /// Returns what is known of the tiles of a globe's surface; `None` for other pages.
+    #[inline(always)]
+    pub fn ground(&self) -> Option<&GroundTiles> {
+        self.ground.as_deref()
+    }
+
     /// Returns the tile trees of the page, sorted by tile.
     #[inline(always)]
     pub fn roots(&self) -> &[TileRoot] {
@@ -117,6 +126,12 @@ impl Tiles {
             }
             tile = self.parents[tile as usize];
         }
+    }
+
+    /// Returns true if some child of a tile has resident content.
+    pub fn has_resident_child(&self, record: &TileRecord) -> bool {
+        let children = self.records.get(record.first_child as usize..record.end_of_children() as usize);
+        children.is_some_and(|children| children.iter().any(|child| child.has(flag::RESIDENT)))
     }
 
     /// Returns the map from the content's frame to the tile's.
@@ -217,7 +232,9 @@ impl Tiles {
 
     /// Returns the bytes of CPU memory of all arrays.
     pub fn size_bytes(&self) -> u64 {
-        let per_tile = size_of::<TileRecord>() + size_of::<TileBounds>() + TileContents::BYTES_PER_TILE + 4 * 4;
+        let of_ground = self.ground.as_ref().map_or(0, |_| GroundTiles::BYTES_PER_TILE);
+        let per_tile =
+            size_of::<TileRecord>() + size_of::<TileBounds>() + TileContents::BYTES_PER_TILE + 4 * 4 + of_ground;
         (self.records.len() * per_tile) as u64 + self.volumes.shared_bytes() + self.contents.shared_bytes()
     }
 }

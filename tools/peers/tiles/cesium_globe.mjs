@@ -1,11 +1,12 @@
 #!/usr/bin/env node
 // usage: node cesium_globe.mjs IMAGES [--terrain DIR] [--terrane PROGRAM] [--latency 50] [--max-level 5] [--lon 0] [--lat 20]
-//   [--height 13600000] [--size 640x360] [--out x.png]
+//   [--height 13600000] [--size 640x360] [--out x.png] [--urls urls.json]
 // Shows the globe under the images IMAGES/z/x/y.png in CesiumJS, looking straight down: the ellipsoid, or the quantized-mesh
 // terrain of --terrain (the folder of a layer.json that covers the earth). Prints one JSON line with the time from adding
 // terrain and images until all tiles of the globe are loaded, and the number of requests.
 // With --terrane the program then shows the same camera from the same server; a second line has its time from the first frame
 // (ms), the time of the whole process (processMs), and its requests. Its picture is beside the first, as x.terrane.png.
+// Requests are counted by kind too; --urls writes those of each client to a file.
 import { spawn } from 'node:child_process';
 import fs from 'node:fs';
 import os from 'node:os';
@@ -47,8 +48,9 @@ try {
     return settled;
   }, cfg);
   if (a.out) await b.page.screenshot({ path: path.resolve(a.out) });
-  result = { client: 'CesiumJS', ...result, requests: stat.requests, notFound: stat.notFound, log: b.log.slice(0, 4) };
+  result = { client: 'CesiumJS', ...result, ...counts(stat.urls), notFound: stat.notFound, log: b.log.slice(0, 4) };
 } catch (e) { result = { client: 'CesiumJS', ok: false, error: String(e).slice(0, 400) }; }
+const ofCesium = stat.urls.slice();
 await b.close();
 console.log(JSON.stringify(result));
 let ok = result.ok;
@@ -57,8 +59,15 @@ if (a.terrane) {
   console.log(JSON.stringify({ ...own, ofCesiumTime: +(own.ms / result.ms).toFixed(3) }));
   ok &&= own.ok;
 }
+if (a.urls) fs.writeFileSync(path.resolve(a.urls), JSON.stringify({ cesium: ofCesium, terrane: stat.urls.slice(ofCesium.length) }));
 server.close(); server.closeAllConnections();
 process.exit(ok ? 0 : 1);
+
+// Counts requests by kind.
+function counts(urls) {
+  const images = urls.filter((url) => url.startsWith('images/')).length;
+  return { requests: urls.length, images, terrain: urls.length - images };
+}
 
 // Flies the same camera from the same server.
 async function terrane() {
@@ -71,7 +80,7 @@ async function terrane() {
   const args = ['fly', cfg.terrain ? `${url}/terrain/layer.json` : 'globe', '--overlay', `${url}/images/{z}/{x}/{y}.png,levels=0-${cfg.maxLevel}`,
     '--settle', '--offscreen', '--size', `${width}x${height}`, `--view=${view}`, '--report', report];
   if (a.out) args.push('--screenshot', path.resolve(a.out).replace(/(\.png)?$/, '.terrane.png'));
-  const before = { requests: stat.requests, notFound: stat.notFound }, t0 = performance.now();
+  const before = { requests: stat.urls.length, notFound: stat.notFound }, t0 = performance.now();
   // Not spawnSync: this process answers the requests.
   const [code, log] = await new Promise((done) => {
     const child = spawn(a.terrane, args, { stdio: ['ignore', 'ignore', 'pipe'] });
@@ -82,5 +91,5 @@ async function terrane() {
   if (code) return { client: 'Terrane', ok: false, log: log.slice(0, 400) };
   const r = JSON.parse(fs.readFileSync(report, 'utf8'));
   fs.rmSync(path.dirname(report), { recursive: true });
-  return { client: 'Terrane', ok: r.errors.length === 0, ms: Math.round(1000 * r.converge_s), processMs, frames: r.frames, requests: stat.requests - before.requests, notFound: stat.notFound - before.notFound, errors: r.errors.slice(0, 4) };
+  return { client: 'Terrane', ok: r.errors.length === 0, ms: Math.round(1000 * r.converge_s), processMs, frames: r.frames, ...counts(stat.urls.slice(before.requests)), notFound: stat.notFound - before.notFound, errors: r.errors.slice(0, 4) };
 }
