@@ -11,10 +11,14 @@ use kit::tile_sets::{WORLD_M, write_quadtree};
 use terrane::fetch::{CacheConfig, HttpClient, HttpConfig, IoError, Limits};
 use terrane::pager::PagerConfig;
 
-const LIMIT: Duration = Duration::from_millis(300);
+const LIMIT: Duration = Duration::from_secs(1);
 
 fn config(folder: &Path) -> HttpConfig {
-    let cache = CacheConfig { disk_timeout: LIMIT, ..CacheConfig::new(folder) };
+    config_within(folder, LIMIT)
+}
+
+fn config_within(folder: &Path, disk_timeout: Duration) -> HttpConfig {
+    let cache = CacheConfig { disk_timeout, ..CacheConfig::new(folder) };
     HttpConfig { cache: Some(cache), max_retries: 0, ..HttpConfig::default() }
 }
 
@@ -52,7 +56,7 @@ fn contents_are_loaded_without_a_cache_that_hangs() {
             Ok::<_, IoError>(body)
         })
     };
-    get(&HttpClient::new(&config(folder.path())).unwrap(), "/a").unwrap();
+    get(&HttpClient::new(&config_within(folder.path(), kit::MAX_WAIT)).unwrap(), "/a").unwrap();
     let pipes = hang(folder.path());
     let (client, asked) = (HttpClient::new(&config(folder.path())).unwrap(), server.count());
     get(&client, "/a").unwrap();
@@ -93,13 +97,12 @@ fn hung_cache_stops_neither_a_flight_nor_its_end() {
     });
     let folder = tempfile::tempdir().unwrap();
     let fly = |disk_timeout: Duration| {
-        let cache = CacheConfig { disk_timeout, ..CacheConfig::new(folder.path()) };
-        let http = HttpConfig { cache: Some(cache), ..config(folder.path()) };
+        let http = config_within(folder.path(), disk_timeout);
         let mut run = Run::new(&format!("{}/", server.url), PagerConfig { http, ..PagerConfig::default() });
         run.settle(above(WORLD_M) + glam::DVec3::new(WORLD_M / 2.0, WORLD_M / 2.0, 0.0));
         (run.stage.counters.tiles_drawn, run.pager.cache_stats().unwrap())
     };
-    let (tiles, stats) = fly(Duration::from_secs(60));
+    let (tiles, stats) = fly(kit::MAX_WAIT);
     assert!(tiles > 0 && stats.bypassed == 0);
     hang(folder.path());
     let (tiles_without, stats) = fly(LIMIT);
