@@ -291,7 +291,7 @@ impl Traversal<'_> {
         let (range2, distance2) = walk.range_and_distance(tile, record, &walk.tiles.bounds()[tile as usize]);
         let wants = record.has_children() && distance2 < range2 && walk.may_be_replaced(record);
         let ready = self.can_be_replaced(walk, tile, record, mask);
-        // Where its own content is not resident, ready children stand in for it even if it does not want them.
+        // If its own content is not resident, ready children stand in for it even if it does not want them.
         let is_refined = record.has_children() && (!replaces || ready) && (wants || (replaces && !resident));
         let (mut shows_own, mut shows_children) = (!replaces || !is_refined, is_refined);
         let (mut own, mut children) = (fade.band(), fade.band());

@@ -85,7 +85,7 @@ pub(in crate::draw) const INDEX_COUNT_SHIFT: u32 = 8;
 pub(in crate::draw) const BAND_SHIFT: u32 = 16;
 /// Stands for a fade's band in leaves that are cut to the volume of the stage uniform. No band starts at 255.
 pub(in crate::draw) const BAND_OF_VOLUME: u32 = 255;
-/// As [`BAND_OF_VOLUME`], behind everything else.
+/// Stands for the same, behind all other surfaces.
 pub(in crate::draw) const BAND_OF_BACKDROP: u32 = BAND_OF_VOLUME | 1 << 8;
 
 /// Set if the leaf is not lit.

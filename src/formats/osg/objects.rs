@@ -73,6 +73,31 @@ pub(super) enum NodeClass {
     TerrainTile(TerrainTileObject),
 }
 
+/// The members that all nodes have, while those of a node's class are read.
+pub(super) struct NodeMembers {
+    pub name: String,
+    pub mask: u32,
+    pub culling_active: bool,
+    pub state: Option<Arc<StateObject>>,
+    /// The pose of an animation, which replaces that of a transform.
+    pub pose: Option<Box<DAffine3>>,
+}
+
+impl NodeMembers {
+    /// Returns the node with the members of its class.
+    pub fn with(self, class: NodeClass, children: Vec<Object>) -> Object {
+        let Self { name, mask, culling_active, state, .. } = self;
+        let height = 1 + children.iter().map(Object::height).max().unwrap_or(0);
+        Object::Node(Arc::new(NodeObject { name, mask, culling_active, state, class, children, height }))
+    }
+
+    /// Returns a transform, whose matrix an animation replaces.
+    pub fn transform(self, map: Option<DAffine3>, is_absolute: bool, children: Vec<Object>) -> Object {
+        let parent_from_child = self.pose.as_deref().copied().or(map.filter(|map| map.is_finite()));
+        self.with(NodeClass::Transform { parent_from_child, is_absolute }, children)
+    }
+}
+
 /// The members of a Billboard. Its children are drawables.
 #[derive(Debug)]
 pub(super) struct BillboardObject {

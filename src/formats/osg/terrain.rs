@@ -62,7 +62,7 @@ impl BlendingPolicy {
 /// The members of a TerrainTile.
 #[derive(Debug, Default)]
 pub(super) struct TerrainTileObject {
-    /// Where the tile lies if none of its layers says so.
+    /// The locator of the tile if none of its layers has one.
     pub locator: Option<Arc<LocatorObject>>,
     pub elevation: Option<Arc<LayerObject>>,
     /// By texture unit, at most [`MAX_COLOR_LAYERS`].
@@ -138,7 +138,7 @@ impl LayerObject {
     }
 }
 
-/// What a layer holds.
+/// The content of a layer.
 #[derive(Clone, Debug)]
 pub(super) enum LayerContent {
     /// Nothing that is read.

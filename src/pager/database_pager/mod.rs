@@ -161,7 +161,7 @@ impl DatabasePager {
                 is_paused: false,
                 takes_requests: true,
                 is_resumed: false,
-                // Those of the root.
+                // The tiles of the root.
                 has_new_tiles: true,
             },
             clock: WorkClock::default(),

@@ -41,7 +41,7 @@ impl GroundTiles {
             }
         }
         let refined_in = new_index.iter().map(|_| AtomicU32::new(0)).collect();
-        // Where other tiles are beside the ground, nothing is known of their height.
+        // If there are other tiles beside the ground, their heights are not known.
         let is_all = ground.len() == new_index.len();
         let ceiling_m = ground.iter().map(|tile| tile.ceiling_m).fold(f64::NEG_INFINITY, f64::max);
         Self { ceiling_m: if is_all { ceiling_m } else { f64::INFINITY }, horizon_points, refined_in }

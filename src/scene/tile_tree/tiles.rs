@@ -36,7 +36,7 @@ pub(crate) struct Tiles {
     pub(super) busy_children: Vec<u32>,
     pub(super) nodes: Vec<u32>,
     pub(super) rare: Option<Box<RareTiles>>,
-    /// What is known of the surface of a globe.
+    /// The tables of tiles of a globe's surface.
     pub(super) ground: Option<Box<GroundTiles>>,
     pub(super) roots: Vec<TileRoot>,
     /// Declared spheres of the top tiles in their own frames, by root.

@@ -140,7 +140,7 @@ fn terrains_scale_heights_and_thin_out_samples() {
     }
     let huge = read_with(terrain("SampleRatio 1e30").as_bytes(), Vec::new(), &options()).unwrap_err();
     assert!(matches!(huge, IoError::TooLarge { .. }), "{huge}");
-    // What is in the file of a PagedLOD has the scale too; what is in other files is told apart.
+    // Tiles in the file of a PagedLOD have the scale too; a note says that those in other files lack it.
     let paged = format!(
         "osg::PagedLOD {{ UniqueID 5 RangeList 2 {{ 50 1e30 0 50 }} RangeDataList 2 {{ \"\" \"a.osgb\" }}
         PriorityList 2 {{ 0 1 0 1 }} Children 1 {{ {tile} }} }}"
@@ -243,7 +243,7 @@ fn tiles_without_heights_or_place_are_drawn_flat_or_noted() {
     );
     let error = read_with(short.as_bytes(), Vec::new(), &options()).unwrap_err();
     assert!(error.to_string().contains("HeightField of 2000000000 x 2000000000 with 4 heights"), "{error}");
-    // What a tile has below it is not drawn by OSG either.
+    // OSG does not draw the children of a tile either.
     let child = terrain_tile(1, PLANE, [2, 2], "", "0 0 0 0", "").replacen(
         "TileID",
         "Children 1 { osg::Geode { UniqueID 60 } } TileID",
@@ -294,7 +294,7 @@ fn projected_sets_are_placed_by_their_system() {
         let note = "OpenSceneGraph: an unknown coordinate system (what it has is drawn around the origin)";
         assert_eq!(ignored.count(note), 1, "{ignored:?}");
         assert!(matches!(node.kind, NodeKind::Transform(map) if map.translation.y == -5_248_500.0));
-        // What is below another file has its frame.
+        // Nodes below another file have the frame of that file.
         let below = options().below(&"/set/tileset.json".into());
         let (node, _) = read_with(text(utm).as_bytes(), Vec::new(), &below).unwrap();
         assert!(matches!(node.kind, NodeKind::Group));

@@ -17,6 +17,7 @@ pub mod subtrees;
 
 use terrane::gpu::AdapterChoice;
 
+mod binary_values;
 mod drawing;
 mod host;
 mod scenes;

@@ -1,5 +1,7 @@
 //! Writers of OpenSceneGraph's own files in both encodings, as small as the tests need them.
 
+use crate::binary_values::binary_values;
+
 /// The version of OSG 3.6.5.
 pub const VERSION: u32 = 161;
 
@@ -86,45 +88,7 @@ impl Osgb {
         self.u32(0x6c91_0ea1).u32(0x1afb_4545).u32(1).u32(version).u32(attributes).text(compressor);
     }
 
-    fn put<const N: usize>(&mut self, mut bytes: [u8; N]) -> &mut Self {
-        if self.is_big_endian {
-            bytes.reverse();
-        }
-        self.bytes.extend(bytes);
-        self
-    }
-
-    /// Writes a number, which may be a mode or an index.
-    pub fn u32(&mut self, value: u32) -> &mut Self {
-        self.put(value.to_le_bytes())
-    }
-
-    /// Writes floats.
-    pub fn f32s(&mut self, values: &[f32]) -> &mut Self {
-        for value in values {
-            self.put(value.to_le_bytes());
-        }
-        self
-    }
-
-    /// Writes doubles.
-    pub fn f64s(&mut self, values: &[f64]) -> &mut Self {
-        for value in values {
-            self.put(value.to_le_bytes());
-        }
-        self
-    }
-
-    /// Writes bytes, such as booleans.
-    pub fn raw(&mut self, bytes: &[u8]) -> &mut Self {
-        self.bytes.extend(bytes);
-        self
-    }
-
-    /// Writes a string with its length.
-    pub fn text(&mut self, text: &str) -> &mut Self {
-        self.u32(text.len() as u32).raw(text.as_bytes())
-    }
+    binary_values!();
 
     /// Writes a block with its size, if the file has sizes.
     pub fn block(&mut self, write: impl FnOnce(&mut Self)) -> &mut Self {

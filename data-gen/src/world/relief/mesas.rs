@@ -71,7 +71,7 @@ impl Relief {
                 let inside_m = ((s.strength[k] - edge) / slope).min(out.stream_m[k] - VALLEY_M);
                 let inside_m = inside_m + 130.0 * (0.3 - s.noise[k].abs());
                 let rise_m = height_m * tier(inside_m / (mesa_m * share), CLIFF_M / (mesa_m * share));
-                let rise_m = rise_m * smooth(0.0, -0.8, out.depth_m[k]);
+                let rise_m = rise_m * smooth(-3.0, -28.0, out.depth_m[k]);
                 out.bed_m[k] += rise_m;
                 out.surface_m[k] += rise_m;
             }

@@ -1,4 +1,4 @@
-//! What is seen from near the ground: stones, tufts and crowns of trees as round lumps, and ripples in sand.
+//! The details that are seen from near the ground: stones, tufts and crowns of trees as round lumps, and ripples in sand.
 //!
 //! Lumps have sizes of their own, whatever the level is, so that those of a level are also on the next finer one. Each size is drawn by
 //! the levels on which a lump has several texels and fewer than a hundred.
@@ -13,7 +13,7 @@ const RIPPLES_M: [f64; 2] = [1.1, 0.14];
 /// The direction across ripples.
 const ACROSS: [f64; 3] = [0.36, -0.48, 0.8];
 
-/// What is seen at each texel of a row, each within about -1..1, and 0 where texels are too large.
+/// The details at each texel of a row, each within about -1..1, and 0 where texels are too large.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Details {
     /// The height of lumps: 1 on top, -1 in the gaps between them.
@@ -108,7 +108,7 @@ fn add_lumps(points: &Points, frequency: f64, seed: u32, amplitude: f32, dome: &
                 // Narrow gaps between lumps.
                 let inside = (2.6 * (second[k] - nearest[k])).min(1.0);
                 *dome += amplitude * (2.0 * inside * (2.0 - inside) - 1.0);
-                // Those of neighbours join in the gap.
+                // Lumps of neighbours join in the gap.
                 *tone += amplitude * tones[k] * inside;
             }
         },

@@ -329,7 +329,7 @@ fn sets_of_virtual_rasters_have_their_colours() {
     assert!(error.contains("its bands are not the bands of its files in their order"), "{error}");
 }
 
-/// What GDAL writes of one raster gives the same heights.
+/// Files that GDAL writes of one raster give the same heights.
 #[test]
 fn formats_of_gdal_give_the_heights_of_the_geotiff() {
     let has_gdal =

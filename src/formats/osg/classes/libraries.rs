@@ -50,7 +50,7 @@ pub(in crate::formats::osg) struct Freedom {
     pub turns: DVec3,
     pub position: DVec3,
     pub scale: DVec3,
-    /// One of [`ORDERS`].
+    /// The order of the angles, one of [`ORDERS`].
     pub order: u32,
 }
 

@@ -4,7 +4,7 @@ use glam::{DQuat, DVec3};
 
 use super::Reader;
 use crate::formats::osg::error::{OsgError, Result};
-use crate::formats::osg::input::{GL_NAMES, Names, Number, value_of};
+use crate::formats::osg::input::{GL_NAMES, Names, Number, doubles, floats, value_of};
 use crate::formats::osg::objects::Object;
 
 impl Reader<'_> {
@@ -21,19 +21,11 @@ impl Reader<'_> {
     }
 
     pub(super) fn floats<const N: usize>(&mut self) -> Result<[f32; N]> {
-        let mut values = [0.0; N];
-        for value in &mut values {
-            *value = self.float()?;
-        }
-        Ok(values)
+        floats(&mut *self.input)
     }
 
     pub(super) fn doubles<const N: usize>(&mut self) -> Result<[f64; N]> {
-        let mut values = [0.0; N];
-        for value in &mut values {
-            *value = self.double()?;
-        }
-        Ok(values)
+        doubles(&mut *self.input)
     }
 
     /// Reads the number of elements of a list, each of which takes a byte or more.

@@ -8,7 +8,7 @@ use super::Reader;
 use crate::formats::osg::error::Result;
 use crate::formats::osg::input::{Names, Number};
 use crate::formats::osg::objects::{
-    AutoObject, AutoTurn, BillboardObject, BillboardTurn, NodeClass, NodeObject, Object, StateObject,
+    AutoObject, AutoTurn, BillboardObject, BillboardTurn, NodeClass, NodeMembers, Object, StateObject,
 };
 
 /// The name under which Sequences are counted, in all encodings.
@@ -19,25 +19,6 @@ pub(in crate::formats::osg) fn first_of_sequence(begin: f64, count: usize) -> No
     let first = if begin < 0.0 { count as f64 + begin } else { begin };
     let first = (first.max(0.0) as usize).min(count.saturating_sub(1));
     NodeClass::Switch((0..count).map(|child| child == first).collect())
-}
-
-/// The members that all nodes have.
-pub(super) struct NodeMembers {
-    pub name: String,
-    mask: u32,
-    culling_active: bool,
-    pub state: Option<Arc<StateObject>>,
-    /// The pose of an animation, which replaces that of a transform.
-    pose: Option<Box<DAffine3>>,
-}
-
-impl NodeMembers {
-    /// Returns the node with the members of its class.
-    pub fn with(self, class: NodeClass, children: Vec<Object>) -> Object {
-        let Self { name, mask, culling_active, state, .. } = self;
-        let height = 1 + children.iter().map(Object::height).max().unwrap_or(0);
-        Object::Node(Arc::new(NodeObject { name, mask, culling_active, state, class, children, height }))
-    }
 }
 
 impl Reader<'_> {

@@ -51,3 +51,21 @@ pub(super) trait Input {
     /// Returns the maximum number of elements, each of which takes a byte or more, that can follow.
     fn remaining(&self) -> usize;
 }
+
+/// Reads several floats.
+pub(super) fn floats<const N: usize>(input: &mut (impl Input + ?Sized)) -> Result<[f32; N]> {
+    doubles_of(input, Number::F32).map(|values| values.map(|value| value as f32))
+}
+
+/// Reads several doubles.
+pub(super) fn doubles<const N: usize>(input: &mut (impl Input + ?Sized)) -> Result<[f64; N]> {
+    doubles_of(input, Number::F64)
+}
+
+fn doubles_of<const N: usize>(input: &mut (impl Input + ?Sized), number: Number) -> Result<[f64; N]> {
+    let mut values = [0.0; N];
+    for value in &mut values {
+        *value = input.number(number)?;
+    }
+    Ok(values)
+}

@@ -153,7 +153,7 @@ impl Reader<'_> {
             ids::VERTEX_PROGRAM => self.string().map(drop),
             ids::PROGRAM => {
                 if self.version >= 30 {
-                    // What a geometry shader makes.
+                    // The primitives that a geometry shader makes.
                     self.integers::<3>()?;
                 }
                 // Locations of attributes.

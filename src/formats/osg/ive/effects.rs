@@ -1,10 +1,9 @@
 //! Effects of osgFX, and light points of osgSim.
 
-use super::nodes::NodeMembers;
 use super::{Reader, ids};
 use crate::formats::osg::classes::light_points;
 use crate::formats::osg::error::Result;
-use crate::formats::osg::objects::{NodeClass, Object};
+use crate::formats::osg::objects::{NodeClass, NodeMembers, Object};
 
 impl Reader<'_> {
     /// Reads an effect behind its number, without what it adds to its children.

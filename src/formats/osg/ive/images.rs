@@ -11,7 +11,7 @@ use crate::formats::osg::objects::{ImageData, ImageObject, RawImage};
 const REFERENCE: u8 = 0;
 const PIXELS: u8 = 1;
 const FILE: u8 = 2;
-/// As [`FILE`], named by its extension alone.
+/// Marks an image like [`FILE`], which is named by its extension alone.
 const COMPRESSED: u8 = 3;
 
 impl Reader<'_> {

@@ -107,7 +107,7 @@ impl Reader<'_> {
         self.shared_as(kind, id, read)
     }
 
-    /// As [`shared`](Self::shared), for kinds whose negative numbers stand for no object.
+    /// Does the same as [`shared`](Self::shared), for kinds whose negative numbers stand for no object.
     fn shared_or_none(&mut self, kind: Kind, read: impl FnOnce(&mut Self) -> Result<Object>) -> Result<Object> {
         match self.integer()? {
             ..0 => Ok(Object::Nothing),

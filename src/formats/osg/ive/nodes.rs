@@ -1,45 +1,18 @@
 //! Nodes.
 
-use std::sync::Arc;
-
 use glam::{DAffine3, DMat4, DVec3, DVec4};
 
 use super::{Kind, Reader, ids};
 use crate::formats::osg::classes::{Freedom, SEQUENCES, first_of_sequence};
 use crate::formats::osg::error::Result;
 use crate::formats::osg::objects::{
-    AutoObject, AutoTurn, BillboardObject, BillboardTurn, NodeClass, NodeObject, Object, StateObject,
+    AutoObject, AutoTurn, BillboardObject, BillboardTurn, NodeClass, NodeMembers, Object,
 };
 use crate::formats::osg::terrain::ellipsoid;
 use crate::math::Ellipsoid;
 
 /// The bytes that a reference to a node or drawable takes.
 const REFERENCE_BYTES: usize = 4;
-
-/// The members that all nodes have.
-pub(super) struct NodeMembers {
-    name: String,
-    mask: u32,
-    culling_active: bool,
-    state: Option<Arc<StateObject>>,
-    /// The pose of an animation, which replaces that of a transform.
-    pose: Option<Box<DAffine3>>,
-}
-
-impl NodeMembers {
-    /// Returns the node with the members of its class.
-    pub fn with(self, class: NodeClass, children: Vec<Object>) -> Object {
-        let Self { name, mask, culling_active, state, .. } = self;
-        let height = 1 + children.iter().map(Object::height).max().unwrap_or(0);
-        Object::Node(Arc::new(NodeObject { name, mask, culling_active, state, class, children, height }))
-    }
-
-    /// Returns a transform, whose matrix an animation replaces.
-    fn transform(self, map: Option<DAffine3>, is_absolute: bool, children: Vec<Object>) -> Object {
-        let parent_from_child = self.pose.as_deref().copied().or(map.filter(|map| map.is_finite()));
-        self.with(NodeClass::Transform { parent_from_child, is_absolute }, children)
-    }
-}
 
 impl Reader<'_> {
     /// Reads a node.

@@ -4,7 +4,7 @@ use glam::{DMat4, DQuat, DVec3};
 
 use super::{Reader, ids};
 use crate::formats::osg::error::{OsgError, Result};
-use crate::formats::osg::input::{Input as _, Number};
+use crate::formats::osg::input::{Input as _, Number, doubles, floats};
 
 impl Reader<'_> {
     pub(super) fn boolean(&mut self) -> Result<bool> {
@@ -45,19 +45,11 @@ impl Reader<'_> {
     }
 
     pub(super) fn floats<const N: usize>(&mut self) -> Result<[f32; N]> {
-        let mut values = [0.0; N];
-        for value in &mut values {
-            *value = self.float()?;
-        }
-        Ok(values)
+        floats(&mut self.input)
     }
 
     pub(super) fn doubles<const N: usize>(&mut self) -> Result<[f64; N]> {
-        let mut values = [0.0; N];
-        for value in &mut values {
-            *value = self.double()?;
-        }
-        Ok(values)
+        doubles(&mut self.input)
     }
 
     /// Reads a point of floats.

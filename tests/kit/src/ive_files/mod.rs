@@ -4,6 +4,8 @@ pub mod scenes;
 
 use std::io::Write as _;
 
+use crate::binary_values::binary_values;
+
 /// The newest version.
 pub const VERSION: u32 = 45;
 /// The number of the class Group.
@@ -56,18 +58,7 @@ impl Ive {
         if self.version >= version { write(self) } else { self }
     }
 
-    fn put<const N: usize>(&mut self, mut bytes: [u8; N]) -> &mut Self {
-        if self.is_big_endian {
-            bytes.reverse();
-        }
-        self.bytes.extend(bytes);
-        self
-    }
-
-    /// Writes a number, a class or a count.
-    pub fn u32(&mut self, value: u32) -> &mut Self {
-        self.put(value.to_le_bytes())
-    }
+    binary_values!();
 
     /// Writes numbers.
     pub fn u32s(&mut self, values: &[u32]) -> &mut Self {
@@ -83,33 +74,6 @@ impl Ive {
             self.put(value.to_le_bytes());
         }
         self
-    }
-
-    /// Writes floats.
-    pub fn f32s(&mut self, values: &[f32]) -> &mut Self {
-        for value in values {
-            self.put(value.to_le_bytes());
-        }
-        self
-    }
-
-    /// Writes doubles.
-    pub fn f64s(&mut self, values: &[f64]) -> &mut Self {
-        for value in values {
-            self.put(value.to_le_bytes());
-        }
-        self
-    }
-
-    /// Writes bytes, such as booleans.
-    pub fn raw(&mut self, bytes: &[u8]) -> &mut Self {
-        self.bytes.extend(bytes);
-        self
-    }
-
-    /// Writes a string with its length.
-    pub fn text(&mut self, text: &str) -> &mut Self {
-        self.u32(text.len() as u32).raw(text.as_bytes())
     }
 
     /// Writes the members of Object: a name and an unspecified variance.

@@ -128,7 +128,7 @@ pub fn unusual_nodes(version: u32) -> Ive {
 pub fn terrain_tile(version: u32) -> Ive {
     let mut file = Ive::new(version);
     let has_numbers = version >= 23;
-    // What marks that an object follows: a number of its own, or a boolean.
+    // A marker says that an object follows: an own number, or a boolean.
     let begin = |file: &mut Ive, number: u32| {
         match has_numbers {
             true => file.u32(number),

@@ -111,7 +111,7 @@ impl Builder<'_> {
             BlendingPolicy::Always => true,
             BlendingPolicy::Inherit | BlendingPolicy::WhenAlphaIsPresent => is_translucent,
         };
-        // Where neighbours meet, a pixel can show the skirt of one from behind: it would face away from the light.
+        // A pixel between neighbours can show the skirt of one from behind: it would face away from the light.
         state.modes.push((GL_CULL_FACE, ON));
         if is_blended {
             state.modes.push((GL_BLEND, ON));
