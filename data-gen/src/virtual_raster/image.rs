@@ -50,7 +50,7 @@ impl Piece {
         let range = |start: usize, count: usize, axis: usize| {
             let first = (self.to[axis] - 0.5).ceil().max(start as f64);
             let end = (self.to[axis] + self.to[axis + 2] - 0.5).ceil().min((start + count) as f64);
-            (first < end).then(|| (first as usize, (end - first) as usize))
+            (first < end).then_some((first as usize, (end - first) as usize))
         };
         let ((column, width), (row, height)) =
             (range(block.column, block.width, 0)?, range(block.row, block.height, 1)?);

@@ -117,7 +117,7 @@ fn plain_samples() -> Parser {
          map info = {Geographic Lat/Lon, 1, 1, 7, 47, 0.5, 0.5, WGS-84}\n"
             .to_owned(),
     ];
-    Parser::new("plain-samples", &seeds.map(String::into_bytes), move |bytes| {
+    Parser::new("plain-samples", seeds.map(String::into_bytes), move |bytes| {
         let _ = &folder;
         std::fs::write(path.with_extension("hdr"), bytes).unwrap();
         read(&path, &RasterOptions::default());

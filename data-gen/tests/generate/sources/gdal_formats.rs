@@ -316,7 +316,7 @@ fn sets_of_virtual_rasters_have_their_colours() {
         dem: vec![file("dem.vrt")],
         imagery: vec![file("rgb.vrt")],
         levels: Some(1),
-        ..GenArgs::new(&file(out))
+        ..GenArgs::new(file(out))
     };
     run(&args("set")).unwrap();
     let image = |set: &str| image::open(file(set).join("0/0/0.jpg")).unwrap().into_rgb8();
