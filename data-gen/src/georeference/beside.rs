@@ -180,10 +180,13 @@ pub(super) fn world_file(raster: &Path, cache: &Arc<BlockCache>) -> Result<Optio
 
 /// Returns the files that lie beside a raster and change what it shows; of those on servers all that may be there.
 pub(crate) fn files_beside(raster: &Path) -> Vec<PathBuf> {
-    let replaced = world_extensions(raster).into_iter().chain(["prj", "hdr"].map(str::to_owned));
+    let replaced = world_extensions(raster).into_iter().chain(["prj".to_owned()]);
     let replaced = replaced.map(|extension| with_extension(raster, &extension));
-    let more = ["aux.xml", "hdr", "msk", "ovr", "msk.ovr"].map(|extension| with_more(raster, extension));
-    replaced.chain(more).filter(|path| is_remote(path) || path.is_file()).collect()
+    let more = ["aux.xml", "msk", "ovr", "msk.ovr"].map(|extension| with_more(raster, extension));
+    // Plain samples with a header are read from disks only.
+    let headers = [with_extension(raster, "hdr"), with_more(raster, "hdr")];
+    let headers = headers.into_iter().filter(|_| !is_remote(raster));
+    replaced.chain(more).chain(headers).filter(|path| is_remote(path) || path.is_file()).collect()
 }
 
 /// Returns the attributes and the content of the first element of a name.
