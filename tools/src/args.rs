@@ -161,7 +161,7 @@ pub struct FlyArgs {
     /// Write every frame as PNG
     #[arg(long, value_name = "DIR")]
     pub frames_dir: Option<PathBuf>,
-    /// Write the last frame (with --settle, the settled one) as PNG
+    /// Write the last frame (with --settle, the settled one) as PNG, or as JPEG to a name that ends in .jpg
     #[arg(long, value_name = "FILE")]
     pub screenshot: Option<PathBuf>,
     /// Write the URIs of the contents of all tiles that are selected in that frame as JSON

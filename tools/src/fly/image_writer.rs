@@ -86,3 +86,23 @@ pub fn write(path: &std::path::Path, image: &RgbaImage) -> Result<()> {
     encoded.with_context(|| path.display().to_string())?;
     std::fs::write(path, bytes.into_inner()).with_context(|| path.display().to_string())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Regression: `terrane fly` refused the names of the pictures that `tools/gallery` draws.
+    #[test]
+    fn names_choose_the_format() {
+        let folder = tempfile::tempdir().unwrap();
+        for (name, magic) in
+            [("a.png", &b"\x89PNG"[..]), ("below/a.jpg", b"\xff\xd8"), ("a.JPEG", b"\xff\xd8"), ("a", b"\x89PNG")]
+        {
+            let file = folder.path().join(name);
+            assert!(!super::super::is_other_image(&file), "{name}");
+            write(&file, &RgbaImage::new(4, 4)).unwrap();
+            assert!(std::fs::read(&file).unwrap().starts_with(magic), "{name}");
+        }
+        assert!(super::super::is_other_image(std::path::Path::new("a.TIF")));
+    }
+}

@@ -52,7 +52,7 @@ fn fly(args: Box<FlyArgs>, mut settings: DisplaySettings) -> Result<()> {
     }
     // Paths that cannot be written are reported before the flight, not after it.
     if let Some(file) = args.screenshot.as_deref().filter(|file| is_other_image(file)) {
-        bail!("{}: the image is written as PNG; give it a name that ends in .png", file.display());
+        bail!("{}: the image is written as PNG or JPEG; give it a name that ends in .png or .jpg", file.display());
     }
     let files = [&args.report, &args.selection, &args.screenshot];
     if let Some(folder) = files.into_iter().flatten().find(|file| file.is_dir()) {
@@ -137,10 +137,10 @@ fn fly(args: Box<FlyArgs>, mut settings: DisplaySettings) -> Result<()> {
     flight.finish(&mut viewer, where_drawn)
 }
 
-/// Returns true if a name promises an image of another format than PNG.
+/// Returns true if a name promises an image of another format than PNG and JPEG.
 fn is_other_image(file: &Path) -> bool {
     let extension = file.extension().map(|extension| extension.to_string_lossy().to_ascii_lowercase());
-    extension.is_some_and(|e| ["jpg", "jpeg", "bmp", "webp", "tif", "tiff", "gif", "exr", "tga"].contains(&e.as_str()))
+    extension.is_some_and(|e| ["bmp", "webp", "tif", "tiff", "gif", "exr", "tga"].contains(&e.as_str()))
 }
 
 /// Reads the root of a source. The word `globe` means the ellipsoid.

@@ -189,9 +189,9 @@ fn root_that_cannot_be_loaded_exits_with_1_and_one_line() {
 /// Regression: files with the names of other formats held PNG.
 #[test]
 fn image_of_another_format_is_refused() {
-    let out = terrane(&["fly", "anything", "--offscreen", "--screenshot", "shot.JPG"]);
+    let out = terrane(&["fly", "anything", "--offscreen", "--screenshot", "shot.WebP"]);
     let says = lines(&out.stderr).join(" ");
-    assert!(out.status.code() == Some(1) && says.contains("written as PNG"), "{says}");
+    assert!(out.status.code() == Some(1) && says.contains("written as PNG or JPEG"), "{says}");
 }
 
 /// Regression: the summary named the missing display although the user asked for a flight without one.
