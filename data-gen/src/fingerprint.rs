@@ -8,7 +8,7 @@ use std::time::UNIX_EPOCH;
 use crate::georeference::files_beside;
 use crate::pyramid::checksum;
 use crate::store::{BlockCache, is_remote, remote_versions};
-use crate::virtual_raster::{VirtualRaster, is_virtual};
+use crate::virtual_raster::{MAX_DEPTH, VirtualRaster, is_virtual};
 use crate::{GenArgs, GenError, RunArgs, Sharding};
 
 /// Returns the fingerprint of a run. The sources are files: lists and patterns have been expanded.
@@ -54,11 +54,20 @@ pub(crate) fn source_text(path: &Path, args: &GenArgs) -> Result<String, GenErro
     for beside in files_beside(path) {
         add_file(&beside, &mut text)?;
     }
-    if path.is_file() && is_virtual(path, b"<") {
-        let files = VirtualRaster::open(path, &Arc::new(BlockCache::new(0)))?.files();
-        files.iter().filter(|file| !is_remote(file)).try_for_each(|file| add_file(file, &mut text))?;
-    }
+    add_files_of(path, &mut text, 0)?;
     Ok(text)
+}
+
+/// Adds the files of a virtual raster, which is inside of `depth` others.
+fn add_files_of(path: &Path, text: &mut String, depth: usize) -> Result<(), GenError> {
+    if depth == MAX_DEPTH || !path.is_file() || !is_virtual(path, b"<") {
+        return Ok(());
+    }
+    let files = VirtualRaster::open(path, &Arc::new(BlockCache::new(0)))?.files();
+    files.iter().filter(|file| !is_remote(file)).try_for_each(|file| {
+        add_file(file, text)?;
+        add_files_of(file, text, depth + 1)
+    })
 }
 
 /// Adds the name, size and time of modification of a file, or of all files below a folder.

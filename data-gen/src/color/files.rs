@@ -29,7 +29,7 @@ pub(super) fn open(path: &Path, given: Option<Crs>, cache: &Arc<BlockCache>) -> 
     open_at(path, given, cache, 0)
 }
 
-/// Like [`open`], for a file that this many virtual rasters contain one another.
+/// Like [`open`], for a file that a virtual raster may name. `depth` is the number of virtual rasters around it.
 pub(super) fn open_at(
     path: &Path,
     given: Option<Crs>,

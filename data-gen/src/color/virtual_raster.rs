@@ -50,7 +50,7 @@ impl BlockReader for Masked {
 pub(super) fn open(path: &Path, given: Option<Crs>, cache: &Arc<BlockCache>, depth: usize) -> Result<Opened, GenError> {
     let bad = |reason: &str| GenError::invalid(path, format!("VRT: {reason}"));
     if depth >= MAX_DEPTH {
-        return Err(bad(&format!("more than {MAX_DEPTH} inside of one another")));
+        return Err(bad(&format!("more than {MAX_DEPTH} virtual rasters inside of one another, or a loop of them")));
     }
     let raster = VirtualRaster::open(path, cache)?;
     let placement = Placement::of_virtual(path, &raster.metadata, raster.size, given.clone(), cache)?;

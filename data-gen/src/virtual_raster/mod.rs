@@ -17,7 +17,8 @@ use crate::store::is_remote;
 pub(crate) use document::{VirtualRaster, VirtualSource};
 pub(crate) use image::{Piece, VirtualImage, VirtualPixels};
 
-/// The number of virtual rasters that may contain one another. A loop of them ends there.
+/// The maximum number of virtual rasters that may be nested, the outermost included. Rasters that name one another in a loop are
+/// refused at this depth.
 pub(crate) const MAX_DEPTH: usize = 4;
 
 /// Returns true for a virtual raster. `magic` are its first bytes.

@@ -1,8 +1,8 @@
 //! The surface of a globe: a tile is replaced by its children as soon as those in sight are ready. Culling thread.
 //!
 //! Children out of sight are neither requested nor waited for. When one comes into sight, its siblings stay, and the part of an
-//! ancestor that it covers is drawn in its place until it is loaded. What is shown for the first time waits for all children
-//! in sight, as other tiles wait for all children.
+//! ancestor that it covers is drawn in its place until it is loaded. Until a tile has been replaced once, it waits for all of its
+//! children in sight. The walk (`test_tile`) leaves out the requests.
 
 use glam::DVec3;
 

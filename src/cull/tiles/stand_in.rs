@@ -1,5 +1,5 @@
-//! Stand-ins: the content of an ancestor, drawn within the volume of a tile whose load failed, so that its siblings need
-//! not wait for it. Culling thread.
+//! Stand-ins: the content of an ancestor, drawn within the volume of a tile whose load failed, or of a globe's tile that has
+//! just come into sight, so that its siblings need not wait for it. Culling thread.
 
 use glam::Vec3;
 

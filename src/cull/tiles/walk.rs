@@ -1,9 +1,9 @@
 //! The walk of a tile tree: which tiles are drawn, and which are requested. Culling thread.
 //!
 //! Each tile that is met is stamped as wanted, and wants its children where its error is too large. Under REPLACE
-//! refinement its children replace it only when all of them are ready, culled ones too, so that no hole can open. Until
-//! then it is drawn, and the walk continues below it only to request what is missing: all levels in one frame, coarse
-//! ones first.
+//! refinement its children replace it only when all of them are ready, culled ones too, so that no hole can open. On a
+//! globe's surface culled children neither count nor are requested (`ground`). Until then the tile is drawn, and the walk
+//! continues below it only to request what is missing: all levels in one frame, coarse ones first.
 
 use super::ground::ranges_above;
 use super::open_tile::{self, OpenTile};

@@ -88,7 +88,7 @@ pub(super) fn open(path: &Path, options: &RasterOptions, context: &Arc<SourceCon
     open_at(path, options, context, 0)
 }
 
-/// Like [`open`], for a file that this many virtual rasters contain one another.
+/// Like [`open`], for a file that a virtual raster may name. `depth` is the number of virtual rasters around it.
 fn open_at(
     path: &Path,
     options: &RasterOptions,

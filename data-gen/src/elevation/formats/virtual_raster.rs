@@ -41,7 +41,7 @@ pub(super) fn open(
 ) -> Result<Opened, GenError> {
     let bad = |reason: String| GenError::invalid(path, format!("VRT: {reason}"));
     if depth >= MAX_DEPTH {
-        return Err(bad(format!("more than {MAX_DEPTH} inside of one another")));
+        return Err(bad(format!("more than {MAX_DEPTH} virtual rasters inside of one another, or a loop of them")));
     }
     let raster = VirtualRaster::open(path, &context.cache)?;
     let number = match (&options.channel, raster.bands.iter().filter(|band| !band.is_alpha).count()) {

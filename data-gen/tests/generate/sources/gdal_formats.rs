@@ -264,9 +264,10 @@ fn virtual_rasters_that_cannot_be_read_say_why() {
     let path = folder.path().join("a.vrt");
     fs::write(folder.path().join("a.tif"), tiff_int16(&heights(), Some(PLACE), None)).unwrap();
     let whole = virtual_raster(&source("a.tif", 0, ""), "");
+    fs::write(folder.path().join("b.vrt"), whole.replace("a.tif", "a.vrt")).unwrap();
     for (text, why) in [
         (whole.replace("a.tif", "gone.tif"), "gone.tif"),
-        (whole.replace("a.tif", "a.vrt"), "more than 4 inside of one another"),
+        (whole.replace("a.tif", "a.vrt"), "more than 4 virtual rasters inside of one another"),
         (
             whole.replace("<VRTDataset ", "<VRTDataset subClass=\"VRTWarpedDataset\" "),
             "`VRTWarpedDataset` is not supported",
@@ -278,6 +279,7 @@ fn virtual_rasters_that_cannot_be_read_say_why() {
         (whole.replace("xOff=\"0\"", "xOff=\"east\""), "xOff is `east`"),
         (whole.replace("GeoTransform", "Transform"), "no georeference"),
         (whole[..whole.len() / 2].to_owned(), "VRT"),
+        (whole.replace("a.tif", "b.vrt"), "or a loop of them"),
         ("<VRTDataset rasterXSize=\"8\" rasterYSize=\"8\"/>".to_owned(), "no bands"),
     ] {
         fs::write(&path, text).unwrap();

@@ -151,7 +151,7 @@ impl Reader<'_> {
         self.notes.add(format!("OpenSceneGraph class {} (its children are drawn)", ids::name(class)));
     }
 
-    /// Returns the error of a class that OSG's own reader does not know in this place either.
+    /// Returns the error of a class that is not read here. OSG's own reader does not know it either, but for VolumeTile.
     fn unknown(what: &str, class: u32) -> OsgError {
         OsgError::Unsupported(format!(".ive: {what} of class {}", ids::name(class)))
     }
