@@ -34,7 +34,7 @@ fn main() -> Result<()> {
     let wanted = wgpu::DeviceDescriptor { required_features: HostDevice::features(&adapter), ..Default::default() };
     let (device, queue) = pollster::block_on(adapter.request_device(&wanted))?;
 
-    let config = ViewerConfig::default();
+    let config = ViewerConfig { max_sse_px: 3.0, ..ViewerConfig::default() };
     let host = HostDevice { instance, adapter, device: device.clone(), queue: queue.clone() };
     let mut viewer = Viewer::new_on_device(host, &config)?;
     viewer.load(&args.source()?)?;

@@ -1,6 +1,6 @@
 //! [`ConvertOptions`], [`Converted`] and [`ConvertError`]: how a set is converted and what came of it.
 
-use std::collections::{BTreeMap, HashSet};
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -72,12 +72,20 @@ pub struct Counts {
     pub texture_pixels: u64,
 }
 
+/// Returns true for equal first levels and sampling. Further levels are computed from the first.
+fn is_same_image(a: &Texture, b: &Texture) -> bool {
+    (a.width, a.height, a.format, a.sampling) == (b.width, b.height, b.format, b.sampling)
+        && a.mips.first() == b.mips.first()
+}
+
 impl Counts {
     /// Adds what a content draws.
     pub(super) fn add(&mut self, leaves: &[Leaf]) {
-        let mut known: HashSet<usize> = HashSet::new();
+        // A source may have one image several times, of which the writer writes one.
+        let mut known: Vec<Arc<Texture>> = Vec::new();
         let mut add_texture = |texture: &Arc<Texture>| {
-            if known.insert(Arc::as_ptr(texture).addr()) {
+            if !known.iter().any(|other| Arc::ptr_eq(other, texture) || is_same_image(other, texture)) {
+                known.push(Arc::clone(texture));
                 self.textures += 1;
                 self.texture_pixels += u64::from(texture.width) * u64::from(texture.height);
             }

@@ -56,6 +56,29 @@ fn houses() -> (GltfBuilder, Vec<u8>) {
     (gltf, png)
 }
 
+/// Regression: an image that a source has twice was counted twice, and the set that has it once was reported as different.
+#[test]
+fn equal_images_count_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let (mut gltf, png) = houses();
+    let positions = gltf.floats("VEC3", &TRIANGLE);
+    let uvs = gltf.floats("VEC2", &[0.0, 0.0, 1.0, 0.0, 0.0, 1.0]);
+    let image = format!("data:image/png;base64,{}", base64::prelude::BASE64_STANDARD.encode(&png));
+    let source = gltf.push("images", json!({ "uri": image }));
+    let texture = gltf.push("textures", json!({ "source": source, "sampler": 0 }));
+    let look = json!({ "pbrMetallicRoughness": { "baseColorTexture": { "index": texture }, "metallicFactor": 0 } });
+    let material = gltf.push("materials", look);
+    let primitive = json!({ "attributes": { "POSITION": positions, "TEXCOORD_0": uvs }, "material": material });
+    let mesh = gltf.push("meshes", json!({ "primitives": [primitive] }));
+    let node = gltf.push("nodes", json!({ "mesh": mesh }));
+    gltf.json["scenes"][0]["nodes"].as_array_mut().unwrap().push(node.into());
+    let file = folder.path().join("houses.gltf");
+    std::fs::write(&file, gltf.text()).unwrap();
+    let converted = converted(&file, &folder.path().join("out"));
+    assert_eq!((converted.source.textures, converted.source.triangles), (1, 2));
+    assert_eq!(converted.source, converted.written);
+}
+
 #[test]
 fn images_materials_and_features_are_kept() {
     let folder = tempfile::tempdir().unwrap();
