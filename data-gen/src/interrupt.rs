@@ -1,6 +1,6 @@
 //! Ctrl-C and SIGTERM: says what an interrupted run leaves, and ends the program.
 //!
-//! A thread of its own waits for signals. Runs tell it about their temporary folders.
+//! A separate thread waits for signals. Runs tell it about their temporary folders.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
@@ -29,7 +29,7 @@ pub(crate) fn remove(folder: &Path) {
 }
 
 /// Makes Ctrl-C and SIGTERM end the program with exit code 130 and a line on standard error, which begins with the program's name:
-/// what an unfinished run leaves, and how it goes on. Folders that no run continues are removed. Call it once, before a run.
+/// what an unfinished run leaves, and how to continue it. Folders that no run continues are removed. Call it once, before a run.
 #[cfg(unix)]
 pub fn exit_on_interrupt(program: &'static str) -> std::io::Result<()> {
     use std::io::{IsTerminal as _, Write as _};

@@ -22,7 +22,7 @@ pub(crate) const PLACES: usize = 8;
 const COUNTED: usize = 64;
 /// The number of blocks of the finest layer whose sampling is timed.
 const TIMED_BLOCKS: usize = 2;
-/// The number of places of each level of a world at which a tile and its neighbour are made.
+/// The number of tiles of each level of a world that are made, each with its neighbour.
 const WORLD_PLACES: u64 = 4;
 /// More bytes than a tile has.
 const MAX_TILE_BYTES: u64 = 400_000;
@@ -180,17 +180,14 @@ fn sample(args: &GenArgs, opened: &Opened<'_>, blocks: &[TileKey], places: usize
     let begin = Instant::now();
     timed.iter().try_for_each(|root| builder.sample_block(opened.plan.finest(), *root))?;
     let per_block = begin.elapsed() / timed.len().max(1) as u32;
-    let mut writing = Duration::ZERO;
-    for root in &roots {
-        // The sources are read before the time counts.
-        builder.sample_block(layer, *root)?;
-        let begin = Instant::now();
-        builder.sample_block(layer, *root)?;
-        let sampling = begin.elapsed();
-        let begin = Instant::now();
-        builder.make_blocks(layer, &[*root])?;
-        writing += begin.elapsed().saturating_sub(sampling);
-    }
+    // The sources are read before the time counts.
+    roots.iter().try_for_each(|root| builder.sample_block(layer, *root))?;
+    let begin = Instant::now();
+    roots.iter().try_for_each(|root| builder.sample_block(layer, *root))?;
+    let sampling = begin.elapsed();
+    let begin = Instant::now();
+    builder.make_blocks(layer, &roots)?;
+    let writing = begin.elapsed().saturating_sub(sampling);
     let mut json_bytes = 0;
     let journal = Journal::new(folder.path());
     for root in &roots {
@@ -268,8 +265,8 @@ pub(crate) fn predict_terrain(
     })
 }
 
-/// Predicts a set of a world. At each place a tile is made for its bytes, and then its neighbour for the time: a run makes neighbours one
-/// after the other too, which have rivers in common.
+/// Predicts a set of a world. Some tiles are made for their bytes, and then the neighbour of each for the time: a run makes neighbours
+/// one after the other too, which have rivers in common.
 pub(crate) fn predict_world(set: &WorldSet, out: &Path) -> Result<Prediction, GenError> {
     let begin = Instant::now();
     set.level_errors_m();

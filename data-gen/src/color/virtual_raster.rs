@@ -70,7 +70,7 @@ pub(super) fn open(path: &Path, given: Option<Crs>, cache: &Arc<BlockCache>, dep
                 "its bands are not the bands of its files in their order; gdal_translate writes it as GeoTIFF",
             ));
         }
-        // The place of the file does not matter, and it need not have one.
+        // The file's own georeference does not matter, and it need not have one.
         let crs = given.clone().or(Some(Crs::Geographic));
         let opened = open_at(&source.path, crs, cache, depth + 1)?;
         let Some(finest) = opened.levels.into_iter().next() else { return Err(bad("a source without an image")) };

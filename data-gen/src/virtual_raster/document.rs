@@ -18,7 +18,7 @@ const MAX_SIDE: f64 = (1u64 << 32) as f64;
 #[derive(Debug)]
 pub(crate) struct VirtualRaster {
     pub size: [usize; 2],
-    /// The place, and the values of the bands.
+    /// The georeference, and the nodata values and units of the bands.
     pub metadata: Metadata,
     pub bands: Vec<VirtualBand>,
 }
@@ -48,7 +48,7 @@ pub(crate) struct VirtualSource {
 }
 
 impl VirtualRaster {
-    /// Reads a file. Other virtual rasters than those that place files side by side are refused.
+    /// Reads a file. Virtual rasters that warp files or compute values are refused.
     pub fn open(path: &Path, cache: &Arc<BlockCache>) -> Result<Self, GenError> {
         let text = text_of(path, cache, |_| true)?;
         let text = text.ok_or_else(|| GenError::invalid(path, "VRT: too large, or not a file"))?;

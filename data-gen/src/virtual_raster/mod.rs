@@ -2,7 +2,7 @@
 //! files, `gdal_translate -of VRT` of a part of one.
 //!
 //! ```text
-//! document  the XML: the size, the place, and for each band the sources with their rectangles
+//! document  the XML: the size, the georeference, and for each band the sources with their rectangles
 //! image     the pixels: the blocks of the sources' images, copied or resampled; later sources lie on top
 //! ```
 //!

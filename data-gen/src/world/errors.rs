@@ -20,7 +20,7 @@ use crate::pyramid::{CELLS, QUANTUM_M};
 /// The largest numbers of tiles of a level whose unevenness is tried, and of those that are scanned.
 const MAX_TRIED: u64 = 256;
 const MAX_SCANNED: usize = 64;
-/// The rows of cells of a level that are scanned, as far as it has so many: the least number in a tile, and in all.
+/// The numbers of rows of cells that are scanned: at least in a tile, and in all tiles of a level that has enough rows.
 const SCANNED_ROWS: usize = 4;
 const ALL_SCANNED_ROWS: usize = 256;
 /// The rows that are measured, and those that are measured to find a worse one beside the worst.

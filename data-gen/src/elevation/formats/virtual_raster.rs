@@ -58,7 +58,7 @@ pub(super) fn open(
     let own_units = raster.metadata.factor_and_offset_m(number).map_err(bad)?;
     let piece = |source: &VirtualSource| {
         let (channel, nodata) = (Some(source.band.to_string()), source.nodata.or(nodata).or(options.nodata));
-        // The place of the file does not matter, and it need not have one.
+        // The file's own georeference does not matter, and it need not have one.
         let crs = options.crs.clone().or(Some(Crs::Geographic));
         // Formats of one channel have no names for it.
         let magic = first_bytes(&source.path, &context.cache)?;
@@ -66,7 +66,9 @@ pub(super) fn open(
         let options = RasterOptions { channel: channel.filter(|_| is_named), nodata, crs, ..options.clone() };
         let opened = open_at(&source.path, &options, context, depth + 1)?;
         // The units of the virtual raster are copies of the file's, or stand in for those that it lacks.
-        let has_units = is_tiff(&magic) && Tiff::open(&source.path, &context.cache)?.has_units(source.band - 1);
+        let has_units = own_units != [1.0, 0.0]
+            && is_tiff(&magic)
+            && Tiff::open(&source.path, &context.cache)?.has_units(source.band - 1);
         let units = if has_units { [1.0, 0.0] } else { own_units };
         let [from, to] = source.rectangles(opened.grid.size, raster.size);
         let [factor, offset] = source.factor_and_offset;

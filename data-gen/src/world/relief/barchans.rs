@@ -3,7 +3,7 @@
 #![allow(clippy::needless_range_loop, reason = "one number indexes positions, weights and outputs")]
 
 use super::super::points::Points;
-use super::lattice::{LANES, bit, for_blocks, lanes, part};
+use super::lattice::{LANES, for_blocks, lanes};
 use super::noise::Vectors;
 
 /// Adds barchans to `out`, at most one for each lattice point near the sphere: heaps with a gentle side towards the wind, a lee
@@ -32,14 +32,11 @@ pub(super) fn add_barchans(
             let mut highest = [0.0f32; LANES];
             for corner in 0..8 {
                 let hashes = block.hashes(corner);
-                let [a, b, c] = [bit(corner, 0) as f32, bit(corner, 1) as f32, bit(corner, 2) as f32];
                 let mut offs = [[0.0f32; LANES]; 3];
                 let (mut nears, mut is_near) = ([0.0f32; LANES], 0u32);
                 for k in 0..LANES {
                     let h = hashes[k];
-                    let jitter = |shift: u32| part(h, shift) * (0.25 / 512.0);
-                    let (fx, fy, fz) = (block.at[0][k], block.at[1][k], block.at[2][k]);
-                    let d = [fx - a + jitter(22), fy - b + jitter(12), fz - c + jitter(2)];
+                    let d = block.offset(corner, k, h, 0.25);
                     let above = d[0] * up[0][k] as f32 + d[1] * up[1][k] as f32 + d[2] * up[2][k] as f32;
                     // Lattice points that are far above or below the ground have none.
                     nears[k] = 1.0 - ((above.abs() - 0.3) * 20.0).clamp(0.0, 1.0);

@@ -4,7 +4,7 @@
 
 use super::super::points::{Points, RADIUS_M};
 use super::super::preset::Relief;
-use super::lattice::{LANES, bit, for_blocks, lanes, part};
+use super::lattice::{LANES, for_blocks, lanes, part};
 use super::{Ground, part_seed};
 
 /// Adds craters to `out`: one for a share of the lattice points near the sphere. A radius is at most 0.36 cells. Heights
@@ -23,15 +23,12 @@ fn add_craters(points: &Points, frequency: f64, seed: u32, share: f32, amplitude
             let mut sums = [0.0f32; LANES];
             for corner in 0..8 {
                 let hashes = block.hashes(corner);
-                let [a, b, c] = [bit(corner, 0) as f32, bit(corner, 1) as f32, bit(corner, 2) as f32];
                 let (mut squares, mut nears, mut radii) = ([0.0f32; LANES], [0.0f32; LANES], [0.0f32; LANES]);
                 // A crater and its ejecta end at 1.7 radii.
                 let mut is_near = 0u32;
                 for k in 0..LANES {
                     let h = hashes[k];
-                    let jitter = |shift: u32| part(h, shift) * (0.25 / 512.0);
-                    let (fx, fy, fz) = (block.at[0][k], block.at[1][k], block.at[2][k]);
-                    let d = [fx - a + jitter(22), fy - b + jitter(12), fz - c + jitter(2)];
+                    let d = block.offset(corner, k, h, 0.25);
                     let above = d[0] * up[0][k] as f32 + d[1] * up[1][k] as f32 + d[2] * up[2][k] as f32;
                     squares[k] = (d[0] * d[0] + d[1] * d[1] + d[2] * d[2] - above * above).max(0.0);
                     // Sizes: many small craters, few large ones.

@@ -44,7 +44,7 @@ pub(super) fn parts(hash: u32) -> [f32; 3] {
 
 /// Returns 1 for the upper lattice point along an axis of one of the eight corners of a cell, and 0 for the lower one.
 #[inline(always)]
-pub(crate) fn bit(corner: usize, axis: usize) -> usize {
+pub(super) fn bit(corner: usize, axis: usize) -> usize {
     corner >> axis & 1
 }
 
@@ -113,6 +113,15 @@ impl Block {
             hashes[k] = self.hash(corner, k);
         }
         hashes
+    }
+
+    /// Returns the offset of a position from a corner of its cell that its hash moves, by at most half of `share` along each axis.
+    #[inline(always)]
+    pub fn offset(&self, corner: usize, lane: usize, hash: u32, share: f32) -> [f32; 3] {
+        let along = |axis: usize, shift: u32| {
+            self.at[axis][lane] - bit(corner, axis) as f32 + part(hash, shift) * (share / 512.0)
+        };
+        [along(0, 22), along(1, 12), along(2, 2)]
     }
 
     /// Returns the parts of the hashes of the eight corners of the first position's cell.

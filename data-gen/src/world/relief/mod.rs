@@ -20,7 +20,7 @@ mod waves;
 
 pub(super) use covers::Covers;
 pub(super) use drainage::{Basin, Drainage, Network};
-pub(super) use lattice::{LANES, bit, for_blocks, part, wide};
+pub(super) use lattice::{LANES, for_blocks, part, wide};
 use noise::Vectors;
 pub(super) use noise::add_noise;
 use rivers::Effects;

@@ -17,10 +17,10 @@ fn round_max(a: f32, b: f32, width: f32) -> f32 {
     larger + 0.25 * width * t * t
 }
 
-/// The effects of the rivers and lakes of a cell on places in it.
+/// The effects of the rivers and lakes of a cell on positions in it.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Effects {
-    /// The places, moved by the bends, in metres from the middle of the cell.
+    /// The positions, moved by the bends, in metres from the middle of the cell.
     at_m: Vectors,
     middle_m: [f32; 3],
     radius_m: f32,
@@ -177,7 +177,7 @@ impl Channel {
             let lowest_m = water_m + bed_m - 0.1 * side_m - 4.0 * head_m - mouth_m - 3_000.0 * far;
             let lowest_m = if far < 1.0 { lowest_m } else { f32::MIN };
             let highest_m = if far < 1.0 { highest_m } else { f32::MAX };
-            // The lower one of two rivers that meet goes on.
+            // Where two rivers meet, the lower one continues.
             let river_m = if bank_m < 0.0 { water_m } else { f32::MAX };
             lowest[k] = lowest[k].max(lowest_m);
             highest[k] = highest[k].min(highest_m);

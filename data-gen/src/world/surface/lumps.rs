@@ -4,7 +4,7 @@
 //! the levels on which a lump has several texels and fewer than a hundred.
 
 use super::super::points::{Points, RADIUS_M};
-use super::super::relief::{LANES, add_noise, bit, for_blocks, part, part_seed, smooth};
+use super::super::relief::{LANES, add_noise, for_blocks, part, part_seed, smooth};
 
 /// The distances between lumps in metres: crowns, bushes and boulders, tufts and stones, pebbles.
 const LUMPS_M: [f64; 4] = [9.8, 2.45, 0.61, 0.15];
@@ -71,8 +71,8 @@ impl Details {
     }
 }
 
-/// Adds lumps of a size, `amplitude` high, and their random numbers: each has the places that are nearest to one lattice point, moved by
-/// random. Only the corners of a place's cell count.
+/// Adds lumps of a size, `amplitude` high, and their random numbers. A lump has the positions that are nearest to one lattice point,
+/// which is moved by random; only the corners of a position's cell count.
 fn add_lumps(points: &Points, frequency: f64, seed: u32, amplitude: f32, dome: &mut [f32], tone: &mut [f32]) {
     let n = dome.len();
     for_blocks(
@@ -85,15 +85,9 @@ fn add_lumps(points: &Points, frequency: f64, seed: u32, amplitude: f32, dome: &
             let (mut nearest, mut second, mut tones) = ([9.0f32; LANES], [9.0f32; LANES], [0.0f32; LANES]);
             for corner in 0..8 {
                 let hashes = block.hashes(corner);
-                let [a, b, c] = [bit(corner, 0) as f32, bit(corner, 1) as f32, bit(corner, 2) as f32];
                 for k in 0..LANES {
                     let h = hashes[k];
-                    let jitter = |shift: u32| part(h, shift) * (0.45 / 512.0);
-                    let d = [
-                        block.at[0][k] - a + jitter(22),
-                        block.at[1][k] - b + jitter(12),
-                        block.at[2][k] - c + jitter(2),
-                    ];
+                    let d = block.offset(corner, k, h, 0.45);
                     let other = h.wrapping_mul(0x9e37_79b1);
                     // Some are larger than others.
                     let squared = d[0] * d[0] + d[1] * d[1] + d[2] * d[2] - part(other, 22) * (0.12 / 512.0);
