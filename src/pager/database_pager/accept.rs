@@ -1,7 +1,5 @@
 //! Accepts requests of culls and of scenes, and lets failures be requested again.
 
-use std::time::Duration;
-
 use super::DatabasePager;
 use crate::cull::PageRequest;
 use crate::pager::requests::table::Changes;
@@ -59,8 +57,7 @@ impl DatabasePager {
 
     /// Lets failures be requested again whose back-off is over.
     pub(super) fn retry_failures(&mut self, scenes: &mut dyn SceneSet) {
-        let unused = Unused { frames: self.config.expiry_frames, time: self.config.expiry_time };
-        let unused = unused.at_least(MET_FRAMES, Duration::ZERO);
+        let unused = Unused::new(self.config.expiry_frames.max(MET_FRAMES), self.config.expiry_time);
         self.table.retry_due(scenes, |frame| unused.allows(frame, &self.control.times));
     }
 }

@@ -119,7 +119,7 @@ impl DatabasePager {
         contexts: &mut [&mut dyn CompileContext],
         budget: &TimeBudget,
     ) {
-        let unused = self.scheduler.shortage().unused(&self.config, &self.control.times);
+        let unused = self.scheduler.shortage().unused(&self.config);
         let mut looks = self.residency.start_search(self.scheduler.shortage().is_any());
         let expired_before = self.stats.expired;
         while self.needs_room() {

@@ -104,13 +104,18 @@ impl Usage {
     }
 
     /// Counts a job as answered. A content takes room in the budgets from now on: one job fewer may be outstanding until
-    /// update calculates the limits again.
+    /// update calculates the limits again, and one prefetch fewer after a prefetch.
     fn answered(&mut self, job: &impl Request, has_content: bool) {
-        let limit = &mut self.limits.outstanding;
-        *limit = limit.saturating_sub(usize::from(has_content));
+        let prefetches = usize::from(job.is_prefetch());
+        if has_content {
+            let limits = &mut self.limits;
+            limits.outstanding = limits.outstanding.saturating_sub(1);
+            limits.prefetch_room = limits.prefetch_room.saturating_sub(prefetches);
+            limits.prefetch_beside_others = limits.prefetch_beside_others.saturating_sub(prefetches);
+        }
         self.outstanding = self.outstanding.saturating_sub(1);
         self.files = self.files.saturating_sub(usize::from(!job.is_remote()));
-        self.prefetches = self.prefetches.saturating_sub(usize::from(job.is_prefetch()));
+        self.prefetches = self.prefetches.saturating_sub(prefetches);
     }
 }
 

@@ -216,7 +216,7 @@ mod tests {
     use super::super::page_job::tests::job;
     use std::cmp::Reverse;
 
-    use super::super::request_list::Limits;
+    use super::super::request_list::{Limits, ListState};
     use super::super::ticket::Ticket;
     use super::super::waiting_jobs::{Source, Urgency, WaitingJobs};
     use super::*;
@@ -244,6 +244,26 @@ mod tests {
         assert!(state.take_file_for_test(MAX_FILES).is_none(), "an answer from a server frees no slot of files");
         state.answered(&read[0], false);
         assert!(state.take_file_for_test(MAX_FILES).is_some());
+    }
+
+    /// Regression: between the answer to a prefetch and the next calculation of the limits another could start.
+    #[test]
+    fn content_of_a_prefetch_keeps_its_place_until_the_limits_are_set_again() {
+        let list = RequestList::new(100, MAX_FILES);
+        let mut state = list.lock();
+        let prefetches: Vec<PageJob> =
+            (0..9).map(|number| PageJob { is_prefetch: true, ..job(number, "/set/a.glb") }).collect();
+        state.set_jobs(prefetches);
+        state.set_limits(Limits { prefetch_room: 5, prefetch_beside_others: 2, ..limits(100) });
+        let take = |state: &mut ListState<PageJob>| -> Vec<PageJob> {
+            std::iter::from_fn(|| state.take_file_for_test(MAX_FILES)).collect()
+        };
+        let read = take(&mut state);
+        assert_eq!(read.len(), 2);
+        state.answered(&read[0], true);
+        assert_eq!(take(&mut state).len(), 0, "a content waits for its merge");
+        state.answered(&read[1], false);
+        assert_eq!(take(&mut state).len(), 1, "an answer without content frees a place");
     }
 
     fn now(priority: f32) -> Urgency {

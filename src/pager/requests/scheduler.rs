@@ -76,17 +76,15 @@ impl Shortage {
 
     /// Returns how long a page must be unused to expire: as configured; less for a prefetch that is needed sooner; and only
     /// not shown if a frame lacks something.
-    pub fn unused(&self, config: &PagerConfig, times: &FrameTimes) -> Unused {
+    pub fn unused(&self, config: &PagerConfig) -> Unused {
         if self.is_missing() {
             return Unused::NOT_SHOWN;
         }
-        let mut unused = Unused { frames: config.expiry_frames, time: config.expiry_time };
-        if let Some(prefetch) = self.prefetch {
-            let frames = prefetch.frames.saturating_add(PREFETCH_MARGIN_FRAMES);
-            let time = times.distance(times.frame().saturating_sub(frames));
-            unused = Unused { frames: unused.frames.min(frames), time: unused.time.min(time) };
+        let unused = Unused::new(config.expiry_frames, config.expiry_time);
+        match self.prefetch {
+            Some(prefetch) => unused.or_frames(prefetch.frames.saturating_add(PREFETCH_MARGIN_FRAMES)),
+            None => unused,
         }
-        unused
     }
 
     /// Returns true while pages should expire: the reserved tenths are not free, or what waits has no room.

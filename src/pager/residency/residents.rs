@@ -51,7 +51,8 @@ impl Resident {
         // A time beyond the range of a duration is forever.
         let out_of_range = if min_expiry_s > 0.0 { Duration::MAX } else { Duration::ZERO };
         let own = Duration::try_from_secs_f32(min_expiry_s).unwrap_or(out_of_range);
-        !cannot_expire && unused.at_least(min_expiry_frames, own).allows(last_used, times)
+        let own = Unused::new(min_expiry_frames, own);
+        !cannot_expire && unused.allows(last_used, times) && own.allows(last_used, times)
     }
 }
 
