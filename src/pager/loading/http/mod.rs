@@ -1,31 +1,28 @@
 //! The HTTP thread: one async runtime on one thread with many requests in flight, which are aborted when their contents
-//! are no longer wanted. Each server has its own limit, so that one that hangs does not hold up the others.
+//! are no longer wanted. Each server has its own limit, so that one that hangs does not hold up the others. What one request
+//! fetches is in [`content`].
+
+mod content;
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use crossbeam_channel::Sender;
 use tokio::task::{AbortHandle, JoinError, JoinSet};
 
+pub(super) use self::content::Reading;
+use self::content::{Fetched, fetch};
 use super::config::LimitRange;
-use super::job::{Answer, LoadJob, LoadedBytes, total_bytes};
+use super::job::{Answer, LoadJob, LoadedBytes};
 use super::request_list::{HttpWork, RequestList};
-use super::server_limits::{Outcome, ServerLimits};
+use super::server_limits::ServerLimits;
 use super::thread_set::follow_core;
 use super::ticket::Ticket;
-use crate::fetch::{
-    ByteBudget, FileReader, HttpBody, HttpClient, IoError, Limits, Loaded, NoRoom, Permit, guarded, is_remote, server,
-};
-use crate::formats::{self, MAX_DEPENDENCY_ROUNDS};
+use crate::fetch::{HttpBody, HttpClient, IoError, Limits};
 
 /// How long the thread waits at its end for received bodies to be written to the cache.
 const FINAL_FLUSH_TIMEOUT: Duration = Duration::from_secs(2);
-/// The maximum number of a content's dependencies that are requested at the same time. They do not count in the limits of
-/// their servers.
-const MAX_DEPENDENCIES_IN_FLIGHT: usize = 8;
-/// How long a content waits for all dependencies that it is whole without.
-const MAX_OPTIONAL_TIME: Duration = Duration::from_secs(10);
 
 /// The clients whose caches are flushed when the HTTP thread ends. Written by update, read by the HTTP thread.
 #[derive(Clone, Default)]
@@ -98,37 +95,6 @@ pub(super) struct Channels<'a, J: LoadJob> {
     pub answers: &'a Sender<Answer<J>>,
 }
 
-/// The limits of requests, and the reader for contents on a disk whose images are on servers.
-#[derive(Clone)]
-pub(super) struct Reading {
-    pub limits: Limits,
-    /// Holds what was received.
-    pub bodies: ByteBudget,
-    pub files: Arc<FileReader>,
-    /// The time limit for reading a file.
-    pub file_timeout: Duration,
-}
-
-impl Reading {
-    /// Reads a file on a blocking thread of the runtime. A thread that hangs on a disk is left alone.
-    async fn file<J: LoadJob>(&self, job: &J, uri: &Arc<str>, permit: &Permit) -> Result<Vec<u8>, IoError> {
-        let (files, job, path) = (self.files.clone(), job.clone(), uri.clone());
-        let read = tokio::task::spawn_blocking(move || match job.root_scope() {
-            Some(scope) => files.read_within(&path, scope),
-            None => files.read(&path),
-        });
-        let seconds = self.file_timeout.as_secs_f64();
-        let Ok(read) = tokio::time::timeout(self.file_timeout, read).await else {
-            return Err(IoError::Timeout { uri: uri.to_string(), phase: "reading the file", seconds });
-        };
-        let stopped = |error| IoError::Network { uri: uri.to_string(), reason: format!("the read stopped: {error}") };
-        let bytes = read.map_err(stopped)??;
-        let size = bytes.len() as u64;
-        permit.claim(size).map_err(|no_room| IoError::no_room(uri, no_room))?.keep(size);
-        Ok(bytes)
-    }
-}
-
 /// Runs until the list closes. Requests still in flight are dropped then.
 pub(super) fn run<J: LoadJob>(
     runtime: &tokio::runtime::Runtime,
@@ -197,9 +163,6 @@ async fn flush(clients: Vec<HttpClient>) {
     let _ = tokio::time::timeout(FINAL_FLUSH_TIMEOUT, flushed).await;
 }
 
-/// The result of a request, and its outcome at each server.
-type Fetched<J> = (LoadedBytes<J>, Vec<(String, Outcome)>);
-
 /// Passes the result of a request on to the decoders; returns false if they have ended.
 fn pass_on<J: LoadJob>(
     ended: Result<Fetched<J>, JoinError>,
@@ -227,199 +190,12 @@ fn pass_on<J: LoadJob>(
     }
 }
 
-/// Requests a content and what belongs to it once there is room for it. What turns out to have no room is dropped, and
-/// requested again when as many bytes are free. Returns the outcome at each server too; waiting for room is no part of it.
-async fn fetch<J: LoadJob>(job: J, reading: &Reading) -> Fetched<J> {
-    let mut bytes = reading.bodies.expected_bytes();
-    loop {
-        let permit = reading.bodies.reserve(bytes, job.is_prefetch()).await;
-        match fetch_holding(&job, reading, permit).await {
-            Ok(fetched) => return fetched,
-            Err(NoRoom { needed }) => {
-                job.forget_ahead();
-                bytes = needed;
-            }
-        }
-    }
-}
-
-/// Requests the content and its companions at the same time: the companions of a tile are known before its bytes.
-///
-/// # Errors
-/// [`NoRoom`] if the bytes have no room.
-async fn fetch_holding<J: LoadJob>(job: &J, reading: &Reading, permit: Permit) -> Result<Fetched<J>, NoRoom> {
-    let limits = &reading.limits;
-    // A content on a disk counts at the server of its images.
-    let own = job.servers().first().cloned().unwrap_or_default();
-    let client = job.client();
-    let timed = async |uri: &Arc<str>, fallback: Option<Arc<str>>| {
-        let mut start = Instant::now();
-        if !is_remote(uri) {
-            let bytes = reading.file(job, uri, &permit).await;
-            let body = bytes.map(|bytes| HttpBody { bytes, ..HttpBody::default() });
-            return (body, start.elapsed().as_secs_f64());
-        }
-        let mut body = client.get_holding(uri, limits, &permit).await;
-        if let Err(error) = &body
-            && error.may_be_elsewhere()
-            && let Some(fallback) = fallback
-        {
-            start = Instant::now();
-            body = client
-                .get_holding(&fallback, limits, &permit)
-                .await
-                .map(|body| HttpBody { location: body.location.or(Some(fallback)), ..body });
-        }
-        (body, start.elapsed().as_secs_f64())
-    };
-    // Companions from the content's own server count as one request with it; others count at their own server.
-    let (mut elsewhere, mut companions_s, mut asked) = (Vec::new(), 0f64, false);
-    let companions = async {
-        let mut fetched = Vec::new();
-        for uri in job.companions() {
-            let (body, seconds) = timed(&uri, job.companion_fallback(&uri)).await;
-            let at = server(&uri);
-            let is_asked = body.as_ref().is_ok_and(|body| body.asked);
-            if at == own {
-                (companions_s, asked) = (companions_s.max(seconds), asked || is_asked);
-            } else {
-                elsewhere.push((at.to_owned(), Outcome::new(&body, is_asked, seconds)));
-            }
-            fetched.push((uri, body));
-        }
-        fetched
-    };
-    let content = async {
-        match job.is_in_memory() {
-            true => (Ok(HttpBody::default()), 0.0),
-            false => timed(job.address(), job.fallback()).await,
-        }
-    };
-    let ((body, own_s), companions) = tokio::join!(content, companions);
-    let bodies = companions.iter().map(|(_, body)| body).chain([&body]);
-    if let Some(no_room) = bodies.filter_map(|body| body.as_ref().err().and_then(no_room)).max_by_key(|n| n.needed) {
-        return Err(no_room);
-    }
-    asked |= body.as_ref().is_ok_and(|body| body.asked);
-    let mut bytes_http = 0;
-    let mut loaded_of = |body: Result<HttpBody, IoError>| {
-        body.map(|body| {
-            bytes_http += body.network_bytes;
-            Loaded::from(body)
-        })
-    };
-    let mut loaded = loaded_of(body);
-    let mut locations = Vec::new();
-    let companions = companions.into_iter().map(|(uri, body)| {
-        let bytes = loaded_of(body).map(|companion| {
-            locations.extend(companion.location.map(|location| (uri.clone(), location)));
-            companion.bytes
-        });
-        (uri, bytes)
-    });
-    let mut companions: Vec<formats::Fetched> = companions.collect();
-    if let Ok(loaded) = &mut loaded {
-        loaded.companion_locations = locations;
-    }
-    let mut bytes_ahead = 0;
-    let optional_until = tokio::time::Instant::now() + MAX_OPTIONAL_TIME;
-    if loaded.is_ok() {
-        for _ in 0..MAX_DEPENDENCY_ROUNDS {
-            let dependencies;
-            (dependencies, loaded, companions) = dependencies_of(job, loaded, companions).await;
-            if dependencies.is_empty() {
-                break;
-            }
-            // The job keeps objects of the content in memory while its dependencies are requested.
-            let more = job.bytes_ahead().saturating_sub(bytes_ahead);
-            bytes_ahead += more;
-            permit.claim(more)?.keep(more);
-            let mut waiting = dependencies.into_iter();
-            let mut requests = JoinSet::new();
-            loop {
-                for uri in waiting.by_ref().take(MAX_DEPENDENCIES_IN_FLIGHT - requests.len()) {
-                    let (client, files) = (job.client_of(&uri).clone(), job.shared_files());
-                    let (job, reading, permit) = (job.clone(), reading.clone(), permit.clone());
-                    requests.spawn(async move {
-                        if !is_remote(&uri) {
-                            let bytes = reading.file(&job, &uri, &permit).await;
-                            return (uri, bytes, 0);
-                        }
-                        let request = files.get(&client, &uri, &reading.limits, &permit);
-                        if !job.may_be_missing(&uri) {
-                            let (bytes, network_bytes) = request.await;
-                            return (uri, bytes, network_bytes);
-                        }
-                        let got = tokio::time::timeout_at(optional_until, request).await;
-                        let (bytes, network_bytes) = got.unwrap_or_else(|_| {
-                            let (phase, seconds) = ("an image beside the content", MAX_OPTIONAL_TIME.as_secs_f64());
-                            (Err(IoError::Timeout { uri: uri.to_string(), phase, seconds }), 0)
-                        });
-                        (uri, bytes, network_bytes)
-                    });
-                }
-                match requests.join_next().await {
-                    Some(Ok((uri, bytes, network_bytes))) => {
-                        if let Some(no_room) = bytes.as_ref().err().and_then(no_room) {
-                            return Err(no_room);
-                        }
-                        bytes_http += network_bytes;
-                        companions.push((uri, bytes));
-                    }
-                    // A request that panicked is missing from the companions.
-                    Some(Err(_)) => {}
-                    None => break,
-                }
-            }
-        }
-    }
-    let bytes_read = total_bytes(&loaded, &companions);
-    permit.set_bytes(bytes_read.saturating_add(job.bytes_ahead()));
-    if loaded.is_ok() {
-        permit.budget().learn(bytes_read);
-    }
-    job.mark_decoding();
-    let outcome = (own, Outcome::new(&loaded, asked, own_s.max(companions_s)));
-    let outcomes = [outcome].into_iter().chain(elsewhere).collect();
-    let job = job.clone();
-    Ok((LoadedBytes { job, loaded, companions, bytes_read, bytes_http, permit: Some(permit) }, outcomes))
-}
-
-fn no_room(error: &IoError) -> Option<NoRoom> {
-    match error {
-        IoError::NoRoom { needed, .. } => Some(NoRoom { needed: *needed }),
-        _ => None,
-    }
-}
-
-/// Asks a job for the dependencies of a content. Large texts and XML are parsed on a blocking thread of the runtime, so that
-/// requests go on meanwhile.
-async fn dependencies_of<J: LoadJob>(
-    job: &J,
-    loaded: Result<Loaded, IoError>,
-    companions: Vec<formats::Fetched>,
-) -> (Vec<Arc<str>>, Result<Loaded, IoError>, Vec<formats::Fetched>) {
-    let Ok(content) = loaded else { return (Vec::new(), loaded, companions) };
-    if !formats::has_slow_dependencies(&content.bytes, &companions) {
-        return (job.dependencies(&content, &companions), Ok(content), companions);
-    }
-    let (uri, job) = (job.address().to_string(), job.clone());
-    let parse = move || {
-        // A content that makes a parser panic has none; the decoder reports it.
-        let found = guarded(job.uri(), || Ok(job.dependencies(&content, &companions)));
-        (found.unwrap_or_default(), Ok(content), companions)
-    };
-    tokio::task::spawn_blocking(parse).await.unwrap_or_else(|error| {
-        let stopped = IoError::Network { uri, reason: format!("the parsing stopped: {error}") };
-        (Vec::new(), Err(stopped), Vec::new())
-    })
-}
-
 #[cfg(test)]
 mod tests {
     use super::super::page_job::PageJob;
     use super::super::page_job::tests::job;
     use super::super::request_list::{self, Request as _};
+    use super::super::server_limits::Outcome;
     use super::*;
 
     /// Returns the jobs that the thread takes while nothing is in flight.
