@@ -343,22 +343,24 @@ fn layers_have_maps() {
     assert_eq!(coat(MapParts::First, Some(mirror)), [none, all]);
 }
 
-/// A coat fills the bumps of its base, unless they are its own too.
+/// A coat fills the bumps of its base, and may have its own.
 #[test]
-fn coat_is_smooth_unless_it_is_bent() {
-    let Some(mut rig) = rig("coat_is_smooth_unless_it_is_bent") else { return };
+fn coat_has_its_own_normals() {
+    let Some(mut rig) = rig("coat_has_its_own_normals") else { return };
     let environment = Environment { ambient_color: [0.0; 3], ..lit_from(DVec3::Z) };
-    let mut highlight = |is_bent: bool| {
+    let bump = || texels([218, 128, 218, 255]);
+    let mut highlight = |base: Option<Arc<Texture>>, normal_map: Option<Arc<Texture>>, normal_scale: f32| {
         let mut material = surface(|s| {
             s.dielectric.ior = 1.0;
-            s.clearcoat = Clearcoat { strength: 1.0, roughness: 0.3, is_bent, ..Clearcoat::default() };
-            s.normal_map = texels([218, 128, 218, 255]);
+            s.clearcoat = Clearcoat { strength: 1.0, roughness: 0.3, normal_map, normal_scale, ..Clearcoat::default() };
+            s.normal_map = base;
         });
         material.base_color = [0.0, 0.0, 0.0, 1.0];
         sum(middle(&mut rig, &material, &environment))
     };
-    let (smooth, bent) = (highlight(false), highlight(true));
-    assert!(smooth > 300 && bent < 60, "{smooth} {bent}");
+    let smooth = [highlight(bump(), None, 1.0), highlight(None, bump(), 0.0)];
+    let bent = [highlight(bump(), bump(), 1.0), highlight(None, bump(), 1.0)];
+    assert!(smooth.iter().all(|of| *of > 300) && bent.iter().all(|of| *of < 60), "{smooth:?} {bent:?}");
 }
 
 #[test]

@@ -179,7 +179,7 @@ fn place_surface<'a>(
 ) -> Result<SurfaceSlot, String> {
     let mut layers = MapLayers::default();
     let (srgb, linear) = (TexelEncoding::Srgb, TexelEncoding::Linear);
-    let encodings = [linear, linear, srgb, linear, srgb, srgb, linear];
+    let encodings = [linear, linear, srgb, linear, srgb, srgb, linear, linear];
     let count = if surface.is_layered() { MetallicRoughness::MAPS } else { MetallicRoughness::PLAIN_MAPS };
     let maps = surface.maps().into_iter().take(count).zip(encodings).zip(&drawable.shared.maps);
     for (layer, ((image, encoding), shared)) in layers.iter_mut().zip(maps) {

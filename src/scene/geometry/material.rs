@@ -85,6 +85,8 @@ pub struct SecondUv {
     pub dielectric: Option<Affine2>,
     /// The same for the map of [`Clearcoat`].
     pub clearcoat: Option<Affine2>,
+    /// The same for the normal map of [`Clearcoat`].
+    pub clearcoat_normal: Option<Affine2>,
 }
 
 impl SecondUv {
@@ -102,23 +104,30 @@ impl SecondUv {
 
     /// Returns true if a map uses the second texture coordinates.
     pub(crate) fn is_used(&self) -> bool {
-        self.of_plain_maps().iter().chain([&self.dielectric, &self.clearcoat]).any(Option::is_some)
+        self.of_plain_maps().iter().chain(&self.of_layer_maps()).any(Option::is_some)
+    }
+
+    /// Returns the transforms of the other maps, in the same order.
+    pub(crate) fn of_layer_maps(&self) -> [Option<Affine2>; MetallicRoughness::MAPS - MetallicRoughness::PLAIN_MAPS] {
+        [self.dielectric, self.clearcoat, self.clearcoat_normal]
     }
 }
 
 impl MetallicRoughness {
     /// The number of maps.
-    pub(crate) const MAPS: usize = 7;
+    pub(crate) const MAPS: usize = 8;
     /// The number of maps, the first ones, that surfaces without a [`Dielectric`] or [`Clearcoat`] of their own may have.
     pub(crate) const PLAIN_MAPS: usize = 5;
     /// The number of the overlay among the maps. Those before it may have a transform of texture coordinates.
     pub(crate) const OVERLAY: usize = 4;
 
-    /// Returns the maps: normals, occlusion-roughness-metallic, emission, occlusion, overlay, dielectric, clear coat.
+    /// Returns the maps: normals, occlusion-roughness-metallic, emission, occlusion, overlay, dielectric, clear coat, normals
+    /// of the coat.
     pub(crate) fn maps(&self) -> [Option<&Arc<Texture>>; Self::MAPS] {
         let Self { normal_map, occlusion_roughness_metallic, emissive_map, occlusion_map, overlay, .. } = self;
-        let (dielectric, clearcoat) = (&self.dielectric.map, &self.clearcoat.map);
-        [normal_map, occlusion_roughness_metallic, emissive_map, occlusion_map, overlay, dielectric, clearcoat]
+        let Clearcoat { map: coat, normal_map: coat_normal, .. } = &self.clearcoat;
+        let dielectric = &self.dielectric.map;
+        [normal_map, occlusion_roughness_metallic, emissive_map, occlusion_map, overlay, dielectric, coat, coat_normal]
             .map(Option::as_ref)
     }
 
@@ -135,8 +144,9 @@ impl MetallicRoughness {
     /// Returns the maps in the same order, to be replaced by equal ones.
     pub(crate) fn maps_mut(&mut self) -> [&mut Option<Arc<Texture>>; Self::MAPS] {
         let Self { normal_map, occlusion_roughness_metallic, emissive_map, occlusion_map, overlay, .. } = self;
-        let (dielectric, clearcoat) = (&mut self.dielectric.map, &mut self.clearcoat.map);
-        [normal_map, occlusion_roughness_metallic, emissive_map, occlusion_map, overlay, dielectric, clearcoat]
+        let Clearcoat { map: coat, normal_map: coat_normal, .. } = &mut self.clearcoat;
+        let dielectric = &mut self.dielectric.map;
+        [normal_map, occlusion_roughness_metallic, emissive_map, occlusion_map, overlay, dielectric, coat, coat_normal]
     }
 }
 

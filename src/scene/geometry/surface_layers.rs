@@ -20,7 +20,7 @@ pub struct Dielectric {
 }
 
 /// A clear coat over a surface, such as varnish: glTF's KHR_materials_clearcoat. Its index of refraction is 1.5.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Clearcoat {
     /// The share of the surface that is coated, 0 to 1. Without it there is no coat.
     pub strength: f32,
@@ -30,8 +30,11 @@ pub struct Clearcoat {
     pub map: Option<Arc<Texture>>,
     /// The parts of the map that count: its strength first, then its roughness.
     pub map_parts: MapParts,
-    /// True if the normal map of the surface bends the coat too, false for a coat that fills the bumps.
-    pub is_bent: bool,
+    /// Normals in tangent space, as in [`MetallicRoughness::normal_map`](super::MetallicRoughness::normal_map). Without it the
+    /// coat fills the bumps of the surface.
+    pub normal_map: Option<Arc<Texture>>,
+    /// A factor of the red and green of normals.
+    pub normal_scale: f32,
 }
 
 /// The parts of a map that count. The other one has factors of 1.
@@ -62,6 +65,14 @@ impl Default for Dielectric {
     /// Returns the reflection of the plain metallic-roughness model.
     fn default() -> Self {
         Self { ior: 1.5, specular: 1.0, specular_color: [1.0; 3], map: None, map_parts: MapParts::Both }
+    }
+}
+
+impl Default for Clearcoat {
+    /// Returns no coat.
+    fn default() -> Self {
+        let (map, normal_map, map_parts) = (None, None, MapParts::Both);
+        Self { strength: 0.0, roughness: 0.0, map, map_parts, normal_map, normal_scale: 1.0 }
     }
 }
 

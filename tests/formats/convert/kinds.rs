@@ -17,7 +17,7 @@ fn layers() -> serde_json::Value {
     json!({
         "KHR_materials_clearcoat": {
             "clearcoatFactor": 0.5, "clearcoatRoughnessFactor": 0.25, "clearcoatTexture": map,
-            "clearcoatNormalTexture": { "index": 0, "scale": 1.0 },
+            "clearcoatNormalTexture": { "index": 0, "scale": 0.5 },
         },
         "KHR_materials_ior": { "ior": 1.25 },
         "KHR_materials_specular": {
@@ -49,7 +49,6 @@ fn houses() -> (GltfBuilder, Vec<u8>) {
                 "roughnessFactor": 0.5,
             },
             "alphaMode": "MASK", "alphaCutoff": 0.25, "doubleSided": true, "emissiveFactor": [0.5, 0, 0],
-            "normalTexture": { "index": 0 },
             "extensions": layers(),
         }),
     );

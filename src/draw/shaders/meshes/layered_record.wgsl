@@ -7,15 +7,17 @@ struct SurfaceRecord {
     uv_matrices: array<vec4<f32>, 4>,  // columns, by map
     uv_offsets: array<vec4<f32>, 2>,   // two maps a vector
     dielectric: vec4<f32>,  // reflectance at normal incidence, linear; w: its strength
-    coat: vec4<f32>,        // strength, roughness
-    layer_maps: vec4<u32>,  // layers of the maps of dielectric and coat; bits, see layers.wgsl
-    layer_matrices: array<vec4<f32>, 2>,  // columns, by map
-    layer_offsets: vec4<f32>,             // of both maps
+    coat: vec4<f32>,        // strength, roughness, scale of normals
+    layer_maps: vec4<u32>,  // layers of the maps of dielectric and coat; bits, see layers.wgsl; layer of the coat's normals
+    layer_matrices: array<vec4<f32>, 3>,  // columns, by map
+    layer_offsets: array<vec4<f32>, 2>,   // two maps a vector
 }
 
 @group(1) @binding(12) var dielectric_layers: texture_2d_array<f32>;
 @group(1) @binding(13) var dielectric_sampler: sampler;
 @group(1) @binding(14) var coat_layers: texture_2d_array<f32>;
 @group(1) @binding(15) var coat_sampler: sampler;
-@group(1) @binding(16) var<storage, read> surface_records: array<SurfaceRecord>;
+@group(1) @binding(16) var coat_normal_layers: texture_2d_array<f32>;
+@group(1) @binding(17) var coat_normal_sampler: sampler;
+@group(1) @binding(18) var<storage, read> surface_records: array<SurfaceRecord>;
 

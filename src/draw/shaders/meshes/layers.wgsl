@@ -1,14 +1,15 @@
 // What a surface reflects beyond the plain model: the reflection of dielectrics with an index of refraction, a strength and a
 // colour (KHR_materials_ior, KHR_materials_specular), and a clear coat (KHR_materials_clearcoat).
 
-// Bits of a record.
-const DIELECTRIC_HAS_SECOND_UV: u32 = 1u;
-const COAT_HAS_SECOND_UV: u32 = 2u;
-const DIELECTRIC_MAP_HAS_COLOR: u32 = 4u;
-const DIELECTRIC_MAP_HAS_STRENGTH: u32 = 8u;
-const COAT_MAP_HAS_STRENGTH: u32 = 16u;
-const COAT_MAP_HAS_ROUGHNESS: u32 = 32u;
-const COAT_IS_BENT: u32 = 64u;
+// The maps, as indices of their transforms. Bits of a record say which of them use the second texture coordinates.
+const DIELECTRIC: u32 = 0u;
+const COAT: u32 = 1u;
+const COAT_NORMALS: u32 = 2u;
+// Further bits of a record: the parts of maps that count.
+const DIELECTRIC_MAP_HAS_COLOR: u32 = 8u;
+const DIELECTRIC_MAP_HAS_STRENGTH: u32 = 16u;
+const COAT_MAP_HAS_STRENGTH: u32 = 32u;
+const COAT_MAP_HAS_ROUGHNESS: u32 = 64u;
 
 // What the coat reflects at normal incidence, with an index of refraction of 1.5.
 const COAT_REFLECTANCE: f32 = 0.04;
@@ -18,8 +19,8 @@ fn layer_point(in: MeshFragment, shape: MeshShape, map: u32) -> MapPoint {
     if (surface_records[record].layer_maps.z >> map & 1u) == 0u {
         return MapPoint(vec2<f32>(in.in_eye_u.w, in.normal_v.w), shape.uv_x, shape.uv_y);
     }
-    let offsets = surface_records[record].layer_offsets;
-    let offset = select(offsets.xy, offsets.zw, map == 1u);
+    let offsets = surface_records[record].layer_offsets[map / 2u];
+    let offset = select(offsets.xy, offsets.zw, (map & 1u) == 1u);
     return second_point(in, shape, surface_records[record].layer_matrices[map], offset);
 }
 
@@ -28,7 +29,7 @@ fn reflectances(in: MeshFragment, shape: MeshShape, base: vec3<f32>, metallic: f
     var dielectric = surface_records[in.leaf.x].dielectric;
     let maps = surface_records[in.leaf.x].layer_maps;
     if (in.leaf.y & FLAG_UNTEXTURED) == 0u && maps.x != NO_LAYER {
-        let at = layer_point(in, shape, 0u);
+        let at = layer_point(in, shape, DIELECTRIC);
         let sampled = textureSampleGrad(dielectric_layers, dielectric_sampler, at.uv, maps.x, at.x, at.y);
         let color = select(vec3<f32>(1.0), sampled.rgb, (maps.z & DIELECTRIC_MAP_HAS_COLOR) != 0u);
         let strength = select(1.0, sampled.a, (maps.z & DIELECTRIC_MAP_HAS_STRENGTH) != 0u);
@@ -45,10 +46,11 @@ fn beneath(mirrored: vec3<f32>) -> vec3<f32> {
 
 // Returns the light of a surface through its coat, and what the coat mirrors of sun, local lights and sky.
 fn coated(in: MeshFragment, shape: MeshShape, point: SurfacePoint, lit: vec3<f32>) -> vec3<f32> {
-    var coat = surface_records[in.leaf.x].coat.xy;
+    var coat = surface_records[in.leaf.x].coat;
     let maps = surface_records[in.leaf.x].layer_maps;
-    if (in.leaf.y & FLAG_UNTEXTURED) == 0u && maps.y != NO_LAYER {
-        let at = layer_point(in, shape, 1u);
+    let has_maps = (in.leaf.y & FLAG_UNTEXTURED) == 0u;
+    if has_maps && maps.y != NO_LAYER {
+        let at = layer_point(in, shape, COAT);
         let sampled = textureSampleGrad(coat_layers, coat_sampler, at.uv, maps.y, at.x, at.y);
         coat.x *= select(1.0, sampled.r, (maps.z & COAT_MAP_HAS_STRENGTH) != 0u);
         coat.y *= select(1.0, sampled.g, (maps.z & COAT_MAP_HAS_ROUGHNESS) != 0u);
@@ -57,7 +59,13 @@ fn coated(in: MeshFragment, shape: MeshShape, point: SurfacePoint, lit: vec3<f32
         return lit;
     }
     let roughness = roughness_in_pixel(coat.y, shape);
-    let normal = select(point.smooth_normal, point.normal, (maps.z & COAT_IS_BENT) != 0u);
+    var normal = point.smooth_normal;
+    if has_maps && maps.w != NO_LAYER {
+        let at = layer_point(in, shape, COAT_NORMALS);
+        let sampled = textureSampleGrad(coat_normal_layers, coat_normal_sampler, at.uv, maps.w, at.x, at.y);
+        let bend = (sampled.xyz * 2.0 - 1.0) * vec3<f32>(coat.zz, 1.0);
+        normal = bent_normal(normal, bend, shape, at, point.is_front);
+    }
     let facing_eye = min(abs(dot(normal, point.to_eye)), 1.0);
     let fresnel = COAT_REFLECTANCE + (1.0 - COAT_REFLECTANCE) * pow(1.0 - facing_eye, 5.0);
     let in_eye = in.in_eye_u.xyz;

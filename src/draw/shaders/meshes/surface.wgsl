@@ -196,7 +196,7 @@ fn roughness_in_pixel(roughness: f32, shape: MeshShape) -> f32 {
 // A point of a surface and what is around it, in eye space.
 struct SurfacePoint {
     smooth_normal: vec3<f32>,
-    normal: vec3<f32>,  // bent by the normal map
+    is_front: bool,
     to_eye: vec3<f32>,
     ground: vec4<f32>,  // the direction away from the ground; w: height in metres
     occlusion: f32,     // the share of the sky's light that arrives
@@ -269,6 +269,6 @@ fn shade(in: MeshFragment, is_front: bool, shape: MeshShape, base: vec4<f32>) ->
     let mirrored = reflectance.rgb * from_around.x + reflectance.w * from_around.y;
     let glossy = surroundings(reflect(-to_eye, normal), roughness, ground.xyz, ground.w) * mirrored;
     let soft = light_of_sky(normal, ground.xyz) * diffuse * beneath(mirrored);
-    let point = SurfacePoint(smooth_normal, normal, to_eye, ground, occlusion);
+    let point = SurfacePoint(smooth_normal, is_front, to_eye, ground, occlusion);
     return through_air(coated(in, shape, point, color + occlusion * (glossy + soft)), air);
 }

@@ -31,8 +31,9 @@ pub(in super::super) struct Layers {
     /// The strength in red, the roughness in green.
     pub coat_map: Option<TextureRef>,
     pub coat_parts: MapParts,
-    /// The normal map of the coat.
+    /// The normal map of the coat, whatever its base has.
     pub coat_normal: Option<TextureRef>,
+    pub coat_normal_scale: f32,
 }
 
 impl Default for Layers {
@@ -49,6 +50,7 @@ impl Default for Layers {
             coat_map: None,
             coat_parts: MapParts::Both,
             coat_normal: None,
+            coat_normal_scale: 1.0,
         }
     }
 }
@@ -84,7 +86,10 @@ impl Layers {
             if layers.coat > 0.0 {
                 let maps = [map(of, "clearcoatTexture"), map(of, "clearcoatRoughnessTexture")];
                 (layers.coat_map, layers.coat_parts) = one_map(maps, "clearcoat", notes);
-                layers.coat_normal = map(of, "clearcoatNormalTexture");
+                if let Some(normal) = of.get("clearcoatNormalTexture") {
+                    layers.coat_normal = TextureRef::from_json(normal);
+                    layers.coat_normal_scale = number(normal, CLEARCOAT, "scale", 1.0, notes);
+                }
             }
         }
         layers

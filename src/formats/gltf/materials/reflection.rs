@@ -25,8 +25,6 @@ pub(in super::super) struct Reflection {
     pub emissive_map: Option<TextureRef>,
     /// The reflection of what is no metal, and the coat.
     pub layers: Layers,
-    /// True if the normal map bends the coat too.
-    pub is_coat_bent: bool,
     /// The set of texture coordinates that maps use which differ from the base colour's; `None` if no map does.
     pub second_set: Option<u32>,
     /// The transforms of these maps.
@@ -70,16 +68,9 @@ impl Reflection {
             emissive: emitted(material),
             emissive_map: material.emissive_texture().map(|info| TextureRef::new(&info)),
             layers,
-            is_coat_bent: false,
             second_set: None,
             second_uv: SecondUv::default(),
         };
-        if let Some(own) = layers.coat_normal {
-            reflection.is_coat_bent = reflection.normal == Some(own);
-            if !reflection.is_coat_bent {
-                notes.add("glTF material: normal map of a clearcoat that is not that of its base");
-            }
-        }
         reflection.find_second_uv(base, notes);
         (!reflection.is_matte()).then_some(reflection)
     }
@@ -95,10 +86,18 @@ impl Reflection {
 
     /// Returns the maps that there are.
     pub fn maps(&self) -> impl Iterator<Item = &TextureRef> {
-        let Layers { specular_map, coat_map, .. } = &self.layers;
-        [&self.normal, &self.metallic_roughness, &self.occlusion, &self.emissive_map, specular_map, coat_map]
-            .into_iter()
-            .flatten()
+        let Layers { specular_map, coat_map, coat_normal, .. } = &self.layers;
+        [
+            &self.normal,
+            &self.metallic_roughness,
+            &self.occlusion,
+            &self.emissive_map,
+            specular_map,
+            coat_map,
+            coat_normal,
+        ]
+        .into_iter()
+        .flatten()
     }
 
     /// Finds the maps whose texture coordinates differ from those of the base colour or, without it, of the first map. All
@@ -113,6 +112,7 @@ impl Reflection {
             (&mut *occlusion, &mut second_uv.occlusion),
             (&mut layers.specular_map, &mut second_uv.dielectric),
             (&mut layers.coat_map, &mut second_uv.clearcoat),
+            (&mut layers.coat_normal, &mut second_uv.clearcoat_normal),
         ] {
             let Some(own) = map.filter(|map| !map.has_coordinates_of(&first)) else { continue };
             if *second_set.get_or_insert(own.uv_set) == own.uv_set {

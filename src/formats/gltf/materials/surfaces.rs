@@ -118,6 +118,7 @@ impl<'a> Surfaces<'a> {
         let layers = &of.layers;
         let (specular_map, shared_specular) = get(layers.specular_map)?;
         let (coat_map, shared_coat) = get(layers.coat_map)?;
+        let (coat_normal, shared_coat_normal) = get(layers.coat_normal)?;
         let model = MetallicRoughness {
             metallic: of.metallic,
             roughness: of.roughness,
@@ -141,12 +142,21 @@ impl<'a> Surfaces<'a> {
                 roughness: layers.coat_roughness,
                 map: coat_map,
                 map_parts: layers.coat_parts,
-                is_bent: of.is_coat_bent,
+                normal_map: coat_normal,
+                normal_scale: layers.coat_normal_scale,
             },
             ..MetallicRoughness::default()
         };
-        let shared =
-            [shared_normal, shared_metallic, shared_emissive, shared_occlusion, None, shared_specular, shared_coat];
+        let shared = [
+            shared_normal,
+            shared_metallic,
+            shared_emissive,
+            shared_occlusion,
+            None,
+            shared_specular,
+            shared_coat,
+            shared_coat_normal,
+        ];
         Ok((model, shared.map(Option::flatten)))
     }
 }

@@ -148,8 +148,10 @@ impl Materials {
                 let info = self.map(texture, second_uv.clearcoat, Texels::Values, images, buffers)?;
                 add_parts(&mut of, info, clearcoat.map_parts, ["clearcoatTexture", "clearcoatRoughnessTexture"]);
             }
-            if let Some(normal) = json.get("normalTexture").filter(|_| clearcoat.is_bent) {
-                of["clearcoatNormalTexture"] = normal.clone();
+            if let Some(texture) = &clearcoat.normal_map {
+                let uv = second_uv.clearcoat_normal;
+                of["clearcoatNormalTexture"] = self.map(texture, uv, Texels::Values, images, buffers)?;
+                of["clearcoatNormalTexture"]["scale"] = json!(clearcoat.normal_scale);
             }
             json["extensions"]["KHR_materials_clearcoat"] = of;
         }

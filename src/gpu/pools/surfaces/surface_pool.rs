@@ -126,9 +126,10 @@ impl SurfacePool {
         (color, white): (TextureLayer, TextureLayer),
         maps: &MapLayers,
     ) -> Result<SurfaceSlot, String> {
-        let [normal, metallic, emission, occlusion, overlay, dielectric, coat] =
-            maps.map(|map| map.unwrap_or(white).block);
-        let blocks = [color.block, normal, metallic, emission, occlusion, overlay, dielectric, coat];
+        let mut blocks = [color.block; 1 + MetallicRoughness::MAPS];
+        for (block, map) in blocks[1..].iter_mut().zip(maps) {
+            *block = map.unwrap_or(white).block;
+        }
         let slot = self.take_slot(memory, layouts, textures, (blocks, surface.is_layered()))?;
         if let Some(set) = self.sets.get_mut(slot.set) {
             set.maps[slot.record as usize] = *maps;

@@ -66,48 +66,42 @@ pub(crate) struct LayeredRecord {
     pub(crate) plain: SurfaceRecord,
     /// What reflects where there is no metal, at normal incidence and linear; its strength.
     pub(crate) dielectric: [f32; 4],
-    /// Strength and roughness of the coat; the others are unused.
+    /// Strength and roughness of the coat, scale of its normals; the last element is unused.
     pub(crate) coat: [f32; 4],
-    /// The layers of the maps of dielectric and coat, and [bits](Self::bits); the last element is unused.
+    /// The layers of the maps of dielectric and coat, [bits](Self::bits), the layer of the normal map of the coat.
     pub(crate) layer_maps: [u32; 4],
-    /// The columns of the matrices from the second texture coordinates to those of the maps of dielectric and coat.
-    pub(crate) layer_matrices: [[f32; 4]; 2],
-    /// The offsets after the matrices.
-    pub(crate) layer_offsets: [f32; 4],
+    /// The columns of the matrices from the second texture coordinates to those of the maps.
+    pub(crate) layer_matrices: [[f32; 4]; 3],
+    /// The offsets after the matrices; two maps a vector.
+    pub(crate) layer_offsets: [[f32; 4]; 2],
 }
 
 impl LayeredRecord {
     pub(super) fn new(surface: &MetallicRoughness, color: TextureLayer, maps: &MapLayers) -> Self {
-        let [.., dielectric_map, coat_map] = maps.map(SurfaceRecord::layer);
+        let [.., dielectric_map, coat_map, normal_map] = maps.map(SurfaceRecord::layer);
         let ([r, g, b], strength) = surface.dielectric.reflectance();
         let [coat, roughness] = surface.clearcoat.factors();
-        let transforms = [surface.second_uv.dielectric, surface.second_uv.clearcoat].map(Option::unwrap_or_default);
-        let [dielectric_offset, coat_offset] = transforms.map(|transform| transform.translation.to_array());
+        let transforms = surface.second_uv.of_layer_maps().map(Option::unwrap_or_default);
+        let [dielectric, clearcoat, normal] = transforms.map(|transform| transform.translation.to_array());
         Self {
             plain: SurfaceRecord::new(surface, color, maps),
             dielectric: [r, g, b, strength],
-            coat: [coat, roughness, 0.0, 0.0],
-            layer_maps: [dielectric_map, coat_map, Self::bits(surface), 0],
+            coat: [coat, roughness, surface.clearcoat.normal_scale, 0.0],
+            layer_maps: [dielectric_map, coat_map, Self::bits(surface), normal_map],
             layer_matrices: transforms.map(|transform| transform.matrix2.to_cols_array()),
-            layer_offsets: [dielectric_offset[0], dielectric_offset[1], coat_offset[0], coat_offset[1]],
+            layer_offsets: [
+                [dielectric[0], dielectric[1], clearcoat[0], clearcoat[1]],
+                [normal[0], normal[1], 0.0, 0.0],
+            ],
         }
     }
 
-    /// Returns a bit for each map that uses the second texture coordinates, for each part of the maps that counts, and for a
-    /// coat that the normal map bends.
+    /// Returns a bit for each map that uses the second texture coordinates, and for each part of the maps that counts.
     fn bits(surface: &MetallicRoughness) -> u32 {
         let MetallicRoughness { dielectric, clearcoat, second_uv, .. } = surface;
-        [
-            second_uv.dielectric.is_some(),
-            second_uv.clearcoat.is_some(),
-            dielectric.map_parts.has_first(),
-            dielectric.map_parts.has_second(),
-            clearcoat.map_parts.has_first(),
-            clearcoat.map_parts.has_second(),
-            clearcoat.is_bent,
-        ]
-        .into_iter()
-        .zip(0..)
-        .fold(0, |bits, (is_set, bit)| bits | u32::from(is_set) << bit)
+        let parts = [dielectric.map_parts, clearcoat.map_parts];
+        let parts = parts.into_iter().flat_map(|parts| [parts.has_first(), parts.has_second()]);
+        let seconds = second_uv.of_layer_maps().map(|transform| transform.is_some());
+        seconds.into_iter().chain(parts).zip(0..).fold(0, |bits, (is_set, bit)| bits | u32::from(is_set) << bit)
     }
 }
