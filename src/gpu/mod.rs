@@ -36,4 +36,4 @@ pub(crate) use pools::{
     view_dimension,
 };
 #[cfg(test)]
-pub(crate) use pools::{HEADER_VECTORS as TABLE_HEADER_VECTORS, MORPH_LEVELS, SurfaceRecord};
+pub(crate) use pools::{HEADER_VECTORS as TABLE_HEADER_VECTORS, LayeredRecord, MORPH_LEVELS, SurfaceRecord};

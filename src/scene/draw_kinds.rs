@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use super::geometry::{AlphaMode, AttributeLayout, Geometry, Topology, VertexFormat};
+use super::geometry::{AlphaMode, AttributeLayout, Geometry, MetallicRoughness, Topology, VertexFormat};
 use super::graph::Scene;
 use super::id::{NONE, NodeId};
 use super::pages::{BLEND, LIGHTS, Page, VIEW};
@@ -25,6 +25,8 @@ pub struct DrawKind {
     pub double_sided: bool,
     /// True if the material is drawn with the metallic-roughness model.
     pub has_surface: bool,
+    /// True if that surface has a clear coat, or another reflection than a plain dielectric.
+    pub is_layered: bool,
     /// True if the transform mirrors.
     pub mirrored: bool,
     /// True for a mesh of a few triangles without custom attributes.
@@ -39,7 +41,8 @@ impl DrawKind {
     /// Returns true if all but the state are equal.
     fn is_like(&self, other: &Self) -> bool {
         let flags = |k: &Self| {
-            (k.topology, k.is_masked, k.double_sided, k.has_surface, k.mirrored, k.is_small, k.vertex_format)
+            let surface = (k.has_surface, k.is_layered);
+            (k.topology, k.is_masked, k.double_sided, surface, k.mirrored, k.is_small, k.vertex_format)
         };
         flags(self) == flags(other) && self.attributes == other.attributes
     }
@@ -69,6 +72,7 @@ impl Scene {
                 is_masked: matches!(drawable.material.alpha, AlphaMode::Mask(_)),
                 double_sided: drawable.material.double_sided,
                 has_surface: drawable.material.surface().is_some(),
+                is_layered: drawable.material.surface().is_some_and(MetallicRoughness::is_layered),
                 mirrored: world_from_page * linear.determinant() < 0.0,
                 is_small: mesh.is_some_and(|mesh| mesh.is_small()),
                 vertex_format: drawable.vertex_format(),

@@ -42,9 +42,9 @@ pub use features::{
 #[cfg(feature = "text")]
 pub use geometry::Font;
 pub use geometry::{
-    AlphaMode, AttributeFormat, BlockFormats, CustomGeometry, Drawable, Geometry, HeightTile, MAX_ATTRIBUTES, Material,
-    Mesh, MeshVertex, MetallicRoughness, NormalCone, OverlayMode, PrimitiveMode, Sampling, SecondUv, TexelFormat,
-    Texture, Topology, VertexAttributes, VertexFormat,
+    AlphaMode, AttributeFormat, BlockFormats, Clearcoat, CustomGeometry, Dielectric, Drawable, Geometry, HeightTile,
+    MAX_ATTRIBUTES, MapParts, Material, Mesh, MeshVertex, MetallicRoughness, NormalCone, OverlayMode, PrimitiveMode,
+    Sampling, SecondUv, TexelFormat, Texture, Topology, VertexAttributes, VertexFormat,
 };
 pub use graph::Scene;
 pub use id::{NodeId, PageId, SceneNumber};

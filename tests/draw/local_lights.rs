@@ -10,8 +10,8 @@ use kit::shadows::small_maps;
 use kit::shapes::quad;
 use kit::terrain::Terrain;
 use terrane::scene::{
-    CameraEnvironment, CameraNode, Drawable, Environment, LocalLights, Material, Mesh, MetallicRoughness, Node,
-    NodeKind, ReferenceFrame, RenderOrder,
+    CameraEnvironment, CameraNode, Clearcoat, Dielectric, Drawable, Environment, LocalLights, Material, Mesh,
+    MetallicRoughness, Node, NodeKind, ReferenceFrame, RenderOrder,
 };
 use terrane::state::{Attribute, Fog, FogMode, Light, Mode, StateSet, StateValue};
 
@@ -316,6 +316,27 @@ fn lit_drawables_cast_and_receive_the_shadows_of_the_sun() {
         assert_eq!(before.0[..2], after.0[..2]);
         assert!(!is_shadow(before) || after.0[2] > 160, "{after:?}");
     }
+}
+
+/// A coat mirrors local lights, over a base that reflects nothing.
+#[test]
+fn clearcoat_mirrors_local_lights() {
+    let Some(mut rig) = rig("clearcoat_mirrors_local_lights") else { return };
+    let mut coated = |strength: f32| {
+        let surface = MetallicRoughness {
+            dielectric: Dielectric { ior: 1.0, ..Dielectric::default() },
+            clearcoat: Clearcoat { strength, roughness: 0.3, ..Clearcoat::default() },
+            ..MetallicRoughness::default()
+        };
+        let material =
+            Material { base_color: [0.0, 0.0, 0.0, 1.0], metallic_roughness: Some(surface), ..Material::default() };
+        let node = Node::geode(vec![with_material(&material)]);
+        let blue = from_front([0.0, 0.0, 0.5]);
+        pixel(&draw(&mut rig, vec![lit_by(vec![blue], vec![node])]), SIDE / 2, SIDE / 2)
+    };
+    assert_eq!(coated(0.0), [0; 3]);
+    let [red, green, blue] = coated(1.0);
+    assert!(red == 0 && green == 0 && blue > 100, "{red} {green} {blue}");
 }
 
 /// Draws a room at night: a warm lamp on the left, a blue spot on the right, balls of a matte, a glossy and a metallic

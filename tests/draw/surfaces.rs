@@ -9,8 +9,8 @@ use kit::rig::{Rig, camera, plain, rig, unit_camera};
 use kit::shadows::small_maps;
 use kit::shapes::{quad, with_mips};
 use terrane::scene::{
-    AlphaMode, AttributeFormat, DistanceFog, Drawable, Environment, Geometry, Material, Mesh, MetallicRoughness, Node,
-    OverlayMode, SecondUv, Texture,
+    AlphaMode, AttributeFormat, Clearcoat, Dielectric, DistanceFog, Drawable, Environment, Geometry, MapParts,
+    Material, Mesh, MetallicRoughness, Node, OverlayMode, SecondUv, Texture,
 };
 use terrane::state::{Attribute, Mode, StateSet, StateValue, SurfaceMaterial};
 
@@ -209,6 +209,160 @@ fn smooth_surface_mirrors_the_sun_and_a_rough_one_spreads_it() {
     assert!(red > green && green > blue, "a metal tints what it reflects");
 }
 
+/// Returns a ball of a material.
+fn ball(material: Material) -> Node {
+    Node::geode(vec![Drawable::new(Mesh::sphere(DVec3::ZERO, 0.9, 32).into(), material)])
+}
+
+/// The default values are those of the plain shader: another shader that is given nearly the same draws the same.
+#[test]
+fn layers_that_change_nothing_are_not_seen() {
+    let Some(mut rig) = rig("layers_that_change_nothing_are_not_seen") else { return };
+    let mut with = |change: fn(&mut MetallicRoughness)| {
+        let material = surface(|s| {
+            (s.roughness, s.metallic) = (0.4, 0.3);
+            s.normal_map = texels([150, 110, 230, 255]);
+            change(s);
+        });
+        draw_node(&mut rig, ball(material), &lit_from(DVec3::new(0.4, 0.2, 1.0)))
+    };
+    let plain = with(|_| ());
+    let near = with(|s| s.dielectric.ior = 1.5001);
+    assert!(differ(&plain, &near, 1) == 0 && differ(&plain, &with(|s| s.dielectric.ior = 2.2), 1) > 50);
+    let uncoated = with(|s| (s.clearcoat.strength, s.clearcoat.map) = (1.0, texels([0, 255, 0, 255])));
+    assert_eq!(differ(&plain, &uncoated, 1), 0, "a map takes the coat away");
+}
+
+#[test]
+fn refraction_and_specular_factors_change_the_highlight() {
+    let Some(mut rig) = rig("refraction_and_specular_factors_change_the_highlight") else { return };
+    let environment = Environment { ambient_color: [0.0; 3], ..lit_from(DVec3::Z) };
+    let mut highlight = |metallic: f32, change: fn(&mut MetallicRoughness)| {
+        let mut material = surface(|s| {
+            (s.roughness, s.metallic) = (0.6, metallic);
+            change(s);
+        });
+        // Without diffuse light.
+        material.base_color = [metallic, metallic, metallic, 1.0];
+        pixel(&draw_node(&mut rig, ball(material), &environment), SIDE / 2, SIDE / 2)
+    };
+    let glass = sum(highlight(0.0, |_| ()));
+    assert!(glass > 60, "{glass}");
+    assert_eq!(highlight(0.0, |s| s.dielectric.ior = 1.0), [0; 3], "air reflects nothing");
+    let diamond = sum(highlight(0.0, |s| s.dielectric.ior = 2.4));
+    assert!(diamond > glass + 60, "{diamond} {glass}");
+    assert_eq!(highlight(0.0, |s| s.dielectric.specular = 0.0), [0; 3]);
+    let half = sum(highlight(0.0, |s| s.dielectric.specular = 0.5));
+    assert!(half > 20 && half < glass - 20, "{half} {glass}");
+    let [red, green, blue] = highlight(0.0, |s| s.dielectric.specular_color = [1.0, 0.25, 0.0]);
+    assert!(red > green && green > 5 && blue < 2, "the colour tints it: {red} {green} {blue}");
+    let metal = highlight(0.5, |_| ());
+    assert_ne!(metal, highlight(0.5, |s| s.dielectric.specular_color = [1.0, 0.0, 0.0]));
+    assert_eq!(highlight(1.0, |_| ()), highlight(1.0, |s| s.dielectric.ior = 1.0), "metals have their own");
+    let nothing = highlight(0.0, |s| {
+        s.dielectric = Dielectric { ior: f32::NAN, specular: f32::INFINITY, ..Dielectric::default() };
+        s.clearcoat = Clearcoat { strength: f32::NAN, ..Clearcoat::default() };
+    });
+    assert_eq!(sum(nothing), glass, "values that are no numbers are those of the default");
+}
+
+#[test]
+fn clearcoat_adds_a_sharp_highlight_over_a_rough_base() {
+    let Some(mut rig) = rig("clearcoat_adds_a_sharp_highlight_over_a_rough_base") else { return };
+    let environment = lit_from(DVec3::Z);
+    let mut coated = |strength: f32, roughness: f32, emissive: f32| {
+        let mut material = surface(|s| {
+            s.clearcoat = Clearcoat { strength, roughness, ..Clearcoat::default() };
+            s.emissive = [emissive; 3];
+        });
+        material.base_color = [0.3, 0.0, 0.0, 1.0];
+        let picture = draw_node(&mut rig, ball(material), &environment);
+        [0, SIDE / 4].map(|beside| pixel(&picture, SIDE / 2 + beside, SIDE / 2))
+    };
+    let ([bare, bare_side], [sharp, sharp_side], [soft, _]) =
+        (coated(0.0, 0.0, 0.0), coated(1.0, 0.2, 0.0), coated(1.0, 0.7, 0.0));
+    assert!(bare[1] < 40 && sharp[1] > bare[1] + 60, "a white highlight: {bare:?} {sharp:?}");
+    assert!(sharp_side[1].abs_diff(bare_side[1]) < 30, "none beside it: {bare_side:?} {sharp_side:?}");
+    assert!(soft[1] > bare[1] && sharp[1] > soft[1] + 30, "a rough coat spreads it: {soft:?} {sharp:?}");
+    let [_, half_side] = coated(0.5, 0.2, 0.0);
+    assert!(
+        half_side[0] <= bare_side[0] && half_side[0] >= sharp_side[0],
+        "{bare_side:?} {half_side:?} {sharp_side:?}"
+    );
+    let [glowing, coated_glow] = [coated(0.0, 0.2, 0.5), coated(1.0, 0.2, 0.5)].map(|[_, side]| side[0]);
+    assert!(coated_glow < glowing, "the coat takes some of what the base emits");
+}
+
+/// Each map lies on one half of the square. Their coordinates may be the second ones.
+#[test]
+fn layers_have_maps() {
+    let Some(mut rig) = rig("layers_have_maps") else { return };
+    let environment = Environment { ambient_color: [0.0; 3], ..lit_from(DVec3::Z) };
+    let halves = |left: [u8; 4], right: [u8; 4]| {
+        let texels = (0..64).flat_map(|i| if i % 8 < 4 { left } else { right }).collect();
+        Some(Arc::new(with_mips(8, 8, texels)))
+    };
+    let mirror = Affine2 { matrix2: Mat2::from_diagonal(Vec2::new(-1.0, 1.0)), translation: Vec2::X };
+    let mut sides = |change: &dyn Fn(&mut MetallicRoughness)| {
+        let mut material = surface(|s| {
+            s.roughness = 0.5;
+            change(s);
+        });
+        material.base_color = [0.0, 0.0, 0.0, 1.0];
+        let pictures = [false, true].map(|is_fine| {
+            let square = square(&material, is_fine);
+            draw_node(&mut rig, Node::geode(vec![square]), &environment)
+        });
+        assert_eq!(differ(&pictures[0], &pictures[1], 0), 0, "pulled vertices and vertex buffers");
+        [3 * SIDE / 8, 5 * SIDE / 8].map(|x| pixel(&pictures[0], x, SIDE / 2).map(|part| part > 10))
+    };
+    let (none, all, red) = ([false; 3], [true; 3], [true, false, false]);
+    let map = halves([255, 0, 0, 255], [255, 255, 255, 0]);
+    let mut specular = |map_parts: MapParts, dielectric: Option<Affine2>| {
+        sides(&|s| {
+            s.dielectric = Dielectric { map: map.clone(), map_parts, ..Dielectric::default() };
+            s.second_uv = SecondUv { dielectric, ..SecondUv::default() };
+        })
+    };
+    assert_eq!(specular(MapParts::Both, None), [red, none]);
+    assert_eq!(specular(MapParts::First, None), [red, all]);
+    assert_eq!(specular(MapParts::Second, None), [all, none]);
+    assert_eq!(specular(MapParts::Both, Some(mirror)), [none, red]);
+    // The base reflects nothing. A coat of full roughness has a weak highlight.
+    let map = halves([255, 255, 0, 255], [0, 0, 0, 255]);
+    let mut coat = |map_parts: MapParts, clearcoat: Option<Affine2>| {
+        sides(&|s| {
+            s.dielectric.ior = 1.0;
+            s.clearcoat =
+                Clearcoat { strength: 1.0, roughness: 1.0, map: map.clone(), map_parts, ..Clearcoat::default() };
+            s.second_uv = SecondUv { clearcoat, ..SecondUv::default() };
+        })
+    };
+    assert_eq!(coat(MapParts::First, None), [all, none]);
+    assert_eq!(coat(MapParts::Second, None), [all, all]);
+    assert_eq!(coat(MapParts::First, Some(mirror)), [none, all]);
+}
+
+/// A coat fills the bumps of its base, and may have its own.
+#[test]
+fn coat_has_its_own_normals() {
+    let Some(mut rig) = rig("coat_has_its_own_normals") else { return };
+    let environment = Environment { ambient_color: [0.0; 3], ..lit_from(DVec3::Z) };
+    let bump = || texels([218, 128, 218, 255]);
+    let mut highlight = |base: Option<Arc<Texture>>, normal_map: Option<Arc<Texture>>, normal_scale: f32| {
+        let mut material = surface(|s| {
+            s.dielectric.ior = 1.0;
+            s.clearcoat = Clearcoat { strength: 1.0, roughness: 0.3, normal_map, normal_scale, ..Clearcoat::default() };
+            s.normal_map = base;
+        });
+        material.base_color = [0.0, 0.0, 0.0, 1.0];
+        sum(middle(&mut rig, &material, &environment))
+    };
+    let smooth = [highlight(bump(), None, 1.0), highlight(None, bump(), 0.0)];
+    let bent = [highlight(bump(), bump(), 1.0), highlight(None, bump(), 1.0)];
+    assert!(smooth.iter().all(|of| *of > 300) && bent.iter().all(|of| *of < 60), "{smooth:?} {bent:?}");
+}
+
 #[test]
 fn back_faces_are_lit_as_seen() {
     let Some(mut rig) = rig("back_faces_are_lit_as_seen") else { return };
@@ -234,6 +388,10 @@ fn small_meshes_shadows_masks_and_other_states_draw() {
     assert_eq!(differ(&pulled, &draw_node(&mut rig, geode(&full, true), &environment), 0), 0);
     let shadowed = Environment { shadows: small_maps(), ..environment };
     assert!(differ(&pulled, &draw_node(&mut rig, geode(&full, true), &shadowed), 2) < 40, "nothing casts on it");
+    let mut coated = full.clone();
+    coated.metallic_roughness.as_mut().unwrap().clearcoat.strength = 1.0;
+    let [lit, in_shadow_maps] = [&environment, &shadowed].map(|of| draw_node(&mut rig, geode(&coated, true), of));
+    assert!(differ(&lit, &in_shadow_maps, 2) < 40 && differ(&lit, &pulled, 2) > 100);
 
     let holes = Material { texture: texels([255, 255, 255, 40]), alpha: AlphaMode::Mask(0.5), ..full.clone() };
     let empty = draw_node(&mut rig, Node::group(Vec::new()), &environment);

@@ -8,7 +8,7 @@ use kit::skip::skipped;
 use serde_json::{Value, json};
 use terrane::fetch::Limits;
 use terrane::formats::ReadOptions;
-use terrane::scene::{AttributeFormat, Material, SecondUv, Texture};
+use terrane::scene::{AlphaMode, AttributeFormat, MapParts, Material, MetallicRoughness, SecondUv, Texture};
 use terrane::state::FilterMode;
 
 use crate::gltf_builder::*;
@@ -273,7 +273,7 @@ fn maps_may_have_their_own_texture_coordinates() {
     let read = gltf.read();
     let (mesh, drawable) = read.mesh();
     let model = drawable.material.metallic_roughness.unwrap();
-    let SecondUv { normal, occlusion_roughness_metallic, emissive, occlusion } = model.second_uv;
+    let SecondUv { normal, occlusion_roughness_metallic, emissive, occlusion, .. } = model.second_uv;
     assert_eq!((normal, occlusion_roughness_metallic, occlusion), (None, None, Some(Affine2::IDENTITY)));
     // One image for both is two maps here.
     assert!(Arc::ptr_eq(&model.occlusion_map.unwrap(), &model.occlusion_roughness_metallic.unwrap()));
@@ -319,6 +319,94 @@ fn rough_surfaces_without_metal_and_maps_are_matte() {
     assert!(read(json!({})).0.metallic_roughness.is_some_and(|model| model.metallic == 1.0), "glTF's default is metal");
 }
 
+/// Returns a rough material with extensions.
+fn extended(extensions: Value) -> Value {
+    json!({ "pbrMetallicRoughness": { "metallicFactor": 0 }, "extensions": extensions })
+}
+
+#[test]
+fn ior_specular_and_clearcoat_are_read() {
+    let (material, ignored) = read(extended(json!({
+        "KHR_materials_ior": { "ior": 2.25 },
+        "KHR_materials_specular": {
+            "specularFactor": 0.5, "specularColorFactor": [2, 0.5, 0],
+            "specularTexture": { "index": 0 }, "specularColorTexture": { "index": 0 },
+        },
+        "KHR_materials_clearcoat": {
+            "clearcoatFactor": 0.75, "clearcoatRoughnessFactor": 0.125, "clearcoatRoughnessTexture": { "index": 0 },
+            "clearcoatNormalTexture": { "index": 0, "scale": 0.5 },
+        },
+    })));
+    assert!(ignored.is_empty(), "{ignored:?}");
+    let MetallicRoughness { dielectric, clearcoat, .. } = material.metallic_roughness.unwrap();
+    assert_eq!((dielectric.ior, dielectric.specular, dielectric.specular_color), (2.25, 0.5, [2.0, 0.5, 0.0]));
+    assert!(dielectric.map.is_some() && dielectric.map_parts == MapParts::Both);
+    assert_eq!((clearcoat.strength, clearcoat.roughness, clearcoat.normal_scale), (0.75, 0.125, 0.5));
+    assert!(clearcoat.normal_map.is_some());
+    assert!(clearcoat.map.is_some() && clearcoat.map_parts == MapParts::Second);
+    // The defaults are those of a plain surface, which is matte if it is rough.
+    let plain = json!({
+        "KHR_materials_ior": {}, "KHR_materials_specular": { "specularFactor": null },
+        "KHR_materials_clearcoat": { "clearcoatTexture": { "index": 0 } },
+    });
+    let (material, ignored) = read(extended(plain));
+    assert!(material.metallic_roughness.is_none() && ignored.is_empty(), "{ignored:?}");
+}
+
+#[test]
+fn invalid_values_of_material_extensions_are_clamped_and_listed() {
+    let out_of_range = |name: &str| format!("glTF material: value out of range in {name}");
+    for (given, expected) in [(json!(0.5), 1.0), (json!(-2), 1.5), (json!("glass"), 1.5), (json!(1e60), 1.5)] {
+        let (material, ignored) = read(extended(json!({
+            "KHR_materials_ior": { "ior": given }, "KHR_materials_specular": { "specularFactor": 0.5 },
+        })));
+        assert_eq!(material.metallic_roughness.unwrap().dielectric.ior, expected);
+        assert_eq!(ignored, [out_of_range("KHR_materials_ior")]);
+    }
+    let (material, mut ignored) = read(extended(json!({
+        "KHR_materials_specular": { "specularFactor": 7, "specularColorFactor": [0.5, -1] },
+        "KHR_materials_clearcoat": { "clearcoatFactor": 2, "clearcoatTexture": "none" },
+    })));
+    let MetallicRoughness { dielectric, clearcoat, .. } = material.metallic_roughness.unwrap();
+    assert_eq!((dielectric.specular, dielectric.specular_color), (1.0, [0.5, 1.0, 1.0]));
+    assert!(clearcoat.strength == 1.0 && clearcoat.map.is_none());
+    ignored.sort();
+    assert_eq!(ignored, ["KHR_materials_clearcoat", "KHR_materials_specular"].map(out_of_range));
+}
+
+/// Two maps of a kind must be parts of one image. Others are listed.
+#[test]
+fn further_maps_of_material_extensions_are_listed() {
+    let mut gltf = with_material(extended(json!({
+        "KHR_materials_specular": { "specularTexture": { "index": 1 }, "specularColorTexture": { "index": 0 } },
+        "KHR_materials_clearcoat": { "clearcoatFactor": 1, "clearcoatTexture": { "index": 0 } },
+    })));
+    gltf.push("textures", json!({ "source": 0 }));
+    let read = gltf.read();
+    let surface = read.mesh().1.material.metallic_roughness.unwrap();
+    assert_eq!((surface.dielectric.map_parts, surface.clearcoat.map_parts), (MapParts::First, MapParts::First));
+    let kind = "glTF material: second specular map that is not in the image of the first";
+    assert_eq!((read.ignored.count(kind), read.ignored.iter().count()), (1, 1), "{:?}", read.ignored);
+}
+
+#[test]
+fn transmission_is_drawn_by_alpha() {
+    let transmission = |of: Value| extended(json!({ "KHR_materials_transmission": of }));
+    let look = |material: Value| {
+        let (material, ignored) = read(material);
+        (material.alpha, material.base_color[3], ignored.len())
+    };
+    assert_eq!(look(transmission(json!({ "transmissionFactor": 1 }))), (AlphaMode::Blend, 0.25, 0));
+    assert_eq!(look(transmission(json!({ "transmissionFactor": 0 }))), (AlphaMode::Opaque, 1.0, 0));
+    // A texture says where the surface is opaque, which is most of it.
+    let by_texture = json!({ "transmissionFactor": 1, "transmissionTexture": { "index": 0 } });
+    assert_eq!(look(transmission(by_texture)), (AlphaMode::Opaque, 1.0, 1));
+    let mut blended = transmission(json!({ "transmissionFactor": 0.5 }));
+    (blended["alphaMode"], blended["pbrMetallicRoughness"]["baseColorFactor"]) =
+        ("BLEND".into(), json!([1, 1, 1, 0.5]));
+    assert_eq!(look(blended), (AlphaMode::Blend, 0.3125, 0));
+}
+
 #[test]
 fn everything_that_is_not_drawn_is_listed() {
     let mut gltf = with_material(json!({
@@ -347,14 +435,14 @@ fn unknown_required_extensions_are_refused_by_name() {
     let mut gltf = with_material(json!({}));
     gltf.json["extensionsRequired"] = json!(["KHR_materials_unlit", "VENDOR_unknown"]);
     assert!(gltf.error().contains("required glTF extension VENDOR_unknown"));
-    gltf.json["extensionsRequired"] = json!(["KHR_xmp_json_ld", "KHR_materials_clearcoat"]);
+    gltf.json["extensionsRequired"] = json!(["KHR_xmp_json_ld", "KHR_materials_sheen"]);
     gltf.json["extensionsUsed"] = gltf.json["extensionsRequired"].clone();
     let read = gltf.read();
     assert_eq!(read.ignored.count("glTF extension KHR_xmp_json_ld"), 1);
     // Materials have a sensible look without what refines them, also by extensions that are new.
     gltf.json["extensionsRequired"] = json!(["KHR_materials_of_tomorrow"]);
     assert_eq!(gltf.read().drawables().len(), 1);
-    assert_eq!(read.ignored.count("glTF extension KHR_materials_clearcoat"), 1);
+    assert_eq!(read.ignored.count("glTF extension KHR_materials_sheen"), 1);
 }
 
 /// Files that others' viewers draw, and that were drawn wrongly once.

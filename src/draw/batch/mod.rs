@@ -438,9 +438,18 @@ impl Batch {
                 let pipeline = PipelineKey::height(&state.key, key.is_mirrored);
                 Bucket { pipeline, content: Content::Height, block, vertex_chunk: 0, index_chunk: side, bound }
             }
-            BindClass::Mesh { topology, is_masked, double_sided, block, surface_set, vertex_chunk, index_chunk } => {
+            BindClass::Mesh {
+                topology,
+                is_masked,
+                double_sided,
+                block,
+                surface_set,
+                is_layered,
+                vertex_chunk,
+                index_chunk,
+            } => {
                 let pipeline = PipelineKey::mesh(&state.key, topology, is_masked, double_sided, key.is_mirrored);
-                let (pipeline, block) = match surface_set.map(|set| (pipeline.with_surface(), set)) {
+                let (pipeline, block) = match surface_set.map(|set| (pipeline.with_surface(is_layered), set)) {
                     Some((pipeline, set)) if pipeline.has_surface() => (pipeline, set),
                     _ => (pipeline, block),
                 };

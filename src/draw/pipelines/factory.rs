@@ -184,6 +184,7 @@ impl Factory {
         let variant = Variant {
             block_layout: Some(match () {
                 _ if is_height => &ctx.layouts().height_block,
+                _ if key.has_layered_surface() => &ctx.layouts().layered_set,
                 _ if key.has_surface() => &ctx.layouts().surface_set,
                 _ => &ctx.layouts().texture_block,
             }),

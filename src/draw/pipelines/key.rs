@@ -99,9 +99,10 @@ const SHADOWED: Field = FADING.next(1);
 const CASTER: Field = SHADOWED.next(1);
 /// Some texture unit of the fixed function does more than multiply.
 const COMBINES: Field = CASTER.next(1);
+/// The surface has a clear coat, or another reflection than a plain dielectric.
+const LAYERED: Field = COMBINES.next(1);
 
-const _: () = assert!(COMBINES.shift + COMBINES.bits <= u128::BITS);
-const _: () = assert!(MAX_ATTRIBUTE_LAYOUTS <= LAYOUT.max());
+const _: () = assert!(LAYERED.shift + LAYERED.bits <= u128::BITS && MAX_ATTRIBUTE_LAYOUTS <= LAYOUT.max());
 
 /// The properties of the fixed function alone, and [`TEXTURED`].
 const FIXED_FUNCTION: u128 = FIXED.mask() | TEXTURED.mask() | COMBINES.mask();
@@ -403,16 +404,22 @@ impl PipelineKey {
     }
 
     /// Returns the key for a metallic-roughness surface. Programs, the fixed function, shadow maps, lines and points draw
-    /// without it.
-    pub fn with_surface(self) -> Self {
+    /// without it. `is_layered` means that it has layers beyond the plain model.
+    pub fn with_surface(self, is_layered: bool) -> Self {
         let other_shader = FIXED.mask() | PROGRAM.mask() | CASTER.mask();
         let is_plain = self.0 & other_shader == 0 && self.kind() == Kind::Triangles;
-        Self(if is_plain { self.0 | TEXTURED.mask() } else { self.0 })
+        let layers = LAYERED.of(is_layered.into());
+        Self(if is_plain { self.0 | TEXTURED.mask() | layers } else { self.0 })
     }
 
     /// Returns true if the bind group of the block is that of a set of surfaces.
     pub fn has_surface(self) -> bool {
         TEXTURED.is_set(self.0) && !FIXED.is_set(self.0)
+    }
+
+    /// Returns true if the bind group of the block is that of a set of layered surfaces.
+    pub fn has_layered_surface(self) -> bool {
+        LAYERED.is_set(self.0) && self.has_surface()
     }
 
     /// Returns true if local lights shine on the leaves.
@@ -478,7 +485,8 @@ impl PipelineKey {
         let shadowed = if is_shadowed { SHADOWED.mask() } else { 0 };
         let key = self.0 & !replaced | TARGET.of(target.into()) | air | shadowed;
         let is_fixed = is_lit_anew && self.shading() == Shading::Plain;
-        Self(if is_fixed { key & !(TEXTURED.mask() | LOCAL_LIGHTS.mask()) | FIXED.mask() } else { key })
+        let surface = TEXTURED.mask() | LAYERED.mask() | LOCAL_LIGHTS.mask();
+        Self(if is_fixed { key & !surface | FIXED.mask() } else { key })
     }
 
     /// Returns the key of the same opaque or masked drawables in shadow maps; `None` for others, and for states whose own
@@ -544,7 +552,7 @@ mod tests {
             assert_eq!((custom.fallback().layout(), custom.offset(), custom.air()), (index, 50, key.air()));
         }
         assert_eq!(key.layout(), 0);
-        assert!(!key.with_surface().has_surface(), "programs draw without surfaces");
+        assert!(!key.with_surface(true).has_surface(), "programs draw without surfaces");
         assert!(key.pulled().is_pulled() && key.pulled().vertices().is_none() && !key.pulled().is_white());
         let mirrored = PipelineKey::mesh(&state, Topology::Triangles, false, true, true);
         assert_eq!((mirrored.is_clockwise(), mirrored.culled()), (false, 0));
@@ -559,15 +567,16 @@ mod tests {
     fn default_states_have_plain_keys() {
         let state = StateKey::new(&ResolvedState::default(), PartIndices::default(), Shading::Plain, 0);
         assert!(state.order_is_free);
-        let surface = PipelineKey::mesh(&state, Topology::Triangles, false, false, false).with_surface();
+        let surface = PipelineKey::mesh(&state, Topology::Triangles, false, false, false).with_surface(false);
         assert_eq!((surface.has_surface(), surface.shading()), (true, Shading::Plain));
         assert_eq!((surface.fallback().has_surface(), surface.fallback().shading()), (true, Shading::Fallback));
-        assert!(!PipelineKey::mesh(&state, Topology::Lines, false, false, false).with_surface().has_surface());
+        assert!(!surface.has_layered_surface() && surface.with_surface(true).fallback().has_layered_surface());
+        assert!(!PipelineKey::mesh(&state, Topology::Lines, false, false, false).with_surface(true).has_surface());
         let near_lights = ResolvedState::default().below_local_lights();
         for (shading, is_lit) in [(Shading::Plain, true), (Shading::FixedFunction, false), (Shading::Program(0), false)]
         {
             let state = StateKey::new(&near_lights, PartIndices::default(), shading, 0);
-            let key = PipelineKey::mesh(&state, Topology::Triangles, false, false, false).with_surface();
+            let key = PipelineKey::mesh(&state, Topology::Triangles, false, false, false).with_surface(false);
             assert_eq!((key.has_local_lights(), key.shading()), (is_lit, shading));
             assert!(!key.fallback().has_local_lights());
             let caster = StateKey::caster(&near_lights, shading, false, 0);

@@ -2,9 +2,10 @@
 
 use super::key::{Alpha, Kind, PipelineKey, Shading};
 use super::sources::{
-    FIXED_HEIGHT_WGSL, FIXED_MESH_WGSL, HEIGHT_WGSL, MESH_WGSL, SHADOWED_FIXED_HEIGHT_WGSL, SHADOWED_FIXED_MESH_WGSL,
-    SHADOWED_HEIGHT_WGSL, SHADOWED_MESH_WGSL, SHADOWED_SURFACE_WGSL, SHADOWED_TEXTURED_HEIGHT_WGSL,
-    SHADOWED_TEXTURED_MESH_WGSL, SURFACE_WGSL, TEXTURED_HEIGHT_WGSL, TEXTURED_MESH_WGSL,
+    FIXED_HEIGHT_WGSL, FIXED_MESH_WGSL, HEIGHT_WGSL, LAYERED_SURFACE_WGSL, MESH_WGSL, SHADOWED_FIXED_HEIGHT_WGSL,
+    SHADOWED_FIXED_MESH_WGSL, SHADOWED_HEIGHT_WGSL, SHADOWED_LAYERED_SURFACE_WGSL, SHADOWED_MESH_WGSL,
+    SHADOWED_SURFACE_WGSL, SHADOWED_TEXTURED_HEIGHT_WGSL, SHADOWED_TEXTURED_MESH_WGSL, SURFACE_WGSL,
+    TEXTURED_HEIGHT_WGSL, TEXTURED_MESH_WGSL,
 };
 
 /// The vertex entry points of the renderer's own shaders.
@@ -194,6 +195,8 @@ impl ShaderChoice {
         let (label, source) = match (key.has_surface(), key.has_shadows()) {
             (false, false) => ("mesh", MESH_WGSL),
             (false, true) => ("shadowed mesh", SHADOWED_MESH_WGSL),
+            (true, false) if key.has_layered_surface() => ("layered surface", LAYERED_SURFACE_WGSL),
+            (true, true) if key.has_layered_surface() => ("shadowed layered surface", SHADOWED_LAYERED_SURFACE_WGSL),
             (true, false) => ("surface", SURFACE_WGSL),
             (true, true) => ("shadowed surface", SHADOWED_SURFACE_WGSL),
         };
@@ -240,9 +243,13 @@ mod tests {
                     for topology in [Topology::Triangles, Topology::Lines, Topology::Points, Topology::Squares] {
                         for is_masked in [false, true] {
                             let key = PipelineKey::mesh(&state, topology, is_masked, false, false);
-                            keys.extend([key, key.with_surface()]);
+                            keys.extend([key, key.with_surface(false), key.with_surface(true)]);
                             if topology == Topology::Triangles && !is_masked {
-                                keys.extend([key.pulled(), key.with_surface().pulled()]);
+                                keys.extend([
+                                    key.pulled(),
+                                    key.with_surface(false).pulled(),
+                                    key.with_surface(true).pulled(),
+                                ]);
                             }
                         }
                     }

@@ -33,9 +33,9 @@ macro_rules! mesh_wgsl {
     };
 }
 
-/// The source of meshes with glTF's materials.
+/// The source of meshes with glTF's materials, plain or layered ones.
 macro_rules! surface_wgsl {
-    [$shadows:ident] => {
+    [$shadows:ident, $record:ident, $layers:ident] => {
         wgsl![
             shared / air,
             shared / frame,
@@ -45,7 +45,9 @@ macro_rules! surface_wgsl {
             meshes / surface_fragment,
             meshes / mesh_pull,
             meshes / mesh,
-            meshes / surface
+            meshes / $record,
+            meshes / surface,
+            meshes / $layers
         ]
     };
 }
@@ -93,8 +95,10 @@ pub(super) const HEIGHT_WGSL: &str = height_wgsl![no_shadows, heights / height_s
 pub(super) const SHADOWED_HEIGHT_WGSL: &str = height_wgsl![shadows, heights / height_shading];
 pub(super) const MESH_WGSL: &str = mesh_wgsl![no_shadows];
 pub(super) const SHADOWED_MESH_WGSL: &str = mesh_wgsl![shadows, meshes / mesh_casters];
-pub(super) const SURFACE_WGSL: &str = surface_wgsl![no_shadows];
-pub(super) const SHADOWED_SURFACE_WGSL: &str = surface_wgsl![shadows];
+pub(super) const SURFACE_WGSL: &str = surface_wgsl![no_shadows, plain_record, plain_layers];
+pub(super) const SHADOWED_SURFACE_WGSL: &str = surface_wgsl![shadows, plain_record, plain_layers];
+pub(super) const LAYERED_SURFACE_WGSL: &str = surface_wgsl![no_shadows, layered_record, layers];
+pub(super) const SHADOWED_LAYERED_SURFACE_WGSL: &str = surface_wgsl![shadows, layered_record, layers];
 pub(super) const FIXED_HEIGHT_WGSL: &str = fixed_height_wgsl![no_shadows, fixed_no_units];
 pub(super) const SHADOWED_FIXED_HEIGHT_WGSL: &str = fixed_height_wgsl![shadows, fixed_no_units];
 pub(super) const TEXTURED_HEIGHT_WGSL: &str = fixed_height_wgsl![no_shadows, fixed_units];
@@ -129,7 +133,7 @@ mod tests {
     use crate::draw::uniforms::fixed::{FixedUniform, Reflection};
     use crate::draw::uniforms::frame::{FrameUniform, LeafUniform};
     use crate::draw::uniforms::stage::{StageLight, StageUniform};
-    use crate::gpu::{SurfaceRecord, VertexFormat};
+    use crate::gpu::{LayeredRecord, SurfaceRecord, VertexFormat};
 
     fn parse(name: &str, source: &str) -> naga::Module {
         let module =
@@ -181,6 +185,8 @@ mod tests {
             ("shadowed water", SHADOWED_WATER_WGSL),
             ("surface", SURFACE_WGSL),
             ("shadowed surface", SHADOWED_SURFACE_WGSL),
+            ("layered surface", LAYERED_SURFACE_WGSL),
+            ("shadowed layered surface", SHADOWED_LAYERED_SURFACE_WGSL),
         ];
         parse("atmosphere", crate::draw::passes::air::tables::ATMOSPHERE_WGSL);
         for (name, source) in all {
@@ -206,11 +212,16 @@ mod tests {
             assert_eq!(fields, offsets!(StageLight: position, direction, ambient, diffuse, specular, attenuation));
             if name.ends_with("surface") {
                 let (span, fields) = members(&module, "SurfaceRecord");
-                assert_eq!(span as usize, size_of::<SurfaceRecord>(), "{name}");
-                assert_eq!(
-                    fields,
-                    offsets!(SurfaceRecord: layers, factors, emission, occlusion_uv_bits_overlay, uv_matrices, uv_offsets)
-                );
+                let mut expected = offsets!(SurfaceRecord: layers, factors, emission, occlusion_uv_bits_overlay, uv_matrices, uv_offsets);
+                let mut size = size_of::<SurfaceRecord>();
+                if name.contains("layered") {
+                    assert_eq!(std::mem::offset_of!(LayeredRecord, plain), 0);
+                    expected
+                        .extend(offsets!(LayeredRecord: dielectric, coat, layer_maps, layer_matrices, layer_offsets));
+                    size = size_of::<LayeredRecord>();
+                }
+                assert_eq!(span as usize, size, "{name}");
+                assert_eq!(fields, expected, "{name}");
             }
             if name.starts_with("fixed") {
                 let (span, fields) = members(&module, "Fixed");

@@ -171,7 +171,7 @@ impl Renderer {
             None => PipelineKey::height(state, kind.mirrored),
             Some(topology) => PipelineKey::mesh(state, topology, kind.is_masked, kind.double_sided, kind.mirrored),
         };
-        let key = if kind.has_surface { key.with_surface() } else { key };
+        let key = if kind.has_surface { key.with_surface(kind.is_layered) } else { key };
         let key = if kind.is_small && state.can_pull && !kind.is_masked {
             key.pulled()
         } else if kind.attributes.is_empty() {

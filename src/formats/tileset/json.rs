@@ -11,9 +11,10 @@ use crate::formats::embedded::is_data_uri;
 use crate::formats::height::{SetExtras, TileExtras};
 use crate::formats::implicit::ImplicitTilingJson;
 use crate::formats::lenient::{Number, Numbers, Text, object, objects, optional_object, texts, valid_or_default};
+use crate::math::WGS84;
 
 /// Supported extensions that a tileset may require, including those that do not affect drawing.
-pub(super) const KNOWN_EXTENSIONS: &[&str] = &[
+const KNOWN_EXTENSIONS: &[&str] = &[
     "3DTILES_content_gltf",
     "3DTILES_implicit_tiling",
     "3DTILES_multiple_contents",
@@ -23,6 +24,9 @@ pub(super) const KNOWN_EXTENSIONS: &[&str] = &[
     "3DTILES_draco_point_compression",
     "MAXAR_content_3tz",
 ];
+
+/// The extension with the ellipsoid of a set. That of the earth is read.
+const ELLIPSOID: &str = "3DTILES_ellipsoid";
 
 #[derive(Deserialize)]
 pub(crate) struct TilesetJson {
@@ -70,6 +74,13 @@ impl TilesetJson {
         }
     }
 
+    /// Returns true if an extension is read. 3DTILES_ellipsoid is if its radii are those of the earth.
+    pub fn reads(&self, extension: &str) -> bool {
+        let is_wgs84 =
+            || self.extensions.as_ref().and_then(|all| all.ellipsoid.as_ref()).is_some_and(|of| of.is_wgs84());
+        KNOWN_EXTENSIONS.contains(&extension) || extension == ELLIPSOID && is_wgs84()
+    }
+
     fn metadata_extension(&self) -> Option<&MetadataExtension> {
         self.extensions.as_ref()?.metadata.as_ref()
     }
@@ -79,6 +90,24 @@ impl TilesetJson {
 struct TilesetExtensions {
     #[serde(rename = "3DTILES_metadata", default, deserialize_with = "optional_object")]
     metadata: Option<MetadataExtension>,
+    #[serde(rename = "3DTILES_ellipsoid", default, deserialize_with = "optional_object")]
+    ellipsoid: Option<EllipsoidExtension>,
+}
+
+#[derive(Default, Deserialize)]
+struct EllipsoidExtension {
+    /// Along x, y and z, metres.
+    #[serde(default)]
+    radii: Numbers,
+}
+
+impl EllipsoidExtension {
+    /// Returns true if the radii are those of WGS84 to the millimetre.
+    fn is_wgs84(&self) -> bool {
+        let expected = [WGS84.semi_major_m, WGS84.semi_major_m, WGS84.semi_minor_m];
+        let Numbers(radii) = &self.radii;
+        radii.len() == 3 && radii.iter().zip(expected).all(|(radius, expected)| (radius - expected).abs() <= 1e-3)
+    }
 }
 
 #[derive(Default, Deserialize)]
@@ -310,7 +339,7 @@ pub(crate) fn parse(uri: &str, bytes: &[u8], limits: &Limits) -> Result<TilesetJ
         return Err(IoError::unsupported(uri, format!("3D Tiles version {version:?}")));
     }
     for name in &tileset.extensions_required {
-        if !KNOWN_EXTENSIONS.contains(&name.as_str()) {
+        if !tileset.reads(name) {
             return Err(IoError::unsupported(uri, format!("required extension {name}")));
         }
     }

@@ -10,7 +10,7 @@ use std::sync::Arc;
 
 use glam::DAffine3;
 
-use super::json::{self, ContentJson, KNOWN_EXTENSIONS, TileJson, TilesetJson};
+use super::json::{self, ContentJson, TileJson, TilesetJson};
 use super::set_metadata::SetMetadata;
 use super::volume::{affine, bounding_volume, inverse, root_volume};
 use crate::fetch::{IoError, path_of, resolve};
@@ -106,7 +106,7 @@ fn note_ignored(tileset: &TilesetJson, notes: &Notes) {
     // Extensions of glTF are listed by its reader.
     let of_gltf = |name: &str| ["KHR_", "EXT_", "CESIUM_"].iter().any(|prefix| name.starts_with(prefix));
     for name in tileset.extensions_used.iter().filter(|name| !of_gltf(name)) {
-        if !KNOWN_EXTENSIONS.contains(&name.as_str()) {
+        if !tileset.reads(name) {
             notes.add(format!("tileset extension {name}"));
         }
     }

@@ -2,7 +2,7 @@
 //! the creation of the samplers of blocks. Created with the device; read on the draw thread.
 
 use super::textures::{address_mode, filter_mode, mipmap_filter_mode};
-use crate::scene::Sampling;
+use crate::scene::{MetallicRoughness, Sampling};
 use crate::state::FilterMode;
 
 /// The layouts of a device, shared by all blocks and pipelines.
@@ -16,6 +16,8 @@ pub(crate) struct BindGroupLayouts {
     /// Group 1 of meshes with a metallic-roughness surface: colour, normals, occlusion-roughness-metallic, emission and
     /// occlusion, each with its sampler; the records of surfaces.
     pub(crate) surface_set: wgpu::BindGroupLayout,
+    /// The same for layered surfaces, which also have maps of dielectric and coat.
+    pub(crate) layered_set: wgpu::BindGroupLayout,
     max_anisotropy: u16,
 }
 
@@ -126,14 +128,22 @@ impl BindGroupLayouts {
             label: Some("texture block"),
             entries: &[array_texture(0, wgpu::ShaderStages::FRAGMENT, true), sampler(1)],
         });
-        let maps =
-            (0..6).flat_map(|map| [array_texture(2 * map, wgpu::ShaderStages::FRAGMENT, true), sampler(2 * map + 1)]);
-        let records = wgpu::BindGroupLayoutEntry { binding: 12, visibility: wgpu::ShaderStages::FRAGMENT, ..tables };
-        let surface_set = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-            label: Some("surface set"),
-            entries: &maps.chain([records]).collect::<Vec<_>>(),
-        });
-        Self { frame: frame_layout(device), height_block, texture_block, surface_set, max_anisotropy }
+        let surface_layout = |label, maps: u32| {
+            let textures = (0..=maps)
+                .flat_map(|map| [array_texture(2 * map, wgpu::ShaderStages::FRAGMENT, true), sampler(2 * map + 1)]);
+            let binding = 2 * (maps + 1);
+            let records = wgpu::BindGroupLayoutEntry { binding, visibility: wgpu::ShaderStages::FRAGMENT, ..tables };
+            let entries = textures.chain([records]).collect::<Vec<_>>();
+            device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(label), entries: &entries })
+        };
+        Self {
+            frame: frame_layout(device),
+            height_block,
+            texture_block,
+            surface_set: surface_layout("surface set", MetallicRoughness::PLAIN_MAPS as u32),
+            layered_set: surface_layout("set of layered surfaces", MetallicRoughness::MAPS as u32),
+            max_anisotropy,
+        }
     }
 
     /// Creates the sampler of a block.

@@ -80,6 +80,8 @@ pub(crate) enum BindClass {
         block: u32,
         /// The set of metallic-roughness surfaces.
         surface_set: Option<u32>,
+        /// True if the set is one of layered surfaces.
+        is_layered: bool,
         vertex_chunk: u32,
         index_chunk: u32,
     },
@@ -121,6 +123,7 @@ impl DrawableEntry {
                 double_sided: self.double_sided,
                 block: texture.block,
                 surface_set: surface.map(|surface| surface.set),
+                is_layered: surface.is_some_and(|surface| surface.is_layered),
                 vertex_chunk: slot.vertex_chunk,
                 index_chunk: slot.index_chunk,
             },

@@ -48,7 +48,7 @@ pub(super) use meshes::{MeshAllocation, MeshSlot, interleaved_bytes, short_index
 pub(super) use retire_queue::RetireQueue;
 pub(super) use surfaces::MapLayers;
 #[cfg(test)]
-pub(crate) use surfaces::SurfaceRecord;
+pub(crate) use surfaces::{LayeredRecord, SurfaceRecord};
 pub(crate) use surfaces::{SurfacePool, SurfaceSlot};
 pub(crate) use textures::{FallbackTextures, StateTextures, compare_function, texture_format, view_dimension};
 pub(super) use textures::{TexelEncoding, TextureLayer, TextureRows, block_formats, write_rows};

@@ -6,8 +6,8 @@ use std::sync::Arc;
 use super::compile_operation::Compiled;
 use super::resource_upload::{BufferSource, ImageSource, QueueSink, Upload};
 use crate::gpu::pools::{
-    CompileInfo, CustomCompile, DrawableEntry, MapLayers, MeshAllocation, Pools, Shape, SurfacePool, SurfaceSlot,
-    TexelEncoding, TextureLayer, VertexFormat,
+    CompileInfo, CustomCompile, DrawableEntry, MapLayers, MeshAllocation, Pools, Shape, SurfaceSlot, TexelEncoding,
+    TextureLayer, VertexFormat,
 };
 use crate::scene::{
     ContentKey, CustomGeometry, DrawSlot, Drawable, Geometry, HeightTile, Mesh, MetallicRoughness, SharedParts,
@@ -101,8 +101,8 @@ fn place_mesh(
     };
     compiled.count(geometry, allocation.vertex_bytes, allocation.has_new_vertices);
     compiled.count(indices, allocation.index_bytes, allocation.has_new_indices);
-    if surface.is_some() {
-        compiled.count(None, SurfacePool::SLOT_BYTES, true);
+    if let Some(surface) = surface {
+        compiled.count(None, surface.size_bytes(), true);
     }
     queue_mesh(pools, &allocation, mesh, uploads);
     images.queue(pools, compiled, uploads);
@@ -179,8 +179,9 @@ fn place_surface<'a>(
 ) -> Result<SurfaceSlot, String> {
     let mut layers = MapLayers::default();
     let (srgb, linear) = (TexelEncoding::Srgb, TexelEncoding::Linear);
-    let encodings = [linear, linear, srgb, linear, srgb];
-    let maps = surface.maps().into_iter().zip(encodings).zip(&drawable.shared.maps);
+    let encodings = [linear, linear, srgb, linear, srgb, srgb, linear, linear];
+    let count = if surface.is_layered() { MetallicRoughness::MAPS } else { MetallicRoughness::PLAIN_MAPS };
+    let maps = surface.maps().into_iter().take(count).zip(encodings).zip(&drawable.shared.maps);
     for (layer, ((image, encoding), shared)) in layers.iter_mut().zip(maps) {
         let content = shared.as_ref().map(|s| &s.key);
         *layer = image.map(|image| images.place(pools, image, encoding, content)).transpose()?;

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use glam::Affine2;
 
+use super::surface_layers::{Clearcoat, Dielectric};
 use super::texture::Texture;
 
 /// How alpha is used; glTF's `alphaMode`.
@@ -49,6 +50,10 @@ pub struct MetallicRoughness {
     pub overlay: Option<Arc<Texture>>,
     /// How the overlay changes the base colour.
     pub overlay_mode: OverlayMode,
+    /// The reflection where the surface is no metal.
+    pub dielectric: Dielectric,
+    /// A clear coat over the surface.
+    pub clearcoat: Clearcoat,
 }
 
 /// How [`MetallicRoughness::overlay`] changes the base colour, whose alpha it keeps.
@@ -76,6 +81,12 @@ pub struct SecondUv {
     pub emissive: Option<Affine2>,
     /// The same for `occlusion_map`.
     pub occlusion: Option<Affine2>,
+    /// The same for the map of [`Dielectric`].
+    pub dielectric: Option<Affine2>,
+    /// The same for the map of [`Clearcoat`].
+    pub clearcoat: Option<Affine2>,
+    /// The same for the normal map of [`Clearcoat`].
+    pub clearcoat_normal: Option<Affine2>,
 }
 
 impl SecondUv {
@@ -85,24 +96,44 @@ impl SecondUv {
     /// [`TexGen::ThirdUv`](crate::state::TexGen::ThirdUv).
     pub const THIRD_ATTRIBUTE: &str = "THIRD_UV";
 
-    /// Returns the transforms in the order of [`MetallicRoughness::maps`], without that of the overlay.
-    pub(crate) fn of_maps(&self) -> [Option<Affine2>; MetallicRoughness::TRANSFORMED_MAPS] {
+    /// Returns the transforms of the maps that all surfaces may have, in the order of [`MetallicRoughness::maps`], without the
+    /// overlay.
+    pub(crate) fn of_plain_maps(&self) -> [Option<Affine2>; MetallicRoughness::OVERLAY] {
         [self.normal, self.occlusion_roughness_metallic, self.emissive, self.occlusion]
+    }
+
+    /// Returns true if a map uses the second texture coordinates.
+    pub(crate) fn is_used(&self) -> bool {
+        self.of_plain_maps().iter().chain(&self.of_layer_maps()).any(Option::is_some)
+    }
+
+    /// Returns the transforms of the other maps, in the same order.
+    pub(crate) fn of_layer_maps(&self) -> [Option<Affine2>; MetallicRoughness::MAPS - MetallicRoughness::PLAIN_MAPS] {
+        [self.dielectric, self.clearcoat, self.clearcoat_normal]
     }
 }
 
 impl MetallicRoughness {
     /// The number of maps.
-    pub(crate) const MAPS: usize = 5;
-    /// The number of the overlay among the maps.
+    pub(crate) const MAPS: usize = 8;
+    /// The number of maps, the first ones, that surfaces without a [`Dielectric`] or [`Clearcoat`] of their own may have.
+    pub(crate) const PLAIN_MAPS: usize = 5;
+    /// The number of the overlay among the maps. Those before it may have a transform of texture coordinates.
     pub(crate) const OVERLAY: usize = 4;
-    /// The number of maps, the first ones, that may have a transform of texture coordinates.
-    pub(crate) const TRANSFORMED_MAPS: usize = 4;
 
-    /// Returns the maps: normals, occlusion-roughness-metallic, emission, occlusion, overlay.
+    /// Returns the maps: normals, occlusion-roughness-metallic, emission, occlusion, overlay, dielectric, clear coat, normals
+    /// of the coat.
     pub(crate) fn maps(&self) -> [Option<&Arc<Texture>>; Self::MAPS] {
         let Self { normal_map, occlusion_roughness_metallic, emissive_map, occlusion_map, overlay, .. } = self;
-        [normal_map, occlusion_roughness_metallic, emissive_map, occlusion_map, overlay].map(Option::as_ref)
+        let Clearcoat { map: coat, normal_map: coat_normal, .. } = &self.clearcoat;
+        let dielectric = &self.dielectric.map;
+        [normal_map, occlusion_roughness_metallic, emissive_map, occlusion_map, overlay, dielectric, coat, coat_normal]
+            .map(Option::as_ref)
+    }
+
+    /// Returns true if the surface has a reflection or a coat beyond the plain model.
+    pub(crate) fn is_layered(&self) -> bool {
+        self.clearcoat.factors()[0] > 0.0 || self.dielectric != Dielectric::default()
     }
 
     /// Returns true if there are maps.
@@ -113,7 +144,9 @@ impl MetallicRoughness {
     /// Returns the maps in the same order, to be replaced by equal ones.
     pub(crate) fn maps_mut(&mut self) -> [&mut Option<Arc<Texture>>; Self::MAPS] {
         let Self { normal_map, occlusion_roughness_metallic, emissive_map, occlusion_map, overlay, .. } = self;
-        [normal_map, occlusion_roughness_metallic, emissive_map, occlusion_map, overlay]
+        let Clearcoat { map: coat, normal_map: coat_normal, .. } = &mut self.clearcoat;
+        let dielectric = &mut self.dielectric.map;
+        [normal_map, occlusion_roughness_metallic, emissive_map, occlusion_map, overlay, dielectric, coat, coat_normal]
     }
 }
 
@@ -133,6 +166,8 @@ impl Default for MetallicRoughness {
             second_uv: SecondUv::default(),
             overlay: None,
             overlay_mode: OverlayMode::default(),
+            dielectric: Dielectric::default(),
+            clearcoat: Clearcoat::default(),
         }
     }
 }

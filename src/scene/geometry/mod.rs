@@ -11,6 +11,7 @@ mod normal_cone;
 mod primitive_modes;
 mod shape;
 mod shapes;
+mod surface_layers;
 #[cfg(feature = "text")]
 mod text;
 mod texture;
@@ -24,6 +25,7 @@ pub use mesh::{Mesh, MeshVertex, Topology, VertexFormat};
 pub use normal_cone::NormalCone;
 pub use primitive_modes::PrimitiveMode;
 pub use shape::{CustomGeometry, Geometry};
+pub use surface_layers::{Clearcoat, Dielectric, MapParts};
 #[cfg(feature = "text")]
 pub use text::Font;
 pub use texture::{BlockFormats, Sampling, TexelFormat, Texture};

@@ -11,6 +11,22 @@ use terrane::scene::Page;
 use super::*;
 use crate::gltf_builder::*;
 
+/// Returns the extensions of a material with another reflection and a coat.
+fn layers() -> serde_json::Value {
+    let map = json!({ "index": 0 });
+    json!({
+        "KHR_materials_clearcoat": {
+            "clearcoatFactor": 0.5, "clearcoatRoughnessFactor": 0.25, "clearcoatTexture": map,
+            "clearcoatNormalTexture": { "index": 0, "scale": 0.5 },
+        },
+        "KHR_materials_ior": { "ior": 1.25 },
+        "KHR_materials_specular": {
+            "specularFactor": 0.5, "specularColorFactor": [1.0, 2.0, 0.5], "specularTexture": map,
+            "specularColorTexture": map,
+        },
+    })
+}
+
 /// A textured triangle with two houses, in the local frame of a tile.
 fn houses() -> (GltfBuilder, Vec<u8>) {
     let mut png = std::io::Cursor::new(Vec::new());
@@ -33,6 +49,7 @@ fn houses() -> (GltfBuilder, Vec<u8>) {
                 "roughnessFactor": 0.5,
             },
             "alphaMode": "MASK", "alphaCutoff": 0.25, "doubleSided": true, "emissiveFactor": [0.5, 0, 0],
+            "extensions": layers(),
         }),
     );
     gltf.push("materials", json!({ "extensions": { "KHR_materials_unlit": {} }, "alphaMode": "BLEND" }));
@@ -100,6 +117,10 @@ fn images_materials_and_features_are_kept() {
     let pbr = &material["pbrMetallicRoughness"];
     assert_eq!((&pbr["metallicFactor"], &pbr["roughnessFactor"]), (&json!(0.25), &json!(0.5)));
     assert_eq!(pbr["baseColorFactor"], json!([0.5, 1.0, 1.0, 1.0]));
+    assert_eq!(material["extensions"], layers());
+    for name in layers().as_object().unwrap().keys() {
+        assert!(json["extensionsUsed"].as_array().unwrap().contains(&json!(name)), "{name}");
+    }
     let sampler = json!({ "wrapS": 33648, "wrapT": 33071, "magFilter": 9728, "minFilter": 9729 });
     assert_eq!((&json["samplers"][0], &json["asset"]["copyright"]), (&sampler, &json!("Us")));
     assert!(json["materials"][1]["extensions"].get("KHR_materials_unlit").is_some());

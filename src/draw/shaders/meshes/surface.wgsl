@@ -1,15 +1,7 @@
 // Surfaces of glTF's metallic-roughness model under sun, sky and local lights. The reflection of sun and lights is that of
 // appendix B of the glTF 2.0 specification: GGX's distribution, Smith's height-correlated visibility, Schlick's Fresnel term.
-
-// The maps and factors of a surface.
-struct SurfaceRecord {
-    layers: vec4<u32>,    // of base colour, normals, occlusion-roughness-metallic and emission; NO_LAYER without a map
-    factors: vec4<f32>,   // metallic, roughness, strength of occlusion, scale of normals
-    emission: vec4<f32>,  // linear, in units of lit colours
-    occlusion_uv_bits_overlay: vec4<u32>,  // layer of occlusion; a bit for each map with second texture coordinates; layer of the overlay
-    uv_matrices: array<vec4<f32>, 4>,  // columns, by map
-    uv_offsets: array<vec4<f32>, 2>,   // two maps a vector
-}
+// What a surface has in memory is in plain_record.wgsl or layered_record.wgsl: `surface_records`. What it reflects beyond the
+// plain model is in plain_layers.wgsl or layers.wgsl: `reflectances`, `beneath` and `coated`.
 
 // The maps, as indices of the transforms of second texture coordinates.
 const NORMALS: u32 = 0u;
@@ -31,7 +23,6 @@ const MIN_ROUGHNESS: f32 = 0.07;
 @group(1) @binding(9) var occlusion_sampler: sampler;
 @group(1) @binding(10) var overlay_layers: texture_2d_array<f32>;
 @group(1) @binding(11) var overlay_sampler: sampler;
-@group(1) @binding(12) var<storage, read> surface_records: array<SurfaceRecord>;
 
 // The shape of the surface around a pixel, from derivatives, which are not available after branches.
 struct MeshShape {
@@ -82,10 +73,14 @@ fn map_point(in: MeshFragment, shape: MeshShape, map: u32) -> MapPoint {
     if (surface_records[record].occlusion_uv_bits_overlay.y >> map & 1u) == 0u {
         return MapPoint(vec2<f32>(in.in_eye_u.w, in.normal_v.w), shape.uv_x, shape.uv_y);
     }
-    let columns = surface_records[record].uv_matrices[map];
-    let matrix = mat2x2<f32>(columns.xy, columns.zw);
     let offsets = surface_records[record].uv_offsets[map / 2u];
     let offset = select(offsets.xy, offsets.zw, (map & 1u) == 1u);
+    return second_point(in, shape, surface_records[record].uv_matrices[map], offset);
+}
+
+// Returns the point of a map that uses the second texture coordinates.
+fn second_point(in: MeshFragment, shape: MeshShape, columns: vec4<f32>, offset: vec2<f32>) -> MapPoint {
+    let matrix = mat2x2<f32>(columns.xy, columns.zw);
     return MapPoint(matrix * in.second_uv + offset, matrix * shape.second_uv_x, matrix * shape.second_uv_y);
 }
 
@@ -154,28 +149,57 @@ fn surroundings(direction: vec3<f32>, roughness: f32, up: vec3<f32>, height_m: f
     return mix(sharp, around, roughness * roughness);
 }
 
-// Returns what a surface reflects of light from one direction, times pi: diffuse and specular reflection.
-fn reflected(
+// Returns what is mirrored of light from one direction, times pi, before Fresnel's term. `between` is the direction halfway
+// between light and eye.
+fn mirrored_lobe(
     normal: vec3<f32>,
     to_light: vec3<f32>,
     to_eye: vec3<f32>,
-    diffuse: vec3<f32>,
-    reflectance: vec3<f32>,
+    between: vec3<f32>,
     roughness: f32,
-) -> vec3<f32> {
-    let between = normalize(to_light + to_eye);
+) -> f32 {
     let n_l = clamp(dot(normal, to_light), 1e-4, 1.0);
     let n_v = clamp(dot(normal, to_eye), 1e-4, 1.0);
     let n_h = clamp(dot(normal, between), 0.0, 1.0);
-    let v_h = clamp(dot(to_eye, between), 0.0, 1.0);
     let alpha = roughness * roughness;
     let alpha2 = alpha * alpha;
     let spread = n_h * n_h * (alpha2 - 1.0) + 1.0;
     let distribution = alpha2 / (spread * spread);
     let visibility =
         0.5 / (n_l * sqrt(n_v * n_v * (1.0 - alpha2) + alpha2) + n_v * sqrt(n_l * n_l * (1.0 - alpha2) + alpha2));
-    let fresnel = reflectance + (1.0 - reflectance) * pow(1.0 - v_h, 5.0);
-    return (1.0 - fresnel) * diffuse + fresnel * (distribution * visibility);
+    return distribution * visibility;
+}
+
+// Returns what a surface reflects of light from one direction, times pi: diffuse and specular reflection. The reflectance is
+// that at normal incidence; w at grazing angles.
+fn reflected(
+    normal: vec3<f32>,
+    to_light: vec3<f32>,
+    to_eye: vec3<f32>,
+    diffuse: vec3<f32>,
+    reflectance: vec4<f32>,
+    roughness: f32,
+) -> vec3<f32> {
+    let between = normalize(to_light + to_eye);
+    let v_h = clamp(dot(to_eye, between), 0.0, 1.0);
+    let fresnel = reflectance.rgb + (reflectance.w - reflectance.rgb) * pow(1.0 - v_h, 5.0);
+    return beneath(fresnel) * diffuse + fresnel * mirrored_lobe(normal, to_light, to_eye, between, roughness);
+}
+
+// Returns the roughness of a curved surface within a pixel, which looks rougher than it is (Y. Tokuyoshi and A. Kaplanyan,
+// Improved Geometric Specular Antialiasing, 2019).
+fn roughness_in_pixel(roughness: f32, shape: MeshShape) -> f32 {
+    let alpha = max(roughness * roughness, MIN_ROUGHNESS * MIN_ROUGHNESS);
+    return sqrt(sqrt(min(alpha * alpha + min(0.5 * shape.bend, 0.18), 1.0)));
+}
+
+// A point of a surface and what is around it, in eye space.
+struct SurfacePoint {
+    smooth_normal: vec3<f32>,
+    is_front: bool,
+    to_eye: vec3<f32>,
+    ground: vec4<f32>,  // the direction away from the ground; w: height in metres
+    occlusion: f32,     // the share of the sky's light that arrives
 }
 
 fn shade(in: MeshFragment, is_front: bool, shape: MeshShape, base: vec4<f32>) -> vec3<f32> {
@@ -217,15 +241,12 @@ fn shade(in: MeshFragment, is_front: bool, shape: MeshShape, base: vec4<f32>) ->
         let bend = (sampled.xyz * 2.0 - 1.0) * vec3<f32>(factors.ww, 1.0);
         normal = bent_normal(smooth_normal, bend, shape, at, is_front);
     }
-    // A curved surface within a pixel looks rougher (Y. Tokuyoshi and A. Kaplanyan, Improved Geometric Specular Antialiasing,
-    // 2019).
-    let alpha = max(roughness * roughness, MIN_ROUGHNESS * MIN_ROUGHNESS);
-    roughness = sqrt(sqrt(min(alpha * alpha + min(0.5 * shape.bend, 0.18), 1.0)));
+    roughness = roughness_in_pixel(roughness, shape);
 
     let ground = above_ground(in_eye);
     let to_eye = -way_to(in_eye).xyz;
     let diffuse = base.rgb * (1.0 - metallic);
-    let reflectance = mix(vec3<f32>(0.04), base.rgb, metallic);
+    let reflectance = reflectances(in, shape, base.rgb, metallic);
     var color = emission;
     if dot(normal, frame.sun_direction.xyz) > 0.0 {
         let sun = light_of_sun(normal, ground.xyz, ground.w) * sun_shadow(in_eye, towards_sun(smooth_normal, shape.facet));
@@ -245,8 +266,9 @@ fn shade(in: MeshFragment, is_front: bool, shape: MeshShape, base: vec4<f32>) ->
     }
     let facing_eye = clamp(dot(normal, to_eye), 0.0, 1.0);
     let from_around = reflection_of_surroundings(roughness, facing_eye);
-    let mirrored = reflectance * from_around.x + from_around.y;
+    let mirrored = reflectance.rgb * from_around.x + reflectance.w * from_around.y;
     let glossy = surroundings(reflect(-to_eye, normal), roughness, ground.xyz, ground.w) * mirrored;
-    let soft = light_of_sky(normal, ground.xyz) * diffuse * (1.0 - mirrored);
-    return through_air(color + occlusion * (glossy + soft), air);
+    let soft = light_of_sky(normal, ground.xyz) * diffuse * beneath(mirrored);
+    let point = SurfacePoint(smooth_normal, is_front, to_eye, ground, occlusion);
+    return through_air(coated(in, shape, point, color + occlusion * (glossy + soft)), air);
 }

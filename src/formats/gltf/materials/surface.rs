@@ -1,5 +1,6 @@
 //! [`Surface`]: a material of a glTF reduced to what [`Material`](crate::scene::Material) holds.
 
+use super::layers::{self, Layers};
 use super::reflection::{Reflection, emitted};
 use super::specular_glossiness::{Converted, SpecularGlossiness};
 use super::techniques::Techniques;
@@ -56,7 +57,20 @@ impl Surface {
         if !surface.unlit {
             surface.add_emission(material, notes);
         }
+        if let Some(opacity) = layers::opacity(material, notes) {
+            surface.transmit(opacity);
+        }
         surface
+    }
+
+    /// Blends a surface that lets light through. The alpha of an opaque one has no meaning before.
+    fn transmit(&mut self, opacity: f32) {
+        let alpha = &mut self.base_color[3];
+        match self.alpha {
+            AlphaMode::Opaque => (self.alpha, *alpha) = (AlphaMode::Blend, opacity),
+            AlphaMode::Blend => *alpha *= opacity,
+            AlphaMode::Mask(_) => {}
+        }
     }
 
     /// Sets a material of KHR_materials_pbrSpecularGlossiness.
@@ -70,7 +84,8 @@ impl Surface {
         };
         self.base_color = base_color;
         self.texture = model.texture();
-        self.reflection = Reflection::with_factors(material, factors, None, self.texture.as_ref(), notes);
+        let coat = Layers::coat_alone(material, notes);
+        self.reflection = Reflection::with_factors(material, factors, None, (self.texture.as_ref(), coat), notes);
         self.converted = model.needs_converted_maps().then_some(model);
     }
 

@@ -13,7 +13,7 @@ use crate::fetch::IoError;
 use crate::formats::gltf::accessors::Buffers;
 use crate::formats::gltf::context::Context;
 use crate::formats::image::SharedTexture;
-use crate::scene::{MetallicRoughness, SharedContent, Texture};
+use crate::scene::{Clearcoat, Dielectric, MetallicRoughness, SharedContent, Texture};
 
 /// The metallic-roughness model of a material with the shared contents of its maps, which are in the order of
 /// [`MetallicRoughness::maps`].
@@ -115,6 +115,10 @@ impl<'a> Surfaces<'a> {
         {
             (occlusion_map, shared_occlusion) = (None, None);
         }
+        let layers = &of.layers;
+        let (specular_map, shared_specular) = get(layers.specular_map)?;
+        let (coat_map, shared_coat) = get(layers.coat_map)?;
+        let (coat_normal, shared_coat_normal) = get(layers.coat_normal)?;
         let model = MetallicRoughness {
             metallic: of.metallic,
             roughness: of.roughness,
@@ -126,9 +130,33 @@ impl<'a> Surfaces<'a> {
             emissive,
             emissive_map,
             second_uv: of.second_uv,
+            dielectric: Dielectric {
+                ior: layers.ior,
+                specular: layers.specular,
+                specular_color: layers.specular_color,
+                map: specular_map,
+                map_parts: layers.specular_parts,
+            },
+            clearcoat: Clearcoat {
+                strength: layers.coat,
+                roughness: layers.coat_roughness,
+                map: coat_map,
+                map_parts: layers.coat_parts,
+                normal_map: coat_normal,
+                normal_scale: layers.coat_normal_scale,
+            },
             ..MetallicRoughness::default()
         };
-        let shared = [shared_normal, shared_metallic, shared_emissive, shared_occlusion, None];
+        let shared = [
+            shared_normal,
+            shared_metallic,
+            shared_emissive,
+            shared_occlusion,
+            None,
+            shared_specular,
+            shared_coat,
+            shared_coat_normal,
+        ];
         Ok((model, shared.map(Option::flatten)))
     }
 }

@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 
 use super::images::{Images, Texels};
 use crate::formats::writers::buffers::Buffers;
-use crate::scene::{AlphaMode, Material, MetallicRoughness, Texture};
+use crate::scene::{AlphaMode, Dielectric, MapParts, Material, MetallicRoughness, Texture};
 
 /// The materials of one glb. One thread.
 #[derive(Default)]
@@ -55,6 +55,7 @@ impl Materials {
         if let Some(surface) = surface {
             self.overlays += u64::from(surface.overlay.is_some());
             self.add_maps(surface, &mut json, &mut pbr, images, buffers)?;
+            self.add_layers(surface, &mut json, images, buffers)?;
         }
         json["pbrMetallicRoughness"] = pbr;
         match material.alpha {
@@ -81,16 +82,8 @@ impl Materials {
         buffers: &mut Buffers,
     ) -> Result<(), String> {
         let second = &surface.second_uv;
-        let mut map = |texture: &Arc<Texture>, uv: Option<Affine2>, texels: Texels| -> Result<Value, String> {
-            let mut info = json!({ "index": images.texture(texture, texels, buffers)? });
-            if let Some(uv) = uv {
-                info["texCoord"] = 1.into();
-                if uv != Affine2::IDENTITY {
-                    self.uses("KHR_texture_transform");
-                    info["extensions"] = json!({ "KHR_texture_transform": transform(&uv) });
-                }
-            }
-            Ok(info)
+        let mut map = |texture: &Arc<Texture>, uv: Option<Affine2>, texels: Texels| {
+            self.map(texture, uv, texels, images, buffers)
         };
         if let Some(texture) = &surface.occlusion_roughness_metallic {
             let info = map(texture, second.occlusion_roughness_metallic, Texels::Values)?;
@@ -123,11 +116,83 @@ impl Materials {
         Ok(())
     }
 
+    /// Adds the reflection of what is no metal, and the coat, if they are not those of the plain model.
+    fn add_layers(
+        &mut self,
+        surface: &MetallicRoughness,
+        json: &mut Value,
+        images: &mut Images,
+        buffers: &mut Buffers,
+    ) -> Result<(), String> {
+        let MetallicRoughness { dielectric, clearcoat, second_uv, .. } = surface;
+        let plain = Dielectric::default();
+        if dielectric.valid_ior() != plain.ior {
+            self.uses("KHR_materials_ior");
+            json["extensions"]["KHR_materials_ior"] = json!({ "ior": dielectric.valid_ior() });
+        }
+        let Dielectric { specular, specular_color, map, map_parts, .. } = dielectric;
+        if (*specular, *specular_color) != (1.0, [1.0; 3]) || map.is_some() {
+            self.uses("KHR_materials_specular");
+            let mut of = json!({ "specularFactor": specular, "specularColorFactor": specular_color });
+            if let Some(texture) = map {
+                let info = self.map(texture, second_uv.dielectric, Texels::Color, images, buffers)?;
+                add_parts(&mut of, info, *map_parts, ["specularColorTexture", "specularTexture"]);
+            }
+            json["extensions"]["KHR_materials_specular"] = of;
+        }
+        let [strength, roughness] = clearcoat.factors();
+        if strength > 0.0 {
+            self.uses("KHR_materials_clearcoat");
+            let mut of = json!({ "clearcoatFactor": strength, "clearcoatRoughnessFactor": roughness });
+            if let Some(texture) = &clearcoat.map {
+                let info = self.map(texture, second_uv.clearcoat, Texels::Values, images, buffers)?;
+                add_parts(&mut of, info, clearcoat.map_parts, ["clearcoatTexture", "clearcoatRoughnessTexture"]);
+            }
+            if let Some(texture) = &clearcoat.normal_map {
+                let uv = second_uv.clearcoat_normal;
+                of["clearcoatNormalTexture"] = self.map(texture, uv, Texels::Values, images, buffers)?;
+                of["clearcoatNormalTexture"]["scale"] = json!(clearcoat.normal_scale);
+            }
+            json["extensions"]["KHR_materials_clearcoat"] = of;
+        }
+        Ok(())
+    }
+
+    /// Returns the reference to the texture of a map, with the transform of its second texture coordinates.
+    fn map(
+        &mut self,
+        texture: &Arc<Texture>,
+        uv: Option<Affine2>,
+        texels: Texels,
+        images: &mut Images,
+        buffers: &mut Buffers,
+    ) -> Result<Value, String> {
+        let mut info = json!({ "index": images.texture(texture, texels, buffers)? });
+        if let Some(uv) = uv {
+            info["texCoord"] = 1.into();
+            if uv != Affine2::IDENTITY {
+                self.uses("KHR_texture_transform");
+                info["extensions"] = json!({ "KHR_texture_transform": transform(&uv) });
+            }
+        }
+        Ok(info)
+    }
+
     /// Adds the list to a document.
     pub fn add_to(self, document: &mut Value) {
         if !self.list.is_empty() {
             document["materials"] = self.list.into();
         }
+    }
+}
+
+/// Adds the parts of a map that count, by their names.
+fn add_parts(of: &mut Value, map: Value, parts: MapParts, [first, second]: [&str; 2]) {
+    if parts.has_first() {
+        of[first] = map.clone();
+    }
+    if parts.has_second() {
+        of[second] = map;
     }
 }
 

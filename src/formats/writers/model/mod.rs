@@ -162,8 +162,7 @@ impl Writer<'_> {
         if mode != 0 && uvs.iter().any(|uv| *uv != [0.0; 2]) {
             add("TEXCOORD_0", "VEC2", Component::F32, 8, bytemuck::cast_slice(&uvs));
         }
-        let uses_second = |uv: &SecondUv| uv.of_maps().iter().any(Option::is_some);
-        if leaf.material.metallic_roughness.as_ref().is_some_and(|surface| uses_second(&surface.second_uv)) {
+        if leaf.material.metallic_roughness.as_ref().is_some_and(|surface| surface.second_uv.is_used()) {
             let second = mesh.attributes.get(SecondUv::ATTRIBUTE);
             let second = second.filter(|(format, _)| *format == AttributeFormat::Float32x2);
             let bytes = second.map_or(bytemuck::cast_slice(&uvs), |(_, bytes)| bytes);

@@ -6,4 +6,4 @@ mod surface_record;
 pub(crate) use surface_pool::{SurfacePool, SurfaceSlot};
 pub(in crate::gpu) use surface_record::MapLayers;
 #[cfg(test)]
-pub(crate) use surface_record::SurfaceRecord;
+pub(crate) use surface_record::{LayeredRecord, SurfaceRecord};

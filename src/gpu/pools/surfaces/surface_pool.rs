@@ -1,9 +1,10 @@
 //! [`SurfacePool`]: the surfaces of all meshes of a device that have the metallic-roughness model. Draw thread.
 //!
 //! Surfaces whose textures lie in the same blocks of the texture pool share a set: a buffer of records and one bind
-//! group. So meshes that differ in their surface alone are drawn with one bind group.
+//! group. So meshes that differ in their surface alone are drawn with one bind group. Layered surfaces, which have a reflection
+//! or a coat beyond the plain model, have sets of their own with larger records and more maps: others do not pay for them.
 
-use super::surface_record::{MapLayers, SurfaceRecord};
+use super::surface_record::{LayeredRecord, MapLayers, SurfaceRecord};
 use crate::gpu::memory::Memory;
 use crate::gpu::pools::bind_group_layouts::BindGroupLayouts;
 use crate::gpu::pools::slot_allocator::SlotAllocator;
@@ -15,18 +16,36 @@ use crate::scene::MetallicRoughness;
 const MIN_RECORDS: u32 = 16;
 /// The maximum number of records in a set.
 const MAX_RECORDS: u32 = 4096;
-const RECORD_BYTES: u64 = size_of::<SurfaceRecord>() as u64;
+
+/// The blocks of the base colour and of the maps. Missing maps have the block of the white texel.
+type Blocks = [u32; 1 + MetallicRoughness::MAPS];
+
+/// Returns the size of a surface in bytes, without its textures.
+fn record_bytes(is_layered: bool) -> u64 {
+    let size = if is_layered { size_of::<LayeredRecord>() } else { size_of::<SurfaceRecord>() };
+    size as u64
+}
 
 /// The slot of a surface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct SurfaceSlot {
     pub(crate) set: u32,
     pub(crate) record: u32,
+    /// True if the set is one of layered surfaces.
+    pub(crate) is_layered: bool,
+}
+
+impl SurfaceSlot {
+    /// Returns the size of the surface in bytes, without its textures.
+    pub(in crate::gpu) fn size_bytes(self) -> u64 {
+        record_bytes(self.is_layered)
+    }
 }
 
 struct SurfaceSet {
-    /// The blocks of the base colour and of the maps. Missing maps have the block of the white texel.
-    blocks: [u32; 1 + MetallicRoughness::MAPS],
+    blocks: Blocks,
+    /// True for layered surfaces.
+    is_layered: bool,
     records: wgpu::Buffer,
     bind_group: wgpu::BindGroup,
     slots: SlotAllocator,
@@ -39,10 +58,10 @@ impl SurfaceSet {
         memory: &Memory,
         layouts: &BindGroupLayouts,
         textures: &TexturePool,
-        blocks: [u32; 1 + MetallicRoughness::MAPS],
+        (blocks, is_layered): (Blocks, bool),
         capacity: u32,
     ) -> Result<Self, String> {
-        let size = RECORD_BYTES * u64::from(capacity);
+        let size = record_bytes(is_layered) * u64::from(capacity);
         let records = wgpu::BufferDescriptor {
             label: Some("surface set"),
             size,
@@ -50,9 +69,13 @@ impl SurfaceSet {
             mapped_at_creation: false,
         };
         let records = memory.allocate("surface set", size, |device| device.create_buffer(&records))?;
-        let bind_group = bind_group(memory.device(), layouts, textures, &blocks, &records)?;
+        let bind_group = bind_group(memory.device(), layouts, textures, (&blocks, is_layered), &records)?;
         let maps = vec![MapLayers::default(); capacity as usize];
-        Ok(Self { blocks, records, bind_group, slots: SlotAllocator::new(capacity), maps })
+        Ok(Self { blocks, is_layered, records, bind_group, slots: SlotAllocator::new(capacity), maps })
+    }
+
+    fn allocated_bytes(&self) -> u64 {
+        record_bytes(self.is_layered) * self.maps.len() as u64
     }
 }
 
@@ -61,10 +84,11 @@ fn bind_group(
     device: &wgpu::Device,
     layouts: &BindGroupLayouts,
     textures: &TexturePool,
-    blocks: &[u32; 1 + MetallicRoughness::MAPS],
+    (blocks, is_layered): (&Blocks, bool),
     records: &wgpu::Buffer,
 ) -> Result<wgpu::BindGroup, String> {
-    let views = blocks.map(|block| textures.view(block));
+    let bound = if is_layered { blocks.len() } else { 1 + MetallicRoughness::PLAIN_MAPS };
+    let views: Vec<_> = blocks[..bound].iter().map(|block| textures.view(*block)).collect();
     let mut entries = Vec::with_capacity(2 * views.len() + 1);
     for (view, binding) in views.iter().zip((0..).step_by(2)) {
         let (view, sampler) = view.as_ref().ok_or("a surface whose texture is not resident")?;
@@ -76,7 +100,7 @@ fn bind_group(
     entries.push(wgpu::BindGroupEntry { binding: entries.len() as u32, resource: records.as_entire_binding() });
     Ok(device.create_bind_group(&wgpu::BindGroupDescriptor {
         label: Some("surface set"),
-        layout: &layouts.surface_set,
+        layout: if is_layered { &layouts.layered_set } else { &layouts.surface_set },
         entries: &entries,
     }))
 }
@@ -85,16 +109,13 @@ fn bind_group(
 #[derive(Default)]
 pub(crate) struct SurfacePool {
     sets: SlotTable<SurfaceSet>,
-    /// The number of surfaces.
-    in_use: u64,
-    /// The number of records of all sets.
-    allocated: u64,
+    /// The bytes of the records of surfaces.
+    bytes_in_use: u64,
+    /// The bytes of the records of all sets.
+    bytes_allocated: u64,
 }
 
 impl SurfacePool {
-    /// The size of a surface in bytes, without its textures.
-    pub(in crate::gpu) const SLOT_BYTES: u64 = RECORD_BYTES;
-
     /// Allocates a slot for a surface and writes its record by the queue. `color` is the layer of the base colour, and
     /// `white` that of the white texel.
     pub(in crate::gpu::pools) fn allocate(
@@ -105,16 +126,23 @@ impl SurfacePool {
         (color, white): (TextureLayer, TextureLayer),
         maps: &MapLayers,
     ) -> Result<SurfaceSlot, String> {
-        let [normal, metallic, emission, occlusion, overlay] = maps.map(|map| map.unwrap_or(white).block);
-        let blocks = [color.block, normal, metallic, emission, occlusion, overlay];
-        let slot = self.take_slot(memory, layouts, textures, blocks)?;
+        let mut blocks = [color.block; 1 + MetallicRoughness::MAPS];
+        for (block, map) in blocks[1..].iter_mut().zip(maps) {
+            *block = map.unwrap_or(white).block;
+        }
+        let slot = self.take_slot(memory, layouts, textures, (blocks, surface.is_layered()))?;
         if let Some(set) = self.sets.get_mut(slot.set) {
             set.maps[slot.record as usize] = *maps;
-            let record = SurfaceRecord::new(surface, color, maps);
-            let offset = RECORD_BYTES * u64::from(slot.record);
-            queue.write_buffer(&set.records, offset, bytemuck::bytes_of(&record));
+            let offset = slot.size_bytes() * u64::from(slot.record);
+            if slot.is_layered {
+                let record = LayeredRecord::new(surface, color, maps);
+                queue.write_buffer(&set.records, offset, bytemuck::bytes_of(&record));
+            } else {
+                let record = SurfaceRecord::new(surface, color, maps);
+                queue.write_buffer(&set.records, offset, bytemuck::bytes_of(&record));
+            }
         }
-        self.in_use += 1;
+        self.bytes_in_use += slot.size_bytes();
         Ok(slot)
     }
 
@@ -124,22 +152,22 @@ impl SurfacePool {
         memory: &Memory,
         layouts: &BindGroupLayouts,
         textures: &TexturePool,
-        blocks: [u32; 1 + MetallicRoughness::MAPS],
+        (blocks, is_layered): (Blocks, bool),
     ) -> Result<SurfaceSlot, String> {
         let mut sets_of_blocks = 0;
         for (index, set) in self.sets.iter_mut() {
-            if set.blocks == blocks {
+            if set.blocks == blocks && set.is_layered == is_layered {
                 sets_of_blocks += 1;
                 if let Some(record) = set.slots.allocate() {
-                    return Ok(SurfaceSlot { set: index, record });
+                    return Ok(SurfaceSlot { set: index, record, is_layered });
                 }
             }
         }
         let capacity = MAX_RECORDS.min(MIN_RECORDS << sets_of_blocks.min(16));
-        let mut set = SurfaceSet::new(memory, layouts, textures, blocks, capacity)?;
+        let mut set = SurfaceSet::new(memory, layouts, textures, (blocks, is_layered), capacity)?;
         let record = set.slots.allocate().ok_or("a surface set without records")?;
-        self.allocated += u64::from(capacity);
-        Ok(SurfaceSlot { set: self.sets.insert(set), record })
+        self.bytes_allocated += set.allocated_bytes();
+        Ok(SurfaceSlot { set: self.sets.insert(set), record, is_layered })
     }
 
     /// Frees a slot, and the set after its last slot. Returns the layers of the surface's maps.
@@ -147,9 +175,9 @@ impl SurfacePool {
         let Some(set) = self.sets.get_mut(slot.set) else { return MapLayers::default() };
         let maps = std::mem::take(&mut set.maps[slot.record as usize]);
         set.slots.release(slot.record);
-        self.in_use -= 1;
+        self.bytes_in_use -= slot.size_bytes();
         if set.slots.is_empty() {
-            self.allocated -= set.maps.len() as u64;
+            self.bytes_allocated -= set.allocated_bytes();
             self.sets.remove(slot.set);
         }
         maps
@@ -164,7 +192,7 @@ impl SurfacePool {
     ) {
         for (_, set) in self.sets.iter_mut().filter(|(_, set)| set.blocks.contains(&block)) {
             // The blocks of a set's surfaces are resident, so that there is no error.
-            if let Ok(rebound) = bind_group(device, layouts, textures, &set.blocks, &set.records) {
+            if let Ok(rebound) = bind_group(device, layouts, textures, (&set.blocks, set.is_layered), &set.records) {
                 set.bind_group = rebound;
             }
         }
@@ -175,10 +203,10 @@ impl SurfacePool {
     }
 
     pub(in crate::gpu::pools) fn bytes_in_use(&self) -> u64 {
-        self.in_use * RECORD_BYTES
+        self.bytes_in_use
     }
 
     pub(in crate::gpu::pools) fn bytes_allocated(&self) -> u64 {
-        self.allocated * RECORD_BYTES
+        self.bytes_allocated
     }
 }
