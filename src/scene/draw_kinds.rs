@@ -17,8 +17,10 @@ const MAX_KINDS: usize = 256;
 pub struct DrawKind {
     /// The resolved state of the state sets above.
     pub state: Arc<ResolvedState>,
-    /// The topology of a mesh; `None` for height tiles.
+    /// The topology of a mesh; `None` for height tiles and splats.
     pub topology: Option<Topology>,
+    /// True for Gaussian splats.
+    pub is_splats: bool,
     /// True if fragments with alpha below a cutoff are discarded.
     pub is_masked: bool,
     /// True if the material is double-sided.
@@ -39,7 +41,16 @@ impl DrawKind {
     /// Returns true if all but the state are equal.
     fn is_like(&self, other: &Self) -> bool {
         let flags = |k: &Self| {
-            (k.topology, k.is_masked, k.double_sided, k.has_surface, k.mirrored, k.is_small, k.vertex_format)
+            (
+                k.topology,
+                k.is_splats,
+                k.is_masked,
+                k.double_sided,
+                k.has_surface,
+                k.mirrored,
+                k.is_small,
+                k.vertex_format,
+            )
         };
         flags(self) == flags(other) && self.attributes == other.attributes
     }
@@ -58,6 +69,7 @@ impl Scene {
             let mesh = match &drawable.geometry {
                 Geometry::Height(_) => None,
                 Geometry::Mesh(mesh) => Some(mesh),
+                Geometry::Splats(_) => None,
                 // The application creates the pipelines of custom geometry.
                 Geometry::Custom(_) => continue,
             };
@@ -66,6 +78,7 @@ impl Scene {
                 // The state is resolved below if the kind is new.
                 state: above.clone(),
                 topology: mesh.map(|mesh| mesh.topology),
+                is_splats: matches!(drawable.geometry, Geometry::Splats(_)),
                 is_masked: matches!(drawable.material.alpha, AlphaMode::Mask(_)),
                 double_sided: drawable.material.double_sided,
                 has_surface: drawable.material.surface().is_some(),

@@ -4,7 +4,7 @@ use super::key::{Alpha, Kind, PipelineKey, Shading};
 use super::sources::{
     FIXED_HEIGHT_WGSL, FIXED_MESH_WGSL, HEIGHT_WGSL, MESH_WGSL, SHADOWED_FIXED_HEIGHT_WGSL, SHADOWED_FIXED_MESH_WGSL,
     SHADOWED_HEIGHT_WGSL, SHADOWED_MESH_WGSL, SHADOWED_SURFACE_WGSL, SHADOWED_TEXTURED_HEIGHT_WGSL,
-    SHADOWED_TEXTURED_MESH_WGSL, SURFACE_WGSL, TEXTURED_HEIGHT_WGSL, TEXTURED_MESH_WGSL,
+    SHADOWED_TEXTURED_MESH_WGSL, SPLAT_WGSL, SURFACE_WGSL, TEXTURED_HEIGHT_WGSL, TEXTURED_MESH_WGSL,
 };
 
 /// The vertex entry points of the renderer's own shaders.
@@ -22,6 +22,7 @@ pub(super) enum VertexEntry {
     FixedMesh,
     PulledFixedMesh,
     FixedSquare,
+    Splat,
 }
 
 impl VertexEntry {
@@ -40,6 +41,7 @@ impl VertexEntry {
             Self::FixedMesh => "vs_fixed_mesh",
             Self::PulledFixedMesh => "vs_fixed_mesh_pulled",
             Self::FixedSquare => "vs_fixed_square",
+            Self::Splat => "vs_splat",
         }
     }
 }
@@ -60,6 +62,7 @@ pub(super) enum FragmentEntry {
     FixedHeightCaster,
     FixedMeshCaster,
     MaskedMeshCaster,
+    Splat,
     Fallback,
 }
 
@@ -91,6 +94,8 @@ impl FragmentEntry {
             (Self::FixedHeightCaster, _) => "fs_fixed_height_caster",
             (Self::FixedMeshCaster, _) => "fs_fixed_mesh_caster",
             (Self::MaskedMeshCaster, _) => "fs_mesh_caster_masked",
+            (Self::Splat, false) => "fs_splat",
+            (Self::Splat, true) => "fs_splat_fading",
             (Self::Fallback, _) => "fs_fallback",
         }
     }
@@ -116,6 +121,13 @@ impl ShaderChoice {
     /// Returns the shader of a key; `None` for keys with a program.
     pub(super) fn of(key: PipelineKey) -> Option<Self> {
         Some(match key.shading() {
+            _ if key.is_splats() => Self {
+                label: "splats",
+                source: SPLAT_WGSL,
+                vertex: VertexEntry::Splat,
+                fragment: FragmentEntry::Splat,
+                discards: true,
+            },
             Shading::Program(_) => return None,
             Shading::FixedFunction => Self::fixed(key, false),
             Shading::FixedTextured => Self::fixed(key, true),
@@ -236,7 +248,7 @@ mod tests {
                 let key = StateKey::new(state, PartIndices::default(), shading, 0);
                 let casters = [false, true].map(|drops| StateKey::caster(state, shading, drops, 0));
                 for state in [key, key.fading(), key.shadowed(), key.fading().shadowed()].into_iter().chain(casters) {
-                    keys.push(PipelineKey::height(&state, false));
+                    keys.extend([PipelineKey::height(&state, false), PipelineKey::splats(&state)]);
                     for topology in [Topology::Triangles, Topology::Lines, Topology::Points, Topology::Squares] {
                         for is_masked in [false, true] {
                             let key = PipelineKey::mesh(&state, topology, is_masked, false, false);

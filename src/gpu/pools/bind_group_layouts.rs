@@ -16,6 +16,8 @@ pub(crate) struct BindGroupLayouts {
     /// Group 1 of meshes with a metallic-roughness surface: colour, normals, occlusion-roughness-metallic, emission and
     /// occlusion, each with its sampler; the records of surfaces.
     pub(crate) surface_set: wgpu::BindGroupLayout,
+    /// Group 1 of Gaussian splats: the splats, and the order in which they are drawn.
+    pub(crate) splats: wgpu::BindGroupLayout,
     max_anisotropy: u16,
 }
 
@@ -133,7 +135,11 @@ impl BindGroupLayouts {
             label: Some("surface set"),
             entries: &maps.chain([records]).collect::<Vec<_>>(),
         });
-        Self { frame: frame_layout(device), height_block, texture_block, surface_set, max_anisotropy }
+        let splats = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+            label: Some("splats"),
+            entries: &[wgpu::BindGroupLayoutEntry { binding: 0, ..tables }, tables],
+        });
+        Self { frame: frame_layout(device), height_block, texture_block, surface_set, splats, max_anisotropy }
     }
 
     /// Creates the sampler of a block.

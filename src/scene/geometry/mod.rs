@@ -11,6 +11,7 @@ mod normal_cone;
 mod primitive_modes;
 mod shape;
 mod shapes;
+mod splats;
 #[cfg(feature = "text")]
 mod text;
 mod texture;
@@ -24,10 +25,13 @@ pub use mesh::{Mesh, MeshVertex, Topology, VertexFormat};
 pub use normal_cone::NormalCone;
 pub use primitive_modes::PrimitiveMode;
 pub use shape::{CustomGeometry, Geometry};
+pub use splats::{Splat, Splats};
 #[cfg(feature = "text")]
 pub use text::Font;
 pub use texture::{BlockFormats, Sampling, TexelFormat, Texture};
 pub use vertex_attributes::{MAX_ATTRIBUTES, VertexAttributes};
 
 pub(crate) use mesh::SMALL_MESH_INDICES;
+#[cfg(test)]
+pub(crate) use splats::SPLAT_SIGMAS;
 pub(crate) use vertex_attributes::{AttributeLayout, added_stride};
