@@ -2,6 +2,9 @@
 
 use std::ops::Range;
 
+use glam::DMat4;
+
+use crate::cull::RenderStage;
 use crate::draw::batch::bucket::{Bucket, Content};
 use crate::draw::batch::indirect::{INDIRECT_BYTES, MIN_MULTI_DRAW};
 use crate::draw::batch::run::Run;
@@ -12,7 +15,8 @@ use crate::draw::pipelines::PipelineId;
 use crate::draw::pipelines::key::{Kind, PipelineKey};
 use crate::draw::resources::Resources;
 use crate::draw::stats::DrawStats;
-use crate::gpu::{CompileInfo, GraphicsContext, Pools, TargetFormats};
+use crate::gpu::{CompileInfo, GraphicsContext, Pools, TargetFormats, Viewpoint};
+use crate::scene::has_parallel_rays;
 
 /// The pipelines, buffers and runs that a pass draws from.
 pub(in crate::draw) struct DrawSources<'a> {
@@ -81,6 +85,13 @@ fn changes<T: PartialEq>(stats: &mut DrawStats, current: &mut Option<T>, wanted:
     *current = Some(wanted);
     stats.state_changes += 1;
     true
+}
+
+/// Returns the projection of the leaves of a state.
+fn clip_from_eye(stage: &RenderStage, state: u32) -> DMat4 {
+    let index = stage.view_of_state.get(state as usize).copied().unwrap_or(0);
+    let view = stage.views.get((index as usize).wrapping_sub(1));
+    view.map_or(stage.camera.clip_from_eye, |view| view.clip_from_eye)
 }
 
 /// Returns bind group 1 of a bucket of meshes, with the pool that it belongs to.
@@ -179,6 +190,9 @@ impl<'p, 'e> PassRecorder<'p, 'e> {
             let same_runs = &all[at..at + same];
             let (bucket, pipeline) = batch.bucket(index);
             match bucket.content {
+                Content::Splats { state } => {
+                    same_runs.iter().for_each(|run| self.draw_splats(sources, bucket, *pipeline, state, run));
+                }
                 Content::Custom { state } => {
                     same_runs.iter().for_each(|run| self.draw_custom(sources, bucket, state, run));
                 }
@@ -318,6 +332,38 @@ impl<'p, 'e> PassRecorder<'p, 'e> {
         self.stats.draw_calls += 1;
     }
 
+    /// Draws the splats of a run from back to front, for each of its leaves. `state` is the index of their state in the stage.
+    fn draw_splats(
+        &mut self,
+        sources: &DrawSources<'_>,
+        bucket: &Bucket,
+        pipeline: Option<PipelineId>,
+        state: u32,
+        run: &Run,
+    ) {
+        let Some((info, _)) = sources.pass else { return };
+        let resources = sources.resources;
+        let Some(id) = pipeline else { return };
+        let Some(pipeline) = resources.pipelines.pipeline(id) else { return };
+        let has_parallel_rays = has_parallel_rays(&clip_from_eye(info.stage, state));
+        let leaves = resources.batch.leaves().iter().zip(0u32..).skip(run.first_leaf as usize);
+        for (leaf, index) in leaves.take(run.leaf_count as usize) {
+            let viewpoint = Viewpoint::new(&leaf.eye_from_drawable, has_parallel_rays);
+            let sorted = sources.ctx.pools().sorted_splats(info.queue, run.first_index, viewpoint);
+            let Some(group) = sorted else { continue };
+            self.apply(sources, bucket.bound);
+            if changes(&mut self.stats, &mut self.known.pipeline, id) {
+                self.pass.set_pipeline(pipeline);
+            }
+            self.pass.set_bind_group(1, &group, &[]);
+            self.known.block = None;
+            self.stats.state_changes += 1;
+            self.pass.draw(0..6 * run.index_count, index..index + 1);
+            self.stats.draw_calls += 1;
+        }
+        self.count(bucket.pipeline, run);
+    }
+
     /// Calls the application's drawable for a run. `state` is the index of its state in the stage.
     fn draw_custom(&mut self, sources: &DrawSources<'_>, bucket: &Bucket, state: u32, run: &Run) {
         let Some((info, target)) = sources.pass else { return };
@@ -345,14 +391,13 @@ impl<'p, 'e> PassRecorder<'p, 'e> {
         };
         self.apply(sources, bucket.bound);
         let index = stage.view_of_state.get(state as usize).copied().unwrap_or(0);
-        let view = stage.views.get((index as usize).wrapping_sub(1));
         let viewport = resources.bound_states.get(bucket.bound).map_or([0.0; 6], |bound| bound.dynamics.viewport);
         let drawing = DrawableInfo {
             render: info,
             target,
             viewport_px: [0, 1, 2, 3].map(|i| viewport[i]),
             camera: stage.camera_of(index),
-            clip_from_eye: view.map_or(stage.camera.clip_from_eye, |view| view.clip_from_eye),
+            clip_from_eye: clip_from_eye(stage, state),
             state: resolved,
             instances,
             leaves,

@@ -112,6 +112,13 @@ impl Notes {
         self.ignored.borrow_mut().add(kind, 1);
     }
 
+    /// Adds some occurrences of a kind, or none.
+    pub fn add_count(&self, kind: &'static str, count: u64) {
+        if count > 0 {
+            self.ignored.borrow_mut().add(kind, count);
+        }
+    }
+
     /// Adds to the counts of a list.
     pub fn merge(&self, other: &Ignored) {
         self.ignored.borrow_mut().merge(other);

@@ -32,8 +32,8 @@ pub(crate) use error_scope::catch_errors;
 pub(crate) use memory::Memory;
 pub(crate) use pools::{
     BindClass, CustomCompile, CustomShape, DrawableEntry, Extent, FallbackTextures, MAX_ATTRIBUTE_LAYOUTS,
-    MAX_COLOR_ATTACHMENTS, MeshPool, Pools, Shape, StateTextures, VertexFormat, compare_function, texture_format,
-    view_dimension,
+    MAX_COLOR_ATTACHMENTS, MeshPool, Pools, Shape, StateTextures, VertexFormat, Viewpoint, compare_function,
+    texture_format, view_dimension,
 };
 #[cfg(test)]
 pub(crate) use pools::{HEADER_VECTORS as TABLE_HEADER_VECTORS, LayeredRecord, MORPH_LEVELS, SurfaceRecord};

@@ -17,8 +17,10 @@ const MAX_KINDS: usize = 256;
 pub struct DrawKind {
     /// The resolved state of the state sets above.
     pub state: Arc<ResolvedState>,
-    /// The topology of a mesh; `None` for height tiles.
+    /// The topology of a mesh; `None` for height tiles and splats.
     pub topology: Option<Topology>,
+    /// True for Gaussian splats.
+    pub is_splats: bool,
     /// True if fragments with alpha below a cutoff are discarded.
     pub is_masked: bool,
     /// True if the material is double-sided.
@@ -41,8 +43,9 @@ impl DrawKind {
     /// Returns true if all but the state are equal.
     fn is_like(&self, other: &Self) -> bool {
         let flags = |k: &Self| {
+            let shape = (k.topology, k.is_splats, k.vertex_format);
             let surface = (k.has_surface, k.is_layered);
-            (k.topology, k.is_masked, k.double_sided, surface, k.mirrored, k.is_small, k.vertex_format)
+            (shape, surface, k.is_masked, k.double_sided, k.mirrored, k.is_small)
         };
         flags(self) == flags(other) && self.attributes == other.attributes
     }
@@ -61,6 +64,7 @@ impl Scene {
             let mesh = match &drawable.geometry {
                 Geometry::Height(_) => None,
                 Geometry::Mesh(mesh) => Some(mesh),
+                Geometry::Splats(_) => None,
                 // The application creates the pipelines of custom geometry.
                 Geometry::Custom(_) => continue,
             };
@@ -69,6 +73,7 @@ impl Scene {
                 // The state is resolved below if the kind is new.
                 state: above.clone(),
                 topology: mesh.map(|mesh| mesh.topology),
+                is_splats: matches!(drawable.geometry, Geometry::Splats(_)),
                 is_masked: matches!(drawable.material.alpha, AlphaMode::Mask(_)),
                 double_sided: drawable.material.double_sided,
                 has_surface: drawable.material.surface().is_some(),

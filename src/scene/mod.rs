@@ -44,7 +44,7 @@ pub use geometry::Font;
 pub use geometry::{
     AlphaMode, AttributeFormat, BlockFormats, Clearcoat, CustomGeometry, Dielectric, Drawable, Geometry, HeightTile,
     MAX_ATTRIBUTES, MapParts, Material, Mesh, MeshVertex, MetallicRoughness, NormalCone, OverlayMode, PrimitiveMode,
-    Sampling, SecondUv, TexelFormat, Texture, Topology, VertexAttributes, VertexFormat,
+    Sampling, SecondUv, Splat, Splats, TexelFormat, Texture, Topology, VertexAttributes, VertexFormat,
 };
 pub use graph::Scene;
 pub use id::{NodeId, PageId, SceneNumber};
@@ -69,6 +69,8 @@ pub use sharing::{ContentKey, ShareModes, SharedStateManager, SharingStats};
 pub use tile_tree::{SlotInfo, SlotState, TileInfo};
 
 pub(crate) use features::{Column, SurfaceValues, ValueDecoder};
+#[cfg(test)]
+pub(crate) use geometry::SPLAT_SIGMAS;
 pub(crate) use geometry::{AttributeLayout, SMALL_MESH_INDICES, added_stride};
 pub(crate) use id::NONE;
 pub(crate) use nodes::ReadBack;

@@ -12,6 +12,7 @@ mod queries;
 mod samples;
 mod shadows;
 mod sky;
+mod splats;
 mod surfaces;
 mod textures;
 mod tiles;

@@ -7,6 +7,7 @@ use std::sync::Arc;
 use kit::compressed::{Triangles, uastc_ktx2};
 use kit::contents::{GLTF_1, b3dm_bytes, cmpt_bytes, glb_1, padded, pnts_bytes, pnts_with_batches};
 use kit::fuzz::Parser;
+use kit::splats::{WrittenSplat, gzip as gzipped, spz_glb, spz_plain};
 use kit::subtrees::{Scheme, Subtree};
 use terrane::fetch::{DECODER_PANICKED, FileReader, IoError, Limits};
 use terrane::fetch::{RootScope, is_http, resolve, root_uri};
@@ -553,6 +554,13 @@ fn display_settings() -> Parser {
     })
 }
 
+/// The input is an SPZ file before it is compressed, whose checksum no change would match.
+fn splats() -> Parser {
+    let splat = WrittenSplat { position: [1.0; 3], scale: [0.5; 3], rotation: [0.0, 0.0, 0.6, 0.8], color: [0.5; 4] };
+    let seeds = [(2, 0), (3, 1), (3, 3)].map(|(version, degree)| spz_plain(&[splat; 3], version, degree));
+    Parser::new("splats", seeds, |bytes| content(&spz_glb(&gzipped(bytes)), None, Vec::new()))
+}
+
 kit::parsers! {
     tileset,
     inspection,
@@ -566,6 +574,7 @@ kit::parsers! {
     b3dm,
     cmpt,
     pnts,
+    splats,
     style,
     height_tile,
     packed_heights,

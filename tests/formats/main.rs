@@ -15,6 +15,7 @@ mod gltf_outlines;
 mod gltf_version1;
 mod instances;
 mod osg;
+mod splats;
 mod styles;
 mod surface_properties;
 mod terrain;

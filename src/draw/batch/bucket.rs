@@ -12,6 +12,10 @@ pub(in crate::draw) enum Content {
     PulledMesh {
         stride: u32,
     },
+    /// Gaussian splats, one cloud a run, whose number is the first index; `state` is the index of their state in the stage.
+    Splats {
+        state: u32,
+    },
     /// Drawables that the application draws; `state` is the index of their state in the stage.
     Custom {
         state: u32,

@@ -369,6 +369,7 @@ impl Batch {
     fn geometry(&self, bucket: u32, entry: &DrawableEntry) -> u32 {
         match &entry.shape {
             Shape::Height(slot) => slot.side,
+            Shape::Splats { number, .. } => *number,
             Shape::Mesh { slot, .. } => match self.buckets[bucket as usize].0.stride() {
                 0 => slot.mesh,
                 _ => 0,
@@ -461,6 +462,17 @@ impl Batch {
                 };
                 Bucket { pipeline, content, block, vertex_chunk, index_chunk, bound }
             }
+            BindClass::Splats => {
+                let pipeline = PipelineKey::splats(&state.key);
+                Bucket {
+                    pipeline,
+                    content: Content::Splats { state: state_index },
+                    block: 0,
+                    vertex_chunk: 0,
+                    index_chunk: 0,
+                    bound,
+                }
+            }
             BindClass::Custom => {
                 let pipeline = PipelineKey::mesh(&state.key, Topology::Triangles, false, false, key.is_mirrored);
                 let content = Content::Custom { state: state_index };
@@ -511,7 +523,7 @@ fn uniform<'a>(
                 (layer, 0)
             }
         }
-        Shape::Custom(_) => (0, 0),
+        Shape::Splats { .. } | Shape::Custom(_) => (0, 0),
     };
     LeafUniform {
         eye_from_drawable: *rows,

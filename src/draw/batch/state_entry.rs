@@ -65,7 +65,7 @@ impl StateEntry {
         self.flags[usize::from(is_unlit)]
     }
 
-    /// Returns whether a drawable is drawn under the state. In shadow maps, lines, points and custom drawables are not.
+    /// Returns whether a drawable is drawn under the state. In shadow maps, lines, points, splats and custom drawables are not.
     #[inline]
     pub(super) fn draws(&self, entry: &DrawableEntry) -> bool {
         if self.shows_all || self.is_hidden {
@@ -73,6 +73,7 @@ impl StateEntry {
         }
         match &entry.shape {
             Shape::Custom(_) => false,
+            Shape::Splats { .. } => !self.key.casts,
             Shape::Mesh { topology: Topology::Lines | Topology::Points | Topology::Squares, .. } => !self.key.casts,
             _ => true,
         }

@@ -185,6 +185,7 @@ impl Factory {
             block_layout: Some(match () {
                 _ if is_height => &ctx.layouts().height_block,
                 _ if key.has_layered_surface() => &ctx.layouts().layered_set,
+                _ if key.is_splats() => &ctx.layouts().splats,
                 _ if key.has_surface() => &ctx.layouts().surface_set,
                 _ => &ctx.layouts().texture_block,
             }),
@@ -192,14 +193,14 @@ impl Factory {
             third_layout: if key.is_pulled() { Some(&self.layouts.pulled) } else { shader.attribute_layout.as_ref() },
             constants: &constants,
             buffers: match key.vertices() {
-                _ if is_height => &[],
+                _ if is_height || key.is_splats() => &[],
                 None => &[],
                 Some(VertexFormat::Full) => &full,
                 Some(VertexFormat::Packed) => &packed,
                 Some(VertexFormat::Quantized) => &quantized,
             },
             topology: match key.kind() {
-                _ if key.is_square() => wgpu::PrimitiveTopology::TriangleList,
+                _ if key.is_square() || key.is_splats() => wgpu::PrimitiveTopology::TriangleList,
                 Kind::Height | Kind::Triangles => wgpu::PrimitiveTopology::TriangleList,
                 Kind::Lines => wgpu::PrimitiveTopology::LineList,
                 Kind::Points => wgpu::PrimitiveTopology::PointList,

@@ -4,9 +4,10 @@
 //! expensive changes. Each property is a [`Field`]; properties with too many values for some bits are numbered by use
 //! (`key_parts`, targets, programs).
 
+pub(in crate::draw) use super::key_parts::AirKind;
 use super::key_parts::{PART_BITS, PartIndices};
 use crate::gpu::MAX_ATTRIBUTE_LAYOUTS;
-use crate::scene::{Environment, Sky, Topology, VertexFormat};
+use crate::scene::{Topology, VertexFormat};
 use crate::state::{CompareFunction, CullFace, FrontFace, Mode, PolygonMode, ResolvedState};
 
 /// The key of a pipeline.
@@ -101,8 +102,10 @@ const CASTER: Field = SHADOWED.next(1);
 const COMBINES: Field = CASTER.next(1);
 /// The surface has a clear coat, or another reflection than a plain dielectric.
 const LAYERED: Field = COMBINES.next(1);
+/// Points are Gaussian splats.
+const SPLATS: Field = LAYERED.next(1);
 
-const _: () = assert!(LAYERED.shift + LAYERED.bits <= u128::BITS && MAX_ATTRIBUTE_LAYOUTS <= LAYOUT.max());
+const _: () = assert!(SPLATS.shift + SPLATS.bits <= u128::BITS && MAX_ATTRIBUTE_LAYOUTS <= LAYOUT.max());
 
 /// The properties of the fixed function alone, and [`TEXTURED`].
 const FIXED_FUNCTION: u128 = FIXED.mask() | TEXTURED.mask() | COMBINES.mask();
@@ -110,28 +113,6 @@ const FIXED_FUNCTION: u128 = FIXED.mask() | TEXTURED.mask() | COMBINES.mask();
 const TRIANGLES_ONLY: u128 = CULLED.mask() | POLYGON_MODE.mask() | OFFSET.mask();
 /// The vertex format of pulled meshes, beside the numbers of [`VertexFormat`].
 const PULLED: usize = 3;
-
-/// The air between the eye and what it sees.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(in crate::draw) enum AirKind {
-    /// An atmosphere, which the frame's uniforms describe.
-    Atmosphere,
-    /// Haze, but no atmosphere.
-    Haze,
-    /// Neither.
-    Clear,
-}
-
-impl AirKind {
-    /// Returns the kind of air of an environment.
-    pub fn of(environment: &Environment) -> Self {
-        match environment.sky {
-            Sky::Atmosphere => Self::Atmosphere,
-            Sky::Background(_) if environment.fog.enabled => Self::Haze,
-            Sky::Background(_) => Self::Clear,
-        }
-    }
-}
 
 /// The shader that a state is drawn with.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -294,6 +275,18 @@ impl PipelineKey {
         };
         let front = if mirrored && kind == Kind::Triangles { CLOCKWISE.mask() } else { 0 };
         Self((common | KIND.of(kind as usize) | ALPHA.of(alpha as usize)) ^ front)
+    }
+
+    /// Returns the key for Gaussian splats. They have one shader and write no depth, whatever the state.
+    pub fn splats(state: &StateKey) -> Self {
+        let dropped = [PROGRAM, LOCAL_LIGHTS, SHADOWED, DEPTH_WRITE].iter().fold(0, |all, field| all | field.mask());
+        let common = state.common & !(dropped | FIXED_FUNCTION | TRIANGLES_ONLY);
+        Self(common | KIND.of(Kind::Points as usize) | SPLATS.mask() | ALPHA.of(Alpha::Blended as usize))
+    }
+
+    /// Returns true for Gaussian splats.
+    pub fn is_splats(self) -> bool {
+        SPLATS.is_set(self.0)
     }
 
     pub fn kind(self) -> Kind {
@@ -482,9 +475,9 @@ impl PipelineKey {
         let has_program = PROGRAM.is_set(self.0);
         let replaced = TARGET.mask() | SHADOWED.mask() | if has_program { 0 } else { AIR.mask() };
         let air = if has_program { 0 } else { AIR.of(air as usize) };
-        let shadowed = if is_shadowed { SHADOWED.mask() } else { 0 };
+        let shadowed = if is_shadowed && !self.is_splats() { SHADOWED.mask() } else { 0 };
         let key = self.0 & !replaced | TARGET.of(target.into()) | air | shadowed;
-        let is_fixed = is_lit_anew && self.shading() == Shading::Plain;
+        let is_fixed = is_lit_anew && self.shading() == Shading::Plain && !self.is_splats();
         let surface = TEXTURED.mask() | LAYERED.mask() | LOCAL_LIGHTS.mask();
         Self(if is_fixed { key & !surface | FIXED.mask() } else { key })
     }

@@ -1,6 +1,7 @@
 //! Parts of states with too many values for bits of a key: polygon offsets, stencil tests, blending and sample masks,
-//! numbered by use. Draw thread.
+//! numbered by use; and the kinds of air. Draw thread.
 
+use crate::scene::{Environment, Sky};
 use crate::state::{BlendEquation, BlendFunc, COLOR_LOCATIONS, PolygonOffset, ResolvedState, SampleMask, Stencil};
 
 /// The bits of a key for the index of a part.
@@ -154,6 +155,28 @@ impl Parts {
                 samples: replaced(samples),
             },
         )
+    }
+}
+
+/// The air between the eye and what it sees.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(in crate::draw) enum AirKind {
+    /// An atmosphere, which the frame's uniforms describe.
+    Atmosphere,
+    /// Haze, but no atmosphere.
+    Haze,
+    /// Neither.
+    Clear,
+}
+
+impl AirKind {
+    /// Returns the kind of air of an environment.
+    pub fn of(environment: &Environment) -> Self {
+        match environment.sky {
+            Sky::Atmosphere => Self::Atmosphere,
+            Sky::Background(_) if environment.fog.enabled => Self::Haze,
+            Sky::Background(_) => Self::Clear,
+        }
     }
 }
 

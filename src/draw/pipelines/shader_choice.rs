@@ -4,7 +4,7 @@ use super::key::{Alpha, Kind, PipelineKey, Shading};
 use super::sources::{
     FIXED_HEIGHT_WGSL, FIXED_MESH_WGSL, HEIGHT_WGSL, LAYERED_SURFACE_WGSL, MESH_WGSL, SHADOWED_FIXED_HEIGHT_WGSL,
     SHADOWED_FIXED_MESH_WGSL, SHADOWED_HEIGHT_WGSL, SHADOWED_LAYERED_SURFACE_WGSL, SHADOWED_MESH_WGSL,
-    SHADOWED_SURFACE_WGSL, SHADOWED_TEXTURED_HEIGHT_WGSL, SHADOWED_TEXTURED_MESH_WGSL, SURFACE_WGSL,
+    SHADOWED_SURFACE_WGSL, SHADOWED_TEXTURED_HEIGHT_WGSL, SHADOWED_TEXTURED_MESH_WGSL, SPLAT_WGSL, SURFACE_WGSL,
     TEXTURED_HEIGHT_WGSL, TEXTURED_MESH_WGSL,
 };
 
@@ -23,6 +23,7 @@ pub(super) enum VertexEntry {
     FixedMesh,
     PulledFixedMesh,
     FixedSquare,
+    Splat,
 }
 
 impl VertexEntry {
@@ -41,6 +42,7 @@ impl VertexEntry {
             Self::FixedMesh => "vs_fixed_mesh",
             Self::PulledFixedMesh => "vs_fixed_mesh_pulled",
             Self::FixedSquare => "vs_fixed_square",
+            Self::Splat => "vs_splat",
         }
     }
 }
@@ -61,6 +63,7 @@ pub(super) enum FragmentEntry {
     FixedHeightCaster,
     FixedMeshCaster,
     MaskedMeshCaster,
+    Splat,
     Fallback,
 }
 
@@ -92,6 +95,8 @@ impl FragmentEntry {
             (Self::FixedHeightCaster, _) => "fs_fixed_height_caster",
             (Self::FixedMeshCaster, _) => "fs_fixed_mesh_caster",
             (Self::MaskedMeshCaster, _) => "fs_mesh_caster_masked",
+            (Self::Splat, false) => "fs_splat",
+            (Self::Splat, true) => "fs_splat_fading",
             (Self::Fallback, _) => "fs_fallback",
         }
     }
@@ -117,6 +122,13 @@ impl ShaderChoice {
     /// Returns the shader of a key; `None` for keys with a program.
     pub(super) fn of(key: PipelineKey) -> Option<Self> {
         Some(match key.shading() {
+            _ if key.is_splats() => Self {
+                label: "splats",
+                source: SPLAT_WGSL,
+                vertex: VertexEntry::Splat,
+                fragment: FragmentEntry::Splat,
+                discards: true,
+            },
             Shading::Program(_) => return None,
             Shading::FixedFunction => Self::fixed(key, false),
             Shading::FixedTextured => Self::fixed(key, true),
@@ -239,7 +251,7 @@ mod tests {
                 let key = StateKey::new(state, PartIndices::default(), shading, 0);
                 let casters = [false, true].map(|drops| StateKey::caster(state, shading, drops, 0));
                 for state in [key, key.fading(), key.shadowed(), key.fading().shadowed()].into_iter().chain(casters) {
-                    keys.push(PipelineKey::height(&state, false));
+                    keys.extend([PipelineKey::height(&state, false), PipelineKey::splats(&state)]);
                     for topology in [Topology::Triangles, Topology::Lines, Topology::Points, Topology::Squares] {
                         for is_masked in [false, true] {
                             let key = PipelineKey::mesh(&state, topology, is_masked, false, false);

@@ -107,6 +107,7 @@ pub(super) const FIXED_MESH_WGSL: &str = fixed_mesh_wgsl![no_shadows];
 pub(super) const SHADOWED_FIXED_MESH_WGSL: &str = fixed_mesh_wgsl![shadows];
 pub(super) const TEXTURED_MESH_WGSL: &str = textured_mesh_wgsl![no_shadows];
 pub(super) const SHADOWED_TEXTURED_MESH_WGSL: &str = textured_mesh_wgsl![shadows];
+pub(super) const SPLAT_WGSL: &str = wgsl![shared / air, shared / frame, splats / splat];
 pub(super) const FILL_WGSL: &str = wgsl![shared / air, shared / frame, passes / fill];
 pub(super) const SKY_WGSL: &str = wgsl![shared / air, shared / frame, passes / sky];
 pub(super) const WATER_WGSL: &str =
@@ -134,6 +135,7 @@ mod tests {
     use crate::draw::uniforms::frame::{FrameUniform, LeafUniform};
     use crate::draw::uniforms::stage::{StageLight, StageUniform};
     use crate::gpu::{LayeredRecord, SurfaceRecord, VertexFormat};
+    use crate::scene::{SPLAT_SIGMAS, Splat};
 
     fn parse(name: &str, source: &str) -> naga::Module {
         let module =
@@ -168,6 +170,7 @@ mod tests {
             ("fixed mesh", FIXED_MESH_WGSL),
             ("fixed height with textures", TEXTURED_HEIGHT_WGSL),
             ("fixed mesh with textures", TEXTURED_MESH_WGSL),
+            ("splats", SPLAT_WGSL),
             ("sky", SKY_WGSL),
             ("water", WATER_WGSL),
             ("query", QUERY_WGSL),
@@ -259,5 +262,7 @@ mod tests {
         }
         assert!(SURFACE_WGSL.contains(&format!("const NO_LAYER: u32 = {:#x}u;", SurfaceRecord::NO_LAYER)));
         assert_eq!(VertexFormat::Full.stride(), 7 * 4);
+        assert_eq!(size_of::<Splat>(), 9 * 4);
+        assert!(SPLAT_WGSL.contains(&format!("const SPLAT_SIGMAS: f32 = {SPLAT_SIGMAS:?};")));
     }
 }

@@ -51,6 +51,7 @@ impl Renderer {
     /// Forgets the last frame.
     fn start_frame<'a>(&mut self, ctx: &GraphicsContext, stages: impl Iterator<Item = &'a RenderStage> + Clone) {
         self.resources.start_frame();
+        ctx.pools().start_draw();
         if ctx.is_first_target_selected() {
             self.drawn_into.clear();
         }

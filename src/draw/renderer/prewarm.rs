@@ -157,7 +157,7 @@ impl Renderer {
     }
 
     fn prewarm_caster(&mut self, ctx: &mut GraphicsContext, kind: &DrawKind) -> Result<(), String> {
-        if matches!(kind.topology, Some(Topology::Lines | Topology::Points | Topology::Squares)) {
+        if kind.is_splats || matches!(kind.topology, Some(Topology::Lines | Topology::Points | Topology::Squares)) {
             return Ok(());
         }
         if let Some(key) = caster_key(&mut self.resources.pipelines, ctx.device(), &kind.state)? {
@@ -168,6 +168,7 @@ impl Renderer {
 
     fn prewarm_key(&mut self, ctx: &mut GraphicsContext, kind: &DrawKind, state: &StateKey) {
         let key = match kind.topology {
+            None if kind.is_splats => PipelineKey::splats(state),
             None => PipelineKey::height(state, kind.mirrored),
             Some(topology) => PipelineKey::mesh(state, topology, kind.is_masked, kind.double_sided, kind.mirrored),
         };

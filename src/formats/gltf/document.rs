@@ -10,7 +10,7 @@ use super::context::Context;
 use super::double_precision::{DoublePrecision, extensions_required};
 use super::extensions;
 use super::glb::Chunks;
-use super::version1;
+use super::{splats, version1};
 use crate::fetch::IoError;
 
 /// Parses a document; a glTF 1.0 is upgraded. Its references between objects are valid afterwards, so that the crate's
@@ -22,7 +22,7 @@ pub(super) fn parse(context: &Context<'_>, chunks: &Chunks<'_>) -> Result<(gltf:
         unknown.map(|name| IoError::unsupported(uri, format!("required glTF extension {name}")))
     };
     limits.check_json(uri, chunks.json)?;
-    let mut json = Cow::Borrowed(chunks.json);
+    let mut json = splats::with_kept_names(Cow::Borrowed(chunks.json));
     let mut parsed = json::Root::from_slice(&json);
     // The objects of older versions have ids instead of indices, so that they are not parsed.
     if parsed.is_err()

@@ -20,6 +20,7 @@ mod mesh;
 mod node_tree;
 mod occluder;
 mod reader;
+mod splats;
 mod version1;
 
 pub(super) use reader::{GltfSource, read, references};

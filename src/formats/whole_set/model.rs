@@ -27,6 +27,10 @@ pub struct ModelInfo {
     pub vertices: u64,
     /// Number of triangles.
     pub triangles: u64,
+    /// Number of Gaussian splats.
+    pub splats: u64,
+    /// The highest degree of spherical harmonics that splats have in the file; degree 0 is drawn.
+    pub splat_harmonics: u8,
     /// Number of images, equal ones counted once.
     pub images: u64,
     /// Bytes of the decoded images with their mip levels.
@@ -88,6 +92,10 @@ impl ModelInfo {
             self.vertices += mesh.vertices.len() as u64;
             let is_triangles = mesh.topology == Topology::Triangles;
             self.triangles += if is_triangles { mesh.indices.len() as u64 / 3 } else { 0 };
+        }
+        if let Geometry::Splats(splats) = &drawable.geometry {
+            self.splats += splats.list().len() as u64;
+            self.splat_harmonics = self.splat_harmonics.max(splats.harmonics());
         }
         let maps = drawable.material.metallic_roughness.iter().flat_map(|surface| surface.maps()).flatten();
         for texture in drawable.material.texture.iter().chain(maps) {

@@ -18,6 +18,8 @@ pub(crate) struct BindGroupLayouts {
     pub(crate) surface_set: wgpu::BindGroupLayout,
     /// The same for layered surfaces, which also have maps of dielectric and coat.
     pub(crate) layered_set: wgpu::BindGroupLayout,
+    /// Group 1 of Gaussian splats: the splats, and the order in which they are drawn.
+    pub(crate) splats: wgpu::BindGroupLayout,
     max_anisotropy: u16,
 }
 
@@ -136,12 +138,17 @@ impl BindGroupLayouts {
             let entries = textures.chain([records]).collect::<Vec<_>>();
             device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(label), entries: &entries })
         };
+        let splats = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+            label: Some("splats"),
+            entries: &[wgpu::BindGroupLayoutEntry { binding: 0, ..tables }, tables],
+        });
         Self {
             frame: frame_layout(device),
             height_block,
             texture_block,
             surface_set: surface_layout("surface set", MetallicRoughness::PLAIN_MAPS as u32),
             layered_set: surface_layout("set of layered surfaces", MetallicRoughness::MAPS as u32),
+            splats,
             max_anisotropy,
         }
     }

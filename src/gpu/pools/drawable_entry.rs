@@ -21,6 +21,11 @@ pub(crate) enum Shape {
         /// The bounds of the triangles, if they are few.
         extent: Option<Extent>,
     },
+    /// Gaussian splats: their number in the pool, and how many they are.
+    Splats {
+        number: u32,
+        count: u32,
+    },
     /// The index of a custom drawable.
     Custom(u32),
 }
@@ -85,6 +90,8 @@ pub(crate) enum BindClass {
         vertex_chunk: u32,
         index_chunk: u32,
     },
+    /// Gaussian splats.
+    Splats,
     /// Drawables that the application draws.
     Custom,
 }
@@ -127,6 +134,7 @@ impl DrawableEntry {
                 vertex_chunk: slot.vertex_chunk,
                 index_chunk: slot.index_chunk,
             },
+            Shape::Splats { .. } => BindClass::Splats,
             Shape::Custom(_) => BindClass::Custom,
         }
     }

@@ -5,6 +5,7 @@
 //! | height tiles, mesh textures | slots in blocks of array textures |
 //! | meshes | slots in buffers of one size class each |
 //! | surfaces of the metallic-roughness model | records in sets with one bind group each |
+//! | Gaussian splats | a buffer for each cloud, and one for each view of it |
 //!
 //! Equal content shares a slot by reference count. A released slot is free at once, since uploads run on the same queue,
 //! after the draws that used it.
@@ -23,15 +24,19 @@ mod meshes;
 mod retire_queue;
 mod slot_allocator;
 mod slot_table;
+mod splats;
 mod surfaces;
 mod textures;
 
 use std::sync::Arc;
 
 use super::memory::Memory;
-use crate::scene::{AttributeLayout, ContentKey, DrawSlot, HeightTile, Mesh, MetallicRoughness, SharedParts, Texture};
+use crate::scene::{
+    AttributeLayout, ContentKey, DrawSlot, HeightTile, Mesh, MetallicRoughness, SharedParts, Splats, Texture,
+};
 use drawable_table::DrawableTable;
 use heights::HeightPool;
+use splats::SplatPool;
 use textures::TexturePool;
 
 pub(super) use allocation::{Allocation, BufferDestination, LayerDestination};
@@ -46,6 +51,7 @@ pub(super) use heights::{HeightSlot, table_bytes, table_words};
 pub(crate) use meshes::{MAX_ATTRIBUTE_LAYOUTS, MeshPool, VertexFormat};
 pub(super) use meshes::{MeshAllocation, MeshSlot, interleaved_bytes, short_index_bytes};
 pub(super) use retire_queue::RetireQueue;
+pub(crate) use splats::Viewpoint;
 pub(super) use surfaces::MapLayers;
 #[cfg(test)]
 pub(crate) use surfaces::{LayeredRecord, SurfaceRecord};
@@ -59,6 +65,7 @@ pub(crate) struct Pools {
     meshes: MeshPool,
     textures: TexturePool,
     surfaces: SurfacePool,
+    splats: SplatPool,
     customs: CustomDrawables,
     drawables: DrawableTable,
     layouts: BindGroupLayouts,
@@ -75,6 +82,7 @@ impl Pools {
             meshes: MeshPool::default(),
             textures: TexturePool::default(),
             surfaces: SurfacePool::default(),
+            splats: SplatPool::default(),
             customs: CustomDrawables::default(),
             drawables: DrawableTable::default(),
             layouts: BindGroupLayouts::new(device, max_anisotropy),
@@ -115,6 +123,21 @@ impl Pools {
 
     pub(crate) fn surfaces(&self) -> &SurfacePool {
         &self.surfaces
+    }
+
+    /// Uploads Gaussian splats. Returns their number and their size in bytes.
+    pub(super) fn upload_splats(&mut self, splats: &Splats) -> Result<(u32, u64), String> {
+        self.splats.upload(&self.memory, &self.layouts, splats)
+    }
+
+    /// Returns the bind group that draws splats from back to front for a viewpoint; `None` without it.
+    pub(crate) fn sorted_splats(&self, queue: &wgpu::Queue, number: u32, from: Viewpoint) -> Option<wgpu::BindGroup> {
+        self.splats.sorted(&self.memory, &self.layouts, queue, number, from)
+    }
+
+    /// Starts a draw, whose commands are submitted before the next one starts.
+    pub(crate) fn start_draw(&self) {
+        self.splats.start_draw();
     }
 
     pub(crate) fn customs(&self) -> &CustomDrawables {
@@ -225,6 +248,7 @@ impl Pools {
                 maps.into_iter().flatten().flatten().for_each(|map| self.textures.release(map));
                 self.textures.release(*texture);
             }
+            Shape::Splats { number, .. } => self.splats.release(*number),
             Shape::Custom(index) => self.customs.release(*index),
         }
     }
@@ -266,6 +290,7 @@ impl Pools {
             + self.meshes.bytes_in_use()
             + self.textures.bytes_in_use()
             + self.surfaces.bytes_in_use()
+            + self.splats.bytes()
             + self.customs.bytes()
     }
 
@@ -275,6 +300,7 @@ impl Pools {
             + self.meshes.bytes_allocated()
             + self.textures.bytes_allocated()
             + self.surfaces.bytes_allocated()
+            + self.splats.bytes()
             + self.customs.bytes()
     }
 

@@ -10,11 +10,12 @@ use crate::gpu::pools::{
     TextureLayer, VertexFormat,
 };
 use crate::scene::{
-    ContentKey, CustomGeometry, DrawSlot, Drawable, Geometry, HeightTile, Mesh, MetallicRoughness, SharedParts,
+    ContentKey, CustomGeometry, DrawSlot, Drawable, Geometry, HeightTile, Mesh, MetallicRoughness, SharedParts, Splats,
     Texture, Topology,
 };
 
-/// Gives a drawable its slots and queues its uploads. A custom drawable is created at once; its size in bytes is returned.
+/// Gives a drawable its slots and queues its uploads. Splats and custom drawables are created at once; their size in bytes is
+/// returned.
 pub(super) fn place_drawable(
     info: &CompileInfo<'_>,
     pools: &mut Pools,
@@ -26,9 +27,10 @@ pub(super) fn place_drawable(
     let placed = match &drawable.geometry {
         Geometry::Height(tile) => place_height_tile(pools, tile, &drawable, compiled, uploads),
         Geometry::Mesh(mesh) => place_mesh(info.queue, pools, mesh, &drawable, compiled, uploads),
+        Geometry::Splats(splats) => upload_splats(pools, splats, compiled),
         Geometry::Custom(custom) => compile_custom(info, pools, custom, compiled),
     };
-    let is_custom = matches!(drawable.geometry, Geometry::Custom(_));
+    let is_complete = matches!(drawable.geometry, Geometry::Splats(_) | Geometry::Custom(_));
     let slot = match placed {
         Ok(shape) => pools.insert(DrawableEntry::new(shape, &drawable.material)),
         Err(error) => {
@@ -37,7 +39,13 @@ pub(super) fn place_drawable(
         }
     };
     compiled.slots.push(slot);
-    is_custom.then(|| compiled.bytes - bytes_before)
+    is_complete.then(|| compiled.bytes - bytes_before)
+}
+
+fn upload_splats(pools: &mut Pools, splats: &Splats, compiled: &mut Compiled) -> Result<Shape, String> {
+    let (number, bytes) = pools.upload_splats(splats)?;
+    compiled.bytes += bytes;
+    Ok(Shape::Splats { number, count: splats.list().len() as u32 })
 }
 
 fn compile_custom(

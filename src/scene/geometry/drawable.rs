@@ -125,6 +125,8 @@ impl Drawable {
             }
             Geometry::Mesh(_) => 0,
             Geometry::Height(t) => (t.heights.len() * 4 + t.rows.len() * 16 + t.columns.len() * 8) as u64,
+            Geometry::Splats(splats) if is_new(splats, counted) => splats.size_bytes(),
+            Geometry::Splats(_) => 0,
             Geometry::Custom(custom) => custom.size_bytes,
         };
         shape + of_height + material

@@ -11,6 +11,7 @@ mod normal_cone;
 mod primitive_modes;
 mod shape;
 mod shapes;
+mod splats;
 mod surface_layers;
 #[cfg(feature = "text")]
 mod text;
@@ -25,6 +26,7 @@ pub use mesh::{Mesh, MeshVertex, Topology, VertexFormat};
 pub use normal_cone::NormalCone;
 pub use primitive_modes::PrimitiveMode;
 pub use shape::{CustomGeometry, Geometry};
+pub use splats::{Splat, Splats};
 pub use surface_layers::{Clearcoat, Dielectric, MapParts};
 #[cfg(feature = "text")]
 pub use text::Font;
@@ -32,4 +34,6 @@ pub use texture::{BlockFormats, Sampling, TexelFormat, Texture};
 pub use vertex_attributes::{MAX_ATTRIBUTES, VertexAttributes};
 
 pub(crate) use mesh::SMALL_MESH_INDICES;
+#[cfg(test)]
+pub(crate) use splats::SPLAT_SIGMAS;
 pub(crate) use vertex_attributes::{AttributeLayout, added_stride};

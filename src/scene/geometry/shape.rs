@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use super::height_tile::HeightTile;
 use super::mesh::Mesh;
+use super::splats::Splats;
 use crate::math::Aabb;
 use crate::state::OpaqueDrawData;
 
@@ -26,6 +27,8 @@ pub enum Geometry {
     Mesh(Arc<Mesh>),
     /// Heights on the shared grid mesh.
     Height(Arc<HeightTile>),
+    /// Gaussian splats.
+    Splats(Arc<Splats>),
     /// Geometry that the application draws.
     Custom(CustomGeometry),
 }
@@ -36,6 +39,7 @@ impl Geometry {
         match self {
             Self::Mesh(mesh) => mesh.bounds,
             Self::Height(tile) => tile.bounds,
+            Self::Splats(splats) => splats.bounds(),
             Self::Custom(custom) => custom.bounds,
         }
     }

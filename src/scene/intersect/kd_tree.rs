@@ -99,7 +99,7 @@ impl KdTree {
                 };
                 Some(Self::with_boxes(Store::Mesh(store), axes, depth, middles.len()))
             }
-            Geometry::Custom(_) => None,
+            Geometry::Splats(_) | Geometry::Custom(_) => None,
             Geometry::Height(tile) => {
                 let store = HeightCorners::new(tile)?;
                 let count = store.count();

@@ -312,7 +312,7 @@ pub(crate) fn mesh_primitives(mesh: &Mesh) -> impl Iterator<Item = (u32, [u32; 3
 pub(crate) fn corners_of(geometry: &Geometry) -> usize {
     match geometry {
         Geometry::Mesh(mesh) => corner_count(mesh.topology),
-        Geometry::Height(_) | Geometry::Custom(_) => 3,
+        Geometry::Height(_) | Geometry::Splats(_) | Geometry::Custom(_) => 3,
     }
 }
 

@@ -70,7 +70,7 @@ fn each(geometry: &Geometry, visit: &mut dyn FnMut(&Primitive) -> bool) {
                 }
             }
         }
-        Geometry::Custom(_) => {}
+        Geometry::Splats(_) | Geometry::Custom(_) => {}
         Geometry::Height(tile) => {
             let Some(corners) = HeightCorners::new(tile) else { return };
             for place in 0..corners.count() {

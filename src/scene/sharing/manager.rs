@@ -209,7 +209,7 @@ impl SharedStateManager {
                 let texture = tile.texture.as_ref().map(|t| texels_key(t));
                 drawable.shared.geometry = self.height_tile(tile, texture.as_ref());
             }
-            Geometry::Custom(_) => {}
+            Geometry::Splats(_) | Geometry::Custom(_) => {}
         }
     }
 

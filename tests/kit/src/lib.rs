@@ -13,6 +13,7 @@ pub mod osg_files;
 pub mod pager;
 pub mod quantized;
 pub mod server;
+pub mod splats;
 pub mod subtrees;
 
 use terrane::gpu::AdapterChoice;

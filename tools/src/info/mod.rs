@@ -104,11 +104,15 @@ fn text(info: &Info, verified: Option<&Verified>) -> String {
     // Writing to a String cannot fail.
     let _ = writeln!(out, "{}", printable(format!("format   {} {}", info.format, info.version).trim_end()));
     match &info.model {
-        Some(ModelInfo { nodes, drawables, vertices, triangles, images, image_bytes, paged_files }) => {
+        Some(model) => {
+            let ModelInfo { nodes, drawables, vertices, triangles, images, image_bytes, paged_files, .. } = model;
             let _ = writeln!(
                 out,
                 "model    {nodes} nodes, {drawables} drawables, {vertices} vertices, {triangles} triangles"
             );
+            if model.splats > 0 {
+                let _ = writeln!(out, "splats   {}, harmonics of degree {}", model.splats, model.splat_harmonics);
+            }
             let _ = writeln!(out, "images   {images}, {} decoded", shown_bytes(*image_bytes));
             if *paged_files > 0 {
                 let _ = writeln!(out, "paged    {paged_files} other files");

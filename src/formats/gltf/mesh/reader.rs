@@ -16,6 +16,7 @@ use crate::formats::gltf::accessors::{Buffers, IndexLists, list_key_of};
 use crate::formats::gltf::context::Context;
 use crate::formats::gltf::features::{FeatureTables, PrimitiveImages};
 use crate::formats::gltf::materials::Surfaces;
+use crate::formats::gltf::splats;
 use crate::scene::{ContentKey, Drawable, Geometry, Material, Mesh, PrimitiveMode, SharedParts, Topology};
 
 /// Reads the meshes of one glTF.
@@ -100,6 +101,9 @@ impl<'a> MeshReader<'a> {
         deformation: Deformation<'_>,
     ) -> Result<Option<(Drawable, Option<Drawable>)>, IoError> {
         let Self { context, buffers, document, tables, surfaces, index_lists, .. } = self;
+        if let Some(splats) = splats::read(context, buffers, document, primitive)? {
+            return Ok(splats.map(|splats| (splats, None)));
+        }
         let Some(data) = PrimitiveData::new(context, buffers, document, primitive)? else { return Ok(None) };
         let mut surface = surfaces.get(&primitive.material());
         let not_drawn = || {

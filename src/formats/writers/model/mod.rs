@@ -50,7 +50,7 @@ impl Leaf {
                 material.texture = material.texture.or_else(|| tile.texture.clone());
                 (model_from_drawable * height::tile_from_mesh(), Arc::new(height::mesh_of(&tile)))
             }
-            Geometry::Custom(_) => return None,
+            Geometry::Splats(_) | Geometry::Custom(_) => return None,
         };
         Some(Self { model_from_drawable, mesh, material, features })
     }

@@ -1,0 +1,116 @@
+//! Writes Gaussian splats: SPZ files, and glTFs with one or with accessors.
+
+use std::io::Write as _;
+
+/// A splat that is written.
+#[derive(Clone, Copy, Debug)]
+pub struct WrittenSplat {
+    /// The centre.
+    pub position: [f32; 3],
+    /// The standard deviations.
+    pub scale: [f32; 3],
+    /// A unit quaternion x, y, z, w.
+    pub rotation: [f32; 4],
+    /// The colour as displayed, and the opacity.
+    pub color: [f32; 4],
+}
+
+impl WrittenSplat {
+    /// Returns the coefficients of the first harmonic.
+    pub fn harmonic(&self) -> [f32; 3] {
+        [0, 1, 2].map(|k| (self.color[k] - 0.5) / 0.282_094_8)
+    }
+}
+
+/// Returns the 16 bytes with which an SPZ file begins before it is compressed.
+pub fn spz_header(version: u32, count: u32, degree: u8, fractional_bits: u8, flags: u8) -> Vec<u8> {
+    let words = [version, count].map(u32::to_le_bytes).concat();
+    [b"NGSP".to_vec(), words, vec![degree, fractional_bits, flags, 0]].concat()
+}
+
+/// Returns an SPZ file of version 2 or 3 before it is compressed, with harmonics of 128 up to a degree.
+pub fn spz_plain(splats: &[WrittenSplat], version: u32, degree: u8) -> Vec<u8> {
+    let byte = |x: f32| x.round().clamp(0.0, 255.0) as u8;
+    let mut out = spz_header(version, splats.len() as u32, degree, 12, 0);
+    for p in splats.iter().flat_map(|splat| splat.position) {
+        out.extend(&((p * 4096.0).round() as i32).to_le_bytes()[..3]);
+    }
+    out.extend(splats.iter().map(|splat| byte(splat.color[3] * 255.0)));
+    out.extend(splats.iter().flat_map(WrittenSplat::harmonic).map(|c| byte((c * 0.15 + 0.5) * 255.0)));
+    out.extend(splats.iter().flat_map(|splat| splat.scale).map(|s| byte((s.ln() + 10.0) * 16.0)));
+    for splat in splats {
+        out.extend(if version < 3 { first_three(splat.rotation) } else { smallest_three(splat.rotation) });
+    }
+    let harmonics = usize::from(degree) * (usize::from(degree) + 2) * 3;
+    out.resize(out.len() + splats.len() * harmonics, 128);
+    out
+}
+
+fn first_three(q: [f32; 4]) -> Vec<u8> {
+    let sign = if q[3] < 0.0 { -1.0 } else { 1.0 };
+    [0, 1, 2].map(|k| (sign * q[k] * 127.5 + 127.5).round() as u8).to_vec()
+}
+
+fn smallest_three(q: [f32; 4]) -> Vec<u8> {
+    let largest = (0..4).max_by(|a, b| q[*a].abs().total_cmp(&q[*b].abs())).unwrap();
+    let mut bits = largest as u32;
+    for k in (0..4).filter(|k| *k != largest) {
+        let size = (511.0 * q[k].abs() * std::f32::consts::SQRT_2 + 0.5) as u32;
+        bits = bits << 10 | u32::from((q[k] < 0.0) != (q[largest] < 0.0)) << 9 | size;
+    }
+    bits.to_le_bytes().to_vec()
+}
+
+/// Returns bytes compressed by gzip.
+pub fn gzip(bytes: &[u8]) -> Vec<u8> {
+    let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+    encoder.write_all(bytes).unwrap();
+    encoder.finish().unwrap()
+}
+
+/// Returns a glb whose only primitive is an SPZ file.
+pub fn spz_glb(file: &[u8]) -> Vec<u8> {
+    let length = file.len();
+    let json = format!(
+        r#"{{"asset":{{"version":"2.0"}},"extensionsUsed":["KHR_gaussian_splatting","KHR_gaussian_splatting_compression_spz_2"],"extensionsRequired":["KHR_gaussian_splatting","KHR_gaussian_splatting_compression_spz_2"],"scene":0,"scenes":[{{"nodes":[0]}}],"nodes":[{{"mesh":0}}],"meshes":[{{"primitives":[{{"attributes":{{"POSITION":0}},"mode":0,"extensions":{{"KHR_gaussian_splatting":{{"extensions":{{"KHR_gaussian_splatting_compression_spz_2":{{"bufferView":0}}}}}}}}}}]}}],"accessors":[{{"componentType":5126,"count":1,"type":"VEC3"}}],"bufferViews":[{{"buffer":0,"byteLength":{length}}}],"buffers":[{{"byteLength":{length}}}]}}"#
+    );
+    glb(&json, file)
+}
+
+/// Returns a glb whose only primitive has splats as accessors, by the names of the extension.
+pub fn accessor_glb(splats: &[WrittenSplat]) -> Vec<u8> {
+    type Values = fn(&WrittenSplat) -> Vec<f32>;
+    const ATTRIBUTES: [(&str, &str, Values); 5] = [
+        ("POSITION", "VEC3", |splat| splat.position.to_vec()),
+        ("KHR_gaussian_splatting:SCALE", "VEC3", |splat| splat.scale.to_vec()),
+        ("KHR_gaussian_splatting:ROTATION", "VEC4", |splat| splat.rotation.to_vec()),
+        ("KHR_gaussian_splatting:OPACITY", "SCALAR", |splat| vec![splat.color[3]]),
+        ("KHR_gaussian_splatting:SH_DEGREE_0_COEF_0", "VEC3", |splat| splat.harmonic().to_vec()),
+    ];
+    let (mut body, mut views, mut accessors, mut attributes) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    for (index, (name, kind, values)) in ATTRIBUTES.iter().enumerate() {
+        let start = body.len();
+        body.extend(splats.iter().flat_map(values).flat_map(f32::to_le_bytes));
+        let (length, count) = (body.len() - start, splats.len());
+        views.push(format!(r#"{{"buffer":0,"byteOffset":{start},"byteLength":{length}}}"#));
+        accessors.push(format!(r#"{{"bufferView":{index},"componentType":5126,"count":{count},"type":"{kind}"}}"#));
+        attributes.push(format!(r#""{name}":{index}"#));
+    }
+    let [views, accessors, attributes] = [views, accessors, attributes].map(|list| list.join(","));
+    let length = body.len();
+    let json = format!(
+        r#"{{"asset":{{"version":"2.0"}},"extensionsUsed":["KHR_gaussian_splatting"],"scene":0,"scenes":[{{"nodes":[0]}}],"nodes":[{{"mesh":0}}],"meshes":[{{"primitives":[{{"attributes":{{{attributes}}},"mode":0,"extensions":{{"KHR_gaussian_splatting":{{"kernel":"ellipse","colorSpace":"srgb_rec709_display"}}}}}}]}}],"accessors":[{accessors}],"bufferViews":[{views}],"buffers":[{{"byteLength":{length}}}]}}"#
+    );
+    glb(&json, &body)
+}
+
+fn glb(json: &str, body: &[u8]) -> Vec<u8> {
+    let mut json = json.as_bytes().to_vec();
+    json.resize(json.len().next_multiple_of(4), b' ');
+    let mut body = body.to_vec();
+    body.resize(body.len().next_multiple_of(4), 0);
+    let word = |x: usize| (x as u32).to_le_bytes().to_vec();
+    let header = [b"glTF".to_vec(), word(2), word(28 + json.len() + body.len())];
+    let chunks = [word(json.len()), b"JSON".to_vec(), json, word(body.len()), b"BIN\0".to_vec(), body];
+    [header.concat(), chunks.concat()].concat()
+}
