@@ -105,8 +105,6 @@ pub(super) struct Reading {
     /// Holds what was received.
     pub bodies: ByteBudget,
     pub files: Arc<FileReader>,
-    /// The time limit for reading a file.
-    pub file_timeout: Duration,
 }
 
 impl Reading {
@@ -117,9 +115,9 @@ impl Reading {
             Some(scope) => files.read_within(&path, scope),
             None => files.read(&path),
         });
-        let seconds = self.file_timeout.as_secs_f64();
-        let Ok(read) = tokio::time::timeout(self.file_timeout, read).await else {
-            return Err(IoError::Timeout { uri: uri.to_string(), phase: "reading the file", seconds });
+        let limit = self.limits.file_timeout;
+        let Ok(read) = tokio::time::timeout(limit, read).await else {
+            return Err(IoError::file_timeout(uri, limit));
         };
         let stopped = |error| IoError::Network { uri: uri.to_string(), reason: format!("the read stopped: {error}") };
         let bytes = read.map_err(stopped)??;
