@@ -164,6 +164,11 @@ pub enum IoError {
 }
 
 impl IoError {
+    /// A file that was not read or found within a time limit.
+    pub(crate) fn file_timeout(uri: &str, limit: Duration) -> Self {
+        Self::Timeout { uri: uri.to_owned(), phase: "reading the file", seconds: limit.as_secs_f64() }
+    }
+
     /// Returns the URI that failed, secrets included. Use [`shown`] before printing it.
     pub fn uri(&self) -> &str {
         match self {

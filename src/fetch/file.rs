@@ -9,9 +9,12 @@ use lru::LruCache;
 use super::archive::{LocalArchive, MAX_CACHED_ARCHIVES, MAX_CACHED_DIRECTORY_BYTES, evict_lru, split_path};
 use super::encoding::gunzip;
 use super::error::IoError;
+#[cfg(feature = "testing")]
+use super::hung_reads::HungReads;
 use super::limits::Limits;
 use super::panic_guard::guarded;
 use super::scope::RootScope;
+use super::time_limit::run_within;
 
 /// Reading a file whose name ends like this panics, so that tests can check the handling of decoder panics.
 #[cfg(test)]
@@ -67,7 +70,7 @@ impl FileReader {
         #[cfg(test)]
         assert!(!uri.ends_with(PANICS), "a codec has a defect");
         #[cfg(feature = "testing")]
-        hung_reads::wait(uri);
+        HungReads::wait_for_bytes(uri);
         let limits = &self.limits;
         if let Some(folder) = uri.strip_suffix(LISTING).filter(|folder| Path::new(folder).is_dir()) {
             return list(folder, limits);
@@ -111,6 +114,8 @@ impl FileReader {
 
     /// Returns `None` if the file does not exist.
     fn metadata(&self, uri: &str) -> Result<Option<std::fs::Metadata>, IoError> {
+        #[cfg(feature = "testing")]
+        HungReads::wait_for_metadata(Path::new(uri));
         match std::fs::metadata(uri) {
             Ok(metadata) => Ok(Some(metadata)),
             Err(e) if matches!(e.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => Ok(None),
@@ -134,48 +139,6 @@ impl FileReader {
 
     fn cached(&self) -> MutexGuard<'_, LruCache<PathBuf, Arc<LocalArchive>>> {
         self.archives.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
-/// Reads that hang, for tests: no test can make a disk hang.
-#[cfg(feature = "testing")]
-mod hung_reads {
-    use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
-
-    static FILES: Mutex<Vec<String>> = Mutex::new(Vec::new());
-    static RELEASED: Condvar = Condvar::new();
-
-    fn files() -> MutexGuard<'static, Vec<String>> {
-        FILES.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Makes all reads hang of files whose path contains a text, until it is dropped.
-    #[derive(Debug)]
-    pub struct HungReads(String);
-
-    impl HungReads {
-        /// Makes the reads hang that begin from now on.
-        pub fn of(part_of_path: &str) -> Self {
-            files().push(part_of_path.to_owned());
-            Self(part_of_path.to_owned())
-        }
-    }
-
-    impl Drop for HungReads {
-        fn drop(&mut self) {
-            let mut files = files();
-            if let Some(index) = files.iter().position(|file| *file == self.0) {
-                files.swap_remove(index);
-            }
-            RELEASED.notify_all();
-        }
-    }
-
-    pub(super) fn wait(uri: &str) {
-        let mut files = files();
-        while files.iter().any(|file| uri.contains(file)) {
-            files = RELEASED.wait(files).unwrap_or_else(PoisonError::into_inner);
-        }
     }
 }
 
@@ -210,10 +173,9 @@ fn list(folder: &str, limits: &Limits) -> Result<Vec<u8>, IoError> {
     Ok(names.join("\n").into_bytes())
 }
 
-#[cfg(feature = "testing")]
-pub use hung_reads::HungReads;
-
-/// Reads one file like [`FileReader::read`].
+/// Reads one file like [`FileReader::read`]. A disk that hangs is an error after [`Limits::file_timeout`].
 pub fn read_file(uri: &str, limits: &Limits) -> Result<Vec<u8>, IoError> {
-    FileReader::new(*limits).read(uri)
+    let (reader, path) = (FileReader::new(*limits), uri.to_owned());
+    let read = run_within(limits.file_timeout, move || reader.read(&path));
+    read.unwrap_or_else(|| Err(IoError::file_timeout(uri, limits.file_timeout)))
 }

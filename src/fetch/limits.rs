@@ -1,5 +1,7 @@
 //! [`Limits`] on everything that is read from outside.
 
+use std::time::Duration;
+
 use super::error::IoError;
 
 /// Upper limits for data from outside. The defaults are above what real tile sets hold.
@@ -21,6 +23,10 @@ pub struct Limits {
     /// Bytes of memory that one JSON document may take when it is parsed, by a careful estimate: two gibibytes, the default,
     /// are a tileset.json of about 230,000 tiles. Raise it for larger ones.
     pub max_json_bytes: u64,
+    /// Time limit for reading or finding one local file, such as one on a network drive whose server is gone; the error is
+    /// [`IoError::Timeout`]. A read that hangs cannot be stopped: its thread is left alone. 30 s by default, longer than a disk
+    /// that was stopped takes to start.
+    pub file_timeout: Duration,
     /// Reads files of a set on disk also if symbolic links lead to them out of the folder of its root. Off by default, since
     /// a set from a stranger could so name any file of this machine.
     pub follow_links: bool,
@@ -40,6 +46,7 @@ impl Default for Limits {
             max_depth: 100,
             max_external_depth: 32,
             max_json_bytes: 2 << 30,
+            file_timeout: Duration::from_secs(30),
             follow_links: false,
             allow_outside: false,
         }

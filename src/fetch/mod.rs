@@ -13,6 +13,8 @@ mod error;
 mod file;
 #[cfg(feature = "http")]
 mod http;
+#[cfg(feature = "testing")]
+mod hung_reads;
 mod limits;
 pub(crate) mod markup;
 #[cfg(feature = "object-store")]
@@ -41,8 +43,6 @@ pub use cache::{CacheConfig, CacheInfo, CacheVerified, DiskCache};
 #[cfg(all(feature = "http", feature = "testing"))]
 pub use encoding::fuzz_encoding;
 pub use error::IoError;
-#[cfg(feature = "testing")]
-pub use file::HungReads;
 #[cfg(test)]
 pub(crate) use file::PANICS;
 pub use file::{FileReader, read_file};
@@ -52,6 +52,8 @@ pub use http::fuzz_headers;
 pub(crate) use http::runtime;
 #[cfg(feature = "http")]
 pub use http::{AllowedHost, Credential, HttpBody, HttpClient, HttpConfig, StoreOption};
+#[cfg(feature = "testing")]
+pub use hung_reads::HungReads;
 pub(crate) use limits::JSON_OBJECT_BYTES;
 pub use limits::Limits;
 pub use markup::printable;
@@ -60,6 +62,7 @@ pub use object_store::{ObjectFolder, ObjectHeaders, ObjectList};
 pub use panic_guard::DECODER_PANICKED;
 pub(crate) use panic_guard::guarded;
 pub(crate) use percent::percent_decode;
+pub(crate) use scope::root_uri_within;
 pub use scope::{RootScope, resolve, root_uri};
 pub(crate) use source::{Loaded, Source};
 pub(crate) use time_limit::run_within;

@@ -7,11 +7,15 @@
 
 use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
+use std::time::Duration;
 
 use super::archive::{is_archive, is_pmtiles};
 use super::error::IoError;
+#[cfg(feature = "testing")]
+use super::hung_reads::HungReads;
 use super::limits::Limits;
 use super::percent::percent_decode;
+use super::time_limit::run_within;
 use super::uri::{is_http, is_remote, is_store, server};
 
 /// The set of URIs that references in a tile set may lead to.
@@ -65,7 +69,16 @@ fn is_oblique(folder: &Path) -> bool {
 /// Converts user input to the URI of a tile set's root. A folder, an archive, and a URL that ends in `/` or in the name of
 /// an archive mean the tileset.json inside; a folder on disk without one means its metadata.xml or layer.json, if it has that.
 /// Any other path or URL means itself.
+///
+/// # Errors
+/// [`IoError`] if the source is invalid or no tile set, or if its disk does not answer within the default of
+/// [`Limits::file_timeout`].
 pub fn root_uri(source: &str) -> Result<Arc<str>, IoError> {
+    root_uri_within(source, Limits::default().file_timeout)
+}
+
+/// Does the same as [`root_uri`], with another time limit for finding a root on a disk.
+pub(crate) fn root_uri_within(source: &str, limit: Duration) -> Result<Arc<str>, IoError> {
     let no_set = |path: &str| match is_pmtiles(path) {
         true => Err(IoError::unsupported(source, "PMTiles as a tile set (its tiles are contents: NAME.pmtiles/z/x/y)")),
         false => Ok(()),
@@ -92,15 +105,22 @@ pub fn root_uri(source: &str) -> Result<Arc<str>, IoError> {
         return Err(IoError::unsupported(source, format!("the scheme {scheme}://")));
     }
     let path = std::path::absolute(source).map_err(|e| bad(source, e.to_string()))?;
+    let path = run_within(limit, move || root_file(path)).ok_or_else(|| IoError::file_timeout(source, limit))?;
+    path.to_str().map(Arc::from).ok_or_else(|| bad(source, "the path is not UTF-8"))
+}
+
+/// Returns the file of the root that a path names. Looks at the disk.
+fn root_file(path: PathBuf) -> PathBuf {
+    #[cfg(feature = "testing")]
+    HungReads::wait_for_metadata(&path);
     let is_inside = path.is_dir() || (path.is_file() && path.to_str().is_some_and(is_archive));
-    let path = match is_inside {
+    match is_inside {
         true if is_oblique(&path) => path.join(OBLIQUE_ROOT),
         // A folder of terrain tiles.
         true if !path.join("tileset.json").exists() && path.join("layer.json").is_file() => path.join("layer.json"),
         true => path.join("tileset.json"),
         false => path,
-    };
-    path.to_str().map(Arc::from).ok_or_else(|| bad(source, "the path is not UTF-8"))
+    }
 }
 
 /// Resolves `reference`, found in the file `base_uri`, to an absolute URI. A 3D Tiles archive means the tileset.json

@@ -8,6 +8,7 @@ use super::file::FileReader;
 use super::http::{BlockingHttpClient, HttpBody, HttpConfig};
 use super::limits::Limits;
 use super::scope::RootScope;
+use super::time_limit::DiskThread;
 use super::uri::is_remote;
 
 /// The bytes of a URI, and what the server said about them.
@@ -43,17 +44,16 @@ impl From<HttpBody> for Loaded {
     }
 }
 
-/// Reads the files of one tile set from disk, archives and servers. Keeps its connections open between reads.
+/// Reads the files of one tile set from disk, archives and servers. Keeps its connections open between reads. A local file that
+/// is not read within [`Limits::file_timeout`] is an error.
 #[derive(Debug)]
 pub(crate) struct Source {
-    files: FileReader,
+    files: Arc<Files>,
+    disk: DiskThread,
     #[cfg(feature = "http")]
     limits: Limits,
     #[cfg(feature = "http")]
     config: HttpConfig,
-    /// The root, which the user named.
-    root: String,
-    scope: RootScope,
     /// Created by the first read from a server.
     #[cfg(feature = "http")]
     http: std::cell::OnceCell<BlockingHttpClient>,
@@ -63,13 +63,16 @@ impl Source {
     /// Creates a source for the set with this root.
     pub fn new(limits: Limits, root_uri: &str) -> Self {
         Self {
-            files: FileReader::new(limits),
+            files: Arc::new(Files {
+                reader: FileReader::new(limits),
+                root: root_uri.to_owned(),
+                scope: RootScope::of_set(root_uri, &limits),
+            }),
+            disk: DiskThread::new(limits.file_timeout),
             #[cfg(feature = "http")]
             limits,
             #[cfg(feature = "http")]
             config: HttpConfig::default(),
-            root: root_uri.to_owned(),
-            scope: RootScope::of_set(root_uri, &limits),
             #[cfg(feature = "http")]
             http: std::cell::OnceCell::new(),
         }
@@ -88,17 +91,15 @@ impl Source {
     /// Reads a URI as [`Self::read`] does, and returns what is known about the bytes.
     pub fn load(&self, uri: &str) -> Result<Loaded, IoError> {
         if !is_remote(uri) {
-            // The user named the root, which may be a link.
-            let is_root = uri == self.root;
-            let bytes = if is_root { self.files.read(uri) } else { self.files.read_within(uri, &self.scope) };
-            return bytes.map(Loaded::from);
+            let (files, path) = (self.files.clone(), uri.to_owned());
+            return self.disk.run(uri, move || files.read(&path)).map(Loaded::from);
         }
         #[cfg(feature = "http")]
         {
             let http = match self.http.get() {
                 Some(http) => http,
                 None => {
-                    let http = BlockingHttpClient::new(&self.config, &self.scope)?;
+                    let http = BlockingHttpClient::new(&self.config, &self.files.scope)?;
                     self.http.get_or_init(|| http)
                 }
             };
@@ -110,9 +111,29 @@ impl Source {
 
     /// Returns the size in bytes of a local file as stored.
     pub fn size(&self, uri: &str) -> Result<u64, IoError> {
+        let (files, path) = (self.files.clone(), uri.to_owned());
+        self.disk.run(uri, move || files.size(&path))
+    }
+}
+
+/// Reads the files of a set on disk.
+#[derive(Debug)]
+struct Files {
+    reader: FileReader,
+    /// The root, which the user named. It may be a link.
+    root: String,
+    scope: RootScope,
+}
+
+impl Files {
+    fn read(&self, uri: &str) -> Result<Vec<u8>, IoError> {
+        if uri == self.root { self.reader.read(uri) } else { self.reader.read_within(uri, &self.scope) }
+    }
+
+    fn size(&self, uri: &str) -> Result<u64, IoError> {
         if uri != self.root {
-            self.files.check_links(uri, &self.scope)?;
+            self.reader.check_links(uri, &self.scope)?;
         }
-        self.files.size(uri)
+        self.reader.size(uri)
     }
 }

@@ -7,9 +7,6 @@ use crate::fetch::{IoError, Limits};
 use crate::formats::{ContentReader, OverlaySet, Style};
 use crate::scene::ShareModes;
 
-/// The time limit for reading a local file by default: longer than a disk that was stopped takes to start.
-pub(in crate::pager) const DEFAULT_FILE_TIMEOUT: Duration = Duration::from_secs(30);
-
 /// Half of it are 32 requests of six megabytes, and the whole leaves room for the rest of a process of one gigabyte.
 const DEFAULT_BYTES_LOADING: u64 = 384 << 20;
 
@@ -19,9 +16,6 @@ const DEFAULT_BYTES_LOADING: u64 = 384 << 20;
 pub struct PagerConfig {
     /// Threads that read local files. With two, one keeps the disk busy while the other waits.
     pub file_threads: usize,
-    /// Time limit for reading a local file, such as one on a network drive whose server is gone. Its tile has then failed
-    /// ([`IoError::Timeout`]) and is requested a few times more; other tiles go on loading.
-    pub file_timeout: Duration,
     /// Contents requested from one server at once, at most 4,096; all servers together get four times as many. A content
     /// with separate imagery is two requests.
     pub http_in_flight: usize,
@@ -43,8 +37,9 @@ pub struct PagerConfig {
     /// Maximum GPU bytes of pages that are merged or uploaded. A page's size is known after its upload; until then the mean
     /// of recent pages is reserved. A page that turns out larger than the free room is declined at once.
     ///
-    /// Free slots of the contexts' blocks and textures of state sets count too: uploads that need further memory wait, and pages that are not shown
-    /// expire until blocks are freed. Near the budget blocks grow by single slots.
+    /// Free slots of the contexts' blocks and textures of state sets count too: uploads that need further memory go one after
+    /// the other, and pages that are not shown expire until blocks are freed. Near the budget blocks grow by single slots. Pages
+    /// that are all shown and have large textures of state sets may exceed it.
     pub max_bytes_gpu: u64,
     /// Maximum number of pages that are merged or have arrived.
     pub max_tiles: usize,
@@ -75,7 +70,8 @@ pub struct PagerConfig {
     /// Maximum attempts to load a URI; `None` for no limit, so that loads resume after a long network outage. Errors that
     /// rarely pass ([`IoError::is_doubtful`](crate::fetch::IoError::is_doubtful)) are tried five times.
     pub max_tries: Option<u32>,
-    /// Bounds on data from outside.
+    /// Bounds on data from outside. A tile whose file is not read within [`Limits::file_timeout`] has failed, and is requested a
+    /// few times more; other tiles go on loading.
     pub limits: Limits,
     /// Timeouts, certificates, credentials and cache of the HTTP client.
     #[cfg(feature = "http")]
@@ -110,7 +106,6 @@ impl Default for PagerConfig {
         let cores = std::thread::available_parallelism().map_or(2, usize::from);
         Self {
             file_threads: 2,
-            file_timeout: DEFAULT_FILE_TIMEOUT,
             http_in_flight: 32,
             http_in_flight_max: 128,
             decode_threads: cores.clamp(1, 16),

@@ -88,13 +88,14 @@ fn current_requests_precede_prefetch_which_evicts_no_visible_page() {
         frame(&mut run);
         assert_eq!(run.stage.counters.wanted_missing, 0, "visible pages stay");
         assert!(run.pager.stats().resident <= max_tiles);
-        std::thread::sleep(Duration::from_micros(200));
+        // However slow the threads are.
+        run.work_until_idle();
     }
     let stats = *run.pager.stats();
     assert!(stats.loaded < 3 * max_tiles, "pages are loaded and evicted in turns: {stats:?}");
     for _ in 0..100 {
         frame(&mut run);
-        std::thread::sleep(Duration::from_micros(200));
+        run.work_until_idle();
     }
     assert_eq!(run.pager.stats().loaded, stats.loaded, "the pager settles");
     // Wanted now, the same position gets room at once.

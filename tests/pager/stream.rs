@@ -8,11 +8,12 @@ use kit::pager::{Run, above};
 use kit::tile_sets::{WORLD_M, write_quadtree};
 use terrane::cull::PageRequest;
 use terrane::fetch::{HungReads, IoError, Limits, root_uri};
-use terrane::formats::ReadOptions;
 use terrane::formats::writers::{GlbMesh, write_glb};
+use terrane::formats::{ConvertOptions, Converted, InfoError, ReadOptions, convert, crop, inspect, verify};
 use terrane::math::{BoundingSphere, BoundingVolume};
 use terrane::pager::{DatabasePager, PagerConfig};
 use terrane::scene::{Node, NodeId, NodeKind, Page, PagedLod, PagingOptions, RangeMode, Refine, SlotState};
+use terrane::viewer::{LoadedRoot, ViewerError};
 
 /// Returns a root and four children around the origin, one glb each.
 fn write_set(folder: &Path) {
@@ -236,10 +237,14 @@ fn long_waiting_requests_are_served_before_newer_urgent_ones() {
 fn impatient() -> PagerConfig {
     PagerConfig {
         file_threads: 1,
-        file_timeout: Duration::from_millis(100),
+        limits: impatient_limits(),
         retry_after: Duration::from_millis(50),
         ..PagerConfig::default()
     }
+}
+
+fn impatient_limits() -> Limits {
+    Limits { file_timeout: Duration::from_millis(100), ..Limits::default() }
 }
 
 fn path(folder: &Path, name: &str) -> String {
@@ -312,4 +317,60 @@ fn hung_root_is_an_error() {
     assert!(matches!(&error, IoError::Timeout { uri, .. } if **uri == *root), "{error}");
     drop(hung);
     assert!(pager.read_root(&root).is_ok());
+}
+
+/// Regression: the search for the root, which asks the disk for several names, had no end.
+#[test]
+fn root_that_is_not_found_in_time_is_an_error() {
+    let folder = tempfile::tempdir().unwrap();
+    write_set(folder.path());
+    let source = folder.path().to_str().unwrap();
+    let hung = HungReads::of_metadata(source);
+    let Err(ViewerError::Io(error)) = LoadedRoot::read(source, &impatient()) else { panic!("the root is loaded") };
+    assert!(matches!(&error, IoError::Timeout { uri, .. } if uri == source), "{error}");
+    drop(hung);
+    assert!(LoadedRoot::read(source, &impatient()).is_ok());
+}
+
+/// What is read of a whole set while some of it hangs: the number of failures and their reasons, or the only error.
+fn read_whole(job: &str, source: &str, out: &Path) -> Result<Vec<String>, String> {
+    let limits = impatient_limits();
+    let options = ConvertOptions { limits, threads: Some(1), check: false, ..ConvertOptions::default() };
+    let of_infos = |errors: Vec<InfoError>| errors.into_iter().map(|e| format!("{}: {}", e.uri, e.reason)).collect();
+    let of_pairs = |done: Converted| done.errors.iter().map(|(uri, reason)| format!("{uri}: {reason}")).collect();
+    match job {
+        "info" => inspect(source, &limits).map(|info| of_infos(info.errors)).map_err(|e| e.to_string()),
+        "verify" => verify(source, &limits, &mut |_| ()).map(|done| of_infos(done.errors)).map_err(|e| e.to_string()),
+        "convert" => convert(source, out, &options, &mut |_| ()).map(of_pairs).map_err(|e| e.to_string()),
+        _ => {
+            let options = ConvertOptions { rectangle_m: Some([-2.0, -2.0, 2.0, 2.0]), ..options };
+            crop(source, out, &options, &mut |_| ()).map(of_pairs).map_err(|e| e.to_string())
+        }
+    }
+}
+
+/// Regression: reading a whole set had no end on a disk that hangs.
+#[test]
+fn hung_disk_stops_no_reading_of_a_whole_set() {
+    for job in ["info", "verify", "convert", "crop"] {
+        let folder = tempfile::tempdir().unwrap();
+        write_set(folder.path());
+        let (source, out) = (folder.path().to_str().unwrap(), folder.path().join("out"));
+        // All but the first tile, since a new set needs one. Sizes are read as metadata.
+        let hung =
+            [HungReads::of(&path(folder.path(), "child")), HungReads::of_metadata(&path(folder.path(), "child"))];
+        let errors = read_whole(job, source, &out).unwrap();
+        let count = |reason: &str| errors.iter().filter(|error| error.ends_with(reason)).count();
+        let timed_out = count("timed out after 0.1 s (reading the file)");
+        let refused = count("not read, since 3 other files take longer than 0.1 s");
+        // The last of them, and the first tile where it is read last.
+        let expected = if job == "crop" { 2 } else { 1 };
+        assert_eq!((timed_out, refused), (3, expected), "{job}: {errors:?}");
+        drop(hung);
+        for hung in [HungReads::of(source), HungReads::of_metadata(source)] {
+            let error = read_whole(job, source, &out).unwrap_err();
+            assert!(error.starts_with(source) && error.contains("timed out after 0.1 s"), "{job}: {error}");
+            drop(hung);
+        }
+    }
 }

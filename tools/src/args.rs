@@ -342,6 +342,12 @@ pub enum Bench {
         #[arg(long)]
         every_leaf: bool,
     },
+    /// Whole frames while images of an overlay arrive from a map server on this machine, and without an overlay
+    Overlays {
+        /// Minimum time of each flight, seconds
+        #[arg(long, default_value_t = 10.0, value_parser = secs)]
+        secs: f64,
+    },
     /// Frame times with each threading model
     Threading {
         /// Minimum time to measure each case, seconds

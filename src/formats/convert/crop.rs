@@ -12,7 +12,7 @@ use super::contents::write_file;
 use super::report::{ConvertError, ConvertOptions, Converted};
 use super::run::{convert, is_wanted, reason_for_nothing};
 use crate::fetch::markup::text_and_first_byte;
-use crate::fetch::{IoError, Loaded, RootScope, Source, is_remote, percent_decode, resolve, root_uri};
+use crate::fetch::{IoError, Loaded, RootScope, Source, is_remote, percent_decode, resolve, root_uri_within};
 use crate::formats::embedded::is_data_uri;
 use crate::formats::options::ReadOptions;
 use crate::formats::tileset::{is_tileset, may_be_tileset, volume_and_frame};
@@ -30,7 +30,7 @@ pub fn crop(
     options: &ConvertOptions,
     progress: &mut dyn FnMut(&Converted),
 ) -> Result<Converted, ConvertError> {
-    let root = root_uri(source)?;
+    let root = root_uri_within(source, options.limits.file_timeout)?;
     let plan = if options.meshopt { None } else { Plan::of(&root, options)? };
     let Some(plan) = plan else { return convert(source, out, options, progress) };
     plan.write(&root, out, options, progress)

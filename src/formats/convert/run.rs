@@ -13,7 +13,7 @@ use super::items::{Item, ItemContent, Refinement};
 use super::report::{ConvertError, ConvertOptions, Converted};
 use super::tiles::{Draft, ErrorScale, OutTile};
 use super::written::levels_of;
-use crate::fetch::{Source, root_uri};
+use crate::fetch::{Source, root_uri_within};
 use crate::formats::ignored::{Ignored, Notes};
 use crate::formats::options::ReadOptions;
 use crate::formats::whole_set::{is_on_earth, overlaps};
@@ -89,7 +89,7 @@ pub fn convert(
     options: &ConvertOptions,
     progress: &mut dyn FnMut(&Converted),
 ) -> Result<Converted, ConvertError> {
-    let root = root_uri(source)?;
+    let root = root_uri_within(source, options.limits.file_timeout)?;
     let read_options =
         ReadOptions { keep_features: true, cluster_culling: false, ..ReadOptions::for_root(&root, options.limits) };
     let read_options = Arc::new(read_options);

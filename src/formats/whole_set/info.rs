@@ -15,7 +15,7 @@ use super::tree::{Known, load, read_companions, read_subtree};
 #[cfg(feature = "http")]
 use crate::fetch::HttpConfig;
 use crate::fetch::markup::text_and_first_byte;
-use crate::fetch::{IoError, Limits, Loaded, Source, is_remote, path_of, printable, root_uri};
+use crate::fetch::{IoError, Limits, Loaded, Source, is_remote, path_of, printable, root_uri_within};
 use crate::formats::height::SetExtras;
 use crate::formats::options::{Fetched, ReadOptions};
 use crate::formats::osg;
@@ -112,21 +112,21 @@ impl BoundsInfo {
 
 /// Summarizes a tile set. Fails only if the root cannot be read; other failures are listed in [`Info::errors`].
 pub fn inspect(source: &str, limits: &Limits) -> Result<Info, IoError> {
-    let root = root_uri(source)?;
+    let root = root_uri_within(source, limits.file_timeout)?;
     inspect_from(&root, limits, Source::new(*limits, &root), true)
 }
 
 /// Like [`inspect`], with a configuration for servers.
 #[cfg(feature = "http")]
 pub fn inspect_with(source: &str, limits: &Limits, http: HttpConfig) -> Result<Info, IoError> {
-    let root = root_uri(source)?;
+    let root = root_uri_within(source, limits.file_timeout)?;
     inspect_from(&root, limits, Source::new(*limits, &root).with_http(http), true)
 }
 
 /// Like [`inspect_with`], but reads the root alone and no tileset that it refers to, for sets that no one reads as a whole.
 #[cfg(feature = "http")]
 pub fn inspect_root_with(source: &str, limits: &Limits, http: HttpConfig) -> Result<Info, IoError> {
-    let root = root_uri(source)?;
+    let root = root_uri_within(source, limits.file_timeout)?;
     inspect_from(&root, limits, Source::new(*limits, &root).with_http(http), false)
 }
 

@@ -15,7 +15,7 @@ use super::tree::{load, read_companions};
 use super::verify::{SurveyEvent, Verified};
 #[cfg(feature = "http")]
 use crate::fetch::HttpConfig;
-use crate::fetch::{IoError, Limits, Loaded, Source, guarded, is_remote, root_uri};
+use crate::fetch::{IoError, Limits, Loaded, Source, guarded, is_remote, root_uri_within};
 use crate::formats::image::ImageFiles;
 use crate::formats::options::{Content, ReadOptions};
 use crate::formats::osg;
@@ -61,7 +61,8 @@ pub fn survey(
     options: &SurveyOptions,
     watch: &mut dyn FnMut(SurveyEvent<'_>),
 ) -> Result<Verified, IoError> {
-    let (root, limits) = (root_uri(source)?, &options.limits);
+    let limits = &options.limits;
+    let root = root_uri_within(source, limits.file_timeout)?;
     let from = Source::new(*limits, &root);
     #[cfg(feature = "http")]
     let from = from.with_http(options.http.clone());

@@ -123,7 +123,6 @@ impl DatabasePager {
             decoders,
             max_files: LoadConfig::busy_jobs(readers, decoders) + DECODED_AHEAD * decoders,
             per_server: LimitRange::new(config.http_in_flight, config.http_in_flight_max),
-            file_timeout: config.file_timeout,
             max_bytes: config.max_bytes_loading,
             waits_for_contents: !config.blocking,
             limits: config.limits,

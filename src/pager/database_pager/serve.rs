@@ -183,12 +183,7 @@ impl DatabasePager {
         }
         #[cfg(not(feature = "http"))]
         let _ = scope;
-        let (limits, limit, root, read) =
-            (self.config.limits, self.config.file_timeout, root.to_owned(), uri.to_owned());
-        let loaded = fetch::run_within(limit, move || fetch::Source::new(limits, &root).load(&read));
-        let seconds = limit.as_secs_f64();
-        let hung = || IoError::Timeout { uri: uri.to_owned(), phase: "reading the file", seconds };
-        loaded.unwrap_or_else(|| Err(hung()))
+        fetch::Source::new(self.config.limits, root).load(uri)
     }
 }
 

@@ -3,15 +3,12 @@
 use std::time::Duration;
 
 use crate::fetch::Limits;
-use crate::pager::config::DEFAULT_FILE_TIMEOUT;
 
 /// Configuration of an [`ImagePager`](super::ImagePager): threads, budgets and timeouts.
 #[derive(Clone, Debug)]
 pub struct ImagePagerConfig {
     /// Threads that read files, and as many that decode; each server may have as many requests in flight.
     pub threads: usize,
-    /// Time limit for reading a local file; see [`PagerConfig::file_timeout`](crate::pager::PagerConfig::file_timeout).
-    pub file_timeout: Duration,
     /// Maximum number of images from files that are decoded or loading.
     pub max_images: usize,
     /// Maximum CPU bytes of decoded images.
@@ -40,7 +37,6 @@ impl Default for ImagePagerConfig {
     fn default() -> Self {
         Self {
             threads: 3,
-            file_timeout: DEFAULT_FILE_TIMEOUT,
             max_images: 256,
             max_bytes: 128 << 20,
             max_bytes_loading: 64 << 20,

@@ -47,7 +47,6 @@ impl ImagePager {
             // Few, so that a sequence that is faster than its images load does not wait for images it has passed.
             max_files: 2 * count,
             per_server: LimitRange::new(count, 0),
-            file_timeout: config.file_timeout,
             max_bytes: config.max_bytes_loading,
             waits_for_contents: true,
             limits: config.limits,

@@ -1,7 +1,5 @@
 //! Numbers of threads and of jobs under way, and what follows from them.
 
-use std::time::Duration;
-
 use crate::fetch::Limits;
 
 /// This many servers may each have the start limit of requests in flight at once.
@@ -43,8 +41,6 @@ pub(in crate::pager) struct LoadConfig {
     pub max_files: usize,
     /// Requests in flight at one server.
     pub per_server: LimitRange,
-    /// Time limit for reading a local file.
-    pub file_timeout: Duration,
     /// Maximum bytes that are on their way; see [`LoadBudgets`](super::budgets::LoadBudgets).
     pub max_bytes: u64,
     /// True if decode threads wait for room for their contents. Not where update takes contents only once all have arrived.

@@ -262,7 +262,7 @@ impl<J: LoadJob> FileThreads<J> {
             }
             let uri = file.map_or_else(|| job.uri().to_owned(), |(uri, _)| uri.to_string());
             log::warn!("{uri}: the file is not read within {seconds} s; its thread is left alone");
-            self.fail(job, IoError::Timeout { uri, phase: "reading the file", seconds });
+            self.fail(job, IoError::file_timeout(&uri, self.timeout));
         }
         for _ in 0..missing {
             if let Err(error) = self.add_thread() {

@@ -66,7 +66,8 @@ impl<J: LoadJob> LoadThreads<J> {
         threads.answers = Some(answers);
         let files = fetch::FileReader::new(config.limits);
         let bodies = budgets.bodies.clone();
-        let files = FileThreads::new(list.clone(), read_sender, files, bodies, config.readers, config.file_timeout);
+        let timeout = config.limits.file_timeout;
+        let files = FileThreads::new(list.clone(), read_sender, files, bodies, config.readers, timeout);
         let files = threads.files.insert(files).clone();
         files.start()?;
         let (watch, closed) = bounded(0);
@@ -79,7 +80,6 @@ impl<J: LoadJob> LoadThreads<J> {
                 limits: config.limits,
                 bodies: budgets.bodies.clone(),
                 files: Arc::new(fetch::FileReader::new(config.limits)),
-                file_timeout: config.file_timeout,
             };
             let name = format!("{}-http", J::THREAD_PREFIX);
             let runtime = fetch::runtime(&name).map_err(|source| PagerError::Thread { name, source })?;

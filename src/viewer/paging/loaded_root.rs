@@ -1,7 +1,6 @@
 //! [`LoadedRoot`]: a root tile set that was read, with the pager that loads the rest of it. Any thread.
 
 use std::sync::Arc;
-use std::time::Duration;
 
 use crate::fetch::{self, IoError};
 use crate::formats;
@@ -54,7 +53,7 @@ impl LoadedRoot {
 
     /// Does the same as [`Self::read`], with the compressed formats that a root's own images may have.
     pub(super) fn read_for(source: &str, config: &PagerConfig, formats: BlockFormats) -> Result<Self, ViewerError> {
-        let uri = root_uri_within(source, config.file_timeout)?;
+        let uri = fetch::root_uri_within(source, config.limits.file_timeout)?;
         let options =
             formats::ReadOptions { block_formats: formats, ..formats::ReadOptions::for_root(&uri, config.limits) };
         let mut pager = DatabasePager::new(config.clone(), options.clone())?;
@@ -66,25 +65,10 @@ impl LoadedRoot {
         let region = match is_globe {
             true => Some(earth(LOWEST_GROUND_M, HIGHEST_GROUND_M)),
             false if fetch::is_remote(&uri) => None,
-            false => {
-                let uri = uri.clone();
-                fetch::run_within(config.file_timeout, move || declared_region(&uri, &options)).flatten()
-            }
+            false => declared_region(&uri, &options),
         };
         Ok(Self { pager, page, uri, region })
     }
-}
-
-/// Returns the URI of a root. What looks for it on a disk that hangs gives up after a time limit, as reads do.
-fn root_uri_within(source: &str, limit: Duration) -> Result<Arc<str>, IoError> {
-    if fetch::is_remote(source) {
-        return fetch::root_uri(source);
-    }
-    let path = source.to_owned();
-    fetch::run_within(limit, move || fetch::root_uri(&path)).unwrap_or_else(|| {
-        let (uri, seconds) = (source.to_owned(), limit.as_secs_f64());
-        Err(IoError::Timeout { uri, phase: "looking for the root", seconds })
-    })
 }
 
 /// Reads a local root once more for the region that it declares. `None` for those without a region.

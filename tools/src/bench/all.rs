@@ -11,12 +11,13 @@ use serde_json::{Map, Value};
 
 /// The benches in the order of the document: title, arguments, and columns of the table in addition to those that
 /// distinguish the cases.
-const BENCHES: [(&str, &[&str], &[&str]); 11] = [
+const BENCHES: [(&str, &[&str], &[&str]); 12] = [
     ("Cull: scene to render stages", &["cull"], &["ns_per_node", "traverse_us", "sort_us", "leaves"]),
     ("Tile trees", &["tiles"], &["walk_ns_per_tile", "ns_per_tile", "tiles_visited"]),
     ("Picking", &["pick"], &["median_us", "p99_us", "build_ms"]),
     ("Submission to the noop adapter", &["submit"], &["ns_per_leaf", "draw_calls", "state_changes"]),
     ("Whole frames on the software driver", &["frame"], &["frame_p50_ms", "frame_p95_ms", "draw_p50_ms"]),
+    ("Whole frames while imagery arrives", &["overlays"], OVERLAY_COLUMNS),
     ("Threading models", &["threading"], &[]),
     ("Shared content", &["share"], &["decode_tiles_per_s", "load_tiles_per_s", "load_to_decode", "gpu_mb"]),
     ("Update with resident pages", &["resident"], RESIDENT_COLUMNS),
@@ -29,7 +30,11 @@ const BENCHES: [(&str, &[&str], &[&str]); 11] = [
     ),
 ];
 
-const RESIDENT_COLUMNS: &[&str] = &["update_p50_us", "update_p99_us", "update_max_us", "max_to_p50"];
+const OVERLAY_COLUMNS: &[&str] =
+    &["images", "frame_p50_ms", "frame_p99_ms", "p99_to_p50", "cpu_p50_ms", "cpu_p99_ms", "cpu_p99_to_p50", "missed"];
+
+const RESIDENT_COLUMNS: &[&str] =
+    &["update_p50_us", "update_p99_us", "update_max_us", "max_to_p50", "cpu_p50_us", "cpu_max_us", "cpu_max_to_p50"];
 
 const PAGE_COLUMNS: &[&str] =
     &["time_s", "frame_p50_ms", "frame_p99_ms", "missing_mean", "missing_longest_ms", "rss_mb"];

@@ -33,6 +33,18 @@ impl CompileContext for UploadContext {
     }
 }
 
+/// Returns the processor time of this thread in seconds, which does not run while other threads have its core; 0 where the
+/// system does not tell.
+pub fn thread_s() -> f64 {
+    #[cfg(unix)]
+    {
+        let time = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
+        time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
+    }
+    #[cfg(not(unix))]
+    0.0
+}
+
 /// Prints a line. If standard output is closed, the program ends.
 pub fn print_line(line: serde_json::Value) {
     use std::io::Write as _;

@@ -5,6 +5,7 @@ mod measurement;
 pub mod all;
 pub mod cull;
 pub mod frame;
+pub mod overlays;
 pub mod page;
 pub mod pick;
 pub mod resident;
@@ -35,6 +36,7 @@ pub fn run(args: &BenchArgs) -> Result<()> {
         }
         Bench::Submit { secs } => submit::run(*secs),
         Bench::Frame { secs, every_leaf } => frame::run(*secs, *every_leaf),
+        Bench::Overlays { secs } => overlays::run(*secs),
         Bench::Threading { secs } => threading::run(*secs),
         Bench::Share { secs } => share::run(*secs),
         Bench::Resident { tiles, requests, secs } => resident::run(*tiles as usize, *requests as usize, *secs),

@@ -5,7 +5,8 @@
 //!
 //! At first no request is served. The camera stands still, then moves, so that the priorities of all requests
 //! change in each frame; then many contents arrive at once. The ratio of the longest update to the median tells whether an
-//! update is bounded.
+//! update is bounded: by the clock, which also counts the time in which busy loading threads have the core, and by the
+//! processor time of the thread that updates.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -22,7 +23,7 @@ use terrane::math::{BoundingSphere, BoundingVolume};
 use terrane::pager::{CompileContext, DatabasePager, PagerConfig, RequestState};
 use terrane::scene::{Node, NodeId, NodeKind, Page, PagedLod, RangeMode, Refine, Scene, SlotState};
 
-use super::measurement::{UploadContext, percentile, print_line};
+use super::measurement::{UploadContext, percentile, print_line, thread_s};
 
 /// The number of contents that are requested at the same time while the scene is filled.
 const REQUESTS_AT_ONCE: usize = 2_000;
@@ -110,11 +111,17 @@ fn updates(uri: &Arc<str>, tiles: usize, max_tiles: usize, secs: f64) -> Result<
     Ok((times_us, pager.stats().resident))
 }
 
-/// The updates of a case with waiting requests, in microseconds.
+/// The updates of a case with waiting requests.
 struct Updates {
     case: &'static str,
     waiting: u64,
-    times_us: Vec<f64>,
+    times: Vec<UpdateTime>,
+}
+
+/// The time of an update in microseconds: by the clock, and of the processor.
+struct UpdateTime {
+    wall_us: f64,
+    cpu_us: f64,
 }
 
 /// A pager of which each frame wants many tiles.
@@ -157,8 +164,8 @@ impl Crowd {
         Ok(crowd)
     }
 
-    /// Makes the requests of a cull, which lists every tile that is missing, and runs the update. Returns its microseconds.
-    fn update(&mut self) -> f64 {
+    /// Makes the requests of a cull, which lists every tile that is missing, and runs the update.
+    fn update(&mut self) -> UpdateTime {
         self.frame += 1;
         self.requests.clear();
         let missing = self
@@ -170,22 +177,23 @@ impl Crowd {
             let priority = 1e6 / (1 + n.abs_diff(self.position)) as f32;
             PageRequest { slot, priority, error_px: priority, ahead_frames: 0 }
         }));
-        let start = Instant::now();
+        let (start, cpu_s) = (Instant::now(), thread_s());
         let contexts: &mut [&mut dyn CompileContext] = &mut [&mut self.context];
         self.pager.update_scene_graph(&mut self.scene, self.frame, time_s(self.frame), &self.requests, contexts);
-        let time_us = start.elapsed().as_secs_f64() * 1e6;
+        let cpu_us = (thread_s() - cpu_s) * 1e6;
+        let wall_us = start.elapsed().as_secs_f64() * 1e6;
         // The uploads of a frame are made by its draw, which is not measured.
         self.context.run_compiles(&CompileBudget { time: UPLOAD_TIME, bytes: u64::MAX });
-        time_us
+        UpdateTime { wall_us, cpu_us }
     }
 
     fn updates(&mut self, case: &'static str, secs: f64, moves: bool) -> Updates {
-        let (mut times_us, until) = (Vec::new(), Instant::now() + Duration::from_secs_f64(secs.max(0.0)));
-        while times_us.len() < MIN_UPDATES || Instant::now() < until {
+        let (mut times, until) = (Vec::new(), Instant::now() + Duration::from_secs_f64(secs.max(0.0)));
+        while times.len() < MIN_UPDATES || Instant::now() < until {
             self.position += usize::from(moves);
-            times_us.push(self.update());
+            times.push(self.update());
         }
-        Updates { case, waiting: self.pager.stats().waiting, times_us }
+        Updates { case, waiting: self.pager.stats().waiting, times }
     }
 
     /// Lets [`ANSWERS`] contents arrive at once, which fills the budget, and measures until all of them are merged.
@@ -193,7 +201,7 @@ impl Crowd {
         // The median is that of frames in which nothing arrives.
         let mut updates = self.updates("answers at once", secs, false);
         self.pager.set_paused(false);
-        updates.times_us.push(self.update());
+        updates.times.push(self.update());
         let (start, merged) = (Instant::now(), self.pager.stats().merged);
         let decoded = |pager: &DatabasePager| {
             pager.request_states().filter(|(_, state)| *state == RequestState::Decoding).count()
@@ -206,7 +214,7 @@ impl Crowd {
         std::thread::sleep(Duration::from_millis(500));
         while self.pager.stats().merged - merged < ANSWERS as u64 {
             ensure!(start.elapsed() < TIMEOUT, "not all contents were merged: {:?}", self.pager.stats());
-            updates.times_us.push(self.update());
+            updates.times.push(self.update());
         }
         updates.waiting = self.pager.stats().waiting;
         Ok(updates)
@@ -243,12 +251,17 @@ pub fn run(tiles: usize, requests: usize, secs: f64) -> Result<()> {
             "update_p99_us": round(percentile(&mut times_us, 0.99)),
         }));
     }
-    for Updates { case, waiting, mut times_us } in crowded_updates(&uri, requests, secs)? {
+    for Updates { case, waiting, times } in crowded_updates(&uri, requests, secs)? {
+        let mut times_us: Vec<f64> = times.iter().map(|time| time.wall_us).collect();
         let (median, longest) = (percentile(&mut times_us, 0.5), percentile(&mut times_us, 1.0));
+        let mut cpu_us: Vec<f64> = times.iter().map(|time| time.cpu_us).collect();
+        let (cpu_median, cpu_longest) = (percentile(&mut cpu_us, 0.5), percentile(&mut cpu_us, 1.0));
         print_line(json!({
             "bench": "resident", "budget": case, "waiting": waiting, "frames": times_us.len(),
             "update_p50_us": round(median), "update_p99_us": round(percentile(&mut times_us, 0.99)),
             "update_max_us": round(longest), "max_to_p50": round(longest / median),
+            "cpu_p50_us": round(cpu_median), "cpu_max_us": round(cpu_longest),
+            "cpu_max_to_p50": round(cpu_longest / cpu_median),
         }));
     }
     std::fs::remove_dir_all(&folder)?;

@@ -7,11 +7,12 @@ use anyhow::{Context as _, Result, ensure};
 use clap::Args as ClapArgs;
 use glam::DVec3;
 use serde_json::{Value, json};
-use terrane::fetch::Limits;
+use terrane::fetch::{self, Limits};
 use terrane::formats;
 use terrane::math::BoundingSphere;
 use terrane_data_gen::Progress;
 
+use super::copying::copy_folder;
 use super::out::Output;
 use crate::values::shown_bytes;
 
@@ -42,13 +43,14 @@ struct Part {
 
 pub fn merge(args: &MergeArgs) -> Result<()> {
     let output = Output::new(&args.out, args.overwrite)?;
+    let limits = Limits::default();
+    let parts = args.sources.iter().map(|source| Part::read(source, &limits)).collect::<Result<Vec<_>>>()?;
     output.check_sources(&args.sources)?;
-    let parts = args.sources.iter().map(|source| Part::read(source)).collect::<Result<Vec<_>>>()?;
     let progress = Progress::new("copying", 0, "files");
     let mut bytes = 0;
     output.write(|out| {
         for (number, part) in parts.iter().enumerate() {
-            bytes += copy(&part.folder, &out.join(number.to_string()), &progress)?;
+            bytes += copy_folder(&part.folder, &out.join(number.to_string()), limits.file_timeout, &progress)?;
         }
         let root = out.join("tileset.json");
         std::fs::write(&root, tileset(&parts).to_string()).with_context(|| format!("{}", root.display()))
@@ -59,21 +61,23 @@ pub fn merge(args: &MergeArgs) -> Result<()> {
 }
 
 impl Part {
-    fn read(source: &Path) -> Result<Self> {
+    fn read(source: &Path, limits: &Limits) -> Result<Self> {
         let shown = source.display().to_string();
-        let root = if source.is_dir() { source.join("tileset.json") } else { source.to_path_buf() };
-        let bytes = std::fs::read(&root).with_context(|| format!("{}: not a 3D Tiles set", root.display()))?;
-        let path = root.to_str().with_context(|| format!("{shown}: the path is not UTF-8"))?;
+        let path = source.to_str().with_context(|| format!("{shown}: the path is not UTF-8"))?;
+        let uri = fetch::root_uri(path)?;
         // The reader names the field that is invalid.
-        let info = formats::inspect(path, &Limits::default())?;
-        let json: Value = serde_json::from_slice(&bytes).with_context(|| shown.clone())?;
-        ensure!(json.get("root").is_some(), "{shown}: not a 3D Tiles set; `terrane convert` makes one of it");
+        let info = formats::inspect(&uri, limits)?;
+        let bytes = fetch::read_file(&uri, limits)?;
+        let root = Path::new(&*uri);
+        let json: Value = serde_json::from_slice(&bytes).unwrap_or_default();
+        let folder = root.parent().unwrap_or(Path::new(".")).to_path_buf();
+        let is_set = json.get("root").is_some() && folder.is_dir();
+        ensure!(is_set, "{shown}: no 3D Tiles set in a folder; `terrane convert` makes one of it");
         let name = root.file_name().and_then(|name| name.to_str()).context("a file without a name")?;
         let sphere = BoundingSphere::new(DVec3::from_array(info.bounds.center), info.bounds.radius_m);
         let region = info.bounds.region.as_deref().and_then(|region| region.try_into().ok());
         let error_of = |value: &Value| value["geometricError"].as_f64();
         let geometric_error = error_of(&json).or_else(|| error_of(&json["root"])).unwrap_or(0.0);
-        let folder = root.parent().unwrap_or(Path::new(".")).to_path_buf();
         Ok(Self { folder, root: name.to_owned(), sphere, region, geometric_error })
     }
 
@@ -109,24 +113,4 @@ fn tileset(parts: &[Part]) -> Value {
 fn sphere_json(sphere: &BoundingSphere) -> Value {
     let [x, y, z] = sphere.center.to_array();
     json!({ "sphere": [x, y, z, sphere.radius_m] })
-}
-
-/// Copies a folder with everything in it. Returns the number of bytes.
-fn copy(from: &Path, to: &Path, progress: &Progress) -> Result<u64> {
-    let mut bytes = 0;
-    let name = |path: &Path| path.display().to_string();
-    std::fs::create_dir_all(to).with_context(|| name(to))?;
-    for entry in std::fs::read_dir(from).with_context(|| name(from))? {
-        let entry = entry.with_context(|| name(from))?;
-        let (source, target) = (entry.path(), to.join(entry.file_name()));
-        // Links may lead out of the set, and are left out as the reader of the set does.
-        let kind = entry.file_type().with_context(|| name(&source))?;
-        if kind.is_dir() {
-            bytes += copy(&source, &target, progress)?;
-        } else if kind.is_file() {
-            bytes += std::fs::copy(&source, &target).with_context(|| name(&source))?;
-            progress.advance(1);
-        }
-    }
-    Ok(bytes)
 }

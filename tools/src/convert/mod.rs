@@ -1,5 +1,6 @@
 //! `terrane convert`, `merge` and `crop`: make 3D Tiles 1.1 of other sets.
 
+mod copying;
 mod merge;
 mod out;
 
@@ -8,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, ensure};
 use clap::Args as ClapArgs;
-use terrane::fetch::{is_remote, shown};
+use terrane::fetch::{is_remote, root_uri, shown};
 use terrane::formats::{self, ConvertError, ConvertOptions, Converted, Counts};
 use terrane::math::Region;
 use terrane_data_gen::Progress;
@@ -109,6 +110,8 @@ type Job = fn(&str, &Path, &ConvertOptions, &mut dyn FnMut(&Converted)) -> Resul
 fn convert(source: &str, out: &Path, how: &HowArgs, part: ConvertOptions, job: Job) -> Result<()> {
     let output = Output::new(out, how.overwrite)?;
     if !is_remote(source) {
+        // Fails on a disk that hangs.
+        root_uri(source)?;
         output.check_sources([source])?;
     }
     let opened = how.net.open(source)?;

@@ -51,7 +51,20 @@ fn sets_are_converted_merged_and_cropped() {
     let info: Value = serde_json::from_slice(&info.stdout).unwrap();
     assert_eq!((&info["verified"]["contents"], &info["verified"]["failed"]), (&680.into(), &0.into()), "{info}");
     let refused = terrane(&["merge", text(&folder.path().join("x")), text(folder.path())]);
-    assert!(String::from_utf8_lossy(&refused.stderr).contains("not a 3D Tiles set"), "{refused:?}");
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("the folder has no tileset.json"), "{refused:?}");
+    let model = terrane(&["merge", text(&folder.path().join("x")), text(&quadtree.join("0_0_0.glb"))]);
+    assert!(String::from_utf8_lossy(&model.stderr).contains("no 3D Tiles set in a folder"), "{model:?}");
+    // Regression: a pipe without a writer had no end.
+    #[cfg(target_os = "linux")]
+    {
+        let pipe = folder.path().join("pipe");
+        let mode = rustix::fs::Mode::RUSR | rustix::fs::Mode::WUSR;
+        rustix::fs::mkfifoat(rustix::fs::CWD, &pipe, mode).unwrap();
+        for command in [&["info"][..], &["merge", text(&folder.path().join("x"))]] {
+            let refused = terrane(&[command, &[text(&pipe)]].concat());
+            assert!(String::from_utf8_lossy(&refused.stderr).contains("pipe: is not a regular file"), "{refused:?}");
+        }
+    }
 
     // A quarter of a set in a local frame, without its edges: the root, a quarter of each level, and no neighbour.
     let cropped = folder.path().join("cropped");

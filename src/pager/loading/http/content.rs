@@ -26,8 +26,6 @@ pub(in super::super) struct Reading {
     /// Holds what was received.
     pub bodies: ByteBudget,
     pub files: Arc<FileReader>,
-    /// The time limit for reading a file.
-    pub file_timeout: Duration,
 }
 
 /// The result of a request, and its outcome at each server.
@@ -259,10 +257,9 @@ impl<J: LoadJob> ContentRequest<J> {
             Some(scope) => files.read_within(&path, scope),
             None => files.read(&path),
         });
-        let file_timeout = self.reading.file_timeout;
-        let Ok(read) = tokio::time::timeout(file_timeout, read).await else {
-            let seconds = file_timeout.as_secs_f64();
-            return Err(IoError::Timeout { uri: uri.to_string(), phase: "reading the file", seconds });
+        let limit = self.reading.limits.file_timeout;
+        let Ok(read) = tokio::time::timeout(limit, read).await else {
+            return Err(IoError::file_timeout(uri, limit));
         };
         let stopped = |error| IoError::Network { uri: uri.to_string(), reason: format!("the read stopped: {error}") };
         let bytes = read.map_err(stopped)??;
