@@ -537,10 +537,9 @@ fn quantized_meshes_take_16_bytes_per_vertex_and_look_the_same() {
             normals: ball.vertices.iter().map(|v| floats(v.normal)).collect(),
             uvs: vec![[0.25, 0.75]; count],
             indices: ball.indices.iter().map(|i| *i as u16).collect(),
-            image: None,
             base_color: [0.8, 0.6, 0.4, 1.0],
             quantized,
-            file_from_mesh: None,
+            ..Default::default()
         };
         let content = terrane::formats::Content {
             uri: "/ball.glb".into(),

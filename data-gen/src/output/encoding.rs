@@ -76,6 +76,9 @@ pub struct TileArgs {
     /// Round the heights of --dem to steps of this many metres, 0.002 to 100 (default 1/128): coarser ones take fewer bytes
     #[arg(long, value_name = "M")]
     pub height_step: Option<f64>,
+    /// Write normal maps of all samples into meshes of few triangles, which are then shaded like those of all triangles
+    #[arg(long)]
+    pub normal_maps: bool,
     /// File format of textures
     #[arg(long, value_enum, default_value_t)]
     pub texture: TextureFormat,
@@ -91,6 +94,12 @@ impl TileArgs {
     pub(crate) fn check(&self, args: &GenArgs) -> Result<(), String> {
         if args.content == ContentKind::Height && self.triangles != Triangles::default() {
             return Err("--mesh has no effect without --content mesh or quantized-mesh".to_owned());
+        }
+        if self.normal_maps && args.content != ContentKind::Mesh {
+            return Err("--normal-maps has no effect without --content mesh".to_owned());
+        }
+        if self.normal_maps && self.triangles == Triangles::Grid {
+            return Err("--normal-maps has no effect with --mesh grid, whose vertices have all normals".to_owned());
         }
         if args.float_vertices && self.no_meshopt {
             return Err("--no-meshopt has no effect with --float-vertices".to_owned());

@@ -5,6 +5,7 @@ use terrane::formats::writers::GlbMesh;
 use terrane::math::{Geodetic, WGS84};
 
 use super::encoding::Triangles;
+use super::normal_map::normal_map;
 use super::tin::Tin;
 use crate::pyramid::{Block, CELLS, Extent, TileKey};
 
@@ -61,7 +62,7 @@ pub(crate) fn curvature_m(set: &Extent, cells: i64, row: i64) -> [f64; 2] {
 const SIDE: usize = CELLS + 3;
 
 /// The samples of a tile and those next to it, in the frame of the tile's mesh.
-struct Lattice {
+pub(super) struct Lattice {
     /// Rows from south to north, each from west to east.
     places: Vec<DVec3>,
     /// The axes of ECEF in the frame of the mesh.
@@ -108,6 +109,21 @@ impl Lattice {
         let ([sin_lon, cos_lon], [sin_lat, cos_lat]) = (self.columns[(i + 1) as usize], self.rows[(j + 1) as usize]);
         self.axes * DVec3::new(cos_lat * cos_lon, cos_lat * sin_lon, sin_lat)
     }
+
+    /// Returns the directions eastwards, northwards and upwards at a sample. At a pole each column has its own east.
+    pub fn frame(&self, i: i64, j: i64) -> [DVec3; 3] {
+        let [sin_lon, cos_lon] = self.columns[(i + 1) as usize];
+        let (east, up) = (self.axes * DVec3::new(-sin_lon, cos_lon, 0.0), self.up(i, j));
+        [east, up.cross(east), up]
+    }
+
+    /// Returns the normal of the surface at a sample of the tile, from the samples next to it. At a pole, where they coincide, it is
+    /// the direction upwards.
+    pub fn normal(&self, i: i64, j: i64) -> DVec3 {
+        let east = self.at(i + 1, j) - self.at(i - 1, j);
+        let north = self.at(i, j + 1) - self.at(i, j - 1);
+        east.cross(north).normalize_or(self.up(i, j))
+    }
 }
 
 /// The vertices of a mesh, numbered by their first use.
@@ -133,15 +149,17 @@ impl Numbers {
 }
 
 /// Builds the mesh of triangles of a tile. Skirts hang `skirt_m` down from its edges; `image` is the file of its texture, if it
-/// has one. Normals are those of the tile's samples, also where there are fewer vertices.
+/// has one. Normals are those of the tile's samples, also where there are fewer vertices; with a normal map it has them, and those
+/// of vertices point upwards. The error says why the map cannot be encoded.
 pub(crate) fn build(
     block: &Block<'_>,
     key: TileKey,
     tin: &Tin,
     skirt_m: f64,
     image: Option<Vec<u8>>,
+    has_normal_map: bool,
     quantized: bool,
-) -> GlbMesh {
+) -> Result<GlbMesh, String> {
     // A triangle whose edge lies on an edge of the tile has a skirt there. Its front faces outwards.
     let mut numbers = Numbers::new(tin);
     let mut indices = Vec::with_capacity(3 * tin.triangles.len());
@@ -160,22 +178,30 @@ pub(crate) fn build(
     let lattice = Lattice::new(block, key);
     // glTF's y axis points up: x = east, y = up, z = -north.
     let y_up = |v: DVec3| [v.x as f32, v.z as f32, -v.y as f32];
-    let has_image = image.is_some();
+    let has_uvs = image.is_some() || has_normal_map;
+    let mut map = has_normal_map.then(|| normal_map(&lattice)).transpose()?;
     let mut mesh = GlbMesh { base_color: [1.0; 4], image, quantized, indices, ..GlbMesh::default() };
     for (vertex, is_bottom) in numbers.vertices {
         let [i, j] = tin.vertices[usize::from(vertex)].map(i64::from);
-        let east = lattice.at(i + 1, j) - lattice.at(i - 1, j);
-        let north = lattice.at(i, j + 1) - lattice.at(i, j - 1);
         let place = lattice.at(i, j);
         mesh.positions.push(y_up(if is_bottom { place - skirt_m * lattice.up(i, j) } else { place }));
-        mesh.normals.push(y_up(east.cross(north).normalize_or(DVec3::Z)));
+        match &mut map {
+            Some(map) => {
+                let [east, _, up] = lattice.frame(i, j);
+                mesh.normals.push(y_up(up));
+                let [x, y, z] = y_up(east);
+                map.tangents.push([x, y, z, 1.0]);
+            }
+            None => mesh.normals.push(y_up(lattice.normal(i, j))),
+        }
         // Without a texture nothing reads its coordinates.
-        if has_image {
+        if has_uvs {
             mesh.uvs.push([i as f32 / CELLS as f32, 1.0 - j as f32 / CELLS as f32]);
         }
     }
+    mesh.normal_map = map;
     if !tin.is_ordered {
         mesh.optimize_order();
     }
-    mesh
+    Ok(mesh)
 }

@@ -7,6 +7,7 @@ mod finish;
 mod implicit;
 mod journal;
 mod mesh;
+mod normal_map;
 mod options;
 mod packed;
 mod partial_folder;

@@ -148,7 +148,10 @@ impl TileMaker<'_> {
             return Ok(TileFiles { files, distance_m: 0.0 });
         };
         let Self { args, block, .. } = *self;
-        let mut mesh = mesh::build(block, key, &tin, skirt_m(args, block, key), image, !args.float_vertices);
+        let has_normal_map = args.tiles.normal_maps && triangles(args) == Triangles::Tin;
+        let mut mesh =
+            mesh::build(block, key, &tin, skirt_m(args, block, key), image, has_normal_map, !args.float_vertices)
+                .map_err(|e| GenError::Encode(format!("normal map of tile {key:?}: {e}")))?;
         // Tiles of implicit tilings have no transform.
         mesh.file_from_mesh = (args.output.tiling == Tiling::Implicit).then(|| mesh::file_from_tile(block, key));
         let is_compressed = !args.float_vertices && !args.tiles.no_meshopt;

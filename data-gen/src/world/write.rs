@@ -47,7 +47,7 @@ pub(crate) fn check_world(args: &GenArgs) -> Result<(), String> {
             Err("--plan, --shard and --merge are not supported with --world".to_owned())
         }
         Some(_) if args.tiles != TileArgs::default() => {
-            Err("--mesh, --no-meshopt and --texture have no effect with --world".to_owned())
+            Err("--mesh, --no-meshopt, --normal-maps and --texture have no effect with --world".to_owned())
         }
         Some(_) if !args.imagery.is_empty() => Err("--imagery has no effect with --world".to_owned()),
         None if args.world.center.is_some() || args.world.globe || args.world.scatter => {

@@ -128,12 +128,63 @@ fn triangulated_tiles_have_few_triangles_and_common_edges() {
     assert!(west == east && (3..60).contains(&west.len()), "{west:?} {east:?}");
 }
 
+/// The colours of the normal map of a tile, northern row first.
+fn normal_texels(set: &Path, name: &str) -> Vec<[u8; 3]> {
+    let bytes = std::fs::read(set.join(name)).unwrap();
+    let png = bytes.windows(8).position(|window| window == b"\x89PNG\r\n\x1a\n").unwrap();
+    let image = image::load_from_memory(&bytes[png..]).unwrap().to_rgb8();
+    assert_eq!(image.dimensions(), (65, 65), "{name}");
+    image.pixels().map(|texel| texel.0).collect()
+}
+
+#[test]
+fn normal_maps_continue_in_neighbours_and_do_not_depend_on_threads() {
+    let folder = tempfile::tempdir().unwrap();
+    let tiles = || TileArgs { normal_maps: true, ..TileArgs::default() };
+    let args = |name: &str| GenArgs { color: Color::None, ..args(folder.path(), name, tiles()) };
+    let (one, three) = (GenArgs { jobs: Some(1), ..args("a") }, GenArgs { jobs: Some(3), ..args("b") });
+    for args in [&one, &three] {
+        run(args).unwrap();
+    }
+    assert!(files_below(&one.out) == files_below(&three.out));
+    let verified = verify(&one.out.to_string_lossy(), &Limits::default(), &mut |_| ()).unwrap();
+    assert_eq!((verified.contents, verified.failed, verified.ignored.len()), (5, 0, 0), "{verified:?}");
+    let [south_west, south_east, north_west] =
+        ["1/0/0.glb", "1/1/0.glb", "1/0/1.glb"].map(|name| normal_texels(&one.out, name));
+    let edges =
+        (0..65).flat_map(|k| [(south_west[65 * k + 64], south_east[65 * k]), (south_west[k], north_west[65 * 64 + k])]);
+    let mut slopes = 0;
+    for (own, other) in edges {
+        assert!((0..3).all(|c| own[c].abs_diff(other[c]) <= 1), "{own:?} {other:?}");
+        slopes += u32::from(own[0].abs_diff(128) > 8);
+    }
+    assert!(slopes > 20, "{slopes} texels are not level");
+    // A normal that leans east is red, one that leans north green: the map has the slopes of the heights.
+    let all = GenArgs { tiles: TileArgs { triangles: Triangles::Grid, ..TileArgs::default() }, ..args("c") };
+    run(&GenArgs { float_vertices: true, ..all.clone() }).unwrap();
+    let (transform, mesh, _) = read(&all.out, "1/0/0.glb");
+    // Vertices of meshes without a texture have no texture coordinates: those at the top are found by their places.
+    let texels = mesh.vertices.iter().filter_map(|v| {
+        let place = transform.transform_point3(Vec3::from_array(v.position).as_dvec3()) / 5_000.0 * 64.0 + 32.0;
+        let [i, j] = [place.x, place.y].map(f64::round);
+        let is_near = (place.x - i).abs() < 0.1 && (place.y - j).abs() < 0.1 && (0.0..=64.0).contains(&i);
+        let normal = transform.transform_vector3(DVec3::from_array([0, 1, 2].map(|k| f64::from(v.normal[k]) / 127.0)));
+        (is_near && (0.0..=64.0).contains(&j)).then(|| (normal, south_west[65 * (64 - j as usize) + i as usize]))
+    });
+    let off = |(normal, texel): (DVec3, [u8; 3])| {
+        (normal - DVec3::from_array(texel.map(|c| f64::from(c) / 127.5 - 1.0))).abs().max_element()
+    };
+    let far: Vec<f64> = texels.map(off).collect();
+    assert!(far.len() > 1_000 && far.iter().all(|far| *far < 0.02), "{} {far:?}", far.len());
+}
+
 #[test]
 fn options_without_effect_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let grid = || TileArgs { triangles: Triangles::Grid, ..TileArgs::default() };
     let no_meshopt = TileArgs { no_meshopt: true, ..TileArgs::default() };
     let webp = TileArgs { texture: TextureFormat::Webp, ..TileArgs::default() };
+    let mapped = |triangles| TileArgs { normal_maps: true, triangles, ..TileArgs::default() };
     for (args, names) in [
         (GenArgs { content: ContentKind::Height, ..args(folder.path(), "a", grid()) }, ["--mesh", "--content mesh"]),
         (
@@ -141,6 +192,11 @@ fn options_without_effect_are_refused() {
             ["--no-meshopt", "--float-vertices"],
         ),
         (GenArgs { color: Color::None, ..args(folder.path(), "c", webp) }, ["--texture", "--color none"]),
+        (
+            GenArgs { content: ContentKind::Height, ..args(folder.path(), "d", mapped(Triangles::Tin)) },
+            ["--normal-maps", "--content mesh"],
+        ),
+        (args(folder.path(), "e", mapped(Triangles::Grid)), ["--normal-maps", "--mesh grid"]),
     ] {
         let error = run(&args).unwrap_err().to_string();
         assert!(names.iter().all(|name| error.contains(name)), "{error}");

@@ -1,5 +1,5 @@
-//! Writes a minimal glb: one mesh, one material, at most one embedded image (glTF 2.0, section "GLB File Format",
-//! KHR_mesh_quantization and EXT_meshopt_compression).
+//! Writes a minimal glb: one mesh, one material, embedded images of its colour and its normals (glTF 2.0, section "GLB File
+//! Format", KHR_mesh_quantization, KHR_texture_transform and EXT_meshopt_compression).
 
 use glam::{DMat4, DVec3, Vec3};
 use serde_json::{Value, json};
@@ -19,15 +19,31 @@ pub struct GlbMesh {
     pub indices: Vec<u16>,
     /// The file of the base colour texture: JPEG, PNG, WebP (EXT_texture_webp) or KTX2 (KHR_texture_basisu).
     pub image: Option<Vec<u8>>,
+    /// The map of normals, which uses the texture coordinates.
+    pub normal_map: Option<GlbNormalMap>,
     /// Linear factor of the base colour.
     pub base_color: [f32; 4],
     /// Writes 16 instead of 32 bytes per vertex with KHR_mesh_quantization. Positions have steps of 1/65,535 of the longest side
-    /// of the bounding box, which the node's scale converts to metres. Normals have 8 bits, texture coordinates 16 bits.
+    /// of the bounding box, which the node's scale converts to metres. Normals and tangents have 8 bits, texture coordinates 16 bits.
     /// Texture coordinates outside of 0..1 stay floats. So does everything in a mesh without positions or with positions that
     /// are not finite.
     pub quantized: bool,
     /// Maps the mesh to the frame of the file, which is y-up too; `None` for the same frame.
     pub file_from_mesh: Option<DMat4>,
+}
+
+/// The normal map of a [`GlbMesh`].
+#[derive(Clone, Debug, Default)]
+pub struct GlbNormalMap {
+    /// The file of the image, of the same formats as that of the base colour: red along the tangent, green against v.
+    pub image: Vec<u8>,
+    /// The unit tangent of each vertex, along u, and 1 or -1: the bitangent is the cross product of normal and tangent, times that.
+    /// Empty if readers shall derive them.
+    pub tangents: Vec<[f32; 4]>,
+    /// The image is read at `uv * uv_scale + uv_offset` (KHR_texture_transform).
+    pub uv_scale: [f32; 2],
+    /// See [`Self::uv_scale`].
+    pub uv_offset: [f32; 2],
 }
 
 /// Quantizes coordinates to 16 bits: `low` becomes 0, and `low + side` becomes 65,535.
@@ -114,6 +130,15 @@ fn write(mesh: &GlbMesh, compressed: bool) -> Vec<u8> {
         };
         attributes.insert("NORMAL".into(), accessor.into());
     }
+    if let Some(map) = mesh.normal_map.as_ref().filter(|map| !map.tangents.is_empty()) {
+        let accessor = if grid.is_some() {
+            let steps: Vec<[i8; 4]> = map.tangents.iter().map(|t| t.map(snorm8)).collect();
+            buffers.attribute(&elements("VEC4", Component::I8, 4, bytemuck::cast_slice(&steps)))
+        } else {
+            buffers.attribute(&elements("VEC4", Component::F32, 16, bytemuck::cast_slice(&map.tangents)))
+        };
+        attributes.insert("TANGENT".into(), accessor.into());
+    }
     if !mesh.uvs.is_empty() {
         let accessor = if grid.is_some() && mesh.uvs.as_flattened().iter().all(|x| (0.0..=1.0).contains(x)) {
             let steps: Vec<[u16; 2]> = mesh.uvs.iter().map(|uv| uv.map(unorm16)).collect();
@@ -149,22 +174,58 @@ fn write(mesh: &GlbMesh, compressed: bool) -> Vec<u8> {
         root["nodes"][0]["matrix"] = json!(map.to_cols_array());
     }
     extensions.extend(buffers.has_compressed().then_some(MESHOPT));
+    let mut images = Images::default();
     if let Some(image) = &mesh.image {
-        let (mime, extension) = image_kind(image);
-        root["images"] = json!([{ "bufferView": buffers.view(image), "mimeType": mime }]);
+        pbr["baseColorTexture"] = json!({ "index": images.add(image, &mut buffers, &mut extensions) });
+    }
+    let mut material = json!({ "pbrMetallicRoughness": pbr });
+    let mut optional = None;
+    if let Some(map) = &mesh.normal_map {
+        let mut info = json!({ "index": images.add(&map.image, &mut buffers, &mut extensions) });
+        if (map.uv_scale, map.uv_offset) != ([1.0; 2], [0.0; 2]) {
+            info["extensions"] = json!({ TRANSFORM: { "scale": map.uv_scale, "offset": map.uv_offset } });
+            optional = Some(TRANSFORM);
+        }
+        material["normalTexture"] = info;
+    }
+    if !images.textures.is_empty() {
         root["samplers"] = json!([{ "magFilter": 9729, "minFilter": 9987, "wrapS": 33071, "wrapT": 33071 }]);
-        root["textures"] = json!([match extension {
-            Some(name) => json!({ "sampler": 0, "extensions": { name: { "source": 0 } } }),
-            None => json!({ "source": 0, "sampler": 0 }),
-        }]);
-        extensions.extend(extension);
-        pbr["baseColorTexture"] = json!({ "index": 0 });
+        (root["images"], root["textures"]) = (images.images.into(), images.textures.into());
     }
     if !extensions.is_empty() {
-        (root["extensionsUsed"], root["extensionsRequired"]) = (json!(extensions), json!(extensions));
+        root["extensionsRequired"] = json!(extensions);
     }
-    root["materials"] = json!([{ "pbrMetallicRoughness": pbr }]);
+    extensions.extend(optional);
+    if !extensions.is_empty() {
+        root["extensionsUsed"] = json!(extensions);
+    }
+    root["materials"] = json!([material]);
     buffers.into_glb(root)
+}
+
+/// The transform of texture coordinates. Readers without it show a map up to half a texel off.
+const TRANSFORM: &str = "KHR_texture_transform";
+
+/// The images of a file, with one texture for each.
+#[derive(Default)]
+struct Images {
+    images: Vec<Value>,
+    textures: Vec<Value>,
+}
+
+impl Images {
+    /// Adds the file of an image and the extension that it needs. Returns the index of its texture.
+    fn add(&mut self, file: &[u8], buffers: &mut Buffers, extensions: &mut Vec<&'static str>) -> usize {
+        let (mime, extension) = image_kind(file);
+        let source = self.images.len();
+        self.images.push(json!({ "bufferView": buffers.view(file), "mimeType": mime }));
+        self.textures.push(match extension {
+            Some(name) => json!({ "sampler": 0, "extensions": { name: { "source": source } } }),
+            None => json!({ "source": source, "sampler": 0 }),
+        });
+        extensions.extend(extension.filter(|name| !extensions.contains(name)));
+        source
+    }
 }
 
 /// Returns elements, of which those of whole numbers are normalized.

@@ -26,7 +26,8 @@ impl GlbMesh {
     /// attributes of unequal length stays as it is.
     pub fn optimize_order(&mut self) {
         let count = self.positions.len();
-        if [self.normals.len(), self.uvs.len()].iter().any(|length| *length != 0 && *length != count) {
+        let tangents = self.normal_map.as_ref().map_or(0, |map| map.tangents.len());
+        if [self.normals.len(), self.uvs.len(), tangents].iter().any(|length| *length != 0 && *length != count) {
             return;
         }
         let indices: Vec<u32> = self.indices.iter().copied().map(u32::from).collect();
@@ -38,6 +39,9 @@ impl GlbMesh {
         }
         if !self.uvs.is_empty() {
             self.uvs = old_of_new.iter().map(|old| self.uvs[*old]).collect();
+        }
+        if let Some(map) = self.normal_map.as_mut().filter(|map| !map.tangents.is_empty()) {
+            map.tangents = old_of_new.iter().map(|old| map.tangents[*old]).collect();
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Levels of detail of tile trees: fades between them, and stand-ins for failed tiles.
+//! Levels of detail of tile trees: fades between them, stand-ins for failed tiles, and normal maps of generated ones.
 
 use std::sync::Arc;
 
@@ -7,6 +7,7 @@ use kit::shapes::mesh;
 use terrane::scene::{Drawable, Geometry, Material, MeshVertex, Node, NodeId, Page, PageId, Scene};
 
 mod fade;
+mod normal_maps;
 mod stand_ins;
 
 /// Uploads a content and attaches it to a slot.

@@ -109,6 +109,23 @@ fn base_color(in: MeshFragment) -> vec4<f32> {
     }
 }
 
+// Returns a bent normal where one texture coordinate alone changes, as on the skirts of terrain: the other axis is at right angles.
+fn bent_along_one_axis(normal: vec3<f32>, bend: vec3<f32>, shape: MeshShape, point: MapPoint) -> vec3<f32> {
+    let u = vec2<f32>(point.x.x, point.y.x);
+    let v = vec2<f32>(point.x.y, point.y.y);
+    let is_u = dot(u, u) >= dot(v, v);
+    let change = select(v, u, is_u);
+    let along = shape.along_x * change.x + shape.along_y * change.y;
+    let axis = along - normal * dot(along, normal);
+    let square = dot(axis, axis);
+    if square < 1e-37 {
+        return normal;
+    }
+    let unit = axis * inverseSqrt(square);
+    let tangent = select(cross(normal, unit), unit, is_u);
+    return normalize(bend.x * tangent + bend.y * cross(normal, tangent) + bend.z * normal);
+}
+
 // Returns a normal bent by a texel of a normal map. The axes of the map follow from derivatives (C. Schueler, Followup:
 // Normal Mapping Without Precomputed Tangents, 2013). Green points up in the image, against v. Seen from behind, a bump is
 // a dent.
@@ -117,6 +134,10 @@ fn bent_normal(normal: vec3<f32>, bend: vec3<f32>, shape: MeshShape, point: MapP
     let y = cross(normal, shape.along_x);
     let tangent = x * point.x.x + y * point.y.x;
     let down = x * point.x.y + y * point.y.y;
+    let area = abs(point.x.x * point.y.y - point.x.y * point.y.x);
+    if area < 4e-3 * (dot(point.x, point.x) + dot(point.y, point.y)) {
+        return bent_along_one_axis(normal, bend, shape, point);
+    }
     let square = max(dot(tangent, tangent), dot(down, down));
     if square < 1e-37 {
         return normal;
