@@ -254,6 +254,7 @@ impl SplatPool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
 
     #[test]
     fn splats_are_sorted_from_back_to_front() {
@@ -277,6 +278,34 @@ mod tests {
             order.sort_unstable();
             assert!(order.iter().copied().eq(0..points.len() as u32));
         }
+    }
+
+    #[test]
+    fn views_of_one_draw_have_orders_of_their_own() {
+        let traits = ContextTraits { size_px: [4, 4], adapter: AdapterChoice::Noop, ..ContextTraits::default() };
+        let ctx = GraphicsContext::new_offscreen(&traits).unwrap();
+        let (memory, layouts) = (Memory::new(ctx.device()), BindGroupLayouts::new(ctx.device(), 1));
+        let splat = Splat::new([0.0; 3], [1.0; 3], [0.0, 0.0, 0.0, 1.0], [1.0; 4]).unwrap();
+        let mut pool = SplatPool::default();
+        let (number, bytes) = pool.upload(&memory, &layouts, &Splats::new(vec![splat; 10], 0)).unwrap();
+        assert_eq!((pool.bytes(), bytes), (10 * 52, 10 * 52));
+        let [front, back, side] = [Vec3::Z, -Vec3::Z, Vec3::X].map(|eye| Viewpoint::Eye(9.0 * eye));
+        let sorted = |view| pool.sorted(&memory, &layouts, ctx.queue(), number, view).unwrap();
+        pool.start_draw();
+        let (of_front, of_back) = (sorted(front), sorted(back));
+        assert!(of_front != of_back && sorted(front) == of_front && sorted(back) == of_back);
+        assert_eq!(pool.bytes(), 10 * 56);
+        // An order that no view of the next draw uses is sorted anew.
+        pool.start_draw();
+        assert!(sorted(back) == of_back && sorted(side) == of_front);
+        // What no view uses is freed.
+        for _ in 0..=MAX_UNUSED_DRAWS {
+            pool.start_draw();
+            assert!(sorted(back) == of_back);
+        }
+        assert_eq!(pool.bytes(), 10 * 52);
+        pool.release(number);
+        assert_eq!(pool.bytes(), 0);
     }
 
     #[test]
