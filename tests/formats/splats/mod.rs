@@ -4,10 +4,10 @@ use glam::{Quat, Vec3};
 use kit::splats::{WrittenSplat, accessor_glb, gzip, spz_glb, spz_header, spz_plain};
 use serde_json::json;
 use terrane::fetch::{IoError, Limits};
-use terrane::formats::ReadOptions;
+use terrane::formats::{ConvertOptions, ReadOptions, convert, inspect};
 use terrane::scene::{AlphaMode, Geometry, Splat, Splats};
 
-use crate::gltf_builder::{GltfBuilder, Read, SHORT, read, read_with};
+use crate::gltf_builder::{GltfBuilder, Read, SHORT, TRIANGLE, read, read_with};
 
 fn written() -> Vec<WrittenSplat> {
     let rotation = |x, y, z, angle: f32| Quat::from_axis_angle(Vec3::new(x, y, z).normalize(), angle).to_array();
@@ -120,7 +120,7 @@ fn drafts_have_other_names_and_logarithms() {
     let logarithms = splats(&draft(&[0.0, 0.0, 0.0, -1.0, 0.0, 1.0]).read());
     assert_eq!(logarithms.list()[0].scale, [1.0; 3]);
     let [a, b, c] = logarithms.list()[1].scale;
-    assert!((a - 0.36788).abs() < 1e-4 && b == 1.0 && (c - 2.71828).abs() < 1e-4);
+    assert!((a - 0.36788).abs() < 1e-4 && b == 1.0 && (c.ln() - 1.0).abs() < 1e-4);
     // Linear colours are stored as displayed.
     let mut linear = draft(&[1.0; 6]);
     linear.json["meshes"][0]["primitives"][0]["extensions"]["KHR_gaussian_splatting"]["colorSpace"] =
@@ -199,4 +199,23 @@ fn broken_splats_are_errors_that_say_why() {
     nowhere.json["meshes"][0]["primitives"][0]["extensions"]["KHR_gaussian_splatting"]["extensions"] =
         json!({ "KHR_gaussian_splatting_compression_spz_2": { "bufferView": 99 } });
     assert!(nowhere.error().contains("bufferView is missing or leads nowhere"));
+}
+
+#[test]
+fn splats_are_described_and_left_out_of_conversions_by_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("splats.glb");
+    std::fs::write(&file, spz_glb(&gzip(&spz_plain(&written(), 2, 2)))).unwrap();
+    let model = inspect(file.to_str().unwrap(), &Limits::default()).unwrap().model.unwrap();
+    assert_eq!((model.splats, model.splat_harmonics, model.drawables), (3, 2, 1));
+    // A triangle beside the splats is kept.
+    let mut mixed = draft(&[1.0; 6]);
+    let triangle = mixed.floats("VEC3", &TRIANGLE);
+    let primitives = mixed.json["meshes"][0]["primitives"].as_array_mut().unwrap();
+    primitives.push(json!({ "attributes": { "POSITION": triangle } }));
+    let file = folder.path().join("mixed.gltf");
+    std::fs::write(&file, mixed.text()).unwrap();
+    let out = folder.path().join("out");
+    let converted = convert(file.to_str().unwrap(), &out, &ConvertOptions::default(), &mut |_| {}).unwrap();
+    assert_eq!((converted.written.triangles, converted.left_out.get("Gaussian splats")), (1, Some(&1)));
 }
