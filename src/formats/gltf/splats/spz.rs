@@ -10,8 +10,8 @@
 //!   rotations   x, y, z as 3 x u8, with w from 0 on; version 3: u32, its largest component left out
 //!   harmonics   3 x u8 for each coefficient above degree 0
 //! ```
-//! Values are taken as they are, without the change of axes that drafts of the glTF extension speak of: CesiumJS does so, and
-//! shows the sets of Cesium ion where they belong. Harmonics above degree 0 are skipped, and take no memory.
+//! Values are taken as they are, as CesiumJS does. The draft of the glTF extension demands half a turn around y (decision
+//! 0069). Harmonics above degree 0 are skipped, and take no memory.
 
 use std::io::{Read, copy, sink};
 
