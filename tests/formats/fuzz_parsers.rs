@@ -59,7 +59,7 @@ fn glb_bytes(image: Option<Vec<u8>>) -> Vec<u8> {
         quantized: image.is_none(),
         image,
         base_color: [1.0; 4],
-        file_from_mesh: None,
+        ..GlbMesh::default()
     })
 }
 

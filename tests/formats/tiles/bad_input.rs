@@ -43,8 +43,7 @@ fn triangle(image: Vec<u8>) -> Vec<u8> {
         indices: vec![0, 1, 2],
         image: Some(image),
         base_color: [1.0; 4],
-        quantized: false,
-        file_from_mesh: None,
+        ..GlbMesh::default()
     })
 }
 
