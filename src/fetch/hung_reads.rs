@@ -6,7 +6,7 @@ use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 static PATHS: Mutex<Vec<(Part, String)>> = Mutex::new(Vec::new());
 static RELEASED: Condvar = Condvar::new();
 
-/// What hangs of a file.
+/// The part of a file that hangs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Part {
     Bytes,

@@ -329,7 +329,7 @@ fn root_that_is_not_found_in_time_is_an_error() {
     assert!(LoadedRoot::read(source, &PagerConfig::default()).is_ok());
 }
 
-/// What is read of a whole set while some of it hangs: the number of failures and their reasons, or the only error.
+/// Reads a whole set of which some hangs. Returns the failures with their reasons, or the only error.
 fn read_whole(job: &str, source: &str, out: &Path) -> Result<Vec<String>, String> {
     // Reads that do not hang take less on a busy machine too.
     let limits = Limits { file_timeout: Duration::from_millis(500), ..Limits::default() };

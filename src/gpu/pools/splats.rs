@@ -298,7 +298,7 @@ mod tests {
         // An order that no view of the next draw uses is sorted anew.
         pool.start_draw();
         assert!(sorted(back) == of_back && sorted(side) == of_front);
-        // What no view uses is freed.
+        // An order that no view uses is freed.
         for _ in 0..=MAX_UNUSED_DRAWS {
             pool.start_draw();
             assert!(sorted(back) == of_back);

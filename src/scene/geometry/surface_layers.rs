@@ -1,4 +1,4 @@
-//! What a surface reflects beyond the metallic-roughness model: [`Dielectric`] and [`Clearcoat`], as plain CPU data.
+//! [`Dielectric`] and [`Clearcoat`]: reflections beyond the metallic-roughness model, as plain CPU data.
 
 use std::sync::Arc;
 

@@ -174,7 +174,7 @@ struct Server {
     flights: AtomicU64,
 }
 
-/// What the threads of connections share.
+/// The data that the threads of connections share.
 struct Shared {
     /// Encoded images.
     pictures: Vec<Vec<u8>>,
@@ -237,7 +237,7 @@ impl Shared {
             let path = request.split(' ').nth(1).unwrap_or_default();
             let number = path.bytes().fold(0u32, |hash, byte| hash.wrapping_mul(31).wrapping_add(byte.into()));
             let picture = &self.pictures[(number % PICTURES) as usize];
-            // What follows the end of a JPEG is ignored, and makes each file differ from the others.
+            // Bytes after the end of a JPEG are ignored; they make each file differ from the others.
             let length = picture.len() + path.len();
             let mut answer =
                 format!("HTTP/1.1 200 OK\r\nContent-Type: image/jpeg\r\nContent-Length: {length}\r\n\r\n").into_bytes();

@@ -14,7 +14,7 @@ const BLOCK_BYTES: usize = 1 << 20;
 /// Steps that may wait to be counted.
 const MAX_STEPS: usize = 64;
 
-/// What the thread that copies has done.
+/// A step that the thread that copies has done.
 enum Step {
     /// It begins to read a file or a folder.
     Begun(PathBuf),

@@ -1,4 +1,4 @@
-// What a surface reflects beyond the plain model: the reflection of dielectrics with an index of refraction, a strength and a
+// Surfaces that reflect more than the plain model says: the reflection of dielectrics with an index of refraction, a strength and a
 // colour (KHR_materials_ior, KHR_materials_specular), and a clear coat (KHR_materials_clearcoat).
 
 // The maps, as indices of their transforms. Bits of a record say which of them use the second texture coordinates.
@@ -11,7 +11,7 @@ const DIELECTRIC_MAP_HAS_STRENGTH: u32 = 16u;
 const COAT_MAP_HAS_STRENGTH: u32 = 32u;
 const COAT_MAP_HAS_ROUGHNESS: u32 = 64u;
 
-// What the coat reflects at normal incidence, with an index of refraction of 1.5.
+// The share of light that the coat reflects at normal incidence, with an index of refraction of 1.5.
 const COAT_REFLECTANCE: f32 = 0.04;
 
 fn layer_point(in: MeshFragment, shape: MeshShape, map: u32) -> MapPoint {

@@ -64,7 +64,7 @@ impl SurfaceRecord {
 #[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
 pub(crate) struct LayeredRecord {
     pub(crate) plain: SurfaceRecord,
-    /// What reflects where there is no metal, at normal incidence and linear; its strength.
+    /// The linear reflection of parts that are no metal, at normal incidence; its strength.
     pub(crate) dielectric: [f32; 4],
     /// Strength and roughness of the coat, scale of its normals; the last element is unused.
     pub(crate) coat: [f32; 4],

@@ -56,10 +56,10 @@ struct ContentRequest<J> {
     permit: Permit,
 }
 
-/// What was received for one URI, or why not, and after how many seconds.
+/// The bytes of one URI or the error, and after how many seconds they arrived.
 type Received = (Result<HttpBody, IoError>, f64);
 
-/// What is requested together with a content.
+/// The answers to requests that are made together with that for a content.
 #[derive(Default)]
 struct Companions {
     bodies: Vec<(Arc<str>, Result<HttpBody, IoError>)>,
