@@ -37,9 +37,9 @@ pub struct PagerConfig {
     /// Maximum GPU bytes of pages that are merged or uploaded. A page's size is known after its upload; until then the mean
     /// of recent pages is reserved. A page that turns out larger than the free room is declined at once.
     ///
-    /// Free slots of the contexts' blocks and textures of state sets count too: uploads that need further memory go one after
-    /// the other, and pages that are not shown expire until blocks are freed. Near the budget blocks grow by single slots. Pages
-    /// that are all shown and have large textures of state sets may exceed it.
+    /// Textures of a page's state sets count from its arrival on, each once. Free slots of the contexts' blocks and textures of
+    /// the application's state sets count too: uploads that need further memory go one after the other, and pages that are not
+    /// shown expire until blocks are freed. Near the budget blocks grow by single slots.
     pub max_bytes_gpu: u64,
     /// Maximum number of pages that are merged or have arrived.
     pub max_tiles: usize,

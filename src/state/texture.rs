@@ -134,6 +134,18 @@ impl TextureObject {
         [half(w), if self.dimension == TextureDimension::D1 { 1 } else { half(h) }, depth]
     }
 
+    /// Returns the bytes of all levels.
+    pub(crate) fn size_bytes(&self) -> u64 {
+        let texels = |level| self.level_size(level).into_iter().map(u64::from).fold(1, u64::saturating_mul);
+        let bytes = |level| u64::saturating_mul(texels(level), self.format.texel_bytes() as u64);
+        (0..self.levels.min(32)).map(bytes).fold(0, u64::saturating_add)
+    }
+
+    /// Returns true if the contents are uploaded once, with the page whose state sets have the texture.
+    pub(crate) fn is_uploaded_once(&self) -> bool {
+        !self.texels.is_empty() && !self.is_changing
+    }
+
     /// Checks sizes and texels. Returns a description of the first inconsistency, or `None` if the texture is valid.
     pub fn problem(&self) -> Option<String> {
         let [w, h, d] = self.size;

@@ -15,7 +15,9 @@ use super::targets::{ContextTarget, SurfaceFactory, TargetRequest, Targets, surf
 use super::traits::ContextTraits;
 use crate::gpu::GpuError;
 use crate::gpu::memory::Memory;
-use crate::gpu::pools::{BindClass, BindGroupLayouts, DrawableEntry, Pools, RetireQueue, TargetFormats};
+use crate::gpu::pools::{
+    BindClass, BindGroupLayouts, DrawableEntry, Pools, RetireQueue, StateTextureBytes, TargetFormats,
+};
 use crate::gpu::upload::{CompileBudget, CompileOperation, CompileStats, Compiled, UploadQueue, rewrite_mesh};
 use crate::scene::{AttributeLayout, BlockFormats, DrawSlot, Mesh};
 use crate::state::TextureObject;
@@ -37,8 +39,8 @@ pub struct GraphicsContext {
     /// Allocates targets, staging buffers and the buffers of frames.
     memory: Memory,
     bytes_peak: u64,
-    /// The size of the textures of state sets.
-    texture_bytes: u64,
+    /// The sizes of the textures of state sets.
+    texture_bytes: StateTextureBytes,
     /// Written to disk when it is dropped.
     pipeline_cache: Option<PipelineCache>,
     /// The application's operations on the compile thread. They outlast a lost device.
@@ -110,7 +112,7 @@ impl GraphicsContext {
             retired: RetireQueue::default(),
             memory,
             bytes_peak: 0,
-            texture_bytes: 0,
+            texture_bytes: StateTextureBytes::default(),
             pipeline_cache: None,
             compile_operations: Arc::default(),
         })
@@ -358,7 +360,7 @@ impl GraphicsContext {
     }
 
     /// Notes the size of the textures of state sets, which the renderer owns.
-    pub(crate) fn set_texture_bytes(&mut self, bytes: u64) {
+    pub(crate) fn set_texture_bytes(&mut self, bytes: StateTextureBytes) {
         self.texture_bytes = bytes;
         self.note_peak();
     }
@@ -406,7 +408,8 @@ impl GraphicsContext {
 
     /// Takes the operations that finished since the last call, in the order of [`Self::compile`].
     pub fn take_compiled(&mut self) -> Vec<Compiled> {
-        let unused_bytes = self.bytes_allocated().saturating_sub(self.bytes_in_use());
+        let of_pages = self.bytes_in_use() + self.texture_bytes.of_pages;
+        let unused_bytes = self.bytes_allocated().saturating_sub(of_pages);
         let finished = self.uploads.take_finished().into_iter();
         finished.map(|compiled| Compiled { unused_bytes, ..compiled }).collect()
     }
@@ -497,7 +500,7 @@ impl GraphicsContext {
     /// Returns the size of the pools, free slots included, and blocks that are being replaced by larger ones; and of the
     /// textures of state sets, without those that cameras draw into.
     pub fn bytes_allocated(&self) -> u64 {
-        self.pools.bytes_allocated() + self.texture_bytes
+        self.pools.bytes_allocated() + self.texture_bytes.all
     }
 
     /// Returns the largest [`Self::bytes_allocated`] so far.

@@ -56,7 +56,9 @@ pub(super) use surfaces::MapLayers;
 #[cfg(test)]
 pub(crate) use surfaces::{LayeredRecord, SurfaceRecord};
 pub(crate) use surfaces::{SurfacePool, SurfaceSlot};
-pub(crate) use textures::{FallbackTextures, StateTextures, compare_function, texture_format, view_dimension};
+pub(crate) use textures::{
+    FallbackTextures, StateTextureBytes, StateTextures, compare_function, texture_format, view_dimension,
+};
 pub(super) use textures::{TexelEncoding, TextureLayer, TextureRows, block_formats, write_rows};
 
 /// All pools of a device, and the drawables whose data lies in them.

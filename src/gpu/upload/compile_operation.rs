@@ -26,8 +26,8 @@ pub struct Compiled {
     pub shared: Vec<(ContentKey, u64)>,
     /// The errors of the drawables that failed.
     pub errors: Vec<String>,
-    /// Bytes of GPU memory that no drawable owns: free slots of the pools' blocks, blocks that are being replaced by larger
-    /// ones, and the textures of state sets.
+    /// Bytes of GPU memory that no page owns: free slots of the pools' blocks, blocks that are being replaced by larger ones,
+    /// and textures of the application's state sets.
     pub unused_bytes: u64,
 }
 

@@ -114,7 +114,7 @@ impl DatabasePager {
         &mut self,
         scenes: &mut dyn SceneSet,
         job: &PageJob,
-        (page, permit): (Page, Option<Permit>),
+        (mut page, permit): (Page, Option<Permit>),
         contexts: &mut [&mut dyn CompileContext],
     ) {
         let slot = job.slot;
@@ -122,7 +122,8 @@ impl DatabasePager {
         self.stats.bytes_decoded += page.size_bytes();
         let scene = scenes.numbered(slot.page.scene);
         let kinds: Arc<[DrawKind]> = scene.map_or(Vec::new(), |s| s.draw_kinds(Some(slot), &page)).into();
-        self.residency.note_arrival(&page);
+        page.hold_textures();
+        self.residency.note_arrival(&page, contexts.iter().map(|context| context.id()));
         let arrived = self.table.begin(slot, |entry| {
             entry.progress = Progress::Arrived;
             entry.urgency()

@@ -137,9 +137,12 @@ impl Residency {
         self.mean = MemoryUse { cpu, gpu: moving_mean(self.mean.gpu, size.gpu) };
     }
 
-    /// Notes that a page has arrived: it uses its shared contents from now on.
-    pub fn note_arrival(&mut self, page: &Page) {
+    /// Notes that a page has arrived: it uses its shared contents from now on, and its textures of state sets in all contexts.
+    pub fn note_arrival(&mut self, page: &Page, contexts: impl Iterator<Item = u32>) {
         self.shared.add_user(page);
+        let textures = page.shared_contents().iter().filter(|used| used.texture_bytes > 0);
+        let sizes: Vec<_> = textures.map(|used| (used.content.key, used.texture_bytes)).collect();
+        contexts.for_each(|context| self.shared.uploaded(context, &sizes));
     }
 
     /// Notes that a page is dropped, merged or not.

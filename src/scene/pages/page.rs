@@ -23,7 +23,7 @@ use crate::scene::nodes::{CameraNode, CullCallback, EventCallback, UpdateCallbac
 use crate::scene::settings::LodRecord;
 use crate::scene::sparse_list::SparseList;
 use crate::scene::tile_tree::Tiles;
-use crate::state::StateSet;
+use crate::state::{Attribute, StateSet};
 
 /// The result of one load: nodes and drawables in flat depth-first arrays, tile trees in separate arrays.
 ///
@@ -381,6 +381,16 @@ impl Page {
     /// Takes references to the shared contents of the drawables, so that they stay shared when the payloads are taken.
     pub(crate) fn hold_shared(&mut self) {
         self.payload.hold_shared();
+    }
+
+    /// Counts the textures of the page's state sets among its shared contents. Once, when the page is complete.
+    pub(crate) fn hold_textures(&mut self) {
+        let attributes = self.states.state_sets().iter().flat_map(|set| &set.attributes);
+        let textures = attributes.filter_map(|(attribute, _)| match attribute {
+            Attribute::Texture(_, binding) => Some(&binding.texture),
+            _ => None,
+        });
+        self.payload.hold_textures(textures);
     }
 
     /// Returns the contents shared with other pages, each once.

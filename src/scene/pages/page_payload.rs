@@ -7,6 +7,7 @@ use crate::scene::features::DrawableFeatures;
 use crate::scene::geometry::{BlockFormats, Drawable, Geometry};
 use crate::scene::intersect::KdTree;
 use crate::scene::sharing::SharedContent;
+use crate::state::TextureObject;
 
 /// An index into the drawable table of a graphics context.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -23,6 +24,8 @@ pub(crate) struct SharedUse {
     pub content: Arc<SharedContent>,
     /// The size of its k-d tree; 0 if the page has none.
     pub tree_bytes: u64,
+    /// The size on the GPU of a texture of state sets; 0 for others, whose sizes contexts report.
+    pub texture_bytes: u64,
 }
 
 /// Payloads in drawable order, and what is kept of them.
@@ -141,13 +144,24 @@ impl PagePayload {
                 let tree = self.kd_trees.get(i).and_then(Option::as_ref).filter(|_| is_geometry);
                 let tree_bytes = tree.map_or(0, |t| t.size_bytes());
                 self.shared_tree_bytes += tree_bytes;
-                uses.push(SharedUse { content: content.clone(), tree_bytes });
+                uses.push(SharedUse { content: content.clone(), tree_bytes, texture_bytes: 0 });
             }
         }
         uses.sort_by_key(|u| Arc::as_ptr(&u.content));
         uses.dedup_by(|a, b| Arc::ptr_eq(&a.content, &b.content));
         uses.shrink_to_fit();
         self.shared = uses;
+    }
+
+    /// Adds textures of state sets to the shared contents.
+    pub fn hold_textures<'a>(&mut self, textures: impl Iterator<Item = &'a Arc<TextureObject>>) {
+        let mut met = HashSet::new();
+        for texture in textures.filter(|texture| texture.is_uploaded_once()) {
+            if met.insert(Arc::as_ptr(texture)) {
+                let (content, texture_bytes) = (SharedContent::of_texture(texture), texture.size_bytes());
+                self.shared.push(SharedUse { content, tree_bytes: 0, texture_bytes });
+            }
+        }
     }
 
     /// Returns the contents shared with other pages, each once.

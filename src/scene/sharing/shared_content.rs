@@ -5,6 +5,7 @@ use std::sync::{Arc, OnceLock};
 use super::content_key::ContentKey;
 use crate::scene::geometry::{Geometry, MetallicRoughness};
 use crate::scene::intersect::KdTree;
+use crate::state::TextureObject;
 
 /// A shared content, referenced by the pages that use it. Its key identifies the slots on the GPU.
 #[derive(Debug)]
@@ -17,6 +18,12 @@ pub(crate) struct SharedContent {
 impl SharedContent {
     pub(super) fn new(key: ContentKey) -> Arc<Self> {
         Arc::new(Self { key, tree: OnceLock::new() })
+    }
+
+    /// Returns the content of a texture of state sets: those of one texture have one key.
+    pub(crate) fn of_texture(texture: &Arc<TextureObject>) -> Arc<Self> {
+        let address = Arc::as_ptr(texture).addr() as u64;
+        Self::new(ContentKey::of(&[b"texture of state sets", &address.to_le_bytes()]))
     }
 
     /// Returns the k-d tree of the geometry, which all pages with equal geometry share.

@@ -2,4 +2,5 @@
 
 mod eviction;
 mod memory;
+mod state_textures;
 mod update_time;

@@ -9,7 +9,7 @@ mod wgpu_enums;
 
 pub(crate) use fallback_textures::FallbackTextures;
 pub(in crate::gpu::pools) use image_size::{ImageSize, array_view};
-pub(crate) use state_textures::StateTextures;
+pub(crate) use state_textures::{StateTextureBytes, StateTextures};
 pub(in crate::gpu) use texture_pool::{TextureLayer, TexturePool};
 pub(in crate::gpu) use texture_rows::{TextureRows, write_rows};
 pub(in crate::gpu) use wgpu_enums::TexelEncoding;

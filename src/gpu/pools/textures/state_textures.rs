@@ -19,6 +19,14 @@ use crate::gpu::error_scope::catch_errors;
 use crate::scene::Texture;
 use crate::state::{FilterMode, Sampler, TextureDimension, TextureFormat, TextureObject, WrapMode};
 
+/// Sizes of textures of state sets.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct StateTextureBytes {
+    pub all: u64,
+    /// Those that the pager counts with their pages.
+    pub of_pages: u64,
+}
+
 struct Entry {
     /// Keeps the address from being reused while the entry exists.
     object: Weak<TextureObject>,
@@ -28,6 +36,8 @@ struct Entry {
     serial: u32,
     /// True while the compile queue uploads it.
     is_uploading: bool,
+    /// A page was announced that has it in its state sets.
+    is_of_page: bool,
 }
 
 struct CreatedTexture {
@@ -101,7 +111,9 @@ impl StateTextures {
     }
 
     fn insert(&mut self, object: &Arc<TextureObject>, created: Option<CreatedTexture>, is_uploading: bool) {
-        let entry = Entry { object: Arc::downgrade(object), created, serial: self.next_serial, is_uploading };
+        let is_of_page = is_uploading;
+        let entry =
+            Entry { object: Arc::downgrade(object), created, serial: self.next_serial, is_uploading, is_of_page };
         self.entries.insert(Arc::as_ptr(object) as usize, entry);
         self.next_serial += 1;
     }
@@ -115,8 +127,11 @@ impl StateTextures {
     /// Creates a texture whose texels the caller uploads; [`Self::uploaded`] ends that. Returns `None` for textures that exist,
     /// have no texels or change. Errors come up when a frame uses the texture.
     pub(crate) fn announce(&mut self, device: &wgpu::Device, object: &Arc<TextureObject>) -> Option<wgpu::Texture> {
-        let is_known = self.entries.contains_key(&(Arc::as_ptr(object) as usize));
-        if is_known || object.texels.is_empty() || object.is_changing {
+        if !object.is_uploaded_once() {
+            return None;
+        }
+        if let Some(known) = self.entries.get_mut(&(Arc::as_ptr(object) as usize)) {
+            known.is_of_page = true;
             return None;
         }
         let created = create_or_refuse(device, object).ok()?;
@@ -138,11 +153,17 @@ impl StateTextures {
         std::mem::take(&mut self.without_levels)
     }
 
-    /// Returns the size of all textures in bytes, without those that cameras draw into.
-    pub(crate) fn bytes(&self) -> u64 {
-        let textures = self.entries.values().filter_map(|entry| entry.created.as_ref());
-        let written = textures.filter(|created| created.texture.usage().contains(wgpu::TextureUsages::COPY_DST));
-        written.map(|created| texture_bytes(&created.texture)).sum()
+    /// Returns the sizes of the textures, without those that cameras draw into.
+    pub(crate) fn bytes(&self) -> StateTextureBytes {
+        let textures = self.entries.values().filter_map(|entry| Some((entry.created.as_ref()?, entry.is_of_page)));
+        let written = textures.filter(|(created, _)| created.texture.usage().contains(wgpu::TextureUsages::COPY_DST));
+        let mut sum = StateTextureBytes::default();
+        for (created, is_of_page) in written {
+            let bytes = texture_bytes(&created.texture);
+            sum.all += bytes;
+            sum.of_pages += if is_of_page { bytes } else { 0 };
+        }
+        sum
     }
 
     /// Writes an image to a texture. Returns true if the texture was replaced by one of the image's size, so that its bind
