@@ -12,7 +12,6 @@ mod primitive_modes;
 mod shape;
 mod shapes;
 mod splats;
-mod surface_layers;
 #[cfg(feature = "text")]
 mod text;
 mod texture;
@@ -21,13 +20,12 @@ mod vertex_attributes;
 pub use attribute_format::AttributeFormat;
 pub use drawable::Drawable;
 pub use height_tile::HeightTile;
-pub use material::{AlphaMode, Material, MetallicRoughness, OverlayMode, SecondUv};
+pub use material::{AlphaMode, Clearcoat, Dielectric, MapParts, Material, MetallicRoughness, OverlayMode, SecondUv};
 pub use mesh::{Mesh, MeshVertex, Topology, VertexFormat};
 pub use normal_cone::NormalCone;
 pub use primitive_modes::PrimitiveMode;
 pub use shape::{CustomGeometry, Geometry};
 pub use splats::{Splat, Splats};
-pub use surface_layers::{Clearcoat, Dielectric, MapParts};
 #[cfg(feature = "text")]
 pub use text::Font;
 pub use texture::{BlockFormats, Sampling, TexelFormat, Texture};

@@ -23,7 +23,7 @@ use crate::state::{FilterMode, Sampler, TextureDimension, TextureFormat, Texture
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct StateTextureBytes {
     pub all: u64,
-    /// Those that the pager counts with their pages.
+    /// The size of the textures that the pager counts with their pages.
     pub of_pages: u64,
 }
 

@@ -1,10 +1,12 @@
 //! Materials as plain CPU data.
 
+mod layers;
+
 use std::sync::Arc;
 
 use glam::Affine2;
 
-use super::surface_layers::{Clearcoat, Dielectric};
+pub use self::layers::{Clearcoat, Dielectric, MapParts};
 use super::texture::Texture;
 
 /// How alpha is used; glTF's `alphaMode`.

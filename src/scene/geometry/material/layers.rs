@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::texture::Texture;
+use crate::scene::geometry::texture::Texture;
 
 /// The reflection of a surface where it is no metal: glTF's KHR_materials_ior and KHR_materials_specular.
 #[derive(Clone, Debug, PartialEq)]
