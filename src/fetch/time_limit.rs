@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use super::error::IoError;
 
-/// Works of one [`DiskThread`] that may hang at once.
+/// The number of works of one [`DiskThread`] that may hang at once. The pager's file threads have a limit of their own.
 const MAX_HUNG: usize = 3;
 
 /// Runs work on a new thread and waits for it. Returns `None` if it takes longer than `limit`, or if the system starts no more

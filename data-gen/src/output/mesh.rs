@@ -149,8 +149,8 @@ impl Numbers {
 }
 
 /// Builds the mesh of triangles of a tile. Skirts hang `skirt_m` down from its edges; `image` is the file of its texture, if it
-/// has one. Normals are those of the tile's samples, also where there are fewer vertices; with a normal map it has them, and those
-/// of vertices point upwards. The error says why the map cannot be encoded.
+/// has one. Normals are those of the tile's samples, also where there are fewer vertices. With a normal map, the map has them, and
+/// the normals of vertices point upwards. The error says why the map cannot be encoded.
 pub(crate) fn build(
     block: &Block<'_>,
     key: TileKey,

@@ -1,6 +1,6 @@
 //! The glTF extensions that this reader knows.
 
-/// Extensions that are read in full.
+/// Extensions that are read. Their readers note what they leave out.
 const SUPPORTED: &[&str] = &[
     "CESIUM_RTC",
     "CESIUM_primitive_outline",

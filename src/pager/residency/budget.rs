@@ -1,8 +1,9 @@
 //! Memory use against the budgets.
 //!
 //! The budgets hold for merged pages and those that have arrived and wait for their uploads or their merge, together.
-//! A page's CPU bytes are known when it arrives, its GPU bytes only after the upload. Until then the mean of recent pages is
-//! reserved, and the page waits for others where that is not free. A page that turns out larger than the free room is
+//! A page's CPU bytes are known when it arrives, and so are those of the textures of its state sets on the GPU, each counted
+//! once; its other GPU bytes only after the upload. Until then the mean of recent pages is reserved, and the page waits for
+//! others where that is not free. A page that turns out larger than the free room is
 //! declined at once, and loaded again when there is room for it.
 
 use crate::pager::config::PagerConfig;

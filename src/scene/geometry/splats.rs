@@ -23,8 +23,8 @@ pub struct Splat {
 }
 
 impl Splat {
-    /// Returns a splat; `None` if a number is not finite or the rotation has no length. Colour and opacity are clamped to 0
-    /// to 1.
+    /// Returns a splat; `None` if a number is not finite, a scale is negative or the rotation has no length. Colour and opacity
+    /// are clamped to 0 to 1.
     pub fn new(position: [f32; 3], scale: [f32; 3], rotation: [f32; 4], color: [f32; 4]) -> Option<Self> {
         let rotation = Quat::from_array(rotation);
         let is_finite = Vec3::from_array(position).is_finite()
@@ -59,7 +59,7 @@ impl Splats {
         let mut bounds = Aabb::EMPTY;
         for splat in &list {
             let center = Vec3::from_array(splat.position).as_dvec3();
-            let reach = f64::from(splat.scale.iter().fold(0.0f32, |most, s| most.max(*s)) * SPLAT_SIGMAS);
+            let reach = f64::from(splat.scale.iter().fold(0.0f32, |most, s| most.max(*s))) * f64::from(SPLAT_SIGMAS);
             bounds = bounds.union(&Aabb { min: center - reach, max: center + reach });
         }
         Self { list, bounds, harmonics }

@@ -36,7 +36,7 @@ const HARMONIC_0: f32 = 0.282_094_8;
 #[derive(Debug, Default)]
 struct Found {
     splats: Vec<Splat>,
-    /// The number of splats with values that are not finite.
+    /// The number of splats with invalid values.
     invalid: u64,
     /// The degree of the spherical harmonics.
     degree: u8,
@@ -93,7 +93,7 @@ pub(super) fn read(
     if let Some(base) = base {
         apply_properties(context, base, &mut found);
     }
-    context.notes.add_count("glTF: Gaussian splat with values that are not finite", found.invalid);
+    context.notes.add_count("glTF: Gaussian splat with invalid values", found.invalid);
     if found.degree > 0 {
         context.notes.add("glTF: spherical harmonics of Gaussian splats above degree 0");
     }

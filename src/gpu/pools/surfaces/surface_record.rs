@@ -78,7 +78,7 @@ pub(crate) struct LayeredRecord {
 
 impl LayeredRecord {
     pub(super) fn new(surface: &MetallicRoughness, color: TextureLayer, maps: &MapLayers) -> Self {
-        let [.., dielectric_map, coat_map, normal_map] = maps.map(SurfaceRecord::layer);
+        let [_, _, _, _, _, dielectric_map, coat_map, normal_map] = maps.map(SurfaceRecord::layer);
         let ([r, g, b], strength) = surface.dielectric.reflectance();
         let [coat, roughness] = surface.clearcoat.factors();
         let transforms = surface.second_uv.of_layer_maps().map(Option::unwrap_or_default);
