@@ -36,4 +36,6 @@ pub(crate) use pools::{
     texture_format, view_dimension,
 };
 #[cfg(test)]
-pub(crate) use pools::{HEADER_VECTORS as TABLE_HEADER_VECTORS, LayeredRecord, MORPH_LEVELS, SurfaceRecord};
+pub(crate) use pools::{
+    HEADER_VECTORS as TABLE_HEADER_VECTORS, LINEAR_HARMONICS, LayeredRecord, MORPH_LEVELS, SurfaceRecord,
+};

@@ -44,7 +44,7 @@ pub use geometry::Font;
 pub use geometry::{
     AlphaMode, AttributeFormat, BlockFormats, Clearcoat, CustomGeometry, Dielectric, Drawable, Geometry, HeightTile,
     MAX_ATTRIBUTES, MapParts, Material, Mesh, MeshVertex, MetallicRoughness, NormalCone, OverlayMode, PrimitiveMode,
-    Sampling, SecondUv, Splat, Splats, TexelFormat, Texture, Topology, VertexAttributes, VertexFormat,
+    Sampling, SecondUv, Splat, SplatHarmonics, Splats, TexelFormat, Texture, Topology, VertexAttributes, VertexFormat,
 };
 pub use graph::Scene;
 pub use id::{NodeId, PageId, SceneNumber};

@@ -523,7 +523,8 @@ fn uniform<'a>(
                 (layer, 0)
             }
         }
-        Shape::Splats { .. } | Shape::Custom(_) => (0, 0),
+        Shape::Splats { harmonics, .. } => (0, *harmonics),
+        Shape::Custom(_) => (0, 0),
     };
     LeafUniform {
         eye_from_drawable: *rows,

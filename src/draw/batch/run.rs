@@ -24,7 +24,7 @@ impl Run {
         let (base_vertex, first_index, index_count) = match &entry.shape {
             Shape::Height(slot) => (0, 0, ctx.pools().heights().grid(slot.side).map_or(0, |g| g.index_count)),
             Shape::Mesh { slot, .. } => (slot.base_vertex, slot.first_index, slot.index_count),
-            Shape::Splats { number, count } => (0, *number, *count),
+            Shape::Splats { number, count, .. } => (0, *number, *count),
             Shape::Custom(shape) => (0, *shape, 0),
         };
         Self { bucket, base_vertex, first_index, index_count, first_leaf: 0, leaf_count: 0, all_indices: 0 }

@@ -135,7 +135,7 @@ mod tests {
     use crate::draw::uniforms::frame::{FrameUniform, LeafUniform};
     use crate::draw::uniforms::stage::{StageLight, StageUniform};
     use crate::gpu::{LayeredRecord, SurfaceRecord, VertexFormat};
-    use crate::scene::{SPLAT_SIGMAS, Splat};
+    use crate::scene::{SPLAT_SIGMAS, Splat, SplatHarmonics};
 
     fn parse(name: &str, source: &str) -> naga::Module {
         let module =
@@ -264,5 +264,10 @@ mod tests {
         assert_eq!(VertexFormat::Full.stride(), 7 * 4);
         assert_eq!(size_of::<Splat>(), 9 * 4);
         assert!(SPLAT_WGSL.contains(&format!("const SPLAT_SIGMAS: f32 = {SPLAT_SIGMAS:?};")));
+        let [one, two, three] = [1, 2, 3].map(SplatHarmonics::words_of);
+        let words = format!("select(select({three}u, {two}u, degree == 2u), {one}u, degree == 1u)");
+        assert!(SPLAT_WGSL.contains(&words), "{words}");
+        let linear = format!("const LINEAR_HARMONICS: u32 = {}u;", crate::gpu::LINEAR_HARMONICS);
+        assert!(SPLAT_WGSL.contains(&linear), "{linear}");
     }
 }

@@ -124,7 +124,7 @@ impl ContentWriter<'_> {
             set_from_tile *= DAffine3::from_translation(first);
             leaves.iter_mut().for_each(|leaf| leaf.model_from_drawable.translation -= first);
         }
-        let boxes = leaves.iter().map(|leaf| leaf.mesh.bounds.transformed(&leaf.model_from_drawable));
+        let boxes = leaves.iter().map(|leaf| leaf.shape.bounds().transformed(&leaf.model_from_drawable));
         let bounds = boxes.fold(Aabb::EMPTY, |all, one| all.union(&one));
         let is_finite = bounds.min.is_finite() && bounds.max.is_finite();
         let broken = |reason: String| ContentError::Broken(IoError::invalid(uri, reason));

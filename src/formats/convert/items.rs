@@ -11,7 +11,7 @@ use crate::formats::ignored::Notes;
 use crate::formats::tile::ALWAYS_REFINED_M;
 use crate::formats::writers::Leaf;
 use crate::math::{BoundingSphere, BoundingVolume};
-use crate::scene::{Drawable, Geometry, Node, NodeKind, PagedLod, ProxyNode, RangeMode, ReaderData, Refine};
+use crate::scene::{Drawable, Node, NodeKind, PagedLod, ProxyNode, RangeMode, ReaderData, Refine};
 use crate::state::{Attribute, StateSet, SurfaceMaterial};
 
 /// Ranges end here or above for what is shown from anywhere on the earth and around it. OSG's tools write 1e10 and more.
@@ -194,14 +194,10 @@ impl Splitter<'_> {
             self.apply(set, &mut place);
         }
         let map = place.model_from_node * DAffine3::from_translation(position);
-        let kind = match &drawable.geometry {
-            Geometry::Splats(_) => "Gaussian splats",
-            _ => "geometry that an application draws",
-        };
         let Some(mut leaf) = Leaf::new(map, drawable) else {
-            return self.notes.add(kind);
+            return self.notes.add("geometry that an application draws");
         };
-        if leaf.mesh.indices.is_empty() {
+        if leaf.shape.is_empty() {
             return;
         }
         let mut factor = place.color;

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use serde::Serialize;
 
 use crate::fetch::{IoError, Limits};
-use crate::formats::writers::Leaf;
+use crate::formats::writers::{Leaf, LeafShape};
 use crate::math::Region;
 use crate::scene::{Texture, Topology};
 
@@ -66,6 +66,8 @@ pub struct Counts {
     pub segments: u64,
     /// The number of points.
     pub points: u64,
+    /// The number of Gaussian splats.
+    pub splats: u64,
     /// The number of textures. Equal ones count once in each content.
     pub textures: u64,
     /// The number of texels of the first levels of textures.
@@ -91,12 +93,17 @@ impl Counts {
             }
         };
         for leaf in leaves {
-            let indices = leaf.mesh.indices.len() as u64;
-            match leaf.mesh.topology {
-                Topology::Triangles => self.triangles += indices / 3,
-                Topology::Lines => self.segments += indices / 2,
-                Topology::Points => self.points += indices,
-                Topology::Squares => self.points += indices / 6,
+            match &leaf.shape {
+                LeafShape::Splats(splats) => self.splats += splats.list().len() as u64,
+                LeafShape::Mesh(mesh) => {
+                    let indices = mesh.indices.len() as u64;
+                    match mesh.topology {
+                        Topology::Triangles => self.triangles += indices / 3,
+                        Topology::Lines => self.segments += indices / 2,
+                        Topology::Points => self.points += indices,
+                        Topology::Squares => self.points += indices / 6,
+                    }
+                }
             }
             leaf.material.texture.iter().for_each(&mut add_texture);
             let maps = leaf.material.metallic_roughness.iter().flat_map(|surface| surface.maps());
@@ -106,10 +113,11 @@ impl Counts {
 
     /// Adds what another content holds, without its levels.
     pub(super) fn merge(&mut self, other: &Self) {
-        let Self { levels: _, triangles, segments, points, textures, texture_pixels } = other;
+        let Self { levels: _, triangles, segments, points, splats, textures, texture_pixels } = other;
         self.triangles += triangles;
         self.segments += segments;
         self.points += points;
+        self.splats += splats;
         self.textures += textures;
         self.texture_pixels += texture_pixels;
     }

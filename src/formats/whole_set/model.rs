@@ -29,7 +29,7 @@ pub struct ModelInfo {
     pub triangles: u64,
     /// Number of Gaussian splats.
     pub splats: u64,
-    /// The highest degree of spherical harmonics that splats have in the file; degree 0 is drawn.
+    /// The highest degree of spherical harmonics of splats.
     pub splat_harmonics: u8,
     /// Number of images, equal ones counted once.
     pub images: u64,
@@ -95,7 +95,7 @@ impl ModelInfo {
         }
         if let Geometry::Splats(splats) = &drawable.geometry {
             self.splats += splats.list().len() as u64;
-            self.splat_harmonics = self.splat_harmonics.max(splats.harmonics());
+            self.splat_harmonics = self.splat_harmonics.max(splats.harmonics().degree());
         }
         let maps = drawable.material.metallic_roughness.iter().flat_map(|surface| surface.maps()).flatten();
         for texture in drawable.material.texture.iter().chain(maps) {

@@ -19,6 +19,7 @@ const ELEMENT_ARRAY_BUFFER: u32 = 34963;
 pub(super) enum Component {
     I8 = 5120,
     U8 = 5121,
+    I16 = 5122,
     U16 = 5123,
     U32 = 5125,
     F32 = 5126,

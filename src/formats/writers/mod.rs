@@ -11,6 +11,6 @@ mod quantized_mesh;
 
 pub use glb::{GlbMesh, GlbNormalMap, container as glb_container, write_compressed_glb, write_glb};
 pub use height::write_height_exr;
-pub(in crate::formats) use model::{Leaf, Model, write_model};
+pub(in crate::formats) use model::{Leaf, LeafShape, Model, write_model};
 pub use packed_heights::write_packed_heights;
 pub use quantized_mesh::{TerrainMesh, write_quantized_mesh};

@@ -18,7 +18,7 @@ pub(crate) struct BindGroupLayouts {
     pub(crate) surface_set: wgpu::BindGroupLayout,
     /// The same for layered surfaces, which also have maps of dielectric and coat.
     pub(crate) layered_set: wgpu::BindGroupLayout,
-    /// Group 1 of Gaussian splats: the splats, and the order in which they are drawn.
+    /// Group 1 of Gaussian splats: the splats, the order in which they are drawn, and their harmonics.
     pub(crate) splats: wgpu::BindGroupLayout,
     max_anisotropy: u16,
 }
@@ -140,7 +140,7 @@ impl BindGroupLayouts {
         };
         let splats = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
             label: Some("splats"),
-            entries: &[wgpu::BindGroupLayoutEntry { binding: 0, ..tables }, tables],
+            entries: &[0, 1, 2].map(|binding| wgpu::BindGroupLayoutEntry { binding, ..tables }),
         });
         Self {
             frame: frame_layout(device),

@@ -4,7 +4,10 @@ use super::heights::HeightSlot;
 use super::meshes::MeshSlot;
 use super::surfaces::SurfaceSlot;
 use super::textures::TextureLayer;
-use crate::scene::{AlphaMode, Material, Mesh, SMALL_MESH_INDICES, Topology};
+use crate::scene::{AlphaMode, Material, Mesh, SMALL_MESH_INDICES, Splats, Topology};
+
+/// The bit of harmonics that are added to linear colours, beside their degree (src/draw/shaders/splats/splat.wgsl).
+pub(crate) const LINEAR_HARMONICS: u32 = 4;
 
 /// The geometry of a drawable and its slots in the pools.
 #[derive(Clone, Copy, Debug)]
@@ -21,10 +24,11 @@ pub(crate) enum Shape {
         /// The bounds of the triangles, if they are few.
         extent: Option<Extent>,
     },
-    /// Gaussian splats: their number in the pool, and how many they are.
+    /// Gaussian splats: their number in the pool, how many they are, and the kind of their harmonics for the shader.
     Splats {
         number: u32,
         count: u32,
+        harmonics: u32,
     },
     /// The index of a custom drawable.
     Custom(u32),
@@ -39,6 +43,13 @@ impl Shape {
     ) -> Self {
         let (topology, is_small, extent) = (mesh.topology, mesh.is_small(), Extent::of_small(mesh));
         Self::Mesh { slot, topology, texture, surface, is_small, extent }
+    }
+
+    pub(in crate::gpu) fn of_splats(splats: &Splats, number: u32) -> Self {
+        let harmonics = splats.harmonics();
+        let linear = if harmonics.is_linear() { LINEAR_HARMONICS } else { 0 };
+        let (count, harmonics) = (splats.list().len() as u32, u32::from(harmonics.degree()) | linear);
+        Self::Splats { number, count, harmonics }
     }
 }
 

@@ -5,7 +5,7 @@
 //! | height tiles, mesh textures | slots in blocks of array textures |
 //! | meshes | slots in buffers of one size class each |
 //! | surfaces of the metallic-roughness model | records in sets with one bind group each |
-//! | Gaussian splats | a buffer for each cloud, and one for each view of it |
+//! | Gaussian splats | a buffer or two for each cloud, and one for each view of it |
 //!
 //! Equal content shares a slot by reference count. A released slot is free at once, since uploads run on the same queue,
 //! after the draws that used it.
@@ -44,6 +44,8 @@ pub(super) use bind_group_layouts::BindGroupLayouts;
 pub(super) use block_memory::BlockCopy;
 pub use custom_drawables::{CompileInfo, CustomError, TargetFormats};
 pub(crate) use custom_drawables::{CustomCompile, CustomDrawables, CustomShape, MAX_COLOR_ATTACHMENTS};
+#[cfg(test)]
+pub(crate) use drawable_entry::LINEAR_HARMONICS;
 pub(crate) use drawable_entry::{BindClass, DrawableEntry, Extent, Shape};
 #[cfg(test)]
 pub(crate) use heights::{HEADER_VECTORS, MORPH_LEVELS};
@@ -51,6 +53,7 @@ pub(super) use heights::{HeightSlot, table_bytes, table_words};
 pub(crate) use meshes::{MAX_ATTRIBUTE_LAYOUTS, MeshPool, VertexFormat};
 pub(super) use meshes::{MeshAllocation, MeshSlot, interleaved_bytes, short_index_bytes};
 pub(super) use retire_queue::RetireQueue;
+pub(super) use splats::SplatAllocation;
 pub(crate) use splats::Viewpoint;
 pub(super) use surfaces::MapLayers;
 #[cfg(test)]
@@ -127,9 +130,9 @@ impl Pools {
         &self.surfaces
     }
 
-    /// Uploads Gaussian splats. Returns their number and their size in bytes.
-    pub(super) fn upload_splats(&mut self, splats: &Splats) -> Result<(u32, u64), String> {
-        self.splats.upload(&self.memory, &self.layouts, splats)
+    /// Allocates the buffers of Gaussian splats.
+    pub(super) fn allocate_splats(&mut self, splats: &Splats) -> Result<SplatAllocation, String> {
+        self.splats.allocate(&self.memory, &self.layouts, splats)
     }
 
     /// Returns the bind group that draws splats from back to front for a viewpoint; `None` without it.

@@ -5,13 +5,15 @@
 //! order of its own, also within a frame.
 
 use std::cell::{Cell, RefCell};
+use std::sync::Arc;
 
 use glam::{Mat3, Vec3};
 
+use super::allocation::BufferDestination;
 use super::bind_group_layouts::BindGroupLayouts;
 use super::slot_table::SlotTable;
 use crate::gpu::memory::Memory;
-use crate::scene::{Splat, Splats};
+use crate::scene::Splats;
 
 /// An order stays while the eye moves by less than this share of its distance from the middle of the splats, or of their radius
 /// if that is more.
@@ -66,14 +68,16 @@ struct Order {
     /// The number of the last draw that used it.
     used: u64,
     numbers: wgpu::Buffer,
-    /// Splats and numbers.
+    /// Splats, numbers and harmonics.
     bind_group: wgpu::BindGroup,
 }
 
 struct ResidentSplats {
     splats: wgpu::Buffer,
+    /// `None` for splats whose colours do not change with the direction.
+    harmonics: Option<wgpu::Buffer>,
     /// The centres, which the orders are sorted by.
-    centers: Vec<[f32; 3]>,
+    centers: Arc<[[f32; 3]]>,
     middle: Vec3,
     radius: f32,
     orders: Vec<Order>,
@@ -86,7 +90,9 @@ impl ResidentSplats {
 
     /// Returns the bytes of GPU memory, and of the centres.
     fn bytes(&self) -> u64 {
-        self.splats.size() + size_of_val(&self.centers[..]) as u64 + self.orders.len() as u64 * self.order_bytes()
+        let harmonics = self.harmonics.as_ref().map_or(0, wgpu::Buffer::size);
+        let orders = self.orders.len() as u64 * self.order_bytes();
+        self.splats.size() + harmonics + size_of_val(&self.centers[..]) as u64 + orders
     }
 
     fn add_order(&mut self, memory: &Memory, layouts: &BindGroupLayouts) -> Result<(), String> {
@@ -98,17 +104,31 @@ impl ResidentSplats {
         };
         let numbers =
             memory.allocate("order of splats", descriptor.size, |device| device.create_buffer(&descriptor))?;
+        // The shader does not read harmonics of degree 0.
+        let harmonics = self.harmonics.as_ref().unwrap_or(&self.splats);
         let bind_group = memory.device().create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("splats"),
             layout: &layouts.splats,
             entries: &[
                 wgpu::BindGroupEntry { binding: 0, resource: self.splats.as_entire_binding() },
                 wgpu::BindGroupEntry { binding: 1, resource: numbers.as_entire_binding() },
+                wgpu::BindGroupEntry { binding: 2, resource: harmonics.as_entire_binding() },
             ],
         });
         self.orders.push(Order { viewpoint: None, used: 0, numbers, bind_group });
         Ok(())
     }
+}
+
+/// The buffers of splats, to be filled.
+pub(in crate::gpu) struct SplatAllocation {
+    /// The number of the splats in the pool.
+    pub(in crate::gpu) number: u32,
+    /// The bytes of GPU memory, and of the centres.
+    pub(in crate::gpu) bytes: u64,
+    pub(in crate::gpu) splats: BufferDestination,
+    /// `None` without harmonics.
+    pub(in crate::gpu) harmonics: Option<BufferDestination>,
 }
 
 /// The lists that sorting writes to, kept for the next sort.
@@ -159,28 +179,33 @@ pub(crate) struct SplatPool {
 }
 
 impl SplatPool {
-    /// Uploads splats. Returns their number and their size in bytes.
-    pub(in crate::gpu) fn upload(
+    /// Allocates the buffers of splats.
+    pub(in crate::gpu) fn allocate(
         &mut self,
         memory: &Memory,
         layouts: &BindGroupLayouts,
         splats: &Splats,
-    ) -> Result<(u32, u64), String> {
-        let list = splats.list();
-        if list.is_empty() {
+    ) -> Result<SplatAllocation, String> {
+        if splats.list().is_empty() {
             return Err("a cloud of no splats".into());
         }
         let limits = memory.limits();
-        let (bytes, limit) = (splats.size_bytes(), limits.max_storage_buffer_binding_size.min(limits.max_buffer_size));
-        if bytes > limit {
-            return Err(format!("{bytes} bytes of splats; the adapter binds at most {limit}"));
-        }
+        let limit = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
+        let buffer = |label: &'static str, size: u64| {
+            if size > limit {
+                return Err(format!("{size} bytes of {label}; the adapter binds at most {limit}"));
+            }
+            let usage = wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST;
+            let descriptor = wgpu::BufferDescriptor { label: Some(label), size, usage, mapped_at_creation: false };
+            memory.allocate(label, size, |device| device.create_buffer(&descriptor))
+        };
+        let harmonics_bytes = splats.harmonics().size_bytes();
+        let harmonics = (harmonics_bytes > 0).then(|| buffer("harmonics of splats", harmonics_bytes)).transpose()?;
         let bounds = splats.bounds();
-        let buffer =
-            memory.allocate_filled("splats", wgpu::BufferUsages::STORAGE, bytemuck::cast_slice::<Splat, u8>(list))?;
         let mut cloud = ResidentSplats {
-            splats: buffer,
-            centers: list.iter().map(|splat| splat.position).collect(),
+            splats: buffer("splats", size_of_val(splats.list()) as u64)?,
+            harmonics,
+            centers: splats.centers().clone(),
             middle: bounds.center().as_vec3(),
             radius: bounds.half_size().length() as f32,
             orders: Vec::new(),
@@ -188,7 +213,9 @@ impl SplatPool {
         cloud.add_order(memory, layouts)?;
         let bytes = cloud.bytes();
         self.bytes.set(self.bytes.get() + bytes);
-        Ok((self.clouds.get_mut().insert(cloud), bytes))
+        let destination = |buffer: &wgpu::Buffer| BufferDestination { buffer: buffer.clone(), offset: 0 };
+        let (splats, harmonics) = (destination(&cloud.splats), cloud.harmonics.as_ref().map(destination));
+        Ok(SplatAllocation { number: self.clouds.get_mut().insert(cloud), bytes, splats, harmonics })
     }
 
     pub(super) fn release(&mut self, number: u32) {
@@ -255,6 +282,7 @@ impl SplatPool {
 mod tests {
     use super::*;
     use crate::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
+    use crate::scene::Splat;
 
     #[test]
     fn splats_are_sorted_from_back_to_front() {
@@ -287,8 +315,10 @@ mod tests {
         let (memory, layouts) = (Memory::new(ctx.device()), BindGroupLayouts::new(ctx.device(), 1));
         let splat = Splat::new([0.0; 3], [1.0; 3], [0.0, 0.0, 0.0, 1.0], [1.0; 4]).unwrap();
         let mut pool = SplatPool::default();
-        let (number, bytes) = pool.upload(&memory, &layouts, &Splats::new(vec![splat; 10], 0)).unwrap();
-        assert_eq!((pool.bytes(), bytes), (10 * 52, 10 * 52));
+        let allocation = pool.allocate(&memory, &layouts, &Splats::new(vec![splat; 10])).unwrap();
+        let number = allocation.number;
+        assert!(allocation.harmonics.is_none());
+        assert_eq!((pool.bytes(), allocation.bytes), (10 * 52, 10 * 52));
         let [front, back, side] = [Vec3::Z, -Vec3::Z, Vec3::X].map(|eye| Viewpoint::Eye(9.0 * eye));
         let sorted = |view| pool.sorted(&memory, &layouts, ctx.queue(), number, view).unwrap();
         pool.start_draw();

@@ -33,7 +33,7 @@ enum Waiting {
 
 /// The result of a step of [`Operations::place_next`].
 pub(super) enum Placed {
-    /// A drawable has its slots. Splats and custom drawables are complete; they have this size in bytes.
+    /// A drawable has its slots. Custom drawables are complete; they have this size in bytes.
     Drawable { custom_bytes: Option<u64> },
     /// The upload of a texture of state sets is queued.
     Texture,

@@ -14,8 +14,7 @@ use crate::scene::{
     Texture, Topology,
 };
 
-/// Gives a drawable its slots and queues its uploads. Splats and custom drawables are created at once; their size in bytes is
-/// returned.
+/// Gives a drawable its slots and queues its uploads. Custom drawables are created at once; their size in bytes is returned.
 pub(super) fn place_drawable(
     info: &CompileInfo<'_>,
     pools: &mut Pools,
@@ -27,10 +26,10 @@ pub(super) fn place_drawable(
     let placed = match &drawable.geometry {
         Geometry::Height(tile) => place_height_tile(pools, tile, &drawable, compiled, uploads),
         Geometry::Mesh(mesh) => place_mesh(info.queue, pools, mesh, &drawable, compiled, uploads),
-        Geometry::Splats(splats) => upload_splats(pools, splats, compiled),
+        Geometry::Splats(splats) => place_splats(pools, splats, compiled, uploads),
         Geometry::Custom(custom) => compile_custom(info, pools, custom, compiled),
     };
-    let is_complete = matches!(drawable.geometry, Geometry::Splats(_) | Geometry::Custom(_));
+    let is_complete = matches!(drawable.geometry, Geometry::Custom(_));
     let slot = match placed {
         Ok(shape) => pools.insert(DrawableEntry::new(shape, &drawable.material)),
         Err(error) => {
@@ -42,10 +41,19 @@ pub(super) fn place_drawable(
     is_complete.then(|| compiled.bytes - bytes_before)
 }
 
-fn upload_splats(pools: &mut Pools, splats: &Splats, compiled: &mut Compiled) -> Result<Shape, String> {
-    let (number, bytes) = pools.upload_splats(splats)?;
-    compiled.bytes += bytes;
-    Ok(Shape::Splats { number, count: splats.list().len() as u32 })
+fn place_splats(
+    pools: &mut Pools,
+    splats: &Arc<Splats>,
+    compiled: &mut Compiled,
+    uploads: &mut VecDeque<Upload>,
+) -> Result<Shape, String> {
+    let allocation = pools.allocate_splats(splats)?;
+    compiled.bytes += allocation.bytes;
+    uploads.push_back(Upload::to_buffer(BufferSource::Splats(splats.clone()), allocation.splats));
+    if let Some(destination) = allocation.harmonics {
+        uploads.push_back(Upload::to_buffer(BufferSource::SplatHarmonics(splats.clone()), destination));
+    }
+    Ok(Shape::of_splats(splats, allocation.number))
 }
 
 fn compile_custom(

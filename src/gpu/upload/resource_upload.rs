@@ -7,7 +7,7 @@ use crate::gpu::pools::{
     BlockCopy, BufferDestination, LayerDestination, TextureRows, VertexFormat, interleaved_bytes, short_index_bytes,
     table_bytes, table_words, write_rows,
 };
-use crate::scene::{HeightTile, Mesh, TexelFormat, Texture, added_stride};
+use crate::scene::{HeightTile, Mesh, Splat, Splats, TexelFormat, Texture, added_stride};
 use crate::state::TextureObject;
 
 /// The means by which bytes reach the adapter.
@@ -61,6 +61,9 @@ pub(super) enum BufferSource {
     Indices(Arc<Mesh>),
     /// Indices of 16 bits, two per unit.
     ShortIndices(Arc<Mesh>),
+    Splats(Arc<Splats>),
+    /// The harmonics of splats.
+    SplatHarmonics(Arc<Splats>),
 }
 
 enum Resource {
@@ -72,7 +75,7 @@ enum Resource {
     Copy(BlockCopy),
 }
 
-/// A number of rows, vertices or indices.
+/// A number of rows, vertices, indices or splats.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Units {
     pub(super) count: usize,
@@ -192,6 +195,13 @@ impl Upload {
                         let indices = 2 * part.start..mesh.indices.len().min(2 * part.end);
                         sink.write_bytes(buffer, offset, short_index_bytes(&mesh.indices[indices], scratch));
                     }
+                    BufferSource::Splats(splats) => {
+                        sink.write_bytes(buffer, offset, bytemuck::cast_slice(&splats.list()[part.clone()]));
+                    }
+                    BufferSource::SplatHarmonics(splats) => {
+                        let words = part.start * unit_bytes / 4..part.end * unit_bytes / 4;
+                        sink.write_bytes(buffer, offset, bytemuck::cast_slice(&splats.harmonics().words()[words]));
+                    }
                 }
             }
         }
@@ -274,6 +284,11 @@ impl BufferSource {
             },
             Self::Indices(mesh) => Units { count: mesh.indices.len(), unit_bytes: 4 },
             Self::ShortIndices(mesh) => Units { count: mesh.indices.len().div_ceil(2), unit_bytes: 4 },
+            Self::Splats(splats) => Units { count: splats.list().len(), unit_bytes: size_of::<Splat>() },
+            Self::SplatHarmonics(splats) => {
+                let count = splats.list().len();
+                Units { count, unit_bytes: splats.harmonics().size_bytes() as usize / count.max(1) }
+            }
         }
     }
 }

@@ -25,7 +25,7 @@ pub use mesh::{Mesh, MeshVertex, Topology, VertexFormat};
 pub use normal_cone::NormalCone;
 pub use primitive_modes::PrimitiveMode;
 pub use shape::{CustomGeometry, Geometry};
-pub use splats::{Splat, Splats};
+pub use splats::{Splat, SplatHarmonics, Splats};
 #[cfg(feature = "text")]
 pub use text::Font;
 pub use texture::{BlockFormats, Sampling, TexelFormat, Texture};

@@ -1,5 +1,7 @@
 //! Gaussian splats: their pixels against the formula, their order, depth and memory.
 
+mod harmonics;
+
 use std::sync::Arc;
 
 use glam::{DVec3, Quat, Vec2};
@@ -26,7 +28,7 @@ fn splat(position: [f32; 3], scale: [f32; 3], rotation: Quat, color: [f32; 4]) -
 
 fn cloud(list: Vec<Splat>) -> Drawable {
     let material = Material { alpha: AlphaMode::Blend, unlit: true, ..Material::default() };
-    Drawable::new(Geometry::Splats(Arc::new(Splats::new(list, 0))), material)
+    Drawable::new(Geometry::Splats(Arc::new(Splats::new(list))), material)
 }
 
 fn drawn(rig: &mut Rig, drawables: Vec<Drawable>, camera: &CullCamera, environment: &Environment) -> RgbaImage {
@@ -137,7 +139,7 @@ fn memory_of_splats_is_counted_and_freed() {
     let before = rig.ctx.bytes_in_use();
     let one = splat([0.0; 3], [0.1; 3], Quat::IDENTITY, [1.0; 4]);
     let cloud = cloud(vec![one; 1000]);
-    assert_eq!(cloud.size_bytes(), 36_000);
+    assert_eq!(cloud.size_bytes(), 48_000);
     let scene = rig.scene(Node::geode(vec![cloud]));
     // Splats, their centres and one order.
     assert_eq!(rig.ctx.bytes_in_use() - before, 1000 * (36 + 12 + 4));

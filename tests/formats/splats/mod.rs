@@ -1,11 +1,13 @@
 //! Gaussian splats of glTF: accessors and SPZ files, their drafts, and broken ones.
 
 use glam::{Quat, Vec3};
-use kit::splats::{WrittenSplat, accessor_glb, gzip, spz_glb, spz_header, spz_plain};
+use kit::splats::{
+    WrittenSplat, accessor_glb, glb_with_harmonics, gzip, spz_glb, spz_header, spz_plain, spz_with_harmonics,
+};
 use serde_json::json;
 use terrane::fetch::{IoError, Limits};
 use terrane::formats::{ConvertOptions, ReadOptions, convert, inspect};
-use terrane::scene::{AlphaMode, Geometry, Splat, Splats};
+use terrane::scene::{AlphaMode, Geometry, Splat, SplatHarmonics, Splats};
 
 use crate::gltf_builder::{GltfBuilder, Read, SHORT, TRIANGLE, read, read_with};
 
@@ -149,12 +151,88 @@ fn splats_without_finite_values_are_dropped_and_counted() {
     assert_eq!(read_some.ignored.count("glTF: Gaussian splat with invalid values"), 3);
     let none = error(accessor_glb(&list[..2]));
     assert!(none.contains("no Gaussian splat has finite values"), "{none}");
-    // Higher harmonics are skipped and named.
-    for degree in 1..=3 {
-        let read = read(spz_glb(&gzip(&spz_plain(&written(), 3, degree))), Vec::new()).unwrap();
-        assert_eq!((splats(&read).list().len(), splats(&read).harmonics()), (3, degree));
-        assert_eq!(read.ignored.count("glTF: spherical harmonics of Gaussian splats above degree 0"), 1);
+    // So are those with such harmonics; the others keep theirs.
+    let mut harmonics = harmonics(1);
+    harmonics[1][2][0] = f32::NAN;
+    let read_some = read(glb_with_harmonics(&written(), &harmonics, "srgb_rec709_display"), Vec::new()).unwrap();
+    assert_eq!(read_some.ignored.count("glTF: Gaussian splat with invalid values"), 1);
+    let kept = splats(&read_some);
+    harmonics.remove(1);
+    have_harmonics(&kept, &harmonics, 0.003);
+}
+
+/// Returns coefficients of the three splats of [`written`].
+fn harmonics(degree: u8) -> Vec<Vec<[f32; 3]>> {
+    let count = SplatHarmonics::coefficients_of(degree);
+    let value = |splat: usize, n: usize, k: usize| ((splat * 51 + n * 17 + k * 7) % 129) as f32 / 64.0 - 1.0;
+    (0..3).map(|splat| (0..count).map(|n| [0, 1, 2].map(|k| value(splat, n, k))).collect()).collect()
+}
+
+/// Checks the coefficients of splats against those that were written.
+fn have_harmonics(splats: &Splats, expected: &[Vec<[f32; 3]>], tolerance: f32) {
+    assert_eq!(splats.list().len(), expected.len());
+    for (number, expected) in expected.iter().enumerate() {
+        let values: Vec<_> = splats.harmonics().values(number).skip(1).collect();
+        assert_eq!(values.len(), expected.len());
+        for (value, expected) in values.iter().flatten().zip(expected.iter().flatten()) {
+            assert!(
+                (value - expected).abs() <= 1.0 / 254.0 + tolerance,
+                "splat {number}: {value}, expected {expected}"
+            );
+        }
     }
+}
+
+#[test]
+fn harmonics_are_read_in_the_order_of_degrees() {
+    for degree in 1..=3 {
+        let expected = harmonics(degree);
+        let by_accessors = read(glb_with_harmonics(&written(), &expected, "srgb_rec709_display"), Vec::new()).unwrap();
+        assert!(by_accessors.ignored.is_empty(), "{:?}", by_accessors.ignored);
+        have_harmonics(&splats(&by_accessors), &expected, 1e-6);
+        is_near(splats(&by_accessors).list(), &written());
+        for version in [2, 3] {
+            let file = spz_with_harmonics(&written(), version, &expected);
+            let of_file = read(spz_glb(&gzip(&file)), Vec::new()).unwrap();
+            assert!(of_file.ignored.is_empty(), "{:?}", of_file.ignored);
+            assert_eq!(splats(&of_file).harmonics().degree(), degree);
+            have_harmonics(&splats(&of_file), &expected, 1.0 / 128.0);
+            is_near(splats(&of_file).list(), &written());
+        }
+    }
+    // A file of version 1.
+    let mut file = spz_header(1, 1, 1, 12, 0);
+    file.extend([0, 0, 0, 0, 0, 0, 255, 128, 128, 128, 160, 160, 160, 128, 128, 128]);
+    file.extend([0, 128, 192, 128, 64, 128, 128, 128, 255]);
+    let of_file = read(spz_glb(&gzip(&file)), Vec::new()).unwrap();
+    have_harmonics(&splats(&of_file), &[vec![[-1.0, 0.0, 0.5], [0.0, -0.5, 0.0], [0.0, 0.0, 127.0 / 128.0]]], 1e-6);
+    // The names of drafts.
+    let mut draft = draft(&[1.0; 6]);
+    for n in 0..3 {
+        let values = draft.floats("VEC3", &[0.5, 0.25, n as f32, 0.0, 1.0, -1.0]);
+        draft.json["meshes"][0]["primitives"][0]["attributes"][format!("_SH_DEGREE_1_COEF_{n}")] = values.into();
+    }
+    let values: Vec<_> = splats(&draft.read()).harmonics().values(1).collect();
+    assert_eq!(values, [[0.0; 3], [0.0, 1.0, -1.0], [0.0, 1.0, -1.0], [0.0, 1.0, -1.0]]);
+}
+
+#[test]
+fn colours_beyond_the_range_are_kept_for_harmonics() {
+    let mut list = written();
+    list[0].color = [1.5, -0.25, 0.5, 1.0];
+    let read_all = |color_space| {
+        let read = read(glb_with_harmonics(&list, &harmonics(2), color_space), Vec::new()).unwrap();
+        splats(&read)
+    };
+    let displayed = read_all("srgb_rec709_display");
+    assert!(!displayed.harmonics().is_linear());
+    let linear = read_all("lin_rec709_display");
+    assert!(linear.harmonics().is_linear());
+    for splats in [&displayed, &linear] {
+        let [r, g, b] = splats.harmonics().values(0).next().unwrap();
+        assert!((r - 0.5).abs() < 0.005 && (g + 0.25).abs() < 0.005 && b == 0.0, "{r} {g} {b}");
+    }
+    assert_eq!((displayed.list()[0].color, linear.list()[0].color), ([255, 0, 128, 255], [255, 0, 188, 255]));
 }
 
 #[test]
@@ -195,6 +273,26 @@ fn broken_splats_are_errors_that_say_why() {
         let error = lacking.error();
         assert!(error.contains(reason), "{error}");
     }
+    // Degrees are whole, and so are those below them.
+    for (names, reason) in [
+        (&["_SH_DEGREE_1_COEF_0", "_SH_DEGREE_1_COEF_2"][..], "without SH_DEGREE_1_COEF_1"),
+        (&["_SH_DEGREE_2_COEF_4"][..], "without SH_DEGREE_1_COEF_0"),
+    ] {
+        let mut lacking = draft(&[1.0; 6]);
+        let values = lacking.floats("VEC3", &[0.5; 6]);
+        for name in names {
+            lacking.json["meshes"][0]["primitives"][0]["attributes"][*name] = values.into();
+        }
+        let error = lacking.error();
+        assert!(error.contains(reason), "{error}");
+    }
+    let mut short = draft(&[1.0; 6]);
+    for (n, count) in [(0, 6), (1, 3), (2, 6)] {
+        let values = short.floats("VEC3", &[0.5; 6][..count]);
+        short.json["meshes"][0]["primitives"][0]["attributes"][format!("_SH_DEGREE_1_COEF_{n}")] = values.into();
+    }
+    let short = short.error();
+    assert!(short.contains("SH_DEGREE_1_COEF_1 of Gaussian splats has the wrong type or count"), "{short}");
     let mut nowhere = draft(&[1.0; 6]);
     nowhere.json["meshes"][0]["primitives"][0]["extensions"]["KHR_gaussian_splatting"]["extensions"] =
         json!({ "KHR_gaussian_splatting_compression_spz_2": { "bufferView": 99 } });
@@ -202,13 +300,13 @@ fn broken_splats_are_errors_that_say_why() {
 }
 
 #[test]
-fn splats_are_described_and_left_out_of_conversions_by_name() {
+fn splats_are_described_and_kept_by_conversions() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("splats.glb");
     std::fs::write(&file, spz_glb(&gzip(&spz_plain(&written(), 2, 2)))).unwrap();
     let model = inspect(file.to_str().unwrap(), &Limits::default()).unwrap().model.unwrap();
     assert_eq!((model.splats, model.splat_harmonics, model.drawables), (3, 2, 1));
-    // A triangle beside the splats is kept.
+    // A triangle beside the splats.
     let mut mixed = draft(&[1.0; 6]);
     let triangle = mixed.floats("VEC3", &TRIANGLE);
     let primitives = mixed.json["meshes"][0]["primitives"].as_array_mut().unwrap();
@@ -217,5 +315,33 @@ fn splats_are_described_and_left_out_of_conversions_by_name() {
     std::fs::write(&file, mixed.text()).unwrap();
     let out = folder.path().join("out");
     let converted = convert(file.to_str().unwrap(), &out, &ConvertOptions::default(), &mut |_| {}).unwrap();
-    assert_eq!((converted.written.triangles, converted.left_out.get("Gaussian splats")), (1, Some(&1)));
+    assert_eq!((converted.written.triangles, converted.written.splats), (1, 2));
+    assert!(converted.left_out.is_empty(), "{:?}", converted.left_out);
+    // What is written is read again as the same, whatever the colour space, compressed or not.
+    let mut list = written();
+    list[0].color[1] = 1.5;
+    for (color_space, degree, meshopt) in
+        [("srgb_rec709_display", 0, false), ("srgb_rec709_display", 3, true), ("lin_rec709_display", 2, false)]
+    {
+        let file = folder.path().join(format!("{color_space}-{degree}.glb"));
+        std::fs::write(&file, glb_with_harmonics(&list, &harmonics(degree), color_space)).unwrap();
+        let out = folder.path().join(format!("of-{color_space}-{degree}"));
+        let options = ConvertOptions { meshopt, ..ConvertOptions::default() };
+        let converted = convert(file.to_str().unwrap(), &out, &options, &mut |_| {}).unwrap();
+        assert_eq!((converted.source.splats, converted.written.splats), (3, 3));
+        assert!(converted.errors.is_empty() && converted.left_out.is_empty(), "{converted:?}");
+        let glb = std::fs::read_dir(&out).unwrap().map(|entry| entry.unwrap().path());
+        let glb = glb.into_iter().find(|path| path.extension().is_some_and(|end| end == "glb")).unwrap();
+        let [before, after] = [file, glb].map(|file| splats(&read(std::fs::read(file).unwrap(), Vec::new()).unwrap()));
+        assert_eq!(before.list(), after.list());
+        assert_eq!(
+            (after.harmonics().degree(), after.harmonics().is_linear()),
+            (degree, color_space.starts_with("lin"))
+        );
+        for number in 0..3 {
+            for (a, b) in before.harmonics().values(number).zip(after.harmonics().values(number)) {
+                assert!((0..3).all(|k| (a[k] - b[k]).abs() < 0.005), "{a:?} {b:?}");
+            }
+        }
+    }
 }

@@ -28,6 +28,27 @@ pub fn spz_header(version: u32, count: u32, degree: u8, fractional_bits: u8, fla
     [b"NGSP".to_vec(), words, vec![degree, fractional_bits, flags, 0]].concat()
 }
 
+/// Returns the same as [`spz_plain`] with coefficients of harmonics for each splat, -1 to 1.
+pub fn spz_with_harmonics(splats: &[WrittenSplat], version: u32, harmonics: &[Vec<[f32; 3]>]) -> Vec<u8> {
+    let mut out = spz_plain(splats, version, degree_of(harmonics));
+    let values = harmonics.iter().flatten().flatten();
+    let bytes: Vec<u8> = values.map(|c| (c * 128.0 + 128.0).round().clamp(0.0, 255.0) as u8).collect();
+    out.truncate(out.len() - bytes.len());
+    out.extend(bytes);
+    out
+}
+
+/// Returns the degree of harmonics by the number of coefficients of a splat.
+fn degree_of(harmonics: &[Vec<[f32; 3]>]) -> u8 {
+    match harmonics.first().map_or(0, Vec::len) {
+        0 => 0,
+        3 => 1,
+        8 => 2,
+        15 => 3,
+        other => panic!("{other} coefficients"),
+    }
+}
+
 /// Returns an SPZ file of version 2 or 3 before it is compressed, with harmonics of 128 up to a degree.
 pub fn spz_plain(splats: &[WrittenSplat], version: u32, degree: u8) -> Vec<u8> {
     let byte = |x: f32| x.round().clamp(0.0, 255.0) as u8;
@@ -79,6 +100,11 @@ pub fn spz_glb(file: &[u8]) -> Vec<u8> {
 
 /// Returns a glb whose only primitive has splats as accessors, by the names of the extension.
 pub fn accessor_glb(splats: &[WrittenSplat]) -> Vec<u8> {
+    glb_with_harmonics(splats, &[], "srgb_rec709_display")
+}
+
+/// Returns the same with coefficients of harmonics for each splat, and a colour space.
+pub fn glb_with_harmonics(splats: &[WrittenSplat], harmonics: &[Vec<[f32; 3]>], color_space: &str) -> Vec<u8> {
     type Values = fn(&WrittenSplat) -> Vec<f32>;
     const ATTRIBUTES: [(&str, &str, Values); 5] = [
         ("POSITION", "VEC3", |splat| splat.position.to_vec()),
@@ -88,9 +114,17 @@ pub fn accessor_glb(splats: &[WrittenSplat]) -> Vec<u8> {
         ("KHR_gaussian_splatting:SH_DEGREE_0_COEF_0", "VEC3", |splat| splat.harmonic().to_vec()),
     ];
     let (mut body, mut views, mut accessors, mut attributes) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-    for (index, (name, kind, values)) in ATTRIBUTES.iter().enumerate() {
+    let own = ATTRIBUTES
+        .iter()
+        .map(|(name, kind, values)| ((*name).to_owned(), *kind, splats.iter().flat_map(values).collect::<Vec<f32>>()));
+    let names = (1..=degree_of(harmonics)).flat_map(|l| (0..=2 * l).map(move |n| format!("SH_DEGREE_{l}_COEF_{n}")));
+    let above = names.enumerate().map(|(index, name)| {
+        let values = harmonics.iter().flat_map(|of_splat| of_splat[index]).collect();
+        (format!("KHR_gaussian_splatting:{name}"), "VEC3", values)
+    });
+    for (index, (name, kind, values)) in own.chain(above).enumerate() {
         let start = body.len();
-        body.extend(splats.iter().flat_map(values).flat_map(f32::to_le_bytes));
+        body.extend(values.into_iter().flat_map(f32::to_le_bytes));
         let (length, count) = (body.len() - start, splats.len());
         views.push(format!(r#"{{"buffer":0,"byteOffset":{start},"byteLength":{length}}}"#));
         accessors.push(format!(r#"{{"bufferView":{index},"componentType":5126,"count":{count},"type":"{kind}"}}"#));
@@ -99,7 +133,7 @@ pub fn accessor_glb(splats: &[WrittenSplat]) -> Vec<u8> {
     let [views, accessors, attributes] = [views, accessors, attributes].map(|list| list.join(","));
     let length = body.len();
     let json = format!(
-        r#"{{"asset":{{"version":"2.0"}},"extensionsUsed":["KHR_gaussian_splatting"],"scene":0,"scenes":[{{"nodes":[0]}}],"nodes":[{{"mesh":0}}],"meshes":[{{"primitives":[{{"attributes":{{{attributes}}},"mode":0,"extensions":{{"KHR_gaussian_splatting":{{"kernel":"ellipse","colorSpace":"srgb_rec709_display"}}}}}}]}}],"accessors":[{accessors}],"bufferViews":[{views}],"buffers":[{{"byteLength":{length}}}]}}"#
+        r#"{{"asset":{{"version":"2.0"}},"extensionsUsed":["KHR_gaussian_splatting"],"scene":0,"scenes":[{{"nodes":[0]}}],"nodes":[{{"mesh":0}}],"meshes":[{{"primitives":[{{"attributes":{{{attributes}}},"mode":0,"extensions":{{"KHR_gaussian_splatting":{{"kernel":"ellipse","colorSpace":"{color_space}"}}}}}}]}}],"accessors":[{accessors}],"bufferViews":[{views}],"buffers":[{{"byteLength":{length}}}]}}"#
     );
     glb(&json, &body)
 }

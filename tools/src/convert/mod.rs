@@ -152,12 +152,13 @@ fn text(converted: &Converted, is_unchecked: bool) -> String {
         lines.push(format!("copied    {copied} as they are"));
     }
     lines.push(format!("          {:>14} {:>14}", "source", "written"));
-    let rows: [Row; 7] = [
+    let rows: [Row; 8] = [
         ("contents", Counts::contents),
         ("levels", |counts| counts.levels.len() as u64),
         ("triangles", |counts| counts.triangles),
         ("segments", |counts| counts.segments),
         ("points", |counts| counts.points),
+        ("splats", |counts| counts.splats),
         ("textures", |counts| counts.textures),
         ("pixels", |counts| counts.texture_pixels),
     ];

@@ -5,6 +5,9 @@
 @group(1) @binding(0) var<storage, read> splats: array<u32>;
 // The numbers of the splats from back to front.
 @group(1) @binding(1) var<storage, read> splat_order: array<u32>;
+// For each splat a step (f32), and then bytes in threes: what is added to its colour, and the coefficients of its harmonics, as
+// SplatHarmonics in src/scene/geometry/splats/harmonics.rs. Not read by splats without harmonics.
+@group(1) @binding(2) var<storage, read> splat_harmonics: array<u32>;
 
 // Standard deviations at which a splat ends.
 const SPLAT_SIGMAS: f32 = 3.0;
@@ -16,6 +19,9 @@ const PIXEL_VARIANCE: f32 = 0.3;
 // stretches without limit.
 const MAX_CLIP: f32 = 1.3;
 const MAX_SIGMA_PX: f32 = 1024.0;
+// Of the leaf's `side`: the degree of the harmonics, and whether they are added to linear colours.
+const DEGREE_MASK: u32 = 3u;
+const LINEAR_HARMONICS: u32 = 4u;
 
 struct SplatFragment {
     @builtin(position) position: vec4<f32>,
@@ -49,6 +55,75 @@ fn rotation_matrix(q: vec4<f32>) -> mat3x3<f32> {
     );
 }
 
+fn harmonic_steps(at: u32) -> vec4<f32> {
+    return unpack4x8unorm(splat_harmonics[at]) * 255.0 - 128.0;
+}
+
+// Returns four successive coefficients, in steps.
+fn four_coefficients(at: u32) -> mat4x3<f32> {
+    let a = harmonic_steps(at);
+    let b = harmonic_steps(at + 1u);
+    let c = harmonic_steps(at + 2u);
+    return mat4x3<f32>(a.xyz, vec3<f32>(a.w, b.xy), vec3<f32>(b.zw, c.x), c.yzw);
+}
+
+// Returns what is added to the colour of a splat that is seen in a direction of length 1: real spherical harmonics with the
+// Condon-Shortley phase (KHR_gaussian_splatting, appendix).
+fn added_color(number: u32, degree: u32, d: vec3<f32>) -> vec3<f32> {
+    let at = number * select(select(13u, 8u, degree == 2u), 4u, degree == 1u);
+    let x = d.x;
+    let y = d.y;
+    let z = d.z;
+    var sum = four_coefficients(at + 1u) * vec4<f32>(1.0, -0.48860251 * y, 0.48860251 * z, -0.48860251 * x);
+    if degree > 1u {
+        let xx = x * x;
+        let yy = y * y;
+        let zz = z * z;
+        sum += four_coefficients(at + 4u)
+            * vec4<f32>(1.09254843 * x * y, -1.09254843 * y * z, 0.31539157 * (2.0 * zz - xx - yy), -1.09254843 * x * z);
+        let last = 0.54627421 * (xx - yy);
+        if degree == 2u {
+            sum += harmonic_steps(at + 7u).xyz * last;
+        } else {
+            let ring = 0.45704580 * (xx + yy - 4.0 * zz);
+            sum += four_coefficients(at + 7u)
+                * vec4<f32>(last, 0.59004359 * y * (yy - 3.0 * xx), 2.89061144 * x * y * z, ring * y);
+            sum += four_coefficients(at + 10u) * vec4<f32>(
+                0.37317633 * z * (2.0 * zz - 3.0 * xx - 3.0 * yy),
+                ring * x,
+                1.44530572 * z * (xx - yy),
+                0.59004359 * x * (3.0 * yy - xx),
+            );
+        }
+    }
+    return sum * bitcast<f32>(splat_harmonics[at]);
+}
+
+// Returns the direction from the eye to a point, in the frame of its leaf. The inverse of the leaf's matrix is that of its
+// cofactors, but for a factor.
+fn direction_in_leaf(leaf: Leaf, in_eye: vec3<f32>) -> vec3<f32> {
+    let x = leaf.eye_from_drawable_x.xyz;
+    let y = leaf.eye_from_drawable_y.xyz;
+    let z = leaf.eye_from_drawable_z.xyz;
+    let ray = way_to(in_eye).xyz;
+    let yz = cross(y, z);
+    let along = (ray.x * yz + ray.y * cross(z, x) + ray.z * cross(x, y)) * sign(dot(x, yz));
+    return along / max(length(along), 1e-30);
+}
+
+// Returns the linear colour of a splat.
+fn seen_color(leaf: Leaf, number: u32, srgb: vec3<f32>, in_eye: vec3<f32>) -> vec3<f32> {
+    let degree = leaf.side & DEGREE_MASK;
+    if degree == 0u {
+        return linear_from_srgb(srgb);
+    }
+    let added = added_color(number, degree, direction_in_leaf(leaf, in_eye));
+    if (leaf.side & LINEAR_HARMONICS) != 0u {
+        return max(linear_from_srgb(srgb) + added, vec3<f32>(0.0));
+    }
+    return linear_from_srgb(max(srgb + added, vec3<f32>(0.0)));
+}
+
 // A splat that is not drawn: its corners are one point.
 fn no_splat() -> SplatFragment {
     return SplatFragment(vec4<f32>(0.0, 0.0, 0.0, 1.0), vec4<f32>(0.0), vec2<f32>(0.0), vec3<f32>(0.0), 0u);
@@ -57,7 +132,8 @@ fn no_splat() -> SplatFragment {
 @vertex
 fn vs_splat(@builtin(vertex_index) index: u32, @builtin(instance_index) instance: u32) -> SplatFragment {
     let leaf = leaves[instance];
-    let at = 9u * splat_order[index / 6u];
+    let number = splat_order[index / 6u];
+    let at = 9u * number;
     let color = unpack4x8unorm(splats[at + 8u]);
     let opacity = color.a * leaf.color.a;
     let in_eye = point_in_eye(leaf, splat_vector(at));
@@ -106,7 +182,7 @@ fn vs_splat(@builtin(vertex_index) index: u32, @builtin(instance_index) instance
     let offset_px = offset.x * sigmas.x * long_axis + offset.y * sigmas.y * short_axis;
     var fragment: SplatFragment;
     fragment.position = clip + vec4<f32>(offset_px * frame.middle_ray.zw * clip.w, 0.0, 0.0);
-    let displayed_color = unlit_through_air(linear_from_srgb(color.rgb) * leaf.color.rgb, aerial(in_eye));
+    let displayed_color = unlit_through_air(seen_color(leaf, number, color.rgb, in_eye) * leaf.color.rgb, aerial(in_eye));
     fragment.color = vec4<f32>(displayed_color, opacity);
     fragment.offset = offset;
     fragment.in_eye = in_eye;

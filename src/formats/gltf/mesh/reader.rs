@@ -76,11 +76,10 @@ impl<'a> MeshReader<'a> {
         let mut drawables = MeshDrawables::default();
         for primitive in mesh.primitives() {
             match self.primitive(&primitive, deformation) {
-                Ok(Some((drawable, outline))) => {
-                    self.has_drawables = true;
-                    drawables.push(drawable, outline);
+                Ok(read) => {
+                    self.has_drawables |= !read.is_empty();
+                    read.into_iter().for_each(|(drawable, outline)| drawables.push(drawable, outline));
                 }
-                Ok(None) => {}
                 Err(error @ IoError::Invalid { .. }) => {
                     self.context.notes.add("glTF: invalid primitive that is not drawn");
                     self.first_error.get_or_insert(error);
@@ -94,21 +93,22 @@ impl<'a> MeshReader<'a> {
         Ok(drawables)
     }
 
-    /// Reads a primitive and its outline. Returns `None` if a buffer that it cannot do without is missing.
+    /// Reads the drawables of a primitive, each with its outline: one, or several of a large cloud of splats. Returns none if a
+    /// buffer that it cannot do without is missing.
     fn primitive(
         &mut self,
         primitive: &gltf::Primitive<'_>,
         deformation: Deformation<'_>,
-    ) -> Result<Option<(Drawable, Option<Drawable>)>, IoError> {
+    ) -> Result<Vec<(Drawable, Option<Drawable>)>, IoError> {
         let Self { context, buffers, document, tables, surfaces, index_lists, .. } = self;
         if let Some(splats) = splats::read(context, buffers, document, primitive)? {
-            return Ok(splats.map(|splats| (splats, None)));
+            return Ok(splats.into_iter().map(|splats| (splats, None)).collect());
         }
-        let Some(data) = PrimitiveData::new(context, buffers, document, primitive)? else { return Ok(None) };
+        let Some(data) = PrimitiveData::new(context, buffers, document, primitive)? else { return Ok(Vec::new()) };
         let mut surface = surfaces.get(&primitive.material());
         let not_drawn = || {
             context.notes.add(BUFFER_MISSING);
-            Ok(None)
+            Ok(Vec::new())
         };
         let vertices = Vertices::new(context, &data, surface.texture_coordinates(), deformation)?;
         let Some(vertices) = vertices else { return not_drawn() };
@@ -178,7 +178,7 @@ impl<'a> MeshReader<'a> {
         let drawable = if context.options.cluster_culling { drawable.with_cluster_culling() } else { drawable };
         let edges = outline::edges(context, document, primitive, &data, index_lists)?;
         let outline = edges.map(|edges| outline::lines(context, &edges, &drawable)).transpose()?.flatten();
-        Ok(Some((drawable, outline)))
+        Ok(vec![(drawable, outline)])
     }
 }
 

@@ -2,11 +2,11 @@
 
 use gltf::accessor::Dimensions;
 
-use super::{Found, HARMONIC_0};
+use super::{Found, HARMONIC_0, SourceSplat};
 use crate::fetch::IoError;
 use crate::formats::gltf::accessors::{Buffers, Elements};
 use crate::formats::gltf::context::Context;
-use crate::scene::Splat;
+use crate::scene::SplatHarmonics;
 
 /// Reads the splats of a primitive; `None` if a buffer is missing.
 ///
@@ -15,6 +15,7 @@ pub(super) fn read(
     context: &Context<'_>,
     buffers: &Buffers<'_>,
     primitive: &gltf::Primitive<'_>,
+    is_linear: bool,
 ) -> Result<Option<Found>, IoError> {
     let named = |name: &str| primitive.attributes().find(|(semantic, _)| semantic.to_string() == name);
     // The name of the extension, kept by an underscore before it, and the name of the drafts.
@@ -49,19 +50,34 @@ pub(super) fn read(
         return Ok(None);
     }
     let is_logarithm = (0..count).any(|i| (0..3).any(|k| scale.value(i, k) < 0.0));
-    let degree = (1..=3u8).rev().find(|degree| own(&format!("SH_DEGREE_{degree}_COEF_0")).is_some()).unwrap_or(0);
-    let mut found = Found { degree, ..Found::default() };
-    found.splats.reserve_exact(count);
+    // A degree is whole, and those below it are too.
+    let names = |degree: u8| (0..=2 * degree).map(move |n| format!("SH_DEGREE_{degree}_COEF_{n}"));
+    let degree = (1..=3u8).rev().find(|degree| names(*degree).any(|name| own(&name).is_some())).unwrap_or(0);
+    let mut above = Vec::with_capacity(SplatHarmonics::coefficients_of(degree));
+    for name in (1..=degree).flat_map(names) {
+        let Some(values) = required(&name, Dimensions::Vec3)? else { return Ok(None) };
+        above.push(values);
+    }
+    let mut found = Found::new(count, degree, is_linear);
+    let mut coefficients = vec![[0.0; 3]; above.len()];
     for i in 0..count {
         let alpha = |of: &Elements<'_>| if of.components > 3 { of.value(i, 3) } else { 1.0 };
-        let [r, g, b] = match (&harmonic, &color) {
+        let color_0 = match (&harmonic, &color) {
             (Some(harmonic), _) => harmonic.vector::<3>(i).map(|c| 0.5 + HARMONIC_0 * c),
             (None, Some(color)) => color.vector::<3>(i),
             (None, None) => [0.0; 3],
         };
-        let a = opacity.as_ref().map_or_else(|| color.as_ref().map_or(1.0, alpha), |opacity| opacity.value(i, 0));
-        let scale = scale.vector::<3>(i).map(|s| if is_logarithm { s.exp() } else { s });
-        found.add(Splat::new(position.vector(i), scale, rotation.vector(i), [r, g, b, a]));
+        for (coefficient, values) in coefficients.iter_mut().zip(&above) {
+            *coefficient = values.vector(i);
+        }
+        let splat = SourceSplat {
+            position: position.vector(i),
+            scale: scale.vector::<3>(i).map(|s| if is_logarithm { s.exp() } else { s }),
+            rotation: rotation.vector(i),
+            color: color_0,
+            opacity: opacity.as_ref().map_or_else(|| color.as_ref().map_or(1.0, alpha), |opacity| opacity.value(i, 0)),
+        };
+        found.add(&splat, &coefficients);
     }
     Ok(Some(found))
 }

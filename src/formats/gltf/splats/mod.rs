@@ -18,7 +18,7 @@ use super::context::Context;
 use super::mesh::BUFFER_MISSING;
 use crate::fetch::IoError;
 use crate::math::color;
-use crate::scene::{AlphaMode, Drawable, Geometry, Material, Splat, Splats};
+use crate::scene::{AlphaMode, Drawable, Geometry, Material, Splat, SplatHarmonics, Splats};
 
 /// The extension of the primitive.
 const EXTENSION: &str = "KHR_gaussian_splatting";
@@ -33,19 +33,49 @@ const SPZ_EXTENSIONS: [&str; 4] = [
 const HARMONIC_0: f32 = 0.282_094_8;
 
 /// The splats of a source, with what was left out of it.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 struct Found {
     splats: Vec<Splat>,
+    harmonics: SplatHarmonics,
     /// The number of splats with invalid values.
     invalid: u64,
-    /// The degree of the spherical harmonics.
-    degree: u8,
+}
+
+/// A splat as a source has it.
+#[derive(Clone, Copy, Debug)]
+struct SourceSplat {
+    position: [f32; 3],
+    scale: [f32; 3],
+    rotation: [f32; 4],
+    /// The colour of degree 0, in the colour space of the source.
+    color: [f32; 3],
+    opacity: f32,
 }
 
 impl Found {
-    fn add(&mut self, splat: Option<Splat>) {
-        self.invalid += u64::from(splat.is_none());
-        self.splats.extend(splat);
+    /// Returns a list with room for a number of splats with harmonics up to a degree.
+    fn new(count: usize, degree: u8, is_linear: bool) -> Self {
+        let mut harmonics = SplatHarmonics::new(degree, is_linear);
+        harmonics.reserve(count);
+        Self { splats: Vec::with_capacity(count), harmonics, invalid: 0 }
+    }
+
+    /// Adds a splat with its coefficients above degree 0.
+    fn add(&mut self, splat: &SourceSplat, coefficients: &[[f32; 3]]) {
+        let SourceSplat { position, scale, rotation, color, opacity } = *splat;
+        let [r, g, b] = match self.harmonics.is_linear() {
+            true => color.map(|c| color::srgb_from_linear(f64::from(c.clamp(0.0, 1.0))) as f32),
+            false => color,
+        };
+        let splat = Splat::new(position, scale, rotation, [r, g, b, opacity]);
+        let splat = splat.filter(|_| coefficients.as_flattened().iter().all(|c| c.is_finite()));
+        match splat {
+            Some(splat) => {
+                self.splats.push(splat);
+                self.harmonics.push(color, coefficients);
+            }
+            None => self.invalid += 1,
+        }
     }
 }
 
@@ -68,42 +98,40 @@ pub(super) fn with_kept_names(json: Cow<'_, [u8]>) -> Cow<'_, [u8]> {
     kept.into()
 }
 
-/// Reads the splats of a primitive. Returns `None` if the primitive is none of splats, and `Some(None)` if it draws nothing: it
-/// has no splats, or a buffer is missing.
+/// Reads the splats of a primitive. Returns `None` if the primitive is none of splats, and no drawables if it draws nothing: it
+/// has no splats, or a buffer is missing. Clouds that are too large for a buffer are several drawables.
 pub(super) fn read(
     context: &Context<'_>,
     buffers: &Buffers<'_>,
     document: &Document,
     primitive: &gltf::Primitive<'_>,
-) -> Result<Option<Option<Drawable>>, IoError> {
+) -> Result<Option<Vec<Drawable>>, IoError> {
     let base = primitive.extension_value(EXTENSION);
     let nested = base.and_then(|base| base.get("extensions"));
     let compressed = SPZ_EXTENSIONS
         .iter()
         .find_map(|name| nested.and_then(|nested| nested.get(name)).or_else(|| primitive.extension_value(name)));
+    let is_linear = base.is_some_and(|base| is_linear(context, base));
     let found = match (compressed, base) {
-        (Some(extension), _) => spz_file(context, buffers, document, extension)?,
-        (None, Some(_)) => accessors::read(context, buffers, primitive)?,
+        (Some(extension), _) => spz_file(context, buffers, document, extension, is_linear)?,
+        (None, Some(_)) => accessors::read(context, buffers, primitive, is_linear)?,
         (None, None) => return Ok(None),
     };
-    let Some(mut found) = found else {
+    let Some(Found { splats, harmonics, invalid }) = found else {
         context.notes.add(BUFFER_MISSING);
-        return Ok(Some(None));
+        return Ok(Some(Vec::new()));
     };
-    if let Some(base) = base {
-        apply_properties(context, base, &mut found);
+    context.notes.add_count("glTF: Gaussian splat with invalid values", invalid);
+    if splats.is_empty() {
+        let is_invalid = invalid > 0;
+        return if is_invalid { Err(context.bad("no Gaussian splat has finite values")) } else { Ok(Some(Vec::new())) };
     }
-    context.notes.add_count("glTF: Gaussian splat with invalid values", found.invalid);
-    if found.degree > 0 {
-        context.notes.add("glTF: spherical harmonics of Gaussian splats above degree 0");
-    }
-    if found.splats.is_empty() {
-        let is_invalid = found.invalid > 0;
-        return if is_invalid { Err(context.bad("no Gaussian splat has finite values")) } else { Ok(Some(None)) };
-    }
-    let geometry = Geometry::Splats(Arc::new(Splats::new(found.splats, found.degree)));
-    let material = Material { alpha: AlphaMode::Blend, unlit: true, ..Material::default() };
-    Ok(Some(Some(Drawable::new(geometry, material))))
+    let splats = Splats::new(splats).with_harmonics(harmonics).expect("each splat was added with its harmonics");
+    let drawable = |splats| {
+        let material = Material { alpha: AlphaMode::Blend, unlit: true, ..Material::default() };
+        Drawable::new(Geometry::Splats(Arc::new(splats)), material)
+    };
+    Ok(Some(splats.cut_to_buffers().into_iter().map(drawable).collect()))
 }
 
 /// Reads an SPZ file in a buffer view.
@@ -112,12 +140,13 @@ fn spz_file(
     buffers: &Buffers<'_>,
     document: &Document,
     extension: &Value,
+    is_linear: bool,
 ) -> Result<Option<Found>, IoError> {
     let index = extension.get("bufferView").and_then(Value::as_u64).and_then(|index| usize::try_from(index).ok());
     let view = index.and_then(|index| document.views().nth(index));
     let view = view.ok_or_else(|| context.bad("SPZ: bufferView is missing or leads nowhere"))?;
     let Some(bytes) = buffers.view(&view)? else { return Ok(None) };
-    spz::read(bytes, |count, bytes| {
+    spz::read(bytes, is_linear, |count, bytes| {
         context.budget.add_vertices(count)?;
         context.budget.add_decoded(bytes)
     })
@@ -128,19 +157,18 @@ fn spz_file(
     .map(Some)
 }
 
-/// Converts linear colours, and notes kernels and colour spaces that are drawn like others.
-fn apply_properties(context: &Context<'_>, base: &Value, found: &mut Found) {
+/// Returns true if colours are linear. Notes kernels and colour spaces that are drawn like others.
+fn is_linear(context: &Context<'_>, base: &Value) -> bool {
     let text = |name: &str| base.get(name).and_then(Value::as_str);
-    match text("colorSpace") {
-        None | Some("srgb_rec709_display" | "BT.709" | "BT.709-sRGB") => {}
-        Some("lin_rec709_display" | "BT.709-linear" | "linear") => {
-            for channel in found.splats.iter_mut().flat_map(|splat| &mut splat.color[..3]) {
-                *channel = (color::srgb_from_linear(f64::from(*channel) / 255.0) * 255.0).round() as u8;
-            }
-        }
-        Some(other) => context.notes.add(format!("glTF: colour space {other} of Gaussian splats")),
-    }
     if let Some(other) = text("kernel").filter(|kernel| *kernel != "ellipse") {
         context.notes.add(format!("glTF: kernel {other} of Gaussian splats"));
+    }
+    match text("colorSpace") {
+        None | Some("srgb_rec709_display" | "BT.709" | "BT.709-sRGB") => false,
+        Some("lin_rec709_display" | "BT.709-linear" | "linear") => true,
+        Some(other) => {
+            context.notes.add(format!("glTF: colour space {other} of Gaussian splats"));
+            false
+        }
     }
 }

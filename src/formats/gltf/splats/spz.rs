@@ -8,18 +8,18 @@
 //!   colours     3 x u8: coefficients of the first harmonic, -3.33 to 3.33
 //!   scales      3 x u8: 16 steps for a factor of e, from e^-10 on
 //!   rotations   x, y, z as 3 x u8, with w from 0 on; version 3: u32, its largest component left out
-//!   harmonics   3 x u8 for each coefficient above degree 0
+//!   harmonics   3 x u8 for each coefficient above degree 0: 128 for 0, and 128 steps for 1
 //! ```
 //! Values are taken as they are, as CesiumJS does. The draft of the glTF extension demands half a turn around y (decision
-//! 0069). Harmonics above degree 0 are skipped, and take no memory.
+//! 0069).
 
-use std::io::{Read, copy, sink};
+use std::io::Read;
 
 use exr::prelude::f16;
 
-use super::{Found, HARMONIC_0};
+use super::{Found, HARMONIC_0, SourceSplat};
 use crate::fetch::IoError;
-use crate::scene::Splat;
+use crate::scene::SplatHarmonics;
 
 const MAGIC: &[u8; 4] = b"NGSP";
 const HEADER_BYTES: usize = 16;
@@ -78,16 +78,10 @@ impl Header {
         [if self.version == 1 { 6 } else { 9 }, if self.version < 3 { 3 } else { 4 }]
     }
 
-    /// Returns the bytes of a splat that are kept: all but the harmonics.
+    /// Returns the bytes of a splat.
     fn splat_bytes(&self) -> usize {
         let [position, rotation] = self.sizes();
-        position + 1 + 3 + 3 + rotation
-    }
-
-    /// Returns the bytes of all harmonics above degree 0.
-    fn harmonics_bytes(&self) -> u64 {
-        let degree = u64::from(self.degree);
-        self.count as u64 * 3 * (degree * (degree + 2))
+        position + 1 + 3 + 3 + rotation + 3 * SplatHarmonics::coefficients_of(self.degree)
     }
 
     fn position(&self, bytes: &[u8]) -> [f32; 3] {
@@ -129,7 +123,11 @@ fn smallest_three(mut bits: u32) -> [f32; 4] {
 
 /// Reads an SPZ file. `reserve` is called with the number of splats and the bytes to unpack before they are, and may refuse
 /// them.
-pub(super) fn read(file: &[u8], reserve: impl FnOnce(usize, u64) -> Result<(), IoError>) -> Result<Found, SpzError> {
+pub(super) fn read(
+    file: &[u8],
+    is_linear: bool,
+    reserve: impl FnOnce(usize, u64) -> Result<(), IoError>,
+) -> Result<Found, SpzError> {
     // Version 4 begins with the magic: it compresses the parts, not the file.
     if let Some(header) = file.first_chunk::<HEADER_BYTES>().filter(|header| header.starts_with(MAGIC)) {
         return Err(SpzError::Version(u32::from_le_bytes([header[4], header[5], header[6], header[7]])));
@@ -139,34 +137,37 @@ pub(super) fn read(file: &[u8], reserve: impl FnOnce(usize, u64) -> Result<(), I
     plain.read_exact(&mut header)?;
     let header = Header::new(&header)?;
     let Header { count, degree, .. } = header;
-    let kept = count as u64 * header.splat_bytes() as u64;
-    reserve(count, kept).map_err(SpzError::Refused)?;
+    let bytes = count as u64 * header.splat_bytes() as u64;
+    reserve(count, bytes).map_err(SpzError::Refused)?;
     let mut values = Vec::new();
-    plain.by_ref().take(kept).read_to_end(&mut values)?;
-    let harmonics = copy(&mut plain.by_ref().take(header.harmonics_bytes()), &mut sink())?;
-    if values.len() as u64 != kept || harmonics != header.harmonics_bytes() {
+    plain.by_ref().take(bytes).read_to_end(&mut values)?;
+    if values.len() as u64 != bytes {
         return Err(SpzError::Truncated(count));
     }
     let [position_bytes, rotation_bytes] = header.sizes();
     let (positions, rest) = values.split_at(count * position_bytes);
     let (opacities, rest) = rest.split_at(count);
     let (colors, rest) = rest.split_at(count * 3);
-    let (scales, rotations) = rest.split_at(count * 3);
-    let mut found = Found { degree, ..Found::default() };
-    found.splats.reserve_exact(count);
+    let (scales, rest) = rest.split_at(count * 3);
+    let (rotations, harmonics) = rest.split_at(count * rotation_bytes);
+    let mut found = Found::new(count, degree, is_linear);
+    let mut coefficients = vec![[0.0; 3]; SplatHarmonics::coefficients_of(degree)];
     for i in 0..count {
-        let color = [0, 1, 2].map(|k| {
-            let coefficient = (f32::from(colors[3 * i + k]) / 255.0 - 0.5) / COLOR_SCALE;
-            0.5 + HARMONIC_0 * coefficient
-        });
-        let [r, g, b] = color;
-        let scale = [0, 1, 2].map(|k| (f32::from(scales[3 * i + k]) / 16.0 - 10.0).exp());
-        found.add(Splat::new(
-            header.position(&positions[position_bytes * i..][..position_bytes]),
-            scale,
-            header.rotation(&rotations[rotation_bytes * i..][..rotation_bytes]),
-            [r, g, b, f32::from(opacities[i]) / 255.0],
-        ));
+        let bytes = harmonics[3 * coefficients.len() * i..].iter();
+        for (value, byte) in coefficients.as_flattened_mut().iter_mut().zip(bytes) {
+            *value = (f32::from(*byte) - 128.0) / 128.0;
+        }
+        let splat = SourceSplat {
+            position: header.position(&positions[position_bytes * i..][..position_bytes]),
+            scale: [0, 1, 2].map(|k| (f32::from(scales[3 * i + k]) / 16.0 - 10.0).exp()),
+            rotation: header.rotation(&rotations[rotation_bytes * i..][..rotation_bytes]),
+            color: [0, 1, 2].map(|k| {
+                let coefficient = (f32::from(colors[3 * i + k]) / 255.0 - 0.5) / COLOR_SCALE;
+                0.5 + HARMONIC_0 * coefficient
+            }),
+            opacity: f32::from(opacities[i]) / 255.0,
+        };
+        found.add(&splat, &coefficients);
     }
     Ok(found)
 }

@@ -1,17 +1,19 @@
-//! Writes decoded drawables as a glb (glTF 2.0): meshes with normals, colours and two sets of texture coordinates, materials,
-//! images as the files that they came as, features and their properties. Decode threads.
+//! Writes decoded drawables as a glb (glTF 2.0): meshes with normals, colours and two sets of texture coordinates, Gaussian
+//! splats, materials, images as the files that they came as, features and their properties. Decode threads.
 //!
 //! ```text
 //! height     height tiles as meshes
 //! images     files that are kept, and JPEG or PNG of other texels
 //! materials  metallic-roughness, unlit
 //! features   EXT_mesh_features, EXT_structural_metadata
+//! splats     KHR_gaussian_splatting
 //! ```
 
 mod features;
 mod height;
 mod images;
 mod materials;
+mod splats;
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -25,34 +27,61 @@ use self::materials::Materials;
 use crate::formats::ignored::Notes;
 use crate::formats::image::ImageFiles;
 use crate::formats::writers::buffers::{self, Accuracy, Buffers, Component, Elements};
-use crate::scene::{AttributeFormat, Drawable, DrawableFeatures, Geometry, Material, Mesh, SecondUv, Topology};
+use crate::math::Aabb;
+use crate::scene::{AttributeFormat, Drawable, DrawableFeatures, Geometry, Material, Mesh, SecondUv, Splats, Topology};
 
 /// The vertices of a point that is drawn as a square.
 const VERTICES_OF_SQUARE: usize = 4;
 
-/// A mesh with its place in the model.
+/// What a leaf draws.
+#[derive(Clone, Debug)]
+pub(in crate::formats) enum LeafShape {
+    Mesh(Arc<Mesh>),
+    Splats(Arc<Splats>),
+}
+
+impl LeafShape {
+    /// Returns the box around it in the drawable's frame.
+    pub fn bounds(&self) -> Aabb {
+        match self {
+            Self::Mesh(mesh) => mesh.bounds,
+            Self::Splats(splats) => splats.bounds(),
+        }
+    }
+
+    /// Returns true if nothing is drawn.
+    pub fn is_empty(&self) -> bool {
+        match self {
+            Self::Mesh(mesh) => mesh.indices.is_empty(),
+            Self::Splats(splats) => splats.list().is_empty(),
+        }
+    }
+}
+
+/// A mesh or splats with their place in the model.
 #[derive(Clone, Debug)]
 pub(in crate::formats) struct Leaf {
     /// Maps the drawable to the frame of the model, z up.
     pub model_from_drawable: DAffine3,
-    pub mesh: Arc<Mesh>,
+    pub shape: LeafShape,
     pub material: Material,
     pub features: Option<Arc<DrawableFeatures>>,
 }
 
 impl Leaf {
-    /// Returns a drawable as a mesh. Height tiles become one. Returns `None` for geometry that an application draws.
+    /// Returns a drawable as a mesh or splats. Height tiles become a mesh. Returns `None` for geometry that an application draws.
     pub fn new(model_from_drawable: DAffine3, drawable: Drawable) -> Option<Self> {
         let Drawable { geometry, mut material, features, .. } = drawable;
-        let (model_from_drawable, mesh) = match geometry {
-            Geometry::Mesh(mesh) => (model_from_drawable, mesh),
+        let (model_from_drawable, shape) = match geometry {
+            Geometry::Mesh(mesh) => (model_from_drawable, LeafShape::Mesh(mesh)),
+            Geometry::Splats(splats) => (model_from_drawable, LeafShape::Splats(splats)),
             Geometry::Height(tile) => {
                 material.texture = material.texture.or_else(|| tile.texture.clone());
-                (model_from_drawable * height::tile_from_mesh(), Arc::new(height::mesh_of(&tile)))
+                (model_from_drawable * height::tile_from_mesh(), LeafShape::Mesh(Arc::new(height::mesh_of(&tile))))
             }
-            Geometry::Splats(_) | Geometry::Custom(_) => return None,
+            Geometry::Custom(_) => return None,
         };
-        Some(Self { model_from_drawable, mesh, material, features })
+        Some(Self { model_from_drawable, shape, material, features })
     }
 }
 
@@ -78,6 +107,7 @@ pub(in crate::formats) fn write_model(model: &Model<'_>, notes: &Notes) -> Resul
         known: HashMap::new(),
         index_lists: HashMap::new(),
         has_quantized: false,
+        has_splats: false,
     };
     let mut nodes = Vec::new();
     for leaf in model.leaves {
@@ -86,7 +116,7 @@ pub(in crate::formats) fn write_model(model: &Model<'_>, notes: &Notes) -> Resul
     Ok(writer.into_glb(nodes, model.credits))
 }
 
-/// The key of a mesh: the addresses of its geometry and features, and its material.
+/// The key of a mesh: the addresses of its geometry and features, and its material; the factor of the opacity for splats.
 type MeshKey = (usize, usize, usize);
 
 struct Writer<'a> {
@@ -101,22 +131,31 @@ struct Writer<'a> {
     /// The accessors of index lists by their address and number of vertices.
     index_lists: HashMap<(usize, usize), usize>,
     has_quantized: bool,
+    has_splats: bool,
 }
 
 impl Writer<'_> {
     /// Adds the node of a drawable.
     fn add(&mut self, leaf: &Leaf, nodes: &mut Vec<Value>) -> Result<(), String> {
-        let Leaf { model_from_drawable, mesh, material, features } = leaf;
-        if mesh.indices.is_empty() {
+        let Leaf { model_from_drawable, shape, material, features } = leaf;
+        if shape.is_empty() {
             return Ok(());
         }
-        let material = self.materials.index(material, &mut self.images, &mut self.buffers)?;
-        let features = features.as_ref().map_or(0, |features| Arc::as_ptr(features).addr());
-        let key = (Arc::as_ptr(mesh).addr(), features, material);
+        let key = match shape {
+            LeafShape::Mesh(mesh) => {
+                let material = self.materials.index(material, &mut self.images, &mut self.buffers)?;
+                let features = features.as_ref().map_or(0, |features| Arc::as_ptr(features).addr());
+                (Arc::as_ptr(mesh).addr(), features, material)
+            }
+            LeafShape::Splats(splats) => (Arc::as_ptr(splats).addr(), 0, material.base_color[3].to_bits() as usize),
+        };
         let index = match self.known.get(&key) {
             Some(known) => *known,
             None => {
-                let primitive = self.primitive(leaf, material);
+                let primitive = match shape {
+                    LeafShape::Mesh(mesh) => self.primitive(leaf, mesh, key.2),
+                    LeafShape::Splats(splats) => self.splats(splats, material),
+                };
                 self.meshes.push(json!({ "primitives": [primitive] }));
                 self.known.insert(key, self.meshes.len() - 1);
                 self.meshes.len() - 1
@@ -131,8 +170,16 @@ impl Writer<'_> {
         Ok(())
     }
 
-    fn primitive(&mut self, leaf: &Leaf, material: usize) -> Value {
-        let mesh = &leaf.mesh;
+    fn splats(&mut self, splats: &Splats, material: &Material) -> Value {
+        self.has_splats = true;
+        let [r, g, b, opacity] = material.base_color;
+        if [r, g, b] != [1.0; 3] {
+            self.notes.add("colour factors of Gaussian splats");
+        }
+        splats::primitive(splats, opacity, &mut self.buffers)
+    }
+
+    fn primitive(&mut self, leaf: &Leaf, mesh: &Arc<Mesh>, material: usize) -> Value {
         let squares;
         let (mesh, mode) = match mesh.topology {
             Topology::Triangles => (mesh, 4),
@@ -197,7 +244,7 @@ impl Writer<'_> {
     }
 
     fn into_glb(self, nodes: Vec<Value>, credits: &[Arc<str>]) -> Vec<u8> {
-        let Self { buffers, images, materials, features, notes, meshes, has_quantized, .. } = self;
+        let Self { buffers, images, materials, features, notes, meshes, has_quantized, has_splats, .. } = self;
         (0..materials.overlays).for_each(|_| notes.add("raster overlays"));
         let mut used: Vec<&str> = materials.extensions.clone();
         // What draws wrong without them.
@@ -206,6 +253,7 @@ impl Writer<'_> {
         required.extend(buffers.has_compressed().then_some(buffers::MESHOPT));
         used.extend(&required);
         used.extend(features.has_ids.then_some(features::MESH_FEATURES));
+        used.extend(has_splats.then_some(splats::GAUSSIAN_SPLATTING));
         let mut document = json!({ "asset": { "version": "2.0", "generator": "terrane" }, "scene": 0 });
         if !credits.is_empty() {
             document["asset"]["copyright"] = credits.join("; ").into();
