@@ -1,11 +1,12 @@
 //! Compresses RGBA8 images: the mip levels that a KTX2 file lacks.
 //!
-//! BC7 has the encoder of the transcoder's crate, which divides a block among several pairs of colours. For the other formats
-//! blocks are encoded as ASTC, in two of its simplest modes, and transcoded. Layouts are those of the Khronos Data Format
-//! Specification 1.3, section 23.
+//! BC7 and the alpha of BC3 have the encoders of the transcoder's crate; that of BC7 divides a block among several pairs of
+//! colours. Other blocks are encoded as ASTC, in two of its simplest modes, and transcoded. Layouts are those of the Khronos Data
+//! Format Specification 1.3, section 23.
 
 // Hidden in the crate's documentation. The version is pinned.
 use basisu::fastenc::bc7f;
+use basisu::uastc::bc4::encode_bc4;
 use basisu::{Error, Transcoder};
 
 use super::ktx2::{MAGIC, transcode};
@@ -18,14 +19,39 @@ type Color = [f32; 4];
 
 /// Compresses an image of RGBA8 texels; returns it as it is for [`TexelFormat::Rgba8`].
 pub(super) fn encode(width: u32, height: u32, texels: Vec<u8>, format: TexelFormat) -> Result<Vec<u8>, Error> {
-    if !format.is_compressed() {
-        return Ok(texels);
-    }
-    if format == TexelFormat::Bc7 {
-        return Ok(bc7_blocks(width as usize, height as usize, &texels));
-    }
-    let file = astc_file(width, height, &astc_blocks(width as usize, height as usize, &texels));
+    let (across, down) = (width as usize, height as usize);
+    // Alpha and colours have a half of the block each, which does not depend on the other.
+    let opaque = || changed(&texels, |[r, g, b, _]| [r, g, b, u8::MAX]);
+    Ok(match format {
+        TexelFormat::Rgba8 => texels,
+        TexelFormat::Bc7 => bc7_blocks(across, down, &texels),
+        TexelFormat::Bc1 | TexelFormat::Etc2Rgb | TexelFormat::Astc4x4 => by_astc(width, height, &texels, format)?,
+        TexelFormat::Bc3 => {
+            halves(&bc4_blocks_of_alpha(across, down, &texels), &by_astc(width, height, &opaque(), TexelFormat::Bc1)?)
+        }
+        TexelFormat::Etc2Rgba => {
+            let black = changed(&texels, |[_, _, _, a]| [0, 0, 0, a]);
+            let alpha = by_astc(width, height, &black, format)?;
+            let alpha: Vec<u8> = alpha.chunks(16).flat_map(|block| &block[..8]).copied().collect();
+            halves(&alpha, &by_astc(width, height, &opaque(), TexelFormat::Etc2Rgb)?)
+        }
+    })
+}
+
+/// Compresses an image as ASTC, and transcodes it.
+fn by_astc(width: u32, height: u32, texels: &[u8], format: TexelFormat) -> Result<Vec<u8>, Error> {
+    let file = astc_file(width, height, &astc_blocks(width as usize, height as usize, texels));
     transcode(&Transcoder::new(&file)?, 0, format)
+}
+
+fn changed(texels: &[u8], change: impl Fn([u8; 4]) -> [u8; 4]) -> Vec<u8> {
+    texels.as_chunks::<4>().0.iter().flat_map(|texel| change(*texel)).collect()
+}
+
+/// Returns blocks of two halves of 8 bytes each.
+fn halves(first: &[u8], second: &[u8]) -> Vec<u8> {
+    let pairs = first.as_chunks::<8>().0.iter().zip(second.as_chunks::<8>().0);
+    pairs.flat_map(|(first, second)| [*first, *second]).flatten().collect()
 }
 
 /// Returns a KTX2 file with one level of ASTC blocks.
@@ -81,6 +107,16 @@ fn bc7_blocks(width: usize, height: usize, texels: &[u8]) -> Vec<u8> {
             packed
         })
         .collect()
+}
+
+/// Compresses the alpha of an image as BC4.
+fn bc4_blocks_of_alpha(width: usize, height: usize, texels: &[u8]) -> Vec<u8> {
+    let packed = blocks(width, height, texels).map(|block| {
+        let mut packed = [0; 8];
+        encode_bc4(&mut packed, &block.map(|texel| texel[3]));
+        packed
+    });
+    packed.flatten().collect()
 }
 
 /// Compresses a block: two colours of 8 bits a channel, and a weight between them for each texel, of 3 bits in opaque blocks
@@ -228,6 +264,33 @@ mod tests {
             let file = astc_file(32, 32, &astc_blocks(32, 32, &mosaic));
             let by_astc = of(&transcode(&Transcoder::new(&file).unwrap(), 0, TexelFormat::Bc7).unwrap());
             assert!(direct < 0.6 * by_astc, "alpha {alpha}: {direct} instead of {by_astc}");
+        }
+    }
+
+    /// Regression: blocks with alpha were made of ASTC blocks of two colours, along which alpha changed too.
+    #[test]
+    fn alpha_does_not_follow_the_colours() {
+        // Stripes of a colour across, and alpha down.
+        let texel = |i: usize| {
+            let [across, down] = [i % 32, i / 32].map(|at| (at * 37 % 256) as u8);
+            [across, 255 - across, 90, down]
+        };
+        let image: Vec<u8> = (0..32 * 32).flat_map(texel).collect();
+        type Decode = fn(&[u8], usize, usize, &mut [u32]) -> Result<(), &'static str>;
+        let formats: [(TexelFormat, Decode); 2] = [
+            (TexelFormat::Bc3, texture2ddecoder::decode_bc3),
+            (TexelFormat::Etc2Rgba, texture2ddecoder::decode_etc2_rgba8),
+        ];
+        for (format, decode) in formats {
+            let of = |blocks: &[u8]| {
+                let mut texels = vec![0; 32 * 32];
+                decode(blocks, 32, 32, &mut texels).unwrap();
+                let rgba = texels.into_iter().flat_map(|texel: u32| [2, 1, 0, 3].map(|c| texel.to_le_bytes()[c]));
+                mean_difference(&image, &rgba.collect::<Vec<_>>())
+            };
+            let halves = of(&encode(32, 32, image.clone(), format).unwrap());
+            let together = of(&by_astc(32, 32, &image, format).unwrap());
+            assert!(halves < 0.8 * together, "{format:?}: {halves} instead of {together}");
         }
     }
 

@@ -26,7 +26,7 @@ pub struct Splat {
     pub scale: [f32; 3],
     /// The rotation from the axes of the splat to the drawable's frame: a unit quaternion x, y, z, w as snorm16.
     pub rotation: [i16; 4],
-    /// The colour as displayed (sRGB) and the opacity of the centre, as unorm8.
+    /// The colour as displayed (sRGB) without harmonics, and the opacity of the centre, as unorm8.
     pub color: [u8; 4],
 }
 
