@@ -64,6 +64,15 @@ fn osg() -> Parser {
             "osgSim::LightPointNode { UniqueID 80 LightPointList 1 { LightPoint { Position 1 2 3 Color 1 0 0 1 Attributes
             TRUE 0 1 1 Sector FALSE BlinkSequence FALSE } } }"
                 .to_owned(),
+            "osg::Geode { UniqueID 90 Drawables 1 { osgText::Text { UniqueID 91 Font \"a.ttf\" FontSize 32 32 CharacterSize 3 1
+            CharacterSizeMode SCREEN_COORDS MaximumWidth 9 LineSpacing 0.5 Text FALSE osg::UIntArray { UniqueID 92 vector 3 {
+            65 10 214 } } Position 1 2 3 Alignment CENTER_TOP AxisAlignment XZ_PLANE Rotation 1 0 0 0 Color 1 0 0 1 } } }"
+                .to_owned(),
+            "osg::Sequence { UniqueID 95 Children 1 { osg::MatrixTransform { UniqueID 96 UpdateCallback TRUE {
+            osg::AnimationPathCallback { UniqueID 97 AnimationPath TRUE { osg::AnimationPath { UniqueID 98 TimeControlPointMap 1 {
+            Time 1 { Position 1 0 0 Rotation 0 0 0 1 Scale 1 1 1 } } LoopMode SWING } } TimeMultiplier 2 } } } }
+            TimeList 2 { 1 2 } LoopMode SWING Begin 0 End 1 Speed 1 NumRepeats 3 Mode START }"
+                .to_owned(),
         ],
     );
     let older = "Group {\n UniqueID g\n description {\n \"a\"\n }\n MatrixTransform {\n Matrix {\n 1 0 0 0 0 1 0 0 0 0 1 0 5 6 7 1\n }

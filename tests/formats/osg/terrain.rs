@@ -140,15 +140,29 @@ fn terrains_scale_heights_and_thin_out_samples() {
     }
     let huge = read_with(terrain("SampleRatio 1e30").as_bytes(), Vec::new(), &options()).unwrap_err();
     assert!(matches!(huge, IoError::TooLarge { .. }), "{huge}");
-    // Tiles in the file of a PagedLOD have the scale too; a note says that those in other files lack it.
+    // Tiles in the file of a PagedLOD have the scale too, and those in other files, however deep.
     let paged = format!(
         "osg::PagedLOD {{ UniqueID 5 RangeList 2 {{ 50 1e30 0 50 }} RangeDataList 2 {{ \"\" \"a.osgb\" }}
         PriorityList 2 {{ 0 1 0 1 }} Children 1 {{ {tile} }} }}"
     );
     let (node, ignored) = read(terrain("VerticalScale 3").replace(&tile, &paged));
-    assert_eq!(ignored.count("OpenSceneGraph: settings of a Terrain, which tiles in other files do not get"), 1);
+    assert!(ignored.is_empty(), "{ignored:?}");
     let part = read_part(tiles(&node)[0]).unwrap();
     assert_eq!(positions(&part)[32].z, 96.0);
+    let read_file = |tile: &PagedLod, text: &str| {
+        let (uri, reader_data) = (tile.content.clone().unwrap(), tile.reader_data.clone());
+        let content = Content { uri, bytes: osgt(VERSION, text).into(), reader_data, companions: Vec::new() };
+        decode_noting(content, &options()).unwrap()
+    };
+    let (below, _) = read_file(tiles(&node)[1], &paged.replace("a.osgb", "b.osgb"));
+    let (ground, _) = read_file(tiles(&below)[1], &tile);
+    assert_eq!(positions(&ground)[32].z, 96.0);
+    // A Terrain of its own counts, and in other formats the settings have no meaning.
+    let own = format!("osgTerrain::Terrain {{ UniqueID 1 Children 1 {{ {tile} }} VerticalScale 2 }}");
+    assert_eq!(positions(&read_file(tiles(&below)[1], &own).0)[32].z, 64.0);
+    let proxy = "osg::ProxyNode { UniqueID 5 FileNames 1 { \"a.osgb\" } }";
+    let (_, ignored) = read(terrain("VerticalScale 3").replace(&tile, proxy));
+    assert_eq!(ignored.iter().count(), 1, "{ignored:?}");
 }
 
 #[test]
