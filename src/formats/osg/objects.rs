@@ -6,7 +6,7 @@ use glam::{DAffine3, DMat4, DQuat, DVec3};
 
 use super::input::Values;
 use super::motion::{AnimationObject, PathObject, SequenceObject};
-use super::terrain::{LayerObject, LocatorObject, TerrainSettings, TerrainTileObject};
+use super::terrain::{LayerObject, LocatorObject, RampObject, TerrainSettings, TerrainTileObject};
 use super::text::TextObject;
 use crate::math::Ellipsoid;
 
@@ -26,6 +26,7 @@ pub(super) enum Object {
     Path(Arc<PathObject>),
     Animation(Arc<AnimationObject>),
     Locator(Arc<LocatorObject>),
+    Ramp(Arc<RampObject>),
     Layer(Arc<LayerObject>),
     Ellipsoid(Box<Ellipsoid>),
 }

@@ -57,7 +57,8 @@ fn osg() -> Parser {
                 [2, 2],
                 "SkirtHeight 3",
                 "0 1 2 -9",
-                "ColorLayers 1 { Layer 0 osgTerrain::SwitchLayer { UniqueID 70 Layers 2 { File \"set:a:b.png\" Object
+                "ColorLayers 2 { Layer 1 osgTerrain::ContourLayer { UniqueID 74 TransferFunction TRUE { osg::TransferFunction1D {
+                UniqueID 75 ColorMap 2 { 0 1 0 0 1 9 0 1 0 1 } } } } Layer 0 osgTerrain::SwitchLayer { UniqueID 70 Layers 2 { File \"set:a:b.png\" Object
                 osgTerrain::ImageLayer { UniqueID 71 ValidDataOperator 2 0 1 Image { ClassName osg::Image UniqueID 72
                 FileName \"c.png\" WriteHint 2 2 } } } ActiveLayer 1 } } BlendingPolicy ENABLE_BLENDING",
             ),

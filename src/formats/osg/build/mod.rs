@@ -295,13 +295,16 @@ impl<'a> Builder<'a> {
         });
         let drawable = |(mesh, has_normals): (Arc<Mesh>, bool)| {
             let is_thin = mesh.topology != Topology::Triangles;
+            let is_two_sided = !look.culls_faces;
+            let may_be_ground = is_two_sided && texture.is_some() && has_normals && !is_thin;
+            let is_two_sided = is_two_sided && !(may_be_ground && terrain::is_ground_with_skirt(&mesh));
             // Photographs show the light that they were taken in. OSG has one normal for all of such a surface.
             let is_photo = (texture.is_some() || fixed.iter().any(|unit| unit.coordinates.needs_uvs())) && !has_normals;
             let material = Material {
                 base_color: look.base_color(),
                 texture: texture.as_ref().map(|texture| texture.shared.0.clone()),
                 alpha: look.alpha_mode(),
-                double_sided: !look.culls_faces,
+                double_sided: is_two_sided,
                 unlit: !look.is_lit || is_photo || (is_thin && !has_normals),
                 metallic_roughness: surface.clone(),
             };
