@@ -187,6 +187,14 @@ fn read_node(content: Content, options: &ReadOptions, notes: &Notes) -> Result<N
     if let Some(tile) = value::<TerrainTile>(reader_data.as_ref()) {
         return tile.read(&uri, bytes, options, notes);
     }
+    if let Some(below) = value::<osg::TerrainBelow>(reader_data.as_ref()) {
+        let bytes = encoding::gunzip(&uri, bytes, &options.limits)?;
+        if osg::is_native(&bytes) {
+            let base = options.base.as_ref().unwrap_or(&uri);
+            return osg::read((&uri, base), &bytes, &companions, Some(below), options, notes);
+        }
+        return read_bytes(&uri, bytes, None, companions, options, notes);
+    }
     let Some(data) = content_data(reader_data.as_ref()) else {
         let text = reader_data.as_ref().and_then(ReaderData::text);
         return read_bytes(&uri, bytes, text, companions, options, notes);
@@ -303,7 +311,7 @@ impl ModelReader<'_> {
             return i3dm::read((uri, self.base()), bytes, companions, options, notes);
         }
         if osg::is_native(bytes) {
-            return osg::read((uri, self.base()), bytes, companions, options, notes);
+            return osg::read((uri, self.base()), bytes, companions, None, options, notes);
         }
         if osg::is_metadata(bytes) {
             return osg::read_folder((uri, self.base()), bytes, companions, options, notes);

@@ -71,6 +71,8 @@ pub use tile_tree::{SlotInfo, SlotState, TileInfo};
 pub(crate) use features::{Column, SurfaceValues, ValueDecoder};
 #[cfg(test)]
 pub(crate) use geometry::SPLAT_SIGMAS;
+#[cfg(feature = "text")]
+pub(crate) use geometry::coverage_texture;
 pub(crate) use geometry::{AttributeLayout, SMALL_MESH_INDICES, added_stride};
 pub(crate) use id::NONE;
 pub(crate) use nodes::ReadBack;

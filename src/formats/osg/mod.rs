@@ -11,21 +11,24 @@ mod error;
 mod folder;
 mod input;
 mod ive;
+mod motion;
 mod objects;
 mod read_ahead;
 mod terrain;
+mod text;
 
 use std::sync::Arc;
 
 use glam::{DAffine3, DMat3, DVec3};
 
-pub(super) use self::build::InlinePart;
+pub(super) use self::build::{InlinePart, TerrainBelow};
 pub(super) use self::folder::{is_metadata, read_folder, reference_system, tile_files};
 pub use self::read_ahead::ReadAhead;
 
 use self::build::Source;
 use self::folder::earth_from_system;
 use self::objects::{NodeClass, Object};
+use self::terrain::TerrainSettings;
 use super::ignored::Notes;
 use super::options::{Fetched, ReadOptions};
 use super::overlay::TileVolume;
@@ -38,11 +41,13 @@ pub(super) fn is_native(bytes: &[u8]) -> bool {
     input::is_native(bytes) || ive::is_ive(bytes) || dot_osg::is_dot_osg(bytes)
 }
 
-/// Reads a file. `base` is the address that references are relative to, `companions` are the images that it refers to.
+/// Reads a file. `base` is the address that references are relative to, `companions` are the images that it refers to, `below`
+/// says what Terrain is above it.
 pub(super) fn read(
     (uri, base): (&Arc<str>, &str),
     bytes: &[u8],
     companions: &[Fetched],
+    below: Option<&TerrainBelow>,
     options: &ReadOptions,
     notes: &Notes,
 ) -> Result<Node, IoError> {
@@ -55,7 +60,8 @@ pub(super) fn read(
     }
     let file = options.read_ahead.take(bytes, &options.limits).map_err(|error| error.at(uri))?;
     notes.merge(&file.ignored);
-    let node = build::node_of_file(&file.root, Source { uri, base, companions, options, notes })?;
+    let above = below.map_or(TerrainSettings::default(), |below| below.settings);
+    let node = build::node_of_file(&file.root, above, Source { uri, base, companions, options, notes })?;
     Ok(match set_from_file(&file.root, options, notes) {
         Some(map) => Node::transform(map, vec![node]),
         None => node,

@@ -5,7 +5,9 @@ use std::sync::Arc;
 use glam::{DAffine3, DMat4, DQuat, DVec3};
 
 use super::input::Values;
-use super::terrain::{LayerObject, LocatorObject, TerrainSettings, TerrainTileObject};
+use super::motion::{AnimationObject, PathObject, SequenceObject};
+use super::terrain::{LayerObject, LocatorObject, RampObject, TerrainSettings, TerrainTileObject};
+use super::text::TextObject;
 use crate::math::Ellipsoid;
 
 /// An object of a file. Objects with the same id are the same value.
@@ -21,9 +23,10 @@ pub(super) enum Object {
     Array(Arc<ArrayObject>),
     Primitives(Arc<PrimitiveObject>),
     Shape(Arc<ShapeObject>),
-    /// The pose that an animation of a transform begins with. Objects stay small, since reading nests.
-    Pose(Box<DAffine3>),
+    Path(Arc<PathObject>),
+    Animation(Arc<AnimationObject>),
     Locator(Arc<LocatorObject>),
+    Ramp(Arc<RampObject>),
     Layer(Arc<LayerObject>),
     Ellipsoid(Box<Ellipsoid>),
 }
@@ -58,8 +61,11 @@ pub(super) enum NodeClass {
         /// `None` if the matrix is not affine.
         parent_from_child: Option<DAffine3>,
         is_absolute: bool,
+        /// What moves it.
+        animation: Option<Arc<AnimationObject>>,
     },
     Switch(Vec<bool>),
+    Sequence(SequenceObject),
     Lod(LodObject),
     PagedLod(LodObject, PagedObject),
     Proxy(ProxyObject),
@@ -73,14 +79,23 @@ pub(super) enum NodeClass {
     TerrainTile(TerrainTileObject),
 }
 
+impl NodeClass {
+    /// Returns a transform. An animation replaces its map.
+    pub fn transform(map: Option<DAffine3>, is_absolute: bool, animation: Option<Arc<AnimationObject>>) -> Self {
+        let first = animation.as_deref().and_then(AnimationObject::first);
+        let parent_from_child = first.or(map.filter(DAffine3::is_finite));
+        Self::Transform { parent_from_child, is_absolute, animation }
+    }
+}
+
 /// The members that all nodes have, while those of a node's class are read.
 pub(super) struct NodeMembers {
     pub name: String,
     pub mask: u32,
     pub culling_active: bool,
     pub state: Option<Arc<StateObject>>,
-    /// The pose of an animation, which replaces that of a transform.
-    pub pose: Option<Box<DAffine3>>,
+    /// What moves the node if it is a transform.
+    pub animation: Option<Arc<AnimationObject>>,
 }
 
 impl NodeMembers {
@@ -92,9 +107,9 @@ impl NodeMembers {
     }
 
     /// Returns a transform, whose matrix an animation replaces.
-    pub fn transform(self, map: Option<DAffine3>, is_absolute: bool, children: Vec<Object>) -> Object {
-        let parent_from_child = self.pose.as_deref().copied().or(map.filter(|map| map.is_finite()));
-        self.with(NodeClass::Transform { parent_from_child, is_absolute }, children)
+    pub fn transform(mut self, map: Option<DAffine3>, is_absolute: bool, children: Vec<Object>) -> Object {
+        let class = NodeClass::transform(map, is_absolute, self.animation.take());
+        self.with(class, children)
     }
 }
 
@@ -210,6 +225,7 @@ pub(super) struct DrawableObject {
 pub(super) enum DrawableClass {
     Geometry(GeometryObject),
     Shape { shape: Option<Arc<ShapeObject>>, color: [f32; 4] },
+    Text(TextObject),
 }
 
 /// The members of a Geometry.

@@ -1,4 +1,5 @@
-//! The objects of osgTerrain, as VirtualPlanetBuilder writes them: tiles of heights, layers of images, and where they lie.
+//! The objects of osgTerrain, as VirtualPlanetBuilder writes them: tiles of heights, layers of images or of colours of heights,
+//! and where they lie.
 //!
 //! Readers of all encodings fill them, and resolve CompositeLayers, SwitchLayers and ProxyLayers to the layer that is shown.
 //! [`build`](super::build) makes meshes of them.
@@ -7,7 +8,7 @@ use std::sync::Arc;
 
 use glam::{DMat4, DVec3};
 
-use super::objects::{HeightFieldObject, ImageObject, ShapeObject};
+use super::objects::{HeightFieldObject, ImageData, ImageObject, RawImage, ShapeObject};
 use crate::math::{Ellipsoid, Geodetic, WGS84};
 
 /// The maximum number of colour layers of a tile that are read: the texture units that are looked at.
@@ -94,6 +95,7 @@ impl TerrainTileObject {
         let layers = self.colors.iter().enumerate().filter_map(|(unit, layer)| Some((unit, layer.as_deref()?)));
         layers.filter_map(|(unit, layer)| match &layer.content {
             LayerContent::Image(image) => Some((unit, layer, image)),
+            LayerContent::Ramp(ramp) => Some((unit, layer, &ramp.image)),
             _ => None,
         })
     }
@@ -146,6 +148,58 @@ pub(super) enum LayerContent {
     /// A HeightField, whose own origin and intervals do not count: the locator places it.
     Heights(Arc<ShapeObject>),
     Image(Arc<ImageObject>),
+    /// A colour for each height.
+    Ramp(Arc<RampObject>),
+}
+
+/// A TransferFunction1D: the colours of values.
+#[derive(Debug)]
+pub(super) struct RampObject {
+    /// A row of texels from the smallest value to the largest.
+    pub image: Arc<ImageObject>,
+    /// The smallest and the largest value.
+    range: [f64; 2],
+}
+
+impl RampObject {
+    /// The texels of OSG's own images.
+    const TEXELS: u16 = 1024;
+
+    /// Takes values with colours as they are displayed, in any order; `None` if there is none. Of those of one value the last
+    /// counts.
+    pub fn new(colors: impl IntoIterator<Item = [f64; 5]>) -> Option<Self> {
+        const GL_RGBA: u32 = 0x1908;
+        const GL_UNSIGNED_BYTE: u32 = 0x1401;
+        let is_finite = |color: &[f64; 5]| color.iter().all(|part| part.is_finite());
+        let mut colors: Vec<[f64; 5]> = colors.into_iter().filter(is_finite).collect();
+        colors.sort_by(|a, b| a[0].total_cmp(&b[0]));
+        let range = [colors.first()?[0], colors.last()?[0]];
+        let texel = |at: u16| {
+            let value = range[0] + (range[1] - range[0]) * f64::from(at) / f64::from(Self::TEXELS - 1);
+            let above = colors.partition_point(|color| color[0] <= value);
+            let below = &colors[above.saturating_sub(1)];
+            let above = colors.get(above).unwrap_or(below);
+            let length = above[0] - below[0];
+            let share = if length > 0.0 { (value - below[0]) / length } else { 0.0 };
+            [1, 2, 3, 4]
+                .map(|part| ((below[part] + (above[part] - below[part]) * share).clamp(0.0, 1.0) * 255.0).round() as u8)
+        };
+        let raw = RawImage {
+            size: [i32::from(Self::TEXELS), 1, 1],
+            pixel_format: GL_RGBA,
+            data_type: GL_UNSIGNED_BYTE,
+            packing: 1,
+            bytes: (0..Self::TEXELS).flat_map(texel).collect(),
+        };
+        let image = Arc::new(ImageObject { file_name: String::new(), data: ImageData::Raw(raw) });
+        Some(Self { image, range })
+    }
+
+    /// Returns the place of a value in the row, 0 to 1 within its range.
+    pub fn place(&self, value: f64) -> f64 {
+        let [min, max] = self.range;
+        if max > min && value.is_finite() { (value - min) / (max - min) } else { 0.0 }
+    }
 }
 
 /// The values of a layer that are valid.
@@ -246,6 +300,17 @@ mod tests {
         assert!(earth.local(model).unwrap().abs_diff_eq(at, 1e-6));
         let flattened = LocatorObject { transform: DMat4::ZERO, ..flat };
         assert_eq!(flattened.local(DVec3::ONE), None);
+    }
+
+    #[test]
+    fn ramps_interpolate_between_their_colors() {
+        let ramp = RampObject::new([[300.0, 0.0, 0.0, 1.0, 1.0], [100.0, 1.0, 0.0, 0.0, 0.5], [f64::NAN; 5]]).unwrap();
+        let ImageData::Raw(raw) = &ramp.image.data else { panic!("texels") };
+        assert_eq!((&raw.bytes[..4], &raw.bytes[4092..]), (&[255, 0, 0, 128][..], &[0, 0, 255, 255][..]));
+        assert!((i32::from(raw.bytes[2048]) - 127).abs() <= 1, "half of the way");
+        assert_eq!([100.0, 250.0, 300.0, f64::NAN].map(|value| ramp.place(value)), [0.0, 0.75, 1.0, 0.0]);
+        assert_eq!(RampObject::new([[5.0, 0.0, 1.0, 0.0, 1.0]]).unwrap().place(7.0), 0.0);
+        assert!(RampObject::new([]).is_none());
     }
 
     #[test]

@@ -34,4 +34,6 @@ pub use vertex_attributes::{MAX_ATTRIBUTES, VertexAttributes};
 pub(crate) use mesh::SMALL_MESH_INDICES;
 #[cfg(test)]
 pub(crate) use splats::SPLAT_SIGMAS;
+#[cfg(feature = "text")]
+pub(crate) use text::coverage_texture;
 pub(crate) use vertex_attributes::{AttributeLayout, added_stride};

@@ -18,7 +18,7 @@ const MAX_PX: f32 = 4096.0;
 
 /// A typeface.
 #[derive(Clone, Debug)]
-pub struct Font(FontArc);
+pub struct Font(pub(crate) FontArc);
 
 impl Default for Font {
     /// Returns Ubuntu Light, which is part of the program.
@@ -94,7 +94,7 @@ impl Drawable {
 }
 
 /// Returns a white texture whose alpha is the coverage, with its mip levels.
-fn coverage_texture(width: u32, height: u32, coverage: Vec<f32>) -> Texture {
+pub(crate) fn coverage_texture(width: u32, height: u32, coverage: Vec<f32>) -> Texture {
     let mut mips = Vec::new();
     let (mut w, mut h, mut level) = (width as usize, height as usize, coverage);
     loop {

@@ -237,12 +237,15 @@ impl Page {
         self.tables.switch_mut(self.nodes.payload_of(node, kind::SWITCH)?)
     }
 
+    /// Returns the visibility of a Switch's children; `None` for other nodes.
+    pub(crate) fn switch(&self, node: u32) -> Option<&[bool]> {
+        Some(&self.switches()[self.nodes.payload_of(node, kind::SWITCH)?])
+    }
+
     /// Returns false if a node is a Switch that hides one of its children.
     pub(crate) fn switch_shows(&self, node: u32, child: u32) -> bool {
-        match self.nodes.payload_of(node, kind::SWITCH) {
-            None => true,
-            Some(switch) => self.switches()[switch].get(self.child_index(node, child)).copied().unwrap_or(false),
-        }
+        let shows = |switch: &[bool]| switch.get(self.child_index(node, child)).copied().unwrap_or(false);
+        self.switch(node).is_none_or(shows)
     }
 
     /// Returns the position of a child among the children of a node.

@@ -228,18 +228,32 @@ fn texture_units_of_every_kind_are_read() {
 }
 
 #[test]
-fn sequences_show_the_first_child_that_plays_and_programs_have_one_name() {
+fn sequences_play_and_programs_have_one_name() {
     let geode = format!("Geode {{\n{TRIANGLE}\n}}");
     let sequence = with(
         "Sequence",
-        "  defaultTime 1\n  frameTime {\n    1\n    2\n  }\n  interval LOOP 1 -1\n  mode START",
+        "  defaultTime 1\n  frameTime {\n    1\n    2\n  }\n  interval LOOP -1 0\n  mode START",
         &[&geode, &geode],
     );
     let program = "StateSet {\n  Program {\n    num_shaders 1\n    Shader {\n      type VERTEX\n      code {\n        \"void main() {}\"\n      }\n    }\n  }\n  Uniform {\n    name \"a\"\n    float 1\n  }\n}";
     let (node, ignored) = read(with("Group", program, &[&sequence]));
     let NodeKind::Switch(shown) = &node.children[0].kind else { panic!("{node:?}") };
     assert_eq!(shown, &[false, true]);
-    assert_eq!(ignored.count("OpenSceneGraph class osg::Sequence (its first child is drawn)"), 1);
+    assert!(node.children[0].update_callback.is_some());
     assert_eq!(ignored.count("OpenSceneGraph: shader programs in GLSL (not run)"), 1);
-    assert_eq!(ignored.iter().count(), 3, "and the images that are missing: {ignored:?}");
+    assert_eq!(ignored.iter().count(), 2, "and the images that are missing: {ignored:?}");
+}
+
+#[test]
+fn paths_move_transforms() {
+    let geode = format!("Geode {{\n{TRIANGLE}\n}}");
+    let path = "  UpdateCallbacks {\n    AnimationPathCallback {\n      pivotPoint 1 0 0\n      timeOffset 0\n      timeMultiplier 1
+      AnimationPath {\n        LoopMode NO_LOOPING\n        ControlPoints {\n          3 9 0 0 0 0 0 1 2 2 2
+          0 5 6 7 0 0 0 1 2 2 2\n        }\n      }\n    }\n  }";
+    for class in ["MatrixTransform", "PositionAttitudeTransform"] {
+        let (node, _) = read(with(class, path, &[&geode]));
+        let NodeKind::Transform(map) = node.kind else { panic!("{node:?}") };
+        assert_eq!(map.transform_point3(glam::DVec3::X), glam::DVec3::new(5.0, 6.0, 7.0), "{class}");
+        assert!(node.update_callback.is_some());
+    }
 }

@@ -57,12 +57,22 @@ fn osg() -> Parser {
                 [2, 2],
                 "SkirtHeight 3",
                 "0 1 2 -9",
-                "ColorLayers 1 { Layer 0 osgTerrain::SwitchLayer { UniqueID 70 Layers 2 { File \"set:a:b.png\" Object
+                "ColorLayers 2 { Layer 1 osgTerrain::ContourLayer { UniqueID 74 TransferFunction TRUE { osg::TransferFunction1D {
+                UniqueID 75 ColorMap 2 { 0 1 0 0 1 9 0 1 0 1 } } } } Layer 0 osgTerrain::SwitchLayer { UniqueID 70 Layers 2 { File \"set:a:b.png\" Object
                 osgTerrain::ImageLayer { UniqueID 71 ValidDataOperator 2 0 1 Image { ClassName osg::Image UniqueID 72
                 FileName \"c.png\" WriteHint 2 2 } } } ActiveLayer 1 } } BlendingPolicy ENABLE_BLENDING",
             ),
             "osgSim::LightPointNode { UniqueID 80 LightPointList 1 { LightPoint { Position 1 2 3 Color 1 0 0 1 Attributes
             TRUE 0 1 1 Sector FALSE BlinkSequence FALSE } } }"
+                .to_owned(),
+            "osg::Geode { UniqueID 90 Drawables 1 { osgText::Text { UniqueID 91 Font \"a.ttf\" FontSize 32 32 CharacterSize 3 1
+            CharacterSizeMode SCREEN_COORDS MaximumWidth 9 LineSpacing 0.5 Text FALSE osg::UIntArray { UniqueID 92 vector 3 {
+            65 10 214 } } Position 1 2 3 Alignment CENTER_TOP AxisAlignment XZ_PLANE Rotation 1 0 0 0 Color 1 0 0 1 } } }"
+                .to_owned(),
+            "osg::Sequence { UniqueID 95 Children 1 { osg::MatrixTransform { UniqueID 96 UpdateCallback TRUE {
+            osg::AnimationPathCallback { UniqueID 97 AnimationPath TRUE { osg::AnimationPath { UniqueID 98 TimeControlPointMap 1 {
+            Time 1 { Position 1 0 0 Rotation 0 0 0 1 Scale 1 1 1 } } LoopMode SWING } } TimeMultiplier 2 } } } }
+            TimeList 2 { 1 2 } LoopMode SWING Begin 0 End 1 Speed 1 NumRepeats 3 Mode START }"
                 .to_owned(),
         ],
     );

@@ -1,8 +1,8 @@
-//! Nodes and drawables of OSG's other libraries: osgSim, osgFX, osgShadow and osgAnimation.
+//! Nodes and drawables of OSG's other libraries: osgSim, osgFX, osgShadow, osgAnimation and osgText.
 
 use glam::DVec3;
 use kit::osg_files::{Osgb, VERSION, geode, osgt, triangle};
-use terrane::scene::Topology;
+use terrane::scene::{AlphaMode, Topology};
 
 use super::*;
 
@@ -124,4 +124,198 @@ fn dot_osg_has_the_same_classes() {
     let (node, ignored) = read(points);
     assert!(ignored.is_empty(), "{ignored:?}");
     assert_eq!(mesh(drawables(&node)[0]).vertices[0].position, [1.0, 2.0, 3.0]);
+}
+
+/// A text in text with the members behind its characters, which begin at the origin.
+#[cfg(feature = "text")]
+fn text(characters: &str, members: &str) -> String {
+    format!(
+        "osg::Geode {{ UniqueID 1 Drawables 1 {{ osgText::Text {{ UniqueID 2 StateSet TRUE {{ osg::StateSet {{ UniqueID 3
+        AttributeList 1 {{ osg::Program {{ UniqueID 4 }} Value ON }} }} }} Font \"arial.ttf\" FontSize 32 40 CharacterSize 10 1
+        {characters} {members} BackdropImplementation 4 }} }} }}"
+    )
+}
+
+/// Returns the box around the letters of a text, without the margin of the glyphs, and its middle without the texts own place.
+#[cfg(feature = "text")]
+fn letters(node: &Node) -> (terrane::math::Aabb, DVec3, usize) {
+    let mut at = node;
+    let mut place = DVec3::ZERO;
+    while !matches!(at.kind, NodeKind::Geode(_) | NodeKind::Billboard(_)) {
+        if let NodeKind::Transform(map) = at.kind {
+            place = map.translation;
+        }
+        at = at.children.first().expect("a text");
+    }
+    let drawable = match &at.kind {
+        NodeKind::Geode(all) => &all[0],
+        NodeKind::Billboard(billboard) => &billboard.drawables[0].1,
+        kind => panic!("{kind:?}"),
+    };
+    let mesh = mesh(drawable);
+    (mesh.bounds, place, mesh.vertices.len() / 4)
+}
+
+#[test]
+#[cfg(feature = "text")]
+fn texts_are_letters_at_their_place() {
+    let read_text = |characters: &str, members: &str| {
+        let (node, ignored) = read(osgt(VERSION, &text(characters, members)));
+        assert!(ignored.is_empty(), "{ignored:?}");
+        node
+    };
+    // A capital is 0.7 of the height; the rectangles of letters have a margin of a sixteenth.
+    let margin = 10.0 / 16.0;
+    let near = |a: f64, b: f64| (a - b).abs() < 0.3;
+    let node = read_text("Text TRUE \"HH\"", "Position 5 6 7 Color 1 0 0 0.5");
+    let (bounds, place, count) = letters(&node);
+    assert_eq!((place, count), (DVec3::new(5.0, 6.0, 7.0), 2));
+    assert!(near(bounds.min.y, -margin) && near(bounds.max.y, 7.0 + margin) && bounds.max.z == 0.0, "{bounds:?}");
+    let width = bounds.max.x - bounds.min.x;
+    assert!((10.0..18.0).contains(&width) && bounds.min.x > -margin && bounds.min.x < 1.0, "{bounds:?}");
+    let drawable = drawables(&node)[0];
+    assert_eq!(mesh(drawable).vertices[0].color, [255, 0, 0, 128]);
+    assert!(drawable.material.unlit && drawable.material.double_sided && drawable.material.alpha == AlphaMode::Blend);
+    // All texts share a texture.
+    let other = read_text("Text TRUE \"x\"", "");
+    let texture = |node: &Node| drawables(node)[0].material.texture.clone().unwrap();
+    assert!(std::sync::Arc::ptr_eq(&texture(&node), &texture(&other)));
+    // Every alignment, for a text of two lines: where its box or base line is.
+    for (name, x, y) in [
+        ("LEFT_TOP", 0.0, -17.0),
+        ("LEFT_CENTER", 0.0, -8.5),
+        ("LEFT_BOTTOM", 0.0, 0.0),
+        ("CENTER_TOP", 0.5, -17.0),
+        ("CENTER_CENTER", 0.5, -8.5),
+        ("CENTER_BOTTOM", 0.5, 0.0),
+        ("RIGHT_TOP", 1.0, -17.0),
+        ("RIGHT_CENTER", 1.0, -8.5),
+        ("RIGHT_BOTTOM", 1.0, 0.0),
+        ("LEFT_BASE_LINE", 0.0, -10.0),
+        ("CENTER_BASE_LINE", 0.5, -10.0),
+        ("RIGHT_BASE_LINE", 1.0, -10.0),
+        ("LEFT_BOTTOM_BASE_LINE", 0.0, 0.0),
+        ("CENTER_BOTTOM_BASE_LINE", 0.5, 0.0),
+        ("RIGHT_BOTTOM_BASE_LINE", 1.0, 0.0),
+    ] {
+        let (bounds, ..) = letters(&read_text("Text TRUE \"HH\nHH\"", &format!("Alignment {name}")));
+        assert!(near(bounds.min.y + margin, y) && near(bounds.max.y - margin, y + 17.0), "{name}: {bounds:?}");
+        let left = bounds.min.x + margin;
+        assert!((left + x * (width - 2.0 * margin)).abs() < 1.2, "{name}: {bounds:?}");
+    }
+    // Planes: the directions of the line and of its height.
+    for (axis, right, up) in [
+        ("XY_PLANE", DVec3::X, DVec3::Y),
+        ("REVERSED_XY_PLANE", -DVec3::X, DVec3::Y),
+        ("XZ_PLANE", DVec3::X, DVec3::Z),
+        ("REVERSED_XZ_PLANE", -DVec3::X, DVec3::Z),
+        ("YZ_PLANE", DVec3::Y, DVec3::Z),
+        ("REVERSED_YZ_PLANE", -DVec3::Y, DVec3::Z),
+        ("USER_DEFINED_ROTATION Rotation 0.707106781186547 0 0 0.707106781186547", DVec3::X, DVec3::Z),
+    ] {
+        let (bounds, ..) = letters(&read_text("Text TRUE \"HHHH\"", &format!("AxisAlignment {axis}")));
+        let far = bounds.center() + bounds.half_size() * bounds.center().signum();
+        assert!(far.dot(right) > 20.0 && near(far.dot(up), 7.0 + margin), "{axis}: {bounds:?}");
+    }
+    // Lines are further apart with a spacing, and break where the width says so.
+    let (bounds, ..) = letters(&read_text("LineSpacing 0.5 Text TRUE \"H\n\nH\"", ""));
+    assert!(near(bounds.max.y - bounds.min.y - 2.0 * margin, 37.0), "{bounds:?}");
+    let (bounds, _, count) = letters(&read_text("MaximumWidth 17 Text TRUE \"HH HH-HH\"", ""));
+    assert!(count == 7 && near(bounds.max.y - bounds.min.y - 2.0 * margin, 27.0) && bounds.max.x < 18.0, "{bounds:?}");
+}
+
+#[test]
+#[cfg(feature = "text")]
+fn texts_face_the_screen_and_keep_their_size() {
+    use terrane::scene::{AutoScale, BillboardMode};
+    const CAPPED: &str = "CharacterSizeMode OBJECT_COORDS_WITH_MAXIMUM_SCREEN_SIZE_CAPPED_BY_FONT_HEIGHT";
+    for (before, behind, mode, scale, height) in [
+        ("", "AxisAlignment SCREEN", BillboardMode::PointRotEye, None, 8.2),
+        (
+            "CharacterSizeMode SCREEN_COORDS",
+            "AutoRotateToScreen TRUE",
+            BillboardMode::PointRotEye,
+            Some([0.0, f64::INFINITY]),
+            8.2,
+        ),
+        // At most 40 pixels, and at most 10 units.
+        (CAPPED, "", BillboardMode::NoRotation, Some([0.0, 0.25]), 33.0),
+    ] {
+        let (before, behind) = (format!("{before} Text TRUE \"H\""), format!("Position 1 2 3 {behind}"));
+        let (node, ignored) = read(osgt(VERSION, &text(&before, &behind)));
+        assert!(ignored.is_empty(), "{ignored:?}");
+        let mut at = &node;
+        while !at.children.is_empty() {
+            at = &at.children[0];
+        }
+        let NodeKind::Billboard(billboard) = &at.kind else { panic!("{:?}", at.kind) };
+        assert_eq!((billboard.mode, billboard.drawables[0].0), (mode, DVec3::new(1.0, 2.0, 3.0)));
+        assert_eq!(billboard.auto_scale, scale.map(|[min, max]| AutoScale { min, max }));
+        let bounds = mesh(&billboard.drawables[0].1).bounds;
+        let size = bounds.max - bounds.min;
+        let upwards = if mode == BillboardMode::PointRotEye { size.z } else { size.y };
+        assert!((upwards - height).abs() < 0.05 * height, "{before} {behind}: {size}");
+    }
+}
+
+#[test]
+#[cfg(feature = "text")]
+fn texts_read_the_same_in_every_format() {
+    let letters_of = |bytes: &[u8]| {
+        let (node, ignored) = read(bytes);
+        let all: Vec<_> = drawables(&node).iter().flat_map(|drawable| mesh(drawable).vertices.clone()).collect();
+        let kinds: Vec<String> = ignored.iter().map(|(kind, _)| kind.to_owned()).collect();
+        (letters(&node).1, all, kinds)
+    };
+    let numbers = "Text FALSE osg::UIntArray { UniqueID 9 vector 4 { 65 214 937 1046 } }";
+    let members = "Position 1 2 3 Alignment CENTER_TOP Rotation 0 1 0 0 DrawMode TEXT|BOUND Color 0 1 0 1 ColorGradientMode OVERALL";
+    let expected = letters_of(osgt(VERSION, &text(numbers, members)).as_bytes());
+    assert_eq!((expected.1.len(), expected.2.len()), (16, 2), "{:?}", expected.2);
+    // The characters of bytes: UTF-8, or one a byte.
+    let mut file = Osgb::new(VERSION, false);
+    let bytes = |file: &mut Osgb, text: &[u8]| {
+        file.raw(&(text.len() as u32).to_le_bytes()).raw(text);
+    };
+    file.object("osg::Geode", 1, |file| {
+        file.node_members("").raw(&[1]).u32(1).block(|file| {
+            file.object("osgText::Text", 2, |file| {
+                file.node_members("").raw(&[0, 0, 0, 1, 1, 0]).u32(u32::MAX).raw(&[1]);
+                file.raw(&[1]).text("arial.ttf").raw(&[1]).u32(32).u32(40).raw(&[1]).f32s(&[10.0, 1.0]);
+                file.u32(0).f32s(&[0.0; 3]).raw(&[1, 1]);
+                bytes(file, "A\u{d6}\u{3a9}\u{416}".as_bytes());
+                file.f32s(&[1.0, 2.0, 3.0]).u32(3).u32(0).f64s(&[0.0, 1.0, 0.0, 0.0]).raw(&[0]).u32(0).u32(3);
+                file.f32s(&[0.0; 5]).f32s(&[0.0, 1.0, 0.0, 1.0]).u32(9).u32(2).raw(&[1]).f32s(&[0.0; 6]).u32(2);
+                file.raw(&[1]).block(|file| {
+                    file.f64s(&[0.0; 16]);
+                });
+            });
+        });
+    });
+    assert_eq!(letters_of(&file.bytes), expected);
+    let older = |characters: &str| {
+        format!(
+            "Geode {{\n osgText::Text {{\n color 0 1 0 1\n font arial.ttf\n fontResolution 32 40\n characterSize 10 1\n alignment CENTER_TOP
+            rotation 0 1 0 0\n layout LEFT_TO_RIGHT\n position 1 2 3\n drawMode 3\n {characters}\n colorGradientMode OVERALL\n }}\n}}\n"
+        )
+    };
+    assert_eq!(letters_of(older("text 4 {\n 65 214 937 1046\n }").as_bytes()), expected);
+    assert_eq!(letters_of(older("text \"A\u{d6}\u{3a9}\u{416}\"").as_bytes()), expected);
+    let mut ive = kit::ive_files::Ive::new(45);
+    ive.u32s(&[0, 6]).node("").u32s(&[1, 1, 0x1000_0001]).drawable().text("arial").u32s(&[32, 40]).f32s(&[10.0, 1.0]);
+    ive.u32(0).f32s(&[0.0; 3]).u32(3).f32s(&[0.0, 1.0, 0.0, 0.0]).raw(&[0]).u32(0).f32s(&[1.0, 2.0, 3.0]);
+    ive.f32s(&[0.0, 1.0, 0.0, 1.0]).u32(3).f32s(&[0.0; 5]).u32(9).f32s(&[0.0; 6]).u32s(&[4, 2]).f32s(&[0.0; 16]);
+    ive.raw(&[0]).u32s(&[4, 65, 214, 937, 1046]);
+    assert_eq!(letters_of(&ive.bytes), expected);
+    // Bytes that are no UTF-8 are a letter each, in all of them.
+    let mut latin = osgt(VERSION, &text("Text TRUE \"A#\"", "")).into_bytes();
+    let at = latin.windows(3).position(|bytes| bytes == b"\"A#").unwrap() + 2;
+    latin[at] = 0xd6;
+    assert_eq!(letters_of(&latin).1, letters_of(osgt(VERSION, &text("Text TRUE \"A\u{d6}\"", "")).as_bytes()).1);
+    // What the typeface lacks is a box, and noted; sizes that are none draw nothing.
+    let (node, ignored) = read(osgt(VERSION, &text("Text TRUE \"\u{4e2d}\"", "")));
+    assert_eq!((drawables(&node).len(), ignored.iter().count()), (1, 1));
+    for size in ["CharacterSize nan 1", "CharacterSize 1 0", "CharacterSize -1 1"] {
+        let (node, ignored) = read(osgt(VERSION, &text("Text TRUE \"A\"", "").replace("CharacterSize 10 1", size)));
+        assert_eq!((drawables(&node).len(), ignored.iter().count()), (0, 1), "{size}");
+    }
 }

@@ -2,10 +2,10 @@
 
 use glam::DVec3;
 use terrane::math::BoundingVolume;
-use terrane::scene::{Page, ProxyLoading, RangeMode};
+use terrane::scene::{IntersectionVisitor, LineSegmentIntersector, Page, ProxyLoading, RangeMode, Scene, UpdateInfo};
 
 use super::*;
-use kit::osg_files::{VERSION, geode, group, osgt, triangle};
+use kit::osg_files::{Osgb, VERSION, geode, group, osgt, triangle};
 
 #[test]
 fn transforms_place_their_children() {
@@ -161,24 +161,99 @@ fn proxies_load_as_they_say() {
     }
 }
 
+/// A node in text with triangles as children, 10 m apart.
+fn over_triangles(class: &str, count: u32, members: &str) -> String {
+    let child = |at: u32| {
+        let triangle = geode(100 * at + 110, "", &[triangle(100 * at + 120, "")]);
+        let matrix = format!("1 0 0 0 0 1 0 0 0 0 1 0 {} 0 0 1", 10 * at);
+        format!(
+            "osg::MatrixTransform {{ UniqueID {} Children 1 {{ {triangle} }} Matrix {{ {matrix} }} }}",
+            100 * at + 101
+        )
+    };
+    let children: Vec<String> = (0..count).map(child).collect();
+    format!("{class} {{ UniqueID 1 Children {count} {{ {} }} {members} }}", children.join("\n"))
+}
+
+/// Returns the tens of metres at which triangles are shown.
+fn shown(scene: &Scene) -> Vec<i32> {
+    let is_hit = |at: &i32| {
+        let over = DVec3::new(10.0 * f64::from(*at) + 0.2, 0.2, 5.0);
+        let mut line = LineSegmentIntersector::new(over, over - 10.0 * DVec3::Z);
+        IntersectionVisitor::new().traverse(scene, &mut line);
+        line.first_intersection().is_some()
+    };
+    (-1..9).filter(is_hit).collect()
+}
+
+fn update(scene: &mut Scene, frame: u32, simulation_time_s: f64) {
+    scene.update_traversal(&UpdateInfo { frame, reference_time_s: 0.0, simulation_time_s });
+}
+
+fn scene_of(text: &str) -> Scene {
+    let (node, ignored) = read(osgt(VERSION, text));
+    assert!(ignored.is_empty(), "{ignored:?}");
+    let mut scene = Scene::new();
+    scene.add_root(Page::from_node(node).unwrap());
+    scene
+}
+
 #[test]
-fn sequences_show_the_first_child_that_plays() {
-    let children = [geode(10, "", &[triangle(11, "")]), geode(20, "", &[triangle(21, "")])];
-    let sequence = group(1, &children).replace("osg::Group", "osg::Sequence");
-    let end = sequence.rfind('}').unwrap();
-    let with = |members: &str| read(osgt(VERSION, &format!("{} {members} }}", &sequence[..end])));
-    for (members, expected) in [
-        ("TimeList 2 { 1 2 } LoopMode SWING", [true, false]),
-        ("TimeList 2 { 1 2 } Begin 1 Speed 2 NumRepeats 3 DefaultTime 2 Mode START Sync TRUE", [false, true]),
-        ("Begin -1", [false, true]),
-        ("Begin 77", [false, true]),
-    ] {
-        let (node, ignored) = with(members);
-        let NodeKind::Switch(shown) = &node.kind else { panic!("{node:?}") };
-        assert_eq!(shown, &expected, "{members}");
-        let kinds: Vec<_> = ignored.iter().collect();
-        assert_eq!(kinds, [("OpenSceneGraph class osg::Sequence (its first child is drawn)", 1)]);
+fn sequences_play_by_the_simulation_time() {
+    let with = |members: &str| scene_of(&over_triangles("osg::Sequence", 3, members));
+    let mut scene = with("TimeList 3 { 1 2 3 } LoopMode SWING Speed 2 Mode START");
+    assert_eq!(shown(&scene), [0], "before the first update");
+    // Twice as slow: 2 s, 4 s, 6 s, and back.
+    for (frame, (time_s, child)) in
+        (0..).zip([(0.0, 0), (1.9, 0), (2.0, 1), (6.0, 2), (12.0, 1), (16.0, 0), (166.0, 2)])
+    {
+        update(&mut scene, frame, time_s);
+        assert_eq!(shown(&scene), [child], "{time_s} s");
     }
+    let revision = scene.revision();
+    update(&mut scene, 99, 167.0);
+    assert_eq!(scene.revision(), revision, "a frame that shows the same child changes nothing");
+    // One that ends begins with its first update, and costs nothing afterwards.
+    let mut scene = with("TimeList 3 { 1 2 3 } Begin -1 End 0 Speed 1 NumRepeats 1 Mode START ClearOnStop TRUE");
+    for (frame, (time_s, children)) in (0..).zip([(50.0, &[2][..]), (53.0, &[1]), (55.0, &[0]), (56.0, &[])]) {
+        assert!(scene.has_update_callbacks());
+        update(&mut scene, frame, time_s);
+        assert_eq!(shown(&scene), children, "{time_s} s");
+    }
+    assert!(!scene.has_update_callbacks());
+    // Without a speed each frame shows the next one, as in OSG.
+    let mut scene = with("Mode START");
+    for frame in 7..12 {
+        update(&mut scene, frame, 0.0);
+        assert_eq!(shown(&scene), [frame as i32 % 3]);
+    }
+    // OSG shows nothing of one that does not play.
+    for members in ["Speed 1", "Speed 1 Mode PAUSE", "Mode STOP"] {
+        let scene = with(members);
+        assert!(shown(&scene).is_empty() && !scene.has_update_callbacks(), "{members}");
+    }
+}
+
+/// A page of a tile tree plays while it is there, and leaves nothing behind.
+#[test]
+fn sequences_of_pages_come_and_go() {
+    let paged =
+        "osg::PagedLOD { UniqueID 9 RangeList 1 { 0 1e30 } RangeDataList 1 { \"b.osgt\" } PriorityList 1 { 0 1 } }";
+    let mut scene = scene_of(paged);
+    let root = scene.roots()[0];
+    let slot = terrane::scene::NodeId { page: root, index: 0 };
+    let text = osgt(VERSION, &over_triangles("osg::Sequence", 2, "TimeList 2 { 1 1 } Speed 1 Mode START"));
+    for round in 0..2 {
+        assert!(!scene.has_update_callbacks());
+        let page = Page::from_node(read(&text).0).unwrap();
+        let page = scene.attach(slot, page).unwrap_or_else(|error| panic!("{}", error.0));
+        for (time_s, child) in [(0.5, 0), (1.5, 1), (2.5, 0)] {
+            update(&mut scene, 0, time_s);
+            assert_eq!(shown(&scene), [child], "round {round}");
+        }
+        scene.detach(page).unwrap();
+    }
+    assert!(!scene.has_update_callbacks() && shown(&scene).is_empty());
 }
 
 #[test]
@@ -192,25 +267,91 @@ fn programs_have_one_name() {
 }
 
 #[test]
-fn animated_transforms_have_their_first_pose() {
-    let point = |time: u32, x: u32| format!("Time {time} {{ Position {x} 0 0 Rotation 0 0 1 0 Scale 2 2 2 }}");
-    let path = format!(
-        "osg::AnimationPath {{ UniqueID 4 TimeControlPointMap 2 {{ {} {} }} LoopMode SWING }}",
-        point(5, 9),
-        point(0, 3)
-    );
-    let callback = format!(
-        "UpdateCallback TRUE {{ osg::AnimationPathCallback {{ UniqueID 3 AnimationPath TRUE {{ {path} }} PivotPoint 1 0 0
-        TimeMultiplier 2 }} }}"
-    );
-    let text = format!(
-        "osg::MatrixTransform {{ UniqueID 2 {callback} Children 1 {{ {} }} Matrix {{ 1 0 0 0 \n 0 1 0 0 \n 0 0 1 0 \n 7 7 7 1 }} }}",
-        geode(10, "", &[triangle(11, "")])
-    );
-    let (node, ignored) = read(osgt(VERSION, &text));
-    let NodeKind::Transform(map) = node.kind else { panic!("{node:?}") };
-    // Half a turn about z after the pivot was moved to the origin, twice the size, and the position.
-    assert!(map.transform_point3(DVec3::new(2.0, 1.0, 0.0)).distance(DVec3::new(1.0, -2.0, 0.0)) < 1e-12, "{map:?}");
-    let kinds: Vec<_> = ignored.iter().collect();
-    assert_eq!(kinds, [("OpenSceneGraph class osg::AnimationPathCallback (its first pose is drawn)", 1)]);
+fn transforms_follow_their_paths() {
+    let point = |time: u32, x: u32| format!("Time {time} {{ Position {x} 0 0 Rotation 0 0 0 1 Scale 1 1 1 }}");
+    let path = |looping: &str| {
+        let points = format!("{} {}", point(5, 51), point(1, 11));
+        format!("osg::AnimationPath {{ UniqueID 4 TimeControlPointMap 2 {{ {points} }} {looping} }}")
+    };
+    let transform = |class: &str, callback: &str, path: &str| {
+        let callback = format!(
+            "UpdateCallback TRUE {{ osg::AnimationPathCallback {{ UniqueID 3 {} {callback} }} }}",
+            if path.is_empty() { String::new() } else { format!("AnimationPath TRUE {{ {path} }} PivotPoint 1 0 0") }
+        );
+        let child = geode(10, "", &[triangle(11, "")]);
+        format!("{class} {{ UniqueID 2 {callback} Children 1 {{ {child} }} }}")
+    };
+    for class in ["osg::MatrixTransform", "osg::PositionAttitudeTransform"] {
+        // Ten metres a second, twice as fast, half a second later. At the start it is 1 s before the first point.
+        let mut scene = scene_of(&transform(class, "TimeOffset 0.5 TimeMultiplier 2", &path("LoopMode SWING")));
+        for (time_s, place) in [(1.0, 1), (2.0, 3), (3.0, 5), (4.0, 3), (5.0, 1), (7.0, 5)] {
+            update(&mut scene, 0, time_s);
+            assert_eq!(shown(&scene), [place], "{class} at {time_s} s");
+        }
+        let mut scene = scene_of(&transform(class, "", &path("")));
+        for (time_s, place) in [(1.0, 1), (4.0, 4), (6.0, 2)] {
+            update(&mut scene, 0, time_s);
+            assert_eq!(shown(&scene), [place], "{class} around at {time_s} s");
+        }
+        // Once along the path since the first update.
+        let mut scene = scene_of(&transform(class, "", &path("LoopMode NO_LOOPING")));
+        for (time_s, place) in [(70.0, 1), (73.0, 3), (75.0, 5)] {
+            assert!(scene.has_update_callbacks());
+            update(&mut scene, 0, time_s);
+            assert_eq!(shown(&scene), [place], "{class} once at {time_s} s");
+        }
+        assert!(!scene.has_update_callbacks());
+    }
+    // A path that is paused, or that is not there, moves nothing.
+    for (callback, path) in [("Pause TRUE", path("")), ("", String::new())] {
+        let scene = scene_of(&transform("osg::MatrixTransform", callback, &path));
+        assert!(!scene.has_update_callbacks());
+        assert_eq!(shown(&scene), [0]);
+    }
+    // The inverse of a place: 11 m to the west, and the pivot.
+    let inverse = transform("osg::MatrixTransform", "UseInverseMatrix TRUE", &path("LoopMode NO_LOOPING"));
+    let inverse = inverse.replace("11 0 0", "9 0 0");
+    assert_eq!(shown(&scene_of(&inverse)), [-1]);
+}
+
+/// In binary the members of a callback depend on the version.
+#[test]
+fn binary_paths_are_read() {
+    for version in [100, VERSION] {
+        let mut file = Osgb::new(version, false);
+        file.object("osg::MatrixTransform", 1, |file| {
+            file.object_members("").raw(&[0, 0, 1]);
+            file.object("osg::AnimationPathCallback", 2, |file| {
+                file.object_members("");
+                if version < 112 {
+                    file.raw(&[0]);
+                }
+                file.raw(&[1]).object("osg::AnimationPath", 3, |file| {
+                    file.object_members("").raw(&[1]).u32(2).block(|file| {
+                        for (time, x) in [(0.0, 10.0), (1.0, 20.0)] {
+                            file.f64s(&[time]).block(|file| {
+                                file.f64s(&[x, 0.0, 0.0]).f64s(&[0.0, 0.0, 0.0, 1.0]).f64s(&[1.0; 3]);
+                            });
+                        }
+                    });
+                    file.u32(1);
+                });
+                file.f64s(&[0.0; 3]).raw(&[0]).f64s(&[0.0, 1.0]).raw(&[0]);
+            });
+            file.raw(&[0, 0, 1]).u32(u32::MAX).raw(&[0]).children(1, |file| {
+                file.object("osg::Node", 4, |file| {
+                    file.node_members("");
+                });
+            });
+            file.u32(0).block(|file| {
+                file.f64s(&glam::DMat4::IDENTITY.to_cols_array());
+            });
+        });
+        let (node, ignored) = read(&file.bytes);
+        assert!(ignored.is_empty(), "{ignored:?}");
+        assert!(
+            matches!(node.kind, NodeKind::Transform(map) if map.translation.x == 10.0)
+                && node.update_callback.is_some()
+        );
+    }
 }

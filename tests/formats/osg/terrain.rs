@@ -140,15 +140,29 @@ fn terrains_scale_heights_and_thin_out_samples() {
     }
     let huge = read_with(terrain("SampleRatio 1e30").as_bytes(), Vec::new(), &options()).unwrap_err();
     assert!(matches!(huge, IoError::TooLarge { .. }), "{huge}");
-    // Tiles in the file of a PagedLOD have the scale too; a note says that those in other files lack it.
+    // Tiles in the file of a PagedLOD have the scale too, and those in other files, however deep.
     let paged = format!(
         "osg::PagedLOD {{ UniqueID 5 RangeList 2 {{ 50 1e30 0 50 }} RangeDataList 2 {{ \"\" \"a.osgb\" }}
         PriorityList 2 {{ 0 1 0 1 }} Children 1 {{ {tile} }} }}"
     );
     let (node, ignored) = read(terrain("VerticalScale 3").replace(&tile, &paged));
-    assert_eq!(ignored.count("OpenSceneGraph: settings of a Terrain, which tiles in other files do not get"), 1);
+    assert!(ignored.is_empty(), "{ignored:?}");
     let part = read_part(tiles(&node)[0]).unwrap();
     assert_eq!(positions(&part)[32].z, 96.0);
+    let read_file = |tile: &PagedLod, text: &str| {
+        let (uri, reader_data) = (tile.content.clone().unwrap(), tile.reader_data.clone());
+        let content = Content { uri, bytes: osgt(VERSION, text).into(), reader_data, companions: Vec::new() };
+        decode_noting(content, &options()).unwrap()
+    };
+    let (below, _) = read_file(tiles(&node)[1], &paged.replace("a.osgb", "b.osgb"));
+    let (ground, _) = read_file(tiles(&below)[1], &tile);
+    assert_eq!(positions(&ground)[32].z, 96.0);
+    // A Terrain of its own counts, and in other formats the settings have no meaning.
+    let own = format!("osgTerrain::Terrain {{ UniqueID 1 Children 1 {{ {tile} }} VerticalScale 2 }}");
+    assert_eq!(positions(&read_file(tiles(&below)[1], &own).0)[32].z, 64.0);
+    let proxy = "osg::ProxyNode { UniqueID 5 FileNames 1 { \"a.osgb\" } }";
+    let (_, ignored) = read(terrain("VerticalScale 3").replace(&tile, proxy));
+    assert_eq!(ignored.iter().count(), 1, "{ignored:?}");
 }
 
 #[test]
@@ -211,11 +225,84 @@ fn composites_show_one_of_their_layers() {
     let (node, ignored) = read(osgt(VERSION, &terrain_tile(1, PLANE, [2, 2], "", "0 0 0 0", layers)));
     assert!(drawables(&node)[0].material.texture.is_none());
     for kind in [
-        "OpenSceneGraph class osgTerrain::ContourLayer",
+        "OpenSceneGraph class osgTerrain::ContourLayer without colours (not drawn)",
         "OpenSceneGraph class osgTerrain::ProxyLayer of a file that is read in place (not drawn)",
         "OpenSceneGraph: colour layer of a ninth texture unit",
     ] {
         assert_eq!(ignored.count(kind), 1, "{ignored:?}");
+    }
+}
+
+/// The colours of heights, whatever the vertical scale, in every format that has them.
+#[test]
+fn contour_layers_have_the_colors_of_their_heights() {
+    let layer = "ColorLayers 1 { Layer 0 osgTerrain::ContourLayer { UniqueID 35 TransferFunction TRUE {
+        osg::TransferFunction1D { UniqueID 36 ColorMap 3 { 50 0 1 0 1 0 1 0 0 1 100 0 0 1 1 } } } } }";
+    let tile = terrain_tile(10, PLANE, [2, 2], "SkirtHeight 9", "0 50 100 125", layer);
+    let terrain = format!("osgTerrain::Terrain {{ UniqueID 1 Children 1 {{ {tile} }} VerticalScale 4 }}");
+    let older = "osgTerrain::TerrainTile {\n osgTerrain::Locator {\n UniqueID l\n CoordinateSystemType PROJECTED\n Transform {
+        200 0 0 0 0 100 0 0 0 0 1 0 1000 500 0 1\n }\n }\n ElevationLayer {\n osgTerrain::HeightFieldLayer {\n Use l\n HeightField {
+        NumColumnsAndRows 2 2\n SkirtHeight 9\n Heights {\n 0 50\n 100 125\n }\n }\n }\n }\n ColorLayer {
+        osgTerrain::ContourLayer {\n TransferFunction1D {\n NumberImageCells 16\n Colours {\n 50 0 1 0 1\n 0 1 0 0 1\n 100 0 0 1 1
+        }\n }\n }\n }\n}\n";
+    for text in [osgt(VERSION, &tile), osgt(VERSION, &terrain), older.to_owned()] {
+        let (node, ignored) = read(&text);
+        assert!(ignored.is_empty(), "{ignored:?}");
+        let drawable = drawables(&node)[0];
+        let texture = drawable.material.texture.as_ref().unwrap();
+        assert_eq!(drawable.material.alpha, AlphaMode::Opaque);
+        assert_eq!((texture.sampling.mip, texture.height), (None, 1));
+        let color = |vertex: usize| {
+            let at = (f64::from(mesh(drawable).vertices[vertex].uv[0]) * f64::from(texture.width - 1)).round();
+            let at = at.clamp(0.0, f64::from(texture.width - 1)) as usize;
+            <[u8; 3]>::try_from(&texture.mips[0][4 * at..4 * at + 3]).unwrap()
+        };
+        assert_eq!([0, 2, 3].map(color), [[255, 0, 0], [0, 0, 255], [0, 0, 255]]);
+        assert!(color(1)[1] >= 254, "{:?}", color(1));
+        // The skirt has the colours of the edge.
+        assert_eq!(color(4), color(0));
+    }
+}
+
+/// In binary the map of colours depends on the version.
+#[test]
+fn binary_ramps_are_read() {
+    for version in [100, VERSION] {
+        let mut file = Osgb::new(version, false);
+        let locator = |file: &mut Osgb| {
+            file.object_members("").u32(2).text("").text("").raw(&[0]).block(|file| {
+                file.f64s(&glam::DMat4::IDENTITY.to_cols_array());
+            });
+            file.raw(&[0, 0]);
+        };
+        file.object("osgTerrain::TerrainTile", 2, |file| {
+            file.node_members("").raw(&[0, 0, 0, 1]).object("osgTerrain::Locator", 4, locator);
+            file.raw(&[0, 1]).u32(1).block(|file| {
+                file.u32(0).object("osgTerrain::ContourLayer", 8, |file| {
+                    file.object_members("").text("").raw(&[0]).u32(0).u32(30).raw(&[0]).f32s(&[0.0; 4]);
+                    file.u32(0x2601).u32(0x2601).raw(&[1]).object("osg::TransferFunction1D", 9, |file| {
+                        file.object_members("");
+                        let colors = [(0.0f32, [1.0f32, 0.0, 0.0, 1.0]), (9.0, [0.0, 1.0, 0.0, 1.0])];
+                        if version < 112 {
+                            file.raw(&[1]).u32(2).block(|file| {
+                                for (at, color) in colors {
+                                    file.f32s(&[at]).f64s(&color.map(f64::from));
+                                }
+                            });
+                            return;
+                        }
+                        file.u32(2);
+                        for (at, color) in colors {
+                            file.f32s(&[at]).f32s(&color);
+                        }
+                    });
+                });
+            });
+            file.raw(&[1, 0]).u32(0);
+        });
+        let (node, ignored) = read(&file.bytes);
+        assert!(ignored.is_empty(), "{ignored:?}");
+        assert_eq!(drawables(&node)[0].material.texture.as_ref().unwrap().mips[0][..4], [255, 0, 0, 255]);
     }
 }
 

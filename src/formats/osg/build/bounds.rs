@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use glam::{DAffine3, DVec3};
 
-use super::terrain;
+use super::{terrain, text};
 use crate::formats::osg::objects::{
     AutoObject, CenterMode, DrawableClass, DrawableObject, LodObject, NodeClass, NodeObject, Object, ProxyObject,
     ShapeObject,
@@ -56,6 +56,7 @@ fn of_drawable(drawable: &DrawableObject) -> BoundingSphere {
             box_sphere(&Aabb::from_points(points))
         }
         DrawableClass::Shape { shape, .. } => shape.as_ref().map_or(BoundingSphere::EMPTY, |shape| of_shape(shape)),
+        DrawableClass::Text(text) => text::sphere(text),
     }
 }
 
@@ -65,7 +66,7 @@ fn of_node(node: &NodeObject, known: &mut Spheres) -> BoundingSphere {
         spheres.fold(BoundingSphere::EMPTY, |all, sphere| all.union(&sphere))
     };
     match &node.class {
-        NodeClass::Group | NodeClass::Switch(_) | NodeClass::CoordinateSystem(_) => children(),
+        NodeClass::Group | NodeClass::Switch(_) | NodeClass::Sequence(_) | NodeClass::CoordinateSystem(_) => children(),
         NodeClass::Terrain(settings, _) => {
             let above = std::mem::replace(&mut known.terrain, *settings);
             let spheres = node.children.iter().map(|child| sphere(child, known));
@@ -78,7 +79,7 @@ fn of_node(node: &NodeObject, known: &mut Spheres) -> BoundingSphere {
             let is_affordable = known.samples <= MAX_SAMPLES;
             if is_affordable { terrain::sphere(tile, &known.terrain) } else { BoundingSphere::EMPTY }
         }
-        NodeClass::Transform { parent_from_child, is_absolute } => {
+        NodeClass::Transform { parent_from_child, is_absolute, .. } => {
             let map = parent_from_child.unwrap_or(DAffine3::IDENTITY);
             let sphere = children();
             // Children that move with the eye have no position.

@@ -20,10 +20,15 @@ const ENDLESS_SCALE: f64 = 1e30;
 
 /// How drawables face the eye.
 #[derive(Clone, Copy)]
-struct Facing {
-    position: DVec3,
-    mode: BillboardMode,
-    auto_scale: Option<AutoScale>,
+pub(super) struct Facing {
+    pub position: DVec3,
+    pub mode: BillboardMode,
+    pub auto_scale: Option<AutoScale>,
+}
+
+/// Turns what has x to the right and y up on the screen to the directions of the engine's billboards.
+pub(super) fn upright() -> DQuat {
+    DQuat::from_rotation_x(std::f64::consts::FRAC_PI_2)
 }
 
 impl Builder<'_> {
@@ -74,10 +79,10 @@ impl Builder<'_> {
         let (mode, turn) = match auto.turn {
             AutoTurn::No => (BillboardMode::NoRotation, auto.rotation),
             // The children are parallel to the screen with x to the right and y up.
-            AutoTurn::Screen => (BillboardMode::PointRotEye, DQuat::from_rotation_x(std::f64::consts::FRAC_PI_2)),
+            AutoTurn::Screen => (BillboardMode::PointRotEye, upright()),
             AutoTurn::Camera => {
                 self.note("OpenSceneGraph: AutoTransform that rotates to the camera (it is parallel to the screen)");
-                (BillboardMode::PointRotEye, DQuat::from_rotation_x(std::f64::consts::FRAC_PI_2))
+                (BillboardMode::PointRotEye, upright())
             }
         };
         // The screen's scale replaces that of the file.
@@ -99,7 +104,7 @@ impl Builder<'_> {
         };
         let map = match &node.class {
             NodeClass::Group | NodeClass::CoordinateSystem(_) => *pivot_from_node,
-            NodeClass::Transform { parent_from_child: Some(map), is_absolute: false } => *pivot_from_node * *map,
+            NodeClass::Transform { parent_from_child: Some(map), is_absolute: false, .. } => *pivot_from_node * *map,
             _ => {
                 self.note("OpenSceneGraph: AutoTransform over a node that it does not turn");
                 let still = DAffine3::from_translation(facing.position) * *pivot_from_node;
@@ -116,13 +121,13 @@ impl Builder<'_> {
     }
 
     /// Makes the node of a drawable that faces the eye.
-    fn facing_drawable(
+    pub(super) fn facing_drawable(
         &mut self,
         object: &Arc<DrawableObject>,
         pivot_from_drawable: &DAffine3,
         facing: &Facing,
     ) -> Result<Node, IoError> {
-        let mut geode = self.geode(object)?;
+        let mut geode = self.still_geode(object)?;
         let mut map = *pivot_from_drawable;
         if let NodeKind::Transform(own) = &geode.kind {
             // Positions of doubles have an origin of their own.

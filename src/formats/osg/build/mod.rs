@@ -17,6 +17,7 @@ mod shapes;
 mod sizes;
 mod states;
 mod terrain;
+mod text;
 mod textures;
 mod units;
 
@@ -27,13 +28,15 @@ use glam::{DAffine3, DVec3};
 
 use self::looks::Look;
 use self::meshes::{UvSet, UvSets};
-pub(in crate::formats) use self::paging::InlinePart;
 pub(super) use self::paging::{HeldFile, escaped};
+pub(in crate::formats) use self::paging::{InlinePart, TerrainBelow};
 use self::textures::FixedUnit;
 pub(super) use self::textures::external_images;
 use self::units::Unit;
 use super::error::OsgError;
+use super::motion::AnimationObject;
 use super::objects::{DrawableClass, DrawableObject, NodeClass, NodeObject, Object, StateObject};
+use super::terrain::TerrainSettings;
 use crate::fetch::IoError;
 use crate::formats::ignored::Notes;
 use crate::formats::options::{Fetched, ReadOptions};
@@ -107,13 +110,14 @@ struct Builder<'a> {
     first_error: Option<OsgError>,
 }
 
-/// Makes the node of a file's root object.
-pub(super) fn node_of_file(root: &Object, source: Source<'_>) -> Result<Node, IoError> {
+/// Makes the node of a file's root object, with the settings of the Terrain above it.
+pub(super) fn node_of_file(root: &Object, above: TerrainSettings, source: Source<'_>) -> Result<Node, IoError> {
     if !matches!(root, Object::Node(_) | Object::Drawable(_)) {
         let error = OsgError::Unsupported("a file without a node that is read".to_owned());
         return Err(error.at(source.uri));
     }
     let mut builder = Builder::new(source);
+    builder.spheres.terrain = above;
     let node = builder.node(root)?;
     builder.finish(node)
 }
@@ -211,14 +215,27 @@ impl<'a> Builder<'a> {
     fn node_of_class(&mut self, object: &Arc<NodeObject>) -> Result<Node, IoError> {
         let kind = match &object.class {
             NodeClass::Group | NodeClass::CoordinateSystem(_) => NodeKind::Group,
-            NodeClass::Transform { parent_from_child: Some(map), is_absolute: false } if *map == DAffine3::IDENTITY => {
+            NodeClass::Transform { parent_from_child: Some(map), is_absolute: false, animation: None }
+                if *map == DAffine3::IDENTITY =>
+            {
                 NodeKind::Group
             }
-            NodeClass::Transform { parent_from_child, is_absolute } => {
+            NodeClass::Transform { parent_from_child, is_absolute, animation } => {
                 let map = parent_from_child.unwrap_or(DAffine3::IDENTITY);
-                if *is_absolute { NodeKind::AbsoluteTransform(map) } else { NodeKind::Transform(map) }
+                let update_callback = animation.as_ref().and_then(AnimationObject::callback);
+                if *is_absolute && update_callback.is_some() {
+                    self.note("OpenSceneGraph: animation of an absolute transform (its first pose is drawn)");
+                }
+                let update_callback = update_callback.filter(|_| !is_absolute);
+                let kind = if *is_absolute { NodeKind::AbsoluteTransform(map) } else { NodeKind::Transform(map) };
+                return Ok(Node { update_callback, children: self.children(&object.children)?, ..Node::new(kind) });
             }
             NodeClass::Switch(shown) => NodeKind::Switch(shown.clone()),
+            NodeClass::Sequence(sequence) => {
+                let kind = NodeKind::Switch(sequence.first(object.children.len()));
+                let (update_callback, children) = (sequence.callback(), self.children(&object.children)?);
+                return Ok(Node { update_callback, children, ..Node::new(kind) });
+            }
             NodeClass::Lod(lod) => return self.lod(object, lod),
             NodeClass::PagedLod(lod, paged) => return self.paged_lod(object, lod, paged),
             NodeClass::Proxy(proxy) => return self.proxy(object, proxy),
@@ -237,6 +254,14 @@ impl<'a> Builder<'a> {
 
     /// Makes the node of a drawable.
     fn geode(&mut self, object: &Arc<DrawableObject>) -> Result<Node, IoError> {
+        match &object.class {
+            DrawableClass::Text(text) => self.text_node(object, text),
+            _ => self.still_geode(object),
+        }
+    }
+
+    /// Makes the node of a drawable that turns to no eye.
+    fn still_geode(&mut self, object: &Arc<DrawableObject>) -> Result<Node, IoError> {
         let state_set = object.state.as_ref().and_then(|state| self.state_set(state));
         let depth = self.states.len();
         self.states.extend(object.state.clone());
@@ -253,6 +278,9 @@ impl<'a> Builder<'a> {
 
     /// Makes the drawables of a drawable: one for triangles, one for lines, and one for points.
     fn drawables(&mut self, object: &Arc<DrawableObject>) -> Result<(DVec3, Vec<Drawable>), IoError> {
+        if let DrawableClass::Text(text) = &object.class {
+            return Ok((text.position, self.text_drawables(text)?));
+        }
         let look = Look::resolve(&self.states);
         let Shown { texture, overlay, fixed, uv_sets } = self.shown(object, &look)?;
         let Some(Meshes { origin, meshes }) = self.meshes_of(object, uv_sets, look.has_vertex_colors())? else {
@@ -267,13 +295,16 @@ impl<'a> Builder<'a> {
         });
         let drawable = |(mesh, has_normals): (Arc<Mesh>, bool)| {
             let is_thin = mesh.topology != Topology::Triangles;
+            let is_two_sided = !look.culls_faces;
+            let may_be_ground = is_two_sided && texture.is_some() && has_normals && !is_thin;
+            let is_two_sided = is_two_sided && !(may_be_ground && terrain::is_ground_with_skirt(&mesh));
             // Photographs show the light that they were taken in. OSG has one normal for all of such a surface.
             let is_photo = (texture.is_some() || fixed.iter().any(|unit| unit.coordinates.needs_uvs())) && !has_normals;
             let material = Material {
                 base_color: look.base_color(),
                 texture: texture.as_ref().map(|texture| texture.shared.0.clone()),
                 alpha: look.alpha_mode(),
-                double_sided: !look.culls_faces,
+                double_sided: is_two_sided,
                 unlit: !look.is_lit || is_photo || (is_thin && !has_normals),
                 metallic_roughness: surface.clone(),
             };
@@ -299,7 +330,7 @@ impl<'a> Builder<'a> {
         }
         let geometry = match &object.class {
             DrawableClass::Geometry(geometry) => Some(geometry),
-            DrawableClass::Shape { .. } => None,
+            DrawableClass::Shape { .. } | DrawableClass::Text(_) => None,
         };
         let has_uvs = |unit: &Unit| {
             !unit.coordinates.needs_uvs() || geometry.is_some_and(|geometry| geometry.has_uvs(unit.number))
@@ -366,6 +397,7 @@ impl<'a> Builder<'a> {
                 self.note("OpenSceneGraph: a ShapeDrawable without a shape that is read");
                 return Ok(None);
             }
+            DrawableClass::Text(_) => return Ok(None),
         };
         match made {
             Ok(meshes) => {

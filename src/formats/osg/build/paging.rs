@@ -112,6 +112,24 @@ impl InlinePart {
     }
 }
 
+/// A file below a Terrain, whose settings its tiles have.
+#[derive(Debug)]
+pub(in crate::formats) struct TerrainBelow {
+    pub(in super::super) settings: TerrainSettings,
+    /// The URI at which the file is looked for if its own has none.
+    fallback: Option<Arc<str>>,
+}
+
+impl ReaderValue for TerrainBelow {
+    fn fallback_uri(&self) -> Option<Arc<str>> {
+        self.fallback.clone()
+    }
+
+    fn size_bytes(&self) -> u64 {
+        size_of::<Self>() as u64
+    }
+}
+
 /// A range of a PagedLOD with what is shown in it.
 struct Level {
     range: [f64; 2],
@@ -261,11 +279,12 @@ impl Builder<'_> {
     }
 
     fn file(&self, database_path: &str, name: &str) -> TileContent {
-        if self.spheres.terrain != TerrainSettings::default() {
-            self.note("OpenSceneGraph: settings of a Terrain, which tiles in other files do not get");
-        }
         let Source { uri, options, .. } = self.source;
+        let settings = self.spheres.terrain;
         match options.resolve(uri, &self.reference(database_path, name)) {
+            Ok((uri, fallback)) if settings != TerrainSettings::default() => {
+                TileContent::new(uri, Some(ReaderData::of(TerrainBelow { settings, fallback })))
+            }
             Ok((uri, None)) => TileContent::new(uri, None),
             Ok((uri, fallback)) => {
                 TileContent::new(uri, Some(ReaderData::of(ContentData { fallback, ..ContentData::default() })))
@@ -300,6 +319,9 @@ impl Builder<'_> {
                 let reach = Reach { sphere, center: DVec3::ZERO, is_by_pixel_size: false };
                 nodes.push(reach.tile(reach.range_mode(None), content, PagingOptions::default()));
                 continue;
+            }
+            if self.spheres.terrain != TerrainSettings::default() {
+                self.note("OpenSceneGraph: settings of a Terrain, which tiles in the file of a ProxyNode do not get");
             }
             let proxy = ProxyNode { uri: content.uri, bounds: sphere, content_transform: DAffine3::IDENTITY, loading };
             nodes.push(Node::new(NodeKind::ProxyNode(Box::new(proxy))));

@@ -38,10 +38,15 @@ pub(super) fn of_object(object: &Object, known: &mut HashMap<usize, Size>) -> Si
     let mut size = Size { bytes: OBJECT_BYTES + state.map_or(0, of_state), nodes: 1 };
     match object {
         Object::Node(node) => {
-            if let NodeClass::TerrainTile(tile) = &node.class {
-                size.bytes = size.bytes.saturating_add(of_tile(tile));
-                // The transform and the drawable.
-                size.nodes += 2;
+            match &node.class {
+                NodeClass::TerrainTile(tile) => {
+                    size.bytes = size.bytes.saturating_add(of_tile(tile));
+                    // The transform and the drawable.
+                    size.nodes += 2;
+                }
+                NodeClass::Sequence(sequence) => size.bytes += sequence.times_s.len() as u64 * 8,
+                NodeClass::Transform { animation: Some(animation), .. } => size.bytes += animation.path.size_bytes(),
+                _ => {}
             }
             size = node.children.iter().fold(size, |size, child| size.plus(of_object(child, known)));
         }
@@ -56,6 +61,7 @@ fn of_drawable(drawable: &DrawableObject) -> u64 {
     let geometry = match &drawable.class {
         DrawableClass::Geometry(geometry) => geometry,
         DrawableClass::Shape { shape, .. } => return shape.as_deref().map_or(0, of_shape),
+        DrawableClass::Text(text) => return text.text.len() as u64,
     };
     let of_array = |array: &Option<BoundArray>| array.as_ref().map_or(0, |array| array.array.values.size_bytes());
     let sets = geometry.primitives.iter().map(|set| match &set.indices {

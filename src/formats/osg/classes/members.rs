@@ -85,7 +85,12 @@ impl Reader<'_> {
 
     /// Reads a rotation; the identity for one of length zero.
     pub(super) fn rotation_member(&mut self, name: &str) -> Result<DQuat> {
-        let quat = if self.member(name)? { DQuat::from_array(self.doubles()?) } else { DQuat::IDENTITY };
+        self.rotation_member_or(name, DQuat::IDENTITY)
+    }
+
+    /// Reads a rotation, `default` if the file has none; the identity for one of length zero.
+    pub(super) fn rotation_member_or(&mut self, name: &str, default: DQuat) -> Result<DQuat> {
+        let quat = if self.member(name)? { DQuat::from_array(self.doubles()?) } else { default };
         let is_valid = quat.is_finite() && quat.length_squared() > 0.0;
         Ok(if is_valid { quat.normalize() } else { DQuat::IDENTITY })
     }

@@ -22,7 +22,6 @@ use std::sync::Arc;
 
 pub(super) use self::arrays::array_type;
 pub(super) use self::libraries::{Freedom, LIKE_GEODES, LIKE_GROUPS, LIKE_TRANSFORMS, ORDERS, light_points};
-pub(super) use self::nodes::{SEQUENCES, first_of_sequence};
 pub(super) use self::terrain::{
     CHILDREN_OF_TILES, COMPOSITES, FURTHER_LAYERS, HEIGHTS_ELSEWHERE, LAYERS_ELSEWHERE, LAYERS_WITHOUT_COLORS,
     image_of_file,
@@ -142,7 +141,7 @@ impl Reader<'_> {
         if let Some(object) = self.attribute_of(short)? {
             return Ok(object);
         }
-        if let Some(object) = self.pose_of(short)? {
+        if let Some(object) = self.animation_of(short)? {
             return Ok(object);
         }
         if let Some(object) = self.terrain_of(class)? {

@@ -11,16 +11,6 @@ use crate::formats::osg::objects::{
     AutoObject, AutoTurn, BillboardObject, BillboardTurn, NodeClass, NodeMembers, Object, StateObject,
 };
 
-/// The name under which Sequences are counted, in all encodings.
-pub(in crate::formats::osg) const SEQUENCES: &str = "OpenSceneGraph class osg::Sequence (its first child is drawn)";
-
-/// Returns a Switch that shows one child of a Sequence: the first one that plays. A negative number counts from the end.
-pub(in crate::formats::osg) fn first_of_sequence(begin: f64, count: usize) -> NodeClass {
-    let first = if begin < 0.0 { count as f64 + begin } else { begin };
-    let first = (first.max(0.0) as usize).min(count.saturating_sub(1));
-    NodeClass::Switch((0..count).map(|child| child == first).collect())
-}
-
 impl Reader<'_> {
     /// Reads the members of a node; `None` if the class is none. `short` is the class without its namespace.
     pub(super) fn node_of(&mut self, class: &str, short: &str) -> Result<Option<Object>> {
@@ -31,8 +21,7 @@ impl Reader<'_> {
             "Transform" => {
                 let (node, children) = self.group_members()?;
                 let is_absolute = self.reference_frame()?;
-                let parent_from_child = Some(DAffine3::IDENTITY);
-                node.with(NodeClass::Transform { parent_from_child, is_absolute }, children)
+                node.with(NodeClass::transform(Some(DAffine3::IDENTITY), is_absolute, None), children)
             }
             "MatrixTransform" => self.matrix_transform()?,
             "PositionAttitudeTransform" => self.position_attitude_transform()?,
@@ -123,10 +112,10 @@ impl Reader<'_> {
                 reader.double()
             })?;
         }
-        let mut pose = None;
+        let mut animation = None;
         for callback in ["ComputeBoundingSphereCallback", "UpdateCallback", "EventCallback", "CullCallback"] {
-            if let Object::Pose(of_callback) = self.object_member(callback)? {
-                pose = Some(of_callback);
+            if let (Object::Animation(moves), "UpdateCallback") = (self.object_member(callback)?, callback) {
+                animation = Some(moves);
             }
         }
         let culling_active = self.boolean_member("CullingActive", true)?;
@@ -135,7 +124,7 @@ impl Reader<'_> {
             self.list(|reader| reader.input.quoted())?;
         }
         let state = self.state_member("StateSet")?;
-        Ok(NodeMembers { name, mask, culling_active, state, pose })
+        Ok(NodeMembers { name, mask, culling_active, state, animation })
     }
 
     /// Reads the members of the classes Object, Node and Group.
@@ -176,9 +165,7 @@ impl Reader<'_> {
         if !is_affine {
             self.notes.add("OpenSceneGraph: a matrix that is not affine".to_owned());
         }
-        let parent_from_child =
-            node.pose.as_deref().copied().or_else(|| is_affine.then(|| DAffine3::from_mat4(matrix)));
-        Ok(node.with(NodeClass::Transform { parent_from_child, is_absolute }, children))
+        Ok(node.transform(is_affine.then(|| DAffine3::from_mat4(matrix)), is_absolute, children))
     }
 
     /// Reads a matrix. OSG multiplies rows, so that its rows are the columns of ours.
@@ -205,8 +192,7 @@ impl Reader<'_> {
         let pivot = self.point_member("PivotPoint", DVec3::ZERO)?;
         let map =
             DAffine3::from_scale_rotation_translation(scale, rotation, position) * DAffine3::from_translation(-pivot);
-        let parent_from_child = node.pose.as_deref().copied().or(Some(map).filter(|map| map.is_finite()));
-        Ok(node.with(NodeClass::Transform { parent_from_child, is_absolute }, children))
+        Ok(node.transform(Some(map), is_absolute, children))
     }
 
     fn switch(&mut self) -> Result<Object> {
@@ -215,26 +201,6 @@ impl Reader<'_> {
         let mut shown = self.vector_member("ValueList", |reader| reader.input.boolean())?;
         shown.resize(children.len(), default);
         Ok(node.with(NodeClass::Switch(shown), children))
-    }
-
-    /// Reads a Sequence as a Switch that shows its first child.
-    fn sequence(&mut self) -> Result<Object> {
-        const LOOPS: Names = &[("LOOP", 0), ("SWING", 1)];
-        const MODES: Names = &[("START", 0), ("STOP", 1), ("PAUSE", 2), ("RESUME", 3)];
-        let (node, children) = self.group_members()?;
-        self.vector_member("TimeList", Self::double)?;
-        self.named_member("LoopMode", LOOPS, 0)?;
-        let begin = self.integer_member("Begin", 0)?;
-        self.integer_member("End", -1)?;
-        self.float_member("Speed", 0.0)?;
-        self.integer_member("NumRepeats", -1)?;
-        self.double_member("DefaultTime", 1.0)?;
-        self.double_member("LastFrameTime", 0.0)?;
-        self.named_member("Mode", MODES, 1)?;
-        self.boolean_member("Sync", false)?;
-        self.boolean_member("ClearOnStop", false)?;
-        self.notes.add(SEQUENCES);
-        Ok(node.with(first_of_sequence(f64::from(begin), children.len()), children))
     }
 
     /// Reads a number of a type as an integer.

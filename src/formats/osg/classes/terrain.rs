@@ -5,15 +5,18 @@ use std::sync::Arc;
 use glam::DMat4;
 
 use super::Reader;
+use super::geometry::VERSION_OF_ARRAY_OBJECTS;
 use crate::formats::osg::error::Result;
 use crate::formats::osg::input::{Names, Number};
 use crate::formats::osg::objects::{ImageData, ImageObject, NodeClass, Object, ShapeObject};
 use crate::formats::osg::terrain::{
-    BlendingPolicy, LayerContent, LayerObject, LocatorObject, TerrainSettings, TerrainTileObject, Validity, ellipsoid,
+    BlendingPolicy, LayerContent, LayerObject, LocatorObject, RampObject, TerrainSettings, TerrainTileObject, Validity,
+    ellipsoid,
 };
 
 /// The names under which layers are counted, in all encodings.
-pub(in crate::formats::osg) const LAYERS_WITHOUT_COLORS: &str = "OpenSceneGraph class osgTerrain::ContourLayer";
+pub(in crate::formats::osg) const LAYERS_WITHOUT_COLORS: &str =
+    "OpenSceneGraph class osgTerrain::ContourLayer without colours (not drawn)";
 pub(in crate::formats::osg) const COMPOSITES: &str =
     "OpenSceneGraph class osgTerrain::CompositeLayer (its first layer is drawn)";
 pub(in crate::formats::osg) const LAYERS_ELSEWHERE: &str =
@@ -43,6 +46,9 @@ impl Reader<'_> {
                 [self.double_member("RadiusEquator", 0.0)?, self.double_member("RadiusPolar", 0.0)?];
             return Ok(Some(Object::Ellipsoid(Box::new(ellipsoid(equator_m, polar_m)))));
         }
+        if class == "osg::TransferFunction1D" {
+            return self.transfer_function().map(Some);
+        }
         Ok(Some(match class.strip_prefix("osgTerrain::") {
             Some("Terrain") => self.terrain()?,
             Some("TerrainTile") => self.terrain_tile()?,
@@ -60,8 +66,12 @@ impl Reader<'_> {
             Some("CompositeLayer") => self.composite_layer(false)?,
             Some("SwitchLayer") => self.composite_layer(true)?,
             Some("ContourLayer") => {
-                self.notes.add(LAYERS_WITHOUT_COLORS);
-                Object::Layer(Arc::new(self.layer_members()?.0))
+                let (mut layer, _) = self.layer_members()?;
+                match self.object_member("TransferFunction")? {
+                    Object::Ramp(ramp) => layer.content = LayerContent::Ramp(ramp),
+                    _ => self.notes.add(LAYERS_WITHOUT_COLORS),
+                }
+                Object::Layer(Arc::new(layer))
             }
             Some("ProxyLayer") => {
                 let (layer, _) = self.layer_members()?;
@@ -82,6 +92,28 @@ impl Reader<'_> {
             }
             _ => return Ok(None),
         }))
+    }
+
+    /// Reads a TransferFunction1D, a map in versions since 112.
+    fn transfer_function(&mut self) -> Result<Object> {
+        self.object_members()?;
+        let is_map = self.version >= VERSION_OF_ARRAY_OBJECTS;
+        let follows = if is_map { self.member("ColorMap")? } else { self.marked_member("ColorMap")? };
+        if !follows {
+            return Ok(Object::Nothing);
+        }
+        let entry = |reader: &mut Self| {
+            let value = f64::from(reader.float()?);
+            let [r, g, b, a] = if is_map { reader.floats()?.map(f64::from) } else { reader.doubles()? };
+            Ok([value, r, g, b, a])
+        };
+        let colors = if is_map && !self.input.is_text() {
+            let count = self.count()?;
+            (0..count).map(|_| entry(self)).collect::<Result<Vec<_>>>()?
+        } else {
+            self.list_unless_empty(entry)?
+        };
+        Ok(RampObject::new(colors).map_or(Object::Nothing, |ramp| Object::Ramp(Arc::new(ramp))))
     }
 
     fn terrain(&mut self) -> Result<Object> {

@@ -30,8 +30,17 @@ impl Reader {
     /// Reads a drawable; `None` if the class is none that is read.
     pub(super) fn drawable(&mut self, class: &str, block: &Block<'_>) -> Result<Option<Object>> {
         let is_rig = class == "osgAnimation::RigGeometry";
-        if !is_rig && !matches!(class, "Geometry" | "ShapeDrawable" | "osgAnimation::MorphGeometry") {
+        let is_text = matches!(class, "osgText::Text" | "osgText::FadeText" | "osgText::Text3D");
+        if !is_rig && !is_text && !matches!(class, "Geometry" | "ShapeDrawable" | "osgAnimation::MorphGeometry") {
             return Ok(None);
+        }
+        if is_text {
+            // The state set of a text has a program of OSG's own, whose place the engine's shader takes.
+            let notes = std::mem::take(&mut self.notes);
+            let state = Self::take_state(&mut self.objects(block)?);
+            self.notes = notes;
+            let (name, class) = (block.word("name").to_owned(), DrawableClass::Text(self.text(class, block)));
+            return Ok(Some(Object::Drawable(Arc::new(DrawableObject { name, mask: u32::MAX, state, class }))));
         }
         if class.contains("::") {
             self.notes.add(format!("OpenSceneGraph class {class} (its rest pose is drawn)"));

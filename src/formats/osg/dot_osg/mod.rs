@@ -11,6 +11,7 @@ mod nodes;
 mod shapes;
 mod states;
 mod terrain;
+mod texts;
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -18,6 +19,7 @@ use std::sync::Arc;
 use self::fields::{Block, Field};
 use super::classes::{PROGRAMS, ReadFile};
 use super::error::{OsgError, Result};
+use super::input::decoded;
 use super::objects::{ArrayObject, Object, StateObject};
 use crate::fetch::Limits;
 use crate::formats::ignored::Notes;
@@ -50,7 +52,7 @@ pub(super) fn is_dot_osg(bytes: &[u8]) -> bool {
 
 /// Reads a file.
 pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<ReadFile> {
-    let text = String::from_utf8_lossy(bytes);
+    let text = decoded(bytes);
     let file = fields::parse(&text, limits)?;
     let mut reader = Reader { max_depth: limits.max_depth as usize, ..Reader::default() };
     let mut roots = reader.objects(&file)?;
@@ -109,6 +111,8 @@ impl Reader {
         } else if let Some(attribute) = self.attribute(short, block) {
             Object::Attribute(Arc::new(attribute))
         } else if let Some(object) = self.terrain_object(short, block)? {
+            object
+        } else if let Some(object) = self.animation(short, block)? {
             object
         } else if let Some(shape) = shapes::shape(short, block)? {
             Object::Shape(Arc::new(shape))

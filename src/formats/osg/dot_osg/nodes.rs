@@ -7,11 +7,10 @@ use glam::{DAffine3, DMat4, DQuat, DVec3, DVec4};
 use super::Reader;
 use super::fields::{Block, Field, number_of};
 use super::terrain;
-use crate::formats::osg::classes::{
-    Freedom, LIKE_GEODES, LIKE_GROUPS, LIKE_TRANSFORMS, ORDERS, SEQUENCES, first_of_sequence, light_points,
-};
+use crate::formats::osg::classes::{Freedom, LIKE_GEODES, LIKE_GROUPS, LIKE_TRANSFORMS, ORDERS, light_points};
 use crate::formats::osg::error::{OsgError, Result};
 use crate::formats::osg::input::value_of;
+use crate::formats::osg::motion::{AnimationObject, Looping, PathObject, PathPoint, SequenceObject};
 use crate::formats::osg::objects::{
     AutoObject, AutoTurn, BillboardObject, BillboardTurn, CenterMode, LodObject, NodeClass, NodeObject, Object,
     PagedObject, ProxyMode, ProxyObject,
@@ -92,9 +91,7 @@ impl Reader {
         if !is_bone && !is_node(class) {
             return Ok(None);
         }
-        if class == "Sequence" {
-            self.notes.add(SEQUENCES);
-        } else if is_bone || is_like_group(class) {
+        if is_bone || is_like_group(class) {
             self.notes.add(format!("OpenSceneGraph class {class} (its children are drawn)"));
         }
         let mut children = self.objects(block)?;
@@ -102,23 +99,22 @@ impl Reader {
         // Lights, clip planes and ellipsoids are fields of their nodes.
         children.retain(|child| !matches!(child, Object::Attribute(_) | Object::Ellipsoid(_)));
         let class = match class {
-            "Transform" => transform(block, Some(DAffine3::IDENTITY)),
-            "MatrixTransform" => self.matrix_transform(block),
-            _ if is_bone => self.matrix_transform(block),
-            "PositionAttitudeTransform" => transform(block, Some(placement(block)).filter(|map| map.is_finite())),
+            "Transform" => transform(block, Some(DAffine3::IDENTITY), None),
+            "MatrixTransform" => {
+                let animation = self.animation_of_node(block)?;
+                transform(block, self.matrix(block), animation)
+            }
+            _ if is_bone => transform(block, self.matrix(block), None),
+            "PositionAttitudeTransform" => transform(block, Some(placement(block)), self.animation_of_node(block)?),
             "AutoTransform" => NodeClass::AutoTransform(auto(block)),
             "Switch" => NodeClass::Switch(switch(block, children.len())),
-            "Sequence" => {
-                // `interval LOOP 0 -1`: the first child that plays follows the mode.
-                let interval = block.field("interval").and_then(|field| field.numbers(2));
-                first_of_sequence(interval.map_or(0.0, |[begin]| begin), children.len())
-            }
+            "Sequence" => NodeClass::Sequence(sequence(block, children.len())),
             "LOD" | "osgSim::Impostor" => NodeClass::Lod(lod(block)),
             "Terrain" => terrain::terrain(block),
             "CoordinateSystemNode" => NodeClass::CoordinateSystem(terrain::coordinate_system(block)),
             "TerrainTile" => self.terrain_tile(block, &mut children)?,
             "osgSim::MultiSwitch" => NodeClass::Switch(multi_switch(block, children.len())),
-            "osgSim::DOFTransform" => transform(block, freedom(block).parent_from_child()),
+            "osgSim::DOFTransform" => transform(block, freedom(block).parent_from_child(), None),
             "osgSim::LightPointNode" => {
                 let points: Vec<_> = block.fields.iter().filter_map(light_point).collect();
                 if !points.is_empty() {
@@ -142,7 +138,8 @@ impl Reader {
         Ok(Some(Object::Node(Arc::new(NodeObject { name, mask, culling_active, state, class, children, height }))))
     }
 
-    fn matrix_transform(&mut self, block: &Block<'_>) -> NodeClass {
+    /// Returns the map of a matrix; `None`, noted, if it is not affine.
+    fn matrix(&self, block: &Block<'_>) -> Option<DAffine3> {
         // OSG multiplies rows, so that its rows are the columns of ours.
         let numbers: [f64; 16] = block.list("Matrix").try_into().unwrap_or(DMat4::IDENTITY.to_cols_array());
         let matrix = DMat4::from_cols_array(&numbers);
@@ -150,12 +147,68 @@ impl Reader {
         if !is_affine {
             self.notes.add("OpenSceneGraph: a matrix that is not affine");
         }
-        transform(block, is_affine.then(|| DAffine3::from_mat4(matrix)))
+        is_affine.then(|| DAffine3::from_mat4(matrix))
+    }
+
+    /// Returns what moves a transform: the AnimationPathCallback among its callbacks.
+    fn animation_of_node(&mut self, block: &Block<'_>) -> Result<Option<Arc<AnimationObject>>> {
+        let callbacks = block.field("UpdateCallbacks").or(block.field("UpdateCallback"));
+        let Some(callbacks) = callbacks.and_then(|field| field.block.as_ref()) else { return Ok(None) };
+        Ok(self.objects(callbacks)?.into_iter().find_map(|object| match object {
+            Object::Animation(animation) => Some(animation),
+            _ => None,
+        }))
+    }
+
+    /// Reads an AnimationPathCallback or an AnimationPath; `None` for other classes.
+    pub(super) fn animation(&mut self, class: &str, block: &Block<'_>) -> Result<Option<Object>> {
+        match class {
+            "AnimationPathCallback" => {
+                let path = self.objects(block)?.into_iter().find_map(|object| match object {
+                    Object::Path(path) => Some(path),
+                    _ => None,
+                });
+                let Some(path) = path else { return Ok(Some(Object::Nothing)) };
+                let pivot = point(block, "pivotPoint", DVec3::ZERO);
+                let offset_s = block.value("timeOffset").unwrap_or(0.0);
+                let multiplier = block.value("timeMultiplier").unwrap_or(1.0);
+                let (is_inverse, is_paused) = (false, false);
+                let animation = AnimationObject { path, pivot, is_inverse, offset_s, multiplier, is_paused };
+                Ok(Some(Object::Animation(Arc::new(animation))))
+            }
+            "AnimationPath" => {
+                let points = block.list("ControlPoints").as_chunks::<11>().0.iter().map(|numbers| {
+                    let [time_s, px, py, pz, rx, ry, rz, rw, sx, sy, sz] = *numbers;
+                    let position = DVec3::new(px, py, pz);
+                    PathPoint { time_s, position, rotation: valid([rx, ry, rz, rw]), scale: DVec3::new(sx, sy, sz) }
+                });
+                let path = PathObject::new(points, Looping::of_name(block.word("LoopMode")));
+                Ok(Some(path.map_or(Object::Nothing, |path| Object::Path(Arc::new(path)))))
+            }
+            _ => Ok(None),
+        }
     }
 }
 
-fn transform(block: &Block<'_>, parent_from_child: Option<DAffine3>) -> NodeClass {
-    NodeClass::Transform { parent_from_child, is_absolute: is_absolute(block) }
+fn transform(block: &Block<'_>, map: Option<DAffine3>, animation: Option<Arc<AnimationObject>>) -> NodeClass {
+    NodeClass::transform(map, is_absolute(block), animation)
+}
+
+fn sequence(block: &Block<'_>, children: usize) -> SequenceObject {
+    let mut sequence = SequenceObject { times_s: block.list("frameTime").to_vec(), ..SequenceObject::default() };
+    let default_s = block.value("defaultTime").unwrap_or(1.0);
+    sequence.times_s.resize(children.max(sequence.times_s.len()), default_s);
+    if let Some(interval) = block.field("interval") {
+        sequence.swings = interval.word(1) == "SWING";
+        sequence.interval = interval.numbers(2).unwrap_or([0.0, -1.0]).map(|at| at as i32);
+    }
+    if let Some([speed, repeats]) = block.values("duration") {
+        (sequence.speed, sequence.repeats) = (speed, repeats as i32);
+    }
+    sequence.last_time_s = block.value("lastFrameTime").unwrap_or(0.0);
+    sequence.plays = block.word("mode") == "START";
+    sequence.clears = !matches!(block.word("clearOnStop"), "" | "0" | "FALSE");
+    sequence
 }
 
 fn is_absolute(block: &Block<'_>) -> bool {
@@ -169,7 +222,12 @@ fn point(block: &Block<'_>, name: &str, default: DVec3) -> DVec3 {
 
 /// Returns a rotation; the identity for one that is none.
 pub(super) fn rotation(block: &Block<'_>, name: &str) -> DQuat {
-    let quat = block.values(name).map_or(DQuat::IDENTITY, DQuat::from_array);
+    block.values(name).map_or(DQuat::IDENTITY, valid)
+}
+
+/// Returns the rotation of four numbers; the identity for those that are none.
+fn valid(numbers: [f64; 4]) -> DQuat {
+    let quat = DQuat::from_array(numbers);
     if quat.is_finite() && quat.length_squared() > 0.0 { quat.normalize() } else { DQuat::IDENTITY }
 }
 

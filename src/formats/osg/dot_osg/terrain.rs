@@ -15,7 +15,7 @@ use crate::formats::osg::error::{OsgError, Result};
 use crate::formats::osg::input::{GL_NAMES, Values, value_of};
 use crate::formats::osg::objects::{ArrayObject, HeightFieldObject, NodeClass, Object, ShapeObject};
 use crate::formats::osg::terrain::{
-    BlendingPolicy, LayerContent, LayerObject, LocatorObject, TerrainSettings, TerrainTileObject, ellipsoid,
+    BlendingPolicy, LayerContent, LayerObject, LocatorObject, RampObject, TerrainSettings, TerrainTileObject, ellipsoid,
 };
 
 /// Returns the system of a CoordinateSystemNode; empty with an ellipsoid, on which the positions lie then.
@@ -138,6 +138,10 @@ impl Reader {
                     ["RadiusEquator", "RadiusPolar"].map(|name| block.value(name).unwrap_or(0.0));
                 Object::Ellipsoid(Box::new(ellipsoid(equator_m, polar_m)))
             }
+            "TransferFunction1D" => {
+                let colors = RampObject::new(block.list("Colours").as_chunks::<5>().0.iter().copied());
+                colors.map_or(Object::Nothing, |ramp| Object::Ramp(Arc::new(ramp)))
+            }
             "HeightFieldLayer" | "ImageLayer" | "ContourLayer" | "CompositeLayer" | "SwitchLayer" => {
                 Object::Layer(Arc::new(self.layer(class, block)?))
             }
@@ -164,6 +168,7 @@ impl Reader {
                 Object::Shape(shape) if matches!(*shape, ShapeObject::HeightField(_)) => {
                     layer.content = LayerContent::Heights(shape);
                 }
+                Object::Ramp(ramp) => layer.content = LayerContent::Ramp(ramp),
                 Object::Layer(part) => layers.push(match before.take() {
                     Some(locator) => Arc::new(LayerObject { locator: Some(locator), ..LayerObject::clone(&part) }),
                     None => part,
@@ -178,7 +183,7 @@ impl Reader {
                     layer.content = LayerContent::Image(image);
                 }
             }
-            "ContourLayer" => self.notes.add(LAYERS_WITHOUT_COLORS),
+            "ContourLayer" if matches!(layer.content, LayerContent::Nothing) => self.notes.add(LAYERS_WITHOUT_COLORS),
             "CompositeLayer" => {
                 self.notes.add(COMPOSITES);
                 let shown = layers.iter().find(|part| !matches!(part.content, LayerContent::Nothing));

@@ -1,8 +1,8 @@
 //! [`BinaryInput`]: the binary encoding. Files since OSG 3.1.4 usually have the sizes of their blocks.
 
-use super::Input;
 use super::names::Names;
 use super::values::{Number, Values};
+use super::{Input, decoded};
 use crate::formats::osg::error::{OsgError, Result};
 
 /// The version since which sizes of blocks have 64 bits.
@@ -126,7 +126,7 @@ impl Input for BinaryInput<'_> {
         let Ok(length) = usize::try_from(length) else {
             return Err(OsgError::invalid(format!("a string of {length} bytes")));
         };
-        Ok(String::from_utf8_lossy(self.take(length)?).into_owned())
+        Ok(decoded(self.take(length)?).into_owned())
     }
 
     fn quoted(&mut self) -> Result<String> {

@@ -14,6 +14,8 @@ pub(super) use header::{Opened, inflate, is_native, open};
 pub(super) use names::{ARRAY_TYPES, GL_NAMES, Names, PRIMITIVE_TYPES, value_of};
 pub(super) use values::{Number, Values};
 
+use std::borrow::Cow;
+
 use super::error::Result;
 
 /// Reads the values of a file in their order. Every method fails at the end of the file.
@@ -50,6 +52,11 @@ pub(super) trait Input {
     fn is_at_end_of_block(&self) -> bool;
     /// Returns the maximum number of elements, each of which takes a byte or more, that can follow.
     fn remaining(&self) -> usize;
+}
+
+/// Returns the text of bytes: UTF-8, or else a character for each byte, as OSG writes them.
+pub(super) fn decoded(bytes: &[u8]) -> Cow<'_, str> {
+    std::str::from_utf8(bytes).map_or_else(|_| bytes.iter().map(|byte| char::from(*byte)).collect(), Cow::Borrowed)
 }
 
 /// Reads several floats.

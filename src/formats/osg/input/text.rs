@@ -1,8 +1,8 @@
 //! [`TextInput`]: the text encoding. Words are separated by white space; blocks are in braces.
 
-use super::Input;
 use super::names::{Names, value_of};
 use super::values::{Number, Values};
+use super::{Input, decoded};
 use crate::formats::osg::error::{OsgError, Result};
 
 /// Reads the text encoding.
@@ -125,7 +125,7 @@ impl Input for TextInput<'_> {
             }
         }
         self.at = at + 1;
-        Ok(String::from_utf8_lossy(&bytes).into_owned())
+        Ok(decoded(&bytes).into_owned())
     }
 
     fn bytes(&mut self, _count: usize) -> Result<Vec<u8>> {

@@ -1,43 +1,38 @@
 //! Callbacks of nodes and drawables.
 
-use glam::DAffine3;
+use std::sync::Arc;
 
 use super::{Reader, ids};
 use crate::formats::osg::error::Result;
+use crate::formats::osg::motion::{AnimationObject, Looping, PathObject, PathPoint};
 
 impl Reader<'_> {
-    /// Reads an AnimationPathCallback: the pose that its path begins with, if it has one.
-    pub(super) fn animation(&mut self) -> Result<Option<Box<DAffine3>>> {
+    /// Reads an AnimationPathCallback; `None` if it has no path.
+    pub(super) fn animation(&mut self) -> Result<Option<Arc<AnimationObject>>> {
         self.expect(ids::ANIMATION_PATH_CALLBACK)?;
         self.object_members()?;
         let pivot = self.point()?;
-        // Offset, multiplier, first and pause time.
-        self.doubles::<4>()?;
+        // The time of the first frame and that of a pause follow; OSG's reader sets no pause.
+        let [offset_s, multiplier, ..] = self.doubles::<4>()?;
         if self.integer()? == 0 {
             return Ok(None);
         }
-        let Some(first) = self.animation_path()? else { return Ok(None) };
-        self.notes.add("OpenSceneGraph class osg::AnimationPathCallback (its first pose is drawn)");
-        let pose = first * DAffine3::from_translation(-pivot);
-        Ok(pose.is_finite().then(|| Box::new(pose)))
+        let path = self.animation_path()?.map(Arc::new);
+        let moves = |path| AnimationObject { path, pivot, is_inverse: false, offset_s, multiplier, is_paused: false };
+        Ok(path.map(|path| Arc::new(moves(path))))
     }
 
-    /// Reads an AnimationPath, and returns its earliest pose.
-    fn animation_path(&mut self) -> Result<Option<DAffine3>> {
+    fn animation_path(&mut self) -> Result<Option<PathObject>> {
         const POINT_BYTES: usize = 11 * 4;
         self.expect(ids::ANIMATION_PATH)?;
         self.object_members()?;
-        // The loop mode.
-        self.integer()?;
-        let mut first: Option<(f32, DAffine3)> = None;
-        for _ in 0..self.count(POINT_BYTES)? {
-            let time = self.float()?;
-            let (position, rotation, scale) = (self.point()?, self.rotation()?, self.point()?);
-            if first.is_none_or(|(earliest, _)| time < earliest) {
-                first = Some((time, DAffine3::from_scale_rotation_translation(scale, rotation, position)));
-            }
-        }
-        Ok(first.map(|(_, pose)| pose))
+        let looping = Looping::of_number(self.unsigned()?);
+        let points = self.list(POINT_BYTES, |reader| {
+            let time_s = reader.float()?.into();
+            let (position, rotation) = (reader.point()?, reader.rotation()?);
+            Ok(PathPoint { time_s, position, rotation, scale: reader.point()? })
+        })?;
+        Ok(PathObject::new(points, looping))
     }
 
     /// Reads over a ClusterCullingCallback: the cones of normals are computed again.

@@ -4,7 +4,11 @@ use std::sync::Arc;
 
 use super::{Kind, Reader, ids};
 use crate::formats::osg::error::Result;
+use crate::formats::osg::input::{Input as _, Number};
 use crate::formats::osg::objects::{DrawableClass, DrawableObject, Object, StateObject};
+use crate::formats::osg::text::{
+    DECORATIONS, FADING, GRADIENTS, LAYOUTS, LETTERS_ALONE, SOLIDS, TextObject, text_of_numbers,
+};
 
 /// The members that all drawables have.
 struct DrawableMembers {
@@ -75,52 +79,80 @@ impl Reader<'_> {
         Ok(drawable.with(DrawableClass::Shape { shape, color }))
     }
 
-    /// Reads over the members of a Text or Text3D.
+    /// Reads the members of a Text or Text3D.
     fn text_members(&mut self, class: u32) -> Result<Object> {
         let is_flat = class != ids::TEXT_3D;
-        self.drawable_members()?;
-        // The font with its resolution; size, aspect, size mode, and the maximum width and height.
+        // The state set of a text has a program of OSG's own, whose place the engine's shader takes.
+        let notes = std::mem::take(&mut self.notes);
+        let drawable = self.drawable_members()?;
+        self.notes = notes;
+        let mut text = TextObject::default();
+        // The font and its resolution.
         self.string()?;
-        self.integers::<7>()?;
+        self.unsigned()?;
+        text.font_height_px = self.unsigned()?.into();
+        [text.height, text.aspect] = self.floats()?.map(f64::from);
+        text.size_mode = self.unsigned()?;
+        // The maximum height follows.
+        let [max_width, _] = self.floats::<2>()?;
+        text.max_width = max_width.into();
         if self.version >= 20 {
-            // The spacing of lines.
-            self.float()?;
+            text.line_spacing = self.float()?.into();
         }
-        // Alignment, rotation, whether it turns to the screen, layout and position.
-        self.unsigned()?;
-        self.floats::<4>()?;
-        self.boolean()?;
-        self.unsigned()?;
-        self.floats::<3>()?;
+        text.alignment = self.unsigned()?;
+        text.rotation = self.rotation()?;
+        text.faces_screen = self.boolean()?;
+        if self.unsigned()? != 0 {
+            self.notes.add(LAYOUTS);
+        }
+        text.position = self.point()?;
         if is_flat {
-            // The colour.
-            self.floats::<4>()?;
+            text.color = self.floats()?;
         }
-        // The mode of drawing.
-        self.unsigned()?;
+        let mode = self.unsigned()?;
+        let mut is_decorated = mode & !LETTERS_ALONE != 0;
         if is_flat {
             if self.version >= 41 {
                 // The box around it.
                 self.floats::<5>()?;
             }
             if self.version >= 28 {
-                // Backdrop and gradient of colours.
+                const NO_BACKDROP: u32 = 9;
+                is_decorated |= self.unsigned()? != NO_BACKDROP;
+                // Its offset, colour and implementation.
                 self.integers::<7>()?;
-                self.integers::<18>()?;
+                if self.unsigned()? != 0 {
+                    self.notes.add(GRADIENTS);
+                }
+                self.floats::<16>()?;
             }
         } else {
             // Depth and mode of rendering.
             self.integers::<2>()?;
+            self.notes.add(SOLIDS);
         }
+        if class == ids::FADE_TEXT {
+            self.notes.add(FADING);
+        }
+        if is_decorated {
+            self.notes.add(DECORATIONS);
+        }
+        let characters = self.characters()?;
+        if mode & LETTERS_ALONE != 0 {
+            text.text = characters;
+        }
+        Ok(drawable.with(DrawableClass::Text(text)))
+    }
+
+    /// Reads characters: bytes, or numbers where one is larger.
+    fn characters(&mut self) -> Result<String> {
         if self.boolean()? {
-            self.string()?;
-        } else {
-            // Characters of 32 bits, or bytes before version 18.
-            let width = if self.version >= 18 { 4 } else { 1 };
-            let count = self.count(width)?;
-            self.skip(count * width)?;
+            return self.string();
         }
-        self.note_class(class);
-        Ok(Object::Nothing)
+        // Numbers of 32 bits, or bytes before version 18.
+        let (number, width) = if self.version >= 18 { (Number::U32, 4) } else { (Number::U8, 1) };
+        let count = self.count(width)?;
+        let numbers = self.input.numbers(number, count)?;
+        Ok(text_of_numbers((0..count).map(|at| numbers.get(at))))
     }
 }

@@ -3,8 +3,9 @@
 use glam::{DAffine3, DMat4, DVec3, DVec4};
 
 use super::{Kind, Reader, ids};
-use crate::formats::osg::classes::{Freedom, SEQUENCES, first_of_sequence};
+use crate::formats::osg::classes::Freedom;
 use crate::formats::osg::error::Result;
+use crate::formats::osg::motion::SequenceObject;
 use crate::formats::osg::objects::{
     AutoObject, AutoTurn, BillboardObject, BillboardTurn, NodeClass, NodeMembers, Object,
 };
@@ -138,7 +139,7 @@ impl Reader<'_> {
             self.string()?;
         }
         let state = self.optional_state_set()?;
-        let pose = self.optional(Self::animation)?.flatten();
+        let animation = self.optional(Self::animation)?.flatten();
         if self.version >= 6 {
             self.optional(Self::cluster_culling)?;
         }
@@ -149,7 +150,7 @@ impl Reader<'_> {
             // The initial bound.
             self.optional(Self::floats::<4>)?;
         }
-        Ok(NodeMembers { name, mask: self.unsigned()?, culling_active, state, pose })
+        Ok(NodeMembers { name, mask: self.unsigned()?, culling_active, state, animation })
     }
 
     /// Reads the members of the classes Object, Node and Group.
@@ -259,8 +260,8 @@ impl Reader<'_> {
         // The limits, and whether it is animated.
         self.unsigned()?;
         self.boolean()?;
-        let parent_from_child = Freedom { put, turns, position, scale, order }.parent_from_child();
-        Ok(node.with(NodeClass::Transform { parent_from_child, is_absolute }, children))
+        let map = Freedom { put, turns, position, scale, order }.parent_from_child();
+        Ok(node.with(NodeClass::transform(map, is_absolute, None), children))
     }
 
     /// Reads over a Camera with its children: what it draws is an image or an overlay of its own.
@@ -354,27 +355,29 @@ impl Reader<'_> {
         Ok(node.with(NodeClass::Switch(shown), children))
     }
 
-    /// Reads a Sequence as a Switch that shows its first child.
     fn sequence(&mut self) -> Result<Object> {
         self.expect(ids::SEQUENCE)?;
         let has_defaults = self.version >= 22;
         let (node, children) = self.group_members()?;
+        let mut sequence = SequenceObject::default();
         if has_defaults {
             self.float()?;
         }
-        self.list(4, Self::float)?;
+        sequence.times_s = self.list(4, |reader| reader.float().map(f64::from))?;
+        sequence.times_s.resize(children.len().max(sequence.times_s.len()), 1.0);
         if has_defaults {
-            self.float()?;
+            sequence.last_time_s = self.float()?.into();
         }
-        // The loop mode.
-        self.integer()?;
-        let begin = self.integer()?;
-        // End, speed, repetitions and mode.
-        self.integers::<4>()?;
+        sequence.swings = self.integer()? == 1;
+        sequence.interval = [self.integer()?, self.integer()?];
+        sequence.speed = self.float()?.into();
+        sequence.repeats = self.integer()?;
+        sequence.plays = self.integer()? == 0;
         if has_defaults {
-            self.integers::<2>()?;
+            // Whether it skips children if frames are late.
+            self.integer()?;
+            sequence.clears = self.integer()? != 0;
         }
-        self.notes.add(SEQUENCES);
-        Ok(node.with(first_of_sequence(f64::from(begin), children.len()), children))
+        Ok(node.with(NodeClass::Sequence(sequence), children))
     }
 }

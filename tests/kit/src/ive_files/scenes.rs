@@ -118,7 +118,7 @@ pub fn unusual_nodes(version: u32) -> Ive {
             .f32s(&[0.0; 4])
             .raw(&[0]);
         file.u32(0).f32s(&[0.0; 7]).u32(1).since(41, |file| file.f32s(&[0.0; 5]));
-        file.since(28, |file| file.u32(0).f32s(&[0.0; 6]).u32s(&[0, 0]).f32s(&[0.0; 16])).raw(&[1]).text("hello");
+        file.since(28, |file| file.u32(9).f32s(&[0.0; 6]).u32s(&[0, 0]).f32s(&[0.0; 16])).raw(&[1]).text("hello");
         file.triangle_geode(16);
     });
     file

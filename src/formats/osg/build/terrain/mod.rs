@@ -1,12 +1,14 @@
 //! Tiles of osgTerrain as drawables: a [`Grid`] with a texture of each colour layer.
 
 mod grid;
+mod skirts;
 
 use std::sync::Arc;
 
 use glam::{DAffine3, DVec3};
 
 use self::grid::{Grid, GridVertex};
+pub(super) use self::skirts::is_ground_with_skirt;
 use super::Builder;
 use super::looks::{GL_BLEND, GL_CULL_FACE, ON};
 use crate::fetch::IoError;
@@ -15,12 +17,15 @@ use crate::formats::osg::objects::{
     ArrayObject, AttributeObject, Binding, BoundArray, DrawableClass, DrawableObject, GeometryObject, ImageObject,
     Indices, NodeObject, PrimitiveObject, StateObject, TextureObject, TextureTarget,
 };
-use crate::formats::osg::terrain::{BlendingPolicy, LayerObject, LocatorObject, TerrainSettings, TerrainTileObject};
+use crate::formats::osg::terrain::{
+    BlendingPolicy, LayerContent, LayerObject, LocatorObject, TerrainSettings, TerrainTileObject,
+};
 use crate::math::BoundingSphere;
 use crate::scene::{Node, TexelFormat, Texture};
 
 const GL_CLAMP_TO_EDGE: u32 = 0x812f;
 const GL_TRIANGLES: u32 = 4;
+const GL_LINEAR: u32 = 0x2601;
 /// OSG's hint that a state set's drawables are transparent.
 const HINT_TRANSPARENT: i32 = 2;
 
@@ -101,7 +106,11 @@ impl Builder<'_> {
             geometry.tex_coords.resize(unit + 1, None);
             let mut uvs = Vec::with_capacity(2 * count);
             for vertex in &mesh.vertices {
-                uvs.extend(place_in(layer.locator.as_deref(), grid.locator, vertex.local));
+                uvs.extend(match &layer.content {
+                    // The heights of the file, whatever the scale that they are drawn with.
+                    LayerContent::Ramp(ramp) => [ramp.place(vertex.local.z / settings.vertical_scale) as f32, 0.5],
+                    _ => place_in(layer.locator.as_deref(), grid.locator, vertex.local),
+                });
             }
             geometry.tex_coords[unit] = array(2, uvs);
         }
@@ -133,7 +142,8 @@ fn texture_of(layer: &LayerObject, image: &Arc<ImageObject>) -> AttributeObject 
     AttributeObject::Texture(TextureObject {
         target: TextureTarget::D2,
         wrap: [GL_CLAMP_TO_EDGE; 2],
-        min_filter: layer.min_filter,
+        // Colours of other heights are no smaller image of a height's colour.
+        min_filter: if matches!(layer.content, LayerContent::Ramp(_)) { GL_LINEAR } else { layer.min_filter },
         mag_filter: layer.mag_filter,
         border_color: [0.0; 4],
         images: vec![Some(image.clone())],

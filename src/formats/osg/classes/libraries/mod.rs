@@ -1,4 +1,6 @@
-//! The members of the nodes and drawables of OSG's other libraries: osgSim, osgFX, osgShadow and osgAnimation.
+//! The members of the nodes and drawables of OSG's other libraries: osgSim, osgFX, osgShadow, osgAnimation and osgText.
+
+mod texts;
 
 use std::sync::Arc;
 
@@ -99,6 +101,7 @@ impl Reader<'_> {
             "osgSim::MultiSwitch" if self.version < 160 || self.input.can_skip() => self.multi_switch()?,
             "osgSim::DOFTransform" => self.freedom_transform()?,
             "osgSim::LightPointNode" => self.light_point_node()?,
+            "osgText::Text" | "osgText::FadeText" | "osgText::Text3D" => self.text(class)?,
             "osgSim::Impostor" => {
                 let lod = self.lod()?;
                 self.float_member("ImpostorThreshold", -1.0)?;
@@ -168,8 +171,8 @@ impl Reader<'_> {
         self.boolean_member("AnimationOn", false)?;
         let order = self.named_member("HPRMultOrder", ORDERS, 0)?;
         let [turns, position, scale] = current;
-        let parent_from_child = Freedom { put, turns, position, scale, order }.parent_from_child();
-        Ok(node.with(NodeClass::Transform { parent_from_child, is_absolute }, children))
+        let map = Freedom { put, turns, position, scale, order }.parent_from_child();
+        Ok(node.with(NodeClass::transform(map, is_absolute, None), children))
     }
 
     fn light_point_node(&mut self) -> Result<Object> {

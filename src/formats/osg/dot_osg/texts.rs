@@ -1,0 +1,62 @@
+//! Texts of an .osg file.
+
+use glam::DVec3;
+
+use super::Reader;
+use super::fields::Block;
+use super::nodes::rotation;
+use crate::formats::osg::input::value_of;
+use crate::formats::osg::text::{
+    ALIGNMENTS, AXES, DECORATIONS, FADING, GRADIENTS, LAYOUTS, LETTERS_ALONE, SCREEN, SIZE_MODES, SOLIDS, TextObject,
+    rotation_of_axis, text_of_numbers,
+};
+
+impl Reader {
+    /// Reads the members of a Text, FadeText or Text3D.
+    pub(super) fn text(&mut self, class: &str, block: &Block<'_>) -> TextObject {
+        let mut text = TextObject::default();
+        let resolution = block.values("fontResolution").or(block.values("fontSize"));
+        if let Some([_, height_px]) = resolution {
+            text.font_height_px = height_px;
+        }
+        if let Some([height, aspect]) = block.values("characterSize") {
+            (text.height, text.aspect) = (height, aspect);
+        }
+        text.size_mode = value_of(SIZE_MODES, block.word("characterSizeMode")).unwrap_or(0);
+        if block.word("autoScaleToLimitScreenSizeToFontResolution") == "TRUE" {
+            text.size_mode = 1;
+        }
+        text.max_width = block.value("maximumWidth").unwrap_or(0.0);
+        text.line_spacing = block.value("lineSpacing").unwrap_or(0.0);
+        text.alignment = value_of(ALIGNMENTS, block.word("alignment")).unwrap_or(text.alignment);
+        let axis = value_of(AXES, block.word("axisAlignment")).unwrap_or(0);
+        let has_rotation = block.field("rotation").is_some();
+        text.rotation = if has_rotation { rotation(block, "rotation") } else { rotation_of_axis(axis) };
+        text.faces_screen = axis == SCREEN || block.word("autoRotateToScreen") == "TRUE";
+        text.position = block.values("position").map_or(DVec3::ZERO, DVec3::from_array);
+        text.color = block.values("color").map_or(text.color, |color| color.map(|part: f64| part as f32));
+        let mode = block.value("drawMode").map_or(LETTERS_ALONE, |mode| mode as u32);
+        if mode & LETTERS_ALONE != 0 {
+            let field = block.fields.iter().find(|field| field.word(0) == "text");
+            text.text = match field.and_then(|field| field.block.as_ref()) {
+                Some(numbers) => text_of_numbers(numbers.numbers.iter().copied()),
+                None => block.word("text").to_owned(),
+            };
+        }
+        if mode & !LETTERS_ALONE != 0 || !matches!(block.word("backdropType"), "" | "NONE") {
+            self.notes.add(DECORATIONS);
+        }
+        if !matches!(block.word("colorGradientMode"), "" | "SOLID") {
+            self.notes.add(GRADIENTS);
+        }
+        if !matches!(block.word("layout"), "" | "LEFT_TO_RIGHT") {
+            self.notes.add(LAYOUTS);
+        }
+        match class {
+            "osgText::FadeText" => self.notes.add(FADING),
+            "osgText::Text3D" => self.notes.add(SOLIDS),
+            _ => {}
+        }
+        text
+    }
+}
