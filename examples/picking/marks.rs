@@ -1,7 +1,7 @@
 //! Marks on the ground: pins at intersections of rays, and balls at heights that another thread queries.
 
 use glam::{DAffine3, DQuat, DVec3};
-use terrane::math::{Aabb, WGS84};
+use terrane::math::Aabb;
 use terrane::scene::{Drawable, HeightQuery, IntersectionLimit, Material, Mesh, Node, Page, Vertical};
 use terrane::viewer::{Viewer, ViewerError};
 
@@ -26,7 +26,7 @@ pub fn add(viewer: &mut Viewer) -> Result<(), ViewerError> {
 
     // Any thread may query the published heights.
     let bounds = *viewer.bounds().expect("a tile set is loaded");
-    let vertical = if bounds.frame.georeferenced { Vertical::Ellipsoid(WGS84) } else { Vertical::Flat };
+    let vertical = bounds.frame.ellipsoid.map_or(Vertical::Flat, Vertical::Ellipsoid);
     let query = HeightQuery::new(vertical);
     query.publish(viewer.scene());
     let radius_m = 0.2 * bounds.sphere.radius_m;

@@ -16,7 +16,7 @@ pub struct CullCamera {
     pub viewport_px: [u32; 2],
     /// Culling modes, error limits and levels of detail.
     pub settings: CullSettings,
-    /// The body of the earth in an earth-centred world: tiles wholly behind its horizon are culled. It must lie below all
+    /// The body in a body-centred world: tiles wholly behind its horizon are culled. It must lie below all
     /// ground that is drawn.
     pub horizon: Option<Ellipsoid>,
     /// Time of the application in seconds, by which levels of detail fade ([`CullSettings::lod_fade_s`]).

@@ -14,7 +14,7 @@ use super::ignored::Notes;
 use super::options::{Fetched, ReadOptions};
 use super::properties;
 use crate::fetch::{IoError, Limits, resolve};
-use crate::math::WGS84;
+use crate::math::Ellipsoid;
 use crate::scene::{Drawable, FeatureIdSet, FeatureIds, Node, NodeKind, PropertyTable};
 use crate::state::StateSet;
 
@@ -131,7 +131,8 @@ pub(super) fn read(
     options.limits.check_json(uri, feature_json)?;
     let table: FeatureTable =
         feature_table::parse(feature_json).map_err(|e| IoError::invalid(uri, format!("i3dm feature table: {e}")))?;
-    let reader = TableReader { uri, binary: feature_binary, table: &table, limits: &options.limits };
+    let ReadOptions { limits, ellipsoid, .. } = options;
+    let reader = TableReader { uri, binary: feature_binary, table: &table, limits, ellipsoid: *ellipsoid };
     let (origin, instances) = reader.instances()?;
     let source = |uri, base, bytes| GltfSource { uri, base, bytes, rtc_center: None, batch_table: None, companions };
     let model = match model {
@@ -230,6 +231,8 @@ struct TableReader<'a> {
     binary: &'a [u8],
     table: &'a FeatureTable,
     limits: &'a Limits,
+    /// That of the set, which has directions east and north.
+    ellipsoid: Ellipsoid,
 }
 
 impl TableReader<'_> {
@@ -273,7 +276,9 @@ impl TableReader<'_> {
                 _ if table.east_north_up && origin + position == DVec3::ZERO => {
                     DMat3::from_cols(DVec3::Y, DVec3::NEG_X, DVec3::Z)
                 }
-                _ if table.east_north_up => WGS84.ecef_from_enu(&WGS84.geodetic(origin + position)).matrix3,
+                _ if table.east_north_up => {
+                    self.ellipsoid.ecef_from_enu(&self.ellipsoid.geodetic(origin + position)).matrix3
+                }
                 _ => DMat3::IDENTITY,
             };
             let scale = scales.map_or(1.0, |scales| f64::from(f32::from_le_bytes(scales[i])));

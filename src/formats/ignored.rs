@@ -8,6 +8,7 @@ use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
+use super::tileset::Body;
 use crate::fetch::{IoError, printable};
 
 /// The maximum number of kinds: names of extensions are outside data. Further kinds count as [`OTHERS`].
@@ -91,6 +92,8 @@ pub(super) struct Notes {
     ignored: RefCell<Ignored>,
     /// The attributions of the content.
     credits: RefCell<Vec<Arc<str>>>,
+    /// The body that the content declares, if it is a root tileset.
+    body: RefCell<Option<Body>>,
 }
 
 impl Notes {
@@ -105,6 +108,16 @@ impl Notes {
             }
             _ => {}
         }
+    }
+
+    /// Stores the body that a root tileset declares.
+    pub fn set_body(&self, body: Body) {
+        self.body.replace(Some(body));
+    }
+
+    /// Returns the body that a root tileset declares, and forgets it.
+    pub fn take_body(&self) -> Option<Body> {
+        self.body.take()
     }
 
     /// Adds one occurrence of a kind.

@@ -51,6 +51,7 @@ pub use read::{companion_fallback, companions, decode, decode_node, decode_notin
 pub use style::{Style, StyleError};
 pub use terrain::{ellipsoid, terrain_extent};
 pub use tile::UpAxis;
+pub use tileset::Body;
 pub use whole_set::{
     BoundsInfo, Info, InfoError, LevelInfo, LevelMeasures, MapFrame, MetadataInfo, ModelInfo, Problem, Spread,
     SurveyEvent, SurveyOptions, SurveyedTile, Verified, inspect, survey, verify,

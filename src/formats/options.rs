@@ -11,6 +11,7 @@ use super::overlay::{OverlaySet, TileVolume};
 use super::style::Style;
 use super::tile::UpAxis;
 use crate::fetch::{IoError, Limits, RootScope, resolve, shown};
+use crate::math::{Ellipsoid, WGS84};
 use crate::scene::{BlockFormats, Node, ReaderData, SharedStateManager};
 
 /// Options that all reads of a tile set share.
@@ -25,6 +26,9 @@ pub struct ReadOptions {
     /// Maps the content to the frame of the whole set: the product of the transforms of all tiles above. It is needed for
     /// regions, which transforms do not move.
     pub set_from_content: DAffine3,
+    /// The ellipsoid that regions and heights refer to: WGS84 by default. A root tileset with 3DTILES_ellipsoid has its own, and
+    /// so has what it refers to.
+    pub ellipsoid: Ellipsoid,
     /// Builds a [`KdTree`](crate::scene::KdTree) for each drawable, so that lines and volumes can be intersected with it after
     /// its payload has moved to the GPU. Off by default, since it costs memory and time of the decode workers.
     pub build_kd_trees: bool,
@@ -80,6 +84,7 @@ impl ReadOptions {
             limits,
             chain: Arc::new([]),
             set_from_content: DAffine3::IDENTITY,
+            ellipsoid: WGS84,
             build_kd_trees: false,
             vertex_attributes: Arc::default(),
             base: None,

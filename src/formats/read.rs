@@ -9,6 +9,7 @@ use super::implicit::{SubtreePart, SubtreeSource};
 use super::options::{Content, Fetched, ReadOptions};
 use super::terrain::{self, TerrainPage, TerrainTile};
 use super::tile::{ContentBytes, ContentData, TileContent, node_of};
+use super::tileset::Body;
 use super::{
     b3dm, cmpt, embedded, gltf, height, i3dm, image, implicit, model_files, osg, overlay, point_cloud, style, tileset,
 };
@@ -112,9 +113,10 @@ pub(crate) fn has_slow_dependencies(bytes: &[u8], known: &[Fetched]) -> bool {
 pub fn decode(content: Content, options: &ReadOptions) -> Result<Page, IoError> {
     let uri = content.uri.clone();
     let read = || {
-        let Decoded { node, credits, .. } = decode_whole(content, options)?;
+        let Decoded { node, credits, body, .. } = decode_whole(content, options)?;
         let mut page = Page::from_node(node).map_err(|e| IoError::invalid(&uri, e.to_string()))?;
         page.set_credits(credits);
+        page.set_ellipsoid(body.map_or(options.ellipsoid, |body| body.ellipsoid()));
         if options.build_kd_trees {
             page.build_kd_trees();
         }
@@ -144,6 +146,8 @@ pub(super) struct Decoded {
     ignored: Ignored,
     /// The attributions of the content and of its overlays.
     pub credits: Vec<Arc<str>>,
+    /// The body that a root tileset declares.
+    pub body: Option<Body>,
 }
 
 /// Decodes a content to nodes with its attributions.
@@ -163,10 +167,10 @@ pub(super) fn decode_whole(content: Content, options: &ReadOptions) -> Result<De
     if let Some(overlays) = overlays {
         overlays.apply(&mut node, options, &notes);
     }
-    let credits = notes.take_credits();
+    let (credits, body) = (notes.take_credits(), notes.take_body());
     let ignored = notes.into_ignored();
     options.ignored.add(&ignored);
-    Ok(Decoded { node, ignored, credits })
+    Ok(Decoded { node, ignored, credits, body })
 }
 
 fn read_node(content: Content, options: &ReadOptions, notes: &Notes) -> Result<Node, IoError> {

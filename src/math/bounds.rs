@@ -2,7 +2,7 @@
 
 use glam::{DAffine3, DMat3, DVec3};
 
-use super::{Geodetic, WGS84};
+use super::{Ellipsoid, Geodetic};
 
 /// A sphere; `radius_m < 0` means empty.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -206,7 +206,7 @@ const SAMPLE_STEP: f64 = 1.1e-3;
 /// The maximum number of samples along a side of a region.
 const MAX_SAMPLES: u32 = 8;
 
-/// A geodetic box: 3D Tiles' `region`. Radians and metres above the WGS84 ellipsoid.
+/// A geodetic box: 3D Tiles' `region`. Radians and metres above the ellipsoid of its set.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Region {
     /// Western edge in radians; may be larger than `east` across the antimeridian.
@@ -221,6 +221,8 @@ pub struct Region {
     pub min_height_m: f64,
     /// Highest height in metres.
     pub max_height_m: f64,
+    /// The ellipsoid that the angles and heights refer to.
+    pub ellipsoid: Ellipsoid,
 }
 
 impl Region {
@@ -251,18 +253,30 @@ impl Region {
         };
         let samples = (0..=steps).flat_map(|i| (0..=steps).map(move |j| (i, j)));
         let samples = samples.flat_map(|(i, j)| [self.min_height_m, self.max_height_m].map(|height| at(i, j, height)));
-        surface_box(&self.center(), samples, extent / f64::from(steps))
+        surface_box(&self.ellipsoid, &self.center(), samples, extent / f64::from(steps))
     }
 }
 
-/// Returns an oriented box (east, north, up at `center`) around a part of the earth's surface, ECEF metres. `samples` are
+/// The ratio of radii up to which the boxes around parts of a surface have room for its flattening.
+const MAX_ROUND_RATIO: f64 = 1.01;
+
+/// Returns an oriented box (east, north, up at `center`) around a part of an ellipsoid's surface, ECEF metres. `samples` are
 /// points of the part, at most the angle `step`, in radians, apart.
-pub(crate) fn surface_box(center: &Geodetic, samples: impl Iterator<Item = Geodetic>, step: f64) -> OrientedBox {
-    let ecef_from_enu = WGS84.ecef_from_enu(center);
+pub(crate) fn surface_box(
+    ellipsoid: &Ellipsoid,
+    center: &Geodetic,
+    samples: impl Iterator<Item = Geodetic>,
+    step: f64,
+) -> OrientedBox {
+    let ecef_from_enu = ellipsoid.ecef_from_enu(center);
     let enu_from_ecef = ecef_from_enu.inverse();
-    let b = Aabb::from_points(samples.map(|sample| enu_from_ecef.transform_point3(WGS84.ecef(&sample))));
+    let b = Aabb::from_points(samples.map(|sample| enu_from_ecef.transform_point3(ellipsoid.ecef(&sample))));
     // Between samples the surface bulges beyond the hull by at most the sagitta of one step.
-    let bulge = WGS84.semi_major_m * step * step / 8.0;
+    // The largest radius of curvature is that of the equator times the ratio, or its square.
+    let ratio = ellipsoid.semi_major_m / ellipsoid.semi_minor_m;
+    let ratio = ratio.max(ratio.recip());
+    let stretch = if ratio > MAX_ROUND_RATIO { ratio * ratio } else { 1.0 };
+    let bulge = ellipsoid.semi_major_m * stretch * step * step / 8.0;
     OrientedBox {
         center: ecef_from_enu.transform_point3(b.center()),
         half_axes: ecef_from_enu.matrix3 * DMat3::from_diagonal(b.half_size() + DVec3::splat(bulge)),
@@ -287,7 +301,7 @@ impl BoundingVolume {
             Self::Sphere(s) => s.center.distance(point) <= s.radius_m,
             Self::Box(b) => b.distance_to(point) <= 1e-9 * b.center.distance(point),
             Self::Region(r) => {
-                let g = WGS84.geodetic(point);
+                let g = r.ellipsoid.geodetic(point);
                 // A region that crosses the antimeridian continues beyond 180 degrees.
                 let east = if r.east < r.west { r.east + std::f64::consts::TAU } else { r.east };
                 let longitude = if g.longitude < r.west { g.longitude + std::f64::consts::TAU } else { g.longitude };
@@ -322,6 +336,7 @@ mod tests {
     use std::f64::consts::{PI, TAU};
 
     use super::*;
+    use crate::math::WGS84;
 
     #[test]
     fn union_holds_both() {
@@ -376,7 +391,15 @@ mod tests {
 
     #[test]
     fn a_region_lies_in_its_box() {
-        let r = Region { west: 0.1, south: 0.7, east: 0.2, north: 0.8, min_height_m: -10.0, max_height_m: 3000.0 };
+        let r = Region {
+            west: 0.1,
+            south: 0.7,
+            east: 0.2,
+            north: 0.8,
+            min_height_m: -10.0,
+            max_height_m: 3000.0,
+            ellipsoid: WGS84,
+        };
         let b = r.oriented_box();
         for i in 0..=33 {
             for j in 0..=33 {

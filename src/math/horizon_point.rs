@@ -1,11 +1,9 @@
-//! [`horizon_point`]: a point that stands for a part of the earth's surface in the test against the horizon. Arithmetic.
+//! [`horizon_point`]: a point that stands for a part of a body's surface in the test against the horizon. Arithmetic.
 
 use glam::DVec3;
 
-use super::{Geodetic, Region, WGS84};
+use super::{Geodetic, Region};
 
-/// A height below all ground, metres above the ellipsoid. No horizon is computed with a smaller body.
-const LOWEST_GROUND_M: f64 = -12_000.0;
 /// The number of steps along each side of a region at which its surface is sampled.
 const STEPS: u32 = 8;
 /// The least cosine of the angle between the direction of the point and the tangent through the farthest sample. A point
@@ -17,18 +15,20 @@ const ROUNDING: f64 = 1e-6;
 /// Returns a point in ECEF metres which is behind the horizon only if everything in the region is. `None` for a region that
 /// is too large or invalid.
 ///
-/// In space scaled by the radii the earth is the unit sphere. A tangent through a sample at the angle `alpha` from the
+/// In space scaled by the radii the body is the unit sphere. A tangent through a sample at the angle `alpha` from the
 /// direction of the point, and at the height that has the angle `beta` to its horizon, meets that direction at the distance
 /// `1 / cos(alpha + beta)` (D. Bagnell and K. Ring, "Computing the horizon occlusion point", cesium.com/blog, 2013). Bodies
 /// that are larger than the one assumed here hide more.
 pub(crate) fn horizon_point(region: &Region) -> Option<DVec3> {
-    let [equator_m, pole_m] = [WGS84.semi_major_m, WGS84.semi_minor_m].map(|radius_m| radius_m + LOWEST_GROUND_M);
-    let radii = DVec3::new(equator_m, equator_m, pole_m);
+    let body = region.ellipsoid;
+    // No horizon is computed with a smaller body.
+    let [lowest_m, _] = body.ground_m();
+    let radii = body.radii_m() + lowest_m;
     let (width, height) = (region.width(), region.north - region.south);
     let scaled = |x: f64, y: f64| {
         let longitude = region.west + width * x;
         let latitude = region.south + height * y;
-        WGS84.ecef(&Geodetic { longitude, latitude, height_m: region.max_height_m }) / radii
+        body.ecef(&Geodetic { longitude, latitude, height_m: region.max_height_m }) / radii
     };
     let direction = scaled(0.5, 0.5).normalize();
     let share = |step: u32| f64::from(step) / f64::from(STEPS);
@@ -47,10 +47,11 @@ pub(crate) fn horizon_point(region: &Region) -> Option<DVec3> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::math::WGS84;
 
     fn region(degrees: [f64; 4], max_height_m: f64) -> Region {
         let [west, south, east, north] = degrees.map(f64::to_radians);
-        Region { west, south, east, north, min_height_m: -100.0, max_height_m }
+        Region { west, south, east, north, min_height_m: -100.0, max_height_m, ellipsoid: WGS84 }
     }
 
     #[test]

@@ -17,7 +17,7 @@ pub use bounds::{Aabb, BoundingSphere, BoundingVolume, OrientedBox, Region};
 pub(crate) use bounds::{max_scale, surface_box};
 pub use depth::distance_of_depth;
 pub use frustum::Frustum;
-pub use geodesy::{Ellipsoid, Geodetic, WGS84};
+pub use geodesy::{Ellipsoid, Geodetic, MARS, MOON, RadiiError, WGS84};
 pub(crate) use horizon_point::horizon_point;
 pub use projection::TransverseMercator;
 pub use ray::Ray;

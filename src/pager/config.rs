@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use crate::fetch::{IoError, Limits};
 use crate::formats::{ContentReader, OverlaySet, Style};
+use crate::math::{Ellipsoid, WGS84};
 use crate::scene::ShareModes;
 
 /// Half of it are 32 requests of six megabytes, and the whole leaves room for the rest of a process of one gigabyte.
@@ -97,6 +98,9 @@ pub struct PagerConfig {
     /// Overlays that are draped over scenes whose own options have none; see
     /// [`ReadOptions::overlays`](crate::formats::ReadOptions::overlays).
     pub overlays: Option<Arc<OverlaySet>>,
+    /// The ellipsoid of roots that a viewer reads and that name none, such as terrain services; see
+    /// [`ReadOptions::ellipsoid`](crate::formats::ReadOptions::ellipsoid).
+    pub ellipsoid: Ellipsoid,
     /// Which equal contents of different tiles are shared; see [`SharedStateManager`](crate::scene::SharedStateManager).
     pub sharing: ShareModes,
 }
@@ -134,6 +138,7 @@ impl Default for PagerConfig {
             content_readers: Arc::new([]),
             credits: Arc::new([]),
             overlays: None,
+            ellipsoid: WGS84,
             sharing: ShareModes::default(),
         }
     }

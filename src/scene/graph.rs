@@ -12,7 +12,7 @@ use super::nodes::CameraNode;
 use super::occluder_pages::OccluderPage;
 use super::pages::{DrawSlot, Page, SingleDrawable};
 use super::rewritten_mesh::RewrittenMesh;
-use crate::math::BoundingSphere;
+use crate::math::{BoundingSphere, Ellipsoid, WGS84};
 use crate::state::StateSet;
 
 /// An entry of the page table.
@@ -163,6 +163,12 @@ impl Scene {
     pub fn bounding_sphere(&self) -> BoundingSphere {
         let spheres = self.roots.iter().filter_map(|r| self.page(*r)).map(Page::bounding_sphere);
         spheres.fold(BoundingSphere::EMPTY, |all, s| all.union(&s))
+    }
+
+    /// Returns the ellipsoid of the body that the scene is on: that of the first root that is not on WGS84, else WGS84.
+    pub fn ellipsoid(&self) -> Ellipsoid {
+        let of_roots = self.roots.iter().filter_map(|root| self.page(*root)).map(Page::ellipsoid);
+        of_roots.into_iter().find(|ellipsoid| *ellipsoid != WGS84).unwrap_or(WGS84)
     }
 
     /// Returns a number that changes whenever pages are added, removed or may have been changed. No other scene returns the

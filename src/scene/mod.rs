@@ -81,7 +81,7 @@ pub(crate) use pages::{
     BLEND, CALLBACK, INACTIVE, LARGE, OccluderRecord, RareNode, SIMPLE_SUBTREE, SingleDrawable, UNBOUNDED, UNCULLED,
     VIEW, kind,
 };
-pub(crate) use settings::{LodRanges, MORPH_START, has_parallel_rays, is_over_globe, px_per_radian};
+pub(crate) use settings::{LodRanges, MORPH_START, has_parallel_rays, px_per_radian};
 pub(crate) use sharing::{SharedContent, SharedParts};
 pub(crate) use tile_tree::{
     ContentShape, GroundTiles, Readiness, TileBounds, TileEye, TileRecord, TileRoot, Tiles, flag,

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant, SystemTime};
 use kit::server::{Reply, Request, Server};
 use terrane::fetch::{CacheConfig, DiskCache, HttpConfig, IoError};
 use terrane::formats::{FillOptions, Filled, fill};
-use terrane::math::Region;
+use terrane::math::{Region, WGS84};
 
 /// A tree of four levels over 8 x 8 degrees from 0 N 0 E. Each tile has four children. The eastern half of level 1 is
 /// in external tilesets.
@@ -167,7 +167,7 @@ fn instances_of(model: &str) -> Vec<u8> {
 fn levels_and_regions_select_tiles() {
     let degrees = |west: f64, south: f64, east: f64, north: f64| {
         let [west, south, east, north] = [west, south, east, north].map(f64::to_radians);
-        Some(Region { west, south, east, north, min_height_m: 0.0, max_height_m: 0.0 })
+        Some(Region { west, south, east, north, min_height_m: 0.0, max_height_m: 0.0, ellipsoid: WGS84 })
     };
     for (levels, region, expected) in [
         (0..=0, None, vec!["0/0/0.glb"]),

@@ -41,8 +41,15 @@ impl World {
 
     /// Returns half a degree of the Alps on the ellipsoid, with hills as ground.
     pub fn alps() -> Self {
-        let region =
-            Region { west: 0.139, south: 0.81, east: 0.147, north: 0.818, min_height_m: 300.0, max_height_m: 4000.0 };
+        let region = Region {
+            west: 0.139,
+            south: 0.81,
+            east: 0.147,
+            north: 0.818,
+            min_height_m: 300.0,
+            max_height_m: 4000.0,
+            ellipsoid: WGS84,
+        };
         let volume = BoundingVolume::Region(region);
         let mut world = Self::new(SetBounds::new(volume.bounding_sphere(), Some(volume)));
         world.ground = Some(Box::new(|_: &Scene, point: DVec3, _: DVec3| {

@@ -3,6 +3,7 @@
 #![cfg(feature = "http")]
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
+mod bodies;
 mod changes;
 mod documents;
 mod earth;

@@ -208,7 +208,7 @@ fn file_bytes(folder: &std::path::Path, at: [u32; 3]) -> u64 {
 #[test]
 fn ellipsoid_is_made_from_orbit_to_the_ground() {
     for place in [PLACE, [std::f64::consts::PI, -0.3], [1.0, -1.2]] {
-        let mut run = globe(Run::of_page(Page::from_node(ellipsoid()).unwrap(), "/", PagerConfig::default()));
+        let mut run = globe(Run::of_page(Page::from_node(ellipsoid(WGS84)).unwrap(), "/", PagerConfig::default()));
         let mut drawn = Vec::new();
         for height_m in [2e7, 1e6, 1e4, 100.0, 2.0] {
             run.settle(eye(place, height_m));
@@ -228,7 +228,7 @@ fn ellipsoid_is_made_from_orbit_to_the_ground() {
 #[test]
 fn tiles_behind_the_horizon_are_not_loaded() {
     let counts = [true, false].map(|is_globe| {
-        let mut run = globe(Run::of_page(Page::from_node(ellipsoid()).unwrap(), "/", PagerConfig::default()));
+        let mut run = globe(Run::of_page(Page::from_node(ellipsoid(WGS84)).unwrap(), "/", PagerConfig::default()));
         run.has_horizon = is_globe;
         // The frustum is wide: the whole earth is in it, and near enough for tiles of 11 degrees.
         run.max_sse_px = 2.0;
@@ -242,7 +242,7 @@ fn tiles_behind_the_horizon_are_not_loaded() {
 /// All columns of a level meet at a pole. Their number stays within reason.
 #[test]
 fn pole_has_few_tiles() {
-    let mut run = globe(Run::of_page(Page::from_node(ellipsoid()).unwrap(), "/", PagerConfig::default()));
+    let mut run = globe(Run::of_page(Page::from_node(ellipsoid(WGS84)).unwrap(), "/", PagerConfig::default()));
     run.settle(eye([0.0, std::f64::consts::FRAC_PI_2], 10_000.0));
     assert!(run.pager.errors().is_empty(), "{:?}", run.pager.errors());
     let count = run.stage.leaf_count();

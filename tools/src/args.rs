@@ -10,7 +10,9 @@ use terrane::viewer::ThreadingModel;
 use crate::info::MapOf;
 use crate::net::{ByteSize, NetArgs};
 use crate::overlays::{OVERLAY_HELP, OverlayArg};
-use crate::values::{NotNegative, Positive, Rgb, Size, SunFrom, View, finite, not_negative, pace, samples, secs};
+use crate::values::{
+    BodyArg, NotNegative, Positive, Rgb, Size, SunFrom, View, finite, not_negative, pace, samples, secs,
+};
 
 /// Streams terrain that is larger than memory, and draws it without a hitch.
 #[derive(Debug, Parser)]
@@ -105,6 +107,10 @@ pub struct SceneArgs {
     /// Drape images over the terrain
     #[arg(long = "overlay", value_name = "ADDRESS[,KEY=VALUE...]", help = OVERLAY_HELP)]
     pub overlays: Vec<OverlayArg>,
+    /// The body of a set that names none, and of globe: earth, moon, mars, or radii in metres as EQUATOR,POLE or X,Y,Z
+    /// [default: earth]
+    #[arg(long, value_name = "NAME|RADII")]
+    pub body: Option<BodyArg>,
     /// Do not use the cache of compiled pipelines (terrane/pipelines in the user's cache folder)
     #[arg(long)]
     pub no_pipeline_cache: bool,

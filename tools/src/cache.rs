@@ -11,7 +11,7 @@ use anyhow::{Context as _, Result, bail, ensure};
 use clap::{Args as ClapArgs, Subcommand};
 use terrane::fetch::{CacheConfig, CacheInfo, DiskCache};
 use terrane::formats::{self, FillOptions};
-use terrane::math::Region;
+use terrane::math::{Region, WGS84};
 use terrane_data_gen::Progress;
 
 use crate::net::{self, NetArgs, Opened};
@@ -122,7 +122,8 @@ fn fill(args: &FillArgs) -> Result<()> {
     let mut options = FillOptions { in_flight: args.jobs as usize, refresh: args.refresh, ..FillOptions::default() };
     if let Some(RegionArg(degrees)) = args.region {
         let [west, south, east, north] = degrees.map(f64::to_radians);
-        options.region = Some(Region { west, south, east, north, min_height_m: 0.0, max_height_m: 0.0 });
+        options.region =
+            Some(Region { west, south, east, north, min_height_m: 0.0, max_height_m: 0.0, ellipsoid: WGS84 });
     }
     if let Some(Levels(first, last)) = args.level {
         options.levels = first..=last;

@@ -2,6 +2,7 @@
 
 use std::str::FromStr;
 
+use terrane::math::{Ellipsoid, MARS, MOON, WGS84};
 use terrane::viewer::ViewFrom;
 
 /// The longest side of a frame, a texture size that every adapter has.
@@ -171,6 +172,30 @@ impl FromStr for SunFrom {
     }
 }
 
+/// The ellipsoid of a body, by its name or its radii in metres.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BodyArg(pub Ellipsoid);
+
+impl FromStr for BodyArg {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.to_ascii_lowercase().as_str() {
+            "earth" => return Ok(Self(WGS84)),
+            "moon" => return Ok(Self(MOON)),
+            "mars" => return Ok(Self(MARS)),
+            _ => {}
+        }
+        let radii: Option<Vec<f64>> = text.split(',').map(|part| part.trim().parse().ok()).collect();
+        let radii_m = match radii.as_deref() {
+            Some(&[x, y, z]) => [x, y, z],
+            Some(&[equator, pole]) => [equator, equator, pole],
+            _ => return Err("expected earth, moon, mars, or radii in metres such as 1737400,1737400".to_owned()),
+        };
+        Ellipsoid::from_radii_m(radii_m).map(Self).map_err(|error| error.to_string())
+    }
+}
+
 /// A colour as six hexadecimal digits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Rgb(pub [u8; 3]);
@@ -213,6 +238,14 @@ mod tests {
         assert!((azimuth.to_degrees() - 180.0).abs() < 1e-9 && (height.to_degrees() - 30.0).abs() < 1e-9);
         for bad in ["", "180", "180,x,30", "180,30,", "180,30,high", "nan,30", "180,91"] {
             assert!(bad.parse::<SunFrom>().is_err(), "{bad}");
+        }
+        for (text, body) in
+            [("Moon", MOON), ("mars", MARS), ("1737400, 1737400", MOON), ("3396190,3396190,3376200", MARS)]
+        {
+            assert_eq!(text.parse(), Ok(BodyArg(body)), "{text}");
+        }
+        for bad in ["", "pluto", "1737400", "1,1", "nan,nan,nan", "1e6,1e6,1e3", "1e6,1e6,1e6,1e6"] {
+            assert!(bad.parse::<BodyArg>().is_err(), "{bad}");
         }
     }
 }

@@ -1,6 +1,7 @@
 //! The GeoKeys of a GeoTIFF (OGC 19-008): the reference system and the units of its coordinates and heights.
 
 use super::crs::{Crs, definition, has_other_meridian};
+use super::projection::EARTH_AXES_M;
 
 /// The value of a GeoKey whose system or unit has no EPSG code.
 const USER_DEFINED: u32 = 32767;
@@ -118,7 +119,7 @@ impl GeoKeys {
             return Err(format!("GeoTIFF: longitudes from a meridian at {east}, which is not supported"));
         }
         // GeogSemiMajorAxis, unless GeogLinearUnits is another unit than the metre.
-        match self.double(2057).filter(|axis_m| !(6.3e6..6.5e6).contains(axis_m)) {
+        match self.double(2057).filter(|axis_m| !EARTH_AXES_M.contains(axis_m)) {
             Some(axis_m) if matches!(self.number(2052), None | Some(9001)) => {
                 Err(format!("GeoTIFF: an ellipsoid of {axis_m} m is not the earth's"))
             }

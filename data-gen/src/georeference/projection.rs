@@ -7,6 +7,9 @@ use std::sync::Arc;
 use proj4rs::Proj;
 use proj4rs::transform::transform;
 
+/// Equatorial radii of the earth's ellipsoids, metres.
+pub(super) const EARTH_AXES_M: std::ops::Range<f64> = 6.3e6..6.5e6;
+
 /// The names of the grids that [`super::DatumGrid`] reads begin so.
 pub(super) const OWN_GRID: &str = "terrane";
 
@@ -54,6 +57,10 @@ impl Projection {
         let own = Proj::from_proj_string(definition).map_err(bad)?;
         if own.is_geocent() || !own.has_inverse() || !own.has_forward() {
             return Err(format!("`{definition}`: only geographic and projected systems with an inverse are supported"));
+        }
+        let (axis_m, _) = own.ellipse_parameters();
+        if !EARTH_AXES_M.contains(&axis_m) {
+            return Err(format!("`{definition}`: an ellipsoid of {axis_m} m is not the earth's"));
         }
         let wgs84 = Proj::from_proj_string("+proj=longlat +datum=WGS84").map_err(bad)?;
         Ok(Self { definition: definition.into(), systems: Arc::new(Systems { own, wgs84 }) })

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use crate::files::{SIDE, each_tile, heights, region, tile_heights, tileset};
 use terrane::formats::writers::write_height_exr;
-use terrane::math::Region;
+use terrane::math::{Region, WGS84};
 use terrane_data_gen::{ContentKind, GenArgs, GenError, Voids, run};
 
 /// The distance between samples in degrees.
@@ -33,8 +33,15 @@ fn check_regions(out: &Path, [west, wide]: [f64; 2]) {
     let set = tileset(out);
     let root = region(&set["root"]);
     assert!((root[0] - west.to_radians()).abs() < 1e-9, "{root:?}");
-    let as_region =
-        |r: &[f64]| Region { west: r[0], south: r[1], east: r[2], north: r[3], min_height_m: r[4], max_height_m: r[5] };
+    let as_region = |r: &[f64]| Region {
+        west: r[0],
+        south: r[1],
+        east: r[2],
+        north: r[3],
+        min_height_m: r[4],
+        max_height_m: r[5],
+        ellipsoid: WGS84,
+    };
     let mut count = 0;
     each_tile(&set["root"], None, &mut |tile, parent| {
         count += 1;

@@ -198,6 +198,12 @@ fn projections_of_epsg_agree_with_proj() {
         ("utm", "neither an EPSG code nor"),
         ("+proj=nonsense", "+proj=nonsense"),
         ("+proj=geocent +datum=WGS84", "only geographic and projected"),
+        ("+proj=longlat +a=1737400 +b=1737400 +no_defs", "an ellipsoid of 1737400 m is not the earth's"),
+        (
+            r#"GEOGCS["Mars 2000",DATUM["D_Mars_2000",SPHEROID["Mars_2000_IAU_IAG",3396190.0,169.89444722361179]],
+            PRIMEM["Reference_Meridian",0.0],UNIT["Degree",0.0174532925199433]]"#,
+            "an ellipsoid of 3396190 m is not the earth's",
+        ),
     ] {
         let error = Crs::parse(text).unwrap_err();
         assert!(error.contains(why), "{error}");

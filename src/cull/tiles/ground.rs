@@ -8,7 +8,6 @@ use glam::DVec3;
 
 use super::walk_context::WalkContext;
 use crate::cull::visitor::Traversal;
-use crate::math::WGS84;
 use crate::scene::{GroundTiles, LodRanges, Readiness, TileRecord, flag};
 
 /// Distances to the ground are at least this share of the eye's height above it. The rest is for the difference between the
@@ -20,8 +19,7 @@ const MIN_DIVIDED_M: f32 = 800_000.0;
 /// Returns ranges that count no tile of a globe's surface as nearer than the ground below the eye. The box around a large tile
 /// reaches far above the surface. `eye` is in ECEF metres.
 pub(super) fn ranges_above(ground: &GroundTiles, ranges: LodRanges, eye: DVec3) -> LodRanges {
-    let radii = DVec3::new(WGS84.semi_major_m, WGS84.semi_major_m, WGS84.semi_minor_m);
-    let height_m = eye.length() * (1.0 - (eye / radii).length().recip());
+    let height_m = eye.length() * (1.0 - (eye / ground.ellipsoid().radii_m()).length().recip());
     ranges.not_nearer_than(HEIGHT_SHARE * (height_m - ground.ceiling_m()))
 }
 

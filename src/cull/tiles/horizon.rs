@@ -13,7 +13,7 @@ use crate::math::Ellipsoid;
 pub(in crate::cull) struct Horizon {
     /// Linear map from the frame to scaled space.
     scaled_from_frame: Mat3,
-    /// Unit direction from the eye to the earth's centre, in scaled space.
+    /// Unit direction from the eye to the body's centre, in scaled space.
     axis: Vec3,
     /// Distance of the horizon's plane from the eye along the axis.
     plane: f32,
@@ -23,11 +23,11 @@ pub(in crate::cull) struct Horizon {
     cos: f32,
     /// Upper limit of the scaled length of one metre of the frame.
     scale: f32,
-    /// The frame is that of the earth, which has the body in its middle.
+    /// The frame is the body's own, with the body in its middle.
     is_ecef: bool,
 }
 
-/// The distances from the identity up to which a frame is that of the earth: of the matrix, and of the origin in metres.
+/// The distances from the identity up to which a frame is the body's own: of the matrix, and of the origin in metres.
 const IDENTITY: [f64; 2] = [1e-9, 0.1];
 
 /// Upper limit of the rounding error of f32, as a share of the distance.
@@ -36,7 +36,7 @@ const ROUNDING: f32 = 5e-7;
 impl Horizon {
     /// Computes the cone. Returns `None` if the eye is not above the body, or if a matrix is degenerate.
     pub fn new(body: &Ellipsoid, world_from_frame: &DAffine3, eye_in_world: DVec3) -> Option<Self> {
-        let shrink = DVec3::new(1.0 / body.semi_major_m, 1.0 / body.semi_major_m, 1.0 / body.semi_minor_m);
+        let shrink = body.radii_m().recip();
         let eye = eye_in_world * shrink;
         let distance2 = eye.length_squared();
         // Closer to the body the cone is nearly a half space, and rounding would decide.
@@ -45,7 +45,7 @@ impl Horizon {
         }
         let distance = distance2.sqrt();
         let linear = DMat3::from_diagonal(shrink) * world_from_frame.matrix3;
-        let scale = crate::math::max_scale(&world_from_frame.matrix3) * shrink.z;
+        let scale = crate::math::max_scale(&world_from_frame.matrix3) * shrink.max_element();
         if !linear.is_finite() || !scale.is_finite() {
             return None;
         }
@@ -61,7 +61,7 @@ impl Horizon {
         })
     }
 
-    /// Returns true if a point that stands for a part of the earth is behind the horizon. `offset` is its offset from the eye
+    /// Returns true if a point that stands for a part of the body is behind the horizon. `offset` is its offset from the eye
     /// in ECEF metres; nothing is hidden in another frame.
     #[inline]
     pub fn hides_in_ecef(&self, offset: Vec3) -> bool {
@@ -164,7 +164,7 @@ mod tests {
             highest in -50.0..9000.0f64,
         ) {
             let north = (south + tall).min(std::f64::consts::FRAC_PI_2);
-            let region = Region { west, south, east: west + width, north, min_height_m: -100.0, max_height_m: highest };
+            let region = Region { west, south, east: west + width, north, min_height_m: -100.0, max_height_m: highest, ellipsoid: WGS84 };
             let eye = position(lon, lat, 10f64.powf(height));
             let Some(horizon) = Horizon::new(&WGS84, &DAffine3::IDENTITY, eye) else { panic!("{eye}") };
             let hides = horizon_point(&region).is_some_and(|point| horizon.hides_in_ecef((point - eye).as_vec3()));

@@ -8,8 +8,7 @@ use std::f64::consts::PI;
 use glam::DVec3;
 
 use crate::cull::CullCamera;
-use crate::math::WGS84;
-use crate::scene::{Environment, is_over_globe};
+use crate::scene::Environment;
 
 /// Radii in kilometres, as in air.wgsl: the ground at height 0, the top of the air, the lowest ground.
 const EARTH_KM: f64 = 6371.0;
@@ -98,8 +97,9 @@ pub(in crate::draw) fn direction_in_eye(camera: &CullCamera, world: DVec3) -> [f
 /// local frame counts as flat with its ground at 0.
 pub(in crate::draw) fn eye_height_m(camera: &CullCamera, environment: &Environment) -> (f64, bool) {
     let eye = camera.eye_from_world.inverse().translation;
-    let is_globe = is_over_globe(eye);
-    let height_m = if is_globe { WGS84.geodetic(eye).height_m } else { eye.dot(environment.up_in_world) };
+    let is_globe = environment.is_over_globe(eye);
+    let height_m =
+        if is_globe { environment.ellipsoid.geodetic(eye).height_m } else { eye.dot(environment.up_in_world) };
     (if height_m.is_finite() { height_m.max(0.0) } else { 0.0 }, is_globe)
 }
 

@@ -5,7 +5,6 @@ use glam::{DMat2, DMat4, Mat4, Vec3};
 
 use super::air::{AirParameters, direction_in_eye, eye_height_m, sun_height};
 use crate::cull::{CullCamera, StageShadows};
-use crate::math::WGS84;
 use crate::math::color::linear_from_srgb8;
 use crate::scene::{Environment, MAX_CASCADES, MORPH_START, Sky, has_parallel_rays};
 
@@ -144,7 +143,7 @@ impl FrameUniform {
             up: vec4(up, height_m),
             horizon_color: vec4(horizon, 1.0 / AIR_SCALE_HEIGHT_M),
             shape: [
-                if is_globe { (1.0 / WGS84.semi_major_m) as f32 } else { 0.0 },
+                if is_globe { (1.0 / environment.ellipsoid.semi_major_m) as f32 } else { 0.0 },
                 environment.exposure.unwrap_or(0.0).max(0.0),
                 switch(has_atmosphere),
                 switch(has_atmosphere && fog.enabled),

@@ -13,6 +13,7 @@ use crate::formats::image::ImageFiles;
 use crate::formats::options::{Content, ReadOptions};
 use crate::formats::read::decode_whole;
 use crate::formats::terrain::TerrainPage;
+use crate::formats::tileset::Body;
 use crate::formats::whole_set::{load, read_companions};
 use crate::formats::writers::{Leaf, Model, write_model};
 use crate::math::Aabb;
@@ -35,6 +36,8 @@ pub(super) struct ReadContent {
     pub set_from_model: DAffine3,
     pub files: ImageFiles,
     pub credits: Vec<Arc<str>>,
+    /// The body that a root tileset declares.
+    pub body: Option<Body>,
     /// The options for the files below.
     pub below: Arc<ReadOptions>,
 }
@@ -68,6 +71,7 @@ impl ContentWriter<'_> {
             set_from_model: set_from_item,
             files: options.image_files.clone().unwrap_or_default(),
             credits: Vec::new(),
+            body: None,
             below: options.clone(),
         };
         let (uri, data, item_from_content) = match std::mem::replace(&mut item.content, ItemContent::Nothing) {
@@ -104,6 +108,10 @@ impl ContentWriter<'_> {
         let splitter = Splitter { px_per_radian: self.options.px_per_radian, notes };
         read.split = splitter.split(decoded.node, read.set_from_model, &item.name, item.children.len());
         read.credits = decoded.credits;
+        if let Some(body) = decoded.body {
+            options.ellipsoid = body.ellipsoid();
+            read.body = Some(body);
+        }
         let is_same_tree = data.is_some_and(ReaderData::continues_tileset);
         read.below = Arc::new(if is_same_tree { options } else { options.below(&uri) });
         Ok(read)

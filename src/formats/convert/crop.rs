@@ -15,8 +15,9 @@ use crate::fetch::markup::text_and_first_byte;
 use crate::fetch::{IoError, Loaded, RootScope, Source, is_remote, percent_decode, resolve, root_uri_within};
 use crate::formats::embedded::is_data_uri;
 use crate::formats::options::ReadOptions;
-use crate::formats::tileset::{is_tileset, may_be_tileset, volume_and_frame};
+use crate::formats::tileset::{body_of, is_tileset, may_be_tileset, volume_and_frame};
 use crate::formats::whole_set::{read_companions, too_many};
+use crate::math::{Ellipsoid, WGS84};
 
 /// Writes the part of a set over the region, or the rectangle, of the options to an empty folder. Contents are copied byte for byte;
 /// those that gzip has compressed are decompressed. Sets with implicit tiling, those of other formats than 3D Tiles, and those whose files
@@ -63,6 +64,8 @@ struct Plan<'a> {
     from: Source,
     scope: RootScope,
     root: Arc<str>,
+    /// That of the root.
+    ellipsoid: Ellipsoid,
     /// The JSON of each tileset with its name.
     tilesets: Vec<(String, Vec<u8>)>,
     files: Vec<File>,
@@ -101,6 +104,7 @@ impl<'a> Plan<'a> {
             from,
             scope: RootScope::of_set(root, &options.limits),
             root: base,
+            ellipsoid: body_of(root, &loaded.bytes, &options.limits).map_or(WGS84, |body| body.ellipsoid()),
             tilesets: Vec::new(),
             files: Vec::new(),
             known: HashMap::new(),
@@ -169,8 +173,10 @@ impl<'a> Plan<'a> {
             return Err(Refusal::NotCopied);
         }
         // Readers leave out a tile with an invalid volume, those of the new set too.
-        let Ok((volume, set_from_tile)) = volume_and_frame(at.base, tile, set_from_parent) else { return Ok(true) };
-        if !is_wanted(self.options, &volume, &DAffine3::IDENTITY) {
+        let Ok((volume, set_from_tile)) = volume_and_frame(at.base, tile, set_from_parent, self.ellipsoid) else {
+            return Ok(true);
+        };
+        if !is_wanted(self.options, &volume, &DAffine3::IDENTITY, &self.ellipsoid) {
             return Ok(false);
         }
         let imagery = tile.pointer("/extras/terrane/imagery").and_then(Value::as_str).map(str::to_owned);

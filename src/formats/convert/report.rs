@@ -16,7 +16,7 @@ use crate::scene::{Texture, Topology};
 pub struct ConvertOptions {
     /// Compresses vertices and indices with EXT_meshopt_compression.
     pub meshopt: bool,
-    /// Only tiles over this region of the earth, whatever their height. A tile is kept or left out as a whole. `None` means
+    /// Only tiles over this region of the earth, or of the body of the set, whatever their height. A tile is kept or left out as a whole. `None` means
     /// all tiles.
     pub region: Option<Region>,
     /// Only tiles over this rectangle of a set that is not on the earth: the smallest x and y in its frame, then the largest,

@@ -16,8 +16,9 @@ use super::written::levels_of;
 use crate::fetch::{Source, root_uri_within};
 use crate::formats::ignored::{Ignored, Notes};
 use crate::formats::options::ReadOptions;
-use crate::formats::whole_set::{is_on_earth, overlaps};
-use crate::math::{Aabb, BoundingVolume, Region, max_scale};
+use crate::formats::tileset::Body;
+use crate::formats::whole_set::{is_on_body, overlaps};
+use crate::math::{Aabb, BoundingVolume, Ellipsoid, Region, max_scale};
 
 /// A part of the tree with this number of tiles gets a file of its own.
 const TILES_PER_FILE: usize = 500;
@@ -60,6 +61,8 @@ struct State {
     report: Converted,
     left_out: Ignored,
     root: Vec<OutTile>,
+    /// The body that the source declares.
+    body: Option<Body>,
     error: Option<ConvertError>,
 }
 
@@ -187,6 +190,9 @@ impl Shared<'_> {
         let mut items = Vec::new();
         let (mut draft, mut written, mut beside) = (None, None, Vec::new());
         if let Some(read) = &mut read {
+            if parent.is_none() {
+                self.lock().body = read.body.take();
+            }
             items = std::mem::take(&mut read.split.items);
             let leaves = std::mem::take(&mut read.split.leaves);
             // Tiles in a content stand beside its own geometry, unless finer tiles replace or join both.
@@ -218,8 +224,9 @@ impl Shared<'_> {
         let mut children: Vec<(Item, Arc<ReadOptions>, usize)> = Vec::new();
         children.extend(below.drain(..).map(|child| (child, options.clone(), level_below)));
         children.extend(items.into_iter().map(|child| (child, options_below.clone(), level)));
-        let is_over = |item: &Item| item.bounds.is_none_or(|of| is_wanted(self.options, &of, &item.set_from_item));
-        children.retain(|(child, ..)| is_over(child));
+        children.retain(|(Item { bounds, set_from_item, .. }, of, _)| {
+            bounds.is_none_or(|bounds| is_wanted(self.options, &bounds, set_from_item, &of.ellipsoid))
+        });
         {
             let mut state = self.lock();
             state.left_out.merge(&notes.into_ignored());
@@ -292,7 +299,11 @@ impl Shared<'_> {
     }
 
     fn write_tileset(&self, file: &str, root: &OutTile, is_whole: bool, folder: &str) -> Result<(), ConvertError> {
-        let bytes = root.tileset(is_whole, folder).to_string().into_bytes();
+        let mut tileset = root.tileset(is_whole, folder);
+        if let Some(body) = &self.lock().body {
+            body.declare_in(&mut tileset);
+        }
+        let bytes = tileset.to_string().into_bytes();
         write_file(&self.out.join(file), &bytes)?;
         let mut state = self.lock();
         state.report.files += 1;
@@ -312,7 +323,9 @@ impl Shared<'_> {
             let reason = first.map_or(nothing, |(uri, reason)| format!("{uri}: {reason}"));
             return Err(ConvertError::Nothing { uri: crate::fetch::shown(uri).into_owned(), reason });
         };
-        self.lock().report = state.report;
+        let mut shared = self.lock();
+        (shared.report, shared.body) = (state.report, state.body);
+        drop(shared);
         self.write_tileset("tileset.json", &root, true, "")?;
         let mut report = std::mem::take(&mut self.lock().report);
         report.written.levels = levels_of(self.out)?;
@@ -369,9 +382,16 @@ pub(super) fn reason_for_nothing(options: &ConvertOptions) -> &'static str {
 }
 
 /// Returns true if a volume overlaps the region and the rectangle of the options, as far as there are some. `set_from_item` is the frame
-/// of the volume.
-pub(super) fn is_wanted(options: &ConvertOptions, volume: &BoundingVolume, set_from_item: &DAffine3) -> bool {
-    let is_over = |region: &Region| is_on_earth(volume, set_from_item) && overlaps(volume, set_from_item, region);
+/// of the volume, `ellipsoid` that of the set.
+pub(super) fn is_wanted(
+    options: &ConvertOptions,
+    volume: &BoundingVolume,
+    set_from_item: &DAffine3,
+    ellipsoid: &Ellipsoid,
+) -> bool {
+    let is_over = |region: &Region| {
+        is_on_body(volume, set_from_item, ellipsoid) && overlaps(volume, set_from_item, region, ellipsoid)
+    };
     options.region.as_ref().is_none_or(is_over)
         && options.rectangle_m.as_ref().is_none_or(|of| is_over_rectangle(*volume, set_from_item, of))
 }

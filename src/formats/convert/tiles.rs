@@ -237,6 +237,7 @@ fn united(regions: &[Region]) -> Option<Region> {
         north: all.north.max(one.north),
         min_height_m: all.min_height_m.min(one.min_height_m),
         max_height_m: all.max_height_m.max(one.max_height_m),
+        ellipsoid: all.ellipsoid,
     }))
 }
 

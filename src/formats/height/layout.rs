@@ -5,12 +5,12 @@ use std::f64::consts::{FRAC_PI_2, TAU};
 use glam::{DAffine3, DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
-use crate::math::WGS84;
+use crate::math::Ellipsoid;
 
 /// The area that a tile covers. Its samples divide it evenly.
 #[derive(Clone, Copy, Serialize, Deserialize)]
 pub(super) enum Placement {
-    /// West, south, east and north on WGS84, in radians. East is beyond pi for a tile across the antimeridian.
+    /// West, south, east and north on the ellipsoid of the set, in radians. East is beyond pi for a tile across the antimeridian.
     #[serde(rename = "region")]
     Region([f64; 4]),
     /// Smallest x and y, largest x and y on a plane with z up, in metres of the tile's frame.
@@ -41,24 +41,24 @@ impl Placement {
         w.abs().max(e.abs()) < max_x && s.abs().max(n.abs()) < max_y && w < e && s < n
     }
 
-    /// Returns the coordinates of `side` rows and columns.
-    pub fn layout(self, side: usize) -> Layout {
+    /// Returns the coordinates of `side` rows and columns on an ellipsoid, or on a plane.
+    pub fn layout(self, ellipsoid: &Ellipsoid, side: usize) -> Layout {
         match self {
-            Self::Region(region) => on_ellipsoid(region, side),
+            Self::Region(region) => on_ellipsoid(ellipsoid, region, side),
             Self::Plane(plane) => on_plane(plane, side),
         }
     }
 }
 
-fn on_ellipsoid([west, south, east, north]: [f64; 4], side: usize) -> Layout {
+fn on_ellipsoid(ellipsoid: &Ellipsoid, [west, south, east, north]: [f64; 4], side: usize) -> Layout {
     let cells = (side - 1) as f64;
     let (lon_0, lat_0) = (0.5 * (west + east), 0.5 * (south + north));
-    let e2 = WGS84.eccentricity_squared();
-    let n_0 = WGS84.prime_vertical_radius_m(lat_0);
+    let e2 = ellipsoid.eccentricity_squared();
+    let n_0 = ellipsoid.prime_vertical_radius_m(lat_0);
     let (p_0, z_0) = (n_0 * lat_0.cos(), n_0 * (1.0 - e2) * lat_0.sin());
     let row = |j: usize| {
         let lat = south + (north - south) * j as f64 / cells;
-        let n = WGS84.prime_vertical_radius_m(lat.clamp(-FRAC_PI_2, FRAC_PI_2));
+        let n = ellipsoid.prime_vertical_radius_m(lat.clamp(-FRAC_PI_2, FRAC_PI_2));
         let (sin, cos) = lat.sin_cos();
         [(n * cos - p_0) as f32, (n * (1.0 - e2) * sin - z_0) as f32, cos as f32, sin as f32]
     };
@@ -72,7 +72,7 @@ fn on_ellipsoid([west, south, east, north]: [f64; 4], side: usize) -> Layout {
         rows: (0..side).map(row).collect(),
         columns: (0..side).map(column).collect(),
         p0_m: p_0,
-        cell_m: [(p_0 * (east - west) / cells) as f32, ((north - south) / cells * WGS84.semi_major_m) as f32],
+        cell_m: [(p_0 * (east - west) / cells) as f32, ((north - south) / cells * ellipsoid.semi_major_m) as f32],
         world_from_tile: DAffine3 { matrix3: axes, translation: DVec3::new(p_0 * cos_lon, p_0 * sin_lon, z_0) },
     }
 }

@@ -11,7 +11,7 @@ use crate::fetch::IoError;
 use crate::formats::ignored::Notes;
 use crate::formats::image;
 use crate::formats::options::{Fetched, ReadOptions};
-use crate::math::Aabb;
+use crate::math::{Aabb, Ellipsoid};
 use crate::scene::{BlockFormats, Drawable, Geometry, HeightTile, Material, Node, Sampling, SharedParts, Texture};
 
 /// Decodes an EXR with one channel of heights, or packed heights, and the imagery. Fails if the imagery is missing or invalid: the parent tile
@@ -41,7 +41,7 @@ pub(in crate::formats) fn read(
         let decoded = image::decode_shared(&companion, &bytes?, Sampling::default(), formats, options, notes)?;
         (texture, shared) = (Some(decoded.0), decoded.1);
     }
-    let (world_from_tile, tile) = build(&data, heights, texture);
+    let (world_from_tile, tile) = build(&data, &options.ellipsoid, heights, texture);
     let mut tile = Arc::new(tile);
     let geometry =
         options.sharing.as_ref().and_then(|sharing| sharing.height_tile(&mut tile, shared.as_ref().map(|s| &s.key)));
@@ -50,10 +50,15 @@ pub(in crate::formats) fn read(
     Ok(Node::transform(world_from_tile, vec![Node::geode(vec![drawable])]))
 }
 
-/// Builds a tile and its transform.
-fn build(data: &TileData, heights: Vec<f32>, texture: Option<Arc<Texture>>) -> (DAffine3, HeightTile) {
+/// Builds a tile on an ellipsoid, and its transform.
+fn build(
+    data: &TileData,
+    ellipsoid: &Ellipsoid,
+    heights: Vec<f32>,
+    texture: Option<Arc<Texture>>,
+) -> (DAffine3, HeightTile) {
     let side = data.side as usize;
-    let Layout { rows, columns, p0_m, cell_m, world_from_tile } = data.placement.layout(side);
+    let Layout { rows, columns, p0_m, cell_m, world_from_tile } = data.placement.layout(ellipsoid, side);
     let stride = side + 2 * data.border as usize;
     let own_error_m = data.errors_m.first().copied().unwrap_or(0.0);
     let coarser_errors_m: Vec<f32> = data.errors_m.iter().skip(1).map(|e| *e as f32).collect();
@@ -130,7 +135,7 @@ mod tests {
     fn differences_reproduce_a_plane() {
         let placement = Placement::Plane([4000.0, -3000.0, 5000.0, -1000.0]);
         let data = TileData { placement, side: 5, border: 1, level: 0, errors_m: vec![10.0], imagery: None };
-        let (world_from_tile, tile) = build(&data, (0..49).map(|i| i as f32 * 37.5).collect(), None);
+        let (world_from_tile, tile) = build(&data, &WGS84, (0..49).map(|i| i as f32 * 37.5).collect(), None);
         for j in 0..5 {
             for i in 0..5 {
                 let h = tile.heights[(j + 1) * 7 + i + 1];
@@ -174,11 +179,12 @@ mod tests {
     fn a_tile_across_the_antimeridian_is_whole() {
         let set = HeightSet::for_tests(5, 10.0);
         let tile = |west: f64, east: f64| {
-            let region = Region { west, south: 0.2, east, north: 0.21, min_height_m: 0.0, max_height_m: 9.0 };
+            let region =
+                Region { west, south: 0.2, east, north: 0.21, min_height_m: 0.0, max_height_m: 9.0, ellipsoid: WGS84 };
             let data = set.tile_data("/set/tileset.json", 0, &BoundingVolume::Region(region), None, None).unwrap();
             let data: TileData = serde_json::from_str(&data).unwrap();
             assert_eq!(data.check(), Ok(()));
-            build(&data, (0..49).map(|i| i as f32).collect(), None)
+            build(&data, &WGS84, (0..49).map(|i| i as f32).collect(), None)
         };
         let (ecef_from_tile, across) = tile(PI - 0.004, 0.006 - PI);
         let (_, elsewhere) = tile(1.0, 1.01);
@@ -197,7 +203,7 @@ mod tests {
                 let placement = Placement::Region([west, 0.3, east, 0.6]);
                 let data = TileData { placement, side: 7, border: 1, level: 0, errors_m: vec![10.0], imagery: None };
                 let heights = (0..81).map(|k| if k == peak { 3000.0 } else { (k % 5) as f32 }).collect();
-                let (_, tile) = build(&data, heights, None);
+                let (_, tile) = build(&data, &WGS84, heights, None);
                 let mut tight = Aabb::EMPTY;
                 for (j, i) in (0..49).map(|k| (k / 7, k % 7)) {
                     let ([dp, dz, cos, sin], [s, c1]) = (tile.rows[j].map(f64::from), tile.columns[i].map(f64::from));
@@ -226,7 +232,7 @@ mod tests {
             errors_m: vec![10.0],
             imagery: None,
         };
-        let (ecef_from_tile, tile) = build(&data, (0..49).map(|i| i as f32 * 37.5).collect(), None);
+        let (ecef_from_tile, tile) = build(&data, &WGS84, (0..49).map(|i| i as f32 * 37.5).collect(), None);
         for j in 0..5 {
             for i in 0..5 {
                 let h = tile.heights[(j + 1) * 7 + i + 1];

@@ -155,7 +155,7 @@ impl HeightSet {
     }
 }
 
-/// Returns the region of a height tile on WGS84: west, south, east and north in radians.
+/// Returns the region of a height tile on the ellipsoid of its set: west, south, east and north in radians.
 pub(in crate::formats) fn region(reader_data: &str) -> Option<[f64; 4]> {
     match serde_json::from_str::<TileData>(reader_data).ok()?.placement {
         Placement::Region(region) => Some(region),
@@ -172,7 +172,7 @@ pub(in crate::formats) fn companions(_uri: &Arc<str>, reader_data: Option<&str>)
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::math::Region;
+    use crate::math::{Region, WGS84};
 
     #[test]
     fn levels_of_external_tilesets_count_from_the_root_of_the_set() {
@@ -182,7 +182,8 @@ mod tests {
         };
         let of = |set: HeightSet, level: u32| {
             let (south, north) = (0.8, 0.81);
-            let bounds = Region { west: 0.1, south, east: 0.11, north, min_height_m: 0.0, max_height_m: 9.0 };
+            let bounds =
+                Region { west: 0.1, south, east: 0.11, north, min_height_m: 0.0, max_height_m: 9.0, ellipsoid: WGS84 };
             let data = set.tile_data("/set/tileset.json", level, &BoundingVolume::Region(bounds), None, None);
             let data: TileData = serde_json::from_str(&data.unwrap()).unwrap();
             (data.level, data.errors_m, set.level_error_m(level))

@@ -6,7 +6,7 @@
 use glam::{DAffine3, DMat3, DVec3};
 
 use crate::formats::tile::{S2Cell, tile_transform};
-use crate::math::{BoundingSphere, OrientedBox, Region};
+use crate::math::{BoundingSphere, OrientedBox, Region, WGS84};
 use crate::scene::{PropertyValue, Refine};
 
 /// The semantic of the reference of a content.
@@ -159,8 +159,9 @@ fn oriented_box([cx, cy, cz, axes @ ..]: [f64; 12]) -> Shape {
     Shape::Box(OrientedBox { center: DVec3::new(cx, cy, cz), half_axes: DMat3::from_cols(x, y, z) })
 }
 
+/// The tiling replaces the ellipsoid by its own.
 fn region([west, south, east, north, min_height_m, max_height_m]: [f64; 6]) -> Shape {
-    Shape::Region(Region { west, south, east, north, min_height_m, max_height_m })
+    Shape::Region(Region { west, south, east, north, min_height_m, max_height_m, ellipsoid: WGS84 })
 }
 
 fn sphere([x, y, z, radius_m]: [f64; 4]) -> Shape {

@@ -15,7 +15,7 @@ use crate::formats::height::HeightSet;
 use crate::formats::options::ReadOptions;
 use crate::formats::properties::Schema;
 use crate::formats::tile::{ContentData, S2Cell, TileContent, UpAxis};
-use crate::math::{BoundingVolume, OrientedBox, Region, max_scale};
+use crate::math::{BoundingVolume, Ellipsoid, OrientedBox, Region, max_scale};
 use crate::scene::{Metadata, ReaderData, Refine, TileMetadata};
 
 /// The volume of the root of an implicit tree, which is halved for the tiles below.
@@ -103,6 +103,8 @@ pub(in crate::formats) struct ImplicitTiling {
     /// The metadata of all groups of the tileset.
     groups: Arc<[Option<Arc<Metadata>>]>,
     volume: RootVolume,
+    /// That of regions and cells.
+    ellipsoid: Ellipsoid,
     tileset_from_set: Option<DAffine3>,
     /// The error of the root, metres before the scale of the tile.
     geometric_error: f64,
@@ -162,6 +164,7 @@ impl ImplicitTiling {
             subtrees: resolve(subtrees)?,
             contents,
             volume: root.volume,
+            ellipsoid: root.options.ellipsoid,
             tileset_from_set: root.tileset_from_set,
             geometric_error: root.geometric_error,
             refine: root.refine,
@@ -284,7 +287,7 @@ impl ImplicitTiling {
             Shape::Region(own) => {
                 let min_height_m = overrides.min_height_m.unwrap_or(own.min_height_m);
                 let max_height_m = overrides.max_height_m.unwrap_or(own.max_height_m);
-                let region = Region { min_height_m, max_height_m, ..own };
+                let region = Region { min_height_m, max_height_m, ellipsoid: self.ellipsoid, ..own };
                 match &self.tileset_from_set {
                     None => BoundingVolume::Region(region),
                     Some(map) => BoundingVolume::Box(region.oriented_box().transformed(map)),
@@ -293,7 +296,7 @@ impl ImplicitTiling {
             Shape::S2(cell) => {
                 let [low, high] = self.heights_m(tile);
                 let (low, high) = (overrides.min_height_m.unwrap_or(low), overrides.max_height_m.unwrap_or(high));
-                let b = cell.oriented_box(low, high);
+                let b = cell.oriented_box(&self.ellipsoid, low, high);
                 BoundingVolume::Box(self.tileset_from_set.map_or(b, |map| b.transformed(&map)))
             }
         }
@@ -343,6 +346,7 @@ impl ImplicitTiling {
             north: root.south + height * y.1,
             min_height_m: root.min_height_m + rise * z.0,
             max_height_m: root.min_height_m + rise * z.1,
+            ellipsoid: root.ellipsoid,
         }
     }
 

@@ -21,7 +21,7 @@ struct Covered<'a> {
 
 impl<'a> Covered<'a> {
     /// A file of OpenSceneGraph that is opened alone is where its geometry is.
-    /// Returns `None` for contents that are tile trees, empty, or not on the earth.
+    /// Returns `None` for contents that are tile trees, empty, or not on the body.
     fn new(bytes: &[u8], reader_data: Option<&ReaderData>, options: &'a ReadOptions) -> Option<Self> {
         let set = options.overlays.as_deref()?;
         let volume = options.tile.or_else(|| osg::own_volume(bytes, options))?;
@@ -36,7 +36,7 @@ impl<'a> Covered<'a> {
             return None;
         }
         let is_height = bytes.starts_with(&[0x76, 0x2f, 0x31, 0x01]);
-        Some(Self { set, extent: Extent::new(&volume, reader_data, is_height)? })
+        Some(Self { set, extent: Extent::new(&volume, reader_data, is_height, &options.ellipsoid)? })
     }
 }
 
@@ -76,7 +76,11 @@ impl Draping {
         drape::note_regions(node);
         let Self { covered, keeps_reflection } = self;
         if let (Some((extent, images)), Some(set)) = (covered, &options.overlays) {
-            let to = drape::Draped { set_from_content: options.set_from_content, keeps_reflection };
+            let to = drape::Draped {
+                set_from_content: options.set_from_content,
+                ellipsoid: options.ellipsoid,
+                keeps_reflection,
+            };
             drape::apply(node, set, &extent, &images, to, &options.limits, notes);
         }
     }

@@ -16,7 +16,7 @@ use crate::formats::ignored::Notes;
 use crate::formats::image::mips;
 use crate::formats::options::Fetched;
 use crate::formats::tile::with_region;
-use crate::math::{BoundingVolume, WGS84};
+use crate::math::{BoundingVolume, Ellipsoid};
 use crate::scene::{
     AlphaMode, AttributeFormat, Drawable, Geometry, MetallicRoughness, Node, NodeKind, SecondUv, Texture, Topology,
 };
@@ -43,6 +43,7 @@ pub(super) fn note_regions(node: &mut Node) {
 #[derive(Clone, Copy)]
 pub(super) struct Draped {
     pub set_from_content: DAffine3,
+    pub ellipsoid: Ellipsoid,
     /// True if surfaces stay as smooth as they are.
     pub keeps_reflection: bool,
 }
@@ -68,7 +69,7 @@ pub(super) fn apply(
         return;
     }
     let middle = middle_of(&extent.rectangle);
-    let mut found = Found { places: Vec::new(), vertices: 0, middle, notes };
+    let mut found = Found { places: Vec::new(), vertices: 0, ellipsoid: to.ellipsoid, middle, notes };
     found.node(node, to.set_from_content);
     let places = found.places;
     let points = places.iter().flatten().flat_map(|place| place.iter().copied());
@@ -108,6 +109,7 @@ struct Found<'a> {
     /// In the order of the walk, one for each drawable.
     places: Vec<Places>,
     vertices: usize,
+    ellipsoid: Ellipsoid,
     /// The longitude in the middle of the tile.
     middle: f64,
     notes: &'a Notes,
@@ -140,9 +142,9 @@ impl Found<'_> {
             self.notes.add("overlay: mesh beyond four million vertices, which it does not cover");
             return None;
         }
-        let middle = self.middle;
+        let (middle, ellipsoid) = (self.middle, self.ellipsoid);
         let place = |position: [f32; 3]| {
-            let at = WGS84.geodetic(set_from_mesh.transform_point3(DVec3::from(position.map(f64::from))));
+            let at = ellipsoid.geodetic(set_from_mesh.transform_point3(DVec3::from(position.map(f64::from))));
             let is_pole = at.latitude.abs() > std::f64::consts::FRAC_PI_2 - POLE;
             [if is_pole { middle } else { near(at.longitude, middle) }, at.latitude]
         };

@@ -1,4 +1,4 @@
-//! Surfaces as meshes: vertices on WGS84 relative to the middle of the tile, normals and skirts. Decode threads.
+//! Surfaces as meshes: vertices on an ellipsoid relative to the middle of the tile, normals and skirts. Decode threads.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -6,19 +6,19 @@ use glam::{DVec3, Vec3};
 
 use super::surface::{Normals, Surface};
 use super::tiling::Rectangle;
-use crate::math::{Aabb, Geodetic, WGS84};
+use crate::math::{Aabb, Ellipsoid, Geodetic};
 use crate::scene::{Mesh, MeshVertex};
 
 /// Sides of triangles that are shorter count as points, metres.
 const MIN_SIDE_M: f64 = 1e-6;
 
-/// Builds the mesh of a surface over a rectangle. Returns the position of its origin, ECEF metres; its axes are those of
+/// Builds the mesh of a surface over a rectangle of an ellipsoid. Returns the position of its origin, ECEF metres; its axes are those of
 /// ECEF. Texture coordinates are shares of the rectangle, from its upper left corner. A skirt of `skirt_m` metres hangs
 /// from each edge: neighbours of other levels have other vertices there.
-pub(super) fn build(surface: &Surface, rectangle: &Rectangle, skirt_m: f64) -> (DVec3, Mesh) {
+pub(super) fn build(ellipsoid: &Ellipsoid, surface: &Surface, rectangle: &Rectangle, skirt_m: f64) -> (DVec3, Mesh) {
     let [low, high] = surface.heights_m();
-    let middle = rectangle.region([low, high]).center();
-    let origin = WGS84.ecef(&middle);
+    let middle = rectangle.region(*ellipsoid, [low, high]).center();
+    let origin = ellipsoid.ecef(&middle);
     let places: Vec<Geodetic> = surface
         .vertices
         .iter()
@@ -28,14 +28,14 @@ pub(super) fn build(surface: &Surface, rectangle: &Rectangle, skirt_m: f64) -> (
             height_m: vertex.height_m,
         })
         .collect();
-    let positions: Vec<DVec3> = places.iter().map(|place| WGS84.ecef(place) - origin).collect();
+    let positions: Vec<DVec3> = places.iter().map(|place| ellipsoid.ecef(place) - origin).collect();
     // All vertices at a pole are one point, but for rounding.
     let is_flat = |triangle: [u32; 3]| {
         let [a, b, c] = triangle.map(|i| positions[i as usize]);
         [(a, b), (b, c), (c, a)].iter().any(|(a, b)| a.distance_squared(*b) < MIN_SIDE_M * MIN_SIDE_M)
     };
     let triangles: Vec<[u32; 3]> = surface.triangles.iter().copied().filter(|triangle| !is_flat(*triangle)).collect();
-    let normals = normals(surface, &places, &positions, &triangles);
+    let normals = normals(ellipsoid, surface, &places, &positions, &triangles);
     let vertex = |i: usize| MeshVertex {
         position: positions[i].as_vec3().to_array(),
         uv: [surface.vertices[i].u as f32, (1.0 - surface.vertices[i].v) as f32],
@@ -59,7 +59,7 @@ pub(super) fn build(surface: &Surface, rectangle: &Rectangle, skirt_m: f64) -> (
         edge.dedup();
         let first = vertices.len() as u32;
         for i in edge.iter().map(|i| *i as usize) {
-            let lowered = positions[i] - WGS84.up(&places[i]) * skirt_m;
+            let lowered = positions[i] - ellipsoid.up(&places[i]) * skirt_m;
             vertices.push(MeshVertex { position: lowered.as_vec3().to_array(), ..vertices[i] });
         }
         for (k, pair) in edge.windows(2).enumerate() {
@@ -73,10 +73,16 @@ pub(super) fn build(surface: &Surface, rectangle: &Rectangle, skirt_m: f64) -> (
 }
 
 /// Returns the normal of each vertex in the axes of ECEF.
-fn normals(surface: &Surface, places: &[Geodetic], positions: &[DVec3], triangles: &[[u32; 3]]) -> Vec<Vec3> {
+fn normals(
+    ellipsoid: &Ellipsoid,
+    surface: &Surface,
+    places: &[Geodetic],
+    positions: &[DVec3],
+    triangles: &[[u32; 3]],
+) -> Vec<Vec3> {
     match surface.normals {
         Normals::Given => surface.vertices.iter().map(|vertex| vertex.normal).collect(),
-        Normals::OfEllipsoid => places.iter().map(|place| WGS84.up(place).as_vec3()).collect(),
+        Normals::OfEllipsoid => places.iter().map(|place| ellipsoid.up(place).as_vec3()).collect(),
         Normals::Computed => {
             let mut sums = vec![DVec3::ZERO; positions.len()];
             for triangle in triangles {
@@ -86,7 +92,7 @@ fn normals(surface: &Surface, places: &[Geodetic], positions: &[DVec3], triangle
                 triangle.iter().for_each(|i| sums[*i as usize] += normal);
             }
             let each = sums.iter().zip(places);
-            each.map(|(sum, place)| sum.normalize_or(WGS84.up(place)).as_vec3()).collect()
+            each.map(|(sum, place)| sum.normalize_or(ellipsoid.up(place)).as_vec3()).collect()
         }
     }
 }
@@ -103,9 +109,10 @@ mod tests {
     use super::super::tiling::Tiling;
     use super::*;
     use crate::formats::implicit::TileCoordinates;
+    use crate::math::WGS84;
 
     fn ellipsoid(tiling: Tiling, tile: TileCoordinates) -> (DVec3, Mesh) {
-        build(&Surface::of_ellipsoid(tiling.ellipsoid_segments(tile)), &tiling.rectangle(tile), 100.0)
+        build(&WGS84, &Surface::of_ellipsoid(tiling.ellipsoid_segments(&WGS84, tile)), &tiling.rectangle(tile), 100.0)
     }
 
     /// Returns the corners of each triangle relative to the earth's centre.
@@ -119,7 +126,8 @@ mod tests {
         for (level, max_error_m) in [(0, 1.0), (8, 0.01), (14, 5e-4), (22, 1e-4)] {
             let tile = TileCoordinates { level, x: (1 << level) / 3, y: (1 << level) / 5 * 4, z: 0 };
             let (origin, mesh) = ellipsoid(Tiling::Geographic, tile);
-            let surface: u32 = Tiling::Geographic.ellipsoid_segments(tile).map(|parts| parts + 1).iter().product();
+            let surface: u32 =
+                Tiling::Geographic.ellipsoid_segments(&WGS84, tile).map(|parts| parts + 1).iter().product();
             for vertex in &mesh.vertices[..surface as usize] {
                 let position = origin + Vec3::from_array(vertex.position).as_dvec3();
                 let place = WGS84.geodetic(position);
@@ -147,9 +155,10 @@ mod tests {
                     let tile = TileCoordinates { level, x, y, z: 0 };
                     let (origin, mesh) = ellipsoid(tiling, tile);
                     let rectangle = tiling.rectangle(tile);
-                    let middle = WGS84.ecef(&rectangle.region([0.0; 2]).center());
+                    let middle = WGS84.ecef(&rectangle.region(WGS84, [0.0; 2]).center());
                     assert!(middle.distance(origin) < 1e-6);
-                    let skirt_from: u32 = tiling.ellipsoid_segments(tile).map(|parts| parts + 1).iter().product();
+                    let skirt_from: u32 =
+                        tiling.ellipsoid_segments(&WGS84, tile).map(|parts| parts + 1).iter().product();
                     for (corners, t) in triangles(origin, &mesh).iter().zip(mesh.indices.chunks_exact(3)) {
                         let [a, b, c] = corners;
                         let normal = (b - a).cross(c - a);
@@ -180,9 +189,9 @@ mod tests {
         let latitude = 0.5 * (rectangle.south + rectangle.north);
         let width_m = WGS84.prime_vertical_radius_m(latitude) * latitude.cos() * (rectangle.east - rectangle.west);
         surface.vertices.iter_mut().for_each(|vertex| vertex.height_m = 0.5 * width_m * vertex.u);
-        let (_, mesh) = build(&surface, &rectangle, 1.0);
+        let (_, mesh) = build(&WGS84, &surface, &rectangle, 1.0);
         let middle = &mesh.vertices[4 * 9 + 4];
-        let place = rectangle.region([0.0; 2]).center();
+        let place = rectangle.region(WGS84, [0.0; 2]).center();
         let local = WGS84.ecef_from_enu(&place).matrix3.transpose();
         let normal =
             local * Vec3::new(middle.normal[0].into(), middle.normal[1].into(), middle.normal[2].into()).as_dvec3();

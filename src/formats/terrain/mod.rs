@@ -9,7 +9,7 @@
 //! | `tile` | the content of a tile |
 //! | `quantized` | the file of a tile |
 //! | `surface` | triangles over the unit square, and parts of them |
-//! | `mesh` | vertices on WGS84, normals, skirts |
+//! | `mesh` | vertices on the ellipsoid, normals, skirts |
 //! | `water` | which parts of a tile are water |
 //! | `tiling` | the rectangles of tiles and the errors of levels |
 

@@ -27,8 +27,6 @@ use crate::scene::{ReaderData, ReaderValue, Refine};
 const PAGE_LEVELS: u32 = 5;
 /// The finest level of the ellipsoid. Its tiles are 5 m high.
 const MAX_ELLIPSOID_LEVEL: u32 = 22;
-/// The heights of the earth's surface, from the deepest sea to the highest mountain, metres above the ellipsoid.
-const EARTH_HEIGHTS_M: [f64; 2] = [-12_000.0, 9_000.0];
 /// Heights are known well enough for a level if their range is at most this multiple of the level's error. A tile is refined
 /// at some 470 times its error (2 pixels, 60 degrees over 1080 rows), which the range makes uncertain.
 const MAX_ROUGHNESS: f64 = 150.0;
@@ -57,7 +55,7 @@ struct MetadataJson {
 impl TerrainPage {
     /// Returns the page of a root tile.
     pub(super) fn root(set: Arc<TerrainSet>, tile: TileCoordinates, known: Arc<[Availability]>) -> Self {
-        let heights_m = if set.layers.is_empty() { [0.0; 2] } else { EARTH_HEIGHTS_M };
+        let heights_m = if set.layers.is_empty() { [0.0; 2] } else { set.ellipsoid.ground_m() };
         Self::new(set, tile, known, TileMesh::Ellipsoid, heights_m)
     }
 
@@ -69,7 +67,7 @@ impl TerrainPage {
         heights_m: [f64; 2],
     ) -> Self {
         let [low, high] = heights_m;
-        let needs_file = high - low > MAX_ROUGHNESS * set.tiling.level_error_m(tile.level)
+        let needs_file = high - low > MAX_ROUGHNESS * set.level_error_m(tile.level)
             || set.layers_with_metadata(&known, tile).next().is_some()
             || (known.iter().any(|layer| layer.has_below(tile)) && TerrainSet::lacks_child(&known, tile));
         let file_layer = TerrainSet::layer_of(&known, tile).filter(|_| needs_file);
@@ -87,7 +85,7 @@ impl TerrainPage {
     /// ellipsoid, the tile stands for the page.
     pub(super) fn into_root(self) -> Tile {
         let bounds = bounds(&self.set, self.tile, self.heights_m);
-        let mut geometric_error_m = self.set.tiling.geometric_error_m(self.tile);
+        let mut geometric_error_m = self.set.geometric_error_m(self.tile);
         let (mut contents, mut continuations) = (Vec::new(), Vec::new());
         if self.is_ellipsoid() {
             contents.push(self.content());
@@ -141,10 +139,10 @@ impl TerrainPage {
         if let Some(own) = self.file_layer {
             let bytes = unpacked(uri, bytes, options)?;
             let [low, high] = quantized::header_heights_m(&bytes).map_err(|reason| IoError::invalid(uri, reason))?;
-            let error_m = self.set.tiling.level_error_m(self.tile.level);
+            let error_m = self.set.level_error_m(self.tile.level);
             // The tiles below are finer, and may be higher or lower by the error of this one.
-            reader.heights_m =
-                [(low - error_m).max(EARTH_HEIGHTS_M[0]).min(low), (high + error_m).min(EARTH_HEIGHTS_M[1]).max(high)];
+            let [lowest, highest] = self.set.ellipsoid.ground_m();
+            reader.heights_m = [(low - error_m).max(lowest).min(low), (high + error_m).min(highest).max(high)];
             for layer in self.set.layers_with_metadata(&self.known, self.tile) {
                 let file = self.set.layers[layer].tile_uri(self.tile).0;
                 let other = || {
@@ -249,7 +247,7 @@ impl PageReader<'_> {
             }
         }
         let is_finest = children.is_empty() && continuations.is_empty();
-        let geometric_error_m = if is_finest { 0.0 } else { set.tiling.geometric_error_m(tile) };
+        let geometric_error_m = if is_finest { 0.0 } else { set.geometric_error_m(tile) };
         let mesh = if layer.is_some() && !is_held { TileMesh::File } else { self.mesh.clone() };
         let fetched = layer.filter(|_| !is_held).map(|layer| set.layers[layer].tile_uri(tile));
         Tile {
@@ -297,5 +295,5 @@ impl PageReader<'_> {
 }
 
 fn bounds(set: &TerrainSet, tile: TileCoordinates, heights_m: [f64; 2]) -> BoundingVolume {
-    BoundingVolume::Region(set.tiling.rectangle(tile).region(heights_m))
+    BoundingVolume::Region(set.tiling.rectangle(tile).region(set.ellipsoid, heights_m))
 }

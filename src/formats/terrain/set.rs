@@ -11,6 +11,7 @@ use crate::formats::ignored::Notes;
 use crate::formats::implicit::TileCoordinates;
 use crate::formats::options::{Fetched, ReadOptions};
 use crate::formats::tile::{Tile, node_of};
+use crate::math::Ellipsoid;
 use crate::scene::Node;
 
 /// The name of the ellipsoid in the names of its tiles.
@@ -22,19 +23,20 @@ pub(super) struct TerrainSet {
     /// The layer.json, or another name.
     pub uri: Arc<str>,
     pub tiling: Tiling,
+    pub ellipsoid: Ellipsoid,
     /// The upper ones first; none for the ellipsoid.
     pub layers: Vec<Layer>,
 }
 
 impl TerrainSet {
-    /// Returns the ellipsoid, or a part of it.
-    fn ellipsoid(tiling: Tiling) -> Arc<Self> {
+    /// Returns the ellipsoid without terrain, or a part of it.
+    fn bare(ellipsoid: Ellipsoid, tiling: Tiling) -> Arc<Self> {
         let part = match tiling {
             Tiling::Geographic | Tiling::Mercator => "",
             Tiling::NorthCap => "-north",
             Tiling::SouthCap => "-south",
         };
-        Arc::new(Self { uri: format!("{ELLIPSOID}{part}").into(), tiling, layers: Vec::new() })
+        Arc::new(Self { uri: format!("{ELLIPSOID}{part}").into(), tiling, ellipsoid, layers: Vec::new() })
     }
 
     /// Returns the root tiles, each with the page of its file and the first levels below it. Until that is read, and if it
@@ -47,6 +49,16 @@ impl TerrainSet {
             TerrainPage::root(self.clone(), tile, known).into_root()
         });
         roots.collect()
+    }
+
+    /// Returns the error of a level, metres.
+    pub fn level_error_m(&self, level: u32) -> f64 {
+        self.tiling.level_error_m(&self.ellipsoid, level)
+    }
+
+    /// Returns the geometric error of a tile, metres.
+    pub fn geometric_error_m(&self, tile: TileCoordinates) -> f64 {
+        self.tiling.geometric_error_m(&self.ellipsoid, tile)
     }
 
     /// Returns the layer that a tile is fetched from; `None` if no layer has it.
@@ -91,11 +103,11 @@ pub(in crate::formats) fn read_tiles(
     options.ignored.add(&notes.into_ignored());
     let layers = layers?;
     let tiling = layers.first().map_or(Tiling::Geographic, |layer| layer.tiling);
-    let set = Arc::new(TerrainSet { uri: uri.clone(), tiling, layers });
+    let set = Arc::new(TerrainSet { uri: uri.clone(), tiling, ellipsoid: options.ellipsoid, layers });
     let mut tiles = set.root_tiles();
     if tiling == Tiling::Mercator {
-        tiles.extend(TerrainSet::ellipsoid(Tiling::NorthCap).root_tiles());
-        tiles.extend(TerrainSet::ellipsoid(Tiling::SouthCap).root_tiles());
+        tiles.extend(TerrainSet::bare(options.ellipsoid, Tiling::NorthCap).root_tiles());
+        tiles.extend(TerrainSet::bare(options.ellipsoid, Tiling::SouthCap).root_tiles());
     }
     Ok(tiles)
 }
@@ -110,7 +122,8 @@ pub(in crate::formats) fn read(
     read_tiles(uri, text, companions, options).map(node_of)
 }
 
-/// Returns the surface of WGS84 as a tile tree in ECEF metres. Its tiles are made when they are wanted; nothing is fetched.
-pub fn ellipsoid() -> Node {
-    node_of(TerrainSet::ellipsoid(Tiling::Geographic).root_tiles())
+/// Returns the surface of an ellipsoid as a tile tree in ECEF metres. Its tiles are made when they are wanted; nothing is
+/// fetched.
+pub fn ellipsoid(ellipsoid: Ellipsoid) -> Node {
+    node_of(TerrainSet::bare(ellipsoid, Tiling::Geographic).root_tiles())
 }

@@ -16,6 +16,7 @@ use crate::formats::ignored::Notes;
 use crate::formats::implicit::TileCoordinates;
 use crate::formats::options::ReadOptions;
 use crate::formats::tile::TileContent;
+use crate::math::Ellipsoid;
 use crate::scene::{Drawable, Geometry, Material, Mesh, Node, Page, ReaderData, ReaderValue};
 
 /// The height of skirts as a multiple of the level's error, as in CesiumJS.
@@ -94,7 +95,6 @@ impl TerrainTile {
 
     /// Reads the mesh. `bytes` are those of the tile's own file if it is fetched.
     pub fn read(&self, uri: &str, bytes: Vec<u8>, options: &ReadOptions, notes: &Notes) -> Result<Node, IoError> {
-        let tiling = self.set.tiling;
         if !matches!(self.mesh, TileMesh::Ellipsoid) {
             self.set
                 .layers
@@ -112,9 +112,11 @@ impl TerrainTile {
                 let none = || IoError::invalid(uri, "quantized-mesh: the tile above has no triangles here");
                 (part.ok_or_else(none)?, water.map(|water| water.part(shares)))
             }
-            TileMesh::Ellipsoid => (Surface::of_ellipsoid(tiling.ellipsoid_segments(self.tile)), None),
+            TileMesh::Ellipsoid => {
+                (Surface::of_ellipsoid(self.set.tiling.ellipsoid_segments(&self.set.ellipsoid, self.tile)), None)
+            }
         };
-        Ok(node_of(&surface, water.as_ref(), tiling, self.tile))
+        Ok(node_of(&self.set.ellipsoid, &surface, water.as_ref(), self.set.tiling, self.tile))
     }
 }
 
@@ -141,7 +143,7 @@ impl ReaderValue for TerrainTile {
     }
 
     fn geometric_error_m(&self) -> Option<f64> {
-        Some(self.set.tiling.geometric_error_m(self.tile))
+        Some(self.set.geometric_error_m(self.tile))
     }
 
     fn size_bytes(&self) -> u64 {
@@ -174,7 +176,7 @@ pub(in crate::formats) fn read_alone(
     let tile = coordinates_in(path_of(uri)).ok_or_else(no_coordinates)?;
     refuse_markup(uri, bytes)?;
     let (surface, water) = surface_of(uri, bytes, options, notes)?;
-    Ok(node_of(&surface, water.as_ref(), Tiling::Geographic, tile))
+    Ok(node_of(&options.ellipsoid, &surface, water.as_ref(), Tiling::Geographic, tile))
 }
 
 /// Returns true if the name of a file is that of a terrain tile, which has no magic bytes.
@@ -214,9 +216,15 @@ fn part_of(above: TileCoordinates, tile: TileCoordinates) -> [f64; 4] {
     [west, south, west + side, south + side]
 }
 
-fn node_of(surface: &Surface, water: Option<&Water>, tiling: Tiling, tile: TileCoordinates) -> Node {
-    let skirt_m = SKIRT_ERRORS * tiling.level_error_m(tile.level);
-    let (origin, mesh) = mesh::build(surface, &tiling.rectangle(tile), skirt_m);
+fn node_of(
+    ellipsoid: &Ellipsoid,
+    surface: &Surface,
+    water: Option<&Water>,
+    tiling: Tiling,
+    tile: TileCoordinates,
+) -> Node {
+    let skirt_m = SKIRT_ERRORS * tiling.level_error_m(ellipsoid, tile.level);
+    let (origin, mesh) = mesh::build(ellipsoid, surface, &tiling.rectangle(tile), skirt_m);
     let metallic_roughness = water.map(Water::reflection);
     let (base_color, texture) = water.map_or((GROUND, None), |water| water.color(GROUND));
     let material = Material { base_color, texture, metallic_roughness, ..Material::default() };

@@ -1,9 +1,9 @@
-//! [`Tiling`]: how a terrain set divides the earth, and the errors of its levels. Plain values.
+//! [`Tiling`]: how a terrain set divides its body, and the errors of its levels. Plain values.
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 use crate::formats::implicit::TileCoordinates;
-use crate::math::{Region, WGS84};
+use crate::math::{Ellipsoid, Region};
 
 /// The number of samples along a side of a tile that the errors of levels assume.
 const SAMPLES: f64 = 65.0;
@@ -18,7 +18,7 @@ const MERCATOR_LATITUDE: f64 = 1.484_422_229_745_332_4;
 /// The number of tiles around a pole that Web Mercator does not reach.
 const CAP_TILES: u32 = 8;
 
-/// A part of the earth between two meridians and two parallels, radians.
+/// A part of an ellipsoid between two meridians and two parallels, radians.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Rectangle {
     pub west: f64,
@@ -35,13 +35,13 @@ impl Rectangle {
     }
 
     /// Returns the part between two heights.
-    pub fn region(&self, [min_height_m, max_height_m]: [f64; 2]) -> Region {
+    pub fn region(&self, ellipsoid: Ellipsoid, [min_height_m, max_height_m]: [f64; 2]) -> Region {
         let Self { west, south, east, north } = *self;
-        Region { west, south, east, north, min_height_m, max_height_m }
+        Region { west, south, east, north, min_height_m, max_height_m, ellipsoid }
     }
 }
 
-/// The division of the earth, or of a part of it, into tiles. Rows are counted from the south.
+/// The division of an ellipsoid, or of a part of it, into tiles. Rows are counted from the south.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Tiling {
     /// EPSG:4326: two root tiles.
@@ -105,13 +105,13 @@ impl Tiling {
 
     /// Returns the error that CesiumJS assumes for a level of a heightmap and for all its terrain, metres: a quarter of the
     /// distance between two of 65 samples at the equator (`getEstimatedLevelZeroGeometricErrorForAHeightmap`).
-    pub fn level_error_m(self, level: u32) -> f64 {
+    pub fn level_error_m(self, ellipsoid: &Ellipsoid, level: u32) -> f64 {
         let at_level_0 = match self {
             Self::NorthCap | Self::SouthCap => {
                 let height = FRAC_PI_2 - MERCATOR_LATITUDE;
-                WGS84.semi_major_m * height * SHARE_OF_SAMPLE / SAMPLES
+                ellipsoid.semi_major_m * height * SHARE_OF_SAMPLE / SAMPLES
             }
-            _ => WGS84.semi_major_m * TAU * SHARE_OF_SAMPLE / (SAMPLES * f64::from(self.root_columns())),
+            _ => ellipsoid.semi_major_m * TAU * SHARE_OF_SAMPLE / (SAMPLES * f64::from(self.root_columns())),
         };
         at_level_0 / f64::from(level).exp2()
     }
@@ -119,24 +119,24 @@ impl Tiling {
     /// Returns the geometric error of a tile, metres. With the usual limit of 16 pixels a view has the tiles that CesiumJS shows
     /// with the usual limit of its terrain, which is 2 pixels. Beyond 60 degrees, where tiles are much narrower than high, it
     /// is less: all columns of a level meet at the pole.
-    pub fn geometric_error_m(self, tile: TileCoordinates) -> f64 {
-        ERROR_SCALE * self.narrowed_error_m(tile)
+    pub fn geometric_error_m(self, ellipsoid: &Ellipsoid, tile: TileCoordinates) -> f64 {
+        ERROR_SCALE * self.narrowed_error_m(ellipsoid, tile)
     }
 
-    fn narrowed_error_m(self, tile: TileCoordinates) -> f64 {
-        self.level_error_m(tile.level) * (NARROW_SHARE * self.rectangle(tile).width_share()).min(1.0)
+    fn narrowed_error_m(self, ellipsoid: &Ellipsoid, tile: TileCoordinates) -> f64 {
+        self.level_error_m(ellipsoid, tile.level) * (NARROW_SHARE * self.rectangle(tile).width_share()).min(1.0)
     }
 
     /// Returns the numbers of parts of the width and of the height of a tile of the ellipsoid, powers of two. The ellipsoid
     /// bulges over a part by at most a 32nd of the error: a sixteenth of a pixel with the usual limit, since a step at the
     /// horizon is seen.
-    pub fn ellipsoid_segments(self, tile: TileCoordinates) -> [u32; 2] {
+    pub fn ellipsoid_segments(self, ellipsoid: &Ellipsoid, tile: TileCoordinates) -> [u32; 2] {
         const MAX_SEGMENTS: u32 = 64;
         let rectangle = self.rectangle(tile);
         let Rectangle { west, south, east, north } = rectangle;
         [(east - west) * rectangle.width_share(), north - south].map(|angle| {
-            let bulge_m = WGS84.semi_major_m * angle * angle / 8.0;
-            let parts = (32.0 * bulge_m / self.narrowed_error_m(tile)).sqrt().ceil() as u32;
+            let bulge_m = ellipsoid.semi_major_m * angle * angle / 8.0;
+            let parts = (32.0 * bulge_m / self.narrowed_error_m(ellipsoid, tile)).sqrt().ceil() as u32;
             parts.next_power_of_two().clamp(2, MAX_SEGMENTS)
         })
     }
@@ -145,6 +145,7 @@ impl Tiling {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::math::WGS84;
 
     fn tile(level: u32, x: u32, y: u32) -> TileCoordinates {
         TileCoordinates { level, x, y, z: 0 }
@@ -184,9 +185,9 @@ mod tests {
 
     #[test]
     fn errors_are_those_of_cesium() {
-        assert!((Tiling::Geographic.level_error_m(0) - 77_067.339_967_041).abs() < 0.01);
-        assert!((Tiling::Mercator.level_error_m(1) - Tiling::Geographic.level_error_m(0)).abs() < 1e-9);
-        let at = |level: u32, y: u32| Tiling::Geographic.geometric_error_m(tile(level, 0, y));
+        assert!((Tiling::Geographic.level_error_m(&WGS84, 0) - 77_067.339_967_041).abs() < 0.01);
+        assert!((Tiling::Mercator.level_error_m(&WGS84, 1) - Tiling::Geographic.level_error_m(&WGS84, 0)).abs() < 1e-9);
+        let at = |level: u32, y: u32| Tiling::Geographic.geometric_error_m(&WGS84, tile(level, 0, y));
         assert!((at(20, 1 << 19) - 0.588).abs() < 0.001);
         // 60 degrees north is two thirds of the way from the equator to the pole.
         assert_eq!(at(10, 851), at(10, 512));
@@ -201,10 +202,10 @@ mod tests {
                     let at = tile(level, 0, y);
                     let rectangle = tiling.rectangle(at);
                     let angles = [rectangle.east - rectangle.west, rectangle.north - rectangle.south];
-                    let [width, height] = tiling.ellipsoid_segments(at).map(f64::from);
+                    let [width, height] = tiling.ellipsoid_segments(&WGS84, at).map(f64::from);
                     for part in [angles[0] * rectangle.width_share() / width, angles[1] / height] {
                         let bulge_m = WGS84.semi_major_m * part * part / 8.0;
-                        let error_m = tiling.geometric_error_m(at);
+                        let error_m = tiling.geometric_error_m(&WGS84, at);
                         assert!(bulge_m <= 1.01 * error_m / 256.0, "{tiling:?} {level} {y}: {bulge_m} {error_m}");
                     }
                 }

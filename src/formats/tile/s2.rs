@@ -5,7 +5,7 @@
 
 use glam::DVec3;
 
-use crate::math::{Geodetic, OrientedBox, surface_box};
+use crate::math::{Ellipsoid, Geodetic, OrientedBox, surface_box};
 
 /// The number of levels below a face.
 const MAX_LEVEL: u32 = 30;
@@ -63,8 +63,8 @@ impl S2Cell {
         Self { level: self.level + depth, i, j, ..*self }
     }
 
-    /// Returns a box around the cell between two heights above the ellipsoid, ECEF metres.
-    pub fn oriented_box(&self, min_height_m: f64, max_height_m: f64) -> OrientedBox {
+    /// Returns a box around the cell between two heights above an ellipsoid, ECEF metres.
+    pub fn oriented_box(&self, ellipsoid: &Ellipsoid, min_height_m: f64, max_height_m: f64) -> OrientedBox {
         let extent = std::f64::consts::FRAC_PI_2 / f64::from(self.level).exp2();
         let steps = ((extent / SAMPLE_STEP).ceil() as u32).clamp(1, MAX_SAMPLES);
         let at = |along_i: f64, along_j: f64, height_m| {
@@ -76,7 +76,8 @@ impl S2Cell {
         let samples = (0..=steps).flat_map(|i| (0..=steps).map(move |j| (i, j)));
         let samples =
             samples.flat_map(|(i, j)| [min_height_m, max_height_m].map(|height_m| at(share(i), share(j), height_m)));
-        surface_box(&at(0.5, 0.5, 0.5 * (min_height_m + max_height_m)), samples, extent / f64::from(steps))
+        let center = at(0.5, 0.5, 0.5 * (min_height_m + max_height_m));
+        surface_box(ellipsoid, &center, samples, extent / f64::from(steps))
     }
 
     /// Returns the unit vector of a point on the face, whose coordinates are from 0 to 1.
@@ -128,10 +129,10 @@ mod tests {
         let new_york =
             WGS84.ecef(&Geodetic { longitude: (-74.0f64).to_radians(), latitude: 40.7f64.to_radians(), height_m: 0.0 });
         for token in ["9", "8c", "89", "89c", "89c3", "89c24", "89c25"] {
-            let volume = S2Cell::from_token(token).unwrap().oriented_box(-100.0, 500.0);
+            let volume = S2Cell::from_token(token).unwrap().oriented_box(&WGS84, -100.0, 500.0);
             assert!(volume.distance_to(new_york) < 1.0, "{token}: {}", volume.distance_to(new_york));
         }
-        let away = S2Cell::from_token("1").unwrap().oriented_box(-100.0, 500.0);
+        let away = S2Cell::from_token("1").unwrap().oriented_box(&WGS84, -100.0, 500.0);
         assert!(away.distance_to(new_york) > 10_000.0);
     }
 
@@ -139,11 +140,11 @@ mod tests {
     fn parts_lie_in_their_cells() {
         for token in ["1", "3", "5", "89c24", "b"] {
             let root = S2Cell::from_token(token).unwrap();
-            let outer = root.oriented_box(0.0, 1000.0);
+            let outer = root.oriented_box(&WGS84, 0.0, 1000.0);
             for (x, y) in (0..4).flat_map(|x| (0..4).map(move |y| (x, y))) {
                 let part = root.part(2, x, y);
                 assert_eq!((part.level, part.i >> 2, part.j >> 2), (root.level + 2, root.i, root.j));
-                let center = part.oriented_box(0.0, 1000.0).center;
+                let center = part.oriented_box(&WGS84, 0.0, 1000.0).center;
                 assert!(outer.distance_to(center) < 1.0, "{token} {x} {y}");
             }
         }

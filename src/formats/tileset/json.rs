@@ -4,6 +4,7 @@ use serde::Deserialize;
 use serde::de::IgnoredAny;
 use serde_json::Value;
 
+use super::body::Body;
 use super::extras::Extras;
 use crate::fetch::markup::refuse_markup;
 use crate::fetch::{IoError, Limits};
@@ -11,7 +12,6 @@ use crate::formats::embedded::is_data_uri;
 use crate::formats::height::{SetExtras, TileExtras};
 use crate::formats::implicit::ImplicitTilingJson;
 use crate::formats::lenient::{Number, Numbers, Text, object, objects, optional_object, texts, valid_or_default};
-use crate::math::WGS84;
 
 /// Supported extensions that a tileset may require, including those that do not affect drawing.
 const KNOWN_EXTENSIONS: &[&str] = &[
@@ -25,8 +25,8 @@ const KNOWN_EXTENSIONS: &[&str] = &[
     "MAXAR_content_3tz",
 ];
 
-/// The extension with the ellipsoid of a set. That of the earth is read.
-const ELLIPSOID: &str = "3DTILES_ellipsoid";
+/// The extension with the ellipsoid of a set.
+pub(super) const ELLIPSOID: &str = "3DTILES_ellipsoid";
 
 #[derive(Deserialize)]
 pub(crate) struct TilesetJson {
@@ -74,11 +74,14 @@ impl TilesetJson {
         }
     }
 
-    /// Returns true if an extension is read. 3DTILES_ellipsoid is if its radii are those of the earth.
+    /// Returns true if an extension is read. 3DTILES_ellipsoid is if it has the radii of a body.
     pub fn reads(&self, extension: &str) -> bool {
-        let is_wgs84 =
-            || self.extensions.as_ref().and_then(|all| all.ellipsoid.as_ref()).is_some_and(|of| of.is_wgs84());
-        KNOWN_EXTENSIONS.contains(&extension) || extension == ELLIPSOID && is_wgs84()
+        KNOWN_EXTENSIONS.contains(&extension) || extension == ELLIPSOID && matches!(self.body(), Some(Ok(_)))
+    }
+
+    /// Returns the body that the set declares by 3DTILES_ellipsoid, or the reason why its radii are invalid.
+    pub fn body(&self) -> Option<Result<Body, String>> {
+        Some(self.extensions.as_ref()?.ellipsoid.as_ref()?.body())
     }
 
     fn metadata_extension(&self) -> Option<&MetadataExtension> {
@@ -96,17 +99,20 @@ struct TilesetExtensions {
 
 #[derive(Default, Deserialize)]
 struct EllipsoidExtension {
+    /// A name or a URI.
+    #[serde(default)]
+    body: Text,
     /// Along x, y and z, metres.
     #[serde(default)]
     radii: Numbers,
 }
 
 impl EllipsoidExtension {
-    /// Returns true if the radii are those of WGS84 to the millimetre.
-    fn is_wgs84(&self) -> bool {
-        let expected = [WGS84.semi_major_m, WGS84.semi_major_m, WGS84.semi_minor_m];
+    fn body(&self) -> Result<Body, String> {
         let Numbers(radii) = &self.radii;
-        radii.len() == 3 && radii.iter().zip(expected).all(|(radius, expected)| (radius - expected).abs() <= 1e-3)
+        let radii_m: [f64; 3] =
+            radii.as_slice().try_into().map_err(|_| format!("{ELLIPSOID}: {} radii, expected 3", radii.len()))?;
+        Body::new(self.body.0.clone(), radii_m).map_err(|error| format!("{ELLIPSOID}: {error}"))
     }
 }
 
@@ -339,6 +345,9 @@ pub(crate) fn parse(uri: &str, bytes: &[u8], limits: &Limits) -> Result<TilesetJ
         return Err(IoError::unsupported(uri, format!("3D Tiles version {version:?}")));
     }
     for name in &tileset.extensions_required {
+        if let (Some(Err(reason)), ELLIPSOID) = (tileset.body(), name.as_str()) {
+            return Err(IoError::invalid(uri, reason));
+        }
         if !tileset.reads(name) {
             return Err(IoError::unsupported(uri, format!("required extension {name}")));
         }

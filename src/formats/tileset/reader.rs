@@ -10,7 +10,7 @@ use std::sync::Arc;
 
 use glam::DAffine3;
 
-use super::json::{self, ContentJson, TileJson, TilesetJson};
+use super::json::{self, ContentJson, TileJson, TilesetJson, VolumeJson};
 use super::set_metadata::SetMetadata;
 use super::volume::{affine, bounding_volume, inverse, root_volume};
 use crate::fetch::{IoError, path_of, resolve};
@@ -24,7 +24,7 @@ use crate::formats::implicit::{
 use crate::formats::options::{Fetched, ReadOptions};
 use crate::formats::properties::{self, Schema};
 use crate::formats::tile::{ALWAYS_REFINED_M, ContentBytes, ContentData, Tile, TileContent, UpAxis};
-use crate::math::BoundingVolume;
+use crate::math::{BoundingVolume, Ellipsoid};
 use crate::scene::{ReaderData, Refine};
 
 /// Properties that a tile inherits from its ancestors.
@@ -75,6 +75,8 @@ pub(super) fn read_noting(
     }
     let tileset = json::parse(uri, bytes, &options.limits)?;
     note_ignored(&tileset, notes);
+    let ellipsoid = ellipsoid_of(&tileset, options, notes);
+    let options = &ReadOptions { ellipsoid, ..options.clone() };
     let files = ExternalFiles::new(options.base.as_ref().unwrap_or(uri), &options.root, &options.limits, companions);
     let (json, reference) = tileset.schema();
     let schema = properties::read_schema(uri, json, reference, &files).unwrap_or_else(|error| {
@@ -118,6 +120,24 @@ fn note_ignored(tileset: &TilesetJson, notes: &Notes) {
     }
 }
 
+/// Returns the ellipsoid of a tileset, and notes the body that a root declares. An external tileset has that of its root, with
+/// which the tiles around it are placed.
+fn ellipsoid_of(tileset: &TilesetJson, options: &ReadOptions, notes: &Notes) -> Ellipsoid {
+    let Some(Ok(body)) = tileset.body() else { return options.ellipsoid };
+    if options.chain.is_empty() {
+        if body.is_triaxial() {
+            notes.add("3DTILES_ellipsoid with three different radii: the mean of the equatorial ones is used");
+        }
+        let ellipsoid = body.ellipsoid();
+        notes.set_body(body);
+        return ellipsoid;
+    }
+    if body.ellipsoid() != options.ellipsoid {
+        notes.add("3DTILES_ellipsoid of an external tileset, which differs from that of its root");
+    }
+    options.ellipsoid
+}
+
 struct Reader<'a> {
     uri: &'a Arc<str>,
     options: &'a ReadOptions,
@@ -156,7 +176,7 @@ impl Reader<'_> {
             Some(r) if r.eq_ignore_ascii_case("replace") => Refine::Replace,
             _ => inherited.refine,
         };
-        let volume = |v| bounding_volume(self.uri, v, &content_transform, &self.options.set_from_content);
+        let volume = |json: &VolumeJson| self.bounding_volume(json, &content_transform);
         let bounds = volume(&json.bounding_volume)?;
         let request_volume = json.viewer_request_volume.as_ref().map(volume).transpose()?;
         let geometric_error = json.geometric_error.map_or(inherited.geometric_error, |error| error.0);
@@ -254,7 +274,7 @@ impl Reader<'_> {
             ImplicitRoot {
                 uri: self.uri,
                 options: self.options,
-                volume: root_volume(self.uri, &json.bounding_volume)?,
+                volume: root_volume(self.uri, &json.bounding_volume, self.options.ellipsoid)?,
                 tileset_from_set: inverse(&self.options.set_from_content),
                 geometric_error: json.geometric_error.map_or(inherited.geometric_error, |error| error.0),
                 refine: root.refine,
@@ -318,10 +338,15 @@ impl Reader<'_> {
         References { contents, external_tilesets }
     }
 
+    /// Returns a volume in the tileset's frame.
+    fn bounding_volume(&self, json: &VolumeJson, transform: &DAffine3) -> Result<BoundingVolume, IoError> {
+        bounding_volume(self.uri, json, transform, &self.options.set_from_content, self.options.ellipsoid)
+    }
+
     /// Returns the volume of a content that has one. An invalid one is left out, which is noted.
     fn content_bounds(&self, content: &ContentJson, transform: &DAffine3) -> Option<BoundingVolume> {
         let volume = content.bounding_volume.as_ref()?;
-        let bounds = bounding_volume(self.uri, volume, transform, &self.options.set_from_content);
+        let bounds = self.bounding_volume(volume, transform);
         bounds.inspect_err(|_| self.notes.add("content.boundingVolume that is invalid")).ok()
     }
 

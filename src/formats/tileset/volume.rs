@@ -9,7 +9,7 @@ use crate::fetch::IoError;
 use crate::formats::implicit::RootVolume;
 use crate::formats::lenient::{Numbers, object};
 use crate::formats::tile::{S2Cell, tile_transform};
-use crate::math::{BoundingSphere, BoundingVolume, OrientedBox, Region};
+use crate::math::{BoundingSphere, BoundingVolume, Ellipsoid, OrientedBox, Region};
 
 /// Parses the transform of a tile.
 pub(super) fn affine(uri: &str, m: &[f64]) -> Result<DAffine3, IoError> {
@@ -19,16 +19,17 @@ pub(super) fn affine(uri: &str, m: &[f64]) -> Result<DAffine3, IoError> {
 }
 
 /// Parses a volume and transforms it by `world`, except for regions, which transforms of tiles do not move. A region is given
-/// in the frame of the whole set, which `set_from_content` maps to.
+/// in the frame of the whole set, which `set_from_content` maps to, and on the ellipsoid.
 pub(super) fn bounding_volume(
     uri: &str,
     json: &VolumeJson,
     world: &DAffine3,
     set_from_content: &DAffine3,
+    ellipsoid: Ellipsoid,
 ) -> Result<BoundingVolume, IoError> {
     let bad = |what: &str, v: &[f64]| IoError::invalid(uri, format!("bounding {what} {v:?} is invalid"));
     if let Some((cell, heights)) = s2(uri, json)? {
-        let b = cell.oriented_box(heights[0], heights[1]);
+        let b = cell.oriented_box(&ellipsoid, heights[0], heights[1]);
         return Ok(BoundingVolume::Box(inverse(set_from_content).map_or(b, |map| b.transformed(&map))));
     }
     if let Some(v) = json.oriented_box.as_ref().map(|v| v.0.as_slice()) {
@@ -42,7 +43,7 @@ pub(super) fn bounding_volume(
         }
         return Ok(BoundingVolume::Box(b.transformed(world)));
     }
-    if let Some(region) = region(uri, json)? {
+    if let Some(region) = region(uri, json, ellipsoid)? {
         // The transforms of the tiles above this tileset will move it; the inverse keeps the region in its position.
         let Some(content_from_set) = inverse(set_from_content) else { return Ok(BoundingVolume::Region(region)) };
         return Ok(BoundingVolume::Box(region.oriented_box().transformed(&content_from_set)));
@@ -63,6 +64,7 @@ pub(in crate::formats) fn volume_and_frame(
     uri: &str,
     tile: &Value,
     set_from_parent: &DAffine3,
+    ellipsoid: Ellipsoid,
 ) -> Result<(BoundingVolume, DAffine3), IoError> {
     #[derive(Default, Deserialize)]
     #[serde(rename_all = "camelCase")]
@@ -74,20 +76,20 @@ pub(in crate::formats) fn volume_and_frame(
     let placed = Placed::deserialize(tile).map_err(|e| IoError::invalid(uri, format!("tile: {e}")))?;
     let own = placed.transform.map_or(Ok(DAffine3::IDENTITY), |transform| affine(uri, &transform.0))?;
     let set_from_tile = *set_from_parent * own;
-    Ok((bounding_volume(uri, &placed.bounding_volume, &set_from_tile, &DAffine3::IDENTITY)?, set_from_tile))
+    Ok((bounding_volume(uri, &placed.bounding_volume, &set_from_tile, &DAffine3::IDENTITY, ellipsoid)?, set_from_tile))
 }
 
 /// Returns the volume of the root of an implicit tree.
-pub(super) fn root_volume(uri: &str, json: &VolumeJson) -> Result<RootVolume, IoError> {
+pub(super) fn root_volume(uri: &str, json: &VolumeJson, ellipsoid: Ellipsoid) -> Result<RootVolume, IoError> {
     if let Some((cell, heights_m)) = s2(uri, json)? {
         return Ok(RootVolume::S2 { cell, heights_m });
     }
     if json.oriented_box.is_none()
-        && let Some(region) = region(uri, json)?
+        && let Some(region) = region(uri, json, ellipsoid)?
     {
         return Ok(RootVolume::Region(region));
     }
-    match bounding_volume(uri, json, &DAffine3::IDENTITY, &DAffine3::IDENTITY)? {
+    match bounding_volume(uri, json, &DAffine3::IDENTITY, &DAffine3::IDENTITY, ellipsoid)? {
         BoundingVolume::Box(b) => Ok(RootVolume::Box(b)),
         _ => {
             Err(IoError::invalid(uri, "the boundingVolume of an implicit root is a sphere, expected a box or a region"))
@@ -96,7 +98,7 @@ pub(super) fn root_volume(uri: &str, json: &VolumeJson) -> Result<RootVolume, Io
 }
 
 /// Parses the region of a volume, if it has one.
-fn region(uri: &str, json: &VolumeJson) -> Result<Option<Region>, IoError> {
+fn region(uri: &str, json: &VolumeJson, ellipsoid: Ellipsoid) -> Result<Option<Region>, IoError> {
     let Some(v) = json.region.as_ref().map(|v| v.0.as_slice()) else { return Ok(None) };
     let bad = || IoError::invalid(uri, format!("bounding region {v:?} is invalid"));
     let &[west, south, east, north, min_height_m, max_height_m] = v else { return Err(bad()) };
@@ -106,7 +108,7 @@ fn region(uri: &str, json: &VolumeJson) -> Result<Option<Region>, IoError> {
     if !finite || !angles || south > north || min_height_m > max_height_m {
         return Err(bad());
     }
-    Ok(Some(Region { west, south, east, north, min_height_m, max_height_m }))
+    Ok(Some(Region { west, south, east, north, min_height_m, max_height_m, ellipsoid }))
 }
 
 /// Parses the S2 cell of a volume, with its lowest and highest height in metres, if it has one.

@@ -21,8 +21,8 @@ use crate::formats::options::{Content, Fetched, ReadOptions};
 use crate::formats::read::{companion_fallback, companions, decode_node, dependencies};
 use crate::formats::terrain;
 use crate::formats::tile::{Tile, TileContent};
-use crate::formats::tileset::{is_tileset, may_be_tileset, may_refer_to_files, read_tiles};
-use crate::math::{BoundingVolume, Region};
+use crate::formats::tileset::{body_of, is_tileset, may_be_tileset, may_refer_to_files, read_tiles};
+use crate::math::{BoundingVolume, Ellipsoid, Region, WGS84};
 use crate::scene::ReaderData;
 
 /// The maximum number of failures that are listed.
@@ -31,7 +31,7 @@ const MAX_LISTED: usize = 100;
 /// The part of a tile set to download, and how.
 #[derive(Clone, Debug)]
 pub struct FillOptions {
-    /// Only tiles over this region of the earth, whatever their height. `None` means all tiles.
+    /// Only tiles over this region of the earth, or of the body of the set, whatever their height. `None` means all tiles.
     pub region: Option<Region>,
     /// Only contents on these levels of the tree; the root has level 0. The root of an external tileset is one level below the
     /// tile that refers to it.
@@ -128,6 +128,8 @@ impl Done {
 struct Fill<'a> {
     options: &'a FillOptions,
     scope: RootScope,
+    /// That of the root, once it is read.
+    ellipsoid: Ellipsoid,
     filled: Filled,
     /// Last in, first out: the files below a tile precede its siblings, which keeps the list short.
     jobs: Vec<Job>,
@@ -177,6 +179,7 @@ pub fn fill(
     let mut fill = Fill {
         options,
         scope,
+        ellipsoid: WGS84,
         filled: Filled::default(),
         jobs: Vec::new(),
         seen: HashSet::new(),
@@ -354,7 +357,8 @@ impl Fill<'_> {
     fn add_pages(&mut self, content: &TileContent, read: &ReadFile<'_>, position: &Position) -> Result<u64, IoError> {
         let bytes = encoding::gunzip(&content.uri, read.bytes.clone(), &self.options.limits)?;
         let (root, base) = (self.scope.clone(), read.location.clone());
-        let options = ReadOptions { root, base, ..ReadOptions::for_root(&content.uri, self.options.limits) };
+        let ellipsoid = self.ellipsoid;
+        let options = ReadOptions { root, base, ellipsoid, ..ReadOptions::for_root(&content.uri, self.options.limits) };
         let tiles = guarded(&content.uri, || match Known::of(content) {
             Known::Subtree(source) => source.read(&content.uri, bytes, read.companions, &options),
             // The ellipsoid has no files, and its levels continue to a very fine one.
@@ -372,17 +376,21 @@ impl Fill<'_> {
             let what = "tiles of tilesets in several places";
             return Err(IoError::TooLarge { uri: uri.to_string(), what, got: self.revisited, limit });
         }
+        let is_root = position.chain.is_empty();
+        if let Some(body) = is_root.then(|| body_of(uri, &read.bytes, &self.options.limits)).flatten() {
+            self.ellipsoid = body.ellipsoid();
+        }
         let options = ReadOptions {
             root: self.scope.clone(),
+            ellipsoid: self.ellipsoid,
             chain: position.chain.clone(),
             base: read.location.clone(),
             // Regions must stay regions to be compared with the wanted one: the set's frame is taken for the content's.
             ..ReadOptions::for_root(uri, self.options.limits)
         };
         let Some(tiles) = read_root_tiles(uri, read, &options)? else { return Ok(1) };
-        let is_root = position.chain.is_empty();
-        let is_on_earth = || tiles.iter().all(|tile| region::is_on_earth(&tile.bounds, &position.world));
-        if is_root && self.options.region.is_some() && !is_on_earth() {
+        let is_on_body = || tiles.iter().all(|tile| region::is_on_body(&tile.bounds, &position.world, &self.ellipsoid));
+        if is_root && self.options.region.is_some() && !is_on_body() {
             return Err(IoError::unsupported(uri, "a region of a set that is not on the earth"));
         }
         let below = Position { chain: options.below(uri).chain, ..position.clone() };
@@ -444,7 +452,9 @@ impl Fill<'_> {
         match Known::of(content) {
             Known::Part(part) => {
                 let root = self.scope.clone();
-                let options = ReadOptions { root, ..ReadOptions::for_root(&content.uri, self.options.limits) };
+                let ellipsoid = self.ellipsoid;
+                let options =
+                    ReadOptions { root, ellipsoid, ..ReadOptions::for_root(&content.uri, self.options.limits) };
                 part.read(&options).iter().map(|tile| self.add_tile(tile, position)).sum()
             }
             Known::Terrain(_) if content.is_in_memory() => {
@@ -463,8 +473,8 @@ impl Fill<'_> {
     }
 
     fn is_wanted(&self, bounds: &BoundingVolume, position: &Position) -> bool {
-        position.level <= *self.options.levels.end()
-            && self.options.region.as_ref().is_none_or(|region| region::overlaps(bounds, &position.world, region))
+        let is_over = |region: &Region| region::overlaps(bounds, &position.world, region, &self.ellipsoid);
+        position.level <= *self.options.levels.end() && self.options.region.as_ref().is_none_or(is_over)
     }
 }
 

@@ -23,7 +23,8 @@ use crate::formats::overlay;
 use crate::formats::read::companions;
 use crate::formats::terrain;
 use crate::formats::tile::{Tile, TileContent};
-use crate::formats::tileset::{self, may_be_tileset, read_tiles};
+use crate::formats::tileset::{self, Body, may_be_tileset, read_tiles};
+use crate::math::WGS84;
 
 /// Summary of a tile set.
 #[derive(Clone, Debug, Default, Serialize)]
@@ -52,6 +53,9 @@ pub struct Info {
     pub metadata: Option<MetadataInfo>,
     /// Number of tiles that have metadata, or whose contents have metadata or belong to a group.
     pub tiles_with_metadata: u64,
+    /// The body that the root declares by 3DTILES_ellipsoid.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub body: Option<Body>,
     /// The bounds of the whole set.
     pub bounds: BoundsInfo,
     /// What is particular to the format, by name: its projection, reference system, layers.
@@ -135,7 +139,7 @@ fn inspect_from(root: &Arc<str>, limits: &Limits, from: Source, follows: bool) -
     let mut info = Info { format: "3D Tiles".to_owned(), ..Info::default() };
     let Loaded { bytes, location, .. } = from.load(root)?;
     // Metadata is described, and that which is invalid is named.
-    let options = ReadOptions { base: location, keep_features: true, ..options };
+    let mut options = ReadOptions { base: location, keep_features: true, ..options };
     if let Some(document) = overlay::describe(&bytes) {
         return inspect_overlay(root, bytes.len(), document);
     }
@@ -153,6 +157,8 @@ fn inspect_from(root: &Arc<str>, limits: &Limits, from: Source, follows: bool) -
     info.bounds.region = json.root.bounding_volume.region.as_ref().map(|region| region.0.clone());
     info.bytes += bytes.len() as u64;
     info.extensions.extend(json.extensions_used.iter().map(|name| printable(name).into_owned()));
+    info.body = json.body().and_then(Result::ok);
+    options.ellipsoid = info.body.as_ref().map_or(WGS84, Body::ellipsoid);
     info.metadata = MetadataInfo::read(&bytes);
     info.bounds.set_heights(info.metadata.as_ref().and_then(MetadataInfo::terrain_heights_m));
     drop(json);
@@ -392,6 +398,9 @@ impl std::fmt::Display for Info {
             self.contents,
             mb(self.bytes)
         )?;
+        if let Some(body) = &self.body {
+            writeln!(f, "body: {body}")?;
+        }
         let [x, y, z] = self.bounds.center;
         writeln!(f, "bounds: centre {x:.1} {y:.1} {z:.1}, radius {:.1} m", self.bounds.radius_m)?;
         if let Some([west, south, east, north, heights @ ..]) = self.bounds.region.as_deref() {

@@ -22,7 +22,7 @@ pub use info::{inspect_root_with, inspect_with};
 pub use measure::{LevelMeasures, MapFrame, Problem, Spread, SurveyedTile};
 pub use metadata::MetadataInfo;
 pub use model::ModelInfo;
-pub(super) use region::{is_on_earth, overlaps};
+pub(super) use region::{is_on_body, overlaps};
 pub use report::InfoError;
 pub(super) use report::too_many;
 pub use survey::{SurveyOptions, survey};

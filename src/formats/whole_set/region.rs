@@ -1,16 +1,22 @@
-//! Tests whether a bounding volume overlaps a region of the earth. The result may be true for volumes close to it.
+//! Tests whether a bounding volume overlaps a region of a body's surface. The result may be true for volumes close to it.
 
 use std::f64::consts::{FRAC_PI_2, TAU};
 
 use glam::DAffine3;
 
-use crate::math::{BoundingVolume, Region, WGS84};
+use crate::math::{BoundingVolume, Ellipsoid, Region};
 
-/// A lower bound of the distance from the earth's centre to its surface.
-const MIN_RADIUS_M: f64 = 6.2e6;
+/// A lower bound of the distance from a body's centre to its surface, as a share of its shortest radius.
+const MIN_RADIUS: f64 = 0.9753;
 
-/// Returns true if the volume, in the frame `world` of its tileset, overlaps the region. Heights are ignored.
-pub(in crate::formats) fn overlaps(volume: &BoundingVolume, world: &DAffine3, region: &Region) -> bool {
+/// Returns true if the volume, in the frame `world` of its tileset, overlaps the region. The set lies on an ellipsoid, which is that
+/// of the region whatever the region says. Heights are ignored.
+pub(in crate::formats) fn overlaps(
+    volume: &BoundingVolume,
+    world: &DAffine3,
+    region: &Region,
+    ellipsoid: &Ellipsoid,
+) -> bool {
     if let BoundingVolume::Region(r) = volume {
         return latitudes_overlap(r.south, r.north, region) && longitudes_overlap(r.west, r.width(), region);
     }
@@ -19,9 +25,11 @@ pub(in crate::formats) fn overlaps(volume: &BoundingVolume, world: &DAffine3, re
     if sphere.radius_m >= distance_m {
         return true;
     }
-    // The factor covers the flattening of the earth.
-    let angle = 1.01 * (sphere.radius_m / distance_m).asin() + 1e-9;
-    let center = WGS84.geodetic(sphere.center);
+    // The factor covers the flattening: a normal is turned by its share at most, twice over.
+    let Ellipsoid { semi_major_m, semi_minor_m } = ellipsoid;
+    let ratio = (semi_major_m / semi_minor_m).max(semi_minor_m / semi_major_m);
+    let angle = (ratio * ratio).max(1.01) * (sphere.radius_m / distance_m).asin() + 1e-9;
+    let center = ellipsoid.geodetic(sphere.center);
     let (south, north) = (center.latitude - angle, center.latitude + angle);
     if !latitudes_overlap(south, north, region) {
         return false;
@@ -35,10 +43,11 @@ pub(in crate::formats) fn overlaps(volume: &BoundingVolume, world: &DAffine3, re
     longitudes_overlap(center.longitude - half_width, 2.0 * half_width, region)
 }
 
-/// Returns true if the volume is on the earth, false if its tileset has a local frame.
-pub(in crate::formats) fn is_on_earth(volume: &BoundingVolume, world: &DAffine3) -> bool {
+/// Returns true if the volume is on the body, false if its tileset has a local frame.
+pub(in crate::formats) fn is_on_body(volume: &BoundingVolume, world: &DAffine3, ellipsoid: &Ellipsoid) -> bool {
     let sphere = volume.bounding_sphere().transformed(world);
-    matches!(volume, BoundingVolume::Region(_)) || sphere.center.length() + sphere.radius_m > MIN_RADIUS_M
+    let min_radius_m = MIN_RADIUS * ellipsoid.semi_major_m.min(ellipsoid.semi_minor_m);
+    matches!(volume, BoundingVolume::Region(_)) || sphere.center.length() + sphere.radius_m > min_radius_m
 }
 
 fn latitudes_overlap(south: f64, north: f64, region: &Region) -> bool {
@@ -54,11 +63,11 @@ mod tests {
     use glam::DVec3;
 
     use super::*;
-    use crate::math::{BoundingSphere, Geodetic};
+    use crate::math::{BoundingSphere, Geodetic, WGS84};
 
     fn region([west, south, east, north]: [f64; 4]) -> Region {
         let [west, south, east, north] = [west, south, east, north].map(f64::to_radians);
-        Region { west, south, east, north, min_height_m: 0.0, max_height_m: 100.0 }
+        Region { west, south, east, north, min_height_m: 0.0, max_height_m: 100.0, ellipsoid: WGS84 }
     }
 
     fn sphere(longitude: f64, latitude: f64, radius_m: f64) -> BoundingVolume {
@@ -69,8 +78,8 @@ mod tests {
     #[test]
     fn regions_with_regions() {
         let over = |a: [f64; 4], b: [f64; 4]| {
-            let one = overlaps(&BoundingVolume::Region(region(a)), &DAffine3::IDENTITY, &region(b));
-            assert_eq!(one, overlaps(&BoundingVolume::Region(region(b)), &DAffine3::IDENTITY, &region(a)));
+            let one = overlaps(&BoundingVolume::Region(region(a)), &DAffine3::IDENTITY, &region(b), &WGS84);
+            assert_eq!(one, overlaps(&BoundingVolume::Region(region(b)), &DAffine3::IDENTITY, &region(a), &WGS84));
             one
         };
         assert!(over([5.0, 45.0, 10.0, 48.0], [9.0, 40.0, 12.0, 46.0]));
@@ -84,7 +93,7 @@ mod tests {
     #[test]
     fn spheres_with_regions() {
         let of = region([5.0, 45.0, 10.0, 48.0]);
-        let over = |volume: BoundingVolume| overlaps(&volume, &DAffine3::IDENTITY, &of);
+        let over = |volume: BoundingVolume| overlaps(&volume, &DAffine3::IDENTITY, &of, &WGS84);
         assert!(over(sphere(7.0, 46.0, 10.0)), "inside");
         assert!(over(sphere(4.0, 46.0, 100_000.0)) && !over(sphere(3.0, 46.0, 100_000.0)), "a degree is 77 km there");
         assert!(over(sphere(7.0, 44.0, 120_000.0)) && !over(sphere(7.0, 43.0, 120_000.0)), "a degree is 111 km");
@@ -95,7 +104,7 @@ mod tests {
             _ => DVec3::ZERO,
         });
         let local = BoundingVolume::Sphere(BoundingSphere::new(DVec3::ZERO, 50.0));
-        assert!(overlaps(&local, &moved, &of) && is_on_earth(&local, &moved));
-        assert!(!is_on_earth(&local, &DAffine3::IDENTITY));
+        assert!(overlaps(&local, &moved, &of, &WGS84) && is_on_body(&local, &moved, &WGS84));
+        assert!(!is_on_body(&local, &DAffine3::IDENTITY, &WGS84));
     }
 }

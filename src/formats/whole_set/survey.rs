@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use glam::DAffine3;
 
-use super::is_on_earth;
+use super::is_on_body;
 use super::measure::{Declared, MapFrame, Measuring};
 use super::overlay::verify_overlay;
 use super::report::too_many;
@@ -20,7 +20,7 @@ use crate::formats::image::ImageFiles;
 use crate::formats::options::{Content, ReadOptions};
 use crate::formats::osg;
 use crate::formats::overlay;
-use crate::formats::read::{self, companions, decode_node};
+use crate::formats::read::{self, Decoded, companions, decode_node, decode_whole};
 use crate::formats::terrain::{self, TerrainPage};
 use crate::formats::tile::ALWAYS_REFINED_M;
 use crate::formats::tileset::{self, may_be_tileset};
@@ -159,7 +159,8 @@ impl Walk<'_> {
             let companions = read_companions(self.from, root, &bytes, None, &mut options, &mut self.verified.bytes);
             self.verified.fail_each(&companions);
             let content = Content { uri: root.clone(), bytes, reader_data: None, companions };
-            let node = decode_node(content, &options)?;
+            let Decoded { node, body, .. } = decode_whole(content, &options)?;
+            options.ellipsoid = body.map_or(options.ellipsoid, |body| body.ellipsoid());
             self.push(node, place, &Rc::new(options.below(root)), false);
         } else {
             // A model, or the first file of an OSG database, whose tiles are in contents.
@@ -272,8 +273,8 @@ impl Walk<'_> {
         if self.measuring.is_none()
             && let Some(volume) = &volume
         {
-            let on_earth = is_on_earth(volume, &DAffine3::IDENTITY);
-            let frame = if on_earth { MapFrame::Earth } else { MapFrame::Local };
+            let on_body = is_on_body(volume, &DAffine3::IDENTITY, &options.ellipsoid);
+            let frame = if on_body { MapFrame::Globe(options.ellipsoid) } else { MapFrame::Local };
             self.measuring = Some(Measuring::new(frame, self.has_own_errors));
         }
         let error_m = match range_mode {

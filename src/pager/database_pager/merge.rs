@@ -91,7 +91,7 @@ impl DatabasePager {
         entry: &Entry,
         Held { cpu_bytes, gpu_bytes, shared }: Held,
     ) -> Result<(), Box<Page>> {
-        let is_tileset = page.is_tile_tree();
+        let (is_tileset, ellipsoid) = (page.is_tile_tree(), page.ellipsoid());
         let attached = match scenes.numbered_mut(slot.page.scene) {
             Some(scene) => scene.attach(slot, *page),
             None => Err(Box::new((SceneError::StaleNode { node: slot }, *page))),
@@ -111,7 +111,8 @@ impl DatabasePager {
             let ancestors = entry.job.ancestors.clone();
             // A further part of a tileset is no tileset of its own.
             let continues = entry.job.reader_data.as_ref().is_some_and(ReaderData::continues_tileset);
-            self.scenes.add_tileset(id, if continues { ancestors } else { ancestors.below(&entry.job.uri) });
+            let ancestors = if continues { ancestors } else { ancestors.below(&entry.job.uri, ellipsoid) };
+            self.scenes.add_tileset(id, ancestors);
         }
         Ok(())
     }

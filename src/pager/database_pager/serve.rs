@@ -114,14 +114,14 @@ impl DatabasePager {
     /// Reads a root tileset, or a single content, in the initial scope. Blocks the calling thread.
     pub fn read_root(&mut self, uri: &Arc<str>) -> Result<Page, IoError> {
         let page = self.read_in(self.scenes.initial_scope(), uri)?;
-        self.scenes.note_root(None, uri);
+        self.scenes.note_root(None, uri, page.ellipsoid());
         Ok(page)
     }
 
     /// Reads a root tileset, or a single content, in the scope of a scene that was added. Blocks the calling thread.
     pub fn read_root_of(&mut self, scene: SceneNumber, uri: &Arc<str>) -> Result<Page, IoError> {
         let page = self.read_in(self.scenes.scope(scene), uri)?;
-        self.scenes.note_root(Some(scene), uri);
+        self.scenes.note_root(Some(scene), uri, page.ellipsoid());
         Ok(page)
     }
 

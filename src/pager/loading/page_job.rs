@@ -87,11 +87,12 @@ impl LoadProgress {
 impl PageJob {
     /// Returns the options for a content that redirects have led to `location`, and its companions to theirs.
     fn options(&self, location: Option<Arc<str>>, companion_locations: &[(Arc<str>, Arc<str>)]) -> ReadOptions {
-        let TilesetAncestors { chain, set_from_page } = self.ancestors.clone();
+        let TilesetAncestors { chain, set_from_page, ellipsoid } = self.ancestors.clone();
         let block_formats = self.scope.block_formats.get();
         ReadOptions {
             chain,
             set_from_content: set_from_page,
+            ellipsoid,
             base: location,
             companion_bases: companion_locations.into(),
             block_formats,

@@ -11,6 +11,7 @@ use crate::fetch::IoError;
 #[cfg(feature = "http")]
 use crate::fetch::{HttpClient, RootScope, server};
 use crate::formats::ReadOptions;
+use crate::math::Ellipsoid;
 use crate::scene::BlockFormats;
 
 /// The files and servers that the contents of a scene may read, and the client that asks servers.
@@ -112,18 +113,20 @@ pub(in crate::pager) struct TilesetAncestors {
     pub chain: Arc<[Arc<str>]>,
     /// The product of the transforms of their tiles.
     pub set_from_page: DAffine3,
+    /// The ellipsoid of the root.
+    pub ellipsoid: Ellipsoid,
 }
 
 impl TilesetAncestors {
     /// Returns the ancestors of a page that is not part of a tileset.
     #[cfg(test)]
     pub fn none() -> Self {
-        Self { chain: Arc::new([]), set_from_page: DAffine3::IDENTITY }
+        Self { chain: Arc::new([]), set_from_page: DAffine3::IDENTITY, ellipsoid: crate::math::WGS84 }
     }
 
-    /// Returns the ancestors of the contents inside the tileset `uri`, which has these ancestors itself.
-    pub fn below(self, uri: &Arc<str>) -> Self {
+    /// Returns the ancestors of the contents inside the tileset `uri`, which has these ancestors itself and lies on an ellipsoid.
+    pub fn below(self, uri: &Arc<str>, ellipsoid: Ellipsoid) -> Self {
         let chain = self.chain.iter().cloned().chain([uri.clone()]).collect();
-        Self { chain, ..self }
+        Self { chain, ellipsoid, ..self }
     }
 }

@@ -8,6 +8,7 @@ use super::scene_set::SceneSet;
 #[cfg(feature = "http")]
 use crate::fetch::{HttpClient, HttpConfig};
 use crate::formats::{ContentReader, IgnoredLog, OverlaySet, ReadOptions, Style, TileVolume};
+use crate::math::Ellipsoid;
 use crate::pager::config::PagerConfig;
 use crate::scene::{NodeId, PageId, Scene, SceneNumber, SharedStateManager, SlotInfo};
 
@@ -21,8 +22,9 @@ struct SceneState {
 
 impl SceneState {
     fn new(scope: ReadScope) -> Self {
-        let chain = scope.options.chain.clone();
-        let root_ancestors = TilesetAncestors { chain, set_from_page: scope.options.set_from_content };
+        let ReadOptions { chain, set_from_content, ellipsoid, .. } = &scope.options;
+        let root_ancestors =
+            TilesetAncestors { chain: chain.clone(), set_from_page: *set_from_content, ellipsoid: *ellipsoid };
         Self { scope: Arc::new(scope), root_ancestors }
     }
 }
@@ -218,10 +220,11 @@ impl SceneRegistry {
         scenes.all().map(Scene::number).find(is_new)
     }
 
-    /// Returns the options of the initial scope, with the root's chain, if no scene has claimed it.
+    /// Returns the options of the initial scope, with the root's chain and ellipsoid, if no scene has claimed it.
     pub fn unclaimed_options(&self) -> Option<ReadOptions> {
         let SceneState { scope, root_ancestors } = self.unclaimed.as_ref()?;
-        Some(ReadOptions { chain: root_ancestors.chain.clone(), ..scope.options.clone() })
+        let TilesetAncestors { chain, ellipsoid, .. } = root_ancestors.clone();
+        Some(ReadOptions { chain, ellipsoid, ..scope.options.clone() })
     }
 
     /// Stops serving a scene; returns its scope.
@@ -260,8 +263,8 @@ impl SceneRegistry {
         state.map(|state| state.scope.clone())
     }
 
-    /// Notes that `uri` was read as the root of a scene, or of the initial scope if `scene` is `None`.
-    pub fn note_root(&mut self, scene: Option<SceneNumber>, uri: &Arc<str>) {
+    /// Notes that `uri`, which lies on an ellipsoid, was read as the root of a scene, or of the initial scope if `scene` is `None`.
+    pub fn note_root(&mut self, scene: Option<SceneNumber>, uri: &Arc<str>, ellipsoid: Ellipsoid) {
         let first = self.first;
         let state = match scene {
             Some(scene) => self.scenes.get_mut(&scene),
@@ -269,6 +272,7 @@ impl SceneRegistry {
         };
         if let Some(state) = state {
             state.root_ancestors.chain = state.scope.options.below(uri).chain;
+            state.root_ancestors.ellipsoid = ellipsoid;
         }
     }
 
@@ -286,7 +290,8 @@ impl SceneRegistry {
     pub fn tile_volume(&self, scenes: &dyn SceneSet, slot: NodeId, scope: &ReadScope) -> Option<TileVolume> {
         scope.options.overlays.as_ref()?;
         let state = self.scenes.get(&slot.page.scene)?;
-        let TilesetAncestors { chain, set_from_page } = self.ancestors.get(&slot.page).unwrap_or(&state.root_ancestors);
+        let TilesetAncestors { chain, set_from_page, .. } =
+            self.ancestors.get(&slot.page).unwrap_or(&state.root_ancestors);
         // The position on the earth of contents outside of a tileset is not known.
         if chain.is_empty() {
             return None;

@@ -22,8 +22,8 @@ use crate::scene::graph::Scene;
 pub enum Vertical {
     /// Up is z, and z is the height: for scenes that are not on the earth.
     Flat,
-    /// Up is the normal of an ellipsoid around the origin, and heights are above it: for earth-centred scenes, with
-    /// [`WGS84`](crate::math::WGS84).
+    /// Up is the normal of an ellipsoid around the origin, and heights are above it: for scenes around the centre of a body, with
+    /// [`Scene::ellipsoid`].
     Ellipsoid(Ellipsoid),
 }
 

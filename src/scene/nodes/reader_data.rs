@@ -35,7 +35,7 @@ pub trait ReaderValue: Any + Debug + Send + Sync {
         None
     }
 
-    /// Returns the region of the content on WGS84, if the reader knows it: west, south, east and north in radians. East is
+    /// Returns the region of the content on the ellipsoid of its set, if the reader knows it: west, south, east and north in radians. East is
     /// beyond pi across the antimeridian. Raster overlays cover it.
     fn region(&self) -> Option<[f64; 4]> {
         None

@@ -3,6 +3,7 @@
 use std::collections::HashSet;
 use std::sync::Arc;
 
+use crate::math::{Ellipsoid, WGS84};
 use crate::scene::features::TileMetadata;
 use crate::scene::nodes::{CullCallback, EventCallback, UpdateCallback};
 use crate::scene::sparse_list::SparseList;
@@ -23,6 +24,8 @@ struct Labels {
     names: Vec<(Box<str>, u32)>,
     metadata: SparseList<Arc<TileMetadata>>,
     credits: Box<[Arc<str>]>,
+    /// The ellipsoid of the page, if it is not WGS84.
+    ellipsoid: Option<Ellipsoid>,
 }
 
 impl NodeExtras {
@@ -56,6 +59,18 @@ impl NodeExtras {
     /// Returns the attributions of the page.
     pub fn credits(&self) -> &[Arc<str>] {
         self.labels.as_ref().map_or(&[], |labels| &labels.credits)
+    }
+
+    /// Stores the ellipsoid of the page.
+    pub(super) fn set_ellipsoid(&mut self, ellipsoid: Ellipsoid) {
+        if ellipsoid != self.ellipsoid() {
+            self.labels.get_or_insert_default().ellipsoid = Some(ellipsoid);
+        }
+    }
+
+    /// Returns the ellipsoid of the page.
+    pub fn ellipsoid(&self) -> Ellipsoid {
+        self.labels.as_ref().and_then(|labels| labels.ellipsoid).unwrap_or(WGS84)
     }
 
     /// Returns the bytes of CPU memory of the metadata; names and callbacks are few and not counted.

@@ -16,6 +16,7 @@ use super::payload_tables::{OccluderRecord, PayloadTables, RareNode};
 use super::state_paths::{StatePath, StatePaths};
 use super::stored_bounds::Boxes4;
 use super::transforms::Transforms;
+use crate::math::Ellipsoid;
 use crate::scene::features::{DrawableFeatures, TileMetadata};
 use crate::scene::geometry::{BlockFormats, Drawable, Geometry, Mesh, NormalCone};
 use crate::scene::intersect::KdTree;
@@ -271,6 +272,16 @@ impl Page {
     /// Sets the attributions.
     pub(crate) fn set_credits(&mut self, credits: Vec<Arc<str>>) {
         self.extras.set_credits(credits);
+    }
+
+    /// Returns the ellipsoid that the page's tiles lie on, if they lie on one: that of its tile set, else WGS84.
+    pub fn ellipsoid(&self) -> Ellipsoid {
+        self.extras.ellipsoid()
+    }
+
+    /// Sets the ellipsoid, for pages that an application builds for another body than the earth.
+    pub fn set_ellipsoid(&mut self, ellipsoid: Ellipsoid) {
+        self.extras.set_ellipsoid(ellipsoid);
     }
 
     /// Returns the metadata of a node, if it has any.

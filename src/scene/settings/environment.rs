@@ -7,10 +7,10 @@ use glam::DVec3;
 
 use super::sun_shadows::SunShadows;
 use super::tone_mapping::ToneMapping;
-use crate::math::WGS84;
+use crate::math::{Ellipsoid, WGS84};
 
-/// Eyes closer to the world's origin are in a local frame, not over a globe. The earth's poles are 6,357 km from it.
-const LOCAL_WORLD_RADIUS_M: f64 = 6_200_000.0;
+/// Eyes closer to the world's origin than this share of the body's shortest radius are in a local frame, not over a globe.
+const LOCAL_WORLD_SHARE: f64 = 0.9753;
 
 /// The background behind everything.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -87,6 +87,8 @@ pub struct Environment {
     pub tone_mapping: ToneMapping,
     /// The unit vector away from the ground at the eye, in the world: z for a local scene, the ellipsoid's normal on a globe.
     pub up_in_world: DVec3,
+    /// The ellipsoid of the body that the world is: heights of eyes, air and water are above it.
+    pub ellipsoid: Ellipsoid,
 }
 
 impl Default for Environment {
@@ -103,6 +105,7 @@ impl Default for Environment {
             exposure: Some(Self::EXPOSURE),
             tone_mapping: ToneMapping::default(),
             up_in_world: DVec3::Z,
+            ellipsoid: WGS84,
         }
     }
 }
@@ -122,19 +125,53 @@ impl Environment {
     /// an exposure of `100,000 / E` show white surfaces white. That is 1,000 for a room of 100 lux.
     pub const SUN_LUX: f32 = 100_000.0;
 
+    /// The light of the ground around on surfaces in shadow, where there is no air.
+    const AIRLESS_AMBIENT: [f32; 3] = [0.03; 3];
+
+    /// Returns the usual environment of a body. The earth has its air; another body has a black sky, no haze, a white sun and
+    /// dark shadows.
+    pub fn on(ellipsoid: Ellipsoid) -> Self {
+        let earth = Self { ellipsoid, ..Self::default() };
+        if ellipsoid.is_earth() {
+            return earth;
+        }
+        Self {
+            sky: Sky::Background([0; 3]),
+            fog: DistanceFog { enabled: false, ..earth.fog },
+            sun_color: [1.1; 3],
+            ambient_color: Self::AIRLESS_AMBIENT,
+            ..earth
+        }
+    }
+
+    /// Changes to the usual sky, haze and light of another body, as far as those of the present one were not replaced.
+    pub(crate) fn move_to(&mut self, ellipsoid: Ellipsoid) {
+        let (here, there) = (Self::on(self.ellipsoid), Self::on(ellipsoid));
+        let is_usual = |own: &Self| {
+            let look = |of: &Self| (of.sky, of.fog.enabled, of.sun_color, of.ambient_color);
+            look(own) == look(&here)
+        };
+        if is_usual(self) {
+            (self.sky, self.fog.enabled) = (there.sky, there.fog.enabled);
+            (self.sun_color, self.ambient_color) = (there.sun_color, there.ambient_color);
+        }
+        self.ellipsoid = ellipsoid;
+    }
+
     /// Returns the environment around another eye of the same world: over a globe, `up_in_world` depends on the position.
     #[must_use]
     pub fn seen_from(mut self, eye_in_world: DVec3) -> Self {
-        if is_over_globe(eye_in_world) {
-            self.up_in_world = WGS84.up(&WGS84.geodetic(eye_in_world));
+        if self.is_over_globe(eye_in_world) {
+            self.up_in_world = self.ellipsoid.up(&self.ellipsoid.geodetic(eye_in_world));
         }
         self
     }
-}
 
-/// Returns true if an eye is near or above a globe in an earth-centred world, not in a local one.
-pub(crate) fn is_over_globe(eye_in_world: DVec3) -> bool {
-    eye_in_world.is_finite() && eye_in_world.length() > LOCAL_WORLD_RADIUS_M
+    /// Returns true if an eye is near or above a globe in a body-centred world, not in a local one.
+    pub(crate) fn is_over_globe(&self, eye_in_world: DVec3) -> bool {
+        let Ellipsoid { semi_major_m, semi_minor_m } = self.ellipsoid;
+        eye_in_world.is_finite() && eye_in_world.length() > LOCAL_WORLD_SHARE * semi_major_m.min(semi_minor_m)
+    }
 }
 
 /// Light and air in the image of a camera in the graph. A nested camera draws into the image of another camera and has no
@@ -192,5 +229,35 @@ impl CameraShadows {
             Self::Environment => environment.shadows,
             Self::Own(shadows) => Some(*shadows),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::MOON;
+
+    #[test]
+    fn usual_sky_follows_the_body_and_a_chosen_one_stays() {
+        let mut environment = Environment::default();
+        environment.move_to(MOON);
+        assert_eq!(environment, Environment::on(MOON));
+        assert!(environment.sky == Sky::Background([0; 3]) && !environment.fog.enabled);
+        environment.move_to(WGS84);
+        assert_eq!(environment, Environment::default());
+        let chosen = Environment { sky: Sky::Background([1, 2, 3]), ..Environment::default() };
+        environment = chosen;
+        environment.move_to(MOON);
+        assert_eq!(environment, Environment { ellipsoid: MOON, ..chosen });
+    }
+
+    /// An eye is over a globe from its surface on, on bodies of any size.
+    #[test]
+    fn up_is_the_normal_of_the_body() {
+        let eye = DVec3::new(0.0, 0.0, 1_738_000.0);
+        assert_eq!(Environment::on(MOON).seen_from(eye).up_in_world, DVec3::Z);
+        let aside = DVec3::X * 1_738_000.0;
+        assert!(Environment::on(MOON).seen_from(aside).up_in_world.distance(DVec3::X) < 1e-12);
+        assert_eq!(Environment::default().seen_from(aside).up_in_world, DVec3::Z, "a local scene of the earth");
     }
 }

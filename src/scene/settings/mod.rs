@@ -11,5 +11,4 @@ pub use environment::{CameraEnvironment, CameraShadows, DistanceFog, Environment
 pub use sun_shadows::{MAX_CASCADES, ShadowError, SunShadows};
 pub use tone_mapping::ToneMapping;
 
-pub(crate) use environment::is_over_globe;
 pub(crate) use lod_ranges::{LodRanges, LodRecord, MORPH_START, has_parallel_rays, px_per_radian};

@@ -8,9 +8,13 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 use glam::{DVec3, Vec3};
 
+use crate::math::{Ellipsoid, WGS84};
+
 /// Tables by tile.
 #[derive(Debug)]
 pub(crate) struct GroundTiles {
+    /// The ellipsoid of the tiles.
+    ellipsoid: Ellipsoid,
     /// The height above the ellipsoid, in metres, below which all the tiles are.
     ceiling_m: f64,
     /// Points in ECEF metres, each behind the horizon only if its tile is; infinite for a tile without one.
@@ -24,6 +28,7 @@ pub(crate) struct GroundTiles {
 #[derive(Debug)]
 pub(super) struct GroundTile {
     pub tile: u32,
+    pub ellipsoid: Ellipsoid,
     pub ceiling_m: f64,
     pub horizon_point: Option<DVec3>,
 }
@@ -44,7 +49,15 @@ impl GroundTiles {
         // If there are other tiles beside the ground, their heights are not known.
         let is_all = ground.len() == new_index.len();
         let ceiling_m = ground.iter().map(|tile| tile.ceiling_m).fold(f64::NEG_INFINITY, f64::max);
-        Self { ceiling_m: if is_all { ceiling_m } else { f64::INFINITY }, horizon_points, refined_in }
+        let ceiling_m = if is_all { ceiling_m } else { f64::INFINITY };
+        // All tiles of a tree have the same.
+        let ellipsoid = ground.first().map_or(WGS84, |tile| tile.ellipsoid);
+        Self { ellipsoid, ceiling_m, horizon_points, refined_in }
+    }
+
+    /// Returns the ellipsoid of the tiles.
+    pub fn ellipsoid(&self) -> &Ellipsoid {
+        &self.ellipsoid
     }
 
     /// Returns the height above the ellipsoid, in metres, below which all the tiles are.

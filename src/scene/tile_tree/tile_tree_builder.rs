@@ -74,8 +74,12 @@ impl TileTreeBuilder {
         if let (true, BoundingVolume::Region(region)) =
             (tile.reader_data.as_ref().is_some_and(ReaderData::is_ground_of_globe), &tile.bounds)
         {
-            let horizon_point = horizon_point(region);
-            self.ground.push(GroundTile { tile: index, ceiling_m: region.max_height_m, horizon_point });
+            self.ground.push(GroundTile {
+                tile: index,
+                ellipsoid: region.ellipsoid,
+                ceiling_m: region.max_height_m,
+                horizon_point: horizon_point(region),
+            });
         }
         if tile.paging != PagingOptions::default() {
             self.tiles.rare_mut().paging.push(index, tile.paging);

@@ -5,13 +5,11 @@ use std::cell::RefCell;
 use glam::DVec3;
 
 use super::manipulator::{GroundHeight, ManipulatorView};
-use crate::math::{Ellipsoid, WGS84};
+use crate::math::Ellipsoid;
 use crate::scene::{IntersectionLimit, IntersectionVisitor, LineSegmentIntersector, Scene};
 
-/// Points farther from the origin than this are in earth-centred coordinates, metres.
-const EARTH_CENTRED_BEYOND_M: f64 = 1.0e6;
-/// The lowest ground, metres above the ellipsoid.
-const LOWEST_M: f64 = -2.0e4;
+/// Points farther from the origin than this are in body-centred coordinates, equatorial radii: 1,000 km on the earth.
+const BODY_CENTRED_BEYOND: f64 = 1.0e6 / 6_378_137.0;
 
 /// Takes the ground from the scene: the highest intersection below or above a point, at the finest loaded level.
 ///
@@ -35,9 +33,11 @@ impl GroundHeight for SceneGround {
     fn ground_at(&self, scene: &Scene, point: DVec3, up: DVec3) -> Option<DVec3> {
         let all = scene.bounding_sphere();
         let start = point + up * ((all.center - point).dot(up) + all.radius_m);
-        let down_m = if point.length() > EARTH_CENTRED_BEYOND_M {
-            // The segment must not reach the other side of the earth.
-            (WGS84.geodetic(start).height_m - LOWEST_M).min(2.0 * all.radius_m)
+        let ellipsoid = scene.ellipsoid();
+        let down_m = if point.length() > BODY_CENTRED_BEYOND * ellipsoid.semi_major_m {
+            // The segment must not reach the other side of the body.
+            let [lowest_m, _] = ellipsoid.ground_m();
+            (ellipsoid.geodetic(start).height_m - 2.0 * lowest_m).min(2.0 * all.radius_m)
         } else {
             2.0 * all.radius_m
         };
@@ -54,9 +54,9 @@ impl GroundHeight for SceneGround {
 /// Returns the point where a ray descends to the level of `level`: to the horizontal plane through it, or to the ellipsoid
 /// at its height. `None` when the ray passes above.
 pub(super) fn intersect_level(view: &ManipulatorView<'_>, level: DVec3, eye: DVec3, direction: DVec3) -> Option<DVec3> {
-    let distance_m = if view.frame_at(level).georeferenced {
-        let height_m = WGS84.geodetic(level).height_m;
-        let Ellipsoid { semi_major_m, semi_minor_m } = WGS84;
+    let distance_m = if let Some(ellipsoid) = view.frame_at(level).ellipsoid {
+        let height_m = ellipsoid.geodetic(level).height_m;
+        let Ellipsoid { semi_major_m, semi_minor_m } = ellipsoid;
         let (major_m, minor_m) = (semi_major_m + height_m, semi_minor_m + height_m);
         if !(major_m > 0.0 && minor_m > 0.0) {
             return None;

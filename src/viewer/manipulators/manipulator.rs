@@ -2,7 +2,6 @@
 
 use glam::{DAffine3, DVec3};
 
-use crate::math::WGS84;
 use crate::scene::Scene;
 use crate::viewer::events::{GuiEventAdapter, Usage};
 use crate::viewer::view::camera::Camera;
@@ -49,7 +48,7 @@ impl ManipulatorView<'_> {
 
     /// Returns the local frame at a point: east, north and up.
     pub fn frame_at(&self, point: DVec3) -> LocalFrame {
-        LocalFrame::at(point, self.bounds.frame.georeferenced)
+        LocalFrame::at(point, self.bounds.frame.ellipsoid)
     }
 
     /// Returns the ground below or above a point; `None` when it is unknown.
@@ -69,16 +68,14 @@ impl ManipulatorView<'_> {
         let frame = self.frame_at(point);
         let offset = frame.world_from_local.matrix3 * DVec3::new(east_m, north_m, 0.0);
         let length_m = offset.length();
-        if !frame.georeferenced || length_m <= 0.0 {
-            return point + offset;
-        }
+        let Some(ellipsoid) = frame.ellipsoid.filter(|_| length_m > 0.0) else { return point + offset };
         // Along the great circle of a sphere through the point; the height is corrected afterwards.
         let radius_m = point.length().max(1.0);
         let (sin, cos) = (length_m / radius_m).sin_cos();
         let there = point * cos + offset / length_m * (radius_m * sin);
-        let (here, mut geodetic) = (WGS84.geodetic(point), WGS84.geodetic(there));
+        let (here, mut geodetic) = (ellipsoid.geodetic(point), ellipsoid.geodetic(there));
         geodetic.height_m = here.height_m;
-        WGS84.ecef(&geodetic)
+        ellipsoid.ecef(&geodetic)
     }
 }
 

@@ -8,12 +8,12 @@ use crate::math::BoundingVolume;
 use crate::pager::{DatabasePager, PagerConfig};
 use crate::scene::{BlockFormats, NodeKind, Page};
 use crate::viewer::ViewerError;
-use crate::viewer::view::set_bounds::{HIGHEST_GROUND_M, LOWEST_GROUND_M, earth, is_globe};
+use crate::viewer::view::set_bounds::{is_globe, whole_body};
 
 /// The name of the root that [`LoadedRoot::ellipsoid`] returns.
 const ELLIPSOID: &str = "globe";
-/// The depth below the ellipsoid that its coarsest triangles stay above, metres.
-const ELLIPSOID_DEPTH_M: f64 = 10_000.0;
+/// The depth below the ellipsoid that its coarsest triangles stay above, as a share of its radius.
+const ELLIPSOID_DEPTH: f64 = 10_000.0 / 6_378_137.0;
 
 /// A root tile set that was read, and the pager that loads the rest of it. It can be read before a viewer exists, for
 /// example while a window opens; see [`Viewer::set_root`](crate::viewer::Viewer::set_root).
@@ -36,34 +36,42 @@ impl LoadedRoot {
         Self::read_for(source, config, BlockFormats::NONE)
     }
 
-    /// Returns the surface of WGS84 as a root. Nothing is read: its tiles are computed when they are wanted, and a pager is
+    /// Returns the surface of the configuration's ellipsoid as a root. Nothing is read: its tiles are computed when they are wanted, and a pager is
     /// started for them.
     pub fn ellipsoid(config: &PagerConfig) -> Result<Self, ViewerError> {
         let uri: Arc<str> = ELLIPSOID.into();
+        let ellipsoid = config.ellipsoid;
         // Overlays ask for the position on the earth, which only the contents of a tileset have.
         let options = formats::ReadOptions {
             chain: Arc::new([uri.clone()]),
+            ellipsoid,
             ..formats::ReadOptions::for_root(&uri, config.limits)
         };
         let pager = DatabasePager::new(config.clone(), options)?;
-        let page = Page::from_node(formats::ellipsoid());
-        let page = page.map_err(|error| IoError::Uri { uri: uri.to_string(), reason: error.to_string() })?;
-        Ok(Self { pager, page, uri, region: Some(earth(-ELLIPSOID_DEPTH_M, 0.0)) })
+        let page = Page::from_node(formats::ellipsoid(ellipsoid));
+        let mut page = page.map_err(|error| IoError::Uri { uri: uri.to_string(), reason: error.to_string() })?;
+        page.set_ellipsoid(ellipsoid);
+        let region = whole_body(ellipsoid, [-ELLIPSOID_DEPTH * ellipsoid.semi_major_m, 0.0]);
+        Ok(Self { pager, page, uri, region: Some(region) })
     }
 
     /// Does the same as [`Self::read`], with the compressed formats that a root's own images may have.
     pub(super) fn read_for(source: &str, config: &PagerConfig, formats: BlockFormats) -> Result<Self, ViewerError> {
         let uri = fetch::root_uri_within(source, config.limits.file_timeout)?;
-        let options =
-            formats::ReadOptions { block_formats: formats, ..formats::ReadOptions::for_root(&uri, config.limits) };
+        let options = formats::ReadOptions {
+            block_formats: formats,
+            ellipsoid: config.ellipsoid,
+            ..formats::ReadOptions::for_root(&uri, config.limits)
+        };
         let mut pager = DatabasePager::new(config.clone(), options.clone())?;
         let page = pager.read_root(&uri)?;
         // The second read of the root adds nothing to the list of what is left out.
         let options = formats::ReadOptions { ignored: formats::IgnoredLog::default(), ..options };
-        // Several trees together may cover the earth.
-        let is_globe = page.tiles().roots().len() > 1 && is_globe(&page.bounding_sphere());
+        // Several trees together may cover the body.
+        let ellipsoid = page.ellipsoid();
+        let is_globe = page.tiles().roots().len() > 1 && is_globe(&ellipsoid, &page.bounding_sphere());
         let region = match is_globe {
-            true => Some(earth(LOWEST_GROUND_M, HIGHEST_GROUND_M)),
+            true => Some(whole_body(ellipsoid, ellipsoid.ground_m())),
             false if fetch::is_remote(&uri) => None,
             false => declared_region(&uri, &options),
         };

@@ -17,7 +17,7 @@ use crate::viewer::ViewerError;
 use crate::viewer::frame::FrameStamp;
 use crate::viewer::ids::PagerId;
 use crate::viewer::rendering::{Rendering, UploadOwner};
-use crate::viewer::view::set_bounds::{LOWEST_GROUND_M, SetBounds, part_of_globe, root_volume};
+use crate::viewer::view::set_bounds::{SetBounds, part_of_globe, root_volume};
 
 /// A callback that changes the scene in the update phase of each frame, on the main thread.
 pub type SceneUpdate = Box<dyn FnMut(&mut Scene, &FrameStamp) + Send>;
@@ -188,7 +188,7 @@ impl PagedScene {
     pub(in crate::viewer) fn horizon(&self) -> Option<Ellipsoid> {
         let lowest_m = match &self.loaded {
             Some(loaded) if self.roots_with_tiles.is_empty() => loaded.lowest_ground_m,
-            _ => LOWEST_GROUND_M,
+            _ => self.bounds.as_ref()?.ellipsoid.ground_m()[0],
         };
         self.bounds.as_ref()?.body_below(lowest_m)
     }
@@ -211,9 +211,13 @@ impl PagedScene {
     ) -> Result<PageId, ViewerError> {
         let (bounds, lowest_ground_m) = match part_of_globe(&page) {
             // The ground goes on around the part.
-            Some(part) => (SetBounds::new(part.bounding_sphere(), Some(part)), LOWEST_GROUND_M),
+            Some(part) => {
+                let [lowest_m, _] = page.ellipsoid().ground_m();
+                (SetBounds::on(page.ellipsoid(), part.bounding_sphere(), Some(part)), lowest_m)
+            }
             None => {
-                let bounds = SetBounds::new(page.bounding_sphere(), region.or_else(|| root_volume(&page)));
+                let volume = region.or_else(|| root_volume(&page));
+                let bounds = SetBounds::on(page.ellipsoid(), page.bounding_sphere(), volume);
                 (bounds, bounds.lowest_ground_m())
             }
         };
@@ -226,7 +230,7 @@ impl PagedScene {
 
     /// Adds a page of the application as a root.
     pub(in crate::viewer) fn add_root(&mut self, page: Page, rendering: &mut Rendering) -> Result<PageId, ViewerError> {
-        self.bounds.get_or_insert_with(|| SetBounds::new(page.bounding_sphere(), root_volume(&page)));
+        self.bounds.get_or_insert_with(|| SetBounds::on(page.ellipsoid(), page.bounding_sphere(), root_volume(&page)));
         let has_tiles = !page.tiles().records().is_empty();
         let root = self.add_page(page, rendering)?;
         if has_tiles {
@@ -285,7 +289,8 @@ impl PagedScene {
     pub(in crate::viewer) fn new_folder_pager(&self, folder: &Path) -> Result<DatabasePager, ViewerError> {
         // The scope of a root is the folder that holds it.
         let root = folder.join("tileset.json").display().to_string();
-        let options = ReadOptions::for_root(&root, self.pager_config.limits);
+        let ellipsoid = self.pager_config.ellipsoid;
+        let options = ReadOptions { ellipsoid, ..ReadOptions::for_root(&root, self.pager_config.limits) };
         Ok(DatabasePager::new(self.pager_config.clone(), options)?)
     }
 
@@ -489,7 +494,15 @@ mod tests {
             Page::from_node(Node::new(NodeKind::ProxyNode(Box::new(proxy)))).unwrap()
         };
         let set = |min_height_m: f64| {
-            let region = Region { west: 0.0, south: 0.0, east: 0.1, north: 0.1, min_height_m, max_height_m: 3000.0 };
+            let region = Region {
+                west: 0.0,
+                south: 0.0,
+                east: 0.1,
+                north: 0.1,
+                min_height_m,
+                max_height_m: 3000.0,
+                ellipsoid: WGS84,
+            };
             (proxy(), Arc::from("set/tileset.json"), Some(BoundingVolume::Region(region)))
         };
         let lowest_m = |paged: &PagedScene| paged.horizon().map(|body| body.semi_major_m - WGS84.semi_major_m);
@@ -503,7 +516,7 @@ mod tests {
         paged.add_root(text(), &mut rendering).unwrap();
         assert_eq!(lowest_m(&paged), Some(-400.0), "a page without tiles does not change the horizon");
         let of_unknown_depth = paged.add_root(proxy(), &mut rendering).unwrap();
-        assert_eq!(lowest_m(&paged), Some(LOWEST_GROUND_M));
+        assert_eq!(lowest_m(&paged), Some(-12_000.0));
         assert!(paged.remove_root(of_unknown_depth, &mut rendering).is_some());
         assert_eq!(lowest_m(&paged), Some(-400.0));
         assert!(paged.remove_root(land, &mut rendering).is_some());

@@ -7,7 +7,7 @@
 use glam::{DMat3, DVec3};
 use image::RgbaImage;
 
-use crate::math::{BoundingVolume, OrientedBox, Region, WGS84};
+use crate::math::{BoundingVolume, Ellipsoid, OrientedBox, Region};
 use crate::viewer::view::camera::Camera;
 use crate::viewer::view::set_bounds::SetBounds;
 
@@ -59,13 +59,19 @@ impl HoleCheck {
             }
             Slab::Region(region) => {
                 // First what tells most rays apart: those into the sky.
-                let Some(end) = ellipsoid_hit(eye, direction, region.min_height_m) else { return false };
-                let height_m = WGS84.geodetic(eye).height_m;
+                let Some(end) = ellipsoid_hit(&region.ellipsoid, eye, direction, region.min_height_m) else {
+                    return false;
+                };
+                let height_m = region.ellipsoid.geodetic(eye).height_m;
                 if height_m < region.min_height_m {
                     return false;
                 }
                 let above = height_m > region.max_height_m;
-                let start = if above { ellipsoid_hit(eye, direction, region.max_height_m) } else { Some(0.0) };
+                let start = if above {
+                    ellipsoid_hit(&region.ellipsoid, eye, direction, region.max_height_m)
+                } else {
+                    Some(0.0)
+                };
                 let inside = |t: f64| in_footprint(&region, eye + direction * t);
                 start.is_some_and(inside) && inside(end)
             }
@@ -108,12 +114,12 @@ fn box_slab(b: &OrientedBox, bounds: &SetBounds) -> Option<Slab> {
     let up_axis = if z.dot(up) < 0.0 { -z } else { z }.normalize_or(up) * height_m;
     let unit_from_world = DMat3::from_cols(x, y, up_axis).inverse();
     // A georeferenced set is curved and does not fill the corners of its box.
-    let rim = if bounds.frame.georeferenced { 0.1 } else { RIM };
+    let rim = if bounds.frame.is_georeferenced() { 0.1 } else { RIM };
     unit_from_world.is_finite().then_some(Slab::Box { unit_from_world, center: b.center, rim })
 }
 
 fn in_footprint(region: &Region, point: DVec3) -> bool {
-    let g = WGS84.geodetic(point);
+    let g = region.ellipsoid.geodetic(point);
     let east = (g.longitude - region.west).rem_euclid(std::f64::consts::TAU) / region.width().max(1e-15);
     let north = (g.latitude - region.south) / (region.north - region.south).max(1e-15);
     (RIM..=1.0 - RIM).contains(&east) && (RIM..=1.0 - RIM).contains(&north)
@@ -121,9 +127,8 @@ fn in_footprint(region: &Region, point: DVec3) -> bool {
 
 /// Returns the distance along a ray to the surface `height_m` above the ellipsoid, approximated by an ellipsoid with longer
 /// axes (accurate to a few millimetres at terrain heights).
-fn ellipsoid_hit(eye: DVec3, direction: DVec3, height_m: f64) -> Option<f64> {
-    let a = WGS84.semi_major_m + height_m;
-    let scale = DVec3::new(1.0 / a, 1.0 / a, 1.0 / (WGS84.semi_minor_m + height_m));
+fn ellipsoid_hit(ellipsoid: &Ellipsoid, eye: DVec3, direction: DVec3, height_m: f64) -> Option<f64> {
+    let scale = (ellipsoid.radii_m() + height_m).recip();
     let (p, d) = (eye * scale, direction * scale);
     let (dd, pd, pp) = (d.dot(d), p.dot(d), p.dot(p) - 1.0);
     let root = (pd * pd - dd * pp).sqrt();
@@ -135,6 +140,7 @@ fn ellipsoid_hit(eye: DVec3, direction: DVec3, height_m: f64) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::math::WGS84;
     use crate::viewer::ViewFrom;
 
     fn check(bounds: &SetBounds) {
@@ -162,8 +168,15 @@ mod tests {
 
     #[test]
     fn rays_into_a_georeferenced_set_must_hit() {
-        let region =
-            Region { west: 0.139, south: 0.81, east: 0.142, north: 0.812, min_height_m: 300.0, max_height_m: 2000.0 };
+        let region = Region {
+            west: 0.139,
+            south: 0.81,
+            east: 0.142,
+            north: 0.812,
+            min_height_m: 300.0,
+            max_height_m: 2000.0,
+            ellipsoid: WGS84,
+        };
         let volume = BoundingVolume::Region(region);
         check(&SetBounds::new(volume.bounding_sphere(), Some(volume)));
     }

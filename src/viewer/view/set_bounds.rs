@@ -10,13 +10,15 @@ use crate::math::{BoundingSphere, BoundingVolume, Ellipsoid, OrientedBox, Region
 use crate::scene::{DistanceFog, Environment, Page};
 use crate::viewer::camera_path::{AnimationPath, ControlPoint};
 
-/// A set counts as earth-centred when the centre of its bounding sphere is farther than this from the origin, metres.
-const GEOREFERENCED_BEYOND_M: f64 = 1.0e6;
+/// A set counts as body-centred when the centre of its bounding sphere is farther than this from the origin, equatorial radii:
+/// 1,000 km on the earth.
+const GEOREFERENCED_BEYOND: f64 = 1.0e6 / 6_378_137.0;
 
-/// A set around the origin is a globe if the radius of its bounding sphere is in this range, metres.
-const GLOBE_RADII_M: std::ops::RangeInclusive<f64> = 6.3e6..=2.0e7;
+/// A set around the origin is a globe if the radius of its bounding sphere is in this range, equatorial radii: from 6,300 km to
+/// 20,000 km on the earth.
+const GLOBE_RADII: [f64; 2] = [6.3e6 / 6_378_137.0, 2.0e7 / 6_378_137.0];
 
-/// The longest side of terrain that counts as a part of the earth, radians: larger terrain is looked at as a globe.
+/// The longest side of terrain that counts as a part of its body, radians: larger terrain is looked at as a globe.
 const MAX_PART_RADIANS: f64 = 1.0;
 
 /// The axes east (x), north (y) and up (z) at a point.
@@ -24,19 +26,23 @@ const MAX_PART_RADIANS: f64 = 1.0;
 pub struct LocalFrame {
     /// A rotation and a translation to the point.
     pub world_from_local: DAffine3,
-    /// True when the world is earth-centred, earth-fixed.
-    pub georeferenced: bool,
+    /// The ellipsoid of the world, if it is body-centred and turns with the body, as ECEF does; `None` for a local one.
+    pub ellipsoid: Option<Ellipsoid>,
 }
 
 impl LocalFrame {
     /// Returns the frame at a point: east, north and up on the ellipsoid, or the axes of the world.
-    pub fn at(point: DVec3, georeferenced: bool) -> Self {
-        let matrix3 = if georeferenced && point.length() > 1.0 {
-            WGS84.ecef_from_enu(&WGS84.geodetic(point)).matrix3
-        } else {
-            DMat3::IDENTITY
+    pub fn at(point: DVec3, ellipsoid: Option<Ellipsoid>) -> Self {
+        let matrix3 = match ellipsoid {
+            Some(ellipsoid) if point.length() > 1.0 => ellipsoid.ecef_from_enu(&ellipsoid.geodetic(point)).matrix3,
+            _ => DMat3::IDENTITY,
         };
-        Self { world_from_local: DAffine3 { matrix3, translation: point }, georeferenced }
+        Self { world_from_local: DAffine3 { matrix3, translation: point }, ellipsoid }
+    }
+
+    /// Returns true if the world is body-centred.
+    pub fn is_georeferenced(&self) -> bool {
+        self.ellipsoid.is_some()
     }
 
     /// Returns the unit up vector in the world.
@@ -66,6 +72,8 @@ pub struct SetBounds {
     pub half_size_m: DVec3,
     /// The middle of that box in the local frame; the box of the volume need not be centred on the sphere.
     pub middle_m: DVec3,
+    /// The ellipsoid of the set's body, on which a set in a local frame does not lie.
+    pub ellipsoid: Ellipsoid,
 }
 
 /// A pose relative to a set, from which its centre is looked at.
@@ -85,25 +93,29 @@ impl Default for ViewFrom {
     }
 }
 
-/// A height below the deepest ocean trench, metres above the ellipsoid.
-pub(in crate::viewer) const LOWEST_GROUND_M: f64 = -12_000.0;
-/// A height above the highest mountain, metres above the ellipsoid.
-pub(in crate::viewer) const HIGHEST_GROUND_M: f64 = 9_000.0;
-
 impl SetBounds {
     /// Creates bounds from a sphere alone.
     pub fn from_sphere(sphere: BoundingSphere) -> Self {
         Self::new(sphere, None)
     }
 
-    /// Creates bounds from a sphere and the volume that the root declares.
+    /// Creates bounds from a sphere and the volume that the root declares, of a set on WGS84 or on the ellipsoid of that region.
     pub fn new(sphere: BoundingSphere, volume: Option<BoundingVolume>) -> Self {
+        let ellipsoid = match volume {
+            Some(BoundingVolume::Region(region)) => region.ellipsoid,
+            _ => WGS84,
+        };
+        Self::on(ellipsoid, sphere, volume)
+    }
+
+    /// Creates bounds of a set on an ellipsoid.
+    pub fn on(ellipsoid: Ellipsoid, sphere: BoundingSphere, volume: Option<BoundingVolume>) -> Self {
         let usable = sphere.center.is_finite() && sphere.radius_m.is_finite() && sphere.radius_m > 0.0;
         let sphere = if usable { sphere } else { BoundingSphere::new(DVec3::ZERO, 1.0) };
-        let frame = match is_globe(&sphere) {
-            // There is no up at the middle of the earth: the axes are those of the world.
-            true => LocalFrame { georeferenced: true, ..LocalFrame::at(sphere.center, false) },
-            false => LocalFrame::at(sphere.center, sphere.center.length() > GEOREFERENCED_BEYOND_M),
+        let frame = match is_globe(&ellipsoid, &sphere) {
+            // There is no up at the middle of the body: the axes are those of the world.
+            true => LocalFrame { ellipsoid: Some(ellipsoid), ..LocalFrame::at(sphere.center, None) },
+            false => LocalFrame::at(sphere.center, Some(ellipsoid).filter(|_| is_far(&ellipsoid, &sphere))),
         };
         let local_from_world = frame.world_from_local.inverse();
         let local_box = volume.and_then(|v| v.oriented_box()).map(|b| b.transformed(&local_from_world).aabb());
@@ -111,35 +123,35 @@ impl SetBounds {
             Some(b) if b.center().is_finite() && b.half_size().is_finite() => (b.center(), b.half_size()),
             _ => (DVec3::ZERO, DVec3::splat(sphere.radius_m / 3f64.sqrt())),
         };
-        Self { sphere, volume, frame, half_size_m, middle_m }
+        Self { sphere, volume, frame, half_size_m, middle_m, ellipsoid }
     }
 
     /// Returns an ellipsoid below the set's lowest ground, which hides what lies behind the horizon; `None` for a set that is
-    /// not on the earth.
+    /// not on one.
     pub fn body(&self) -> Option<Ellipsoid> {
         self.body_below(self.lowest_ground_m())
     }
 
     /// Does the same as [`Self::body`] for a given lowest ground in metres above the ellipsoid.
     pub(in crate::viewer) fn body_below(&self, lowest_m: f64) -> Option<Ellipsoid> {
-        let shrunk = |radius_m: f64| radius_m + lowest_m.max(LOWEST_GROUND_M);
-        self.frame
-            .georeferenced
-            .then(|| Ellipsoid { semi_major_m: shrunk(WGS84.semi_major_m), semi_minor_m: shrunk(WGS84.semi_minor_m) })
+        let ellipsoid = self.frame.ellipsoid?;
+        let [lowest, _] = ellipsoid.ground_m();
+        let shrunk = |radius_m: f64| radius_m + lowest_m.max(lowest);
+        Some(Ellipsoid { semi_major_m: shrunk(ellipsoid.semi_major_m), semi_minor_m: shrunk(ellipsoid.semi_minor_m) })
     }
 
     /// Returns a lower bound of the ground's height in metres above the ellipsoid; at most 0.
     pub(in crate::viewer) fn lowest_ground_m(&self) -> f64 {
         match self.volume {
             Some(BoundingVolume::Region(region)) => region.min_height_m.min(0.0),
-            _ => LOWEST_GROUND_M,
+            _ => self.ellipsoid.ground_m()[0],
         }
     }
 
     /// Returns the height of a point in metres above the top of the bounds; negative below it.
     pub fn height_above_top_m(&self, point: DVec3) -> f64 {
-        if let (Some(BoundingVolume::Region(region)), true) = (self.volume, self.frame.georeferenced) {
-            return WGS84.geodetic(point).height_m - region.max_height_m;
+        if let (Some(BoundingVolume::Region(region)), Some(ellipsoid)) = (self.volume, self.frame.ellipsoid) {
+            return ellipsoid.geodetic(point).height_m - region.max_height_m;
         }
         let local = self.frame.world_from_local.inverse().transform_point3(point);
         local.z - (self.middle_m.z + self.half_size_m.z)
@@ -217,7 +229,7 @@ impl SetBounds {
 
 /// Returns an environment whose sun, sky and haze fit a set.
 pub fn environment_for(bounds: &SetBounds) -> Environment {
-    let base = Environment::default();
+    let base = Environment::on(bounds.ellipsoid);
     Environment {
         sun_direction: bounds.sun_direction(),
         up_in_world: bounds.frame.up(),
@@ -226,33 +238,40 @@ pub fn environment_for(bounds: &SetBounds) -> Environment {
     }
 }
 
-/// Returns true for the sphere around a set that covers the earth.
-pub(in crate::viewer) fn is_globe(sphere: &BoundingSphere) -> bool {
-    sphere.center.length() <= GEOREFERENCED_BEYOND_M && GLOBE_RADII_M.contains(&sphere.radius_m)
+/// Returns true for the sphere around a set that covers its body.
+pub(in crate::viewer) fn is_globe(ellipsoid: &Ellipsoid, sphere: &BoundingSphere) -> bool {
+    let [least_m, most_m] = GLOBE_RADII.map(|radii| radii * ellipsoid.semi_major_m);
+    !is_far(ellipsoid, sphere) && (least_m..=most_m).contains(&sphere.radius_m)
 }
 
-/// Returns the volume of all ground of the earth between two heights, metres.
-pub(in crate::viewer) fn earth(min_height_m: f64, max_height_m: f64) -> BoundingVolume {
+/// Returns true for a sphere that is not around the middle of the body.
+fn is_far(ellipsoid: &Ellipsoid, sphere: &BoundingSphere) -> bool {
+    sphere.center.length() > GEOREFERENCED_BEYOND * ellipsoid.semi_major_m
+}
+
+/// Returns the volume of all ground of a body between two heights, metres.
+pub(in crate::viewer) fn whole_body(ellipsoid: Ellipsoid, [min_height_m, max_height_m]: [f64; 2]) -> BoundingVolume {
     let half_turn = std::f64::consts::PI;
     let (west, east) = (-half_turn, half_turn);
     let (south, north) = (-0.5 * half_turn, 0.5 * half_turn);
-    BoundingVolume::Region(Region { west, south, east, north, min_height_m, max_height_m })
+    BoundingVolume::Region(Region { west, south, east, north, min_height_m, max_height_m, ellipsoid })
 }
 
-/// Returns the volume that a viewer of terrain on a globe wants to see, where its layer.json declares a part of the earth.
+/// Returns the volume that a viewer of terrain on a globe wants to see, where its layer.json declares a part of the body.
 /// Its heights are not known before tiles are loaded: a twentieth of the extent stands for them.
 pub(in crate::viewer) fn part_of_globe(page: &Page) -> Option<BoundingVolume> {
-    let extent = formats::terrain_extent(page).filter(|_| is_globe(&page.bounding_sphere()))?;
-    part_of_earth(extent).map(BoundingVolume::Region)
+    let ellipsoid = page.ellipsoid();
+    let extent = formats::terrain_extent(page).filter(|_| is_globe(&ellipsoid, &page.bounding_sphere()))?;
+    part_of_body(ellipsoid, extent).map(BoundingVolume::Region)
 }
 
-fn part_of_earth([west, south, east, north]: [f64; 4]) -> Option<Region> {
+fn part_of_body(ellipsoid: Ellipsoid, [west, south, east, north]: [f64; 4]) -> Option<Region> {
     let width = (east - west).rem_euclid(std::f64::consts::TAU);
     let height = north - south;
     let is_part = width > 0.0 && height > 0.0 && width.max(height) <= MAX_PART_RADIANS;
-    let diagonal_m = WGS84.semi_major_m * (width * (0.5 * (south + north)).cos()).hypot(height);
-    let max_height_m = (0.05 * diagonal_m).min(HIGHEST_GROUND_M);
-    is_part.then_some(Region { west, south, east, north, min_height_m: 0.0, max_height_m })
+    let diagonal_m = ellipsoid.semi_major_m * (width * (0.5 * (south + north)).cos()).hypot(height);
+    let max_height_m = (0.05 * diagonal_m).min(ellipsoid.ground_m()[1]);
+    is_part.then_some(Region { west, south, east, north, min_height_m: 0.0, max_height_m, ellipsoid })
 }
 
 /// Returns the volume that a page's root tile declares.
@@ -276,8 +295,15 @@ mod tests {
     use super::*;
 
     fn alps() -> SetBounds {
-        let region =
-            Region { west: 0.139, south: 0.81, east: 0.141, north: 0.812, min_height_m: 300.0, max_height_m: 4000.0 };
+        let region = Region {
+            west: 0.139,
+            south: 0.81,
+            east: 0.141,
+            north: 0.812,
+            min_height_m: 300.0,
+            max_height_m: 4000.0,
+            ellipsoid: WGS84,
+        };
         let volume = BoundingVolume::Region(region);
         SetBounds::new(volume.bounding_sphere(), Some(volume))
     }
@@ -317,26 +343,26 @@ mod tests {
     #[test]
     fn globe_is_earth_centred() {
         let globe = SetBounds::from_sphere(BoundingSphere::new(DVec3::new(3e3, 0.0, -9e3), 9e6));
-        assert!(globe.frame.georeferenced && globe.body().is_some());
+        assert!(globe.frame.is_georeferenced() && globe.body().is_some());
         assert_eq!(globe.frame.up(), DVec3::Z);
         let pose = globe.first_camera(&ViewFrom::default());
         assert!(pose.translation.length() > 1.9e7 && pose.matrix3.z_axis.dot(pose.translation) > 0.0);
-        assert!(!SetBounds::from_sphere(BoundingSphere::new(DVec3::ZERO, 6.2e6)).frame.georeferenced);
+        assert!(!SetBounds::from_sphere(BoundingSphere::new(DVec3::ZERO, 6.2e6)).frame.is_georeferenced());
     }
 
     #[test]
     fn part_of_the_earth_is_looked_at_and_a_globe_is_not() {
         // Half a degree at 47 degrees north, 67 km across.
-        let part = part_of_earth([8f64, 47.0, 8.5, 47.5].map(f64::to_radians)).unwrap();
+        let part = part_of_body(WGS84, [8f64, 47.0, 8.5, 47.5].map(f64::to_radians)).unwrap();
         assert!((3.3e3..3.4e3).contains(&part.max_height_m) && part.min_height_m == 0.0, "{part:?}");
         let bounds = SetBounds::new(BoundingVolume::Region(part).bounding_sphere(), Some(BoundingVolume::Region(part)));
         let eye = WGS84.geodetic(bounds.first_camera(&ViewFrom::default()).translation);
         assert!((eye.longitude.to_degrees() - 8.25).abs() < 0.01 && (2e4..8e4).contains(&eye.height_m), "{eye:?}");
         // Across the antimeridian.
-        assert!(part_of_earth([3.1, -0.2, -3.1, 0.2]).is_some());
+        assert!(part_of_body(WGS84, [3.1, -0.2, -3.1, 0.2]).is_some());
         let half_turn = std::f64::consts::PI;
         for globe in [[-half_turn, -0.5 * half_turn, half_turn, 0.5 * half_turn], [0.0, -0.7, 0.5, 0.7], [0.1; 4]] {
-            assert!(part_of_earth(globe).is_none(), "{globe:?}");
+            assert!(part_of_body(WGS84, globe).is_none(), "{globe:?}");
         }
     }
 

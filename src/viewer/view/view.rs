@@ -194,12 +194,13 @@ impl View {
         }
     }
 
-    /// Moves the camera to the first view of a set, and fits sun and haze to it. The rest of the environment is the
+    /// Moves the camera to the first view of a set, and fits sun, air and haze to it. The rest of the environment is the
     /// application's.
     pub(in crate::viewer) fn first_sight(&mut self, bounds: &SetBounds) {
         self.camera.world_from_eye = bounds.first_camera(&self.from);
         self.camera.min_near_m = (1e-5 * bounds.sphere.radius_m).clamp(1e-4, 1.0);
         let Environment { sun_direction, up_in_world, fog, .. } = environment_for(bounds);
+        self.environment.move_to(bounds.ellipsoid);
         self.environment.sun_direction = sun_direction;
         self.environment.up_in_world = up_in_world;
         self.environment.fog.density_per_m = fog.density_per_m;
@@ -218,9 +219,12 @@ impl View {
             of.context_px = rendering.size_px(of.slave.context.0).unwrap_or(of.context_px);
             of.eye_targets.set_size(of.slave.viewport.image_px(of.context_px));
         }
+        if let Some(bounds) = bounds {
+            self.environment.ellipsoid = bounds.ellipsoid;
+        }
         // On a globe, the up vector depends on the camera's position.
-        if let Some(bounds) = bounds.filter(|b| b.frame.georeferenced) {
-            self.environment.up_in_world = LocalFrame::at(self.camera.eye(), bounds.frame.georeferenced).up();
+        if let Some(ellipsoid) = bounds.and_then(|bounds| bounds.frame.ellipsoid) {
+            self.environment.up_in_world = LocalFrame::at(self.camera.eye(), Some(ellipsoid)).up();
         }
         let Some(stereo) = &self.stereo else { return };
         self.eye_targets.prepare(self.eyes, stereo, self.samples);

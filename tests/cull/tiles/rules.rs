@@ -22,8 +22,15 @@ fn tiles_behind_the_horizon_are_culled() {
         let (i, j) = (f64::from(k % 12), f64::from(k / 12));
         let step = 30f64.to_radians();
         let (west, south) = (i * step - std::f64::consts::PI, j * step - 0.5 * std::f64::consts::PI);
-        let region =
-            Region { west, south, east: west + step, north: south + step, min_height_m: 0.0, max_height_m: 1000.0 };
+        let region = Region {
+            west,
+            south,
+            east: west + step,
+            north: south + step,
+            min_height_m: 0.0,
+            max_height_m: 1000.0,
+            ellipsoid: WGS84,
+        };
         Node::new(NodeKind::PagedLod(Box::new(PagedLod {
             bounds: BoundingVolume::Region(region),
             range_mode: RangeMode::ScreenSpaceError { geometric_error_m: 0.0 },

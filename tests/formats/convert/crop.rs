@@ -6,7 +6,7 @@ use std::path::Path;
 use serde_json::{Value, json};
 use terrane::fetch::Limits;
 use terrane::formats::{ConvertError, ConvertOptions, crop, verify};
-use terrane::math::Region;
+use terrane::math::{Region, WGS84};
 
 use super::tileset;
 
@@ -88,7 +88,7 @@ fn tilesets_lose_the_tiles_outside_and_keep_everything_else() {
     std::fs::write(set.join("m/a b.gltf"), gltf).unwrap();
     std::fs::write(set.join("m/b.bin"), "abc").unwrap();
     let [west, south, east, north] = [7.1, 45.2, 7.4, 45.4].map(f64::to_radians);
-    let region = Region { west, south, east, north, min_height_m: 0.0, max_height_m: 0.0 };
+    let region = Region { west, south, east, north, min_height_m: 0.0, max_height_m: 0.0, ellipsoid: WGS84 };
     let options = ConvertOptions { region: Some(region), ..ConvertOptions::default() };
     let cropped = crop(set.to_str().unwrap(), &out, &options, &mut |_| {}).unwrap();
     assert_eq!((cropped.failed, &*cropped.written.levels), (1, &[1, 2, 1][..]), "{cropped:?}");

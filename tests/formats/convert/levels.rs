@@ -101,6 +101,7 @@ fn folders_keep_their_place_on_the_earth_and_can_be_cropped() {
         north: of_b.latitude + 1e-5,
         min_height_m: 0.0,
         max_height_m: 0.0,
+        ellipsoid: WGS84,
     };
     let options = ConvertOptions { region: Some(region), ..ConvertOptions::default() };
     let cropped = folder.path().join("cropped");

@@ -192,7 +192,7 @@ fn vertices_have_places_texture_coordinates_and_normals() {
 #[test]
 fn root_tiles_of_the_ellipsoid_touch_and_reach_the_poles() {
     let options = ReadOptions::for_root("globe", Limits::default());
-    let root = ellipsoid();
+    let root = ellipsoid(WGS84);
     assert_eq!(root.children.len(), 2);
     let mut regions = Vec::new();
     for child in &root.children {

@@ -9,7 +9,7 @@ use glam::DVec3;
 use kit::subtrees::{Availability, Scheme, Subtree};
 use terrane::fetch::{IoError, Limits, read_file, root_uri};
 use terrane::formats::{Content, ReadOptions, companions, decode_node, dependencies, inspect, verify};
-use terrane::math::{BoundingVolume, OrientedBox, Region, random};
+use terrane::math::{BoundingVolume, OrientedBox, Region, WGS84, random};
 use terrane::scene::{Node, NodeKind, PagedLod, RangeMode, ReaderData, Refine};
 
 /// The tiles with content of a set, by the URI of the content.
@@ -275,6 +275,7 @@ fn regions_are_halved_on_the_globe() {
                 north: 0.3,
                 min_height_m: -10.0,
                 max_height_m: if scheme == Scheme::Octree { 40.0 } else { 90.0 },
+                ellipsoid: WGS84,
             };
             let (_, first) = found.contents.iter().find(|(uri, _)| uri.contains("1_0_0_0")).unwrap();
             let BoundingVolume::Region(r) = first.bounds else { panic!("a region") };

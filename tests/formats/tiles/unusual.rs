@@ -267,27 +267,3 @@ fn ignored_members_of_tilesets_are_named() {
         assert!(failed == 1 && errors[0].uri.ends_with("/schema.json"), "{errors:?}");
     }
 }
-
-/// The ellipsoid of the earth needs no note; regions on another body would lie elsewhere.
-#[test]
-fn ellipsoid_of_a_set_must_be_that_of_the_earth() {
-    let folder = tempfile::tempdir().unwrap();
-    let inspected = |radii: &str, required: &str| {
-        let json = format!(
-            r#"{{"asset":{{"version":"1.1"}},"geometricError":1,"extensionsUsed":["3DTILES_ellipsoid"],
-            "extensionsRequired":[{required}],"root":{{{SPHERE},"geometricError":1}},
-            "extensions":{{"3DTILES_ellipsoid":{{"body":"Earth","radii":{radii}}}}}}}"#
-        );
-        std::fs::write(folder.path().join("tileset.json"), json).unwrap();
-        let info = inspect(folder.path().to_str().unwrap(), &Limits::default());
-        info.map(|info| info.ignored.into_keys().collect::<Vec<_>>()).map_err(|error| error.to_string())
-    };
-    for required in ["", r#""3DTILES_ellipsoid""#] {
-        assert_eq!(inspected("[6378137.0,6378137,6356752.3142451793]", required), Ok(Vec::new()));
-    }
-    for radii in ["[1737400,1737400,1737400]", "[6378137,6378137]", "[6378137,6378137,6378137]", "null"] {
-        assert_eq!(inspected(radii, ""), Ok(vec!["tileset extension 3DTILES_ellipsoid".to_owned()]), "{radii}");
-        let error = inspected(radii, r#""3DTILES_ellipsoid""#).unwrap_err();
-        assert!(error.contains("required extension 3DTILES_ellipsoid"), "{error}");
-    }
-}

@@ -25,7 +25,7 @@ mod scenes;
 
 pub use drawing::{cameras, frames, rig, viewer};
 pub use host::{display, process, skip};
-pub use scenes::{cull_scenes, shadows, shapes, terrain, tile_sets};
+pub use scenes::{bodies, cull_scenes, shadows, shapes, terrain, tile_sets};
 
 /// How long tests wait for what has to happen. It only ends a test that hangs: on a busy machine with many test programs side
 /// by side a test of a second took more than a minute.

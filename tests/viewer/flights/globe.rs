@@ -23,7 +23,7 @@ fn fly_down(root: LoadedRoot, config: &ViewerConfig, ground_m: f64) -> Option<(u
     let mut viewer = offscreen(config)?;
     viewer.set_root(root).unwrap();
     show_holes(&mut viewer);
-    assert!(viewer.bounds().unwrap().frame.georeferenced, "a globe is on the earth");
+    assert!(viewer.bounds().unwrap().frame.is_georeferenced(), "a globe is on the earth");
     let [longitude, latitude] = PLACE;
     let pose_at = |share: f64| {
         let height_m = ground_m + 2e7 * (5e-6f64).powf(share);

@@ -3,13 +3,13 @@
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context as _, Result, ensure};
+use anyhow::{Context as _, Result, bail, ensure};
 use clap::Args as ClapArgs;
 use glam::DVec3;
 use serde_json::{Value, json};
 use terrane::fetch::{self, Limits};
-use terrane::formats;
-use terrane::math::BoundingSphere;
+use terrane::formats::{self, Body};
+use terrane::math::{BoundingSphere, WGS84};
 use terrane_data_gen::Progress;
 
 use super::copying::copy_folder;
@@ -39,12 +39,15 @@ struct Part {
     sphere: BoundingSphere,
     region: Option<[f64; 6]>,
     geometric_error: f64,
+    /// `None` for a set that declares none, which is on the earth.
+    body: Option<Body>,
 }
 
 pub fn merge(args: &MergeArgs) -> Result<()> {
     let output = Output::new(&args.out, args.overwrite)?;
     let limits = Limits::default();
     let parts = args.sources.iter().map(|source| Part::read(source, &limits)).collect::<Result<Vec<_>>>()?;
+    check_bodies(&args.sources, &parts)?;
     output.check_sources(&args.sources)?;
     let progress = Progress::new("copying", 0, "files");
     let mut bytes = 0;
@@ -78,7 +81,7 @@ impl Part {
         let region = info.bounds.region.as_deref().and_then(|region| region.try_into().ok());
         let error_of = |value: &Value| value["geometricError"].as_f64();
         let geometric_error = error_of(&json).or_else(|| error_of(&json["root"])).unwrap_or(0.0);
-        Ok(Self { folder, root: name.to_owned(), sphere, region, geometric_error })
+        Ok(Self { folder, root: name.to_owned(), sphere, region, geometric_error, body: info.body })
     }
 
     fn volume(&self) -> Value {
@@ -87,6 +90,20 @@ impl Part {
             None => sphere_json(&self.sphere),
         }
     }
+}
+
+/// Fails for sets of different bodies, which have no place in common.
+fn check_bodies(sources: &[PathBuf], parts: &[Part]) -> Result<()> {
+    let ellipsoid = |part: &Part| part.body.as_ref().map_or(WGS84, Body::ellipsoid);
+    let named = |part: &Part| part.body.as_ref().map_or("the earth".to_owned(), Body::to_string);
+    let (Some(first), Some(first_source)) = (parts.first(), sources.first()) else { return Ok(()) };
+    for (part, source) in parts.iter().zip(sources) {
+        if ellipsoid(part) != ellipsoid(first) {
+            let [a, b] = [first_source, source].map(|path| path.display());
+            bail!("{a} and {b} are sets of different bodies: {} and {}", named(first), named(part));
+        }
+    }
+    Ok(())
 }
 
 /// Returns the root over all parts.
@@ -101,13 +118,17 @@ fn tileset(parts: &[Part]) -> Value {
         })
     };
     let children: Vec<Value> = parts.iter().enumerate().map(child).collect();
-    json!({
+    let mut tileset = json!({
         "asset": { "version": "1.1", "generator": "terrane" },
         "geometricError": error,
         "root": {
             "boundingVolume": sphere_json(&sphere), "geometricError": error, "refine": "ADD", "children": children,
         },
-    })
+    });
+    if let Some(body) = parts.iter().find_map(|part| part.body.as_ref()) {
+        body.declare_in(&mut tileset);
+    }
+    tileset
 }
 
 fn sphere_json(sphere: &BoundingSphere) -> Value {

@@ -11,7 +11,7 @@ use anyhow::{Context as _, Result, ensure};
 use clap::Args as ClapArgs;
 use terrane::fetch::{is_remote, root_uri, shown};
 use terrane::formats::{self, ConvertError, ConvertOptions, Converted, Counts};
-use terrane::math::Region;
+use terrane::math::{Region, WGS84};
 use terrane_data_gen::Progress;
 
 use self::out::Output;
@@ -97,7 +97,7 @@ fn rectangle(text: &str) -> Result<Rectangle, String> {
 pub fn crop(args: &CropArgs) -> Result<()> {
     let region = args.region.map(|RegionArg(degrees)| {
         let [west, south, east, north] = degrees.map(f64::to_radians);
-        Region { west, south, east, north, min_height_m: 0.0, max_height_m: 0.0 }
+        Region { west, south, east, north, min_height_m: 0.0, max_height_m: 0.0, ellipsoid: WGS84 }
     });
     let rectangle_m = args.metres.map(|Rectangle(metres)| metres);
     let part = ConvertOptions { region, rectangle_m, ..ConvertOptions::default() };

@@ -102,6 +102,7 @@ fn fly(args: Box<FlyArgs>, mut settings: DisplaySettings) -> Result<()> {
     config.pager.credits = attributions.into_iter().map(Arc::from).collect();
     config.pager.limits = args.scene.net.limits();
     config.pager.max_bytes_loading = args.scene.max_loading.map_or(config.pager.max_bytes_loading, |size| size.0);
+    config.pager.ellipsoid = args.scene.body.map_or(config.pager.ellipsoid, |body| body.0);
     config.pager.style = args.scene.style.as_deref().map(read_style).transpose()?;
     config.pager.overlays = overlays(&args, &mut config.pager.http)?;
     let interrupt = Interrupt::new();
@@ -143,7 +144,7 @@ fn is_other_image(file: &Path) -> bool {
     extension.is_some_and(|e| ["bmp", "webp", "tif", "tiff", "gif", "exr", "tga"].contains(&e.as_str()))
 }
 
-/// Reads the root of a source. The word `globe` means the ellipsoid.
+/// Reads the root of a source. The word `globe` means the bare ellipsoid.
 fn read_root(source: &str, config: &PagerConfig) -> Result<LoadedRoot, ViewerError> {
     match source {
         GLOBE => LoadedRoot::ellipsoid(config),

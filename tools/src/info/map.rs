@@ -84,7 +84,7 @@ impl Map {
         let extent = self.extent();
         let [west, south, east, north] = extent;
         let shape = match self.frame {
-            MapFrame::Earth => (0.5 * (south + north)).cos().max(0.05),
+            MapFrame::Globe(_) => (0.5 * (south + north)).cos().max(0.05),
             MapFrame::Local => 1.0,
         };
         let (width, height) = (((east - west) * shape).max(1e-12), (north - south).max(1e-12));

@@ -126,6 +126,9 @@ fn text(info: &Info, verified: Option<&Verified>) -> String {
         let _ = writeln!(out, "implicit {} subtrees", info.subtrees);
     }
     let _ = writeln!(out, "size     {}", shown_bytes(info.bytes));
+    if let Some(body) = &info.body {
+        let _ = writeln!(out, "body     {body}");
+    }
     let [x, y, z] = info.bounds.center;
     let _ = writeln!(out, "bounds   {:.1} m around {x:.1}, {y:.1}, {z:.1}", info.bounds.radius_m);
     if let Some([west, south, east, north, heights @ ..]) = info.bounds.region.as_deref() {

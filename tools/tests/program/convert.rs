@@ -86,3 +86,31 @@ fn sets_are_converted_merged_and_cropped() {
         "{done:?}"
     );
 }
+
+/// The body of the parts is that of the whole; parts of different bodies have no place in common.
+#[test]
+fn sets_of_one_body_are_merged_and_others_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let set = |name: &str, body: &str| {
+        let set = folder.path().join(name);
+        std::fs::create_dir(&set).unwrap();
+        kit::bodies::write_set(&set.join("tileset.json"), body, [0.3, 0.5, 0.31, 0.51, 0.0, 100.0], &[]);
+        set
+    };
+    let (near, far, earth) = (set("near", kit::bodies::MOON), set("far", kit::bodies::MOON), set("earth", ""));
+    let out = folder.path().join("moon");
+    let merged = terrane(&["merge", text(&out), text(&near), text(&far)]);
+    assert!(merged.status.success(), "{merged:?}");
+    let info = terrane(&["info", text(&out), "--json"]);
+    let info: Value = serde_json::from_slice(&info.stdout).unwrap();
+    let radii_m = [1_737_400.0; 3];
+    let moon = serde_json::json!({ "name": "Moon", "radii_m": radii_m });
+    assert_eq!((&info["body"], &info["tiles"]), (&moon, &5.into()), "{info}");
+    let said = String::from_utf8(terrane(&["info", text(&out)]).stdout).unwrap();
+    assert!(said.contains("body     Moon, radii 1737400 1737400 1737400 m"), "{said}");
+    let mixed = terrane(&["merge", text(&folder.path().join("mixed")), text(&near), text(&earth)]);
+    let said = String::from_utf8_lossy(&mixed.stderr).into_owned();
+    assert_eq!(mixed.status.code(), Some(1));
+    assert!(said.contains("near and ") && said.contains("different bodies: Moon, radii"), "{said}");
+    assert!(said.contains("and the earth"), "{said}");
+}

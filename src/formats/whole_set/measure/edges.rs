@@ -58,7 +58,7 @@ impl Edges {
         for side in [WEST, SOUTH, EAST, NORTH] {
             let across = match (side, surface.frame) {
                 // Both sides of the antimeridian are the same place.
-                (WEST | EAST, MapFrame::Earth) => wrapped(surface.rectangle[side]),
+                (WEST | EAST, MapFrame::Globe(_)) => wrapped(surface.rectangle[side]),
                 _ => surface.rectangle[side],
             };
             let profile = &surface.profiles[side];

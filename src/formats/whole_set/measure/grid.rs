@@ -33,7 +33,7 @@ impl Grid {
             }
             // Chords of a parallel run nearer to the pole.
             let width = bounds[2] - bounds[0];
-            let bulge = if frame == MapFrame::Earth { width * width / 16.0 } else { 0.0 };
+            let bulge = if frame.is_globe() { width * width / 16.0 } else { 0.0 };
             let from = grid.cell([bounds[0], bounds[1] - bulge]);
             let to = grid.cell([bounds[2], bounds[3] + bulge]);
             (from, to)

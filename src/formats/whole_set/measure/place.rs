@@ -4,13 +4,13 @@ use std::f64::consts::{FRAC_PI_2, TAU};
 
 use glam::{DVec3, dvec3};
 
-use crate::math::{BoundingVolume, Geodetic, Region, WGS84};
+use crate::math::{BoundingVolume, Ellipsoid, Geodetic, Region};
 
 /// How the positions of a set become places on a map.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum MapFrame {
-    /// Longitude and latitude in radians, heights above the ellipsoid.
-    Earth,
+    /// Longitude and latitude in radians on an ellipsoid, heights above it.
+    Globe(Ellipsoid),
     /// x and y in metres of the set's frame, heights along z.
     Local,
 }
@@ -29,10 +29,15 @@ pub(super) struct Place {
 const POLE_WIDTH: f64 = 1e-6;
 
 impl MapFrame {
+    /// Returns true if places are longitudes and latitudes.
+    pub fn is_globe(self) -> bool {
+        matches!(self, Self::Globe(_))
+    }
+
     pub(super) fn place(self, position: DVec3) -> Place {
         match self {
-            Self::Earth => {
-                let Geodetic { longitude, latitude, height_m } = WGS84.geodetic(position);
+            Self::Globe(ellipsoid) => {
+                let Geodetic { longitude, latitude, height_m } = ellipsoid.geodetic(position);
                 Place { position, at: [longitude, latitude], height_m }
             }
             Self::Local => Place { position, at: [position.x, position.y], height_m: position.z },
@@ -43,7 +48,7 @@ impl MapFrame {
     pub(super) fn place_at(self, at: [f64; 2], height_m: f64) -> Place {
         let [longitude, latitude] = at;
         let position = match self {
-            Self::Earth => WGS84.ecef(&Geodetic { longitude, latitude, height_m }),
+            Self::Globe(ellipsoid) => ellipsoid.ecef(&Geodetic { longitude, latitude, height_m }),
             Self::Local => dvec3(at[0], at[1], height_m),
         };
         Place { position, at, height_m }
@@ -53,9 +58,9 @@ impl MapFrame {
     pub(super) fn axes(self, place: &Place) -> [DVec3; 3] {
         match self {
             Self::Local => [DVec3::X, DVec3::Y, DVec3::Z],
-            Self::Earth => {
+            Self::Globe(ellipsoid) => {
                 let [longitude, latitude] = place.at;
-                let up = WGS84.up(&Geodetic { longitude, latitude, height_m: 0.0 });
+                let up = ellipsoid.up(&Geodetic { longitude, latitude, height_m: 0.0 });
                 let (sin, cos) = longitude.sin_cos();
                 let east = dvec3(-sin, cos, 0.0);
                 [east, up.cross(east), up]
@@ -66,20 +71,20 @@ impl MapFrame {
     /// Returns the longitude, or x, that is nearest to another one.
     pub(super) fn near(self, x: f64, other: f64) -> f64 {
         match self {
-            Self::Earth => x - ((x - other) / TAU).round() * TAU,
+            Self::Globe(_) => x - ((x - other) / TAU).round() * TAU,
             Self::Local => x,
         }
     }
 
     /// Returns true if all longitudes are the same place.
     pub(super) fn is_pole(self, y: f64) -> bool {
-        self == Self::Earth && y.abs() > FRAC_PI_2 - POLE_WIDTH
+        self.is_globe() && y.abs() > FRAC_PI_2 - POLE_WIDTH
     }
 
     /// Returns the metres of a step of one along x and along y of the map, at a latitude.
     pub(super) fn metres(self, y: f64) -> [f64; 2] {
         match self {
-            Self::Earth => [WGS84.semi_major_m * y.cos().max(1e-6), WGS84.semi_major_m],
+            Self::Globe(ellipsoid) => [ellipsoid.semi_major_m * y.cos().max(1e-6), ellipsoid.semi_major_m],
             Self::Local => [1.0, 1.0],
         }
     }
@@ -87,7 +92,7 @@ impl MapFrame {
     /// Returns a rectangle of the map around a volume in the set's frame: the smallest x and y, then the largest. The largest
     /// x is beyond pi across the antimeridian. `None` for a volume that has no bounds.
     pub(super) fn rectangle(self, volume: &BoundingVolume) -> Option<[f64; 4]> {
-        if let (BoundingVolume::Region(r), Self::Earth) = (volume, self) {
+        if let (BoundingVolume::Region(r), Self::Globe(_)) = (volume, self) {
             return Some([r.west, r.south, r.west + r.width(), r.north]);
         }
         let sphere = volume.bounding_sphere();
@@ -110,7 +115,7 @@ impl MapFrame {
             }
         };
         let middle = self.place(sphere.center);
-        if self == Self::Earth && sphere.radius_m > 0.5 * sphere.center.length() {
+        if self.is_globe() && sphere.radius_m > 0.5 * sphere.center.length() {
             return Some([-0.5 * TAU, -FRAC_PI_2, 0.5 * TAU, FRAC_PI_2]);
         }
         let mut rectangle = [middle.at[0], middle.at[1], middle.at[0], middle.at[1]];
@@ -132,14 +137,15 @@ impl MapFrame {
 }
 
 fn outside_region_m(r: &Region, frame: MapFrame, place: &Place) -> f64 {
-    let place = if frame == MapFrame::Earth { *place } else { MapFrame::Earth.place(place.position) };
+    let globe = MapFrame::Globe(r.ellipsoid);
+    let place = if frame.is_globe() { *place } else { globe.place(place.position) };
     let [x, y] = place.at;
-    let [per_x, per_y] = MapFrame::Earth.metres(y);
+    let [per_x, per_y] = globe.metres(y);
     let middle = r.west + 0.5 * r.width();
     let beyond = |value: f64, low: f64, high: f64| (low - value).max(value - high).max(0.0);
-    let x_m = match MapFrame::Earth.is_pole(y) {
+    let x_m = match globe.is_pole(y) {
         true => 0.0,
-        false => per_x * beyond(MapFrame::Earth.near(x, middle), r.west, r.west + r.width()),
+        false => per_x * beyond(globe.near(x, middle), r.west, r.west + r.width()),
     };
     let y_m = per_y * beyond(y, r.south, r.north);
     let z_m = beyond(place.height_m, r.min_height_m, r.max_height_m);

@@ -67,7 +67,7 @@ impl Surface {
                 let height_m = f64::from(*tile.heights.get((j + 1) * stride + i + 1)?);
                 let share = |k: usize| k as f64 / (side - 1) as f64;
                 vertices.push(match (region, frame) {
-                    (Some([west, south, east, north]), MapFrame::Earth) => {
+                    (Some([west, south, east, north]), MapFrame::Globe(_)) => {
                         frame.place_at([west + (east - west) * share(i), south + (north - south) * share(j)], height_m)
                     }
                     _ => {
@@ -157,7 +157,7 @@ impl Surface {
         }
         let mut rectangle = rectangle_of(frame, &vertices);
         // Western edges at the antimeridian are at -pi, so that neighbours find each other.
-        if frame == MapFrame::Earth {
+        if frame.is_globe() {
             let west = wrapped(rectangle[0]);
             let shift = west - rectangle[0];
             (rectangle[0], rectangle[2]) = (west, rectangle[2] + shift);

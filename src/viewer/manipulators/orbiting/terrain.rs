@@ -5,7 +5,6 @@ use std::f64::consts::FRAC_PI_2;
 use glam::{DAffine3, DQuat, DVec2, DVec3};
 
 use super::orbit_state::{OrbitState, PointMotion, distance_to_center};
-use crate::math::WGS84;
 use crate::viewer::events::{EventKind, GuiEventAdapter, Usage};
 use crate::viewer::manipulators::ground::intersect_level;
 use crate::viewer::manipulators::manipulator::{CameraManipulator, ManipulatorView};
@@ -90,12 +89,12 @@ impl TerrainManipulator {
         for _ in 0..4 {
             let Some(now) = self.under(pinch.to, view) else { return };
             let before = view.frame_at(self.center);
-            let moved = if before.georeferenced {
+            let moved = if let Some(ellipsoid) = before.ellipsoid {
                 let over =
                     DQuat::from_rotation_arc(now.normalize_or(DVec3::Z), held.normalize_or(DVec3::Z)) * self.center;
-                let (here, mut there) = (WGS84.geodetic(self.center), WGS84.geodetic(over));
+                let (here, mut there) = (ellipsoid.geodetic(self.center), ellipsoid.geodetic(over));
                 there.height_m = here.height_m;
-                WGS84.ecef(&there)
+                ellipsoid.ecef(&there)
             } else {
                 self.center + (held - now)
             };

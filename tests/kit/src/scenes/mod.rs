@@ -1,5 +1,6 @@
 //! Scenes, drawables, terrain and tile sets to test with.
 
+pub mod bodies;
 pub mod cull_scenes;
 pub mod shadows;
 pub mod shapes;
