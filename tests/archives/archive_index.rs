@@ -222,7 +222,7 @@ fn wrong_index_is_not_needed() {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(48))]
+    #![proptest_config(ProptestConfig::with_cases(if kit::long_tests() { 96 } else { 12 }))]
 
     /// With any corruption, a file has its content or reading fails.
     #[test]

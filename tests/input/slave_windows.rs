@@ -78,6 +78,24 @@ fn turned_slave_shows_directions_of_the_master_or_its_edge() {
     near(at, DVec2::new(400.0, 100.0));
 }
 
+/// Regression: once the window of the master camera was closed, positions were taken to be in the world instead of in its eye
+/// space, and drags in the windows left over turned the view a little or not at all.
+#[test]
+fn positions_stay_when_the_window_of_the_master_camera_is_closed() {
+    let right = |context| Slave {
+        projection_offset: DMat4::from_translation(DVec3::new(-2.0, 0.0, 0.0)),
+        ..Slave::new(context)
+    };
+    let (mut viewer, beside, _) = viewer(right);
+    let first = viewer.context();
+    assert!(viewer.composite_mut().close_context(first).unwrap());
+    let view = viewer.view_mut();
+    assert_eq!(view.context(), None);
+    for (at, expected) in [([0.0, 0.0], [400.0, 0.0]), ([100.0, 75.0], [600.0, 150.0])] {
+        near(view.focus_camera(beside, at.into()), expected.into());
+    }
+}
+
 #[test]
 fn pressed_button_keeps_the_camera() {
     let half = |context| Slave { viewport: [0, 0, 100, 100].into(), ..Slave::new(context) };

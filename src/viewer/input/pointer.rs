@@ -21,15 +21,17 @@ struct CameraWindow {
 }
 
 impl View {
+    /// Returns the image of the master camera as a window; `None` once its context was closed.
     fn master_window(&self) -> Option<CameraWindow> {
         let slot = self.master?;
+        Some(CameraWindow { number: slot.camera, slave: None, matrix: self.master_image() })
+    }
+
+    /// Returns the projection into the image of the master camera. Without its context, the image keeps its last size.
+    fn master_image(&self) -> WindowMatrix {
         let WindowMatrix { origin_px, size_px, .. } = self.window_matrix();
         let clip_from_world = self.camera.clip_from_eye(self.size_px(), self.camera.min_near_m);
-        Some(CameraWindow {
-            number: slot.camera,
-            slave: None,
-            matrix: WindowMatrix { clip_from_world, origin_px, size_px },
-        })
+        WindowMatrix { clip_from_world, origin_px, size_px }
     }
 
     fn slave_window(&self, slave: SlaveId) -> Option<CameraWindow> {
@@ -61,11 +63,7 @@ impl View {
     /// direction. Both are in pixels from the upper left corner. The result may be outside of the image. A direction behind the
     /// master camera becomes the nearest position on the image's edge.
     pub fn in_master(&self, source: EventSource, position_px: DVec2) -> DVec2 {
-        let master = match self.master_window() {
-            Some(master) => master.matrix,
-            // The slaves' projections are still those of the master camera, in an image of its last size.
-            None => WindowMatrix { origin_px: DVec2::ZERO, ..WindowMatrix::new(&self.camera, self.size_px()) },
-        };
+        let master = self.master_image();
         let Some(slave) = source.slave.and_then(|slave| self.slave_window(slave)) else {
             return position_px - master.origin_px;
         };

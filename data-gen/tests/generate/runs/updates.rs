@@ -175,11 +175,11 @@ fn photo(folder: &Path, name: &str, [west, north]: [f64; 2], side: u16, color: [
 fn changed_imagery_makes_only_the_tiles_that_it_touches_again() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str, corner: [f64; 2], seed: u32| hills(folder.path(), name, corner, 6, seed);
-    let dem = [at("a.tif", [7.0, 46.0], 1), at("b.tif", [7.4, 46.4], 2), at("c.tif", [7.2, 46.2], 3)];
+    let dem = [at("a.tif", [7.0, 46.0], 1), at("b.tif", [7.4, 46.4], 2), at("c.tif", [7.25, 46.25], 3)];
     let photo_at =
         |name: &str, corner: [f64; 2], side: u16, blue: u8| photo(folder.path(), name, corner, side, [200, 90, blue]);
     // Images over one of the three files and over a part of another one.
-    let (south_west, middle) = (photo_at("p.tif", [7.0, 46.0], 6, 10), photo_at("q.tif", [7.2, 46.2], 2, 10));
+    let (south_west, middle) = (photo_at("p.tif", [7.0, 46.0], 6, 10), photo_at("q.tif", [7.25, 46.25], 2, 10));
     for (content, gzip) in [(ContentKind::Height, false), (ContentKind::Mesh, true)] {
         let output = OutputArgs { gzip, ..OutputArgs::default() };
         let set = |imagery: &[&PathBuf]| GenArgs {
@@ -191,9 +191,9 @@ fn changed_imagery_makes_only_the_tiles_that_it_touches_again() {
             output: output.clone(),
             ..args(&dem.each_ref(), folder.path().join("set"), false)
         };
-        photo_at("q.tif", [7.2, 46.2], 2, 10);
+        photo_at("q.tif", [7.25, 46.25], 2, 10);
         run(&set(&[&south_west, &middle])).unwrap();
-        photo_at("q.tif", [7.2, 46.2], 2, 240);
+        photo_at("q.tif", [7.25, 46.25], 2, 240);
         let update = |imagery: &[&PathBuf]| all_counts(&check(&GenArgs { overwrite: false, ..set(imagery) }));
         let all = [vec![&south_west, &middle], vec![&south_west], vec![&middle, &south_west]];
         // Changed and removed images touch meshes as they touch height tiles, so that the first update suffices.

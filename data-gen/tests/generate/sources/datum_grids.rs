@@ -111,11 +111,13 @@ fn grids_without_effect_and_damaged_ones_are_errors() {
         let reason = error(4314, &grid[..length]);
         assert!(reason.contains("grid.gsb: NTv2 grid: "), "{length}: {reason}");
     }
-    // Each number of the headers, replaced.
+    // Each number of the headers, replaced: by one of these values, or by all in long tests.
+    let values = [f64::NAN.to_le_bytes(), f64::INFINITY.to_le_bytes(), [255; 8], [0; 8]];
     for at in (0..352).step_by(8) {
-        for value in [f64::NAN.to_le_bytes(), f64::INFINITY.to_le_bytes(), [255; 8], [0; 8]] {
+        let chosen = if kit::long_tests() { &values[..] } else { &values[at / 8 % 4..][..1] };
+        for value in chosen {
             let mut damaged = grid.clone();
-            damaged[at..at + 8].copy_from_slice(&value);
+            damaged[at..at + 8].copy_from_slice(value);
             let args =
                 GenArgs { datum_grid: write(folder.path(), &damaged), overwrite: true, ..args(folder.path(), 4314) };
             // What does not matter is not checked.
