@@ -167,7 +167,7 @@ mod tests {
             })
             .collect();
         let cloud = Splats::new(list).with_harmonics(harmonics).unwrap();
-        assert_eq!(cloud.clone().cut(100), [cloud.clone()]);
+        assert_eq!(cloud.clone().cut(100), std::slice::from_ref(&cloud));
         let parts = cloud.clone().cut(30);
         assert_eq!(parts.iter().map(|part| part.list().len()).collect::<Vec<_>>(), [25; 4]);
         for (part, first) in parts.iter().zip([0.0, 25.0, 50.0, 75.0]) {
