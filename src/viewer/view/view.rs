@@ -6,6 +6,7 @@ use glam::{DAffine3, DMat4};
 use super::camera::Camera;
 use super::eyes::{EyeTargets, Eyes};
 use super::set_bounds::{LocalFrame, SetBounds, ViewFrom, environment_for};
+use super::shown_environment::ShownEnvironment;
 use super::slaves::{CameraSlot, Slave, SlaveCamera};
 use super::viewport::ViewArea;
 use crate::cull::{CullCamera, PageRequest, Stereo};
@@ -23,7 +24,10 @@ pub struct View {
     /// The master camera. Change it between frames, or set a manipulator that moves it.
     pub camera: Camera,
     /// Sun, sky and fog. Loading a set chooses the sun's direction, the up vector and the density of the haze.
+    /// [`EnvironmentChanges`](crate::viewer::EnvironmentChanges) says when a change takes effect.
     pub environment: Environment,
+    /// The environment that frames show.
+    pub(in crate::viewer) shown: ShownEnvironment,
     /// The path that the camera will take, in simulation time, when the application knows it. Tiles along it are
     /// prefetched; see [`ViewerConfig::look_ahead_s`](crate::viewer::ViewerConfig::look_ahead_s).
     pub announced: Option<AnimationPath>,
@@ -57,6 +61,7 @@ impl View {
         Self {
             camera: Camera { settings, ..Camera::default() },
             environment: Environment::default(),
+            shown: ShownEnvironment::default(),
             announced: None,
             from: ViewFrom::default(),
             scene,
@@ -163,6 +168,7 @@ impl View {
     pub(in crate::viewer) fn take_slave(&mut self, id: SlaveId) -> bool {
         let before = self.slaves.len();
         self.slaves.retain(|of| of.id != id);
+        self.shown.forget_rehearsal();
         self.request_redraw();
         self.slaves.len() < before
     }
@@ -180,6 +186,7 @@ impl View {
     pub(in crate::viewer) fn context_closed(&mut self, context: u32) {
         self.master = self.master.filter(|slot| slot.context != context);
         self.slaves.retain(|of| of.slave.context.0 != context);
+        self.shown.forget_rehearsal();
     }
 
     /// The contexts of its cameras.
@@ -284,7 +291,7 @@ impl View {
             camera,
             lens,
             sight,
-            environment: self.environment,
+            environment: self.shown.of(&self.environment),
             state_set: self.input.state_set.clone(),
             callbacks: self.callbacks.clone(),
             clamp_projection: self.clamp_projection,
