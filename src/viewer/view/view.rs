@@ -23,7 +23,8 @@ use crate::viewer::rendering::{CullTask, Lens, Rendering};
 pub struct View {
     /// The master camera. Change it between frames, or set a manipulator that moves it.
     pub camera: Camera,
-    /// Sun, sky and fog. Loading a set chooses the sun's direction, the up vector and the density of the haze.
+    /// Sun, sky and fog. Loading a set chooses the sun's direction, the light at night, the up vector and the density of
+    /// the haze.
     /// [`EnvironmentChanges`](crate::viewer::EnvironmentChanges) says when a change takes effect.
     pub environment: Environment,
     /// The environment that frames show.
@@ -201,13 +202,14 @@ impl View {
         }
     }
 
-    /// Moves the camera to the first view of a set, and fits sun and haze to it. The rest of the environment is the
+    /// Moves the camera to the first view of a set, and fits sun, night and haze to it. The rest of the environment is the
     /// application's.
     pub(in crate::viewer) fn first_sight(&mut self, bounds: &SetBounds) {
         self.camera.world_from_eye = bounds.first_camera(&self.from);
         self.camera.min_near_m = (1e-5 * bounds.sphere.radius_m).clamp(1e-4, 1.0);
-        let Environment { sun_direction, up_in_world, fog, .. } = environment_for(bounds);
-        self.environment.sun_direction = sun_direction;
+        let Environment { up_in_world, fog, night_light, .. } = environment_for(bounds);
+        self.environment.sun_direction = bounds.sun_behind(&self.camera.world_from_eye);
+        self.environment.night_light = night_light;
         self.environment.up_in_world = up_in_world;
         self.environment.fog.density_per_m = fog.density_per_m;
     }
