@@ -44,6 +44,6 @@ pub use callbacks::camera::CameraCallbacks;
 pub use callbacks::drawables::{CompiledDrawable, CustomDrawable, DrawableInfo, custom_geometry};
 pub use callbacks::info::{FrameClock, RenderInfo};
 pub use pipelines::DRAWABLE_PRELUDE;
-pub(crate) use renderer::StageKinds;
 pub use renderer::{CameraView, Renderer, ViewChange};
+pub(crate) use renderer::{StageKinds, draws_alike};
 pub use stats::DrawStats;

@@ -39,6 +39,10 @@ pub struct DrawStats {
     /// The number of pipelines created in this draw; each is slow at its first use. The pipelines that a custom drawable
     /// prepares for a target count as one.
     pub pipelines_created: u32,
+    /// The number of pipelines that the pipeline thread has created and that are in use since the draw before.
+    pub pipelines_created_aside: u32,
+    /// The number of pipelines that the pipeline thread has not created yet.
+    pub pipelines_in_creation: u32,
     /// The time of all passes on the adapter in milliseconds, of the latest frame whose timestamps have arrived.
     ///
     /// `None` without timestamp queries, on software adapters unless a timeline is recorded (they stop at each

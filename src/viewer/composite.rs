@@ -9,7 +9,7 @@ use glam::DVec2;
 use image::RgbaImage;
 
 use super::ViewerError;
-use super::frame::{FrameLoop, FrameStamp, StatsHistory, ViewList, ViewerConfig};
+use super::frame::{EnvironmentChanges, FrameLoop, FrameStamp, StatsHistory, ViewList, ViewerConfig};
 use super::ids::{ContextId, KeyedList, SceneId, SlaveId, ViewId};
 use super::input::{GuiActionAdapter, changes, needs_frame};
 use super::paging::{LoadedRoot, MAX_SCENES, PagedScene, SceneList, SceneUpdate, free_owner};
@@ -403,9 +403,10 @@ impl CompositeViewer {
     }
 
     /// Returns true when the last frame showed everything that its views wanted, no transition between levels of detail is
-    /// under way, and every pager is idle.
+    /// under way, no change of an environment waits for its pipelines, and every pager is idle.
     pub fn is_settled(&self) -> bool {
-        self.frame.pagers.iter().all(|group| group.is_at_rest(&self.scenes))
+        let is_changing = self.views.values().any(|view| view.shown.is_changing());
+        !is_changing && self.frame.pagers.iter().all(|group| group.is_at_rest(&self.scenes))
     }
 
     /// Merges and uploads arrived pages until `deadline`, instead of sleeping until the next frame is due, so that frames
@@ -488,6 +489,11 @@ impl CompositeViewer {
     /// Sets [`ViewerConfig::compile_budget`] from the next frame on.
     pub fn set_compile_budget(&mut self, budget: CompileBudget) {
         self.frame.set_compile_budget(budget);
+    }
+
+    /// Sets [`ViewerConfig::environment_changes`] from the next frame on.
+    pub fn set_environment_changes(&mut self, changes: EnvironmentChanges) {
+        self.frame.set_environment_changes(changes);
     }
 
     /// Returns the threading model that runs, or will run from the first frame on.

@@ -81,8 +81,9 @@ impl CompositeViewer {
         Ok(())
     }
 
-    /// Creates the pipelines that views need after a change of their environment, of light 0 or of the stencil, before the frame
-    /// that shows the change. What is loaded later gets both kinds of pipelines. The devices' threads do this between two
+    /// Creates the pipelines that views need after a change of light 0 or of the stencil, before the frame that shows the change.
+    /// Changes of the environment need no announcement where they wait for their pipelines
+    /// ([`EnvironmentChanges`](super::EnvironmentChanges)). What is loaded later gets both kinds of pipelines. The devices' threads do this between two
     /// frames; the first draw with a pipeline may still be slow on software drivers. See
     /// [`Renderer::prewarm_change`](crate::draw::Renderer::prewarm_change) for what is not covered.
     pub fn prewarm_change(&mut self, change: &ViewChange) {

@@ -115,6 +115,11 @@ fn check(window: &Arc<Window>, model: ThreadingModel) -> bool {
     let white = before.pixels().filter(|p| p.0 == [255; 4]).count();
     assert!(white > 200, "the ball is visible: {white}");
 
+    // A change that needs pipelines does not make the next frame of a window wait.
+    viewer.view_mut().environment.sky = Sky::Atmosphere;
+    assert!(picture(&mut viewer, context) == before, "{model:?}");
+    viewer.view_mut().environment.sky = Sky::Background([200, 0, 0]);
+
     // A frame that the window skips has no image, which is no error.
     viewer.composite_mut().pretend_surface(context, &[Timeout]).unwrap();
     viewer.composite_mut().want_picture(context);

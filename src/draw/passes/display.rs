@@ -3,6 +3,8 @@
 
 use super::fullscreen::{FullscreenPipeline, PipelinesByKind, image_layout};
 use super::stage_input::StageInput;
+use crate::draw::pipelines::Pipelines;
+use crate::draw::pipelines::aside::Order;
 use crate::draw::pipelines::sources::DISPLAY_WGSL;
 use crate::draw::resources::Resources;
 use crate::draw::targets::pass_target::{DisplayedImage, PassTarget};
@@ -13,6 +15,8 @@ struct Display {
     module: wgpu::ShaderModule,
     layout: wgpu::BindGroupLayout,
     pipelines: PipelinesByKind<wgpu::TextureFormat>,
+    /// The pipelines that the pipeline thread creates, by format.
+    ordered: Vec<(wgpu::TextureFormat, Order<wgpu::RenderPipeline>)>,
 }
 
 impl Display {
@@ -24,31 +28,56 @@ impl Display {
             }),
             layout: image_layout(device, "display"),
             pipelines: PipelinesByKind::new(),
+            ordered: Vec::new(),
         }
     }
 
-    /// Creates the pipeline of a format if needed. A pipeline that the device refuses is an error the first time only.
+    /// Creates or orders the pipeline of a format if needed. A pipeline that the device refuses is an error the first time
+    /// only.
     fn ensure(
         &mut self,
         ctx: &GraphicsContext,
-        frame_layout: &wgpu::BindGroupLayout,
+        pipelines: &mut Pipelines,
         format: wgpu::TextureFormat,
-    ) -> Result<(), wgpu::Error> {
-        let Self { module, layout, pipelines } = self;
-        let create = || {
+    ) -> Result<(), String> {
+        if self.pipelines.has_tried(&format) {
+            return Ok(());
+        }
+        let (module, layout) = (self.module.clone(), self.layout.clone());
+        let (frame_layout, cache) = (pipelines.frame_layout().clone(), ctx.pipeline_cache().cloned());
+        let create = move |device: &wgpu::Device| {
             FullscreenPipeline {
                 label: "display",
-                module,
+                module: &module,
                 entry_points: ["vs_display", "fs_display"],
                 constants: &[("ENCODES", f64::from(u8::from(is_encoded_by_shader(format))))],
-                bind_group_layouts: &[Some(frame_layout), Some(layout)],
+                bind_group_layouts: &[Some(&frame_layout), Some(&layout)],
                 colors: &[Some(format.into())],
                 depth_stencil: None,
                 samples: 1,
             }
-            .create(ctx)
+            .create_on(device, cache.as_ref())
         };
-        pipelines.ensure(ctx.device(), format, create)
+        let aside = &mut pipelines.aside;
+        let known = self.ordered.iter().position(|(of, _)| *of == format);
+        let known = known.map(|index| self.ordered.swap_remove(index).1);
+        let order = match known.filter(|order| !order.is_abandoned()) {
+            Some(order) => order,
+            None if aside.is_on() => aside.order(ctx.device(), "display".to_owned(), create),
+            None => {
+                let created = self.pipelines.ensure(ctx.device(), format, || create(ctx.device()));
+                return created.map_err(|error| error.to_string());
+            }
+        };
+        match aside.take(&order) {
+            Some(created) => self.pipelines.insert(format, created),
+            None if aside.is_on() => {
+                self.ordered.push((format, order));
+                Ok(())
+            }
+            // A frame that cannot wait creates the pipeline itself.
+            None => self.ensure(ctx, pipelines, format),
+        }
     }
 }
 
@@ -62,7 +91,7 @@ pub(in crate::draw) struct DisplayPass {
 impl DisplayPass {
     /// Returns the number of pipelines created so far.
     pub(in crate::draw) fn created(&self) -> u32 {
-        self.display.as_ref().map_or(0, |display| display.pipelines.tried())
+        self.display.as_ref().map_or(0, |display| display.pipelines.created())
     }
 
     /// Creates the pipeline for the image of a stage, if it has one. A pipeline that the device refuses is reported once.
@@ -71,7 +100,7 @@ impl DisplayPass {
         let device = input.ctx.device();
         // Errors of its module come up again when its pipelines are created.
         let display = self.display.get_or_insert_with(|| catch_errors(device, || Display::new(device)).0);
-        if let Err(error) = display.ensure(input.ctx, resources.pipelines.frame_layout(), format) {
+        if let Err(error) = display.ensure(input.ctx, &mut resources.pipelines, format) {
             resources.errors.report_once(format!("images cannot be shown in {format:?}: {error}"));
         }
     }

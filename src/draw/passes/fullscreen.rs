@@ -19,10 +19,15 @@ pub(in crate::draw) struct FullscreenPipeline<'a> {
 }
 
 impl FullscreenPipeline<'_> {
-    /// Creates the pipeline, without looking for errors of the device.
+    /// Creates the pipeline on the draw thread, without looking for errors of the device.
     pub fn create(self, ctx: &GraphicsContext) -> wgpu::RenderPipeline {
+        self.create_on(ctx.device(), ctx.pipeline_cache())
+    }
+
+    /// Does the same on any thread.
+    pub fn create_on(self, device: &wgpu::Device, cache: Option<&wgpu::PipelineCache>) -> wgpu::RenderPipeline {
         let Self { label, module, entry_points, constants, bind_group_layouts, colors, depth_stencil, samples } = self;
-        let (device, label) = (ctx.device(), Some(label));
+        let label = Some(label);
         let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
             label,
             bind_group_layouts,
@@ -49,7 +54,7 @@ impl FullscreenPipeline<'_> {
                 targets: colors,
             }),
             multiview_mask: None,
-            cache: ctx.pipeline_cache(),
+            cache,
         })
     }
 }
@@ -76,21 +81,36 @@ pub(in crate::draw) fn image_layout(device: &wgpu::Device, label: &str) -> wgpu:
 pub(in crate::draw) struct PipelinesByKind<K, P = wgpu::RenderPipeline> {
     /// `None` if the device refused the pipeline.
     all: Vec<(K, Option<P>)>,
+    /// The number of pipelines that the draw thread has created, or tried to.
+    created: u32,
 }
 
 impl<K: PartialEq, P> PipelinesByKind<K, P> {
     pub const fn new() -> Self {
-        Self { all: Vec::new() }
+        Self { all: Vec::new(), created: 0 }
     }
 
     /// Creates the pipeline of a kind if needed. An error of the device is returned the first time only.
     pub fn ensure(&mut self, device: &wgpu::Device, kind: K, create: impl FnOnce() -> P) -> Result<(), wgpu::Error> {
-        if self.all.iter().any(|(known, _)| *known == kind) {
+        if self.has_tried(&kind) {
             return Ok(());
         }
         let (pipeline, error) = catch_errors(device, create);
+        self.created += 1;
         self.all.push((kind, error.is_none().then_some(pipeline)));
         error.map_or(Ok(()), Err)
+    }
+
+    /// Takes the pipeline of a kind that the pipeline thread has created, or has failed to.
+    pub fn insert(&mut self, kind: K, created: Result<P, String>) -> Result<(), String> {
+        let (pipeline, result) = created.map_or_else(|error| (None, Err(error)), |pipeline| (Some(pipeline), Ok(())));
+        self.all.push((kind, pipeline));
+        result
+    }
+
+    /// Returns true if the pipeline of a kind was created, or refused.
+    pub fn has_tried(&self, kind: &K) -> bool {
+        self.all.iter().any(|(known, _)| known == kind)
     }
 
     /// Returns the pipeline of a kind; `None` if it was not created, or refused.
@@ -103,8 +123,8 @@ impl<K: PartialEq, P> PipelinesByKind<K, P> {
         self.all.iter().filter_map(|(_, pipeline)| pipeline.as_ref())
     }
 
-    /// Returns the number of kinds so far, refused ones included.
-    pub fn tried(&self) -> u32 {
-        self.all.len() as u32
+    /// Returns the number of pipelines that the draw thread has created so far, refused ones included.
+    pub fn created(&self) -> u32 {
+        self.created
     }
 }

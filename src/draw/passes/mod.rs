@@ -89,6 +89,7 @@ impl Passes {
 
     /// Returns the number of pipelines created so far by passes that do so themselves.
     pub(in crate::draw) fn created_pipelines(&self) -> u32 {
-        self.msaa_restore.created() + self.depth_resolve.created() + self.display.created() + self.mipmaps.created()
+        let textures = self.msaa_restore.created() + self.depth_resolve.created() + self.mipmaps.created();
+        textures + self.display.created() + self.air.created()
     }
 }

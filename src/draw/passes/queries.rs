@@ -13,7 +13,7 @@ use crate::draw::recorder::{DrawSources, PassRecorder};
 use crate::draw::resources::Resources;
 use crate::draw::targets::pass_target::PassTarget;
 use crate::draw::uniforms::frame::LeafUniform;
-use crate::gpu::Memory;
+use crate::gpu::{GraphicsContext, Memory};
 use crate::scene::OcclusionResults;
 
 /// Queries of a draw; further ones wait for another frame.
@@ -221,6 +221,13 @@ impl QueryPass {
             resources.batch.push_leaf(LeafUniform { eye_from_drawable: *rows, ..LeafUniform::EMPTY });
         }
         first..self.boxes.len()
+    }
+
+    /// Creates or orders the pipeline for a target if any query was made so far.
+    pub(in crate::draw) fn prewarm(&mut self, ctx: &GraphicsContext, resources: &mut Resources, target: u16) {
+        if self.queries.is_some() {
+            self.pipelines.ensure(ctx, &mut resources.pipelines, target);
+        }
     }
 
     /// Takes back the queries of a frame that is not drawn.

@@ -1,22 +1,48 @@
-//! Creates shader modules and render pipelines on the device, and catches its errors. Draw thread.
+//! Creates shader modules and render pipelines on the device, and catches its errors. Draw thread; [`PipelineMaker`] runs on
+//! the pipeline thread too.
+
+use std::sync::{Arc, Mutex, PoisonError};
 
 use crate::gpu::{GraphicsContext, MAX_COLOR_ATTACHMENTS, TargetFormats, catch_errors};
 
-/// The properties in which pipelines differ, in wgpu's terms. It has as many fields as wgpu's descriptors need.
-pub(super) struct Variant<'a> {
-    pub(super) label: &'a str,
-    pub(super) shader: &'a wgpu::ShaderModule,
-    pub(super) vertex: &'a str,
-    pub(super) fragment: &'a str,
+/// The shader of a pipeline.
+pub(super) enum ShaderSource {
+    /// One of the renderer's own sources, with its label. Its module is created once.
+    Own(&'static str, &'static str),
+    /// The module of a program.
+    Module(wgpu::ShaderModule),
+}
+
+/// A vertex buffer of a pipeline.
+pub(super) struct VertexBuffer {
+    pub(super) stride: u64,
+    pub(super) attributes: Vec<wgpu::VertexAttribute>,
+}
+
+impl VertexBuffer {
+    fn layout(&self) -> Option<wgpu::VertexBufferLayout<'_>> {
+        let Self { stride, attributes } = self;
+        let step_mode = wgpu::VertexStepMode::Vertex;
+        Some(wgpu::VertexBufferLayout { array_stride: *stride, step_mode, attributes })
+    }
+}
+
+/// The properties in which pipelines differ, in wgpu's terms. It has as many fields as wgpu's descriptors need, and owns what
+/// they borrow, so that another thread can create the pipeline.
+pub(super) struct Variant {
+    pub(super) label: String,
+    pub(super) shader: ShaderSource,
+    pub(super) vertex: &'static str,
+    pub(super) fragment: &'static str,
     /// Layout of bind group 1.
-    pub(super) block_layout: Option<&'a wgpu::BindGroupLayout>,
+    pub(super) block_layout: Option<wgpu::BindGroupLayout>,
     /// Layout of bind group 2.
-    pub(super) state_layout: Option<&'a wgpu::BindGroupLayout>,
+    pub(super) state_layout: Option<wgpu::BindGroupLayout>,
     /// Layout of bind group 3.
-    pub(super) third_layout: Option<&'a wgpu::BindGroupLayout>,
+    pub(super) third_layout: Option<wgpu::BindGroupLayout>,
     /// Values of overrides.
-    pub(super) constants: &'a [(&'a str, f64)],
-    pub(super) buffers: &'a [Option<wgpu::VertexBufferLayout<'a>>],
+    pub(super) constants: Vec<(String, f64)>,
+    pub(super) buffers: Vec<VertexBuffer>,
     pub(super) topology: wgpu::PrimitiveTopology,
     pub(super) culled: Option<wgpu::Face>,
     pub(super) front_face: wgpu::FrontFace,
@@ -41,13 +67,13 @@ pub(super) struct Variant<'a> {
     pub(super) target: TargetFormats,
 }
 
-impl<'a> Variant<'a> {
+impl Variant {
     /// Returns the variant of a pipeline without vertex buffers, blocks and states: it writes no depth and colours the
     /// first attachment.
     pub(super) fn new(
-        label: &'a str,
-        shader: &'a wgpu::ShaderModule,
-        [vertex, fragment]: [&'a str; 2],
+        label: String,
+        shader: ShaderSource,
+        [vertex, fragment]: [&'static str; 2],
         target: TargetFormats,
     ) -> Self {
         Self {
@@ -58,8 +84,8 @@ impl<'a> Variant<'a> {
             block_layout: None,
             state_layout: None,
             third_layout: None,
-            constants: &[],
-            buffers: &[],
+            constants: Vec::new(),
+            buffers: Vec::new(),
             topology: wgpu::PrimitiveTopology::TriangleList,
             culled: None,
             front_face: wgpu::FrontFace::Ccw,
@@ -81,73 +107,43 @@ impl<'a> Variant<'a> {
     }
 }
 
-/// Creates the modules and pipelines of a renderer and keeps the errors.
-pub(super) struct PipelineBuilder {
+/// Creates pipelines on a device, on any thread.
+#[derive(Clone)]
+pub(super) struct PipelineMaker {
     /// Layout of bind group 0.
     frame_layout: wgpu::BindGroupLayout,
-    /// Modules by the address of their source.
-    modules: Vec<(&'static str, wgpu::ShaderModule)>,
-    created: u32,
-    errors: Vec<String>,
+    cache: Option<wgpu::PipelineCache>,
+    /// Modules by the address of their source; the draw thread and the pipeline thread add to them. A module that both need
+    /// at once is created twice.
+    modules: Arc<Mutex<Vec<(&'static str, wgpu::ShaderModule)>>>,
 }
 
-impl PipelineBuilder {
-    pub(super) fn new(frame_layout: wgpu::BindGroupLayout) -> Self {
-        Self { frame_layout, modules: Vec::new(), created: 0, errors: Vec::new() }
-    }
-
-    pub(super) fn frame_layout(&self) -> &wgpu::BindGroupLayout {
-        &self.frame_layout
-    }
-
-    /// Returns the number of pipelines counted so far.
-    pub(super) fn created(&self) -> u32 {
-        self.created
-    }
-
-    /// Counts a pipeline, also one that the device refused.
-    pub(super) fn count(&mut self) {
-        self.created += 1;
-    }
-
-    /// Returns the errors that were not taken yet.
-    pub(super) fn errors(&mut self) -> &mut Vec<String> {
-        &mut self.errors
-    }
-
-    /// Returns the errors since the last call.
-    pub(super) fn take_errors(&mut self) -> Vec<String> {
-        std::mem::take(&mut self.errors)
-    }
-
+impl PipelineMaker {
     /// Returns the module of a source, which is created at the first call.
-    pub(super) fn module(&mut self, ctx: &GraphicsContext, label: &str, source: &'static str) -> wgpu::ShaderModule {
-        if let Some((_, module)) = self.modules.iter().find(|(known, _)| std::ptr::eq(*known, source)) {
+    fn module(&self, device: &wgpu::Device, label: &str, source: &'static str) -> wgpu::ShaderModule {
+        let known = || self.modules.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, module)) = known().iter().find(|(known, _)| std::ptr::eq(*known, source)) {
             return module.clone();
         }
-        let module = ctx.device().create_shader_module(wgpu::ShaderModuleDescriptor {
+        let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some(label),
             source: wgpu::ShaderSource::Wgsl(source.into()),
         });
-        self.modules.push((source, module.clone()));
+        known().push((source, module.clone()));
         module
     }
 
-    /// Creates a pipeline. Returns `None` and keeps an error if the device refuses it.
-    pub(super) fn create(&mut self, ctx: &GraphicsContext, variant: &Variant<'_>) -> Option<wgpu::RenderPipeline> {
-        let (pipeline, error) = catch_errors(ctx.device(), || self.create_unchecked(ctx, variant));
-        let Some(error) = error else { return Some(pipeline) };
-        self.errors.push(format!("pipeline {}: {error}", variant.label));
-        None
-    }
-
     /// Creates a pipeline without looking for errors of the device.
-    fn create_unchecked(&self, ctx: &GraphicsContext, variant: &Variant<'_>) -> wgpu::RenderPipeline {
-        let device = ctx.device();
-        let layouts = [Some(&self.frame_layout), variant.block_layout, variant.state_layout, variant.third_layout];
+    pub(super) fn create(&self, device: &wgpu::Device, variant: &Variant) -> wgpu::RenderPipeline {
+        let layouts = [
+            Some(&self.frame_layout),
+            variant.block_layout.as_ref(),
+            variant.state_layout.as_ref(),
+            variant.third_layout.as_ref(),
+        ];
         let used = layouts.iter().rposition(Option::is_some).map_or(0, |last| last + 1);
         let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-            label: Some(variant.label),
+            label: Some(&variant.label),
             bind_group_layouts: &layouts[..used],
             immediate_size: 0,
         });
@@ -162,15 +158,25 @@ impl PipelineBuilder {
                 write_mask: if is_written { variant.write_masks[location] } else { wgpu::ColorWrites::empty() },
             });
         }
-        let options = wgpu::PipelineCompilationOptions { constants: variant.constants, ..Default::default() };
+        let own;
+        let module = match &variant.shader {
+            ShaderSource::Module(module) => module,
+            ShaderSource::Own(label, source) => {
+                own = self.module(device, label, source);
+                &own
+            }
+        };
+        let constants: Vec<(&str, f64)> = variant.constants.iter().map(|(name, value)| (&**name, *value)).collect();
+        let buffers: Vec<_> = variant.buffers.iter().map(VertexBuffer::layout).collect();
+        let options = wgpu::PipelineCompilationOptions { constants: &constants, ..Default::default() };
         device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
-            label: Some(variant.label),
+            label: Some(&variant.label),
             layout: Some(&layout),
             vertex: wgpu::VertexState {
-                module: variant.shader,
+                module,
                 entry_point: Some(variant.vertex),
                 compilation_options: options.clone(),
-                buffers: variant.buffers,
+                buffers: &buffers,
             },
             primitive: wgpu::PrimitiveState {
                 topology: variant.topology,
@@ -193,13 +199,64 @@ impl PipelineBuilder {
                 mask: variant.sample_mask,
             },
             fragment: (colors > 0 || variant.discards).then(|| wgpu::FragmentState {
-                module: variant.shader,
+                module,
                 entry_point: Some(variant.fragment),
                 compilation_options: options,
                 targets: &states[..colors],
             }),
             multiview_mask: None,
-            cache: ctx.pipeline_cache(),
+            cache: self.cache.as_ref(),
         })
+    }
+}
+
+/// Creates the pipelines of a renderer at once, and keeps the errors.
+pub(super) struct PipelineBuilder {
+    maker: PipelineMaker,
+    created: u32,
+    errors: Vec<String>,
+}
+
+impl PipelineBuilder {
+    pub(super) fn new(frame_layout: wgpu::BindGroupLayout) -> Self {
+        let maker = PipelineMaker { frame_layout, cache: None, modules: Arc::default() };
+        Self { maker, created: 0, errors: Vec::new() }
+    }
+
+    pub(super) fn frame_layout(&self) -> &wgpu::BindGroupLayout {
+        &self.maker.frame_layout
+    }
+
+    /// Returns the number of pipelines created so far, those that the device refused included.
+    pub(super) fn created(&self) -> u32 {
+        self.created
+    }
+
+    /// Returns the errors that were not taken yet.
+    pub(super) fn errors(&mut self) -> &mut Vec<String> {
+        &mut self.errors
+    }
+
+    /// Returns the errors since the last call.
+    pub(super) fn take_errors(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.errors)
+    }
+
+    /// Returns what creates pipelines on another thread.
+    pub(super) fn maker(&self, ctx: &GraphicsContext) -> PipelineMaker {
+        PipelineMaker { cache: ctx.pipeline_cache().cloned(), ..self.maker.clone() }
+    }
+
+    /// Creates a pipeline. Returns `None` and keeps an error if the device refuses it.
+    pub(super) fn create(&mut self, ctx: &GraphicsContext, variant: &Variant) -> Option<wgpu::RenderPipeline> {
+        self.created += 1;
+        let maker = self.maker(ctx);
+        let (pipeline, error) = catch_errors(ctx.device(), || maker.create(ctx.device(), variant));
+        self.accept(error.map_or(Ok(pipeline), |error| Err(format!("pipeline {}: {error}", variant.label))))
+    }
+
+    /// Returns a pipeline that was created. Returns `None` and keeps the error if the device has refused it.
+    pub(super) fn accept(&mut self, created: Result<wgpu::RenderPipeline, String>) -> Option<wgpu::RenderPipeline> {
+        created.map_err(|error| self.errors.push(error)).ok()
     }
 }

@@ -1,6 +1,7 @@
 //! Built-in pipelines: those of passes that draw without a state of the scene. Draw thread.
 
-use super::builder::Variant;
+use super::aside::Order;
+use super::builder::{ShaderSource, Variant};
 use super::cache::Pipelines;
 use super::convert::zeroed;
 use super::sources::{FILL_WGSL, QUERY_WGSL, SHADOWED_WATER_WGSL, SKY_WGSL, WATER_WGSL};
@@ -26,9 +27,9 @@ pub(in crate::draw) enum Builtin {
 }
 
 /// The result of creating a pipeline for a target.
-#[derive(Clone)]
 enum Attempt {
-    NotTried,
+    /// Ordered from the pipeline thread, or not.
+    NotCreated(Option<Order<wgpu::RenderPipeline>>),
     Created(wgpu::RenderPipeline),
     /// The device refused it; it is not tried again.
     Refused,
@@ -50,67 +51,61 @@ impl BuiltinPipelines {
     pub(in crate::draw) fn get(&self, target: u16) -> Option<&wgpu::RenderPipeline> {
         match &self.by_target.get(usize::from(target))?.1 {
             Attempt::Created(pipeline) => Some(pipeline),
-            Attempt::NotTried | Attempt::Refused => None,
+            Attempt::NotCreated(_) | Attempt::Refused => None,
         }
     }
 
-    /// Creates the pipeline of a target at the first call for it.
+    /// Creates or orders the pipeline of a target at the first call for it.
     pub(in crate::draw) fn ensure(&mut self, ctx: &GraphicsContext, pipelines: &mut Pipelines, target: u16) {
         let Some(formats) = pipelines.target_formats(target).copied() else { return };
         let index = usize::from(target);
         if self.by_target.len() <= index {
-            self.by_target.resize(index + 1, (None, Attempt::NotTried));
+            self.by_target.resize_with(index + 1, || (None, Attempt::NotCreated(None)));
         }
         if self.by_target[index].0 != Some(formats) {
-            let attempt = match self.create(ctx, pipelines, formats) {
-                Some(pipeline) => Attempt::Created(pipeline),
-                None => Attempt::Refused,
-            };
-            self.by_target[index] = (Some(formats), attempt);
+            self.by_target[index] = (Some(formats), Attempt::NotCreated(None));
+        }
+        if let Attempt::NotCreated(order) = &mut self.by_target[index].1
+            && let Some(tried) = pipelines.try_builtin(ctx, order, || variant(self.kind, formats))
+        {
+            self.by_target[index].1 = tried.map_or(Attempt::Refused, Attempt::Created);
         }
     }
+}
 
-    fn create(
-        &self,
-        ctx: &GraphicsContext,
-        pipelines: &mut Pipelines,
-        formats: TargetFormats,
-    ) -> Option<wgpu::RenderPipeline> {
-        let (label, source, entries) = match self.kind {
-            Builtin::Sky => ("sky", SKY_WGSL, ["vs_sky", "fs_sky"]),
-            Builtin::Water => ("water", WATER_WGSL, ["vs_sky", "fs_water"]),
-            Builtin::ShadowedWater => ("shadowed water", SHADOWED_WATER_WGSL, ["vs_sky", "fs_water"]),
-            Builtin::Query => ("query", QUERY_WGSL, ["vs_query", "fs_query"]),
-            Builtin::Fill | Builtin::FillColor | Builtin::FillDepth => ("fill", FILL_WGSL, ["vs_fill", "fs_fill"]),
-        };
-        let module = pipelines.builder().module(ctx, label, source);
-        let mut variant = Variant::new(label, &module, entries, formats);
-        match self.kind {
-            Builtin::Sky => {}
-            Builtin::Water | Builtin::ShadowedWater => {
+/// Returns the properties of a pipeline for a target.
+fn variant(kind: Builtin, formats: TargetFormats) -> Variant {
+    let (label, source, entries) = match kind {
+        Builtin::Sky => ("sky", SKY_WGSL, ["vs_sky", "fs_sky"]),
+        Builtin::Water => ("water", WATER_WGSL, ["vs_sky", "fs_water"]),
+        Builtin::ShadowedWater => ("shadowed water", SHADOWED_WATER_WGSL, ["vs_sky", "fs_water"]),
+        Builtin::Query => ("query", QUERY_WGSL, ["vs_query", "fs_query"]),
+        Builtin::Fill | Builtin::FillColor | Builtin::FillDepth => ("fill", FILL_WGSL, ["vs_fill", "fs_fill"]),
+    };
+    let mut variant = Variant::new(label.to_owned(), ShaderSource::Own(label, source), entries, formats);
+    match kind {
+        Builtin::Sky => {}
+        Builtin::Water | Builtin::ShadowedWater => {
+            variant.depth_write = true;
+            variant.blends[0] = Some(wgpu::BlendState::ALPHA_BLENDING);
+        }
+        Builtin::Query => variant.write_masks = [wgpu::ColorWrites::empty(); MAX_COLOR_ATTACHMENTS],
+        Builtin::Fill | Builtin::FillColor | Builtin::FillDepth => {
+            variant.depth_compare = wgpu::CompareFunction::Always;
+            variant.outputs = u32::MAX;
+            let mask = match kind {
+                Builtin::FillDepth => wgpu::ColorWrites::empty(),
+                _ if formats.keeps_alpha => wgpu::ColorWrites::ALL,
+                _ => wgpu::ColorWrites::COLOR,
+            };
+            variant.write_masks = [mask; MAX_COLOR_ATTACHMENTS];
+            if kind != Builtin::FillColor {
                 variant.depth_write = true;
-                variant.blends[0] = Some(wgpu::BlendState::ALPHA_BLENDING);
-            }
-            Builtin::Query => variant.write_masks = [wgpu::ColorWrites::empty(); MAX_COLOR_ATTACHMENTS],
-            Builtin::Fill | Builtin::FillColor | Builtin::FillDepth => {
-                variant.depth_compare = wgpu::CompareFunction::Always;
-                variant.outputs = u32::MAX;
-                let mask = match self.kind {
-                    Builtin::FillDepth => wgpu::ColorWrites::empty(),
-                    _ if formats.keeps_alpha => wgpu::ColorWrites::ALL,
-                    _ => wgpu::ColorWrites::COLOR,
-                };
-                variant.write_masks = [mask; MAX_COLOR_ATTACHMENTS];
-                if self.kind != Builtin::FillColor {
-                    variant.depth_write = true;
-                    variant.stencil = zeroed(formats.depth);
-                }
+                variant.stencil = zeroed(formats.depth);
             }
         }
-        let pipeline = pipelines.builder().create(ctx, &variant);
-        pipelines.builder().count();
-        pipeline
     }
+    variant
 }
 
 #[cfg(test)]

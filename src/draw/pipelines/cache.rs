@@ -3,7 +3,8 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use super::builder::PipelineBuilder;
+use super::aside::{Aside, Order};
+use super::builder::Variant;
 use super::factory::Factory;
 use super::key::{PipelineKey, Shading, StateKey};
 use super::key_parts::PartIndices;
@@ -43,6 +44,10 @@ pub(in crate::draw) struct Pipelines {
     /// `None` for keys whose pipeline cannot be created. Keys may share the pipeline of their fallback. Used for look-ups
     /// only while drawing, since its order is random.
     id_of: HashMap<PipelineKey, Option<PipelineId>>,
+    /// Pipelines by key that the pipeline thread creates.
+    ordered: HashMap<PipelineKey, Order<wgpu::RenderPipeline>>,
+    /// Also for the pipelines of passes.
+    pub(in crate::draw) aside: Aside,
 }
 
 impl Pipelines {
@@ -54,10 +59,12 @@ impl Pipelines {
             free: Vec::new(),
             frame: 0,
             id_of: HashMap::new(),
+            ordered: HashMap::new(),
+            aside: Aside::default(),
         }
     }
 
-    /// Returns the number of pipelines created so far.
+    /// Returns the number of pipelines created on the draw thread so far.
     pub(in crate::draw) fn created(&self) -> u32 {
         self.factory.builder.created()
     }
@@ -87,9 +94,24 @@ impl Pipelines {
         &self.factory.layouts.pulled
     }
 
-    /// Returns the builder, for the built-in pipelines of passes.
-    pub(super) fn builder(&mut self) -> &mut PipelineBuilder {
-        &mut self.factory.builder
+    /// Tries to create a built-in pipeline. Returns `None` while it is ordered, `Some(None)` if the device has refused it.
+    pub(super) fn try_builtin(
+        &mut self,
+        ctx: &GraphicsContext,
+        order: &mut Option<Order<wgpu::RenderPipeline>>,
+        describe: impl Fn() -> Variant,
+    ) -> Option<Option<wgpu::RenderPipeline>> {
+        let builder = &mut self.factory.builder;
+        if self.aside.is_on() && order.as_ref().is_none_or(Order::is_abandoned) {
+            let (maker, variant) = (builder.maker(ctx), describe());
+            let label = format!("pipeline {}", variant.label);
+            *order = Some(self.aside.order(ctx.device(), label, move |device| maker.create(device, &variant)));
+        }
+        match order.as_ref().and_then(|order| self.aside.take(order)) {
+            Some(created) => Some(builder.accept(created)),
+            None if self.aside.is_on() => None,
+            None => Some(builder.create(ctx, &describe())),
+        }
     }
 
     /// Returns a pipeline by the id that [`Self::ensure`] returned in this frame.
@@ -147,6 +169,8 @@ impl Pipelines {
 
     /// Returns the pipeline of a key and creates it if needed. A key whose pipeline cannot be created gets that of its
     /// fallback, so that the fault is visible, or none. Errors are named after the state that needs the pipeline.
+    ///
+    /// While missing pipelines are ordered, returns `None` for one that is not there.
     pub(in crate::draw) fn ensure(
         &mut self,
         ctx: &GraphicsContext,
@@ -160,13 +184,56 @@ impl Pipelines {
             }
             return *id;
         }
-        let id = match self.factory.create(ctx, &mut self.programs, key, state) {
+        let created = match self.take_ordered(ctx, key, state) {
+            Some(created) => created,
+            None if self.aside.is_on() => return None,
+            None => self.factory.create(ctx, &mut self.programs, key, state),
+        };
+        let id = match created {
             Some(pipeline) => Some(self.insert(pipeline)),
-            None if key.fallback() != key => self.ensure(ctx, key.fallback(), state),
+            None if key.fallback() != key => match self.ensure(ctx, key.fallback(), state) {
+                // Once the fallback is there.
+                None if self.aside.is_on() => return None,
+                fallback => fallback,
+            },
             None => None,
         };
         self.id_of.insert(key, id);
         id
+    }
+
+    /// Returns the ordered pipeline of a key, once the thread has tried; `Some(None)` if there can be none. Orders it while
+    /// missing pipelines are ordered.
+    fn take_ordered(
+        &mut self,
+        ctx: &GraphicsContext,
+        key: PipelineKey,
+        state: Option<&ResolvedState>,
+    ) -> Option<Option<wgpu::RenderPipeline>> {
+        let first_error = self.factory.builder.errors().len();
+        let order = match self.ordered.remove(&key).filter(|order| !order.is_abandoned()) {
+            Some(order) => order,
+            None if !self.aside.is_on() => return None,
+            None => {
+                let Some(variant) = self.factory.describe(ctx, &mut self.programs, key) else {
+                    self.factory.name_errors(first_error, state);
+                    return Some(None);
+                };
+                let maker = self.factory.builder.maker(ctx);
+                let label = format!("pipeline {}", variant.label);
+                self.aside.order(ctx.device(), label, move |device| maker.create(device, &variant))
+            }
+        };
+        let Some(created) = self.aside.take(&order) else {
+            // A frame that cannot wait creates the pipeline itself.
+            if self.aside.is_on() {
+                self.ordered.insert(key, order);
+            }
+            return None;
+        };
+        let pipeline = self.factory.builder.accept(created);
+        self.factory.name_errors(first_error, state);
+        Some(pipeline)
     }
 
     /// Creates pipelines for keys that follow from those of the existing pipelines, in the order of the keys.
@@ -207,6 +274,7 @@ impl Pipelines {
 
     /// Evicts the pipelines of some keys.
     fn evict(&mut self, is_evicted: impl Fn(&PipelineKey) -> bool) {
+        self.ordered.retain(|key, _| !is_evicted(key));
         let removed: Vec<PipelineId> =
             self.id_of.extract_if(|key, _| is_evicted(key)).filter_map(|(_, id)| id).collect();
         for id in removed {

@@ -1,6 +1,6 @@
 //! Creates the pipeline of a key. Draw thread.
 
-use super::builder::{PipelineBuilder, Variant};
+use super::builder::{PipelineBuilder, ShaderSource, Variant, VertexBuffer};
 use super::convert::{bias, factor, operation, reversed, stencil_face};
 use super::custom_attributes::{AttributeLayouts, bind_attributes, further_uvs};
 use super::key::{AirKind, Alpha, Kind, PipelineKey, Shading};
@@ -72,7 +72,7 @@ impl GroupLayouts {
 
 /// The shader of a pipeline, with what follows from it.
 struct Shader {
-    module: wgpu::ShaderModule,
+    source: ShaderSource,
     vertex: &'static str,
     fragment: &'static str,
     /// Layout of bind group 2.
@@ -124,23 +124,27 @@ impl Factory {
         state: Option<&ResolvedState>,
     ) -> Option<wgpu::RenderPipeline> {
         let first_error = self.builder.errors().len();
-        let pipeline = self.create_unnamed(ctx, programs, key);
-        self.builder.count();
-        if let Some(state) = state {
-            let name = if state.name.is_empty() { "a state set" } else { state.name.as_str() };
-            for error in &mut self.builder.errors()[first_error..] {
-                *error = format!("{name}: {error}");
-            }
-        }
+        let pipeline = self.describe(ctx, programs, key).and_then(|variant| self.builder.create(ctx, &variant));
+        self.name_errors(first_error, state);
         pipeline
     }
 
-    fn create_unnamed(
+    /// Puts the name of a state before the errors from an index on.
+    pub(super) fn name_errors(&mut self, first: usize, state: Option<&ResolvedState>) {
+        let Some(state) = state else { return };
+        let name = if state.name.is_empty() { "a state set" } else { state.name.as_str() };
+        for error in &mut self.builder.errors()[first..] {
+            *error = format!("{name}: {error}");
+        }
+    }
+
+    /// Returns the properties of the pipeline of a key. Returns `None` and keeps an error if there can be none.
+    pub(super) fn describe(
         &mut self,
         ctx: &GraphicsContext,
         programs: &mut Programs,
         key: PipelineKey,
-    ) -> Option<wgpu::RenderPipeline> {
+    ) -> Option<Variant> {
         let is_height = key.kind() == Kind::Height;
         let target = *self.targets.formats(key.target())?;
         let layout = self.attribute_layouts.get(key.layout());
@@ -163,13 +167,8 @@ impl Factory {
         let full_stride = (VertexFormat::Full.stride() + added_stride(layout)) as u64;
         let shader = match key.shading() {
             Shading::Program(index) => self.program_shader(ctx, programs, index, is_height)?,
-            _ => self.own_shader(ctx, key)?,
+            _ => self.own_shader(key)?,
         };
-        let full = [vertex_buffer(full_stride, &full_attributes)];
-        let packed = packed_buffers(VertexFormat::Packed, &packed_attributes);
-        let quantized = packed_buffers(VertexFormat::Quantized, &quantized_attributes);
-        let constants: Vec<(&str, f64)> =
-            shader.constants.iter().map(|(name, value)| (name.as_str(), *value)).collect();
         let mut label = format!("{} of target {}", shader.fragment, key.target());
         if let Shading::Program(index) = key.shading() {
             label = format!("program {:?}, {label}", programs.name(index).unwrap_or_default());
@@ -181,23 +180,24 @@ impl Factory {
         let samples = self.parts.samples(key.samples()).filter(|_| target.samples > 1);
         // Both faces are culled by a depth test that never passes. A culled face marks no stencil either.
         let culls_all = key.culled() == 3;
-        let variant = Variant {
-            block_layout: Some(match () {
-                _ if is_height => &ctx.layouts().height_block,
-                _ if key.has_layered_surface() => &ctx.layouts().layered_set,
-                _ if key.is_splats() => &ctx.layouts().splats,
-                _ if key.has_surface() => &ctx.layouts().surface_set,
-                _ => &ctx.layouts().texture_block,
-            }),
-            state_layout: shader.state_layout.as_ref(),
-            third_layout: if key.is_pulled() { Some(&self.layouts.pulled) } else { shader.attribute_layout.as_ref() },
-            constants: &constants,
+        let block_layout = match () {
+            _ if is_height => &ctx.layouts().height_block,
+            _ if key.has_layered_surface() => &ctx.layouts().layered_set,
+            _ if key.is_splats() => &ctx.layouts().splats,
+            _ if key.has_surface() => &ctx.layouts().surface_set,
+            _ => &ctx.layouts().texture_block,
+        };
+        Some(Variant {
+            block_layout: Some(block_layout.clone()),
+            state_layout: shader.state_layout,
+            third_layout: if key.is_pulled() { Some(self.layouts.pulled.clone()) } else { shader.attribute_layout },
+            constants: shader.constants,
             buffers: match key.vertices() {
-                _ if is_height || key.is_splats() => &[],
-                None => &[],
-                Some(VertexFormat::Full) => &full,
-                Some(VertexFormat::Packed) => &packed,
-                Some(VertexFormat::Quantized) => &quantized,
+                _ if is_height || key.is_splats() => Vec::new(),
+                None => Vec::new(),
+                Some(VertexFormat::Full) => vec![VertexBuffer { stride: full_stride, attributes: full_attributes }],
+                Some(VertexFormat::Packed) => packed_buffers(VertexFormat::Packed, packed_attributes),
+                Some(VertexFormat::Quantized) => packed_buffers(VertexFormat::Quantized, quantized_attributes),
             },
             topology: match key.kind() {
                 _ if key.is_square() || key.is_splats() => wgpu::PrimitiveTopology::TriangleList,
@@ -223,9 +223,8 @@ impl Factory {
             alpha_to_coverage: key.has_alpha_to_coverage() && target.samples > 1,
             discards: shader.discards,
             unclipped_depth: key.is_caster() && self.features.contains(wgpu::Features::DEPTH_CLIP_CONTROL),
-            ..Variant::new(&label, &shader.module, [shader.vertex, shader.fragment], target)
-        };
-        self.builder.create(ctx, &variant)
+            ..Variant::new(label, shader.source, [shader.vertex, shader.fragment], target)
+        })
     }
 
     /// Returns the shader of one of the application's programs; `None` if it cannot be used.
@@ -245,7 +244,7 @@ impl Factory {
             false => (program.module.clone(), "vs_main"),
         };
         Some(Shader {
-            module,
+            source: ShaderSource::Module(module),
             vertex,
             fragment: "fs_main",
             state_layout: Some(program.layout.clone()),
@@ -257,7 +256,7 @@ impl Factory {
     }
 
     /// Returns the renderer's own shader for a key.
-    fn own_shader(&mut self, ctx: &GraphicsContext, key: PipelineKey) -> Option<Shader> {
+    fn own_shader(&self, key: PipelineKey) -> Option<Shader> {
         let choice = ShaderChoice::of(key)?;
         let mut constants = Vec::new();
         let mut disable = |name: &str| constants.push((name.to_owned(), 0.0));
@@ -277,7 +276,7 @@ impl Factory {
             constants.push(("HAS_ALPHA".to_owned(), 1.0));
         }
         Some(Shader {
-            module: self.builder.module(ctx, choice.label, choice.source),
+            source: ShaderSource::Own(choice.label, choice.source),
             vertex: choice.vertex.name(),
             fragment: choice.fragment.name(key.is_fading()),
             state_layout: match key.shading() {
@@ -317,16 +316,10 @@ impl Factory {
     }
 }
 
-fn vertex_buffer(array_stride: u64, attributes: &[wgpu::VertexAttribute]) -> Option<wgpu::VertexBufferLayout<'_>> {
-    Some(wgpu::VertexBufferLayout { array_stride, step_mode: wgpu::VertexStepMode::Vertex, attributes })
-}
-
 /// Returns the vertex buffers of a format without colours: the vertices, and the one colour that all share.
-fn packed_buffers(
-    format: VertexFormat,
-    attributes: &[wgpu::VertexAttribute],
-) -> [Option<wgpu::VertexBufferLayout<'_>>; 2] {
-    [vertex_buffer(format.stride() as u64, attributes), vertex_buffer(0, &SHARED_COLOR_ATTRIBUTE)]
+fn packed_buffers(format: VertexFormat, attributes: Vec<wgpu::VertexAttribute>) -> Vec<VertexBuffer> {
+    let color = VertexBuffer { stride: 0, attributes: SHARED_COLOR_ATTRIBUTE.to_vec() };
+    vec![VertexBuffer { stride: format.stride() as u64, attributes }, color]
 }
 
 fn blend_state(func: BlendFunc, equation: BlendEquation) -> wgpu::BlendState {

@@ -8,9 +8,11 @@
 //! shader_choice   from a key to shader source and entry points
 //! factory         from a key to a pipeline, with programs and custom attributes of the application
 //! builder         creates modules and pipelines on the device, catching its errors
+//! aside           the thread that creates pipelines beside the draw thread
 //! cache           Pipelines: the pipelines of a renderer by key
 //! ```
 
+pub(in crate::draw) mod aside;
 pub(in crate::draw) mod builder;
 pub(in crate::draw) mod builtin_pipelines;
 pub(in crate::draw) mod cache;

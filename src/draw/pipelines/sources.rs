@@ -199,8 +199,8 @@ mod tests {
             assert_eq!(
                 fields,
                 offsets!(FrameUniform: clip_from_eye, sun_direction, sun_color, ambient_color, up, horizon_color,
-                    shape, ray, middle_ray, water, air, sun_top, shadow_x, shadow_y, shadow, cascade_scales,
-                    cascade_offsets)
+                    shape, ray, middle_ray, water, air, sun_top, night, shadow_x, shadow_y, shadow,
+                    cascade_scales, cascade_offsets)
             );
             let (span, fields) = members(&module, "Leaf");
             assert_eq!(span as usize, size_of::<LeafUniform>(), "{name}");

@@ -50,6 +50,11 @@ impl DrawnStages {
         self.drawn.iter().chain(&self.expected)
     }
 
+    /// Returns true if a kind was drawn.
+    pub(super) fn has_drawn(&self, stage: &DrawnStage) -> bool {
+        self.drawn.contains(stage)
+    }
+
     /// Returns the number of kinds that were drawn.
     pub(super) fn drawn_count(&self) -> usize {
         self.drawn.len()

@@ -2,6 +2,7 @@
 //!
 //! ```text
 //! draw_views      acquire      the image of the window
+//!                 rehearse     views that later frames draw with other pipelines
 //!                 prepare      every pass of every stage: runs, uniforms, pipelines, targets
 //!                 upload       leaves, uniforms, arguments of indirect calls; bind groups
 //!                 record       all passes into one encoder, and submit it
@@ -15,6 +16,7 @@ mod pass_plan;
 mod prepare;
 mod prewarm;
 mod record;
+mod rehearsal;
 mod views;
 
 use std::sync::Arc;
@@ -33,6 +35,8 @@ use frames_in_flight::FramesInFlight;
 use pass_plan::PassPlan;
 pub(crate) use prewarm::StageKinds;
 pub use prewarm::ViewChange;
+use rehearsal::Rehearsals;
+pub(crate) use rehearsal::draws_alike;
 use views::StageViews;
 
 /// A camera's view in a frame: its stage under its own light and sky.
@@ -54,6 +58,9 @@ pub struct Renderer {
     /// The stages of the frame in the order drawn; `None` for refused ones.
     plans: Vec<Option<PassPlan>>,
     drawn_into: DrawnStages,
+    rehearsals: Rehearsals,
+    /// The ordered pipelines that earlier draws have counted.
+    counted_aside: u32,
     frames_in_flight: FramesInFlight,
     /// Command buffers of the compile thread, which are submitted before the frame.
     uploads: Vec<wgpu::CommandBuffer>,
@@ -75,6 +82,8 @@ impl Renderer {
             views: StageViews::default(),
             plans: Vec::new(),
             drawn_into: DrawnStages::default(),
+            rehearsals: Rehearsals::default(),
+            counted_aside: 0,
             frames_in_flight: FramesInFlight::default(),
             uploads: Vec::new(),
             clock: FrameClock::default(),
@@ -151,12 +160,16 @@ impl Renderer {
         let shared = ctx;
         let ctx = &*shared;
         let created_before = self.created_pipelines();
+        self.rehearse(ctx);
         self.prepare(ctx, views.clone());
         self.upload(ctx);
         self.record(ctx, views);
         let mut stats = self.resources.stats;
         stats.unsampled_leaves = self.resources.batch.unsampled();
         stats.pipelines_created += self.created_pipelines() - created_before;
+        let aside = &self.resources.pipelines.aside;
+        stats.pipelines_created_aside = aside.created() - std::mem::replace(&mut self.counted_aside, aside.created());
+        stats.pipelines_in_creation = aside.open();
         let wait = crate::trace::span("wait for adapter");
         self.frames_in_flight.throttle(ctx)?;
         drop(wait);
@@ -168,7 +181,7 @@ impl Renderer {
         Ok(stats)
     }
 
-    /// Returns the number of pipelines created so far.
+    /// Returns the number of pipelines created on the draw thread so far.
     fn created_pipelines(&self) -> u32 {
         self.resources.pipelines.created() + self.passes.created_pipelines()
     }

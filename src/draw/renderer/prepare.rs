@@ -219,7 +219,7 @@ impl Renderer {
     }
 
     /// Draws nothing in a frame that was prepared.
-    fn discard_frame(&mut self) {
+    pub(super) fn discard_frame(&mut self) {
         self.plans.fill_with(|| None);
         self.resources.batch.start_frame();
         self.passes.queries.discard();

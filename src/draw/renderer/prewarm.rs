@@ -4,7 +4,7 @@
 use super::Renderer;
 use super::drawn_stages::DrawnStage;
 use crate::draw::passes::shading::{choose_shading, name_of};
-use crate::draw::passes::shadows::casters::{caster_key, map_target};
+use crate::draw::passes::shadows::casters::caster_key;
 use crate::draw::pipelines::key::{AirKind, PipelineKey, Shading, StateKey};
 use crate::draw::pipelines::{MAX_COLOR_ATTACHMENTS, TargetFormats};
 use crate::draw::targets::pass_target::Tones;
@@ -47,6 +47,14 @@ impl Renderer {
             self.drawn_into.add_expected(target, air);
         }
         StageKinds(self.drawn_into.iter().copied().collect())
+    }
+
+    /// Orders the pipelines of [`Self::prewarm`] for given kinds of stages from the pipeline thread. Returns how many are not
+    /// there.
+    pub(crate) fn prewarm_aside(&mut self, ctx: &mut GraphicsContext, kinds: &[DrawKind], stages: &StageKinds) -> u32 {
+        self.resources.pipelines.aside.begin();
+        self.prewarm_for(ctx, kinds, stages);
+        self.resources.pipelines.aside.end()
     }
 
     /// Does the same as [`Self::prewarm`] for given kinds of stages. Returns the number of pipelines that it created.
@@ -93,21 +101,9 @@ impl Renderer {
                 continue;
             }
             self.drawn_into.expect(to);
-            let is_lit_anew = to.has_own_light && !from.has_own_light;
-            let pipelines = &mut self.resources.pipelines;
-            pipelines.ensure_derived(ctx, |key| {
-                let is_drawn = key.target() == from.target && !key.is_caster();
-                is_drawn.then(|| key.in_view(to.target, to.air, to.has_shadows, is_lit_anew))
-            });
-            if has_shadows && let Some(map) = map_target(pipelines) {
-                pipelines.ensure_derived(
-                    ctx,
-                    |key| {
-                        if key.target() == to.target { key.in_shadow_map(map) } else { None }
-                    },
-                );
-            }
+            self.ensure_changed(ctx, from, to);
             if environment.sky == Sky::Atmosphere {
+                self.passes.air.prewarm(ctx, &mut self.resources);
                 self.passes.sky.prewarm(ctx, &mut self.resources, target);
             }
             if environment.water.is_some() {

@@ -41,6 +41,8 @@ pub(in crate::draw) struct FrameUniform {
     pub(in crate::draw) air: [f32; 4],
     /// Irradiance of the sun outside the air; w is the layer of the first cascade's map.
     pub(in crate::draw) sun_top: [f32; 4],
+    /// x is the share of the ambient light that remains at night.
+    pub(in crate::draw) night: [f32; 4],
     /// Eye-space axis across the sun's rays; w is the bias along the normal in texels.
     pub(in crate::draw) shadow_x: [f32; 4],
     /// The other axis; w is the bias towards the sun in texels.
@@ -153,6 +155,7 @@ impl FrameUniform {
             water: environment.water.map_or([0.0; 4], |w| with_w(w.color, w.height_m)),
             air: [air.eye_km, air.horizon_cosine, air.limb_cosine, switch(is_parallel)],
             sun_top: with_w(air.sun_irradiance(environment.sun_color), 0.0),
+            night: [environment.night_light.clamp(0.0, 1.0), 0.0, 0.0, 0.0],
             shadow_x: [0.0; 4],
             shadow_y: [0.0; 4],
             shadow: [0.0; 4],

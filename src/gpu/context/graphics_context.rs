@@ -271,6 +271,11 @@ impl GraphicsContext {
         self.targets.selected().target()
     }
 
+    /// Returns true if the target that was added last is a window.
+    pub(crate) fn has_window_last(&self) -> bool {
+        self.targets.last().target().is_window()
+    }
+
     /// Returns width and height of the target in pixels.
     pub fn size_px(&self) -> [u32; 2] {
         self.target().size_px()

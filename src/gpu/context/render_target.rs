@@ -202,6 +202,10 @@ impl RenderTarget {
         self.size_px
     }
 
+    pub(super) fn is_window(&self) -> bool {
+        matches!(self.color, Color::Window { .. })
+    }
+
     /// Frees everything of a lost device and of the window, so that both can be opened again.
     pub(super) fn close(&mut self) {
         self.color = Color::Closed;

@@ -138,6 +138,11 @@ impl Targets {
         self.selected
     }
 
+    /// Returns the target that was added last.
+    pub(super) fn last(&self) -> &ContextTarget {
+        &self.all[self.all.len() - 1]
+    }
+
     pub(super) fn selected(&self) -> &ContextTarget {
         &self.all[self.selected]
     }

@@ -1,6 +1,6 @@
 //! [`Operations`]: the compile operations of a device in the order of their arrival. Draw thread.
 
-use std::collections::VecDeque;
+use std::collections::{HashSet, VecDeque};
 use std::sync::Arc;
 
 use super::compile_operation::{CompileOperation, Compiled};
@@ -68,6 +68,8 @@ impl Operations {
     /// Finishes operations that have not begun, without slots.
     pub(super) fn cancel(&mut self, tickets: &[u64]) {
         let Self { waiting, finished, .. } = self;
+        // Both may be thousands.
+        let tickets: HashSet<u64> = tickets.iter().copied().collect();
         waiting.retain(|waiting| {
             let Waiting::Drawables(operation) = waiting else { return true };
             let is_cancelled = tickets.contains(&operation.ticket);

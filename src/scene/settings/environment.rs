@@ -72,6 +72,9 @@ pub struct Environment {
     /// The linear light of the sky on surfaces that face up; surfaces that face down get less, tinted by the ground. Under an
     /// atmosphere, with the sun overhead.
     pub ambient_color: [f32; 3],
+    /// The share of `ambient_color` that remains where the sun does not shine: on the night side of a globe, and everywhere after
+    /// sunset; 0 to 1. The default, [`Self::NIGHT_LIGHT`], is a dark night. Without an atmosphere 0.15 remain at least.
+    pub night_light: f32,
     /// Haze.
     pub fog: DistanceFog,
     /// Background.
@@ -98,6 +101,7 @@ impl Default for Environment {
             sun_direction: DVec3::new(0.45, -0.55, 0.7).normalize(),
             sun_color: [1.12, 1.05, 0.92],
             ambient_color: [0.18, 0.22, 0.30],
+            night_light: Self::NIGHT_LIGHT,
             fog: DistanceFog { enabled: true, density_per_m: DistanceFog::CLEAR_AIR_PER_M },
             sky: Sky::Atmosphere,
             water: None,
@@ -116,6 +120,9 @@ impl Environment {
     /// It is the albedo over the light that the ground reflects: the default sun, 44 degrees high, and the sky give level
     /// ground 0.88 of the light of `sun_color` 1. A mid-grey surface (0.18) that faces the sun is displayed as sRGB 134.
     pub const EXPOSURE: f32 = 1.15;
+
+    /// The default of [`Self::night_light`].
+    pub const NIGHT_LIGHT: f32 = 0.03;
 
     /// The illuminance in lux of sunlight whose `sun_color` is 1, on a surface that faces the sun: 100,000. The default
     /// sun has 105,000 lux, as the real one overhead.

@@ -2,6 +2,7 @@
 
 use std::time::Instant;
 
+use super::changes::Rehearsed;
 use super::draw_results::ContextFigures;
 use super::frame_loop::{ARRIVAL_POLL, FrameLoop, ViewList};
 use crate::gpu::GpuError;
@@ -75,6 +76,7 @@ impl FrameLoop {
 
     /// Takes the results of a drawn frame. The loss of a device is noted; the next frame reports it and replaces the device.
     fn collect(&mut self, done: FrameDone) -> Result<(), ViewerError> {
+        self.rehearsed.push(Rehearsed::of(&done));
         let (context, frame, next_frame) = (done.context, done.frame, self.stamp().frame + 1);
         if !self.rendering.overlaps() {
             self.results.add_read_back_ms(done.read_back_ms);
@@ -135,11 +137,12 @@ impl FrameLoop {
             self.pagers.device_closed(scenes, device, &mut self.rendering);
             self.pagers.device_opened(scenes, device, &mut self.rendering)?;
         }
-        // The textures of the overlays were on the old device.
-        #[cfg(feature = "window")]
-        views.values_mut().for_each(|view| view.input.reset_overlay());
-        #[cfg(not(feature = "window"))]
-        let _ = views;
+        for view in views.values_mut() {
+            view.shown.reset();
+            // The textures of the overlays were on the old device.
+            #[cfg(feature = "window")]
+            view.input.reset_overlay();
+        }
         Ok(())
     }
 }

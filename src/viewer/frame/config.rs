@@ -1,5 +1,6 @@
 //! [`ViewerConfig`]: the settings with which a viewer is made.
 
+use super::changes::EnvironmentChanges;
 use crate::scene::CullSettings;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -47,6 +48,8 @@ pub struct ViewerConfig {
     pub compile_pace: CompilePace,
     /// Gives each device a thread for uploads; see [`ContextTraits::compile_thread`].
     pub compile_contexts: bool,
+    /// When a change of a view's environment takes effect that needs pipelines which do not exist.
+    pub environment_changes: EnvironmentChanges,
     /// The number of frames whose statistics are kept.
     pub history_frames: usize,
     /// Draws views for two eyes: the master cameras and, by [`Slave::eyes`](super::super::Slave::eyes), their slaves.
@@ -91,6 +94,7 @@ impl Default for ViewerConfig {
             compile_budget: CompileBudget { time: Duration::from_millis(3), bytes: 16 << 20 },
             compile_pace: CompilePace::default(),
             compile_contexts: false,
+            environment_changes: EnvironmentChanges::default(),
             history_frames: 100_000,
             stereo: None,
             field_of_view: FieldOfView::LongerSide(60f64.to_radians()),

@@ -38,6 +38,7 @@ impl FrameLoop {
             return Err(ViewerError::Setting(format!("{adapter} has no {bits} bits of stencil")));
         }
         self.check_context_limit()?;
+        let is_window = context.has_window_last();
         if let Some(folder) = &self.config.pipeline_cache
             && let Err(error) = context.keep_pipelines(folder)
         {
@@ -53,6 +54,7 @@ impl FrameLoop {
             return Err(error);
         }
         self.pagers.device_opened(scenes, number, &mut self.rendering)?;
+        self.note_window(ContextId(number), is_window);
         Ok(ContextId(number))
     }
 
@@ -65,7 +67,15 @@ impl FrameLoop {
     ) -> Result<ContextId, ViewerError> {
         self.check_context_limit()?;
         self.finish()?;
-        self.rendering.add_context_on(other.0, traits, self.stamp().frame, add).map(ContextId)
+        let mut is_window = false;
+        let add = |context: &mut GraphicsContext, traits: &ContextTraits| {
+            add(context, traits)?;
+            is_window = context.has_window_last();
+            Ok(())
+        };
+        let id = self.rendering.add_context_on(other.0, traits, self.stamp().frame, add).map(ContextId)?;
+        self.note_window(id, is_window);
+        Ok(id)
     }
 
     /// Closes a context with the cameras in it; returns false when there is no such context.
@@ -85,6 +95,7 @@ impl FrameLoop {
             return Ok(false);
         }
         self.pictures.forget_context(id.0);
+        self.windows.retain(|of| *of != id);
         views.values_mut().for_each(|view| view.context_closed(id.0));
         if let Closed::Device(device) = closed {
             // If another device is lost too, its next frame reports that.
@@ -110,6 +121,7 @@ impl FrameLoop {
     pub(in crate::viewer) fn move_master(&mut self, view: &mut View, context: ContextId) -> Result<(), ViewerError> {
         let viewport = view.master.map_or(ViewArea::Whole, |slot| slot.viewport);
         let slot = self.add_camera(context, viewport)?;
+        view.shown.forget_rehearsal();
         if let Some(before) = view.master.replace(slot) {
             self.rendering.remove_camera(before.camera);
         }

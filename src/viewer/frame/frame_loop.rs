@@ -6,12 +6,14 @@
 //!               (the viewer: events of each view, update callbacks of each scene, cameras)
 //! end_frame     look ahead; each pager merges, expires, uploads; image pagers; changed meshes
 //!               wait until each camera has a free render stage, merging what arrives meanwhile
+//!               decide which environments are shown, and rehearse those whose pipelines are missing
 //!               cull and draw on the threads of the model; take the results of the culls; send requests to the pagers
 //!               take the frames that draw threads have finished
 //! ```
 
 use std::time::{Duration, Instant};
 
+use super::changes::{Rehearsals, Rehearsed};
 use super::clock::{FrameStamp, FrameTimer};
 use super::config::ViewerConfig;
 use super::device_loss::DeviceLoss;
@@ -55,6 +57,10 @@ pub(in crate::viewer) struct FrameLoop {
     pub(super) query_answers: QueryAnswers,
     pub(in crate::viewer) results: DrawResults,
     pub(super) pictures: PictureRequests,
+    /// The contexts that show their images in windows.
+    pub(super) windows: Vec<ContextId>,
+    /// What the frames drawn since the last update have told about rehearsals.
+    pub(super) rehearsed: Vec<Rehearsed>,
 }
 
 /// A frame between its event phase and rendering.
@@ -99,6 +105,8 @@ impl FrameLoop {
             query_answers: QueryAnswers::default(),
             results: DrawResults::new(config.history_frames),
             pictures: PictureRequests::default(),
+            windows: Vec::new(),
+            rehearsed: Vec::new(),
             config,
         })
     }
@@ -216,6 +224,7 @@ impl FrameLoop {
         for view in views.values_mut() {
             view.prepare(&self.rendering, scenes[view.scene()].bounds());
         }
+        let rehearsals = self.follow_environments(views, scenes);
         if self.is_blocking() {
             let stamp = self.stamp();
             for group in self.pagers.iter_mut() {
@@ -226,7 +235,7 @@ impl FrameLoop {
             // Otherwise these requests would wait until the frame is drawn.
             self.look_early(views, scenes, None);
         }
-        self.cull_and_draw(views, scenes, is_dynamic)?;
+        self.cull_and_draw(views, scenes, is_dynamic, rehearsals)?;
         self.take_culled(views, scenes, &mut stats);
         self.results.push(stats);
         self.collect_arrived()?;
@@ -279,7 +288,13 @@ impl FrameLoop {
     }
 
     /// Hands jobs to the contexts and cull tasks to the cameras.
-    fn cull_and_draw(&mut self, views: &ViewList, scenes: &SceneList, is_dynamic: bool) -> Result<(), ViewerError> {
+    fn cull_and_draw(
+        &mut self,
+        views: &ViewList,
+        scenes: &SceneList,
+        is_dynamic: bool,
+        mut rehearsals: Rehearsals,
+    ) -> Result<(), ViewerError> {
         let job = self.job();
         #[cfg(feature = "window")]
         let mut overlays = std::mem::take(&mut self.overlays);
@@ -289,6 +304,7 @@ impl FrameLoop {
         let rendered = self.rendering.frame(
             |context| FrameJob {
                 read_back: pictures.reads_back(context, frame),
+                rehearsals: rehearsals.extract_if(.., |(of, ..)| *of == context).map(|(_, s, e)| (s, e)).collect(),
                 #[cfg(feature = "window")]
                 overlays: overlays.extract_if(.., |(of, _)| *of == context).map(|(_, paint)| paint).collect(),
                 ..job.again()

@@ -8,6 +8,7 @@
 //! - `DeviceLoss`: lost devices and their replacement
 //! - `QueryAnswers`: results of occlusion queries that are awaited
 
+mod changes;
 mod clock;
 mod collect;
 mod config;
@@ -20,6 +21,7 @@ mod query_answers;
 mod snapshot;
 mod stats;
 
+pub use self::changes::EnvironmentChanges;
 pub use self::clock::FrameStamp;
 pub(super) use self::clock::ReferenceClock;
 pub use self::config::ViewerConfig;

@@ -61,6 +61,7 @@ impl FrameLoop {
         let camera = view.master.map(|slot| slot.camera);
         let frame = self.stamp().frame;
         if let Some(mut task) = camera.and_then(|camera| view.task(camera, scene, frame, Vec::new())) {
+            task.environment = view.environment;
             task.camera.culls_contents = culls_contents;
             self.probe.cull(task);
         }

@@ -40,8 +40,12 @@ pub struct FrameStats {
     pub shadow_leaves: u32,
     /// Draw calls into shadow maps; they are part of `draw_calls`.
     pub shadow_draw_calls: u32,
-    /// Pipelines that were created while the frame was drawn, because they had not been prewarmed when contents were loaded.
+    /// Pipelines that were created while the frame was drawn, which waited for them. 0 once a view has drawn its first frames,
+    /// unless the scene graph changes or [`EnvironmentChanges::AtOnce`](crate::viewer::EnvironmentChanges) asks for it.
     pub pipelines_created: u32,
+    /// Pipelines that another thread has created and that are in use since the frame before: those of contents that were
+    /// loaded, and of changes of the environment.
+    pub pipelines_created_aside: u32,
     /// State changes recorded.
     pub state_changes: u32,
     /// State changes that were redundant and skipped.

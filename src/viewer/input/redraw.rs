@@ -17,6 +17,7 @@ pub(in crate::viewer) fn changes(base: &FrameLoop, view: &View, scenes: &SceneLi
         || !input.queue.is_empty()
         || view.shows_overlay()
         || input.camera_motion.is_moving()
+        || view.shown.is_changing()
         || base.stamp().frame == 0
         || base.awaits_picture()
         || paged.has_update_callbacks()

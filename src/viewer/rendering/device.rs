@@ -106,7 +106,7 @@ impl DeviceHandle {
             running_compiles: running_compiles.clone(),
             compiled: compiled_sender,
         };
-        let mut side = DrawSide::new(context, id, ends);
+        let mut side = DrawSide::new(context, id, ends, blocking);
         let operations = side.drawn_mut(id).map(|context| context.operations.clone()).unwrap_or_default();
         Self {
             id,

@@ -4,7 +4,7 @@
 //! A frame arrives as one command per context of the device. The stages to draw arrive separately from the culls, one per
 //! camera.
 
-use std::collections::VecDeque;
+use std::collections::{HashSet, VecDeque};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -22,14 +22,10 @@ use crate::sync::primitives::channel::{Receiver, Sender};
 use crate::sync::{BlockCount, Operation, OperationQueue};
 use crate::trace;
 
-/// Once this many pipelines were created before uploads, the next frame or the time before it creates the others.
-const MAX_PIPELINES_AT_ONCE: u32 = 16;
-
 /// An upload that has arrived and not begun.
 enum Upload {
-    /// Kinds of drawables whose pipelines are created first, for the stages that were drawn when they arrived, and how many
-    /// kinds are done.
-    Prewarm(Arc<[DrawKind]>, StageKinds, usize),
+    /// Kinds of drawables whose pipelines are created first, for the stages that were drawn when they arrived.
+    Prewarm(Arc<[DrawKind]>, StageKinds),
     Compile(CompileOperation),
 }
 
@@ -109,8 +105,10 @@ pub(super) struct DrawSide {
     drawn: Vec<(Box<FrameDone>, bool)>,
     /// Uploads in order that wait for the pipelines before them.
     uploads: VecDeque<Upload>,
-    /// The number of pipelines that may still be created for uploads before the next frame.
-    pipelines_left: u32,
+    /// The pager waits for uploads, so that nothing is gained by creating pipelines aside.
+    is_blocking: bool,
+    /// The number of pipelines in creation when the first of the uploads last had to wait for them.
+    pipelines_open: u32,
     /// Images for textures, written in the next frame.
     images: Vec<ImageChange>,
     /// Released drawables that the application wants to be kept for some frames.
@@ -127,8 +125,9 @@ pub(super) struct DrawSideEnds {
 }
 
 impl DrawSide {
-    /// Creates the draw side of a device; `first` is the number of its first context.
-    pub(super) fn new(mut context: GraphicsContext, first: u32, ends: DrawSideEnds) -> Self {
+    /// Creates the draw side of a device; `first` is the number of its first context. `is_blocking` means that the pager waits
+    /// for uploads.
+    pub(super) fn new(mut context: GraphicsContext, first: u32, ends: DrawSideEnds, is_blocking: bool) -> Self {
         let renderer = Renderer::new(&mut context);
         let DrawSideEnds { commands, replies, stopping, running_compiles, compiled } = ends;
         Self {
@@ -146,7 +145,8 @@ impl DrawSide {
             jobs: Vec::new(),
             drawn: Vec::new(),
             uploads: VecDeque::new(),
-            pipelines_left: MAX_PIPELINES_AT_ONCE,
+            is_blocking,
+            pipelines_open: 0,
             images: Vec::new(),
             retained: RetainedSlots::default(),
         }
@@ -213,7 +213,11 @@ impl DrawSide {
         let reply = match command {
             DrawCommand::Prewarm(kinds) => {
                 let stages = self.renderer.stage_kinds(&self.context);
-                self.uploads.push_back(Upload::Prewarm(kinds, stages, 0));
+                if !self.is_blocking {
+                    // In creation while the uploads before are under way.
+                    self.renderer.prewarm_aside(&mut self.context, &kinds, &stages);
+                }
+                self.uploads.push_back(Upload::Prewarm(kinds, stages));
                 return self.begin_uploads();
             }
             DrawCommand::PrewarmNow(kinds) => {
@@ -247,7 +251,7 @@ impl DrawSide {
             DrawCommand::RetainReleased { frames } => return self.retained.set_frames(frames),
             DrawCommand::FlushReleased => return self.flush_released(),
             DrawCommand::RunCompiles(budget) => {
-                self.begin_more_uploads(MAX_PIPELINES_AT_ONCE);
+                self.begin_uploads();
                 self.context.run_compiles(&budget);
                 self.pass_on_compiled();
                 return self.running_compiles.store(false, Ordering::Release);
@@ -301,10 +305,11 @@ impl DrawSide {
 
     /// Cancels operations by ticket, those that wait behind pipelines included.
     fn cancel_compiles(&mut self, tickets: &[u64]) {
+        let cancelled: HashSet<u64> = tickets.iter().copied().collect();
         // The upload queue answers those that have not begun.
         for _ in 0..self.uploads.len() {
             match self.uploads.pop_front() {
-                Some(Upload::Compile(operation)) if tickets.contains(&operation.ticket) => {
+                Some(Upload::Compile(operation)) if cancelled.contains(&operation.ticket) => {
                     self.context.compile(operation);
                 }
                 other => self.uploads.extend(other),
@@ -348,28 +353,31 @@ impl DrawSide {
         Ok(true)
     }
 
-    /// Passes uploads on to the upload queue, and creates up to `max_pipelines` for them.
-    fn begin_more_uploads(&mut self, max_pipelines: u32) {
-        self.pipelines_left = max_pipelines;
-        self.begin_uploads();
-    }
-
-    /// Passes uploads on to the upload queue. Their pipelines are created before, so that no draw has to; the uploads wait
-    /// when as many were created as may be before the next frame.
+    /// Passes uploads on to the upload queue, until one needs pipelines that are still being created aside: no draw has to
+    /// create them.
     fn begin_uploads(&mut self) {
-        while self.pipelines_left > 0
-            && let Some(upload) = self.uploads.front_mut()
-        {
-            if let Upload::Prewarm(kinds, stages, done) = upload
-                && let Some(kind) = kinds.get(*done)
-            {
-                *done += 1;
-                let created = self.renderer.prewarm_for(&mut self.context, std::slice::from_ref(kind), stages);
-                self.pipelines_left = self.pipelines_left.saturating_sub(created);
-            } else if let Some(Upload::Compile(operation)) = self.uploads.pop_front() {
-                self.context.compile(operation);
+        while let Some(upload) = self.uploads.pop_front() {
+            match upload {
+                Upload::Prewarm(kinds, stages) if self.lacks_pipelines(&kinds, &stages) => {
+                    return self.uploads.push_front(Upload::Prewarm(kinds, stages));
+                }
+                Upload::Prewarm(..) => {}
+                Upload::Compile(operation) => self.context.compile(operation),
             }
         }
+    }
+
+    /// Returns true while the pipelines of the first of the uploads are being created.
+    fn lacks_pipelines(&mut self, kinds: &[DrawKind], stages: &StageKinds) -> bool {
+        if self.is_blocking {
+            self.renderer.prewarm_for(&mut self.context, kinds, stages);
+            return false;
+        }
+        // Looked at again when the pipeline thread has created another one.
+        let open = self.renderer.pipelines_in_creation();
+        let is_unchanged = open > 0 && open == self.pipelines_open;
+        self.pipelines_open = open;
+        is_unchanged || self.renderer.prewarm_aside(&mut self.context, kinds, stages) > 0
     }
 
     fn pass_on_compiled(&mut self) {
@@ -381,8 +389,12 @@ impl DrawSide {
 
     /// Uploads everything; returns false when something is left that cannot be uploaded now.
     fn finish_compiles(&mut self, waits_for_memory: bool) -> bool {
-        self.begin_more_uploads(u32::MAX);
-        self.pipelines_left = MAX_PIPELINES_AT_ONCE;
+        while let Some(upload) = self.uploads.pop_front() {
+            match upload {
+                Upload::Prewarm(kinds, stages) => _ = self.renderer.prewarm_for(&mut self.context, &kinds, &stages),
+                Upload::Compile(operation) => self.context.compile(operation),
+            }
+        }
         let unlimited = CompileBudget { time: Duration::from_secs(3600), bytes: u64::MAX };
         let mut makes_progress = true;
         while makes_progress && self.context.pending_compiles() > 0 {
@@ -409,7 +421,7 @@ impl DrawSide {
             while let Some(slots) = self.retained.take_due() {
                 self.context.release(&slots);
             }
-            self.begin_more_uploads(MAX_PIPELINES_AT_ONCE);
+            self.begin_uploads();
             self.context.run_compiles(&first.budget);
         }
         self.pass_on_compiled();
@@ -448,8 +460,12 @@ impl DrawSide {
             }
         }
         let culled = Instant::now();
+        for (stage, environment) in job.rehearsals {
+            self.renderer.rehearse_next(stage, environment);
+        }
         self.renderer.timed = (job.context, job.frame);
         let stats = self.draw(index, job.clock);
+        let missing_pipelines = self.renderer.take_rehearsed();
         self.complete_dynamic(index);
         // Not for an image that the application has drawn once more: operations run once in each frame.
         if !own_stage && stats.is_ok() {
@@ -481,6 +497,7 @@ impl DrawSide {
             context: job.context,
             frame: job.frame,
             stage,
+            missing_pipelines,
             stats,
             draw_ms,
             compile_ms,

@@ -21,6 +21,8 @@ pub(in crate::viewer) struct FrameJob {
     pub(in crate::viewer) frame: u32,
     /// A stage with its environment that is drawn instead of those of the cameras; it is returned.
     pub(in crate::viewer) stage: Option<(RenderStage, Environment)>,
+    /// Views as a later frame will draw them, whose missing pipelines are created aside.
+    pub(in crate::viewer) rehearsals: Vec<(RenderStage, Environment)>,
     /// The times that shader programs see.
     pub(in crate::viewer) clock: FrameClock,
     /// The limit of uploads before the frame is drawn.
@@ -48,6 +50,8 @@ pub(in crate::viewer) struct FrameDone {
     pub(in crate::viewer) frame: u32,
     /// The job's own stage.
     pub(in crate::viewer) stage: Option<RenderStage>,
+    /// The number of pipelines that the views of the job's rehearsals lack; `None` if they were not rehearsed.
+    pub(in crate::viewer) missing_pipelines: Option<u32>,
     /// The counters of the draw.
     pub(in crate::viewer) stats: Result<DrawStats, GpuError>,
     /// Milliseconds to record and submit, including the device's contexts before this one.

@@ -6,6 +6,7 @@ mod eyes;
 mod picking;
 mod probe;
 pub(super) mod set_bounds;
+mod shown_environment;
 mod slaves;
 #[expect(clippy::module_inception, reason = "the view's own file; the others are its parts")]
 mod view;

@@ -225,14 +225,27 @@ impl SetBounds {
     pub fn sun_direction(&self) -> DVec3 {
         self.frame.direction(135f64.to_radians(), 40f64.to_radians())
     }
+
+    /// Returns the direction towards the sun for a first view: on a whole globe it shines over the left shoulder, so that
+    /// the side in sight has day and its relief is lit from the side.
+    pub(in crate::viewer) fn sun_behind(&self, world_from_eye: &DAffine3) -> DVec3 {
+        match is_globe(&self.sphere) {
+            true => (world_from_eye.matrix3 * DVec3::new(-0.4, 0.15, 1.0)).normalize(),
+            false => self.sun_direction(),
+        }
+    }
 }
 
-/// Returns an environment whose sun, sky and haze fit a set.
+/// The night light of a whole globe, whose user wants to recognise land on all sides.
+const NIGHT_LIGHT_OF_GLOBE: f32 = 0.4;
+
+/// Returns an environment whose sun, sky and haze fit a set. On a whole globe the nights are light.
 pub fn environment_for(bounds: &SetBounds) -> Environment {
     let base = Environment::on(bounds.ellipsoid);
     Environment {
         sun_direction: bounds.sun_direction(),
         up_in_world: bounds.frame.up(),
+        night_light: if is_globe(&bounds.sphere) { NIGHT_LIGHT_OF_GLOBE } else { base.night_light },
         fog: DistanceFog { density_per_m: bounds.fog_density_per_m() as f32, ..base.fog },
         ..base
     }
@@ -338,6 +351,21 @@ mod tests {
             let extinction = DistanceFog::AIR_PER_M + f64::from(environment_for(&bounds).fog.density_per_m);
             assert!(3.912 / extinction > 99_900.0, "{radius_m} m: {extinction} per metre");
         }
+    }
+
+    #[test]
+    fn first_view_of_a_globe_looks_at_its_day() {
+        let globe = SetBounds::from_sphere(BoundingSphere::new(DVec3::ZERO, 6.4e6));
+        for heading in [0.0, 1.0, 3.0, 5.0] {
+            let pose = globe.first_camera(&ViewFrom { heading, ..ViewFrom::default() });
+            let (sun, eye) = (globe.sun_behind(&pose), pose.translation.normalize());
+            assert!(sun.is_normalized() && sun.dot(eye) > 0.8, "{heading}: {}", sun.dot(eye));
+        }
+        assert_eq!(environment_for(&globe).night_light, NIGHT_LIGHT_OF_GLOBE);
+        // The light of terrain does not depend on where it is seen from.
+        let alps = alps();
+        assert_eq!(alps.sun_behind(&alps.first_camera(&ViewFrom::default())), alps.sun_direction());
+        assert_eq!(environment_for(&alps).night_light, Environment::NIGHT_LIGHT);
     }
 
     #[test]

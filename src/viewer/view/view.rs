@@ -6,6 +6,7 @@ use glam::{DAffine3, DMat4};
 use super::camera::Camera;
 use super::eyes::{EyeTargets, Eyes};
 use super::set_bounds::{LocalFrame, SetBounds, ViewFrom, environment_for};
+use super::shown_environment::ShownEnvironment;
 use super::slaves::{CameraSlot, Slave, SlaveCamera};
 use super::viewport::ViewArea;
 use crate::cull::{CullCamera, PageRequest, Stereo};
@@ -22,8 +23,12 @@ use crate::viewer::rendering::{CullTask, Lens, Rendering};
 pub struct View {
     /// The master camera. Change it between frames, or set a manipulator that moves it.
     pub camera: Camera,
-    /// Sun, sky and fog. Loading a set chooses the sun's direction, the up vector and the density of the haze.
+    /// Sun, sky and fog. Loading a set chooses the sun's direction, the light at night, the up vector and the density of
+    /// the haze.
+    /// [`EnvironmentChanges`](crate::viewer::EnvironmentChanges) says when a change takes effect.
     pub environment: Environment,
+    /// The environment that frames show.
+    pub(in crate::viewer) shown: ShownEnvironment,
     /// The path that the camera will take, in simulation time, when the application knows it. Tiles along it are
     /// prefetched; see [`ViewerConfig::look_ahead_s`](crate::viewer::ViewerConfig::look_ahead_s).
     pub announced: Option<AnimationPath>,
@@ -57,6 +62,7 @@ impl View {
         Self {
             camera: Camera { settings, ..Camera::default() },
             environment: Environment::default(),
+            shown: ShownEnvironment::default(),
             announced: None,
             from: ViewFrom::default(),
             scene,
@@ -163,6 +169,7 @@ impl View {
     pub(in crate::viewer) fn take_slave(&mut self, id: SlaveId) -> bool {
         let before = self.slaves.len();
         self.slaves.retain(|of| of.id != id);
+        self.shown.forget_rehearsal();
         self.request_redraw();
         self.slaves.len() < before
     }
@@ -180,6 +187,7 @@ impl View {
     pub(in crate::viewer) fn context_closed(&mut self, context: u32) {
         self.master = self.master.filter(|slot| slot.context != context);
         self.slaves.retain(|of| of.slave.context.0 != context);
+        self.shown.forget_rehearsal();
     }
 
     /// The contexts of its cameras.
@@ -194,14 +202,15 @@ impl View {
         }
     }
 
-    /// Moves the camera to the first view of a set, and fits sun, air and haze to it. The rest of the environment is the
+    /// Moves the camera to the first view of a set, and fits sun, night, air and haze to it. The rest of the environment is the
     /// application's.
     pub(in crate::viewer) fn first_sight(&mut self, bounds: &SetBounds) {
         self.camera.world_from_eye = bounds.first_camera(&self.from);
         self.camera.min_near_m = (1e-5 * bounds.sphere.radius_m).clamp(1e-4, 1.0);
-        let Environment { sun_direction, up_in_world, fog, .. } = environment_for(bounds);
+        let Environment { up_in_world, fog, night_light, .. } = environment_for(bounds);
         self.environment.move_to(bounds.ellipsoid);
-        self.environment.sun_direction = sun_direction;
+        self.environment.sun_direction = bounds.sun_behind(&self.camera.world_from_eye);
+        self.environment.night_light = night_light;
         self.environment.up_in_world = up_in_world;
         self.environment.fog.density_per_m = fog.density_per_m;
     }
@@ -288,7 +297,7 @@ impl View {
             camera,
             lens,
             sight,
-            environment: self.environment,
+            environment: self.shown.of(&self.environment),
             state_set: self.input.state_set.clone(),
             callbacks: self.callbacks.clone(),
             clamp_projection: self.clamp_projection,

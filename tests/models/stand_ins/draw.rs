@@ -87,6 +87,20 @@ impl Renderer {
         0
     }
 
+    pub fn prewarm_aside(&mut self, _context: &mut GraphicsContext, _kinds: &[DrawKind], _stages: &StageKinds) -> u32 {
+        0
+    }
+
+    pub fn pipelines_in_creation(&self) -> u32 {
+        0
+    }
+
+    pub fn rehearse_next(&mut self, _stage: RenderStage, _environment: Environment) {}
+
+    pub fn take_rehearsed(&mut self) -> Option<u32> {
+        None
+    }
+
     pub fn prewarm_for(&mut self, _context: &mut GraphicsContext, _kinds: &[DrawKind], _stages: &StageKinds) -> u32 {
         0
     }

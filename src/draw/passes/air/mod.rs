@@ -7,6 +7,7 @@
 pub(in crate::draw) mod tables;
 
 use crate::cull::CullCamera;
+use crate::draw::pipelines::aside::{Aside, Order};
 use crate::draw::resources::Resources;
 use crate::draw::uniforms::air::AirParameters;
 use crate::gpu::{FrameTimer, GraphicsContext, catch_errors};
@@ -40,6 +41,8 @@ impl TableSet {
 /// The state of the compute pipelines, created for the first environment with an atmosphere.
 enum Lazy {
     NotCreated,
+    /// The pipeline thread creates them.
+    Ordered(Order<AirPipelines>),
     Ready(AirPipelines),
     /// The device refused them; the error was reported.
     Refused,
@@ -54,6 +57,8 @@ pub(in crate::draw) struct AirPass {
     /// Bound at the indices from 1 on.
     sets: Vec<TableSet>,
     pipelines: Lazy,
+    /// How often the draw thread has created them.
+    created: u32,
     draw: u32,
     /// The number of draws in a frame: one for each context of the device. A set that one of them used is needed again
     /// in the next frame.
@@ -83,9 +88,15 @@ impl AirPass {
             no_volume: table(device, "no air", [1, 1, 2]),
             sets: Vec::new(),
             pipelines: Lazy::NotCreated,
+            created: 0,
             draw: 0,
             draws_per_frame: 1,
         }
+    }
+
+    /// Returns how often the draw thread has created the pipelines of all steps, which count as one.
+    pub(in crate::draw) fn created(&self) -> u32 {
+        self.created
     }
 
     /// Starts a draw and frees sets that were not used for long. Returns true if sets were freed, so that the bind groups
@@ -120,6 +131,11 @@ impl AirPass {
         if environment.sky != Sky::Atmosphere {
             return none;
         }
+        let aside = &mut resources.pipelines.aside;
+        if aside.is_on() && self.order_pipelines(ctx, aside) {
+            // A rehearsal has the pipelines of an atmosphere without its tables.
+            return none;
+        }
         match self.find(ctx, &air, |error| resources.errors.report_once(error)) {
             Some(found) => {
                 resources.stats.airs_refused += u32::from(found.is_refused);
@@ -132,10 +148,38 @@ impl AirPass {
         }
     }
 
+    /// Creates the compute pipelines before an environment needs them.
+    pub(in crate::draw) fn prewarm(&mut self, ctx: &GraphicsContext, resources: &mut Resources) {
+        self.ensure_pipelines(ctx, &mut |error| resources.errors.report_once(error));
+    }
+
+    /// Orders the compute pipelines at the first call; returns true while they are missing.
+    fn order_pipelines(&mut self, ctx: &GraphicsContext, aside: &mut Aside) -> bool {
+        if matches!(&self.pipelines, Lazy::NotCreated) {
+            let cache = ctx.pipeline_cache().cloned();
+            let create = move |device: &wgpu::Device| AirPipelines::new(device, cache.as_ref());
+            self.pipelines = Lazy::Ordered(aside.order(ctx.device(), "air".to_owned(), create));
+        }
+        let Lazy::Ordered(order) = &self.pipelines else { return false };
+        match aside.take(order) {
+            None => true,
+            Some(Ok(created)) => {
+                self.pipelines = Lazy::Ready(created);
+                false
+            }
+            // The frame that needs them tries again, and reports the error.
+            Some(Err(_)) => {
+                self.pipelines = Lazy::NotCreated;
+                false
+            }
+        }
+    }
+
     /// Creates the compute pipelines at the first call; returns true if the device has them.
     fn ensure_pipelines(&mut self, ctx: &GraphicsContext, report: &mut impl FnMut(String)) -> bool {
-        if matches!(self.pipelines, Lazy::NotCreated) {
+        if matches!(self.pipelines, Lazy::NotCreated | Lazy::Ordered(_)) {
             let (created, error) = catch_errors(ctx.device(), || AirPipelines::new(ctx.device(), ctx.pipeline_cache()));
+            self.created += 1;
             self.pipelines = match error {
                 None => Lazy::Ready(created),
                 Some(error) => {

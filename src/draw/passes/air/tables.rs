@@ -67,6 +67,7 @@ pub(super) struct Tables {
 }
 
 /// A compute step: fills one table, or the two of the fourth step.
+#[derive(Clone)]
 struct Step {
     pipeline: wgpu::ComputePipeline,
     layout: wgpu::BindGroupLayout,
@@ -74,6 +75,7 @@ struct Step {
 }
 
 /// The compute pipelines of all steps in the order in which they run. The last one runs for each eye.
+#[derive(Clone)]
 pub(super) struct AirPipelines([Step; 4]);
 
 impl Tables {

@@ -45,7 +45,7 @@ impl TextureDraw {
 
     /// Returns the number of pipelines created so far.
     fn created(&self) -> u32 {
-        self.pipelines.tried()
+        self.pipelines.created()
     }
 
     /// Creates the pipeline of a kind if needed. A pipeline that the device refuses is an error the first time only.

@@ -16,6 +16,7 @@ struct Frame {
     air: vec4<f32>,            // the eye of the air tables: kilometres from the earth's centre, cosines of horizon and limb
                                // (air.wgsl); w: 1 if rays are parallel
     sun_top: vec4<f32>,        // irradiance of the sun outside the air; w: layer of the first cascade's shadow map
+    night: vec4<f32>,          // x: share of the ambient light that remains at night
     shadow_x: vec4<f32>,       // in eye space, across the sun's rays; w: how far points are moved along normals, texels
     shadow_y: vec4<f32>,       // the other axis; w: how far points are moved towards the sun, texels
     shadow: vec4<f32>,         // number of cascades; 1 / texels a side; depths between which shadows fade out, metres
@@ -196,12 +197,12 @@ fn light_of_sky(normal: vec3<f32>, up: vec3<f32>) -> vec3<f32> {
     let ground = frame.ambient_color.rgb * vec3<f32>(0.45, 0.40, 0.34);
     let ambient = mix(ground, frame.ambient_color.rgb, 0.5 + 0.5 * dot(normal, up));
     if !HAS_ATMOSPHERE || frame.shape.z <= 0.0 {
-        return ambient * (0.15 + 0.85 * sun_daylight(cosine));
+        return ambient * max(0.15 + 0.85 * sun_daylight(cosine), frame.night.x);
     }
     // The ambient light is that of a high sun. It falls with the sky's light, and some remains at night.
     let place = vec2<f32>(sky_light_place(cosine), 0.5);
     let sky = textureSampleLevel(sky_light, air_sampler, place, 0.0).rgb;
-    return ambient * max(sky, vec3<f32>(0.03));
+    return ambient * max(sky, vec3<f32>(frame.night.x));
 }
 
 // Returns the direction to a light from a point in eye space, and the share of the light that arrives there.

@@ -1,0 +1,115 @@
+//! Changes of environments that need pipelines: each view keeps the environment that it shows until the pipelines of the next
+//! one are there. Main thread.
+//!
+//! ```text
+//! view.environment changes       the view is drawn as before, and culled once more with the new environment
+//! rehearsal, draw thread         prepares that cull as a later frame will draw it, and orders the pipelines that are missing
+//! pipeline thread                creates them
+//! rehearsal that lacks nothing   the next frame shows the new environment
+//! ```
+
+use super::frame_loop::{FrameLoop, ViewList};
+use crate::cull::RenderStage;
+use crate::scene::Environment;
+use crate::viewer::ids::ContextId;
+use crate::viewer::paging::SceneList;
+use crate::viewer::rendering::FrameDone;
+use crate::viewer::view::View;
+
+/// When a change of [`View::environment`] takes effect if it needs pipelines that do not exist: other shadows, water, sky, haze
+/// over a background, or tone mapping. Other changes, such as the sun's direction, take effect in the next frame.
+///
+/// The blocking mode of the pager never waits for pipelines in a later frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum EnvironmentChanges {
+    /// [`Self::WhenReady`] for views with a camera in a window, whose user would notice a frame that takes long. [`Self::AtOnce`]
+    /// for views that are drawn offscreen, where the image counts.
+    #[default]
+    ReadyInWindows,
+    /// Another thread creates the pipelines, while frames show the environment before. Then one frame shows the whole change.
+    /// [`CompositeViewer::is_settled`](crate::viewer::CompositeViewer::is_settled) is false until then.
+    WhenReady,
+    /// The next frame shows the change and takes as long as its pipelines take: 20 to 200 ms each on many drivers.
+    AtOnce,
+}
+
+/// The views that a frame rehearses, each with its context.
+pub(super) type Rehearsals = Vec<(u32, RenderStage, Environment)>;
+
+/// What a drawn frame tells about rehearsals.
+pub(super) struct Rehearsed {
+    context: ContextId,
+    frame: u32,
+    /// The number of pipelines that the rehearsed views lack; `None` if none was rehearsed.
+    missing: Option<u32>,
+    /// The number of pipelines that the device was creating.
+    in_creation: u32,
+}
+
+impl Rehearsed {
+    pub(super) fn of(done: &FrameDone) -> Self {
+        let in_creation = done.stats.as_ref().map_or(0, |drawn| drawn.pipelines_in_creation);
+        let (context, missing) = (ContextId(done.context), done.missing_pipelines);
+        Self { context, frame: done.frame, missing, in_creation }
+    }
+}
+
+impl FrameLoop {
+    /// Sets when changes take effect, from the next frame on.
+    pub(in crate::viewer) fn set_environment_changes(&mut self, changes: EnvironmentChanges) {
+        self.config.environment_changes = changes;
+    }
+
+    /// Notes whether a context that was opened shows its images in a window.
+    pub(super) fn note_window(&mut self, context: ContextId, is_window: bool) {
+        if is_window {
+            self.windows.push(context);
+        }
+    }
+
+    fn waits_for_pipelines(&self, view: &View) -> bool {
+        !self.config.pager.blocking
+            && match self.config.environment_changes {
+                EnvironmentChanges::ReadyInWindows => view.contexts().any(|of| self.windows.contains(&of)),
+                EnvironmentChanges::WhenReady => true,
+                EnvironmentChanges::AtOnce => false,
+            }
+    }
+
+    /// Decides with which environment each view is drawn in this frame. Returns the views whose changes it rehearses.
+    pub(super) fn follow_environments(&mut self, views: &mut ViewList, scenes: &SceneList) -> Rehearsals {
+        self.take_rehearsed(views);
+        let mut rehearsals = Vec::new();
+        let frame = self.stamp().frame;
+        for view in views.values_mut() {
+            let waits = self.waits_for_pipelines(view);
+            view.shown.follow(&view.environment, waits);
+            if !view.shown.wants_rehearsal() {
+                continue;
+            }
+            let paged = &scenes[view.scene()];
+            let cameras: Vec<(u32, ContextId)> = view.cameras().zip(view.contexts()).collect();
+            let mut contexts = Vec::new();
+            for (camera, context) in cameras {
+                let Some(mut task) = view.task(camera, paged, frame, Vec::new()) else { continue };
+                task.environment = view.environment;
+                self.probe.cull(task);
+                rehearsals.push((context.0, self.probe.take_stage(), view.environment));
+                contexts.push(context);
+            }
+            contexts.sort_unstable();
+            contexts.dedup();
+            view.shown.begin_rehearsal(frame, contexts.len());
+        }
+        rehearsals
+    }
+
+    /// Tells views what the frames that were drawn have found out about their changes.
+    fn take_rehearsed(&mut self, views: &mut ViewList) {
+        for Rehearsed { context, frame, missing, in_creation } in self.rehearsed.drain(..) {
+            for view in views.values_mut().filter(|view| view.contexts().any(|of| of == context)) {
+                view.shown.drawn(frame, missing, in_creation);
+            }
+        }
+    }
+}
