@@ -314,8 +314,11 @@ fn texts_read_the_same_in_every_format() {
     // What the typeface lacks is a box, and noted; sizes that are none draw nothing.
     let (node, ignored) = read(osgt(VERSION, &text("Text TRUE \"\u{4e2d}\"", "")));
     assert_eq!((drawables(&node).len(), ignored.iter().count()), (1, 1));
-    for size in ["CharacterSize nan 1", "CharacterSize 1 0", "CharacterSize -1 1"] {
+    for size in ["CharacterSize nan 1", "CharacterSize 1 0", "CharacterSize -1 1", "CharacterSize 1 1 LineSpacing inf"]
+    {
         let (node, ignored) = read(osgt(VERSION, &text("Text TRUE \"A\"", "").replace("CharacterSize 10 1", size)));
         assert_eq!((drawables(&node).len(), ignored.iter().count()), (0, 1), "{size}");
     }
+    let (node, _) = read(osgt(VERSION, &text("Text TRUE \"A\"", "Position nan 0 0")));
+    assert!(drawables(&node).is_empty() && terrane::scene::Page::from_node(node).is_ok());
 }

@@ -279,7 +279,9 @@ impl<'a> Builder<'a> {
     /// Makes the drawables of a drawable: one for triangles, one for lines, and one for points.
     fn drawables(&mut self, object: &Arc<DrawableObject>) -> Result<(DVec3, Vec<Drawable>), IoError> {
         if let DrawableClass::Text(text) = &object.class {
-            return Ok((text.position, self.text_drawables(text)?));
+            let letters = self.text_drawables(text)?;
+            // A place that is not finite has no letters.
+            return Ok((if letters.is_empty() { DVec3::ZERO } else { text.position }, letters));
         }
         let look = Look::resolve(&self.states);
         let Shown { texture, overlay, fixed, uv_sets } = self.shown(object, &look)?;

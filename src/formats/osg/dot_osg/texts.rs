@@ -16,7 +16,7 @@ impl Reader {
     pub(super) fn text(&mut self, class: &str, block: &Block<'_>) -> TextObject {
         let mut text = TextObject::default();
         let resolution = block.values("fontResolution").or(block.values("fontSize"));
-        if let Some([_, height_px]) = resolution {
+        if let Some([_, height_px]) = resolution.filter(|[_, height_px]: &[f64; 2]| height_px.is_finite()) {
             text.font_height_px = height_px;
         }
         if let Some([height, aspect]) = block.values("characterSize") {

@@ -11,6 +11,10 @@ use crate::formats::osg::build::looks::linear;
 use crate::formats::osg::text::TextObject;
 use crate::scene::{AlphaMode, ContentKey, Drawable, Geometry, Material, Mesh, MeshVertex, Topology};
 
+/// The lengths of letters and lines that are drawn, so that floats hold the places of all letters of a file.
+const MIN_LENGTH: f64 = 1e-12;
+const MAX_LENGTH: f64 = 1e12;
+
 /// The letters of a text around its position. Lengths in units of the text.
 struct Lines {
     /// Each with its place on the base line.
@@ -83,14 +87,14 @@ fn lines<'a>(characters: &'a [char], unit: f64, max_width: f64) -> Vec<Line<'a>>
 
 impl Lines {
     fn new(text: &TextObject) -> Option<Self> {
-        let is_valid = |length: f64| length.is_finite() && length > 0.0;
+        let is_valid = |length: f64| (MIN_LENGTH..MAX_LENGTH).contains(&length);
         let unit = DVec2::new(text.height / text.aspect, text.height);
-        if !is_valid(unit.x) || !is_valid(unit.y) {
+        let pitch = text.height * (1.0 + text.line_spacing.max(0.0));
+        if ![unit.x, unit.y, pitch].into_iter().all(is_valid) {
             return None;
         }
         let characters: Vec<char> = text.text.chars().collect();
         let lines = lines(&characters, unit.x, text.max_width);
-        let pitch = text.height * (1.0 + text.line_spacing.max(0.0));
         // By their numbers: left, centre and right come in threes.
         let column = match text.alignment {
             3..=5 | 10 | 13 => 0.5,
@@ -148,7 +152,7 @@ impl Builder<'_> {
     pub(in super::super) fn text_drawables(&mut self, text: &TextObject) -> Result<Vec<Drawable>, IoError> {
         let lines = Lines::new(text).filter(|_| text.position.is_finite() && text.rotation.is_finite());
         let Some(lines) = lines else {
-            self.note("OpenSceneGraph: a text whose place or size is not finite (not drawn)");
+            self.note("OpenSceneGraph: a text without a place or a size (not drawn)");
             return Ok(Vec::new());
         };
         if lines.lacks_letters {

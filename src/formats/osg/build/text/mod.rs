@@ -17,6 +17,9 @@ use crate::formats::osg::text::TextObject;
 use crate::math::BoundingSphere;
 use crate::scene::{AutoScale, BillboardMode, Node};
 
+/// The largest font in pixels.
+const MAX_FONT_PX: f64 = 4096.0;
+
 /// Returns a sphere around a text; empty if it is not drawn.
 pub(super) fn sphere(text: &TextObject) -> BoundingSphere {
     if !text.position.is_finite() {
@@ -46,7 +49,7 @@ impl Builder<'_> {
             1 => (1.0, Some(AutoScale { min: 0.0, max: f64::INFINITY })),
             2 if text.height > 0.0 => {
                 // As large as its limit: on the screen it is scaled down to its own size.
-                let units = text.font_height_px.max(1.0) / text.height;
+                let units = text.font_height_px.clamp(1.0, MAX_FONT_PX) / text.height;
                 (units, Some(AutoScale { min: 0.0, max: units.recip() }))
             }
             _ => (1.0, None),
