@@ -229,7 +229,7 @@ impl SetBounds {
     /// Returns the direction towards the sun for a first view: on a whole globe it shines over the left shoulder, so that
     /// the side in sight has day and its relief is lit from the side.
     pub(in crate::viewer) fn sun_behind(&self, world_from_eye: &DAffine3) -> DVec3 {
-        match is_globe(&self.sphere) {
+        match is_globe(&self.ellipsoid, &self.sphere) {
             true => (world_from_eye.matrix3 * DVec3::new(-0.4, 0.15, 1.0)).normalize(),
             false => self.sun_direction(),
         }
@@ -245,7 +245,7 @@ pub fn environment_for(bounds: &SetBounds) -> Environment {
     Environment {
         sun_direction: bounds.sun_direction(),
         up_in_world: bounds.frame.up(),
-        night_light: if is_globe(&bounds.sphere) { NIGHT_LIGHT_OF_GLOBE } else { base.night_light },
+        night_light: if is_globe(&bounds.ellipsoid, &bounds.sphere) { NIGHT_LIGHT_OF_GLOBE } else { base.night_light },
         fog: DistanceFog { density_per_m: bounds.fog_density_per_m() as f32, ..base.fog },
         ..base
     }
