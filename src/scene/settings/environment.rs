@@ -262,7 +262,7 @@ mod tests {
     #[test]
     fn up_is_the_normal_of_the_body() {
         let eye = DVec3::new(0.0, 0.0, 1_738_000.0);
-        assert_eq!(Environment::on(MOON).seen_from(eye).up_in_world, DVec3::Z);
+        assert!(Environment::on(MOON).seen_from(eye).up_in_world.distance(DVec3::Z) < 1e-12);
         let aside = DVec3::X * 1_738_000.0;
         assert!(Environment::on(MOON).seen_from(aside).up_in_world.distance(DVec3::X) < 1e-12);
         assert_eq!(Environment::default().seen_from(aside).up_in_world, DVec3::Z, "a local scene of the earth");
